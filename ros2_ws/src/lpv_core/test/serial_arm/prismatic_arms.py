@@ -1,10 +1,9 @@
 """Arms with prismatic joints: a SCARA, a large arm on a linear axis, nine mixed joints."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
-import pinocchio
+from places import BRINGUP
 
 from lpv_core.serial_arm.arm_file import load_arm
 from lpv_core.serial_arm.description import (
@@ -17,7 +16,6 @@ from lpv_core.serial_arm.description import (
     Uncertainty,
 )
 
-ARMS = Path(__file__).parents[3] / 'lpv_bringup' / 'arms'
 UPRIGHT = (0.0, 0.0, 0.0)
 # Place and orientation of the frame, axis, mass, centre of mass, limits of position, rate, torque.
 RAIL = ('rail', (0.0, 0.0, 0.4), UPRIGHT, (1.0, 0.0, 0.0), 60.0, (0.0, 0.0, 0.1),
@@ -54,9 +52,8 @@ def _floats(values):
 
 def arm_of(name: str, rows: tuple, tip: tuple[float, float, float]) -> SerialArm:
     """An arm of joints that are described by rows as above."""
-    return SerialArm(
-        name, tuple(_joint(*row) for row in rows), tip=tip, uncertainty=Uncertainty(0.5, 0.3)
-    )
+    joints = tuple(_joint(*row) for row in rows)
+    return SerialArm(name, joints, tip=tip, uncertainty=Uncertainty(0.5, 0.3))
 
 
 def scara() -> SerialArm:
@@ -66,22 +63,15 @@ def scara() -> SerialArm:
 
 def ur10_on_rail() -> SerialArm:
     """The shipped UR10 on a horizontal rail: seven joints, the first one prismatic."""
-    arm = load_arm(ARMS / 'ur10.yaml')
-    return replace(
-        arm,
-        name='ur10_on_rail',
-        joints=(_joint(*RAIL), *arm.joints),
-        covariance=None,
-        urdf='',
-        locked=(),
-        uncertainty=Uncertainty(0.5, 0.3),
-    )
+    arm = load_arm(BRINGUP / 'arms' / 'ur10.yaml')
+    own = {'name': 'ur10_on_rail', 'covariance': None, 'urdf': '', 'locked': ()}
+    joints = (_joint(*RAIL), *arm.joints)
+    return replace(arm, joints=joints, uncertainty=Uncertainty(0.5, 0.3), **own)
 
 
 def mixed_arm(seed: int = 9, joints: int = 9) -> SerialArm:
     """Joints of both types in any direction."""
-    rng = np.random.default_rng(seed)
-    rows = []
+    rng, rows = np.random.default_rng(seed), []
     for i in range(joints):
         axis, turn = rng.normal(size=3), _floats(rng.uniform(-3.0, 3.0, 3))
         kind = ('revolute', 'prismatic')[i % 3 == 1]
@@ -91,36 +81,6 @@ def mixed_arm(seed: int = 9, joints: int = 9) -> SerialArm:
                      float(rng.uniform(0.5, 8.0)), _floats(rng.uniform(-0.2, 0.2, 3)), span, 2.0,
                      500.0, kind))  # fmt: skip
     return arm_of('mixed', tuple(rows), (0.1, 0.0, 0.2))
-
-
-def urdf_of(arm: SerialArm) -> str:
-    """URDF text of an arm: written without the compiled chain, which it is to be compared with."""
-    parts = [f'<robot name="{arm.name}"><link name="base"/>']
-    parent = 'base'
-    for i, joint in enumerate(arm.joints):
-        body = pinocchio.Inertia.FromDynamicParameters(joint.link.to_vector())
-        xx, xy, yy, xz, yz, zz = body.inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
-        limits = joint.limits
-        parts.append(
-            f'<link name="link{i}"><inertial><origin xyz="{_text(body.lever)}"/>'
-            f'<mass value="{body.mass!r}"/><inertia ixx="{xx!r}" ixy="{xy!r}" ixz="{xz!r}" '
-            f'iyy="{yy!r}" iyz="{yz!r}" izz="{zz!r}"/></inertial></link>'
-            f'<joint name="{joint.name}" type="{joint.type}"><parent link="{parent}"/>'
-            f'<child link="link{i}"/><origin xyz="{_text(joint.position)}" '
-            f'rpy="{_text(joint.orientation)}"/><axis xyz="{_text(joint.axis)}"/>'
-            f'<limit lower="{limits.lower}" upper="{limits.upper}" velocity="{limits.velocity}" '
-            f'effort="{limits.torque}"/></joint>'
-        )
-        parent = f'link{i}'
-    parts.append(
-        f'<link name="tool"/><joint name="flange" type="fixed"><parent link="{parent}"/>'
-        f'<child link="tool"/><origin xyz="{_text(arm.tip)}"/></joint></robot>'
-    )
-    return ''.join(parts).replace('np.float64(', '').replace(')', '')
-
-
-def _text(values) -> str:
-    return ' '.join(repr(float(value)) for value in values)
 
 
 def middle(arm: SerialArm) -> np.ndarray:

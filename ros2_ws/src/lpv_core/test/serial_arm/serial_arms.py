@@ -2,40 +2,27 @@
 
 from dataclasses import replace
 
+import fault_injection
 import numpy as np
 
 from lpv_core.serial_arm.chain import Chain, compile_chain
-from lpv_core.serial_arm.description import (
-    JointFriction,
-    JointLimits,
-    JointSensors,
-    LinkInertia,
-    SerialArm,
-    SerialJoint,
-    Uncertainty,
-)
+from lpv_core.serial_arm.description import LinkInertia, SerialArm, Uncertainty
+from lpv_core.serial_arm.diagnosis.monitor import SerialMonitor
+from lpv_core.serial_arm.simulation import SerialRun, SerialSimulator
 
-LENGTH = 0.4
+KNOWN = Uncertainty(payload=0.5, friction=0.3)
 
 
-def shoulder_arm(rates: str = 'derived') -> SerialArm:
+def shoulder_arm(rates: str = 'derived', uncertainty: Uncertainty = KNOWN) -> SerialArm:
     """Three joints: the base turns about the vertical, shoulder and elbow lift."""
-    turned = (np.pi / 2, 0.0, 0.0)
-    places = [((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), ((0.0, 0.0, 0.2), turned),
-              ((LENGTH, 0.0, 0.0), (0.0, 0.0, 0.0))]  # fmt: skip
-    masses, limits = (4.0, 5.0, 3.0), (60.0, 80.0, 40.0)
-    joints = []
-    for i, (place, mass, limit) in enumerate(zip(places, masses, limits)):
-        center, inertia = 0.5 * LENGTH, mass * LENGTH**2 / 3.0
-        joints.append(SerialJoint(
-            f'joint{i + 1}', place[0], place[1], (0.0, 0.0, 1.0),
-            LinkInertia(mass, (mass * center, 0.0, 0.0), (0.1, 0.0, inertia, 0.0, 0.0, inertia)),
-            JointFriction(viscous=0.3, coulomb=0.3, coulomb_slope=50.0), rotor_inertia=0.05,
-            limits=JointLimits(-2.5, 2.5, 2.5, limit),
-            sensors=JointSensors(f'encoder{i + 1}', 1e-4, 0.0, rates, 5e-3)))  # fmt: skip
-    return SerialArm(
-        'shoulder', tuple(joints), tip=(LENGTH, 0.0, 0.0), uncertainty=Uncertainty(0.5, 0.3)
-    )
+    arm = with_rates(fault_injection.shoulder_arm(), rates)
+    return replace(arm, name='shoulder', uncertainty=uncertainty)
+
+
+def with_rates(arm: SerialArm, rates: str, **changes) -> SerialArm:
+    """An arm whose rates come from elsewhere, and other changes."""
+    joints = (replace(j, sensors=replace(j.sensors, rates=rates)) for j in arm.joints)
+    return replace(arm, joints=tuple(joints), **changes)
 
 
 def wrong_plant(arm: SerialArm, seed: int, error: float = 0.05) -> Chain:
@@ -43,12 +30,24 @@ def wrong_plant(arm: SerialArm, seed: int, error: float = 0.05) -> Chain:
     rng = np.random.default_rng(seed)
     changed = []
     for joint in arm.joints:
-        scale = 1.0 + rng.uniform(-error, error)
-        link = LinkInertia.from_vector(scale * joint.link.to_vector())
-        friction = replace(
-            joint.friction,
-            viscous=joint.friction.viscous * rng.uniform(0.7, 1.3),
-            coulomb=joint.friction.coulomb * rng.uniform(0.7, 1.3),
+        link = LinkInertia.from_vector((1.0 + rng.uniform(-error, error)) * joint.link.to_vector())
+        viscous, coulomb = rng.uniform(0.7, 1.3, 2) * (
+            joint.friction.viscous,
+            joint.friction.coulomb,
         )
+        friction = replace(joint.friction, viscous=viscous, coulomb=coulomb)
         changed.append(replace(joint, link=link, friction=friction))
     return compile_chain(replace(arm, joints=tuple(changed)))
+
+
+def simulated(arm, *faults, pushes=(), seed=1, duration=8.0, plant=None) -> SerialRun:
+    """A run of the arm with a plant that its model does not know exactly."""
+    plant = wrong_plant(arm, seed) if plant is None else plant
+    return SerialSimulator(arm, plant, seed).run(duration, list(faults), pushes)
+
+
+def watch(arm, run) -> SerialMonitor:
+    """The monitor of an arm after a run."""
+    monitor = SerialMonitor(arm)
+    monitor.update_many(run.stamps, run.samples)
+    return monitor

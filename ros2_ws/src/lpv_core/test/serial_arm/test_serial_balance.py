@@ -44,19 +44,20 @@ def blocks():
     """Means of a simulated run without noise."""
     simulator = SerialSimulator(shoulder_arm('independent'), seed=2)
     simulator._noise = lambda count: np.zeros((count, 2, 3))
-    run = simulator.run(1.0)
+    samples = simulator.run(1.0).samples
     rows = []
-    for k in range(len(run.stamps) // PER_BLOCK):
-        part = run.samples[k * PER_BLOCK : (k + 1) * PER_BLOCK]
-        # The effort of a sample acted before it.
-        efforts = run.samples[k * PER_BLOCK + 1 : (k + 1) * PER_BLOCK + 1, 2]
-        if len(efforts) < PER_BLOCK:
-            break
+    for k in range((len(samples) - 1) // PER_BLOCK):
+        part = slice(k * PER_BLOCK, (k + 1) * PER_BLOCK)
+        mean = [samples[part, i].mean(0) for i in (0, 1)]
+        efforts = samples[1:, 2][part].mean(0)  # the effort of a sample acted before it
         place = (k % PER_INTERVAL + 0.5) / PER_INTERVAL
-        rows.append(
-            [*part[:, 0].mean(0), *part[:, 1].mean(0), *efforts.mean(0), 0.01 * k, 0.01, place]
-        )
+        rows.append([*mean[0], *mean[1], *efforts, 0.01 * k, 0.01, place])
     return np.array(rows)[PER_INTERVAL : PER_INTERVAL * (len(rows) // PER_INTERVAL)]
+
+
+@pytest.fixture(scope='module')
+def chain():
+    return compile_chain(shoulder_arm())
 
 
 def rows_of(chain, blocks, directions=None, reference=(0.0, 0.0, 0.0), drives=None):
@@ -72,13 +73,12 @@ def column(rows, group, joint):
     return rows[:, :, 1 + 3 * group + joint]
 
 
-def test_balance_of_the_true_arm_is_zero(blocks):
-    residual = rows_of(compile_chain(shoulder_arm()), blocks)[:, :, 0]
+def test_balance_of_the_true_arm_is_zero(chain, blocks):
+    residual = rows_of(chain, blocks)[:, :, 0]
     assert np.abs(residual).max() < 2e-3 * np.abs(blocks[:, 6:9]).max() * 0.05
 
 
-def test_columns_of_offsets_are_derivatives(blocks):
-    chain = compile_chain(shoulder_arm())
+def test_columns_of_offsets_are_derivatives(chain, blocks):
     rows = rows_of(chain, blocks)
     for joint in range(3):
         step = 1e-4 * np.eye(3)[joint]
@@ -88,8 +88,7 @@ def test_columns_of_offsets_are_derivatives(blocks):
 
 
 @pytest.mark.parametrize(('group', 'field'), [(VISCOUS, 0), (COULOMB, 1), (TORQUE, 3)])
-def test_columns_of_friction_are_exact(blocks, group, field):
-    chain = compile_chain(shoulder_arm())
+def test_columns_of_friction_are_exact(chain, blocks, group, field):
     friction = chain.friction.copy()
     friction[1, field] += 0.2
     change = rows_of(chain._replace(friction=friction), blocks) - rows_of(chain, blocks)
@@ -97,8 +96,7 @@ def test_columns_of_friction_are_exact(blocks, group, field):
     np.testing.assert_allclose(change[:, :, 0], expected, atol=1e-12)
 
 
-def test_columns_of_parameter_directions_are_exact(blocks):
-    chain = compile_chain(shoulder_arm())
+def test_columns_of_parameter_directions_are_exact(chain, blocks):
     factor = np.random.default_rng(0).normal(size=(5, 45))
     factor[:, 36:39] = 0.0  # friction by load would multiply gains
     directions, drives = parameter_directions(chain, factor, np.full(3, 2.0))
@@ -123,8 +121,8 @@ def test_given_masses_and_friction_identified_together_then_they_are_wrong_toget
     assert drives[0, 2, 3] / directions[0, 2, 1] == pytest.approx(-20.0)
 
 
-def test_column_of_a_torque_gain_is_the_torque(blocks):
-    chain, louder = compile_chain(shoulder_arm()), blocks.copy()
+def test_column_of_a_torque_gain_is_the_torque(chain, blocks):
+    louder = blocks.copy()
     louder[:, 7] *= 1.1
     change = rows_of(chain, louder)[:, :, 0] - rows_of(chain, blocks)[:, :, 0]
     expected = 0.1 * column(rows_of(chain, blocks), GAIN, 1)
@@ -179,19 +177,13 @@ def test_factor_solves_and_whitens():
     assert columns[:, 0] @ columns[:, 0] == pytest.approx(rows[0] @ expected)
 
 
-def test_residuals_alone_are_those_of_the_whole_balance(blocks):
-    chain = compile_chain(shoulder_arm())
+def test_residuals_alone_are_those_of_the_whole_balance_and_reversals_are_told(chain, blocks):
     balance = new_balance(chain, np.zeros((0, 3, 10)), np.ones(3))
     alone = residuals(balance, blocks, PER_INTERVAL, chain.friction)
     np.testing.assert_array_equal(alone, rows_of(chain, blocks)[:, :, 0])
-
-
-def test_given_a_joint_that_reverses_then_its_balances_say_so(blocks):
-    balance = new_balance(compile_chain(shoulder_arm()), np.zeros((0, 3, 10)), np.ones(3))
-    moving, turning = blocks[: 2 * PER_INTERVAL].copy(), blocks[: 2 * PER_INTERVAL].copy()
-    moving[:, 3:6], turning[:, 3:6] = 1.0, np.linspace(-1.0, 1.0, len(turning))[:, None]
-    rows = np.empty((1, *balance.rows.shape))
-    for own, expected in ((moving, False), (turning, True)):
+    own, rows = blocks[: 2 * PER_INTERVAL].copy(), np.empty((1, *balance.rows.shape))
+    for rates, expected in ((1.0, False), (np.linspace(-1.0, 1.0, len(own))[:, None], True)):
+        own[:, 3:6] = rates
         fill_balances(balance, own, PER_INTERVAL, rows)
         assert rests(balance, 1) is expected
 

@@ -23,11 +23,19 @@ from lpv_core.serial_arm.dynamics.model import SerialModel
 from lpv_core.serial_arm.dynamics.payload import with_payload
 from lpv_core.support.errors import ConfigError
 
-ARMS = ('ur10', 'panda')
 
-
-def shipped(name):
+@pytest.fixture(scope='module', params=['ur10', 'panda'])
+def shipped(request):
     """A shipped arm and its certificate."""
+    return files_of(request.param)
+
+
+@pytest.fixture(scope='module')
+def ur10():
+    return files_of('ur10')
+
+
+def files_of(name):
     arm = load_arm(BRINGUP / 'arms' / f'{name}.yaml')
     return arm, load_loop_gains(BRINGUP / 'gains' / f'{name}.yaml')
 
@@ -79,36 +87,39 @@ def largest_ratio(arm, gains, chain, q, v):
     return eigh(after.T @ np.kron(p, mass) @ after, np.kron(p, before), eigvals_only=True)[-1]
 
 
-@pytest.mark.parametrize('name', ARMS)
-def test_given_true_arms_at_corners_when_sampled_and_late_then_the_energy_decays(name):
-    arm, gains = shipped(name)
-    rng, limits = np.random.default_rng(3), gains.rate_share * np.array(arm.velocity_limit)
-    found = []
-    for q in rng.uniform(-np.pi, np.pi, (200, len(limits))):
+def corners(arm, gains, seed, count):
+    """True arms at corners of the stated errors: parameters, position, rates at their limits."""
+    rng, limits = np.random.default_rng(seed), gains.rate_share * np.array(arm.velocity_limit)
+    for q in rng.uniform(-np.pi, np.pi, (count, len(limits))):
         v = limits * rng.choice([-1.0, 1.0], len(limits))
-        found.append(largest_ratio(arm, gains, corner_arm(arm, gains, rng), q, v))
-    assert max(found) < 1.0 - 2.0 * gains.sampled.decay * arm.sample_time
+        yield corner_arm(arm, gains, rng), q, v
 
 
-@pytest.mark.parametrize('name', ARMS)
-def test_given_the_shipped_files_when_verified_then_every_inequality_holds(name):
-    arm, gains = shipped(name)
+def test_given_true_arms_at_corners_when_in_motion_sampled_or_late_then_the_energy_decays(shipped):
+    arm, gains = shipped
+    ratios = [largest_ratio(arm, gains, *one) for one in corners(arm, gains, 3, 200)]
+    assert max(ratios) < 1.0 - 2.0 * gains.sampled.decay * arm.sample_time
+    decays = [slowest_decay(arm, gains, *one) for one in corners(arm, gains, 1, 300)]
+    assert min(decays) > gains.motion.decay
+
+
+def test_given_the_shipped_files_when_verified_then_every_inequality_holds(shipped):
+    arm, gains = shipped
     assert all(check.holds for check in verify_loop(arm, gains))
+    assert sum(error_bound(arm, gains).values()) == pytest.approx(gains.error.bound, rel=1e-9)
 
 
-def test_given_the_shipped_file_when_proved_in_exact_arithmetic_then_nothing_is_refuted():
-    assert all(prove_loop(*shipped('ur10')).values())
+def test_given_the_shipped_file_when_proved_in_exact_arithmetic_then_nothing_is_refuted(ur10):
+    assert all(prove_loop(*ur10).values())
 
 
-@pytest.mark.parametrize('name', ARMS)
-def test_given_random_configurations_when_compared_then_the_mass_matrix_keeps_its_bounds(name):
-    arm, gains = shipped(name)
+def test_given_random_configurations_when_compared_then_the_mass_matrix_keeps_its_bounds(shipped):
+    arm, gains = shipped
     chain, rng, worst = compile_chain(arm), np.random.default_rng(0), np.zeros(4)
     model, loaded = SerialModel(chain), SerialModel(with_payload(chain, arm.uncertainty.payload))
     limits, viscous = np.array(arm.velocity_limit), np.diag(chain.friction[:, 0])
     for q in rng.uniform(-np.pi, np.pi, (400, len(limits))):
         mass, v = model.mass_matrix(q), limits * rng.choice([-1.0, 1.0], len(limits))
-        least = np.diag(gains.model.inertia)
         least = np.diag(gains.model.inertia)
         forms = loaded.mass_matrix(q) - mass, viscous, growth(model, q, v), least
         worst = np.maximum(worst, [eigh(form, mass, eigvals_only=True)[-1] for form in forms])
@@ -117,27 +128,15 @@ def test_given_random_configurations_when_compared_then_the_mass_matrix_keeps_it
     assert (worst > 0.75 * bounds).all()  # they are not idle either
 
 
-@pytest.mark.parametrize('name', ARMS)
-def test_given_true_arms_at_corners_when_at_the_limits_of_the_region_then_the_energy_decays(name):
-    arm, gains = shipped(name)
-    rng, limits = np.random.default_rng(1), gains.rate_share * np.array(arm.velocity_limit)
-    found = []
-    for q in rng.uniform(-np.pi, np.pi, (300, len(limits))):
-        v = limits * rng.choice([-1.0, 1.0], len(limits))
-        found.append(slowest_decay(arm, gains, corner_arm(arm, gains, rng), q, v))
-    assert min(found) > gains.motion.decay
-
-
-@pytest.mark.parametrize('name', ARMS)
-def test_given_true_arms_at_corners_when_they_move_then_torques_that_are_missed_stay_bounded(name):
-    arm, gains = shipped(name)
-    rng, model = np.random.default_rng(2), SerialModel(compile_chain(arm))
-    rates = gains.rate_share * np.array(arm.velocity_limit)
+def test_given_true_arms_at_corners_when_they_move_then_torques_that_are_missed_stay_bounded(
+    shipped,
+):
+    arm, gains = shipped
+    model, rates = SerialModel(compile_chain(arm)), gains.rate_share * np.array(arm.velocity_limit)
     parts = missed_torque(arm, gains.model, gains.model_error, MotionRange(rates, 2.0))
-    for q in rng.uniform(-np.pi, np.pi, (300, len(rates))):
-        v, a = rates * rng.choice([-1.0, 1.0], len(q)), 2.0 * rng.choice([-1.0, 1.0], len(q))
-        true = SerialModel(corner_arm(arm, gains, rng))
-        missed = true.inverse_dynamics(q, v, a) - model.inverse_dynamics(q, v, a)
+    for chain, q, v in corners(arm, gains, 2, 300):
+        a = 2.0 * np.sign(v * q)
+        missed = SerialModel(chain).inverse_dynamics(q, v, a) - model.inverse_dynamics(q, v, a)
         size = np.sqrt(missed @ np.linalg.solve(model.mass_matrix(q), missed))
         assert size < parts['model error'] + parts['payload']
 
@@ -166,9 +165,9 @@ def doubled(value):
     ],
 )
 def test_given_a_forged_number_with_a_new_checksum_when_verified_then_it_is_refused(
-    part, name, forged
+    ur10, part, name, forged
 ):
-    arm, gains = shipped('ur10')
+    arm, gains = ur10
     data = loop_to_dict(gains)
     level = data[part] if part else data
     level[name] = forged(level[name])
@@ -177,8 +176,8 @@ def test_given_a_forged_number_with_a_new_checksum_when_verified_then_it_is_refu
         require_loop(arm, replace(changed, checksum=loop_checksum(changed)))
 
 
-def test_given_any_changed_number_when_verified_then_the_checksum_tells(tmp_path):
-    arm, gains = shipped('ur10')
+def test_given_any_changed_number_when_verified_then_the_checksum_tells(ur10, tmp_path):
+    arm, gains = ur10
     changed = replace(gains, rate_share=0.9 * gains.rate_share)  # a weaker claim, true as well
     with pytest.raises(ConfigError, match='numbers are those of the design'):
         require_loop(arm, changed)
@@ -186,8 +185,8 @@ def test_given_any_changed_number_when_verified_then_the_checksum_tells(tmp_path
     assert load_loop_gains(tmp_path / 'gains.yaml').rate_share == changed.rate_share
 
 
-def test_given_another_arm_when_verified_then_it_is_refused():
-    arm, gains = shipped('ur10')
+def test_given_another_arm_when_verified_then_it_is_refused(ur10):
+    arm, gains = ur10
     with pytest.raises(ConfigError, match='is for another arm'):
         verify_loop(replace(arm, gravity=9.8), gains)
 
@@ -200,14 +199,9 @@ def test_given_a_file_with_a_bandwidth_only_when_loaded_then_it_says_what_is_mis
 
 
 @pytest.mark.parametrize('change', [{'lyapunov': [1.0]}, {'decay': -1.0}, {'more': 1.0}])
-def test_given_a_damaged_proof_when_parsed_then_the_field_is_named(change):
-    _, gains = shipped('ur10')
+def test_given_a_damaged_proof_when_parsed_then_the_field_is_named(ur10, change):
+    _, gains = ur10
     data = loop_to_dict(gains)
     data['motion'] = {**data['motion'], **change}
     with pytest.raises(ConfigError, match=next(iter(change))):
         parse_loop(data)
-
-
-def test_given_the_causes_of_the_error_when_added_then_they_are_its_bound():
-    arm, gains = shipped('panda')
-    assert sum(error_bound(arm, gains).values()) == pytest.approx(gains.error.bound, rel=1e-9)

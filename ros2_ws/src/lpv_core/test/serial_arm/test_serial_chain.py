@@ -13,8 +13,6 @@ from lpv_core.serial_arm.dynamics.model import SerialModel
 from lpv_core.serial_arm.urdf_chain import read_urdf_chain
 from lpv_core.support.errors import ConfigError
 
-DATA = RECORDINGS
-
 URDF = """<robot name="small"><link name="base"/><link name="tool"/>
 <link name="one"><inertial><origin xyz="0.1 0.02 0" rpy="0.3 0 0.2"/><mass value="3"/>
   <inertia ixx="0.02" ixy="0.001" ixz="0" iyy="0.03" iyz="0.002" izz="0.04"/></inertial></link>
@@ -44,29 +42,32 @@ def assert_same_torques(model, chain):
         np.testing.assert_allclose(ours.inverse_dynamics(q, v, a), expected, rtol=0, atol=1e-10)
 
 
-def test_gripper_is_locked_where_it_was_told_and_axes_point_anywhere(tmp_path):
-    (tmp_path / 'small.urdf').write_text(URDF)
-    found = read_urdf_chain(tmp_path / 'small.urdf', {'finger': 0.03})
-    full = pinocchio.buildModelFromXML(URDF)
+@pytest.fixture
+def small(tmp_path):
+    """Reads the URDF, changed or with something before its end; the finger is locked."""
+
+    def read(old='</robot>', new='</robot>', **options):
+        assert old in URDF
+        (tmp_path / 'small.urdf').write_text(URDF.replace(old, new))
+        return read_urdf_chain(tmp_path / 'small.urdf', **{'locked': {'finger': 0.0}, **options})
+
+    return read
+
+
+def test_gripper_is_locked_where_it_was_told_and_axes_point_anywhere(small):
+    found, full = small(locked={'finger': 0.03}), pinocchio.buildModelFromXML(URDF)
     model = pinocchio.buildReducedModel(full, [full.getJointId('finger')], np.array([0, 0, 0.03]))
     assert found.joint_names == ('a', 'b')
     assert_same_torques(model, compile_chain(found))
+    data, q = full.createData(), np.array([0.4, -0.3, 0.03])
+    pinocchio.framesForwardKinematics(full, data, q)
+    expected = data.oMf[full.getFrameId('left')].translation
+    tip = forward_kinematics(compile_chain(found), q[:2])[1]
+    np.testing.assert_allclose(tip, expected, atol=1e-12)
 
 
-def test_tip_is_that_of_the_urdf(tmp_path):
-    (tmp_path / 'small.urdf').write_text(URDF.replace('name="left"', 'name="tool"', 0))
-    chain = compile_chain(read_urdf_chain(tmp_path / 'small.urdf', {'finger': 0.0}))
-    model = pinocchio.buildModelFromXML(URDF)
-    data, q = model.createData(), np.array([0.4, -0.3, 0.0])
-    pinocchio.framesForwardKinematics(model, data, q)
-    expected = data.oMf[model.getFrameId('left')].translation
-    np.testing.assert_allclose(forward_kinematics(chain, q[:2])[1], expected, atol=1e-12)
-
-
-def test_base_on_the_wall_turns_gravity(tmp_path):
-    (tmp_path / 'small.urdf').write_text(URDF)
-    arm = read_urdf_chain(tmp_path / 'small.urdf', {'finger': 0.0})
-    chain = compile_chain(replace(arm, base_orientation=(0.0, np.pi / 2, 0.0)))
+def test_base_on_the_wall_turns_gravity(small):
+    chain = compile_chain(replace(small(), base_orientation=(0.0, np.pi / 2, 0.0)))
     np.testing.assert_allclose(chain.gravity, [9.81, 0.0, 0.0], atol=1e-12)
 
 
@@ -83,13 +84,9 @@ DRIVES = """<ros2_control name="driver" type="system">
 <material name="grey"><color rgba="1 1 1 1"/></material></robot>"""
 
 
-def test_drives_and_controllers_of_a_urdf_are_no_joints(tmp_path):
-    (tmp_path / 'plain.urdf').write_text(URDF)
-    (tmp_path / 'driven.urdf').write_text(URDF.replace('</robot>', DRIVES))
-    plain, driven = (
-        read_urdf_chain(tmp_path / f'{name}.urdf', {'finger': 0.0}) for name in ('plain', 'driven')
-    )
-    assert replace(driven, urdf=plain.urdf) == plain
+def test_drives_and_controllers_of_a_urdf_are_no_joints(small):
+    plain = small()
+    assert replace(small(new=DRIVES), urdf=plain.urdf) == plain
 
 
 BRANCH = """<link name="camera"><inertial><mass value="0.7"/><inertia ixx="0.01" ixy="0" ixz="0"
@@ -101,24 +98,23 @@ BRANCH = """<link name="camera"><inertial><mass value="0.7"/><inertia ixx="0.01"
   <limit lower="-1" upper="1" velocity="1" effort="5"/></joint></robot>"""
 
 
-def test_tip_names_the_branch_and_what_follows_a_locked_joint_is_locked_with_it(tmp_path):
-    path = tmp_path / 'branches.urdf'
-    path.write_text(URDF.replace('</robot>', BRANCH))
+def test_tip_names_the_branch_and_what_follows_a_locked_joint_is_locked_with_it(small):
+    own = {'new': BRANCH, 'locked': {'finger': 0.02}}
     with pytest.raises(ConfigError, match="'pan' .* name the link at"):
-        read_urdf_chain(path, {'finger': 0.02})
-    found = read_urdf_chain(path, {'finger': 0.02}, tip='tool')
+        small(**own)
+    found = small(**own, tip='tool')
     assert found.joint_names == ('a', 'b')
     assert dict(found.locked) == pytest.approx({'finger': 0.02, 'other': -0.03, 'pan': 0.0})
-    full = pinocchio.buildModelFromXML(path.read_text())
+    full = pinocchio.buildModelFromXML(URDF.replace('</robot>', BRANCH))
     reference = pinocchio.neutral(full)
     for name, angle in found.locked:
         if name != 'pan':  # has cosine and sine
             reference[full.joints[full.getJointId(name)].idx_q] = angle
     held = [full.getJointId(name) for name, _ in found.locked]
     assert_same_torques(pinocchio.buildReducedModel(full, held, reference), compile_chain(found))
-    assert read_urdf_chain(path, tip='camera').joint_names == ('a', 'pan')
+    assert small(new=BRANCH, locked={}, tip='camera').joint_names == ('a', 'pan')
     with pytest.raises(ConfigError, match="no link 'hand'"):
-        read_urdf_chain(path, tip='hand')
+        small(new=BRANCH, locked={}, tip='hand')
 
 
 @pytest.mark.parametrize(
@@ -132,31 +128,26 @@ def test_tip_names_the_branch_and_what_follows_a_locked_joint_is_locked_with_it(
          '"mount"', "'b': multiplier"),
     ],
 )  # fmt: skip
-def test_joints_that_no_arm_has_are_refused_by_name(tmp_path, old, new, reason):
-    assert old in URDF
-    (tmp_path / 'odd.urdf').write_text(URDF.replace(old, new))
+def test_joints_that_no_arm_has_are_refused_by_name(small, old, new, reason):
     with pytest.raises(ConfigError, match=reason):
-        read_urdf_chain(tmp_path / 'odd.urdf', {'finger': 0.0})
+        small(old, new)
 
 
-def test_base_link_turned_by_a_fixed_joint_turns_the_arm(tmp_path):
+def test_base_link_turned_by_a_fixed_joint_turns_the_arm(small):
     world = """<link name="world"/><joint name="bolted" type="fixed"><parent link="world"/>
     <child link="base"/><origin xyz="1 2 3" rpy="0.7 -2.0 1.1"/></joint></robot>"""
-    text = URDF.replace('</robot>', world)
-    (tmp_path / 'turned.urdf').write_text(text)
-    found = read_urdf_chain(tmp_path / 'turned.urdf', {'finger': 0.0})
-    full = pinocchio.buildModelFromXML(text)
+    full = pinocchio.buildModelFromXML(URDF.replace('</robot>', world))
     model = pinocchio.buildReducedModel(full, [full.getJointId('finger')], np.zeros(3))
-    assert_same_torques(model, compile_chain(found))
+    assert_same_torques(model, compile_chain(small(new=world)))
 
 
 @pytest.mark.parametrize('path', ['ur10/ur10.urdf', 'panda/fer.urdf'])
 def test_arm_of_a_manufacturer_equals_pinocchio(path):
-    if not (DATA / path).exists():
-        pytest.skip(f'{DATA / path} is not there')
-    model = pinocchio.buildModelFromUrdf(str(DATA / path))
+    if not (RECORDINGS / path).exists():
+        pytest.skip(f'{RECORDINGS / path} is not there')
+    model = pinocchio.buildModelFromUrdf(str(RECORDINGS / path))
     model.armature = np.zeros(model.nv)
-    assert_same_torques(model, compile_chain(read_urdf_chain(DATA / path)))
+    assert_same_torques(model, compile_chain(read_urdf_chain(RECORDINGS / path)))
 
 
 @pytest.mark.parametrize(

@@ -4,22 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from serial_arms import shoulder_arm, wrong_plant
+from serial_arms import shoulder_arm, simulated, watch
 
 from lpv_core.serial_arm.arm_file import load_arm, save_arm
 from lpv_core.serial_arm.chain import compile_chain
 from lpv_core.serial_arm.description import Uncertainty
 from lpv_core.serial_arm.diagnosis.learning import learned_arm
-from lpv_core.serial_arm.diagnosis.monitor import SerialMonitor
 from lpv_core.serial_arm.dynamics.payload import with_payload
 from lpv_core.serial_arm.simulation import EncoderFault, SerialSimulator
 
 
-def watched(arm, plant, duration=6.0, faults=()):
-    run = SerialSimulator(arm, plant, 1).run(duration, faults)
-    monitor = SerialMonitor(arm)
-    monitor.update_many(run.stamps, run.samples)
-    return monitor
+def watched(arm, plant, duration=6.0):
+    return watch(arm, SerialSimulator(arm, plant, 1).run(duration))
 
 
 def test_payload_that_nobody_stated_is_learned_without_an_alarm():
@@ -54,10 +50,7 @@ def test_learned_arm_is_read_again_and_needs_less_learning(tmp_path):
 @pytest.mark.parametrize('rate', [0.003, 0.01, 0.03])
 def test_slow_ramp_is_no_arm_that_is_learned(rate):
     arm = replace(shoulder_arm(), uncertainty=Uncertainty(0.0, 0.3))
-    fault = EncoderFault(1, 'drift', 0.0, rate)
-    run = SerialSimulator(arm, wrong_plant(arm, 2), 2).run(30.0, [fault])
-    monitor = SerialMonitor(arm)
-    monitor.update_many(run.stamps, run.samples)
+    monitor = watch(arm, simulated(arm, EncoderFault(1, 'drift', 0.0, rate), seed=2, duration=30.0))
     estimate, truth = monitor.estimate(0), rate * 30.0
     assert {alarm.sensor for alarm in monitor.alarms} == {'encoder2'}
     assert abs(estimate.fault[1] - truth) < max(0.03, 4.0 * estimate.sigma[1])

@@ -1,9 +1,8 @@
-"""Scenario files of serial arms, and the shipped ones."""
-
-import copy
+"""Scenario files of serial arms, and the shipped ones; bad values are in `test_config`."""
 
 import numpy as np
 import pytest
+from nested import changed
 from places import BRINGUP
 from serial_arms import shoulder_arm
 
@@ -59,48 +58,18 @@ def test_given_poses_when_read_then_position_orientation_and_posture_are_kept():
     assert isinstance(scenario.waypoints, PoseWaypoints)
     assert scenario.waypoints.start == (0.0, 0.6, -1.2)
     assert scenario.waypoints.orientations[1] == (0.0, 0.0, 0.1)
+    with pytest.raises(ConfigError, match='path.start'):
+        parse_scenario({**DATA, 'path': {**POSES, 'start': 'anywhere'}})
+    with pytest.raises(ConfigError, match=r'waypoints\[0\].joints'):
+        parse_scenario(changed(DATA, 'path.waypoints[0]', {'t': 0.0}))
 
 
-def change(data, *keys, value):
-    data = copy.deepcopy(data)
-    level = data
-    for key in keys[:-1]:
-        level = level[key]
-    level[keys[-1]] = value
-    return data
-
-
-@pytest.mark.parametrize(
-    ('data', 'field'),
-    [
-        (change(DATA, 'path', 'waypoints', value=[]), 'path.waypoints'),
-        (change(DATA, 'path', 'waypoints', 1, 't', value=0.1), 'path.waypoints'),
-        (change(DATA, 'path', 'waypoints', 0, value={'t': 0.0}), r'waypoints\[0\].joints'),
-        (change(DATA, 'plant', 'parameter_error', value=0.9), 'plant.parameter_error'),
-        (change(DATA, 'plant', 'model', value='linear'), 'plant.model'),
-        (change(DATA, 'plant', 'mass_factors', value=[1.0, 0.0]), 'plant.mass_factors'),
-        (change(DATA, 'disturbance', value=3), 'disturbance'),
-        ({**DATA, 'path': {**POSES, 'start': 'anywhere'}}, 'path.start'),
-    ],
-)
-def test_given_a_bad_value_when_read_then_its_field_is_named(data, field):
-    with pytest.raises(ConfigError, match=field):
-        parse_scenario(data)
-
-
-def test_given_a_path_of_another_arm_when_made_then_the_waypoint_is_named():
-    data = change(DATA, 'path', 'waypoints', 1, 'joints', value=[0.0, 0.1])
+def test_given_a_scenario_of_another_arm_when_used_then_the_field_is_named():
+    arm = shoulder_arm()
     with pytest.raises(ConfigError, match=r'path.waypoints\[1\].joints'):
-        parse_scenario(data).path(shoulder_arm())
-
-
-@pytest.mark.parametrize('plant', ['lpv', 'nonlinear_without_coriolis'])
-def test_given_a_plant_of_the_paper_when_the_arm_is_not_planar_then_it_is_refused(plant):
-    with pytest.raises(ConfigError, match='planar arms of two links: it has 3 joints'):
-        ArmSimulator(shoulder_arm(), parse_scenario({**DATA, 'plant': plant}))
-
-
-def test_given_factors_for_another_number_of_links_when_the_arm_is_made_then_they_are_named():
-    data = change(DATA, 'plant', 'mass_factors', value=[1.0, 1.1])
+        parse_scenario(changed(DATA, 'path.waypoints[1].joints', [0.0, 0.1])).path(arm)
     with pytest.raises(ConfigError, match='plant.mass_factors: must have 3 numbers'):
-        parse_scenario(data).true_arm(shoulder_arm())
+        parse_scenario(changed(DATA, 'plant', {'mass_factors': [1.0, 1.1]})).true_arm(arm)
+    for plant in ('lpv', 'nonlinear_without_coriolis'):
+        with pytest.raises(ConfigError, match='planar arms of two links: it has 3 joints'):
+            ArmSimulator(arm, parse_scenario({**DATA, 'plant': plant}))

@@ -31,9 +31,8 @@ class Loop:
     """The tracking law of the node on a simulated UR10; a correction is put on the true reading."""
 
     def __init__(self, correction, corrects_rates):
-        path = BRINGUP / 'scenarios' / 'ur10.yaml'
         self.arm = load_arm(BRINGUP / 'arms' / 'ur10.yaml')
-        scenario = load_scenario(path)
+        scenario = load_scenario(BRINGUP / 'scenarios' / 'ur10.yaml')
         self.simulator = ArmSimulator(self.arm, scenario)
         self.follower = PathFollower(scenario.path(self.arm))
         self.law = ComputedTorqueController(self.arm)
