@@ -19,14 +19,7 @@ FLOATS = (
     math.nan, math.inf, -math.inf,
 )  # fmt: skip
 """Numbers that fit the type: absurd, at the ends of it, and none at all."""
-STAMPS = (
-    (0, 0),
-    (-(2**31), 0),
-    (-1, 999_999_999),
-    (2**31 - 1, 0),
-    (5, 2**32 - 1),
-    (2**31 - 1, 2**32 - 1),
-)
+STAMPS = ((0, 0), (-(2**31), 0), (-1, 10**9 - 1), (2**31 - 1, 0), (5, 2**32 - 1))
 TEXTS = ('', 'x', 'link1_angle', 'joint1', '\u2603' * 50, '<script>', 'a' * 10_000, '%s%n')
 
 
@@ -55,32 +48,23 @@ def sized(message, joints):
 
 def set_anything(rng, owner, name, kind):
     """Put anything into a field that its type allows."""
-    value = getattr(owner, name)
+    one = {
+        'double': lambda: float(rng.choice(FLOATS)),
+        'float': lambda: float(rng.choice(FLOATS)),
+        'uint8': lambda: int(rng.integers(256)),
+        'octet': lambda: bytes([rng.integers(256)]),
+        'boolean': lambda: bool(rng.integers(2)),
+        'string': lambda: TEXTS[rng.integers(len(TEXTS))],
+        'diagnostic_msgs/DiagnosticStatus': lambda: fill(rng, DiagnosticStatus()),
+    }
     if name == 'sec':
         owner.sec, owner.nanosec = STAMPS[rng.integers(len(STAMPS))]
-    elif kind in ('double', 'float'):
-        setattr(owner, name, float(rng.choice(FLOATS)))
+    elif kind in one:
+        setattr(owner, name, one[kind]())
     elif kind.startswith('double['):
-        setattr(owner, name, rng.choice(FLOATS, len(value)))
-    elif kind == 'sequence<double>':
-        setattr(owner, name, rng.choice(FLOATS, rng.integers(0, 5)).tolist())
-    elif kind == 'sequence<uint8>':
-        setattr(owner, name, rng.integers(0, 256, rng.integers(0, 5)).tolist())
-    elif kind == 'sequence<boolean>':
-        setattr(owner, name, [bool(rng.integers(2)) for _ in range(rng.integers(0, 5))])
-    elif kind == 'string':
-        setattr(owner, name, TEXTS[rng.integers(len(TEXTS))])
-    elif kind == 'sequence<string>':
-        count = rng.integers(0, 5)
-        setattr(owner, name, [TEXTS[rng.integers(len(TEXTS))] for _ in range(count)])
-    elif kind == 'sequence<diagnostic_msgs/DiagnosticStatus>':
-        setattr(owner, name, [fill(rng, DiagnosticStatus()) for _ in range(3)])
-    elif kind == 'boolean':
-        setattr(owner, name, bool(rng.integers(2)))
-    elif kind == 'uint8':
-        setattr(owner, name, int(rng.integers(256)))
-    elif kind == 'octet':
-        setattr(owner, name, bytes([rng.integers(256)]))
+        setattr(owner, name, rng.choice(FLOATS, len(getattr(owner, name))))
+    elif kind.startswith('sequence<') and kind[9:-1] in one:
+        setattr(owner, name, [one[kind[9:-1]]() for _ in range(rng.integers(0, 5))])
 
 
 def fill(rng, message):
@@ -126,16 +110,20 @@ def numbers(message):
 
 
 class Output:
-    """Takes the place of a publisher: keeps the numbers of what is published since `take`."""
+    """Takes the place of a publisher: keeps messages, and their numbers since `take`."""
 
     def __init__(self, kind):
-        self._kind, self._kept, self.last = kind, [], None
+        self._kind, self._kept, self.sent = kind, [], []
 
     def publish(self, message):
         if isinstance(message, bytes):
             message = deserialize_message(message, self._kind)
-        self.last = message
+        self.sent.append(message)
         self._kept.append(numbers(message))
+
+    @property
+    def last(self):
+        return self.sent[-1] if self.sent else None
 
     def take(self):
         kept, self._kept = self._kept, []
@@ -150,6 +138,7 @@ def node_of(kind, name, *files, **parameters):
     """A configured node of a class in this process, that takes part without an executor."""
     words = [word for key, value in parameters.items() for word in ('-p', f'{key}:={value}')]
     words += [word for file in files for word in ('--params-file', str(file))]
+    words += ['-r', f'__ns:={ros.NAMESPACE}']
     rclpy.init(args=['--ros-args', *words], domain_id=ros.next_domain())
     node = kind()
     try:
@@ -178,10 +167,8 @@ def parameter(rng, names):
     """A parameter of a node, or none of it, with a value of any type."""
     name = str(rng.choice([*names, 'x', '', 'use_sim_time']))
     value = ParameterValue(type=int(rng.integers(0, 12)), string_value=TEXTS[rng.integers(8)])
-    value.double_value, value.integer_value = (
-        float(rng.choice(FLOATS)),
-        int(rng.choice([0, -1, 1, 2**63 - 1, -(2**63), 10**6])),
-    )
+    value.double_value = float(rng.choice(FLOATS))
+    value.integer_value = int(rng.choice([0, -1, 1, 2**63 - 1, -(2**63), 10**6]))
     value.bool_value = bool(rng.integers(2))
     value.double_array_value = rng.choice(FLOATS, rng.integers(0, 4)).tolist()
     value.integer_array_value = rng.integers(-9, 9, rng.integers(0, 4)).tolist()

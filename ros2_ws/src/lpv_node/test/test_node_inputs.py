@@ -32,11 +32,8 @@ def make_node():
     rclpy.init(context=context)
 
     def make(*arguments):
-        nodes.append(
-            rclpy.create_node(
-                'probe', context=context, cli_args=list(arguments), start_parameter_services=False
-            )
-        )
+        options = {'context': context, 'start_parameter_services': False}
+        nodes.append(rclpy.create_node('probe', cli_args=list(arguments), **options))
         return nodes[-1]
 
     yield make
@@ -71,41 +68,39 @@ def test_given_no_gains_file_when_read_then_it_says_how_to_get_one(make_node, pa
         read_gains(node, paper_arm, unset)
 
 
-def test_given_a_parameter_of_an_unknown_type_when_set_then_it_is_refused(make_node):
-    service = CheckedParameterService(make_node())
-    hostile = ParameterMessage(name='x', value=ParameterValue(type=11))
-    for name, kind in (('', SetParameters), ('_atomically', SetParametersAtomically)):
-        answer = getattr(service, f'_set_parameters{name}_callback')(
-            kind.Request(parameters=[hostile]), kind.Response()
-        )
-        result = answer.results[0] if kind is SetParameters else answer.result
-        assert not result.successful and 'ValueError' in result.reason
-
-
 @pytest.mark.parametrize(
-    'name, kind, reason',
+    ('name', 'kind', 'reason'),
     [
+        ('x', 11, 'ValueError'),  # no such type
         ('', ParameterType.PARAMETER_DOUBLE, 'needs a name'),
         ('wait', ParameterType.PARAMETER_NOT_SET, 'cannot be deleted'),
     ],
 )
-def test_given_a_parameter_without_a_name_or_value_when_set_then_it_is_refused(
-    make_node, name, kind, reason
+@pytest.mark.parametrize('atomically', [False, True])
+def test_given_a_parameter_that_makes_no_sense_when_set_then_it_is_refused(
+    make_node, name, kind, reason, atomically
 ):
     node = make_node()
     node.declare_parameter('wait', 1.0)
-    hostile = ParameterMessage(name=name, value=ParameterValue(type=kind))
-    answer = CheckedParameterService(node)._set_parameters_callback(
-        SetParameters.Request(parameters=[hostile]), SetParameters.Response()
-    )
-    assert not answer.results[0].successful and reason in answer.results[0].reason
+    service, hostile = CheckedParameterService(node), ParameterMessage(name=name)
+    hostile.value = ParameterValue(type=kind)
+    if atomically:
+        request = SetParametersAtomically.Request(parameters=[hostile])
+        answer = SetParametersAtomically.Response()
+        result = service._set_parameters_atomically_callback(request, answer).result
+    else:
+        request = SetParameters.Request(parameters=[hostile])
+        (result,) = service._set_parameters_callback(request, SetParameters.Response()).results
+    assert not result.successful and reason in result.reason
     assert node.get_parameter('wait').value == 1.0
 
 
-@pytest.mark.parametrize('value', [float('nan'), float('inf'), -float('inf')])
-def test_given_a_value_that_is_not_finite_when_checked_then_it_is_found(value):
+def test_given_fields_when_not_finite_or_not_as_long_as_the_arm_then_they_are_found():
     assert all_finite([0.0, 1e300], [])
-    assert not all_finite([0.0], [1.0, value])
+    for value in (float('nan'), float('inf'), -float('inf')):
+        assert not all_finite([0.0], [1.0, value])
+    assert all_sized(2, [0.0, 1.0], np.zeros(2), array('d', [1.0, 2.0]))
+    assert not all_sized(2, [0.0, 1.0], [0.0, 1.0, 2.0]) and not all_sized(2, [])
 
 
 def test_given_nanoseconds_beyond_a_second_when_written_back_then_it_is_a_stamp():
@@ -115,10 +110,7 @@ def test_given_nanoseconds_beyond_a_second_when_written_back_then_it_is_a_stamp(
 
 
 def test_given_a_start_when_told_to_stop_then_it_ends_at_once_and_later_in_order():
-    def ignore(*_):
-        return None
-
-    with handled_signals(ignore, signal.SIGINT, signal.SIGTERM):
+    with handled_signals(lambda *_: None, signal.SIGINT, signal.SIGTERM):
         with pytest.raises(SystemExit):
             StopRequest()
             os.kill(os.getpid(), signal.SIGTERM)
@@ -126,11 +118,6 @@ def test_given_a_start_when_told_to_stop_then_it_ends_at_once_and_later_in_order
         stop.defer()
         os.kill(os.getpid(), signal.SIGTERM)
         assert stop.is_set
-
-
-def test_given_fields_when_one_is_not_as_long_as_the_arm_has_joints_then_they_do_not_fit():
-    assert all_sized(2, [0.0, 1.0], np.zeros(2), array('d', [1.0, 2.0]))
-    assert not all_sized(2, [0.0, 1.0], [0.0, 1.0, 2.0]) and not all_sized(2, [])
 
 
 def stream_of(sender, stamps, position, several=True, names=('joint1', 'joint2')):

@@ -15,13 +15,8 @@ def leave(tmp_path):
 
     def run(source: str, name: str = 'SIGINT') -> tuple[int, str]:
         (tmp_path / 'some_node.py').write_text(TELL.format(name) + source)
-        done = subprocess.run(
-            [sys.executable, '-c', START, 'some_node'],
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            timeout=60,
-        )
+        line = [sys.executable, '-c', START, 'some_node']
+        done = subprocess.run(line, cwd=tmp_path, capture_output=True, text=True, timeout=600)
         return done.returncode, done.stdout + done.stderr
 
     return run
