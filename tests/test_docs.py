@@ -18,21 +18,8 @@ WITHOUT_CODE = {69}
 """Equations that nothing implements: the paper's remark on a choice of alpha."""
 
 _REFERENCE = re.compile(r'`([A-Za-z]\w*(?:\.[A-Za-z_]\w*)+)(?:\(\))?`')
-_FILES = (
-    'yaml',
-    'yml',
-    'md',
-    'py',
-    'png',
-    'html',
-    'csv',
-    'mcap',
-    'json',
-    'xml',
-    'txt',
-    'db3',
-    'parquet',
-)
+_FILES = ('yaml', 'yml', 'md', 'py', 'png', 'html', 'csv', 'mcap', 'json', 'xml', 'txt', 'db3',
+          'parquet')  # fmt: skip
 _CLASS = re.compile(r'^class (\w+)', re.MULTILINE)
 
 
