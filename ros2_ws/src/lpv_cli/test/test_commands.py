@@ -1,6 +1,7 @@
 """What all commands share: help that does not wait, progress, text that fits the terminal."""
 
 import io
+import re
 import subprocess
 import sys
 import time
@@ -9,7 +10,9 @@ import pytest
 from rich.console import Console
 
 from lpv_cli import progress
+from lpv_cli.commands import demo
 from lpv_cli.main import main
+from lpv_core.uio.certificate.gains import save_gains
 
 HEAVY = ('numpy', 'numba', 'scipy', 'matplotlib', 'cvxpy', 'rosbags', 'pinocchio', 'rclpy', 'rich')
 
@@ -63,3 +66,18 @@ def test_given_a_bar_when_there_is_no_terminal_then_lines_say_how_far_it_is(monk
         show(60, 'best 0.5')
     assert 'runs: 51 of 200' in said.getvalue()
     assert 'runs: 60 of 200  best 0.5' in said.getvalue()
+
+
+def test_given_gains_of_an_earlier_demo_when_all_is_as_it_was_then_no_solver_is_asked(
+    tmp_path, paper_arm, paper_model, paper_gains, monkeypatch
+):
+    monkeypatch.setitem(sys.modules, 'lpv_design.design_flow', None)
+    file, console = tmp_path / 'gains.yaml', Console(file=io.StringIO())
+    save_gains(paper_gains, file, demo._design_key(paper_model, 'paper') + '\nholds: all')
+    assert demo._designed(paper_arm, 'paper', tmp_path, console) == file
+    assert 'all 1 checks' in console.file.getvalue()
+    with pytest.raises(ImportError):
+        demo._designed(paper_arm, 'paper_literal', tmp_path, console)
+    file.write_text(re.sub('kappa: .*[0-9]', 'kappa: [1.0, 1.0', file.read_text(), count=1))
+    with pytest.raises(ImportError):
+        demo._designed(paper_arm, 'paper', tmp_path, console)

@@ -1,24 +1,32 @@
 """``lpv demo``: the whole pipeline with one command."""
 
 import argparse
+import contextlib
+import hashlib
+import importlib
 import os
 import queue
 import re
 import shutil
+import threading
 import time
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
+import lpv_design as design_package
 from lpv_cli.needs import require_ros
 from lpv_cli.processes import Graph, NodeFailure, ended_by_signals
 from lpv_cli.progress import bar
 from lpv_core.serial_arm.arm_file import load_arm
 from lpv_core.serial_arm.description import SerialArm
 from lpv_core.simulation.scenario import Scenario, load_scenario
+from lpv_core.support.errors import LpvError
 from lpv_core.support.resources import bringup_file, executable, shipped_files
-from lpv_core.uio.certificate.gains import save_gains
+from lpv_core.uio.certificate.conditions import require
+from lpv_core.uio.certificate.gains import load_gains, save_gains
+from lpv_core.uio.model.arm import ArmParameters
 from lpv_core.uio.planar import planar_model
 
 NAMESPACE = '/lpv'
@@ -88,22 +96,48 @@ def _shipped(arm: SerialArm, console: Console) -> Path | None:
 
 
 def _designed(arm: SerialArm, requirement: str, out: Path, console: Console) -> Path | None:
-    """Gains that are designed for a requirement; None where there are none."""
+    """Gains that are designed for a requirement, kept from an earlier run with the same arm,
+    requirement and design; None where there are none."""
+    planar, file = planar_model(arm), out / 'gains.yaml'
+    key = _design_key(planar, requirement)
+    with contextlib.suppress(LpvError, OSError):
+        lines = file.read_text(encoding='utf-8').splitlines()
+        head = [line[2:] for line in lines if line.startswith('#')]
+        if head[:1] == [key]:
+            require(planar, load_gains(file), str(file))
+            console.print(f'gains for arm {arm.name!r} are kept from the run before')
+            _show_design(head[1:], console)
+            return file
+    # Only here: what is kept need not wait for the solver.
     from lpv_design.design_flow import design
     from lpv_design.requirement import load_requirement
     from lpv_design.solve import InfeasibleError
 
     console.print(f'designing gains for arm {arm.name!r} ...')
     try:
-        result = design(planar_model(arm), load_requirement(requirement))
+        result = design(planar, load_requirement(requirement))
     except InfeasibleError as error:
         console.print(f'[red]lpv demo: {error}')
         return None
-    save_gains(result.gains, out / 'gains.yaml', '\n'.join(result.lines))
-    checks = len(result.gains.certificate['margins'])
+    save_gains(result.gains, file, '\n'.join([key, *result.lines]))
+    _show_design(result.lines, console)
+    return file
+
+
+def _design_key(arm: ArmParameters, requirement: str) -> str:
+    """Words that tell a design from all others: arm, requirement, and state of the design."""
+    folder, file = Path(design_package.__file__).parent, Path(requirement)
+    if file.suffix not in ('.yaml', '.yml'):
+        file = folder / 'requirements' / f'{requirement}.yaml'
+    files = [*sorted(folder.glob('*.py')), *([file] if file.is_file() else ())]
+    found = hashlib.sha256(arm.sha256().encode() + b''.join(one.read_bytes() for one in files))
+    return f'Designed by lpv demo, {found.hexdigest()}'
+
+
+def _show_design(lines: list[str], console: Console) -> None:
+    checks = sum(line.startswith('holds') for line in lines)
     console.print(f'  all {checks} checks of the certificate hold')
-    console.print(*(f'  {line}' for line in result.lines[checks:]), sep='\n')
-    return out / 'gains.yaml'
+    console.print(*(f'  {line}' for line in lines if not line.startswith('holds')), sep='\n')
 
 
 def _commands(
@@ -147,8 +181,12 @@ def _run_graph(
     with ended_by_signals(), Graph(out / 'log', domain) as graph:
         for name, command in _commands(arguments, files, out).items():
             graph.start(name, command)
+        # Meanwhile: the report need not wait for plotting to load.
+        report = threading.Thread(target=importlib.import_module, args=('lpv_report.run',))
+        report.start()
         _follow(graph, scenario.duration, console)
         codes = graph.stop()
+        report.join()
     bad = {name: code for name, code in codes.items() if code != 0}
     if bad:
         raise NodeFailure(f'nodes ended with codes {bad}; their logs are in {out / "log"}')
