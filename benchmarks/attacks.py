@@ -246,7 +246,7 @@ def scenario(folder: Path, name: str, arm: SerialArm, attack: Any, seconds: floa
     return path
 
 
-def attacked(folder: Path, name: str, attack: Any, seconds: float) -> str:
+def attacked(folder: Path, name: str, attack: Any, seconds: float, loops: int) -> str:
     """Run an attack on an arm's graph; its row of the table."""
     arm = load_arm(bringup_file('arms', name))
     words = {
@@ -255,7 +255,7 @@ def attacked(folder: Path, name: str, attack: Any, seconds: float) -> str:
         'respawn': 'true',
     }  # fmt: skip
     line = ['ros2', 'launch', 'lpv_bringup', 'pipeline.launch.xml']
-    loops = [subprocess.Popen(LOAD) for _ in range(2)]
+    load = [subprocess.Popen(LOAD) for _ in range(loops)]
     try:
         with Graph(folder / 'log', DOMAIN) as graph:
             graph.start('launch', line + [f'{key}:={value}' for key, value in words.items()])
@@ -267,7 +267,7 @@ def attacked(folder: Path, name: str, attack: Any, seconds: float) -> str:
             log = rig.log()
             rig.close()
     finally:
-        for one in loops:
+        for one in load:
             one.kill()
     return row(folder / 'bag', arm, attack, rig.note, log)
 
@@ -336,6 +336,7 @@ def main() -> None:
     parser.add_argument('--arms', nargs='+', default=list(SCENARIOS), choices=SCENARIOS)
     parser.add_argument('--attacks', nargs='+', default=list(ATTACKS), choices=ATTACKS)
     parser.add_argument('--seconds', type=float, default=600.0, help='of each attack')
+    parser.add_argument('--loops', type=int, default=2, help='busy loops beside the graph')
     parser.add_argument('--keep', type=Path, help='folder that keeps bags and logs')
     arguments = parser.parse_args()
     print(f'| {" | ".join(HEAD)} |\n{"|---" * len(HEAD)}|', flush=True)
@@ -344,7 +345,8 @@ def main() -> None:
             with tempfile.TemporaryDirectory() as folder:
                 place = (arguments.keep or Path(folder)) / f'{name}_{attack}'
                 place.mkdir(parents=True)
-                print(attacked(place, name, ATTACKS[attack], arguments.seconds), flush=True)
+                words = arguments.seconds, arguments.loops
+                print(attacked(place, name, ATTACKS[attack], *words), flush=True)
 
 
 if __name__ == '__main__':

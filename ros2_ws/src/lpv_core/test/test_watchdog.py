@@ -104,11 +104,11 @@ def test_given_a_joint_above_its_limit_when_it_lasts_then_both_sides_stop_until_
 
 def test_given_an_arm_off_its_reference_when_it_stays_there_then_it_stops_until_reset(tracker):
     reference, position = np.array([0.6, 0.0]), np.zeros(2)
-    check_motion(tracker, 0, position, position)
+    check_motion(tracker, 0, position, position, position)
     reasons = []
     for k in range(1, 40):
         position = position + np.array([0.0, 0.02])  # it moves, but not as it should
-        reasons.append(check_motion(tracker, k * STEP, reference, position))
+        reasons.append(check_motion(tracker, k * STEP, reference, position, position))
     assert first(reasons, StopReason.TRACKING_ERROR) * 0.002 == pytest.approx(0.05, abs=0.003)
     assert estimates(tracker, [1]) == [StopReason.TRACKING_ERROR]
 
@@ -117,20 +117,21 @@ def test_given_an_arm_off_its_reference_when_it_stays_there_then_it_stops_until_
 def test_given_an_arm_that_stands_still_when_its_reference_leaves_then_it_is_not_following(
     tracker, beside
 ):
-    position = np.zeros(2)
     reasons = [
-        check_motion(tracker, k * STEP, np.array([0.001 * k + beside, 0.0]), position)
-        for k in range(50)
+        # The position that is fed back moves, as a correction fades; the arm does not.
+        check_motion(tracker, k * STEP, reference, 0.9 * reference, STILL)
+        for k, reference in enumerate(np.outer(0.001 * np.arange(50) + beside, [1.0, 0.0]))
     ]
     assert first(reasons, StopReason.NOT_FOLLOWING) == 21
     note_stop(tracker)
-    assert check_motion(tracker, 60 * STEP, np.array([0.1, 0.0]), position) == StopReason.NONE
+    assert check_motion(tracker, 60 * STEP, np.array([0.1, 0.0]), STILL, STILL) == StopReason.NONE
 
 
 def test_given_an_arm_that_follows_slowly_when_judged_then_it_follows(tracker):
     for k in range(2000):
         reference = np.array([0.001 * k, 0.0])
-        assert check_motion(tracker, k * STEP, reference, 0.97 * reference) == StopReason.NONE
+        position = 0.97 * reference
+        assert check_motion(tracker, k * STEP, reference, position, position) == StopReason.NONE
 
 
 def test_given_commands_when_old_or_late_on_average_then_the_drives_brake(drives):

@@ -238,7 +238,7 @@ class TrackerNode(ManagedNode):
         self._controller.reset()
         watchdog = TrackerWatchdog(self._arm, self._limits)
         watchdog.check_estimate(1, 0, 0, True, still, still)
-        watchdog.check_motion(1, still, still)
+        watchdog.check_motion(1, still, still, still)
         self._correction.take(1, still, still)
         self._correction.restart()
         check_values(self._estimate)
@@ -289,7 +289,7 @@ class TrackerNode(ManagedNode):
         if reason is StopReason.NONE:
             self._follower.advance(stamp, self._position)
             reference = self._follower.reference.position
-            reason = self._watchdog.check_motion(stamp, reference, self._position)
+            reason = self._watchdog.check_motion(stamp, reference, self._position, self._measured)
         if reason is StopReason.NONE and not self._answer(stamp):
             reason = StopReason.UNUSABLE
         if reason is not StopReason.NONE:

@@ -74,15 +74,20 @@ def correction_type(joints: int) -> np.dtype:
     )
 
 
+def position_noise(arm: SerialArm) -> np.ndarray:
+    """Largest change of each joint's measured position at rest, by noise and quantization [rad]."""
+    sensors = [joint.sensors for joint in arm.joints]
+    noise = [_SIGMAS * s.position_noise + 2.0 * s.quantization for s in sensors]
+    # A joint's position is a combination of readings.
+    return np.abs(arm.sensors_to_joints()) @ noise
+
+
 def new_correction(arm: SerialArm, limited: bool = True) -> np.record:
     """Record of `limit_correction` before the first sample; not ``limited``, it passes all on."""
     limit = np.array(arm.velocity_limit)
     sensors = [joint.sensors for joint in arm.joints]
-    position = np.array([_SIGMAS * s.position_noise + 2.0 * s.quantization for s in sensors])
-    rate = np.array([_SIGMAS * s.velocity_noise for s in sensors])
-    # A joint's position is a combination of readings.
-    spread = np.abs(arm.sensors_to_joints())
-    position, rate = spread @ position, spread @ rate
+    position = position_noise(arm)
+    rate = np.abs(arm.sensors_to_joints()) @ [_SIGMAS * s.velocity_noise for s in sensors]
     rate, scale = np.maximum(rate, position / arm.sample_time), arm.scales()
     rate = np.maximum(rate, _RATE_SHARE * limit)
     change = np.array([CHANGE_SHARE * limit, _RATE_FADING * limit])

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from lpv_core.control.estimate_check import position_noise
 from lpv_core.serial_arm.description import SerialArm
 from lpv_core.serial_arm.diagnosis.alarms import Mode
 from lpv_core.support.jit import njit_in_place as njit
@@ -143,11 +144,12 @@ MEAN_TIME = 0.1
 """Time constant of mean latencies [s]."""
 _SHORTEST_STOP = 200_000_000
 """How long latencies must be in time before tracker and drives go on by themselves [ns]."""
-_ARM_MOVED = 0.01
-"""Motion of an arm that follows: above the noise of estimates [rad]."""
-_REFERENCE_MOVED = 0.02, 0.03
-"""Motion of the reference with the arm at rest from which the arm is not following [rad]: before
-its first motion after a start, and later, when friction and faults may hold it back."""
+_ARM_MOVED = 0.003, 0.01
+"""Motion of an arm that follows [rad]: above the noise of its readings, at least and at most."""
+_REFERENCE_MOVED = 2.0, 3.0
+"""Motion of the reference with the arm at rest from which the arm is not following, over the above:
+before its first motion after a start, and later, when friction and faults may hold it back.  An arm
+that is released from brakes leaps by as much, and the more the further its reference went."""
 
 
 def tracker_watchdog_type(joints: int) -> np.dtype:
@@ -173,7 +175,8 @@ def tracker_watchdog_type(joints: int) -> np.dtype:
         ('latched', 'i8'),  # reason that lasts until reset
         ('started', '?'),  # whether there was a reference since the last stop
         ('moved', '?'),  # whether the arm has moved since the last stop
-        ('arm', 'f8', (joints,)),  # where the arm was when it last moved [rad]
+        ('step', 'f8', (joints,)),  # smallest motion that is one [rad], [m]
+        ('arm', 'f8', (joints,)),  # what the arm's sensors read when it last moved [rad]
         ('reference', 'f8', (joints,)),  # where its reference was then [rad]
     )
 
@@ -207,6 +210,7 @@ def tracker_watchdog(arm: SerialArm, limits: TrackerLimits) -> np.record:
         speed_limit=limits.speed * np.array(arm.velocity_limit),
         rest=_REST_SHARE * np.array(arm.velocity_limit),
         scale=arm.scales(),
+        step=np.clip(2.0 * position_noise(arm), *np.outer(_ARM_MOVED, arm.scales())),
         share=_share(arm),
         late=NEVER,
         usable=NEVER,
@@ -309,33 +313,39 @@ def _is_late(dog: np.record, stamp: int, latency: int) -> bool:
 
 
 @njit
-def check_motion(dog: np.record, stamp: int, reference: np.ndarray, position: np.ndarray) -> int:
-    """Judge the tracking error [rad] before a command is given; returns a `StopReason`."""
+def check_motion(
+    dog: np.record, stamp: int, reference: np.ndarray, position: np.ndarray, measured: np.ndarray
+) -> int:
+    """Judge the tracking error before a command is given; returns a `StopReason`.
+
+    ``position`` is fed back, ``measured`` what sensors read [rad]: the end of a correction moves
+    the one, and no arm.
+    """
     error = moved = led = 0.0
     if not dog.started:
         dog.started, dog.moved, dog.in_reach = True, False, stamp
-        _set_place(dog, reference, position)
+        _set_place(dog, reference, measured)
     for i in range(position.shape[0]):
         error = max(error, abs(reference[i] - position[i]) / dog.scale[i])
-        moved = max(moved, abs(position[i] - dog.arm[i]) / dog.scale[i])
-        led = max(led, abs(reference[i] - dog.reference[i]) / dog.scale[i])
+        moved = max(moved, abs(measured[i] - dog.arm[i]) / dog.step[i])
+        led = max(led, abs(reference[i] - dog.reference[i]) / dog.step[i])
     if error <= dog.tracking_error:
         dog.in_reach = stamp
     elif stamp - dog.in_reach > dog.error_time:
         dog.latched = _ERROR
         return _ERROR
-    if moved > _ARM_MOVED:
+    if moved > 1.0:
         dog.moved = True
-        _set_place(dog, reference, position)
+        _set_place(dog, reference, measured)
     elif led > _REFERENCE_MOVED[1 if dog.moved else 0]:
         return _NOT_FOLLOWING
     return _NONE
 
 
 @njit
-def _set_place(dog: np.record, reference: np.ndarray, position: np.ndarray) -> None:
-    for i in range(position.shape[0]):
-        dog.arm[i], dog.reference[i] = position[i], reference[i]
+def _set_place(dog: np.record, reference: np.ndarray, measured: np.ndarray) -> None:
+    for i in range(measured.shape[0]):
+        dog.arm[i], dog.reference[i] = measured[i], reference[i]
 
 
 @njit
@@ -401,8 +411,10 @@ def _check_estimate(
 
 
 @njit
-def _check_motion(dog: np.ndarray, stamp: int, reference: np.ndarray, position: np.ndarray) -> int:
-    return check_motion(dog[0], stamp, reference, position)
+def _check_motion(
+    dog: np.ndarray, stamp: int, reference: np.ndarray, position: np.ndarray, measured: np.ndarray
+) -> int:
+    return check_motion(dog[0], stamp, reference, position, measured)
 
 
 @njit
@@ -450,9 +462,9 @@ class TrackerWatchdog(_Watchdog):
         """As the function `check_estimate`."""
         return _STOP_REASONS[_check_estimate(self._memory, *estimate)]
 
-    def check_motion(self, stamp: int, reference: np.ndarray, position: np.ndarray) -> StopReason:
+    def check_motion(self, *motion: Any) -> StopReason:
         """As the function `check_motion`."""
-        return _STOP_REASONS[_check_motion(self._memory, stamp, reference, position)]
+        return _STOP_REASONS[_check_motion(self._memory, *motion)]
 
     def note_stop(self) -> None:
         """As the function `note_stop`."""

@@ -357,14 +357,15 @@ def _command(loop: np.record, observer: _Observer, tracker: _Tracker, k: int) ->
     """Answer an estimate as the tracker node does."""
     now, loop.ran = observer.stamps[k], True
     reference = tracker.references[k - loop.offset]
-    reason = check_motion(tracker.watchdog, now, reference[0], loop.feedback)
+    measured = observer.answers.measured[k]
+    reason = check_motion(tracker.watchdog, now, reference[0], loop.feedback, measured)
     if reason != _NONE:
         _stop(loop, tracker, reason)
         return
     limit_correction(tracker.correction, now, loop.feedback, loop.rate)
     feedback, rate = tracker.correction.feedback[0], tracker.correction.feedback[1]
     # Eq. (59) literally integrates the faulty measurement.
-    integrated = observer.answers.measured[k] if loop.literal else feedback
+    integrated = measured if loop.literal else feedback
     interval = (now - observer.stamps[loop.previous]) / NANOSECONDS
     _computed_torque(tracker.computed, reference, feedback, rate, integrated, interval)
     _designed_torque(tracker.designed, reference, feedback, rate, integrated, interval)

@@ -59,7 +59,7 @@ def parts_of(arm: SerialArm, name: str) -> Iterator[str]:
     )
     watchdog = TrackerWatchdog(arm, TrackerLimits())
     watchdog.check_estimate(1, 0, 0, True, still, still)
-    watchdog.check_motion(1, still, still)
+    watchdog.check_motion(1, still, still, still)
     DriveWatchdog(arm, DriveLimits()).check(1, 0, True, still)
     yield 'diagnosis of a fault'  # the first one must not wait for this in a node
     run = run_closed_loop(arm, replace(scenario, duration=_FIRST_DECISIONS, faults=()), gains)

@@ -46,6 +46,7 @@ class Loop:
         reading = self.simulator.sense()[0]
         position, velocity = np.array(reading.position), np.array(reading.velocity)
         now, before = self.correction(k * DT), self.correction((k - 1) * DT)
+        self.reading, position = position, position.copy()
         position[JOINT] -= now
         estimated = velocity.copy()
         if self.corrects_rates and abs(now - before) < 0.02:  # a jump is no rate
@@ -60,7 +61,9 @@ class Loop:
         )
         if self.reason is StopReason.NONE:
             reference = self.follower.reference(stamp, position)
-            self.reason = self.watchdog.check_motion(stamp, reference.position, position)
+            self.reason = self.watchdog.check_motion(
+                stamp, reference.position, position, self.reading
+            )
         if self.reason is not StopReason.NONE:
             self.simulator.hold()
             return
