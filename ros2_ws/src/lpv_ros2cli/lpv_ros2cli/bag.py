@@ -7,9 +7,9 @@ import time
 from pathlib import Path
 from typing import Any
 
+from lpv_core.support.resources import executable
 from lpv_ros2cli import graph
 from lpv_ros2cli.command_line import CliError, add_verb
-from lpv_ros2cli.packages import executable
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

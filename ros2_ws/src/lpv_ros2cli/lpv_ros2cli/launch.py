@@ -11,9 +11,9 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
+from lpv_core.support.resources import executable, prefix_of
 from lpv_ros2cli.command_line import CliError
 from lpv_ros2cli.messages import parse_yaml
-from lpv_ros2cli.packages import executable, share_of
 from lpv_ros2cli.processes import Processes, Program
 
 _ATTRIBUTES = {
@@ -51,7 +51,10 @@ def run(arguments: argparse.Namespace) -> int:
     if not path.is_file():
         if path.name != arguments.package_or_file or path.suffix:
             raise CliError(f"launch file '{path}' does not exist")
-        known = {file.name: file for file in sorted(share_of(path.name).rglob('*.launch.xml'))}
+        known = {
+            file.name: file
+            for file in sorted((prefix_of(path.name) / 'share' / path.name).rglob('*.launch.xml'))
+        }
         if not words or words[0] not in known:
             raise CliError(f"name a launch file of package '{path}': {', '.join(known)}")
         path, words = known[words[0]], words[1:]
@@ -245,7 +248,7 @@ class Launch:
                     raise ValueError(f"'$({name} {key})' does not exist")
                 return values[key] if key in values else default[0]
             case 'find-pkg-share', (package,):
-                return str(share_of(package))
+                return str(prefix_of(package) / 'share' / package)
             case 'dirname', ():
                 return str(self._files[-1].parent)
             case 'eval', (expression,):

@@ -6,6 +6,7 @@ import signal
 import sys
 
 from lpv_core.support.discovery import stay_local
+from lpv_core.support.errors import LpvError
 from lpv_node.signals import raising_signals
 from lpv_ros2cli import bag, launch, lifecycle, node, param, run, service, topic
 from lpv_ros2cli.command_line import CliError
@@ -51,7 +52,7 @@ def main(argv: list[str] | None = None) -> int:
             code = arguments.run(arguments) or 0
             sys.stdout.flush()
             return code
-        except CliError as error:
+        except (CliError, LpvError) as error:
             print(error, file=sys.stderr)
             return 1
         except KeyboardInterrupt:

@@ -3,8 +3,8 @@
 import argparse
 import os
 
+from lpv_core.support.resources import executable
 from lpv_ros2cli.command_line import CliError
-from lpv_ros2cli.packages import executable
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

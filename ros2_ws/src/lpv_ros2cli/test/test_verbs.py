@@ -40,8 +40,8 @@ def test_given_the_parser_when_built_then_nothing_heavy_is_imported():
 @pytest.mark.parametrize(
     ('words', 'told'),
     [
-        (('run', 'lpv_uio', 'nix'), 'No executable found: .* only: uio'),
-        (('launch', 'lpv_nix', 'x.launch.xml'), "Package 'lpv_nix' not found"),
+        (('run', 'lpv_uio', 'nix'), "has no program 'nix', only: uio"),
+        (('launch', 'lpv_nix', 'x.launch.xml'), "package 'lpv_nix': is not installed"),
         (('launch', 'lpv_bringup', 'nix.launch.xml'), 'name a launch file .* pipeline.launch.xml'),
         (('launch', 'lpv_bringup', 'pipeline.launch.xml', 'arm'), 'malformed launch argument'),
         (('service', 'call', '/x', 'std_srvs/srv/Nix'), 'is not installed'),

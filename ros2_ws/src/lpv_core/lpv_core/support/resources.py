@@ -11,31 +11,34 @@ _SOURCES = Path(__file__).resolve().parents[3]
 """Where the packages are in a checkout."""
 
 
-def _prefix(package: str) -> Path:
+def prefix_of(package: str) -> Path:
+    """Where a package is installed, with a ROS 2 sourced or in this Python's environment."""
     # The ament index by hand: its Python package refuses to look where nothing is sourced, and
     # programs built into a virtual environment must run without.
     prefixes = [p for p in os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep) if p]
     for prefix in (*prefixes, sys.prefix, site.getuserbase()):
-        if (
-            Path(prefix) / 'share' / 'ament_index' / 'resource_index' / 'packages' / package
-        ).is_file():
+        index = Path(prefix) / 'share' / 'ament_index' / 'resource_index' / 'packages'
+        if Path(package).name == package and (index / package).is_file():
             return Path(prefix)
-    raise ConfigError(package, 'is not installed: build the workspace, or source it')
+    reason = 'is not installed: build the workspace, or source it'
+    raise ConfigError(f'package {package!r}', reason)
 
 
 def executable(package: str, name: str) -> Path:
     """Program that ``ros2 run PACKAGE NAME`` starts."""
-    path = _prefix(package) / 'lib' / package / name
-    if not path.is_file():
-        raise ConfigError(f'{package}/{name}', f'there is no program {path}')
-    return path
+    folder = prefix_of(package) / 'lib' / package
+    programs = {file.name: file for file in folder.rglob('*') if os.access(file, os.X_OK)}
+    if name not in programs:
+        known = ', '.join(sorted(programs)) or 'none'
+        raise ConfigError(f'package {package!r}', f'has no program {name!r}, only: {known}')
+    return programs[name]
 
 
 def shipped_files(kind: str) -> dict[str, Path]:
     """Files of one kind that are installed with lpv_bringup, or of the checkout that runs."""
     folder = _SOURCES / 'lpv_bringup' / kind
     if not folder.is_dir():
-        folder = _prefix('lpv_bringup') / 'share' / 'lpv_bringup' / kind
+        folder = prefix_of('lpv_bringup') / 'share' / 'lpv_bringup' / kind
     return {file.stem: file for file in sorted(folder.glob('*.yaml'))}
 
 
