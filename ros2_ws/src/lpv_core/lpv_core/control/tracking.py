@@ -8,7 +8,7 @@ from lpv_core.control.computed_torque import BANDWIDTH, ComputedTorqueController
 from lpv_core.control.latency import tolerated_latency
 from lpv_core.control.tracking_law import TrackingLaw, apply_limits
 from lpv_core.serial_arm.description import SerialArm
-from lpv_core.support.jit import njit
+from lpv_core.support.jit import njit_in_place as njit
 from lpv_core.support.records import memory, new_record, record_type
 from lpv_core.uio.certificate.gains import Gains
 from lpv_core.uio.model.arm import ARM_CONSTANTS, ArmParameters

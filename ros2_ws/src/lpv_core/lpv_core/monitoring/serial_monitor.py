@@ -47,8 +47,8 @@ _MOST_AT_ONCE = 2048
 """Samples between which nothing is looked for that is not in order."""
 _LARGEST_FOUND = 1.5
 """Offsets beyond are no statement: estimates are linear in small ones [rad]."""
-_WARM_UP = 0.3
-"""Motion that makes every compiled function run [s]."""
+_WARM_UP = (0.3, 1.0)
+"""Motion that makes every compiled function run, without and with those of suspected faults [s]."""
 _CONTACT = 'torques from outside: something pushes or holds the arm, or its load has changed'
 _JUMPS_ALONE = 'jumps of readings are found, offsets and drifts are not diagnosable'
 _NO_EFFORT = f'no efforts: {_JUMPS_ALONE}'
@@ -213,14 +213,19 @@ class SerialSensorMonitor:
         self._last = np.zeros(1, self.answer_type).view(np.recarray)  # row with the last estimate
         self._warned: set[str] = set()
 
-    def warm_up(self) -> None:
-        """Compile with a made-up motion, and forget it: the first real samples must not wait."""
+    def warm_up(self, suspicious: bool = False) -> None:
+        """Compile with a made-up motion, and forget it: the first real samples must not wait.
+
+        ``suspicious`` compiles what only a suspected fault needs, too.
+        """
         other = SerialSensorMonitor(self.name, self.arm, self._parameters, self._gains)
         step = round(self.arm.sample_time * NANOSECONDS)
-        stamps = 1 + step * np.arange(max(20, round(_WARM_UP / self.arm.sample_time)))
+        stamps = 1 + step * np.arange(max(20, round(_WARM_UP[suspicious] / self.arm.sample_time)))
         t = (stamps / NANOSECONDS)[:, None] + np.arange(self._joints)
         other.take_many(stamps, np.sin(t), np.cos(t), np.zeros_like(t))
         other._monitor.estimator.linearise(other._monitor._blocks(2))  # noqa: SLF001
+        if suspicious:
+            other._monitor.warm_up()
 
     def take(
         self, stamp: int, message: Any, torque: Sequence[float] | None = None

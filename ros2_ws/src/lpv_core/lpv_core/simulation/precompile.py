@@ -8,7 +8,6 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 
 import numpy as np
 
@@ -17,9 +16,7 @@ from lpv_core.control.watchdog import DriveLimits, DriveWatchdog, TrackerLimits,
 from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv_core.serial_arm.arm_file import load_arm
 from lpv_core.serial_arm.description import SerialArm
-from lpv_core.serial_arm.diagnosis.monitor import SerialMonitor
 from lpv_core.simulation.arm_simulator import ArmSimulator
-from lpv_core.simulation.closed_loop import run_closed_loop
 from lpv_core.simulation.scenario import load_scenario
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.jit import COMPILED, on_compile
@@ -28,8 +25,6 @@ from lpv_core.uio.certificate.gains import Gains, load_gains
 
 _SCENARIOS = {'paper': 'two_faults'}
 """Shipped scenarios of arms that have none of their name."""
-_FIRST_DECISIONS = 1.0
-"""Length of a run after which the diagnosis has decided [s]."""
 
 
 def parts_of(arm: SerialArm, name: str) -> Iterator[str]:
@@ -44,7 +39,8 @@ def parts_of(arm: SerialArm, name: str) -> Iterator[str]:
     """
     yield 'plant, tracking, observers and diagnosis'
     gains = _shipped_gains(arm, name)
-    SerialSensorMonitor('precompile', arm, gains=gains).warm_up()
+    monitor = SerialSensorMonitor('precompile', arm, gains=gains)
+    monitor.warm_up()
     try:
         scenario = load_scenario(bringup_file('scenarios', _SCENARIOS.get(name, name)))
     except ConfigError:  # an arm of the user's own
@@ -62,12 +58,7 @@ def parts_of(arm: SerialArm, name: str) -> Iterator[str]:
     watchdog.check_motion(1, still, still, still)
     DriveWatchdog(arm, DriveLimits()).check(1, 0, True, still)
     yield 'diagnosis of a fault'  # the first one must not wait for this in a node
-    run = run_closed_loop(arm, replace(scenario, duration=_FIRST_DECISIONS, faults=()), gains)
-    diagnosis = SerialMonitor(arm)
-    stamps = (1e9 * run.time).astype('int64')
-    rows = np.stack([run.measured, run.measured_velocity, run.effort], axis=1)
-    diagnosis.update_many(stamps, rows)
-    diagnosis.warm_up()
+    monitor.warm_up(suspicious=True)
 
 
 def _shipped_gains(arm: SerialArm, name: str) -> Gains | None:

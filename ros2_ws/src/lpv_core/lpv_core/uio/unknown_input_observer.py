@@ -10,7 +10,7 @@ import numpy as np
 
 from lpv_core.serial_arm.chain import FloatArray, IntArray
 from lpv_core.serial_arm.description import SerialArm
-from lpv_core.support.jit import njit
+from lpv_core.support.jit import njit_in_place as njit
 from lpv_core.support.records import memory, new_record, record_type
 from lpv_core.uio.bound.error_bound import (
     BOUND_CONSTANTS,

@@ -133,7 +133,6 @@ def new_balance(
         np.eye(n) if to_joints is None else np.ascontiguousarray(to_joints))  # fmt: skip
 
 
-@njit
 def _no_rates(n: int) -> FloatArray:
     rates = np.full((3, 2, n), np.inf)
     rates[:, 1] = -np.inf
@@ -327,33 +326,30 @@ def rests(balance: Balance, joint: int) -> bool:
     """Whether a joint rests or reverses within the last hat."""
     low = min(balance.rates[0, 0, joint], balance.rates[1, 0, joint])
     high = max(balance.rates[0, 1, joint], balance.rates[1, 1, joint])
-    return low < SLOW_RATE and high > -SLOW_RATE
+    return bool(low < SLOW_RATE and high > -SLOW_RATE)
 
 
-@njit_in_place
 def move_epoch(balance: Balance, epoch: float) -> None:
     """Let drifts count from another moment; what has been integrated follows."""
-    n, shift = balance.reference.shape[0], epoch - balance.clock[EPOCH]
+    n, shift = len(balance.reference), epoch - balance.clock[EPOCH]
     drift, offset = 1 + DRIFT * n, 1 + OFFSET * n
     for part in (balance.momentum, balance.rising, balance.falling):
-        for side in range(2):
-            for i in range(n):
-                for j in range(n):
-                    part[side, i, drift + j] -= shift * part[side, i, offset + j]
+        part[:, :, drift : drift + n] -= shift * part[:, :, offset : offset + n]
     balance.clock[EPOCH] = epoch
 
 
-@njit
+@njit_in_place
 def drop_interval(balance: Balance) -> None:
     """Forget the intervals so far, after a gap in the samples."""
     balance.momentum[:] = 0.0
     balance.rising[:] = 0.0
     balance.falling[:] = 0.0
-    balance.rates[:] = _no_rates(balance.rates.shape[2])
+    balance.rates[:, 0] = np.inf
+    balance.rates[:, 1] = -np.inf
     balance.clock[LENGTH] = 0.0
 
 
-@njit
+@njit_in_place
 def fill_balances(
     balance: Balance, blocks: FloatArray, per_interval: int, rows: FloatArray
 ) -> None:
@@ -381,7 +377,9 @@ def fill_balances(
         length += block[3 * n + 1]
         if (k + 1) % per_interval == 0:
             if close_interval(balance, length):
-                rows[count] = balance.rows
+                for i in range(n):
+                    for c in range(rows.shape[2]):
+                        rows[count, i, c] = balance.rows[i, c]
                 count += 1
             length = 0.0
 
@@ -416,7 +414,7 @@ def residuals(
     own = Balance(
         chain, balance.directions, balance.reference, balance.derived,
         np.zeros((2, n, 1)), np.zeros((2, n, 1)), np.zeros((2, n, 1)), np.zeros((n, 1)),
-        np.zeros(2), np.zeros((2, n)), _no_rates(n), balance.rigid, balance.work.copy(),
+        np.zeros(2), np.zeros((2, n)), np.zeros((3, 2, n)), balance.rigid, balance.work.copy(),
         balance.vectors.copy(), balance.drives, balance.to_joints)  # fmt: skip
     result, length = np.zeros((intervals - 1, n)), 0.0
     for k in range(intervals * per_interval):
@@ -426,6 +424,7 @@ def residuals(
         length += block[3 * n + 1]
         if (k + 1) % per_interval == 0:
             if close_interval(own, length):
-                result[(k + 1) // per_interval - 2] = own.rows[:, 0]
+                for i in range(n):
+                    result[(k + 1) // per_interval - 2, i] = own.rows[i, 0]
             length = 0.0
     return result

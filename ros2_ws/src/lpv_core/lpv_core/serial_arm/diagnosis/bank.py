@@ -391,7 +391,7 @@ class Bank:
         held = blocks(last + 1)
         found = []
         for i in np.nonzero(self._derived)[0]:
-            one = sudden_drift_of(estimator, int(i), SIZE['drift'], free, held)
+            one = sudden_drift_of(estimator, int(i), SIZE['drift'], free, held, self._mass)
             if one.gain > -np.inf:
                 found.append(Hypothesis('drift', int(i), one.gain, one.size, one.sigma, one.begin))
         return found
@@ -440,7 +440,7 @@ class Bank:
         estimator = self.estimator
         last = min(int(self._lengths[-1]) + 1, len(estimator))
         free = explained_at_onsets(self._outside, estimator, len(self._lengths), last)
-        found = sudden_drift_of(estimator, 0, SIZE['drift'], free, blocks)
+        found = sudden_drift_of(estimator, 0, SIZE['drift'], free, blocks, self._mass)
         self.excludes_contact(Hypothesis('drift', 0, 0.0, 0.0, 1.0, found.begin), 0.0)
 
     def offset_against_contact(self, joint: int) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 
 from lpv_core.serial_arm.chain import Chain, FloatArray, IntArray
 from lpv_core.serial_arm.diagnosis.estimator import Posterior, set_residuals, usual_size
-from lpv_core.serial_arm.diagnosis.information import ROBUST, Window, factorise, slot, whiten
+from lpv_core.serial_arm.diagnosis.information import ROBUST, Window, recent, slot
 from lpv_core.serial_arm.dynamics.kinematics import fill_jacobian, joint_frames
 from lpv_core.support.jit import njit, njit_in_place
 
@@ -183,13 +183,9 @@ def _set_shares(contact: Contact, w: int) -> None:
     contact.known[w] = 1
 
 
-@njit
 def joint_levers(torque: FloatArray, last: int) -> FloatArray:
     """Largest plausible torque of each joint alone, shape (last, n, n) [N m]."""
-    levers = np.zeros((last, torque.shape[0], torque.shape[0]))
-    for i in range(torque.shape[0]):
-        levers[:, i, i] = torque[i]
-    return levers
+    return np.repeat(np.diag(torque)[None], last, axis=0)
 
 
 @njit
@@ -219,14 +215,17 @@ def force_levers(chain: Chain, torque: FloatArray, window: Window, last: int) ->
     for back in range(last):
         joint_frames(chain, window.poses[slot(window, back)], rotations, origins)
         fill_jacobian(chain, rotations, origins, jacobian)
-        levers[back] = jacobian[:3]
         for i in range(n):
             for k in range(3):
+                levers[back, k, i] = jacobian[k, i]
                 largest = max(largest, abs(jacobian[k, i]) / torque[i])
-    return levers / largest
+    for back in range(last):
+        for i in range(n):
+            for k in range(3):
+                levers[back, k, i] /= largest
+    return levers
 
 
-@njit
 def smooth_contact(
     courses: FloatArray, levers: FloatArray, window: Window, null: Posterior, last: int
 ) -> float:
@@ -251,90 +250,52 @@ def smooth_contact(
         Its logarithm; 0 where none is needed.
     """
     set_residuals(window, null, last)
-    groups, modes = levers.shape[1], courses.shape[1]
-    score, information = _contact_columns(courses, levers, window, null, last)
-    amplitude, single = np.zeros(groups), np.zeros(groups)
-    for g in range(groups):
-        best = 0.0
-        for share in AMPLITUDES:
-            single[g] = share
-            gain = _free_torques(score, information, single, modes)
-            if gain > best:
-                best, amplitude[g] = gain, share
-        single[g] = 0.0
-    best = _free_torques(score, information, amplitude, modes)
+    score, information = _contact_columns(courses[:last], levers, window, null, last)
+    amplitude = np.zeros(levers.shape[1])
+    for g in range(len(amplitude)):
+        one = np.arange(len(amplitude)) == g
+        gains = [_free_torques(score, information, share * one) for share in AMPLITUDES]
+        if max(gains) > 0.0:
+            amplitude[g] = AMPLITUDES[int(np.argmax(gains))]
+    best = _free_torques(score, information, amplitude)
     for share in AMPLITUDES:
-        single[:] = share
-        gain = _free_torques(score, information, single, modes)
+        same = np.full(len(amplitude), share)
+        gain = _free_torques(score, information, same)
         if gain > best:
-            best, amplitude[:] = gain, share
-    for g in range(groups):
-        kept = amplitude[g]
-        amplitude[g] = 0.0
-        gain = _free_torques(score, information, amplitude, modes)
+            best, amplitude = gain, same
+    for g in range(len(amplitude)):
+        without = np.where(np.arange(len(amplitude)) == g, 0.0, amplitude)
+        gain = _free_torques(score, information, without)
         if gain > best:
-            best = gain
-        else:
-            amplitude[g] = kept
+            best, amplitude = gain, without
     return best
 
 
-@njit
 def _contact_columns(
     courses: FloatArray, levers: FloatArray, window: Window, null: Posterior, last: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Score and information of courses of unit size; the arm's unknowns are eliminated."""
-    m, groups, modes = null.mean.shape[0], levers.shape[1], courses.shape[1]
-    size = groups * modes
-    score, cross, information = np.zeros(size), np.zeros((size, m)), np.zeros((size, size))
-    for back in range(last):
-        at, course = slot(window, back), courses[back]
-        for g in range(groups):
-            for i in range(levers.shape[2]):
-                if levers[back, g, i] == 0.0:
-                    continue
-                unknowns = window.rows[at, i, window.rows.shape[2] - m :]
-                weight = window.weights[at, i] * levers[back, g, i]
-                for k in range(modes):
-                    column, factor = g * modes + k, weight * course[k]
-                    score[column] -= factor * null.residual[back, i]
-                    own = cross[column]
-                    for a in range(m):
-                        own[a] += factor * unknowns[a]
-                    for h in range(groups):
-                        share = factor * levers[back, h, i]
-                        if share != 0.0:
-                            for j in range(modes):
-                                information[column, h * modes + j] += share * course[j]
-    whitened = cross.T.copy()
-    whiten(null.factor, whitened)
-    for a in range(m):
-        for c in range(size):
-            share, own = whitened[a, c], information[c]
-            for d in range(size):
-                own[d] -= share * whitened[a, d]
+    """Score (G, M) and information (G, M, G, M) of courses of unit size, arm's unknowns free."""
+    at, (groups, modes) = recent(window, last), (levers.shape[1], courses.shape[1])
+    pulled = levers * window.weights[at][:, None]
+    score = -np.einsum('kgi,ki->gk', pulled, null.residual[:last]) @ courses
+    rows = window.rows[at][:, :, -len(null.mean) :]
+    cross = np.einsum('kgm,kc->gcm', pulled @ rows, courses).reshape(-1, rows.shape[2])
+    both = (courses[:, :, None] * courses[:, None, :]).reshape(last, -1)
+    information = (pulled @ levers.swapaxes(1, 2)).reshape(last, -1).T @ both
+    shape = groups, groups, modes, modes
+    known = np.linalg.solve(np.triu(null.factor).T, cross.T)
+    information = information.reshape(shape).swapaxes(1, 2) - (known.T @ known).reshape(
+        groups, modes, groups, modes
+    )
     return score, information
 
 
-@njit
-def _free_torques(
-    score: FloatArray, information: FloatArray, amplitude: FloatArray, modes: int
-) -> float:
+def _free_torques(score: FloatArray, information: FloatArray, amplitude: FloatArray) -> float:
     """Logarithm of the ratio of marginal likelihoods for given amplitudes; 0 without any."""
-    active = np.nonzero(amplitude)[0]
-    size = len(active) * modes
-    matrix, right = np.empty((size, size)), np.empty((size, 1))
-    for r in range(size):
-        g, row = active[r // modes], active[r // modes] * modes + r % modes
-        right[r, 0] = amplitude[g] * score[row]
-        for c in range(size):
-            h = active[c // modes]
-            entry = information[row, h * modes + c % modes]
-            matrix[r, c] = amplitude[g] * amplitude[h] * entry
-        matrix[r, r] += 1.0
-    factorise(matrix, np.full(size, 1e-3))
-    whiten(matrix, right)
-    gain = -SMOOTH_PENALTY * len(active)
-    for r in range(size):
-        gain += 0.5 * right[r, 0] * right[r, 0] - np.log(matrix[r, r])
-    return gain
+    active = np.flatnonzero(amplitude)
+    size, scale = len(active) * score.shape[1], np.repeat(amplitude[active], score.shape[1])
+    matrix = information[active][:, :, active].reshape(size, size) * scale * scale[:, None]
+    right = scale * score[active].ravel()
+    matrix += np.eye(size)
+    free = right @ np.linalg.solve(matrix, right) - np.linalg.slogdet(matrix)[1]
+    return 0.5 * float(free) - SMOOTH_PENALTY * len(active)

@@ -37,6 +37,7 @@ from lpv_core.serial_arm.diagnosis.information import (
     move_drifts,
     new_window,
     products,
+    recent,
     slot,
     solve_factorised,
     sum_slot,
@@ -49,7 +50,7 @@ from lpv_core.serial_arm.diagnosis.parameter_error import (
     parameter_factor,
     typical_torque,
 )
-from lpv_core.support.jit import njit, njit_in_place
+from lpv_core.support.jit import njit_in_place
 
 OFFSET_PRIOR = 0.5
 """Standard deviation of an offset of which nothing is known [rad]."""
@@ -118,7 +119,6 @@ class Posterior(NamedTuple):
     weights: FloatArray  # inverse variances of the balances, newest first, shape (capacity, n)
     recalled: FloatArray  # (1 + m, m) scratch
     inverse: FloatArray  # (m, n) scratch
-    ordered: FloatArray  # (capacity,) scratch
 
 
 @njit_in_place
@@ -211,7 +211,7 @@ def solve(window: Window, null: Posterior) -> None:
         null.sigma[i] = np.sqrt(total)
 
 
-@njit
+@njit_in_place
 def take_balance(
     window: Window, null: Posterior, balance: Balance, time: float, learn: bool
 ) -> None:
@@ -230,48 +230,35 @@ def take_balance(
     learn : bool
         Whether what leaves the horizon is remembered.
     """
-    if window.counters[NEXT] % window.times.shape[0] == 0:
-        n = null.sigma.shape[0]
-        shift = time - balance.clock[EPOCH]
-        move_drifts(window, 1 + DRIFT * n, 1 + OFFSET * n, n, shift)
-        move_epoch(balance, time)
     _make_absolute(balance.rows, balance.reference)
     join(window, time, balance.rows, PAST_WEIGHT if learn else -PAST_WEIGHT)
     at = slot(window, 0)
-    window.poses[at] = balance.poses[0]
     for i in range(null.noise.shape[0]):
+        window.poses[at, i] = balance.poses[0, i]
         window.rest[at, i] = rests(balance, i)
     weigh(window, null, 1)
 
 
-@njit
 def copy_unknowns(source: Window, window: Window, last: int) -> None:
     """Copy the last balances into a window without columns of faults; both hold as many."""
-    m = window.rows.shape[2] - 1
-    first = source.rows.shape[2] - m
-    for back in range(last):
-        at = slot(source, back)
-        window.rows[at, :, 0] = source.rows[at, :, 0]
-        window.rows[at, :, 1:] = source.rows[at, :, first:]
-        window.rest[at] = source.rest[at]
-        window.trust[at] = source.trust[at]
-        window.extra[at] = source.extra[at]
+    at, m = recent(source, last), window.rows.shape[2] - 1
+    window.rows[at, :, 0] = source.rows[at, :, 0]
+    window.rows[at, :, 1:] = source.rows[at, :, -m:]
+    window.rest[at], window.trust[at] = source.rest[at], source.trust[at]
+    window.extra[at] = source.extra[at]
 
 
-@njit
 def copy_noise(source: Posterior, level: Posterior, lasting: float) -> None:
     """Take over what was learned of the noise, all of which lasts as long as a pose.
 
     ``lasting`` is that time in balances.  What an identified arm is known to miss remains.
     """
-    level.noise[:] = source.noise
-    level.rest[:] = source.rest
-    for i in range(level.noise.shape[0]):
-        least = level.systematic[i] / (level.noise[i] * level.noise[i])
-        level.inflation[i] = max(source.inflation[i], least, lasting)
+    level.noise[:], level.rest[:] = source.noise, source.rest
+    least = np.maximum(level.systematic / level.noise**2, lasting)
+    level.inflation[:] = np.maximum(source.inflation, least)
 
 
-@njit
+@njit_in_place
 def _make_absolute(rows: FloatArray, reference: FloatArray) -> None:
     """Let the constant part belong to f = 0 instead of the point of linearisation."""
     n = reference.shape[0]
@@ -280,67 +267,47 @@ def _make_absolute(rows: FloatArray, reference: FloatArray) -> None:
             rows[i, 0] -= rows[i, 1 + OFFSET * n + j] * reference[j]
 
 
-@njit
 def learn_noise(window: Window, null: Posterior) -> None:
     """Size and correlation of what the arm's model does not explain, from the horizon."""
-    set_residuals(window, null, window.counters[COUNT])
-    for i in range(null.noise.shape[0]):
-        expected = null.expected[i]
-        noise = _learned_size(window, null, i, 0.0, expected)
+    count = int(window.counters[COUNT])
+    set_residuals(window, null, count)
+    at, left = recent(window, count), null.residual[:count]
+    trusted, rests_there = window.trust[at] == 1.0, window.rest[at]
+    for i, expected in enumerate(null.expected):
+        moving = np.abs(left[trusted & (rests_there[:, i] == 0.0), i])
+        noise = _learned_size(moving, expected)
         null.noise[i] = min(max(noise, 0.1 * expected), 10.0 * expected)
-        rest = _learned_size(window, null, i, 1.0, null.expected_rest[i] * null.noise[i])
+        resting = np.abs(left[trusted & (rests_there[:, i] == 1.0), i])
+        rest = _learned_size(resting, null.expected_rest[i] * null.noise[i])
         null.rest[i] = min(max(rest / null.noise[i], 1.0), _LARGEST_REST)
-    count = 0
-    for back in range(window.counters[COUNT]):
-        if window.trust[slot(window, back)] == 1.0:
-            for i in range(null.noise.shape[0]):
-                null.residual[count, i] = null.residual[back, i] / usual_size(window, null, back, i)
-            count += 1
-    if count < 10:
+    usual = null.noise * (1.0 + (null.rest - 1.0) * rests_there[trusted])
+    ratio = left[trusted] / usual
+    if len(ratio) < 10:
         return
-    share = _share(count)
-    for i in range(null.noise.shape[0]):
-        learned = min(1.0 + 2.0 * _correlation(null.residual[:count, i]), _LARGEST_INFLATION)
-        null.inflation[i] = (1.0 - share) * 2.0 + share * learned
+    share, learned = _share(len(ratio)), 1.0 + 2.0 * _correlation(ratio)
+    null.inflation[:] = (1.0 - share) * 2.0 + share * np.minimum(learned, _LARGEST_INFLATION)
 
 
-@njit
 def _share(count: int) -> float:
     """Weight of what was seen in so many balances, beside what is expected."""
     return count * count / (_NOISE_SAMPLES * _NOISE_SAMPLES + count * count)
 
 
-@njit
-def _learned_size(window: Window, null: Posterior, i: int, rest: float, expected: float) -> float:
-    """Usual size of residuals of joint i where it rests, or where it moves."""
-    count = 0
-    for back in range(window.counters[COUNT]):
-        at = slot(window, back)
-        if window.trust[at] == 1.0 and window.rest[at, i] == rest:
-            null.ordered[count] = abs(null.residual[back, i])
-            count += 1
-    if count < 10:
+def _learned_size(sizes: FloatArray, expected: float) -> float:
+    """Usual size of residuals, from their absolute values."""
+    if len(sizes) < 10:
         return expected
-    null.ordered[:count].sort()
-    size = 1.4826 * 0.5 * (null.ordered[(count - 1) // 2] + null.ordered[count // 2])
-    share = _share(count)
-    return np.sqrt((1.0 - share) * expected * expected + share * size * size)
+    size, share = 1.4826 * np.median(sizes), _share(len(sizes))
+    return float(np.sqrt((1.0 - share) * expected**2 + share * size**2))
 
 
-@njit
-def _correlation(values: FloatArray) -> float:
-    """Sum of the positive autocorrelations of values that are clipped where outliers begin."""
-    count, total, power = values.shape[0], 0.0, 0.0
-    for k in range(count):
-        values[k] = min(max(values[k], -ROBUST), ROBUST)
-        power += values[k] * values[k] / count
-    if power == 0.0:
-        return 0.0
+def _correlation(ratio: FloatArray) -> FloatArray:
+    """Sums of the positive autocorrelations, clipped where outliers begin, of each column."""
+    count, values = len(ratio), np.clip(ratio, -ROBUST, ROBUST)
+    power, total = (values**2).mean(0), np.zeros(ratio.shape[1])
     for lag in range(1, min(_LAGS, count // 2)):
-        product = 0.0
-        for k in range(lag, count):
-            product += values[k] * values[k - lag]
-        total += max(product / ((count - lag) * power), 0.0)
+        product = (values[lag:] * values[:-lag]).mean(0)
+        total += np.maximum(product / np.maximum(power, np.finfo(float).tiny), 0.0)
     return total
 
 
@@ -396,7 +363,7 @@ class OffsetEstimator:
 
     def times(self, last: int) -> FloatArray:
         """Ends of the last balances, oldest first [s]."""
-        return self.window.times[[slot(self.window, back) for back in range(last - 1, -1, -1)]]
+        return self.window.times[recent(self.window, last)[::-1]]
 
     def add(self, time: float, learn: bool) -> None:
         """Take the balance that is complete, and estimate anew.
@@ -423,7 +390,12 @@ class OffsetEstimator:
 
     def take(self, time: float, learn: bool) -> None:
         """Take the balance that is complete without estimating; parameters as those of `add`."""
-        take_balance(self.window, self.posterior, self.balance, time, learn)
+        window, n = self.window, self.joints
+        if window.counters[NEXT] % len(window.times) == 0:
+            shift = time - self.balance.clock[EPOCH]
+            move_drifts(window, 1 + DRIFT * n, 1 + OFFSET * n, n, shift)
+            move_epoch(self.balance, time)
+        take_balance(window, self.posterior, self.balance, time, learn)
         if self._slow is not None:
             join(self._slow, time, self._slow.rows[0], PAST_WEIGHT if learn else -PAST_WEIGHT)
             self._weigh_slow(1)
@@ -532,8 +504,7 @@ def _prior_posterior(
     return Posterior(
         np.zeros(m), np.diag(1.0 / prior), prior[:n].copy(), prior**-2, expected.copy(), expected,
         inflation, rest.copy(), rest, systematic, np.zeros((capacity, n)), np.zeros((capacity, n)),
-        np.zeros((1 + m, m)), np.zeros((m, n)),
-        np.zeros(capacity))  # fmt: skip
+        np.zeros((1 + m, m)), np.zeros((m, n)))  # fmt: skip
 
 
 def _priors(arm: SerialArm, friction: FloatArray, missed: FloatArray) -> list[FloatArray]:

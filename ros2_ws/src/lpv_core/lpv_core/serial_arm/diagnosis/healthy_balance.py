@@ -29,7 +29,7 @@ from lpv_core.serial_arm.dynamics.friction import smooth_sign
 from lpv_core.serial_arm.dynamics.momentum import mass_matrix
 from lpv_core.serial_arm.dynamics.regressor import momentum_regressor
 from lpv_core.serial_arm.sensor_map import map_vector
-from lpv_core.support.jit import njit
+from lpv_core.support.jit import njit_in_place as njit
 
 RESIDUAL, SPEED, VISCOSITY, DRY, LOADED, ONE, TORQUE = range(7)
 """Columns of the parts that concern one joint each."""
@@ -147,8 +147,7 @@ def _add_block(
                 change = abs(balance.matrix[i, a] * (v[a] - balance.last[1, a]))
                 even += turn * change / (12.0 * count)
         missed = length * (_within(v[i], half, slope) * dry)
-        points = balance.sizes.tolerance[i]
-        missed += length * np.interp(abs(v[i]), points[0], points[1])
+        missed += length * _tolerance(balance.sizes.tolerance[i], abs(v[i]))
         bend = row[VISCOUS] + dry * slope * (2.0 / np.pi) / (1.0 + (slope * v[i]) ** 2)
         noise = (length * bend * rate_noise[i]) ** 2
         for side in range(2):
@@ -158,6 +157,18 @@ def _add_block(
         balance.last[2, i] = force
     for i in range(n):
         balance.last[0, i], balance.last[1, i], balance.last[3, i] = q[i], v[i], torque[i]
+
+
+@njit
+def _tolerance(points: FloatArray, speed: float) -> float:
+    """Torque at a speed, by points (2, s) between which it is linear [N m]."""
+    k, last = 0, points.shape[1] - 1
+    while k < last and points[0, k + 1] <= speed:
+        k += 1
+    if k == last or speed <= points[0, k]:
+        return float(points[1, k])
+    slope = (points[1, k + 1] - points[1, k]) / (points[0, k + 1] - points[0, k])
+    return float(points[1, k] + slope * (speed - points[0, k]))
 
 
 @njit
@@ -197,8 +208,10 @@ def close_healthy_interval(
     before, length = lengths
     n, row, span = effects.shape[0], balance.row, 10 * effects.shape[0]
     if before > 0.0:
-        row[:, :] = balance.momentum[1] / length - balance.momentum[0] / before
-        row[:, :] -= balance.rising[0] + balance.falling[1]
+        for i in range(n):
+            for c in range(row.shape[1]):
+                row[i, c] = balance.momentum[1, i, c] / length - balance.momentum[0, i, c] / before
+                row[i, c] -= balance.rising[0, i, c] + balance.falling[1, i, c]
         sizes, count = balance.sizes, balance.sizes.inertial.shape[0]
         effects[:, 1 + count :] = 0.0
         for i in range(n):
@@ -221,10 +234,13 @@ def close_healthy_interval(
                 bias = sizes.rate_bias[j] * rows[i, 1 + RATE * n + j]
                 effects[i, 1 + count + 6 * n + j] = -bias
                 doubts[1, i] += (reading[j] * rows[i, 1 + _READING * n + j]) ** 2
-    for part in (balance.momentum, balance.rising):
-        part[0] = part[1]
-    for part in (balance.slack, balance.variance):
-        part[0] = part[1]
+    for i in range(n):
+        for c in range(row.shape[1]):
+            balance.momentum[0, i, c] = balance.momentum[1, i, c]
+            balance.rising[0, i, c] = balance.rising[1, i, c]
+        for side in range(2):
+            balance.slack[0, side, i] = balance.slack[1, side, i]
+            balance.variance[0, side, i] = balance.variance[1, side, i]
     balance.momentum[1] = 0.0
     balance.rising[1] = 0.0
     balance.falling[1] = 0.0

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lpv_core.serial_arm.chain import FloatArray, IntArray
-from lpv_core.support.jit import njit, njit_in_place
+from lpv_core.support.jit import njit_in_place
 
 ROBUST = 3.0
 """Residuals beyond so many standard deviations are outliers: one in 370 of normal ones."""
@@ -66,7 +66,7 @@ def sum_slot(window: Window, last: int) -> int:
     return (window.counters[NEXT] - last) % (window.times.shape[0] + 1)
 
 
-@njit
+@njit_in_place
 def join(window: Window, time: float, rows: FloatArray, past: float) -> None:
     """Append a balance; `add_products` adds its products.
 
@@ -84,15 +84,20 @@ def join(window: Window, time: float, rows: FloatArray, past: float) -> None:
     """
     capacity = window.times.shape[0]
     if window.counters[COUNT] == capacity:
-        window.past[:] *= abs(past)
-        if past > 0.0:
-            window.past[:] += window.sums[sum_slot(window, capacity - 1)]
-            window.past[:] -= window.sums[sum_slot(window, capacity)]
+        gone = window.sums[sum_slot(window, capacity)]
+        kept = window.sums[sum_slot(window, capacity - 1)]
+        for a in range(gone.shape[0]):
+            for b in range(gone.shape[1]):
+                window.past[a, b] *= abs(past)
+                if past > 0.0:
+                    window.past[a, b] = window.past[a, b] + kept[a, b] - gone[a, b]
         window.counters[COUNT] -= 1
     window.counters[NEXT] += 1
     window.counters[COUNT] += 1
     at = slot(window, 0)
-    window.rows[at] = rows
+    for i in range(rows.shape[0]):
+        for c in range(rows.shape[1]):
+            window.rows[at, i, c] = rows[i, c]
     window.times[at] = time
     window.trust[at] = 1.0
     window.extra[at] = 0.0
@@ -139,7 +144,6 @@ def forget_newest(window: Window, count: int) -> None:
     window.counters[COUNT] -= count
 
 
-@njit
 def move_drifts(window: Window, drift: int, offset: int, joints: int, shift: float) -> None:
     """Let drifts count from a moment that is later by ``shift``, and sums from the oldest balance.
 
@@ -156,24 +160,20 @@ def move_drifts(window: Window, drift: int, offset: int, joints: int, shift: flo
     shift : float
         [s].
     """
-    count, capacity = window.counters[COUNT], window.times.shape[0]
-    oldest = window.sums[sum_slot(window, count)].copy()
-    squares = window.squares[sum_slot(window, count)].copy()
-    for last in range(count + 1):
-        at = sum_slot(window, last)
-        sums, square = window.sums[at], window.squares[at]
-        sums -= oldest
-        square -= squares
-        for j in range(joints):
-            moved = shift * (2.0 * sums[1 + j, drift + j] - shift * sums[1 + j, offset + j])
-            square[drift - 1 + j] -= moved
-        for a in range(sums.shape[0]):
-            for j in range(joints):
-                sums[a, drift + j] -= shift * sums[a, offset + j]
-    for back in range(capacity):
-        for i in range(joints):
-            for j in range(joints):
-                window.rows[back, i, drift + j] -= shift * window.rows[back, i, offset + j]
+    at = [sum_slot(window, last) for last in range(window.counters[COUNT] + 1)]
+    sums = window.sums[at] - window.sums[at[-1]]
+    squares = window.squares[at] - window.squares[at[-1]]
+    j = np.arange(joints)
+    moved = 2.0 * sums[:, 1 + j, drift + j] - shift * sums[:, 1 + j, offset + j]
+    squares[:, drift - 1 + j] -= shift * moved
+    for rows in (sums, window.rows):
+        rows[:, :, drift + j] -= shift * rows[:, :, offset + j]
+    window.sums[at], window.squares[at] = sums, squares
+
+
+def recent(window: Window, last: int) -> IntArray:
+    """Places of the last balances in the ring, newest first."""
+    return np.asarray((window.counters[NEXT] - 1 - np.arange(last)) % len(window.times))
 
 
 def products(window: Window, last: int) -> FloatArray:
@@ -183,7 +183,7 @@ def products(window: Window, last: int) -> FloatArray:
 
 def last_rows(window: Window, last: int) -> FloatArray:
     """Rows of the last balances, oldest first, shape (last, n, columns)."""
-    return window.rows[[slot(window, back) for back in range(last - 1, -1, -1)]]
+    return window.rows[recent(window, last)[::-1]]
 
 
 @njit_in_place

@@ -2,7 +2,7 @@
 
 from lpv_core.serial_arm.chain import MASS, MX, PLACE, Chain, FloatArray
 from lpv_core.serial_arm.dynamics.frames import set_frames
-from lpv_core.support.jit import njit
+from lpv_core.support.jit import njit_in_place as njit
 
 _AXIS, _ORIGIN, _MOMENT, _WEIGHT, _TURN = 9, 12, 15, 18, 19
 

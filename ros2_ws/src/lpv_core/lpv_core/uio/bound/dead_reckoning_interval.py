@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from lpv_core.support.jit import njit
+from lpv_core.support.jit import njit_in_place as njit
 from lpv_core.support.records import record_type
 
 INTERVAL_STATE = record_type(

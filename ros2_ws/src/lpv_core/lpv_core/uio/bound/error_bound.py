@@ -17,7 +17,7 @@ import math
 import numpy as np
 
 from lpv_core.serial_arm.description import RATE_BIAS
-from lpv_core.support.jit import njit
+from lpv_core.support.jit import njit_in_place as njit
 from lpv_core.support.records import new_record, record_type
 from lpv_core.uio.bound.dead_reckoning_interval import (
     INTERVAL_STATE,
@@ -35,6 +35,7 @@ from lpv_core.uio.bound.unknown_torque import (
 )
 from lpv_core.uio.bound.zonotope import (
     COLUMNS,
+    KEPT,
     SIZE,
     extent,
     map_columns,
@@ -88,6 +89,9 @@ BOUND_STATE = record_type(
     ('n', 'f8', (SIZE, SIZE)),  # N of the error
     ('map', 'f8', (SIZE, SIZE)),  # work space: exp(N dt)
     ('inputs', 'f8', (SIZE, _INPUTS)),  # largest inputs, one a column
+    ('sizes', 'f8', (COLUMNS,)),  # work space of `reduce_columns`
+    ('order', 'i8', (COLUMNS,)),
+    ('kept', 'f8', (SIZE, KEPT)),
 )
 """Reachable set of the errors; r_i = s m_i/Xi_ii is the momentum error in units of a rate."""
 
@@ -189,7 +193,7 @@ def _make_room(state: np.record) -> None:
     where an error of a rate or of a torque that has passed is in one coordinate."""
     if state.used + _INPUTS > COLUMNS:
         shear_columns(state.columns, state.used, -state.shear[0], -state.shear[1])
-        state.used = reduce_columns(state.columns, state.used)
+        state.used = reduce_columns(state.columns, state.used, state.sizes, state.order, state.kept)
         shear_columns(state.columns, state.used, state.shear[0], state.shear[1])
 
 

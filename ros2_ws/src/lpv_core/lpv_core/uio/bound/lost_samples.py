@@ -6,7 +6,7 @@ accelerations at both (Euler and Maclaurin), and what may have been between them
 
 import numpy as np
 
-from lpv_core.support.jit import njit
+from lpv_core.support.jit import njit_in_place as njit
 from lpv_core.support.records import new_record, record_type
 from lpv_core.uio.model.arm import ArmParameters
 from lpv_core.uio.model.joints import JointMap, row_dot

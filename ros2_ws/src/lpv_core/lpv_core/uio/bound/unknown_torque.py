@@ -18,7 +18,7 @@ import math
 import numpy as np
 
 from lpv_core.serial_arm.description import RATE_BIAS
-from lpv_core.support.jit import njit
+from lpv_core.support.jit import njit_in_place as njit
 from lpv_core.support.records import new_record, record_type
 from lpv_core.uio.model.arm import ARM_CONSTANTS, ArmParameters
 from lpv_core.uio.model.joints import J, JointMap, row_dot

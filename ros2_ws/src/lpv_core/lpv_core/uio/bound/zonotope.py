@@ -7,7 +7,7 @@ would not see.
 
 import numpy as np
 
-from lpv_core.support.jit import njit
+from lpv_core.support.jit import njit_in_place as njit
 
 KEPT = 24
 """Columns that a reduction leaves, beside one for each coordinate."""
@@ -42,18 +42,24 @@ def shear_columns(columns: np.ndarray, count: int, first: float, second: float) 
 
 
 @njit
-def reduce_columns(columns: np.ndarray, count: int) -> int:
+def reduce_columns(
+    columns: np.ndarray, count: int, size: np.ndarray, order: np.ndarray, kept: np.ndarray
+) -> int:
     """Put all but the largest columns into one box around their sum.
 
-    Small columns lose their signs, which costs least; the set only grows.
+    Small columns lose their signs, which costs least; the set only grows.  The last three are
+    scratch, shapes (`COLUMNS`,), the same of integers, (`SIZE`, `KEPT`).
     """
-    size = np.zeros(count)
-    for r in range(SIZE):
-        for j in range(count):
+    for j in range(count):
+        size[j] = 0.0
+        for r in range(SIZE):
             size[j] += abs(columns[r, j])
-    # A stable order: equal columns are then the same ones in plain Python.
-    order = np.argsort(size, kind='mergesort')
-    kept = np.empty((SIZE, KEPT))
+        # A stable order, by insertion: a sort of NumPy's takes longer to compile than all the rest.
+        k = j
+        while k > 0 and size[order[k - 1]] > size[j]:
+            order[k] = order[k - 1]
+            k -= 1
+        order[k] = j
     for r in range(SIZE):
         box = 0.0
         for k in range(count - KEPT):
@@ -62,7 +68,8 @@ def reduce_columns(columns: np.ndarray, count: int) -> int:
             kept[r, k] = columns[r, order[count - KEPT + k]]
         size[r] = box
     for r in range(SIZE):
-        columns[r, :KEPT] = kept[r]
+        for k in range(KEPT):
+            columns[r, k] = kept[r, k]
         columns[r, KEPT : KEPT + SIZE] = 0.0
         columns[r, KEPT + r] = size[r]
     return KEPT + SIZE

@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from lpv_core.support.jit import njit
+from lpv_core.support.jit import njit_in_place as njit
 
 _TWO_OVER_PI = 2.0 / math.pi
 

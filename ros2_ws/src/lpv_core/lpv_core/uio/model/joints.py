@@ -18,7 +18,7 @@ Q = J^T tau, that is Q1 = tau1 - tau2 and Q2 = tau2.
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lpv_core.support.jit import njit
+from lpv_core.support.jit import njit_in_place as njit
 from lpv_core.support.records import new_record, record_type
 from lpv_core.uio.model.arm import ArmParameters
 

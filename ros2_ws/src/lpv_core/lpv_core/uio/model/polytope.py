@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from lpv_core.support.jit import njit
+from lpv_core.support.jit import njit_in_place as njit
 from lpv_core.uio.model.arm import ArmParameters
 
 

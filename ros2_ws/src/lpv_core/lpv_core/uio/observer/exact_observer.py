@@ -25,7 +25,7 @@ import math
 
 import numpy as np
 
-from lpv_core.support.jit import njit
+from lpv_core.support.jit import njit_in_place as njit
 from lpv_core.support.records import new_record, record_type
 from lpv_core.uio.certificate.gains import ExactObserverGains
 from lpv_core.uio.model.arm import ArmParameters

@@ -11,7 +11,7 @@ of both ends of the step.  Method ``exact`` is in :mod:`lpv_core.uio.observer.ex
 
 import numpy as np
 
-from lpv_core.support.jit import njit
+from lpv_core.support.jit import njit_in_place as njit
 from lpv_core.support.records import new_record, record_type
 from lpv_core.uio.certificate.gains import PaperObserverGains
 from lpv_core.uio.model.arm import ArmParameters

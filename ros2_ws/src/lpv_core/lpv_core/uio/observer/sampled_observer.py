@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from lpv_core.serial_arm.diagnosis.alarms import Mode
-from lpv_core.support.jit import njit
+from lpv_core.support.jit import njit_in_place as njit
 from lpv_core.support.records import new_record, record_type
 from lpv_core.support.timestamps import NANOSECONDS, NEVER
 from lpv_core.uio.certificate.gains import ExactObserverGains, Gains
