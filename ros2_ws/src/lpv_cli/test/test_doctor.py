@@ -16,6 +16,7 @@ from serial_bags import crane, crane_file, crane_run
 pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
 
 from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data  # noqa: E402
+from rclpy.time import Time  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 
 from lpv_cli.doctor import environment, graph, signals  # noqa: E402
@@ -154,6 +155,18 @@ def test_given_a_serial_arm_when_its_signals_are_checked_then_units_and_rates_ar
         messages[-1].header.stamp.nanosec = int(stamp)
     assert signals.check_units('/joint_states', messages, crane()) is None
     assert signals.check_rate_source('/joint_states', messages, crane()).level == Level.OK
+
+
+@pytest.mark.parametrize(('sign', 'level'), [(1.0, Level.OK), (-1.0, Level.ERROR)])
+def test_given_efforts_of_a_moving_arm_when_checked_then_a_wrong_sign_is_named(sign, level):
+    run, messages = crane_run(8.0), []
+    for stamp, (q, v, tau) in zip(run.stamps, run.samples):
+        names = list(crane().joint_names)
+        messages.append(JointState(name=names, position=q, velocity=v, effort=sign * tau))
+        messages[-1].header.stamp = Time(nanoseconds=int(stamp)).to_msg()
+    finding = signals.check_setup('/joint_states', messages, crane())
+    assert finding.level == level
+    assert ('of all joints count against the motion' in finding.text) == (sign < 0.0)
 
 
 # ------------------------------------------------------------------ environment

@@ -54,7 +54,7 @@ def _problems(
         check_stamps(topic, heard, shot),
     ]
     if arm is not None:
-        checks = check_joints, check_rate, check_units, check_rate_source
+        checks = check_joints, check_rate, check_units, check_rate_source, check_setup
         found += [check(topic, messages, arm) for check in checks]
     yield from (one for one in found if one is not None)
 
@@ -241,3 +241,25 @@ def check_rate_source(topic: str, messages: list[Any], arm: SerialArm) -> Findin
     remedy += 'again: with derived rates an encoder and its rate go wrong together'
     said = ', '.join(dict.fromkeys(stated))
     return warn('rates', f'{text}; the arm file says {said}', remedy)
+
+
+def check_setup(topic: str, messages: list[Any], arm: SerialArm) -> Finding | None:
+    """Whether motion and efforts fit arm file and mounting; what is likely wrong, if not."""
+    from lpv_identify.errors import IdentificationError
+    from lpv_identify.estimation.mistakes import find_mistakes
+    from lpv_identify.recordings.recording import clean
+
+    found = _samples(messages, arm)
+    if found is None:
+        return None  # its own finding
+    stamps, position, velocity, effort = found
+    rates = velocity if np.isfinite(velocity).all() else None
+    try:
+        recording = clean(topic, [(stamps - stamps[0]) / 1e9], position, rates, effort)
+        mistakes = find_mistakes(arm, [recording])
+    except IdentificationError:
+        return None  # too short, or at rest: that is no mistake
+    if not mistakes:
+        return ok('setup', f'{topic}: efforts of {recording.duration:.0f} s of motion fit the arm')
+    remedy = 'correct arm file, mounting or driver; lpv identify says what fits, from a recording'
+    return error('setup', f'{topic}: ' + '; '.join(one.text for one in mistakes), remedy)

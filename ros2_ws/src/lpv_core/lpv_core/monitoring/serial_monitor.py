@@ -51,6 +51,13 @@ _WARM_UP = (0.3, 1.0)
 """Motion that makes every compiled function run, without and with those of suspected faults [s]."""
 _CONTACT = 'torques from outside: something pushes or holds the arm, or its load has changed'
 _JUMPS_ALONE = 'jumps of readings are found, offsets and drifts are not diagnosable'
+_LARGEST_MISFIT = 3.0
+"""Standard deviations by which a healthy arm differs from its file."""
+_MISFIT = (
+    'motion and efforts do not fit the arm file, whatever sensor is blamed; lpv doctor (or lpv '
+    'identify --calibrate, from a recording) names the likely cause: load, mounting, units, signs, '
+    'names or delays'
+)
 _NO_EFFORT = f'no efforts: {_JUMPS_ALONE}'
 _NO_WEIGHT = f'efforts leave out the weight: {_JUMPS_ALONE}'
 
@@ -664,7 +671,7 @@ class SerialSensorMonitor:
             return _CONTACT
         if self._snapshot.suspects:
             return 'inconsistent; what explains it: ' + ', '.join(self._snapshot.suspects)
-        return ''
+        return _MISFIT if self._snapshot.misfit > _LARGEST_MISFIT else ''
 
     def _new_warnings(self) -> list[str]:
         """What was not warned of before, whatever its details."""

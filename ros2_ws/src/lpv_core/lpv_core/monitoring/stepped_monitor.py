@@ -40,6 +40,7 @@ class Snapshot:
     alarms: tuple[SerialAlarm, ...]  # found at this sample
     guarantee: Guarantee | None = None  # of the offsets, evaluated last
     is_guaranteed: bool = True  # whether guaranteed thresholds can be evaluated
+    misfit: float = 0.0  # standard deviations by which the arm differs from its file
 
     @property
     def is_error(self) -> npt.NDArray[np.bool_]:
@@ -185,6 +186,7 @@ class SteppedMonitor(SerialMonitor):
             alarms,
             self.guarantee,
             self.healthy is not None,
+            self.estimator.misfit(),
         )
         self.jump[:] = self.jump_variance[:] = 0.0
         return snapshot

@@ -83,6 +83,8 @@ def find_mistakes(arm: SerialArm, recordings: Sequence[Recording]) -> list[Mista
         if best is None or best[0] < _SURE:
             break
         found.append(best[1])
+        if best[1].kind == 'unit':  # gains are anything then, and their signs
+            break
         setup, before = best[2], judge.evidence(best[2])[0]
     return found
 

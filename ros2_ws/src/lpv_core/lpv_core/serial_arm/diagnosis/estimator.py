@@ -420,6 +420,18 @@ class OffsetEstimator:
         copy_unknowns(self.window, self._slow, last)
         weigh(self._slow, self.level, last)
 
+    def misfit(self) -> float:
+        """By how many of its standard deviations the arm differs from its file, at most.
+
+        Of unknown parameters, and of what they leave over what is expected.
+        """
+        n, null = self.joints, self.posterior
+        if self.window.counters[NEXT] * self.plan.interval < NOISE_KNOWN_AFTER:
+            return 0.0
+        return float(max(
+            np.abs(null.mean[n:] / self.prior[n:]).max(), (null.noise / null.expected).max()
+        ))  # fmt: skip
+
     def must_linearise(self) -> bool:
         """Whether the estimate has left the point of linearisation."""
         if self._since_linearised < max(3, len(self) // 10):

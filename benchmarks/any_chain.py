@@ -1,0 +1,221 @@
+"""What an arm shows that this software was not made on: a twin of a UR10e, line by line.
+
+    python benchmarks/any_chain.py goals --count 20
+    python benchmarks/any_chain.py A
+
+Each letter is a line of the table in README.md, ``goals`` are rates of detection.  The twin is that
+of `ur10e_twin`; faults are injected and judged as in `fault_matrix`.
+"""
+
+import argparse
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from fault_injection import BY_NAME, Cell, Kind, Subject, draw, run
+from fault_matrix import summary, tables
+from rich.console import Console
+from ur10e_twin import PAYLOAD, drive, healthy, recording, twin, ur10e
+
+from lpv_core.serial_arm.description import SerialArm
+from lpv_core.serial_arm.urdf_chain import read_urdf_chain
+from lpv_identify.estimation.identification import identify
+from lpv_identify.estimation.mistakes import find_mistakes
+from lpv_identify.recordings.filters import shifted
+from lpv_identify.recordings.recording import Recording
+from lpv_identify.sensors.sensing import quantization_step, rate_sources
+
+LIMITS = {'offset 0.2': 6.0, 'drift 0.3': 1.0, 'stuck': 0.3, 'scale 20 %': 2.0,
+          'step 0.02': 0.02, 'noise 0.02': 0.3, 'healthy': 0.0}  # fmt: skip
+"""In which faults have to be named [s]; a step, in 3 samples."""
+GOALS = tuple(
+    replace(BY_NAME[name], limit=limit, duration=max(BY_NAME[name].duration, limit + 0.5))
+    for name, limit in LIMITS.items()
+)
+URDF = """<robot name="one"><link name="base"/><link name="tool"><inertial><mass value="1"/>
+<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="turn" type="revolute"><parent link="base"/><child link="tool"/><axis xyz="0 0 1"/>
+<limit lower="-1" upper="1" velocity="1" effort="1"/></joint>
+<transmission name="t"><joint name="turn"><hardwareInterface>E</hardwareInterface></joint>
+</transmission><ros2_control name="c" type="system"><joint name="turn"/></ros2_control></robot>"""
+
+
+def changed(arm: SerialArm, **sensors: object) -> SerialArm:
+    """The arm with other sensors."""
+    joints = (replace(j, sensors=replace(j.sensors, **sensors)) for j in arm.joints)  # type: ignore[arg-type]
+    return replace(arm, joints=tuple(joints))
+
+
+def measured(kind: str, count: int, subject: Subject | None = None) -> dict:
+    """A row of the matrix."""
+    cell = Cell('ur10e', (subject or twin(),), next(k for k in GOALS if k.name == kind), 'derived')
+    return summary(cell, [run(cell, k) for k in range(count)])
+
+
+def show(kind: str, count: int, names: Sequence[str], subject: Subject | None = None) -> str:
+    """Some shares of a row as text."""
+    row = measured(kind, count, subject)
+    return f'{kind}, {count} runs: ' + ', '.join(f'{name} {row.get(name)}' for name in names)
+
+
+def hostile(count: int) -> str:
+    """A: rests from the start, constant, rounded and missing signals."""
+    rng, crashes, bad = np.random.default_rng(1), 0, 0
+    for k in range(count):
+        stream = drive(healthy(k, duration=10.0), (1e-4, 1e-3)[k % 2])
+        samples = stream.samples
+        for _ in range(4):
+            joint, signal, begin = rng.integers(6), rng.integers(3), rng.integers(len(samples))
+            part = samples[begin : begin + int(rng.integers(1, 400)), signal, joint]
+            part[:] = rng.choice([np.nan, 0.0, part[0]])
+        samples[: 100 * (k % 4), :] = samples[0]
+        try:
+            answers = twin().monitor().take_many(stream.stamps, *np.moveaxis(samples, 1, 0))
+            bad += not np.isfinite(answers.fault.estimate).all()
+        except Exception:  # what is counted
+            crashes += 1
+    return f'{count} recordings: {crashes} raise, {bad} with estimates that are not finite'
+
+
+def noise(count: int) -> str:
+    """B: largest error of the corrected position while it is trustworthy."""
+    kind, worst, events = BY_NAME['noise 0.02'], 0.0, 0
+    for k in range(count):
+        subject, window, _ = draw(Cell('ur10e', (twin(),), kind, 'derived'), k, 1)
+        rows = np.moveaxis(window.stream.samples, 1, 0)
+        answers = subject.monitor().take_many(window.stream.stamps, *rows)
+        true = window.stream.samples[:, 0] - window.truth
+        off = np.abs(answers.state.compensated_position - true).max(1)
+        worst = max(worst, float(off[answers.state.trustworthy].max()))
+        events += len(answers.events)
+    return f'largest error {worst:.3f} rad, {events / count:.1f} events a run, {count} runs'
+
+
+def rounded(count: int) -> str:
+    """C: healthy joints at rest, and the step that identification finds."""
+    texts = []
+    for step in (1e-4, 1e-3):
+        row = measured('healthy', count, twin(changed(ur10e(), quantization=step), step))
+        texts.append(f'{step:g} rad: {row["other"]:g} % of {count} minutes with an alarm')
+    found = quantization_step([recording(0).position])
+    return '; '.join(texts) + f'; steps found {np.array2string(found, precision=2)}'
+
+
+def sources(count: int) -> str:
+    """D: what is said of filtered rates."""
+    found = [rate_sources([recording(k, k % 5)])[0] for k in range(count)]
+    return f'"independent": {sum(one.count("independent") for one in found)} of {6 * count} joints'
+
+
+def urdf(count: int) -> str:
+    """E: URDFs with transmission and ros2_control."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / 'one.urdf'
+        file.write_text(URDF)
+        return f'read: joints {", ".join(j.name for j in read_urdf_chain(file).joints)}'
+
+
+def currents(count: int) -> str:
+    """F: identification of 60 s of currents."""
+    arm = ur10e()
+    blank = replace(arm, joints=tuple(replace(j, torque_gain=1.0) for j in arm.joints))
+    begin = time.process_time()
+    result = identify(blank, [recording(1000)])
+    gains = [joint.torque_gain for joint in result.arm.joints]
+    return (
+        f'{time.process_time() - begin:.1f} s of processor, R2 {result.figures.r2.min():.3f} to '
+        f'{result.figures.r2.max():.3f}, gains {np.round(gains, 1)}'
+    )
+
+
+def limits(count: int) -> str:
+    """G: torque limits ten times larger: thresholds as before."""
+    arm = ur10e()
+    joints = (replace(j, limits=replace(j.limits, torque=10.0 * j.limits.torque))
+              for j in arm.joints)  # fmt: skip
+    other, stream, ends = replace(arm, joints=tuple(joints)), drive(healthy(0, duration=15.0)), []
+    for one in (arm, other):
+        answers = twin(one).monitor().take_many(stream.stamps, *np.moveaxis(stream.samples, 1, 0))
+        ends.append(answers.fault.threshold[-1])
+    ratio = ends[1] / ends[0]
+    return f'thresholds over those before: {ratio.min():.4f} to {ratio.max():.4f}'
+
+
+def load(count: int) -> str:
+    """H: a load of 2.6 kg; the file says that there may be 5 kg."""
+    row = measured('healthy', count, twin(load=2.6))
+    return f'{row["other"]:g} % of {count} minutes with an alarm (payload {PAYLOAD:g} kg stated)'
+
+
+def frozen(count: int) -> str:
+    """K: estimate 2 s after a reading froze."""
+    return show('stuck', count, ('in_time', 'kind_right', 'size', 'error', 'trusted'))
+
+
+def misnamed(count: int) -> str:
+    """L: the file calls filtered rates independent."""
+    wrong = twin(changed(ur10e(), rates='independent', velocity_noise=5e-3))
+    return '; '.join(
+        show(kind, count, ('in_time', 'kind_right', 'named'), wrong)
+        for kind in ('step 0.02', 'scale 20 %')
+    )
+
+
+def setup(count: int) -> str:
+    """M: mistakes of a set-up."""
+    arm, one, order = ur10e(), recording(1000), [0, 2, 1, 3, 4, 5]
+    swapped = (x[:, order] for x in (one.position, one.velocity, one.effort))
+    nm = replace(arm, effort_unit='N m',
+                 joints=tuple(replace(j, torque_gain=1.0) for j in arm.joints))  # fmt: skip
+    cases = {
+        'none': (arm, one),
+        'currents as N m': (nm, one),
+        'wall': (replace(arm, base_orientation=(0.0, np.pi / 2, 0.0)), one),
+        'tilt of 0.1 rad': (replace(arm, base_orientation=(0.0, 0.1, 0.0)), one),
+        'joints 2, 3 swapped': (arm, Recording('swapped', one.time, *swapped)),
+        'sign': (arm, replace(one, effort=-one.effort)),
+        '50 ms late': (arm, replace(one, effort=shifted(one.effort, 0.05, 0.01))),
+    }
+    return '\n'.join(
+        f'{name}: {[m.text for m in find_mistakes(*case[:1], [case[1]])]}'
+        for name, case in cases.items()
+    )
+
+
+LINES: dict[str, Callable[[int], str]] = {
+    'A': hostile, 'B': noise, 'C': rounded, 'D': sources, 'E': urdf, 'F': currents, 'G': limits,
+    'H': load,
+    'I': lambda count: '; '.join(
+        show(kind, count, ('cleared', 'second', 'both')) for kind in ('step 0.02', 'drift 0.3')),
+    'J': lambda count: show('offset 0.2', count, ('in_time', 'kind_right', 'error')),
+    'K': frozen, 'L': misnamed, 'M': setup,
+}  # fmt: skip
+
+
+def goals(count: int, chosen: Sequence[str]) -> None:
+    """Rates of detection, and alarms of healthy arms."""
+    kinds: list[Kind] = [k for k in GOALS if not chosen or k.name.startswith(tuple(chosen))]
+    Console(width=170).print(*tables([measured(kind.name, count) for kind in kinds]))
+
+
+def main() -> None:
+    """Entry point."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument('line', nargs='+', choices=('goals', *LINES))
+    parser.add_argument('--count', type=int, default=10, help='runs of a line')
+    parser.add_argument('--kinds', default='', help='beginnings of names of goals, with commas')
+    options = parser.parse_args()
+    for line in options.line:
+        if line == 'goals':
+            goals(options.count, [one for one in options.kinds.split(',') if one])
+        else:
+            print(f'{line}: {LINES[line](options.count)}', flush=True)
+
+
+if __name__ == '__main__':
+    main()

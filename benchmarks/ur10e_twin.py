@@ -1,0 +1,114 @@
+"""A UR10e as its driver shows it: 100 Hz, rounded readings, filtered rates, currents, rests.
+
+The arm moves from pose to pose and rests between; every recording begins with a rest.  Drives have
+gains 5 % off the file's, friction is 20 % off, and a load of 0 to 5 kg hangs at the tip, unknown.
+"""
+
+from dataclasses import replace
+from functools import cache, lru_cache
+
+import numpy as np
+from fault_injection import BRINGUP, Stream, Subject
+
+from lpv_core.serial_arm.arm_file import load_arm
+from lpv_core.serial_arm.chain import compile_chain
+from lpv_core.serial_arm.description import SerialArm, Uncertainty
+from lpv_core.serial_arm.dynamics.model import SerialModel
+from lpv_core.serial_arm.dynamics.payload import with_payload
+from lpv_identify.recordings.recording import Recording
+
+PERIOD = 0.01
+STEP = 1e-4
+"""Rounding of readings [rad]."""
+NOISE = 3e-5
+"""Of readings, before they are rounded [rad]."""
+FILTER = 0.4
+"""Share of the newest difference in a rate: a low pass of first order, 8 Hz."""
+PAYLOAD = 5.0
+"""Largest load [kg]."""
+GAINS = (13.3, 13.3, 11.2, 9.4, 9.4, 9.4)
+"""Of the drives [N m/A]."""
+HOME = np.array([0.0, -1.4, 1.4, -1.5, -1.5, 0.0])
+REACH = np.array([1.5, 0.8, 0.8, 1.2, 1.2, 1.5])
+FASTEST = 1.5
+"""[rad/s]."""
+DURATION = 60.0
+"""Of a recording [s]."""
+
+
+@cache
+def ur10e() -> SerialArm:
+    """The arm as its file describes it."""
+    arm = load_arm(BRINGUP / 'arms' / 'ur10.yaml')
+    joints = []
+    for joint, gain in zip(arm.joints, GAINS):
+        sensors = replace(joint.sensors, rates='derived', position_noise=NOISE, quantization=STEP)
+        joints.append(replace(joint, torque_gain=gain, sensors=sensors))
+    return replace(
+        arm, name='ur10e', joints=tuple(joints), sample_time=PERIOD, effort_unit='A',
+        uncertainty=Uncertainty(PAYLOAD, 0.2, 0.05),
+    )  # fmt: skip
+
+
+def moves_and_rests(rng: np.random.Generator, time: np.ndarray) -> np.ndarray:
+    """Positions, rates and accelerations from pose to pose, shape (3, N, 6)."""
+    motion = np.zeros((3, len(time), len(HOME)))
+    place = HOME + REACH * rng.uniform(-1.0, 1.0, len(HOME))
+    begin = rng.uniform(0.3, 3.0)
+    motion[0] = place
+    while begin < time[-1]:
+        goal = HOME + REACH * rng.uniform(-1.0, 1.0, len(HOME))
+        goal = np.where(rng.random(len(HOME)) < 0.2, place, goal)  # some joints stay
+        way = goal - place
+        span = max(1.9 * np.abs(way).max() / (FASTEST * rng.uniform(0.4, 1.0)), 0.5)
+        x = np.clip((time - begin) / span, 0.0, 1.0)[:, None]
+        motion[0] += way * (10 * x**3 - 15 * x**4 + 6 * x**5)
+        motion[1] += way / span * (30 * x**2 - 60 * x**3 + 30 * x**4)
+        motion[2] += way / span**2 * (60 * x - 180 * x**2 + 120 * x**3)
+        place, begin = goal, begin + span + rng.choice([0.0, 1.0]) * rng.uniform(0.3, 3.0)
+    return motion
+
+
+def drive(stream: Stream, step: float = STEP) -> Stream:
+    """What the driver makes of readings: rounded ones, and filtered differences of them."""
+    samples = stream.samples.copy()
+    position = step * np.round(samples[:, 0] / step)
+    samples[:, 0] = position
+    rate = np.zeros(position.shape[1])
+    last = position[0]
+    for k, row in enumerate(position):
+        rate = rate + FILTER * ((row - last) / PERIOD - rate)
+        samples[k, 1], last = rate, row
+    return Stream(stream.stamps, samples)
+
+
+@lru_cache(maxsize=32)
+def healthy(seed: int, load: float | None = None, duration: float = DURATION) -> Stream:
+    """A recording before the driver: readings with noise, currents; load drawn if not given."""
+    arm, rng = ur10e(), np.random.default_rng([27, seed])
+    time = PERIOD * np.arange(round(duration / PERIOD))
+    q, v, a = moves_and_rests(rng, time)
+    chain, n = compile_chain(arm), len(arm.joints)
+    friction = chain.friction.copy()
+    friction[:, :2] *= rng.uniform(0.8, 1.2, (n, 2))
+    load = rng.uniform(0.0, PAYLOAD) if load is None else load
+    model = SerialModel(with_payload(chain._replace(friction=friction), load))
+    torque = np.array([model.torque(*row) for row in zip(q, v, a)])
+    torque += 0.01 * torque.std(0) * rng.normal(size=torque.shape)
+    current = torque / (np.array(GAINS) * rng.choice([0.95, 1.05], n))
+    samples = np.stack([q + NOISE * rng.normal(size=q.shape), v, current], axis=1)
+    return Stream(np.round(time * 1e9).astype(np.int64), samples)
+
+
+def twin(arm: SerialArm | None = None, step: float = STEP, load: float | None = None) -> Subject:
+    """The twin for `fault_injection.run`; its file may say otherwise than `ur10e`."""
+    return Subject(
+        'ur10e', 'simulated', arm or ur10e(), lambda k: healthy(k, load), (1, 2, 3),
+        driver=lambda stream: drive(stream, step),
+    )  # fmt: skip
+
+
+def recording(seed: int, load: float = 0.0, duration: float = DURATION) -> Recording:
+    """What `lpv identify` reads."""
+    stream = drive(healthy(seed, load, duration))
+    return Recording('twin', stream.stamps * 1e-9, *np.moveaxis(stream.samples, 1, 0))
