@@ -44,77 +44,57 @@ def mutate_text(text: str, seed: int) -> bytes:
     return mutate_bytes(data, rng.randrange(1 << 30)) if rng.random() < 0.15 else data
 
 
+def _chosen(lines, rng, pattern):
+    """A line in which a pattern occurs, and one of its places; None if there is none."""
+    found = [i for i, line in enumerate(lines) if re.search(pattern, line)]
+    if not found:
+        return None
+    i = rng.choice(found)
+    return i, rng.choice(list(re.finditer(pattern, lines[i])))
+
+
+def _put(lines, i, begin, end, text):
+    lines[i] = lines[i][:begin] + text + lines[i][end:]
+
+
 def _set_value(lines, rng):
-    chosen = [i for i, line in enumerate(lines) if re.search(r'[:,\-\[]\s*\S', line)]
-    if chosen:
-        i = rng.choice(chosen)
-        places = list(re.finditer(r'(?<=[:,\-\[])\s*([^\s,\[\]{}:#][^,\[\]{}#]*)', lines[i]))
-        if places:
-            a, b = rng.choice(places).span(1)
-            lines[i] = lines[i][:a] + rng.choice(SCALARS) + lines[i][b:]
+    if found := _chosen(lines, rng, r'(?<=[:,\-\[])\s*([^\s,\[\]{}:#][^,\[\]{}#]*)'):
+        _put(lines, found[0], *found[1].span(1), rng.choice(SCALARS))
 
 
 def _set_key(lines, rng):
-    chosen = [i for i, line in enumerate(lines) if ':' in line]
-    if chosen:
-        i = rng.choice(chosen)
-        head, _, tail = lines[i].partition(':')
-        indent = head[: len(head) - len(head.lstrip(' -'))]
-        lines[i] = f'{indent}{rng.choice(SCALARS)}:{tail}'
+    if found := _chosen(lines, rng, r'^[ -]*([^ :-][^:]*):'):
+        _put(lines, found[0], *found[1].span(1), rng.choice(SCALARS))
 
 
 def _scale_number(lines, rng):
-    chosen = [i for i, line in enumerate(lines) if re.search(r'\d', line)]
-    if chosen:
-        i = rng.choice(chosen)
-        place = rng.choice(list(re.finditer(r'[-+]?\d+(\.\d*)?([eE][-+]?\d+)?', lines[i])))
+    if found := _chosen(lines, rng, r'[-+]?\d+(\.\d*)?([eE][-+]?\d+)?'):
         factor = rng.choice((-1, 0, 1e-300, 1e-9, 0.5, 2, 1e9, 1e300))
-        try:
-            value = repr(float(place.group()) * factor)
-        except (ValueError, OverflowError):
-            value = '0'
-        lines[i] = lines[i][: place.start()] + value + lines[i][place.end() :]
+        _put(lines, found[0], *found[1].span(), repr(float(found[1].group()) * factor))
 
 
-def _drop_line(lines, rng):
-    del lines[rng.randrange(len(lines))]
-
-
-def _repeat_line(lines, rng):
-    i = rng.randrange(len(lines))
-    lines.insert(i, lines[i])
-
-
-def _swap_lines(lines, rng):
-    i, j = rng.randrange(len(lines)), rng.randrange(len(lines))
-    lines[i], lines[j] = lines[j], lines[i]
-
-
-def _indent_line(lines, rng):
-    i = rng.randrange(len(lines))
-    lines[i] = ' ' * rng.choice((1, 2, 7)) + lines[i] if rng.random() < 0.5 else lines[i].lstrip()
-
-
-def _insert_line(lines, rng):
-    key = rng.choice(('x', '1', 'name', '<<', '? [a]', 'null', '2001-01-01', 'true', '.nan'))
-    lines.insert(rng.randrange(len(lines) + 1), f'{key}: {rng.choice(SCALARS)}')
-
-
-def _cut_line(lines, rng):
-    i = rng.randrange(len(lines))
-    lines[i] = lines[i][: rng.randrange(len(lines[i]) + 1)]
-
-
-def _insert_characters(lines, rng):
-    i = rng.randrange(len(lines))
+def _change_line(lines, rng):
+    """Drop, repeat, swap, indent or cut a line, or put one or a character in."""
+    i, j, kind = rng.randrange(len(lines)), rng.randrange(len(lines)), rng.randrange(7)
     at = rng.randrange(len(lines[i]) + 1)
-    lines[i] = lines[i][:at] + rng.choice('\t\0\x85\u2028:{}[]&*!|>%@`"\'#,;=-?\\') + lines[i][at:]
+    if kind == 0:
+        del lines[i]
+    elif kind == 1:
+        lines.insert(i, lines[i])
+    elif kind == 2:
+        lines[i], lines[j] = lines[j], lines[i]
+    elif kind == 3:
+        lines[i] = rng.choice((' ', '  ', ' ' * 7)) + lines[i] if i < j else lines[i].lstrip()
+    elif kind == 4:
+        lines[i] = lines[i][:at]
+    elif kind == 5:
+        key = rng.choice(('x', '1', 'name', '<<', '? [a]', 'null', '2001-01-01', 'true', '.nan'))
+        lines.insert(i, f'{key}: {rng.choice(SCALARS)}')
+    else:
+        _put(lines, i, at, at, rng.choice('\t\0\x85\u2028:{}[]&*!|>%@`"\'#,;=-?\\'))
 
 
-_MUTATIONS = (
-    _set_value, _set_value, _set_value, _set_key, _scale_number, _scale_number, _drop_line,
-    _repeat_line, _swap_lines, _indent_line, _insert_line, _cut_line, _insert_characters,
-)  # fmt: skip
+_MUTATIONS = (*[_set_value] * 3, _set_key, *[_scale_number] * 2, *[_change_line] * 7)
 
 
 def mutate_bytes(data: bytes, seed: int) -> bytes:
@@ -159,44 +139,30 @@ def mutate_xml(text: str, seed: int) -> bytes:
     return mutate_bytes(data, rng.randrange(1 << 30)) if rng.random() < 0.15 else data
 
 
+def _place(text, rng, pattern):
+    """One of the places of a pattern; there is always the empty one at the end."""
+    return rng.choice(list(re.finditer(pattern, text)) or [re.search(r'($)', text)])
+
+
 def _set_attribute(text, rng):
-    places = list(re.finditer(r'="([^"]*)"', text))
-    if not places:
-        return text
-    a, b = rng.choice(places).span(1)
-    return text[:a] + rng.choice(XML_VALUES) + text[b:]
-
-
-def _swap_attributes(text, rng):
-    places = list(re.finditer(r'="([^"]*)"', text))
-    if not places:
-        return text
-    (a, b), (c, d) = rng.choice(places).span(1), rng.choice(places).span(1)
-    return text[:a] + text[c:d] + text[b:]
+    a, b = _place(text, rng, r'="([^"]*)"').span(1)
+    c, d = _place(text, rng, r'="([^"]*)"').span(1)
+    return text[:a] + (rng.choice(XML_VALUES) if rng.random() < 0.7 else text[c:d]) + text[b:]
 
 
 def _change_element(text, rng):
     """Remove or repeat an element without children, or a tag."""
-    places = list(re.finditer(r'<[^<>]*>', text))
-    if not places:
-        return text
-    a, b = rng.choice(places).span()
+    a, b = _place(text, rng, r'<[^<>]*>').span()
     return text[:a] + text[b:] if rng.random() < 0.6 else text[:b] + text[a:b] + text[b:]
 
 
 def _scale_attribute(text, rng):
-    places = list(re.finditer(r'-?\d+\.\d+(e-?\d+)?', text))
-    if not places:
-        return text
-    a, b = (place := rng.choice(places)).span()
+    a, b = _place(text, rng, r'-?\d+\.\d+(e-?\d+)?').span()
     factor = rng.choice((-1.0, 0.0, 1e-300, 1e-9, 1e9, 1e150, 1e300))
-    return text[:a] + repr(float(place.group()) * factor) + text[b:]
+    return text[:a] + repr(float(text[a:b] or 0.0) * factor) + text[b:]
 
 
-_XML_MUTATIONS = (
-    _set_attribute, _set_attribute, _swap_attributes, _change_element, _scale_attribute,
-    _scale_attribute,
-)  # fmt: skip
+_XML_MUTATIONS = (*[_set_attribute] * 3, _change_element, *[_scale_attribute] * 2)
 
 
 ENDLESS = 30.0
@@ -240,10 +206,8 @@ class Tally:
         return name.startswith(self.unbounded) and 'nan' not in name
 
     def __str__(self) -> str:
-        return (
-            f'{self.tried} tried, {self.refused} refused, {self.accepted} accepted, '
-            f'{len(self.failed)} failed'
-        )
+        counts = f'{self.refused} refused, {self.accepted} accepted, {len(self.failed)} failed'
+        return f'{self.tried} tried, {counts}'
 
 
 def _unclear(text: str) -> str:

@@ -65,62 +65,40 @@ def _rounded(values, bits):
 
 def record(path):
     """Simulate 6 s with faults, lost, late and unusable samples."""
-    arm, scenario = (
-        load_arm(bringup_file('arms', 'paper')),
-        load_scenario(bringup_file('scenarios', 'two_faults')),
-    )
+    arm = load_arm(bringup_file('arms', 'paper'))
+    scenario = load_scenario(bringup_file('scenarios', 'two_faults'))
     gains = load_gains(BAG / 'gains.yaml')
     plant = ArmSimulator(arm, replace(scenario, faults=_FAULTS))
     controller, course = TrackingController(arm, gains), scenario.path(arm)
     rng, faulty = np.random.default_rng(1), None
     with BagWriter(path, 'zstd_small') as writer:
         messages = BagMessages(writer.typestore, 'base_link')
-        for name, msgtype in zip(
-            _STREAMS, ('sensor_msgs/msg/JointState', 'lpv_msgs/msg/GroundTruth')
-        ):
+        types = ('sensor_msgs/msg/JointState', 'lpv_msgs/msg/GroundTruth')
+        for name, msgtype in zip(_STREAMS, types):
             writer.add_topic(f'/lpv/{name}', msgtype)
         for k in range(round(6.0 / arm.sample_time)):
             sense, truth = plant.sense()
             stamp = 10**9 + k * round(arm.sample_time * 1e9)
-            vectors = [
-                _rounded(v, bits)
-                for v, bits in ((sense.position, 16), (sense.velocity, 13), (sense.effort, 8))
-            ]
+            read = ((sense.position, 16), (sense.velocity, 13), (sense.effort, 8))
+            vectors = [_rounded(values, bits) for values, bits in read]
             kind = rng.integers(300)
             if kind == 0:
                 vectors[rng.integers(3)][rng.integers(2)] = np.nan
             if kind != 1:
-                writer.write(
-                    '/lpv/joint_states',
-                    stamp,
-                    messages.joint_state(stamp, arm.joint_names, *vectors),
-                )
+                message = messages.joint_state(stamp, arm.joint_names, *vectors)
+                writer.write('/lpv/joint_states', stamp, message)
             begun, faulty = faulty, (truth.fault != 0.0).tolist()
             if k % _THINNED == 0 or faulty != begun:
-                writer.write(
-                    '/lpv/ground_truth',
-                    stamp,
-                    messages.make(
-                        'lpv_msgs/msg/GroundTruth',
-                        stamp,
-                        {
-                            'position': _rounded(truth.position, 20),
-                            'velocity': _rounded(truth.velocity, 20),
-                            'torque': vectors[2],
-                            'fault': _rounded(truth.fault, 20),
-                            'disturbance': 0.0,
-                        },
-                    ),
-                )
-            plant.step(
-                controller.update(
-                    course.sample(plant.time),
-                    truth.position,
-                    truth.velocity,
-                    truth.position,
-                    arm.sample_time,
-                ).torque
-            )
+                fields = {
+                    name: _rounded(getattr(truth, name), 20)
+                    for name in ('position', 'velocity', 'fault')
+                }
+                fields |= {'torque': vectors[2], 'disturbance': 0.0}
+                message = messages.make(types[1], stamp, fields)
+                writer.write('/lpv/ground_truth', stamp, message)
+            feedback = truth.position, truth.velocity, truth.position
+            command = controller.update(course.sample(plant.time), *feedback, arm.sample_time)
+            plant.step(command.torque)
 
 
 def renew(measurements):

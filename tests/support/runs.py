@@ -14,6 +14,8 @@ from lpv_core.support.timestamps import NANOSECONDS
 
 MEASURED = {'joint_states', 'torque_command', 'state_estimate', 'fault_estimate', 'fault_alarm'}
 ALL = MEASURED | {'ground_truth', 'reference'}
+TRUTH = ('position', 'velocity', 'fault', 'disturbance')
+MOTION = ('position', 'velocity', 'acceleration')
 
 
 class Recorder:
@@ -21,29 +23,25 @@ class Recorder:
 
     TYPES = {
         'joint_states': 'sensor_msgs/msg/JointState',
-        'reference': 'JointReference',
-        'ground_truth': 'GroundTruth',
-        'torque_command': 'TorqueCommand',
-        'state_estimate': 'StateEstimate',
-        'fault_estimate': 'FaultEstimate',
-        'fault_alarm': 'FaultAlarm',
-    }
+        'reference': 'lpv_msgs/msg/JointReference',
+        **{
+            f'{a}_{b}': f'lpv_msgs/msg/{a.title()}{b.title()}'
+            for a, b in (('ground', 'truth'), ('torque', 'command'), ('state', 'estimate'),
+                         ('fault', 'estimate'), ('fault', 'alarm'))
+        },
+    }  # fmt: skip
 
     def __init__(self, path, streams):
         self._writer, self._streams = BagWriter(path), streams
         self._messages = BagMessages(self._writer.typestore, 'paper')
         for name in sorted(streams):
-            self._writer.add_topic(f'/lpv/{name}', self._type(name))
+            self._writer.add_topic(f'/lpv/{name}', self.TYPES[name])
 
     def __enter__(self):
         return self
 
     def __exit__(self, *_):
         self._writer.close()
-
-    def _type(self, name):
-        kind = self.TYPES[name]
-        return kind if '/' in kind else f'lpv_msgs/msg/{kind}'
 
     def measure(self, stamp, *values):
         message = self._messages.joint_state(stamp, ('joint1', 'joint2'), *values)
@@ -52,9 +50,8 @@ class Recorder:
 
     def stream(self, name, stamp, **fields):
         if name in self._streams:
-            self._writer.write(
-                f'/lpv/{name}', stamp, self._messages.make(self._type(name), stamp, fields)
-            )
+            message = self._messages.make(self.TYPES[name], stamp, fields)
+            self._writer.write(f'/lpv/{name}', stamp, message)
 
 
 def record(path, arm, gains, scenario, streams=ALL):
@@ -66,39 +63,20 @@ def record(path, arm, gains, scenario, streams=ALL):
         for k in range(int(round(scenario.duration / arm.sample_time)) + 1):
             stamp = round(plant.time * NANOSECONDS)
             sense, truth = plant.sense()
-            answer = monitor.take(
-                stamp, bag.measure(stamp, sense.position, sense.velocity, sense.effort)
-            )
-            bag.stream(
-                'ground_truth',
-                stamp,
-                position=truth.position,
-                velocity=truth.velocity,
-                torque=sense.effort,
-                fault=truth.fault,
-                disturbance=truth.disturbance,
-            )
+            message = bag.measure(stamp, sense.position, sense.velocity, sense.effort)
+            answer = monitor.take(stamp, message)
+            fields = {name: getattr(truth, name) for name in TRUTH}
+            bag.stream('ground_truth', stamp, torque=sense.effort, **fields)
             bag.stream('state_estimate', stamp, **answer.state)
             bag.stream('fault_estimate', stamp, **answer.fault)
             for fields in answer.alarms:
                 bag.stream('fault_alarm', stamp, **fields)
             reference = course.sample(stamp / NANOSECONDS)
             position = np.array(answer.state['compensated_position'])
-            torque = controller.update(
-                reference,
-                position,
-                np.array(answer.state['velocity']),
-                position,
-                arm.sample_time if k else 0.0,
-            ).torque
-            bag.stream(
-                'reference',
-                stamp,
-                position=reference.position,
-                velocity=reference.velocity,
-                acceleration=reference.acceleration,
-                tip_position=reference.tip,
-            )
+            rate, dt = np.array(answer.state['velocity']), arm.sample_time if k else 0.0
+            torque = controller.update(reference, position, rate, position, dt).torque
+            fields = {name: getattr(reference, name) for name in MOTION}
+            bag.stream('reference', stamp, tip_position=reference.tip, **fields)
             bag.stream('torque_command', stamp, torque=torque, safe_stop=False)
             plant.step(torque)
     return path
