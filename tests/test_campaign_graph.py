@@ -19,17 +19,15 @@ SPEC = {
     'name': 'graph',
     'seed': 2,
     'plan': {'method': 'random', 'runs': 4},
-    'duration': 8.0,
+    'duration': 6.0,
     'designs': ['gains.yaml'],
     'substeps': 3,
     'factors': {
         'path': 'random',
-        'fault.kind': ['bias', 'spike', 'drift', 'noise'],
+        'fault.kind': 'dropout',  # the arm is stopped, and led back to its path
         'fault.sensor': 'both',
-        'fault.size': {'bias': 0.3, 'spike': 0.4, 'noise': 0.03},
-        'fault.rate': {'drift': 0.15, 'spike': 20.0},
         'fault.onset': {'low': 2.0, 'high': 3.0},
-        'fault.duration': 3.0,
+        'fault.duration': 0.5,
         'mass_1': {'low': 0.95, 'high': 1.05},
         'inertia_2': {'low': 0.95, 'high': 1.05},
         'payload': 0.2,
@@ -40,8 +38,6 @@ SPEC = {
         'diagnosis.clear_dwell': 0.2,
     },
 }
-# The arm is stopped, and led back to its path.
-STOPS = {'fault.kind': 'dropout', 'fault.duration': 0.5}
 SIGNALS = {
     'position': ('ground_truth', 'position'),
     'velocity': ('ground_truth', 'velocity'),
@@ -59,50 +55,35 @@ SIGNALS = {
     'command': ('torque_command', 'torque'),
     'safe_stop': ('torque_command', 'safe_stop'),
 }
-STREAMS = (
-    'joint_states',
-    'ground_truth',
-    'state_estimate',
-    'fault_estimate',
-    'torque_command',
-    'reference',
-)
+STREAMS = sorted({stream for stream, _ in SIGNALS.values()})
 
 
 def run_graph(folder, files):
     """The nodes in lockstep with the files of a run; the bag that they record."""
+    arm, scenario = f'arm_file:={files / "arm.yaml"}', f'scenario_file:={files / "scenario.yaml"}'
     own = {
         'recorder': [f'output:={folder / "graph"}'],
-        'uio': [f'arm_file:={files / "arm.yaml"}'],
-        'tracker': [f'arm_file:={files / "arm.yaml"}', f'scenario_file:={files / "scenario.yaml"}'],
-        'simulator': [
-            f'arm_file:={files / "arm.yaml"}',
-            f'scenario_file:={files / "scenario.yaml"}',
-            'shutdown_at_end:=true',
-        ],
+        'uio': [arm, 'await_recorders:=1'],
+        'tracker': [arm, scenario, 'await_recorders:=1'],
+        'simulator': [arm, scenario, 'await_recorders:=1', 'shutdown_at_end:=true'],
     }
     with ros.graph(folder / 'log') as running:
         for name, parameters in own.items():
-            waits = [] if name == 'recorder' else ['await_recorders:=1']
-            gains = [files / 'gains.yaml'] if name in ('uio', 'tracker') else []
-            node = running.start(
-                name,
-                ros.command(name, *parameters, *waits, files=[files / 'parameters.yaml', *gains]),
-            )
-        assert node.process.wait(100) == 0
+            given = [files / 'parameters.yaml']
+            given += [files / 'gains.yaml'] if name in ('uio', 'tracker') else []
+            node = running.start(name, ros.command(name, *parameters, files=given))
+        assert node.process.wait(1000) == 0
         assert set(running.stop().values()) == {0}
     return folder / 'graph'
 
 
-@pytest.mark.parametrize(('changes', 'number', 'stops'), [({}, 0, False), (STOPS, 2, True)])
 def test_given_a_run_of_a_campaign_when_the_graph_runs_it_then_all_signals_and_alarms_are_its(
-    paper_gains, tmp_path, changes, number, stops
+    paper_gains, tmp_path
 ):
     save_gains(paper_gains, tmp_path / 'gains.yaml')
-    spec = {**SPEC, 'factors': {**SPEC['factors'], **changes}}
-    plan = plan_run(resolve(spec, 'spec', tmp_path), number)
+    plan = plan_run(resolve(SPEC, 'spec', tmp_path), 2)
     run, files = plan.simulate(), tmp_path / 'run'
-    assert run.safe_stop.any() == stops
+    assert run.safe_stop.any()
     write_run_bag(plan, run, files)
     record = load_run(run_graph(tmp_path, files))
     first = load_run(files)

@@ -1,18 +1,14 @@
-"""Hostile messages, parameters, services and sockets on a running graph.
+"""Hostile messages, parameters and services on a running graph.
 
 The rule: no process ends, no output is NaN or infinite, no traceback is logged, memory stays
-bounded, what is refused is said on /diagnostics, and a second after the last bad input the arm is
-driven again.  LPV_FUZZ_SECONDS makes it long, LPV_FUZZ_SEED another one.
+bounded, what is refused is said on /diagnostics, and the arm is driven again.  How soon each node
+recovers is in the nodes' own fuzzers, sockets in those of `lpv_view`.  LPV_FUZZ_SECONDS makes it
+long, LPV_FUZZ_SEED another one.
 """
 
-import asyncio
-import json
 import os
-import re
-import socket
 import time
 
-import aiohttp
 import numpy as np
 import psutil
 import pytest
@@ -26,7 +22,6 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 from test_restart import files, rig_on  # noqa: E402, F401
-from test_stalls import assert_goes_on  # noqa: E402
 
 from lpv_msgs.msg import (  # noqa: E402
     FaultAlarm,
@@ -108,27 +103,6 @@ class Fuzzer:
         self.sent += len(self._setters) + len(self._services)
 
 
-async def attack_sockets(rng, ports):
-    """Garbage for the page and the Foxglove port; returns what was sent."""
-    sent = 0
-    garbage = ['', '{', '[]', '{"type": "inject"}', '{"type": NaN}', '[' * 3000, 'x' * 5000]
-    garbage += [json.dumps({'type': t, 'id': i}) for t in ('clear', 7) for i in (-1, 1e99, None)]
-    async with aiohttp.ClientSession() as session:
-        for port, path, protocols in ((ports[0], '/ws', ()), (ports[1], '/', ('foxglove.sdk.v1',))):
-            for _ in range(3):
-                try:
-                    async with session.ws_connect(
-                        f'http://127.0.0.1:{port}{path}', protocols=protocols
-                    ) as link:
-                        for text in rng.permutation(garbage)[:6]:
-                            await link.send_str(str(text))
-                            await link.send_bytes(rng.bytes(200))
-                            sent += 2
-                except (TimeoutError, aiohttp.ClientError, ConnectionError):
-                    continue  # the server has let us go
-    return sent
-
-
 def assert_finite(heard, hostile):
     """Numbers of outputs; messages of the fuzzer itself carry no frame of the arm."""
     for topic, (_, fields) in NUMBERS.items():
@@ -140,7 +114,7 @@ def assert_finite(heard, hostile):
 
 
 def test_given_hostile_input_when_the_graph_runs_then_it_lives_and_recovers(tmp_path, files):  # noqa: F811
-    rng, foxglove = np.random.default_rng(SEED), free_port()
+    rng = np.random.default_rng(SEED)
     with rig_on(tmp_path, files) as rig:
         heard = {
             topic: rig.client.listen(kind, topic, BEST_EFFORT)
@@ -148,23 +122,21 @@ def test_given_hostile_input_when_the_graph_runs_then_it_lives_and_recovers(tmp_
         }
         reports = rig.client.listen(DiagnosticArray, '/diagnostics', QoSProfile(depth=1000))
         for name in NODES:
-            own = {'view': [f'arm_file:={files["arm"]}', 'port:=0', f'foxglove_port:={foxglove}']}
-            rig.start(name, *own.get(name, []))
+            own = [f'arm_file:={files["arm"]}', 'port:=0'] if name == 'view' else []
+            rig.start(name, *own)
         rig.logged('simulator', 'brakes released', 0)
-        assert_goes_on(rig)
         before = {name: memory(rig, name) for name in NODES}
         fuzzer = Fuzzer(rig, rng)
-        pattern = r'page: http://127.0.0.1:(\d+)'
-        assert rig.client.wait(lambda: re.search(pattern, rig.log('view')), 60.0), 'no page'
-        ports = int(re.search(pattern, rig.log('view'))[1]), foxglove
         deadline = time.monotonic() + SECONDS
         while time.monotonic() < deadline:
             fuzzer.messages(5)
             fuzzer.requests()
             rig.spin(0.05)
-            fuzzer.sent += asyncio.run(attack_sockets(rng, ports))
         rig.spin(1.0)
-        assert_recovers_in_a_second(rig)
+        for service in ('tracker/resume', 'arm_sim/release_brakes'):  # what an operator does
+            answer = rig.client.node.create_client(Trigger, service).call_async(Trigger.Request())
+            assert rig.client.wait(answer.done, 30.0), f'{service} does not answer'
+        assert rig.client.wait(lambda: not rig.is_braked(), 150.0), 'braked for ever'
         grown = {name: memory(rig, name) - before[name] for name in NODES}
         assert max(grown.values()) < MEMORY, grown
         assert (codes := rig.running.stop()) and set(codes.values()) == {0}, codes
@@ -174,31 +146,6 @@ def test_given_hostile_input_when_the_graph_runs_then_it_lives_and_recovers(tmp_
     for name in NODES:
         assert 'Traceback' not in rig.log(name), rig.log(name)[-3000:]
     print(f'{fuzzer.sent} hostile inputs; grown by {max(grown.values()) / 1e6:.0f} MB')
-
-
-def assert_recovers_in_a_second(rig):
-    """After an operator's release a second is enough, but for brakes of a busy machine."""
-    first, known = len(rig.heard['ground_truth']), len(rig.log('simulator'))
-    release(rig)
-    assert_goes_on(rig)
-    driven = (any(m.velocity) for m in rig.heard['ground_truth'][first:])
-    samples = next((k for k, moves in enumerate(driven) if moves), 0)
-    late = any(text in rig.log('simulator')[known:] for text in ('stay away', 'are late'))
-    assert samples * 0.005 <= 1.0 or late, f'{samples} samples until the arm is driven'
-
-
-def release(rig):
-    """What an operator does after a stop that is latched: overspeed or a tracking error."""
-    for service in ('tracker/resume', 'arm_sim/release_brakes'):
-        answer = rig.client.node.create_client(Trigger, service).call_async(Trigger.Request())
-        assert rig.client.wait(answer.done, 30.0), f'{service} does not answer'
-
-
-def free_port():
-    """A port that nobody listens on."""
-    with socket.socket() as probe:
-        probe.bind(('127.0.0.1', 0))
-        return probe.getsockname()[1]
 
 
 def memory(rig, name):

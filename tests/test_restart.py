@@ -14,8 +14,9 @@ from places import BRINGUP
 
 pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
 
-from lifecycle_msgs.msg import Transition  # noqa: E402
-from lifecycle_msgs.srv import ChangeState  # noqa: E402
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from lifecycle_msgs.msg import State, Transition  # noqa: E402
+from lifecycle_msgs.srv import ChangeState, GetState  # noqa: E402
 from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
 from rosbags.highlevel import AnyReader  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
@@ -25,7 +26,7 @@ from lpv_core.uio.certificate.gains import save_gains  # noqa: E402
 from lpv_core.uio.planar import planar_model  # noqa: E402
 from lpv_design.design_flow import design  # noqa: E402
 from lpv_design.requirement import load_requirement  # noqa: E402
-from lpv_msgs.msg import GroundTruth, JointReference, TorqueCommand  # noqa: E402
+from lpv_msgs.msg import GroundTruth, JointReference  # noqa: E402
 from lpv_node.qos import stream  # noqa: E402
 
 pytestmark = pytest.mark.ros
@@ -46,7 +47,7 @@ MOVING_ON = 0.35
 """Longest that the arm may move after the death of a node, in its own time [s]."""
 RECOVERY = 1_000_000_000
 """Longest time from the data of a new node to an arm that is moved again [ns]."""
-# A busy machine makes commands late, which is not the subject here: `test_stalls` has the defaults.
+# A busy machine makes commands late, which is not the subject here: one test has the defaults.
 DRIVES = ('command_timeout:=0.2', 'max_mean_latency:=0.2')
 TRACKER = ('estimate_timeout:=0.2', 'max_latency:=0.2', 'max_mean_latency:=0.2')
 RELEASED = ('simulator', 'brakes released')
@@ -74,21 +75,10 @@ class Rig:
             'tracker': [arm, f'scenario_file:={scenario}', *TRACKER],
         }
         self.nodes, self._starts = {}, {}
-        self.heard = {}
-        qos = (
-            stream(True)
-            if lockstep
-            else QoSProfile(depth=5000, reliability=ReliabilityPolicy.BEST_EFFORT)
-        )
-        topics = (
-            {'joint_states': JointState}
-            if lockstep
-            else {
-                'torque_command': TorqueCommand,
-                'ground_truth': GroundTruth,
-                'reference': JointReference,
-            }
-        )
+        qos, topics = stream(True), {'joint_states': JointState}
+        if not lockstep:
+            qos = QoSProfile(depth=5000, reliability=ReliabilityPolicy.BEST_EFFORT)
+            topics = {'ground_truth': GroundTruth, 'reference': JointReference}
         self.heard = {topic: client.listen(kind, topic, qos) for topic, kind in topics.items()}
 
     def start(self, name, *parameters):
@@ -272,9 +262,7 @@ def assert_moves_as_an_arm_does(rig):
     """Between samples that were heard the arm went as far as its rates say: time never jumps."""
     heard = rig.heard['ground_truth']
     time = np.array([stamp_of(m) for m in heard]) * 1e-9
-    position, velocity = (
-        np.array([getattr(m, name) for m in heard]) for name in ('position', 'velocity')
-    )
+    position, velocity = np.array([(m.position, m.velocity) for m in heard]).swapaxes(0, 1)
     driven = np.all(velocity[1:] != 0.0, axis=1)
     way = np.diff(time)[:, None] * (velocity[1:] + velocity[:-1]) / 2
     np.testing.assert_allclose(np.diff(position, axis=0)[driven], way[driven], atol=0.02)
@@ -302,6 +290,40 @@ def test_given_real_time_when_each_node_is_held_up_then_the_arm_goes_on_without_
     assert_no_leap(rig)
 
 
+DEFAULTS = {
+    'simulator': ('command_timeout:=0.0', 'max_mean_latency:=0.0'),
+    'tracker': ('estimate_timeout:=0.0', 'max_latency:=0.0'),
+}
+"""In place of the rig's: 0 is what the gains allow, or what drives take that are given none."""
+
+
+def statuses(messages, part):
+    """Messages of one part on /diagnostics."""
+    return [s.message for m in messages for s in m.status if s.name.endswith(part)]
+
+
+@pytest.mark.realtime
+def test_given_a_tracker_that_is_held_up_again_and_again_then_the_arm_never_runs_away(
+    tmp_path, files
+):
+    with rig_on(tmp_path, files) as rig:
+        reports = rig.client.listen(DiagnosticArray, '/diagnostics', QoSProfile(depth=100))
+        for name in ('uio', 'tracker', 'simulator'):
+            rig.start(name, *DEFAULTS.get(name, ()))
+        rig.logged('simulator', 'brakes released', 0)
+        rig.spin(1.0)
+        for _ in range(8):
+            rig.hold('tracker', 0.15)
+            rig.spin(0.15)
+        assert rig.client.wait(lambda: not rig.is_braked(), 150.0), 'braked for ever'
+        rig.spin(1.0)
+    # No joint is ever near its speed limit, 20 rad/s: the path needs 0.35 rad/s.
+    assert max(np.abs(m.velocity).max() for m in rig.heard['ground_truth']) < 2.0
+    assert any('braked: commands' in text for text in statuses(reports, 'drives'))
+    assert any('safe stop: ' in text for text in statuses(reports, 'tracking'))
+    assert 'driven' in statuses(reports, 'drives')
+
+
 def assert_advances(rig, count=50):
     """The lockstep goes on: so many new samples."""
     known = len(rig.heard['joint_states'])
@@ -316,6 +338,15 @@ def assert_waits(rig):
     assert stamp_of(rig.heard['joint_states'][-1]) == last
 
 
+def assert_nobody_reads_the_truth(node):
+    """The simulator tells it, with types that other tools know, and no node listens."""
+    assert node.count_publishers('ground_truth') == 1
+    assert node.count_subscribers('ground_truth') == 0
+    types = dict(node.get_topic_names_and_types())
+    assert types['/lpv/ground_truth'] == ['lpv_msgs/msg/GroundTruth']
+    assert types['/lpv/joint_states'] == ['sensor_msgs/msg/JointState']
+
+
 def test_given_lockstep_when_each_node_is_killed_then_time_waits_and_goes_on_with_the_new_one(
     tmp_path, files
 ):
@@ -323,6 +354,7 @@ def test_given_lockstep_when_each_node_is_killed_then_time_waits_and_goes_on_wit
         for name in ('uio', 'tracker', 'simulator'):
             rig.start(name)
         assert_advances(rig)
+        assert_nobody_reads_the_truth(rig.client.node)
         for name in ('uio', 'tracker'):
             rig.kill(name)
             assert_waits(rig)
@@ -340,36 +372,40 @@ def test_given_lockstep_when_each_node_is_killed_then_time_waits_and_goes_on_wit
             rig.kill(name)  # an orderly end would wait for the dead to acknowledge
 
 
+STATES = (
+    (Transition.TRANSITION_CONFIGURE, State.PRIMARY_STATE_INACTIVE),
+    (Transition.TRANSITION_ACTIVATE, State.PRIMARY_STATE_ACTIVE),
+    (Transition.TRANSITION_DEACTIVATE, State.PRIMARY_STATE_INACTIVE),
+    (Transition.TRANSITION_CLEANUP, State.PRIMARY_STATE_UNCONFIGURED),
+    (Transition.TRANSITION_CONFIGURE, State.PRIMARY_STATE_INACTIVE),
+    (Transition.TRANSITION_ACTIVATE, State.PRIMARY_STATE_ACTIVE),
+)
+"""Transitions, each with the state after it."""
+
+
 def test_given_a_node_when_configured_twice_then_it_publishes_and_serves_once(tmp_path, files):
     with rig_on(tmp_path, files) as rig:
+        node = rig.client.node
+
+        def change(name, transition):
+            request = Transition(id=transition)
+            return rig.client.call(ChangeState, f'{name}/change_state', transition=request).success
+
         for name in ('tracker', 'simulator', 'uio'):
             rig.start(name, 'autostart:=false')
         topics = {'tracker': 'torque_command', 'arm_sim': 'joint_states', 'uio': 'state_estimate'}
         for name, topic in topics.items():
-            for transition in (
-                Transition.TRANSITION_CONFIGURE,
-                Transition.TRANSITION_ACTIVATE,
-                Transition.TRANSITION_DEACTIVATE,
-                Transition.TRANSITION_CLEANUP,
-                Transition.TRANSITION_CONFIGURE,
-                Transition.TRANSITION_ACTIVATE,
-            ):
-                answer = rig.client.call(
-                    ChangeState, f'{name}/change_state', transition=Transition(id=transition)
-                )
-                assert answer.success, (name, transition)
-            assert rig.client.wait(lambda t=topic: rig.client.node.count_publishers(t) == 1), name
-        services = [n for n, _ in rig.client.node.get_service_names_and_types()]
+            for transition, after in STATES:
+                assert change(name, transition), (name, transition)
+                state = rig.client.call(GetState, f'{name}/get_state').current_state
+                assert state.id == after, (name, transition)
+            assert rig.client.wait(lambda t=topic: node.count_publishers(t) == 1), name
+        services = [n for n, _ in node.get_service_names_and_types()]
         assert services.count('/lpv/arm_sim/inject_fault') == 1
         rig.logged('simulator', 'brakes released', 0)
         # Ended for good, a node is silent but alive.
-        answer = rig.client.call(
-            ChangeState,
-            'uio/change_state',
-            transition=Transition(id=Transition.TRANSITION_ACTIVE_SHUTDOWN),
-        )
-        assert answer.success
-        assert rig.client.wait(lambda: rig.client.node.count_publishers('state_estimate') == 0)
+        assert change('uio', Transition.TRANSITION_ACTIVE_SHUTDOWN)
+        assert rig.client.wait(lambda: node.count_publishers('state_estimate') == 0)
         assert rig.client.wait(rig.is_braked)
         rig.spin(0.5)
         assert rig.is_braked()

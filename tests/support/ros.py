@@ -2,8 +2,11 @@
 
 import itertools
 import os
+import subprocess
+import sys
 import time
 from contextlib import contextmanager
+from pathlib import Path
 
 from lpv_cli.processes import Graph
 from lpv_core.support.resources import executable
@@ -16,18 +19,31 @@ _WORKER = int(os.environ.get('PYTEST_XDIST_WORKER', 'gw0')[2:])
 _START = _WORKER + (os.getppid() if _WORKERS > 1 else os.getpid())
 _DOMAINS = (1 + (_START + _WORKERS * k) % 100 for k in itertools.count())
 
-PROGRAMS = {
-    'recorder': ('lpv_bag', 'recorder'),
-    'uio': ('lpv_uio', 'uio'),
-    'tracker': ('lpv_tracker', 'tracker'),
-    'simulator': ('lpv_arm_sim', 'simulator'),
-    'view': ('lpv_view', 'view'),
-}
+PACKAGES = {'recorder': 'lpv_bag', 'simulator': 'lpv_arm_sim'}
+"""Of the nodes whose packages are not called after them."""
+
+
+def lpv(*arguments, timeout=2000):
+    """Run the command as users do; it has to succeed, and its output is returned."""
+    done = subprocess.run(
+        [Path(sys.executable).parent / 'lpv', *map(str, arguments)],
+        env={**os.environ, 'ROS_DOMAIN_ID': str(next_domain()), 'COLUMNS': '120'},
+        text=True,
+        capture_output=True,
+        timeout=timeout,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
 
 
 def command(name, *parameters, files=()):
     """Command line of a node with parameters (``name:=value``) and parameter files."""
-    line = [executable(*PROGRAMS[name]), '--ros-args', '-r', f'__ns:={NAMESPACE}']
+    line = [
+        executable(PACKAGES.get(name, f'lpv_{name}'), name),
+        '--ros-args',
+        '-r',
+        f'__ns:={NAMESPACE}',
+    ]
     for file in files:
         line += ['--params-file', file]
     for parameter in parameters:
