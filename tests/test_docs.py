@@ -1,4 +1,4 @@
-"""The documentation fits the code: references resolve, the index of equations is complete."""
+"""The documentation fits the code: references and links resolve, equations are listed."""
 
 import functools
 import importlib
@@ -20,6 +20,7 @@ WITHOUT_CODE = {69}
 _REFERENCE = re.compile(r'`([A-Za-z]\w*(?:\.[A-Za-z_]\w*)+)(?:\(\))?`')
 _FILES = ('yaml', 'yml', 'md', 'py', 'png', 'html', 'csv', 'mcap', 'json', 'xml', 'txt', 'db3',
           'parquet')  # fmt: skip
+_LINK = re.compile(r'\[[^\]]*\]\(\s*([^)\s]+)\s*\)')
 _CLASS = re.compile(r'^class (\w+)', re.MULTILINE)
 
 
@@ -99,3 +100,23 @@ def test_given_everything_that_stops_or_alarms_when_looked_up_then_the_page_of_a
     stops = [text.split(':')[0] for text in (*STOP_TEXT.values(), *BRAKE_TEXT.values())]
     rows = [f'`{kind}`' for kind in KINDS] + [state.name for state in SensorState] + stops
     assert [row for row in rows if row and f'| {row}' not in page] == []
+
+
+@pytest.mark.parametrize('page', PAGES, ids=lambda page: page.name)
+def test_given_a_page_when_its_relative_links_are_followed_then_files_and_headings_exist(page):
+    blocks = re.compile(r'^```.*?^```$', re.MULTILINE | re.DOTALL)
+    text = blocks.sub('', page.read_text(encoding='utf-8'))
+    for link in _LINK.findall(text):
+        if re.match(r'[a-z]+:', link):
+            continue
+        name, _, heading = link.partition('#')
+        target = page.parent / name if name else page
+        assert target.is_file(), link
+        if heading:
+            assert heading in headings(target), link
+
+
+def headings(path):
+    """Anchors of a page's headings."""
+    titles = re.findall(r'^#+ (.+)$', path.read_text(encoding='utf-8'), re.MULTILINE)
+    return {re.sub(r'[^\w\- ]', '', title.lower()).replace(' ', '-') for title in titles}
