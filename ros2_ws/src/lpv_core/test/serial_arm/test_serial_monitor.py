@@ -11,7 +11,8 @@ from serial_arms import shoulder_arm, simulated, watch
 
 from lpv_core.serial_arm.arm_file import load_arm
 from lpv_core.serial_arm.chain import compile_chain
-from lpv_core.serial_arm.diagnosis.monitor import SensorState, SerialMonitor
+from lpv_core.serial_arm.diagnosis.estimator import DISTRUST
+from lpv_core.serial_arm.diagnosis.monitor import CONTACT_PAUSE, SensorState, SerialMonitor
 from lpv_core.serial_arm.dynamics.kinematics import jacobian
 from lpv_core.serial_arm.simulation import EncoderFault, Push, SerialSimulator
 from lpv_core.support.errors import SampleError
@@ -48,7 +49,7 @@ def test_offset_from_the_start_is_named_and_measured_also_after_a_gap(joint):
     run = simulated(arm, EncoderFault(joint, 'bias', 0.0, 0.5))
     monitor = watch(arm, run)
     assert [(a.sensor, a.kind) for a in monitor.alarms] == [(f'encoder{joint + 1}', 'bias')]
-    assert monitor.alarms[0].detected < 5.0
+    assert monitor.alarms[0].detected < 5.0 and 0.99 < monitor.alarms[0].confidence <= 1.0
     assert monitor.estimate(0).fault[joint] == pytest.approx(0.5, abs=0.05)
     kept = (np.arange(len(run.stamps)) < 2513) | (np.arange(len(run.stamps)) > 2777)
     gone = SerialMonitor(arm)
@@ -85,6 +86,9 @@ def test_push_is_a_contact_and_no_fault_of_an_encoder():
     pushes = [Push(4.0, 4.6, (0.0, 25.0, 12.0)), Push(6.0, 6.3, (15.0, -20.0, 0.0))]
     monitor, _ = watched(shoulder_arm(), pushes=pushes)
     assert {alarm.kind for alarm in monitor.alarms} == {'contact'}
+    # What is around a contact is hardly learned from.
+    doubted = (monitor.estimator.window.trust <= DISTRUST).sum()
+    assert doubted >= round(CONTACT_PAUSE / monitor.plan.interval)
 
 
 @pytest.mark.parametrize('seed', [1, 2])
