@@ -153,8 +153,9 @@ def test_given_the_papers_own_design_and_plant_when_run_twice_then_it_works_and_
         assert files[0] == files[1], name
     record = load_run(tmp_path / 'a' / 'bag')
     error = record.get('ground_truth', 'fault') - record.get('fault_estimate', 'estimate')
-    assert np.all(np.mean(error**2, axis=0) < 5e-4)
+    assert np.all(np.mean(error**2, axis=0) < 5e-3)  # from a start in which nothing is known
     assert {a.sensor for a in record.alarms} == {'link1_angle'}
+    assert record.alarms[0].size == pytest.approx(0.3, abs=0.1)
 
 
 @pytest.mark.ros

@@ -131,7 +131,8 @@ def assert_in_bag(bag, raised):
     assert set(found) == {('lpv_msgs/msg/FaultAlarm', 'ros2msg')}
     assert len(found) == len(record.alarms)
     first = record.alarms[0]
-    assert (first.event, first.sensor, first.size) == ('raised', raised.sensor, raised.size)
+    expected = raised.event, raised.sensor, raised.size
+    assert (first.event, first.sensor, first.size) == expected
     size = record.get('fault_estimate', 'estimate')[:, 1]
     assert np.nanmax(size) == pytest.approx(0.3, abs=0.1)
 
