@@ -288,7 +288,7 @@ def row(bag: Path, arm: SerialArm, attack: Any, note: str, log: str) -> str:
     place = np.clip(np.searchsorted(times, stamps), 0, len(times) - 1)
     outside = (np.abs(estimate - fault[place]) > bound).any(axis=1)
     said = Counter(re.findall(r'ALARM, \w+: .*?, (\w+), ', log))
-    stops = Counter(re.findall(r'(?:safe stop|brakes engaged): [^;\n]+', log))
+    stops = Counter(re.findall(r'(safe stop|brakes engaged): ', log))
     cells = (
         arm.name, attack.__name__.replace('_', ' '), f'{(times[-1] - times[0]) * 1e-9:.0f}',
         f'{rates[fastest]:.2f} ({100 * rates[fastest] / limit[fastest]:.0f} %)',

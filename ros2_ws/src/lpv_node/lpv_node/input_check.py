@@ -25,10 +25,14 @@ def all_sized(count: int, *fields: Sized) -> bool:
     return {*map(len, fields)} == {count}
 
 
-_NEAR = 0.02
-"""Change of a reading that is no jump, beside what the velocity limit allows [rad]."""
+_NEAR, _CHANGE = 0.02, 0.1
+"""Change of a reading that is no jump, beside that of its rate [rad]; change of the rate, over the
+velocity limit."""
 _LONGEST_STEP = 0.1
-"""Time for which a reading may go on at the velocity limit [s]."""
+"""Time for which a reading may go on at its rate [s]."""
+_WAIT = 0.3
+"""Time without a measurement of the first sender after which another one is believed [s]: a loaded
+machine holds a process up for half of it."""
 
 
 class OneSender:
@@ -46,10 +50,10 @@ class OneSender:
 
     def __init__(self, arm: SerialArm) -> None:
         self._names, self._limit = arm.joint_names, np.array(arm.velocity_limit)
-        self._wait = max(0.03, 3.0 * arm.sample_time)
         self._stamp: int | None = None  # of the last one that was believed [ns]
         self._heard = 0.0  # when it came [s]
         self._position = np.zeros(len(self._names))
+        self._rate = np.zeros(len(self._names))
 
     def accept(
         self,
@@ -77,14 +81,17 @@ class OneSender:
             return True  # of other joints, or not a measurement at all: the monitor says so
         now = time.monotonic() if now is None else now
         found = np.array([readings[name] for name in self._names])
-        if several and self._stamp is not None and now - self._heard < self._wait:
-            step = (stamp - self._stamp) / NANOSECONDS
-            most = _NEAR + self._limit * min(step, _LONGEST_STEP)
+        step = math.inf if self._stamp is None else (stamp - self._stamp) / NANOSECONDS
+        if several and self._stamp is not None and now - self._heard < _WAIT:
+            most = _NEAR + (abs(self._rate) + _CHANGE * self._limit) * min(step, _LONGEST_STEP)
             jumps = np.any(abs(found - self._position) > most)  # NaN, a dropout, does not
             if jumps or not 0.0 < step <= _LONGEST_STEP:
                 return False
         self._stamp, self._heard = stamp, now
-        self._position = np.where(np.isfinite(found), found, self._position)
+        found = np.where(np.isfinite(found), found, self._position)
+        if 0.0 < step <= _LONGEST_STEP:
+            self._rate = np.clip((found - self._position) / step, -self._limit, self._limit)
+        self._position = found
         return True
 
 

@@ -135,16 +135,19 @@ def test_given_two_senders_when_their_measurements_alternate_then_only_those_of_
         other = round((0.002 * k + later) * 1e9)
         assert not sender.accept(other, ('joint2', 'joint1'), [0.5, 1.3], True, 0.002 * k)
         assert all(stream_of(sender, [0.002 * k + 0.0015], [1.0, 0.5]))
+    # A loaded machine holds the first one up.
+    assert not any(stream_of(sender, 0.16 + 0.002 * np.arange(15), [1.3, 0.8]))
+    assert all(stream_of(sender, [0.195], [1.0, 0.5]))
 
 
 def test_given_a_reading_that_jumps_when_nobody_continues_the_one_before_then_it_is_used(paper_arm):
-    times = 0.002 * np.arange(50)
+    times = 0.002 * np.arange(250)
     for several in (False, True):
         sender = OneSender(paper_arm)
         assert all(stream_of(sender, times, [1.0, 0.5], several))
-        used = stream_of(sender, 0.1 + times, [3.0, 0.5], several)
-        assert all(used[16:]) and any(used[:14]) != several
-        assert all(stream_of(sender, 0.2 + times, [float('nan'), 0.5], several)), 'a dropout'
+        used = stream_of(sender, 0.5 + times, [3.0, 0.5], several)
+        assert all(used[151:]) and any(used[:148]) != several
+        assert all(stream_of(sender, 1.0 + times, [float('nan'), 0.5], several)), 'a dropout'
 
 
 def test_given_a_gripper_on_the_same_topic_when_it_publishes_then_both_are_passed_on(paper_arm):
