@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lpv_bag.replay.answer_records import RecordTemplate
+from lpv_bag.replay.writer import RecordTemplate
 from lpv_bag.rosbag.messages import BagMessages
 from lpv_bag.rosbag.writing import BagWriter, qos_profile
 from lpv_core.control.tracking import make_controller

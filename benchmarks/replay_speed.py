@@ -19,7 +19,6 @@ from rich.table import Table
 
 OUT = Path('out')
 TOPICS = ('/lpv/joint_states', '/lpv/torque_command')
-STAGES = ('decompression', 'decoding', 'recursion', 'encoding', 'writing')
 
 
 # ------------------------------------------------------------------ candidates
@@ -49,11 +48,9 @@ def replay(bag):
         estimates_only=True,
         preset=os.environ.get('PRESET', 'zstd_fast'),
     ).run(bag, out)
-    seconds = dict(result.seconds)
-    seconds['decompression'] = seconds.pop('reading')
     size = sum(file.stat().st_size for file in out.iterdir())
     shutil.rmtree(out)
-    return {'messages': 2 * result.measurements, 'stages': seconds, 'written': size}
+    return {'messages': 2 * result.measurements, 'written': size}
 
 
 def decode(bag):
@@ -61,9 +58,8 @@ def decode(bag):
     import numpy as np
 
     from lpv_bag.blocks.message_blocks import ahead
-    from lpv_bag.run.measurements import MeasurementReader
-    from lpv_bag.run.record import open_bag
-    from lpv_bag.run.torque_reader import EffortReader
+    from lpv_bag.rosbag.reading import open_bag
+    from lpv_bag.run.measurements import EffortReader, MeasurementReader
 
     count, joints = 0, _arm_and_gains()[0].joint_names
     with open_bag(bag) as reader:
@@ -74,8 +70,8 @@ def decode(bag):
         for block in ahead(reader.blocks(connections)):
             mask = measured[block.connection]
             positions = np.flatnonzero(mask)
-            measurements.read(block, positions)
-            efforts.before(block, np.flatnonzero(~mask), positions)
+            found = measurements.read(block, positions)
+            efforts.before(block, np.flatnonzero(~mask), found.places)
             count += len(block)
     return {'messages': count}
 
@@ -267,11 +263,7 @@ def main():
             f'{result["memory"] / 1e6:.0f}',
         )
     console.print(table)
-    console.print('lpv replay, processor time by stage:')
-    for stage in STAGES:
-        seconds = best['stages'].get(stage, 0.0)
-        console.print(f'  {stage:14s}{seconds:6.2f} s {100 * seconds / best["cpu"]:5.1f} %')
-    console.print(f'  the estimates take {best["written"] / 1e6:.0f} MB')
+    console.print(f'the estimates take {best["written"] / 1e6:.0f} MB')
 
 
 if __name__ == '__main__':

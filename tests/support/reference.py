@@ -19,7 +19,7 @@ from rosbags.highlevel import AnyReader
 from lpv_bag.replay.replay import Replay
 from lpv_bag.rosbag.messages import BagMessages
 from lpv_bag.rosbag.writing import BagWriter
-from lpv_bag.run.record import stamp_of
+from lpv_bag.run.streams import stamp_of
 from lpv_cli.commands.compare import show
 from lpv_core.control.tracking import TrackingController
 from lpv_core.monitoring.serial_monitor import SerialSensorMonitor

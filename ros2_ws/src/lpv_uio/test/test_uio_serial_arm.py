@@ -57,7 +57,7 @@ def test_given_a_serial_arm_when_observed_then_the_node_publishes_the_messages_o
         for topic in TOPICS:
             [connection] = [c for c in reader.connections if c.topic == topic]
             expected = [data for _, _, data in reader.messages([connection])]
-            types, kind = reader.typestore_of(connection.msgtype), connection.msgtype
+            types, kind = reader.typestore, connection.msgtype
             # Gaps between the fields of rclpy's messages hold anything.
             found = [reader.deserialize(serialize_message(one), kind) for one in sent[topic]]
             encoded = [bytes(types.serialize_cdr(one, kind)) for one in found]

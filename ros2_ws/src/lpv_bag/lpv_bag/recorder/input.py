@@ -48,19 +48,15 @@ class Selection(NamedTuple):
         """Those of some topics that are wanted, sorted."""
         if self.names:
             return sorted(self.names.intersection(topics))
-        return sorted(
-            t
-            for t in topics
-            if '/_' not in t and not any(fnmatch.fnmatchcase(t, p) for p in self.excluded)
-        )
+        shown = [t for t in topics if '/_' not in t]
+        return sorted(t for t in shown if not any(fnmatch.fnmatchcase(t, p) for p in self.excluded))
 
 
 class _Subscription(NamedTuple):
     handle: Any
     stamped: bool
     msgtype: str
-    reliable: bool
-    latched: bool
+    offer: tuple[bool, bool]  # as of `_offer`
 
 
 class RecorderInput:
@@ -83,8 +79,7 @@ class RecorderInput:
             start_parameter_services=False,
         )
         self._subscriptions: dict[str, _Subscription] = {}
-        self._refused: set[str] = set()
-        self._complained: set[tuple[str, str]] = set()
+        self._complained: set[tuple[str, str]] = set()  # topic and publisher; '' for all of them
         self._searches = 0
 
     def close(self) -> None:
@@ -95,9 +90,7 @@ class RecorderInput:
     @property
     def complaints(self) -> int:
         """Number of topics and publishers that are not recorded though they are wanted."""
-        return len(self._refused) + len(self._complained)
-
-    # -------------------------------------------------------------- subscribing
+        return len(self._complained)
 
     def search(self) -> list[tuple[str, str, Qos]]:
         """Subscribe to wanted topics that have a publisher now."""
@@ -106,7 +99,7 @@ class RecorderInput:
         own = self._node.get_name(), self._node.get_namespace()
         for topic in self._selection.chosen(dict(self._node.get_topic_names_and_types())):
             known = topic in self._subscriptions
-            if topic in self._refused or (known and self._searches % _RECHECK):
+            if (topic, '') in self._complained or (known and self._searches % _RECHECK):
                 continue
             publishers = [
                 p
@@ -125,22 +118,17 @@ class RecorderInput:
         reliable, latched = (all(_offer(p)[i] for p in publishers) for i in (0, 1))
         try:
             self._check_type(msgtype)
-            package, kind, name = msgtype.split('/')
-            message_class = getattr(importlib.import_module(f'{package}.{kind}'), name)
+            kind = message_class(msgtype)
         except (ValueError, AttributeError, ImportError) as error:
             self._node.get_logger().error(f'{topic} is not recorded: {error}')
-            self._refused.add(topic)
+            self._complained.add((topic, ''))
             return None
-        qos = QoSProfile(
-            depth=_DEPTH,
-            reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-            durability=(DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE),
-        )
-        handle = self._own.create_subscription(message_class, topic, lambda _: None, qos, raw=True)
-        first = next(iter(message_class.get_fields_and_field_types().values()), '')
+        qos = ros_qos(reliable, latched, _DEPTH)
+        handle = self._own.create_subscription(kind, topic, lambda _: None, qos, raw=True)
+        first = next(iter(kind.get_fields_and_field_types().values()), '')
         timed = first in ('std_msgs/Header', 'builtin_interfaces/Time')
         self._subscriptions[topic] = _Subscription(
-            handle, timed and topic not in _SYSTEM_TIME, msgtype, reliable, latched
+            handle, timed and topic not in _SYSTEM_TIME, msgtype, (reliable, latched)
         )
         return qos_profile(reliable, latched, depth)
 
@@ -148,10 +136,9 @@ class RecorderInput:
         """A publisher that came later may offer less than was asked for, or another type."""
         ours = self._subscriptions[topic]
         for publisher in publishers:
-            reliable, latched = _offer(publisher)
             if publisher.topic_type != ours.msgtype:
                 why = f'has type {publisher.topic_type}, not {ours.msgtype}'
-            elif ours.reliable > reliable or ours.latched > latched:
+            elif any(asked > offered for asked, offered in zip(ours.offer, _offer(publisher))):
                 why = 'offers a lower quality of service than those before it'
             else:
                 continue
@@ -161,8 +148,6 @@ class RecorderInput:
                 self._node.get_logger().warning(
                     f'{topic}: what {who} publishes is not recorded, it {why}'
                 )
-
-    # -------------------------------------------------------------- taking
 
     def poll(self) -> list[Heard]:
         """Messages received since the last call, in the order of arrival."""
@@ -177,19 +162,29 @@ class RecorderInput:
                         break
                     data, info = taken
                     gid = info.get('publisher_gid')  # not known in distributions before Kilted
-                    heard = Heard(
-                        info['received_timestamp'],
-                        topic,
-                        data,
-                        info['source_timestamp'],
-                        gid.get('data') if isinstance(gid, dict) else gid,
-                        info.get('publication_sequence_number'),
-                        leading_stamp(data) if ours.stamped else None,
-                    )
-                    newest = max(newest, heard.received)
-                    found.append((newest, heard))
+                    gid = gid.get('data') if isinstance(gid, dict) else gid
+                    received, sent = info['received_timestamp'], info['source_timestamp']
+                    number = info.get('publication_sequence_number')
+                    stamp = leading_stamp(data) if ours.stamped else None
+                    newest = max(newest, received)
+                    found.append((newest, Heard(received, topic, data, sent, gid, number, stamp)))
         found.sort(key=itemgetter(0))
         return [heard for _, heard in found]
+
+
+def message_class(msgtype: str) -> Any:
+    """Class of a message type; ValueError, AttributeError, ImportError if it is not installed."""
+    package, kind, name = msgtype.split('/')
+    return getattr(importlib.import_module(f'{package}.{kind}'), name)
+
+
+def ros_qos(reliable: bool, latched: bool, depth: int) -> QoSProfile:
+    """QoS of a publisher or subscription."""
+    return QoSProfile(
+        depth=depth,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
 
 
 def _offer(publisher: TopicEndpointInfo) -> tuple[bool, bool]:

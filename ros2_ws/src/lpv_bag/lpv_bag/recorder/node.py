@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,69 +20,42 @@ from lpv_bag.rosbag.output_folder import (
     SCENARIO_NAME,
     copy_file,
     free_path,
-    read_gains_file,
-    read_scenario_file,
+    read_run_file,
 )
 from lpv_bag.rosbag.writing import PRESETS, BagWriter
 from lpv_core.support.errors import ConfigError
 from lpv_node.managed import ManagedNode, run_node
 from lpv_node.parameters import fixed, named_file, required_text
 
+_TOPICS = [
+    *('joint_states', 'torque_command', 'state_estimate', 'fault_estimate'),
+    *('joint_states_corrected', 'fault_alarm', 'reference', 'ground_truth', '/diagnostics'),
+]
+# fmt: off
 SPECS = (
-    fixed(
-        'output',
-        '',
-        'bag directory to create; if it exists, one with a number behind its name is made',
-    ),
-    fixed(
-        'topics',
-        [
-            'joint_states',
-            'torque_command',
-            'state_estimate',
-            'fault_estimate',
-            'joint_states_corrected',
-            'fault_alarm',
-            'reference',
-            'ground_truth',
-            '/diagnostics',
-        ],
-        "topics to record; relative names are resolved in the node's namespace",
-    ),
+    fixed('output', '',
+          'bag directory to create; if it exists, one with a number behind its name is made'),
+    fixed('topics', _TOPICS,
+          "topics to record; relative names are resolved in the node's namespace"),
     fixed('all', False, 'record all topics but hidden and excluded ones, not those of "topics"'),
-    fixed(
-        'exclude',
-        ['/rosout', '/parameter_events'],
-        'patterns of topics that "all" leaves out, as of a shell, against full names',
-    ),
+    fixed('exclude', ['/rosout', '/parameter_events'],
+          'patterns of topics that "all" leaves out, as of a shell, against full names'),
     fixed('preset', 'zstd_fast', 'compression', choices=tuple(PRESETS)),
     fixed('split_size', 0, 'size at which a new file is begun; 0 for never [MiB]', 0, 1 << 20),
-    fixed(
-        'split_duration', 0.0, 'log time after which a new file is begun; 0 for never [s]', 0.0, 1e6
-    ),
-    fixed(
-        'flush_period',
-        0.25,
-        'longest time that a message stays in this process; in lockstep '
-        'chunks are cut by stamps instead [s]',
-        0.02,
-        0.5,
-    ),
-    fixed(
-        'fsync',
-        False,
-        'wait after each chunk until it is on the disk: a power failure then '
-        'loses no more than a crash',
-    ),
-    fixed(
-        'gains_file', '', 'gains file of this run, copied into the bag as gains.yaml; may be empty'
-    ),
-    fixed(
-        'scenario_file',
-        '',
-        'scenario file of this run, copied into the bag as scenario.yaml; may be empty',
-    ),
+    fixed('split_duration', 0.0, 'log time after which a new file is begun; 0 for never [s]',
+          0.0, 1e6),
+    fixed('flush_period', 0.25,
+          'longest time that a message stays in this process; in lockstep chunks are cut by stamps '
+          'instead [s]', 0.02, 0.5),
+    fixed('fsync', False,
+          'wait after each chunk until it is on the disk: a power failure then loses no more than '
+          'a crash'),
+    fixed('gains_file', '',
+          'gains file of this run, copied into the bag as gains.yaml; may be empty'),
+    fixed('scenario_file', '',
+          'scenario file of this run, copied into the bag as scenario.yaml; may be empty'),
 )
+# fmt: on
 _POLL = 0.01
 _CHUNK_TIME = 250_000_000
 _SPARE = 1 << 20
@@ -105,7 +77,7 @@ class RecorderNode(ManagedNode):
         self._writer: BagWriter | None = None
         self._input: RecorderInput | None = None
         self._clockwork: list[Any] = []
-        self._announced: dict[str, tuple[str, Qos]] = {}
+        self._announced: dict[str, Qos] = {}  # topics that the bag does not have yet
         self._types: dict[str, str] = {}
         self._counts: dict[str, TopicCount] = {}
         self._order = StampSorter(self._write_sorted)
@@ -127,20 +99,17 @@ class RecorderNode(ManagedNode):
         self._flush_period = value['flush_period']
         files = {}
         if value['gains_file']:
-            files[GAINS_NAME] = read_gains_file(value['gains_file'])
+            files[GAINS_NAME] = read_run_file(value['gains_file'], GAINS_NAME)
         if value['scenario_file']:
             scenario = named_file(self, 'scenario_file', 'scenarios')
-            files[SCENARIO_NAME] = read_scenario_file(scenario)
+            files[SCENARIO_NAME] = read_run_file(scenario, SCENARIO_NAME)
         output = required_text(self, 'output')
         path = free_path(output)
         if str(path) != str(Path(output)):
             self.get_logger().warning(f'{output} exists already: recording into {path}')
         self._writer = BagWriter(
-            path,
-            value['preset'],
-            value['split_size'] << 20,
-            round(value['split_duration'] * 1e9),
-            _CHUNK_TIME if self.lockstep else 0,
+            *(path, value['preset'], value['split_size'] << 20),
+            *(round(value['split_duration'] * 1e9), _CHUNK_TIME if self.lockstep else 0),
             value['fsync'],
         )
         for name, content in files.items():
@@ -185,14 +154,11 @@ class RecorderNode(ManagedNode):
         """Close the bag of a recording that never began."""
         self.end()
 
-    # -------------------------------------------------------------- messages
-
     def _search(self) -> None:
         if self._input is None:
             return
         for topic, msgtype, offered in self._input.search():
-            self._announced[topic] = (msgtype, offered)
-            self._types[topic] = msgtype
+            self._announced[topic], self._types[topic] = offered, msgtype
             self._counts[topic] = TopicCount()
 
     def _poll(self) -> None:
@@ -222,8 +188,7 @@ class RecorderNode(ManagedNode):
             self._write(heard.topic, self.get_clock().now().nanoseconds, heard.data)
 
     def _write_sorted(self, topic: str, stamp: int, data: bytes) -> None:
-        # Counted in the order of the bag: that of arrival differs from run to run.
-        self._counts[topic].stamp(stamp)
+        self._counts[topic].stamp(stamp)  # in the order of the bag: that of arrival is any
         self._write(topic, stamp, data)
 
     def _write(self, topic: str, stamp: int, data: bytes, sent: int | None = None) -> None:
@@ -232,8 +197,7 @@ class RecorderNode(ManagedNode):
         try:
             # New topics are announced in the order of their names, not of their discovery.
             for name in sorted(self._announced):
-                msgtype, offered = self._announced.pop(name)
-                self._writer.add_topic(name, msgtype, [offered])
+                self._writer.add_topic(name, self._types[name], [self._announced.pop(name)])
             # A driver that does not know the time may stamp with anything; a bag cannot.
             published = None if sent is None else max(0, sent)
             self._writer.write_raw(topic, max(0, stamp), data, published)
@@ -249,8 +213,6 @@ class RecorderNode(ManagedNode):
                 writer.flush()
         except OSError as error:
             self._fail(error.strerror or str(error))
-
-    # -------------------------------------------------------------- end
 
     def _fail(self, reason: str) -> None:
         """Stop recording; the node continues and reports it."""
@@ -277,27 +239,21 @@ class RecorderNode(ManagedNode):
     def _report(self) -> None:
         """State of the recording on /diagnostics."""
         lost = sum(count.lost for count in self._counts.values())
+        level, text = DiagnosticStatus.OK, 'recording' if self._writer is not None else 'bag closed'
         if self._failure:
             level, text = DiagnosticStatus.ERROR, f'recording stopped: {self._failure}'
         elif lost or (self._input is not None and self._input.complaints):
-            level = DiagnosticStatus.WARN
             text = f'{lost} messages lost' if lost else 'some topics are not recorded'
-        else:
-            level = DiagnosticStatus.OK
-            text = 'recording' if self._writer is not None else 'bag closed'
-        values = [KeyValue(key=key, value=str(value)) for key, value in self._values()]
-        status = DiagnosticStatus(name=self._label, level=level, message=text, values=values)
+            level = DiagnosticStatus.WARN
+        values = {} if self._writer is None else {
+            'bytes': self._writer.size, 'files': self._writer.files}  # fmt: skip
+        for topic, count in sorted(self._counts.items()):
+            values |= {f'{topic} {name}': value for name, value in count.known().items()}
+        pairs = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
+        status = DiagnosticStatus(name=self._label, level=level, message=text, values=pairs)
         message = DiagnosticArray(status=[status])
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(message)
-
-    def _values(self) -> Iterator[tuple[str, int]]:
-        if self._writer is not None:
-            yield 'bytes', self._writer.size
-            yield 'files', self._writer.files
-        for topic, count in sorted(self._counts.items()):
-            for name, value in count.known().items():
-                yield f'{topic} {name}', value
 
 
 def main(argv: list[str] | None = None) -> None:

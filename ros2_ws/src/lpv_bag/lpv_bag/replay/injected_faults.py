@@ -3,8 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from lpv_bag.replay.session import ReplayResult
-from lpv_bag.run.streams import RecordedAlarm
+from lpv_bag.replay.replay import ReplayResult
 from lpv_core.serial_arm.diagnosis.alarms import AlarmEvent
 from lpv_core.simulation.faults import Fault
 from lpv_core.support.timestamps import NANOSECONDS
@@ -15,7 +14,7 @@ _GRACE = 1.0
 
 @dataclass(frozen=True)
 class InjectedFault:
-    """One injected fault and the alarm that found it; times since the first measurement [s]."""
+    """One injected fault and the alarm that found it."""
 
     fault: Fault
     found: bool  # an alarm of its sensor was confirmed while it acted
@@ -29,63 +28,47 @@ class InjectedFault:
     @property
     def verdict(self) -> str:
         """One phrase for the user."""
+        wrong = ', '.join(self.wrong_sensors)
         if self.found:
-            also = f', and wrongly {", ".join(self.wrong_sensors)}' if self.wrong_sensors else ''
-            return f'found{also}'
-        if self.wrong_sensors:
-            return f'wrong sensor: {", ".join(self.wrong_sensors)}'
-        return 'not found'
+            return f'found, and wrongly {wrong}' if wrong else 'found'
+        return f'wrong sensor: {wrong}' if wrong else 'not found'
 
 
 def judge(faults: Sequence[Fault], result: ReplayResult) -> list[InjectedFault]:
     """Compare the alarms of a replay with the injected faults, whose onsets count from the first
     measurement; in the order of the faults."""
-    start = result.first_stamp or 0
+    start, found = result.first_stamp or 0, []
     events = [((event.stamp - start) / NANOSECONDS, event) for event in result.events]
-    return [_judge(fault, faults, events) for fault in faults]
-
-
-def _judge(
-    fault: Fault, faults: Sequence[Fault], events: list[tuple[float, RecordedAlarm]]
-) -> InjectedFault:
-    during = [(at, event) for at, event in events if _acts(fault, at)]
-    raised = [(at, event) for at, event in during if event.event == AlarmEvent.RAISED]
-    faulty = {(at, other.sensor) for at, _ in raised for other in faults if _acts(other, at)}
-    wrong = {event.sensor for at, event in raised if (at, event.sensor) not in faulty}
-    mine = [at for at, event in raised if event.sensor == fault.sensor]
-    if not mine:
-        return InjectedFault(fault, False, tuple(sorted(wrong)))
-    at, last = [
-        (at, event)
-        for at, event in during
-        if event.sensor == fault.sensor and event.event != AlarmEvent.CLEARED
-    ][-1]
-    true = true_size(fault, at)
-    return InjectedFault(
-        fault,
-        True,
-        tuple(sorted(wrong)),
-        mine[0] - fault.onset,
-        last.kind,
-        last.size,
-        last.bound,
-        None if true is None else last.size - true,
-    )
+    for fault in faults:
+        during = [(at, event) for at, event in events if _acts(fault, at)]
+        raised = [(at, event.sensor) for at, event in during if event.event == AlarmEvent.RAISED]
+        wrong = {sensor for at, sensor in raised
+                 if not any(f.sensor == sensor and _acts(f, at) for f in faults)}  # fmt: skip
+        delays = [at - fault.onset for at, sensor in raised if sensor == fault.sensor]
+        told: tuple[float, str, float, float, float | None] | tuple[()] = ()
+        if delays:
+            at, last = [
+                (at, event)
+                for at, event in during
+                if event.sensor == fault.sensor and event.event != AlarmEvent.CLEARED
+            ][-1]
+            true = true_size(fault, at)
+            error = None if true is None else last.size - true
+            told = (delays[0], last.kind, last.size, last.bound, error)
+        found.append(InjectedFault(fault, bool(delays), tuple(sorted(wrong)), *told))
+    return found
 
 
 def _acts(fault: Fault, time: float) -> bool:
-    return fault.onset <= time and (
-        fault.duration <= 0.0 or time <= fault.onset + fault.duration + _GRACE
-    )
+    end = fault.onset + fault.duration + _GRACE
+    return fault.onset <= time and (fault.duration <= 0.0 or time <= end)
 
 
 def true_size(fault: Fault, time: float) -> float | None:
     """Error of the reading at a time; None for kinds whose error depends on the reading [rad]."""
     if fault.duration > 0.0:
         time = min(time, fault.onset + fault.duration)
-    if fault.kind == 'bias':
-        return fault.size
     if fault.kind == 'drift':
         grown = fault.rate * (time - fault.onset)
         return grown if fault.size == 0.0 else min(grown, fault.size, key=abs)
-    return None
+    return fault.size if fault.kind == 'bias' else None

@@ -1,6 +1,5 @@
 """Plays a bag into a live graph, with its clock."""
 
-import importlib
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,16 +12,18 @@ from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import ReliabilityPolicy
 from rosbags.interfaces import Connection, QosDurability, QosReliability
 from rosgraph_msgs.msg import Clock
 
 from lpv_bag.blocks.message_blocks import ahead
+from lpv_bag.errors import BagError
+from lpv_bag.recorder.input import message_class, ros_qos
 from lpv_bag.replay.writer import DIAGNOSTICS, OUTPUTS
 from lpv_bag.rosbag.metadata import offered_qos
-from lpv_bag.rosbag.reading import BagReader
+from lpv_bag.rosbag.reading import BagReader, open_bag
 from lpv_bag.run.measurements import MEASUREMENT_TYPE
-from lpv_bag.run.record import BagError, find_topic, open_bag
+from lpv_bag.run.record import find_topic
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.timestamps import NANOSECONDS
 
@@ -99,16 +100,13 @@ class Player:
     def _choose(self, reader: BagReader) -> list[Connection]:
         if self.topics is not None:
             there = {c.topic for c in reader.connections}
-            missing = [t for t in self.topics if t not in there]
-            if missing:
-                raise BagError(
-                    f'{self.bag}: the bag has no topic {missing[0]!r}; it has '
-                    + ', '.join(sorted(there))
-                )
+            for topic in (t for t in self.topics if t not in there):
+                listed = ', '.join(sorted(there))
+                raise BagError(f'{self.bag}: the bag has no topic {topic!r}; it has {listed}')
             return [c for c in reader.connections if c.topic in self.topics]
         measured = find_topic(reader, MEASUREMENT_TYPE, 'joint_states', self.measured).topic
         prefix = measured.rsplit('/', 1)[0]
-        answers = {f'{prefix}/{name}' for name, _ in OUTPUTS.values()} | {DIAGNOSTICS, _CLOCK}
+        answers = {f'{prefix}/{name}' for name in OUTPUTS} | {DIAGNOSTICS, _CLOCK}
         return [c for c in reader.connections if c.topic not in answers]
 
     def _await(self, publishers: list[Publisher], say: Callable[[str], None]) -> None:
@@ -167,23 +165,15 @@ def _publishers(
     for connection in connections:
         topic = connection.topic
         try:
-            package, _, name = connection.msgtype.split('/')
-            message = getattr(importlib.import_module(f'{package}.msg'), name)
+            kind = message_class(connection.msgtype)
         except (ImportError, AttributeError, ValueError):
             say(f'{topic} is left out: {connection.msgtype} is not installed')
             continue
-        offered = [q for c in connections if c.topic == topic for q in offered_qos(c)]
-        reliable = all(q.reliability != QosReliability.BEST_EFFORT for q in offered)
-        latched = offered and all(q.durability == QosDurability.TRANSIENT_LOCAL for q in offered)
         if topic not in found:
-            qos = QoSProfile(
-                depth=min(max([10, *(q.depth for q in offered)]), _DEEPEST),
-                reliability=(
-                    ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
-                ),
-                durability=(
-                    DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
-                ),
-            )
-            found[topic] = node.create_publisher(message, topic, qos)
+            offered = [q for c in connections if c.topic == topic for q in offered_qos(c)]
+            reliable = all(q.reliability != QosReliability.BEST_EFFORT for q in offered)
+            latched = all(q.durability == QosDurability.TRANSIENT_LOCAL for q in offered)
+            depth = min(max([10, *(q.depth for q in offered)]), _DEEPEST)
+            qos = ros_qos(reliable, latched and bool(offered), depth)
+            found[topic] = node.create_publisher(kind, topic, qos)
     return found

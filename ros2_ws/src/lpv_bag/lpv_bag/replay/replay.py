@@ -1,39 +1,60 @@
 """Offline run of the diagnosis over a recorded bag, with the node's own code."""
 
 import shutil
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from rosbags.interfaces import Connection
 
-from lpv_bag.blocks.message_blocks import ahead
+from lpv_bag.blocks.message_blocks import Block, ahead
 from lpv_bag.errors import BagError
-from lpv_bag.replay.answer_rows import take_all
-from lpv_bag.replay.injection import CHANGED, BlockInjector
-from lpv_bag.replay.session import Batch, ReplayOptions, ReplayResult
-from lpv_bag.replay.writer import ReplayWriter
+from lpv_bag.replay.injection import BlockInjector
+from lpv_bag.replay.writer import Batch, ReplayWriter
 from lpv_bag.rosbag.reading import BagReader, open_bag
-from lpv_bag.run.measurements import MEASUREMENT_TYPE, MeasurementReader
-from lpv_bag.run.record import STREAMS, find_connections, find_topic
-from lpv_bag.run.streams import RecordedAlarm
-from lpv_bag.run.torque_reader import EFFORT_TYPES, EffortReader
+from lpv_bag.run.measurements import EFFORT_TYPES, MEASUREMENT_TYPE, EffortReader, MeasurementReader
+from lpv_bag.run.record import find_connections, find_topic
+from lpv_bag.run.streams import STREAMS, RecordedAlarm
 from lpv_core.monitoring.answers import Answers
 from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv_core.simulation.faults import FaultInjector
 from lpv_core.support.errors import ConfigError
 from lpv_core.support.timestamps import NANOSECONDS
 
-_COMMAND = ('torque_command', 'lpv_msgs/msg/TorqueCommand')
+_COMMAND = 'torque_command'
 
 
-class _Inputs(NamedTuple):
-    prefix: str
-    measured: str
-    effort: Connection | None
+@dataclass(frozen=True)
+class ReplayOptions:
+    """What is replayed, and what is written."""
+
+    topic: str | None = None  # of the measurements, where the bag has several JointState topics
+    # torques to use in place of the measured efforts; of a type in measurements.EFFORT_TYPES
+    effort_topic: str | None = None
+    torque_from_command: bool = False  # take torques from the recorded commands
+    start: float | None = None  # first message, counted from the first one of the bag [s]
+    end: float | None = None  # end of the interval, counted likewise [s]
+    estimates_only: bool = False  # write the answers alone; otherwise all topics are copied, too
+    preset: str = 'none'  # compression of the new bag, key of `lpv_bag.rosbag.writing.PRESETS`
+
+
+@dataclass
+class ReplayResult:
+    """What a replay found."""
+
+    measurements: int = 0  # samples read
+    answered: int = 0  # samples that led to an answer
+    first_stamp: int | None = None  # stamp of the first usable sample [ns]
+    rejected: Counter[str] = field(default_factory=Counter)  # unusable messages by reason
+    events: list[RecordedAlarm] = field(default_factory=list)  # alarm events
+    topic: str = ''  # of the measurements
+    streams: set[str] = field(default_factory=set)  # of `STREAMS`, that are there
+    warnings: list[str] = field(default_factory=list)  # tolerated defects of the bag
+    lost: int = 0  # measurements that the recorder says it has lost
 
 
 class Replay:
@@ -60,32 +81,31 @@ class Replay:
         monitor, which are replaced.  BagError if the bag cannot be read or lacks measurements,
         ConfigError if the new one cannot be made.
         """
-        result, options = ReplayResult(), self._options
+        options = self._options
         with open_bag(bag) as reader:
-            inputs = self._inputs(reader)
+            result, effort = self._begin(reader)
             copied = [] if options.estimates_only else reader.connections
-            writer = ReplayWriter(out, self._monitor, inputs.prefix, options.preset, copied)
+            writer = ReplayWriter(out, self._monitor, options.preset, copied)
             try:
-                wanted = self._wanted(reader, inputs, writer.copied)
+                wanted = _wanted(reader, result, effort, writer.copied)
                 with ThreadPoolExecutor(1) as pool:
                     written: Future[None] | None = None
-                    for batch in ahead(self._batches(reader, inputs, wanted, result)):
+                    for batch in ahead(self._batches(reader, wanted, effort, result)):
                         copies = writer.copies(reader, wanted, batch)
                         answers = self._answer(batch, result)
                         if written is not None:
                             written.result()
-                        written = pool.submit(writer.write, batch, copies, answers, result)
+                        written = pool.submit(writer.write, batch, copies, answers)
                     if written is not None:
                         written.result()
-                _check(bag, inputs, result)
+                _check(bag, result)
                 if not result.answered and result.rejected:
                     (reason, count), *_ = result.rejected.most_common(1)
                     raise BagError(
                         f'{bag}: none of its {result.measurements} measurements can be used '
                         f'({count} of them: {reason})'
                     )
-                with result.stage('writing'):
-                    writer.close()
+                writer.close()
             except BaseException:
                 # Half a bag looks like a whole one, and would block the next try.
                 shutil.rmtree(out, ignore_errors=True)
@@ -97,78 +117,68 @@ class Replay:
 
         ``take`` is called block by block with measurements and answers.
         """
-        result = ReplayResult()
         with open_bag(bag) as reader:
-            inputs = self._inputs(reader)
-            result.topic = inputs.measured
-            result.streams = {
-                name
-                for name, (msgtype, _) in STREAMS.items()
-                if find_connections(reader, msgtype, name, namespace=inputs.prefix)
+            result, effort = self._begin(reader)
+            place = result.topic.rsplit('/', 1)[0]
+            found = {
+                n: find_connections(reader, t, n, None, place) for n, (t, _) in STREAMS.items()
             }
-            for batch in ahead(
-                self._batches(reader, inputs, self._wanted(reader, inputs, set()), result)
-            ):
+            result.streams = {name for name, connections in found.items() if connections}
+            wanted = _wanted(reader, result, effort)
+            for batch in ahead(self._batches(reader, wanted, effort, result)):
                 take(batch.measured, self._answer(batch, result))
             result.warnings = list(reader.warnings)
-            result.lost = int(reader.known.get(inputs.measured, {}).get('lost', 0))
-        _check(bag, inputs, result)
+            result.lost = int(reader.known.get(result.topic, {}).get('lost', 0))
+        _check(bag, result)
         return result
 
-    def _inputs(self, reader: BagReader) -> _Inputs:
-        options = self._options
+    def _begin(self, reader: BagReader) -> tuple[ReplayResult, Connection | None]:
+        """A result that names the topic of the measurements; where the torques come from."""
+        options, effort = self._options, None
         measured = find_topic(reader, MEASUREMENT_TYPE, 'joint_states', options.topic).topic
         prefix = measured.rsplit('/', 1)[0]
         self._monitor.name = f'{prefix}/uio'
-        effort = None
         if options.effort_topic:
             effort = _effort_connection(reader, options.effort_topic)
         elif options.torque_from_command:
-            effort = find_topic(reader, _COMMAND[1], _COMMAND[0], f'{prefix}/{_COMMAND[0]}')
-        return _Inputs(prefix, measured, effort)
-
-    @staticmethod
-    def _wanted(reader: BagReader, inputs: _Inputs, others: set[str]) -> list[Connection]:
-        needed = others | {inputs.measured} | ({inputs.effort.topic} if inputs.effort else set())
-        return [c for c in reader.connections if c.topic in needed]
+            effort = find_topic(reader, STREAMS[_COMMAND][0], _COMMAND, f'{prefix}/{_COMMAND}')
+        return ReplayResult(topic=measured), effort
 
     def _batches(
-        self, reader: BagReader, inputs: _Inputs, wanted: Sequence[Connection], result: ReplayResult
+        self,
+        reader: BagReader,
+        wanted: Sequence[Connection],
+        effort: Connection | None,
+        result: ReplayResult,
     ) -> Iterator[Batch]:
         """Blocks of the bag with the measurements in them, decoded."""
-        joints, effort = self._monitor.arm.joint_names, inputs.effort
-        measurements = MeasurementReader(reader, joints, self._monitor.needs_rates)
-        efforts = effort and EffortReader(reader, effort.msgtype, joints)
-        injector = self._injector and BlockInjector(self._injector, self._monitor)
-        blocks = reader.blocks(wanted, *_limits(reader, self._options))
-        while True:
-            with result.stage('reading'):
-                block = next(blocks, None)
-            if block is None:
-                return
-            with result.stage('decoding'):
-                positions = _of(block, wanted, inputs.measured)
-                measured = measurements.read(block, positions)
-                torque, changed = None, {}
-                if effort and efforts:
-                    given = _of(block, wanted, effort.topic)
-                    torque = efforts.before(block, given, positions)
-                    result.rejected.update(efforts.rejected)
-                    efforts.rejected.clear()
-                if injector:
-                    places = {name: measurements.places(block, positions, name) for name in CHANGED}
-                    changed = injector.apply(block, positions, measured, places)
-            yield Batch(block, positions, measured, torque, changed)
+        arm = self._monitor.arm
+        measurements = MeasurementReader(reader, arm.joint_names, self._monitor.needs_rates)
+        efforts = effort and EffortReader(reader, effort.msgtype, arm.joint_names)
+        injector = self._injector and BlockInjector(self._injector, arm, reader)
+        for block in reader.blocks(wanted, *_limits(reader, self._options)):
+            positions = _of(block, wanted, result.topic)
+            measured = measurements.read(block, positions)
+            result.measurements += len(positions)
+            if efforts and effort:
+                given = _of(block, wanted, effort.topic)
+                measured = measured._replace(effort=efforts.before(block, given, measured.places))
+            rejected = np.setdiff1d(positions, measured.places, assume_unique=True)
+            changed = injector.apply(block, measured) if injector else {}
+            yield Batch(block, measured, rejected, changed)
+        result.rejected = measurements.rejected + (efforts.rejected if efforts else Counter())
 
     def _answer(self, batch: Batch, result: ReplayResult) -> Answers:
         """Run the monitor over a block's measurements."""
-        with result.stage('recursion'):
-            answers = take_all(self._monitor, batch.measured, batch.torque, result.rejected)
-        stamp = batch.measured.stamp
-        result.measurements += len(stamp)
+        answers, stamp = self._monitor.take_many(*batch.measured[1:]), batch.measured.stamp
         result.answered += int(answers.answered.sum())
         if result.first_stamp is None and len(stamp):
             result.first_stamp = int(stamp[0])
+        for row, status in answers.reports:
+            # Of the messages without use, as a node that hears them one by one.
+            before = np.searchsorted(batch.rejected, batch.measured.places[row])
+            status[0]['values']['rejected messages'] = str(self._monitor.rejected + before)
+        self._monitor.rejected += len(batch.rejected)
         for row, event in answers.events:
             alarm = RecordedAlarm(**vars(event), stamp=int(stamp[row]))
             result.events.append(alarm)
@@ -176,14 +186,24 @@ class Replay:
         return answers
 
 
-def _check(bag: str | Path, inputs: _Inputs, result: ReplayResult) -> None:
-    if not result.measurements:
-        raise BagError(f'{bag}: holds no message on {inputs.measured} in the chosen interval')
+def _wanted(
+    reader: BagReader,
+    result: ReplayResult,
+    effort: Connection | None,
+    others: frozenset[str] = frozenset(),
+) -> list[Connection]:
+    needed = others | {result.topic} | ({effort.topic} if effort else set())
+    return [c for c in reader.connections if c.topic in needed]
 
 
-def _of(block: Any, connections: Sequence[Connection], topic: str) -> np.ndarray:
+def _of(block: Block, connections: Sequence[Connection], topic: str) -> np.ndarray:
     """Positions of a topic's messages in a block."""
     return np.flatnonzero(np.array([c.topic == topic for c in connections])[block.connection])
+
+
+def _check(bag: str | Path, result: ReplayResult) -> None:
+    if not result.measurements:
+        raise BagError(f'{bag}: holds no message on {result.topic} in the chosen interval')
 
 
 def _effort_connection(reader: BagReader, topic: str) -> Connection:
@@ -197,7 +217,7 @@ def _effort_connection(reader: BagReader, topic: str) -> Connection:
     else:
         text = f'{topic} is of type {found.msgtype}; torques can be read from '
         text += ', '.join(EFFORT_TYPES)
-    raise BagError(f'{reader.paths[0]}: {text}')
+    raise BagError(f'{reader.path}: {text}')
 
 
 def _limits(reader: BagReader, options: ReplayOptions) -> tuple[int | None, int | None]:

@@ -98,14 +98,14 @@ class McapFile:
 
     def _scan(self) -> None:
         """Find all that is whole from the front."""
-        at, found, loose = 8, Counter[int](), None
+        at, found = 8, Counter[int]()
         self._data.seek(0)
         reader = StreamReader(self._data, emit_chunks=True, record_size_limit=_MAX_RECORD)
         try:
             for one in reader.records:
                 after = self._data.tell()
                 if isinstance(one, Message) and one.log_time < 2**63 - 1:
-                    loose = self._add_loose(one, at, after, loose)
+                    self._add_loose(one, at, after)
                     found[one.channel_id] += 1
                 elif isinstance(one, Chunk):
                     found += self._add_chunk(one, at)
@@ -121,19 +121,15 @@ class McapFile:
             self.damages.append(f'{unknown} messages of topics whose definition is lost')
         self.counts = {number: count for number, count in found.items() if number in self.channels}
 
-    def _add_loose(self, message: Message, at: int, after: int, last: int | None) -> int:
+    def _add_loose(self, message: Message, at: int, after: int) -> None:
         """Add a message outside of chunks to the place before, if that ends where it begins."""
-        time, one = message.log_time, (message.channel_id,)
-        if last is not None and self.places[last].offset + self.places[last].length == at:
-            before = self.places[last]
-            if before.length < BLOCK_SIZE:
-                times = min(before.start, time), max(before.end, time)
-                channels = before.channels if one[0] in before.channels else before.channels + one
-                length, count = after - before.offset, before.messages + 1
-                self.places[last] = Place(*times, before.offset, channels, count, length)
-                return last
-        self.places.append(Place(time, time, at, one, 1, after - at))
-        return len(self.places) - 1
+        place = Place(message.log_time, message.log_time, at, (), 0)
+        last = self.places[-1] if self.places else place
+        if 0 < last.length < BLOCK_SIZE and last.offset + last.length == at:
+            place = self.places.pop()
+        times = min(place.start, message.log_time), max(place.end, message.log_time)
+        count, length = place.messages + 1, after - place.offset
+        self.places.append(Place(*times, place.offset, (), count, length))
 
     def _add_chunk(self, chunk: Chunk, at: int) -> Counter[int]:
         try:

@@ -1,7 +1,8 @@
 """metadata.yaml of rosbag2 bags, and the quality of service that is stored beside a topic."""
 
+import json
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,13 +20,16 @@ from rosbags.interfaces import (
 from rosbags.rosbag2.metadata import dump_qos_v9
 
 from lpv_bag.errors import DamageError
-from lpv_bag.rosbag.message_loss import RECORD_NAME, Known, known_from_text
 from lpv_core.support.config import load_yaml
 from lpv_core.support.errors import ConfigError
 
 FILE_NAME = 'metadata.yaml'
 VERSION = 9
 """Of the format that is written, that of rosbag2 since Jazzy."""
+RECORD_NAME = 'lpv_recorder'
+"""Key of the custom data of a bag for what its recorder knew."""
+Known = dict[str, dict[str, int]]
+"""What a recorder knows of each topic: messages, lost, late."""
 _MAX_BYTES = 1 << 26
 _DUMPER = getattr(yaml, 'CSafeDumper', yaml.SafeDumper)
 _FOREVER = QosTime(2147483647, 4294967295)
@@ -33,17 +37,10 @@ _FOREVER = QosTime(2147483647, 4294967295)
 
 def qos_profile(reliable: bool, transient_local: bool, depth: int) -> Qos:
     """Offered QoS as stored beside a topic."""
-    return Qos(
-        QosHistory.KEEP_LAST,
-        depth,
-        QosReliability.RELIABLE if reliable else QosReliability.BEST_EFFORT,
-        QosDurability.TRANSIENT_LOCAL if transient_local else QosDurability.VOLATILE,
-        _FOREVER,
-        _FOREVER,
-        QosLiveliness.AUTOMATIC,
-        _FOREVER,
-        False,
-    )
+    reliability = QosReliability.RELIABLE if reliable else QosReliability.BEST_EFFORT
+    durability = QosDurability.TRANSIENT_LOCAL if transient_local else QosDurability.VOLATILE
+    always = _FOREVER, _FOREVER, QosLiveliness.AUTOMATIC, _FOREVER, False
+    return Qos(QosHistory.KEEP_LAST, depth, reliability, durability, *always)
 
 
 def offered_qos(connection: Connection) -> list[Qos]:
@@ -75,9 +72,8 @@ def read_metadata(folder: Path) -> BagMetadata:
     except ConfigError as error:
         raise DamageError(f'{FILE_NAME} {error.reason}') from None
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise DamageError(
-            f'{FILE_NAME} is not that of a bag ({type(error).__name__}: {error})'
-        ) from None
+        text = f'{FILE_NAME} is not that of a bag ({type(error).__name__}: {error})'
+        raise DamageError(text) from None
 
 
 def _parse(data: Any) -> BagMetadata:
@@ -86,9 +82,9 @@ def _parse(data: Any) -> BagMetadata:
     counts: dict[str, int] = {}
     hashes: dict[str, str] = {}
     for entry in data['topics_with_message_count'] or []:
-        topic = entry['topic_metadata']
-        counts[topic['name']] = counts.get(topic['name'], 0) + int(entry['message_count'])
-        hashes[topic['type']] = str(topic.get('type_description_hash') or '')
+        topic, name = entry['topic_metadata'], str(entry['topic_metadata']['name'])
+        counts[name] = counts.get(name, 0) + int(entry['message_count'])
+        hashes[str(topic['type'])] = str(topic.get('type_description_hash') or '')
     return BagMetadata(
         str(data['storage_identifier']),
         # A file outside of the bag's directory is never meant.
@@ -96,8 +92,19 @@ def _parse(data: Any) -> BagMetadata:
         str(data.get('compression_mode') or 'none').lower() not in ('none', 'storage'),
         counts,
         hashes,
-        known_from_text(str((data.get('custom_data') or {}).get(RECORD_NAME, '{}'))),
+        _known(str((data.get('custom_data') or {}).get(RECORD_NAME, '{}'))),
     )
+
+
+def _known(text: str) -> Known:
+    """Counts by topic from custom data; none where they are damaged."""
+    try:
+        return {
+            str(topic): {str(name): int(value) for name, value in counts.items()}
+            for topic, counts in json.loads(text).items()
+        }
+    except (ValueError, TypeError, AttributeError, RecursionError):
+        return {}
 
 
 def dump(data: object) -> str:
@@ -108,7 +115,7 @@ def dump(data: object) -> str:
 def bag_information(
     files: Sequence[tuple[str, int, int, int]],
     topics: Sequence[Connection],
-    counts: dict[str, int],
+    counts: Mapping[str, int],
     custom: dict[str, str],
 ) -> dict[str, Any]:
     """Content of metadata.yaml.
@@ -117,37 +124,36 @@ def bag_information(
     """
     start = min((first for _, first, _, count in files if count), default=0)
     end = max((last for _, _, last, count in files if count), default=0)
+    described = [
+        {
+            'name': c.topic,
+            'type': c.msgtype,
+            'serialization_format': 'cdr',
+            'offered_qos_profiles': dump_qos_v9(offered_qos(c)),
+            'type_description_hash': c.digest,
+        }
+        for c in topics
+    ]
+
+    def span(first: int, last: int, count: int) -> dict[str, Any]:
+        return {
+            'starting_time': {'nanoseconds_since_epoch': first},
+            'duration': {'nanoseconds': last - first},
+            'message_count': count,
+        }
+
     return {
         'version': VERSION,
         'storage_identifier': 'mcap',
-        'duration': {'nanoseconds': end - start},
-        'starting_time': {'nanoseconds_since_epoch': start},
-        'message_count': sum(count for *_, count in files),
+        **span(start, end, sum(count for *_, count in files)),
         'topics_with_message_count': [
-            {
-                'topic_metadata': {
-                    'name': c.topic,
-                    'type': c.msgtype,
-                    'serialization_format': 'cdr',
-                    'offered_qos_profiles': dump_qos_v9(offered_qos(c)),
-                    'type_description_hash': c.digest,
-                },
-                'message_count': counts[c.topic],
-            }
-            for c in topics
+            {'topic_metadata': topic, 'message_count': counts[c.topic]}
+            for c, topic in zip(topics, described)
         ],
         'compression_format': '',
         'compression_mode': '',
         'relative_file_paths': [name for name, *_ in files],
-        'files': [
-            {
-                'path': name,
-                'starting_time': {'nanoseconds_since_epoch': first},
-                'duration': {'nanoseconds': last - first},
-                'message_count': count,
-            }
-            for name, first, last, count in files
-        ],
+        'files': [{'path': name, **span(*values)} for name, *values in files],
         'custom_data': custom or None,
         'ros_distro': os.environ.get('ROS_DISTRO', 'unknown'),
     }

@@ -22,23 +22,15 @@ def free_path(path: str | Path) -> Path:
     return path if not os.path.lexists(path) else next(p for p in others if not os.path.lexists(p))
 
 
-def read_gains_file(path: str | Path) -> bytes:
-    """Text of a gains file, or of the parameters of a serial arm's loop, for `copy_file`."""
-    parameters = serial_parameters(path)
-    if parameters is None:
+def read_run_file(path: str | Path, name: str) -> bytes:
+    """Text of a valid gains file (of a serial arm: parameters of its loop) or scenario file, by the
+    name of its copy; for `copy_file`."""
+    if name == SCENARIO_NAME:
+        load_scenario(path)
+    elif (parameters := serial_parameters(path)) is None:
         load_gains(path)
     elif 'loop' in parameters:
         load_loop_gains(path)
-    return _content(path)
-
-
-def read_scenario_file(path: str | Path) -> bytes:
-    """Text of a scenario file, for `copy_file`."""
-    load_scenario(path)
-    return _content(path)
-
-
-def _content(path: str | Path) -> bytes:
     try:
         return Path(path).read_bytes()
     except OSError as error:
@@ -56,10 +48,10 @@ def copy_file(data: bytes, folder: Path, name: str) -> None:
 def copy_run_files(bag: Path, out: Path) -> list[str]:
     """Copy gains and scenario of a run, if its bag has them; what is wrong with them."""
     wrong = []
-    for name, read in ((GAINS_NAME, read_gains_file), (SCENARIO_NAME, read_scenario_file)):
+    for name in (GAINS_NAME, SCENARIO_NAME):
         try:
             if (bag / name).is_file():
-                copy_file(read(bag / name), out, name)
+                copy_file(read_run_file(bag / name, name), out, name)
         except ConfigError as error:
             wrong.append(f'{name} is left out: {error}')
     return wrong

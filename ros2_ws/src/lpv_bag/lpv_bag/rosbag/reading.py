@@ -9,29 +9,39 @@ import logging
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rosbags.highlevel import AnyReader
-from rosbags.interfaces import Connection, Nodetype
+from rosbags.interfaces import (
+    Connection,
+    ConnectionExtRosbag2,
+    MessageDefinition,
+    MessageDefinitionFormat,
+    Nodetype,
+)
+from rosbags.rosbag2.metadata import parse_qos
+from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from lpv_bag.blocks.message_blocks import BLOCK_SIZE, Block, joined, record, split
 from lpv_bag.errors import BagError, DamageError
 from lpv_bag.rosbag.interfaces import decode, make_typestore
 from lpv_bag.rosbag.mcap_file import McapFile, error_text
-from lpv_bag.rosbag.message_loss import Known
-from lpv_bag.rosbag.metadata import FILE_NAME, BagMetadata, read_metadata
-from lpv_bag.rosbag.topics import connections_of, types_of
+from lpv_bag.rosbag.metadata import FILE_NAME, BagMetadata, Known, offered_qos, read_metadata
 from lpv_core.support.errors import LpvError
 from lpv_core.support.timestamps import NANOSECONDS
 
 _LOG = logging.getLogger(__name__)
 _LARGEST_GROUP = 1 << 29
 """Chunks whose times overlap are sorted together up to this size [bytes]."""
-_STAMP = {'std_msgs/msg/Header': ('stamp',), 'builtin_interfaces/msg/Time': ('sec', 'nanosec')}
+_STAMP = (('std_msgs/msg/Header', ('stamp',)), ('builtin_interfaces/msg/Time', ('sec', 'nanosec')))
+
+_FORMATS = {'ros2msg': MessageDefinitionFormat.MSG, 'ros2idl': MessageDefinitionFormat.IDL}
+_NONE = MessageDefinition(MessageDefinitionFormat.NONE, '')
+_IDL = '=' * 80 + '\n'
+"""Before each of the definitions that a type in IDL needs."""
 
 
 class BagReader:
@@ -44,7 +54,7 @@ class BagReader:
         files: Sequence[McapFile] = (),
         source: AnyReader | None = None,
     ) -> None:
-        self.paths, self.connections, self.files, self.source = [path], connections, files, source
+        self.path, self.connections, self.files, self.source = path, connections, files, source
         self.warnings: list[str] = []  # what is wrong with the bag; grows while it is read
         self.known: Known = {}  # what the recorder knew of each topic
         self.said: Counter[str] = Counter()  # messages that there should be, by topic
@@ -60,13 +70,13 @@ class BagReader:
         """Types as the bag defines them; BagError if it defines none that make sense."""
         if self.source is not None:
             return self.source.typestore
-        with damage(self.paths[0]):
-            return types_of(self.connections)
+        with damage(self.path):
+            return _types_of(self.connections)
 
     def warn(self, text: str) -> None:
         """Note, and log, what is wrong with the bag."""
         self.warnings.append(text)
-        _LOG.warning('%s: %s', self.paths[0], text)
+        _LOG.warning('%s: %s', self.path, text)
 
     def log_time(self, seconds: float | None) -> int | None:
         """Log time of a moment counted from the first message [ns]; None stays None."""
@@ -78,10 +88,10 @@ class BagReader:
         """Messages of some topics in the order of their log times, thousands at once, from the
         first log time to before the last one [ns]; the blocks hold indices of connections, and are
         not empty. BagError if the bag is damaged so that it cannot be read on."""
-        low, high = start if start is not None else 0, stop if stop is not None else 2**63 - 1
-        with damage(self.paths[0]):
+        with damage(self.path):
             if self.source is None:
-                yield from self._mcap_blocks(connections, low, high)
+                last = 2**63 - 1 if stop is None else stop
+                yield from self._mcap_blocks(connections, start or 0, last)
             elif connections:
                 messages = self.source.messages(connections, start=start, stop=stop)
                 yield from _collect(messages, connections)
@@ -134,40 +144,27 @@ class BagReader:
 
     def deserialize(self, rawdata: bytes, typ: str) -> Any:
         """Decode a message; BagError if it does not fit the type."""
-        with damage(self.paths[0]):
+        with damage(self.path):
             source = self.source
             method = source.deserialize if source else self.typestore.deserialize_cdr
             return decode(method, rawdata, typ)
 
-    def typestore_of(self, msgtype: str) -> Typestore:
-        """Typestore, shared, of the types as this bag defines them.
-
-        Raises BagError if topics of a type define it differently.
-        """
-        found = {c.msgdef.data for c in self.connections if c.msgtype == msgtype and c.msgdef.data}
-        if len(found) > 1:
-            raise BagError(
-                f'{self.paths[0]}: topics of type {msgtype} have different definitions of it'
-            )
-        return self.typestore
-
     def check_definition(self, msgtype: str, fields: Iterable[str]) -> None:
-        """Check that fields of a message type are there, and are what they are expected to be.
+        """BagError if fields of a message type, or its stamp, are not what they are here.
 
         A definition may have more fields, and arrays of a fixed length where there are sequences
         now: bags outlive the version that wrote them.
         """
-        bag, own = self.typestore_of(msgtype).fielddefs, standard_types().fielddefs
-        wanted = {msgtype: tuple(fields), **(_STAMP if 'header' in fields else {})}
-        for name, needed in wanted.items():
+        for name, needed in ((msgtype, fields), *_STAMP):
             there, expected = (
-                dict(types[name][1]) if name in types else {} for types in (bag, own)
+                dict(types.fielddefs[name][1]) if name in types.fielddefs else {}
+                for types in (self.typestore, standard_types())
             )
             for field in needed:
                 if _element(there.get(field)) != _element(expected[field]):
                     what = 'has another type there' if field in there else 'is not in it'
                     raise BagError(
-                        f"{self.paths[0]}: the bag's definition of {msgtype} is not the "
+                        f"{self.path}: the bag's definition of {msgtype} is not the "
                         f'expected one: {field} of {name} {what}'
                     )
 
@@ -200,15 +197,14 @@ def _collect(
 ) -> Iterator[Block]:
     """Blocks of messages that come one by one."""
     numbers = {(c.topic, c.id): i for i, c in enumerate(connections)}
-    data, found = bytearray(), list[int]()
+    data = bytearray()
     for connection, time, content in messages:
-        data += record(0, max(0, time), content)
-        found.append(numbers[connection.topic, connection.id])
+        data += record(numbers[connection.topic, connection.id], max(0, time), content)
         if len(data) >= BLOCK_SIZE:
-            yield replace(split(np.frombuffer(data, np.uint8))[0], connection=np.array(found))
-            data, found = bytearray(), []
-    if found:
-        yield replace(split(np.frombuffer(data, np.uint8))[0], connection=np.array(found))
+            yield split(np.frombuffer(data, np.uint8))[0]
+            data = bytearray()
+    if data:
+        yield split(np.frombuffer(data, np.uint8))[0]
 
 
 @contextlib.contextmanager
@@ -268,7 +264,7 @@ def _opened(path: Path, stack: ExitStack) -> BagReader:
             if number == 0 and not file.complete:
                 text = f'the recording was not finished, its end may be missing ({text})'
             damages.append(f'{file.path.name}: {text}')
-    connections = connections_of(files, metadata.hashes if metadata else {})
+    connections = _connections_of(files, metadata.hashes if metadata else {})
     if damages and not any(connection.msgcount for connection in connections):
         raise BagError(
             f'{path}: cannot be read, the bag is damaged or incomplete: {damages[-1]}, and '
@@ -308,6 +304,66 @@ def _files(path: Path, metadata: BagMetadata | None, damages: list[str]) -> list
     if not paths:
         raise BagError(f'{path}: is not a bag, it has no {FILE_NAME} with files, nor MCAP files')
     return paths
+
+
+def _connections_of(files: Iterable[McapFile], hashes: dict[str, str]) -> list[Connection]:
+    """Topics, with the messages that are there; all publishers of a topic are one."""
+    found: dict[tuple[str, str], Connection] = {}
+    for file in files:
+        for number in sorted(file.channels):
+            one = _connection(file, number, hashes)
+            known = found.setdefault((one.topic, one.msgtype), one)
+            if known is not one:
+                profiles = offered_qos(known)
+                profiles += [qos for qos in offered_qos(one) if qos not in profiles]
+                ext = ConnectionExtRosbag2('cdr', profiles)
+                count = known.msgcount + one.msgcount
+                found[one.topic, one.msgtype] = known._replace(msgcount=count, ext=ext)
+    return list(found.values())
+
+
+def _connection(file: McapFile, number: int, hashes: dict[str, str]) -> Connection:
+    channel = file.channels[number]
+    schema = file.schemas.get(channel.schema_id)
+    name, definition = '', _NONE
+    if schema is not None:
+        name = schema.name
+        if schema.encoding in _FORMATS:
+            text = schema.data.decode(errors='replace')
+            definition = MessageDefinition(_FORMATS[schema.encoding], text)
+    try:
+        profiles = parse_qos(channel.metadata.get('offered_qos_profiles', ''))
+    except Exception:  # many kinds; no result depends on it
+        profiles = []
+    digest = channel.metadata.get('topic_type_hash') or hashes.get(name, '')
+    ext = ConnectionExtRosbag2(channel.message_encoding, profiles)
+    count = file.counts.get(number, 0)
+    return Connection(number, channel.topic, name, definition, digest, count, ext, None)
+
+
+def _types_of(connections: Sequence[Connection]) -> Typestore:
+    """Types as a bag defines them; the standard ones and lpv_msgs where it defines none."""
+    defined = [c for c in connections if c.msgdef.format != MessageDefinitionFormat.NONE]
+    if not defined:
+        return make_typestore()
+    types = get_typestore(Stores.EMPTY)
+    found = {}
+    for connection in defined:
+        text = connection.msgdef.data
+        if connection.msgdef.format == MessageDefinitionFormat.MSG:
+            found.update(get_types_from_msg(text, connection.msgtype))
+            continue
+        parts = [part.split('\n', 1)[1] for part in text.split(_IDL)[1:]] or [text]
+        for part in parts:
+            found.update(get_types_from_idl(part))
+    types.register(found)
+    texts = {(c.msgtype, c.msgdef.data) for c in defined}
+    for connection in defined:
+        if len([1 for name, _ in texts if name == connection.msgtype]) > 1:
+            raise DamageError(f'topics of type {connection.msgtype} define it differently')
+        if connection.digest and types.hash_rihs01(connection.msgtype) != connection.digest:
+            raise DamageError(f'the hash of {connection.msgtype} is not that of its definition')
+    return types
 
 
 @functools.lru_cache(maxsize=1)

@@ -4,6 +4,7 @@ import contextlib
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,12 +15,11 @@ from lpv_bag.rosbag.writing import BagWriter
 from lpv_core.support.errors import ConfigError
 
 
-@dataclass
-class TopicRecovery:
+class TopicRecovery(NamedTuple):
     """What became of one topic."""
 
-    recovered: int = 0  # messages in the new bag
-    lost: int = 0  # messages that were recorded and are not; at least, where the end is missing
+    recovered: int  # messages in the new bag
+    lost: int  # messages that were recorded and are not; at least, where the end is missing
 
 
 @dataclass
@@ -52,31 +52,28 @@ def recover(path: str | Path, out: str | Path | None = None, preset: str = 'zstd
     makes no sense is kept.  BagError if nothing can be read, ConfigError or OSError if the new bag
     cannot be written.
     """
-    path, result = Path(path), Recovery()
+    path, result, found = Path(path), Recovery(), Counter[str]()
     with contextlib.ExitStack() as stack:
         reader = stack.enter_context(open_bag(path))
         if not reader.files:
             raise BagError(f'{path}: only MCAP bags can be recovered')
         writer = None if out is None else stack.enter_context(BagWriter(out, preset))
         topics = [connection.topic for connection in reader.connections]
-        found, channels = np.zeros((2, len(topics)), np.int64)
         for block in reader.blocks(reader.connections):
-            counts = np.bincount(block.connection, minlength=len(topics))
-            if writer is not None:
-                for number in np.flatnonzero((counts > 0) & (found == 0)):
+            for number, count in zip(*np.unique(block.connection, return_counts=True)):
+                if writer is not None and topics[number] not in writer.counts:
                     writer.copy_topic(reader.connections[number])
-                    channels[number] = writer.channel(topics[number])
-                writer.write_chunk(block.copied(channels[block.connection]))
-            found += counts
+                found[topics[number]] += int(count)
+            if writer is not None:
+                known = writer.counts
+                channels = [writer.channel(topic) if topic in known else -1 for topic in topics]
+                writer.write_chunk(block.copied(np.array(channels)[block.connection]))
             result.end = max(result.end, int(block.time.max()))
-        recovered = Counter(dict(zip(topics, found.tolist())))
-        said = reader.said
         result.topics = {
-            topic: TopicRecovery(recovered[topic], max(0, said[topic] - recovered[topic]))
-            for topic in sorted({*recovered, *said})
+            topic: TopicRecovery(found[topic], max(0, reader.said[topic] - found[topic]))
+            for topic in sorted({*found, *reader.said})
         }
-        result.damages = list(reader.warnings)
-        result.end_missing = not reader.finished
+        result.damages, result.end_missing = list(reader.warnings), not reader.finished
         result.attachments = sum(file.attachments for file in reader.files)
         if writer is not None:
             missing = writer.close(reader.known)

@@ -6,7 +6,7 @@ import resource
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 from mcap.data_stream import RecordBuilder
@@ -20,12 +20,18 @@ from rosbags.interfaces import (
     MessageDefinitionFormat,
     Qos,
 )
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from lpv_bag.blocks.message_blocks import RECORD, Block, from_rows
 from lpv_bag.rosbag.interfaces import add_type, decode, make_typestore
-from lpv_bag.rosbag.message_loss import RECORD_NAME, Known
-from lpv_bag.rosbag.metadata import FILE_NAME, bag_information, dump, qos_profile, qos_text
+from lpv_bag.rosbag.metadata import (
+    FILE_NAME,
+    RECORD_NAME,
+    Known,
+    bag_information,
+    dump,
+    qos_profile,
+    qos_text,
+)
 from lpv_core.support.errors import ConfigError
 
 __all__ = ['PRESETS', 'BagWriter', 'qos_profile']
@@ -78,6 +84,14 @@ class _Index(MessageIndex):
         stream.finish_record()
 
 
+class _Content(NamedTuple):
+    """Content of a file."""
+
+    entry: tuple[str, int, int, int]  # name, first and last log time [ns], messages
+    counts: Counter[str]  # messages by topic
+    size: int  # [bytes]
+
+
 class _File(Writer):
     """One file by the writer of the mcap package, which takes whole chunks as well.
 
@@ -96,10 +110,12 @@ class _File(Writer):
         self.start('ros2', 'lpv_bag')
 
     @property
-    def counts(self) -> Counter[str]:
-        """Messages by topic."""
-        counts = self.statistics.channel_message_counts
-        return Counter({topic: counts.get(n, 0) for topic, n in self.channels.items()})
+    def content(self) -> _Content:
+        """What has been written so far."""
+        found = self.statistics
+        counts = {t: found.channel_message_counts.get(n, 0) for t, n in self.channels.items()}
+        times = found.message_start_time, found.message_end_time
+        return _Content((self.name, *times, found.message_count), Counter(counts), self.output.size)
 
     def define(self, topic: Connection) -> None:
         """Add a topic."""
@@ -172,8 +188,7 @@ class BagWriter:
         self._chunk_time, self._custom = chunk_time, dict(custom_data or {})
         self._slot: int | None = None
         self._topics: dict[str, Connection] = {}
-        self._done: list[tuple[str, int, int, int]] = []  # name, times, messages of files before
-        self._counts, self._bytes = Counter[str](), 0  # of these files
+        self._done: list[_Content] = []
         self._closed, self._failure = False, ''
         try:
             self.path.mkdir(parents=True)
@@ -190,22 +205,23 @@ class BagWriter:
         self.close()
 
     @property
+    def files(self) -> int:
+        """Number of files so far."""
+        return len(self._contents())
+
+    def _contents(self) -> list[_Content]:
+        return self._done if self._closed else [*self._done, self._file.content]
+
+    @property
     def counts(self) -> dict[str, int]:
         """Messages written, by topic."""
-        now = {} if self._closed else self._file.counts
-        return {topic: self._counts[topic] + now.get(topic, 0) for topic in self._topics}
+        counts = [content.counts for content in self._contents()]
+        return {topic: sum(one[topic] for one in counts) for topic in self._topics}
 
     @property
     def size(self) -> int:
         """Bytes handed to the operating system, of all files."""
-        return self._bytes + (0 if self._closed else self._file.output.size)
-
-    @property
-    def files(self) -> int:
-        """Number of files so far."""
-        return len(self._done) + (not self._closed)
-
-    # -------------------------------------------------------------- topics
+        return sum(content.size for content in self._contents())
 
     def add_topic(self, topic: str, msgtype: str, profiles: Sequence[Qos] = ()) -> None:
         """Announce a topic by its full name and type, with the QoS that its publishers offer."""
@@ -226,7 +242,7 @@ class BagWriter:
         if known is None and not connection.msgdef.data:  # as in bags of older distributions
             self.add_topic(topic, msgtype, getattr(connection.ext, 'offered_qos_profiles', ()))
         elif known is None:
-            self._add(connection._replace(digest=connection.digest or _hash(connection)))
+            self._add(connection)
 
     def _add(self, topic: Connection) -> None:
         self._topics[topic.topic] = topic
@@ -235,8 +251,6 @@ class BagWriter:
     def channel(self, topic: str) -> int:
         """Number of an announced topic in the records of `write_chunk`."""
         return self._file.channels[topic]
-
-    # -------------------------------------------------------------- messages
 
     def without_garbage(self, msgtype: str, data: bytes) -> bytes:
         """A serialised message with zeros between its fields.
@@ -288,7 +302,7 @@ class BagWriter:
         """Write thousands of messages as one chunk.
 
         Blocks hold their messages alone, with numbers of channels as connections; arrays are
-        records, as of `lpv_bag.replay.answer_records.RecordTemplate`.
+        records, as of `lpv_bag.replay.writer.RecordTemplate`.
         """
         blocks = [p if isinstance(p, Block) else from_rows(p) for p in parts if len(p)]
         try:
@@ -322,8 +336,6 @@ class BagWriter:
         chunks = len(self._file.chunks) * (100 + 10 * len(self._topics))
         return room - self._file.chunk.count - 2 * topics - chunks
 
-    # -------------------------------------------------------------- files
-
     def _begin_file(self) -> None:
         name = self.path.resolve().name
         if self._split_size or self._split_time:
@@ -338,25 +350,18 @@ class BagWriter:
         try:
             if not self._failure:
                 file.flush()
-                text = dump(self._information([self._entry()], file.counts)).strip()
+                text = dump(self._information([file.content])).strip()
                 file.add_metadata('rosbag2', {'serialized_metadata': text})
                 file.finish()
         except OSError as error:
             self._failure = error.strerror or str(error)
         file.output.file.close()
-        self._done.append(self._entry())
-        self._counts += file.counts
-        self._bytes += file.output.size
+        self._done.append(file.content)
 
-    def _entry(self) -> tuple[str, int, int, int]:
-        found = self._file.statistics
-        times = found.message_start_time, found.message_end_time
-        return self._file.name, *times, found.message_count
-
-    def _information(
-        self, files: Sequence[tuple[str, int, int, int]], counts: dict[str, int]
-    ) -> dict[str, Any]:
-        return bag_information(files, list(self._topics.values()), counts, self._custom)
+    def _information(self, contents: Sequence[_Content]) -> dict[str, Any]:
+        counts = sum((one.counts for one in contents), Counter[str]())
+        entries = [one.entry for one in contents]
+        return bag_information(entries, list(self._topics.values()), counts, self._custom)
 
     def close(self, known: Known | None = None) -> str:
         """Finish file and metadata, with what is known of the recording; may be called again.
@@ -371,7 +376,7 @@ class BagWriter:
         self._closed = True
         if self._failure:
             return f'its last messages or its end ({self._failure})'
-        text = dump({'rosbag2_bagfile_information': self._information(self._done, self.counts)})
+        text = dump({'rosbag2_bagfile_information': self._information(self._done)})
         new = self.path / f'{FILE_NAME}.new'
         try:
             with open(new, 'w', encoding='utf-8') as file:
@@ -389,13 +394,3 @@ def padded_cdr(typestore: Any, message: object, msgtype: str) -> bytes:
     """CDR of a message, padded to four bytes as DDS does: bags can then be compared."""
     data = bytes(typestore.serialize_cdr(message, msgtype))
     return data + bytes(-len(data) % 4)
-
-
-def _hash(connection: Connection) -> str:
-    """Type hash by the bag's own definition, which single files do not store; '' if it is none."""
-    try:
-        typestore = get_typestore(Stores.EMPTY)
-        typestore.register(get_types_from_msg(connection.msgdef.data, connection.msgtype))
-        return typestore.hash_rihs01(connection.msgtype)
-    except Exception:  # many kinds
-        return ''

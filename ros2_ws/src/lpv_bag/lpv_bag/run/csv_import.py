@@ -54,11 +54,8 @@ def load_column_map(path: str | Path) -> ColumnMap:
     joints, section = {}, top.section('joints')
     for name in data['joints']:
         one = section.section(name)
-        joints[str(name)] = (
-            one.text('position'),
-            one.text('velocity'),
-            one.text('effort') if 'effort' in one else '',
-        )
+        effort = one.text('effort') if 'effort' in one else ''
+        joints[str(name)] = (one.text('position'), one.text('velocity'), effort)
         one.finish()
     if not joints:
         raise top.error('joints', 'must name at least one joint')
@@ -102,7 +99,7 @@ def import_csv(
                     message = messages.joint_state(stamp, columns.joints, *values)
                     writer.write(topic, stamp, message)
                     count += 1
-            except CsvError:
+            except (CsvError, UnicodeDecodeError, csv.Error):
                 # What is there looks like a whole recording, and would block the next try.
                 shutil.rmtree(out, ignore_errors=True)
                 raise
@@ -115,28 +112,29 @@ def _samples(
     source: Path, columns: ColumnMap, delimiter: str, warnings: list[str]
 ) -> Iterator[tuple[Any, ...]]:
     """Stamps, positions, rates and efforts, one by one: a long recording is never in memory."""
+    unit, angle = TIME_UNITS[columns.time_unit], ANGLE_UNITS[columns.angle_unit]
+    vectors = tuple(zip(zip(*columns.joints.values()), (angle, angle, 1.0)))
     with open(source, newline='', encoding='utf-8-sig') as file:
         reader = csv.reader(file, delimiter=delimiter)
         header = [name.strip() for name in next(reader, [])]
-        missing = [name for name in columns.columns if name not in header]
-        if missing:
-            raise CsvError(
-                f'{source}: has no column {missing[0]!r}; it has '
-                + (', '.join(header) or 'no columns at all')
-            )
+        for name in columns.columns:
+            if name not in header:
+                there = ', '.join(header) or 'no columns at all'
+                raise CsvError(f'{source}: has no column {name!r}; it has {there}')
         fault, last, offset, backwards = None, -1, 0, 0
         for cells in filter(None, reader):
             if fault is not None:
                 raise fault
-            line = f'{source}: line {reader.line_num}'
+            row = _Row(dict(zip(header, cells)), f'{source}: line {reader.line_num}')
             try:
                 if len(cells) < len(header):
-                    raise CsvError(f'{line} has too few cells')
-                row = _Row({name: cells[header.index(name)] for name in columns.columns}, line)
-                vectors = _vectors(row, columns)
+                    raise CsvError(f'{row.line} has too few cells')
+                values = [
+                    [row.number(n, float) * scale for n in names] if any(names) else []
+                    for names, scale in vectors
+                ]
                 # Decimal: a float of epoch seconds is 200 ns off.
-                unit = TIME_UNITS[columns.time_unit]
-                time = int(row.number(columns.time, Decimal, unit).to_integral_value())
+                time = round(row.number(columns.time, Decimal) * unit)
                 if last < 0 and columns.start is not None:
                     offset = round(columns.start * 1e9) - time
                 stamp = time + offset
@@ -148,7 +146,7 @@ def _samples(
                 continue
             backwards += stamp <= last
             last = stamp
-            yield (stamp, *vectors)
+            yield (stamp, *values)
     if fault is not None:
         with open(source, 'rb') as end:
             end.seek(-1, 2)
@@ -165,26 +163,17 @@ class _Row(NamedTuple):
     cells: dict[str, str]
     line: str  # for error messages
 
-    def number(self, name: str, kind: Any, unit: Any) -> Any:
+    def number(self, name: str, kind: Any) -> Any:
+        """Number in a cell; not a number where there is no such cell, or an empty one."""
+        text = self.cells[name].strip() if name else ''
         try:
-            value = kind(self.cells[name].strip()) * unit
+            value = kind(text or 'nan')
+            if kind is Decimal and not value.is_finite():
+                raise self.error(name)
+            return value
         except (ArithmeticError, ValueError):
             raise self.error(name) from None
-        if kind is Decimal and not value.is_finite():
-            raise self.error(name)
-        return value
 
     def error(self, name: str) -> CsvError:
         text = self.cells[name].strip()[:40]
         return CsvError(f'{self.line}, column {name!r}: {text!r} is not a number that can be used')
-
-
-def _vectors(row: _Row, columns: ColumnMap) -> list[list[float]]:
-    """Positions, rates and efforts; NaN where a cell is empty."""
-    angle, vectors = ANGLE_UNITS[columns.angle_unit], []
-    for names, unit in zip(zip(*columns.joints.values()), (angle, angle, 1.0)):
-        filled = [name and row.cells[name].strip() for name in names]
-        pairs = zip(names, filled)
-        values = [row.number(name, float, unit) if text else math.nan for name, text in pairs]
-        vectors.append(values if any(names) else [])
-    return vectors

@@ -1,7 +1,8 @@
 """Decodes messages of one type, thousands at a time where they have the same shape."""
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -14,87 +15,89 @@ from lpv_core.support.errors import SampleError
 MOST_LAYOUTS = 8
 _MOST_ATTEMPTS = 32
 """Messages from which a shape is to be learnt; then they are read one by one."""
-
-
-class Part(NamedTuple):
-    """Messages that are alike."""
-
-    rows: np.ndarray  # which of the positions asked for; shape (k,)
-    stamps: np.ndarray  # header stamps [ns]; shape (k,), zeros of types without header
-    values: dict[str, np.ndarray]  # by path; shape (k, count)
-    learnt: Any  # of these messages; a SampleError if they cannot be used
-    message: Any  # of a message that was read alone, otherwise None
+Columns = tuple[Any, int]
+"""Columns to take of a field, and how many it must have for that; -1 for any number."""
+Table = tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]
+"""Positions in a block, header stamps [ns] (zeros without a header) and fields, a row each."""
 
 
 class Decoder:
-    """Decodes messages of one type: numbers at some paths, as ``points.0.effort``.
+    """Decodes messages of one type: columns of the numbers at some paths, as ``points.0.effort``.
 
-    ``learn`` gives what the user of the messages wants to know of all messages of one shape, from
-    the first of them; it raises SampleError for messages that cannot be used.
+    ``choose`` gives the columns for all messages of one shape from the first of them; it raises
+    SampleError for those that cannot be used, which are left out and counted by its text.
     """
 
     def __init__(
-        self, reader: BagReader, msgtype: str, paths: Sequence[str], learn: Callable[[Any], Any]
+        self,
+        reader: BagReader,
+        msgtype: str,
+        paths: Sequence[str],
+        choose: Callable[[Any], Columns],
     ) -> None:
-        self._reader, self._msgtype, self._learn = reader, msgtype, learn
+        self._reader, self._msgtype, self._choose = reader, msgtype, choose
         self._paths, self._attempts = tuple(paths), _MOST_ATTEMPTS
-        self.shapes: list[tuple[Layout, Any]] = []
+        self._shapes: list[tuple[Layout, Columns | str]] = []  # and why they cannot be used
+        self.rejected = Counter[str]()
 
-    def read(self, block: Block, positions: np.ndarray) -> Iterator[Part]:
-        """Messages at some positions of a block."""
-        left = np.arange(len(positions))
-        for shape in self.shapes:
-            found, left = self._match(block, positions, left, shape[0])
-            if len(found):
-                yield self._part(block, positions, found, *shape)
+    def read(self, block: Block, positions: np.ndarray) -> Table | None:
+        """Messages at some positions of a block, in their order; None if none can be used."""
+        parts = list(self._parts(block, positions))
+        if len(parts) < 2:
+            return parts[0] if parts else None
+        places, stamps = (np.concatenate([part[i] for part in parts]) for i in (0, 1))
+        order = np.argsort(places)
+        fields = {path: np.concatenate([p[2][path] for p in parts])[order] for path in self._paths}
+        return places[order], stamps[order], fields
+
+    def _parts(self, block: Block, left: np.ndarray) -> Iterator[Table]:
+        for shape in self._shapes:
+            found, left = _match(block, left, shape[0])
+            yield from self._part(block, found, *shape)
         while len(left):
-            data = block.message(positions[left[0]])
+            data = block.message(left[0])
             message = self._reader.deserialize(data, self._msgtype)
             try:
-                learnt = self._learn(message)
+                columns: Columns | str = self._choose(message)
             except SampleError as error:
-                learnt = error
-            layout = self._layout(data, message, learnt)
-            if layout is None:
-                yield self._single(left[:1], message, learnt)
-                left = left[1:]
+                columns = str(error)
+            layout = self._layout(data, message)
+            if layout is not None:
+                self._shapes.append((layout, columns))
+                found, left = _match(block, left, layout)
+                yield from self._part(block, found, layout, columns)
+                continue
+            if isinstance(columns, str):
+                self.rejected[columns] += 1
             else:
-                self.shapes.append((layout, learnt))
-                found, left = self._match(block, positions, left, layout)
-                yield self._part(block, positions, found, layout, learnt)
-
-    @staticmethod
-    def _match(
-        block: Block, positions: np.ndarray, rows: np.ndarray, layout: Layout
-    ) -> tuple[np.ndarray, np.ndarray]:
-        if not len(rows):
-            return rows, rows
-        same = layout.match(block.data, block.start[positions[rows]], block.size[positions[rows]])
-        return (rows, rows[:0]) if same.all() else (rows[same], rows[~same])
+                yield self._single(left[:1], message, columns)
+            left = left[1:]
 
     def _part(
-        self, block: Block, positions: np.ndarray, rows: np.ndarray, layout: Layout, learnt: Any
-    ) -> Part:
-        starts = block.start[positions[rows]]
-        values = {path: layout.read(block.data, starts, path) for path in self._paths}
-        if 'header.stamp.sec' in layout.fields:
-            return Part(rows, layout.stamps(block.data, starts), values, learnt, None)
-        return Part(rows, np.zeros(len(rows), np.int64), values, learnt, None)
+        self, block: Block, places: np.ndarray, layout: Layout, columns: Columns | str
+    ) -> Iterator[Table]:
+        """Messages of one shape; none where they cannot be used, as ``columns`` say."""
+        if isinstance(columns, str) and len(places):
+            self.rejected[columns] += len(places)
+        elif len(places):
+            starts, stamps = block.start[places], np.zeros(len(places), np.int64)
+            if 'header.stamp.sec' in layout.fields:
+                stamps = layout.stamps(block.data, starts)
+            read = {path: layout.read(block.data, starts, path) for path in self._paths}
+            yield places, stamps, {path: _picked(v, *columns) for path, v in read.items()}
 
-    def _single(self, rows: np.ndarray, message: Any, learnt: Any) -> Part:
+    def _single(self, places: np.ndarray, message: Any, columns: Columns) -> Table:
         stamp = stamp_of(message.header.stamp) if hasattr(message, 'header') else 0
-        values = {}
-        if not isinstance(learnt, SampleError):
-            values = {path: np.atleast_1d(value_at(message, path))[None] for path in self._paths}
-        return Part(rows, np.array([stamp]), values, learnt, message)
+        read = {path: np.atleast_1d(value_at(message, path))[None] for path in self._paths}
+        picked = {path: _picked(values, *columns) for path, values in read.items()}
+        return places, np.array([stamp]), picked
 
-    def _layout(self, data: bytes, message: Any, learnt: Any) -> Layout | None:
-        """Layout of a message that can be used, if the general reader gives the same numbers."""
-        full = len(self.shapes) == MOST_LAYOUTS or not self._attempts
-        if full or isinstance(learnt, SampleError):
+    def _layout(self, data: bytes, message: Any) -> Layout | None:
+        """Layout of a message, if the general reader gives the same numbers."""
+        if len(self._shapes) == MOST_LAYOUTS or not self._attempts:
             return None
         self._attempts -= 1
-        layout = find_layout(data, self._msgtype, self._reader.typestore_of(self._msgtype))
+        layout = find_layout(data, self._msgtype, self._reader.typestore)
         if layout is None:
             return None
         bytes_, start = np.frombuffer(data, np.uint8), np.zeros(1, int)
@@ -103,6 +106,21 @@ class Decoder:
             if not np.array_equal(found, np.atleast_1d(value), equal_nan=found.dtype.kind == 'f'):
                 return None
         return layout
+
+
+def _match(block: Block, places: np.ndarray, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
+    """Those of some messages that have a shape, and the others."""
+    if not len(places):
+        return places, places
+    same = layout.match(block.data, block.start[places], block.size[places])
+    return (places, places[:0]) if same.all() else (places[same], places[~same])
+
+
+def _picked(values: np.ndarray, columns: Any, width: int) -> np.ndarray:
+    """Columns of a field; NaN where it does not have as many as are expected."""
+    if width in (-1, values.shape[1]):
+        return values[:, columns].astype(float)
+    return np.full((len(values), len(columns)), np.nan)
 
 
 def value_at(message: Any, path: str) -> Any:

@@ -6,7 +6,7 @@ from typing import Any
 
 from lpv_bag.errors import BagError
 from lpv_bag.rosbag.reading import open_bag
-from lpv_bag.run.record import stamp_of
+from lpv_bag.run.streams import stamp_of
 
 _TYPE = 'diagnostic_msgs/msg/DiagnosticArray'
 

@@ -29,9 +29,6 @@ STREAMS: dict[str, tuple[str, tuple[str, ...]]] = {
 SCALARS = ('safe_stop', 'mode', 'disturbance')
 """Fields with one value a message; the others have one for each joint or sensor."""
 
-ALARMS = 'fault_alarm'
-ALARM_TYPE = 'lpv_msgs/msg/FaultAlarm'
-
 
 @dataclass(frozen=True)
 class RecordedAlarm(Alarm):
