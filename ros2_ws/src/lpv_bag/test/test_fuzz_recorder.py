@@ -13,6 +13,7 @@ from lpv_bag.recorder.input import Heard, leading_stamp  # noqa: E402
 from lpv_bag.recorder.node import RecorderNode  # noqa: E402
 from lpv_bag.rosbag.message_loss import TopicCount  # noqa: E402
 from lpv_bag.rosbag.writing import qos_profile  # noqa: E402
+from lpv_core.support.errors import ConfigError  # noqa: E402
 from lpv_msgs.msg import FaultAlarm, StateEstimate  # noqa: E402
 
 pytestmark = [pytest.mark.ros, pytest.mark.fuzz]
@@ -31,7 +32,7 @@ class Recorder:
         for topic, kind in TOPICS.items():
             package, name = kind.__module__.split('.')[0], kind.__name__
             node._types[topic] = f'{package}/msg/{name}'
-            node._announced[topic] = (node._types[topic], qos_profile(True, False, 10))
+            node._announced[topic] = qos_profile(True, False, 10)
             node._counts[topic] = TopicCount()
 
     def good(self, kind):
@@ -83,3 +84,16 @@ def test_given_hostile_parameters_when_set_then_the_recorder_goes_on(recorder):
     assert run_cases(100, lambda rng: set_parameters(recorder.node, rng)).refused
     recorder.hear('/lpv/joint_states', serialize_message(recorder.good(JointState)))
     assert len(recorder.stored()) == 1
+
+
+def test_given_a_gains_file_that_is_none_when_set_up_then_it_is_refused_and_no_bag_is_made(
+    tmp_path,
+):
+    (tmp_path / 'gains').write_text('gains: none')
+    files = {'output': tmp_path / 'bag', 'gains_file': tmp_path / 'gains'}
+    with (
+        pytest.raises(ConfigError, match='not a gains file'),
+        node_of(RecorderNode, 'recorder', **files),
+    ):
+        pass
+    assert not (tmp_path / 'bag').exists()
