@@ -64,12 +64,8 @@ def campaign(folder):
 @pytest.fixture(scope='module')
 def results(folder):
     """Results folder of the campaign."""
-    assert (
-        main(
-            ['campaign', str(folder / 'spec.yaml'), '--out', str(folder / 'out'), '--workers', '0']
-        )
-        == 0
-    )
+    line = ['campaign', str(folder / 'spec.yaml'), '--out', str(folder / 'out')]
+    assert main([*line, '--workers', '0', '--no-report']) == 0
     return folder / 'out'
 
 
@@ -131,37 +127,11 @@ def test_given_the_bag_of_a_run_when_replayed_with_its_files_then_every_bit_is_t
     assert load_gains(bag / 'gains.yaml').certificate == plan.gains.certificate
     files = ['--arm', str(bag / 'arm.yaml')]
     again = tmp_path / 'again'
-    assert (
-        main(
-            [
-                'replay',
-                str(bag),
-                *files,
-                '--gains',
-                str(bag / 'gains.yaml'),
-                '--parameters',
-                str(bag / 'parameters.yaml'),
-                '--out',
-                str(again),
-            ]
-        )
-        == 0
-    )
+    others = ['--gains', str(bag / 'gains.yaml'), '--parameters', str(bag / 'parameters.yaml')]
+    assert main(['replay', str(bag), *files, *others, '--out', str(again)]) == 0
     assert main(['compare', str(bag), str(again), *files, '--exact']) == 0
-    assert (
-        main(
-            [
-                'report',
-                str(bag),
-                *files,
-                '--scenario',
-                str(bag / 'scenario.yaml'),
-                '--out',
-                str(tmp_path / 'report'),
-            ]
-        )
-        == 0
-    )
+    report = ['--scenario', str(bag / 'scenario.yaml'), '--out', str(tmp_path / 'report')]
+    assert main(['report', str(bag), *files, *report]) == 0
     assert (tmp_path / 'report' / 'report.html').stat().st_size > 10_000
     capsys.readouterr()
 

@@ -53,11 +53,15 @@ BAD = ['b/junk.mcap', 'b/lonely', 'deaf', 'strange']
 
 
 @pytest.fixture(scope='module')
-def runs(paper_gains, tmp_path_factory):
-    """Plans and runs by name."""
+def campaign(paper_gains, tmp_path_factory):
     folder = tmp_path_factory.mktemp('spec')
     save_gains(paper_gains, folder / 'gains.yaml')
-    campaign = resolve(SPEC, 'fleet', folder)
+    return resolve(SPEC, 'fleet', folder)
+
+
+@pytest.fixture(scope='module')
+def runs(campaign):
+    """Plans and runs by name."""
     plans = {name: plan_run(campaign, k) for k, name in enumerate(('healthy', 'bias', 'dropout'))}
     return {name: (plan, plan.simulate()) for name, plan in plans.items()}
 
@@ -96,20 +100,11 @@ def archive(runs, tmp_path_factory):
     (root / 'b' / 'lonely' / 'metadata.yaml').write_text(
         (root / 'a' / 'healthy' / 'metadata.yaml').read_text()
     )
-    write_odd(
-        root / 'deaf',
-        '/chatter',
-        'std_msgs/msg/String',
-        TYPESTORE.types['std_msgs/msg/String']('hello'),
-    )
-    write_odd(
-        root / 'strange',
-        '/js',
-        JOINT_STATE,
-        BagMessages(TYPESTORE, '').joint_state(
-            1, ('elbow', 'wrist'), (0.0, 0.0), (0.0, 0.0), (0.0, 0.0)
-        ),
-    )
+    string = 'std_msgs/msg/String'
+    write_odd(root / 'deaf', '/chatter', string, TYPESTORE.types[string]('hello'))
+    zeros = [(0.0, 0.0)] * 3
+    message = BagMessages(TYPESTORE, '').joint_state(1, ('elbow', 'wrist'), *zeros)
+    write_odd(root / 'strange', '/js', JOINT_STATE, message)
     (root / '.hidden').mkdir()
     (root / '.hidden' / 'x.mcap').write_bytes(b'')
     (root / 'notes').mkdir()

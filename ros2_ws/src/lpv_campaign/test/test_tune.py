@@ -21,8 +21,8 @@ CAMPAIGN = {
     'name': 'tune',
     'seed': 11,
     'designs': ['poor.yaml'],
-    'plan': {'method': 'latin_hypercube', 'runs': 6},
-    'duration': 4.0,
+    'plan': {'method': 'latin_hypercube', 'runs': 4},
+    'duration': 3.5,
     'factors': {
         'path': 'random',
         'fault.kind': ['none', 'bias'],

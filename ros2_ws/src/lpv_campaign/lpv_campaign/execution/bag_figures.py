@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lpv_bag.replay.session import ReplayResult
+from lpv_bag.replay.replay import ReplayResult
 from lpv_bag.run.record import load_run
 from lpv_campaign.execution.run_metrics import figures
 from lpv_core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent, SensorState
@@ -37,7 +37,7 @@ class BagFigures:
         n = len(arm.sensor_names)
         self._state_time, self._doubtful = np.zeros((len(STATES), n)), np.zeros(2)
         self._score, self._largest, self._sums = np.zeros(n), np.zeros(n), np.zeros((4, n))
-        self._pending: np.ndarray | None = None
+        self._pending = np.zeros((0, 3 + n), np.int64)  # stamp, doubts and states of the last one
         self._stamps: list[int] = []
         self._answers: list[dict[str, np.ndarray]] = []
         self._samples = 0
@@ -46,18 +46,15 @@ class BagFigures:
         """Count a block, as `lpv_bag.replay.replay.Replay.watch` hands it on."""
         stamps = measured.stamp
         if len(stamps):
-            both = [*self._stamps, *stamps.tolist()]
-            self._stamps = [min(both), max(both)]
+            self._stamps += [int(stamps.min()), int(stamps.max())]
+            self._stamps = [min(self._stamps), max(self._stamps)]
         rows = np.flatnonzero(answers.answered)
         state = np.where(answers.has_fault[rows, None], answers.fault.state[rows], _STALE)
         doubtful = [answers.inconsistent[rows], ~answers.state.trustworthy[rows]]
         table = np.column_stack([stamps[rows], *doubtful, state]).astype(np.int64)
-        if self._pending is not None:
-            table = np.vstack([self._pending, table])
-        if len(table):
-            time = np.clip(np.diff(table[:, 0]) / NANOSECONDS, 0.0, self._max_gap)
-            self._add_time(table[:-1], time)
-            self._pending = table[-1:]
+        table = np.vstack([self._pending, table])
+        self._add_time(table[:-1], np.diff(table[:, 0]) / NANOSECONDS)
+        self._pending = table[-1:]
         rows = np.flatnonzero(answers.answered & answers.has_fault)
         fault, state = answers.fault[rows], answers.state[rows]
         if len(rows):
@@ -65,21 +62,19 @@ class BagFigures:
         self._samples += len(rows)
         if self._samples > MOST_SAMPLES:
             self._answers.clear()
-        else:
-            kept = {
-                'stamp': stamps[rows],
-                'estimate': state.position,
-                'estimated_velocity': state.velocity,
-                'fault_estimate': fault.estimate,
-                'threshold': fault.threshold,
-                'inconsistent': answers.inconsistent[rows],
-            }
-            self._answers.append({name: np.array(values) for name, values in kept.items()})
+            return
+        kept = {
+            **{'stamp': stamps[rows], 'inconsistent': answers.inconsistent[rows]},
+            **{'estimate': state.position, 'estimated_velocity': state.velocity},
+            **{'fault_estimate': fault.estimate, 'threshold': fault.threshold},
+        }
+        self._answers.append({name: np.array(values) for name, values in kept.items()})
 
     def _add_time(self, table: np.ndarray, time: np.ndarray) -> None:
+        time = np.clip(time, 0.0, self._max_gap)
         self._doubtful += time @ table[:, 1:3]
-        for i in range(self._state_time.shape[1]):
-            self._state_time[:, i] += np.bincount(table[:, 3 + i], time, len(STATES))
+        for i, states in enumerate(table.T[3:]):
+            self._state_time[:, i] += np.bincount(states, time, len(STATES))
 
     def _add_faults(self, estimate: np.ndarray, threshold: np.ndarray, state: np.ndarray) -> None:
         known = (state != _STALE) & (threshold > 0.0)
@@ -93,12 +88,12 @@ class BagFigures:
 
     def row(self, events: Sequence[Alarm], bag: Path, result: ReplayResult) -> dict[str, Any]:
         """Figures of the bag, by column; None where there is nothing to be measured."""
-        if self._pending is not None:
-            self._add_time(self._pending, np.array([self._arm.sample_time]))
-            self._pending = None
+        self._add_time(self._pending, np.full(len(self._pending), self._arm.sample_time))
+        self._pending = self._pending[:0]
         start, end = self._stamps or (0, 0)
-        count = np.where(self._sums[0] > 0, self._sums[0], np.nan)
-        mean, square, threshold = self._sums[1:] / count
+        mean, square, threshold = self._sums[1:] / np.where(
+            self._sums[0] > 0, self._sums[0], np.nan
+        )
         row: dict[str, Any] = self._against_truth(events, bag, result)
         raised = [event.sensor for event in events if event.event == AlarmEvent.RAISED]
         row.update(
@@ -110,17 +105,13 @@ class BagFigures:
             alarms=len(raised),
             alarm_list=alarm_rows(events, start),
         )
+        columns = {f'time_{name}': times for name, times in zip(STATES, self._state_time)}
+        columns |= {'score': self._score, 'fault_largest': self._largest, 'fault_mean': mean}
+        columns |= {'fault_rms': np.sqrt(square), 'threshold_mean': threshold}
         for i, sensor in enumerate(self._arm.sensor_names):
-            states = {f'time_{name}': self._state_time[k, i] for k, name in enumerate(STATES)}
-            found = {
-                **states,
-                'score': self._score[i],
-                'fault_largest': self._largest[i],
-                'fault_mean': mean[i],
-                'fault_rms': np.sqrt(square[i]),
-                'threshold_mean': threshold[i],
-            }
-            row.update({f'{name}_{i + 1}': _number(value) for name, value in found.items()})
+            for name, values in columns.items():
+                finite = np.isfinite(values[i])
+                row[f'{name}_{i + 1}'] = float(values[i]) if finite else None
             row[f'alarms_{i + 1}'] = raised.count(sensor)
         return row
 
@@ -201,10 +192,6 @@ def _held(
         if name == 'safe_stop' or 'threshold' in held:
             values[last < 0] = name == 'safe_stop'
     return held
-
-
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
 
 
 def alarm_rows(events: Sequence[Alarm], start: int) -> list[dict[str, Any]]:

@@ -60,33 +60,23 @@ def _named(sensors: Collection[str], names: Sequence[str]) -> str:
     return '+'.join(name for name in names if name in sensors) or NO_FAULT
 
 
-def _own_alarms(
-    run: Any, faulty: Collection[str], begin: float, end: float
-) -> dict[str, list[Any]]:
-    """Alarms that count for each faulty sensor."""
-    own: dict[str, list[Any]] = {}
-    for alarm in run.alarms:
-        if (
-            alarm.event != AlarmEvent.CLEARED
-            and alarm.sensor in faulty
-            and begin <= alarm.detected / 1e9 < end
-            and alarm.onset / 1e9 >= begin - _EARLY
-        ):
-            own.setdefault(alarm.sensor, []).append(alarm)
-    return own
-
-
 def _alarm_figures(
     run: Any, faults: list[Fault], names: Sequence[str], begin: float, end: float
 ) -> dict[str, Any]:
     """Alarms while a fault acts count for it; all others are false."""
     raised = [a for a in run.alarms if a.event == AlarmEvent.RAISED]
     faulty = {f.sensor: f for f in faults}
-    own = _own_alarms(run, faulty, begin, end)
+    own: dict[str, list[Any]] = {}  # alarms that count for each faulty sensor
+    for alarm in run.alarms:
+        in_time = begin <= alarm.detected / 1e9 < end and alarm.onset / 1e9 >= begin - _EARLY
+        if alarm.event != AlarmEvent.CLEARED and alarm.sensor in faulty and in_time:
+            own.setdefault(alarm.sensor, []).append(alarm)
     inside = [a for a in raised if begin <= a.detected / 1e9 < end]
-    said = {a.sensor for a in inside}
+    said, nan = {a.sensor for a in inside}, math.nan
     found = bool(own) and set(own) == set(faulty)
-    first = {sensor: alarms[0] for sensor, alarms in own.items()}
+    pairs = [(own[sensor][0], f) for sensor, f in faulty.items()] if found else []
+    biased = all(f.kind == 'bias' for f in faults)
+    last = [alarms[-1] for alarms in own.values()] or inside
     early = [a.sensor for a in raised if a.detected / 1e9 < begin]
     each = {}
     for i, name in enumerate(names, start=1):
@@ -99,24 +89,12 @@ def _alarm_figures(
         'detected': found,
         'isolated': found and said == set(faulty),
         'said_sensor': _named(said, names),
-        'said_kind': _last_kind(own, inside),
-        'detection_delay': max(first[s].detected / 1e9 - f.onset for s, f in faulty.items())
-        if found
-        else math.nan,
-        'onset_error': max(abs(first[s].onset / 1e9 - f.onset) for s, f in faulty.items())
-        if found
-        else math.nan,
-        'size_at_detection': max(abs(a.size) for a in first.values()) if found else math.nan,
-        'size_error': max(abs(first[s].size - f.size) for s, f in faulty.items())
-        if found and all(f.kind == 'bias' for f in faults)
-        else math.nan,
+        'said_kind': last[-1].kind if last else NO_FAULT,
+        'detection_delay': max((a.detected / 1e9 - f.onset for a, f in pairs), default=nan),
+        'onset_error': max((abs(a.onset / 1e9 - f.onset) for a, f in pairs), default=nan),
+        'size_at_detection': max((abs(a.size) for a, _ in pairs), default=nan),
+        'size_error': max((abs(a.size - f.size) for a, f in pairs if biased), default=nan),
     }
-
-
-def _last_kind(own: dict[str, list[Any]], inside: list[Any]) -> str:
-    """Kind in the last alarm of the faulty sensor, or else of any other."""
-    alarms = [alarms[-1] for alarms in own.values()] or inside
-    return alarms[-1].kind if alarms else NO_FAULT
 
 
 def _estimate_figures(arm: Any, run: Any, before: np.ndarray, during: np.ndarray) -> dict[str, Any]:

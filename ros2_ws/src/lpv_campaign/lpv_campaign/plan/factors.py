@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from lpv_core.support.config import Section
 from lpv_core.support.errors import ConfigError
 
 _KEYS = {'low', 'high', 'spacing', 'levels'}
@@ -98,23 +99,15 @@ def _is_number(value: object) -> bool:
 
 
 def _range(data: dict[str, Any], name: str, source: str) -> Range:
-    if set(data) - _KEYS or not {'low', 'high'} <= set(data):
-        raise ConfigError(
-            name,
-            'must be a value, a list of values, or a mapping of low and high, '
-            'with spacing (linear, log) and levels',
-            source,
-        )
-    for key in ('low', 'high'):
-        if type(data[key]) not in (int, float):
-            raise ConfigError(f'{name}.{key}', 'must be a number', source)
-    spacing, levels = data.get('spacing', 'linear'), data.get('levels', 2)
-    if spacing not in ('linear', 'log'):
-        raise ConfigError(f'{name}.spacing', 'must be linear or log', source)
-    if type(levels) is not int or not 2 <= levels <= _MOST_CHOICES:
-        raise ConfigError(f'{name}.levels', f'must be an integer, 2 to {_MOST_CHOICES}', source)
-    if not (_is_number(data['low']) and _is_number(data['high']) and data['low'] < data['high']):
-        raise ConfigError(name, 'must have a finite low below a finite high', source)
-    if spacing == 'log' and data['low'] <= 0.0:
-        raise ConfigError(f'{name}.low', 'must be positive for logarithmic spacing', source)
-    return Range(float(data['low']), float(data['high']), spacing == 'log', levels)
+    section = Section(data, source, name)
+    low, high = section.number('low'), section.number('high')
+    logarithmic = section.text('spacing', 'linear', ('linear', 'log')) == 'log'
+    levels = section.integer('levels', 2, low=2)
+    section.finish()
+    if not low < high:
+        raise ConfigError(name, 'must have a low below a high', source)
+    if logarithmic and low <= 0.0:
+        raise section.error('low', 'must be positive for logarithmic spacing')
+    if levels > _MOST_CHOICES:
+        raise section.error('levels', f'must be at most {_MOST_CHOICES}')
+    return Range(low, high, logarithmic, levels)

@@ -4,9 +4,8 @@ import json
 import math
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -42,13 +41,12 @@ _MOST_BAGS = 500
 """Rows of a table of bags; all are in the Parquet file."""
 
 
-@dataclass(frozen=True)
-class CampaignReport:
+class CampaignReport(NamedTuple):
     """What was written."""
 
-    html: Path  # The report
-    json: Path  # Its numbers
-    numbers: dict  # Content of that file
+    html: Path  # the report
+    json: Path  # its numbers
+    numbers: dict[str, Any]  # content of that file
 
 
 def write_report(
@@ -60,16 +58,9 @@ def write_report(
     folder = Path(folder)
     numbers = report_numbers(work, table, folder, planned, healthy)
     pictures = draw_all(numbers)
-    page = (
-        environment(Path(__file__).parent)
-        .get_template('report.html')
-        .render(
-            **numbers,
-            title=numbers['head']['name'],
-            figures={name: embedded(figure) for name, figure in pictures.items()},
-            text=_TEXT,
-        )
-    )
+    figures = {name: embedded(figure) for name, figure in pictures.items()}
+    template = environment(Path(__file__).parent).get_template('report.html')
+    page = template.render(**numbers, title=numbers['head']['name'], figures=figures, text=_TEXT)
     for figure in pictures.values():
         plt.close(figure)
     html, data = folder / 'report.html', folder / 'report.json'
@@ -121,13 +112,8 @@ def _head(work: Any, results: Results, planned: int, failed: int) -> dict[str, A
         'software': software(),
     }
     if not isinstance(work, Campaign):
-        return {
-            **head,
-            'name': f'Bags of {work.root.name}',
-            'what': 'bags',
-            'spec': '',
-            'gains': {},
-        }
+        name = f'Bags of {work.root.name}'
+        return {**head, 'name': name, 'what': 'bags', 'spec': '', 'gains': {}}
     gains = {
         name: {'method': data['observer']['method'], 'decay': data['observer'].get('decay')}
         for name, data in work.content['gains'].items()
@@ -163,14 +149,12 @@ def _alarms(results: Results, bags: bool, healthy: bool) -> list[dict[str, Any]]
         false = np.where(unknown, results.number('alarms'), false)
         time = np.where(unknown, observed, time)
     before, early = np.nansum(results.each('alarms_before')), results.number('early_time')
+    after = max(np.nansum(results.number('false_alarms')) - before, 0.0)
+    rest = np.nansum(results.number('healthy_time') - early)
     rates += [
         ('false alarms', np.nansum(false), np.nansum(time)),
         ('before any fault, or without one', before, np.nansum(early)),
-        (
-            'after the end of a fault',
-            max(np.nansum(results.number('false_alarms')) - before, 0.0),
-            np.nansum(results.number('healthy_time') - early),
-        ),
+        ('after the end of a fault', after, rest),
     ]
     return [{'name': name, **poisson_rate(n, time / 3600.0)} for name, n, time in rates]
 
@@ -188,26 +172,20 @@ def _detection(results: Results) -> list[dict[str, Any]]:
                 continue
             known = np.flatnonzero(chosen & (size > 0.0) & (kind in DOSES))
             dose, unit = DOSES.get(kind, ('', ''))
+            parts = _classes(size, known)
+            classes = [(np.median(size[p]), share(found[p]), spread(delay[p])) for p in parts]
             entries.append(
                 {
-                    'kind': kind,
-                    'sensor': sensor,
+                    **{'kind': kind, 'sensor': sensor, 'dose': dose, 'unit': unit},
                     'detected': share(found, chosen),
                     'isolated': share(isolated, chosen),
                     'delay': spread(delay[chosen]),
                     'size_error': spread(results.number('size_error')[chosen]),
-                    'dose': dose,
-                    'unit': unit,
-                    'sizes': size[known].tolist(),
-                    'delays': delay[known].tolist(),
+                    **{'sizes': size[known].tolist(), 'delays': delay[known].tolist()},
                     'found_from': found_from(size[known], found[known]),
                     'classes': [
-                        {
-                            'middle': float(np.median(size[part])),
-                            'detected': share(found[part]),
-                            'delay': spread(delay[part]),
-                        }
-                        for part in _classes(size, known)
+                        {'middle': float(middle), 'detected': rate, 'delay': late}
+                        for middle, rate, late in classes
                     ],
                 }
             )
@@ -301,30 +279,25 @@ def _estimates(results: Results) -> list[dict[str, Any]]:
 def _groups(work: Any, results: Results) -> list[dict[str, Any]]:
     """Figures by kind of fault, and by each value of other factors that take a few."""
     columns = {'kind': [NO_FAULT, *results.kinds]}
-    for name, factor in work.spec.factors.items() if isinstance(work, Campaign) else ():
-        if not name.startswith('fault.') and isinstance(factor, Choice):
-            columns[name] = [str(value) for value in factor.values[:_LEVELS]]
+    for name, varied in work.spec.factors.items() if isinstance(work, Campaign) else ():
+        if not name.startswith('fault.') and isinstance(varied, Choice):
+            columns[name] = [str(value) for value in varied.values[:_LEVELS]]
     tables = []
-    for name, values in columns.items():
+    for factor, values in columns.items():
         groups = []
         for value in values if len(values) > 1 else ():
-            chosen = pa.array(results.text(name) == value)
+            chosen = pa.array(results.text(factor) == value)
             part = Results(results.table.filter(chosen), results.sensors)
             well = part.flag('stable')
-            groups.append(
-                {
-                    'value': value,
-                    'count': part.count,
-                    **_overall(part),
-                    'delay': spread(part.number('detection_delay')),
-                    'false': _alarms(part, False, False)[0],
-                    'rms': spread(part.number('tracking_rms')[well]),
-                    'during': spread(part.number('tracking_rms_during')[well]),
-                    'ratio': spread(part.number('tracking_ratio')[well]),
-                }
-            )
+            group = {'value': value, 'count': part.count, **_overall(part)}
+            group['delay'] = spread(part.number('detection_delay'))
+            group['false'] = _alarms(part, False, False)[0]
+            tracking = {'rms': 'rms', 'during': 'rms_during', 'ratio': 'ratio'}
+            for name, column in tracking.items():
+                group[name] = spread(part.number(f'tracking_{column}')[well])
+            groups.append(group)
         if groups:
-            tables.append({'factor': name, 'groups': groups})
+            tables.append({'factor': factor, 'groups': groups})
     return tables
 
 
