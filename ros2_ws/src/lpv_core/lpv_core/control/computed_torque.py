@@ -91,7 +91,7 @@ class ComputedTorqueParts(NamedTuple):
     """Arguments of `computed_torque`."""
 
     chain: Chain
-    state: np.record
+    state: np.ndarray  # memory of the record, shape (1,)
     work: FloatArray
 
 
@@ -140,7 +140,7 @@ class ComputedTorqueController(TrackingLaw):
     @property
     def parts(self) -> ComputedTorqueParts:
         """Arguments of `computed_torque`."""
-        return ComputedTorqueParts(self._chain, self.state, self._work)
+        return ComputedTorqueParts(self._chain, self._memory, self._work)
 
     @property
     def chain(self) -> Chain:

@@ -7,9 +7,10 @@ and every 50 ms.  A sample that does not simply follow the one before (the first
 gap, with missing values, or after such) goes through the monitor's `take_many`, as in the node.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -77,8 +78,9 @@ from lpv_core.simulation.transport import (
     Transport,
 )
 from lpv_core.support.errors import ConfigError
+from lpv_core.support.jit import COMPILED
 from lpv_core.support.jit import njit_in_place as njit
-from lpv_core.support.records import new_record, record_type
+from lpv_core.support.records import memory, new_record, plain, record_type
 from lpv_core.support.timestamps import NANOSECONDS, NEVER
 from lpv_core.uio.certificate.gains import Gains
 from lpv_core.uio.unknown_input_observer import UioParts, uio_answers
@@ -159,8 +161,8 @@ class _Plant(NamedTuple):
     """Arguments of the functions of `lpv_core.simulation.arm_simulator`."""
 
     chain: Chain
-    constants: np.record
-    state: np.record
+    constants: np.ndarray  # memory of a record, as the next one: see `lpv_core.support.records`
+    state: np.ndarray
     faults: np.ndarray
     scratch: FloatArray
     matrix: FloatArray
@@ -203,14 +205,14 @@ class _Tracker(NamedTuple):
     torque: FloatArray  # of the last command [N m]
     integral: FloatArray  # eps of the law
     references: FloatArray
-    correction: np.record  # of `limit_correction`
-    watchdog: np.record
-    drives: np.record
+    correction: np.ndarray  # memory of a record of `limit_correction`
+    watchdog: np.ndarray  # memory of a record, as the next one
+    drives: np.ndarray
 
 
 @njit
 def _run(
-    loop: np.record,
+    shared: np.ndarray,
     plant: _Plant,
     streams: _Streams,
     observer: _Observer,
@@ -219,7 +221,11 @@ def _run(
     blocked: np.ndarray,
     first: int,
 ) -> int:
-    """Go on from a sample until something is needed from outside, see `Phase`."""
+    """Go on from a sample until something is needed from outside, see `Phase`.
+
+    ``shared`` is the memory of the loop's record.
+    """
+    loop = shared[0]
     for k in range(first, len(rows)):
         if loop.phase == _SENSE:
             _sense(loop, plant, streams, observer, tracker, rows[k], blocked[k], k)
@@ -255,21 +261,21 @@ def _sense(
     k: int,
 ) -> None:
     """Read the sensors, and choose the way of the measurement unless it is lost."""
-    state, sample, loop.ran = plant.state, observer.samples[k], False
-    read_sensors(plant.constants, state, plant.faults, streams.noise, streams.chance)
+    state, sample, loop.ran = plant.state[0], observer.samples[k], False
+    read_sensors(plant.constants[0], state, plant.faults, streams.noise, streams.chance)
     row.disturbance = state.disturbance
     map_vector(observer.to_sensors, state.measured_position, sample[0])
     map_vector(observer.to_sensors, state.measured_velocity, sample[1])
     missing = False
     for i in range(sample.shape[1]):
-        row.effort[i] = state.torque[i] / plant.constants.effort_gain[i]
+        row.effort[i] = state.torque[i] / plant.constants[0].effort_gain[i]
         sample[2, i] = row.effort[i] * observer.gains[i]
         if not (abs(sample[0, i]) < np.inf and abs(sample[1, i]) < np.inf):
             missing = True
     row.lost = loop.loss > 0.0 and streams.losses.random() < loop.loss
     row.lost = row.lost or blocked & NO_MEASUREMENT != 0
     waited = 0 if loop.previous == NEVER else observer.stamps[k] - observer.stamps[loop.previous]
-    if waited > tracker.watchdog.silence:
+    if waited > tracker.watchdog[0].silence:
         _stop(loop, tracker, _SILENCE)
     if row.lost:
         if k > 0:
@@ -328,7 +334,7 @@ def _estimate(
     for i in range(len(loop.feedback)):
         loop.feedback[i], loop.rate[i] = observer.feedback[k, i], answers.velocity[k, i]
     reason = check_estimate(
-        tracker.watchdog,
+        tracker.watchdog[0],
         observer.stamps[k],
         0,
         answers.mode[k],
@@ -348,8 +354,8 @@ def _stop(loop: np.record, tracker: _Tracker, reason: int) -> None:
     loop.stop, loop.previous, loop.reason, loop.phase = True, NEVER, reason, _ACT
     tracker.integral[:] = 0.0
     tracker.torque[:] = 0.0
-    tracker.correction.stamp = NEVER
-    note_stop(tracker.watchdog)
+    tracker.correction[0].stamp = NEVER
+    note_stop(tracker.watchdog[0])
 
 
 @njit
@@ -358,12 +364,13 @@ def _command(loop: np.record, observer: _Observer, tracker: _Tracker, k: int) ->
     now, loop.ran = observer.stamps[k], True
     reference = tracker.references[k - loop.offset]
     measured = observer.answers.measured[k]
-    reason = check_motion(tracker.watchdog, now, reference[0], loop.feedback, measured)
+    reason = check_motion(tracker.watchdog[0], now, reference[0], loop.feedback, measured)
     if reason != _NONE:
         _stop(loop, tracker, reason)
         return
-    limit_correction(tracker.correction, now, loop.feedback, loop.rate)
-    feedback, rate = tracker.correction.feedback[0], tracker.correction.feedback[1]
+    correction = tracker.correction[0]
+    limit_correction(correction, now, loop.feedback, loop.rate)
+    feedback, rate = correction.feedback[0], correction.feedback[1]
     # Eq. (59) literally integrates the faulty measurement.
     integrated = measured if loop.literal else feedback
     interval = (now - observer.stamps[loop.previous]) / NANOSECONDS
@@ -383,7 +390,7 @@ def _computed_torque(
 ) -> None:
     if parts is not None:
         computed_torque(
-            parts.chain, parts.state, reference, position, velocity, integrated, interval,
+            parts.chain, parts.state[0], reference, position, velocity, integrated, interval,
             parts.work)  # fmt: skip
 
 
@@ -414,7 +421,7 @@ def _act(
     k: int,
 ) -> None:
     """Queue the command, let the one that has arrived act over one sample, and log the sample."""
-    state, n, now, slot = plant.state, len(loop.feedback), observer.stamps[k], k % MAX_DELAY
+    state, n, now, slot = plant.state[0], len(loop.feedback), observer.stamps[k], k % MAX_DELAY
     if loop.stop and loop.started and not loop.ran:
         loop.offset += 1  # the clock of the path stands still
     place = min(max(k - loop.offset, 0), len(tracker.references) - 1)
@@ -430,7 +437,7 @@ def _act(
     row.place = place
     row.time, row.stop_reason = k * loop.period, loop.reason
     age = now - observer.stamps[loop.acting]
-    row.brake_reason = check_drive(tracker.drives, now, age, loop.braking, state.velocity)
+    row.brake_reason = check_drive(tracker.drives[0], now, age, loop.braking, state.velocity)
     for i in range(n):
         row.position[i], row.velocity[i] = state.position[i], state.velocity[i]
         row.measured[i], row.fault[i] = state.measured_position[i], state.fault[i]
@@ -439,9 +446,9 @@ def _act(
     if row.brake_reason != 0:
         brake(plant.chain, state, plant.scratch[:n])
     else:
-        set_torque(plant.constants, state, loop.torque, push)
+        set_torque(plant.constants[0], state, loop.torque, push)
         if not loop.external:
-            integrate(plant.chain, plant.constants, state, plant.scratch, plant.matrix)
+            integrate(plant.chain, plant.constants[0], state, plant.scratch, plant.matrix)
     loop.phase = _ADVANCE if loop.external and row.brake_reason == 0 else _SENSE
     for i in range(n):
         row.torque[i], row.command[i] = state.torque[i], tracker.torque[i]
@@ -539,8 +546,8 @@ def run_closed_loop(
     references = PathReferences(scenario.path(arm), arm.sample_time, count, speed)
     plant = _Plant(
         simulator.chain,
-        simulator.constants,
-        simulator.state,
+        memory(simulator.constants),
+        memory(simulator.state),
         simulator.injector.records,
         simulator.scratch,
         simulator.matrix,
@@ -560,9 +567,9 @@ def run_closed_loop(
         controller.torque,
         controller.integral,
         references.motion,
-        new_correction(arm, compensation != 'off'),
-        tracker_watchdog(arm, TrackerLimits(latency.single, latency)),
-        drive_watchdog(arm, DriveLimits(latency)),
+        memory(new_correction(arm, compensation != 'off')),
+        memory(tracker_watchdog(arm, TrackerLimits(latency.single, latency))),
+        memory(drive_watchdog(arm, DriveLimits(latency))),
     )
     loop = new_record(
         _loop_type(len(arm.joints)),
@@ -579,26 +586,29 @@ def run_closed_loop(
     rows = np.zeros(count, _row_type(len(arm.joints))).view(np.recarray)
     blocked = transport.blocked(count, arm.sample_time)
     alarms: list[Alarm] = []
+    shared, now, failed = memory(loop), plain(loop), memory(simulator.state)['failed']
+    run = _compiled_run(shared, plant, streams, parts, tracker, rows, blocked, 0)
     k = 0
     while k < count:
-        k = _run(loop, plant, streams, parts, tracker, rows, blocked, k)
-        if simulator.state.failed:
+        k = run(shared, plant, streams, parts, tracker, rows, blocked, k)
+        if failed[0]:
             raise ConfigError('plant', 'has a mass matrix that is not positive definite')
-        if loop.phase == _MONITOR:
+        phase = now['phase']
+        if phase == _MONITOR:
             alarms += _hand_over(monitor, parts, records, loop, simulator.state, k)
             parts.times[:] = (parts.stamps - stepped.stamp_of(0.0)) / NANOSECONDS
             parts = parts._replace(known=monitor.parts.known, flags=monitor.parts.flags)
-        elif loop.phase == _DECIDE:
-            stepped.decide(float(parts.times[k]), bool(loop.complete))
+        elif phase == _DECIDE:
+            stepped.decide(float(parts.times[k]), bool(now['complete']))
             alarms += monitor.note(stepped.snapshot(), int(parts.stamps[k]))
             parts = parts._replace(known=monitor.parts.known, flags=monitor.parts.flags)
-            loop.phase = _ANSWER
-        elif loop.phase == _START:
+            now['phase'] = _ANSWER
+        elif phase == _START:
             references.restart(k - int(loop.offset), loop.feedback.copy())
             loop.previous, loop.started, loop.phase = k, True, _COMMAND
-        elif loop.phase == _ADVANCE:
+        elif phase == _ADVANCE:
             simulator.advance()
-            loop.phase = _SENSE
+            now['phase'] = _SENSE
     return Run(
         **{name: rows[name] for name in rows.dtype.names},
         compensated=answers.compensated,
@@ -613,6 +623,20 @@ def run_closed_loop(
         path=np.moveaxis(references.motion, 1, 0),
         tip=references.tip,
     )
+
+
+def _compiled_run(*arguments: Any) -> Callable[..., int]:
+    """`_run` for arguments of these types: it does not look at their types at every call.
+
+    There are a hundred arrays among them; all that replace others are as these are.
+    """
+    if not COMPILED:
+        return _run
+    function: Any = _run
+    types = tuple(map(function.typeof_pyval, arguments))
+    function.compile(types)
+    entry: Callable[..., int] = function.overloads[types].entry_point
+    return entry
 
 
 def _hand_over(
