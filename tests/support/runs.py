@@ -6,6 +6,7 @@ import re
 import numpy as np
 
 from lpv_bag.rosbag.messages import BagMessages
+from lpv_bag.rosbag.reading import open_bag
 from lpv_bag.rosbag.writing import BagWriter
 from lpv_core.control.tracking import TrackingController
 from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
@@ -80,6 +81,18 @@ def record(path, arm, gains, scenario, streams=ALL):
             bag.stream('torque_command', stamp, torque=torque, safe_stop=False)
             plant.step(torque)
     return path
+
+
+def copied(bag, out, keep=lambda topic: True, change=lambda topic, data: data):
+    """A bag with the topics that are kept, and with other bytes; None leaves a message out."""
+    with open_bag(bag) as reader, BagWriter(out) as writer:
+        kept = [c for c in reader.connections if keep(c.topic)]
+        for connection in kept:
+            writer.copy_topic(connection)
+        for connection, time, data in reader.messages(kept):
+            if (data := change(connection.topic, bytes(data))) is not None:
+                writer.write_raw(connection.topic, time, data)
+    return out
 
 
 def rows(page):

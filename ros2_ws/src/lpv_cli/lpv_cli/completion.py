@@ -8,9 +8,10 @@ from typing import Any
 from lpv_core.support.errors import LpvError
 from lpv_core.support.resources import executable, shipped_files
 
-_PROGRAMS = {
+PROGRAMS = {
     'lpv_arm_sim': 'simulator', 'lpv_bag': 'recorder', 'lpv_tracker': 'tracker', 'lpv_uio': 'uio',
 }  # fmt: skip
+"""Main program of each package with nodes."""
 _KINDS = {
     'arm': 'arms', 'columns': 'columns', 'gains': 'gains', 'requirement': 'requirements',
     'scenario': 'scenarios', 'spec': 'campaigns',
@@ -32,7 +33,7 @@ def complete(build_parser: Callable[..., Any], commands: Collection[str]) -> Non
 def complete_by_name(parser: argparse.ArgumentParser) -> None:
     """Give arguments that name a shipped file, a package or a program their completers."""
     completers = {dest: _shipped(kind) for dest, kind in _KINDS.items()}
-    completers |= {'package': lambda **_: list(_PROGRAMS), 'program': _programs}
+    completers |= {'package': lambda **_: list(PROGRAMS), 'program': _programs}
     for action in parser._actions:
         if action.dest in completers:
             action.completer = completers[action.dest]  # type: ignore[attr-defined]
@@ -63,7 +64,7 @@ def _shipped_names(kind: str) -> list[str]:
 
 def _programs(parsed_args: argparse.Namespace, **_: object) -> list[str]:
     try:
-        folder = executable(parsed_args.package, _PROGRAMS[parsed_args.package]).parent
+        folder = executable(parsed_args.package, PROGRAMS[parsed_args.package]).parent
     except (KeyError, LpvError):
         return []
     return sorted(path.name for path in folder.iterdir())

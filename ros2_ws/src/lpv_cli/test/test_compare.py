@@ -1,5 +1,6 @@
 """Comparison of runs, and the reference that the diagnosis is held to."""
 
+import itertools
 import json
 import re
 import shutil
@@ -8,10 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import reference
-from rosbags.highlevel import AnyReader
+from runs import copied
 
 from lpv_bag.replay.replay import Replay
-from lpv_bag.rosbag.writing import BagWriter
 from lpv_cli.main import main
 from lpv_core.monitoring.parameters import DiagnosisParameters
 from lpv_core.support.errors import LpvError
@@ -62,12 +62,12 @@ def test_given_another_behaviour_when_compared_with_the_reference_then_it_is_not
 
 
 def test_given_one_answer_less_when_compared_then_it_is_noticed(replayed, paper_arm, tmp_path):
-    with AnyReader([replayed]) as reader, BagWriter(tmp_path / 'bag') as writer:
-        for connection in reader.connections:
-            writer.copy_topic(connection)
-        for k, (connection, time, data) in enumerate(reader.messages()):
-            if not (k > 5000 and connection.topic == '/lpv/fault_estimate'):
-                writer.write_raw(connection.topic, time, bytes(data))
+    answers = itertools.count()
+
+    def first_ones(topic, data):
+        return data if topic != '/lpv/fault_estimate' or next(answers) < 20 else None
+
+    copied(replayed, tmp_path / 'bag', change=first_ones)
     first, second = load_pair(replayed, tmp_path / 'bag', paper_arm)
     result = compare_runs(first, second, paper_arm)
     assert (result.only_second, result.complete, result.same) == (0, False, False)
@@ -178,19 +178,9 @@ def test_given_a_terminal_of_80_columns_when_compared_then_every_figure_is_reada
 def test_given_bags_that_cannot_be_compared_when_the_command_is_run_then_one_line_says_so(
     replayed, tmp_path, capsys
 ):
-    with AnyReader([replayed]) as reader, BagWriter(tmp_path / 'measured') as writer:
-        for connection in reader.topics['/lpv/joint_states'].connections:
-            writer.copy_topic(connection)
-            for _, time, data in reader.messages([connection]):
-                writer.write_raw(connection.topic, time, bytes(data))
-    with AnyReader([replayed]) as reader, BagWriter(tmp_path / 'later') as writer:
-        for connection in reader.connections:
-            if connection.topic == '/lpv/fault_estimate':
-                writer.copy_topic(connection)
-                for _, time, data in reader.messages([connection]):
-                    changed = bytearray(data)
-                    changed[5] ^= 0x40  # another second
-                    writer.write_raw(connection.topic, time, bytes(changed))
+    copied(replayed, tmp_path / 'measured', '/lpv/joint_states'.__eq__)
+    later = lambda _, data: data[:5] + bytes([data[5] ^ 0x40]) + data[6:]  # noqa: E731
+    copied(replayed, tmp_path / 'later', '/lpv/fault_estimate'.__eq__, later)  # another second
     shutil.copytree(replayed, tmp_path / 'broken')
     (tmp_path / 'broken' / 'metadata.yaml').unlink()
     (storage,) = (tmp_path / 'broken').glob('*.mcap')

@@ -9,33 +9,20 @@ import sys
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from lpv_cli.completion import PROGRAMS
 from lpv_cli.doctor.finding import Finding, error, ok, warn
 from lpv_core.support.errors import LpvError
 from lpv_core.support.resources import executable
 
 REQUIREMENTS = (
-    'numpy>=1.24,<3',
-    'scipy>=1.10,<2',
-    'numba>=0.59,<1',
-    'pyyaml>=6,<7',
-    'cvxpy-base>=1.5,<1.8',
-    'clarabel>=0.9,<1',
-    'matplotlib>=3.7,<4',
-    'jinja2>=3.1,<4',
-    'rich>=13,<16',
-    'mcap>=1.6,<2',
+    'numpy>=1.24,<3', 'scipy>=1.10,<2', 'numba>=0.59,<1', 'pyyaml>=6,<7', 'cvxpy-base>=1.5,<1.8',
+    'clarabel>=0.9,<1', 'matplotlib>=3.7,<4', 'jinja2>=3.1,<4', 'rich>=13,<16', 'mcap>=1.6,<2',
     'rosbags>=0.11.9,<0.12',
-)
+)  # fmt: skip
 """As in requirements/base.txt, which is not installed."""
 _SAME = {'cvxpy-base': 'cvxpy'}
 """Distributions that do as well."""
-_PROGRAMS = (
-    ('lpv_arm_sim', 'simulator'),
-    ('lpv_uio', 'uio'),
-    ('lpv_tracker', 'tracker'),
-    ('lpv_bag', 'recorder'),
-)
-_RANGES = ('LOCALHOST', 'SUBNET', 'OFF', 'SYSTEM_DEFAULT')
+_RANGES = ('LOCALHOST', 'SUBNET', 'SYSTEM_DEFAULT')
 _PROBE = """
 import importlib.util
 spec = importlib.util.find_spec('rclpy')
@@ -110,7 +97,7 @@ def check_compiler() -> Finding:
 def probe_ros() -> RosProbe:
     """Import rclpy in another process."""
     line = [sys.executable, '-c', _PROBE]
-    done = subprocess.run(line, capture_output=True, text=True, timeout=60.0)
+    done = subprocess.run(line, capture_output=True, text=True, timeout=300.0)
     lines = [line[4:] for line in done.stdout.splitlines() if line.startswith('lpv ')]
     printed = [line for line in done.stderr.splitlines() if line.strip()]
     problem = re.sub(r', at /.*', '', printed[-1].split(']: ')[-1]) if printed else ''
@@ -126,11 +113,9 @@ def check_ros(probe: RosProbe | None = None) -> Finding:
         return error('ros', text, 'make setup, or source the ROS 2 that it was run with')
     inside = os.path.realpath(probe.file).startswith(os.path.realpath(sys.prefix) + os.sep)
     if distro and inside and sys.prefix != sys.base_prefix:
-        text = (
-            f'ROS 2 {distro} is sourced, but rclpy comes from wheels in {sys.prefix}: two builds '
-        )
+        text = f'ROS 2 {distro} is sourced, but rclpy comes from wheels in {sys.prefix}: '
         remedy = 'use a shell without ROS 2, or make clean setup with ROS 2 sourced'
-        return error('ros', text + 'of the same libraries', remedy)
+        return error('ros', text + 'two builds of the same libraries', remedy)
     return ok('ros', f'{distro} is sourced' if distro else 'from wheels')
 
 
@@ -138,7 +123,7 @@ def check_workspace() -> Finding:
     """Whether messages and programs of this workspace are built."""
     try:
         importlib.import_module('lpv_msgs.msg')
-        for package, program in _PROGRAMS:
+        for package, program in PROGRAMS.items():
             executable(package, program)
     except (ImportError, LpvError) as problem:
         remedy = 'make setup, or colcon build and source install/setup.bash'
@@ -179,7 +164,5 @@ def check_range() -> Finding:
         said = f'ROS_LOCALHOST_ONLY overrides {name} and is out of use'
         return warn('discovery', said, 'unset ROS_LOCALHOST_ONLY')
     if text and text not in _RANGES:
-        return error('discovery', f'{name} is {text!r}', remedy)
-    if text == 'OFF':
-        return error('discovery', f'{name} is OFF: nodes do not find each other', remedy)
+        return error('discovery', f'{name} is {text!r}: nodes do not find each other', remedy)
     return ok('discovery', text or 'LOCALHOST (of lpv, as nothing is set)')
