@@ -113,11 +113,12 @@ def wrapped() -> Iterator[None]:
     if not terminal.isatty():
         yield
         return
-    with contextlib.redirect_stdout(io.StringIO()) as printed:
-        try:
+    printed = io.StringIO()
+    try:
+        with contextlib.redirect_stdout(printed):
             yield
-        finally:
-            terminal.write(fitted(printed.getvalue(), shutil.get_terminal_size().columns))
+    finally:  # after the redirection, which a line that moves would print into
+        terminal.write(fitted(printed.getvalue(), shutil.get_terminal_size().columns))
 
 
 def fitted(text: str, width: int) -> str:
