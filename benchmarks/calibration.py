@@ -26,7 +26,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy.stats import poisson
 
-LEVELS = (1e1, 1e2, 1e3, 1e4, 1e5)
+LEVELS = (1e1, 1e3, 1e5)
 """Values a at which M stops."""
 
 Statistics = Iterator[float]
@@ -113,7 +113,7 @@ def healthy_runs(cell: Cell, count: int, seed: int) -> list[Callable[[], Any]]:
         subject, window, _ = draw(cell, k, seed)
         stream = window.stream
         chunk = max(1, round(0.05 / subject.arm.sample_time))
-        return watch(subject.monitor(cell.engine), stream.stamps, stream.samples, chunk)
+        return watch(subject.monitor(), stream.stamps, stream.samples, chunk)
 
     return [lambda k=k: run(k) for k in range(count)]  # type: ignore[misc]
 
@@ -160,8 +160,8 @@ def table_of(curves: dict[str, list[Frequency]]) -> Table:
 
 def _curves(chosen: Iterable[Cell], count: int, seed: int) -> Iterator[tuple[str, Any]]:
     for cell in chosen:
-        name = f'{cell.arm} {cell.part} {cell.rates} {cell.kind.name} {cell.engine}'
-        monitor = cell.subjects[0].monitor(cell.engine)
+        name = f'{cell.arm} {cell.part} {cell.rates} {cell.kind.name}'
+        monitor = cell.subjects[0].monitor()
         if not hasattr(monitor, 'log_statistic'):
             print(f'{name}: the monitor has no log_statistic, left out', file=sys.stderr)
             continue
@@ -177,6 +177,7 @@ def main() -> None:
     parser.add_argument('--recorded', action='store_true', help='recordings alone')
     parser.add_argument('--simulated', action='store_true', help='simulations alone')
     parser.add_argument('--untouched', action='store_true', help='the part not tuned to')
+    parser.add_argument('--kinds', default='healthy,stamps off,gaps,rest 0.1 mrad')
     parser.add_argument('--count', type=int, default=6, help='healthy runs of each arm')
     parser.add_argument('--seed', type=int, default=1)
     parser.add_argument('--plot', type=Path, help='picture to write')
@@ -190,10 +191,10 @@ def main() -> None:
         curves = {name: frequencies(one) for name, one in runs.items()}  # type: ignore[arg-type]
     else:
         recorded = [True] * options.recorded + [False] * options.simulated or [False, True]
-        kinds = [BY_NAME[name] for name in ('healthy', 'stamps off', 'gaps', 'rest 0.1 mrad')]
+        kinds = [BY_NAME[name] for name in options.kinds.split(',')]
         chosen = cells(
             options.arm or ARMS, [True] if options.untouched else recorded,
-            ('independent', 'derived'), ('serial',), kinds, options.untouched)  # fmt: skip
+            ('independent', 'derived'), kinds, options.untouched)  # fmt: skip
         curves = dict(_curves(chosen, options.count, options.seed))
     if not curves:
         raise SystemExit('no monitor has a statistic')

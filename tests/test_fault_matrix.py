@@ -34,8 +34,8 @@ HEALTHY = {
     'paper independent': 'healthy,push',
     'real_arm derived': 'payload',
     'chain3 independent': 'payload,rest 1 mrad',
-    'chain3 derived': 'push,rest 0.1 mrad',
-    'recorded real_arm derived': 'healthy,stamps off,gaps',
+    'chain3 derived': 'push,rest 0.1 mrad,rest 1 mrad',
+    'recorded real_arm derived': 'healthy,stamps off,repeated,gaps',
     'recorded ur10 independent': 'healthy,gaps',
     'recorded panda derived': 'healthy',
 }
@@ -44,7 +44,6 @@ SLOW = 'derived rates: a drift shows in gravity and inertia alone, and is named 
 TOLERANT = 'derived rates: for 2.5 s drifts of 0.1 rad/s are within torque_tolerance of the file'
 UNSEEN = 'derived rates: no row measures the joint of a frozen encoder'
 UNSURE = 'recorded UR10: a drift of 0.05 rad/s is taken for an offset at first, and too small'
-STAMPS = 'fast motion: stamps off by 1.5 samples look like jumps of 5 mrad'
 LOST = {
     'real_arm derived drift 0.3': ('named ends', SLOW),
     'chain3 derived drift 0.3': ('ends', SLOW),
@@ -53,7 +52,6 @@ LOST = {
     'real_arm derived stuck': ('named size ends', UNSEEN),
     'recorded real_arm derived stuck': ('size', UNSEEN),
     'recorded ur10 independent drift 0.05': ('size', UNSURE),
-    'recorded real_arm derived stamps off': ('quiet', STAMPS),
 }
 """Claims that a cell does not keep, and why."""
 

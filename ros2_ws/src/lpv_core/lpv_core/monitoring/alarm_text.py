@@ -42,6 +42,8 @@ def describe(event: Alarm) -> str:
         return f'{head}{event.kind} is over, remaining error {error}'
     sure = f'{event.confidence:.1%}' if event.confidence < _CERTAIN else '> 99.9%'
     kind = _KINDS.get(event.kind, event.kind)
+    if event.kind == 'drift' and event.rate != 0.0:
+        kind += f' of {event.rate:+.3f} {event.unit}/s'
     if event.basis == GUARANTEED:
         return f'{head}error {error}, {kind}, guaranteed: no healthy arm inside its file reads this'
     if event.basis == STATISTICAL:

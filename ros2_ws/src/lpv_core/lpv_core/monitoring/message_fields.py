@@ -113,7 +113,7 @@ def corrected_fields(state: np.record, joint_names: Sequence[str]) -> dict[str, 
 def alarm_fields(alarm: Alarm) -> dict[str, Any]:
     """Fields of lpv_msgs/FaultAlarm; ``onset`` and ``detected`` in nanoseconds."""
     fields = {**asdict(alarm), 'event': int(alarm.event)}
-    del fields['basis'], fields['unit']
+    del fields['basis'], fields['unit'], fields['rate']
     return fields
 
 

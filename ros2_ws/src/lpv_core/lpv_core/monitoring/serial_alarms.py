@@ -59,7 +59,7 @@ class AlarmConverter:
             events.append(Alarm(
                 AlarmEvent[alarm.event.upper()], i, alarm.sensor, begin, stamp, alarm.size,
                 sigmas * alarm.sigma, alarm.kind, confidence(alarm), basis=basis,
-                unit=self._units[i]))  # fmt: skip
+                unit=self._units[i], rate=alarm.rate))  # fmt: skip
             if alarm.kind != _RATE_BIAS:
                 self._raised[i] = alarm.event != 'cleared'
         return events

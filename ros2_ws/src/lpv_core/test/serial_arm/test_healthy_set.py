@@ -147,7 +147,13 @@ def test_given_an_offset_when_alarmed_then_its_basis_is_said(uncertainty, size, 
     assert basis == GUARANTEED or {event.basis for event in events} == {STATISTICAL}
     assert said in describe(events[-1])
     assert (events[-1].confidence == 1.0) == (basis == GUARANTEED)
-    assert 'basis' not in alarm_fields(events[0])  # the message has its old fields
+
+
+def test_given_a_drift_when_alarmed_then_its_rate_is_said_and_is_no_field_of_the_message():
+    event = answers(EncoderFault(1, 'drift', 2.0, 0.1))[0][0]
+    assert event.rate == pytest.approx(0.1, abs=0.03)
+    assert f'drift of {event.rate:+.3f} rad/s' in describe(event)
+    assert not {'basis', 'unit', 'rate'} & set(alarm_fields(event))
 
 
 def test_given_a_step_beyond_the_jump_bound_when_found_then_it_is_guaranteed():

@@ -1,4 +1,4 @@
-"""Readings that rest: healthy ones that are rounded are not stuck, stuck ones in motion are."""
+"""Readings that rest: healthy ones that are rounded raise no alarm, stuck ones in motion do."""
 
 from dataclasses import replace
 
@@ -71,13 +71,12 @@ def alarms(arm, samples):
 @pytest.mark.parametrize('sample_time', [0.01, 0.002])
 @pytest.mark.parametrize('rates', ['derived', 'independent'])
 @pytest.mark.parametrize('name', ['ur10', 'panda', 'three', 'two'])
-def test_given_a_healthy_arm_that_rests_when_readings_are_rounded_then_none_is_stuck(
+def test_given_a_healthy_arm_that_rests_when_readings_are_rounded_then_nothing_is_wrong(
     name, rates, sample_time, step
 ):
     arm = arm_named(name, sample_time, rates)
     for seed in range(2):
-        found = alarms(arm, rounded_samples(arm, seed, step))
-        assert 'stuck' not in {kind for _, kind in found}, seed
+        assert alarms(arm, rounded_samples(arm, seed, step)) == [], seed
 
 
 @pytest.mark.parametrize('step', [1e-4, 1e-3])

@@ -55,3 +55,5 @@ class Alarm:
     # `GUARANTEED` or `STATISTICAL`; no field of the message
     basis: str = field(default=STATISTICAL, kw_only=True)
     unit: str = field(default='rad', kw_only=True)  # of positions of the sensor
+    # of a drift, where it is known [unit/s]; no field of the message
+    rate: float = field(default=0.0, kw_only=True, compare=False)

@@ -196,6 +196,10 @@ class Bank:
         if self._mixing is not None:
             self._mass[at] = map_rows(self._mixing, self._mass[at])
 
+    def momenta(self, back: int) -> FloatArray:
+        """Momenta by unit rates of the readings, M S^-1, at one of the last balances."""
+        return np.asarray(self._mass[slot(self.estimator.window, back)])
+
     def restart(self) -> None:
         """Begin again after a gap."""
         self._kinematics.restart()

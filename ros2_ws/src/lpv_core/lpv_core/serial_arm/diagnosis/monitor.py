@@ -18,6 +18,7 @@ from lpv_core.serial_arm.certificate.jump_bound import jump_bound
 from lpv_core.serial_arm.chain import FloatArray
 from lpv_core.serial_arm.description import SerialArm
 from lpv_core.serial_arm.diagnosis.alarms import SensorState
+from lpv_core.serial_arm.diagnosis.balance import OFFSET
 from lpv_core.serial_arm.diagnosis.bank import CONTACT, OCCURRENCE, Bank, Hypothesis
 from lpv_core.serial_arm.diagnosis.estimator import NOISE_KNOWN_AFTER, HorizonPlan, OffsetEstimator
 from lpv_core.serial_arm.diagnosis.fault_filter import (
@@ -103,6 +104,7 @@ class SerialAlarm:
     guaranteed: bool = False  # whether no healthy arm inside its file shows this; else statistical
     event: str = 'raised'  # raised, updated or cleared
     confidence: float = 1.0  # probability that the name is right
+    rate: float = 0.0  # at which the fault grows [rad/s]
 
 
 @dataclass(frozen=True)
@@ -438,9 +440,10 @@ class SerialMonitor:
         self, i: int, kind: str, onset: float, event: str, size: float, sigma: float,
         guaranteed: bool = False, confidence: float = 1.0
     ) -> None:  # fmt: skip
+        rate = float(self.sampler.drift[i]) if kind == 'drift' else 0.0
         self.alarms.append(SerialAlarm(
             self.arm.sensor_names[i] if i >= 0 else '', kind, onset, self._last(), size, sigma, (),
-            guaranteed, event, confidence))  # fmt: skip
+            guaranteed, event, confidence, rate))  # fmt: skip
 
     def _last(self) -> float:
         return float(self.sampler.time[-1])
@@ -480,21 +483,21 @@ class SerialMonitor:
         self._mark_suspects()
 
     def _add_noise(self) -> None:
-        """Balances of noisy readings say less."""
-        window, n = self.estimator.window, self.joints
-        noisy = np.nonzero(self.sampler.noisy)[0]
-        if len(noisy) == 0:
-            return
-        at, count = slot(window, 0), self.plan.per_block
-        for i in noisy:
-            variance, derived = self._noise(int(i)) ** 2, self.sampler.derived[i]
-            rate = 2.0 * derived * variance / (count * self.arm.sample_time) ** 2
-            # A balance holds the means of two intervals' blocks.
-            blocks = self.plan.blocks
-            position = variance / (count * blocks)
-            window.extra[at] += position * window.rows[at, :, 1 + 4 * n + i] ** 2
-            window.extra[at] += rate / blocks * window.rows[at, :, 1 + 2 * n + i] ** 2
-        self.estimator.weigh_again(1)
+        """Balances of readings that are noisy, or rounded, say less than others."""
+        estimator, sampler, n = self.estimator, self.sampler, self.joints
+        window, at = estimator.window, slot(estimator.window, 0)
+        variance = np.where(np.isfinite(sampler.grain), sampler.grain, 0.0) ** 2 / 12.0
+        # Means of derived rates hold the errors of the readings where two intervals begin and end.
+        rates = 6.0 * sampler.derived / self.plan.interval**2 * self.bank.momenta(0) ** 2
+        usual = estimator.posterior.noise**2  # as learned, most of it may be rounding
+        extra = np.maximum(rates @ variance - usual, 0.0)
+        for i in np.nonzero(sampler.noisy)[0]:
+            variance = self._noise(int(i)) ** 2
+            mean = variance / (self.plan.per_block * self.plan.blocks)
+            extra += mean * window.rows[at, :, 1 + OFFSET * n + i] ** 2 + variance * rates[:, i]
+        if extra.any():
+            window.extra[at] += extra
+            estimator.weigh_again(1)
 
     def _frozen(self, found: list[Hypothesis]) -> Hypothesis | None:
         """What explains a reading that froze, if balances say that the joint moves.

@@ -73,6 +73,7 @@ class Sampler(NamedTuple):
     size: FloatArray  # height of a step that was found, shape (n,) [rad]
     raw: FloatArray  # last reading as it came, shape (n,) [rad]
     still: IntArray  # samples for which the reading has not changed at all, shape (n,)
+    held: IntArray  # the same before the last change, if that was the last sample, shape (n,)
     lively: FloatArray  # (n,) share of changes that go back and forth by more than rounding
     stop: FloatArray  # speed of the reading before it came to rest, shape (n,) [rad/s]
     grain: FloatArray  # (n,) smallest change of the reading, at least its rounding step [rad]
@@ -110,7 +111,8 @@ def new_sampler(
         smallest.copy(), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n),
         derived.copy(), np.zeros((3, n)), np.zeros((capacity, 3 * n + 3)), np.zeros(n, np.int64),
         np.zeros(n),
-        np.zeros(n), np.zeros(n, np.int64), np.zeros(n), np.zeros(n), np.full(n, np.inf),
+        np.zeros(n), np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n), np.zeros(n),
+        np.full(n, np.inf),
         np.zeros((3, n)),
         np.zeros(n, np.int64), np.zeros((HISTORY, n), np.int64), counters,
         np.zeros(5))  # fmt: skip
@@ -146,8 +148,9 @@ def push_sample(
         if sampler.counters[COUNT] > 0:
             sampler.followed[i] += sampler.drift[i] * period
         reading = y[i] - removed(sampler, i, y[i])
+        sampler.held[i] = 0
         if abs(y[i] - sampler.raw[i]) > ROUNDING:
-            sampler.still[i] = 0
+            sampler.held[i], sampler.still[i] = sampler.still[i], 0
             if sampler.counters[COUNT] > 0:
                 _watch_change(sampler, i, y[i] - sampler.raw[i])
         else:
@@ -163,10 +166,65 @@ def push_sample(
         rate -= sampler.rate_error[i]
         sampler.samples[HISTORY - 1, 1, i] = rate
         sampler.samples[HISTORY - 1, 2, i] = torque[i]
+    _fill_repeated(sampler)
+    if sampler.counters[COUNT] > 1 and period > LATE * (
+        sampler.time[HISTORY - 2] - sampler.time[HISTORY - 3]
+    ):
+        sampler.clock[STAMPS] = 1.0
     sampler.counters[COUNT] += 1
     if sampler.counters[COUNT] >= 3:
         _set_jumps(sampler)
         _find_jumps(sampler)
+
+
+@njit_in_place
+def _fill_repeated(sampler: Sampler) -> None:
+    """Move readings that were repeated to where the joints were: their driver was late.
+
+    They went evenly to their new readings, if their rates before explain these, else on at those.
+    """
+    now, n, evenly = HISTORY - 1, sampler.scale.shape[0], True
+    for i in range(n):
+        held, reading = sampler.held[i], sampler.samples[:, 0, i]
+        if held > 0 and not _is_late(sampler, i):  # it rested
+            if sampler.derived[i] == 1.0 and sampler.counters[COUNT] > 0:
+                time = (held + 1) * (sampler.time[now] - sampler.time[now - 1])
+                sampler.samples[now, 1, i] = (reading[now] - reading[now - 1]) / time
+        elif held > 0:
+            time, way, rate = _since_change(sampler, i)
+            most = _smallest_jump(sampler.scale[i], sampler.smallest[i])
+            evenly = evenly and abs(way - rate * time) <= most
+    for i in range(n):
+        if sampler.held[i] == 0 or not _is_late(sampler, i):
+            continue
+        old = now - 1 - sampler.held[i]
+        time, way, rate = _since_change(sampler, i)
+        rate = way / time if evenly else rate
+        for k in range(old + 1, now):
+            since = sampler.time[k] - sampler.time[old]
+            sampler.samples[k, 0, i] = sampler.samples[old, 0, i] + rate * since
+        if sampler.derived[i] == 1.0:
+            sampler.samples[old + 1 :, 1, i] = rate
+
+
+@njit_in_place
+def _is_late(sampler: Sampler, i: int) -> bool:
+    """Whether the samples in which a reading was repeated are still to enter the balance."""
+    return bool(sampler.held[i] <= min(DELAY, sampler.counters[COUNT] - 2))
+
+
+@njit_in_place
+def _since_change(sampler: Sampler, i: int) -> tuple[float, float, float]:
+    """Time since the change before the last one, way since then, and rate that it should have had.
+
+    Rates of readings that go back and forth by their rounding are none.
+    """
+    now, old, rate = HISTORY - 1, HISTORY - 2 - sampler.held[i], sampler.samples[:, 1, i]
+    way = sampler.samples[now, 0, i] - sampler.samples[old, 0, i]
+    time = sampler.time[now] - sampler.time[old]
+    if abs(way) < 2.5 * sampler.grain[i]:
+        return time, way, way / time
+    return time, way, rate[old] if sampler.derived[i] == 1.0 else 0.5 * (rate[old] + rate[now])
 
 
 @njit_in_place
@@ -194,8 +252,7 @@ def _set_jumps(sampler: Sampler) -> None:
     k, n, beyond = HISTORY - 2, sampler.scale.shape[0], False
     period = sampler.time[k] - sampler.time[k - 1]
     for i in range(n):
-        way = sampler.samples[k, 0, i] - sampler.samples[k - 1, 0, i]
-        sampler.jumps[k, i] = way - period * _mean_rate(sampler.samples, i)
+        sampler.jumps[k, i] = _way(sampler, i) - period * _mean_rate(sampler, i)
         sampler.doubtful[k, i] = 0
         beyond = beyond or _is_beyond(sampler, i, k)
     if not beyond:
@@ -215,7 +272,7 @@ def _set_jumps(sampler: Sampler) -> None:
         # Readings that jump together have a common cause, if their motion explains it.
         explained = LATE * gap * _largest_rate(sampler, i, HISTORY)
         if together > 1:
-            explained = max(explained, LATE * period * _largest_rate(sampler, i, k))
+            explained = max(explained, 2.0 * LATE * period * _largest_rate(sampler, i, k))
         if abs(sampler.jumps[k, i]) < explained:
             sampler.doubtful[k, i] = 2
             sampler.clock[STAMPS] = 1.0
@@ -257,9 +314,8 @@ def _unexplained(sampler: Sampler, i: int, period: float) -> float:
 
     A joint that shakes faster than it is sampled does not jump, nor does one whose rate is wrong.
     """
-    k, rate = HISTORY - 2, sampler.samples[:, 1, i]
-    way = sampler.samples[k, 0, i] - sampler.samples[k - 1, 0, i]
-    least = way - period * _mean_rate(sampler.samples, i)
+    k, rate, way = HISTORY - 2, sampler.samples[:, 1, i], _way(sampler, i)
+    least = way - period * _mean_rate(sampler, i)
     if sampler.derived[i] == 0.0:
         for other in (k - 1, k + 1):
             rest = way - 0.5 * period * (rate[k] + rate[other])
@@ -268,9 +324,23 @@ def _unexplained(sampler: Sampler, i: int, period: float) -> float:
 
 
 @njit_in_place
-def _mean_rate(samples: FloatArray, i: int) -> float:
-    """Mean rate of a joint before and after the last sample but one [rad/s]."""
-    return float(0.5 * (samples[HISTORY - 3, 1, i] + samples[HISTORY - 1, 1, i]))
+def _way(sampler: Sampler, i: int) -> float:
+    """By how much the last reading but one differs from that before [rad]."""
+    return float(sampler.samples[HISTORY - 2, 0, i] - sampler.samples[HISTORY - 3, 0, i])
+
+
+@njit_in_place
+def _mean_rate(sampler: Sampler, i: int) -> float:
+    """Mean rate of a joint before and after the last sample but one [rad/s].
+
+    The difference of readings that are repeated is none.
+    """
+    before, after = sampler.samples[HISTORY - 3, 1, i], sampler.samples[HISTORY - 1, 1, i]
+    if sampler.derived[i] == 1.0 and abs(_way(sampler, i)) <= ROUNDING:
+        return 0.0
+    if sampler.derived[i] == 1.0 and sampler.still[i] > 0:
+        return float(before)
+    return float(0.5 * (before + after))
 
 
 @njit_in_place
@@ -281,12 +351,13 @@ def _wrong_stamp(sampler: Sampler, period: float) -> float:
     """
     jumps, n, late, best = sampler.jumps[HISTORY - 2], sampler.scale.shape[0], 0.0, 1
     for c in range(n):
-        rate = _mean_rate(sampler.samples, c)
-        if abs(rate) < _SLOW or abs(jumps[c]) > LATE * period * abs(rate):
+        rate = _mean_rate(sampler, c)
+        # A period is wrong by the errors of two stamps.
+        if abs(rate) < _SLOW or abs(jumps[c]) > 2.0 * LATE * period * abs(rate):
             continue
         gained, common, weight = 0, 0.0, 0.0
         for i in range(n):
-            own = _mean_rate(sampler.samples, i)
+            own = _mean_rate(sampler, i)
             way, usual = jumps[c] / rate * own, _USUAL * sampler.scale[i]
             if max(abs(way), abs(jumps[i])) <= usual:
                 continue
@@ -302,11 +373,11 @@ def _wrong_stamp(sampler: Sampler, period: float) -> float:
 @njit_in_place
 def _may_be_stamp(sampler: Sampler, i: int, period: float) -> bool:
     """Whether a wrong stamp explains the jump of one joint, and no other joint contradicts."""
-    jumps, rate = sampler.jumps[HISTORY - 2], _mean_rate(sampler.samples, i)
+    jumps, rate = sampler.jumps[HISTORY - 2], _mean_rate(sampler, i)
     if abs(jumps[i]) > LATE * period * abs(rate):
         return False
     for j in range(sampler.scale.shape[0]):
-        way = jumps[i] / rate * _mean_rate(sampler.samples, j)
+        way = jumps[i] / rate * _mean_rate(sampler, j)
         if j != i and abs(jumps[j] - way) > max(0.5 * abs(way), _USUAL * sampler.scale[j]):
             return False
     return True
@@ -406,6 +477,7 @@ def _name_jump(sampler: Sampler, i: int) -> None:
         return
     doubt = sampler.doubtful[peak, i]
     if abs(after + size) < 0.3 * abs(size):
+        doubt = max(doubt, sampler.doubtful[peak + 1, i])
         sampler.found[i] = SPIKE if doubt == 0 else NONE
         if doubt > 0:
             sampler.clock[STAMPS] = 1.0
