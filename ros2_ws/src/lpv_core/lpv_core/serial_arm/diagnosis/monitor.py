@@ -492,9 +492,9 @@ class SerialMonitor:
         usual = estimator.posterior.noise**2  # as learned, most of it may be rounding
         extra = np.maximum(rates @ variance - usual, 0.0)
         for i in np.nonzero(sampler.noisy)[0]:
-            variance = self._noise(int(i)) ** 2
-            mean = variance / (self.plan.per_block * self.plan.blocks)
-            extra += mean * window.rows[at, :, 1 + OFFSET * n + i] ** 2 + variance * rates[:, i]
+            square = self._noise(int(i)) ** 2
+            mean = square / (self.plan.per_block * self.plan.blocks)
+            extra += mean * window.rows[at, :, 1 + OFFSET * n + i] ** 2 + square * rates[:, i]
         if extra.any():
             window.extra[at] += extra
             estimator.weigh_again(1)
