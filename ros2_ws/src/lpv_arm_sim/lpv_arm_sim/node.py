@@ -83,7 +83,7 @@ SPECS = (
 
 _CATCH_UP = 5
 """Most samples that a braked arm makes up for; what is beyond is left out."""
-_PATIENCE = 1.0
+_PATIENCE = 5.0
 """Lockstep: how long an answer may take before the sample is sent again to newcomers [s]."""
 
 
