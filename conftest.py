@@ -10,10 +10,7 @@ import pytest
 from hypothesis import settings
 from places import BRINGUP, ROOT
 
-for _name, _place in (
-    ('lpv_core', ROOT / 'ros2_ws' / 'src' / 'lpv_core'),
-    ('lpv_design', ROOT / 'design'),
-):
+for _name, _place in (('lpv', ROOT / 'ros2_ws' / 'src' / 'lpv'), ('lpv_design', ROOT / 'design')):
     if importlib.util.find_spec(_name) is None:
         sys.path.insert(0, str(_place))
 
@@ -34,7 +31,7 @@ def pytest_configure():
 @pytest.fixture(scope='session')
 def paper_arm():
     """Arm of the paper's Table 1."""
-    from lpv_core.serial_arm.arm_file import load_arm
+    from lpv.core.serial_arm.arm_file import load_arm
 
     return load_arm(BRINGUP / 'arms' / 'paper.yaml')
 
@@ -42,7 +39,7 @@ def paper_arm():
 @pytest.fixture(scope='session')
 def real_arm():
     """Arm of the recordings: relative encoders, hanging, with rotors and friction."""
-    from lpv_core.serial_arm.arm_file import load_arm
+    from lpv.core.serial_arm.arm_file import load_arm
 
     return load_arm(BRINGUP / 'arms' / 'real_arm.yaml')
 
@@ -50,7 +47,7 @@ def real_arm():
 @pytest.fixture(scope='session')
 def paper_model(paper_arm):
     """The same in the paper's symbols, as designs take it."""
-    from lpv_core.uio.planar import planar_model
+    from lpv.core.uio.planar import planar_model
 
     return planar_model(paper_arm)
 
@@ -58,7 +55,7 @@ def paper_model(paper_arm):
 @pytest.fixture(scope='session')
 def real_model(real_arm):
     """The arm of the recordings in the paper's symbols."""
-    from lpv_core.uio.planar import planar_model
+    from lpv.core.uio.planar import planar_model
 
     return planar_model(real_arm)
 
@@ -72,14 +69,14 @@ def arm(request):
 @pytest.fixture(scope='session')
 def two_faults():
     """Shipped scenario with an abrupt and an incipient fault."""
-    from lpv_core.simulation.scenario import load_scenario
+    from lpv.core.simulation.scenario import load_scenario
 
     return load_scenario(BRINGUP / 'scenarios' / 'two_faults.yaml')
 
 
 def _shipped_gains(name):
     """As a design returns them: tests change numbers, which a checksum of a file would tell."""
-    from lpv_core.uio.certificate.gains import load_gains
+    from lpv.core.uio.certificate.gains import load_gains
 
     return replace(load_gains(BRINGUP / 'gains' / f'{name}.yaml'), checksum='')
 

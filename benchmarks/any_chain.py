@@ -20,13 +20,13 @@ from fault_matrix import summary, tables
 from rich.console import Console
 from ur10e_twin import PAYLOAD, drive, healthy, recording, twin, ur10e
 
-from lpv_core.serial_arm.description import SerialArm
-from lpv_core.serial_arm.urdf_chain import read_urdf_chain
-from lpv_identify.estimation.identification import identify
-from lpv_identify.estimation.mistakes import find_mistakes
-from lpv_identify.recordings.filters import shifted
-from lpv_identify.recordings.recording import Recording
-from lpv_identify.sensors.sensing import quantization_step, rate_sources
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.urdf_chain import read_urdf_chain
+from lpv.identify.estimation.identification import identify
+from lpv.identify.estimation.mistakes import find_mistakes
+from lpv.identify.recordings.filters import shifted
+from lpv.identify.recordings.recording import Recording
+from lpv.identify.sensors.sensing import quantization_step, rate_sources
 
 LIMITS = {'offset 0.2': 6.0, 'drift 0.3': 1.0, 'stuck': 0.3, 'scale 20 %': 2.0,
           'step 0.02': 0.02, 'noise 0.02': 0.3, 'healthy': 0.0}  # fmt: skip

@@ -29,12 +29,12 @@ from rclpy.executors import SingleThreadedExecutor
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
-from lpv_bag.rosbag.reading import open_bag
-from lpv_bag.run.decoder import Decoder
-from lpv_cli.processes import Graph
-from lpv_core.serial_arm.arm_file import load_arm
-from lpv_core.serial_arm.description import SerialArm
-from lpv_core.support.resources import bringup_file
+from lpv.bag.rosbag.reading import open_bag
+from lpv.bag.run.decoder import Decoder
+from lpv.cli.processes import Graph
+from lpv.core.serial_arm.arm_file import load_arm
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.support.resources import bringup_file
 from lpv_msgs.msg import StateEstimate, TorqueCommand
 from lpv_msgs.srv import InjectFault
 from lpv_node.qos import stream

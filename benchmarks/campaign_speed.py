@@ -14,16 +14,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from lpv_campaign.execution.execute import chunks_of, worker_pool
-from lpv_campaign.plan.campaign import Campaign, find_gains, resolve
-from lpv_core.serial_arm.arm_file import load_arm
-from lpv_core.serial_arm.description import SerialArm
-from lpv_core.simulation.arm_simulator import ArmSimulator, integrate, read_sensors
-from lpv_core.simulation.closed_loop import run_closed_loop
-from lpv_core.simulation.scenario import Scenario, load_scenario
-from lpv_core.support.jit import njit
-from lpv_core.support.resources import bringup_file
-from lpv_core.uio.certificate.gains import Gains
+from lpv.campaign.execution.execute import chunks_of, worker_pool
+from lpv.campaign.plan.campaign import Campaign, find_gains, resolve
+from lpv.core.serial_arm.arm_file import load_arm
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.simulation.arm_simulator import ArmSimulator, integrate, read_sensors
+from lpv.core.simulation.closed_loop import run_closed_loop
+from lpv.core.simulation.scenario import Scenario, load_scenario
+from lpv.core.support.jit import njit
+from lpv.core.support.resources import bringup_file
+from lpv.core.uio.certificate.gains import Gains
 
 ROUNDS = 3
 DURATION = 20.0

@@ -21,13 +21,13 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from lpv_core.serial_arm.arm_file import load_arm
-from lpv_core.support.inequalities import largest_eigenvalue
-from lpv_core.support.resources import bringup_file
-from lpv_core.uio.certificate.conditions import controller_loop
-from lpv_core.uio.certificate.error_system import link_errors
-from lpv_core.uio.certificate.lmi import covariance, disc
-from lpv_core.uio.planar import planar_model
+from lpv.core.serial_arm.arm_file import load_arm
+from lpv.core.support.inequalities import largest_eigenvalue
+from lpv.core.support.resources import bringup_file
+from lpv.core.uio.certificate.conditions import controller_loop
+from lpv.core.uio.certificate.error_system import link_errors
+from lpv.core.uio.certificate.lmi import covariance, disc
+from lpv.core.uio.planar import planar_model
 from lpv_design.controller import check_loop, solve_loop
 from lpv_design.exact_observer import solve_link
 from lpv_design.paper_observer import check_paper, paper_problem, solve_paper

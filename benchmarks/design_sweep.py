@@ -10,10 +10,10 @@ import time
 import numpy as np
 from design_solvers import recorded
 
-from lpv_core.serial_arm.arm_file import load_arm
-from lpv_core.support.resources import bringup_file
-from lpv_core.uio.certificate.conditions import verify
-from lpv_core.uio.planar import planar_model
+from lpv.core.serial_arm.arm_file import load_arm
+from lpv.core.support.resources import bringup_file
+from lpv.core.uio.certificate.conditions import verify
+from lpv.core.uio.planar import planar_model
 from lpv_design.design_flow import design
 from lpv_design.requirement import load_requirement
 from lpv_design.solve import InfeasibleError

@@ -14,12 +14,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from lpv_campaign.falsify.attack import Attacker
-from lpv_campaign.falsify.search import search, write_worst
-from lpv_core.serial_arm.arm_file import load_arm
-from lpv_core.support.resources import bringup_file
-from lpv_core.uio.model.arm import ArmParameters, Link
-from lpv_core.uio.planar import planar_model, serial_from_planar
+from lpv.campaign.falsify.attack import Attacker
+from lpv.campaign.falsify.search import search, write_worst
+from lpv.core.serial_arm.arm_file import load_arm
+from lpv.core.support.resources import bringup_file
+from lpv.core.uio.model.arm import ArmParameters, Link
+from lpv.core.uio.planar import planar_model, serial_from_planar
 from lpv_design.design_flow import design
 from lpv_design.requirement import load_requirement
 from lpv_design.solve import InfeasibleError

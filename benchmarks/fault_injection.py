@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 import yaml
 
-from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
-from lpv_core.serial_arm.arm_file import load_arm
-from lpv_core.serial_arm.chain import Chain, compile_chain
-from lpv_core.serial_arm.description import (
+from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv.core.serial_arm.arm_file import load_arm
+from lpv.core.serial_arm.chain import Chain, compile_chain
+from lpv.core.serial_arm.description import (
     JointFriction,
     JointLimits,
     JointSensors,
@@ -28,13 +28,13 @@ from lpv_core.serial_arm.description import (
     SerialJoint,
     Uncertainty,
 )
-from lpv_core.serial_arm.dynamics.model import SerialModel
-from lpv_core.serial_arm.dynamics.payload import with_payload
-from lpv_core.serial_arm.sensor_map import map_rows
-from lpv_core.uio.certificate.gains import Gains, load_gains
-from lpv_core.uio.model.arm import Link
-from lpv_core.uio.planar import planar_model, serial_from_planar
-from lpv_identify.recordings.recording import read_recording
+from lpv.core.serial_arm.dynamics.model import SerialModel
+from lpv.core.serial_arm.dynamics.payload import with_payload
+from lpv.core.serial_arm.sensor_map import map_rows
+from lpv.core.uio.certificate.gains import Gains, load_gains
+from lpv.core.uio.model.arm import Link
+from lpv.core.uio.planar import planar_model, serial_from_planar
+from lpv.identify.recordings.recording import read_recording
 
 ROOT = Path(__file__).resolve().parents[1]
 BRINGUP = ROOT / 'ros2_ws' / 'src' / 'lpv_bringup'

@@ -30,9 +30,9 @@ from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
-from lpv_cli.processes import Graph
-from lpv_core.support.discovery import stay_local
-from lpv_core.support.resources import bringup_file, executable
+from lpv.cli.processes import Graph
+from lpv.core.support.discovery import stay_local
+from lpv.core.support.resources import bringup_file, executable
 from lpv_msgs.msg import FaultEstimate, GroundTruth, JointReference, StateEstimate, TorqueCommand
 from lpv_node.discovery import announce_often
 from lpv_node.managed import ManagedNode
@@ -56,8 +56,8 @@ PROGRAMS = {
     'arm_sim': ('lpv_arm_sim', 'simulator'),
     'uio': ('lpv_uio', 'uio'),
     'tracker': ('lpv_tracker', 'tracker'),
-    'recorder': ('lpv_bag', 'recorder'),
-    'view': ('lpv_view', 'view'),
+    'recorder': ('lpv_node', 'recorder'),
+    'view': ('lpv_node', 'view'),
 }
 
 

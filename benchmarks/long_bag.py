@@ -6,15 +6,15 @@ from pathlib import Path
 
 import numpy as np
 
-from lpv_bag.replay.writer import RecordTemplate
-from lpv_bag.rosbag.messages import BagMessages
-from lpv_bag.rosbag.writing import BagWriter, qos_profile
-from lpv_core.control.tracking import make_controller
-from lpv_core.serial_arm.sensor_map import map_rows
-from lpv_core.simulation.arm_simulator import ArmSimulator
-from lpv_core.simulation.faults import FaultInjector
-from lpv_core.simulation.scenario import load_scenario
-from lpv_core.support.resources import bringup_file
+from lpv.bag.replay.writer import RecordTemplate
+from lpv.bag.rosbag.messages import BagMessages
+from lpv.bag.rosbag.writing import BagWriter, qos_profile
+from lpv.core.control.tracking import make_controller
+from lpv.core.serial_arm.sensor_map import map_rows
+from lpv.core.simulation.arm_simulator import ArmSimulator
+from lpv.core.simulation.faults import FaultInjector
+from lpv.core.simulation.scenario import load_scenario
+from lpv.core.support.resources import bringup_file
 
 TOPICS = {
     '/lpv/joint_states': 'sensor_msgs/msg/JointState',

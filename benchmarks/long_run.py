@@ -16,16 +16,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lpv_core.control.tracking import TrackingController, TrackingParts, track
-from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
-from lpv_core.serial_arm.arm_file import load_arm
-from lpv_core.serial_arm.description import SerialArm
-from lpv_core.simulation.arm_simulator import ArmSimulator, integrate, read_sensors, set_torque
-from lpv_core.simulation.scenario import load_scenario
-from lpv_core.support.jit import njit
-from lpv_core.support.resources import bringup_file
-from lpv_core.uio.certificate.gains import Gains, load_gains
-from lpv_core.uio.planar import planar_model
+from lpv.core.control.tracking import TrackingController, TrackingParts, track
+from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv.core.serial_arm.arm_file import load_arm
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.simulation.arm_simulator import ArmSimulator, integrate, read_sensors, set_torque
+from lpv.core.simulation.scenario import load_scenario
+from lpv.core.support.jit import njit
+from lpv.core.support.resources import bringup_file
+from lpv.core.uio.certificate.gains import Gains, load_gains
+from lpv.core.uio.planar import planar_model
 
 SETTLED = 10.0
 """After so long at rest thresholds must be those of a fresh start [s]."""

@@ -25,9 +25,9 @@ TOPICS = ('/lpv/joint_states', '/lpv/torque_command')
 
 
 def _arm_and_gains():
-    from lpv_core.serial_arm.arm_file import load_arm
-    from lpv_core.support.resources import bringup_file
-    from lpv_core.uio.certificate.gains import load_gains
+    from lpv.core.serial_arm.arm_file import load_arm
+    from lpv.core.support.resources import bringup_file
+    from lpv.core.uio.certificate.gains import load_gains
 
     return (load_arm(bringup_file('arms', 'paper')), load_gains(bringup_file('gains', 'paper')))
 
@@ -36,8 +36,8 @@ def replay(bag):
     """Read, decode, observe, diagnose, write the estimates."""
     import shutil
 
-    from lpv_bag.replay.replay import Replay
-    from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
+    from lpv.bag.replay.replay import Replay
+    from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 
     arm, gains = _arm_and_gains()
     out = OUT / 'bench_replayed'
@@ -57,9 +57,9 @@ def decode(bag):
     """Our reading and decoding alone."""
     import numpy as np
 
-    from lpv_bag.blocks.message_blocks import ahead
-    from lpv_bag.rosbag.reading import open_bag
-    from lpv_bag.run.measurements import EffortReader, MeasurementReader
+    from lpv.bag.blocks.message_blocks import ahead
+    from lpv.bag.rosbag.reading import open_bag
+    from lpv.bag.run.measurements import EffortReader, MeasurementReader
 
     count, joints = 0, _arm_and_gains()[0].joint_names
     with open_bag(bag) as reader:

@@ -14,16 +14,16 @@ import numpy as np
 from scipy.linalg import eigh
 from scipy.optimize import minimize
 
-from lpv_core.control.computed_torque import ComputedTorqueController
-from lpv_core.control.path import Reference
-from lpv_core.serial_arm.arm_file import load_arm
-from lpv_core.serial_arm.certificate.conditions import error_bound
-from lpv_core.serial_arm.certificate.loop_gains import LoopGains, load_loop_gains
-from lpv_core.serial_arm.chain import Chain, FloatArray, compile_chain
-from lpv_core.serial_arm.description import SerialArm
-from lpv_core.serial_arm.dynamics.model import SerialModel
-from lpv_core.serial_arm.dynamics.payload import with_payload
-from lpv_core.serial_arm.simulation import integration_step, plant_scratch, plant_step
+from lpv.core.control.computed_torque import ComputedTorqueController
+from lpv.core.control.path import Reference
+from lpv.core.serial_arm.arm_file import load_arm
+from lpv.core.serial_arm.certificate.conditions import error_bound
+from lpv.core.serial_arm.certificate.loop_gains import LoopGains, load_loop_gains
+from lpv.core.serial_arm.chain import Chain, FloatArray, compile_chain
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.dynamics.model import SerialModel
+from lpv.core.serial_arm.dynamics.payload import with_payload
+from lpv.core.serial_arm.simulation import integration_step, plant_scratch, plant_step
 
 FILES = Path(__file__).resolve().parents[1] / 'ros2_ws' / 'src' / 'lpv_bringup'
 

@@ -14,8 +14,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from lpv_core.serial_arm.chain import Chain, FloatArray, body_parameters, compile_chain, workspace
-from lpv_core.serial_arm.description import (
+from lpv.core.serial_arm.chain import Chain, FloatArray, body_parameters, compile_chain, workspace
+from lpv.core.serial_arm.description import (
     JointFriction,
     JointLimits,
     JointSensors,
@@ -24,10 +24,10 @@ from lpv_core.serial_arm.description import (
     SerialJoint,
     Uncertainty,
 )
-from lpv_core.serial_arm.diagnosis.monitor import SerialMonitor
-from lpv_core.serial_arm.dynamics.newton_euler import inverse_dynamics
-from lpv_core.serial_arm.simulation import SerialRun, SerialSimulator
-from lpv_core.support.jit import njit
+from lpv.core.serial_arm.diagnosis.monitor import SerialMonitor
+from lpv.core.serial_arm.dynamics.newton_euler import inverse_dynamics
+from lpv.core.serial_arm.simulation import SerialRun, SerialSimulator
+from lpv.core.support.jit import njit
 
 WARM = 6000
 """Samples before the clock starts: the horizon is full."""

@@ -29,12 +29,12 @@ from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, Unscen
 from rich.console import Console
 from rich.table import Table
 
-from lpv_core.serial_arm.chain import COULOMB, OFFSET, VISCOUS, Chain, FloatArray, compile_chain
-from lpv_core.serial_arm.description import LinkInertia, SerialArm
-from lpv_core.serial_arm.diagnosis.estimator import HorizonPlan, OffsetEstimator
-from lpv_core.serial_arm.diagnosis.monitor import SerialMonitor
-from lpv_core.serial_arm.simulation import SerialSimulator, integration_step, plant_step
-from lpv_core.support.jit import njit
+from lpv.core.serial_arm.chain import COULOMB, OFFSET, VISCOUS, Chain, FloatArray, compile_chain
+from lpv.core.serial_arm.description import LinkInertia, SerialArm
+from lpv.core.serial_arm.diagnosis.estimator import HorizonPlan, OffsetEstimator
+from lpv.core.serial_arm.diagnosis.monitor import SerialMonitor
+from lpv.core.serial_arm.simulation import SerialSimulator, integration_step, plant_step
+from lpv.core.support.jit import njit
 
 MOMENTS = (1.0, 3.0, 10.0)
 """At which errors are taken [s]."""

@@ -12,12 +12,12 @@ from functools import partial
 import numpy as np
 import pinocchio
 
-from lpv_core.serial_arm.chain import body_parameters, make_chain, workspace
-from lpv_core.serial_arm.description import rotation_from_rpy
-from lpv_core.serial_arm.dynamics.gravity_gradient import gravity_gradient
-from lpv_core.serial_arm.dynamics.momentum import forward_dynamics, mass_matrix, momentum_balance
-from lpv_core.serial_arm.dynamics.newton_euler import inverse_dynamics
-from lpv_core.support.jit import njit
+from lpv.core.serial_arm.chain import body_parameters, make_chain, workspace
+from lpv.core.serial_arm.description import rotation_from_rpy
+from lpv.core.serial_arm.dynamics.gravity_gradient import gravity_gradient
+from lpv.core.serial_arm.dynamics.momentum import forward_dynamics, mass_matrix, momentum_balance
+from lpv.core.serial_arm.dynamics.newton_euler import inverse_dynamics
+from lpv.core.support.jit import njit
 
 SAMPLES = 2000
 ROUNDS = 15

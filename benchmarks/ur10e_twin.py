@@ -10,12 +10,12 @@ from functools import cache, lru_cache
 import numpy as np
 from fault_injection import BRINGUP, Stream, Subject
 
-from lpv_core.serial_arm.arm_file import load_arm
-from lpv_core.serial_arm.chain import compile_chain
-from lpv_core.serial_arm.description import SerialArm, Uncertainty
-from lpv_core.serial_arm.dynamics.model import SerialModel
-from lpv_core.serial_arm.dynamics.payload import with_payload
-from lpv_identify.recordings.recording import Recording
+from lpv.core.serial_arm.arm_file import load_arm
+from lpv.core.serial_arm.chain import compile_chain
+from lpv.core.serial_arm.description import SerialArm, Uncertainty
+from lpv.core.serial_arm.dynamics.model import SerialModel
+from lpv.core.serial_arm.dynamics.payload import with_payload
+from lpv.identify.recordings.recording import Recording
 
 PERIOD = 0.01
 STEP = 1e-4

@@ -6,12 +6,12 @@ import ros
 
 pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
 
-from lpv_bag.run.record import load_run  # noqa: E402
-from lpv_campaign.execution.run_to_bag import START, write_run_bag  # noqa: E402
-from lpv_campaign.execution.runs import plan_run  # noqa: E402
-from lpv_campaign.plan.campaign import resolve  # noqa: E402
-from lpv_core.serial_arm.diagnosis.alarms import AlarmEvent  # noqa: E402
-from lpv_core.uio.certificate.gains import save_gains  # noqa: E402
+from lpv.bag.run.record import load_run  # noqa: E402
+from lpv.campaign.execution.run_to_bag import START, write_run_bag  # noqa: E402
+from lpv.campaign.execution.runs import plan_run  # noqa: E402
+from lpv.campaign.plan.campaign import resolve  # noqa: E402
+from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent  # noqa: E402
+from lpv.core.uio.certificate.gains import save_gains  # noqa: E402
 
 pytestmark = pytest.mark.ros
 

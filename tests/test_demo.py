@@ -17,19 +17,19 @@ import yaml
 from places import BRINGUP, ROOT
 from rosbags.highlevel import AnyReader
 
-from lpv_bag.rosbag.interfaces import make_typestore
-from lpv_bag.run.record import load_run
-from lpv_cli.main import main
-from lpv_cli.options import COMMANDS
-from lpv_cli.processes import ended_by_signals
-from lpv_core.control.tracking import COMPENSATION
-from lpv_core.monitoring.parameters import DiagnosisParameters
-from lpv_core.serial_arm.arm_file import load_arm
-from lpv_core.serial_arm.diagnosis.alarms import AlarmEvent
-from lpv_core.support.resources import executable
-from lpv_core.uio.certificate.gains import load_gains
-from lpv_core.uio.model.joints import JointMap
-from lpv_core.uio.planar import planar_model
+from lpv.bag.rosbag.interfaces import make_typestore
+from lpv.bag.run.record import load_run
+from lpv.cli.main import main
+from lpv.cli.options import COMMANDS
+from lpv.cli.processes import ended_by_signals
+from lpv.core.control.tracking import COMPENSATION
+from lpv.core.monitoring.parameters import DiagnosisParameters
+from lpv.core.serial_arm.arm_file import load_arm
+from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent
+from lpv.core.support.resources import executable
+from lpv.core.uio.certificate.gains import load_gains
+from lpv.core.uio.model.joints import JointMap
+from lpv.core.uio.planar import planar_model
 
 # Table 2 of the paper: ours at least five times below for x1, x2, f1, f2.
 LIMITS = {'x1': 0.006 / 5, 'x2': 0.002 / 5, 'f1': 0.006 / 5, 'f2': 0.002 / 5,

@@ -5,11 +5,11 @@ import pytest
 import ros
 from places import BRINGUP
 
-from lpv_bag.run.record import load_run
-from lpv_cli.main import main
-from lpv_core.serial_arm.arm_file import load_arm
-from lpv_core.simulation.closed_loop import run_closed_loop
-from lpv_core.simulation.scenario import load_scenario
+from lpv.bag.run.record import load_run
+from lpv.cli.main import main
+from lpv.core.serial_arm.arm_file import load_arm
+from lpv.core.simulation.closed_loop import run_closed_loop
+from lpv.core.simulation.scenario import load_scenario
 
 pytestmark = pytest.mark.ros
 

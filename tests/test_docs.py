@@ -93,8 +93,8 @@ def test_given_the_pages_when_the_site_is_built_then_each_is_in_its_contents():
 
 
 def test_given_everything_that_stops_or_alarms_when_looked_up_then_the_page_of_alarms_has_it():
-    from lpv_core.control.watchdog import BRAKE_TEXT, STOP_TEXT
-    from lpv_core.serial_arm.diagnosis.alarms import KINDS, SensorState
+    from lpv.core.control.watchdog import BRAKE_TEXT, STOP_TEXT
+    from lpv.core.serial_arm.diagnosis.alarms import KINDS, SensorState
 
     page = (ROOT / 'docs' / 'alarms.md').read_text(encoding='utf-8')
     stops = [text.split(':')[0] for text in (*STOP_TEXT.values(), *BRAKE_TEXT.values())]

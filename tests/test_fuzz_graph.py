@@ -2,8 +2,8 @@
 
 The rule: no process ends, no output is NaN or infinite, no traceback is logged, memory stays
 bounded, what is refused is said on /diagnostics, and the arm is driven again.  How soon each node
-recovers is in the nodes' own fuzzers, sockets in those of `lpv_view`.  LPV_FUZZ_SECONDS makes it
-long, LPV_FUZZ_SEED another one.
+recovers is in the nodes' own fuzzers, sockets in those of `lpv_node.view`.  LPV_FUZZ_SECONDS makes
+it long, LPV_FUZZ_SEED another one.
 """
 
 import os

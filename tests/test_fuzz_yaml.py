@@ -4,11 +4,11 @@ import pytest
 from fuzzing import Tally, cases, mutate_text, peak_memory
 from places import BRINGUP, ROOT
 
-from lpv_bag.run.csv_import import load_column_map
-from lpv_campaign.plan.spec import load_spec
-from lpv_core.serial_arm.arm_file import load_arm
-from lpv_core.simulation.scenario import load_scenario
-from lpv_core.uio.certificate.gains import load_gains
+from lpv.bag.run.csv_import import load_column_map
+from lpv.campaign.plan.spec import load_spec
+from lpv.core.serial_arm.arm_file import load_arm
+from lpv.core.simulation.scenario import load_scenario
+from lpv.core.uio.certificate.gains import load_gains
 from lpv_design.requirement import load_requirement
 
 pytestmark = pytest.mark.fuzz

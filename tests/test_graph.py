@@ -20,14 +20,14 @@ from rclpy.qos import qos_profile_sensor_data  # noqa: E402
 from rosgraph_msgs.msg import Clock  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 
+from lpv.bag.run.record import load_run  # noqa: E402
+from lpv.core.uio.certificate.gains import save_gains  # noqa: E402
 from lpv_arm_sim.node import SimulatorNode  # noqa: E402
-from lpv_bag.recorder.node import RecorderNode  # noqa: E402
-from lpv_bag.run.record import load_run  # noqa: E402
-from lpv_core.uio.certificate.gains import save_gains  # noqa: E402
 from lpv_msgs.msg import FaultAlarm, GroundTruth, StateEstimate, TorqueCommand  # noqa: E402
 from lpv_msgs.srv import ClearFaults, InjectFault  # noqa: E402
 from lpv_node.managed import run_node  # noqa: E402
 from lpv_node.qos import latched, stream  # noqa: E402
+from lpv_node.recorder.node import RecorderNode  # noqa: E402
 from lpv_tracker.node import TrackerNode  # noqa: E402
 from lpv_uio.node import UioNode  # noqa: E402
 

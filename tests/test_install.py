@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 from places import BRINGUP, ROOT
 
-from lpv_core.serial_arm.arm_file import load_arm
-from lpv_core.uio.certificate.conditions import verify
-from lpv_core.uio.certificate.exact_proof import prove
-from lpv_core.uio.certificate.gains import load_gains
-from lpv_core.uio.planar import planar_model
+from lpv.core.serial_arm.arm_file import load_arm
+from lpv.core.uio.certificate.conditions import verify
+from lpv.core.uio.certificate.exact_proof import prove
+from lpv.core.uio.certificate.gains import load_gains
+from lpv.core.uio.planar import planar_model
 
 BIN = Path(sys.prefix) / 'bin'
 
@@ -66,10 +66,10 @@ def test_given_no_ros2cli_or_ours_of_another_environment_when_set_up_then_the_st
     machine,
 ):
     built = machine()
-    assert 'colcon' in built and '--packages-skip' not in built
+    assert 'colcon' in built and 'tools/lpv_ros2cli' in built
     assert machine() == ''  # done already
     script(machine.folder / 'bin' / 'ros2', 'from lpv_ros2cli.main import main')
-    assert '--packages-skip' not in machine()
+    assert machine() == ''  # ours is no real one
 
 
 @pytest.mark.parametrize('how', ['on the path', 'importable', 'sourced'])
@@ -85,7 +85,7 @@ def test_given_a_real_ros2cli_when_set_up_then_ours_is_not_built_and_an_old_one_
         script(machine.folder / 'bin' / 'ros2', 'exec real ros2')
     python = 'python-with' if how == 'importable' else 'python-without'
     built = machine(python, 'sourced' if how == 'sourced' else 'wheels')
-    assert '--packages-skip lpv_ros2cli' in built
+    assert 'lpv_ros2cli' not in built
     assert [path for path in stale if path.exists()] == []
 
 
@@ -106,7 +106,7 @@ def test_given_a_workspace_built_by_hand_when_ros2cli_is_there_then_no_ros2_comm
         capture_output=True,
         text=True,
         check=True,
-        cwd=ROOT / 'ros2_ws' / 'src' / 'lpv_ros2cli',
+        cwd=ROOT / 'tools' / 'lpv_ros2cli',
         env=dict(os.environ, PYTHONPATH=str(tmp_path)),
     )
     assert done.stdout.strip() == str(scripts)
@@ -163,7 +163,7 @@ def test_given_a_line_when_completed_then_what_fits_is_offered(tmp_path, line, o
 )
 def test_given_ros_arguments_that_are_wrong_when_a_node_starts_then_one_line_says_so(words, told):
     pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
-    from lpv_core.support.resources import executable
+    from lpv.core.support.resources import executable
 
     line = [str(executable('lpv_uio', 'uio')), '--ros-args', *words]
     done = subprocess.run(line, capture_output=True, text=True, timeout=600)

@@ -22,9 +22,9 @@ from rosbags.highlevel import AnyReader  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
-from lpv_core.serial_arm.arm_file import load_arm  # noqa: E402
-from lpv_core.uio.certificate.gains import save_gains  # noqa: E402
-from lpv_core.uio.planar import planar_model  # noqa: E402
+from lpv.core.serial_arm.arm_file import load_arm  # noqa: E402
+from lpv.core.uio.certificate.gains import save_gains  # noqa: E402
+from lpv.core.uio.planar import planar_model  # noqa: E402
 from lpv_design.design_flow import design  # noqa: E402
 from lpv_design.requirement import load_requirement  # noqa: E402
 from lpv_msgs.msg import GroundTruth, JointReference  # noqa: E402

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from places import ROOT
 
-from lpv_cli.main import main
-from lpv_core.serial_arm.diagnosis.alarms import AlarmEvent
+from lpv.cli.main import main
+from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent
 
 pytestmark = pytest.mark.slow
 

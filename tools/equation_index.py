@@ -14,11 +14,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / 'docs' / 'equations.md'
-FOLDERS = (
-    'ros2_ws/src/lpv_core/lpv_core',
-    'design/lpv_design',
-    'ros2_ws/src/lpv_report/lpv_report',
-)
+FOLDERS = ('ros2_ws/src/lpv/lpv', 'design/lpv_design')
 LAST = 70
 """Number of the paper's last equation."""
 

@@ -58,7 +58,7 @@ sys.exit(not os.path.exists(os.path.join(sysconfig.get_paths()["include"], "Pyth
 hash_of() { sha256sum "$@" | sha256sum | cut -c1-64; }
 
 source_hash() {
-  (cd "$root" && find design ros2_ws/src -type f -not -path '*/__pycache__/*' \
+  (cd "$root" && find design ros2_ws/src tools/lpv_ros2cli -type f -not -path '*/__pycache__/*' \
     -not -path '*.egg-info/*' -print0 | sort -z | xargs -0 sha256sum | sha256sum | cut -c1-64)
 }
 
@@ -123,21 +123,25 @@ has_ros2cli() {
   found=$(command -v ros2) && ! grep -q "lpv[-_]ros2cli" "$found"
 }
 
-# Our ros2 command and a real one must not meet.
-remove_stand_in() {
-  rm -rf "$venv/bin/ros2" "$venv"/lib/python*/site-packages/lpv_ros2cli* \
-    "$venv/share/lpv_ros2cli" "$venv/share/ament_index/resource_index/packages/lpv_ros2cli"
+# What is not built any more is not found any more: packages that are parts of lpv and lpv_node now,
+# and our ros2 command where a real one has come.
+remove_packages() {
+  local name
+  for name in "$@"; do
+    rm -rf "$venv"/lib/python*/site-packages/"$name"{,-*} "$venv"/{lib,share}/"$name" \
+      "$venv/share/ament_index/resource_index/packages/$name"
+  done
 }
 
 build_workspace() {
-  local id skipped=()
-  if has_ros2cli; then
-    skipped=(--packages-skip lpv_ros2cli)
-  fi
-  id="$(source_hash)${skipped[*]}"
+  local id stand_in=()
+  has_ros2cli || stand_in=(../tools/lpv_ros2cli)
+  id="$(source_hash)${stand_in[*]}"
   done_already workspace "$id" && return 0
-  if [ ${#skipped[@]} -gt 0 ]; then
-    remove_stand_in
+  remove_packages lpv_{bag,campaign,cli,core,identify,report,view}
+  if [ ${#stand_in[@]} -eq 0 ]; then
+    rm -f "$venv/bin/ros2"
+    remove_packages lpv_ros2cli
   fi
   say "building the workspace"
   local options=() numerics
@@ -148,12 +152,13 @@ build_workspace() {
   fi
   mkdir -p "$build"
   # At the same time, from the sources: neither needs the other.
-  PYTHONPATH="$root/ros2_ws/src/lpv_core${PYTHONPATH:+:$PYTHONPATH}" \
-    "$venv/bin/python" -m lpv_core.simulation.precompile &
+  PYTHONPATH="$root/ros2_ws/src/lpv${PYTHONPATH:+:$PYTHONPATH}" \
+    "$venv/bin/python" -m lpv.core.simulation.precompile &
   numerics=$!
   # Into the environment itself: programs then run with nothing sourced.
   if ! (cd "$root/ros2_ws" && "$venv/bin/python" -m colcon --log-base "$build/log" build \
-      --merge-install --install-base "$venv" --build-base "$build/build" "${skipped[@]}" \
+      --base-paths src "${stand_in[@]}" \
+      --merge-install --install-base "$venv" --build-base "$build/build" \
       --event-handlers console_cohesion- console_direct- console_stderr- \
       --cmake-args "${options[@]}" -DBUILD_TESTING=OFF \
       "-DPython3_EXECUTABLE=$venv/bin/python") > "$build/colcon.txt" 2>&1; then

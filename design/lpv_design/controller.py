@@ -8,9 +8,9 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 
-from lpv_core.support.inequalities import largest_eigenvalue
-from lpv_core.uio.certificate.lmi import integral_feedback
-from lpv_core.uio.model.arm import ArmParameters
+from lpv.core.support.inequalities import largest_eigenvalue
+from lpv.core.uio.certificate.lmi import integral_feedback
+from lpv.core.uio.model.arm import ArmParameters
 from lpv_design.solve import run, symmetric_below
 
 _RESERVE = 0.02

@@ -8,16 +8,16 @@ import clarabel
 import cvxpy
 import numpy as np
 
-from lpv_core.support.inequalities import Check
-from lpv_core.uio.certificate.conditions import controller_loop, verify
-from lpv_core.uio.certificate.gains import (
+from lpv.core.support.inequalities import Check
+from lpv.core.uio.certificate.conditions import controller_loop, verify
+from lpv.core.uio.certificate.gains import (
     ControllerGains,
     ExactObserverGains,
     Gains,
     PaperObserverGains,
 )
-from lpv_core.uio.certificate.noise import exact_fault_sigma, paper_fault_sigma
-from lpv_core.uio.model.arm import ArmParameters
+from lpv.core.uio.certificate.noise import exact_fault_sigma, paper_fault_sigma
+from lpv.core.uio.model.arm import ArmParameters
 from lpv_design.controller import ControllerRequirement, check_loop, solve_loop
 from lpv_design.exact_observer import ExactRequirement, solve_exact, torque_gains
 from lpv_design.guarantee import Guarantee, guarantee

@@ -1,7 +1,7 @@
 """Method ``exact``: gains of the observer in momentum coordinates, one small LMI a link.
 
 The error of link i is e' = -kappa m, m' = Gamma e - mu m + q, with one uncertain slope Gamma in
-[G cos_min, G] (see :mod:`lpv_core.uio.observer.exact_observer`): an observer problem for
+[G cos_min, G] (see :mod:`lpv.core.uio.observer.exact_observer`): an observer problem for
 A = [[0, 0], [Gamma, 0]], C = [0, 1] and the injection L = -[kappa; mu].  The inequalities are
 linear in P and Y = P L:
 a disc for the poles of every slope (decay rate and fastest pole), and the H2 inequality whose
@@ -16,10 +16,10 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 
-from lpv_core.uio.certificate.error_system import LinkError, Noise, link_errors
-from lpv_core.uio.certificate.lmi import covariance, disc
-from lpv_core.uio.certificate.noise import stated_acceleration_noise
-from lpv_core.uio.model.arm import ArmParameters
+from lpv.core.uio.certificate.error_system import LinkError, Noise, link_errors
+from lpv.core.uio.certificate.lmi import covariance, disc
+from lpv.core.uio.certificate.noise import stated_acceleration_noise
+from lpv.core.uio.model.arm import ArmParameters
 from lpv_design.solve import run, symmetric_below
 
 _RESERVE = 0.02
@@ -139,7 +139,7 @@ def torque_gains(arm: ArmParameters) -> list[float]:
     """H-infinity norm from an unknown torque to each link's angle error.
 
     With real poles the error system is positive in suitable coordinates (see
-    `lpv_core.uio.bound.error_bound`), so that its norm is the static gain at the smallest slope,
+    `lpv.core.uio.bound.error_bound`), so that its norm is the static gain at the smallest slope,
     whatever the gains are: gravity, not the observer, sets it.
     """
     return [1.0 / link.slopes[0] for link in link_errors(arm)]

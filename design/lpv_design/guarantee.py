@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lpv_core.monitoring.parameters import DiagnosisParameters
-from lpv_core.uio.bound.error_bound import error_bound, static_bound
-from lpv_core.uio.certificate.gains import Gains
-from lpv_core.uio.model.arm import ArmParameters
+from lpv.core.monitoring.parameters import DiagnosisParameters
+from lpv.core.uio.bound.error_bound import error_bound, static_bound
+from lpv.core.uio.certificate.gains import Gains
+from lpv.core.uio.model.arm import ArmParameters
 
 POINTS = 13
 """Angles of each link in the map."""

@@ -6,28 +6,17 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lpv_core.support.errors import ConfigError, LpvError
-from lpv_core.support.options import declare
-from lpv_core.support.resources import bringup_file
+from lpv.cli.options import DESIGN
+from lpv.core.support.errors import ConfigError, LpvError
+from lpv.core.support.options import declare
+from lpv.core.support.resources import bringup_file
 
 if TYPE_CHECKING:
-    from lpv_core.serial_arm.description import SerialArm
-    from lpv_core.uio.model.arm import ArmParameters
+    from lpv.core.serial_arm.description import SerialArm
+    from lpv.core.uio.model.arm import ArmParameters
     from lpv_design.guarantee import Guarantee
 
 EXIT_INFEASIBLE, EXIT_BAD_INPUT, EXIT_NOT_DETECTABLE = 1, 2, 3
-OPTIONS = """
---arm ARM!                 arm file, or name of a shipped arm (paper, real_arm, ur10, panda)
---requirement REQUIREMENT  requirement file, or name of a shipped one (paper, paper_literal,
-                           real_arm); without, the one with the arm's name
---proof                    also prove the inequalities in exact rational arithmetic
---out GAINS.yaml!          parameter file to write
-# arms without an lpv region: certificate of computed torque (docs/tracking.md)
---bandwidth=10.0           distance of the three poles of every joint from zero [rad/s]
---model-error SHARE:float  relative error of each link's mass and inertia; default: as the arm file
-                           states, or 0.05
---rate-share=0.0           region: share of all velocity limits at once; 0: as large as possible
-"""
 
 
 def run(
@@ -35,10 +24,10 @@ def run(
 ) -> int:
     """Design, report, write; ``draw`` makes a picture of what is guaranteed."""
     # Only here: help must not wait for the solver.
-    from lpv_core.serial_arm.arm_file import load_arm
-    from lpv_core.uio.certificate.exact_proof import prove
-    from lpv_core.uio.certificate.gains import save_gains
-    from lpv_core.uio.planar import planar_model
+    from lpv.core.serial_arm.arm_file import load_arm
+    from lpv.core.uio.certificate.exact_proof import prove
+    from lpv.core.uio.certificate.gains import save_gains
+    from lpv.core.uio.planar import planar_model
     from lpv_design.design_flow import NotDetectableError, design
     from lpv_design.requirement import load_requirement
     from lpv_design.solve import InfeasibleError
@@ -85,8 +74,8 @@ def run(
 def _certify_loop(arm: 'SerialArm', arguments: argparse.Namespace) -> int:
     """Certificate of the computed-torque loop."""
     # Only here: designed gains need nothing of it.
-    from lpv_core.serial_arm.certificate.exact_proof import prove_loop
-    from lpv_core.serial_arm.certificate.loop_gains import save_loop_gains
+    from lpv.core.serial_arm.certificate.exact_proof import prove_loop
+    from lpv.core.serial_arm.certificate.loop_gains import save_loop_gains
     from lpv_design.serial_loop import LoopRequest, certify_loop
 
     if arguments.requirement:
@@ -114,7 +103,7 @@ def _print_proof(results: dict[str, bool]) -> bool:
 def main(argv: list[str] | None = None) -> int:
     """Entry point of ``ros2 run lpv_design design``."""
     parser = argparse.ArgumentParser(prog='design', description=__doc__)
-    declare(parser, OPTIONS)
+    declare(parser, DESIGN)
     return run(parser.parse_args(argv))
 
 

@@ -5,9 +5,9 @@ import math
 import cvxpy as cp
 import numpy as np
 
-from lpv_core.uio.certificate.gains import MotionCertificate
-from lpv_core.uio.certificate.sampled_motion import SIZE, SampledLoop, sampled_loop
-from lpv_core.uio.model.arm import ArmParameters
+from lpv.core.uio.certificate.gains import MotionCertificate
+from lpv.core.uio.certificate.sampled_motion import SIZE, SampledLoop, sampled_loop
+from lpv.core.uio.model.arm import ArmParameters
 from lpv_design.solve import solve, symmetric_below
 
 _RATES = (0.5, 0.25, 0.0)

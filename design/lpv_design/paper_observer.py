@@ -8,12 +8,12 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 
-from lpv_core.support.inequalities import largest_eigenvalue
-from lpv_core.uio.certificate.lmi import paper_inequalities
-from lpv_core.uio.model.arm import ArmParameters
-from lpv_core.uio.model.polytope import paper_weights, sinc_box, vertex_matrices
-from lpv_core.uio.model.state_space import Descriptor
-from lpv_core.uio.observer.paper_observer import decoupling
+from lpv.core.support.inequalities import largest_eigenvalue
+from lpv.core.uio.certificate.lmi import paper_inequalities
+from lpv.core.uio.model.arm import ArmParameters
+from lpv.core.uio.model.polytope import paper_weights, sinc_box, vertex_matrices
+from lpv.core.uio.model.state_space import Descriptor
+from lpv.core.uio.observer.paper_observer import decoupling
 from lpv_design.solve import solve, symmetric_below
 
 

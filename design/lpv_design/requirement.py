@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lpv_core.support.config import Section, names_all_errors, read_yaml
-from lpv_core.support.errors import ConfigError
+from lpv.core.support.config import Section, names_all_errors, read_yaml
+from lpv.core.support.errors import ConfigError
 from lpv_design.controller import ControllerRequirement
 from lpv_design.exact_observer import ExactRequirement
 

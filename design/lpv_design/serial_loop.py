@@ -1,6 +1,6 @@
 """Certificate of a serial arm's computed-torque loop: the solver's part.
 
-What is found is rebuilt and judged by `lpv_core.serial_arm.certificate.conditions`.
+What is found is rebuilt and judged by `lpv.core.serial_arm.certificate.conditions`.
 """
 
 from collections.abc import Callable, Iterator
@@ -10,26 +10,26 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 
-from lpv_core.control.computed_torque import serial_loop_latency
-from lpv_core.serial_arm.certificate.conditions import (
+from lpv.core.control.computed_torque import serial_loop_latency
+from lpv.core.serial_arm.certificate.conditions import (
     error_bound,
     loop_numbers,
     region_lines,
     verify_loop,
 )
-from lpv_core.serial_arm.certificate.link_forms import chain_inequalities, invariant_basis, steps
-from lpv_core.serial_arm.certificate.loop_gains import (
+from lpv.core.serial_arm.certificate.link_forms import chain_inequalities, invariant_basis, steps
+from lpv.core.serial_arm.certificate.loop_gains import (
     COEFFICIENTS,
     ErrorProof,
     LoopGains,
     LoopProof,
 )
-from lpv_core.serial_arm.certificate.loop_inequality import (
+from lpv.core.serial_arm.certificate.loop_inequality import (
     LoopNumbers,
     motion_matrix,
     sampled_matrix,
 )
-from lpv_core.serial_arm.certificate.model_bounds import (
+from lpv.core.serial_arm.certificate.model_bounds import (
     BOUNDS,
     ChainNumbers,
     ModelBounds,
@@ -38,9 +38,9 @@ from lpv_core.serial_arm.certificate.model_bounds import (
     invariant_forms,
     twists_of,
 )
-from lpv_core.serial_arm.description import SerialArm
-from lpv_core.support.errors import ConfigError
-from lpv_core.support.inequalities import Check, largest_eigenvalue
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.support.errors import ConfigError
+from lpv.core.support.inequalities import Check, largest_eigenvalue
 from lpv_design.solve import InfeasibleError, check_lines, solve
 
 _SLACKS = (1.005, 1.01, 1.02, 1.05)

@@ -6,7 +6,7 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 
-from lpv_core.support.inequalities import Check
+from lpv.core.support.inequalities import Check
 
 SOLVER = 'CLARABEL'
 

@@ -7,22 +7,22 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_continuous_are, solve_continuous_lyapunov, solve_discrete_lyapunov
 
-from lpv_core.support.errors import ConfigError
-from lpv_core.support.inequalities import largest_eigenvalue
-from lpv_core.support.records import new_record
-from lpv_core.support.resources import bringup_file
-from lpv_core.uio.certificate import lmi
-from lpv_core.uio.certificate.conditions import (
+from lpv.core.support.errors import ConfigError
+from lpv.core.support.inequalities import largest_eigenvalue
+from lpv.core.support.records import new_record
+from lpv.core.support.resources import bringup_file
+from lpv.core.uio.certificate import lmi
+from lpv.core.uio.certificate.conditions import (
     augment,
     controller_loop,
     exact_observer_checks,
     require,
     verify,
 )
-from lpv_core.uio.certificate.error_system import link_errors
-from lpv_core.uio.certificate.gains import ExactObserverGains, load_gains
-from lpv_core.uio.model.arm import ARM_CONSTANTS
-from lpv_core.uio.model.polytope import sinc_box, vertex_matrices
+from lpv.core.uio.certificate.error_system import link_errors
+from lpv.core.uio.certificate.gains import ExactObserverGains, load_gains
+from lpv.core.uio.model.arm import ARM_CONSTANTS
+from lpv.core.uio.model.polytope import sinc_box, vertex_matrices
 from lpv_design.controller import ControllerRequirement, check_loop, solve_loop
 from lpv_design.design_flow import NotDetectableError, design
 from lpv_design.exact_observer import ExactRequirement, solve_exact

@@ -1,8 +1,8 @@
 """Small bags that tests of reading and recovery share."""
 
-from lpv_bag.rosbag.messages import BagMessages
-from lpv_bag.rosbag.reading import open_bag
-from lpv_bag.rosbag.writing import BagWriter, qos_profile
+from lpv.bag.rosbag.messages import BagMessages
+from lpv.bag.rosbag.reading import open_bag
+from lpv.bag.rosbag.writing import BagWriter, qos_profile
 
 JOINT_STATE = 'sensor_msgs/msg/JointState'
 START, STEP = 10**9, 2_000_000

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, fields, is_dataclass
 
 import numpy as np
 
-from lpv_core.support.errors import LpvError
+from lpv.core.support.errors import LpvError
 
 SECONDS = float(os.environ.get('LPV_FUZZ_SECONDS', 0))
 """How long each fuzzer runs; 0 for the fixed number of cases of a test run [s]."""

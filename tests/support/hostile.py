@@ -12,7 +12,7 @@ from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.serialization import deserialize_message, serialize_message
 
-from lpv_core.support.errors import LpvError
+from lpv.core.support.errors import LpvError
 
 FLOATS = (
     0.0, -1.0, 10.0, -10.0, 1e3, -1e6, 1e12, 1e150, 1e300, -1e300, 1.7e308, -1.7e308, 5e-324,

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from lpv_core.uio.model.dynamics import coupling, inverse_dynamics
-from lpv_core.uio.model.joints import JointMap
+from lpv.core.uio.model.dynamics import coupling, inverse_dynamics
+from lpv.core.uio.model.joints import JointMap
 
 
 def energy(theta_1, theta_2, rate_1, rate_2, params):

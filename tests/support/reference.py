@@ -16,21 +16,21 @@ import numpy as np
 from places import DATA
 from rosbags.highlevel import AnyReader
 
-from lpv_bag.replay.replay import Replay
-from lpv_bag.rosbag.messages import BagMessages
-from lpv_bag.rosbag.writing import BagWriter
-from lpv_bag.run.streams import stamp_of
-from lpv_cli.commands.compare import show
-from lpv_core.control.tracking import TrackingController
-from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
-from lpv_core.serial_arm.arm_file import load_arm
-from lpv_core.simulation.arm_simulator import ArmSimulator
-from lpv_core.simulation.faults import Fault
-from lpv_core.simulation.scenario import load_scenario
-from lpv_core.support.resources import bringup_file
-from lpv_core.uio.certificate.gains import load_gains, save_gains
-from lpv_core.uio.planar import planar_model
-from lpv_report.comparison import Tolerances, compare_runs, load_pair
+from lpv.bag.replay.replay import Replay
+from lpv.bag.rosbag.messages import BagMessages
+from lpv.bag.rosbag.writing import BagWriter
+from lpv.bag.run.streams import stamp_of
+from lpv.cli.commands.compare import show
+from lpv.core.control.tracking import TrackingController
+from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv.core.serial_arm.arm_file import load_arm
+from lpv.core.simulation.arm_simulator import ArmSimulator
+from lpv.core.simulation.faults import Fault
+from lpv.core.simulation.scenario import load_scenario
+from lpv.core.support.resources import bringup_file
+from lpv.core.uio.certificate.gains import load_gains, save_gains
+from lpv.core.uio.planar import planar_model
+from lpv.report.comparison import Tolerances, compare_runs, load_pair
 
 BAG = DATA / 'reference'
 TOLERANCES = Tolerances(mise=1e-3, delay=0.0, signal=1e-6, flags=0.0, missing=1.0)

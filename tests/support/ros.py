@@ -8,8 +8,8 @@ import time
 from contextlib import contextmanager
 from pathlib import Path
 
-from lpv_cli.processes import Graph
-from lpv_core.support.resources import executable
+from lpv.cli.processes import Graph
+from lpv.core.support.resources import executable
 
 NAMESPACE = '/lpv'
 # Domains up to 101 have ports outside the ephemeral range; processes of one test run take turns, so
@@ -19,7 +19,7 @@ _WORKER = int(os.environ.get('PYTEST_XDIST_WORKER', 'gw0')[2:])
 _START = _WORKER + (os.getppid() if _WORKERS > 1 else os.getpid())
 _DOMAINS = (1 + (_START + _WORKERS * k) % 100 for k in itertools.count())
 
-PACKAGES = {'recorder': 'lpv_bag', 'simulator': 'lpv_arm_sim'}
+PACKAGES = {'recorder': 'lpv_node', 'simulator': 'lpv_arm_sim', 'view': 'lpv_node'}
 """Of the nodes whose packages are not called after them."""
 
 

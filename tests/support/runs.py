@@ -5,13 +5,13 @@ import re
 
 import numpy as np
 
-from lpv_bag.rosbag.messages import BagMessages
-from lpv_bag.rosbag.reading import open_bag
-from lpv_bag.rosbag.writing import BagWriter
-from lpv_core.control.tracking import TrackingController
-from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
-from lpv_core.simulation.arm_simulator import ArmSimulator
-from lpv_core.support.timestamps import NANOSECONDS
+from lpv.bag.rosbag.messages import BagMessages
+from lpv.bag.rosbag.reading import open_bag
+from lpv.bag.rosbag.writing import BagWriter
+from lpv.core.control.tracking import TrackingController
+from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv.core.simulation.arm_simulator import ArmSimulator
+from lpv.core.support.timestamps import NANOSECONDS
 
 MEASURED = {'joint_states', 'torque_command', 'state_estimate', 'fault_estimate', 'fault_alarm'}
 ALL = MEASURED | {'ground_truth', 'reference'}

@@ -2,18 +2,18 @@
 
 import numpy as np
 
-from lpv_bag.rosbag.messages import BagMessages
-from lpv_bag.rosbag.writing import BagWriter
-from lpv_core.serial_arm.arm_file import save_arm
-from lpv_core.serial_arm.chain import compile_chain
-from lpv_core.serial_arm.description import (
+from lpv.bag.rosbag.messages import BagMessages
+from lpv.bag.rosbag.writing import BagWriter
+from lpv.core.serial_arm.arm_file import save_arm
+from lpv.core.serial_arm.chain import compile_chain
+from lpv.core.serial_arm.description import (
     JointLimits,
     JointSensors,
     LinkInertia,
     SerialArm,
     SerialJoint,
 )
-from lpv_core.serial_arm.simulation import SerialSimulator
+from lpv.core.serial_arm.simulation import SerialSimulator
 
 TOPIC, MEASUREMENT = '/lpv/joint_states', 'sensor_msgs/msg/JointState'
 

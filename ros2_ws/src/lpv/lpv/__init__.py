@@ -7,42 +7,20 @@
 >>> run.alarms
 """
 
-from lpv.designing import design
-from lpv.files import load_arm, load_gains, load_scenario, save_gains
-from lpv.monitor import Diagnosis, Monitor, Update, diagnose
-from lpv.recordings import Sample, read_bag
-from lpv.simulation import simulate
-from lpv_core.monitoring.parameters import DiagnosisParameters
-from lpv_core.serial_arm.description import SerialArm
-from lpv_core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent
-from lpv_core.simulation.closed_loop import Run
-from lpv_core.simulation.faults import Fault
-from lpv_core.simulation.scenario import Scenario
-from lpv_core.support.errors import ConfigError, LpvError, SampleError
-from lpv_core.uio.certificate.gains import Gains
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
-__all__ = [
-    'Alarm',
-    'AlarmEvent',
-    'SerialArm',
-    'ConfigError',
-    'Diagnosis',
-    'DiagnosisParameters',
-    'Fault',
-    'Gains',
-    'LpvError',
-    'Monitor',
-    'Run',
-    'Sample',
-    'SampleError',
-    'Scenario',
-    'Update',
-    'design',
-    'diagnose',
-    'load_arm',
-    'load_gains',
-    'load_scenario',
-    'read_bag',
-    'save_gains',
-    'simulate',
-]
+if TYPE_CHECKING:
+    from lpv.api import *  # noqa: F403
+
+
+def __getattr__(name: str) -> Any:
+    """The API; nodes and commands, which import parts, do not wait for all of it."""
+    api = import_module('lpv.api') if name == '__all__' or not name.startswith('_') else None
+    if api is None or name not in (*api.__all__, '__all__'):
+        raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+    return getattr(api, name)
+
+
+def __dir__() -> list[str]:
+    return [*globals(), *__getattr__('__all__')]

@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from lpv_core.serial_arm.description import SerialArm
-from lpv_core.uio.certificate.gains import Gains
-from lpv_core.uio.planar import planar_model
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.uio.certificate.gains import Gains
+from lpv.core.uio.planar import planar_model
 
 
 def design(arm: SerialArm, requirement: str | Path | None = None) -> Gains:

@@ -2,13 +2,13 @@
 
 from pathlib import Path
 
-import lpv_core.serial_arm.arm_file
-import lpv_core.simulation.scenario
-import lpv_core.uio.certificate.gains
-from lpv_core.serial_arm.description import SerialArm
-from lpv_core.simulation.scenario import Scenario
-from lpv_core.support.resources import bringup_file
-from lpv_core.uio.certificate.gains import Gains
+import lpv.core.serial_arm.arm_file
+import lpv.core.simulation.scenario
+import lpv.core.uio.certificate.gains
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.simulation.scenario import Scenario
+from lpv.core.support.resources import bringup_file
+from lpv.core.uio.certificate.gains import Gains
 
 
 def load_arm(name: str | Path) -> SerialArm:
@@ -29,7 +29,7 @@ def load_arm(name: str | Path) -> SerialArm:
     ConfigError
         Naming the field that is wrong, or the arms that are shipped.
     """
-    return lpv_core.serial_arm.arm_file.load_arm(bringup_file('arms', str(name)))
+    return lpv.core.serial_arm.arm_file.load_arm(bringup_file('arms', str(name)))
 
 
 def load_gains(name: str | Path) -> Gains:
@@ -51,7 +51,7 @@ def load_gains(name: str | Path) -> Gains:
     ConfigError
         Naming the field that is wrong.
     """
-    return lpv_core.uio.certificate.gains.load_gains(bringup_file('gains', str(name)))
+    return lpv.core.uio.certificate.gains.load_gains(bringup_file('gains', str(name)))
 
 
 def save_gains(gains: Gains, path: str | Path, comment: str = 'Designed in Python.') -> None:
@@ -66,7 +66,7 @@ def save_gains(gains: Gains, path: str | Path, comment: str = 'Designed in Pytho
     comment : str, optional
         First lines of the file.
     """
-    lpv_core.uio.certificate.gains.save_gains(gains, path, comment)
+    lpv.core.uio.certificate.gains.save_gains(gains, path, comment)
 
 
 def load_scenario(name: str | Path) -> Scenario:
@@ -87,4 +87,4 @@ def load_scenario(name: str | Path) -> Scenario:
     ConfigError
         Naming the field that is wrong, or the scenarios that are shipped.
     """
-    return lpv_core.simulation.scenario.load_scenario(bringup_file('scenarios', str(name)))
+    return lpv.core.simulation.scenario.load_scenario(bringup_file('scenarios', str(name)))

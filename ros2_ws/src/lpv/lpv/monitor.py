@@ -7,14 +7,14 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from lpv.core.monitoring.parameters import DiagnosisParameters
+from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.diagnosis.alarms import Alarm, SensorState
+from lpv.core.uio.certificate.conditions import require
+from lpv.core.uio.certificate.gains import Gains
+from lpv.core.uio.planar import planar_model
 from lpv.recordings import recorded
-from lpv_core.monitoring.parameters import DiagnosisParameters
-from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
-from lpv_core.serial_arm.description import SerialArm
-from lpv_core.serial_arm.diagnosis.alarms import Alarm, SensorState
-from lpv_core.uio.certificate.conditions import require
-from lpv_core.uio.certificate.gains import Gains
-from lpv_core.uio.planar import planar_model
 
 _NAME = '/uio'
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from lpv_bag.run.record import load_run
-from lpv_core.serial_arm.description import SerialArm
-from lpv_core.support.errors import LpvError
+from lpv.bag.run.record import load_run
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.support.errors import LpvError
 
 
 @dataclass(frozen=True)

@@ -4,15 +4,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from lpv.core.monitoring.parameters import DiagnosisParameters
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.simulation.closed_loop import Run, run_closed_loop
+from lpv.core.simulation.faults import Fault
+from lpv.core.simulation.scenario import Scenario
+from lpv.core.uio.certificate.conditions import require
+from lpv.core.uio.certificate.gains import Gains
+from lpv.core.uio.planar import planar_model
 from lpv.files import load_scenario
-from lpv_core.monitoring.parameters import DiagnosisParameters
-from lpv_core.serial_arm.description import SerialArm
-from lpv_core.simulation.closed_loop import Run, run_closed_loop
-from lpv_core.simulation.faults import Fault
-from lpv_core.simulation.scenario import Scenario
-from lpv_core.uio.certificate.conditions import require
-from lpv_core.uio.certificate.gains import Gains
-from lpv_core.uio.planar import planar_model
 
 
 def simulate(

@@ -10,8 +10,8 @@ from places import ROOT
 from serial_bags import crane_file, crane_run, record_crane
 
 import lpv
-from lpv_bag.run.record import load_run
-from lpv_core.uio.planar import planar_model
+from lpv.bag.run.record import load_run
+from lpv.core.uio.planar import planar_model
 
 pytestmark = pytest.mark.slow
 

@@ -12,10 +12,9 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
-from lpv_arm_sim.services import FaultServices
-from lpv_core.control.computed_torque import BANDWIDTH, serial_loop_latency
-from lpv_core.control.latency import tolerated_latency
-from lpv_core.control.watchdog import (
+from lpv.core.control.computed_torque import BANDWIDTH, serial_loop_latency
+from lpv.core.control.latency import tolerated_latency
+from lpv.core.control.watchdog import (
     BRAKE_TEXT,
     UNKNOWN_LOOP,
     BrakeReason,
@@ -24,11 +23,12 @@ from lpv_core.control.watchdog import (
     LatencyLimits,
     latency_limits,
 )
-from lpv_core.serial_arm.arm_file import load_arm
-from lpv_core.simulation.arm_simulator import ArmSimulator
-from lpv_core.simulation.scenario import load_scenario
-from lpv_core.support.timestamps import NANOSECONDS
-from lpv_core.uio.planar import planar_model
+from lpv.core.serial_arm.arm_file import load_arm
+from lpv.core.simulation.arm_simulator import ArmSimulator
+from lpv.core.simulation.scenario import load_scenario
+from lpv.core.support.timestamps import NANOSECONDS
+from lpv.core.uio.planar import planar_model
+from lpv_arm_sim.services import FaultServices
 from lpv_msgs.msg import GroundTruth, TorqueCommand
 from lpv_node.input_check import Refusals, all_finite, all_sized
 from lpv_node.latency import FROM_GAINS, chosen_limit
@@ -95,7 +95,7 @@ class SimulatorNode(ManagedNode):
     ``torque_command``.  Services: ``~/inject_fault``, ``~/clear_faults``,
     ``~/release_brakes``.
 
-    Until the first command and for the reasons of `lpv_core.control.watchdog` the drives brake and
+    Until the first command and for the reasons of `lpv.core.control.watchdog` the drives brake and
     hold the arm where it is; a joint that was too fast keeps them braked until
     ``~/release_brakes``.  In real time an arm does not wait for a process that
     is late: it moves on under the last torque until the drives brake.  In lockstep a sample

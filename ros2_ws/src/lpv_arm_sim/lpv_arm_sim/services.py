@@ -2,9 +2,9 @@
 
 from rclpy.node import Node
 
-from lpv_core.simulation.arm_simulator import ArmSimulator
-from lpv_core.simulation.faults import Fault
-from lpv_core.support.errors import LpvError
+from lpv.core.simulation.arm_simulator import ArmSimulator
+from lpv.core.simulation.faults import Fault
+from lpv.core.support.errors import LpvError
 from lpv_msgs.srv import ClearFaults, InjectFault
 
 

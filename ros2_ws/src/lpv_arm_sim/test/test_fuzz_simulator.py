@@ -11,8 +11,8 @@ from rosgraph_msgs.msg import Clock  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
+from lpv.core.simulation.faults import MAX_FAULTS  # noqa: E402
 from lpv_arm_sim.node import SimulatorNode  # noqa: E402
-from lpv_core.simulation.faults import MAX_FAULTS  # noqa: E402
 from lpv_msgs.msg import GroundTruth, TorqueCommand  # noqa: E402
 from lpv_msgs.srv import ClearFaults, InjectFault  # noqa: E402
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import rclpy
 from rclpy.signals import SignalHandlerOptions
 
-from lpv_core.support.errors import ConfigError
+from lpv.core.support.errors import ConfigError
 
 
 def initialise(argv: list[str] | None = None) -> None:

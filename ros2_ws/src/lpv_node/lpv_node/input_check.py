@@ -8,8 +8,8 @@ from itertools import chain
 import numpy as np
 from rclpy.node import Node
 
-from lpv_core.serial_arm.description import SerialArm
-from lpv_core.support.timestamps import NANOSECONDS
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.support.timestamps import NANOSECONDS
 
 _QUIET = 5.0
 """Time between two lines of one reason [s]."""

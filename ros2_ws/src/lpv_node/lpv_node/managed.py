@@ -17,7 +17,7 @@ from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
-from lpv_core.support.errors import LpvError
+from lpv.core.support.errors import LpvError
 from lpv_node.arguments import initialise
 from lpv_node.discovery import announce_often
 from lpv_node.parameter_service import CheckedParameterService

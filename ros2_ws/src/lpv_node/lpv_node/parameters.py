@@ -15,14 +15,14 @@ from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValu
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from lpv_core.serial_arm.certificate.conditions import require_loop
-from lpv_core.serial_arm.certificate.loop_gains import LoopGains, parse_loop
-from lpv_core.serial_arm.certificate.model_bounds import BOUNDS
-from lpv_core.serial_arm.description import SerialArm
-from lpv_core.support.errors import ConfigError
-from lpv_core.support.resources import bringup_file
-from lpv_core.uio.certificate.conditions import require
-from lpv_core.uio.certificate.gains import (
+from lpv.core.serial_arm.certificate.conditions import require_loop
+from lpv.core.serial_arm.certificate.loop_gains import LoopGains, parse_loop
+from lpv.core.serial_arm.certificate.model_bounds import BOUNDS
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.support.errors import ConfigError
+from lpv.core.support.resources import bringup_file
+from lpv.core.uio.certificate.conditions import require
+from lpv.core.uio.certificate.gains import (
     ControllerGains,
     ExactObserverGains,
     Gains,
@@ -31,7 +31,7 @@ from lpv_core.uio.certificate.gains import (
     entries,
     parse_gains,
 )
-from lpv_core.uio.planar import planar_model
+from lpv.core.uio.planar import planar_model
 
 _ARRAY, _DOUBLE, _STRING, _INTEGER = (
     Parameter.Type.DOUBLE_ARRAY,
@@ -116,7 +116,7 @@ GAIN_FIELDS = {
     'observer.method': GainField(_STRING, 'exact or paper'),
     **_gain_fields(ControllerGains, 'controller'),
 }
-"""Parameters below ``gains.`` that every gains file sets; see lpv_core.uio.certificate.gains."""
+"""Parameters below ``gains.`` that every gains file sets; see lpv.core.uio.certificate.gains."""
 MOTION_FIELDS = _gain_fields(MotionCertificate, 'controller.motion')
 """Parameters below ``gains.`` of files whose certificate covers the sampled loop in motion."""
 METHOD_FIELDS = {
@@ -149,7 +149,7 @@ LOOP_FIELDS = {
     'error.level': GainField(_DOUBLE, 'level that V ends below [1]', 0.0, 1e12),
     'error.bound': GainField(_ARRAY, 'bound of the tracking error [rad]'),
 }
-"""Parameters below ``loop.`` of a serial arm's file; see lpv_core.serial_arm.certificate."""
+"""Parameters below ``loop.`` of a serial arm's file; see lpv.core.serial_arm.certificate."""
 
 
 def declare(node: Node, specs: Iterable[Spec]) -> None:

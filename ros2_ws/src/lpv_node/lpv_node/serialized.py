@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from rclpy.serialization import deserialize_message
 
-from lpv_core.support.timestamps import NANOSECONDS
+from lpv.core.support.timestamps import NANOSECONDS
 from lpv_node.stamps import LAST_STAMP
 
 _LITTLE_ENDIAN = sys.byteorder == 'little'

@@ -2,7 +2,7 @@
 
 from builtin_interfaces.msg import Time
 
-from lpv_core.support.timestamps import NANOSECONDS
+from lpv.core.support.timestamps import NANOSECONDS
 
 LAST_STAMP = 2**31 * NANOSECONDS - 1
 

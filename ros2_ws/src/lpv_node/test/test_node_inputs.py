@@ -17,8 +17,8 @@ from rcl_interfaces.msg import ParameterType, ParameterValue  # noqa: E402
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 
-from lpv_core.support.errors import ConfigError  # noqa: E402
-from lpv_core.support.resources import bringup_file  # noqa: E402
+from lpv.core.support.errors import ConfigError  # noqa: E402
+from lpv.core.support.resources import bringup_file  # noqa: E402
 from lpv_node.input_check import OneSender, all_finite, all_sized  # noqa: E402
 from lpv_node.parameter_service import CheckedParameterService  # noqa: E402
 from lpv_node.parameters import declare_gains, read_gains  # noqa: E402

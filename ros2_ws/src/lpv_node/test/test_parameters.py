@@ -11,8 +11,8 @@ pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one'
 from lpv_node import managed, parameters  # noqa: E402
 from lpv_node.parameters import Spec  # noqa: E402
 
-MODULES = ('lpv_arm_sim.node', 'lpv_uio.node', 'lpv_tracker.node', 'lpv_bag.recorder.node',
-           'lpv_view.node')  # fmt: skip
+MODULES = ('lpv_arm_sim.node', 'lpv_uio.node', 'lpv_tracker.node', 'lpv_node.recorder.node',
+           'lpv_node.view.node')  # fmt: skip
 SPECS = {f'common/{spec.name}': spec for spec in managed.COMMON} | {
     f'{name}/{spec.name}': spec for name in MODULES for spec in importlib.import_module(name).SPECS
 }

@@ -10,11 +10,11 @@ from rclpy.timer import Timer
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
-from lpv_core.control.computed_torque import BANDWIDTH
-from lpv_core.control.estimate_check import ROWS, CorrectionLimit, ValueFault, check_values
-from lpv_core.control.path_follower import APPROACH_SPEED, PathFollower
-from lpv_core.control.tracking import COMPENSATION, FEEDBACK_FIELDS, make_controller
-from lpv_core.control.watchdog import (
+from lpv.core.control.computed_torque import BANDWIDTH
+from lpv.core.control.estimate_check import ROWS, CorrectionLimit, ValueFault, check_values
+from lpv.core.control.path_follower import APPROACH_SPEED, PathFollower
+from lpv.core.control.tracking import COMPENSATION, FEEDBACK_FIELDS, make_controller
+from lpv.core.control.watchdog import (
     STOP_TEXT,
     LatencyLimits,
     StopReason,
@@ -23,11 +23,11 @@ from lpv_core.control.watchdog import (
     latency_limits,
     mean_limit,
 )
-from lpv_core.monitoring.stamp_gate import StampGate
-from lpv_core.serial_arm.arm_file import load_arm
-from lpv_core.serial_arm.certificate.conditions import NO_CERTIFICATE, certified_region
-from lpv_core.simulation.scenario import load_scenario
-from lpv_core.support.timestamps import NANOSECONDS
+from lpv.core.monitoring.stamp_gate import StampGate
+from lpv.core.serial_arm.arm_file import load_arm
+from lpv.core.serial_arm.certificate.conditions import NO_CERTIFICATE, certified_region
+from lpv.core.simulation.scenario import load_scenario
+from lpv.core.support.timestamps import NANOSECONDS
 from lpv_msgs.msg import JointReference, StateEstimate, TorqueCommand
 from lpv_node.input_check import Refusals, all_finite, all_sized
 from lpv_node.latency import FROM_GAINS, chosen_limit
@@ -131,9 +131,9 @@ class TrackerNode(ManagedNode):
     Topics: subscribes ``state_estimate``; publishes ``torque_command``, ``reference`` and
     ``/diagnostics``.  Service: ``~/resume``.  The path starts at the stamp of the first estimate;
     its clock stands still during a safe stop, and an arm that is found elsewhere is led to the path
-    first (`lpv_core.control.path_follower`).
+    first (`lpv.core.control.path_follower`).
 
-    Safe stops: for the reasons of `lpv_core.control.watchdog`, and when the node is deactivated or
+    Safe stops: for the reasons of `lpv.core.control.watchdog`, and when the node is deactivated or
     ends.  A joint that is too fast or far from its reference stops the arm until ``~/resume``, and
     so does a confirmed fault that the observer no longer knows after a silence.
     """

@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lpv_core.control.path import Reference
-from lpv_core.control.path_follower import PathFollower
+from lpv.core.control.path import Reference
+from lpv.core.control.path_follower import PathFollower
 
 _AHEAD = 128
 """Samples at a time: the cost of a few for all, and too few to delay a sample noticeably."""

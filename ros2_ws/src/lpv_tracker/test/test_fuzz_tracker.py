@@ -9,7 +9,7 @@ pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one'
 from hostile import Output, Refused, forge, node_of, run_cases, set_parameters  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
-from lpv_core.control.watchdog import StopReason  # noqa: E402
+from lpv.core.control.watchdog import StopReason  # noqa: E402
 from lpv_msgs.msg import JointReference, StateEstimate, TorqueCommand  # noqa: E402
 from lpv_tracker.node import TrackerNode  # noqa: E402
 

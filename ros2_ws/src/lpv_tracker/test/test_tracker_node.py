@@ -10,8 +10,8 @@ pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one'
 
 from hostile import Output, node_of  # noqa: E402
 
-from lpv_core.serial_arm.certificate.conditions import NO_CERTIFICATE  # noqa: E402
-from lpv_core.support.errors import ConfigError  # noqa: E402
+from lpv.core.serial_arm.certificate.conditions import NO_CERTIFICATE  # noqa: E402
+from lpv.core.support.errors import ConfigError  # noqa: E402
 from lpv_msgs.msg import JointReference, StateEstimate, TorqueCommand  # noqa: E402
 from lpv_tracker.node import TrackerNode  # noqa: E402
 

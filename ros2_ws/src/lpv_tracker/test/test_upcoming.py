@@ -5,7 +5,7 @@ from dataclasses import astuple
 import numpy as np
 import pytest
 
-from lpv_core.control.path_follower import PathFollower
+from lpv.core.control.path_follower import PathFollower
 from lpv_tracker.upcoming import UpcomingReferences
 
 STEP = 2_000_000

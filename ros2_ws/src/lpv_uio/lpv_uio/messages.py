@@ -8,8 +8,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
-from lpv_core.serial_arm.description import SerialArm
-from lpv_core.serial_arm.diagnosis.alarms import Mode, SensorState
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.diagnosis.alarms import Mode, SensorState
 from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate
 from lpv_node.serialized import SerializedMessage
 from lpv_node.stamps import set_stamp

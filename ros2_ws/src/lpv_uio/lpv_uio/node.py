@@ -15,15 +15,15 @@ from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from lpv_core.monitoring.alarm_text import describe
-from lpv_core.monitoring.answers import Answer
-from lpv_core.monitoring.parameters import DiagnosisParameters
-from lpv_core.monitoring.serial_monitor import SerialSensorMonitor
-from lpv_core.serial_arm.arm_file import load_arm
-from lpv_core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent, Mode
-from lpv_core.support.errors import SampleError
-from lpv_core.support.timestamps import NANOSECONDS
-from lpv_core.uio.unknown_input_observer import CHOICES
+from lpv.core.monitoring.alarm_text import describe
+from lpv.core.monitoring.answers import Answer
+from lpv.core.monitoring.parameters import DiagnosisParameters
+from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv.core.serial_arm.arm_file import load_arm
+from lpv.core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent, Mode
+from lpv.core.support.errors import SampleError
+from lpv.core.support.timestamps import NANOSECONDS
+from lpv.core.uio.unknown_input_observer import CHOICES
 from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate, TorqueCommand
 from lpv_node.input_check import OneSender, Refusals, all_finite, all_sized
 from lpv_node.managed import ManagedNode, run_node

@@ -7,8 +7,8 @@ from pathlib import Path
 from rclpy.logging import get_logging_directory
 from rclpy.node import Node
 
-from lpv_core.monitoring.alarm_text import describe
-from lpv_core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent
+from lpv.core.monitoring.alarm_text import describe
+from lpv.core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent
 
 _LARGEST = 1 << 20
 """Longer files are not read [bytes]."""

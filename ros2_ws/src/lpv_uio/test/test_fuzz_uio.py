@@ -15,9 +15,9 @@ from hostile import Output, Refused, forge, node_of, run_cases, set_parameters  
 from sensor_msgs.msg import JointState  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
-from lpv_core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent, Mode  # noqa: E402
-from lpv_core.simulation.arm_simulator import ArmSimulator  # noqa: E402
-from lpv_core.simulation.scenario import load_scenario  # noqa: E402
+from lpv.core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent, Mode  # noqa: E402
+from lpv.core.simulation.arm_simulator import ArmSimulator  # noqa: E402
+from lpv.core.simulation.scenario import load_scenario  # noqa: E402
 from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate, TorqueCommand  # noqa: E402
 from lpv_uio.node import UioNode  # noqa: E402
 from lpv_uio.open_alarms import OpenAlarms  # noqa: E402

@@ -9,7 +9,7 @@ pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one'
 
 from rclpy.serialization import deserialize_message  # noqa: E402
 
-from lpv_core.monitoring.answers import answer_type  # noqa: E402
+from lpv.core.monitoring.answers import answer_type  # noqa: E402
 from lpv_msgs.msg import FaultEstimate, StateEstimate  # noqa: E402
 from lpv_uio.messages import OutputMessages  # noqa: E402
 

@@ -12,12 +12,12 @@ from hostile import Output, node_of  # noqa: E402
 from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 
-from lpv_bag.replay.replay import Replay  # noqa: E402
-from lpv_bag.rosbag.reading import open_bag  # noqa: E402
-from lpv_core.monitoring.serial_monitor import SerialSensorMonitor  # noqa: E402
-from lpv_core.serial_arm.arm_file import load_arm  # noqa: E402
-from lpv_core.serial_arm.simulation import EncoderFault  # noqa: E402
-from lpv_core.support.errors import ConfigError  # noqa: E402
+from lpv.bag.replay.replay import Replay  # noqa: E402
+from lpv.bag.rosbag.reading import open_bag  # noqa: E402
+from lpv.core.monitoring.serial_monitor import SerialSensorMonitor  # noqa: E402
+from lpv.core.serial_arm.arm_file import load_arm  # noqa: E402
+from lpv.core.serial_arm.simulation import EncoderFault  # noqa: E402
+from lpv.core.support.errors import ConfigError  # noqa: E402
 from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate  # noqa: E402
 from lpv_uio.node import UioNode  # noqa: E402
 

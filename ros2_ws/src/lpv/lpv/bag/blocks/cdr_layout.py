@@ -1,0 +1,160 @@
+"""Where the values of a serialised message are, found once for all messages of the same shape.
+
+CDR has no fixed offsets: strings and sequences come with their lengths.  But a publisher sends the
+same names in every message, so that almost all messages of a topic have the shape of the first
+one.  Whether a message has it is seen from its size and from the bytes of strings and lengths;
+then every number is at a known place, and a whole chunk of messages is read at once.
+"""
+
+import struct
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from rosbags.interfaces import Nodetype
+from rosbags.typesys.store import Typestore
+
+from lpv.bag.blocks.message_blocks import rows
+
+_SIZES = {
+    **{'bool': '?', 'octet': 'u1', 'byte': 'u1', 'char': 'u1'},
+    **{
+        f'{sign}int{8 * size}': f'<{sign or "i"}{size}'
+        for sign in ('', 'u')
+        for size in (1, 2, 4, 8)
+    },
+    **{'float32': '<f4', 'float64': '<f8'},
+}
+_HEADER = 4  # the representation identifier; alignment counts from behind it
+_LITTLE_ENDIAN = b'\x00\x01'
+_MOST_PADDING = 7
+"""Bytes behind a message: up to three, and four where an empty sequence of doubles is the last
+field."""
+_LARGEST = 4096
+"""Messages with more bytes are read one by one: copying them is what takes the time."""
+
+
+class _NoLayout(Exception):
+    """The message has no fixed shape, or is not understood."""
+
+
+@dataclass(frozen=True)
+class Field:
+    """Numbers at a fixed place."""
+
+    offset: int  # from the beginning of the message, representation identifier included [bytes]
+    dtype: str  # numPy's name of one number
+    count: int  # how many
+
+
+class Layout:
+    """Shape of one message and of all that are like it."""
+
+    def __init__(self, data: bytes, msgtype: str, typestore: Typestore) -> None:
+        self.size = len(data)
+        self.fields: dict[str, Field] = {}
+        self._data, self._typestore = bytes(data), typestore
+        self._fixed = [(0, 2)]
+        if data[:2] != _LITTLE_ENDIAN:
+            raise _NoLayout
+        self._position = _HEADER
+        self._node('', (Nodetype.NAME, msgtype))
+        if len(data) - self._position > _MOST_PADDING:
+            raise _NoLayout
+        self._words = self._constant_words()
+        del self._data, self._typestore, self._position
+
+    def match(self, buffer: np.ndarray, starts: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+        """Which messages have this shape."""
+        found = sizes == self.size
+        if not found.all():
+            starts = starts[found]
+        same = np.ones(len(starts), bool)
+        for offset, word in self._words:
+            same &= rows(buffer, word.dtype, starts + offset) == word
+        found[found] = same
+        return found
+
+    def read(self, buffer: np.ndarray, starts: np.ndarray, name: str) -> np.ndarray:
+        """Numbers of messages of this shape."""
+        field = self.fields[name]
+        if field.count == 0:
+            return np.empty((len(starts), 0), field.dtype)
+        size = np.dtype(field.dtype).itemsize * field.count
+        found = rows(buffer, f'V{size}', starts + field.offset)
+        return found.view(field.dtype).reshape(len(starts), field.count)
+
+    def stamps(self, buffer: np.ndarray, starts: np.ndarray) -> np.ndarray:
+        """Times of messages of this shape as nanoseconds, int64, shape (k,)."""
+        seconds = self.read(buffer, starts, 'header.stamp.sec')[:, 0].astype(np.int64)
+        return seconds * 1_000_000_000 + self.read(buffer, starts, 'header.stamp.nanosec')[:, 0]
+
+    def _constant_words(self) -> list[tuple[int, np.unsignedinteger]]:
+        """What all messages of the shape have in common, as few numbers to compare."""
+        found = []
+        for start, end in self._fixed:
+            while start < end:
+                size = next(s for s in (8, 4, 2, 1) if s <= end - start)
+                found.append((start, np.frombuffer(self._data, f'<u{size}', 1, start)[0]))
+                start += size
+        return found
+
+    def _node(self, path: str, node: Any) -> None:
+        kind, what = node
+        if kind == Nodetype.NAME:
+            for name, part in self._typestore.fielddefs[what][1]:
+                self._node(f'{path}.{name}' if path else name, part)
+        elif kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+            self._elements(path, what[0], what[1] if kind == Nodetype.ARRAY else self._length())
+        elif what[0] == 'string':
+            self._string()
+        else:
+            self._numbers(path, what[0], 1)
+
+    def _elements(self, path: str, node: Any, count: int) -> None:
+        if node[0] == Nodetype.BASE and node[1][0] != 'string':
+            self._numbers(path, node[1][0], count)
+        else:
+            for i in range(count):
+                self._node(f'{path}.{i}', node)
+
+    def _align(self, size: int) -> None:
+        self._position += -(self._position - _HEADER) % size
+
+    def _advance(self, size: int) -> int:
+        start, self._position = self._position, self._position + size
+        if not start <= self._position <= self.size:
+            raise _NoLayout
+        return start
+
+    def _length(self) -> int:
+        self._align(4)
+        start = self._advance(4)
+        self._fixed.append((start, start + 4))
+        return struct.unpack_from('<I', self._data, start)[0]
+
+    def _string(self) -> None:
+        length = self._length()
+        start = self._advance(length)
+        if length == 0 or self._data[start + length - 1] != 0:
+            raise _NoLayout
+        # Joined with its length: fewer and longer pieces are compared faster.
+        self._fixed[-1] = (start - 4, start + length)
+
+    def _numbers(self, path: str, kind: str, count: int) -> None:
+        if kind not in _SIZES:
+            raise _NoLayout
+        size = np.dtype(_SIZES[kind]).itemsize
+        if count:
+            self._align(size)
+        self.fields[path] = Field(self._advance(size * count), _SIZES[kind], count)
+
+
+def find_layout(data: bytes, msgtype: str, typestore: Typestore) -> Layout | None:
+    """Layout of a message."""
+    if len(data) > _LARGEST:
+        return None
+    try:
+        return Layout(data, msgtype, typestore)
+    except (_NoLayout, KeyError, UnicodeDecodeError):
+        return None

@@ -1,0 +1,160 @@
+"""Messages of a bag in blocks of some megabytes, so that NumPy can work on thousands at once."""
+
+import struct
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+
+from lpv.bag.errors import DamageError
+from lpv.core.support.jit import njit
+
+T = TypeVar('T')
+BLOCK_SIZE = 2 << 20
+"""Of about one block [bytes]: it fits into the caches, and overheads do not count."""
+RECORD = np.dtype('u1,<u8,<u2,<u4,<u8,<u8')
+RECORD.names = ('kind', 'length', 'channel', 'sequence', 'log_time', 'publish_time')
+"""Head of a message's record in an MCAP file."""
+_MESSAGE, _HEAD, _CHANNEL = 5, struct.Struct('<BQHIQQ'), 9  # of records; place of the channel
+
+
+@dataclass
+class Block:
+    """Consecutive messages; before each are the bytes of a `RECORD` in ``data``."""
+
+    data: np.ndarray  # bytes that hold all messages
+    connection: np.ndarray  # index of each message's connection among those asked for; shape (n,)
+    time: np.ndarray  # log times [ns], in order; shape (n,)
+    start: np.ndarray  # where in ``data`` each message begins [bytes]; shape (n,)
+    size: np.ndarray  # length of each message [bytes]; shape (n,)
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def message(self, index: int) -> bytes:
+        """Bytes of one message."""
+        start = self.start[index]
+        return self.data[start : start + self.size[index]].tobytes()
+
+    def copied(self, channels: np.ndarray) -> 'Block':
+        """These messages alone, in their order, as records of other channels."""
+        sizes = self.size + RECORD.itemsize
+        ends = (self.start + self.size).tolist()
+        begins = (self.start - RECORD.itemsize).tolist()
+        whole = self.data.data
+        data = bytearray().join([whole[a:b] for a, b in zip(begins, ends)])
+        places = np.cumsum(sizes) - sizes
+        array = np.frombuffer(data, np.uint8)
+        rows(array, '<u2')[places + _CHANNEL] = channels
+        return Block(array, channels, self.time, places + RECORD.itemsize, self.size)
+
+    def chosen(self, rows: np.ndarray) -> 'Block':
+        """Some of the messages."""
+        return Block(
+            self.data, self.connection[rows], self.time[rows], self.start[rows], self.size[rows]
+        )
+
+
+def rows(buffer: np.ndarray, dtype: np.dtype | str, starts: np.ndarray | None = None) -> np.ndarray:
+    """Parts of a buffer that start at any byte, as an array of their type."""
+    dtype = np.dtype(dtype)
+    view = np.ndarray((max(0, len(buffer) - dtype.itemsize + 1),), dtype, buffer, strides=(1,))
+    return view if starts is None else view[starts]
+
+
+def record(channel: int, time: int, data: bytes, publish_time: int | None = None) -> bytes:
+    """Record of one message."""
+    published = time if publish_time is None else publish_time
+    return _HEAD.pack(_MESSAGE, 22 + len(data), channel, 0, time, published) + data
+
+
+def from_rows(records: np.ndarray) -> Block:
+    """A block of records of one size, with the fields of `RECORD` at their beginnings."""
+    size = records.dtype.itemsize
+    return Block(
+        np.ascontiguousarray(records).view(np.uint8),
+        records['channel'].astype(np.int64),
+        records['log_time'].astype(np.int64),
+        size * np.arange(len(records)) + RECORD.itemsize,
+        np.full(len(records), size - RECORD.itemsize),
+    )
+
+
+def split(content: np.ndarray) -> tuple[Block, list[bytes]]:
+    """Messages among the records of a chunk's content, and its other records as they are.
+
+    ``connection`` of the block holds the numbers of the file's channels.
+    """
+    if len(content) < 9:
+        if len(content):
+            raise DamageError('a chunk ends within a record')
+        return Block(content, *np.zeros((4, 0), np.int64)), []
+    offsets, others = np.empty((2, len(content) // 9 + 1), np.int64)
+    numbers = rows(content, '<u8')  # lengths are at any byte
+    count, other, end = _walk(content, numbers, offsets, others)
+    if end != len(content):
+        raise DamageError('a chunk ends within a record, or a message is shorter than its head')
+    starts = offsets[:count]
+    heads = rows(content, RECORD, starts)
+    if (heads['log_time'] > np.uint64(2**63 - 2)).any():
+        raise DamageError('the time of a message is beyond all times')
+    block = Block(
+        content,
+        heads['channel'].astype(np.int64),
+        heads['log_time'].astype(np.int64),
+        starts + RECORD.itemsize,
+        heads['length'].astype(np.int64) - 22,
+    )
+    found = [content[at : at + 9 + int(numbers[at + 1])].tobytes() for at in others[:other]]
+    return block, found
+
+
+@njit
+def _walk(
+    data: np.ndarray, numbers: np.ndarray, offsets: np.ndarray, others: np.ndarray
+) -> tuple[int, int, int]:
+    position, count, other, total = 0, 0, 0, len(data)
+    while position + 9 <= total:
+        size = numbers[position + 1]
+        if size > total or position + 9 + np.int64(size) > total:
+            break
+        if data[position] == 5:
+            if size < 22:
+                break
+            offsets[count] = position
+            count += 1
+        else:
+            others[other] = position
+            other += 1
+        position += 9 + np.int64(size)
+    return count, other, position
+
+
+def joined(blocks: list[Block]) -> Block:
+    """Messages of several blocks as those of one, by log time."""
+    block = blocks[0]
+    if len(blocks) > 1:
+        begins = np.cumsum([0] + [len(b.data) for b in blocks[:-1]])
+        block = Block(
+            np.concatenate([b.data for b in blocks]),
+            np.concatenate([b.connection for b in blocks]),
+            np.concatenate([b.time for b in blocks]),
+            np.concatenate([b.start + begin for b, begin in zip(blocks, begins)]),
+            np.concatenate([b.size for b in blocks]),
+        )
+    if (np.diff(block.time) < 0).any():
+        return block.chosen(np.argsort(block.time, kind='stable'))
+    return block
+
+
+def ahead(items: Iterable[T]) -> Iterator[T]:
+    """Items of an iterable, each made by another thread while the one before is in use."""
+    end: Any = object()
+    with ThreadPoolExecutor(1) as pool:
+        source = iter(items)
+        coming = pool.submit(next, source, end)
+        while (item := coming.result()) is not end:
+            coming = pool.submit(next, source, end)
+            yield item

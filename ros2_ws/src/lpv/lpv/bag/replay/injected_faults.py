@@ -1,0 +1,74 @@
+"""What a replay found of the faults that were injected into its measurements."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from lpv.bag.replay.replay import ReplayResult
+from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent
+from lpv.core.simulation.faults import Fault
+from lpv.core.support.timestamps import NANOSECONDS
+
+_GRACE = 1.0
+"""An alarm that is confirmed within this time after the end of a fault belongs to it [s]."""
+
+
+@dataclass(frozen=True)
+class InjectedFault:
+    """One injected fault and the alarm that found it."""
+
+    fault: Fault
+    found: bool  # an alarm of its sensor was confirmed while it acted
+    wrong_sensors: tuple[str, ...] = ()  # healthy sensors that were alarmed meanwhile
+    delay: float | None = None  # from its onset to the confirmed alarm [s]
+    kind: str = ''  # latest classification while it acted
+    size: float | None = None  # latest estimate while it acted [rad]
+    bound: float | None = None  # stated bound of the estimate's error [rad]
+    error: float | None = None  # estimate minus injected size; None where no size is defined [rad]
+
+    @property
+    def verdict(self) -> str:
+        """One phrase for the user."""
+        wrong = ', '.join(self.wrong_sensors)
+        if self.found:
+            return f'found, and wrongly {wrong}' if wrong else 'found'
+        return f'wrong sensor: {wrong}' if wrong else 'not found'
+
+
+def judge(faults: Sequence[Fault], result: ReplayResult) -> list[InjectedFault]:
+    """Compare the alarms of a replay with the injected faults, whose onsets count from the first
+    measurement; in the order of the faults."""
+    start, found = result.first_stamp or 0, []
+    events = [((event.stamp - start) / NANOSECONDS, event) for event in result.events]
+    for fault in faults:
+        during = [(at, event) for at, event in events if _acts(fault, at)]
+        raised = [(at, event.sensor) for at, event in during if event.event == AlarmEvent.RAISED]
+        wrong = {sensor for at, sensor in raised
+                 if not any(f.sensor == sensor and _acts(f, at) for f in faults)}  # fmt: skip
+        delays = [at - fault.onset for at, sensor in raised if sensor == fault.sensor]
+        told: tuple[float, str, float, float, float | None] | tuple[()] = ()
+        if delays:
+            at, last = [
+                (at, event)
+                for at, event in during
+                if event.sensor == fault.sensor and event.event != AlarmEvent.CLEARED
+            ][-1]
+            true = true_size(fault, at)
+            error = None if true is None else last.size - true
+            told = (delays[0], last.kind, last.size, last.bound, error)
+        found.append(InjectedFault(fault, bool(delays), tuple(sorted(wrong)), *told))
+    return found
+
+
+def _acts(fault: Fault, time: float) -> bool:
+    end = fault.onset + fault.duration + _GRACE
+    return fault.onset <= time and (fault.duration <= 0.0 or time <= end)
+
+
+def true_size(fault: Fault, time: float) -> float | None:
+    """Error of the reading at a time; None for kinds whose error depends on the reading [rad]."""
+    if fault.duration > 0.0:
+        time = min(time, fault.onset + fault.duration)
+    if fault.kind == 'drift':
+        grown = fault.rate * (time - fault.onset)
+        return grown if fault.size == 0.0 else min(grown, fault.size, key=abs)
+    return fault.size if fault.kind == 'bias' else None

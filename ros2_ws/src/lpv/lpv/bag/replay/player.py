@@ -1,0 +1,179 @@
+"""Plays a bag into a live graph, with its clock."""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from builtin_interfaces.msg import Time
+from rclpy.context import Context
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import ReliabilityPolicy
+from rosbags.interfaces import Connection, QosDurability, QosReliability
+from rosgraph_msgs.msg import Clock
+
+from lpv.bag.blocks.message_blocks import ahead
+from lpv.bag.errors import BagError
+from lpv.bag.replay.writer import DIAGNOSTICS, OUTPUTS
+from lpv.bag.rosbag.live import message_class, ros_qos
+from lpv.bag.rosbag.metadata import offered_qos
+from lpv.bag.rosbag.reading import BagReader, open_bag
+from lpv.bag.run.measurements import MEASUREMENT_TYPE
+from lpv.bag.run.record import find_topic
+from lpv.core.support.errors import ConfigError
+from lpv.core.support.timestamps import NANOSECONDS
+
+_CLOCK = '/clock'
+_SETTLING = 1.0
+"""Subscribers find publishers one after the other: time to wait after the latest one [s]."""
+_LAST_CALL = 5.0
+"""How long slow subscribers may take for the last messages [s]."""
+_DEEPEST = 20000
+_LONGEST_NAP = 0.1
+"""A player that is told to end is awake at least so often [s]."""
+
+
+@dataclass
+class Player:
+    """Publishes the messages of a bag, byte for byte, at their recorded times."""
+
+    bag: str | Path
+    # topics to play; otherwise all but the answers of the diagnosis, which a live one gives
+    topics: Sequence[str] | None = None
+    measured: str | None = None  # topic of the measurements, where there are several
+    rate: float = 1.0  # speed; 2 is twice as fast as recorded
+    loop: bool = False  # start again at the end, until interrupted
+    clock_rate: float = 100.0  # messages on /clock per second of the bag [Hz]; 0 for none
+    wait: float = 5.0  # longest time to wait for a subscriber before the first message [s]
+    # start and end, counted from the first message [s]
+    interval: tuple[float | None, float | None] = (None, None)
+
+    def __post_init__(self) -> None:
+        for name, value, low, high in (
+            ('--rate', self.rate, 1e-3, 1e3),
+            ('--wait', self.wait, 0.0, 1e6),
+            ('--clock-rate', self.clock_rate, 0.0, 1e4),
+        ):
+            if not low <= value <= high:
+                raise ConfigError(name, f'must be a number from {low:g} to {high:g}, got {value}')
+        for end in self.interval:
+            if end is not None and not 0.0 <= end < 1e9:
+                raise ConfigError('--from, --to', f'must be seconds from 0, got {end}')
+        self._tick = round(NANOSECONDS / self.clock_rate) if self.clock_rate else 0
+        self._context = Context()
+
+    def run(self, say: Callable[..., Any] = lambda text: None, rounds: int | None = None) -> int:
+        """Play until the end, ``rounds`` of a loop, or until the context is shut down.
+
+        ``say`` receives lines for the user.  Returns the number of messages; BagError if the bag
+        holds nothing that can be played.
+        """
+        with open_bag(self.bag) as reader:
+            chosen = self._choose(reader)
+            rclpy.init(context=self._context)
+            node = rclpy.create_node('lpv_player', context=self._context)
+            try:
+                publishers = _publishers(node, chosen, say)
+                if not publishers:
+                    raise BagError(f'{self.bag}: no type of its topics is installed here')
+                clock = node.create_publisher(Clock, _CLOCK, 10) if self._tick else None
+                chosen = [c for c in chosen if c.topic in publishers]
+                self._await([*publishers.values(), *([clock] if clock else [])], say)
+                published = turn = 0
+                while True:
+                    published += self._play(reader, chosen, publishers, clock)
+                    turn += 1
+                    if not self.loop or turn == rounds or not self._context.ok():
+                        break
+                for publisher in publishers.values():
+                    if publisher.qos_profile.reliability == ReliabilityPolicy.RELIABLE:
+                        publisher.wait_for_all_acked(Duration(seconds=_LAST_CALL))
+                return published
+            finally:
+                node.destroy_node()
+                rclpy.try_shutdown(context=self._context)
+
+    def _choose(self, reader: BagReader) -> list[Connection]:
+        if self.topics is not None:
+            there = {c.topic for c in reader.connections}
+            for topic in (t for t in self.topics if t not in there):
+                listed = ', '.join(sorted(there))
+                raise BagError(f'{self.bag}: the bag has no topic {topic!r}; it has {listed}')
+            return [c for c in reader.connections if c.topic in self.topics]
+        measured = find_topic(reader, MEASUREMENT_TYPE, 'joint_states', self.measured).topic
+        prefix = measured.rsplit('/', 1)[0]
+        answers = {f'{prefix}/{name}' for name in OUTPUTS} | {DIAGNOSTICS, _CLOCK}
+        return [c for c in reader.connections if c.topic not in answers]
+
+    def _await(self, publishers: list[Publisher], say: Callable[[str], None]) -> None:
+        """Wait for a subscriber, and until no more come."""
+        counts, since = [0] * len(publishers), time.monotonic()
+        deadline = since + self.wait
+        while (now := time.monotonic()) < deadline:
+            before, counts = counts, [p.get_subscription_count() for p in publishers]
+            if counts != before:
+                since = now
+            if any(counts) and now - since >= _SETTLING:
+                return
+            time.sleep(0.02)
+        if self.wait and not any(counts):
+            say('there are no subscribers; playing nevertheless')
+
+    def _play(
+        self,
+        reader: BagReader,
+        connections: Sequence[Connection],
+        publishers: dict[str, Publisher],
+        clock: Publisher | None,
+    ) -> int:
+        """Play once; the number of messages."""
+        origin, tick, published = -1, 0, 0
+        wall = time.monotonic()
+        for block in ahead(reader.blocks(connections, *map(reader.log_time, self.interval))):
+            for i, stamp in enumerate(block.time.tolist()):
+                if origin < 0:
+                    wall, origin, tick = time.monotonic(), stamp, stamp
+                while clock and tick <= stamp and self._sleep(wall, tick - origin):
+                    seconds, rest = divmod(tick, NANOSECONDS)
+                    clock.publish(Clock(clock=Time(sec=seconds, nanosec=rest)))
+                    tick += self._tick
+                if not self._sleep(wall, stamp - origin):
+                    return published
+                publishers[connections[block.connection[i]].topic].publish(block.message(i))
+                published += 1
+        return published
+
+    def _sleep(self, wall: float, elapsed: int) -> bool:
+        """Sleep until a time of the bag has come; False if the player is to end."""
+        while self._context.ok():
+            rest = wall + elapsed / NANOSECONDS / self.rate - time.monotonic()
+            if rest <= 0.0:
+                return True
+            time.sleep(min(rest, _LONGEST_NAP))
+        return False
+
+
+def _publishers(
+    node: Node, connections: Sequence[Connection], say: Callable[[str], None]
+) -> dict[str, Publisher]:
+    """Publishers by topic, with the QoS with which a topic was offered when it was recorded."""
+    found: dict[str, Publisher] = {}
+    for connection in connections:
+        topic = connection.topic
+        try:
+            kind = message_class(connection.msgtype)
+        except (ImportError, AttributeError, ValueError):
+            say(f'{topic} is left out: {connection.msgtype} is not installed')
+            continue
+        if topic not in found:
+            offered = [q for c in connections if c.topic == topic for q in offered_qos(c)]
+            reliable = all(q.reliability != QosReliability.BEST_EFFORT for q in offered)
+            latched = all(q.durability == QosDurability.TRANSIENT_LOCAL for q in offered)
+            depth = min(max([10, *(q.depth for q in offered)]), _DEEPEST)
+            qos = ros_qos(reliable, latched and bool(offered), depth)
+            found[topic] = node.create_publisher(kind, topic, qos)
+    return found

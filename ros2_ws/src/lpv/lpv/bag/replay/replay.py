@@ -1,0 +1,231 @@
+"""Offline run of the diagnosis over a recorded bag, with the node's own code."""
+
+import shutil
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rosbags.interfaces import Connection
+
+from lpv.bag.blocks.message_blocks import Block, ahead
+from lpv.bag.errors import BagError
+from lpv.bag.replay.injection import BlockInjector
+from lpv.bag.replay.writer import Batch, ReplayWriter
+from lpv.bag.rosbag.reading import BagReader, open_bag
+from lpv.bag.run.measurements import EFFORT_TYPES, MEASUREMENT_TYPE, EffortReader, MeasurementReader
+from lpv.bag.run.record import find_connections, find_topic
+from lpv.bag.run.streams import STREAMS, RecordedAlarm
+from lpv.core.monitoring.answers import Answers
+from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv.core.simulation.faults import FaultInjector
+from lpv.core.support.errors import ConfigError
+from lpv.core.support.timestamps import NANOSECONDS
+
+_COMMAND = 'torque_command'
+
+
+@dataclass(frozen=True)
+class ReplayOptions:
+    """What is replayed, and what is written."""
+
+    topic: str | None = None  # of the measurements, where the bag has several JointState topics
+    # torques to use in place of the measured efforts; of a type in measurements.EFFORT_TYPES
+    effort_topic: str | None = None
+    torque_from_command: bool = False  # take torques from the recorded commands
+    start: float | None = None  # first message, counted from the first one of the bag [s]
+    end: float | None = None  # end of the interval, counted likewise [s]
+    estimates_only: bool = False  # write the answers alone; otherwise all topics are copied, too
+    preset: str = 'none'  # compression of the new bag, key of `lpv.bag.rosbag.writing.PRESETS`
+
+
+@dataclass
+class ReplayResult:
+    """What a replay found."""
+
+    measurements: int = 0  # samples read
+    answered: int = 0  # samples that led to an answer
+    first_stamp: int | None = None  # stamp of the first usable sample [ns]
+    rejected: Counter[str] = field(default_factory=Counter)  # unusable messages by reason
+    events: list[RecordedAlarm] = field(default_factory=list)  # alarm events
+    topic: str = ''  # of the measurements
+    streams: set[str] = field(default_factory=set)  # of `STREAMS`, that are there
+    warnings: list[str] = field(default_factory=list)  # tolerated defects of the bag
+    lost: int = 0  # measurements that the recorder says it has lost
+
+
+class Replay:
+    """Runs a fresh monitor over a bag: with other ``options`` (or fields of them by name), with
+    injected faults; ``on_event`` takes every alarm event and its time since the first measurement
+    [s]."""
+
+    def __init__(
+        self,
+        monitor: SerialSensorMonitor,
+        options: ReplayOptions | None = None,
+        injector: FaultInjector | None = None,
+        on_event: Callable[[RecordedAlarm, float], None] | None = None,
+        **changes: Any,
+    ) -> None:
+        self._monitor, self._injector = monitor, injector
+        self._options = replace(options or ReplayOptions(), **changes)
+        self._on_event = on_event or (lambda event, time: None)
+
+    def run(self, bag: str | Path, out: str | Path) -> ReplayResult:
+        """Replay one bag into another, which is created.
+
+        All topics are copied unless the options say otherwise, except earlier answers of the same
+        monitor, which are replaced.  BagError if the bag cannot be read or lacks measurements,
+        ConfigError if the new one cannot be made.
+        """
+        options = self._options
+        with open_bag(bag) as reader:
+            result, effort = self._begin(reader)
+            copied = [] if options.estimates_only else reader.connections
+            writer = ReplayWriter(out, self._monitor, options.preset, copied)
+            try:
+                wanted = _wanted(reader, result, effort, writer.copied)
+                with ThreadPoolExecutor(1) as pool:
+                    written: Future[None] | None = None
+                    for batch in ahead(self._batches(reader, wanted, effort, result)):
+                        copies = writer.copies(reader, wanted, batch)
+                        answers = self._answer(batch, result)
+                        if written is not None:
+                            written.result()
+                        written = pool.submit(writer.write, batch, copies, answers)
+                    if written is not None:
+                        written.result()
+                _check(bag, result)
+                if not result.answered and result.rejected:
+                    (reason, count), *_ = result.rejected.most_common(1)
+                    raise BagError(
+                        f'{bag}: none of its {result.measurements} measurements can be used '
+                        f'({count} of them: {reason})'
+                    )
+                writer.close()
+            except BaseException:
+                # Half a bag looks like a whole one, and would block the next try.
+                shutil.rmtree(out, ignore_errors=True)
+                raise
+        return result
+
+    def watch(self, bag: str | Path, take: Callable[..., Any]) -> ReplayResult:
+        """Run over one bag and write nothing; errors as of `run`.
+
+        ``take`` is called block by block with measurements and answers.
+        """
+        with open_bag(bag) as reader:
+            result, effort = self._begin(reader)
+            place = result.topic.rsplit('/', 1)[0]
+            found = {
+                n: find_connections(reader, t, n, None, place) for n, (t, _) in STREAMS.items()
+            }
+            result.streams = {name for name, connections in found.items() if connections}
+            wanted = _wanted(reader, result, effort)
+            for batch in ahead(self._batches(reader, wanted, effort, result)):
+                take(batch.measured, self._answer(batch, result))
+            result.warnings = list(reader.warnings)
+            result.lost = int(reader.known.get(result.topic, {}).get('lost', 0))
+        _check(bag, result)
+        return result
+
+    def _begin(self, reader: BagReader) -> tuple[ReplayResult, Connection | None]:
+        """A result that names the topic of the measurements; where the torques come from."""
+        options, effort = self._options, None
+        measured = find_topic(reader, MEASUREMENT_TYPE, 'joint_states', options.topic).topic
+        prefix = measured.rsplit('/', 1)[0]
+        self._monitor.name = f'{prefix}/uio'
+        if options.effort_topic:
+            effort = _effort_connection(reader, options.effort_topic)
+        elif options.torque_from_command:
+            effort = find_topic(reader, STREAMS[_COMMAND][0], _COMMAND, f'{prefix}/{_COMMAND}')
+        return ReplayResult(topic=measured), effort
+
+    def _batches(
+        self,
+        reader: BagReader,
+        wanted: Sequence[Connection],
+        effort: Connection | None,
+        result: ReplayResult,
+    ) -> Iterator[Batch]:
+        """Blocks of the bag with the measurements in them, decoded."""
+        arm = self._monitor.arm
+        measurements = MeasurementReader(reader, arm.joint_names, self._monitor.needs_rates)
+        efforts = effort and EffortReader(reader, effort.msgtype, arm.joint_names)
+        injector = self._injector and BlockInjector(self._injector, arm, reader)
+        for block in reader.blocks(wanted, *_limits(reader, self._options)):
+            positions = _of(block, wanted, result.topic)
+            measured = measurements.read(block, positions)
+            result.measurements += len(positions)
+            if efforts and effort:
+                given = _of(block, wanted, effort.topic)
+                measured = measured._replace(effort=efforts.before(block, given, measured.places))
+            rejected = np.setdiff1d(positions, measured.places, assume_unique=True)
+            changed = injector.apply(block, measured) if injector else {}
+            yield Batch(block, measured, rejected, changed)
+        result.rejected = measurements.rejected + (efforts.rejected if efforts else Counter())
+
+    def _answer(self, batch: Batch, result: ReplayResult) -> Answers:
+        """Run the monitor over a block's measurements."""
+        answers, stamp = self._monitor.take_many(*batch.measured[1:]), batch.measured.stamp
+        result.answered += int(answers.answered.sum())
+        if result.first_stamp is None and len(stamp):
+            result.first_stamp = int(stamp[0])
+        for row, status in answers.reports:
+            # Of the messages without use, as a node that hears them one by one.
+            before = np.searchsorted(batch.rejected, batch.measured.places[row])
+            status[0]['values']['rejected messages'] = str(self._monitor.rejected + before)
+        self._monitor.rejected += len(batch.rejected)
+        for row, event in answers.events:
+            alarm = RecordedAlarm(**vars(event), stamp=int(stamp[row]))
+            result.events.append(alarm)
+            self._on_event(alarm, (alarm.stamp - (result.first_stamp or 0)) / NANOSECONDS)
+        return answers
+
+
+def _wanted(
+    reader: BagReader,
+    result: ReplayResult,
+    effort: Connection | None,
+    others: frozenset[str] = frozenset(),
+) -> list[Connection]:
+    needed = others | {result.topic} | ({effort.topic} if effort else set())
+    return [c for c in reader.connections if c.topic in needed]
+
+
+def _of(block: Block, connections: Sequence[Connection], topic: str) -> np.ndarray:
+    """Positions of a topic's messages in a block."""
+    return np.flatnonzero(np.array([c.topic == topic for c in connections])[block.connection])
+
+
+def _check(bag: str | Path, result: ReplayResult) -> None:
+    if not result.measurements:
+        raise BagError(f'{bag}: holds no message on {result.topic} in the chosen interval')
+
+
+def _effort_connection(reader: BagReader, topic: str) -> Connection:
+    found = next((c for c in reader.connections if c.topic == topic), None)
+    if found is not None and found.msgtype in EFFORT_TYPES:
+        return found
+    if found is None:
+        there = ', '.join(sorted(c.topic for c in reader.connections if c.msgtype in EFFORT_TYPES))
+        text = f'the bag has no topic {topic!r}; topics that may carry torques are '
+        text += there or 'missing'
+    else:
+        text = f'{topic} is of type {found.msgtype}; torques can be read from '
+        text += ', '.join(EFFORT_TYPES)
+    raise BagError(f'{reader.path}: {text}')
+
+
+def _limits(reader: BagReader, options: ReplayOptions) -> tuple[int | None, int | None]:
+    """First log time, and first one after the end [ns]; None without limits."""
+    for name in ('start', 'end'):
+        value = getattr(options, name)
+        if value is not None and not 0.0 <= value < 1e9:
+            raise ConfigError(name, f'must be a number of seconds from 0, got {value}')
+    if options.start is not None and options.end is not None and options.end <= options.start:
+        raise ConfigError('end', 'must be after the start')
+    return reader.log_time(options.start), reader.log_time(options.end)

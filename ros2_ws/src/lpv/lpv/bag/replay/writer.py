@@ -1,0 +1,195 @@
+"""The bag that a replay writes: copies of recorded messages, and answers."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from rosbags.interfaces import Connection
+from rosbags.typesys.store import Typestore
+
+from lpv.bag.blocks.cdr_layout import Layout
+from lpv.bag.blocks.message_blocks import RECORD, Block, record, split
+from lpv.bag.rosbag.messages import BagMessages
+from lpv.bag.rosbag.reading import BagReader
+from lpv.bag.rosbag.writing import BagWriter, padded_cdr, qos_profile
+from lpv.bag.run.measurements import MEASUREMENT_TYPE, Measurements
+from lpv.bag.run.record import CORRECTED
+from lpv.core.monitoring.answers import Answers
+from lpv.core.monitoring.message_fields import alarm_fields
+from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv.core.serial_arm.diagnosis.alarms import Mode
+from lpv.core.support.errors import ConfigError
+from lpv.core.support.timestamps import NANOSECONDS
+
+OUTPUTS = {
+    'state_estimate': 'lpv_msgs/msg/StateEstimate',
+    'fault_estimate': 'lpv_msgs/msg/FaultEstimate',
+    CORRECTED: MEASUREMENT_TYPE,
+    'fault_alarm': 'lpv_msgs/msg/FaultAlarm',
+}
+"""Last parts and types of the topics of answers."""
+DIAGNOSTICS, _DIAGNOSTICS_TYPE = '/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray'
+MARK = 'lpv_replay'
+"""Key of the bag's custom data by which results of replays are known."""
+
+
+class Batch(NamedTuple):
+    """A block of messages, and the measurements in it."""
+
+    block: Block
+    measured: Measurements
+    rejected: np.ndarray  # places of those without use
+    changed: dict[int, Any]  # messages with injected faults, by place
+
+
+class ReplayWriter:
+    """Writes the new bag."""
+
+    def __init__(
+        self,
+        path: str | Path,
+        monitor: SerialSensorMonitor,
+        preset: str,
+        copied: Sequence[Connection],
+    ) -> None:
+        self._name, arm = monitor.name, monitor.arm
+        prefix = self._name.rsplit('/', 1)[0]
+        own = {f'{prefix}/{name}': msgtype for name, msgtype in OUTPUTS.items()}
+        mark = {MARK: f'arm {arm.name} {arm.sha256()[:12]}'}
+        self._bag = BagWriter(path, preset, custom_data=mark)
+        self.copied = frozenset(c.topic for c in copied if c.topic not in own)
+        for connection in copied:
+            if connection.topic in self.copied:
+                self._bag.copy_topic(connection)
+        for topic, msgtype in (*own.items(), (DIAGNOSTICS, _DIAGNOSTICS_TYPE)):
+            if topic not in self.copied:
+                latched = topic.endswith('/fault_alarm')
+                self._bag.add_topic(topic, msgtype, [qos_profile(True, latched, 50)])
+        self._messages = BagMessages(self._bag.typestore, arm.name)
+        self._channels = {name: self._bag.channel(f'{prefix}/{name}') for name in OUTPUTS}
+        zero, joints = np.zeros(1, monitor.answer_type)[0], [0.0] * len(arm.joint_names)
+        state, fault = ({n: zero[part][n].tolist() for n in zero[part].dtype.names}
+                        for part in ('state', 'fault'))  # fmt: skip
+        fault['sensor_names'] = list(arm.sensor_names)
+        examples = (
+            self._messages.make(OUTPUTS['state_estimate'], 0, state),
+            self._messages.make(OUTPUTS['fault_estimate'], 0, fault),
+            self._messages.joint_state(0, arm.joint_names, joints, joints, []),
+        )
+        self._templates = [
+            RecordTemplate(self._bag.typestore, message, OUTPUTS[name], self._channels[name])
+            for name, message in zip(OUTPUTS, examples)
+        ]
+
+    def copies(
+        self, reader: BagReader, connections: Sequence[Connection], batch: Batch
+    ) -> list[Block]:
+        """Messages of a block that are copied: all but earlier answers of the same monitor."""
+        block, own = batch.block, f'{self._name}: '.encode()
+        channels = np.array(
+            [self._bag.channel(c.topic) if c.topic in self.copied else -1 for c in connections]
+        )[block.connection]
+        for i, connection in enumerate(connections):
+            if connection.topic == DIAGNOSTICS and connection.topic in self.copied:
+                for k in np.flatnonzero(block.connection == i).tolist():
+                    data = block.message(k)
+                    if own in data:
+                        status = reader.deserialize(data, connection.msgtype).status
+                        if status and status[0].name.encode().startswith(own):
+                            channels[k] = -1
+        changed = b''
+        for k, message in batch.changed.items():  # by injected faults; its size may differ now
+            if channels[k] >= 0:
+                data = padded_cdr(self._bag.typestore, message, MEASUREMENT_TYPE)
+                changed += record(int(channels[k]), int(block.time[k]), data)
+                channels[k] = -1
+        kept = channels >= 0
+        return [block.chosen(kept).copied(channels[kept]), _block(changed)]
+
+    def write(self, batch: Batch, copies: list[Block], answers: Answers) -> None:
+        """Write copies and answers of one block."""
+        state, found = answers.state, list[np.ndarray]()
+        stamp, time = batch.measured.stamp, batch.block.time[batch.measured.places]
+        corrected: Any = {'position': state.compensated_position, 'velocity': state.velocity}
+        for template, chosen, values in zip(
+            self._templates,
+            (answers.answered, answers.has_fault, answers.answered & (state.mode < Mode.STALE)),
+            (state, answers.fault, corrected),
+        ):
+            some = slice(None) if chosen.all() else chosen
+            picked = (
+                {n: a[some] for n, a in values.items()} if values is corrected else values[some]
+            )
+            found.append(template.fill(time[some], stamp[some], picked))
+        texts = b''
+        for row, event in answers.events:
+            message = self._messages.make(
+                OUTPUTS['fault_alarm'], int(stamp[row]), alarm_fields(event)
+            )
+            data = padded_cdr(self._bag.typestore, message, OUTPUTS['fault_alarm'])
+            texts += record(self._channels['fault_alarm'], int(time[row]), data)
+        for row, status in answers.reports:
+            message = self._messages.diagnostics(int(stamp[row]), status)
+            data = padded_cdr(self._bag.typestore, message, _DIAGNOSTICS_TYPE)
+            texts += record(self._bag.channel(DIAGNOSTICS), int(time[row]), data)
+        self._bag.write_chunk(*copies, *found, _block(texts))
+
+    def close(self) -> None:
+        """Finish the bag."""
+        missing = self._bag.close()
+        if missing:
+            raise ConfigError(
+                'bag', f'cannot be written as a whole: {missing} is missing', str(self._bag.path)
+            )
+
+
+def _block(records: bytes) -> Block:
+    return split(np.frombuffer(records, np.uint8))[0]
+
+
+class RecordTemplate:
+    """Records of one message type in which only the header stamp and numbers change.
+
+    All numbers have to be given in every call, or in none: memory is used again.
+    """
+
+    def __init__(self, typestore: Typestore, message: object, msgtype: str, channel: int) -> None:
+        data = padded_cdr(typestore, message, msgtype)
+        fields = Layout(data, msgtype, typestore).fields
+        self._fields = {name: field for name, field in fields.items() if field.count}
+        self._record = record(channel, 0, data)
+        places = {name: (kind, at) for name, (kind, at, *_) in (RECORD.fields or {}).items()}
+        for name, field in self._fields.items():
+            # Vectors as one piece: one copy in place of one for every element.
+            size = np.dtype(field.dtype).itemsize * field.count
+            places[name] = (np.dtype(f'V{size}'), RECORD.itemsize + field.offset)
+        kinds, offsets = zip(*places.values())
+        self._dtype = np.dtype(
+            {'names': list(places), 'formats': list(kinds), 'offsets': list(offsets),
+             'itemsize': len(self._record)}
+        )  # fmt: skip
+        self._records = np.empty(0, self._dtype)
+
+    def fill(
+        self, time: np.ndarray, stamp: np.ndarray, values: dict[str, np.ndarray] | np.ndarray
+    ) -> np.ndarray:
+        """Records of messages, from log times, header stamps and fields by name."""
+        if len(self._records) < len(time):
+            one = np.frombuffer(self._record, f'V{len(self._record)}')  # what is no number, too
+            self._records = np.repeat(one, len(time)).view(self._dtype)
+        records = self._records[: len(time)]
+        records['log_time'] = records['publish_time'] = time
+        seconds = stamp // NANOSECONDS
+        self._set(records, 'header.stamp.sec', seconds)
+        self._set(records, 'header.stamp.nanosec', stamp - seconds * NANOSECONDS)
+        for name in values if isinstance(values, dict) else values.dtype.names or ():
+            self._set(records, name, values[name])
+        return records
+
+    def _set(self, records: np.ndarray, name: str, array: np.ndarray) -> None:
+        values = np.ascontiguousarray(array, self._fields[name].dtype)
+        if values.size != len(records) * self._fields[name].count:
+            raise ValueError(f'{name} has another size in the message')
+        if len(values):
+            records[name] = np.frombuffer(values, self._dtype[name])

@@ -1,0 +1,82 @@
+"""Message definitions for reading and writing bags without ROS."""
+
+import os
+import site
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from rosbags.highlevel import AnyReaderError
+from rosbags.interfaces import Nodetype
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from lpv.core.support.errors import ConfigError
+
+_PADDING = 4
+"""More bytes that some publishers leave behind a message that ends with an empty sequence of
+doubles, as JointState without efforts: room for its alignment, beside the usual 0 to 3."""
+_OWN = (
+    'FaultAlarm',
+    'FaultEstimate',
+    'GroundTruth',
+    'JointReference',
+    'StateEstimate',
+    'TorqueCommand',
+)
+
+
+def message_text(msgtype: str) -> str:
+    """Definition of a message type from its ``.msg`` file."""
+    package, _, name = msgtype.split('/')
+    prefixes = [p for p in os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep) if p]
+    folders = [Path(p) / 'share' / package for p in (*prefixes, sys.prefix, site.getuserbase())]
+    for folder in (*folders, Path(__file__).resolve().parents[4] / package):
+        path = folder / 'msg' / f'{name}.msg'
+        if path.is_file():
+            return path.read_text(encoding='utf-8')
+    raise ConfigError(
+        'message type',
+        f'{msgtype} is not installed: no {package}/msg/{name}.msg below any sourced prefix',
+    )
+
+
+def decode(deserialize: Callable[[bytes, str], Any], data: bytes, msgtype: str) -> Any:
+    """A message from its CDR by a typestore's or reader's method, whatever padding follows it."""
+    try:
+        return deserialize(data, msgtype)
+    except (SerdeError, AnyReaderError) as error:
+        if 'size mismatch' not in str(error):
+            raise
+        return deserialize(data[:-_PADDING], msgtype)
+
+
+def add_type(typestore: Typestore, msgtype: str) -> None:
+    """Make a type known to a typestore, with the types that it uses.
+
+    Raises ConfigError if a definition is not installed.
+    """
+    if msgtype not in typestore.fielddefs:
+        found = get_types_from_msg(message_text(msgtype), msgtype)
+        typestore.register(found)
+        for _, kind in found[msgtype][1]:
+            for used in _nested(kind):
+                add_type(typestore, used)
+
+
+def _nested(kind: Any) -> Iterator[str]:
+    """Message types of a field; elements of arrays are one level below."""
+    if kind[0] == Nodetype.NAME:
+        yield kind[1]
+    elif kind[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+        yield from _nested(kind[1][0])
+
+
+def make_typestore() -> Typestore:
+    """Typestore with the standard types of ROS 2 Jazzy and those of lpv_msgs."""
+    typestore = get_typestore(Stores.ROS2_JAZZY)
+    for name in _OWN:
+        add_type(typestore, f'lpv_msgs/msg/{name}')
+    return typestore

@@ -1,0 +1,67 @@
+"""Puts the fields of lpv.core.monitoring.message_fields into messages of a bag's typestore."""
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from rosbags.typesys.store import Typestore
+
+from lpv.core.support.timestamps import NANOSECONDS
+
+_DTYPES = {'state': np.uint8, 'alarm': np.bool_}
+
+
+class BagMessages:
+    """Message factory of one typestore."""
+
+    def __init__(self, typestore: Typestore, frame_id: str) -> None:
+        self._types, self._frame_id = typestore.types, frame_id
+
+    def time(self, nanoseconds: int) -> Any:
+        """builtin_interfaces/Time of a stamp [ns]."""
+        return self._types['builtin_interfaces/msg/Time'](*divmod(nanoseconds, NANOSECONDS))
+
+    def header(self, stamp: int, frame_id: str | None = None) -> Any:
+        """std_msgs/Header of a stamp [ns]."""
+        frame_id = self._frame_id if frame_id is None else frame_id
+        return self._types['std_msgs/msg/Header'](self.time(stamp), frame_id)
+
+    def make(self, msgtype: str, stamp: int, fields: dict[str, Any]) -> object:
+        """A message of lpv_msgs."""
+        values = {}
+        for name, value in fields.items():
+            if name in ('onset', 'detected'):
+                value = self.time(value)
+            elif not np.isscalar(value) and name != 'sensor_names':
+                value = np.array(value, dtype=_DTYPES.get(name, float))
+            values[name] = value
+        return self._types[msgtype](header=self.header(stamp), **values)
+
+    def diagnostics(self, stamp: int, status: list[dict[str, Any]]) -> Any:
+        """DiagnosticArray of statuses as of `lpv.core.monitoring.message_fields`."""
+        status_type = self._types['diagnostic_msgs/msg/DiagnosticStatus']
+        pair = self._types['diagnostic_msgs/msg/KeyValue']
+        return self._types['diagnostic_msgs/msg/DiagnosticArray'](
+            self.header(stamp, ''),
+            [
+                status_type(
+                    **{**fields, 'values': [pair(k, v) for k, v in fields['values'].items()]}
+                )
+                for fields in status
+            ],
+        )
+
+    def joint_state(
+        self,
+        stamp: int,
+        names: Iterable[str],
+        position: Sequence[float],
+        velocity: Sequence[float],
+        effort: Sequence[float],
+    ) -> Any:
+        """sensor_msgs/JointState."""
+        return self._types['sensor_msgs/msg/JointState'](
+            self.header(stamp),
+            list(names),
+            *(np.array(v, float) for v in (position, velocity, effort)),
+        )

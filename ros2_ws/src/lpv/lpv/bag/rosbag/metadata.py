@@ -1,0 +1,159 @@
+"""metadata.yaml of rosbag2 bags, and the quality of service that is stored beside a topic."""
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+from rosbags.interfaces import (
+    Connection,
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+from rosbags.rosbag2.metadata import dump_qos_v9
+
+from lpv.bag.errors import DamageError
+from lpv.core.support.config import load_yaml
+from lpv.core.support.errors import ConfigError
+
+FILE_NAME = 'metadata.yaml'
+VERSION = 9
+"""Of the format that is written, that of rosbag2 since Jazzy."""
+RECORD_NAME = 'lpv_recorder'
+"""Key of the custom data of a bag for what its recorder knew."""
+Known = dict[str, dict[str, int]]
+"""What a recorder knows of each topic: messages, lost, late."""
+_MAX_BYTES = 1 << 26
+_DUMPER = getattr(yaml, 'CSafeDumper', yaml.SafeDumper)
+_FOREVER = QosTime(2147483647, 4294967295)
+
+
+def qos_profile(reliable: bool, transient_local: bool, depth: int) -> Qos:
+    """Offered QoS as stored beside a topic."""
+    reliability = QosReliability.RELIABLE if reliable else QosReliability.BEST_EFFORT
+    durability = QosDurability.TRANSIENT_LOCAL if transient_local else QosDurability.VOLATILE
+    always = _FOREVER, _FOREVER, QosLiveliness.AUTOMATIC, _FOREVER, False
+    return Qos(QosHistory.KEEP_LAST, depth, reliability, durability, *always)
+
+
+def offered_qos(connection: Connection) -> list[Qos]:
+    """QoS profiles with which a topic was offered when it was recorded; none of ROS 1 bags."""
+    return list(getattr(connection.ext, 'offered_qos_profiles', None) or ())
+
+
+def qos_text(connection: Connection) -> str:
+    """Offered QoS as a channel's metadata have them."""
+    return dump(dump_qos_v9(offered_qos(connection))).strip()
+
+
+@dataclass(frozen=True)
+class BagMetadata:
+    """What a metadata.yaml says that is not in the files themselves."""
+
+    storage: str  # ``mcap`` or ``sqlite3``
+    files: tuple[str, ...]  # names of the files in the bag's directory, in order
+    compressed: bool  # by rosbag2 itself, beside what a storage does
+    counts: dict[str, int]  # messages by topic
+    hashes: dict[str, str]  # type description hash by message type
+    known: Known  # what the recorder knew of each topic
+
+
+def read_metadata(folder: Path) -> BagMetadata:
+    """Read the metadata of a bag; DamageError if they are none."""
+    try:
+        return _parse(load_yaml(folder / FILE_NAME, _MAX_BYTES)['rosbag2_bagfile_information'])
+    except ConfigError as error:
+        raise DamageError(f'{FILE_NAME} {error.reason}') from None
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        text = f'{FILE_NAME} is not that of a bag ({type(error).__name__}: {error})'
+        raise DamageError(text) from None
+
+
+def _parse(data: Any) -> BagMetadata:
+    if int(data['version']) > VERSION:
+        raise ValueError(f'version {data["version"]} is not known')
+    counts: dict[str, int] = {}
+    hashes: dict[str, str] = {}
+    for entry in data['topics_with_message_count'] or []:
+        topic, name = entry['topic_metadata'], str(entry['topic_metadata']['name'])
+        counts[name] = counts.get(name, 0) + int(entry['message_count'])
+        hashes[str(topic['type'])] = str(topic.get('type_description_hash') or '')
+    return BagMetadata(
+        str(data['storage_identifier']),
+        # A file outside of the bag's directory is never meant.
+        tuple(Path(str(name)).name for name in data['relative_file_paths']),
+        str(data.get('compression_mode') or 'none').lower() not in ('none', 'storage'),
+        counts,
+        hashes,
+        _known(str((data.get('custom_data') or {}).get(RECORD_NAME, '{}'))),
+    )
+
+
+def _known(text: str) -> Known:
+    """Counts by topic from custom data; none where they are damaged."""
+    try:
+        return {
+            str(topic): {str(name): int(value) for name, value in counts.items()}
+            for topic, counts in json.loads(text).items()
+        }
+    except (ValueError, TypeError, AttributeError, RecursionError):
+        return {}
+
+
+def dump(data: object) -> str:
+    """YAML text."""
+    return yaml.dump(data, Dumper=_DUMPER, sort_keys=False, width=1000, allow_unicode=True)
+
+
+def bag_information(
+    files: Sequence[tuple[str, int, int, int]],
+    topics: Sequence[Connection],
+    counts: Mapping[str, int],
+    custom: dict[str, str],
+) -> dict[str, Any]:
+    """Content of metadata.yaml.
+
+    Of each file name, first and last log time [ns] and number of messages; messages by topic.
+    """
+    start = min((first for _, first, _, count in files if count), default=0)
+    end = max((last for _, _, last, count in files if count), default=0)
+    described = [
+        {
+            'name': c.topic,
+            'type': c.msgtype,
+            'serialization_format': 'cdr',
+            'offered_qos_profiles': dump_qos_v9(offered_qos(c)),
+            'type_description_hash': c.digest,
+        }
+        for c in topics
+    ]
+
+    def span(first: int, last: int, count: int) -> dict[str, Any]:
+        return {
+            'starting_time': {'nanoseconds_since_epoch': first},
+            'duration': {'nanoseconds': last - first},
+            'message_count': count,
+        }
+
+    return {
+        'version': VERSION,
+        'storage_identifier': 'mcap',
+        **span(start, end, sum(count for *_, count in files)),
+        'topics_with_message_count': [
+            {'topic_metadata': topic, 'message_count': counts[c.topic]}
+            for c, topic in zip(topics, described)
+        ],
+        'compression_format': '',
+        'compression_mode': '',
+        'relative_file_paths': [name for name, *_ in files],
+        'files': [{'path': name, **span(*values)} for name, *values in files],
+        'custom_data': custom or None,
+        'ros_distro': os.environ.get('ROS_DISTRO', 'unknown'),
+    }

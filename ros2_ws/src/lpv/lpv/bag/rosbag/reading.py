@@ -1,0 +1,372 @@
+"""Opening of bags by rosbags; the messages of MCAP files are read a chunk at a time.
+
+Of a bag that is damaged or was not finished, a scan finds what is whole.
+"""
+
+import contextlib
+import functools
+import logging
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rosbags.highlevel import AnyReader
+from rosbags.interfaces import (
+    Connection,
+    ConnectionExtRosbag2,
+    MessageDefinition,
+    MessageDefinitionFormat,
+    Nodetype,
+)
+from rosbags.rosbag2.metadata import parse_qos
+from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from lpv.bag.blocks.message_blocks import BLOCK_SIZE, Block, joined, record, split
+from lpv.bag.errors import BagError, DamageError
+from lpv.bag.rosbag.interfaces import decode, make_typestore
+from lpv.bag.rosbag.mcap_file import McapFile, error_text
+from lpv.bag.rosbag.metadata import FILE_NAME, BagMetadata, Known, offered_qos, read_metadata
+from lpv.core.support.errors import LpvError
+from lpv.core.support.timestamps import NANOSECONDS
+
+_LOG = logging.getLogger(__name__)
+_LARGEST_GROUP = 1 << 29
+"""Chunks whose times overlap are sorted together up to this size [bytes]."""
+_STAMP = (('std_msgs/msg/Header', ('stamp',)), ('builtin_interfaces/msg/Time', ('sec', 'nanosec')))
+
+_FORMATS = {'ros2msg': MessageDefinitionFormat.MSG, 'ros2idl': MessageDefinitionFormat.IDL}
+_NONE = MessageDefinition(MessageDefinitionFormat.NONE, '')
+_IDL = '=' * 80 + '\n'
+"""Before each of the definitions that a type in IDL needs."""
+
+
+class BagReader:
+    """A bag that is open for reading: MCAP files, or another ``source`` by rosbags."""
+
+    def __init__(
+        self,
+        path: Path,
+        connections: list[Connection],
+        files: Sequence[McapFile] = (),
+        source: AnyReader | None = None,
+    ) -> None:
+        self.path, self.connections, self.files, self.source = path, connections, files, source
+        self.warnings: list[str] = []  # what is wrong with the bag; grows while it is read
+        self.known: Known = {}  # what the recorder knew of each topic
+        self.said: Counter[str] = Counter()  # messages that there should be, by topic
+        self.finished = True  # whether the recording was ended in order
+        places = [place for file in files for place in file.places]
+        self.start_time = min((place.start for place in places), default=2**63 - 1)
+        self.end_time = max((place.end + 1 for place in places), default=0)
+        if source is not None:
+            self.start_time, self.end_time = source.start_time, source.end_time
+
+    @functools.cached_property
+    def typestore(self) -> Typestore:
+        """Types as the bag defines them; BagError if it defines none that make sense."""
+        if self.source is not None:
+            return self.source.typestore
+        with damage(self.path):
+            return _types_of(self.connections)
+
+    def warn(self, text: str) -> None:
+        """Note, and log, what is wrong with the bag."""
+        self.warnings.append(text)
+        _LOG.warning('%s: %s', self.path, text)
+
+    def log_time(self, seconds: float | None) -> int | None:
+        """Log time of a moment counted from the first message [ns]; None stays None."""
+        return None if seconds is None else self.start_time + round(seconds * NANOSECONDS)
+
+    def blocks(
+        self, connections: Sequence[Connection], start: int | None = None, stop: int | None = None
+    ) -> Iterator[Block]:
+        """Messages of some topics in the order of their log times, thousands at once, from the
+        first log time to before the last one [ns]; the blocks hold indices of connections, and are
+        not empty. BagError if the bag is damaged so that it cannot be read on."""
+        with damage(self.path):
+            if self.source is None:
+                last = 2**63 - 1 if stop is None else stop
+                yield from self._mcap_blocks(connections, start or 0, last)
+            elif connections:
+                messages = self.source.messages(connections, start=start, stop=stop)
+                yield from _collect(messages, connections)
+
+    def _mcap_blocks(
+        self, connections: Sequence[Connection], low: int, high: int
+    ) -> Iterator[Block]:
+        wanted = [_wanted(file, connections) for file in self.files]
+        places = sorted(
+            (place.start, part, place)
+            for part, file in enumerate(self.files)
+            for place in file.places
+            if place.end >= low and place.start < high
+            if not place.channels or (wanted[part][list(place.channels)] >= 0).any()
+        )
+        group: list[tuple[int, int, Block]] = []  # chunks that overlap
+        end, size, bad = -1, 0, 0
+        for first, part, place in places:
+            if group and first > end and size >= BLOCK_SIZE:
+                yield from _sorted(group)
+                group, size = [], 0
+            try:
+                block = self.files[part].read(place)
+            except DamageError as error:
+                self.warn(str(error))
+                bad += 1
+                continue
+            block.connection = wanted[part][block.connection]
+            kept = (block.connection >= 0) & (block.time >= low) & (block.time < high)
+            group.append((part, place.offset, block if kept.all() else block.chosen(kept)))
+            end, size = max(end, place.end), size + len(block.data)
+            if size > _LARGEST_GROUP and len(group) > 1:
+                raise DamageError(f'more than {_LARGEST_GROUP >> 20} MiB overlap in time')
+        yield from _sorted(group)
+        if bad and bad == len(places):
+            raise DamageError('no chunk of it is whole')
+
+    def messages(
+        self,
+        connections: Collection[Connection] = (),
+        start: int | None = None,
+        stop: int | None = None,
+    ) -> Iterator[tuple[Connection, int, bytes]]:
+        """Connection, log time [ns] and raw data of each message, as of `blocks`; all if empty."""
+        wanted = list(connections or self.connections)
+        for block in self.blocks(wanted, start, stop):
+            numbers, times = block.connection.tolist(), block.time.tolist()
+            for i, number in enumerate(numbers):
+                yield wanted[number], times[i], block.message(i)
+
+    def deserialize(self, rawdata: bytes, typ: str) -> Any:
+        """Decode a message; BagError if it does not fit the type."""
+        with damage(self.path):
+            source = self.source
+            method = source.deserialize if source else self.typestore.deserialize_cdr
+            return decode(method, rawdata, typ)
+
+    def check_definition(self, msgtype: str, fields: Iterable[str]) -> None:
+        """BagError if fields of a message type, or its stamp, are not what they are here.
+
+        A definition may have more fields, and arrays of a fixed length where there are sequences
+        now: bags outlive the version that wrote them.
+        """
+        for name, needed in ((msgtype, fields), *_STAMP):
+            there, expected = (
+                dict(types.fielddefs[name][1]) if name in types.fielddefs else {}
+                for types in (self.typestore, standard_types())
+            )
+            for field in needed:
+                if _element(there.get(field)) != _element(expected[field]):
+                    what = 'has another type there' if field in there else 'is not in it'
+                    raise BagError(
+                        f"{self.path}: the bag's definition of {msgtype} is not the "
+                        f'expected one: {field} of {name} {what}'
+                    )
+
+
+def _element(kind: Any) -> Any:
+    """Type of a field, whatever the length of an array."""
+    if kind is not None and kind[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+        return 'array', kind[1][0]
+    return kind
+
+
+def _wanted(file: McapFile, connections: Sequence[Connection]) -> np.ndarray:
+    """Index among some connections by channel number, -1 for others."""
+    index = {(c.topic, c.msgtype): i for i, c in enumerate(connections)}
+    found = np.full(65536, -1, np.int64)
+    for number, channel in file.channels.items():
+        schema = file.schemas.get(channel.schema_id)
+        found[number] = index.get((channel.topic, schema.name if schema else ''), -1)
+    return found
+
+
+def _sorted(group: list[tuple[int, int, Block]]) -> Iterator[Block]:
+    """Messages of chunks that overlap; those of one time keep the order of the files."""
+    if any(len(block) for *_, block in group):
+        yield joined([block for *_, block in sorted(group, key=lambda entry: entry[:2])])
+
+
+def _collect(
+    messages: Iterable[tuple[Connection, int, bytes]], connections: Sequence[Connection]
+) -> Iterator[Block]:
+    """Blocks of messages that come one by one."""
+    numbers = {(c.topic, c.id): i for i, c in enumerate(connections)}
+    data = bytearray()
+    for connection, time, content in messages:
+        data += record(numbers[connection.topic, connection.id], max(0, time), content)
+        if len(data) >= BLOCK_SIZE:
+            yield split(np.frombuffer(data, np.uint8))[0]
+            data = bytearray()
+    if data:
+        yield split(np.frombuffer(data, np.uint8))[0]
+
+
+@contextlib.contextmanager
+def damage(path: Path) -> Iterator[None]:
+    """What readers, parsers and decompressors raise, as a BagError that names the bag."""
+    try:
+        yield
+    except DamageError as error:
+        raise BagError(f'{path}: cannot be read, the bag is damaged: {error}') from None
+    except LpvError:
+        raise
+    except Exception as error:  # many kinds
+        raise BagError(
+            f'{path}: cannot be read, the bag is damaged or incomplete ({error_text(error)})'
+        ) from error
+
+
+@contextlib.contextmanager
+def open_bag(path: str | Path) -> Iterator[BagReader]:
+    """Open a rosbag2 directory or a single ``.mcap`` or ``.db3`` file; whatever goes wrong in
+    reading is a BagError with a message.
+
+    MCAP bags that were not finished, or are damaged in places, are opened with a warning (logged,
+    and in ``warnings`` of the reader) and read as far as their checksums are right.  Bags without
+    message definitions are read with the standard types and lpv_msgs.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise BagError(f'{path}: there is no such bag')
+    with contextlib.ExitStack() as stack:
+        with damage(path):
+            reader = _opened(path, stack)
+        yield reader
+
+
+def _opened(path: Path, stack: ExitStack) -> BagReader:
+    metadata, damages = None, list[str]()
+    try:
+        metadata = read_metadata(path) if (path / FILE_NAME).exists() else None
+        if metadata is None and path.is_dir():
+            damages.append(f'it has no {FILE_NAME}, its recording was not finished')
+    except DamageError as error:
+        damages.append(str(error))
+    other = metadata is not None and (metadata.storage != 'mcap' or metadata.compressed)
+    if other or not (path.is_dir() or path.suffix == '.mcap'):
+        source = stack.enter_context(AnyReader([path], default_typestore=standard_types()))
+        return BagReader(path, source.connections, source=source)
+    files = []
+    for one in _files(path, metadata, damages):
+        try:
+            files.append(stack.enter_context(contextlib.closing(McapFile(one))))
+        except BagError as error:
+            damages.append(str(error))
+    for file in files:
+        file.index()
+        for number, text in enumerate(file.damages):
+            if number == 0 and not file.complete:
+                text = f'the recording was not finished, its end may be missing ({text})'
+            damages.append(f'{file.path.name}: {text}')
+    connections = _connections_of(files, metadata.hashes if metadata else {})
+    if damages and not any(connection.msgcount for connection in connections):
+        raise BagError(
+            f'{path}: cannot be read, the bag is damaged or incomplete: {damages[-1]}, and '
+            'nothing in it can be recovered'
+        )
+    reader = BagReader(path, connections, files)
+    reader.finished = metadata is not None or all(file.complete for file in files)
+    for text in damages:
+        reader.warn(text)
+    _compare_counts(reader, metadata)
+    return reader
+
+
+def _compare_counts(reader: BagReader, metadata: BagMetadata | None) -> None:
+    """Messages that there should be, by files and metadata; warn where these differ."""
+    for connection in reader.connections:
+        reader.said[connection.topic] += connection.msgcount
+    if metadata is not None:
+        reader.known, there = metadata.known, reader.said
+        for topic, count in metadata.counts.items():
+            if there[topic] != count:
+                said = f'{FILE_NAME} says {count} messages, the files hold {there[topic]}'
+                reader.warn(f'{topic}: {said}')
+        reader.said = there | Counter(metadata.counts)
+
+
+def _files(path: Path, metadata: BagMetadata | None, damages: list[str]) -> list[Path]:
+    """MCAP files of a bag; what is missing is added to the damages."""
+    if not path.is_dir():
+        return [path]
+    paths = sorted(path.glob('*.mcap'), key=lambda p: (len(p.name), p.name))
+    if metadata is not None:
+        named = [path / name for name in metadata.files]
+        paths = [one for one in named if one.is_file()]
+        if missing := [one.name for one in named if one not in paths]:
+            damages.append(f'{FILE_NAME} names files that are missing: {", ".join(missing)}')
+    if not paths:
+        raise BagError(f'{path}: is not a bag, it has no {FILE_NAME} with files, nor MCAP files')
+    return paths
+
+
+def _connections_of(files: Iterable[McapFile], hashes: dict[str, str]) -> list[Connection]:
+    """Topics, with the messages that are there; all publishers of a topic are one."""
+    found: dict[tuple[str, str], Connection] = {}
+    for file in files:
+        for number in sorted(file.channels):
+            one = _connection(file, number, hashes)
+            known = found.setdefault((one.topic, one.msgtype), one)
+            if known is not one:
+                profiles = offered_qos(known)
+                profiles += [qos for qos in offered_qos(one) if qos not in profiles]
+                ext = ConnectionExtRosbag2('cdr', profiles)
+                count = known.msgcount + one.msgcount
+                found[one.topic, one.msgtype] = known._replace(msgcount=count, ext=ext)
+    return list(found.values())
+
+
+def _connection(file: McapFile, number: int, hashes: dict[str, str]) -> Connection:
+    channel = file.channels[number]
+    schema = file.schemas.get(channel.schema_id)
+    name, definition = '', _NONE
+    if schema is not None:
+        name = schema.name
+        if schema.encoding in _FORMATS:
+            text = schema.data.decode(errors='replace')
+            definition = MessageDefinition(_FORMATS[schema.encoding], text)
+    try:
+        profiles = parse_qos(channel.metadata.get('offered_qos_profiles', ''))
+    except Exception:  # many kinds; no result depends on it
+        profiles = []
+    digest = channel.metadata.get('topic_type_hash') or hashes.get(name, '')
+    ext = ConnectionExtRosbag2(channel.message_encoding, profiles)
+    count = file.counts.get(number, 0)
+    return Connection(number, channel.topic, name, definition, digest, count, ext, None)
+
+
+def _types_of(connections: Sequence[Connection]) -> Typestore:
+    """Types as a bag defines them; the standard ones and lpv_msgs where it defines none."""
+    defined = [c for c in connections if c.msgdef.format != MessageDefinitionFormat.NONE]
+    if not defined:
+        return make_typestore()
+    types = get_typestore(Stores.EMPTY)
+    found = {}
+    for connection in defined:
+        text = connection.msgdef.data
+        if connection.msgdef.format == MessageDefinitionFormat.MSG:
+            found.update(get_types_from_msg(text, connection.msgtype))
+            continue
+        parts = [part.split('\n', 1)[1] for part in text.split(_IDL)[1:]] or [text]
+        for part in parts:
+            found.update(get_types_from_idl(part))
+    types.register(found)
+    texts = {(c.msgtype, c.msgdef.data) for c in defined}
+    for connection in defined:
+        if len([1 for name, _ in texts if name == connection.msgtype]) > 1:
+            raise DamageError(f'topics of type {connection.msgtype} define it differently')
+        if connection.digest and types.hash_rihs01(connection.msgtype) != connection.digest:
+            raise DamageError(f'the hash of {connection.msgtype} is not that of its definition')
+    return types
+
+
+@functools.lru_cache(maxsize=1)
+def standard_types() -> Typestore:
+    """Types of bags without definitions; shared."""
+    return make_typestore()

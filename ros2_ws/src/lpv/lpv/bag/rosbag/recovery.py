@@ -1,0 +1,83 @@
+"""Recovery of MCAP bags: everything that is readable into a new bag, and what was lost."""
+
+import contextlib
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from lpv.bag.errors import BagError
+from lpv.bag.rosbag.output_folder import copy_run_files
+from lpv.bag.rosbag.reading import open_bag
+from lpv.bag.rosbag.writing import BagWriter
+from lpv.core.support.errors import ConfigError
+
+
+class TopicRecovery(NamedTuple):
+    """What became of one topic."""
+
+    recovered: int  # messages in the new bag
+    lost: int  # messages that were recorded and are not; at least, where the end is missing
+
+
+@dataclass
+class Recovery:
+    """Outcome of a recovery."""
+
+    topics: dict[str, TopicRecovery] = field(default_factory=dict)  # by topic
+    damages: list[str] = field(default_factory=list)  # what was wrong
+    # whether the recording was not finished: how much came after the last message is not known
+    end_missing: bool = False
+    end: int = 0  # log time of the last message that was recovered [ns]; 0 without messages
+    attachments: int = 0  # attachments that were left out
+
+    @property
+    def lost(self) -> int:
+        """Messages that are known to be lost."""
+        return sum(topic.lost for topic in self.topics.values())
+
+    @property
+    def nothing_lost(self) -> bool:
+        """Whether every message that was ever recorded is in the new bag."""
+        return not (self.lost or self.end_missing or self.attachments)
+
+
+def recover(path: str | Path, out: str | Path | None = None, preset: str = 'zstd_fast') -> Recovery:
+    """Write what can be read of an MCAP bag into a new one, or examine it only.
+
+    A chunk whose checksum is wrong is left out as a whole: one of its messages is wrong, and there
+    is no telling which.  Of a file without a whole index, what comes before the first byte that
+    makes no sense is kept.  BagError if nothing can be read, ConfigError or OSError if the new bag
+    cannot be written.
+    """
+    path, result, found = Path(path), Recovery(), Counter[str]()
+    with contextlib.ExitStack() as stack:
+        reader = stack.enter_context(open_bag(path))
+        if not reader.files:
+            raise BagError(f'{path}: only MCAP bags can be recovered')
+        writer = None if out is None else stack.enter_context(BagWriter(out, preset))
+        topics = [connection.topic for connection in reader.connections]
+        for block in reader.blocks(reader.connections):
+            for number, count in zip(*np.unique(block.connection, return_counts=True)):
+                if writer is not None and topics[number] not in writer.counts:
+                    writer.copy_topic(reader.connections[number])
+                found[topics[number]] += int(count)
+            if writer is not None:
+                known = writer.counts
+                channels = [writer.channel(topic) if topic in known else -1 for topic in topics]
+                writer.write_chunk(block.copied(np.array(channels)[block.connection]))
+            result.end = max(result.end, int(block.time.max()))
+        result.topics = {
+            topic: TopicRecovery(found[topic], max(0, reader.said[topic] - found[topic]))
+            for topic in sorted({*found, *reader.said})
+        }
+        result.damages, result.end_missing = list(reader.warnings), not reader.finished
+        result.attachments = sum(file.attachments for file in reader.files)
+        if writer is not None:
+            missing = writer.close(reader.known)
+            if missing:
+                raise ConfigError('--out', f'cannot be written as a whole: {missing}', str(out))
+            result.damages += copy_run_files(path, writer.path)
+    return result

@@ -1,0 +1,396 @@
+"""Writing of rosbag2 bags: MCAP files by the mcap package, with metadata.yaml."""
+
+import json
+import os
+import resource
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple, NoReturn
+
+import numpy as np
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import MessageIndex
+from mcap.writer import CompressionType, Writer
+from rosbags.interfaces import (
+    Connection,
+    ConnectionExtRosbag2,
+    MessageDefinition,
+    MessageDefinitionFormat,
+    Qos,
+)
+
+from lpv.bag.blocks.message_blocks import RECORD, Block, from_rows
+from lpv.bag.rosbag.interfaces import add_type, decode, make_typestore
+from lpv.bag.rosbag.metadata import (
+    FILE_NAME,
+    RECORD_NAME,
+    Known,
+    bag_information,
+    dump,
+    qos_profile,
+    qos_text,
+)
+from lpv.core.support.errors import ConfigError
+
+__all__ = ['PRESETS', 'BagWriter', 'qos_profile']
+
+PRESETS = {
+    'none': (CompressionType.NONE, 1 << 20),
+    'zstd_fast': (CompressionType.ZSTD, 1 << 20),
+    'zstd_small': (CompressionType.ZSTD, 1 << 22),
+}
+"""Compression and size of a chunk [bytes] by name."""
+
+
+class _Output:
+    """A file that takes what is written as a whole or not at all.
+
+    Half a record, of a disk that gets full, would hide the records after it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.file = open(path, 'xb', buffering=0)  # noqa: SIM115
+        self.size = 0
+
+    def write(self, data: bytes) -> None:
+        left = memoryview(data)
+        try:
+            while left:
+                left = left[self.file.write(left) :]
+        except OSError:
+            self.file.truncate(self.size)
+            self.file.seek(self.size)
+            raise
+        self.size += len(data)
+
+    def tell(self) -> int:
+        return self.size
+
+    def flush(self) -> None:
+        """Everything is with the operating system already."""
+
+
+class _Index(MessageIndex):
+    """Log times and offsets of the messages of one channel, as an array."""
+
+    def write(self, stream: RecordBuilder) -> None:
+        data = np.asarray(self.records, '<u8').tobytes()
+        stream.start_record(Opcode.MESSAGE_INDEX)
+        stream.write2(self.channel_id)
+        stream.write4(len(data))
+        stream.write(data)
+        stream.finish_record()
+
+
+class _Content(NamedTuple):
+    """Content of a file."""
+
+    entry: tuple[str, int, int, int]  # name, first and last log time [ns], messages
+    counts: Counter[str]  # messages by topic
+    size: int  # [bytes]
+
+
+class _File(Writer):
+    """One file by the writer of the mcap package, which takes whole chunks as well.
+
+    A call for each message would take a minute for an hour of answers.
+    """
+
+    def __init__(self, path: Path, preset: str) -> None:
+        compression, size = PRESETS[preset]
+        self.name, self.output = path.name, _Output(path)
+        super().__init__(self.output, size, compression)  # type: ignore[arg-type]
+        self.chunk = self._Writer__chunk_builder  # type: ignore[attr-defined]
+        self.chunks = self._Writer__chunk_indices  # type: ignore[attr-defined]
+        self.statistics = self._Writer__statistics  # type: ignore[attr-defined]
+        self.channels: dict[str, int] = {}
+        self._schemas: dict[tuple[str, str, bytes], int] = {}
+        self.start('ros2', 'lpv.bag')
+
+    @property
+    def content(self) -> _Content:
+        """What has been written so far."""
+        found = self.statistics
+        counts = {t: found.channel_message_counts.get(n, 0) for t, n in self.channels.items()}
+        times = found.message_start_time, found.message_end_time
+        return _Content((self.name, *times, found.message_count), Counter(counts), self.output.size)
+
+    def define(self, topic: Connection) -> None:
+        """Add a topic."""
+        kind, text = topic.msgdef
+        encoding = 'ros2msg' if kind == MessageDefinitionFormat.MSG else 'ros2idl'
+        schema = (topic.msgtype, encoding, text.encode())
+        if schema not in self._schemas:
+            self._schemas[schema] = self.register_schema(*schema)
+        about = {'offered_qos_profiles': qos_text(topic), 'topic_type_hash': topic.digest}
+        number = self.register_channel(topic.topic, 'cdr', self._schemas[schema], about)
+        self.channels[topic.topic] = number
+
+    def add_chunk(self, parts: Sequence[Block]) -> None:
+        """Write one chunk of records, whose channels are the blocks' connections."""
+        self.flush()
+        chunk, statistics = self.chunk, self.statistics
+        channels = np.concatenate([part.connection for part in parts])
+        times = np.concatenate([part.time for part in parts])
+        starts = np.cumsum([chunk.count] + [len(part.data) for part in parts[:-1]])
+        places = np.concatenate([s + p.start - RECORD.itemsize for s, p in zip(starts, parts)])
+        for part in parts:
+            chunk.record_writer.write(part.data.data)
+        for channel in np.unique(channels).tolist():
+            mine = channels == channel
+            pairs = np.column_stack([times[mine], places[mine]])
+            chunk.message_indices[channel] = _Index(channel, pairs)  # type: ignore[arg-type]
+            statistics.channel_message_counts[channel] += len(pairs)
+        low, high, known = int(times.min()), int(times.max()), statistics.message_count
+        chunk.message_start_time, chunk.message_end_time = low, high
+        chunk.num_messages = len(times)
+        statistics.message_start_time = min(low, statistics.message_start_time) if known else low
+        statistics.message_end_time = max(high, statistics.message_end_time)
+        statistics.message_count += len(times)
+        self.flush()
+
+
+class BagWriter:
+    """A bag that is written topic by topic; ConfigError if it exists already or cannot be made.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        Directory to create.
+    preset : str, optional
+        Compression, a key of `PRESETS`.
+    split_size, split_time : int, optional
+        Size [bytes] and span of log times [ns] at which a new file is begun; 0 for never.
+    chunk_time : int, optional
+        A chunk is cut when log times enter the next multiple of this [ns]; 0 for never.  What a
+        chunk holds then depends on the messages alone, not on when they came.
+    fsync : bool, optional
+        Wait after each chunk until it is on the disk.
+    custom_data : dict of str to str, optional
+        Stored in metadata.yaml.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        preset: str = 'none',
+        split_size: int = 0,
+        split_time: int = 0,
+        chunk_time: int = 0,
+        fsync: bool = False,
+        custom_data: dict[str, str] | None = None,
+    ) -> None:
+        self.path, self._preset, self._fsync = Path(path), preset, fsync
+        self.typestore = make_typestore()
+        self._split_size, self._split_time = split_size, split_time
+        self._chunk_time, self._custom = chunk_time, dict(custom_data or {})
+        self._slot: int | None = None
+        self._topics: dict[str, Connection] = {}
+        self._done: list[_Content] = []
+        self._closed, self._failure = False, ''
+        try:
+            self.path.mkdir(parents=True)
+            self._begin_file()
+        except FileExistsError:
+            raise ConfigError('bag', 'cannot be written: it exists already', str(path)) from None
+        except OSError as error:
+            raise ConfigError('bag', f'cannot be written: {error}', str(path)) from error
+
+    def __enter__(self) -> 'BagWriter':
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def files(self) -> int:
+        """Number of files so far."""
+        return len(self._contents())
+
+    def _contents(self) -> list[_Content]:
+        return self._done if self._closed else [*self._done, self._file.content]
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Messages written, by topic."""
+        counts = [content.counts for content in self._contents()]
+        return {topic: sum(one[topic] for one in counts) for topic in self._topics}
+
+    @property
+    def size(self) -> int:
+        """Bytes handed to the operating system, of all files."""
+        return sum(content.size for content in self._contents())
+
+    def add_topic(self, topic: str, msgtype: str, profiles: Sequence[Qos] = ()) -> None:
+        """Announce a topic by its full name and type, with the QoS that its publishers offer."""
+        add_type(self.typestore, msgtype)
+        text = self.typestore.generate_msgdef(msgtype, ros_version=2)[0]
+        definition = MessageDefinition(MessageDefinitionFormat.MSG, text)
+        digest, ext = self.typestore.hash_rihs01(msgtype), ConnectionExtRosbag2('cdr', [*profiles])
+        self._add(Connection(0, topic, msgtype, definition, digest, 0, ext, None))
+
+    def copy_topic(self, connection: Connection) -> None:
+        """Announce a topic as another bag has it, with its own message definition."""
+        topic, msgtype = connection.topic, connection.msgtype
+        known = self._topics.get(topic)
+        if known is not None and known.msgtype != msgtype:
+            raise ConfigError(
+                'topic', f'{topic} has two types, {known.msgtype} and {msgtype}', str(self.path)
+            )
+        if known is None and not connection.msgdef.data:  # as in bags of older distributions
+            self.add_topic(topic, msgtype, getattr(connection.ext, 'offered_qos_profiles', ()))
+        elif known is None:
+            self._add(connection)
+
+    def _add(self, topic: Connection) -> None:
+        self._topics[topic.topic] = topic
+        self._file.define(topic)
+
+    def channel(self, topic: str) -> int:
+        """Number of an announced topic in the records of `write_chunk`."""
+        return self._file.channels[topic]
+
+    def without_garbage(self, msgtype: str, data: bytes) -> bytes:
+        """A serialised message with zeros between its fields.
+
+        What is there has no meaning, and some serialisers leave there what was in memory.
+        """
+        if len(data) < 4 or not data[1] & 1:
+            return data
+        try:
+            message = decode(self.typestore.deserialize_cdr, data, msgtype)
+            return padded_cdr(self.typestore, message, msgtype)
+        except Exception:  # many kinds; such a message is recorded as it came
+            return data
+
+    def write(self, topic: str, timestamp: int, message: object) -> None:
+        """Serialise and write a message of this bag's typestore, as of `write_raw`."""
+        data = padded_cdr(self.typestore, message, self._topics[topic].msgtype)
+        self.write_raw(topic, timestamp, data)
+
+    def write_raw(
+        self, topic: str, timestamp: int, data: bytes, publish_time: int | None = None
+    ) -> None:
+        """Write a serialised message; OSError if the disk does not take it.
+
+        Its log time [ns], CDR, and when it was published [ns], the log time if not given.
+        """
+        published = timestamp if publish_time is None else publish_time
+        try:
+            self._advance(timestamp)
+            self._file.add_message(self._file.channels[topic], timestamp, data, published)
+        except OSError as error:
+            self._fail(error)
+
+    def _advance(self, timestamp: int) -> None:
+        """End chunks and begin files where they are due, before a message of this time."""
+        if self._chunk_time:
+            slot = timestamp // self._chunk_time
+            if self._slot is not None and slot > self._slot:
+                self.flush()
+            self._slot = max(slot, self._slot or slot)
+        file, statistics = self._file, self._file.statistics
+        large = self._split_size and file.output.size + file.chunk.count >= self._split_size
+        span = timestamp - statistics.message_start_time if statistics.message_count else 0
+        if large or (self._split_time and span >= self._split_time):
+            self._finish_file()
+            self._begin_file()
+
+    def write_chunk(self, *parts: Block | np.ndarray) -> None:
+        """Write thousands of messages as one chunk.
+
+        Blocks hold their messages alone, with numbers of channels as connections; arrays are
+        records, as of `lpv.bag.replay.writer.RecordTemplate`.
+        """
+        blocks = [p if isinstance(p, Block) else from_rows(p) for p in parts if len(p)]
+        try:
+            if blocks:
+                self._file.add_chunk(blocks)
+        except OSError as error:
+            self._fail(error)
+
+    def flush(self) -> None:
+        """Pass everything to the operating system: a later crash does not lose it."""
+        try:
+            self._file.flush()
+            if self._fsync:
+                os.fsync(self._file.output.file.fileno())
+        except OSError as error:
+            self._fail(error)
+
+    def _fail(self, error: OSError) -> NoReturn:
+        """What is in the file stays; mcap's writer cannot go on from a chunk that was refused."""
+        self._failure = self._failure or error.strerror or str(error)
+        raise error
+
+    def room(self) -> int:
+        """Bytes that can be written while there is still room for the summary."""
+        disk, output = os.statvfs(self.path), self._file.output
+        limit = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
+        room = disk.f_bavail * disk.f_frsize
+        if limit != resource.RLIM_INFINITY:
+            room = min(room, limit - output.size)
+        topics = sum(1000 + 2 * len(topic.msgdef.data) for topic in self._topics.values())
+        chunks = len(self._file.chunks) * (100 + 10 * len(self._topics))
+        return room - self._file.chunk.count - 2 * topics - chunks
+
+    def _begin_file(self) -> None:
+        name = self.path.resolve().name
+        if self._split_size or self._split_time:
+            name += f'_{len(self._done)}'
+        self._file = _File(self.path / f'{name}.mcap', self._preset)
+        for topic in self._topics.values():
+            self._file.define(topic)
+
+    def _finish_file(self) -> None:
+        """End the file, unless it failed before; what is in it is counted."""
+        file = self._file
+        try:
+            if not self._failure:
+                file.flush()
+                text = dump(self._information([file.content])).strip()
+                file.add_metadata('rosbag2', {'serialized_metadata': text})
+                file.finish()
+        except OSError as error:
+            self._failure = error.strerror or str(error)
+        file.output.file.close()
+        self._done.append(file.content)
+
+    def _information(self, contents: Sequence[_Content]) -> dict[str, Any]:
+        counts = sum((one.counts for one in contents), Counter[str]())
+        entries = [one.entry for one in contents]
+        return bag_information(entries, list(self._topics.values()), counts, self._custom)
+
+    def close(self, known: Known | None = None) -> str:
+        """Finish file and metadata, with what is known of the recording; may be called again.
+
+        Returns '', or what could not be written: the files then end as after a crash.
+        """
+        if self._closed:
+            return ''
+        if known:
+            self._custom[RECORD_NAME] = json.dumps(known, sort_keys=True, separators=(',', ':'))
+        self._finish_file()
+        self._closed = True
+        if self._failure:
+            return f'its last messages or its end ({self._failure})'
+        text = dump({'rosbag2_bagfile_information': self._information(self._done)})
+        new = self.path / f'{FILE_NAME}.new'
+        try:
+            with open(new, 'w', encoding='utf-8') as file:
+                file.write(text)
+                file.flush()
+                if self._fsync:
+                    os.fsync(file.fileno())
+            os.replace(new, self.path / FILE_NAME)
+        except OSError as error:
+            return f'{FILE_NAME} ({error.strerror})'
+        return ''
+
+
+def padded_cdr(typestore: Any, message: object, msgtype: str) -> bytes:
+    """CDR of a message, padded to four bytes as DDS does: bags can then be compared."""
+    data = bytes(typestore.serialize_cdr(message, msgtype))
+    return data + bytes(-len(data) % 4)

@@ -1,0 +1,179 @@
+"""From a CSV recording of an arm to measurements of a bag."""
+
+import csv
+import math
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from decimal import Decimal
+from itertools import chain
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from lpv.bag.rosbag.messages import BagMessages
+from lpv.bag.rosbag.writing import BagWriter, qos_profile
+from lpv.core.support.config import Section, read_yaml
+from lpv.core.support.errors import LpvError
+
+TIME_UNITS = {'s': 1_000_000_000, 'ms': 1_000_000, 'us': 1000, 'ns': 1}
+ANGLE_UNITS = {'rad': 1.0, 'deg': math.pi / 180.0}
+_LATEST = 2**31 * 1_000_000_000
+
+
+class CsvError(LpvError):
+    """A CSV file does not hold what its column map says; the message names line and column."""
+
+
+@dataclass(frozen=True)
+class ColumnMap:
+    """Which column means what."""
+
+    time: str  # column of the time
+    time_unit: str  # key of `TIME_UNITS`
+    start: float | None  # stamp of the first sample [s]; None keeps the times of the file as stamps
+    angle_unit: str  # key of `ANGLE_UNITS`, for positions and rates
+    joints: dict  # columns of position, velocity and effort by joint name; the effort may be ''
+
+    @property
+    def columns(self) -> list[str]:
+        """All column names."""
+        return [self.time, *(c for columns in self.joints.values() for c in columns if c)]
+
+
+def load_column_map(path: str | Path) -> ColumnMap:
+    """Read a column map; ConfigError names the offending field.
+
+    A YAML file with ``time`` (``column``, ``unit``, ``start`` or ``keep``), ``angle_unit`` and
+    ``joints`` (``position``, ``velocity`` and optionally ``effort`` of each).
+    """
+    data = read_yaml(path)
+    top = Section(data, str(path))
+    time = top.section('time')
+    keep = time.flag('keep', False)
+    start = None if keep else time.number('start', 1.0, low=1e-9, high=2e9)
+    joints, section = {}, top.section('joints')
+    for name in data['joints']:
+        one = section.section(name)
+        effort = one.text('effort') if 'effort' in one else ''
+        joints[str(name)] = (one.text('position'), one.text('velocity'), effort)
+        one.finish()
+    if not joints:
+        raise top.error('joints', 'must name at least one joint')
+    result = ColumnMap(
+        time.text('column'),
+        time.text('unit', 's', tuple(TIME_UNITS)),
+        start,
+        top.text('angle_unit', 'rad', tuple(ANGLE_UNITS)),
+        joints,
+    )
+    time.finish()
+    top.finish()
+    return result
+
+
+def import_csv(
+    source: str | Path,
+    columns: ColumnMap,
+    out: str | Path,
+    topic: str = '/joint_states',
+    delimiter: str = ',',
+) -> tuple[int, list[str]]:
+    """Write a bag of sensor_msgs/JointState from a CSV file with a header line; number of messages,
+    and warnings.
+
+    Empty cells become NaN: the observer has modes for missing values, and nothing recorded is
+    left out.  Without any effort column the messages carry no effort.  CsvError if a column is
+    missing or a cell is no number, ConfigError if the bag cannot be made.
+    """
+    count, warnings = 0, list[str]()
+    try:
+        samples = _samples(Path(source), columns, delimiter, warnings)
+        first = next(samples, None)
+        if first is None:
+            raise CsvError(f'{source}: holds no sample')
+        with BagWriter(out) as writer:
+            writer.add_topic(topic, 'sensor_msgs/msg/JointState', [qos_profile(True, False, 10)])
+            messages = BagMessages(writer.typestore, 'base_link')
+            try:
+                for stamp, *values in chain([first], samples):
+                    message = messages.joint_state(stamp, columns.joints, *values)
+                    writer.write(topic, stamp, message)
+                    count += 1
+            except (CsvError, UnicodeDecodeError, csv.Error):
+                # What is there looks like a whole recording, and would block the next try.
+                shutil.rmtree(out, ignore_errors=True)
+                raise
+    except (OSError, UnicodeDecodeError, csv.Error, TypeError) as error:
+        raise CsvError(f'{source}: cannot be read ({error})') from error
+    return count, warnings
+
+
+def _samples(
+    source: Path, columns: ColumnMap, delimiter: str, warnings: list[str]
+) -> Iterator[tuple[Any, ...]]:
+    """Stamps, positions, rates and efforts, one by one: a long recording is never in memory."""
+    unit, angle = TIME_UNITS[columns.time_unit], ANGLE_UNITS[columns.angle_unit]
+    vectors = tuple(zip(zip(*columns.joints.values()), (angle, angle, 1.0)))
+    with open(source, newline='', encoding='utf-8-sig') as file:
+        reader = csv.reader(file, delimiter=delimiter)
+        header = [name.strip() for name in next(reader, [])]
+        for name in columns.columns:
+            if name not in header:
+                there = ', '.join(header) or 'no columns at all'
+                raise CsvError(f'{source}: has no column {name!r}; it has {there}')
+        fault, last, offset, backwards = None, -1, 0, 0
+        for cells in filter(None, reader):
+            if fault is not None:
+                raise fault
+            row = _Row(dict(zip(header, cells)), f'{source}: line {reader.line_num}')
+            try:
+                if len(cells) < len(header):
+                    raise CsvError(f'{row.line} has too few cells')
+                values = [
+                    [row.number(n, float) * scale for n in names] if any(names) else []
+                    for names, scale in vectors
+                ]
+                # Decimal: a float of epoch seconds is 200 ns off.
+                time = round(row.number(columns.time, Decimal) * unit)
+                if last < 0 and columns.start is not None:
+                    offset = round(columns.start * 1e9) - time
+                stamp = time + offset
+                if not 0 <= stamp < _LATEST:
+                    raise row.error(columns.time)
+            except CsvError as error:
+                # In the very last line it is that of a recording that was cut off.
+                fault = error
+                continue
+            backwards += stamp <= last
+            last = stamp
+            yield (stamp, *values)
+    if fault is not None:
+        with open(source, 'rb') as end:
+            end.seek(-1, 2)
+            if end.read() in (b'\n', b'\r'):
+                raise fault
+        warnings.append(f'line {reader.line_num}, the last one, is cut off and left out')
+    if backwards:
+        warnings.append(f'time stands still or runs backwards {backwards} times')
+
+
+class _Row(NamedTuple):
+    """Cells of one line."""
+
+    cells: dict[str, str]
+    line: str  # for error messages
+
+    def number(self, name: str, kind: Any) -> Any:
+        """Number in a cell; not a number where there is no such cell, or an empty one."""
+        text = self.cells[name].strip() if name else ''
+        try:
+            value = kind(text or 'nan')
+            if kind is Decimal and not value.is_finite():
+                raise self.error(name)
+            return value
+        except (ArithmeticError, ValueError):
+            raise self.error(name) from None
+
+    def error(self, name: str) -> CsvError:
+        text = self.cells[name].strip()[:40]
+        return CsvError(f'{self.line}, column {name!r}: {text!r} is not a number that can be used')

@@ -1,0 +1,253 @@
+"""A recorded run as NumPy arrays, from any rosbag2 bag."""
+
+import logging
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rosbags.interfaces import Connection
+
+from lpv.bag.errors import BagError
+from lpv.bag.rosbag.reading import BagReader, open_bag
+from lpv.bag.run.decoder import Columns, Decoder, Table
+from lpv.bag.run.streams import SCALARS, STREAMS, RecordedAlarm, RunRecord, stamp_of
+from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent, Mode
+from lpv.core.support.errors import SampleError
+
+CORRECTED = 'joint_states_corrected'
+"""Last part of a topic's name that carries measurements with confirmed faults removed: an answer,
+and never taken for the measurements."""
+ALARMS, ALARM_TYPE = 'fault_alarm', 'lpv_msgs/msg/FaultAlarm'
+_LOG = logging.getLogger(__name__)
+_NEEDED = {msgtype: ('header', *fields) for msgtype, fields in STREAMS.values()}
+_NEEDED['sensor_msgs/msg/JointState'] += ('name',)
+_NEEDED['lpv_msgs/msg/FaultEstimate'] += ('sensor_names',)
+_ALARM = 'header event sensor_index sensor onset detected size bound kind confidence'
+_NEEDED[ALARM_TYPE] = tuple(_ALARM.split())
+
+
+def find_topic(
+    reader: BagReader,
+    msgtype: str,
+    name: str,
+    wanted: str | None = None,
+    namespace: str | None = None,
+) -> Connection:
+    """The one connection that carries a stream, as `find_connections`; BagError without it."""
+    found = find_connections(reader, msgtype, name, wanted, namespace)
+    if found:
+        return found[0]
+    place = f' below namespace {namespace}' if namespace is not None else ''
+    there = ', '.join(sorted({f'{c.topic} ({c.msgtype})' for c in reader.connections}))
+    raise BagError(
+        f'{reader.path}: the bag has no topic {wanted or name!r} of type '
+        f'{msgtype}{place}; it has {there or "no topic at all"}'
+    )
+
+
+def find_connections(
+    reader: BagReader,
+    msgtype: str,
+    name: str,
+    wanted: str | None = None,
+    namespace: str | None = None,
+) -> list[Connection]:
+    """All connections of the one topic that carries a stream; BagError if several topics do.
+
+    Of several topics of the type the one is preferred whose name ends with ``name``; ``wanted`` is
+    a topic given by the user, and ``namespace`` takes only topics directly below it.
+    """
+    found = [c for c in reader.connections if c.msgtype == msgtype]
+    if namespace is not None:
+        parent = '/' + namespace.strip('/')
+        found = [c for c in found if (c.topic.rsplit('/', 1)[0] or '/') == parent]
+    if wanted:
+        found = [c for c in found if c.topic == wanted]
+    else:
+        found = [c for c in found if c.topic.rsplit('/', 1)[-1] != CORRECTED]
+        found = [c for c in found if c.topic.rsplit('/', 1)[-1] == name] or found
+    topics = sorted({c.topic for c in found})
+    if len(topics) > 1:
+        raise BagError(
+            f'{reader.path}: several topics carry {msgtype}: {", ".join(topics)}; '
+            'the bag holds more than one arm, say which namespace or topic is meant'
+        )
+    if found and msgtype in _NEEDED:
+        reader.check_definition(msgtype, _NEEDED[msgtype])
+    return found
+
+
+def load_run(
+    path: str | Path,
+    namespace: str | None = None,
+    joint_names: Sequence[str] | None = None,
+    answers_only: bool = False,
+) -> RunRecord:
+    """Read a run.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        Bag: rosbag2 directory or single storage file.
+    namespace : str, optional
+        Namespace of the arm, in a bag with several.
+    joint_names : sequence of str, optional
+        Joints to take from joint_states, in this order; those of the first message if not given.
+    answers_only : bool, optional
+        Whether the bag may lack measurements.
+
+    Raises
+    ------
+    BagError
+        If the bag is unreadable, lacks measurements or one of the joints, or holds more than one
+        arm.
+    """
+    with open_bag(path) as reader:
+        if not answers_only:
+            find_topic(reader, STREAMS['joint_states'][0], 'joint_states', namespace=namespace)
+        types = {**{name: msgtype for name, (msgtype, _) in STREAMS.items()}, ALARMS: ALARM_TYPE}
+        found = {n: find_connections(reader, t, n, namespace=namespace) for n, t in types.items()}
+        chosen = {name: connections for name, connections in found.items() if connections}
+        record = RunRecord(topics={name: c[0].topic for name, c in chosen.items()})
+        for connection in reader.connections:
+            before = record.counts.get(connection.topic, 0)
+            record.counts[connection.topic] = before + connection.msgcount
+        try:
+            _read_streams(reader, chosen, record, joint_names)
+        except BagError as error:
+            text = str(error)
+            raise BagError(text if text.startswith(str(path)) else f'{path}: {text}') from None
+        for warning in record.warnings:
+            _LOG.warning('%s: %s', path, warning)
+        record.warnings = [*reader.warnings, *record.warnings]
+    return record
+
+
+class _Stream:
+    """What is read of one stream; messages whose arrays do not fit are left out and counted."""
+
+    def __init__(self, reader: BagReader, name: str, joints: Sequence[str]) -> None:
+        self.joints, self._count = tuple(joints), len(joints)
+        self.sensors: tuple[str, ...] = ()
+        self.parts: list[Table] = []
+        self._name, (msgtype, self.fields) = name, STREAMS[name]
+        self._lengths: dict[str, int] = {}
+        choose = self._of_joints if name == 'joint_states' else self._fitting
+        self.decoder = Decoder(reader, msgtype, self.fields, choose)
+
+    def _of_joints(self, message: Any) -> Columns:
+        """Drivers sort joints as they like, and have more.
+
+        A message of other joints only (a gripper's, on the same topic) is not about this arm.
+        """
+        names = list(message.name)
+        self.joints = self.joints or tuple(names)
+        for name in self.joints:
+            if name not in names:
+                there = ', '.join(names) or 'no joint'
+                raise SampleError(f'joint {name!r} is not in joint_states, which has {there}')
+        return [names.index(name) for name in self.joints], len(names)
+
+    def _fitting(self, message: Any) -> Columns:
+        """All arrays are for the same joints, and as long as in the messages before."""
+        arrays = {name: getattr(message, name) for name in self.fields if name not in SCALARS}
+        if self._name == 'fault_estimate':
+            arrays['sensor_names'] = message.sensor_names
+        found = {name: len(array) for name, array in arrays.items()}
+        joints = {length for name, length in found.items() if name != 'tip_position'}
+        if len(joints) > 1 or (self._count and joints != {self._count}):
+            raise SampleError(f'{self._name} has arrays of {sorted(joints)} values')
+        if (self._lengths or found) != found:
+            raise SampleError(f'{self._name} has arrays of other lengths than before')
+        self._lengths = found
+        self.sensors = self.sensors or tuple(arrays.get('sensor_names', ()))
+        return slice(None), -1
+
+    def fill(self, record: RunRecord) -> None:
+        """Rows by stamp into a record; of one stamp the last message counts."""
+        name, topic = self._name, record.topics[self._name]
+        if self.parts:
+            stamps = np.concatenate([part[1] for part in self.parts])
+            table = {f: np.concatenate([p[2][f] for p in self.parts]) for f in self.fields}
+            if name == 'state_estimate':  # without an estimate its values mean nothing
+                known = table['mode'][:, 0] != Mode.NO_ESTIMATE
+                stamps, table = stamps[known], {f: v[known] for f, v in table.items()}
+            if len(stamps):
+                # np.unique gives the first of equal ones: reversed, that is the last message.
+                record.stamps[name], last = np.unique(stamps[::-1], return_index=True)
+                rows = len(stamps) - 1 - last
+                record.streams[name] = {
+                    f: v[rows, 0] if f in SCALARS else v[rows] for f, v in table.items()
+                }
+                backwards = int(np.sum(stamps[1:] < np.maximum.accumulate(stamps)[:-1]))
+                if backwards:
+                    record.warnings.append(
+                        f'{topic}: time goes backwards {backwards} times, messages are sorted by '
+                        'their stamps'
+                    )
+                if len(stamps) > len(last):
+                    record.warnings.append(
+                        f'{topic}: {len(stamps) - len(last)} messages have the stamp of another '
+                        'one, the last one of each stamp counts'
+                    )
+        misfits = sum(self.decoder.rejected.values())
+        if misfits and name != 'joint_states':
+            record.warnings.append(
+                f'{topic}: {misfits} messages whose number of joints does not fit are left out'
+            )
+
+
+def _read_streams(
+    reader: BagReader,
+    chosen: dict[str, list[Connection]],
+    record: RunRecord,
+    joint_names: Sequence[str] | None,
+) -> None:
+    """Fill a record with all messages of some streams; BagError if measurements are missing."""
+    pairs = [(name, c) for name, connections in chosen.items() for c in connections]
+    streams = {name: _Stream(reader, name, joint_names or ()) for name in chosen if name != ALARMS}
+    alarms: dict[tuple[int, int, int], RecordedAlarm] = {}
+    for block in reader.blocks([connection for _, connection in pairs]):
+        names = np.array([list(chosen).index(name) for name, _ in pairs])[block.connection]
+        for i, name in enumerate(chosen):
+            positions = np.flatnonzero(names == i)
+            if name != ALARMS and len(positions):
+                rows = streams[name].decoder.read(block, positions)
+                streams[name].parts += [rows] if rows is not None else []
+            for k in positions.tolist() if name == ALARMS else ():
+                alarm = _alarm(reader.deserialize(block.message(k), ALARM_TYPE))
+                # Latched events are delivered again to late subscribers.
+                alarms[alarm.stamp, alarm.sensor_index, alarm.event] = alarm
+    for stream in streams.values():
+        stream.fill(record)
+    record.alarms = [alarms[key] for key in sorted(alarms)]
+    if 'fault_estimate' in streams:
+        record.sensor_names = streams['fault_estimate'].sensors
+    if 'joint_states' in streams:
+        record.joint_names = streams['joint_states'].joints
+        count, topic = len(record.stamps.get('joint_states', ())), record.topics['joint_states']
+        if count == 0:
+            missing = next(iter(streams['joint_states'].decoder.rejected), '')
+            raise BagError(missing or f'{topic} holds no message')
+        if count == 1:
+            raise BagError(f'all messages of {topic} have the same stamp, or there is one only')
+
+
+def _alarm(message: Any) -> RecordedAlarm:
+    try:
+        event = AlarmEvent(message.event)
+    except ValueError as error:
+        raise BagError(f'fault_alarm: unknown event {message.event}') from error
+    return RecordedAlarm(
+        event,
+        int(message.sensor_index),
+        message.sensor,
+        stamp_of(message.onset),
+        stamp_of(message.detected),
+        float(message.size),
+        float(message.bound),
+        message.kind,
+        float(message.confidence),
+        stamp_of(message.header.stamp),
+    )

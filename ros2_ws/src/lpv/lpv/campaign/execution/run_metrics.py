@@ -1,0 +1,148 @@
+"""What is kept of one run: figures of detection, isolation, estimates, tracking."""
+
+import math
+from collections.abc import Collection, Sequence
+from typing import Any
+
+import numpy as np
+
+from lpv.campaign.plan.spec import BOTH, NO_FAULT
+from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent
+from lpv.core.simulation.faults import Fault
+
+DIVERGED = 1.0
+"""True tracking error that counts as lost control [rad]."""
+_SETTLED = 1.0
+"""The first second is the approach; errors count from then on [s]."""
+_EARLY = 0.1
+"""An onset estimate may be so much earlier than the fault [s]."""
+
+
+def figures(plan: Any, run: Any, twin: Any = None) -> dict[str, Any]:
+    """Figures of one run, and of its healthy twin if there is one; NaN where there is nothing to be
+    measured. Names, meaning and units are in docs/scenario-file.md; ``arm`` and ``scenario``
+    of the plan are used."""
+    scheduled = plan.scenario.faults
+    faults = [f for f in scheduled if f.kind != 'rate_bias']
+    begin, end = _interval(plan.scenario)
+    before, during = run.time < begin, (run.time >= begin) & (run.time < end)
+    names, period = plan.arm.sensor_names, plan.arm.sample_time
+    sizes = {abs(f.rate if f.kind == 'drift' else f.size) for f in scheduled}
+    result = {
+        'seed': plan.scenario.seed,
+        'kind': scheduled[0].kind if scheduled else NO_FAULT,
+        'sensor': _named({f.sensor for f in scheduled}, names),
+        'fault_size': sizes.pop() or math.nan if len(sizes) == 1 else math.nan,
+        'observed': len(run.time) * period,
+        'early_time': float(before.sum() * period),
+        'healthy_time': float((~during).sum() * period),
+    }
+    result.update(_alarm_figures(run, faults, names, begin, end))
+    result.update(_estimate_figures(plan.arm, run, before, during))
+    result.update(_tracking_figures(plan, run, twin, during))
+    return result
+
+
+def _interval(scenario: Any) -> tuple[float, float]:
+    """From the first onset to the last end of all faults [s]."""
+    begin = min((f.onset for f in scenario.faults), default=math.inf)
+    end = max(
+        (f.onset + f.duration if f.duration > 0.0 else math.inf for f in scenario.faults),
+        default=math.inf,
+    )
+    return begin, end
+
+
+def _named(sensors: Collection[str], names: Sequence[str]) -> str:
+    """Sensors as one text: a name, both of two, names joined by +."""
+    if len(sensors) == len(names) == 2:
+        return BOTH
+    return '+'.join(name for name in names if name in sensors) or NO_FAULT
+
+
+def _alarm_figures(
+    run: Any, faults: list[Fault], names: Sequence[str], begin: float, end: float
+) -> dict[str, Any]:
+    """Alarms while a fault acts count for it; all others are false."""
+    raised = [a for a in run.alarms if a.event == AlarmEvent.RAISED]
+    faulty = {f.sensor: f for f in faults}
+    own: dict[str, list[Any]] = {}  # alarms that count for each faulty sensor
+    for alarm in run.alarms:
+        in_time = begin <= alarm.detected / 1e9 < end and alarm.onset / 1e9 >= begin - _EARLY
+        if alarm.event != AlarmEvent.CLEARED and alarm.sensor in faulty and in_time:
+            own.setdefault(alarm.sensor, []).append(alarm)
+    inside = [a for a in raised if begin <= a.detected / 1e9 < end]
+    said, nan = {a.sensor for a in inside}, math.nan
+    found = bool(own) and set(own) == set(faulty)
+    pairs = [(own[sensor][0], f) for sensor, f in faulty.items()] if found else []
+    biased = all(f.kind == 'bias' for f in faults)
+    last = [alarms[-1] for alarms in own.values()] or inside
+    early = [a.sensor for a in raised if a.detected / 1e9 < begin]
+    each = {}
+    for i, name in enumerate(names, start=1):
+        each[f'alarms_before_{i}'], each[f'found_{i}'] = early.count(name), name in own
+    return {
+        **each,
+        'alarms': len(raised),
+        'false_alarms': len(raised) - len(inside) + (0 if faulty else len(inside)),
+        'wrong_alarms': sum(a.sensor not in faulty for a in inside) if faulty else 0,
+        'detected': found,
+        'isolated': found and said == set(faulty),
+        'said_sensor': _named(said, names),
+        'said_kind': last[-1].kind if last else NO_FAULT,
+        'detection_delay': max((a.detected / 1e9 - f.onset for a, f in pairs), default=nan),
+        'onset_error': max((abs(a.onset / 1e9 - f.onset) for a, f in pairs), default=nan),
+        'size_at_detection': max((abs(a.size) for a, _ in pairs), default=nan),
+        'size_error': max((abs(a.size - f.size) for a, f in pairs if biased), default=nan),
+    }
+
+
+def _estimate_figures(arm: Any, run: Any, before: np.ndarray, during: np.ndarray) -> dict[str, Any]:
+    settled = run.time >= _SETTLED
+    error = run.fault_estimate - run.fault
+    # A loop that runs away ends in infinities, and its last scores are none.
+    with np.errstate(invalid='ignore'):
+        score = np.abs(run.fault_estimate) / run.threshold
+    result = {
+        'fault_rms_before': _rms(error[before & settled]),
+        'fault_rms_during': _rms(error[during]),
+        'angle_rms': _rms((run.position - run.estimate)[settled]),
+    }
+    for i in range(error.shape[1]):
+        number = i + 1
+        result[f'score_before_{number}'] = _largest(score[before, i])
+        result[f'score_during_{number}'] = _largest(score[during, i])
+        result[f'mean_threshold_{number}'] = float(run.threshold[settled, i].mean())
+        result[f'error_rms_{number}'] = _rms(error[settled, i])
+    return result
+
+
+def _tracking_figures(plan: Any, run: Any, twin: Any, during: np.ndarray) -> dict[str, Any]:
+    error = run.position - run.reference
+    largest = float(np.abs(error).max())
+    finite = bool(np.isfinite(run.position).all() and np.isfinite(run.torque).all())
+    braked, period = run.braked, plan.arm.sample_time
+    result = {
+        'tracking_rms': _rms(error[run.time >= _SETTLED]),
+        'tracking_rms_during': _rms(error[during]),
+        'tracking_max': largest,
+        'tracking_ratio': math.nan,
+        'stable': finite and largest < DIVERGED,
+        'safe_stops': int(np.count_nonzero(braked[1:] & ~braked[:-1])),
+        'braked_time': float(braked.sum() * period),
+        'inconsistent_time': float(run.inconsistent.sum() * period),
+    }
+    if twin is not None and during.any():
+        healthy = twin.position - twin.reference
+        result['tracking_ratio'] = result['tracking_rms_during'] / _rms(healthy[during])
+    return result
+
+
+def _rms(values: np.ndarray) -> float:
+    values = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(values**2))) if values.size else math.nan
+
+
+def _largest(values: np.ndarray) -> float:
+    values = values[~np.isnan(values)]
+    return float(values.max()) if values.size else math.nan

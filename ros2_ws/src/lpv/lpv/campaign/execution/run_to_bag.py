@@ -1,0 +1,162 @@
+"""One run of a campaign as a bag, as the graph would have recorded it, and files to repeat it."""
+
+import math
+import shutil
+import tempfile
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from lpv.bag.replay.replay import Replay
+from lpv.bag.rosbag.messages import BagMessages
+from lpv.bag.rosbag.writing import BagWriter
+from lpv.bag.run.record import load_run
+from lpv.campaign.execution.runs import RunPlan
+from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv.core.serial_arm.arm_file import load_arm
+from lpv.core.serial_arm.diagnosis.alarms import Alarm
+from lpv.core.simulation.closed_loop import Run
+from lpv.core.simulation.scenario import load_scenario
+from lpv.core.support.errors import ConfigError, LpvError
+from lpv.core.support.timestamps import NANOSECONDS
+from lpv.core.uio.certificate.gains import save_gains
+
+NAMESPACE = '/lpv'
+START = NANOSECONDS
+"""Stamp of the first sample [ns], as in the lockstep graph: zero means "not set" in ROS."""
+_ANSWERS = {
+    'estimate': ('state_estimate', 'position'),
+    'estimated_velocity': ('state_estimate', 'velocity'),
+    'fault_estimate': ('fault_estimate', 'estimate'),
+    'threshold': ('fault_estimate', 'threshold'),
+    'alarm': ('fault_estimate', 'alarm'),
+}
+"""Signals of a run that must be those of its bag, bit by bit."""
+
+
+def stamps_of(run: Run) -> np.ndarray:
+    """Header stamps of a run's samples in its bag [ns]."""
+    return START + np.array([round(t * 1e9) for t in run.time.tolist()], np.int64)
+
+
+def write_run_bag(plan: RunPlan, run: Run, out: str | Path) -> None:
+    """Write a run as a bag, with the files that repeat it.
+
+    Measurements, commands, references and truth come from the run; the answers of observer and
+    diagnosis from a replay of these measurements, which must give what the run had: else LpvError.
+    ConfigError if the bag exists already or cannot be made.
+    """
+    out = Path(out)
+    if out.exists():
+        raise ConfigError('--bag', 'exists already: name a new folder', str(out))
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        folder = tempfile.TemporaryDirectory(prefix='.', dir=out.parent)
+    except OSError as error:
+        raise ConfigError('--bag', f'cannot be written: {error}', str(out)) from error
+    with folder as name:
+        measured, whole = Path(name) / 'measured', Path(name) / out.name
+        _write_signals(plan, run, measured)
+        monitor = SerialSensorMonitor(f'{NAMESPACE}/uio', plan.arm, plan.parameters, plan.gains)
+        Replay(monitor, preset='zstd_fast').run(measured, whole)
+        check_answers(run, whole)
+        write_run_files(plan, whole)
+        shutil.move(whole, out)
+
+
+def write_run_files(plan: RunPlan, folder: str | Path) -> None:
+    """Write the files with which the graph repeats a run."""
+    names = ('arm', 'scenario', 'parameters')
+    arm, scenario, parameters = (Path(folder) / f'{name}.yaml' for name in names)
+    own = {
+        'lockstep': True,
+        'diagnosis': asdict(plan.parameters),
+        'compensation': plan.compensation,
+        'substeps': plan.substeps,
+    }
+    content = {**plan.files, 'parameters': {'/**': {'ros__parameters': own}}}
+    for name, path in zip(names, (arm, scenario, parameters)):
+        path.write_text(yaml.safe_dump(content[name], sort_keys=False), encoding='utf-8')
+    if plan.gains is not None:
+        text = f'Gains of run {plan.number} ({plan.scenario.name}).'
+        save_gains(plan.gains, Path(folder) / 'gains.yaml', text)
+    if load_arm(arm) != plan.arm or load_scenario(scenario) != plan.scenario:
+        raise LpvError(f'{folder}: the files do not describe what was simulated')
+
+
+def check_answers(run: Run, bag: str | Path) -> None:
+    """Compare the answers in the bag of a run with those that the run had."""
+    record, stamps = load_run(bag), stamps_of(run)[~run.lost]
+    for name, (stream, field) in _ANSWERS.items():
+        found = record.stamps.get(stream, np.empty(0, np.int64))
+        # Nothing is estimated before the first usable measurement.
+        first = np.searchsorted(stamps, found[0]) if len(found) else len(stamps)
+        if not np.array_equal(found, stamps[first:]):
+            raise LpvError(f'{bag}: {stream} has other samples than the run')
+        answers = record.get(stream, field)
+        if answers is None:
+            continue
+        if not np.array_equal(answers, getattr(run, name)[~run.lost][first:], equal_nan=True):
+            raise LpvError(f'{bag}: the replay gives another {name} than the run')
+    if [_alarm(a, 0) for a in record.alarms] != [_alarm(a, START) for a in run.alarms]:
+        raise LpvError(f'{bag}: the replay gives other alarms than the run')
+
+
+def _alarm(alarm: Alarm, shift: int) -> tuple[Any, ...]:
+    times = alarm.onset + shift, alarm.detected + shift
+    return int(alarm.event), alarm.sensor, *times, alarm.size, alarm.bound, alarm.kind
+
+
+def differences(stored: dict[str, Any], found: dict[str, Any]) -> list[str]:
+    """Figures that are not what the results of the campaign say."""
+    return [name for name in found if name in stored and not _same(stored[name], found[name])]
+
+
+def _same(one: Any, two: Any) -> bool:
+    if isinstance(one, float) and isinstance(two, float):
+        unknown = math.isnan(one) and math.isnan(two)
+        return unknown or math.isclose(one, two, rel_tol=1e-9, abs_tol=1e-12)
+    return one == two
+
+
+def _write_signals(plan: RunPlan, run: Run, path: Path) -> None:
+    stop = run.safe_stop
+    command = np.where(stop[:, None], 0.0, run.command)
+    truth = {
+        'position': run.position,
+        'velocity': run.velocity,
+        'torque': run.effort,
+        'fault': run.fault,
+        'disturbance': run.disturbance,
+    }
+    names = ('position', 'velocity', 'acceleration')
+    reference = dict(zip(names, run.path[:, run.place])) | {'tip_position': run.tip[run.place]}
+    kept, everywhere = ~run.lost, np.ones(len(run.time), bool)
+    measured = {'position': run.measured, 'velocity': run.measured_velocity, 'effort': run.effort}
+    topics = (
+        ('ground_truth', 'lpv_msgs/msg/GroundTruth', everywhere, truth),
+        ('joint_states', 'sensor_msgs/msg/JointState', kept, measured),
+        ('torque_command', 'lpv_msgs/msg/TorqueCommand', kept,
+         {'torque': command, 'safe_stop': stop}),
+        ('reference', 'lpv_msgs/msg/JointReference', kept & ~stop, reference),
+    )  # fmt: skip
+    stamps = stamps_of(run).tolist()
+    with BagWriter(path) as bag:
+        messages = BagMessages(bag.typestore, plan.arm.name)
+        of_joints = BagMessages(bag.typestore, 'base_link')
+        for name, msgtype, _, _ in topics:
+            bag.add_topic(f'{NAMESPACE}/{name}', msgtype)
+        for k, stamp in enumerate(stamps):
+            for name, msgtype, chosen, fields in topics:
+                if not chosen[k]:
+                    continue
+                row = {field: values[k] for field, values in fields.items()}
+                message = (
+                    of_joints.joint_state(stamp, plan.arm.joint_names, *row.values())
+                    if name == 'joint_states'
+                    else messages.make(msgtype, stamp, row)
+                )
+                bag.write(f'{NAMESPACE}/{name}', stamp, message)

@@ -1,0 +1,143 @@
+"""One run of a campaign: from its number to its signals and figures."""
+
+import copy
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from lpv.campaign.execution.run_metrics import figures
+from lpv.campaign.plan.campaign import Campaign
+from lpv.campaign.plan.random_paths import random_path
+from lpv.campaign.plan.spec import BOTH, NO_FAULT, TUNING
+from lpv.core.monitoring.parameters import DiagnosisParameters
+from lpv.core.serial_arm.arm_file import to_mapping
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.simulation.closed_loop import Run, run_closed_loop
+from lpv.core.simulation.scenario import Scenario, parse_scenario
+from lpv.core.simulation.transport import Transport
+from lpv.core.support.errors import LpvError
+from lpv.core.uio.certificate.gains import Gains
+
+_PLANT = {
+    'plant': 'model',
+    'payload': 'payload',
+    'friction': 'friction_factor',
+    'noise': 'noise_factor',
+    'disturbance': 'disturbance_factor',
+    'parameter_error': 'parameter_error',
+}
+"""Factors that replace a field of the scenario's plant."""
+
+
+@dataclass(frozen=True)
+class RunPlan:
+    """What is simulated in one run."""
+
+    number: int  # Number of the run
+    values: dict  # Of the factors
+    arm: SerialArm  # Nominal arm, with the run's sample time
+    gains: Gains | None  # Its gains, if it needs any
+    files: dict  # Content of the run's ``arm`` and ``scenario`` files
+    scenario: Scenario  # The latter, parsed
+    parameters: DiagnosisParameters  # Tuning of the diagnosis
+    compensation: str  # What the loop closes on
+    substeps: int  # Least number of plant steps per sample
+    delay: int  # Samples from a measurement to the effect of its command
+    loss: float  # Probability that a measurement is lost
+
+    def simulate(self, faults: bool = True) -> Run:
+        """Run the closed loop; ``faults=False``: its healthy twin."""
+        scenario = self.scenario if faults else replace(self.scenario, faults=())
+        return run_closed_loop(
+            self.arm,
+            scenario,
+            self.gains,
+            self.compensation,
+            parameters=self.parameters,
+            substeps=self.substeps,
+            transport=Transport(self.delay, self.loss),
+        )
+
+
+def plan_run(campaign: Campaign, number: int) -> RunPlan:
+    """What is simulated in a run; campaign and number determine everything."""
+    values, spec = campaign.values(number), campaign.spec
+    # Not the generator of the plan's points, which must not depend on what else is random in a run.
+    rng = np.random.default_rng([spec.seed, 2, number])
+    seed = int(rng.integers(2**31))
+    time = values['sample_time'] or campaign.arm.sample_time
+    arm = replace(campaign.arm, sample_time=time)
+    content = copy.deepcopy(campaign.content['scenarios'][spec.scenario])
+    content.update(name=f'{spec.name} {number}', seed=seed)
+    content['duration'] = duration = spec.duration or content['duration']
+    path = values['path']
+    if path == 'random':
+        content['path'] = random_path(arm, rng, duration)
+    elif path != 'scenario':
+        content['path'] = campaign.content['scenarios'][path]['path']
+    plant = content.setdefault('plant', {})
+    if isinstance(plant, str):
+        plant = content['plant'] = {'model': plant}
+    plant.update({_PLANT[name]: values[name] for name in _PLANT if values[name] is not None})
+    for name in ('mass', 'inertia'):
+        given = {i: values[f'{name}_{i + 1}'] for i in (0, 1) if values[f'{name}_{i + 1}']}
+        if given:
+            links = list(plant.get(f'{name}_factors', [1.0] * len(arm.joints)))
+            plant[f'{name}_factors'] = [given.get(i, before) for i, before in enumerate(links)]
+    if 'fault.kind' in spec.factors:
+        content['faults'] = _faults(arm.sensor_names, values, rng)
+    tuning = {field: values[name] for name, field in TUNING.items() if name in values}
+    return RunPlan(
+        number,
+        values,
+        arm,
+        campaign.gains(values['design'], time),
+        {'arm': to_mapping(arm), 'scenario': content},
+        parse_scenario(content, f'run {number}'),
+        DiagnosisParameters(**tuning),
+        values['compensation'],
+        spec.substeps,
+        round(values['command_delay']),
+        values['sample_loss'],
+    )
+
+
+def _faults(
+    names: tuple[str, ...], values: dict[str, Any], rng: np.random.Generator
+) -> list[dict[str, Any]]:
+    kind, signs = values['fault.kind'], rng.choice([-1.0, 1.0], 2).tolist()
+    if kind == NO_FAULT:
+        return []
+    if values['fault.sign'] is not None:
+        signs = [1.0 if values['fault.sign'] >= 0.0 else -1.0] * 2
+    if kind in ('noise', 'spike'):
+        signs = [1.0, 1.0]  # these have no direction
+    sensors = [values['fault.sensor'] or names[0]]
+    if sensors == [BOTH]:
+        # The two of a two-link arm; of more, two by chance.
+        count = len(names)
+        chosen = range(2) if count == 2 else sorted(rng.choice(count, min(2, count), replace=False))
+        sensors = [names[i] for i in chosen]
+    return [
+        {
+            'sensor': sensor,
+            'kind': kind,
+            'onset': values['fault.onset'],
+            'duration': values['fault.duration'],
+            'size': sign * values['fault.size'],
+            'rate': values['fault.rate'] * (sign if kind == 'drift' else 1.0),
+        }
+        for sensor, sign in zip(sensors, signs)
+    ]
+
+
+def run_one(campaign: Campaign, number: int) -> dict[str, Any]:
+    """Simulate a run and measure it; a row of the results."""
+    try:
+        plan = plan_run(campaign, number)
+        run = plan.simulate()
+        twin = plan.simulate(faults=False) if campaign.spec.twin and plan.scenario.faults else None
+    except LpvError as error:
+        raise LpvError(f'run {number}: {error}') from error
+    return {'number': number, **plan.values, **figures(plan, run, twin)}

@@ -1,0 +1,359 @@
+"""Attacks from numbers in [-1, 1]: everything that an arm file allows a healthy arm to do.
+
+The estimate of a healthy arm is, nearly, linear in its parameters, and the monitor knows
+with which factors.  So the attacker first runs the nominal arm, reads those factors at the moment
+that it aims at, and then takes the corner of the arm file that they point to.  Against the bound of
+a designed observer the corner is searched like everything else.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from lpv.campaign.falsify.healthy_run import (
+    ACCELERATION,
+    CENTRE,
+    PHASE,
+    PUSH,
+    RATE_BIAS,
+    RATE_SCALE,
+    SHAKE,
+    SPEED,
+    SWING,
+    Course,
+    Sensing,
+    simulate,
+)
+from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv.core.serial_arm.chain import Chain, FloatArray, compile_chain, workspace
+from lpv.core.serial_arm.description import RATE_BIAS as RATE_BIAS_FACTOR
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.diagnosis.alarms import SensorState
+from lpv.core.serial_arm.diagnosis.healthy_balance import generator_count
+from lpv.core.serial_arm.diagnosis.healthy_set import LEAST_RESPONSE
+from lpv.core.serial_arm.diagnosis.monitor import SerialMonitor
+from lpv.core.serial_arm.diagnosis.parameter_set import (
+    is_stated,
+    member,
+    parameter_set,
+    payload_generator,
+)
+from lpv.core.serial_arm.simulation import integration_step, plant_scratch
+from lpv.core.support.errors import ConfigError
+from lpv.core.uio.certificate.gains import Gains
+from lpv.core.uio.model.joints import J, JointMap
+from lpv.core.uio.planar import planar_model, serial_from_planar
+
+LARGEST = 1.5
+"""Thresholds above are no evidence [rad]."""
+_LOOK_EVERY = 0.25
+"""Time between two looks at the thresholds of a horizon [s]."""
+_SLOWEST, _FASTEST = 0.2, 8.0
+"""Circular frequencies of the motion [rad/s]."""
+_SLOW_SWITCH, _FAST_SWITCH = 0.3, 60.0
+"""Circular frequencies of bang-bang time profiles [rad/s]."""
+_LARGEST_VALUE = 1e6
+"""Values beyond are of a simulation that diverged."""
+_REACH, _SPEED = 0.97, 0.5
+"""Shares of a certified region and velocity limit that motions use."""
+_MOTION, _SHARED = 4, 4
+"""Numbers of a candidate for each joint's motion; those of rest and switching."""
+
+
+@dataclass(frozen=True)
+class Attack:
+    """A motion, a true arm and time profiles that the arm file allows; see `Course`."""
+
+    joints: list[list[float]]
+    rest: float
+    switch_speed: float
+    switch_phase: float
+    rate_switch: float
+    shares: list[float]  # of what the file allows of the true arm, in [-1, 1]
+    seed: int  # of the noise
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One evaluated attack."""
+
+    ratios: FloatArray  # of each sensor, the largest abs(f^)/threshold; 1 breaks the guarantee
+    thresholds: FloatArray  # then [rad]
+    times: FloatArray  # when [s]
+    blamed: bool  # whether an alarm was raised, guaranteed or not
+    attack: Attack  # what was done
+
+    @property
+    def sensor(self) -> int:
+        """The sensor of the largest ratio."""
+        return int(self.ratios.argmax())
+
+    @property
+    def ratio(self) -> float:
+        """The largest one."""
+        return float(self.ratios.max())
+
+
+class Attacker:
+    """Healthy runs of one arm, of some length [s], against its own thresholds.
+
+    ``arm`` is what a healthy arm may be; its file states the ranges, and ConfigError says that it
+    does not.  ``monitored`` is what the monitor is told, by default the same.  A
+    candidate has so many ``numbers``, each in [-1, 1]; ``samples``, shape (N, 3, n), are positions,
+    rates and efforts of the last run.
+    """
+
+    def __init__(
+        self, arm: SerialArm, duration: float, gains: Gains | None = None, monitored: Any = None
+    ) -> None:
+        self.arm = arm
+        self.range: _DesignedRange | _StatedRange = (
+            _StatedRange(arm, monitored or arm) if gains is None else _DesignedRange(arm, gains)
+        )
+        n = len(arm.joint_names)
+        self.numbers = _MOTION * n + _SHARED + self.range.own
+        self.samples = np.zeros((max(2, round(duration / arm.sample_time)), 3, n))
+        chain, finer = self.range.chain, self.range.finer
+        step, count = integration_step(chain, arm.sample_time)
+        self._substeps = (step / finer, finer * count)
+        self._scratch = plant_scratch(chain), np.empty((n, n)), workspace(chain)
+
+    def structured(self, rng: np.random.Generator) -> list[FloatArray]:
+        """Candidates that an engineer would try: rest, slow and fast motion, corners of the arm."""
+        n, found = len(self.arm.joint_names), []
+        for swing in (-1.0, 0.0, 1.0):
+            for corner in (-1.0, 1.0):
+                for joint in range(n + 2):
+                    candidate = rng.uniform(-1.0, 1.0, self.numbers)
+                    candidate[n : 2 * n] = swing
+                    candidate[_MOTION * n + _SHARED :] = corner
+                    if joint < n:  # rest at the edge of one joint, or aim at it
+                        candidate[joint] = 0.9
+                        candidate[-4:-1] = (2.0 * joint + 1.0) / n - 1.0, 1.0, corner
+                    found.append(candidate)
+        return found
+
+    def attack(self, candidate: FloatArray, seed: int) -> Attack:
+        """Attack of a candidate."""
+        n = len(self.arm.joint_names)
+        numbers = np.clip(candidate, -1.0, 1.0)
+        motion, shared = (
+            numbers[: _MOTION * n].reshape(_MOTION, n),
+            numbers[_MOTION * n :][:_SHARED],
+        )
+        own = numbers[_MOTION * n + _SHARED :]
+        joints = np.zeros((RATE_SCALE + 1, n))
+        joints[[CENTRE, SWING, SPEED]] = self.range.motion(motion)
+        joints[PHASE] = np.pi * motion[3]
+        rest, switch, phase, rates = shared
+        attack = Attack(
+            joints.tolist(),
+            float(0.6 * (rest + 1.0) * len(self.samples) * self.arm.sample_time),
+            0.0 if switch < -0.3 else float(_geometric(switch, _SLOW_SWITCH, _FAST_SWITCH)),
+            float(np.pi * phase),
+            float(rates > 0.3),
+            [0.0] * self.range.count,
+            seed,
+        )
+        self.range.disturb(joints, own, np.zeros(self.range.count))
+        attack = replace(attack, joints=joints.tolist())
+        shares = self.range.shares(own, attack, self)
+        self.range.disturb(joints, own, shares)
+        return replace(attack, joints=joints.tolist(), shares=shares.tolist())
+
+    def simulate(self, attack: Attack, count: int | None = None) -> bool:
+        """Fill the first samples; False if the simulation diverged."""
+        samples, shares = self.samples[:count], np.array(attack.shares)
+        course = Course(
+            self.range.to_joint, np.array(attack.joints), attack.rest, attack.switch_speed,
+            attack.switch_phase, attack.rate_switch)  # fmt: skip
+        good = bool(simulate(
+            self.range.member(shares), course, self.range.sensing, self._substeps,
+            np.random.default_rng(attack.seed), self._scratch, samples,
+        ))  # fmt: skip
+        return good and bool(np.abs(samples).max() < _LARGEST_VALUE)
+
+    def run(self, attack: Attack) -> Finding:
+        """Simulate one attack, and look at the thresholds all along."""
+        if self.simulate(attack):
+            return Finding(*self.range.judge(self.samples), attack)
+        nothing = np.zeros(self.samples.shape[2])
+        return Finding(nothing, nothing, nothing, False, attack)
+
+    def from_dict(self, data: dict[str, Any]) -> Attack:
+        """Attack from plain numbers; ValueError, TypeError if they are of another arm."""
+        attack = Attack(**data)
+        shape = RATE_SCALE + 1, self.samples.shape[2]
+        if np.shape(attack.joints) != shape or len(attack.shares) != self.range.count:
+            raise ValueError(f'joints must have shape {shape}, shares {self.range.count} numbers')
+        if not np.isfinite([*np.ravel(attack.joints), *attack.shares, attack.rest]).all():
+            raise ValueError('must be finite numbers')
+        return attack
+
+
+def _geometric(share: FloatArray, low: float, high: float) -> FloatArray:
+    return np.asarray(low * (high / low) ** (0.5 * (share + 1.0)))
+
+
+def _stamps(samples: FloatArray, period: float) -> np.ndarray:
+    return 10**9 + round(period * 1e9) * np.arange(len(samples))
+
+
+class _DesignedRange:
+    """Model error, payload, friction, disturbance and rate errors that gains are designed for."""
+
+    own = count = 11  # numbers of a candidate beside motion, rest and switching; shares
+    finer = 1  # steps of the plant for each that the nominal arm needs
+
+    def __init__(self, described: SerialArm, gains: Gains) -> None:
+        self.arm, self.chain = planar_model(described), compile_chain(described)
+        arm = self.arm
+        joints = JointMap(arm)
+        to_joint = described.sensors_to_joints()
+        self.sensing = Sensing(
+            to_joint, np.linalg.inv(to_joint), np.full(2, arm.position_noise),
+            np.full(2, arm.velocity_noise), np.zeros(2), np.zeros(2), arm.sample_time,
+            np.array(arm.torque_limit))  # fmt: skip
+        # Motions are those of the absolute angles, which the certified region is of.
+        self.to_joint = J
+        self._reach = _REACH * np.arccos(arm.cos_min)
+        # Joint positions are linear in the absolute angles but for their zero.
+        upright = 0.0 if arm.sign > 0 else np.pi
+        self._monitor = SerialSensorMonitor('', described, gains=gains, observer='uio')
+        self._middle = np.linalg.solve(J, joints.joint_position(np.full(2, upright)))
+
+    def motion(self, numbers: FloatArray) -> FloatArray:
+        away = numbers[0] * self._reach
+        swing = 0.5 * (numbers[1] + 1.0) * (self._reach - np.abs(away))
+        speed = _geometric(numbers[2], _SLOWEST, _FASTEST)
+        fastest = (swing * speed).sum() / (_SPEED * min(self.arm.velocity_limit))
+        return np.array([self._middle + away, swing, speed / max(1.0, fastest)])
+
+    def shares(self, own: FloatArray, attack: Attack, attacker: Attacker) -> FloatArray:
+        return np.clip(2.0 * own, -1.0, 1.0)  # corners are reached
+
+    def disturb(self, joints: FloatArray, own: FloatArray, shares: FloatArray) -> None:
+        arm, direction = self.arm, J @ np.array(self.arm.disturbance_direction)
+        joints[ACCELERATION] = direction * abs(arm.disturbance_mean) * shares[6]
+        joints[SHAKE] = direction * np.sqrt(arm.disturbance_variance)
+        joints[RATE_SCALE] = arm.velocity_error * shares[7:9]
+        joints[RATE_BIAS] = RATE_BIAS_FACTOR * arm.velocity_noise * shares[9:11]
+
+    def member(self, shares: FloatArray) -> Chain:
+        """The nominal arm where the corner is not physical."""
+        arm, error = self.arm, 1.0 + self.arm.model_error * shares
+        factor = 1.0 + arm.friction_error * shares[5]
+        other = replace(
+            arm.scaled(error[:2].tolist(), error[2:4].tolist()),
+            viscous=tuple(factor * v for v in arm.viscous),
+            coulomb=tuple(factor * v for v in arm.coulomb),
+        ).with_payload(0.5 * (shares[4] + 1.0) * arm.payload)
+        return compile_chain(serial_from_planar(other)) if other.is_physical() else self.chain
+
+    def judge(self, samples: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, bool]:
+        self._monitor.reset()
+        answers = self._monitor.take_many(
+            _stamps(samples, self.arm.sample_time), *np.ascontiguousarray(samples.swapaxes(0, 1))
+        )
+        # The bound is the threshold without its floor.
+        state, threshold = np.asarray(answers.fault.state), np.array(answers.fault.bound)
+        judged = answers.has_fault[:, None] & (state <= int(SensorState.ERROR))
+        judged &= (threshold > 0.0) & (threshold < LARGEST)
+        ratio = np.abs(answers.fault.estimate) / np.where(judged, threshold, np.inf)
+        row, both = ratio.argmax(axis=0), np.arange(2)
+        blamed = any(event.sensor for _, event in answers.events)
+        return ratio[row, both], threshold[row, both], row * self.arm.sample_time, blamed
+
+
+class _StatedRange:
+    """What an arm file states in ``uncertainty`` and of its sensors."""
+
+    finer = 2  # corners are stiffer
+
+    def __init__(self, arm: SerialArm, monitored: SerialArm) -> None:
+        for one in (arm, monitored):
+            if not is_stated(one):
+                raise ConfigError('uncertainty.model_error', 'is not stated: nothing is guaranteed')
+        n, sensors = len(arm.joints), [joint.sensors for joint in arm.joints]
+        self.arm, self._told, self.chain = arm, monitored, compile_chain(arm)
+        self._sizes = parameter_set(arm, self.chain)
+        self.own, self.count, self.to_joint = n + 4, generator_count(self._sizes), np.eye(n)
+        self._gain = np.array([joint.torque_gain for joint in arm.joints])
+        self.sensing = Sensing(
+            np.eye(n), np.eye(n), np.array([one.position_noise for one in sensors]),
+            np.array([one.velocity_noise for one in sensors]),
+            np.array([one.quantization for one in sensors]),
+            np.array([float(one.rates != 'independent') for one in sensors]),
+            arm.sample_time, np.array(arm.torque_limit))  # fmt: skip
+
+    def motion(self, numbers: FloatArray) -> FloatArray:
+        low, high = np.array([joint.range for joint in self.arm.joints]).T
+        fastest = np.array([min(joint.limits.velocity, 4.0) for joint in self.arm.joints])
+        away = numbers[0] * 0.5 * (high - low)
+        swing = 0.5 * (numbers[1] + 1.0) * (0.5 * (high - low) - np.abs(away))
+        speed = _geometric(numbers[2], _SLOWEST, _FASTEST)
+        speed = np.minimum(speed, 0.7 * fastest / np.maximum(swing, 1e-3))
+        return np.array([0.5 * (low + high) + away, swing, speed])
+
+    def shares(self, own: FloatArray, attack: Attack, attacker: Attacker) -> FloatArray:
+        """The corner that the monitor's own factors point to at the moment that is aimed at."""
+        (aim, late, sign, free), n = own[-4:], len(self.arm.joints)
+        shares = np.random.default_rng(attack.seed).choice([-1.0, 1.0], self.count)
+        if free < 0.8:
+            joint = min(int(0.5 * (aim + 1.0) * n), n - 1)
+            count = max(int(max(0.1, 0.5 * (late + 1.0)) * len(attacker.samples)), 100)
+            if attacker.simulate(attack, count):
+                samples, monitor = (
+                    self._measured(attacker.samples[:count]),
+                    SerialMonitor(self._told),
+                )
+                monitor.update_many(_stamps(samples, self.arm.sample_time), samples)
+                if monitor.healthy is not None:
+                    effects = monitor.healthy.evaluate().effects
+                    shares = np.where(effects[joint] * sign >= 0.0, 1.0, -1.0)
+        at_tip = payload_generator(self._sizes, self.arm.uncertainty.payload)
+        if at_tip >= 0:  # no payload is negative; its place counts with its mass
+            shares[at_tip] = max(shares[at_tip], 0.0)
+            shares[at_tip + 1 : len(self._sizes.inertial)] *= shares[at_tip]
+        return shares
+
+    def disturb(self, joints: FloatArray, own: FloatArray, shares: FloatArray) -> None:
+        # Torques that the model misses are what it may miss at any speed.
+        missed = np.array([min(joint.torque_tolerance.torque) for joint in self.arm.joints])
+        joints[PUSH] = np.clip(2.0 * own[:-4], -1.0, 1.0) * missed
+        joints[RATE_BIAS] = shares[-len(missed) :] * self._sizes.rate_bias
+
+    def member(self, shares: FloatArray) -> Chain:
+        return member(self.chain, self._sizes, shares)
+
+    def _measured(self, samples: FloatArray) -> FloatArray:
+        """Efforts as the drives state them."""
+        measured = samples.copy()
+        measured[:, 2] /= self._gain
+        return measured
+
+    def judge(self, samples: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, bool]:
+        n, stamps = samples.shape[2], _stamps(samples, self.arm.sample_time)
+        ratios, thresholds, times = np.zeros(n), np.full(n, np.nan), np.zeros(n)
+        samples, monitor = self._measured(samples), SerialMonitor(self._told)
+        chunk = max(1, round(_LOOK_EVERY / self.arm.sample_time))
+        for begin in range(0, len(stamps), chunk):
+            end = min(begin + chunk, len(stamps))
+            monitor.update_many(stamps[begin:end], samples[begin:end])
+            if monitor.healthy is None or len(monitor.estimator) == 0:
+                continue
+            found = monitor.healthy.evaluate()
+            judged = (found.response > LEAST_RESPONSE) & (found.threshold < LARGEST)
+            ratio = np.abs(found.estimate) / np.maximum(found.threshold, 1e-12)
+            worse = np.where(judged, ratio, 0.0) > ratios
+            ratios = np.where(worse, ratio, ratios)
+            thresholds = np.where(worse, found.threshold, thresholds)
+            times = np.where(worse, end * self.arm.sample_time, times)
+        for alarm in monitor.alarms:
+            if alarm.guaranteed:
+                i = self.arm.sensor_names.index(alarm.sensor)
+                ratios[i], times[i] = max(float(ratios[i]), 1.0), alarm.detected
+        return ratios, thresholds, times, any(alarm.sensor for alarm in monitor.alarms)

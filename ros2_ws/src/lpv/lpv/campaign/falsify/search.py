@@ -1,0 +1,121 @@
+"""Search for the healthy run that comes nearest to its threshold: random, structured, CMA-ES."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from cmaes import CMA
+
+from lpv.bag.rosbag.messages import BagMessages
+from lpv.bag.rosbag.writing import BagWriter
+from lpv.campaign.falsify.attack import Attacker, Finding
+from lpv.core.serial_arm.chain import FloatArray
+from lpv.core.support.config import read_yaml
+from lpv.core.support.errors import ConfigError
+
+SCENARIO, BAG = 'worst.yaml', 'worst_bag'
+LONGEST = 3600.0
+"""Longest run [s]."""
+_RANDOM = 0.2
+"""Share of evaluations at random, beside the structured ones."""
+_PATIENCE = 60
+"""Generations of one optimisation before it starts again elsewhere."""
+
+
+def search(
+    attacker: Attacker,
+    evaluations: int,
+    seed: int = 0,
+    progress: Callable[[int, Finding], None] | None = None,
+) -> list[Finding]:
+    """Find the worst attack among so many runs; all of them, the worst first.
+
+    ``progress`` is called with the number of runs and the worst finding whenever there is a worse
+    one.
+    """
+    rng, found = np.random.default_rng(seed), list[Finding]()
+
+    def ratio(candidate: FloatArray) -> float:
+        found.append(attacker.run(attacker.attack(candidate, int(rng.integers(2**31)))))
+        last = found[-1]
+        if progress is not None and last.ratio > max((f.ratio for f in found[:-1]), default=-1.0):
+            progress(len(found), last)
+        return last.ratio
+
+    def left() -> bool:
+        return len(found) < evaluations
+
+    structured = attacker.structured(rng)[:evaluations]
+    rest = max(0, min(round(_RANDOM * evaluations), evaluations) - len(structured))
+    first = [*structured, *rng.uniform(-1.0, 1.0, (rest, attacker.numbers))]
+    best = sorted(((ratio(candidate), k) for k, candidate in enumerate(first)), reverse=True)
+    for optimiser in _optimisers([first[k] for _, k in best[:8]], rng):
+        for _ in range(_PATIENCE):
+            if not left():
+                return sorted(found, key=lambda finding: -finding.ratio)
+            answers = []
+            for _ in range(optimiser.population_size):
+                candidate = optimiser.ask()
+                answers.append((candidate, -ratio(candidate) if left() else 0.0))
+            optimiser.tell(answers)
+            if optimiser.should_stop():
+                break
+    raise AssertionError('optimisers do not end')
+
+
+def _optimisers(means: list[FloatArray], rng: np.random.Generator) -> Iterator[CMA]:
+    bounds = np.tile([-1.0, 1.0], (len(means[0]), 1))
+    for start in range(2**31):
+        mean, seed = 0.95 * means[start % len(means)], int(rng.integers(2**31))
+        yield CMA(mean=mean, sigma=0.3, bounds=bounds, seed=seed)
+
+
+def write_worst(attacker: Attacker, worst: Finding, folder: str | Path) -> None:
+    """Write the worst attack as YAML, and the measurements of its run as a bag that replays."""
+    folder, arm = Path(folder), attacker.arm
+    folder.mkdir(parents=True, exist_ok=True)
+    content = {
+        'ratio': worst.ratio,
+        'sensor': arm.sensor_names[worst.sensor],
+        'time': float(worst.times[worst.sensor]),
+        'threshold': float(worst.thresholds[worst.sensor]),
+        'duration': len(attacker.samples) * arm.sample_time,
+        'attack': asdict(worst.attack),
+    }
+    (folder / SCENARIO).write_text(yaml.safe_dump(content, sort_keys=False), encoding='utf-8')
+    attacker.run(worst.attack)
+    with BagWriter(folder / BAG, 'zstd_small') as writer:
+        messages = BagMessages(writer.typestore, 'base_link')
+        writer.add_topic('/lpv/joint_states', 'sensor_msgs/msg/JointState')
+        for k, sample in enumerate(attacker.samples):
+            stamp = 10**9 + k * round(arm.sample_time * 1e9)
+            message = messages.joint_state(stamp, arm.joint_names, *sample.tolist())
+            writer.write('/lpv/joint_states', stamp, message)
+
+
+def read_attack(path: str | Path) -> tuple[dict[str, Any], float]:
+    """Attack and duration [s] of a file that `write_worst` wrote; ConfigError if it is none."""
+    data = read_yaml(path)
+    try:
+        duration = float(data['duration'])
+        if not isinstance(data['attack'], dict) or not 0.0 < duration <= LONGEST:
+            raise ValueError(f'no attack of at most {LONGEST:g} s')
+        return data['attack'], duration
+    except (KeyError, TypeError, ValueError) as error:
+        raise _no_attack(error, path) from None
+
+
+def repeat(attacker: Attacker, data: dict[str, Any], path: str | Path) -> Finding:
+    """Run the attack of a file again; errors as of `read_attack`."""
+    try:
+        attack = attacker.from_dict(data)
+    except (KeyError, TypeError, ValueError) as error:
+        raise _no_attack(error, path) from None
+    return attacker.run(attack)
+
+
+def _no_attack(error: Exception, path: str | Path) -> ConfigError:
+    return ConfigError('attack', f'is not that of lpv falsify ({error})', str(path))

@@ -1,0 +1,187 @@
+"""The campaign file: what is run, what varies, how often."""
+
+import math
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lpv.campaign.plan.factors import ByKind, Choice, Range, parse_factor
+from lpv.core.control.tracking import COMPENSATION
+from lpv.core.monitoring.parameters import DiagnosisParameters
+from lpv.core.simulation.faults import KINDS
+from lpv.core.simulation.scenario import PLANTS
+from lpv.core.support.config import Section, read_yaml
+
+METHODS = ('factorial', 'random', 'latin_hypercube')
+MOST_RUNS = 10_000_000
+NO_FAULT, BOTH = 'none', 'both'
+PATHS = ('scenario', 'random')
+_INF = math.inf
+NUMBERS = {
+    'fault.size': (-_INF, _INF),
+    'fault.rate': (-_INF, _INF),
+    'fault.onset': (0.0, _INF),
+    'fault.duration': (0.0, _INF),
+    'fault.sign': (-1.0, 1.0),
+    'noise': (0.0, 1e3),
+    'disturbance': (0.0, 1e3),
+    **dict.fromkeys(('mass_1', 'mass_2', 'inertia_1', 'inertia_2'), (1e-3, 1e3)),
+    'parameter_error': (0.0, 0.5),
+    'payload': (-_INF, _INF),
+    'friction': (0.0, 100.0),
+    'sample_time': (1e-5, 1.0),
+    'command_delay': (0.0, 63.0),
+    'sample_loss': (0.0, 0.999),
+}
+"""Factors that are numbers, and their ranges; units and meaning in docs/scenario-file.md."""
+_BY_KIND = ('fault.size', 'fault.rate', 'fault.duration')
+TEXTS = ('design', 'path', 'plant', 'compensation', 'fault.kind', 'fault.sensor')
+"""Factors that are texts."""
+DEFAULTS: dict[str, Any] = {
+    **dict.fromkeys((*TEXTS, *NUMBERS)),
+    'path': 'scenario',
+    'compensation': 'confirmed',
+    'fault.kind': NO_FAULT,
+    'fault.size': 0.0,
+    'fault.rate': 0.0,
+    'fault.onset': 5.0,
+    'fault.duration': 0.0,
+    'command_delay': 0.0,
+    'sample_loss': 0.0,
+}
+"""What acts where the campaign file is silent; None: what scenario or arm file says, the first
+design, the first sensor, a sign by chance."""
+TUNING = {
+    f'diagnosis.{field.name}': field.name
+    for field in fields(DiagnosisParameters)
+    if field.type in (float, 'float')
+}
+"""Factors that are numbers of the diagnosis, and the names that it gives them."""
+
+
+@dataclass(frozen=True)
+class CampaignSpec:
+    """A campaign file."""
+
+    name: str  # Name
+    seed: int  # Seed of the plan and, with the number of a run, of the run
+    method: str  # One of `METHODS`
+    runs: int  # Number of runs
+    arm: str  # Arm file, or name of a shipped arm
+    scenario: str  # Base scenario: a file, or name of a shipped one
+    duration: float | None  # Length of a run [s]; None: the scenario's
+    designs: tuple  # Requirement or gains files, or names of shipped requirements
+    factors: dict  # What varies, and what is fixed to another value than the default
+    substeps: int = 2  # Runge-Kutta steps of the plant per sample
+    # Whether each run with a fault is repeated without it, for the ratio of tracking errors
+    twin: bool = False
+
+
+def load_spec(path: str | Path) -> CampaignSpec:
+    """Read a campaign file; see ``docs/scenario-file.md``."""
+    return parse_spec(read_yaml(path), str(path))
+
+
+def parse_spec(data: dict[str, Any], source: str = 'campaign') -> CampaignSpec:
+    """Build a campaign from the mapping of its file, validated as far as possible without the arm;
+    ConfigError names the offending field."""
+    top = Section(data, source)
+    plan = top.section('plan')
+    method = plan.text('method', choices=METHODS)
+    factors = _factors(top.plain('factors'), source)
+    designs = top.texts('designs', ('paper',))
+    if len(designs) > 1:
+        factors.setdefault('design', Choice(designs))
+    if method == 'factorial':
+        levels = (len(factor.units) for factor in flat_factors(factors).values())
+        runs = plan.integer('repeats', 1, low=1) * math.prod(levels)
+    else:
+        runs = plan.integer('runs', low=1)
+    if runs > MOST_RUNS:
+        raise plan.error('runs', f'would be {runs}; at most {MOST_RUNS} can be asked for')
+    spec = CampaignSpec(
+        name=top.text('name'),
+        seed=top.integer('seed', 1, low=0),
+        method=method,
+        runs=runs,
+        arm=top.text('arm', 'paper'),
+        scenario=top.text('scenario', 'two_faults'),
+        duration=top.number('duration', above=0.0, high=1e4) if 'duration' in top else None,
+        designs=designs,
+        factors=factors,
+        substeps=top.integer('substeps', 2, low=1),
+        twin=top.flag('twin', False),
+    )
+    plan.finish()
+    top.finish()
+    return spec
+
+
+def flat_factors(factors: dict[str, Choice | Range | ByKind]) -> dict[str, Choice | Range]:
+    """Factors as coordinates of a plan: one that goes by kind counts as one continuous number."""
+    return {
+        name: max(factor.kinds.values(), key=lambda kind: len(kind.units))
+        if isinstance(factor, ByKind)
+        else factor
+        for name, factor in factors.items()
+    }
+
+
+def _factors(data: dict[str, Any], source: str) -> dict[str, Choice | Range | ByKind]:
+    factors, section = {}, Section(data, source, 'factors')
+    for name, value in data.items():
+        if name not in DEFAULTS and name not in TUNING:
+            raise section.error(
+                name, 'is not a factor; there are ' + ', '.join([*DEFAULTS, *sorted(TUNING)])
+            )
+        kinds = KINDS if name in _BY_KIND else None
+        factors[name] = factor = parse_factor(value, f'factors.{name}', source, kinds)
+        for part in factor.kinds.values() if isinstance(factor, ByKind) else (factor,):
+            _check(part, name, section)
+    return factors
+
+
+def _check(factor: Choice | Range, name: str, section: Section) -> None:
+    """Type and range of a factor's values."""
+    values = factor.values if isinstance(factor, Choice) else (factor.low, factor.high)
+    numeric = name not in TEXTS
+    if isinstance(values[0], str) == numeric:
+        raise section.error(name, 'must be a number' if numeric else 'must be a text')
+    if numeric:
+        low, high = NUMBERS.get(name, (0.0, _INF))
+        if min(values) < low or max(values) > high:
+            raise section.error(name, f'must lie within {low:g} and {high:g}')
+        if name == 'sample_time' and not isinstance(factor, Choice):
+            raise section.error(name, 'must be values: each one has gains of its own')
+        if name == 'command_delay' and isinstance(factor, Choice) and any(v % 1.0 for v in values):
+            raise section.error(name, 'counts samples: whole numbers')
+        return
+    known = {'fault.kind': (NO_FAULT, *KINDS), 'plant': PLANTS, 'compensation': COMPENSATION}
+    for value in values:
+        if name in known and value not in known[name]:
+            raise section.error(name, f'{value!r} is none of ' + ', '.join(known[name]))
+
+
+class Plan:
+    """Points of the unit cube, one a run; each follows from seed and number alone."""
+
+    def __init__(self, spec: CampaignSpec) -> None:
+        factors = flat_factors(spec.factors).values()
+        self._spec, self._levels = spec, [factor.units for factor in factors]
+        if spec.method == 'latin_hypercube':
+            rng = np.random.default_rng([spec.seed, 0])
+            strata = [rng.permutation(spec.runs) for _ in factors]
+            self._strata = np.array(strata, int).reshape(len(strata), spec.runs).T
+
+    def point(self, number: int) -> np.ndarray:
+        """Coordinates of a run in [0, 1], one a factor."""
+        spec, counts = self._spec, [len(levels) for levels in self._levels]
+        if spec.method == 'factorial':
+            place = np.unravel_index(number % math.prod(counts), counts) if counts else ()
+            return np.array([levels[k] for levels, k in zip(self._levels, place)], float)
+        offset = np.random.default_rng([spec.seed, 1, number]).random(len(counts))
+        if spec.method == 'random':
+            return offset
+        return (self._strata[number] + offset) / spec.runs

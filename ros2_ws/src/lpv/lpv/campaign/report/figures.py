@@ -1,0 +1,147 @@
+"""Pictures of a campaign, each from numbers of its report."""
+
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import PercentFormatter
+
+from lpv.report.style import BAND, INK, SENSOR, SETTINGS
+
+_LEAST_DELAY = 1e-3
+_MOST_TRENDS = 6
+
+
+def draw_all(numbers: dict[str, Any]) -> dict[str, Figure]:
+    """Pictures by name; those without data are left out."""
+    found = {}
+    with plt.rc_context(SETTINGS):
+        for name, draw in (
+            ('detection', _detection),
+            ('roc', _roc),
+            ('estimates', _estimates),
+            ('trends', _trends),
+        ):
+            figure = draw(numbers)
+            if figure is not None:
+                found[name] = figure
+    return found
+
+
+def _detection(numbers: dict[str, Any]) -> Figure | None:
+    """Probability of detection above delay, one column per kind of fault that has a size."""
+    entries = [entry for entry in numbers['detection'] if len(entry['classes']) > 1]
+    kinds = list(dict.fromkeys(entry['kind'] for entry in entries))[:6]
+    if not kinds:
+        return None
+    names = list(dict.fromkeys(entry['sensor'] for entry in entries))
+    colours = dict(zip(names, SENSOR))
+    figure, axes = plt.subplots(
+        *(2, len(kinds)),
+        figsize=(max(2.1 * len(kinds) + 0.8, 4.5), 5.0),
+        sharex='col',
+        sharey='row',
+        squeeze=False,
+    )
+    for (top, bottom), kind in zip(axes.T, kinds):
+        mine = [entry for entry in entries if entry['kind'] == kind]
+        for entry in mine:
+            _probability(top, entry, colours[entry['sensor']])
+            _delay(bottom, entry, colours[entry['sensor']])
+        unit = mine[0]['unit']
+        top.set(title=kind, ylim=(-0.02, 1.02))
+        top.yaxis.set_major_formatter(PercentFormatter(1.0))
+        label = mine[0]['dose'] + (f' [{unit}]' if unit != '1' else '')
+        bottom.set(xscale='log', yscale='log', xlabel=label)
+    axes[0, 0].set_ylabel('detected')
+    axes[1, 0].set_ylabel('delay [s]')
+    handles = [plt.Line2D([], [], color=colours[name], label=name) for name in names]
+    figure.legend(handles=handles, loc='outside upper center', ncols=min(len(names), 4))
+    return figure
+
+
+def _probability(axis: Axes, entry: dict[str, Any], colour: str) -> None:
+    middle = [c['middle'] for c in entry['classes']]
+    parts = ([c['detected'][k] for c in entry['classes']] for k in ('rate', 'low', 'high'))
+    rate, low, high = (np.array(part) for part in parts)
+    error = np.maximum([rate - low, high - rate], 0.0)
+    axis.errorbar(middle, rate, error, fmt='o', color=colour, markersize=3.5, elinewidth=0.9)
+
+
+def _delay(axis: Axes, entry: dict[str, Any], colour: str) -> None:
+    pairs = [(s, d) for s, d in zip(entry['sizes'], entry['delays']) if d is not None]
+    if pairs:
+        size, delay = np.maximum(np.array(pairs).T, _LEAST_DELAY)
+        axis.scatter(size, delay, s=3, color=colour, alpha=0.35, linewidths=0, rasterized=True)
+    classes = [c for c in entry['classes'] if c['delay']['count']]
+    middle = [c['middle'] for c in classes]
+    low, median, high = (
+        [max(c['delay'][k], _LEAST_DELAY) for c in classes] for k in ('low', 'median', 'high')
+    )
+    axis.fill_between(middle, low, high, color=colour, alpha=0.18, linewidth=0.0)
+    axis.plot(middle, median, color=colour, marker='o', markersize=2.5)
+
+
+def _roc(numbers: dict[str, Any]) -> Figure | None:
+    """ROC curves of the score, and the alarms that were really raised."""
+    if not numbers['roc']:
+        return None
+    figure, axis = plt.subplots(figsize=(5.6, 4.2))
+    for entry, colour in zip(numbers['roc'], SENSOR):
+        label = f'{entry["kind"]}, area {entry["area"]:.3f}'
+        axis.step(entry['false_alarm'], entry['detection'], color=colour, label=label)
+        axis.plot(*entry['shipped'], 'o', color=colour, markersize=4)
+        if entry['raised'] is not None:
+            axis.plot(*entry['raised'], 'D', color=colour, markersize=4, mfc='none')
+    axis.set_xscale('symlog', linthresh=0.01)
+    axis.set(xlim=(-0.0005, 1.0), ylim=(-0.02, 1.02), xlabel='false alarms a window')
+    axis.set_ylabel('detected')
+    for one in (axis.xaxis, axis.yaxis):
+        one.set_major_formatter(PercentFormatter(1.0))
+    axis.legend(loc='lower right')
+    return figure
+
+
+def _estimates(numbers: dict[str, Any]) -> Figure | None:
+    """Errors of the fault estimates beside the thresholds, one pair of boxes a sensor."""
+    entries = [entry for entry in numbers['estimates'] if entry['values']]
+    if not entries:
+        return None
+    figure, axis = plt.subplots(figsize=(max(4.5, 1.3 * len(entries) + 1.5), 3.4))
+    for name, shift, colour in (('values', -0.17, SENSOR[0]), ('thresholds', 0.17, BAND)):
+        boxes = axis.boxplot(
+            [entry[name] for entry in entries],
+            positions=np.arange(len(entries)) + shift,
+            widths=0.28,
+            whis=(5, 95),
+            showfliers=False,
+            patch_artist=True,
+            medianprops={'color': INK},
+        )
+        for box in boxes['boxes']:
+            box.set_facecolor(colour)
+    axis.set_xticks(range(len(entries)), [entry['sensor'] for entry in entries])
+    axis.tick_params(axis='x', labelrotation=30 if len(entries) > 3 else 0)
+    axis.set(yscale='log', ylabel='[rad]', title=f'{entries[0]["what"]} (blue), thresholds (grey)')
+    return figure
+
+
+def _trends(numbers: dict[str, Any]) -> Figure | None:
+    """Mean fault estimates of the arms that change most clearly, over time."""
+    chosen = [trend for trend in numbers['trends'] if trend['clear']][:_MOST_TRENDS]
+    if not chosen:
+        return None
+    rows = (len(chosen) + 1) // 2
+    figure, axes = plt.subplots(rows, min(2, len(chosen)), figsize=(8.6, 2.5 * rows), squeeze=False)
+    for axis, trend in zip(axes.flat, chosen):
+        days, means = np.array(trend['days']), np.array(trend['means'])
+        line = np.median(means) + trend['slope'] * (days - np.median(days))
+        axis.plot(days, 1e3 * means, 'o', color=SENSOR[0], markersize=3.5)
+        axis.plot(days, 1e3 * line, color=SENSOR[1])
+        axis.set(title=f'{trend["unit"] or "-"}, {trend["sensor"]}', xlabel='days')
+        axis.set_ylabel('mean estimate [mrad]')
+    for axis in list(axes.flat)[len(chosen) :]:
+        axis.set_axis_off()
+    return figure

@@ -1,0 +1,188 @@
+"""Rows of results as columns of NumPy; rates, spreads and curves with 95 % intervals."""
+
+import math
+from functools import lru_cache
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from scipy import stats
+
+from lpv.campaign.plan.spec import BOTH, NO_FAULT
+from lpv.core.simulation.faults import KINDS
+
+LEVEL = 0.95
+"""Confidence level of all intervals."""
+_FEWEST_CASES = 10
+_FEWEST_BAGS = 5
+"""Bags of one arm from which a trend is looked for."""
+_DAY = 86400e9
+DOSES = {
+    'bias': ('size', 'rad'),
+    'drift': ('rate', 'rad/s'),
+    'scale': ('relative size', '1'),
+    'noise': ('standard deviation', 'rad'),
+    'spike': ('height', 'rad'),
+    'rate_bias': ('size', 'rad/s'),
+    'unknown': ('largest size', 'rad'),
+}
+"""What ``fault_size`` is called, and its unit, of the kinds that have one."""
+
+
+class Results:
+    """Rows of a campaign, or of a part of it; columns may be missing or empty.
+
+    ``kind`` and ``sensor`` are those of the injected fault, '' where it is not known; ``faulty``
+    says whether there was any.
+    """
+
+    def __init__(self, table: pa.Table, sensors: tuple[str, ...]) -> None:
+        self.table, self.sensors, self.count = table, sensors, table.num_rows
+        self.kind, self.sensor = self.text('kind'), self.text('sensor')
+        self.faulty = (self.kind != NO_FAULT) & (self.kind != '')
+
+    def number(self, name: str) -> np.ndarray:
+        """A column of numbers, NaN where there is none; shape (count,)."""
+        if name not in self.table.column_names:
+            return np.full(self.count, math.nan)
+        values = self.table[name].to_pylist()
+        return np.array([math.nan if v is None else v for v in values], float)
+
+    def text(self, name: str, empty: str = '') -> np.ndarray:
+        """A column of texts, ``empty`` where there is none; shape (count,)."""
+        if name not in self.table.column_names:
+            return np.full(self.count, empty, object)
+        values = [empty if v is None else str(v) for v in self.table[name].to_pylist()]
+        return np.array(values, object)
+
+    def flag(self, name: str) -> np.ndarray:
+        """A column of truths, False where there is none; shape (count,)."""
+        return np.nan_to_num(self.number(name)) > 0.0
+
+    def each(self, name: str) -> np.ndarray:
+        """A column of every sensor; shape (count, sensors)."""
+        columns = [self.number(f'{name}_{i + 1}') for i in range(len(self.sensors))]
+        return np.column_stack(columns)
+
+    @property
+    def kinds(self) -> list[str]:
+        """Kinds of faults that occur, in the order in which they are documented."""
+        present = set(self.kind[self.faulty])
+        return [kind for kind in (*KINDS, 'unknown') if kind in present]
+
+    @property
+    def several(self) -> np.ndarray:
+        """Rows in which several sensors are faulty; shape (count,)."""
+        return np.array([name == BOTH or '+' in name for name in self.sensor], bool)
+
+    def hits(self, index: int) -> np.ndarray:
+        """Rows in which a sensor is faulty, alone or with others; shape (count,)."""
+        name = self.sensors[index]
+        mine = [sensor == BOTH or name in sensor.split('+') for sensor in self.sensor]
+        return np.array(mine, bool) & self.faulty
+
+
+@lru_cache(maxsize=10_000)
+def proportion(hits: int, cases: int) -> dict[str, Any]:
+    """A rate with Wilson's interval; ``rate``, ``low``, ``high`` are None without cases."""
+    if cases == 0:
+        return {'hits': 0, 'cases': 0, 'rate': None, 'low': None, 'high': None}
+    interval = stats.binomtest(hits, cases).proportion_ci(LEVEL, 'wilson')
+    ends = {'low': float(interval.low), 'high': float(interval.high)}
+    return {'hits': hits, 'cases': cases, 'rate': hits / cases, **ends}
+
+
+def share(mask: np.ndarray, among: np.ndarray | None = None) -> dict[str, Any]:
+    """Rate of a property, with its interval."""
+    among = np.ones(len(mask), bool) if among is None else among
+    return proportion(int(np.count_nonzero(mask & among)), int(np.count_nonzero(among)))
+
+
+def poisson_rate(events: float, hours: float) -> dict[str, Any]:
+    """Rate of events with the exact Poisson interval (Garwood) [1/h].
+
+    The rates are None without time; without events ``high`` is the one-sided bound: 3.0 over the
+    time.
+    """
+    events, hours = int(events), float(hours)
+    result = {'events': events, 'hours': hours, 'rate': None, 'low': None, 'high': None}
+    if not hours > 0.0:
+        return result
+    tail = (1.0 - LEVEL) / 2.0
+    low = float(stats.chi2.ppf(tail, 2 * events)) / 2.0 if events else 0.0
+    high = float(stats.chi2.isf(tail if events else 2.0 * tail, 2 * events + 2)) / 2.0
+    return {**result, 'rate': events / hours, 'low': low / hours, 'high': high / hours}
+
+
+def spread(values: np.ndarray) -> dict[str, Any]:
+    """``count``, ``median`` and the middle 90 % (``low``, ``high``) of what is finite."""
+    values = np.asarray(values, float)
+    values = values[np.isfinite(values)]
+    if not values.size:
+        return {'count': 0, 'low': None, 'median': None, 'high': None}
+    low, median, high = (float(v) for v in np.percentile(values, (5.0, 50.0, 95.0)))
+    return {'count': int(values.size), 'low': low, 'median': median, 'high': high}
+
+
+def found_from(sizes: np.ndarray, found: np.ndarray, rate: float = 0.95) -> float:
+    """Smallest size from which on a share of the faults is detected; NaN if there is none."""
+    order = np.argsort(-sizes, kind='stable')
+    shares = np.cumsum(found[order]) / np.arange(1, len(order) + 1)
+    enough = np.flatnonzero(shares >= rate)
+    return (
+        float(sizes[order][enough[-1]]) if len(order) >= _FEWEST_CASES and len(enough) else math.nan
+    )
+
+
+def roc(positive: np.ndarray, negative: np.ndarray) -> dict[str, Any] | None:
+    """ROC curve of scores, and the area under it; None where either is empty."""
+    positive, negative = (part[~np.isnan(part)] for part in (positive, negative))
+    if not (positive.size and negative.size):
+        return None
+    factors = np.unique(np.concatenate([[0.0, 1.0], positive, negative]))[::-1]
+    factors = factors[np.linspace(0, len(factors) - 1, min(len(factors), 400)).astype(int)]
+    area = float(stats.mannwhitneyu(positive, negative).statistic) / positive.size / negative.size
+    return {
+        'area': area,
+        'positive': positive.size,
+        'negative': negative.size,
+        'detection': (positive > factors[:, None]).mean(axis=1).tolist(),
+        'false_alarm': (negative > factors[:, None]).mean(axis=1).tolist(),
+        'shipped': [float((part > 1.0).mean()) for part in (negative, positive)],
+    }
+
+
+def trends(results: Results) -> list[dict[str, Any]]:
+    """How fault estimates of each sensor of each arm change from bag to bag, the least probable
+    first: slope of Theil and Sen [rad/d], probability of so much order by chance (Kendall's tau),
+    days until the estimate reaches the mean threshold, and whether the trend is ``clear``: less
+    probable than 5 % over all trends together (Bonferroni)."""
+    units, start = results.text('unit'), results.number('start')
+    means, thresholds = results.each('fault_mean'), results.each('threshold_mean')
+    found = []
+    for unit, (i, sensor) in product(sorted(set(units)), enumerate(results.sensors)):
+        mine = np.flatnonzero((units == unit) & np.isfinite(means[:, i]))
+        mine = mine[np.argsort(start[mine], kind='stable')]
+        if len(set(start[mine])) < _FEWEST_BAGS:
+            continue
+        days, values = (start[mine] - start[mine[0]]) / _DAY, means[mine, i]
+        slope, _, low, high = (float(v) for v in stats.theilslopes(values, days, LEVEL))
+        chance = float(stats.kendalltau(days, values).pvalue)
+        level = float(np.median(values) + slope * (days[-1] - np.median(days)))
+        room = float(np.median(thresholds[mine, i])) - abs(level)
+        found.append(
+            {
+                'unit': unit,
+                'sensor': sensor,
+                'days': days.tolist(),
+                'means': values.tolist(),
+                'slope': slope,
+                'interval': [low, high],
+                'chance': 1.0 if math.isnan(chance) else chance,
+                'days_left': max(0.0, room / abs(slope)) if slope * level > 0.0 else math.inf,
+            }
+        )
+    for trend in found:
+        trend['clear'] = trend['chance'] < (1.0 - LEVEL) / len(found)
+    return sorted(found, key=lambda trend: trend['chance'])

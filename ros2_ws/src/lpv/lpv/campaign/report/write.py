@@ -1,0 +1,466 @@
+"""Gathers all numbers of a campaign, draws them, writes ``report.html`` and ``report.json``."""
+
+import json
+import math
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pyarrow as pa
+import yaml
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from lpv.campaign.execution.execute import software
+from lpv.campaign.plan.campaign import Campaign
+from lpv.campaign.plan.factors import Choice
+from lpv.campaign.plan.spec import BOTH, NO_FAULT
+from lpv.campaign.report.figures import draw_all
+from lpv.campaign.report.statistics import (
+    DOSES,
+    Results,
+    found_from,
+    poisson_rate,
+    proportion,
+    roc,
+    share,
+    spread,
+    trends,
+)
+from lpv.core.simulation.faults import KINDS
+from lpv.core.support.formatting import number, seconds
+from lpv.report.page import embedded, environment, finite
+
+_CLASSES, _LEVELS = 8, 12
+_MOST = 10
+_MOST_BAGS = 500
+"""Rows of a table of bags; all are in the Parquet file."""
+
+
+class CampaignReport(NamedTuple):
+    """What was written."""
+
+    html: Path  # the report
+    json: Path  # its numbers
+    numbers: dict[str, Any]  # content of that file
+
+
+def write_report(
+    work: Any, table: pa.Table, folder: str | Path, planned: int, healthy: bool = False
+) -> CampaignReport:
+    """Write ``report.html`` and ``report.json`` of a campaign of runs or of bags, all or some of
+    those that are planned, into the folder of its results.  With ``healthy`` all alarms of bags
+    without ground truth are false."""
+    folder = Path(folder)
+    numbers = report_numbers(work, table, folder, planned, healthy)
+    pictures = draw_all(numbers)
+    figures = {name: embedded(figure) for name, figure in pictures.items()}
+    template = environment(Path(__file__).parent).get_template('report.html')
+    page = template.render(**numbers, title=numbers['head']['name'], figures=figures, text=_TEXT)
+    for figure in pictures.values():
+        plt.close(figure)
+    html, data = folder / 'report.html', folder / 'report.json'
+    for path, content in ((html, page), (data, json.dumps(numbers, allow_nan=False, indent=1))):
+        # A page that someone looks at is replaced as a whole.
+        part = path.with_name(path.name + '.part')
+        part.write_text(content, encoding='utf-8')
+        part.replace(path)
+    return CampaignReport(html, data, numbers)
+
+
+def report_numbers(
+    work: Any, table: pa.Table, folder: Path, planned: int, healthy: bool = False
+) -> dict[str, Any]:
+    """All numbers of the report; None in place of what is not finite."""
+    results = Results(table, work.arm.sensor_names)
+    bags = not isinstance(work, Campaign)
+    failed = results.text('error') != ''
+    failures = [row for row, bad in zip(table.to_pylist(), failed) if bad]
+    if failures:
+        results = Results(table.filter(pa.array(~failed)), work.arm.sensor_names)
+    numbers = {
+        'head': _head(work, results, planned, len(failures)),
+        'overall': _overall(results),
+        'alarms': _alarms(results, bags, healthy),
+        'detection': _detection(results),
+        'isolation': _isolation(results),
+        'roc': _roc(results),
+        'estimates': _estimates(results),
+        'groups': _groups(work, results),
+        'worst': [] if bags else _worst(results, folder),
+        'bags': _ranking(results)[:_MOST_BAGS] if bags else [],
+        'failures': [{name: row[name] for name in ('bag', 'error')} for row in failures],
+        'trends': trends(results) if bags else [],
+    }
+    numbers['tiles'] = _tiles(numbers, bags)
+    return finite(numbers)
+
+
+def _head(work: Any, results: Results, planned: int, failed: int) -> dict[str, Any]:
+    head = {
+        'arm': work.arm.name,
+        'arm_sha256': work.arm.sha256(),
+        'count': results.count,
+        'planned': planned,
+        'missing': max(planned - results.count - failed, 0),
+        'failed': failed,
+        'hours': float(np.nansum(results.number('observed'))) / 3600.0,
+        'software': software(),
+    }
+    if not isinstance(work, Campaign):
+        name = f'Bags of {work.root.name}'
+        return {**head, 'name': name, 'what': 'bags', 'spec': '', 'gains': {}}
+    gains = {
+        name: {'method': data['observer']['method'], 'decay': data['observer'].get('decay')}
+        for name, data in work.content['gains'].items()
+    }
+    spec = yaml.safe_dump(work.content['spec'], sort_keys=False, allow_unicode=True, width=90)
+    name = f'Campaign {work.spec.name}'
+    return {**head, 'name': name, 'what': 'runs', 'spec': spec, 'gains': gains}
+
+
+def _overall(results: Results) -> dict[str, Any]:
+    return {
+        'detected': share(results.flag('detected'), results.faulty),
+        'isolated': share(results.flag('isolated'), results.faulty),
+        'wrong': share(results.number('wrong_alarms') > 0.0, results.faulty),
+        'stable': share(results.flag('stable'), np.isfinite(results.number('stable'))),
+        'safe_stops': int(np.nansum(results.number('safe_stops'))),
+        'stopped': int(np.count_nonzero(results.number('safe_stops') > 0.0)),
+    }
+
+
+def _alarms(results: Results, bags: bool, healthy: bool) -> list[dict[str, Any]]:
+    """Rates of alarms per hour, by what they are."""
+    observed = np.nan_to_num(results.number('observed'))
+    rates = []
+    if bags:
+        for i, sensor in enumerate(results.sensors):
+            events = np.nansum(results.number(f'alarms_{i + 1}'))
+            rates.append(('alarms of ' + sensor, events, observed.sum()))
+        rates.append(('alarms of all sensors', np.nansum(results.number('alarms')), observed.sum()))
+    false, time = results.number('false_alarms'), results.number('healthy_time')
+    if healthy:
+        unknown = np.isnan(false)
+        false = np.where(unknown, results.number('alarms'), false)
+        time = np.where(unknown, observed, time)
+    before, early = np.nansum(results.each('alarms_before')), results.number('early_time')
+    after = max(np.nansum(results.number('false_alarms')) - before, 0.0)
+    rest = np.nansum(results.number('healthy_time') - early)
+    rates += [
+        ('false alarms', np.nansum(false), np.nansum(time)),
+        ('before any fault, or without one', before, np.nansum(early)),
+        ('after the end of a fault', after, rest),
+    ]
+    return [{'name': name, **poisson_rate(n, time / 3600.0)} for name, n, time in rates]
+
+
+def _detection(results: Results) -> list[dict[str, Any]]:
+    """Detection of each kind of fault by each sensor, over its size."""
+    entries = []
+    found, isolated = results.flag('detected'), results.flag('isolated')
+    delay, size = results.number('detection_delay'), results.number('fault_size')
+    for kind in results.kinds:
+        for sensor in (*results.sensors, BOTH):
+            mine = results.several if sensor == BOTH else results.sensor == sensor
+            chosen = (results.kind == kind) & mine
+            if not chosen.any():
+                continue
+            known = np.flatnonzero(chosen & (size > 0.0) & (kind in DOSES))
+            dose, unit = DOSES.get(kind, ('', ''))
+            parts = _classes(size, known)
+            classes = [(np.median(size[p]), share(found[p]), spread(delay[p])) for p in parts]
+            entries.append(
+                {
+                    **{'kind': kind, 'sensor': sensor, 'dose': dose, 'unit': unit},
+                    'detected': share(found, chosen),
+                    'isolated': share(isolated, chosen),
+                    'delay': spread(delay[chosen]),
+                    'size_error': spread(results.number('size_error')[chosen]),
+                    **{'sizes': size[known].tolist(), 'delays': delay[known].tolist()},
+                    'found_from': found_from(size[known], found[known]),
+                    'classes': [
+                        {'middle': float(middle), 'detected': rate, 'delay': late}
+                        for middle, rate, late in classes
+                    ],
+                }
+            )
+    return entries
+
+
+def _classes(values: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
+    """Classes of about equal numbers, or one a level where there are few levels."""
+    levels = np.unique(values[rows])
+    if len(levels) <= _LEVELS:
+        return [rows[values[rows] == level] for level in levels]
+    order = rows[np.argsort(values[rows], kind='stable')]
+    return np.array_split(order, min(_CLASSES, len(order)))
+
+
+def _isolation(results: Results) -> dict[str, Any]:
+    """Confusion of kinds and of sensors in runs with a fault; alarms in runs without one."""
+    faulty, well = results.faulty, results.kind == NO_FAULT
+    said = {name: results.text(f'said_{name}', NO_FAULT)[faulty] for name in ('kind', 'sensor')}
+    kinds = (*KINDS, NO_FAULT, 'unclassified', 'inconsistent')
+    return {
+        'kind': confusion(results.kind[faulty], said['kind'], kinds),
+        'sensor': confusion(
+            results.sensor[faulty], said['sensor'], (*results.sensors, BOTH, NO_FAULT)
+        ),
+        'healthy': share(results.number('false_alarms') > 0.0, well),
+    }
+
+
+def confusion(truth: np.ndarray, said: np.ndarray, order: Sequence[str]) -> dict[str, Any]:
+    """Counts of what was said (``columns``) of what was there (``rows``), and rates with intervals:
+    ``right`` answers among all, and ``right_if_said`` among those that are not none."""
+
+    def occurring(values: np.ndarray) -> list[str]:
+        return [name for name in order if name in values] + sorted(set(values) - set(order))
+
+    rows, columns = occurring(truth), occurring(said)
+    counts = [
+        [int(np.count_nonzero((truth == row) & (said == column))) for column in columns]
+        for row in rows
+    ]
+    lines = [dict(zip(columns, line)) for line in counts]
+    right = [line.get(row, 0) for row, line in zip(rows, lines)]
+    totals = [sum(line) for line in counts]
+    spoken = [total - line.get(NO_FAULT, 0) for total, line in zip(totals, lines)]
+    return {
+        'rows': rows,
+        'columns': columns,
+        'counts': counts,
+        'right': [proportion(*pair) for pair in zip(right, totals)],
+        'right_if_said': [proportion(*pair) for pair in zip(right, spoken)],
+    }
+
+
+def _roc(results: Results) -> list[dict[str, Any]]:
+    """ROC curves of the score by kind, all sensors together."""
+    during, before = results.each('score_during'), results.each('score_before')
+    hits = np.column_stack([results.hits(i) for i in range(len(results.sensors))])
+    found, alarms = results.each('found'), results.each('alarms_before')
+    entries = []
+    for kind in results.kinds:
+        mine = hits & (results.kind == kind)[:, None]
+        curve = roc(during[mine], before.ravel())
+        if curve is not None:
+            raised = [float(np.nanmean(alarms > 0.0)), float(np.nanmean(found[mine]))]
+            entries.append({'kind': kind, **curve, 'raised': raised})
+    return entries
+
+
+def _estimates(results: Results) -> list[dict[str, Any]]:
+    """RMS error of each sensor's fault estimate and its mean threshold; of bags without truth, the
+    RMS of the estimate itself."""
+    truth = np.isfinite(results.each('error_rms')).any()
+    values, thresholds = (
+        results.each(name)
+        for name in (('error_rms', 'mean_threshold') if truth else ('fault_rms', 'threshold_mean'))
+    )
+    return [
+        {
+            'sensor': sensor,
+            'what': 'RMS error of estimates' if truth else 'RMS of estimates',
+            'error': spread(values[:, i]),
+            'threshold': spread(thresholds[:, i]),
+            'values': values[np.isfinite(values[:, i]), i].tolist(),
+            'thresholds': thresholds[np.isfinite(thresholds[:, i]), i].tolist(),
+        }
+        for i, sensor in enumerate(results.sensors)
+    ]
+
+
+def _groups(work: Any, results: Results) -> list[dict[str, Any]]:
+    """Figures by kind of fault, and by each value of other factors that take a few."""
+    columns = {'kind': [NO_FAULT, *results.kinds]}
+    for name, varied in work.spec.factors.items() if isinstance(work, Campaign) else ():
+        if not name.startswith('fault.') and isinstance(varied, Choice):
+            columns[name] = [str(value) for value in varied.values[:_LEVELS]]
+    tables = []
+    for factor, values in columns.items():
+        groups = []
+        for value in values if len(values) > 1 else ():
+            chosen = pa.array(results.text(factor) == value)
+            part = Results(results.table.filter(chosen), results.sensors)
+            well = part.flag('stable')
+            group = {'value': value, 'count': part.count, **_overall(part)}
+            group['delay'] = spread(part.number('detection_delay'))
+            group['false'] = _alarms(part, False, False)[0]
+            tracking = {'rms': 'rms', 'during': 'rms_during', 'ratio': 'ratio'}
+            for name, column in tracking.items():
+                group[name] = spread(part.number(f'tracking_{column}')[well])
+            groups.append(group)
+        if groups:
+            tables.append({'factor': factor, 'groups': groups})
+    return tables
+
+
+def _worst(results: Results, folder: Path) -> list[dict[str, Any]]:
+    """Lists of single runs, each with the command that writes it as a bag."""
+    error, size = results.number('tracking_max'), results.number('fault_size')
+    # A run that ended in no number at all is the worst.
+    lost = np.where(np.isnan(error) & ~results.flag('stable'), math.inf, error)
+    relative = np.ones(results.count)
+    for kind in results.kinds:
+        mine = (results.kind == kind) & np.isfinite(size)
+        relative[mine] = size[mine] / size[mine].max(initial=1e-300)
+    missed = results.faulty & ~results.flag('detected')
+    alarms = results.number('false_alarms')
+    lists = (
+        ('Largest tracking errors', '[rad]', lost),
+        ('Undetected, largest faults', 'of the largest', np.where(missed, relative, np.nan)),
+        ('Longest delays', '[s]', results.number('detection_delay')),
+        ('Most false alarms', '', np.where(alarms > 0.0, alarms, np.nan)),
+    )
+    numbers = results.number('number')
+    found = []
+    for title, unit, values in lists:
+        order = np.lexsort((numbers, -np.nan_to_num(values, nan=-math.inf)))
+        chosen = [k for k in order if not np.isnan(values[k])][:_MOST]
+        rows = [
+            {
+                'number': int(numbers[k]),
+                'kind': results.kind[k],
+                'sensor': results.sensor[k],
+                'size': float(size[k]),
+                'said': results.text('said_kind')[k],
+                'value': float(values[k]),
+                'command': command(folder, int(numbers[k])),
+            }
+            for k in chosen
+        ]
+        found.append({'title': title, 'unit': unit, 'runs': rows})
+    return found
+
+
+def command(folder: str | Path, number: int) -> str:
+    """Command that writes a run as a bag."""
+    bag = Path(folder) / 'bags' / f'run_{number}'
+    return f'lpv campaign {shlex.quote(str(folder))} --run {number} --bag {shlex.quote(str(bag))}'
+
+
+def _ranking(results: Results) -> list[dict[str, Any]]:
+    """Bags, the most suspicious first: alarms, then contradictions, then how near a threshold."""
+    rows = []
+    for row in results.table.to_pylist():
+        scores = [row[f'score_{i + 1}'] or 0.0 for i in range(len(results.sensors))]
+        alarms = [f'{a["count"]} {a["kind"]} of {a["sensor"]}' for a in row['alarm_list']]
+        found = {
+            name: row[name]
+            for name in ('bag', 'unit', 'observed', 'inconsistent_time', 'warnings', 'alarms')
+        }
+        rows.append({**found, 'alarm_text': ', '.join(alarms), 'score': max(scores)})
+    return sorted(rows, key=suspicion, reverse=True)
+
+
+def suspicion(row: dict[str, Any]) -> tuple[Any, ...]:
+    """What bags are sorted by."""
+    share = row['inconsistent_time'] / row['observed'] if row['observed'] else 0.0
+    return row['alarms'] > 0, share > 0.01, row['score'], row['bag']
+
+
+def _tiles(numbers: dict[str, Any], bags: bool) -> list[tuple[str, Any, str]]:
+    head, overall = numbers['head'], numbers['overall']
+    false = next(rate for rate in numbers['alarms'] if rate['name'] == 'false alarms')
+    tiles: list[tuple[str, Any, str]] = [
+        (head['what'], head['count'], f'{number(head["hours"])} h'),
+        ('false alarms', false['events'], f'in {number(false["hours"])} h without a fault'),
+    ]
+    if overall['detected']['cases']:
+        tiles += [
+            ('faults detected', percent(overall['detected']), f'of {overall["detected"]["cases"]}'),
+            ('detected and isolated', percent(overall['isolated']), 'no alarm of another sensor'),
+        ]
+    if overall['stable']['cases']:
+        unstable = overall['stable']['cases'] - overall['stable']['hits']
+        tiles.append(('unstable runs', unstable, f'safe stops in {overall["stopped"]}'))
+    if bags:
+        clear = sum(trend['clear'] for trend in numbers['trends'])
+        tiles.append(('clear trends', clear, f'{head["failed"]} bags could not be read'))
+    return tiles
+
+
+def percent(share: dict[str, Any]) -> str:
+    """A rate as text, or ``-``."""
+    return '-' if share['rate'] is None else f'{100.0 * share["rate"]:.1f}%'
+
+
+def _interval(share: dict[str, Any]) -> str:
+    if share['rate'] is None:
+        return ''
+    return f'{100.0 * share["low"]:.1f} to {100.0 * share["high"]:.1f}%'
+
+
+def _middle(values: dict[str, Any]) -> str:
+    return f'{number(values["low"], 2)} to {number(values["high"], 2)}' if values['count'] else ''
+
+
+def _size(entry: dict[str, Any]) -> str:
+    """Smallest size from which on 95 % are detected."""
+    unit = '' if entry['unit'] in ('', '1') else f' {entry["unit"]}'
+    return '-' if entry['found_from'] is None else f'{entry["found_from"]:.3g}{unit}'
+
+
+_TEXT = {
+    'number': number,
+    'seconds': seconds,
+    'percent': percent,
+    'interval': _interval,
+    'middle': _middle,
+    'size': _size,
+}
+
+
+def print_summary(numbers: dict[str, Any], console: Console) -> None:
+    """Show the main figures on the terminal."""
+    head, overall = numbers['head'], numbers['overall']
+    console.print(
+        f'{head["name"]}: {head["count"]} {head["what"]}, {head["hours"]:.3g} h', markup=False
+    )
+    if numbers['detection']:
+        columns = ('fault', 'sensor', 'cases', 'found', 'isolated', 'delay', '(95%)', '95% from')
+        _show(console, columns, [
+            (e['kind'], e['sensor'], str(e['detected']['cases']), percent(e['detected']),
+             percent(e['isolated']), seconds(e['delay']['median']), seconds(e['delay']['high']),
+             _size(e))
+            for e in numbers['detection']
+        ])  # fmt: skip
+    _show(console, ('alarms', 'number', 'hours', 'per hour', '95% interval'), [
+        (rate['name'], str(rate['events']), number(rate['hours']), number(rate['rate']),
+         f'{number(rate["low"])} to {number(rate["high"])}')
+        for rate in numbers['alarms'] if rate['hours']
+    ])  # fmt: skip
+    if overall['stable']['cases']:
+        console.print(
+            f'stable: {percent(overall["stable"])}, safe stops {overall["safe_stops"]} in '
+            f'{overall["stopped"]} runs'
+        )
+    if numbers['bags']:
+        _show(console, ('most suspicious', 'arm', 'alarms', 'estimate / threshold'), [
+            (row['bag'], row['unit'] or '-', row['alarm_text'] or 'none', number(row['score']))
+            for row in numbers['bags'][:_MOST]
+        ])  # fmt: skip
+    for trend in numbers['trends']:
+        if trend['clear']:
+            console.print(
+                f'trend   {trend["unit"] or "-"}, {trend["sensor"]}: {trend["slope"]:+.2e} rad per '
+                f'day, reaches its threshold in {number(trend["days_left"])} days',
+                markup=False,
+            )
+    for row in numbers['failures'][:_MOST]:
+        console.print(f'failed  {row["bag"]}: {row["error"]}', markup=False)
+
+
+def _show(console: Console, columns: Sequence[str], rows: list[tuple[str, ...]]) -> None:
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
+    for k, name in enumerate(columns):
+        table.add_column(name, justify='right' if k > 1 else 'left', no_wrap=True)
+    for row in rows:
+        table.add_row(*row)
+    console.print(table, markup=False)

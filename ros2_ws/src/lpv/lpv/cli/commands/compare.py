@@ -1,0 +1,95 @@
+"""``lpv compare``: two runs of one recording side by side."""
+
+import argparse
+import json
+from collections.abc import Sequence
+from dataclasses import fields
+from pathlib import Path
+
+from rich import box
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from lpv.core.support.errors import ConfigError
+from lpv.core.support.formatting import number
+from lpv.report.certificate import find_arm_and_gains
+from lpv.report.comparison import (
+    AlarmPair,
+    Comparison,
+    Tolerances,
+    compare_runs,
+    draw_comparison,
+    load_pair,
+)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Compare, show, write; 3 if the runs differ."""
+    names = [field.name for field in fields(Tolerances)]
+    chosen = {name: 0.0 if arguments.exact else getattr(arguments, name) for name in names}
+    tolerances = Tolerances(**chosen)
+    arm, _, _ = find_arm_and_gains(arguments.bag, arguments.arm, None)
+    pair = load_pair(arguments.bag, arguments.other, arm)
+    result = compare_runs(*pair, arm, tolerances)
+    text = json.dumps(result.as_dict(), indent=1, allow_nan=False)
+    if arguments.json:
+        print(text)
+    else:
+        show(result, Console(soft_wrap=True, highlight=False))
+    if arguments.out:
+        out = Path(arguments.out)
+        if out.exists() and not out.is_dir():
+            raise ConfigError('--out', f'{out} is not a folder')
+        out.mkdir(parents=True, exist_ok=True)
+        (out / 'comparison.json').write_text(text + '\n', encoding='utf-8')
+        draw_comparison(*pair, arm, out)
+    return 0 if result.same else 3
+
+
+def show(result: Comparison, console: Console) -> None:
+    """Show a comparison as tables."""
+    console.print(
+        f'{result.common} answers in both bags, {result.only_first} in the first alone, '
+        f'{result.only_second} in the second alone  ' + _mark(result.complete)
+    )
+    rows: list[tuple[str, ...]]
+    for title, columns, figures in (
+        ('figures', ('first', 'second'), result.figures),
+        ('largest differences', ('tolerated', 'found'), result.differences),
+    ):
+        rows = [(f.name, f.unit, number(f.first), number(f.second), _mark(f.same)) for f in figures]
+        _table(console, title, ('', 'unit', *columns, ''), rows)
+    names = ('kind', 'raised', 'delay', 'cleared', 'size')
+    heads = ('kind', 'raised\n[s]', 'delay\n[s]', 'cleared\n[s]', 'size\n[rad]')
+    rows = [(p.sensor, *(_both(p, name) for name in names), _mark(p.same)) for p in result.alarms]
+    _table(console, 'alarms, first run above second', ('sensor', *heads, ''), rows)
+    console.print('same' if result.same else 'DIFFERENT beyond the tolerances')
+
+
+def _table(
+    console: Console, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]
+) -> None:
+    if not rows:
+        return
+    table = Table(title=title, box=box.SIMPLE_HEAD, title_justify='left')
+    # Names may wrap in a narrow terminal, figures must not.
+    for place, column in enumerate(columns):
+        width = None if place else min(12, max(len(row[0]) for row in rows))
+        table.add_column(escape(column), no_wrap=place > 0, overflow='fold', min_width=width)
+    for row in rows:
+        table.add_row(*map(escape, row))
+    console.print(table)
+
+
+def _mark(same: bool) -> str:
+    return '' if same else '<- differs'
+
+
+def _both(pair: AlarmPair, name: str) -> str:
+    """Attribute of both alarms, one above the other; once if it reads the same."""
+    texts = []
+    for episode in (pair.first, pair.second):
+        value = getattr(episode, name, None)
+        texts.append('-' if value is None else value if isinstance(value, str) else f'{value:.3f}')
+    return texts[0] if pair.same and texts[0] == texts[1] else '\n'.join(texts)

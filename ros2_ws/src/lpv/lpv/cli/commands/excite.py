@@ -1,0 +1,40 @@
+"""``lpv excite``: a motion that identifies an arm well, as files and as a played reference."""
+
+import argparse
+import math
+from pathlib import Path
+
+import numpy as np
+
+from lpv.cli.arm_choice import chosen_arm
+from lpv.core.support.errors import ConfigError
+from lpv.identify.motions.excitation import Bounds, plan_excitation
+from lpv.identify.motions.reference import write_reference
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Plan and write."""
+    if Path(arguments.out).exists():
+        raise ConfigError('--out', f'{arguments.out} exists already')
+    arm = chosen_arm(arguments)
+    center = None if arguments.center is None else np.array(arguments.center)
+    if center is not None and len(center) != len(arm.joints):
+        raise ConfigError('--center', f'needs {len(arm.joints)} angles')
+    bounds = Bounds(
+        arguments.speed_share,
+        arguments.torque_share,
+        reach=arguments.reach,
+        lowest=-math.inf if arguments.lowest is None else arguments.lowest,
+        radius=math.inf if arguments.radius is None else arguments.radius,
+    )
+    trials, seed = arguments.trials, arguments.seed
+    plan = plan_excitation(arm, arguments.duration, bounds, center, trials, seed)
+    files = write_reference(arm, plan.trajectory, arguments.rate, Path(arguments.out))
+    information = f'log information per parameter {plan.information:.2f}'
+    print(f'condition number {plan.condition:.0f}, {information}')
+    for name, torque in zip(arm.joint_names, plan.torque):
+        print(f'  {name}: largest torque {torque:.1f} N m')
+    print(*files, sep='\n')
+    start = ', '.join(f'{angle:.3f}' for angle in plan.trajectory.center)
+    print(f'move there first: {start} rad; check the way for collisions')
+    return 0

@@ -1,0 +1,62 @@
+"""``lpv falsify``: search for a healthy run that crosses its threshold."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from lpv.campaign.falsify.attack import Attacker, Finding
+from lpv.campaign.falsify.search import BAG, SCENARIO, read_attack, repeat, search, write_worst
+from lpv.core.serial_arm.arm_file import load_arm
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.support.errors import ConfigError
+from lpv.core.support.resources import bringup_file
+from lpv.core.uio.certificate.conditions import require
+from lpv.core.uio.certificate.gains import load_gains
+from lpv.core.uio.planar import planar_model
+
+EXIT_CROSSED = 1
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Search, write the worst run, and say whether a threshold was crossed."""
+    arm = load_arm(bringup_file('arms', arguments.arm))
+    if arguments.repeat:
+        attack, duration = read_attack(arguments.repeat)
+        attacker = _attacker(arm, arguments.gains, duration)
+        return _conclude(attacker, [repeat(attacker, attack, arguments.repeat)])
+    attacker = _attacker(arm, arguments.gains, arguments.duration)
+    found = search(attacker, arguments.evaluations, arguments.seed, _show)
+    write_worst(attacker, found[0], arguments.out)
+    folder = Path(arguments.out)
+    print(f'worst run: {folder / SCENARIO}, {folder / BAG}')
+    return _conclude(attacker, found)
+
+
+def _attacker(arm: SerialArm, gains_file: str | None, duration: float) -> Attacker:
+    if not gains_file:
+        return Attacker(arm, duration)
+    gains = load_gains(bringup_file('gains', gains_file))
+    require(planar_model(arm), gains, gains_file)
+    if gains.observer.method != 'exact':
+        raise ConfigError('gains', "must be of method 'exact': 'paper' has no guaranteed bound")
+    return Attacker(arm, duration, gains)
+
+
+def _show(count: int, found: Finding) -> None:
+    print(f'  run {count}: estimate at {found.ratio:.3f} of its threshold', file=sys.stderr)
+
+
+def _conclude(attacker: Attacker, found: list[Finding]) -> int:
+    names, worst = attacker.arm.sensor_names, found[0]
+    for i, name in enumerate(names):
+        most = max(found, key=lambda one: one.ratios[i])
+        if most.ratios[i] > 0.0:
+            print(f'{name}: {most.ratios[i]:.3f} of {most.thresholds[i]:.4f} rad')
+        else:
+            print(f'{name}: no threshold that says anything')
+    print(f'alarms: in {sum(one.blamed for one in found)} of {len(found)} runs')
+    crossed, i = worst.ratio >= 1.0, worst.sensor
+    print(f'{"CROSSED" if crossed else "no crossing"} in {len(found)} runs: {names[i]} reached '
+          f'{worst.ratio:.3f} of its threshold, {worst.thresholds[i]:.4f} rad, at '
+          f'{worst.times[i]:.2f} s')  # fmt: skip
+    return EXIT_CROSSED if crossed else 0

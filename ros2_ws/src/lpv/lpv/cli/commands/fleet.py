@@ -1,0 +1,43 @@
+"""``lpv fleet``: an archive of bags replayed, and the statistics of the fleet."""
+
+import argparse
+from pathlib import Path
+
+from rich.console import Console
+
+from lpv.campaign.execution.archive import Archive, archive_text, find_bags
+from lpv.campaign.execution.execute import ResultsFolder
+from lpv.cli.commands.campaign import execute
+from lpv.cli.observing import arm_and_gains, diagnosis_parameters, reading_options
+from lpv.core.support.errors import ConfigError
+from lpv.core.uio.certificate.conditions import require
+from lpv.core.uio.planar import planar_model
+
+FAILED = 3
+"""Exit code where a bag could not be read."""
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Replay what has not been replayed, show and write the statistics."""
+    console, root = Console(soft_wrap=True, highlight=False), Path(arguments.archive)
+    out = arguments.out or Path('out') / 'fleet' / (root.resolve().name or 'root')
+    folder = ResultsFolder(out, 'bags')
+    chunks = find_bags(root, [folder.path])
+    if not chunks:
+        raise ConfigError('DIR', 'holds no rosbag2 bag', str(root))
+    arm, gains = arm_and_gains(arguments, console)
+    if gains is not None:
+        require(planar_model(arm), gains, arguments.gains or 'gains')
+    diagnosis, sampling = diagnosis_parameters(arguments.parameters)
+    options = reading_options(arguments)
+    archive = Archive(archive_text(root, arm, gains, diagnosis, options, **sampling))
+    failed = execute(arguments, archive, folder, chunks, 'bags', console)
+    table = folder.rows(chunks, failed).sort_by('bag')
+    folder.finish(table)
+    # Only here: bags must not wait for plotting.
+    from lpv.campaign.report import print_summary, write_report
+
+    report = write_report(archive, table, folder.path, len(chunks), arguments.healthy)
+    print_summary(report.numbers, console)
+    console.print(f'rows    {folder.file}\nreport  {report.html}')
+    return FAILED if failed else 0

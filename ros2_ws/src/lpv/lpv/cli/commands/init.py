@@ -1,0 +1,123 @@
+"""``lpv init``: commented files of an arm to start from, out of a URDF where there is one."""
+
+import argparse
+import math
+import os
+import re
+from dataclasses import replace
+from pathlib import Path
+from string import Template
+
+import numpy as np
+
+from lpv.cli import arm_choice
+from lpv.core.serial_arm.arm_file import load_arm, save_arm
+from lpv.core.serial_arm.description import LpvRegion, SerialArm, Uncertainty
+from lpv.core.simulation.scenario import load_scenario
+from lpv.core.support.errors import ConfigError
+from lpv.core.support.resources import bringup_file
+from lpv.core.uio.model.kinematics import forward
+from lpv.core.uio.planar import is_planar, planar_model
+
+FILES = ('arm.yaml', 'requirement.yaml', 'scenario.yaml')
+_TEMPLATES = Path(__file__).resolve().parents[1] / 'templates'
+_LARGEST_TURN = 0.4
+"""Of a joint from the middle of its range to the waypoints [rad]."""
+_MODEL_ERROR = 0.02
+"""Of the file of a planar arm, until its user knows better."""
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Write the files, read them again, and say what to do next."""
+    folder, name = Path(arguments.folder or '.'), arguments.name
+    for path in (folder / file for file in FILES):
+        if path.exists():
+            raise ConfigError('folder', f'{path} exists already: nothing was written')
+    if name and not re.fullmatch(r'[A-Za-z_]\w*', name):
+        raise ConfigError('--name', f'must be letters, digits and underscores, got {name!r}')
+    if not arguments.urdf:
+        for option in ('joints', 'lock', 'tip'):
+            if getattr(arguments, option):
+                raise ConfigError(f'--{option}', 'is for joints of a URDF: give --urdf')
+        return _write(folder, replace(_example(), name=name or 'my_arm'))
+    arm = arm_choice.with_stated_friction(arm_choice.chosen_arm(arguments), arguments.urdf)
+    arm = _with_region(replace(arm, name=name or re.sub(r'\W', '_', arm.name)))
+    urdf = os.path.relpath(Path(arguments.urdf).resolve(), folder.resolve())
+    return _write(folder, replace(arm, urdf=urdf))
+
+
+def _example() -> SerialArm:
+    """The paper's arm with encoders at the joints."""
+    arm = load_arm(bringup_file('arms', 'paper'))
+    joints = tuple(
+        replace(joint, sensors=replace(joint.sensors, name=f'{joint.name}_encoder'))
+        for joint in arm.joints
+    )
+    return replace(arm, joints=joints, sensor_matrix=None)
+
+
+def _with_region(arm: SerialArm) -> SerialArm:
+    """A planar arm with the region that gains are designed for; others as they are."""
+    if len(arm.joints) == 2 and not any(arm.tip):
+        # A URDF without a frame at its tip: the link ends twice as far as its centre of mass.
+        link = arm.joints[1].link
+        x, y, z = (2.0 * moment / max(link.mass, 1e-9) for moment in link.first_moment)
+        arm = replace(arm, tip=(x, y, z))
+    if not is_planar(arm):
+        return arm
+    region = LpvRegion('upright', (0.3, 0.3), (0.7, 0.7), 0.0, 0.1)
+    return replace(arm, lpv=region, uncertainty=Uncertainty(0.0, 0.3, _MODEL_ERROR))
+
+
+def _write(folder: Path, arm: SerialArm) -> int:
+    """Write the files, read them again, and say what comes next."""
+    folder.mkdir(parents=True, exist_ok=True)
+    file, requirement, scenario = (folder / name for name in FILES)
+    values = {'name': arm.name, 'sensor': arm.sensor_names[0]}
+    values['waypoints'] = _joint_waypoints(arm) if arm.lpv is None else _planar_waypoints(arm)
+    save_arm(arm, file)
+    scenario.write_text(_filled('scenario.yaml', values), encoding='utf-8')
+    written = [file, scenario]
+    if arm.lpv is not None:
+        requirement.write_text(_filled('requirement.yaml', values), encoding='utf-8')
+        written.append(requirement)
+    load_scenario(scenario).path(load_arm(file))
+    print(f'written: {", ".join(map(str, written))}')
+    print(f'joints: {", ".join(arm.joint_names)}')
+    if arm.locked:
+        print('held: ' + ', '.join(f'{joint} at {value:g}' for joint, value in arm.locked))
+    print('next: a URDF knows no rotors and sensors; identify them from a recording')
+    print(f'  lpv identify recording_bag --arm {file} --out {file}')
+    design = ''
+    if arm.lpv is not None:
+        design = f' --requirement {requirement}'
+        print(f'  lpv design --arm {file}{design} --out {folder / "gains.yaml"}')
+    print(f'  lpv demo --arm {file}{design} --scenario {scenario}')
+    return 0
+
+
+def _joint_waypoints(arm: SerialArm) -> str:
+    """There and back about the middle of the joints' ranges, as lines of YAML."""
+    lines = []
+    low, high = np.array([joint.range for joint in arm.joints]).T
+    turn = np.minimum(0.2 * (high - low), _LARGEST_TURN)
+    for time, side in ((0.5, 0.0), (4.0, 1.0), (8.0, -1.0), (11.5, 0.0)):
+        places = ', '.join(f'{place:.4f}' for place in 0.5 * (low + high) + side * turn)
+        lines.append(f'    - {{t: {time}, joints: [{places}]}}')
+    return '\n'.join(lines)
+
+
+def _filled(name: str, values: dict[str, str]) -> str:
+    return Template((_TEMPLATES / name).read_text(encoding='utf-8')).substitute(values)
+
+
+def _planar_waypoints(arm: SerialArm) -> str:
+    """There and back within the region, as lines of YAML."""
+    planar = planar_model(arm)
+    # Kinematics counts q1 from the x-axis, angles of the links count from the upper vertical.
+    middle = math.pi / 2 if planar.sign > 0 else -math.pi / 2
+    ends = np.array([[middle + side, 0.6] for side in (-0.7, 0.1, -0.7)])
+    return '\n'.join(
+        f'    - {{t: {time}, x: {x:.4f}, y: {y:.4f}}}'
+        for time, (x, y) in zip((0.5, 6.0, 11.5), forward(ends, planar.lengths).tolist())
+    )

@@ -1,0 +1,61 @@
+"""``lpv recover``: repair a bag that is cut off or damaged, and say what was lost."""
+
+import argparse
+import logging
+import shutil
+import sys
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from lpv.bag.errors import BagError
+from lpv.bag.rosbag.recovery import Recovery, recover
+
+NOTHING_LOST, UNREADABLE, SOMETHING_LOST = 0, 1, 3
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Recover, and show what was lost."""
+    logging.getLogger('lpv.bag').setLevel(logging.ERROR)  # all of it is in the result
+    bag = Path(arguments.bag)
+    out = Path(arguments.out) if arguments.out else None
+    try:
+        if out is None:
+            result = recover(bag)
+            if result.damages:
+                out = bag.with_name(f'{bag.name.removesuffix(".mcap")}_recovered')
+        if out is not None:
+            result = _recover_into(bag, out, arguments.preset)
+    except BagError as error:
+        print(f'lpv recover: {error}', file=sys.stderr)
+        return UNREADABLE
+    _show(result, out)
+    return NOTHING_LOST if result.nothing_lost else SOMETHING_LOST
+
+
+def _recover_into(bag: Path, out: Path, preset: str) -> Recovery:
+    new = not out.exists()
+    try:
+        return recover(bag, out, preset)
+    except BaseException:
+        if new:  # half a bag looks like a whole one
+            shutil.rmtree(out, ignore_errors=True)
+        raise
+
+
+def _show(result: Recovery, out: Path | None) -> None:
+    console = Console(soft_wrap=True, highlight=False, markup=False)
+    table = Table('topic', 'recovered', 'lost', box=None, header_style='')
+    for name, topic in sorted(result.topics.items()):
+        lost = f'at least {topic.lost}' if result.end_missing and topic.lost else str(topic.lost)
+        table.add_row(name, str(topic.recovered), lost)
+    console.print(*(f'  {text}' for text in result.damages), table, sep='\n')
+    if result.attachments:
+        console.print(f'{result.attachments} attachments were left out')
+    if result.end_missing:
+        end = f'{result.end / 1e9:.3f} s'
+        console.print(f'the recording was not finished: what came after {end} is lost')
+    elif result.nothing_lost:
+        console.print('nothing was lost' if result.damages else 'the bag is whole')
+    console.print(f'bag  {out}' if out is not None else 'nothing was written')

@@ -1,0 +1,142 @@
+"""``lpv replay``: observer and diagnosis offline on a bag, or the bag into a live graph."""
+
+import argparse
+import shutil
+import time
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from lpv.bag.replay.injected_faults import InjectedFault, judge
+from lpv.bag.replay.replay import Replay, ReplayResult
+from lpv.bag.replay.writer import MARK
+from lpv.bag.rosbag.output_folder import GAINS_NAME
+from lpv.bag.run.streams import RecordedAlarm
+from lpv.cli.needs import require_ros
+from lpv.cli.observing import arm_and_gains, diagnosis_parameters, reading_options
+from lpv.core.monitoring.alarm_text import COUNTER_TEXT, describe
+from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent
+from lpv.core.simulation.faults import FaultInjector
+from lpv.core.simulation.scenario import parse_faults
+from lpv.core.support.config import Section, read_yaml
+from lpv.core.support.discovery import stay_local
+from lpv.core.support.errors import ConfigError
+from lpv.core.support.timestamps import NANOSECONDS
+from lpv.core.uio.certificate.gains import save_gains
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Replay, report, show what was found; 1 if the design is infeasible."""
+    console = Console(soft_wrap=True, highlight=False)
+    if arguments.publish:
+        return _publish(arguments, console)
+    out = Path(arguments.out).resolve()
+    _check_out(out, Path(arguments.bag).resolve())
+    arm, gains = arm_and_gains(arguments, console)
+    diagnosis, others = diagnosis_parameters(arguments.parameters)
+    monitor = SerialSensorMonitor('/uio', arm, diagnosis, gains, **others)
+    faults, injector = None, None
+    if arguments.inject is not None:
+        top = Section(read_yaml(arguments.inject), arguments.inject)
+        faults = parse_faults(top)
+        top.finish()
+        injector = FaultInjector(arm.sensor_names, faults, np.random.default_rng(0))
+    shutil.rmtree(out, ignore_errors=True)
+    begin = time.perf_counter()
+    options = reading_options(
+        arguments, preset=arguments.compression, estimates_only=arguments.estimates_only
+    )
+    result = Replay(
+        monitor, options, injector, lambda event, time: console.print(_alarm_line(event, time))
+    ).run(arguments.bag, out)
+    if gains is not None:
+        save_gains(gains, out / GAINS_NAME, 'Gains that this bag was replayed with.')
+    _summary(result, monitor, time.perf_counter() - begin, console)
+    if faults is not None:
+        show_injected(judge(faults, result), console)
+    console.print(f'bag     {out}')
+    if arguments.report:
+        _report(arguments, arm, out, console)
+    return 0
+
+
+def _publish(arguments: argparse.Namespace, console: Console) -> int:
+    """The bag into the live graph."""
+    stay_local()
+    require_ros()
+    from lpv.bag.replay.player import Player
+
+    given = vars(arguments)
+    player = Player(
+        given['bag'], given['topics'], given['topic'], given['rate'], given['loop'],
+        given['clock_rate'], given['wait'], (given['from'], given['to']),
+    )  # fmt: skip
+    console.print(f'{player.run(console.print)} messages published')
+    return 0
+
+
+def _check_out(out: Path, bag: Path) -> None:
+    if bag == out or bag.is_relative_to(out):
+        raise ConfigError('--out', 'would overwrite the bag that is to be replayed')
+    if out.is_relative_to(bag):
+        raise ConfigError('--out', 'is inside the bag that is to be replayed')
+    if not out.exists():
+        return
+    try:
+        information = read_yaml(out / 'metadata.yaml')['rosbag2_bagfile_information']
+        is_ours = MARK in (information.get('custom_data') or ())
+    except (ConfigError, TypeError, KeyError, AttributeError):
+        is_ours = False
+    if not is_ours:
+        raise ConfigError('--out', f'{out} exists already and was not written by this command')
+
+
+def _alarm_line(event: RecordedAlarm, time: float) -> str:
+    """One alarm event: its time [s], what it says, and how long before that the fault began."""
+    line = f'  {time:.3f} s: {describe(event)}'
+    if event.event == AlarmEvent.RAISED and event.onset < event.stamp:
+        line += f'; began {(event.stamp - event.onset) / NANOSECONDS:.3f} s before'
+    return line
+
+
+def show_injected(found: list[InjectedFault], console: Console) -> None:
+    """Show what was found of the injected faults."""
+    right = sum(one.found for one in found)
+    console.print(f'{right} of {len(found)} injected faults found on the right sensor')
+    for one in found:
+        fault = one.fault
+        text = f'  {fault.sensor}, {fault.kind} from {fault.onset:.3f} s on: {one.verdict}'
+        if one.found:
+            text += f' after {one.delay:.3f} s as {one.kind}, {one.size:+.3f} rad'
+            text += f' within {one.bound:.3f} rad'
+        if one.error is not None:
+            text += f', size error {one.error:+.3f} rad'
+        console.print(text)
+
+
+def _summary(
+    result: ReplayResult, monitor: SerialSensorMonitor, seconds: float, console: Console
+) -> None:
+    counts = f'{result.measurements} measurements, {len(result.events)} alarm events'
+    console.print(f'{counts}, {seconds:.2f} s')
+    for name, count in vars(monitor.counters).items():
+        if count:
+            console.print(f'  {count} {COUNTER_TEXT[name]}')
+    for text, count in result.rejected.items():
+        console.print(f'  {count} measurements not used: {text}')
+
+
+def _report(arguments: argparse.Namespace, arm: SerialArm, out: Path, console: Console) -> None:
+    from lpv.report.run import write_report
+    from lpv.report.table import print_table
+
+    folder = Path(arguments.report).resolve()
+    if folder == out:
+        raise ConfigError('--report', 'must be another folder than the bag')
+    title = f'Replay of {Path(arguments.bag).name}, arm “{arm.name}”'
+    report = write_report(out, folder, arm, title=title)
+    print_table(report.table, console)
+    console.print(f'report  {report.html}')

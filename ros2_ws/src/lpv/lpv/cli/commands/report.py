@@ -1,0 +1,38 @@
+"""``lpv report``: the report of a recorded run."""
+
+import argparse
+from pathlib import Path
+
+from rich.console import Console
+
+from lpv.core.simulation.scenario import load_scenario
+from lpv.core.support.errors import ConfigError
+from lpv.core.support.resources import bringup_file
+from lpv.report.certificate import find_arm_and_gains
+from lpv.report.load import load, planned_path
+from lpv.report.run import write
+from lpv.report.table import print_table
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Write the report and show its table."""
+    arm, gains, source = find_arm_and_gains(arguments.bag, arguments.arm, arguments.gains)
+    path = None
+    if arguments.scenario:
+        scenario = bringup_file('scenarios', arguments.scenario)
+        load_scenario(scenario)  # one that was given must be right
+        path = planned_path(scenario, arm)
+    title = f'{Path(arguments.bag).name}, arm “{arm.name}”'
+    found = load(arguments.bag, arm, path, title, gains, source)
+    proof = found.certificate
+    if arguments.gains and proof.problem:
+        raise ConfigError('--gains', proof.problem)
+    result = write(found, arguments.out)
+    print_table(result.table)
+    if proof.problem:
+        said = f'certificate not known: {proof.problem}'
+    else:
+        said = 'holds' if proof.holds else f'does NOT hold: {"; ".join(proof.failed)}'
+        said = f'{source}: the certificate {said}'
+    Console(soft_wrap=True, highlight=False).print(f'gains   {said}\nreport  {result.html}')
+    return 0

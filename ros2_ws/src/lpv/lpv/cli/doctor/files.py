@@ -1,0 +1,70 @@
+"""Checks of arm, gains and scenario files; no graph is needed."""
+
+from lpv.cli.doctor.finding import Finding, error, ok
+from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv.core.serial_arm.arm_file import load_arm
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.simulation.arm_simulator import ArmSimulator
+from lpv.core.simulation.scenario import load_scenario
+from lpv.core.support.errors import LpvError
+from lpv.core.support.resources import bringup_file
+
+
+def check_files(
+    arm_name: str | None, gains_name: str | None, scenario_name: str | None
+) -> tuple[SerialArm | None, list[Finding]]:
+    """Run the checks of the files that are given."""
+    arm, found = check_arm(arm_name) if arm_name else (None, None)
+    findings = [found] if found else []
+    if gains_name:
+        findings.append(check_gains(gains_name, arm, arm_name))
+    elif arm is not None:
+        what = 'designs them' if arm.lpv is not None else 'certifies the tracking loop'
+        text = f'none given: the moving horizon observes alone; lpv design {what}'
+        findings.append(ok('gains', text))
+    if scenario_name:
+        findings.append(check_scenario(scenario_name, arm))
+    return arm, findings
+
+
+def check_arm(name: str) -> tuple[SerialArm | None, Finding]:
+    """Whether an arm file can be read, and the arm be watched."""
+
+    try:
+        arm = load_arm(bringup_file('arms', name))
+        SerialSensorMonitor('doctor', arm)
+    except LpvError as problem:
+        return None, error('arm', str(problem), 'correct the field; docs/arm-file.md describes all')
+    return arm, ok('arm', f'{arm.name!r}, joints {", ".join(arm.joint_names)}')
+
+
+def check_gains(name: str, arm: SerialArm | None, arm_name: str | None = 'ARM') -> Finding:
+    """Whether gains can be read, belong to the arm, and have a certificate that holds."""
+    from lpv.report.certificate import examine, load_certified
+
+    again = f'lpv design --arm {arm_name or "ARM"} --out {name}'
+    try:
+        text = load_certified(name).gains.arm_name
+    except (LpvError, OSError) as problem:
+        return error('gains', str(problem), again)
+    if arm is None:
+        return ok('gains', f'for arm {text!r}; give --arm to verify them')
+    found = examine(name, arm)
+    if found.problem:
+        return error('gains', found.problem, f'{again}, or give the arm file that they are for')
+    if not found.holds:
+        failed = f'the certificate does not hold: {"; ".join(found.failed)}'
+        return error('gains', failed, f'the numbers were changed after the design: {again}')
+    return ok('gains', f'certificate of the {found.what} of arm {arm.name!r} holds')
+
+
+def check_scenario(name: str, arm: SerialArm | None) -> Finding:
+    """Whether a scenario can be run with the arm."""
+    try:
+        scenario = load_scenario(bringup_file('scenarios', name))
+        if arm is not None:
+            ArmSimulator(arm, scenario)
+    except LpvError as problem:
+        remedy = 'correct the field; docs/scenario-file.md describes all'
+        return error('scenario', str(problem), remedy)
+    return ok('scenario', f'{scenario.name!r}, {scenario.duration:g} s')

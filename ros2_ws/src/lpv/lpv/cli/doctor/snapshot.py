@@ -1,0 +1,157 @@
+"""Joins the graph for some seconds and writes down what is there."""
+
+import os
+import time
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import rclpy
+from lifecycle_msgs.srv import GetState
+from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.srv import GetParameters
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import QoSProfile, qos_profile_sensor_data
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+
+from lpv.bag.run.record import CORRECTED
+from lpv.core.support.discovery import stay_local
+
+JOINT_STATE = 'sensor_msgs/msg/JointState'
+OURS = ('arm_sim', 'uio', 'tracker', 'recorder', 'view')
+"""Names of this software's nodes."""
+_PARAMETERS = ('use_sim_time', 'lockstep', 'arm_file', 'torque_source', 'gains.arm_sha256')
+_QUIET, _LONGEST_SEARCH = 3.2, 10.0
+"""The search ends when nothing new was found for this long [s] (DDS participants announce
+themselves every 3 s), and at the latest after the second."""
+_MOST_TOPICS = 8
+"""More joint_states topics than these are not listened to."""
+
+
+class Endpoint(NamedTuple):
+    """A publisher or subscription."""
+
+    node: str  # full name of its node
+    msgtype: str
+    qos: QoSProfile  # offered or requested
+
+
+@dataclass
+class Snapshot:
+    """What was seen of a graph."""
+
+    domain: int = 0  # ROS_DOMAIN_ID
+    seconds: float = 3.0  # time of listening [s]
+    nodes: list = field(default_factory=list)  # full names; twice where two nodes have one name
+    # state of each managed node of ours; None where it did not answer
+    states: dict = field(default_factory=dict)
+    parameters: dict = field(default_factory=dict)  # of each node of ours that answered
+    publishers: dict = field(default_factory=dict)  # by topic
+    subscriptions: dict = field(default_factory=dict)  # by topic
+    # by topic of JointState: pairs of time of arrival [ns] and message
+    measured: dict = field(default_factory=dict)
+    clock: list = field(default_factory=list)  # pairs of time of arrival and time on /clock [ns]
+
+    def ours(self) -> list[str]:
+        """Full names of this software's nodes, each once."""
+        return sorted({n for n in self.nodes if n.rsplit('/', 1)[1] in OURS})
+
+
+def watch(seconds: float) -> Snapshot:
+    """Join the graph of this shell's domain and look around."""
+    stay_local()
+    context = Context()
+    rclpy.init(context=context)
+    options: Any = {'enable_rosout': False, 'start_parameter_services': False, 'context': context}
+    node = rclpy.create_node(f'lpv_doctor_{os.getpid()}', **options)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    try:
+        return _look(node, executor, seconds)
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+
+
+def _look(node: Any, executor: Any, seconds: float) -> Snapshot:
+    _find_all(node, executor)
+    shot = Snapshot(node.context.get_domain_id(), seconds)
+    names = [f'{ns.rstrip("/")}/{name}' for name, ns in node.get_node_names_and_namespaces()]
+    shot.nodes = sorted(n for n in names if not n.startswith('/lpv_doctor_'))
+    for topic, _types in node.get_topic_names_and_types():
+        shot.publishers[topic] = _endpoints(node.get_publishers_info_by_topic(topic))
+        shot.subscriptions[topic] = _endpoints(node.get_subscriptions_info_by_topic(topic))
+    _listen(node, shot)
+    questions = [question for name in shot.ours() for question in _questions(node, name)]
+    futures: dict[int, Any] = {}  # of requests that were sent, once their service was found
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        for k, (_, _, client, request) in enumerate(questions):
+            if k not in futures and client.service_is_ready():
+                futures[k] = client.call_async(request)
+        executor.spin_once(timeout_sec=min(0.05, max(0.0, end - time.monotonic())))
+    for k, (name, parameter, _, _) in enumerate(questions):
+        answer = futures[k].result() if k in futures and futures[k].done() else None
+        if not parameter:
+            shot.states[name] = None if answer is None else answer.current_state.label
+        elif answer is not None and answer.values:
+            shot.parameters.setdefault(name, {})[parameter] = _plain(answer.values[0])
+    return shot
+
+
+def _find_all(node: Any, executor: Any) -> None:
+    """Wait until everybody has been found."""
+    end, quiet_since, known = time.monotonic() + _LONGEST_SEARCH, time.monotonic(), None
+    while time.monotonic() < min(end, quiet_since + _QUIET):
+        executor.spin_once(timeout_sec=0.1)
+        found = sorted(node.get_node_names_and_namespaces()), node.get_topic_names_and_types()
+        if found != known:
+            known, quiet_since = found, time.monotonic()
+
+
+def _listen(node: Any, shot: Snapshot) -> None:
+    topics = [
+        topic
+        for topic, ends in sorted(shot.publishers.items())
+        if any(e.msgtype == JOINT_STATE for e in ends) and not topic.endswith(f'/{CORRECTED}')
+    ]
+    for topic in topics[:_MOST_TOPICS]:
+        received = shot.measured[topic] = []
+
+        def take(message: Any, to: list = received) -> None:
+            to.append((time.time_ns(), message))
+
+        node.create_subscription(JointState, topic, take, qos_profile_sensor_data)
+
+    def tick(message: Any) -> None:
+        shot.clock.append((time.time_ns(), message.clock.sec * 10**9 + message.clock.nanosec))
+
+    node.create_subscription(Clock, '/clock', tick, qos_profile_sensor_data)
+
+
+def _questions(node: Any, name: str) -> list[tuple[str, str, Any, Any]]:
+    """Node, parameter ('' for its state), client and request."""
+    state = node.create_client(GetState, f'{name}/get_state')
+    values = node.create_client(GetParameters, f'{name}/get_parameters')
+    # One by one: a name that a node does not know spoils the answer to the others.
+    return [
+        (name, '', state, GetState.Request()),
+        *((name, p, values, GetParameters.Request(names=[p])) for p in _PARAMETERS),
+    ]
+
+
+def _plain(value: Any) -> Any:
+    """Value of a parameter that is true or false, or a text."""
+    if value.type == ParameterType.PARAMETER_BOOL:
+        return value.bool_value
+    return value.string_value if value.type == ParameterType.PARAMETER_STRING else None
+
+
+def _endpoints(infos: list[Any]) -> list[Endpoint]:
+    return [
+        Endpoint(f'{i.node_namespace.rstrip("/")}/{i.node_name}', i.topic_type, i.qos_profile)
+        for i in infos
+        if not i.node_name.startswith('lpv_doctor_')
+    ]

@@ -1,0 +1,70 @@
+"""The ``lpv`` command."""
+
+import argparse
+import importlib
+import sys
+from contextlib import nullcontext
+
+from lpv.cli.completion import complete, complete_by_name
+from lpv.cli.needs import Version, remedy
+from lpv.cli.options import COMMANDS
+from lpv.cli.progress import announced
+from lpv.core.support.errors import LpvError
+from lpv.core.support.options import declare
+from lpv.core.support.resources import bringup_file
+
+
+def build_parser(chosen: str | None = None) -> argparse.ArgumentParser:
+    """Parser of the command line, with the options of one command."""
+    parser = argparse.ArgumentParser(
+        prog='lpv', description='Sensor-fault diagnosis and tracking of serial robot arms.'
+    )
+    parser.add_argument('--version', action=Version)
+    commands = parser.add_subparsers(dest='command', metavar='COMMAND', required=True)
+    for name, command in COMMANDS.items():
+        text, epilog = command.help, command.epilog
+        sub = commands.add_parser(name, help=text, description=text, epilog=epilog)
+        if name == chosen:
+            declare(sub, command.options)
+            complete_by_name(sub)
+    return parser
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Entry point; exit code 2 for bad input."""
+    complete(build_parser, COMMANDS)
+    is_shell, argv = argv is None, sys.argv[1:] if argv is None else argv
+    chosen = next((a for a in argv if a in COMMANDS), None)
+    if not argv:
+        build_parser().print_help()
+        return 0
+    # A shell waits; who calls from Python does not want more than what the command prints.
+    waiting = announced(f'lpv {chosen}: {COMMANDS[chosen].help}') if is_shell and chosen else None
+    try:
+        with waiting or nullcontext():
+            arguments = build_parser(chosen).parse_args(argv)
+            if getattr(arguments, 'arm', None) and chosen != 'doctor':
+                _load_arm(arguments.arm)  # before all that takes its time
+            module = importlib.import_module(f'lpv.cli.{COMMANDS[arguments.command].module}')
+            code: int = module.run(arguments)
+            return code
+    except ModuleNotFoundError as error:
+        print(f'lpv {chosen}: {remedy(error.name)}', file=sys.stderr)
+        return 2
+    except (LpvError, OSError) as error:
+        print(f'lpv {chosen}: {error}', file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print('interrupted', file=sys.stderr)
+        return 130
+
+
+def _load_arm(name: str) -> None:
+    # Not for help, which needs no NumPy.
+    from lpv.core.serial_arm.arm_file import load_arm
+
+    load_arm(bringup_file('arms', name))
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,72 @@
+"""What a command needs that is not installed, and how it is installed."""
+
+import argparse
+import importlib.util
+import platform
+from typing import Any
+
+from lpv.core.support.errors import ConfigError
+
+DISTRIBUTION = 'lpv-arm-fdi'
+_EXTRAS = {
+    'pyarrow': 'campaign',
+    'distributed': 'campaign',
+    'cmaes': 'campaign',
+    'optuna': 'tune',
+    'sqlalchemy': 'tune',
+    'mujoco': 'mujoco',
+    'pinocchio': 'identify',
+}
+_ROS = (
+    'ROS 2 is needed and not installed here: run "make setup" in a checkout of lpv-arm-fdi, or '
+    'build its packages with colcon in your ROS 2 workspace and source it'
+)
+
+
+def require_ros() -> None:
+    """Refuse to start nodes where there is no ROS 2, or no messages of this software."""
+    for module in ('rclpy', 'lpv_msgs.msg'):
+        try:
+            found = importlib.util.find_spec(module)
+        except ModuleNotFoundError:
+            found = None
+        if found is None:
+            raise ConfigError(module, _ROS)
+
+
+def remedy(module: str | None) -> str:
+    """One sentence for a module that cannot be imported."""
+    name = (module or '').split('.')[0]
+    if name in _EXTRAS:
+        if _version(DISTRIBUTION) == '-':
+            return f'{name} is not installed: run "make setup-extras" in the checkout'
+        return f"{name} is not installed: pip install '{DISTRIBUTION}[{_EXTRAS[name]}]'"
+    if name == 'lpv_design':
+        return f'{name}, which designs gains, is not installed: build its package, too'
+    if name.endswith('_msgs') or name.startswith(('rcl', 'ros', 'lpv_')):
+        return f'{name}: {_ROS}'
+    return f'{name} is not installed: pip install {name}'
+
+
+class Version(argparse.Action):
+    """Print the version of this software and of what its figures depend on."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options, nargs=0, help='show the version')
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        """Print and leave."""
+        own = _version(DISTRIBUTION)
+        parts = [f'{name} {_version(name)}' for name in ('numpy', 'numba')]
+        text = ', '.join([f'Python {platform.python_version()}', *parts])
+        print(f'lpv {_version("lpv") if own == "-" else own} ({text})')
+        parser.exit()
+
+
+def _version(name: str) -> str:
+    from importlib.metadata import PackageNotFoundError, version  # only here: it takes time
+
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return '-'

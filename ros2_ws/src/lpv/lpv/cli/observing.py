@@ -1,0 +1,103 @@
+"""What observes, and what of a bag is read: of several commands."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from lpv.bag.replay.replay import ReplayOptions
+from lpv.bag.rosbag.output_folder import GAINS_NAME
+from lpv.core.monitoring.parameters import DiagnosisParameters
+from lpv.core.serial_arm.arm_file import load_arm
+from lpv.core.serial_arm.certificate.loop_gains import serial_parameters
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.support.config import read_yaml
+from lpv.core.support.errors import ConfigError
+from lpv.core.support.resources import bringup_file
+from lpv.core.uio.certificate.gains import Gains, load_gains
+from lpv.core.uio.model.arm import ArmParameters
+from lpv.core.uio.planar import planar_model
+from lpv.report.certificate import beside_bag, named_arm
+
+
+def reading_options(arguments: argparse.Namespace, **others: Any) -> ReplayOptions:
+    """What of a bag is read, as the replay takes it."""
+    given = vars(arguments)
+    return ReplayOptions(
+        topic=given['topic'],
+        effort_topic=given['effort_topic'],
+        start=given['from'],
+        end=given['to'],
+        torque_from_command=given['torque_source'] == 'command',
+        **others,
+    )
+
+
+def arm_and_gains(
+    arguments: argparse.Namespace, console: Console
+) -> tuple[SerialArm, Gains | None]:
+    """Arm and gains as arguments say, or as the bag says; gains only of an arm with a region."""
+    gains = load_gains(bringup_file('gains', arguments.gains)) if arguments.gains else None
+    name, kept = arguments.arm or (gains and gains.arm_name), None
+    bag = getattr(arguments, 'bag', None)
+    if bag and not gains and not arguments.requirement:
+        found, kept = _of_bag(Path(bag))
+        if found and not name:
+            what = ' and gains' if kept else ''
+            console.print(f'arm {found!r}{what} as in the bag')
+            name = found
+    if not name:
+        raise ConfigError('--arm', 'is needed where neither gains nor the bag name an arm')
+    arm = load_arm(bringup_file('arms', name))
+    if arm.lpv is None and not (gains or arguments.requirement):
+        return arm, None
+    planar = planar_model(arm)
+    if kept and kept.arm_sha256 == planar.sha256():
+        gains = kept
+    elif kept and not arguments.arm:
+        kept.check_arm(planar, f'{bag}: {GAINS_NAME}')  # another arm of this name: say so
+    return arm, gains or _gains_of(arguments, planar, console)
+
+
+def _of_bag(bag: Path) -> tuple[str, Gains | None]:
+    """Arm that the gains in a bag, or the recorded answers, name, and the gains; '' without."""
+    file = beside_bag(bag, GAINS_NAME)
+    if file is not None and serial_parameters(file) is None:
+        gains = load_gains(file)
+        return gains.arm_name, gains
+    return named_arm(bag), None
+
+
+def _gains_of(arguments: argparse.Namespace, arm: ArmParameters, console: Console) -> Gains | None:
+    """Gains that are designed for the requirement, if one is given or shipped."""
+    # The solver is imported only where it is needed.
+    from lpv_design.design_flow import design
+    from lpv_design.requirement import load_requirement, shipped_requirements
+
+    name = arguments.requirement or arm.name
+    if not arguments.requirement and name not in shipped_requirements():
+        console.print(f'no gains of arm {arm.name!r}: the moving horizon observes alone')
+        return None
+    requirement = load_requirement(name)
+    console.print(f'designing gains for arm {arm.name!r} ...')
+    return design(arm, requirement).gains
+
+
+def diagnosis_parameters(path: str | None) -> tuple[DiagnosisParameters, dict[str, Any]]:
+    """Tuning of the diagnosis in a parameter file of the node, and what it gives of ``max_gap`` and
+    ``initial_samples``."""
+    if not path:
+        return DiagnosisParameters(), {}
+    try:
+        values = dict(read_yaml(path)['/**']['ros__parameters'])
+        diagnosis = DiagnosisParameters(**values.get('diagnosis') or {})
+    except (KeyError, TypeError, ValueError) as error:
+        raise ConfigError(
+            '/**.ros__parameters', f'is not a set of parameters ({error})', path
+        ) from error
+    chosen = {name: values[name] for name in ('max_gap', 'initial_samples') if name in values}
+    for name, value in (*vars(diagnosis).items(), *chosen.items()):
+        if not isinstance(value, (int, float)) or not 0.0 <= value < 1e9:
+            raise ConfigError(name, f'must be a number from 0, got {value!r}', path)
+    return diagnosis, chosen

@@ -1,0 +1,117 @@
+"""Start, watch and stop the nodes of a run as separate processes."""
+
+import contextlib
+import os
+import queue
+import signal
+import subprocess
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from lpv.core.support.discovery import stay_local
+from lpv.core.support.errors import LpvError
+
+
+class NodeFailure(LpvError):
+    """A node ended before its time; the message carries the end of its log."""
+
+
+@dataclass
+class NodeProcess:
+    """One running node."""
+
+    name: str  # For messages
+    process: subprocess.Popen  # Leader of its own process group
+    log: Path  # What it printed
+
+
+@contextlib.contextmanager
+def ended_by_signals() -> Iterator[None]:
+    """Context in which SIGTERM and SIGHUP raise SystemExit: nodes must not outlive the command.
+
+    They are in sessions of their own, where neither arrives.  SIGHUP is left alone where it is
+    ignored, as nohup asks for.
+    """
+
+    def end(number: int, _frame: object) -> None:
+        raise SystemExit(128 + number)
+
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
+    before = {number: handler for number, handler in before.items() if handler != signal.SIG_IGN}
+    for number in before:
+        signal.signal(number, end)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+class Graph:
+    """A set of nodes that live and end together, each with its log in a folder."""
+
+    def __init__(self, log_dir: Path, domain_id: int) -> None:
+        self._log_dir = Path(log_dir)
+        self._log_dir.mkdir(parents=True, exist_ok=True)
+        stay_local()
+        self._environment = dict(os.environ, ROS_DOMAIN_ID=str(domain_id), PYTHONUNBUFFERED='1')
+        self.nodes: list[NodeProcess] = []
+        self.lines: queue.Queue[tuple[str, str]] = queue.Queue()
+
+    def __enter__(self) -> 'Graph':
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def start(self, name: str, command: list[Any]) -> NodeProcess:
+        """Start a node."""
+        process = subprocess.Popen(
+            [str(part) for part in command],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            env=self._environment,
+            text=True,
+            start_new_session=True,
+        )
+        node = NodeProcess(name, process, self._log_dir / f'{name}.log')
+        threading.Thread(target=self._pump, args=(node,), daemon=True).start()
+        self.nodes.append(node)
+        return node
+
+    def _pump(self, node: NodeProcess) -> None:
+        with open(node.log, 'w', encoding='utf-8', buffering=1) as log:
+            for line in node.process.stdout or ():
+                log.write(line)
+                self.lines.put((node.name, line.rstrip()))
+
+    def check(self, finite: NodeProcess | None = None) -> None:
+        """Raise if a node has ended that should not."""
+        for node in self.nodes:
+            code = node.process.poll()
+            if code is not None and not (node is finite and code == 0):
+                log = node.log.read_text(encoding='utf-8') if node.log.exists() else '(no log)'
+                end = '\n'.join(log.splitlines()[-15:])
+                raise NodeFailure(f'{node.name} ended with code {code}:\n{end}')
+
+    def stop(self, patience: float = 15.0) -> dict[str, Any]:
+        """Stop all nodes: SIGINT, then SIGTERM, then SIGKILL, to whole process groups.
+
+        The node that was started first, the recorder where there is one, is stopped last:
+        it takes what the others send until they end.
+        """
+        for group in (self.nodes[1:], self.nodes[:1]):
+            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
+                running = [n for n in group if n.process.poll() is None]
+                for node in running:
+                    with contextlib.suppress(ProcessLookupError):
+                        os.killpg(node.process.pid, number)
+                deadline = time.monotonic() + patience
+                for node in running:
+                    with contextlib.suppress(subprocess.TimeoutExpired):
+                        node.process.wait(max(0.0, deadline - time.monotonic()))
+        return {node.name: node.process.poll() for node in self.nodes}

@@ -1,0 +1,186 @@
+"""Computed torque: tracking control of serial arms by inverse dynamics.
+
+tau = M(q) a + C(q, v) v + g(q) + F(v_r), a = q_r'' + kd (v_r - v) + kp (q_r - q) + ki eps,
+eps' = q_r - q.
+
+With the true model the error of every joint has three poles at -w, w the bandwidth: kd = 3 w,
+kp = 3 w^2, ki = w^3.  For a wrong model see
+`lpv.core.serial_arm.certificate`.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from lpv.core.control.latency import loop_latency
+from lpv.core.control.tracking_law import TrackingLaw, apply_limits
+from lpv.core.serial_arm.chain import Chain, FloatArray, compile_chain, workspace
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.dynamics.friction import friction_torque
+from lpv.core.serial_arm.dynamics.newton_euler import inverse_dynamics
+from lpv.core.support.errors import ConfigError
+from lpv.core.support.jit import njit_in_place as njit
+from lpv.core.support.records import new_record, record_type
+
+BANDWIDTH = 10.0
+"""Default [rad/s]."""
+
+
+def computed_torque_type(joints: int) -> np.dtype:
+    """Record type of the controller: gains and state."""
+    return record_type(
+        ('kp', 'f8'),  # [1/s2]
+        ('kd', 'f8'),  # [1/s]
+        ('ki', 'f8'),  # [1/s3]
+        ('limit', 'f8', (joints,)),  # of the joint torques [N m]
+        ('integral', 'f8', (joints,)),  # eps [rad s]
+        ('torque', 'f8', (joints,)),  # of the last command [N m]
+        ('saturated', '?'),  # whether they met a limit
+        ('acceleration', 'f8', (joints,)),  # work space: a [rad/s2]
+        ('friction', 'f8', (joints,)),  # work space [N m]
+        ('step', 'f8', (joints,)),  # work space: step of eps [rad s]
+    )
+
+
+@njit
+def computed_torque(
+    chain: Chain,
+    state: np.record,
+    reference: FloatArray,
+    position: FloatArray,
+    velocity: FloatArray,
+    integrated: FloatArray,
+    interval: float,
+    work: FloatArray,
+) -> None:
+    """One torque command; it is in ``state.torque``.
+
+    Parameters
+    ----------
+    chain : Chain
+        The arm's model.
+    state : numpy.record
+        Of `computed_torque_type`.
+    reference : ndarray, shape (3, n)
+        Positions, rates and accelerations [rad], [rad/s], [rad/s2].
+    position, velocity, integrated : ndarray, shape (n,)
+        State to feed back, and the position that eps integrates [rad], [rad/s].
+    interval : float
+        Time since the previous command [s]; 0 at the first.
+    work : ndarray
+        From `workspace`.
+    """
+    n = position.shape[0]
+    for i in range(n):
+        state.step[i] = interval * (reference[0, i] - integrated[i])
+        state.acceleration[i] = (
+            reference[2, i]
+            + state.kd * (reference[1, i] - velocity[i])
+            + state.kp * (reference[0, i] - position[i])
+            + state.ki * (state.integral[i] + state.step[i])
+        )
+    inverse_dynamics(chain, position, velocity, state.acceleration, work, state.torque)
+    # Friction along the reference: noise of rates around zero would make it chatter.
+    friction_torque(chain, reference[1], state.torque, state.friction)
+    for i in range(n):
+        state.torque[i] += state.friction[i]
+    apply_limits(state, state.limit)
+
+
+class ComputedTorqueParts(NamedTuple):
+    """Arguments of `computed_torque`."""
+
+    chain: Chain
+    state: np.ndarray  # memory of the record, shape (1,)
+    work: FloatArray
+
+
+class ComputedTorqueController(TrackingLaw):
+    """Computed torque with PD and integral action.
+
+    Parameters
+    ----------
+    arm : SerialArm
+        The arm.
+    bandwidth : float, optional
+        Distance of the loop's three poles from zero, with a true model [rad/s].
+
+    Attributes
+    ----------
+    tolerated_latency, integrates_measurement
+        As of `lpv.core.control.tracking.TrackingController`.
+
+    Raises
+    ------
+    ConfigError
+        If the sampled loop with this bandwidth is not stable.
+    """
+
+    integrates_measurement = False
+
+    def __init__(self, arm: SerialArm, bandwidth: float = BANDWIDTH) -> None:
+        self._chain = compile_chain(arm)
+        self._work = workspace(self._chain)
+        self.bandwidth = bandwidth
+        gains = _triple_pole(bandwidth)
+        self.tolerated_latency = serial_loop_latency(bandwidth, arm.sample_time)
+        if self.tolerated_latency < arm.sample_time:
+            raise ConfigError(
+                'bandwidth', f'{bandwidth:g} rad/s is unstable at {arm.sample_time:g} s a sample'
+            )
+        state = new_record(
+            computed_torque_type(len(arm.joints)),
+            ki=gains[0],
+            kp=gains[1],
+            kd=gains[2],
+            limit=arm.torque_limit,
+        )
+        super().__init__(state)
+
+    @property
+    def parts(self) -> ComputedTorqueParts:
+        """Arguments of `computed_torque`."""
+        return ComputedTorqueParts(self._chain, self._memory, self._work)
+
+    @property
+    def chain(self) -> Chain:
+        """The model that torques are computed with."""
+        return self._chain
+
+    def answer(
+        self,
+        reference: FloatArray,
+        position: FloatArray,
+        velocity: FloatArray,
+        integrated: FloatArray,
+        interval: float,
+    ) -> None:
+        """As `TrackingLaw.answer`."""
+        computed_torque(
+            self._chain, self.state, reference, position, velocity, integrated, interval, self._work
+        )
+
+
+def serial_loop_latency(bandwidth: float, sample_time: float) -> float:
+    """`joint_loop_latency` of a `ComputedTorqueController` [s]."""
+    return joint_loop_latency(_triple_pole(bandwidth), sample_time)
+
+
+def _triple_pole(bandwidth: float) -> np.ndarray:
+    """ki, kp, kd."""
+    return bandwidth**3 * np.array([1.0, 3.0 / bandwidth, 3.0 / bandwidth**2])
+
+
+def joint_loop_latency(gains: np.ndarray, sample_time: float) -> float:
+    """Longest constant latency with which the loop of one joint is stable, with a true model [s].
+
+    Parameters
+    ----------
+    gains : ndarray, shape (3,)
+        ki, kp, kd.
+    sample_time : float
+        [s].
+    """
+    a = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])  # of eps, q, v
+    b = np.array([[0.0], [0.0], [1.0]])
+    return loop_latency([(a, b)], -gains[None], sample_time)

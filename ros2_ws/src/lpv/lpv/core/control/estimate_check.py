@@ -1,0 +1,174 @@
+"""Whether the values of an estimate can be an arm's, and how fast a correction of it may change.
+
+A correction, the measured position less the one that is fed back, may be wrong, and so may its end.
+`limit_correction` keeps it from moving the arm: what no joint can do is not followed at once but
+faded in.
+"""
+
+import math
+from enum import IntEnum
+
+import numpy as np
+
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.support.jit import njit_in_place as njit
+from lpv.core.support.records import memory, new_record, record_type
+from lpv.core.support.timestamps import NANOSECONDS, NEVER
+
+ROWS = ('position', 'compensated_position', 'measured_position', 'velocity', 'measured_velocity')
+"""Fields of lpv_msgs/StateEstimate in the order in which `check_values` takes them."""
+_POSITIONS = 3
+_FARTHEST, _FASTEST = 100.0, 1e6
+"""Positions [rad] and rates [rad/s] that no arm has: sixteen turns; rates above the velocity limit
+are judged by the watchdog."""
+
+
+class ValueFault(IntEnum):
+    """What is wrong with the values of an estimate."""
+
+    NONE = 0
+    NOT_FINITE = 1
+    IMPOSSIBLE = 2
+
+
+_NONE, _NOT_FINITE, _IMPOSSIBLE = (int(fault) for fault in ValueFault)
+
+
+@njit
+def check_values(values: np.ndarray) -> int:
+    """`ValueFault` of positions and rates, shape (5, n), in the order of `ROWS`."""
+    found = _NONE
+    for k in range(values.shape[0]):
+        limit = _FARTHEST if k < _POSITIONS else _FASTEST
+        for i in range(values.shape[1]):
+            if not math.isfinite(values[k, i]):
+                return _NOT_FINITE
+            if abs(values[k, i]) > limit:
+                found = _IMPOSSIBLE
+    return found
+
+
+CHANGE_SHARE = 0.25
+"""Rate at which a position may leave what the rates say: share of the velocity limit."""
+FADING = 0.5
+"""Fastest rate at which the rest of such a change reaches the loop [rad/s]."""
+_RATE_SHARE = 0.1
+"""Change of a rate between two samples that passes at once: share of the limit, at least."""
+_RATE_FADING = 10.0
+"""Rate at which the rest of it does: of the velocity limit [1/s]."""
+_SIGMAS = 8.5
+"""Change of a reading between two samples by noise: six standard deviations of a difference."""
+
+
+def correction_type(joints: int) -> np.dtype:
+    """Record type of `limit_correction`; positions and rates are the rows of each field."""
+    rows = (2, joints)
+    return record_type(
+        ('noise', 'f8', rows),  # change by noise and quantization, at most [rad], [rad/s]
+        ('change', 'f8', rows),  # limit of unexplained changes, by time [rad/s], [rad/s2]
+        ('fading', 'f8', rows),  # [rad/s], [rad/s2]
+        ('stamp', 'i8'),  # of the sample before [ns], or NEVER
+        ('before', 'f8', rows),  # the sample before, as estimated
+        ('surplus', 'f8', rows),  # what is not fed back yet
+        ('feedback', 'f8', rows),  # what is to be fed back
+    )
+
+
+def position_noise(arm: SerialArm) -> np.ndarray:
+    """Largest change of each joint's measured position at rest, by noise and quantization [rad]."""
+    sensors = [joint.sensors for joint in arm.joints]
+    noise = [_SIGMAS * s.position_noise + 2.0 * s.quantization for s in sensors]
+    # A joint's position is a combination of readings.
+    return np.abs(arm.sensors_to_joints()) @ noise
+
+
+def new_correction(arm: SerialArm, limited: bool = True) -> np.record:
+    """Record of `limit_correction` before the first sample; not ``limited``, it passes all on."""
+    limit = np.array(arm.velocity_limit)
+    sensors = [joint.sensors for joint in arm.joints]
+    position = position_noise(arm)
+    rate = np.abs(arm.sensors_to_joints()) @ [_SIGMAS * s.velocity_noise for s in sensors]
+    rate, scale = np.maximum(rate, position / arm.sample_time), arm.scales()
+    rate = np.maximum(rate, _RATE_SHARE * limit)
+    change = np.array([CHANGE_SHARE * limit, _RATE_FADING * limit])
+    return new_record(
+        correction_type(len(limit)),
+        noise=np.array([position + 0.0 * limit, rate]),
+        change=change if limited else np.inf,
+        fading=np.array([np.minimum(change[0], FADING * scale), change[1]]),
+        stamp=NEVER,
+    )
+
+
+@njit
+def limit_correction(
+    record: np.record, stamp: int, position: np.ndarray, velocity: np.ndarray
+) -> None:
+    """Position and rate to feed back, the rows of ``record.feedback``.
+
+    A joint moves as its rate says, and its rate changes smoothly.  What else a position or a rate
+    changes, by more than noise and ``record.change``, is a change of its correction: the loop gets
+    it faded in, so that torques do not jump.  A start, with ``record.stamp`` NEVER, takes both as
+    they are.
+
+    Parameters
+    ----------
+    record : numpy.record
+        Of `new_correction`; changed.
+    stamp : int
+        Of the sample [ns].
+    position, velocity : ndarray, shape (n,)
+        As estimated [rad], [rad/s].
+    """
+    starts = record.stamp == NEVER
+    interval = 0.0 if starts else (stamp - record.stamp) / NANOSECONDS
+    for i in range(position.shape[0]):
+        moved = 0.5 * interval * (velocity[i] + record.before[1, i])
+        for row in range(2):
+            value = velocity[i] if row else position[i]
+            surplus = 0.0
+            if not starts:
+                change = value - record.before[row, i] - (0.0 if row else moved)
+                most = record.noise[row, i] + interval * record.change[row, i]
+                surplus = record.surplus[row, i] + change - min(max(change, -most), most)
+                fading = interval * record.fading[row, i]
+                surplus -= min(max(surplus, -fading), fading)
+            record.before[row, i], record.surplus[row, i] = value, surplus
+            record.feedback[row, i] = value - surplus
+    record.stamp = stamp
+
+
+@njit
+def _limit_correction(
+    record: np.ndarray, stamp: int, position: np.ndarray, velocity: np.ndarray
+) -> None:
+    limit_correction(record[0], stamp, position, velocity)
+
+
+class CorrectionLimit:
+    """`limit_correction` for Python, sample by sample.
+
+    Parameters
+    ----------
+    arm : SerialArm
+        The arm.
+    limited : bool
+        Whether there is a correction: a position that is fed back as measured has none.
+
+    Attributes
+    ----------
+    position, velocity : ndarray, shape (n,)
+        What is to be fed back [rad], [rad/s].
+    """
+
+    def __init__(self, arm: SerialArm, limited: bool = True) -> None:
+        self._memory = memory(new_correction(arm, limited))
+        self.position, self.velocity = self._memory['feedback'][0]
+
+    def take(self, stamp: int, position: np.ndarray, velocity: np.ndarray) -> None:
+        """As the function `limit_correction`."""
+        _limit_correction(self._memory, stamp, position, velocity)
+
+    def restart(self) -> None:
+        """The next sample is a start."""
+        self._memory['stamp'] = NEVER

@@ -1,0 +1,163 @@
+"""Smooth Cartesian paths, and the joint references that inverse kinematics makes of them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lpv.core.control.rest_to_rest import checked_times, rest_to_rest
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.support.errors import ConfigError
+from lpv.core.uio.model.kinematics import ELBOWS, forward, inverse, joint_motion
+from lpv.core.uio.planar import planar_links, plane_of
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Reference of the tracking loop at one or more times."""
+
+    position: np.ndarray  # of the joints, ROS joint coordinates, shape (..., n) [rad]
+    velocity: np.ndarray  # the same, shape (..., n) [rad/s]
+    acceleration: np.ndarray  # the same, shape (..., n) [rad/s2]
+    tip: np.ndarray  # the point of the path: x, y, z in the base frame [m]
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """A round obstacle in the plane of the arm."""
+
+    center: tuple[float, float]  # x, y [m]
+    radius: float  # [m]
+
+
+class TimedPath(Protocol):
+    """A path in time, at rest at both ends."""
+
+    start: float  # of the motion [s]
+    end: float  # of the motion [s]
+    obstacle: Obstacle | None  # in the plane of a planar arm
+
+    def sample(self, times: ArrayLike) -> Reference:
+        """References at times on the path's clock [s]."""
+
+    def tip(self, position: np.ndarray) -> np.ndarray:
+        """Where joint positions, shape (..., n) [rad], bring the tip [m]."""
+
+    def in_base(self, point: np.ndarray) -> np.ndarray:
+        """Points in the plane of a planar arm, shape (..., 2), in the base frame [m]."""
+
+
+@dataclass(frozen=True)
+class PlanarWaypoints:
+    """Points in the vertical plane of a planar arm that its tip goes through."""
+
+    points: tuple[tuple[float, float], ...]  # x forward, y up, from joint 1 [m]
+    elbow: str = 'positive'  # branch of the inverse kinematics
+    # for pictures, and for the check that the path keeps clear of it
+    obstacle: Obstacle | None = None
+
+
+class CartesianPath:
+    """Quintic spline through timed points in the plane, at rest at both ends.
+
+    Parameters
+    ----------
+    arm : SerialArm
+        A planar arm of two links.
+    times : sequence of float
+        Strictly increasing [s]; before the first and after the last the tip rests.
+    waypoints : PlanarWaypoints
+        Points at these times.
+
+    Raises
+    ------
+    ConfigError
+        If times do not increase, there are fewer than two points, the tip hits the obstacle, or a
+        joint would be faster than its velocity limit.
+    UnreachableError
+        If any part of the path is out of reach or singular.
+    """
+
+    def __init__(self, arm: SerialArm, times: Sequence[float], waypoints: PlanarWaypoints) -> None:
+        knots, tips = checked_times(times), np.asarray(waypoints.points, float)
+        if tips.shape != (len(knots), 2):
+            raise ConfigError('path.waypoints', 'needs points with t, x and y')
+        if not np.isfinite(tips).all():
+            raise ConfigError('path.waypoints', 'x and y must be finite')
+        if waypoints.elbow not in ELBOWS:
+            raise ConfigError('path.elbow', f'must be one of {", ".join(ELBOWS)}')
+        self._arm, self._elbow, self.obstacle = (
+            planar_links(arm), waypoints.elbow, waypoints.obstacle
+        )  # fmt: skip
+        self._origin, self._plane = plane_of(arm)
+        self.start, self.end = float(knots[0]), float(knots[-1])
+        self._spline = rest_to_rest(knots, tips)
+        self._rate, self._curvature = self._spline.derivative(1), self._spline.derivative(2)
+        # q1 of eqs. (32)-(34) counts from the x-axis, which is -pi/2 from the upper vertical.
+        self._offset = np.array([-np.pi / 2 - self._arm.zero_angle, 0.0])
+        self._grid = np.linspace(self.start, self.end, 1001)
+        self._turning = self._first_joint(self._grid)
+        self._check_clearance()
+        self._check_rates(arm)
+
+    def _first_joint(self, times: np.ndarray) -> np.ndarray:
+        """Continuous q1 along the path, started within (-pi, pi]."""
+        q_1 = inverse(self._spline(times), self._arm.lengths, self._elbow)[:, 0] + self._offset[0]
+        q_1[0] = (q_1[0] + np.pi) % (2.0 * np.pi) - np.pi
+        return np.unwrap(q_1)
+
+    def _check_clearance(self) -> None:
+        self.sample(self._grid)  # reachable everywhere
+        tip = self._spline(self._grid)
+        if self.obstacle is not None:
+            distance = np.hypot(*(tip - np.asarray(self.obstacle.center)).T)
+            if distance.min() < self.obstacle.radius:
+                raise ConfigError(
+                    'path', f'the tip hits the obstacle ({distance.min():.3f} m from its centre)'
+                )
+
+    def _check_rates(self, arm: SerialArm) -> None:
+        fastest = np.abs(self.sample(self._grid).velocity).max(axis=0)
+        for name, rate, limit in zip(arm.joint_names, fastest, arm.velocity_limit):
+            if rate > limit:
+                raise ConfigError(
+                    'path', f'needs {rate:.3g} rad/s of {name}, whose velocity_limit is {limit:g}'
+                )
+
+    def sample(self, times: ArrayLike) -> Reference:
+        """References at the given times.
+
+        Parameters
+        ----------
+        times : array_like, shape (...)
+            Times on the path's clock [s].
+
+        Returns
+        -------
+        Reference
+            Arrays of shape (..., 2), the tip's (..., 3).
+        """
+        clock = np.clip(np.asarray(times, float), self.start, self.end)
+        tip = self._spline(clock)
+        q = inverse(tip, self._arm.lengths, self._elbow)
+        rate, acceleration = joint_motion(
+            q, self._rate(clock), self._curvature(clock), self._arm.lengths
+        )
+        position = self._continuous(q + self._offset, clock)
+        return Reference(position, rate, acceleration, self.in_base(tip))
+
+    def tip(self, position: np.ndarray) -> np.ndarray:
+        """Where joint positions, shape (..., 2) [rad], bring the tip, shape (..., 3) [m]."""
+        return self.in_base(forward(position - self._offset, self._arm.lengths))
+
+    def in_base(self, point: np.ndarray) -> np.ndarray:
+        """Points in the plane, shape (..., 2), in the base frame, shape (..., 3) [m]."""
+        return np.asarray(self._origin + point @ self._plane)
+
+    def _continuous(self, q: np.ndarray, times: np.ndarray) -> np.ndarray:
+        """q with the turn of q1 that the path is in: atan2 jumps on the negative x-axis."""
+        near = np.interp(times, self._grid, self._turning)
+        turns = np.round((near - q[..., 0]) / (2.0 * np.pi))
+        return np.stack([q[..., 0] + 2.0 * np.pi * turns, q[..., 1]], axis=-1)

@@ -1,0 +1,127 @@
+"""What the tracking controllers of all arms share: one call a sample, limits, integral action."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lpv.core.control.path import Reference
+from lpv.core.support.jit import njit_in_place as njit
+from lpv.core.support.records import memory, plain
+
+
+@dataclass(frozen=True)
+class Command:
+    """One torque command."""
+
+    torque: np.ndarray  # joint torques within limits, shape (n,) [N m]
+    saturated: bool  # whether a limit was met
+
+
+@njit
+def apply_limits(state: np.record, limit: np.ndarray) -> None:
+    """Clip torques to their limits [N m], and integrate eps where none is met.
+
+    Parameters
+    ----------
+    state : numpy.record
+        ``torque`` wanted, ``step`` of ``integral``; changed, with ``saturated``.
+    limit : ndarray, shape (n,)
+        Of the joint torques [N m].
+    """
+    state.saturated = False
+    for i in range(limit.shape[0]):
+        wanted = state.torque[i]
+        state.torque[i] = min(max(wanted, -limit[i]), limit[i])
+        if state.torque[i] != wanted:
+            state.saturated = True
+    if not state.saturated:
+        # Conditional integration: no wind-up at the limit.
+        for i in range(limit.shape[0]):
+            state.integral[i] += state.step[i]
+
+
+class TrackingLaw(ABC):
+    """A tracking controller with integral action.
+
+    Parameters
+    ----------
+    state : numpy.record
+        With ``integral``, ``torque``, ``saturated``.
+
+    Attributes
+    ----------
+    torque : ndarray, shape (n,)
+        Joint torques of the last command [N m].
+    """
+
+    def __init__(self, state: np.record) -> None:
+        self.state = state
+        self._memory, self._shown = memory(state), plain(state)
+        self.torque: np.ndarray = self._memory['torque'][0]
+
+    @property
+    def integral(self) -> np.ndarray:
+        """State eps of the integral action, shape (n,) [rad s]."""
+        return self.state.integral
+
+    def reset(self) -> None:
+        """Empty the integrator."""
+        self.state.integral[:] = 0.0
+
+    def update(
+        self,
+        reference: Reference,
+        position: ArrayLike,
+        velocity: ArrayLike,
+        integrated_position: ArrayLike,
+        interval: float,
+    ) -> Command:
+        """Torque for the present sample.
+
+        Parameters
+        ----------
+        reference : Reference
+            References at the sample's time, shape (n,) each.
+        position, velocity : array_like, shape (n,)
+            State to feed back, joint coordinates [rad], [rad/s].
+        integrated_position : array_like, shape (n,)
+            Position that eps integrates, joint coordinates [rad].
+        interval : float
+            Time since the previous command [s]; 0 at the first.
+
+        Returns
+        -------
+        Command
+            Joint torques.
+        """
+        self.answer(
+            np.array([reference.position, reference.velocity, reference.acceleration]),
+            np.ascontiguousarray(position, dtype=float),
+            np.ascontiguousarray(velocity, dtype=float),
+            np.ascontiguousarray(integrated_position, dtype=float),
+            float(interval),
+        )
+        return Command(self.torque.copy(), bool(self._shown['saturated']))
+
+    @abstractmethod
+    def answer(
+        self,
+        reference: np.ndarray,
+        position: np.ndarray,
+        velocity: np.ndarray,
+        integrated: np.ndarray,
+        interval: float,
+    ) -> None:
+        """Write the command for the present sample into ``torque``.
+
+        Parameters
+        ----------
+        reference : ndarray, shape (3, n)
+            Positions, rates and accelerations [rad], [rad/s], [rad/s2].
+        position, velocity, integrated : ndarray, shape (n,)
+            As of `update`, contiguous.
+        interval : float
+            As of `update`.
+        """

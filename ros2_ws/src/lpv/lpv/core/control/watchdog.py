@@ -1,0 +1,500 @@
+"""Watchdogs of the tracking loop: when the tracker must stop the arm, and when its drives must.
+
+The tracker judges estimates and its own tracking error; the drives judge the commands and the speed
+of their joints.  Each ends in a safe stop, brakes engaged, within the time that its limit states.
+The nodes and the closed-loop simulation run the same functions.
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+from lpv.core.control.estimate_check import position_noise
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.diagnosis.alarms import Mode
+from lpv.core.support.jit import njit_in_place as njit
+from lpv.core.support.records import memory, new_record, record_type
+from lpv.core.support.timestamps import NANOSECONDS, NEVER
+
+_STALE, _NO_ESTIMATE = int(Mode.STALE), int(Mode.NO_ESTIMATE)
+
+
+class StopReason(IntEnum):
+    """Why the tracker stops the arm; see `STOP_TEXT`."""
+
+    NONE = 0
+    SILENCE = 1
+    LATENCY = 2
+    NOT_TRUSTWORTHY = 3
+    UNUSABLE = 4
+    NOT_FOLLOWING = 5
+    OVERSPEED = 6  # latched until reset, as the next
+    TRACKING_ERROR = 7
+    MOVING = 8
+    CORRECTION_LOST = 9  # latched until reset
+
+
+STOP_TEXT = {
+    StopReason.NONE: '',
+    StopReason.SILENCE: 'no estimates',
+    StopReason.LATENCY: 'estimates come too late',
+    StopReason.NOT_TRUSTWORTHY: 'the estimate is not trustworthy',
+    StopReason.UNUSABLE: 'measurements cannot be used',
+    StopReason.NOT_FOLLOWING: 'the arm does not follow: commands do not reach it, or it is braked',
+    StopReason.OVERSPEED: 'overspeed: a joint is faster than max_speed allows',
+    StopReason.TRACKING_ERROR: 'deviation: a joint is further from its reference than '
+    'max_tracking_error',
+    StopReason.MOVING: 'the arm is still moving: it starts from rest',
+    StopReason.CORRECTION_LOST: 'a confirmed fault was forgotten while no estimates came',
+}
+_NONE, _SILENCE, _LATENCY, _NOT_TRUSTWORTHY, _UNUSABLE, _NOT_FOLLOWING, _OVERSPEED, _ERROR = (
+    int(reason) for reason in tuple(StopReason)[:8]
+)
+_MOVING = int(StopReason.MOVING)
+
+
+class BrakeReason(IntEnum):
+    """Why the drives brake; see `BRAKE_TEXT`."""
+
+    NONE = 0
+    NO_COMMAND = 1
+    SAFE_STOP = 2
+    LATE = 3
+    LATENCY = 4
+    OVERSPEED = 5  # latched until the brakes are released by an operator
+
+
+BRAKE_TEXT = {
+    BrakeReason.NONE: '',
+    BrakeReason.NO_COMMAND: 'no command',
+    BrakeReason.SAFE_STOP: 'safe stop',
+    BrakeReason.LATE: 'commands stay away',
+    BrakeReason.LATENCY: 'commands are late on average',
+    BrakeReason.OVERSPEED: 'a joint is faster than its velocity limit',
+}
+_BRAKE_SAFE_STOP, _BRAKE_LATE, _BRAKE_LATENCY, _BRAKE_OVERSPEED = (
+    int(BrakeReason.SAFE_STOP),
+    int(BrakeReason.LATE),
+    int(BrakeReason.LATENCY),
+    int(BrakeReason.OVERSPEED),
+)
+
+
+_MEAN_SHARE = 0.9
+"""Largest mean latency over the constant latency with which the loop is stable: what is slower than
+the sampling is seen by the mean only after it has happened."""
+_SINGLE_SHARE = 4.0
+"""Largest single latency over the same.  It lasts once: where it repeats, the mean grows."""
+_LONGEST = 0.1
+"""Largest single latency of any loop: a torque that is held moves the arm all that time [s]."""
+
+
+@dataclass(frozen=True)
+class LatencyLimits:
+    """What tracker and drives tolerate from a measurement to the command that answers it."""
+
+    single: float  # once [s]
+    mean: float  # on average over `MEAN_TIME` [s]
+
+
+def latency_limits(tolerated: float) -> LatencyLimits:
+    """Limits for a loop that is stable with constant latencies up to ``tolerated`` [s].
+
+    See `lpv.core.control.latency.tolerated_latency`.
+    """
+    single = min(_SINGLE_SHARE * tolerated, _LONGEST)
+    return LatencyLimits(single, min(_MEAN_SHARE * tolerated, single))
+
+
+def mean_limit(single: float) -> float:
+    """Limit of the mean that belongs to a limit of single latencies [s]."""
+    return single * _MEAN_SHARE / _SINGLE_SHARE
+
+
+UNKNOWN_LOOP = latency_limits(0.013)
+"""Of drives that know no gains: below what the loops of all shipped gains tolerate."""
+
+
+@dataclass(frozen=True)
+class TrackerLimits:
+    """What the tracker tolerates."""
+
+    silence: float = UNKNOWN_LOOP.single  # between estimates [s]
+    latency: LatencyLimits = UNKNOWN_LOOP
+    unusable: float = 0.05  # without a usable measurement [s]
+    overspeed: float = 0.02  # above the allowed speed [s]
+    speed: float = 0.7  # allowed share of the velocity limit
+    tracking_error: float = 0.5  # of a joint [rad]
+    error_time: float = 0.05  # with a larger one [s]
+
+
+@dataclass(frozen=True)
+class DriveLimits:
+    """What the drives tolerate."""
+
+    latency: LatencyLimits = UNKNOWN_LOOP  # from a measurement to the end of its command's effect
+    overspeed: float = 0.02  # above the velocity limit [s]
+
+
+_REST_SHARE = 0.1
+"""Share of the velocity limit up to which an arm counts as resting."""
+MEAN_TIME = 0.1
+"""Time constant of mean latencies [s]."""
+_SHORTEST_STOP = 200_000_000
+"""How long latencies must be in time before tracker and drives go on by themselves [ns]."""
+_ARM_MOVED = 0.003, 0.01
+"""Motion of an arm that follows [rad]: above the noise of its readings, at least and at most."""
+_REFERENCE_MOVED = 2.0, 3.0
+"""Motion of the reference with the arm at rest from which the arm is not following, over the above:
+before its first motion after a start, and later, when friction and faults may hold it back.  An arm
+that is released from brakes leaps by as much, and the more the further its reference went."""
+
+
+def tracker_watchdog_type(joints: int) -> np.dtype:
+    """Record type of the tracker's watchdog."""
+    return record_type(
+        ('silence', 'i8'),  # limits, see `TrackerLimits` [ns]
+        ('latency', 'i8'),
+        ('unusable', 'i8'),
+        ('overspeed', 'i8'),
+        ('error_time', 'i8'),
+        ('mean_latency', 'f8'),  # [ns]
+        ('tracking_error', 'f8'),  # [rad]
+        ('speed_limit', 'f8', (joints,)),  # share of the arm file's velocity limit [rad/s]
+        ('rest', 'f8', (joints,)),  # rate below which a joint rests [rad/s]
+        ('scale', 'f8', (joints,)),  # what counts as 1 rad, see `SerialJoint.scale` [rad], [m]
+        ('share', 'f8'),  # of the newest latency in the mean
+        ('mean_age', 'f8'),  # [ns]
+        ('late', 'i8'),  # stamp of the last estimate that was late on average, or NEVER
+        ('usable', 'i8'),  # stamp of the last usable measurement, or NEVER
+        # stamp at which each joint was last not too fast, backwards and forwards, or NEVER
+        ('in_speed', 'i8', (2, joints)),
+        ('in_reach', 'i8'),  # stamp of the last tracking error within its limit, or NEVER
+        ('latched', 'i8'),  # reason that lasts until reset
+        ('started', '?'),  # whether there was a reference since the last stop
+        ('moved', '?'),  # whether the arm has moved since the last stop
+        ('step', 'f8', (joints,)),  # smallest motion that is one [rad], [m]
+        ('arm', 'f8', (joints,)),  # what the arm's sensors read when it last moved [rad]
+        ('reference', 'f8', (joints,)),  # where its reference was then [rad]
+    )
+
+
+def drive_watchdog_type(joints: int) -> np.dtype:
+    """Record type of the drives' watchdog."""
+    return record_type(
+        ('command_age', 'i8'),  # limits, see `DriveLimits` [ns]
+        ('overspeed', 'i8'),
+        ('mean_latency', 'f8'),  # [ns]
+        ('velocity_limit', 'f8', (joints,)),  # of the arm file [rad/s]
+        ('share', 'f8'),  # of the newest age in the mean
+        ('mean_age', 'f8'),  # [ns]
+        ('braked', 'i8'),  # time of the last command that was too late, or NEVER
+        ('in_speed', 'i8'),  # time at which the joints were last within the speed limits, or NEVER
+        ('latched', 'i8'),  # reason that lasts until reset
+    )
+
+
+def tracker_watchdog(arm: SerialArm, limits: TrackerLimits) -> np.record:
+    """Watchdog of the tracker of an arm, see `tracker_watchdog_type`."""
+    return new_record(
+        tracker_watchdog_type(len(arm.joint_names)),
+        silence=_nanoseconds(limits.silence),
+        latency=_nanoseconds(limits.latency.single),
+        mean_latency=_nanoseconds(limits.latency.mean),
+        unusable=_nanoseconds(limits.unusable),
+        overspeed=_nanoseconds(limits.overspeed),
+        error_time=_nanoseconds(limits.error_time),
+        tracking_error=limits.tracking_error,
+        speed_limit=limits.speed * np.array(arm.velocity_limit),
+        rest=_REST_SHARE * np.array(arm.velocity_limit),
+        scale=arm.scales(),
+        step=np.clip(2.0 * position_noise(arm), *np.outer(_ARM_MOVED, arm.scales())),
+        share=_share(arm),
+        late=NEVER,
+        usable=NEVER,
+        in_speed=NEVER,
+        in_reach=NEVER,
+    )
+
+
+def drive_watchdog(arm: SerialArm, limits: DriveLimits) -> np.record:
+    """Watchdog of the drives of an arm, see `drive_watchdog_type`."""
+    return new_record(
+        drive_watchdog_type(len(arm.joint_names)),
+        command_age=_nanoseconds(limits.latency.single),
+        overspeed=_nanoseconds(limits.overspeed),
+        mean_latency=_nanoseconds(limits.latency.mean),
+        velocity_limit=arm.velocity_limit,
+        share=_share(arm),
+        in_speed=NEVER,
+        braked=NEVER,
+    )
+
+
+def _share(arm: SerialArm) -> float:
+    return min(1.0, arm.sample_time / MEAN_TIME)
+
+
+def _nanoseconds(seconds: float) -> int:
+    return round(seconds * NANOSECONDS)
+
+
+@njit
+def check_estimate(
+    dog: np.record,
+    stamp: int,
+    latency: int,
+    mode: int,
+    trustworthy: bool,
+    velocity: np.ndarray,
+    measured_velocity: np.ndarray,
+) -> int:
+    """Judge an estimate before it is answered; returns a `StopReason`.
+
+    Parameters
+    ----------
+    dog : numpy.record
+        Of `tracker_watchdog`.
+    stamp, latency : int
+        Of the measurement; time from it until now, 0 where it is not known [ns].
+    mode, trustworthy, velocity, measured_velocity
+        Fields of lpv_msgs/StateEstimate.
+    """
+    if mode != _STALE and mode != _NO_ESTIMATE:
+        dog.usable = stamp
+        _check_speed(dog, stamp, velocity, measured_velocity)
+    if dog.latched != _NONE:
+        return dog.latched
+    if not trustworthy:
+        return _NOT_TRUSTWORTHY
+    if dog.usable == NEVER or stamp - dog.usable > dog.unusable:
+        return _UNUSABLE
+    if _is_late(dog, stamp, latency):
+        return _LATENCY
+    for i in range(velocity.shape[0]):
+        if not (dog.started or abs(measured_velocity[i]) <= dog.rest[i]):
+            return _MOVING
+    return _NONE
+
+
+@njit
+def _check_speed(
+    dog: np.record, stamp: int, velocity: np.ndarray, measured_velocity: np.ndarray
+) -> None:
+    """Latch overspeed of a joint, estimated or measured, that lasts in one direction.
+
+    The noise of rates that are derived from a faulty encoder changes its sign all the time.
+    """
+    for i in range(velocity.shape[0]):
+        limit, since = dog.speed_limit[i], dog.in_speed
+        # So that NaN is too fast.
+        if velocity[i] <= limit and measured_velocity[i] <= limit:
+            since[1, i] = stamp
+        if velocity[i] >= -limit and measured_velocity[i] >= -limit:
+            since[0, i] = stamp
+        oldest = min(since[0, i], since[1, i])
+        if oldest == NEVER or stamp - oldest > dog.overspeed:
+            dog.latched = _OVERSPEED
+
+
+@njit
+def _is_late(dog: np.record, stamp: int, latency: int) -> bool:
+    """Whether this latency is too long, or the mean is or was shortly before."""
+    # As for the drives: an outage ends with the first estimate that is in time.
+    dog.mean_age += dog.share * (min(latency, dog.latency) - dog.mean_age)
+    if dog.mean_age > dog.mean_latency:
+        dog.late = stamp
+    if dog.late != NEVER and stamp - dog.late < _SHORTEST_STOP:
+        return True
+    dog.late = NEVER
+    return latency > dog.latency
+
+
+@njit
+def check_motion(
+    dog: np.record, stamp: int, reference: np.ndarray, position: np.ndarray, measured: np.ndarray
+) -> int:
+    """Judge the tracking error before a command is given; returns a `StopReason`.
+
+    ``position`` is fed back, ``measured`` what sensors read [rad]: the end of a correction moves
+    the one, and no arm.
+    """
+    error = moved = led = 0.0
+    if not dog.started:
+        dog.started, dog.moved, dog.in_reach = True, False, stamp
+        _set_place(dog, reference, measured)
+    for i in range(position.shape[0]):
+        error = max(error, abs(reference[i] - position[i]) / dog.scale[i])
+        moved = max(moved, abs(measured[i] - dog.arm[i]) / dog.step[i])
+        led = max(led, abs(reference[i] - dog.reference[i]) / dog.step[i])
+    if error <= dog.tracking_error:
+        dog.in_reach = stamp
+    elif stamp - dog.in_reach > dog.error_time:
+        dog.latched = _ERROR
+        return _ERROR
+    if moved > 1.0:
+        dog.moved = True
+        _set_place(dog, reference, measured)
+    elif led > _REFERENCE_MOVED[1 if dog.moved else 0]:
+        return _NOT_FOLLOWING
+    return _NONE
+
+
+@njit
+def _set_place(dog: np.record, reference: np.ndarray, measured: np.ndarray) -> None:
+    for i in range(measured.shape[0]):
+        dog.arm[i], dog.reference[i] = measured[i], reference[i]
+
+
+@njit
+def note_stop(dog: np.record) -> None:
+    """The tracker has stopped the arm: the next reference is a start."""
+    dog.started = False
+
+
+@njit
+def check_drive(dog: np.record, now: int, age: int, safe_stop: bool, velocity: np.ndarray) -> int:
+    """Judge a command before it acts over a sample; returns a `BrakeReason`.
+
+    Parameters
+    ----------
+    dog : numpy.record
+        Of `drive_watchdog`.
+    now, age : int
+        Time of the sample; age of the measurement that the command answers, 0 in lockstep [ns].
+    safe_stop : bool
+        Whether the command asks for the brakes.
+    velocity : ndarray, shape (n,)
+        Joint rates as the motors' own sensors read them [rad/s].
+    """
+    # An outage counts as its limit only: it ends with the first fresh command.
+    dog.mean_age += dog.share * (min(age, dog.command_age) - dog.mean_age)
+    if not _is_too_fast(velocity, dog.velocity_limit):
+        dog.in_speed = now
+    elif dog.in_speed == NEVER or now - dog.in_speed > dog.overspeed:
+        dog.latched = _BRAKE_OVERSPEED
+    if dog.latched != _NONE:
+        return dog.latched
+    if safe_stop:
+        dog.braked = NEVER  # the tracker knows, and starts again from where the arm stands
+        return _BRAKE_SAFE_STOP
+    if age > dog.command_age or dog.mean_age > dog.mean_latency:
+        dog.braked = now
+        return _BRAKE_LATE if age > dog.command_age else _BRAKE_LATENCY
+    if dog.braked != NEVER and now - dog.braked < _SHORTEST_STOP:
+        return _BRAKE_LATENCY
+    dog.braked = NEVER
+    return _NONE
+
+
+@njit
+def _is_too_fast(velocity: np.ndarray, limit: np.ndarray) -> bool:
+    fast = False
+    for i in range(velocity.shape[0]):
+        fast = fast or not abs(velocity[i]) <= limit[i]  # so that NaN is too fast
+    return fast
+
+
+@njit
+def _check_estimate(
+    dog: np.ndarray,
+    stamp: int,
+    latency: int,
+    mode: int,
+    trustworthy: bool,
+    velocity: np.ndarray,
+    measured_velocity: np.ndarray,
+) -> int:
+    return check_estimate(dog[0], stamp, latency, mode, trustworthy, velocity, measured_velocity)
+
+
+@njit
+def _check_motion(
+    dog: np.ndarray, stamp: int, reference: np.ndarray, position: np.ndarray, measured: np.ndarray
+) -> int:
+    return check_motion(dog[0], stamp, reference, position, measured)
+
+
+@njit
+def _check_drive(dog: np.ndarray, now: int, age: int, safe_stop: bool, velocity: np.ndarray) -> int:
+    return check_drive(dog[0], now, age, safe_stop, velocity)
+
+
+class _Watchdog:
+    """What both watchdogs have for Python: the memory of a record, and what is latched."""
+
+    def __init__(self, record: np.record) -> None:
+        self._memory = memory(record)
+
+    @property
+    def latched(self) -> int:
+        """Reason that lasts until it is set to 0."""
+        return int(self._memory['latched'][0])
+
+    @latched.setter
+    def latched(self, reason: int) -> None:
+        self._memory['latched'] = reason
+
+
+class TrackerWatchdog(_Watchdog):
+    """The tracker's watchdog, estimate by estimate.
+
+    Parameters
+    ----------
+    arm : SerialArm
+        The arm.
+    limits : TrackerLimits
+        Limits.
+
+    Attributes
+    ----------
+    silence : int
+        Longest interval between estimates [ns].
+    """
+
+    def __init__(self, arm: SerialArm, limits: TrackerLimits) -> None:
+        super().__init__(tracker_watchdog(arm, limits))
+        self.silence = _nanoseconds(limits.silence)
+
+    def check_estimate(self, *estimate: Any) -> StopReason:
+        """As the function `check_estimate`."""
+        return _STOP_REASONS[_check_estimate(self._memory, *estimate)]
+
+    def check_motion(self, *motion: Any) -> StopReason:
+        """As the function `check_motion`."""
+        return _STOP_REASONS[_check_motion(self._memory, *motion)]
+
+    def note_stop(self) -> None:
+        """As the function `note_stop`."""
+        self._memory['started'] = False
+
+
+class DriveWatchdog(_Watchdog):
+    """The drives' watchdog, sample by sample.
+
+    Parameters
+    ----------
+    arm : SerialArm
+        The arm.
+    limits : DriveLimits
+        Limits.
+
+    Attributes
+    ----------
+    command_age : int
+        Greatest age of the measurement that was answered last [ns].
+    """
+
+    def __init__(self, arm: SerialArm, limits: DriveLimits) -> None:
+        super().__init__(drive_watchdog(arm, limits))
+        self.command_age = _nanoseconds(limits.latency.single)
+
+    def check(self, now: int, age: int, safe_stop: bool, velocity: np.ndarray) -> BrakeReason:
+        """As the function `check_drive`."""
+        return _BRAKE_REASONS[_check_drive(self._memory, now, age, safe_stop, velocity)]
+
+
+_STOP_REASONS, _BRAKE_REASONS = tuple(StopReason), tuple(BrakeReason)
+"""By number: quicker than to make them."""

@@ -1,0 +1,208 @@
+"""An arm as a URDF, and where its links are: for RViz, Foxglove and other simulators.
+
+``base_link`` is the arm's base, ``link1`` to ``linkN`` have the frames of the joints that move
+them, ``tip`` is the reference point of a payload.
+"""
+
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from lpv.core.serial_arm.chain import FloatArray
+from lpv.core.serial_arm.description import SerialArm, SerialJoint, rotation_from_rpy
+from lpv.core.support.errors import ConfigError
+
+BASE, TIP = 'base_link', 'tip'
+"""Names of the URDF's first and last link."""
+COLOURS = ('0.27 0.47 0.67 1', '0.40 0.60 0.80 1')
+"""Default colours of the links, in turn: red, green, blue, alpha."""
+_SLENDER = 1e-3
+"""Least inertia about an axis over the largest: that of a thin rod along its length."""
+_UNLIMITED = 1e8
+"""Torque limits from here on mean that there is none."""
+_THICKNESS = 0.04
+"""Radius of the drawn links, over their mean length."""
+
+Transform = tuple[str, str, tuple[Any, ...], tuple[Any, ...]]
+"""Parent, child, translation x, y, z [m], quaternion x, y, z, w."""
+
+
+def link_names(arm: SerialArm) -> list[str]:
+    """Names of the URDF's links from the base to the tip."""
+    return [BASE, *(f'link{i + 1}' for i in range(len(arm.joints))), TIP]
+
+
+@lru_cache(maxsize=8)
+def _fixed_parts(arm: SerialArm) -> list[tuple[FloatArray, Rotation, FloatArray]]:
+    """Origin, orientation and axis of each joint."""
+    return [
+        (np.array(j.position), Rotation.from_matrix(rotation_from_rpy(j.orientation)), _axis(j))
+        for j in arm.joints
+    ]
+
+
+def _axis(joint: SerialJoint) -> FloatArray:
+    axis = np.array(joint.axis, float)
+    return np.asarray(axis / np.linalg.norm(axis))
+
+
+def transforms(arm: SerialArm, q: Sequence[float] | FloatArray) -> list[Transform]:
+    """Transforms that a robot state publisher would send for one configuration.
+
+    Parameters
+    ----------
+    arm : SerialArm
+        The arm.
+    q : array_like, shape (n,)
+        Joint positions [rad], [m].
+
+    Returns
+    -------
+    list of tuple
+        ``(parent, child, translation, quaternion)`` from the base to the tip; translations x, y, z
+        [m], quaternions x, y, z, w.
+    """
+    names, result = link_names(arm), []
+    for i, (origin, orientation, axis) in enumerate(_fixed_parts(arm)):
+        if arm.joints[i].is_prismatic:
+            place, turned = origin + orientation.apply(float(q[i]) * axis), orientation
+        else:
+            place, turned = origin, orientation * Rotation.from_rotvec(_turn(q[i]) * axis)
+        result.append((names[i], names[i + 1], tuple(place), tuple(turned.as_quat())))
+    result.append((names[-2], TIP, tuple(arm.tip), (0.0, 0.0, 0.0, 1.0)))
+    return result
+
+
+def _turn(angle: float) -> float:
+    """An angle within (-pi, pi]: of larger ones the digits of a turn are lost."""
+    return math.remainder(float(angle), 2.0 * math.pi)
+
+
+def arm_urdf(arm: SerialArm, inertial: bool = True, colours: Sequence[str] = COLOURS) -> str:
+    """URDF of an arm; links are drawn as cylinders from joint to joint.
+
+    Friction goes into ``dynamics``; rotor inertia has no place in a URDF and is left out.
+
+    Parameters
+    ----------
+    arm : SerialArm
+        The arm.
+    inertial : bool, optional
+        Whether to write masses and inertias; pictures need none.
+    colours : sequence of str, optional
+        Red, green, blue and alpha of the links in turn, each 0 to 1.
+
+    Returns
+    -------
+    str
+        XML.
+
+    Raises
+    ------
+    ConfigError
+        If an inertia about a centre of mass is not positive: identified parameters need not be,
+        but a URDF cannot say it.
+    """
+    robot, names = ElementTree.Element('robot', name=arm.name), link_names(arm)
+    for i, colour in enumerate(colours):
+        material = ElementTree.SubElement(robot, 'material', name=f'colour{i + 1}')
+        ElementTree.SubElement(material, 'color', rgba=colour)
+    ends = [np.array(joint.position) for joint in arm.joints] + [np.array(arm.tip)]
+    radius = _THICKNESS * float(np.mean([np.linalg.norm(end) for end in ends]) or 1.0)
+    for i, name in enumerate(names[:-1]):
+        link = ElementTree.SubElement(robot, 'link', name=name)
+        if i > 0 and inertial:
+            _inertial(link, arm, i - 1)
+        colour = f'colour{1 + i % len(colours)}'
+        axis = _axis(arm.joints[i - 1]) if i > 0 else _axis(arm.joints[0])
+        _cylinder(link, colour, 1.4 * radius, 0.0 * axis, 2.6 * radius * axis)
+        if np.linalg.norm(ends[i]) > 0.0:
+            _cylinder(link, colour, radius, 0.5 * ends[i], ends[i])
+    ElementTree.SubElement(robot, 'link', name=TIP)
+    for i, joint in enumerate(arm.joints):
+        _joint(robot, joint, names[i], names[i + 1])
+    fixed = ElementTree.SubElement(robot, 'joint', name='tip_joint', type='fixed')
+    _ends(fixed, names[-2], TIP)
+    _origin(fixed, arm.tip)
+    ElementTree.indent(robot)
+    return '<?xml version="1.0"?>\n' + ElementTree.tostring(robot, encoding='unicode') + '\n'
+
+
+def _inertial(link: ElementTree.Element, arm: SerialArm, index: int) -> None:
+    described = arm.joints[index].link
+    if described.mass == 0.0:
+        return
+    center = np.array(described.first_moment) / described.mass
+    inertia = described.rotational_inertia()
+    inertia -= described.mass * (center @ center * np.eye(3) - np.outer(center, center))
+    values, axes = np.linalg.eigh(inertia)
+    if values[1] <= 0.0:
+        raise ConfigError(
+            f'joints[{index}].link.inertia',
+            'is not positive about the centre of mass '
+            f'({values.min():.4g} kg m2): a URDF cannot express that',
+            arm.name,
+        )
+    inertia = axes @ np.diag(np.maximum(values, _SLENDER * values[2])) @ axes.T
+    element = ElementTree.SubElement(link, 'inertial')
+    _origin(element, center)
+    ElementTree.SubElement(element, 'mass', value=_text(described.mass))
+    places = {'ixx': (0, 0), 'iyy': (1, 1), 'izz': (2, 2), 'ixy': (0, 1), 'ixz': (0, 2)}
+    entries = {name: _text(inertia[place]) for name, place in {**places, 'iyz': (1, 2)}.items()}
+    ElementTree.SubElement(element, 'inertia', entries)
+
+
+def _cylinder(
+    link: ElementTree.Element, material: str, radius: float, middle: FloatArray, along: FloatArray
+) -> None:
+    """A visual around a middle, along a vector of its length."""
+    length = float(np.linalg.norm(along))
+    yaw, pitch = math.atan2(along[1], along[0]), math.acos(along[2] / length)
+    visual = ElementTree.SubElement(link, 'visual')
+    _origin(visual, middle, (0.0, pitch, yaw))
+    geometry = ElementTree.SubElement(visual, 'geometry')
+    ElementTree.SubElement(geometry, 'cylinder', radius=_text(radius), length=_text(length))
+    ElementTree.SubElement(visual, 'material', name=material)
+
+
+def _joint(robot: ElementTree.Element, joint: SerialJoint, parent: str, child: str) -> None:
+    limits = joint.limits
+    bounded = math.isfinite(limits.lower) and math.isfinite(limits.upper)
+    kind = joint.type if bounded or joint.is_prismatic else 'continuous'
+    element = ElementTree.SubElement(robot, 'joint', name=joint.name, type=kind)
+    _ends(element, parent, child)
+    _origin(element, joint.position, joint.orientation)
+    ElementTree.SubElement(element, 'axis', xyz=' '.join(map(_text, joint.axis)))
+    values = {'effort': _text(min(limits.torque, _UNLIMITED)), 'velocity': _text(limits.velocity)}
+    if bounded:
+        values |= {'lower': _text(limits.lower), 'upper': _text(limits.upper)}
+    if bounded or joint.is_prismatic or limits.torque < _UNLIMITED:
+        ElementTree.SubElement(element, 'limit', values)
+    friction = joint.friction
+    ElementTree.SubElement(
+        element, 'dynamics', damping=_text(friction.viscous), friction=_text(friction.coulomb)
+    )
+
+
+def _ends(joint: ElementTree.Element, parent: str, child: str) -> None:
+    ElementTree.SubElement(joint, 'parent', link=parent)
+    ElementTree.SubElement(joint, 'child', link=child)
+
+
+def _origin(
+    element: ElementTree.Element,
+    xyz: Sequence[float] | FloatArray,
+    rpy: Sequence[float] = (0.0, 0.0, 0.0),
+) -> None:
+    ElementTree.SubElement(
+        element, 'origin', xyz=' '.join(map(_text, xyz)), rpy=' '.join(map(_text, rpy))
+    )
+
+
+def _text(value: float) -> str:
+    return repr(float(value)) if value else '0'

@@ -1,0 +1,51 @@
+"""Alarm events and counters of samples in the words of an operator."""
+
+from lpv.core.serial_arm.diagnosis.alarms import GUARANTEED, STATISTICAL, Alarm, AlarmEvent
+
+_EVENTS = {
+    AlarmEvent.RAISED: 'ALARM',
+    AlarmEvent.UPDATED: 'alarm updated',
+    AlarmEvent.CLEARED: 'alarm cleared',
+}
+_KINDS = {
+    'spike': 'single wrong readings (spike)',
+    'stuck': 'reading stands still (stuck)',
+    'noise': 'too much noise',
+    'rate_bias': 'of the rate sensor',
+}
+_UNITS = {'rate_bias': ' {}/s'}
+"""Of sizes that are no position errors."""
+_CERTAIN = 0.9995
+"""Confidence from which on only a lower limit is given."""
+COUNTER_TEXT = {
+    'duplicates': 'measurements with the stamp of the one before, ignored',
+    'out_of_order': 'measurements older than the one before, ignored',
+    'restarts': 'restarts because the clock was set',
+    'refused_stamps': 'measurements whose stamp fits no stream, ignored',
+    'not_finite': 'measurements with NaN or infinite values',
+    'implausible': 'measurements with values that this arm cannot reach',
+    'gaps': 'interruptions after which the balances begin anew',
+    'without_effort': 'measurements without efforts that had been there before',
+}
+"""Fields of `lpv.core.monitoring.serial_monitor.SerialCounters`, what they count."""
+
+
+def describe(event: Alarm) -> str:
+    """An alarm event as one line: sensor, error with its bound, kind, confidence."""
+    head = f'{_EVENTS[event.event]}, {event.sensor}: '
+    unit = _UNITS.get(event.kind, ' {}').format(event.unit)
+    error = f'{event.size:+.3f}{unit} (bound {event.bound:.3f}{unit})'
+    if event.kind == 'dropout':
+        over = ' is over' if event.event == AlarmEvent.CLEARED else ''
+        return f'{head}no readings (dropout){over}'
+    if event.event == AlarmEvent.CLEARED:
+        return f'{head}{event.kind} is over, remaining error {error}'
+    sure = f'{event.confidence:.1%}' if event.confidence < _CERTAIN else '> 99.9%'
+    kind = _KINDS.get(event.kind, event.kind)
+    if event.kind == 'drift' and event.rate != 0.0:
+        kind += f' of {event.rate:+.3f} {event.unit}/s'
+    if event.basis == GUARANTEED:
+        return f'{head}error {error}, {kind}, guaranteed: no healthy arm inside its file reads this'
+    if event.basis == STATISTICAL:
+        sure += ' (statistical)'
+    return f'{head}error {error}, {kind}, confidence {sure}'

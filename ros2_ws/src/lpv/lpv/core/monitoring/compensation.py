@@ -1,0 +1,211 @@
+"""Answers between two decisions of a serial arm: confirmed faults removed, and jumps bridged."""
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from lpv.core.serial_arm.chain import FloatArray, IntArray
+from lpv.core.serial_arm.sensor_map import map_vector
+from lpv.core.support.jit import njit_in_place
+from lpv.core.support.timestamps import NANOSECONDS, NEVER
+
+BRIDGED = 6
+"""Samples over which a reading that jumps is carried on by its rate: by then the jump is known."""
+_LONGEST_STEP = 10.0
+"""Sample times after which nothing is carried on."""
+
+
+class Compensation(NamedTuple):
+    """What goes on from sample to sample, by sensor; arrays of shape (n,)."""
+
+    applied: FloatArray  # fault that is being removed [rad]
+    position: FloatArray  # of the sample before, corrected [rad]
+    velocity: FloatArray  # of the sample before, corrected [rad/s]
+    change: FloatArray  # of that velocity over the last interval [rad/s]
+    estimate: FloatArray  # of the sample, less the estimated fault [rad]
+    bridged: IntArray  # samples for which a reading has been carried on
+    stamp: IntArray  # of the sample before [ns], shape (1,)
+
+
+class Known(NamedTuple):
+    """What holds for all samples until the next decision; arrays of shape (n,)."""
+
+    fault: FloatArray  # at the decision [rad]
+    rate: FloatArray  # at which it changes [rad/s]
+    removed: FloatArray  # part that is beyond doubt [rad]
+    bound: FloatArray  # of the error of fault [rad]
+    threshold: FloatArray  # [rad]
+    limit: FloatArray  # change of a reading that may be a jump [rad]
+    state: npt.NDArray[np.uint8]
+    is_error: npt.NDArray[np.bool_]  # confirmed
+    is_level: npt.NDArray[np.bool_]  # all of fault is confirmed, not only what is removed
+    is_derived: npt.NDArray[np.bool_]  # the rate is derived from the reading
+    to_joints: FloatArray  # S^-1 of y = S q + f, shape (n, n)
+
+
+class Flags(NamedTuple):
+    """The same for the arm as a whole."""
+
+    stamp: int  # of the decision [ns]
+    mode: int
+    trustworthy: bool
+    inconsistent: bool
+    fading: float  # rate at which a fault is faded in and out [rad/s]
+    sample_time: float  # [s]
+
+
+class AnswerRows(NamedTuple):
+    """Fields of the records of `lpv.core.monitoring.answers.answer_type`, one row a sample."""
+
+    answered: npt.NDArray[np.bool_]
+    has_fault: npt.NDArray[np.bool_]
+    inconsistent: npt.NDArray[np.bool_]
+    position: FloatArray
+    velocity: FloatArray
+    compensated: FloatArray
+    measured: FloatArray
+    measured_velocity: FloatArray
+    mode: npt.NDArray[np.uint8]
+    trustworthy: npt.NDArray[np.bool_]
+    estimate: FloatArray
+    bound: FloatArray
+    threshold: FloatArray
+    state: npt.NDArray[np.uint8]
+    alarm: npt.NDArray[np.uint8]
+
+
+def answer_rows(records: npt.NDArray[np.void]) -> AnswerRows:
+    """Views of the fields of answers."""
+    state, fault = records['state'], records['fault']
+    return AnswerRows(
+        *(records[name] for name in ('answered', 'has_fault', 'inconsistent')),
+        *(state[name] for name in ('position', 'velocity', 'compensated_position')),
+        *(state[name] for name in ('measured_position', 'measured_velocity')),
+        *(state[name] for name in ('mode', 'trustworthy')),
+        *(fault[name] for name in ('estimate', 'bound', 'threshold', 'state', 'alarm')),
+    )
+
+
+def new_compensation(joints: int) -> Compensation:
+    """Nothing is removed yet."""
+    applied, position, velocity, change, estimate = np.zeros((5, joints))
+    bridged, stamp = np.zeros(joints, np.int64), np.array([NEVER])
+    return Compensation(applied, position, velocity, change, estimate, bridged, stamp)
+
+
+@njit_in_place
+def fill_answers(
+    work: Compensation,
+    rows: AnswerRows,
+    part: tuple[int, int],
+    stamps: IntArray,
+    samples: FloatArray,
+    known: Known,
+    flags: Flags,
+) -> None:
+    """Answers to samples in a row: faults by sensor, positions and rates by joint.
+
+    What is removed follows the confirmed fault at a limited rate; jumps were added to
+    ``work.applied`` by the caller.
+
+    Parameters
+    ----------
+    work : Compensation
+        Changed.
+    rows : AnswerRows
+        Written.
+    part : tuple
+        First sample, and the first one after the last.
+    stamps : ndarray of int64, shape (N,)
+        [ns].
+    samples : ndarray, shape (N, 3, n)
+        Readings of the sensors, their rates, efforts.
+    known : Known
+        Faults.
+    flags : Flags
+        What else is known.
+    """
+    for k in range(part[0], part[1]):
+        elapsed = (stamps[k] - flags.stamp) / NANOSECONDS
+        step = _step(work, stamps[k], flags.fading, flags.sample_time)
+        for i in range(known.fault.shape[0]):
+            grown = elapsed * known.rate[i]
+            fault, confirmed, drift, growth = known.fault[i] + grown, 0.0, 0.0, 0.0
+            if known.is_error[i]:
+                confirmed = fault if known.is_level[i] else known.removed[i] + grown
+                growth = known.rate[i]
+                drift = growth if known.is_derived[i] else 0.0
+            measured = samples[k, 0, i], samples[k, 1, i]
+            _correct(work, i, measured, (confirmed, drift, growth), known.limit[i], step)
+            work.estimate[i] = work.position[i] + work.applied[i] - fault
+            rows.estimate[k, i], rows.bound[k, i] = fault, known.bound[i]
+            rows.threshold[k, i], rows.state[k, i] = known.threshold[i], known.state[i]
+            rows.alarm[k, i] = known.is_error[i]
+        map_vector(known.to_joints, work.position, rows.compensated[k])
+        map_vector(known.to_joints, work.velocity, rows.velocity[k])
+        map_vector(known.to_joints, work.estimate, rows.position[k])
+        map_vector(known.to_joints, samples[k, 0], rows.measured[k])
+        map_vector(known.to_joints, samples[k, 1], rows.measured_velocity[k])
+        rows.answered[k], rows.has_fault[k] = True, True
+        rows.inconsistent[k], rows.mode[k] = flags.inconsistent, flags.mode
+        rows.trustworthy[k] = flags.trustworthy
+        work.stamp[0] = stamps[k]
+
+
+@njit_in_place
+def copy_answer(rows: AnswerRows, row: int, last: int) -> None:
+    """The answer to a sample again, for one that was lost."""
+    for i in range(rows.state.shape[1]):
+        rows.position[row, i], rows.velocity[row, i] = (
+            rows.position[last, i],
+            rows.velocity[last, i],
+        )
+        rows.compensated[row, i] = rows.compensated[last, i]
+        rows.measured[row, i] = rows.measured[last, i]
+        rows.measured_velocity[row, i] = rows.measured_velocity[last, i]
+        rows.estimate[row, i], rows.bound[row, i] = rows.estimate[last, i], rows.bound[last, i]
+        rows.threshold[row, i], rows.alarm[row, i] = rows.threshold[last, i], rows.alarm[last, i]
+        rows.state[row, i] = rows.state[last, i]
+    rows.has_fault[row], rows.inconsistent[row] = rows.has_fault[last], rows.inconsistent[last]
+    rows.mode[row], rows.trustworthy[row] = rows.mode[last], rows.trustworthy[last]
+
+
+@njit_in_place
+def _step(
+    work: Compensation, stamp: int, fading: float, sample_time: float
+) -> tuple[float, bool, float]:
+    """Time since the sample before, whether it is near, and the rate of fading."""
+    follows = work.stamp[0] != NEVER
+    interval = (stamp - work.stamp[0]) / NANOSECONDS if follows else 0.0
+    return interval, follows and interval < _LONGEST_STEP * sample_time, fading
+
+
+@njit_in_place
+def _correct(
+    work: Compensation,
+    i: int,
+    measured: tuple[float, float],
+    fault: tuple[float, float, float],
+    limit: float,
+    step: tuple[float, bool, float],
+) -> None:
+    """Reading and rate of a sensor without the fault; a jump is carried on by the rate.
+
+    ``fault``: of the reading [rad], of the rate, and at which the first one grows [rad/s].
+    """
+    interval, follows, fading = step
+    most = (fading + abs(fault[2])) * interval
+    work.applied[i] += min(max(fault[0] - work.applied[i], -most), most)
+    position, velocity = measured[0] - work.applied[i], measured[1] - fault[1]
+    largest = limit + 2.0 * interval * abs(work.change[i])
+    carried = work.position[i] + interval * work.velocity[i]
+    if abs(position - carried) <= largest:
+        work.bridged[i] = 0
+    elif follows and work.bridged[i] < BRIDGED:
+        position = carried
+        if abs(velocity - work.velocity[i]) * interval > largest:
+            velocity = work.velocity[i]
+        work.bridged[i] += 1
+    work.change[i] = velocity - work.velocity[i] if follows else 0.0
+    work.position[i], work.velocity[i] = position, velocity

@@ -1,0 +1,192 @@
+"""What is published about estimates, as plain fields: the same for the node and for a replay.
+
+Each function returns a dict whose keys are the field names of one message type (without its
+header), so that neither ROS nor a bag library is needed here.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.diagnosis.alarms import Alarm, Mode, SensorState
+
+# Levels of diagnostic_msgs/DiagnosticStatus.
+OK, WARN, ERROR, STALE = range(4)
+
+_LEVELS = {
+    SensorState.OK: (OK, 'no fault'),
+    SensorState.WARN: (WARN, 'above the threshold, not confirmed'),
+    SensorState.ERROR: (ERROR, 'fault confirmed'),
+    SensorState.STALE: (STALE, 'no data'),
+    SensorState.NOT_DIAGNOSABLE: (WARN, 'not diagnosable in this configuration'),
+}
+_MODES = {
+    Mode.OBSERVING: (OK, 'observing'),
+    Mode.HOLDING: (WARN, 'holding: a link carries no gravity information'),
+    Mode.INITIALISING: (WARN, 'initialising'),
+    Mode.STALE: (STALE, 'no usable measurements'),
+    Mode.NO_ESTIMATE: (STALE, 'no usable measurement yet'),
+}
+_UNSUPPORTED = 'holding: the arm rests, and the measured torques do not hold it (brakes?)'
+_INCONSISTENT = 'inconsistent, cause unknown: rates, torques and model contradict each other'
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What else is known of observer and sensors."""
+
+    inconsistent: bool  # rates, torques and model contradict each other
+    unsupported: bool  # the arm rests, and the measured torques do not hold it
+    # for each sensor, what contradicts the arm file, by subject
+    warnings: tuple[dict[str, str], ...]
+    note: str = ''  # what the observer's message says where it would say that all is well
+    details: tuple[dict[str, str], ...] = ()  # for each sensor, further key-value pairs
+
+
+def state_fields(state: np.record) -> dict[str, Any]:
+    """Fields of lpv_msgs/StateEstimate.
+
+    Parameters
+    ----------
+    state : numpy.record
+        `lpv.core.monitoring.monitor.ANSWER`'s; the values are copied.
+
+    Returns
+    -------
+    dict
+        Field values.
+    """
+    names = (
+        'position',
+        'velocity',
+        'compensated_position',
+        'measured_position',
+        'measured_velocity',
+    )
+    return {
+        **{name: state[name].copy() for name in names},
+        'mode': int(state['mode']),
+        'trustworthy': bool(state['trustworthy']),
+    }
+
+
+def fault_fields(fault: np.record, sensor_names: Sequence[str]) -> dict[str, Any]:
+    """Fields of lpv_msgs/FaultEstimate.
+
+    Parameters
+    ----------
+    fault : numpy.record
+        `lpv.core.monitoring.monitor.ANSWER`'s; the values are copied.
+    sensor_names : sequence of str
+        Names of the sensors.
+
+    Returns
+    -------
+    dict
+        Field values.
+    """
+    return {
+        'sensor_names': list(sensor_names),
+        **{name: fault[name].copy() for name in ('estimate', 'bound', 'threshold')},
+        'state': fault['state'].tolist(),
+        'alarm': [bool(a) for a in fault['alarm']],
+    }
+
+
+def corrected_fields(state: np.record, joint_names: Sequence[str]) -> dict[str, Any] | None:
+    """Fields of sensor_msgs/JointState with confirmed faults removed; None without an estimate.
+
+    Positions are those measured less confirmed faults, rates those of the estimate.
+    """
+    if state['mode'] >= Mode.STALE:
+        return None
+    return {
+        'name': list(joint_names),
+        'position': state['compensated_position'].copy(),
+        'velocity': state['velocity'].copy(),
+    }
+
+
+def alarm_fields(alarm: Alarm) -> dict[str, Any]:
+    """Fields of lpv_msgs/FaultAlarm; ``onset`` and ``detected`` in nanoseconds."""
+    fields = {**asdict(alarm), 'event': int(alarm.event)}
+    del fields['basis'], fields['unit'], fields['rate']
+    return fields
+
+
+def diagnostic_fields(
+    name: str,
+    arm: SerialArm,
+    state: np.record,
+    fault: np.record | None,
+    findings: Findings,
+    values: dict[str, Any],
+) -> list[dict[str, Any]]:
+    """The ``status`` list of diagnostic_msgs/DiagnosticArray: observer and sensors.
+
+    Parameters
+    ----------
+    name : str
+        Fully qualified node name.
+    arm : SerialArm
+        Names of arm, joints and sensors.
+    state, fault : numpy.record
+        `lpv.core.monitoring.monitor.ANSWER`'s; ``fault`` is None without an estimate.
+    findings : Findings
+        What else is known.
+    values : dict
+        Key-value pairs of the observer's status.
+
+    Returns
+    -------
+    list of dict
+        Fields of diagnostic_msgs/DiagnosticStatus; ``values`` is a dict of strings.
+    """
+    level, message = _MODES[state.mode]
+    if fault is not None and level < STALE:
+        if not state.trustworthy:
+            level, message = ERROR, 'a confirmed fault cannot be compensated safely: stop'
+        elif findings.note:
+            level, message = WARN, findings.note
+        elif findings.inconsistent:
+            level, message = WARN, _INCONSISTENT
+        elif findings.unsupported:
+            level, message = WARN, _UNSUPPORTED
+        corrected = np.flatnonzero(state.compensated_position != state.measured_position)
+        values['corrected joints'] = ', '.join(arm.joint_names[i] for i in corrected) or 'none'
+    result = [_status(level, f'{name}: observer', message, arm.name, values)]
+    for i, sensor in enumerate(arm.sensor_names):
+        sensor_state, values, above = SensorState.STALE, {}, False
+        if fault is not None:
+            unit = arm.joints[i].units[0]
+            above = abs(fault.estimate[i]) > fault.threshold[i]
+            sensor_state = fault.state[i]
+            values = {
+                f'fault estimate [{unit}]': f'{fault.estimate[i]:.6f}',
+                f'bound [{unit}]': f'{fault.bound[i]:.6f}',
+                f'threshold [{unit}]': f'{fault.threshold[i]:.6f}',
+                **(findings.details[i] if findings.details else {}),
+            }
+        level, message = _LEVELS[sensor_state]
+        if sensor_state == SensorState.WARN and not above:
+            message = _INCONSISTENT
+        if findings.warnings[i]:
+            level = max(level, WARN)
+            message = '; '.join([message, *findings.warnings[i].values()])
+        result.append(_status(level, f'{name}: {sensor}', message, sensor, values))
+    return result
+
+
+def _status(
+    level: int, name: str, message: str, hardware: str, values: dict[str, Any]
+) -> dict[str, Any]:
+    return {
+        'level': level,
+        'name': name,
+        'message': message,
+        'hardware_id': hardware,
+        'values': {key: str(value) for key, value in values.items()},
+    }

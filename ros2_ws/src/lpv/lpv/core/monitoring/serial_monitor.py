@@ -1,0 +1,682 @@
+"""Observers and diagnosis of an arm together: what the observer node and a replay run.
+
+`lpv.core.serial_arm.diagnosis` finds faults in samples that are in order.  What is here decides
+which measurements are, and turns what was found into messages.  The node takes measurements one by
+one, a replay many at a time; both go through `SerialSensorMonitor.take_many`, and the answers do
+not depend on how measurements are divided.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lpv.core.monitoring import message_fields
+from lpv.core.monitoring.answers import LONGEST_STALE, Answer, Answers, answer_type
+from lpv.core.monitoring.compensation import (
+    AnswerRows,
+    Compensation,
+    Flags,
+    Known,
+    answer_rows,
+    fill_answers,
+    new_compensation,
+)
+from lpv.core.monitoring.joint_order import JointOrder
+from lpv.core.monitoring.parameters import DiagnosisParameters
+from lpv.core.monitoring.serial_alarms import AlarmConverter
+from lpv.core.monitoring.stamp_gate import JUMP, StampGate
+from lpv.core.monitoring.stepped_monitor import Snapshot, SteppedMonitor
+from lpv.core.serial_arm.chain import FloatArray, IntArray
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.diagnosis.alarms import Alarm, Mode, SensorState
+from lpv.core.serial_arm.diagnosis.monitor import LONGEST_STEP
+from lpv.core.serial_arm.sensor_map import map_rows, mixing
+from lpv.core.support.errors import SampleError
+from lpv.core.support.timestamps import NANOSECONDS, NEVER
+from lpv.core.uio.certificate.gains import Gains
+from lpv.core.uio.unknown_input_observer import CHOICES, UioParts, UnknownInputObserver, uio_answers
+
+METHOD = 'moving horizon'
+_REPORT_INTERVAL = NANOSECONDS
+"""A diagnostics report is due after each such time of the data [ns], and at every alarm event."""
+_LARGEST = (1e3, 1e4, 1e9)
+"""Readings, rates and efforts beyond are no values of an arm [rad], [rad/s], [unit]."""
+_MOST_AT_ONCE = 2048
+"""Samples between which nothing is looked for that is not in order."""
+_LARGEST_FOUND = 1.5
+"""Offsets beyond are no statement: estimates are linear in small ones [rad]."""
+_WARM_UP = (0.3, 1.0)
+"""Motion that makes every compiled function run, without and with those of suspected faults [s]."""
+_CONTACT = 'torques from outside: something pushes or holds the arm, or its load has changed'
+_JUMPS_ALONE = 'jumps of readings are found, offsets and drifts are not diagnosable'
+_LARGEST_MISFIT = 3.0
+"""Standard deviations by which a healthy arm differs from its file."""
+_MISFIT = (
+    'motion and efforts do not fit the arm file, whatever sensor is blamed; lpv doctor (or lpv '
+    'identify --calibrate, from a recording) names the likely cause: load, mounting, units, signs, '
+    'names or delays'
+)
+_NO_EFFORT = f'no efforts: {_JUMPS_ALONE}'
+_NO_WEIGHT = f'efforts leave out the weight: {_JUMPS_ALONE}'
+
+
+@dataclass
+class SerialCounters:
+    """How many samples were not usable as they came."""
+
+    duplicates: int = 0  # with the stamp of the one before
+    out_of_order: int = 0  # with an older stamp
+    restarts: int = 0  # the clock was set, or samples were missing for more than 1 s
+    refused_stamps: int = 0  # that fit no stream
+    not_finite: int = 0  # NaN or infinite readings, or rates of a sensor of their own
+    implausible: int = 0  # values that no arm has
+    gaps: int = 0  # intervals after which the balances restart
+    without_effort: int = 0  # efforts were missing that had been there before
+
+
+class _Batch(NamedTuple):
+    """Measurements that were handed over together, and their answers."""
+
+    stamps: IntArray
+    samples: FloatArray
+    records: np.recarray
+    rows: AnswerRows
+
+
+class MonitorParts(NamedTuple):
+    """What a compiled loop calls the monitor's functions with."""
+
+    monitor: SteppedMonitor
+    compensation: Compensation
+    known: Known
+    flags: Flags
+    uio: UioParts | None  # of the designed observer, if there is one
+
+
+class SerialSensorMonitor:
+    """Diagnosis of the position sensors of an arm.
+
+    The horizon and the bank of hypotheses watch every arm.  Where gains were designed, the
+    unknown-input observer runs beside them, sample by sample: the estimate with the smaller bound
+    is published, and what its reachable set excludes is a certified alarm.
+
+    Degraded modes: without rates, those of sensors that have none of their own are differences of
+    the readings; without efforts, jumps are found and offsets are NOT_DIAGNOSABLE; a sample with
+    values that are not finite is answered with the last estimate, marked STALE.
+
+    Parameters
+    ----------
+    name : str
+        Name in diagnostics: the node's fully qualified name.
+    arm : SerialArm
+        The arm.
+    parameters : DiagnosisParameters, optional
+        Tuning.
+    gains : Gains, optional
+        Of a planar arm with designed gains.
+    observer : {'tightest', 'uio', 'horizon'}, optional
+        Whose estimate of the faults is published, where gains are given.
+    initial_samples : int, optional
+        Samples over which the designed observer's start value is averaged.
+    max_gap : float, optional
+        Longest interval that the designed observer integrates [s].
+
+    Attributes
+    ----------
+    rejected : int
+        Messages that did not fit the arm.
+    counters : SerialCounters
+        Samples that were not usable as they came.
+    method : str
+        How faults are found.
+
+    Raises
+    ------
+    ConfigError
+        If the arm cannot be monitored.
+    """
+
+    needs_rates = False
+
+    def __init__(
+        self,
+        name: str,
+        arm: SerialArm,
+        parameters: DiagnosisParameters | None = None,
+        gains: Gains | None = None,
+        observer: str = CHOICES[0],
+        initial_samples: int = 1,
+        max_gap: float = 0.1,
+    ) -> None:
+        self.name, self.arm, self.rejected, self.method = name, arm, 0, METHOD
+        self.counters = SerialCounters()
+        self._joints = len(arm.joints)
+        self.answer_type = answer_type(self._joints)
+        self._order = JointOrder(arm.joint_names, self.needs_rates)
+        rates = [joint.sensors.rates for joint in arm.joints]
+        self._independent = np.array([rate == 'independent' for rate in rates])
+        self._is_derived = ~self._independent
+        self._to_sensors, self._to_joints = mixing(arm.joints_to_sensors()), arm.sensors_to_joints()
+        self._without_rates = np.array([rate == 'none' for rate in rates])
+        self._monitor = SteppedMonitor(arm)
+        self._torque_gain = np.array([joint.torque_gain for joint in arm.joints])
+        self._gains = gains
+        self._uio: UnknownInputObserver | None = None
+        if gains is not None:
+            self._uio = UnknownInputObserver(
+                arm, gains, observer, initial_samples=initial_samples, max_gap=max_gap
+            )
+            self.method = f'{METHOD}, unknown-input observer ({self._uio.method})'
+            if self._uio.certifies:
+                self._monitor.certified_level = self._uio.level
+        self._gap = round(LONGEST_STEP * arm.sample_time * NANOSECONDS)
+        self.retune(parameters or DiagnosisParameters())
+        self._begin()
+
+    @property
+    def log_statistic(self) -> float | None:
+        """Logarithm of the statistic of detection at the last decision, if there was one."""
+        return self._monitor.statistic if self.decisions else None
+
+    @property
+    def decisions(self) -> int:
+        """Decisions so far."""
+        return int(self._snapshot.balances)
+
+    def restart_statistic(self) -> None:
+        """Let causes begin from now on only; what was learned stays."""
+        self._monitor.bank.restart_statistic()
+
+    def retune(self, parameters: DiagnosisParameters) -> None:
+        """Change the tuning while running; alarms stay as they are."""
+        self._parameters = parameters
+        self._monitor.tune(parameters)
+        if self._uio is not None:
+            self._uio.retune(parameters.sigmas)
+        if hasattr(self, '_snapshot'):
+            self._know(self._snapshot, self._flags.stamp)
+
+    def reset(self) -> None:
+        """Forget estimates and alarms; counters stay."""
+        self._monitor.reset()
+        if self._uio is not None:
+            self._uio.reset()
+        self._begin()
+
+    def _begin(self) -> None:
+        """Estimates and alarms of a monitor that has just been reset."""
+        self._gate = StampGate()
+        self._blind: bool | None = None  # whether efforts are missing
+        self._stamp = NEVER  # of the last usable sample [ns]
+        self._reading = np.zeros(self._joints)  # of that sample [rad]
+        self._next_report = NEVER
+        self._know(self._monitor.snapshot(), 0)
+        self._compensation = new_compensation(self._joints)
+        self._alarms = AlarmConverter(self.arm)
+        self._missing_since = np.full(self._joints, NEVER)  # readings, stamps [ns]
+        self._is_missing = False
+        self._last = np.zeros(1, self.answer_type).view(np.recarray)  # row with the last estimate
+        self._warned: set[str] = set()
+
+    def warm_up(self, suspicious: bool = False) -> None:
+        """Compile with a made-up motion, and forget it: the first real samples must not wait.
+
+        ``suspicious`` compiles what only a suspected fault needs, too.
+        """
+        other = SerialSensorMonitor(self.name, self.arm, self._parameters, self._gains)
+        step = round(self.arm.sample_time * NANOSECONDS)
+        stamps = 1 + step * np.arange(max(20, round(_WARM_UP[suspicious] / self.arm.sample_time)))
+        t = (stamps / NANOSECONDS)[:, None] + np.arange(self._joints)
+        other.take_many(stamps, np.sin(t), np.cos(t), np.zeros_like(t))
+        other._monitor.estimator.linearise(other._monitor._blocks(2))  # noqa: SLF001
+        if suspicious:
+            other._monitor.warm_up()
+
+    def take(
+        self, stamp: int, message: Any, torque: Sequence[float] | None = None
+    ) -> Answer | None:
+        """Use one measurement; None for an old stamp, which needs no answer.
+
+        Parameters
+        ----------
+        stamp : int
+            Its time [ns].
+        message : sensor_msgs/JointState
+            The measurement; any object with its fields.
+        torque : sequence of float, optional
+            Torques in place of the message's effort [N m].
+
+        Raises
+        ------
+        SampleError
+            If the message does not fit the arm; it is counted.
+        """
+        try:
+            measured = np.array(self._order.pick(message, torque), dtype=float)
+        except SampleError:
+            self.rejected += 1
+            raise
+        answers = self.take_many(np.array([stamp]), *measured[:, None])
+        return self._one(stamp, answers) if answers.answered[0] else None
+
+    def _one(self, stamp: int, answers: Answers) -> Answer:
+        """The answer of one row."""
+        record = np.zeros(1, self.answer_type)
+        for name in ('answered', 'has_fault', 'restarted', 'inconsistent', 'state', 'fault'):
+            record[name] = getattr(answers, name)
+        return Answer(
+            stamp,
+            record[0],
+            self.arm,
+            answers.reports[0][1] if answers.reports else None,
+            [event for _, event in answers.events],
+            self._new_warnings() if answers.reports else [],
+        )
+
+    def take_many(
+        self, stamps: IntArray, position: FloatArray, velocity: FloatArray, effort: FloatArray
+    ) -> Answers:
+        """Use many measurements; the same as `take` one by one.
+
+        Parameters
+        ----------
+        stamps : ndarray of int64, shape (m,)
+            [ns].
+        position, velocity, effort : ndarray, shape (m, n)
+            Of the joints, in the order of the arm file; NaN where missing [rad], [rad/s], [unit].
+
+        Returns
+        -------
+        Answers
+            One row a measurement.
+        """
+        samples = np.empty((len(stamps), 3, self._joints))
+        samples[:, 0] = map_rows(self._to_sensors, np.asarray(position))
+        samples[:, 1] = map_rows(self._to_sensors, np.asarray(velocity))
+        samples[:, 2] = effort
+        records: Any = np.zeros(len(stamps), self.answer_type)
+        rows = answer_rows(records)
+        stamps, records = np.ascontiguousarray(stamps, np.int64), records.view(np.recarray)
+        batch = _Batch(stamps, samples, records, rows)
+        answers = Answers(
+            rows.answered,
+            rows.has_fault,
+            records.restarted,
+            rows.inconsistent,
+            records.state,
+            records.fault,
+            events=[],
+            reports=[],
+        )
+        begin = 0
+        while begin < len(stamps):
+            count = self._regular(stamps[begin:], samples[begin:])
+            row, first = records[begin : begin + 1], samples[begin]
+            if not (count or self._is_of_stream(int(stamps[begin]), row)):
+                begin += 1
+                continue
+            usable = count or self._prepare(int(stamps[begin]), first, row)
+            self._watch_dropouts(int(stamps[begin]), first, begin, answers)
+            if usable:
+                self._run(batch, begin, begin + max(1, count), answers)
+            elif rows.answered[begin] and self._is_due(int(stamps[begin])):
+                self._report(int(stamps[begin]), begin, answers)
+            begin += max(1, count)
+        return answers
+
+    def _regular(self, stamps: IntArray, samples: FloatArray) -> int:
+        """Number of samples at the beginning that can be used as they are, after the last one."""
+        if self._blind is None:
+            return 0
+        stamps, samples = stamps[:_MOST_AT_ONCE], samples[:_MOST_AT_ONCE]
+        before = np.concatenate([[self._stamp], stamps[:-1]])
+        newest = np.concatenate([[self._gate.last], stamps[:-1]])
+        good = (stamps > newest) & (stamps - newest <= JUMP)
+        good &= (stamps - before <= self._gap) & self._plausible(samples)
+        good &= np.isfinite(samples[:, 2]).all(1) != self._blind
+        return len(good) if good.all() else int(np.argmin(good))
+
+    def _derives(self, samples: FloatArray) -> np.ndarray:
+        """Whether rates have to be made of the readings."""
+        missing = ~np.isfinite(samples[:, 1]) | self._without_rates
+        return missing.any(1)
+
+    def _is_of_stream(self, stamp: int, row: np.recarray) -> bool:
+        """Whether a stamp is of the stream, which goes on where it was if its clock was set.
+
+        ``row`` receives the answer to one that is not.
+        """
+        if not self._gate.accept(stamp):
+            self.counters.refused_stamps += 1
+            self._answer_stale(stamp, row)
+            return False
+        if self._gate.shift:
+            self.counters.restarts += 1
+            row.restarted[0] = True
+            self._set_clock(self._gate.shift - 2 * self._gap)
+        return True
+
+    def _set_clock(self, shift: int) -> None:
+        """Move all stamps to a clock that is ahead by ``shift`` [ns]; faults may have ended."""
+        for moments in (self._missing_since, self._compensation.stamp):
+            moments[moments != NEVER] += shift
+        self._next_report = NEVER
+        if self._stamp == NEVER:
+            return
+        self._stamp += shift
+        self._monitor.doubt(shift)
+        self._know(self._monitor.snapshot(), self._stamp)
+
+    def _plausible(self, samples: FloatArray) -> np.ndarray:
+        """Whether readings, and rates of sensors of their own, are finite and of an arm."""
+        reading, rate, effort = samples[:, 0], samples[:, 1], samples[:, 2]
+        good = (np.abs(reading) <= _LARGEST[0]).all(1)
+        good &= (np.abs(rate[:, self._independent]) <= _LARGEST[1]).all(1)
+        good &= ~(np.abs(rate) > _LARGEST[1]).any(1)
+        good &= ~(np.abs(effort) > _LARGEST[2]).any(1)
+        return np.asarray(good)
+
+    def _prepare(self, stamp: int, sample: FloatArray, row: np.recarray) -> bool:
+        """Get ready for a sample that does not simply follow; False if it is used up so.
+
+        ``row`` receives the answer in this case.
+        """
+        if not self._is_new(stamp):
+            return False
+        if not self._plausible(sample[None])[0]:
+            needed = np.concatenate([sample[0], sample[1, self._independent]])
+            finite = bool(np.isfinite(needed).all())
+            self.counters.implausible += finite
+            self.counters.not_finite += not finite
+            self._answer_stale(stamp, row)
+            return False
+        blind = not np.isfinite(sample[2]).all()
+        if blind and not self._blind and self._stamp != NEVER:
+            self.counters.without_effort += 1
+            if stamp - self._stamp <= LONGEST_STALE:
+                self._answer_stale(stamp, row)
+                return False
+        if blind is not self._blind:
+            self._blind = self._monitor.blind = blind
+            self._monitor.begin_again()
+            self._know(self._snapshot, self._flags.stamp)
+        gap = self._stamp == NEVER or stamp - self._stamp > self._gap
+        self.counters.gaps += self._stamp != NEVER and gap
+        if gap and self._derives(sample[None])[0]:
+            # The first difference needs two readings.
+            self._monitor.begin_again()
+            self._answer_stale(stamp, row)
+            self._stamp, self._reading = stamp, sample[0].copy()
+            return False
+        return True
+
+    def _watch_dropouts(self, stamp: int, sample: FloatArray, row: int, answers: Answers) -> None:
+        """Report sensors whose readings are missing, or are there again."""
+        missing = ~np.isfinite(sample[0])
+        if not missing.any() and not self._is_missing:
+            return
+        self._missing_since[missing & (self._missing_since == NEVER)] = stamp
+        long = missing & (stamp - self._missing_since > LONGEST_STALE)
+        events = self._alarms.dropouts(long, self._missing_since, stamp)
+        answers.events += [(row, event) for event in events]
+        self._missing_since[~missing] = NEVER
+        self._is_missing = bool(missing.any())
+        if events:
+            self._next_report = NEVER
+
+    def _is_new(self, stamp: int) -> bool:
+        """Whether a stamp is later than that of the last sample."""
+        delta = stamp - self._stamp
+        if self._stamp == NEVER or delta > 0:
+            return True
+        self.counters.duplicates += delta == 0
+        self.counters.out_of_order += delta < 0
+        return False
+
+    def _run(self, batch: _Batch, begin: int, end: int, answers: Answers) -> None:
+        """Use samples that are in order."""
+        stamps, samples = batch.stamps[begin:end], batch.samples[begin:end]
+        self._add_rates(stamps, samples)
+        self._stamp, self._reading = int(stamps[-1]), samples[-1, 0].copy()
+        self._gate.follow(self._stamp)
+        if self._blind:
+            samples[:, 2] = 0.0
+        filled = begin
+
+        def fill(until: int) -> None:
+            nonlocal filled
+            self._fill(batch, filled, until, answers)
+            filled = until
+
+        def decide(snapshot: Snapshot) -> None:
+            row = begin + snapshot.row
+            self._decide(snapshot, int(batch.stamps[row]), row, answers)
+
+        # What was decided at a sample counts from this sample on; the designed observer has used
+        # all samples before it then.
+        self._monitor.run(stamps, samples, lambda row: fill(begin + row), decide)
+        fill(end)
+        self._last = batch.records[end - 1 : end].copy()
+
+    @property
+    def parts(self) -> MonitorParts:
+        """Arguments of the compiled functions, until `note`; for closed-loop simulations."""
+        return MonitorParts(
+            self._monitor, self._compensation, self._arrays, self._flags, self._uio_parts
+        )
+
+    @property
+    def _uio_parts(self) -> UioParts | None:
+        """The designed observer needs efforts that hold the weight."""
+        usable = self._uio is not None and self._monitor.uses_balances
+        return self._uio.parts if self._uio is not None and usable else None
+
+    @property
+    def last_used(self) -> int:
+        """Stamp of the last sample that was usable [ns]."""
+        return self._stamp
+
+    def went_on(self, stamp: int, reading: FloatArray, record: np.recarray) -> None:
+        """Samples up to this one were taken with `parts`; ``record`` is its answer, of one row."""
+        if stamp <= self._stamp:
+            return  # the gate has seen later stamps, of samples without use
+        self._stamp, self._reading, self._last = stamp, reading.copy(), record.copy()
+        self._gate.follow(stamp)
+        self._monitor.went_on(stamp)
+
+    def note(self, snapshot: Snapshot, stamp: int) -> list[Alarm]:
+        """Take note of what has been decided at a sample [ns]; its alarm events."""
+        onsets = [self._monitor.stamp_of(alarm.onset) for alarm in snapshot.alarms]
+        events = self._alarms.convert(snapshot, onsets, stamp, self._parameters.sigmas)
+        self._compensation.applied[:] += snapshot.jump
+        self._know(snapshot, stamp)
+        return events
+
+    def _decide(self, snapshot: Snapshot, stamp: int, row: int, answers: Answers) -> None:
+        """What has been decided counts from a sample on."""
+        events = self.note(snapshot, stamp)
+        answers.events += [(row, event) for event in events]
+        if events:
+            self._next_report = NEVER
+
+    def _add_rates(self, stamps: IntArray, samples: FloatArray) -> None:
+        """Rates that are missing are differences of the readings."""
+        missing = ~np.isfinite(samples[:, 1]) | self._without_rates
+        if missing.any():
+            before = np.concatenate([self._reading[None], samples[:-1, 0]])
+            interval = np.diff(stamps, prepend=self._stamp) / NANOSECONDS
+            rates = (samples[:, 0] - before) / interval[:, None]
+            samples[:, 1] = np.where(missing, rates, samples[:, 1])
+
+    def _know(self, snapshot: Snapshot, stamp: int) -> None:
+        """What holds from a sample on, in the form of compiled functions."""
+        self._snapshot, tuning = snapshot, self._parameters
+        if self._uio is not None:
+            # An offset from the start is not in the set: its estimate is on its way.
+            offset = bool((snapshot.is_error & snapshot.is_level).any())
+            self._uio.rely(not (offset or snapshot.suspects or self._monitor.has_rate_fault))
+        self._arrays = Known(
+            snapshot.fault,
+            snapshot.rate,
+            snapshot.removed,
+            tuning.sigmas * snapshot.sigma,
+            snapshot.threshold,
+            snapshot.jump_limit,
+            snapshot.state,
+            snapshot.is_error,
+            snapshot.is_level,
+            self._is_derived,
+            self._to_joints,
+        )
+        self._flags = Flags(
+            stamp,
+            int(self._mode()),
+            self._is_trustworthy(),
+            bool(snapshot.suspects),
+            tuning.compensation_rate,
+            self.arm.sample_time,
+        )
+
+    def _fill(self, batch: _Batch, begin: int, end: int, answers: Answers) -> None:
+        """Answers to samples between two decisions, and reports that are due."""
+        if begin < end:
+            fill_answers(
+                self._compensation,
+                batch.rows,
+                (begin, end),
+                batch.stamps,
+                batch.samples,
+                self._arrays,
+                self._flags,
+            )
+            uio_answers(
+                self._uio_parts,
+                batch.rows,
+                (begin, end),
+                batch.stamps,
+                batch.samples[:, 2] * self._torque_gain,
+            )
+            self._report_due(batch.stamps[begin:end], answers, begin)
+
+    def _mode(self) -> Mode:
+        if not self._monitor.uses_balances:
+            return Mode.HOLDING
+        return Mode.OBSERVING if self._snapshot.balances else Mode.INITIALISING
+
+    def _is_trustworthy(self) -> bool:
+        """Whether what is removed of confirmed faults is known well enough to go on."""
+        known = self._snapshot
+        sigma = np.where(known.is_level, known.sigma, known.removed_sigma)
+        bound = self._parameters.safe_stop_bound * self._monitor.scales
+        uncertain = self._parameters.sigmas * sigma > bound
+        return not (known.is_error & (uncertain | known.unseen)).any()
+
+    def _answer_stale(self, stamp: int, row: np.recarray) -> None:
+        """Answer an unusable sample with the last estimate; never with silence."""
+        restarted = bool(row.restarted[0])
+        row[0] = self._last[0]
+        row.restarted, row.answered = restarted, True
+        row.state.mode = Mode.STALE if row.has_fault[0] else Mode.NO_ESTIMATE
+        row.fault.state = SensorState.STALE
+        if not row.has_fault[0] or abs(stamp - self._stamp) > LONGEST_STALE:
+            row.state.trustworthy = False
+
+    def _is_due(self, stamp: int) -> bool:
+        return self._next_report == NEVER or stamp >= self._next_report
+
+    def _report_due(self, stamps: IntArray, answers: Answers, first: int) -> None:
+        """Diagnostics reports of samples between two decisions."""
+        k = 0
+        while k < len(stamps):
+            if self._next_report != NEVER:
+                k += int(np.searchsorted(stamps[k:], self._next_report))
+            if k < len(stamps):
+                self._report(int(stamps[k]), first + k, answers)
+
+    def _report(self, stamp: int, row: int, answers: Answers) -> None:
+        self._next_report = stamp + _REPORT_INTERVAL
+        answer = answers.state[row], answers.fault[row] if answers.has_fault[row] else None
+        answers.reports.append((row, self._status(*answer)))
+
+    def stale_fault(self) -> dict[str, Any] | None:
+        """Fields of a FaultEstimate that says that its values are the last ones, if there are."""
+        if not self._last.has_fault[0]:
+            return None
+        last = self._last.copy()
+        last.fault.state = SensorState.STALE
+        return message_fields.fault_fields(last.fault[0], self.arm.sensor_names)
+
+    def status(self, mode: Mode) -> list[dict[str, Any]]:
+        """Statuses for /diagnostics; of the last answer, with a mode."""
+        last = self._last.copy()
+        last.state.mode = mode
+        if mode == Mode.STALE:
+            last.fault.state = SensorState.STALE
+        return self._status(last.state[0], last.fault[0] if last.has_fault[0] else None)
+
+    def _status(self, state: np.record, fault: np.record | None) -> list[dict[str, Any]]:
+        values = {
+            **asdict(self.counters),
+            'rejected messages': self.rejected,
+            'method': self.method,
+            'bounds': f'statistical, {self._parameters.sigmas:g} standard deviations',
+            'guarantee': self._guarantee(),
+        }
+        known = self._snapshot.guarantee
+        if known is not None:
+            values['guaranteed payload [kg]'] = '{:.3f} to {:.3f}'.format(*known.payload)
+        findings = message_fields.Findings(
+            bool(self._snapshot.suspects),
+            False,
+            ({},) * self._joints,
+            self._note(),
+            self._guaranteed(),
+        )
+        return message_fields.diagnostic_fields(self.name, self.arm, state, fault, findings, values)
+
+    def _guarantee(self) -> str:
+        """For which healthy arms thresholds are guaranteed."""
+        stated = self.arm.uncertainty
+        if stated.model_error is None:
+            return 'none stated: the arm file has no uncertainty.model_error'
+        if not self._snapshot.is_guaranteed:
+            return 'none of offsets after torques from outside or a fault that changes, until reset'
+        return (
+            f'healthy arms with masses and inertias within {stated.model_error:.3g}, friction '
+            f'within {stated.friction:.3g}, payload up to {stated.payload:g} kg'
+        )
+
+    def _guaranteed(self) -> tuple[dict[str, str], ...]:
+        """Guaranteed thresholds of the offsets, for each sensor."""
+        known = self._snapshot.guarantee
+        if known is None:
+            return ()
+        result = []
+        for joint, threshold, found in zip(self.arm.joints, known.threshold, known.smallest_found):
+            unit = joint.units[0]
+            one = {f'guaranteed threshold [{unit}]': 'none: this pose and motion show no offset'}
+            if found < _LARGEST_FOUND * joint.scale:
+                one[f'guaranteed threshold [{unit}]'] = f'{threshold:.4f}'
+                one[f'surely found beyond [{unit}]'] = f'{found:.4f}'
+            result.append(one)
+        return tuple(result)
+
+    def _note(self) -> str:
+        """What else is to be said of the diagnosis as a whole."""
+        if not self._monitor.uses_balances:
+            return _NO_EFFORT if self._blind else _NO_WEIGHT
+        if self._snapshot.contact:
+            return _CONTACT
+        if self._snapshot.suspects:
+            return 'inconsistent; what explains it: ' + ', '.join(self._snapshot.suspects)
+        return _MISFIT if self._snapshot.misfit > _LARGEST_MISFIT else ''
+
+    def _new_warnings(self) -> list[str]:
+        """What was not warned of before, whatever its details."""
+        note = self._note()
+        subject = note.partition(';')[0]
+        new = [note] if note and subject not in self._warned else []
+        self._warned.add(subject)
+        return new

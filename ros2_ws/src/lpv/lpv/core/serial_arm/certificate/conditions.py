@@ -1,0 +1,210 @@
+"""The certificate of a serial arm's loop: every inequality rebuilt from the file and the arm.
+
+No solver is needed, and none is trusted.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+from lpv.core.serial_arm.certificate.disturbance import MotionRange, missed_torque
+from lpv.core.serial_arm.certificate.loop_gains import ErrorProof, LoopGains, loop_checksum
+from lpv.core.serial_arm.certificate.loop_inequality import (
+    LoopNumbers,
+    motion_matrix,
+    sampled_matrix,
+)
+from lpv.core.serial_arm.certificate.model_bounds import (
+    BOUNDS,
+    ChainNumbers,
+    bound_inequalities,
+    chain_numbers,
+    invariant_forms,
+    twists_of,
+)
+from lpv.core.serial_arm.chain import FloatArray
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.support.errors import ConfigError
+from lpv.core.support.inequalities import Check, largest_eigenvalue
+
+_SAME = 1e-6
+"""Relative difference up to which a recomputed number is the stored one."""
+NO_CERTIFICATE = 'none (lpv design writes one)'
+"""Of a loop whose parameter file has a bandwidth only, for the reader."""
+_MODEL_TEXT = {
+    'payload': 'payload M_p(q) <= {:.4g} M(q) at every q',
+    'damping': 'viscous friction F_v <= {:.4g}/s M(q) at every q',
+    'growth': "abs(M') <= {:.4g}/s M(q) at the velocity limits, every q",
+    'inertia': 'M(q) >= diag(c) at every q, smallest c {:.4g} kg m2',
+}
+
+
+def loop_numbers(
+    arm: SerialArm, gains: LoopGains, share: float, number: Callable[[Any], Any] = float
+) -> LoopNumbers:
+    """Intervals of the loop's eigenvalues where joints move at a share of their limits.
+
+    ``number`` makes floats or fractions.
+    """
+    model, w, d = gains.model, number(gains.bandwidth), number(gains.model_error)
+    friction = 1 + number(arm.uncertainty.friction)
+    return LoopNumbers(
+        growth=number(model.growth) * number(share) / w,
+        damping=number(model.damping) * friction / w,
+        low=1 / (1 + d + number(model.payload)),
+        high=1 / (1 - d),
+        step=number(arm.sample_time) * w,
+    )
+
+
+def error_bound(arm: SerialArm, gains: LoopGains) -> dict[str, FloatArray]:
+    """Bounds of the tracking error of each joint by cause, in time; they add up [rad].
+
+    V ends below mu abs(omega)^2, P >= e_2 e_2^T, and omega = M^^(-1/2) delta / w.
+    """
+    proof, w = gains.error, gains.bandwidth
+    motion = MotionRange(proof.rate_share * np.array(arm.velocity_limit), proof.acceleration)
+    causes = missed_torque(arm, gains.model, gains.model_error, motion)
+    each = math.sqrt(proof.level) / (w * w * np.sqrt(gains.model.inertia))
+    return {name: size * each for name, size in causes.items()}
+
+
+def certified_region(gains: LoopGains) -> str:
+    """One line on what a certificate that holds is about."""
+    return (
+        f'holds for joint rates to {gains.rate_share:.3g} of their limits, model error '
+        f'{gains.model_error:g}'
+    )
+
+
+def region_lines(arm: SerialArm, gains: LoopGains) -> list[str]:
+    """The region of a certificate and its bounds, for the reader."""
+    rates, error = np.array(arm.velocity_limit), gains.error
+    rows = [
+        ('total', error.bound),
+        *sorted(error_bound(arm, gains).items(), key=lambda item: -float(item[1].max())),
+    ]
+    return [
+        f'region: every position, joint rates to {_listed(gains.rate_share * rates)} rad/s, all at '
+        'once',
+        f'model error {gains.model_error:g} of every link, payload to '
+        f'{arm.uncertainty.payload:g} kg, friction {arm.uncertainty.friction:g} off; bandwidth '
+        f'{gains.bandwidth:g} rad/s',
+        'bound of the tracking error of each joint [rad], rates to '
+        f'{_listed(error.rate_share * rates)} rad/s, accelerations of the path to '
+        f'{error.acceleration:g} rad/s2:',
+        *(f'  {name}: {_listed(values)}' for name, values in rows),
+    ]
+
+
+def _listed(values: FloatArray) -> str:
+    return ', '.join(f'{value:.3g}' for value in values)
+
+
+def loop_matrices(
+    arm: SerialArm, gains: LoopGains, number: Callable[[Any], Any] = float
+) -> Iterator[tuple[str, Any]]:
+    """What each Lyapunov matrix must satisfy: names and matrices that must be negative definite."""
+
+    def parts(proof: Any) -> tuple[Any, ...]:
+        array = np.vectorize(number, otypes=[float if number is float else object])
+        p = array(proof.lyapunov)
+        decay = number(proof.decay) / number(gains.bandwidth)
+        return (p + p.T) / 2, array(proof.multipliers), decay
+
+    numbers = loop_numbers(arm, gains, gains.rate_share, number)
+    share = f'rates to {gains.rate_share:.3g} of the limits'
+    p, multipliers, decay = parts(gains.motion)
+    yield 'motion: P > 0', -p
+    name = f'motion: V decays, alpha {gains.motion.decay:.3g}/s, {share}'
+    yield name, motion_matrix(p, multipliers, numbers, decay)
+    p, multipliers, decay = parts(gains.sampled)
+    yield 'sampled: P > 0', -p
+    name = f'sampled with one sample of delay: V decays, alpha {gains.sampled.decay:.3g}/s, {share}'
+    yield name, sampled_matrix(p, multipliers, numbers, decay)
+    proof: ErrorProof = gains.error
+    numbers = loop_numbers(arm, gains, proof.rate_share, number)
+    p, multipliers, decay = parts(proof)
+    middle = np.zeros((3, 3), dtype=int)
+    middle[1, 1] = 1
+    yield 'error: P > 0 and bounds the position', middle - p
+    name = f'error: V ends below its level, rates to {proof.rate_share:.3g} of the limits'
+    yield name, motion_matrix(p, multipliers, numbers, decay, number(proof.level))
+
+
+def verify_loop(arm: SerialArm, gains: LoopGains) -> list[Check]:
+    """Rebuild every inequality that a certificate claims.
+
+    Parameters
+    ----------
+    arm : SerialArm
+        The arm.
+    gains : LoopGains
+        With its certificate.
+
+    Returns
+    -------
+    list of Check
+        All checks.
+
+    Raises
+    ------
+    ConfigError
+        If the certificate is that of another arm.
+    """
+    return list(_checks(arm, gains))
+
+
+def require_loop(arm: SerialArm, gains: LoopGains, source: str = 'gains') -> None:
+    """Refuse a certificate that does not hold (ConfigError naming the inequality)."""
+    for check in _checks(arm, gains):
+        if not check.holds:
+            raise ConfigError(
+                'loop',
+                f'the certificate does not hold: {check.name}, {check.margin:.3g} is not '
+                'negative; design again',
+                source,
+            )
+
+
+def _checks(arm: SerialArm, gains: LoopGains) -> Iterator[Check]:
+    gains.check_arm(arm.name, arm.sha256())
+    if len(gains.model.inertia) != len(arm.joints):
+        raise ConfigError('loop.model.inertia', f'must have {len(arm.joints)} numbers')
+    if gains.checksum:
+        same = gains.checksum == loop_checksum(gains)
+        yield Check('gains file: numbers are those of the design', -1.0 if same else 1.0)
+    numbers = chain_numbers(arm)
+    for bound in BOUNDS:
+        yield _model_check(numbers, gains, bound)
+    sectors = (gains.motion, gains.sampled, gains.error)
+    lowest = min(float(part.multipliers.min()) for part in sectors)
+    yield Check('multipliers are positive', -lowest)
+    yield Check('inertia: c > 0', -float(gains.model.inertia.min()))
+    change = 2.0 * arm.sample_time * gains.model.growth * gains.rate_share
+    followed = Check('sampling: M^ changes little within a sample and its delay', change - 1.0)
+    yield followed
+    if not followed.holds:
+        return  # the sampled inequality would divide by zero
+    for name, matrix in loop_matrices(arm, gains):
+        yield Check(name, largest_eigenvalue(matrix))
+    total = sum(error_bound(arm, gains).values())
+    away = np.abs(gains.error.bound / total - 1.0).max()
+    yield Check('error: bound of each joint as recomputed', float(away) - _SAME)
+
+
+def bound_name(gains: LoopGains, bound: str) -> str:
+    """What one of `BOUNDS` says."""
+    return f'model: {_MODEL_TEXT[bound].format(np.min(getattr(gains.model, bound)))}'
+
+
+def _model_check(numbers: ChainNumbers, gains: LoopGains, bound: str) -> Check:
+    value = getattr(gains.model, bound)
+    invariant = invariant_forms(gains.model.forms[bound], twists_of(bound))
+    worst = max(
+        largest_eigenvalue(-np.asarray(matrix, dtype=float))
+        for matrix in bound_inequalities(numbers, bound, value, invariant)
+    )
+    return Check(bound_name(gains, bound), worst)

@@ -1,0 +1,112 @@
+"""What drives the tracking error: torques that the model misses, in the norm of M^^-1.
+
+With y^T delta <= D sqrt(y^T M^ y) for every y, D bounds abs(M^^(-1/2) delta).  Of a link whose
+pseudo-inertia is wrong by at most d in the matrix order, D = d sqrt(int abs(acc)^2 dm) over its
+mass (Cauchy-Schwarz), acc the acceleration of each point less free fall.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from lpv.core.serial_arm.certificate.model_bounds import ModelBounds
+from lpv.core.serial_arm.chain import (
+    COULOMB,
+    IXX,
+    IYY,
+    IZZ,
+    LOAD,
+    MASS,
+    VISCOUS,
+    Chain,
+    FloatArray,
+    compile_chain,
+)
+from lpv.core.serial_arm.description import SerialArm
+
+
+@dataclass(frozen=True)
+class MotionRange:
+    """Region of motion."""
+
+    rates: FloatArray  # largest of each joint [rad/s]
+    acceleration: float  # largest of every joint's reference [rad/s2]
+
+
+def missed_torque(
+    arm: SerialArm, bounds: ModelBounds, model_error: float, motion: MotionRange
+) -> dict[str, float]:
+    """Bounds D of all that the model misses, by cause [kg^(1/2) m/s2].
+
+    Parameters
+    ----------
+    arm : SerialArm
+        The arm.
+    bounds : ModelBounds
+        Of its mass matrix.
+    model_error : float
+        d: relative error of each link's pseudo-inertia, in the matrix order.
+    motion : MotionRange
+        Rates of the arm and of its reference, accelerations of the reference.
+    """
+    chain = compile_chain(arm)
+    free_fall = math.sqrt(float(chain.gravity @ chain.gravity))
+    mass, moving = float(chain.inertial[:, MASS].sum()), _moving_mass(chain, motion)
+    load = math.sqrt(bounds.payload * arm.uncertainty.payload)
+    tip = float(_turning(motion) @ _distances(chain, len(chain.translation)))
+    speed, change, friction = motion.rates, arm.uncertainty.friction, chain.friction
+    viscous, torque = friction[:, VISCOUS], np.array(arm.torque_limit)
+    # Negative viscous friction is no damping: all of it counts, besides its error.
+    missed = (change * np.abs(viscous) + 2.0 * np.maximum(-viscous, 0.0)) * speed
+    dry = (2.0 + change) * friction[:, COULOMB]
+    # Of friction that grows with load, torques of the model and of the arm are below the limit.
+    loaded = np.where(friction[:, LOAD] > 0.0, (2.0 + change) * friction[:, LOAD] * torque, 0.0)
+    return {
+        'model error': model_error * (free_fall * math.sqrt(mass) + moving),
+        'payload': load * (free_fall + tip),
+        'viscous friction': _norm(missed, bounds),
+        'dry friction, opposed at every joint': _norm(dry + loaded, bounds),
+    }
+
+
+def _norm(torque: FloatArray, bounds: ModelBounds) -> float:
+    """D of torques of any sign up to these."""
+    return float(np.sqrt((torque**2 / bounds.inertia).sum()))
+
+
+def _turning(motion: MotionRange) -> FloatArray:
+    """Acceleration at distance 1 from axis k, by joint k with those before it [1/s2].
+
+    abs(acc) <= sum_k d_k (abs(q_k'') + v_k^2 + 2 sum_(j<k) abs(v_j v_k)), d_k the distance
+    from axis k.
+    """
+    before = np.concatenate([[0.0], np.cumsum(motion.rates)[:-1]])
+    return motion.acceleration + motion.rates * (motion.rates + 2.0 * before)
+
+
+def _distances(chain: Chain, link: int) -> FloatArray:
+    """Largest distance from axis k of the origin of frame ``link`` [m].
+
+    ``link`` = n is the tip.  Of the way from frame k to frame k + 1 only what is across the axis
+    counts.
+    """
+    ways = [*chain.translation, chain.tip_translation]
+    lengths = [float(np.linalg.norm(way)) for way in ways]
+    result = np.zeros(len(chain.translation))
+    for k in range(min(link + 1, len(result))):
+        across = math.hypot(ways[k + 1][0], ways[k + 1][1]) if k < link else 0.0
+        result[k] = across + sum(lengths[k + 2 : link + 1])
+    return result
+
+
+def _moving_mass(chain: Chain, motion: MotionRange) -> float:
+    """Bound of sqrt(int abs(acc)^2 dm) without gravity (Minkowski's inequality) [kg^(1/2) m/s2]."""
+    total, turning = 0.0, _turning(motion)
+    for i, body in enumerate(chain.inertial):
+        spread = math.sqrt(max(0.5 * (body[IXX] + body[IYY] + body[IZZ]), 0.0))
+        root = math.sqrt(max(body[MASS], 0.0))
+        parts = root * _distances(chain, i)
+        parts[: i + 1] += spread
+        total += float(turning @ parts) ** 2
+    return math.sqrt(total)

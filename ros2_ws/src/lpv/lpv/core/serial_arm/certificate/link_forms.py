@@ -1,0 +1,176 @@
+"""Inequalities between quadratic forms of a serial chain, for every configuration at once.
+
+With V_i the twist (w, u) of link i about the origin of its joint frame, in that frame,
+
+    V_i = Rz(-q_i) X_i V_(i-1) + S y_i,    V_0 = 0,
+
+many statements about the mass matrix are of the form sum_i V_i^T F_i V_i + f_i y_i^2 >= 0 for all
+q and y; y^T M y is such a sum, with spatial inertias F_i and rotor inertias f_i.  It is proved link
+by link from the tip, as dynamic programming does: if symmetric matrices B_i that commute with
+rotations about z satisfy, with T_i = F_i + X_(i+1)^T B_(i+1) X_(i+1),
+
+    (V + S y)^T T_i (V + S y) + f_i y^2 >= V^T B_i V    for all V and y,
+
+then V^T B_i V, which does not depend on q_i, is below all that the links i, ..., n contribute,
+and S^T T_1 S + f_1 >= 0 completes the proof.  No angle is gridded.  That is n small matrix
+inequalities, linear in F, f and B.
+
+Derivatives along q' are covered by stacking (V, D), D = V' for a constant y:
+
+    D_i = Rz(-q_i) X_i D_(i-1) - q_i' G Rz(-q_i) X_i V_(i-1),
+
+with G the generator of rotations about z.  As D enters no form but with V, the D-D blocks of B are
+negative semidefinite, the inequality is concave in q_i', and both ends of its range prove it.
+
+Functions take arrays of floats, of fractions, or expressions of the solver.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from lpv.core.serial_arm.chain import IXX, MX, FloatArray
+
+AXIS = np.array([0, 0, 1, 0, 0, 0])
+"""S, in integers, which no kind of number is rounded by."""
+TURN = np.zeros((6, 6), dtype=int)
+"""G: d/dq Rz(-q) = -G Rz(-q) for both halves of a twist."""
+TURN[0, 1] = TURN[3, 4] = -1
+TURN[1, 0] = TURN[4, 3] = 1
+
+
+def cross_matrix(p: np.ndarray) -> np.ndarray:
+    """[p]x, so that [p]x a = p x a, shape (3, 3)."""
+    return np.array([[0, -p[2], p[1]], [p[2], 0, -p[0]], [-p[1], p[0], 0]], dtype=p.dtype)
+
+
+def spatial_inertia(body: np.ndarray) -> np.ndarray:
+    """Form of twice the kinetic energy of a body, shape (6, 6).
+
+    Parameters
+    ----------
+    body : ndarray, shape (10,)
+        A row of `Chain.inertial`.
+    """
+    xx, xy, yy, xz, yz, zz = body[IXX:]
+    moment = cross_matrix(body[MX:IXX])
+    about = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    return np.block([[about, moment], [moment.T, body[0] * np.eye(3, dtype=int)]])
+
+
+def placements(rotation: np.ndarray, translation: np.ndarray) -> list[np.ndarray]:
+    """X_i: twist of a frame from that of the frame before, at q_i = 0, each of shape (6, 6)."""
+    zero = np.zeros((3, 3), dtype=int)
+    return [
+        np.block([[r.T, zero], [-(r.T @ cross_matrix(p)), r.T]])
+        for r, p in zip(rotation, translation)
+    ]
+
+
+def invariant_basis(twists: int) -> FloatArray:
+    """Basis of the symmetric matrices that commute with rotations about z.
+
+    Parameters
+    ----------
+    twists : int
+        1 for V, 2 for (V, D).
+
+    Returns
+    -------
+    ndarray, shape (k, 6 twists, 6 twists)
+        k is 7 for one twist, 26 for two; entries 0, 1 and -1.
+    """
+    vectors = [3 * k for k in range(2 * twists)]
+    size, found = 6 * twists, []
+
+    def add(*entries: tuple[int, int, int]) -> None:
+        matrix = np.zeros((size, size))
+        for row, column, value in entries:
+            matrix[row, column] = matrix[column, row] = value
+        found.append(matrix)
+
+    for position, a in enumerate(vectors):
+        for b in vectors[position:]:
+            add((a, b, 1), (a + 1, b + 1, 1))
+            add((a + 2, b + 2, 1))
+            if a != b:
+                add((a, b + 1, 1), (a + 1, b, -1))
+    return np.array(found)
+
+
+def steps(twists: int, rates: Sequence[Any] | None = None) -> list[list[np.ndarray]]:
+    """For each joint the matrices that lead from (V, y) or (V, D, y) to what the joint moves.
+
+    Parameters
+    ----------
+    twists : int
+        1 for V, 2 for (V, D).
+    rates : sequence, optional
+        Largest q_i' (only for two twists); both ends of each range give a matrix.
+
+    Returns
+    -------
+    list of list of ndarray
+        One or two matrices a joint, shape (6 twists, 6 twists + 1); one entry for all joints where
+        there are no rates.
+    """
+    size = 6 * twists
+    plain = np.zeros((size, size + 1), dtype=int)
+    plain[:, :size] = np.eye(size, dtype=int)
+    plain[:6, size] = AXIS
+    if rates is None:
+        return [[plain]]
+    result = []
+    for rate in rates:
+        ends = []
+        for end in (rate, -rate):
+            matrix = plain.astype(object if not isinstance(rate, float) else float)
+            matrix[6:, :6] = -end * TURN
+            ends.append(matrix)
+        result.append(ends)
+    return result
+
+
+def chain_inequalities(
+    placement: Sequence[np.ndarray],
+    forms: Sequence[Any],
+    scalars: Sequence[Any],
+    invariant: Sequence[Any],
+    joint_steps: Sequence[Sequence[np.ndarray]],
+) -> Iterator[Any]:
+    """Matrices that must be positive semidefinite, from the tip to the base.
+
+    Parameters
+    ----------
+    placement : sequence of ndarray
+        X_i, as of `placements`.
+    forms, scalars : sequence
+        F_i and f_i.
+    invariant : sequence
+        B_2, ..., B_n, matrices that commute with rotations about z.
+    joint_steps : sequence of sequence of ndarray
+        As of `steps`.
+
+    Yields
+    ------
+    matrix
+        One for each joint and end of its rate; of shape (1, 1) for the first joint.
+    """
+    size = np.shape(joint_steps[0][0])[0]
+    outer = np.kron(np.eye(size // 6, dtype=int), np.eye(6, dtype=int))
+    keep = np.eye(size, size + 1, dtype=int)
+    last = np.zeros((size + 1, size + 1), dtype=int)
+    last[size, size] = 1
+    for i in range(len(forms) - 1, -1, -1):
+        total = forms[i]
+        if i + 1 < len(forms):
+            moved = np.kron(np.eye(size // 6, dtype=int), placement[i + 1])
+            total = total + moved.T @ invariant[i] @ moved
+        if i == 0:
+            first = outer[:, 2:3]
+            yield first.T @ total @ first + scalars[0] * np.eye(1, dtype=int)
+            return
+        below = keep.T @ invariant[i - 1] @ keep
+        for step in joint_steps[i if len(joint_steps) > 1 else 0]:
+            yield step.T @ total @ step + scalars[i] * last - below

@@ -1,0 +1,125 @@
+"""Bounds on the mass matrix M(q) of an arm's model that hold for every configuration.
+
+- payload: M_p(q) <= k M(q), M_p of the largest payload at the tip,
+- damping: diag(viscous friction) <= phi M(q),
+- growth: -nu M <= M' <= nu M while every joint moves at most at its velocity limit; nu is
+  proportional to the rates,
+- inertia: diag(c) <= M(q).
+
+Each is one chain of inequalities of `link_forms`.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lpv.core.serial_arm.certificate.link_forms import (
+    chain_inequalities,
+    invariant_basis,
+    placements,
+    spatial_inertia,
+    steps,
+)
+from lpv.core.serial_arm.chain import VISCOUS, FloatArray, compile_chain
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.dynamics.payload import payload_parameters
+from lpv.core.support.errors import ConfigError
+
+BOUNDS = ('payload', 'damping', 'growth', 'inertia')
+
+
+class ChainNumbers(NamedTuple):
+    """What the inequalities are made of: arrays of floats or of fractions."""
+
+    placement: list[np.ndarray]  # X_i, n of shape (6, 6)
+    inertia: list[np.ndarray]  # spatial inertias, n of shape (6, 6)
+    payload: np.ndarray  # spatial inertia of the largest payload, on the last link, (6, 6)
+    rotor: np.ndarray  # (n,) [kg m2]
+    viscous: np.ndarray  # (n,), without what is negative [N m s/rad]
+    rates: np.ndarray  # velocity limits, (n,) [rad/s]
+
+
+@dataclass(frozen=True)
+class ModelBounds:
+    """The bounds, and the matrices that prove them."""
+
+    payload: float  # k [-]
+    damping: float  # phi [1/s]
+    growth: float  # nu at the velocity limits [1/s]
+    inertia: FloatArray  # c, shape (n,) [kg m2]
+    forms: dict[str, FloatArray]  # for each of BOUNDS coefficients of B_2, ..., B_n: (n - 1, k)
+
+
+def chain_numbers(arm: SerialArm) -> ChainNumbers:
+    """Numbers of an arm's model, as floats; ConfigError for prismatic joints."""
+    for joint in arm.joints:
+        if joint.is_prismatic:
+            raise ConfigError(
+                'joints',
+                f'{joint.name} is prismatic: loops are proved for arms of revolute joints alone',
+                arm.name,
+            )
+    chain = compile_chain(arm)
+    load = payload_parameters(chain, arm.uncertainty.payload)
+    return ChainNumbers(
+        placements(chain.rotation, chain.translation),
+        [spatial_inertia(body) for body in chain.inertial],
+        spatial_inertia(load),
+        np.diag(chain.motor).copy(),
+        np.maximum(chain.friction[:, VISCOUS], 0.0),
+        np.array(arm.velocity_limit, dtype=float),
+    )
+
+
+def twists_of(bound: str) -> int:
+    """Number of twists that the forms of a bound are about."""
+    return 2 if bound == 'growth' else 1
+
+
+def bound_inequalities(
+    numbers: ChainNumbers, bound: str, value: Any, invariant: Sequence[Any]
+) -> Iterator[Any]:
+    """Matrices that must be positive definite for one of `BOUNDS` to hold.
+
+    Parameters
+    ----------
+    numbers : ChainNumbers
+        Of the arm.
+    bound : str
+        One of `BOUNDS`.
+    value : number or array
+        k, phi, nu or c.
+    invariant : sequence of matrix
+        B_2, ..., B_n.
+
+    Yields
+    ------
+    matrix
+        As of `chain_inequalities`.
+    """
+    forms: list[Any] = list(numbers.inertia)
+    scalars: Any = numbers.rotor
+    joint_steps = steps(1)
+    if bound == 'payload':
+        forms = [value * form for form in forms]
+        forms[-1] = forms[-1] - numbers.payload
+        scalars = [value * rotor for rotor in scalars]
+    elif bound == 'damping':
+        forms = [value * form for form in forms]
+        scalars = [value * rotor - v for rotor, v in zip(scalars, numbers.viscous)]
+    elif bound == 'inertia':
+        scalars = [scalars[i] - value[i] for i in range(len(forms))]
+    else:
+        # M - M'/nu, that is with time in units of 1/nu; -M' is that of the opposite rates.
+        zero = np.zeros((6, 6), dtype=int)
+        forms = [np.block([[form, -form], [-form, zero]]) for form in forms]
+        joint_steps = steps(2, [rate / value for rate in numbers.rates])
+    yield from chain_inequalities(numbers.placement, forms, scalars, invariant, joint_steps)
+
+
+def invariant_forms(coefficients: np.ndarray, twists: int) -> list[np.ndarray]:
+    """B_2, ..., B_n from their coefficients, floats or fractions, of shape (n - 1, k)."""
+    basis = invariant_basis(twists).astype(int)
+    return [np.tensordot(row, basis, axes=1) for row in coefficients]

@@ -1,0 +1,376 @@
+"""Description of a serial arm of n joints: what its file says.
+
+Units are those of revolute joints: for a prismatic one, read m for rad, N for N m, kg for kg m2.
+"""
+
+import math
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from lpv.core.support.config import sha256_of
+
+N_INERTIAL = 10
+"""Inertial parameters of a link: mass, 3 first moments, 6 entries of its inertia."""
+
+JOINT_TYPES = ('revolute', 'prismatic')
+"""A joint turns about its axis, or moves along it."""
+RATE_BIAS = 0.1
+"""Bias of a rate sensor, over the standard deviation of its noise."""
+RATE_SOURCES = ('independent', 'derived', 'none')
+"""Where measured rates come from: a sensor of their own, differences of positions, nowhere."""
+
+
+@dataclass(frozen=True)
+class LinkInertia:
+    """Inertial parameters of a link and of all that is fixed to it.
+
+    All refer to the URDF frame of the joint that moves the link (origin on its axis).
+    """
+
+    mass: float  # m [kg]
+    # m times the centre of mass, (x, y, z) [kg m]
+    first_moment: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    # (Ixx, Ixy, Iyy, Ixz, Iyz, Izz) about the joint frame's origin [kg m2], the order that
+    # Pinocchio uses
+    inertia: tuple[float, float, float, float, float, float] = (0.0,) * 6
+
+    def to_vector(self) -> np.ndarray:
+        """Standard inertial parameters, shape (10,): mass, first moments, inertia."""
+        return np.array([self.mass, *self.first_moment, *self.inertia])
+
+    @staticmethod
+    def from_vector(values: np.ndarray) -> 'LinkInertia':
+        """Inertial parameters from a vector of shape (10,), as `to_vector` gives it."""
+        mass, x, y, z, xx, xy, yy, xz, yz, zz = (float(v) for v in values)
+        return LinkInertia(mass, (x, y, z), (xx, xy, yy, xz, yz, zz))
+
+    def rotational_inertia(self) -> np.ndarray:
+        """Inertia about the joint frame's origin, shape (3, 3) [kg m2]."""
+        xx, xy, yy, xz, yz, zz = self.inertia
+        return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+    def pseudo_inertia(self) -> np.ndarray:
+        """Second moments of the mass distribution, shape (4, 4).
+
+        Positive semidefinite exactly where some distribution of positive mass has these
+        parameters (Wensing, Kim, Slotine 2018, eq. (12)).
+        """
+        inertia = self.rotational_inertia()
+        result = np.empty((4, 4))
+        result[:3, :3] = 0.5 * np.trace(inertia) * np.eye(3) - inertia
+        result[:3, 3] = result[3, :3] = self.first_moment
+        result[3, 3] = self.mass
+        return result
+
+    def is_physical(self, tolerance: float = 1e-9) -> bool:
+        """Whether some distribution of positive mass has these parameters."""
+        matrix = self.pseudo_inertia()
+        scale = max(float(np.trace(matrix)), 1e-300)
+        return bool(np.linalg.eigvalsh(matrix)[0] >= -tolerance * scale)
+
+
+@dataclass(frozen=True)
+class JointFriction:
+    """Torque that friction takes at joint rate v.
+
+    tau_f = offset + viscous*v + (coulomb + load*abs(tau_rigid))*(2/pi)*atan(coulomb_slope*v), with
+    the rigid-body torque tau_rigid of the joint (inertial, Coriolis and gravity torques); where
+    that is not known, the measured torque may stand for it.  Where friction falls with speed
+    (Stribeck's effect), ``viscous`` is negative; within the velocity limit friction never drives.
+    """
+
+    offset: float = 0.0  # [N m]
+    viscous: float = 0.0  # [N m s/rad]
+    coulomb: float = 0.0  # [N m]
+    coulomb_slope: float = 100.0  # [s/rad]
+    load: float = 0.0  # [N m per N m]
+
+    def is_dissipative(self, velocity_limit: float) -> bool:
+        """Whether friction brakes at every speed up to the limit [rad/s], the offset apart."""
+        speed = np.linspace(0.0, velocity_limit, 65)[1:]
+        way = (2.0 / math.pi) * np.arctan(self.coulomb_slope * speed)
+        slack = 0.05 * self.coulomb + 1e-9
+        return bool(np.all(self.viscous * speed + self.coulomb * way >= -slack))
+
+    def torque(self, velocity: np.ndarray, rigid_torque: np.ndarray) -> np.ndarray:
+        """Friction torque [N m] at joint rates [rad/s] and rigid-body torques [N m]."""
+        direction = (2.0 / math.pi) * np.arctan(self.coulomb_slope * velocity)
+        amplitude = self.coulomb + self.load * np.abs(rigid_torque)
+        return self.offset + self.viscous * velocity + amplitude * direction
+
+
+@dataclass(frozen=True)
+class JointLimits:
+    """What the joint may do."""
+
+    lower: float = -math.inf  # [rad]
+    upper: float = math.inf  # [rad]
+    velocity: float = 100.0  # [rad/s]
+    torque: float = 1e9  # [N m]
+
+
+@dataclass(frozen=True)
+class TorqueTolerance:
+    """Torque that a healthy arm's model may miss, as a function of the joint's speed.
+
+    Piecewise linear over abs(v), constant beyond both ends.
+    """
+
+    speed: tuple[float, ...] = (0.0,)  # increasing [rad/s]
+    torque: tuple[float, ...] = (0.0,)  # [N m]
+
+    def at(self, speed: float) -> float:
+        """Tolerance [N m] at abs(v) [rad/s]."""
+        return float(np.interp(abs(speed), self.speed, self.torque))
+
+
+@dataclass(frozen=True)
+class SecondEncoder:
+    """Another position sensor of the same joint, as the link-side one of an elastic gear."""
+
+    name: str  # name of the sensor; faults carry it
+    position_noise: float = 1e-4  # standard deviation per sample [rad]
+    quantization: float = 0.0  # step of the readings, 0 if none is known [rad]
+
+
+@dataclass(frozen=True)
+class JointSensors:
+    """Sensors of one joint."""
+
+    name: str  # name of the position sensor; faults carry it
+    position_noise: float = 1e-4  # standard deviation per sample, without quantization [rad]
+    quantization: float = 0.0  # step of the positions, 0 if none is known [rad]
+    rates: str = 'derived'  # one of RATE_SOURCES
+    velocity_noise: float = 1e-2  # standard deviation per sample [rad/s]
+    second_encoder: SecondEncoder | None = None
+
+
+@dataclass(frozen=True)
+class SerialJoint:
+    """A joint, the link that it moves, its drive and its sensors.
+
+    At q = 0 the joint's frame stands at ``position`` and ``orientation`` in the frame of the joint
+    before it (of the base, for the first one); the joint turns it about ``axis``, or moves it along
+    ``axis`` (see `JOINT_TYPES`).
+    """
+
+    name: str  # as in sensor_msgs/JointState
+    position: tuple[float, float, float]  # of the joint's frame in the one before [m]
+    orientation: tuple[float, float, float]  # roll, pitch, yaw, as in URDF [rad]
+    axis: tuple[float, float, float]  # unit vector in the joint's frame
+    link: LinkInertia
+    friction: JointFriction = JointFriction()
+    rotor_inertia: float = 0.0  # reflected to the joint [kg m2]
+    # of the rotor, if the link before carries it: -rotor_inertia/gear_ratio where the axes of both
+    # joints are parallel; couples the joint with the one before it [kg m2]
+    rotor_coupling: float = 0.0
+    torque_gain: float = 1.0  # joint torque per unit of the reported effort [N m/unit]
+    effort_delay: float = 0.0  # of reported efforts behind the motion [s]
+    limits: JointLimits = JointLimits()
+    torque_tolerance: TorqueTolerance = TorqueTolerance()
+    sensors: JointSensors = JointSensors('encoder')
+    type: str = 'revolute'  # one of JOINT_TYPES
+
+    @property
+    def is_prismatic(self) -> bool:
+        """Whether the joint moves its link along the axis."""
+        return self.type == 'prismatic'
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """Positions of usual motions [rad]: the limits within half a turn to each side.
+
+        Of a prismatic joint, the limits, or 1 m where there are none.
+        """
+        low, high = self.limits.lower, self.limits.upper
+        if not self.is_prismatic:
+            return max(low, -math.pi), min(high, math.pi)
+        if math.isinf(low):
+            low = high - 1.0 if math.isfinite(high) else -0.5
+        return low, low + 1.0 if math.isinf(high) else high
+
+    @property
+    def scale(self) -> float:
+        """What counts as much as 1 rad in thresholds: of a prismatic joint, at most 1 m.
+
+        The whole range of a prismatic joint counts as one turn.
+        """
+        low, high = self.range
+        return min((high - low) / (2.0 * math.pi), 1.0) if self.is_prismatic else 1.0
+
+    @property
+    def units(self) -> tuple[str, str]:
+        """Units of position and torque."""
+        return ('m', 'N') if self.is_prismatic else ('rad', 'N m')
+
+
+@dataclass(frozen=True)
+class ParameterCovariance:
+    """Uncertainty of the identified parameters.
+
+    The vector is that of `SerialArm.parameter_vector`.  Combinations that the data do not
+    determine carry the width of the prior that held them.
+    """
+
+    factor: tuple[tuple[float, ...], ...]  # rows F: the covariance is F^T F
+    determined: int  # number of base and drive parameters that the data determine
+
+    def matrix(self) -> np.ndarray:
+        """Covariance, shape (15 n, 15 n)."""
+        factor = np.array(self.factor)
+        return factor.T @ factor
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """What may differ from the description while the arm is healthy."""
+
+    payload: float = 0.0  # largest unknown mass at the tip [kg]
+    friction: float = 0.0  # relative change of all friction, as with temperature [-]
+    model_error: float | None = None  # of masses, places of masses, inertias [-]; None: not stated
+    # torque that the model misses, a standard deviation for each joint; None: not measured.
+    # sigma(v)^2 = torque_error^2 + (torque_error_speed*v)^2 at joint rate v
+    torque_error: tuple[float, ...] | None = None  # at rest and in slow motion [N m]
+    torque_error_speed: tuple[float, ...] | None = None  # growth with the joint's rate [N m s/rad]
+    torque_error_time: float | None = None  # in which its correlation falls to 1/e [s]
+
+
+@dataclass(frozen=True)
+class LpvRegion:
+    """What the LPV design of the paper's observer and controller needs of a planar two-link arm.
+
+    Angles theta are those of the links from the upper vertical (paper, Fig. 1).
+    """
+
+    orientation: str  # of both links: cos(theta) > 0 ('upright') or cos(theta) < 0 ('hanging')
+    cos_min: tuple[float, float]  # smallest abs(cos(theta_i)) in which gains are certified
+    # last two rows of Bd, eq. (31): accelerations of theta per unit of the disturbance d
+    disturbance_direction: tuple[float, float] = (0.7, 0.0)
+    disturbance_mean: float = 0.2  # of the white disturbance d that the design must live with
+    disturbance_variance: float = 0.9  # the same
+    velocity_error: float = 0.0  # relative error of the rates (scale, delay)
+
+
+@dataclass(frozen=True)
+class SerialArm:
+    """A serial arm of n joints, its sensors and what may vary."""
+
+    name: str  # name of the arm
+    joints: tuple[SerialJoint, ...]  # from the base to the tip
+    # roll, pitch, yaw of the base in a frame whose z-axis points up [rad]
+    base_orientation: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    gravity: float = 9.81  # g [m/s2]
+    # reference point of a payload in the last joint's frame [m]
+    tip: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    urdf: str = ''  # path of the URDF that kinematics came from, or ''
+    # joints of the URDF that are held at an angle [rad] (a gripper's)
+    locked: tuple[tuple[str, float], ...] = ()
+    # whether the reported efforts contain the torque that holds the arm's weight
+    effort_includes_gravity: bool = True
+    effort_unit: str = 'N m'  # unit of the reported efforts, ``torque_gain`` leads from it to N m
+    # above this frequency the reported efforts carry nothing [Hz]; inf if none is known
+    effort_bandwidth: float = math.inf
+    uncertainty: Uncertainty = Uncertainty()  # what may vary
+    covariance: ParameterCovariance | None = None  # of the identified parameters
+    sample_time: float = 0.002  # Ts [s]
+    # S of y = S q + f, rows by sensor: None where each joint has its own sensor (S = 1)
+    sensor_matrix: tuple[tuple[float, ...], ...] | None = None
+    lpv: LpvRegion | None = None  # of a planar two-link arm with designed gains
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joints, from the base to the tip."""
+        return tuple(joint.name for joint in self.joints)
+
+    @property
+    def sensor_names(self) -> tuple[str, ...]:
+        """Names of the position sensors, one for each joint."""
+        return tuple(joint.sensors.name for joint in self.joints)
+
+    @property
+    def velocity_limit(self) -> tuple[float, ...]:
+        """Largest joint rates, one for each joint [rad/s]."""
+        return tuple(joint.limits.velocity for joint in self.joints)
+
+    @property
+    def torque_limit(self) -> tuple[float, ...]:
+        """Largest joint torques, one for each joint [N m]."""
+        return tuple(joint.limits.torque for joint in self.joints)
+
+    def scales(self) -> np.ndarray:
+        """What counts as much as 1 rad in thresholds, shape (n,); see `SerialJoint.scale`."""
+        return np.array([joint.scale for joint in self.joints])
+
+    def joints_to_sensors(self) -> np.ndarray:
+        """S of y = S q + f: readings of the position sensors by joint positions, shape (n, n)."""
+        n = len(self.joints)
+        return np.eye(n) if self.sensor_matrix is None else np.array(self.sensor_matrix, float)
+
+    def sensors_to_joints(self) -> np.ndarray:
+        """Inverse of S: joint positions by readings without faults, shape (n, n)."""
+        return np.linalg.inv(self.joints_to_sensors())
+
+    def gravity_vector(self) -> np.ndarray:
+        """Acceleration of gravity in the base's frame, shape (3,) [m/s2]."""
+        return -self.gravity * rotation_from_rpy(self.base_orientation)[2]
+
+    def inertial_parameters(self) -> np.ndarray:
+        """Standard inertial parameters of all links, shape (10 n,)."""
+        return np.concatenate([joint.link.to_vector() for joint in self.joints])
+
+    def parameter_vector(self) -> np.ndarray:
+        """All parameters that torques are linear in, shape (15 n,).
+
+        10 inertial parameters of each link, then for all joints each: rotor inertia, viscous
+        friction, Coulomb friction, load-dependent friction, offset.
+        """
+        drive = [
+            [j.rotor_inertia for j in self.joints],
+            [j.friction.viscous for j in self.joints],
+            [j.friction.coulomb for j in self.joints],
+            [j.friction.load for j in self.joints],
+            [j.friction.offset for j in self.joints],
+        ]
+        return np.concatenate([self.inertial_parameters(), *drive])
+
+    def sha256(self) -> str:
+        """Hash of every parameter: what is designed for this arm carries it."""
+        content = asdict(self)
+        # Files without these fields keep their hash.
+        for name in ('torque_error', 'torque_error_speed', 'torque_error_time'):
+            if content['uncertainty'][name] is None:
+                del content['uncertainty'][name]
+        for joint in content['joints']:
+            if joint['rotor_coupling'] == 0.0:
+                del joint['rotor_coupling']
+        for name in ('sensor_matrix', 'lpv'):
+            if content[name] is None:
+                del content[name]
+        for joint in content['joints']:
+            if joint['type'] == 'revolute':
+                del joint['type']
+        return sha256_of(content)
+
+
+def rotation_from_rpy(angles: tuple[float, float, float]) -> np.ndarray:
+    """Rotation of URDF's roll, pitch, yaw: R = Rz(yaw) Ry(pitch) Rx(roll).
+
+    Parameters
+    ----------
+    angles : tuple of float
+        Roll, pitch, yaw [rad].
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+        Columns are the turned axes.
+    """
+    (sr, cr), (sp, cp), (sy, cy) = [(math.sin(a), math.cos(a)) for a in angles]
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )

@@ -1,0 +1,430 @@
+"""Momentum balances over short intervals, with their derivatives by faults and parameters.
+
+With a hat function w over two intervals of length T, the balance p' = tau - F + C^T v - g becomes
+
+    r = mean(p, 2nd interval) - mean(p, 1st interval) - int w (tau - F + C^T v - g) dt,
+
+which needs no acceleration and averages the noise of the rates.  q = y - f, so that r depends on
+the faults; it is linear in all parameters.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lpv.core.serial_arm.chain import SLOPE, Chain, FloatArray, joint_count, workspace
+from lpv.core.serial_arm.dynamics.friction import friction_torque, smooth_sign
+from lpv.core.serial_arm.dynamics.momentum import carried_momentum, momentum_balance, set_velocities
+from lpv.core.serial_arm.sensor_map import map_vector
+from lpv.core.support.jit import njit, njit_in_place
+
+GROUPS = ('drift', 'scale', 'rate', 'gain', 'offset', 'torque', 'viscous', 'coulomb')
+"""Groups of n columns each, in this order; those of the inertial directions follow.  The unknowns
+of a healthy arm are the columns from `OFFSET` on."""
+DRIFT, SCALE, RATE, GAIN, OFFSET, TORQUE, VISCOUS, COULOMB = range(8)
+VISCOUS_PART, COULOMB_PART, LOAD_PART, OFFSET_PART, GAIN_PART = range(5)
+"""Columns of `Balance.drives`: those of `Chain.friction`, and the gain."""
+LENGTH, EPOCH = range(2)
+"""Entries of `Balance.clock`."""
+SLOW_RATE = 0.1
+"""Rate below which the friction of a joint may be anything up to that of rest [rad/s]."""
+_STEP = 1e-5
+"""Step of the differences by which columns of angles and rates are found [rad], [rad/s]."""
+
+
+class Balance(NamedTuple):
+    """State of the balances of one arm.
+
+    Columns of ``momentum`` and ``impulses`` are the residual's parts first, then those of `GROUPS`
+    and of the inertial directions.
+
+    Attributes
+    ----------
+    chain : Chain
+        The arm.
+    directions : ndarray, shape (k, n, 10)
+        Directions in which the inertial parameters may be wrong, each of unit weight.
+    reference : ndarray, shape (n,)
+        Faults f at which the balance is linearised [rad].
+    derived : ndarray, shape (n,)
+        1 where a rate comes from its encoder, so that a drift and a scale error enter both.
+    momentum : ndarray, shape (2, n, columns)
+        Integral of p over the previous and the current interval [N m s2].
+    rising, falling : ndarray, shape (2, n, columns)
+        Integrals of the forces, weighted by the two halves of the hat [N m s].
+    rows : ndarray, shape (n, columns)
+        Residual and derivatives of the last complete hat [N m s].
+    clock : ndarray, shape (2,)
+        Length of the previous interval, 0 if there is none; moment from which drifts count [s].
+    poses : ndarray, shape (2, n)
+        Joint positions at the ends of the previous and of the current interval [rad].
+    rates : ndarray, shape (3, 2, n)
+        Lowest and highest joint rates of both intervals of the last hat, and of the current one
+        [rad/s].
+    rigid : ndarray, shape (n, n)
+        Zero: directions of the inertial parameters have no rotors.
+    work, vectors : ndarray
+        Scratch.
+    drives : ndarray, shape (k, n, 5)
+        What belongs to ``directions`` of viscous, Coulomb, load-dependent friction, offset and
+        relative gain.
+    to_joints : ndarray, shape (n, n)
+        S^-1 of y = S q + f: faults are those of sensors, rows those of joints.
+    """
+
+    chain: Chain
+    directions: FloatArray
+    reference: FloatArray
+    derived: FloatArray
+    momentum: FloatArray
+    rising: FloatArray
+    falling: FloatArray
+    rows: FloatArray
+    clock: FloatArray
+    poses: FloatArray
+    rates: FloatArray
+    rigid: FloatArray
+    work: FloatArray
+    vectors: FloatArray
+    drives: FloatArray
+    to_joints: FloatArray
+
+
+def column_count(joints: int, directions: int) -> int:
+    """Columns of a balance: the residual, the groups, the inertial directions."""
+    return 1 + len(GROUPS) * joints + directions
+
+
+def new_balance(
+    chain: Chain,
+    directions: FloatArray,
+    derived: FloatArray,
+    drives: FloatArray | None = None,
+    to_joints: FloatArray | None = None,
+) -> Balance:
+    """Empty balances.
+
+    Parameters
+    ----------
+    chain : Chain
+        The arm.
+    directions : ndarray, shape (k, n, 10)
+        Possible errors of the inertial parameters.
+    derived : ndarray, shape (n,)
+        1 where a rate is derived from the encoder, else 0.
+    drives : ndarray, shape (k, n, 5), optional
+        Possible errors of drives that go with those of the inertial parameters; none by default.
+    to_joints : ndarray, shape (n, n), optional
+        S^-1 of y = S q + f; 1 by default.
+
+    Returns
+    -------
+    Balance
+        Linearised at no fault.
+    """
+    n = joint_count(chain)
+    size = (n, column_count(n, len(directions)))
+    along = np.zeros((len(directions), n, 5)) if drives is None else drives
+    return Balance(
+        chain, np.ascontiguousarray(directions, dtype=float), np.zeros(n),
+        np.ascontiguousarray(derived, dtype=float), np.zeros((2, *size)), np.zeros((2, *size)),
+        np.zeros((2, *size)), np.zeros(size), np.zeros(2), np.zeros((2, n)), _no_rates(n),
+        np.zeros((n, n)), workspace(chain), np.zeros((10, n)), along,
+        np.eye(n) if to_joints is None else np.ascontiguousarray(to_joints))  # fmt: skip
+
+
+def _no_rates(n: int) -> FloatArray:
+    rates = np.full((3, 2, n), np.inf)
+    rates[:, 1] = -np.inf
+    return rates
+
+
+@njit_in_place
+def put(
+    balance: Any, column: int, row: int, parts: tuple[float, float], weight: tuple[float, float]
+) -> None:
+    """Add momentum and force of one entry, weighted by block length and place in the interval.
+
+    ``balance`` is any record with ``momentum``, ``rising`` and ``falling`` of two intervals.
+    """
+    momentum, force = parts
+    length, place = weight
+    balance.momentum[1, row, column] += length * momentum
+    balance.rising[1, row, column] += length * place * force
+    balance.falling[1, row, column] += length * (1.0 - place) * force
+
+
+@njit_in_place
+def add_residual(
+    balance: Balance, y: FloatArray, v: FloatArray, torque: FloatArray, weight: tuple[float, float]
+) -> None:
+    """Add the residual of a block to the current interval, without derivatives."""
+    angle, rate = balance.vectors[0], balance.vectors[1]
+    p, force, friction = balance.vectors[2], balance.vectors[3], balance.vectors[6]
+    for i in range(y.shape[0]):
+        friction[i] = y[i] - balance.reference[i]
+    map_vector(balance.to_joints, friction, angle)
+    map_vector(balance.to_joints, v, rate)
+    momentum_balance(balance.chain, angle, rate, balance.work, p, force)
+    friction_torque(balance.chain, rate, torque, friction)
+    for i in range(y.shape[0]):
+        put(balance, 0, i, (p[i], force[i] + torque[i] - friction[i]), weight)
+
+
+@njit_in_place
+def add_block(
+    balance: Balance,
+    y: FloatArray,
+    v: FloatArray,
+    torque: FloatArray,
+    time: float,
+    length: float,
+    place: float,
+) -> None:
+    """Add the means of some samples to the current interval.
+
+    Parameters
+    ----------
+    balance : Balance
+        Changed.
+    y, v, torque : ndarray, shape (n,)
+        Mean readings, rates of the same and joint torques, as measured [rad], [rad/s], [N m].
+    time : float
+        Of the block's middle [s].
+    length : float
+        Of the block [s].
+    place : float
+        Of the block's middle in the interval, 0 to 1.
+    """
+    chain, n = balance.chain, y.shape[0]
+    weight = (length, place)
+    angle, rate = balance.vectors[0], balance.vectors[1]
+    p_by, force_by = balance.vectors[4], balance.vectors[5]
+    add_residual(balance, y, v, torque, weight)
+    for i in range(n):
+        balance.rates[2, 0, i] = min(balance.rates[2, 0, i], rate[i])
+        balance.rates[2, 1, i] = max(balance.rates[2, 1, i], rate[i])
+        row = 1 + i
+        put(balance, row + TORQUE * n, i, (0.0, -1.0), weight)
+        put(balance, row + VISCOUS * n, i, (0.0, -rate[i]), weight)
+        put(balance, row + COULOMB * n, i,
+             (0.0, -smooth_sign(rate[i], chain.friction[i, SLOPE])), weight)  # fmt: skip
+        put(balance, row + GAIN * n, i, (0.0, torque[i]), weight)
+    for i in range(n):
+        reading = y[i] - balance.reference[i], v[i]
+        _add_fault_columns(balance, i, reading, torque, time - balance.clock[EPOCH], weight)
+    set_velocities(chain, angle, rate, balance.work)
+    for k in range(balance.directions.shape[0]):
+        along = Chain(
+            chain.rotation, chain.translation, balance.directions[k], balance.rigid,
+            chain.friction, chain.gravity, chain.tip_rotation, chain.tip_translation,
+            chain.prismatic)  # fmt: skip
+        carried_momentum(along, rate, balance.work, p_by, force_by)
+        for j in range(n):
+            column, part = 1 + 8 * n + k, balance.drives[k, j]
+            dry = part[COULOMB_PART] + part[LOAD_PART] * abs(torque[j])
+            lost = part[VISCOUS_PART] * rate[j] + part[OFFSET_PART]
+            lost -= part[GAIN_PART] * torque[j]
+            if dry != 0.0:
+                lost += dry * smooth_sign(rate[j], chain.friction[j, SLOPE])
+            put(balance, column, j, (p_by[j], force_by[j] - lost), weight)
+
+
+@njit_in_place
+def _add_fault_columns(
+    balance: Balance,
+    i: int,
+    reading: tuple[float, float],
+    torque: FloatArray,
+    time: float,
+    weight: tuple[float, float],
+) -> None:
+    """Add the columns of the faults of sensor i, by differences; time since the epoch.
+
+    ``reading`` is that of the sensor without its fault, with its rate.
+    """
+    chain, n = balance.chain, torque.shape[0]
+    angle, rate = balance.vectors[0], balance.vectors[1]
+    p, force = balance.vectors[2], balance.vectors[3]
+    p_angle, force_angle = balance.vectors[4], balance.vectors[5]
+    p_rate, force_rate = balance.vectors[7], balance.vectors[8]
+    moved, share = balance.vectors[9], balance.to_joints[:, i]
+    for j in range(n):
+        moved[j] = angle[j] - _STEP * share[j]
+    momentum_balance(chain, moved, rate, balance.work, p_angle, force_angle)
+    for j in range(n):
+        moved[j] = rate[j] - _STEP * share[j]
+    momentum_balance(chain, angle, moved, balance.work, p_rate, force_rate)
+    derived = balance.derived[i]
+    for j in range(n):
+        p_f, force_f = (p_angle[j] - p[j]) / _STEP, (force_angle[j] - force[j]) / _STEP
+        p_v, force_v = (p_rate[j] - p[j]) / _STEP, (force_rate[j] - force[j]) / _STEP
+        if share[j] != 0.0:
+            row = chain.friction[j]
+            slip = 100.0 if row[SLOPE] > 100.0 else row[SLOPE]
+            dry = row[1] + row[2] * abs(torque[j])
+            bend = (
+                smooth_sign(rate[j] + 0.5 / slip, slip) - smooth_sign(rate[j] - 0.5 / slip, slip)
+            ) * slip
+            force_v += share[j] * (row[0] + dry * bend)
+        put(balance, 1 + OFFSET * n + i, j, (p_f, force_f), weight)
+        put(balance, 1 + RATE * n + i, j, (p_v, force_v), weight)
+        drift = (time * p_f + derived * p_v, time * force_f + derived * force_v)
+        put(balance, 1 + DRIFT * n + i, j, drift, weight)
+        scale = (
+            reading[0] * p_f + derived * reading[1] * p_v,
+            reading[0] * force_f + derived * reading[1] * force_v,
+        )
+        put(balance, 1 + SCALE * n + i, j, scale, weight)
+
+
+@njit_in_place
+def close_interval(balance: Balance, length: float) -> bool:
+    """End the current interval; it becomes the previous one.
+
+    Parameters
+    ----------
+    balance : Balance
+        Changed; ``rows`` hold the residual and its derivatives if a hat is complete.
+    length : float
+        Of the interval [s].
+
+    Returns
+    -------
+    bool
+        Whether a hat is complete.
+    """
+    complete = balance.clock[LENGTH] > 0.0
+    n, columns = balance.rows.shape
+    for i in range(n):
+        for c in range(columns):
+            if complete:
+                balance.rows[i, c] = (
+                    balance.momentum[1, i, c] / length
+                    - balance.momentum[0, i, c] / balance.clock[LENGTH]
+                    - balance.rising[0, i, c]
+                    - balance.falling[1, i, c]
+                )
+            balance.momentum[0, i, c] = balance.momentum[1, i, c]
+            balance.rising[0, i, c] = balance.rising[1, i, c]
+            balance.momentum[1, i, c] = 0.0
+            balance.rising[1, i, c] = 0.0
+            balance.falling[1, i, c] = 0.0
+    balance.clock[LENGTH] = length
+    for i in range(n):
+        balance.poses[0, i] = balance.poses[1, i]
+        balance.poses[1, i] = balance.vectors[0, i]
+        for side in range(2):
+            balance.rates[0, side, i] = balance.rates[1, side, i]
+            balance.rates[1, side, i] = balance.rates[2, side, i]
+        balance.rates[2, 0, i], balance.rates[2, 1, i] = np.inf, -np.inf
+    return complete
+
+
+@njit_in_place
+def rests(balance: Balance, joint: int) -> bool:
+    """Whether a joint rests or reverses within the last hat."""
+    low = min(balance.rates[0, 0, joint], balance.rates[1, 0, joint])
+    high = max(balance.rates[0, 1, joint], balance.rates[1, 1, joint])
+    return bool(low < SLOW_RATE and high > -SLOW_RATE)
+
+
+def move_epoch(balance: Balance, epoch: float) -> None:
+    """Let drifts count from another moment; what has been integrated follows."""
+    n, shift = len(balance.reference), epoch - balance.clock[EPOCH]
+    drift, offset = 1 + DRIFT * n, 1 + OFFSET * n
+    for part in (balance.momentum, balance.rising, balance.falling):
+        part[:, :, drift : drift + n] -= shift * part[:, :, offset : offset + n]
+    balance.clock[EPOCH] = epoch
+
+
+@njit_in_place
+def drop_interval(balance: Balance) -> None:
+    """Forget the intervals so far, after a gap in the samples."""
+    balance.momentum[:] = 0.0
+    balance.rising[:] = 0.0
+    balance.falling[:] = 0.0
+    balance.rates[:, 0] = np.inf
+    balance.rates[:, 1] = -np.inf
+    balance.clock[LENGTH] = 0.0
+
+
+@njit_in_place
+def fill_balances(
+    balance: Balance, blocks: FloatArray, per_interval: int, rows: FloatArray
+) -> None:
+    """Balances of blocks that were kept; the state of the balance is that after the last block.
+
+    Parameters
+    ----------
+    balance : Balance
+        Changed.
+    blocks : ndarray, shape (N, 3 n + 3)
+        Means y, v, tau with time, length and place of each block; whole intervals.
+    per_interval : int
+        Blocks of an interval.
+    rows : ndarray, shape (N / per_interval - 1, n, columns)
+        Written.
+    """
+    n = balance.reference.shape[0]
+    drop_interval(balance)
+    length, count = 0.0, 0
+    for k in range(blocks.shape[0]):
+        block = blocks[k]
+        add_block(
+            balance, block[:n], block[n : 2 * n], block[2 * n : 3 * n], block[3 * n],
+            block[3 * n + 1], block[3 * n + 2])  # fmt: skip
+        length += block[3 * n + 1]
+        if (k + 1) % per_interval == 0:
+            if close_interval(balance, length):
+                for i in range(n):
+                    for c in range(rows.shape[2]):
+                        rows[count, i, c] = balance.rows[i, c]
+                count += 1
+            length = 0.0
+
+
+@njit
+def residuals(
+    balance: Balance, blocks: FloatArray, per_interval: int, friction: FloatArray
+) -> FloatArray:
+    """Residuals of the balances of some blocks, without derivatives; the balance stays as it is.
+
+    Parameters
+    ----------
+    balance : Balance
+        Of the arm; its scratch is not changed either.
+    blocks : ndarray, shape (N, 3 n + 3)
+        As in `fill_balances`.
+    per_interval : int
+        Blocks of an interval.
+    friction : ndarray, shape (n, 5)
+        As in `Chain`.
+
+    Returns
+    -------
+    ndarray, shape (N / per_interval - 1, n)
+        [N m s].
+    """
+    n, intervals = balance.reference.shape[0], blocks.shape[0] // per_interval
+    chain = Chain(
+        balance.chain.rotation, balance.chain.translation, balance.chain.inertial,
+        balance.chain.motor, friction, balance.chain.gravity, balance.chain.tip_rotation,
+        balance.chain.tip_translation, balance.chain.prismatic)  # fmt: skip
+    own = Balance(
+        chain, balance.directions, balance.reference, balance.derived,
+        np.zeros((2, n, 1)), np.zeros((2, n, 1)), np.zeros((2, n, 1)), np.zeros((n, 1)),
+        np.zeros(2), np.zeros((2, n)), np.zeros((3, 2, n)), balance.rigid, balance.work.copy(),
+        balance.vectors.copy(), balance.drives, balance.to_joints)  # fmt: skip
+    result, length = np.zeros((intervals - 1, n)), 0.0
+    for k in range(intervals * per_interval):
+        block = blocks[k]
+        weight = (block[3 * n + 1], block[3 * n + 2])
+        add_residual(own, block[:n], block[n : 2 * n], block[2 * n : 3 * n], weight)
+        length += block[3 * n + 1]
+        if (k + 1) % per_interval == 0:
+            if close_interval(own, length):
+                for i in range(n):
+                    result[(k + 1) // per_interval - 2, i] = own.rows[i, 0]
+            length = 0.0
+    return result

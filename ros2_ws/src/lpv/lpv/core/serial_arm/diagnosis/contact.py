@@ -1,0 +1,301 @@
+"""Torques from outside: what they explain of the last balances, whatever their course.
+
+A torque of unknown amplitude acts on each joint, or a force on the tip; it is a Gaussian process in
+time, rough (as of impacts), smooth, or constant.  What is not needed is zero.  Amplitudes and kind
+of course are those that explain most, less the logarithm of their number.  Leading eigenfunctions
+of the kernel are columns like those of a fault, so that what the arm's unknowns could explain as
+well is taken off.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from lpv.core.serial_arm.chain import Chain, FloatArray, IntArray
+from lpv.core.serial_arm.diagnosis.estimator import Posterior, set_residuals, usual_size
+from lpv.core.serial_arm.diagnosis.information import ROBUST, Window, recent, slot
+from lpv.core.serial_arm.dynamics.kinematics import fill_jacobian, joint_frames
+from lpv.core.support.jit import njit, njit_in_place
+
+ROUGH_TIME = 0.3
+"""Over which rough torques are correlated [s]."""
+AMPLITUDES = (1.0, 0.3, 0.1, 0.03)
+"""Amplitudes of torques from outside that are tried, in the largest plausible one."""
+SMOOTH_TIMES = (1e3, 1.0, 0.5)
+"""Correlation times of the smooth courses [s]; the first one is constant."""
+ROUGH_PENALTY = math.log(len(AMPLITUDES))
+"""What it costs to choose the amplitude that explains most."""
+SMOOTH_PENALTY = math.log(len(AMPLITUDES) * len(SMOOTH_TIMES))
+"""The same for amplitude and course."""
+HORIZON_TIME = 2.0
+"""The same for a torque over the whole horizon [s]."""
+_MODES = 8
+_HORIZON_MODES = 12
+_NEGLIGIBLE = 1e-4
+"""Share of the largest eigenvalue below which an eigenfunction is left out."""
+
+
+class Contact(NamedTuple):
+    """Models of torques from outside, for W windows."""
+
+    lengths: IntArray  # of the windows, shape (W,) [balances]
+    torque: FloatArray  # largest plausible torques, shape (n,) [N m]
+    variance: FloatArray  # (n,) of balances for which `shares` and `costs` hold [N2 m2 s2]
+    known: IntArray  # (W,) whether they do
+    values: FloatArray  # (W, L) eigenvalues of the correlation of rough torques
+    vectors: FloatArray  # (W, L, L) its eigenvectors
+    shares: FloatArray  # (W, K, n, L) factors of squared residuals along eigenvectors
+    costs: FloatArray  # (W, K, n) what the freedom of K amplitudes costs
+    # (L, M) time profiles of unit variance along eigenfunctions, as impulses, newest first [s]
+    smooth: tuple[FloatArray, ...]
+    horizon: FloatArray  # (capacity, M') the same, for all of the horizon [s]
+    along: FloatArray  # scratch, shape (L,)
+
+
+def new_contact(lengths: list[int], torque: FloatArray, interval: float, capacity: int) -> Contact:
+    """Models of torques from outside.
+
+    Parameters
+    ----------
+    lengths : list of int
+        Of the windows [balances].
+    torque : ndarray, shape (n,)
+        Largest plausible torques [N m].
+    interval : float
+        Between balances [s].
+    capacity : int
+        Balances of the horizon.
+
+    Returns
+    -------
+    Contact
+        For any noise.
+    """
+    count, longest, n = len(lengths), max(lengths), len(torque)
+    values, vectors = np.zeros((count, longest)), np.zeros((count, longest, longest))
+    for w, length in enumerate(lengths):
+        distance = _distances(length, interval) / ROUGH_TIME
+        values[w, :length], vectors[w, :length, :length] = np.linalg.eigh(np.exp(-distance))
+    smooth = tuple(_courses(longest, interval, one, _MODES) for one in SMOOTH_TIMES)
+    shares = len(AMPLITUDES)
+    return Contact(
+        np.array(lengths), torque, np.zeros(n), np.zeros(count, np.int64),
+        values * interval**2, vectors, np.zeros((count, shares, n, longest)),
+        np.zeros((count, shares, n)), smooth,
+        _courses(capacity, interval, HORIZON_TIME, _HORIZON_MODES), np.zeros(longest))  # fmt: skip
+
+
+def _distances(count: int, interval: float) -> FloatArray:
+    place = interval * np.arange(count)
+    return np.abs(place - place[:, None])
+
+
+def _courses(count: int, interval: float, time: float, modes: int) -> FloatArray:
+    """Leading eigenfunctions of a Gaussian kernel that are not negligible."""
+    kernel = np.exp(-0.5 * (_distances(count, interval) / time) ** 2)
+    values, vectors = (part[..., ::-1][..., :modes] for part in np.linalg.eigh(kernel))
+    kept = values > _NEGLIGIBLE * values[0]
+    return np.ascontiguousarray(interval * vectors[:, kept] * np.sqrt(values[kept]))
+
+
+@njit_in_place
+def watch_noise(contact: Contact, null: Posterior) -> None:
+    """Forget what depends on the noise, where that has changed."""
+    for i in range(null.noise.shape[0]):
+        variance = null.noise[i] * null.noise[i] * null.inflation[i]
+        if contact.variance[i] != variance:
+            contact.variance[i] = variance
+            contact.known[:] = 0
+
+
+@njit_in_place
+def weigh_residuals(window: Window, null: Posterior, last: int) -> None:
+    """Scale residuals as the weights of least squares do: joints at rest, outliers (soft L1).
+
+    A torque from outside must not gain from them what the faults' columns do not.
+    """
+    for back in range(last):
+        for i in range(null.noise.shape[0]):
+            size = usual_size(window, null, back, i)
+            ratio = null.residual[back, i] / (ROBUST * size)
+            null.residual[back, i] *= null.noise[i] / (size * (1.0 + ratio * ratio) ** 0.25)
+
+
+@njit_in_place
+def rough_contact(contact: Contact, null: Posterior, w: int, oldest: int) -> float:
+    """Ratio of marginal likelihoods of rough torques, for all windows in any case.
+
+    With the eigenvalues l_k of the correlation and z_k the residuals along its eigenvectors,
+    sum_k [g z_k^2 / s^2 - log(1 + a^2 l_k / s^2)] / 2, g = a^2 l / (s^2 + a^2 l).  The arm's
+    unknowns are held.
+
+    Parameters
+    ----------
+    contact : Contact
+        Its scratch is changed.
+    null : Posterior
+        With residuals.
+    w : int
+        Index of the window's length.
+    oldest : int
+        Balances before the last one at which the window begins.
+
+    Returns
+    -------
+    float
+        Its logarithm.
+    """
+    if contact.known[w] == 0:
+        _set_shares(contact, w)
+    total, length, along = 0.0, contact.lengths[w], contact.along
+    for i in range(contact.torque.shape[0]):
+        along[:length] = 0.0
+        for j in range(length):
+            residual, vector = null.residual[oldest - j, i], contact.vectors[w, j]
+            for k in range(length):
+                along[k] += residual * vector[k]
+        for k in range(length):
+            along[k] *= along[k]
+        best = 0.0
+        for c in range(contact.costs.shape[1]):
+            ratio, shares = -contact.costs[w, c, i], contact.shares[w, c, i]
+            for k in range(length):
+                ratio += shares[k] * along[k]
+            best = max(best, ratio)
+        total += best
+    return total
+
+
+@njit_in_place
+def _set_shares(contact: Contact, w: int) -> None:
+    """Write what `rough_contact` needs for a window at the present noise."""
+    for i in range(contact.torque.shape[0]):
+        variance = contact.variance[i]
+        for c in range(len(AMPLITUDES)):
+            amplitude = AMPLITUDES[c] * contact.torque[i]
+            cost = ROUGH_PENALTY
+            for k in range(contact.lengths[w]):
+                signal = contact.values[w, k] * amplitude * amplitude / variance
+                contact.shares[w, c, i, k] = 0.5 * signal / ((1.0 + signal) * variance)
+                cost += 0.5 * np.log1p(signal)
+            contact.costs[w, c, i] = cost
+    contact.known[w] = 1
+
+
+def joint_levers(torque: FloatArray, last: int) -> FloatArray:
+    """Largest plausible torque of each joint alone, shape (last, n, n) [N m]."""
+    return np.repeat(np.diag(torque)[None], last, axis=0)
+
+
+@njit
+def force_levers(chain: Chain, torque: FloatArray, window: Window, last: int) -> FloatArray:
+    """Torques by the largest plausible force on the tip along x, y and z of the base.
+
+    Parameters
+    ----------
+    chain : Chain
+        The arm.
+    torque : ndarray, shape (n,)
+        Largest plausible torques [N m].
+    window : Window
+        With the poses.
+    last : int
+        Number of balances.
+
+    Returns
+    -------
+    ndarray, shape (last, 3, n)
+        Newest first [N m].
+    """
+    n = torque.shape[0]
+    levers, jacobian = np.zeros((last, 3, n)), np.zeros((6, n))
+    rotations, origins = np.zeros((n + 1, 3, 3)), np.zeros((n + 1, 3))
+    largest = 1e-9
+    for back in range(last):
+        joint_frames(chain, window.poses[slot(window, back)], rotations, origins)
+        fill_jacobian(chain, rotations, origins, jacobian)
+        for i in range(n):
+            for k in range(3):
+                levers[back, k, i] = jacobian[k, i]
+                largest = max(largest, abs(jacobian[k, i]) / torque[i])
+    for back in range(last):
+        for i in range(n):
+            for k in range(3):
+                levers[back, k, i] /= largest
+    return levers
+
+
+def smooth_contact(
+    courses: FloatArray, levers: FloatArray, window: Window, null: Posterior, last: int
+) -> float:
+    """Ratio of marginal likelihoods of smooth torques in the last balances.
+
+    Parameters
+    ----------
+    courses : ndarray, shape (L, M)
+        Of unit variance, as impulses, newest first [s].
+    levers : ndarray, shape (last, G, n)
+        Torques of what acts independently: one joint each, or a force along one axis each [N m].
+    window : Window
+        Balances.
+    null : Posterior
+        The null hypothesis, whose unknowns are free; its residuals are written.
+    last : int
+        Number of balances.
+
+    Returns
+    -------
+    float
+        Its logarithm; 0 where none is needed.
+    """
+    set_residuals(window, null, last)
+    score, information = _contact_columns(courses[:last], levers, window, null, last)
+    amplitude = np.zeros(levers.shape[1])
+    for g in range(len(amplitude)):
+        one = np.arange(len(amplitude)) == g
+        gains = [_free_torques(score, information, share * one) for share in AMPLITUDES]
+        if max(gains) > 0.0:
+            amplitude[g] = AMPLITUDES[int(np.argmax(gains))]
+    best = _free_torques(score, information, amplitude)
+    for share in AMPLITUDES:
+        same = np.full(len(amplitude), share)
+        gain = _free_torques(score, information, same)
+        if gain > best:
+            best, amplitude = gain, same
+    for g in range(len(amplitude)):
+        without = np.where(np.arange(len(amplitude)) == g, 0.0, amplitude)
+        gain = _free_torques(score, information, without)
+        if gain > best:
+            best, amplitude = gain, without
+    return best
+
+
+def _contact_columns(
+    courses: FloatArray, levers: FloatArray, window: Window, null: Posterior, last: int
+) -> tuple[FloatArray, FloatArray]:
+    """Score (G, M) and information (G, M, G, M) of courses of unit size, arm's unknowns free."""
+    at, (groups, modes) = recent(window, last), (levers.shape[1], courses.shape[1])
+    pulled = levers * window.weights[at][:, None]
+    score = -np.einsum('kgi,ki->gk', pulled, null.residual[:last]) @ courses
+    rows = window.rows[at][:, :, -len(null.mean) :]
+    cross = np.einsum('kgm,kc->gcm', pulled @ rows, courses).reshape(-1, rows.shape[2])
+    both = (courses[:, :, None] * courses[:, None, :]).reshape(last, -1)
+    information = (pulled @ levers.swapaxes(1, 2)).reshape(last, -1).T @ both
+    shape = groups, groups, modes, modes
+    known = np.linalg.solve(np.triu(null.factor).T, cross.T)
+    information = information.reshape(shape).swapaxes(1, 2) - (known.T @ known).reshape(
+        groups, modes, groups, modes
+    )
+    return score, information
+
+
+def _free_torques(score: FloatArray, information: FloatArray, amplitude: FloatArray) -> float:
+    """Logarithm of the ratio of marginal likelihoods for given amplitudes; 0 without any."""
+    active = np.flatnonzero(amplitude)
+    size, scale = len(active) * score.shape[1], np.repeat(amplitude[active], score.shape[1])
+    matrix = information[active][:, :, active].reshape(size, size) * scale * scale[:, None]
+    right = scale * score[active].ravel()
+    matrix += np.eye(size)
+    free = right @ np.linalg.solve(matrix, right) - np.linalg.slogdet(matrix)[1]
+    return 0.5 * float(free) - SMOOTH_PENALTY * len(active)

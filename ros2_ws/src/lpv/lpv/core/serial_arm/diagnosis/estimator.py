@@ -1,0 +1,549 @@
+"""Moving-horizon estimate of all sensor offsets and of what is not known of the arm.
+
+Unknown are the offset f_i of each position sensor and, for the arm, torque offsets, viscous and
+Coulomb friction, and the inertial parameters along their likely directions.  The balances of the
+last seconds determine all of them together by least squares around the last estimate of f; where
+that has moved, the horizon is linearised again.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from lpv.core.serial_arm.chain import COULOMB as DRY
+from lpv.core.serial_arm.chain import VISCOUS as WET
+from lpv.core.serial_arm.chain import Chain, FloatArray, compile_chain
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.diagnosis.balance import (
+    DRIFT,
+    EPOCH,
+    OFFSET,
+    Balance,
+    fill_balances,
+    move_epoch,
+    new_balance,
+    rests,
+)
+from lpv.core.serial_arm.diagnosis.information import (
+    COUNT,
+    NEXT,
+    ROBUST,
+    Window,
+    add_products,
+    factorise,
+    forget_newest,
+    join,
+    move_drifts,
+    new_window,
+    products,
+    recent,
+    slot,
+    solve_factorised,
+    sum_slot,
+    whiten,
+)
+from lpv.core.serial_arm.diagnosis.parameter_error import (
+    model_error,
+    momentum_noise,
+    parameter_directions,
+    parameter_factor,
+    typical_torque,
+)
+from lpv.core.support.jit import njit_in_place
+
+OFFSET_PRIOR = 0.5
+"""Standard deviation of an offset of which nothing is known [rad]."""
+UNSTATED = 0.3
+"""Relative change of friction that a file does not speak of; the same share of the torque that the
+model misses lasts as long as a pose."""
+STATIC = 0.6
+"""Share of the torque that the model misses which is friction or a constant torque."""
+_FAST = 3.0
+"""Usual rate of a joint whose limit is higher [rad/s]."""
+_LINEAR_WITHIN = 0.05
+"""Change of an offset after which the horizon is linearised again [rad]."""
+_SURE = 3.0
+"""... and by so many of its standard deviations."""
+_NOISE_SAMPLES = 20
+"""Balances after which what is seen of the noise counts as much as what is expected."""
+NOISE_KNOWN_AFTER = 3.0
+"""Before, noise is learned in any case; what acts from outside is not told from it [s]."""
+_NOISE_EVERY = 10
+"""Balances after which the noise is learned anew."""
+_LARGEST_INFLATION = 15.0
+_LARGEST_REST = 10.0
+_LAGS = 8
+"""Balances over which what the model does not explain is correlated."""
+PAST_WEIGHT = 0.998
+"""Factor of what was learned, each balance."""
+_POSE_TIME = 0.5
+"""Over which an error that depends on the pose is correlated [s]."""
+DISTRUST = 0.02
+"""Factor of the weights of balances while something acts from outside."""
+
+
+@dataclass(frozen=True)
+class HorizonPlan:
+    """How samples become balances, and how many are kept."""
+
+    per_block: int  # samples whose mean enters the dynamics
+    blocks: int  # of an interval; two neighbouring intervals make a balance
+    interval: float  # [s]
+    capacity: int  # balances of the horizon
+
+    @staticmethod
+    def of(sample_time: float, interval: float = 0.05, horizon: float = 10.0) -> 'HorizonPlan':
+        """Plan for a sample time: blocks of about 10 ms, intervals of at least two samples."""
+        per_block = max(1, round(0.01 / sample_time))
+        blocks = max(2, round(interval / (per_block * sample_time)))
+        length = per_block * blocks * sample_time
+        return HorizonPlan(per_block, blocks, length, max(20, round(horizon / length)))
+
+
+class Posterior(NamedTuple):
+    """Estimate of m offsets and parameters of n joints from all balances of the horizon."""
+
+    mean: FloatArray  # (m,) offsets [rad], then parameters, in the order of the columns of balances
+    factor: FloatArray  # U of the information matrix U^T U, shape (m, m)
+    sigma: FloatArray  # standard deviations of the offsets, shape (n,) [rad]
+    least: FloatArray  # information of the prior, shape (m,)
+    noise: FloatArray  # (n,) usual size of what is left of a balance [N m s]
+    expected: FloatArray  # (n,) the same before any was seen [N m s]
+    inflation: FloatArray  # (n,) factor of its variance, since it is correlated in time
+    # (n,) as `noise` where a joint rests or reverses, over `noise`: friction of any size
+    rest: FloatArray
+    expected_rest: FloatArray  # (n,) the same before any was seen
+    systematic: FloatArray  # (n,) smallest variance, with correlation in time [N2 m2 s2]
+    residual: FloatArray  # what the estimate leaves, newest first, shape (capacity, n) [N m s]
+    weights: FloatArray  # inverse variances of the balances, newest first, shape (capacity, n)
+    recalled: FloatArray  # (1 + m, m) scratch
+    inverse: FloatArray  # (m, n) scratch
+
+
+@njit_in_place
+def set_residuals(window: Window, null: Posterior, last: int) -> None:
+    """Write what the estimate leaves of the last balances, newest first."""
+    m = null.mean.shape[0]
+    for back in range(last):
+        rows = window.rows[slot(window, back)]
+        first = rows.shape[1] - m
+        for i in range(rows.shape[0]):
+            # Four sums: a single one would wait for each addition.
+            a, b, c, d = rows[i, 0], 0.0, 0.0, 0.0
+            row = rows[i, first:]
+            for k in range(0, m - 3, 4):
+                a += row[k] * null.mean[k]
+                b += row[k + 1] * null.mean[k + 1]
+                c += row[k + 2] * null.mean[k + 2]
+                d += row[k + 3] * null.mean[k + 3]
+            for k in range(m - m % 4, m):
+                a += row[k] * null.mean[k]
+            null.residual[back, i] = (a + b) + (c + d)
+
+
+@njit_in_place
+def usual_size(window: Window, null: Posterior, back: int, i: int) -> float:
+    """Usual size of what is left of a balance of joint i [N m s]."""
+    return null.noise[i] * (1.0 + (null.rest[i] - 1.0) * window.rest[slot(window, back), i])
+
+
+@njit_in_place
+def weigh(window: Window, null: Posterior, last: int) -> None:
+    """Sum up the last balances again, outliers with less weight (soft L1)."""
+    set_residuals(window, null, last)
+    for back in range(last - 1, -1, -1):
+        for i in range(null.noise.shape[0]):
+            size = usual_size(window, null, back, i)
+            ratio = null.residual[back, i] / (ROBUST * size)
+            variance = size * size * null.inflation[i] + window.extra[slot(window, back), i]
+            null.weights[back, i] = 1.0 / (variance * np.sqrt(1.0 + ratio * ratio))
+        add_products(window, back, null.weights[back])
+
+
+@njit_in_place
+def _recall(window: Window, null: Posterior) -> None:
+    """What is remembered of the arm: offsets may have been others then, and are eliminated.
+
+    A slow drift of an encoder would be learned, else, as an offset that has always been there.
+    """
+    m, n, known = null.mean.shape[0], null.sigma.shape[0], null.recalled
+    first = window.past.shape[1] - m
+    for a in range(1 + m):
+        for b in range(m):
+            known[a, b] = window.past[a, first + b]
+    for k in range(n):
+        row = known[1 + k]
+        pivot = row[k] + null.least[k]
+        for a in range(m + 1):
+            share = known[a, k] / pivot
+            if a == 1 + k or share == 0.0:
+                continue
+            for b in range(k + 1, m):
+                known[a, b] -= share * row[b]
+    known[1 : 1 + n] = 0.0
+    known[:, :n] = 0.0
+
+
+@njit_in_place
+def solve(window: Window, null: Posterior) -> None:
+    """Least squares over horizon, past and prior."""
+    m, n = null.mean.shape[0], null.sigma.shape[0]
+    first, last = window.past.shape[1] - m, window.counters[COUNT]
+    new, old = window.sums[sum_slot(window, 0)], window.sums[sum_slot(window, last)]
+    _recall(window, null)
+    for a in range(m):
+        for b in range(a, m):
+            c = first + b
+            null.factor[a, b] = new[1 + a, c] - old[1 + a, c] + null.recalled[1 + a, b]
+        null.factor[a, a] += null.least[a]
+        null.mean[a] = -(new[0, first + a] - old[0, first + a] + null.recalled[0, a])
+    factorise(null.factor, null.least)
+    solve_factorised(null.factor, null.mean)
+    null.inverse[:] = 0.0
+    for i in range(n):
+        null.inverse[i, i] = 1.0
+    whiten(null.factor, null.inverse)
+    for i in range(n):
+        total = 0.0
+        for k in range(m):
+            total += null.inverse[k, i] * null.inverse[k, i]
+        null.sigma[i] = np.sqrt(total)
+
+
+@njit_in_place
+def take_balance(
+    window: Window, null: Posterior, balance: Balance, time: float, learn: bool
+) -> None:
+    """Let the balance that is complete join the horizon, without estimating.
+
+    Parameters
+    ----------
+    window : Window
+        Changed.
+    null : Posterior
+        Its residual and weight of the last balance are written.
+    balance : Balance
+        The constant part of its rows belongs to f = 0 afterwards.
+    time : float
+        [s].
+    learn : bool
+        Whether what leaves the horizon is remembered.
+    """
+    _make_absolute(balance.rows, balance.reference)
+    join(window, time, balance.rows, PAST_WEIGHT if learn else -PAST_WEIGHT)
+    at = slot(window, 0)
+    for i in range(null.noise.shape[0]):
+        window.poses[at, i] = balance.poses[0, i]
+        window.rest[at, i] = rests(balance, i)
+    weigh(window, null, 1)
+
+
+def copy_unknowns(source: Window, window: Window, last: int) -> None:
+    """Copy the last balances into a window without columns of faults; both hold as many."""
+    at, m = recent(source, last), window.rows.shape[2] - 1
+    window.rows[at, :, 0] = source.rows[at, :, 0]
+    window.rows[at, :, 1:] = source.rows[at, :, -m:]
+    window.rest[at], window.trust[at] = source.rest[at], source.trust[at]
+    window.extra[at] = source.extra[at]
+
+
+def copy_noise(source: Posterior, level: Posterior, lasting: float) -> None:
+    """Take over what was learned of the noise, all of which lasts as long as a pose.
+
+    ``lasting`` is that time in balances.  What an identified arm is known to miss remains.
+    """
+    level.noise[:], level.rest[:] = source.noise, source.rest
+    least = np.maximum(level.systematic / level.noise**2, lasting)
+    level.inflation[:] = np.maximum(source.inflation, least)
+
+
+@njit_in_place
+def _make_absolute(rows: FloatArray, reference: FloatArray) -> None:
+    """Let the constant part belong to f = 0 instead of the point of linearisation."""
+    n = reference.shape[0]
+    for i in range(n):
+        for j in range(n):
+            rows[i, 0] -= rows[i, 1 + OFFSET * n + j] * reference[j]
+
+
+def learn_noise(window: Window, null: Posterior) -> None:
+    """Size and correlation of what the arm's model does not explain, from the horizon."""
+    count = int(window.counters[COUNT])
+    set_residuals(window, null, count)
+    at, left = recent(window, count), null.residual[:count]
+    trusted, rests_there = window.trust[at] == 1.0, window.rest[at]
+    for i, expected in enumerate(null.expected):
+        moving = np.abs(left[trusted & (rests_there[:, i] == 0.0), i])
+        noise = _learned_size(moving, expected)
+        null.noise[i] = min(max(noise, 0.1 * expected), 10.0 * expected)
+        resting = np.abs(left[trusted & (rests_there[:, i] == 1.0), i])
+        rest = _learned_size(resting, null.expected_rest[i] * null.noise[i])
+        null.rest[i] = min(max(rest / null.noise[i], 1.0), _LARGEST_REST)
+    usual = null.noise * (1.0 + (null.rest - 1.0) * rests_there[trusted])
+    ratio = left[trusted] / usual
+    if len(ratio) < 10:
+        return
+    share, learned = _share(len(ratio)), 1.0 + 2.0 * _correlation(ratio)
+    null.inflation[:] = (1.0 - share) * 2.0 + share * np.minimum(learned, _LARGEST_INFLATION)
+
+
+def _share(count: int) -> float:
+    """Weight of what was seen in so many balances, beside what is expected."""
+    return count * count / (_NOISE_SAMPLES * _NOISE_SAMPLES + count * count)
+
+
+def _learned_size(sizes: FloatArray, expected: float) -> float:
+    """Usual size of residuals, from their absolute values."""
+    if len(sizes) < 10:
+        return expected
+    size, share = 1.4826 * np.median(sizes), _share(len(sizes))
+    return float(np.sqrt((1.0 - share) * expected**2 + share * size**2))
+
+
+def _correlation(ratio: FloatArray) -> FloatArray:
+    """Sums of the positive autocorrelations, clipped where outliers begin, of each column."""
+    count, values = len(ratio), np.clip(ratio, -ROBUST, ROBUST)
+    power, total = (values**2).mean(0), np.zeros(ratio.shape[1])
+    for lag in range(1, min(_LAGS, count // 2)):
+        product = (values[lag:] * values[:-lag]).mean(0)
+        total += np.maximum(product / np.maximum(power, np.finfo(float).tiny), 0.0)
+    return total
+
+
+class OffsetEstimator:
+    """Estimator of one arm; ``balance`` is filled by `sampling.take_samples`.
+
+    Parameters
+    ----------
+    arm : SerialArm
+        Arm, sensors, and what may vary.
+    plan : HorizonPlan
+        Lengths of balances and horizon.
+
+    Attributes
+    ----------
+    posterior : Posterior
+        The null hypothesis, with which faults that begin are compared.
+    level : Posterior
+        The estimate of the offsets.  What the model of an identified arm is known to miss lasts
+        as long as a pose: it is an error of levels, hardly one of changes, and counts only here.
+    """
+
+    def __init__(self, arm: SerialArm, plan: HorizonPlan) -> None:
+        self.plan = plan
+        chain = compile_chain(arm)
+        self.joints = n = len(arm.joints)
+        speed = np.array([min(joint.limits.velocity, _FAST) for joint in arm.joints])
+        missed = model_error(arm) * typical_torque(chain)
+        directions, drives = parameter_directions(chain, parameter_factor(arm, chain), speed)
+        derived = np.array([float(joint.sensors.rates != 'independent') for joint in arm.joints])
+        self.balance: Balance = new_balance(
+            chain, directions, derived, drives, arm.sensors_to_joints()
+        )
+        self.prior = np.concatenate(
+            [*_priors(arm, chain.friction, missed), np.ones(len(directions))]
+        )
+        self.window: Window = new_window(n, OFFSET * n, len(self.prior), plan.capacity)
+        noise = _expected_noise(arm, chain, missed, plan)
+        systematic = _systematic_error(arm, UNSTATED * missed, plan)
+        # Friction at rest is anything between both signs of Coulomb's: uniformly distributed.
+        rest = np.hypot(1.0, plan.interval * chain.friction[:, DRY] / (np.sqrt(3.0) * noise))
+        self.posterior = _prior_posterior(self.prior, noise, rest, 0.0 * noise, plan.capacity)
+        self.level = self.posterior
+        self._slow: Window | None = None
+        if systematic.any():
+            self.level = _prior_posterior(self.prior, noise, rest, systematic, plan.capacity)
+            self._slow = new_window(n, 0, len(self.prior), plan.capacity)
+        self._since_linearised = 0
+
+    def __len__(self) -> int:
+        """Balances in the horizon."""
+        return int(self.window.counters[COUNT])
+
+    def times(self, last: int) -> FloatArray:
+        """Ends of the last balances, oldest first [s]."""
+        return self.window.times[recent(self.window, last)[::-1]]
+
+    def add(self, time: float, learn: bool) -> None:
+        """Take the balance that is complete, and estimate anew.
+
+        Parameters
+        ----------
+        time : float
+            Of the balance [s].
+        learn : bool
+            Whether noise is learned, and what leaves the horizon remembered.
+        """
+        self.take(time, learn)
+        self.estimate(learn)
+
+    def estimate(self, learn: bool) -> None:
+        """Estimate anew, after `take`."""
+        self._since_linearised += 1
+        known = self.window.counters[NEXT] * self.plan.interval > NOISE_KNOWN_AFTER
+        if (learn or not known) and self.window.counters[NEXT] % _NOISE_EVERY == 0:
+            learn_noise(self.window, self.posterior)
+            if self._slow is not None:
+                copy_noise(self.posterior, self.level, _POSE_TIME / self.plan.interval)
+        self._solve()
+
+    def take(self, time: float, learn: bool) -> None:
+        """Take the balance that is complete without estimating; parameters as those of `add`."""
+        window, n = self.window, self.joints
+        if window.counters[NEXT] % len(window.times) == 0:
+            shift = time - self.balance.clock[EPOCH]
+            move_drifts(window, 1 + DRIFT * n, 1 + OFFSET * n, n, shift)
+            move_epoch(self.balance, time)
+        take_balance(window, self.posterior, self.balance, time, learn)
+        if self._slow is not None:
+            join(self._slow, time, self._slow.rows[0], PAST_WEIGHT if learn else -PAST_WEIGHT)
+            self._weigh_slow(1)
+
+    def weigh_again(self, last: int) -> None:
+        """Sum up the last balances again, after a change of their variance."""
+        self._weigh(last)
+
+    def _solve(self) -> None:
+        solve(self.window, self.posterior)
+        if self._slow is not None:
+            solve(self._slow, self.level)
+
+    def _weigh(self, last: int) -> None:
+        """Sum up the last balances again."""
+        weigh(self.window, self.posterior, last)
+        if self._slow is not None:
+            self._weigh_slow(last)
+
+    def _weigh_slow(self, last: int) -> None:
+        assert self._slow is not None
+        copy_unknowns(self.window, self._slow, last)
+        weigh(self._slow, self.level, last)
+
+    def misfit(self) -> float:
+        """By how many of its standard deviations the arm differs from its file, at most.
+
+        Of unknown parameters, and of what they leave over what is expected.
+        """
+        n, null = self.joints, self.posterior
+        if self.window.counters[NEXT] * self.plan.interval < NOISE_KNOWN_AFTER:
+            return 0.0
+        return float(max(
+            np.abs(null.mean[n:] / self.prior[n:]).max(), (null.noise / null.expected).max()
+        ))  # fmt: skip
+
+    def must_linearise(self) -> bool:
+        """Whether the estimate has left the point of linearisation."""
+        if self._since_linearised < max(3, len(self) // 10):
+            return False
+        return bool(np.abs(self._step()).max() > _LINEAR_WITHIN)
+
+    def _step(self) -> FloatArray:
+        """Ways to the estimates of those offsets that have surely moved, shape (n,) [rad]."""
+        step = self.level.mean[: self.joints] - self.balance.reference
+        # The columns of the offsets are those of the nominal arm: what it carries is not in them.
+        # Where gravity says little, the search would run away from the truth.
+        return np.where(np.abs(step) > _SURE * self.level.sigma, step, 0.0)
+
+    def linearise(self, blocks: FloatArray) -> None:
+        """Evaluate the balances of the horizon again, at the present estimate of the offsets.
+
+        Parameters
+        ----------
+        blocks : ndarray, shape (N, 3 n + 3)
+            Means as kept by `Sampler.blocks`, oldest first; whole intervals.
+        """
+        self.balance.reference[:] += np.clip(self._step(), -0.3, 0.3)
+        self.replace_last(blocks)
+        self._solve()
+        self._since_linearised = 0
+
+    def move_reference(self, joint: int, by: float) -> None:
+        """Let the offset of a sensor grow, as its readings do by what is no longer taken out.
+
+        Parameters
+        ----------
+        joint : int
+            Of the sensor.
+        by : float
+            [rad].
+        """
+        self.balance.reference[joint] += by
+        for window, unknown in ((self.window, 1 + OFFSET * self.joints), (self._slow, 1)):
+            if window is not None:
+                column = unknown + joint
+                window.rows[:, :, 0] -= by * window.rows[:, :, column]
+                window.past[0] -= by * window.past[1 + joint]
+                window.past[:, 0] -= by * window.past[:, column]
+        self._weigh(len(self))
+        self._solve()
+
+    def restart(self) -> None:
+        """Begin a new horizon after a gap; what the old one said of arm and offsets is kept."""
+        last = len(self)
+        for window in (self.window, self._slow):
+            if window is not None:
+                window.past[:] += products(window, last)
+                forget_newest(window, last)
+
+    def replace_last(self, blocks: FloatArray) -> None:
+        """Evaluate the last balances again, from their blocks; one interval more than balances."""
+        last = min(len(blocks) // self.plan.blocks - 1, len(self))
+        if last < 1:
+            return
+        rows = np.empty((len(blocks) // self.plan.blocks - 1, *self.balance.rows.shape))
+        fill_balances(self.balance, np.ascontiguousarray(blocks), self.plan.blocks, rows)
+        for back in range(last):
+            _make_absolute(rows[-1 - back], self.balance.reference)
+            self.window.rows[slot(self.window, back)] = rows[-1 - back]
+        self._weigh(last)
+
+    def distrust(self, last: int) -> None:
+        """Take most of the weight off the last balances, and estimate anew."""
+        last = min(last, len(self))
+        for back in range(last):
+            at = slot(self.window, back)
+            self.window.trust[at] = min(self.window.trust[at], DISTRUST)
+        self._weigh(last)
+        self._solve()
+
+
+def _prior_posterior(
+    prior: FloatArray, expected: FloatArray, rest: FloatArray, systematic: FloatArray, capacity: int
+) -> Posterior:
+    n, m = len(expected), len(prior)
+    inflation = np.maximum(2.0, systematic / expected**2)
+    return Posterior(
+        np.zeros(m), np.diag(1.0 / prior), prior[:n].copy(), prior**-2, expected.copy(), expected,
+        inflation, rest.copy(), rest, systematic, np.zeros((capacity, n)), np.zeros((capacity, n)),
+        np.zeros((1 + m, m)), np.zeros((m, n)))  # fmt: skip
+
+
+def _priors(arm: SerialArm, friction: FloatArray, missed: FloatArray) -> list[FloatArray]:
+    """Standard deviations of offsets, torque offsets, viscous and Coulomb friction."""
+    share, absent = max(arm.uncertainty.friction, UNSTATED), STATIC * missed
+    return [
+        np.full(len(arm.joints), OFFSET_PRIOR),
+        absent,
+        share * np.abs(friction[:, WET]) + absent / _FAST,
+        share * friction[:, DRY] + absent,
+    ]
+
+
+def _expected_noise(
+    arm: SerialArm, chain: Chain, missed: FloatArray, plan: HorizonPlan
+) -> FloatArray:
+    """Standard deviation of a balance that is expected before any was seen [N m s]."""
+    tolerance = np.array([max(joint.torque_tolerance.torque) for joint in arm.joints])
+    unknown = plan.interval * np.maximum(0.25 * tolerance, missed)
+    return np.hypot(unknown, momentum_noise(arm, chain, plan.interval))
+
+
+def _systematic_error(arm: SerialArm, missed: FloatArray, plan: HorizonPlan) -> FloatArray:
+    """What the model misses while a pose lasts: as measured, or on data held back, or expected."""
+    lasting = arm.uncertainty.torque_error_time or _POSE_TIME
+    if arm.uncertainty.torque_error is not None:
+        missed = np.array(arm.uncertainty.torque_error)
+    elif arm.covariance is not None:
+        missed = np.array([np.median(joint.torque_tolerance.torque) for joint in arm.joints]) / 3.0
+    return (missed * plan.interval) ** 2 * lasting / plan.interval

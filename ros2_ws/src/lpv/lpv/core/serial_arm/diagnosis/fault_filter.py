@@ -1,0 +1,273 @@
+"""Faults that have been named are unknowns from then on: states that are followed.
+
+The size of a fault that changes (drift, scale, slip, stuck) is a state with process noise; every
+momentum balance measures it, beside what is known of the arm.  Readings are corrected by the
+estimate, so that the next fault is looked for beside this one, and what the estimate may be wrong
+by is added to the variance of the balances.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from lpv.core.serial_arm.chain import FloatArray, IntArray
+from lpv.core.serial_arm.diagnosis.balance import DRIFT, EPOCH, OFFSET, SCALE
+from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator
+from lpv.core.serial_arm.diagnosis.information import ROBUST, slot
+from lpv.core.serial_arm.diagnosis.sampling import BLOCKS, Sampler
+from lpv.core.serial_arm.diagnosis.stuck import ACCELERATION
+
+STEADY = 0.1
+"""Change of the rate of a drift in a second, standard deviation [rad/s]."""
+SCALE_STEADY = 0.01
+"""The same of a scale error [-]."""
+STUCK_RATE = 1.0
+"""By which the position of a joint whose reading rests becomes uncertain [rad/s]."""
+LOST = 0.5
+"""Standard deviation of a fault that is not followed any more [rad]."""
+LARGEST_SCALE = 0.9
+"""Largest scale error that is corrected [-]."""
+OFFSET_SIGMA = 0.05
+"""Standard deviation of the offset beside a scale error that has just been named [rad]."""
+
+
+@dataclass
+class FaultFilter:
+    """Filter of one sensor's fault while it changes.
+
+    The state is fault and rate [rad], [rad/s], or scale error and offset [-], [rad]; what has been
+    taken out of the readings is its mean.
+    """
+
+    joint: int
+    kind: str  # drift, scale, slip or stuck
+    begin: float  # when it began to change [s]
+    mean: FloatArray = field(default_factory=lambda: np.zeros(2))  # of the state now
+    covariance: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
+    updated: float = 0.0  # moment of the state [s]
+    has_rate: bool = False  # whether a rate sensor of its own tells how the joint moves
+
+    @property
+    def is_scale(self) -> bool:
+        """Whether the state is a scale error."""
+        return self.kind == 'scale'
+
+    def fault(self, reading: float, now: float) -> tuple[float, float, float]:
+        """Fault, its rate and the standard deviation of the fault.
+
+        Parameters
+        ----------
+        reading : float
+            Of the sensor [rad].
+        now : float
+            [s].
+        """
+        if self.is_scale:
+            position = (reading - self.mean[1]) / (1.0 + self.mean[0])
+            direction = np.array([position, 1.0])
+            fault = reading - position
+            variance = float(direction @ self.covariance @ direction)
+            return fault, 0.0, float(np.sqrt(max(variance, 0.0)))
+        direction = np.array([1.0, now - self.updated])
+        variance = float(direction @ self.covariance @ direction)
+        # Where nothing but the dynamics tells where the joint is, their errors add up.
+        alone = self.kind == 'stuck' and not self.has_rate
+        least = STUCK_RATE * (now - self.begin) if alone else 0.0
+        sigma = max(float(np.sqrt(max(variance, 0.0))), least)
+        return float(direction @ self.mean), float(self.mean[1]), sigma
+
+    def predict(self, interval: float) -> None:
+        """Let the state go on by a time [s]."""
+        if self.is_scale:
+            self.covariance[0, 0] += SCALE_STEADY**2 * interval
+            return
+        move = np.array([[1.0, interval], [0.0, 1.0]])
+        acceleration = ACCELERATION**2 * interval if self.kind == 'stuck' else STEADY**2
+        self.mean = move @ self.mean
+        self.covariance = move @ self.covariance @ move.T
+        self.covariance += acceleration * interval * np.array([
+            [interval**2 / 3.0, interval / 2.0], [interval / 2.0, 1.0],
+        ])  # fmt: skip
+
+    def columns(self, rows: FloatArray, epoch: float, now: float) -> FloatArray:
+        """Derivatives of a balance by the state now, shape (n, 2)."""
+        n, i = len(rows), self.joint
+        offset = rows[:, 1 + OFFSET * n + i]
+        if self.is_scale:
+            return np.stack([rows[:, 1 + SCALE * n + i], offset], axis=1)
+        drift = rows[:, 1 + DRIFT * n + i] - (now - epoch) * offset
+        return np.stack([offset, drift], axis=1)
+
+
+def begin_filter(
+    joint: int, kind: str, span: tuple[float, float], size: float, sigma: float, origin: float
+) -> FaultFilter:
+    """Filter of a fault that has just been named.
+
+    Parameters
+    ----------
+    joint : int
+        Of the faulty sensor.
+    kind : str
+        Of the fault.
+    span : tuple of float
+        When it began to change, and present time [s].
+    size, sigma : float
+        In the unit of the kind, with its standard deviation.
+    origin : float
+        Reading when it began to change, as corrected so far [rad].
+
+    Returns
+    -------
+    FaultFilter
+        At the present time.
+    """
+    begin, now = span
+    past = max(now - begin, 1e-3)
+    one = FaultFilter(joint, kind, begin, updated=now)
+    if kind == 'drift':
+        one.mean = size * np.array([past, 1.0])
+        one.covariance = sigma**2 * np.array([[past**2, past], [past, 1.0]])
+    elif kind == 'scale':
+        one.mean = np.array([size, -size * origin])
+        one.covariance = np.diag([sigma**2, OFFSET_SIGMA**2])
+    elif kind == 'stuck':  # the reading is behind the joint: its fault is minus the way
+        one.mean = -size * np.array([1.0, 1.0 / past])
+        one.covariance = np.diag([sigma**2, (2.0 * sigma / past) ** 2])
+    else:
+        one.mean, one.covariance = np.array([size, 0.0]), np.diag([sigma**2, STEADY**2])
+    return one
+
+
+def correct_since(one: FaultFilter, estimator: OffsetEstimator, sampler: Sampler) -> None:
+    """Take a fault that has just been named out of the readings since it began."""
+    n, i, now = estimator.joints, one.joint, float(sampler.time[-1])
+    share = one.mean[0] / (1.0 + one.mean[0]) if one.is_scale else 0.0
+    last = int((estimator.times(len(estimator)) > one.begin).sum())
+    blocks, places = _blocks(estimator, sampler, last + 1)
+    fault, rate = one.mean
+
+    def take_out(time: FloatArray, reading: FloatArray, velocity: FloatArray) -> None:
+        after = time > one.begin
+        if one.is_scale:
+            velocity[after] -= sampler.derived[i] * share * velocity[after]
+            reading[after] -= share * reading[after] + one.mean[1] / (1.0 + one.mean[0])
+        else:
+            velocity[after] -= sampler.derived[i] * rate
+            reading[after] -= (fault + rate * (time - now))[after]
+
+    take_out(blocks[:, 3 * n], blocks[:, i], blocks[:, n + i])
+    sampler.blocks[places] = blocks
+    take_out(sampler.time, sampler.samples[:, 0, i], sampler.samples[:, 1, i])
+    _note(one, sampler)
+    window, epoch = estimator.window, estimator.balance.clock[EPOCH]
+    for back in range(min(last, len(estimator))):
+        columns = one.columns(window.rows[slot(window, back)], epoch, now)
+        window.extra[slot(window, back)] = ((columns @ one.covariance) * columns).sum(1)
+    estimator.replace_last(blocks)
+
+
+def follow(
+    one: FaultFilter,
+    estimator: OffsetEstimator,
+    sampler: Sampler,
+    kinematic: tuple[float, float] | None,
+) -> None:
+    """Update a fault by the newest balance, and the correction of the readings.
+
+    Parameters
+    ----------
+    one : FaultFilter
+        Changed.
+    estimator : OffsetEstimator
+        Has just got a balance; the variance of its balance is raised.
+    sampler : Sampler
+        Its corrections and its last blocks are changed.
+    kinematic : tuple of float, optional
+        D of the last interval, of readings as corrected, and its variance [rad], [rad2], where the
+        rate has a sensor of its own.
+    """
+    window, null = estimator.window, estimator.posterior
+    now, one.has_rate = float(sampler.time[-1]), kinematic is not None
+    one.predict(now - one.updated)
+    one.updated = now
+    if one.fault(float(sampler.raw[one.joint]), now)[2] > LOST:
+        one.mean[1] = 0.0  # the balances, linearised at the estimate, say nothing any more
+        _note(one, sampler)
+        return
+    at = slot(window, 0)
+    rows, m = window.rows[at], len(null.mean)
+    columns = one.columns(rows, estimator.balance.clock[EPOCH], now)
+    unknowns = rows[:, rows.shape[1] - m :]
+    known = np.linalg.solve(np.triu(null.factor).T, unknowns.T)
+    noise = null.noise * (1.0 + (null.rest - 1.0) * window.rest[at])
+    # Neighbouring balances share an interval: each counts half.
+    variance = 2.0 * np.diag(noise**2 * null.inflation) + known.T @ known
+    residual = rows[:, 0] + unknowns @ null.mean
+    innovation = columns @ one.covariance @ columns.T + variance
+    ratio = np.abs(residual) / (ROBUST * np.sqrt(np.diag(innovation)))
+    factor = np.sqrt(np.maximum(ratio, 1.0))
+    innovation = innovation * factor[:, None] * factor
+    gain = one.covariance @ columns.T @ np.linalg.inv(innovation)
+    change = -gain @ residual
+    one.covariance = one.covariance - gain @ columns @ one.covariance
+    if kinematic is not None and not one.is_scale:
+        column = np.array([0.0, estimator.plan.interval])
+        gain = one.covariance @ column / (column @ one.covariance @ column + kinematic[1])
+        change += gain * (kinematic[0] - column @ change)
+        one.covariance = one.covariance - np.outer(gain, column) @ one.covariance
+    one.covariance = 0.5 * (one.covariance + one.covariance.T)
+    _change(one, change, estimator, sampler)
+    window.extra[at] = ((columns @ one.covariance) * columns).sum(1)
+    estimator.weigh_again(1)
+
+
+def _change(
+    one: FaultFilter, change: FloatArray, estimator: OffsetEstimator, sampler: Sampler
+) -> None:
+    """Add a change to the state and take it out of the last readings."""
+    n, i, now = estimator.joints, one.joint, one.updated
+    blocks, places = _blocks(estimator, sampler, 2)
+    before = one.mean.copy()
+    one.mean = one.mean + change
+    if one.is_scale:
+        one.mean[0] = min(max(one.mean[0], -LARGEST_SCALE), LARGEST_SCALE)
+        ratio = (1.0 + before[0]) / (1.0 + one.mean[0])
+        shift = (before[1] - one.mean[1]) / (1.0 + one.mean[0])
+        for reading in (blocks[:, i], sampler.samples[:, 0, i]):
+            reading *= ratio
+            reading += shift
+        if sampler.derived[i]:
+            for velocity in (blocks[:, n + i], sampler.samples[:, 1, i]):
+                velocity *= ratio
+    else:
+        for time, reading, velocity in (
+            (blocks[:, 3 * n], blocks[:, i], blocks[:, n + i]),
+            (sampler.time, sampler.samples[:, 0, i], sampler.samples[:, 1, i]),
+        ):
+            reading -= change[0] + change[1] * (time - now)
+            velocity -= sampler.derived[i] * change[1]
+    sampler.blocks[places] = blocks
+    _note(one, sampler)
+    estimator.replace_last(blocks)
+
+
+def _note(one: FaultFilter, sampler: Sampler) -> None:
+    """Let the sampler take the fault out of the samples to come."""
+    i = one.joint
+    if one.is_scale:
+        sampler.share[i] = one.mean[0] / (1.0 + one.mean[0])
+        sampler.followed[i] = one.mean[1] / (1.0 + one.mean[0])
+    else:
+        sampler.followed[i] = one.mean[0]
+        sampler.drift[i] = one.mean[1]
+
+
+def _blocks(
+    estimator: OffsetEstimator, sampler: Sampler, intervals: int
+) -> tuple[FloatArray, IntArray]:
+    """The last blocks, oldest first, and their places in the ring."""
+    capacity, written = len(sampler.blocks), int(sampler.counters[BLOCKS])
+    count = min(intervals * estimator.plan.blocks, written, capacity)
+    places = np.arange(written - count, written) % capacity
+    return sampler.blocks[places], places

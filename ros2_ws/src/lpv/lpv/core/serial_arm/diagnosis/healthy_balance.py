@@ -1,0 +1,248 @@
+"""What a momentum balance of a healthy arm may leave, compiled: once a balance, not once a sample.
+
+The same hat function as in `balance`, at the readings themselves: a healthy arm's positions are
+what its encoders read.  A balance gives
+
+    r = sum_k z_k E_k + (noise) + (what blocks of some samples do not show),    abs(z_k) <= 1,
+
+with the residual r of the nominal parameters and the effect E_k of every generator.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from lpv.core.serial_arm.chain import (
+    COULOMB,
+    LOAD,
+    OFFSET,
+    SLOPE,
+    VISCOUS,
+    Chain,
+    FloatArray,
+    workspace,
+)
+from lpv.core.serial_arm.diagnosis.balance import OFFSET as _READING
+from lpv.core.serial_arm.diagnosis.balance import RATE, put
+from lpv.core.serial_arm.diagnosis.parameter_set import ParameterSet
+from lpv.core.serial_arm.dynamics.friction import smooth_sign
+from lpv.core.serial_arm.dynamics.momentum import mass_matrix
+from lpv.core.serial_arm.dynamics.regressor import momentum_regressor
+from lpv.core.serial_arm.sensor_map import map_vector
+from lpv.core.support.jit import njit_in_place as njit
+
+RESIDUAL, SPEED, VISCOSITY, DRY, LOADED, ONE, TORQUE = range(7)
+"""Columns of the parts that concern one joint each."""
+_PARTS = 7
+
+
+class HealthyBalance(NamedTuple):
+    """Balances of a healthy arm."""
+
+    chain: Chain  # the nominal arm
+    sizes: ParameterSet  # what may differ
+    momentum: FloatArray  # (2, n, 10 n + 7) as of `Balance`: the regressor, then parts of one joint
+    rising: FloatArray  # (2, n, 10 n + 7) likewise
+    falling: FloatArray  # (2, n, 10 n + 7) likewise
+    slack: FloatArray  # (2, 2, n) both intervals, rising and falling: what blocks hide [N m s]
+    variance: FloatArray  # (2, 2, n) likewise: of the noise in friction [N2 m2 s2]
+    row: FloatArray  # (n, 10 n + 7) of the last complete hat
+    last: FloatArray  # (4, n) means q, v, net force and torque of the block before
+    first: FloatArray  # (n, 10 n) scratch: regressor
+    second: FloatArray  # (n, 10 n) scratch: regressor
+    work: FloatArray  # scratch: workspace
+    matrix: FloatArray  # (n, n) scratch: M
+    to_joints: FloatArray  # (n, n) S^-1 of y = S q + f
+    motion: FloatArray  # (2, n) scratch: joint positions and rates
+
+
+def new_healthy_balance(chain: Chain, sizes: ParameterSet, to_joints: FloatArray) -> HealthyBalance:
+    """Balances without samples."""
+    n = len(chain.translation)
+    size = (2, n, 10 * n + _PARTS)
+    return HealthyBalance(
+        chain, sizes, np.zeros(size), np.zeros(size), np.zeros(size), np.zeros((2, 2, n)),
+        np.zeros((2, 2, n)), np.zeros(size[1:]), np.full((4, n), np.inf), np.zeros((n, 10 * n)),
+        np.zeros((n, 10 * n)), workspace(chain), np.zeros((n, n)), to_joints,
+        np.zeros((2, n)))  # fmt: skip
+
+
+def generator_count(sizes: ParameterSet) -> int:
+    """Columns of the effects: inertial, rotor, viscous, Coulomb, load, offset, delay, rate bias."""
+    return len(sizes.inertial) + 7 * len(sizes.rotor)
+
+
+@njit
+def add_healthy_blocks(
+    balance: HealthyBalance, blocks: FloatArray, rate_noise: FloatArray
+) -> float:
+    """Add the blocks of the current interval.
+
+    Parameters
+    ----------
+    balance : HealthyBalance
+        Changed.
+    blocks : ndarray, shape (N, 3 n + 3)
+        As `Sampler.blocks`.
+    rate_noise : ndarray, shape (n,)
+        Standard deviation of the mean joint rates of a block [rad/s].
+
+    Returns
+    -------
+    float
+        Length of the interval [s].
+    """
+    length = 0.0
+    for k in range(blocks.shape[0]):
+        _add_block(balance, blocks[k], blocks.shape[0], rate_noise)
+        length += blocks[k, 3 * rate_noise.shape[0] + 1]
+    return length
+
+
+@njit
+def _add_block(
+    balance: HealthyBalance, block: FloatArray, count: int, rate_noise: FloatArray
+) -> None:
+    """Add the means of some samples to the current interval of so many blocks."""
+    n = rate_noise.shape[0]
+    chain, q, v = balance.chain, balance.motion[0], balance.motion[1]
+    map_vector(balance.to_joints, block[:n], q)
+    map_vector(balance.to_joints, block[n : 2 * n], v)
+    torque, length, place = block[2 * n : 3 * n], block[3 * n + 1], block[3 * n + 2]
+    momentum_regressor(chain, q, v, balance.work, balance.first, balance.second)
+    mass_matrix(chain, q, balance.work, balance.matrix)
+    span, began = 10 * n, balance.last[0, 0] != np.inf
+    turn = 0.0
+    if began:
+        for i in range(n):
+            turn += abs(q[i] - balance.last[0, i])
+    for i in range(n):
+        row = chain.friction[i]
+        slope = row[SLOPE]
+        sign, dry = smooth_sign(v[i], slope), row[COULOMB] + row[LOAD] * abs(torque[i])
+        friction = row[VISCOUS] * v[i] + dry * sign + row[OFFSET]
+        p, force = 0.0, torque[i] - friction
+        for a in range(n):
+            p += chain.motor[i, a] * v[a]
+            for k in range(10):
+                c = 10 * a + k
+                momentum, effect = balance.first[i, c], balance.second[i, c]
+                p += momentum * chain.inertial[a, k]
+                force += effect * chain.inertial[a, k]
+                balance.momentum[1, i, c] += length * momentum
+                balance.rising[1, i, c] += length * place * effect
+                balance.falling[1, i, c] += length * (1.0 - place) * effect
+        put(balance, span + RESIDUAL, i, (p, force), (length, place))
+        put(balance, span + SPEED, i, (v[i], 0.0), (length, place))
+        put(balance, span + VISCOSITY, i, (0.0, v[i]), (length, place))
+        put(balance, span + DRY, i, (0.0, sign), (length, place))
+        put(balance, span + LOADED, i, (0.0, abs(torque[i]) * sign), (length, place))
+        put(balance, span + ONE, i, (0.0, 1.0), (length, place))
+        put(balance, span + TORQUE, i, (torque[i], 0.0), (length, place))
+        half, even = 0.0, 0.0
+        if began:
+            half = 0.5 * abs(v[i] - balance.last[1, i])
+            even = length * abs(force - balance.last[2, i]) / (8.0 * count)
+            for a in range(n):
+                change = abs(balance.matrix[i, a] * (v[a] - balance.last[1, a]))
+                even += turn * change / (12.0 * count)
+        missed = length * (_within(v[i], half, slope) * dry)
+        missed += length * _tolerance(balance.sizes.tolerance[i], abs(v[i]))
+        bend = row[VISCOUS] + dry * slope * (2.0 / np.pi) / (1.0 + (slope * v[i]) ** 2)
+        noise = (length * bend * rate_noise[i]) ** 2
+        for side in range(2):
+            share = place if side == 0 else 1.0 - place
+            balance.slack[1, side, i] += share * missed + even
+            balance.variance[1, side, i] += share * share * noise
+        balance.last[2, i] = force
+    for i in range(n):
+        balance.last[0, i], balance.last[1, i], balance.last[3, i] = q[i], v[i], torque[i]
+
+
+@njit
+def _tolerance(points: FloatArray, speed: float) -> float:
+    """Torque at a speed, by points (2, s) between which it is linear [N m]."""
+    k, last = 0, points.shape[1] - 1
+    while k < last and points[0, k + 1] <= speed:
+        k += 1
+    if k == last or speed <= points[0, k]:
+        return float(points[1, k])
+    slope = (points[1, k + 1] - points[1, k]) / (points[0, k + 1] - points[0, k])
+    return float(points[1, k] + slope * (speed - points[0, k]))
+
+
+@njit
+def _within(rate: float, half: float, slope: float) -> float:
+    """What the mean of the smoothed sign over rates v +- half misses, at most."""
+    ends = smooth_sign(rate + half, slope) + smooth_sign(rate - half, slope)
+    return abs(0.5 * ends - smooth_sign(rate, slope))
+
+
+@njit
+def close_healthy_interval(
+    balance: HealthyBalance,
+    lengths: tuple[float, float],
+    rows: FloatArray,
+    reading: FloatArray,
+    effects: FloatArray,
+    doubts: FloatArray,
+) -> None:
+    """End the current interval; with one before it, write what its balance may leave.
+
+    Parameters
+    ----------
+    balance : HealthyBalance
+        Changed.
+    lengths : tuple of float
+        Of the interval before, 0 if there is none, and of this one [s].
+    rows : ndarray, shape (n, columns)
+        As `Balance.rows` of the same balance.
+    reading : ndarray, shape (n,)
+        Standard deviation of the mean of the readings [rad].
+    effects : ndarray, shape (n, 1 + k)
+        Written: the residual, then the effect of each generator, see `generator_count`.
+    doubts : ndarray, shape (2, n)
+        Written: slack [N m s], and the variance of noise except that of the mean rates
+        [N2 m2 s2].
+    """
+    before, length = lengths
+    n, row, span = effects.shape[0], balance.row, 10 * effects.shape[0]
+    if before > 0.0:
+        for i in range(n):
+            for c in range(row.shape[1]):
+                row[i, c] = balance.momentum[1, i, c] / length - balance.momentum[0, i, c] / before
+                row[i, c] -= balance.rising[0, i, c] + balance.falling[1, i, c]
+        sizes, count = balance.sizes, balance.sizes.inertial.shape[0]
+        effects[:, 1 + count :] = 0.0
+        for i in range(n):
+            effects[i, 0] = row[i, span + RESIDUAL]
+            for k in range(count):
+                total, first = 0.0, 10 * sizes.body[k]
+                for c in range(10):
+                    total += row[i, first + c] * sizes.inertial[k, c]
+                effects[i, 1 + k] = -total
+            at = 1 + count + i
+            effects[i, at] = -sizes.rotor[i] * row[i, span + SPEED]
+            effects[i, at + n] = sizes.viscous[i] * row[i, span + VISCOSITY]
+            effects[i, at + 2 * n] = sizes.coulomb[i] * row[i, span + DRY]
+            effects[i, at + 3 * n] = sizes.load[i] * row[i, span + LOADED]
+            effects[i, at + 4 * n] = sizes.offset[i] * row[i, span + ONE]
+            effects[i, at + 5 * n] = sizes.delay[i] * row[i, span + TORQUE]
+            doubts[0, i] = balance.slack[0, 0, i] + balance.slack[1, 1, i]
+            doubts[1, i] = balance.variance[0, 0, i] + balance.variance[1, 1, i]
+            for j in range(n):
+                bias = sizes.rate_bias[j] * rows[i, 1 + RATE * n + j]
+                effects[i, 1 + count + 6 * n + j] = -bias
+                doubts[1, i] += (reading[j] * rows[i, 1 + _READING * n + j]) ** 2
+    for i in range(n):
+        for c in range(row.shape[1]):
+            balance.momentum[0, i, c] = balance.momentum[1, i, c]
+            balance.rising[0, i, c] = balance.rising[1, i, c]
+        for side in range(2):
+            balance.slack[0, side, i] = balance.slack[1, side, i]
+            balance.variance[0, side, i] = balance.variance[1, side, i]
+    balance.momentum[1] = 0.0
+    balance.rising[1] = 0.0
+    balance.falling[1] = 0.0
+    balance.slack[1] = 0.0
+    balance.variance[1] = 0.0

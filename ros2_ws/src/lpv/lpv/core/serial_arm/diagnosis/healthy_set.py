@@ -1,0 +1,229 @@
+"""How far the estimate of a healthy arm may be off: guaranteed thresholds of the offsets.
+
+The estimated offsets are a linear map of the balances in the horizon and of those remembered.  A
+healthy arm's balances are sum_k z_k E_k + noise + slack (`healthy_balance`), abs(z_k) <= 1 and z_k
+constant.  So
+
+    abs(f^_i) <= sum_k abs(sum_b l_ib E_bk) + sum_b abs(l_ib) slack_b + sigmas sd(noise) + rest
+
+with l_i the estimator's own weights: what it has learned of the arm, z_k do not disturb any more.
+The rest is known: where the estimator linearised elsewhere than at the readings.  The slack of what
+is remembered is bounded by the inequality of Cauchy and Schwarz.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lpv.core.serial_arm.chain import FloatArray, compile_chain
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.diagnosis.estimator import PAST_WEIGHT, OffsetEstimator, Posterior
+from lpv.core.serial_arm.diagnosis.healthy_balance import (
+    add_healthy_blocks,
+    close_healthy_interval,
+    generator_count,
+    new_healthy_balance,
+)
+from lpv.core.serial_arm.diagnosis.information import COUNT, NEXT, Window, slot
+from lpv.core.serial_arm.diagnosis.learning import payload_share
+from lpv.core.serial_arm.diagnosis.parameter_set import parameter_set, payload_generator
+from lpv.core.serial_arm.sensor_map import map_rows, mixing
+
+SIGMAS = 4.0
+"""Standard deviations of noise that a guarantee holds for."""
+OTHERS = 1.0
+"""Offsets of the other sensors that do not move an estimate across its threshold [rad]."""
+LEAST_RESPONSE = 0.05
+"""An estimate that shows less of an offset is no evidence of one."""
+
+
+@dataclass(frozen=True)
+class Guarantee:
+    """What a healthy arm inside its file can show at most; arrays of shape (n,)."""
+
+    estimate: FloatArray  # estimated offsets [rad]
+    threshold: FloatArray  # largest estimate of a healthy arm [rad]
+    response: FloatArray  # part of an offset that the estimate shows [-]
+    effects: FloatArray  # (n, k) effect of each generator of the set on the estimate [rad]
+    slack: FloatArray  # of the threshold: blocks, tolerated torques, other offsets [rad]
+    noise: FloatArray  # of the threshold: noise [rad]
+    rest: FloatArray  # of the threshold: where the estimator linearised [rad]
+    payload: tuple[float, float]  # least and largest of a healthy arm, as learned [kg]
+
+    @property
+    def exceeded(self) -> np.ndarray:
+        """Whether no healthy arm inside its file shows the estimate."""
+        shown = self.response > LEAST_RESPONSE
+        return np.asarray(shown & (np.abs(self.estimate) > self.threshold))
+
+    @property
+    def smallest_found(self) -> FloatArray:
+        """Smallest lasting offset that exceeds the threshold whatever else there is [rad]."""
+        shown = np.maximum(self.response, LEAST_RESPONSE)
+        return np.where(self.response > LEAST_RESPONSE, 2.0 * self.threshold / shown, np.inf)
+
+
+class HealthySet:
+    """The set of a healthy arm's balances, beside an estimator.
+
+    Parameters
+    ----------
+    arm : SerialArm
+        Its file states ``uncertainty.model_error``.
+    estimator : OffsetEstimator
+        Whose estimates are bounded.
+    """
+
+    def __init__(self, arm: SerialArm, estimator: OffsetEstimator) -> None:
+        self._estimator = estimator
+        chain, plan, n = compile_chain(arm), estimator.plan, estimator.joints
+        sizes = parameter_set(arm, chain)
+        self._balance = new_healthy_balance(chain, sizes, arm.sensors_to_joints())
+        self._mixing = mixing(arm.sensors_to_joints().T)
+        self._largest_payload = arm.uncertainty.payload
+        self._at_tip = payload_generator(sizes, self._largest_payload)
+        self._load = np.zeros(len(estimator.prior))  # the payload's mass by the unknowns
+        if self._at_tip >= 0:
+            self._load[4 * n :] = payload_share(estimator)
+        m, columns = len(estimator.prior), 1 + generator_count(sizes)
+        self._effects = np.zeros((plan.capacity, n, columns))
+        self._doubts = np.zeros((plan.capacity, 2, n))
+        self._inertia = np.zeros((plan.capacity, n, n))
+        self._right = np.zeros((m, columns))  # of what is remembered
+        self._past_slack = 0.0  # sum of squared slack times weight
+        self._past_noise = 0.0  # largest variance of noise times weight
+        self._length = 0.0  # of the interval before [s]
+        sensors = [joint.sensors for joint in arm.joints]
+        self._derived = estimator.balance.derived > 0.0
+        self._reading = np.array([
+            np.hypot(one.position_noise, one.quantization / np.sqrt(12.0)) for one in sensors
+        ])  # fmt: skip
+        rate = np.array([one.velocity_noise for one in sensors]) / np.sqrt(plan.per_block)
+        difference = np.sqrt(2.0) * self._reading / (plan.per_block * arm.sample_time)
+        self._mean_reading = self._reading / np.sqrt(plan.per_block * plan.blocks)
+        by_sensor = np.where(self._derived, difference, rate)
+        self._block_noise = np.sqrt(map_rows(self._balance.to_joints**2, by_sensor**2))
+        self._mean_noise = np.where(
+            self._derived, self._reading / plan.interval, rate / np.sqrt(plan.blocks)
+        )
+
+    def take(self, blocks: FloatArray, learn: bool) -> None:
+        """Take the balance that the estimator is about to take.
+
+        Parameters
+        ----------
+        blocks : ndarray, shape (N, 3 n + 3)
+            Of its two intervals, as kept by `Sampler.blocks`.
+        learn : bool
+            Whether what leaves the horizon is remembered.
+        """
+        window, count = self._estimator.window, self._estimator.plan.blocks
+        if self._length == 0.0:
+            self._add(blocks[:-count], 0)
+        if window.counters[COUNT] == len(self._effects):
+            self._remember(slot(window, len(self._effects) - 1), learn)
+        self._add(blocks[-count:], int(window.counters[NEXT] % len(self._effects)))
+
+    def _add(self, blocks: FloatArray, at: int) -> None:
+        """Take one interval; what its balance may leave goes into a place of the rings."""
+        current = add_healthy_blocks(self._balance, np.ascontiguousarray(blocks), self._block_noise)
+        # Momentum by rates of the readings.
+        self._inertia[at] = map_rows(self._mixing, self._balance.matrix)
+        close_healthy_interval(
+            self._balance, (self._length, current), self._estimator.balance.rows,
+            self._mean_reading, self._effects[at], self._doubts[at])  # fmt: skip
+        self._length = current
+
+    def restart(self) -> None:
+        """Begin anew after a gap; called before the estimator's own restart."""
+        window = self._estimator.window
+        for back in range(int(window.counters[COUNT]) - 1, -1, -1):
+            self._remember(slot(window, back), True, 1.0)
+        self.drop()
+
+    def drop(self) -> None:
+        """Forget intervals that are not complete."""
+        for part in (self._balance.momentum, self._balance.rising, self._balance.falling):
+            part[:] = 0.0
+        self._balance.slack[:], self._balance.variance[:] = 0.0, 0.0
+        self._balance.last[:] = np.inf
+        self._length = 0.0
+
+    def _remember(self, at: int, learn: bool, factor: float = PAST_WEIGHT) -> None:
+        """A balance leaves the horizon, as in `information.join`."""
+        window, m = self._estimator.window, len(self._right)
+        self._right *= factor
+        self._past_slack *= factor
+        if not learn:
+            return
+        weighted = window.weights[at][:, None] * window.rows[at][:, -m:]
+        self._right += weighted.T @ self._effects[at]
+        self._past_slack += float(window.weights[at] @ self._doubts[at, 0] ** 2)
+        inertia = self._inertia[at]
+        noise = 2.0 * (inertia * self._mean_noise) @ (inertia * self._mean_noise).T
+        noise *= 3.0 if self._derived.any() else 1.0
+        scaled = np.sqrt(window.weights[at])
+        matrix = scaled[:, None] * (noise + np.diag(self._doubts[at, 1])) * scaled
+        # No eigenvalue is larger than the largest sum of a row.
+        largest = float(np.abs(matrix).sum(1).max())
+        self._past_noise = max(self._past_noise, 2.0 * largest)
+
+    def evaluate(self) -> Guarantee:
+        """Bounds at the last balance."""
+        window, null, n = self._estimator.window, self._estimator.posterior, self._estimator.joints
+        m, last = len(self._right), int(window.counters[COUNT])
+        inverse = np.linalg.inv(np.triu(null.factor))
+        wanted = np.vstack([np.eye(m)[:n], self._load])
+        gain = wanted @ inverse @ inverse.T
+        places = [slot(window, back) for back in range(last - 1, -1, -1)]
+        weighted = window.weights[places][:, :, None] * window.rows[places][:, :, -m:]
+        map_ = -(weighted.reshape(-1, m) @ gain.T).T.reshape(n + 1, last, n)
+        from_past = -gain[:, n:] @ _eliminated(window, null)
+        response = np.einsum('fbi,bik->fk', map_, self._effects[places], optimize=True)
+        response += from_past @ self._right
+        slack = np.einsum('fbi,bi->f', np.abs(map_), self._doubts[places, 0])
+        # For right sides A^T W e of the past: (d A^T W e)^2 <= (d A^T W A d)(e^T W e).
+        size = np.einsum('fa,ab,fb->f', gain[:, n:], null.recalled[1 + n :, n:], gain[:, n:])
+        size = np.maximum(size, 0.0)
+        slack += np.sqrt(size * self._past_slack)
+        share = gain[:, :n] * null.least[:n]
+        slack += OTHERS * (np.abs(share).sum(1) - np.append(np.abs(np.diag(share)), 0.0))
+        noise = SIGMAS * np.sqrt(self._noise(map_, places) + self._past_noise * size)
+        estimate = wanted @ null.mean
+        effects, rest = response[:, 1:], np.abs(estimate - response[:, 0])
+        doubt = slack + noise + rest
+        return Guarantee(
+            estimate[:n], (np.abs(effects).sum(1) + doubt)[:n], 1.0 - np.diag(share), effects[:n],
+            slack[:n], noise[:n], rest[:n],
+            self._payload_interval(float(estimate[n]), effects[n], float(doubt[n])),
+        )  # fmt: skip
+
+    def _payload_interval(
+        self, estimate: float, effects: FloatArray, doubt: float
+    ) -> tuple[float, float]:
+        """Payloads that the estimate of a healthy arm does not exclude [kg]."""
+        if self._at_tip < 0:
+            return 0.0, 0.0
+        error = effects.copy()
+        error[self._at_tip] -= self._largest_payload
+        bound = float(np.abs(error).sum()) + doubt
+        low, high = (np.clip(estimate + d, 0.0, self._largest_payload) for d in (-bound, bound))
+        return float(low), float(high)
+
+    def _noise(self, map_: FloatArray, places: list[int]) -> FloatArray:
+        """Variance of the estimates by noise of readings and rates in the horizon."""
+        total = np.einsum('fbi,bi->f', map_**2, self._doubts[places, 1])
+        moved = np.einsum('fbi,bij->fbj', map_, self._inertia[places])
+        padded = np.pad(moved, ((0, 0), (1, 1), (0, 0)))
+        once = np.diff(padded, axis=1)
+        twice = np.diff(np.pad(once, ((0, 0), (1, 1), (0, 0))), axis=1)
+        total += ((once * ~self._derived * self._mean_noise) ** 2).sum((1, 2))
+        return np.asarray(total + ((twice * self._derived * self._mean_noise) ** 2).sum((1, 2)))
+
+
+def _eliminated(window: Window, null: Posterior) -> FloatArray:
+    """T of `_recall`: right sides on the parameters, with offsets eliminated, (m - n, m)."""
+    n, m = len(null.sigma), len(null.mean)
+    known = window.past[1:, -m:]
+    offsets = known[:n, :n] + np.diag(null.least[:n])
+    return np.hstack([-np.linalg.solve(offsets, known[:n, n:]).T, np.eye(m - n)])

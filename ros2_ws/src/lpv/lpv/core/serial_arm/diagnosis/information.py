@@ -1,0 +1,235 @@
+"""Least squares over sliding windows of balances, from cumulative sums of their products.
+
+Every balance adds A^T W A of its rows A = [c, J]; the sum over the last L balances is a difference
+of two cumulative sums, so that any window costs the same.  Of A^T W A only what estimates and
+hypotheses need is kept: the rows of the constant part and of the unknowns, and the diagonal of the
+columns of faults.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from lpv.core.serial_arm.chain import FloatArray, IntArray
+from lpv.core.support.jit import njit_in_place
+
+ROBUST = 3.0
+"""Residuals beyond so many standard deviations are outliers: one in 370 of normal ones."""
+NEXT, COUNT = range(2)
+"""Entries of `Window.counters`: balances that ever joined the window, balances in it."""
+
+
+class Window(NamedTuple):
+    """The last balances of an arm; rings, except for ``past``.
+
+    Columns of a row are the constant part, h columns of faults, m columns of unknowns.
+    """
+
+    rows: FloatArray  # (capacity, n, 1 + h + m) of each balance
+    times: FloatArray  # (capacity,) end of each [s]
+    trust: FloatArray  # (capacity,) factor of weights, small where something acted from outside
+    weights: FloatArray  # (capacity, n) with which each counts, trust included
+    poses: FloatArray  # (capacity, n) positions in its middle [rad]
+    rest: FloatArray  # (capacity, n) 1 where the joint rests or reverses
+    # (capacity, n) variance by errors of readings whose faults are followed [N2 m2 s2]
+    extra: FloatArray
+    # (capacity + 1, 1 + m, 1 + h + m) sum of A^T W A before each balance, rows of the constant part
+    # and of the unknowns
+    sums: FloatArray
+    squares: FloatArray  # (capacity + 1, h) the same of the diagonal, columns of faults
+    # (1 + m, 1 + h + m) of balances that have left; its columns of faults mean nothing
+    past: FloatArray
+    counters: IntArray  # (2,)
+
+
+def new_window(joints: int, faults: int, unknowns: int, capacity: int) -> Window:
+    """Empty window of balances of n joints, with h columns of faults and m of unknowns."""
+    size = 1 + faults + unknowns
+    return Window(
+        np.zeros((capacity, joints, size)), np.zeros(capacity), np.ones(capacity),
+        np.zeros((capacity, joints)), np.zeros((capacity, joints)), np.zeros((capacity, joints)),
+        np.zeros((capacity, joints)),
+        np.zeros((capacity + 1, 1 + unknowns, size)), np.zeros((capacity + 1, faults)),
+        np.zeros((1 + unknowns, size)),
+        np.zeros(2, np.int64))  # fmt: skip
+
+
+@njit_in_place
+def slot(window: Window, back: int) -> int:
+    """Index in the ring of the balance ``back`` before the last one."""
+    return (window.counters[NEXT] - 1 - back) % window.times.shape[0]
+
+
+@njit_in_place
+def sum_slot(window: Window, last: int) -> int:
+    """Index in the ring of the sum before the last balances."""
+    return (window.counters[NEXT] - last) % (window.times.shape[0] + 1)
+
+
+@njit_in_place
+def join(window: Window, time: float, rows: FloatArray, past: float) -> None:
+    """Append a balance; `add_products` adds its products.
+
+    Parameters
+    ----------
+    window : Window
+        Changed.
+    time : float
+        [s].
+    rows : ndarray, shape (n, 1 + h + m)
+        Constant part and derivatives.
+    past : float
+        Factor of what was remembered, where a balance leaves the window, which is remembered,
+        too; if it is not, the factor is negative.
+    """
+    capacity = window.times.shape[0]
+    if window.counters[COUNT] == capacity:
+        gone = window.sums[sum_slot(window, capacity)]
+        kept = window.sums[sum_slot(window, capacity - 1)]
+        for a in range(gone.shape[0]):
+            for b in range(gone.shape[1]):
+                window.past[a, b] *= abs(past)
+                if past > 0.0:
+                    window.past[a, b] = window.past[a, b] + kept[a, b] - gone[a, b]
+        window.counters[COUNT] -= 1
+    window.counters[NEXT] += 1
+    window.counters[COUNT] += 1
+    at = slot(window, 0)
+    for i in range(rows.shape[0]):
+        for c in range(rows.shape[1]):
+            window.rows[at, i, c] = rows[i, c]
+    window.times[at] = time
+    window.trust[at] = 1.0
+    window.extra[at] = 0.0
+
+
+@njit_in_place
+def add_products(window: Window, back: int, weights: FloatArray) -> None:
+    """Write the sum behind a balance, from the sum before it.
+
+    Parameters
+    ----------
+    window : Window
+        Changed.
+    back : int
+        Balances after it.
+    weights : ndarray, shape (n,)
+        Its inverse variances; its trust is a factor of them.
+    """
+    at, old, new = slot(window, back), sum_slot(window, back + 1), sum_slot(window, back)
+    unknowns, columns = window.past.shape
+    faults = columns - unknowns
+    for a in range(unknowns):
+        for b in range(columns):
+            window.sums[new, a, b] = window.sums[old, a, b]
+    for b in range(faults):
+        window.squares[new, b] = window.squares[old, b]
+    for i in range(weights.shape[0]):
+        row, weight = window.rows[at, i], weights[i] * window.trust[at]
+        window.weights[at, i] = weight
+        for a in range(unknowns):
+            entry = row[0] if a == 0 else row[faults + a]
+            factor, into = weight * entry, window.sums[new, a]
+            if factor != 0.0:
+                for b in range(columns):
+                    into[b] += factor * row[b]
+        for b in range(faults):
+            window.squares[new, b] += weight * row[1 + b] * row[1 + b]
+
+
+@njit_in_place
+def forget_newest(window: Window, count: int) -> None:
+    """Drop the last balances."""
+    window.counters[NEXT] -= count
+    window.counters[COUNT] -= count
+
+
+def move_drifts(window: Window, drift: int, offset: int, joints: int, shift: float) -> None:
+    """Let drifts count from a moment that is later by ``shift``, and sums from the oldest balance.
+
+    A drift's column is t - epoch times the offset's: both stay small over days.
+
+    Parameters
+    ----------
+    window : Window
+        Changed.
+    drift, offset : int
+        First columns of drifts and of offsets; the latter are the first unknowns.
+    joints : int
+        Number of joints.
+    shift : float
+        [s].
+    """
+    at = [sum_slot(window, last) for last in range(window.counters[COUNT] + 1)]
+    sums = window.sums[at] - window.sums[at[-1]]
+    squares = window.squares[at] - window.squares[at[-1]]
+    j = np.arange(joints)
+    moved = 2.0 * sums[:, 1 + j, drift + j] - shift * sums[:, 1 + j, offset + j]
+    squares[:, drift - 1 + j] -= shift * moved
+    for rows in (sums, window.rows):
+        rows[:, :, drift + j] -= shift * rows[:, :, offset + j]
+    window.sums[at], window.squares[at] = sums, squares
+
+
+def recent(window: Window, last: int) -> IntArray:
+    """Places of the last balances in the ring, newest first."""
+    return np.asarray((window.counters[NEXT] - 1 - np.arange(last)) % len(window.times))
+
+
+def products(window: Window, last: int) -> FloatArray:
+    """Sum of A^T W A over the last balances, as `Window.sums`."""
+    return window.sums[sum_slot(window, 0)] - window.sums[sum_slot(window, last)]
+
+
+def last_rows(window: Window, last: int) -> FloatArray:
+    """Rows of the last balances, oldest first, shape (last, n, columns)."""
+    return window.rows[recent(window, last)[::-1]]
+
+
+@njit_in_place
+def factorise(matrix: FloatArray, least: FloatArray) -> None:
+    """Factor U of A = U^T U, in place of the upper triangle of A.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (m, m)
+        A, positive definite.
+    least : ndarray, shape (m,)
+        Smallest pivots, against rounding errors.
+    """
+    m = least.shape[0]
+    for k in range(m):
+        pivot = np.sqrt(max(matrix[k, k], least[k]))
+        row = matrix[k]
+        for j in range(k + 1, m):
+            row[j] /= pivot
+        row[k] = pivot
+        for i in range(k + 1, m):
+            factor, other = row[i], matrix[i]
+            for j in range(i, m):
+                other[j] -= factor * row[j]
+
+
+@njit_in_place
+def solve_factorised(factor: FloatArray, right: FloatArray) -> None:
+    """Solve U^T U x = b in place of b, with U from `factorise`."""
+    m = right.shape[0]
+    whiten(factor, right.reshape((m, 1)))
+    for k in range(m - 1, -1, -1):
+        for i in range(k + 1, m):
+            right[k] -= factor[k, i] * right[i]
+        right[k] /= factor[k, k]
+
+
+@njit_in_place
+def whiten(factor: FloatArray, columns: FloatArray) -> None:
+    """Solve U^T Y = B in place of B."""
+    m, count = columns.shape
+    for k in range(m):
+        own = columns[k]
+        for c in range(count):
+            own[c] /= factor[k, k]
+        for i in range(k + 1, m):
+            share, other = factor[k, i], columns[i]
+            for c in range(count):
+                other[c] -= share * own[c]

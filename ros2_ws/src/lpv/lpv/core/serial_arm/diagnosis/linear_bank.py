@@ -1,0 +1,311 @@
+"""Evidence for all faults that are linear in their size, compiled: one call an evaluation.
+
+Scores and information of the sensors' columns come from the cumulative sums of the horizon, so that
+a window costs the same whatever its length; see `bank` for what they are.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from lpv.core.serial_arm.chain import FloatArray, IntArray
+from lpv.core.serial_arm.diagnosis.balance import DRIFT, GAIN, OFFSET, RATE, SCALE, TORQUE
+from lpv.core.serial_arm.diagnosis.contact import (
+    Contact,
+    rough_contact,
+    watch_noise,
+    weigh_residuals,
+)
+from lpv.core.serial_arm.diagnosis.estimator import Posterior, set_residuals
+from lpv.core.serial_arm.diagnosis.information import Window, slot, sum_slot, whiten
+from lpv.core.serial_arm.sensor_map import map_vector
+from lpv.core.support.jit import njit_in_place
+
+JUMP = 6
+"""Seventh column: a rate reading jumps at the start, and the momentum seems to, by M S^-1 e_i."""
+COLUMNS = 7
+"""Columns of a sensor: drift, scale, rate, gain, offset, torque, jump."""
+ONSET = 2
+"""Balances at the start of a window in which a fault may come in any way: they are explained by
+free torques, for encoders as for contacts.  A jump is in the two balances that hold it."""
+
+
+class Kinds(NamedTuple):
+    """Hypotheses: K kinds of faults of n sensors."""
+
+    basis: FloatArray  # (K, 7) columns as sums of the seven
+    prior: FloatArray  # (K, n) standard deviations of sizes
+    applies: FloatArray  # (K, n) 1 where a sensor can have the fault
+    singles: int  # kinds from here on are free in the offset, too
+    offset: float  # standard deviation of that offset [rad]
+
+
+class Evidence(NamedTuple):
+    """What the balances say, for W windows."""
+
+    lengths: IntArray  # (W,) of the windows [balances]
+    starts: FloatArray  # (W,) logarithm of the starts that each stands for
+    begin: FloatArray  # (W,) [s]
+    pose: FloatArray  # (W, n) readings at the begin, as corrected [rad]
+    score: FloatArray  # (W, n, 7)
+    information: FloatArray  # (W, n, 7, 7) the entries that kinds need
+    gain: FloatArray  # (K, n, W) logarithms of Bayes factors
+    size: FloatArray  # (K, n, W) of faults
+    sigma: FloatArray  # (K, n, W) their standard deviations
+    contact: FloatArray  # (W,) log Bayes factor of rough torques in the whole window
+    columns: FloatArray  # (m, 7 n) scratch
+    grams: FloatArray  # (n, 5) scratch
+
+
+class Rows(NamedTuple):
+    """Sums of kinematic rows of W windows."""
+
+    span: FloatArray  # (W,) [s]
+    weight: FloatArray  # (W, n) inverse variances, 0 where there are none [1/rad2]
+    found: FloatArray  # (W, n) [rad]
+    reading: FloatArray  # (n,) now [rad]
+
+
+def new_evidence(lengths: IntArray, starts: FloatArray, kinds: Kinds, unknowns: int) -> Evidence:
+    """Room for the evidence of windows, each of which stands for so many starts."""
+    count, (number, n) = len(lengths), kinds.prior.shape
+    gain, size, sigma = np.zeros((3, number, n, count))
+    return Evidence(
+        lengths, np.log(starts), np.zeros(count), np.zeros((count, n)),
+        np.zeros((count, n, COLUMNS)), np.zeros((count, n, COLUMNS, COLUMNS)),
+        gain, size, sigma, np.zeros(count), np.zeros((unknowns, COLUMNS * n)),
+        np.zeros((n, 5)))  # fmt: skip
+
+
+@njit_in_place
+def gather(
+    evidence: Evidence,
+    kinds: Kinds,
+    window: Window,
+    null: Posterior,
+    outside: Contact,
+    rows: Rows,
+    mass: FloatArray,
+    frame: tuple[FloatArray, FloatArray],
+    times: tuple[float, float],
+    unseen: FloatArray,
+    count: int,
+) -> tuple[float, float]:
+    """Write the evidence of the first ``count`` windows.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        Written.
+    kinds : Kinds
+        Hypotheses.
+    window, null : Window, Posterior
+        Balances and null hypothesis, whose residuals are written.
+    outside : Contact
+        Torques from outside.
+    rows : Rows
+        What independent rates say.
+    mass : ndarray, shape (capacity, n, n)
+        M S^-1 of each balance, in the ring of ``window``.
+    frame : tuple of ndarray
+        S (n, n), and the point of linearisation (n,) [rad].
+    times : tuple of float
+        Moment from which drifts count, and length of an interval [s].
+    unseen : ndarray, shape (n,)
+        Largest jump of each reading that may not have been seen [rad].
+    count : int
+        Windows that the horizon holds.
+
+    Returns
+    -------
+    tuple of float
+        Logarithms of the sums of Bayes factors over all kinds and starts, and over those of rough
+        torques.
+    """
+    n, longest = null.noise.shape[0], evidence.lengths[count - 1]
+    set_residuals(window, null, longest + 1)
+    evidence.grams[:] = 0.0
+    summed = 0
+    for w in range(count):
+        length = evidence.lengths[w]
+        for back in range(summed, max(length - ONSET, 0)):
+            _add_grams(evidence.grams, window, back)
+            summed = back + 1
+        first = slot(window, length - 1)
+        evidence.begin[w] = window.times[first] - times[1]
+        map_vector(frame[0], window.poses[first], evidence.pose[w])
+        for i in range(n):
+            evidence.pose[w, i] += frame[1][i]
+        _sensor_columns(evidence, window, null, w)
+        _jump_columns(evidence, window, null, mass[first], w)
+        whiten(null.factor, evidence.columns)
+        _eliminate(evidence, w)
+        _add_rows(evidence, rows, window.times[slot(window, 0)] - times[0], w)
+    watch_noise(outside, null)
+    weigh_residuals(window, null, longest + 1)
+    every, pushed = -np.inf, -np.inf
+    for w in range(count):
+        length = evidence.lengths[w]
+        evidence.contact[w] = rough_contact(outside, null, w, length - 1)
+        pushed = np.logaddexp(pushed, evidence.contact[w] + evidence.starts[w])
+        for i in range(n):
+            for k in range(kinds.basis.shape[0]):
+                _compare(evidence, kinds, (k, i, w), evidence.begin[w] - times[0], unseen[i])
+                every = np.logaddexp(every, evidence.gain[k, i, w] + evidence.starts[w])
+    return every, pushed
+
+
+@njit_in_place
+def _add_grams(grams: FloatArray, window: Window, back: int) -> None:
+    """Add a balance's products of the columns that no cumulative sums are kept of."""
+    at, n = slot(window, back), grams.shape[0]
+    for i in range(n):
+        row, weight = window.rows[at, i], window.weights[at, i]
+        for j in range(n):
+            drift, scale = row[1 + DRIFT * n + j], row[1 + SCALE * n + j]
+            rate, gain = row[1 + RATE * n + j], row[1 + GAIN * n + j]
+            grams[j, 0] += weight * drift * drift
+            grams[j, 1] += weight * scale * scale
+            grams[j, 2] += weight * rate * rate
+            grams[j, 3] += weight * gain * gain
+            grams[j, 4] += weight * drift * rate
+
+
+@njit_in_place
+def _sensor_columns(evidence: Evidence, window: Window, null: Posterior, w: int) -> None:
+    """Score, information and cross products of the first six columns, from cumulative sums."""
+    n, m = evidence.grams.shape[0], null.mean.shape[0]
+    last = max(evidence.lengths[w] - ONSET, 0)
+    new, old = window.sums[sum_slot(window, 0)], window.sums[sum_slot(window, last)]
+    width, cross = JUMP * n, evidence.columns
+    score, information = evidence.score[w], evidence.information[w]
+    # Columns of a row: the constant part, six of each sensor; the last two are unknowns, too.
+    for a in range(m):
+        for c in range(width):
+            cross[a, c] = new[1 + a, 1 + c] - old[1 + a, 1 + c]
+    for g in range(JUMP):
+        for i in range(n):
+            c = g * n + i
+            total = new[0, 1 + c] - old[0, 1 + c]
+            for a in range(m):
+                total += null.mean[a] * cross[a, c]
+            score[i, g] = -total
+    for i in range(n):
+        own = information[i]
+        own[:] = 0.0
+        for g in range(JUMP):
+            own[g, OFFSET] = cross[i, g * n + i]
+            own[g, TORQUE] = cross[n + i, g * n + i]
+            own[OFFSET, g], own[TORQUE, g] = own[g, OFFSET], own[g, TORQUE]
+        for g in range(OFFSET):
+            own[g, g] = evidence.grams[i, g]
+        own[DRIFT, RATE] = own[RATE, DRIFT] = evidence.grams[i, 4]
+
+
+@njit_in_place
+def _jump_columns(
+    evidence: Evidence, window: Window, null: Posterior, mass: FloatArray, w: int
+) -> None:
+    """Score, information and cross products of the seventh column.
+
+    A jump inside an interval shows in the two balances that hold it: their sum has all of it.  Of
+    the last window, the second one is still to come.
+    """
+    n, m, length = evidence.grams.shape[0], null.mean.shape[0], evidence.lengths[w]
+    first = window.rows.shape[2] - m
+    at = JUMP * n
+    for j in range(n):
+        evidence.score[w, j, JUMP] = 0.0
+        evidence.columns[:, at + j] = 0.0
+    if length < ONSET:
+        return
+    older, newer = slot(window, length - 1), slot(window, length - ONSET)
+    for i in range(n):
+        # Something that acted from outside may have taken all weight.
+        both = window.weights[older, i] + window.weights[newer, i]
+        weight = window.weights[older, i] * window.weights[newer, i] / both if both > 0.0 else 0.0
+        left = null.residual[length - 1, i] + null.residual[length - ONSET, i]
+        for j in range(n):
+            # Without the error of its rate, the momentum is less by M S^-1 e_j.
+            share = -weight * mass[i, j]
+            evidence.score[w, j, JUMP] -= share * left
+            evidence.information[w, j, JUMP, JUMP] -= share * mass[i, j]
+            for a in range(m):
+                known = window.rows[older, i, first + a] + window.rows[newer, i, first + a]
+                evidence.columns[a, at + j] += share * known
+
+
+@njit_in_place
+def _eliminate(evidence: Evidence, w: int) -> None:
+    """Take off the information what the arm's unknowns could explain as well."""
+    m, n = evidence.columns.shape[0], evidence.grams.shape[0]
+    for i in range(n):
+        own = evidence.information[w, i]
+        for g in range(COLUMNS):
+            for h in range(g, COLUMNS):
+                total = 0.0
+                for a in range(m):
+                    total += evidence.columns[a, g * n + i] * evidence.columns[a, h * n + i]
+                own[g, h] -= total
+                own[h, g] = own[g, h]
+
+
+@njit_in_place
+def _add_rows(evidence: Evidence, rows: Rows, elapsed: float, w: int) -> None:
+    """Add what kinematic rows say; time since the epoch of drifts."""
+    for i in range(rows.reading.shape[0]):
+        weight = rows.weight[w, i]
+        if weight == 0.0:
+            continue
+        score, information = evidence.score[w, i], evidence.information[w, i]
+        column = (elapsed, rows.reading[i], -rows.span[w], 0.0, 1.0)
+        for g in range(5):
+            score[g] += weight * rows.found[w, i] * column[g]
+            for h in range(5):
+                information[g, h] += weight * column[g] * column[h]
+
+
+@njit_in_place
+def _compare(
+    evidence: Evidence, kinds: Kinds, place: tuple[int, int, int], elapsed: float, unseen: float
+) -> None:
+    """Logarithm of a Bayes factor, with size and standard deviation.
+
+    Columns of drifts and scale errors are zero at the start of their window.
+    """
+    k, i, w = place
+    evidence.gain[k, i, w] = -np.inf
+    if kinds.applies[k, i] == 0.0:
+        return
+    basis, score, information = kinds.basis[k], evidence.score[w, i], evidence.information[w, i]
+    zero = elapsed * basis[DRIFT] + evidence.pose[w, i] * basis[SCALE]
+    z, own, across = -zero * score[OFFSET], 0.0, -zero * information[OFFSET, OFFSET]
+    for g in range(COLUMNS):
+        if basis[g] == 0.0:
+            continue
+        z += basis[g] * score[g]
+        across += basis[g] * information[OFFSET, g]
+        own -= basis[g] * zero * information[g, OFFSET]
+        for h in range(COLUMNS):
+            if basis[h] != 0.0:
+                own += basis[g] * basis[h] * information[g, h]
+    own -= zero * across
+    prior = kinds.prior[k, i]
+    if basis[SCALE] != 0.0:  # a larger scale error would have shown as a jump, when it came
+        prior = min(prior, unseen / max(abs(evidence.pose[w, i]), 1e-6))
+    first, right = max(prior * prior * own, 0.0) + 1.0, prior * z
+    if k < kinds.singles:
+        mean, spread = right / first, 1.0 / np.sqrt(first)
+        gain = 0.5 * (right * mean - np.log(first))
+    else:
+        other = kinds.offset * score[OFFSET]
+        second = max(kinds.offset * kinds.offset * information[OFFSET, OFFSET], 0.0) + 1.0
+        both = prior * kinds.offset * across
+        determinant = max(first * second - both * both, 1.0)
+        mean = (second * right - both * other) / determinant
+        beside = (first * other - both * right) / determinant
+        spread = np.sqrt(second / determinant)
+        gain = 0.5 * (right * mean + other * beside - np.log(determinant))
+    if np.isfinite(gain):
+        evidence.gain[k, i, w] = gain
+        evidence.size[k, i, w], evidence.sigma[k, i, w] = prior * mean, prior * spread

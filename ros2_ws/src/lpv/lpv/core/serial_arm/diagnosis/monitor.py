@@ -1,0 +1,762 @@
+"""Diagnosis of the sensors of a serial arm: one object, one call a sample.
+
+Jumps, noise and frozen readings are found sample by sample; everything else by the bank of
+hypotheses, at every balance.  A sensor is OK, SUSPECT (what is seen may be its fault), FAULT, or
+RECOVERING: a fault ends as it begins, by evidence.  A fault that has been named is followed as an
+unknown, and its sensor's readings are corrected by it, so that the next fault is looked for beside
+it.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from lpv.core.serial_arm.certificate.jump_bound import jump_bound
+from lpv.core.serial_arm.chain import FloatArray
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.diagnosis.alarms import SensorState
+from lpv.core.serial_arm.diagnosis.balance import OFFSET
+from lpv.core.serial_arm.diagnosis.bank import CONTACT, OCCURRENCE, Bank, Hypothesis
+from lpv.core.serial_arm.diagnosis.estimator import NOISE_KNOWN_AFTER, HorizonPlan, OffsetEstimator
+from lpv.core.serial_arm.diagnosis.fault_filter import (
+    FaultFilter,
+    begin_filter,
+    correct_since,
+    follow,
+)
+from lpv.core.serial_arm.diagnosis.healthy_set import Guarantee, HealthySet
+from lpv.core.serial_arm.diagnosis.information import NEXT, slot
+from lpv.core.serial_arm.diagnosis.learning import Learned, learned_of
+from lpv.core.serial_arm.diagnosis.parameter_error import typical_torque
+from lpv.core.serial_arm.diagnosis.parameter_set import is_stated
+from lpv.core.serial_arm.diagnosis.sampling import (
+    BEFORE_STOP,
+    BLOCKS,
+    JUMP_SCALE,
+    NOISY,
+    SPIKE,
+    STEP,
+    Sampler,
+    new_sampler,
+    restart,
+    take_samples,
+)
+from lpv.core.serial_arm.diagnosis.sensor_state import SensorRecord
+from lpv.core.serial_arm.diagnosis.stuck import ACCELERATION
+from lpv.core.serial_arm.sensor_map import map_rows, mixing
+from lpv.core.support.errors import SampleError
+
+BoolArray = npt.NDArray[np.bool_]
+
+NANOSECONDS = 1_000_000_000
+LONGEST_STEP = 10.0
+"""Sample times after which the next sample begins anew."""
+CONTACT_TIME = 1.0
+"""For which torques from outside must be the cause before they are reported [s]: a fault that
+begins shows as free torques first, until its time profile is seen."""
+CONTACT_PAUSE = 1.0
+"""What is around a contact by less is not learned from [s]."""
+PUSH = 2.0
+"""Largest plausible torque from outside, over that which moves the arm."""
+LIVELY = 0.02
+"""Share of changes that go back and forth from which on a reading has noise, and never rests."""
+GUARANTEE_SHARE = 4
+"""Guaranteed thresholds change over the horizon: so often in it they are evaluated anew."""
+STILL_TIME = 0.05
+"""A reading without any change for longer rests [s]."""
+
+
+@dataclass(frozen=True)
+class MonitorSettings:
+    """What a user asks of the decisions."""
+
+    hours_between_false_alarms: float = 1000.0  # mean, of a healthy arm [h]
+    probability_of_wrong_name: float = 0.01  # that a named cause is another one
+    fault_at_start: float = 1e-3  # probability of an offset at the first sample
+    # of prismatic joints, times `SerialJoint.scale` [m]
+    smallest_level: float = 0.05  # smallest offset that is a fault [rad]
+    smallest_step: float = 0.005  # smallest jump of a reading [rad]
+    widest_level: float = 0.1  # standard deviation of an offset that says nothing [rad]
+    clear_dwell: float = 0.5  # for which a fault must be over before its alarm ends [s]
+    latch: bool = False  # whether alarms stay until `SerialMonitor.reset`
+    sigmas: float = 4.0  # standard deviations in a bound
+    horizon: float = 10.0  # [s]
+
+    def threshold(self, interval: float) -> float:
+        """Logarithm of A: decisions between false alarms, one every interval [s]."""
+        return math.log(self.hours_between_false_alarms * 3600.0 / interval)
+
+
+@dataclass(frozen=True)
+class SerialAlarm:
+    """A change of what is known of a fault."""
+
+    sensor: str  # name; '' where none is named
+    kind: str  # bias, drift, scale, stuck, noise, spike, rate_bias, contact
+    onset: float  # [s]
+    detected: float  # [s]
+    size: float  # of the fault now [rad]; [rad/s] of a rate sensor's
+    sigma: float  # standard deviation of size
+    suspects: tuple[str, ...]  # what explains the data about as well
+    guaranteed: bool = False  # whether no healthy arm inside its file shows this; else statistical
+    event: str = 'raised'  # raised, updated or cleared
+    confidence: float = 1.0  # probability that the name is right
+    rate: float = 0.0  # at which the fault grows [rad/s]
+
+
+@dataclass(frozen=True)
+class SerialEstimate:
+    """What is known after a sample."""
+
+    stamp: int  # of the sample [ns]
+    fault: FloatArray  # estimated faults f of the sensors, y = S q + f, shape (n,) [rad]
+    sigma: FloatArray  # their standard deviations, shape (n,) [rad]
+    state: tuple[SensorState, ...]  # of each sensor
+    suspects: tuple[str, ...]  # what explains a contradiction, best first; empty if there is none
+
+
+@dataclass
+class _Contact:
+    """Torques from outside."""
+
+    since: float = math.inf  # when they began to be the cause [s]
+    until: float = -math.inf  # nothing is learned before [s]
+
+
+class SerialMonitor:
+    """Monitor of one arm; where efforts leave out gravity, only jumps of readings are found.
+
+    Parameters
+    ----------
+    arm : SerialArm
+        Arm and sensors.
+    settings : MonitorSettings, optional
+        What is asked of the decisions.
+
+    Attributes
+    ----------
+    alarms : list of SerialAlarm
+        Events so far; the caller may empty it.
+    statistic : float
+        Logarithm of the statistic of detection at the last balance.
+    """
+
+    def __init__(self, arm: SerialArm, settings: MonitorSettings | None = None) -> None:
+        self.arm = arm
+        self.settings = settings or MonitorSettings()
+        self.joints = len(arm.joints)
+        self.alarms: list[SerialAlarm] = []
+        self.scales = arm.scales()
+        self._efforts = np.array([joint.torque_gain for joint in arm.joints])
+        self._jump_bound = jump_bound(arm)
+        self._to_sensors = mixing(arm.joints_to_sensors())
+        self._first: int | None = None
+        # Levels and bounds of another observer that certifies them, shape (n,) [rad]
+        self.certified_level: Callable[[], tuple[FloatArray, FloatArray]] | None = None
+        self.reset()
+
+    def apply_settings(self) -> None:
+        """Let changed `settings` count from now on; lengths stay as they are."""
+        self._threshold = self.settings.threshold(self.plan.interval)
+        self.sampler.smallest[:] = self.settings.smallest_step * self.scales
+
+    def reset(self) -> None:
+        """Forget samples, estimates and faults."""
+        n, arm, settings = self.joints, self.arm, self.settings
+        self.plan = HorizonPlan.of(arm.sample_time, horizon=settings.horizon)
+        self.estimator = OffsetEstimator(arm, self.plan)
+        noise = np.array([
+            np.hypot(joint.sensors.position_noise, joint.sensors.quantization)
+            for joint in arm.joints
+        ])  # fmt: skip
+        self._capacity = self.plan.blocks * (self.plan.capacity + 1)
+        self.healthy = HealthySet(arm, self.estimator) if is_stated(arm) else None
+        self.guarantee: Guarantee | None = None
+        self._push = PUSH * typical_torque(self.estimator.balance.chain)
+        self.bank = Bank(arm, self.estimator, self._push)
+        self._threshold = settings.threshold(self.plan.interval)
+        smallest = settings.smallest_step * self.scales
+        self.sampler: Sampler = new_sampler(
+            self.estimator.balance.derived, np.maximum(2.0 * noise, 0.2 * smallest), smallest,
+            self._capacity)  # fmt: skip
+        self.sensors = [SensorRecord() for _ in range(n)]
+        self.rates = [SensorRecord() for _ in range(n)]
+        self._filters: dict[int, FaultFilter] = {}
+        self._known = np.zeros(n)  # for how long each offset has been diagnosable [s]
+        self._contact = _Contact()
+        self.jump, self.jump_variance = np.zeros(n), np.zeros(n)  # of readings, for the caller
+        self._correction = np.zeros(n)
+        self._suspects: tuple[str, ...] = ()
+        self._last_time = -np.inf
+
+    @property
+    def statistic(self) -> float:
+        """Logarithm of the statistic of detection at the last balance."""
+        return self.bank.statistic
+
+    def update(
+        self, stamp: int, q: npt.ArrayLike, v: npt.ArrayLike, torque: npt.ArrayLike
+    ) -> SerialEstimate:
+        """Take a sample.
+
+        Parameters
+        ----------
+        stamp : int
+            [ns]; later than that of the sample before.
+        q, v, torque : array_like, shape (n,)
+            Joint positions and rates by the readings, S^-1 y, and efforts [rad], [rad/s].
+
+        Returns
+        -------
+        SerialEstimate
+            What is known now; `alarms` has grown where a fault was found.
+
+        Raises
+        ------
+        SampleError
+            If a value is missing or not finite, or the stamp is not later.
+        """
+        try:
+            values = np.array([[q, v, torque]], dtype=float)
+        except ValueError as error:
+            raise SampleError('positions, rates and efforts differ in number') from error
+        self.update_many(np.array([stamp]), values)
+        return self.estimate(stamp)
+
+    def update_many(self, stamps: npt.ArrayLike, samples: npt.ArrayLike) -> None:
+        """Take many samples; the same as `update` one by one.
+
+        Parameters
+        ----------
+        stamps : array_like of int, shape (N,)
+            [ns], increasing.
+        samples : array_like, shape (N, 3, n)
+            Joint positions by the readings, their rates, efforts.
+
+        Raises
+        ------
+        SampleError
+            As `update`.
+        """
+        values = np.array(samples, dtype=float, order='C')
+        if values.shape[1:] == (3, self.joints):
+            values[:, :2] = map_rows(self._to_sensors, values[:, :2])
+        self.take_readings(stamps, values)
+
+    def take_readings(self, stamps: npt.ArrayLike, samples: npt.ArrayLike) -> None:
+        """Take samples as `update_many`, but readings y and their rates as they are.
+
+        Parameters
+        ----------
+        stamps : array_like of int, shape (N,)
+            [ns], increasing.
+        samples : array_like, shape (N, 3, n)
+            Readings of the position sensors, their rates, efforts.
+
+        Raises
+        ------
+        SampleError
+            As `update`.
+        """
+        values = np.array(samples, dtype=float, order='C')
+        moments = np.asarray(stamps, dtype=np.int64)
+        if values.shape != (len(moments), 3, self.joints):
+            raise SampleError(
+                f'samples must have shape ({len(moments)}, 3, {self.joints}), got {values.shape}'
+            )
+        if not np.isfinite(values).all():
+            raise SampleError('samples must be finite')
+        if len(moments) == 0:
+            return
+        if self._first is None:
+            self._first = int(moments[0])
+        times = (moments - self._first) / NANOSECONDS
+        steps = np.diff(times, prepend=self._last_time)
+        if not (steps > 0.0).all():
+            raise SampleError('stamps must increase')
+        values[:, 2] *= self._efforts
+        gaps = np.nonzero(steps > LONGEST_STEP * self.arm.sample_time)[0]
+        for begin, end in zip([0, *gaps], [*gaps, len(times)]):
+            if begin > 0 or (len(gaps) > 0 and gaps[0] == 0):
+                self.begin_again()
+            self._take(times[begin:end], values[begin:end])
+        self._last_time = float(times[-1])
+
+    def begin_again(self) -> None:
+        """Begin new balances, as after a gap in the samples."""
+        self._take_out_levels()
+        restart(self.sampler, self.estimator.balance)
+        if self.healthy is not None:
+            self.healthy.restart()
+        self.estimator.restart()
+        self.bank.restart()
+
+    def _take_out_levels(self) -> None:
+        """Take confirmed offsets out of the readings: new balances know of no offset."""
+        for i, sensor in enumerate(self.sensors):
+            if not (sensor.active and sensor.level):
+                continue
+            level = float(self.estimator.level.mean[i])
+            self.jump_variance[i] += self.estimator.level.sigma[i] ** 2
+            self.sampler.correction[i] += level
+            self._correction[i] += level
+            self.estimator.move_reference(i, -level)
+            self.healthy = self.guarantee = None  # readings are changed
+            sensor.level = sensor.unproved = False
+
+    def _take(self, times: FloatArray, samples: FloatArray) -> None:
+        """Take samples without a gap between them."""
+        k, plan = 0, (self.plan.per_block, self.plan.blocks)
+        while k < len(times):
+            k, complete = take_samples(
+                self.sampler, self.estimator.balance, times, samples, k, plan
+            )
+            self._after(k, float(times[k - 1]), complete)
+
+    def _after(self, count: int, now: float, complete: bool) -> None:
+        """So many samples of those at hand have been taken, and a decision is due."""
+        self.decide(now, complete)
+
+    @property
+    def uses_balances(self) -> bool:
+        """Whether momentum balances say anything: the efforts have to hold the weight."""
+        return self.arm.effort_includes_gravity
+
+    def decide(self, now: float, complete: bool) -> None:
+        """Decide on what `take_samples` has found; for loops that call it themselves.
+
+        Parameters
+        ----------
+        now : float
+            Time of the last sample, from the first one on [s].
+        complete : bool
+            Whether a balance is complete.
+        """
+        if self.sampler.found.any():
+            self._report_samples(now)
+        if complete:
+            if self.uses_balances:
+                self._decide(now)
+            self._end_faults(now)
+
+    def estimate(self, stamp: int) -> SerialEstimate:
+        """What is known after the last sample."""
+        fault, sigma = self.faults()
+        state = tuple(
+            SensorState.NOT_DIAGNOSABLE
+            if one.state is SensorState.OK
+            and sigma[i] > self.settings.widest_level * self.scales[i]
+            else one.state
+            for i, one in enumerate(self.sensors)
+        )
+        return SerialEstimate(stamp, fault, sigma, state, self._suspects)
+
+    def faults(self) -> tuple[FloatArray, FloatArray]:
+        """Faults f of the position sensors and their standard deviations, shape (n,) [rad]."""
+        level = self.estimator.level
+        fault = self.taken_out() + level.mean[: self.joints]
+        return fault, np.hypot(level.sigma, self.changing_sigma())
+
+    def taken_out(self) -> FloatArray:
+        """What is taken out of the readings now, shape (n,) [rad]."""
+        sampler = self.sampler
+        return sampler.correction + sampler.followed + sampler.share * sampler.raw
+
+    def changing_sigma(self) -> FloatArray:
+        """Standard deviations of the faults that are followed, shape (n,) [rad]."""
+        sigma, now = np.zeros(self.joints), self._last()
+        for i, one in self._filters.items():
+            sigma[i] = one.fault(float(self.sampler.raw[i]), now)[2]
+        for noisy in np.nonzero(self.sampler.noisy)[0]:
+            sigma[noisy] = math.hypot(sigma[noisy], self._noise(int(noisy)))
+        return sigma
+
+    def learned(self) -> Learned:
+        """What has been learned of the arm: payload, friction, torque offsets, noise."""
+        return learned_of(self.arm, self.estimator)
+
+    def warm_up(self) -> None:
+        """Compile what only a fault needs; nothing is decided."""
+        self.bank.offset_against_contact(0)
+        self.bank.warm_up(self._blocks(len(self.estimator) + 1))
+
+    def _noise(self, i: int) -> float:
+        """Standard deviation of a noisy reading [rad]."""
+        # e is made of two readings, of four where the rates are derived from them.
+        parts = 3.5 if self.sampler.derived[i] else 2.0
+        return float(np.sqrt(self.sampler.noise[1, i] / parts))
+
+    def _report_samples(self, now: float) -> None:
+        """Events of what was found at a sample."""
+        change = self.sampler.correction - self._correction
+        self.jump += change
+        self.jump_variance += np.where(change != 0.0, self.sampler.scale**2, 0.0)
+        for i in range(self.joints):
+            found, self.sampler.found[i] = self.sampler.found[i], 0
+            if found == STEP:
+                self._jumped(i, float(self.sampler.size[i]), now)
+            elif found == SPIKE and self.sensors[i].state is not SensorState.ERROR:
+                self._event(i, 'spike', now, 'raised', 0.0, 0.0)
+                self._event(i, 'spike', now, 'cleared', 0.0, 0.0)
+            elif found == NOISY:
+                if i in self._filters:
+                    self._forget(i)
+                self.bank.leave_out_rate(i, True)
+                self._raise(i, 'noise', now, self._noise(i), 0.0)
+        self._correction = self.sampler.correction.copy()
+
+    def _jumped(self, i: int, size: float, now: float) -> None:
+        """A reading jumped; what remains of its fault is over, or another fault."""
+        sensor, sigma = self.sensors[i], float(self.sampler.scale[i])
+        fault = float(self.taken_out()[i] + self.estimator.level.mean[i] * sensor.level)
+        back = self._filters.get(i)
+        if sensor.state is SensorState.ERROR and back is not None and back.is_scale:
+            fault = float(size + self.sampler.share[i] * self.sampler.raw[i])
+        if sensor.state is SensorState.ERROR and abs(fault) < max(
+            0.3 * abs(size), self.settings.smallest_step * self.scales[i]
+        ):
+            self._forget(i)
+            sensor.recover(now)
+            return
+        self.bank.note_jump(i, now, (size, sigma), float(self.sampler.samples[-1, 0, i]))
+        kind = sensor.kind if back is not None else 'bias'
+        value = fault if sensor.state is SensorState.ERROR else size
+        self._raise(i, kind, now, value, sigma, abs(size) > self._jump_bound[i])
+
+    def _raise(
+        self, i: int, kind: str, onset: float, size: float, sigma: float,
+        guaranteed: bool = False, confidence: float = 1.0
+    ) -> None:  # fmt: skip
+        """A fault of sensor i is confirmed, or changed."""
+        sensor = self.sensors[i]
+        event = 'updated' if sensor.active else 'raised'
+        sensor.confirm(kind, onset, abs(size))
+        self._event(i, kind, onset, event, size, sigma, guaranteed, confidence)
+
+    def _event(
+        self, i: int, kind: str, onset: float, event: str, size: float, sigma: float,
+        guaranteed: bool = False, confidence: float = 1.0
+    ) -> None:  # fmt: skip
+        rate = float(self.sampler.drift[i]) if kind == 'drift' else 0.0
+        self.alarms.append(SerialAlarm(
+            self.arm.sensor_names[i] if i >= 0 else '', kind, onset, self._last(), size, sigma, (),
+            guaranteed, event, confidence, rate))  # fmt: skip
+
+    def _last(self) -> float:
+        return float(self.sampler.time[-1])
+
+    def _blocks(self, intervals: int) -> FloatArray:
+        """The last blocks, oldest first."""
+        written = int(self.sampler.counters[BLOCKS])
+        count = min(intervals * self.plan.blocks, written, self._capacity)
+        return self.sampler.blocks[np.arange(written - count, written) % self._capacity]
+
+    def _decide(self, now: float) -> None:
+        """A balance is complete: estimate, compare hypotheses, name a cause."""
+        learn = not (self._suspects or self._filters or self.sampler.noisy.any())
+        if self.healthy is not None:
+            self.healthy.take(self._blocks(2), not self._suspects)
+        self.estimator.take(now, learn)
+        self.bank.take(self._blocks(2))
+        for i, one in self._filters.items():
+            follow(one, self.estimator, self.sampler, self.bank.rate_row(i))
+        self._add_noise()
+        self.estimator.estimate(learn)
+        if self.estimator.must_linearise():
+            self.estimator.linearise(self._blocks(len(self.estimator) + 1))
+        if self.estimator.window.counters[NEXT] % (self.plan.capacity // GUARANTEE_SHARE) == 0:
+            self._evaluate_guarantee()
+        unseen = np.maximum(JUMP_SCALE * self.sampler.scale, self.sampler.smallest)
+        found = self.bank.evaluate(self._blocks, self._rest(), unseen, self._threshold)
+        frozen = self._frozen(found)
+        if frozen is not None:
+            self._blame(frozen, 1.0 - math.exp(-frozen.gain), now)
+        elif self.bank.statistic < self._threshold:
+            self._suspects = ()
+            self._contact.since = math.inf
+            self._decide_levels(now)
+        else:
+            self._name(found, now)
+        self._mark_suspects()
+
+    def _add_noise(self) -> None:
+        """Balances of readings that are noisy, or rounded, say less than others."""
+        estimator, sampler, n = self.estimator, self.sampler, self.joints
+        window, at = estimator.window, slot(estimator.window, 0)
+        variance = np.where(np.isfinite(sampler.grain), sampler.grain, 0.0) ** 2 / 12.0
+        # Means of derived rates hold the errors of the readings where two intervals begin and end.
+        rates = 6.0 * sampler.derived / self.plan.interval**2 * self.bank.momenta(0) ** 2
+        usual = estimator.posterior.noise**2  # as learned, most of it may be rounding
+        extra = np.maximum(rates @ variance - usual, 0.0)
+        for i in np.nonzero(sampler.noisy)[0]:
+            square = self._noise(int(i)) ** 2
+            mean = square / (self.plan.per_block * self.plan.blocks)
+            extra += mean * window.rows[at, :, 1 + OFFSET * n + i] ** 2 + square * rates[:, i]
+        if extra.any():
+            window.extra[at] += extra
+            estimator.weigh_again(1)
+
+    def _frozen(self, found: list[Hypothesis]) -> Hypothesis | None:
+        """What explains a reading that froze, if balances say that the joint moves.
+
+        That it froze, out of motion or without its noise, is evidence of its own against pushes.
+        """
+        wrong = self.settings.probability_of_wrong_name
+        stuck = (one for one in found if one.kind == 'stuck' and one.joint not in self._filters)
+        best = next(stuck, None)
+        return best if best is not None and best.gain > -math.log(wrong) else None
+
+    def _margin(self, kind: str) -> float:
+        """By how much a fault must be more likely than torques from outside."""
+        ratio = OCCURRENCE[CONTACT] * self.joints / OCCURRENCE[kind]
+        return math.log(ratio / self.settings.probability_of_wrong_name)
+
+    def _name(self, found: list[Hypothesis], now: float) -> None:
+        """What explains the balances is beyond doubt, or several causes are suspected."""
+        known = {*self._filters, *np.nonzero(self.sampler.noisy)[0]}
+        found = [one for one in found if one.joint not in known]
+        if not found:
+            self._suspects = ()
+            return
+        shares = self.bank.shares(found)
+        wrong = self.settings.probability_of_wrong_name
+        named = {one: share for one, share in shares.items() if share > wrong}
+        best = {cause: next(one for one in found if one.cause == cause) for cause in named}
+        self._suspects = tuple(self._label(one) for one in best.values())
+        cause, share = next(iter(shares.items()))
+        self._contact.since = min(self._contact.since, now) if cause[0] == CONTACT else math.inf
+        if not share >= 1.0 - wrong:  # also where no share can be told
+            return
+        one = best[cause]
+        if one.kind == CONTACT:
+            learned = len(self.estimator) * self.plan.interval > NOISE_KNOWN_AFTER
+            if learned and now - self._contact.since >= CONTACT_TIME:
+                self._report_contact(now)
+        elif one.is_encoder:
+            if self.bank.excludes_contact(one, self._margin(one.kind)):
+                self._blame(one, share, now)
+            else:
+                self._suspects = tuple(dict.fromkeys((*self._suspects, CONTACT)))
+        elif one.kind == 'rate_bias':
+            self._blame_rate(one, share)
+
+    def _is_frozen(self) -> BoolArray:
+        """Whether a reading stopped dead while it moved, or has lost its noise.
+
+        Rounding and usual braking explain a part of the speed before.
+        """
+        sampler = self.sampler
+        still = sampler.still * self.arm.sample_time > STILL_TIME
+        measured = BEFORE_STOP * self.arm.sample_time
+        speed = sampler.stop - sampler.grain / measured - 0.5 * ACCELERATION * measured
+        stopped = speed * STILL_TIME > np.maximum(
+            self.settings.smallest_step * self.scales, sampler.grain
+        )
+        return still & (stopped | (sampler.lively > LIVELY))
+
+    def _rest(self) -> tuple[FloatArray, FloatArray]:
+        """For how long each frozen reading has rested [s], and its speed before [rad/s]."""
+        time = self.sampler.still * self.arm.sample_time
+        if time.max() <= STILL_TIME:
+            return np.zeros(self.joints), self.sampler.stop
+        followed = np.zeros(self.joints, bool)
+        followed[list(self._filters)] = True
+        return np.where(self._is_frozen() & ~followed, time, 0.0), np.maximum(
+            self.sampler.stop, 0.1
+        )
+
+    def _report_contact(self, now: float) -> None:
+        """Something pushes the arm: no sensor is to blame, and nothing is learned from it."""
+        if now > self._contact.until:
+            self._event(-1, CONTACT, now, 'raised', 0.0, 0.0)
+        self._contact.until = now + CONTACT_PAUSE
+        self.healthy = self.guarantee = None  # the load may be another one from now on
+        self.estimator.distrust(round(CONTACT_PAUSE / self.plan.interval))
+
+    @property
+    def in_contact(self) -> bool:
+        """Whether torques act from outside."""
+        return self._contact.until > self._last()
+
+    def _label(self, one: Hypothesis) -> str:
+        """Name of a hypothesis for people."""
+        return one.kind if one.joint < 0 else f'{self.arm.sensor_names[one.joint]}:{one.kind}'
+
+    def _blame(self, one: Hypothesis, share: float, now: float) -> None:
+        """A position sensor explains what nothing else does: its fault is followed from now on."""
+        i = one.joint
+        still = self.sampler.still[i] * self.arm.sample_time
+        rests = self._is_frozen()[i] or still > max(STILL_TIME, now - one.begin)
+        kind = 'stuck' if rests else one.kind
+        if kind == 'stuck' and one.kind != 'stuck':  # the rate of the joint that its reading hides
+            rate = -one.size if one.kind == 'drift' else 0.0
+            size, sigma = rate * (now - one.begin), max(0.1, one.sigma * (now - one.begin))
+        else:
+            size, sigma = one.size, one.sigma
+        last = float(self.sampler.time[-1])
+        if kind == 'stuck':
+            way = self.bank.way(i, round((last - one.begin) / self.plan.interval))
+            size, sigma = way or (size, sigma)  # a rate of its own tells how far the joint went
+        blocks = self._blocks(len(self.estimator) + 1)
+        origin = float(np.interp(one.begin, blocks[:, 3 * self.joints], blocks[:, i]))
+        self._filters[i] = begin_filter(i, kind, (one.begin, last), size, sigma, origin)
+        self.bank.leave_out_rate(i, True)
+        correct_since(self._filters[i], self.estimator, self.sampler)
+        self.healthy = self.guarantee = None  # readings are changed
+        fault, deviation = self.faults()
+        name = {'slip': 'bias'}.get(kind, kind)
+        self._raise(i, name, one.begin, float(fault[i]), float(deviation[i]), confidence=share)
+        self._suspects = ()
+
+    def _blame_rate(self, one: Hypothesis, share: float) -> None:
+        """A rate sensor contradicts its encoder, and balances say that it is the one to blame."""
+        record = self.rates[one.joint]
+        if record.active:
+            return
+        size, sigma = one.size, one.sigma
+        newest = self.bank.rate_row(one.joint)
+        if newest is not None:
+            # It began somewhere in the first interval of its window; the last one has all of it.
+            size, sigma = -newest[0] / self.plan.interval, newest[1] ** 0.5 / self.plan.interval
+        record.confirm('rate_bias', one.begin, abs(size))
+        self.bank.leave_out_rate(one.joint, True)
+        self.sampler.rate_error[one.joint] = size
+        self._event(one.joint, 'rate_bias', one.begin, 'raised', size, sigma,
+                    confidence=share)  # fmt: skip
+
+    def _decide_levels(self, now: float) -> None:
+        """Offsets that gravity and motion show."""
+        level, settings = self.estimator.level, self.settings
+        offsets, sigma = level.mean[: self.joints], level.sigma
+        shown = sigma < settings.widest_level * self.scales
+        self._known += np.where(shown, self.plan.interval, 0.0)
+        prior = self.estimator.prior[: self.joints]
+        gain = 0.5 * (offsets / sigma) ** 2 - np.log(prior / sigma)
+        # An offset may have been there before the first sample; later ones come at any time, and
+        # every horizon is another chance of a false alarm.
+        at_start = math.log(1.0 / settings.fault_at_start)
+        later = settings.threshold(settings.horizon)
+        needed = np.where(self._known < settings.horizon, at_start, later)
+        beyond = shown & (gain > needed) & (np.abs(offsets) > settings.smallest_level * self.scales)
+        beyond &= ~self._raise_certified(now)
+        for i in np.nonzero(beyond)[0]:
+            sensor = self.sensors[i]
+            if sensor.active or self.sampler.noisy[i]:
+                continue
+            if self.bank.offset_against_contact(int(i)) < self._sure:
+                self._suspects = (f'{self.arm.sensor_names[i]}:bias', CONTACT)
+                continue
+            self._evaluate_guarantee()
+            guaranteed = self.guarantee is not None and bool(self.guarantee.exceeded[i])
+            sensor.level = True
+            sensor.unproved = not guaranteed
+            fault, deviation = self.faults()
+            share = 1.0 - math.exp(-min(float(gain[i]), 50.0))
+            self._raise(int(i), 'bias', 0.0, float(fault[i]), float(deviation[i]), guaranteed,
+                        share)  # fmt: skip
+
+    @property
+    def _sure(self) -> float:
+        """Log Bayes factor by which a cause is named against another one."""
+        return -math.log(self.settings.probability_of_wrong_name)
+
+    def _raise_certified(self, now: float) -> BoolArray:
+        """Offsets that the designed observer's reachable set excludes of a healthy arm.
+
+        The horizon must not contradict them: the rates that the set rests on would be wrong.
+        """
+        certified = np.zeros(self.joints, bool)
+        if self.certified_level is None:
+            return certified
+        fault, bound = self.certified_level()
+        beyond = np.abs(fault) > np.maximum(bound, self.settings.smallest_level * self.scales)
+        level, sigmas = self.estimator.level, self.settings.sigmas
+        beyond &= np.abs(level.mean[: self.joints] - fault) < bound + sigmas * level.sigma
+        for i in np.nonzero(beyond)[0]:
+            if self.sensors[i].active or self.sampler.noisy[i]:
+                continue
+            if self.bank.offset_against_contact(int(i)) < self._sure:
+                continue  # an unknown load explains it as well
+            certified[i] = self.sensors[i].level = True
+            # The set bounds what a healthy arm shows, not how fast an offset is found.
+            size, sigma = self.faults()
+            self._raise(int(i), 'bias', now, float(size[i]), float(sigma[i]), True)
+        return certified
+
+    def _end_faults(self, now: float) -> None:
+        """Faults that are over are cleared once they have been over for long enough."""
+        if self.settings.latch or not any(one.active for one in (*self.sensors, *self.rates)):
+            return
+        sigma, level = self.faults()[1], self.estimator.level
+        for i, sensor in enumerate(self.sensors):
+            if not sensor.active:
+                continue
+            # Gravity's word counts where it was confirmed, or is sure beside the fault.
+            counts = sensor.level or 4.0 * level.sigma[i] < sensor.peak
+            left = float(self.taken_out()[i] + counts * level.mean[i])
+            if sensor.kind == 'noise':
+                over = self.sampler.noisy[i] == 0
+            elif sensor.kind == 'stuck':
+                over = self.sampler.still[i] * self.arm.sample_time < STILL_TIME
+                if over and i in self._filters:
+                    self._forget(i)
+            else:
+                smallest = self.settings.smallest_level * self.scales[i]
+                limit = 0.7 * max(smallest, 4.0 * sigma[i])
+                over = abs(left) < min(0.3 * sensor.peak, limit)
+            sensor.unseen &= over or not self._shows(i)
+            if sensor.watch_end(over, now, self.settings.clear_dwell, abs(left)):
+                self._forget(i)
+                self._event(i, sensor.kind, now, 'cleared', left, float(sigma[i]))
+                sensor.clear()
+        for i, record in enumerate(self.rates):
+            taken_out = float(self.sampler.rate_error[i])
+            if record.active and record.watch_end(
+                self.bank.rate_agrees(i, taken_out), now, self.settings.clear_dwell, 0.0
+            ):
+                self.bank.leave_out_rate(i, False)
+                self.sampler.rate_error[i] = 0.0
+                self._event(i, record.kind, now, 'cleared', 0.0, 0.0)
+                record.clear()
+
+    def _shows(self, i: int) -> bool:
+        """Whether a fault of sensor i would be seen to be over, if it were."""
+        sensor = self.sensors[i]
+        largest = max(sensor.peak, self.settings.smallest_level)
+        return sensor.kind in {'noise', 'stuck'} or 4.0 * self.estimator.level.sigma[i] < largest
+
+    def _forget(self, i: int) -> None:
+        """Take nothing out of the readings of sensor i any more; what is estimated stays true."""
+        sampler = self.sampler
+        out = float(self.taken_out()[i])
+        if self._filters.pop(i, None) is not None or self.sensors[i].kind == 'noise':
+            self.bank.leave_out_rate(i, self.rates[i].active)
+        sampler.correction[i] = sampler.followed[i] = sampler.drift[i] = sampler.share[i] = 0.0
+        self._correction[i] = 0.0
+        if out == 0.0:
+            return
+        sampler.samples[:, 0, i] += out
+        sampler.blocks[:, i] += out
+        sampler.sums[0, i] += out * sampler.counters[1]
+        self.estimator.move_reference(i, out)
+
+    def _mark_suspects(self) -> None:
+        """Sensors whose fault may explain a contradiction."""
+        suspected = {one.partition(':')[0] for one in self._suspects}
+        for name, sensor in zip(self.arm.sensor_names, self.sensors):
+            sensor.suspect(name in suspected)
+
+    def _evaluate_guarantee(self) -> None:
+        """Guaranteed thresholds now; statistical alarms of offsets beyond them are confirmed."""
+        if self.healthy is None:
+            return
+        self.guarantee = self.healthy.evaluate()
+        sigma = self.estimator.level.sigma
+        for i, sensor in enumerate(self.sensors):
+            if sensor.active and sensor.unproved and self.guarantee.exceeded[i]:
+                size = float(self.guarantee.estimate[i])
+                sensor.unproved = False
+                self._raise(i, 'bias', sensor.onset, size, float(sigma[i]), True)

@@ -1,0 +1,215 @@
+"""Directions in which the parameters of an arm may be wrong.
+
+The errors F^T z, z ~ N(0, I), of all parameters have many components that no motion shows.  What
+torques show of them is found from sampled motions: E F^T = U S V^T with E the regressors of the
+momentum's forces and of friction; rows of V^T F are independent directions of unit weight, largest
+effect first.  An identification knows masses and friction better together than each for itself.
+"""
+
+import numpy as np
+
+from lpv.core.serial_arm.chain import COULOMB as DRY
+from lpv.core.serial_arm.chain import MASS, MX, SLOPE, VISCOUS, Chain, FloatArray, joint_count
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.dynamics.model import SerialModel
+from lpv.core.serial_arm.dynamics.payload import PAYLOAD_PLACE, payload_parameters
+
+MODEL_ERROR = 0.05
+"""Relative standard deviation of masses and inertias that were not identified."""
+USUAL_ACCELERATION = 2.0
+"""Of a joint in the motions of an arm [rad/s2]."""
+USUAL_RATE = 1.0
+"""The same [rad/s]."""
+_SAMPLES = 100
+_NEGLIGIBLE = 0.005
+"""Directions with a smaller effect on the torques of all joints, relative to them, are left out."""
+
+
+def parameter_factor(arm: SerialArm, chain: Chain) -> FloatArray:
+    """Square root F of the covariance F^T F of inertial parameters, friction and gains of drives.
+
+    Parameters
+    ----------
+    arm : SerialArm
+        Its covariance is taken where it was identified, else `MODEL_ERROR` without friction.
+    chain : Chain
+        The same arm, compiled.
+
+    Returns
+    -------
+    ndarray, shape (rows, 15 n)
+        Columns: 10 inertial parameters of each link; viscous, Coulomb and load-dependent friction,
+        offsets and relative gains of all joints.  Rows of the unknown payload: mass, and its place
+        by `PAYLOAD_PLACE`.  Where efforts are no torques, gains of drives are known as well as
+        masses are; those that were identified hold for the arm as it was, not for its load.
+    """
+    n = joint_count(chain)
+    if arm.covariance is not None:
+        factor = np.array(arm.covariance.factor)
+        identified = np.delete(factor, np.arange(10 * n, 11 * n), 1)  # all but the rotors
+        rows = [_with_drives(identified, n)]
+    else:
+        rows = [_with_drives(relative_factor(chain, model_error(arm)), n)]
+    if arm.effort_unit != 'N m':
+        rows.append(np.hstack([np.zeros((n, 14 * n)), model_error(arm) * np.eye(n)]))
+    mass = arm.uncertainty.payload
+    if mass > 0.0:
+        load = np.zeros((4, n, 10))
+        at_tip = payload_parameters(chain, mass)
+        load[0, -1] = at_tip
+        for k in range(3):
+            load[1 + k, -1, MX + k] = PAYLOAD_PLACE * mass
+        rows.append(_with_drives(load.reshape(4, -1), n))
+    return np.vstack(rows)
+
+
+def model_error(arm: SerialArm) -> float:
+    """Relative standard deviation of masses and inertias; that of the file, if it states one."""
+    return arm.uncertainty.model_error or MODEL_ERROR
+
+
+def typical_torque(chain: Chain) -> FloatArray:
+    """Torques that move the arm, whatever its drives could give.
+
+    Parameters
+    ----------
+    chain : Chain
+        The arm.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Root mean square over poses of gravity's torque, with that of an usual acceleration of the
+        joint and its friction [N m].
+    """
+    model, poses = SerialModel(chain), _poses(np.random.default_rng(0), chain)
+    gravity = np.mean([model.gravity(q) ** 2 for q in poses], axis=0)
+    inertia = np.mean([np.diag(model.mass_matrix(q)) for q in poses], axis=0)
+    friction = np.abs(chain.friction[:, VISCOUS]) * USUAL_RATE + np.abs(chain.friction[:, DRY])
+    return np.sqrt(gravity + (USUAL_ACCELERATION * inertia) ** 2 + friction**2)
+
+
+def momentum_noise(arm: SerialArm, chain: Chain, interval: float) -> FloatArray:
+    """Noise that the sensors' noise makes in the difference of two neighbouring mean momenta.
+
+    A derived rate is, in the mean of an interval, the difference of the readings at its ends; the
+    reading between two intervals counts twice.
+
+    Parameters
+    ----------
+    arm : SerialArm
+        Its sensors.
+    chain : Chain
+        The same arm.
+    interval : float
+        Over which momenta are averaged [s].
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Standard deviations, root mean square over poses [N m s].
+    """
+    model, poses = SerialModel(chain), _poses(np.random.default_rng(0), chain)
+    samples = interval / arm.sample_time
+    rate = np.array([
+        np.sqrt(2.0 / samples) * one.velocity_noise if one.rates == 'independent'
+        else np.sqrt(6.0 * (one.position_noise**2 + one.quantization**2 / 12.0)) / interval
+        for one in (joint.sensors for joint in arm.joints)
+    ])  # fmt: skip
+    to_joints = arm.sensors_to_joints()
+    parts = np.mean([(model.mass_matrix(q) @ to_joints) ** 2 for q in poses], axis=0)
+    return np.sqrt(parts @ rate**2)
+
+
+def _with_drives(factor: FloatArray, n: int) -> FloatArray:
+    """The same rows, with columns of the drives that they leave as they are."""
+    return np.hstack([factor, np.zeros((len(factor), 15 * n - factor.shape[1]))])
+
+
+def relative_factor(chain: Chain, relative: float) -> FloatArray:
+    """Independent relative errors: mass of each link, place of its mass, and its inertias.
+
+    Parameters
+    ----------
+    chain : Chain
+        The arm.
+    relative : float
+        Standard deviation of each.
+
+    Returns
+    -------
+    ndarray, shape (rows, 10 n)
+        Rows F of the covariance F^T F.
+    """
+    n = joint_count(chain)
+    rows = []
+    for i in range(n):
+        body = chain.inertial[i]
+        whole = np.zeros((n, 10))
+        whole[i] = relative * body
+        rows.append(whole)
+        reach = np.linalg.norm(body[MX : MX + 3]) / max(body[MASS], 1e-9)
+        for k in range(MX, 10):
+            size = body[MASS] * reach if k < 4 else np.trace(_inertia(body)) / 2.0
+            part = np.zeros((n, 10))
+            part[i, k] = relative * size / 2.0
+            rows.append(part)
+    return np.array(rows).reshape(len(rows), -1)
+
+
+def _inertia(body: FloatArray) -> FloatArray:
+    xx, xy, yy, xz, yz, zz = body[4:]
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def parameter_directions(
+    chain: Chain, factor: FloatArray, speed: FloatArray, limit: int = 16
+) -> tuple[FloatArray, FloatArray]:
+    """The directions that matter most.
+
+    Parameters
+    ----------
+    chain : Chain
+        The arm.
+    factor : ndarray, shape (rows, 15 n)
+        F of `parameter_factor`.
+    speed : ndarray, shape (n,)
+        Usual rates [rad/s].
+    limit : int, optional
+        At most so many directions.
+
+    Returns
+    -------
+    tuple of ndarray, shapes (k, n, 10) and (k, n, 5)
+        Inertial parameters, and friction (columns of `Chain.friction`) with relative gains, of
+        independent directions of standard deviation one.
+    """
+    n = joint_count(chain)
+    model, rng = SerialModel(chain), np.random.default_rng(0)
+    forces, frictions = [], []
+    for q in _poses(rng, chain):
+        rate = speed * rng.uniform(-1.0, 1.0, n)
+        force = model.momentum_regressor(q, rate)[1]
+        forces.append(force)
+        load = force @ chain.inertial.ravel()
+        sign = 2.0 / np.pi * np.arctan(chain.friction[:, SLOPE] * rate)
+        drives = rate, sign, np.abs(load) * sign, 1.0 + 0.0 * rate, load
+        frictions.append(-np.hstack([np.diag(one) for one in drives]))
+    usual = np.sqrt(np.mean([(force @ chain.inertial.ravel()) ** 2 for force in forces], axis=0))
+    usual = np.maximum(usual, 0.01 * usual.max() + 1e-9)
+    effects = np.array([
+        (np.hstack(both) / usual[:, None]) @ factor.T for both in zip(forces, frictions)
+    ])  # fmt: skip
+    right = np.linalg.svd(effects.reshape(-1, len(factor)), full_matrices=False)[2]
+    sizes = np.sqrt(((effects @ right.T) ** 2).mean(0)).max(0)
+    found = right[:limit][sizes[:limit] > _NEGLIGIBLE] @ factor
+    friction = found[:, 10 * n :].reshape(-1, 5, n).transpose(0, 2, 1)
+    return (
+        np.ascontiguousarray(found[:, : 10 * n].reshape(-1, n, 10)), np.ascontiguousarray(friction)
+    )  # fmt: skip
+
+
+def _poses(rng: np.random.Generator, chain: Chain) -> FloatArray:
+    """All angles, and prismatic joints within half a metre to each side."""
+    turned = np.where(chain.prismatic, 0.5 / np.pi, 1.0)
+    return turned * rng.uniform(-np.pi, np.pi, (_SAMPLES, joint_count(chain)))

@@ -1,0 +1,663 @@
+"""From samples to momentum balances: jumps of readings, means of some samples, intervals.
+
+A reading that jumps shows in
+
+    e_k = y_k - y_(k-1) - T (v_(k-1) + v_(k+1)) / 2,
+
+which leaves out v_k: where rates are differences of the same reading, v_k jumps with it.  Rates
+that are independent may leave out another one.  A wrong stamp shows as e = v dt in all joints: a
+repeated sample is late by a period.  Where only one joint moves, a step is told from a wrong stamp
+by the samples that follow.  A reading that jumps again and again is noisy.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from lpv.core.serial_arm.chain import FloatArray, IntArray
+from lpv.core.serial_arm.diagnosis.balance import Balance, add_block, close_interval, drop_interval
+from lpv.core.serial_arm.diagnosis.information import ROBUST
+from lpv.core.support.jit import njit_in_place
+
+HISTORY = 8
+"""Samples that are kept for the test of jumps; a sample enters the balance ``DELAY`` later."""
+DELAY = 5
+NONE, STEP, SPIKE, NOISY, QUIET = range(5)
+"""What was found at a reading; the last two say that it began, or ceased, to be noisy."""
+COUNT, IN_BLOCK, IN_INTERVAL, PENDING, BLOCKS = range(5)
+"""Entries of `Sampler.counters`: samples since the start, in the block; blocks in the interval;
+sensor-independent age of a jump that waits for its kind, -1 if none; blocks written."""
+TIME, INTERVAL_START, BLOCK_START, STAMPS, TIMES = range(5)
+"""Entries of `Sampler.clock` [s]; the fourth one is 1 once a stamp has been wrong, the last one is
+the sum of the block's stamps."""
+ROUNDING = 1e-12
+"""Change of a reading that rounding explains, where it was found from joint positions [rad]."""
+JUMP_SCALE = 10.0
+"""A jump is larger than so many times the usual size of e."""
+_SLOW = 0.05
+"""Rates that do not tell whether a stamp is wrong [rad/s]."""
+LATE = 1.5
+"""Largest error of a stamp, over the time since the sample before."""
+_USUAL = 5.0
+"""Sizes of e, over the usual one, that are nothing special."""
+BEFORE_STOP = 3
+"""Periods before a reading comes to rest over which its speed is measured."""
+SCALE_MEMORY = 256.0
+"""Samples over which the usual size of e, and that a reading has noise, are learned."""
+NOISE_MEMORY = 32.0
+"""Samples over which jumps of a reading are counted."""
+_NOISE_COUNT = 4.5
+"""Jumps among those that are noise: a spike in a reading and in the rate that is derived from it
+makes four."""
+_QUIET_COUNT = 0.5
+"""... and from which on the noise is over."""
+
+
+class Sampler(NamedTuple):
+    """Samples on their way into the balance."""
+
+    time: FloatArray  # stamps of the last samples, newest last, shape (HISTORY,) [s]
+    samples: FloatArray  # readings, rates, torques, shape (HISTORY, 3, n)
+    jumps: FloatArray  # e of each, shape (HISTORY, n)
+    scale: FloatArray  # usual size of e, shape (n,) [rad]
+    smallest: FloatArray  # smallest jump that is looked for, shape (n,) [rad]
+    correction: FloatArray  # (n,) jumps that are removed from the reading [rad]
+    followed: FloatArray  # (n,) fault that changes, and is removed, too [rad]
+    drift: FloatArray  # (n,) its rate [rad/s]
+    share: FloatArray  # (n,) of the reading that is removed as a scale error [-]
+    rate_error: FloatArray  # (n,) bias of the rate sensor that is removed [rad/s]
+    derived: FloatArray  # 1 where the rate is derived from the reading, shape (n,)
+    sums: FloatArray  # of the current block, shape (3, n)
+    blocks: FloatArray  # (capacity, 3 n + 3) ring: y, v, tau of blocks; mean time, length, place
+    found: IntArray  # `STEP`, `SPIKE` or `NONE` of the last sample, shape (n,)
+    size: FloatArray  # height of a step that was found, shape (n,) [rad]
+    raw: FloatArray  # last reading as it came, shape (n,) [rad]
+    still: IntArray  # samples for which the reading has not changed at all, shape (n,)
+    held: IntArray  # the same before the last change, if that was the last sample, shape (n,)
+    lively: FloatArray  # (n,) share of changes that go back and forth by more than rounding
+    stop: FloatArray  # speed of the reading before it came to rest, shape (n,) [rad/s]
+    grain: FloatArray  # (n,) smallest change of the reading, at least its rounding step [rad]
+    noise: FloatArray  # (3, n) jumps lately, usual e^2 while noisy [rad2], correction before [rad]
+    noisy: IntArray  # (n,) 1 while a reading is noisy
+    doubtful: IntArray  # (HISTORY, n) 1: a wrong stamp explains e; 2: and samples were missing
+    counters: IntArray  # (5,)
+    clock: FloatArray  # moments, shape (5,) [s]
+
+
+def new_sampler(
+    derived: FloatArray, scale: FloatArray, smallest: FloatArray, capacity: int
+) -> Sampler:
+    """A sampler without samples.
+
+    Parameters
+    ----------
+    derived : ndarray, shape (n,)
+        1 where a rate is derived from its reading.
+    scale, smallest : ndarray, shape (n,)
+        Usual size of e to begin with, and smallest jump [rad].
+    capacity : int
+        Blocks that are kept.
+
+    Returns
+    -------
+    Sampler
+        All zero otherwise.
+    """
+    n = len(derived)
+    counters = np.zeros(5, np.int64)
+    counters[PENDING] = -1
+    return Sampler(
+        np.zeros(HISTORY), np.zeros((HISTORY, 3, n)), np.zeros((HISTORY, n)), scale.copy(),
+        smallest.copy(), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n),
+        derived.copy(), np.zeros((3, n)), np.zeros((capacity, 3 * n + 3)), np.zeros(n, np.int64),
+        np.zeros(n),
+        np.zeros(n), np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n), np.zeros(n),
+        np.full(n, np.inf),
+        np.zeros((3, n)),
+        np.zeros(n, np.int64), np.zeros((HISTORY, n), np.int64), counters,
+        np.zeros(5))  # fmt: skip
+
+
+@njit_in_place
+def push_sample(
+    sampler: Sampler, time: float, y: FloatArray, v: FloatArray, torque: FloatArray
+) -> None:
+    """Append a sample, with faults that are known removed, and test the one before for jumps.
+
+    Parameters
+    ----------
+    sampler : Sampler
+        Changed: ``found`` and ``size`` say what has been found at samples before.
+    time : float
+        Stamp [s].
+    y, v, torque : ndarray, shape (n,)
+        Readings, rates, torques [rad], [rad/s], [N m].
+    """
+    n, before = y.shape[0], HISTORY - 2 - BEFORE_STOP
+    period = time - sampler.time[HISTORY - 1]
+    for k in range(HISTORY - 1):
+        sampler.time[k] = sampler.time[k + 1]
+        for i in range(n):
+            sampler.jumps[k, i] = sampler.jumps[k + 1, i]
+            sampler.doubtful[k, i] = sampler.doubtful[k + 1, i]
+            for part in range(3):
+                sampler.samples[k, part, i] = sampler.samples[k + 1, part, i]
+    sampler.time[HISTORY - 1] = time
+    for i in range(n):
+        sampler.found[i] = NONE
+        if sampler.counters[COUNT] > 0:
+            sampler.followed[i] += sampler.drift[i] * period
+        reading = y[i] - removed(sampler, i, y[i])
+        sampler.held[i] = 0
+        if abs(y[i] - sampler.raw[i]) > ROUNDING:
+            sampler.held[i], sampler.still[i] = sampler.still[i], 0
+            if sampler.counters[COUNT] > 0:
+                _watch_change(sampler, i, y[i] - sampler.raw[i])
+        else:
+            sampler.still[i] += 1
+            if sampler.still[i] == 1 and sampler.counters[COUNT] <= BEFORE_STOP:
+                sampler.stop[i] = 0.0
+            elif sampler.still[i] == 1:
+                way = sampler.samples[HISTORY - 2, 0, i] - sampler.samples[before, 0, i]
+                sampler.stop[i] = abs(way) / (sampler.time[HISTORY - 2] - sampler.time[before])
+        sampler.raw[i] = y[i]
+        sampler.samples[HISTORY - 1, 0, i] = reading
+        rate = v[i] - sampler.derived[i] * (sampler.drift[i] + sampler.share[i] * v[i])
+        rate -= sampler.rate_error[i]
+        sampler.samples[HISTORY - 1, 1, i] = rate
+        sampler.samples[HISTORY - 1, 2, i] = torque[i]
+    _fill_repeated(sampler)
+    if sampler.counters[COUNT] > 1 and period > LATE * (
+        sampler.time[HISTORY - 2] - sampler.time[HISTORY - 3]
+    ):
+        sampler.clock[STAMPS] = 1.0
+    sampler.counters[COUNT] += 1
+    if sampler.counters[COUNT] >= 3:
+        _set_jumps(sampler)
+        _find_jumps(sampler)
+
+
+@njit_in_place
+def _fill_repeated(sampler: Sampler) -> None:
+    """Move readings that were repeated to where the joints were: their driver was late.
+
+    They went evenly to their new readings, if their rates before explain these, else on at those.
+    """
+    now, n, evenly = HISTORY - 1, sampler.scale.shape[0], True
+    for i in range(n):
+        held, reading = sampler.held[i], sampler.samples[:, 0, i]
+        if held > 0 and not _is_late(sampler, i):  # it rested
+            if sampler.derived[i] == 1.0 and sampler.counters[COUNT] > 0:
+                time = (held + 1) * (sampler.time[now] - sampler.time[now - 1])
+                sampler.samples[now, 1, i] = (reading[now] - reading[now - 1]) / time
+        elif held > 0:
+            time, way, rate = _since_change(sampler, i)
+            most = _smallest_jump(sampler.scale[i], sampler.smallest[i])
+            evenly = evenly and abs(way - rate * time) <= most
+    for i in range(n):
+        if sampler.held[i] == 0 or not _is_late(sampler, i):
+            continue
+        old = now - 1 - sampler.held[i]
+        time, way, rate = _since_change(sampler, i)
+        rate = way / time if evenly else rate
+        for k in range(old + 1, now):
+            since = sampler.time[k] - sampler.time[old]
+            sampler.samples[k, 0, i] = sampler.samples[old, 0, i] + rate * since
+        if sampler.derived[i] == 1.0:
+            sampler.samples[old + 1 :, 1, i] = rate
+
+
+@njit_in_place
+def _is_late(sampler: Sampler, i: int) -> bool:
+    """Whether the samples in which a reading was repeated are still to enter the balance."""
+    return bool(sampler.held[i] <= min(DELAY, sampler.counters[COUNT] - 2))
+
+
+@njit_in_place
+def _since_change(sampler: Sampler, i: int) -> tuple[float, float, float]:
+    """Time since the change before the last one, way since then, and rate that it should have had.
+
+    Rates of readings that go back and forth by their rounding are none.
+    """
+    now, old, rate = HISTORY - 1, HISTORY - 2 - sampler.held[i], sampler.samples[:, 1, i]
+    way = sampler.samples[now, 0, i] - sampler.samples[old, 0, i]
+    time = sampler.time[now] - sampler.time[old]
+    if abs(way) < 2.5 * sampler.grain[i]:
+        return time, way, way / time
+    return time, way, rate[old] if sampler.derived[i] == 1.0 else 0.5 * (rate[old] + rate[now])
+
+
+@njit_in_place
+def _watch_change(sampler: Sampler, i: int, change: float) -> None:
+    """Learn rounding and noise of a reading from a change of it, before its sample is kept."""
+    last, k = sampler.samples[:, 0, i], HISTORY - 2
+    sampler.grain[i] = min(sampler.grain[i], abs(change))
+    least, before, first = 1.5 * sampler.grain[i], last[k] - last[k - 1], last[k - 1] - last[k - 2]
+    alternates = change * before < 0.0 and before * first < 0.0
+    beyond = min(abs(change), abs(before), abs(first)) > least
+    sampler.lively[i] += (
+        (1.0 if alternates and beyond else 0.0) - sampler.lively[i]
+    ) / SCALE_MEMORY
+
+
+@njit_in_place
+def removed(sampler: Sampler, i: int, reading: float) -> float:
+    """What is taken out of a reading of sensor i [rad]."""
+    return float(sampler.correction[i] + sampler.followed[i] + sampler.share[i] * reading)
+
+
+@njit_in_place
+def _set_jumps(sampler: Sampler) -> None:
+    """Write e of the last sample but one, less what a wrong stamp explains."""
+    k, n, beyond = HISTORY - 2, sampler.scale.shape[0], False
+    period = sampler.time[k] - sampler.time[k - 1]
+    for i in range(n):
+        sampler.jumps[k, i] = _way(sampler, i) - period * _mean_rate(sampler, i)
+        sampler.doubtful[k, i] = 0
+        beyond = beyond or _is_beyond(sampler, i, k)
+    if not beyond:
+        return
+    late = _wrong_stamp(sampler, period)
+    for i in range(n):
+        sampler.jumps[k, i] = _unexplained(sampler, i, period + late)
+    gap, together = _gap(sampler), 0
+    if late != 0.0:
+        sampler.clock[STAMPS] = 1.0
+    for i in range(n):
+        if _is_beyond(sampler, i, k):
+            together += 1
+    for i in range(n):
+        if not _is_beyond(sampler, i, k):
+            continue
+        # Readings that jump together have a common cause, if their motion explains it.
+        explained = LATE * gap * _largest_rate(sampler, i, HISTORY)
+        if together > 1:
+            explained = max(explained, 2.0 * LATE * period * _largest_rate(sampler, i, k))
+        if abs(sampler.jumps[k, i]) < explained:
+            sampler.doubtful[k, i] = 2
+            sampler.clock[STAMPS] = 1.0
+        elif _may_be_stamp(sampler, i, period):
+            sampler.doubtful[k, i] = 1
+
+
+@njit_in_place
+def _gap(sampler: Sampler) -> float:
+    """Longest of the last periods, if samples are missing there; stamps around it are wrong [s]."""
+    k, usual, longest = HISTORY - 2, np.inf, 0.0
+    for j in range(2, HISTORY):
+        period = sampler.time[j] - sampler.time[j - 1]
+        if sampler.time[j - 1] > 0.0:
+            usual = min(usual, period)
+    for j in range(k - 2, k + 2):
+        longest = max(longest, sampler.time[j] - sampler.time[j - 1])
+    return longest if longest > LATE * usual else 0.0
+
+
+@njit_in_place
+def _largest_rate(sampler: Sampler, i: int, end: int) -> float:
+    """Largest rate of a joint in the last samples before one [rad/s]."""
+    largest = 0.0
+    for j in range(HISTORY - 6, end):
+        largest = max(largest, abs(sampler.samples[j, 1, i]))
+    return largest
+
+
+@njit_in_place
+def _is_beyond(sampler: Sampler, i: int, k: int) -> bool:
+    """Whether a reading jumped at a sample."""
+    return bool(abs(sampler.jumps[k, i]) > _smallest_jump(sampler.scale[i], sampler.smallest[i]))
+
+
+@njit_in_place
+def _unexplained(sampler: Sampler, i: int, period: float) -> float:
+    """What no two of three rates explain of a way, if they are independent [rad].
+
+    A joint that shakes faster than it is sampled does not jump, nor does one whose rate is wrong.
+    """
+    k, rate, way = HISTORY - 2, sampler.samples[:, 1, i], _way(sampler, i)
+    least = way - period * _mean_rate(sampler, i)
+    if sampler.derived[i] == 0.0:
+        for other in (k - 1, k + 1):
+            rest = way - 0.5 * period * (rate[k] + rate[other])
+            least = rest if abs(rest) < abs(least) else least
+    return least
+
+
+@njit_in_place
+def _way(sampler: Sampler, i: int) -> float:
+    """By how much the last reading but one differs from that before [rad]."""
+    return float(sampler.samples[HISTORY - 2, 0, i] - sampler.samples[HISTORY - 3, 0, i])
+
+
+@njit_in_place
+def _mean_rate(sampler: Sampler, i: int) -> float:
+    """Mean rate of a joint before and after the last sample but one [rad/s].
+
+    The difference of readings that are repeated is none.
+    """
+    before, after = sampler.samples[HISTORY - 3, 1, i], sampler.samples[HISTORY - 1, 1, i]
+    if sampler.derived[i] == 1.0 and abs(_way(sampler, i)) <= ROUNDING:
+        return 0.0
+    if sampler.derived[i] == 1.0 and sampler.still[i] > 0:
+        return float(before)
+    return float(0.5 * (before + after))
+
+
+@njit_in_place
+def _wrong_stamp(sampler: Sampler, period: float) -> float:
+    """By how much the stamp of the last sample but one is wrong, 0 if that explains nothing [s].
+
+    It has to explain two joints at least, and more than it spoils: a joint may have jumped as well.
+    """
+    jumps, n, late, best = sampler.jumps[HISTORY - 2], sampler.scale.shape[0], 0.0, 1
+    for c in range(n):
+        rate = _mean_rate(sampler, c)
+        # A period is wrong by the errors of two stamps.
+        if abs(rate) < _SLOW or abs(jumps[c]) > 2.0 * LATE * period * abs(rate):
+            continue
+        gained, common, weight = 0, 0.0, 0.0
+        for i in range(n):
+            own = _mean_rate(sampler, i)
+            way, usual = jumps[c] / rate * own, _USUAL * sampler.scale[i]
+            if max(abs(way), abs(jumps[i])) <= usual:
+                continue
+            if abs(jumps[i] - way) < max(0.5 * abs(way), usual):
+                gained, common, weight = gained + 1, common + jumps[i] * own, weight + own * own
+            else:
+                gained -= abs(jumps[i]) <= usual
+        if gained > best:
+            best, late = gained, common / weight
+    return late
+
+
+@njit_in_place
+def _may_be_stamp(sampler: Sampler, i: int, period: float) -> bool:
+    """Whether a wrong stamp explains the jump of one joint, and no other joint contradicts."""
+    jumps, rate = sampler.jumps[HISTORY - 2], _mean_rate(sampler, i)
+    if abs(jumps[i]) > LATE * period * abs(rate):
+        return False
+    for j in range(sampler.scale.shape[0]):
+        way = jumps[i] / rate * _mean_rate(sampler, j)
+        if j != i and abs(jumps[j] - way) > max(0.5 * abs(way), _USUAL * sampler.scale[j]):
+            return False
+    return True
+
+
+@njit_in_place
+def _find_jumps(sampler: Sampler) -> None:
+    """After a large e, name clear steps at once, and what else it is 3 samples later."""
+    n, k, waits = sampler.scale.shape[0], HISTORY - 2, sampler.counters[PENDING] >= 0
+    for i in range(n):
+        beyond = _is_beyond(sampler, i, k)
+        _watch_noise(sampler, i, beyond)
+        if sampler.noisy[i] == 1:
+            continue
+        if beyond:
+            sampler.counters[PENDING] = max(sampler.counters[PENDING], 0)
+        elif not waits:
+            bounded = min(abs(sampler.jumps[k, i]), ROBUST * sampler.scale[i])
+            change = bounded * bounded - sampler.scale[i] * sampler.scale[i]
+            sampler.scale[i] = np.sqrt(sampler.scale[i] * sampler.scale[i] + change / SCALE_MEMORY)
+    if waits:
+        sampler.counters[PENDING] += 1
+    elif sampler.counters[PENDING] < 0:
+        return
+    for i in range(n):
+        if sampler.noisy[i] == 0 and _is_clear_step(sampler, i):
+            _remove_step(sampler, i, k)
+            sampler.jumps[k - 1, i] = 0.0
+    if sampler.counters[PENDING] < 3:
+        return
+    sampler.counters[PENDING] = -1
+    for i in range(n):
+        if sampler.found[i] == NONE and sampler.noisy[i] == 0:
+            _name_jump(sampler, i)
+
+
+@njit_in_place
+def _watch_noise(sampler: Sampler, i: int, beyond: bool) -> None:
+    """Count jumps of a reading; many are noise, and no steps."""
+    count, square, before = sampler.noise[:, i]
+    jump = sampler.jumps[HISTORY - 2, i]
+    if sampler.noisy[i] == 0 and count < _QUIET_COUNT:
+        square, before = 0.0, sampler.correction[i]
+    count += 1.0 if beyond and sampler.doubtful[HISTORY - 2, i] == 0 else 0.0
+    count -= count / NOISE_MEMORY
+    if sampler.noisy[i] == 1 or beyond:
+        square += (jump * jump - square) / (8.0 if square < jump * jump else NOISE_MEMORY)
+    if sampler.noisy[i] == 0 and count > _NOISE_COUNT:
+        sampler.noisy[i] = 1
+        sampler.found[i] = NOISY
+        wrong = sampler.correction[i] - before
+        sampler.correction[i] = before
+        for k in range(HISTORY):
+            sampler.samples[k, 0, i] += wrong
+    elif sampler.noisy[i] == 1 and count < _QUIET_COUNT:
+        sampler.noisy[i] = 0
+        sampler.found[i] = QUIET
+    sampler.noise[0, i], sampler.noise[1, i], sampler.noise[2, i] = count, square, before
+
+
+@njit_in_place
+def _smallest_jump(scale: float, smallest: float) -> float:
+    """Size of e beyond which a reading jumps."""
+    return max(JUMP_SCALE * scale, smallest)
+
+
+@njit_in_place
+def _is_clear_step(sampler: Sampler, i: int) -> bool:
+    """Whether the last sample but one jumped and the last one confirms it, whatever the rates."""
+    k, samples = HISTORY - 2, sampler.samples
+    jump = sampler.jumps[k, i]
+    if sampler.doubtful[k, i] > 0 or sampler.doubtful[k - 1, i] > 0:
+        return False
+    if abs(jump) <= max(
+        _smallest_jump(sampler.scale[i], sampler.smallest[i]), abs(sampler.jumps[k - 1, i]) / 0.6
+    ):
+        return False
+    way = samples[k + 1, 0, i] - samples[k - 1, 0, i] - jump
+    period = sampler.time[k + 1] - sampler.time[k - 1]
+    before, after = samples[k - 1, 1, i], samples[k + 1, 1, i]
+    largest = max(abs(way - period * before), abs(way - 0.5 * period * (before + after)))
+    return largest < 0.3 * abs(jump)
+
+
+@njit_in_place
+def _name_jump(sampler: Sampler, i: int) -> None:
+    """Tell steps, spikes and wrong rates apart by the pattern of e, and remove them."""
+    first, last = HISTORY - 5, HISTORY - 2
+    largest = 0.0
+    for k in range(first, last):
+        largest = max(largest, abs(sampler.jumps[k, i]))
+    peak = first
+    while abs(sampler.jumps[peak, i]) < 0.9 * largest:
+        peak += 1
+    size, after = sampler.jumps[peak, i], sampler.jumps[peak + 1, i]
+    if abs(size) <= _smallest_jump(sampler.scale[i], sampler.smallest[i]):
+        return
+    doubt = sampler.doubtful[peak, i]
+    if abs(after + size) < 0.3 * abs(size):
+        doubt = max(doubt, sampler.doubtful[peak + 1, i])
+        sampler.found[i] = SPIKE if doubt == 0 else NONE
+        if doubt > 0:
+            sampler.clock[STAMPS] = 1.0
+        middle = 0.5 * (sampler.samples[peak - 1, 0, i] + sampler.samples[peak + 1, 0, i])
+        sampler.samples[peak, 0, i] = middle
+        _smooth_rates(sampler, i, peak, 2)
+        return
+    if peak + 2 <= last and abs(after) < 0.3 * abs(size):
+        again = sampler.jumps[peak + 2, i]
+        if abs(again - size) < 0.3 * abs(size):
+            _smooth_rates(sampler, i, peak + 1, 1)
+            return
+    if doubt == 0 or (doubt == 1 and sampler.clock[STAMPS] == 0.0 and _lasts(sampler, i, peak)):
+        _remove_step(sampler, i, peak)
+
+
+@njit_in_place
+def _lasts(sampler: Sampler, i: int, peak: int) -> bool:
+    """Whether a reading has gone on from where a jump that may be a wrong stamp's took it."""
+    before, after = peak - 2, min(peak + 2, HISTORY - 1)
+    rate = 0.5 * (
+        sampler.samples[before, 1, i] + sampler.samples[min(after + 1, HISTORY - 1), 1, i]
+    )
+    way = sampler.samples[after, 0, i] - sampler.samples[before, 0, i]
+    rest, size = way - rate * (sampler.time[after] - sampler.time[before]), sampler.jumps[peak, i]
+    return bool(rest * np.sign(size) > 0.7 * abs(size))
+
+
+@njit_in_place
+def _remove_step(sampler: Sampler, i: int, peak: int) -> None:
+    """Take a step out of all readings since its first one."""
+    size = sampler.jumps[peak, i]
+    sampler.found[i] = STEP
+    sampler.size[i] = size
+    sampler.correction[i] += size
+    for k in range(peak, HISTORY):
+        sampler.samples[k, 0, i] -= size
+    sampler.jumps[peak, i] = 0.0
+    _smooth_rates(sampler, i, peak, 1)
+
+
+@njit_in_place
+def _smooth_rates(sampler: Sampler, i: int, start: int, count: int) -> None:
+    """Replace rates that carry a jump by those around them."""
+    before, after = sampler.samples[start - 1, 1, i], sampler.samples[start + count, 1, i]
+    for k in range(start, start + count):
+        sampler.samples[k, 1, i] = 0.5 * (before + after)
+
+
+@njit_in_place
+def move_to_balance(sampler: Sampler, balance: Balance, per_block: int, blocks: int) -> bool:
+    """Let the sample that is ``DELAY`` old enter the balance.
+
+    Parameters
+    ----------
+    sampler : Sampler
+        Changed.
+    balance : Balance
+        Changed where a block is complete.
+    per_block, blocks : int
+        Samples of a block, blocks of an interval.
+
+    Returns
+    -------
+    bool
+        Whether a balance is complete.
+    """
+    k = HISTORY - 1 - DELAY
+    if sampler.counters[COUNT] <= DELAY + 1:
+        if sampler.counters[COUNT] == DELAY + 1:
+            _start_interval(sampler, sampler.time[k])
+        return False
+    n, now = sampler.scale.shape[0], sampler.time[k]
+    for part in range(3):
+        for i in range(n):
+            sampler.sums[part, i] += sampler.samples[k, part, i]
+    sampler.clock[TIMES] += now
+    sampler.counters[IN_BLOCK] += 1
+    if sampler.counters[IN_BLOCK] < per_block:
+        return False
+    _close_block(sampler, balance, now, blocks)
+    if sampler.counters[IN_INTERVAL] < blocks:
+        return False
+    complete = close_interval(balance, now - sampler.clock[INTERVAL_START])
+    sampler.clock[INTERVAL_START] = now
+    sampler.counters[IN_INTERVAL] = 0
+    return complete
+
+
+@njit_in_place
+def _start_interval(sampler: Sampler, now: float) -> None:
+    """Begin block and interval."""
+    sampler.sums[:] = 0.0
+    sampler.clock[TIMES] = 0.0
+    sampler.counters[IN_BLOCK] = 0
+    sampler.counters[IN_INTERVAL] = 0
+    sampler.clock[INTERVAL_START] = now
+    sampler.clock[BLOCK_START] = now
+
+
+@njit_in_place
+def _close_block(sampler: Sampler, balance: Balance, now: float, blocks: int) -> None:
+    """Give the means of the block to the balance, and keep them."""
+    n, count = sampler.scale.shape[0], sampler.counters[IN_BLOCK]
+    capacity = sampler.blocks.shape[0]
+    row = sampler.blocks[sampler.counters[BLOCKS] % capacity]
+    for part in range(3):
+        for i in range(n):
+            row[part * n + i] = sampler.sums[part, i] / count
+            sampler.sums[part, i] = 0.0
+    length = now - sampler.clock[BLOCK_START]
+    place = (sampler.counters[IN_INTERVAL] + 0.5) / blocks
+    # Where samples are missing, the mean of the readings is not that of the middle.
+    row[3 * n] = sampler.clock[TIMES] / count
+    sampler.clock[TIMES] = 0.0
+    row[3 * n + 1] = length
+    row[3 * n + 2] = place
+    add_block(balance, row[:n], row[n : 2 * n], row[2 * n : 3 * n], row[3 * n], length, place)
+    sampler.counters[BLOCKS] += 1
+    sampler.counters[IN_BLOCK] = 0
+    sampler.counters[IN_INTERVAL] += 1
+    sampler.clock[BLOCK_START] = now
+
+
+def restart(sampler: Sampler, balance: Balance) -> None:
+    """Begin again after a gap in the samples; corrections and what was learned stay.
+
+    Parameters
+    ----------
+    sampler : Sampler
+        Changed.
+    balance : Balance
+        Changed.
+    """
+    sampler.counters[:] = 0
+    sampler.counters[PENDING] = -1
+    sampler.still[:] = 0
+    sampler.doubtful[:] = 0
+    sampler.sums[:] = 0.0
+    drop_interval(balance)
+
+
+@njit_in_place
+def take_samples(
+    sampler: Sampler,
+    balance: Balance,
+    times: FloatArray,
+    samples: FloatArray,
+    begin: int,
+    plan: tuple[int, int],
+) -> tuple[int, bool]:
+    """Take samples until something has to be decided.
+
+    Parameters
+    ----------
+    sampler : Sampler
+        Changed.
+    balance : Balance
+        Changed.
+    times : ndarray, shape (N,)
+        Stamps [s].
+    samples : ndarray, shape (N, 3, n)
+        Readings, rates, torques.
+    begin : int
+        The first sample to take.
+    plan : tuple
+        Samples of a block, blocks of an interval.
+
+    Returns
+    -------
+    tuple
+        The next sample to take, and whether a balance is complete; a jump ends the call, too.
+    """
+    n = sampler.scale.shape[0]
+    for k in range(begin, times.shape[0]):
+        push_sample(sampler, times[k], samples[k, 0], samples[k, 1], samples[k, 2])
+        complete = move_to_balance(sampler, balance, plan[0], plan[1])
+        jumped = False
+        for i in range(n):
+            jumped = jumped or sampler.found[i] != NONE
+        if complete or jumped:
+            return k + 1, complete
+    return times.shape[0], False

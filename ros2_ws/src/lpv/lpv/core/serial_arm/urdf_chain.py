@@ -1,0 +1,209 @@
+"""From a URDF to the description of a serial arm; Pinocchio reads the URDF."""
+
+import contextlib
+import math
+import os
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from lpv.core.serial_arm.description import (
+    JointLimits,
+    JointSensors,
+    LinkInertia,
+    SerialArm,
+    SerialJoint,
+)
+from lpv.core.serial_arm.urdf_text import ENDLESS, Urdf, read_urdf_text
+from lpv.core.support.errors import ConfigError
+
+if TYPE_CHECKING:
+    import pinocchio
+
+MAX_JOINTS = 32
+"""Largest number of moving joints of an arm."""
+
+
+def read_urdf_chain(
+    path: str | Path,
+    locked: Mapping[str, float] | None = None,
+    joints: Sequence[str] | None = None,
+    tip: str | None = None,
+) -> SerialArm:
+    """Kinematics, inertias and limits of an arm from its URDF.
+
+    Fixed joints are merged into the links before them, and so are locked ones.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        URDF file (xacro must be expanded).
+    locked : mapping of str to float, optional
+        Joints that are held, and their angles [rad] (or positions [m]).
+    joints : sequence of str, optional
+        The joints of the arm; all others are locked at 0 if they are not in ``locked``.
+    tip : str, optional
+        Link at the arm's end, of several branches; joints that do not lead to it are locked at 0
+        if they are not in ``locked``.
+
+    Returns
+    -------
+    SerialArm
+        Without friction; sensors are named after the joints.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read, or the joints that move are no chain of revolute and prismatic
+        ones.
+    """
+    urdf = read_urdf_text(Path(path))
+    model, held = _read_model(urdf, str(path), locked, joints, tip)
+    if not 1 <= model.njoints - 1 <= MAX_JOINTS:
+        raise ConfigError(
+            'urdf',
+            f'must have 1 to {MAX_JOINTS} joints that move, has {model.njoints - 1}',
+            str(path),
+        )
+    described = tuple(_joint(model, i, urdf, str(path)) for i in range(1, model.njoints))
+    return SerialArm(
+        name=model.name or 'arm',
+        joints=described,
+        tip=_tip(model, tip),
+        urdf=str(path),
+        locked=tuple(sorted(held.items())),
+    )
+
+
+def _read_model(
+    urdf: Urdf,
+    source: str,
+    locked: Mapping[str, float] | None,
+    joints: Sequence[str] | None,
+    tip: str | None,
+) -> 'tuple[pinocchio.Model, dict[str, float]]':
+    """Pinocchio's model of a URDF, with joints locked, and the angles of the locked ones."""
+    import pinocchio
+
+    held = dict(locked or {})
+    try:
+        with _quiet():
+            model = pinocchio.buildModelFromXML(urdf.text)
+    except (ValueError, RuntimeError, IndexError) as error:
+        reason = ' '.join(str(error).split())[:300]
+        raise ConfigError('urdf', f'is not a model ({reason})', source) from error
+    names = list(model.names)[1:]
+    for name in (*held, *(joints or ())):
+        if name not in names:
+            raise ConfigError(
+                'urdf',
+                f'has no moving joint {name!r}; it has ' + (', '.join(names) or 'none'),
+                source,
+            )
+    moving = set(names if joints is None else joints)
+    if tip is not None:
+        if not model.existFrame(tip, pinocchio.FrameType.BODY):
+            raise ConfigError('tip', f'the URDF has no link {tip!r}', source)
+        end = model.frames[model.getFrameId(tip, pinocchio.FrameType.BODY)].parentJoint
+        moving &= {model.names[i] for i in model.supports[end]}
+    free = moving - set(held)
+    # A joint that follows a locked one is where that one puts it.
+    for name, mimic in urdf.mimics.items():
+        if name in names and name not in held and mimic.joint in names and mimic.joint not in free:
+            free.discard(name)
+            held[name] = mimic.multiplier * held.get(mimic.joint, 0.0) + mimic.offset
+    held.update({name: 0.0 for name in names if name not in free and name not in held})
+    if held:
+        reference = pinocchio.neutral(model)
+        for name, angle in held.items():
+            joint = model.joints[model.getJointId(name)]
+            if joint.nq == 1:
+                reference[joint.idx_q] = angle
+            elif angle != 0.0:
+                raise ConfigError('locked', f'{urdf.kinds[name]} joint {name!r} must be at 0')
+        model = pinocchio.buildReducedModel(
+            model, [model.getJointId(name) for name in held], reference
+        )
+    return model, held
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """The URDF parser writes its complaints to the process's standard error."""
+    with tempfile.TemporaryFile() as sink:
+        kept = os.dup(2)
+        os.dup2(sink.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+
+
+def _joint(model: 'pinocchio.Model', index: int, urdf: Urdf, source: str) -> SerialJoint:
+    import pinocchio
+
+    name, refused = model.names[index], ''
+    if name in urdf.mimics:
+        refused = f'follows {urdf.mimics[name].joint!r} (mimic)'
+    elif urdf.kinds[name] not in ('revolute', 'continuous', 'prismatic'):
+        refused = f'is {urdf.kinds[name]}, neither revolute nor prismatic'
+    elif model.parents[index] != index - 1:
+        refused = f'branches off {model.names[model.parents[index]]!r}: the arm is not a chain'
+    if refused:
+        raise ConfigError(
+            'urdf',
+            f'joint {name!r} {refused}; lock it, name the joints of the arm, or name the link at '
+            'its tip',
+            source,
+        )
+    placement = model.jointPlacements[index]
+    inertia = model.inertias[index].toDynamicParameters()
+    limits = JointLimits(
+        _endless(model.lowerPositionLimit[index - 1]),
+        _endless(model.upperPositionLimit[index - 1]),
+        _positive(model.velocityLimit[index - 1], 100.0),
+        _positive(model.upperEffortLimit[index - 1], 1e9),
+    )
+    data = model.createData()
+    pinocchio.computeJointJacobians(model, data, np.zeros(model.nq))
+    jacobian = pinocchio.getJointJacobian(model, data, index, pinocchio.LOCAL)
+    kind = 'prismatic' if urdf.kinds[name] == 'prismatic' else 'revolute'
+    rows = slice(0, 3) if kind == 'prismatic' else slice(3, 6)
+    axis = np.reshape(jacobian, (6, -1))[rows, index - 1]
+    if not abs(np.linalg.norm(axis) - 1.0) < 1e-6:
+        raise ConfigError('urdf', f'joint {name!r} has an axis without a direction', source)
+    return SerialJoint(
+        name=name,
+        position=_triple(placement.translation),
+        orientation=_triple(pinocchio.rpy.matrixToRpy(placement.rotation)),
+        axis=_triple(axis),
+        link=LinkInertia.from_vector(inertia),
+        limits=limits,
+        sensors=JointSensors(f'{name}_encoder'),
+        type=kind,
+    )
+
+
+def _endless(value: float) -> float:
+    return float(value) if abs(value) < ENDLESS else math.copysign(math.inf, value)
+
+
+def _positive(value: Any, default: float) -> float:
+    return float(value) if 0.0 < value < math.inf else default
+
+
+def _tip(model: 'pinocchio.Model', name: str | None) -> tuple[float, float, float]:
+    """Named link, or the frame farthest down the chain of fixed frames behind the last joint."""
+    last = model.njoints - 1
+    frames = [frame for frame in model.frames if frame.parentJoint == last]
+    named = [frame for frame in frames if frame.name == name]
+    return _triple((named or frames)[-1].placement.translation) if frames else (0.0, 0.0, 0.0)
+
+
+def _triple(values: Any) -> tuple[float, float, float]:
+    x, y, z = (float(v) for v in values)
+    return x, y, z

@@ -1,0 +1,685 @@
+"""The whole loop in one process, in the order in which the lockstep graph runs it.
+
+Simulator, monitor and controller are the very functions that the nodes call.
+
+What happens every sample is compiled; the diagnosis decides in Python, after a jump of a reading
+and every 50 ms.  A sample that does not simply follow the one before (the first one, one after a
+gap, with missing values, or after such) goes through the monitor's `take_many`, as in the node.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lpv.core.control.computed_torque import (
+    BANDWIDTH,
+    ComputedTorqueController,
+    ComputedTorqueParts,
+    computed_torque,
+)
+from lpv.core.control.estimate_check import limit_correction, new_correction
+from lpv.core.control.path_follower import APPROACH_SPEED
+from lpv.core.control.path_references import PathReferences
+from lpv.core.control.tracking import (
+    COMPENSATION,
+    TrackingController,
+    TrackingParts,
+    make_controller,
+    track,
+)
+from lpv.core.control.watchdog import (
+    DriveLimits,
+    StopReason,
+    TrackerLimits,
+    check_drive,
+    check_estimate,
+    check_motion,
+    drive_watchdog,
+    latency_limits,
+    note_stop,
+    tracker_watchdog,
+)
+from lpv.core.monitoring.answers import answer_type
+from lpv.core.monitoring.compensation import (
+    AnswerRows,
+    Compensation,
+    Flags,
+    Known,
+    answer_rows,
+    copy_answer,
+    fill_answers,
+)
+from lpv.core.monitoring.parameters import DiagnosisParameters
+from lpv.core.monitoring.serial_monitor import MonitorParts, SerialSensorMonitor
+from lpv.core.serial_arm.chain import Chain, FloatArray, IntArray
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.diagnosis.alarms import Alarm
+from lpv.core.serial_arm.diagnosis.balance import Balance
+from lpv.core.serial_arm.diagnosis.monitor import LONGEST_STEP
+from lpv.core.serial_arm.diagnosis.sampling import Sampler, take_samples
+from lpv.core.serial_arm.sensor_map import map_vector
+from lpv.core.simulation.arm_simulator import (
+    ArmSimulator,
+    brake,
+    integrate,
+    read_sensors,
+    set_torque,
+)
+from lpv.core.simulation.scenario import Scenario
+from lpv.core.simulation.transport import (
+    DIRECT,
+    MAX_DELAY,
+    NO_COMMAND,
+    NO_ESTIMATE,
+    NO_MEASUREMENT,
+    Transport,
+)
+from lpv.core.support.errors import ConfigError
+from lpv.core.support.jit import COMPILED
+from lpv.core.support.jit import njit_in_place as njit
+from lpv.core.support.records import memory, new_record, plain, record_type
+from lpv.core.support.timestamps import NANOSECONDS, NEVER
+from lpv.core.uio.certificate.gains import Gains
+from lpv.core.uio.unknown_input_observer import UioParts, uio_answers
+
+
+class Phase(IntEnum):
+    """Where in a sample the loop goes on."""
+
+    SENSE = 0
+    MONITOR = 1  # the monitor itself takes the sample, outside
+    TAKE = 2
+    DECIDE = 3  # the diagnosis decides, outside
+    ANSWER = 4
+    ESTIMATE = 5
+    START = 6  # a path that starts or goes on needs its references from outside
+    COMMAND = 7
+    ACT = 8
+    ADVANCE = 9  # the plant is integrated outside
+
+
+_SENSE, _MONITOR, _TAKE, _DECIDE, _ANSWER, _ESTIMATE, _START, _COMMAND, _ACT, _ADVANCE = (
+    int(phase) for phase in Phase
+)
+_NONE, _SILENCE = int(StopReason.NONE), int(StopReason.SILENCE)
+
+
+def _loop_type(joints: int) -> np.dtype:
+    return record_type(
+        ('phase', 'i8'),  # of `Phase`
+        ('external', '?'),  # whether the plant is integrated outside
+        ('period', 'f8'),  # sample time [s]
+        ('previous', 'i8'),  # sample of the last command, or NEVER
+        ('started', '?'),  # whether a command was ever given
+        ('offset', 'i8'),  # samples by which the path is late
+        ('ran', '?'),  # whether the clock of the path ran at the sample
+        ('stop', '?'),  # whether the last command is a safe stop
+        ('reason', 'i8'),  # `StopReason` of the tracker
+        ('usable', 'i8'),  # the last usable sample, or NEVER
+        ('missing', '?'),  # values of the last sample were missing
+        ('complete', '?'),  # whether a momentum balance is complete
+        ('delay', 'i8'),  # samples between a command and its effect
+        ('loss', 'f8'),  # probability that a measurement is lost
+        ('answered', 'i8'),  # sample that the last command answers
+        ('acting', 'i8'),  # sample that the command answers which acts
+        ('queue', 'f8', (MAX_DELAY, joints)),  # torques on their way [N m]
+        ('literal', '?'),  # whether eq. (59) integrates the measurement
+        ('stops', 'u1', (MAX_DELAY,)),  # whether the commands on their way are safe stops
+        ('stamps', 'i8', (MAX_DELAY,)),  # samples that the commands on their way answer
+        ('torque', 'f8', (joints,)),  # of the command that acts [N m]
+        ('braking', '?'),  # whether the command that acts is a safe stop
+        ('feedback', 'f8', (joints,)),  # position that the loop is closed on [rad]
+        ('rate', 'f8', (joints,)),  # rates that the loop is closed on [rad/s]
+    )
+
+
+def _row_type(joints: int) -> np.dtype:
+    return record_type(
+        ('time', 'f8'),
+        ('position', 'f8', (joints,)),
+        ('velocity', 'f8', (joints,)),
+        ('measured', 'f8', (joints,)),
+        ('measured_velocity', 'f8', (joints,)),
+        ('effort', 'f8', (joints,)),
+        ('lost', '?'),
+        ('reference', 'f8', (joints,)),
+        ('fault', 'f8', (joints,)),
+        ('torque', 'f8', (joints,)),
+        ('command', 'f8', (joints,)),
+        ('safe_stop', '?'),
+        ('disturbance', 'f8'),
+        ('place', 'i8'),
+        ('stop_reason', 'u1'),
+        ('brake_reason', 'u1'),
+    )
+
+
+class _Plant(NamedTuple):
+    """Arguments of the functions of `lpv.core.simulation.arm_simulator`."""
+
+    chain: Chain
+    constants: np.ndarray  # memory of a record, as the next one: see `lpv.core.support.records`
+    state: np.ndarray
+    faults: np.ndarray
+    scratch: FloatArray
+    matrix: FloatArray
+
+
+class _Streams(NamedTuple):
+    """Generators, apart from records: see `lpv.core.support.records`."""
+
+    noise: np.random.Generator
+    push: np.random.Generator
+    chance: np.random.Generator
+    losses: np.random.Generator
+
+
+class _Observer(NamedTuple):
+    """Arguments of `take_samples` and `fill_answers`, for all samples of the run."""
+
+    sampler: Sampler
+    balance: Balance
+    plan: tuple[int, int]
+    stamps: IntArray
+    times: FloatArray
+    samples: FloatArray
+    compensation: Compensation
+    known: Known
+    flags: Flags
+    answers: AnswerRows
+    feedback: FloatArray  # those positions of the answers that the loop is closed on
+    gains: FloatArray
+    to_sensors: FloatArray  # S of y = S q + f
+    uio: UioParts | None  # of the designed observer, if there is one
+
+
+class _Tracker(NamedTuple):
+    """Arguments of the tracking law, computed torque or designed; references of all samples; both
+    watchdogs."""
+
+    computed: ComputedTorqueParts | None
+    designed: TrackingParts | None
+    torque: FloatArray  # of the last command [N m]
+    integral: FloatArray  # eps of the law
+    references: FloatArray
+    correction: np.ndarray  # memory of a record of `limit_correction`
+    watchdog: np.ndarray  # memory of a record, as the next one
+    drives: np.ndarray
+
+
+@njit
+def _run(
+    shared: np.ndarray,
+    plant: _Plant,
+    streams: _Streams,
+    observer: _Observer,
+    tracker: _Tracker,
+    rows: np.recarray,
+    blocked: np.ndarray,
+    first: int,
+) -> int:
+    """Go on from a sample until something is needed from outside, see `Phase`.
+
+    ``shared`` is the memory of the loop's record.
+    """
+    loop = shared[0]
+    for k in range(first, len(rows)):
+        if loop.phase == _SENSE:
+            _sense(loop, plant, streams, observer, tracker, rows[k], blocked[k], k)
+        if loop.phase == _MONITOR:
+            return k
+        if loop.phase == _TAKE:
+            _take(loop, observer, k)
+        if loop.phase == _DECIDE:
+            return k
+        if loop.phase == _ANSWER:
+            _answer(loop, observer, k)
+        if loop.phase == _ESTIMATE:
+            _estimate(loop, observer, tracker, blocked[k], k)
+        if loop.phase == _START:
+            return k
+        if loop.phase == _COMMAND:
+            _command(loop, observer, tracker, k)
+        _act(loop, plant, streams.push, observer, tracker, rows[k], blocked[k], k)
+        if loop.phase == _ADVANCE:
+            return k + 1
+    return len(rows)
+
+
+@njit
+def _sense(
+    loop: np.record,
+    plant: _Plant,
+    streams: _Streams,
+    observer: _Observer,
+    tracker: _Tracker,
+    row: np.record,
+    blocked: int,
+    k: int,
+) -> None:
+    """Read the sensors, and choose the way of the measurement unless it is lost."""
+    state, sample, loop.ran = plant.state[0], observer.samples[k], False
+    read_sensors(plant.constants[0], state, plant.faults, streams.noise, streams.chance)
+    row.disturbance = state.disturbance
+    map_vector(observer.to_sensors, state.measured_position, sample[0])
+    map_vector(observer.to_sensors, state.measured_velocity, sample[1])
+    missing = False
+    for i in range(sample.shape[1]):
+        row.effort[i] = state.torque[i] / plant.constants[0].effort_gain[i]
+        sample[2, i] = row.effort[i] * observer.gains[i]
+        if not (abs(sample[0, i]) < np.inf and abs(sample[1, i]) < np.inf):
+            missing = True
+    row.lost = loop.loss > 0.0 and streams.losses.random() < loop.loss
+    row.lost = row.lost or blocked & NO_MEASUREMENT != 0
+    waited = 0 if loop.previous == NEVER else observer.stamps[k] - observer.stamps[loop.previous]
+    if waited > tracker.watchdog[0].silence:
+        _stop(loop, tracker, _SILENCE)
+    if row.lost:
+        if k > 0:
+            copy_answer(observer.answers, k, k - 1)
+        loop.phase = _ACT
+        return
+    follows = loop.usable != NEVER and k - loop.usable <= LONGEST_STEP
+    loop.phase = _TAKE if follows and not (missing or loop.missing) else _MONITOR
+    loop.missing = missing
+    if loop.phase == _TAKE:
+        loop.usable = k
+
+
+@njit
+def _take(loop: np.record, observer: _Observer, k: int) -> None:
+    """Hand the sample to the diagnosis."""
+    _, loop.complete = take_samples(
+        observer.sampler,
+        observer.balance,
+        observer.times[: k + 1],
+        observer.samples[: k + 1],
+        k,
+        observer.plan,
+    )
+    loop.phase = _DECIDE if loop.complete else _ANSWER
+    for found in observer.sampler.found:
+        if found != 0:
+            loop.phase = _DECIDE
+
+
+@njit
+def _answer(loop: np.record, observer: _Observer, k: int) -> None:
+    """What the node answers: readings without confirmed faults."""
+    fill_answers(
+        observer.compensation,
+        observer.answers,
+        (k, k + 1),
+        observer.stamps,
+        observer.samples,
+        observer.known,
+        observer.flags,
+    )
+    uio_answers(observer.uio, observer.answers, (k, k + 1), observer.stamps, observer.samples[:, 2])
+    loop.phase = _ESTIMATE
+
+
+@njit
+def _estimate(
+    loop: np.record, observer: _Observer, tracker: _Tracker, blocked: int, k: int
+) -> None:
+    """Whether the tracker follows the answer."""
+    if blocked & NO_ESTIMATE != 0:
+        loop.phase = _ACT
+        return
+    answers = observer.answers
+    for i in range(len(loop.feedback)):
+        loop.feedback[i], loop.rate[i] = observer.feedback[k, i], answers.velocity[k, i]
+    reason = check_estimate(
+        tracker.watchdog[0],
+        observer.stamps[k],
+        0,
+        answers.mode[k],
+        answers.trustworthy[k],
+        loop.rate,
+        answers.measured_velocity[k],
+    )
+    loop.answered = k
+    if reason != _NONE:
+        _stop(loop, tracker, reason)
+    else:
+        loop.phase = _START if loop.previous == NEVER else _COMMAND
+
+
+@njit
+def _stop(loop: np.record, tracker: _Tracker, reason: int) -> None:
+    loop.stop, loop.previous, loop.reason, loop.phase = True, NEVER, reason, _ACT
+    tracker.integral[:] = 0.0
+    tracker.torque[:] = 0.0
+    tracker.correction[0].stamp = NEVER
+    note_stop(tracker.watchdog[0])
+
+
+@njit
+def _command(loop: np.record, observer: _Observer, tracker: _Tracker, k: int) -> None:
+    """Answer an estimate as the tracker node does."""
+    now, loop.ran = observer.stamps[k], True
+    reference = tracker.references[k - loop.offset]
+    measured = observer.answers.measured[k]
+    reason = check_motion(tracker.watchdog[0], now, reference[0], loop.feedback, measured)
+    if reason != _NONE:
+        _stop(loop, tracker, reason)
+        return
+    correction = tracker.correction[0]
+    limit_correction(correction, now, loop.feedback, loop.rate)
+    feedback, rate = correction.feedback[0], correction.feedback[1]
+    # Eq. (59) literally integrates the faulty measurement.
+    integrated = measured if loop.literal else feedback
+    interval = (now - observer.stamps[loop.previous]) / NANOSECONDS
+    _computed_torque(tracker.computed, reference, feedback, rate, integrated, interval)
+    _designed_torque(tracker.designed, reference, feedback, rate, integrated, interval)
+    loop.stop, loop.previous, loop.reason, loop.phase = False, k, _NONE, _ACT
+
+
+@njit
+def _computed_torque(
+    parts: ComputedTorqueParts | None,
+    reference: FloatArray,
+    position: FloatArray,
+    velocity: FloatArray,
+    integrated: FloatArray,
+    interval: float,
+) -> None:
+    if parts is not None:
+        computed_torque(
+            parts.chain, parts.state[0], reference, position, velocity, integrated, interval,
+            parts.work)  # fmt: skip
+
+
+@njit
+def _designed_torque(
+    parts: TrackingParts | None,
+    reference: FloatArray,
+    position: FloatArray,
+    velocity: FloatArray,
+    integrated: FloatArray,
+    interval: float,
+) -> None:
+    if parts is not None:
+        track(
+            parts.constants[0], parts.state[0], reference, position, velocity, integrated, interval
+        )
+
+
+@njit
+def _act(
+    loop: np.record,
+    plant: _Plant,
+    push: np.random.Generator,
+    observer: _Observer,
+    tracker: _Tracker,
+    row: np.record,
+    blocked: int,
+    k: int,
+) -> None:
+    """Queue the command, let the one that has arrived act over one sample, and log the sample."""
+    state, n, now, slot = plant.state[0], len(loop.feedback), observer.stamps[k], k % MAX_DELAY
+    if loop.stop and loop.started and not loop.ran:
+        loop.offset += 1  # the clock of the path stands still
+    place = min(max(k - loop.offset, 0), len(tracker.references) - 1)
+    for i in range(n):
+        loop.queue[slot, i] = tracker.torque[i]
+    row.safe_stop = loop.stop
+    loop.stops[slot], loop.stamps[slot] = loop.stop, loop.answered
+    arrived = (k - loop.delay) % MAX_DELAY
+    if k >= loop.delay and blocked & NO_COMMAND == 0:
+        for i in range(n):
+            loop.torque[i] = loop.queue[arrived, i]
+        loop.braking, loop.acting = loop.stops[arrived] != 0, loop.stamps[arrived]
+    row.place = place
+    row.time, row.stop_reason = k * loop.period, loop.reason
+    age = now - observer.stamps[loop.acting]
+    row.brake_reason = check_drive(tracker.drives[0], now, age, loop.braking, state.velocity)
+    for i in range(n):
+        row.position[i], row.velocity[i] = state.position[i], state.velocity[i]
+        row.measured[i], row.fault[i] = state.measured_position[i], state.fault[i]
+        row.measured_velocity[i] = state.measured_velocity[i]
+        row.reference[i] = tracker.references[place, 0, i]
+    if row.brake_reason != 0:
+        brake(plant.chain, state, plant.scratch[:n])
+    else:
+        set_torque(plant.constants[0], state, loop.torque, push)
+        if not loop.external:
+            integrate(plant.chain, plant.constants[0], state, plant.scratch, plant.matrix)
+    loop.phase = _ADVANCE if loop.external and row.brake_reason == 0 else _SENSE
+    for i in range(n):
+        row.torque[i], row.command[i] = state.torque[i], tracker.torque[i]
+
+
+@dataclass
+class Run:
+    """Signals of one run of m samples, one row per sample."""
+
+    time: FloatArray  # (m,) [s]
+    position: FloatArray  # (m, n) true [rad]
+    velocity: FloatArray  # (m, n) true [rad/s]
+    measured: FloatArray  # (m, n) NaN in a dropout [rad]
+    measured_velocity: FloatArray  # (m, n) [rad/s]
+    effort: FloatArray  # (m, n) as reported with the sample, in the unit of the driver
+    lost: np.ndarray  # (m,) whether the measurement never reached the observer
+    compensated: FloatArray  # (m, n) measured less confirmed faults [rad]
+    estimate: FloatArray  # (m, n) measured less estimated faults [rad]
+    estimated_velocity: FloatArray  # (m, n) [rad/s]
+    trustworthy: np.ndarray  # (m,) whether the estimate may be followed
+    reference: FloatArray  # (m, n) [rad]
+    fault: FloatArray  # (m, n) of the sensors, NaN in a dropout [rad]
+    fault_estimate: FloatArray  # (m, n) [rad]
+    threshold: FloatArray  # (m, n) beyond which an offset is a fault [rad]
+    alarm: np.ndarray  # (m, n) 1 where the fault is confirmed
+    inconsistent: np.ndarray  # (m,) whether readings, torques and model contradict each other
+    torque: FloatArray  # (m, n) over the step after the sample [N m]
+    command: FloatArray  # (m, n) torques that the tracker asked for last [N m]
+    safe_stop: np.ndarray  # (m,) whether it asked for a safe stop instead, or has not begun
+    disturbance: np.ndarray  # (m,) d over the step before the sample
+    place: np.ndarray  # (m,) row of the path's references that is the sample's
+    stop_reason: np.ndarray  # (m,) `StopReason` of the tracker
+    brake_reason: np.ndarray  # (m,) `BrakeReason` of the drives
+    alarms: list[Alarm]  # events
+    # (3, m, n) references of the path: positions, rates, accelerations [rad], [rad/s], [rad/s2]
+    path: FloatArray
+    tip: FloatArray  # (m, 3) of the path [m]
+
+    @property
+    def braked(self) -> np.ndarray:
+        """Whether the brakes held the arm over the step after each sample, shape (m,)."""
+        return self.brake_reason != 0
+
+
+def run_closed_loop(
+    arm: SerialArm,
+    scenario: Scenario,
+    gains: Gains | None = None,
+    compensation: str = 'confirmed',
+    bandwidth: float = BANDWIDTH,
+    parameters: DiagnosisParameters | None = None,
+    substeps: int = 2,
+    transport: Transport = DIRECT,
+    observer: str = 'tightest',
+) -> Run:
+    """Simulate a scenario with diagnosis and tracking.
+
+    Parameters
+    ----------
+    arm : SerialArm
+        Nominal arm.
+    scenario : Scenario
+        Path, plant, noise, disturbance and faults.
+    gains : Gains, optional
+        Of a planar arm: the designed observer runs beside the horizon, and the designed law tracks.
+        Computed torque otherwise.
+    compensation : {'off', 'confirmed', 'always'}, optional
+        Which position the loop closes on.
+    bandwidth : float, optional
+        Of computed torque [rad/s].
+    parameters : DiagnosisParameters, optional
+        Tuning of the diagnosis.
+    substeps : int, optional
+        Least number of plant steps per sample.
+    transport : Transport, optional
+        Delay, losses and stalls; none otherwise.
+    observer : {'tightest', 'uio', 'horizon'}, optional
+        Whose estimate of the faults counts, where gains are given.
+
+    Returns
+    -------
+    Run
+        All signals.
+
+    Raises
+    ------
+    ConfigError
+        If arm, path, plant or faults are not possible together.
+    """
+    count = round(scenario.duration / arm.sample_time) + 1
+    simulator = ArmSimulator(arm, scenario, substeps)
+    monitor = SerialSensorMonitor('loop', arm, parameters, gains, observer)
+    controller = make_controller(arm, gains, bandwidth)
+    speed = min(APPROACH_SPEED, *arm.velocity_limit)
+    references = PathReferences(scenario.path(arm), arm.sample_time, count, speed)
+    plant = _Plant(
+        simulator.chain,
+        memory(simulator.constants),
+        memory(simulator.state),
+        simulator.injector.records,
+        simulator.scratch,
+        simulator.matrix,
+    )
+    # A stream of its own: losses must not change noise and faults.
+    losses = np.random.default_rng([scenario.seed, 2])
+    streams = _Streams(simulator.noise, simulator.push, simulator.injector.generator, losses)
+    records = np.zeros(count, answer_type(len(arm.joints)))
+    answers = answer_rows(records)
+    fed_back = (answers.measured, answers.compensated, answers.position)
+    feedback = fed_back[COMPENSATION.index(compensation)]
+    stepped, parts = monitor.parts.monitor, _new_observer(arm, monitor.parts, answers, feedback)
+    latency = latency_limits(controller.tolerated_latency)
+    tracker = _Tracker(
+        controller.parts if isinstance(controller, ComputedTorqueController) else None,
+        controller.parts if isinstance(controller, TrackingController) else None,
+        controller.torque,
+        controller.integral,
+        references.motion,
+        memory(new_correction(arm, compensation != 'off')),
+        memory(tracker_watchdog(arm, TrackerLimits(latency.single, latency))),
+        memory(drive_watchdog(arm, DriveLimits(latency))),
+    )
+    loop = new_record(
+        _loop_type(len(arm.joints)),
+        period=arm.sample_time,
+        previous=NEVER,
+        usable=NEVER,
+        stop=True,
+        braking=True,
+        delay=transport.delay,
+        loss=transport.loss,
+        external=simulator.engine is not None,
+        literal=controller.integrates_measurement,
+    )
+    rows = np.zeros(count, _row_type(len(arm.joints))).view(np.recarray)
+    blocked = transport.blocked(count, arm.sample_time)
+    alarms: list[Alarm] = []
+    shared, now, failed = memory(loop), plain(loop), memory(simulator.state)['failed']
+    run = _compiled_run(shared, plant, streams, parts, tracker, rows, blocked, 0)
+    k = 0
+    while k < count:
+        k = run(shared, plant, streams, parts, tracker, rows, blocked, k)
+        if failed[0]:
+            raise ConfigError('plant', 'has a mass matrix that is not positive definite')
+        phase = now['phase']
+        if phase == _MONITOR:
+            alarms += _hand_over(monitor, parts, records, loop, simulator.state, k)
+            parts.times[:] = (parts.stamps - stepped.stamp_of(0.0)) / NANOSECONDS
+            parts = parts._replace(known=monitor.parts.known, flags=monitor.parts.flags)
+        elif phase == _DECIDE:
+            stepped.decide(float(parts.times[k]), bool(now['complete']))
+            alarms += monitor.note(stepped.snapshot(), int(parts.stamps[k]))
+            parts = parts._replace(known=monitor.parts.known, flags=monitor.parts.flags)
+            now['phase'] = _ANSWER
+        elif phase == _START:
+            references.restart(k - int(loop.offset), loop.feedback.copy())
+            loop.previous, loop.started, loop.phase = k, True, _COMMAND
+        elif phase == _ADVANCE:
+            simulator.advance()
+            now['phase'] = _SENSE
+    return Run(
+        **{name: rows[name] for name in rows.dtype.names},
+        compensated=answers.compensated,
+        estimate=answers.position,
+        estimated_velocity=answers.velocity,
+        trustworthy=answers.trustworthy,
+        fault_estimate=answers.estimate,
+        threshold=answers.threshold,
+        alarm=answers.alarm,
+        inconsistent=answers.inconsistent,
+        alarms=alarms,
+        path=np.moveaxis(references.motion, 1, 0),
+        tip=references.tip,
+    )
+
+
+def _compiled_run(*arguments: Any) -> Callable[..., int]:
+    """`_run` for arguments of these types: it does not look at their types at every call.
+
+    There are a hundred arrays among them; all that replace others are as these are.
+    """
+    if not COMPILED:
+        return _run
+    function: Any = _run
+    types = tuple(map(function.typeof_pyval, arguments))
+    function.compile(types)
+    entry: Callable[..., int] = function.overloads[types].entry_point
+    return entry
+
+
+def _hand_over(
+    monitor: SerialSensorMonitor,
+    observer: _Observer,
+    records: np.ndarray,
+    loop: np.record,
+    state: np.record,
+    k: int,
+) -> list[Alarm]:
+    """Let the monitor itself take a sample, as the node does; returns alarm events."""
+    before, stamps = int(loop.usable), observer.stamps
+    if before != NEVER:
+        last = records[before : before + 1].view(np.recarray)
+        monitor.went_on(int(stamps[before]), observer.samples[before, 0], last)
+    measured = state.measured_position, state.measured_velocity, state.effort
+    answers = monitor.take_many(stamps[k : k + 1], *(np.array([one]) for one in measured))
+    for name in ('answered', 'has_fault', 'restarted', 'inconsistent', 'state', 'fault'):
+        records[name][k] = getattr(answers, name)[0]
+    if monitor.last_used == stamps[k]:
+        loop.usable = k
+    loop.phase = _ESTIMATE
+    return [event for _, event in answers.events]
+
+
+def _new_observer(
+    arm: SerialArm, parts: MonitorParts, answers: AnswerRows, feedback: FloatArray
+) -> _Observer:
+    count, n = feedback.shape
+    stamps = np.rint(arm.sample_time * NANOSECONDS * np.arange(count)).astype(np.int64)
+    return _Observer(
+        parts.monitor.sampler,
+        parts.monitor.estimator.balance,
+        (parts.monitor.plan.per_block, parts.monitor.plan.blocks),
+        stamps,
+        stamps / NANOSECONDS,
+        np.empty((count, 3, n)),
+        parts.compensation,
+        parts.known,
+        parts.flags,
+        answers,
+        feedback,
+        np.array([joint.torque_gain for joint in arm.joints]),
+        arm.joints_to_sensors(),
+        parts.uio,
+    )

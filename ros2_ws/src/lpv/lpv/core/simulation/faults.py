@@ -1,0 +1,284 @@
+"""Faults of the physical sensors, as the simulator injects them."""
+
+import math
+import reprlib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lpv.core.support.errors import ConfigError
+from lpv.core.support.jit import njit
+from lpv.core.support.records import record_type
+
+KINDS = ('bias', 'drift', 'scale', 'stuck', 'noise', 'spike', 'dropout', 'rate_bias')
+_BIAS, _DRIFT, _SCALE, _STUCK, _NOISE, _SPIKE, _DROPOUT, _RATE_BIAS = range(len(KINDS))
+
+_RANDOM = ('noise', 'spike')
+_NEEDED = {
+    'bias': 'size',
+    'scale': 'size',
+    'noise': 'size',
+    'spike': 'size',
+    'drift': 'rate',
+    'rate_bias': 'size',
+}
+"""Field of `Fault` that must not be zero, by kind."""
+
+_LARGEST = 1e6
+"""Largest size [rad] and rate [rad/s] of a fault, and its longest time [s]."""
+MAX_FAULTS = 200
+"""Most faults at a time: each costs time at every sample."""
+
+_FAULT = record_type(
+    ('kind', 'i8'),  # index in KINDS
+    ('sensor', 'i8'),
+    ('onset', 'f8'),  # [s]
+    ('duration', 'f8'),  # [s]
+    ('amount', 'f8'),  # size of `Fault`
+    ('rate', 'f8'),
+    ('frozen', 'f8'),  # reading at which a stuck sensor froze [rad]
+    ('is_frozen', '?'),
+    ('draw', 'f8', (2,)),  # random numbers of the present sample, see `draw_chances`
+)
+"""A `Fault` for compiled functions."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One fault of one sensor."""
+
+    sensor: str  # name of the physical sensor
+    # one of `KINDS`: ``bias`` adds ``size`` [rad]; ``drift`` grows with ``rate`` [rad/s] up to
+    # ``size`` (without end if 0); ``scale`` multiplies the reading by 1 + ``size``; ``stuck``
+    # freezes it; ``noise`` adds white noise of standard deviation ``size`` [rad]; ``spike`` adds
+    # +-``size`` [rad] to single samples, ``rate`` of them a second; ``dropout`` gives NaN;
+    # ``rate_bias`` is no position fault: it adds ``size`` [rad/s] to the rate that belongs to the
+    # sensor
+    kind: str
+    onset: float  # start [s]
+    duration: float = 0.0  # length [s]; 0 until cleared
+    size: float = 0.0  # see kind
+    rate: float = 0.0  # see kind
+
+
+@njit
+def _acts(f: np.record, time: float) -> bool:
+    return time >= f.onset and (f.duration <= 0.0 or time < f.onset + f.duration)
+
+
+@njit
+def draw_chances(faults: np.ndarray, time: float, generator: np.random.Generator) -> None:
+    """Draw what the random ones among the faults need at a time."""
+    for k in range(len(faults)):
+        f = faults[k]
+        if f.kind == _NOISE and _acts(f, time):
+            f.draw[0] = generator.standard_normal()
+        elif f.kind == _SPIKE and _acts(f, time):
+            f.draw[0], f.draw[1] = generator.random(), generator.random()
+
+
+@njit
+def apply_faults(faults: np.ndarray, time: float, reading: np.ndarray, sample_time: float) -> None:
+    """Add all faults that act at a time to the readings S theta [rad]; NaN for a dropout.
+
+    ``sample_time`` [s] is for the rate of spikes.
+    """
+    for k in range(len(faults)):
+        f = faults[k]
+        if not _acts(f, time):
+            f.is_frozen = False
+            continue
+        i, value = f.sensor, reading[f.sensor]
+        if f.kind == _BIAS:
+            reading[i] = value + f.amount
+        elif f.kind == _DRIFT:
+            grown, limit = f.rate * (time - f.onset), abs(f.amount)
+            reading[i] = value + (min(max(grown, -limit), limit) if limit > 0.0 else grown)
+        elif f.kind == _SCALE:
+            reading[i] = value * (1.0 + f.amount)
+        elif f.kind == _STUCK:
+            if not f.is_frozen:
+                f.is_frozen, f.frozen = True, value
+            reading[i] = f.frozen
+        elif f.kind == _NOISE:
+            reading[i] = value + f.amount * f.draw[0]
+        elif f.kind == _SPIKE:
+            if f.draw[0] < f.rate * sample_time:
+                reading[i] = value + (f.amount if f.draw[1] < 0.5 else -f.amount)
+        elif f.kind == _DROPOUT:
+            reading[i] = math.nan
+
+
+@njit
+def rate_bias(faults: np.ndarray, sensor: int, time: float) -> float:
+    """What faults add to the rate that belongs to a sensor [rad/s]."""
+    total = 0.0
+    for k in range(len(faults)):
+        f = faults[k]
+        if f.kind == _RATE_BIAS and f.sensor == sensor and _acts(f, time):
+            total += f.amount
+    return total
+
+
+@njit
+def derived_rate_error(fault: float, before: float, interval: float) -> float:
+    """What a fault adds to a rate that is the difference of the faulty positions [rad/s].
+
+    NaN without a position; the first position after a dropout has no difference.
+    """
+    if math.isnan(before) and not math.isnan(fault):
+        return 0.0
+    return (fault - before) / interval
+
+
+@njit
+def is_frozen(faults: np.ndarray, sensor: int, time: float) -> bool:
+    """Whether a sensor is stuck: it carries no noise either."""
+    for k in range(len(faults)):
+        if faults[k].kind == _STUCK and faults[k].sensor == sensor and _acts(faults[k], time):
+            return True
+    return False
+
+
+def check_fault(fault: Fault, sensor_names: Sequence[str]) -> None:
+    """Refuse a fault that the simulator cannot apply: ConfigError naming the field."""
+    if fault.sensor not in sensor_names:
+        raise ConfigError(
+            'fault.sensor',
+            f'{reprlib.repr(fault.sensor)} is unknown; the arm has ' + ', '.join(sensor_names),
+        )
+    if fault.kind not in KINDS:
+        raise ConfigError(
+            'fault.kind', f'{reprlib.repr(fault.kind)} must be one of ' + ', '.join(KINDS)
+        )
+    for name in ('onset', 'duration', 'size', 'rate'):
+        value = getattr(fault, name)
+        if not abs(value) <= _LARGEST:
+            raise ConfigError(
+                f'fault.{name}', f'must be at most {_LARGEST:g} in magnitude, got {value}'
+            )
+    not_negative = {'noise': ('duration', 'size'), 'spike': ('duration', 'rate')}
+    for name in not_negative.get(fault.kind, ('duration',)):
+        if getattr(fault, name) < 0.0:
+            raise ConfigError(f'fault.{name}', 'must not be negative')
+    needed = _NEEDED.get(fault.kind)
+    if needed and getattr(fault, needed) == 0.0:
+        raise ConfigError(f'fault.{needed}', f'must not be 0 for a {fault.kind} fault')
+
+
+def _records(rows: np.ndarray) -> np.ndarray:
+    """Rows whose fields are attributes, as an array that Numba takes quickly."""
+    return np.asarray(rows.view(np.recarray))
+
+
+class FaultInjector:
+    """Applies all active faults to the readings of two sensors.
+
+    Parameters
+    ----------
+    sensor_names : sequence of two str
+        The physical sensors.
+    faults : iterable of Fault
+        Scheduled faults.
+    generator : numpy.random.Generator
+        Source of randomness for ``noise`` and ``spike``.
+
+    Attributes
+    ----------
+    faults : list of Fault
+        What is scheduled.
+    records : ndarray
+        The same for compiled functions.
+    generator : numpy.random.Generator
+        As given.
+    """
+
+    def __init__(
+        self, sensor_names: Sequence[str], faults: Iterable[Fault], generator: np.random.Generator
+    ) -> None:
+        self._names = tuple(sensor_names)
+        self.generator = generator
+        self.faults: list[Fault] = []
+        self.records = _records(np.zeros(0, _FAULT))
+        for fault in faults:
+            self.add(fault)
+
+    def add(self, fault: Fault) -> None:
+        """Schedule a further fault.
+
+        Parameters
+        ----------
+        fault : Fault
+            The fault.
+
+        Raises
+        ------
+        ConfigError
+            If it is not valid.
+        """
+        check_fault(fault, self._names)
+        if len(self.faults) >= MAX_FAULTS:
+            raise ConfigError('fault', f'there are {MAX_FAULTS} already: clear some first')
+        row = np.zeros(1, _FAULT)
+        row['kind'], row['sensor'] = KINDS.index(fault.kind), self._names.index(fault.sensor)
+        row['onset'], row['duration'] = fault.onset, fault.duration
+        row['amount'], row['rate'] = fault.size, fault.rate
+        self.faults.append(fault)
+        self.records = _records(np.concatenate([self.records, row]))
+
+    def clear(self, sensor: str = '') -> int:
+        """Remove faults.
+
+        Parameters
+        ----------
+        sensor : str, optional
+            Name of one sensor; all if empty.
+
+        Returns
+        -------
+        int
+            How many were removed.
+
+        Raises
+        ------
+        ConfigError
+            If the sensor is unknown.
+        """
+        if sensor and sensor not in self._names:
+            raise ConfigError(
+                'fault.sensor',
+                f'{reprlib.repr(sensor)} is unknown; the arm has ' + ', '.join(self._names),
+            )
+        kept = [bool(sensor) and f.sensor != sensor for f in self.faults]
+        removed = kept.count(False)
+        self.faults = [f for f, keep in zip(self.faults, kept) if keep]
+        self.records = self.records[np.array(kept, dtype=bool)]
+        return removed
+
+    def draw(self, time: float) -> None:
+        """Draw what random faults need at a time [s]."""
+        if any(fault.kind in _RANDOM for fault in self.faults):
+            draw_chances(self.records, time, self.generator)
+
+    def apply(self, time: float, reading: np.ndarray, sample_time: float) -> np.ndarray:
+        """Faulty readings at one time.
+
+        Parameters
+        ----------
+        time : float
+            [s].
+        reading : ndarray, shape (2,)
+            Fault-free readings S theta [rad].
+        sample_time : float
+            For the rate of spikes [s].
+
+        Returns
+        -------
+        ndarray, shape (2,)
+            Readings with faults, NaN for a dropout.
+        """
+        faulty = np.array(reading, float)
+        self.draw(float(time))
+        apply_faults(self.records, float(time), faulty, sample_time)
+        return faulty

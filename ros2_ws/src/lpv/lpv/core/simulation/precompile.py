@@ -1,0 +1,117 @@
+"""Compiles ahead what ``lpv demo`` runs: ``python -m lpv.core.simulation.precompile [ARM ...]``.
+
+The machine code is kept (see `lpv.core.support.jit`), so that nodes start in seconds.  Whatever is
+not compiled here is compiled at its first use.
+"""
+
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+
+from lpv.core.control.tracking import make_controller
+from lpv.core.control.watchdog import DriveLimits, DriveWatchdog, TrackerLimits, TrackerWatchdog
+from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv.core.serial_arm.arm_file import load_arm
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.simulation.arm_simulator import ArmSimulator
+from lpv.core.simulation.scenario import load_scenario
+from lpv.core.support.errors import ConfigError
+from lpv.core.support.jit import COMPILED, on_compile
+from lpv.core.support.resources import bringup_file
+from lpv.core.uio.certificate.gains import Gains, load_gains
+
+_SCENARIOS = {'paper': 'two_faults'}
+"""Shipped scenarios of arms that have none of their name."""
+
+
+def parts_of(arm: SerialArm, name: str) -> Iterator[str]:
+    """Run what the nodes of an arm compile, and name each part before it.
+
+    Parameters
+    ----------
+    arm : SerialArm
+        The arm; some functions are compiled per number of joints.
+    name : str
+        Its name among the shipped ones, or its file.
+    """
+    yield 'plant, tracking, observers and diagnosis'
+    gains = _shipped_gains(arm, name)
+    monitor = SerialSensorMonitor('precompile', arm, gains=gains)
+    monitor.warm_up()
+    try:
+        scenario = load_scenario(bringup_file('scenarios', _SCENARIOS.get(name, name)))
+    except ConfigError:  # an arm of the user's own
+        return
+    plant = ArmSimulator(arm, scenario)
+    plant.sense()
+    plant.step(np.zeros(len(arm.joints)))
+    plant.hold()
+    still = np.zeros(len(arm.joints))
+    make_controller(arm, gains).answer(
+        np.zeros((3, len(still))), still + 0.1, still, still + 0.1, 0.0
+    )
+    watchdog = TrackerWatchdog(arm, TrackerLimits())
+    watchdog.check_estimate(1, 0, 0, True, still, still)
+    watchdog.check_motion(1, still, still, still)
+    DriveWatchdog(arm, DriveLimits()).check(1, 0, True, still)
+    yield 'diagnosis of a fault'  # the first one must not wait for this in a node
+    monitor.warm_up(suspicious=True)
+
+
+def _shipped_gains(arm: SerialArm, name: str) -> Gains | None:
+    """Gains of an arm with a region for which they were designed, if they are shipped."""
+    if arm.lpv is None:
+        return None
+    try:
+        return load_gains(bringup_file('gains', name))
+    except ConfigError:
+        return None
+
+
+@contextmanager
+def _progress(text: str) -> Iterator[None]:
+    """Show what is being compiled: on a terminal each function, elsewhere nothing more."""
+    begin, count, shown = time.monotonic(), 0, 0.0
+
+    def show(name: str) -> None:
+        nonlocal count, shown
+        count += 1
+        if sys.stdout.isatty() and time.monotonic() - shown > 0.2:
+            shown = time.monotonic()
+            line = f'{text}: {name} ({count} functions, {shown - begin:.0f} s)'
+            print(f'\r\033[K{line[:100]}', end='', flush=True)
+
+    with on_compile(show):
+        yield
+    if count:
+        line = f'{text}: {count} functions in {time.monotonic() - begin:.0f} s'
+        print(f'\r\033[K{line}' if sys.stdout.isatty() else line, flush=True)
+
+
+def precompile(name: str) -> None:
+    """Compile what ``lpv demo`` runs for an arm, and say what is being compiled.
+
+    Parameters
+    ----------
+    name : str
+        Shipped arm, or arm file.
+    """
+    parts = parts_of(load_arm(bringup_file('arms', name)), name)
+    part = next(parts, None)
+    while part is not None:
+        with _progress(f'compiling for arm {name!r}: {part}'):
+            part = next(parts, None)
+
+
+def main() -> None:
+    """Entry point."""
+    if COMPILED:
+        for name in sys.argv[1:] or ['paper']:
+            precompile(name)
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,286 @@
+"""Contents of a simulated run: path, plant, noise, disturbance, faults; from one YAML file."""
+
+import math
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lpv.core.control.path import CartesianPath, Obstacle, PlanarWaypoints
+from lpv.core.control.serial_path import PoseWaypoints, SerialPath
+from lpv.core.serial_arm.chain import MAX_JOINTS, Chain, compile_chain
+from lpv.core.serial_arm.description import LinkInertia, SerialArm, SerialJoint
+from lpv.core.serial_arm.dynamics.payload import with_payload
+from lpv.core.simulation.faults import KINDS, Fault
+from lpv.core.support.config import Section, names_all_errors, read_yaml
+from lpv.core.support.errors import ConfigError
+from lpv.core.uio.model.kinematics import ELBOWS
+
+PAPER_PLANTS = ('nonlinear_without_coriolis', 'lpv')
+"""The arm of eq. (4) and the LPV plant (25), for planar arms."""
+PLANTS = ('nonlinear', *PAPER_PLANTS, 'mujoco')
+"""The true arm, those of the paper, or MuJoCo's."""
+_MOST_WAYPOINTS = 10_000
+_FAR = 1e3
+"""Largest coordinate of a waypoint [m], and largest angle [rad]."""
+
+Waypoints = tuple[tuple[float, ...], ...] | PoseWaypoints | PlanarWaypoints
+"""Joint positions [rad], poses of the tip, or points in the plane of a planar arm."""
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A simulated run of an arm."""
+
+    name: str
+    duration: float  # [s]
+    seed: int  # of all randomness
+    times: tuple[float, ...]  # of the waypoints [s]
+    waypoints: Waypoints
+    faults: tuple[Fault, ...] = ()
+    plant: str = PLANTS[0]  # one of `PLANTS`
+    sinc_min: float = -0.2  # lower end of the box of phi2, phi3 of the LPV plant
+    parameter_error: float = 0.0  # largest relative error of each link's mass and inertia, drawn
+    mass_factors: tuple[float, ...] = ()  # true over nominal, per link; none: 1
+    inertia_factors: tuple[float, ...] = ()  # about the centre of mass, true over nominal
+    payload: float = 0.0  # point mass at the tip beside the model's, may be negative [kg]
+    friction_factor: float = 1.0  # true over nominal
+    noise: bool = True  # whether the sensors are noisy
+    noise_factor: float = 1.0  # true over stated standard deviation of the sensors' noise
+    disturbance: bool = True  # whether the disturbance d of the arm's ``lpv`` region acts
+    disturbance_factor: float = 1.0  # true over stated d
+
+    def path(self, arm: SerialArm) -> CartesianPath | SerialPath:
+        """The path for an arm; ConfigError or UnreachableError where the arm cannot do it."""
+        return _path(arm, self.name, self.times, self.waypoints)
+
+    def true_arm(self, arm: SerialArm) -> SerialArm:
+        """The plant's arm without its payload; parameter errors are drawn from the seed."""
+        rng = np.random.default_rng((self.seed, 1))
+        ones = (1.0,) * len(arm.joints)
+        masses, inertias = self.mass_factors or ones, self.inertia_factors or ones
+        for name, factors in (('mass_factors', masses), ('inertia_factors', inertias)):
+            if len(factors) != len(arm.joints):
+                raise ConfigError(f'plant.{name}', f'must have {len(arm.joints)} numbers')
+        joints = tuple(
+            self._true_joint(joint, mass, inertia, rng)
+            for joint, mass, inertia in zip(arm.joints, masses, inertias)
+        )
+        return replace(arm, joints=joints)
+
+    def true_chain(self, arm: SerialArm) -> Chain:
+        """The plant's chain, with its payload."""
+        chain = compile_chain(self.true_arm(arm))
+        return with_payload(chain, self.payload) if self.payload else chain
+
+    def _true_joint(
+        self, joint: SerialJoint, mass: float, inertia: float, rng: np.random.Generator
+    ) -> SerialJoint:
+        # One factor for a whole link keeps it a rigid body.
+        factor = 1.0 + self.parameter_error * rng.uniform(-1.0, 1.0)
+        friction = joint.friction
+        return replace(
+            joint,
+            link=_scaled(joint.link, factor * mass, factor * inertia),
+            friction=replace(
+                friction,
+                viscous=self.friction_factor * friction.viscous,
+                coulomb=self.friction_factor * friction.coulomb,
+                load=self.friction_factor * friction.load,
+            ),
+        )
+
+
+def _scaled(link: LinkInertia, mass: float, inertia: float) -> LinkInertia:
+    """A link with its mass, and its inertia about the centre of mass, multiplied."""
+    if mass == inertia:
+        return LinkInertia.from_vector(mass * link.to_vector())
+    center = np.array(link.first_moment) / link.mass
+    steiner = link.mass * (center @ center * np.eye(3) - np.outer(center, center))
+    own = link.rotational_inertia() - steiner
+    xx, xy, xz, _, yy, yz, _, _, zz = (mass * steiner + inertia * own).reshape(-1).tolist()
+    x, y, z = mass * np.array(link.first_moment)
+    return LinkInertia(mass * link.mass, (float(x), float(y), float(z)), (xx, xy, yy, xz, yz, zz))
+
+
+@lru_cache(maxsize=4)
+def _path(
+    arm: SerialArm, name: str, times: tuple[float, ...], waypoints: Waypoints
+) -> CartesianPath | SerialPath:
+    """Kept: the simulator asks for the path of a run, and so does its tracker."""
+    if isinstance(waypoints, PlanarWaypoints):
+        return CartesianPath(arm, times, waypoints)
+    if isinstance(waypoints, PoseWaypoints):
+        return SerialPath.through_poses(arm, times, waypoints)
+    for i, row in enumerate(waypoints):
+        if len(row) != len(arm.joints):
+            field, reason = f'path.waypoints[{i}].joints', f'must have {len(arm.joints)} numbers'
+            raise ConfigError(field, f'{reason} for {arm.name}', name)
+    return SerialPath(arm, times, waypoints)
+
+
+def load_scenario(path: str | Path) -> Scenario:
+    """Read a scenario file.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        YAML file; see ``docs/scenario-file.md``.
+
+    Returns
+    -------
+    Scenario
+        Validated as far as that is possible without the arm.
+
+    Raises
+    ------
+    ConfigError
+        Naming the offending field.
+    """
+    return parse_scenario(read_yaml(path), str(Path(path)))
+
+
+@names_all_errors
+def parse_scenario(data: dict[str, Any], source: str = 'scenario') -> Scenario:
+    """Build a scenario from the mapping of a scenario file, as `load_scenario`."""
+    top = Section(_expanded(data), source)
+    if 'kind' in top:  # of files for serial arms, before there was one kind of arm
+        top.text('kind', choices=('serial_arm',))
+    times, waypoints = _waypoints(top.section('path'))
+    plant = top.section('plant', required=False)
+    scenario = Scenario(
+        name=top.text('name'),
+        duration=top.number('duration', above=0.0, high=1e6),
+        seed=top.integer('seed', 1, low=0),
+        times=times,
+        waypoints=waypoints,
+        faults=parse_faults(top),
+        plant=plant.text('model', PLANTS[0], PLANTS),
+        sinc_min=plant.number('sinc_min', -0.2, -0.3, 0.99),
+        parameter_error=plant.number('parameter_error', 0.0, 0.0, 0.5),
+        mass_factors=_factors(plant, 'mass_factors'),
+        inertia_factors=_factors(plant, 'inertia_factors'),
+        payload=plant.number('payload', 0.0, -1e4, 1e4),
+        friction_factor=plant.number('friction_factor', 1.0, 0.0, 100.0),
+        noise=top.flag('noise', True),
+        noise_factor=plant.number('noise_factor', 1.0, 0.0, 1e3),
+        disturbance=top.flag('disturbance', True),
+        disturbance_factor=plant.number('disturbance_factor', 1.0, 0.0, 1e3),
+    )
+    plant.finish()
+    top.finish()
+    return scenario
+
+
+def _expanded(data: Any) -> Any:
+    """``plant: mujoco`` stands for ``plant: {model: mujoco}``."""
+    if isinstance(data, dict) and isinstance(data.get('plant'), str):
+        return {**data, 'plant': {'model': data['plant']}}
+    return data
+
+
+def _factors(plant: Section, key: str) -> tuple[float, ...]:
+    if key not in plant:
+        return ()
+    factors = plant.numbers(key, MAX_JOINTS, 0.0, 100.0)
+    if min(factors) <= 0.0:
+        raise plant.error(key, 'must be greater than 0')
+    return tuple(factors)
+
+
+def _waypoints(path: Section) -> tuple[tuple[float, ...], Waypoints]:
+    """Times and waypoints: joint positions, poses of the tip, or points in the plane."""
+    sections = path.sections('waypoints')
+    if not 2 <= len(sections) <= _MOST_WAYPOINTS:
+        raise path.error('waypoints', f'must be 2 to {_MOST_WAYPOINTS}')
+    times = tuple(point.number('t', low=0.0, high=1e6) for point in sections)
+    if any(b <= a for a, b in zip(times, times[1:])):
+        raise path.error('waypoints', 'times must increase')
+    kinds = [key for key in ('joints', 'position', 'x') if key in sections[0]]
+    if len(kinds) != 1:
+        raise sections[0].error('joints', 'or position, or x and y, must be given, one of them')
+    waypoints: Waypoints
+    if kinds == ['x']:
+        waypoints = _planar(path, sections)
+    elif kinds == ['joints']:
+        waypoints = tuple(
+            tuple(point.numbers('joints', MAX_JOINTS, -_FAR, _FAR)) for point in sections
+        )
+    else:
+        waypoints = PoseWaypoints(
+            tuple(_triple(point, 'position') for point in sections),
+            tuple(path.numbers('start', MAX_JOINTS, -_FAR, _FAR)),
+            tuple(_triple(point, 'rpy') for point in sections if 'rpy' in point),
+        )
+        if 0 < len(waypoints.orientations) < len(sections):
+            raise path.error('waypoints', 'must have rpy all, or none of them')
+    for section in (*sections, path):
+        section.finish()
+    return times, waypoints
+
+
+def _planar(path: Section, sections: list[Section]) -> PlanarWaypoints:
+    points = tuple(
+        (p.number('x', None, -_FAR, _FAR), p.number('y', None, -_FAR, _FAR)) for p in sections
+    )
+    obstacle = None
+    if 'obstacle' in path:
+        section = path.section('obstacle')
+        obstacle = Obstacle(
+            section.pair('center', None, -_FAR, _FAR),
+            section.number('radius', above=0.0, high=_FAR),
+        )
+        section.finish()
+    return PlanarWaypoints(points, path.text('elbow', 'positive', tuple(ELBOWS)), obstacle)
+
+
+def _triple(section: Section, key: str) -> tuple[float, float, float]:
+    x, y, z = section.vector(key, 3, low=-_FAR, high=_FAR)
+    return x, y, z
+
+
+def parse_faults(top: Section) -> tuple[Fault, ...]:
+    """Read the list ``faults``, which may be missing; ConfigError naming the offending field."""
+    return tuple(_fault(section) for section in top.sections('faults', []))
+
+
+def _fault(section: Section) -> Fault:
+    fault = Fault(
+        sensor=section.text('sensor'),
+        kind=section.text('kind', choices=KINDS),
+        onset=section.number('onset', low=0.0, high=1e6),
+        duration=section.number('duration', 0.0, 0.0, 1e6),
+        size=section.number('size', 0.0, -1e3, 1e3),
+        rate=section.number('rate', 0.0, -1e3, 1e3),
+    )
+    section.finish()
+    return fault
+
+
+def disturbance_of(arm: SerialArm, scenario: Scenario) -> tuple[np.ndarray, float, float]:
+    """The white disturbance d of eq. (31).
+
+    Parameters
+    ----------
+    arm : SerialArm
+        With or without an ``lpv`` region.
+    scenario : Scenario
+        Whether d acts, and how much of it.
+
+    Returns
+    -------
+    tuple
+        Accelerations of the joints per unit of d, shape (n,), mean and standard deviation of d.
+    """
+    region = arm.lpv
+    if region is None or not scenario.disturbance:
+        return np.zeros(len(arm.joints)), 0.0, 0.0
+    first, second = region.disturbance_direction  # of the absolute angles: q' = J theta'
+    factor = scenario.disturbance_factor
+    return (
+        np.array([first, second - first]),
+        factor * region.disturbance_mean,
+        factor * math.sqrt(region.disturbance_variance),
+    )

@@ -1,0 +1,511 @@
+"""Reading of YAML files: safe loader, bounded size, errors that name the field."""
+
+import functools
+import hashlib
+import math
+import reprlib
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextvars import ContextVar
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import yaml
+
+from lpv.core.support.errors import ConfigError
+
+MAX_BYTES = 4 << 20
+"""Largest YAML file that is read [bytes]; a gains file has about 20 kB."""
+MAX_VALUES = 200_000
+"""Most values in a file, with those that aliases repeat."""
+MAX_DEPTH = 50
+"""Deepest nesting of a file."""
+MAX_INTEGER = 2**63 - 1
+"""Largest integer, as a ROS parameter has it; all of these are finite floats, too."""
+
+
+class _Loader(getattr(yaml, 'CSafeLoader', yaml.SafeLoader)):  # type: ignore[misc]
+    """Safe loader that refuses equal keys: the last one would win in silence."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen = set()
+        for key, _ in node.value:
+            name = key.value if isinstance(key, yaml.ScalarNode) else None
+            if name is not None and name in seen:
+                raise yaml.constructor.ConstructorError(
+                    None, None, f'{_short(name)} is given twice', key.start_mark
+                )
+            seen.add(name)
+        return super().construct_mapping(node, deep)
+
+
+def _short(value: object) -> str:
+    """Text of a value for messages; nested aliases can stand for megabytes."""
+    try:
+        return reprlib.repr(value)
+    except ValueError:  # an integer of thousands of digits
+        return f'a huge {type(value).__name__}'
+
+
+def load_yaml(path: str | Path, max_bytes: int | None = None) -> Any:
+    """Load a YAML file of other software through the safe loader, whatever its values are.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        The file.
+    max_bytes : int, optional
+        Largest file that is read, ``MAX_BYTES`` if not given.
+
+    Returns
+    -------
+    object
+        Its content, of at most ``MAX_VALUES`` values.
+
+    Raises
+    ------
+    ConfigError
+        If the file is missing, too large, not YAML, nested too deeply, or has too many values.
+    """
+    path, limit = Path(path), MAX_BYTES if max_bytes is None else max_bytes
+    try:
+        if path.stat().st_size > limit:
+            raise ConfigError('file', f'is larger than {limit} bytes', str(path))
+        # A safe loader with one check more.
+        data = yaml.load(path.read_text(encoding='utf-8'), Loader=_Loader)  # noqa: S506
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError('file', f'cannot be read ({error})', str(path)) from error
+    except ConfigError:
+        raise
+    except Exception as error:  # constructors of tags raise many kinds
+        text = ' '.join(str(error).split())[:300]
+        raise ConfigError('file', f'is not valid YAML ({text})', str(path)) from error
+    for _ in _values(data, str(path)):
+        pass  # counts them
+    return data
+
+
+def read_yaml(path: str | Path) -> dict[str, Any]:
+    """Read a YAML mapping through the safe loader.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        The file; at most ``MAX_BYTES`` long.
+
+    Returns
+    -------
+    dict
+        The top-level mapping.
+
+    Raises
+    ------
+    ConfigError
+        As `load_yaml`, and if the file holds what no file of this software needs: no mapping, keys
+        that are not text, dates, binary data, NaN, huge integers.
+    """
+    data = load_yaml(path)
+    if not isinstance(data, dict):
+        raise ConfigError('file', 'must hold a mapping at its top level', str(path))
+    _check_values(data, str(path))
+    return data
+
+
+def write_parameters(path: str | Path, parameters: dict[str, Any], comment: str = '') -> None:
+    """Write a ROS 2 parameter file for all nodes (``/**: ros__parameters: ...``).
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        File to write; parent directories are made.
+    parameters : dict
+        Plain YAML data.
+    comment : str, optional
+        Text for the head of the file.
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    head = ''.join(f'# {line}\n' for line in comment.splitlines())
+    data = {'/**': {'ros__parameters': parameters}}
+    text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=100)
+    # A half-written file must never be found by a node: write aside, then rename.
+    part = path.with_name(path.name + '.part')
+    part.write_text(head + text, encoding='utf-8')
+    part.replace(path)
+
+
+def _values(data: object, source: str) -> Iterator[tuple[str, Any]]:
+    """Values with their names; those that aliases repeat come as often."""
+    left: list[tuple[str, Any, int]] = [('', data, 0)]
+    count = 0
+    while left:
+        name, value, depth = left.pop()
+        count += 1
+        if count > MAX_VALUES or depth > MAX_DEPTH:
+            limit = f'{MAX_VALUES} values' if count > MAX_VALUES else f'{MAX_DEPTH} levels'
+            raise ConfigError(name or 'file', f'has more than {limit}', source)
+        yield name, value
+        items: Iterable[tuple[str, Any]] = ()
+        if isinstance(value, dict):
+            keys = [key if isinstance(key, str) else _short(key) for key in value]
+            items = ((f'{name}.{k}' if name else k, v) for k, v in zip(keys, value.values()))
+        elif isinstance(value, (list, tuple, set)):
+            items = ((f'{name}[{i}]', item) for i, item in enumerate(value))
+        left += [(label, item, depth + 1) for label, item in items]
+
+
+def _check_values(data: dict[str, Any], source: str) -> None:
+    """Refuse what no file may hold, before anything else looks at it."""
+    for name, value in _values(data, source):
+        if isinstance(value, dict):
+            wrong = [key for key in value if not isinstance(key, str)]
+            if wrong:
+                reason = f'has a key that is not text: {_short(wrong[0])}; put it in quotes'
+                raise ConfigError(name or 'file', reason, source)
+        elif not isinstance(value, list) and (reason := _wrong_scalar(value)):
+            raise ConfigError(name, reason, source)
+
+
+def _wrong_scalar(value: object) -> str:
+    """Why a scalar is refused; '' if it is not."""
+    if isinstance(value, int) and abs(value) > MAX_INTEGER:
+        return f'must be at most {MAX_INTEGER} in magnitude'
+    if isinstance(value, float) and math.isnan(value):
+        return 'must be a number, got NaN'
+    if value is None or isinstance(value, (str, int, float)):
+        return ''
+    return f'must be a number or text, got a {type(value).__name__}; put text in quotes'
+
+
+def sha256_of(data: object) -> str:
+    """Hash of a configuration's content, independent of layout and comments.
+
+    Parameters
+    ----------
+    data : object
+        Nested dicts, lists, strings and numbers.
+
+    Returns
+    -------
+    str
+        Hexadecimal SHA-256.
+    """
+    return hashlib.sha256(_canonical(data).encode()).hexdigest()
+
+
+def _canonical(data: object) -> str:
+    if isinstance(data, dict):
+        return '{' + ','.join(f'{k}:{_canonical(data[k])}' for k in sorted(data)) + '}'
+    if isinstance(data, (list, tuple)):
+        return '[' + ','.join(_canonical(v) for v in data) + ']'
+    if isinstance(data, bool) or not isinstance(data, (int, float)):
+        return repr(data)
+    return float(data).hex()
+
+
+_Function = TypeVar('_Function', bound=Callable[..., Any])
+_found: ContextVar[list[ConfigError] | None] = ContextVar('found', default=None)
+"""Errors of the fields that were read, while all of them are collected."""
+_LONGEST = 1600
+"""Most characters of the text that names all wrong fields."""
+
+
+def names_all_errors(parse: _Function) -> _Function:
+    """Make a parser of a file's mapping name every field that is wrong, not only the first one.
+
+    Parameters
+    ----------
+    parse : callable
+        Builds something from a mapping, by a `Section`.
+
+    Returns
+    -------
+    callable
+        The same; its ConfigError has field and reason of the first error, and the text of all.
+    """
+
+    @functools.wraps(parse)
+    def parse_all(*arguments: Any, **options: Any) -> Any:
+        try:
+            return parse(*arguments, **options)
+        except ConfigError as first:
+            if _found.get() is not None:
+                raise
+            token = _found.set([])
+            try:
+                parse(*arguments, **options)
+            except Exception:  # noqa: S110 - what follows from a stand-in says nothing of the file
+                pass
+            finally:
+                others = _found.get() or []
+                _found.reset(token)
+            raise _joined(first, others) from None
+
+    return parse_all  # type: ignore[return-value]
+
+
+def _joined(first: ConfigError, others: Sequence[ConfigError]) -> ConfigError:
+    """The first error, with the text of all in one line."""
+    texts = list(dict.fromkeys(f'{error.field}: {error.reason}' for error in (first, *others)))
+    if len(texts) == 1:
+        return first
+    where = f'{first.source}: ' if first.source else ''
+    said = '; '.join(f'({i}) {text}' for i, text in enumerate(texts, start=1))
+    if len(said) > _LONGEST:
+        said = said[:_LONGEST] + ' ...'
+    first.args = (f'{where}{len(texts)} fields are wrong: {said}',)
+    return first
+
+
+def _or(stand_in: Callable[..., Any]) -> Callable[[_Function], _Function]:
+    """Make a method of `Section` note its error and go on with a value, where all are collected."""
+
+    def decorate(method: _Function) -> _Function:
+        @functools.wraps(method)
+        def read(self: 'Section', *arguments: Any, **options: Any) -> Any:
+            try:
+                return method(self, *arguments, **options)
+            except ConfigError as error:
+                found = _found.get()
+                if found is None:
+                    raise
+                if not self._missing:
+                    found.append(error)
+                return stand_in(self, *arguments, **options)
+
+        return read  # type: ignore[return-value]
+
+    return decorate
+
+
+def _inside(
+    low: float = -math.inf, high: float = math.inf, above: float | None = None, **_: Any
+) -> float:
+    """A number that is allowed."""
+    return max(low, min(high, 1.0 if above is None or above < 1.0 else above + 1.0))
+
+
+class Section:
+    """A mapping that is read field by field, so that every error names its field.
+
+    Parameters
+    ----------
+    data : dict
+        The mapping.
+    source : str
+        File name for error messages.
+    prefix : str, optional
+        Dotted name of this mapping inside the file.
+    """
+
+    def __init__(self, data: dict[str, Any], source: str, prefix: str = '') -> None:
+        if not isinstance(data, dict):
+            raise ConfigError(prefix or 'file', 'must be a mapping', source)
+        self._data = data
+        self._source = source
+        self._prefix = prefix
+        self._seen: set[str] = set()
+        self._missing = False  # whether it stands for a section that is not there
+
+    def _name(self, key: str) -> str:
+        return f'{self._prefix}.{key}' if self._prefix else key
+
+    def error(self, key: str, reason: str) -> ConfigError:
+        """Return the ConfigError for ``key`` (to be raised by the caller)."""
+        return ConfigError(self._name(key), reason, self._source)
+
+    def _absent(self, key: str) -> 'Section':
+        result = Section({}, self._source, self._name(key))
+        result._missing = True
+        return result
+
+    def __contains__(self, key: object) -> bool:
+        return key in self._data
+
+    def _get(self, key: str, default: Any) -> Any:
+        self._seen.add(key)
+        if key in self._data:
+            return self._data[key]
+        if default is _REQUIRED:
+            raise self.error(key, 'is missing')
+        return default
+
+    @_or(lambda self, key, *_, **__: self._absent(key))
+    def section(self, key: str, required: bool = True) -> 'Section':
+        """Return the mapping below ``key`` (an empty one if absent and not required)."""
+        return Section(self._get(key, _REQUIRED if required else {}), self._source, self._name(key))
+
+    @_or(lambda *_, **__: [])
+    def sections(self, key: str, default: list[Any] | None = None) -> 'list[Section]':
+        """Return the list of mappings below ``key``."""
+        items = self._get(key, _REQUIRED if default is None else default)
+        if not isinstance(items, list):
+            raise self.error(key, 'must be a list')
+        return [
+            Section(item, self._source, f'{self._name(key)}[{i}]') for i, item in enumerate(items)
+        ]
+
+    @_or(lambda self, key, default=None, choices=None: next(iter(choices or ['text'])))
+    def text(
+        self, key: str, default: str | None = None, choices: Iterable[str] | None = None
+    ) -> str:
+        """Return a string, optionally one of ``choices``."""
+        value = self._get(key, _REQUIRED if default is None else default)
+        if not isinstance(value, str) or not value:
+            raise self.error(key, f'must be a non-empty string, got {_short(value)}')
+        if choices is not None and value not in choices:
+            raise self.error(key, f'must be one of {", ".join(choices)}; got {_short(value)}')
+        return value
+
+    @_or(lambda *_, **__: False)
+    def flag(self, key: str, default: bool) -> bool:
+        """Return a boolean."""
+        value = self._get(key, default)
+        if not isinstance(value, bool):
+            raise self.error(key, f'must be true or false, got {_short(value)}')
+        return value
+
+    @_or(lambda self, key, default=None, low=None: low or 0)
+    def integer(self, key: str, default: int | None = None, low: int | None = None) -> int:
+        """Return an integer, not below ``low``."""
+        value = self._get(key, _REQUIRED if default is None else default)
+        if isinstance(value, bool) or not isinstance(value, int):
+            raise self.error(key, f'must be an integer, got {_short(value)}')
+        if low is not None and value < low:
+            raise self.error(key, f'must be at least {low}, got {value}')
+        return value
+
+    @_or(lambda self, key, default=None, *a, **k: _inside(*a, **k))
+    def number(
+        self,
+        key: str,
+        default: float | None = None,
+        low: float = -math.inf,
+        high: float = math.inf,
+        above: float | None = None,
+    ) -> float:
+        """Return a finite float within [low, high] (and > ``above`` if given)."""
+        value = self._get(key, _REQUIRED if default is None else default)
+        return self._number(key, value, low, high, above)
+
+    def _number(self, key: str, value: Any, low: float, high: float, above: float | None) -> float:
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise self.error(key, f'must be a number, got {_short(value)}')
+        try:
+            value = float(value)
+        except OverflowError:  # an integer beyond any float
+            value = math.inf
+        if not math.isfinite(value):
+            raise self.error(key, f'must be finite, got {value}')
+        if above is not None and (not value > above or value > high):
+            allowed = f'lie within ({above}, {high}]' if high < math.inf else f'be above {above}'
+            raise self.error(key, f'must {allowed}, got {value}')
+        if not low <= value <= high:
+            raise self.error(key, f'must lie within [{low}, {high}], got {value}')
+        return value
+
+    @_or(lambda self, key, default=None, *a, **k: (_inside(*a, **k),) * 2)
+    def pair(
+        self,
+        key: str,
+        default: Any = None,
+        low: float = -math.inf,
+        high: float = math.inf,
+        above: float | None = None,
+    ) -> tuple[float, float]:
+        """Return two finite floats; one number stands for both."""
+        first, second = self.vector(key, 2, default, low, high, above)
+        return first, second
+
+    @_or(lambda self, key, size, default=None, *a, **k: [_inside(*a, **k)] * size)
+    def vector(
+        self,
+        key: str,
+        size: int,
+        default: Any = None,
+        low: float = -math.inf,
+        high: float = math.inf,
+        above: float | None = None,
+    ) -> list[float]:
+        """Return ``size`` finite floats; one number stands for all of them."""
+        value = self._get(key, _REQUIRED if default is None else default)
+        if not isinstance(value, (list, tuple)):
+            value = [value] * size
+        if len(value) != size:
+            raise self.error(key, f'must have {size} numbers, got {len(value)}')
+        return [self._number(f'{key}[{i}]', v, low, high, above) for i, v in enumerate(value)]
+
+    @_or(lambda self, key, most, *a, **k: [_inside(*a, **k)])
+    def numbers(
+        self, key: str, most: int, low: float = -math.inf, high: float = math.inf
+    ) -> list[float]:
+        """Return 1 to ``most`` finite floats."""
+        value = self._get(key, _REQUIRED)
+        if not isinstance(value, list) or not 1 <= len(value) <= most:
+            raise self.error(key, f'must be a list of 1 to {most} numbers')
+        return [self._number(f'{key}[{i}]', v, low, high, None) for i, v in enumerate(value)]
+
+    @_or(lambda self, key, width, most: [[1.0] * width])
+    def rows(self, key: str, width: int, most: int) -> list[list[float]]:
+        """Return 1 to ``most`` lists of ``width`` finite floats each."""
+        value = self._get(key, _REQUIRED)
+        if not isinstance(value, list) or not 1 <= len(value) <= most:
+            raise self.error(key, f'must be a list of 1 to {most} rows')
+        rows = [
+            Section({f'{key}[{i}]': row}, self._source, self._prefix) for i, row in enumerate(value)
+        ]
+        return [row.vector(f'{key}[{i}]', width) for i, row in enumerate(rows)]
+
+    @_or(lambda self, key, shape: np.zeros(shape))
+    def matrix(self, key: str, shape: tuple[int, ...]) -> np.ndarray:
+        """Return an array of the given shape from a flat list (row-major)."""
+        value = self._get(key, _REQUIRED)
+        size = int(np.prod(shape))
+        if not isinstance(value, (list, tuple)) or len(value) != size:
+            raise self.error(key, f'must be a flat list of {size} numbers for shape {shape}')
+        flat = [
+            self._number(f'{key}[{i}]', v, -math.inf, math.inf, None) for i, v in enumerate(value)
+        ]
+        return np.array(flat, dtype=float).reshape(shape)
+
+    @_or(lambda self, key, size, default=None: tuple(f'name{i}' for i in range(size)))
+    def names(self, key: str, size: int, default: Any = None) -> tuple[str, ...]:
+        """Return ``size`` distinct non-empty strings."""
+        value = self._get(key, _REQUIRED if default is None else default)
+        if (
+            not isinstance(value, (list, tuple))
+            or len(value) != size
+            or not all(isinstance(v, str) and v for v in value)
+        ):
+            raise self.error(key, f'must be a list of {size} non-empty strings')
+        if len(set(value)) != size:
+            raise self.error(key, f'must hold distinct names, got {_short(value)}')
+        return tuple(value)
+
+    def texts(self, key: str, default: Sequence[str] | None = None) -> tuple[str, ...]:
+        """Return a tuple of different, not empty strings."""
+        values = self._get(key, _REQUIRED if default is None else list(default))
+        if not isinstance(values, list) or not values:
+            raise self.error(key, 'must be a list of texts')
+        for value in values:
+            if not isinstance(value, str) or not value:
+                raise self.error(key, f'must hold texts, got {_short(value)}')
+        if len(set(values)) < len(values):
+            raise self.error(key, 'lists a text twice')
+        return tuple(values)
+
+    def plain(self, key: str) -> dict[str, Any]:
+        """Return an optional mapping as it is, for data that is only passed on."""
+        return dict(self.section(key, required=False)._data)
+
+    @_or(lambda *_: None)
+    def finish(self) -> None:
+        """Refuse fields that nobody read: a typing error must not pass in silence."""
+        unknown = sorted(set(self._data) - self._seen, key=str)
+        if unknown:
+            known = ', '.join(sorted(self._seen))
+            name = _short(unknown[0]).strip("'")
+            raise self.error(name, f'is not a known field; known here: {known}')
+
+
+_REQUIRED = object()

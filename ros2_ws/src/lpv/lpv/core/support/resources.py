@@ -1,0 +1,74 @@
+"""Where packages keep their files and programs, with a ROS 2 sourced or without."""
+
+import os
+import site
+import sys
+from pathlib import Path
+
+from lpv.core.support.errors import ConfigError
+
+_SOURCES = Path(__file__).resolve().parents[4]
+"""Where the packages are in a checkout."""
+
+
+def prefix_of(package: str) -> Path:
+    """Where a package is installed, with a ROS 2 sourced or in this Python's environment."""
+    # The ament index by hand: its Python package refuses to look where nothing is sourced, and
+    # programs built into a virtual environment must run without.
+    prefixes = [p for p in os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep) if p]
+    for prefix in (*prefixes, sys.prefix, site.getuserbase()):
+        index = Path(prefix) / 'share' / 'ament_index' / 'resource_index' / 'packages'
+        if Path(package).name == package and (index / package).is_file():
+            return Path(prefix)
+    reason = 'is not installed: build the workspace, or source it'
+    raise ConfigError(f'package {package!r}', reason)
+
+
+def executable(package: str, name: str) -> Path:
+    """Program that ``ros2 run PACKAGE NAME`` starts."""
+    folder = prefix_of(package) / 'lib' / package
+    programs = {file.name: file for file in folder.rglob('*') if os.access(file, os.X_OK)}
+    if name not in programs:
+        known = ', '.join(sorted(programs)) or 'none'
+        raise ConfigError(f'package {package!r}', f'has no program {name!r}, only: {known}')
+    return programs[name]
+
+
+def shipped_files(kind: str) -> dict[str, Path]:
+    """Files of one kind that are installed with lpv_bringup, or of the checkout that runs."""
+    folder = _SOURCES / 'lpv_bringup' / kind
+    if not folder.is_dir():
+        folder = prefix_of('lpv_bringup') / 'share' / 'lpv_bringup' / kind
+    return {file.stem: file for file in sorted(folder.glob('*.yaml'))}
+
+
+def bringup_file(kind: str, name: str) -> Path:
+    """An arm, scenario, column or campaign file: a path, or the bare name of a shipped one.
+
+    Parameters
+    ----------
+    kind : {'arms', 'campaigns', 'columns', 'scenarios'}
+        Folder of lpv_bringup.
+    name : str
+        Path, or name (``paper`` or ``paper.yaml``) of a shipped file.
+
+    Returns
+    -------
+    pathlib.Path
+        Existing file.
+
+    Raises
+    ------
+    ConfigError
+        If there is none; names the shipped ones.
+    """
+    path = Path(name)
+    if path.suffix in ('.yaml', '.yml') and path.is_file():
+        return path.resolve()
+    # A bare name cannot leave the folder.
+    shipped = shipped_files(kind)
+    if path.name == name and path.suffix in ('', '.yaml') and path.stem in shipped:
+        return shipped[path.stem]
+    raise ConfigError(
+        kind.rstrip('s'), f'{name!r} is neither a file nor shipped; shipped: ' + ', '.join(shipped)
+    )

@@ -1,0 +1,61 @@
+"""Angle errors by dead reckoning: intervals that grow with the errors of the rates alone.
+
+The observer's angle moves by the measured rates and by a correction that is known, so that its
+error changes by that correction and by what the rates miss, whatever torques act.  Such an interval
+grows for ever; cut with the reachable set at each step, both stay as small as the smaller one.
+"""
+
+import math
+
+import numpy as np
+
+from lpv.core.support.jit import njit_in_place as njit
+from lpv.core.support.records import record_type
+
+INTERVAL_STATE = record_type(
+    ('low', 'f8', (2,)),  # interval of each angle error, but for noise [rad]
+    ('high', 'f8', (2,)),  # [rad]
+    ('age', 'f8', (2,)),  # time over which noise of the rates has been integrated [s]
+    ('theta', 'f8', (2,)),  # last theta^ [rad]
+    ('rate', 'f8', (2,)),  # last v [rad/s]
+)
+
+
+@njit
+def start_interval(state: np.record, estimate: np.record, size: np.ndarray) -> None:
+    """Begin with errors of a given size, per angle [rad]."""
+    for i in range(2):
+        state.low[i], state.high[i], state.age[i] = -size[i], size[i], 0.0
+        state.theta[i] = estimate.absolute_position[i]
+        state.rate[i] = estimate.absolute_velocity[i]
+
+
+@njit
+def move_interval(
+    state: np.record, estimate: np.record, rate_error: np.ndarray, jump: np.ndarray
+) -> None:
+    """Follow one estimate: absolute rates are wrong by at most ``rate_error`` but for noise
+    [rad/s], and angles by ``jump`` more, an unknown part of lost samples [rad]."""
+    dt = estimate.interval
+    for i in range(2):
+        theta, rate = estimate.absolute_position[i], estimate.absolute_velocity[i]
+        shift, grown = 0.0, jump[i]
+        if not estimate.bridged:  # over a gap the angles follow the encoder, errors stay
+            shift = theta - state.theta[i] - 0.5 * dt * (rate + state.rate[i])
+            grown += dt * rate_error[i]
+            state.age[i] += dt
+        state.low[i] += shift - grown
+        state.high[i] += shift + grown
+        state.theta[i], state.rate[i] = theta, rate
+
+
+@njit
+def cut_interval(state: np.record, i: int, limit: float, noise: float) -> float:
+    """Cut the interval of angle i at +-limit [rad]; its largest error with the ``noise`` of the
+    rates [rad/sqrt(s)]."""
+    if max(-state.low[i], state.high[i]) > limit:
+        state.low[i] = min(max(state.low[i], -limit), limit)
+        state.high[i] = max(min(state.high[i], limit), -limit)
+        if -state.low[i] >= limit and state.high[i] >= limit:
+            state.age[i] = 0.0
+    return max(-state.low[i], state.high[i]) + noise * math.sqrt(state.age[i])

@@ -1,0 +1,404 @@
+"""Bounds on the error of the fault estimates, by configuration and past.
+
+Gravity is the only absolute reference of an angle: what the model does not know of the torques is
+explained as an angle error, and in time an error q/(G cos theta) builds up.
+
+For method ``exact`` the bound is a reachable set plus a multiple of noise: all errors that the
+unknown torques and wrong rates of a healthy arm (model error, payload, friction, mean disturbance,
+bias and relative error of the rates) can have caused since the start, whatever their time profile.
+At every step the set is cut with what dead reckoning allows
+(`lpv.core.uio.bound.dead_reckoning_interval`), so that it comes back from wherever gravity could
+not bound it.  The model errors of method ``paper`` have no exact form; its bound is the static
+error of the configuration, which rises at once and falls at the certified decay rate.
+"""
+
+import math
+
+import numpy as np
+
+from lpv.core.serial_arm.description import RATE_BIAS
+from lpv.core.support.jit import njit_in_place as njit
+from lpv.core.support.records import new_record, record_type
+from lpv.core.uio.bound.dead_reckoning_interval import (
+    INTERVAL_STATE,
+    cut_interval,
+    move_interval,
+    start_interval,
+)
+from lpv.core.uio.bound.unknown_torque import (
+    MOTION,
+    UNKNOWN_TORQUE,
+    bound_rate_errors,
+    healthy_arm,
+    inertia_errors,
+    unknown_torque,
+)
+from lpv.core.uio.bound.zonotope import (
+    COLUMNS,
+    KEPT,
+    SIZE,
+    extent,
+    map_columns,
+    reduce_columns,
+    shear_columns,
+)
+from lpv.core.uio.certificate.gains import ExactObserverGains, Gains
+from lpv.core.uio.model.arm import ArmParameters
+from lpv.core.uio.model.dynamics import coupling
+from lpv.core.uio.model.joints import JointMap, row_dot
+from lpv.core.uio.observer.exact_observer import injection
+
+_LARGEST = 10.0
+"""A larger set says nothing more [rad]."""
+_LONGEST = 60.0
+"""After so long a gap the set has come to rest [s]."""
+_FAR = 2.0
+"""A set so many times beyond dead reckoning starts again."""
+_INPUTS = 6
+"""Columns that a step adds: two torques, two errors of rates, two of the injection."""
+
+BOUND_CONSTANTS = record_type(
+    ('exact', '?'),  # method exact; otherwise the static bound of method paper
+    ('sign', 'f8'),  # s: +1 upright, -1 hanging
+    ('kappa', 'f8', (2,)),  # [1/(kg m2)]
+    ('mu', 'f8', (2,)),  # [1/s]
+    ('fastest', 'f8'),  # largest mu [1/s]
+    ('slowest_recovery', 'f8'),  # slowest pole of the angle errors [1/s]
+    ('decay', 'f8'),  # certified decay rate of method paper [1/s]
+    ('spread', 'f8', (2, 2)),  # abs(S): angles to sensors
+    ('noise', 'f8', (2,)),  # noise in the bound, per sensor [rad]
+    ('angle_noise', 'f8', (2,)),  # the same per angle [rad]
+    ('start', 'f8', (2,)),  # error at the start, per angle [rad]
+    ('drift', 'f8', (2,)),  # growth by noise of the rates, per angle [rad/sqrt(s)]
+    ('bias', 'f8', (2,)),  # bias of the rates, per angle [rad/s]
+    ('cos_min', 'f8', (2,)),  # region
+    ('unknown', UNKNOWN_TORQUE),  # what a healthy arm may do
+)
+"""Constants of `update_bound` for one arm."""
+
+BOUND_STATE = record_type(
+    ('used', 'i8'),  # columns of the zonotope in use; 0 before the first estimate
+    ('columns', 'f8', (SIZE, COLUMNS)),  # zonotope of (e_1, e_2, r_1, r_2) [rad], [rad/s]
+    ('extent', 'f8', (SIZE,)),  # its extents; of method paper the bounds on e alone
+    ('held_for', 'f8', (2,)),  # how long links were held, less what has decayed [s]
+    ('bound', 'f8', (2,)),  # result: bound on the error of each sensor's fault estimate [rad]
+    ('interval', INTERVAL_STATE),  # the errors by dead reckoning
+    ('motion', MOTION),  # signals of the present step
+    ('torque', 'f8', (2,)),  # bound on the unknown torques [N m]
+    ('shear', 'f8', (2,)),  # kappa_i Xi_ii/mu_i, 0 for a held link [s]
+    ('n', 'f8', (SIZE, SIZE)),  # N of the error
+    ('map', 'f8', (SIZE, SIZE)),  # work space: exp(N dt)
+    ('inputs', 'f8', (SIZE, _INPUTS)),  # largest inputs, one a column
+    ('sizes', 'f8', (COLUMNS,)),  # work space of `reduce_columns`
+    ('order', 'i8', (COLUMNS,)),
+    ('kept', 'f8', (SIZE, KEPT)),
+)
+"""Reachable set of the errors; r_i = s m_i/Xi_ii is the momentum error in units of a rate."""
+
+
+def error_bound(arm: ArmParameters, gains: Gains, sigmas: float = 4.0) -> np.record:
+    """Constants of the bound, of type `BOUND_CONSTANTS`, with ``sigmas`` standard deviations of
+    noise."""
+    observer = gains.observer
+    sensor_matrix = JointMap(arm).sensor_matrix
+    spread, noise = np.abs(sensor_matrix), sigmas * np.asarray(observer.fault_sigma)
+    to_angle = np.abs(np.linalg.inv(sensor_matrix))
+    params = new_record(
+        BOUND_CONSTANTS,
+        sign=arm.sign,
+        spread=spread,
+        noise=noise,
+        angle_noise=np.linalg.solve(spread, noise),
+        start=sigmas * arm.position_noise * to_angle.sum(axis=1),
+        drift=(sigmas * arm.velocity_noise * math.sqrt(arm.sample_time) * np.hypot(*to_angle.T)),
+        bias=RATE_BIAS * arm.velocity_noise * to_angle.sum(axis=1),
+        cos_min=arm.cos_min,
+        decay=observer.decay,
+        unknown=healthy_arm(arm, sigmas),
+    )
+    if isinstance(observer, ExactObserverGains):
+        kappa, mu = np.asarray(observer.kappa), np.asarray(observer.mu)
+        params.exact, params.kappa, params.mu, params.fastest = True, kappa, mu, mu.max()
+        params.slowest_recovery = np.min(
+            kappa * np.asarray(arm.numbers().gravity) * np.asarray(arm.cos_min) / mu
+        )
+    return params
+
+
+@njit
+def reset_bound(state: np.record) -> None:
+    """Forget the past: the next estimate is a first one."""
+    state.columns[:] = 0.0
+    state.extent[:] = 0.0
+    state.held_for[:] = 0.0
+    state.used = 0
+
+
+@njit
+def update_bound(
+    params: np.record, state: np.record, estimate: np.record, lost: np.ndarray
+) -> None:
+    """Follow one estimate; fills ``bound`` of the state.
+
+    ``lost`` is what samples that were lost just before leave unknown of each sensor's angle [rad].
+    """
+    if params.exact:
+        _follow_set(params, state, estimate, lost)
+        return
+    if state.used > 0:
+        for i in range(2):
+            state.extent[i] += row_dot(params.unknown.to_angle, i, lost[0], lost[1])
+    _follow_static(params, state, estimate)
+
+
+@njit
+def _follow_set(params: np.record, state: np.record, estimate: np.record, lost: np.ndarray) -> None:
+    motion, size = state.motion, state.torque
+    if state.used == 0:
+        state.columns[0, 0], state.columns[1, 1] = params.start[0], params.start[1]
+        state.used = 2
+        for i in range(2):
+            size[i] = params.start[i] + params.angle_noise[i]
+        start_interval(state.interval, estimate, size)
+    else:
+        for i in range(2):
+            size[i] = row_dot(params.unknown.to_angle, i, lost[0], lost[1])
+            if size[i] > 0.0:  # one more column
+                state.columns[:, state.used] = 0.0
+                state.columns[i, state.used] = size[i]
+                state.used += 1
+                _make_room(state)
+        _read_motion(params, state, estimate)
+        move_interval(state.interval, estimate, motion.rate_error, size)
+        if not estimate.bridged:
+            _advance(params, state, estimate)
+    extent(state.columns, state.used, state.extent)
+    _cut(params, state)
+    _update_held_time(params, state, estimate)
+    error_1, error_2 = _angle_error(params, state, 0), _angle_error(params, state, 1)
+    for i in range(2):
+        state.bound[i] = row_dot(params.spread, i, error_1, error_2) + params.noise[i]
+
+
+@njit
+def _angle_error(params: np.record, state: np.record, i: int) -> float:
+    """Bound on an angle error, less the noise of an estimate that gravity renews."""
+    noise = params.drift[i] * math.sqrt(state.held_for[i])
+    return min(state.extent[i] + noise, _LARGEST)
+
+
+@njit
+def _make_room(state: np.record) -> None:
+    """Merge small columns in the coordinates (e_i - shear_i r_i, r_i) of slow and fast errors,
+    where an error of a rate or of a torque that has passed is in one coordinate."""
+    if state.used + _INPUTS > COLUMNS:
+        shear_columns(state.columns, state.used, -state.shear[0], -state.shear[1])
+        state.used = reduce_columns(state.columns, state.used, state.sizes, state.order, state.kept)
+        shear_columns(state.columns, state.used, state.shear[0], state.shear[1])
+
+
+@njit
+def _cut(params: np.record, state: np.record) -> None:
+    """Take the smaller of the set and dead reckoning for each angle.
+
+    A set that has grown far beyond dead reckoning starts again as a box within it; before, a box
+    would lose more than it cuts off, namely which errors belong together.
+    """
+    restart = False
+    for i in range(2):
+        known = params.angle_noise[i] + params.drift[i] * math.sqrt(state.held_for[i])
+        reckoned = params.angle_noise[i] + cut_interval(
+            state.interval, i, state.extent[i] + known, params.drift[i]
+        )
+        restart = restart or state.extent[i] > _FAR * reckoned
+        state.extent[i] = min(state.extent[i], reckoned)
+    if restart:
+        state.columns[:] = 0.0
+        for k in range(SIZE):
+            state.columns[k, k] = state.extent[k]
+        state.used = SIZE
+
+
+@njit
+def _read_motion(params: np.record, state: np.record, estimate: np.record) -> None:
+    """Known signals at the estimate, and how wrong angles and rates may be."""
+    motion, arm = state.motion, params.unknown.arm
+    for i in range(2):
+        motion.theta[i] = estimate.absolute_position[i]
+        motion.rate[i] = estimate.absolute_velocity[i]
+        motion.innovation[i] = estimate.innovation[i]
+        motion.mu[i] = params.mu[i]
+        motion.margin[i] = min(state.extent[i] + params.angle_noise[i], math.pi)
+        state.shear[i] = 0.0
+        if not estimate.held[i]:
+            state.shear[i] = params.kappa[i] * arm.inertia[i] / params.mu[i]
+    bound_rate_errors(params.unknown, motion)
+    # theta^'' = acceleration - Xi^-1 (mu Xi + Xi'(v)) r of the observer.
+    r = motion.innovation[0], motion.innovation[1]
+    acc = estimate.absolute_acceleration
+    _, _, k_1, k_2 = injection(motion.theta[0], motion.theta[1], motion.rate, r, params.mu, arm)
+    for i in range(2):
+        motion.driven[i, 0] = acc[0] - k_1 + params.mu[i] * r[0]
+        motion.driven[i, 1] = acc[1] - k_2 + params.mu[i] * r[1]
+
+
+@njit
+def _advance(params: np.record, state: np.record, estimate: np.record) -> None:
+    unknown_torque(params.unknown, state.motion, state.torque)
+    error_matrix(params, state)
+    _collect_inputs(params, state)
+    interval = min(estimate.interval, _LONGEST)
+    steps = max(1, math.ceil(interval * params.fastest / 0.5))
+    dt = interval / steps
+    for _ in range(steps):
+        advance_set(state, dt)
+
+
+@njit
+def error_matrix(params: np.record, state: np.record) -> None:
+    """N of the errors (e, r), r_i = s m_i/Xi_ii, and what a secant of gravity leaves out.
+
+    ``sin theta^ - sin(theta^ - e) = e cos(theta^ - e/2) sinc(e/2)``: over all errors within the
+    margin the slope is a middle value, in N, and a remainder that counts as an unknown torque.
+    """
+    arm, motion, n, sign = params.unknown.arm, state.motion, state.n, params.sign
+    difference = motion.theta[0] - motion.theta[1]
+    cosine, sine = math.cos(difference), math.sin(difference)
+    b, turning = sign * arm.coupling, motion.rate[0] - motion.rate[1]
+    n[:] = 0.0
+    for i in range(2):
+        j = 1 - i
+        spin = motion.rate[j] * motion.rate[j] * (-1.0 if i == 0 else 1.0)
+        # Coupling of inertia and Coriolis terms through e_1 - e_2.
+        couple = b * (sine * motion.driven[i, j] + cosine * (turning * motion.innovation[j] + spin))
+        low, high = _secant_slopes(sign, motion.theta[i], motion.margin[i])
+        n[2 + i, i] = 0.5 * (low + high) * arm.gravity[i] / arm.inertia[i]
+        state.torque[i] += 0.5 * (high - low) * arm.gravity[i] * motion.margin[i]
+        n[2 + i, 0] += couple / arm.inertia[i]
+        n[2 + i, 1] -= couple / arm.inertia[i]
+        n[2 + i, 2 + i] = -params.mu[i]
+        if state.shear[i] > 0.0:
+            n[i, 2 + i] = -params.kappa[i] * arm.inertia[i]
+            inject = params.kappa[i] * b * sine * motion.innovation[j]
+            n[i, 0] += inject
+            n[i, 1] -= inject
+
+
+@njit
+def _secant_slopes(sign: float, theta: float, margin: float) -> tuple[float, float]:
+    """Smallest and largest slope of s sin between an angle and others within a margin."""
+    half = 0.5 * min(margin, math.pi)
+    away = math.acos(min(max(sign * math.cos(theta), -1.0), 1.0))
+    share = math.sin(half) / half if half > 1e-6 else 1.0
+    low, high = math.cos(min(away + half, math.pi)), math.cos(max(away - half, 0.0))
+    return low * share if low > 0.0 else low, high if high > 0.0 else high * share
+
+
+@njit
+def _collect_inputs(params: np.record, state: np.record) -> None:
+    """Largest inputs of the errors: unknown torques, wrong rates, wrong injection."""
+    arm, motion, inputs = params.unknown.arm, state.motion, state.inputs
+    own_1, own_2, cross, _ = inertia_errors(params.unknown, motion)
+    off = coupling(motion.theta[0], motion.theta[1], arm)
+    away = motion.margin[0] + motion.margin[1]
+    sine = min(1.0, abs(math.sin(motion.theta[0] - motion.theta[1])))
+    inputs[:] = 0.0
+    for i in range(2):
+        j, own = 1 - i, own_1 if i == 0 else own_2
+        inputs[2 + i, i] = state.torque[i] / arm.inertia[i]
+        # e' = (1 + s kappa Xi^) eta - s kappa m, m' = mu Xi^ eta - mu m: signs belong together.
+        inputs[i, 2 + i] = motion.rate_error[i]
+        for k in range(2):
+            row = arm.inertia[i] if k == i else off
+            through = params.sign * row * motion.rate_error[k]
+            inputs[i, 2 + k] += params.mu[i] / arm.inertia[i] * state.shear[i] * through
+            inputs[2 + i, 2 + k] = params.mu[i] / arm.inertia[i] * through
+        moved = abs(motion.innovation[i]) + motion.rate_error[i]
+        moved_other = abs(motion.innovation[j]) + motion.rate_error[j]
+        left = own * moved + (cross + 0.5 * arm.coupling * away * away) * moved_other
+        left += arm.coupling * sine * away * motion.rate_error[j]
+        inputs[i, 4 + i] = params.mu[i] / arm.inertia[i] * state.shear[i] * left
+
+
+@njit
+def advance_set(state: np.record, dt: float) -> None:
+    """Map the set by exp(N dt) to second order and add a box of inputs over an interval [s]."""
+    n, step, columns = state.n, state.map, state.columns
+    half = 0.5 * dt * dt
+    for r in range(SIZE):
+        for q in range(SIZE):
+            square = 0.0
+            for k in range(SIZE):
+                square += n[r, k] * n[k, q]
+            step[r, q] = dt * n[r, q] + half * square
+        step[r, r] += 1.0
+    map_columns(columns, state.used, step)
+    for q in range(_INPUTS):
+        for r in range(SIZE):
+            # Half a step's travel of the input, for its effect within the interval.
+            travel = 0.0
+            for k in range(SIZE):
+                travel += n[r, k] * state.inputs[k, q]
+            columns[r, state.used + q] = dt * state.inputs[r, q] + half * travel
+    state.used = state.used + _INPUTS
+    _make_room(state)
+
+
+@njit
+def _update_held_time(params: np.record, state: np.record, estimate: np.record) -> None:
+    """How long noise of the rates was integrated while a link was held; it decays as slowly as the
+    observer recovers."""
+    fall = math.exp(-estimate.interval * params.slowest_recovery)
+    for i in range(2):
+        if estimate.held[i]:
+            state.held_for[i] += estimate.interval
+        else:
+            state.held_for[i] *= fall
+
+
+@njit
+def _follow_static(params: np.record, state: np.record, estimate: np.record) -> None:
+    motion = state.motion
+    for i in range(2):
+        motion.theta[i] = estimate.absolute_position[i]
+    unknown_torque(params.unknown, motion, state.torque)
+    fall = math.exp(-params.decay * estimate.interval)
+    for i in range(2):
+        cosine = max(abs(math.cos(motion.theta[i])), params.cos_min[i])
+        target = state.torque[i] / (params.unknown.arm.gravity[i] * cosine)
+        left = state.extent[i] - target if state.used else 0.0
+        state.extent[i] = target + max(0.0, fall * left)
+    state.used = 1
+    for i in range(2):
+        state.bound[i] = row_dot(params.spread, i, state.extent[0], state.extent[1])
+        state.bound[i] += params.noise[i]
+
+
+def static_bound(params: np.record, theta: np.ndarray) -> np.ndarray:
+    """Bound of each sensor at rest at absolute angles, after all transients, shape (2,) [rad].
+
+    For method ``exact`` from the comparison system of the error, whose poles are real at every
+    slope; infinite where gravity cannot bound it.  For method ``paper`` the slope is clipped to the
+    region.
+    """
+    theta, torque = np.asarray(theta, float), np.zeros(2)
+    gravity = params.unknown.arm.gravity
+    unknown_torque(params.unknown, new_record(MOTION, theta=theta), torque)
+    if not params.exact:
+        slope = gravity * np.maximum(np.abs(np.cos(theta)), params.cos_min)
+        return params.spread @ (torque / slope) + params.noise
+    # A bias of the rates is held up by a momentum, and that by a torque.
+    torque = torque + params.bias * params.mu / params.kappa
+    # Distance from the vertical; the secant of gravity over the error falls with it.
+    away = np.arccos(np.clip(params.sign * np.cos(theta), -1.0, 1.0))
+    error = np.zeros(2)
+    for _ in range(100):
+        half = 0.5 * (error + params.angle_noise)
+        slope = gravity * np.cos(np.minimum(away + half, math.pi))
+        slope *= np.sinc(half / math.pi)
+        error = np.where(slope > 0.0, torque / np.maximum(slope, 1e-12), math.pi)
+        error = np.minimum(error, math.pi)
+    error[error >= math.pi] = math.inf
+    # Not 0*inf: a sensor that does not see a link does not see its error.
+    seen = [sum(w * e for w, e in zip(row, error) if w) for row in params.spread]
+    return np.array(seen) + params.noise

@@ -1,0 +1,65 @@
+"""What samples that were lost leave unknown of each sensor's angle.
+
+A gap is carried on by the rates at its ends; the trapezoid is corrected by the model's
+accelerations at both (Euler and Maclaurin), and what may have been between them is allowed for.
+"""
+
+import numpy as np
+
+from lpv.core.support.jit import njit_in_place as njit
+from lpv.core.support.records import new_record, record_type
+from lpv.core.uio.model.arm import ArmParameters
+from lpv.core.uio.model.joints import JointMap, row_dot
+
+_RESERVE = 4.0
+"""What may be between two samples, over what is known of the accelerations at both."""
+_SMOOTHING = 0.05
+"""Time constant of the average of roughness [s]."""
+_LATE = 1.5
+"""Samples that come after so many sample times have others lost before them."""
+
+LOSS_CONSTANTS = record_type(
+    ('sensor_matrix', 'f8', (2, 2)),  # S
+    ('longest', 'f8'),  # longest interval without lost samples [s]
+)
+LOSS_STATE = record_type(
+    # Per sensor:
+    ('started', '?'),
+    ('rate', 'f8', (2,)),  # at the last sample [rad/s]
+    ('acceleration', 'f8', (2,)),  # at the last sample [rad/s2]
+    ('lost', 'f8', (2,)),  # what samples lost just before this one leave unknown [rad]
+    ('roughness', 'f8', (2,)),  # mean change of the rate in a sample beyond acceleration [rad/s]
+)
+
+
+def loss_constants(arm: ArmParameters) -> np.record:
+    """Constants of `note_lost_samples` for one arm, of type `LOSS_CONSTANTS`."""
+    return new_record(
+        LOSS_CONSTANTS,
+        sensor_matrix=np.asarray(JointMap(arm).sensor_matrix),
+        longest=_LATE * arm.sample_time,
+    )
+
+
+@njit
+def note_lost_samples(params: np.record, state: np.record, estimate: np.record) -> None:
+    """Follow one estimate; fills ``lost`` of the state."""
+    matrix, interval = params.sensor_matrix, estimate.interval
+    known, speed = estimate.absolute_acceleration, estimate.absolute_velocity
+    for i in range(2):
+        rate = row_dot(matrix, i, speed[0], speed[1])
+        acceleration = row_dot(matrix, i, known[0], known[1])
+        change, before = abs(rate - state.rate[i]), state.acceleration[i]
+        state.lost[i] = 0.0
+        if not state.started:
+            state.roughness[i] = 0.0
+        elif not estimate.bridged and interval > params.longest:
+            between = abs(before) + abs(acceleration) + change / interval
+            state.lost[i] = _RESERVE * interval * interval / 12.0 * between
+            state.lost[i] += interval * state.roughness[i]
+        elif not estimate.bridged:
+            # Noise of the two rates at a gap's ends counts as it is, which may be more than stated.
+            rough = abs(rate - state.rate[i] - interval * before)
+            state.roughness[i] += min(1.0, interval / _SMOOTHING) * (rough - state.roughness[i])
+        state.rate[i], state.acceleration[i] = rate, acceleration
+    state.started = True

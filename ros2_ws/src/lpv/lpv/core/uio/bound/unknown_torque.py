@@ -1,0 +1,171 @@
+"""How large the generalised torques are that the model of a healthy arm does not know.
+
+With M = Xi_true(theta), the true inertia at the true angles, and m = M e', the error of the
+observer of `lpv.core.uio.observer.exact_observer` obeys, without any linearisation and without any
+unknown acceleration,
+
+    m' = M' e' + (M - Xi^) theta^'' - mu Xi^ r - Xi^'(v) r + [O_t(theta, theta') - O(theta^, v)]
+         + [g_t(theta) - g(theta^)] + [friction_t(theta') - friction(v)] - M Bd d,
+
+where r = theta^' - v is the measured innovation, theta^'' the observer's own acceleration, and
+e' = r + eta with the error eta of the rates.  Errors of the parameters therefore multiply known
+signals only; what is linear in the angle errors goes into the matrix of the error system
+(`lpv.core.uio.bound.error_bound`), the rest is bounded here.
+"""
+
+import math
+
+import numpy as np
+
+from lpv.core.serial_arm.description import RATE_BIAS
+from lpv.core.support.jit import njit_in_place as njit
+from lpv.core.support.records import new_record, record_type
+from lpv.core.uio.model.arm import ARM_CONSTANTS, ArmParameters
+from lpv.core.uio.model.joints import J, JointMap, row_dot
+
+UNKNOWN_TORQUE = record_type(
+    ('arm', ARM_CONSTANTS),
+    ('model_error', 'f8'),  # relative error of masses and inertias
+    ('payload', 'f8'),  # largest unknown mass at the tip [kg]
+    ('lengths', 'f8', (2,)),  # L1, L2 [m]
+    ('gravity', 'f8'),  # g [m/s2]
+    ('friction', 'f8'),  # relative uncertainty of friction
+    ('push', 'f8', (2,)),  # mean disturbance Bd2 abs(d) [rad/s2]
+    # Stated errors of the measured rates:
+    ('sensor', 'f8', (2, 2)),  # S
+    ('to_angle', 'f8', (2, 2)),  # abs(S^-1): sensors to angles
+    ('to_joint', 'f8', (2, 2)),  # abs(J S^-1): sensors to joints
+    ('bias', 'f8'),  # of a rate sensor [rad/s]
+    ('scale', 'f8'),  # relative error of a rate
+    ('joint_noise', 'f8', (2,)),  # noise that a joint rate may show [rad/s]
+)
+"""What a healthy arm may do that its model does not say."""
+
+MOTION = record_type(
+    ('theta', 'f8', (2,)),  # theta^ [rad]
+    ('rate', 'f8', (2,)),  # v [rad/s]
+    ('innovation', 'f8', (2,)),  # r [rad/s]
+    ('driven', 'f8', (2, 2)),  # theta^''_j + mu_i r_j [rad/s2]
+    ('mu', 'f8', (2,)),  # [1/s]
+    ('margin', 'f8', (2,)),  # bound on the angle errors [rad]
+    ('rate_error', 'f8', (2,)),  # bound on eta, absolute rates, without noise [rad/s]
+    ('joint_error', 'f8', (2,)),  # the same of the joint rates [rad/s]
+)
+"""The signals that unknown parameters multiply."""
+
+
+def healthy_arm(arm: ArmParameters, sigmas: float = 4.0) -> np.record:
+    """What a healthy arm may do that its model does not say, of type `UNKNOWN_TORQUE`."""
+    sensor = JointMap(arm).sensor_matrix
+    inverse = np.linalg.inv(sensor)
+    to_joint = J @ inverse
+    return new_record(
+        UNKNOWN_TORQUE,
+        arm=arm.constants(),
+        model_error=arm.model_error,
+        payload=arm.payload,
+        lengths=arm.lengths,
+        gravity=arm.gravity,
+        friction=arm.friction_error,
+        push=np.abs(arm.disturbance_mean * np.asarray(arm.disturbance_direction)),
+        sensor=sensor,
+        to_angle=np.abs(inverse),
+        to_joint=np.abs(to_joint),
+        bias=RATE_BIAS * arm.velocity_noise,
+        scale=arm.velocity_error,
+        joint_noise=sigmas * arm.velocity_noise * np.hypot(*to_joint.T),
+    )
+
+
+@njit
+def bound_rate_errors(params: np.record, motion: np.record) -> None:
+    """Fill ``rate_error`` and ``joint_error`` of a motion: bias and relative error."""
+    s, v = params.sensor, motion.rate
+    error_1 = params.bias + params.scale * abs(row_dot(s, 0, v[0], v[1]))
+    error_2 = params.bias + params.scale * abs(row_dot(s, 1, v[0], v[1]))
+    for i in range(2):
+        motion.rate_error[i] = row_dot(params.to_angle, i, error_1, error_2)
+        motion.joint_error[i] = row_dot(params.to_joint, i, error_1, error_2)
+
+
+@njit
+def inertia_errors(params: np.record, motion: np.record) -> tuple[float, float, float, float]:
+    """Bounds on abs(Xi_true - Xi) at the true angles: (1, 1), (2, 2), (1, 2), and the part of
+    (1, 2) that the cosine of the angle between the links scales [kg m2]."""
+    arm, error, load = params.arm, params.model_error, params.payload
+    l_1, l_2 = params.lengths[0], params.lengths[1]
+    difference = motion.theta[0] - motion.theta[1]
+    cosine = min(1.0, abs(math.cos(difference)) + motion.margin[0] + motion.margin[1])
+    part = error * arm.coupling + load * l_1 * l_2
+    return (
+        error * arm.inertia[0] + load * l_1 * l_1,
+        error * arm.inertia[1] + load * l_2 * l_2,
+        part * cosine,
+        part,
+    )
+
+
+@njit
+def unknown_torque(params: np.record, motion: np.record, out: np.ndarray) -> None:
+    """Bounds [N m], into ``out``, on the generalised torques of a `MOTION` that neither the model
+    nor the linear error explains."""
+    arm, b = params.arm, params.arm.coupling
+    own_1, own_2, cross, part = inertia_errors(params, motion)
+    difference = motion.theta[0] - motion.theta[1]
+    away = motion.margin[0] + motion.margin[1]
+    sine, cosine = min(1.0, abs(math.sin(difference)) + away), abs(math.cos(difference))
+    off = abs(arm.rotor_coupling) + b * min(1.0, cosine + away)
+    joint_1 = _friction_error(params, 0, motion.rate[0], motion.joint_error[0])
+    joint_2 = _friction_error(params, 1, motion.rate[1] - motion.rate[0], motion.joint_error[1])
+    turning = abs(motion.rate[0] - motion.rate[1])
+    turning_error = motion.rate_error[0] + motion.rate_error[1]
+    for i in range(2):
+        j = 1 - i
+        own, length = (own_1, params.lengths[0]) if i == 0 else (own_2, params.lengths[1])
+        speed, slip, error = abs(motion.rate[j]), abs(motion.innovation[j]), motion.rate_error[j]
+        driven = abs(motion.driven[i, i]) + motion.mu[i] * motion.rate_error[i]
+        driven_by_other = abs(motion.driven[i, j]) + motion.mu[i] * error
+        lift = min(1.0, abs(math.sin(motion.theta[i])) + motion.margin[i])
+        # (M - Xi^)(theta^'' + mu e'), gravity, centrifugal terms and M' e' with wrong parameters.
+        total = own * driven + cross * driven_by_other
+        total += (
+            params.model_error * arm.gravity[i] + params.payload * params.gravity * length
+        ) * lift
+        total += part * sine * ((speed + error) ** 2 + (turning + turning_error) * (slip + error))
+        # The same terms of the model at wrong rates.
+        total += (
+            b
+            * sine
+            * (error * (2.0 * speed + error) + turning_error * (slip + error) + turning * error)
+        )
+        total += b * min(1.0, sine) * away * motion.mu[i] * error
+        # What is quadratic in the angle errors (Taylor's theorem).
+        total += 0.5 * b * away * away * (speed * speed + driven_by_other + turning * slip)
+        total += joint_1 + joint_2 if i == 0 else joint_2
+        # M Bd d.
+        total += (arm.inertia[i] + own) * params.push[i] + (off + cross) * params.push[j]
+        out[i] = total
+
+
+@njit
+def _friction_error(params: np.record, i: int, rate: float, error: float) -> float:
+    """Bound on true less modelled friction of one joint, with the noise of the rate averaged out.
+
+    Coulomb friction of a joint that may stand still is set-valued: anything within its limits, even
+    while the measured rate shows noise.
+    """
+    arm, share = params.arm, params.friction
+    viscous = arm.viscous[i] * (share * abs(rate) + (1.0 + share) * error)
+    most = (1.0 + share) * arm.coulomb[i]
+    slowest = abs(rate) - error - params.joint_noise[i]
+    if slowest <= 0.0:
+        return viscous + most + arm.coulomb[i] * _slip(arm, error)
+    modelled = arm.coulomb[i] * _slip(arm, rate)
+    least = (1.0 - share) * arm.coulomb[i] * _slip(arm, slowest)
+    return viscous + max(most - modelled, modelled - least)
+
+
+@njit
+def _slip(arm: np.record, rate: float) -> float:
+    """Share of the Coulomb friction at a rate, 0 to 1."""
+    return math.atan(arm.coulomb_slope * abs(rate)) * 2.0 / math.pi

@@ -1,0 +1,118 @@
+"""The matrix inequalities, written once for the solver and for the check of what it returns.
+
+Every function takes ``block``: ``cvxpy.bmat`` builds the constraint, ``numpy.block`` rebuilds the
+same inequality from numbers.  P is a Lyapunov matrix; products with it (``pn`` = P N, ``pb`` = P B)
+are one argument, because the solver's unknown is the product.  A design is accepted on the
+eigenvalues of the rebuilt matrix alone; the solver's word is recorded but never trusted.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from lpv.core.uio.model.state_space import Descriptor
+
+
+def _eye(n: int) -> np.ndarray:
+    """Identity of integers, which no kind of number is rounded by."""
+    return np.eye(n, dtype=int)
+
+
+def _zeros(shape: tuple[int, int]) -> np.ndarray:
+    return np.zeros(shape, dtype=int)
+
+
+def bounded_real(
+    pn: Any, pbd: Any, pbf: Any, gamma_squared: Any, block: Callable[..., Any] = np.block
+) -> Any:
+    """LMI (54): stability and attenuation of d and f in the estimation error."""
+    eye, z = _eye(6), _zeros
+    return block(
+        [
+            [pn + pn.T, pbd, pbf, eye],
+            [pbd.T, -gamma_squared * _eye(1), z((1, 2)), z((1, 6))],
+            [pbf.T, z((2, 1)), -gamma_squared * _eye(2), z((2, 6))],
+            [eye, z((6, 1)), z((6, 2)), -eye],
+        ]
+    )
+
+
+def bounded_real_disc(
+    p: Any,
+    pn: Any,
+    pbd: Any,
+    pbf: Any,
+    gamma_squared: Any,
+    q: Any,
+    r: Any,
+    block: Callable[..., Any] = np.block,
+) -> Any:
+    """LMI (55): as (54) with the poles in the disc of centre -q and radius r, in one matrix."""
+    eye, z = _eye(6), _zeros
+    sigma = q * p + pn
+    return block(
+        [
+            [-r * p, sigma, pbd, pbf, z((6, 6))],
+            [sigma.T, -r * p, z((6, 1)), z((6, 2)), eye],
+            [pbd.T, z((1, 6)), -gamma_squared * _eye(1), z((1, 2)), z((1, 6))],
+            [pbf.T, z((2, 6)), z((2, 1)), -gamma_squared * _eye(2), z((2, 6))],
+            [z((6, 6)), eye, z((6, 1)), z((6, 2)), -eye],
+        ]
+    )
+
+
+def disc(p: Any, pn: Any, q: Any, r: Any, block: Callable[..., Any] = np.block) -> Any:
+    """Poles of N in the disc of centre -q and radius r (D-stability with the same P)."""
+    sigma = q * p + pn
+    return block([[-r * p, sigma], [sigma.T, -r * p]])
+
+
+def paper_inequalities(
+    descriptor: Descriptor,
+    p: Any,
+    pt: Any,
+    y: Any,
+    gamma_squared: Any,
+    q: Any,
+    r: Any,
+    lmi: str,
+    block: Callable[..., Any] = np.block,
+) -> list[Any]:
+    """Negative matrices of the observer (38) at all vertices, with one P.
+
+    Parameters
+    ----------
+    descriptor : Descriptor
+        Augmented vertices, eqs. (36), (37).
+    p, pt : array_like, shape (6, 6)
+        P and P T1.
+    y : sequence of array_like, shape (6, 4)
+        P K_i, eq. (56).
+    gamma_squared, q, r : number
+        Square of the attenuation level, centre and radius of the disc.
+    lmi : {'55', '54+disc'}
+        LMI (55), or LMI (54) and the disc as inequalities of their own.
+    """
+    d, matrices = descriptor, []
+    pbd, pbf = pt @ d.bd, pt @ d.bf
+    for a_i, y_i in zip(d.a, y):
+        pn = pt @ a_i + y_i @ d.c
+        if lmi == '55':
+            matrices.append(bounded_real_disc(p, pn, pbd, pbf, gamma_squared, q, r, block))
+        else:
+            matrices.append(bounded_real(pn, pbd, pbf, gamma_squared, block))
+            matrices.append(disc(p, pn, q, r, block))
+    return matrices
+
+
+def covariance(pn: Any, pb: Any, block: Callable[..., Any] = np.block) -> Any:
+    """H2 inequality: sym(P N) + P B B^T P < 0, so that P^-1 bounds the error covariance."""
+    m = pb.shape[1]
+    return block([[pn + pn.T, pb], [pb.T, -_eye(m)]])
+
+
+def integral_feedback(q: Any, x: Any, a: Any, b: Any, alpha: Any) -> Any:
+    """LMI (67): sym(A_c Q + B_c X) + 2 alpha Q."""
+    closed = a @ q + b @ x
+    return closed + closed.T + 2.0 * alpha * q

@@ -1,0 +1,75 @@
+"""Noise of the fault estimates, recomputed from gains and arm."""
+
+import math
+
+import numpy as np
+
+from lpv.core.support.inequalities import largest_eigenvalue
+from lpv.core.uio.certificate.error_system import link_errors
+from lpv.core.uio.certificate.gains import ExactObserverGains, PaperObserverGains
+from lpv.core.uio.certificate.lmi import covariance
+from lpv.core.uio.model.arm import ArmParameters
+from lpv.core.uio.model.joints import JointMap
+from lpv.core.uio.model.polytope import vertex_matrices
+from lpv.core.uio.model.state_space import Descriptor
+
+
+def stated_acceleration_noise(arm: ArmParameters) -> np.ndarray:
+    """White accelerations that the arm file's disturbance makes, per axis [rad/s2/sqrt(Hz)]."""
+    intensity = math.sqrt(arm.disturbance_variance * arm.sample_time)
+    return intensity * np.abs(np.asarray(arm.disturbance_direction, float))
+
+
+def exact_fault_sigma(arm: ArmParameters, lyapunov: np.ndarray) -> np.ndarray:
+    """Bound on the standard deviation of f^ of method ``exact``, per sensor [rad].
+
+    P^-1 bounds the covariance of each link's error; sensors add those of their links.
+    """
+    with np.errstate(invalid='ignore'):  # of a P that is not positive: NaN fails every check
+        angle = np.array(
+            [
+                link.unit * np.sqrt(np.linalg.inv(p)[0, 0])
+                for link, p in zip(link_errors(arm), lyapunov)
+            ]
+        )
+    spread = np.abs(JointMap(arm).sensor_matrix) @ angle
+    return np.hypot(spread, arm.position_noise)
+
+
+def covariance_margin(arm: ArmParameters, observer: ExactObserverGains, index: int) -> float:
+    """Largest eigenvalue of the H2 inequality of one link for the noise that the arm file states.
+
+    It is affine in the slope and convex in Xi12, so that their ends prove it in between.
+    """
+    link, p = link_errors(arm)[index], observer.lyapunov[index]
+    kappa, mu = observer.kappa[index], observer.mu[index]
+    injection = -np.array([[kappa * link.inertia], [mu]])
+    worst = -math.inf
+    for slope in link.slopes:
+        pn = p @ link.closed(slope, kappa, mu)
+        for noise in link.noises(stated_acceleration_noise(arm).tolist(), 0.0):
+            pb = p @ (noise.direct + injection @ noise.measured) / link.unit
+            worst = max(worst, largest_eigenvalue(covariance(pn, pb)))
+    return worst
+
+
+def paper_fault_sigma(arm: ArmParameters, observer: PaperObserverGains) -> np.ndarray:
+    """Largest standard deviation of f^ of method ``paper`` over the vertices, per sensor [rad]."""
+    d = Descriptor(*vertex_matrices(observer.box, arm.numbers()), arm)
+    root = math.sqrt(arm.sample_time)
+    noise = np.diag([arm.position_noise] * 2 + [arm.velocity_noise] * 2)
+    t1, t2, sigma = observer.t1, observer.t2, np.zeros(2)
+    for a_i, k_i in zip(d.a, observer.k):
+        n = t1 @ a_i + k_i @ d.c
+        disturbance = t1 @ d.bd * math.sqrt(arm.disturbance_variance)
+        inputs = root * np.hstack([disturbance, (n @ t2 - k_i) @ noise])
+        spread = _stationary_covariance(n, inputs) + t2 @ noise @ noise @ t2.T
+        sigma = np.maximum(sigma, np.sqrt(np.diag(spread)[4:]))
+    return sigma
+
+
+def _stationary_covariance(n: np.ndarray, inputs: np.ndarray) -> np.ndarray:
+    """X of N X + X N^T + B B^T = 0."""
+    size, eye = len(n), np.eye(len(n))
+    operator = np.kron(n, eye) + np.kron(eye, n)
+    return np.linalg.solve(operator, -(inputs @ inputs.T).ravel()).reshape(size, size)

@@ -1,0 +1,206 @@
+"""Description of a two-link arm: what its file says, and the constants that follow."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lpv.core.support.config import sha256_of
+from lpv.core.support.errors import ConfigError
+from lpv.core.support.records import new_record, record_type
+
+ARM_CONSTANTS = record_type(
+    ('inertia', 'f8', (2,)),  # Xi_11 and Xi_22 of eq. (5) [kg m2]
+    ('coupling', 'f8'),  # m2 L1 Lc2, the part of Xi_12 that cos(theta1 - theta2) scales [kg m2]
+    ('rotor_coupling', 'f8'),  # the constant part of Xi_12 [kg m2]
+    ('gravity', 'f8', (2,)),  # G_i: largest gravity torque of each angle [N m]
+    ('viscous', 'f8', (2,)),  # joint friction [N m s/rad]
+    ('coulomb', 'f8', (2,)),  # joint friction [N m]
+    ('coulomb_slope', 'f8'),  # steepness of its sign change [s/rad]
+    ('coriolis', 'f8'),  # 1, or 0 without the quadratic term O(theta, theta')
+)
+"""Constants of eqs. (1)-(3) for compiled functions."""
+
+
+class ArmNumbers(NamedTuple):
+    """What `ARM_CONSTANTS` holds of inertia and gravity, in numbers of any kind."""
+
+    inertia: tuple[Any, Any]
+    coupling: Any
+    rotor_coupling: Any
+    gravity: tuple[Any, Any]
+
+
+@dataclass(frozen=True)
+class Link:
+    """One link."""
+
+    mass: float  # m_i [kg]
+    length: float  # L_i, joint to joint (or to the tip) [m]
+    center_of_mass: float  # L_ci, joint to centre of mass [m]
+    # I_i [kg m2], about the centre of mass or the joint (``ArmParameters.inertia_reference``)
+    inertia: float
+
+
+@dataclass(frozen=True)
+class ArmParameters:
+    """A planar two-link arm in a vertical plane, its sensors and its operating region.
+
+    Angles of the model are ABSOLUTE link angles from the upper vertical (paper, Fig. 1);
+    ``lpv.core.uio.model.joints`` holds the only conversion to ROS joint coordinates.
+    The disturbance enters as in eq. (31).
+    """
+
+    name: str  # name of the arm
+    links: tuple  # two, of type Link
+    # 'center_of_mass' or 'joint': the point that each ``Link.inertia`` refers to
+    inertia_reference: str = 'center_of_mass'
+    gravity: float = 9.81  # g [m/s2]
+    # rotors: inertia reflected to joint 1, coupling of both joints, inertia reflected to joint 2,
+    # in joint coordinates [kg m2]
+    rotor: tuple = (0.0, 0.0, 0.0)
+    # joint friction, tau = viscous*v + coulomb*(2/pi)*atan(coulomb_slope*v) [N m s]
+    viscous: tuple = (0.0, 0.0)
+    coulomb: tuple = (0.0, 0.0)  # see viscous [N m]
+    coulomb_slope: float = 100.0  # steepness of the Coulomb term [s/rad]
+    joint_names: tuple = ('joint1', 'joint2')  # names in ``sensor_msgs/JointState``
+    zero_angle: float = -math.pi / 2  # absolute angle of link 1 at joint position q1 = 0 [rad]
+    # names of the two physical position sensors; faults are reported under them
+    sensor_names: tuple = ('joint1_encoder', 'joint2_encoder')
+    # whether a position sensor measures a link's 'absolute' angle or a joint's 'relative' one
+    arrangement: str = 'relative'
+    position_noise: float = 1e-3  # standard deviation of white sensor noise [rad]
+    velocity_noise: float = 1e-2  # the same of rates [rad/s]
+    # relative error of the rates (scale, delay); limits of changes grow with it
+    velocity_error: float = 0.0
+    # whether rates have sensors of their own ('independent'), are computed from the positions
+    # ('derived'), or are missing ('none'); see `lpv.core.serial_arm.rate_independence`
+    rates: str = 'independent'
+    # last two rows of Bd: accelerations of the absolute angles per unit of d
+    disturbance_direction: tuple = (0.7, 0.0)
+    disturbance_mean: float = 0.2  # of the white disturbance d that the design must live with
+    disturbance_variance: float = 0.9  # the same
+    model_error: float = 0.0  # relative error of masses and inertias that thresholds must tolerate
+    friction_error: float = 0.3  # relative error of Coulomb friction that bounds must tolerate
+    payload: float = 0.0  # largest unknown point mass at the tip that thresholds must tolerate [kg]
+    # generalised torques that the model may miss for moments (transmission, ripple) [N m]; only the
+    # test of consistency needs them, what lasts belongs to the entries above
+    torque_tolerance: tuple = (0.0, 0.0)
+    torque_limit: tuple = (1e9, 1e9)  # largest joint torques [N m]
+    # largest plausible joint rates [rad/s]; a sample with a larger one is not used
+    velocity_limit: tuple = (100.0, 100.0)
+    # operating region of both links: cos(theta) > 0 ('upright') or cos(theta) < 0 ('hanging')
+    orientation: str = 'upright'
+    # smallest abs(cos(theta_i)) of the region in which gains are certified
+    cos_min: tuple = (0.3, 0.3)
+    sample_time: float = 0.002  # Ts [s]
+
+    @property
+    def lengths(self) -> tuple[float, float]:
+        """Link lengths (L1, L2) [m]."""
+        return self.links[0].length, self.links[1].length
+
+    @property
+    def sign(self) -> float:
+        """+1 for an upright region, -1 for a hanging one (sign of cos(theta))."""
+        return 1.0 if self.orientation == 'upright' else -1.0
+
+    def numbers(self, number: Callable[[Any], Any] = float) -> ArmNumbers:
+        """Constants of eqs. (2), (3) as floats, or as exact ``fractions.Fraction``.
+
+        The printed eqs. (5), (14), (15) have m2*Lc1^2 in the (1, 1) inertia; the physics, and
+        eq. (2), is m2*L1^2, which is used here.  Rotors are those of motors on the joint axes.
+        """
+        rows = [(link.mass, link.length, link.center_of_mass, link.inertia) for link in self.links]
+        (m_1, l_1, c_1, i_1), (m_2, _, c_2, i_2) = ([number(v) for v in row] for row in rows)
+        if self.inertia_reference == 'center_of_mass':
+            i_1, i_2 = i_1 + m_1 * c_1**2, i_2 + m_2 * c_2**2
+        # J^T R J for R = [[first, across], [across, second]] in joint coordinates, q' = J theta'.
+        first, across, second = (number(value) for value in self.rotor)
+        g = number(self.gravity)
+        return ArmNumbers(
+            (i_1 + m_2 * l_1**2 + (first - 2 * across + second), i_2 + second),
+            m_2 * l_1 * c_2,
+            across - second,
+            ((m_1 * c_1 + m_2 * l_1) * g, m_2 * c_2 * g),
+        )
+
+    def constants(self, coriolis: bool = True) -> np.record:
+        """Constants of eqs. (1)-(3) for compiled functions, of type `ARM_CONSTANTS`.
+
+        Without ``coriolis``, the quadratic term O(theta, theta') of eq. (1) is left out, as the
+        paper does in eq. (4).
+        """
+        return new_record(
+            ARM_CONSTANTS,
+            **self.numbers()._asdict(),
+            viscous=self.viscous,
+            coulomb=self.coulomb,
+            coulomb_slope=self.coulomb_slope,
+            coriolis=coriolis,
+        )
+
+    def with_payload(self, mass: float) -> ArmParameters:
+        """This arm with a point mass at its tip [kg]; a negative one takes a payload away."""
+        if not -self.links[1].mass < mass < math.inf:
+            raise ConfigError('payload', f'must be finite and leave link 2 a mass, got {mass}')
+        link = self.links[1]
+        total = link.mass + mass
+        center = (link.mass * link.center_of_mass + mass * link.length) / total
+        if self.inertia_reference == 'joint':
+            inertia = link.inertia + mass * link.length**2
+        else:
+            inertia = (
+                link.inertia
+                + link.mass * (link.center_of_mass - center) ** 2
+                + mass * (link.length - center) ** 2
+            )
+        return replace(self, links=(self.links[0], Link(total, link.length, center, inertia)))
+
+    def scaled(
+        self,
+        mass_factors: Sequence[float] = (1.0, 1.0),
+        inertia_factors: Sequence[float] = (1.0, 1.0),
+    ) -> ArmParameters:
+        """This arm with the masses and inertias of its links multiplied (model error)."""
+        links = tuple(
+            replace(link, mass=link.mass * m, inertia=link.inertia * i)
+            for link, m, i in zip(self.links, mass_factors, inertia_factors)
+        )
+        return replace(self, links=links)
+
+    def is_physical(self) -> bool:
+        """Whether Xi is positive definite in every configuration; identified links need not be."""
+        values = self.numbers()
+        coupling = abs(values.rotor_coupling) + values.coupling
+        return bool(values.inertia[0] * values.inertia[1] > coupling**2)
+
+    def to_json(self) -> str:
+        """All parameters as one line of JSON; `arm_from_json` reads it back exactly."""
+        parameters = asdict(self)
+        if self.rates == 'independent':
+            del parameters['rates']  # as written before rates could be stated
+        return json.dumps(parameters, sort_keys=True)
+
+    def sha256(self) -> str:
+        """Hash of every parameter of the design: gains carry it, so that they fit one arm only."""
+        parameters = asdict(self)
+        del parameters['rates']
+        return sha256_of(parameters)
+
+
+def arm_from_json(text: str) -> ArmParameters:
+    """The same arm, bit by bit, from `ArmParameters.to_json`; ConfigError for any other text."""
+    try:
+        data = json.loads(text)
+        data['links'] = tuple(Link(**link) for link in data['links'])
+        for name, value in data.items():
+            data[name] = tuple(value) if isinstance(value, list) else value
+        return ArmParameters(**data)
+    except (ValueError, TypeError, KeyError, RecursionError) as error:
+        raise ConfigError('arm', f'is not the description of an arm ({error})') from error

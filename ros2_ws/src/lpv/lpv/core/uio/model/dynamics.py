@@ -1,0 +1,114 @@
+"""Rigid-body dynamics of the arm in absolute angles, eqs. (1)-(3), with friction.
+
+``Xi(theta) theta'' + O(theta, theta') theta' + g(theta) + friction = Q + Xi(theta) Bd2 d``
+
+Eq. (3) of the paper lost a factor g in its gravity term; eq. (7) has it, and so has this module.
+All functions take the record of `lpv.core.uio.model.arm.ArmParameters.constants` as ``params``.
+"""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from lpv.core.support.jit import njit_in_place as njit
+
+_TWO_OVER_PI = 2.0 / math.pi
+
+
+@njit
+def coupling(theta_1: float, theta_2: float, params: np.record) -> float:
+    """Off-diagonal inertia Xi12 = o + m2*L1*Lc2*phi1, phi1 = cos(theta1 - theta2), eq. (6)."""
+    return params.rotor_coupling + params.coupling * math.cos(theta_1 - theta_2)
+
+
+@njit
+def solve_inertia(off: float, first: float, second: float, params: np.record) -> tuple[float, ...]:
+    """Xi^-1 times a vector, where Xi12 = off."""
+    det = params.inertia[0] * params.inertia[1] - off * off
+    return (
+        (params.inertia[1] * first - off * second) / det,
+        (params.inertia[0] * second - off * first) / det,
+    )
+
+
+@njit
+def friction(rate_1: float, rate_2: float, params: np.record) -> tuple[float, ...]:
+    """Joint friction J^T tau_f [N m] at absolute rates theta' [rad/s]; joint rates are
+    (rate_1, rate_2 - rate_1)."""
+    relative = rate_2 - rate_1
+    tau_1 = params.viscous[0] * rate_1 + params.coulomb[0] * _TWO_OVER_PI * math.atan(
+        params.coulomb_slope * rate_1
+    )
+    tau_2 = params.viscous[1] * relative + params.coulomb[1] * _TWO_OVER_PI * math.atan(
+        params.coulomb_slope * relative
+    )
+    return tau_1 - tau_2, tau_2
+
+
+@njit
+def acceleration(
+    theta_1: float,
+    theta_2: float,
+    rate_1: float,
+    rate_2: float,
+    torque_1: float,
+    torque_2: float,
+    params: np.record,
+) -> tuple[float, ...]:
+    """Absolute accelerations theta'' [rad/s2] without disturbance, eq. (1) solved for them.
+
+    Absolute angles and rates are in rad and rad/s, generalised torques Q in N m.
+    """
+    off = coupling(theta_1, theta_2, params)
+    friction_1, friction_2 = friction(rate_1, rate_2, params)
+    swirl = params.coriolis * params.coupling * math.sin(theta_1 - theta_2)
+    force_1 = (
+        torque_1 - friction_1 - swirl * rate_2 * rate_2 + params.gravity[0] * math.sin(theta_1)
+    )
+    force_2 = (
+        torque_2 - friction_2 + swirl * rate_1 * rate_1 + params.gravity[1] * math.sin(theta_2)
+    )
+    return solve_inertia(off, force_1, force_2, params)
+
+
+@njit
+def inverse_dynamics(
+    theta_1: float,
+    theta_2: float,
+    rate_1: float,
+    rate_2: float,
+    acc_1: float,
+    acc_2: float,
+    params: np.record,
+) -> tuple[float, ...]:
+    """Generalised torques Q [N m] that produce a motion (feed-forward), eq. (1).
+
+    Absolute angles, rates and accelerations are in rad, rad/s and rad/s2.
+    """
+    off = coupling(theta_1, theta_2, params)
+    friction_1, friction_2 = friction(rate_1, rate_2, params)
+    swirl = params.coriolis * params.coupling * math.sin(theta_1 - theta_2)
+    return (
+        params.inertia[0] * acc_1
+        + off * acc_2
+        + swirl * rate_2 * rate_2
+        - params.gravity[0] * math.sin(theta_1)
+        + friction_1,
+        off * acc_1
+        + params.inertia[1] * acc_2
+        - swirl * rate_1 * rate_1
+        - params.gravity[1] * math.sin(theta_2)
+        + friction_2,
+    )
+
+
+def runge_kutta_step(
+    slope: Callable[[np.ndarray], np.ndarray], x: np.ndarray, dt: float
+) -> np.ndarray:
+    """State after ``dt`` [s] by the classical Runge-Kutta rule; ``slope`` gives x'."""
+    k_1 = slope(x)
+    k_2 = slope(x + 0.5 * dt * k_1)
+    k_3 = slope(x + 0.5 * dt * k_2)
+    k_4 = slope(x + dt * k_3)
+    return x + dt / 6.0 * (k_1 + 2.0 * k_2 + 2.0 * k_3 + k_4)

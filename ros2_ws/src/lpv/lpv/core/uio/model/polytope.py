@@ -1,0 +1,171 @@
+"""Polytopic descriptions of the arm: the paper's box and an exact polytope.
+
+**Paper** (eqs. (6), (9)-(20)): three scheduling variables phi1 = cos(theta1 - theta2),
+phi2 = sinc(theta1), phi3 = sinc(theta2) in a box of 2^3 = 8 vertices.  Interpolating
+A_i = pi_i^-1 [...] over that box does not reproduce Xi(theta)^-1: at phi1 = 0 the interpolated
+input matrix of the paper's arm is 1.83 times the true one.
+
+**Exact**: the pair (x, y) = (1/det Xi, Xi12/det Xi) gives Xi^-1 = [[Xi22 x, -y], [-y, Xi11 x]]
+linearly.  It runs on a convex arc, which a quadrangle of two end points and two tangent
+intersections contains.  With the two slopes of gravity, cos(xi_1) and cos(xi_2) in the mean-value
+form sin(theta) - sin(w) = cos(xi) (theta - w), A and B are multi-affine, and 4 x 2 x 2 = 16
+vertices contain the arm of eq. (4), without Coriolis terms, for the design of the controller.
+
+Vertices and their matrices come in floats, or in exact fractions for proofs.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from lpv.core.support.jit import njit_in_place as njit
+from lpv.core.uio.model.arm import ArmParameters
+
+
+@njit
+def sinc(angle: float) -> float:
+    """sin(angle)/angle with its limit 1 at 0, eq. (9)."""
+    if abs(angle) < 1e-4:
+        return 1.0 - angle * angle / 6.0
+    return math.sin(angle) / angle
+
+
+@njit
+def paper_scheduling(theta_1: float, theta_2: float) -> tuple[float, ...]:
+    """Scheduling variables (phi1, phi2, phi3) of eqs. (6) and (9)."""
+    return math.cos(theta_1 - theta_2), sinc(theta_1), sinc(theta_2)
+
+
+@njit
+def paper_weights(
+    phi_1: float, phi_2: float, phi_3: float, box: np.ndarray, out: np.ndarray
+) -> None:
+    """Vertex weights rho_1..rho_8 of eqs. (11)-(12), written to ``out``.
+
+    Variables outside the box are clipped to it: weights stay in [0, 1] and sum to one.
+
+    The box has a minimum and a maximum of each variable, shape (3, 2); vertex 1 is
+    (min, min, min), vertex 8 (max, max, max).
+    """
+    a1 = min(max((box[0, 1] - phi_1) / (box[0, 1] - box[0, 0]), 0.0), 1.0)
+    a2 = min(max((box[1, 1] - phi_2) / (box[1, 1] - box[1, 0]), 0.0), 1.0)
+    a3 = min(max((box[2, 1] - phi_3) / (box[2, 1] - box[2, 0]), 0.0), 1.0)
+    for i in range(8):
+        first = a1 if i < 4 else 1.0 - a1
+        second = a2 if i % 4 < 2 else 1.0 - a2
+        out[i] = first * second * (a3 if i % 2 == 0 else 1.0 - a3)
+
+
+def paper_vertices(box: np.ndarray) -> np.ndarray:
+    """Vertices omega_i of eq. (10), shape (8, 3), in the order of the weights (11).
+
+    The paper lists the gravity matrices (17)-(20) with phi2 and phi3 exchanged in vertices 2, 3,
+    6, 7; the order here is the one that the weights (11) imply.
+    """
+    return np.array(list(product(*np.asarray(box))))
+
+
+def sinc_box(s_min: float) -> np.ndarray:
+    """Box with phi1 in [-1, 1] and phi2, phi3 in [s_min, 1], shape (3, 2).
+
+    Eq. (9) has -0.2 for s_min; sinc falls to -0.2172 at 4.49 rad.
+    """
+    return np.array([(-1.0, 1.0), (s_min, 1.0), (s_min, 1.0)])
+
+
+def inverse_inertia_quadrangle(params: Any) -> np.ndarray:
+    """Quadrangle that contains (1/det Xi, Xi12/det Xi) for every configuration.
+
+    With p = Xi11 Xi22 the arc lies on the conic p x^2 - x = y^2, whose tangents at Xi12 = s and r
+    meet in (1, (s + r)/2) / (p - s r).
+
+    Parameters
+    ----------
+    params : numpy.record or ArmNumbers
+        Constants of the arm.
+
+    Returns
+    -------
+    ndarray, shape (4, 2)
+        Corners in circular order: end of the arc, two tangent intersections, other end.
+    """
+    low, high = params.rotor_coupling - params.coupling, params.rotor_coupling + params.coupling
+    middle, corners = (low + high) / 2, []
+    for s, r in ((low, low), (low, middle), (middle, high), (high, high)):
+        det = params.inertia[0] * params.inertia[1] - s * r
+        corners.append((1 / det, (s + r) / 2 / det))
+    return np.array(corners)
+
+
+def slope_range(arm: ArmParameters) -> tuple[np.ndarray, ...]:
+    """Range of the gravity slopes cos(theta_i) in the arm's operating region."""
+    near = np.array(arm.cos_min)
+    if arm.orientation == 'upright':
+        return near, np.ones(2)
+    return -np.ones(2), -near
+
+
+def exact_vertices(arm: ArmParameters, number: Callable[[Any], Any] = float) -> np.ndarray:
+    """Vertices of the exact polytope, rows (x, y, cos1, cos2), shape (16, 4)."""
+    first, second = ([number(value) for value in pair] for pair in zip(*slope_range(arm)))
+    corners = inverse_inertia_quadrangle(arm.numbers(number))
+    return np.array(
+        [[*corner, *cosines] for corner in corners for cosines in product(first, second)]
+    )
+
+
+def exact_state_space(vertex: Sequence[Any], params: Any) -> tuple[np.ndarray, ...]:
+    """State matrices at one vertex of a polytope, eqs. (5), (8) and (22)-(24), (27), (28).
+
+    Parameters
+    ----------
+    vertex : sequence of four numbers
+        1/det Xi, Xi12/det Xi, and the slopes of both gravity torques: cos xi_i of the exact
+        polytope, phi2 and phi3 of the paper's, eq. (8).
+    params : numpy.record or ArmNumbers
+        Constants of the arm.
+
+    Returns
+    -------
+    tuple of ndarray
+        A = [[0, I], [-Xi^-1 G^g, 0]], shape (4, 4), and B = [0; Xi^-1], shape (4, 2).
+    """
+    x, y, slope_1, slope_2 = vertex
+    inverse = np.array([[params.inertia[1] * x, -y], [-y, params.inertia[0] * x]])
+    a, b = np.zeros((4, 4), inverse.dtype), np.zeros((4, 2), inverse.dtype)
+    a[:2, 2:] = np.eye(2, dtype=int)
+    a[2:, :2] = inverse * np.array([params.gravity[0] * slope_1, params.gravity[1] * slope_2])
+    b[2:] = inverse
+    return a, b
+
+
+def state_spaces(vertices: np.ndarray, params: Any) -> tuple[np.ndarray, np.ndarray]:
+    """`exact_state_space` of all vertices: A, shape (h, 4, 4), and B, shape (h, 4, 2)."""
+    a, b = zip(*(exact_state_space(vertex, params) for vertex in vertices))
+    return np.array(a), np.array(b)
+
+
+def vertex_matrices(box: np.ndarray, params: Any) -> tuple[np.ndarray, np.ndarray]:
+    """A_i and B_i of eqs. (13)-(24), (27), (28) at the eight vertices of the paper's box.
+
+    Parameters
+    ----------
+    box : array_like, shape (3, 2)
+        Ranges of phi1, phi2, phi3.
+    params : numpy.record or ArmNumbers
+        Constants of the arm.
+
+    Returns
+    -------
+    tuple of ndarray
+        A, shape (8, 4, 4), and B, shape (8, 4, 2).
+    """
+    vertices = []
+    for phi_1, phi_2, phi_3 in paper_vertices(box):
+        off = params.rotor_coupling + params.coupling * phi_1
+        det = params.inertia[0] * params.inertia[1] - off * off
+        vertices.append((1 / det, off / det, phi_2, phi_3))
+    return state_spaces(np.array(vertices), params)

@@ -1,0 +1,150 @@
+"""The paper's unknown-input observer, eqs. (38)-(53): algebra and sampled recursion.
+
+With K_i = N_i T2 - L_i (50), N_i = T1 A~_i + K_i C~, L_i = N_i T2 - K_i and G_i = T1 B~_i of
+eqs. (51)-(53), the observer (38) written in its estimate x^ = z + T2 y is
+
+    z' = T1 (A~(rho) x^ + B~(rho) u) + K(rho) (C~ x^ - y),
+
+which method ``paper`` integrates literally, by the Heun rule with the torque held and the outputs
+of both ends of the step.  Method ``exact`` is in :mod:`lpv.core.uio.observer.exact_observer`.
+"""
+
+import numpy as np
+
+from lpv.core.support.jit import njit_in_place as njit
+from lpv.core.support.records import new_record, record_type
+from lpv.core.uio.certificate.gains import PaperObserverGains
+from lpv.core.uio.model.arm import ArmParameters
+from lpv.core.uio.model.joints import copy_vector
+from lpv.core.uio.model.polytope import paper_scheduling, paper_weights, vertex_matrices
+from lpv.core.uio.model.state_space import Descriptor
+
+
+def decoupling(e: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """T1, shape (6, 6), and T2, shape (6, 4), with T1 E + T2 C~ = I, eq. (41).
+
+    They are made by the pseudo-inverse of E, shape (6, 6), above C~, shape (4, 6), eqs. (47)-(49).
+    """
+    delta = np.linalg.pinv(np.vstack([e, c]))
+    return delta[:, :6], delta[:, 6:]
+
+
+PAPER_CONSTANTS = record_type(
+    ('t1', 'f8', (6, 6)),  # T1
+    ('t2', 'f8', (6, 4)),  # T2
+    ('c', 'f8', (4, 6)),  # C~
+    ('box', 'f8', (3, 2)),  # ranges of phi1, phi2, phi3
+    ('k', 'f8', (8, 6, 4)),  # K_i
+    ('a', 'f8', (8, 6, 6)),  # A~_i
+    ('b', 'f8', (8, 6, 2)),  # B~_i
+)
+PAPER_STATE = record_type(
+    ('z', 'f8', (6,)),  # state of eq. (38)
+    ('rho', 'f8', (8,)),  # weights of the vertices
+    ('k', 'f8', (6, 4)),  # K(rho)
+    ('a', 'f8', (6, 6)),  # A~(rho)
+    ('b', 'f8', (6, 2)),  # B~(rho)
+    ('start', 'f8', (6,)),  # z at the start of the interval
+    ('r', 'f8', (4,)),  # C~ x^ - y
+    ('drift', 'f8', (6,)),  # A~ x^ + B~ u
+    ('rate', 'f8', (2, 6)),  # z' at both ends of the interval
+)
+
+
+def paper_constants(arm: ArmParameters, gains: PaperObserverGains) -> np.record:
+    """Constants of `paper_step`, of type `PAPER_CONSTANTS`."""
+    descriptor = Descriptor(*vertex_matrices(gains.box, arm.numbers()), arm)
+    return new_record(
+        PAPER_CONSTANTS,
+        t1=gains.t1,
+        t2=gains.t2,
+        c=descriptor.c,
+        box=gains.box,
+        k=gains.k,
+        a=descriptor.a,
+        b=descriptor.b,
+    )
+
+
+@njit
+def blend(rho: np.ndarray, stack: np.ndarray, out: np.ndarray) -> None:
+    """out = sum_i rho_i stack_i, the interpolation of eq. (25); shapes (h,), (h, r, q), (r, q)."""
+    for r in range(out.shape[0]):
+        for q in range(out.shape[1]):
+            total = 0.0
+            for i in range(rho.shape[0]):
+                total += rho[i] * stack[i, r, q]
+            out[r, q] = total
+
+
+@njit
+def add_product(out: np.ndarray, matrix: np.ndarray, vector: np.ndarray) -> None:
+    """out += matrix @ vector, in one fixed order of additions."""
+    for i in range(matrix.shape[0]):
+        for j in range(matrix.shape[1]):
+            out[i] += matrix[i, j] * vector[j]
+
+
+@njit
+def _estimate(params: np.record, z: np.ndarray, y: np.ndarray, x: np.ndarray) -> None:
+    """x^ = z + T2 y, eq. (38)."""
+    copy_vector(z, x)
+    add_product(x, params.t2, y)
+
+
+@njit
+def _schedule(params: np.record, state: np.record, x: np.ndarray) -> None:
+    """A~, B~ and K at the estimated angles, eqs. (6), (9), (11), (12) and (25)."""
+    phi_1, phi_2, phi_3 = paper_scheduling(x[0], x[1])
+    paper_weights(phi_1, phi_2, phi_3, params.box, state.rho)
+    blend(state.rho, params.a, state.a)
+    blend(state.rho, params.b, state.b)
+    blend(state.rho, params.k, state.k)
+
+
+@njit
+def _rate(
+    params: np.record, state: np.record, x: np.ndarray, y: np.ndarray, u: np.ndarray, end: int
+) -> None:
+    """z' = T1 (A~ x^ + B~ u) + K (C~ x^ - y), eq. (38) with (50)-(53)."""
+    r, drift, rate = state.r, state.drift, state.rate[end]
+    for i in range(4):
+        r[i] = -y[i]
+    add_product(r, params.c, x)  # C~ x^ - y
+    drift[:] = 0.0
+    add_product(drift, state.b, u)
+    add_product(drift, state.a, x)  # A~ x^ + B~ u
+    rate[:] = 0.0
+    add_product(rate, params.t1, drift)
+    add_product(rate, state.k, r)
+
+
+@njit
+def paper_step(
+    params: np.record,
+    state: np.record,
+    x: np.ndarray,
+    y_old: np.ndarray,
+    y_new: np.ndarray,
+    torque: np.ndarray,
+    dt: float,
+) -> None:
+    """Advance the paper's observer (38) over one sample interval by the Heun rule.
+
+    The weights come from the estimated angles: theta is not measured without the fault.
+
+    ``z`` of the state is advanced, and ``x`` receives the estimate at the end of the interval, from
+    the outputs at both ends and the input u held over it [N m], absolute coordinates.
+    """
+    z, start, rate = state.z, state.start, state.rate
+    copy_vector(z, start)
+    _estimate(params, z, y_old, x)
+    _schedule(params, state, x)
+    _rate(params, state, x, y_old, torque, 0)
+    for i in range(6):
+        z[i] = start[i] + dt * rate[0, i]
+    _estimate(params, z, y_new, x)
+    _rate(params, state, x, y_new, torque, 1)
+    for i in range(6):
+        z[i] = start[i] + 0.5 * dt * (rate[0, i] + rate[1, i])
+    _estimate(params, z, y_new, x)

@@ -1,0 +1,404 @@
+"""The sampled unknown-input observer: joint-space samples in, estimates out.
+
+Samples are in order and finite; the monitor sees to that (`lpv.core.monitoring.serial_monitor`).
+"""
+
+import math
+
+import numpy as np
+
+from lpv.core.serial_arm.diagnosis.alarms import Mode
+from lpv.core.support.jit import njit_in_place as njit
+from lpv.core.support.records import new_record, record_type
+from lpv.core.support.timestamps import NANOSECONDS, NEVER
+from lpv.core.uio.certificate.gains import ExactObserverGains, Gains
+from lpv.core.uio.model.arm import ARM_CONSTANTS, ArmParameters
+from lpv.core.uio.model.dynamics import acceleration
+from lpv.core.uio.model.joints import JOINT_MAP, JointMap, copy_vector, row_dot
+from lpv.core.uio.observer.exact_observer import EXACT_CONSTANTS, exact_constants, exact_step
+from lpv.core.uio.observer.paper_observer import (
+    PAPER_CONSTANTS,
+    PAPER_STATE,
+    add_product,
+    paper_constants,
+    paper_step,
+)
+
+_AT_REST = 5.0
+"""Rates below so many standard deviations of their noise are those of an arm at rest."""
+_SUPPORTED = 0.02
+"""At rest, torques below that part of what gravity needs are not those that hold the arm."""
+_NEARLY_VERTICAL = 0.05
+"""A link within this angle of the vertical needs no torque [rad]."""
+_REST = 0.02
+"""An arm is held by something that is not measured if it seems so for this long [s]."""
+_STILL = 4.0 * math.sqrt(2.0)
+"""Readings that differ by less, in standard deviations of their noise, have not moved."""
+_OBSERVING, _HOLDING, _INITIALISING = (int(m) for m in Mode if m <= Mode.INITIALISING)
+
+
+# What is known of an arm that came to rest faster than measured torques explain.  It was braked, or
+# its rate sensors read nothing while it moves on: its position sensors tell which, once an arm that
+# moves on would have moved by twice their noise.
+_MOVING, _RESTING, _SUDDEN, _BRAKED = range(4)
+
+STOP_STATE = record_type(
+    ('kind', 'u1'),  # moving, at rest, at rest too suddenly, or found braked at this sample
+    ('lasted', 'f8'),  # since the arm came to rest [s]
+    ('rate', 'f8'),  # by which the estimate was faster then [rad/s]
+    ('angle', 'f8', (2,)),  # theta^ then [rad]
+    ('reading', 'f8', (2,)),  # of the position sensors then [rad]
+)
+OBSERVER_CONSTANTS = record_type(
+    ('is_exact', '?'),  # the method
+    ('joints', JOINT_MAP),
+    ('arm', ARM_CONSTANTS),
+    ('exact', EXACT_CONSTANTS),  # of method exact
+    ('paper', PAPER_CONSTANTS),  # of method paper
+    ('sample_time', 'f8'),  # [s]
+    ('max_gap', 'f8'),  # longest interval that is integrated [s]
+    ('initial_samples', 'i8'),  # samples that the start value is averaged over
+    ('rest_rate', 'f8'),  # rates of an arm at rest stay below [rad/s]
+    ('rest_samples', 'i8'),  # at rest without torque, after which it is held by something else
+    ('torque_tolerance', 'f8', (2,)),  # generalised torques at rest that the model may miss [N m]
+    ('still', 'f8'),  # largest change of a reading at rest [rad]
+)
+OBSERVER_STATE = record_type(
+    ('x', 'f8', (6,)),  # x^ = (theta^, theta^', f^): absolute angles, physical sensors [rad]
+    ('held', 'u1', (2,)),  # links whose angle is not corrected
+    ('v_old', 'f8', (2,)),  # absolute rates at the start of the interval [rad/s]
+    ('v_new', 'f8', (2,)),  # and at its end [rad/s]
+    ('paper', PAPER_STATE),  # of method paper
+    ('stamp', 'i8'),  # of the last sample [ns]
+    ('started', 'i8'),  # samples since the start
+    ('unsupported', 'i8'),  # samples at rest without the torque that gravity needs
+    ('stopping', STOP_STATE),
+    # Outputs in sensor coordinates, positions [rad] and rates [rad/s]:
+    ('y', 'f8', (4,)),  # of the last sample
+    ('y_new', 'f8', (4,)),  # of this sample
+    ('before', 'f8', (4,)),  # at the start of a part of the interval
+    ('after', 'f8', (4,)),  # and at its end
+    ('torque', 'f8', (2,)),  # generalised torques Q over the interval [N m]
+)
+ESTIMATE = record_type(
+    ('interval', 'f8'),  # since the previous estimate [s]
+    ('mode', 'u1'),  # of `Mode`
+    ('position', 'f8', (2,)),  # estimated, ROS joint coordinates [rad]
+    ('velocity', 'f8', (2,)),  # the same [rad/s]
+    ('fault', 'f8', (2,)),  # f^ of the physical position sensors [rad]
+    # Absolute coordinates, by link:
+    ('absolute_position', 'f8', (2,)),  # theta^ [rad]
+    ('absolute_velocity', 'f8', (2,)),  # measured theta' [rad/s]
+    ('absolute_acceleration', 'f8', (2,)),  # theta'' of the model at the estimate [rad/s2]
+    ('innovation', 'f8', (2,)),  # estimated minus measured theta' [rad/s]
+    ('held', 'u1', (2,)),  # the configuration carries no gravity information: dead reckoning
+    ('bridged', '?'),  # the interval was too long: angles went on by the encoders' increments
+)
+
+
+def observer_constants(
+    arm: ArmParameters, gains: Gains, initial_samples: int = 1, max_gap: float = 0.1
+) -> np.record:
+    """Constants of `observe`, of type `OBSERVER_CONSTANTS`.
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        The arm; its hash must match the gains.
+    gains : Gains
+        Designed gains.
+    initial_samples : int, optional
+        Samples over which the start value is averaged.  The observer takes their mean for free of
+        faults: a constant bias at the start is only found at the certified decay rate.
+    max_gap : float, optional
+        Longest interval that is integrated [s]; longer ones re-anchor the estimate on the
+        encoder's increment and hold the fault estimate.
+
+    Raises
+    ------
+    ConfigError
+        If the gains belong to another arm.
+    """
+    gains.check_arm(arm)
+    params = new_record(
+        OBSERVER_CONSTANTS,
+        joints=JointMap(arm).record(),
+        arm=arm.constants(),
+        sample_time=arm.sample_time,
+        max_gap=max_gap,
+        initial_samples=max(1, int(initial_samples)),
+        rest_rate=_AT_REST * arm.velocity_noise,
+        rest_samples=max(5, math.ceil(_REST / arm.sample_time)),
+        torque_tolerance=np.asarray(arm.torque_tolerance) + sum(arm.coulomb),
+        still=_STILL * arm.position_noise,
+    )
+    if isinstance(gains.observer, ExactObserverGains):
+        params.is_exact, params.exact = True, exact_constants(arm, gains.observer)
+    else:
+        params.paper = paper_constants(arm, gains.observer)
+    return params
+
+
+@njit
+def reset_observer(state: np.record) -> None:
+    """Forget everything; the observer restarts with the next sample."""
+    state.stamp, state.started, state.unsupported = NEVER, 0, 0
+    state.stopping.kind = _MOVING
+    state.held[:] = False
+    state.y[:] = 0.0
+
+
+@njit
+def observe(
+    params: np.record,
+    state: np.record,
+    estimate: np.record,
+    stamp: int,
+    position: np.ndarray,
+    velocity: np.ndarray,
+    effort: np.ndarray,
+) -> bool:
+    """Sampled unknown-input observer, eqs. (38)-(53): one measurement into ``estimate``.
+
+    An interval above ``max_gap`` re-anchors the estimate; an arm at rest whose measured torques do
+    not hold it against gravity is held by something else: nothing is learnt from them; an arm that
+    was stopped by a torque that is not measured (brakes) goes on from the angles it had then.
+
+    Parameters
+    ----------
+    params, state, estimate : numpy.record
+        `observer_constants`, state (`OBSERVER_STATE`) and estimate (`ESTIMATE`).
+    stamp : int
+        Time of measurement [ns].
+    position, velocity : ndarray, shape (2,)
+        Joint positions [rad] and rates [rad/s] as in ``sensor_msgs/JointState``, in the order of
+        the arm file.
+    effort : ndarray, shape (2,)
+        Joint torques that acted over the interval that ends at ``stamp`` [N m].
+
+    Returns
+    -------
+    bool
+        False if the estimate would not be finite; it then stays as it was, and the observer
+        restarts.
+    """
+    interval = 0.0 if state.stamp == NEVER else (stamp - state.stamp) / NANOSECONDS
+    _read(params, state, position, velocity)
+    state.torque[0], state.torque[1] = effort[0] - effort[1], effort[1]  # Q = J^T tau
+    if state.stamp == NEVER:
+        state.x[4:] = 0.0
+        _anchor(params, state)
+        copy_vector(state.y_new, state.y)
+        state.started = 0
+    elif interval > params.max_gap:
+        state.stopping.kind = _MOVING
+        _anchor(params, state)
+    elif _is_unsupported(params, state):
+        state.stopping.kind = _RESTING
+        _hold(params, state, interval)
+    else:
+        _note_stop(params, state, interval)
+        _advance(params, state, interval)
+        if state.stopping.kind == _BRAKED:
+            _take_stop(params, state)
+    if state.started < params.initial_samples:
+        _average_start(params, state)
+    for i in range(6):
+        if not math.isfinite(state.x[i]):
+            # Can only follow from absurd input (1e300 rad/s); never let it out.
+            reset_observer(state)
+            return False
+    state.stamp = stamp
+    copy_vector(state.y_new, state.y)
+    state.started += 1
+    estimate.interval, estimate.bridged = interval, interval > params.max_gap
+    _fill(params, state, estimate)
+    return True
+
+
+@njit
+def _read(params: np.record, state: np.record, position: np.ndarray, velocity: np.ndarray) -> None:
+    """Readings and rates of the sensors into ``y_new``."""
+    y, joints = state.y_new, params.joints
+    for i in range(2):
+        y[i] = row_dot(joints.from_joint, i, position[0] + joints.zero, position[1])
+        y[2 + i] = row_dot(joints.from_joint, i, velocity[0], velocity[1])
+
+
+@njit
+def _average_start(params: np.record, state: np.record) -> None:
+    """Move the start value to the mean of the samples so far; their mean fault is zero."""
+    x = state.x
+    share_1, share_2 = x[4] / (state.started + 1), x[5] / (state.started + 1)
+    for i in range(2):
+        x[i] += row_dot(params.joints.angle, i, share_1, share_2)
+    x[4] -= share_1
+    x[5] -= share_2
+    _set_state(params, state)
+
+
+@njit
+def _anchor(params: np.record, state: np.record) -> None:
+    """Angles from the readings without their fault estimates, rates as measured."""
+    x, y, angle = state.x, state.y_new, params.joints.angle
+    for i in range(2):
+        x[i] = row_dot(angle, i, y[0] - x[4], y[1] - x[5])
+        x[2 + i] = row_dot(angle, i, y[2], y[3])
+    _set_state(params, state)
+
+
+@njit
+def _see_faults(params: np.record, state: np.record, y: np.ndarray) -> None:
+    """f^ = y_p - S theta^."""
+    for i in range(2):
+        state.x[4 + i] = y[i] - row_dot(params.joints.sensor, i, state.x[0], state.x[1])
+
+
+@njit
+def _set_state(params: np.record, state: np.record) -> None:
+    """Use ``x`` as it was changed: z = x^ - T2 y, eq. (38); in method exact x is the state."""
+    if not params.is_exact:
+        z = state.paper.z
+        z[:] = 0.0
+        add_product(z, params.paper.t2, state.y_new)
+        for i in range(6):
+            z[i] = state.x[i] - z[i]
+
+
+@njit
+def _is_unsupported(params: np.record, state: np.record) -> bool:
+    """Whether the arm rests although the measured torques do not hold it.
+
+    The torque of brakes is often not measured.  Taken for what acts on the arm, zero torque at rest
+    would mean that both links are vertical.
+    """
+    x, y, arm = state.x, state.y_new, params.arm
+    needed = beyond = measured = 0.0
+    for i in range(2):
+        gravity = abs(arm.gravity[i] * math.sin(x[i]))
+        needed = max(needed, gravity)
+        tolerated = params.torque_tolerance[i] + _NEARLY_VERTICAL * arm.gravity[i]
+        beyond = max(beyond, gravity - tolerated)
+        measured = max(measured, abs(state.torque[i]))
+    if _is_at_rest(params, y) and beyond > 0.0 and measured <= _SUPPORTED * needed:
+        state.unsupported += 1
+    else:
+        state.unsupported = 0
+    return state.unsupported >= params.rest_samples
+
+
+@njit
+def _is_at_rest(params: np.record, y: np.ndarray) -> bool:
+    return abs(y[2]) <= params.rest_rate and abs(y[3]) <= params.rest_rate
+
+
+@njit
+def _note_stop(params: np.record, state: np.record, interval: float) -> None:
+    """Whether the arm was braked, see `Stop`; method ``exact`` only.
+
+    Brakes take the momentum away with a torque that nobody measures.  The observer would explain
+    what is missing by gravity, and so by a wrong angle.
+    """
+    stopping, x, y = state.stopping, state.x, state.y_new
+    if not params.is_exact:
+        stopping.kind = _MOVING
+    elif not _is_at_rest(params, y):
+        # It starts from rest: rate sensors that had read nothing for a moment would jump back.
+        starts = max(abs(y[2]), abs(y[3])) < 0.5 * stopping.rate
+        stopping.kind = _BRAKED if stopping.kind == _SUDDEN and starts else _MOVING
+    elif stopping.kind == _MOVING:
+        stopping.rate = stopping.lasted = 0.0
+        for i in range(2):
+            rate = row_dot(params.joints.angle, i, y[2], y[3])
+            stopping.rate = max(stopping.rate, abs(x[2 + i] - rate))
+            stopping.angle[i], stopping.reading[i] = x[i], y[i]
+        stopping.kind = _SUDDEN if stopping.rate > params.rest_rate else _RESTING
+    elif stopping.kind == _SUDDEN:
+        stopping.lasted += interval
+        moved = max(abs(y[0] - stopping.reading[0]), abs(y[1] - stopping.reading[1]))
+        if moved > params.still:
+            stopping.kind = _RESTING
+        elif stopping.rate * stopping.lasted > 2.0 * params.still:
+            stopping.kind = _BRAKED
+    else:
+        stopping.kind = _RESTING
+
+
+@njit
+def _take_stop(params: np.record, state: np.record) -> None:
+    """The arm is where it was stopped: undo what was learnt from the missing momentum."""
+    y = state.y_new
+    for i in range(2):
+        state.x[i] = state.stopping.angle[i]
+        state.x[2 + i] = row_dot(params.joints.angle, i, y[2], y[3])
+    _see_faults(params, state, y)
+
+
+@njit
+def _hold(params: np.record, state: np.record, interval: float) -> None:
+    """Dead reckoning of both links: angles go on by the measured rates."""
+    angle, y, y_new = params.joints.angle, state.y, state.y_new
+    for i in range(2):
+        rate = row_dot(angle, i, y_new[2], y_new[3])
+        state.x[i] += 0.5 * interval * (row_dot(angle, i, y[2], y[3]) + rate)
+        state.x[2 + i], state.held[i] = rate, True
+    _see_faults(params, state, y_new)
+    _set_state(params, state)
+
+
+@njit
+def advance(
+    params: np.record,
+    state: np.record,
+    y_old: np.ndarray,
+    y_new: np.ndarray,
+    torque: np.ndarray,
+    dt: float,
+) -> None:
+    """Advance x^ over one interval [s] from the outputs at both ends, in sensor coordinates, and
+    the generalised torques Q over it [N m]."""
+    if not params.is_exact:
+        paper_step(params.paper, state.paper, state.x, y_old, y_new, torque, dt)
+        return
+    for i in range(2):
+        state.v_old[i] = row_dot(params.joints.angle, i, y_old[2], y_old[3])
+        state.v_new[i] = row_dot(params.joints.angle, i, y_new[2], y_new[3])
+    exact_step(params.exact, params.arm, state, torque, dt)
+    _see_faults(params, state, y_new)
+
+
+@njit
+def _advance(params: np.record, state: np.record, interval: float) -> None:
+    """Advance in steps of a sample time; outputs are interpolated."""
+    state.held[:] = False
+    steps = max(1, math.ceil(interval / (1.5 * params.sample_time)))
+    if steps == 1:
+        advance(params, state, state.y, state.y_new, state.torque, interval)
+        return
+    copy_vector(state.y, state.before)
+    for k in range(1, steps + 1):
+        for i in range(4):
+            share = (state.y_new[i] - state.y[i]) / steps
+            state.after[i] = state.y_new[i] if k == steps else state.before[i] + share
+        part = interval / steps
+        advance(params, state, state.before, state.after, state.torque, part)
+        copy_vector(state.after, state.before)
+
+
+@njit
+def _fill(params: np.record, state: np.record, estimate: np.record) -> None:
+    x, y, joints, torque = state.x, state.y_new, params.joints, state.torque
+    if state.started <= params.initial_samples:
+        estimate.mode = _INITIALISING
+    else:
+        estimate.mode = _HOLDING if state.held[0] or state.held[1] else _OBSERVING
+    rate = estimate.absolute_velocity
+    for i in range(2):
+        estimate.position[i] = row_dot(joints.j, i, x[0], x[1])
+        estimate.velocity[i] = row_dot(joints.j, i, x[2], x[3])
+        estimate.fault[i], estimate.absolute_position[i] = x[4 + i], x[i]
+        estimate.held[i], rate[i] = state.held[i], row_dot(joints.angle, i, y[2], y[3])
+        estimate.innovation[i] = x[2 + i] - rate[i]
+    estimate.position[0] -= joints.zero
+    acc_1, acc_2 = acceleration(x[0], x[1], rate[0], rate[1], torque[0], torque[1], params.arm)
+    estimate.absolute_acceleration[0], estimate.absolute_acceleration[1] = acc_1, acc_2

@@ -1,0 +1,239 @@
+"""The designed unknown-input observer of a planar arm, with the reachable set of its errors.
+
+It says at every sample where the links are and what the sensors' faults are, with a bound that
+holds for every healthy arm inside its file whose rates are right; see `lpv.core.uio.bound`.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lpv.core.serial_arm.chain import FloatArray, IntArray
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.support.jit import njit_in_place as njit
+from lpv.core.support.records import memory, new_record, record_type
+from lpv.core.uio.bound.error_bound import (
+    BOUND_CONSTANTS,
+    BOUND_STATE,
+    error_bound,
+    reset_bound,
+    update_bound,
+)
+from lpv.core.uio.bound.lost_samples import (
+    LOSS_CONSTANTS,
+    LOSS_STATE,
+    loss_constants,
+    note_lost_samples,
+)
+from lpv.core.uio.certificate.gains import Gains
+from lpv.core.uio.observer.sampled_observer import (
+    ESTIMATE,
+    OBSERVER_CONSTANTS,
+    OBSERVER_STATE,
+    observe,
+    observer_constants,
+    reset_observer,
+)
+from lpv.core.uio.planar import planar_model
+
+CHOICES = ('tightest', 'uio', 'horizon')
+"""Whose estimate of the faults is published: that of the smaller bound, or one observer's alone."""
+_TIGHTEST, _UIO, _HORIZON = range(len(CHOICES))
+
+UIO_CONSTANTS = record_type(
+    ('observer', OBSERVER_CONSTANTS),
+    ('losses', LOSS_CONSTANTS),
+    ('bound', BOUND_CONSTANTS),
+    ('choice', 'i8'),  # index in `CHOICES`
+)
+UIO_STATE = record_type(
+    ('observer', OBSERVER_STATE),
+    ('estimate', ESTIMATE),
+    ('losses', LOSS_STATE),
+    ('bound', BOUND_STATE),
+    ('valid', '?'),  # whether there is an estimate
+)
+
+
+class UioParts(NamedTuple):
+    """Arguments of `uio_answers`."""
+
+    constants: np.ndarray  # of `UIO_CONSTANTS`, shape (1,)
+    state: np.ndarray  # of `UIO_STATE`, shape (1,)
+    to_sensors: FloatArray  # S, shape (2, 2)
+    to_joints: FloatArray  # S^-1, shape (2, 2)
+    measured: FloatArray  # work space, shape (3, 2)
+
+
+@njit
+def uio_step(
+    params: np.record,
+    state: np.record,
+    stamp: int,
+    position: FloatArray,
+    velocity: FloatArray,
+    effort: FloatArray,
+) -> None:
+    """Use one sample of the joints as measured, later than the one before; estimate and bound are
+    in ``state``, of type `UIO_STATE`."""
+    if not observe(
+        params.observer, state.observer, state.estimate, stamp, position, velocity, effort
+    ):
+        reset_bound(state.bound)
+        state.losses.started = False
+        state.valid = False
+        return
+    state.valid = True
+    note_lost_samples(params.losses, state.losses, state.estimate)
+    update_bound(params.bound, state.bound, state.estimate, state.losses.lost)
+
+
+@njit
+def uio_answers(
+    parts: Any, rows: Any, part: tuple[int, int], stamps: IntArray, efforts: FloatArray
+) -> None:
+    """Advance over samples in a row, and let the tighter estimate of each fault be the answer.
+
+    Parameters
+    ----------
+    parts : UioParts or None
+        Of the observer; None does nothing.
+    rows : lpv.core.monitoring.compensation.AnswerRows
+        Answers of the horizon to these samples; estimates, bounds and positions are changed where
+        the observer's bound is smaller.
+    part : tuple
+        First sample, and the first one after the last.
+    stamps : ndarray of int64, shape (N,)
+        [ns].
+    efforts : ndarray, shape (N, 2)
+        Joint torques [N m].
+    """
+    if parts is None:
+        return
+    params, state, measured = parts.constants[0], parts.state[0], parts.measured
+    for k in range(part[0], part[1]):
+        for i in range(2):
+            measured[0, i] = rows.measured[k, i]
+            measured[1, i] = rows.measured_velocity[k, i]
+            measured[2, i] = efforts[k, i]
+        uio_step(params, state, stamps[k], measured[0], measured[1], measured[2])
+        if state.valid and params.choice != _HORIZON:
+            _tighten(params.choice, state, parts, rows, k)
+
+
+@njit
+def _tighten(choice: int, state: np.record, parts: UioParts, rows: Any, k: int) -> None:
+    """Replace what is known worse; positions follow q = S^-1 (y - f).
+
+    A reading that has just jumped is carried on by its rate in the horizon's answer, and is taken
+    as measured here.
+    """
+    estimate, to_sensors, to_joints = state.estimate, parts.to_sensors, parts.to_joints
+    for i in range(2):
+        if choice == _UIO or state.bound.bound[i] < rows.bound[k, i]:
+            change = -estimate.fault[i]
+            for j in range(2):
+                change += to_sensors[i, j] * (rows.measured[k, j] - rows.position[k, j])
+            rows.estimate[k, i], rows.bound[k, i] = estimate.fault[i], state.bound.bound[i]
+            for j in range(2):
+                rows.position[k, j] += to_joints[j, i] * change
+    if choice == _UIO:
+        for i in range(2):
+            rows.velocity[k, i] = estimate.velocity[i]
+            rows.position[k, i] = estimate.position[i]
+        rows.mode[k] = estimate.mode
+
+
+class UnknownInputObserver:
+    """The observer of one arm.
+
+    Parameters
+    ----------
+    arm : SerialArm
+        Planar, with an ``lpv`` region.
+    gains : Gains
+        Designed for it.
+    choice : {'tightest', 'uio', 'horizon'}, optional
+        Whose estimate of the faults is published.
+    sigmas : float, optional
+        Standard deviations of noise in the bound.
+    initial_samples : int, optional
+        Samples over which the start value is averaged.
+    max_gap : float, optional
+        Longest interval that is integrated [s].
+
+    Attributes
+    ----------
+    method : str
+        Of the observer: ``paper`` or ``exact``.
+    certifies : bool
+        Whether the bound holds while a sensor fails: method ``exact``, and rates have sensors of
+        their own.
+    parts : UioParts
+        Arguments of `uio_answers`.
+
+    Raises
+    ------
+    ConfigError
+        If the arm is not planar, or the gains belong to another arm.
+    """
+
+    def __init__(
+        self,
+        arm: SerialArm,
+        gains: Gains,
+        choice: str = CHOICES[0],
+        sigmas: float = 4.0,
+        initial_samples: int = 1,
+        max_gap: float = 0.1,
+    ) -> None:
+        planar = planar_model(arm)
+        self.method = gains.observer.method
+        self._sigmas, self._planar, self._gains = sigmas, planar, gains
+        self._constants = new_record(
+            UIO_CONSTANTS,
+            observer=observer_constants(planar, gains, initial_samples, max_gap),
+            losses=loss_constants(planar),
+            bound=error_bound(planar, gains, sigmas),
+        )
+        self._state = new_record(UIO_STATE)
+        # A fault of a sensor whose rate is derived from it is in the rate, too, and method paper
+        # leaves model errors out: no bound is guaranteed then.
+        independent = all(joint.sensors.rates == 'independent' for joint in arm.joints)
+        self.certifies = independent and self.method == 'exact'
+        self._choice = CHOICES.index(choice)
+        self.rely(True)
+        self.parts = UioParts(
+            memory(self._constants),
+            memory(self._state),
+            arm.joints_to_sensors(),
+            arm.sensors_to_joints(),
+            np.zeros((3, 2)),
+        )
+        self.reset()
+
+    def retune(self, sigmas: float) -> None:
+        """Change the standard deviations of noise in the bound."""
+        if sigmas != self._sigmas:
+            self._sigmas = sigmas
+            self._constants.bound = error_bound(self._planar, self._gains, sigmas)
+
+    def rely(self, rates_are_right: bool) -> None:
+        """Publish the tighter estimate only while nothing speaks against the rates."""
+        choice = self._choice
+        if choice == _TIGHTEST and not (self.certifies and rates_are_right):
+            choice = _HORIZON
+        self._constants.choice = choice
+
+    def reset(self) -> None:
+        """Forget everything; the next sample is a first one."""
+        reset_observer(self._state.observer)
+        self._state.losses.started = False
+        reset_bound(self._state.bound)
+        self._state.valid = False
+
+    def level(self) -> tuple[FloatArray, FloatArray]:
+        """Faults of the sensors and their bounds, shape (2,) [rad]; infinite bounds if unknown."""
+        if not self._state.valid:
+            return np.zeros(2), np.full(2, np.inf)
+        return np.array(self._state.estimate.fault), np.array(self._state.bound.bound)

@@ -1,0 +1,162 @@
+"""From recordings to an identified arm."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lpv.core.serial_arm.description import SerialArm
+from lpv.identify.estimation.assembly import covariance_of_all, fit_of
+from lpv.identify.estimation.determination import Determination, determine
+from lpv.identify.estimation.evaluation import Figures, Prediction, figures, predict
+from lpv.identify.estimation.mistakes import Mistake, find_mistakes
+from lpv.identify.estimation.regression import Filters, Fit
+from lpv.identify.estimation.torque_error import torque_error, torque_tolerance
+from lpv.identify.estimation.weight import WeightEvidence
+from lpv.identify.estimation.workshop import Workshop
+from lpv.identify.model.base_parameters import BaseParameters
+from lpv.identify.recordings.motion import Bandwidths
+from lpv.identify.recordings.recording import Recording
+from lpv.identify.sensors.sensing import Sensing
+
+STEPS = 8
+"""Steps of an identification that are reported."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the user says of recordings and fit."""
+
+    train_share: float = 0.6  # of every recording; the rest is held back
+    refit: bool = False  # write the parameters of a fit to all samples
+    weight_is_known: bool = False  # keep what the arm says on gravity in the efforts
+
+
+@dataclass(frozen=True)
+class Identification:
+    """Identified arm, and how well it does on data that were held back."""
+
+    arm: SerialArm
+    figures: Figures  # of the arm, on data held back
+    prior_figures: Figures  # of the arm as it was given, on the same data
+    predictions: list[Prediction]  # on data held back
+    sensing: Sensing
+    determination: Determination
+    fit: Fit  # to the training data, without a prior
+    base: BaseParameters
+    bandwidths: Bandwidths
+    filters: Filters
+    strength: float  # of the prior
+    used_rates: bool  # measured rates were used
+    weight: WeightEvidence  # whether the efforts contain the arm's weight
+    mistakes: tuple[Mistake, ...]  # what is likely wrong in the set-up; part of the warnings, too
+    warnings: tuple[str, ...]
+
+
+def identify(
+    arm: SerialArm,
+    recordings: Sequence[Recording],
+    options: Options | None = None,
+    tests: Sequence[Recording] = (),
+    report: Callable[[str], None] = lambda step: None,
+) -> Identification:
+    """Identify an arm from recordings.
+
+    Parameters
+    ----------
+    arm : SerialArm
+        Kinematics, first guess of the inertias, limits, gains of the efforts.
+    recordings : sequence of Recording
+        To fit; the last part of each is held back, unless there are ``tests``.
+    options : Options, optional
+        Choices of the user.
+    tests : sequence of Recording, optional
+        Other recordings, to test on.
+    report : callable, optional
+        Is called at each of `STEPS` steps with what is done next.
+
+    Returns
+    -------
+    Identification
+        Arm and figures.
+
+    Raises
+    ------
+    IdentificationError
+        If the recordings cannot identify the arm.
+    """
+    options = options or Options()
+    report('preparing the motion')
+    workshop = Workshop(arm, recordings)
+    share = 1.0 if tests else options.train_share
+    workshop.estimate_gains(share)
+    report('looking for mistakes of the set-up')
+    mistakes = [m for m in find_mistakes(workshop.arm, recordings) if m.kind != 'weight']
+    workshop.warnings += [m.text for m in mistakes]
+    # With gravity from elsewhere, or other joints' efforts, the weight cannot be judged.
+    weight = workshop.check_weight(share, not (options.weight_is_known or mistakes))
+    arm = workshop.arm
+    workshop.choose(share, report)
+    report('fitting the parameters')
+    fit, strength = workshop.fit(share)
+    found = workshop.arm_of(fit, strength)
+    held_back = workshop.test_rows(share, tests)
+    predictions, before = (
+        [
+            predict(rows, fit_of(one, workshop.base, fit), workshop.filters, motion)
+            for rows, motion in held_back
+        ]
+        for one in (found, arm)
+    )
+    if options.refit:
+        fit, _ = workshop.fit(1.0)
+        found = workshop.arm_of(fit, strength)
+    report('measuring what is uncertain')
+    free = workshop.free_fit(1.0 if options.refit else share, fit.slope)
+    determination = determine(workshop.base, free, arm)
+    sensing = workshop.sensing()
+    found = _finish(found, workshop, sensing, predictions, determination, free)
+    step = workshop.step
+    return Identification(
+        found,
+        figures(predictions, workshop.filters, step),
+        figures(before, workshop.filters, step),
+        predictions,
+        sensing,
+        determination,
+        free,
+        workshop.base,
+        workshop.bands,
+        workshop.filters,
+        strength,
+        workshop.use_rates,
+        weight,
+        tuple(mistakes),
+        tuple(workshop.warnings),
+    )
+
+
+def _finish(
+    arm: SerialArm,
+    workshop: Workshop,
+    sensing: Sensing,
+    predictions: Sequence[Prediction],
+    determination: Determination,
+    fit: Fit,
+) -> SerialArm:
+    """The arm with sensors, tolerances, delays and covariance."""
+    speed = np.concatenate([p.velocity for p in predictions])
+    residual = np.concatenate([p.residual for p in predictions])
+    joints = []
+    for joint, delay, rate, rest in zip(arm.joints, workshop.effort_delay, speed.T, residual.T):
+        tolerance = torque_tolerance(rate, rest)
+        joints.append(replace(joint, effort_delay=float(delay), torque_tolerance=tolerance))
+    determined = int(determination.determined.sum())
+    stretches = [p.residual for p in predictions]
+    error = torque_error([p.velocity for p in predictions], stretches, workshop.step)
+    return replace(
+        error.on(sensing.on(replace(arm, joints=tuple(joints)))),
+        covariance=covariance_of_all(workshop.arm, workshop.base, fit, determined),
+        sample_time=workshop.step,
+        effort_bandwidth=workshop.filters.effort,
+    )

@@ -1,0 +1,282 @@
+"""Mistakes of a set-up that a recording shows: hypotheses on what differs from the file.
+
+Each hypothesis changes the data or gravity, all parameters are fitted again, and the logarithm of
+its evidence is compared: how well torques are explained, and how far parameters must leave what
+the file says for that.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lpv.core.serial_arm.description import SerialArm
+from lpv.identify.estimation.robust import robust_fit
+from lpv.identify.model.base_parameters import find_base_parameters
+from lpv.identify.model.friction import friction_columns, join_columns
+from lpv.identify.model.prior import Prior, base_prior
+from lpv.identify.model.rigid_body import RigidBody
+from lpv.identify.recordings.filters import derivative, low_pass, shifted
+from lpv.identify.recordings.motion import Segment, find_bandwidths, split
+from lpv.identify.recordings.recording import Recording
+
+_SURE = 15.0  # logarithm of a Bayes factor from which a mistake is named
+_COST = 2.0  # logarithm of how much less likely a mistake is than none, of one joint
+_MOST = 3  # mistakes that are looked for, one after another
+_SLOPE = 50.0  # of the Coulomb term [s/rad]
+_FREE = 1e-6  # information on friction before the data
+_LEAST_TILT = np.radians(1.5)
+_SCALE = 0.2  # standard deviation of the logarithm of the arm's torques, as the file gives them
+_FACTOR = 2.0  # within which efforts may be N m
+_DELAYS = (-0.05, *np.arange(0.02, 0.11, 0.01))  # what filters of drivers do is no mistake [s]
+_MOST_SAMPLES = 1500
+_Tried = Iterator[tuple[str, '_Setup']]
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """What differs from what the file says."""
+
+    kind: str  # 'gravity', 'weight', 'sign', 'names', 'delay' or 'unit'
+    text: str  # one sentence for the user
+    evidence: float  # logarithm of the Bayes factor against the set-up as it is said to be
+
+
+@dataclass(frozen=True)
+class _Setup:
+    """Slow signals of all segments, and the gravity that is assumed."""
+
+    segments: tuple[Segment, ...]
+    gravity: np.ndarray  # in the base's frame [m/s2]
+    rigid: tuple[np.ndarray, ...]  # regressors without gravity, then per unit of it along x, y, z
+    # torques of the segments per unit of the recorded efforts, shape (n,)
+    gain: float | np.ndarray = 1.0
+
+
+def find_mistakes(arm: SerialArm, recordings: Sequence[Recording]) -> list[Mistake]:
+    """Name what is likely wrong in a set-up, most evident first.
+
+    Parameters
+    ----------
+    arm : SerialArm
+        As its file describes it; masses may be rough.
+    recordings : sequence of Recording
+        Healthy motion.
+
+    Returns
+    -------
+    list of Mistake
+        Empty if the data fit what the file says, or do not tell.
+    """
+    slow = _slow(arm, [s for one in recordings for s in split(one)])
+    judge = _Judge(arm, slow)
+    gravity = arm.gravity_vector() if arm.effort_includes_gravity else np.zeros(3)
+    setup = judge.setup(slow, gravity)
+    found: list[Mistake] = []
+    before, _ = judge.evidence(setup)
+    for _ in range(_MOST):
+        best: tuple[float, Mistake, _Setup] | None = None
+        for kind, text, other in judge.hypotheses(setup, {m.kind for m in found}):
+            value = judge.evidence(other)[0] - judge.cost - before
+            if best is None or value > best[0]:
+                best = value, Mistake(kind, text, value), other
+        if best is None or best[0] < _SURE:
+            break
+        found.append(best[1])
+        if best[1].kind == 'unit':  # gains are anything then, and their signs
+            break
+        setup, before = best[2], judge.evidence(best[2])[0]
+    return found
+
+
+def _slow(arm: SerialArm, segments: Sequence[Segment]) -> tuple[Segment, ...]:
+    """Torques below the bandwidth of the analysis, in no more samples than that needs."""
+    gain = np.array([joint.torque_gain for joint in arm.joints])
+    delay = np.array([joint.effort_delay for joint in arm.joints])
+    bands = find_bandwidths(list(segments))
+    total = sum(len(s.time) for s in segments)
+    result = []
+    for one in segments:
+        every = max(1, int(1.0 / (8.0 * bands.analysis * one.step)), total // _MOST_SAMPLES)
+        cutoff = min(bands.analysis, 0.25 / (every * one.step))
+        torque = shifted(one.effort * gain, -delay, one.step)
+        position, effort = (low_pass(x, cutoff, one.step) for x in (one.position, torque))
+        signals = one.time, position, derivative(position, one.step), effort
+        cut = slice(every, len(one.time) - every, every)
+        result.append(Segment(every * one.step, *(signal[cut] for signal in signals)))
+    return tuple(result)
+
+
+class _Judge:
+    """Evidence of set-ups of one arm."""
+
+    def __init__(self, arm: SerialArm, segments: Sequence[Segment]):
+        self._arm, self._model = arm, RigidBody(arm)
+        self._base = find_base_parameters(self._model)
+        self._size = size = self._base.size
+        prior = base_prior(arm, self._base)
+        self._mean, self._information = prior.mean[:size], prior.information[:size, :size]
+        duration = sum(s.time[-1] - s.time[0] for s in segments)
+        self._samples = 2.0 * find_bandwidths(list(segments)).test * duration
+        self.cost = _COST + np.log(len(arm.joints))
+
+    def setup(self, segments: tuple[Segment, ...], gravity: np.ndarray) -> _Setup:
+        """A set-up with its regressors."""
+        parts = []
+        for one in segments:
+            assert one.velocity is not None  # segments are those of a filtered recording
+            still = np.zeros_like(one.position)
+            motion = one.velocity, derivative(one.velocity, one.step)
+            full = [self._model.regressor(one.position, *motion, np.zeros(3))]
+            full += [self._model.regressor(one.position, still, still, axis) for axis in np.eye(3)]
+            parts.append([part[:, :, self._base.columns] for part in full])
+        return _Setup(segments, gravity, tuple(np.concatenate(part) for part in zip(*parts)))
+
+    def _regressor(self, setup: _Setup) -> np.ndarray:
+        return setup.rigid[0] + sum(g * part for g, part in zip(setup.gravity, setup.rigid[1:]))
+
+    def evidence(self, setup: _Setup) -> tuple[float, np.ndarray]:
+        """Logarithm of the evidence but for a constant, and the base parameters."""
+        regressor = self._regressor(setup)
+        solution, scale = self._fit(setup, regressor)
+        beta = solution[: self._size]
+        # Single parameters may be far off, hardly the torques of the whole arm.
+        sizes = [float(np.linalg.norm(regressor @ b)) + 1e-9 for b in (beta, self._mean)]
+        common = float(np.log(sizes[0] / sizes[1])) / _SCALE
+        off = beta - self._mean
+        misfit = self._samples * float(np.sum(np.log(scale / setup.gain)))
+        return -misfit - 0.5 * float(off @ self._information @ off) - 0.5 * common**2, beta
+
+    def _fit(self, setup: _Setup, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Huber's estimate of all parameters with the prior; robust scale of each joint."""
+        effort = np.concatenate([s.effort for s in setup.segments])
+        rates = np.concatenate([s.velocity for s in setup.segments])
+        count, n, size = columns.shape
+        friction = friction_columns(rates, np.full(n, _SLOPE), np.zeros_like(rates))
+        design = join_columns(columns, friction[:, :, [0, 1, 3]])
+        information = np.diag(np.where(np.arange(design.shape[2]) < size, 0.0, _FREE))
+        information[: self._size, : self._size] = self._information
+        mean = np.append(self._mean, np.zeros(len(information) - self._size))
+        spread = np.std(effort, axis=0)
+        least = 1e-3 * spread + 1e-9
+        solution, _, scale = robust_fit(
+            design, effort, np.maximum(spread, least), Prior(mean, information),
+            rounds=4, share=self._samples / count, least=least,
+        )  # fmt: skip
+        return solution, scale
+
+    def hypotheses(self, setup: _Setup, without: set[str]) -> Iterator[tuple[str, str, _Setup]]:
+        """Kind, text and set-up of each mistake."""
+        for kind, tried in (
+            ('gravity', self._gravities),
+            ('weight', self._weightless),
+            ('sign', self._signs),
+            ('names', self._swaps),
+            ('delay', self._delays),
+            ('unit', self._units),
+        ):
+            if kind not in without:
+                for text, other in tried(setup):
+                    yield kind, text, other
+
+    def _gravities(self, setup: _Setup) -> _Tried:
+        size = self._arm.gravity
+        if not size > 0.0:
+            return
+        starts = [setup.gravity] if setup.gravity.any() else []
+        axes = [sign * size * axis for axis in np.eye(3) for sign in (1.0, -1.0)]
+        best = max(axes, key=lambda g: self.evidence(replace(setup, gravity=g))[0])
+        said = self._arm.gravity_vector()
+        for start in (*starts, best):
+            found = self._turned(replace(setup, gravity=start))
+            cross = np.cross(found.gravity, said) / size**2
+            angle = float(np.arctan2(np.linalg.norm(cross), found.gravity @ said / size**2))
+            if angle < _LEAST_TILT:
+                continue
+            x, y, z = -found.gravity / size
+            rpy = np.arctan2(y, z), np.arcsin(np.clip(-x, -1.0, 1.0))
+            yield (
+                f'gravity points elsewhere than the file says: {_turn(cross, angle)}; the '
+                f'base is mounted with --base-rpy {rpy[0]:.3f} {rpy[1]:.3f} 0',
+                found,
+            )
+
+    def _weightless(self, setup: _Setup) -> _Tried:
+        if setup.gravity.any():
+            text = 'efforts do not contain the torque that holds the weight (--without-gravity)'
+            yield text, replace(setup, gravity=np.zeros(3))
+
+    def _turned(self, setup: _Setup) -> _Setup:
+        """Gravity whose direction fits best, by Gauss-Newton together with all parameters."""
+        size = float(np.linalg.norm(setup.gravity))
+        for _ in range(6):
+            _, beta = self.evidence(setup)
+            down = setup.gravity / size
+            across = np.linalg.svd(down[None])[2][1:]  # two directions that turn it
+            pulls = np.stack([part @ beta for part in setup.rigid[1:]], axis=2)
+            columns = np.concatenate([self._regressor(setup), size * pulls @ across.T], axis=2)
+            solution, _ = self._fit(setup, columns)
+            turn = np.clip(solution[len(beta) : len(beta) + 2], -0.5, 0.5) @ across
+            setup = replace(setup, gravity=size * (down + turn) / np.linalg.norm(down + turn))
+            if np.linalg.norm(turn) < 1e-4:
+                break
+        return setup
+
+    def _changed(self, setup: _Setup, efforts: Sequence[np.ndarray]) -> _Setup:
+        pairs = zip(setup.segments, efforts)
+        return replace(setup, segments=tuple(replace(s, effort=e) for s, e in pairs))
+
+    def _signs(self, setup: _Setup) -> _Tried:
+        names = self._arm.joint_names
+        for j, name in enumerate((*names, None)):
+            sign = np.where(np.arange(len(names)) == j, -1.0, 1.0) if name else -1.0
+            who = f'of {name}' if name else 'of all joints'
+            yield (
+                f'efforts {who} count against the motion: their sign is wrong (--gain)',
+                self._changed(setup, [sign * s.effort for s in setup.segments]),
+            )
+
+    def _swaps(self, setup: _Setup) -> _Tried:
+        names = self._arm.joint_names
+        for j in range(len(names) - 1):
+            order = np.arange(len(names))
+            order[[j, j + 1]] = j + 1, j
+            swapped = tuple(s.with_joints(order) for s in setup.segments)
+            text = f'signals of {names[j]} and {names[j + 1]} are swapped: their names are wrong'
+            yield text, replace(self.setup(swapped, setup.gravity), gain=setup.gain)
+
+    def _delays(self, setup: _Setup) -> _Tried:
+        for delay in _DELAYS:
+            how = 'late' if delay > 0.0 else 'early'
+            yield (
+                f'efforts come about {1e3 * abs(delay):.0f} ms too {how} against the motion',
+                self._changed(setup, [shifted(s.effort, -delay, s.step) for s in setup.segments]),
+            )
+
+    def _units(self, setup: _Setup) -> _Tried:
+        expected = np.std(self._regressor(setup) @ self._mean, axis=0)
+        measured = np.std(np.concatenate([s.effort for s in setup.segments]), axis=0)
+        carries = expected > 0.1 * expected.max()
+        gain = expected / np.maximum(measured, 1e-12)
+        middle = float(np.median(gain[carries]))
+        if 1.0 / _FACTOR < middle < _FACTOR:
+            return
+        gain = np.where(carries, gain, middle)
+        yield (
+            'efforts are no torques in N m: currents? About '
+            + ', '.join(f'{g:.3g}' for g in gain)
+            + ' N m a unit would fit (--effort-unit A finds gains)',
+            replace(
+                self._changed(setup, [s.effort * gain for s in setup.segments]),
+                gain=setup.gain * gain,
+            ),
+        )
+
+
+def _turn(direction: np.ndarray, angle: float) -> str:
+    """A turn of the base as text, about one of its axes where it is one."""
+    unit = direction / max(float(np.linalg.norm(direction)), 1e-12)
+    k = int(np.argmax(np.abs(unit)))
+    if abs(unit[k]) > 0.95:
+        return f'about {"xyz"[k]} by {np.degrees(np.copysign(angle, unit[k])):.1f} deg'
+    return f'about ({", ".join(f"{u:.2f}" for u in unit)}) by {np.degrees(angle):.1f} deg'

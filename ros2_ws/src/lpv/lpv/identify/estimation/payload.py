@@ -1,0 +1,125 @@
+"""Mass and centre of a tool against a known arm, from one short recording."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lpv.core.serial_arm.chain import body_parameters
+from lpv.core.serial_arm.description import N_INERTIAL, LinkInertia, SerialArm
+from lpv.identify.errors import IdentificationError
+from lpv.identify.estimation.robust import huber, robust_fit
+from lpv.identify.estimation.torque_error import model_residual
+from lpv.identify.model.rigid_body import RigidBody
+from lpv.identify.recordings.filters import derivative, low_pass
+from lpv.identify.recordings.motion import Segment, find_bandwidths, split
+from lpv.identify.recordings.recording import Recording
+
+_HUBER = 2.0
+_BLOCKS = 20
+_Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Payload:
+    """What was found of a tool."""
+
+    mass: float  # [kg]
+    center: _Triple  # in the frame of the last joint [m]
+    mass_sigma: float  # standard deviation [kg]
+    center_sigma: _Triple  # [m]
+    rms_before: float  # torque residual without the tool [N m]
+    rms_after: float  # with it [N m]
+    warnings: tuple[str, ...] = ()
+
+
+def identify_payload(arm: SerialArm, recordings: Sequence[Recording]) -> Payload:
+    """Find mass and centre of mass of a tool.
+
+    The tool is a point mass on the last link: tau - tau_arm = Y_tool (m, m c), offsets of the
+    joints being estimated, too.
+
+    Parameters
+    ----------
+    arm : SerialArm
+        Identified arm without the tool.
+    recordings : sequence of Recording
+        Motion with the tool.
+
+    Returns
+    -------
+    Payload
+        With standard deviations from residuals that are correlated over time.
+
+    Raises
+    ------
+    IdentificationError
+        If the recordings do not show the tool.
+    """
+    parts = [_balance(arm, segment) for one in recordings for segment in split(one)]
+    design, rest = (np.concatenate(part) for part in zip(*parts))
+    scale = np.maximum(np.median(np.abs(rest - np.median(rest, axis=0)), axis=0), 1e-6)
+    linear, turning = np.delete(design, np.s_[4:N_INERTIAL], axis=2), 0.0 * rest
+    for _ in range(4):  # the inertia of a point mass at the centre is known with it
+        solution, residual, last = robust_fit(linear, rest - turning, scale, bound=_HUBER)
+        mass = max(float(solution[0]), 1e-6)
+        point = body_parameters(mass, solution[1:4] / mass, np.zeros((3, 3)))
+        turning = design[:, :, 4:N_INERTIAL] @ point[4:]
+    mass, center = float(solution[0]), solution[1:4] / solution[0]
+    sigma = _deviations(linear, residual, last)
+    if not mass > 2.0 * sigma[0]:
+        raise IdentificationError(
+            f'the recording shows no tool: mass {mass:.3f} kg within '
+            f'{2 * sigma[0]:.3f} kg; move the joints that carry its weight'
+        )
+    spread = np.sqrt(sigma[1:4] ** 2 + (center * sigma[0]) ** 2) / mass
+    warnings = [
+        f'{axis} of the centre is not determined: turn the wrist to other postures'
+        for axis, s in zip('xyz', spread)
+        if s > 0.1
+    ]
+    before, after = (float(np.sqrt(np.mean(error**2))) for error in (rest, residual))
+    return Payload(
+        mass, _triple(center), float(sigma[0]), _triple(spread), before, after, tuple(warnings)
+    )  # fmt: skip
+
+
+def _triple(values: np.ndarray) -> _Triple:
+    x, y, z = values.tolist()
+    return x, y, z
+
+
+def _balance(arm: SerialArm, segment: Segment) -> tuple[np.ndarray, np.ndarray]:
+    """Regressor of the tool and the offsets, and the torque that the arm leaves unexplained."""
+    n = len(arm.joints)
+    motion, residual = model_residual(arm, segment)
+    acceleration = derivative(motion.velocity, motion.step)
+    regressor = RigidBody(arm).regressor(motion.position, motion.velocity, acceleration)
+    tool = regressor[:, :, N_INERTIAL * (n - 1) : N_INERTIAL * n]
+    cutoff = find_bandwidths([segment]).analysis
+    thin = max(1, int(1.0 / (8.0 * cutoff * motion.step)))
+    cut = slice(len(tool) // 20, len(tool) - len(tool) // 20, thin)
+    filtered = low_pass(tool, arm.effort_bandwidth, motion.step, cutoff)[cut]
+    offsets = np.broadcast_to(np.eye(n), (len(filtered), n, n))
+    design = np.concatenate([filtered, offsets], axis=2)
+    return design, low_pass(residual, cutoff, motion.step)[cut]
+
+
+def _deviations(design: np.ndarray, residual: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """Standard deviations of a robust fit, clustered over blocks of time."""
+    weight = huber(residual / scale, _HUBER) / scale**2
+    flat = (design * np.sqrt(weight)[:, :, None]).reshape(-1, design.shape[2])
+    inverse = np.linalg.pinv(flat.T @ flat)
+    scores = np.einsum('ijk,ij->ik', design, weight * residual)
+    blocks = np.array_split(scores, min(_BLOCKS, len(scores)))
+    sums = np.array([block.sum(axis=0) for block in blocks])
+    meat = sums.T @ sums * len(blocks) / max(1, len(blocks) - 1)
+    return np.sqrt(np.diag(inverse @ meat @ inverse))
+
+
+def with_payload(arm: SerialArm, payload: Payload) -> SerialArm:
+    """The arm with the tool on its last link, a point mass at its centre."""
+    tool = body_parameters(payload.mass, payload.center, np.zeros((3, 3)))
+    *others, last = arm.joints
+    link = LinkInertia.from_vector(last.link.to_vector() + tool)
+    return replace(arm, joints=(*others, replace(last, link=link)))

@@ -1,0 +1,378 @@
+"""Robust weighted regression of torques on base parameters and friction.
+
+Rows are filtered torques: both sides of tau = Y(q, v, a) phi + friction go through the same
+zero-phase low-pass filter, so accelerations are derivatives of smoothed rates and need no sensor.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.optimize import nnls
+from scipy.stats import f as fisher
+from scipy.stats import t as student
+
+from lpv.identify.estimation.autocorrelation import residual_autocovariances, score_covariance
+from lpv.identify.estimation.robust import (
+    huber,
+    invert_normal,
+    normal_equations,
+    normal_matrix,
+    robust_scale,
+)
+from lpv.identify.model.base_parameters import BaseParameters
+from lpv.identify.model.friction import (
+    SLOPES,
+    TERMS,
+    direction,
+    direction_slope,
+    friction_columns,
+    join_columns,
+)
+from lpv.identify.model.prior import Prior
+from lpv.identify.model.rigid_body import RigidBody
+from lpv.identify.recordings.filters import derivative, low_pass
+from lpv.identify.recordings.motion import Motion
+
+_SWEEPS = 6
+_REFINEMENTS = 3
+_SLOPE_HELD = 1.0  # information on a slope's logarithm: known within a factor of e
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Regressor of a segment at full rate, before filters."""
+
+    step: float  # [s]
+    base: np.ndarray  # of the base parameters, shape (samples, n, base)
+    velocity: np.ndarray  # shape (samples, n) [rad/s]
+    effort: np.ndarray  # shape (samples, n) [N m]
+    speed_limit: np.ndarray  # of the joints, shape (n,) [rad/s]
+    part: slice = field(default_factory=lambda: slice(None))  # samples that count
+    cache: dict[tuple[float, float], np.ndarray] = field(  # filtered regressors of base parameters
+        default_factory=dict, compare=False, repr=False
+    )
+
+    def filtered_base(self, filters: 'Filters') -> np.ndarray:
+        """Regressor of the base parameters through both filters."""
+        key = (filters.effort, filters.analysis)
+        if key not in self.cache:
+            if len(self.cache) > 2:  # of the bandwidths that are tried
+                self.cache.clear()
+            self.cache[key] = low_pass(self.base, filters.effort, self.step, filters.analysis)
+        return self.cache[key]
+
+
+@dataclass(frozen=True)
+class Filters:
+    """What lies between the joint torque and a row of the regression."""
+
+    effort: float = np.inf  # bandwidth of the effort sensor, applied to the model only [Hz]
+    analysis: float = np.inf  # applied to both sides [Hz]
+    thinning: int = 1  # every so many samples are kept
+    test: float = np.inf  # of the causal filter through which residuals are rated [Hz]
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Result of the regression.
+
+    The parameters are the base parameters, then for each joint viscous, Coulomb, load-dependent
+    friction and offset (joint by joint).
+    """
+
+    parameters: np.ndarray  # shape (base + 4 n,)
+    slope: np.ndarray  # of the Coulomb term, shape (n,) [s/rad]
+    scale: np.ndarray  # robust scale of the filtered residuals, shape (n,) [N m]
+    base_size: int
+    normal: np.ndarray  # normal matrix of the weighted rows, without the prior
+    right: np.ndarray  # its right-hand side: normal @ parameters = right without a prior
+    covariance: np.ndarray  # of the parameters, with correlated residuals accounted for
+    freedom: float  # degrees of freedom of the covariance
+    used_load: np.ndarray  # joints with load-dependent friction, shape (n,)
+
+    def interval(self, level: float = 0.95) -> np.ndarray:
+        """Half width of each parameter's interval at a level of confidence (Student's t)."""
+        factor = float(student.ppf(0.5 + 0.5 * level, self.freedom))
+        return factor * np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+
+    def region(self, size: int, level: float = 0.95) -> float:
+        """Largest squared distance, in covariances, inside the joint region (Hotelling's T^2)."""
+        rest = max(1.0, self.freedom - size + 1.0)
+        return size * self.freedom / rest * float(fisher.ppf(level, size, rest))
+
+    @property
+    def base(self) -> np.ndarray:
+        """Base parameters."""
+        return self.parameters[: self.base_size]
+
+    @property
+    def friction(self) -> np.ndarray:
+        """Friction parameters in the order of `TERMS`, shape (n, 4)."""
+        return self.parameters[self.base_size :].reshape(-1, len(TERMS))
+
+
+def make_rows(
+    model: RigidBody,
+    base: BaseParameters,
+    motion: Motion,
+    speed_limit: np.ndarray,
+    with_gravity: bool = True,
+) -> Rows:
+    """Regressor of the torques along a smoothed motion with efforts [N m].
+
+    Friction must not drive a joint up to the ``speed_limit``, shape (n,) [rad/s]; ``with_gravity``
+    says whether the efforts contain gravity torques.
+    """
+    rate, gravity = motion.velocity, None if with_gravity else np.zeros(3)
+    columns = model.regressor(motion.position, rate, derivative(rate, motion.step), gravity)
+    return Rows(motion.step, columns[:, :, base.columns], rate, motion.effort, speed_limit)
+
+
+def model_torque(rows: Rows, fit: Fit) -> np.ndarray:
+    """Joint torque that a fit predicts, before any filter, shape (samples, n) [N m]."""
+    rigid = rows.base @ fit.base
+    columns = friction_columns(rows.velocity, fit.slope, rigid)
+    return rigid + np.einsum('ijk,jk->ij', columns, fit.friction)
+
+
+Loads = Sequence[np.ndarray | None]
+"""Magnitudes of rigid-body torques, a segment each; None if no friction depends on them."""
+
+
+class Problem:
+    """Filtered rows of all segments; the columns of friction change with slopes and load."""
+
+    def __init__(self, rows: Sequence[Rows], filters: Filters, use_load: np.ndarray):
+        self._rows, self._filters, self.use_load = rows, filters, use_load
+        self.n, self.size = rows[0].effort.shape[1], rows[0].base.shape[2]
+        self.speed_limit = rows[0].speed_limit
+        self.base = np.concatenate([self._keep(r.filtered_base(filters), r) for r in rows])
+        self.effort = np.concatenate(
+            [self._keep(low_pass(r.effort, filters.analysis, r.step), r) for r in rows]
+        )
+        self.lengths = [len(self._keep(r.effort, r)) for r in rows]
+        self._rates = np.concatenate([self._reduce(r.velocity, r) for r in rows])
+
+    def _keep(self, signal: np.ndarray, rows: Rows) -> np.ndarray:
+        return signal[rows.part][:: self._filters.thinning]
+
+    def _reduce(self, signal: np.ndarray, rows: Rows) -> np.ndarray:
+        """Model torque through both filters, thinned."""
+        filters = self._filters
+        return self._keep(low_pass(signal, filters.effort, rows.step, filters.analysis), rows)
+
+    def loads(self, beta: np.ndarray) -> Loads:
+        """Magnitude of the rigid-body torque of each joint, for each segment."""
+        used = self.use_load.any()
+        return [np.abs(rows.base @ beta) if used else None for rows in self._rows]
+
+    def friction(self, slope: np.ndarray, loads: Loads | None) -> np.ndarray:
+        """Filtered friction columns of each joint, shape (rows, n, 4)."""
+        columns = []
+        for rows, load in zip(self._rows, loads or [None] * len(self._rows)):
+            way = direction(rows.velocity, slope)
+            parts = way if load is None else np.hstack([way, load * way])
+            reduced = self._reduce(parts, rows)
+            columns.append(np.hstack([reduced, np.zeros_like(reduced)])[:, : 2 * self.n])
+        way, loaded = np.hsplit(np.concatenate(columns), 2)
+        return np.stack([self._rates, way, loaded, np.ones_like(way)], axis=2)
+
+    def design(self, slope: np.ndarray, loads: Loads | None) -> np.ndarray:
+        """Regressor of all parameters, shape (rows, n, base + 4 n)."""
+        return join_columns(self.base, self.friction(slope, loads))
+
+    def with_slopes(
+        self, design: np.ndarray, slope: np.ndarray, parameters: np.ndarray
+    ) -> np.ndarray:
+        """Regressor with derivatives of the torque with respect to each log(k), too."""
+        friction, parts = parameters[self.size :].reshape(self.n, len(TERMS)), []
+        for rows, load in zip(self._rows, self.loads(parameters[: self.size])):
+            amplitude = friction[:, 1] + friction[:, 2] * (0.0 if load is None else load)
+            column = amplitude * direction_slope(rows.velocity, slope)
+            parts.append(self._reduce(column, rows))
+        column = np.concatenate(parts)
+        return np.concatenate([design, column[:, :, None] * np.eye(self.n)], axis=2)
+
+    def constraints(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Parameters that may be used; map P from others z, parameters = P z; which z >= 0.
+
+        Friction drives at no speed up to the limit w if coulomb >= 0 and viscous + coulomb/w >= 0:
+        beyond its maximum (Stribeck's effect) friction may fall, down to nothing at w.
+        """
+        used, signed = np.ones((2, self.n, len(TERMS)), bool)
+        used[:, TERMS.index('load')] = self.use_load
+        signed[:, TERMS.index('offset')] = False
+        free = np.ones(self.size, bool)
+        passive = np.eye(self.size + used.size)
+        first = self.size + len(TERMS) * np.arange(self.n)
+        passive[first, first + 1] = -1.0 / self.speed_limit
+        return np.append(free, used), passive, np.append(~free, signed)
+
+
+def fit_parameters(
+    rows: Sequence[Rows],
+    filters: Filters,
+    use_load: np.ndarray,
+    prior: Prior | None = None,
+    slope: np.ndarray | None = None,
+    signed: bool = True,
+    sweeps: int = _SWEEPS,
+    with_covariance: bool = False,
+) -> Fit:
+    """Fit base parameters, friction and slopes.
+
+    Parameters
+    ----------
+    rows : sequence of Rows
+        One per segment.
+    filters : Filters
+        Filters and thinning.
+    use_load : ndarray of bool, shape (n,)
+        Joints with load-dependent friction.
+    prior : Prior, optional
+        Of all parameters.
+    slope : ndarray, shape (n,), optional
+        Slopes that are kept; they are searched if not given.
+    signed : bool, optional
+        Leave out terms of friction that would drive a joint.
+    sweeps : int, optional
+        Alternations between slopes, load and linear parameters.
+    with_covariance : bool, optional
+        Compute the covariance, too; it is zero otherwise.
+
+    Returns
+    -------
+    Fit
+        Huber's estimate with one scale for each joint.
+    """
+    problem = Problem(rows, filters, use_load)
+    n, size, search = problem.n, problem.size, slope is None
+    slope = np.full(n, 50.0) if slope is None else slope.copy()
+    parameters = np.zeros(size + len(TERMS) * n)
+    scale, weight = np.ones(n), np.ones_like(problem.effort)
+    for sweep in range(sweeps if search else min(sweeps, 3)):
+        loads = problem.loads(parameters[:size]) if sweep else None
+        if search and sweep:
+            slope = _search_slopes(problem, parameters, loads, slope, weight, sweep)
+        design = problem.design(slope, loads)
+        for _ in range(2):
+            equations = normal_equations(design, problem.effort, weight / scale**2, prior)
+            parameters, active = _solve(problem, *equations, signed)
+            residual = problem.effort - design @ parameters
+            scale, weight = _weigh(residual)
+    for _ in range(_REFINEMENTS if search else 0):
+        weights = weight / scale**2
+        slope, parameters, residual = _refine(problem, slope, parameters, weights, active, prior)
+        scale, weight = _weigh(residual)
+    if search:
+        design = problem.design(slope, problem.loads(parameters[:size]))
+    weights = weight / scale**2
+    covariance, freedom = np.zeros((len(parameters), len(parameters))), 1.0
+    if with_covariance:
+        full = problem.with_slopes(design, slope, parameters)
+        covariance, freedom = _uncertainty(problem, full, residual, weights, active, prior)
+    normal, right = normal_equations(design, problem.effort, weights)
+    return Fit(parameters, slope, scale, size, normal, right, covariance, freedom, use_load)
+
+
+def _weigh(residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Robust scale of each joint, and weights."""
+    scale = robust_scale(residual)
+    scale = np.maximum(scale, 1e-9 + 1e-6 * np.max(scale))
+    return scale, huber(residual / scale)
+
+
+def _solve(
+    problem: Problem, matrix: np.ndarray, right: np.ndarray, signed: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Solution, and which parameters it has; friction that would drive is left out."""
+    active, passive, positive = problem.constraints()
+    matrix, right = passive.T @ matrix @ passive, passive.T @ right
+    while True:
+        result = np.zeros(len(active))
+        result[active] = invert_normal(matrix[np.ix_(active, active)]) @ right[active]
+        negative = positive & (result < 0.0)
+        if not (signed and negative.any()):
+            return passive @ result, active
+        active &= ~negative
+
+
+def _refine(
+    problem: Problem,
+    slope: np.ndarray,
+    parameters: np.ndarray,
+    weight: np.ndarray,
+    active: np.ndarray,
+    prior: Prior | None,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Gauss-Newton step in the logarithms of the slopes, together with all parameters."""
+    n, count = problem.n, len(active)
+    design = problem.design(slope, problem.loads(parameters[: problem.size]))
+    full = problem.with_slopes(design, slope, parameters)
+    matrix, right = normal_equations(full, problem.effort, weight, prior)
+    matrix[count:, count:] += _SLOPE_HELD * np.eye(n)
+    # What is left out stays where it is: at zero, or at the limit of dissipation.
+    kept = np.append(active, np.ones(n, bool))
+    solution = np.append(np.where(active, 0.0, parameters), np.zeros(n))
+    right -= matrix @ solution
+    solution[kept] += invert_normal(matrix[np.ix_(kept, kept)]) @ right[kept]
+    solution[count:] = np.clip(solution[count:], -0.3, 0.3)
+    slope = np.clip(slope * np.exp(solution[count:]), SLOPES[0], SLOPES[-1])
+    return slope, solution[:count], problem.effort - full @ solution
+
+
+def _search_slopes(
+    problem: Problem,
+    parameters: np.ndarray,
+    loads: Loads | None,
+    slope: np.ndarray,
+    weight: np.ndarray,
+    sweep: int,
+) -> np.ndarray:
+    """Best slope of each joint on a grid, the rigid-body part being held."""
+    n, root = problem.n, np.sqrt(weight)
+    rest = (problem.effort - problem.base @ parameters[: problem.size]) * root
+    near = [slope * f for f in (0.5, 0.71, 1.0, 1.41, 2.0)]
+    candidates = [np.full(n, k) for k in SLOPES] if sweep == 1 else near
+    costs = np.empty((len(candidates), n))
+    for cost, candidate in zip(costs, candidates):
+        columns = problem.friction(candidate, loads) * root[:, :, None]
+        columns[:, :, 1] -= columns[:, :, 0] / problem.speed_limit
+        for j in range(n):
+            used = [True, True, bool(problem.use_load[j]), True]
+            cost[j] = _cost(columns[:, j][:, used], rest[:, j])
+    chosen = np.array(candidates)[np.argmin(costs, axis=0), np.arange(n)]
+    return np.clip(chosen, SLOPES[0], SLOPES[-1])
+
+
+def _cost(columns: np.ndarray, target: np.ndarray) -> float:
+    upper = np.asarray(np.linalg.qr(np.column_stack([columns, target]), mode='r'))
+    # The offset may have either sign; the others are friction.
+    return float(nnls(np.column_stack([upper[:, :-1], -upper[:, -2]]), upper[:, -1])[1] ** 2)
+
+
+def _uncertainty(
+    problem: Problem,
+    full: np.ndarray,
+    residual: np.ndarray,
+    weight: np.ndarray,
+    active: np.ndarray,
+    prior: Prior | None,
+) -> tuple[np.ndarray, float]:
+    """Covariance and its degrees of freedom; slopes are estimated, too."""
+    n, size = problem.n, len(active)
+    known = np.append(active, np.ones(n, bool))
+    matrix = normal_matrix(full, weight)
+    # A slope that the rows do not show is held within a factor of e.
+    matrix[size:, size:] += _SLOPE_HELD * np.eye(n)
+    if prior is not None:
+        matrix[:size, :size] += prior.information
+    inverse = np.zeros_like(matrix)
+    inverse[np.ix_(known, known)] = invert_normal(matrix[np.ix_(known, known)])
+    root = np.sqrt(weight)
+    rows = full * root[:, :, None]
+    gammas = residual_autocovariances(rows, residual * root, inverse, problem.lengths)
+    covariance = inverse @ score_covariance(rows, gammas, problem.lengths) @ inverse
+    independent = sum(residual.shape[0] * g[0] / max(g[0], 2.0 * g.sum() - g[0]) for g in gammas)
+    return covariance[:size, :size], max(1.0, float(independent) - float(known.sum()))

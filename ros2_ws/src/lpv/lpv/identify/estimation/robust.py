@@ -1,0 +1,94 @@
+"""Huber's estimates of linear models by normal equations, and their scale."""
+
+import numpy as np
+
+from lpv.identify.model.prior import Prior
+
+HUBER = 3.0
+"""Residuals beyond this many scales weigh less (contacts, outliers)."""
+
+
+def robust_scale(residual: np.ndarray, least: np.ndarray | float = 0.0) -> np.ndarray:
+    """Standard deviation of each column by its median magnitude, at least ``least``."""
+    return np.maximum(np.median(np.abs(residual), axis=0) / 0.6745, least)
+
+
+def huber(ratio: np.ndarray, bound: float = HUBER) -> np.ndarray:
+    """Weights of residuals in units of their scale."""
+    return bound / np.maximum(np.abs(ratio), bound)
+
+
+def bounded_mean_square(error: np.ndarray) -> np.ndarray:
+    """Mean square of each column in which a contact does not decide."""
+    bound = 4.0 * robust_scale(error)
+    return np.mean(np.clip(error, -bound, bound) ** 2, axis=0)
+
+
+def normal_matrix(design: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Normal matrix of a design, shape (rows, n, parameters), with weights, shape (rows, n)."""
+    flat = (design * np.sqrt(weight)[:, :, None]).reshape(-1, design.shape[2])
+    return flat.T @ flat
+
+
+def normal_equations(
+    design: np.ndarray, target: np.ndarray, weight: np.ndarray, prior: Prior | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Normal matrix and right-hand side; the prior is of the first parameters."""
+    matrix = normal_matrix(design, weight)
+    right = design.reshape(-1, design.shape[2]).T @ (weight * target).ravel()
+    if prior is not None:
+        size = len(prior.mean)
+        matrix[:size, :size] += prior.information
+        right[:size] += prior.information @ prior.mean
+    return matrix, right
+
+
+def invert_normal(matrix: np.ndarray) -> np.ndarray:
+    """Inverse of a normal matrix; directions that the rows do not show are left out."""
+    size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    values, vectors = np.linalg.eigh(matrix / np.outer(size, size))
+    kept = values > 1e-11 * values[-1]
+    inverse = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
+    return inverse / np.outer(size, size)
+
+
+def robust_fit(
+    design: np.ndarray,
+    target: np.ndarray,
+    scale: np.ndarray,
+    prior: Prior | None = None,
+    bound: float = HUBER,
+    rounds: int = 8,
+    share: float = 1.0,
+    least: np.ndarray | float = 1e-9,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Huber's estimate with one scale for each column of the target.
+
+    Parameters
+    ----------
+    design, target : ndarray, shapes (rows, n, parameters) and (rows, n)
+        Of the model target = design @ parameters.
+    scale : ndarray, shape (n,)
+        To begin with.
+    prior : Prior, optional
+        Of the first parameters.
+    bound, rounds : optional
+        Scales beyond which residuals weigh less; solutions in a row.
+    share : float, optional
+        Of the rows that are independent of each other.
+    least : optional
+        Smallest scale.
+
+    Returns
+    -------
+    tuple of ndarray
+        Parameters, residuals, and the scale.
+    """
+    weight = np.ones_like(target)
+    for _ in range(rounds):
+        matrix, right = normal_equations(design, target, share * weight / scale**2, prior)
+        solution = invert_normal(matrix) @ right
+        residual = target - design @ solution
+        scale = robust_scale(residual, least)
+        weight = huber(residual / scale, bound)
+    return solution, residual, scale

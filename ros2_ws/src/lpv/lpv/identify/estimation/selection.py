@@ -1,0 +1,106 @@
+"""Choice of the model by prediction of data that were held back."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from lpv.identify.estimation.regression import Filters, Fit, Rows, fit_parameters, model_torque
+from lpv.identify.estimation.robust import bounded_mean_square
+from lpv.identify.model.prior import Prior
+from lpv.identify.recordings.filters import causal_low_pass, low_pass
+
+Estimator = Callable[[Sequence[Rows]], Fit]
+BLOCKS = 4
+"""Blocks of the training data, each of which is predicted from the others."""
+STRENGTHS = (1e-2, 1e-1, 1.0, 1e1, 1e2)
+"""Strengths of the prior that are tried."""
+EFFORT_BANDS = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 7.0, 10.0, 15.0, 20.0, 30.0)
+"""Bandwidths of the effort sensor that are tried [Hz]."""
+_GAIN = 0.9  # ratio of mean squares below which the richer model is taken
+_NOTHING = 1e-5  # share of an effort's power that counts for nothing
+EQUAL = 0.02
+"""Difference of the logarithms of mean squares that counts for nothing."""
+
+
+def divide(rows: Rows, share: float) -> tuple[Rows, Rows]:
+    """First ``share`` of the counted samples, and the rest."""
+    start, stop, _ = rows.part.indices(len(rows.effort))
+    middle = start + int(round(share * (stop - start)))
+    return replace(rows, part=slice(start, middle)), replace(rows, part=slice(middle, stop))
+
+
+def residuals(rows: Rows, fit: Fit, filters: Filters, causal_cutoff: float = np.inf) -> np.ndarray:
+    """Effort minus prediction over the counted samples, shape (samples, n) [N m].
+
+    The bandwidth of the effort sensor is part of the prediction; the effort itself is not filtered,
+    or through a filter that uses the past only.
+    """
+    predicted = low_pass(model_torque(rows, fit), filters.effort, rows.step)
+    return causal_low_pass(rows.effort - predicted, causal_cutoff, rows.step)[rows.part]
+
+
+def validation_error(rows: Sequence[Rows], filters: Filters, estimate: Estimator) -> np.ndarray:
+    """Mean square error of each joint on the blocks held back, shape (n,) [(N m)^2].
+
+    In the band of the analysis; ``rows`` are the training data.
+    """
+    total, count = np.zeros(rows[0].effort.shape[1]), 0
+    parts = [one.part.indices(len(one.effort))[:2] for one in rows]
+    edges = [np.linspace(*part, BLOCKS + 1).astype(int) for part in parts]
+    for block in range(BLOCKS):
+        train, valid = [], []
+        for one, (start, stop), edge in zip(rows, parts, edges):
+            rest = slice(start, edge[block]), slice(edge[block + 1], stop)
+            train += [replace(one, part=p) for p in rest if p.stop - p.start > 10]
+            valid.append(replace(one, part=slice(edge[block], edge[block + 1])))
+        fit = estimate(train)
+        for one in valid:
+            error = residuals(one, fit, filters, filters.test)
+            total += len(error) * bounded_mean_square(error)
+            count += len(error)
+    return total / max(count, 1)
+
+
+def choose_effort_band(
+    rows: Sequence[Rows], filters: Filters, use_load: np.ndarray, prior: Prior | None
+) -> float:
+    """Bandwidth of the effort sensor, inf if none is seen.
+
+    Drivers report torques that are filtered.  Where the spectrum of the efforts ends below that
+    of the model, a filter on the model explains what friction at reversals cannot.
+    """
+    errors: dict[float, float] = {}  # mean logarithms
+    bands = [b for b in EFFORT_BANDS[::-1] if b < 0.15 / rows[0].step and _ends(rows, b)]
+    for band in (np.inf, *bands):
+        trial = replace(filters, effort=band)
+        fit = fit_parameters(rows, trial, use_load, prior, sweeps=3)
+        error = np.concatenate([residuals(one, fit, trial) for one in rows])
+        errors[band] = float(np.mean(np.log(bounded_mean_square(error))))
+        tried = list(errors.values())
+        if len(tried) > 4 and min(tried[-3:]) > min(tried):
+            break
+    best = min(errors, key=lambda band: errors[band])
+    return best if errors[best] - errors[np.inf] < np.log(_GAIN) else np.inf
+
+
+def _ends(rows: Sequence[Rows], band: float) -> bool:
+    """Whether efforts carry next to nothing beyond three times a bandwidth."""
+    beyond = 0.0
+    for one in rows:
+        effort = one.effort[one.part]
+        window = np.hanning(len(effort))[:, None]
+        power = np.abs(np.fft.rfft((effort - effort.mean(axis=0)) * window, axis=0)) ** 2
+        power = power / np.maximum(power.sum(axis=0), 1e-300)
+        high = np.fft.rfftfreq(len(effort), one.step) > 3.0 * band
+        beyond += float(power[high].sum(axis=0).max())
+    return beyond < _NOTHING * len(rows)
+
+
+def choose_prior(
+    rows: Sequence[Rows], filters: Filters, estimator_of: Callable[[float], Estimator]
+) -> float:
+    """Strength of the prior that predicts best; the largest of those that do equally well."""
+    found = [validation_error(rows, filters, estimator_of(strength)) for strength in STRENGTHS]
+    errors = np.mean(np.log(found), axis=1)
+    return STRENGTHS[int(np.flatnonzero(errors < errors.min() + EQUAL)[-1])]

@@ -1,0 +1,171 @@
+"""Torque that the model misses: its size, its growth with speed, how long it lasts."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import nnls
+
+from lpv.core.serial_arm.description import SerialArm, TorqueTolerance
+from lpv.identify.errors import IdentificationError
+from lpv.identify.estimation.autocorrelation import autocovariance
+from lpv.identify.model.rigid_body import joint_torques
+from lpv.identify.recordings.filters import derivative, low_pass
+from lpv.identify.recordings.motion import Motion, Segment, find_bandwidths, smooth, split
+from lpv.identify.recordings.recording import Recording
+from lpv.identify.sensors.sensing import Sensing, noise_deviation, sense
+
+_QUANTILE = 0.99
+_BINS = 8
+_LEAST = 30  # samples of a bin
+_MOVES = 0.05  # largest rate of a joint from which errors at speed are seen [rad/s]
+
+
+@dataclass(frozen=True)
+class TorqueError:
+    """What a model misses, sigma(v)^2 = rest^2 + (growth v)^2, without the efforts' white noise."""
+
+    rest: np.ndarray  # at rest and in slow motion, shape (n,) [N m]
+    growth: np.ndarray  # with the joint's rate, shape (n,) [N m s/rad]
+    time: float  # in which its correlation falls to 1/e, median of the joints [s]
+    noise: np.ndarray  # white, of the efforts, shape (n,) [N m]
+
+    def on(self, arm: SerialArm) -> SerialArm:
+        """The arm with this uncertainty."""
+        rest, growth = (tuple(float(f'{v:.4g}') for v in x) for x in (self.rest, self.growth))
+        stated = replace(
+            arm.uncertainty,
+            torque_error=rest,
+            torque_error_speed=growth,
+            torque_error_time=float(f'{self.time:.4g}'),
+        )
+        return replace(arm, uncertainty=stated)
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A given arm with what a recording says of its sensors and of its model's errors."""
+
+    arm: SerialArm  # parameters are those given
+    sensing: Sensing
+    error: TorqueError
+    rms: np.ndarray  # of efforts minus the model's torques, shape (n,) [N m]
+    warnings: tuple[str, ...]
+
+
+def torque_error(
+    rates: Sequence[np.ndarray], residuals: Sequence[np.ndarray], step: float
+) -> TorqueError:
+    """Fit the size of what a model misses by least squares of the squares.
+
+    Of ``rates`` and ``residuals``, shape (samples, n) each [rad/s], [N m], of stretches that did
+    not serve to identify the model; ``step`` is the sample time [s].
+    """
+    noise = noise_deviation(residuals)
+    speed, size = np.concatenate(rates) ** 2, np.concatenate(residuals) ** 2
+    n = size.shape[1]
+    rest, growth, times = np.zeros((3, n))
+    for j in range(n):
+        least = max(1e-4 * float(np.mean(size[:, j])), 1e-18)
+        target = np.maximum(size[:, j] - noise[j] ** 2, 0.0)
+        rows = np.column_stack([np.ones(len(target)), speed[:, j], target])
+        variance = np.full(len(target), 1.0)
+        for _ in range(3):  # twice weighted by what the squares say
+            upper = np.asarray(np.linalg.qr(rows / variance[:, None], mode='r'))
+            (constant, slope), _ = nnls(upper[:, :2], upper[:, 2])
+            variance = np.maximum(constant + slope * speed[:, j], least)
+            variance = variance / variance.mean()
+        rest[j], growth[j] = np.sqrt(max(constant, least)), np.sqrt(slope)
+        times[j] = step * _correlation_length([r[:, j] for r in residuals], float(noise[j]))
+    return TorqueError(rest, growth, float(np.median(times)), noise)
+
+
+def _correlation_length(residuals: Sequence[np.ndarray], noise: float) -> float:
+    """Samples in which the correlation of what is not white falls to 1/e."""
+    longest = max(2, max(len(r) for r in residuals) // 4)
+    count = sum(len(r) for r in residuals)
+    gamma = autocovariance(residuals, longest)
+    pairs = [sum(max(len(r) - lag, 0) for r in residuals) for lag in range(longest)]
+    value = gamma * count / np.maximum(pairs, 1) / max(gamma[0] - noise**2, 1e-18)
+    value[0] = 1.0
+    below = np.flatnonzero(value < np.exp(-1.0))
+    if not len(below):
+        return longest
+    lag = int(below[0])
+    return lag - 1 + (value[lag - 1] - np.exp(-1.0)) / max(value[lag - 1] - value[lag], 1e-9)
+
+
+def model_residual(arm: SerialArm, segment: Segment) -> tuple[Motion, np.ndarray]:
+    """Motion of a segment, and its efforts minus the torques of an arm's model [N m]."""
+    gain = np.array([joint.torque_gain for joint in arm.joints])
+    delay = np.array([joint.effort_delay for joint in arm.joints])
+    scaled = replace(segment, effort=segment.effort * gain)
+    motion = smooth(scaled, find_bandwidths([segment]), False, 0.0 * delay, delay)
+    if not arm.effort_includes_gravity:
+        arm = replace(arm, gravity=0.0)
+    acceleration = derivative(motion.velocity, motion.step)
+    torque = joint_torques(arm, motion.position, motion.velocity, acceleration)
+    return motion, motion.effort - low_pass(torque, arm.effort_bandwidth, motion.step)
+
+
+def calibrate(arm: SerialArm, recordings: Sequence[Recording]) -> Calibration:
+    """Measure sensors and errors of a given model from healthy motion; parameters stay.
+
+    Parameters
+    ----------
+    arm : SerialArm
+        As its file describes it.
+    recordings : sequence of Recording
+        Some 10 s of any healthy motion, that of the arm's work best; no excitation is needed.
+
+    Returns
+    -------
+    Calibration
+        The arm with noise, steps and source of rates of its sensors, and the torque that its model
+        misses.
+
+    Raises
+    ------
+    IdentificationError
+        If the recordings are too short.
+    """
+    segments = [segment for one in recordings for segment in split(one)]
+    parts = [model_residual(arm, segment) for segment in segments]
+    # The ends, where filters have no motion to both sides, do not count.
+    cuts = [slice(len(r) // 20, len(r) - len(r) // 20) for _, r in parts]
+    rates = [motion.velocity[cut] for (motion, _), cut in zip(parts, cuts)]
+    residuals = [r[cut] for (_, r), cut in zip(parts, cuts)]
+    if not all(np.isfinite(r).all() for r in residuals):
+        raise IdentificationError('torques of the model are not finite')
+    step = max(segment.step for segment in segments)
+    delay = np.array([joint.effort_delay for joint in arm.joints])
+    sensing = sense(recordings, segments, 0.0 * delay, delay)
+    error = torque_error(rates, residuals, step)
+    warnings = [text for one in recordings for text in one.warnings]
+    fastest = np.max(np.abs(np.concatenate(rates)), axis=0)
+    warnings += [
+        f'{name} hardly moves: how errors of the model grow with its speed is not seen'
+        for name, speed in zip(arm.joint_names, fastest)
+        if speed < _MOVES
+    ]
+    rms = np.sqrt(np.mean(np.concatenate(residuals) ** 2, axis=0))
+    changed = error.on(replace(sensing.on(arm), sample_time=step))
+    return Calibration(changed, sensing, error, rms, tuple(warnings))
+
+
+def torque_tolerance(speed: np.ndarray, residual: np.ndarray) -> TorqueTolerance:
+    """Envelope of a joint's residuals over its speed: 99 % of their magnitudes in bins of speed.
+
+    Bins are finer near standstill, where friction reverses.  ``speed`` [rad/s] and ``residual``,
+    torque minus prediction [N m], of shape (samples,), are of data that were held back.
+    """
+    speed, size = np.abs(speed), np.abs(residual)
+    edges = np.quantile(speed, np.linspace(0.0, 1.0, _BINS + 1) ** 1.5)
+    points: list[tuple[float, float]] = []
+    for low, high in zip(edges[:-1], edges[1:]):
+        inside = (speed >= low) & (speed <= high)
+        middle = float(np.median(speed[inside])) if inside.sum() >= _LEAST else -1.0
+        if middle > (points[-1][0] if points else -1e-9) + 1e-9:
+            points.append((round(middle, 6), float(np.quantile(size[inside], _QUANTILE))))
+    knots, torques = zip(*(points or [(0.0, float(np.max(size, initial=0.0)))]))
+    return TorqueTolerance(knots, torques)

@@ -1,0 +1,253 @@
+"""Recordings of an arm, and the choices on the way to its parameters."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from lpv.core.serial_arm.description import SerialArm
+from lpv.identify.estimation.assembly import consistent_parameters, fit_of, with_parameters
+from lpv.identify.estimation.delays import MAX_DELAY, effort_delays, rate_delays
+from lpv.identify.estimation.gains import estimate_gains
+from lpv.identify.estimation.regression import Filters, Fit, Rows, fit_parameters, make_rows
+from lpv.identify.estimation.selection import (
+    EQUAL,
+    choose_effort_band,
+    choose_prior,
+    divide,
+    validation_error,
+)
+from lpv.identify.estimation.weight import WeightEvidence, error_of
+from lpv.identify.model.base_parameters import find_base_parameters
+from lpv.identify.model.prior import Prior, base_prior
+from lpv.identify.model.rigid_body import RigidBody
+from lpv.identify.recordings.motion import (
+    Motion,
+    Segment,
+    check_motion,
+    find_bandwidths,
+    smooth,
+    split,
+)
+from lpv.identify.recordings.recording import Recording
+from lpv.identify.sensors.sensing import Sensing, noise_deviation, sense
+
+WEAK = 1e-3
+"""Strength of the prior while the model is chosen."""
+_PASSIVE = 0.08  # share of the acting torques below which a joint is not driven
+HELD = 1e4
+"""Strength of the prior where the data leave the scale open."""
+_BETTER = 0.95  # ratio of mean squares below which the other rates are taken
+
+
+class Workshop:
+    """Recordings, and the choices that are made on the way."""
+
+    def __init__(self, arm: SerialArm, recordings: Sequence[Recording]):
+        self.arm, self.recordings, self.n = arm, recordings, len(arm.joints)
+        self.gain = np.array([joint.torque_gain for joint in arm.joints])
+        self.segments = [segment for one in recordings for segment in split(one)]
+        self.warnings = [text for one in recordings for text in one.warnings]
+        self.warnings += check_motion(self.segments, arm.joint_names)
+        self.step = max(segment.step for segment in self.segments)
+        self.bands = find_bandwidths(self.segments)
+        self.model = RigidBody(arm)
+        self.base = find_base_parameters(self.model)
+        self.prior = base_prior(arm, self.base)
+        self.use_rates = self._are_rates_better()
+        self.rate_delay, self.effort_delay, self.joint_delays = np.zeros((3, self.n))
+        if self.has_rates:
+            self.rate_delay = rate_delays(self.segments, self.bands)
+        self.use_load = np.zeros(self.n, bool)
+        thinning = max(1, int(1.0 / (8.0 * self.bands.analysis * self.step)))
+        self.filters = Filters(np.inf, self.bands.analysis, thinning, self.bands.test)
+        self.strength = 1.0
+        self.motions: list[Motion] = []
+        self.rows: list[Rows] = []
+        self._prepare()
+
+    @property
+    def has_rates(self) -> bool:
+        """Whether rates are recorded."""
+        return self.segments[0].velocity is not None
+
+    def _are_rates_better(self) -> bool:
+        """Whether measured rates have less noise in the band than derivatives of positions."""
+        rates = [s.velocity for s in self.segments if s.velocity is not None]
+        if not rates:
+            return False
+        turning = 2.0 * np.pi * self.bands.analysis / np.sqrt(3.0)
+        derived = turning * noise_deviation([s.position for s in self.segments])
+        return bool(np.median(noise_deviation(rates) / np.maximum(derived, 1e-15)) < 1.0)
+
+    def estimate_gains(self, share: float) -> None:
+        """Gains of the efforts, if those are currents and no gains are given."""
+        if self.arm.effort_unit == 'N m' or np.any(self.gain != 1.0):
+            return
+        self.gain = estimate_gains(self.train_rows(share), self.filters, self.prior)
+        pairs = zip(self.arm.joints, self.gain.tolist())
+        joints = tuple(replace(joint, torque_gain=gain) for joint, gain in pairs)
+        self.arm = replace(self.arm, joints=joints)
+        self.warnings.append(
+            'the scale of gains and masses is that of the masses given; a tool of known mass '
+            'corrects it (--payload --known-mass)'
+        )
+        self._prepare()
+
+    def check_weight(self, share: float, may_change: bool) -> WeightEvidence:
+        """Whether the efforts contain the weight, by prediction within the training data."""
+        given = self.arm.effort_includes_gravity
+        other = [self._rows(motion, True) for motion in self.motions]
+        weak = self.prior.times(WEAK)
+        errors = [
+            error_of([divide(one, share)[0] for one in rows], self.filters, weak)
+            for rows in (self.rows, other)
+        ]
+        evidence = WeightEvidence(*(errors if given else errors[::-1]))
+        found = evidence.contains_weight
+        if found is not None and found != given:
+            factor = max(evidence.ratio, 1.0 / evidence.ratio)
+            text = (
+                f'efforts seem {"" if found else "not "}to contain the weight: predicted so, a '
+                f'joint misses {factor:.1f} times less'
+            )
+            self.warnings.append(f'{text}; taken so' if may_change else text)
+            if may_change:
+                self.arm = replace(self.arm, effort_includes_gravity=found)
+                self.rows = other
+        return evidence
+
+    def _prepare(self) -> None:
+        self.motions = [self._motion(segment) for segment in self.segments]
+        self.rows = [self._rows(motion) for motion in self.motions]
+
+    def _motion(self, segment: Segment) -> Motion:
+        scaled = replace(segment, effort=segment.effort * self.gain)
+        return smooth(scaled, self.bands, self.use_rates, self.rate_delay, self.effort_delay)
+
+    def _rows(self, motion: Motion, other_weight: bool = False) -> Rows:
+        limit = 1.1 * np.array([joint.limits.velocity for joint in self.arm.joints])
+        weight = self.arm.effort_includes_gravity != other_weight
+        rows = make_rows(self.model, self.base, motion, limit, weight)
+        margin = min(int(np.ceil(0.5 / (self.bands.test * self.step))), len(motion.time) // 10)
+        return replace(rows, part=slice(margin, len(motion.time) - margin))
+
+    def train_rows(self, share: float) -> list[Rows]:
+        """Rows of the first share of each segment."""
+        return [divide(rows, share)[0] for rows in self.rows]
+
+    def test_rows(self, share: float, tests: Sequence[Recording]) -> list[tuple[Rows, Motion]]:
+        """Rows and motion of other recordings, or of the rest of each segment."""
+        if not tests:
+            pairs = zip(self.rows, self.motions)
+            return [(divide(rows, share)[1], motion) for rows, motion in pairs]
+        motions = [self._motion(segment) for one in tests for segment in split(one)]
+        return [(self._rows(motion), motion) for motion in motions]
+
+    def choose(self, share: float, report: Callable[[str], None]) -> None:
+        """Rates, bandwidth of the efforts, load, prior, delay: by prediction of training data."""
+        report('choosing measured or computed rates')
+        if self.has_rates:
+            self._choose_rates(share)
+        report('choosing the bandwidth of the efforts')
+        weak = self.prior.times(WEAK)
+        band = choose_effort_band(self.train_rows(share), self.filters, self.use_load, weak)
+        self.filters = replace(self.filters, effort=band)
+        self.use_load = np.ones(self.n, bool)
+        report('choosing the weight of the parameters given')
+        self._choose_strength(share)
+        report('choosing the delays of the efforts')
+        self._choose_delay(share)
+
+    def consistent_fit(
+        self, rows: Sequence[Rows], strength: float, slope: np.ndarray | None = None
+    ) -> Fit:
+        """Fit whose parameters belong to bodies of positive mass."""
+        prior = self.prior.times(strength)
+        fit = fit_parameters(rows, self.filters, self.use_load, prior, slope)
+        return fit_of(self.arm_of(fit, strength), self.base, fit)
+
+    def _error(self, share: float) -> float:
+        """Mean logarithm of the mean square errors on blocks held back of the training data."""
+        rows = self.train_rows(share)
+        slope = self.consistent_fit(rows, self.strength).slope
+        errors = validation_error(
+            rows, self.filters, lambda part: self.consistent_fit(part, self.strength, slope)
+        )
+        return float(np.mean(np.log(errors)))
+
+    def _choose_rates(self, share: float) -> None:
+        """Measured rates or derivatives of positions: the other one if that predicts better."""
+        before, kept = self._error(share), (self.motions, self.rows)
+        self.use_rates = not self.use_rates
+        self._prepare()
+        if self._error(share) > before + np.log(_BETTER):
+            self.use_rates = not self.use_rates
+            self.motions, self.rows = kept
+
+    def _choose_strength(self, share: float) -> None:
+        """Strength of the prior that predicts best."""
+        rows = self.train_rows(share)
+        slope = self.consistent_fit(rows, 1.0).slope
+        self.strength = choose_prior(
+            rows, self.filters, lambda tried: lambda part: self.consistent_fit(part, tried, slope)
+        )
+
+    def _choose_delay(self, share: float) -> None:
+        """Delays of the efforts, if predictions gain from them.
+
+        A drive that follows late looks like a negative inertia, which no body has.  A prior that
+        is too weak hides this: it lets masses take the delay's place.
+        """
+        before, kept = self._error(share), (self.motions, self.rows)
+        for _ in range(2):
+            rows = self.train_rows(share)
+            found = self.consistent_fit(rows, self.strength)
+            late = self.effort_delay + effort_delays(rows, found, self.filters)
+            self.effort_delay = np.clip(late, -MAX_DELAY, MAX_DELAY)
+            self._prepare()
+        self.joint_delays = self.effort_delay
+        if self._error(share) > before - EQUAL:
+            self.effort_delay = np.zeros(self.n)
+            self.motions, self.rows = kept
+
+    def fit(self, share: float) -> tuple[Fit, float]:
+        """Fit with the prior, and its strength."""
+        rows, strength = self.train_rows(share), self.strength
+        passive = self._passive_joints(rows)
+        if passive:
+            self.warnings.append(
+                f'{", ".join(passive)}: hardly driven, so all parameters might as well be smaller; '
+                'the masses given are kept'
+            )
+            strength = HELD
+        prior = self.prior.times(strength)
+        return fit_parameters(rows, self.filters, self.use_load, prior), strength
+
+    def _passive_joints(self, rows: Sequence[Rows]) -> list[str]:
+        """Joints whose efforts are far below the torques that act on them: they swing freely.
+
+        The balance of such a joint holds for parameters of any scale, down to none at all.
+        """
+        beta = np.abs(self.prior.mean[: self.base.size])
+        acting = np.mean(np.concatenate([np.abs(r.base[r.part]) @ beta for r in rows]), axis=0)
+        driven = np.mean(np.concatenate([np.abs(r.effort[r.part]) for r in rows]), axis=0)
+        return [name for name, few in zip(self.arm.joint_names, driven < _PASSIVE * acting) if few]
+
+    def free_fit(self, share: float, slope: np.ndarray | None) -> Fit:
+        """Fit whose inertial parameters have no prior: its covariance is that of the data."""
+        information = self.prior.information.copy()
+        information[: self.base.size, : self.base.size] = 0.0
+        free, rows = Prior(self.prior.mean, information), self.train_rows(share)
+        return fit_parameters(
+            rows, self.filters, self.use_load, free, slope, signed=False, with_covariance=True
+        )
+
+    def arm_of(self, fit: Fit, strength: float) -> SerialArm:
+        """The arm with the parameters of a fit, physically consistent."""
+        values = consistent_parameters(self.arm, self.base, fit, strength)
+        return with_parameters(self.arm, values, fit.slope)
+
+    def sensing(self) -> Sensing:
+        """Noise, quantization, source of rates, delays."""
+        return sense(self.recordings, self.segments, self.rate_delay, self.joint_delays)

@@ -1,0 +1,175 @@
+"""Trajectories that identify an arm well, within its limits."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lpv.core.serial_arm.description import N_INERTIAL, SerialArm
+from lpv.core.serial_arm.dynamics.kinematics import joint_frames
+from lpv.identify.errors import IdentificationError
+from lpv.identify.model.base_parameters import find_base_parameters
+from lpv.identify.model.friction import friction_columns, join_columns
+from lpv.identify.model.rigid_body import RigidBody
+from lpv.identify.motions.trajectory import Trajectory, fit_to_limits, random_trajectory
+
+_STEP = 0.1  # between samples that are rated [s]
+_SLOPE = 50.0  # of the Coulomb term [s/rad]
+_CHECK_STEP = 0.02  # between samples whose limits are checked [s]
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """What the motion must keep, besides the limits of the arm's joints."""
+
+    speed_share: float = 0.6  # of the joints' velocity limits
+    torque_share: float = 0.8  # of the joints' torque limits
+    range_share: float = 0.8  # of the joints' position ranges
+    reach: float = 1.5  # largest way of a joint from the middle [rad]
+    lowest: float = -np.inf  # height that joints and tip stay above, base at 0 [m]
+    radius: float = np.inf  # distance from the base's axis that joints and tip keep within [m]
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """A planned motion, and how well it identifies."""
+
+    trajectory: Trajectory
+    condition: float  # of the regressor with columns of unit length
+    information: float  # logarithm of the determinant of the normalized information, per parameter
+    torque: np.ndarray  # largest torque of each joint, shape (n,) [N m]
+
+
+def plan_excitation(
+    arm: SerialArm,
+    duration: float = 30.0,
+    bounds: Bounds | None = None,
+    center: np.ndarray | None = None,
+    trials: int = 300,
+    seed: int = 1,
+) -> Excitation:
+    """Search a Fourier trajectory whose data determine the parameters best (D-optimal).
+
+    Parameters
+    ----------
+    arm : SerialArm
+        Limits and a first guess of the parameters are used.
+    duration : float, optional
+        [s]
+    bounds : Bounds, optional
+        Limits of the motion.
+    center : ndarray, shape (n,), optional
+        Middle of the motion [rad]; that of the joints' ranges if not given.
+    trials : int, optional
+        Trajectories that are tried.
+    seed : int, optional
+        Of the random search; the same seed gives the same motion.
+
+    Returns
+    -------
+    Excitation
+        The best one that keeps all limits.
+
+    Raises
+    ------
+    IdentificationError
+        If none keeps them.
+    """
+    bounds = bounds or Bounds()
+    search = _Search(arm, bounds, center)
+    rng = np.random.default_rng(seed)
+    best: tuple[float, Trajectory] | None = None
+    for trial in range(trials):
+        if best is None or trial < trials // 3:
+            candidate = random_trajectory(rng, search.center, search.reach, search.speed, duration)
+        else:
+            candidate = search.varied(rng, best[1], 0.5 * (1.0 - trial / trials) + 0.05)
+        allowed = search.within_limits(candidate)
+        if allowed is None:
+            continue
+        rating = search.information(allowed)
+        if best is None or rating > best[0]:
+            best = rating, allowed
+    if best is None:
+        raise IdentificationError(
+            'no motion keeps the limits of workspace and torque; choose '
+            'another centre, a smaller reach or a slower motion'
+        )
+    return Excitation(best[1], search.condition(best[1]), best[0], search.torques(best[1]))
+
+
+class _Search:
+    """Arm, limits, and the rating of trajectories."""
+
+    def __init__(self, arm: SerialArm, bounds: Bounds, center: np.ndarray | None):
+        self._arm, self._bounds = arm, bounds
+        self._model = RigidBody(arm)
+        self._base = find_base_parameters(self._model)
+        limits = [joint.limits for joint in arm.joints]
+        lower, upper = np.array([joint.range for joint in arm.joints]).T
+        self.center = 0.5 * (lower + upper) if center is None else center
+        room = np.minimum(upper - self.center, self.center - lower)
+        if np.any(room <= 0.0):
+            raise IdentificationError('the centre is outside the position limits')
+        self.reach = np.minimum(bounds.range_share * room, bounds.reach)
+        self.speed = bounds.speed_share * np.array([min(limit.velocity, 10.0) for limit in limits])
+        self._torque = bounds.torque_share * np.array([limit.torque for limit in limits])
+
+    def varied(self, rng: np.random.Generator, trajectory: Trajectory, width: float) -> Trajectory:
+        size = width * self.reach / np.arange(1, len(trajectory.sine) + 1)[:, None]
+        sine, cosine = size * rng.normal(size=(2, *size.shape))
+        changed = replace(
+            trajectory, sine=trajectory.sine + sine, cosine=trajectory.cosine + cosine
+        )
+        return fit_to_limits(changed, self.reach, self.speed)
+
+    def within_limits(self, trajectory: Trajectory) -> Trajectory | None:
+        """The trajectory, made smaller until it keeps all limits; None if it never does."""
+        for _ in range(4):
+            if self._in_workspace(trajectory) and np.all(self.torques(trajectory) <= self._torque):
+                return trajectory
+            trajectory = trajectory.scaled(0.7)
+        return None
+
+    def torques(self, trajectory: Trajectory) -> np.ndarray:
+        """Largest torque of each joint, shape (n,) [N m]."""
+        motion = trajectory.sample(np.arange(0.0, trajectory.duration, 5 * _CHECK_STEP))
+        links = self._model.regressor(*motion)[:, :, : N_INERTIAL * self._model.n]
+        friction = [
+            j.friction.coulomb + abs(j.friction.viscous) * s
+            for j, s in zip(self._arm.joints, self.speed)
+        ]
+        return np.abs(links @ self._arm.inertial_parameters()).max(axis=0) + friction
+
+    def _in_workspace(self, trajectory: Trajectory) -> bool:
+        if not (np.isfinite(self._bounds.lowest) or np.isfinite(self._bounds.radius)):
+            return True
+        position = trajectory.sample(np.arange(0.0, trajectory.duration, _CHECK_STEP))[0]
+        up = -self._arm.gravity_vector() / max(self._arm.gravity, 1e-9)
+        n = self._model.n
+        turns, points = np.empty((n + 1, 3, 3)), np.empty((n + 1, 3))
+        for q in position:
+            joint_frames(self._model.chain, q, turns, points)
+            height = points[1:] @ up
+            away = np.linalg.norm(points[1:] - np.outer(height, up), axis=1)
+            if height.min() < self._bounds.lowest or away.max() > self._bounds.radius:
+                return False
+        return True
+
+    def _regressor(self, trajectory: Trajectory) -> np.ndarray:
+        """Rows of all joints, each in units of its torque's range."""
+        q, v, a = trajectory.sample(np.arange(0.0, trajectory.duration, _STEP))
+        full = self._model.regressor(q, v, a)
+        torque = full[:, :, : N_INERTIAL * self._model.n] @ self._arm.inertial_parameters()
+        friction = friction_columns(v, np.full(self._model.n, _SLOPE), torque)[:, :, [0, 1, 3]]
+        rows = join_columns(full[:, :, self._base.columns], friction)
+        size = np.maximum(np.max(np.abs(torque), axis=0), 0.02 * np.abs(torque).max())
+        return (rows / size[:, None]).reshape(-1, rows.shape[2])
+
+    def information(self, trajectory: Trajectory) -> float:
+        rows = self._regressor(trajectory)
+        sign, value = np.linalg.slogdet(rows.T @ rows / len(rows))
+        return float(value / rows.shape[1]) if sign > 0 else -np.inf
+
+    def condition(self, trajectory: Trajectory) -> float:
+        rows = self._regressor(trajectory)
+        return float(np.linalg.cond(rows / np.maximum(np.linalg.norm(rows, axis=0), 1e-12)))

@@ -1,0 +1,209 @@
+"""From samples to motion on a uniform grid: segments, bandwidths, smoothing."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.signal import welch
+
+from lpv.identify.errors import IdentificationError
+from lpv.identify.recordings.filters import derivative, low_pass, shifted
+from lpv.identify.recordings.recording import Recording
+
+MIN_DURATION = 5.0
+"""Shortest recording that is used [s]."""
+MIN_RATE = 10.0
+"""Slowest sampling that is used [Hz]."""
+MIN_TRAVEL = 0.05
+"""Smallest range of a joint that counts as motion [rad]."""
+MAX_GAP = 0.1
+"""Longest gap that is bridged [s]; longer ones separate segments."""
+_MIN_SEGMENT = 2.0
+_FIT_BAND = 6.0
+_ORDER = 4  # of the filters of positions and rates: motion passes unchanged
+_MAX_GRID = 2_000_000
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A stretch without gaps, on a uniform grid of sample time ``step``."""
+
+    step: float  # [s]
+    time: np.ndarray  # of the samples, shape (samples,) [s]
+    position: np.ndarray  # raw, shape (samples, n) [rad]
+    velocity: np.ndarray | None  # raw, shape (samples, n) [rad/s]
+    effort: np.ndarray  # raw, shape (samples, n) [unit of the driver]
+
+    def with_joints(self, order: np.ndarray) -> 'Segment':
+        """The segment with its joints in another order."""
+        velocity = None if self.velocity is None else self.velocity[:, order]
+        position, effort = self.position[:, order], self.effort[:, order]
+        return Segment(self.step, self.time, position, velocity, effort)
+
+
+@dataclass(frozen=True)
+class Bandwidths:
+    """Cutoffs of the zero-phase filters [Hz]."""
+
+    position: float  # below it positions stand out of their noise
+    velocity: float  # the same, of rates
+    analysis: float  # that of the regression: well above what the motion excites
+    test: float  # that of the figures: what the motion excites
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Smoothed motion of a segment, all arrays of shape (samples, n)."""
+
+    step: float  # [s]
+    time: np.ndarray  # shape (samples,) [s]
+    position: np.ndarray  # [rad]
+    velocity: np.ndarray  # [rad/s]
+    effort: np.ndarray  # raw [unit of the driver]
+
+
+def split(recording: Recording) -> list[Segment]:
+    """Segments of a recording, resampled to its median sample time.
+
+    Parameters
+    ----------
+    recording : Recording
+        Samples whose stamps increase.
+
+    Returns
+    -------
+    list of Segment
+        At least one.
+
+    Raises
+    ------
+    IdentificationError
+        If the recording is too short, too slow, or has no stretch without gaps.
+    """
+    time = recording.time
+    if len(time) < 20 or recording.duration < MIN_DURATION:
+        length = recording.duration if len(time) else 0.0
+        raise IdentificationError(
+            f'{recording.source}: {length:.1f} s are too short to identify an arm; record at '
+            f'least {MIN_DURATION:g} s, better 20 to 60 s, in which every joint moves'
+        )
+    step = float(np.median(np.diff(time)))
+    if 1.0 / step < MIN_RATE:
+        raise IdentificationError(
+            f'{recording.source}: {1.0 / step:.1f} Hz is too slow, accelerations'
+            f' need at least {MIN_RATE:g} Hz'
+        )
+    if recording.duration / step > _MAX_GRID:
+        raise IdentificationError(
+            f'{recording.source}: has more than {_MAX_GRID} samples of {step:g} s; cut it'
+        )
+    breaks = np.flatnonzero(np.diff(time) > max(MAX_GAP, 3.5 * step)) + 1
+    parts = np.split(np.arange(len(time)), breaks)
+    parts = [p for p in parts if len(p) > 8 and time[p[-1]] - time[p[0]] >= _MIN_SEGMENT]
+    if not parts:
+        raise IdentificationError(
+            f'{recording.source}: stamps jitter or samples are missing so '
+            f'that no {_MIN_SEGMENT:g} s are without a gap of {MAX_GAP:g} s'
+        )
+    return [_resample(recording, part, step) for part in parts]
+
+
+def _resample(recording: Recording, part: np.ndarray, step: float) -> Segment:
+    time = recording.time[part]
+    grid = time[0] + step * np.arange(int(np.floor((time[-1] - time[0]) / step + 1e-6)) + 1)
+
+    steady = np.max(np.abs(np.diff(time) - step)) < 1e-3 * step and len(grid) == len(part)
+
+    def put(values: np.ndarray) -> np.ndarray:
+        if steady:  # nothing to interpolate
+            return values[part]
+        return np.stack([np.interp(grid, time, column) for column in values[part].T], axis=1)
+
+    position = put(recording.position)
+    if not steady:
+        position = CubicSpline(time, recording.position[part], axis=0)(grid)
+    velocity = None if recording.velocity is None else put(recording.velocity)
+    return Segment(step, grid, position, velocity, put(recording.effort))
+
+
+def check_motion(segments: list[Segment], names: tuple[str, ...]) -> list[str]:
+    """Refuse recordings without motion; return remarks on joints that hardly move.
+
+    Raises
+    ------
+    IdentificationError
+        If no joint moves.
+    """
+    travel = np.max([np.ptp(s.position, axis=0) for s in segments], axis=0)
+    still = [name for name, way in zip(names, travel) if way < MIN_TRAVEL]
+    if len(still) == len(names):
+        raise IdentificationError(
+            'no joint moves: inertias and friction act in motion only; '
+            'record one that lpv excite plans'
+        )
+    return [f'{name} does not move: its friction and inertia are not determined' for name in still]
+
+
+def find_bandwidths(segments: list[Segment]) -> Bandwidths:
+    """Cutoffs for `smooth` and for the regression, from the spectra of positions and rates."""
+    longest = max(segments, key=lambda s: len(s.time))
+    step = longest.step
+    highest = 0.4 * 0.5 / step
+    position = _clip(1.5 * _noise_corner(longest.position, step), 3.0, highest)
+    rates = derivative(low_pass(longest.position, position, step, order=_ORDER), step)
+    velocity = position
+    if longest.velocity is not None:
+        velocity = _clip(1.5 * _noise_corner(longest.velocity, step), 3.0, highest)
+        rates = low_pass(longest.velocity, velocity, step, order=_ORDER)
+    content = _content(rates, step)
+    analysis = _clip(_FIT_BAND * content, 4.0, highest)
+    return Bandwidths(position, velocity, analysis, _clip(2.0 * content, 1.5, highest))
+
+
+def _clip(value: float, low: float, high: float) -> float:
+    return float(min(max(value, min(low, high)), high))
+
+
+def _spectrum(signal: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
+    length = min(len(signal), int(round(10.0 / step)))
+    return welch(
+        signal, 1.0 / step, window='blackmanharris', nperseg=length, axis=0, detrend='linear'
+    )
+
+
+def _noise_corner(signal: np.ndarray, step: float) -> float:
+    """Highest frequency, over all joints, below which the signal stands out of white noise."""
+    frequency, power = _spectrum(signal, step)
+    buried = power[3:] < 10.0 * np.median(power[frequency > 0.3 / step], axis=0)
+    corners = np.where(buried.any(axis=0), frequency[3 + buried.argmax(axis=0)], frequency[-1])
+    return float(corners.max())
+
+
+def _content(rates: np.ndarray, step: float) -> float:
+    """Frequency below which 99 % of the rates' power is, the highest of all joints."""
+    frequency, power = _spectrum(rates, step)
+    share = np.cumsum(power, axis=0) / np.maximum(power.sum(axis=0), 1e-300)
+    moving = power.sum(axis=0) > 1e-4 * power.sum(axis=0).max()
+    return float(np.max(frequency[np.argmax(share > 0.99, axis=0)], where=moving, initial=0.0))
+
+
+def smooth(
+    segment: Segment,
+    bands: Bandwidths,
+    use_rates: bool,
+    rate_delay: np.ndarray,
+    effort_delay: np.ndarray,
+) -> Motion:
+    """Motion of a segment without noise above the bandwidths and without delays.
+
+    ``use_rates`` takes measured rates, which otherwise are derivatives of the smoothed positions.
+    ``rate_delay`` and ``effort_delay``, shape (n,), are taken out [s].
+    """
+    step = segment.step
+    position = low_pass(segment.position, bands.position, step, order=_ORDER)
+    velocity = derivative(position, step)
+    if use_rates and segment.velocity is not None:
+        rates = low_pass(segment.velocity, bands.velocity, step, order=_ORDER)
+        velocity = shifted(rates, -rate_delay, step)
+    effort = shifted(segment.effort, -effort_delay, step)
+    return Motion(step, segment.time, position, velocity, effort)

@@ -1,0 +1,259 @@
+"""Recordings of an arm: positions, rates and efforts of its joints over time."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lpv.bag.rosbag.reading import BagReader, open_bag
+from lpv.bag.run.csv_import import ColumnMap
+from lpv.bag.run.record import CORRECTED
+from lpv.identify.errors import IdentificationError
+
+MAX_SAMPLES = 4_000_000
+"""Largest number of samples of one recording."""
+JOINT_STATE = 'sensor_msgs/msg/JointState'
+MIN_SHARE_VALID = 0.7
+"""Smallest share of samples that must be complete."""
+_SHORTEST = 1e-6  # time from which samples follow each other [s]
+_MOTION = 0.05  # way from which a joint moves [rad]
+LARGEST = 1e6
+"""Positions [rad], rates [rad/s] and efforts beyond are no measurements."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Samples of the joints of an arm, in the order of the arm."""
+
+    source: str  # where they come from
+    time: np.ndarray  # stamps that increase, shape (n,) [s]
+    position: np.ndarray  # shape (n, joints) [rad]
+    velocity: np.ndarray | None  # [rad/s]; None if the recording has no rates, shape (n, joints)
+    effort: np.ndarray  # in the unit of the driver, shape (n, joints)
+    warnings: tuple[str, ...] = ()  # what was wrong and could be mended
+
+    @property
+    def duration(self) -> float:
+        """From the first sample to the last [s]."""
+        return float(self.time[-1] - self.time[0])
+
+
+def read_recording(
+    path: str | Path,
+    joints: Sequence[str],
+    topic: str | None = None,
+    columns: ColumnMap | None = None,
+) -> Recording:
+    """Read a bag or a CSV file.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        rosbag2 directory, ``.mcap``, ``.db3`` (with or without metadata), or ``.csv``.
+    joints : sequence of str
+        Names of the arm's joints; the recording may have more, in any order.
+    topic : str, optional
+        Topic of the ``sensor_msgs/JointState``; needed if there are several that have the joints.
+    columns : ColumnMap, optional
+        Meaning of the columns of a CSV file; guessed from the header if not given.
+
+    Returns
+    -------
+    Recording
+        Complete samples with stamps that increase.
+
+    Raises
+    ------
+    IdentificationError
+        If joints, positions or efforts are missing, or too many samples are not finite.
+    LpvError
+        If the file cannot be read.
+    """
+    path = Path(path)
+    if path.suffix.lower() == '.csv':
+        from lpv.identify.recordings.csv_recording import read_csv
+
+        stamps, position, velocity, effort, notes = read_csv(path, joints, columns)
+        recording = clean(str(path), stamps, position, velocity, effort)
+        return replace(recording, warnings=(*notes, *recording.warnings))
+    return clean(str(path), *_read_bag(path, joints, topic))
+
+
+def read_pairs(
+    path: str | Path,
+    first: Sequence[str],
+    second: Sequence[str],
+    topic: str | None = None,
+    columns: ColumnMap | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Positions of joints and of their second encoders in the same samples, (n, joints) each.
+
+    Second encoders are further joints of the messages, or columns of a CSV file; otherwise as
+    `read_recording`, without its checks of the samples.
+    """
+    path = Path(path)
+    if path.suffix.lower() == '.csv':
+        from lpv.identify.recordings.csv_recording import read_csv, read_csv_columns
+
+        _, position, *_ = read_csv(path, first, columns)
+        unit = 'rad' if columns is None else columns.angle_unit
+        return position, read_csv_columns(path, second, unit)
+    _, position, *_ = _read_bag(path, (*first, *second), topic)
+    return position[:, : len(first)], position[:, len(first) :]
+
+
+def clean(
+    source: str,
+    stamps: Sequence[np.ndarray],
+    position: np.ndarray,
+    velocity: np.ndarray | None,
+    effort: np.ndarray,
+) -> Recording:
+    """Recording of the complete samples; the steadiest of the given ``stamps`` is taken."""
+    warnings = []
+    if len(position) < 2:
+        raise IdentificationError(f'{source}: has {len(position)} samples of the joints')
+    if velocity is not None and np.mean(_usable(velocity)) < MIN_SHARE_VALID:
+        warnings.append('rates are missing, they are computed from positions')
+        velocity = None
+    if not _usable(effort).any():
+        raise IdentificationError(
+            f'{source}: has no efforts; torques or currents of the motors must be recorded, too'
+        )
+    recorded = (position, effort) if velocity is None else (position, effort, velocity)
+    valid = np.all([_usable(values) for values in recorded], axis=0)
+    if valid.mean() < MIN_SHARE_VALID:
+        raise IdentificationError(
+            f'{source}: only {100 * valid.mean():.0f} % of the samples are '
+            f'complete, the others hold values that are not finite or beyond {LARGEST:g}'
+        )
+    if not valid.all():
+        text = f'samples with values that are not finite or beyond {LARGEST:g} are left out'
+        warnings.append(f'{np.sum(~valid)} {text}')
+    time, notes = _choose_stamps(source, stamps, position)
+    warnings += notes
+    index = np.flatnonzero(valid & np.isfinite(time))
+    index = index[np.argsort(time[index], kind='stable')]
+    index = index[np.concatenate([[True], np.diff(time[index]) > _SHORTEST])]
+    time, position, effort = time[index], position[index], effort[index]
+    if velocity is not None:
+        velocity = velocity[index]
+        if _stands_still(time, position, velocity):
+            warnings.append('rates stand still while positions move, they are not used')
+            velocity = None
+    return Recording(source, time, position, velocity, effort, tuple(warnings))
+
+
+def _usable(values: np.ndarray) -> np.ndarray:
+    """Which samples are numbers that a sensor may give, for all joints; shape (n,)."""
+    return (np.abs(values) <= LARGEST).all(1)
+
+
+def _stands_still(time: np.ndarray, position: np.ndarray, velocity: np.ndarray) -> bool:
+    """Whether the rates of a joint that moves are far too small for its way."""
+    way = np.ptp(position, axis=0)
+    reach = np.mean(np.abs(velocity), axis=0) * (time[-1] - time[0])
+    return bool(np.any((way > _MOTION) & (reach < 0.1 * way)))
+
+
+def _choose_stamps(
+    source: str, stamps: Sequence[np.ndarray], position: np.ndarray
+) -> tuple[np.ndarray, list[str]]:
+    """The first of the stamps, unless another one fits the motion better."""
+    named = dict(zip(('header stamps', 'log times'), (np.asarray(s, float) - s[0] for s in stamps)))
+    first, counted = next(iter(named)), _counted(list(named.values())[-1])
+    if counted is not None:
+        named['the count of the samples'] = counted
+    usable = {
+        name: _roughness(time, position)
+        for name, time in named.items()
+        if np.mean(np.diff(time) > 0.0) > 0.98 and time[-1] > time[0]
+    }
+    if not usable:
+        raise IdentificationError(
+            f'{source}: stamps stand still or run backwards, no others are recorded'
+        )
+    name, score = next(iter(usable.items()))
+    if score > 1.25 * min(usable.values()):
+        name = min(usable, key=lambda one: usable[one])
+    notes = [f'{first} jitter or stand still, times are taken from {name}']
+    return named[name], notes if name != first else []
+
+
+def _counted(time: np.ndarray) -> np.ndarray | None:
+    """Times of a steady clock that counts the samples; None if samples were lost."""
+    steps = np.diff(time)
+    step = np.median(steps)
+    if not step > 0.0 or np.max(steps) > 5.0 * step:
+        return None
+    index = np.arange(len(time), dtype=float)
+    slope, start = np.polyfit(index, time, 1)
+    if np.max(np.abs(time - start - slope * index)) > 20.0 * step:
+        return None
+    return slope * index
+
+
+def _roughness(time: np.ndarray, position: np.ndarray) -> float:
+    """How much the motion jerks in these times: jitter of stamps looks like acceleration."""
+    step = np.diff(time)
+    keep = step > 1e-6
+    rate = np.diff(position, axis=0)[keep] / step[keep, None]
+    return float(np.median(np.abs(np.diff(rate, axis=0)), axis=0).sum()) if keep.any() else np.inf
+
+
+def _read_bag(path: Path, joints: Sequence[str], topic: str | None) -> tuple[Any, ...]:
+    """Stamps, positions, rates (or None) and efforts."""
+    parts: dict[str, list[tuple[Any, ...]]] = {}
+    unknown: dict[str, list[str]] = {}
+    with open_bag(path) as bag:
+        for connection, log_time, raw in bag.messages(_joint_state_topics(bag, topic, path)):
+            message = bag.deserialize(raw, connection.msgtype)
+            names = list(message.name)
+            if not set(joints) <= set(names):
+                unknown.setdefault(connection.topic, names)
+                continue
+            rows = parts.setdefault(connection.topic, [])
+            if len(rows) >= MAX_SAMPLES:
+                raise IdentificationError(f'{path}: has more than {MAX_SAMPLES} samples')
+            index, stamp = [names.index(name) for name in joints], message.header.stamp
+            fields = (message.position, message.velocity, message.effort)
+            seconds = stamp.sec + 1e-9 * stamp.nanosec
+            rows.append((seconds, log_time, *(_pick(field, index) for field in fields)))
+    if not parts:
+        found = '; '.join(f'{name}: {", ".join(names)}' for name, names in unknown.items())
+        raise IdentificationError(
+            f'{path}: no message has all joints {", ".join(joints)}; '
+            f'found {found or "no joint states"}'
+        )
+    if len(parts) > 1:
+        raise IdentificationError(
+            f'{path}: several topics have the joints '
+            f'({", ".join(sorted(parts))}); name one with --topic'
+        )
+    header, log, *signals = zip(*next(iter(parts.values())))
+    log_time = 1e-9 * (np.array(log, np.int64) - log[0]).astype(float)
+    position, rates, effort = (np.array(signal) for signal in signals)
+    velocity = rates if np.isfinite(rates).any() else None
+    return [np.array(header), log_time], position, velocity, effort
+
+
+def _pick(values: Any, index: list[int]) -> np.ndarray:
+    """Values of the arm's joints; an empty field of a JointState means "not known"."""
+    array = np.asarray(values, float)
+    if len(array) <= max(index):
+        return np.full(len(index), np.nan)
+    return array[index]
+
+
+def _joint_state_topics(bag: BagReader, topic: str | None, path: Path) -> list[Any]:
+    found = [c for c in bag.connections if c.msgtype == JOINT_STATE]
+    found = [
+        c for c in found if (c.topic == topic if topic else not c.topic.endswith(f'/{CORRECTED}'))
+    ]
+    if not found:
+        topics = ', '.join(sorted({c.topic for c in bag.connections})) or 'none'
+        wanted = f'{JOINT_STATE} on {topic}' if topic else JOINT_STATE
+        raise IdentificationError(f'{path}: has no topic of {wanted}; its topics: {topics}')
+    return found

@@ -1,0 +1,136 @@
+"""What a recording says of the sensors: noise, steps, source of rates, jitter of the stamps."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.rate_independence import rate_source
+from lpv.identify.recordings.motion import Segment
+from lpv.identify.recordings.recording import Recording
+
+_ORDER = 3
+_GAIN = np.sqrt(20.0)  # of white noise through third differences
+_FEW = 20  # gaps between levels, fewer of which show no step
+_UNKNOWN_RATE_NOISE = 1e-2  # where no rates are measured [rad/s]
+
+
+@dataclass(frozen=True)
+class Sensing:
+    """What was found of the sensors; arrays of shape (n,)."""
+
+    position_noise: np.ndarray  # without quantization [rad]
+    quantization: np.ndarray  # step of the positions, 0 if there is none [rad]
+    velocity_noise: np.ndarray  # [rad/s]
+    velocity_step: np.ndarray  # of the rates [rad/s]
+    effort_step: np.ndarray  # of the efforts [unit of the driver]
+    rates: list[str]  # source of the rates: 'independent' where that is proved
+    rate_evidence: np.ndarray  # share of the rates' noise that positions explain; NaN: not known
+    jitter: float  # standard deviation of the stamps' distances [s]
+    rate_delay: np.ndarray  # of rates behind positions [s]
+    effort_delay: np.ndarray  # of efforts behind motion [s]
+
+    def on(self, arm: SerialArm) -> SerialArm:
+        """The arm with these sensors; their names stay."""
+        joints = []
+        for j, joint in enumerate(arm.joints):
+            sensors = replace(
+                joint.sensors,
+                position_noise=max(float(self.position_noise[j]), 1e-9),
+                quantization=float(self.quantization[j]),
+                rates=self.rates[j],
+                velocity_noise=max(float(self.velocity_noise[j]), 1e-9),
+            )
+            joints.append(replace(joint, sensors=sensors))
+        return replace(arm, joints=tuple(joints))
+
+
+def sense(
+    recordings: Sequence[Recording],
+    segments: Sequence[Segment],
+    rate_delay: np.ndarray,
+    effort_delay: np.ndarray,
+) -> Sensing:
+    """Measure what a recording says of its sensors.
+
+    Steps and stamps are those of the ``recordings``, noise that of ``segments``, the same on a
+    uniform grid; delays, shape (n,), are known from elsewhere [s].  Rates are called derived unless
+    it is proved that they are independent.
+    """
+    rates = [one.velocity for one in recordings if one.velocity is not None]
+    n = recordings[0].position.shape[1]
+    step = quantization_step([one.position for one in recordings])
+    noise = noise_deviation([segment.position for segment in segments])
+    # What rounding does not explain; of a rounded signal at rest little is known.
+    noise = np.sqrt(np.maximum(noise**2 - step**2 / 12.0, (0.05 * step) ** 2))
+    on_grid = [s.velocity for s in segments if s.velocity is not None]
+    sources, evidence = rate_sources(recordings)
+    intervals = np.concatenate([np.diff(one.time) for one in recordings])
+    near = intervals[intervals < 2.0 * np.median(intervals)]
+    return Sensing(
+        noise,
+        step,
+        noise_deviation(on_grid) if on_grid else np.full(n, _UNKNOWN_RATE_NOISE),
+        quantization_step(rates) if rates else np.zeros(n),
+        quantization_step([one.effort for one in recordings]),
+        sources,
+        evidence,
+        float(np.std(near)),
+        rate_delay,
+        effort_delay,
+    )
+
+
+def rate_sources(recordings: Sequence[Recording]) -> tuple[list[str], np.ndarray]:
+    """Source of the rates of each joint, and the evidence, shape (n,), by `rate_source`.
+
+    Of the longest recording.  'derived' unless independence is proved, or there are 'none': a
+    fault of the encoder is in derived rates, too.
+    """
+    one = max(recordings, key=lambda r: len(r.time))
+    n = one.position.shape[1]
+    if one.velocity is None:
+        return ['none'] * n, np.full(n, np.nan)
+    stamps = np.round(1e9 * (one.time - one.time[0])).astype(np.int64)
+    found = [rate_source(stamps, one.position[:, j], one.velocity[:, j]) for j in range(n)]
+    sources = ['derived' if f.source == 'undecided' else f.source for f in found]
+    return sources, np.array([f.explained for f in found])
+
+
+def noise_deviation(signals: Sequence[np.ndarray]) -> np.ndarray:
+    """Standard deviation of white noise in each column, from third differences, shape (n,).
+
+    In the unit of the signals, stretches of shape (samples, n) that are sampled uniformly; includes
+    quantization.
+    """
+    changes = np.concatenate([np.diff(s, _ORDER, axis=0) for s in signals])
+    # A quantized signal at rest does not change; the median would be 0 there.
+    robust = np.median(np.abs(changes), axis=0) / 0.6745
+    spread = np.sqrt(
+        np.mean(np.clip(changes, *np.quantile(changes, (0.02, 0.98), axis=0)) ** 2, axis=0)
+    )
+    return np.where(robust > 0.0, robust, spread) / _GAIN
+
+
+def quantization_step(signals: Sequence[np.ndarray]) -> np.ndarray:
+    """Step of the readings in each column, shape (n,); 0 where they are as fine as floats.
+
+    The step is the largest number that nearly all differences are multiples of.
+    """
+    columns = [np.concatenate([s[:, j] for s in signals]) for j in range(signals[0].shape[1])]
+    return np.array([_step(column) for column in columns])
+
+
+def _step(values: np.ndarray) -> float:
+    gaps = np.diff(np.unique(values))
+    # Rounding errors of the driver blur the levels by far less than a step.
+    gaps = gaps[gaps > 1e-6 * np.median(gaps)] if len(gaps) else gaps
+    if len(gaps) < _FEW:
+        return 0.0
+    for step in (np.quantile(gaps, 0.05), gaps.min()):
+        near = gaps[gaps < 30.0 * step]
+        multiples = np.round(near / step)
+        if len(near) >= _FEW and np.mean(np.abs(near / step - multiples) < 0.1) > 0.9:
+            return float(np.sum(near) / np.sum(multiples))
+    return 0.0

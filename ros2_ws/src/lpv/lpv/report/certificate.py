@@ -1,0 +1,185 @@
+"""Arm and gains of a run, and what the certificate of these gains proves of this arm."""
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from lpv.bag.errors import BagError
+from lpv.bag.rosbag.output_folder import GAINS_NAME
+from lpv.core.serial_arm.arm_file import load_arm
+from lpv.core.serial_arm.certificate.claims import SERIAL_CLAIMS, Claim
+from lpv.core.serial_arm.certificate.conditions import region_lines, verify_loop
+from lpv.core.serial_arm.certificate.loop_gains import LoopGains, load_loop_gains, serial_parameters
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.support.errors import ConfigError, LpvError
+from lpv.core.support.inequalities import Check
+from lpv.core.support.resources import bringup_file, shipped_files
+from lpv.core.uio.certificate.claims import CLAIMS
+from lpv.core.uio.certificate.conditions import verify
+from lpv.core.uio.certificate.gains import Gains, load_gains
+from lpv.core.uio.model.arm import arm_from_json
+from lpv.core.uio.planar import planar_model, serial_from_planar
+
+_ANSWERS = tuple(
+    f'lpv_msgs/msg/{name}' for name in ('FaultEstimate', 'StateEstimate', 'FaultAlarm')
+)
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What gains prove, as far as it could be verified without any solver."""
+
+    what: str = 'gains'  # what is certified: the gains, or the tracking loop
+    facts: tuple[tuple[str, str], ...] = ()  # name and value
+    checks: tuple[Check, ...] = ()  # all inequalities, rebuilt now
+    problem: str = ''  # why nothing could be rebuilt; empty otherwise
+
+    @property
+    def failed(self) -> list[str]:
+        """Names of the inequalities that do not hold."""
+        return [check.name for check in self.checks if not check.holds]
+
+    @property
+    def holds(self) -> bool:
+        """Whether all inequalities hold now."""
+        return bool(self.checks) and not self.failed
+
+    @property
+    def bounds_faults(self) -> bool:
+        """Whether bounds of fault estimates rest on it."""
+        return self.holds and self.what == 'gains'
+
+
+@dataclass(frozen=True)
+class Certified:
+    """Gains of either kind, and how their certificate is verified."""
+
+    gains: Gains | LoopGains
+    what: str  # as `Certificate.what`
+    claims: tuple[Claim, ...]  # what holds where the certificate does
+
+    def facts(self, arm: SerialArm) -> list[str]:
+        """The region of the certificate, and what is certified, for the reader."""
+        if isinstance(self.gains, LoopGains):
+            return region_lines(arm, self.gains)
+        planar = planar_model(arm)
+        way = 'upwards' if planar.sign > 0 else 'downwards'
+        degrees = ', '.join(f'{np.degrees(np.arccos(low)):.1f}°' for low in planar.cos_min)
+        return [
+            f'method: observer {self.gains.observer.method}, controller '
+            f'{self.gains.controller.method}',
+            f'certified region: links within {degrees} of the vertical {way}',
+            f'decay: estimation error {self.gains.observer.decay:g} /s, tracking error '
+            f'{self.gains.controller.decay:g} /s',
+        ]
+
+    def checks(self, arm: SerialArm) -> list[Check]:
+        """Every inequality, rebuilt; ConfigError for another arm than that of the gains."""
+        if isinstance(self.gains, LoopGains):
+            return verify_loop(arm, self.gains)
+        self.gains.check_arm(planar_model(arm))
+        return verify(planar_model(arm), self.gains)
+
+    def prove(self, arm: SerialArm) -> dict[str, bool]:
+        """Inequalities by name, and whether exact rational arithmetic proves them."""
+        # Only here: few need the proof, and it takes time to import.
+        if isinstance(self.gains, LoopGains):
+            from lpv.core.serial_arm.certificate.exact_proof import prove_loop
+
+            return prove_loop(arm, self.gains)
+        from lpv.core.uio.certificate.exact_proof import prove
+
+        return prove(planar_model(arm), self.gains)
+
+    def arm(self) -> SerialArm | None:
+        """The arm that the gains describe or that is shipped under their name, if it is theirs."""
+        text = getattr(self.gains, 'certificate', {}).get('arm_json')
+        if isinstance(text, str):
+            return serial_from_planar(arm_from_json(text))
+        file = shipped_files('arms').get(self.gains.arm_name)
+        return load_arm(file) if file is not None else None
+
+
+def load_certified(path: str | Path) -> Certified:
+    """Read a gains file of either kind; ConfigError if it is none."""
+    if serial_parameters(path) is not None:
+        return Certified(load_loop_gains(path), 'tracking loop', SERIAL_CLAIMS)
+    return Certified(load_gains(path), 'gains', CLAIMS)
+
+
+def examine(path: str | Path | None, arm: SerialArm, source: str = '') -> Certificate:
+    """Verify the certificate of a gains file for an arm; what stands against it is its problem."""
+    if path is None:
+        return Certificate(problem='the bag carries no gains, and none were given')
+    try:
+        found = load_certified(path)
+        facts = [
+            ('gains file', source or Path(path).name),
+            ('SHA-256 of the file', hashlib.sha256(Path(path).read_bytes()).hexdigest()),
+            ('designed for arm', found.gains.arm_name),
+        ]
+        checks = found.checks(arm)
+        facts += [('certified', line.strip()) for line in found.facts(arm)]
+        return Certificate(found.what, tuple(facts), tuple(checks))
+    except (LpvError, OSError, ArithmeticError, np.linalg.LinAlgError) as error:
+        return Certificate(problem=str(error))
+
+
+def beside_bag(bag: str | Path, name: str) -> Path | None:
+    """A file that accompanies a bag; None where there is none."""
+    folder = Path(bag) if Path(bag).is_dir() else Path(bag).parent
+    # A single file belongs to the folder's bag only if that is one.
+    ours = folder == Path(bag) or (folder / 'metadata.yaml').is_file()
+    return folder / name if ours and (folder / name).is_file() else None
+
+
+def find_arm_and_gains(
+    bag: str | Path, arm: str | None = None, gains: str | None = None
+) -> tuple[SerialArm, Path | None, str]:
+    """Arm and gains file of a recorded run, and where the gains come from, for the reader.
+
+    Without a name or file of the arm: the arm of the gains, else the shipped one that the recorded
+    messages name.  Without gains: the file in the bag, else the shipped gains of the arm.
+    ConfigError if a given file is none, or the arm is not known; BagError if the bag cannot be
+    read.
+    """
+    if not Path(bag).exists():
+        raise BagError(f'{bag}: there is no such bag')
+    file = bringup_file('gains', gains) if gains else beside_bag(bag, GAINS_NAME)
+    source = file.name + ('' if gains else ' of the bag') if file else ''
+    if arm:
+        return load_arm(bringup_file('arms', arm)), file, source
+    try:
+        described = load_certified(file).arm() if file else None
+    except ConfigError:
+        if gains:
+            raise
+        described = None  # a damaged file in a bag must not stand in the way of a report
+    if described is not None:
+        return described, file, source
+    name = named_arm(bag)
+    shipped = shipped_files('arms').get(name)
+    if shipped is None:
+        what = 'the bag holds neither gains nor answers of the diagnosis'
+        if name:
+            what = f'the bag is of arm {name!r}, which is not a shipped one'
+        example = f'lpv report BAG --arm {name or "my_arm"}.yaml --gains gains.yaml'
+        raise ConfigError('--arm', f'is needed: {what}; e.g. {example}')
+    if file is None and name in shipped_files('gains'):
+        file = shipped_files('gains')[name]
+        source = f'shipped gains of arm {name!r}, which the messages name'
+    return load_arm(shipped), file, source
+
+
+def named_arm(bag: str | Path) -> str:
+    """Name of the arm that recorded answers of the diagnosis carry; '' without answers."""
+    # Only here: gains are examined where there is no bag, too.
+    from lpv.bag.rosbag.reading import open_bag
+
+    with open_bag(bag) as reader:
+        answers = [c for c in reader.connections if c.msgtype in _ANSWERS and c.msgcount]
+        for connection, _, data in reader.messages(answers) if answers else ():
+            return str(reader.deserialize(data, connection.msgtype).header.frame_id)
+    return ''

@@ -1,0 +1,288 @@
+"""What two runs of one recording have in common, and where they differ."""
+
+import math
+from collections.abc import Iterator
+from copy import copy
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from lpv.bag.errors import BagError
+from lpv.bag.run.record import load_run
+from lpv.bag.run.streams import RunRecord
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.support.errors import LpvError
+from lpv.report.history import Episode, episodes
+from lpv.report.page import finite
+from lpv.report.style import INK, PALE, SENSOR, SETTINGS, legend_above, png, thin
+from lpv.report.table import make_table
+
+# Stream, field, what it is called, unit; flags are compared by the share that differs.
+_SIGNALS = (
+    ('state_estimate', 'position', 'position', 'rad'),
+    ('state_estimate', 'velocity', 'velocity', 'rad/s'),
+    ('state_estimate', 'compensated_position', 'compensated position', 'rad'),
+    ('fault_estimate', 'estimate', 'fault estimate', 'rad'),
+    ('fault_estimate', 'bound', 'bound', 'rad'),
+    ('fault_estimate', 'threshold', 'threshold', 'rad'),
+    ('state_estimate', 'mode', 'observer mode', 'share'),
+    ('fault_estimate', 'state', 'sensor states', 'share'),
+    ('fault_estimate', 'alarm', 'alarm flags', 'share'),
+)
+_SMALLEST = 1e-7
+"""Mean squared errors below are numerical noise: their ratio says nothing."""
+_SLACK = 0.5
+"""Alarms of two runs that are this far apart may still be the same [s]."""
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """What still counts as the same; at zero, every bit must agree."""
+
+    mise: float = 0.05  # relative change of a figure of the table
+    delay: float = 0.02  # change of the time of an alarm event [s]
+    signal: float = 1e-3  # largest difference of estimates, bounds and thresholds [rad], [rad/s]
+    flags: float = 0.002  # share of samples whose mode, state or alarm differs
+    missing: float = 0.0  # share of answers that only one of the runs has
+
+    def __post_init__(self) -> None:
+        for name, value in asdict(self).items():
+            if not 0.0 <= value < math.inf:
+                raise LpvError(f'tolerance of {name}: must be a number from 0, got {value}')
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One figure of both runs, or a difference (``second``) against its tolerance (``first``)."""
+
+    name: str  # what is compared
+    unit: str  # of both values
+    first: float | None  # None where the run has none
+    second: float | None
+    same: bool  # within the tolerance
+
+
+@dataclass(frozen=True)
+class AlarmPair:
+    """An alarm of one run and that of the other which corresponds to it, or None."""
+
+    first: Episode | None
+    second: Episode | None
+    same: bool
+
+    @property
+    def sensor(self) -> str:
+        """Name of the sensor."""
+        return next(episode.sensor for episode in (self.first, self.second) if episode)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain data."""
+        both = (e and {**asdict(e), 'delay': e.delay} for e in (self.first, self.second))
+        return {**dict(zip(('first', 'second'), both)), 'same': self.same}
+
+
+@dataclass
+class Comparison:
+    """Result."""
+
+    # MISE or, without ground truth, sizes of the fault estimates
+    figures: list[Figure] = field(default_factory=list)
+    differences: list[Figure] = field(default_factory=list)  # the largest of each signal
+    alarms: list[AlarmPair] = field(default_factory=list)  # in the order of time
+    common: int = 0  # answers with the same stamp in both runs
+    only_first: int = 0  # answers of the first run alone
+    only_second: int = 0  # answers of the second run alone
+    missing_allowed: float = 0.0  # share of all answers that only one run may have
+
+    @property
+    def complete(self) -> bool:
+        """Whether the runs have the same answers, as far as is asked for."""
+        alone = self.only_first + self.only_second
+        return self.common > 0 and alone <= self.missing_allowed * (self.common + alone)
+
+    @property
+    def same(self) -> bool:
+        """Whether nothing differs beyond the tolerances."""
+        parts = [*self.figures, *self.differences]
+        alarms = all(pair.same for pair in self.alarms)
+        return self.complete and alarms and all(part.same for part in parts)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain data for JSON; what is not a number is None."""
+        names = ('common', 'only_first', 'only_second', 'complete')
+        found = {
+            'same': self.same,
+            'answers': {name: getattr(self, name) for name in names},
+            'figures': [vars(figure) for figure in self.figures],
+            'differences': [vars(figure) for figure in self.differences],
+            'alarms': [pair.as_dict() for pair in self.alarms],
+        }
+        return finite(found)
+
+
+def load_pair(bag: str | Path, other: str | Path, arm: SerialArm) -> tuple[RunRecord, RunRecord]:
+    """Two runs of one recording; what one bag does not hold is taken from the other."""
+    first, second = (
+        load_run(path, joint_names=arm.joint_names, answers_only=True) for path in (bag, other)
+    )
+    for one, another in ((first, second), (second, first)):
+        for name in ('joint_states', 'ground_truth', 'reference', 'torque_command'):
+            if name in one.streams and name not in another.streams:
+                another.streams[name], another.stamps[name] = one.streams[name], one.stamps[name]
+        another.joint_names = another.joint_names or one.joint_names
+    for path, record in ((bag, first), (other, second)):
+        if not {'state_estimate', 'fault_estimate'} & set(record.streams):
+            raise BagError(f'{path}: holds no answers of the diagnosis; run lpv replay first')
+        # Without measurements, times count from the first answer.
+        record.stamps.setdefault('joint_states', _answer_stamps(record))
+    return first, second
+
+
+def compare_runs(
+    first: RunRecord, second: RunRecord, arm: SerialArm, tolerances: Tolerances | None = None
+) -> Comparison:
+    """Compare the answers of two runs of one recording; LpvError if they have no sample in
+    common."""
+    tolerances = tolerances or Tolerances()
+    stamps = [_answer_stamps(record) for record in (first, second)]
+    common = np.intersect1d(stamps[0], stamps[1])
+    if not len(common):
+        raise LpvError('the bags have no answer with the same stamp: they are not of one recording')
+    alone = [len(s) - len(common) for s in stamps]
+    pairs = _pairs(first, second, tolerances.delay)
+    first, second = _restricted(first, common), _restricted(second, common)
+    return Comparison(
+        _figures(first, second, arm, tolerances.mise),
+        list(_differences(first, second, tolerances)),
+        pairs,
+        len(common),
+        alone[0],
+        alone[1],
+        tolerances.missing,
+    )
+
+
+def _answer_stamps(record: RunRecord) -> np.ndarray:
+    name = 'fault_estimate' if 'fault_estimate' in record.stamps else 'state_estimate'
+    return record.stamps[name]
+
+
+def _restricted(record: RunRecord, common: np.ndarray) -> RunRecord:
+    """The record with answers at common stamps alone: others must not count for one run only."""
+    result = copy(record)
+    result.stamps, result.streams = dict(record.stamps), dict(record.streams)
+    for stream in {'state_estimate', 'fault_estimate'} & set(record.stamps):
+        kept = np.isin(record.stamps[stream], common)
+        result.stamps[stream] = record.stamps[stream][kept]
+        result.streams[stream] = {k: v[kept] for k, v in record.streams[stream].items()}
+    return result
+
+
+def _figures(first: RunRecord, second: RunRecord, arm: SerialArm, tolerance: float) -> list[Figure]:
+    one, two = (
+        {(row.signal, row.meaning): row for row in make_table(record, arm)}
+        for record in (first, second)
+    )
+    found = []
+    for key, row in {**one, **two}.items():
+        a, b = (table[key].value if key in table else None for table in (one, two))
+        found.append(Figure(': '.join(key), row.unit, a, b, _close(a, b, tolerance)))
+    return found
+
+
+def _close(first: float | None, second: float | None, tolerance: float) -> bool:
+    if first is None or second is None:
+        return False
+    if first == second or (math.isnan(first) and math.isnan(second)):
+        return True
+    allowed = max(tolerance * max(abs(first), abs(second)), _SMALLEST) if tolerance else 0.0
+    return abs(first - second) <= allowed
+
+
+def _differences(first: RunRecord, second: RunRecord, allowed: Tolerances) -> Iterator[Figure]:
+    for stream, name, label, unit in _SIGNALS:
+        if stream not in first.stamps or stream not in second.stamps:
+            continue
+        _, i, j = np.intersect1d(first.stamps[stream], second.stamps[stream], return_indices=True)
+        a, b = first.streams[stream][name][i], second.streams[stream][name][j]
+        if unit == 'share':
+            differ = (a != b).reshape(len(a), -1).any(axis=1)
+            share = float(np.mean(differ)) if len(a) else 0.0
+            yield Figure(label, unit, allowed.flags, share, share <= allowed.flags)
+            continue
+        with np.errstate(invalid='ignore'):
+            gap = np.abs(a - b)
+        gap[(a == b) | (np.isnan(a) & np.isnan(b))] = 0.0
+        for k, column in enumerate(np.nan_to_num(gap, nan=math.inf).T, start=1):
+            largest = float(column.max(initial=0.0))
+            yield Figure(f'{label} {k}', unit, allowed.signal, largest, largest <= allowed.signal)
+
+
+def _pairs(first: RunRecord, second: RunRecord, tolerance: float) -> list[AlarmPair]:
+    """Alarms of one sensor that are nearest in time belong together."""
+    left, pairs = list(episodes(second)), []
+    shift = (second.stamps['joint_states'][0] - first.stamps['joint_states'][0]) / 1e9
+    for alarm in episodes(first):
+        near = [
+            other for other in left
+            if other.sensor_index == alarm.sensor_index
+            and alarm.raised <= _end(other) + shift + _SLACK
+            and other.raised + shift <= _end(alarm) + _SLACK
+        ]  # fmt: skip
+        other = min(near, key=lambda o: abs(o.raised + shift - alarm.raised), default=None)
+        if other is not None:
+            left.remove(other)
+        pairs.append(AlarmPair(alarm, other, _same_alarm(alarm, other, shift, tolerance)))
+    pairs += [AlarmPair(None, other, False) for other in left]
+    return sorted(pairs, key=lambda pair: (pair.first or pair.second).raised)  # type: ignore[union-attr]
+
+
+def _end(episode: Episode) -> float:
+    return math.inf if episode.cleared is None else episode.cleared
+
+
+def _same_alarm(one: Episode, other: Episode | None, shift: float, tolerance: float) -> bool:
+    if other is None or one.kind != other.kind:
+        return False
+    times = ((one.raised, other.raised + shift), (_end(one), _end(other) + shift))
+    # Differences of seconds as floats have nanoseconds of rounding.
+    return all(a == b or abs(a - b) <= tolerance + 1e-9 for a, b in times)
+
+
+def draw_comparison(first: RunRecord, second: RunRecord, arm: SerialArm, out: Path) -> None:
+    """Write pictures of the fault estimates of both runs, and of how far they are apart."""
+    if 'fault_estimate' not in first.streams or 'fault_estimate' not in second.streams:
+        return
+    times = [first.seconds(record.stamps['fault_estimate']) for record in (first, second)]
+    common, i, j = np.intersect1d(*times, return_indices=True)
+    one, two = (record.streams['fault_estimate'] for record in (first, second))
+    truth = first.get('ground_truth', 'fault')
+
+    def curves(name: str, k: int) -> Iterator[tuple[np.ndarray, np.ndarray, dict[str, Any]]]:
+        if name == 'differences':
+            for what, color in (('estimate', SENSOR[k]), ('threshold', PALE[k])):
+                gap = two[what][j, k] - one[what][i, k]
+                yield common, gap, {'color': color, 'label': f'{what}, second - first'}
+            return
+        yield times[0], one['estimate'][:, k], {'color': PALE[k], 'lw': 3.4, 'label': 'first'}
+        yield times[1], two['estimate'][:, k], {'color': SENSOR[k], 'lw': 1.1, 'label': 'second'}
+        if truth is not None:
+            at = first.seconds(first.stamps['ground_truth'])
+            yield at, truth[:, k], {'color': INK, 'lw': 0.9, 'ls': '--', 'label': 'fault'}
+
+    for name, unit in (('faults', 'fault [rad]'), ('differences', 'difference [rad]')):
+        with plt.rc_context(SETTINGS):
+            count = len(arm.sensor_names)
+            size = 8.6, 2.6 * count
+            figure, axes = plt.subplots(count, sharex=True, squeeze=False, figsize=size)
+            for k, axis in enumerate(axes[:, 0]):
+                for at, values, look in curves(name, k):
+                    axis.plot(*thin(at, values), **look)
+                axis.set(title=f'Sensor {k + 1}: {arm.sensor_names[k]}', ylabel=unit)
+                legend_above(axis)
+            axes[-1, 0].set_xlabel('time [s]')
+            (out / f'{name}.png').write_bytes(png(figure))
+            plt.close(figure)

@@ -1,0 +1,382 @@
+"""What happened in a run: alarms from onset to end, times without an answer, stops, speeds."""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from lpv.bag.run.node_reports import NodeReport
+from lpv.bag.run.streams import RecordedAlarm, RunRecord
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent, Mode, SensorState
+
+INCONSISTENT, SAFE_STOP, UNSAFE = 'inconsistent', 'safe stop', 'not trustworthy'
+NOT_DIAGNOSABLE, NO_DATA = 'not diagnosable', 'no data'
+TOO_FAST, NO_COMMAND, BRAKED = 'above speed limit', 'no command', 'drives braked'
+_STATES = {SensorState.NOT_DIAGNOSABLE: NOT_DIAGNOSABLE, SensorState.STALE: NO_DATA}
+_MEANING = {
+    INCONSISTENT: 'rates, torques and model contradict each other; cause unknown',
+    SAFE_STOP: 'the tracker commanded the drives to brake',
+    TOO_FAST: 'a joint moved faster than the limit of the arm file',
+    NO_COMMAND: 'measurements had no torque command: a watchdog of the drives brakes the arm',
+    BRAKED: 'a watchdog of the drives, or the tracker, engaged the brakes',
+    UNSAFE: 'a confirmed fault could not be compensated safely',
+    NOT_DIAGNOSABLE: 'the level of the fault estimate says nothing in this configuration',
+    NO_DATA: 'no usable reading',
+}
+_MOST = 8
+"""Intervals of one kind that are listed individually."""
+_MOST_TIPS = 5000
+"""Samples of which the tip is computed."""
+_SILENCE = 0.1
+"""Measurements without a command for this long are an interval without commands [s]."""
+
+
+@dataclass(frozen=True)
+class Interval:
+    """An interval of time of one sensor."""
+
+    sensor_index: int  # column of the sensor
+    start: float  # [s] since the first measurement
+    end: float  # [s]; that of the record if it lasted so long
+
+
+def intervals(mask: np.ndarray, time: np.ndarray, sensor_index: int = 0) -> list[Interval]:
+    """Intervals in which a mask is true; each ends at the first sample outside."""
+    edges = np.diff(np.concatenate([[False], mask, [False]]).astype(int))
+    starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    ends = np.minimum(ends, len(time) - 1)
+    return [Interval(sensor_index, float(time[a]), float(time[b])) for a, b in zip(starts, ends)]
+
+
+# ------------------------------------------------------------------ alarms
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One alarm of one sensor; times since the first measurement [s]."""
+
+    sensor: str  # name of the sensor
+    sensor_index: int  # its column
+    onset: float  # first sample above the threshold, as diagnosed
+    raised: float  # when the fault was confirmed
+    cleared: float | None  # when the alarm ended; None if it lasted to the end of the run
+    # fault estimate and bound [rad]: now, at the end of the run, while it is active; else the
+    # last ones before it was cleared
+    size: float
+    bound: float
+    largest: float  # estimate of largest magnitude during the alarm [rad]; NaN without estimates
+    kind: str  # latest classification
+    confidence: float  # latest confidence
+    # start of the true fault at the time of the alarm; NaN if there was none (false alarm), None
+    # without ground truth
+    true_onset: float | None = None
+
+    @property
+    def delay(self) -> float | None:
+        """Time from the true fault's onset to the alarm [s]; None where that is unknown."""
+        if self.true_onset is None or math.isnan(self.true_onset):
+            return None
+        return self.raised - self.true_onset
+
+    @property
+    def false_alarm(self) -> bool:
+        """Whether ground truth says that there was no fault."""
+        return self.true_onset is not None and math.isnan(self.true_onset)
+
+
+def true_faults(record: RunRecord) -> list[Interval] | None:
+    """Intervals in which faults acted; None without ground truth."""
+    truth = record.get('ground_truth', 'fault')
+    if truth is None:
+        return None
+    time = record.seconds(record.stamps['ground_truth'])
+    # A dropout is recorded as NaN, which is not zero either.
+    return [part for i, column in enumerate(truth.T) for part in intervals(column != 0.0, time, i)]
+
+
+def episodes(record: RunRecord) -> list[Episode]:
+    """Alarms of a run, in the order in which they were raised.
+
+    An alarm whose start is not in the bag (an event that clears or updates it is) is taken from
+    that event.
+    """
+    faults = true_faults(record)
+    found: list[Episode] = []
+    running: dict[int, int] = {}  # place of the episode of each sensor
+    for event in record.alarms:
+        place = running.pop(event.sensor_index, None)
+        if place is None or event.event == AlarmEvent.RAISED:
+            place = len(found)
+            found.append(_start(record, event, faults))
+        if event.event == AlarmEvent.CLEARED:
+            changes: dict[str, Any] = {'cleared': record.seconds(event.stamp)}
+        else:
+            running[event.sensor_index] = place
+            changes = {n: getattr(event, n) for n in ('kind', 'confidence', 'size', 'bound')}
+        found[place] = replace(found[place], **changes)
+    found = [_with_estimates(record, episode) for episode in found]
+    return sorted(found, key=lambda e: (e.raised, e.sensor_index))
+
+
+def _start(record: RunRecord, event: RecordedAlarm, faults: list[Interval] | None) -> Episode:
+    raised = record.seconds(event.detected)
+    mine = [f.start for f in faults or ()
+            if f.sensor_index == event.sensor_index and f.start <= raised <= f.end]  # fmt: skip
+    true_onset = None if faults is None else mine[-1] if mine else math.nan
+    return Episode(
+        event.sensor, event.sensor_index, record.seconds(event.onset), raised, None, event.size,
+        event.bound, math.nan, event.kind, event.confidence, true_onset,
+    )  # fmt: skip
+
+
+def _with_estimates(record: RunRecord, episode: Episode) -> Episode:
+    """With the largest estimate of the alarm and, of an active one, the present estimate.
+
+    Events carry the estimate at the event: what a fault is later is in the stream alone.
+    """
+    estimate, bound = (record.get('fault_estimate', name) for name in ('estimate', 'bound'))
+    i = episode.sensor_index
+    if estimate is None or bound is None or not 0 <= i < estimate.shape[1]:
+        return episode
+    time = record.seconds(record.stamps['fault_estimate'])
+    end = math.inf if episode.cleared is None else episode.cleared
+    rows = np.flatnonzero((time >= episode.raised) & (time <= end) & np.isfinite(estimate[:, i]))
+    if not rows.size:
+        return episode
+    values = estimate[rows, i]
+    episode = replace(episode, largest=float(values[np.argmax(np.abs(values))]))
+    if episode.cleared is not None:
+        return episode
+    return replace(episode, size=float(values[-1]), bound=float(bound[rows[-1], i]))
+
+
+def missed_faults(record: RunRecord, found: list[Episode]) -> list[Interval]:
+    """True faults during which no alarm was raised or active; none without ground truth."""
+    return [
+        fault for fault in true_faults(record) or []
+        if not any(e.sensor_index == fault.sensor_index and e.raised <= fault.end
+                   and (e.cleared is None or e.cleared > fault.start) for e in found)
+    ]  # fmt: skip
+
+
+# ------------------------------------------------------------------ phases
+
+
+@dataclass(frozen=True)
+class Phase:
+    """An interval without an answer, or in which the arm was stopped or too fast."""
+
+    what: str  # one of the words of this module
+    sensor: str  # of which sensor; empty for the whole arm
+    start: float  # [s] since the first measurement
+    end: float  # [s] since the first measurement
+    note: str = ''  # why, where it is known
+
+    @property
+    def meaning(self) -> str:
+        """What the word means."""
+        return f'{_MEANING[self.what]}: {self.note}' if self.note else _MEANING[self.what]
+
+    @property
+    def duration(self) -> float:
+        """[s]."""
+        return self.end - self.start
+
+
+def phases(
+    record: RunRecord, arm: SerialArm, reports: Mapping[str, Sequence[NodeReport]]
+) -> list[Phase]:
+    """All such intervals of a run, in the order of their beginnings.
+
+    ``reports`` is what the nodes said on /diagnostics, of the observer, the tracking and the
+    drives; times that come from there are as exact as these: once a second, and with every alarm.
+    """
+    observer = reports.get('observer', ())
+    unsafe = _while(record, observer, 'a confirmed fault cannot be compensated')
+    confused = _united([*_while(record, observer, INCONSISTENT), *_of_alarms(record)])
+    _, time, rates = _rates(record)
+    fast = intervals((np.abs(rates) > np.asarray(arm.velocity_limit)).any(axis=1), time)
+    found = [
+        Phase(what, '', start, end)
+        for what, spans in (
+            (INCONSISTENT, confused),
+            (UNSAFE, unsafe),
+            (NO_COMMAND, _without_commands(record)),
+            (TOO_FAST, [(part.start, part.end) for part in fast]),
+        )
+        for start, end in spans
+    ]
+    found += _safe_stops(record, reports.get('tracking', ()))
+    found += _brakes(record, reports.get('drives', ()))
+    states = record.get('fault_estimate', 'state')
+    if states is not None:
+        stamps = record.stamps['fault_estimate']
+        time, begun = record.seconds(stamps), ~starting(record, stamps)
+        found += [
+            Phase(what, arm.sensor_names[i], part.start, part.end)
+            for state, what in _STATES.items()
+            for i in range(states.shape[1])
+            for part in intervals((states[:, i] == state) & begun, time)
+        ]
+    return sorted(found, key=lambda p: (p.start, p.what, p.sensor))
+
+
+def starting(record: RunRecord, stamps: np.ndarray) -> np.ndarray:
+    """Which samples are the first ones, when no answer is expected yet."""
+    mode = record.get('state_estimate', 'mode')
+    if mode is None:
+        return np.zeros(len(stamps), bool)
+    return np.isin(stamps, record.stamps['state_estimate'][mode == Mode.INITIALISING])
+
+
+def _while(
+    record: RunRecord, reports: Sequence[NodeReport], begin: str
+) -> list[tuple[float, float]]:
+    """Spans in which a node's reports begin with a text."""
+    if not reports:
+        return []
+    time = record.seconds(np.array([report.stamp for report in reports]))
+    mask = np.array([report.message.startswith(begin) for report in reports])
+    return [(part.start, part.end) for part in intervals(mask, time)]
+
+
+def _of_alarms(record: RunRecord) -> list[tuple[float, float]]:
+    """Spans of alarms whose cause is unknown, until they are classified or cleared."""
+    found: list[tuple[float, float]] = []
+    begun: dict[int, float] = {}
+    for event in record.alarms:
+        at = float(record.seconds(event.stamp))
+        if event.kind == INCONSISTENT and event.event != AlarmEvent.CLEARED:
+            begun.setdefault(event.sensor_index, at)
+        elif event.sensor_index in begun:
+            found.append((begun.pop(event.sensor_index), at))
+    return found + [(at, float(record.time[-1])) for at in begun.values()]
+
+
+def _united(spans: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:
+    united: list[tuple[float, float]] = []
+    for start, end in sorted(spans):
+        if united and start <= united[-1][1]:
+            united[-1] = (united[-1][0], max(united[-1][1], end))
+        else:
+            united.append((start, end))
+    return united
+
+
+def _brakes(record: RunRecord, reports: Sequence[NodeReport]) -> list[Phase]:
+    """The drives report when they brake or release: each report holds until the next one."""
+    found: list[Phase] = []
+    ends = [float(record.seconds(report.stamp)) for report in reports[1:]] + [record.time[-1]]
+    for report, end in zip(reports, ends):
+        start = float(record.seconds(report.stamp))
+        begin, _, reason = report.message.partition(': ')
+        if begin != 'braked' or reason == 'no command yet':
+            continue
+        if found and found[-1].end == start and found[-1].note == reason:
+            found[-1] = replace(found[-1], end=end)
+        else:
+            found.append(Phase(BRAKED, '', start, end, reason))
+    return found
+
+
+def _safe_stops(record: RunRecord, reports: Sequence[NodeReport]) -> list[Phase]:
+    """Safe stops that the tracker commanded, with the reasons that it reported meanwhile."""
+    stopped = record.get('torque_command', 'safe_stop')
+    if stopped is None:
+        return []
+    told = [
+        (float(record.seconds(r.stamp)), r.message.partition(': ')[2])
+        for r in reports
+        if r.message.startswith('safe stop: ')
+    ]
+    found = []
+    for part in intervals(stopped.astype(bool), record.seconds(record.stamps['torque_command'])):
+        reasons = dict.fromkeys(text for at, text in told if part.start <= at <= part.end)
+        found.append(Phase(SAFE_STOP, '', part.start, part.end, '; '.join(reasons)))
+    return found
+
+
+def _without_commands(record: RunRecord) -> list[tuple[float, float]]:
+    stamps = record.stamps.get('torque_command')
+    if stamps is None:
+        return []
+    end = max(stamps[-1], record.stamps['joint_states'][-1])
+    times = np.asarray(record.seconds(np.append(stamps, end)))
+    silent = np.flatnonzero(np.diff(times) > _SILENCE)
+    return [(float(times[k]), float(times[k + 1])) for k in silent]
+
+
+def listed(found: Sequence[Phase]) -> tuple[list[Phase], list[dict[str, Any]]]:
+    """The longest intervals of each kind, and the sums of the others."""
+    kept: list[Phase] = []
+    rests: list[dict[str, Any]] = []
+    for key in sorted({(p.what, p.sensor) for p in found}):
+        same = sorted((p for p in found if (p.what, p.sensor) == key), key=lambda p: -p.duration)
+        kept += same[:_MOST]
+        if rest := same[_MOST:]:
+            names = dict(zip(('what', 'sensor'), key))
+            rests.append({**names, 'count': len(rest), 'duration': sum(p.duration for p in rest)})
+    return sorted(kept, key=lambda p: (p.start, p.what, p.sensor)), rests
+
+
+# ------------------------------------------------------------------ motion
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Extremes of a run; None where they are not known."""
+
+    source: str  # whose rates they are: true or measured
+    fastest: float  # largest joint rate, as a share of the joint's limit; infinite if not finite
+    speed: float  # that rate [rad/s]
+    limit: float  # its limit [rad/s]
+    joint: str  # the joint
+    path_error: float | None  # largest distance of the true tip from the reference [m]
+
+
+def motion(record: RunRecord, arm: SerialArm) -> Motion:
+    """Extremes of the motion: of the true arm where it is recorded, else as measured."""
+    source, _, rates = _rates(record)
+    limits = np.asarray(arm.velocity_limit)
+    # A missing rate (NaN) is a matter of the sensor, an infinite one is not.
+    shares = np.where(np.isnan(rates), 0.0, np.abs(rates)) / limits
+    row, joint = np.unravel_index(int(np.argmax(shares)), shares.shape)
+    return Motion(
+        source,
+        float(shares[row, joint]),
+        float(abs(rates[row, joint])),
+        float(limits[joint]),
+        arm.joint_names[joint],
+        _path_error(record, arm),
+    )
+
+
+def _rates(record: RunRecord) -> tuple[str, np.ndarray, np.ndarray]:
+    """Whose rates, their times [s], and the rates [rad/s]."""
+    stream = 'ground_truth' if 'ground_truth' in record.streams else 'joint_states'
+    source = 'true' if stream == 'ground_truth' else 'measured'
+    time = np.asarray(record.seconds(record.stamps[stream]))
+    return source, time, record.streams[stream]['velocity']
+
+
+def _path_error(record: RunRecord, arm: SerialArm) -> float | None:
+    truth, reference = (record.aligned(s, 'position') for s in ('ground_truth', 'reference'))
+    if truth is None or reference is None:
+        return None
+    rows = np.flatnonzero(np.isfinite(truth).all(1) & np.isfinite(reference).all(1))
+    rows = rows[:: max(1, len(rows) // _MOST_TIPS)]
+    gap = tip_positions(arm, truth[rows]) - tip_positions(arm, reference[rows])
+    return float(np.linalg.norm(gap, axis=1).max()) if len(rows) else None
+
+
+def tip_positions(arm: SerialArm, position: np.ndarray) -> np.ndarray:
+    """Tips for rows of joint positions in the base frame, shape (k, 3) [m]."""
+    # Only here: compiled code that other parts of the report do not need.
+    from lpv.core.serial_arm.chain import compile_chain
+    from lpv.core.serial_arm.dynamics.kinematics import forward_kinematics
+
+    chain = compile_chain(arm)
+    return np.array([forward_kinematics(chain, q)[1] for q in position]).reshape(-1, 3)

@@ -1,0 +1,51 @@
+"""Self-contained pages: templates, embedded pictures."""
+
+import base64
+import math
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+from matplotlib.figure import Figure
+
+from lpv.report.style import png
+
+
+def css_string(text: str) -> str:
+    """A string of a style sheet that cannot end the string, the sheet or the element."""
+    letters = (c if c.isascii() and c.isalnum() else f'\\{ord(c):06x}' for c in text if c != '\0')
+    return f'"{"".join(letters)}"'
+
+
+def environment(folder: str | Path) -> jinja2.Environment:
+    """Templates of a folder; they escape everything, and refuse names that are not given.
+
+    They can include ``style.css`` of all reports, too, which needs ``title`` and ``tiles``: the
+    list of figures in the row of tiles on top.
+    """
+    found = jinja2.Environment(
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+        loader=jinja2.FileSystemLoader([Path(folder), Path(__file__).parent]),
+    )
+    found.filters['css_string'] = css_string
+    return found
+
+
+def finite(data: Any) -> Any:
+    """Plain data without numbers that are none: JSON has no word for them."""
+    data = data.item() if isinstance(data, np.generic) else data
+    if isinstance(data, dict):
+        return {key: finite(value) for key, value in data.items()}
+    if isinstance(data, (list, tuple)):
+        return [finite(value) for value in data]
+    return None if isinstance(data, float) and not math.isfinite(data) else data
+
+
+def embedded(figure: Figure | bytes) -> str:
+    """A figure as a data URL."""
+    data = figure if isinstance(figure, bytes) else png(figure)
+    return 'data:image/png;base64,' + base64.b64encode(data).decode()

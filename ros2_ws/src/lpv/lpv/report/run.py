@@ -1,0 +1,218 @@
+"""The page of a recorded run: what was loaded is drawn and written."""
+
+import math
+import platform
+import time
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lpv.bag.run.streams import RunRecord
+from lpv.core.control.path import CartesianPath
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.diagnosis.alarms import SensorState
+from lpv.core.support.timestamps import NANOSECONDS
+from lpv.report.certificate import Certificate
+from lpv.report.figures import draw_all
+from lpv.report.history import BRAKED, INCONSISTENT, SAFE_STOP, TOO_FAST, UNSAFE, listed, starting
+from lpv.report.load import Run, load
+from lpv.report.page import embedded, environment
+from lpv.report.style import png
+from lpv.report.table import Row
+
+_CALENDAR = 946684800 * NANOSECONDS
+"""Stamps after the year 2000 are dates, others count from the start of something [ns]."""
+_PACKAGES = ('numpy', 'numba', 'matplotlib', 'rosbags', 'mcap')
+_CAPTIONS = {
+    'timeline': 'What the diagnosis said of each sensor, and when.',
+    'path': 'Path of the tip (cf. Fig. 4 of the paper).',
+    'faults': 'Faults of the physical position sensors and their estimates (cf. Fig. 5). Grey: a '
+    'healthy arm stays inside. Red: confirmed alarm. Hatched: not diagnosable.',
+    'measured': 'Joint positions as measured, with faults, and their references (cf. Fig. 6).',
+    'states': 'Joint positions and rates with their estimates (cf. Fig. 7).',
+    'torques': 'Joint torques (cf. Fig. 8).',
+}
+
+
+@dataclass(frozen=True)
+class ReportResult:
+    """What was written."""
+
+    html: Path  # the page
+    pictures: list[Path]  # PNG files
+    table: list[Row]  # its table
+    certificate: Certificate  # of the gains
+
+
+class Tile(NamedTuple):
+    """A figure on top of the page."""
+
+    name: str
+    value: str
+    note: str = ''
+    look: str = ''  # '', good, bad or warn
+
+
+def write_report(
+    bag: str | Path,
+    out: str | Path,
+    arm: SerialArm,
+    path: CartesianPath | None = None,
+    title: str = 'Run',
+    gains: str | Path | None = None,
+) -> ReportResult:
+    """Write the report of a bag into a folder: ``report.html`` and PNG files; else as `load`."""
+    return write(load(bag, arm, path, title, gains), out)
+
+
+def write(run: Run, out: str | Path) -> ReportResult:
+    """Write page and pictures of a run into a folder."""
+    out = Path(out)
+    out.mkdir(parents=True, exist_ok=True)
+    pictures, figures = [], {}
+    for name, figure in draw_all(run):
+        pictures.append(out / f'{name}.png')
+        pictures[-1].write_bytes(data := png(figure))
+        figures[name] = {'caption': _CAPTIONS[name], 'data': embedded(data)}
+    templates = environment(Path(__file__).parent)
+    templates.filters['number'] = _number
+    page = templates.get_template('report.html').render(**content(run), figures=figures)
+    html = out / 'report.html'
+    html.write_text(page.lstrip(), encoding='utf-8')
+    return ReportResult(html, pictures, run.table, run.certificate)
+
+
+def _number(value: float | None, form: str) -> str:
+    return form % value if value is not None and math.isfinite(value) else '-'
+
+
+def content(run: Run) -> dict[str, Any]:
+    """Values for the template."""
+    record, arm = run.record, run.arm
+    names = record.sensor_names or arm.sensor_names
+    shown, rests = listed(run.phases)
+    stamps = record.stamps['joint_states']
+    begin = time.gmtime(int(stamps[0]) // NANOSECONDS) if stamps[0] >= _CALENDAR else None
+    return {
+        'title': run.title,
+        'duration': record.time[-1],
+        'samples': len(record.time),
+        'period': f'{np.median(np.diff(stamps)) / 1e6:.3g}' if len(stamps) > 1 else '',
+        'begin': time.strftime('%Y-%m-%d %H:%M:%S', begin) if begin else '',
+        'warnings': record.warnings,
+        'verdict': _verdict(run),
+        'ran_away': run.motion.fastest > 1.0,
+        'tiles': _tiles(run),
+        'episodes': run.alarms,
+        'missed': [(names[m.sensor_index], m) for m in run.missed],
+        'have_truth': 'ground_truth' in record.streams,
+        'phases': shown,
+        'rests': rests,
+        'from_reports': (INCONSISTENT, UNSAFE),
+        'have_diagnostics': any(t.endswith('/diagnostics') for t in record.counts),
+        'table': run.table,
+        'compare': any(row.paper is not None for row in run.table),
+        'errors': any(row.is_error for row in run.table),
+        'detectable': _detectable(record, arm),
+        'certificate': run.certificate,
+        'versions': [(name, _version(name)) for name in ('lpv', *_PACKAGES)]
+        + [('Python', platform.python_version())],
+        'counts': sorted(record.counts.items()),
+        'arm_facts': [
+            ('name', arm.name),
+            ('SHA-256', arm.sha256()),
+            ('joints', ', '.join(arm.joint_names)),
+            ('position sensors', ', '.join(arm.sensor_names)),
+            ('sample time', f'{1000.0 * arm.sample_time:g} ms'),
+        ],
+    }
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return 'not installed as a package'
+
+
+def _detectable(record: RunRecord, arm: SerialArm) -> list[dict[str, Any]]:
+    """Threshold plus bound of each sensor while it was diagnosable, and how long it was not."""
+    threshold, bound, state = (
+        record.get('fault_estimate', name) for name in ('threshold', 'bound', 'state')
+    )
+    if threshold is None or bound is None or state is None:
+        return []
+    begun = ~starting(record, record.stamps['fault_estimate'])
+    rows = []
+    for i, sensor in enumerate(arm.sensor_names):
+        lost = begun & (state[:, i] == SensorState.NOT_DIAGNOSABLE)
+        values = (threshold + bound)[~lost, i]
+        values = values[np.isfinite(values)] if np.isfinite(values).any() else np.array([np.nan])
+        figures = {'smallest': values.min(), 'middle': np.median(values), 'largest': values.max()}
+        rows.append({'sensor': sensor, **figures, 'lost': float(lost.mean())})
+    return rows
+
+
+def _count(number: int, one: str, many: str = '') -> str:
+    return f'{number or "no"} {one if number == 1 else many or one + "s"}'
+
+
+def _verdict(run: Run) -> str:
+    """The answer in a sentence or two; a run that ran away is called that first."""
+    record, move = run.record, run.motion
+    recorded = 'fault_alarm' in record.topics
+    sensors = sorted({alarm.sensor for alarm in run.alarms})
+    text = _count(len(run.alarms), 'alarm') if recorded else 'alarms were not recorded'
+    parts = [text[0].upper() + text[1:] + (f', of {" and ".join(sensors)}' if sensors else '')]
+    if 'ground_truth' in record.streams and recorded:
+        wrong = sum(alarm.false_alarm for alarm in run.alarms)
+        missed = _count(len(run.missed), 'fault')
+        parts.append(f'{_count(wrong, "false alarm")}, {missed} missed')
+    lasting = (a for a in run.alarms if a.cleared is None)
+    if now := [f'{a.sensor} {a.size:+.3f} rad (bound {a.bound:.3f})' for a in lasting]:
+        parts.append(f'error at the end of the run: {", ".join(now)}')
+    if brakes := [phase for phase in run.phases if phase.what == BRAKED]:
+        reasons = ', '.join(dict.fromkeys(phase.note for phase in brakes))
+        parts.append(f'the drives braked {_count(len(brakes), "time")} ({reasons})')
+    stops = _count(sum(phase.what == SAFE_STOP for phase in run.phases), 'safe stop')
+    odd = _count(sum(phase.what == INCONSISTENT for phase in run.phases), 'inconsistent phase')
+    words = '; '.join([*parts, f'{stops}, {odd}.'])
+    if move.fastest <= 1.0:
+        return words
+    lasted = sum(phase.duration for phase in run.phases if phase.what == TOO_FAST)
+    return (
+        f'The arm exceeded its speed limit for {lasted:.3f} s ({move.joint}: '
+        f'{move.speed:.3g} rad/s {move.source}, limit {move.limit:g} rad/s). {words}'
+    )
+
+
+def _tiles(run: Run) -> list[Tile]:
+    record, move, alarms = run.record, run.motion, run.alarms
+    active = sum(alarm.cleared is None for alarm in alarms)
+    tiles = [Tile('alarms', str(len(alarms)), f'{active} to the end' if active else '')]
+    if 'ground_truth' in record.streams:
+        for name, number in (
+            ('false alarms', sum(alarm.false_alarm for alarm in alarms)),
+            ('missed faults', len(run.missed)),
+        ):
+            tiles.append(Tile(name, str(number), look='bad' if number else 'good'))
+        if delays := [alarm.delay for alarm in alarms if alarm.delay is not None]:
+            tiles.append(Tile('slowest alarm', f'{max(delays):.3f} s', 'after the fault'))
+    if 'torque_command' in record.streams:
+        stopped = sum(p.duration for p in run.phases if p.what == SAFE_STOP)
+        tiles.append(Tile('stopped', f'{stopped:.1f} s', look='warn' if stopped else ''))
+    limit = f'limit {move.limit:g}, {move.joint}, {move.source}'
+    look = 'bad' if move.fastest > 1.0 else ''
+    tiles.append(Tile('fastest joint', f'{move.speed:.3g} rad/s', limit, look))
+    if move.path_error is not None:
+        tiles.append(Tile('farthest from path', f'{move.path_error:.3g} m', 'true tip'))
+    proof = run.certificate
+    tiles.append(Tile('bounds', 'guaranteed' if proof.bounds_faults else 'statistical'))
+    name = f'certificate of the {proof.what}'
+    if proof.problem:
+        return [*tiles, Tile(name, 'unknown', look='warn')]
+    word, look = ('holds', 'good') if proof.holds else ('fails', 'bad')
+    return [*tiles, Tile(name, word, f'{len(proof.checks)} checks', look)]

@@ -1,0 +1,126 @@
+"""Figures of a run: mean squared errors, beside Table 2 of the paper where its arm ran."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from lpv.bag.run.streams import RunRecord
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.simulation.metrics import mise
+from lpv.core.support.errors import ConfigError
+from lpv.core.uio.planar import planar_model
+
+PAPER = {
+    'x1': 0.006, 'x2': 0.002, 'x3': 0.024, 'x4': 0.047, 'f1': 0.006, 'f2': 0.002,
+    'y1': 0.034, 'y2': 0.053, 'e_t1': 0.003, 'e_t2': 0.007,
+}  # fmt: skip
+"""MISE of Table 2 of the paper; states and tracking in absolute angles."""
+_TABLE_1 = ((10.0, 1.0, 0.5, 0.83), (5.0, 1.0, 0.5, 0.41))
+"""Mass [kg], length, centre of mass [m] and inertia about it [kg m2] of the paper's links."""
+_SAME = 1e-9
+"""Relative difference that rounding of a link's direction can make."""
+_ERRORS = (
+    (('x1', 'x2'), 'estimate of the position', 'position', 'ground_truth', 'state_estimate'),
+    (('x3', 'x4'), 'estimate of the rate', 'velocity', 'ground_truth', 'state_estimate'),
+    (('f1', 'f2'), 'estimate of the fault', 'fault', 'ground_truth', 'fault_estimate'),
+    (('y1', 'y2'), 'tracking error, measured', 'position', 'joint_states', 'reference'),
+    (('e_t1', 'e_t2'), 'tracking error, true', 'position', 'ground_truth', 'reference'),
+)
+"""Names in the paper, meaning, field, and the streams whose difference is the error."""
+
+
+def is_paper_arm(arm: SerialArm) -> bool:
+    """Whether an arm is that of the paper's Table 1, whose errors Table 2 lists."""
+    try:
+        planar = planar_model(arm)
+    except ConfigError:
+        return False
+    links = [
+        (k.mass, k.length, k.center_of_mass, k.inertia - k.mass * k.center_of_mass**2)
+        for k in planar.links
+    ]
+    same = np.allclose(links, _TABLE_1, rtol=_SAME, atol=0.0)
+    return bool(same) and planar.arrangement == 'absolute' and planar.sign > 0
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of a table."""
+
+    signal: str  # name in the paper, joint or sensor
+    meaning: str  # in words
+    unit: str  # of the figures
+    value: float  # of this run
+    paper: float | None = None  # of the paper's Table 2
+
+    @property
+    def is_error(self) -> bool:
+        """Whether it is a mean squared error, smaller is better."""
+        return '²' in self.unit
+
+
+def make_table(record: RunRecord, arm: SerialArm) -> list[Row]:
+    """MISE against ground truth, or the size of fault estimates where there is none.
+
+    By joint and sensor; of the paper's arm the rows of its Table 2, in absolute angles.
+    """
+    if not {'ground_truth', 'state_estimate'} <= set(record.streams):
+        return _sizes(record)
+    is_paper, rows = is_paper_arm(arm), []
+    for names, meaning, field, stream, other in _ERRORS:
+        one = record.aligned(stream, field)
+        two = record.aligned(other, 'estimate' if field == 'fault' else field)
+        if one is None or two is None:
+            continue
+        error = one - two
+        unit = 'rad²/s²' if field == 'velocity' else 'rad²'
+        signals = arm.sensor_names if field == 'fault' else arm.joint_names
+        if is_paper:
+            signals = names
+            error = error if field == 'fault' else np.cumsum(error, axis=1)
+        values = np.asarray(mise(error)).tolist()
+        rows += [
+            Row(signal, meaning, unit, value, PAPER[signal] if is_paper else None)
+            for signal, value in zip(signals, values)
+        ]
+    return rows
+
+
+def _sizes(record: RunRecord) -> list[Row]:
+    estimate = record.aligned('fault_estimate', 'estimate')
+    rows = []
+    later = np.zeros((0, 0)) if estimate is None else np.abs(estimate[record.time > 1.0])
+    for sensor, column in zip(record.sensor_names, later.T):
+        column = column[np.isfinite(column)]
+        if column.size:
+            rms = float(np.sqrt(np.mean(column**2)))
+            rows += [
+                Row(sensor, 'largest fault estimate after 1 s', 'rad', float(column.max())),
+                Row(sensor, 'RMS of the fault estimate after 1 s', 'rad', rms),
+            ]
+    return rows
+
+
+def print_table(rows: list[Row], console: Console | None = None) -> None:
+    """Show a table on the terminal, if it has rows."""
+    if not rows:
+        return
+    with_paper = any(row.paper is not None for row in rows)
+    title = 'mean squared errors over the run (MISE, eq. (70)): smaller is better'
+    table = Table(title=title if any(r.is_error for r in rows) else None, box=box.SIMPLE_HEAD)
+    # In a narrow terminal the words wrap, and no figure is cut off.
+    for name in ('signal', 'meaning', 'unit'):
+        table.add_column(name, no_wrap=name != 'meaning')
+    for name in ('this run', 'paper', 'better by')[: 3 if with_paper else 1]:
+        table.add_column(name, justify='right', no_wrap=True)
+    for row in rows:
+        cells = [row.signal, row.meaning, row.unit, f'{row.value:.2g}']
+        if with_paper:
+            ratio = row.paper / row.value if row.paper is not None and row.value > 0.0 else 0.0
+            times = f'{ratio:.0f} x' if ratio >= 10.0 else f'{ratio:.1f} x'
+            cells += [f'{row.paper:g}', times if ratio else '-']
+        table.add_row(*cells)
+    (console or Console()).print(table)

@@ -1,0 +1,431 @@
+"""Bags as files: what is written is read by others, in blocks as one by one, on a full disk too."""
+
+import errno
+import json
+import math
+import resource
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import yaml
+from bags import CHATTER, JOINT_STATE, JOINTS, START, STEP, contents, storage, write_small
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap.writer import CompressionType
+from mcap.writer import Writer as PeerWriter
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import StoragePlugin, Writer
+
+from lpv.bag.blocks.cdr_layout import find_layout
+from lpv.bag.blocks.message_blocks import ahead, split
+from lpv.bag.errors import BagError, DamageError
+from lpv.bag.replay.writer import RecordTemplate
+from lpv.bag.rosbag import reading
+from lpv.bag.rosbag.interfaces import make_typestore
+from lpv.bag.rosbag.message_loss import TopicCount
+from lpv.bag.rosbag.messages import BagMessages
+from lpv.bag.rosbag.metadata import RECORD_NAME
+from lpv.bag.rosbag.reading import open_bag
+from lpv.bag.rosbag.writing import BagWriter
+from lpv.core.support.errors import ConfigError
+
+MS, STRING = 1_000_000, 'std_msgs/msg/String'
+TOPICS = {JOINTS: JOINT_STATE, CHATTER: STRING}
+TYPESTORE = make_typestore()
+
+
+def by_rosbags(path, wanted=tuple(TOPICS), **limits):
+    with AnyReader([path]) as reader:
+        chosen = [c for c in reader.connections if c.topic in wanted]
+        return [(c.topic, time, bytes(data)) for c, time, data in reader.messages(chosen, **limits)]
+
+
+def by_mcap(file):
+    with open(file, 'rb') as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        return [(c.topic, m.log_time, m.data) for _, c, m in reader.iter_messages()]
+
+
+def by_blocks(path, wanted=tuple(TOPICS), **limits):
+    with open_bag(path) as reader:
+        chosen = [c for c in reader.connections if c.topic in wanted]
+        found = [
+            (chosen[block.connection[i]].topic, int(block.time[i]), block.message(i))
+            for block in reader.blocks(chosen, **limits)
+            for i in range(len(block))
+        ]
+        assert reader.warnings == []
+        return found
+
+
+# ------------------------------------------------------------------ format
+
+
+@pytest.mark.parametrize('preset', ['none', 'zstd_fast', 'zstd_small'])
+def test_given_a_preset_when_written_then_rosbags_and_mcap_read_the_same(tmp_path, preset):
+    bag = write_small(tmp_path / 'bag', preset=preset)
+    assert len(by_blocks(bag)) == 24
+    assert by_rosbags(bag) == by_mcap(storage(bag)) == contents(bag)[0]
+
+
+def test_given_a_bag_when_written_then_the_file_is_in_the_profile_of_ros2(tmp_path):
+    known = {JOINTS: {'lost': 3, 'late': 1, 'gaps': 0}}
+    bag = write_small(tmp_path / 'bag', known=known)
+    with open(storage(bag), 'rb') as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        header, summary = reader.get_header(), reader.get_summary()
+        metadata = {record.name: record.metadata for record in reader.iter_metadata()}
+    assert (header.profile, summary.statistics.message_count) == ('ros2', 24)
+    schemas = {(s.name, s.encoding) for s in summary.schemas.values()}
+    assert schemas == {(JOINT_STATE, 'ros2msg'), (STRING, 'ros2msg')}
+    channel = next(c for c in summary.channels.values() if c.topic == JOINTS)
+    assert channel.message_encoding == 'cdr'
+    (profile,) = yaml.safe_load(channel.metadata['offered_qos_profiles'])
+    offered = profile['reliability'], profile['history'], profile['depth']
+    assert offered == ('reliable', 'keep_last', 10)
+    inner = yaml.safe_load(metadata['rosbag2']['serialized_metadata'])
+    outer = yaml.safe_load((bag / 'metadata.yaml').read_text())['rosbag2_bagfile_information']
+    assert inner['version'] == outer['version'] == 9
+    assert (outer['storage_identifier'], outer['duration']['nanoseconds']) == ('mcap', 19 * STEP)
+    topic = outer['topics_with_message_count'][0]
+    assert topic['message_count'] == 20
+    assert topic['topic_metadata']['type_description_hash'] == channel.metadata['topic_type_hash']
+    # The hash of the release that everyone has.
+    assert channel.metadata['topic_type_hash'].startswith('RIHS01_a13ee3a330e346c9d87b5aa18d24e1')
+    assert json.loads(outer['custom_data'][RECORD_NAME]) == known
+    with open_bag(bag) as reader:
+        assert reader.known == known
+        assert (reader.start_time, reader.end_time) == (START, START + 19 * STEP + 1)
+        assert {JOINT_STATE, STRING} <= set(reader.typestore.fielddefs)
+
+
+@pytest.mark.parametrize('options', [{'split_size': 1000}, {'split_time': 10 * MS}])
+def test_given_a_limit_when_written_then_the_bag_has_several_files_and_is_one(tmp_path, options):
+    bag = write_small(tmp_path / 'bag', **options)
+    files = sorted((path.name for path in bag.glob('*.mcap')), key=lambda n: (len(n), n))
+    assert len(files) >= 4
+    assert files[:2] == ['bag_0.mcap', 'bag_1.mcap']
+    listed = yaml.safe_load((bag / 'metadata.yaml').read_text())['rosbag2_bagfile_information']
+    assert listed['relative_file_paths'] == files
+    assert sum(file['message_count'] for file in listed['files']) == 24
+    assert by_rosbags(bag) == by_blocks(bag) == by_blocks(write_small(tmp_path / 'one'))
+    if 'split_time' in options:
+        assert all(file['duration']['nanoseconds'] < 10 * MS for file in listed['files'])
+    assert [time for name in files for _, time, _ in by_blocks(bag / name)] == [
+        time for _, time, _ in by_blocks(bag)
+    ]
+
+
+def test_given_the_same_messages_when_written_with_pauses_then_the_files_are_the_same(tmp_path):
+    def write(path, pauses):
+        with BagWriter(path, 'zstd_fast', chunk_time=10 * MS) as writer:
+            messages = BagMessages(writer.typestore, 'arm')
+            writer.add_topic(JOINTS, JOINT_STATE)
+            for k in range(40):
+                stamp = START + k * STEP
+                if k % 7 == 0 and pauses:
+                    writer.room()
+                message = messages.joint_state(stamp, ('a',), [0.0], [0.0], [0.0])
+                writer.write(JOINTS, stamp, message)
+        return storage(path).read_bytes(), (path / 'metadata.yaml').read_bytes()
+
+    assert write(tmp_path / 'a' / 'bag', False) == write(tmp_path / 'b' / 'bag', True)
+
+
+def test_given_garbage_between_fields_when_it_is_taken_out_then_the_message_is_the_same(tmp_path):
+    with BagWriter(tmp_path / 'bag') as writer:
+        message = BagMessages(writer.typestore, 'arm').joint_state(5, ('a',), [1.0], [2.0], [3.0])
+        data = cdr(message)
+        hole = data.index(b'arm\0') + 4 + 4 + 4 + 2  # behind the name of the joint
+        assert data[hole : hole + 2] == bytes(2)
+        dirty = data[:hole] + b'\xaa\xbb' + data[hole + 2 :]
+        assert writer.without_garbage(JOINT_STATE, dirty) == data + bytes(-len(data) % 4)
+        for other in (b'', b'\0\1\0\0', data[:30], b'\0\0' + data[2:]):
+            assert writer.without_garbage(JOINT_STATE, other) == other
+
+
+def test_given_one_topic_with_two_types_when_copied_then_it_is_refused(tmp_path):
+    write_small(tmp_path / 'a')
+    with BagWriter(tmp_path / 'b') as writer, open_bag(tmp_path / 'a') as reader:
+        writer.add_topic(JOINTS, STRING)
+        with pytest.raises(ConfigError, match='two types'):
+            writer.copy_topic(reader.connections[0])
+
+
+# ------------------------------------------------------------------ disks that are full
+
+
+class FullDisk:
+    """A file that takes some bytes and no more."""
+
+    def __init__(self, file, room):
+        self._file, self._room = file, room
+
+    def write(self, data):
+        if self._room == 0:
+            raise OSError(errno.ENOSPC, 'No space left on device')
+        count = min(len(data), self._room)
+        self._room -= count
+        return self._file.write(data[:count])
+
+    def truncate(self, size):
+        self._room += self._file.seek(0, 2) - size
+        return self._file.truncate(size)
+
+    def __getattr__(self, name):
+        return getattr(self._file, name)
+
+
+@pytest.mark.parametrize('room', [0, 2800, 4000, 4200, 5000, 6000, 10_000, 10_300])
+def test_given_a_disk_that_gets_full_when_writing_then_all_chunks_before_can_be_read(
+    tmp_path, room
+):
+    bag = tmp_path / 'bag'
+    writer = BagWriter(bag, chunk_time=10 * MS)
+    output, messages = writer._file.output, BagMessages(writer.typestore, 'arm')
+    output.file = FullDisk(output.file, room)
+    writer.add_topic(JOINTS, JOINT_STATE)
+    with pytest.raises(OSError, match='No space left'):
+        for stamp in range(START, START + 10_000 * STEP, STEP):
+            message = messages.joint_state(stamp, ('a',), [1.0], [0.0], [0.0])
+            writer.write(JOINTS, stamp, message)
+    assert 'No space left' in writer.close()
+    assert storage(bag).stat().st_size <= room + 40  # the header was written before
+    if room == 0:
+        with pytest.raises(BagError, match='nothing in it can be recovered'):
+            contents(bag)
+        return
+    found, warnings = contents(bag)
+    assert len(found) >= (room - 3200) // 180
+    assert [time for _, time, _ in found] == [START + k * STEP for k in range(len(found))]
+    assert any('not finished' in text for text in warnings)
+
+
+ROOM = """
+import resource, sys
+from lpv.bag.rosbag.writing import BagWriter
+resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
+with BagWriter(sys.argv[1]) as writer:
+    writer.add_topic('/a', 'std_msgs/msg/String')
+    room = writer.room()
+    written = 0
+    while writer.room() > 10_000:
+        writer.write_raw('/a', 0, bytes(1000))
+        writer.flush()
+        written += 1
+    print(room, written)
+"""
+
+
+def test_given_a_limit_of_file_sizes_when_asked_then_the_room_is_known(tmp_path):
+    if resource.getrlimit(resource.RLIMIT_FSIZE)[0] != resource.RLIM_INFINITY:
+        pytest.skip('this process has a limit already')
+    line = [sys.executable, '-c', ROOM, tmp_path / 'bag']
+    result = subprocess.run(line, text=True, capture_output=True, check=True)
+    room, written = map(int, result.stdout.split())
+    assert 80_000 < room < 100_000 and 50 < written < 90
+    assert len(contents(tmp_path / 'bag')[0]) == written
+
+
+def test_given_numbers_with_gaps_and_old_stamps_when_counted_then_lost_and_late_ones_are_known():
+    count = TopicCount()
+    sequences = {b'a': (5, 6, 9, 8), b'b': (100, 101), None: (None,)}
+    for publisher, numbers in sequences.items():
+        for number in numbers:
+            count.take(publisher, number)
+    for stamp in (1, 2, 5, 3, 4, 5, 6):
+        count.stamp(stamp)
+    # 7 and 8 were lost, then 8 came.
+    assert count.known() == {'messages': 7, 'lost': 1, 'late': 2}
+
+
+# ------------------------------------------------------------------ blocks
+
+
+def joint_state(stamp, names=('joint1', 'joint2'), values=None, frame='base_link'):
+    values = [[0.1, 0.2], [0.3, math.nan], []] if values is None else values
+    return BagMessages(TYPESTORE, frame).joint_state(stamp, names, *values)
+
+
+def cdr(message, msgtype=JOINT_STATE):
+    return bytes(TYPESTORE.serialize_cdr(message, msgtype))
+
+
+def entries(count=400, seed=1, disorder=0):
+    """Topic, log time and bytes; times are out of order by as much as is asked for [ns]."""
+    rng = np.random.default_rng(seed)
+    for k in range(count):
+        time = 10_000 + 10 * k + int(rng.integers(2 * disorder + 1))
+        yield JOINTS, time, cdr(joint_state(k, values=rng.normal(size=(3, 2))))
+        if k % 7 == 0:
+            text = TYPESTORE.types[STRING]('x' * int(rng.integers(0, 40)))
+            yield CHATTER, time, cdr(text, STRING)
+
+
+def write_peer(path, content, **options):
+    """A file by the mcap package."""
+    with open(path, 'wb') as file:
+        writer = PeerWriter(file, chunk_size=4000, **options)
+        writer.start(profile='ros2', library='test')
+        channels = {}
+        for topic, msgtype in TOPICS.items():
+            definition = TYPESTORE.generate_msgdef(msgtype, ros_version=2)[0]
+            schema = writer.register_schema(msgtype, 'ros2msg', definition.encode())
+            channels[topic] = writer.register_channel(topic, 'cdr', schema)
+        for topic, time, data in content:
+            writer.add_message(channels[topic], log_time=time, publish_time=time - 1, data=data)
+        writer.finish()
+    return path
+
+
+KINDS = {
+    'none': {'compression': CompressionType.NONE},
+    'lz4': {'compression': CompressionType.LZ4},
+    'zstd': {'compression': CompressionType.ZSTD},
+    'no chunks': {'use_chunking': False},
+    'no crc': {'compression': CompressionType.NONE, 'enable_crcs': False},
+}
+
+
+@pytest.mark.parametrize('size', [5000, 2 << 20])
+@pytest.mark.parametrize('kind', KINDS)
+def test_given_a_file_of_any_kind_when_read_in_blocks_then_messages_are_those_of_rosbags(
+    tmp_path, monkeypatch, kind, size
+):
+    monkeypatch.setattr(reading, 'BLOCK_SIZE', size)
+    path = write_peer(tmp_path / 'a.mcap', entries(), **KINDS[kind])
+    assert by_blocks(path) == by_rosbags(path)
+    assert by_blocks(path, (CHATTER,)) == by_rosbags(path, (CHATTER,))
+    for limits in ({'start': 11_000}, {'stop': 12_345}, {'start': 11_111, 'stop': 13_000}):
+        assert by_blocks(path, **limits) == by_rosbags(path, **limits)
+
+
+@pytest.mark.parametrize('disorder', [15, 400, 1_000_000])
+def test_given_chunks_that_overlap_when_read_in_blocks_then_the_order_is_that_of_times(
+    tmp_path, monkeypatch, disorder
+):
+    monkeypatch.setattr(reading, 'BLOCK_SIZE', 5000)
+    content = list(entries(disorder=disorder))
+    path = write_peer(tmp_path / 'a.mcap', content)
+    assert by_blocks(path) == sorted(content, key=lambda entry: entry[1])
+    monkeypatch.setattr(reading, '_LARGEST_GROUP', 20_000)
+    if disorder == 1_000_000:
+        with pytest.raises(BagError, match='overlap in time'):
+            by_blocks(path)
+
+
+@pytest.mark.parametrize('plugin', list(StoragePlugin))
+def test_given_a_folder_when_read_in_blocks_then_messages_are_the_same(tmp_path, plugin):
+    content = list(entries())
+    with Writer(tmp_path / 'bag', version=9, storage_plugin=plugin) as writer:
+        connections = {
+            topic: writer.add_connection(topic, msgtype, typestore=TYPESTORE)
+            for topic, msgtype in TOPICS.items()
+        }
+        for topic, time, data in content:
+            writer.write(connections[topic], time, data)
+    assert by_blocks(tmp_path / 'bag') == content
+
+
+def test_given_bytes_that_are_no_records_when_split_then_it_is_damage():
+    good = np.frombuffer(b'\x05' + (22).to_bytes(8, 'little') + bytes(22), np.uint8)
+    assert len(split(good)[0]) == 1
+    short = good.copy()
+    short[1] = 21
+    for bad in (good[:-1], good[:5], np.concatenate([good, good[:20]]), short[:-1]):
+        with pytest.raises(DamageError):
+            split(bad)
+
+
+@pytest.mark.parametrize('preset', ['none', 'zstd_fast', 'zstd_small'])
+def test_given_chunks_when_written_then_others_read_what_was_written_one_by_one(tmp_path, preset):
+    rng, times = np.random.default_rng(4), 10**18 + 7 * np.arange(500)
+    values = rng.normal(size=(3, 500, 2))
+    for way in ('chunks', 'messages'):
+        with BagWriter(tmp_path / way, preset) as writer:
+            for topic, msgtype in TOPICS.items():
+                writer.add_topic(topic, msgtype)
+            messages, text = (
+                BagMessages(writer.typestore, 'base_link'),
+                TYPESTORE.types[STRING]('a'),
+            )
+            zero = messages.joint_state(0, ('a', 'b'), *np.zeros((3, 2)))
+            number = writer.channel(JOINTS)
+            template = RecordTemplate(writer.typestore, zero, JOINT_STATE, number)
+            for first in range(0, 500, 200):
+                rows = slice(first, first + 200)
+                if way == 'chunks':
+                    fields = dict(zip(('position', 'velocity', 'effort'), values[:, rows]))
+                    writer.write_chunk(template.fill(times[rows], times[rows], fields))
+                for k in range(*rows.indices(500)) if way == 'messages' else ():
+                    message = messages.joint_state(int(times[k]), ('a', 'b'), *values[:, k])
+                    writer.write(JOINTS, int(times[k]), message)
+                writer.write(CHATTER, int(times[first]), text)
+        assert writer.counts == {JOINTS: 500, CHATTER: 3}
+    assert by_rosbags(tmp_path / 'chunks') == by_blocks(tmp_path / 'chunks')
+    assert sorted(by_blocks(tmp_path / 'chunks')) == sorted(by_blocks(tmp_path / 'messages'))
+    file = storage(tmp_path / 'chunks')
+    assert [time for topic, time, _ in by_mcap(file) if topic == JOINTS] == times.tolist()
+    with open(file, 'rb') as stream:
+        found = make_reader(stream, validate_crcs=True).get_summary().statistics
+    assert (found.message_count, found.message_start_time) == (503, times[0])
+    assert found.message_end_time == times[-1]
+
+
+def test_given_items_when_read_ahead_then_they_come_in_order_and_errors_too():
+    assert list(ahead(range(100))) == list(range(100))
+
+    def fail():
+        yield 1
+        raise KeyError('here')
+
+    found = ahead(fail())
+    assert next(found) == 1
+    with pytest.raises(KeyError, match='here'):
+        next(found)
+
+
+# ------------------------------------------------------------------ layouts
+
+NUMBERS = st.floats(allow_nan=True, width=64)
+NAMES = st.lists(st.text('abcäß/_ ', min_size=0, max_size=9), min_size=1, max_size=5)
+
+
+@settings(max_examples=100)
+@given(st.data(), NAMES, st.text(max_size=20).filter(lambda t: '\0' not in t))
+def test_given_any_measurement_when_read_by_its_layout_then_values_are_those_of_the_message(
+    data, names, frame
+):
+    count = len(names)
+    lengths = [data.draw(st.sampled_from([0, count])) for _ in range(3)]
+    values = [data.draw(st.lists(NUMBERS, min_size=n, max_size=n)) for n in lengths]
+    stamp = data.draw(st.integers(0, 2**31 * 10**9 - 1))
+    content = cdr(joint_state(stamp, names, values, frame))
+    layout = find_layout(content, JOINT_STATE, TYPESTORE)
+    buffer, start = np.frombuffer(b'???' + content, np.uint8), np.array([3])
+    assert layout.match(buffer, start, np.array([len(content)])).all()
+    assert layout.stamps(buffer, start)[0] == stamp
+    for name, expected in zip(('position', 'velocity', 'effort'), values):
+        np.testing.assert_array_equal(layout.read(buffer, start, name)[0], expected)
+
+
+def test_given_one_byte_that_differs_when_matched_then_only_numbers_and_padding_may():
+    content = cdr(joint_state(5))
+    layout, start = find_layout(content, JOINT_STATE, TYPESTORE), np.zeros(1, int)
+    for at in range(len(content)):
+        changed = np.frombuffer(content, np.uint8).copy()
+        changed[at] ^= 1
+        try:
+            other = TYPESTORE.deserialize_cdr(changed.tobytes(), JOINT_STATE)
+            same = list(other.name) == ['joint1', 'joint2'] and other.header.frame_id == 'base_link'
+        except Exception:
+            same = False
+        if layout.match(changed, start, np.array([len(content)]))[0]:
+            assert same
+            back = layout.read(changed, start, 'position')[0]
+            np.testing.assert_array_equal(back, other.position)
+    for bad in (b'', b'\0\1', bytes(11), b'\0\0' + content[2:]):
+        assert find_layout(bad, JOINT_STATE, TYPESTORE) is None

@@ -1,0 +1,263 @@
+"""CSV recordings as bags: exact stamps, units, missing values, damaged files."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from places import BRINGUP
+
+from lpv.bag.rosbag.reading import open_bag
+from lpv.bag.run.csv_import import ANGLE_UNITS, TIME_UNITS, CsvError, import_csv, load_column_map
+from lpv.bag.run.record import load_run
+from lpv.bag.run.streams import stamp_of
+from lpv.cli.main import main
+from lpv.core.support.errors import ConfigError
+
+COLUMNS = """
+time: {column: t, unit: s}
+joints:
+  shoulder: {position: q1, velocity: w1, effort: u1}
+  elbow: {position: q2, velocity: w2, effort: u2}
+"""
+KEPT = COLUMNS.replace('unit: s', 'unit: s, keep: true')
+NAMES = ('t', 'q1', 'q2', 'w1', 'w2', 'u1', 'u2')
+HEADER = 't,q1,q2,w1,w2,u1,u2\n'
+LINES = (
+    '0.0,0.1,0.2,0.3,0.4,0.5,0.6\n0.002,1.1,1.2,1.3,1.4,1.5,1.6\n0.004,2.1,2.2,2.3,2.4,2.5,2.6\n'
+)
+SECOND, MS = 1_000_000_000, 1_000_000
+NAN = math.nan
+
+
+@pytest.fixture(scope='module')
+def convert(tmp_path_factory):
+    """Imports a text in a folder of its own: warnings, messages, bag."""
+
+    def run(content, columns=COLUMNS, **options):
+        folder = run.folder = tmp_path_factory.mktemp('csv')
+        source, mapping, out = (folder / n for n in ('run.csv', 'columns.yaml', 'bag'))
+        source.write_bytes(content if isinstance(content, bytes) else content.encode())
+        mapping.write_text(columns)
+        count, warnings = import_csv(source, load_column_map(mapping), out, **options)
+        with open_bag(out) as reader:
+            found = [
+                (time, reader.deserialize(data, c.msgtype)) for c, time, data in reader.messages()
+            ]
+        assert [time for time, _ in found] == [stamp_of(m.header.stamp) for _, m in found]
+        assert len(found) == count
+        return warnings, [m for _, m in found], out
+
+    return run
+
+
+def stamps(messages):
+    return [stamp_of(m.header.stamp) for m in messages]
+
+
+def values(message):
+    return np.concatenate([message.position, message.velocity, message.effort]).tolist()
+
+
+CELL = st.floats(-1e6, 1e6) | st.just(NAN)
+
+
+@settings(max_examples=25)
+@given(st.data())
+def test_given_any_recording_when_imported_then_every_number_is_where_it_belongs(convert, data):
+    start, unit = (
+        data.draw(st.sampled_from([None, 1.0, 12.5])),
+        data.draw(st.sampled_from(sorted(TIME_UNITS))),
+    )
+    angle, names = (
+        data.draw(st.sampled_from(sorted(ANGLE_UNITS))),
+        data.draw(st.permutations([*NAMES, 'extra'])),
+    )
+    delimiter, end = (
+        data.draw(st.sampled_from(',;\t')),
+        data.draw(st.sampled_from(['\n', '\r\n', '\n\n'])),
+    )
+    times = sorted(data.draw(st.sets(st.integers(0, 2**31 * SECOND - 1), min_size=1, max_size=5)))
+    cells = [data.draw(st.lists(CELL, min_size=6, max_size=6)) for _ in times]
+    lines = [delimiter.join(f' {name} ' for name in names)]
+    for time, row in zip(times, cells):
+        whole, rest = divmod(time, TIME_UNITS[unit])
+        digits = len(str(TIME_UNITS[unit])) - 1
+        texts = {'t': f'{whole}.{rest:0{digits}d}' if digits else str(whole), 'extra': 'text'}
+        texts |= {n: '' if math.isnan(v) else repr(v) for n, v in zip(NAMES[1:], row)}
+        lines.append(delimiter.join(texts[name] for name in names))
+    keep = 'keep: true' if start is None else f'start: {start}'
+    columns = COLUMNS.replace('unit: s', f'unit: {unit}, {keep}') + f'angle_unit: {angle}\n'
+    text = (
+        data.draw(st.sampled_from(['', '\ufeff']))
+        + end.join(lines)
+        + data.draw(st.sampled_from(['', end]))
+    )
+    shift = 0 if start is None else round(start * SECOND) - times[0]
+    if times[-1] + shift >= 2**31 * SECOND:
+        return
+    warnings, messages, _ = convert(text, columns, delimiter=delimiter)
+    assert warnings == []
+    assert stamps(messages) == [time + shift for time in times]
+    factor = np.repeat([ANGLE_UNITS[angle], 1.0], [4, 2])
+    for message, row in zip(messages, cells):
+        assert message.name == ['shoulder', 'elbow']
+        np.testing.assert_allclose(values(message), factor * row, rtol=1e-15)
+
+
+def test_given_joints_without_efforts_when_imported_then_messages_carry_none_or_not_a_number(
+    convert,
+):
+    one = COLUMNS.replace(', effort: u1', '')
+    _, (message,), _ = convert('t,q1,q2,w1,w2,u2\n0,1,2,3,4,5\n', one)
+    np.testing.assert_array_equal(message.effort, [NAN, 5.0])
+    _, (message,), _ = convert('t,q1,q2,w1,w2\n0,1,2,3,4\n', one.replace(', effort: u2', ''))
+    assert (message.effort.tolist(), message.velocity.tolist()) == ([], [3.0, 4.0])
+
+
+def test_given_an_imported_bag_when_loaded_as_a_run_then_it_is_complete(convert):
+    record = load_run(convert(HEADER + LINES)[2])
+    assert record.joint_names == ('shoulder', 'elbow')
+    assert record.time.tolist() == [0.0, 0.002, 0.004]
+    assert record.get('joint_states', 'effort').tolist() == [[0.5, 0.6], [1.5, 1.6], [2.5, 2.6]]
+
+
+@pytest.mark.parametrize('last', ['0.006', '0.006,3.1,3.2,3.3,3.4,3.5', *(
+    '0.006,3.1,3.2,3.3,3.4,3.5,' + cell for cell in ('-', '2.6e', '2.6e-'))])  # fmt: skip
+def test_given_a_last_line_that_is_cut_off_when_imported_then_all_others_are_kept(convert, last):
+    (warning,), messages, _ = convert(HEADER + LINES + last)
+    assert stamps(messages) == [SECOND, SECOND + 2 * MS, SECOND + 4 * MS]
+    assert 'line 5' in warning
+
+
+def test_given_time_that_runs_backwards_when_imported_then_all_is_kept_with_a_warning(convert):
+    text = ''.join(f'{t},0,0,0,0,0,0\n' for t in (5.0, 5.1, 5.1, 4.9, 5.2))
+    (warning,), messages, _ = convert(HEADER + text)
+    assert sorted(stamps(messages)) == [900 * MS, SECOND, 1100 * MS, 1100 * MS, 1200 * MS]
+    assert 'backwards 2 times' in warning
+
+
+def with_cell(index, text):
+    cells = ['0.006', '3.1', '3.2', '3.3', '3.4', '3.5', '3.6']
+    cells[index] = text
+    return HEADER + LINES + ','.join(cells) + '\n'
+
+
+NO_NUMBERS = ((0, 'abc'), (1, '1.2.3'), (4, '0x10'), (6, '1 2'))
+NO_TIMES = ('', 'nan', 'inf', '-inf', '-0.001', '1e300', '2147483648')
+LINE = b'0,1,2,3,4,5,6\n'
+NOTHING = ('', '\n', HEADER, b'\x80\x81\xff' * 50, bytes(100))
+DAMAGED = [
+    (HEADER + '0,1,2,3\n' + LINES, r'run\.csv: line 2 has too few cells'),
+    *((with_cell(k, t), rf"line 5, column '{NAMES[k]}': '{t}'") for k, t in NO_NUMBERS),
+    *((with_cell(0, text), "line 5, column 't'") for text in NO_TIMES),
+    *((content, r'run\.csv') for content in NOTHING),
+    (HEADER.encode() + LINE * 3000 + b'\xff\xfe\n' + LINE, r'run\.csv'),
+]
+for _name in ('t', 'q2', 'u1'):
+    _text = HEADER.replace(f'{_name},', 'other,', 1) + LINES
+    DAMAGED.append((_text, rf"no column '{_name}'; it has .*other"))
+
+
+@pytest.mark.parametrize(('content', 'told'), DAMAGED)
+def test_given_a_file_that_is_damaged_when_imported_then_the_place_is_named_and_no_bag_is_left(
+    convert, content, told
+):
+    with pytest.raises(CsvError, match=told):
+        convert(content, KEPT)
+    assert not (convert.folder / 'bag').exists()
+
+
+@pytest.mark.parametrize('delimiter', ['', ';;', '\\t'])
+def test_given_a_delimiter_of_another_length_than_one_when_imported_then_it_is_an_error(
+    convert, delimiter
+):
+    with pytest.raises(CsvError):
+        convert(HEADER + LINES, delimiter=delimiter)
+
+
+def test_given_no_file_or_an_existing_bag_when_imported_then_the_error_names_it(convert, tmp_path):
+    _, _, out = convert(HEADER + LINES)
+    before = {file.name: file.read_bytes() for file in out.iterdir()}
+    columns = load_column_map(out.parent / 'columns.yaml')
+    with pytest.raises(ConfigError, match='exists'):
+        import_csv(out.parent / 'run.csv', columns, out)
+    assert {file.name: file.read_bytes() for file in out.iterdir()} == before
+    for source in (tmp_path / 'nothing.csv', tmp_path):
+        with pytest.raises(CsvError, match=source.name):
+            import_csv(source, columns, tmp_path / 'bag')
+    assert not (tmp_path / 'bag').exists()
+
+
+def test_given_the_shipped_map_when_loaded_then_it_fits_the_recordings():
+    columns = load_column_map(BRINGUP / 'columns' / 'real_arm.yaml')
+    kinds = [f'{name}{i}' for i in (1, 2) for name in ('pos_meas', 'vel_meas', 'tau_meas')]
+    assert columns.columns == ['time', *kinds]
+    assert list(columns.joints) == ['joint1', 'joint2']
+    assert (columns.time_unit, columns.start, columns.angle_unit) == ('s', 1.0, 'rad')
+
+
+@pytest.mark.parametrize(
+    ('old', 'new', 'field'),
+    [
+        ('unit: s', 'unit: h', r'time\.unit'),
+        ('unit: s', 'unit: s, offset: 3', r'time\.offset'),
+        ('unit: s', 'unit: s, start: 0', r'time\.start'),
+        ('unit: s', 'unit: s, start: 5, keep: true', r'time\.start'),
+        ('unit: s', 'unit: s, keep: maybe', r'time\.keep'),
+        ('column: t, ', '', r'time\.column'),
+        ('position: q2, ', '', r'joints\.elbow\.position'),
+        ('effort: u1', 'torque: u1', r'joints\.shoulder\.torque'),
+        ('{position: q2, velocity: w2, effort: u2}', 'q2', r'joints\.elbow'),
+        ('time:', 'angle_unit: turns\ntime:', 'angle_unit'),
+        ('time:', 'speed: 3\ntime:', 'speed'),
+        ('joints:', 'joints: {}\nother:', 'joints'),
+    ],
+)
+def test_given_a_map_with_a_mistake_when_loaded_then_the_field_is_named(tmp_path, old, new, field):
+    (tmp_path / 'columns.yaml').write_text(COLUMNS.replace(old, new, 1))
+    with pytest.raises(ConfigError, match=rf'columns\.yaml: {field}: '):
+        load_column_map(tmp_path / 'columns.yaml')
+
+
+@pytest.mark.parametrize(
+    ('text', 'columns', 'said'),
+    [
+        ((HEADER + LINES + '0.006,3.1').replace(',', ';'), COLUMNS, None),
+        (None, COLUMNS, 'run.csv'),
+        ('a;b\n1;2\n', COLUMNS, "no column 't'"),
+        ((HEADER + '0,x,2,3,4,5,6\n').replace(',', ';'), COLUMNS, "column 'q1'"),
+        (HEADER + LINES, None, 'columns.yaml'),
+        (HEADER + LINES, HEADER, 'columns.yaml'),
+        (HEADER + LINES, 'time: {column: t\njoints: [', 'columns.yaml'),
+    ],
+)
+def test_given_the_command_when_run_then_it_says_how_many_samples_or_what_is_wrong_in_one_line(
+    tmp_path, capsys, text, columns, said
+):
+    for name, content in (('run.csv', text), ('columns.yaml', columns)):
+        if content is not None:
+            (tmp_path / name).write_text(content)
+    places = [str(tmp_path / name) for name in ('run.csv', 'columns.yaml', 'bag')]
+    options = [
+        '--columns',
+        places[1],
+        '--out',
+        places[2],
+        '--delimiter',
+        ';',
+        '--topic',
+        '/a/joint_states',
+    ]
+    code, printed = main(['import-csv', places[0], *options]), capsys.readouterr()
+    assert (code, printed.err.count('\n')) == (2 if said else 0, 1)
+    if said:
+        assert (
+            printed.out == '' and printed.err.startswith('lpv import-csv: ') and said in printed.err
+        )
+        return
+    assert printed.out.startswith('3 samples of shoulder, elbow')
+    assert 'warning: line 5' in printed.err
+    with open_bag(tmp_path / 'bag') as reader:
+        assert [(c.topic, c.msgcount) for c in reader.connections] == [('/a/joint_states', 3)]

@@ -1,0 +1,219 @@
+"""Runs of a campaign as bags: the signals of the run, its answers, and files to repeat it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from lpv.bag.run.record import load_run
+from lpv.campaign.execution.run_to_bag import (
+    START,
+    check_answers,
+    differences,
+    stamps_of,
+    write_run_bag,
+)
+from lpv.campaign.execution.runs import plan_run
+from lpv.campaign.plan.campaign import resolve
+from lpv.cli.main import main
+from lpv.core.serial_arm.arm_file import load_arm
+from lpv.core.simulation.scenario import load_scenario
+from lpv.core.support.config import read_yaml
+from lpv.core.support.errors import LpvError
+from lpv.core.uio.certificate.gains import load_gains, save_gains
+
+pytestmark = pytest.mark.slow
+
+SPEC = """
+name: bags
+seed: 5
+plan: {method: random, runs: 3}
+duration: 2.5
+designs: [gains.yaml]
+factors:
+  path: random
+  fault.kind: [bias, dropout, spike]
+  fault.sensor: both
+  fault.size: {bias: 0.3, spike: 0.4}
+  fault.rate: {spike: 20.0}
+  fault.onset: {low: 0.8, high: 1.0}
+  fault.duration: 0.7
+  mass_2: {low: 0.97, high: 1.03}
+  command_delay: 2
+  sample_loss: 0.05
+  diagnosis.clear_dwell: 0.2
+"""
+
+
+@pytest.fixture(scope='module')
+def folder(paper_gains, tmp_path_factory):
+    """Folder with a campaign file and its gains."""
+    folder = tmp_path_factory.mktemp('campaign')
+    save_gains(paper_gains, folder / 'gains.yaml')
+    (folder / 'spec.yaml').write_text(SPEC)
+    return folder
+
+
+@pytest.fixture(scope='module')
+def campaign(folder):
+    return resolve(read_yaml(folder / 'spec.yaml'), 'spec.yaml', folder)
+
+
+@pytest.fixture(scope='module')
+def results(folder):
+    """Results folder of the campaign."""
+    line = ['campaign', str(folder / 'spec.yaml'), '--out', str(folder / 'out')]
+    assert main([*line, '--workers', '0', '--no-report']) == 0
+    return folder / 'out'
+
+
+@pytest.fixture(scope='module')
+def done(campaign, tmp_path_factory):
+    """Plan, run and bag of a run with lost samples and late commands."""
+    plan = plan_run(campaign, 1)
+    run, bag = plan.simulate(), tmp_path_factory.mktemp('run') / 'bag'
+    write_run_bag(plan, run, bag)
+    return plan, run, bag
+
+
+def test_given_a_run_when_written_as_a_bag_then_its_signals_are_there_without_the_lost_samples(
+    done,
+):
+    _, run, bag = done
+    record, kept = load_run(bag), ~run.lost
+    assert 20 < run.lost.sum() < 150
+    stamps = stamps_of(run)
+    np.testing.assert_array_equal(record.stamps['joint_states'], stamps[kept])
+    np.testing.assert_array_equal(record.stamps['ground_truth'], stamps)
+    effort = np.vstack([[0.0, 0.0], run.torque[:-1]])
+    answered = kept & ~run.safe_stop
+    for stream, field, expected in (
+        ('joint_states', 'position', run.measured[kept]),
+        ('joint_states', 'velocity', run.measured_velocity[kept]),
+        ('joint_states', 'effort', effort[kept]),
+        ('ground_truth', 'position', run.position),
+        ('ground_truth', 'velocity', run.velocity),
+        ('ground_truth', 'fault', run.fault),
+        ('ground_truth', 'torque', effort),
+        ('ground_truth', 'disturbance', run.disturbance),
+        ('state_estimate', 'compensated_position', run.compensated[kept]),
+        ('torque_command', 'safe_stop', run.safe_stop[kept]),
+        ('reference', 'position', run.reference[answered]),
+    ):
+        np.testing.assert_array_equal(record.get(stream, field), expected, f'{stream} {field}')
+    np.testing.assert_array_equal(record.stamps['reference'], stamps[answered])
+    assert [a.kind for a in record.alarms] == [a.kind for a in run.alarms] != []
+    assert record.counts['/diagnostics'] >= 2
+    # A command acts so many samples later, within limits.
+    torque = record.get('torque_command', 'torque')
+    assert record.seconds(record.stamps['torque_command'][-1]) == pytest.approx(2.5, abs=0.05)
+    row = int(np.flatnonzero(answered & ~run.braked)[300])
+    np.testing.assert_array_equal(
+        torque[np.searchsorted(stamps[kept], stamps[row])], run.torque[row + 2]
+    )
+    reference = record.get('reference', 'position'), record.get('reference', 'velocity')
+    rate = np.gradient(reference[0], (record.stamps['reference'] - START) / 1e9, axis=0)
+    np.testing.assert_allclose(rate[50:-50], reference[1][50:-50], atol=5e-3)
+
+
+def test_given_the_bag_of_a_run_when_replayed_with_its_files_then_every_bit_is_the_same(
+    done, tmp_path, capsys
+):
+    plan, _, bag = done
+    assert load_arm(bag / 'arm.yaml') == plan.arm
+    assert load_scenario(bag / 'scenario.yaml') == plan.scenario
+    assert load_gains(bag / 'gains.yaml').certificate == plan.gains.certificate
+    files = ['--arm', str(bag / 'arm.yaml')]
+    again = tmp_path / 'again'
+    others = ['--gains', str(bag / 'gains.yaml'), '--parameters', str(bag / 'parameters.yaml')]
+    assert main(['replay', str(bag), *files, *others, '--out', str(again)]) == 0
+    assert main(['compare', str(bag), str(again), *files, '--exact']) == 0
+    report = ['--scenario', str(bag / 'scenario.yaml'), '--out', str(tmp_path / 'report')]
+    assert main(['report', str(bag), *files, *report]) == 0
+    assert (tmp_path / 'report' / 'report.html').stat().st_size > 10_000
+    capsys.readouterr()
+
+
+def test_given_a_replay_that_answers_otherwise_when_checked_then_the_signal_is_named(done):
+    _, run, bag = done
+    check_answers(run, bag)
+    for name in ('estimate', 'threshold', 'fault_estimate'):
+        values = getattr(run, name).copy()
+        values[np.flatnonzero(~run.lost)[-1], 1] += 1e-15
+        with pytest.raises(LpvError, match=f'another {name} '):
+            check_answers(replace(run, **{name: values}), bag)
+    with pytest.raises(LpvError, match='alarms'):
+        check_answers(replace(run, alarms=run.alarms[:-1]), bag)
+    with pytest.raises(LpvError, match='other samples'):
+        check_answers(replace(run, lost=np.roll(run.lost, 1)), bag)
+
+
+def test_given_results_when_a_run_is_asked_for_then_its_figures_are_those_and_the_bag_is_there(
+    results, tmp_path, capsys
+):
+    assert main(['campaign', str(results), '--run', '2', '--bag', str(tmp_path / 'bag')]) == 0
+    text = capsys.readouterr().out
+    assert 'detection_delay' in text
+    assert 'lpv replay' in text
+    assert load_run(tmp_path / 'bag').counts['/lpv/ground_truth'] == 1251
+    assert main(['campaign', str(results), '--run', '2', '--bag', str(tmp_path / 'bag')]) == 2
+    assert 'exists already' in capsys.readouterr().err
+    assert sorted(p.name for p in tmp_path.iterdir()) == ['bag']
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'told'),
+    [
+        (['--run', '3', '--bag', 'x'], 'must lie within 0 and 2'),
+        (['--run', '-1', '--bag', 'x'], 'must lie within 0 and 2'),
+        (['--run', '1'], 'must be given together'),
+        (['--bag', 'x'], 'must be given together'),
+    ],
+)
+def test_given_a_run_that_is_not_there_when_asked_for_then_it_is_told(
+    results, capsys, arguments, told
+):
+    assert main(['campaign', str(results), *arguments]) == 2
+    assert told in capsys.readouterr().err
+
+
+def test_given_a_folder_without_results_when_asked_for_a_run_then_it_is_told(tmp_path, capsys):
+    assert main(['campaign', str(tmp_path), '--run', '1', '--bag', str(tmp_path / 'b')]) == 2
+    assert 'holds no results' in capsys.readouterr().err
+
+
+def test_given_results_that_are_not_what_comes_out_now_when_asked_then_the_figure_is_named(
+    results, tmp_path, capsys
+):
+    other = tmp_path / 'out'
+    (other / 'chunks').mkdir(parents=True)
+    (other / 'campaign.json').write_bytes((results / 'campaign.json').read_bytes())
+    table = pq.read_table(results / 'runs.parquet')
+    index = table.schema.get_field_index('angle_rms')
+    wrong = table.set_column(index, 'angle_rms', pa.array([1.0] * len(table)))
+    pq.write_table(wrong, other / 'chunks' / '00000000.parquet')
+    assert main(['campaign', str(other), '--run', '0', '--bag', str(tmp_path / 'bag')]) == 2
+    assert 'another angle_rms now' in capsys.readouterr().err
+    assert not (tmp_path / 'bag').exists()
+
+
+def test_given_figures_when_compared_then_last_bits_and_missing_ones_do_not_count():
+    nan = float('nan')
+    stored = {'a': 1.0, 'b': nan, 'd': 'x', 'e': True}
+    assert differences(stored, {**stored, 'a': 1.0 + 1e-14, 'more': 1}) == []
+    wrong = {'a': 1.1, 'b': 0.0, 'd': 'y', 'e': False}
+    assert differences(stored, wrong) == list(wrong)
+
+
+def test_given_a_run_of_a_serial_arm_when_written_as_a_bag_then_a_replay_answers_alike(tmp_path):
+    factors = {'path': 'random', 'fault.kind': 'bias', 'fault.size': 0.1, 'fault.onset': 1.5}
+    spec = {'name': 's', 'arm': 'ur10', 'scenario': 'ur10', 'duration': 2.5, 'factors': factors}
+    plan = plan_run(resolve({**spec, 'plan': {'method': 'random', 'runs': 1}}, 's', '.'), 0)
+    run = plan.simulate()
+    write_run_bag(plan, run, tmp_path / 'bag')
+    record = load_run(tmp_path / 'bag')
+    np.testing.assert_array_equal(record.get('fault_estimate', 'estimate'), run.fault_estimate)
+    assert [alarm.sensor for alarm in record.alarms] == [alarm.sensor for alarm in run.alarms] != []
+    assert (tmp_path / 'bag' / 'scenario.yaml').is_file()

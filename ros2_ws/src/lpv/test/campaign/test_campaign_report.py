@@ -1,0 +1,271 @@
+"""Reports of campaigns: made-up rows with known answers, a page that is whole, the command."""
+
+import json
+import math
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from scipy.stats import chi2
+
+from lpv.campaign.plan.campaign import resolve
+from lpv.campaign.report import write_report
+from lpv.campaign.report.statistics import Results, found_from, poisson_rate, roc, spread, trends
+from lpv.campaign.report.write import command, confusion, report_numbers, suspicion
+from lpv.cli.main import main
+from lpv.core.support.resources import shipped_files
+
+pytestmark = pytest.mark.slow
+
+SENSORS = ('link1_angle', 'link2_angle')
+SPEC = {
+    'name': 'made <up>',
+    'duration': 10.0,
+    'designs': [str(shipped_files('gains')['paper'])],
+    'plan': {'method': 'random', 'runs': 120},
+    'factors': {'fault.kind': ['none', 'bias', 'stuck'], 'compensation': ['off', 'confirmed']},
+}
+
+
+@pytest.fixture(scope='module')
+def campaign():
+    return resolve(SPEC, 'made_up', '.')
+
+
+def row(number, **changes):
+    """A healthy run of 10 s, but for the changes."""
+    texts = dict.fromkeys(('kind', 'sensor', 'said_kind', 'said_sensor'), 'none')
+    counts = dict.fromkeys(('false_alarms', 'wrong_alarms', 'safe_stops', 'alarms'), 0)
+    each = {'score_before': 0.5, 'score_during': math.nan, 'alarms_before': 0, 'found': False,
+            'error_rms': 0.01, 'mean_threshold': 0.05}  # fmt: skip
+    columns = {f'{name}_{i}': value for name, value in each.items() for i in (1, 2)}
+    floats = dict.fromkeys(
+        ('fault_size', 'detection_delay', 'size_error', 'tracking_rms_during', 'tracking_ratio'),
+        math.nan,
+    )
+    return {
+        'number': number, **texts, **counts, **columns, **floats, 'detected': False,
+        'isolated': False, 'stable': True, 'observed': 10.0, 'healthy_time': 10.0,
+        'early_time': 10.0, 'tracking_max': 0.01, 'tracking_rms': 0.001,
+        'compensation': 'confirmed', **changes,
+    }  # fmt: skip
+
+
+def made_up(count):
+    """Rows of all sorts, with NaN here and there."""
+    rng, rows = np.random.default_rng(1), []
+    for number in range(count):
+        kind = ('none', 'bias', 'stuck')[number % 3]
+        sensor, found = (*SENSORS, 'both')[number % 4 % 3], bool(rng.random() < 0.7)
+        changes = {'compensation': ('off', 'confirmed')[number % 2]}
+        if kind != 'none':
+            changes.update(
+                kind=kind, sensor=sensor, detected=found, isolated=found, found_1=found,
+                said_kind=kind if found else 'none', said_sensor=sensor if found else 'none',
+                fault_size=10 ** rng.uniform(-2, 0) if kind == 'bias' else math.nan,
+                detection_delay=rng.uniform(0.01, 1.0) if found else math.nan,
+                score_during_1=rng.uniform(0.0, 3.0), score_during_2=rng.uniform(0.0, 3.0),
+                healthy_time=8.0, early_time=4.0, stable=bool(rng.random() < 0.9),
+            )  # fmt: skip
+        rows.append(row(number, **changes))
+    return rows
+
+
+def table(rows):
+    return pa.table({name: [row[name] for row in rows] for name in rows[0]})
+
+
+def numbers_of(campaign, rows, tmp_path):
+    return report_numbers(campaign, table(rows), tmp_path, campaign.spec.runs)
+
+
+@pytest.mark.parametrize(('events', 'hours'), [(0, 2.0), (3, 1.0), (100, 7.0)])
+def test_given_events_when_their_rate_is_bounded_then_it_is_the_exact_poisson_interval(
+    events, hours
+):
+    found = poisson_rate(events, hours)
+    tail = 0.025 if events else 0.05
+    assert chi2.cdf(2.0 * hours * found['high'], 2 * events + 2) == pytest.approx(1.0 - tail)
+    if events:
+        assert chi2.cdf(2.0 * hours * found['low'], 2 * events) == pytest.approx(tail)
+    assert poisson_rate(events, 0.0)['rate'] is None
+
+
+def test_given_scores_when_swept_then_the_area_is_that_below_the_curve():
+    rng = np.random.default_rng(4)
+    found = roc(rng.normal(1.5, 0.5, 150), rng.normal(0.9, 0.4, 150))
+    area = np.trapezoid(found['detection'], found['false_alarm'])
+    assert found['area'] == pytest.approx(area, abs=0.01)
+    assert roc(np.array([2.0, 3.0]), np.array([0.1, 0.2]))['area'] == 1.0
+    assert roc(np.ones(9), np.ones(7))['area'] == 0.5
+    assert roc(np.array([math.nan]), np.ones(3)) is None
+
+
+def test_given_sizes_when_asked_from_where_on_they_are_found_then_it_is_that_size():
+    sizes = np.linspace(0.1, 2.0, 20)
+    assert found_from(sizes, sizes > 0.95) == pytest.approx(1.0)
+    assert found_from(sizes, np.ones(20, bool)) == pytest.approx(0.1)
+    assert math.isnan(found_from(sizes, np.zeros(20, bool)))
+    assert math.isnan(found_from(sizes[:5], np.ones(5, bool)))  # too few to say anything
+
+
+def test_given_answers_when_counted_then_the_matrix_is_that_of_the_rows():
+    truth = np.array(['bias', 'bias', 'drift', 'drift'], object)
+    said = np.array(['bias', 'none', 'odd', 'drift'], object)
+    found = confusion(truth, said, ('bias', 'drift', 'none'))
+    assert found['rows'] == ['bias', 'drift']
+    assert found['columns'] == ['bias', 'drift', 'none', 'odd']
+    assert found['counts'] == [[1, 0, 1, 0], [0, 1, 0, 1]]
+    assert [share['rate'] for share in found['right']] == [0.5, 0.5]
+    assert [share['rate'] for share in found['right_if_said']] == [1.0, 0.5]
+    assert confusion(truth[:0], said[:0], ())['rows'] == []
+
+
+def test_given_runs_when_their_numbers_are_gathered_then_they_are_those_of_the_rows(
+    campaign, tmp_path
+):
+    rows = made_up(120)
+    rows[0].update(false_alarms=3, alarms_before_2=2)
+    found = numbers_of(campaign, rows, tmp_path)
+    faulty = [r for r in rows if r['kind'] != 'none']
+    assert found['overall']['detected']['hits'] == sum(r['detected'] for r in faulty)
+    assert found['overall']['detected']['cases'] == len(faulty) == 80
+    rates = {rate['name']: (rate['events'], rate['hours']) for rate in found['alarms']}
+    assert rates['false alarms'] == (3, pytest.approx((40 * 10.0 + 80 * 8.0) / 3600.0))
+    early = pytest.approx((40 * 10.0 + 80 * 4.0) / 3600.0)
+    assert rates['before any fault, or without one'] == (2, early)
+    assert rates['after the end of a fault'] == (1, pytest.approx(80 * 4.0 / 3600.0))
+    both = next(e for e in found['detection'] if e['kind'] == 'bias' and e['sensor'] == 'both')
+    mine = [r for r in rows if r['kind'] == 'bias' and r['sensor'] == 'both']
+    assert both['delay'] == spread([r['detection_delay'] for r in mine])
+    assert sorted(both['sizes']) == sorted(r['fault_size'] for r in mine)
+    assert sum(c['detected']['cases'] for c in both['classes']) == len(mine)
+    assert [entry['kind'] for entry in found['roc']] == ['bias', 'stuck']
+    by = {
+        table['factor']: {g['value']: g['count'] for g in table['groups']}
+        for table in found['groups']
+    }
+    assert by == {
+        'kind': {'none': 40, 'bias': 40, 'stuck': 40},
+        'compensation': {'off': 60, 'confirmed': 60},
+    }
+
+
+def test_given_runs_when_the_worst_are_listed_then_each_has_its_command(campaign, tmp_path):
+    rows = [row(k, tracking_max=0.1 * k) for k in range(20)]
+    rows[3].update(tracking_max=math.nan, stable=False)
+    rows[5].update(kind='bias', sensor=SENSORS[0], fault_size=0.5)
+    rows[6].update(kind='bias', sensor=SENSORS[0], fault_size=0.9, detected=True)
+    lost, missed, late, false = numbers_of(campaign, rows, tmp_path)['worst']
+    assert [r['number'] for r in lost['runs']][:3] == [3, 19, 18] and len(lost['runs']) == 10
+    assert [(r['number'], r['value']) for r in missed['runs']] == [(5, pytest.approx(0.5 / 0.9))]
+    assert late['runs'] == false['runs'] == []
+    assert missed['runs'][0]['command'] == command(tmp_path, 5)
+    assert command('my results', 7) == (
+        "lpv campaign 'my results' --run 7 --bag 'my results/bags/run_7'"
+    )
+
+
+def bags(rows):
+    return Results(table(rows), ('one', 'two'))
+
+
+def test_given_an_encoder_that_ages_when_trends_are_asked_for_then_its_arm_is_the_first():
+    rng = np.random.default_rng(3)
+
+    def made(unit, day, mean):
+        start = int((1e4 + day) * 86400e9)
+        means = {'fault_mean_1': mean, 'fault_mean_2': 0.0}
+        return {'unit': unit, 'start': start, **means, 'threshold_mean_1': 0.05,
+                'threshold_mean_2': 0.05, 'kind': None, 'sensor': None}  # fmt: skip
+
+    rows = [
+        made(f'arm{unit}', 7.0 * k, 2e-4 * (unit == 5) * 7.0 * k + 0.002 * rng.standard_normal())
+        for unit in range(8)
+        for k in range(12)
+    ]
+    found = trends(bags(rows))
+    assert len(found) == 16
+    assert [(t['unit'], t['sensor']) for t in found if t['clear']] == [('arm5', 'one')]
+    low, high = found[0]['interval']
+    assert 1e-4 < low < 2e-4 < high
+    assert found[0]['days_left'] == pytest.approx((0.05 - 77 * 2e-4) / 2e-4, rel=0.25)
+    # Without dates there is no order, and few bags say nothing.
+    assert trends(bags([made('a', 0.0, k) for k in range(9)])) == []
+    assert trends(bags([made('a', k, k) for k in range(4)])) == []
+
+
+def test_given_bags_when_ranked_then_alarms_come_first_then_contradictions_then_scores():
+    calm = {'bag': 'calm', 'alarms': 0, 'observed': 3600.0, 'inconsistent_time': 0.0, 'score': 0.5}
+    rows = [
+        calm,
+        {**calm, 'bag': 'near', 'score': 0.9},
+        {**calm, 'bag': 'odd', 'inconsistent_time': 100.0},
+        {**calm, 'bag': 'alarmed', 'alarms': 1, 'score': 0.2},
+    ]
+    ranked = sorted(rows, key=suspicion, reverse=True)
+    assert [row['bag'] for row in ranked] == ['alarmed', 'odd', 'near', 'calm']
+
+
+class Page(HTMLParser):
+    """Collects what a page refers to, and whether its tags are balanced."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.references, self.open, self.tags = [], [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.references += [value for name, value in attrs if name in ('src', 'href', 'action')]
+        if tag not in ('meta', 'img', 'br', 'link'):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+
+def check_page(path):
+    """It needs nothing from elsewhere, and is whole."""
+    text = path.read_text(encoding='utf-8')
+    page = Page(text)
+    assert page.open == [] and not {'script', 'link', 'iframe'} & set(page.tags)
+    assert all(ref.startswith('data:image/png;base64,') for ref in page.references)
+    assert not re.search(r'\bnan\b|\bNone\b|url\(', re.sub(r'base64,[^"]*', '', text))
+    return page, text
+
+
+@pytest.mark.parametrize(('count', 'pictures'), [(1, 1), (2, 2), (120, 3)])
+def test_given_results_when_reported_then_the_page_is_whole_and_its_numbers_are_json(
+    campaign, tmp_path, count, pictures
+):
+    report = write_report(campaign, table(made_up(count)), tmp_path, 120)
+    page, text = check_page(report.html)
+    assert page.tags.count('img') == pictures
+    assert 'made &lt;up&gt;' in text
+    assert ('are missing' in text) == (count < 120)
+    assert json.loads(report.json.read_text()) == json.loads(json.dumps(report.numbers))
+
+
+def test_given_unfinished_results_when_reported_then_the_command_says_what_is_missing(
+    tmp_path, capsys
+):
+    spec = tmp_path / 'spec.yaml'
+    factors = {'path': 'random', 'fault.kind': ['none', 'bias'], 'fault.size': 0.3}
+    data = {**SPEC, 'duration': 2.0, 'plan': {'method': 'random', 'runs': 22}, 'factors': factors}
+    spec.write_text(json.dumps(data))
+    out = tmp_path / 'out'
+    assert main(['campaign', str(spec), '--out', str(out), '--workers', '0']) == 0
+    check_page(out / 'report.html')
+    assert json.loads((out / 'report.json').read_text())['head']['missing'] == 0
+    (out / 'chunks' / '00000000.parquet').unlink()
+    capsys.readouterr()
+    assert main(['campaign', str(out)]) == 0
+    assert '20 of 22 runs are missing' in capsys.readouterr().out
+    assert json.loads((out / 'report.json').read_text())['head']['missing'] == 20
+    assert main(['campaign', str(out), '--out', 'x']) == 2
+    assert main(['campaign', str(tmp_path)]) == 2
+    assert main(['campaign', 'unknown']) == 2
+    assert len(capsys.readouterr().err.strip().splitlines()) == 3

@@ -1,0 +1,141 @@
+"""The falsifier: attacks within the arm file, a search, files that repeat."""
+
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+
+from lpv.campaign.falsify.attack import Attacker
+from lpv.campaign.falsify.healthy_run import ACCELERATION, CENTRE, RATE_SCALE, SPEED, SWING
+from lpv.campaign.falsify.search import BAG, SCENARIO, read_attack, repeat, search, write_worst
+from lpv.cli.main import main
+from lpv.core.serial_arm.arm_file import load_arm, save_arm
+from lpv.core.serial_arm.description import Uncertainty
+from lpv.core.support.errors import ConfigError
+from lpv.core.support.resources import bringup_file
+from lpv.core.uio.model.joints import J
+from lpv.core.uio.planar import planar_model
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope='module')
+def ur10():
+    arm = load_arm(bringup_file('arms', 'ur10'))
+    return replace(arm, uncertainty=Uncertainty(2.0, 0.1, 0.05))
+
+
+def attacks(attacker, count):
+    rng = np.random.default_rng(3)
+    return [attacker.attack(rng.uniform(-1.5, 1.5, attacker.numbers), k) for k in range(count)]
+
+
+def test_given_any_candidate_when_made_an_attack_then_it_is_within_the_arm_file(arm, gains_of):
+    attacker = Attacker(arm, 1.0, gains_of[arm.name])
+    planar = planar_model(arm)
+    upright = 0.0 if planar.sign > 0 else np.pi
+    for attack in attacks(attacker, 50):
+        rows = np.array(attack.joints)
+        assert np.abs(attack.shares).max() <= 1.0
+        away = rows[CENTRE] + [planar.zero_angle] * 2 - upright
+        assert np.all(np.abs(away) + rows[SWING] <= np.arccos(planar.cos_min))
+        assert (rows[SWING] * rows[SPEED]).sum() <= 0.5 * min(arm.velocity_limit) + 1e-12
+        direction = np.linalg.solve(J, rows[ACCELERATION])
+        most = np.abs(np.array(planar.disturbance_direction) * planar.disturbance_mean)
+        assert np.all(np.abs(direction) <= most + 1e-12)
+        assert np.all(np.abs(rows[RATE_SCALE]) <= planar.velocity_error)
+
+
+def test_given_a_nominal_healthy_run_when_simulated_then_the_measurements_obey_the_file(
+    arm, gains_of
+):
+    """Readings follow the motion; rates are their derivative, but for noise and stated errors."""
+    attacker = Attacker(arm, 2.0, gains_of[arm.name])
+    assert attacker.simulate(attacker.attack(np.zeros(attacker.numbers), 1))
+    position, rate = attacker.samples[:, 0], attacker.samples[:, 1]
+    slope = np.gradient(position, arm.sample_time, axis=0)
+    few = 50
+    mean = [np.convolve(column, np.ones(few) / few, 'valid') for column in (slope - rate).T]
+    noise = arm.joints[0].sensors.position_noise / (few * arm.sample_time)
+    assert np.abs(mean).max() < 0.1 + 2.0 * noise
+
+
+def test_given_any_candidate_of_a_serial_arm_when_made_then_it_is_within_the_arm_file(ur10):
+    attacker = Attacker(ur10, 0.5)
+    lower = [max(joint.limits.lower, -np.pi) for joint in ur10.joints]
+    for attack in attacks(attacker, 5):
+        rows = np.array(attack.joints)
+        assert np.all(rows[CENTRE] - rows[SWING] >= np.array(lower) - 1e-9)
+        assert np.all(rows[SWING] * rows[SPEED] <= ur10.velocity_limit)
+        assert np.abs(attack.shares).max() <= 1.0
+
+
+def test_given_a_short_search_when_run_then_it_comes_near_and_never_across(arm, gains_of):
+    found = search(Attacker(arm, 4.0, gains_of[arm.name]), 300)
+    assert len(found) == 300 and found == sorted(found, key=lambda one: -one.ratio)
+    assert 0.4 < found[0].ratio < 1.0
+    assert not any(one.blamed for one in found)
+
+
+def test_given_an_arm_beyond_its_file_when_searched_then_the_threshold_is_crossed(
+    paper_arm, paper_model, paper_gains
+):
+    """The search finds what is there to be found: the bound of one arm, a worse one simulated."""
+    attacker = Attacker(paper_arm, 2.0, paper_gains)
+    attacker.range.arm = replace(paper_model, model_error=0.2, disturbance_mean=1.0)
+    assert search(attacker, 60)[0].ratio > 1.0
+
+
+def test_given_a_short_search_of_a_serial_arm_then_it_comes_near_and_never_across(ur10):
+    worst = search(Attacker(ur10, 2.0), 20)[0]
+    assert 0.4 < worst.ratio < 1.0
+    assert worst.thresholds[worst.sensor] < 1.5
+
+
+def test_given_a_monitor_that_is_told_too_little_when_searched_then_it_is_crossed(ur10):
+    told = replace(ur10, uncertainty=Uncertainty(0.2, 0.05, 0.01))
+    assert search(Attacker(ur10, 2.0, monitored=told), 8)[0].ratio > 1.0
+
+
+@pytest.mark.parametrize('kind', ['two links', 'serial'])
+def test_given_a_worst_run_when_written_then_the_command_repeats_it_bit_by_bit(
+    kind, ur10, paper_arm, paper_gains, tmp_path, capsys
+):
+    serial = kind == 'serial'
+    arm, gains = (ur10, None) if serial else (paper_arm, paper_gains)
+    attacker = Attacker(arm, 0.6, gains)
+    worst = search(attacker, 3)[0]
+    write_worst(attacker, worst, tmp_path)
+    attack, duration = read_attack(tmp_path / SCENARIO)
+    again = repeat(Attacker(arm, duration, gains), attack, tmp_path)
+    assert again.ratio == worst.ratio and asdict(again.attack) == asdict(worst.attack)
+    assert (tmp_path / BAG / 'metadata.yaml').is_file()
+    options = ['--arm', 'paper', '--gains', 'paper']
+    if serial:
+        save_arm(ur10, tmp_path / 'arm.yaml')
+        options = ['--arm', str(tmp_path / 'arm.yaml')]
+    assert main(['falsify', *options, '--repeat', str(tmp_path / SCENARIO)]) == 0
+    assert f'reached {worst.ratio:.3f} of its threshold' in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    'text', ['{}', 'attack: 3', 'attack: {joints: x}', 'attack: {joints: [[0.0]], rest: 1.0}']
+)
+def test_given_no_attack_on_this_arm_when_read_then_it_is_refused_by_name(
+    tmp_path, text, paper_arm, paper_gains
+):
+    path = tmp_path / 'a.yaml'
+    path.write_text(f'duration: 1.0\n{text}' if 'attack' in text else text)
+    with pytest.raises(ConfigError, match='attack'):
+        repeat(Attacker(paper_arm, 1.0, paper_gains), read_attack(path)[0], path)
+
+
+def test_given_what_nothing_is_guaranteed_of_when_attacked_then_that_is_said(
+    ur10, paper_arm, capsys
+):
+    with pytest.raises(ConfigError, match='model_error'):
+        Attacker(replace(ur10, uncertainty=Uncertainty()), 1.0)
+    with pytest.raises(ConfigError, match='model_error'):
+        Attacker(replace(paper_arm, uncertainty=Uncertainty()), 1.0)
+    assert main(['falsify', '--arm', 'ur10', '--gains', 'paper']) == 2
+    assert len(capsys.readouterr().err.strip().splitlines()) == 1

@@ -1,0 +1,387 @@
+"""Archives of bags: what is found, what is measured, what is kept, what the fleet's figures say."""
+
+import json
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+import yaml
+from places import BRINGUP, ROOT
+from rosbags.rosbag2 import StoragePlugin, Writer
+
+from lpv.bag.rosbag.interfaces import make_typestore
+from lpv.bag.rosbag.messages import BagMessages
+from lpv.bag.rosbag.writing import BagWriter
+from lpv.bag.run.csv_import import import_csv, load_column_map
+from lpv.bag.run.record import load_run
+from lpv.campaign.execution.archive import Archive, archive_text, find_bags, unit_of
+from lpv.campaign.execution.bag_figures import STATES, alarm_rows
+from lpv.campaign.execution.execute import worker_pool
+from lpv.campaign.execution.run_metrics import figures
+from lpv.campaign.execution.run_to_bag import stamps_of, write_run_bag
+from lpv.campaign.execution.runs import plan_run
+from lpv.campaign.plan.campaign import resolve
+from lpv.cli.main import main
+from lpv.core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent
+from lpv.core.support.errors import ConfigError
+from lpv.core.uio.certificate.gains import save_gains
+
+pytestmark = pytest.mark.slow
+
+DATA = Path(os.environ.get('LPV_REAL_ARM_DATA') or ROOT.parent / 'shared' / 'data' / 'real_arm')
+TYPESTORE = make_typestore()
+JOINT_STATE = 'sensor_msgs/msg/JointState'
+SPEC = {
+    'name': 'fleet',
+    'seed': 4,
+    'duration': 3.0,
+    'designs': ['gains.yaml'],
+    'plan': {'method': 'factorial'},
+    'factors': {
+        'fault.kind': ['none', 'bias', 'dropout'],
+        'fault.size': 0.3,
+        'fault.onset': 1.2,
+        'fault.duration': 0.8,
+        'path': 'random',
+    },
+}
+GOOD = ['a/healthy', 'b/bias', 'b/dropout', 'foreign']
+BAD = ['b/junk.mcap', 'b/lonely', 'deaf', 'strange']
+
+
+@pytest.fixture(scope='module')
+def campaign(paper_gains, tmp_path_factory):
+    folder = tmp_path_factory.mktemp('spec')
+    save_gains(paper_gains, folder / 'gains.yaml')
+    return resolve(SPEC, 'fleet', folder)
+
+
+@pytest.fixture(scope='module')
+def runs(campaign):
+    """Plans and runs by name."""
+    plans = {name: plan_run(campaign, k) for k, name in enumerate(('healthy', 'bias', 'dropout'))}
+    return {name: (plan, plan.simulate()) for name, plan in plans.items()}
+
+
+def write_foreign(path, run):
+    """A recording of somebody else in sqlite3: joints in another order, and one more."""
+    messages = BagMessages(TYPESTORE, 'base')
+    with Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        connection = writer.add_connection('/js', JOINT_STATE, typestore=TYPESTORE)
+        effort = np.vstack([np.zeros((1, 2)), run.torque[:-1]])
+        for stamp, q, v, tau in zip(
+            stamps_of(run).tolist(), run.measured, run.measured_velocity, effort
+        ):
+            values = [[0.5, a[1], a[0]] for a in (q, v, tau)]
+            message = messages.joint_state(stamp, ('gripper', 'joint2', 'joint1'), *values)
+            writer.write(connection, stamp, TYPESTORE.serialize_cdr(message, JOINT_STATE))
+
+
+def write_odd(path, topic, msgtype, message):
+    with BagWriter(path) as writer:
+        writer.add_topic(topic, msgtype)
+        for stamp in range(1, 5):
+            writer.write(topic, stamp, message)
+
+
+@pytest.fixture(scope='module')
+def archive(runs, tmp_path_factory):
+    """An archive with good bags and bad ones."""
+    root = tmp_path_factory.mktemp('archive')
+    write_run_bag(*runs['healthy'], root / 'a' / 'healthy')
+    for name in ('bias', 'dropout'):
+        write_run_bag(*runs[name], root / 'b' / name)
+    write_foreign(root / 'foreign', runs['bias'][1])
+    (root / 'b' / 'junk.mcap').write_bytes(b'\x89MCAP0\r\n' + bytes(300))
+    (root / 'b' / 'lonely').mkdir()
+    (root / 'b' / 'lonely' / 'metadata.yaml').write_text(
+        (root / 'a' / 'healthy' / 'metadata.yaml').read_text()
+    )
+    string = 'std_msgs/msg/String'
+    write_odd(root / 'deaf', '/chatter', string, TYPESTORE.types[string]('hello'))
+    zeros = [(0.0, 0.0)] * 3
+    message = BagMessages(TYPESTORE, '').joint_state(1, ('elbow', 'wrist'), *zeros)
+    write_odd(root / 'strange', '/js', JOINT_STATE, message)
+    (root / '.hidden').mkdir()
+    (root / '.hidden' / 'x.mcap').write_bytes(b'')
+    (root / 'notes').mkdir()
+    (root / 'notes' / 'metadata.yaml').write_text('colour: blue\n')
+    return root
+
+
+@pytest.fixture(scope='module')
+def settings(archive, paper_arm, runs):
+    return Archive(archive_text(archive, paper_arm, runs['bias'][0].gains))
+
+
+def command(root, out, gains, *more):
+    files = ['--arm', 'paper', '--gains', str(gains), '--out', str(out), '--workers', '0']
+    return ['fleet', str(root), *files, *more]
+
+
+@pytest.fixture(scope='module')
+def gains(archive):
+    return archive / 'a' / 'healthy' / 'gains.yaml'
+
+
+@pytest.fixture(scope='module')
+def done(archive, gains, tmp_path_factory):
+    """Results folder of the archive, and its rows by bag."""
+    out = tmp_path_factory.mktemp('done') / 'out'
+    assert main(command(archive, out, gains)) == 3
+    rows = {row['bag']: row for row in pq.read_table(out / 'bags.parquet').to_pylist()}
+    return out, rows
+
+
+def names(*arguments):
+    return [name for (name,) in find_bags(*arguments).values()]
+
+
+def test_given_an_archive_when_searched_then_bags_are_found_and_nothing_else(archive, tmp_path):
+    assert names(archive) == sorted(GOOD + BAD)
+    assert names(archive, [archive / 'b']) == sorted(['a/healthy', 'foreign', 'deaf', 'strange'])
+    assert unit_of(archive, 'b/bias') == 'b'
+    assert unit_of(archive, 'foreign') == ''
+    for name in ('cut/cut_0.mcap', 'cut/cut_1.mcap', 'loose/one.mcap', 'loose/two.db3',
+                 'whole/whole.mcap', 'old/old_0.db3'):  # fmt: skip
+        path = tmp_path / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(b'')
+    assert names(tmp_path) == ['cut', 'loose/one.mcap', 'loose/two.db3', 'old/old_0.db3', 'whole']
+    with pytest.raises(ConfigError, match='not a folder'):
+        find_bags(tmp_path / 'nowhere')
+
+
+def test_given_custom_data_when_a_bag_is_asked_whose_it_is_then_the_serial_counts(
+    archive, tmp_path
+):
+    bag = tmp_path / 'week1' / 'bag'
+    bag.mkdir(parents=True)
+    data = yaml.safe_load((archive / 'a' / 'healthy' / 'metadata.yaml').read_text())
+    data['rosbag2_bagfile_information']['custom_data'] = {'serial': 'SN-7'}
+    (bag / 'metadata.yaml').write_text(yaml.safe_dump(data))
+    assert unit_of(tmp_path, 'week1/bag') == 'SN-7'
+    (bag / 'metadata.yaml').write_text('{')
+    assert unit_of(tmp_path, 'week1/bag') == 'week1'
+
+
+def test_given_bags_of_runs_when_replayed_then_their_figures_are_those_of_the_campaign(done, runs):
+    _, rows = done
+    for bag, name in (('a/healthy', 'healthy'), ('b/bias', 'bias'), ('b/dropout', 'dropout')):
+        expected, row = figures(*runs[name]), rows[bag]
+        assert set(expected) <= set(row)
+        for figure, value in expected.items():
+            if isinstance(value, float):
+                np.testing.assert_allclose(
+                    row[figure], value, rtol=1e-9, atol=1e-12, err_msg=f'{bag} {figure}'
+                )
+            else:
+                assert row[figure] == value, (bag, figure)
+    assert rows['b/bias']['detected'] and not rows['a/healthy']['detected']
+
+
+def test_given_answers_of_a_bag_when_summed_up_then_they_are_those_of_its_record(
+    done, archive, runs, paper_arm
+):
+    _, rows = done
+    for name in ('b/bias', 'b/dropout'):
+        record, row = load_run(archive / name), rows[name]
+        state, estimate, threshold = (
+            record.get('fault_estimate', field) for field in ('state', 'estimate', 'threshold')
+        )
+        stamps = record.stamps['fault_estimate']
+        interval = np.append(np.diff(stamps) / 1e9, paper_arm.sample_time)
+        for i in (1, 2):
+            for k, word in enumerate(STATES):
+                expected = interval[state[:, i - 1] == k].sum()
+                assert row[f'time_{word}_{i}'] == pytest.approx(expected, abs=1e-9), (name, word)
+            here = state[:, i - 1] <= 2
+            mine = estimate[here, i - 1]
+            assert row[f'fault_mean_{i}'] == pytest.approx(mine.mean())
+            assert row[f'fault_rms_{i}'] == pytest.approx(np.sqrt(np.mean(mine**2)))
+            assert row[f'fault_largest_{i}'] == np.abs(mine).max()
+            assert row[f'threshold_mean_{i}'] == pytest.approx(threshold[here, i - 1].mean())
+            used = state[:, i - 1] != 3
+            assert row[f'score_{i}'] == (np.abs(estimate) / threshold)[used, i - 1].max()
+        assert row['measurements'] == len(record.stamps['joint_states']) == 1501
+        assert row['duration'] == 3.0
+        assert row['observed'] == pytest.approx(3.002)
+        raised = [a for a in record.alarms if a.event == AlarmEvent.RAISED]
+        assert row['alarms'] == sum(a['count'] for a in row['alarm_list']) == len(raised) > 0
+        first = row['alarm_list'][0]
+        assert (first['sensor'], first['size']) == (raised[0].sensor, raised[0].size)
+        assert first['onset'] == record.seconds(raised[0].onset)
+    run = runs['bias'][1]
+    assert rows['b/bias']['inconsistent_time'] == pytest.approx(run.inconsistent.sum() * 0.002)
+
+
+def test_given_a_foreign_bag_when_replayed_then_it_is_the_same_arm(done):
+    mine, other = done[1]['b/bias'], done[1]['foreign']
+    for name in ('alarms_1', 'alarms_2', 'score_1', 'fault_rms_2', 'time_error_1', 'alarm_list'):
+        assert other[name] == mine[name], name
+    assert (other['has_truth'], other['false_alarms'], other['topic']) == (False, None, '/js')
+
+
+def test_given_bags_that_cannot_be_used_when_replayed_then_each_row_says_why(done):
+    _, rows = done
+    assert set(rows) == {*GOOD, *BAD}
+    assert [name for name in sorted(rows) if rows[name]['error']] == sorted(BAD)
+    for name, told in (
+        ('b/junk.mcap', 'damaged'),
+        ('b/lonely', 'no metadata.yaml with files'),
+        ('deaf', 'has no topic'),
+        ('strange', "'joint1'"),
+    ):
+        assert told in rows[name]['error'], rows[name]['error']
+        assert rows[name]['alarms'] is None
+
+
+def test_given_a_truth_without_scenario_when_replayed_then_faults_are_what_it_shows(
+    archive, settings, tmp_path, runs
+):
+    for name in ('bias', 'dropout'):
+        shutil.copytree(archive / 'b' / name, tmp_path / name)
+        (tmp_path / name / 'scenario.yaml').unlink()
+        row, expected = settings.row(str(tmp_path / name)), figures(*runs[name])
+        for figure in ('sensor', 'detected', 'isolated', 'false_alarms', 'wrong_alarms'):
+            assert row[figure] == expected[figure], (name, figure)
+        assert row['detection_delay'] == pytest.approx(expected['detection_delay'])
+        assert row['kind'] == 'unknown'
+
+
+def test_given_a_long_bag_when_replayed_then_its_truth_is_left_out(archive, settings, monkeypatch):
+    monkeypatch.setattr('lpv.campaign.execution.bag_figures.MOST_SAMPLES', 1000)
+    row = settings.row('b/bias')
+    assert (row['alarms'], row['error']) == (1, '') and 'false_alarms' not in row
+    assert 'too long' in row['warnings']
+
+
+def test_given_an_archive_of_a_serial_arm_when_replayed_then_its_rows_name_all_joints(tmp_path):
+    factors = {'path': 'random', 'fault.kind': 'bias', 'fault.size': 0.1, 'fault.onset': 1.5}
+    spec = {'name': 's', 'arm': 'ur10', 'scenario': 'ur10', 'duration': 2.5, 'factors': factors}
+    plan = plan_run(resolve({**spec, 'plan': {'method': 'random', 'runs': 1}}, 's', '.'), 0)
+    write_run_bag(plan, plan.simulate(), tmp_path / 'bags' / 'one')
+    out = tmp_path / 'out'
+    line = ['fleet', str(tmp_path / 'bags'), '--arm', 'ur10', '--out', str(out), '--workers', '0']
+    assert main(line) == 0
+    (row,) = pq.read_table(out / 'bags.parquet').to_pylist()
+    assert row['isolated'] and row['kind'] == 'bias' and row['score_6'] is not None
+    assert 'UR' in (out / 'report.html').read_text() or 'ur10' in (out / 'report.html').read_text()
+
+
+def test_given_results_when_called_again_then_only_new_changed_and_failed_bags_are_replayed(
+    archive, gains, tmp_path, monkeypatch, capsys
+):
+    root, out = tmp_path / 'root', tmp_path / 'root' / 'out'
+    shutil.copytree(archive / 'b', root / 'b')
+    shutil.copytree(archive / 'foreign', root / 'foreign')
+    assert main(command(root, out, gains)) == 3
+    seen, true = [], Archive.row
+    monkeypatch.setattr(Archive, 'row', lambda self, bag: seen.append(bag) or true(self, bag))
+    os.utime(next((root / 'b' / 'bias').glob('*.mcap')), ns=(1, 1))
+    shutil.rmtree(root / 'b' / 'dropout')
+    shutil.copytree(archive / 'a' / 'healthy', root / 'new')
+    assert main(command(root, out, gains)) == 3
+    assert '1 of 5 are here already' in capsys.readouterr().out
+    assert seen == ['b/bias', 'b/junk.mcap', 'b/lonely', 'new']
+    after = pq.read_table(out / 'bags.parquet')
+    assert after['bag'].to_pylist() == ['b/bias', 'b/junk.mcap', 'b/lonely', 'foreign', 'new']
+    for name in ('b/junk.mcap', 'b/lonely'):
+        path = root / name
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+    assert main(command(root, out, gains)) == 0
+
+
+def test_given_two_processes_when_run_then_rows_are_those_of_one(archive, settings, done):
+    with worker_pool(2) as do:
+        rows = {row['bag']: row for _, part in do(settings, find_bags(archive)) for row in part}
+    for name, row in rows.items():
+        for figure, value in row.items():
+            assert repr(done[1][name][figure]) == repr(value), (name, figure)
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'told'),
+    [
+        (['{tmp}/nowhere', '--arm', 'paper'], 'is not a folder'),
+        (['{tmp}', '--arm', 'paper'], 'holds no rosbag2 bag'),
+        (['{bags}'], '--arm'),
+        (['{bags}', '--arm', 'nobody'], 'nobody'),
+        (['{bags}', '--arm', 'real_arm', '--gains', '{gains}'], 'another arm'),
+        (['{bags}', '--arm', 'ur10', '--gains', '{gains}'], 'gains'),
+        (['{bags}', '--arm', 'paper', '--gains', '{gains}', '--from', '0.5', '--out', '{done}'],
+         'another campaign'),
+    ],
+)  # fmt: skip
+def test_given_what_makes_no_sense_when_called_then_one_line_says_so(
+    archive, gains, done, tmp_path, capsys, arguments, told
+):
+    places = {'tmp': tmp_path, 'bags': archive, 'gains': gains, 'done': done[0]}
+    line = ['--out', str(tmp_path / 'out'), *(a.format(**places) for a in arguments)]
+    assert main(['fleet', *line, '--workers', '0']) == 2
+    error = capsys.readouterr().err
+    assert told in error and error.count('\n') == 1
+
+
+def test_given_an_archive_when_reported_then_figures_count_what_the_rows_say(done):
+    out, rows = done
+    numbers = json.loads((out / 'report.json').read_text())
+    assert (numbers['head']['count'], numbers['head']['failed']) == (4, 4)
+    assert (numbers['overall']['detected']['hits'], numbers['overall']['detected']['cases']) == (
+        2,
+        2,
+    )
+    alarms = {rate['name']: rate['events'] for rate in numbers['alarms']}
+    assert alarms['alarms of all sensors'] == sum(rows[name]['alarms'] for name in GOOD)
+    assert {row['bag'] for row in numbers['bags']} == set(GOOD)
+    assert numbers['bags'][-1]['bag'] == 'a/healthy'
+    page = (out / 'report.html').read_text()
+    assert all(name in page for name in (*GOOD, *BAD)) and 'src="http' not in page
+
+
+def test_given_alarms_when_listed_then_those_of_one_sensor_and_kind_are_one_line():
+    def alarm(event, sensor, kind, onset):
+        return Alarm(event, 0, sensor, onset * 10**9, (onset + 1) * 10**9, 0.1, 0.01, kind, 1.0)
+
+    raised, updated, cleared = AlarmEvent.RAISED, AlarmEvent.UPDATED, AlarmEvent.CLEARED
+    rows = alarm_rows(
+        [
+            alarm(raised, 'one', 'unclassified', 1),
+            alarm(updated, 'one', 'drift', 1),
+            alarm(cleared, 'one', 'drift', 1),
+            alarm(raised, 'one', 'drift', 5),
+            alarm(raised, 'two', 'drift', 6),
+        ],
+        0,
+    )
+    assert [(row['sensor'], row['kind'], row['count'], row['onset']) for row in rows] == [
+        ('one', 'drift', 2, 1.0),
+        ('two', 'drift', 1, 6.0),
+    ]
+
+
+@pytest.mark.skipif(
+    not (DATA / 'run_143601.csv').is_file(),
+    reason='the recordings are not part of the repository; LPV_REAL_ARM_DATA may point to them',
+)
+def test_given_recordings_of_a_healthy_arm_when_replayed_then_there_is_no_alarm(tmp_path):
+    columns = load_column_map(BRINGUP / 'columns' / 'real_arm.yaml')
+    for name in ('run_143601', 'run_144115'):
+        import_csv(DATA / f'{name}.csv', columns, tmp_path / 'bags' / name)
+    own, out = str(BRINGUP / 'gains' / 'real_arm.yaml'), tmp_path / 'out'
+    line = ['fleet', str(tmp_path / 'bags'), '--gains', own, '--arm', 'real_arm', '--healthy']
+    assert main([*line, '--workers', '0', '--out', str(out)]) == 0
+    rows = pq.read_table(out / 'bags.parquet').to_pylist()
+    assert [(r['bag'], r['alarms'], r['measurements']) for r in rows] == [
+        ('run_143601', 0, 5000),
+        ('run_144115', 0, 4998),
+    ]
+    for row in rows:
+        assert max(row['score_1'], row['score_2']) < 0.5
+        assert row['time_ok_1'] + row['time_not_diagnosable_1'] == pytest.approx(row['observed'])
+    false = json.loads((out / 'report.json').read_text())['alarms'][3]
+    assert (false['name'], false['events']) == ('false alarms', 0)
+    assert false['hours'] == pytest.approx(sum(row['observed'] for row in rows) / 3600.0)

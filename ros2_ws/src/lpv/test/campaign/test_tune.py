@@ -1,0 +1,122 @@
+"""Tuning: a search on Optuna's storage, resumed, validated on other runs, never worse gains."""
+
+import json
+
+import numpy as np
+import optuna
+import pytest
+import yaml
+
+from lpv.cli.commands.tune import healthy
+from lpv.cli.main import main
+from lpv.core.support.config import read_yaml
+from lpv.core.support.errors import ConfigError
+from lpv.core.uio.certificate.conditions import require
+from lpv.core.uio.certificate.gains import load_gains
+from lpv_design.requirement import load_requirement
+
+pytestmark = pytest.mark.slow
+
+CAMPAIGN = {
+    'name': 'tune',
+    'seed': 11,
+    'designs': ['poor.yaml'],
+    'plan': {'method': 'latin_hypercube', 'runs': 4},
+    'duration': 3.5,
+    'factors': {
+        'path': 'random',
+        'fault.kind': ['none', 'bias'],
+        'fault.size': {'bias': 0.1},
+        'fault.onset': 2.0,
+    },
+}
+SEARCH = ['--search', 'observer.acceleration_noise=0.02:20.0']
+COST = ['--cost', 'fault_rms_before=1']
+
+
+@pytest.fixture
+def file(tmp_path):
+    """A campaign whose requirement believes in far too much noise of the accelerations."""
+    data = read_yaml(load_requirement('paper').source)
+    data['observer']['acceleration_noise'] = 10.0
+    (tmp_path / 'poor.yaml').write_text(yaml.safe_dump(data))
+    (tmp_path / 'tune.yaml').write_text(yaml.safe_dump(CAMPAIGN))
+    return tmp_path / 'tune.yaml'
+
+
+def command(file, trials, *more):
+    out = ['--out', str(file.parent / 'out'), '--workers', '0']
+    return ['tune', str(file), *SEARCH, *COST, '--trials', str(trials), *out, *more]
+
+
+def test_given_a_design_when_tuned_and_resumed_then_only_certified_better_gains_are_written(
+    file, paper_model, capsys
+):
+    out = file.parent / 'out'
+    assert main(command(file, 2)) == 0
+    assert main(command(file, 4)) == 0
+    text = capsys.readouterr().out
+    assert text.count('trial 0: ') == text.count('trial 1: ') == 1  # what was done is kept
+    storage = f'sqlite:///{out / "study.db"}'
+    study = optuna.load_study(study_name=None, storage=storage)
+    assert len(study.trials) == 4
+    assert study.trials[0].params == {'observer.acceleration_noise': 10.0}
+    assert study.trials[0].values[0] == pytest.approx(1.0)
+    result = json.loads((out / 'study.json').read_text())
+    costs = [t.values[0] for t in study.trials if t.values and max(t.constraints.values()) <= 0.0]
+    assert study.trials[result['trial']].values[0] <= 1.02 * min(costs)
+    # Gains are written if and only if they are better on other runs, and then they are certified.
+    better = result['interval'][1] < -0.02 * result['first'] and result['healthy_score'] <= 1.0
+    assert (result['reason'] == '') == better == (out / 'gains.yaml').exists()
+    if better:
+        require(paper_model, load_gains(out / 'gains.yaml'), 'gains')
+    for name in ('front', 'history', 'slices'):
+        assert (out / f'{name}.png').stat().st_size > 1000
+    # The same search in one go ends with the same trials.
+    other = file.parent / 'other'
+    assert main([*command(file, 4)[:-4], '--out', str(other), '--workers', '0']) == 0
+    again = optuna.load_study(study_name=None, storage=f'sqlite:///{other / "study.db"}')
+    assert [t.params for t in again.trials] == [t.params for t in study.trials]
+    assert main(command(file, 4, '--seed', '2')) == 2
+    assert 'another study' in capsys.readouterr().err
+
+
+def test_given_scores_and_alarms_when_a_trial_is_judged_then_only_parts_without_fault_count():
+    nan = float('nan')
+    rows = [
+        {'score_before_1': 0.4, 'score_before_2': nan, 'score_during_1': 5.0, 'alarms_before_1': 0},
+        {'score_before_1': 0.7, 'score_before_2': np.inf, 'alarms_before_1': 2},
+    ]
+    assert healthy(rows) == (1e6, 2)
+    assert healthy(rows[:1]) == (0.4, 0)
+    with pytest.raises(ConfigError, match='without fault'):
+        healthy([{'score_before_1': nan}])
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'told'),
+    [
+        (['--search', 'observer.decay'], 'FIELD=LOW:HIGH'),
+        (['--search', 'observer.decay=1:0.1'], 'low < high'),
+        (['--search', 'observer.speed=0.1:1'], 'is no number of'),
+        (['--search', 'observer.decay=0.5:1'], 'must hold 0.25'),
+        (['--cost', 'missed'], 'COLUMN=WEIGHT'),
+        (['--cost', 'missed=-1'], 'COLUMN=WEIGHT'),
+        (['--cost', 'beauty=1'], "'beauty' is no number"),
+        (['--trials', '0'], 'must lie within'),
+        (['--workers', '-1'], 'must lie within'),
+    ],
+)
+def test_given_what_makes_no_sense_when_tuned_then_one_line_says_so(file, capsys, arguments, told):
+    assert main([*command(file, 2), *arguments]) == 2
+    error = capsys.readouterr().err
+    assert told in error and error.count('\n') == 1
+
+
+def test_given_an_arm_without_design_or_no_study_when_tuned_then_it_is_refused(file, capsys):
+    assert main(['tune', 'ur10', *SEARCH, '--out', str(file.parent / 'x')]) == 2
+    assert 'has no lpv region: no design to tune' in capsys.readouterr().err
+    (file.parent / 'out').mkdir()
+    (file.parent / 'out' / 'study.db').write_text('no data base')
+    assert main(command(file, 2)) == 2
+    assert 'study.db' in capsys.readouterr().err

@@ -1,0 +1,198 @@
+"""Comparison of runs, and the reference that the diagnosis is held to."""
+
+import itertools
+import json
+import re
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import reference
+from runs import copied
+
+from lpv.bag.replay.replay import Replay
+from lpv.cli.main import main
+from lpv.core.monitoring.parameters import DiagnosisParameters
+from lpv.core.support.errors import LpvError
+from lpv.report.comparison import Tolerances, compare_runs, load_pair
+
+
+@pytest.fixture(scope='module')
+def replayed(tmp_path_factory):
+    """The reference recording with the present answers."""
+    out = tmp_path_factory.mktemp('reference') / 'bag'
+    Replay(reference.monitor()).run(reference.BAG, out)
+    return out
+
+
+@pytest.fixture(scope='module')
+def slower(tmp_path_factory):
+    """The same with alarms that end later."""
+    out = tmp_path_factory.mktemp('slower') / 'bag'
+    Replay(
+        reference.monitor(parameters=DiagnosisParameters(clear_dwell=1.0)), estimates_only=True
+    ).run(reference.BAG, out)
+    return out
+
+
+def test_given_the_reference_when_replayed_then_the_diagnosis_answers_as_it_did(replayed):
+    found = reference.compare(replayed)
+    wrong = [f for f in (*found.figures, *found.differences, *found.alarms) if not f.same]
+    assert found.same, (
+        f'the diagnosis answers differently: {wrong}; if that is meant, run '
+        '`make reference` and commit tests/data/reference'
+    )
+    assert found.common > 140
+    assert [p.first.kind for p in found.alarms] == ['bias', 'drift', 'dropout']
+    assert len(found.figures) == 6
+
+
+@pytest.mark.parametrize(
+    'change',
+    [{'smallest_step': 0.5}, {'sigmas': 4.01}, {'clear_dwell': 0.6}, {'compensation_rate': 0.4}],
+    ids=str,
+)
+def test_given_another_behaviour_when_compared_with_the_reference_then_it_is_noticed(
+    tmp_path, change
+):
+    monitor = reference.monitor(parameters=replace(DiagnosisParameters(), **change))
+    Replay(monitor).run(reference.BAG, tmp_path / 'bag')
+    assert not reference.compare(tmp_path / 'bag').same
+
+
+def test_given_one_answer_less_when_compared_then_it_is_noticed(replayed, paper_arm, tmp_path):
+    answers = itertools.count()
+
+    def first_ones(topic, data):
+        return data if topic != '/lpv/fault_estimate' or next(answers) < 20 else None
+
+    copied(replayed, tmp_path / 'bag', change=first_ones)
+    first, second = load_pair(replayed, tmp_path / 'bag', paper_arm)
+    result = compare_runs(first, second, paper_arm)
+    assert (result.only_second, result.complete, result.same) == (0, False, False)
+    assert result.only_first > 100
+    assert compare_runs(first, second, paper_arm, Tolerances(missing=1.0)).complete
+
+
+def test_given_estimates_without_measurements_when_compared_then_those_of_the_other_are_used(
+    replayed, slower, tmp_path, paper_arm
+):
+    Replay(reference.monitor(), estimates_only=True).run(reference.BAG, tmp_path / 'bag')
+    for pair in ((replayed, tmp_path / 'bag'), (tmp_path / 'bag', replayed)):
+        result = compare_runs(*load_pair(*pair, paper_arm), paper_arm, Tolerances(0, 0, 0, 0, 0))
+        assert result.same
+        assert len(result.figures) == 6
+    alone = compare_runs(*load_pair(tmp_path / 'bag', slower, paper_arm), paper_arm)
+    assert not alone.same
+    assert {f.unit for f in alone.figures} == {'rad'}
+
+
+def test_given_alarms_of_one_run_alone_when_compared_then_they_stand_alone(replayed, paper_arm):
+    first, second = load_pair(replayed, replayed, paper_arm)
+    second.alarms = [a for a in second.alarms if a.sensor_index == 0]
+    pairs = compare_runs(first, second, paper_arm).alarms
+    assert [(p.second is None, p.same) for p in pairs] == [
+        (False, True),
+        (True, False),
+        (False, True),
+    ]
+    pairs = compare_runs(second, first, paper_arm).alarms
+    assert [p.first is None for p in pairs] == [False, True, False]
+
+
+def test_given_values_that_are_no_numbers_in_one_run_when_compared_then_they_are_different(
+    replayed, paper_arm
+):
+    first, second = load_pair(replayed, replayed, paper_arm)
+    values = second.streams['fault_estimate']['estimate'].copy()
+    values[7, 1] = np.nan
+    second.streams['fault_estimate'] = {**second.streams['fault_estimate'], 'estimate': values}
+    result = compare_runs(first, second, paper_arm)
+    assert [f.name for f in result.differences if not f.same] == ['fault estimate 2']
+    assert json.loads(json.dumps(result.as_dict(), allow_nan=False))['same'] is False
+
+
+@pytest.mark.parametrize(
+    'changes', [{'mise': -1.0}, {'delay': float('nan')}, {'signal': float('inf')}]
+)
+def test_given_a_tolerance_that_is_none_when_made_then_it_is_refused(changes):
+    with pytest.raises(LpvError, match=next(iter(changes))):
+        Tolerances(**changes)
+
+
+# ------------------------------------------------------------------ command line
+
+
+def test_given_two_equal_bags_when_the_command_is_run_then_the_code_is_0(
+    replayed, tmp_path, capsys
+):
+    assert (
+        main(['compare', str(replayed), str(replayed), '--exact', '--out', str(tmp_path / 'out')])
+        == 0
+    )
+    said = capsys.readouterr().out
+    assert said.rstrip().endswith('same')
+    assert 'differs' not in said
+    assert 'delay' in said
+    assert json.loads((tmp_path / 'out' / 'comparison.json').read_text())['same'] is True
+    for name in ('faults', 'differences'):
+        assert (tmp_path / 'out' / f'{name}.png').read_bytes().startswith(b'\x89PNG')
+
+
+def test_given_alarms_that_end_later_when_the_command_is_run_then_the_code_is_3_and_json_says_why(
+    replayed, slower, capsys
+):
+    assert main(['compare', str(replayed), str(slower), '--json']) == 3
+    found = json.loads(capsys.readouterr().out)
+    assert found['same'] is False
+    late = [
+        p['second']['cleared'] - p['first']['cleared']
+        for p in found['alarms']
+        if p['second'] is not None and p['first']['cleared'] is not None and not p['same']
+    ]
+    assert 0.5 < max(late) < 0.8
+    assert {f['name'] for f in found['figures']} >= {'f1: estimate of the fault'}
+    assert main(['compare', str(replayed), str(slower)]) == 3
+    said = capsys.readouterr().out
+    assert 'DIFFERENT' in said
+    assert '<- differs' in said
+
+
+def test_given_a_terminal_of_80_columns_when_compared_then_every_figure_is_readable(
+    replayed, slower, monkeypatch, capsys
+):
+    monkeypatch.setenv('COLUMNS', '80')
+    main(['compare', str(replayed), str(slower)])
+    lines = capsys.readouterr().out.splitlines()
+    assert not any('…' in line for line in lines)
+    assert max(map(len, lines)) <= 80
+    f1 = next(line for line in lines if 'f1:' in line)
+    assert len(re.findall(r'\d\.\d+(?:e-\d+)?', f1)) == 2
+    first = next(i for i, line in enumerate(lines) if 'bias' in line)
+    assert 'link1_angle' in lines[first]
+    both = [re.findall(r'-?\d+\.\d{3}', line) for line in lines[first : first + 2]]
+    assert [len(figures) for figures in both] == [4, 4]
+
+
+def test_given_bags_that_cannot_be_compared_when_the_command_is_run_then_one_line_says_so(
+    replayed, tmp_path, capsys
+):
+    copied(replayed, tmp_path / 'measured', '/lpv/joint_states'.__eq__)
+    later = lambda _, data: data[:5] + bytes([data[5] ^ 0x40]) + data[6:]  # noqa: E731
+    copied(replayed, tmp_path / 'later', '/lpv/fault_estimate'.__eq__, later)  # another second
+    shutil.copytree(replayed, tmp_path / 'broken')
+    (tmp_path / 'broken' / 'metadata.yaml').unlink()
+    (storage,) = (tmp_path / 'broken').glob('*.mcap')
+    storage.write_bytes(b'no bag')
+    for other, named in (
+        ('measured', 'no answers'),
+        ('later', 'not of one recording'),
+        ('broken', 'broken'),
+        ('nothing', 'nothing'),
+    ):
+        assert main(['compare', str(replayed), str(tmp_path / other)]) == 2
+        said = capsys.readouterr().err
+        assert said.startswith('lpv compare: ')
+        assert named in said
+        assert said.count('\n') == 1

@@ -1,0 +1,565 @@
+"""``lpv doctor``: every finding, on files, on the environment, and on graphs."""
+
+import json
+import re
+import sys
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import ros
+from places import BRINGUP, ROOT
+from serial_bags import crane, crane_file, crane_run
+
+pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
+
+from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data  # noqa: E402
+from rclpy.time import Time  # noqa: E402
+from sensor_msgs.msg import JointState  # noqa: E402
+
+from lpv.cli.doctor import environment, graph, signals  # noqa: E402
+from lpv.cli.doctor.files import check_arm, check_files, check_gains, check_scenario  # noqa: E402
+from lpv.cli.doctor.finding import Level  # noqa: E402
+from lpv.cli.doctor.signals import check_values, needs_rates  # noqa: E402
+from lpv.cli.doctor.snapshot import JOINT_STATE, Endpoint, Snapshot  # noqa: E402
+from lpv.cli.main import main  # noqa: E402
+from lpv.core.uio.certificate.gains import save_gains  # noqa: E402
+from lpv.core.uio.model.joints import JointMap  # noqa: E402
+from lpv.core.uio.planar import planar_model  # noqa: E402
+from lpv_node.qos import stream  # noqa: E402
+
+PAPER = str(BRINGUP / 'arms' / 'paper.yaml')
+NODES = ('/lpv/arm_sim', '/lpv/tracker', '/lpv/uio')
+NOW = 1_800_000_000_000_000_000
+
+
+@pytest.fixture(scope='module')
+def gains_file(paper_gains, tmp_path_factory):
+    path = tmp_path_factory.mktemp('gains') / 'gains.yaml'
+    save_gains(paper_gains, path)
+    return str(path)
+
+
+def found(findings, level=None):
+    """Names of the checks that found something."""
+    return [f.check for f in findings if f.level != Level.OK and level in (None, f.level)]
+
+
+# ------------------------------------------------------------------ files
+
+
+def test_given_files_that_fit_when_checked_then_nothing_is_found(gains_file):
+    arm, findings = check_files('paper', gains_file, 'two_faults')
+    assert arm.name == 'paper'
+    assert [f.check for f in findings] == ['arm', 'gains', 'scenario']
+    assert found(findings) == []
+
+
+def test_given_an_arm_without_gains_when_checked_then_the_design_is_named():
+    _, findings = check_files('paper', None, None)
+    assert {f.level for f in findings} == {Level.OK}
+    (finding,) = [f for f in findings if f.check == 'gains']
+    assert 'observes alone; lpv design designs them' in finding.text
+
+
+def test_given_gains_of_another_arm_when_checked_then_both_are_named(gains_file, real_arm):
+    finding = check_gains(gains_file, real_arm, 'real_arm')
+    assert finding.level == Level.ERROR
+    assert 'designed for another arm' in finding.text
+    assert "'paper'" in finding.text and "'real_arm'" in finding.text
+    assert 'lpv design --arm real_arm' in finding.remedy
+
+
+def test_given_a_certificate_that_does_not_hold_when_checked_then_its_inequality_is_named(
+    tmp_path, paper_arm, paper_gains
+):
+    observer = replace(paper_gains.observer, kappa=3.0 * paper_gains.observer.kappa)
+    save_gains(replace(paper_gains, observer=observer), tmp_path / 'gains.yaml')
+    finding = check_gains(tmp_path / 'gains.yaml', paper_arm)
+    assert finding.level == Level.ERROR
+    assert 'certificate does not hold: observer, link 1' in finding.text
+
+
+@pytest.mark.parametrize('content', [None, 'x: [', '{}', '/**: {ros__parameters: {gains: {}}}'])
+def test_given_no_gains_file_when_checked_then_it_says_so(tmp_path, paper_arm, content):
+    path = tmp_path / 'gains.yaml'
+    if content is not None:
+        path.write_text(content)
+    finding = check_gains(path, paper_arm)
+    assert finding.level == Level.ERROR
+    assert 'lpv design' in finding.remedy
+
+
+def test_given_an_arm_file_with_a_wrong_field_when_checked_then_it_is_named(tmp_path):
+    text = Path(PAPER).read_text().replace('mass: 10.0', 'mass: -10.0')
+    (tmp_path / 'arm.yaml').write_text(text)
+    arm, finding = check_arm(str(tmp_path / 'arm.yaml'))
+    assert arm is None
+    assert finding.level == Level.ERROR
+    assert 'joints[0].link.mass' in finding.text
+
+
+@pytest.mark.parametrize(
+    ('change', 'named'),
+    [
+        (('x: -0.8451', 'x: -8.451'), 'out of reach'),
+        (('link1_angle', 'elbow'), 'sensor'),
+        (('model: nonlinear', 'model: mujoco'), 'needs MuJoCo'),
+    ],
+)
+def test_given_a_scenario_that_cannot_be_run_when_checked_then_it_says_why(
+    tmp_path, monkeypatch, paper_arm, change, named
+):
+    monkeypatch.setitem(sys.modules, 'mujoco', None)
+    text = (BRINGUP / 'scenarios' / 'two_faults.yaml').read_text().replace(*change)
+    (tmp_path / 'scenario.yaml').write_text(text)
+    finding = check_scenario(str(tmp_path / 'scenario.yaml'), paper_arm)
+    assert finding.level == Level.ERROR
+    assert named in finding.text
+
+
+def test_given_a_serial_arm_when_checked_then_it_needs_no_gains_and_refuses_some(tmp_path):
+    arm, findings = check_files(str(crane_file(tmp_path)), None, None)
+    assert arm.joint_names == ('joint1', 'joint2', 'joint3') and found(findings) == []
+    assert 'the moving horizon observes alone' in findings[-1].text
+    refused = check_gains(str(BRINGUP / 'gains' / 'paper.yaml'), arm)
+    assert refused.level == Level.ERROR and 'lpv: is missing' in refused.text
+
+
+def test_given_gains_of_serial_arms_when_checked_then_the_certificate_of_the_loop_is(tmp_path):
+    arm, _ = check_files(str(BRINGUP / 'arms' / 'ur10.yaml'), None, None)
+    assert check_gains(str(BRINGUP / 'gains' / 'ur10.yaml'), arm).level == Level.OK
+    other = check_gains(str(BRINGUP / 'gains' / 'panda.yaml'), arm)
+    assert other.level == Level.ERROR and 'for another arm' in other.text
+    (tmp_path / 'gains.yaml').write_text('/**: {ros__parameters: {bandwidth: 10.0}}\n')
+    assert 'no certificate' in check_gains(str(tmp_path / 'gains.yaml'), arm).text
+
+
+def test_given_a_serial_arm_when_its_driver_sends_no_rates_then_they_are_not_asked_for():
+    run, names = crane_run(0.6), list(crane().joint_names)
+    messages = [
+        JointState(name=names, position=q.tolist(), effort=tau.tolist())
+        for q, _, tau in run.samples
+    ]
+    assert check_values('/joint_states', messages, needs_rates(crane())) is None
+    assert check_values('/joint_states', messages).check == 'values'
+
+
+def test_given_a_serial_arm_when_its_signals_are_checked_then_units_and_rates_are_as_stated():
+    run, messages = crane_run(0.6), []
+    for stamp, (q, v, tau) in zip(run.stamps, run.samples):
+        names = list(crane().joint_names)
+        messages.append(JointState(name=names, position=q, velocity=v, effort=tau))
+        messages[-1].header.stamp.nanosec = int(stamp)
+    assert signals.check_units('/joint_states', messages, crane()) is None
+    assert signals.check_rate_source('/joint_states', messages, crane()).level == Level.OK
+
+
+@pytest.mark.parametrize(('sign', 'level'), [(1.0, Level.OK), (-1.0, Level.ERROR)])
+def test_given_efforts_of_a_moving_arm_when_checked_then_a_wrong_sign_is_named(sign, level):
+    run, messages = crane_run(8.0), []
+    for stamp, (q, v, tau) in zip(run.stamps, run.samples):
+        names = list(crane().joint_names)
+        messages.append(JointState(name=names, position=q, velocity=v, effort=sign * tau))
+        messages[-1].header.stamp = Time(nanoseconds=int(stamp)).to_msg()
+    finding = signals.check_setup('/joint_states', messages, crane())
+    assert finding.level == level
+    assert ('of all joints count against the motion' in finding.text) == (sign < 0.0)
+
+
+# ------------------------------------------------------------------ environment
+
+
+def test_given_this_environment_when_checked_then_nothing_is_found(monkeypatch):
+    for name in ('ROS_DOMAIN_ID', 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_LOCALHOST_ONLY'):
+        monkeypatch.delenv(name, raising=False)
+    assert found(environment.check_environment()) == []
+
+
+def test_given_the_base_requirements_when_compared_then_the_doctor_asks_for_the_same():
+    lines = (ROOT / 'requirements' / 'base.txt').read_text().splitlines()
+    # CVXPY comes without its other solvers there, which does as well.
+    wanted = {one for one in environment.REQUIREMENTS if not one.startswith('cvxpy')}
+    assert wanted <= set(lines)
+
+
+def test_given_packages_that_are_missing_or_old_when_checked_then_they_are_named():
+    finding = environment.check_packages(('numpy<1', 'no-such-package-of-ours>=1'))
+    assert finding.level == Level.ERROR
+    assert re.search(r'numpy is [\d.]+, <1 is needed', finding.text)
+    assert 'no-such-package-of-ours is missing' in finding.text
+
+
+@pytest.mark.parametrize(
+    ('name', 'value', 'check', 'level'),
+    [
+        ('ROS_DOMAIN_ID', 'x', environment.check_domain, Level.ERROR),
+        ('ROS_DOMAIN_ID', '999', environment.check_domain, Level.ERROR),
+        ('ROS_DOMAIN_ID', '150', environment.check_domain, Level.WARN),
+        ('ROS_DOMAIN_ID', '42', environment.check_domain, Level.OK),
+        ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'EVERYWHERE', environment.check_range, Level.ERROR),
+        ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'OFF', environment.check_range, Level.ERROR),
+        ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'SUBNET', environment.check_range, Level.OK),
+        ('ROS_LOCALHOST_ONLY', '1', environment.check_range, Level.WARN),
+        ('RMW_IMPLEMENTATION', 'rmw_of_nobody', environment.check_middleware, Level.ERROR),
+        ('ROS_DISTRO', 'jazzy', environment.check_ros, None),
+    ],
+)
+def test_given_a_variable_when_checked_then_its_value_is_judged(
+    monkeypatch, name, value, check, level
+):
+    monkeypatch.setenv(name, value)
+    import rclpy
+
+    if level is None:  # a sourced ROS 2 beside wheels: only where there are wheels
+        wheels = rclpy.__file__.startswith(sys.prefix)
+        level = Level.ERROR if wheels and sys.prefix != sys.base_prefix else Level.OK
+    finding = check()
+    assert finding.level == level
+    assert bool(finding.remedy) == (level != Level.OK)
+
+
+def test_given_plain_python_or_no_ros_when_checked_then_both_are_found(monkeypatch):
+    import lpv.core.support.jit
+
+    monkeypatch.setattr(lpv.core.support.jit, 'COMPILED', False)
+    assert environment.check_compiler().level == Level.WARN
+    monkeypatch.setattr(sys, 'version_info', (3, 9, 1))
+    assert environment.check_python().level == Level.WARN
+    nothing = environment.RosProbe('', '', "No module named 'rclpy'")
+    assert environment.check_ros(nothing).level == Level.ERROR
+    assert environment.check_middleware(nothing).level == Level.ERROR
+    monkeypatch.setitem(sys.modules, 'lpv_msgs.msg', None)
+    assert environment.check_workspace().level == Level.ERROR
+
+
+# ------------------------------------------------------------------ graphs
+
+
+def message(stamp, names=('joint1', 'joint2'), effort=(0.0, 0.0), velocity=(0.0, 0.0)):
+    result = JointState(
+        name=list(names), position=[1.5] * len(names), velocity=list(velocity), effort=list(effort)
+    )
+    result.header.stamp.sec, result.header.stamp.nanosec = divmod(stamp, 10**9)
+    return result
+
+
+def healthy(paper_arm, stamps=None):
+    """What is seen of a graph that runs in real time."""
+    qos = stream(False)
+    shot = Snapshot(domain=7, nodes=list(NODES), states=dict.fromkeys(NODES, 'active'))
+    shot.parameters = {
+        name: {'use_sim_time': False, 'lockstep': False, 'arm_file': PAPER} for name in NODES
+    }
+    shot.parameters['/lpv/uio'].update(
+        {'torque_source': 'effort', 'gains.arm_sha256': paper_arm.sha256()}
+    )
+    types = {
+        'joint_states': (JOINT_STATE, 'arm_sim', 'uio'),
+        'state_estimate': ('lpv_msgs/msg/StateEstimate', 'uio', 'tracker'),
+        'torque_command': ('lpv_msgs/msg/TorqueCommand', 'tracker', 'arm_sim'),
+    }
+    for topic, (msgtype, source, sink) in types.items():
+        shot.publishers[f'/lpv/{topic}'] = [Endpoint(f'/lpv/{source}', msgtype, qos)]
+        shot.subscriptions[f'/lpv/{topic}'] = [Endpoint(f'/lpv/{sink}', msgtype, qos)]
+    measure(shot, stamps or [NOW + k * 2_000_000 for k in range(50)])
+    return shot
+
+
+def measure(shot, stamps, delay=1_000_000, **fields):
+    shot.measured['/lpv/joint_states'] = [
+        (stamp + delay, message(stamp, **fields)) for stamp in stamps
+    ]
+
+
+def simulated_time(shot):
+    """Turn the graph into one in lockstep, stamps and /clock from 1 s on."""
+    for values in shot.parameters.values():
+        values['lockstep'] = True
+    stamps = [10**9 + k * 2_000_000 for k in range(50)]
+    measure(shot, stamps, delay=NOW)
+    shot.clock = [(stamp + NOW, stamp) for stamp in stamps]
+
+
+def second_simulator(shot):
+    shot.nodes.append('/lpv/arm_sim')
+    shot.publishers['/lpv/joint_states'] *= 2
+
+
+def reliable_sink(shot):
+    wanted = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
+    shot.subscriptions['/lpv/joint_states'] = [Endpoint('/lpv/uio', JOINT_STATE, wanted)]
+
+
+def other_type(shot):
+    shot.subscriptions['/lpv/joint_states'] = [
+        Endpoint('/lpv/uio', 'std_msgs/msg/String', qos_profile_sensor_data)
+    ]
+
+
+def elsewhere(shot):
+    """The driver publishes on a topic of another name."""
+    shot.measured['/joint_states'] = shot.measured.pop('/lpv/joint_states')
+    shot.publishers['/joint_states'] = shot.publishers.pop('/lpv/joint_states')
+
+
+def wait_for_clock(shot):
+    shot.parameters['/lpv/uio']['use_sim_time'] = True
+
+
+STAMPS = [NOW + k * 2_000_000 for k in range(50)]
+
+
+def measured(*given, **fields):
+    """The mistake of other measurements."""
+    return lambda shot: measure(shot, *(given or [STAMPS]), **fields)
+
+
+def parameter(**values):
+    return lambda shot: shot.parameters['/lpv/uio'].update(values)
+
+
+def two_clocks(shot):
+    kind = 'rosgraph_msgs/msg/Clock'
+    shot.publishers['/clock'] = [Endpoint(f'/{n}', kind, stream(True)) for n in 'ab']
+
+
+def driver(shot):
+    end = Endpoint('/driver', JOINT_STATE, stream(False))
+    shot.publishers['/lpv/joint_states'].append(end)
+
+
+def still_clock(shot):
+    wait_for_clock(shot)
+    measure(shot, [10**9])
+    shot.clock.extend([(NOW, 10**9)] * 5)
+
+
+NAN = float('nan')
+MISTAKES = [
+    (second_simulator, 'names publishers', 'several nodes /lpv/arm_sim'),
+    (driver, 'publishers', '/lpv/joint_states has 2 publishers: /driver, /lpv/arm_sim'),
+    (two_clocks, 'publishers', '/clock has 2 publishers'),
+    (lambda s: s.states.update({'/lpv/uio': 'inactive'}), 'lifecycle', '/lpv/uio is inactive'),
+    (lambda s: s.states.update({'/lpv/uio': None}), 'lifecycle', '/lpv/uio does not answer'),
+    (wait_for_clock, 'clock', '/clock is silent'),
+    (still_clock, 'clock', '/clock stands still'),
+    (parameter(lockstep=True), 'mode', 'only some nodes are in lockstep: /lpv/uio'),
+    (parameter(**{'gains.arm_sha256': '0' * 64}), 'gains in use', "another arm than 'paper'"),
+    (elsewhere, 'connections', '/lpv/uio subscribes to /lpv/joint_states, which has'),
+    (reliable_sink, 'qos', '/lpv/uio receives nothing from /lpv/arm_sim'),
+    (other_type, 'qos', 'types sensor_msgs/msg/JointState and std_msgs/msg/String'),
+    (measured([]), 'measurements', '/lpv/joint_states is silent'),
+    (measured(names=('shoulder', 'elbow')), 'joints', "joint 'joint1' occurs 0 times"),
+    (measured(effort=()), 'efforts', '50 of 50 messages carry no effort'),
+    (measured(velocity=()), 'values', 'carry no rates'),
+    (measured(velocity=(NAN, 0.0)), 'values', 'that are not numbers'),
+    (measured([0] * 50), 'stamps', 'stamps are zero'),
+    (measured(delay=3600 * 10**9), 'stamps', '3.6e+03 s behind the clock of this machine'),
+    (measured(delay=-2 * 10**9), 'stamps', 'stamps are 2 s ahead of'),
+    (measured(STAMPS[:25] * 2), 'stamps', 'time goes backwards 1 times'),
+    (measured(range(NOW, NOW + 5 * 10**8, 10**7)), 'rate', 'every 10 ms, the arm file says 2 ms'),
+]
+
+
+def test_given_a_healthy_graph_when_checked_then_nothing_is_found(paper_arm):
+    shot = healthy(paper_arm)
+    findings = graph.check_graph(shot)
+    assert found(findings) == []
+    checks = [
+        'nodes',
+        'lifecycle',
+        'names',
+        'publishers',
+        'clock',
+        'mode',
+        'connections',
+        'qos',
+        'measurements',
+    ]
+    assert {f.check for f in findings} == {*checks, 'gains in use'}
+    simulated_time(shot)
+    assert found(graph.check_graph(shot)) == []
+
+
+@pytest.mark.parametrize(('spoil', 'checks', 'text'), MISTAKES, ids=[m[2] for m in MISTAKES])
+def test_given_a_mistake_in_the_graph_when_checked_then_it_is_found_and_nothing_else(
+    paper_arm, spoil, checks, text
+):
+    shot = healthy(paper_arm)
+    spoil(shot)
+    findings = graph.check_graph(shot)
+    assert sorted(set(found(findings))) == (
+        [checks] if checks == 'gains in use' else checks.split()
+    )
+    bad = [f for f in findings if f.level != Level.OK]
+    assert any(text in f.text for f in bad), [f.text for f in bad]
+    assert all(f.remedy for f in bad)
+
+
+def test_given_measurements_elsewhere_when_checked_then_the_remedy_names_their_topic(paper_arm):
+    shot = healthy(paper_arm)
+    elsewhere(shot)
+    (finding,) = graph.check_connections(shot)
+    assert '-r joint_states:=/joint_states' in finding.remedy
+
+
+def test_given_torques_from_commands_when_efforts_are_missing_then_that_is_fine(paper_arm):
+    shot = healthy(paper_arm)
+    measure(shot, STAMPS, effort=())
+    shot.parameters['/lpv/uio']['torque_source'] = 'command'
+    assert found(graph.check_graph(shot)) == []
+
+
+def test_given_an_arm_on_the_command_line_when_checked_then_it_counts_and_not_the_running_one(
+    paper_arm, real_arm
+):
+    shot = healthy(paper_arm)
+    assert graph.running_arm(shot) == paper_arm
+    assert found(graph.check_graph(shot, real_arm)) == ['gains in use']
+
+
+def test_given_nothing_of_ours_when_checked_then_it_depends_on_what_was_asked(paper_arm):
+    assert found(graph.check_graph(Snapshot())) == ['nodes']
+    assert found(graph.check_graph(Snapshot(), alone=False)) == []
+    shot = healthy(paper_arm)
+    driver = Snapshot(measured=shot.measured, publishers=shot.publishers)
+    (finding,) = [f for f in graph.check_graph(driver) if f.level != Level.OK]
+    assert 'but there are measurements' in finding.text
+    assert 'no gains' in finding.remedy
+
+
+# ------------------------------------------------------------------ the command
+
+
+def test_given_good_files_when_the_command_runs_offline_then_code_0_and_3_if_not(
+    capsys, gains_file
+):
+    assert main(['doctor', '--arm', 'paper', '--gains', gains_file, '--offline']) == 0
+    assert 'nothing found' in capsys.readouterr().out
+    assert main(['doctor', '--arm', 'real_arm', '--gains', gains_file, '--offline']) == 3
+    assert '-> lpv design --arm real_arm' in ' '.join(capsys.readouterr().out.split())
+    assert main(['doctor', '--arm', 'real_arm', '--gains', gains_file, '--offline', '--json']) == 3
+    told = json.loads(capsys.readouterr().out)
+    assert told['ok'] is False
+    assert [f['check'] for f in told['findings'] if f['level'] == 'ERROR'] == ['gains']
+
+
+@pytest.mark.parametrize('seconds', ['nan', '-1', '1e9'])
+def test_given_a_time_that_makes_no_sense_when_the_command_runs_then_it_ends_with_code_2(seconds):
+    assert main(['doctor', '--seconds', seconds]) == 2
+
+
+@pytest.mark.ros
+def test_given_two_simulators_and_nobody_else_when_the_command_runs_then_both_mistakes_are_found(
+    monkeypatch, capsys
+):
+    import rclpy
+    from rclpy.context import Context
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.lifecycle import LifecycleNode
+
+    domain, context = ros.next_domain(), Context()
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    rclpy.init(context=context, domain_id=domain)
+    names = ('arm_sim', 'arm_sim', 'uio')
+    nodes = [LifecycleNode(name, namespace='lpv', context=context) for name in names]
+    for node in nodes[:2]:
+        node.create_publisher(JointState, 'joint_states', 10)
+        node.create_subscription(JointState, 'torque_command', print, 10)
+    executor = SingleThreadedExecutor(context=context)
+    for node in nodes:
+        executor.add_node(node)
+    thread = threading.Thread(target=executor.spin)
+    thread.start()
+    try:
+        assert main(['doctor', '--seconds', '1', '--json']) == 3
+    finally:
+        executor.shutdown()
+        thread.join()
+        for node in nodes:
+            node.destroy_node()
+        rclpy.shutdown(context=context)
+    told = json.loads(capsys.readouterr().out)['findings']
+    texts = {f['check']: f['text'] for f in told if f['level'] != 'OK'}
+    assert '/lpv/joint_states has 2 publishers' in texts['publishers']
+    assert 'several nodes /lpv/arm_sim' in texts['names']
+    assert '/lpv/uio is unconfigured' in texts['lifecycle']
+    assert '/lpv/torque_command, which has no publisher' in texts['connections']
+    assert '/lpv/joint_states is silent' in texts['measurements']
+
+
+# ------------------------------------------------------------------ units, rates
+
+
+def recorded(arm, scale=1.0, rate_scale=1.0, derived=False):
+    """Messages of a moving arm whose torques hold it against gravity."""
+    rng, stamps = np.random.default_rng(0), NOW + 2_000_000 * np.arange(600)
+    time, planar = np.arange(600) / 500.0, planar_model(arm)
+    joints = JointMap(planar)
+    q = np.stack([1.57 + 0.5 * np.sin(3.0 * time), 0.4 * np.sin(2.0 * time)], axis=1)
+    held = -planar.constants().gravity * np.sin(joints.absolute_position(q))
+    torque = joints.joint_torque(held)
+    q = q + 1e-4 * rng.standard_normal(q.shape)
+    rate = np.stack([1.5 * np.cos(3.0 * time), 0.8 * np.cos(2.0 * time)], axis=1)
+    rate = np.gradient(q, time, axis=0) if derived else rate + 1e-3 * rng.standard_normal(q.shape)
+    result = []
+    for row, stamp in enumerate(stamps.tolist()):
+        one = message(
+            stamp, effort=torque[row].tolist(), velocity=(rate_scale * rate[row]).tolist()
+        )
+        one.position = (scale * q[row]).tolist()
+        result.append(one)
+    return result
+
+
+def test_given_measurements_in_si_units_when_checked_then_nothing_is_found(paper_arm):
+    assert signals.check_units('/joint_states', recorded(paper_arm), paper_arm) is None
+
+
+@pytest.mark.parametrize(
+    ('scale', 'rate_scale', 'said'),
+    [(57.3, 57.3, 'rad: degrees'), (57.3, 1.0, 'degrees'), (1.0, 57.3, 'rates in degrees')],
+)
+def test_given_degrees_when_checked_then_they_are_named(paper_arm, scale, rate_scale, said):
+    finding = signals.check_units(
+        '/joint_states', recorded(paper_arm, scale, rate_scale), paper_arm
+    )
+    assert finding.level == Level.ERROR
+    assert said in finding.text
+
+
+def test_given_small_angles_in_degrees_when_checked_then_gravity_tells(paper_arm, paper_model):
+    messages, joints = recorded(paper_arm), JointMap(paper_model)
+    for one in messages:  # nearly at rest, below two turns: 5 degrees
+        one.position, one.velocity = [5.0, 0.0], [0.0, 0.0]
+        angles = joints.absolute_position(np.radians([5.0, 0.0]))
+        held = -paper_model.constants().gravity * np.sin(angles)
+        one.effort = joints.joint_torque(held).tolist()
+    finding = signals.check_units('/joint_states', messages, paper_arm)
+    assert finding is not None and 'torques fit gravity' in finding.text
+
+
+@pytest.mark.parametrize(
+    ('derived', 'level', 'said'),
+    [(False, Level.OK, 'joint1 independent'), (True, Level.WARN, 'joint1 derived')],
+)
+def test_given_rates_when_checked_then_it_is_said_where_they_come_from(
+    paper_arm, derived, level, said
+):
+    finding = signals.check_rate_source(
+        '/joint_states', recorded(paper_arm, derived=derived), paper_arm
+    )
+    assert finding.level == level
+    assert said in finding.text
+
+
+def test_given_another_middleware_when_checked_offline_then_it_is_a_finding(monkeypatch, capsys):
+    monkeypatch.setenv('RMW_IMPLEMENTATION', 'rmw_of_nobody')
+    assert main(['doctor', '--json']) == 3  # the graph is left out: looking would end the process
+    levels = {f['check']: f['level'] for f in json.loads(capsys.readouterr().out)['findings']}
+    assert levels['middleware'] == 'ERROR' and levels['ros'] == 'OK'
+    assert 'nodes' not in levels

@@ -1,0 +1,234 @@
+"""lpv init, lpv --version, and what is said where something is missing."""
+
+import subprocess
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from places import BRINGUP, ROOT
+
+from lpv.cli.main import main
+from lpv.cli.needs import remedy
+from lpv.core.export.urdf import arm_urdf
+from lpv.core.serial_arm.arm_file import load_arm
+from lpv.core.simulation.scenario import load_scenario
+from lpv.core.uio.planar import planar_model, serial_from_planar
+from lpv_design.requirement import load_requirement
+
+
+@pytest.fixture
+def urdf(tmp_path, paper_arm):
+    path = tmp_path / 'arm.urdf'
+    path.write_text(arm_urdf(paper_arm))
+    return path
+
+
+def test_given_an_empty_folder_when_initialised_then_its_files_are_valid(tmp_path, capsys):
+    assert main(['init', str(tmp_path / 'new'), '--name', 'bench']) == 0
+    arm = load_arm(tmp_path / 'new' / 'arm.yaml')
+    assert arm.name == 'bench'
+    load_requirement(tmp_path / 'new' / 'requirement.yaml')
+    load_scenario(tmp_path / 'new' / 'scenario.yaml').path(arm)
+    assert 'lpv design --arm' in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_given_the_files_as_written_when_designed_then_the_certificate_holds(tmp_path):
+    main(['init', str(tmp_path)])
+    gains = str(tmp_path / 'gains.yaml')
+    arm, requirement = str(tmp_path / 'arm.yaml'), str(tmp_path / 'requirement.yaml')
+    assert main(['design', '--arm', arm, '--requirement', requirement, '--out', gains]) == 0
+    assert main(['verify', gains, '--arm', arm]) == 0
+
+
+def test_given_a_urdf_when_initialised_then_the_arm_is_that_of_the_urdf(tmp_path, urdf, paper_arm):
+    assert main(['init', str(tmp_path / 'new'), '--urdf', str(urdf)]) == 0
+    arm = load_arm(tmp_path / 'new' / 'arm.yaml')
+    found, wanted = planar_model(arm), planar_model(paper_arm)
+    for one, other in zip(found.links, wanted.links):
+        assert vars(one) == pytest.approx(vars(other))
+    assert arm.joint_names == paper_arm.joint_names
+    assert found.zero_angle == pytest.approx(wanted.zero_angle)
+    assert arm.torque_limit == pytest.approx(paper_arm.torque_limit)
+
+
+@pytest.mark.parametrize(('name', 'joints'), [('ur10', 6), ('panda', 7)])
+def test_given_the_urdf_of_a_serial_arm_when_initialised_then_arm_and_path_fit(
+    tmp_path, name, joints, capsys
+):
+    urdf = BRINGUP / 'urdf' / f'{name}.urdf'
+    assert main(['init', str(tmp_path / 'new'), '--urdf', str(urdf), '--name', 'bench']) == 0
+    arm = load_arm(tmp_path / 'new' / 'arm.yaml')
+    assert arm.name == 'bench' and len(arm.joint_names) == joints
+    scenario = load_scenario(tmp_path / 'new' / 'scenario.yaml')
+    assert (
+        np.ptp(scenario.path(arm).sample(np.linspace(0.0, 12.0, 50)).position, axis=0).min() > 0.1
+    )
+    assert 'lpv demo --arm' in capsys.readouterr().out
+
+
+@pytest.mark.parametrize('zero', [0.0, np.pi / 3, np.pi])
+def test_given_another_zero_when_read_from_a_urdf_then_it_is_found(tmp_path, paper_model, zero):
+    path = tmp_path / 'arm.urdf'
+    path.write_text(arm_urdf(serial_from_planar(replace(paper_model, zero_angle=zero))))
+    assert main(['init', str(tmp_path / 'new'), '--urdf', str(path)]) == 0
+    found = planar_model(load_arm(tmp_path / 'new' / 'arm.yaml')).zero_angle
+    assert np.cos(found - zero) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ('old', 'new', 'said'),
+    [
+        ('xyz="0 -1.0 0"', 'xyz="0 0 0"', 'direction'),
+        ('<mass value="10.0"', '<mass value="heavy"', 'mass'),
+        ('<robot', '<!DOCTYPE x [<!ENTITY y "z">]><robot', 'document type'),
+        ('</robot>', '', 'no element found'),
+        ('<dynamics', '<dynamics damping="-1"/><dynamics', 'dynamics.damping: must be'),
+    ],
+)
+def test_given_a_urdf_with_a_defect_when_initialised_then_it_is_named(
+    tmp_path, urdf, capsys, old, new, said
+):
+    text = urdf.read_text()
+    assert old in text
+    urdf.write_text(text.replace(old, new))
+    assert main(['init', str(tmp_path / 'new'), '--urdf', str(urdf)]) == 2
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / 'new').exists()
+
+
+def test_given_two_links_out_of_a_vertical_plane_when_initialised_then_it_has_no_region(
+    tmp_path, urdf
+):
+    urdf.write_text(urdf.read_text().replace('xyz="0 -1.0 0"', 'xyz="0 0 1"'))
+    assert main(['init', str(tmp_path / 'new'), '--urdf', str(urdf)]) == 0
+    arm = load_arm(tmp_path / 'new' / 'arm.yaml')
+    assert [joint.axis for joint in arm.joints] == [(0.0, 0.0, 1.0)] * 2
+    assert arm.lpv is None
+
+
+def link(name):
+    return (
+        f'<link name="{name}"><inertial><origin xyz="0.1 0 0.2"/><mass value="2"/>'
+        '<inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+    )
+
+
+def joint(name, parent, child, kind='revolute', dynamics=''):
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        '<origin xyz="0 0 0.3"/><axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="500" '
+        f'velocity="2"/>{dynamics}</joint>'
+    )
+
+
+@pytest.fixture
+def gripper(tmp_path):
+    """Three joints that turn, and two fingers that slide."""
+    path = tmp_path / 'gripper.urdf'
+    friction = '<dynamics damping="0.5" friction="0.25"/>'
+    path.write_text(
+        '<robot name="my arm">'
+        + ''.join(link(name) for name in ('base', 'one', 'two', 'hand', 'left', 'right', 'tool'))
+        + joint('shoulder', 'base', 'one', dynamics=friction)
+        + joint('elbow', 'one', 'two')
+        + joint('wrist', 'two', 'hand', 'continuous')
+        + joint('left_finger', 'hand', 'left', 'prismatic')
+        + joint('right_finger', 'hand', 'right', 'prismatic')
+        + joint('flange', 'hand', 'tool', 'fixed')
+        + '</robot>'
+    )
+    return path
+
+
+@pytest.mark.parametrize(
+    'options',
+    [
+        ['--lock', 'left_finger=0.02', '--lock', 'right_finger'],
+        ['--joints', 'shoulder,elbow,wrist'],
+        ['--joints', 'shoulder', 'elbow', 'wrist'],
+        ['--tip', 'tool'],
+    ],
+)
+def test_given_a_gripper_when_its_joints_are_held_then_the_arm_has_the_others_and_their_friction(
+    tmp_path, gripper, options
+):
+    assert main(['init', str(tmp_path / 'new'), '--urdf', str(gripper), *options]) == 0
+    arm = load_arm(tmp_path / 'new' / 'arm.yaml')
+    assert (arm.name, arm.joint_names) == ('my_arm', ('shoulder', 'elbow', 'wrist'))
+    assert dict(arm.locked).keys() == {'left_finger', 'right_finger'}
+    assert dict(arm.locked)['left_finger'] == (0.02 if '--lock' in options else 0.0)
+    assert [(j.friction.viscous, j.friction.coulomb) for j in arm.joints] == [
+        (0.5, 0.25),
+        (0.0, 0.0),
+        (0.0, 0.0),
+    ]
+    if '--tip' in options:
+        assert arm.tip == (0.0, 0.0, 0.3)
+
+
+@pytest.mark.parametrize(
+    ('options', 'said'),
+    [
+        ([], "'left_finger' is prismatic, 'right_finger' is prismatic: hold it with --lock left_f"),
+        ([], '--joints shoulder,elbow,wrist, or its last link with --tip'),
+        (['--tip', 'nose'], "'nose' is no link of the URDF: base, one"),
+        (['--lock', 'left_finger=open'], "'open' is not a number"),
+        (['--lock', 'thumb'], "no moving joint 'thumb'"),
+        (['--tip', 'tool', '--joints', 'elbow'], 'give one of them'),
+    ],
+)
+def test_given_a_gripper_that_is_not_held_when_initialised_then_the_options_are_named(
+    tmp_path, gripper, capsys, options, said
+):
+    if options == ['--lock', 'thumb']:
+        options = [*options, '--joints', 'shoulder,elbow,wrist']
+    assert main(['init', str(tmp_path / 'new'), '--urdf', str(gripper), *options]) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_given_files_that_are_there_when_initialised_then_none_is_overwritten(tmp_path, capsys):
+    (tmp_path / 'scenario.yaml').write_text('mine')
+    assert main(['init', str(tmp_path)]) == 2
+    assert 'exists already' in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ['scenario.yaml']
+
+
+def test_given_the_version_when_asked_then_it_is_printed(capsys):
+    with pytest.raises(SystemExit) as end:
+        main(['--version'])
+    assert end.value.code == 0
+    assert capsys.readouterr().out.startswith('lpv ')
+
+
+@pytest.mark.parametrize(
+    ('module', 'said'),
+    [
+        ('pyarrow.parquet', 'make setup-extras'),
+        ('optuna', 'make setup-extras'),
+        ('lpv_msgs.msg', 'ROS 2 is needed'),
+        ('rclpy', 'ROS 2 is needed'),
+        ('rich', 'pip install rich'),
+    ],
+)
+def test_given_a_missing_module_when_explained_then_its_installation_is_named(module, said):
+    assert said in remedy(module)
+
+
+def test_given_no_package_of_designs_when_one_is_asked_for_then_that_package_is_named():
+    assert 'lpv_design, which designs gains, is not installed' in remedy('lpv_design.main')
+
+
+def test_given_an_installation_by_pip_when_a_module_is_missing_then_its_extra_is_named(monkeypatch):
+    monkeypatch.setattr('lpv.cli.needs._version', lambda name: '0.1.0')
+    assert "pip install 'lpv-arm-fdi[campaign]'" in remedy('pyarrow.parquet')
+
+
+def test_given_a_checkout_with_a_space_in_its_path_when_set_up_then_it_is_refused_at_once(tmp_path):
+    tools = tmp_path / 'my checkout' / 'tools'
+    tools.mkdir(parents=True)
+    (tools / 'setup.sh').write_text((ROOT / 'tools' / 'setup.sh').read_text())
+    done = subprocess.run(['bash', tools / 'setup.sh'], capture_output=True, text=True)
+    assert done.returncode == 1
+    assert 'contains a space' in done.stderr
+    assert not (tmp_path / 'my checkout' / '.venv').exists()

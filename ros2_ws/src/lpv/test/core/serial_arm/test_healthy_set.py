@@ -1,0 +1,202 @@
+"""Guaranteed thresholds: no arm of the file crosses them, faults do, and alarms say so."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from serial_arms import shoulder_arm
+
+from lpv.core.monitoring.alarm_text import describe
+from lpv.core.monitoring.message_fields import alarm_fields
+from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv.core.serial_arm.certificate.jump_bound import jump_bound
+from lpv.core.serial_arm.chain import compile_chain
+from lpv.core.serial_arm.description import TorqueTolerance, Uncertainty
+from lpv.core.serial_arm.diagnosis.alarms import GUARANTEED, STATISTICAL
+from lpv.core.serial_arm.diagnosis.monitor import SerialMonitor
+from lpv.core.serial_arm.diagnosis.parameter_set import member, parameter_set, payload_generator
+from lpv.core.serial_arm.simulation import (
+    EncoderFault,
+    Push,
+    SerialSimulator,
+    integration_step,
+    plant_scratch,
+    plant_step,
+)
+
+STATED = Uncertainty(payload=0.5, friction=0.3, model_error=0.05)
+UNSTATED = Uncertainty(0.5, 0.3)
+ARM = shoulder_arm('independent', STATED)
+LEVEL = pytest.mark.parametrize('joint', [1, 2])
+RATES = pytest.mark.parametrize('rates', ['independent', 'derived'])
+
+
+def watched(arm=ARM, plant=None, *faults, duration=5.0, stated=None):
+    """The guarantee after a run; what the monitor's file states may differ from the arm's."""
+    run = SerialSimulator(arm, plant, 1).run(duration, faults)
+    monitor = SerialMonitor(arm if stated is None else replace(arm, uncertainty=stated))
+    monitor.update_many(run.stamps, run.samples)
+    return monitor.healthy and monitor.healthy.evaluate()
+
+
+@pytest.fixture(scope='module')
+def exact():
+    """The guarantee of an arm that is its model."""
+    return watched()
+
+
+def worst_member(arm, guarantee, joint):
+    """The arm of the file whose parameters push the estimate of a joint the most."""
+    chain = compile_chain(arm)
+    return member(chain, parameter_set(arm, chain), np.sign(guarantee.effects[joint]))
+
+
+@RATES
+@LEVEL
+def test_given_the_worst_arm_of_the_file_when_healthy_then_near_its_threshold_not_across(
+    rates, joint
+):
+    arm = shoulder_arm(rates, STATED)
+    worst = watched(arm, worst_member(arm, watched(arm), joint))
+    assert 0.5 < np.abs(worst.estimate[joint]) / worst.threshold[joint] < 1.0
+
+
+@LEVEL
+def test_given_a_file_that_states_too_little_when_healthy_then_the_threshold_is_crossed(
+    exact, joint
+):
+    forged = Uncertainty(payload=0.1, friction=0.1, model_error=0.01)
+    assert watched(ARM, worst_member(ARM, exact, joint), stated=forged).exceeded[joint]
+
+
+@LEVEL
+def test_given_an_offset_that_is_surely_found_when_present_then_no_healthy_arm_explains_it(
+    exact, joint
+):
+    size = 1.2 * float(exact.smallest_found[joint])
+    found = watched(ARM, None, EncoderFault(joint, 'bias', 0.0, size))
+    assert found.exceeded.tolist() == [False, joint == 1, joint == 2]
+
+
+def test_given_an_upright_arm_when_moved_then_nothing_is_claimed_of_its_base(exact):
+    assert exact.response[0] == pytest.approx(0.0, abs=1e-6)
+    assert not exact.exceeded[0] and exact.smallest_found[0] == np.inf
+
+
+def test_given_motion_when_it_goes_on_then_thresholds_shrink_with_what_is_learned(exact):
+    assert exact.threshold[1] < 0.6 * watched(duration=0.6).threshold[1]
+    assert watched(shoulder_arm(), duration=0.5) is None  # no stated range
+
+
+def test_given_a_torque_tolerance_when_stated_then_it_widens_the_threshold(exact):
+    tolerance = TorqueTolerance((0.0,), (1.0,))
+    joints = tuple(replace(one, torque_tolerance=tolerance) for one in ARM.joints)
+    assert np.all(watched(replace(ARM, joints=joints)).slack[1:] > 5.0 * exact.slack[1:])
+
+
+def test_given_a_long_run_with_a_gap_when_remembered_then_the_estimate_is_still_explained():
+    """The set follows horizon, memory and restart as the estimator does, number by number."""
+    run, monitor = SerialSimulator(ARM, seed=1).run(14.0), SerialMonitor(ARM)
+    run.stamps[6500:] += 10**9
+    monitor.update_many(run.stamps, run.samples)
+    guarantee = monitor.healthy.evaluate()
+    assert np.abs(guarantee.rest).max() < 1e-6
+    assert not guarantee.exceeded.any()
+
+
+@LEVEL
+@pytest.mark.parametrize('mass', [0.0, 0.3, 0.5])
+def test_given_any_payload_of_the_file_when_learned_then_the_interval_holds_it(exact, mass, joint):
+    chain = compile_chain(ARM)
+    sizes, shares = parameter_set(ARM, chain), np.sign(exact.effects[joint])
+    at_tip = payload_generator(sizes, 0.5)
+    shares[at_tip : len(sizes.inertial)] = 0.0
+    shares[at_tip] = mass / 0.5
+    low, high = watched(ARM, member(chain, sizes, shares), duration=8.0).payload
+    assert low <= mass <= high
+
+
+def test_given_an_exact_arm_when_moved_long_then_its_payload_is_known_better_than_stated():
+    low, high = watched(duration=8.0).payload
+    assert low == 0.0 and high < 0.45
+
+
+# ------------------------------------------------------------------ alarms and reports
+
+
+def answers(*faults, uncertainty=STATED, pushes=(), duration=5.0):
+    arm = shoulder_arm('independent', uncertainty)
+    run = SerialSimulator(arm, seed=1).run(duration, faults, pushes)
+    found = SerialSensorMonitor('uio', arm).take_many(
+        run.stamps + 1, *np.moveaxis(run.samples, 1, 0)
+    )
+    return [event for _, event in found.events], found.reports[-1][1]
+
+
+@pytest.mark.parametrize(
+    ('uncertainty', 'size', 'basis', 'said'),
+    [
+        (STATED, 0.4, GUARANTEED, 'no healthy arm'),
+        (UNSTATED, 0.4, STATISTICAL, 'statistical'),
+        (replace(STATED, model_error=0.2), 0.2, STATISTICAL, 'statistical'),  # below the threshold
+    ],
+)
+def test_given_an_offset_when_alarmed_then_its_basis_is_said(uncertainty, size, basis, said):
+    events, _ = answers(EncoderFault(1, 'bias', 0.0, size), uncertainty=uncertainty)
+    assert (events[-1].sensor, events[-1].basis) == ('encoder2', basis)
+    assert basis == GUARANTEED or {event.basis for event in events} == {STATISTICAL}
+    assert said in describe(events[-1])
+    assert (events[-1].confidence == 1.0) == (basis == GUARANTEED)
+
+
+def test_given_a_drift_when_alarmed_then_its_rate_is_said_and_is_no_field_of_the_message():
+    event = answers(EncoderFault(1, 'drift', 2.0, 0.1))[0][0]
+    assert event.rate == pytest.approx(0.1, abs=0.03)
+    assert f'drift of {event.rate:+.3f} rad/s' in describe(event)
+    assert not {'basis', 'unit', 'rate'} & set(alarm_fields(event))
+
+
+def test_given_a_step_beyond_the_jump_bound_when_found_then_it_is_guaranteed():
+    events, _ = answers(EncoderFault(2, 'bias', 2.0, 0.05), duration=2.5)
+    assert [(event.sensor, event.basis) for event in events] == [('encoder3', GUARANTEED)]
+
+
+def test_given_ranges_when_reported_then_thresholds_of_every_sensor_are_on_diagnostics():
+    observer, base, *others = answers()[1]
+    assert 'payload up to 0.5 kg' in observer['values']['guarantee']
+    assert 'none' in base['values']['guaranteed threshold [rad]']
+    for status in others:
+        values = status['values']
+        threshold = float(values['guaranteed threshold [rad]'])
+        assert 0.0 < 2.0 * threshold <= float(values['surely found beyond [rad]']) + 1e-3
+
+
+def test_given_no_ranges_or_a_push_when_reported_then_nothing_is_claimed():
+    observer, *sensors = answers(uncertainty=UNSTATED, duration=2.0)[1]
+    assert observer['values']['guarantee'].startswith('none stated')
+    assert all('guaranteed threshold [rad]' not in one['values'] for one in sensors)
+    pushed = answers(pushes=[Push(4.0, 4.6, (0.0, 25.0, 12.0))], duration=7.0)[1][0]
+    assert 'none of offsets' in pushed['values']['guarantee']
+
+
+@RATES
+def test_given_torques_that_switch_at_their_limits_when_healthy_then_no_jump_is_near_its_bound(
+    rates,
+):
+    arm, rng = shoulder_arm(rates), np.random.default_rng(0)
+    chain, bound, period = compile_chain(arm), jump_bound(arm), arm.sample_time
+    step, count = integration_step(chain, period)
+    state, scratch, matrix = np.zeros((2, 3)), plant_scratch(chain), np.empty((3, 3))
+    y, v = np.zeros((2000, 3)), np.zeros((2000, 3))
+    for k in range(2000):
+        y[k] = state[0] + 1e-4 * rng.normal(size=3)
+        v[k] = (y[k] - y[max(k - 1, 0)]) / period
+        if rates == 'independent':
+            v[k] = state[1] + 5e-3 * rng.normal(size=3)
+        torque = np.array(arm.torque_limit) * np.where(state[1] > 0, -1.0, 1.0)
+        torque *= rng.choice([1.0, 1.0, -1.0], 3)
+        plant_step(chain, state, torque, step, count, scratch, matrix)
+    jumps = y[1:-1] - y[:-2] - 0.5 * period * (v[:-2] + v[2:])
+    ratio = np.abs(jumps[3:]).max(0) / bound
+    assert np.all(ratio < 1.0)
+    assert ratio.max() > 0.05  # it holds in every configuration: some are reached by none

@@ -1,0 +1,45 @@
+"""Rows that compare readings with integrals of rates that have sensors of their own."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from serial_arms import shoulder_arm
+
+from lpv.core.serial_arm.diagnosis.bank import KinematicRows
+from lpv.core.serial_arm.diagnosis.estimator import HorizonPlan
+
+
+def sums(noise=1e-3, step=0.0, rate=0.0, jump=0.0):
+    """Sums of the rows of half a second at a constant rate, in which a reading may jump."""
+    arm = shoulder_arm('independent')
+    own = {'position_noise': noise, 'quantization': step}
+    joints = (replace(j, sensors=replace(j.sensors, **own)) for j in arm.joints)
+    arm = replace(arm, joints=tuple(joints))
+    plan = HorizonPlan.of(arm.sample_time)
+    rows, length = KinematicRows(arm, plan), plan.interval / plan.blocks
+    time = length * np.arange(30 * plan.blocks)
+    blocks = np.zeros((len(time), 12))
+    blocks[:, :3], blocks[:, 3:6] = rate * time[:, None], rate
+    blocks[-3 * plan.blocks :, 1] += jump
+    blocks[:, 9], blocks[:, 10] = time, length
+    for k in range(2 * plan.blocks, len(blocks) + 1, plan.blocks):
+        rows.take(blocks[k - 2 * plan.blocks : k])
+    return rows.sums(np.array([10]), blocks[-1])
+
+
+def test_given_a_step_of_rounding_when_weighted_then_it_is_noise_of_a_twelfth_of_its_square():
+    fine, rounded = sums(noise=1e-3), sums(noise=0.0, step=1e-3 * 12.0**0.5)
+    np.testing.assert_allclose(rounded.weight, fine.weight, rtol=1e-12)
+    assert np.all(sums(noise=2e-3).weight < 0.7 * fine.weight)
+
+
+def test_given_a_fast_motion_when_weighted_then_stamps_that_may_be_wrong_cost_weight():
+    assert np.all(sums(noise=1e-5, rate=3.0).weight < 0.9 * sums(noise=1e-5).weight)
+
+
+@pytest.mark.parametrize('rate', [0.0, 1.0])
+def test_given_a_reading_that_jumps_when_summed_then_its_own_row_holds_the_jump(rate):
+    found = sums(rate=rate, jump=0.05)
+    np.testing.assert_allclose(found.found[0], [0.0, 0.05, 0.0], atol=2e-3)
+    assert found.span == pytest.approx(0.5)

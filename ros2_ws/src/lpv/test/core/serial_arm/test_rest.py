@@ -1,0 +1,92 @@
+"""Readings that rest: healthy ones that are rounded raise no alarm, stuck ones in motion do."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from places import BRINGUP
+from serial_arms import shoulder_arm, with_rates, wrong_plant
+
+from lpv.core.serial_arm.arm_file import load_arm
+from lpv.core.serial_arm.diagnosis.monitor import SerialMonitor
+from lpv.core.serial_arm.dynamics.model import SerialModel
+
+DURATION = 8.0
+
+
+def arm_named(name, sample_time, rates):
+    """An arm that is shipped, or of two or three joints, with such rates."""
+    shipped = name in {'ur10', 'panda'}
+    arm = load_arm(BRINGUP / 'arms' / f'{name}.yaml') if shipped else shoulder_arm()
+    joints = arm.joints[1:] if name == 'two' else arm.joints
+    return with_rates(replace(arm, joints=joints), rates, sample_time=sample_time)
+
+
+def moves_and_rests(rng, times, joints):
+    """Joints that move from rest to rest at any time, slowly and fast: q, v, a."""
+    motion = np.zeros((3, len(times), joints))
+    for i in range(joints):
+        place, begin = rng.uniform(-1.0, 1.0), 0.0
+        while begin < times[-1]:
+            span = rng.uniform(0.3, 3.0)
+            way = min(span * 10.0 ** rng.uniform(-2.3, 0.2), span**2) * rng.integers(0, 2)
+            way *= -1.0 if place > 0.0 else 1.0
+            now = (times >= begin) & (times < begin + span)
+            x = (times[now] - begin) / span
+            motion[0, now, i] = place + way * (10 * x**3 - 15 * x**4 + 6 * x**5)
+            motion[1, now, i] = way / span * (30 * x**2 - 60 * x**3 + 30 * x**4)
+            motion[2, now, i] = way / span**2 * (60 * x - 180 * x**2 + 120 * x**3)
+            place, begin = place + way, begin + span
+    return motion
+
+
+def rounded_samples(arm, seed, step, frozen=None):
+    """Stamps, and readings, rates, efforts of a plant that is not quite the model."""
+    rng, period = np.random.default_rng(seed), arm.sample_time
+    times, n = np.arange(round(DURATION / period)) * period, len(arm.joints)
+    q, v, a = moves_and_rests(rng, times, n)
+    if frozen is not None:
+        q[:, frozen], v[:, frozen] = np.sin(2.0 * times), 2.0 * np.cos(2.0 * times)
+        a[:, frozen] = -4.0 * np.sin(2.0 * times)
+    model = SerialModel(wrong_plant(arm, seed))
+    effort = np.array([model.torque(*one) for one in zip(q, v, a)])
+    reading = q + (seed % 2) * 1e-4 * rng.normal(size=q.shape)
+    if frozen is not None:
+        reading[times > 6.4, frozen] = reading[np.argmax(times > 6.4), frozen]
+    reading = np.round(reading / step) * step
+    rate = v + 5e-3 * rng.normal(size=v.shape)
+    if arm.joints[0].sensors.rates == 'derived':
+        rate = np.diff(reading, axis=0, prepend=reading[:1]) / period
+    gains = np.array([joint.torque_gain for joint in arm.joints])
+    return np.round(times * 1e9).astype(np.int64), np.stack([reading, rate, effort / gains], 1)
+
+
+def alarms(arm, samples):
+    monitor = SerialMonitor(arm)
+    monitor.update_many(*samples)
+    return [(one.sensor, one.kind) for one in monitor.alarms]
+
+
+@pytest.mark.parametrize('step', [1e-4, 1e-3])
+@pytest.mark.parametrize('sample_time', [0.01, 0.002])
+@pytest.mark.parametrize('rates', ['derived', 'independent'])
+@pytest.mark.parametrize('name', ['ur10', 'panda', 'three', 'two'])
+def test_given_a_healthy_arm_that_rests_when_readings_are_rounded_then_nothing_is_wrong(
+    name, rates, sample_time, step
+):
+    arm = arm_named(name, sample_time, rates)
+    for seed in range(2):
+        assert alarms(arm, rounded_samples(arm, seed, step)) == [], seed
+
+
+@pytest.mark.parametrize('step', [1e-4, 1e-3])
+@pytest.mark.parametrize('sample_time', [0.01, 0.002])
+@pytest.mark.parametrize('rates', ['derived', 'independent'])
+def test_given_a_reading_that_freezes_in_motion_when_rounded_then_it_is_named(
+    rates, sample_time, step
+):
+    arm = arm_named('three', sample_time, rates)
+    for seed in range(2):
+        found = alarms(arm, rounded_samples(arm, seed, step, frozen=2))
+        assert ('encoder3', 'stuck') in found, seed
+        assert not {one for one in found if one[1] == 'stuck'} - {('encoder3', 'stuck')}

@@ -1,0 +1,176 @@
+"""Compiled chains from described arms and from inline parameters."""
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio
+import pytest
+from places import RECORDINGS
+
+from lpv.core.serial_arm.chain import axis_frame, compile_chain, make_chain
+from lpv.core.serial_arm.dynamics.kinematics import forward_kinematics
+from lpv.core.serial_arm.dynamics.model import SerialModel
+from lpv.core.serial_arm.urdf_chain import read_urdf_chain
+from lpv.core.support.errors import ConfigError
+
+URDF = """<robot name="small"><link name="base"/><link name="tool"/>
+<link name="one"><inertial><origin xyz="0.1 0.02 0" rpy="0.3 0 0.2"/><mass value="3"/>
+  <inertia ixx="0.02" ixy="0.001" ixz="0" iyy="0.03" iyz="0.002" izz="0.04"/></inertial></link>
+<link name="two"><inertial><origin xyz="0 0.2 0"/><mass value="2"/>
+  <inertia ixx="0.02" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.02"/></inertial></link>
+<link name="left"><inertial><origin xyz="0 0 0.05"/><mass value="0.4"/>
+  <inertia ixx="0.001" ixy="0" ixz="0" iyy="0.001" iyz="0" izz="0.001"/></inertial></link>
+<joint name="a" type="revolute"><parent link="base"/><child link="one"/>
+  <origin xyz="0 0 0.3" rpy="0.1 0.2 0.3"/><axis xyz="0 1 0"/>
+  <limit lower="-1" upper="2" velocity="3" effort="50"/></joint>
+<joint name="b" type="revolute"><parent link="one"/><child link="two"/>
+  <origin xyz="0.4 0 0"/><axis xyz="1 2 -1"/>
+  <limit lower="-1" upper="2" velocity="3" effort="50"/></joint>
+<joint name="mount" type="fixed"><parent link="two"/><child link="tool"/>
+  <origin xyz="0 0 0.1" rpy="0 0.5 0"/></joint>
+<joint name="finger" type="prismatic"><parent link="tool"/><child link="left"/>
+  <origin xyz="0 0.02 0"/><axis xyz="0 1 0"/>
+  <limit lower="0" upper="0.05" velocity="1" effort="5"/></joint></robot>"""
+
+
+def assert_same_torques(model, chain):
+    rng = np.random.default_rng(1)
+    ours, data = SerialModel(chain), model.createData()
+    for _ in range(20):
+        q, v, a = rng.uniform(-1.5, 1.5, (3, ours.joints))
+        expected = pinocchio.rnea(model, data, q, v, a)
+        np.testing.assert_allclose(ours.inverse_dynamics(q, v, a), expected, rtol=0, atol=1e-10)
+
+
+@pytest.fixture
+def small(tmp_path):
+    """Reads the URDF, changed or with something before its end; the finger is locked."""
+
+    def read(old='</robot>', new='</robot>', **options):
+        assert old in URDF
+        (tmp_path / 'small.urdf').write_text(URDF.replace(old, new))
+        return read_urdf_chain(tmp_path / 'small.urdf', **{'locked': {'finger': 0.0}, **options})
+
+    return read
+
+
+def test_gripper_is_locked_where_it_was_told_and_axes_point_anywhere(small):
+    found, full = small(locked={'finger': 0.03}), pinocchio.buildModelFromXML(URDF)
+    model = pinocchio.buildReducedModel(full, [full.getJointId('finger')], np.array([0, 0, 0.03]))
+    assert found.joint_names == ('a', 'b')
+    assert_same_torques(model, compile_chain(found))
+    data, q = full.createData(), np.array([0.4, -0.3, 0.03])
+    pinocchio.framesForwardKinematics(full, data, q)
+    expected = data.oMf[full.getFrameId('left')].translation
+    tip = forward_kinematics(compile_chain(found), q[:2])[1]
+    np.testing.assert_allclose(tip, expected, atol=1e-12)
+
+
+def test_base_on_the_wall_turns_gravity(small):
+    chain = compile_chain(replace(small(), base_orientation=(0.0, np.pi / 2, 0.0)))
+    np.testing.assert_allclose(chain.gravity, [9.81, 0.0, 0.0], atol=1e-12)
+
+
+DRIVES = """<ros2_control name="driver" type="system">
+  <hardware><plugin>ur_robot_driver/URPositionHardwareInterface</plugin></hardware>
+  <joint name="a"><command_interface name="position"><param name="min">{-6.28}</param>
+    </command_interface><state_interface name="position"/></joint>
+  <joint name="b"><state_interface name="effort"/></joint><link name="gpio" value="nan"/>
+</ros2_control>
+<transmission name="a_trans"><type>transmission_interface/SimpleTransmission</type>
+  <joint name="a"><hardwareInterface>hardware_interface/EffortJointInterface</hardwareInterface>
+  </joint><actuator name="motor"><mechanicalReduction>101</mechanicalReduction></actuator>
+</transmission><gazebo reference="one"><material>Grey</material></gazebo>
+<material name="grey"><color rgba="1 1 1 1"/></material></robot>"""
+
+
+def test_drives_and_controllers_of_a_urdf_are_no_joints(small):
+    plain = small()
+    assert replace(small(new=DRIVES), urdf=plain.urdf) == plain
+
+
+BRANCH = """<link name="camera"><inertial><mass value="0.7"/><inertia ixx="0.01" ixy="0" ixz="0"
+  iyy="0.01" iyz="0" izz="0.01"/></inertial></link><link name="right"/>
+<joint name="pan" type="continuous"><parent link="one"/><child link="camera"/>
+  <origin xyz="0 0.3 0"/><axis xyz="0 0 1"/></joint>
+<joint name="other" type="prismatic"><parent link="tool"/><child link="right"/>
+  <axis xyz="0 -1 0"/><mimic joint="finger" multiplier="-2" offset="0.01"/>
+  <limit lower="-1" upper="1" velocity="1" effort="5"/></joint></robot>"""
+
+
+def test_tip_names_the_branch_and_what_follows_a_locked_joint_is_locked_with_it(small):
+    own = {'new': BRANCH, 'locked': {'finger': 0.02}}
+    with pytest.raises(ConfigError, match="'pan' .* name the link at"):
+        small(**own)
+    found = small(**own, tip='tool')
+    assert found.joint_names == ('a', 'b')
+    assert dict(found.locked) == pytest.approx({'finger': 0.02, 'other': -0.03, 'pan': 0.0})
+    full = pinocchio.buildModelFromXML(URDF.replace('</robot>', BRANCH))
+    reference = pinocchio.neutral(full)
+    for name, angle in found.locked:
+        if name != 'pan':  # has cosine and sine
+            reference[full.joints[full.getJointId(name)].idx_q] = angle
+    held = [full.getJointId(name) for name, _ in found.locked]
+    assert_same_torques(pinocchio.buildReducedModel(full, held, reference), compile_chain(found))
+    assert small(new=BRANCH, locked={}, tip='camera').joint_names == ('a', 'pan')
+    with pytest.raises(ConfigError, match="no link 'hand'"):
+        small(new=BRANCH, locked={}, tip='hand')
+
+
+@pytest.mark.parametrize(
+    ('old', 'new', 'reason'),
+    [
+        ('</joint>\n<joint name="mount"', '<mimic joint="a"/></joint>\n<joint name="mount"',
+         "'b' follows 'a'"),
+        ('<joint name="b" type="revolute">', '<joint name="b" type="floating">', "'b' is floating"),
+        ('<joint name="b" type="revolute">', '<joint name="b" type="planar">', "'b' is planar"),
+        ('</joint>\n<joint name="mount"', '<mimic joint="a" offset="1e99"/></joint>\n<joint name='
+         '"mount"', "'b': multiplier"),
+    ],
+)  # fmt: skip
+def test_joints_that_no_arm_has_are_refused_by_name(small, old, new, reason):
+    with pytest.raises(ConfigError, match=reason):
+        small(old, new)
+
+
+def test_base_link_turned_by_a_fixed_joint_turns_the_arm(small):
+    world = """<link name="world"/><joint name="bolted" type="fixed"><parent link="world"/>
+    <child link="base"/><origin xyz="1 2 3" rpy="0.7 -2.0 1.1"/></joint></robot>"""
+    full = pinocchio.buildModelFromXML(URDF.replace('</robot>', world))
+    model = pinocchio.buildReducedModel(full, [full.getJointId('finger')], np.zeros(3))
+    assert_same_torques(model, compile_chain(small(new=world)))
+
+
+@pytest.mark.parametrize('path', ['ur10/ur10.urdf', 'panda/fer.urdf'])
+def test_arm_of_a_manufacturer_equals_pinocchio(path):
+    if not (RECORDINGS / path).exists():
+        pytest.skip(f'{RECORDINGS / path} is not there')
+    model = pinocchio.buildModelFromUrdf(str(RECORDINGS / path))
+    model.armature = np.zeros(model.nv)
+    assert_same_torques(model, compile_chain(read_urdf_chain(RECORDINGS / path)))
+
+
+@pytest.mark.parametrize(
+    ('field', 'value'),
+    [
+        ('rotation', [2.0 * np.eye(3)]),
+        ('rotation', [np.eye(2)]),
+        ('translation', np.zeros((40, 3))),
+        ('translation', [[0.0, np.nan, 0.0]]),
+        ('inertial', [['x'] * 10]),
+        ('motor', np.ones((2, 2))),
+        ('gravity', [0.0, 9.81]),
+    ],
+)
+def test_bad_inline_parameters_are_refused_by_name(field, value):
+    good = {'rotation': [np.eye(3)], 'translation': [[0, 0, 0]], 'inertial': np.ones((1, 10))}
+    with pytest.raises(ConfigError, match=field):
+        make_chain(**{**good, field: value})
+
+
+@pytest.mark.parametrize('axis', [(0, 0, 1), (0, 0, -1), (1, 0, 0), (1e-9, 1e-9, 1), (3, -4, 5)])
+def test_frame_of_an_axis_is_a_rotation(axis):
+    frame = axis_frame(np.array(axis, dtype=float))
+    np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(frame[:, 2], np.array(axis) / np.linalg.norm(axis), atol=1e-12)
+    assert np.linalg.det(frame) > 0.0

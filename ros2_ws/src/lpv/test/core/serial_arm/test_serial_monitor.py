@@ -1,0 +1,205 @@
+"""Diagnosis of a simulated arm of three joints whose parameters are not known exactly.
+
+Single faults of each kind and size are in `test_fault_matrix`.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from serial_arms import shoulder_arm, simulated, watch
+
+from lpv.core.serial_arm.arm_file import load_arm
+from lpv.core.serial_arm.chain import compile_chain
+from lpv.core.serial_arm.diagnosis.estimator import DISTRUST
+from lpv.core.serial_arm.diagnosis.monitor import CONTACT_PAUSE, SensorState, SerialMonitor
+from lpv.core.serial_arm.dynamics.kinematics import jacobian
+from lpv.core.serial_arm.simulation import EncoderFault, Push, SerialSimulator
+from lpv.core.support.errors import SampleError
+from lpv.core.support.resources import bringup_file
+
+RATES = pytest.mark.parametrize('rates', ['derived', 'independent'])
+
+
+def watched(arm, *faults, **options):
+    run = simulated(arm, *faults, **options)
+    return watch(arm, run), run
+
+
+def named(monitor):
+    return {alarm.sensor for alarm in monitor.alarms}
+
+
+@RATES
+@pytest.mark.parametrize('seed', [1, 2])
+def test_healthy_arm_of_unknown_parameters_raises_nothing_and_its_vertical_axis_has_no_level(
+    rates, seed
+):
+    monitor, _ = watched(shoulder_arm(rates), seed=seed)
+    estimate = monitor.estimate(0)
+    assert monitor.alarms == [] and np.abs(estimate.fault[1:]).max() < 0.03
+    if rates == 'derived' and seed == 1:
+        assert estimate.state[0] is SensorState.NOT_DIAGNOSABLE and estimate.sigma[0] > 0.4
+        assert estimate.state[1:] == (SensorState.OK, SensorState.OK)
+
+
+@pytest.mark.parametrize('joint', [1, 2])
+def test_offset_from_the_start_is_named_and_measured_also_after_a_gap(joint):
+    arm = shoulder_arm()
+    run = simulated(arm, EncoderFault(joint, 'bias', 0.0, 0.5))
+    monitor = watch(arm, run)
+    assert [(a.sensor, a.kind) for a in monitor.alarms] == [(f'encoder{joint + 1}', 'bias')]
+    assert monitor.alarms[0].detected < 5.0 and 0.99 < monitor.alarms[0].confidence <= 1.0
+    assert monitor.estimate(0).fault[joint] == pytest.approx(0.5, abs=0.05)
+    kept = (np.arange(len(run.stamps)) < 2513) | (np.arange(len(run.stamps)) > 2777)
+    gone = SerialMonitor(arm)
+    gone.update_many(run.stamps[kept], run.samples[kept])
+    assert [(a.sensor, a.kind) for a in gone.alarms] == [(f'encoder{joint + 1}', 'bias')]
+    assert gone.estimate(0).fault[joint] == pytest.approx(0.5, abs=0.05)
+
+
+@RATES
+@pytest.mark.parametrize('joint', [0, 1, 2])
+def test_step_is_named_within_20_ms_on_any_joint_and_keeps_its_kind(rates, joint):
+    fault = EncoderFault(joint, 'bias', 2.0, 0.01)
+    monitor, _ = watched(shoulder_arm(rates), fault, duration=4.0)
+    (alarm,) = monitor.alarms
+    assert (alarm.sensor, alarm.kind) == (f'encoder{joint + 1}', 'bias')
+    assert alarm.detected < 2.02 and alarm.size == pytest.approx(0.01, abs=2e-3)
+
+
+def test_two_steps_at_once_are_both_named():
+    faults = EncoderFault(1, 'bias', 2.0, 0.02), EncoderFault(2, 'bias', 2.0, -0.02)
+    monitor, _ = watched(shoulder_arm(), *faults, duration=2.5)
+    assert named(monitor) == {'encoder2', 'encoder3'}
+
+
+def test_drift_with_its_derived_rate_has_the_right_onset_and_is_followed():
+    monitor, run = watched(shoulder_arm(), EncoderFault(1, 'drift', 4.0, 0.3))
+    assert named(monitor) == {'encoder2'}
+    assert monitor.alarms[0].onset == pytest.approx(4.0, abs=0.03)
+    truth = (run.samples[-1, 0] - run.position[-1])[1]
+    assert monitor.estimate(0).fault[1] == pytest.approx(truth, abs=0.1)
+
+
+def test_push_is_a_contact_and_no_fault_of_an_encoder():
+    pushes = [Push(4.0, 4.6, (0.0, 25.0, 12.0)), Push(6.0, 6.3, (15.0, -20.0, 0.0))]
+    monitor, _ = watched(shoulder_arm(), pushes=pushes)
+    assert {alarm.kind for alarm in monitor.alarms} == {'contact'}
+    # What is around a contact is hardly learned from.
+    doubted = (monitor.estimator.window.trust <= DISTRUST).sum()
+    assert doubted >= round(CONTACT_PAUSE / monitor.plan.interval)
+
+
+@pytest.mark.parametrize('seed', [1, 2])
+def test_given_a_collision_that_stays_in_contact_then_no_encoder_is_blamed(seed):
+    direction = np.random.default_rng(seed).uniform(-1.0, 1.0, 3)
+    impact, rest = tuple(60.0 * direction), tuple(6.0 * direction)
+    pushes = [Push(4.0, 4.02, impact), Push(4.02, 7.0, rest)]
+    monitor, _ = watched(shoulder_arm(), pushes=pushes, seed=seed)
+    assert named(monitor) <= {''}
+
+
+SHAPES = {
+    'half-sine': lambda place: np.sin(np.pi * np.clip(place, 0.0, 1.0)),
+    'ramp that stays': lambda place: np.clip(place, 0.0, 1.0),
+    'step': lambda place: (place > 0.0) * (place < 1.0),
+}
+
+
+@pytest.mark.parametrize('shape', SHAPES)
+@pytest.mark.parametrize('seed', [1, 2])
+def test_slow_push_or_force_on_the_tip_is_no_fault_of_an_encoder(shape, seed):
+    arm, rng = shoulder_arm(), np.random.default_rng(seed)
+    run = simulated(arm, seed=seed, duration=7.0)
+    place = (run.stamps * 1e-9 - 3.5) / rng.uniform(0.5, 3.0)
+    force, chain = rng.normal(size=3) * 15.0, compile_chain(arm)
+    torque = np.array([jacobian(chain, q)[:3].T @ force for q in run.position])
+    run.samples[:, 2] -= SHAPES[shape](place)[:, None] * torque
+    assert named(watch(arm, run)) <= {''}
+
+
+def test_bad_samples_are_refused_and_change_nothing():
+    monitor, good = SerialMonitor(shoulder_arm()), np.zeros(3)
+    monitor.update(1_000_000, good, good, good)
+    with pytest.raises(SampleError, match='finite'):
+        monitor.update(2_000_000, [0.0, np.nan, 0.0], good, good)
+    with pytest.raises(SampleError, match='increase'):
+        monitor.update(1_000_000, good, good, good)
+    with pytest.raises(SampleError, match='shape'):
+        monitor.update_many([3_000_000], np.zeros((1, 3, 2)))
+    assert monitor.update(2_000_000, good, good, good).stamp == 2_000_000
+
+
+@RATES
+def test_given_a_step_when_one_more_sample_confirms_it_then_it_is_named(rates):
+    arm = replace(shoulder_arm(rates), sample_time=0.008)
+    monitor, _ = watched(arm, EncoderFault(1, 'bias', 4.0, 0.05), duration=4.5)
+    assert [alarm.sensor for alarm in monitor.alarms] == ['encoder2']
+    assert monitor.alarms[0].detected == pytest.approx(4.0 + 0.008, abs=1e-6)
+
+
+def jumps_only(arm, samples):
+    monitor = SerialMonitor(replace(arm, effort_includes_gravity=False))
+    period = round(1e9 * arm.sample_time)
+    monitor.update_many(period * np.arange(len(samples)), samples)
+    return monitor
+
+
+def test_given_repeated_samples_when_an_encoder_jumps_at_one_then_it_alone_is_named():
+    arm = replace(load_arm(bringup_file('arms', 'ur10')), sample_time=0.03)
+    rate = np.linspace(1.0, 2.0, 6)
+    phase = rate * 0.03 * np.arange(120)[:, None] + rate
+    samples = np.stack([0.5 * np.sin(phase), 0.5 * rate * np.cos(phase), 0.0 * phase], 1)
+    samples[25::50] = samples[24:-1:50]
+    assert jumps_only(arm, samples).alarms == []
+    samples[75:, 0, 2] += 0.02
+    assert named(jumps_only(arm, samples)) == {arm.sensor_names[2]}
+
+
+def test_given_a_joint_that_shakes_faster_than_it_is_sampled_then_it_has_not_jumped():
+    samples = np.zeros((60, 3, 3))
+    samples[:, 1, 1] = 0.4 * (-1.0) ** np.arange(60)
+    arm = replace(shoulder_arm('independent'), sample_time=0.033)
+    assert jumps_only(arm, samples).alarms == []
+
+
+def test_spike_is_no_lasting_fault():
+    arm = shoulder_arm('independent')
+    run = SerialSimulator(arm, seed=3).run(3.0)
+    run.samples[1000, 0, 1] += 0.3
+    monitor = watch(arm, run)
+    events = [(alarm.sensor, alarm.kind, alarm.event) for alarm in monitor.alarms]
+    assert events == [('encoder2', 'spike', 'raised'), ('encoder2', 'spike', 'cleared')]
+    assert abs(monitor.estimate(0).fault[1]) < 0.1
+
+
+def test_efforts_are_scaled_in_a_copy():
+    arm = shoulder_arm()
+    louder = replace(arm, joints=tuple(replace(j, torque_gain=2.0) for j in arm.joints))
+    run = SerialSimulator(arm, seed=1).run(2.0)
+    halved = run.samples * [[1.0], [1.0], [0.5]]
+    before, one, other = halved.copy(), watch(arm, run), SerialMonitor(louder)
+    other.update_many(run.stamps, halved)
+    assert np.array_equal(halved, before)
+    assert one.estimate(0).fault.tobytes() == other.estimate(0).fault.tobytes()
+
+
+def test_without_efforts_that_hold_gravity_only_jumps_are_found():
+    arm = replace(shoulder_arm('independent'), effort_includes_gravity=False)
+    monitor, _ = watched(arm, EncoderFault(1, 'bias', 1.0, 0.01), duration=2.0)
+    assert [(alarm.sensor, alarm.kind) for alarm in monitor.alarms] == [('encoder2', 'bias')]
+    assert set(monitor.estimate(0).state) == {SensorState.ERROR, SensorState.NOT_DIAGNOSABLE}
+
+
+@pytest.mark.parametrize('joint', [1, 2])
+def test_drift_and_bias_of_an_independent_rate_are_told_apart(joint):
+    arm, name = shoulder_arm('independent'), f'encoder{joint + 1}'
+    monitor, _ = watched(arm, EncoderFault(joint, 'drift', 4.0, 0.1))
+    assert (monitor.alarms[0].sensor, monitor.alarms[0].kind) == (name, 'drift')
+    assert monitor.alarms[0].detected < 6.5
+    run = simulated(arm)
+    run.samples[2000:, 1, joint] += 0.2
+    monitor = watch(arm, run)
+    assert {(a.sensor, a.kind) for a in monitor.alarms} == {(name, 'rate_bias')}
+    assert monitor.alarms[0].size == pytest.approx(0.2, abs=0.03)

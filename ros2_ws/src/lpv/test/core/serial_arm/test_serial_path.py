@@ -1,0 +1,101 @@
+"""Paths of serial arms: splines of joints, poses through inverse kinematics, limits."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from serial_arms import shoulder_arm
+
+from lpv.core.control.path_follower import PathFollower
+from lpv.core.control.serial_path import PoseWaypoints, SerialPath
+from lpv.core.serial_arm.description import JointLimits
+from lpv.core.support.errors import ConfigError, UnreachableError
+
+TIMES = (0.5, 2.5, 5.0)
+JOINTS = ((0.0, 0.5, -1.0), (0.6, 0.9, -1.4), (-0.3, 0.4, -0.9))
+REACHED = ((0.5, 0.0, 0.2), (0.4, 0.3, 0.4), (0.5, -0.2, 0.3))
+START = (0.0, 0.6, -1.2)
+
+
+@pytest.fixture(scope='module')
+def arm():
+    return shoulder_arm('independent')
+
+
+@pytest.fixture(scope='module')
+def path(arm):
+    return SerialPath(arm, TIMES, JOINTS)
+
+
+def test_given_waypoints_when_sampled_then_the_path_meets_them_and_rests_at_the_ends(path):
+    np.testing.assert_allclose(path.sample(TIMES).position, JOINTS, atol=1e-12)
+    for time in (0.0, 0.5, 5.0, 9.0):
+        motion = path.sample(time)
+        assert np.abs([motion.velocity, motion.acceleration]).max() < 1e-9
+
+
+def test_given_a_path_when_differentiated_then_rates_and_accelerations_fit(path):
+    times = np.linspace(0.6, 4.9, 50)
+    before, here, after = (path.sample(times + step) for step in (-1e-5, 0.0, 1e-5))
+    assert np.abs((after.position - before.position) / 2e-5 - here.velocity).max() < 1e-6
+    assert np.abs((after.velocity - before.velocity) / 2e-5 - here.acceleration).max() < 1e-5
+
+
+def test_given_poses_when_followed_then_the_tip_is_on_the_spline_through_them(arm):
+    path = SerialPath.through_poses(arm, TIMES, PoseWaypoints(REACHED, START))
+    np.testing.assert_allclose(path.sample(TIMES).tip, REACHED, atol=1e-5)
+    assert np.abs(np.diff(path.sample(np.linspace(0.0, 5.0, 500)).position, axis=0)).max() < 0.05
+
+
+@pytest.mark.parametrize(
+    ('points', 'reason'),
+    [
+        (((1.5, 0.0, 0.2), (1.4, 0.0, 0.2)), 'out of reach'),
+        (((0.5, 0.0, 0.2), (0.799, 0.0, 0.2)), 'singularity'),
+        (((0.5, 0.0, 0.4), (0.001, 0.0, 0.7)), 'singularity|out of reach'),
+    ],
+)
+def test_given_poses_that_cannot_be_when_followed_then_the_error_says_when_and_why(
+    arm, points, reason
+):
+    with pytest.raises(UnreachableError, match=rf'at \d+\.\d\d s .*({reason})'):
+        SerialPath.through_poses(arm, (0.0, 3.0), PoseWaypoints(points, START))
+
+
+@pytest.mark.parametrize(
+    ('limits', 'reason'),
+    [
+        (JointLimits(-0.2, 0.5, 2.5, 60.0), 'takes joint1 to .* whose limit'),
+        (JointLimits(-2.5, 2.5, 0.2, 60.0), 'rad/s of joint1, whose limit is 0.2'),
+        (JointLimits(-2.5, 2.5, 2.5, 0.1), 'N m of joint1, whose limit is 0.1'),
+    ],
+)
+def test_given_a_limit_when_the_path_exceeds_it_then_it_is_refused_by_name(arm, limits, reason):
+    narrow = replace(arm, joints=(replace(arm.joints[0], limits=limits), *arm.joints[1:]))
+    with pytest.raises(ConfigError, match=reason):
+        SerialPath(narrow, TIMES, JOINTS)
+
+
+@pytest.mark.parametrize(
+    ('times', 'joints', 'reason'),
+    [
+        ((0.0, 0.0), JOINTS[:2], 'must increase'),
+        ((0.0,), JOINTS[:1], 'two or more'),
+        ((0.0, 1.0), ((0.0, 0.0), (0.1, 0.1)), '3 joint positions'),
+        ((0.0, 1.0), ((0.0, 0.0, np.nan), JOINTS[0]), 'finite'),
+    ],
+)
+def test_given_waypoints_that_make_no_path_when_made_then_the_field_is_named(
+    arm, times, joints, reason
+):
+    with pytest.raises(ConfigError, match=rf'path.waypoints: .*{reason}'):
+        SerialPath(arm, times, joints)
+
+
+def test_given_an_arm_beside_its_path_when_followed_then_it_is_led_there_smoothly(path):
+    start = path.sample(0.0).position + np.array([0.4, -0.3, 0.2])
+    follower = PathFollower(path, 0.5)
+    rows = [follower.reference(k * 2_000_000, start) for k in range(4000)]
+    assert np.abs(rows[0].position - start).max() < 1e-12
+    assert np.abs(np.diff([r.position for r in rows], axis=0)).max() < 0.5 * 0.002 * 1.5
+    np.testing.assert_allclose(rows[-1].position, path.sample(8.0).position, atol=1e-9)

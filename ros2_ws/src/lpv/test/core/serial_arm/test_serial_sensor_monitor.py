@@ -1,0 +1,236 @@
+"""A serial arm's diagnosis behind the interface that node and replay use."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from serial_arms import shoulder_arm, simulated
+
+from lpv.core.monitoring.parameters import DiagnosisParameters
+from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv.core.serial_arm.chain import compile_chain
+from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent, Mode, SensorState
+from lpv.core.serial_arm.dynamics.model import SerialModel
+from lpv.core.serial_arm.simulation import EncoderFault
+from lpv.core.support.errors import ConfigError, SampleError
+
+ARM = shoulder_arm()
+LARGE = EncoderFault(1, 'bias', 1.0, 0.3)
+HOUR = 3600 * 10**9
+
+
+@pytest.fixture(scope='module')
+def recording():
+    """Stamps, and readings, rates, efforts of 2 s with a step on the second encoder after 1 s."""
+    run = simulated(ARM, EncoderFault(1, 'bias', 1.0, 0.05), duration=2.0)
+    return run.stamps + 5, run.samples, run.position
+
+
+@pytest.fixture(scope='module')
+def long_recording():
+    """6 s with a larger step, which gravity shows."""
+    run = simulated(ARM, LARGE, duration=6.0)
+    return run.stamps + 5, run.samples, run.position
+
+
+def observe(stamps, samples, monitor=None):
+    """A monitor, and its answers to a recording."""
+    monitor = monitor or SerialSensorMonitor('/uio', ARM)
+    return monitor, monitor.take_many(stamps, *np.moveaxis(samples, 1, 0))
+
+
+def told(answers):
+    return [(e.event, e.sensor) for _, e in answers.events]
+
+
+def message(names=ARM.joint_names, **fields):
+    zeros = [0.0] * len(names)
+    values = {'position': zeros, 'velocity': zeros, 'effort': zeros, **fields}
+    return SimpleNamespace(name=list(names), **values)
+
+
+RAISED = [(AlarmEvent.RAISED, 'encoder2')]
+
+
+def test_given_samples_that_are_lost_repeated_or_not_finite_when_taken_then_each_is_counted(
+    recording,
+):
+    """Their answers do not depend on the parts they come in: `test_any_data`."""
+    stamps, samples = recording[0].copy(), recording[1].copy()
+    samples[100, 0, 1] = samples[150, 1, 0] = np.nan
+    samples[700:800, 2] = np.nan
+    stamps[200] = stamps[199]
+    stamps[300] -= 50_000_000
+    stamps[400:] += 100_000_000
+    stamps[900:] -= 3_000_000_000
+    spoils = {'duplicates', 'out_of_order', 'not_finite', 'gaps', 'without_effort', 'restarts'}
+    for data, expected in (
+        (recording[:2], set()),
+        ((stamps, samples), spoils | {'refused_stamps'}),
+    ):
+        monitor, answers = observe(*data)
+        assert np.isfinite(answers.state.position).all() and np.isfinite(answers.fault.bound).all()
+        assert {name for name, count in vars(monitor.counters).items() if count} == expected
+
+
+def test_given_a_step_when_found_then_the_alarm_names_it_and_its_reading_is_corrected(recording):
+    stamps, samples, position = recording
+    _, answers = observe(stamps, samples)
+    assert told(answers) == RAISED
+    row, event = answers.events[0]
+    assert event.detected == stamps[row] < stamps[500] + 20_000_000
+    assert (event.kind, event.size) == ('bias', pytest.approx(0.05, abs=2e-3))
+    assert list(answers.fault.alarm[row]) == [False, True, False]
+    assert (answers.fault.state[:row, 1] != SensorState.ERROR).all()
+    error = answers.state.compensated_position - position
+    assert np.abs(error).max() < 5e-3  # carried on by its rate until the jump is known
+    assert answers.state.trustworthy.all()
+    observer, *sensors = answers.reports[-1][1]
+    assert observer['values']['corrected joints'] == 'joint2'
+    assert observer['values']['bounds'] == 'statistical, 4 standard deviations'
+    assert [status['message'] for status in sensors][1] == 'fault confirmed'
+
+
+@pytest.mark.parametrize('weight', [True, False])
+def test_given_no_efforts_or_none_of_the_weight_when_observed_then_offsets_are_not_diagnosable(
+    recording, weight
+):
+    stamps, samples, position = recording
+    samples, arm, said = samples.copy(), ARM, 'no efforts'
+    if weight:
+        samples[:, 2] = np.nan
+    else:
+        arm, said = replace(ARM, effort_includes_gravity=False), 'leave out the weight'
+        model = SerialModel(compile_chain(arm))
+        samples[:, 2] -= [model.gravity(q) for q in position]
+    _, answers = observe(stamps, samples, SerialSensorMonitor('/uio', arm))
+    assert told(answers) == RAISED  # jumps are found
+    assert np.abs(answers.fault.estimate[:400]).max() < 0.01
+    assert set(answers.state.mode) == {Mode.HOLDING}
+    assert (answers.fault.state[:400] == SensorState.NOT_DIAGNOSABLE).all()
+    assert said in answers.reports[0][1][0]['message']
+
+
+def test_given_no_rates_when_observed_then_they_are_differences_of_the_readings(recording):
+    stamps, samples = recording[0], recording[1].copy()
+    samples[:, 1] = np.nan
+    _, answers = observe(stamps, samples)
+    assert answers.state.mode[0] == Mode.NO_ESTIMATE and not answers.has_fault[0]
+    expected = np.diff(samples[:, 0], axis=0) / np.diff(stamps)[:, None] * 1e9
+    np.testing.assert_allclose(answers.state.measured_velocity[1:], expected, atol=1e-9)
+    assert told(answers) == RAISED
+
+
+def test_given_independent_rates_when_they_are_missing_then_samples_are_not_used():
+    monitor = SerialSensorMonitor('/uio', shoulder_arm('independent'))
+    answer = monitor.take(1, message(velocity=[]))
+    assert answer.state['mode'] == Mode.NO_ESTIMATE and not answer.state['trustworthy']
+    assert answer.fault is None and answer.corrected is None and monitor.counters.not_finite == 1
+
+
+def test_given_readings_of_one_joint_missing_when_observed_then_its_sensor_is_named(recording):
+    stamps, samples = recording[0], recording[1].copy()
+    samples[100:200, 0, 2] = np.nan
+    _, answers = observe(stamps, samples)
+    raised, cleared = [event for _, event in answers.events if event.kind == 'dropout']
+    assert (raised.event, raised.sensor) == (AlarmEvent.RAISED, 'encoder3')
+    assert (cleared.event, cleared.sensor) == (AlarmEvent.CLEARED, 'encoder3')
+    assert raised.onset == stamps[100] and 50e6 < raised.detected - stamps[100] < 60e6
+
+
+def test_given_joints_in_another_order_and_more_of_them_when_taken_then_names_decide():
+    monitor = SerialSensorMonitor('/uio', ARM)
+    names = ('gripper', 'joint3', 'joint1', 'joint2')
+    answer = monitor.take(1, message(names, position=[9.0, 0.3, 0.1, 0.2]))
+    np.testing.assert_array_equal(answer.state['measured_position'], [0.1, 0.2, 0.3])
+    assert answer.corrected['name'] == ['joint1', 'joint2', 'joint3']
+    assert answer.fault['sensor_names'] == ['encoder1', 'encoder2', 'encoder3']
+
+
+def test_given_messages_that_do_not_fit_when_taken_then_they_are_refused_and_counted():
+    monitor = SerialSensorMonitor('/uio', ARM)
+    for wrong in ({'names': ('joint1', 'joint2')}, {'position': [0.0]}, {'effort': [0.0] * 7}):
+        with pytest.raises(SampleError):
+            monitor.take(1, message(**wrong))
+    with pytest.raises(SampleError, match='2 values for 3 joints'):
+        monitor.take(1, message(), torque=[0.0, 0.0])
+    assert monitor.rejected == 4
+
+
+def test_given_a_fault_that_is_not_known_well_enough_when_confirmed_then_it_is_not_trusted():
+    run = simulated(ARM, EncoderFault(2, 'stuck', 4.3), duration=6.0)
+    _, answers = observe(run.stamps, run.samples)
+    assert [e.kind for _, e in answers.events] == ['stuck']
+    assert answers.state.trustworthy[2000] and not answers.state.trustworthy[-1]
+
+
+def test_given_gains_when_the_arm_has_no_region_then_they_are_refused(paper_gains):
+    with pytest.raises(ConfigError, match='lpv: is missing'):
+        SerialSensorMonitor('/uio', ARM, gains=paper_gains)
+
+
+def test_given_smaller_sigmas_when_retuned_then_bounds_shrink_at_once(recording):
+    monitor, answers = observe(*recording[:2])
+    monitor.retune(replace(DiagnosisParameters(), sigmas=2.0))
+    _, after = observe(recording[0][-1:] + 2_000_000, recording[1][-1:], monitor)
+    np.testing.assert_allclose(after.fault.bound[0], 0.5 * answers.fault.bound[-1])
+
+
+# ------------------------------------------------------------------ clocks
+
+
+@pytest.mark.parametrize('odd', [0, 2**31 * 10**9 - 1])
+def test_given_one_stamp_of_another_clock_when_observed_then_its_sample_alone_is_stale(
+    recording, odd
+):
+    stamps, samples = recording[0].copy(), recording[1]
+    stamps[800] = odd
+    monitor, answers = observe(stamps, samples)
+    assert (answers.state.mode[799:802] == [Mode.OBSERVING, Mode.STALE, Mode.OBSERVING]).all()
+    assert not answers.state.trustworthy[800] and answers.state.trustworthy[801:].all()
+    assert np.isfinite(answers.state.position).all() and not answers.restarted.any()
+    assert (answers.fault.alarm[600:] == [0, 1, 0]).all()
+    assert told(answers) == RAISED
+    assert monitor.counters.refused_stamps == 1 and monitor.counters.restarts == 0
+
+
+@pytest.mark.parametrize('shift', [HOUR, -HOUR])
+def test_given_a_confirmed_fault_when_the_clock_is_set_then_it_stays_untrusted_until_seen(
+    long_recording, shift
+):
+    stamps, samples, position = long_recording
+    stamps = stamps + np.where(np.arange(len(stamps)) < 1000, 2 * HOUR, 2 * HOUR + shift)
+    _, answers = observe(stamps, samples)
+    assert told(answers) == RAISED
+    assert (answers.fault.alarm[600:] == [0, 1, 0]).all()
+    error = answers.state.compensated_position - position
+    assert np.abs(error[600:1000]).max() < 5e-3 and np.abs(error[1002:]).max() < 5e-3
+    assert list(np.nonzero(answers.restarted)[0]) == [1002]
+    trusted = answers.state.trustworthy
+    assert trusted[999] and not trusted[1000:1050].any() and trusted[-1]
+    assert np.isfinite(answers.state.position).all() and np.isfinite(answers.fault.bound).all()
+
+
+def test_given_a_fault_that_ended_while_the_clock_was_set_when_shown_then_it_is_cleared(
+    long_recording,
+):
+    stamps, samples = long_recording[0].copy(), long_recording[1].copy()
+    samples[1000:, 0, 1] -= LARGE.size
+    stamps[1000:] += HOUR
+    _, answers = observe(stamps, samples)
+    (_, raised), (row, cleared) = answers.events
+    assert (raised.event, cleared.event) == (AlarmEvent.RAISED, AlarmEvent.CLEARED)
+    assert not answers.state.trustworthy[1000:row].any() and answers.state.trustworthy[row:].all()
+
+
+@pytest.mark.parametrize('shift', [HOUR, -HOUR, 100_000_000])
+def test_given_a_confirmed_offset_when_stamps_make_a_gap_then_it_stays_removed(shift):
+    run = simulated(ARM, EncoderFault(1, 'bias', 0.0, 0.3), duration=10.0)
+    stamps = run.stamps + 2 * HOUR
+    stamps[4000:] += shift
+    _, answers = observe(stamps, run.samples)
+    assert {event.sensor for _, event in answers.events} == {'encoder2'}
+    assert answers.fault.alarm[3999:, 1].all()
+    error = answers.state.compensated_position[3999:, 1] - run.position[3999:, 1]
+    assert np.abs(error).max() < 0.15

@@ -1,0 +1,271 @@
+"""Plant, observer, diagnosis and tracking together; the designed tracking law."""
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from places import BRINGUP
+
+import lpv.core
+from lpv.core.control.path import Reference
+from lpv.core.control.tracking import TrackingController, feedback_position
+from lpv.core.monitoring.parameters import DiagnosisParameters
+from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent
+from lpv.core.simulation.closed_loop import run_closed_loop
+from lpv.core.simulation.faults import Fault
+from lpv.core.simulation.metrics import mise
+from lpv.core.simulation.scenario import load_scenario
+from lpv.core.support.errors import ConfigError
+from lpv.core.support.jit import COMPILED
+from lpv.core.uio.certificate.gains import save_gains
+from lpv.core.uio.model.dynamics import inverse_dynamics
+from lpv.core.uio.model.joints import JointMap
+from lpv.core.uio.planar import planar_model
+
+pytestmark = pytest.mark.slow
+
+SIGNALS = (
+    *('time', 'position', 'velocity', 'measured', 'estimate', 'estimated_velocity', 'reference'),
+    *('fault', 'fault_estimate', 'threshold', 'torque'),
+)
+
+
+@pytest.fixture(scope='module')
+def run(paper_arm, paper_gains, two_faults):
+    """The shipped scenario."""
+    return run_closed_loop(paper_arm, two_faults, paper_gains)
+
+
+@pytest.fixture(scope='module')
+def joints(paper_model):
+    return JointMap(paper_model)
+
+
+def errors(joints, run, after='estimate'):
+    """MISE of absolute angles: of the true arm to the estimate, or to the reference."""
+    return mise(joints.absolute_velocity(run.position - getattr(run, after)))
+
+
+def test_given_the_shipped_scenario_when_run_then_table_2_is_beaten_five_times_over(
+    run, joints, paper_arm
+):
+    for found in (errors(joints, run), mise(run.fault - run.fault_estimate)):
+        assert np.all(found <= np.array([0.006, 0.002]) / 5.0)
+    rates = mise(joints.absolute_velocity(run.velocity - run.estimated_velocity))
+    assert np.all(rates <= 1e-3)  # 0.024, 0.047 in the paper
+    assert np.all(errors(joints, run, 'reference') <= [0.003, 0.007])
+    assert all(np.isfinite(getattr(run, name)).all() for name in SIGNALS)
+    assert np.all(np.abs(run.torque) <= paper_arm.torque_limit)
+    np.testing.assert_allclose(run.time, 0.002 * np.arange(10001), atol=1e-9)
+
+
+def test_given_the_shipped_scenario_when_run_then_both_faults_are_alarmed_on_their_sensors(
+    run, two_faults
+):
+    raised, cleared = (
+        [a for a in run.alarms if a.event == event]
+        for event in (AlarmEvent.RAISED, AlarmEvent.CLEARED)
+    )
+    assert [a.sensor for a in raised] == [f.sensor for f in two_faults.faults]
+    abrupt, incipient = raised
+    assert 6_000_000_000 <= abrupt.onset <= 6_002_000_000  # a sample
+    assert abrupt.detected <= 6_012_000_000
+    assert abrupt.size == pytest.approx(0.3, abs=0.05)
+    assert 9.0 < incipient.detected / 1e9 < 11.5  # 0.08 rad/s up to a threshold of 0.1 to 0.2
+    assert [a.sensor for a in cleared] == [f.sensor for f in two_faults.faults]
+    for alarm, fault in zip(cleared, two_faults.faults):
+        assert 0.0 < alarm.detected / 1e9 - fault.onset - fault.duration < 0.6
+
+
+def test_given_one_seed_when_run_twice_then_every_bit_is_the_same(
+    run, paper_arm, paper_gains, two_faults
+):
+    part = replace(two_faults, duration=6.2)  # with the first alarm
+    again = run_closed_loop(paper_arm, part, paper_gains)
+    n = len(again.time)
+    for name in SIGNALS:  # a shorter run is the beginning of a longer one
+        np.testing.assert_array_equal(getattr(again, name), getattr(run, name)[:n], err_msg=name)
+    assert again.alarms == run.alarms[: len(again.alarms)]
+    assert again.alarms[0].sensor == 'link1_angle'
+    other = run_closed_loop(paper_arm, replace(part, duration=0.1, seed=2), paper_gains)
+    assert np.abs(other.measured - run.measured[: len(other.time)]).max() > 1e-4
+
+
+@pytest.mark.parametrize(
+    'change',
+    [
+        {'payload': 0.25},
+        {'mass_factors': (1.03, 0.97), 'inertia_factors': (0.97, 1.03)},
+        {'plant': 'nonlinear_without_coriolis'},
+    ],
+)
+def test_given_a_plant_that_differs_when_run_then_the_loop_stays_on_its_path(
+    paper_arm, paper_gains, two_faults, joints, change
+):
+    stated = replace(paper_arm.uncertainty, payload=change.get('payload', 0.0))
+    arm = replace(paper_arm, uncertainty=stated)  # what thresholds must tolerate
+    gains = replace(paper_gains, arm_sha256=planar_model(arm).sha256())
+    run = run_closed_loop(arm, replace(two_faults, duration=7.0, **change), gains)
+    assert np.all(errors(joints, run, 'reference') <= [0.003, 0.007])
+    raised = [a.sensor for a in run.alarms if a.event == AlarmEvent.RAISED]
+    assert raised == ['link1_angle']
+
+
+def test_given_the_papers_own_plant_and_gains_when_run_then_they_work_there(
+    paper_arm, literal_gains, joints
+):
+    # Its path stays in the box of the gains; on other paths the watchdog stops the arm.
+    scenario = load_scenario(BRINGUP / 'scenarios' / 'paper_lpv.yaml')
+    run = run_closed_loop(paper_arm, replace(scenario, duration=7.0), literal_gains)
+    assert not run.safe_stop[1:].any()
+    assert np.all(errors(joints, run) < [0.006, 0.002])
+    assert np.all(mise(run.fault - run.fault_estimate) < 1e-3)  # 0.006, 0.002 in the paper
+
+
+SHORT_RUN = """
+import sys
+import numpy as np
+from dataclasses import replace
+from lpv.core.serial_arm.arm_file import load_arm
+from lpv.core.simulation.closed_loop import run_closed_loop
+from lpv.core.uio.certificate.gains import load_gains
+from lpv.core.support.jit import COMPILED
+from lpv.core.simulation.scenario import load_scenario
+arm_file, gains_file, scenario_file, out = sys.argv[1:]
+scenario = load_scenario(scenario_file)
+faults = (replace(scenario.faults[0], onset=0.2), replace(scenario.faults[1], onset=0.3))
+runs = {}
+for plant in ('nonlinear', 'lpv'):
+    changed = replace(scenario, duration=0.6, faults=faults, plant=plant)
+    run = run_closed_loop(load_arm(arm_file), changed, load_gains(gains_file))
+    for name in run.__dataclass_fields__:
+        if name != 'alarms':
+            runs[plant + name] = getattr(run, name)
+    runs[plant + 'alarms'] = np.array([a.detected for a in run.alarms])
+np.savez(out, compiled=COMPILED, **runs)
+"""
+
+
+@pytest.mark.skipif(not COMPILED, reason='Numba is missing: there is nothing to compare')
+@pytest.mark.parametrize('method', ['exact', 'paper'])
+def test_given_no_compiler_when_run_then_every_bit_is_that_of_the_compiled_loop(
+    tmp_path, paper_gains, literal_gains, method
+):
+    files = [tmp_path / 'gains.yaml', BRINGUP / 'scenarios' / 'two_faults.yaml']
+    save_gains(paper_gains if method == 'exact' else literal_gains, files[0])
+    results = []
+    for no_jit in ('0', '1'):
+        out, folder = tmp_path / f'run{no_jit}.npz', Path(lpv.core.__file__).parents[3]
+        environment = {**os.environ, 'LPV_NO_JIT': no_jit, 'PYTHONPATH': str(folder)}
+        words = [sys.executable, '-c', SHORT_RUN, BRINGUP / 'arms' / 'paper.yaml', *files, out]
+        subprocess.run([*map(str, words)], check=True, env=environment)
+        with np.load(out) as data:
+            results.append(dict(data))
+    compiled, plain = results
+    assert compiled.pop('compiled') and not plain.pop('compiled')
+    assert compiled.keys() == plain.keys()
+    for name, values in compiled.items():
+        assert values.tobytes() == plain[name].tobytes(), name
+    assert len(compiled['nonlinearalarms']) >= 1
+
+
+# ------------------------------------------------------------------ tracking
+
+
+def rest_at(q):
+    return Reference(np.asarray(q, float), *np.zeros((3, 2)))
+
+
+def test_given_the_arm_on_its_reference_when_controlled_then_the_torque_is_inverse_dynamics(
+    arm, gains_of
+):
+    controller, joints = TrackingController(arm, gains_of[arm.name]), JointMap(planar_model(arm))
+    small = 0.1 if arm.name == 'paper' else 1.0
+    q, v, a = np.array([1.3, 0.3]), np.array([0.2, -0.1]), small * np.array([1.0, -2.0])
+    command = controller.update(Reference(q, v, a, q), q, v, q, 0.002)
+    rates = (*joints.absolute_velocity(v), *joints.absolute_velocity(a))
+    constants = planar_model(arm).constants()
+    wanted = np.array(inverse_dynamics(*joints.absolute_position(q), *rates, constants))
+    np.testing.assert_allclose(command.torque, joints.joint_torque(wanted), rtol=1e-10)
+    assert not command.saturated
+    np.testing.assert_array_equal(controller.integral, 0.0)
+
+
+def test_given_an_offset_when_controlled_then_eq_65_is_added_in_absolute_coordinates(
+    paper_arm, paper_gains, joints
+):
+    controller, gains = TrackingController(paper_arm, paper_gains), paper_gains.controller
+    q, v, offset = np.array([1.5, 0.1]), np.array([0.02, -0.01]), np.array([0.01, -0.02])
+    base = controller.update(rest_at(q), q, np.zeros(2), q, 0.0).torque
+    command = controller.update(rest_at(q), q + offset, v, q + offset, 0.5)
+    epsilon = -0.5 * joints.absolute_velocity(offset)
+    x = np.concatenate([joints.absolute_velocity(offset), joints.absolute_velocity(v)])
+    found = joints.absolute_torque(command.torque - base)
+    np.testing.assert_allclose(found, gains.m1 @ x + gains.m2 @ epsilon, rtol=1e-9)
+    np.testing.assert_allclose(controller.integral, epsilon, rtol=1e-12)
+    controller.reset()
+    np.testing.assert_array_equal(controller.integral, 0.0)
+
+
+def test_given_the_literal_method_when_controlled_then_it_is_eq_65_without_feed_forward(
+    paper_arm, literal_gains, joints
+):
+    controller, gains = TrackingController(paper_arm, literal_gains), literal_gains.controller
+    q, measured = np.array([1.5, 0.1]), np.array([1.51, 0.12])
+    reference = Reference(np.array([1.4, 0.2]), np.ones(2), np.ones(2), q)
+    command = controller.update(reference, q, np.zeros(2), measured, 0.01)
+    epsilon = 0.01 * (joints.absolute_position([1.4, 0.2]) - joints.absolute_position(measured))
+    x = np.concatenate([joints.absolute_position(q), np.zeros(2)])
+    found = joints.absolute_torque(command.torque)
+    np.testing.assert_allclose(found, gains.m1 @ x + gains.m2 @ epsilon, rtol=1e-12)
+
+
+def test_given_saturation_when_the_error_lasts_then_the_integral_does_not_wind_up(
+    paper_arm, paper_gains
+):
+    controller = TrackingController(paper_arm, paper_gains)
+    q = np.array([1.5, 0.1])
+    for _ in range(100):
+        command = controller.update(rest_at(q), q + 1.5, np.zeros(2), q + 1.5, 0.01)
+        assert command.saturated
+        assert np.all(np.abs(command.torque) <= paper_arm.torque_limit)
+    np.testing.assert_array_equal(controller.integral, 0.0)
+
+
+def test_given_gains_of_another_arm_when_tracking_then_they_are_refused(real_arm, paper_gains):
+    with pytest.raises(ConfigError, match=r'gains\.arm_sha256'):
+        TrackingController(real_arm, paper_gains)
+
+
+@pytest.mark.parametrize(
+    ('mode', 'expected'), [('off', [0.5, 0.1]), ('always', [0.2, 0.4]), ('confirmed', [0.2, 0.1])]
+)
+def test_given_a_mode_of_compensation_when_fed_back_then_the_right_position_is_taken(
+    mode, expected
+):
+    estimate = SimpleNamespace(
+        position=[0.2, 0.4], measured_position=[0.5, 0.1], compensated_position=[0.2, 0.1]
+    )
+    np.testing.assert_array_equal(feedback_position(mode, estimate), expected)
+
+
+@pytest.mark.xfail(reason='an offset below minimum_threshold is raised')
+def test_given_a_stricter_tuning_when_run_then_it_reaches_the_diagnosis(
+    paper_arm, paper_gains, two_faults
+):
+    part = replace(two_faults, duration=0.6, faults=(Fault('link1_angle', 'bias', 0.2, size=0.3),))
+    deaf = DiagnosisParameters(smallest_step=0.5, minimum_threshold=0.5)
+    assert run_closed_loop(paper_arm, part, paper_gains, parameters=deaf).alarms == []
+    alarms = run_closed_loop(paper_arm, part, paper_gains).alarms
+    assert [a.event for a in alarms if a.event != AlarmEvent.UPDATED] == [AlarmEvent.RAISED]
+
+
+def test_given_an_error_signal_when_its_mise_is_taken_then_it_is_the_mean_square():
+    assert float(mise([1.0, -3.0])) == 5.0
+    np.testing.assert_array_equal(mise([[1.0, np.nan], [3.0, 2.0]]), [5.0, 4.0])
+    np.testing.assert_array_equal(mise([[np.nan, 1.0], [np.inf, 1.0]]), [np.nan, 1.0])

@@ -1,0 +1,506 @@
+"""Arm, scenario and gains files: errors name the field, nothing passes in silence."""
+
+import math
+import re
+from dataclasses import fields, is_dataclass, replace
+
+import numpy as np
+import pytest
+import yaml
+from nested import Missing, changed, numbers, places
+from places import BRINGUP
+
+from lpv.core.serial_arm.arm_file import load_arm, parse_arm
+from lpv.core.simulation.faults import KINDS, Fault, FaultInjector
+from lpv.core.simulation.scenario import load_scenario, parse_scenario
+from lpv.core.support import config
+from lpv.core.support.config import MAX_DEPTH, MAX_VALUES, read_yaml, sha256_of
+from lpv.core.support.errors import ConfigError, LpvError
+from lpv.core.uio.certificate.gains import gains_to_dict, load_gains, parse_gains, save_gains
+from lpv.core.uio.model.arm import Link
+from lpv.core.uio.planar import planar_model
+
+ARM = yaml.safe_load((BRINGUP / 'arms' / 'paper.yaml').read_text())
+SCENARIO = yaml.safe_load((BRINGUP / 'scenarios' / 'two_faults.yaml').read_text())
+NEEDED = {
+    'arm': {
+        *('name', 'joints', 'joints[].name', 'joints[].link.mass', 'joints[].link.inertia.yy'),
+        *('lpv.orientation', 'lpv.cos_min'),
+    },
+    'scenario': {
+        *('name', 'duration', 'path', 'path.waypoints', 'path.obstacle.center', 'faults[].sensor'),
+        *('path.waypoints[].t', 'path.waypoints[].x', 'path.waypoints[].y', 'faults[].onset'),
+        *('path.obstacle.radius', 'faults[].kind'),
+    },
+    'gains': {
+        *('format', 'arm_name', 'arm_sha256', 'observer', 'controller', 'observer.method'),
+        *('observer.kappa', 'observer.mu', 'observer.lyapunov', 'observer.decay'),
+        *('observer.fastest', 'observer.fault_sigma', 'controller.method', 'controller.m1'),
+        *('controller.m2', 'controller.lyapunov', 'controller.decay'),
+    },
+}
+
+
+def named_by(parse, data):
+    """The error that parsing raises: one line that begins with the file and the field."""
+    with pytest.raises(ConfigError) as caught:
+        parse(data, 'some.yaml')
+    assert str(caught.value).startswith(f'some.yaml: {caught.value.field}: ')
+    assert len(str(caught.value)) < 1000
+    return caught.value
+
+
+class Kind:
+    """A kind of file: parser, good content, and how its fields are named in errors."""
+
+    def __init__(self, name, parse, good):
+        self.parse, self.good, self.needed = parse, good, NEEDED[name]
+        self.prefix = 'gains.' if name == 'gains' else ''
+
+    def refused(self, field, value):
+        return named_by(self.parse, changed(self.good, field, value))
+
+
+@pytest.fixture(scope='module')
+def kinds(paper_gains):
+    return {
+        'arm': Kind('arm', parse_arm, ARM),
+        'scenario': Kind('scenario', parse_scenario, SCENARIO),
+        'gains': Kind('gains', parse_gains, gains_to_dict(paper_gains)),
+    }
+
+
+@pytest.fixture(params=NEEDED)
+def kind(request, kinds):
+    return kinds[request.param]
+
+
+# ------------------------------------------------------------------ any field
+
+
+def test_given_any_number_in_a_file_when_it_is_none_then_its_field_is_named(kind):
+    for field in numbers(kind.good):
+        if field.startswith('certificate'):
+            continue
+        for bad in (math.nan, math.inf, -math.inf, 'heavy', True, None, {'a': 1}):
+            found, whole = kind.refused(field, bad).field, kind.prefix + field
+            # The field, or the list or mapping that holds it.
+            near = re.match(re.escape(found) + r'[.\[]', whole)
+            assert f'{found}['.startswith(f'{whole}[') or near, found
+
+
+def test_given_any_field_of_a_file_when_it_is_left_out_then_just_those_that_must_be_are_missed(
+    kind,
+):
+    missed = set()
+    for field, _ in places(kind.good):
+        if field.startswith('certificate.'):
+            continue  # names of checks
+        try:
+            kind.parse(changed(kind.good, field, Missing), 'some.yaml')
+        except ConfigError as error:
+            if error.field == kind.prefix + field:
+                missed.add(re.sub(r'\[\d+\]', '[]', field))
+    assert kind.needed <= missed
+
+
+def test_given_an_unknown_field_anywhere_in_a_file_when_read_then_it_is_named_with_the_known_ones(
+    kind,
+):
+    inside = [f'{name}.' for name, value in places(kind.good) if isinstance(value, dict)]
+    for place in ['', *(name for name in inside if not name.startswith('certificate'))]:
+        error = kind.refused(f'{place}colour', 1.0)
+        assert error.field == f'{kind.prefix}{place}colour' and 'known here: ' in error.reason
+
+
+FILES = {
+    'arms': (parse_arm, ('paper', 'real_arm', 'ur10')),
+    'scenarios': (parse_scenario, ('two_faults', 'ur10')),
+}
+
+
+@pytest.mark.parametrize(
+    ('parse', 'path'),
+    [(p, BRINGUP / k / f'{name}.yaml') for k, (p, names) in FILES.items() for name in names],
+)
+def test_given_any_number_of_a_file_when_it_is_huge_then_it_is_refused(parse, path):
+    data = yaml.safe_load(path.read_text())
+    options = {'folder': path.parent} if parse is parse_arm else {}
+    for field in numbers(data):
+        if 'covariance' not in field:
+            for huge in (1e300, -1e300):
+                with pytest.raises(ConfigError):
+                    parse(changed(data, field, huge), 'some.yaml', **options)
+
+
+BAD = {
+    'arm': [
+        ('sample_time', -1.0, 'sample_time'),
+        ('sample_time', 1e-6, 'sample_time'),
+        ('joints[0].link.mass', -1.0, 'joints[0].link.mass'),
+        ('gravity', -1.0, 'gravity'),
+        ('gravity', 10**400, 'gravity'),
+        ('uncertainty.model_error', 1.01, 'uncertainty.model_error'),
+        ('lpv.disturbance.variance', -0.1, 'lpv.disturbance.variance'),
+        ('lpv.disturbance.direction', [0.7, math.nan], 'lpv.disturbance.direction[1]'),
+        ('lpv.cos_min', 1.0, 'lpv.cos_min[0]'),
+        ('lpv.cos_min', [0.3, 0.0], 'lpv.cos_min[1]'),
+        ('lpv.cos_min', [0.3, 0.3, 0.3], 'lpv.cos_min'),
+        ('lpv.orientation', 'sideways', 'lpv.orientation'),
+        ('joints[0].friction.viscous', -0.1, 'joints[0].friction'),
+        ('joints[0].friction.coulomb', 'dry', 'joints[0].friction.coulomb'),
+        ('joints[0].friction', [], 'joints[0].friction'),
+        ('joints[1].rotor_inertia', -1e-5, 'joints[1].rotor_inertia'),
+        ('joints[1].limits.torque', -1.0, 'joints[1].limits.torque'),
+        ('joints[1].name', 'joint1', 'joints'),
+        ('joints[1].name', '', 'joints[1].name'),
+        ('joints[1].sensors.name', 'link1_angle', 'sensors'),
+        ('joints[1].sensors.name', 1, 'joints[1].sensors.name'),
+        ('joints[1].sensors.rates', 'guessed', 'joints[1].sensors.rates'),
+        *[('joints', value, 'joints') for value in ([], {})],
+        ('joints[0]', 5, 'joints[0]'),
+        *[('sensor_matrix', [[1.0, 0.0], *row], 'sensor_matrix') for row in ([], [[1.0, 0.0]])],
+        *[('name', value, 'name') for value in ('', 5)],
+        *[('tip', [0, 0, value], 'tip[2]') for value in (-1e308, 1e308, 1e4)],
+    ],
+    'scenario': [
+        *[('duration', v, 'duration') for v in (0.0, -1.0, 2e6)],
+        *[('seed', v, 'seed') for v in (-1, 1.5, 'x', True)],
+        *[('noise', v, 'noise') for v in (1, 'yes', None)],
+        ('plant', 'gazebo', 'plant.model'),
+        ('plant', 3, 'plant'),
+        ('plant.model', 'linear', 'plant.model'),
+        ('plant.sinc_min', 1.0, 'plant.sinc_min'),
+        ('plant.mass_factors', [1.0, 0.0], 'plant.mass_factors'),
+        ('plant.parameter_error', 0.9, 'plant.parameter_error'),
+        ('plant.payload', math.inf, 'plant.payload'),
+        ('plant.friction', 1, 'plant.friction'),
+        ('disturbance', 3, 'disturbance'),
+        ('path.elbow', 'up', 'path.elbow'),
+        *[('path.waypoints', value, 'path.waypoints') for value in ('all', [])],
+        ('path.waypoints[0].t', -0.5, 'path.waypoints[0].t'),
+        ('path.waypoints[1].t', 0.1, 'path.waypoints'),
+        ('path.waypoints[1]', [0, 0], 'path.waypoints[1]'),
+        ('path.obstacle', None, 'path.obstacle'),
+        ('path.obstacle.radius', 0, 'path.obstacle.radius'),
+        ('path.obstacle.center', [1, 2, 3], 'path.obstacle.center'),
+        ('faults', {}, 'faults'),
+        ('faults[0].kind', 'melt', 'faults[0].kind'),
+        ('faults[0].onset', -1, 'faults[0].onset'),
+        ('faults[1].duration', -1, 'faults[1].duration'),
+    ],
+    'gains': [
+        *[('format', value, 'gains.format') for value in (1, '1')],
+        ('observer.method', 'magic', 'gains.observer.method'),
+        ('observer.method', 'paper', 'gains.observer.box'),
+        *[('observer.kappa', value, 'gains.observer.kappa') for value in ([0.1] * 3, 'none')],
+        ('observer.mu[0]', 0.0, 'gains.observer.mu'),
+        ('observer.kappa[0]', -1.0, 'gains.observer.kappa'),
+        ('observer.fault_sigma', [0.1], 'gains.observer.fault_sigma'),
+        *[('observer.decay', value, 'gains.observer.decay') for value in (0.0, -1.0)],
+        ('controller.m1', [0.0] * 4, 'gains.controller.m1'),
+        ('certificate', 5, 'gains.certificate'),
+        ('arm_name', '', 'gains.arm_name'),
+    ],
+}
+
+
+@pytest.mark.parametrize(
+    ('name', 'field', 'value', 'named'),
+    [(kind, *row) for kind, rows in BAD.items() for row in rows],
+)
+def test_given_a_bad_value_in_a_file_when_read_then_its_field_is_named(
+    kinds, name, field, value, named
+):
+    error = kinds[name].refused(field, value)
+    assert error.field == named
+    if named.startswith('tip'):
+        assert f'must lie within [-100.0, 100.0], got {value[2]}' in str(error)
+
+
+def test_given_several_wrong_fields_when_read_then_one_error_names_each(tmp_path):
+    data, path = {**ARM, 'sample_time': 'long', 'colour': 'red', 1: 2}, tmp_path / 'arm.yaml'
+    data = changed(data, 'joints[0].link.mass', -1.0)
+    with pytest.raises(ConfigError, match='is not a known field'):
+        parse_arm(data)  # of several types, too
+    del data[1]
+    path.write_text(yaml.safe_dump(changed(data, 'lpv.orientation', 'sideways')))
+    with pytest.raises(ConfigError) as caught:
+        load_arm(path)
+    said = str(caught.value)
+    assert said.startswith(f'{path}: 4 fields are wrong: (1) joints[0].link.mass: ')
+    assert '\n' not in said
+    for begin in ("sample_time: must be a number, got 'long'", 'colour: is not a known field',
+                  'lpv.orientation: must be one of upright, hanging'):  # fmt: skip
+        assert f') {begin}' in said
+    data = changed(SCENARIO, 'faults[0].kind', 'sabotage')
+    data = changed(changed(data, 'faults[1].onset', math.inf), 'path.waypoints[2].x', 1e9)
+    with pytest.raises(ConfigError) as caught:
+        parse_scenario(data)
+    for field in ('faults[0].kind', 'faults[1].onset', 'path.waypoints[2].x'):
+        assert f') {field}: ' in str(caught.value)
+
+
+# ------------------------------------------------------------------ arm files
+
+
+def test_given_the_shipped_arms_when_read_then_they_are_as_published(paper_model, real_model):
+    assert paper_model.lengths == (1.0, 1.0)
+    assert (paper_model.gravity, paper_model.arrangement, paper_model.sign) == (9.8, 'absolute', 1)
+    assert (paper_model.disturbance_mean, paper_model.disturbance_variance) == (0.2, 0.9)
+    assert paper_model.disturbance_direction == (0.7, 0.0)
+    assert (real_model.arrangement, real_model.sign) == ('relative', -1.0)
+    rotor, ratio = 6.287203962819607e-05, 6.0
+    expected = rotor * (ratio**2 + 1), -rotor * ratio, rotor * ratio**2
+    np.testing.assert_allclose(real_model.rotor, expected, rtol=1e-12)
+    # A disturbance may push either way.
+    assert parse_arm(changed(ARM, 'lpv.disturbance.mean', -0.2)).name == 'paper'
+
+
+def larger(value):
+    """Another value of the same type, by the smallest change."""
+    if isinstance(value, tuple):
+        return (*value[:-1], larger(value[-1]))
+    if isinstance(value, Link):
+        return replace(value, mass=larger(value.mass))
+    return f'{value}x' if isinstance(value, str) else math.nextafter(value, math.inf)
+
+
+def test_given_any_parameter_when_changed_then_the_hash_changes(paper_model):
+    other = {f.name: larger(getattr(paper_model, f.name)) for f in fields(paper_model)}
+    other |= {'arrangement': 'relative', 'orientation': 'hanging'}
+    other['inertia_reference'] = 'center_of_mass'
+    del other['rates']  # say nothing to the design
+    variants = [replace(paper_model, **{name: value}) for name, value in other.items()]
+    for i, link in enumerate(paper_model.links):
+        for f in fields(Link):
+            links = list(paper_model.links)
+            links[i] = replace(link, **{f.name: getattr(link, f.name) * 1.25})
+            variants.append(replace(paper_model, links=tuple(links)))
+    assert len({variant.sha256() for variant in (paper_model, *variants)}) == 1 + len(variants)
+
+
+def test_given_the_same_parameters_in_another_layout_when_hashed_then_the_hash_is_the_same(
+    tmp_path, paper_model
+):
+    data = changed(ARM, 'joints[0].link.mass', 10)  # an integer for 10.0
+    (tmp_path / 'arm.yaml').write_text('# comment\n' + yaml.safe_dump(data, sort_keys=True))
+    assert planar_model(load_arm(tmp_path / 'arm.yaml')).sha256() == paper_model.sha256()
+
+
+def test_given_texts_and_numbers_when_hashed_then_types_and_nesting_count():
+    values = [1.0, '1.0', [1.0], {'a': 1.0}, {'a': [1.0]}, {'b': 1.0}, True, None, [[1.0], 2.0],
+              [1.0, 2.0], [1.0, [2.0]], 'a', ['a', 'b'], ['a,b'], '']  # fmt: skip
+    assert len({sha256_of(v) for v in values}) == len(values)
+    assert sha256_of(1) == sha256_of(1.0)
+    assert sha256_of((1.0, 2.0)) == sha256_of([1.0, 2.0])
+    assert sha256_of({'a': 1, 'b': 2}) == sha256_of({'b': 2, 'a': 1})
+
+
+# ------------------------------------------------------------------ YAML itself
+
+
+YAML = {
+    **{text: 'odd.yaml: file: ' for text in (
+        'name: !!python/object/apply:os.getcwd []\n', 'name: !!python/name:os.system\n',
+        'name: !!python/object/new:os.system [echo]\n', '!!python/tuple [1, 2]\n',
+        'name: !custom {a: 1}\n', 'name: [unclosed\n', 'a: b: c\n', '\tname: x\n',
+        '? [list]\n: as key\n', '[' * 1500 + '\n', 'name: "\x00"\n', '- a\n- b\n', 'just text\n',
+        '', 'null\n')},
+    'name: a\nname: b\n': 'name',
+    'a: 1' + 5000 * '0': 'odd.yaml',
+    'a: ' + '9' * 400: 'a: must be at most',
+    'a: ' + '9' * 5000: 'is not valid YAML',
+    'a: 0x' + 'f' * 5000: 'a: must be at most',
+    f'a: {{b: [1, {2**63}]}}': r'a.b\[1\]: must be at most',
+    'a: !!bool 1': "is not valid YAML .*'1'",
+    **dict.fromkeys(('!!bool x: 1', 'a: !!int ""', 'a: !!timestamp x'), 'is not valid YAML'),
+    'name: 2001-13-45\n': 'odd.yaml',
+    'a: {b: 2001-01-01}': 'a.b: must be a number or text, got a date',
+    'a: !!binary YQ==': 'a: must be a number or text, got a bytes',
+    'a: !!set {b}': 'a: must be a number or text, got a set',
+    'a: [1.0, .nan]': r'a\[1\]: must be a number, got NaN',
+    'a: {1: 2}': 'a: has a key that is not text: 1; put it in quotes',
+    'on: 2': 'file: has a key that is not text: True',
+    '? 0x' + 'f' * 5000: 'a key that is not text: a huge int',
+    'a: ' + '[' * 60 + ']' * 60: f'has more than {MAX_DEPTH} levels',
+    'a: &x [*x]': f'has more than {MAX_DEPTH} levels',
+    'a: &a [' + '1, ' * 10 + ']\n' + ''.join(
+        f'{b}: &{b} [' + f'*{a}, ' * 10 + ']\n' for a, b in zip('abcdefghi', 'bcdefghij')
+    ): f'has more than {MAX_VALUES} values',
+}  # fmt: skip
+"""Text of a file, and what is said of it."""
+
+
+@pytest.mark.parametrize('text', YAML, ids=lambda text: repr(text[:30]))
+def test_given_what_no_file_needs_when_read_then_it_is_refused_in_one_line(tmp_path, text):
+    (tmp_path / 'odd.yaml').write_text(text)
+    with pytest.raises(ConfigError, match=YAML[text]) as error:
+        read_yaml(tmp_path / 'odd.yaml')
+    assert '\n' not in str(error.value) and len(str(error.value)) < 700 + len(str(tmp_path))
+
+
+def test_given_the_largest_values_when_read_then_they_are_kept(tmp_path):
+    text = f'a: [{2**63 - 1}, {-(2**63) + 1}, 1.0e+308, -.inf, null, true, ""]'
+    (tmp_path / 'a.yaml').write_text(text)
+    expected = [2**63 - 1, -(2**63) + 1, 1e308, float('-inf'), None, True, '']
+    assert read_yaml(tmp_path / 'a.yaml')['a'] == expected
+
+
+@pytest.mark.parametrize('load', [load_arm, load_scenario, load_gains])
+def test_given_a_file_that_is_none_when_any_kind_is_read_then_it_is_named_and_nothing_is_made(
+    tmp_path, load
+):
+    path, trace, latin = (tmp_path / name for name in ('odd.yaml', 'trace', 'latin.yaml'))
+    path.write_text(f'name: !!python/object/apply:pathlib.Path.touch [{trace}]\n')
+    with pytest.raises(ConfigError, match='odd.yaml: file: is not valid YAML'):
+        load(path)
+    assert not trace.exists()
+    latin.write_bytes(b'name: caf\xe9\n')
+    for path in (tmp_path / 'none.yaml', tmp_path, latin):
+        with pytest.raises(ConfigError, match=re.escape(f'{path}: file: cannot be read')):
+            load(path)
+
+
+def test_given_aliases_of_aliases_when_read_then_the_message_stays_short(tmp_path):
+    lines = ['a0: &a0 [x, x]'] + [f'a{i}: &a{i} [*a{i - 1}, *a{i - 1}]' for i in range(1, 14)]
+    (tmp_path / 'many.yaml').write_text('\n'.join([*lines, 'name: *a13\n']))
+    with pytest.raises(ConfigError, match='name: must be a non-empty string') as caught:
+        load_arm(tmp_path / 'many.yaml')
+    assert len(str(caught.value)) < 1000
+
+
+def test_given_a_file_that_is_too_large_when_read_then_it_is_refused_unread(
+    tmp_path, monkeypatch, paper_gains
+):
+    save_gains(paper_gains, tmp_path / 'g.yaml')
+    assert 10 * (tmp_path / 'g.yaml').stat().st_size < config.MAX_BYTES < 1 << 24
+    path = tmp_path / 'large.yaml'
+    path.write_text('name: x\n' + '#' * 100)
+    assert read_yaml(path) == {'name': 'x'}
+    monkeypatch.setattr(config, 'MAX_BYTES', 100)
+    with pytest.raises(ConfigError, match='large.yaml: file: is larger than 100 bytes'):
+        read_yaml(path)
+
+
+def test_given_a_config_error_when_caught_then_it_is_also_the_packages_and_a_value_error():
+    error = ConfigError('a.b', 'is wrong')
+    assert isinstance(error, LpvError) and isinstance(error, ValueError)
+    assert str(error) == 'a.b: is wrong'
+
+
+# ------------------------------------------------------------------ scenario files
+
+
+def test_given_the_shipped_scenario_when_read_then_both_faults_overlap(two_faults):
+    one, two = two_faults.faults
+    assert (one.kind, two.kind) == ('bias', 'drift')
+    assert one.onset < two.onset < one.onset + one.duration < two.onset + two.duration
+    assert (two_faults.plant, two_faults.noise, two_faults.disturbance) == ('nonlinear', True, True)
+
+
+def test_given_a_scenario_without_options_when_read_then_defaults_are_the_true_arm():
+    data = {'name': 'x', 'duration': 1.0, 'path': {'waypoints': SCENARIO['path']['waypoints']}}
+    scenario = parse_scenario(data)
+    assert (scenario.seed, scenario.plant, scenario.payload) == (1, 'nonlinear', 0.0)
+    assert scenario.noise and scenario.disturbance and scenario.faults == ()
+    assert scenario.waypoints.obstacle is None
+    assert scenario.mass_factors == scenario.inertia_factors == ()
+
+
+@pytest.mark.parametrize(
+    ('fault', 'field'),
+    [
+        (Fault('x', 'bias', 0.0, size=1.0), 'sensor'),
+        (Fault('a', 'melt', 0.0), 'kind'),
+        (Fault('a', 'bias', 0.0), 'size'),
+        (Fault('a', 'drift', 0.0, size=1.0), 'rate'),
+        (Fault('a', 'noise', 0.0, size=-1.0), 'size'),
+        (Fault('a', 'scale', 0.0), 'size'),
+        (Fault('a', 'spike', 0.0, size=1.0, rate=-1.0), 'rate'),
+        (Fault('a', 'bias', math.nan, size=1.0), 'onset'),
+        (Fault('a', 'bias', 0.0, size=math.inf), 'size'),
+        (Fault('a', 'bias', 0.0, duration=-1.0, size=1.0), 'duration'),
+    ],
+)
+def test_given_a_fault_that_cannot_be_injected_when_added_then_its_field_is_named(fault, field):
+    injector = FaultInjector(('a', 'b'), (), np.random.default_rng(0))
+    with pytest.raises(ConfigError) as caught:
+        injector.add(fault)
+    assert caught.value.field == f'fault.{field}'
+    assert injector.faults == []
+
+
+def test_given_every_kind_of_fault_when_listed_then_a_scenario_file_may_name_it():
+    for kind in KINDS:
+        fault = {'sensor': 'link1_angle', 'kind': kind, 'onset': 1, 'size': 0.1, 'rate': 0.1}
+        assert parse_scenario({**SCENARIO, 'faults': [fault]}).faults[0].kind == kind
+
+
+# ------------------------------------------------------------------ gains files
+
+
+def plain(value):
+    """A record as a mapping, which can be compared with its arrays."""
+    return vars(value) if is_dataclass(value) else value
+
+
+@pytest.mark.parametrize('which', ['paper', 'real_arm', 'literal'])
+def test_given_gains_when_saved_and_loaded_then_every_bit_is_the_same(
+    tmp_path, gains_of, literal_gains, which
+):
+    gains = {**gains_of, 'literal': literal_gains}[which]
+    if which == 'literal':  # values that decimal notation spoils
+        rng = np.random.default_rng(9)
+        odd = rng.normal(size=(8, 6, 4)) * 10.0 ** rng.integers(-300, 300, (8, 6, 4))
+        odd[0, 0] = [5e-324, 0.1 + 0.2, -0.0, 1.7976931348623157e308]
+        gains = replace(gains, observer=replace(gains.observer, k=odd))
+    path = tmp_path / 'deep' / 'er' / 'gains.yaml'
+    save_gains(gains, path, 'two\nlines')
+    back = load_gains(path)
+    assert (back.arm_name, back.arm_sha256) == (gains.arm_name, gains.arm_sha256)
+    for part in ('observer', 'controller'):
+        one, two = getattr(gains, part), getattr(back, part)
+        for f in fields(one):
+            np.testing.assert_equal(plain(getattr(two, f.name)), plain(getattr(one, f.name)))
+    assert which != 'literal' or back.observer.k.tobytes() == odd.tobytes()
+    assert back.certificate == gains.certificate
+    assert path.read_text().startswith('# two\n# lines\n/**:')
+    assert [p.name for p in path.parent.iterdir()] == ['gains.yaml']  # nothing half-written
+
+
+@pytest.mark.parametrize(
+    ('field', 'value'),
+    [
+        ('observer.r', 20.0),  # a disc that reaches zero
+        ('observer.fault_sigma', [-0.01, 0.01]),  # a negative bound alarms on everything
+        ('observer.box', [1.0, -1.0, 1.0, 0.9, 1.0, 0.9]),  # upside down
+        ('observer.box', [0.0] * 6),  # weights divide by its width
+    ],
+)
+def test_given_an_impossible_value_in_a_gains_file_when_read_then_it_is_named(
+    literal_gains, field, value
+):
+    with pytest.raises(ConfigError, match=f'gains.{field}'):
+        parse_gains(changed(gains_to_dict(literal_gains), field, value))
+
+
+@pytest.mark.parametrize(
+    'text',
+    ['a: 1\n', '/**: 5\n', '/**: {ros__parameters: {}}\n', '/**: {ros__parameters: {gains: 5}}\n'],
+)
+def test_given_another_yaml_file_when_read_as_gains_then_it_is_refused(tmp_path, text):
+    (tmp_path / 'other.yaml').write_text(text)
+    with pytest.raises(ConfigError, match='other.yaml: .*gains'):
+        load_gains(tmp_path / 'other.yaml')
+
+
+def test_given_gains_when_checked_against_another_arm_then_both_hashes_are_told(
+    paper_model, real_model, paper_gains
+):
+    paper_gains.check_arm(paper_model)
+    with pytest.raises(ConfigError) as caught:
+        paper_gains.check_arm(real_model, 'g.yaml')
+    assert caught.value.field == 'gains.arm_sha256'
+    for text in ('g.yaml', paper_model.sha256()[:12], real_model.sha256()[:12]):
+        assert text in str(caught.value)

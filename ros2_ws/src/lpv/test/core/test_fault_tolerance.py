@@ -1,0 +1,176 @@
+"""The closed loop under every kind of fault: who is named, as what, and where the arm goes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lpv.core.monitoring.parameters import DiagnosisParameters
+from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent
+from lpv.core.simulation.closed_loop import run_closed_loop
+from lpv.core.simulation.faults import Fault
+from lpv.core.simulation.scenario import parse_scenario
+
+pytestmark = pytest.mark.slow
+
+ONSET, NANOSECONDS = 1.5, 10**9
+FAULTS = {
+    'bias': {'size': 0.3},
+    'drift': {'rate': 0.2},
+    'stuck': {},
+    'noise': {'size': 0.02},
+    'spike': {'size': 0.3, 'rate': 20.0},
+    'dropout': {},
+}
+SWING = {
+    'name': 'swing',
+    'duration': 5.0,
+    'disturbance': False,
+    'path': {
+        'waypoints': [
+            {'t': 0.2, 'x': -0.2, 'y': -0.42},
+            {'t': 2.5, 'x': 0.2, 'y': -0.42},
+            {'t': 4.8, 'x': -0.2, 'y': -0.42},
+        ]
+    },
+}
+
+
+@pytest.fixture
+def simulate(arm, gains_of, two_faults):
+    """Run an arm's scenario with the given faults and other fields."""
+    scenario = two_faults if arm.name == 'paper' else parse_scenario(SWING)
+
+    def run(*faults, duration=5.0, compensation='confirmed', parameters=None, **fields):
+        changed = replace(scenario, faults=faults, duration=duration, **fields)
+        return run_closed_loop(
+            arm, changed, gains_of[arm.name], compensation, parameters=parameters
+        )
+
+    return run
+
+
+paper = pytest.mark.parametrize('arm', ['paper_arm'], indirect=True)
+"""Rates of the paper's arm have sensors of their own; those of the real arm are derived."""
+
+
+def largest_error(run, after=0.0):
+    """Of the true arm's tracking, both joints [rad]."""
+    rows = slice(np.searchsorted(run.time, after - 1e-9), None)
+    return np.abs(run.position - run.reference)[rows].max()
+
+
+def raised(run):
+    return [a for a in run.alarms if a.event == AlarmEvent.RAISED]
+
+
+# ------------------------------------------------------------------ one fault
+
+
+@paper
+@pytest.mark.parametrize('index', [0, 1])
+@pytest.mark.parametrize('kind', FAULTS)
+def test_given_any_kind_of_fault_when_it_starts_then_it_is_named_and_the_arm_stays_on_its_path(
+    simulate, arm, kind, index
+):
+    run = simulate(Fault(arm.sensor_names[index], kind, ONSET, 2.0, **FAULTS[kind]))
+    # Without link1_angle, ROS joint 2 is a difference with one side missing: both are silent.
+    silent = kind == 'dropout' and index == 0
+    told = {(a.sensor_index, a.kind) for a in run.alarms if a.event != AlarmEvent.CLEARED}
+    assert {sensor for sensor, _ in told} == ({0, 1} if silent else {index})
+    assert (index, kind) in told
+    assert min(a.detected for a in run.alarms) >= ONSET * NANOSECONDS
+    assert largest_error(run) < 0.05
+    # The arm did move, so that this says something.
+    assert np.ptp(run.reference[run.time > ONSET], axis=0).min() > 0.1
+
+
+@pytest.mark.parametrize('index', [0, 1])
+@pytest.mark.parametrize(('kind', 'delay'), [('bias', 0.012), ('dropout', 0.06)])
+def test_given_a_fault_of_either_arm_when_it_acts_then_it_is_found_soon_and_cleared_after_its_end(
+    simulate, arm, kind, index, delay
+):
+    run = simulate(Fault(arm.sensor_names[index], kind, ONSET, 2.0, **FAULTS[kind]))
+    first = raised(run)[0]
+    assert (first.sensor_index, first.kind) == (index, kind)
+    assert first.detected <= (ONSET + delay) * NANOSECONDS
+    last = {a.sensor_index: a.event for a in run.alarms}
+    assert set(last.values()) == {AlarmEvent.CLEARED} and not run.alarm[-1].any()
+    assert largest_error(run) < 0.02
+
+
+@pytest.mark.parametrize('seed', [1, 2])
+@pytest.mark.parametrize('factors', [(1.0, 1.0), (1.05, 0.95), (0.95, 1.05)])
+def test_given_a_healthy_arm_when_its_model_is_as_wrong_as_stated_then_nothing_is_raised(
+    simulate, seed, factors
+):
+    run = simulate(duration=4.0, seed=seed, mass_factors=factors, inertia_factors=factors)
+    assert run.alarms == []
+    assert run.trustworthy.all() and not run.inconsistent.any()
+    assert largest_error(run) < 0.02
+
+
+@paper
+@pytest.mark.parametrize('sizes', [(0.3, -0.2), (0.2, 0.2), (0.1, 0.3)])
+def test_given_steps_on_both_sensors_when_simultaneous_then_both_are_named_with_their_sizes(
+    simulate, arm, sizes
+):
+    faults = (Fault(n, 'bias', ONSET, size=s) for n, s in zip(arm.sensor_names, sizes))
+    run = simulate(*faults, duration=2.5)
+    assert sorted(a.sensor_index for a in raised(run)) == [0, 1]
+    for alarm in raised(run):
+        assert alarm.kind == 'bias' and alarm.detected <= (ONSET + 0.02) * NANOSECONDS
+        assert alarm.size == pytest.approx(sizes[alarm.sensor_index], abs=0.02)
+    assert largest_error(run) < 0.05
+
+
+# ------------------------------------------------------------------ compensation
+
+
+@pytest.mark.parametrize('index', [0, 1])
+def test_given_a_confirmed_bias_when_compensated_then_the_arm_tracks_as_a_healthy_one(
+    simulate, arm, index
+):
+    fault = Fault(arm.sensor_names[index], 'bias', onset=1.0, size=0.3)
+    on, off = (simulate(fault, compensation=how) for how in ('confirmed', 'off'))
+    assert largest_error(on, 1.0) < largest_error(simulate(), 1.0) + 0.015
+    assert largest_error(off, 1.0) > 0.2
+
+
+@pytest.mark.parametrize('index', [0, 1])
+def test_given_a_compensated_bias_when_it_ends_then_the_arm_does_not_jerk(simulate, arm, index):
+    ends = Fault(arm.sensor_names[index], 'bias', onset=1.0, duration=2.0, size=0.3)
+    assert largest_error(simulate(ends)) < 0.03
+
+
+def test_given_a_latch_when_the_fault_is_over_then_its_alarm_stays(simulate, arm):
+    ends = Fault(arm.sensor_names[0], 'bias', onset=1.0, duration=1.0, size=0.3)
+    run = simulate(ends, duration=3.5, parameters=DiagnosisParameters(latch=True))
+    assert [a.event for a in run.alarms if a.event != AlarmEvent.UPDATED] == [AlarmEvent.RAISED]
+    assert run.alarm[-1].tolist() == [1, 0]
+
+
+# ------------------------------------------------------------------ not a position sensor
+
+
+@paper
+@pytest.mark.parametrize('index', [0, 1])
+@pytest.mark.parametrize('size', [0.3, -0.3])
+def test_given_a_bias_of_a_rate_sensor_when_it_starts_then_the_rate_is_named_first(
+    simulate, arm, size, index
+):
+    run = simulate(Fault(arm.sensor_names[index], 'rate_bias', 1.0, size=size), duration=2.0)
+    first = raised(run)[0]
+    assert (first.sensor_index, first.kind) == (index, 'rate_bias')
+    assert {a.sensor_index for a in run.alarms} == {index}
+
+
+@pytest.mark.xfail(reason='what no healthy arm inside its file reads is blamed on a sensor')
+@pytest.mark.parametrize('payload', [1.0, 3.0])
+@paper
+def test_given_an_unstated_payload_when_it_is_lifted_then_no_position_sensor_is_blamed(
+    simulate, payload
+):
+    run = simulate(duration=3.0, payload=payload)
+    assert {a.kind for a in run.alarms} <= {'inconsistent'}
+    assert run.inconsistent.any() or (largest_error(run) < 0.01)

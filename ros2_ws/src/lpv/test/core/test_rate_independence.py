@@ -1,0 +1,122 @@
+"""Whether rates are independent of the positions: made signals, and a real arm whose are not."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from places import DATA
+from scipy.signal import butter, lfilter
+
+from lpv.core.serial_arm.rate_independence import RATE_SOURCES, contradicts, rate_source
+from lpv.core.uio.model.arm import arm_from_json
+
+COUNT = 1000
+
+
+def motion(dt):
+    time = dt * np.arange(COUNT)
+    angle = 0.5 * np.sin(2.0 * time) + 0.1 * np.sin(7.0 * time)
+    return time, angle, np.cos(2.0 * time) + 0.7 * np.cos(7.0 * time)
+
+
+def reading(dt, noise, bits, seed=0):
+    """Stamps, reading of an encoder with noise or steps, and true rate."""
+    time, angle, rate = motion(dt)
+    angle = angle + noise * np.random.default_rng(seed).standard_normal(COUNT)
+    step = 2.0 * math.pi / 2**bits if bits else 0.0
+    return (1e9 * time).astype(int), step * np.round(angle / step) if bits else angle, rate
+
+
+def low_pass(values, share):
+    result = np.zeros(len(values))
+    for k in range(1, len(values)):
+        result[k] = result[k - 1] + share * (values[k] - result[k - 1])
+    return result
+
+
+ENCODERS = [(1e-3, 0), (1e-4, 0), (0.0, 12), (0.0, 17)]
+
+
+@pytest.mark.parametrize('dt', [0.001, 0.002, 0.01])
+@pytest.mark.parametrize(('noise', 'bits'), ENCODERS)
+def test_given_rates_with_their_own_noise_when_tested_then_they_are_independent(dt, noise, bits):
+    stamps, position, rate = reading(dt, noise, bits)
+    own = rate + 0.01 * np.random.default_rng(1).standard_normal(COUNT)
+    assert rate_source(stamps, position, own).source == 'independent'
+
+
+@pytest.mark.parametrize('dt', [0.001, 0.002, 0.01])
+@pytest.mark.parametrize(('noise', 'bits'), ENCODERS)
+@pytest.mark.parametrize('share', [1.0, 0.5, 0.1])
+def test_given_filtered_differences_when_tested_then_rates_are_derived(dt, noise, bits, share):
+    stamps, position, _ = reading(dt, noise, bits)
+    rate = low_pass(np.diff(position, prepend=position[0]) / dt, share)
+    found = rate_source(stamps, position, rate)
+    assert (found.source, found.explained > 0.5) == ('derived', True)
+
+
+@pytest.mark.parametrize('dt', [0.001, 0.008, 0.01])
+@pytest.mark.parametrize(('noise', 'bits'), ENCODERS)
+@pytest.mark.parametrize('cutoff', [5.0, 20.0])
+@pytest.mark.parametrize('delay', [0, 3])
+def test_given_filters_of_second_order_and_delays_when_tested_then_no_rates_are_independent(
+    dt, noise, bits, cutoff, delay
+):
+    stamps, position, _ = reading(dt, noise, bits)
+    speed = np.diff(position, prepend=position[0]) / dt
+    rate = np.concatenate([np.zeros(delay), lfilter(*butter(2, 2.0 * dt * cutoff), speed)])[:COUNT]
+    found = rate_source(stamps, position, rate).source
+    seen = cutoff > 10.0 and bits != 17  # noise is left behind the filter
+    assert found == 'derived' if seen else found != 'independent'
+    rounded = 1e-3 * np.round(rate / 1e-3)  # hides what is filtered
+    assert rate_source(stamps, position, rounded).source != 'independent'
+
+
+def test_given_stamps_that_jitter_when_tested_then_independence_is_not_proved():
+    dt, rng = 0.033, np.random.default_rng(4)
+    time = np.cumsum(dt * (1.0 + 0.1 * rng.standard_normal(COUNT)))
+    position = np.sin(time) + 1e-5 * rng.standard_normal(COUNT)
+    rate = np.cos(time) + 5e-3 * rng.standard_normal(COUNT)  # is not what the differences show
+    stamps = (1e9 * dt * np.arange(COUNT)).astype(int)
+    assert rate_source(stamps, position, rate).source == 'undecided'
+
+
+@pytest.mark.parametrize('rate', [np.zeros(COUNT), np.full(COUNT, np.nan)])
+def test_given_positions_that_move_without_rates_when_tested_then_there_are_none(rate):
+    stamps, position, _ = reading(0.002, 1e-3, 0)
+    assert rate_source(stamps, position, rate).source == 'none'
+
+
+def test_given_too_few_samples_or_rest_when_tested_then_it_is_not_decided():
+    stamps, position, rate = reading(0.002, 1e-3, 0)
+    assert rate_source(stamps[:100], position[:100], rate[:100]).source == 'undecided'
+    assert rate_source(stamps, np.ones(COUNT), np.zeros(COUNT)).source == 'undecided'
+    assert rate_source([], [], []).source == 'undecided'
+
+
+def test_given_lost_samples_when_tested_then_independent_rates_stay_independent():
+    stamps, position, rate = reading(0.002, 1e-3, 0)
+    kept = np.random.default_rng(2).random(COUNT) > 0.05
+    own = rate + 0.01 * np.random.default_rng(1).standard_normal(COUNT)
+    assert rate_source(stamps[kept], position[kept], own[kept]).source == 'independent'
+
+
+@pytest.mark.parametrize('joint', [1, 2])
+def test_given_the_recorded_arm_when_tested_then_its_rates_are_derived(joint):
+    rows = np.genfromtxt(DATA / 'real_arm' / 'excerpt.csv', delimiter=',', names=True)
+    stamps = np.round(1e9 * rows['time']).astype(int)
+    position, rate = rows[f'pos_meas{joint}'], rows[f'vel_meas{joint}']
+    assert rate_source(stamps, position, rate).source == 'derived'
+
+
+@pytest.mark.parametrize('stated', RATE_SOURCES[:3])
+def test_given_what_is_stated_when_something_else_is_found_then_it_contradicts(stated):
+    against = {found for found in RATE_SOURCES if contradicts(stated, found)}
+    assert against == set(RATE_SOURCES[:3]) - {stated}
+
+
+def test_given_an_arm_with_other_rates_when_hashed_then_its_gains_still_fit(paper_model):
+    derived = replace(paper_model, rates='derived')
+    assert derived.sha256() == paper_model.sha256()
+    assert arm_from_json(derived.to_json()) == derived

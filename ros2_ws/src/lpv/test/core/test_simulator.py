@@ -1,0 +1,279 @@
+"""The simulator: its plants, its sensors and the faults that it injects."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent
+from lpv.core.simulation.arm_simulator import ArmSimulator
+from lpv.core.simulation.closed_loop import run_closed_loop
+from lpv.core.simulation.faults import Fault, FaultInjector
+from lpv.core.simulation.scenario import disturbance_of, parse_scenario
+from lpv.core.support.errors import ConfigError
+from lpv.core.uio.model.dynamics import inverse_dynamics
+from lpv.core.uio.model.joints import JointMap
+from lpv.core.uio.planar import planar_model
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture
+def simulate(paper_arm, two_faults):
+    """A simulator of the paper's arm, without faults if not said otherwise."""
+
+    def make(*faults, **changes):
+        return ArmSimulator(paper_arm, replace(two_faults, faults=faults, **changes))
+
+    return make
+
+
+@pytest.fixture
+def joints(paper_model):
+    return JointMap(paper_model)
+
+
+QUIET = {'noise': False, 'disturbance': False}
+
+
+# ------------------------------------------------------------------ sensors and drives
+
+
+def test_given_the_start_when_sensed_then_the_arm_rests_at_the_path_and_is_read_as_it_is(
+    paper_arm, two_faults, simulate
+):
+    plant = simulate(**QUIET)
+    measurement, truth = plant.sense()
+    start = two_faults.path(paper_arm).sample(0.0).position
+    np.testing.assert_allclose(truth.position, start, atol=1e-15)
+    np.testing.assert_allclose(measurement.position, start, atol=1e-15)
+    np.testing.assert_array_equal(truth.velocity, 0.0)
+    assert plant.time == 0.0
+
+
+def test_given_noise_when_sensed_twice_then_the_reading_is_one(simulate):
+    plant = simulate()
+    one, two = (plant.sense()[0].position for _ in range(2))
+    np.testing.assert_array_equal(one, two)
+    plant.step((0.0, 0.0))
+    assert np.abs(plant.sense()[0].position - one).max() > 1e-5
+
+
+def test_given_the_torque_limits_when_more_is_asked_then_effort_shows_what_acted(simulate):
+    plant = simulate(**QUIET)
+    plant.step((1e6, -1e6))
+    np.testing.assert_array_equal(plant.sense()[0].effort, [1500.0, -600.0])
+    for torque in ((math.nan, 0.0), (0.0, math.inf), (1.0,), (1.0, 2.0, 3.0)):
+        with pytest.raises(ValueError, match='2 finite numbers'):
+            plant.step(torque)
+    assert plant.step_count == 1
+
+
+def test_given_brakes_when_held_then_nothing_moves_and_the_effort_carries_gravity(
+    simulate, joints, paper_model
+):
+    plant = simulate(noise=False)
+    _, before = plant.sense()
+    for _ in range(10):
+        plant.hold()
+    measurement, after = plant.sense()
+    np.testing.assert_array_equal(after.position, before.position)
+    assert plant.step_count == 10
+    theta = joints.absolute_position(after.position)
+    carried = inverse_dynamics(*theta, 0.0, 0.0, 0.0, 0.0, paper_model.constants())
+    np.testing.assert_allclose(joints.absolute_torque(measurement.effort), carried, rtol=1e-12)
+
+
+def test_given_a_fault_when_injected_then_noise_and_disturbance_stay_the_same(simulate, joints):
+    noise = Fault('link1_angle', 'noise', 0.0, size=0.5)
+    plants = simulate(), simulate(noise, Fault('link2_angle', 'bias', 0.0, size=0.2))
+    for _ in range(20):
+        (plain, truth), (faulty, other) = (p.sense() for p in plants)
+        np.testing.assert_array_equal(truth.position, other.position)
+        np.testing.assert_array_equal(plain.velocity, faulty.velocity)
+        shift = joints.sensor_position(faulty.position) - joints.sensor_position(plain.position)
+        np.testing.assert_allclose(shift, other.fault, atol=1e-12)
+        for plant in plants:
+            plant.step((1.0, 2.0))
+
+
+def test_given_a_noise_fault_when_sampled_then_it_is_independent_of_the_sensors_own_noise(
+    simulate, joints
+):
+    plant, pairs = simulate(Fault('link1_angle', 'noise', 0.0, size=0.1)), []
+    for _ in range(1000):
+        measurement, truth = plant.sense()
+        reading = joints.sensor_position(measurement.position)
+        noise = reading - joints.sensor_position(truth.position) - truth.fault
+        pairs.append((truth.fault[0], *noise))
+        plant.hold()
+    fault, *noise = np.array(pairs).T
+    assert np.abs(np.corrcoef(np.array(pairs).T) - np.eye(3)).max() < 0.12  # 3.8 deviations
+    # Nor may both draw the same numbers at different times.
+    common = np.intersect1d(np.round(fault / 0.1, 9), np.round(np.array(noise) / 1e-3, 9))
+    assert common.size == 0
+
+
+def test_given_noise_and_disturbance_when_sampled_then_their_moments_are_the_arms(simulate, joints):
+    plant, residuals, pushes = simulate(), [], []
+    for _ in range(4000):
+        measurement, truth = plant.sense()
+        angles = joints.sensor_position(measurement.position)
+        rates = joints.absolute_velocity(measurement.velocity - truth.velocity)
+        own = angles - joints.sensor_position(truth.position)
+        residuals.append([*own, *rates @ joints.sensor_matrix.T])
+        plant.step((0.0, 0.0))
+        pushes.append(plant.sense()[1].disturbance)
+    deviation = np.std(residuals, axis=0)
+    np.testing.assert_allclose(deviation, [1e-3, 1e-3, 1e-2, 1e-2], rtol=0.06)
+    assert np.mean(pushes) == pytest.approx(0.2, abs=0.06)
+    assert np.var(pushes) == pytest.approx(0.9, rel=0.1)
+
+
+def test_given_sensors_of_absolute_angles_when_one_fails_then_only_its_link_is_read_wrong(
+    simulate, two_faults
+):
+    measurement, truth = simulate(replace(two_faults.faults[0], onset=0.0), noise=False).sense()
+    np.testing.assert_allclose(truth.fault, [0.3, 0.0], atol=1e-12)
+    np.testing.assert_allclose(measurement.position - truth.position, [0.3, -0.3], atol=1e-12)
+
+
+# ------------------------------------------------------------------ plants
+
+
+@pytest.mark.parametrize('changes', [{}, {'payload': 0.25, 'mass_factors': (1.03, 0.97)}])
+def test_given_noise_disturbance_and_model_error_when_run_on_mujoco_then_signals_are_the_same(
+    paper_arm, paper_gains, two_faults, changes
+):
+    pytest.importorskip('mujoco')
+    scenario = replace(two_faults, duration=1.5, **changes)
+    one, other = (
+        run_closed_loop(paper_arm, replace(scenario, plant=plant), paper_gains)
+        for plant in ('nonlinear', 'mujoco')
+    )
+    for name in ('position', 'velocity', 'measured', 'fault_estimate'):
+        np.testing.assert_allclose(getattr(other, name), getattr(one, name), atol=1e-6)
+
+
+def test_given_the_real_arm_in_mujoco_when_a_step_comes_then_the_right_sensor_is_named(
+    real_arm, real_gains
+):
+    pytest.importorskip('mujoco')
+    points = [{'t': t, 'x': x, 'y': -0.42} for t, x in ((0.2, -0.2), (2.5, 0.2), (4.8, -0.2))]
+    fault = {'sensor': real_arm.sensor_names[0], 'kind': 'bias', 'onset': 2.0, 'size': 0.3}
+    data = {'name': 'swing', 'duration': 2.5, 'plant': 'mujoco', 'path': {'waypoints': points},
+            'faults': [fault]}  # fmt: skip
+    assert parse_scenario(data) == parse_scenario({**data, 'plant': {'model': 'mujoco'}})
+    first = run_closed_loop(real_arm, parse_scenario(data), real_gains).alarms[0]
+    assert (first.event, first.sensor) == (AlarmEvent.RAISED, real_arm.sensor_names[0])
+    assert 2_000_000_000 <= first.detected <= 2_020_000_000
+    assert first.size == pytest.approx(0.3, abs=0.05)
+
+
+def test_given_no_coriolis_terms_when_the_arm_is_slow_then_the_plant_is_almost_the_same(simulate):
+    plants = [simulate(plant=p, **QUIET) for p in ('nonlinear', 'nonlinear_without_coriolis')]
+    for torque, count, close in (((5.0, 2.0), 20, True), ((0.0, 0.0), 300, False)):
+        for plant in plants:
+            for _ in range(count):
+                plant.step(torque)
+        one, other = (plant.sense()[1].position for plant in plants)
+        assert (np.abs(one - other).max() < 1e-3) == close
+    assert np.abs(one - other).max() > 1e-2
+
+
+def test_given_a_disturbance_when_it_acts_on_the_joints_then_absolute_angles_get_eq_31(
+    paper_arm, two_faults, paper_model
+):
+    direction, mean, deviation = disturbance_of(paper_arm, two_faults)
+    assert (mean, deviation) == (0.2, pytest.approx(0.9**0.5))
+    to_absolute = np.array([[1.0, 0.0], [1.0, 1.0]])
+    np.testing.assert_allclose(to_absolute @ direction, paper_model.disturbance_direction)
+    assert disturbance_of(paper_arm, replace(two_faults, disturbance=False))[2] == 0.0
+    assert disturbance_of(replace(paper_arm, lpv=None), two_faults)[2] == 0.0
+
+
+def test_given_a_payload_when_the_papers_plant_carries_it_then_it_weighs_on_both_links(
+    paper_arm, simulate
+):
+    plants = [
+        simulate(payload=load, plant='nonlinear_without_coriolis', **QUIET) for load in (0.0, 2.0)
+    ]
+    for plant in plants:
+        for _ in range(100):
+            plant.step((0.0, 0.0))
+    light, heavy = (plant.sense()[1].position for plant in plants)
+    assert np.abs(heavy - light).max() > 1e-3
+    assert planar_model(paper_arm).with_payload(2.0).links[1].mass == 7.0
+
+
+# ------------------------------------------------------------------ faults
+
+
+def injector_of(*faults):
+    return FaultInjector(('a', 'b'), faults, np.random.default_rng(5))
+
+
+def apply_at(times, *faults, reading=lambda t: (t, -t)):
+    injector = injector_of(*faults)
+    return np.array([injector.apply(t, np.array(reading(t), float), 0.1) for t in times])
+
+
+TIMES = np.arange(0.0, 5.0, 0.5)
+
+
+@pytest.mark.parametrize(
+    ('kind', 'fields', 'expected'),
+    [
+        ('bias', {'size': -0.3}, -0.3 + 0 * TIMES),
+        ('drift', {'rate': 0.4}, 0.4 * (TIMES - 1.0)),
+        ('drift', {'rate': 0.4, 'size': 0.5}, np.minimum(0.4 * (TIMES - 1.0), 0.5)),
+        ('drift', {'rate': -0.4, 'size': 0.5}, np.maximum(-0.4 * (TIMES - 1.0), -0.5)),
+        ('scale', {'size': 0.1}, -0.1 * TIMES),
+        ('stuck', {}, TIMES - 1.0),
+        ('dropout', {}, np.full_like(TIMES, np.nan)),
+    ],
+)
+def test_given_each_kind_of_fault_when_applied_then_it_does_what_it_is_called(
+    kind, fields, expected
+):
+    found = apply_at(TIMES, Fault('b', kind, 1.0, 2.0, **fields)) - np.array([TIMES, -TIMES]).T
+    on = (TIMES >= 1.0) & (TIMES < 3.0)
+    np.testing.assert_array_equal(found[:, 0], 0.0)
+    np.testing.assert_allclose(found[:, 1], np.where(on, expected, 0.0), atol=1e-14)
+
+
+def test_given_random_faults_when_applied_then_their_moments_are_as_asked():
+    times = np.arange(4000) * 0.1
+    noise, spikes = (
+        apply_at(times, fault, reading=lambda t: (0, 0))[:, 0]
+        for fault in (
+            Fault('a', 'noise', 0.0, size=0.2),
+            Fault('a', 'spike', 0.0, size=0.7, rate=1),
+        )
+    )
+    assert noise.std() == pytest.approx(0.2, rel=0.05)
+    assert set(np.unique(spikes)) == {-0.7, 0.0, 0.7}
+    assert np.mean(spikes != 0) == pytest.approx(0.1, rel=0.2)
+
+
+def test_given_two_faults_of_one_sensor_when_applied_then_they_add_up():
+    found = apply_at([2.0], Fault('a', 'bias', 0.0, size=0.1), Fault('a', 'bias', 1.0, size=0.2))
+    np.testing.assert_allclose(found, [[2.3, -2.0]])
+
+
+def test_given_a_stuck_fault_that_comes_again_when_applied_then_it_freezes_anew():
+    times = (0.5, 1.0, 1.5, 2.5, 1.2)
+    found = apply_at(times, Fault('a', 'stuck', 1.0, 1.0), reading=lambda t: (10 * t, 0))
+    assert found[:, 0].tolist() == [5.0, 10.0, 10.0, 25.0, 12.0]
+
+
+def test_given_faults_when_cleared_then_only_the_named_sensors_go():
+    injector = injector_of(Fault('a', 'bias', 0.0, size=1.0), Fault('b', 'stuck', 0.0))
+    with pytest.raises(ConfigError, match=r'fault\.sensor'):
+        injector.clear('c')
+    injector.apply(0.0, np.zeros(2), 0.1)
+    assert injector.clear('a') == 1
+    np.testing.assert_array_equal(injector.apply(1.0, np.array([5.0, 5.0]), 0.1), [5.0, 0.0])
+    assert injector.clear() == 1
+    np.testing.assert_array_equal(injector.apply(2.0, np.array([5.0, 5.0]), 0.1), [5.0, 5.0])

@@ -1,0 +1,346 @@
+"""Certificates: exact proofs, what they refuse, what a design guarantees, the commands."""
+
+import subprocess
+import sys
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+from nested import changed, numbers
+from places import BRINGUP, ROOT
+
+from lpv.cli.main import main
+from lpv.core.monitoring.parameters import DiagnosisParameters
+from lpv.core.support.errors import ConfigError
+from lpv.core.uio.certificate.conditions import (
+    controller_loop,
+    corner_arms,
+    delayed_radius,
+    require,
+    verify,
+)
+from lpv.core.uio.certificate.error_system import link_errors
+from lpv.core.uio.certificate.exact_proof import is_positive_definite, prove
+from lpv.core.uio.certificate.gains import (
+    gains_checksum,
+    gains_to_dict,
+    load_gains,
+    parse_gains,
+    save_gains,
+)
+from lpv.core.uio.certificate.noise import covariance_margin, exact_fault_sigma
+from lpv.core.uio.model.arm import arm_from_json
+from lpv_design.exact_observer import torque_gains
+from lpv_design.guarantee import guarantee
+
+ARMS = BRINGUP / 'arms'
+REQUIREMENTS = ROOT / 'design' / 'lpv_design' / 'requirements'
+
+# ------------------------------------------------------------------ exact arithmetic
+
+
+@given(st.lists(st.lists(st.integers(-5, 5), min_size=4, max_size=4), min_size=4, max_size=4))
+def test_given_a_gram_matrix_when_tested_then_only_the_identity_makes_it_positive_definite(rows):
+    factor = np.array(rows[:3])  # rank 3 at most
+    gram = factor.T @ factor
+    assert is_positive_definite(gram + np.eye(4, dtype=int))
+    assert not is_positive_definite(gram)
+    assert not is_positive_definite(-gram)
+
+
+def test_given_a_violation_below_rounding_when_tested_then_exact_arithmetic_sees_it():
+    tiny = 2.0**-60
+    singular = np.array([[1.0, 1.0 + 2.0**-52], [1.0 + 2.0**-52, 1.0 + 2.0**-51]])
+    # Eigenvalues in floats say nothing here; the determinant is -2^-104.
+    assert not is_positive_definite(singular)
+    assert is_positive_definite([[1.0, 0.0], [0.0, tiny]])
+    assert not is_positive_definite([[1.0, 0.0], [0.0, -tiny]])
+    assert not is_positive_definite([[1.0, tiny], [0.0, 1.0]])  # not symmetric
+    assert not is_positive_definite([[Fraction(1, 3), Fraction(1, 3)]] * 2)
+
+
+def test_given_shipped_designs_when_proved_then_every_inequality_is(
+    arm, gains_of, paper_model, literal_gains
+):
+    for proved in (prove(arm, gains_of[arm.name]), prove(paper_model, literal_gains)):
+        assert len(proved) >= 4
+        assert all(proved.values()), proved
+
+
+@pytest.mark.parametrize(
+    ('part', 'spoil', 'named'),
+    [
+        ('observer', lambda o: {'kappa': 0.9 * o.kappa}, 'disc'),
+        ('observer', lambda o: {'mu': 30.0 * o.mu}, 'sampled'),
+        ('observer', lambda o: {'kappa': 60.0 * o.kappa}, 'real poles'),
+        ('observer', lambda o: {'lyapunov': -o.lyapunov}, 'P > 0'),
+        ('observer', lambda o: {'lyapunov': 20.0 * o.lyapunov}, 'covariance'),
+        ('controller', lambda c: {'m2': -c.m2}, 'LMI (67)'),
+        ('controller', lambda c: {'decay': 5.0 * c.decay}, 'LMI (67)'),
+        ('controller', lambda c: {'lyapunov': -c.lyapunov}, 'controller: P > 0'),
+    ],
+)
+def test_given_spoilt_gains_when_proved_then_the_inequality_is_refuted(
+    paper_model, paper_gains, part, spoil, named
+):
+    original = getattr(paper_gains, part)
+    gains = replace(paper_gains, **{part: replace(original, **spoil(original))})
+    refuted = [name for name, holds in prove(paper_model, gains).items() if not holds]
+    assert any(named in name for name in refuted), refuted
+    assert not all(check.holds for check in verify(paper_model, gains))
+
+
+@pytest.mark.parametrize('noise', ['velocity_noise', 'disturbance_variance'])
+def test_given_more_noise_than_designed_for_when_proved_then_proof_and_floats_refute_the_covariance(
+    arm, gains_of, noise
+):
+    noisy = replace(arm, **{noise: 3000.0 * getattr(arm, noise)})
+    proved = prove(noisy, gains_of[arm.name])
+    for i in range(2):
+        name = f'observer, link {i + 1}: covariance under the noise of the arm file'
+        assert proved[name] == (covariance_margin(noisy, gains_of[arm.name].observer, i) < 0.0)
+    assert not all(proved.values())
+
+
+def test_given_a_spoilt_literal_design_when_proved_then_it_is_refuted(paper_model, literal_gains):
+    for changes in ({'gamma': 0.1}, {'k': 2.0 * literal_gains.observer.k}):
+        gains = replace(literal_gains, observer=replace(literal_gains.observer, **changes))
+        assert not prove(paper_model, gains)['observer: LMI (55) at 8 vertices']
+
+
+def test_given_the_proof_when_compared_with_floats_then_constants_and_vertices_agree(arm):
+    numbers, constants = arm.numbers(Fraction), arm.constants()
+    for name, value in numbers._asdict().items():
+        np.testing.assert_allclose(np.array(value, float), constants[name], rtol=1e-14)
+    for method in ('paper', 'exact'):
+        loops = controller_loop(arm, method), controller_loop(arm, method, number=Fraction)
+        for floats, fractions in zip(*loops):
+            assert all(isinstance(value, (Fraction, int)) for value in fractions.flat)
+            np.testing.assert_allclose(fractions.astype(float), floats, rtol=1e-13)
+
+
+# ------------------------------------------------------------------ checks in floats
+
+
+def test_given_a_sampled_integrator_when_its_torque_is_late_then_the_radius_is_the_textbooks():
+    a, b, m, dt = np.zeros((1, 1)), np.ones((1, 1)), np.array([[-2.0]]), 0.1
+    # x+ = x + dt u, u = -2 x one sample late: z^2 - z + 0.2 = 0.
+    expected = np.abs(np.roots([1.0, -1.0, 0.2])).max()
+    assert delayed_radius(a, b, m, dt) == pytest.approx(expected, rel=1e-12)
+    assert delayed_radius(a, b, 6.0 * m, dt) > 1.0
+
+
+def test_given_model_error_and_payload_when_corners_are_made_then_masses_span_the_range(
+    paper_model,
+):
+    arms = corner_arms(replace(paper_model, model_error=0.1, payload=0.5))
+    assert len(arms) == 32
+    masses = np.array([[link.mass for link in a.links] for a in arms])
+    np.testing.assert_allclose([masses.min(axis=0), masses.max(axis=0)], [[9.0, 4.5], [11.0, 6.0]])
+
+
+def test_given_an_arm_as_json_when_read_back_then_it_is_the_same_arm(arm):
+    assert arm_from_json(arm.to_json()) == arm
+    for text in ('', '{}', '[]', '{"links": 3}', arm.to_json().replace('"name"', '"nome"')):
+        with pytest.raises(ConfigError):
+            arm_from_json(text)
+
+
+# ------------------------------------------------------------------ what is guaranteed
+
+
+def test_given_a_design_when_mapped_then_thresholds_grow_towards_the_horizontal_and_with_errors(
+    paper_model, paper_gains
+):
+    found, middle = guarantee(paper_model, paper_gains, points=9), 4
+    for values in (found.bound[:, middle, 0], found.bound[middle, :, 1]):
+        assert np.isfinite(values[middle]) and np.all(np.diff(values[middle:]) >= 0.0)
+        np.testing.assert_allclose(values, values[::-1], rtol=1e-9)
+    assert np.isinf(found.bound[[0, -1], middle, 0]).all()  # 72 deg: leaves gravity's reach
+    assert np.isfinite(found.bound[0, middle, 1])  # which is no matter of link 2's sensor
+    smallest = DiagnosisParameters().minimum_threshold
+    np.testing.assert_array_equal(found.threshold, np.maximum(found.bound, smallest))
+    np.testing.assert_array_equal(found.detectable, found.threshold + found.bound)
+    base = guarantee(paper_model, paper_gains, points=5).bound
+    for change in ({'model_error': 0.1}, {'payload': 0.3}, {'coulomb': (0.5, 0.5)}):
+        other = replace(paper_model, **change)
+        larger = guarantee(other, replace(paper_gains, arm_sha256=other.sha256()), points=5).bound
+        assert np.all(larger[1:4, 1:4] >= base[1:4, 1:4])
+        assert np.all(larger[1, 3] > base[1, 3])  # 36 deg to both sides
+
+
+def test_given_a_gains_file_when_read_then_the_certificate_describes_itself(
+    paper_model, paper_gains, tmp_path
+):
+    save_gains(paper_gains, tmp_path / 'g.yaml')
+    certificate = load_gains(tmp_path / 'g.yaml').certificate
+    assert arm_from_json(certificate['arm_json']) == paper_model
+    assert max(certificate['margins'].values()) < 0.0
+    assert certificate['solver'] == 'CLARABEL'
+    assert len(certificate['guarantee']['threshold_1']) == 13 * 13
+    assert {'clarabel_version', 'cvxpy_version', 'numpy_version'} <= set(certificate)
+
+
+# ------------------------------------------------------------------ commands
+
+
+@pytest.fixture
+def gains_file(paper_gains, tmp_path):
+    save_gains(paper_gains, tmp_path / 'gains.yaml')
+    return tmp_path / 'gains.yaml'
+
+
+def test_given_a_gains_file_when_verified_then_it_holds_and_no_solver_is_loaded(gains_file):
+    code = f"""if True:
+        import sys; from lpv.cli.main import main
+        sys.exit(main(["verify", {str(gains_file)!r}, "--proof"])
+                 or ("cvxpy" in sys.modules) or ("clarabel" in sys.modules))"""
+    result = subprocess.run([sys.executable, '-c', code], text=True, capture_output=True)
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert result.stdout.rstrip().endswith('the certificate holds')
+    assert result.stdout.count('proved') == 12
+
+
+@pytest.mark.parametrize(('field', 'factor'), [('mu', 0.2), ('lyapunov', -1.0), ('decay', 1.001)])
+def test_given_tampered_gains_when_verified_then_the_code_is_1(gains_file, capsys, field, factor):
+    where = f'/**.ros__parameters.gains.observer.{field}'
+    data = yaml.safe_load(gains_file.read_text())
+    tampered = changed(data, where, lambda values: (factor * np.array(values)).tolist())
+    gains_file.write_text(yaml.safe_dump(tampered))
+    assert main(['verify', str(gains_file), '--proof']) == 1
+    said = capsys.readouterr().out
+    assert 'FAILS' in said and 'does NOT hold' in said
+
+
+def test_given_gains_of_another_arm_when_verified_then_both_are_named(gains_file, capsys):
+    assert main(['verify', str(gains_file), '--arm', str(ARMS / 'real_arm.yaml')]) == 2
+    said = capsys.readouterr().err
+    assert "'paper'" in said and "'real_arm'" in said
+
+
+def design(*arguments):
+    return main(['design', '--arm', str(ARMS / 'paper.yaml'), *map(str, arguments)])
+
+
+@pytest.fixture
+def asked(tmp_path):
+    """A requirement like the shipped one but for some text."""
+
+    def change(old, new, name='paper'):
+        text = (REQUIREMENTS / f'{name}.yaml').read_text()
+        assert old in text
+        (tmp_path / 'asked.yaml').write_text(text.replace(old, new))
+        return tmp_path / 'asked.yaml'
+
+    return change
+
+
+@pytest.mark.slow
+def test_given_a_design_when_asked_for_then_yaml_map_and_proof_are_made(tmp_path, capsys):
+    out, picture = tmp_path / 'g.yaml', tmp_path / 'map.png'
+    requirement = REQUIREMENTS / 'paper.yaml'
+    assert design('--requirement', requirement, '--out', out, '--map', picture, '--proof') == 0
+    said = capsys.readouterr().out
+    assert 'REFUTED' not in said and said.count('proved') == 12
+    assert 'lasting faults are detected from' in said
+    assert load_gains(out).arm_name == 'paper' and picture.exists()
+
+
+@pytest.mark.slow
+def test_given_the_published_box_when_designed_then_code_3_the_reason_and_no_file(
+    asked, tmp_path, capsys
+):
+    box = asked('sinc_min: 0.96', 'sinc_min: -0.2', 'paper_literal')
+    assert design('--requirement', box, '--out', tmp_path / 'g.yaml') == 3
+    said = capsys.readouterr().err
+    assert 'not observable' in said and 'cannot be told apart' in said
+    largest = float(said.split('phi2, phi3 in [')[1].split(',')[0])
+    assert 0.94 < largest < 0.96
+    assert not (tmp_path / 'g.yaml').exists()
+
+
+def test_given_a_bound_on_the_torque_gain_when_gravity_cannot_meet_it_then_the_design_says_so(
+    paper_model, asked, tmp_path, capsys
+):
+    norm = 1.0 / (24.5 * 0.3)  # link 2 at the border of the region
+    for factor, code in ((1.01, 0), (0.99, 1)):
+        bound = f'  torque_gain: {factor * norm}\n  rate_noise'
+        requirement = asked('  rate_noise', bound)
+        assert design('--requirement', requirement, '--out', tmp_path / 'g') == code
+    assert 'ask for a smaller region' in capsys.readouterr().err
+    # The norm is that of the designed error system, at any slope.
+    gains, frequencies = load_gains(tmp_path / 'g').observer, np.logspace(-4, 3, 200)
+    for link, limit in zip(link_errors(paper_model), torque_gains(paper_model)):
+        for slope in np.linspace(*link.slopes, 5):
+            n = link.closed(slope, gains.kappa[link.index], gains.mu[link.index])
+            systems = 1j * frequencies[:, None, None] * np.eye(2) - n
+            response = np.linalg.solve(systems, np.array([[0.0], [1.0 / link.inertia]]))[:, 0, 0]
+            assert np.abs(response).max() <= limit * (1.0 + 1e-9)
+
+
+def test_given_what_cannot_be_had_when_designed_then_code_1_and_no_file(asked, tmp_path, capsys):
+    requirement = asked('decay: 0.25', 'decay: 55.0')
+    assert design('--requirement', requirement, '--out', tmp_path / 'g.yaml') == 1
+    assert 'slower decay' in capsys.readouterr().err
+    assert not (tmp_path / 'g.yaml').exists()
+
+
+# ------------------------------------------------------------------ forged numbers
+
+
+CHANGES = (
+    lambda x: x * 1.001 + 1e-9,
+    lambda x: x * 0.999 - 1e-9,
+    lambda x: -x - 1e-9,
+    lambda x: 0.0 if x else 1.0,
+    lambda x: 1e6 * x + 1.0,
+)
+"""A thousandth and more, up and down; each changes zeros, too."""
+
+
+@pytest.fixture(params=['paper_gains', 'real_gains', 'literal_gains'])
+def shipped(request):
+    """Arm, and the content of the gains file of each method."""
+    arm = 'real_model' if request.param == 'real_gains' else 'paper_model'
+    gains = request.getfixturevalue(request.param)
+    return request.getfixturevalue(arm), gains_to_dict(gains)
+
+
+def test_given_any_number_that_is_used_when_forged_then_the_loader_refuses_it(shipped):
+    arm, data = shipped
+    used = [place for place in numbers(data) if not place.startswith('certificate')]
+    assert len(used) > 60
+    for place in used:
+        for change in CHANGES:
+            with pytest.raises(ConfigError, match='gains'):
+                require(arm, parse_gains(changed(data, place, change)))
+
+
+def test_given_numbers_for_information_when_changed_then_what_is_used_stays_the_same(shipped):
+    _, data = shipped
+    gains = parse_gains({**data, 'certificate': {'margins': {'any': 1.0}}})
+    assert gains_checksum(gains) == data['checksum']
+
+
+@pytest.mark.parametrize('factor', [1e-6, 0.999, 1.001])
+def test_given_a_forged_deviation_when_the_checksum_is_forged_too_then_it_is_still_refused(
+    paper_model, paper_gains, factor
+):
+    observer = replace(paper_gains.observer, fault_sigma=factor * paper_gains.observer.fault_sigma)
+    with pytest.raises(ConfigError, match='standard deviation'):
+        require(paper_model, replace(paper_gains, observer=observer))
+
+
+def test_given_a_lyapunov_matrix_that_claims_less_noise_when_verified_then_the_covariance_fails(
+    paper_model, paper_gains
+):
+    observer = paper_gains.observer
+    quiet = replace(observer, lyapunov=1e4 * observer.lyapunov)
+    quiet = replace(quiet, fault_sigma=exact_fault_sigma(paper_model, quiet.lyapunov))
+    checks = verify(paper_model, replace(paper_gains, observer=quiet))
+    failed = [check.name for check in checks if not check.holds]
+    assert len(failed) == 2 and all('covariance' in name for name in failed)

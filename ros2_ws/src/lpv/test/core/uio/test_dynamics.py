@@ -1,0 +1,166 @@
+"""Rigid-body dynamics: power, inversion, and the formulas of both arms.
+
+Any other planar arm is compared with the chain of Pinocchio in `test_serial_dynamics`.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from parts import energy
+
+from lpv.core.support.errors import ConfigError
+from lpv.core.uio.model.dynamics import acceleration, friction, inverse_dynamics, runge_kutta_step
+from lpv.core.uio.model.joints import JointMap
+
+ANGLE = st.floats(-math.pi, math.pi)
+RATE = st.floats(-8.0, 8.0)
+TORQUE = st.floats(-50.0, 50.0)
+
+
+def roll(state, dt, steps, c):
+    """An arm that falls without torque."""
+
+    def slope(x):
+        return np.array([x[2], x[3], *acceleration(*x, 0.0, 0.0, c)])
+
+    state = np.array(state)
+    for _ in range(steps):
+        state = runge_kutta_step(slope, state, dt)
+    return state
+
+
+def test_given_half_the_step_when_integrated_then_the_error_falls_by_two_to_the_fourth(arm):
+    c = replace(arm, viscous=(0.0, 0.0), coulomb=(0.0, 0.0)).constants()
+    state, span = (0.4, -0.7, 1.5, -2.0), 0.4
+    exact = roll(state, span / 1280, 1280, c)
+    assert abs(energy(*exact, c) - energy(*state, c)) < 1e-9 * c.gravity[0]
+    coarse = np.abs(roll(state, span / 40, 40, c) - exact).max()
+    fine = np.abs(roll(state, span / 80, 80, c) - exact).max()
+    assert 13.0 < coarse / fine < 19.0
+    assert fine > 1e-13  # above rounding, so that the quotient means something
+
+
+@given(ANGLE, ANGLE, RATE, RATE, TORQUE, TORQUE)
+def test_given_any_state_when_it_moves_then_torques_come_back_and_energy_changes_by_their_power(
+    paper_model, real_model, th_1, th_2, v_1, v_2, u_1, u_2
+):
+    for arm in (replace(paper_model, viscous=(0.3, 0.2), coulomb=(0.5, 0.4)), real_model):
+        c = arm.constants()
+        acc = acceleration(th_1, th_2, v_1, v_2, u_1, u_2, c)
+        back = inverse_dynamics(th_1, th_2, v_1, v_2, *acc, c)
+        assert back == pytest.approx((u_1, u_2), abs=1e-9)
+        flow = np.array([v_1, v_2, *acc])
+        h = 1e-5 / (1.0 + np.abs(flow).max())
+        state = np.array([th_1, th_2, v_1, v_2])
+        rate = (energy(*(state + h * flow), c) - energy(*(state - h * flow), c)) / (2.0 * h)
+        power = u_1 * v_1 + u_2 * v_2 - np.dot(friction(v_1, v_2, c), (v_1, v_2))
+        # Rounding of the difference quotient: eps * E / h.
+        scale = abs(energy(*state, c)) + c.gravity[0]
+        assert abs(rate - power) < 1e-15 * scale / h + 1e-6 * (1.0 + abs(power))
+
+
+def test_given_the_coriolis_term_dropped_when_links_turn_then_no_centripetal_torque_is_left(
+    paper_model,
+):
+    c = paper_model.constants(coriolis=False)
+    still = inverse_dynamics(0.3, -0.4, 0.0, 0.0, 0.1, 0.2, c)
+    assert inverse_dynamics(0.3, -0.4, 3.0, -2.0, 0.1, 0.2, c) == pytest.approx(still, rel=1e-14)
+
+
+def test_given_table_1_when_constants_are_formed_then_they_are_those_of_eq_2_not_eq_5(paper_model):
+    c = paper_model.constants()
+    assert c.inertia[0] == pytest.approx(10 * 0.25 + 5 * 1.0 + 0.83)  # 8.33; 4.58 as printed
+    assert c.inertia[1] == pytest.approx(1.66)
+    assert (c.coupling, c.rotor_coupling) == (pytest.approx(2.5), 0.0)
+    np.testing.assert_allclose(c.gravity, [98.0, 24.5])
+
+
+def test_given_eqs_2_and_3_written_out_when_evaluated_then_inverse_dynamics_is_the_same(
+    paper_model,
+):
+    m_1, m_2, l_1, lc_1, lc_2, i_1, i_2, g = 10.0, 5.0, 1.0, 0.5, 0.5, 0.83, 0.41, 9.8
+    h, rng = m_2 * l_1 * lc_2, np.random.default_rng(2)
+    for t_1, t_2, v_1, v_2, a_1, a_2 in rng.uniform(-3, 3, (20, 6)):
+        cos, sin = math.cos(t_1 - t_2), math.sin(t_1 - t_2)
+        u_1 = (m_1 * lc_1**2 + m_2 * l_1**2 + i_1) * a_1 + h * cos * a_2
+        u_1 += h * sin * v_2**2 - (m_1 * lc_1 + m_2 * l_1) * g * math.sin(t_1)
+        u_2 = h * cos * a_1 + (m_2 * lc_2**2 + i_2) * a_2
+        u_2 -= h * sin * v_1**2 + m_2 * g * lc_2 * math.sin(t_2)
+        got = inverse_dynamics(t_1, t_2, v_1, v_2, a_1, a_2, paper_model.constants())
+        assert got == pytest.approx((u_1, u_2), rel=1e-12, abs=1e-12)
+
+
+def recorded_arm_torque(q, v, a):
+    """The identified model, joint coordinates, zero where the arm hangs down."""
+    i_1, i_2 = 0.031887199591513114, 0.05086984812807257
+    m_1, m_2, l_1 = 0.5234602302310271, 0.6255677234174437, 0.2
+    r_1, r_2 = 0.2, 0.25569305436052964
+    rotor, ratio, g = 6.287203962819607e-05, 6, 9.81
+    h = m_2 * l_1 * r_2
+    m_12 = i_2 + h * math.cos(q[1]) - ratio * rotor
+    m_11 = i_1 + i_2 + m_2 * l_1**2 + 2 * h * math.cos(q[1]) + (ratio**2 + 1) * rotor
+    mass = np.array([[m_11, m_12], [m_12, i_2 + ratio**2 * rotor]])
+    swirl = np.array([-2 * v[0] * v[1] - v[1] ** 2, v[0] ** 2])
+    lower = m_2 * r_2 * g * math.sin(q[0] + q[1])
+    gravity = np.array([(m_1 * r_1 + m_2 * l_1) * g * math.sin(q[0]) + lower, lower])
+    rub = 0.001 * v + np.array([0.16, 0.12]) * (2 / math.pi) * np.arctan(100 * v)
+    return mass @ a + h * math.sin(q[1]) * swirl + gravity + rub
+
+
+@given(ANGLE, ANGLE, RATE, RATE, RATE, RATE)
+def test_given_joint_coordinates_when_the_recorded_arm_moves_then_the_identified_model_holds(
+    real_model, q_1, q_2, v_1, v_2, a_1, a_2
+):
+    q, v, a = np.array([q_1, q_2]), np.array([v_1, v_2]), np.array([a_1, a_2])
+    joints = JointMap(real_model)
+    rates = (*joints.absolute_velocity(v), *joints.absolute_velocity(a))
+    absolute = inverse_dynamics(*joints.absolute_position(q), *rates, real_model.constants())
+    found = joints.joint_torque(np.array(absolute))
+    np.testing.assert_allclose(found, recorded_arm_torque(q, v, a), rtol=1e-11, atol=1e-12)
+
+
+@given(st.floats(-50, 50), st.floats(-50, 50))
+def test_given_any_rates_when_joints_rub_then_power_is_lost_and_never_gained(real_model, v_1, v_2):
+    c = real_model.constants()
+    torque, joint = np.array(friction(v_1, v_2, c)), np.array([v_1, v_2 - v_1])
+    rub = 0.001 * joint + np.array([0.16, 0.12]) * (2 / math.pi) * np.arctan(100 * joint)
+    assert torque @ (v_1, v_2) == pytest.approx(rub @ joint, rel=1e-9, abs=1e-12)
+    assert torque @ (v_1, v_2) >= -1e-12
+    assert friction(-v_1, -v_2, c) == pytest.approx(tuple(-torque), abs=1e-15)
+
+
+@given(ANGLE, ANGLE, RATE, RATE, st.floats(0.0, 20.0))
+def test_given_a_payload_when_energy_is_taken_then_it_is_the_arm_and_a_point_mass_at_the_tip(
+    paper_model, real_model, th_1, th_2, v_1, v_2, mass
+):
+    for arm in (paper_model, real_model):
+        lengths, theta = np.array(arm.lengths), np.array([th_1, th_2])
+        turn = lengths * np.array([np.cos(theta), -np.sin(theta)])
+        tip_rate = turn @ (v_1, v_2)
+        extra = 0.5 * mass * tip_rate @ tip_rate + mass * arm.gravity * turn[0].sum()
+        loaded = energy(th_1, th_2, v_1, v_2, arm.with_payload(mass).constants())
+        bare = energy(th_1, th_2, v_1, v_2, arm.constants())
+        assert loaded == pytest.approx(bare + extra, rel=1e-10, abs=1e-9)
+
+
+@pytest.mark.parametrize('mass', [-6.0, math.nan])
+def test_given_an_impossible_payload_when_attached_then_it_is_refused_by_name(paper_model, mass):
+    with pytest.raises(ConfigError, match='payload'):
+        paper_model.with_payload(mass)
+
+
+def test_given_factors_when_the_arm_is_scaled_then_each_constant_follows_its_link(paper_model):
+    own = tuple(replace(b, inertia=i) for b, i in zip(paper_model.links, (0.83, 0.41)))
+    about_center = replace(paper_model, links=own, inertia_reference='center_of_mass')
+    c = about_center.scaled((1.2, 0.9), (1.5, 0.5)).constants()
+    expected = [1.2 * 2.5 + 1.5 * 0.83 + 0.9 * 5.0, 0.9 * 1.25 + 0.5 * 0.41]
+    np.testing.assert_allclose(c.inertia, expected)
+    assert c.coupling == pytest.approx(0.9 * 2.5)
+    np.testing.assert_allclose(c.gravity, [9.8 * (1.2 * 5.0 + 0.9 * 5.0), 0.9 * 24.5])
+    np.testing.assert_array_equal(paper_model.scaled().constants(), paper_model.constants())
+    c = paper_model.scaled((1.2, 0.9), (1.5, 0.5)).constants()  # inertias about the joints
+    np.testing.assert_allclose(c.inertia, [1.5 * (2.5 + 0.83) + 0.9 * 5.0, 0.5 * (1.25 + 0.41)])

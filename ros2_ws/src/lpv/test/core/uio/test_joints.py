@@ -1,0 +1,75 @@
+"""The conversion between ROS joints, absolute angles and physical sensors."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lpv.core.uio.model.joints import JointMap
+
+PAIR = st.tuples(st.floats(-10, 10), st.floats(-10, 10)).map(np.array)
+
+
+def conversions(joints):
+    """Each conversion, and the one back."""
+    names = ('absolute_position', 'absolute_velocity', 'absolute_torque', 'sensor_position')
+    back = ('joint_position', 'joint_velocity', 'joint_torque', 'joint_from_sensor')
+    return [(getattr(joints, a), getattr(joints, b)) for a, b in zip(names, back)]
+
+
+@given(PAIR, PAIR)
+def test_given_any_pair_when_converted_then_it_comes_back_and_power_and_rates_are_the_same(
+    paper_model, real_model, pair, rate
+):
+    for arm in (paper_model, real_model):
+        joints, h = JointMap(arm), 1e-6
+        for there, back in conversions(joints):
+            np.testing.assert_allclose(back(there(pair)), pair, atol=1e-13)
+            np.testing.assert_allclose(there(back(pair)), pair, atol=1e-13)
+        absolute = joints.absolute_torque(pair) @ joints.absolute_velocity(rate)
+        assert absolute == pytest.approx(pair @ rate, abs=1e-12)
+        for position, matrix in (
+            (joints.absolute_position, np.eye(2)),
+            (joints.sensor_position, joints.sensor_matrix),
+        ):
+            moved = (position(pair + h * rate) - position(pair)) / h
+            np.testing.assert_allclose(moved, matrix @ joints.absolute_velocity(rate), atol=1e-7)
+
+
+def test_given_both_arms_when_upright_or_hanging_then_zeros_and_torques_are_those_of_their_files(
+    paper_model, real_model
+):
+    upright, hanging = JointMap(paper_model), JointMap(real_model)
+    np.testing.assert_array_equal(upright.absolute_torque([5.0, 2.0]), [3.0, 2.0])
+    np.testing.assert_allclose(upright.absolute_position([math.pi / 2, 0.0]), 0.0, atol=1e-15)
+    np.testing.assert_allclose(upright.absolute_position([0.0, 0.0]), -math.pi / 2)
+    expected = [math.pi + 0.2, math.pi + 0.5]
+    np.testing.assert_allclose(hanging.absolute_position([0.2, 0.3]), expected)
+
+
+@pytest.mark.parametrize(
+    ('name', 'fault', 'joint', 'absolute'),
+    [
+        ('real_model', (0.3, 0.0), (0.3, 0.0), (0.3, 0.3)),  # both links behind the encoder shift
+        ('real_model', (0.0, 0.3), (0.0, 0.3), (0.0, 0.3)),
+        ('paper_model', (0.3, 0.0), (0.3, -0.3), (0.3, 0.0)),
+    ],
+)
+def test_given_a_sensor_that_is_wrong_when_read_then_joints_and_links_shift_as_it_is_mounted(
+    request, name, fault, joint, absolute
+):
+    joints, q = JointMap(request.getfixturevalue(name)), np.array([0.4, -0.2])
+    wrong = joints.joint_from_sensor(joints.sensor_position(q) + fault)
+    np.testing.assert_allclose(wrong - q, joint, atol=1e-15)
+    shift = joints.absolute_position(wrong) - joints.absolute_position(q)
+    np.testing.assert_allclose(shift, absolute, atol=1e-15)
+
+
+def test_given_a_batch_when_converted_then_every_row_is_converted_alone(arm):
+    batch = np.random.default_rng(1).normal(size=(4, 3, 2))
+    for pair in conversions(JointMap(arm)):
+        for method in pair:
+            rows = np.array([[method(pair) for pair in row] for row in batch])
+            np.testing.assert_allclose(method(batch), rows, rtol=1e-15, atol=1e-15)

@@ -1,0 +1,316 @@
+"""The unknown-input observer, eqs. (38)-(53): algebra, recursion, convergence."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from parts import Swing
+
+from lpv.core.support.records import new_record
+from lpv.core.uio.model.dynamics import acceleration, inverse_dynamics
+from lpv.core.uio.model.joints import JointMap
+from lpv.core.uio.model.polytope import exact_vertices, sinc_box, state_spaces, vertex_matrices
+from lpv.core.uio.model.state_space import Descriptor, output_matrices
+from lpv.core.uio.observer.paper_observer import (
+    PAPER_CONSTANTS,
+    PAPER_STATE,
+    decoupling,
+    paper_step,
+)
+from lpv.core.uio.observer.sampled_observer import OBSERVER_STATE, advance, observer_constants
+
+pytestmark = pytest.mark.slow
+
+
+def paper_descriptor(arm, s_min=-0.2):
+    a, b = vertex_matrices(sinc_box(s_min), arm.constants(coriolis=False))
+    return Descriptor(a, b, arm)
+
+
+def fault_feedthrough(c):
+    """T1 and T2 of method exact: T2 = [0; I 0], and T1 = [(I - T2 C~) restricted to x, 0].
+
+    Every solution of T1 E + T2 C~ = I has these first two columns of T2, so that no position fault
+    reaches z; choosing zeros for the rest keeps the whole torque balance in T1.
+    """
+    t2 = np.zeros((6, 4))
+    t2[4:, :2] = np.eye(2)
+    t1 = np.eye(6) - t2 @ c
+    t1[:, 4:] = 0.0
+    return t1, t2
+
+
+def observer_matrices(d, t1, t2, k):
+    """N_i, L_i and G_i of eqs. (51)-(53)."""
+    n = t1 @ d.a + k @ d.c
+    return n, n @ t2 - k, t1 @ d.b
+
+
+def both_designs(arm):
+    """Descriptor and decoupling of method paper and of method exact."""
+    paper = paper_descriptor(arm)
+    exact = Descriptor(*state_spaces(exact_vertices(arm), arm.constants()), arm)
+    return ((paper, *decoupling(paper.e, paper.c)), (exact, *fault_feedthrough(exact.c)))
+
+
+def inertia(theta, c):
+    off = c.rotor_coupling + c.coupling * math.cos(theta[0] - theta[1])
+    return np.array([[c.inertia[0], off], [off, c.inertia[1]]])
+
+
+def output_injection(theta, rates, kappa, mu, c, sensor_matrix):
+    """K(rho) of method exact in the paper's form z' = T1 (A~ x^ + B~ u) + K (C~ x^ - y).
+
+    Its rows for f keep S theta^ + z_f at zero.
+    """
+    xi, s_inverse = inertia(theta, c), np.linalg.inv(sensor_matrix)
+    turning = -c.coupling * math.sin(theta[0] - theta[1]) * (rates[0] - rates[1])
+    k = np.zeros((6, 4))
+    k[:2, 2:] = -(np.eye(2) + np.diag(kappa) @ xi) @ s_inverse
+    slope = np.diag(mu) @ xi + turning * np.array([[0.0, 1.0], [1.0, 0.0]])
+    k[2:4, 2:] = -np.linalg.solve(xi, slope) @ s_inverse
+    k[4:, 2:] = -sensor_matrix @ k[:2, 2:]
+    return k
+
+
+class Exact:
+    """The recursion of method exact, started anywhere, and a motion to follow."""
+
+    def __init__(self, arm, gains):
+        self.gains, self.s, self.dt = gains.observer, JointMap(arm).sensor_matrix, arm.sample_time
+        self.kappa, self.constants = arm.sign * gains.observer.kappa, arm.constants()
+        self.recursion, self.motion = observer_constants(arm, gains), Swing(arm)
+        self.state = new_record(OBSERVER_STATE)
+
+    def step(self, y_old, y_new, torque, dt=None):
+        vectors = (np.asarray(one, float) for one in (y_old, y_new, torque))
+        advance(self.recursion, self.state, *vectors, self.dt if dt is None else dt)
+        return self.state.x.copy()
+
+    def truth(self, t, bias=(0.0, 0.0)):
+        """Angles, rates, faults."""
+        return np.concatenate([*self.motion.absolute(t)[:2], bias])
+
+    def follow(self, count, faults, wrong=(0.0, 0.0)):
+        """Estimates along the motion from a start with wrong angles."""
+        y = self.motion.outputs(0.0, faults[0])
+        start = self.truth(0.0, faults[0])
+        start[:2] += wrong
+        start[4:] -= self.s @ wrong
+        self.state.x[:] = start
+        for k in range(count):
+            y_new = self.motion.outputs((k + 1) * self.dt, faults[(k + 1) % len(faults)])
+            yield self.step(y, y_new, self.motion.torque((k + 0.5) * self.dt))
+            y = y_new
+
+
+@pytest.fixture
+def observer(arm, gains_of):
+    return Exact(arm, gains_of[arm.name])
+
+
+# ------------------------------------------------------------------ algebra
+
+
+def test_given_both_decouplings_when_formed_then_eqs_41_44_and_45_hold_at_all_vertices(arm):
+    rng = np.random.default_rng(11)
+    for d, t1, t2 in both_designs(arm):
+        np.testing.assert_allclose(t1 @ d.e + t2 @ d.c, np.eye(6), atol=1e-14)
+        np.testing.assert_allclose(t1 @ d.bf, 0.0, atol=1e-14)
+        k = rng.normal(scale=20.0, size=(len(d.a), 6, 4))
+        n, ell, g = observer_matrices(d, t1, t2, k)
+        scale = 1e-12 * np.abs(n).max()
+        np.testing.assert_allclose(t1 @ d.a - n @ t1 @ d.e - ell @ d.c, 0.0, atol=scale)
+        np.testing.assert_allclose(t1 @ d.b - g, 0.0, atol=1e-14)
+        np.testing.assert_allclose(n @ t2 - ell, k, atol=scale)  # (50)
+
+
+def test_given_the_pseudo_inverse_when_formed_then_it_is_the_smallest_solution_of_eq_47(arm):
+    d = paper_descriptor(arm)
+    sigma, delta = np.vstack([d.e, d.c]), np.hstack(decoupling(d.e, d.c))
+    # Smallest: every row lies in the column space of sigma.
+    np.testing.assert_allclose(delta, np.linalg.inv(sigma.T @ sigma) @ sigma.T, atol=1e-14)
+
+
+def test_given_the_exact_decoupling_when_formed_then_positions_feed_the_fault_alone(arm):
+    _, (d, t1, t2) = both_designs(arm)
+    np.testing.assert_array_equal(t2, np.eye(6, 4, -4))
+    np.testing.assert_array_equal(t1[:4, :4], np.eye(4))
+    assert np.linalg.norm(t1 @ d.bd) > 0.1  # the disturbance is attenuated, not decoupled
+
+
+# ------------------------------------------------------------------ the recursions
+
+
+def test_given_the_paper_observer_when_stepped_then_it_is_the_heun_rule_of_eq_38(arm):
+    s_min, dt, rng = 0.5, 0.003, np.random.default_rng(7)
+    box, d = sinc_box(s_min), paper_descriptor(arm, s_min)
+    t1, t2 = decoupling(d.e, d.c)
+    gains = rng.normal(scale=10.0, size=(8, 6, 4))
+    matrices = observer_matrices(d, t1, t2, gains)
+    z = rng.normal(scale=0.3, size=6)
+    other, x = z.copy(), np.zeros(6)
+    constants = new_record(PAPER_CONSTANTS, t1=t1, t2=t2, c=d.c, box=box, k=gains, a=d.a, b=d.b)
+    state = new_record(PAPER_STATE, z=z)
+    y_old = rng.normal(scale=0.3, size=4)
+    for _ in range(20):
+        y_new, u = y_old + rng.normal(scale=0.05, size=4), rng.normal(scale=20.0, size=2)
+        paper_step(constants, state, x, y_old, y_new, u, dt)
+
+        guess = other + t2 @ y_old
+        phi = (math.cos(guess[0] - guess[1]), np.sinc(guess[0] / np.pi), np.sinc(guess[1] / np.pi))
+        alpha = [min(max((hi - p) / (hi - lo), 0), 1) for p, (lo, hi) in zip(phi, box)]
+        rho = np.einsum('i,j,k->ijk', *([a, 1 - a] for a in alpha)).ravel()
+        n, ell, g = (np.tensordot(rho, stack, 1) for stack in matrices)
+        first = n @ other + ell @ y_old + g @ u
+        second = n @ (other + dt * first) + ell @ y_new + g @ u
+        other = other + dt / 2 * (first + second)
+
+        np.testing.assert_allclose(state.z, other, rtol=1e-10, atol=1e-12)
+        np.testing.assert_allclose(x, other + t2 @ y_new, rtol=1e-10, atol=1e-12)
+        y_old = y_new
+
+
+def test_given_the_exact_observer_when_stepped_then_it_is_the_uio_form_with_its_injection(
+    arm, observer
+):
+    motion, h, c = observer.motion, 1e-7, np.hstack(output_matrices(arm))
+    t1, _ = fault_feedthrough(c)
+    for t in (0.0, 0.7, 2.0):
+        y, (theta, rate, _) = motion.outputs(t, (0.2, -0.1)), motion.absolute(t)
+        theta, rate, torque = theta + [0.1, -0.05], rate + [0.3, 0.2], motion.torque(t)
+        x = np.concatenate([theta, rate, y[:2] - observer.s @ theta])
+        # z' = T1 (model of x^) + K(rho) (C~ x^ - y), eq. (38) in its estimate.
+        v = np.linalg.solve(observer.s, y[2:])
+        model = [*rate, *acceleration(*theta, *v, *torque, observer.constants), *-x[4:]]
+        constants = observer.kappa, observer.gains.mu, observer.constants, observer.s
+        rates = t1 @ model + output_injection(theta, v, *constants) @ (c @ x - y)
+        observer.state.x[:] = x
+        after = observer.step(y, y, torque, h)
+        np.testing.assert_allclose((after - x) / h, rates, rtol=2e-5, atol=2e-5)
+
+
+def test_given_any_state_when_differentiated_then_the_momentum_error_is_decoupled_link_by_link(
+    arm, observer
+):
+    """e' = -s kappa m and m' = s Gamma e - mu m + coupling, without any linearisation."""
+    h, c, rng = 2e-7, observer.constants, np.random.default_rng(5)
+    for t in rng.uniform(0.0, 5.0, 10):
+        y, wrong = observer.motion.outputs(t), rng.uniform(-0.2, 0.2, 4)
+        theta, rate, acc = observer.motion.absolute(t)
+        guess, guess_rate = theta + wrong[:2], rate + wrong[2:]
+        observer.state.x[:] = *guess, *guess_rate, 0.0, 0.0
+        after = observer.step(y, y, observer.motion.torque(t), h)
+        guess_acc = (after[2:4] - guess_rate) / h
+        e, m = wrong[:2], inertia(guess, c) @ wrong[2:]
+        swirl = -c.coupling * math.sin(guess[0] - guess[1]) * (rate[0] - rate[1])
+        m_rate = swirl * wrong[:1:-1] + inertia(guess, c) @ (guess_acc - acc)
+        gravity = c.gravity * (np.sin(guess) - np.sin(theta))
+        delta = inertia(guess, c) - inertia(theta, c)
+        spin = c.coupling * (math.sin(guess[0] - guess[1]) - math.sin(theta[0] - theta[1]))
+        coupling = -delta @ acc - spin * np.array([rate[1] ** 2, -(rate[0] ** 2)])
+        expected = gravity + coupling - observer.gains.mu * m
+        scale = np.abs(np.concatenate([m, expected])).max()
+        np.testing.assert_allclose(m_rate, expected, rtol=1e-4, atol=1e-4 * scale)
+        e_rate = (after[:2] - guess) / h - rate
+        np.testing.assert_allclose(e_rate, -observer.kappa * m, rtol=1e-4, atol=1e-6)
+        slope = gravity / e * arm.sign
+        assert np.all(slope > 0.0) and np.all(slope <= c.gravity)
+
+
+# ------------------------------------------------------------------ convergence
+
+
+def test_given_the_exact_torques_of_a_motion_when_started_right_then_the_observer_stays_on_it(
+    arm, observer
+):
+    found = list(observer.follow(2000, [(0.0, 0.0)]))
+    expected = [observer.truth((k + 1) * observer.dt) for k in range(2000)]
+    # The Heun rule at 2 ms; Coulomb friction turns round within a few samples.
+    np.testing.assert_allclose(found, expected, atol=2e-4 if any(arm.coulomb) else 3e-5)
+
+
+@pytest.mark.parametrize('bias', [(0.2, -0.1), (-0.25, 0.2)])
+def test_given_a_wrong_start_when_the_nonlinear_arm_moves_then_the_error_dies_out(
+    paper_model, paper_gains, bias
+):
+    observer, before = Exact(paper_model, paper_gains), 0.25
+    for k, x in enumerate(observer.follow(15000, [bias], wrong=bias)):
+        if k % 2500 == 2499:
+            error = x - observer.truth((k + 1) * observer.dt, bias)
+            after = np.abs(error[[0, 1, 4, 5]]).max()
+            # Every 5 s take off what the certified decay promises, down to the Heun rule's error.
+            assert after < before * math.exp(-0.25 * 5.0) + 5e-6
+            before = after
+
+
+FAULT = st.lists(st.tuples(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6)), min_size=60, max_size=60)
+
+
+@settings(max_examples=40)
+@given(FAULT)
+def test_given_position_faults_of_any_shape_when_observed_then_the_state_estimate_is_bitwise_same(
+    paper_model, real_model, gains_of, faults
+):
+    faults, none = np.vstack([[0.0, 0.0], faults]), np.zeros((61, 2))
+    for arm in (paper_model, real_model):
+        observers = [Exact(arm, gains_of[arm.name]) for _ in range(2)]
+        ends = [
+            list(one.follow(60, shape, (0.05, 0.05)))[-1]
+            for one, shape in zip(observers, (none, faults))
+        ]
+        np.testing.assert_array_equal(ends[0][:4], ends[1][:4])
+        # And the fault estimate follows without delay: f^ = y_p - S theta^.
+        y = observers[1].motion.outputs(60 * arm.sample_time, faults[-1])
+        expected = y[:2] - observers[1].s @ ends[1][:2]
+        np.testing.assert_allclose(ends[1][4:], expected, atol=1e-9 + 1e-13 * np.abs(faults).max())
+
+
+# ------------------------------------------------------------------ outside the region
+
+
+@pytest.mark.parametrize('link', [0, 1])
+def test_given_a_link_outside_the_region_when_observed_then_it_is_held_on_the_measured_rate(
+    arm, observer, link
+):
+    theta, dt, other = np.full(2, observer.motion.rest), observer.dt, 1 - link
+    theta[link] += math.acos(arm.cos_min[link]) + 0.1
+    true_rate = np.array([0.4, -0.3])
+    torque = inverse_dynamics(*theta, *true_rate, 0.0, 0.0, observer.constants)
+    y_old = np.concatenate([observer.s @ (theta - 0.2), observer.s @ true_rate])
+    y_new = y_old + [*dt * observer.s @ true_rate, 0.0, 0.0]
+    # The rate estimate is wrong on purpose: a held angle must follow the measurement instead.
+    observer.state.x[:] = *theta, *(true_rate + 0.5), *(observer.s @ [-0.2, -0.2])
+    after = observer.step(y_old, y_new, torque)
+    assert observer.state.held.tolist() == [link == 0, link == 1]
+    assert after[link] == pytest.approx(theta[link] + dt * true_rate[link], abs=1e-12)
+    assert abs(after[other] - theta[other] - dt * true_rate[other]) > 1e-5  # not held
+    np.testing.assert_allclose(after[4:], y_new[:2] - observer.s @ after[:2], atol=1e-12)
+
+
+def held_at(observer, theta):
+    """Which links are held at rest at some angles."""
+    y = np.concatenate([observer.s @ theta, [0.0, 0.0]])
+    observer.state.x[:] = *theta, 0.0, 0.0, 0.0, 0.0
+    observer.step(y, y, np.zeros(2))
+    return observer.state.held.tolist()
+
+
+def test_given_a_link_on_either_side_of_the_border_when_observed_then_only_outside_is_held(
+    arm, observer
+):
+    for offset, expected in ((-1e-6, False), (1e-6, True)):
+        for way in (1.0, -1.0):
+            for link in range(2):
+                theta = np.full(2, observer.motion.rest)
+                theta[link] += way * (math.acos(arm.cos_min[link]) + offset)
+                assert held_at(observer, theta) == [expected and i == link for i in range(2)]
+
+
+def test_given_the_vertical_when_observed_then_rounding_of_the_cosine_holds_nothing(arm, observer):
+    for turns in ((0, 0), (1, 1), (2, -2)):
+        upright = turns[0] % 2 == 0
+        theta = math.pi * np.array(turns, float)
+        assert held_at(observer, theta) == [upright != (arm.orientation == 'upright')] * 2

@@ -1,0 +1,117 @@
+"""The designed observer in the loop: its bound holds, and what it excludes is certified."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lpv.core.control.tracking import make_controller
+from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent
+from lpv.core.simulation.closed_loop import run_closed_loop
+from lpv.core.simulation.faults import Fault
+from lpv.core.support.errors import ConfigError
+from lpv.core.uio.planar import planar_model
+from lpv.core.uio.unknown_input_observer import UnknownInputObserver
+
+pytestmark = pytest.mark.slow
+
+
+def answers(run, arm, gains, observer, parts=1):
+    """Of a monitor that gets a run in some parts."""
+    monitor = SerialSensorMonitor('uio', arm, gains=gains, observer=observer)
+    rows = (run.measured, run.measured_velocity, run.effort)
+    stamps = 1 + np.round(1e9 * run.time).astype(np.int64)
+    return [
+        monitor.take_many(*part)
+        for part in zip(*(np.array_split(row, parts) for row in (stamps, *rows)))
+    ]
+
+
+@pytest.mark.parametrize('payload', [0.0, 0.3])
+@pytest.mark.parametrize('factors', [(1.05, 0.95), (0.95, 1.05), (1.05, 1.05)])
+def test_given_a_healthy_arm_inside_its_file_when_it_moves_then_errors_stay_in_the_bound(
+    paper_arm, paper_gains, two_faults, factors, payload
+):
+    arm = replace(paper_arm, uncertainty=replace(paper_arm.uncertainty, payload=0.3))
+    gains = replace(paper_gains, arm_sha256=planar_model(arm).sha256())  # which allow for it
+    scenario = replace(two_faults, faults=(), duration=6.0, payload=payload, mass_factors=factors,
+                       inertia_factors=factors, disturbance=False)  # fmt: skip
+    (found,) = answers(run_closed_loop(arm, scenario, gains), arm, gains, 'uio')
+    assert found.events == []
+    known = found.fault.bound[500:]
+    assert np.isfinite(known).all() and known.max() < 0.5
+    assert np.all(np.abs(found.fault.estimate[500:]) <= known)
+
+
+@pytest.mark.parametrize('sensor', [0, 1])
+@pytest.mark.parametrize('size', [0.6, -0.6])
+def test_given_an_offset_from_the_start_when_excluded_then_its_own_sensor_is_certified(
+    paper_arm, paper_gains, two_faults, sensor, size
+):
+    fault = Fault(paper_arm.sensor_names[sensor], 'bias', 0.0, size=size)
+    scenario = replace(two_faults, faults=(fault,), duration=5.0)
+    run = run_closed_loop(paper_arm, scenario, paper_gains)
+    raised = [a for a in run.alarms if a.event != AlarmEvent.CLEARED]
+    assert {a.sensor_index for a in raised} == {sensor}
+    assert any(a.basis == 'guaranteed' for a in raised)
+    error = run.fault_estimate[-1] - size * (np.arange(2) == sensor)
+    (published,) = answers(run, paper_arm, paper_gains, 'tightest')
+    assert np.all(np.abs(error) < np.minimum(published.fault.bound[-1], 0.1))
+
+
+def test_given_the_tighter_of_two_observers_when_published_then_no_bound_is_larger_than_either(
+    paper_arm, paper_gains, two_faults
+):
+    run = run_closed_loop(paper_arm, replace(two_faults, faults=(), duration=3.0), paper_gains)
+    tightest, uio, horizon = (
+        answers(run, paper_arm, paper_gains, name)[0].fault.bound
+        for name in ('tightest', 'uio', 'horizon')
+    )
+    np.testing.assert_allclose(tightest[100:], np.minimum(uio, horizon)[100:], rtol=1e-12)
+    assert (uio < horizon).any()
+
+
+def test_given_a_fault_when_samples_come_in_parts_then_every_answer_is_the_same(
+    paper_arm, paper_gains, two_faults
+):
+    fault = Fault('link1_angle', 'bias', 0.0, size=0.4, duration=4.0)
+    scenario = replace(two_faults, faults=(fault,), duration=8.0)
+    run = run_closed_loop(paper_arm, scenario, paper_gains, compensation='off')
+    (whole,) = answers(run, paper_arm, paper_gains, 'tightest')
+    assert {event.sensor for _, event in whole.events} == {'link1_angle'}
+    for parts in (8, 571):
+        found = answers(run, paper_arm, paper_gains, 'tightest', parts)
+        assert [e for one in found for _, e in one.events] == [e for _, e in whole.events]
+        for name in ('estimate', 'bound', 'threshold'):
+            rows = np.concatenate([getattr(one.fault, name) for one in found])
+            np.testing.assert_array_equal(rows, getattr(whole.fault, name))
+
+
+def test_given_rates_that_are_derived_when_observed_then_nothing_is_certified(
+    real_arm, real_gains, paper_arm, paper_gains
+):
+    assert UnknownInputObserver(paper_arm, paper_gains).certifies
+    assert not UnknownInputObserver(real_arm, real_gains).certifies
+
+
+def test_given_gains_of_another_arm_when_constructed_then_they_are_refused(
+    real_arm, paper_arm, paper_gains
+):
+    for make in (UnknownInputObserver, lambda a, g: SerialSensorMonitor('uio', a, gains=g)):
+        with pytest.raises(ConfigError, match='gains.arm_sha256.*paper.*real_arm'):
+            make(real_arm, paper_gains)
+        with pytest.raises(ConfigError, match='gains.arm_sha256'):
+            make(replace(paper_arm, gravity=9.81), paper_gains)
+
+
+def test_given_a_loop_with_gains_when_run_then_its_torques_are_those_of_the_designed_law(
+    paper_arm, paper_gains, two_faults
+):
+    run = run_closed_loop(paper_arm, replace(two_faults, faults=(), duration=0.5), paper_gains)
+    law, path = make_controller(paper_arm, paper_gains), two_faults.path(paper_arm)
+    for k, (time, position, rate) in enumerate(
+        zip(run.time, run.compensated, run.estimated_velocity)
+    ):
+        command = law.update(path.sample(time), position, rate, position, 0.002 if k else 0.0)
+        np.testing.assert_allclose(run.command[k], command.torque, rtol=1e-9, atol=1e-9)

@@ -1,0 +1,80 @@
+"""Noise, quantization, source of rates, delays, tolerance."""
+
+import numpy as np
+import pytest
+
+from lpv.identify.estimation.delays import rate_delays
+from lpv.identify.estimation.torque_error import torque_tolerance
+from lpv.identify.recordings.motion import Segment, find_bandwidths
+from lpv.identify.recordings.recording import Recording
+from lpv.identify.sensors.sensing import noise_deviation, quantization_step, sense
+
+STEP = 0.004
+
+
+def segment(rates=None, noise=1e-5, delay=0.0, seed=0):
+    time = STEP * np.arange(5000)
+    rng = np.random.default_rng(seed)
+    position = np.sin(time)[:, None] + noise * rng.normal(size=(len(time), 1))
+    if rates == 'derived':
+        velocity = np.diff(position, axis=0, prepend=position[:1]) / STEP
+    else:
+        velocity = np.cos(time - delay)[:, None] + 1e-3 * rng.normal(size=(len(time), 1))
+    return Segment(STEP, time, position, velocity, 0.0 * position)
+
+
+def found(position, velocity):
+    """What is found of sensors whose samples are given."""
+    time = STEP * np.arange(len(position))
+    one = Segment(STEP, time, position, velocity, np.round(position, 2))
+    recording = Recording('r', time, position, velocity, one.effort)
+    return sense([recording], [one], np.zeros(1), np.zeros(1))
+
+
+def test_given_white_noise_when_measured_then_its_deviation_is_found():
+    assert noise_deviation([segment(noise=2e-4).position]) == pytest.approx([2e-4], rel=0.05)
+
+
+@pytest.mark.parametrize('step', [2 * np.pi / 4096, 1e-4, 1e-3])
+@pytest.mark.parametrize('part', [slice(None), slice(0, 1500)])
+def test_given_rounded_readings_with_rests_when_their_step_is_looked_for_then_it_is_found(
+    step, part
+):
+    position = segment().position[part].copy()
+    position[: len(position) // 3] = position[len(position) // 3]
+    coarse = step * np.round(position / step)
+    assert quantization_step([coarse]) == pytest.approx([step], rel=1e-3)
+    assert quantization_step([position]) == [0.0]
+
+
+def test_given_rounded_signals_when_sensed_then_each_has_its_step_and_its_noise_without_it():
+    one = segment(noise=3e-4)
+    sensed = found(1e-4 * np.round(one.position / 1e-4), 5e-3 * np.round(one.velocity / 5e-3))
+    steps = sensed.quantization, sensed.velocity_step, sensed.effort_step
+    assert np.concatenate(steps) == pytest.approx([1e-4, 5e-3, 1e-2], rel=1e-3)
+    assert sensed.position_noise == pytest.approx([3e-4], rel=0.05)
+    assert found(np.round(one.position, 1), one.velocity).position_noise > 0.0
+
+
+@pytest.mark.parametrize('source', ['derived', 'independent'])
+def test_given_rates_when_compared_with_positions_then_their_source_is_found(source):
+    one = segment(source)
+    assert found(one.position, one.velocity).rates == [source]
+
+
+def test_given_rates_of_which_nothing_is_proved_when_sensed_then_they_are_called_derived():
+    time = STEP * np.arange(5000)[:, None]
+    assert found(np.sin(time), np.cos(time)).rates == ['derived']
+
+
+def test_given_late_rates_when_compared_then_the_delay_is_found():
+    late = segment('independent', delay=0.03)
+    assert rate_delays([late], find_bandwidths([late])) == pytest.approx([0.03], abs=1e-3)
+
+
+def test_given_residuals_that_grow_near_rest_when_enveloped_then_the_tolerance_does():
+    rng = np.random.default_rng(1)
+    speed = rng.uniform(0, 2, 5000)
+    tolerance = torque_tolerance(speed, np.exp(-4 * speed) + 0.1 * rng.uniform(-1, 1, 5000))
+    assert tolerance.at(0.01) > 0.9
+    assert tolerance.at(1.5) < 0.15

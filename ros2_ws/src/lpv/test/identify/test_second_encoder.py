@@ -1,0 +1,64 @@
+"""Second encoders: what a recording says of them, and what it refuses."""
+
+import numpy as np
+import pytest
+from places import RECORDINGS as DATA
+from test_fuzz_identify import write_bag
+
+from lpv.core.support.errors import ConfigError, LpvError
+from lpv.identify.sensors.second_encoder import describe, find_second_encoders, with_second_encoders
+
+
+@pytest.fixture
+def bag(recording, arm, tmp_path):
+    """A recording in which joint two has a second encoder with an offset and more noise."""
+    rng = np.random.default_rng(3)
+    other = 0.1 - recording.position[:, 1:2] + 5e-4 * rng.normal(size=(len(recording.time), 1))
+    still = np.zeros_like(other)
+    samples = [
+        np.hstack([first, more])
+        for first, more in (
+            (recording.position, other),
+            (recording.velocity, still),
+            (recording.effort, still),
+        )
+    ]
+    return write_bag(tmp_path / 'bag', (*arm.joint_names, 'two_link'), (recording.time, *samples))
+
+
+def test_given_a_second_encoder_when_compared_then_noise_scale_and_offset_are_found(bag, arm):
+    (found,) = find_second_encoders(bag, {'two': 'two_link'})
+    assert found.encoder.position_noise == pytest.approx(5e-4, rel=0.1)
+    assert (found.scale, found.offset) == pytest.approx((-1.0, 0.1), abs=1e-3)
+    assert found.difference == pytest.approx(5e-4, rel=0.1)
+    assert 'two_link' in describe(found)
+    sensors = with_second_encoders(arm, [found]).joints[1].sensors
+    assert sensors.second_encoder == found.encoder
+
+
+@pytest.mark.parametrize(
+    'pairs, reason',
+    [
+        ({'two': 'three'}, 'no second encoder of this joint'),
+        ({'two': 'nothing'}, 'no message has all joints'),
+    ],
+)
+def test_given_what_is_no_second_encoder_when_compared_then_the_reason_is_said(bag, pairs, reason):
+    with pytest.raises(LpvError, match=reason):
+        find_second_encoders(bag, pairs)
+
+
+def test_given_a_joint_that_the_arm_does_not_have_when_added_then_it_is_named(bag, arm):
+    found = find_second_encoders(bag, {'two_link': 'two_link'})
+    with pytest.raises(ConfigError, match='two_link'):
+        with_second_encoders(arm, found)
+
+
+@pytest.mark.skipif(not DATA.is_dir(), reason='the recordings are not part of the repository')
+def test_given_a_kr300_when_link_side_encoders_are_compared_then_they_agree_within_a_milliradian():
+    pairs = {f'{i}': f'link_position{i}' for i in (1, 2, 3)}
+    found = find_second_encoders(DATA / 'kr300' / 'A.csv', pairs)
+    for reading in found:
+        print(describe(reading))
+        assert abs(abs(reading.scale) - 1.0) < 0.01
+        assert reading.difference < 2e-3

@@ -1,0 +1,741 @@
+"""Reports of simulated and made-up runs: figures, certificate, alarms, phases, and the page."""
+
+import base64
+import hashlib
+import html
+import io
+import os
+import re
+import shutil
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import matplotlib
+import matplotlib.image
+import numpy as np
+import pytest
+import yaml
+from hypothesis import example, given
+from hypothesis import strategies as st
+from places import BRINGUP
+from rich.console import Console
+from rosbags.highlevel import AnyReader
+from runs import ALL, MEASURED, Recorder, record, rows, text
+from serial_bags import crane, crane_file, crane_run, record_crane
+
+from lpv.bag.replay.replay import Replay
+from lpv.bag.rosbag.reading import open_bag
+from lpv.bag.rosbag.writing import BagWriter
+from lpv.bag.run.record import BagError, load_run
+from lpv.cli.main import main
+from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv.core.serial_arm.arm_file import load_arm
+from lpv.core.serial_arm.diagnosis.alarms import SensorState
+from lpv.core.serial_arm.simulation import EncoderFault
+from lpv.core.simulation.faults import Fault
+from lpv.core.support.timestamps import NANOSECONDS
+from lpv.core.uio.certificate.gains import save_gains
+from lpv.report.certificate import beside_bag, examine
+from lpv.report.figures import draw_region
+from lpv.report.history import Phase, episodes, listed, missed_faults
+from lpv.report.load import load
+from lpv.report.page import css_string
+from lpv.report.run import write_report
+from lpv.report.table import print_table
+from lpv_design.guarantee import guarantee
+
+pytestmark = pytest.mark.slow
+
+BROWSER = os.environ.get('CHROMIUM') or shutil.which('chromium') or shutil.which('chromium-browser')
+ARM_FILE = str(BRINGUP / 'arms' / 'paper.yaml')
+SCENARIO = str(BRINGUP / 'scenarios' / 'two_faults.yaml')
+PAPER = {'x1': 0.006, 'x2': 0.002, 'x3': 0.024, 'x4': 0.047, 'f1': 0.006, 'f2': 0.002,
+         'y1': 0.034, 'y2': 0.053, 'e_t1': 0.003, 'e_t2': 0.007}  # fmt: skip
+MS = 1_000_000
+
+
+@pytest.fixture(scope='module')
+def scenario(two_faults):
+    """1.5 s with a fault of sensor 1 from 0.8 s on, and sensor 2 silent for a while."""
+    faults = (
+        Fault('link1_angle', 'bias', 0.8, size=0.3),
+        Fault('link2_angle', 'dropout', 1.3, duration=0.02),
+    )
+    return replace(two_faults, duration=1.5, faults=faults)
+
+
+@pytest.fixture(scope='module')
+def run(paper_arm, paper_gains, scenario, tmp_path_factory):
+    """A bag of all streams, without gains; every test of this file looks at it."""
+    return record(tmp_path_factory.mktemp('run') / 'bag', paper_arm, paper_gains, scenario)
+
+
+@pytest.fixture
+def bag(run, tmp_path):
+    """The same bag in a place of its own."""
+    return shutil.copytree(run, tmp_path / 'bag')
+
+
+@pytest.fixture(scope='module')
+def gains_file(paper_gains, tmp_path_factory):
+    path = tmp_path_factory.mktemp('gains') / 'my_gains.yaml'
+    save_gains(paper_gains, path, 'made by a test')
+    return path
+
+
+@pytest.fixture(scope='module')
+def report(run, gains_file, paper_arm, scenario, tmp_path_factory):
+    """The report with pictures."""
+    out = tmp_path_factory.mktemp('report') / 'new' / 'folder'
+    return write_report(run, out, paper_arm, scenario.path(paper_arm), 'A run', gains_file)
+
+
+@pytest.fixture(scope='module')
+def page(report):
+    return report.html.read_text(encoding='utf-8')
+
+
+@pytest.fixture
+def plain(monkeypatch):
+    """Leave the pictures out: drawing takes a second a run."""
+    monkeypatch.setattr('lpv.report.run.draw_all', lambda *_: [])
+
+
+@pytest.fixture
+def page_of(plain, paper_arm, tmp_path):
+    """Page of a bag, without pictures."""
+
+    def write(bag, *given, **options):
+        result = write_report(bag, tmp_path / 'report', paper_arm, *given, **options)
+        return result.html.read_text(encoding='utf-8')
+
+    return write
+
+
+def part_of(bag, out, streams, name=b'paper\0'):
+    """The bag with some streams, as another arm's node would have published it."""
+    with open_bag(bag) as reader, BagWriter(out) as writer:
+        kept = [c for c in reader.connections if c.topic.removeprefix('/lpv/') in streams]
+        for connection in kept:
+            writer.copy_topic(connection)
+        for connection, time, data in reader.messages(kept):
+            writer.write_raw(connection.topic, time, bytes(data).replace(b'paper\0', name))
+    return out
+
+
+# ------------------------------------------------------------------ a complete run
+
+
+def independent_mise(bag):
+    """The paper's ten figures from the bag's messages, with nothing of the project's."""
+    columns = {}
+    with AnyReader([bag]) as reader:
+        for connection, _, data in reader.messages():
+            message = reader.deserialize(data, connection.msgtype)
+            stamp = message.header.stamp
+            columns.setdefault(connection.topic[5:], {})[stamp.sec, stamp.nanosec] = message
+
+    def values(stream, field):
+        return np.array([getattr(columns[stream][s], field) for s in columns['joint_states']])
+
+    def mean_square(stream, field, other, other_field=None):
+        error = values(stream, field) - values(other, other_field or field)
+        return np.nanmean((error if field == 'fault' else np.cumsum(error, axis=1)) ** 2, axis=0)
+
+    figures = (
+        mean_square('ground_truth', 'position', 'state_estimate'),
+        mean_square('ground_truth', 'velocity', 'state_estimate'),
+        mean_square('ground_truth', 'fault', 'fault_estimate', 'estimate'),
+        mean_square('reference', 'position', 'joint_states'),
+        mean_square('reference', 'position', 'ground_truth'),
+    )
+    return dict(zip(PAPER, np.concatenate(figures)))
+
+
+def test_given_a_simulated_run_when_reported_then_the_table_is_that_of_the_paper(report, page, run):
+    expected = independent_mise(run)
+    assert {row.signal: row.paper for row in report.table} == PAPER
+    stream = io.StringIO()
+    print_table(report.table, Console(file=stream, width=120))
+    printed = {cells[0]: cells for cells in map(str.split, stream.getvalue().splitlines()) if cells}
+    found = {cells[0]: cells for cells in rows(page) if cells[0] in PAPER}
+    for row in report.table:
+        assert row.value == pytest.approx(expected[row.signal], rel=1e-9)
+        assert found[row.signal][3] == f'{row.value:.2g}'
+        assert {f'{row.value:.2g}', f'{row.paper:g}'} <= set(printed[row.signal])
+    assert not re.search('(?i)[+-]?nan|inf', ' '.join(sum(rows(page), []))), 'a dropout has none'
+
+
+class References(HTMLParser):
+    """What a page refers to."""
+
+    LOADS = {'src', 'srcset', 'href', 'data', 'poster', 'action', 'formaction', 'background'}
+
+    def __init__(self, page):
+        super().__init__()
+        self.pictures, self.links, self.others, ids = [], set(), [], set()
+        self._ids = ids
+        self.feed(page)
+        self.targets = self.links & {f'#{name}' for name in ids}
+
+    def handle_starttag(self, tag, attributes):
+        for name, value in attributes:
+            if name == 'id':
+                self._ids.add(value)
+            elif (tag, name) == ('img', 'src'):
+                self.pictures.append(value)
+            elif (tag, name) == ('a', 'href'):
+                self.links.add(value)
+            elif name in self.LOADS or name.startswith('on') or name in ('style', 'xlink:href'):
+                self.others.append((tag, name, value))
+        if tag in ('script', 'link', 'iframe', 'object', 'embed', 'base'):
+            self.others.append(tag)
+
+
+def test_given_a_report_when_read_then_it_needs_nothing_from_elsewhere(page):
+    assert page.startswith('<!DOCTYPE html>')
+    for outside in ('://', '<script', '<link', '@import', 'url('):
+        assert outside not in page
+    found = References(page)
+    assert len(found.pictures) == 6
+    assert all(source.startswith('data:image/png;base64,') for source in found.pictures)
+    assert found.links == found.targets  # within the page alone
+    assert found.others == []
+
+
+def test_given_a_report_when_written_then_its_pictures_are_files_and_inside_the_page(report, page):
+    names = [p.stem for p in report.pictures]
+    assert names == ['timeline', 'path', 'faults', 'measured', 'states', 'torques']
+    inside = [base64.b64decode(data) for data in re.findall(r'base64,([^"]*)"', page)]
+    assert inside == [p.read_bytes() for p in report.pictures]
+    for name, data in zip(names, inside):
+        pixels = matplotlib.image.imread(io.BytesIO(data), format='png')
+        assert min(pixels.shape[:2]) > (400 if name != 'timeline' else 200)
+        assert pixels[..., :3].std() > 0.01  # not an empty sheet
+    files = {p.name for p in report.html.parent.iterdir()}
+    assert files == {'report.html', *(p.name for p in report.pictures)}
+
+
+def test_given_a_fault_that_is_found_when_reported_then_onset_alarm_and_delay_are_listed(page, run):
+    found = load_run(run)
+    first, last = (
+        [a for a in found.alarms if a.sensor == 'link1_angle'][place] for place in (0, -1)
+    )
+    line = next(cells for cells in rows(page) if cells[0] == 'link1_angle')
+    onset, detected = first.onset / NANOSECONDS, first.detected / NANOSECONDS
+    assert onset == pytest.approx(0.8, abs=0.003)
+    assert line[1] == last.kind
+    assert line[2:6] == [f'{onset:.3f}', f'{detected:.3f}', f'{detected - 0.8:.3f}', 'active']
+    estimate = found.get('fault_estimate', 'estimate')[-1, 0]
+    assert line[6] == f'{estimate:+.3f}', 'the fault now, not at its alarm'
+    assert float(line[8]) == pytest.approx(0.3, abs=0.1)
+    assert 'no false alarms' in text(page) and 'false alarm' not in sum(rows(page), [])
+    assert '1.5 s of measurements' in text(page)
+    counts = dict(cells for cells in rows(page) if cells[0].startswith('/'))
+    assert counts['/lpv/joint_states'] == counts['/lpv/ground_truth'] == '751'
+    assert set(counts) == {f'/lpv/{name}' for name in ALL}
+
+
+def test_given_the_same_run_when_reported_twice_then_every_byte_is_the_same(
+    page_of, run, gains_file
+):
+    once = page_of(run, title='A run', gains=gains_file)
+    assert page_of(run, title='A run', gains=gains_file) == once
+
+
+@pytest.mark.parametrize('title', ['<script>alert("x")</script>', 'a & b < c', '{{ 7 * 7 }} %s'])
+def test_given_a_title_with_markup_when_reported_then_it_is_text(run, page_of, title):
+    page = page_of(run, title=title)
+    for tag in ('title', 'h1'):
+        (inside,) = re.findall(f'<{tag}>(.*?)</{tag}>', page, re.DOTALL)
+        assert '<' not in inside
+        assert html.unescape(inside) == title
+
+
+@given(st.text(st.characters(exclude_characters='\0', exclude_categories=['Cs'])))
+@example('"; } body { display: none } "')
+@example('</style><b>')
+def test_given_any_title_when_it_goes_into_the_style_sheet_then_it_stays_a_string(title):
+    inside = css_string(title)[1:-1]
+    assert re.fullmatch(r'(?:[0-9A-Za-z]|\\[0-9a-f]{6})*', inside)
+    assert re.sub(r'\\([0-9a-f]{6})', lambda m: chr(int(m.group(1), 16)), inside) == title
+
+
+# ------------------------------------------------------------------ runs with less in them
+
+
+def test_given_no_ground_truth_when_reported_then_the_sizes_of_fault_estimates_are_shown(
+    run, paper_arm, page_of, tmp_path
+):
+    bag = part_of(run, tmp_path / 'part', MEASURED)
+    table = load(bag, paper_arm).table
+    recorded = load_run(bag)
+    later = recorded.get('fault_estimate', 'estimate')[recorded.time > 1.0]
+    assert [row.signal for row in table] == ['link1_angle'] * 2 + ['link2_angle'] * 2
+    assert [row.paper for row in table] == [None] * 4
+    for i in range(2):
+        largest, rms = (row.value for row in table[2 * i : 2 * i + 2])
+        assert largest == np.nanmax(np.abs(later[:, i]))
+        assert rms == pytest.approx(np.sqrt(np.nanmean(later[:, i] ** 2)), rel=1e-12)
+    page = page_of(bag)
+    assert 'false alarm' not in text(page)
+    line = next(cells for cells in rows(page) if cells[0] == 'link1_angle')
+    assert len(line) == 9  # no delay without a true onset
+
+
+@pytest.mark.parametrize(
+    ('streams', 'missing'),
+    [
+        ({'joint_states'}, {'timeline', 'faults', 'states'}),
+        ({'joint_states', 'fault_estimate'}, {'states'}),
+        ({'joint_states', 'state_estimate'}, {'timeline', 'faults'}),
+        (ALL - {'reference'}, set()),
+        (ALL - {'state_estimate'}, {'states'}),
+        (ALL - {'fault_estimate'}, {'timeline', 'faults'}),
+        ({'joint_states', 'ground_truth'}, {'timeline', 'faults', 'states'}),
+    ],
+    ids=lambda value: ' '.join(sorted(value)),
+)
+def test_given_a_run_without_some_topics_when_reported_then_what_is_there_is_shown(
+    run, paper_arm, report, tmp_path, monkeypatch, streams, missing
+):
+    monkeypatch.setattr('lpv.report.run.png', lambda figure: b'drawn')
+    found = write_report(part_of(run, tmp_path / 'part', streams), tmp_path / 'report', paper_arm)
+    assert {p.stem for p in found.pictures} == {p.stem for p in report.pictures} - missing
+    page = found.html.read_text(encoding='utf-8')
+    assert page.count('<figure>') == len(found.pictures)
+    if streams == ALL - {'reference'}:
+        assert [row.signal for row in found.table] == list(PAPER)[:6], 'no tracking'
+    if streams == {'joint_states'}:
+        assert 'Alarms were not recorded; no safe stops' in text(page)
+        assert 'Not known: the bag holds no fault estimates.' in text(page)
+        assert 'Diagnostics were not recorded' in text(page)
+
+
+# ------------------------------------------------------------------ certificate and versions
+
+
+def test_given_gains_when_reported_then_arm_region_margins_and_versions_are_told(
+    report, page, gains_file, paper_arm, paper_gains
+):
+    assert report.certificate.holds
+    facts = {cells[0]: cells[1] for cells in rows(page) if len(cells) == 2}
+    assert facts['gains file'] == 'my_gains.yaml'
+    assert facts['SHA-256 of the file'] == hashlib.sha256(gains_file.read_bytes()).hexdigest()
+    assert facts['designed for arm'] == 'paper'
+    limit = np.degrees(np.arccos(paper_arm.lpv.cos_min[0]))
+    assert f'certified region: links within {limit:.1f}°' in text(page)
+    assert f'estimation error {paper_gains.observer.decay:g} /s' in text(page)
+    margins = {cells[0]: cells[1:] for cells in rows(page) if cells[-1] in ('yes', 'NO')}
+    assert set(margins) == {*paper_gains.certificate['margins'], FORGED}
+    for name, margin in paper_gains.certificate['margins'].items():
+        assert margins[name] == [f'{margin:.3g}', 'yes']
+    assert f'{len(margins)} of {len(margins)} inequalities hold' in text(page)
+    assert 'no healthy arm within the stated errors crosses its threshold' in text(page)
+    assert facts['numpy'] == np.__version__ and facts['matplotlib'] == matplotlib.__version__
+    assert {'lpv', 'Python', 'rosbags', 'mcap'} <= set(facts)
+
+
+def test_given_no_gains_or_gains_in_the_bag_when_reported_then_they_are_found_or_nothing_is_claimed(
+    bag, gains_file, page_of, tmp_path
+):
+    said = text(page_of(bag))
+    assert 'guaranteed: the bag carries no gains, and none were given.' in said
+    assert 'certificate of the gains unknown' in said and 'The certificate holds' not in said
+    assert 'bounds and thresholds are statistical' in said
+    shutil.copy(gains_file, bag / 'gains.yaml')
+    for path in (bag, bag / 'bag.mcap'):
+        page = page_of(path)
+        assert 'The certificate holds.' in text(page)
+        assert ['gains file', 'gains.yaml of the bag'] in rows(page)
+    shutil.copy(bag / 'bag.mcap', tmp_path / 'other.mcap')
+    shutil.copy(gains_file, tmp_path / 'gains.yaml')
+    assert beside_bag(tmp_path / 'other.mcap', 'gains.yaml') is None, 'a file among others'
+
+
+FORGED = 'gains file: numbers are those of the design'
+"""The check that the checksum of a changed file fails."""
+
+
+def tampered(gains_file, change, path):
+    """A gains file with one thing changed by hand."""
+    data = yaml.safe_load(gains_file.read_text())
+    gains = data['/**']['ros__parameters']['gains']
+    if change == 'name':
+        gains['arm_sha256'] = 'f' * 64
+    else:
+        gains['observer']['kappa'][0] *= change
+    path.write_text(yaml.safe_dump(data))
+    return path
+
+
+@pytest.mark.parametrize(
+    ('change', 'says'),
+    [
+        (30.0, f'The certificate does NOT hold. What fails: {FORGED}; observer, link 1'),
+        (1.01, f'The certificate does NOT hold. What fails: {FORGED}'),
+        ('name', 'designed for another arm'),
+    ],
+)
+def test_given_a_gains_file_that_was_tampered_with_when_reported_then_nothing_is_guaranteed(
+    bag, gains_file, page_of, change, says
+):
+    tampered(gains_file, change, bag / 'gains.yaml')
+    said = text(page_of(bag))
+    assert says in said
+    assert 'The certificate holds' not in said
+    assert 'no healthy arm within the stated errors' not in said
+
+
+@pytest.mark.parametrize('content', [b'', b'gains: 1', b'\xff\xfe\x00', b'[1, 2'])
+def test_given_rubbish_in_the_place_of_the_gains_when_reported_then_the_run_is_shown_all_the_same(
+    bag, page_of, content
+):
+    (bag / 'gains.yaml').write_bytes(content)
+    said = text(page_of(bag))
+    assert 'gains.yaml' in said and 'nothing that follows from it is guaranteed' in said
+    assert 'certificate of the gains unknown' in said
+
+
+@pytest.mark.parametrize(
+    ('gains', 'problem'),
+    [('ur10', ''), ('panda', 'another arm'), ('paper', 'gains are designed for its region')],
+)
+def test_given_gains_of_a_serial_arm_when_examined_then_the_loop_is_verified(gains, problem):
+    arm = load_arm(BRINGUP / 'arms' / 'ur10.yaml')
+    found = examine(BRINGUP / 'gains' / f'{gains}.yaml', arm)
+    assert found.holds == (not problem) and problem in found.problem
+    assert not found.bounds_faults
+
+
+def test_given_a_run_when_reported_then_threshold_plus_bound_is_what_is_surely_detected(page, run):
+    recorded = load_run(run)
+    certain = sum(recorded.get('fault_estimate', name) for name in ('threshold', 'bound'))[:, 0]
+    line = [cells for cells in rows(page) if cells[0] == 'link1_angle'][-1]
+    figures = certain.min(), np.median(certain), certain.max()
+    assert line[1:] == [*(f'{figure:.3f}' for figure in figures), '0.0 %']
+
+
+def test_given_a_map_when_drawn_then_it_is_a_picture(paper_model, paper_gains, tmp_path):
+    found = guarantee(paper_model, paper_gains, points=5)
+    draw_region(found, paper_model, tmp_path / 'a' / 'map.png')
+    assert (tmp_path / 'a' / 'map.png').read_bytes().startswith(b'\x89PNG')
+
+
+# ------------------------------------------------------------------ alarms, misses, phases
+
+
+ALARM = {'sensor': 'left', 'sensor_index': 0, 'event': 0, 'size': 0.3, 'bound': 0.1,
+         'kind': 'unclassified', 'confidence': 0.99}  # fmt: skip
+UPDATED, CLEARED = {'event': 1}, {'event': 2}
+RIGHT = {'sensor': 'right', 'sensor_index': 1}
+CONFUSED = 'inconsistent, cause unknown: rates, torques and model contradict each other'
+ANSWERS = {'joint_states', 'fault_estimate'}
+
+
+def within(time, spans):
+    return any(start <= time < end for start, end in spans)
+
+
+def made_up(path, streams, faults=(), alarms=(), lost=(), stopped=(), reports=(), node='/lpv/uio'):
+    """Bag of 1 s in steps of 10 ms; times are in ms.
+
+    True faults (sensor, start, end), alarm events (time, onset, detected, fields), spans in which
+    the first sensor is not diagnosable and the arm is stopped, reports of the observer.
+    """
+    first, zeros = 7 * NANOSECONDS, [0.0, 0.0]
+    with Recorder(path, ANSWERS | streams) as bag:
+        if reports:
+            bag._writer.add_topic('/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray')
+        for time in range(0, 1010, 10):
+            stamp, fault = first + time * MS, np.zeros(2)
+            for sensor, *span in faults:
+                fault[sensor] += 0.2 * within(time, [span])
+            q, lost_now = {'position': [0.1, 0.2], 'velocity': zeros}, within(time, lost)
+            bag.measure(stamp, *q.values(), zeros)
+            bag.stream('ground_truth', stamp, **q, torque=zeros, fault=fault, disturbance=0.0)
+            bag.stream(
+                'fault_estimate', stamp, sensor_names=['left', 'right'], bound=[0.1, 0.1],
+                estimate=[1e-3 * time, -1e-3 * time], threshold=[0.1, 0.1], alarm=[False] * 2,
+                state=[SensorState.NOT_DIAGNOSABLE if lost_now else 0, 0],
+            )  # fmt: skip
+            bag.stream('torque_command', stamp, torque=zeros, safe_stop=within(time, stopped))
+            bag.stream(
+                'state_estimate', stamp, **q, compensated_position=zeros, measured_position=zeros,
+                measured_velocity=zeros, mode=2 if time == 0 else 0, trustworthy=True,
+            )  # fmt: skip
+        for time, onset, detected, fields in alarms:
+            times = {'onset': first + onset * MS, 'detected': first + detected * MS}
+            bag.stream('fault_alarm', first + time * MS, **{**ALARM, **times, **fields})
+        for time, message in reports:
+            statuses = [
+                {'level': 1, 'name': name, 'message': said, 'hardware_id': 'paper', 'values': {}}
+                for name, said in ((f'{node}: observer', message), ('/lpv/uio: left', CONFUSED))
+            ]
+            stamp = first + time * MS
+            bag._writer.write('/diagnostics', stamp, bag._messages.diagnostics(stamp, statuses))
+    return path
+
+
+TRUTH, EVENTS = {'ground_truth', 'fault_alarm'}, {'fault_alarm'}
+
+
+def test_given_faults_and_alarms_when_reported_then_misses_and_false_alarms_are_listed(
+    page_of, tmp_path
+):
+    alarms = [(230, 210, 230, {}), (450, 210, 230, CLEARED), (860, 850, 860, {'size': -0.2})]
+    page = page_of(made_up(tmp_path / 'bag', TRUTH, [(0, 200, 400), (1, 500, 700)], alarms))
+    found, false = (cells for cells in rows(page) if cells[0] == 'left')
+    assert found[2:7] == ['0.210', '0.230', '0.030', '0.450', '+0.300']
+    assert false[2:7] == ['0.850', '0.860', 'false alarm', 'active', '+1.000']
+    missed = 'Missed: a fault of right from 0.500 s to 0.700 s raised no alarm.'
+    assert re.findall('Missed: [^!]*? alarm[.]', text(page)) == [missed]
+
+
+def test_given_a_healthy_run_or_a_name_with_markup_when_reported_then_both_are_text(
+    page_of, tmp_path
+):
+    said = text(page_of(made_up(tmp_path / 'healthy', TRUTH)))
+    assert 'No alarm.' in said and 'Missed' not in said
+    assert 'None: no inconsistent phase, no safe stop' in said
+    events = [(210, 205, 210, {'sensor': '<b>left</b>'})]
+    page = page_of(made_up(tmp_path / 'bag', EVENTS, alarms=events))
+    assert '<b>' not in page and '<b>left</b>' in [cells[0] for cells in rows(page)]
+
+
+def test_given_events_of_two_sensors_when_gathered_then_each_alarm_is_one_episode(tmp_path):
+    alarms = [
+        (120, 100, 120, {}),
+        (180, 160, 180, {**RIGHT, 'size': -0.2}),
+        (250, 100, 120, {**UPDATED, 'kind': 'bias', 'confidence': 0.5}),
+        (400, 100, 120, CLEARED),
+        (700, 690, 700, {}),
+    ]
+    faults = [(0, 100, 300), (1, 150, 900)]
+    record = load_run(made_up(tmp_path / 'bag', TRUTH, faults, alarms))
+    first, second, third = found = episodes(record)
+    assert (first.sensor, first.onset, first.raised, first.cleared) == ('left', 0.1, 0.12, 0.4)
+    assert (first.kind, first.confidence, first.size) == ('bias', 0.5, 0.3)
+    assert (first.largest, first.delay) == pytest.approx((0.4, 0.02))
+    assert (second.sensor, second.raised, second.cleared) == ('right', 0.18, None)
+    assert (second.largest, second.delay) == pytest.approx((-1.0, 0.03))
+    assert (third.sensor, third.false_alarm, third.delay) == ('left', True, None)
+    assert missed_faults(record, found) == []
+
+
+def test_given_an_alarm_without_its_start_or_without_truth_when_gathered_then_it_is_known_as_far(
+    tmp_path,
+):
+    ended = made_up(tmp_path / 'ended', TRUTH, [(0, 0, 100)], [(150, -500, -490, CLEARED)])
+    (episode,) = episodes(load_run(ended))
+    assert (episode.onset, episode.raised, episode.cleared) == (-0.5, -0.49, 0.15)
+    assert missed_faults(load_run(ended), [episode]) == []
+    blind = load_run(made_up(tmp_path / 'blind', EVENTS, alarms=[(210, 205, 210, {})]))
+    (episode,) = episodes(blind)
+    assert (episode.delay, episode.false_alarm, episode.true_onset) == (None, False, None)
+    assert missed_faults(blind, []) == []
+
+
+def test_given_an_alarm_from_210_to_400_ms_when_faults_act_then_they_are_missed_outside(tmp_path):
+    spans = {(100, 220): False, (100, 200): True, (300, 350): False, (600, 800): True,
+             (390, 500): False}  # fmt: skip
+    for k, ((start, end), missed) in enumerate(spans.items()):
+        alarms = [(210, 205, 210, {}), (400, 205, 210, CLEARED)]
+        record = load_run(made_up(tmp_path / str(k), TRUTH, [(0, start, end)], alarms))
+        found = [(f.start, f.end) for f in missed_faults(record, episodes(record))]
+        assert found == ([(start / 1000, end / 1000)] if missed else [])
+
+
+def test_given_stops_contradictions_and_lost_sensors_when_reported_then_each_has_its_stretch(
+    paper_arm, page_of, tmp_path
+):
+    path = made_up(
+        tmp_path / 'bag',
+        {'torque_command', 'state_estimate'},
+        lost=[(0, 10), (200, 300)],
+        stopped=[(400, 700)],
+        reports=[(100, 'observing'), (500, CONFUSED), (600, CONFUSED), (800, 'observing')],
+    )
+    assert load(path, paper_arm).phases == [
+        Phase('not diagnosable', 'link1_angle', 0.2, 0.3),
+        Phase('safe stop', '', 0.4, 0.7),
+        Phase('inconsistent', '', 0.5, 0.8),
+    ]
+    page = page_of(path)
+    meaning = 'the tracker commanded the drives to brake'
+    assert ['safe stop', 'arm', '0.400', '0.700', '0.300', meaning] in rows(page)
+    assert 'Alarms were not recorded; 1 safe stop, 1 inconsistent phase.' in text(page)
+    assert 'come once a second' in text(page)
+    line = [cells for cells in rows(page) if cells[0] == 'link1_angle'][-1]
+    assert line[-1] == f'{100 * 10 / 101:.1f} %'
+
+
+def test_given_the_reports_of_another_arm_when_reported_then_they_are_not_taken_for_ours(
+    paper_arm, tmp_path
+):
+    path = made_up(tmp_path / 'bag', set(), reports=[(500, CONFUSED)], node='/other/uio')
+    assert load(path, paper_arm).phases == []
+
+
+@given(st.lists(st.floats(0.01, 10.0), min_size=9, max_size=60))
+def test_given_many_stretches_when_listed_then_the_longest_are_shown_and_all_are_counted(lengths):
+    many = [Phase('no data', 'left', float(k), k + length) for k, length in enumerate(lengths)]
+    shown, (rest,) = listed([*many, Phase('safe stop', '', 3.0, 4.0)])
+    kept = [phase.duration for phase in shown if phase.what == 'no data']
+    assert (
+        len(shown) == 9
+        and sorted(kept) == sorted(p.duration for p in many)[-8:]
+        or (sorted(kept) == pytest.approx(sorted(p.duration for p in many)[-8:]))
+    )
+    assert (rest['what'], rest['sensor'], rest['count']) == ('no data', 'left', len(many) - 8)
+    assert sum(kept) + rest['duration'] == pytest.approx(sum(p.duration for p in many))
+
+
+# ------------------------------------------------------------------ a serial arm
+
+
+def test_given_a_run_of_three_joints_when_reported_then_its_alarm_is_listed_and_gains_are_refused(
+    tmp_path, capsys, monkeypatch
+):
+    run = crane_run(faults=[EncoderFault(1, 'bias', 0.6, 0.05)])
+    measured = record_crane(tmp_path / 'measured', run)
+    Replay(SerialSensorMonitor('/uio', crane())).run(measured, tmp_path / 'bag')
+    monkeypatch.setattr('lpv.report.run.png', lambda figure: b'drawn')
+    result = write_report(tmp_path / 'bag', tmp_path / 'report', crane())
+    assert len(result.pictures) == 6
+    page = result.html.read_text()
+    assert ['encoder2', 'bias'] in [row[:2] for row in rows(page)]
+    for said in ('1 alarm, of encoder2', 'bounds and thresholds are statistical',
+                 'joint1, joint2, joint3', 'the bag carries no gains, and none'):  # fmt: skip
+        assert said in text(page)
+    assert 'Mean squared errors (MISE, eq. (70))' not in text(page)
+    arguments = ['report', str(tmp_path / 'bag'), '--arm', str(crane_file(tmp_path))]
+    arguments += ['--out', str(tmp_path / 'report')]
+    assert main([*arguments, '--gains', 'paper']) == 2
+    assert main(arguments) == 0
+    assert 'certificate not known' in capsys.readouterr().out
+
+
+# ------------------------------------------------------------------ on paper
+
+
+def test_given_a_report_when_its_style_is_read_then_it_can_be_printed(page):
+    style = re.search('<style>(.*)</style>', page, re.DOTALL).group(1)
+    assert '@page { size: A4;' in style
+    printed = style[style.index('@media print') :]
+    for rule in ('break-inside: avoid', 'break-after: avoid', 'display: table-header-group',
+                 '--ink: #000', '--paper: #fff'):  # fmt: skip
+        assert rule in printed
+    assert '@top-left { content: "A\\000020run"' in style
+    assert 'counter(page)' in style
+
+
+def test_given_a_browser_when_the_report_is_opened_and_printed_then_all_is_there_in_black_on_white(
+    report,
+):
+    playwright = pytest.importorskip('playwright.sync_api', reason='playwright is not installed')
+    if not BROWSER:
+        pytest.skip('there is no Chromium: apt-get install chromium, or set CHROMIUM')
+    asked, complaints = [], []
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=BROWSER, args=['--no-sandbox'])
+        page = browser.new_page(viewport={'width': 1100, 'height': 900}, color_scheme='dark')
+        page.on('request', lambda request: asked.append(request.url))
+        page.on('console', lambda message: complaints.append(message.text))
+        page.goto(report.html.as_uri())
+        widths = page.evaluate('[...document.images].map(i => i.naturalWidth)')
+        page.emulate_media(media='print')
+        look = page.evaluate("""() => {
+            const body = getComputedStyle(document.body);
+            return [body.color, body.backgroundColor,
+                    getComputedStyle(document.querySelector('nav')).display,
+                    document.documentElement.scrollWidth <= innerWidth]}""")
+        pdf = page.pdf(prefer_css_page_size=True)
+        browser.close()
+    assert len(widths) == 6 and min(widths) > 1000
+    assert [url for url in asked if not url.startswith('data:')] == [report.html.as_uri()]
+    assert complaints == []
+    assert look == ['rgb(0, 0, 0)', 'rgb(255, 255, 255)', 'none', True]
+    found = re.findall(rb'/MediaBox\s*\[([^\]]*)\]', pdf)
+    boxes = [[float(v) for v in box.split()] for box in found]
+    assert 4 <= len(boxes) <= 8
+    assert all(box[2:] == pytest.approx([595.3, 841.9], abs=1.5) for box in boxes)  # A4
+
+
+# ------------------------------------------------------------------ command line
+
+
+def test_given_the_command_when_run_then_table_verdict_and_place_of_the_report_are_shown(
+    run, gains_file, plain, tmp_path, capsys
+):
+    out = ['--out', str(tmp_path / 'report')]
+    assert main(['report', str(run), '--arm', ARM_FILE, '--scenario', SCENARIO, *out]) == 0
+    said = capsys.readouterr().out
+    assert 'e_t2' in said and str(tmp_path / 'report' / 'report.html') in said
+    # Without an arm it is that of the gains.
+    assert main(['report', str(run), '--gains', str(gains_file), *out]) == 0
+    assert 'my_gains.yaml: the certificate holds' in capsys.readouterr().out
+    assert 'bag, arm “paper”' in (tmp_path / 'report' / 'report.html').read_text()
+    path = tampered(gains_file, 30.0, tmp_path / 'gains.yaml')
+    assert main(['report', str(run), '--gains', str(path), *out]) == 0
+    said = ' '.join(capsys.readouterr().out.split())
+    assert f'the certificate does NOT hold: {FORGED}; observer, link 1' in said
+
+
+@pytest.mark.parametrize(
+    ('changes', 'named'),
+    [
+        ({'bag': 'nothing'}, 'nothing: there is no such bag'),
+        ({'bag': '.'}, 'metadata.yaml'),
+        ({'--arm': 'unknown_arm'}, ''),
+        ({'--arm': 'nothing.yaml'}, ''),
+        ({'--arm': SCENARIO}, 'two_faults.yaml'),
+        ({'--scenario': 'unknown_scenario'}, ''),
+        ({'--scenario': ARM_FILE}, 'paper.yaml'),
+        ({'--gains': 'nothing.yaml'}, 'nothing.yaml'),
+        ({'--gains': 'renamed.yaml'}, 'designed for another arm'),
+        ({'--gains': 'gains.yaml', '--arm': 'real_arm'}, 'designed for another arm'),
+        ({'--out': 'mine'}, 'mine'),
+    ],
+    ids=str,
+)
+def test_given_bad_input_when_the_command_is_run_then_one_line_says_so_and_the_code_is_2(
+    run, gains_file, tmp_path, monkeypatch, capsys, changes, named
+):
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(gains_file, 'gains.yaml')
+    tampered(gains_file, 'name', tmp_path / 'renamed.yaml')
+    (tmp_path / 'mine').write_text('mine')
+    options = {'--arm': ARM_FILE, '--out': 'report', **changes}
+    bag = options.pop('bag', str(run))
+    assert main(['report', bag, *(part for pair in options.items() for part in pair)]) == 2
+    said = capsys.readouterr()
+    assert said.out == '' and said.err.startswith('lpv report: ') and said.err.count('\n') == 1
+    assert named in said.err
+    assert not (tmp_path / 'report').exists() and (tmp_path / 'mine').read_text() == 'mine'
+
+
+def test_given_the_joints_of_another_arm_when_reported_then_the_missing_one_is_named(
+    run, paper_arm, tmp_path
+):
+    names = zip(paper_arm.joints, ('shoulder', 'elbow'))
+    renamed = replace(paper_arm, joints=tuple(replace(joint, name=name) for joint, name in names))
+    with pytest.raises(BagError, match="'shoulder'.*joint1, joint2"):
+        write_report(run, tmp_path, renamed)
+
+
+def test_given_no_arm_when_the_command_is_run_then_a_shipped_one_is_found_and_others_are_asked_for(
+    run, plain, tmp_path, monkeypatch, capsys
+):
+    shipped = lambda kind: {'paper': BRINGUP / kind / 'paper.yaml'}  # noqa: E731
+    monkeypatch.setattr('lpv.report.certificate.shipped_files', shipped)
+    out = ['--out', str(tmp_path / 'report')]
+    assert main(['report', str(run), *out]) == 0
+    said = capsys.readouterr().out
+    assert "shipped gains of arm 'paper', which the messages name" in said
+    assert 'the certificate holds' in said
+    other = part_of(run, tmp_path / 'other', ALL, b'mine!\0')
+    assert main(['report', str(other), *out]) == 2
+    said = capsys.readouterr().err
+    assert "the bag is of arm 'mine!', which is not a shipped one" in said
+    assert '--arm mine!.yaml --gains gains.yaml' in said and said.count('\n') == 1

@@ -1,8 +1,0 @@
-"""Entry point of ``ros2 run lpv_bag recorder``."""
-
-from lpv_node.start import start
-
-
-def main(argv: list[str] | None = None) -> None:
-    """Start the node."""
-    start('lpv_bag.recorder.node', argv)

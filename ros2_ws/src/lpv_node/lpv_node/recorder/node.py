@@ -1,0 +1,265 @@
+"""Recorder node: topics into a rosbag2 directory, byte for byte as received."""
+
+from __future__ import annotations
+
+import sys
+import time
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rosbags.interfaces import Qos
+
+from lpv.bag.rosbag.interfaces import add_type
+from lpv.bag.rosbag.message_loss import TopicCount
+from lpv.bag.rosbag.output_folder import (
+    GAINS_NAME,
+    SCENARIO_NAME,
+    copy_file,
+    free_path,
+    read_run_file,
+)
+from lpv.bag.rosbag.writing import PRESETS, BagWriter
+from lpv.core.support.errors import ConfigError
+from lpv_node.managed import ManagedNode, run_node
+from lpv_node.parameters import fixed, named_file, required_text
+from lpv_node.recorder.input import Heard, RecorderInput, Selection
+from lpv_node.recorder.stamp_sorter import StampSorter
+
+_TOPICS = [
+    *('joint_states', 'torque_command', 'state_estimate', 'fault_estimate'),
+    *('joint_states_corrected', 'fault_alarm', 'reference', 'ground_truth', '/diagnostics'),
+]
+# fmt: off
+SPECS = (
+    fixed('output', '',
+          'bag directory to create; if it exists, one with a number behind its name is made'),
+    fixed('topics', _TOPICS,
+          "topics to record; relative names are resolved in the node's namespace"),
+    fixed('all', False, 'record all topics but hidden and excluded ones, not those of "topics"'),
+    fixed('exclude', ['/rosout', '/parameter_events'],
+          'patterns of topics that "all" leaves out, as of a shell, against full names'),
+    fixed('preset', 'zstd_fast', 'compression', choices=tuple(PRESETS)),
+    fixed('split_size', 0, 'size at which a new file is begun; 0 for never [MiB]', 0, 1 << 20),
+    fixed('split_duration', 0.0, 'log time after which a new file is begun; 0 for never [s]',
+          0.0, 1e6),
+    fixed('flush_period', 0.25,
+          'longest time that a message stays in this process; in lockstep chunks are cut by stamps '
+          'instead [s]', 0.02, 0.5),
+    fixed('fsync', False,
+          'wait after each chunk until it is on the disk: a power failure then loses no more than '
+          'a crash'),
+    fixed('gains_file', '',
+          'gains file of this run, copied into the bag as gains.yaml; may be empty'),
+    fixed('scenario_file', '',
+          'scenario file of this run, copied into the bag as scenario.yaml; may be empty'),
+)
+# fmt: on
+_POLL = 0.01
+_CHUNK_TIME = 250_000_000
+_SPARE = 1 << 20
+"""Free space that is left alone: what is to be written when all is over needs some [bytes]."""
+
+
+class RecorderNode(ManagedNode):
+    """Records topics as soon as they have a publisher, with its QoS.
+
+    Messages are stored as they came, and the log time is the time of reception.  In lockstep it is
+    the message's own stamp, messages are sorted, and the padding between their fields is zeroed, so
+    that runs with the same seed give the same bag byte by byte.
+    """
+
+    drain_time = 0.5
+
+    def __init__(self) -> None:
+        super().__init__('recorder', SPECS)
+        self._writer: BagWriter | None = None
+        self._input: RecorderInput | None = None
+        self._clockwork: list[Any] = []
+        self._announced: dict[str, Qos] = {}  # topics that the bag does not have yet
+        self._types: dict[str, str] = {}
+        self._counts: dict[str, TopicCount] = {}
+        self._order = StampSorter(self._write_sorted)
+        self._taken, self._flushed = 0, 0.0
+        self._stopping: int | None = None
+        self._failure = ''
+        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        self._label = f'{self.get_fully_qualified_name()}: recording'
+        # Nobody wants to read in a bag how it was written; and it would differ between runs.
+        self._own_mark = self._label.encode() + b'\0'
+
+    def setup(self) -> None:
+        """Open the bag."""
+        value = {spec.name: self.get_parameter(spec.name).value for spec in SPECS}
+        names = frozenset(self.resolve_topic_name(name) for name in value['topics'])
+        if not names and not value['all']:
+            raise ConfigError('topics', 'names no topic, and "all" is not set', self.get_name())
+        self._selection = Selection(frozenset() if value['all'] else names, tuple(value['exclude']))
+        self._flush_period = value['flush_period']
+        files = {}
+        if value['gains_file']:
+            files[GAINS_NAME] = read_run_file(value['gains_file'], GAINS_NAME)
+        if value['scenario_file']:
+            scenario = named_file(self, 'scenario_file', 'scenarios')
+            files[SCENARIO_NAME] = read_run_file(scenario, SCENARIO_NAME)
+        output = required_text(self, 'output')
+        path = free_path(output)
+        if str(path) != str(Path(output)):
+            self.get_logger().warning(f'{output} exists already: recording into {path}')
+        self._writer = BagWriter(
+            *(path, value['preset'], value['split_size'] << 20),
+            *(round(value['split_duration'] * 1e9), _CHUNK_TIME if self.lockstep else 0),
+            value['fsync'],
+        )
+        for name, content in files.items():
+            copy_file(content, path, name)
+
+    def begin(self) -> None:
+        """Listen to the wanted topics."""
+        if self._writer is None:
+            self.get_logger().error('the bag is closed: a new recording needs a new node')
+            return
+        self._input = RecorderInput(
+            self, self._selection, partial(add_type, self._writer.typestore)
+        )
+        self._clockwork = [
+            self.steady_timer(period, callback)
+            for period, callback in ((0.05, self._search), (_POLL, self._poll), (1.0, self._report))
+        ]
+        what = f'{len(self._selection.names)} topics' if self._selection.names else 'all topics'
+        self.get_logger().info(f'recording {what} into {self._writer.path}')
+
+    def stopping(self) -> None:
+        """Note the time: what was published until now is still recorded."""
+        self._stopping = time.time_ns()
+
+    def progress(self) -> int:
+        """Messages taken so far that were published before the node was told to stop."""
+        return self._taken
+
+    def end(self) -> None:
+        """Take what is left, and close the bag."""
+        for timer in self._clockwork:
+            self.destroy_timer(timer)
+        self._clockwork = []
+        if self._input is not None:
+            self._poll()
+        self._order.flush()
+        if self._writer is not None:
+            self._close(self._writer)
+            self._report()
+
+    def teardown(self) -> None:
+        """Close the bag of a recording that never began."""
+        self.end()
+
+    def _search(self) -> None:
+        if self._input is None:
+            return
+        for topic, msgtype, offered in self._input.search():
+            self._announced[topic], self._types[topic] = offered, msgtype
+            self._counts[topic] = TopicCount()
+
+    def _poll(self) -> None:
+        for heard in self._input.poll() if self._input is not None else ():
+            if self._stopping is None or heard.sent < self._stopping:
+                self._taken += 1
+            own = heard.topic == '/diagnostics' and self._own_mark in heard.data
+            if self._writer is not None and not own:
+                self._take(self._writer, heard)
+        if self._writer is not None and time.monotonic() - self._flushed >= self._flush_period:
+            self._flush(self._writer)
+
+    def _take(self, writer: BagWriter, heard: Heard) -> None:
+        count = self._counts[heard.topic]
+        count.take(heard.publisher, heard.sequence)
+        if not self.lockstep:
+            if heard.stamp is not None:
+                count.stamp(heard.stamp)
+            use_clock = self.get_parameter('use_sim_time').value or not heard.received
+            now = self.get_clock().now().nanoseconds if use_clock else heard.received
+            self._write(heard.topic, now, heard.data, heard.sent or now)
+        elif heard.stamp is not None:
+            # Runs with one seed are to give the same bytes, garbage between fields included.
+            data = writer.without_garbage(self._types[heard.topic], heard.data)
+            self._order.add(heard.topic, heard.stamp, data, heard.publisher)
+        else:
+            self._write(heard.topic, self.get_clock().now().nanoseconds, heard.data)
+
+    def _write_sorted(self, topic: str, stamp: int, data: bytes) -> None:
+        self._counts[topic].stamp(stamp)  # in the order of the bag: that of arrival is any
+        self._write(topic, stamp, data)
+
+    def _write(self, topic: str, stamp: int, data: bytes, sent: int | None = None) -> None:
+        if self._writer is None:
+            return
+        try:
+            # New topics are announced in the order of their names, not of their discovery.
+            for name in sorted(self._announced):
+                self._writer.add_topic(name, self._types[name], [self._announced.pop(name)])
+            # A driver that does not know the time may stamp with anything; a bag cannot.
+            published = None if sent is None else max(0, sent)
+            self._writer.write_raw(topic, max(0, stamp), data, published)
+        except OSError as error:
+            self._fail(error.strerror or str(error))
+
+    def _flush(self, writer: BagWriter) -> None:
+        self._flushed = time.monotonic()
+        try:
+            if writer.room() < _SPARE:
+                self._fail('no space left on device')
+            elif not self.lockstep:
+                writer.flush()
+        except OSError as error:
+            self._fail(error.strerror or str(error))
+
+    def _fail(self, reason: str) -> None:
+        """Stop recording; the node continues and reports it."""
+        if self._failure:
+            return
+        self._failure, self.exit_code = reason, 1
+        if self._writer is not None:
+            self._close(self._writer)
+        self.get_logger().fatal(f'recording stopped: {reason}; {self._kept}')
+        self._report()
+
+    def _close(self, writer: BagWriter) -> None:
+        self._writer = None
+        if self._input is not None:
+            self._input.close()
+            self._input = None
+        total = sum(writer.counts.values())
+        missing = writer.close({t: count.known() for t, count in sorted(self._counts.items())})
+        self._kept = f'bag closed with {total} messages, {writer.size} bytes'
+        if missing:
+            self._kept += f', without {missing}: lpv recover repairs it'
+        self.get_logger().info(self._kept)
+
+    def _report(self) -> None:
+        """State of the recording on /diagnostics."""
+        lost = sum(count.lost for count in self._counts.values())
+        level, text = DiagnosticStatus.OK, 'recording' if self._writer is not None else 'bag closed'
+        if self._failure:
+            level, text = DiagnosticStatus.ERROR, f'recording stopped: {self._failure}'
+        elif lost or (self._input is not None and self._input.complaints):
+            text = f'{lost} messages lost' if lost else 'some topics are not recorded'
+            level = DiagnosticStatus.WARN
+        values = {} if self._writer is None else {
+            'bytes': self._writer.size, 'files': self._writer.files}  # fmt: skip
+        for topic, count in sorted(self._counts.items()):
+            values |= {f'{topic} {name}': value for name, value in count.known().items()}
+        pairs = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
+        status = DiagnosticStatus(name=self._label, level=level, message=text, values=pairs)
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(message)
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Entry point of ``ros2 run lpv_node recorder``."""
+    sys.exit(run_node(RecorderNode, argv))
+
+
+if __name__ == '__main__':
+    main()

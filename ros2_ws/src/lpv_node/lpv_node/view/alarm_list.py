@@ -1,0 +1,94 @@
+"""Alarm events as a list with one row for each alarm."""
+
+import math
+from typing import Any
+
+from lpv.core.support.timestamps import NANOSECONDS
+
+RAISED, UPDATED, CLEARED = range(3)
+Row = dict[str, Any]
+_MOST_ROWS, _MOST_TEXT = 200, 100
+
+
+def seconds(nanoseconds: int) -> float:
+    """Seconds of a stamp in nanoseconds, to the microsecond."""
+    return round(nanoseconds / NANOSECONDS, 6)
+
+
+class AlarmList:
+    """Rows of the alarm list; the newest `_MOST_ROWS` are kept.
+
+    ``changed`` says whether rows changed since this flag was last lowered.
+    """
+
+    def __init__(self) -> None:
+        self._rows: list[Row] = []
+        self._open: dict[str, Row] = {}
+        self._count = 0
+        self.changed = False
+
+    def rows(self) -> list[Row]:
+        """The alarms, oldest first.
+
+        Their fields are ``id``, ``sensor``, ``kind``, ``onset``, ``detected``, ``ended`` [s] (None
+        while it lasts), ``size`` and ``bound`` as of the event, ``confidence``.
+        """
+        return [dict(row) for row in self._rows]
+
+    def add(self, event: Any) -> None:
+        """Add one event, with the fields of lpv_msgs/FaultAlarm."""
+        sensor = event.sensor[:_MOST_TEXT]
+        if event.event == RAISED and sensor in self._open:
+            self._end(sensor, _time(event.onset))
+        row = self._open.get(sensor) or self._ended_row(event) or self._new_row(sensor)
+        row.update(
+            kind=event.kind[:_MOST_TEXT],
+            onset=_time(event.onset),
+            detected=_time(event.detected),
+            confidence=_finite(event.confidence),
+        )
+        if event.event == CLEARED:
+            self._open.pop(sensor, None)
+            row['ended'] = _time(event.header.stamp)
+        else:
+            row.update(size=_finite(event.size), bound=_finite(event.bound))
+        self.changed = True
+
+    def _ended_row(self, event: Any) -> Row | None:
+        """The row that `follow` ended before the event that says so came."""
+        last = next((r for r in reversed(self._rows) if r['sensor'] == event.sensor), None)
+        if last is None or event.event != CLEARED or last['onset'] != _time(event.onset):
+            return None
+        return last
+
+    def follow(self, faults: Any) -> None:
+        """End alarms that a lpv_msgs/FaultEstimate no longer has, e.g. after a reset."""
+        stamp = _time(faults.header.stamp)
+        for sensor, alarm in zip(faults.sensor_names, faults.alarm):
+            row = self._open.get(sensor)
+            # The alarm and the estimate of one sample come on two topics, in any order.
+            if row is not None and not alarm and abs(stamp - row['detected']) > 0.5:
+                self._end(sensor, max(stamp, row['detected']))
+
+    def _new_row(self, sensor: str) -> Row:
+        self._count += 1
+        row: Row = {'id': self._count, 'sensor': sensor, 'ended': None, 'size': None, 'bound': None}
+        self._rows.append(row)
+        self._open[sensor] = row
+        if len(self._rows) > _MOST_ROWS:
+            oldest = self._rows.pop(0)
+            if self._open.get(oldest['sensor']) is oldest:
+                del self._open[oldest['sensor']]
+        return row
+
+    def _end(self, sensor: str, stamp: float) -> None:
+        self._open.pop(sensor)['ended'] = stamp
+        self.changed = True
+
+
+def _time(stamp: Any) -> float:
+    return seconds(stamp.sec * NANOSECONDS + stamp.nanosec)
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

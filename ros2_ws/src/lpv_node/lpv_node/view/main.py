@@ -1,0 +1,8 @@
+"""Entry point of ``ros2 run lpv_node view``."""
+
+from lpv_node.start import start
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Start the node."""
+    start('lpv_node.view.node', argv)

@@ -1,0 +1,256 @@
+"""What the live view knows of the running graph, as plain values that JSON can carry."""
+
+import contextlib
+import math
+from collections import deque
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from lpv.core.control.path import TimedPath
+from lpv.core.monitoring.joint_order import JointOrder
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.simulation.faults import KINDS
+from lpv.core.support.errors import SampleError
+from lpv.core.support.timestamps import NANOSECONDS
+from lpv_node.view.alarm_list import AlarmList, seconds
+from lpv_node.view.skeleton import Skeleton
+
+Numbers = list[float | None]
+MODES = ('OBSERVING', 'HOLDING', 'INITIALISING', 'STALE', 'NO_ESTIMATE')
+STATES = ('OK', 'WARN', 'ERROR', 'STALE', 'NOT_DIAGNOSABLE')
+LEVELS = ('OK', 'WARN', 'ERROR', 'STALE')
+WINDOW = 30.0
+"""Length of the history that a new client gets [s]."""
+QUIET = 1.0
+"""A source that was silent for this long is no longer shown as live [s]."""
+_LAST_STAMP = 2**31 * NANOSECONDS - 1
+_MOST_SAMPLES, _MOST_STATUSES, _MOST_TEXT = 1500, 14, 300
+_ARRAYS = {
+    'joint_states': (),
+    'state_estimate': ('position',),
+    'fault_estimate': ('sensor_names', 'estimate', 'bound', 'threshold', 'state', 'alarm'),
+    'torque_command': ('torque',),
+    'ground_truth': ('position', 'fault'),
+    'reference': (),
+}
+"""Fields that are shown and have one element for each joint, by source."""
+_CHARTS = {
+    'estimate': ('fault_estimate', 'estimate'),
+    'bound': ('fault_estimate', 'bound'),
+    'threshold': ('fault_estimate', 'threshold'),
+    'fault': ('ground_truth', 'fault'),
+    'torque': ('torque_command', 'torque'),
+    'tip': ('reference', 'tip_position'),
+}
+"""Source and field of what a sample of the charts has."""
+
+
+class LiveModel:
+    """Latest messages, a short history and the list of alarms.
+
+    Takes any objects with the fields of the messages, so that it needs no ROS.  Not thread safe:
+    one thread takes messages and makes frames.
+
+    Parameters
+    ----------
+    arm : SerialArm
+        The arm that is shown.
+    path : TimedPath, optional
+        Path of the scenario, with its obstacle.
+
+    Attributes
+    ----------
+    alarms : AlarmList
+        Alarms as one row each.
+    services : dict
+        Whether each of ``inject``, ``clear`` and ``reset`` is there to be called.
+    misfits : int
+        Messages that were left out: of another number of joints than the arm.
+    """
+
+    def __init__(self, arm: SerialArm, path: TimedPath | None = None) -> None:
+        self._arm, self._path = arm, path
+        self._order, self._joints = JointOrder(arm.joint_names), len(arm.joint_names)
+        self.misfits, self._skeleton = 0, Skeleton(arm)
+        self.alarms = AlarmList()
+        self.services = {'inject': False, 'clear': False, 'reset': False}
+        self._latest: dict[str, Any] = {}
+        self._received: dict[str, float] = {}  # steady times [s]
+        self._history: deque[dict[str, Any]] = deque(maxlen=_MOST_SAMPLES)
+        self._statuses: dict[str, dict[str, str]] = {}
+        self._stops: dict[str, Any] = {'count': 0, 'last': ''}  # safe stops of the tracker
+        self._stopped = -math.inf  # steady time of the last one [s]
+        self._stamp: int | None = None
+
+    def take(self, source: str, message: Any, now: float) -> None:
+        """Take one message of a topic, as ``state_estimate``, received at a steady time [s]."""
+        if source == 'fault_alarm':
+            self.alarms.add(message)
+        elif source == 'diagnostics':
+            for status in message.status:
+                self._take_status(status, now)
+        elif not self._fits(source, message):
+            self.misfits += 1
+        else:
+            self._latest[source], self._received[source] = message, now
+            if source == 'fault_estimate':
+                self.alarms.follow(message)
+
+    def _fits(self, source: str, message: Any) -> bool:
+        """Whether a message is for as many joints as the arm has."""
+        if source == 'reference' and len(message.tip_position) != 3:
+            return False
+        return all(len(getattr(message, field)) == self._joints for field in _ARRAYS[source])
+
+    def _take_status(self, status: Any, now: float) -> None:
+        name, known = status.name[:_MOST_TEXT], self._statuses
+        if name not in known and len(known) >= _MOST_STATUSES + self._joints:
+            return
+        # A byte, which Python sees as bytes.
+        level = status.level[0] if isinstance(status.level, bytes) and status.level else 0
+        text = status.message[:_MOST_TEXT]
+        known[name] = {'name': name, 'level': _name(LEVELS, level), 'message': text}
+        values = {pair.key: pair.value for pair in status.values[:_MOST_STATUSES]}
+        count = values.get('safe stops', '')
+        if not (count.isascii() and count.isdigit() and len(count) < 10):
+            return
+        if int(count) > self._stops['count']:
+            self._stopped = now
+        self._stops = {'count': int(count), 'last': values.get('last safe stop', '')[:_MOST_TEXT]}
+
+    def hello(self) -> dict[str, Any]:
+        """First message to a client: constants of the arm, history and alarms."""
+        arm = self._arm
+        return {
+            'type': 'hello',
+            'arm': arm.name,
+            'reach': round(self._skeleton.reach, 4),
+            'joints': list(arm.joint_names),
+            'sensors': list(arm.sensor_names),
+            'torque_limit': [v if v < 1e8 else None for v in arm.torque_limit],
+            'kinds': list(KINDS),
+            'window': WINDOW,
+            'scene': self._scene(),
+            'history': list(self._history),
+            'alarms': self.alarms.rows(),
+        }
+
+    def _scene(self) -> dict[str, Any]:
+        if self._path is None:
+            return {'path': [], 'obstacle': None}
+        start, end = self._path.start, self._path.end
+        times = [start + (end - start) * i / 150 for i in range(151)]
+        obstacle = self._path.obstacle
+        return {
+            'path': [
+                [round(float(v), 4) for v in point]
+                for point in self._skeleton.drawn(self._path.sample(times).tip)
+            ],
+            'obstacle': obstacle
+            and {'center': _numbers(obstacle.center), 'radius': obstacle.radius},
+        }
+
+    def frame(self, now: float) -> dict[str, Any]:
+        """The present at a steady time [s], for clients; it is also added to the history.
+
+        Values are None where they are not known or not finite.
+        """
+        state, command = self._latest.get('state_estimate'), self._latest.get('torque_command')
+        fault, newest = (
+            self._latest.get('fault_estimate'),
+            max(self._received.values(), default=now),
+        )
+        drawn = self._skeleton.drawn
+        corners = {
+            name: None if q is None else [_numbers(c, 4) for c in drawn(self._skeleton.corners(q))]
+            for name, q in self.arms(now).items()
+        }
+        states = [None] * self._joints if fault is None else [_name(STATES, s) for s in fault.state]
+        return {
+            'type': 'frame',
+            'live': self._live(now),
+            'services': dict(self.services),
+            'age': round(max(0.0, now - newest), 1) if self._received else None,
+            'sample': self._sample(now),
+            'arms': corners,
+            'diagnostics': list(self._statuses.values()),
+            'mode': None if state is None else _name(MODES, state.mode),
+            'trustworthy': None if state is None else bool(state.trustworthy),
+            'safe_stop': None if command is None else bool(command.safe_stop),
+            'stops': {**self._stops, 'recent': now - self._stopped < WINDOW},
+            'states': states,
+        }
+
+    def arms(self, now: float) -> dict[str, Any]:
+        """Joint positions [rad], or None, of the arms to draw at a steady time [s].
+
+        The keys are ``true``, ``estimated`` and ``measured``.
+        """
+        live = self._live(now)
+        found = {
+            'true': self._field('ground_truth', 'position', live),
+            'estimated': self._field('state_estimate', 'position', live),
+            'measured': None,
+        }
+        state = self._latest.get('state_estimate')
+        if state is not None and _name(MODES, state.mode) == 'NO_ESTIMATE':
+            found['estimated'] = None
+        if live['joint_states']:
+            with contextlib.suppress(SampleError):
+                found['measured'] = _numbers(self._order.pick(self._latest['joint_states'])[0])
+        return {name: q if q is not None and None not in q else None for name, q in found.items()}
+
+    def stamp(self) -> int | None:
+        """Stamp of the newest measurement, estimate or command [ns], None before the first."""
+        if not self._latest:
+            return None
+        # What fell silent is left out: its clock may have restarted since.
+        newest = max(self._received.values())
+        return max(
+            _stamp(message)
+            for source, message in self._latest.items()
+            if self._received[source] > newest - QUIET
+        )
+
+    def _live(self, now: float) -> dict[str, bool]:
+        return {
+            name: name in self._received and now - self._received[name] < QUIET for name in _ARRAYS
+        }
+
+    def _field(self, source: str, field: str, live: dict[str, bool]) -> Numbers | None:
+        message = self._latest.get(source) if live[source] else None
+        return None if message is None else _numbers(getattr(message, field))
+
+    def _sample(self, now: float) -> dict[str, Any]:
+        """One point of the charts; enters the history when time has gone on."""
+        live = self._live(now)
+        stamp = self.stamp()
+        sample: dict[str, Any] = {'t': None if stamp is None else seconds(stamp)}
+        for name, (source, field) in _CHARTS.items():
+            sample[name] = self._field(source, field, live) or [None] * self._joints
+        if None not in sample['tip']:
+            sample['tip'] = _numbers(self._skeleton.drawn(np.array(sample['tip'])))
+        if stamp is not None and stamp != self._stamp:
+            if self._stamp is not None and stamp < self._stamp - NANOSECONDS:
+                self._history.clear()  # time restarted
+            self._stamp = stamp
+            self._history.append(sample)
+            while self._history[0]['t'] < sample['t'] - WINDOW:
+                self._history.popleft()
+        return sample
+
+
+def _stamp(message: Any) -> int:
+    # Within what a stamp can hold, whatever a sender wrote.
+    sent = message.header.stamp.sec * NANOSECONDS + message.header.stamp.nanosec
+    return min(_LAST_STAMP, max(0, sent))
+
+
+def _name(names: Sequence[str], index: int) -> str:
+    return names[index] if 0 <= index < len(names) else 'UNKNOWN'
+
+
+def _numbers(values: Iterable[float], digits: int = 6) -> Numbers:
+    return [round(float(v), digits) if math.isfinite(v) else None for v in values]

@@ -1,0 +1,309 @@
+"""Live view node: the page, the Foxglove protocol, markers and transforms."""
+
+import os
+import socket
+import struct
+import sys
+import time
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.subscription import Subscription
+from rclpy.timer import Timer
+from std_msgs.msg import String
+from visualization_msgs.msg import MarkerArray
+
+from lpv.bag.rosbag.interfaces import add_type, make_typestore
+from lpv.core.export.urdf import arm_urdf
+from lpv.core.serial_arm.arm_file import load_arm
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.simulation.scenario import load_scenario
+from lpv.core.support.errors import ConfigError
+from lpv.core.support.timestamps import NANOSECONDS
+from lpv_node.input_check import Refusals
+from lpv_node.managed import VIEWER, ManagedNode, run_node
+from lpv_node.parameters import fixed, named_file
+from lpv_node.status import OK, WARN, StatusReporter
+from lpv_node.view.access import Access
+from lpv_node.view.foxglove_bridge import BAND, FoxgloveBridge, gate, sdk_is_installed
+from lpv_node.view.model import LiveModel
+from lpv_node.view.requests import Requests
+from lpv_node.view.scene import MARKERS, TRANSFORMS, Scene
+from lpv_node.view.server import ViewServer
+from lpv_node.view.skeleton import urdf_text
+from lpv_node.view.topics import TOPICS, Inbox, Topic
+
+SPECS = (
+    fixed('arm_file', '', 'arm file (YAML), or name of a shipped arm'),
+    fixed(
+        'scenario_file', '', 'scenario file (YAML) whose path and obstacle are drawn; may be empty'
+    ),
+    fixed(
+        'address',
+        '127.0.0.1',
+        'where to listen; anything but a loopback address lets others '
+        'see the page, and its buttons then need the token',
+    ),
+    fixed('port', 8090, 'port of the page; 0 takes a free one', 0, 65535),
+    fixed('foxglove_port', 8765, 'port of the Foxglove WebSocket protocol; 0: off', 0, 65535),
+    fixed(
+        'foxglove_rate', 100.0, 'most messages of a fast topic sent to Foxglove [1/s]', 1.0, 1000.0
+    ),
+    fixed(
+        'foxglove_origins',
+        ['https://app.foxglove.dev', 'file://'],
+        'web origins that may connect to the Foxglove port',
+    ),
+    fixed('hosts', [''], 'further names of this machine under which the page is called'),
+    fixed('rate', 25.0, 'frames, markers and transforms [1/s]', 1.0, 60.0),
+)
+_ALARM_INTERVAL = 0.2
+"""Shortest time between two lists of alarms [s]."""
+_TOKEN_VARIABLE = 'LPV_VIEW_TOKEN'
+_GREEN = '0.13 0.55 0.30 0.5', '0.25 0.65 0.40 0.5'
+_DESCRIPTIONS = ('robot_description', 'true_robot_description')
+
+
+class ViewNode(ManagedNode):
+    """Live view of the running graph.
+
+    Topics: subscribes all that the graph publishes, the ground truth included, but only looks;
+    publishes ``arm_markers`` (visualization_msgs/MarkerArray), ``robot_description`` and
+    ``true_robot_description`` (std_msgs/String, latched), ``/diagnostics`` and, where tf2_msgs
+    is installed, ``/tf`` with the frames ``true/...`` and ``estimated/...``.  Calls
+    ``arm_sim/inject_fault``, ``arm_sim/clear_faults`` and ``uio/reset`` for the buttons.
+    """
+
+    # What a start that fails leaves behind; the parameters are checked before anything is made.
+    _server: ViewServer | None = None
+    _foxglove: FoxgloveBridge | None = None
+    _requests: Requests | None = None
+    _ticker: Timer | None = None
+
+    def __init__(self) -> None:
+        super().__init__(VIEWER, SPECS)
+        self._inboxes: list[Inbox] = []
+        self._inputs: list[Subscription] = []
+
+    def setup(self) -> None:
+        """Read the files, open the ports, create publishers."""
+        self._arm_file = named_file(self, 'arm_file', 'arms')
+        arm = load_arm(self._arm_file)
+        scenario = self.get_parameter('scenario_file').value
+        path = None
+        if scenario:
+            path = load_scenario(named_file(self, 'scenario_file', 'scenarios')).path(arm)
+        self._model = LiveModel(arm, path)
+        typestore = make_typestore()
+        add_type(typestore, MARKERS)
+        self._scene = Scene(arm, typestore, path)
+        self._ticks, self._alarms_due = 0, 0.0
+        self._stamp: int | None = None
+        self._requests, self._refusals = Requests(self), Refusals(self)
+        self._status = StatusReporter(self, 'page', arm.name)
+        self._create_publishers()
+        self._open(arm, self._requests)
+        self._describe(arm)
+        bridge = self._foxglove
+        period = 1.0 / self.get_parameter('foxglove_rate').value
+        forward = [self._forwarder(bridge, topic) if bridge else None for topic in TOPICS]
+        refuse = self._refusals.add
+        self._inboxes = [Inbox(*pair, period, refuse) for pair in zip(TOPICS, forward)]
+        self._ticker = self.steady_timer(1.0 / self.get_parameter('rate').value, self._tick)
+
+    def _create_publishers(self) -> None:
+        once = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._outputs: dict[str, tuple[Publisher | None, str]] = {
+            name: (self.create_publisher(String, name, once), 'std_msgs/msg/String')
+            for name in _DESCRIPTIONS
+        }
+        self._outputs['arm_markers'] = self.create_publisher(MarkerArray, 'arm_markers', 1), MARKERS
+        self._outputs['/tf'] = None, TRANSFORMS
+        try:
+            from tf2_msgs.msg import TFMessage
+        except ImportError:
+            self.get_logger().info('tf2_msgs is not installed: /tf goes to Foxglove only')
+        else:
+            self._outputs['/tf'] = self.create_publisher(TFMessage, '/tf', 100), TRANSFORMS
+
+    def _open(self, arm: SerialArm, requests: Requests) -> None:
+        """Open the ports; says once where they are."""
+        value = {spec.name: self.get_parameter(spec.name).value for spec in SPECS}
+        address = value['address']
+        access = Access(address, os.environ.get(_TOKEN_VARIABLE, ''), value['hosts'])
+        self._server = ViewServer(access, arm.sensor_names, requests.submit)
+        sites = [(self._server.application(), address, value['port'])]
+        if value['foxglove_port'] and not sdk_is_installed():
+            self.get_logger().info('Foxglove: off, as foxglove-sdk is not installed')
+        elif value['foxglove_port']:
+            self._foxglove = FoxgloveBridge(
+                f'lpv {self.get_namespace()}', self._forwarded(), self.resolve_topic_name(BAND)
+            )
+            origins = Access(address, '', value['hosts'], value['foxglove_origins'])
+            door = gate(origins, self._foxglove.address, self._foxglove.port)
+            sites.append((door, address, value['foxglove_port']))
+        ports = self._server.start(sites)
+        shown = socket.gethostname() if address in ('0.0.0.0', '::') else address
+        shown = f'[{shown}]' if ':' in shown else shown
+        self.get_logger().info(f'page: http://{shown}:{ports[0]}/')
+        if access.token:
+            # Printed, not logged: logs are published on /rosout and kept in files.
+            print(
+                f'buttons of the page need the token {access.token}\n'
+                f'  http://{shown}:{ports[0]}/#token={access.token}',
+                flush=True,
+            )
+        if len(ports) > 1:
+            self.get_logger().info(f'Foxglove: ws://{shown}:{ports[1]}')
+
+    def _forwarded(self) -> dict[str, tuple[str, int]]:
+        """Topics for Foxglove: type and number of messages kept for late clients."""
+        keep = {'fault_alarm': 50, **dict.fromkeys(_DESCRIPTIONS, 1)}
+        types = {topic.name: topic.msgtype for topic in TOPICS}
+        types.update({name: msgtype for name, (_, msgtype) in self._outputs.items()})
+        return {
+            self.resolve_topic_name(name): (msgtype, keep.get(name, 0))
+            for name, msgtype in types.items()
+        }
+
+    def _forwarder(self, bridge: FoxgloveBridge, topic: Topic) -> Callable[[bytes], None]:
+        name = self.resolve_topic_name(topic.name)
+
+        def forward(data: bytes) -> None:
+            stamp = _leading_stamp(data)
+            restarted = self._stamp is not None and stamp < self._stamp - NANOSECONDS
+            if restarted and not topic.every:  # those of the latter are latched, and may be old
+                bridge.restart()
+            if self._stamp is None or restarted and not topic.every:
+                self._stamp = stamp
+                self._describe_again()
+            self._stamp = max(stamp, self._stamp)
+            bridge.send(name, data, self._stamp if topic.every else stamp)
+
+        return forward
+
+    def _describe(self, arm: SerialArm) -> None:
+        """Robot descriptions: of the arm file, or the URDF that it names, if there is one."""
+        try:
+            if arm.urdf:
+                text = urdf_text(arm, self._arm_file)
+                descriptions = [text] * len(_DESCRIPTIONS)
+            else:
+                descriptions = [self._urdf(arm), self._urdf(arm, _GREEN)]
+        except ConfigError as error:
+            self.get_logger().info(f'no robot description is published: {error}')
+            descriptions = []
+        self._described = [self._scene.text(text) for text in descriptions]
+        self._describe_again()
+
+    def _urdf(self, arm: SerialArm, *colours: tuple[str, ...]) -> str:
+        try:
+            return arm_urdf(arm, True, *colours)
+        except ConfigError as error:
+            self.get_logger().warning(f'robot description without inertias: {error}')
+            return arm_urdf(arm, False, *colours)
+
+    def _describe_again(self) -> None:
+        for name, data in zip(_DESCRIPTIONS, self._described):
+            self._publish(name, data, self._stamp)
+
+    def begin(self) -> None:
+        """Subscribe."""
+        self._inputs = [
+            self.create_subscription(
+                inbox.topic.kind, inbox.topic.name, inbox.store, inbox.topic.qos, raw=True
+            )
+            for inbox in self._inboxes
+        ]
+
+    def end(self) -> None:
+        """Unsubscribe; the page stays, and says that nothing comes."""
+        for subscription in self._inputs:
+            self.destroy_subscription(subscription)
+        self._inputs = []
+
+    def teardown(self) -> None:
+        """Close the ports and destroy what `setup` created."""
+        if self._ticker is not None:
+            self.destroy_timer(self._ticker)
+        if self._server is not None:
+            self._server.stop()
+        if self._foxglove is not None:
+            self._foxglove.stop()
+        if self._requests is not None:
+            self._requests.close()
+            for publisher, _ in self._outputs.values():
+                if publisher is not None:
+                    self.destroy_publisher(publisher)
+        self._server = self._foxglove = self._requests = self._ticker = None
+
+    def destroy_node(self) -> None:
+        """Close the ports, however the node ends."""
+        self.teardown()
+        super().destroy_node()
+
+    def _tick(self) -> None:
+        if self._requests is None or self._server is None:
+            return
+        self._requests.work()
+        for inbox in self._inboxes:
+            for received, message in inbox.take():
+                self._model.take(inbox.topic.source, message, received)
+        now = time.monotonic()
+        every_second = self._ticks % round(self.get_parameter('rate').value) == 0
+        self._ticks += 1
+        if every_second:
+            self._model.services = self._requests.available()
+        frame = self._model.frame(now)
+        self._report()
+        # In a storm of alarms, no client is to drown in lists.
+        if self._model.alarms.changed and now >= self._alarms_due:
+            self._model.alarms.changed, self._alarms_due = False, now + _ALARM_INTERVAL
+            self._server.tell({'type': 'alarms', 'alarms': self._model.alarms.rows()})
+        if self._server.newcomers:
+            self._server.welcome(self._model.hello())
+        self._server.frame(frame)
+        self._publish_arms(self._model.arms(now), frame['sample'], every_second)
+
+    def _report(self) -> None:
+        """The node's own status, once a second of the graph's time, which may be simulated."""
+        clients = len(self._server.clients) if self._server is not None else 0
+        count, refused = sum(self._refusals.counts.values()), self._refusals.is_recent
+        status = (WARN, f'{count} messages refused') if refused else (OK, 'page is served')
+        values = {'pages': clients, **self._refusals.counts}
+        self._status.report(self._model.stamp() or 0, *status, lambda: values)
+
+    def _publish_arms(self, arms: dict[str, Any], sample: dict[str, Any], with_path: bool) -> None:
+        stamp = self._model.stamp()
+        if stamp is None or not any(arms.values()):
+            return
+        if self._foxglove is not None:
+            self._foxglove.send_band(sample, stamp)
+        self._publish('arm_markers', self._scene.markers(arms, stamp, with_path), stamp)
+        self._publish('/tf', self._scene.tree(arms, stamp), stamp)
+
+    def _publish(self, name: str, data: bytes, stamp: int | None) -> None:
+        publisher, _ = self._outputs[name]
+        if publisher is not None:
+            publisher.publish(data)
+        # Without a stamp there is no time yet that Foxglove could show.
+        if self._foxglove is not None and stamp is not None:
+            self._foxglove.send(self.resolve_topic_name(name), data, stamp)
+
+
+def _leading_stamp(data: bytes) -> int:
+    """Stamp of a CDR message whose first field is a Header [ns]."""
+    order = '<' if data[1] & 1 else '>'
+    seconds, nanoseconds = struct.unpack_from(order + 'iI', data, 4)
+    return max(0, seconds) * NANOSECONDS + min(nanoseconds, NANOSECONDS - 1)
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Entry point of ``ros2 run lpv_node view``."""
+    sys.exit(run_node(ViewNode, argv))
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,76 @@
+"""Commands of the page as service calls."""
+
+import queue
+import time
+
+from rclpy.client import Client
+from rclpy.node import Node
+from rclpy.task import Future
+from std_srvs.srv import Trigger
+
+from lpv_msgs.srv import ClearFaults, InjectFault
+from lpv_node.view.commands import Command, Reply
+
+_PATIENCE = 3.0
+"""How long an answer may take [s]."""
+_MOST = 8
+"""Commands that may wait or be under way."""
+
+
+class Requests:
+    """Calls the services of simulator and observer on behalf of the page, by a node's clients."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._clients: dict[str, Client] = {
+            'inject': node.create_client(InjectFault, 'arm_sim/inject_fault'),
+            'clear': node.create_client(ClearFaults, 'arm_sim/clear_faults'),
+            'reset': node.create_client(Trigger, 'uio/reset'),
+        }
+        self._incoming: queue.Queue[tuple[Command, Reply]] = queue.Queue(_MOST)
+        self._pending: list[tuple[Client, Future, Reply, float]] = []
+
+    def submit(self, command: Command, reply: Reply) -> bool:
+        """Queue a command, in the server's thread; False if too many are waiting."""
+        try:
+            self._incoming.put_nowait((command, reply))
+        except queue.Full:
+            return False
+        return True
+
+    def available(self) -> dict[str, bool]:
+        """Whether each service is there, by name."""
+        return {name: client.service_is_ready() for name, client in self._clients.items()}
+
+    def work(self) -> None:
+        """Send queued commands, pass on answers; called regularly in the node's thread."""
+        while len(self._pending) < _MOST and not self._incoming.empty():
+            self._send(*self._incoming.get_nowait())
+        waiting = []
+        for client, future, reply, deadline in self._pending:
+            if future.done():
+                answer = future.result()
+                if answer is None:
+                    reply(False, str(future.exception()))
+                else:
+                    reply(answer.success, answer.message)
+            elif time.monotonic() > deadline:
+                client.remove_pending_request(future)
+                reply(False, f'{client.srv_name} does not answer')
+            else:
+                waiting.append((client, future, reply, deadline))
+        self._pending = waiting
+
+    def _send(self, command: Command, reply: Reply) -> None:
+        client = self._clients[command.name]
+        if not client.service_is_ready():
+            reply(False, f'{client.srv_name} is not there')
+            return
+        self._node.get_logger().info(f'{command.name} {command.fields or ""}, asked for by a page')
+        future = client.call_async(client.srv_type.Request(**command.fields))
+        self._pending.append((client, future, reply, time.monotonic() + _PATIENCE))
+
+    def close(self) -> None:
+        """Destroy the clients."""
+        for client in self._clients.values():
+            self._node.destroy_client(client)

@@ -1,0 +1,345 @@
+"""Web server of the live view: the page, and the WebSocket that keeps it moving."""
+
+import asyncio
+import contextlib
+import json
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from importlib import resources
+from typing import Any
+
+from aiohttp import WSMsgType, web
+from aiohttp.http import HttpProcessingError
+from aiohttp.typedefs import Handler, Middleware
+
+from lpv.core.support.errors import ConfigError
+from lpv_node.view.access import Access
+from lpv_node.view.commands import Command, CommandError, Reply, parse_command
+
+LARGEST_MESSAGE = 4096
+"""Largest message of a client [byte]."""
+HEARTBEAT = 6.0
+"""Interval of pings; a client that answers none for half of it loses its place [s]."""
+_MOST_WRONG_TOKENS, _WRONG_TOKEN_DELAY = 5, 0.5
+_MOST_RATE, _BURST = 10.0, 30.0
+"""Messages of one client [1/s], and how many at once."""
+_FILES = {
+    '/': ('index.html', 'text/html'),
+    '/view.css': ('view.css', 'text/css'),
+    '/icon.svg': ('icon.svg', 'image/svg+xml'),
+    **{
+        f'/{name}.js': (f'{name}.js', 'text/javascript')
+        for name in ('view', 'arm', 'chart', 'link', 'panels', 'theme')
+    },
+}
+_MOST_WAITING = 64
+"""A client with more messages waiting than this is dropped; frames do not count."""
+_LONGEST_SEND = 10.0
+"""A client that takes no data for this long is dropped [s]."""
+HEADERS = {
+    'Content-Security-Policy': "default-src 'none'; script-src 'self'; style-src 'self'; "
+    "img-src 'self'; connect-src 'self'; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors 'none'",
+    'Cache-Control': 'no-store',
+    'X-Content-Type-Options': 'nosniff',
+    'Referrer-Policy': 'no-referrer',
+    'X-Frame-Options': 'DENY',
+    'Cross-Origin-Opener-Policy': 'same-origin',
+    'Cross-Origin-Resource-Policy': 'same-origin',
+    'Server': 'lpv_node.view',
+}
+
+
+def encode(message: dict[str, Any]) -> str:
+    """One message as JSON; refuses NaN, which JSON does not have."""
+    return json.dumps(message, separators=(',', ':'), allow_nan=False)
+
+
+class Client:
+    """One open WebSocket.
+
+    Frames replace each other while the client is slow; other messages wait in a bounded queue.
+    """
+
+    def __init__(self, socket: web.WebSocketResponse) -> None:
+        self._socket = socket
+        self._waiting: deque[str] = deque()
+        self._frame: str | None = None
+        self._wake = asyncio.Event()
+        self.granted = self.welcomed = self.lost = self._ending = False
+        self.wrong_tokens = 0
+
+    def put(self, text: str) -> None:
+        """Queue a message that must arrive, or give the client up."""
+        if len(self._waiting) >= _MOST_WAITING:
+            self.close()
+        self._waiting.append(text)
+        self._wake.set()
+
+    def put_frame(self, text: str) -> None:
+        """Put the newest frame in place of one that was not sent yet."""
+        if self.welcomed:
+            self._frame = text
+            self._wake.set()
+
+    def close(self) -> None:
+        """Give the client up."""
+        self.lost = True
+        self._wake.set()
+
+    def finish(self) -> None:
+        """Send what must arrive, then no more."""
+        self._ending, self._frame = True, None
+        self._wake.set()
+
+    async def write(self) -> None:
+        """Send what is queued until the client is lost or all is said."""
+        while not self.lost and not self._socket.closed:
+            if self._ending and not self._waiting:
+                return
+            await self._wake.wait()
+            self._wake.clear()
+            while not self.lost and (self._waiting or self._frame):
+                if self._waiting:
+                    text = self._waiting.popleft()
+                else:
+                    text, self._frame = self._frame or '', None
+                try:
+                    await asyncio.wait_for(self._socket.send_str(text), _LONGEST_SEND)
+                # Python 3.10 has two kinds of time-out.
+                except (asyncio.TimeoutError, ConnectionError, RuntimeError):  # noqa: UP041
+                    self.lost = True
+
+
+class ViewServer:
+    """Serves the live view from a thread of its own.
+
+    Methods without ``async`` may be called from any thread and never wait for a client.
+
+    Parameters
+    ----------
+    access : Access
+        Who may do what.
+    sensors : sequence of str
+        The arm's sensors.
+    submit : callable
+        Called in the server's thread with a `Command` and a function ``reply(ok, text)`` that may
+        be called once, from any thread; returns False if it can take no more commands now.
+    max_clients, heartbeat : int, float, optional
+        More are refused; see `HEARTBEAT`.
+    """
+
+    def __init__(
+        self,
+        access: Access,
+        sensors: Sequence[str],
+        submit: Callable[[Command, Reply], bool],
+        max_clients: int = 16,
+        heartbeat: float = HEARTBEAT,
+    ) -> None:
+        self._access, self._sensors, self._submit = access, tuple(sensors), submit
+        self._max_clients, self._heartbeat = max_clients, heartbeat
+        self.clients: set[Client] = set()  # changed in the server's thread
+        folder = resources.files('lpv_node.view') / 'static'
+        self._pages = {
+            path: ((folder / name).read_bytes(), t) for path, (name, t) in _FILES.items()
+        }
+        self._loop = asyncio.new_event_loop()
+        self._runners: list[web.AppRunner] = []
+        self._thread: threading.Thread | None = None
+
+    def start(self, sites: Sequence[tuple[Any, ...]]) -> list[int]:
+        """Open ports, ``(application, address, port)``, and serve; port 0 takes a free one.
+
+        Returns the ports; ConfigError if one cannot be had.
+        """
+        try:
+            ports = [self._loop.run_until_complete(self._open(*site)) for site in sites]
+        except ConfigError:
+            self._loop.run_until_complete(self._close())
+            self._loop.close()
+            raise
+        self._thread = threading.Thread(target=self._run, name='view server', daemon=True)
+        self._thread.start()
+        return ports
+
+    async def _open(self, application: web.Application, address: str, port: int) -> int:
+        options: dict[str, Any] = {'access_log': None, 'handle_signals': False}
+        runner = web.AppRunner(application, logger=_logger(), shutdown_timeout=1.0, **options)
+        await runner.setup()
+        self._runners.append(runner)
+        try:
+            host = '127.0.0.1' if address == 'localhost' else address
+            await web.TCPSite(runner, host, port).start()
+        except (OSError, OverflowError) as error:
+            reason = getattr(error, 'strerror', None) or error
+            text = f'cannot listen on {address}, port {port}: {reason}'
+            raise ConfigError('port', text) from error
+        return runner.addresses[0][1]
+
+    def _run(self) -> None:
+        asyncio.set_event_loop(self._loop)
+        self._loop.run_forever()
+        self._loop.run_until_complete(self._close())
+        self._loop.close()
+
+    async def _close(self) -> None:
+        for client in self.clients:
+            client.close()
+        for runner in self._runners:
+            await runner.cleanup()
+
+    def stop(self) -> None:
+        """Close all connections and ports; may be called twice."""
+        if self._thread is not None:
+            self._loop.call_soon_threadsafe(self._loop.stop)
+            self._thread.join(5.0)
+            self._thread = None
+
+    def application(self) -> web.Application:
+        """The page and its WebSocket, for `start`."""
+        application = web.Application(middlewares=[guard(self._access)])
+        application.router.add_get('/ws', self._on_socket)
+        for path in self._pages:
+            application.router.add_get(path, self._on_page)
+        return application
+
+    @property
+    def newcomers(self) -> bool:
+        """Whether a client waits for its first message; see `welcome`."""
+        return any(not client.welcomed for client in tuple(self.clients))
+
+    def welcome(self, hello: dict[str, Any]) -> None:
+        """Send new clients their first message: they get frames from then on."""
+
+        def send(text: str) -> None:
+            for client in self.clients:
+                if not client.welcomed:
+                    client.put(text)
+                    client.welcomed = True
+
+        self._call(send, encode({**hello, 'token_needed': bool(self._access.token)}))
+
+    def frame(self, message: dict[str, Any]) -> None:
+        """Send a frame to all clients; those that are slow skip some."""
+        self._send(Client.put_frame, message)
+
+    def tell(self, message: dict[str, Any]) -> None:
+        """Send a message to all clients that none of them may miss."""
+        self._send(Client.put, message)
+
+    def _send(self, put: Callable[[Client, str], None], message: dict[str, Any]) -> None:
+        def send(text: str) -> None:
+            for client in self.clients:
+                if client.welcomed:
+                    put(client, text)
+
+        if self.clients:
+            self._call(send, encode(message))
+
+    def _call(self, function: Callable[..., None], *arguments: Any) -> None:
+        with contextlib.suppress(RuntimeError):  # closed meanwhile
+            self._loop.call_soon_threadsafe(function, *arguments)
+
+    async def _on_page(self, request: web.Request) -> web.Response:
+        body, kind = self._pages[request.path]
+        return web.Response(body=body, content_type=kind, charset='utf-8')
+
+    async def _on_socket(self, request: web.Request) -> web.WebSocketResponse:
+        if len(self.clients) >= self._max_clients:
+            raise web.HTTPServiceUnavailable(text='too many clients')
+        socket = web.WebSocketResponse(
+            max_msg_size=LARGEST_MESSAGE, heartbeat=self._heartbeat, compress=False, timeout=2.0
+        )
+        await socket.prepare(request)
+        client = Client(socket)
+        client.granted = not self._access.token
+        self.clients.add(client)
+        writer = asyncio.ensure_future(client.write())
+        reader = asyncio.ensure_future(self._read(socket, client))
+        try:
+            await asyncio.wait((writer, reader), return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            self.clients.discard(client)
+            client.finish()
+            await asyncio.wait((writer,), timeout=1.0)
+            # Until Python 3.12 a cancelled wait_for may go on: the flag ends it in any case.
+            client.close()
+            for task in (writer, reader):
+                task.cancel()
+            await asyncio.gather(writer, reader, return_exceptions=True)
+            with contextlib.suppress(asyncio.TimeoutError, ConnectionError):
+                await asyncio.wait_for(socket.close(), 3.0)
+        return socket
+
+    async def _read(self, socket: web.WebSocketResponse, client: Client) -> None:
+        allowance, last, refusal = _BURST, time.monotonic(), ''
+        async for message in socket:
+            now = time.monotonic()
+            allowance, last = min(_BURST, allowance + (now - last) * _MOST_RATE) - 1.0, now
+            try:
+                if allowance < 0.0:
+                    refusal = 'too many messages'
+                    raise CommandError(refusal)
+                if message.type != WSMsgType.TEXT:
+                    raise CommandError('text messages only')
+                command = parse_command(message.data, self._sensors)
+            except CommandError as error:
+                client.put(encode({'type': 'error', 'message': str(error)}))
+                if refusal:
+                    return
+                continue
+            if not await self._obey(client, command):
+                return
+
+    async def _obey(self, client: Client, command: Command) -> bool:
+        """Carry a command out; False ends the connection."""
+        answer = {'type': 'reply', 'id': command.number, 'command': command.name}
+
+        def reply(ok: bool, text: str) -> None:
+            self._call(client.put, encode({**answer, 'ok': ok, 'message': text}))
+
+        if command.name == 'token':
+            client.granted = self._access.accepts(command.fields['token'])
+            if not client.granted:
+                client.wrong_tokens += 1
+                await asyncio.sleep(_WRONG_TOKEN_DELAY)
+            reply(client.granted, 'token accepted' if client.granted else 'this is not the token')
+            return client.wrong_tokens < _MOST_WRONG_TOKENS
+        if not client.granted:
+            reply(False, 'the token is needed for this')
+        elif not self._submit(command, reply):
+            reply(False, 'busy with earlier commands: try again')
+        return True
+
+
+def guard(access: Access) -> Middleware:
+    """Middleware that refuses requests from elsewhere and adds security headers."""
+
+    @web.middleware
+    async def middleware(request: web.Request, handler: Handler) -> web.StreamResponse:
+        refusal = access.refusal(request.headers)
+        if refusal:
+            return web.Response(status=403, text=f'refused: {refusal}\n', headers=HEADERS)
+        try:
+            response = await handler(request)
+        except web.HTTPException as error:
+            error.headers.update(HEADERS)
+            raise
+        if not response.prepared:
+            response.headers.update(HEADERS)
+        return response
+
+    return middleware
+
+
+def _logger() -> logging.Logger:
+    """A logger without what is sent here that is no HTTP, which aiohttp logs with a traceback."""
+    logger = logging.getLogger('lpv_node.view.requests')
+    logger.filters = [
+        lambda record: not (record.exc_info and isinstance(record.exc_info[1], HttpProcessingError))
+    ]
+    return logger

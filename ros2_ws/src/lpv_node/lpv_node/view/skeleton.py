@@ -1,0 +1,61 @@
+"""Where the joints and the tip of an arm are, for drawings."""
+
+from pathlib import Path
+
+import numpy as np
+
+from lpv.core.serial_arm.chain import compile_chain
+from lpv.core.serial_arm.description import SerialArm, rotation_from_rpy
+from lpv.core.serial_arm.dynamics.kinematics import joint_frames
+from lpv.core.support.errors import ConfigError
+from lpv.core.uio.planar import is_planar, plane_of
+
+_LARGEST_URDF = 4 << 20
+"""Descriptions with more bytes are not read."""
+
+
+class Skeleton:
+    """Corners of an arm: base, joints, tip; ``reach`` is the length of the stretched arm [m].
+
+
+    Planar arms are drawn in their plane, others in space.
+    """
+
+    def __init__(self, arm: SerialArm) -> None:
+        self._chain, self._up = compile_chain(arm), rotation_from_rpy(arm.base_orientation)
+        steps = [*self._chain.translation, self._chain.tip_translation]
+        slides = [np.abs(joint.range).max() for joint in arm.joints if joint.is_prismatic]
+        self.reach = max(0.1, float(np.linalg.norm(steps, axis=1).sum() + sum(slides)))
+        self._plane = plane_of(arm) if is_planar(arm) else None
+
+    def corners(self, q: list[float]) -> np.ndarray:
+        """Positions of base, joints and tip at joint positions [rad], shape (k, 3), z up [m]."""
+        count = len(q) + 1
+        rotations, origins = np.empty((count, 3, 3)), np.empty((count, 3))
+        joint_frames(self._chain, np.array(q), rotations, origins)
+        return np.vstack([np.zeros((1, 3)), origins])
+
+    def in_world(self, points: np.ndarray) -> np.ndarray:
+        """Points of the base frame, shape (..., 3), in a frame whose z points up [m]."""
+        return np.asarray(points @ self._up.T)
+
+    def drawn(self, points: np.ndarray) -> np.ndarray:
+        """Points of the base frame as they are drawn: forward and up of a planar arm, shape
+        (..., 2), or in space with z up, shape (..., 3) [m]."""
+        if self._plane is None:
+            return self.in_world(points)
+        origin, rows = self._plane
+        return np.asarray((points - origin) @ rows.T)
+
+
+def urdf_text(arm: SerialArm, arm_file: str) -> str:
+    """The URDF that an arm file names; ConfigError if it cannot be read."""
+    if not arm.urdf:
+        raise ConfigError('urdf', 'is not named in the arm file', arm_file)
+    path = Path(arm_file).parent / arm.urdf
+    try:
+        if path.stat().st_size > _LARGEST_URDF:
+            raise ConfigError('urdf', f'{path} has more than {_LARGEST_URDF} bytes', arm_file)
+        return path.read_text(encoding='utf-8')
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError('urdf', f'cannot be read: {error}', arm_file) from error

@@ -1,0 +1,194 @@
+"""Hostile clients of the page's socket and of the Foxglove port, and of the ports below them."""
+
+import asyncio
+import json
+import math
+import random
+
+import pytest
+from test_view_server import serve
+
+aiohttp = pytest.importorskip('aiohttp')
+pytest.importorskip('foxglove', reason='foxglove-sdk is not installed')
+
+from fuzzing import Tally, cases, peak_memory  # noqa: E402
+from test_view_foxglove import TOPICS, Viewer, bridge, connect  # noqa: E402
+
+from lpv.core.simulation.faults import KINDS  # noqa: E402
+
+pytestmark = pytest.mark.fuzz
+_MEMORY = 300 << 20
+_CONNECTIONS, _MESSAGES = 12, 20
+VALUES = (
+    None, True, -1, 0, 1, 0.5, 1e300, 2**53, 10**400, '', 'x', 'a' * 3000, [], {}, [[]], '\ud800',
+    'link1_angle', 'bias', 'NaN', math.nan, math.inf,
+)  # fmt: skip
+GOOD = (
+    {'type': 'inject', 'id': 1, 'sensor': 'link1_angle', 'kind': 'bias', 'size': 0.3},
+    {'type': 'clear', 'id': 2, 'sensor': ''},
+    {'type': 'reset', 'id': 3},
+)
+OPERATIONS = (
+    {'op': 'subscribe', 'subscriptions': [{'id': 1, 'channelId': 1}]},
+    {'op': 'unsubscribe', 'subscriptionIds': [1]},
+    {'op': 'advertise', 'channels': [{'id': 1, 'topic': '/x', 'encoding': 'json'}]},
+    {'op': 'getParameters', 'parameterNames': ['x'], 'id': '1'},
+    {'op': 'setParameters', 'parameters': [{'name': 'x', 'value': 1}]},
+    {'op': 'subscribeConnectionGraph'},
+    {'op': 'fetchAsset', 'uri': 'file:///etc/passwd', 'requestId': 1},
+)
+
+
+def hostile(rng, good):
+    """One message: a good one with other values, keys or bytes; or nothing of the kind."""
+    kind = rng.randrange(8)
+    if kind == 0:
+        return rng.randbytes(rng.choice((0, 1, 5, 200, 3000)))
+    if kind == 1:
+        return rng.choice(('', '{', '[]', '7', '[' * 1500, '{"type": NaN}', '"' * 99, '\x00', '💥'))
+    data = dict(rng.choice(good))
+    for _ in range(rng.choice((0, 1, 1, 2))):
+        data[rng.choice([*data, 'size', 'rate', 'x'])] = rng.choice(VALUES)
+    text = json.dumps(data)
+    if kind == 2:
+        place = rng.randrange(len(text))
+        text = text[:place] + rng.choice('{}[]",:0e\\\n') + text[place + 1 :]
+    return text
+
+
+async def send(ws, message):
+    await (ws.send_bytes(message) if isinstance(message, bytes) else ws.send_str(message))
+
+
+async def attack_page(served, rng, tally):
+    """One connection: each message is answered by a reply or an error, or ends it."""
+    async with aiohttp.ClientSession() as session, session.ws_connect(f'{served.url}/ws') as ws:
+        for _ in range(_MESSAGES):
+            message = hostile(rng, GOOD)
+            tally.tried += 1
+            await send(ws, message)
+            answer = await ws.receive(timeout=10.0)
+            if answer.type != aiohttp.WSMsgType.TEXT:
+                tally.refused += 1
+                return
+            reply = json.loads(answer.data)
+            assert reply['message'] and len(reply['message']) < 500, reply
+            good = reply['type'] == 'reply' and reply['ok']
+            tally.accepted += good
+            tally.refused += not good
+
+
+def assert_commands_make_sense(commands, sensors):
+    for command in commands:
+        fields = command.fields
+        assert command.name in ('inject', 'clear', 'reset')
+        assert fields.get('sensor', '') in ('', *sensors)
+        assert fields.get('kind', 'bias') in KINDS
+        assert all(abs(fields.get(name, 0.0)) <= 1e6 for name in ('size', 'rate', 'duration'))
+
+
+def test_given_hostile_messages_to_the_page_when_sent_then_each_is_answered_and_others_are_served(
+    paper_arm, caplog
+):
+    tally, memory = Tally(), peak_memory()
+    with serve(paper_arm) as served:
+        for seed in cases(_CONNECTIONS):
+            asyncio.run(attack_page(served, random.Random(seed), tally))
+        asyncio.run(follow(served))
+        assert_commands_make_sense(served.commands, paper_arm.sensor_names)
+    print(f'page: {tally}')
+    assert tally.refused and tally.accepted
+    assert 'Traceback' not in caplog.text
+    assert peak_memory() - memory < _MEMORY
+
+
+async def follow(served):
+    """A new client gets its first message and the next frame within a second."""
+    async with aiohttp.ClientSession() as session, session.ws_connect(f'{served.url}/ws') as ws:
+        await asyncio.to_thread(served.welcome)
+        assert json.loads((await ws.receive(timeout=1.0)).data)['type'] == 'hello'
+        served.server.frame({'type': 'frame'})
+        assert json.loads((await ws.receive(timeout=1.0)).data)['type'] == 'frame'
+
+
+async def attack_foxglove(port, rng, tally):
+    """One connection: messages are ignored, answered by a status, or end it."""
+    async with aiohttp.ClientSession() as session, connect(session, port) as ws:
+        for _ in range(_MESSAGES):
+            tally.tried += 1
+            await send(ws, hostile(rng, OPERATIONS))
+        heard = []
+        while not ws.closed:
+            try:
+                message = await ws.receive(timeout=0.05)
+            except asyncio.TimeoutError:  # noqa: UP041 - not the same in Python 3.10
+                break
+            if message.type == aiohttp.WSMsgType.TEXT:
+                heard.append(json.loads(message.data).get('op'))
+    refused = _MESSAGES if ws.closed and not heard else min(heard.count('status'), _MESSAGES)
+    tally.refused += refused
+    tally.accepted += _MESSAGES - refused
+
+
+def test_given_hostile_messages_to_foxglove_when_sent_then_other_viewers_are_served(
+    paper_arm, caplog
+):
+    tally, memory = Tally(), peak_memory()
+
+    async def view(running, port):
+        async with aiohttp.ClientSession() as client, connect(client, port) as ws:
+            viewer = Viewer(ws)
+            await viewer.start(len(TOPICS) + 1)
+            await asyncio.sleep(0.2)
+            running.send('/tf', b'\x00\x01\x00\x00' + bytes(12), 5)
+            return await asyncio.wait_for(viewer.next(), 1.0)
+
+    with bridge(paper_arm) as (running, port):
+        for seed in cases(_CONNECTIONS):
+            asyncio.run(attack_foxglove(port, random.Random(seed), tally))
+        assert asyncio.run(view(running, port))[:2] == ('/tf', 5)
+    print(f'Foxglove: {tally}')
+    assert 'Traceback' not in caplog.text
+    assert peak_memory() - memory < _MEMORY
+
+
+REQUESTS = (
+    b'', b'\x00' * 100, b'GET / HTTP/9.9\r\n\r\n', b'GET ' + b'/' * 70_000, b'\r\n' * 5000,
+    b'GET /ws HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\n\r\n' + b'\xff' * 500,
+    b'POST / HTTP/1.1\r\nHost: localhost\r\nContent-Length: 99999999999\r\n\r\nx',
+    b'GET / HTTP/1.1\r\nHost: localhost\r\n' + b'A: b\r\n' * 5000 + b'\r\n',
+    b'GET /%00%ff/../../etc/passwd HTTP/1.1\r\nHost: localhost\r\n\r\n',
+)  # fmt: skip
+
+
+async def attack_port(port, rng, tally):
+    """Bytes that are no request: the server answers with an error or closes."""
+    data = rng.choice(REQUESTS)
+    if rng.random() < 0.5 and data:
+        place = rng.randrange(len(data))
+        data = data[:place] + rng.randbytes(8) + data[place + 8 :]
+    tally.tried += 1
+    reader, writer = await asyncio.open_connection('127.0.0.1', port)
+    writer.write(data)
+    writer.write_eof()
+    try:
+        answer = await asyncio.wait_for(reader.read(1 << 16), 5.0)
+    except ConnectionError:
+        answer = b''
+    writer.close()
+    assert not answer or answer.split()[1][:1] in (b'3', b'4', b'5'), answer[:200]
+    tally.refused += 1
+
+
+def test_given_bytes_that_are_no_request_when_sent_then_the_port_refuses_and_serves_others(
+    paper_arm, caplog
+):
+    tally = Tally()
+    with serve(paper_arm) as served, bridge(paper_arm) as (_, foxglove):
+        for seed in cases(60):
+            rng = random.Random(seed)
+            asyncio.run(attack_port(rng.choice((served.port, foxglove)), rng, tally))
+        asyncio.run(follow(served))
+    print(f'ports: {tally}')
+    assert 'Traceback' not in caplog.text
+    assert len(caplog.text) < 2000, 'a flood of lines'

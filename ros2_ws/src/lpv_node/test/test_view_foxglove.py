@@ -1,0 +1,200 @@
+"""The Foxglove protocol, with a plain WebSocket client of it."""
+
+import asyncio
+import json
+import re
+import socket
+from contextlib import contextmanager
+
+import pytest
+from places import PACKAGES
+
+aiohttp = pytest.importorskip('aiohttp')
+pytest.importorskip('foxglove', reason='foxglove-sdk is not installed')
+pytest.importorskip('lpv_node.view', reason='the workspace is not built')
+
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: E402
+
+from lpv.bag.rosbag.interfaces import make_typestore  # noqa: E402
+from lpv_node.view.access import Access  # noqa: E402
+from lpv_node.view.foxglove_bridge import FoxgloveBridge, gate  # noqa: E402
+from lpv_node.view.scene import MARKERS, TRANSFORMS, Scene  # noqa: E402
+from lpv_node.view.server import ViewServer  # noqa: E402
+
+PROTOCOL = 'foxglove.sdk.v1'
+APP = 'https://app.foxglove.dev'
+TOPICS = {
+    '/lpv/arm_markers': (MARKERS, 0),
+    '/tf': (TRANSFORMS, 0),
+    '/lpv/robot_description': ('std_msgs/msg/String', 1),
+    '/lpv/fault_alarm': ('lpv_msgs/msg/FaultAlarm', 2),
+}
+
+
+@contextmanager
+def bridge(arm):
+    running = FoxgloveBridge('test', TOPICS, '/lpv/fault_band')
+    access = Access('127.0.0.1', '', (), (APP,))
+    server = ViewServer(access, arm.sensor_names, lambda *_: True)
+    try:
+        (port,) = server.start([(gate(access, running.address, running.port), '127.0.0.1', 0)])
+        yield running, port
+    finally:
+        server.stop()
+        running.stop()
+
+
+class Viewer:
+    """A client that subscribes to every channel."""
+
+    def __init__(self, ws):
+        self.ws, self.channels = ws, {}
+
+    async def start(self, count):
+        info = json.loads((await self.ws.receive(timeout=10.0)).data)
+        assert info['op'] == 'serverInfo'
+        while len(self.channels) < count:
+            message = json.loads((await self.ws.receive(timeout=10.0)).data)
+            assert message['op'] == 'advertise'
+            self.channels.update({c['id']: c for c in message['channels']})
+        wanted = [{'id': 100 + i, 'channelId': i} for i in self.channels]
+        await self.ws.send_json({'op': 'subscribe', 'subscriptions': wanted})
+        return info
+
+    async def next(self):
+        """Topic, time [ns] and bytes of the next message."""
+        message = await self.ws.receive(timeout=10.0)
+        assert message.type == aiohttp.WSMsgType.BINARY and message.data[0] == 1, message
+        channel = self.channels[int.from_bytes(message.data[1:5], 'little') - 100]
+        return channel['topic'], int.from_bytes(message.data[5:13], 'little'), message.data[13:]
+
+    async def silent(self, seconds=0.3):
+        try:
+            return await self.ws.receive(timeout=seconds) is None
+        except asyncio.TimeoutError:  # noqa: UP041 - not the same in Python 3.10
+            return True
+
+
+def connect(session, port, **headers):
+    return session.ws_connect(f'http://127.0.0.1:{port}/', protocols=[PROTOCOL], headers=headers)
+
+
+def decode(channel, data):
+    """A message read with nothing but what the channel advertises, as Foxglove reads it."""
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(channel['schema'], channel['schemaName']))
+    return store.deserialize_cdr(data, channel['schemaName'])
+
+
+def test_given_a_client_when_it_subscribes_then_it_can_read_messages_by_the_schema_alone(paper_arm):
+    scene = Scene(paper_arm, make_typestore())
+    arms = {'true': [1.0, 0.5], 'estimated': [1.1, 0.4], 'measured': None}
+    stamp = 12_000_000_034
+
+    async def session(running, port):
+        async with aiohttp.ClientSession() as client, connect(client, port, Origin=APP) as ws:
+            viewer = Viewer(ws)
+            info = await viewer.start(len(TOPICS) + 1)
+            assert info['capabilities'] == [], 'clients can only look'
+            await asyncio.sleep(0.2)
+            running.send('/lpv/arm_markers', scene.markers(arms, stamp), stamp)
+            running.send('/tf', scene.tree(arms, stamp), stamp)
+            band = {'estimate': [0.1, 0.2], 'bound': [0.3, 0.3], 'threshold': [0.4, 0.5]}
+            running.send_band(band, stamp)
+            return viewer.channels, [await viewer.next() for _ in range(3)]
+
+    with bridge(paper_arm) as (running, port):
+        channels, received = asyncio.run(session(running, port))
+    by_topic = {c['topic']: c for c in channels.values()}
+    for topic, (msgtype, _) in TOPICS.items():
+        found = [by_topic[topic][key] for key in ('schemaName', 'encoding', 'schemaEncoding')]
+        assert found == [msgtype, 'cdr', 'ros2msg']
+    messages = {topic: (time, data) for topic, time, data in received}
+    assert {time for time, _ in messages.values()} == {stamp}
+    markers = decode(by_topic['/lpv/arm_markers'], messages['/lpv/arm_markers'][1]).markers
+    assert {m.ns for m in markers} == {'true', 'estimated'}
+    assert [(m.header.stamp.sec, m.header.stamp.nanosec) for m in markers] == [(12, 34)] * 4
+    tree = decode(by_topic['/tf'], messages['/tf'][1]).transforms
+    links = ('base_link', 'link1', 'link2', 'tip')
+    frames = [f'{arm}/{link}' for arm in ('true', 'estimated') for link in links]
+    assert [t.child_frame_id for t in tree] == frames
+    band = json.loads(messages['/lpv/fault_band'][1])
+    assert band['upper'] == pytest.approx([0.4, 0.5])
+    assert band['threshold_low'] == [-0.4, -0.5]
+
+
+def test_given_latched_messages_when_a_client_comes_late_then_it_alone_gets_the_last_ones(
+    paper_arm,
+):
+    async def late_ones(running, port):
+        async with (
+            aiohttp.ClientSession() as client,
+            connect(client, port) as early,
+            connect(client, port) as late,
+        ):
+            first, second = Viewer(early), Viewer(late)
+            await first.start(len(TOPICS) + 1)
+            got = [await first.next() for _ in range(3)]
+            await second.start(len(TOPICS) + 1)
+            also = [await second.next() for _ in range(3)]
+            assert await first.silent() and await second.silent()
+            return got, also
+
+    with bridge(paper_arm) as (running, port):
+        for k in range(5):
+            running.send('/lpv/fault_alarm', b'\0\1\0\0%d' % k, 10 + k)
+        running.send('/lpv/robot_description', b'\0\1\0\0urdf', 5)
+        got, also = asyncio.run(late_ones(running, port))
+    for received in (got, also):
+        alarms = [data for topic, _, data in received if topic == '/lpv/fault_alarm']
+        assert alarms == [b'\0\1\0\0%d' % k for k in (3, 4)]
+        # Not before the present, or the client's time line would begin there.
+        assert min(time for _, time, _ in received) >= 13
+
+
+@pytest.mark.parametrize(
+    ('headers', 'status'),
+    [
+        ({'Origin': 'http://evil.example'}, 403),
+        ({'Origin': 'null'}, 403),
+        ({'Origin': 'https://app.foxglove.dev.evil.example'}, 403),
+        ({'Host': 'evil.example'}, 403),
+    ],
+)
+def test_given_another_origin_when_it_connects_then_it_is_refused(paper_arm, headers, status):
+    async def attempt(port):
+        async with aiohttp.ClientSession() as client:
+            with pytest.raises(aiohttp.WSServerHandshakeError) as refused:
+                await connect(client, port, **headers)
+            return refused.value.status
+
+    with bridge(paper_arm) as (_, port):
+        assert asyncio.run(attempt(port)) == status
+
+
+def test_given_the_bridge_when_it_listens_then_only_this_machine_can_reach_it(paper_arm):
+    async def plain(port):
+        async with (
+            aiohttp.ClientSession() as client,
+            client.get(f'http://127.0.0.1:{port}/') as response,
+        ):
+            return response.status
+
+    with bridge(paper_arm) as (running, port):
+        assert running.address.startswith('127.')
+        assert running.address != '127.0.0.1', 'nobody can guess it'
+        with pytest.raises(OSError):
+            socket.create_connection(('127.0.0.1', running.port), 1.0)
+        assert asyncio.run(plain(port)) == 400
+
+
+def test_given_the_layout_when_read_then_every_topic_in_it_is_forwarded():
+    pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
+    from lpv_node.view.topics import TOPICS as LISTENED
+
+    made = {'arm_markers', 'robot_description', 'true_robot_description', 'fault_band'}
+    known = {'/lpv/' + name for name in made | {t.name for t in LISTENED}} | {'/diagnostics'}
+    file = PACKAGES / 'lpv_node' / 'layout' / 'lpv_foxglove.json'
+    named = {name.split('.')[0] for name in re.findall(r'"(/[^" ]*)"', file.read_text())}
+    assert len(named) >= 8
+    assert named <= known

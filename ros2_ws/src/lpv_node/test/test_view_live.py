@@ -1,0 +1,350 @@
+"""The live view on a running graph: in a browser, over the Foxglove protocol, as ROS topics."""
+
+import asyncio
+import os
+import re
+import shutil
+import socket
+import time
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+import ros
+from places import BRINGUP
+
+pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
+aiohttp = pytest.importorskip('aiohttp')
+
+from hostile import node_of  # noqa: E402
+from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
+from std_msgs.msg import String  # noqa: E402
+from test_view_foxglove import Viewer, connect, decode  # noqa: E402
+from visualization_msgs.msg import MarkerArray  # noqa: E402
+
+from lpv.core.export.urdf import arm_urdf  # noqa: E402
+from lpv.core.support.errors import ConfigError  # noqa: E402
+from lpv.core.uio.certificate.gains import save_gains  # noqa: E402
+from lpv_msgs.srv import ClearFaults  # noqa: E402
+from lpv_node.view.node import ViewNode  # noqa: E402
+
+pytestmark = pytest.mark.ros
+
+ARM = BRINGUP / 'arms' / 'paper.yaml'
+FLAGS = '--headless --no-sandbox --disable-gpu --disable-quic --no-first-run'
+FLAGS += ' --disable-background-networking --disable-component-update --disable-sync'
+BROWSER = os.environ.get('CHROMIUM') or shutil.which('chromium') or shutil.which('chromium-browser')
+
+
+class Running:
+    """A graph with its view: domain, address of the page, log folder."""
+
+    def __init__(self, graph, domain, log, page=r'page: (http://\S+)'):
+        self.graph, self.domain, self.log = graph, domain, log
+        self.page = self.find(page)
+
+    def find(self, pattern, timeout=60.0):
+        deadline = time.monotonic() + timeout
+        while time.monotonic() < deadline:
+            found = re.search(pattern, text(self.log / 'view.log'))
+            if found:
+                return found.group(1)
+            self.graph.check()
+            time.sleep(0.05)
+        raise AssertionError(text(self.log / 'view.log'))
+
+
+def text(log):
+    return log.read_text() if log.exists() else ''
+
+
+def start(graph, gains, scenario):
+    """All nodes in lockstep, which no load of the machine disturbs; the simulator comes first."""
+    common = (f'arm_file:={ARM}', 'lockstep:=true')
+    path = f'scenario_file:={scenario}'
+    graph.start('simulator', ros.command('simulator', *common, path))
+    yield
+    graph.start('uio', ros.command('uio', *common, files=[gains]))
+    graph.start('tracker', ros.command('tracker', *common, path, files=[gains]))
+    yield
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(('127.0.0.1', 0))
+        return probe.getsockname()[1]
+
+
+def scenario_file(folder):
+    """To and fro on a line, for longer than any test lasts."""
+    points = ''.join(
+        f'    - {{t: {10.0 * k + 0.1}, x: {0.8451 * (-1) ** (k + 1)}, y: 1.5893}}\n'
+        for k in range(100)
+    )
+    path = folder / 'scenario.yaml'
+    path.write_text('name: to_and_fro\nduration: 1000.0\npath:\n  waypoints:\n' + points)
+    return path
+
+
+@pytest.mark.parametrize(
+    ('parameters', 'told'),
+    [
+        ({}, 'arm_file: must be set'),
+        ({'arm_file': ARM, 'scenario_file': '/no/x.yaml'}, 'neither a file nor shipped'),
+        ({'arm_file': ARM, 'address': '192.0.2.1'}, r'cannot listen on 192\.0\.2\.1'),
+    ],
+)
+def test_given_a_view_that_cannot_start_when_set_up_then_it_says_why(parameters, told):
+    with (
+        pytest.raises(ConfigError, match=told),
+        node_of(ViewNode, 'view', foxglove_port=0, port=0, **parameters),
+    ):
+        pass
+
+
+def test_given_a_view_that_cannot_start_when_run_then_it_ends_with_code_1_and_no_traceback(
+    tmp_path,
+):
+    with ros.graph(tmp_path) as graph:
+        node = graph.start('view', ros.command('view', f'arm_file:={ARM}', 'port:=70000'))
+        assert node.process.wait(60) == 1
+        graph.stop()
+    log = (tmp_path / 'view.log').read_text()
+    assert 'port' in log and 'Traceback' not in log, log
+
+
+@pytest.fixture(scope='module')
+def gains_file(paper_gains, tmp_path_factory):
+    path = tmp_path_factory.mktemp('gains') / 'gains.yaml'
+    save_gains(paper_gains, path)
+    return path
+
+
+@pytest.fixture(scope='module')
+def live(gains_file, tmp_path_factory):
+    """One graph for all tests that look on; the view is there first, and must not start it.
+
+    Publishers of a lockstep graph wait for their readers.  Were the view taken for one of them,
+    the first sample would be lost, and nothing would ever move.
+    """
+    folder, domain = tmp_path_factory.mktemp('live'), ros.next_domain()
+    scenario = scenario_file(folder)
+    with ros.graph(folder / 'log', domain) as graph:
+        files = f'arm_file:={ARM}', f'scenario_file:={scenario}'
+        ports = 'port:=0', f'foxglove_port:={free_port()}'
+        graph.start('view', ros.command('view', *files, *ports))
+        running = Running(graph, domain, folder / 'log')
+        running.foxglove = running.find(r'Foxglove: ws://127\.0\.0\.1:(\d+)')
+        steps = start(graph, gains_file, scenario)
+        next(steps)
+        with ros.client(domain) as client:
+            service = client.node.create_client(ClearFaults, 'arm_sim/clear_faults')
+            assert client.wait(service.service_is_ready, 60.0)
+            client.wait(lambda: False, 1.0)
+            assert 'lockstep, ' not in text(folder / 'log' / 'simulator.log'), 'not for the view'
+            next(steps)
+            # Not by an estimate: this client would be one of its readers.  The first run compiles.
+            markers = client.listen(MarkerArray, 'arm_markers', 10)
+            assert client.wait(
+                lambda: any(m.ns == 'estimated' for array in markers for m in array.markers), 240.0
+            ), 'no estimates'
+        yield running
+        codes = graph.stop()
+    assert set(codes.values()) == {0}, codes
+    assert 'Traceback' not in (folder / 'log' / 'view.log').read_text()
+
+
+@pytest.fixture(scope='module')
+def browser(tmp_path_factory):
+    """A headless Chromium with an empty profile of its own."""
+    playwright = pytest.importorskip('playwright.sync_api', reason='playwright is not installed')
+    if not BROWSER:
+        pytest.skip('there is no Chromium: apt-get install chromium, or set CHROMIUM')
+    with playwright.sync_playwright() as driver:
+        started = driver.chromium.launch_persistent_context(
+            str(tmp_path_factory.mktemp('profile')),
+            executable_path=BROWSER,
+            args=FLAGS.split(),
+            headless=True,
+            viewport={'width': 1280, 'height': 900},
+        )
+        yield started
+        started.close()
+
+
+@pytest.fixture
+def page(live, browser):
+    """The page; it must neither complain nor load anything from elsewhere."""
+    complaints, asked = [], []
+    tab, bad = browser.new_page(), ('error', 'warning')
+    tab.on('console', lambda m: complaints.append(m.text) if m.type in bad else None)
+    tab.on('pageerror', lambda error: complaints.append(str(error)))
+    tab.on('request', lambda request: asked.append(request.url))
+    tab.goto(live.page)
+    yield tab
+    tab.close()
+    assert complaints == []
+    assert [url for url in asked if not url.startswith(live.page)] == []
+
+
+def picture(page):
+    return page.evaluate("document.getElementById('arm').toDataURL()")
+
+
+def until(page, condition, timeout=20.0):
+    """Wait for a condition; Playwright's own way is what the page's security policy forbids."""
+    deadline = time.monotonic() + timeout
+    while not condition():
+        assert time.monotonic() < deadline, page.inner_text('body')
+        page.wait_for_timeout(50)
+
+
+def test_given_a_running_graph_when_a_fault_is_injected_from_the_page_then_its_alarm_comes_and_goes(
+    live, page
+):
+    until(page, lambda: page.text_content('#mode') == 'observing', 60.0)
+    assert page.inner_text('#arm-name') == 'paper'
+    first = picture(page)
+    until(page, lambda: picture(page) != first)
+    page.wait_for_selector('#verdict.ok', timeout=20_000)
+    page.select_option('#sensor', 'link2_angle')
+    page.fill('#size', '0.4')
+    page.click('#inject')
+    page.wait_for_selector('tr.open[data-sensor="link2_angle"]', timeout=60_000)
+    assert 'bias on link2_angle' in page.inner_text('#reply')
+    page.wait_for_selector('#verdict.error')
+    assert page.inner_text('#verdict-head') == 'link2_angle is faulty'
+    reading = page.locator('#sensor-1 .reading b')
+    until(page, lambda: abs(float(reading.text_content()[1:6]) - 0.4) < 0.1)
+    assert page.inner_text('#sensor-1 .pill') == '✕ faulty'
+    row = page.locator('tr[data-sensor="link2_angle"]').first
+    until(page, lambda: 'bias' in row.inner_text())
+    page.click('#clear')
+    page.wait_for_selector('tr.open', state='detached', timeout=60_000)
+    page.wait_for_selector('#verdict.ok')
+    assert '1 faults cleared' in page.inner_text('#reply')
+    assert 'over' in row.inner_text() and 'bias' in row.inner_text()
+
+
+def test_given_a_phone_when_the_page_is_opened_then_nothing_is_wider_than_the_screen(live, page):
+    page.set_viewport_size({'width': 360, 'height': 740})
+    page.wait_for_selector('#clock:not([hidden])', timeout=60_000)
+    assert page.evaluate('document.documentElement.scrollWidth') <= 360
+    for theme in ('dark', 'light'):
+        page.emulate_media(color_scheme=theme)
+        until(page, lambda t=theme: page.get_attribute('html', 'data-theme') == t)
+    page.select_option('#kind', 'stuck')
+    assert not page.is_visible('#size')
+    page.select_option('#kind', 'drift')
+    assert page.is_visible('#size') and page.is_visible('#rate')
+    for name in ('inject', 'clear', 'reset', 'theme'):
+        box = page.locator(f'#{name}').bounding_box()
+        assert box['height'] >= 40, f'{name} is too small for a finger'
+
+
+def test_given_a_page_when_the_connection_breaks_then_it_says_so_and_comes_back(live, page):
+    page.wait_for_selector('#clock:not([hidden])', timeout=60_000)
+    # A WebSocket that is closed under the page, as by a node that ends.
+    page.evaluate("""() => {
+      const send = WebSocket.prototype.send;
+      WebSocket.prototype.send = function (data) { window.cut = () => this.close();
+        WebSocket.prototype.send = send; send.call(this, data); };
+    }""")
+    page.click('#reset')
+    page.evaluate('window.cut()')
+    until(page, lambda: page.text_content('#connection') != 'connected')
+    until(page, lambda: page.text_content('#connection') == 'connected')
+    clock = page.text_content('#clock')
+    until(page, lambda: page.text_content('#clock') != clock)
+
+
+def test_given_a_running_graph_when_foxglove_connects_then_it_sees_the_topics_and_their_data(live):
+    names = 'joint_states state_estimate fault_estimate torque_command ground_truth reference'
+    names += ' arm_markers robot_description fault_band'
+    wanted = {f'/lpv/{name}' for name in names.split()} | {'/tf', '/diagnostics'}
+
+    async def listen():
+        seen = {}
+        async with aiohttp.ClientSession() as client, connect(client, int(live.foxglove)) as ws:
+            viewer = Viewer(ws)
+            await viewer.start(13)
+            deadline = time.monotonic() + 60.0
+            while not wanted <= set(seen) and time.monotonic() < deadline:
+                topic, stamp, data = await viewer.next()
+                seen[topic] = stamp, data
+            return {c['topic']: c for c in viewer.channels.values()}, seen
+
+    # In a thread of its own: the browser's driver keeps an event loop in this one.
+    with ThreadPoolExecutor(1) as thread:
+        channels, seen = thread.submit(lambda: asyncio.run(listen())).result()
+    assert wanted <= set(seen), wanted - set(seen)
+    stamp, data = seen['/lpv/state_estimate']
+    state = decode(channels['/lpv/state_estimate'], data)
+    assert stamp == state.header.stamp.sec * 10**9 + state.header.stamp.nanosec
+    assert np.isfinite(state.position).all()
+    faults, description = (
+        decode(channels[name], seen[name][1])
+        for name in ('/lpv/fault_estimate', '/lpv/robot_description')
+    )
+    assert list(faults.sensor_names) == ['link1_angle', 'link2_angle']
+    assert '<robot name="paper">' in description.data
+
+
+def test_given_a_running_graph_when_rviz_listens_then_it_gets_the_arm_and_its_description(
+    live, paper_arm
+):
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    with ros.client(live.domain) as client:
+        descriptions = client.listen(String, 'robot_description', latched)
+        markers = client.listen(MarkerArray, 'arm_markers', 10)
+        assert client.wait(lambda: descriptions and any(len(m.markers) == 6 for m in markers), 60.0)
+    assert descriptions[0].data == arm_urdf(paper_arm)
+    lines = {m.ns: m.points for array in markers for m in array.markers if m.id == 0}
+    assert {'true', 'estimated', 'measured'} <= set(lines)
+    tips = {name: np.array([p[-1].x, p[-1].z]) for name, p in lines.items()}
+    for name in ('true', 'estimated', 'measured'):
+        elbow = lines[name][-2]
+        assert np.hypot(elbow.x, elbow.z) == pytest.approx(paper_arm.joints[1].position[0])
+        assert np.linalg.norm(tips[name] - tips['true']) < 0.1
+    assert tips['true'][1] == pytest.approx(1.5893, abs=0.05), 'the path is a line at this height'
+
+
+def test_given_a_view_that_others_may_see_when_opened_then_its_buttons_need_the_printed_token(
+    live, tmp_path, request
+):
+    with ros.graph(tmp_path, live.domain) as graph:
+        ports = 'address:=0.0.0.0', 'port:=0', 'foxglove_port:=0'
+        graph.start('view', ros.command('view', f'arm_file:={ARM}', *ports))
+        shown = Running(graph, live.domain, tmp_path, r'(http://\S+/)#token=')
+        log = text(tmp_path / 'view.log')
+        token = re.search(r'need the token (\S+)', log).group(1)
+        assert len(token) >= 20 and log.count('need the token') == 1
+        try_token(request.getfixturevalue('browser').new_page(), shown.page, token)
+        assert graph.stop() == {'view': 0}
+
+
+def try_token(page, address, token):
+    """Look without it, fail without it, type it, then come by the link that carries it."""
+    address = f'http://127.0.0.1:{address.rsplit(":", 1)[1]}'
+    reply = page.locator('#reply')
+    page.goto(address)
+    page.wait_for_selector('#clock:not([hidden])', timeout=20_000)
+    assert page.is_visible('#token-form')
+    until(page, lambda: page.is_enabled('#inject'))
+    page.click('#clear')
+    until(page, lambda: 'the token is needed' in reply.inner_text())
+    page.fill('#token', 'a wrong one')
+    page.click('#token-form button')
+    until(page, lambda: 'not the token' in reply.inner_text())
+    page.fill('#token', token)
+    page.click('#token-form button')
+    until(page, lambda: 'accepted' in reply.inner_text())
+    assert not page.is_visible('#token-form')
+    page.click('#clear')
+    until(page, lambda: 'faults cleared' in reply.inner_text())
+    page.goto('about:blank')
+    page.goto(f'{address}#token={token}')
+    until(page, lambda: 'accepted' in reply.inner_text())
+    assert page.url == address, 'the token is gone from the address bar'
+    assert not page.is_visible('#token-form')
+    page.close()

@@ -1,0 +1,261 @@
+"""What the live view makes of messages, without ROS."""
+
+import json
+import math
+import re
+from importlib import resources
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+from serial_bags import crane
+
+pytest.importorskip('lpv_node.view', reason='the workspace is not built')
+
+from lpv.core.simulation.faults import KINDS  # noqa: E402
+from lpv_node.view.alarm_list import CLEARED, RAISED, UPDATED, AlarmList  # noqa: E402
+from lpv_node.view.commands import CommandError, parse_command  # noqa: E402
+from lpv_node.view.model import WINDOW, LiveModel  # noqa: E402
+
+SENSORS = ('link1_angle', 'link2_angle', 'encoder3')
+
+
+def stamp(t):
+    sec = math.floor(t)
+    return SimpleNamespace(sec=sec, nanosec=round((t - sec) * 1e9))
+
+
+def message(t, **fields):
+    return SimpleNamespace(header=SimpleNamespace(stamp=stamp(t)), **fields)
+
+
+def fault_estimate(t, estimate=(0.0, 0.0), alarm=(False, False), state=(0, 0)):
+    known = {'bound': np.full(len(alarm), 0.1), 'threshold': np.full(len(alarm), 0.1)}
+    names, state = SENSORS[: len(alarm)], np.array(state, np.uint8)
+    estimate = np.array(estimate)
+    return message(t, sensor_names=names, estimate=estimate, state=state, alarm=alarm, **known)
+
+
+def state_estimate(t, position=(1.6, 0.1), mode=0):
+    return message(t, position=np.array(position), mode=mode, trustworthy=True)
+
+
+def alarm(event, t, onset=1.0, sensor=SENSORS[0], **fields):
+    values = {'kind': 'bias', 'size': 0.3, 'bound': 0.05, 'confidence': 0.9, **fields}
+    times = {'onset': stamp(onset), 'detected': stamp(onset + 0.01)}
+    return message(t, event=event, sensor=sensor, **times, **values)
+
+
+def joint_states(t, name, position):
+    return message(t, name=name, position=position, velocity=[0.0] * len(name), effort=[])
+
+
+def test_given_no_messages_when_a_frame_is_made_then_it_says_that_nothing_is_known(paper_arm):
+    model = LiveModel(paper_arm)
+    frame = model.frame(0.0)
+    assert frame['mode'] is None and frame['age'] is None and frame['sample']['t'] is None
+    assert set(frame['arms'].values()) == {None}
+    json.dumps(frame, allow_nan=False)
+    assert model.hello()['history'] == []
+
+
+def test_given_messages_of_other_arms_when_they_come_then_they_are_left_out(paper_arm):
+    model = LiveModel(paper_arm)
+    model.take('fault_estimate', fault_estimate(1.0, (0.0, 0.0, 0.0)), 0.0)
+    model.take('state_estimate', state_estimate(1.0, (0.1,)), 0.0)
+    model.take('reference', message(1.0, tip_position=[0.0] * 9), 0.0)
+    frame = model.frame(0.1)
+    assert model.misfits == 3
+    assert frame['sample']['estimate'] == frame['states'] == [None, None]
+
+
+def test_given_values_that_are_not_finite_when_framed_then_json_has_none_of_them(paper_arm):
+    model = LiveModel(paper_arm)
+    model.take('ground_truth', message(1.0, position=[math.nan, 0.0], fault=[math.nan, 0.1]), 0.0)
+    model.take('fault_estimate', fault_estimate(1.0, (math.inf, -0.2)), 0.0)
+    model.take('joint_states', joint_states(1.0, ['elbow'], [1.0]), 0.0)
+    frame = json.loads(json.dumps(model.frame(0.1), allow_nan=False))
+    assert frame['arms'] == {'true': None, 'estimated': None, 'measured': None}
+    assert frame['sample']['fault'] == [None, 0.1]
+    assert frame['sample']['estimate'] == [None, -0.2]
+
+
+def test_given_joints_in_another_order_when_framed_then_the_measured_arm_is_the_same(paper_arm):
+    model = LiveModel(paper_arm)
+    names = ['gripper', 'joint2', 'joint1']
+    model.take('joint_states', joint_states(1.0, names, [9.0, 0.5, 1.0]), 0.0)
+    # The paper's q1 counts from the x axis; joint 1 is at the base.
+    elbow = np.array([np.cos(1.0), np.sin(1.0)])
+    tip = elbow + [np.cos(1.5), np.sin(1.5)]
+    corners = np.array(model.frame(0.0)['arms']['measured'])
+    np.testing.assert_allclose(corners, [[0.0, 0.0], [0.0, 0.0], elbow, tip], atol=1e-4)
+
+
+def test_given_a_serial_arm_when_framed_then_each_joint_has_its_values_and_place():
+    model = LiveModel(crane())
+    faults = fault_estimate(1.0, (0.0, 0.1, 0.2), (False,) * 3, (0, 1, 4))
+    model.take('fault_estimate', faults, 0.0)
+    model.take('state_estimate', state_estimate(1.0, (0.0, np.pi / 2, 0.0)), 0.0)
+    frame, hello = model.frame(0.1), json.loads(json.dumps(model.hello(), allow_nan=False))
+    assert frame['states'] == ['OK', 'WARN', 'NOT_DIAGNOSABLE']
+    assert frame['sample']['estimate'] == [0.0, 0.1, 0.2]
+    assert len(hello['sensors']) == 3 and hello['reach'] == pytest.approx(1.0)
+    np.testing.assert_allclose(frame['arms']['estimated'][-1], [0.0, 0.0, 1.0], atol=1e-4)
+
+
+def test_given_a_source_that_falls_silent_when_framed_then_it_is_no_longer_shown(paper_arm):
+    model = LiveModel(paper_arm)
+    model.take('state_estimate', state_estimate(1.0), 10.0)
+    assert model.frame(10.5)['arms']['estimated'] is not None
+    frame = model.frame(12.0)
+    assert frame['arms']['estimated'] is None and not frame['live']['state_estimate']
+    assert frame['age'] == 2.0
+    model.take('state_estimate', state_estimate(3.0, mode=4), 13.0)
+    assert model.frame(13.0)['arms']['estimated'] is None, 'values of NO_ESTIMATE mean nothing'
+
+
+def test_given_a_long_run_when_history_is_asked_for_then_it_is_one_window_without_repeats(
+    paper_arm,
+):
+    model = LiveModel(paper_arm)
+    for k in range(2000):
+        model.take('fault_estimate', fault_estimate(1.0 + 0.04 * (k // 2)), 0.04 * k)
+        model.frame(0.04 * k)
+    times = [sample['t'] for sample in model.hello()['history']]
+    assert times == sorted(set(times))
+    assert WINDOW - 0.1 < times[-1] - times[0] <= WINDOW
+    model.take('fault_estimate', fault_estimate(1.0), 100.0)
+    model.frame(100.0)
+    assert len(model.hello()['history']) == 1, 'time started anew'
+
+
+def test_given_a_source_that_ended_with_the_old_clock_when_time_starts_anew_then_it_goes_on(
+    paper_arm,
+):
+    model = LiveModel(paper_arm)
+    model.take('ground_truth', message(50.0, position=[1.0, 0.0], fault=[0.0, 0.0]), 0.0)
+    model.take('state_estimate', state_estimate(50.0), 0.0)
+    assert model.frame(0.0)['sample']['t'] == 50.0
+    for k in range(30):
+        model.take('state_estimate', state_estimate(1.0 + 0.1 * k), 0.1 * k)
+        frame = model.frame(0.1 * k)
+    assert frame['sample']['t'] == pytest.approx(3.9)
+    assert max(sample['t'] for sample in model.hello()['history']) < 4.0
+
+
+def test_given_many_diagnostics_when_framed_then_their_number_is_bounded(paper_arm):
+    model = LiveModel(paper_arm)
+    for k in range(100):
+        status = SimpleNamespace(
+            name=f'node {k}' * 100, level=bytes([k % 4]), message='m' * 9999, values=[]
+        )
+        model.take('diagnostics', SimpleNamespace(status=[status]), 0.0)
+    shown = model.frame(0.0)['diagnostics']
+    assert 0 < len(shown) <= 16
+    assert all(len(s['message']) <= 300 and len(s['name']) <= 300 for s in shown)
+    assert [s['level'] for s in shown[:4]] == ['OK', 'WARN', 'ERROR', 'STALE']
+
+
+def test_given_safe_stops_when_framed_then_they_are_counted_with_the_last_reason(paper_arm):
+    def report(model, now, **values):
+        pairs = [SimpleNamespace(key=k.replace('_', ' '), value=v) for k, v in values.items()]
+        status = SimpleNamespace(name='tracking', level=b'\2', message='m', values=pairs)
+        model.take('diagnostics', SimpleNamespace(status=[status]), now)
+        return model.frame(now)['stops']
+
+    model = LiveModel(paper_arm)
+    assert model.frame(0.0)['stops'] == {'count': 0, 'last': '', 'recent': False}
+    stops = report(model, 1.0, safe_stops='22', last_safe_stop='estimates come too late')
+    assert stops == {'count': 22, 'last': 'estimates come too late', 'recent': True}
+    assert not report(model, 2.0 + WINDOW, safe_stops='22', last_safe_stop='x')['recent']
+    for odd in ('-1', '', 'x', '9' * 99, '\u00b2'):
+        assert report(model, 40.0, safe_stops=odd)['count'] == 22
+
+
+def test_given_the_events_of_one_alarm_when_listed_then_they_are_one_row():
+    alarms = AlarmList()
+    alarms.add(alarm(RAISED, 1.01, kind='unclassified', size=0.29))
+    assert alarms.rows()[0]['ended'] is None
+    alarms.add(alarm(UPDATED, 1.5))
+    alarms.add(alarm(RAISED, 2.0, onset=1.9, sensor=SENSORS[1]))
+    alarms.add(alarm(CLEARED, 3.0, size=0.0, bound=0.0))
+    first, second = alarms.rows()
+    assert (first['kind'], first['size'], first['ended']) == ('bias', 0.3, 3.0)
+    assert (second['sensor'], second['onset'], second['ended']) == (SENSORS[1], 1.9, None)
+
+
+def test_given_an_observer_that_was_reset_when_it_reports_no_alarm_then_the_row_ends():
+    alarms = AlarmList()
+    alarms.add(alarm(RAISED, 1.01))
+    alarms.follow(fault_estimate(1.02))
+    assert alarms.rows()[0]['ended'] is None, 'topics may come in any order'
+    alarms.follow(fault_estimate(2.0, alarm=(True, False)))
+    assert alarms.rows()[0]['ended'] is None
+    alarms.follow(fault_estimate(2.5))
+    assert alarms.rows()[0]['ended'] == 2.5
+    alarms.add(alarm(CLEARED, 2.5))
+    assert len(alarms.rows()) == 1, 'the event came after the estimate'
+
+
+def test_given_endless_alarms_when_listed_then_the_newest_are_kept():
+    alarms = AlarmList()
+    for k in range(1000):
+        alarms.add(alarm(RAISED, k + 0.01, onset=float(k)))
+    rows = alarms.rows()
+    assert len(rows) == 200 and rows[-1]['onset'] == 999.0
+    assert [row['ended'] is None for row in rows].count(True) == 1
+
+
+INJECT = {'type': 'inject', 'id': 7, 'sensor': SENSORS[1], 'kind': 'bias', 'size': 1}
+
+
+@pytest.mark.parametrize('text', ['', '{', '[' * 4000, json.dumps({**INJECT, 'size': math.nan})])
+def test_given_what_is_not_json_when_parsed_then_it_is_told(text):
+    with pytest.raises(CommandError, match='JSON'):
+        parse_command(text, SENSORS)
+
+
+JSON = st.none() | st.booleans() | st.integers() | st.floats() | st.text() | st.lists(st.none())
+
+
+@given(st.sampled_from(['type', 'id', 'sensor', 'kind', 'size', 'rate', 'duration']), JSON)
+@example('size', 10**400)
+@example('rate', math.inf)
+def test_given_any_value_of_a_field_when_parsed_then_it_is_taken_or_named(name, value):
+    text = json.dumps({**INJECT, name: value}).replace('Infinity', '1e999').replace('NaN', '1e999')
+    try:
+        command = parse_command(text, SENSORS)
+    except CommandError as error:
+        assert str(error).startswith(f'{name}: ')
+        return
+    number = type(value) in (int, float) and abs(value) <= 1e6
+    assert number or (name == 'id' and type(value) is int and 0 <= value < 2**53)
+    assert name == 'id' or command.fields[name] == value
+
+
+@pytest.mark.parametrize(
+    ('data', 'told'),
+    [
+        ([], 'object'), (None, 'object'), ('inject', 'object'), ({}, 'type'), ({'type': 3}, 'type'),
+        ({'type': 'token'}, 'token'), ({'type': 'token', 'token': 'x' * 300}, 'token'),
+        ({'type': 'clear', 'sensor': 'elbow'}, 'sensor'), ({'type': 'inject'}, 'sensor'),
+    ],
+)  # fmt: skip
+def test_given_malformed_commands_when_parsed_then_the_reason_is_told(data, told):
+    with pytest.raises(CommandError, match=told):
+        parse_command(json.dumps(data), SENSORS)
+
+
+def test_given_the_kinds_of_faults_when_the_page_is_made_then_its_form_knows_them_all():
+    script = (resources.files('lpv_node.view') / 'static' / 'view.js').read_text()
+    fields = script.split('const FIELDS = {', 1)[1].split('\n};', 1)[0]
+    assert set(re.findall(r'(\w+): \{', fields)) == set(KINDS)
+
+
+def test_given_a_command_when_parsed_then_only_known_fields_remain():
+    command = parse_command(json.dumps({**INJECT, 'extra': 'x'}), SENSORS)
+    assert (command.name, command.number) == ('inject', 7)
+    fields = {'sensor': SENSORS[1], 'kind': 'bias', 'size': 1.0, 'rate': 0.0, 'duration': 0.0}
+    assert command.fields == fields

@@ -1,0 +1,226 @@
+"""The launch files: what they start with which arguments, and how it ends."""
+
+import os
+import re
+import shutil
+import signal
+import sys
+from pathlib import Path
+
+import pytest
+import ros
+import yaml
+from places import BRINGUP
+from ros2_commands import Running, ros2
+
+pytest.importorskip('lpv_ros2cli', reason='a real ros2cli is here')
+
+from lpv.core.support.resources import shipped_files  # noqa: E402
+from lpv_ros2cli.command_line import CliError  # noqa: E402
+from lpv_ros2cli.launch import Launch  # noqa: E402
+
+FILES = {path.name.partition('.')[0]: path for path in (BRINGUP / 'launch').glob('*.xml')}
+NODE = '<node pkg="lpv_uio" exec="uio"'
+
+
+def programs(path, **given):
+    """Programs of a launch file by their names without numbers."""
+    launch = Launch(given)
+    launch.include(path)
+    return {program.name.rpartition('-')[0]: program for program in launch.programs}
+
+
+def options(program, option):
+    """What follows each occurrence of an option on a command line."""
+    return [b for a, b in zip(program.command, program.command[1:]) if a == option]
+
+
+def parameters(program):
+    """Parameters by their names."""
+    pairs = (text.split(':=', 1) for text in options(program, '-p'))
+    return {name: yaml.safe_load(value) for name, value in pairs}
+
+
+# ------------------------------------------------------------------ what is started
+
+
+@pytest.mark.parametrize(
+    ('arm', 'scenario'), [('paper', 'two_faults'), ('real_arm', 'real_arm'), ('ur10', 'ur10')]
+)
+def test_given_an_arm_by_name_when_launched_then_nodes_get_its_scenario_and_gains(arm, scenario):
+    found = programs(FILES['pipeline'], arm=arm)
+    assert list(found) == ['tracker', 'simulator', 'uio']
+    for program in found.values():
+        assert parameters(program)['arm_file'] == arm
+        files = options(program, '--params-file')
+        assert ('gains', f'{arm}.yaml') in [Path(one).parts[-2:] for one in files]
+        assert program.ends_all
+        assert not program.respawn
+    assert parameters(found['simulator'])['scenario_file'] == scenario
+    assert scenario in shipped_files('scenarios')
+
+
+@pytest.mark.parametrize('words', [('arm', 'scenario'), ('arm_file', 'scenario_file')])
+def test_given_files_when_launched_then_nodes_get_them_as_they_are(words):
+    found = programs(FILES['pipeline'], **dict(zip(words, ('../my arm.yaml', '/x/s.yaml'))))
+    for name in ('tracker', 'simulator'):
+        values = parameters(found[name])
+        assert values['arm_file'] == '../my arm.yaml'
+        assert values['scenario_file'] == '/x/s.yaml'
+        for file in options(found[name], '--params-file'):
+            assert os.path.isfile(file)
+    assert parameters(found['uio'])['arm_file'] == '../my arm.yaml'
+
+
+def test_given_arguments_when_launched_then_they_are_forwarded_to_every_node(tmp_path):
+    given = {
+        'record': 'true',
+        'view': 'true',
+        'respawn': 'true',
+        'bag': 'my bag',
+        'view_port': '0',
+        'namespace': 'cell/arm',
+        'log_level': 'debug',
+        'params_file': str(tmp_path / 'my own.yaml'),
+        'gains_file': '/my/gains.yaml',
+    }
+    found = programs(FILES['pipeline'], **given)
+    assert list(found) == ['recorder', 'tracker', 'simulator', 'view', 'uio']
+    for program in found.values():
+        assert (program.respawn, program.respawn_delay, program.ends_all) == (True, 1.0, False)
+        assert program.grace == 30.0
+        assert options(program, '--log-level') == ['debug']
+        assert '__ns:=/cell/arm' in options(program, '-r')
+        assert '/my/gains.yaml' in options(program, '--params-file')
+        assert program.command[-1] == given['params_file']  # after all others
+        assert program.environment['ROS_AUTOMATIC_DISCOVERY_RANGE'] == os.environ.get(
+            'ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST'
+        )
+    assert parameters(found['recorder'])['output'] == 'my bag'
+    assert parameters(found['recorder'])['gains_file'] == '/my/gains.yaml'
+    assert parameters(found['view'])['port'] == 0
+    assert {parameters(found[n])['await_recorders'] for n in ('tracker', 'simulator', 'uio')} == {1}
+
+
+def test_given_the_launch_files_when_their_arguments_are_shown_then_each_is_described():
+    for name in ('pipeline', 'simulation', 'observer', 'rviz'):
+        launch = Launch({}, only_declared=True)
+        launch.include(FILES[name])
+        text = launch.description()
+        assert text.startswith("Arguments (pass arguments as '<name>:=<value>'):\n\n    '")
+        assert 'no description given' not in text
+        assert "    'pkg':" not in text  # passed by the file that includes
+    code, text, _ = ros2('launch', FILES['pipeline'], 'arm:=ur10', '-s')
+    assert code == 0
+    assert "    'arm':\n        installed arm" in text
+    assert "Valid choices are: ['realtime', 'lockstep']" in text
+
+
+@pytest.mark.parametrize(
+    ('text', 'told'),
+    [
+        (f'{NODE} nmae="x"/>', "<node uio>: attribute 'nmae' is not covered"),
+        ('<node pkg="lpv_uio"/>', "'exec' of <node> is missing"),
+        ('<group><param/></group>', '<param>: is not covered by this ros2 in <group>'),
+        (f'{NODE} name="$(var nix)"/>', 'does not exist'),
+        (f'{NODE} name="$(var"/>', 'is not closed'),
+        (f'{NODE} if="maybe"/>', 'must be true or false'),
+        ('<arg name="a"/>', 'required launch argument: give a:='),
+        ('<arg name="a" default="3"><choice value="1"/></arg>', 'one of 1; got'),
+        ('<include file="/nowhere.launch.xml"/>', 'nowhere.launch.xml cannot be read'),
+        ('<include file="$(dirname)/some.launch.xml"/>', 'included by itself'),
+        ('<let name="a" value="$(eval \'__import__(1)\')"/>', 'is not covered'),
+    ],
+)
+def test_given_a_wrong_launch_file_when_launched_then_one_line_says_why(tmp_path, text, told):
+    path = tmp_path / 'some.launch.xml'
+    path.write_text(f'<launch>{text}</launch>')
+    with pytest.raises(CliError) as raised:
+        programs(path)
+    assert told in str(raised.value)
+    assert '\n' not in str(raised.value)
+
+
+# ------------------------------------------------------------------ how it runs and ends
+
+
+@pytest.fixture
+def processes():
+    """Run shell programs with options of theirs as a launch does, in a process of its own."""
+
+    def start(*given):
+        code = (
+            'import os, sys; from lpv_ros2cli.processes import Processes, Program\n'
+            'programs = [Program(f"p-{i}", ["sh", "-c", text], dict(os.environ), **options)'
+            f' for i, (text, options) in enumerate({given!r})]\n'
+            'sys.exit(Processes(programs).run())'
+        )
+        return Running(program=[sys.executable, '-c', code])
+
+    return start
+
+
+def test_given_processes_that_end_when_run_then_lines_and_ends_are_told(processes):
+    with processes(('echo one; echo two >&2', {}), ('exit 3', {})) as launch:
+        code, text = launch.end()
+    assert code == 1
+    assert re.search(r'\[p-0\] one\n(.*\n)*\[p-0\] two\n', text)
+    assert re.search(r'\[INFO\] \[p-0\]: process has finished cleanly \[pid \d+\]\n', text)
+    assert re.search(r"\[ERROR\] \[p-1\]: process has died \[pid \d+, exit code 3, cmd 'sh", text)
+
+
+def test_given_a_process_that_is_respawned_when_it_ends_then_it_starts_again(processes):
+    with processes(('echo turn; exit 1', {'respawn': True, 'respawn_delay': 0.05})) as launch:
+        for _ in range(3):
+            launch.until('turn')
+        assert launch.interrupt()[0] == 1
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_given_a_signal_when_run_then_programs_are_told_once_and_killed_if_deaf(processes, number):
+    tidy = 'trap "echo caught; exit 0" TERM; echo ready; while :; do sleep 0.05; done'
+    deaf = 'trap "" TERM; echo ready; while :; do sleep 0.05; done'
+    with processes((tidy, {}), (deaf, {'grace': 0.5})) as launch:
+        launch.until('ready')
+        launch.until('ready')
+        launch.process.send_signal(number)
+        code, text = launch.end()
+    assert code == 0
+    assert text.count('[p-0] caught\n') == 1
+    assert "escalating to 'SIGKILL'" in text
+
+
+def test_given_a_process_that_all_others_need_when_it_fails_then_the_launch_ends(processes):
+    with processes(('exec sleep 600', {}), ('exit 2', {'ends_all': True})) as launch:
+        code, text = launch.end()
+    assert code == 1
+    assert 'p-1 has ended: shutting down' in text
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_given_files_when_launched_then_nodes_start_and_come_back_and_end_cleanly(tmp_path):
+    for kind, name in (('arms', 'paper'), ('scenarios', 'two_faults')):
+        shutil.copy(BRINGUP / kind / f'{name}.yaml', tmp_path / f'{kind}.yaml')
+    words = [
+        'arm:=arms.yaml',
+        'scenario:=scenarios.yaml',
+        f'gains_file:={shipped_files("gains")["paper"]}',
+        'record:=true',
+        'view:=true',
+        'view_port:=0',
+        'foxglove_port:=0',
+        'respawn:=true',
+    ]
+    environment = dict(os.environ, ROS_DOMAIN_ID=str(ros.next_domain()), ROS_LOG_DIR=str(tmp_path))
+    with Running('launch', FILES['pipeline'], *words, env=environment, cwd=tmp_path) as launch:
+        text = launch.until('lpv.uio.*measurements flow')
+        uio = re.search(r'\[uio-\d\]: process started with pid \[(\d+)\]', text).group(1)
+        os.kill(int(uio), signal.SIGKILL)
+        launch.until(r'\[uio-\d\]: process started')
+        launch.until('lpv.uio.*measurements flow')
+        code, text = launch.interrupt(100.0)
+    assert code == 1  # one of them died
+    assert text.count('process has finished cleanly') == 5
+    assert (tmp_path / 'bag' / 'metadata.yaml').is_file()

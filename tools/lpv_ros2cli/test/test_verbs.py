@@ -1,0 +1,236 @@
+"""The verbs of the ros2 command, against nodes in this process."""
+
+import math
+import re
+import subprocess
+import sys
+import threading
+
+import pytest
+import ros
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+from ros2_commands import Running
+
+pytest.importorskip('lpv_ros2cli', reason='a real ros2cli is here')
+pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
+from sensor_msgs.msg import Imu, JointState  # noqa: E402
+from std_msgs.msg import String, UInt8MultiArray  # noqa: E402
+
+from lpv_msgs.srv import InjectFault  # noqa: E402
+from lpv_ros2cli import messages  # noqa: E402
+from lpv_ros2cli.command_line import CliError  # noqa: E402
+from lpv_ros2cli.main import main  # noqa: E402
+
+# ------------------------------------------------------------------ without a graph
+
+
+def test_given_the_parser_when_built_then_nothing_heavy_is_imported():
+    code = (
+        'import sys; from lpv_ros2cli.main import build_parser; build_parser(); '
+        'print({"rclpy", "yaml", "numpy", "rosbags", "lpv.bag"} & set(sys.modules))'
+    )
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True)
+    assert done.stdout == 'set()\n'
+
+
+@pytest.mark.parametrize(
+    ('words', 'told'),
+    [
+        (('run', 'lpv_uio', 'nix'), "has no program 'nix', only: uio"),
+        (('launch', 'lpv_nix', 'x.launch.xml'), "package 'lpv_nix': is not installed"),
+        (('launch', 'lpv_bringup', 'nix.launch.xml'), 'name a launch file .* pipeline.launch.xml'),
+        (('launch', 'lpv_bringup', 'pipeline.launch.xml', 'arm'), 'malformed launch argument'),
+        (('service', 'call', '/x', 'std_srvs/srv/Nix'), 'is not installed'),
+        (('service', 'call', '/x', 'lpv_msgs/srv/InjectFault', '{szie: 1}'), 'has no field szie'),
+        (('param', 'set', '/x', 'y', '"'), 'not valid YAML'),
+        (('bag', 'info', '/nowhere'), 'cannot be read'),
+        (('bag', 'record'), 'what is to be recorded'),
+    ],
+)
+def test_given_what_is_not_there_when_asked_for_then_one_line_says_so(capsys, words, told):
+    assert main(list(words)) == 1
+    errors = capsys.readouterr().err
+    assert re.search(told, errors)
+    assert errors.count('\n') == 1
+
+
+def test_given_what_is_not_covered_when_asked_for_then_the_code_is_that_of_a_wrong_command_line():
+    with pytest.raises(SystemExit) as left:
+        main(['topic', 'pub', '/x'])
+    assert left.value.code == 2
+
+
+@given(
+    st.lists(st.floats(allow_nan=False, width=64), max_size=5),
+    st.text(max_size=20),
+    st.integers(0, 2**31 - 1),
+)
+def test_given_any_values_when_shown_and_read_back_then_the_message_is_the_same(
+    numbers, text, seconds
+):
+    message = JointState(name=[text], position=numbers)
+    message.header.stamp.sec, message.header.frame_id = seconds, text
+    assert messages.from_yaml(JointState, messages.to_yaml(message)) == message
+
+
+def test_given_yaml_when_a_message_is_filled_then_values_take_the_fields_types():
+    request = messages.from_yaml(InjectFault.Request, '{kind: 5, size: 1, rate: .inf}')
+    assert (request.kind, request.size, request.rate) == ('5', 1.0, math.inf)
+    assert messages.from_yaml(InjectFault.Request, '{size: 1e-3}').size == 1e-3
+    assert messages.from_yaml(DiagnosticStatus, 'level: 2').level == b'\x02'
+    assert bytes(messages.from_yaml(UInt8MultiArray, 'data: [1, 255]').data) == b'\x01\xff'
+    nested = messages.from_yaml(DiagnosticArray, 'status: [{name: a, values: [{key: k}]}]')
+    assert nested.status[0].values[0].key == 'k'
+    assert yaml.safe_load(messages.to_yaml(String(data='x' * 200)))['data'] == 'x' * 128 + '...'
+
+
+@pytest.mark.parametrize(
+    ('kind', 'text', 'told'),
+    [
+        (InjectFault.Request, '[1, 2]', 'takes its fields'),
+        (InjectFault.Request, '{size: large}', 'field size takes double'),
+        (InjectFault.Request, '!!python/object/apply:os.system [ls]', 'not valid YAML'),
+        (JointState, '{header: 3}', 'header takes its fields'),
+        (JointState, '{header: {stamp: {sec: 1.5}}}', 'field sec takes int32'),
+        (JointState, '{position: [1.0, x]}', 'field position takes sequence<double>'),
+        (Imu, '{orientation_covariance: [1.0]}', r'takes double\[9\]'),
+    ],
+)
+def test_given_yaml_that_does_not_fit_when_a_message_is_filled_then_the_field_is_named(
+    kind, text, told
+):
+    with pytest.raises(CliError, match=told):
+        messages.from_yaml(kind, text)
+
+
+# ------------------------------------------------------------------ one graph round trip each
+
+
+@pytest.fixture(scope='module')
+def graph():
+    """A managed node that publishes, serves and has a parameter, on a domain of its own."""
+    import rclpy
+    from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
+    from rclpy.context import Context
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.lifecycle import LifecycleNode
+
+    domain, context = ros.next_domain(), Context()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+        patch.setenv('ROS_DOMAIN_ID', str(domain))
+        rclpy.init(context=context, domain_id=domain)
+        node = LifecycleNode('arm', namespace='cell', context=context)
+        publisher = node.create_publisher(JointState, 'joints', 10)
+        node.create_timer(0.02, lambda: publisher.publish(JointState(position=[0.5, -1.0])))
+
+        def inject(request, response):
+            response.success, response.message = request.size > 0.0, request.sensor
+            return response
+
+        node.create_service(InjectFault, 'inject', inject)
+        limits = [FloatingPointRange(from_value=0.0, to_value=10.0)]
+        node.declare_parameter('gain', 1.0, ParameterDescriptor(floating_point_range=limits))
+        executor = SingleThreadedExecutor(context=context)
+        executor.add_node(node)
+
+        thread = threading.Thread(target=executor.spin)
+        thread.start()
+        yield
+        executor.shutdown()
+        thread.join()
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+
+
+@pytest.fixture
+def ros2(graph, capsys):
+    """Run a command in this process, which has imported rclpy: exit code, stdout, stderr."""
+    return lambda *words: (main([str(word) for word in words]), *capsys.readouterr())
+
+
+@pytest.fixture
+def out(ros2):
+    """Run a command that succeeds; what it prints."""
+
+    def run(*words):
+        code, text, errors = ros2(*words)
+        assert (code, errors) == (0, ''), errors
+        return text
+
+    return run
+
+
+@pytest.mark.ros
+def test_given_a_graph_when_listed_then_nodes_topics_and_services_are_there(out):
+    assert out('node', 'list') == '/cell/arm\n'
+    assert '/cell/joints [sensor_msgs/msg/JointState]\n' in out('topic', 'list', '-t')
+    assert '/cell/inject\n' in out('service', 'list')
+    assert out('topic', 'info', '/cell/joints') == (
+        'Type: sensor_msgs/msg/JointState\nPublisher count: 1\nSubscription count: 0\n'
+    )
+
+
+@pytest.mark.ros
+def test_given_a_topic_when_echoed_then_messages_are_yaml_and_rates_come_until_interrupted(out):
+    text = out('topic', 'echo', '--once', '/cell/joints')
+    assert text.startswith("header:\n  stamp:\n    sec: 0\n    nanosec: 0\n  frame_id: ''\n")
+    assert text.endswith('position:\n- 0.5\n- -1.0\nvelocity: []\neffort: []\n---\n')
+    with Running('topic', 'hz', '/cell/joints') as rate:
+        text = rate.until('window')
+        assert re.search(r'average rate: [\d.]+\n\tmin: [\d.]+s max: .* window: \d+\n', text)
+        code, text = rate.interrupt()
+    assert code == 2
+    assert 'Traceback' not in text
+
+
+@pytest.mark.ros
+def test_given_a_service_when_called_then_request_and_response_are_shown(out, ros2):
+    kind = 'lpv_msgs/srv/InjectFault'
+    text = out('service', 'call', '/cell/inject', kind, '{sensor: elbow, size: 1}')
+    assert 'requester: making request: lpv_msgs.srv.InjectFault_Request(sensor=' in text
+    assert "response:\nlpv_msgs.srv.InjectFault_Response(success=True, message='elbow'" in text
+    code, _, errors = ros2('service', 'call', '/cell/inject', 'std_srvs/srv/Empty')
+    assert (code, errors) == (1, f"service '/cell/inject' is of type {kind}\n")
+
+
+@pytest.mark.ros
+def test_given_parameters_when_set_then_the_node_says_what_it_takes(out, ros2):
+    assert '  gain\n' in out('param', 'list', '/cell/arm')
+    assert out('param', 'set', '/cell/arm', 'gain', '2') == 'Set parameter successful\n'
+    assert out('param', 'get', '/cell/arm', 'gain') == 'Double value is: 2.0\n'
+    code, text, errors = ros2('param', 'set', '/cell/arm', 'gain', '20.0')
+    assert (code, text) == (0, '')
+    assert errors.startswith('Setting parameter failed: ')
+    for words in (('get', '/cell/arm', 'nix'), ('get', '/nix', 'gain')):
+        code, _, errors = ros2('param', *words)
+        assert (code, errors.count('\n')) == (1, 1)
+
+
+@pytest.mark.ros
+def test_given_a_managed_node_when_its_state_is_changed_then_it_follows(out, ros2):
+    assert out('lifecycle', 'get', '/cell/arm') == 'unconfigured [1]\n'
+    assert out('lifecycle', 'set', '/cell/arm', 'configure') == 'Transitioning successful\n'
+    code, _, errors = ros2('lifecycle', 'set', '/cell/arm', 'configure')
+    assert code == 1
+    assert errors.startswith('Unknown transition requested, available ones are:\n- cleanup [2]\n')
+    assert out('lifecycle', 'set', '/cell/arm', '2') == 'Transitioning successful\n'
+
+
+@pytest.mark.ros
+def test_given_a_topic_when_recorded_then_the_bag_is_described(out, tmp_path):
+    bag = tmp_path / 'bag'
+    with Running('bag', 'record', '-o', bag, 'cell/joints') as recorder:
+        recorder.until(r'rosbag2_recorder\]: recording 1 topic')
+        assert out('topic', 'echo', '--once', '/cell/joints')  # time passes
+        code, text = recorder.interrupt()
+    assert code == 0, text
+    info = out('bag', 'info', bag)
+    assert re.search(r'^Files: +bag.mcap\n', info, re.M)
+    assert re.search(r'Duration: +\d+\.\d{9}s\n', info)
+    topic = r'Topic: /cell/joints \| Type: sensor_msgs/msg/JointState \| Count: [1-9]\d* \| Ser'
+    assert re.search(topic, info)
