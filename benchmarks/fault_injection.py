@@ -590,6 +590,7 @@ class Verdict:
     kind: str = ''  # of the right sensor's last alarm while the fault acts
     kind_right: bool = False
     error: float | None = None  # of the estimate [rad]
+    bound: float = 0.0  # of the estimate, as stated [rad]
     trusted: bool = False  # whether the estimate was said to be trustworthy then
     other: bool = False  # whether a healthy sensor was blamed
     events: int = 0
@@ -727,6 +728,7 @@ def run(cell: Cell, k: int, seed: int = 1) -> Verdict:
     if np.isfinite(truth):
         estimate = float(answers.fault.estimate[row, first.sensor])
         verdict.error = abs(estimate - truth) if np.isfinite(estimate) else np.inf
+        verdict.bound = float(answers.fault.bound[row, first.sensor])
         verdict.trusted = bool(answers.state.trustworthy[row])
     _judge_end(
         verdict, window, names, (told, alarms), (second_limit(cell.kind, subject.arm), together)
