@@ -227,6 +227,7 @@ def simulate(
     seed: int,
     rests: bool = False,
     payload: float = 0.0,
+    duration: float = 20.0,  # [s]
 ) -> Stream:
     """An arm that differs from its file follows a path; noise of sensors and 1 % of torques.
 
@@ -234,7 +235,7 @@ def simulate(
     on the arm carries 0.3 to 1 times the payload [kg].
     """
     rng, n = np.random.default_rng([7, seed]), len(arm.joints)
-    time = arm.sample_time * np.arange(round((11.0 if rests else 20.0) / arm.sample_time))
+    time = arm.sample_time * np.arange(round((11.0 if rests else duration) / arm.sample_time))
     path, chain = sines(*motion, rng), wrong_chain(arm, rng)
     q, v, a = (with_rests(path, rng.uniform(1.0, 5.0)) if rests else path)(time)
     models, taken = [SerialModel(chain)], np.inf
@@ -331,7 +332,7 @@ def _simulated(
     return Subject(name, 'simulated', arm, streams, level, gains, others)
 
 
-def _range(arm: SerialArm, speed: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def motion_range(arm: SerialArm, speed: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Centre, reach and largest rates for a path in the middle of the joints' ranges."""
     low = np.array([max(joint.limits.lower, -np.pi) for joint in arm.joints])
     high = np.array([min(joint.limits.upper, np.pi) for joint in arm.joints])
@@ -425,9 +426,9 @@ def _simulated_subject(name: str) -> Subject:
         return _simulated('real_arm', arm, (0.0, 0.0), (0.8, 0.9), 2.5, (0, 1), gains)
     if name == 'chain3':
         arm = shoulder_arm()
-        return _simulated(name, arm, *_range(arm, 0.5), (1, 2))
+        return _simulated(name, arm, *motion_range(arm, 0.5), (1, 2))
     arm = load_arm(BRINGUP / 'arms' / f'{name}.yaml')
-    return _simulated(name, arm, *_range(arm, 0.5), (1, 2) if name == 'ur10' else (1, 3))
+    return _simulated(name, arm, *motion_range(arm, 0.5), (1, 2) if name == 'ur10' else (1, 3))
 
 
 # --- injection --------------------------------------------------------------------------------

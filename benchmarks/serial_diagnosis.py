@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable
 
 import numpy as np
+from fault_injection import Stream, motion_range, simulate
 from rich.console import Console
 from rich.table import Table
 
@@ -26,7 +27,6 @@ from lpv.core.serial_arm.description import (
 )
 from lpv.core.serial_arm.diagnosis.monitor import SerialMonitor
 from lpv.core.serial_arm.dynamics.newton_euler import inverse_dynamics
-from lpv.core.serial_arm.simulation import SerialRun, SerialSimulator
 from lpv.core.support.jit import njit
 
 WARM = 6000
@@ -67,14 +67,14 @@ def seconds(function: Callable[[], object]) -> float:
     return min(times)
 
 
-def warm_monitor(arm: SerialArm, run: SerialRun) -> SerialMonitor:
+def warm_monitor(arm: SerialArm, run: Stream) -> SerialMonitor:
     """A monitor whose horizon is full."""
     monitor = SerialMonitor(arm)
     monitor.update_many(run.stamps[:WARM], run.samples[:WARM])
     return monitor
 
 
-def one_by_one(monitor: SerialMonitor, run: SerialRun) -> None:
+def one_by_one(monitor: SerialMonitor, run: Stream) -> None:
     """The samples behind the warm ones, each for itself."""
     for stamp, sample in zip(run.stamps[WARM:], run.samples[WARM:]):
         monitor.update(int(stamp), sample[0], sample[1], sample[2])
@@ -84,8 +84,7 @@ def measure(joints: int, duration: float, table: Table) -> None:
     """One row of the table."""
     arm = random_arm(joints)
     chain, rng = compile_chain(arm), np.random.default_rng(joints)
-    inertial = chain.inertial * rng.uniform(0.95, 1.05, (joints, 1))
-    run = SerialSimulator(arm, chain._replace(inertial=inertial), joints).run(duration)
+    run = simulate(arm, motion_range(arm, 0.5), joints, duration=duration)
     count = len(run.stamps) - WARM
     motion, work = rng.uniform(-2.0, 2.0, (2000, 3, joints)), workspace(chain)
     loop_newton_euler(chain, motion, work, np.empty(joints))

@@ -28,12 +28,13 @@ from fault_injection import DATA, csv_stream, shoulder_arm, two_links
 from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 from rich.console import Console
 from rich.table import Table
+from simulated_runs import simulated_run
 
 from lpv.core.serial_arm.chain import COULOMB, OFFSET, VISCOUS, Chain, FloatArray, compile_chain
 from lpv.core.serial_arm.description import LinkInertia, SerialArm
 from lpv.core.serial_arm.diagnosis.estimator import HorizonPlan, OffsetEstimator
 from lpv.core.serial_arm.diagnosis.monitor import SerialMonitor
-from lpv.core.serial_arm.simulation import SerialSimulator, integration_step, plant_step
+from lpv.core.serial_arm.simulation import integration_step, plant_step
 from lpv.core.support.jit import njit
 
 MOMENTS = (1.0, 3.0, 10.0)
@@ -277,8 +278,8 @@ def simulated(
             np.maximum(change, -0.9 * friction[:, column], out=change)
         friction[:, column] += change
     inertial = chain.inertial + np.tensordot(parameters[3 * n :], known.model.directions, 1)
-    simulator = SerialSimulator(arm, chain._replace(inertial=inertial, friction=friction), seed)
-    run = simulator.run(duration)
+    plant = chain._replace(inertial=inertial, friction=friction)
+    run = simulated_run(arm, duration, plant=plant, seed=seed)
     course = np.zeros((len(run.stamps), len(known.x)))
     course[:, :n] = run.position
     course[:, n : 2 * n] = np.gradient(run.position, arm.sample_time, axis=0)

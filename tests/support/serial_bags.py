@@ -1,11 +1,11 @@
 """A serial arm of three joints, and recordings of it."""
 
 import numpy as np
+from simulated_runs import simulated_run
 
 from lpv.bag.rosbag.messages import BagMessages
 from lpv.bag.rosbag.writing import BagWriter
 from lpv.core.serial_arm.arm_file import save_arm
-from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import (
     JointLimits,
     JointSensors,
@@ -13,7 +13,6 @@ from lpv.core.serial_arm.description import (
     SerialArm,
     SerialJoint,
 )
-from lpv.core.serial_arm.simulation import SerialSimulator
 
 TOPIC, MEASUREMENT = '/lpv/joint_states', 'sensor_msgs/msg/JointState'
 
@@ -45,7 +44,7 @@ def crane_file(folder):
 
 def crane_run(duration=1.2, faults=()):
     """A simulated motion."""
-    return SerialSimulator(crane(), compile_chain(crane()), 1).run(duration, faults, ())
+    return simulated_run(crane(), duration, *faults)
 
 
 def record_crane(path, run, without=()):

@@ -16,7 +16,7 @@ from lpv.bag.replay.replay import Replay  # noqa: E402
 from lpv.bag.rosbag.reading import open_bag  # noqa: E402
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor  # noqa: E402
 from lpv.core.serial_arm.arm_file import load_arm  # noqa: E402
-from lpv.core.serial_arm.simulation import EncoderFault  # noqa: E402
+from lpv.core.simulation.faults import Fault  # noqa: E402
 from lpv.core.support.errors import ConfigError  # noqa: E402
 from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate  # noqa: E402
 from lpv_uio.node import UioNode  # noqa: E402
@@ -39,7 +39,7 @@ def observer(folder, *files):
 def test_given_a_serial_arm_when_observed_then_the_node_publishes_the_messages_of_a_replay(
     tmp_path,
 ):
-    run = crane_run(faults=[EncoderFault(1, 'bias', 0.6, 0.05)])
+    run = crane_run(faults=[Fault('encoder2', 'bias', 0.6, size=0.05)])
     bag, sent = record_crane(tmp_path / 'bag', run), {}
     with observer(tmp_path) as node:
         for topic, (name, kind) in TOPICS.items():

@@ -31,7 +31,6 @@ from lpv.cli.main import main
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.diagnosis.alarms import SensorState
-from lpv.core.serial_arm.simulation import EncoderFault
 from lpv.core.simulation.faults import Fault
 from lpv.core.support.timestamps import NANOSECONDS
 from lpv.core.uio.certificate.gains import save_gains
@@ -597,7 +596,7 @@ def test_given_many_stretches_when_listed_then_the_longest_are_shown_and_all_are
 def test_given_a_run_of_three_joints_when_reported_then_its_alarm_is_listed_and_gains_are_refused(
     tmp_path, capsys, monkeypatch
 ):
-    run = crane_run(faults=[EncoderFault(1, 'bias', 0.6, 0.05)])
+    run = crane_run(faults=[Fault('encoder2', 'bias', 0.6, size=0.05)])
     measured = record_crane(tmp_path / 'measured', run)
     Replay(SerialSensorMonitor('/uio', crane())).run(measured, tmp_path / 'bag')
     monkeypatch.setattr('lpv.report.run.png', lambda figure: b'drawn')

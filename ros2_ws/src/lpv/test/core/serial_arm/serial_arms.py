@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import fault_injection
 import numpy as np
+from simulated_runs import Run, simulated_run
 
 from lpv.core.serial_arm.chain import Chain, compile_chain
 from lpv.core.serial_arm.description import LinkInertia, SerialArm, Uncertainty
 from lpv.core.serial_arm.diagnosis.monitor import SerialMonitor
-from lpv.core.serial_arm.simulation import SerialRun, SerialSimulator
 
 KNOWN = Uncertainty(payload=0.5, friction=0.3)
 
@@ -40,10 +40,10 @@ def wrong_plant(arm: SerialArm, seed: int, error: float = 0.05) -> Chain:
     return compile_chain(replace(arm, joints=tuple(changed)))
 
 
-def simulated(arm, *faults, pushes=(), seed=1, duration=8.0, plant=None) -> SerialRun:
+def simulated(arm, *faults, pushes=(), seed=1, duration=8.0, plant=None) -> Run:
     """A run of the arm with a plant that its model does not know exactly."""
     plant = wrong_plant(arm, seed) if plant is None else plant
-    return SerialSimulator(arm, plant, seed).run(duration, list(faults), pushes)
+    return simulated_run(arm, duration, *faults, plant=plant, pushes=pushes, seed=seed)
 
 
 def watch(arm, run) -> SerialMonitor:

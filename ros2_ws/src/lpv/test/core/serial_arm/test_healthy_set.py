@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from serial_arms import shoulder_arm
+from simulated_runs import Push, simulated_run
 
 from lpv.core.monitoring.alarm_text import describe
 from lpv.core.monitoring.message_fields import alarm_fields
@@ -15,14 +16,8 @@ from lpv.core.serial_arm.description import TorqueTolerance, Uncertainty
 from lpv.core.serial_arm.diagnosis.alarms import GUARANTEED, STATISTICAL
 from lpv.core.serial_arm.diagnosis.monitor import SerialMonitor
 from lpv.core.serial_arm.diagnosis.parameter_set import member, parameter_set, payload_generator
-from lpv.core.serial_arm.simulation import (
-    EncoderFault,
-    Push,
-    SerialSimulator,
-    integration_step,
-    plant_scratch,
-    plant_step,
-)
+from lpv.core.serial_arm.simulation import integration_step, plant_scratch, plant_step
+from lpv.core.simulation.faults import Fault
 
 STATED = Uncertainty(payload=0.5, friction=0.3, model_error=0.05)
 UNSTATED = Uncertainty(0.5, 0.3)
@@ -33,7 +28,7 @@ RATES = pytest.mark.parametrize('rates', ['independent', 'derived'])
 
 def watched(arm=ARM, plant=None, *faults, duration=5.0, stated=None):
     """The guarantee after a run; what the monitor's file states may differ from the arm's."""
-    run = SerialSimulator(arm, plant, 1).run(duration, faults)
+    run = simulated_run(arm, duration, *faults, plant=plant)
     monitor = SerialMonitor(arm if stated is None else replace(arm, uncertainty=stated))
     monitor.update_many(run.stamps, run.samples)
     return monitor.healthy and monitor.healthy.evaluate()
@@ -74,7 +69,7 @@ def test_given_an_offset_that_is_surely_found_when_present_then_no_healthy_arm_e
     exact, joint
 ):
     size = 1.2 * float(exact.smallest_found[joint])
-    found = watched(ARM, None, EncoderFault(joint, 'bias', 0.0, size))
+    found = watched(ARM, None, Fault(f'encoder{joint + 1}', 'bias', 0.0, size=size))
     assert found.exceeded.tolist() == [False, joint == 1, joint == 2]
 
 
@@ -96,7 +91,7 @@ def test_given_a_torque_tolerance_when_stated_then_it_widens_the_threshold(exact
 
 def test_given_a_long_run_with_a_gap_when_remembered_then_the_estimate_is_still_explained():
     """The set follows horizon, memory and restart as the estimator does, number by number."""
-    run, monitor = SerialSimulator(ARM, seed=1).run(14.0), SerialMonitor(ARM)
+    run, monitor = simulated_run(ARM, 14.0), SerialMonitor(ARM)
     run.stamps[6500:] += 10**9
     monitor.update_many(run.stamps, run.samples)
     guarantee = monitor.healthy.evaluate()
@@ -126,7 +121,7 @@ def test_given_an_exact_arm_when_moved_long_then_its_payload_is_known_better_tha
 
 def answers(*faults, uncertainty=STATED, pushes=(), duration=5.0):
     arm = shoulder_arm('independent', uncertainty)
-    run = SerialSimulator(arm, seed=1).run(duration, faults, pushes)
+    run = simulated_run(arm, duration, *faults, pushes=pushes)
     found = SerialSensorMonitor('uio', arm).take_many(
         run.stamps + 1, *np.moveaxis(run.samples, 1, 0)
     )
@@ -142,7 +137,7 @@ def answers(*faults, uncertainty=STATED, pushes=(), duration=5.0):
     ],
 )
 def test_given_an_offset_when_alarmed_then_its_basis_is_said(uncertainty, size, basis, said):
-    events, _ = answers(EncoderFault(1, 'bias', 0.0, size), uncertainty=uncertainty)
+    events, _ = answers(Fault('encoder2', 'bias', 0.0, size=size), uncertainty=uncertainty)
     assert (events[-1].sensor, events[-1].basis) == ('encoder2', basis)
     assert basis == GUARANTEED or {event.basis for event in events} == {STATISTICAL}
     assert said in describe(events[-1])
@@ -150,14 +145,14 @@ def test_given_an_offset_when_alarmed_then_its_basis_is_said(uncertainty, size, 
 
 
 def test_given_a_drift_when_alarmed_then_its_rate_is_said_and_is_no_field_of_the_message():
-    event = answers(EncoderFault(1, 'drift', 2.0, 0.1))[0][0]
+    event = answers(Fault('encoder2', 'drift', 2.0, rate=0.1))[0][0]
     assert event.rate == pytest.approx(0.1, abs=0.03)
     assert f'drift of {event.rate:+.3f} rad/s' in describe(event)
     assert not {'basis', 'unit', 'rate'} & set(alarm_fields(event))
 
 
 def test_given_a_step_beyond_the_jump_bound_when_found_then_it_is_guaranteed():
-    events, _ = answers(EncoderFault(2, 'bias', 2.0, 0.05), duration=2.5)
+    events, _ = answers(Fault('encoder3', 'bias', 2.0, size=0.05), duration=2.5)
     assert [(event.sensor, event.basis) for event in events] == [('encoder3', GUARANTEED)]
 
 

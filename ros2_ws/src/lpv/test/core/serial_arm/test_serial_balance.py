@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from serial_arms import shoulder_arm
+from simulated_runs import simulated_run
 
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import ParameterCovariance, Uncertainty
@@ -34,7 +35,6 @@ from lpv.core.serial_arm.diagnosis.information import (
     whiten,
 )
 from lpv.core.serial_arm.diagnosis.parameter_error import parameter_directions, parameter_factor
-from lpv.core.serial_arm.simulation import SerialSimulator
 
 PER_BLOCK, PER_INTERVAL = 5, 5
 
@@ -42,9 +42,7 @@ PER_BLOCK, PER_INTERVAL = 5, 5
 @pytest.fixture(scope='module')
 def blocks():
     """Means of a simulated run without noise."""
-    simulator = SerialSimulator(shoulder_arm('independent'), seed=2)
-    simulator._noise = lambda count: np.zeros((count, 2, 3))
-    samples = simulator.run(1.0).samples
+    samples = simulated_run(shoulder_arm('independent'), 1.0, seed=2, noise=False).samples
     rows = []
     for k in range((len(samples) - 1) // PER_BLOCK):
         part = slice(k * PER_BLOCK, (k + 1) * PER_BLOCK)

@@ -8,13 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from serial_arms import shoulder_arm, simulated, watch
+from simulated_runs import Push, simulated_run
 
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.diagnosis.estimator import DISTRUST
 from lpv.core.serial_arm.diagnosis.monitor import CONTACT_PAUSE, SensorState, SerialMonitor
 from lpv.core.serial_arm.dynamics.kinematics import jacobian
-from lpv.core.serial_arm.simulation import EncoderFault, Push, SerialSimulator
+from lpv.core.simulation.faults import Fault
 from lpv.core.support.errors import SampleError
 from lpv.core.support.resources import bringup_file
 
@@ -46,7 +47,7 @@ def test_healthy_arm_of_unknown_parameters_raises_nothing_and_its_vertical_axis_
 @pytest.mark.parametrize('joint', [1, 2])
 def test_offset_from_the_start_is_named_and_measured_also_after_a_gap(joint):
     arm = shoulder_arm()
-    run = simulated(arm, EncoderFault(joint, 'bias', 0.0, 0.5))
+    run = simulated(arm, Fault(f'encoder{joint + 1}', 'bias', 0.0, size=0.5))
     monitor = watch(arm, run)
     assert [(a.sensor, a.kind) for a in monitor.alarms] == [(f'encoder{joint + 1}', 'bias')]
     assert monitor.alarms[0].detected < 5.0 and 0.99 < monitor.alarms[0].confidence <= 1.0
@@ -61,7 +62,7 @@ def test_offset_from_the_start_is_named_and_measured_also_after_a_gap(joint):
 @RATES
 @pytest.mark.parametrize('joint', [0, 1, 2])
 def test_step_is_named_within_20_ms_on_any_joint_and_keeps_its_kind(rates, joint):
-    fault = EncoderFault(joint, 'bias', 2.0, 0.01)
+    fault = Fault(f'encoder{joint + 1}', 'bias', 2.0, size=0.01)
     monitor, _ = watched(shoulder_arm(rates), fault, duration=4.0)
     (alarm,) = monitor.alarms
     assert (alarm.sensor, alarm.kind) == (f'encoder{joint + 1}', 'bias')
@@ -69,13 +70,13 @@ def test_step_is_named_within_20_ms_on_any_joint_and_keeps_its_kind(rates, joint
 
 
 def test_two_steps_at_once_are_both_named():
-    faults = EncoderFault(1, 'bias', 2.0, 0.02), EncoderFault(2, 'bias', 2.0, -0.02)
+    faults = Fault('encoder2', 'bias', 2.0, size=0.02), Fault('encoder3', 'bias', 2.0, size=-0.02)
     monitor, _ = watched(shoulder_arm(), *faults, duration=2.5)
     assert named(monitor) == {'encoder2', 'encoder3'}
 
 
 def test_drift_with_its_derived_rate_has_the_right_onset_and_is_followed():
-    monitor, run = watched(shoulder_arm(), EncoderFault(1, 'drift', 4.0, 0.3))
+    monitor, run = watched(shoulder_arm(), Fault('encoder2', 'drift', 4.0, rate=0.3))
     assert named(monitor) == {'encoder2'}
     assert monitor.alarms[0].onset == pytest.approx(4.0, abs=0.03)
     truth = (run.samples[-1, 0] - run.position[-1])[1]
@@ -134,7 +135,7 @@ def test_bad_samples_are_refused_and_change_nothing():
 @RATES
 def test_given_a_step_when_one_more_sample_confirms_it_then_it_is_named(rates):
     arm = replace(shoulder_arm(rates), sample_time=0.008)
-    monitor, _ = watched(arm, EncoderFault(1, 'bias', 4.0, 0.05), duration=4.5)
+    monitor, _ = watched(arm, Fault('encoder2', 'bias', 4.0, size=0.05), duration=4.5)
     assert [alarm.sensor for alarm in monitor.alarms] == ['encoder2']
     assert monitor.alarms[0].detected == pytest.approx(4.0 + 0.008, abs=1e-6)
 
@@ -166,7 +167,7 @@ def test_given_a_joint_that_shakes_faster_than_it_is_sampled_then_it_has_not_jum
 
 def test_spike_is_no_lasting_fault():
     arm = shoulder_arm('independent')
-    run = SerialSimulator(arm, seed=3).run(3.0)
+    run = simulated_run(arm, 3.0, seed=3)
     run.samples[1000, 0, 1] += 0.3
     monitor = watch(arm, run)
     events = [(alarm.sensor, alarm.kind, alarm.event) for alarm in monitor.alarms]
@@ -177,7 +178,7 @@ def test_spike_is_no_lasting_fault():
 def test_efforts_are_scaled_in_a_copy():
     arm = shoulder_arm()
     louder = replace(arm, joints=tuple(replace(j, torque_gain=2.0) for j in arm.joints))
-    run = SerialSimulator(arm, seed=1).run(2.0)
+    run = simulated_run(arm, 2.0)
     halved = run.samples * [[1.0], [1.0], [0.5]]
     before, one, other = halved.copy(), watch(arm, run), SerialMonitor(louder)
     other.update_many(run.stamps, halved)
@@ -187,7 +188,7 @@ def test_efforts_are_scaled_in_a_copy():
 
 def test_without_efforts_that_hold_gravity_only_jumps_are_found():
     arm = replace(shoulder_arm('independent'), effort_includes_gravity=False)
-    monitor, _ = watched(arm, EncoderFault(1, 'bias', 1.0, 0.01), duration=2.0)
+    monitor, _ = watched(arm, Fault('encoder2', 'bias', 1.0, size=0.01), duration=2.0)
     assert [(alarm.sensor, alarm.kind) for alarm in monitor.alarms] == [('encoder2', 'bias')]
     assert set(monitor.estimate(0).state) == {SensorState.ERROR, SensorState.NOT_DIAGNOSABLE}
 
@@ -195,7 +196,7 @@ def test_without_efforts_that_hold_gravity_only_jumps_are_found():
 @pytest.mark.parametrize('joint', [1, 2])
 def test_drift_and_bias_of_an_independent_rate_are_told_apart(joint):
     arm, name = shoulder_arm('independent'), f'encoder{joint + 1}'
-    monitor, _ = watched(arm, EncoderFault(joint, 'drift', 4.0, 0.1))
+    monitor, _ = watched(arm, Fault(f'encoder{joint + 1}', 'drift', 4.0, rate=0.1))
     assert (monitor.alarms[0].sensor, monitor.alarms[0].kind) == (name, 'drift')
     assert monitor.alarms[0].detected < 6.5
     run = simulated(arm)

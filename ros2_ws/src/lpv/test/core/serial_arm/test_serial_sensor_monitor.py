@@ -12,18 +12,18 @@ from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent, Mode, SensorState
 from lpv.core.serial_arm.dynamics.model import SerialModel
-from lpv.core.serial_arm.simulation import EncoderFault
+from lpv.core.simulation.faults import Fault
 from lpv.core.support.errors import ConfigError, SampleError
 
 ARM = shoulder_arm()
-LARGE = EncoderFault(1, 'bias', 1.0, 0.3)
+LARGE = Fault('encoder2', 'bias', 1.0, size=0.3)
 HOUR = 3600 * 10**9
 
 
 @pytest.fixture(scope='module')
 def recording():
     """Stamps, and readings, rates, efforts of 2 s with a step on the second encoder after 1 s."""
-    run = simulated(ARM, EncoderFault(1, 'bias', 1.0, 0.05), duration=2.0)
+    run = simulated(ARM, Fault('encoder2', 'bias', 1.0, size=0.05), duration=2.0)
     return run.stamps + 5, run.samples, run.position
 
 
@@ -159,7 +159,7 @@ def test_given_messages_that_do_not_fit_when_taken_then_they_are_refused_and_cou
 
 
 def test_given_a_fault_that_is_not_known_well_enough_when_confirmed_then_it_is_not_trusted():
-    run = simulated(ARM, EncoderFault(2, 'stuck', 4.3), duration=6.0)
+    run = simulated(ARM, Fault('encoder3', 'stuck', 4.3), duration=6.0)
     _, answers = observe(run.stamps, run.samples)
     assert [e.kind for _, e in answers.events] == ['stuck']
     assert answers.state.trustworthy[2000] and not answers.state.trustworthy[-1]
@@ -226,7 +226,7 @@ def test_given_a_fault_that_ended_while_the_clock_was_set_when_shown_then_it_is_
 
 @pytest.mark.parametrize('shift', [HOUR, -HOUR, 100_000_000])
 def test_given_a_confirmed_offset_when_stamps_make_a_gap_then_it_stays_removed(shift):
-    run = simulated(ARM, EncoderFault(1, 'bias', 0.0, 0.3), duration=10.0)
+    run = simulated(ARM, Fault('encoder2', 'bias', 0.0, size=0.3), duration=10.0)
     stamps = run.stamps + 2 * HOUR
     stamps[4000:] += shift
     _, answers = observe(stamps, run.samples)

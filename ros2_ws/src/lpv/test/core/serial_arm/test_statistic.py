@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from serial_arms import shoulder_arm, wrong_plant
+from simulated_runs import simulated_run
 
 from lpv.core.serial_arm.diagnosis.monitor import SerialMonitor
-from lpv.core.serial_arm.simulation import SerialSimulator
 
 DURATION = 12.0
 
@@ -13,7 +13,7 @@ DURATION = 12.0
 def largest_statistic(rates, spoil):
     """Largest statistic of detection of a healthy arm, and the number of decisions."""
     arm = shoulder_arm(rates)
-    run = SerialSimulator(arm, wrong_plant(arm, 3), 3).run(DURATION)
+    run = simulated_run(arm, DURATION, plant=wrong_plant(arm, 3), seed=3)
     stamps, samples = spoil(run.stamps, run.samples, np.random.default_rng(3))
     monitor, largest, decisions = SerialMonitor(arm), -np.inf, 0
     for part in range(0, len(stamps), 25):
