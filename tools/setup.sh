@@ -15,6 +15,7 @@ venv=${VENV:-$root/.venv}
 build=$root/.build
 python=${PYTHON:-python3}
 state=$venv/.lpv
+unset PYTHONDONTWRITEBYTECODE
 
 fail() { echo "setup: $*" >&2; exit 1; }
 say() { echo "setup: $*"; }
@@ -56,6 +57,15 @@ sys.exit(not os.path.exists(os.path.join(sysconfig.get_paths()["include"], "Pyth
 }
 
 hash_of() { sha256sum "$@" | sha256sum | cut -c1-64; }
+
+# Every program reads a thousand modules when it starts: they are kept as byte code, also where
+# PYTHONDONTWRITEBYTECODE is set.  Compiling all that is installed would take longer than the demo.
+keep_byte_code() (
+  set +u
+  source "$root/tools/env.sh"
+  python -c 'import lpv.cli.commands.demo, lpv.report.run, lpv_design.design_flow
+import lpv_arm_sim.node, lpv_node.recorder.node, lpv_tracker.node, lpv_uio.node'
+)
 
 source_hash() {
   (cd "$root" && find design ros2_ws/src tools/lpv_ros2cli -type f -not -path '*/__pycache__/*' \
@@ -166,6 +176,7 @@ build_workspace() {
     cat "$build/colcon.txt" >&2
     fail "the workspace did not build; see $build/log"
   fi
+  keep_byte_code > "$build/byte_code.txt" 2>&1 || true  # nothing but time is lost
   wait "$numerics" || fail "the numerical code could not be compiled (see above)"
   mark_done workspace "$id"
 }
