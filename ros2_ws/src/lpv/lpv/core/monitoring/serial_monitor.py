@@ -6,11 +6,13 @@ one, a replay many at a time; both go through `SerialSensorMonitor.take_many`, a
 not depend on how measurements are divided.
 """
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from lpv.core.monitoring import message_fields
 from lpv.core.monitoring.answers import LONGEST_STALE, Answer, Answers, answer_type
@@ -34,6 +36,7 @@ from lpv.core.serial_arm.diagnosis.alarms import Alarm, Mode, SensorState
 from lpv.core.serial_arm.diagnosis.monitor import LONGEST_STEP
 from lpv.core.serial_arm.sensor_map import map_rows, mixing
 from lpv.core.support.errors import SampleError
+from lpv.core.support.jit import entry, njit_in_place
 from lpv.core.support.timestamps import NANOSECONDS, NEVER
 from lpv.core.uio.certificate.gains import Gains
 from lpv.core.uio.unknown_input_observer import CHOICES, UioParts, UnknownInputObserver, uio_answers
@@ -43,8 +46,6 @@ _REPORT_INTERVAL = NANOSECONDS
 """A diagnostics report is due after each such time of the data [ns], and at every alarm event."""
 _LARGEST = (1e3, 1e4, 1e9)
 """Readings, rates and efforts beyond are no values of an arm [rad], [rad/s], [unit]."""
-_MOST_AT_ONCE = 2048
-"""Samples between which nothing is looked for that is not in order."""
 _LARGEST_FOUND = 1.5
 """Offsets beyond are no statement: estimates are linear in small ones [rad]."""
 _WARM_UP = (0.3, 1.0)
@@ -83,6 +84,63 @@ class _Batch(NamedTuple):
     samples: FloatArray
     records: np.recarray
     rows: AnswerRows
+    answers: Answers
+
+
+def _new_batch(kind: np.dtype, count: int, joints: int) -> _Batch:
+    # A single row would be contiguous, another type to compiled functions.
+    memory = np.zeros(count + 1, kind)
+    records: Any = memory[:count].view(np.recarray)
+    answers = Answers(
+        records.answered,
+        records.has_fault,
+        records.restarted,
+        records.inconsistent,
+        records.state,
+        records.fault,
+        events=[],
+        reports=[],
+    )
+    samples = np.empty((count, 3, joints))
+    return _Batch(np.empty(count, np.int64), samples, records, answer_rows(memory), answers)
+
+
+class _Stream(NamedTuple):
+    """What tells samples that simply follow the one before."""
+
+    stamp: int  # of the last usable sample [ns]
+    newest: int  # of all samples [ns]
+    gap: int  # longest interval [ns]
+    blind: bool  # efforts are missing
+    independent: npt.NDArray[np.bool_]  # rates of a sensor of their own
+
+
+@njit_in_place
+def _plausible(sample: FloatArray, independent: npt.NDArray[np.bool_]) -> bool:
+    """Whether readings, and rates of sensors of their own, are finite and of an arm."""
+    for i in range(sample.shape[1]):
+        reading, rate, effort = abs(sample[0, i]), abs(sample[1, i]), abs(sample[2, i])
+        if not reading <= _LARGEST[0] or rate > _LARGEST[1] or effort > _LARGEST[2]:
+            return False
+        if independent[i] and not rate <= _LARGEST[1]:
+            return False
+    return True
+
+
+@njit_in_place
+def _count_regular(stream: _Stream, stamps: IntArray, samples: FloatArray, begin: int) -> int:
+    """Number of samples from ``begin`` on that can be used as they are."""
+    last, newest = stream.stamp, stream.newest
+    for k in range(begin, len(stamps)):
+        if not newest < stamps[k] <= newest + JUMP or stamps[k] > last + stream.gap:
+            return k - begin
+        finite = True
+        for effort in samples[k, 2]:
+            finite = finite and math.isfinite(effort)
+        if finite == stream.blind or not _plausible(samples[k], stream.independent):
+            return k - begin
+        last = newest = stamps[k]
+    return len(stamps) - begin
 
 
 class MonitorParts(NamedTuple):
@@ -154,6 +212,9 @@ class SerialSensorMonitor:
         self.counters = SerialCounters()
         self._joints = len(arm.joints)
         self.answer_type = answer_type(self._joints)
+        self._entries: dict[Callable[..., Any], Callable[..., Any]] = {}
+        self._one = _new_batch(self.answer_type, 1, self._joints)  # of `take`
+        self._bytes = self._one.records.view(np.ndarray).view('u1')
         self._order = JointOrder(arm.joint_names, self.needs_rates)
         rates = [joint.sensors.rates for joint in arm.joints]
         self._independent = np.array([rate == 'independent' for rate in rates])
@@ -258,17 +319,16 @@ class SerialSensorMonitor:
         except SampleError:
             self.rejected += 1
             raise
-        answers = self.take_many(np.array([stamp]), *measured[:, None])
-        return self._one(stamp, answers) if answers.answered[0] else None
-
-    def _one(self, stamp: int, answers: Answers) -> Answer:
-        """The answer of one row."""
-        record = np.zeros(1, self.answer_type)
-        for name in ('answered', 'has_fault', 'restarted', 'inconsistent', 'state', 'fault'):
-            record[name] = getattr(answers, name)
+        one, self._bytes[:] = self._one, 0
+        one.stamps[0] = stamp
+        one.answers.events.clear()
+        one.answers.reports.clear()
+        answers = self._take(one, *measured)
+        if not one.rows.answered[0]:
+            return None
         return Answer(
             stamp,
-            record[0],
+            one.records[:1].view(np.ndarray).copy()[0],
             self.arm,
             answers.reports[0][1] if answers.reports else None,
             [event for _, event in answers.events],
@@ -292,51 +352,48 @@ class SerialSensorMonitor:
         Answers
             One row a measurement.
         """
-        samples = np.empty((len(stamps), 3, self._joints))
+        batch = _new_batch(self.answer_type, len(stamps), self._joints)
+        batch.stamps[:] = stamps
+        return self._take(batch, position, velocity, effort)
+
+    def _take(
+        self, batch: _Batch, position: FloatArray, velocity: FloatArray, effort: FloatArray
+    ) -> Answers:
+        """Use the measurements of a batch, which has their stamps."""
+        stamps, samples, records, rows, answers = batch
         samples[:, 0] = map_rows(self._to_sensors, np.asarray(position))
         samples[:, 1] = map_rows(self._to_sensors, np.asarray(velocity))
         samples[:, 2] = effort
-        records: Any = np.zeros(len(stamps), self.answer_type)
-        rows = answer_rows(records)
-        stamps, records = np.ascontiguousarray(stamps, np.int64), records.view(np.recarray)
-        batch = _Batch(stamps, samples, records, rows)
-        answers = Answers(
-            rows.answered,
-            rows.has_fault,
-            records.restarted,
-            rows.inconsistent,
-            records.state,
-            records.fault,
-            events=[],
-            reports=[],
-        )
         begin = 0
         while begin < len(stamps):
-            count = self._regular(stamps[begin:], samples[begin:])
-            row, first = records[begin : begin + 1], samples[begin]
-            if not (count or self._is_of_stream(int(stamps[begin]), row)):
-                begin += 1
-                continue
-            usable = count or self._prepare(int(stamps[begin]), first, row)
-            self._watch_dropouts(int(stamps[begin]), first, begin, answers)
-            if usable:
-                self._run(batch, begin, begin + max(1, count), answers)
+            regular = self._regular(batch, begin)
+            if not regular:
+                row: Any = records[begin : begin + 1]
+                if not self._is_of_stream(int(stamps[begin]), row):
+                    begin += 1
+                    continue
+                usable = self._prepare(int(stamps[begin]), samples[begin], row)
+            if self._is_missing or not regular:
+                self._watch_dropouts(int(stamps[begin]), samples[begin], begin, answers)
+            if regular or usable:
+                self._run(batch, begin, begin + max(1, regular), answers)
             elif rows.answered[begin] and self._is_due(int(stamps[begin])):
                 self._report(int(stamps[begin]), begin, answers)
-            begin += max(1, count)
+            begin += max(1, regular)
         return answers
 
-    def _regular(self, stamps: IntArray, samples: FloatArray) -> int:
-        """Number of samples at the beginning that can be used as they are, after the last one."""
-        if self._blind is None:
+    def _regular(self, batch: _Batch, begin: int) -> int:
+        """Number of samples from ``begin`` on that can be used as they are, after the last one."""
+        if self._blind is None or self._gate.last is None:
             return 0
-        stamps, samples = stamps[:_MOST_AT_ONCE], samples[:_MOST_AT_ONCE]
-        before = np.concatenate([[self._stamp], stamps[:-1]])
-        newest = np.concatenate([[self._gate.last], stamps[:-1]])
-        good = (stamps > newest) & (stamps - newest <= JUMP)
-        good &= (stamps - before <= self._gap) & self._plausible(samples)
-        good &= np.isfinite(samples[:, 2]).all(1) != self._blind
-        return len(good) if good.all() else int(np.argmin(good))
+        stream = _Stream(self._stamp, self._gate.last, self._gap, self._blind, self._independent)
+        return int(self._call(_count_regular, stream, batch.stamps, batch.samples, begin))
+
+    def _call(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        """Call a compiled function, whose arguments always have the same types."""
+        if function not in self._entries:
+            self._entries[function] = entry(function, *arguments)
+        return self._entries[function](*arguments)
 
     def _derives(self, samples: FloatArray) -> np.ndarray:
         """Whether rates have to be made of the readings."""
@@ -369,15 +426,6 @@ class SerialSensorMonitor:
         self._monitor.doubt(shift)
         self._know(self._monitor.snapshot(), self._stamp)
 
-    def _plausible(self, samples: FloatArray) -> np.ndarray:
-        """Whether readings, and rates of sensors of their own, are finite and of an arm."""
-        reading, rate, effort = samples[:, 0], samples[:, 1], samples[:, 2]
-        good = (np.abs(reading) <= _LARGEST[0]).all(1)
-        good &= (np.abs(rate[:, self._independent]) <= _LARGEST[1]).all(1)
-        good &= ~(np.abs(rate) > _LARGEST[1]).any(1)
-        good &= ~(np.abs(effort) > _LARGEST[2]).any(1)
-        return np.asarray(good)
-
     def _prepare(self, stamp: int, sample: FloatArray, row: np.recarray) -> bool:
         """Get ready for a sample that does not simply follow; False if it is used up so.
 
@@ -385,7 +433,7 @@ class SerialSensorMonitor:
         """
         if not self._is_new(stamp):
             return False
-        if not self._plausible(sample[None])[0]:
+        if not _plausible(sample, self._independent):
             needed = np.concatenate([sample[0], sample[1, self._independent]])
             finite = bool(np.isfinite(needed).all())
             self.counters.implausible += finite
@@ -542,7 +590,8 @@ class SerialSensorMonitor:
     def _fill(self, batch: _Batch, begin: int, end: int, answers: Answers) -> None:
         """Answers to samples between two decisions, and reports that are due."""
         if begin < end:
-            fill_answers(
+            self._call(
+                fill_answers,
                 self._compensation,
                 batch.rows,
                 (begin, end),
@@ -551,13 +600,9 @@ class SerialSensorMonitor:
                 self._arrays,
                 self._flags,
             )
-            uio_answers(
-                self._uio_parts,
-                batch.rows,
-                (begin, end),
-                batch.stamps,
-                batch.samples[:, 2] * self._torque_gain,
-            )
+            if (uio := self._uio_parts) is not None:
+                efforts = batch.samples[:, 2] * self._torque_gain
+                self._call(uio_answers, uio, batch.rows, (begin, end), batch.stamps, efforts)
             self._report_due(batch.stamps[begin:end], answers, begin)
 
     def _mode(self) -> Mode:
@@ -589,7 +634,7 @@ class SerialSensorMonitor:
     def _report_due(self, stamps: IntArray, answers: Answers, first: int) -> None:
         """Diagnostics reports of samples between two decisions."""
         k = 0
-        while k < len(stamps):
+        while k < len(stamps) and self._is_due(int(stamps[-1])):
             if self._next_report != NEVER:
                 k += int(np.searchsorted(stamps[k:], self._next_report))
             if k < len(stamps):

@@ -150,12 +150,11 @@ class SteppedMonitor(SerialMonitor):
         self._balances += complete and self.uses_balances
 
     def _after(self, count: int, now: float, complete: bool) -> None:
-        jumped, row = bool(self.sampler.found.any()), self._row + count - 1
-        is_due = complete or jumped
-        if is_due and self._around:
+        row = self._row + count - 1
+        if self._around:
             self._around[0](row)
         self.decide(now, complete)
-        if is_due and self._around:
+        if self._around:
             self._around[1](self.snapshot(row))
 
     def snapshot(self, row: int = 0) -> Snapshot:

@@ -21,6 +21,12 @@ def map_vector(matrix: FloatArray, values: FloatArray, result: FloatArray) -> No
         result[i] = total
 
 
+@njit_in_place
+def _map_rows(matrix: FloatArray, values: FloatArray, result: FloatArray) -> None:
+    for k in range(values.shape[0]):
+        map_vector(matrix, values[k], result[k])
+
+
 def mixing(matrix: FloatArray) -> FloatArray | None:
     """The matrix, or None where it is 1 and `map_rows` has nothing to do."""
     return None if np.array_equal(matrix, np.eye(len(matrix))) else matrix
@@ -43,8 +49,7 @@ def map_rows(matrix: FloatArray | None, values: FloatArray) -> FloatArray:
     """
     if matrix is None:
         return values
-    result = np.zeros(values.shape)
-    for i, row in enumerate(matrix):
-        for j in np.nonzero(row)[0]:
-            result[..., i] += row[j] * values[..., j]
-    return result
+    rows = np.ascontiguousarray(values, float).reshape(-1, len(matrix))
+    result = np.empty(rows.shape)
+    _map_rows(np.ascontiguousarray(matrix), rows, result)
+    return result.reshape(values.shape)

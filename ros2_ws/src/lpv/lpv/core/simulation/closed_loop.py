@@ -7,10 +7,9 @@ and every 50 ms.  A sample that does not simply follow the one before (the first
 gap, with missing values, or after such) goes through the monitor's `take_many`, as in the node.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -78,7 +77,7 @@ from lpv.core.simulation.transport import (
     Transport,
 )
 from lpv.core.support.errors import ConfigError
-from lpv.core.support.jit import COMPILED
+from lpv.core.support.jit import entry
 from lpv.core.support.jit import njit_in_place as njit
 from lpv.core.support.records import memory, new_record, plain, record_type
 from lpv.core.support.timestamps import NANOSECONDS, NEVER
@@ -587,7 +586,7 @@ def run_closed_loop(
     blocked = transport.blocked(count, arm.sample_time)
     alarms: list[Alarm] = []
     shared, now, failed = memory(loop), plain(loop), memory(simulator.state)['failed']
-    run = _compiled_run(shared, plant, streams, parts, tracker, rows, blocked, 0)
+    run = entry(_run, shared, plant, streams, parts, tracker, rows, blocked, 0)
     k = 0
     while k < count:
         k = run(shared, plant, streams, parts, tracker, rows, blocked, k)
@@ -623,20 +622,6 @@ def run_closed_loop(
         path=np.moveaxis(references.motion, 1, 0),
         tip=references.tip,
     )
-
-
-def _compiled_run(*arguments: Any) -> Callable[..., int]:
-    """`_run` for arguments of these types: it does not look at their types at every call.
-
-    There are a hundred arrays among them; all that replace others are as these are.
-    """
-    if not COMPILED:
-        return _run
-    function: Any = _run
-    types = tuple(map(function.typeof_pyval, arguments))
-    function.compile(types)
-    entry: Callable[..., int] = function.overloads[types].entry_point
-    return entry
 
 
 def _hand_over(

@@ -202,6 +202,20 @@ def _compiled(function: Callable[..., Any], **options: bool) -> Callable[..., An
     return called
 
 
+def entry(function: Any, *arguments: Any) -> Callable[..., Any]:
+    """A compiled function for arguments of these types, which it does not look at at every call.
+
+    There may be a hundred arrays among them.  Their places in memory may differ later on, and they
+    may be contiguous where these are not.
+    """
+    if not COMPILED:
+        return function
+    types = tuple(map(function.typeof_pyval, arguments))
+    function.compile(types)
+    found: Callable[..., Any] = function.overloads[types].entry_point
+    return found
+
+
 @contextmanager
 def on_compile(tell: Callable[[str], None]) -> Iterator[None]:
     """Call ``tell`` with the name of each function of this project that is compiled meanwhile.

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lpv.core.serial_arm.certificate.jump_bound import jump_bound
-from lpv.core.serial_arm.chain import FloatArray
+from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import SensorState
 from lpv.core.serial_arm.diagnosis.balance import OFFSET
@@ -48,6 +48,7 @@ from lpv.core.serial_arm.diagnosis.sensor_state import SensorRecord
 from lpv.core.serial_arm.diagnosis.stuck import ACCELERATION
 from lpv.core.serial_arm.sensor_map import map_rows, mixing
 from lpv.core.support.errors import SampleError
+from lpv.core.support.jit import entry
 
 BoolArray = npt.NDArray[np.bool_]
 
@@ -154,6 +155,7 @@ class SerialMonitor:
         self._jump_bound = jump_bound(arm)
         self._to_sensors = mixing(arm.joints_to_sensors())
         self._first: int | None = None
+        self._take_samples: Callable[..., tuple[int, bool]] | None = None
         # Levels and bounds of another observer that certifies them, shape (n,) [rad]
         self.certified_level: Callable[[], tuple[FloatArray, FloatArray]] | None = None
         self.reset()
@@ -242,27 +244,7 @@ class SerialMonitor:
             As `update`.
         """
         values = np.array(samples, dtype=float, order='C')
-        if values.shape[1:] == (3, self.joints):
-            values[:, :2] = map_rows(self._to_sensors, values[:, :2])
-        self.take_readings(stamps, values)
-
-    def take_readings(self, stamps: npt.ArrayLike, samples: npt.ArrayLike) -> None:
-        """Take samples as `update_many`, but readings y and their rates as they are.
-
-        Parameters
-        ----------
-        stamps : array_like of int, shape (N,)
-            [ns], increasing.
-        samples : array_like, shape (N, 3, n)
-            Readings of the position sensors, their rates, efforts.
-
-        Raises
-        ------
-        SampleError
-            As `update`.
-        """
-        values = np.array(samples, dtype=float, order='C')
-        moments = np.asarray(stamps, dtype=np.int64)
+        moments = np.ascontiguousarray(stamps, np.int64)
         if values.shape != (len(moments), 3, self.joints):
             raise SampleError(
                 f'samples must have shape ({len(moments)}, 3, {self.joints}), got {values.shape}'
@@ -271,14 +253,33 @@ class SerialMonitor:
             raise SampleError('samples must be finite')
         if len(moments) == 0:
             return
-        if self._first is None:
-            self._first = int(moments[0])
-        times = (moments - self._first) / NANOSECONDS
-        steps = np.diff(times, prepend=self._last_time)
-        if not (steps > 0.0).all():
+        if (np.diff(moments) <= 0).any() or not self._is_later(int(moments[0])):
             raise SampleError('stamps must increase')
+        values[:, :2] = map_rows(self._to_sensors, values[:, :2])
+        self.take_readings(moments, values)
+
+    def _is_later(self, stamp: int) -> bool:
+        first = stamp if self._first is None else self._first
+        return (stamp - first) / NANOSECONDS > self._last_time
+
+    def take_readings(self, stamps: IntArray, samples: FloatArray) -> None:
+        """Take samples as `update_many`, but readings y and their rates, all of them in order.
+
+        Parameters
+        ----------
+        stamps : ndarray of int64, shape (N,)
+            [ns], increasing; at least one.
+        samples : ndarray, shape (N, 3, n)
+            Readings of the position sensors, their rates, efforts; all finite.
+        """
+        if self._first is None:
+            self._first = int(stamps[0])
+        times, values = (stamps - self._first) / NANOSECONDS, samples.copy()
         values[:, 2] *= self._efforts
-        gaps = np.nonzero(steps > LONGEST_STEP * self.arm.sample_time)[0]
+        steps = times.copy()
+        steps[1:] -= times[:-1]
+        steps[0] -= self._last_time
+        gaps = (steps > LONGEST_STEP * self.arm.sample_time).nonzero()[0]
         for begin, end in zip([0, *gaps], [*gaps, len(times)]):
             if begin > 0 or (len(gaps) > 0 and gaps[0] == 0):
                 self.begin_again()
@@ -310,11 +311,13 @@ class SerialMonitor:
     def _take(self, times: FloatArray, samples: FloatArray) -> None:
         """Take samples without a gap between them."""
         k, plan = 0, (self.plan.per_block, self.plan.blocks)
+        fixed = self.sampler, self.estimator.balance, times, samples
+        if self._take_samples is None:
+            self._take_samples = entry(take_samples, *fixed, k, plan)
         while k < len(times):
-            k, complete = take_samples(
-                self.sampler, self.estimator.balance, times, samples, k, plan
-            )
-            self._after(k, float(times[k - 1]), complete)
+            k, complete = self._take_samples(*fixed, k, plan)
+            if complete or self.sampler.found.any():
+                self._after(k, float(times[k - 1]), complete)
 
     def _after(self, count: int, now: float, complete: bool) -> None:
         """So many samples of those at hand have been taken, and a decision is due."""
