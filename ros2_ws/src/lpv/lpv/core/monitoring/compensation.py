@@ -34,6 +34,7 @@ class Known(NamedTuple):
     fault: FloatArray  # at the decision [rad]
     rate: FloatArray  # at which it changes [rad/s]
     removed: FloatArray  # part that is beyond doubt [rad]
+    share: FloatArray  # of a change, which is beyond doubt
     bound: FloatArray  # of the error of fault [rad]
     threshold: FloatArray  # [rad]
     limit: FloatArray  # change of a reading that may be a jump [rad]
@@ -50,6 +51,7 @@ class Flags(NamedTuple):
     stamp: int  # of the decision [ns]
     mode: int
     trustworthy: bool
+    until: int  # trustworthy until a stamp, without another balance [ns]
     inconsistent: bool
     fading: float  # rate at which a fault is faded in and out [rad/s]
     sample_time: float  # [s]
@@ -133,8 +135,8 @@ def fill_answers(
             grown = elapsed * known.rate[i]
             fault, confirmed, drift, growth = known.fault[i] + grown, 0.0, 0.0, 0.0
             if known.is_error[i]:
-                confirmed = fault if known.is_level[i] else known.removed[i] + grown
-                growth = known.rate[i]
+                growth = known.rate[i] if known.is_level[i] else known.share[i] * known.rate[i]
+                confirmed = fault if known.is_level[i] else known.removed[i] + elapsed * growth
                 drift = growth if known.is_derived[i] else 0.0
             measured = samples[k, 0, i], samples[k, 1, i]
             _correct(work, i, measured, (confirmed, drift, growth), known.limit[i], step)
@@ -149,7 +151,7 @@ def fill_answers(
         map_vector(known.to_joints, samples[k, 1], rows.measured_velocity[k])
         rows.answered[k], rows.has_fault[k] = True, True
         rows.inconsistent[k], rows.mode[k] = flags.inconsistent, flags.mode
-        rows.trustworthy[k] = flags.trustworthy
+        rows.trustworthy[k] = flags.trustworthy and stamps[k] <= flags.until
         work.stamp[0] = stamps[k]
 
 

@@ -33,6 +33,7 @@ from lpv.core.monitoring.stepped_monitor import Snapshot, SteppedMonitor
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import Alarm, Mode, SensorState
+from lpv.core.serial_arm.diagnosis.bank import STARTS
 from lpv.core.serial_arm.diagnosis.monitor import LONGEST_STEP
 from lpv.core.serial_arm.sensor_map import map_rows, mixing
 from lpv.core.support.errors import SampleError
@@ -50,6 +51,8 @@ _LARGEST_FOUND = 1.5
 """Offsets beyond are no statement: estimates are linear in small ones [rad]."""
 _WARM_UP = (0.3, 1.0)
 """Motion that makes every compiled function run, without and with those of suspected faults [s]."""
+_UNWATCHED = round(STARTS[-1] * NANOSECONDS)
+"""Time without a complete balance after which faults may have begun that are never found [ns]."""
 _CONTACT = 'torques from outside: something pushes or holds the arm, or its load has changed'
 _JUMPS_ALONE = 'jumps of readings are found, offsets and drifts are not diagnosable'
 _LARGEST_MISFIT = 3.0
@@ -424,6 +427,7 @@ class SerialSensorMonitor:
             return
         self._stamp += shift
         self._monitor.doubt(shift)
+        self._balanced += shift
         self._know(self._monitor.snapshot(), self._stamp)
 
     def _prepare(self, stamp: int, sample: FloatArray, row: np.recarray) -> bool:
@@ -449,7 +453,7 @@ class SerialSensorMonitor:
         if blind is not self._blind:
             self._blind = self._monitor.blind = blind
             self._monitor.begin_again()
-            self._know(self._snapshot, self._flags.stamp)
+            self._watch_from(stamp)
         gap = self._stamp == NEVER or stamp - self._stamp > self._gap
         self.counters.gaps += self._stamp != NEVER and gap
         if gap and self._derives(sample[None])[0]:
@@ -487,6 +491,8 @@ class SerialSensorMonitor:
         """Use samples that are in order."""
         stamps, samples = batch.stamps[begin:end], batch.samples[begin:end]
         self._add_rates(stamps, samples)
+        if self._stamp == NEVER:
+            self._watch_from(int(stamps[0]))
         self._stamp, self._reading = int(stamps[-1]), samples[-1, 0].copy()
         self._gate.follow(self._stamp)
         if self._blind:
@@ -507,6 +513,11 @@ class SerialSensorMonitor:
         self._monitor.run(stamps, samples, lambda row: fill(begin + row), decide)
         fill(end)
         self._last = batch.records[end - 1 : end].copy()
+
+    def _watch_from(self, stamp: int) -> None:
+        """Balances are due from a stamp [ns] on."""
+        self._balanced = stamp
+        self._know(self._snapshot, self._flags.stamp)
 
     @property
     def parts(self) -> MonitorParts:
@@ -560,6 +571,8 @@ class SerialSensorMonitor:
 
     def _know(self, snapshot: Snapshot, stamp: int) -> None:
         """What holds from a sample on, in the form of compiled functions."""
+        if snapshot.balances != getattr(self, '_balances', None):
+            self._balances, self._balanced = snapshot.balances, stamp
         self._snapshot, tuning = snapshot, self._parameters
         if self._uio is not None:
             # An offset from the start is not in the set: its estimate is on its way.
@@ -569,6 +582,7 @@ class SerialSensorMonitor:
             snapshot.fault,
             snapshot.rate,
             snapshot.removed,
+            snapshot.share,
             tuning.sigmas * snapshot.sigma,
             snapshot.threshold,
             snapshot.jump_limit,
@@ -582,6 +596,7 @@ class SerialSensorMonitor:
             stamp,
             int(self._mode()),
             self._is_trustworthy(),
+            self._balanced + _UNWATCHED if self._monitor.uses_balances else np.iinfo(int).max,
             bool(snapshot.suspects),
             tuning.compensation_rate,
             self.arm.sample_time,

@@ -27,6 +27,7 @@ class Snapshot:
     rate: FloatArray  # at which they go on to change [rad/s]
     sigma: FloatArray  # their standard deviations [rad]
     removed: FloatArray  # jumps and drifts that are beyond doubt: part of fault [rad]
+    share: FloatArray  # of a fault that changes, which is beyond doubt
     removed_sigma: FloatArray  # standard deviations of these [rad]
     jump: FloatArray  # by which readings were found to have jumped at this sample [rad]
     threshold: FloatArray  # beyond which an offset is a fault [rad]
@@ -171,7 +172,7 @@ class SteppedMonitor(SerialMonitor):
             estimate.fault.copy(),
             self.sampler.drift.copy(),
             estimate.sigma.copy(),
-            self.taken_out(),
+            *self.certain(),
             np.sqrt(self._removed_variance + changing**2),
             self.jump.copy(),
             np.maximum(settings.sigmas * estimate.sigma, settings.smallest_level * self.scales),

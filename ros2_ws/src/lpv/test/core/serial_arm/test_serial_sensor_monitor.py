@@ -234,3 +234,14 @@ def test_given_a_confirmed_offset_when_stamps_make_a_gap_then_it_stays_removed(s
     assert answers.fault.alarm[3999:, 1].all()
     error = answers.state.compensated_position[3999:, 1] - run.position[3999:, 1]
     assert np.abs(error).max() < 0.15
+
+
+def test_given_samples_too_sparse_for_a_balance_when_taken_then_trust_ends_until_there_is_one():
+    run = simulated(ARM, duration=4.0)
+    k = np.arange(len(run.stamps))
+    kept = (k % 30 < 5) | (k > 1800)  # a sixth of the samples, all of them from 3.6 s on
+    _, answers = observe(run.stamps[kept], run.samples[kept])
+    time = (run.stamps[kept] - run.stamps[0]) / 1e9
+    trusted = answers.state.trustworthy
+    assert trusted[time < 2.4].all() and not trusted[(time > 2.6) & (time < 3.6)].any()
+    assert trusted[time > 3.8].all() and not answers.fault.alarm.any()

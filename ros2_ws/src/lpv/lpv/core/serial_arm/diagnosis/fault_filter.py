@@ -76,6 +76,15 @@ class FaultFilter:
         sigma = max(float(np.sqrt(max(variance, 0.0))), least)
         return float(direction @ self.mean), float(self.mean[1]), sigma
 
+    def share(self, reading: float, now: float, sigmas: float) -> float:
+        """Share of the fault that is beyond doubt: 1 - (bound / fault)^2, none within its bound.
+
+        The joint of a frozen reading is not where that says, however uncertain the fault is.
+        """
+        fault, _, sigma = self.fault(reading, now)
+        bound = 0.0 if self.kind == 'stuck' else sigmas * sigma
+        return 1.0 - min(1.0, (bound / fault) ** 2) if fault else float(bound == 0.0)
+
     def predict(self, interval: float) -> None:
         """Let the state go on by a time [s]."""
         if self.is_scale:
@@ -100,7 +109,13 @@ class FaultFilter:
 
 
 def begin_filter(
-    joint: int, kind: str, span: tuple[float, float], size: float, sigma: float, origin: float
+    joint: int,
+    kind: str,
+    span: tuple[float, float],
+    size: float,
+    sigma: float,
+    origin: float,
+    spread: float = 0.0,
 ) -> FaultFilter:
     """Filter of a fault that has just been named.
 
@@ -116,6 +131,8 @@ def begin_filter(
         In the unit of the kind, with its standard deviation.
     origin : float
         Reading when it began to change, as corrected so far [rad].
+    spread : float, optional
+        Standard deviation of the moment when it began [s].
 
     Returns
     -------
@@ -128,6 +145,7 @@ def begin_filter(
     if kind == 'drift':
         one.mean = size * np.array([past, 1.0])
         one.covariance = sigma**2 * np.array([[past**2, past], [past, 1.0]])
+        one.covariance[0, 0] += (size * spread) ** 2
     elif kind == 'scale':
         one.mean = np.array([size, -size * origin])
         one.covariance = np.diag([sigma**2, OFFSET_SIGMA**2])

@@ -368,6 +368,15 @@ class SerialMonitor:
         sampler = self.sampler
         return sampler.correction + sampler.followed + sampler.share * sampler.raw
 
+    def certain(self) -> tuple[FloatArray, FloatArray]:
+        """What of `taken_out` is beyond doubt, and its share of faults that are followed."""
+        removed, share, now = self.taken_out(), np.ones(self.joints), self._last()
+        for i, one in self._filters.items():
+            reading = float(self.sampler.raw[i])
+            share[i] = one.share(reading, now, self.settings.sigmas)
+            removed[i] -= (1.0 - share[i]) * one.fault(reading, now)[0]
+        return removed, share
+
     def changing_sigma(self) -> FloatArray:
         """Standard deviations of the faults that are followed, shape (n,) [rad]."""
         sigma, now = np.zeros(self.joints), self._last()
@@ -605,7 +614,9 @@ class SerialMonitor:
             size, sigma = way or (size, sigma)  # a rate of its own tells how far the joint went
         blocks = self._blocks(len(self.estimator) + 1)
         origin = float(np.interp(one.begin, blocks[:, 3 * self.joints], blocks[:, i]))
-        self._filters[i] = begin_filter(i, kind, (one.begin, last), size, sigma, origin)
+        # Uniform over the starts that the named one stands for.
+        spread = one.starts * self.plan.interval / math.sqrt(12.0)
+        self._filters[i] = begin_filter(i, kind, (one.begin, last), size, sigma, origin, spread)
         self.bank.leave_out_rate(i, True)
         correct_since(self._filters[i], self.estimator, self.sampler)
         self.healthy = self.guarantee = None  # readings are changed
