@@ -1,0 +1,94 @@
+"""Onsets of drifts where rates are derived: likelihoods are those of dense matrices."""
+
+import numpy as np
+import pytest
+from serial_arms import shoulder_arm
+
+from lpv.core.serial_arm.diagnosis.balance import DRIFT, EPOCH, OFFSET
+from lpv.core.serial_arm.diagnosis.information import last_rows, recent
+from lpv.core.serial_arm.diagnosis.monitor import MonitorSettings, SerialMonitor
+from lpv.core.serial_arm.diagnosis.onset import (
+    PLACES,
+    SHORTEST,
+    Onset,
+    explained_at_onsets,
+    sudden_drift,
+    sudden_drift_of,
+)
+from lpv.core.serial_arm.simulation import EncoderFault, SerialSimulator
+
+JOINT, BEGIN, RATE, PRIOR, LAST = 1, 3.022, 0.2, 0.3, 14
+
+
+@pytest.fixture(scope='module')
+def monitor():
+    """Of an arm that is its model, at a decision half a second after a drift began; no names."""
+    arm = shoulder_arm()
+    simulator = SerialSimulator(arm, seed=1)
+    simulator._noise = lambda count: np.zeros((count, 2, 3))
+    run = simulator.run(3.5, [EncoderFault(JOINT, 'drift', BEGIN, RATE)])
+    monitor = SerialMonitor(arm, MonitorSettings(hours_between_false_alarms=np.inf))
+    for stamp, sample in zip(run.stamps, run.samples):
+        monitor.update_many([stamp], sample[None])
+        if stamp >= 3_450_000_000 and monitor.estimator.window.times.max() * 1e9 == stamp:
+            return monitor
+
+
+def dense_onsets(monitor, end, free):
+    """All onsets, with the joint information of the drift and of the arm's unknowns."""
+    estimator, interval = monitor.estimator, monitor.plan.interval
+    window, null, n = estimator.window, estimator.posterior, estimator.joints
+    m, rows = len(null.mean), last_rows(window, LAST)[::-1]
+    weights, unknowns = window.weights[recent(window, LAST)].ravel(), rows[:, :, -m:]
+    residual = (rows[:, :, 0] + unknowns @ null.mean).ravel()
+    weighted = weights[:, None] * unknowns.reshape(-1, m)
+    upper = np.triu(null.factor)
+    for back in range(SHORTEST, LAST - 1):
+        momentum = monitor.bank.momenta(back)[:, JOINT]
+        for place in PLACES:
+            begin = end - (back + 1 - place) * interval
+            since = begin - estimator.balance.clock[EPOCH]
+            effect = np.zeros((LAST, n))
+            effect[:back] = rows[:back, :, 1 + DRIFT * n + JOINT]
+            effect[:back] -= since * rows[:back, :, 1 + OFFSET * n + JOINT]
+            effect[back - 1] -= place * momentum
+            effect[back] -= (1.0 - place) * momentum
+            column = effect.ravel()
+            cross = column @ weighted
+            power = column @ (weights * column) + PRIOR**-2
+            information = np.block([[upper.T @ upper, cross[:, None]], [cross[None], power]])
+            sigma = np.linalg.inv(information)[-1, -1] ** 0.5
+            score = -column @ (weights * residual)
+            gain = 0.5 * (score * sigma) ** 2 + np.log(sigma / PRIOR) - free[back]
+            yield Onset(gain, score * sigma**2, sigma, begin, back)
+
+
+def test_given_a_drift_when_its_onset_is_looked_for_then_it_is_the_best_one_of_dense_matrices(
+    monitor,
+):
+    newest = monitor._blocks(1)[-1]
+    end = float(newest[9] + 0.5 * newest[10])
+    free = np.linspace(0.0, 3.0, LAST)
+    mass = monitor.bank._mass[:, :, JOINT]
+    found = sudden_drift(monitor.estimator, JOINT, end, PRIOR, free, mass)
+    best = max(dense_onsets(monitor, end, free), key=lambda one: one.gain)
+    np.testing.assert_allclose(found, best, rtol=1e-6)
+
+
+def test_given_a_drift_when_its_true_effect_is_taken_then_onset_and_rate_are_those_simulated(
+    monitor,
+):
+    bank = monitor.bank
+    free = explained_at_onsets(bank._outside, monitor.estimator, len(bank._lengths), LAST)
+    assert np.all(free[1:-1] >= 0.0)
+    blocks, none = monitor._blocks(LAST + 1), np.zeros(LAST)
+    plain, found = (
+        sudden_drift_of(monitor.estimator, JOINT, PRIOR, one, blocks, bank._mass)
+        for one in (none, free)
+    )
+    assert found.begin == pytest.approx(BEGIN, abs=0.16 * monitor.plan.interval)
+    assert found.size == pytest.approx(RATE, rel=0.06)
+    assert found.sigma < 0.15 * RATE
+    assert plain.gain - found.gain == pytest.approx(free[found.back], rel=1e-9)
+    short = sudden_drift_of(monitor.estimator, JOINT, PRIOR, none[:SHORTEST], blocks, bank._mass)
+    assert short.gain == -np.inf
