@@ -19,14 +19,14 @@ SPEC = {
     'name': 'graph',
     'seed': 2,
     'plan': {'method': 'random', 'runs': 4},
-    'duration': 6.0,
+    'duration': 4.0,
     'designs': ['gains.yaml'],
     'substeps': 3,
     'factors': {
         'path': 'random',
         'fault.kind': 'dropout',  # the arm is stopped, and led back to its path
         'fault.sensor': 'both',
-        'fault.onset': {'low': 2.0, 'high': 3.0},
+        'fault.onset': {'low': 1.2, 'high': 1.6},
         'fault.duration': 0.5,
         'mass_1': {'low': 0.95, 'high': 1.05},
         'inertia_2': {'low': 0.95, 'high': 1.05},

@@ -3,6 +3,7 @@
 import contextlib
 import os
 import re
+import shutil
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
@@ -21,7 +22,7 @@ from lpv.bag.rosbag.interfaces import make_typestore
 from lpv.bag.run.record import load_run
 from lpv.cli.main import main
 from lpv.cli.options import COMMANDS
-from lpv.cli.processes import ended_by_signals
+from lpv.cli.processes import Graph, ended_by_signals
 from lpv.core.control.tracking import COMPENSATION
 from lpv.core.monitoring.parameters import DiagnosisParameters
 from lpv.core.serial_arm.arm_file import load_arm
@@ -36,6 +37,7 @@ LIMITS = {'x1': 0.006 / 5, 'x2': 0.002 / 5, 'f1': 0.006 / 5, 'f2': 0.002 / 5,
           'x3': 1e-3, 'x4': 1e-3, 'e_t1': 0.003, 'e_t2': 0.007}  # fmt: skip
 STREAMS = ('joint_states', 'ground_truth', 'state_estimate', 'fault_estimate', 'torque_command',
            'reference')  # fmt: skip
+LPV = Path(sys.executable).parent / 'lpv'
 PICTURES = ('timeline', 'path', 'faults', 'measured', 'states', 'torques')
 
 
@@ -143,7 +145,10 @@ def test_given_the_papers_own_design_and_plant_when_run_twice_then_it_works_and_
     scenario.write_text(shortened('paper_lpv', duration=2.0))
     options = ['--requirement', 'paper_literal', '--scenario', scenario, '--seed', 1]
     for name in 'ab':
-        ros.lpv('demo', *options, '--out', tmp_path / name)
+        said = ros.lpv('demo', *options, '--out', tmp_path / name)
+        (tmp_path / 'b').mkdir(exist_ok=True)
+        shutil.copy(tmp_path / 'a' / 'gains.yaml', tmp_path / 'b')  # which are kept
+    assert 'are kept from the run before' in said
     one, other = (contents(tmp_path / name / 'bag') for name in 'ab')
     assert one.keys() == other.keys() and len(one['/lpv/joint_states']) == 1001
     for topic, messages in one.items():
@@ -159,15 +164,13 @@ def test_given_the_papers_own_design_and_plant_when_run_twice_then_it_works_and_
 
 
 @pytest.mark.ros
-@pytest.mark.parametrize('number', [SIGINT, SIGHUP])
-def test_given_a_signal_when_the_graph_runs_then_no_node_outlives_the_command(
-    demo, tmp_path, number
-):
-    scenario = tmp_path / 'long.yaml'
+def test_given_an_interrupt_when_the_graph_runs_then_no_node_outlives_the_command(demo, tmp_path):
+    scenario, out = tmp_path / 'long.yaml', tmp_path / 'out'
     scenario.write_text(shortened('two_faults', duration=300.0))
-    words = ['demo', '--scenario', scenario, '--seed', '2', '--out', tmp_path / 'out']
+    out.mkdir()
+    shutil.copy(demo[0] / 'gains.yaml', out)
     with subprocess.Popen(
-        [Path(sys.executable).parent / 'lpv', *words],
+        [LPV, 'demo', '--scenario', scenario, '--seed', '2', '--out', out],
         env={**os.environ, 'ROS_DOMAIN_ID': str(ros.next_domain())},
         text=True,
         stdout=subprocess.PIPE,
@@ -175,21 +178,25 @@ def test_given_a_signal_when_the_graph_runs_then_no_node_outlives_the_command(
     ) as process:
         assert any('ALARM' in line for line in process.stdout)
         assert len(nodes_of(tmp_path)) >= 3
-        process.send_signal(number)
+        process.send_signal(SIGINT)
         process.communicate(timeout=600)
-    assert process.returncode == 128 + number
+    assert process.returncode == 128 + SIGINT
     assert nodes_of(tmp_path) == []
     # What was recorded until then is there, with the noise of another seed.
-    first, other = (contents(out / 'bag') for out in (tmp_path / 'out', demo[0]))
+    first, other = (contents(one / 'bag') for one in (out, demo[0]))
     assert sum(map(len, first.values())) > 1000
     assert first['/lpv/joint_states'][0] != other['/lpv/joint_states'][0]
 
 
 @pytest.mark.parametrize('number', [SIGTERM, SIGHUP])
-def test_given_a_signal_when_a_command_waits_then_it_ends_with_the_shells_code(number):
-    with ended_by_signals(), pytest.raises(SystemExit) as end:
+def test_given_a_signal_when_a_command_waits_then_its_nodes_end_and_it_has_the_shells_code(
+    tmp_path, number
+):
+    with pytest.raises(SystemExit) as end, ended_by_signals(), Graph(tmp_path, 1) as graph:
+        node = graph.start('sleeper', ['sleep', '600'])
         raise_signal(number)
     assert end.value.code == 128 + number
+    assert node.process.poll() is not None
 
 
 def test_given_a_scenario_out_of_reach_when_run_then_the_demo_says_so(tmp_path, capsys):

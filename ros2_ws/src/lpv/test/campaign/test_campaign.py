@@ -460,7 +460,7 @@ def test_given_a_crash_after_a_chunk_when_run_again_then_only_the_rest_is_done(
 
 def test_given_kill_9_in_the_middle_when_run_again_then_the_results_are_those_of_one_go(tmp_path):
     factors = {'fault.kind': KINDS[:2], 'fault.size': 0.3}
-    changes = {'plan': {'method': 'random', 'runs': 100}, 'factors': factors}
+    changes = {'plan': {'method': 'random', 'runs': 60}, 'factors': factors}
     file, out = written(tmp_path / 'many.yaml', **changes), tmp_path / 'out'
     line = [sys.executable, '-m', 'lpv.cli.main', *command(file, out)]
     process = subprocess.Popen(line, stdout=subprocess.DEVNULL, start_new_session=True)
@@ -470,10 +470,10 @@ def test_given_kill_9_in_the_middle_when_run_again_then_the_results_are_those_of
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
     whole = resolve(small(**changes), 'many', '.')
-    assert 0 < len(ResultsFolder(out).missing(chunks_of(whole))) < 5
+    assert 0 < len(ResultsFolder(out).missing(chunks_of(whole))) < 3
     assert main(command(file, out)) == 0
     rows = pq.read_table(out / 'runs.parquet').to_pylist()
-    assert [row['number'] for row in rows] == list(range(100))
-    for number in (0, 47, 99):
+    assert [row['number'] for row in rows] == list(range(60))
+    for number in (0, 37, 59):
         full = run_one(whole, number)
         assert same(known([{name: rows[number][name] for name in full}]), known([full]))

@@ -71,8 +71,8 @@ def test_given_any_candidate_of_a_serial_arm_when_made_then_it_is_within_the_arm
 
 
 def test_given_a_short_search_when_run_then_it_comes_near_and_never_across(arm, gains_of):
-    found = search(Attacker(arm, 4.0, gains_of[arm.name]), 300)
-    assert len(found) == 300 and found == sorted(found, key=lambda one: -one.ratio)
+    found = search(Attacker(arm, 3.0, gains_of[arm.name]), 120)
+    assert len(found) == 120 and found == sorted(found, key=lambda one: -one.ratio)
     assert 0.4 < found[0].ratio < 1.0
     assert not any(one.blamed for one in found)
 

@@ -54,12 +54,12 @@ def test_given_a_design_when_tuned_and_resumed_then_only_certified_better_gains_
 ):
     out = file.parent / 'out'
     assert main(command(file, 2)) == 0
-    assert main(command(file, 4)) == 0
+    assert main(command(file, 3)) == 0
     text = capsys.readouterr().out
     assert text.count('trial 0: ') == text.count('trial 1: ') == 1  # what was done is kept
     storage = f'sqlite:///{out / "study.db"}'
     study = optuna.load_study(study_name=None, storage=storage)
-    assert len(study.trials) == 4
+    assert len(study.trials) == 3
     assert study.trials[0].params == {'observer.acceleration_noise': 10.0}
     assert study.trials[0].values[0] == pytest.approx(1.0)
     result = json.loads((out / 'study.json').read_text())
@@ -74,10 +74,10 @@ def test_given_a_design_when_tuned_and_resumed_then_only_certified_better_gains_
         assert (out / f'{name}.png').stat().st_size > 1000
     # The same search in one go ends with the same trials.
     other = file.parent / 'other'
-    assert main([*command(file, 4)[:-4], '--out', str(other), '--workers', '0']) == 0
+    assert main([*command(file, 3)[:-4], '--out', str(other), '--workers', '0']) == 0
     again = optuna.load_study(study_name=None, storage=f'sqlite:///{other / "study.db"}')
     assert [t.params for t in again.trials] == [t.params for t in study.trials]
-    assert main(command(file, 4, '--seed', '2')) == 2
+    assert main(command(file, 3, '--seed', '2')) == 2
     assert 'another study' in capsys.readouterr().err
 
 
