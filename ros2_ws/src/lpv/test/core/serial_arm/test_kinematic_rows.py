@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from serial_arms import shoulder_arm
 
-from lpv.core.serial_arm.diagnosis.bank import KinematicRows
+from lpv.core.serial_arm.diagnosis.bank import KinematicRows, loudest_rows
 from lpv.core.serial_arm.diagnosis.estimator import HorizonPlan
 
 
@@ -43,3 +43,21 @@ def test_given_a_reading_that_jumps_when_summed_then_its_own_row_holds_the_jump(
     found = sums(rate=rate, jump=0.05)
     np.testing.assert_allclose(found.found[0], [0.0, 0.05, 0.0], atol=2e-3)
     assert found.span == pytest.approx(0.5)
+
+
+def test_given_no_rows_when_asked_then_rates_do_not_agree_and_nothing_speaks():
+    arm = shoulder_arm('independent')
+    rows = KinematicRows(arm, HorizonPlan.of(arm.sample_time))
+    assert not rows.agrees(1, 0.0) and not rows.speaks(0.0)
+
+
+def test_given_rows_when_their_sums_are_searched_then_the_loudest_window_counts():
+    values = np.random.default_rng(1).normal(size=(9, 2))
+    noise = tuple(np.random.default_rng(2).uniform(0.5, 1.5, (4, 2)))
+    inflation, ends, walk, bias = noise
+    spans = 0.05 * np.arange(1, 10)[:, None]
+    variance = inflation * (ends + walk * spans) + (bias * spans) ** 2
+    expected = (0.5 * np.cumsum(values[::-1], axis=0) ** 2 / variance)[:, 1].max()
+    trusted = np.array([False, True])
+    found = loudest_rows(values, np.zeros((9, 2)), noise, 0.05, trusted)
+    assert found == pytest.approx(expected)

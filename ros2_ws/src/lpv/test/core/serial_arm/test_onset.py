@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from serial_arms import shoulder_arm
+from simulated_runs import simulated_run
 
 from lpv.core.serial_arm.diagnosis.balance import DRIFT, EPOCH, OFFSET
 from lpv.core.serial_arm.diagnosis.information import last_rows, recent
@@ -15,7 +16,7 @@ from lpv.core.serial_arm.diagnosis.onset import (
     sudden_drift,
     sudden_drift_of,
 )
-from lpv.core.serial_arm.simulation import EncoderFault, SerialSimulator
+from lpv.core.simulation.faults import Fault
 
 JOINT, BEGIN, RATE, PRIOR, LAST = 1, 3.022, 0.2, 0.3, 14
 
@@ -24,9 +25,8 @@ JOINT, BEGIN, RATE, PRIOR, LAST = 1, 3.022, 0.2, 0.3, 14
 def monitor():
     """Of an arm that is its model, at a decision half a second after a drift began; no names."""
     arm = shoulder_arm()
-    simulator = SerialSimulator(arm, seed=1)
-    simulator._noise = lambda count: np.zeros((count, 2, 3))
-    run = simulator.run(3.5, [EncoderFault(JOINT, 'drift', BEGIN, RATE)])
+    fault = Fault(arm.sensor_names[JOINT], 'drift', BEGIN, rate=RATE)
+    run = simulated_run(arm, 3.5, fault, noise=False)
     monitor = SerialMonitor(arm, MonitorSettings(hours_between_false_alarms=np.inf))
     for stamp, sample in zip(run.stamps, run.samples):
         monitor.update_many([stamp], sample[None])
