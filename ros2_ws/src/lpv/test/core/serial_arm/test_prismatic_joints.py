@@ -68,7 +68,7 @@ def scenario(arm, *faults, duration):
 @pytest.mark.slow
 @ARMS
 def test_given_an_arm_with_slides_when_nothing_fails_then_it_follows_and_nothing_is_said(arm):
-    run = run_closed_loop(arm, scenario(arm, duration=5.0))
+    run = run_closed_loop(arm, scenario(arm, duration=6.0))
     assert run.alarms == [] and not run.stop_reason.any() and not run.brake_reason.any()
     assert np.abs(run.position - run.reference).max() < 0.03
 
@@ -80,17 +80,17 @@ DRIFT = 'moves the estimate of the next joint instead'
 @pytest.mark.parametrize(
     'fault',
     [
-        Fault('rail_encoder', 'bias', 2.0, size=0.03),
+        Fault('rail_encoder', 'bias', 3.0, size=0.03),
         pytest.param(
-            Fault('rail_encoder', 'drift', 2.0, rate=0.05), marks=pytest.mark.xfail(reason=DRIFT)
+            Fault('rail_encoder', 'drift', 3.0, rate=0.05), marks=pytest.mark.xfail(reason=DRIFT)
         ),
-        Fault('shoulder_lift_encoder', 'bias', 2.0, size=0.1),
+        Fault('shoulder_lift_encoder', 'bias', 3.0, size=0.1),
     ],
     ids=lambda f: f'{f.sensor}-{f.kind}',
 )
 def test_given_an_arm_on_a_rail_when_an_encoder_fails_then_its_fault_is_named(fault):
     arm = ur10_on_rail()
-    run = run_closed_loop(arm, scenario(arm, fault, duration=5.0))
+    run = run_closed_loop(arm, scenario(arm, fault, duration=10.0))
     first = run.alarms[0]
     assert (first.sensor, first.kind) == (fault.sensor, fault.kind)
     assert first.unit == ('m' if 'rail' in fault.sensor else 'rad')
