@@ -177,6 +177,16 @@ def test_given_smaller_sigmas_when_retuned_then_bounds_shrink_at_once(recording)
     np.testing.assert_allclose(after.fault.bound[0], 0.5 * answers.fault.bound[-1])
 
 
+def test_given_a_drift_that_is_followed_when_rates_are_derived_then_the_rate_is_the_joints():
+    run = simulated(ARM, Fault('encoder2', 'drift', 2.0, rate=0.3), duration=6.0)
+    _, answers = observe(run.stamps, run.samples)
+    last = slice(-1000, None)
+    true = np.gradient(run.position[:, 1], ARM.sample_time)[last].mean()
+    assert answers.fault.alarm[last, 1].all()
+    assert answers.state.measured_velocity[last, 1].mean() - true == pytest.approx(0.3, abs=0.02)
+    assert answers.state.velocity[last, 1].mean() == pytest.approx(true, abs=0.1)
+
+
 # ------------------------------------------------------------------ clocks
 
 
