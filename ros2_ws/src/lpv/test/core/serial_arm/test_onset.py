@@ -1,4 +1,4 @@
-"""Onsets of drifts where rates are derived: likelihoods of dense matrices; and of frozen readings."""
+"""Onsets of drifts with derived rates: likelihoods of dense matrices; and of frozen readings."""
 
 import numpy as np
 import pytest
