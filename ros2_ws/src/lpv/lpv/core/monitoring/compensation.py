@@ -33,14 +33,13 @@ class Known(NamedTuple):
 
     fault: FloatArray  # at the decision [rad]
     rate: FloatArray  # at which it changes [rad/s]
-    removed: FloatArray  # part that is beyond doubt [rad]
-    share: FloatArray  # of a change, which is beyond doubt
+    confirmed: FloatArray  # part that is beyond doubt, where it is an error [rad]
+    growth: FloatArray  # rate at which that part changes [rad/s]
     bound: FloatArray  # of the error of fault [rad]
     threshold: FloatArray  # [rad]
     limit: FloatArray  # change of a reading that may be a jump [rad]
     state: npt.NDArray[np.uint8]
     is_error: npt.NDArray[np.bool_]  # confirmed
-    is_level: npt.NDArray[np.bool_]  # all of fault is confirmed, not only what is removed
     is_derived: npt.NDArray[np.bool_]  # the rate is derived from the reading
     to_joints: FloatArray  # S^-1 of y = S q + f, shape (n, n)
 
@@ -132,11 +131,11 @@ def fill_answers(
         elapsed = (stamps[k] - flags.stamp) / NANOSECONDS
         step = _step(work, stamps[k], flags.fading, flags.sample_time)
         for i in range(known.fault.shape[0]):
-            grown = elapsed * known.rate[i]
-            fault, confirmed, drift, growth = known.fault[i] + grown, 0.0, 0.0, 0.0
+            fault, confirmed = known.fault[i] + elapsed * known.rate[i], 0.0
+            drift, growth = 0.0, 0.0
             if known.is_error[i]:
-                growth = known.rate[i] if known.is_level[i] else known.share[i] * known.rate[i]
-                confirmed = fault if known.is_level[i] else known.removed[i] + elapsed * growth
+                growth = known.growth[i]
+                confirmed = known.confirmed[i] + elapsed * growth
                 drift = growth if known.is_derived[i] else 0.0
             measured = samples[k, 0, i], samples[k, 1, i]
             _correct(work, i, measured, (confirmed, drift, growth), known.limit[i], step)

@@ -7,7 +7,7 @@ not depend on how measurements are divided.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple
 
@@ -37,7 +37,7 @@ from lpv.core.serial_arm.diagnosis.bank import STARTS
 from lpv.core.serial_arm.diagnosis.monitor import LONGEST_STEP
 from lpv.core.serial_arm.sensor_map import map_rows, mixing
 from lpv.core.support.errors import SampleError
-from lpv.core.support.jit import entry, njit_in_place
+from lpv.core.support.jit import Entries, njit_in_place
 from lpv.core.support.timestamps import NANOSECONDS, NEVER
 from lpv.core.uio.certificate.gains import Gains
 from lpv.core.uio.unknown_input_observer import CHOICES, UioParts, UnknownInputObserver, uio_answers
@@ -215,7 +215,8 @@ class SerialSensorMonitor:
         self.counters = SerialCounters()
         self._joints = len(arm.joints)
         self.answer_type = answer_type(self._joints)
-        self._entries: dict[Callable[..., Any], Callable[..., Any]] = {}
+        self._call = Entries()
+        self._balances, self._balanced = -1, NEVER  # at the last complete balance
         self._one = _new_batch(self.answer_type, 1, self._joints)  # of `take`
         self._bytes = self._one.records.view(np.ndarray).view('u1')
         self._order = JointOrder(arm.joint_names, self.needs_rates)
@@ -392,12 +393,6 @@ class SerialSensorMonitor:
         stream = _Stream(self._stamp, self._gate.last, self._gap, self._blind, self._independent)
         return int(self._call(_count_regular, stream, batch.stamps, batch.samples, begin))
 
-    def _call(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Call a compiled function, whose arguments always have the same types."""
-        if function not in self._entries:
-            self._entries[function] = entry(function, *arguments)
-        return self._entries[function](*arguments)
-
     def _derives(self, samples: FloatArray) -> np.ndarray:
         """Whether rates have to be made of the readings."""
         missing = ~np.isfinite(samples[:, 1]) | self._without_rates
@@ -571,7 +566,7 @@ class SerialSensorMonitor:
 
     def _know(self, snapshot: Snapshot, stamp: int) -> None:
         """What holds from a sample on, in the form of compiled functions."""
-        if snapshot.balances != getattr(self, '_balances', None):
+        if snapshot.balances != self._balances:
             self._balances, self._balanced = snapshot.balances, stamp
         self._snapshot, tuning = snapshot, self._parameters
         if self._uio is not None:
@@ -581,14 +576,13 @@ class SerialSensorMonitor:
         self._arrays = Known(
             snapshot.fault,
             snapshot.rate,
-            snapshot.removed,
-            snapshot.share,
+            np.where(snapshot.is_level, snapshot.fault, snapshot.removed),
+            np.where(snapshot.is_level, 1.0, snapshot.share) * snapshot.rate,
             tuning.sigmas * snapshot.sigma,
             snapshot.threshold,
             snapshot.jump_limit,
             snapshot.state,
             snapshot.is_error,
-            snapshot.is_level,
             self._is_derived,
             self._to_joints,
         )

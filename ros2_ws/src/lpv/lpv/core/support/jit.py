@@ -216,6 +216,19 @@ def entry(function: Any, *arguments: Any) -> Callable[..., Any]:
     return found
 
 
+class Entries:
+    """Calls compiled functions, each of them always with arguments of the same types."""
+
+    def __init__(self) -> None:
+        self._found: dict[Callable[..., Any], Callable[..., Any]] = {}
+
+    def __call__(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        """What the function returns, by its `entry`."""
+        if function not in self._found:
+            self._found[function] = entry(function, *arguments)
+        return self._found[function](*arguments)
+
+
 @contextmanager
 def on_compile(tell: Callable[[str], None]) -> Iterator[None]:
     """Call ``tell`` with the name of each function of this project that is compiled meanwhile.

@@ -48,7 +48,7 @@ from lpv.core.serial_arm.diagnosis.sensor_state import SensorRecord
 from lpv.core.serial_arm.diagnosis.stuck import ACCELERATION
 from lpv.core.serial_arm.sensor_map import map_rows, mixing
 from lpv.core.support.errors import SampleError
-from lpv.core.support.jit import entry
+from lpv.core.support.jit import Entries
 
 BoolArray = npt.NDArray[np.bool_]
 
@@ -155,7 +155,7 @@ class SerialMonitor:
         self._jump_bound = jump_bound(arm)
         self._to_sensors = mixing(arm.joints_to_sensors())
         self._first: int | None = None
-        self._take_samples: Callable[..., tuple[int, bool]] | None = None
+        self._call = Entries()
         # Levels and bounds of another observer that certifies them, shape (n,) [rad]
         self.certified_level: Callable[[], tuple[FloatArray, FloatArray]] | None = None
         self.reset()
@@ -312,10 +312,8 @@ class SerialMonitor:
         """Take samples without a gap between them."""
         k, plan = 0, (self.plan.per_block, self.plan.blocks)
         fixed = self.sampler, self.estimator.balance, times, samples
-        if self._take_samples is None:
-            self._take_samples = entry(take_samples, *fixed, k, plan)
         while k < len(times):
-            k, complete = self._take_samples(*fixed, k, plan)
+            k, complete = self._call(take_samples, *fixed, k, plan)
             if complete or self.sampler.found.any():
                 self._after(k, float(times[k - 1]), complete)
 
