@@ -95,16 +95,50 @@ install_requirements() {
   id=$(hash_of "$@")
   done_already "$name" "$id" && return 0
   say "installing $name requirements"
-  local arguments=()
-  for file in "$@"; do arguments+=(-r "$file"); done
+  install_packages "$name" "${@/#/-r}"
+  link_duplicates
+  mark_done "$name" "$id"
+}
+
+install_packages() {
+  local name=$1
+  shift
   mkdir -p "$build"
-  if ! install_by_uv "${arguments[@]}" > "$build/uv.txt" 2>&1; then
-    install_by_pip "${arguments[@]}" > "$build/pip.txt" 2>&1 || {
+  if ! install_by_uv "$@" > "$build/uv.txt" 2>&1; then
+    install_by_pip "$@" > "$build/pip.txt" 2>&1 || {
       cat "$build/pip.txt" >&2
       fail "the $name requirements could not be installed"
     }
   fi
-  mark_done "$name" "$id"
+}
+
+# What only builds the workspace stays outside of the environment, and is installed where there is
+# something to build; after the environment's own packages on the path, so that none is replaced.
+install_build_tools() {
+  local files=("$root/requirements/build.txt") tools=$build/tools id
+  if [ "$source" = wheels ] && ! has_cmake; then files+=("$root/requirements/cmake.txt"); fi
+  id="$(hash_of "${files[@]}") $(cat "$state/venv" 2>/dev/null || true)"
+  if [ "$(cat "$tools/.lpv" 2>/dev/null)" != "$id" ]; then
+    rm -rf "$tools"
+    say "installing what builds the workspace"
+    install_packages build --target "$tools" "${files[@]/#/-r}"
+    mkdir -p "$tools" && echo "$id" > "$tools/.lpv"
+  fi
+  export PATH="$tools/bin:$PATH" PYTHONPATH="${PYTHONPATH:+$PYTHONPATH:}$tools"
+}
+
+# Whether the system's CMake and Ninja do: ament's macros want policies that CMake 4 has no more.
+has_cmake() {
+  local version
+  command -v ninja >/dev/null || return 1
+  version=$(cmake --version 2>/dev/null | sed -n 's/^cmake version //p')
+  [ -n "$version" ] && printf '%s\n' 3.25 "$version" 3.999 | sort --check=quiet --version-sort
+}
+
+# The ROS wheels hold every library of theirs under each of its names, and what they depend on once
+# a wheel: as wheels cannot hold links, 60 MB are there several times. Files below 100 kB are left.
+link_duplicates() {
+  hardlink --ignore-time --minimum-size 100000 "$venv" > "$build/hardlink.txt" 2>&1 || true
 }
 
 # Loads and unpacks many packages at once, in a quarter of pip's time; where pip is set up for an
@@ -155,6 +189,7 @@ build_workspace() {
   fi
   say "building the workspace"
   local options=() numerics
+  install_build_tools
   export PATH="$venv/bin:$PATH"
   if [ "$source" = wheels ]; then
     export AMENT_PREFIX_PATH=$venv CMAKE_PREFIX_PATH=$venv VIRTUAL_ENV=$venv
@@ -189,7 +224,7 @@ main() {
   if [ "$source" = wheels ]; then
     install_requirements base "$root/requirements/base.txt" "$root/requirements/ros2-wheels.txt"
   else
-    install_requirements base "$root/requirements/base.txt" "$root/requirements/colcon.txt"
+    install_requirements base "$root/requirements/base.txt"
   fi
   case "${1:-}" in
     '') ;;
