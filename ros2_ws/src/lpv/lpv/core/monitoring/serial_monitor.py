@@ -85,6 +85,7 @@ class _Batch(NamedTuple):
 
     stamps: IntArray
     samples: FloatArray
+    torques: FloatArray  # of the joints, for the designed observer [N m]
     records: np.recarray
     rows: AnswerRows
     answers: Answers
@@ -104,8 +105,10 @@ def _new_batch(kind: np.dtype, count: int, joints: int) -> _Batch:
         events=[],
         reports=[],
     )
-    samples = np.empty((count, 3, joints))
-    return _Batch(np.empty(count, np.int64), samples, records, answer_rows(memory), answers)
+    samples, torques = np.empty((count, 3, joints)), np.empty((count, joints))
+    return _Batch(
+        np.empty(count, np.int64), samples, torques, records, answer_rows(memory), answers
+    )
 
 
 class _Stream(NamedTuple):
@@ -364,10 +367,11 @@ class SerialSensorMonitor:
         self, batch: _Batch, position: FloatArray, velocity: FloatArray, effort: FloatArray
     ) -> Answers:
         """Use the measurements of a batch, which has their stamps."""
-        stamps, samples, records, rows, answers = batch
+        stamps, samples, torques, records, rows, answers = batch
         samples[:, 0] = map_rows(self._to_sensors, np.asarray(position))
         samples[:, 1] = map_rows(self._to_sensors, np.asarray(velocity))
         samples[:, 2] = effort
+        np.multiply(effort, self._torque_gain, out=torques)
         begin = 0
         while begin < len(stamps):
             regular = self._regular(batch, begin)
@@ -610,8 +614,7 @@ class SerialSensorMonitor:
                 self._flags,
             )
             if (uio := self._uio_parts) is not None:
-                efforts = batch.samples[:, 2] * self._torque_gain
-                self._call(uio_answers, uio, batch.rows, (begin, end), batch.stamps, efforts)
+                self._call(uio_answers, uio, batch.rows, (begin, end), batch.stamps, batch.torques)
             self._report_due(batch.stamps[begin:end], answers, begin)
 
     def _mode(self) -> Mode:

@@ -11,7 +11,7 @@ import numpy as np
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.jit import njit_in_place as njit
-from lpv.core.support.records import memory, new_record, record_type
+from lpv.core.support.records import memory, new_record, plain, record_type
 from lpv.core.uio.bound.error_bound import (
     BOUND_CONSTANTS,
     BOUND_STATE,
@@ -197,6 +197,7 @@ class UnknownInputObserver:
             bound=error_bound(planar, gains, sigmas),
         )
         self._state = new_record(UIO_STATE)
+        self._plain = plain(self._state)
         # A fault of a sensor whose rate is derived from it is in the rate, too, and method paper
         # leaves model errors out: no bound is guaranteed then.
         independent = all(joint.sensors.rates == 'independent' for joint in arm.joints)
@@ -234,6 +235,7 @@ class UnknownInputObserver:
 
     def level(self) -> tuple[FloatArray, FloatArray]:
         """Faults of the sensors and their bounds, shape (2,) [rad]; infinite bounds if unknown."""
-        if not self._state.valid:
+        state = self._plain
+        if not state['valid']:
             return np.zeros(2), np.full(2, np.inf)
-        return np.array(self._state.estimate.fault), np.array(self._state.bound.bound)
+        return state['estimate']['fault'].copy(), state['bound']['bound'].copy()
