@@ -14,6 +14,7 @@ from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.diagnosis.estimator import DISTRUST
 from lpv.core.serial_arm.diagnosis.monitor import CONTACT_PAUSE, SensorState, SerialMonitor
+from lpv.core.serial_arm.diagnosis.sampling import rates_lag
 from lpv.core.serial_arm.dynamics.kinematics import jacobian
 from lpv.core.simulation.faults import Fault
 from lpv.core.support.errors import SampleError
@@ -67,6 +68,26 @@ def test_step_is_named_within_20_ms_on_any_joint_and_keeps_its_kind(rates, joint
     (alarm,) = monitor.alarms
     assert (alarm.sensor, alarm.kind) == (f'encoder{joint + 1}', 'bias')
     assert alarm.detected < 2.02 and alarm.size == pytest.approx(0.01, abs=2e-3)
+
+
+def filtered(run, share=0.4):
+    """What a driver makes of readings that gives low-passed differences for rates."""
+    samples, rate, period = run.samples.copy(), 0.0, 1e-9 * np.diff(run.stamps)[:, None]
+    for k, step in enumerate(np.diff(samples[:, 0], axis=0) / period, start=1):
+        rate = rate + share * (step - rate)
+        samples[k, 1] = rate
+    samples[0, 1] = 0.0
+    return run._replace(samples=samples)
+
+
+@pytest.mark.parametrize('share', [0.4, 1.0])
+def test_given_filtered_rates_when_a_reading_jumps_then_it_is_a_step_and_no_noise(share):
+    arm = shoulder_arm()
+    run = filtered(simulated(arm, Fault('encoder2', 'bias', 2.0, size=0.02), duration=4.0), share)
+    monitor = watch(arm, run)
+    assert rates_lag(monitor.sampler) == (share < 1.0)
+    assert [(alarm.sensor, alarm.kind) for alarm in monitor.alarms] == [('encoder2', 'bias')]
+    assert monitor.estimate(0).fault[1] == pytest.approx(0.02, abs=0.02)
 
 
 def test_two_steps_at_once_are_both_named():

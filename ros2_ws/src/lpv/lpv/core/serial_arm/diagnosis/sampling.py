@@ -42,6 +42,9 @@ _USUAL = 5.0
 """Sizes of e, over the usual one, that are nothing special."""
 BEFORE_STOP = 3
 """Periods before a reading comes to rest over which its speed is measured."""
+LAGGING = 1.0
+"""Lag of published rates, in periods, from which on differences of the readings take their place:
+twice that of such differences."""
 SCALE_MEMORY = 256.0
 """Samples over which the usual size of e, and that a reading has noise, are learned."""
 NOISE_MEMORY = 32.0
@@ -80,6 +83,9 @@ class Sampler(NamedTuple):
     noise: FloatArray  # (3, n) jumps lately, usual e^2 while noisy [rad2], correction before [rad]
     noisy: IntArray  # (n,) 1 while a reading is noisy
     doubtful: IntArray  # (HISTORY, n) 1: a wrong stamp explains e; 2: and samples were missing
+    # (4, n) published rates of the last sample [rad/s]; products of what the readings' differences
+    # are more than the rates around them with the changes of these, and squares of both [rad2/s2]
+    published: FloatArray
     counters: IntArray  # (5,)
     clock: FloatArray  # moments, shape (5,) [s]
 
@@ -114,7 +120,7 @@ def new_sampler(
         np.zeros(n), np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n), np.zeros(n),
         np.full(n, np.inf),
         np.zeros((3, n)),
-        np.zeros(n, np.int64), np.zeros((HISTORY, n), np.int64), counters,
+        np.zeros(n, np.int64), np.zeros((HISTORY, n), np.int64), np.zeros((4, n)), counters,
         np.zeros(5))  # fmt: skip
 
 
@@ -160,12 +166,18 @@ def push_sample(
             elif sampler.still[i] == 1:
                 way = sampler.samples[HISTORY - 2, 0, i] - sampler.samples[before, 0, i]
                 sampler.stop[i] = abs(way) / (sampler.time[HISTORY - 2] - sampler.time[before])
+        _watch_lag(sampler, i, y[i] - sampler.raw[i], v[i], period)
         sampler.raw[i] = y[i]
         sampler.samples[HISTORY - 1, 0, i] = reading
         rate = v[i] - sampler.derived[i] * (sampler.drift[i] + sampler.share[i] * v[i])
         rate -= sampler.rate_error[i]
         sampler.samples[HISTORY - 1, 1, i] = rate
         sampler.samples[HISTORY - 1, 2, i] = torque[i]
+    if sampler.counters[COUNT] > 0 and rates_lag(sampler):
+        for i in range(n):
+            if sampler.derived[i] == 1.0:
+                way = sampler.samples[HISTORY - 1, 0, i] - sampler.samples[HISTORY - 2, 0, i]
+                sampler.samples[HISTORY - 1, 1, i] = way / period
     _fill_repeated(sampler)
     if sampler.counters[COUNT] > 1 and period > LATE * (
         sampler.time[HISTORY - 2] - sampler.time[HISTORY - 3]
@@ -175,6 +187,37 @@ def push_sample(
     if sampler.counters[COUNT] >= 3:
         _set_jumps(sampler)
         _find_jumps(sampler)
+
+
+@njit_in_place
+def _watch_lag(sampler: Sampler, i: int, way: float, rate: float, period: float) -> None:
+    """Learn from a sample by how much a published rate lags behind the differences of its reading.
+
+    A rate that is late by d differs from them by d times its change over a period.
+    """
+    before = sampler.published[0, i]
+    sampler.published[0, i] = rate
+    if sampler.derived[i] == 0.0 or sampler.counters[COUNT] == 0:
+        return
+    change, more = rate - before, way / period - 0.5 * (rate + before)
+    sampler.published[1, i] += more * change
+    sampler.published[2, i] += change * change
+    sampler.published[3, i] += more * more
+
+
+@njit_in_place
+def rates_lag(sampler: Sampler) -> bool:
+    """Whether published rates are later than plain differences, which lag by half a period.
+
+    They are filtered then, all of them by one driver, and say less than the readings do.  The lag
+    has to explain most of what they differ by.
+    """
+    late, power, whole = 0.0, 0.0, 0.0
+    for i in range(sampler.derived.shape[0]):
+        late += sampler.published[1, i]
+        power += sampler.published[2, i]
+        whole += sampler.published[3, i]
+    return late > LAGGING * power and late * late > 0.5 * power * whole
 
 
 @njit_in_place
@@ -554,6 +597,10 @@ def move_to_balance(sampler: Sampler, balance: Balance, per_block: int, blocks: 
     for part in range(3):
         for i in range(n):
             sampler.sums[part, i] += sampler.samples[k, part, i]
+    if rates_lag(sampler):  # a difference is the rate between two samples
+        for i in range(n):
+            late = 0.5 * (sampler.samples[k + 1, 1, i] - sampler.samples[k, 1, i])
+            sampler.sums[1, i] += sampler.derived[i] * late
     sampler.clock[TIMES] += now
     sampler.counters[IN_BLOCK] += 1
     if sampler.counters[IN_BLOCK] < per_block:
