@@ -20,6 +20,7 @@ A decisions.  A cause is named by its share of the same sum, weighted by `OCCURR
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -36,7 +37,7 @@ from lpv.core.serial_arm.diagnosis.contact import (
     weigh_residuals,
 )
 from lpv.core.serial_arm.diagnosis.estimator import HorizonPlan, OffsetEstimator, set_residuals
-from lpv.core.serial_arm.diagnosis.information import ROBUST, slot
+from lpv.core.serial_arm.diagnosis.information import ROBUST, factorise, slot, whiten
 from lpv.core.serial_arm.diagnosis.linear_bank import (
     COLUMNS,
     JUMP,
@@ -51,7 +52,7 @@ from lpv.core.serial_arm.diagnosis.sampling import LATE
 from lpv.core.serial_arm.diagnosis.stuck import stuck_bayes_factor
 from lpv.core.serial_arm.dynamics.momentum import mass_matrix
 from lpv.core.serial_arm.sensor_map import map_rows, mixing
-from lpv.core.support.jit import njit_in_place
+from lpv.core.support.jit import Entries, njit_in_place
 
 BoolArray = npt.NDArray[np.bool_]
 CONTACT = 'contact'
@@ -145,6 +146,7 @@ class Bank:
         self._waited, self._age = 0, 0
         self._jumped: list[tuple[float, float, float] | None] = [None] * n
         self._mass = np.zeros((plan.capacity, n, n))
+        self._call = Entries()
         self._hypotheses()
         self._evidence = new_evidence(
             self._lengths, self._starts, self._kinds, len(estimator.prior)
@@ -192,7 +194,8 @@ class Bank:
         self._kinematics.take(blocks)
         window, balance = self.estimator.window, self.estimator.balance
         at = slot(window, 0)
-        mass_matrix(balance.chain, window.poses[at], balance.work, self._mass[at])
+        place = balance.chain, window.poses[at], balance.work, self._mass[at]
+        self._call(mass_matrix, *place)
         if self._mixing is not None:
             self._mass[at] = map_rows(self._mixing, self._mass[at])
 
@@ -354,9 +357,9 @@ class Bank:
         frame = self._to_sensors, balance.reference
         times = float(balance.clock[EPOCH]), estimator.plan.interval
         rows = self._kinematics.sums(self._lengths[:count], block)
-        return gather(
-            self._evidence, self._kinds, estimator.window, estimator.posterior, self._outside,
-            rows, self._mass, frame, times, unseen, count)  # fmt: skip
+        return self._call(
+            gather, self._evidence, self._kinds, estimator.window, estimator.posterior,
+            self._outside, rows, self._mass, frame, times, unseen, count)  # fmt: skip
 
     def _named(self, count: int) -> list[Hypothesis]:
         """Hypotheses of the evidence, and contact, one by one."""
@@ -479,17 +482,6 @@ class Bank:
 
 
 @njit_in_place
-def dead_reckoning(blocks: FloatArray, row: FloatArray) -> None:
-    """Write by what the readings of blocks changed, less the integral of their rates."""
-    n, last = row.shape[0], blocks.shape[0] - 1
-    for i in range(n):
-        row[i] = blocks[last, i] - blocks[0, i]
-        for k in range(last):
-            interval = blocks[k + 1, 3 * n] - blocks[k, 3 * n]
-            row[i] -= 0.5 * (blocks[k, n + i] + blocks[k + 1, n + i]) * interval
-
-
-@njit_in_place
 def loudest_rows(
     rows: FloatArray,
     variances: FloatArray,
@@ -513,6 +505,153 @@ def loudest_rows(
     return largest
 
 
+class Kinematics(NamedTuple):
+    """Kinematic rows of n sensors; of the first arrays, the last entries hold the rows at hand."""
+
+    rows: FloatArray  # (most, n) D, oldest first [rad]
+    variances: FloatArray  # (most, n) of jumps in them [rad2]
+    edges: FloatArray  # (most + 1, n) rates where rows begin and end [rad/s]
+    held: IntArray  # (1,) rows at hand
+    jumps: FloatArray  # (2, n) variances of jumps in the next rows [rad2]
+    independent: BoolArray  # (n,) whether the rate has a sensor of its own
+    trusted: BoolArray  # (n,) whether it has, and its rows count
+    ends: FloatArray  # (n,) variance of a row by the readings at its ends [rad2]
+    walk: FloatArray  # (n,) of int v dt, per second [rad2/s]
+    bias: FloatArray  # (n,) standard deviation of the rate's bias [rad/s]
+    inflation: FloatArray  # (n,) factor of the variance, as seen
+    lag: FloatArray  # (n,) of rates behind readings, as differences and filtered ones do [s]
+    lag_known: FloatArray  # (n,) its information [1/s2]
+    stamps: FloatArray  # (1,) variance of a block's time [s2]
+    matrix: FloatArray  # (2, n, n) scratch
+
+
+@njit_in_place
+def take_row(own: Kinematics, blocks: FloatArray, interval: float) -> None:
+    """Add the row of the last interval; ``blocks`` are those of two intervals, oldest first."""
+    n, last, first = own.lag.shape[0], blocks.shape[0] - 1, blocks.shape[0] // 2 - 1
+    most = own.rows.shape[0]
+    if own.held[0] == 0:
+        for i in range(n):
+            own.edges[most, i] = blocks[first, n + i]
+    own.held[0] = min(own.held[0] + 1, most)
+    for k in range(most - own.held[0], most):
+        for i in range(n):
+            own.edges[k, i] = own.edges[k + 1, i]
+            if k + 1 < most:
+                own.rows[k, i], own.variances[k, i] = own.rows[k + 1, i], own.variances[k + 1, i]
+    for i in range(n):
+        own.edges[most, i] = blocks[last, n + i]
+        row = blocks[last, i] - blocks[first, i]
+        for k in range(first, last):
+            length = blocks[k + 1, 3 * n] - blocks[k, 3 * n]
+            row -= 0.5 * (blocks[k, n + i] + blocks[k + 1, n + i]) * length
+        change = own.edges[most, i] - own.edges[most - 1, i]
+        own.rows[most - 1, i] = row - own.lag[i] * change
+        own.variances[most - 1, i] = own.jumps[0, i]
+        own.jumps[0, i], own.jumps[1, i] = own.jumps[1, i], 0.0
+        if own.trusted[i]:
+            _learn_lag(own, i, interval)
+
+
+@njit_in_place
+def _learn_lag(own: Kinematics, i: int, interval: float) -> None:
+    """Learn by how much a rate lags behind its reading, and take it out of all rows.
+
+    A lag d moves a row by d times the change of its rate, which no fault does: it is learned
+    from all rows, outliers bounded.
+    """
+    most = own.rows.shape[0]
+    variance = own.inflation[i] * (own.ends[i] + own.walk[i] * interval)
+    variance = max(variance + own.variances[most - 1, i], _BEFORE)
+    change = own.edges[most, i] - own.edges[most - 1, i]
+    own.lag_known[i] += change * change / variance
+    bound = ROBUST * np.sqrt(variance)
+    step = min(max(own.rows[most - 1, i], -bound), bound) * change / variance / own.lag_known[i]
+    own.lag[i] += step
+    for k in range(most - own.held[0], most):
+        own.rows[k, i] -= step * (own.edges[k + 1, i] - own.edges[k, i])
+
+
+@njit_in_place
+def loudest_window(own: Kinematics, interval: float) -> float:
+    """As `loudest_rows`, of the rows at hand."""
+    first = own.rows.shape[0] - own.held[0]
+    noise = own.inflation, own.ends, own.walk, own.bias
+    return loudest_rows(own.rows[first:], own.variances[first:], noise, interval, own.trusted)
+
+
+@njit_in_place
+def sum_rows(own: Kinematics, interval: float, lengths: IntArray, rows: Rows) -> None:
+    """Write the sums of the rows of windows; see `KinematicRows.sums`."""
+    n, most, held = own.lag.shape[0], own.rows.shape[0], own.held[0]
+    for w in range(lengths.shape[0]):
+        count = min(lengths[w], held)
+        if count == 0:
+            continue
+        rows.span[w] = interval * count
+        for i in range(n):
+            if own.trusted[i]:
+                jumps = 0.0
+                for k in range(most - 1, most - 1 - count, -1):
+                    rows.found[w, i] += own.rows[k, i]
+                    jumps += own.variances[k, i]
+                variance = own.inflation[i] * (own.ends[i] + own.walk[i] * rows.span[w])
+                variance = max(variance + (own.bias[i] * rows.span[w]) ** 2 + jumps, _BEFORE)
+                turned = own.edges[most, i] - own.edges[most - count, i]
+                rows.weight[w, i] = 1.0 / (variance + turned * turned / own.lag_known[i])
+        if own.stamps[0] > 0.0:
+            _doubt_stamps(own, count, rows.weight[w], rows.found[w])
+
+
+@njit_in_place
+def _doubt_stamps(own: Kinematics, count: int, weight: FloatArray, found: FloatArray) -> None:
+    """Let sums say what they do where stamps of both ends of their window may be wrong.
+
+    These are common to all sensors: their covariance is s v v^T.
+    """
+    n, most, matrix, inverse = weight.shape[0], own.rows.shape[0], own.matrix[0], own.matrix[1]
+    now, then = own.edges[most], own.edges[most - count]
+    for i in range(n):
+        for j in range(n):
+            counts = weight[i] > 0.0 and weight[j] > 0.0
+            both = own.stamps[0] * (now[i] * now[j] + then[i] * then[j]) if counts else 0.0
+            matrix[i, j], inverse[i, j] = both, 1.0 if i == j else 0.0
+        matrix[i, i] += 1.0 / weight[i] if weight[i] > 0.0 else 1.0
+    factorise(matrix, own.ends)  # no pivot is smaller than what readings alone leave
+    whiten(matrix, inverse)
+    for k in range(n):  # U^-T times the sums, in place of a column of the factor
+        matrix[k, 0] = 0.0
+        for j in range(k + 1):
+            matrix[k, 0] += inverse[k, j] * found[j]
+    for i in range(n):
+        if weight[i] > 0.0:
+            weight[i], total = 0.0, 0.0
+            for k in range(i, n):
+                weight[i] += inverse[k, i] * inverse[k, i]
+                total += inverse[k, i] * matrix[k, 0]
+            found[i] = total / weight[i]
+
+
+@njit_in_place
+def learn_rows(own: Kinematics, interval: float, latest: float) -> None:
+    """Learn how much rows scatter; constant errors of rates do not count as scatter."""
+    n, most, power, late = own.lag.shape[0], own.rows.shape[0], 0.0, 0.0
+    for i in range(n):
+        expected = max(2.0 * (2.0 * own.ends[i] + own.walk[i] * interval), _BEFORE)
+        change = own.rows[most - 1, i] - own.rows[most - 2, i]
+        bounded = min(change * change / expected, 9.0 * own.inflation[i])
+        own.inflation[i] = max(own.inflation[i] + (bounded - own.inflation[i]) / 64.0, 1.0)
+        if own.trusted[i]:
+            rate = own.edges[most - 1, i]
+            power += rate * rate / expected
+            late += rate / expected * change
+    # An error d of a stamp moves the rows of all sensors by their rates.  The difference of two
+    # rows holds d of three blocks, once, twice and once.
+    if power * latest >= 1.0:  # else too slow to tell
+        seen = min(((late / power) ** 2 - 1.0 / power) / 6.0, latest)
+        own.stamps[0] = max(own.stamps[0] + (seen - own.stamps[0]) / 64.0, 0.0)
+
+
 class KinematicRows:
     """D = y(t) - y(t - T) - int v dt of every interval, for sensors with rates of their own.
 
@@ -526,60 +665,48 @@ class KinematicRows:
 
     def __init__(self, arm: SerialArm, plan: HorizonPlan) -> None:
         sensors = [joint.sensors for joint in arm.joints]
-        self._interval = plan.interval
-        self._independent = np.array([one.rates == 'independent' for one in sensors])
+        self._interval, n = plan.interval, len(sensors)
         reading = np.array([
             one.position_noise**2 + one.quantization**2 / 12.0 for one in sensors
         ])  # fmt: skip
         rate = np.array([one.velocity_noise for one in sensors])
-        least = NEGLIGIBLE * arm.scales()
-        self._ends = 2.0 * reading / plan.per_block + least**2
-        self._walk = rate**2 * arm.sample_time  # variance of int v dt per second
-        self._bias = np.maximum(RATE_BIAS * rate, 4.0 * least)
-        self._longest = max(STARTS)
-        # Rates lag behind readings, as differences and filtered ones do [s].
-        self._lag = np.zeros(len(sensors))
-        self._lag_known = np.full(len(sensors), 1.0 / arm.sample_time**2)
+        least, most = NEGLIGIBLE * arm.scales(), round(max(STARTS) / plan.interval) + 1
         self._latest = (LATE * arm.sample_time) ** 2 / plan.per_block
-        self._stamps = WRONG_STAMPS * self._latest  # variance of a block's time [s2]
-        self._inflation = np.ones(len(sensors))
-        self.trusted = np.ones(len(sensors), bool)
-        self.restart()
+        independent = np.array([one.rates == 'independent' for one in sensors])
+        self._own = Kinematics(
+            np.zeros((most, n)), np.zeros((most, n)), np.zeros((most + 1, n)),
+            np.zeros(1, np.int64), np.zeros((2, n)),
+            independent, independent.copy(),
+            2.0 * reading / plan.per_block + least**2, rate**2 * arm.sample_time,
+            np.maximum(RATE_BIAS * rate, 4.0 * least), np.ones(n), np.zeros(n),
+            np.full(n, 1.0 / arm.sample_time**2), np.array([WRONG_STAMPS * self._latest]),
+            np.zeros((2, n, n)))  # fmt: skip
+        self._independent, self.trusted = self._own.independent, self._own.trusted
+        self._call = Entries()
+
+    @property
+    def _rows(self) -> FloatArray:
+        """Rows at hand, oldest first."""
+        return self._own.rows[len(self._own.rows) - self._own.held[0] :]
 
     def restart(self) -> None:
         """Forget the rows so far."""
-        self._rows, self._variances = np.zeros((2, 0, len(self._independent)))
-        self._edges = np.zeros((0, len(self._independent)))  # rates where rows begin and end
-        self._jumps: list[FloatArray] = []
+        self._own.held[:] = 0
+        self._own.jumps[:] = 0.0
 
     def note_jump(self, joint: int, variance: float) -> None:
         """A jump was taken out of readings that are still to come, with some error [rad2]."""
-        jump = np.zeros(len(self._independent))
-        jump[joint] = variance
         # It may belong to the next row or to the one after.
-        waiting = [*self._jumps, 0.0 * jump, 0.0 * jump][:2]
-        self._jumps = [one + jump for one in waiting]
+        self._own.jumps[:, joint] += variance
 
     def take(self, blocks: FloatArray) -> None:
         """Add the row of the last interval; rows as of `Sampler.blocks`, of two intervals."""
-        n, half = len(self._independent), len(blocks) // 2
-        if not self._independent.any() or half < 1:
-            return
-        row = np.zeros(n)
-        dead_reckoning(blocks[half - 1 :], row)
-        most = round(self._longest / self._interval) + 1
-        jumped = self._jumps.pop(0) if self._jumps else 0.0 * row
-        if len(self._rows) == 0:
-            self._edges = blocks[half - 1 : half, n : 2 * n]
-        self._edges = np.concatenate([self._edges, blocks[-1:, n : 2 * n]])[-most - 1 :]
-        self._rows = np.concatenate([self._rows, row[None]])[-most:]
-        self._variances = np.concatenate([self._variances, jumped[None]])[-most:]
-        self._rows[-1] -= self._lag * (self._edges[-1] - self._edges[-2])
-        self._learn_lag()
+        if self._independent.any() and len(blocks) > 1:
+            self._call(take_row, self._own, blocks, self._interval)
 
     def leave_out(self, joint: int, out: bool) -> None:
         """Do without the rows of a joint, or with those to come."""
-        self.trusted[joint] = not out
+        self.trusted[joint] = self._independent[joint] and not out
         self._rows[:, joint] = 0.0
 
     def last(self, joint: int) -> tuple[float, float] | None:
@@ -591,14 +718,14 @@ class KinematicRows:
     def way(self, joint: int, count: int) -> tuple[float, float] | None:
         """As of `Bank.way`."""
         rows = self._rows[-max(count, 1) :, joint]
-        if not self._independent[joint] or not self.trusted[joint] or len(rows) == 0:
+        if not self.trusted[joint] or len(rows) == 0:
             return None
         return -float(rows.sum()), float(np.sqrt(self._variance_of_last(joint, len(rows))))
 
     def explained(self, joint: int, count: int) -> float:
         """What a reading that rests explains of the last rows: all of it."""
         rows = self._rows[-count:, joint]
-        if not self._independent[joint] or not self.trusted[joint] or len(rows) == 0:
+        if not self.trusted[joint] or len(rows) == 0:
             return 0.0
         return float(0.5 * rows.sum() ** 2 / self._variance_of_last(joint, len(rows)))
 
@@ -608,19 +735,14 @@ class KinematicRows:
 
     def _variance_of(self, counts: IntArray) -> FloatArray:
         """Variances of the sums of so many last rows, shape (W, n) [rad2]."""
-        span = self._interval * counts[:, None]
-        variance = self._inflation * (self._ends + self._walk * span) + (self._bias * span) ** 2
-        return np.asarray(variance + np.cumsum(self._variances[::-1], axis=0)[counts - 1])
+        own, span = self._own, self._interval * counts[:, None]
+        variance = own.inflation * (own.ends + own.walk * span) + (own.bias * span) ** 2
+        jumps = own.variances[::-1][: len(self._rows)]
+        return np.asarray(variance + np.cumsum(jumps, axis=0)[counts - 1])
 
     def speaks(self, evidence: float) -> bool:
         """Whether the rows of any window contradict healthy sensors by so much evidence."""
-        if not (self._independent & self.trusted).any() or len(self._rows) == 0:
-            return False
-        noise = self._inflation, self._ends, self._walk, self._bias
-        loudest = loudest_rows(
-            self._rows, self._variances, noise, self._interval, self._independent & self.trusted
-        )
-        return bool(loudest > evidence)
+        return bool(self._call(loudest_window, self._own, self._interval) > evidence)
 
     def agrees(self, joint: int, taken_out: float) -> bool:
         """Whether there are rows of the last half second, and they are those of healthy sensors.
@@ -635,43 +757,8 @@ class KinematicRows:
 
     def learn(self, healthy: bool) -> None:
         """Learn how much rows scatter; constant errors of rates do not count as scatter."""
-        if not healthy or len(self._rows) < 2:
-            return
-        expected = 2.0 * (2.0 * self._ends + self._walk * self._interval)
-        ratio = (self._rows[-1] - self._rows[-2]) ** 2 / np.maximum(expected, _BEFORE)
-        bounded = np.minimum(ratio, 9.0 * self._inflation)
-        self._inflation = np.maximum(self._inflation + (bounded - self._inflation) / 64.0, 1.0)
-        self._learn_stamps(expected)
-
-    def _learn_lag(self) -> None:
-        """Learn by how much rates lag behind their readings, and take it out of all rows.
-
-        A lag d moves a row by d times the change of its rate, which no fault does: it is learned
-        from all rows, outliers bounded.
-        """
-        variance = self._ends + self._walk * self._interval
-        variance = np.maximum(self._inflation * variance + self._variances[-1], _BEFORE)
-        change = self._edges[-1] - self._edges[-2]
-        weight = np.where(self._independent & self.trusted, change / variance, 0.0)
-        self._lag_known += weight * change
-        most = ROBUST * np.sqrt(variance)
-        step = weight * np.clip(self._rows[-1], -most, most) / self._lag_known
-        self._lag += step
-        self._rows -= step * np.diff(self._edges, axis=0)
-
-    def _learn_stamps(self, expected: FloatArray) -> None:
-        """Learn how wrong stamps are: an error d moves the rows of all sensors by their rates.
-
-        The difference of two rows holds d of three blocks, once, twice and once.
-        """
-        rate = np.where(self._independent & self.trusted, self._edges[-2], 0.0)
-        weight = rate / np.maximum(expected, _BEFORE)
-        power = float(weight @ rate)
-        if power * self._latest < 1.0:  # too slow to tell
-            return
-        late = float(weight @ (self._rows[-1] - self._rows[-2])) / power
-        seen = min((late**2 - 1.0 / power) / 6.0, self._latest)
-        self._stamps = max(self._stamps + (seen - self._stamps) / 64.0, 0.0)
+        if healthy and self._own.held[0] > 1:
+            self._call(learn_rows, self._own, self._interval, self._latest)
 
     def sums(self, lengths: IntArray, block: FloatArray) -> Rows:
         """Sums of the rows of windows.
@@ -688,24 +775,9 @@ class KinematicRows:
         Rows
             Of no weight where there are no rows.
         """
-        n = len(self._independent)
-        reading, trusted = block[:n].copy(), self._independent & self.trusted
-        if not trusted.any() or len(self._rows) == 0:
-            none = np.zeros((len(lengths), n))
-            return Rows(none[:, 0], none, none, reading)
-        counts = np.minimum(lengths, len(self._rows))
-        variance = np.maximum(self._variance_of(counts), _BEFORE)
-        found: FloatArray = np.cumsum(self._rows[::-1], axis=0)[counts - 1]
-        turned = self._edges[-1] - self._edges[-1 - counts]
-        variance = variance + turned**2 / self._lag_known
-        weight = 1.0 / variance
-        if self._stamps > 0.0:
-            # Wrong stamps of both ends are common to all sensors: their covariance is s v v^T.
-            covariance = variance[:, :, None] * np.eye(n)
-            for rate in (self._edges[-1] * np.ones_like(found), self._edges[-1 - counts]):
-                rate = np.where(trusted, rate, 0.0)
-                covariance += self._stamps * rate[:, :, None] * rate[:, None, :]
-            inverse: FloatArray = np.linalg.inv(covariance).astype(float)
-            weight = inverse[:, np.arange(n), np.arange(n)]
-            found = (inverse @ np.where(trusted, found, 0.0)[:, :, None])[:, :, 0] / weight
-        return Rows(self._interval * counts, np.where(trusted, weight, 0.0), found, reading)
+        shape = len(lengths), len(self._independent)
+        rows = Rows(
+            np.zeros(len(lengths)), np.zeros(shape), np.zeros(shape), block[: shape[1]].copy()
+        )
+        self._call(sum_rows, self._own, self._interval, lengths, rows)
+        return rows

@@ -40,6 +40,7 @@ from lpv.core.serial_arm.diagnosis.information import (
     recent,
     slot,
     solve_factorised,
+    sort,
     sum_slot,
     whiten,
 )
@@ -50,7 +51,7 @@ from lpv.core.serial_arm.diagnosis.parameter_error import (
     parameter_factor,
     typical_torque,
 )
-from lpv.core.support.jit import njit_in_place
+from lpv.core.support.jit import Entries, njit, njit_in_place
 
 OFFSET_PRIOR = 0.5
 """Standard deviation of an offset of which nothing is known [rad]."""
@@ -239,13 +240,56 @@ def take_balance(
     weigh(window, null, 1)
 
 
+@njit_in_place
+def take_balances(
+    window: Window,
+    null: Posterior,
+    slow: Window | None,
+    level: Posterior,
+    balance: Balance,
+    time: float,
+    learn: bool,
+) -> None:
+    """As `take_balance`, for the estimate of levels as well."""
+    take_balance(window, null, balance, time, learn)
+    if slow is not None:
+        join(slow, time, slow.rows[0], PAST_WEIGHT if learn else -PAST_WEIGHT)
+        copy_unknowns(window, slow, 1)
+        weigh(slow, level, 1)
+
+
+@njit_in_place
+def weigh_all(
+    window: Window, null: Posterior, slow: Window | None, level: Posterior, last: int
+) -> None:
+    """As `weigh`, for the estimate of levels as well."""
+    weigh(window, null, last)
+    if slow is not None:
+        copy_unknowns(window, slow, last)
+        weigh(slow, level, last)
+
+
+@njit_in_place
+def solve_all(window: Window, null: Posterior, slow: Window | None, level: Posterior) -> None:
+    """As `solve`, for the estimate of levels as well."""
+    solve(window, null)
+    if slow is not None:
+        solve(slow, level)
+
+
+@njit_in_place
 def copy_unknowns(source: Window, window: Window, last: int) -> None:
     """Copy the last balances into a window without columns of faults; both hold as many."""
-    at, m = recent(source, last), window.rows.shape[2] - 1
-    window.rows[at, :, 0] = source.rows[at, :, 0]
-    window.rows[at, :, 1:] = source.rows[at, :, -m:]
-    window.rest[at], window.trust[at] = source.rest[at], source.trust[at]
-    window.extra[at] = source.extra[at]
+    faults = source.rows.shape[2] - window.rows.shape[2]
+    for back in range(last):
+        at = slot(source, back)
+        window.trust[at] = source.trust[at]
+        for i in range(window.rest.shape[1]):
+            row, into = source.rows[at, i], window.rows[at, i]
+            into[0] = row[0]
+            for c in range(1, into.shape[0]):
+                into[c] = row[faults + c]
+            window.rest[at, i], window.extra[at, i] = source.rest[at, i], source.extra[at, i]
 
 
 def copy_noise(source: Posterior, level: Posterior, lasting: float) -> None:
@@ -267,48 +311,99 @@ def _make_absolute(rows: FloatArray, reference: FloatArray) -> None:
             rows[i, 0] -= rows[i, 1 + OFFSET * n + j] * reference[j]
 
 
+@njit
 def learn_noise(window: Window, null: Posterior) -> None:
     """Size and correlation of what the arm's model does not explain, from the horizon."""
-    count = int(window.counters[COUNT])
+    count, n = window.counters[COUNT], null.noise.shape[0]
     set_residuals(window, null, count)
-    at, left = recent(window, count), null.residual[:count]
-    trusted, rests_there = window.trust[at] == 1.0, window.rest[at]
-    for i, expected in enumerate(null.expected):
-        moving = np.abs(left[trusted & (rests_there[:, i] == 0.0), i])
+    values, trusted = np.empty(count), 0
+    for back in range(count):
+        trusted += window.trust[slot(window, back)] == 1.0
+    share = _share(trusted)
+    for i in range(n):
+        expected = null.expected[i]
+        moving = values[: _sizes(window, null, i, 0.0, values)]
         noise = _learned_size(moving, expected)
         null.noise[i] = min(max(noise, 0.1 * expected), 10.0 * expected)
-        resting = np.abs(left[trusted & (rests_there[:, i] == 1.0), i])
+        resting = values[: _sizes(window, null, i, 1.0, values)]
         rest = _learned_size(resting, null.expected_rest[i] * null.noise[i])
         null.rest[i] = min(max(rest / null.noise[i], 1.0), _LARGEST_REST)
-    usual = null.noise * (1.0 + (null.rest - 1.0) * rests_there[trusted])
-    ratio = left[trusted] / usual
-    if len(ratio) < 10:
-        return
-    share, learned = _share(len(ratio)), 1.0 + 2.0 * _correlation(ratio)
-    null.inflation[:] = (1.0 - share) * 2.0 + share * np.minimum(learned, _LARGEST_INFLATION)
+        if trusted >= 10:
+            k = 0
+            for back in range(count):
+                if window.trust[slot(window, back)] == 1.0:
+                    ratio = null.residual[back, i] / usual_size(window, null, back, i)
+                    values[k] = min(max(ratio, -ROBUST), ROBUST)
+                    k += 1
+            learned = min(1.0 + 2.0 * _correlation(values[:k]), _LARGEST_INFLATION)
+            null.inflation[i] = (1.0 - share) * 2.0 + share * learned
 
 
+@njit_in_place
+def _sizes(window: Window, null: Posterior, i: int, rest: float, values: FloatArray) -> int:
+    """Write sizes of residuals of a joint where it moves, or rests; their number."""
+    count = 0
+    for back in range(window.counters[COUNT]):
+        at = slot(window, back)
+        if window.trust[at] == 1.0 and window.rest[at, i] == rest:
+            values[count] = abs(null.residual[back, i])
+            count += 1
+    return count
+
+
+@njit_in_place
 def _share(count: int) -> float:
     """Weight of what was seen in so many balances, beside what is expected."""
     return count * count / (_NOISE_SAMPLES * _NOISE_SAMPLES + count * count)
 
 
+@njit_in_place
 def _learned_size(sizes: FloatArray, expected: float) -> float:
-    """Usual size of residuals, from their absolute values."""
-    if len(sizes) < 10:
+    """Usual size of residuals, from their absolute values, which are sorted."""
+    count = len(sizes)
+    if count < 10:
         return expected
-    size, share = 1.4826 * np.median(sizes), _share(len(sizes))
-    return float(np.sqrt((1.0 - share) * expected**2 + share * size**2))
+    sort(sizes)
+    median = 0.5 * (sizes[(count - 1) // 2] + sizes[count // 2])
+    size, share = 1.4826 * median, _share(count)
+    return float(np.sqrt((1.0 - share) * expected * expected + share * size * size))
 
 
-def _correlation(ratio: FloatArray) -> FloatArray:
-    """Sums of the positive autocorrelations, clipped where outliers begin, of each column."""
-    count, values = len(ratio), np.clip(ratio, -ROBUST, ROBUST)
-    power, total = (values**2).mean(0), np.zeros(ratio.shape[1])
+@njit_in_place
+def _correlation(values: FloatArray) -> float:
+    """Sum of the positive autocorrelations."""
+    count, power, total = len(values), 0.0, 0.0
+    for k in range(count):
+        power += values[k] * values[k]
+    power = max(power / count, np.finfo(np.float64).tiny)
     for lag in range(1, min(_LAGS, count // 2)):
-        product = (values[lag:] * values[:-lag]).mean(0)
-        total += np.maximum(product / np.maximum(power, np.finfo(float).tiny), 0.0)
+        product = 0.0
+        for k in range(lag, count):
+            product += values[k] * values[k - lag]
+        total += max(product / (count - lag) / power, 0.0)
     return total
+
+
+@njit_in_place
+def misfit(null: Posterior) -> float:
+    """By how many standard deviations the arm differs from its file, at most."""
+    largest, n = 0.0, null.sigma.shape[0]
+    for k in range(n, null.mean.shape[0]):
+        largest = max(largest, abs(null.mean[k]) * np.sqrt(null.least[k]))
+    for i in range(n):
+        largest = max(largest, null.noise[i] / null.expected[i])
+    return largest
+
+
+@njit_in_place
+def largest_step(level: Posterior, reference: FloatArray) -> float:
+    """Largest way from the point of linearisation to an offset that has surely moved [rad]."""
+    largest = 0.0
+    for i in range(reference.shape[0]):
+        step = abs(level.mean[i] - reference[i])
+        if step > _SURE * level.sigma[i]:
+            largest = max(largest, step)
+    return largest
 
 
 class OffsetEstimator:
@@ -356,6 +451,7 @@ class OffsetEstimator:
             self.level = _prior_posterior(self.prior, noise, rest, systematic, plan.capacity)
             self._slow = new_window(n, 0, len(self.prior), plan.capacity)
         self._since_linearised = 0
+        self._call, self._parts = Entries(), (self.window, self.posterior, self._slow, self.level)
 
     def __len__(self) -> int:
         """Balances in the horizon."""
@@ -383,7 +479,7 @@ class OffsetEstimator:
         self._since_linearised += 1
         known = self.window.counters[NEXT] * self.plan.interval > NOISE_KNOWN_AFTER
         if (learn or not known) and self.window.counters[NEXT] % _NOISE_EVERY == 0:
-            learn_noise(self.window, self.posterior)
+            self._call(learn_noise, self.window, self.posterior)
             if self._slow is not None:
                 copy_noise(self.posterior, self.level, _POSE_TIME / self.plan.interval)
         self._solve()
@@ -395,48 +491,30 @@ class OffsetEstimator:
             shift = time - self.balance.clock[EPOCH]
             move_drifts(window, 1 + DRIFT * n, 1 + OFFSET * n, n, shift)
             move_epoch(self.balance, time)
-        take_balance(window, self.posterior, self.balance, time, learn)
-        if self._slow is not None:
-            join(self._slow, time, self._slow.rows[0], PAST_WEIGHT if learn else -PAST_WEIGHT)
-            self._weigh_slow(1)
+        self._call(take_balances, *self._parts, self.balance, time, learn)
 
     def weigh_again(self, last: int) -> None:
         """Sum up the last balances again, after a change of their variance."""
-        self._weigh(last)
+        self._call(weigh_all, *self._parts, last)
 
     def _solve(self) -> None:
-        solve(self.window, self.posterior)
-        if self._slow is not None:
-            solve(self._slow, self.level)
-
-    def _weigh(self, last: int) -> None:
-        """Sum up the last balances again."""
-        weigh(self.window, self.posterior, last)
-        if self._slow is not None:
-            self._weigh_slow(last)
-
-    def _weigh_slow(self, last: int) -> None:
-        assert self._slow is not None
-        copy_unknowns(self.window, self._slow, last)
-        weigh(self._slow, self.level, last)
+        self._call(solve_all, *self._parts)
 
     def misfit(self) -> float:
         """By how many of its standard deviations the arm differs from its file, at most.
 
         Of unknown parameters, and of what they leave over what is expected.
         """
-        n, null = self.joints, self.posterior
         if self.window.counters[NEXT] * self.plan.interval < NOISE_KNOWN_AFTER:
             return 0.0
-        return float(max(
-            np.abs(null.mean[n:] / self.prior[n:]).max(), (null.noise / null.expected).max()
-        ))  # fmt: skip
+        return float(self._call(misfit, self.posterior))
 
     def must_linearise(self) -> bool:
         """Whether the estimate has left the point of linearisation."""
         if self._since_linearised < max(3, len(self) // 10):
             return False
-        return bool(np.abs(self._step()).max() > _LINEAR_WITHIN)
+        step = self._call(largest_step, self.level, self.balance.reference)
+        return bool(step > _LINEAR_WITHIN)
 
     def _step(self) -> FloatArray:
         """Ways to the estimates of those offsets that have surely moved, shape (n,) [rad]."""
@@ -475,7 +553,7 @@ class OffsetEstimator:
                 window.rows[:, :, 0] -= by * window.rows[:, :, column]
                 window.past[0] -= by * window.past[1 + joint]
                 window.past[:, 0] -= by * window.past[:, column]
-        self._weigh(len(self))
+        self.weigh_again(len(self))
         self._solve()
 
     def restart(self) -> None:
@@ -496,7 +574,7 @@ class OffsetEstimator:
         for back in range(last):
             _make_absolute(rows[-1 - back], self.balance.reference)
             self.window.rows[slot(self.window, back)] = rows[-1 - back]
-        self._weigh(last)
+        self.weigh_again(last)
 
     def distrust(self, last: int) -> None:
         """Take most of the weight off the last balances, and estimate anew."""
@@ -504,7 +582,7 @@ class OffsetEstimator:
         for back in range(last):
             at = slot(self.window, back)
             self.window.trust[at] = min(self.window.trust[at], DISTRUST)
-        self._weigh(last)
+        self.weigh_again(last)
         self._solve()
 
 

@@ -12,6 +12,7 @@ is remembered is bounded by the inequality of Cauchy and Schwarz.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from lpv.core.serial_arm.chain import FloatArray, compile_chain
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.estimator import PAST_WEIGHT, OffsetEstimator, Posterior
 from lpv.core.serial_arm.diagnosis.healthy_balance import (
+    HealthyBalance,
     add_healthy_blocks,
     close_healthy_interval,
     generator_count,
@@ -27,12 +29,16 @@ from lpv.core.serial_arm.diagnosis.healthy_balance import (
 from lpv.core.serial_arm.diagnosis.information import COUNT, NEXT, Window, slot
 from lpv.core.serial_arm.diagnosis.learning import payload_share
 from lpv.core.serial_arm.diagnosis.parameter_set import parameter_set, payload_generator
-from lpv.core.serial_arm.sensor_map import map_rows, mixing
+from lpv.core.serial_arm.sensor_map import map_rows, map_vector
+from lpv.core.support.jit import Entries, njit_in_place
 
 SIGMAS = 4.0
 """Standard deviations of noise that a guarantee holds for."""
 OTHERS = 1.0
 """Offsets of the other sensors that do not move an estimate across its threshold [rad]."""
+SLACK, NOISE, LENGTH = range(3)
+"""Entries of `HealthyRing.past`: sum of squared slack times weight, largest variance of noise times
+weight, of what is remembered; length of the interval before [s]."""
 LEAST_RESPONSE = 0.05
 """An estimate that shows less of an offset is no evidence of one."""
 
@@ -63,6 +69,83 @@ class Guarantee:
         return np.where(self.response > LEAST_RESPONSE, 2.0 * self.threshold / shown, np.inf)
 
 
+class HealthyRing(NamedTuple):
+    """Balances of a healthy arm, beside those of a horizon."""
+
+    balance: HealthyBalance
+    effects: FloatArray  # (capacity, n, 1 + k) residual, then the effect of each generator
+    doubts: FloatArray  # (capacity, 2, n) as of `close_healthy_interval`
+    inertia: FloatArray  # (capacity, n, n) momentum by rates of the readings
+    right: FloatArray  # (m, 1 + k) A^T W E of what is remembered
+    past: FloatArray  # (3,) see `SLACK`
+    block_noise: FloatArray  # (n,) standard deviation of mean joint rates of a block [rad/s]
+    mean_reading: FloatArray  # (n,) of mean readings of an interval [rad]
+    mean_noise: FloatArray  # (n,) of their mean rates [rad/s]
+    mixing: FloatArray  # (n, n) S^-T
+    shared: float  # variance of a balance's noise over that of one mean
+
+
+@njit_in_place
+def take_healthy(
+    ring: HealthyRing,
+    window: Window,
+    rows: FloatArray,
+    blocks: FloatArray,
+    per_interval: int,
+    learn: bool,
+) -> None:
+    """Take the balance that the horizon's ``window`` is about to take; see `HealthySet.take`."""
+    capacity, last = ring.effects.shape[0], blocks.shape[0] - per_interval
+    if ring.past[LENGTH] == 0.0:
+        _add(ring, rows, blocks[:last], 0)
+    if window.counters[COUNT] == capacity:
+        remember(ring, window, slot(window, capacity - 1), learn, PAST_WEIGHT)
+    _add(ring, rows, blocks[last:], window.counters[NEXT] % capacity)
+
+
+@njit_in_place
+def _add(ring: HealthyRing, rows: FloatArray, blocks: FloatArray, at: int) -> None:
+    """Take one interval; what its balance may leave goes into a place of the rings."""
+    current = add_healthy_blocks(ring.balance, blocks, ring.block_noise)
+    for i in range(rows.shape[0]):
+        map_vector(ring.mixing, ring.balance.matrix[i], ring.inertia[at, i])
+    lengths = ring.past[LENGTH], current
+    close_healthy_interval(
+        ring.balance, lengths, rows, ring.mean_reading, ring.effects[at], ring.doubts[at]
+    )
+    ring.past[LENGTH] = current
+
+
+@njit_in_place
+def remember(ring: HealthyRing, window: Window, at: int, learn: bool, factor: float) -> None:
+    """A balance leaves the horizon, as in `information.join`."""
+    (m, columns), n = ring.right.shape, ring.inertia.shape[1]
+    first, largest = window.rows.shape[2] - m, 0.0
+    ring.past[SLACK] *= factor
+    for a in range(m):
+        for c in range(columns):
+            ring.right[a, c] *= factor
+    if not learn:
+        return
+    for i in range(n):
+        weight, slack = window.weights[at, i], ring.doubts[at, 0, i]
+        ring.past[SLACK] += weight * slack * slack
+        for a in range(m):
+            share = weight * window.rows[at, i, first + a]
+            for c in range(columns):
+                ring.right[a, c] += share * ring.effects[at, i, c]
+        total = weight * ring.doubts[at, 1, i]
+        for j in range(n):
+            noise = 0.0
+            for k in range(n):
+                both = ring.inertia[at, i, k] * ring.inertia[at, j, k]
+                noise += both * ring.mean_noise[k] * ring.mean_noise[k]
+            total += ring.shared * abs(noise) * np.sqrt(weight * window.weights[at, j])
+        largest = max(largest, total)
+    # No eigenvalue is larger than the largest sum of a row.
+    ring.past[NOISE] = max(ring.past[NOISE], 2.0 * largest)
+
+
 class HealthySet:
     """The set of a healthy arm's balances, beside an estimator.
 
@@ -79,20 +162,12 @@ class HealthySet:
         chain, plan, n = compile_chain(arm), estimator.plan, estimator.joints
         sizes = parameter_set(arm, chain)
         self._balance = new_healthy_balance(chain, sizes, arm.sensors_to_joints())
-        self._mixing = mixing(arm.sensors_to_joints().T)
         self._largest_payload = arm.uncertainty.payload
         self._at_tip = payload_generator(sizes, self._largest_payload)
         self._load = np.zeros(len(estimator.prior))  # the payload's mass by the unknowns
         if self._at_tip >= 0:
             self._load[4 * n :] = payload_share(estimator)
         m, columns = len(estimator.prior), 1 + generator_count(sizes)
-        self._effects = np.zeros((plan.capacity, n, columns))
-        self._doubts = np.zeros((plan.capacity, 2, n))
-        self._inertia = np.zeros((plan.capacity, n, n))
-        self._right = np.zeros((m, columns))  # of what is remembered
-        self._past_slack = 0.0  # sum of squared slack times weight
-        self._past_noise = 0.0  # largest variance of noise times weight
-        self._length = 0.0  # of the interval before [s]
         sensors = [joint.sensors for joint in arm.joints]
         self._derived = estimator.balance.derived > 0.0
         self._reading = np.array([
@@ -100,12 +175,17 @@ class HealthySet:
         ])  # fmt: skip
         rate = np.array([one.velocity_noise for one in sensors]) / np.sqrt(plan.per_block)
         difference = np.sqrt(2.0) * self._reading / (plan.per_block * arm.sample_time)
-        self._mean_reading = self._reading / np.sqrt(plan.per_block * plan.blocks)
         by_sensor = np.where(self._derived, difference, rate)
-        self._block_noise = np.sqrt(map_rows(self._balance.to_joints**2, by_sensor**2))
-        self._mean_noise = np.where(
-            self._derived, self._reading / plan.interval, rate / np.sqrt(plan.blocks)
-        )
+        self._ring = HealthyRing(
+            self._balance, np.zeros((plan.capacity, n, columns)), np.zeros((plan.capacity, 2, n)),
+            np.zeros((plan.capacity, n, n)), np.zeros((m, columns)), np.zeros(3),
+            np.sqrt(map_rows(self._balance.to_joints**2, by_sensor**2)),
+            self._reading / np.sqrt(plan.per_block * plan.blocks),
+            np.where(self._derived, self._reading / plan.interval, rate / np.sqrt(plan.blocks)),
+            arm.sensors_to_joints().T.copy(), 6.0 if self._derived.any() else 2.0)  # fmt: skip
+        self._effects, self._doubts = self._ring.effects, self._ring.doubts
+        self._inertia, self._mean_noise = self._ring.inertia, self._ring.mean_noise
+        self._call = Entries()
 
     def take(self, blocks: FloatArray, learn: bool) -> None:
         """Take the balance that the estimator is about to take.
@@ -117,28 +197,15 @@ class HealthySet:
         learn : bool
             Whether what leaves the horizon is remembered.
         """
-        window, count = self._estimator.window, self._estimator.plan.blocks
-        if self._length == 0.0:
-            self._add(blocks[:-count], 0)
-        if window.counters[COUNT] == len(self._effects):
-            self._remember(slot(window, len(self._effects) - 1), learn)
-        self._add(blocks[-count:], int(window.counters[NEXT] % len(self._effects)))
-
-    def _add(self, blocks: FloatArray, at: int) -> None:
-        """Take one interval; what its balance may leave goes into a place of the rings."""
-        current = add_healthy_blocks(self._balance, np.ascontiguousarray(blocks), self._block_noise)
-        # Momentum by rates of the readings.
-        self._inertia[at] = map_rows(self._mixing, self._balance.matrix)
-        close_healthy_interval(
-            self._balance, (self._length, current), self._estimator.balance.rows,
-            self._mean_reading, self._effects[at], self._doubts[at])  # fmt: skip
-        self._length = current
+        one = self._estimator
+        self._call(take_healthy, self._ring, one.window, one.balance.rows, blocks,
+                   one.plan.blocks, learn)  # fmt: skip
 
     def restart(self) -> None:
         """Begin anew after a gap; called before the estimator's own restart."""
         window = self._estimator.window
         for back in range(int(window.counters[COUNT]) - 1, -1, -1):
-            self._remember(slot(window, back), True, 1.0)
+            remember(self._ring, window, slot(window, back), True, 1.0)
         self.drop()
 
     def drop(self) -> None:
@@ -147,31 +214,12 @@ class HealthySet:
             part[:] = 0.0
         self._balance.slack[:], self._balance.variance[:] = 0.0, 0.0
         self._balance.last[:] = np.inf
-        self._length = 0.0
-
-    def _remember(self, at: int, learn: bool, factor: float = PAST_WEIGHT) -> None:
-        """A balance leaves the horizon, as in `information.join`."""
-        window, m = self._estimator.window, len(self._right)
-        self._right *= factor
-        self._past_slack *= factor
-        if not learn:
-            return
-        weighted = window.weights[at][:, None] * window.rows[at][:, -m:]
-        self._right += weighted.T @ self._effects[at]
-        self._past_slack += float(window.weights[at] @ self._doubts[at, 0] ** 2)
-        inertia = self._inertia[at]
-        noise = 2.0 * (inertia * self._mean_noise) @ (inertia * self._mean_noise).T
-        noise *= 3.0 if self._derived.any() else 1.0
-        scaled = np.sqrt(window.weights[at])
-        matrix = scaled[:, None] * (noise + np.diag(self._doubts[at, 1])) * scaled
-        # No eigenvalue is larger than the largest sum of a row.
-        largest = float(np.abs(matrix).sum(1).max())
-        self._past_noise = max(self._past_noise, 2.0 * largest)
+        self._ring.past[LENGTH] = 0.0
 
     def evaluate(self) -> Guarantee:
         """Bounds at the last balance."""
         window, null, n = self._estimator.window, self._estimator.posterior, self._estimator.joints
-        m, last = len(self._right), int(window.counters[COUNT])
+        m, last = len(null.mean), int(window.counters[COUNT])
         inverse = np.linalg.inv(np.triu(null.factor))
         wanted = np.vstack([np.eye(m)[:n], self._load])
         gain = wanted @ inverse @ inverse.T
@@ -180,15 +228,15 @@ class HealthySet:
         map_ = -(weighted.reshape(-1, m) @ gain.T).T.reshape(n + 1, last, n)
         from_past = -gain[:, n:] @ _eliminated(window, null)
         response = np.einsum('fbi,bik->fk', map_, self._effects[places], optimize=True)
-        response += from_past @ self._right
+        response += from_past @ self._ring.right
         slack = np.einsum('fbi,bi->f', np.abs(map_), self._doubts[places, 0])
         # For right sides A^T W e of the past: (d A^T W e)^2 <= (d A^T W A d)(e^T W e).
         size = np.einsum('fa,ab,fb->f', gain[:, n:], null.recalled[1 + n :, n:], gain[:, n:])
         size = np.maximum(size, 0.0)
-        slack += np.sqrt(size * self._past_slack)
+        slack += np.sqrt(size * self._ring.past[SLACK])
         share = gain[:, :n] * null.least[:n]
         slack += OTHERS * (np.abs(share).sum(1) - np.append(np.abs(np.diag(share)), 0.0))
-        noise = SIGMAS * np.sqrt(self._noise(map_, places) + self._past_noise * size)
+        noise = SIGMAS * np.sqrt(self._noise(map_, places) + self._ring.past[NOISE] * size)
         estimate = wanted @ null.mean
         effects, rest = response[:, 1:], np.abs(estimate - response[:, 0])
         doubt = slack + noise + rest

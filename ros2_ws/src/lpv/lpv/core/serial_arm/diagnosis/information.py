@@ -233,3 +233,17 @@ def whiten(factor: FloatArray, columns: FloatArray) -> None:
             share, other = factor[k, i], columns[i]
             for c in range(count):
                 other[c] -= share * own[c]
+
+
+@njit_in_place
+def sort(values: FloatArray) -> None:
+    """Sort in place (Shell's method); what NumPy offers takes seconds to compile."""
+    gap = values.shape[0] // 2
+    while gap > 0:
+        for k in range(gap, values.shape[0]):
+            value, at = values[k], k
+            while at >= gap and values[at - gap] > value:
+                values[at] = values[at - gap]
+                at -= gap
+            values[at] = value
+        gap //= 2

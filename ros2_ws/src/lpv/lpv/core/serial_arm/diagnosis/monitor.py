@@ -18,8 +18,8 @@ from lpv.core.serial_arm.certificate.jump_bound import jump_bound
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import SensorState
-from lpv.core.serial_arm.diagnosis.balance import OFFSET
 from lpv.core.serial_arm.diagnosis.bank import CONTACT, OCCURRENCE, Bank, Hypothesis
+from lpv.core.serial_arm.diagnosis.decision import add_noise, find_levels, reading_noise
 from lpv.core.serial_arm.diagnosis.estimator import NOISE_KNOWN_AFTER, HorizonPlan, OffsetEstimator
 from lpv.core.serial_arm.diagnosis.fault_filter import (
     FaultFilter,
@@ -28,7 +28,7 @@ from lpv.core.serial_arm.diagnosis.fault_filter import (
     follow,
 )
 from lpv.core.serial_arm.diagnosis.healthy_set import Guarantee, HealthySet
-from lpv.core.serial_arm.diagnosis.information import NEXT, slot
+from lpv.core.serial_arm.diagnosis.information import NEXT
 from lpv.core.serial_arm.diagnosis.learning import Learned, learned_of
 from lpv.core.serial_arm.diagnosis.parameter_error import typical_torque
 from lpv.core.serial_arm.diagnosis.parameter_set import is_stated
@@ -395,9 +395,7 @@ class SerialMonitor:
 
     def _noise(self, i: int) -> float:
         """Standard deviation of a noisy reading [rad]."""
-        # e is made of two readings, of four where the rates are derived from them.
-        parts = 3.5 if self.sampler.derived[i] else 2.0
-        return float(np.sqrt(self.sampler.noise[1, i] / parts))
+        return math.sqrt(reading_noise(self.sampler, i))
 
     def _report_samples(self, now: float) -> None:
         """Events of what was found at a sample."""
@@ -459,9 +457,12 @@ class SerialMonitor:
         return float(self.sampler.time[-1])
 
     def _blocks(self, intervals: int) -> FloatArray:
-        """The last blocks, oldest first."""
+        """The last blocks, oldest first; not to be changed."""
         written = int(self.sampler.counters[BLOCKS])
         count = min(intervals * self.plan.blocks, written, self._capacity)
+        first = (written - count) % self._capacity
+        if first + count <= self._capacity:
+            return self.sampler.blocks[first : first + count]
         return self.sampler.blocks[np.arange(written - count, written) % self._capacity]
 
     def _decide(self, now: float) -> None:
@@ -494,20 +495,12 @@ class SerialMonitor:
 
     def _add_noise(self) -> None:
         """Balances of readings that are noisy, or rounded, say less than others."""
-        estimator, sampler, n = self.estimator, self.sampler, self.joints
-        window, at = estimator.window, slot(estimator.window, 0)
-        variance = np.where(np.isfinite(sampler.grain), sampler.grain, 0.0) ** 2 / 12.0
-        # Means of derived rates hold the errors of the readings where two intervals begin and end.
-        rates = 6.0 * sampler.derived / self.plan.interval**2 * self.bank.momenta(0) ** 2
-        usual = estimator.posterior.noise**2  # as learned, most of it may be rounding
-        extra = np.maximum(rates @ variance - usual, 0.0)
-        for i in np.nonzero(sampler.noisy)[0]:
-            square = self._noise(int(i)) ** 2
-            mean = square / (self.plan.per_block * self.plan.blocks)
-            extra += mean * window.rows[at, :, 1 + OFFSET * n + i] ** 2 + square * rates[:, i]
-        if extra.any():
-            window.extra[at] += extra
-            estimator.weigh_again(1)
+        one, plan = self.estimator, self.plan
+        interval = plan.interval, plan.per_block * plan.blocks
+        if self._call(
+            add_noise, one.window, one.posterior, self.sampler, self.bank.momenta(0), interval
+        ):
+            one.weigh_again(1)
 
     def _frozen(self, found: list[Hypothesis]) -> Hypothesis | None:
         """What explains a reading that froze, if balances say that the joint moves.
@@ -641,20 +634,21 @@ class SerialMonitor:
 
     def _decide_levels(self, now: float) -> None:
         """Offsets that gravity and motion show."""
-        level, settings = self.estimator.level, self.settings
-        offsets, sigma = level.mean[: self.joints], level.sigma
-        shown = sigma < settings.widest_level * self.scales
-        self._known += np.where(shown, self.plan.interval, 0.0)
-        prior = self.estimator.prior[: self.joints]
-        gain = 0.5 * (offsets / sigma) ** 2 - np.log(prior / sigma)
-        # An offset may have been there before the first sample; later ones come at any time, and
-        # every horizon is another chance of a false alarm.
+        settings, nothing = self.settings, (np.zeros(self.joints), np.full(self.joints, np.inf))
+        certified = self.certified_level() if self.certified_level else nothing
         at_start = math.log(1.0 / settings.fault_at_start)
-        later = settings.threshold(settings.horizon)
-        needed = np.where(self._known < settings.horizon, at_start, later)
-        beyond = shown & (gain > needed) & (np.abs(offsets) > settings.smallest_level * self.scales)
-        beyond &= ~self._raise_certified(now)
-        for i in np.nonzero(beyond)[0]:
+        limits = (
+            settings.widest_level, settings.smallest_level, settings.sigmas, self.plan.interval,
+            settings.horizon, at_start, settings.threshold(settings.horizon),
+        )  # fmt: skip
+        gain, excluded = beyond = np.empty((2, self.joints))
+        if not self._call(
+            find_levels, self.estimator.level, self.estimator.prior, self._known, certified,
+            self.scales, limits, beyond,
+        ):  # fmt: skip
+            return
+        raised = self._raise_certified(excluded > 0.0, now)
+        for i in np.nonzero((gain > 0.0) & ~raised)[0]:
             sensor = self.sensors[i]
             if sensor.active or self.sampler.noisy[i]:
                 continue
@@ -675,18 +669,12 @@ class SerialMonitor:
         """Log Bayes factor by which a cause is named against another one."""
         return -math.log(self.settings.probability_of_wrong_name)
 
-    def _raise_certified(self, now: float) -> BoolArray:
-        """Offsets that the designed observer's reachable set excludes of a healthy arm.
+    def _raise_certified(self, beyond: BoolArray, now: float) -> BoolArray:
+        """Raise offsets that the designed observer's reachable set excludes of a healthy arm.
 
-        The horizon must not contradict them: the rates that the set rests on would be wrong.
+        The horizon does not contradict them: the rates that the set rests on would be wrong.
         """
         certified = np.zeros(self.joints, bool)
-        if self.certified_level is None:
-            return certified
-        fault, bound = self.certified_level()
-        beyond = np.abs(fault) > np.maximum(bound, self.settings.smallest_level * self.scales)
-        level, sigmas = self.estimator.level, self.settings.sigmas
-        beyond &= np.abs(level.mean[: self.joints] - fault) < bound + sigmas * level.sigma
         for i in np.nonzero(beyond)[0]:
             if self.sensors[i].active or self.sampler.noisy[i]:
                 continue
