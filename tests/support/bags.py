@@ -1,5 +1,7 @@
 """Small bags that tests of reading and recovery share."""
 
+import numpy as np
+
 from lpv.bag.rosbag.messages import BagMessages
 from lpv.bag.rosbag.reading import open_bag
 from lpv.bag.rosbag.writing import BagWriter, qos_profile
@@ -27,6 +29,17 @@ def write_small(path, count=20, **options):
                 text = writer.typestore.types['std_msgs/msg/String'](f'hello {k}')
                 writer.write(CHATTER, stamp, text)
         writer.close(known)
+    return path
+
+
+def write_measurements(path, names, time, position, velocity, effort):
+    """A bag of measurements of joints; times in s, None for what is not measured."""
+    with BagWriter(path, 'none') as writer:
+        messages = BagMessages(writer.typestore, 'base')
+        writer.add_topic(JOINTS, JOINT_STATE)
+        for k, stamp in enumerate(np.round(1e9 * np.asarray(time)).astype(int).tolist()):
+            vectors = ([] if v is None else v[k] for v in (position, velocity, effort))
+            writer.write(JOINTS, stamp, messages.joint_state(stamp, names, *vectors))
     return path
 
 

@@ -11,6 +11,7 @@ import resource
 import time
 import traceback
 from collections import Counter
+from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, is_dataclass
 
 import numpy as np
@@ -235,15 +236,29 @@ def not_finite(value: object, name: str = '') -> set[str]:
     return set().union(*(not_finite(item, f'{name}.{key}') for key, item in items))
 
 
-def cases(count: int, first: int = 0):
+def cases(count: int):
     """Seeds of a fuzzer: a fixed number, or as many as fit into `SECONDS`."""
-    end = time.monotonic() + SECONDS
-    seed = first
-    while seed < first + count or time.monotonic() < end:
+    end, seed = time.monotonic() + SECONDS, 0
+    while seed < count or time.monotonic() < end:
         yield seed
         seed += 1
 
 
-def peak_memory() -> int:
-    """Largest memory that this process had [bytes]."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+@contextmanager
+def bounded_memory():
+    """What is done takes at most 300 MiB more than this process ever had."""
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    yield
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 300 << 10
+
+
+def fuzz(count, mutate, use, **options) -> Tally:
+    """Counts of a fuzzer: ``mutate`` lays the file of a seed, ``use`` reads it."""
+    tally = Tally(**options)
+    with bounded_memory():
+        for seed in cases(count):
+            mutate(seed)
+            tally.run(seed, use)
+    print(tally)
+    assert not tally.failed and tally.accepted
+    return tally

@@ -11,7 +11,6 @@ from serial_bags import crane_file, crane_run, record_crane
 
 import lpv
 from lpv.bag.run.record import load_run
-from lpv.core.uio.planar import planar_model
 
 pytestmark = pytest.mark.slow
 
@@ -72,33 +71,12 @@ def test_given_wrong_sizes_when_updated_then_it_is_told(page):
         lpv.Monitor(page['arm'], page['gains']).update(1, [0.0], [0.0, 0.0], [0.0, 0.0])
 
 
-def test_given_gains_when_saved_and_loaded_then_they_are_the_same(page, tmp_path):
-    lpv.save_gains(page['gains'], tmp_path / 'gains.yaml')
-    found = lpv.load_gains(tmp_path / 'gains.yaml')
-    assert found.arm_sha256 == planar_model(page['arm']).sha256()
-
-
-def test_given_no_bag_when_read_then_it_is_told(tmp_path, page):
-    with pytest.raises(lpv.LpvError):
-        next(lpv.read_bag(tmp_path / 'nowhere', page['arm']))
-
-
 def test_given_a_bag_when_diagnosed_then_estimates_are_those_that_were_recorded(page, bag):
     found, recorded = lpv.diagnose(page['arm'], page['gains'], bag), load_run(bag)
     np.testing.assert_array_equal(found.stamp, recorded.stamps['fault_estimate'])
     np.testing.assert_array_equal(found.fault, recorded.get('fault_estimate', 'estimate'))
     assert [a.kind for a in found.alarms] == [a.kind for a in recorded.alarms]
     assert found.alarms
-
-
-def test_given_a_bag_when_read_one_by_one_then_the_monitor_says_the_same(page, bag):
-    monitor = lpv.Monitor(page['arm'], page['gains'])
-    updates = [
-        monitor.update(s.stamp, s.position, s.velocity, s.effort)
-        for s in lpv.read_bag(bag, page['arm'])
-    ]
-    found = lpv.diagnose(page['arm'], page['gains'], bag)
-    np.testing.assert_array_equal([u.fault for u in updates if u], found.fault)
 
 
 def test_given_a_serial_arm_when_its_bag_is_diagnosed_then_the_monitor_says_the_same(tmp_path):

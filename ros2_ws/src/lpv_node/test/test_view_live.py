@@ -102,17 +102,6 @@ def test_given_a_view_that_cannot_start_when_set_up_then_it_says_why(parameters,
         pass
 
 
-def test_given_a_view_that_cannot_start_when_run_then_it_ends_with_code_1_and_no_traceback(
-    tmp_path,
-):
-    with ros.graph(tmp_path) as graph:
-        node = graph.start('view', ros.command('view', f'arm_file:={ARM}', 'port:=70000'))
-        assert node.process.wait(60) == 1
-        graph.stop()
-    log = (tmp_path / 'view.log').read_text()
-    assert 'port' in log and 'Traceback' not in log, log
-
-
 @pytest.fixture(scope='module')
 def gains_file(paper_gains, tmp_path_factory):
     path = tmp_path_factory.mktemp('gains') / 'gains.yaml'

@@ -10,7 +10,6 @@ from places import BRINGUP
 
 from lpv.bag.rosbag.reading import open_bag
 from lpv.bag.run.csv_import import ANGLE_UNITS, TIME_UNITS, CsvError, import_csv, load_column_map
-from lpv.bag.run.record import load_run
 from lpv.bag.run.streams import stamp_of
 from lpv.cli.main import main
 from lpv.core.support.errors import ConfigError
@@ -114,13 +113,6 @@ def test_given_joints_without_efforts_when_imported_then_messages_carry_none_or_
     np.testing.assert_array_equal(message.effort, [NAN, 5.0])
     _, (message,), _ = convert('t,q1,q2,w1,w2\n0,1,2,3,4\n', one.replace(', effort: u2', ''))
     assert (message.effort.tolist(), message.velocity.tolist()) == ([], [3.0, 4.0])
-
-
-def test_given_an_imported_bag_when_loaded_as_a_run_then_it_is_complete(convert):
-    record = load_run(convert(HEADER + LINES)[2])
-    assert record.joint_names == ('shoulder', 'elbow')
-    assert record.time.tolist() == [0.0, 0.002, 0.004]
-    assert record.get('joint_states', 'effort').tolist() == [[0.5, 0.6], [1.5, 1.6], [2.5, 2.6]]
 
 
 @pytest.mark.parametrize('last', ['0.006', '0.006,3.1,3.2,3.3,3.4,3.5', *(

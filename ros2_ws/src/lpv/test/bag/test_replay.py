@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-import os
 import re
 import shutil
 import struct
@@ -12,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from places import BRINGUP, ROOT
+from places import BRINGUP
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import get_types_from_msg
-from serial_bags import crane, crane_file, crane_run, record_crane
+from serial_bags import crane_file, crane_run, record_crane
 
 from lpv.bag.errors import BagError
 from lpv.bag.replay.injected_faults import judge, true_size
@@ -26,26 +25,21 @@ from lpv.bag.rosbag.interfaces import make_typestore
 from lpv.bag.rosbag.messages import BagMessages
 from lpv.bag.rosbag.writing import BagWriter, qos_profile
 from lpv.bag.run import decoder
-from lpv.bag.run.csv_import import import_csv, load_column_map
 from lpv.bag.run.record import load_run
 from lpv.bag.run.streams import RecordedAlarm, stamp_of
 from lpv.cli.main import main
-from lpv.core.control.tracking import TrackingController
 from lpv.core.monitoring.message_fields import alarm_fields
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent, Mode
-from lpv.core.simulation.arm_simulator import ArmSimulator
+from lpv.core.simulation.closed_loop import run_closed_loop
 from lpv.core.simulation.faults import Fault, FaultInjector
 from lpv.core.support.errors import ConfigError, SampleError
 from lpv.core.support.timestamps import NANOSECONDS
-from lpv.core.uio.certificate.gains import save_gains
 
 pytestmark = pytest.mark.slow
 
 PAPER_ARM = str(BRINGUP / 'arms' / 'paper.yaml')
-RECORDINGS = Path(
-    os.environ.get('LPV_REAL_ARM_DATA') or ROOT.parent / 'shared' / 'data' / 'real_arm'
-)
+PAPER_GAINS = str(BRINGUP / 'gains' / 'paper.yaml')
 TYPESTORE = make_typestore()
 MESSAGES = BagMessages(TYPESTORE, 'paper')
 STEP = 2_000_000
@@ -59,24 +53,18 @@ ANSWERS = {
 }
 TYPES = {MEASURED: JOINT_STATE, '/lpv/torque_command': COMMAND, '/chatter': STRING,
          '/diagnostics': DIAGNOSTICS}  # fmt: skip
+KINDS = ('mcap', 'db3', 'bag', 'txt')
 BIAS = Fault('link1_angle', 'bias', onset=1.0, size=0.3)
 
 
 def simulate(arm, gains, scenario):
-    """Stamp, measurement and the command that answers it, of a loop closed by a monitor."""
-    plant, controller = ArmSimulator(arm, scenario), TrackingController(arm, gains)
-    monitor, path = SerialSensorMonitor('/lpv/uio', arm, gains=gains), scenario.path(arm)
-    for k in range(int(round(scenario.duration / arm.sample_time)) + 1):
-        stamp, sense = round(plant.time * NANOSECONDS), plant.sense()[0]
-        vectors = sense.position, sense.velocity, sense.effort
-        message = MESSAGES.joint_state(stamp, arm.joint_names, *vectors)
-        state = monitor.take(stamp, message).state
-        position = np.array(state['compensated_position'])
-        reference, rate = path.sample(stamp / NANOSECONDS), np.array(state['velocity'])
-        interval = arm.sample_time if k else 0.0
-        torque = controller.update(reference, position, rate, position, interval).torque
-        yield stamp, message, torque
-        plant.step(torque)
+    """Stamp, measurement and the command that answers it, of a simulated loop."""
+    run = run_closed_loop(arm, scenario, gains)
+    for time, *vectors, torque in zip(
+        run.time, run.measured, run.measured_velocity, run.effort, run.command
+    ):
+        stamp = round(time * NANOSECONDS)
+        yield stamp, MESSAGES.joint_state(stamp, arm.joint_names, *vectors), torque
 
 
 @pytest.fixture(scope='module')
@@ -401,52 +389,6 @@ def test_given_a_bag_without_hashes_or_a_single_file_when_replayed_then_the_answ
     assert raw(replay(make(bag, tmp_path))[1]) == raw(replayed[1])
 
 
-def test_given_joints_in_another_order_with_more_of_them_when_replayed_then_answers_are_the_same(
-    loop, replayed, replay, tmp_path
-):
-    entries = []
-    for topic, stamp, m in measured(loop):
-        vectors = [[v[1], 7.0, v[0]] for v in (m.position, m.velocity, m.effort)]
-        message = MESSAGES.joint_state(stamp, ['joint2', 'gripper', 'joint1'], *vectors)
-        entries.append((topic, stamp, message))
-    result, out = replay(write_bag(tmp_path / 'bag', entries))
-    assert result.events == replayed[0].events
-    topics = ('/lpv/state_estimate', '/lpv/fault_estimate', '/lpv/fault_alarm')
-    assert raw(out, *topics) == raw(replayed[1], *topics)
-
-
-def test_given_only_values_that_are_no_numbers_when_replayed_then_it_is_said_that_nothing_is_known(
-    loop, replay, tmp_path
-):
-    nan = [math.nan] * 2
-    entries = [
-        (MEASURED, t, MESSAGES.joint_state(t, m.name, nan, nan, [])) for t, m, _ in loop[:50]
-    ]
-    _, out = replay(write_bag(tmp_path / 'bag', entries))
-    states = read(out, '/lpv/state_estimate')
-    assert [m.mode for m in states] == [Mode.NO_ESTIMATE] * 50
-    assert np.isfinite([m.position for m in states]).all()
-    assert read(out, '/lpv/fault_estimate') == []
-
-
-def test_given_time_that_restarts_when_replayed_then_the_alarm_ends_and_is_raised_again(
-    loop, monitor, replay, tmp_path
-):
-    entries = [
-        (MEASURED, stamp + shift, sample)
-        for shift in (0, 10 * NANOSECONDS)
-        for stamp, sample, _ in loop
-    ]
-    result, _ = replay(write_bag(tmp_path / 'bag', entries), monitor=monitor)
-    assert monitor.counters.restarts == 1
-    first, cleared, second = result.events
-    assert (first.event, cleared.event) == (AlarmEvent.RAISED, AlarmEvent.CLEARED)
-    assert cleared.stamp < second.stamp
-    assert (second.event, second.sensor, second.kind) == (first.event, first.sensor, first.kind)
-    assert (second.onset, second.stamp) == (first.onset, first.stamp)
-    assert second.size == pytest.approx(first.size, abs=first.bound)
-
-
 def test_given_an_interval_when_replayed_then_nothing_outside_is_seen(bag, replay):
     result, out = replay(bag, start=0.4, end=0.6)
     assert result.measurements == 100
@@ -652,34 +594,10 @@ def test_given_alarms_when_injected_faults_are_judged_then_each_has_its_verdict(
 
 # ------------------------------------------------------------------ arms of three joints
 
-ENCODER = Fault('encoder2', 'bias', 0.6, size=0.05)
-
 
 @pytest.fixture(scope='module')
 def crane_motion():
     return crane_run()
-
-
-@pytest.mark.parametrize('without', [[], ['velocity'], ['effort']])
-def test_given_a_recording_of_three_joints_when_replayed_then_a_step_is_found_and_corrected(
-    crane_motion, replay, tmp_path, without
-):
-    bag = record_crane(tmp_path / 'bag', crane_motion, without)
-    result, out = replay(bag, [ENCODER], SerialSensorMonitor('/uio', crane()))
-    found = judge([ENCODER], result)[0]
-    assert found.found and not found.wrong_sensors and not result.rejected
-    record = load_run(out, joint_names=crane().joint_names)
-    assert result.answered == result.measurements
-    assert len(record.get('fault_estimate', 'estimate').T) == 3
-    assert record.sensor_names == crane().sensor_names
-    if not without:
-        assert record.counts['/lpv/joint_states_corrected'] == result.measurements
-        assert found.size == pytest.approx(0.05, abs=2e-3) and found.delay < 0.02
-        corrected = np.array([m.position for m in read(out, '/lpv/joint_states_corrected')])
-        names = crane().joint_names
-        true = load_run(bag, joint_names=names).get('joint_states', 'position')
-        assert np.abs(corrected - true).max() < 5e-3
-        assert not replay(bag, monitor=SerialSensorMonitor('/uio', crane()), out='b')[0].events
 
 
 # ------------------------------------------------------------------ bags that cannot be replayed
@@ -717,80 +635,22 @@ def test_given_topics_of_any_name_when_one_is_called_joint_states_then_it_is_pre
         replay(nothing, out='none')
 
 
-def copied(change):
-    def make(place, bag):
-        shutil.copytree(bag, place)
-        change(place, next(place.glob('*.mcap')))
-
-    return make
-
-
-def text_file(place, _):
-    place.write_text('this is no bag\n')
-
-
-def metadata_only(place, bag):
-    place.mkdir()
-    shutil.copy(bag / 'metadata.yaml', place)
-
-
-def cut(share):
-    def change(_, storage):
-        data = storage.read_bytes()
-        storage.write_bytes(data[: int(share * len(data))])
-
-    return copied(change)
-
-
-def cut_file(share):
-    def make(place, bag):
-        data = next(bag.glob('*.mcap')).read_bytes()
-        place.write_bytes(data[: int(share * len(data))])
-
-    return make
-
-
-DAMAGED = {
-    'missing': ('bag', lambda *_: None),
-    'missing file': ('a.mcap', lambda *_: None),
-    'empty folder': ('bag', lambda place, _: place.mkdir()),
-    'no storage': ('bag', metadata_only),
-    'garbage storage': ('bag', copied(lambda _, f: f.write_bytes(bytes(range(256)) * 40))),
-    'empty storage': ('bag', copied(lambda _, f: f.write_bytes(b''))),
-    **{f'garbage {name}': (f'bag.{name}', text_file) for name in ('mcap', 'db3', 'bag', 'txt')},
-    'cut at 0.001': ('bag', cut(0.001)),
-    **{f'file cut at {share}': ('bag.mcap', cut_file(share)) for share in (0.0, 0.001)},
-}
-WRONG = 'rosbag2_bagfile_information: [1, 2]\n'
-IN_PART = {
-    'garbage metadata': ('bag', copied(lambda p, _: (p / 'metadata.yaml').write_text('{{{'))),
-    'wrong metadata': ('bag', copied(lambda p, _: (p / 'metadata.yaml').write_text(WRONG))),
-    **{f'cut at {share}': ('bag', cut(share)) for share in (0.3, 0.999)},
-    **{f'file cut at {share}': ('bag.mcap', cut_file(share)) for share in (0.3, 0.999)},
-}
-
-
-@pytest.mark.parametrize('case', IN_PART)
-def test_given_a_bag_that_is_damaged_in_part_when_replayed_then_the_rest_is_and_it_is_said(
-    bag, replay, tmp_path, caplog, case
-):
-    name, make = IN_PART[case]
-    make(tmp_path / name, bag)
-    result, _ = replay(tmp_path / name)
-    assert 100 < result.measurements <= 1001
-    assert (result.measurements == 1001) == (not case.endswith('0.3'))
-    assert any(str(tmp_path / name) in record.getMessage() for record in caplog.records)
-
-
-@pytest.mark.parametrize('case', DAMAGED)
+@pytest.mark.parametrize(
+    'name', ['missing', 'missing.mcap', 'empty', 'no_storage', *(f'text.{kind}' for kind in KINDS)]
+)
 def test_given_a_bag_that_cannot_be_read_when_replayed_then_the_error_names_it(
-    bag, replay, tmp_path, case
+    bag, replay, tmp_path, name
 ):
-    name, make = DAMAGED[case]
-    make(tmp_path / name, bag)
+    place = tmp_path / name
+    if name.startswith('text'):
+        place.write_text('this is no bag\n')
+    elif not name.startswith('missing'):
+        place.mkdir()
+    if name == 'no_storage':
+        shutil.copy(bag / 'metadata.yaml', place)
     with pytest.raises(BagError, match=name) as caught:
-        replay(tmp_path / name)
-    assert str(caught.value).startswith(str(tmp_path / name))
+        replay(place)
+    assert str(caught.value).startswith(str(place))
     assert not (tmp_path / 'out').exists()
 
 
@@ -811,58 +671,17 @@ def test_given_a_damaged_message_when_replayed_then_the_error_names_the_bag_and_
     assert list((tmp_path / 'out').iterdir()) == []
 
 
-# ------------------------------------------------------------------ recordings of a real arm
-
-
-@pytest.fixture(scope='module', params=['run_143601', 'run_144115'])
-def recording(request, tmp_path_factory):
-    """A recording as a bag."""
-    source = RECORDINGS / f'{request.param}.csv'
-    if not source.is_file():
-        pytest.skip(f'{source} is absent: recordings are not part of the repository')
-    out = tmp_path_factory.mktemp(request.param) / 'bag'
-    count, warnings = import_csv(
-        source, load_column_map(BRINGUP / 'columns' / 'real_arm.yaml'), out
-    )
-    with source.open() as lines:
-        assert count == sum(1 for _ in lines) - 1 > 4900
-    assert warnings == []
-    return out
-
-
-@pytest.mark.parametrize('encoder', [None, 0, 1])
-def test_given_a_recording_when_replayed_then_a_step_of_an_encoder_is_known_after_0_1_s(
-    recording, real_arm, real_gains, replay, encoder
-):
-    faults, step = [], np.zeros(2)
-    if encoder is not None:
-        faults, step[encoder] = [Fault(real_arm.sensor_names[encoder], 'bias', 3.0, size=0.3)], 0.3
-    monitor = SerialSensorMonitor('/uio', real_arm, gains=real_gains)
-    result, out = replay(recording, faults, monitor)
-    record = load_run(out, joint_names=real_arm.joint_names)
-    late = record.time >= (3.1 if faults else 1.0)
-    assert late.sum() > 3000 and not result.rejected
-    assert np.abs(record.aligned('fault_estimate', 'estimate')[late] - step).max() < 0.1
-    if not faults:
-        assert result.events == [] and not record.get('fault_estimate', 'alarm').any()
-
-
 # ------------------------------------------------------------------ command line
 
 
 @pytest.fixture
-def command(paper_gains, tmp_path):
+def command(tmp_path):
     """Arguments of a replay that needs nothing installed."""
-    save_gains(paper_gains, tmp_path / 'gains.yaml')
-    usual = {'arm': PAPER_ARM, 'gains': tmp_path / 'gains.yaml', 'out': tmp_path / 'result'}
+    usual = {'arm': PAPER_ARM, 'gains': PAPER_GAINS, 'out': tmp_path / 'result'}
 
     def arguments(bag, **changes):
         options = {**usual, **changes}.items()
-        return [
-            'replay',
-            str(bag),
-            *(str(part) for name, v in options for part in (f'--{name}', v)),
-        ]
+        return ['replay', str(bag), *(str(p) for name, v in options for p in (f'--{name}', v))]
 
     return arguments
 
@@ -971,13 +790,13 @@ def test_given_its_own_output_when_the_command_shall_replay_it_then_it_refuses(
 
 
 def test_given_a_bag_with_its_gains_when_the_command_is_run_then_neither_arm_nor_gains_are_needed(
-    bag, replayed, paper_gains, tmp_path, capsys
+    bag, replayed, tmp_path, capsys
 ):
     shutil.copytree(bag, tmp_path / 'bag')
     arguments = ['replay', str(tmp_path / 'bag'), '--out', str(tmp_path / 'result')]
     assert main(arguments) == 2
     assert '--arm: is needed where neither gains nor the bag name an arm' in capsys.readouterr().err
-    save_gains(paper_gains, tmp_path / 'bag' / 'gains.yaml')
+    shutil.copy(PAPER_GAINS, tmp_path / 'bag' / 'gains.yaml')
     assert main(arguments) == 0
     assert "arm 'paper' and gains as in the bag" in capsys.readouterr().out
     assert raw(tmp_path / 'result') == raw(replayed[1])

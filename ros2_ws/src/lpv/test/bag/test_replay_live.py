@@ -23,20 +23,22 @@ from sensor_msgs.msg import JointState  # noqa: E402
 
 from lpv.bag.replay.replay import Replay  # noqa: E402
 from lpv.bag.rosbag.interfaces import make_typestore  # noqa: E402
-from lpv.bag.rosbag.metadata import qos_profile
+from lpv.bag.rosbag.messages import BagMessages  # noqa: E402
+from lpv.bag.rosbag.metadata import qos_profile  # noqa: E402
 from lpv.bag.rosbag.writing import BagWriter  # noqa: E402
-from lpv.core.control.tracking import TrackingController  # noqa: E402
+from lpv.core.monitoring.message_fields import alarm_fields  # noqa: E402
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor  # noqa: E402
-from lpv.core.simulation.arm_simulator import ArmSimulator  # noqa: E402
+from lpv.core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent  # noqa: E402
+from lpv.core.simulation.closed_loop import run_closed_loop  # noqa: E402
 from lpv.core.simulation.faults import Fault  # noqa: E402
 from lpv.core.support.timestamps import NANOSECONDS
-from lpv.core.uio.certificate.gains import save_gains  # noqa: E402
 from lpv_msgs.msg import FaultEstimate, StateEstimate  # noqa: E402
 from lpv_node.qos import stream  # noqa: E402
 from lpv_node.stamps import set_stamp, to_nanoseconds  # noqa: E402
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 
+GAINS = BRINGUP / 'gains' / 'paper.yaml'
 ARM = f'arm_file:={BRINGUP / "arms" / "paper.yaml"}'
 TYPESTORE = make_typestore()
 PERIOD = 4_000_000
@@ -47,33 +49,12 @@ ANSWERS = ('/lpv/state_estimate', '/lpv/fault_estimate', '/lpv/fault_alarm')
 
 
 @pytest.fixture(scope='module')
-def gains_file(paper_gains, tmp_path_factory):
-    path = tmp_path_factory.mktemp('gains') / 'gains.yaml'
-    save_gains(paper_gains, path)
-    return path
-
-
-@pytest.fixture(scope='module')
 def samples(paper_arm, paper_gains, two_faults):
     """Every second measurement of 4 s, with a fault in the second half."""
     fault = Fault('link2_angle', 'bias', onset=2.0, size=0.3)
-    plant = ArmSimulator(paper_arm, replace(two_faults, duration=4.0, faults=(fault,)))
-    controller, path = TrackingController(paper_arm, paper_gains), two_faults.path(paper_arm)
-    found = []
-    for k in range(2000):
-        sense, truth = plant.sense()
-        if k % 2 == 0:
-            found.append([np.array(v) for v in (sense.position, sense.velocity, sense.effort)])
-        plant.step(
-            controller.update(
-                path.sample(plant.time),
-                truth.position,
-                truth.velocity,
-                truth.position,
-                paper_arm.sample_time,
-            ).torque
-        )
-    return found
+    scenario = replace(two_faults, duration=4.0, faults=(fault,))
+    run = run_closed_loop(paper_arm, scenario, paper_gains)
+    return list(zip(run.measured, run.measured_velocity, run.effort))[:2000:2]
 
 
 def schedule(samples, rng):
@@ -101,12 +82,7 @@ def send(client, samples, names, rng):
         due += delay
         time.sleep(max(0.0, due - time.monotonic()))
         position, velocity, effort = samples[k]
-        message = JointState(
-            name=list(names),
-            position=position.tolist(),
-            velocity=velocity.tolist(),
-            effort=effort.tolist(),
-        )
+        message = JointState(name=names, position=position, velocity=velocity, effort=effort)
         set_stamp(message.header.stamp, start + k * PERIOD)
         out.publish(message)
         stamps.append(start + k * PERIOD)
@@ -166,12 +142,12 @@ def assert_same_answers(bag, arm, gains, tmp_path, sent=None):
     return len(online['/lpv/state_estimate']) / len(measured)
 
 
-def record(tmp_path, gains_file, play):
+def record(tmp_path, play):
     """A bag of what node and recorder got while something was played to them."""
     domain, bag = ros.next_domain(), tmp_path / 'bag'
     with ros.graph(tmp_path / 'log', domain) as running:
         running.start('recorder', ros.command('recorder', f'output:={bag}'))
-        running.start('uio', ros.command('uio', ARM, 'await_recorders:=1', files=[gains_file]))
+        running.start('uio', ros.command('uio', ARM, 'await_recorders:=1', files=[GAINS]))
         with ros.client(domain) as client:
             play(client, domain)
         codes = running.stop()
@@ -180,14 +156,13 @@ def record(tmp_path, gains_file, play):
 
 
 def test_given_a_real_time_run_with_bad_transport_when_replayed_then_answers_agree_bit_by_bit(
-    tmp_path, gains_file, paper_arm, paper_gains, samples
+    tmp_path, paper_arm, paper_gains, samples
 ):
     for attempt in range(4):
         sent, place = [], tmp_path / str(attempt)
         place.mkdir()
         bag = record(
             place,
-            gains_file,
             lambda client, _, sent=sent: sent.extend(
                 send(client, samples, paper_arm.joint_names, np.random.default_rng(4))
             ),
@@ -209,41 +184,19 @@ def test_given_a_real_time_run_with_bad_transport_when_replayed_then_answers_agr
 @pytest.fixture(scope='module')
 def healthy_bag(samples, paper_arm, tmp_path_factory):
     """1 s of measurements, with answers of an earlier node that must not be played."""
-    from lpv.bag.rosbag.messages import BagMessages
-
     path = tmp_path_factory.mktemp('played') / 'bag'
     messages = BagMessages(TYPESTORE, 'base_link')
     with BagWriter(path) as writer:
-        writer.add_topic(
-            '/lpv/joint_states', 'sensor_msgs/msg/JointState', [qos_profile(True, False, 1000)]
-        )
+        profiles = [qos_profile(True, False, 1000)]
+        writer.add_topic('/lpv/joint_states', 'sensor_msgs/msg/JointState', profiles)
         writer.add_topic('/lpv/fault_alarm', 'lpv_msgs/msg/FaultAlarm')
         for k, sample in enumerate(samples[:250]):
             stamp = 5 * NANOSECONDS + k * PERIOD
-            writer.write(
-                '/lpv/joint_states',
-                stamp,
-                messages.joint_state(stamp, paper_arm.joint_names, *sample),
-            )
-        writer.write(
-            '/lpv/fault_alarm',
-            stamp,
-            messages.make(
-                'lpv_msgs/msg/FaultAlarm',
-                stamp,
-                {
-                    'sensor': 'old',
-                    'sensor_index': 0,
-                    'event': 0,
-                    'onset': 1,
-                    'detected': 2,
-                    'size': 1.0,
-                    'bound': 1.0,
-                    'kind': 'bias',
-                    'confidence': 1.0,
-                },
-            ),
-        )
+            message = messages.joint_state(stamp, paper_arm.joint_names, *sample)
+            writer.write('/lpv/joint_states', stamp, message)
+        old = Alarm(AlarmEvent.RAISED, 0, 'old', 1, 2, 1.0, 1.0, 'bias', 1.0)
+        alarm = messages.make('lpv_msgs/msg/FaultAlarm', stamp, alarm_fields(old))
+        writer.write('/lpv/fault_alarm', stamp, alarm)
     return path
 
 
@@ -259,7 +212,7 @@ def start_player(bag, domain, *options):
 
 
 def test_given_a_bag_when_played_to_a_node_then_it_answers_as_the_replay_does(
-    tmp_path, gains_file, paper_arm, paper_gains, healthy_bag
+    tmp_path, paper_arm, paper_gains, healthy_bag
 ):
     clocks, seconds = [], []
 
@@ -278,7 +231,7 @@ def test_given_a_bag_when_played_to_a_node_then_it_answers_as_the_replay_does(
         assert '250 messages published' in said
         clocks.extend(to_nanoseconds(c.clock) for c in heard)
 
-    bag = record(tmp_path, gains_file, play)
+    bag = record(tmp_path, play)
     assert assert_same_answers(bag, paper_arm, paper_gains, tmp_path, healthy_bag) > 0.7
     assert stamped(bag)['/lpv/fault_alarm'] == []
     assert len(clocks) > 50
@@ -293,19 +246,8 @@ def test_given_a_loop_when_interrupted_then_time_has_started_again_and_the_playe
     with ros.client(domain) as client:
         heard = client.listen(JointState, 'joint_states', qos_profile_sensor_data)
         others = client.listen(FaultEstimate, 'fault_estimate', qos_profile_sensor_data)
-        player = start_player(
-            healthy_bag,
-            domain,
-            '--loop',
-            '--rate',
-            '4',
-            '--clock-rate',
-            '0',
-            '--from',
-            '0.1',
-            '--to',
-            '0.9',
-        )
+        options = ['--loop', '--rate', '4', '--clock-rate', '0', '--from', '0.1', '--to', '0.9']
+        player = start_player(healthy_bag, domain, *options)
         stamps = []
         assert client.wait(
             lambda: (

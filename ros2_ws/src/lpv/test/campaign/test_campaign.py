@@ -393,17 +393,6 @@ def test_given_steps_of_a_serial_arms_encoders_when_run_then_all_and_only_these_
     assert one.parameter_error == 0.05 and one.payload == 1.5
 
 
-@pytest.mark.parametrize(('arm', 'runs'), [('ur10', 4), ('panda', 1)])
-def test_given_an_unknown_payload_when_the_arm_moves_then_no_offset_is_made_of_it(arm, runs):
-    factors = {'path': 'random', 'parameter_error': 0.05, 'payload': 1.9}
-    plan = {'method': 'random', 'runs': runs}
-    spec = {**UR10, 'arm': arm, 'scenario': arm, 'duration': 12.0, 'plan': plan, 'factors': factors}
-    campaign = resolve(spec, arm, '.')
-    for number in campaign.tasks:
-        row = run_one(campaign, number)
-        assert row['stable'] and (row['false_alarms'], row['safe_stops']) == (0, 0)
-
-
 # ------------------------------------------------------------------ results on disk
 
 

@@ -205,15 +205,3 @@ def test_given_figures_when_compared_then_last_bits_and_missing_ones_do_not_coun
     assert differences(stored, {**stored, 'a': 1.0 + 1e-14, 'more': 1}) == []
     wrong = {'a': 1.1, 'b': 0.0, 'd': 'y', 'e': False}
     assert differences(stored, wrong) == list(wrong)
-
-
-def test_given_a_run_of_a_serial_arm_when_written_as_a_bag_then_a_replay_answers_alike(tmp_path):
-    factors = {'path': 'random', 'fault.kind': 'bias', 'fault.size': 0.1, 'fault.onset': 1.5}
-    spec = {'name': 's', 'arm': 'ur10', 'scenario': 'ur10', 'duration': 2.5, 'factors': factors}
-    plan = plan_run(resolve({**spec, 'plan': {'method': 'random', 'runs': 1}}, 's', '.'), 0)
-    run = plan.simulate()
-    write_run_bag(plan, run, tmp_path / 'bag')
-    record = load_run(tmp_path / 'bag')
-    np.testing.assert_array_equal(record.get('fault_estimate', 'estimate'), run.fault_estimate)
-    assert [alarm.sensor for alarm in record.alarms] == [alarm.sensor for alarm in run.alarms] != []
-    assert (tmp_path / 'bag' / 'scenario.yaml').is_file()

@@ -3,23 +3,19 @@
 import json
 import os
 import shutil
-from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import yaml
-from places import BRINGUP, ROOT
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from lpv.bag.rosbag.interfaces import make_typestore
 from lpv.bag.rosbag.messages import BagMessages
 from lpv.bag.rosbag.writing import BagWriter
-from lpv.bag.run.csv_import import import_csv, load_column_map
 from lpv.bag.run.record import load_run
 from lpv.campaign.execution.archive import Archive, archive_text, find_bags, unit_of
 from lpv.campaign.execution.bag_figures import STATES, alarm_rows
-from lpv.campaign.execution.execute import worker_pool
 from lpv.campaign.execution.run_metrics import figures
 from lpv.campaign.execution.run_to_bag import stamps_of, write_run_bag
 from lpv.campaign.execution.runs import plan_run
@@ -31,7 +27,6 @@ from lpv.core.uio.certificate.gains import save_gains
 
 pytestmark = pytest.mark.slow
 
-DATA = Path(os.environ.get('LPV_REAL_ARM_DATA') or ROOT.parent / 'shared' / 'data' / 'real_arm')
 TYPESTORE = make_typestore()
 JOINT_STATE = 'sensor_msgs/msg/JointState'
 SPEC = {
@@ -295,14 +290,6 @@ def test_given_results_when_called_again_then_only_new_changed_and_failed_bags_a
     assert main(command(root, out, gains)) == 0
 
 
-def test_given_two_processes_when_run_then_rows_are_those_of_one(archive, settings, done):
-    with worker_pool(2) as do:
-        rows = {row['bag']: row for _, part in do(settings, find_bags(archive)) for row in part}
-    for name, row in rows.items():
-        for figure, value in row.items():
-            assert repr(done[1][name][figure]) == repr(value), (name, figure)
-
-
 @pytest.mark.parametrize(
     ('arguments', 'told'),
     [
@@ -361,27 +348,3 @@ def test_given_alarms_when_listed_then_those_of_one_sensor_and_kind_are_one_line
         ('one', 'drift', 2, 1.0),
         ('two', 'drift', 1, 6.0),
     ]
-
-
-@pytest.mark.skipif(
-    not (DATA / 'run_143601.csv').is_file(),
-    reason='the recordings are not part of the repository; LPV_REAL_ARM_DATA may point to them',
-)
-def test_given_recordings_of_a_healthy_arm_when_replayed_then_there_is_no_alarm(tmp_path):
-    columns = load_column_map(BRINGUP / 'columns' / 'real_arm.yaml')
-    for name in ('run_143601', 'run_144115'):
-        import_csv(DATA / f'{name}.csv', columns, tmp_path / 'bags' / name)
-    own, out = str(BRINGUP / 'gains' / 'real_arm.yaml'), tmp_path / 'out'
-    line = ['fleet', str(tmp_path / 'bags'), '--gains', own, '--arm', 'real_arm', '--healthy']
-    assert main([*line, '--workers', '0', '--out', str(out)]) == 0
-    rows = pq.read_table(out / 'bags.parquet').to_pylist()
-    assert [(r['bag'], r['alarms'], r['measurements']) for r in rows] == [
-        ('run_143601', 0, 5000),
-        ('run_144115', 0, 4998),
-    ]
-    for row in rows:
-        assert max(row['score_1'], row['score_2']) < 0.5
-        assert row['time_ok_1'] + row['time_not_diagnosable_1'] == pytest.approx(row['observed'])
-    false = json.loads((out / 'report.json').read_text())['alarms'][3]
-    assert (false['name'], false['events']) == ('false alarms', 0)
-    assert false['hours'] == pytest.approx(sum(row['observed'] for row in rows) / 3600.0)

@@ -31,15 +31,9 @@ from lpv.core.uio.planar import planar_model  # noqa: E402
 from lpv_node.qos import stream  # noqa: E402
 
 PAPER = str(BRINGUP / 'arms' / 'paper.yaml')
+GAINS = str(BRINGUP / 'gains' / 'paper.yaml')
 NODES = ('/lpv/arm_sim', '/lpv/tracker', '/lpv/uio')
 NOW = 1_800_000_000_000_000_000
-
-
-@pytest.fixture(scope='module')
-def gains_file(paper_gains, tmp_path_factory):
-    path = tmp_path_factory.mktemp('gains') / 'gains.yaml'
-    save_gains(paper_gains, path)
-    return str(path)
 
 
 def found(findings, level=None):
@@ -50,8 +44,8 @@ def found(findings, level=None):
 # ------------------------------------------------------------------ files
 
 
-def test_given_files_that_fit_when_checked_then_nothing_is_found(gains_file):
-    arm, findings = check_files('paper', gains_file, 'two_faults')
+def test_given_files_that_fit_when_checked_then_nothing_is_found():
+    arm, findings = check_files('paper', GAINS, 'two_faults')
     assert arm.name == 'paper'
     assert [f.check for f in findings] == ['arm', 'gains', 'scenario']
     assert found(findings) == []
@@ -64,8 +58,8 @@ def test_given_an_arm_without_gains_when_checked_then_the_design_is_named():
     assert 'observes alone; lpv design designs them' in finding.text
 
 
-def test_given_gains_of_another_arm_when_checked_then_both_are_named(gains_file, real_arm):
-    finding = check_gains(gains_file, real_arm, 'real_arm')
+def test_given_gains_of_another_arm_when_checked_then_both_are_named(real_arm):
+    finding = check_gains(GAINS, real_arm, 'real_arm')
     assert finding.level == Level.ERROR
     assert 'designed for another arm' in finding.text
     assert "'paper'" in finding.text and "'real_arm'" in finding.text
@@ -137,34 +131,30 @@ def test_given_gains_of_serial_arms_when_checked_then_the_certificate_of_the_loo
     assert 'no certificate' in check_gains(str(tmp_path / 'gains.yaml'), arm).text
 
 
+def crane_messages(duration, sign=1.0, rates=True):
+    """What the driver of a serial arm sends."""
+    run, names = crane_run(duration), crane().joint_names
+    for stamp, (q, v, tau) in zip(run.stamps, run.samples):
+        one = JointState(name=names, position=q, velocity=v if rates else [], effort=sign * tau)
+        one.header.stamp = Time(nanoseconds=int(stamp)).to_msg()
+        yield one
+
+
 def test_given_a_serial_arm_when_its_driver_sends_no_rates_then_they_are_not_asked_for():
-    run, names = crane_run(0.6), list(crane().joint_names)
-    messages = [
-        JointState(name=names, position=q.tolist(), effort=tau.tolist())
-        for q, _, tau in run.samples
-    ]
+    messages = list(crane_messages(0.6, rates=False))
     assert check_values('/joint_states', messages, needs_rates(crane())) is None
     assert check_values('/joint_states', messages).check == 'values'
 
 
 def test_given_a_serial_arm_when_its_signals_are_checked_then_units_and_rates_are_as_stated():
-    run, messages = crane_run(0.6), []
-    for stamp, (q, v, tau) in zip(run.stamps, run.samples):
-        names = list(crane().joint_names)
-        messages.append(JointState(name=names, position=q, velocity=v, effort=tau))
-        messages[-1].header.stamp.nanosec = int(stamp)
+    messages = list(crane_messages(0.6))
     assert signals.check_units('/joint_states', messages, crane()) is None
     assert signals.check_rate_source('/joint_states', messages, crane()).level == Level.OK
 
 
 @pytest.mark.parametrize(('sign', 'level'), [(1.0, Level.OK), (-1.0, Level.ERROR)])
 def test_given_efforts_of_a_moving_arm_when_checked_then_a_wrong_sign_is_named(sign, level):
-    run, messages = crane_run(8.0), []
-    for stamp, (q, v, tau) in zip(run.stamps, run.samples):
-        names = list(crane().joint_names)
-        messages.append(JointState(name=names, position=q, velocity=v, effort=sign * tau))
-        messages[-1].header.stamp = Time(nanoseconds=int(stamp)).to_msg()
-    finding = signals.check_setup('/joint_states', messages, crane())
+    finding = signals.check_setup('/joint_states', list(crane_messages(8.0, sign)), crane())
     assert finding.level == level
     assert ('of all joints count against the motion' in finding.text) == (sign < 0.0)
 
@@ -368,18 +358,8 @@ def test_given_a_healthy_graph_when_checked_then_nothing_is_found(paper_arm):
     shot = healthy(paper_arm)
     findings = graph.check_graph(shot)
     assert found(findings) == []
-    checks = [
-        'nodes',
-        'lifecycle',
-        'names',
-        'publishers',
-        'clock',
-        'mode',
-        'connections',
-        'qos',
-        'measurements',
-    ]
-    assert {f.check for f in findings} == {*checks, 'gains in use'}
+    checks = {'nodes', 'lifecycle', 'names', 'publishers', 'clock', 'mode', 'connections', 'qos'}
+    assert {f.check for f in findings} == checks | {'measurements', 'gains in use'}
     simulated_time(shot)
     assert found(graph.check_graph(shot)) == []
 
@@ -434,14 +414,12 @@ def test_given_nothing_of_ours_when_checked_then_it_depends_on_what_was_asked(pa
 # ------------------------------------------------------------------ the command
 
 
-def test_given_good_files_when_the_command_runs_offline_then_code_0_and_3_if_not(
-    capsys, gains_file
-):
-    assert main(['doctor', '--arm', 'paper', '--gains', gains_file, '--offline']) == 0
+def test_given_good_files_when_the_command_runs_offline_then_code_0_and_3_if_not(capsys):
+    assert main(['doctor', '--arm', 'paper', '--gains', GAINS, '--offline']) == 0
     assert 'nothing found' in capsys.readouterr().out
-    assert main(['doctor', '--arm', 'real_arm', '--gains', gains_file, '--offline']) == 3
+    assert main(['doctor', '--arm', 'real_arm', '--gains', GAINS, '--offline']) == 3
     assert '-> lpv design --arm real_arm' in ' '.join(capsys.readouterr().out.split())
-    assert main(['doctor', '--arm', 'real_arm', '--gains', gains_file, '--offline', '--json']) == 3
+    assert main(['doctor', '--arm', 'real_arm', '--gains', GAINS, '--offline', '--json']) == 3
     told = json.loads(capsys.readouterr().out)
     assert told['ok'] is False
     assert [f['check'] for f in told['findings'] if f['level'] == 'ERROR'] == ['gains']
@@ -516,20 +494,15 @@ def recorded(arm, scale=1.0, rate_scale=1.0, derived=False):
     return result
 
 
-def test_given_measurements_in_si_units_when_checked_then_nothing_is_found(paper_arm):
-    assert signals.check_units('/joint_states', recorded(paper_arm), paper_arm) is None
-
-
 @pytest.mark.parametrize(
     ('scale', 'rate_scale', 'said'),
     [(57.3, 57.3, 'rad: degrees'), (57.3, 1.0, 'degrees'), (1.0, 57.3, 'rates in degrees')],
 )
 def test_given_degrees_when_checked_then_they_are_named(paper_arm, scale, rate_scale, said):
-    finding = signals.check_units(
-        '/joint_states', recorded(paper_arm, scale, rate_scale), paper_arm
-    )
-    assert finding.level == Level.ERROR
-    assert said in finding.text
+    assert signals.check_units('/joint_states', recorded(paper_arm), paper_arm) is None
+    messages = recorded(paper_arm, scale, rate_scale)
+    finding = signals.check_units('/joint_states', messages, paper_arm)
+    assert finding.level == Level.ERROR and said in finding.text
 
 
 def test_given_small_angles_in_degrees_when_checked_then_gravity_tells(paper_arm, paper_model):

@@ -13,6 +13,7 @@ from lpv.core.serial_arm.description import (
     SerialArm,
     SerialJoint,
 )
+from lpv.identify.estimation.identification import identify
 from lpv.identify.motions.simulation import SensorNoise, simulate
 from lpv.identify.motions.trajectory import Trajectory, random_trajectory
 from lpv.identify.recordings.recording import Recording
@@ -37,21 +38,12 @@ def arm() -> SerialArm:
         ('two', (0.0, 0.1, 0.0), (0.0, 1.0, 0.0), link(3.0, (0.2, 0.02, 0.0))),
         ('three', (0.4, 0.0, 0.0), (0.0, 1.0, 0.0), link(1.5, (0.15, 0.0, 0.03))),
     ]
-    joints = tuple(
-        SerialJoint(
-            name,
-            position,
-            (0.0, 0.0, 0.0),
-            axis,
-            body,
-            friction,
-            0.1,
-            limits=limits,
-            sensors=JointSensors(f'{name}_encoder'),
-        )
-        for name, position, axis, body in parts
-    )
-    return SerialArm('three', joints, tip=(0.3, 0.0, 0.0))
+    joints = []
+    for name, position, axis, body in parts:
+        sensors = JointSensors(f'{name}_encoder')
+        given = name, position, (0.0, 0.0, 0.0), axis, body, friction, 0.1
+        joints.append(SerialJoint(*given, limits=limits, sensors=sensors))
+    return SerialArm('three', tuple(joints), tip=(0.3, 0.0, 0.0))
 
 
 @pytest.fixture(scope='session')
@@ -69,20 +61,13 @@ def recording(arm, motion) -> Recording:
 @pytest.fixture(scope='session')
 def rough_arm(arm) -> SerialArm:
     """The arm as a URDF may have it: no friction, masses 20 % too large."""
-    joints = tuple(
-        replace(
-            joint,
-            friction=JointFriction(),
-            rotor_inertia=0.0,
-            link=LinkInertia.from_vector(1.2 * joint.link.to_vector()),
-        )
-        for joint in arm.joints
-    )
+    without = {'friction': JointFriction(), 'rotor_inertia': 0.0}
+    links = [LinkInertia.from_vector(1.2 * joint.link.to_vector()) for joint in arm.joints]
+    pairs = zip(arm.joints, links)
+    joints = tuple(replace(joint, link=link, **without) for joint, link in pairs)
     return replace(arm, joints=joints)
 
 
 @pytest.fixture(scope='session')
 def result(rough_arm, recording):
-    from lpv.identify.estimation.identification import identify
-
     return identify(rough_arm, [recording])

@@ -15,7 +15,7 @@ from lpv.identify.estimation.workshop import Workshop
 from lpv.identify.model.rigid_body import joint_torques
 from lpv.identify.motions.excitation import plan_excitation
 from lpv.identify.motions.simulation import SensorNoise, simulate
-from lpv.identify.recordings.recording import Recording
+from lpv.identify.recordings.filters import low_pass
 
 pytestmark = pytest.mark.slow
 
@@ -110,10 +110,8 @@ def test_given_a_planar_arm_when_weighed_then_the_data_do_not_tell(arm, motion):
 
 def test_given_currents_when_identified_then_gains_and_their_signs_are_found(arm, motion):
     gains = (8.0, -5.0, 3.0)
-    driven = replace(
-        arm,
-        joints=tuple(replace(joint, torque_gain=gain) for joint, gain in zip(arm.joints, gains)),
-    )
+    joints = tuple(replace(joint, torque_gain=gain) for joint, gain in zip(arm.joints, gains))
+    driven = replace(arm, joints=joints)
     recording = simulate(driven, motion, 100.0, SensorNoise(), np.random.default_rng(3))
     found = identify(replace(arm, effort_unit='A'), [recording]).arm
     ratio = np.array([joint.torque_gain for joint in found.joints]) / gains
@@ -140,8 +138,6 @@ def test_given_a_factor_when_an_arm_is_rescaled_then_torques_scale(arm):
 
 
 def test_given_filtered_efforts_when_identified_then_their_bandwidth_is_found(arm, motion):
-    from lpv.identify.recordings.filters import low_pass
-
     raw = simulate(arm, motion, 100.0, SensorNoise(torque=1e-4), np.random.default_rng(6))
     found = identify(arm, [replace(raw, effort=low_pass(raw.effort, 2.0, 0.01))], Options())
     assert found.arm.effort_bandwidth == 2.0
@@ -161,18 +157,8 @@ def test_given_friction_that_grows_with_load_when_identified_then_it_is_chosen(a
 
 
 def test_given_two_recordings_when_identified_then_both_count(arm, recording):
-    halves = [
-        Recording(
-            'a',
-            recording.time[part],
-            recording.position[part],
-            recording.velocity[part],
-            recording.effort[part],
-        )
-        for part in (slice(0, 1000), slice(1000, None))
-    ]
-    found = identify(arm, halves)
-    assert len(found.predictions) == 2
+    halves = [recording.rows(part) for part in (slice(1000), slice(1000, None))]
+    assert len(identify(arm, halves).predictions) == 2
 
 
 def test_given_a_prismatic_joint_when_identified_then_torques_and_forces_are_predicted(arm):

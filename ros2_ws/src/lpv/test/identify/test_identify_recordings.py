@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bags import write_measurements
 
-from lpv.bag.rosbag.messages import BagMessages
-from lpv.bag.rosbag.writing import BagWriter, qos_profile
 from lpv.identify.errors import IdentificationError
 from lpv.identify.estimation.identification import identify
+from lpv.identify.motions.simulation import SensorNoise, simulate
 from lpv.identify.recordings.motion import split
 from lpv.identify.recordings.recording import clean, read_recording
 
@@ -18,20 +18,8 @@ NAMES = ('one', 'two', 'three')
 
 
 def write_bag(path, recording, names=NAMES, effort=True):
-    with BagWriter(path) as writer:
-        writer.add_topic(
-            '/joint_states', 'sensor_msgs/msg/JointState', [qos_profile(True, False, 10)]
-        )
-        messages = BagMessages(writer.typestore, 'base')
-        for t, q, v, u in zip(
-            recording.time, recording.position, recording.velocity, recording.effort
-        ):
-            stamp = round(t * 1e9)
-            writer.write(
-                '/joint_states',
-                stamp,
-                messages.joint_state(stamp, names, q, v, u if effort else []),
-            )
+    motion = recording.time, recording.position, recording.velocity
+    return write_measurements(path, names, *motion, recording.effort if effort else None)
 
 
 def test_given_a_bag_when_read_then_joints_are_found_by_name(tmp_path, recording):
@@ -67,26 +55,14 @@ def test_given_a_csv_when_read_then_columns_are_guessed(tmp_path, recording):
     assert read.effort == pytest.approx(recording.effort)
 
 
-def part(recording, **changes):
-    values = {
-        'time': recording.time,
-        'position': recording.position,
-        'velocity': recording.velocity,
-        'effort': recording.effort,
-    } | changes
-    return clean('test', [values['time']], values['position'], values['velocity'], values['effort'])
+def cleaned(recording, **changes):
+    one = replace(recording, **changes)
+    return clean('test', [one.time], one.position, one.velocity, one.effort)
 
 
 def test_given_a_short_recording_when_identified_then_the_reason_is_said(arm, recording):
-    short = replace(
-        recording,
-        time=recording.time[:300],
-        position=recording.position[:300],
-        velocity=recording.velocity[:300],
-        effort=recording.effort[:300],
-    )
     with pytest.raises(IdentificationError, match='too short to identify'):
-        identify(arm, [short])
+        identify(arm, [recording.rows(slice(300))])
 
 
 def test_given_no_motion_when_identified_then_the_reason_is_said(arm, recording):
@@ -96,17 +72,10 @@ def test_given_no_motion_when_identified_then_the_reason_is_said(arm, recording)
 
 
 def test_given_a_joint_at_rest_when_identified_then_a_warning_names_it(arm, motion):
-    from lpv.identify.motions.simulation import SensorNoise, simulate
-
     sine, cosine = motion.sine.copy(), motion.cosine.copy()
     sine[:, 0] = cosine[:, 0] = 0.0
-    still = simulate(
-        arm,
-        replace(motion, sine=sine, cosine=cosine),
-        100.0,
-        SensorNoise(),
-        np.random.default_rng(8),
-    )
+    rest = replace(motion, sine=sine, cosine=cosine)
+    still = simulate(arm, rest, 100.0, SensorNoise(), np.random.default_rng(8))
     found = identify(arm, [still])
     assert any('one does not move' in text for text in found.warnings)
     assert np.isfinite(found.arm.parameter_vector()).all()
@@ -115,7 +84,7 @@ def test_given_a_joint_at_rest_when_identified_then_a_warning_names_it(arm, moti
 def test_given_a_few_bad_samples_when_cleaned_then_they_are_left_out(recording):
     effort = recording.effort.copy()
     effort[100:110] = np.nan
-    mended = part(recording, effort=effort)
+    mended = cleaned(recording, effort=effort)
     assert len(mended.time) == len(recording.time) - 10
     assert 'not finite' in mended.warnings[0]
 
@@ -124,28 +93,21 @@ def test_given_mostly_bad_samples_when_cleaned_then_it_is_refused(recording):
     effort = recording.effort.copy()
     effort[::2] = np.nan
     with pytest.raises(IdentificationError, match='only 50 %'):
-        part(recording, effort=effort)
+        cleaned(recording, effort=effort)
 
 
 def test_given_stamps_that_jitter_when_cleaned_then_the_count_of_samples_is_taken(recording):
     jitter = 0.004 * np.random.default_rng(0).uniform(-1, 1, len(recording.time))
-    mended = part(recording, time=recording.time + jitter)
+    mended = cleaned(recording, time=recording.time + jitter)
     assert 'count of the samples' in mended.warnings[0]
     assert np.ptp(np.diff(mended.time)) < 1e-9
 
 
 def test_given_stamps_that_stand_still_when_cleaned_then_it_is_refused(recording):
     with pytest.raises(IdentificationError, match='stamps stand still'):
-        part(recording, time=np.zeros(len(recording.time)))
+        cleaned(recording, time=np.zeros(len(recording.time)))
 
 
 def test_given_a_gap_when_split_then_both_sides_are_segments(recording):
     keep = (recording.time < 8.0) | (recording.time > 9.0)
-    gap = replace(
-        recording,
-        time=recording.time[keep],
-        position=recording.position[keep],
-        velocity=recording.velocity[keep],
-        effort=recording.effort[keep],
-    )
-    assert len(split(gap)) == 2
+    assert len(split(recording.rows(keep))) == 2

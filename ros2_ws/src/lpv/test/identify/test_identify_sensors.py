@@ -56,12 +56,6 @@ def test_given_rounded_signals_when_sensed_then_each_has_its_step_and_its_noise_
     assert found(np.round(one.position, 1), one.velocity).position_noise > 0.0
 
 
-@pytest.mark.parametrize('source', ['derived', 'independent'])
-def test_given_rates_when_compared_with_positions_then_their_source_is_found(source):
-    one = segment(source)
-    assert found(one.position, one.velocity).rates == [source]
-
-
 def test_given_rates_of_which_nothing_is_proved_when_sensed_then_they_are_called_derived():
     time = STEP * np.arange(5000)[:, None]
     assert found(np.sin(time), np.cos(time)).rates == ['derived']

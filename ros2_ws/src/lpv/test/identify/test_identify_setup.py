@@ -73,10 +73,8 @@ def test_given_a_short_healthy_recording_when_calibrated_then_the_model_stays(
     arm, motion, tmp_path
 ):
     recording = simulate(arm, motion, 100.0, SensorNoise(), np.random.default_rng(5))
-    parts = (recording.time, recording.position, recording.velocity, recording.effort)
-    time, position, velocity, effort = (part[500:1500] for part in parts)
-    rounded = 1e-3 * np.round(position / 1e-3)
-    short = replace(recording, time=time, position=rounded, velocity=velocity, effort=effort)
+    short = recording.rows(slice(500, 1500))
+    short = replace(short, position=1e-3 * np.round(short.position / 1e-3))
     found = calibrate(arm, [short])
     assert np.array_equal(found.arm.parameter_vector(), arm.parameter_vector())
     assert [j.sensors.quantization for j in found.arm.joints] == pytest.approx([1e-3] * 3, rel=1e-3)

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from bags import write_measurements
 from places import RECORDINGS as DATA
-from test_fuzz_identify import write_bag
 
 from lpv.core.support.errors import ConfigError, LpvError
 from lpv.identify.sensors.second_encoder import describe, find_second_encoders, with_second_encoders
@@ -14,16 +14,9 @@ def bag(recording, arm, tmp_path):
     """A recording in which joint two has a second encoder with an offset and more noise."""
     rng = np.random.default_rng(3)
     other = 0.1 - recording.position[:, 1:2] + 5e-4 * rng.normal(size=(len(recording.time), 1))
-    still = np.zeros_like(other)
-    samples = [
-        np.hstack([first, more])
-        for first, more in (
-            (recording.position, other),
-            (recording.velocity, still),
-            (recording.effort, still),
-        )
-    ]
-    return write_bag(tmp_path / 'bag', (*arm.joint_names, 'two_link'), (recording.time, *samples))
+    names, still = (*arm.joint_names, 'two_link'), np.zeros_like(other)
+    samples = (recording.position, other), (recording.velocity, still), (recording.effort, still)
+    return write_measurements(tmp_path / 'bag', names, recording.time, *map(np.hstack, samples))
 
 
 def test_given_a_second_encoder_when_compared_then_noise_scale_and_offset_are_found(bag, arm):

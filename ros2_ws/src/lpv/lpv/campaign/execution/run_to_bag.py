@@ -17,6 +17,7 @@ from lpv.bag.run.record import load_run
 from lpv.campaign.execution.runs import RunPlan
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.arm_file import load_arm
+from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import Alarm
 from lpv.core.simulation.closed_loop import Run
 from lpv.core.simulation.scenario import load_scenario
@@ -59,7 +60,7 @@ def write_run_bag(plan: RunPlan, run: Run, out: str | Path) -> None:
         raise ConfigError('--bag', f'cannot be written: {error}', str(out)) from error
     with folder as name:
         measured, whole = Path(name) / 'measured', Path(name) / out.name
-        _write_signals(plan, run, measured)
+        write_signals(plan.arm, run, measured)
         monitor = SerialSensorMonitor(f'{NAMESPACE}/uio', plan.arm, plan.parameters, plan.gains)
         Replay(monitor, preset='zstd_fast').run(measured, whole)
         check_answers(run, whole)
@@ -122,7 +123,8 @@ def _same(one: Any, two: Any) -> bool:
     return one == two
 
 
-def _write_signals(plan: RunPlan, run: Run, path: Path) -> None:
+def write_signals(arm: SerialArm, run: Run, path: str | Path) -> None:
+    """Write measurements, commands, references and truth of a run as a bag, without answers."""
     stop = run.safe_stop
     command = np.where(stop[:, None], 0.0, run.command)
     truth = {
@@ -145,7 +147,7 @@ def _write_signals(plan: RunPlan, run: Run, path: Path) -> None:
     )  # fmt: skip
     stamps = stamps_of(run).tolist()
     with BagWriter(path) as bag:
-        messages = BagMessages(bag.typestore, plan.arm.name)
+        messages = BagMessages(bag.typestore, arm.name)
         of_joints = BagMessages(bag.typestore, 'base_link')
         for name, msgtype, _, _ in topics:
             bag.add_topic(f'{NAMESPACE}/{name}', msgtype)
@@ -155,7 +157,7 @@ def _write_signals(plan: RunPlan, run: Run, path: Path) -> None:
                     continue
                 row = {field: values[k] for field, values in fields.items()}
                 message = (
-                    of_joints.joint_state(stamp, plan.arm.joint_names, *row.values())
+                    of_joints.joint_state(stamp, arm.joint_names, *row.values())
                     if name == 'joint_states'
                     else messages.make(msgtype, stamp, row)
                 )

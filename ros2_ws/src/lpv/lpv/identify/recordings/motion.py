@@ -109,19 +109,20 @@ def split(recording: Recording) -> list[Segment]:
 
 
 def _resample(recording: Recording, part: np.ndarray, step: float) -> Segment:
-    time = recording.time[part]
+    recording = recording.rows(part)
+    time = recording.time
     grid = time[0] + step * np.arange(int(np.floor((time[-1] - time[0]) / step + 1e-6)) + 1)
 
-    steady = np.max(np.abs(np.diff(time) - step)) < 1e-3 * step and len(grid) == len(part)
+    steady = np.max(np.abs(np.diff(time) - step)) < 1e-3 * step and len(grid) == len(time)
 
     def put(values: np.ndarray) -> np.ndarray:
         if steady:  # nothing to interpolate
-            return values[part]
-        return np.stack([np.interp(grid, time, column) for column in values[part].T], axis=1)
+            return values
+        return np.stack([np.interp(grid, time, column) for column in values.T], axis=1)
 
     position = put(recording.position)
     if not steady:
-        position = CubicSpline(time, recording.position[part], axis=0)(grid)
+        position = CubicSpline(time, recording.position, axis=0)(grid)
     velocity = None if recording.velocity is None else put(recording.velocity)
     return Segment(step, grid, position, velocity, put(recording.effort))
 

@@ -39,6 +39,12 @@ class Recording:
         """From the first sample to the last [s]."""
         return float(self.time[-1] - self.time[0])
 
+    def rows(self, chosen: Any) -> 'Recording':
+        """Some of its samples, by a slice or a mask."""
+        velocity = None if self.velocity is None else self.velocity[chosen]
+        samples = self.time[chosen], self.position[chosen], velocity, self.effort[chosen]
+        return Recording(self.source, *samples, self.warnings)
+
 
 def read_recording(
     path: str | Path,

@@ -4,12 +4,31 @@ from dataclasses import replace
 
 import fault_injection
 import numpy as np
+from fault_injection import wrong_chain
 from simulated_runs import Run, simulated_run
 
-from lpv.core.serial_arm.chain import Chain, compile_chain
-from lpv.core.serial_arm.description import LinkInertia, SerialArm, Uncertainty
+from lpv.core.serial_arm.description import SerialArm, Uncertainty
 from lpv.core.serial_arm.diagnosis.monitor import SerialMonitor
 
+URDF = """<robot name="small"><link name="base"/><link name="tool"/>
+<link name="one"><inertial><origin xyz="0.1 0.02 0" rpy="0.3 0 0.2"/><mass value="3"/>
+  <inertia ixx="0.02" ixy="0.001" ixz="0" iyy="0.03" iyz="0.002" izz="0.04"/></inertial></link>
+<link name="two"><inertial><origin xyz="0 0.2 0"/><mass value="2"/>
+  <inertia ixx="0.02" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.02"/></inertial></link>
+<link name="left"><inertial><origin xyz="0 0 0.05"/><mass value="0.4"/>
+  <inertia ixx="0.001" ixy="0" ixz="0" iyy="0.001" iyz="0" izz="0.001"/></inertial></link>
+<joint name="a" type="revolute"><parent link="base"/><child link="one"/>
+  <origin xyz="0 0 0.3" rpy="0.1 0.2 0.3"/><axis xyz="0 1 0"/>
+  <limit lower="-1" upper="2" velocity="3" effort="50"/></joint>
+<joint name="b" type="revolute"><parent link="one"/><child link="two"/>
+  <origin xyz="0.4 0 0"/><axis xyz="1 2 -1"/>
+  <limit lower="-1" upper="2" velocity="3" effort="50"/></joint>
+<joint name="mount" type="fixed"><parent link="two"/><child link="tool"/>
+  <origin xyz="0 0 0.1" rpy="0 0.5 0"/></joint>
+<joint name="finger" type="prismatic"><parent link="tool"/><child link="left"/>
+  <origin xyz="0 0.02 0"/><axis xyz="0 1 0"/>
+  <limit lower="0" upper="0.05" velocity="1" effort="5"/></joint></robot>"""
+"""Two turning joints with a fixed tool, and a finger that slides."""
 KNOWN = Uncertainty(payload=0.5, friction=0.3)
 
 
@@ -25,24 +44,9 @@ def with_rates(arm: SerialArm, rates: str, **changes) -> SerialArm:
     return replace(arm, joints=tuple(joints), **changes)
 
 
-def wrong_plant(arm: SerialArm, seed: int, error: float = 0.05) -> Chain:
-    """The same arm with masses, friction and a payload that the model does not know."""
-    rng = np.random.default_rng(seed)
-    changed = []
-    for joint in arm.joints:
-        link = LinkInertia.from_vector((1.0 + rng.uniform(-error, error)) * joint.link.to_vector())
-        viscous, coulomb = rng.uniform(0.7, 1.3, 2) * (
-            joint.friction.viscous,
-            joint.friction.coulomb,
-        )
-        friction = replace(joint.friction, viscous=viscous, coulomb=coulomb)
-        changed.append(replace(joint, link=link, friction=friction))
-    return compile_chain(replace(arm, joints=tuple(changed)))
-
-
 def simulated(arm, *faults, pushes=(), seed=1, duration=8.0, plant=None) -> Run:
     """A run of the arm with a plant that its model does not know exactly."""
-    plant = wrong_plant(arm, seed) if plant is None else plant
+    plant = wrong_chain(arm, np.random.default_rng(seed)) if plant is None else plant
     return simulated_run(arm, duration, *faults, plant=plant, pushes=pushes, seed=seed)
 
 

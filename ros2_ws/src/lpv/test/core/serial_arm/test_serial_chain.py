@@ -5,32 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pinocchio
 import pytest
-from places import RECORDINGS
+from serial_arms import URDF
 
-from lpv.core.serial_arm.chain import axis_frame, compile_chain, make_chain
+from lpv.core.serial_arm.chain import compile_chain, make_chain
 from lpv.core.serial_arm.dynamics.kinematics import forward_kinematics
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.urdf_chain import read_urdf_chain
 from lpv.core.support.errors import ConfigError
-
-URDF = """<robot name="small"><link name="base"/><link name="tool"/>
-<link name="one"><inertial><origin xyz="0.1 0.02 0" rpy="0.3 0 0.2"/><mass value="3"/>
-  <inertia ixx="0.02" ixy="0.001" ixz="0" iyy="0.03" iyz="0.002" izz="0.04"/></inertial></link>
-<link name="two"><inertial><origin xyz="0 0.2 0"/><mass value="2"/>
-  <inertia ixx="0.02" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.02"/></inertial></link>
-<link name="left"><inertial><origin xyz="0 0 0.05"/><mass value="0.4"/>
-  <inertia ixx="0.001" ixy="0" ixz="0" iyy="0.001" iyz="0" izz="0.001"/></inertial></link>
-<joint name="a" type="revolute"><parent link="base"/><child link="one"/>
-  <origin xyz="0 0 0.3" rpy="0.1 0.2 0.3"/><axis xyz="0 1 0"/>
-  <limit lower="-1" upper="2" velocity="3" effort="50"/></joint>
-<joint name="b" type="revolute"><parent link="one"/><child link="two"/>
-  <origin xyz="0.4 0 0"/><axis xyz="1 2 -1"/>
-  <limit lower="-1" upper="2" velocity="3" effort="50"/></joint>
-<joint name="mount" type="fixed"><parent link="two"/><child link="tool"/>
-  <origin xyz="0 0 0.1" rpy="0 0.5 0"/></joint>
-<joint name="finger" type="prismatic"><parent link="tool"/><child link="left"/>
-  <origin xyz="0 0.02 0"/><axis xyz="0 1 0"/>
-  <limit lower="0" upper="0.05" velocity="1" effort="5"/></joint></robot>"""
 
 
 def assert_same_torques(model, chain):
@@ -141,15 +122,6 @@ def test_base_link_turned_by_a_fixed_joint_turns_the_arm(small):
     assert_same_torques(model, compile_chain(small(new=world)))
 
 
-@pytest.mark.parametrize('path', ['ur10/ur10.urdf', 'panda/fer.urdf'])
-def test_arm_of_a_manufacturer_equals_pinocchio(path):
-    if not (RECORDINGS / path).exists():
-        pytest.skip(f'{RECORDINGS / path} is not there')
-    model = pinocchio.buildModelFromUrdf(str(RECORDINGS / path))
-    model.armature = np.zeros(model.nv)
-    assert_same_torques(model, compile_chain(read_urdf_chain(RECORDINGS / path)))
-
-
 @pytest.mark.parametrize(
     ('field', 'value'),
     [
@@ -166,11 +138,3 @@ def test_bad_inline_parameters_are_refused_by_name(field, value):
     good = {'rotation': [np.eye(3)], 'translation': [[0, 0, 0]], 'inertial': np.ones((1, 10))}
     with pytest.raises(ConfigError, match=field):
         make_chain(**{**good, field: value})
-
-
-@pytest.mark.parametrize('axis', [(0, 0, 1), (0, 0, -1), (1, 0, 0), (1e-9, 1e-9, 1), (3, -4, 5)])
-def test_frame_of_an_axis_is_a_rotation(axis):
-    frame = axis_frame(np.array(axis, dtype=float))
-    np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-12)
-    np.testing.assert_allclose(frame[:, 2], np.array(axis) / np.linalg.norm(axis), atol=1e-12)
-    assert np.linalg.det(frame) > 0.0

@@ -136,26 +136,8 @@ def test_given_a_derived_rate_when_its_encoder_jumps_then_it_jumps_too(rates, ju
     assert np.abs(np.diff(found)).max() == pytest.approx(jump, abs=1.0)
 
 
-def test_given_brakes_or_too_much_torque_when_applied_then_efforts_are_what_acts():
-    simulator = ArmSimulator(shoulder_arm('independent'), SCENARIO)
-    simulator.hold()
-    measurement, truth = simulator.sense()
-    np.testing.assert_array_equal(truth.velocity, 0.0)
-    assert abs(measurement.effort[1]) > 10.0  # the brakes carry the arm
-    simulator.step([1e3, -1e3, 0.0])
-    np.testing.assert_array_equal(simulator.sense()[0].effort, [60.0, -80.0, 0.0])
-    with pytest.raises(ValueError, match='3 finite numbers'):
-        simulator.step([0.0, np.nan, 0.0])
-
-
 def test_given_a_bandwidth_when_the_samples_are_too_few_for_it_then_it_is_refused():
     arm = shoulder_arm('independent')
     assert ComputedTorqueController(arm, 10.0).tolerated_latency > 0.02
     with pytest.raises(ConfigError, match='bandwidth: 900 rad/s is unstable'):
         ComputedTorqueController(arm, 900.0)
-
-
-def test_given_mujoco_as_the_plant_when_run_then_it_agrees_with_the_built_in_one(simulate, healthy):
-    pytest.importorskip('mujoco')
-    other = simulate(plant='mujoco', duration=1.0)
-    np.testing.assert_allclose(other.position, healthy.position[:501], atol=1e-6)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from serial_arms import shoulder_arm
 
-from lpv.core.control.path_follower import PathFollower
 from lpv.core.control.serial_path import PoseWaypoints, SerialPath
 from lpv.core.serial_arm.description import JointLimits
 from lpv.core.support.errors import ConfigError, UnreachableError
@@ -90,12 +89,3 @@ def test_given_waypoints_that_make_no_path_when_made_then_the_field_is_named(
 ):
     with pytest.raises(ConfigError, match=rf'path.waypoints: .*{reason}'):
         SerialPath(arm, times, joints)
-
-
-def test_given_an_arm_beside_its_path_when_followed_then_it_is_led_there_smoothly(path):
-    start = path.sample(0.0).position + np.array([0.4, -0.3, 0.2])
-    follower = PathFollower(path, 0.5)
-    rows = [follower.reference(k * 2_000_000, start) for k in range(4000)]
-    assert np.abs(rows[0].position - start).max() < 1e-12
-    assert np.abs(np.diff([r.position for r in rows], axis=0)).max() < 0.5 * 0.002 * 1.5
-    np.testing.assert_allclose(rows[-1].position, path.sample(8.0).position, atol=1e-9)

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from serial_arms import shoulder_arm, wrong_plant
-from simulated_runs import simulated_run
+from serial_arms import shoulder_arm, simulated
 
 from lpv.core.serial_arm.diagnosis.monitor import SerialMonitor
 
@@ -13,7 +12,7 @@ DURATION = 12.0
 def largest_statistic(rates, spoil):
     """Largest statistic of detection of a healthy arm, and the number of decisions."""
     arm = shoulder_arm(rates)
-    run = simulated_run(arm, DURATION, plant=wrong_plant(arm, 3), seed=3)
+    run = simulated(arm, seed=3, duration=DURATION)
     stamps, samples = spoil(run.stamps, run.samples, np.random.default_rng(3))
     monitor, largest, decisions = SerialMonitor(arm), -np.inf, 0
     for part in range(0, len(stamps), 25):

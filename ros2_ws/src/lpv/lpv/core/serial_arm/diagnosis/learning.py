@@ -1,15 +1,15 @@
-"""What the monitor has learned of a healthy arm, and the arm file that knows it.
+"""What the monitor has learned of a healthy arm.
 
 Only what sensors cannot have caused is learned: estimates that are joint with the offsets of all
 sensors, from balances that no fault or torque from outside contradicted.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from lpv.core.serial_arm.chain import COULOMB, OFFSET, VISCOUS, FloatArray, compile_chain
-from lpv.core.serial_arm.description import LinkInertia, SerialArm, TorqueTolerance
+from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.balance import COULOMB_PART, OFFSET_PART, VISCOUS_PART
 from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator
 from lpv.core.serial_arm.dynamics.payload import payload_parameters
@@ -81,45 +81,3 @@ def payload_share(estimator: OffsetEstimator) -> FloatArray:
     share = np.linalg.pinv(directions).T @ load.ravel() if len(directions) else np.zeros(0)
     power = float(share @ share)
     return share / power if power > 0.0 else np.zeros(len(share))
-
-
-def learned_arm(arm: SerialArm, learned: Learned) -> SerialArm:
-    """The arm with what was learned, for `arm_file.save_arm`.
-
-    Parameters
-    ----------
-    arm : SerialArm
-        The arm before.
-    learned : Learned
-        Of the same arm.
-
-    Returns
-    -------
-    SerialArm
-        Payload (where it is three standard deviations or more) added to the last link; friction,
-        torque offset and noise of the joints.  Friction that would drive a joint is not taken
-        over.
-    """
-    joints = []
-    for i, joint in enumerate(arm.joints):
-        friction = replace(
-            joint.friction,
-            offset=float(learned.offset[i]),
-            viscous=float(learned.viscous[i]),
-            coulomb=max(float(learned.coulomb[i]), 0.0),
-        )
-        if not friction.is_dissipative(joint.limits.velocity):
-            friction = joint.friction
-        tolerance = TorqueTolerance((0.0,), (4.0 * float(learned.noise[i]),))
-        joints.append(replace(joint, friction=friction, torque_tolerance=tolerance))
-    if learned.payload > 3.0 * learned.payload_sigma:
-        joints[-1] = replace(joints[-1], link=_loaded(arm, learned.payload))
-    return replace(arm, joints=tuple(joints))
-
-
-def _loaded(arm: SerialArm, mass: float) -> LinkInertia:
-    """Last link with a point mass at the tip, in the joint's own frame."""
-    place, link = np.array(arm.tip, dtype=float), arm.joints[-1].link.to_vector()
-    x, y, z = place
-    squares = np.array([y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y])
-    return LinkInertia.from_vector(link + mass * np.concatenate([[1.0], place, squares]))

@@ -1,0 +1,349 @@
+"""What the report says of alarms, misses, stops and motion; running away is never called good."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.console import Console
+from runs import rows, text
+
+from lpv.bag.run.node_reports import NodeReport
+from lpv.bag.run.streams import RecordedAlarm, RunRecord
+from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent, SensorState
+from lpv.report import history
+from lpv.report.certificate import Certificate
+from lpv.report.figures import STATES, timeline
+from lpv.report.history import (
+    INCONSISTENT,
+    TOO_FAST,
+    Phase,
+    episodes,
+    listed,
+    missed_faults,
+    phases,
+)
+from lpv.report.load import analyse
+from lpv.report.run import content, write
+from lpv.report.table import PAPER, Row, is_paper_arm, make_table, print_table
+
+STEP = 2_000_000
+COUNT = 500
+MS = 1_000_000
+CONFUSED = 'inconsistent, cause unknown: rates, torques and model contradict each other'
+
+
+def run(rates=None, **streams):
+    """A second of an arm at rest; rates [rad/s] may be given by row."""
+    stamps = STEP * np.arange(COUNT)
+    velocity = np.zeros((COUNT, 2))
+    for row, rate in (rates or {}).items():
+        velocity[row] = rate
+    zeros = np.zeros((COUNT, 2))
+    record = RunRecord(sensor_names=('one', 'two'))
+    record.streams['joint_states'] = {'position': zeros, 'velocity': velocity, 'effort': zeros}
+    record.streams.update(streams)
+    record.stamps = {name: stamps for name in record.streams}
+    return record
+
+
+def page(record, arm, reports=()):
+    return content(analyse(record, arm, dict(reports), Certificate(problem='no gains')))
+
+
+def tile(values, name):
+    return next(t for t in values['tiles'] if t.name == name)
+
+
+def test_given_a_slow_arm_when_reported_then_its_fastest_joint_is_told(paper_arm):
+    values = page(run({100: (1.5, -3.0)}), paper_arm)
+    assert not values['ran_away'] and 'exceeded' not in values['verdict']
+    assert tile(values, 'fastest joint')[1:] == ('3 rad/s', 'limit 20, joint2, measured', '')
+
+
+def test_given_an_arm_above_its_limit_when_reported_then_the_verdict_begins_with_it(paper_arm):
+    fast = {k: (25.0, 0.0) for k in range(100, 200)}
+    values = page(run(fast), paper_arm)
+    assert values['verdict'].startswith('The arm exceeded its speed limit for 0.200 s (joint1: 25')
+    assert tile(values, 'fastest joint').look == 'bad'
+    assert [(p.what, p.start, p.end) for p in values['phases']] == [(TOO_FAST, 0.2, 0.4)]
+
+
+def test_given_the_truth_when_it_is_faster_than_measured_then_the_truth_counts(paper_arm):
+    truth = {'position': np.zeros((COUNT, 2)), 'velocity': np.full((COUNT, 2), 30.0)}
+    values = page(run(ground_truth={**truth, 'fault': np.zeros((COUNT, 2))}), paper_arm)
+    assert values['ran_away'] and '30 rad/s true' in values['verdict']
+
+
+@pytest.mark.parametrize(('rate', 'away'), [(np.inf, True), (np.nan, False)])
+def test_given_rates_that_are_no_numbers_when_reported_then_infinite_ones_are_too_fast(
+    rate, away, paper_arm
+):
+    assert page(run({100: (rate, 0.0)}), paper_arm)['ran_away'] is away
+
+
+def test_given_commands_that_stay_away_when_reported_then_the_silence_is_told(paper_arm):
+    record = run(torque_command={'torque': np.zeros((COUNT, 2)), 'safe_stop': np.zeros(COUNT)})
+    kept = np.r_[0:100, 200:400]
+    record.stamps['torque_command'] = record.stamps['torque_command'][kept]
+    record.streams['torque_command'] = {
+        name: values[kept] for name, values in record.streams['torque_command'].items()
+    }
+    found = [(p.what, p.start, p.end) for p in phases(record, paper_arm, {})]
+    assert found == [(history.NO_COMMAND, 0.198, 0.4), (history.NO_COMMAND, 0.798, 0.998)]
+
+
+def event(time, onset=None, detected=None, **fields):
+    """An alarm event; times in ms."""
+    known = {'event': AlarmEvent.RAISED, 'sensor_index': 0, 'sensor': 'left', 'size': 0.3,
+             'bound': 0.1, 'kind': 'unclassified', 'confidence': 0.99}  # fmt: skip
+    times = (round(MS * (time if t is None else t)) for t in (onset, detected, time))
+    return RecordedAlarm(**known | fields | dict(zip(('onset', 'detected', 'stamp'), times)))
+
+
+CLEARED, RIGHT = {'event': AlarmEvent.CLEARED}, {'sensor': 'right', 'sensor_index': 1}
+UPDATED = {'event': AlarmEvent.UPDATED}
+
+
+def made_up(faults=None, alarms=None, lost=(), stopped=()):
+    """True faults (sensor, start, end), alarm events, and spans in which the first sensor is not
+    diagnosable and the arm is stopped; times in ms."""
+    time, zeros = STEP / MS * np.arange(COUNT), np.zeros((COUNT, 2))
+
+    def within(*spans):
+        return np.any([(start <= time) & (time < end) for start, end in spans or [(0, 0)]], axis=0)
+
+    known = dict.fromkeys(('position', 'velocity', 'compensated_position'), zeros)
+    tenth, state, fault = np.full((COUNT, 2), 0.1), zeros.copy(), zeros.copy()
+    state[within(*lost), 0] = SensorState.NOT_DIAGNOSABLE
+    for sensor, *span in faults or ():
+        fault[within(span), sensor] += 0.2
+    truth = {} if faults is None else {'ground_truth': {**known, 'fault': fault}}
+    record = run(
+        fault_estimate={'estimate': 1e-3 * np.outer(time, [1, -1]), 'bound': tenth,
+                        'threshold': tenth, 'state': state, 'alarm': zeros},
+        torque_command={'torque': zeros, 'safe_stop': 1.0 * within(*stopped)},
+        state_estimate={**known, 'mode': 2.0 * (time == 0), 'trustworthy': np.ones(COUNT)},
+        **truth,
+    )  # fmt: skip
+    record.sensor_names, record.alarms = ('left', 'right'), list(alarms or ())
+    record.topics = {} if alarms is None else {'fault_alarm': '/lpv/fault_alarm'}
+    return record
+
+
+@pytest.fixture
+def shown(paper_arm, tmp_path, monkeypatch):
+    """Page of a record, without pictures."""
+    monkeypatch.setattr('lpv.report.run.draw_all', lambda *_: [])
+
+    def write_page(record, reports=()):
+        found = analyse(record, paper_arm, dict(reports), Certificate(problem='no gains'))
+        return write(found, tmp_path).html.read_text()
+
+    return write_page
+
+
+def test_given_faults_and_alarms_when_reported_then_misses_and_false_alarms_are_listed(shown):
+    alarms = [event(230, 210), event(450, 210, 230, **CLEARED), event(860, 850, size=-0.2)]
+    page = shown(made_up([(0, 200, 400), (1, 500, 700)], alarms))
+    found, false = (cells for cells in rows(page) if cells[0] == 'left')
+    assert found[2:7] == ['0.210', '0.230', '0.030', '0.450', '+0.300']
+    assert false[2:7] == ['0.850', '0.860', 'false alarm', 'active', '+0.998']
+    missed = 'Missed: a fault of right from 0.500 s to 0.700 s raised no alarm.'
+    assert re.findall('Missed: [^!]*? alarm[.]', text(page)) == [missed]
+
+
+def test_given_a_healthy_run_or_a_name_with_markup_when_reported_then_both_are_text(shown):
+    said = text(shown(made_up([], [])))
+    assert 'No alarm.' in said and 'Missed' not in said
+    assert 'None: no inconsistent phase, no safe stop' in said
+    page = shown(made_up(alarms=[event(210, 205, sensor='<b>left</b>')]))
+    assert '<b>' not in page and '<b>left</b>' in [cells[0] for cells in rows(page)]
+
+
+def test_given_events_of_two_sensors_when_gathered_then_each_alarm_is_one_episode():
+    alarms = [
+        event(120, 100),
+        event(180, 160, size=-0.2, **RIGHT),
+        event(250, 100, 120, kind='bias', confidence=0.5, **UPDATED),
+        event(400, 100, 120, **CLEARED),
+        event(700, 690),
+    ]
+    record = made_up([(0, 100, 300), (1, 150, 900)], alarms)
+    first, second, third = found = episodes(record)
+    assert (first.sensor, first.onset, first.raised, first.cleared) == ('left', 0.1, 0.12, 0.4)
+    assert (first.kind, first.confidence, first.size) == ('bias', 0.5, 0.3)
+    assert (first.largest, first.delay) == pytest.approx((0.4, 0.02))
+    assert (second.sensor, second.raised, second.cleared) == ('right', 0.18, None)
+    assert (second.largest, second.delay) == pytest.approx((-0.998, 0.03))
+    assert (third.sensor, third.false_alarm, third.delay) == ('left', True, None)
+    assert missed_faults(record, found) == []
+
+
+def test_given_an_alarm_without_its_start_or_without_truth_when_gathered_then_it_is_known_as_far():
+    ended = made_up([(0, 0, 100)], [event(150, -500, -490, **CLEARED)])
+    (episode,) = episodes(ended)
+    assert (episode.onset, episode.raised, episode.cleared) == (-0.5, -0.49, 0.15)
+    assert missed_faults(ended, [episode]) == []
+    blind = made_up(alarms=[event(210, 205)])
+    (episode,) = episodes(blind)
+    assert (episode.delay, episode.false_alarm, episode.true_onset) == (None, False, None)
+    assert missed_faults(blind, []) == []
+
+
+@pytest.mark.parametrize(
+    ('start', 'end', 'missed'),
+    [(100, 220, 0), (100, 200, 1), (300, 350, 0), (600, 800, 1), (390, 500, 0)],
+)
+def test_given_an_alarm_from_210_to_400_ms_when_faults_act_then_they_are_missed_outside(
+    start, end, missed
+):
+    alarms = [event(210, 205), event(400, 205, 210, **CLEARED)]
+    record = made_up([(0, start, end)], alarms)
+    found = [(f.start, f.end) for f in missed_faults(record, episodes(record))]
+    assert found == [(start / 1000, end / 1000)] * missed
+
+
+def test_given_stops_contradictions_and_lost_sensors_when_reported_then_each_has_its_stretch(
+    paper_arm, shown
+):
+    said = {100: 'observing', 500: CONFUSED, 600: CONFUSED, 800: 'observing'}
+    reports = {'observer': [NodeReport(time * MS, 1, words) for time, words in said.items()]}
+    record = made_up(lost=[(0, 2), (200, 300)], stopped=[(400, 700)])
+    assert phases(record, paper_arm, reports) == [
+        Phase('not diagnosable', 'link1_angle', 0.2, 0.3),
+        Phase('safe stop', '', 0.4, 0.7),
+        Phase('inconsistent', '', 0.5, 0.8),
+    ]
+    page = shown(record, reports)
+    meaning = 'the tracker commanded the drives to brake'
+    assert ['safe stop', 'arm', '0.400', '0.700', '0.300', meaning] in rows(page)
+    assert 'Alarms were not recorded; 1 safe stop, 1 inconsistent phase.' in text(page)
+    assert 'come once a second' in text(page)
+    line = [cells for cells in rows(page) if cells[0] == 'link1_angle'][-1]
+    assert line[-1] == '10.0 %'
+
+
+@given(st.lists(st.floats(0.01, 10.0), min_size=9, max_size=60))
+def test_given_many_stretches_when_listed_then_the_longest_are_shown_and_all_are_counted(lengths):
+    many = [Phase('no data', 'left', float(k), k + length) for k, length in enumerate(lengths)]
+    shown, (rest,) = listed([*many, Phase('safe stop', '', 3.0, 4.0)])
+    kept = [phase.duration for phase in shown if phase.what == 'no data']
+    assert (
+        len(shown) == 9
+        and sorted(kept) == sorted(p.duration for p in many)[-8:]
+        or (sorted(kept) == pytest.approx(sorted(p.duration for p in many)[-8:]))
+    )
+    assert (rest['what'], rest['sensor'], rest['count']) == ('no data', 'left', len(many) - 8)
+    assert sum(kept) + rest['duration'] == pytest.approx(sum(p.duration for p in many))
+
+
+def test_given_an_inconsistent_alarm_when_reported_then_the_phases_have_it(paper_arm):
+    record = run()
+    kinds = {200: INCONSISTENT, 300: INCONSISTENT, 400: 'drift'}
+    record.alarms = [event(time, kind=kind) for time, kind in kinds.items()]
+    values = page(record, paper_arm)
+    assert '1 inconsistent phase.' in values['verdict']
+    assert [(p.start, p.end) for p in values['phases']] == [(0.2, 0.4)]
+
+
+def test_given_inconsistent_alarms_of_both_sensors_when_they_overlap_then_they_are_one_phase(
+    paper_arm,
+):
+    record = run()
+    record.alarms = [
+        event(200, kind=INCONSISTENT),
+        event(300, kind=INCONSISTENT, **RIGHT),
+        event(400, kind=INCONSISTENT, **CLEARED),
+    ]
+    (phase,) = phases(record, paper_arm, {})
+    assert (phase.start, phase.end) == (0.2, record.time[-1])
+
+
+def test_given_an_alarm_that_lasts_when_reported_then_its_size_is_the_error_now_not_at_the_event(
+    paper_arm,
+):
+    estimate = np.zeros((COUNT, 2))
+    estimate[200:, 0] = np.linspace(0.3, 0.02, COUNT - 200)
+    bound = np.full((COUNT, 2), 0.01)
+    state = np.zeros((COUNT, 2))
+    stream = {'estimate': estimate, 'bound': bound, 'threshold': 2.0 * bound, 'state': state}
+    record = run(fault_estimate=stream)
+    record.alarms = [event(400, kind='drift')]
+    (episode,) = episodes(record)
+    assert (episode.size, episode.bound, episode.largest) == pytest.approx((0.02, 0.01, 0.3))
+    assert (
+        'error at the end of the run: left +0.020 rad (bound 0.010)'
+        in page(record, paper_arm)['verdict']
+    )
+
+
+def test_given_the_states_of_a_sensor_when_drawn_then_bars_and_legend_have_the_same_colours(
+    paper_arm,
+):
+    state = np.repeat([[int(s)] for s, _, _ in STATES], COUNT // len(STATES), axis=0)
+    zeros = np.zeros((COUNT, 2))
+    known = dict.fromkeys(('estimate', 'bound', 'threshold'), zeros)
+    record = run(fault_estimate={**known, 'state': np.hstack([state, state[::-1]])})
+    figure = timeline(analyse(record, paper_arm, {}, Certificate()))
+    bars = {}
+    for bar in figure.axes[0].collections:
+        bars.setdefault(bar.get_label(), set()).add(bar.get_facecolor().tobytes())
+    legend = figure.legends[0]
+    shown = {
+        text.get_text(): handle.get_facecolor()
+        for text, handle in zip(legend.get_texts(), legend.legend_handles)
+    }
+    assert len(shown) == len(STATES) == len({tuple(color) for color in shown.values()})
+    for label, color in shown.items():
+        assert {np.asarray([color]).tobytes()} == bars[label], label
+
+
+def test_given_another_arm_when_tabulated_then_the_paper_has_no_column(paper_arm, real_arm):
+    assert is_paper_arm(paper_arm) and is_paper_arm(replace(paper_arm, name='mine'))
+    first, second = paper_arm.joints
+    heavier = replace(first, link=replace(first.link, mass=10.5))
+    other = replace(paper_arm, joints=(heavier, second))
+    assert not is_paper_arm(other) and not is_paper_arm(real_arm)
+    zeros = np.zeros((COUNT, 2))
+    streams = {name: {'position': zeros, 'velocity': zeros} for name in ('state_estimate',)}
+    record = run(ground_truth={'position': zeros, 'velocity': zeros, 'fault': zeros}, **streams)
+    table = make_table(record, other)
+    assert [row.paper for row in table] == [None] * 4
+    assert [row.signal for row in table] == ['joint1', 'joint2'] * 2
+    assert all(row.paper for row in make_table(record, paper_arm))
+
+
+def test_given_a_terminal_of_80_columns_when_printed_then_nothing_is_cut_off(capsys):
+    rows = [Row(name, 'estimate of the position', 'rad²', 2.6e-4, PAPER[name]) for name in PAPER]
+    print_table(rows, Console(width=80))
+    text = capsys.readouterr().out
+    assert '…' not in text and text.count('0.006') == 2 and 'better by' in text
+
+
+def test_given_what_drives_and_tracker_report_when_reported_then_stops_have_their_reasons(
+    paper_arm,
+):
+    second = 1_000_000_000
+    reports = {
+        'drives': [
+            NodeReport(0, 1, 'braked: no command yet'),
+            NodeReport(second // 10, 0, 'driven'),
+            NodeReport(second // 5, 2, 'braked: safe stop'),
+            NodeReport(second // 2, 2, 'braked: a joint is faster than its velocity limit'),
+            NodeReport(6 * second // 10, 2, 'braked: a joint is faster than its velocity limit'),
+        ],
+        'tracking': [NodeReport(second // 4, 2, 'safe stop: the observer is silent')],
+    }
+    stops = np.zeros(COUNT)
+    stops[100:250] = 1.0
+    record = run(torque_command={'torque': np.zeros((COUNT, 2)), 'safe_stop': stops})
+    values = page(record, paper_arm, reports)
+    assert [(p.what, p.start, p.end, p.note) for p in values['phases']] == [
+        (history.BRAKED, 0.2, 0.5, 'safe stop'),
+        (history.SAFE_STOP, 0.2, 0.5, 'the observer is silent'),
+        (history.BRAKED, 0.5, 0.998, 'a joint is faster than its velocity limit'),
+    ]
+    assert 'the drives braked 2 times (safe stop, a joint is faster' in values['verdict']
