@@ -7,7 +7,7 @@ import ros
 pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
 
 from lpv.bag.run.record import load_run  # noqa: E402
-from lpv.campaign.execution.run_to_bag import START, write_run_bag  # noqa: E402
+from lpv.campaign.execution.run_to_bag import write_run_bag  # noqa: E402
 from lpv.campaign.execution.runs import plan_run  # noqa: E402
 from lpv.campaign.plan.campaign import resolve  # noqa: E402
 from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent  # noqa: E402
@@ -38,24 +38,14 @@ SPEC = {
         'diagnosis.clear_dwell': 0.2,
     },
 }
-SIGNALS = {
-    'position': ('ground_truth', 'position'),
-    'velocity': ('ground_truth', 'velocity'),
-    'fault': ('ground_truth', 'fault'),
-    'disturbance': ('ground_truth', 'disturbance'),
-    'measured': ('joint_states', 'position'),
-    'measured_velocity': ('joint_states', 'velocity'),
-    'estimate': ('state_estimate', 'position'),
-    'estimated_velocity': ('state_estimate', 'velocity'),
-    'compensated': ('state_estimate', 'compensated_position'),
-    'fault_estimate': ('fault_estimate', 'estimate'),
-    'threshold': ('fault_estimate', 'threshold'),
-    'alarm': ('fault_estimate', 'alarm'),
-    'reference': ('reference', 'position'),
-    'command': ('torque_command', 'torque'),
-    'safe_stop': ('torque_command', 'safe_stop'),
+STREAMS = {
+    'fault_estimate',
+    'ground_truth',
+    'joint_states',
+    'reference',
+    'state_estimate',
+    'torque_command',
 }
-STREAMS = sorted({stream for stream, _ in SIGNALS.values()})
 
 
 def run_graph(folder, files):
@@ -87,29 +77,13 @@ def test_given_a_run_of_a_campaign_when_the_graph_runs_it_then_all_signals_and_a
     write_run_bag(plan, run, files)
     record = load_run(run_graph(tmp_path, files))
     first = load_run(files)
+    assert set(record.streams) >= STREAMS
     for stream in STREAMS:
         np.testing.assert_array_equal(record.stamps[stream], first.stamps[stream], stream)
-    for name, (stream, field) in SIGNALS.items():
-        expected = getattr(run, name)
-        if stream == 'reference':
-            expected = expected[~run.safe_stop]
-        np.testing.assert_allclose(
-            record.get(stream, field), expected, rtol=0.0, atol=1e-12, err_msg=name
-        )
-    # What acted over a step is in the measurement at its end.
-    np.testing.assert_allclose(
-        record.get('joint_states', 'effort')[1:], run.torque[:-1], rtol=0.0, atol=1e-12
-    )
-    for stream in STREAMS:  # also what a run does not keep, e.g. bounds and modes
         for field, values in record.streams[stream].items():
-            np.testing.assert_allclose(
-                values, first.get(stream, field), rtol=0.0, atol=1e-12, err_msg=f'{stream}.{field}'
-            )
+            expected, name = first.get(stream, field), f'{stream}.{field}'
+            np.testing.assert_allclose(values, expected, rtol=0.0, atol=1e-12, err_msg=name)
     assert record.alarms == first.alarms
-    assert [
-        (a.event, a.sensor, a.kind, a.onset - START, a.detected - START, a.size)
-        for a in record.alarms
-    ] == [(a.event, a.sensor, a.kind, a.onset, a.detected, a.size) for a in run.alarms]
     assert {a.sensor for a in run.alarms if a.event == AlarmEvent.RAISED} == set(
         plan.arm.sensor_names
     )

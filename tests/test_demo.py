@@ -126,17 +126,6 @@ def test_given_the_demo_when_over_then_bag_report_gains_and_pictures_are_there(d
 
 
 @pytest.mark.ros
-def test_given_the_demo_when_replayed_offline_then_every_answer_is_that_of_the_node(demo, tmp_path):
-    out, _ = demo
-    files = ['--arm', 'paper', '--gains', out / 'gains.yaml', '--out', tmp_path / 'bag']
-    ros.lpv('replay', out / 'bag', *files)
-    recorded, replayed = contents(out / 'bag'), contents(tmp_path / 'bag')
-    assert recorded.keys() == replayed.keys()
-    for topic in recorded:
-        assert recorded[topic] == replayed[topic], topic
-
-
-@pytest.mark.ros
 def test_given_the_papers_own_design_and_plant_when_run_twice_then_it_works_and_bags_are_identical(
     tmp_path,
 ):
@@ -197,13 +186,6 @@ def test_given_a_signal_when_a_command_waits_then_its_nodes_end_and_it_has_the_s
         raise_signal(number)
     assert end.value.code == 128 + number
     assert node.process.poll() is not None
-
-
-def test_given_a_scenario_out_of_reach_when_run_then_the_demo_says_so(tmp_path, capsys):
-    pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
-    (tmp_path / 'far.yaml').write_text(shortened('two_faults').replace('1.5893', '2.5893'))
-    assert main(['demo', '--scenario', str(tmp_path / 'far.yaml'), '--out', str(tmp_path)]) == 2
-    assert 'out of reach' in capsys.readouterr().err
 
 
 @pytest.mark.parametrize('command', ['design', 'demo', 'import-csv', 'replay', 'compare', 'report'])

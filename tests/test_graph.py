@@ -1,6 +1,5 @@
 """The real graph: nodes as processes, services, alarms, recordings; nodes that cannot start."""
 
-import math
 import re
 import signal
 from dataclasses import replace
@@ -28,6 +27,7 @@ from lpv_msgs.srv import ClearFaults, InjectFault  # noqa: E402
 from lpv_node.managed import run_node  # noqa: E402
 from lpv_node.qos import latched, stream  # noqa: E402
 from lpv_node.recorder.node import RecorderNode  # noqa: E402
+from lpv_node.view.node import ViewNode  # noqa: E402
 from lpv_tracker.node import TrackerNode  # noqa: E402
 from lpv_uio.node import UioNode  # noqa: E402
 
@@ -43,12 +43,6 @@ path:
     - {t: 0.5, x: -0.8451, y: 1.5893}
     - {t: 20.0, x: 0.8451, y: 1.5893}
 """
-NONSENSE = (
-    ({'sensor': 'elbow', 'kind': 'bias', 'size': 1.0}, 'sensor'),
-    ({'sensor': 'link1_angle', 'kind': 'odd'}, 'kind'),
-    ({'sensor': 'link1_angle', 'kind': 'bias'}, 'size'),
-    ({'sensor': 'link1_angle', 'kind': 'bias', 'size': math.nan}, 'size'),
-)
 
 
 @pytest.fixture
@@ -78,14 +72,8 @@ def test_given_a_running_graph_when_a_fault_is_injected_then_the_alarm_is_on_top
             states = client.listen(StateEstimate, 'state_estimate', qos_profile_sensor_data)
             reports = client.listen(DiagnosticArray, '/diagnostics', 10)
             assert client.wait(lambda: len(states) > 100), 'no estimates'
-            for fields, named in NONSENSE:
-                answer = client.call(InjectFault, 'arm_sim/inject_fault', **fields)
-                assert not answer.success and f'fault.{named}' in answer.message
-            assert not client.call(ClearFaults, 'arm_sim/clear_faults', sensor='elbow').success
-            assert alarms == []
-            answer = client.call(
-                InjectFault, 'arm_sim/inject_fault', sensor='link2_angle', kind='bias', size=0.3
-            )
+            fault = {'sensor': 'link2_angle', 'kind': 'bias', 'size': 0.3}
+            answer = client.call(InjectFault, 'arm_sim/inject_fault', **fault)
             assert answer.success, answer.message
             assert client.wait(lambda: alarms), 'no alarm'
             assert client.wait(
@@ -187,6 +175,7 @@ def run_here():
         (TrackerNode, (ARM, 'scenario_file:=/nowhere.yaml'), 'nowhere.yaml'),
         (SimulatorNode, (ARM,), 'scenario_file: must be set'),
         (RecorderNode, ('output:=/proc/nothing/bag',), 'cannot be written'),
+        (ViewNode, (ARM, 'port:=70000'), 'port'),
     ],
 )
 def test_given_a_node_that_cannot_start_when_run_then_it_says_why_and_ends_with_code_1(

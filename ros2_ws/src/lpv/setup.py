@@ -17,11 +17,7 @@ setup(
         'lpv.report': ['*.css', '*.html'],
     },
     install_requires=['setuptools'],
-    extras_require={
-        'test': ['pytest'],
-        'mujoco': ['mujoco>=3.3.1,<4'],
-        'identify': ['pin>=3.3,<5'],
-    },
+    extras_require={'test': ['pytest']},
     zip_safe=False,
     maintainer='lpv-arm-fdi maintainers',
     maintainer_email='maintainers@example.org',

@@ -32,11 +32,13 @@ def test_given_a_fault_when_injected_then_it_starts_now(services):
     assert response.message == 'bias on a from 2.000 s on'
 
 
-@pytest.mark.parametrize('fields', [{'sensor': 'c'}, {'kind': 'nix'}, {'size': float('nan')}])
+@pytest.mark.parametrize(
+    'fields', [{'sensor': 'c'}, {'kind': 'nix'}, {'size': 0.0}, {'size': float('nan')}]
+)
 def test_given_a_fault_that_makes_no_sense_when_injected_then_the_reason_is_told(services, fields):
     response = inject(services, **fields)
-    assert not response.success
-    assert response.message
+    assert not response.success and f'fault.{next(iter(fields))}' in response.message
+    assert not services.clear(ClearFaults.Request(sensor='c'), ClearFaults.Response()).success
 
 
 def test_given_faults_of_two_sensors_when_one_is_cleared_then_the_other_stays(services):

@@ -86,6 +86,25 @@ def test_given_an_arm_far_from_its_reference_when_estimated_then_it_is_stopped_f
     assert list(node.sent.last.torque) == [0.0] * 6
 
 
+@pytest.mark.parametrize(
+    ('node', 'field'),
+    [
+        ({'compensation': '"off"'}, 'measured_position'),
+        ({'compensation': 'confirmed'}, 'compensated_position'),
+        ({'compensation': 'always'}, 'position'),
+    ],
+    indirect=['node'],
+)
+def test_given_a_mode_of_compensation_when_estimated_then_the_loop_closes_on_its_position(
+    node, field
+):
+    message = estimate(node, 1)
+    for k, name in enumerate(('position', 'measured_position', 'compensated_position')):
+        setattr(message, name, np.array(PLACES['paper']) + 0.001 * k)
+    node._on_estimate(message)
+    np.testing.assert_array_equal(node._position, getattr(message, field))
+
+
 @pytest.mark.parametrize('field', ['position', 'velocity', 'measured_velocity'])
 def test_given_an_estimate_of_three_joints_when_it_comes_then_it_is_refused(node, field):
     message = estimate(node, 1)

@@ -1,6 +1,5 @@
 """Hostile measurements, parameters and requests for the observer: its outputs stay finite."""
 
-import math
 from copy import deepcopy
 from types import SimpleNamespace
 
@@ -89,36 +88,6 @@ def test_given_forged_measurements_when_estimated_then_outputs_are_finite_and_it
     tally = run_cases(120, case)
     assert tally.refused and tally.accepted
     assert arm.recover() <= RECOVERY
-
-
-def measurement(stamp, position=(1.5708, 0.0), names=('joint1', 'joint2'), velocity=(0.0, 0.0)):
-    message = JointState(name=list(names), position=position, velocity=velocity, effort=[0.0, 0.0])
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp * STEP, 10**9)
-    return message
-
-
-def test_given_bad_measurements_when_they_come_first_then_modes_and_the_log_say_so(capfd):
-    arm_file = BRINGUP / 'arms' / 'paper.yaml'
-    with node_of(UioNode, 'uio', BRINGUP / 'gains' / 'paper.yaml', arm_file=arm_file) as node:
-        states, faults = node._state_out, node._fault_out = (
-            Output(StateEstimate),
-            Output(FaultEstimate),
-        )
-        for message in (
-            measurement(0, (math.nan, 0.0)), *(measurement(k) for k in (1, 2, 2, 1)),
-            measurement(3, names=('elbow', 'joint2')), measurement(4, position=(0.0,)),
-            measurement(5, (math.inf, 0.0)), measurement(6, velocity=(math.nan, 0.0)),
-            JointState(), measurement(7, velocity=(1e9, 0.0)), measurement(50_000), measurement(1),
-        ):  # fmt: skip
-            node._on_measurement(message)
-        known = len(states.sent)
-        node._on_measurement(measurement(8))
-        assert len(states.sent) == known + 1
-        modes = [state.mode for state in states.sent]
-        assert modes[0] == StateEstimate.NO_ESTIMATE and StateEstimate.STALE in modes
-        found = [value for out in (states, faults) for one in out.take() for value in one.values()]
-        assert np.isfinite(np.concatenate(found)).all()
-        assert "joint 'joint1' occurs 0 times" in capfd.readouterr().err
 
 
 def test_given_forged_commands_when_torques_come_from_there_then_they_are_refused_or_finite(arm):

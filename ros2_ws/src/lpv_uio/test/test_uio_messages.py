@@ -14,17 +14,9 @@ from lpv_msgs.msg import FaultEstimate, StateEstimate  # noqa: E402
 from lpv_uio.messages import OutputMessages  # noqa: E402
 
 STAMP = 3_000_000_007
-ALARM = {
-    'sensor': 'link2_angle',
-    'sensor_index': 1,
-    'event': 0,
-    'onset': 1_000_000_000,
-    'detected': 2_500_000_000,
-    'size': 0.3,
-    'bound': 0.01,
-    'kind': 'bias',
-    'confidence': 0.9,
-}
+ALARM = {'sensor': 'link2_angle', 'sensor_index': 1, 'event': 0, 'onset': 1_000_000_000,
+         'detected': 2_500_000_000, 'size': 0.3, 'bound': 0.01, 'kind': 'bias',
+         'confidence': 0.9}  # fmt: skip
 
 
 def messages_of(joints):
@@ -32,14 +24,6 @@ def messages_of(joints):
     names = [f'j{i}' for i in range(joints)]
     arm = SimpleNamespace(name='some_arm', joint_names=names, sensor_names=names)
     return OutputMessages(arm, answer_type(joints))
-
-
-def test_given_an_alarm_when_put_into_a_message_then_times_and_fields_are_in_it():
-    message = messages_of(2).alarm(STAMP, ALARM)
-    assert (message.header.frame_id, message.header.stamp.sec) == ('some_arm', 3)
-    assert message.header.stamp.nanosec == 7
-    assert (message.onset.sec, message.detected.nanosec) == (1, 500_000_000)
-    assert (message.sensor, message.sensor_index, message.kind) == ('link2_angle', 1, 'bias')
 
 
 def test_given_numbers_that_are_nan_when_filled_then_the_last_ones_are_sent_and_not_trusted():
@@ -69,27 +53,3 @@ def test_given_two_alarms_when_put_into_messages_then_each_is_its_own():
     first = messages.alarm(STAMP, ALARM)
     messages.alarm(STAMP, {**ALARM, 'kind': 'drift'})
     assert first.kind == 'bias'
-
-
-def test_given_a_status_when_put_into_diagnostics_then_level_and_values_are_those_of_ros():
-    status = {'name': 'a', 'level': 2, 'message': 'm', 'hardware_id': 'h', 'values': {'k': 'v'}}
-    array = OutputMessages.diagnostics(STAMP, [status])
-    assert array.header.stamp.sec == 3
-    assert array.status[0].level == b'\x02'
-    assert [(v.key, v.value) for v in array.status[0].values] == [('k', 'v')]
-
-
-@pytest.mark.parametrize('joints', [1, 2, 7])
-def test_given_estimates_of_any_number_of_joints_when_put_into_messages_then_all_are_in_them(
-    joints,
-):
-    messages = messages_of(joints)
-    state, fault = messages.record['state'], messages.record['fault']
-    state['position'], state['mode'], state['trustworthy'] = np.arange(joints), 3, True
-    fault['bound'], fault['state'], fault['alarm'] = np.arange(joints), 2, True
-    found = deserialize_message(messages.state.at(STAMP), StateEstimate)
-    assert list(found.position) == list(range(joints))
-    assert (found.header.frame_id, found.mode, found.trustworthy) == ('some_arm', 3, True)
-    found = deserialize_message(messages.fault.at(STAMP), FaultEstimate)
-    assert list(found.bound) == list(range(joints))
-    assert (list(found.state), found.alarm) == ([2] * joints, [True] * joints)

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from places import BRINGUP
 from serial_bags import crane_file, crane_run, record_crane
 
 pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
@@ -17,7 +16,6 @@ from lpv.bag.rosbag.reading import open_bag  # noqa: E402
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor  # noqa: E402
 from lpv.core.serial_arm.arm_file import load_arm  # noqa: E402
 from lpv.core.simulation.faults import Fault  # noqa: E402
-from lpv.core.support.errors import ConfigError  # noqa: E402
 from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate  # noqa: E402
 from lpv_uio.node import UioNode  # noqa: E402
 
@@ -62,12 +60,6 @@ def test_given_a_serial_arm_when_observed_then_the_node_publishes_the_messages_o
             found = [reader.deserialize(serialize_message(one), kind) for one in sent[topic]]
             encoded = [bytes(types.serialize_cdr(one, kind)) for one in found]
         assert [one + bytes(-len(one) % 4) for one in encoded] == expected, topic
-
-
-def test_given_gains_when_a_node_of_a_serial_arm_starts_then_it_says_why_not(tmp_path):
-    gains = BRINGUP / 'gains' / 'paper.yaml'
-    with pytest.raises(ConfigError, match='lpv: is missing'), observer(tmp_path, gains):
-        pass
 
 
 def test_given_a_measurement_of_another_arm_when_it_comes_then_it_is_refused(tmp_path):

@@ -5,7 +5,6 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,14 +12,13 @@ from places import BRINGUP
 
 import lpv.core
 from lpv.core.control.path import Reference
-from lpv.core.control.tracking import TrackingController, feedback_position
+from lpv.core.control.tracking import TrackingController
 from lpv.core.monitoring.parameters import DiagnosisParameters
 from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent
 from lpv.core.simulation.closed_loop import run_closed_loop
 from lpv.core.simulation.faults import Fault
 from lpv.core.simulation.metrics import mise
 from lpv.core.simulation.scenario import load_scenario
-from lpv.core.support.errors import ConfigError
 from lpv.core.support.jit import COMPILED
 from lpv.core.uio.certificate.gains import save_gains
 from lpv.core.uio.model.dynamics import inverse_dynamics
@@ -235,23 +233,6 @@ def test_given_saturation_when_the_error_lasts_then_the_integral_does_not_wind_u
         assert command.saturated
         assert np.all(np.abs(command.torque) <= paper_arm.torque_limit)
     np.testing.assert_array_equal(controller.integral, 0.0)
-
-
-def test_given_gains_of_another_arm_when_tracking_then_they_are_refused(real_arm, paper_gains):
-    with pytest.raises(ConfigError, match=r'gains\.arm_sha256'):
-        TrackingController(real_arm, paper_gains)
-
-
-@pytest.mark.parametrize(
-    ('mode', 'expected'), [('off', [0.5, 0.1]), ('always', [0.2, 0.4]), ('confirmed', [0.2, 0.1])]
-)
-def test_given_a_mode_of_compensation_when_fed_back_then_the_right_position_is_taken(
-    mode, expected
-):
-    estimate = SimpleNamespace(
-        position=[0.2, 0.4], measured_position=[0.5, 0.1], compensated_position=[0.2, 0.1]
-    )
-    np.testing.assert_array_equal(feedback_position(mode, estimate), expected)
 
 
 @pytest.mark.xfail(reason='an offset below minimum_threshold is raised')

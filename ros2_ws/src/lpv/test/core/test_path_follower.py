@@ -1,14 +1,9 @@
 """References for an arm that is not where its path is."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from lpv.core.control.path_follower import PathFollower
-from lpv.core.serial_arm.chain import compile_chain
-from lpv.core.serial_arm.dynamics.kinematics import forward_kinematics
-from lpv.core.uio.planar import serial_from_planar
 
 STEP = 2_000_000
 
@@ -108,25 +103,6 @@ def test_given_a_stop_in_an_approach_when_it_goes_on_then_it_approaches_the_same
     np.testing.assert_allclose(rows['position'][0], half, atol=1e-12)
     time = 2.998 - 1.875 * np.abs(half - target).max() / 0.5
     np.testing.assert_allclose(rows['position'][-1], path.sample(time).position, atol=1e-9)
-
-
-def test_given_a_reset_when_guided_again_then_the_path_starts_anew(paper_arm, path):
-    guide = PathFollower(path)
-    follow(guide, path.sample(0.0).position, 0, 3.0)
-    guide.reset()
-    first = guide.reference(5 * 10**9, path.sample(0.0).position)
-    np.testing.assert_array_equal(first.position, path.sample(0.0).position)
-
-
-def test_given_any_zero_of_q1_when_approaching_then_the_tip_is_that_of_the_reference(
-    paper_model, two_faults
-):
-    arm = serial_from_planar(replace(paper_model, zero_angle=0.7))
-    path = two_faults.path(arm)
-    rows = follow(PathFollower(path), path.sample(0.0).position + 0.3, 0, 0.2)
-    for position, tip in zip(rows['position'], rows['tip']):
-        _, place = forward_kinematics(compile_chain(arm), position)
-        np.testing.assert_allclose(tip, place, atol=1e-12)
 
 
 @pytest.mark.parametrize('offset', [0.0, 0.6])

@@ -1,32 +1,20 @@
 """Diagnosis on recordings of a real arm with joint encoders."""
 
 import math
-import os
-from pathlib import Path
 
 import numpy as np
 import pytest
 from fault_injection import csv_stream
-from places import DATA, RECORDINGS
+from places import DATA
 
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent
 
-FOLDER = Path(os.environ.get('LPV_REAL_ARM_DATA') or RECORDINGS / 'real_arm')
-FILES = {
-    'excerpt': DATA / 'real_arm' / 'excerpt.csv',
-    'run_143601': FOLDER / 'run_143601.csv',
-    'run_144115': FOLDER / 'run_144115.csv',
-}
-"""An excerpt is part of the repository; the whole recordings are not."""
 
-
-@pytest.fixture(scope='module', params=FILES)
-def recording(request):
-    path = FILES[request.param]
-    if not path.is_file():
-        pytest.skip(f'{path.name} is not part of the repository; LPV_REAL_ARM_DATA may point to it')
-    return csv_stream(path)
+@pytest.fixture(scope='module')
+def recording():
+    """An excerpt; whole recordings are in the matrix of faults."""
+    return csv_stream(DATA / 'real_arm' / 'excerpt.csv')
 
 
 def alarms(arm, gains, recording, encoder=0, size=0.0):

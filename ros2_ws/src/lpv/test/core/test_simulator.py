@@ -6,11 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent
 from lpv.core.simulation.arm_simulator import ArmSimulator
 from lpv.core.simulation.closed_loop import run_closed_loop
 from lpv.core.simulation.faults import Fault, FaultInjector
-from lpv.core.simulation.scenario import disturbance_of, parse_scenario
+from lpv.core.simulation.scenario import disturbance_of
 from lpv.core.support.errors import ConfigError
 from lpv.core.uio.model.dynamics import inverse_dynamics
 from lpv.core.uio.model.joints import JointMap
@@ -131,14 +130,6 @@ def test_given_noise_and_disturbance_when_sampled_then_their_moments_are_the_arm
     assert np.var(pushes) == pytest.approx(0.9, rel=0.1)
 
 
-def test_given_sensors_of_absolute_angles_when_one_fails_then_only_its_link_is_read_wrong(
-    simulate, two_faults
-):
-    measurement, truth = simulate(replace(two_faults.faults[0], onset=0.0), noise=False).sense()
-    np.testing.assert_allclose(truth.fault, [0.3, 0.0], atol=1e-12)
-    np.testing.assert_allclose(measurement.position - truth.position, [0.3, -0.3], atol=1e-12)
-
-
 # ------------------------------------------------------------------ plants
 
 
@@ -154,21 +145,6 @@ def test_given_noise_disturbance_and_model_error_when_run_on_mujoco_then_signals
     )
     for name in ('position', 'velocity', 'measured', 'fault_estimate'):
         np.testing.assert_allclose(getattr(other, name), getattr(one, name), atol=1e-6)
-
-
-def test_given_the_real_arm_in_mujoco_when_a_step_comes_then_the_right_sensor_is_named(
-    real_arm, real_gains
-):
-    pytest.importorskip('mujoco')
-    points = [{'t': t, 'x': x, 'y': -0.42} for t, x in ((0.2, -0.2), (2.5, 0.2), (4.8, -0.2))]
-    fault = {'sensor': real_arm.sensor_names[0], 'kind': 'bias', 'onset': 2.0, 'size': 0.3}
-    data = {'name': 'swing', 'duration': 2.5, 'plant': 'mujoco', 'path': {'waypoints': points},
-            'faults': [fault]}  # fmt: skip
-    assert parse_scenario(data) == parse_scenario({**data, 'plant': {'model': 'mujoco'}})
-    first = run_closed_loop(real_arm, parse_scenario(data), real_gains).alarms[0]
-    assert (first.event, first.sensor) == (AlarmEvent.RAISED, real_arm.sensor_names[0])
-    assert 2_000_000_000 <= first.detected <= 2_020_000_000
-    assert first.size == pytest.approx(0.3, abs=0.05)
 
 
 def test_given_no_coriolis_terms_when_the_arm_is_slow_then_the_plant_is_almost_the_same(simulate):

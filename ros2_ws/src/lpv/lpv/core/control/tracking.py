@@ -1,6 +1,6 @@
 """Tracking with integral action, eqs. (57)-(66), with reference feed-forward."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -192,20 +192,6 @@ class TrackingController(TrackingLaw):
     ) -> None:
         """As `TrackingLaw.answer`."""
         _track(self._params, self._memory, reference, position, velocity, integrated, interval)
-
-
-def feedback_position(compensation: str, estimate: Any) -> np.ndarray:
-    """Joint position to close the loop on, shape (2,) [rad].
-
-    Parameters
-    ----------
-    compensation : {'off', 'confirmed', 'always'}
-        Which one.
-    estimate : object
-        With the fields of lpv_msgs/StateEstimate.
-    """
-    position: np.ndarray = getattr(estimate, FEEDBACK_FIELDS[compensation])
-    return position
 
 
 def make_controller(

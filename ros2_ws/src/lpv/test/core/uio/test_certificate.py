@@ -216,12 +216,6 @@ def test_given_tampered_gains_when_verified_then_the_code_is_1(gains_file, capsy
     assert 'FAILS' in said and 'does NOT hold' in said
 
 
-def test_given_gains_of_another_arm_when_verified_then_both_are_named(gains_file, capsys):
-    assert main(['verify', str(gains_file), '--arm', str(ARMS / 'real_arm.yaml')]) == 2
-    said = capsys.readouterr().err
-    assert "'paper'" in said and "'real_arm'" in said
-
-
 def design(*arguments):
     return main(['design', '--arm', str(ARMS / 'paper.yaml'), *map(str, arguments)])
 

@@ -14,7 +14,6 @@ from parts import energy
 
 from lpv.core.support.errors import ConfigError
 from lpv.core.uio.model.dynamics import acceleration, friction, inverse_dynamics, runge_kutta_step
-from lpv.core.uio.model.joints import JointMap
 
 ANGLE = st.floats(-math.pi, math.pi)
 RATE = st.floats(-8.0, 8.0)
@@ -77,60 +76,6 @@ def test_given_table_1_when_constants_are_formed_then_they_are_those_of_eq_2_not
     assert c.inertia[1] == pytest.approx(1.66)
     assert (c.coupling, c.rotor_coupling) == (pytest.approx(2.5), 0.0)
     np.testing.assert_allclose(c.gravity, [98.0, 24.5])
-
-
-def test_given_eqs_2_and_3_written_out_when_evaluated_then_inverse_dynamics_is_the_same(
-    paper_model,
-):
-    m_1, m_2, l_1, lc_1, lc_2, i_1, i_2, g = 10.0, 5.0, 1.0, 0.5, 0.5, 0.83, 0.41, 9.8
-    h, rng = m_2 * l_1 * lc_2, np.random.default_rng(2)
-    for t_1, t_2, v_1, v_2, a_1, a_2 in rng.uniform(-3, 3, (20, 6)):
-        cos, sin = math.cos(t_1 - t_2), math.sin(t_1 - t_2)
-        u_1 = (m_1 * lc_1**2 + m_2 * l_1**2 + i_1) * a_1 + h * cos * a_2
-        u_1 += h * sin * v_2**2 - (m_1 * lc_1 + m_2 * l_1) * g * math.sin(t_1)
-        u_2 = h * cos * a_1 + (m_2 * lc_2**2 + i_2) * a_2
-        u_2 -= h * sin * v_1**2 + m_2 * g * lc_2 * math.sin(t_2)
-        got = inverse_dynamics(t_1, t_2, v_1, v_2, a_1, a_2, paper_model.constants())
-        assert got == pytest.approx((u_1, u_2), rel=1e-12, abs=1e-12)
-
-
-def recorded_arm_torque(q, v, a):
-    """The identified model, joint coordinates, zero where the arm hangs down."""
-    i_1, i_2 = 0.031887199591513114, 0.05086984812807257
-    m_1, m_2, l_1 = 0.5234602302310271, 0.6255677234174437, 0.2
-    r_1, r_2 = 0.2, 0.25569305436052964
-    rotor, ratio, g = 6.287203962819607e-05, 6, 9.81
-    h = m_2 * l_1 * r_2
-    m_12 = i_2 + h * math.cos(q[1]) - ratio * rotor
-    m_11 = i_1 + i_2 + m_2 * l_1**2 + 2 * h * math.cos(q[1]) + (ratio**2 + 1) * rotor
-    mass = np.array([[m_11, m_12], [m_12, i_2 + ratio**2 * rotor]])
-    swirl = np.array([-2 * v[0] * v[1] - v[1] ** 2, v[0] ** 2])
-    lower = m_2 * r_2 * g * math.sin(q[0] + q[1])
-    gravity = np.array([(m_1 * r_1 + m_2 * l_1) * g * math.sin(q[0]) + lower, lower])
-    rub = 0.001 * v + np.array([0.16, 0.12]) * (2 / math.pi) * np.arctan(100 * v)
-    return mass @ a + h * math.sin(q[1]) * swirl + gravity + rub
-
-
-@given(ANGLE, ANGLE, RATE, RATE, RATE, RATE)
-def test_given_joint_coordinates_when_the_recorded_arm_moves_then_the_identified_model_holds(
-    real_model, q_1, q_2, v_1, v_2, a_1, a_2
-):
-    q, v, a = np.array([q_1, q_2]), np.array([v_1, v_2]), np.array([a_1, a_2])
-    joints = JointMap(real_model)
-    rates = (*joints.absolute_velocity(v), *joints.absolute_velocity(a))
-    absolute = inverse_dynamics(*joints.absolute_position(q), *rates, real_model.constants())
-    found = joints.joint_torque(np.array(absolute))
-    np.testing.assert_allclose(found, recorded_arm_torque(q, v, a), rtol=1e-11, atol=1e-12)
-
-
-@given(st.floats(-50, 50), st.floats(-50, 50))
-def test_given_any_rates_when_joints_rub_then_power_is_lost_and_never_gained(real_model, v_1, v_2):
-    c = real_model.constants()
-    torque, joint = np.array(friction(v_1, v_2, c)), np.array([v_1, v_2 - v_1])
-    rub = 0.001 * joint + np.array([0.16, 0.12]) * (2 / math.pi) * np.arctan(100 * joint)
-    assert torque @ (v_1, v_2) == pytest.approx(rub @ joint, rel=1e-9, abs=1e-12)
-    assert torque @ (v_1, v_2) >= -1e-12
-    assert friction(-v_1, -v_2, c) == pytest.approx(tuple(-torque), abs=1e-15)
 
 
 @given(ANGLE, ANGLE, RATE, RATE, st.floats(0.0, 20.0))

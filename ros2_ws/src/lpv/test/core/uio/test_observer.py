@@ -58,16 +58,6 @@ def test_given_the_first_sample_when_taken_then_it_is_believed_and_called_initia
     assert update(observer, 6 * TS, *swing.sample(0.012)).mode == Mode.OBSERVING
 
 
-def test_given_healthy_sensors_when_the_arm_swings_then_states_follow_and_faults_stay_zero(
-    observer, swing
-):
-    for k in range(1500):
-        estimate = update(observer, k * TS, *swing.sample(k * 0.002))
-        assert np.abs(estimate.fault).max() < 3e-4  # Heun rule, Coulomb friction turning round
-    np.testing.assert_allclose(estimate.position, swing.position(k * 0.002), atol=3e-4)
-    np.testing.assert_allclose(estimate.velocity, swing.sample(k * 0.002)[1], atol=3e-3)
-
-
 @pytest.mark.parametrize('sensor', [0, 1])
 def test_given_a_step_fault_when_it_starts_then_its_own_sensor_shows_it_in_the_same_sample(
     observer, swing, sensor

@@ -9,11 +9,7 @@ import yaml
 from nested import changed
 
 from lpv.core.serial_arm.arm_file import load_arm, parse_arm, save_arm, to_mapping
-from lpv.core.serial_arm.chain import compile_chain
-from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.support.errors import ConfigError
-from lpv.core.uio.model.dynamics import inverse_dynamics
-from lpv.core.uio.model.joints import JointMap
 from lpv.core.uio.planar import is_planar, planar_links, planar_model, plane_of, serial_from_planar
 
 
@@ -33,17 +29,6 @@ def test_given_a_shipped_arm_when_converted_there_and_back_then_it_is_the_same(
 
 def test_given_a_shipped_arm_when_its_hash_is_taken_then_it_is_that_of_its_gains(gains_of, arm):
     assert arm.sha256() == gains_of[arm.name].arm_sha256
-
-
-def test_given_any_zero_when_converted_then_torques_are_those_of_the_papers_formulas(arm):
-    for zero in (-2.0, 0.3, np.pi):
-        model = replace(arm, zero_angle=zero)
-        chain, joints = SerialModel(compile_chain(serial_from_planar(model))), JointMap(model)
-        q, v, a = np.random.default_rng(3).normal(size=(3, 2))
-        rates = (*joints.absolute_velocity(v), *joints.absolute_velocity(a))
-        absolute = inverse_dynamics(*joints.absolute_position(q), *rates, model.constants())
-        expected = joints.joint_torque(np.array(absolute))
-        np.testing.assert_allclose(chain.torque(q, v, a), expected, rtol=1e-9, atol=1e-12)
 
 
 def test_given_an_arm_turned_about_the_vertical_when_converted_then_it_is_the_same(paper_arm):

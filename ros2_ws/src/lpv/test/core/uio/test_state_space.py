@@ -52,18 +52,6 @@ def test_given_the_paper_arm_when_eqs_5_and_8_are_formed_then_they_hold_table_1(
         np.testing.assert_allclose(-np.array(xi) @ a[2:, :2], [[19.6, 0], [0, -24.5]], atol=1e-12)
 
 
-def test_given_the_published_box_when_vertices_are_formed_then_eqs_14_to_20_and_27_28_hold(
-    published,
-):
-    for i, (a, b) in enumerate(zip(*published)):
-        phi_1, phi_2, phi_3 = (-1, 1)[i >> 2], (-0.2, 1)[i >> 1 & 1], (-0.2, 1)[i & 1]
-        inverse = np.linalg.inv([[8.33, 2.5 * phi_1], [2.5 * phi_1, 1.66]])
-        slope, zero = inverse @ np.diag([98 * phi_2, 24.5 * phi_3]), np.zeros((2, 2))
-        np.testing.assert_allclose(a, np.block([[zero, np.eye(2)], [slope, zero]]), rtol=1e-12)
-        np.testing.assert_allclose(b, np.vstack([zero, inverse]), rtol=1e-12)
-    assert i == 7
-
-
 @given(ANGLE, ANGLE, RATE, RATE, TORQUE, TORQUE)
 def test_given_any_state_when_the_lpv_plant_is_evaluated_then_it_is_eq_25(
     published, th_1, th_2, v_1, v_2, u_1, u_2

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lpv.core.control.tracking import make_controller
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent
 from lpv.core.simulation.closed_loop import run_closed_loop
@@ -103,15 +102,3 @@ def test_given_gains_of_another_arm_when_constructed_then_they_are_refused(
             make(real_arm, paper_gains)
         with pytest.raises(ConfigError, match='gains.arm_sha256'):
             make(replace(paper_arm, gravity=9.81), paper_gains)
-
-
-def test_given_a_loop_with_gains_when_run_then_its_torques_are_those_of_the_designed_law(
-    paper_arm, paper_gains, two_faults
-):
-    run = run_closed_loop(paper_arm, replace(two_faults, faults=(), duration=0.5), paper_gains)
-    law, path = make_controller(paper_arm, paper_gains), two_faults.path(paper_arm)
-    for k, (time, position, rate) in enumerate(
-        zip(run.time, run.compensated, run.estimated_velocity)
-    ):
-        command = law.update(path.sample(time), position, rate, position, 0.002 if k else 0.0)
-        np.testing.assert_allclose(run.command[k], command.torque, rtol=1e-9, atol=1e-9)
