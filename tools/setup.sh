@@ -119,7 +119,7 @@ install_build_tools() {
   if [ "$source" = wheels ] && ! has_cmake; then files+=("$root/requirements/cmake.txt"); fi
   id="$(hash_of "${files[@]}") $(cat "$state/venv" 2>/dev/null || true)"
   if [ "$(cat "$tools/.lpv" 2>/dev/null)" != "$id" ]; then
-    rm -rf "$tools"
+    rm -rf "$tools" "$build/build"  # builds remember which CMake made them
     say "installing what builds the workspace"
     install_packages build --target "$tools" "${files[@]/#/-r}"
     mkdir -p "$tools" && echo "$id" > "$tools/.lpv"
