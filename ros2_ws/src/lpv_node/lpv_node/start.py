@@ -9,6 +9,7 @@ import sys
 import threading
 from collections.abc import Sequence
 
+from lpv.core.support.threads import one_thread
 from lpv_node.signals import StopRequest
 
 _SILENCE = 1.5
@@ -23,6 +24,7 @@ def start(module: str, argv: Sequence[str] | None = None) -> None:
     interpreter would die of them.
     """
     stop = StopRequest()
+    one_thread()
     note = threading.Timer(_SILENCE, print, [f'{module} is loading ...'], {'flush': True})
     note.daemon = True
     note.start()

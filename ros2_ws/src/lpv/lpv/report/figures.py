@@ -70,6 +70,14 @@ def draw_all(run: 'Run') -> Iterator[tuple[str, Figure]]:
                 plt.close(figure)
 
 
+def warm_up() -> None:
+    """Draw nothing: fonts, layout and coding of pictures are loaded by the first figure."""
+    with plt.rc_context(SETTINGS):
+        figure, _ = _axes(1)
+        png(figure)
+        plt.close(figure)
+
+
 def _wide(color: str, label: str) -> dict[str, Any]:
     return {'label': label, 'color': color, 'linewidth': 3.4}
 

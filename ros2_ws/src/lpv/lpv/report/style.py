@@ -7,6 +7,7 @@ from typing import Any
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 matplotlib.use('Agg')
 
@@ -30,7 +31,7 @@ SETTINGS: Any = {
     'axes.labelcolor': INK, 'axes.titlecolor': INK, 'text.color': INK, 'figure.facecolor': PAPER,
     'axes.facecolor': 'none', 'legend.frameon': False, 'lines.linewidth': 1.2,
     'lines.solid_capstyle': 'round', 'hatch.linewidth': 0.7, 'hatch.color': SOFT,
-    'axes.formatter.use_mathtext': True, 'axes.unicode_minus': True,
+    'axes.unicode_minus': True,
     'figure.constrained_layout.use': True, 'figure.constrained_layout.h_pad': 0.06,
     'figure.constrained_layout.w_pad': 0.05,
 }  # fmt: skip
@@ -41,18 +42,20 @@ SPARSE: dict[str, Any] = {'handlelength': 1.7, 'columnspacing': 1.3, 'handletext
 
 def thin(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, ...]:
     """Fewer points that look the same: of every bin the lowest and the highest one."""
-    size = len(values) // _POINTS
-    if size < 3:
+    count = len(values)
+    if count < 3 * _POINTS:
         return time, values
-    kept = {0, len(values) - 1}
-    for part in np.array_split(np.arange(len(values)), _POINTS):
-        chunk = values[part]
-        gaps = np.isnan(chunk)
-        if not gaps.all():
-            kept.update((part[np.nanargmin(chunk)], part[np.nanargmax(chunk)]))
-        # A NaN among numbers marks a gap's border, which must not be bridged.
-        kept.update(part[gaps][:1])
-    index = np.array(sorted(kept))
+    size = -(-count // _POINTS)
+    starts = np.arange(0, count, size)
+    bins = np.full((len(starts), size), np.nan)
+    bins.flat[:count] = values
+    gaps = np.isnan(bins)
+    lowest = np.where(gaps, np.inf, bins).argmin(axis=1)
+    highest = np.where(gaps, -np.inf, bins).argmax(axis=1)
+    # A NaN among numbers marks a gap's border, which must not be bridged.
+    border = np.where(gaps.any(axis=1), gaps.argmax(axis=1), lowest)
+    index = np.unique([starts + lowest, starts + highest, starts + border])
+    index = np.unique([0, *index[index < count], count - 1])
     return time[index], values[index]
 
 
@@ -75,7 +78,7 @@ HATCHED = {'facecolor': 'none', 'edgecolor': SOFT, 'hatch': '////'}
 """Look of intervals in which a sensor is not diagnosable."""
 
 
-def png(figure: matplotlib.figure.Figure) -> bytes:
+def png(figure: Figure) -> bytes:
     """Picture of a figure as PNG."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format='png', dpi=160)

@@ -8,8 +8,10 @@ import os
 import queue
 import re
 import shutil
-import threading
 import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -178,23 +180,28 @@ def _run_graph(
         domain = int(os.environ.get('ROS_DOMAIN_ID', 1 + os.getpid() % 100))
     what = f'{scenario.name!r} ({scenario.duration:g} s, {arguments.mode})'
     console.print(f'running {what} with ROS_DOMAIN_ID {domain} ...')
-    with ended_by_signals(), Graph(out / 'log', domain) as graph:
+    with ended_by_signals(), ThreadPoolExecutor(1) as loader, Graph(out / 'log', domain) as graph:
         for name, command in _commands(arguments, files, out).items():
             graph.start(name, command)
-        # Meanwhile: the report need not wait for plotting to load.
-        report = threading.Thread(target=importlib.import_module, args=('lpv.report.run',))
-        report.start()
-        _follow(graph, scenario.duration, console)
+        # While the nodes step one after the other; until then they load on all cores themselves.
+        _follow(graph, scenario.duration, console, partial(loader.submit, _load_report))
         codes = graph.stop()
-        report.join()
     bad = {name: code for name, code in codes.items() if code != 0}
     if bad:
         raise NodeFailure(f'nodes ended with codes {bad}; their logs are in {out / "log"}')
 
 
-def _follow(graph: Graph, duration: float, console: Console) -> None:
+def _load_report() -> None:
+    """What the first picture of a process loads takes as long as drawing all of a report."""
+    importlib.import_module('lpv.report.run')
+    importlib.import_module('lpv.report.figures').warm_up()
+
+
+def _follow(
+    graph: Graph, duration: float, console: Console, when_begun: Callable[[], object]
+) -> None:
     """Show progress and alarms until the simulator has finished; the others then miss it."""
-    simulator, last, done = graph.nodes[-1], time.monotonic(), 0.0
+    simulator, last, done, begun = graph.nodes[-1], time.monotonic(), 0.0, False
     with bar(console, 'scenario', duration, unit='s') as show:
         while simulator.process.poll() is None or not graph.lines.empty():
             try:
@@ -208,6 +215,9 @@ def _follow(graph: Graph, duration: float, console: Console) -> None:
             if found := _PROGRESS.search(line):
                 last, done = time.monotonic(), float(found.group(1))
                 show(done)
+                if not begun:
+                    begun = True
+                    when_begun()
             elif 'ALARM' in line or 'alarm ' in line:
                 console.print(f'  {line.split("]: ", 1)[-1]}')
             elif done < duration and ('ERROR' in line or 'FATAL' in line):

@@ -1,7 +1,6 @@
 """``lpv identify``: from recordings to an arm file."""
 
 import argparse
-import os
 import sys
 from dataclasses import replace
 from itertools import count
@@ -9,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lpv.core.support.errors import ConfigError
+from lpv.core.support.threads import one_thread
 
 if TYPE_CHECKING:
     from lpv.core.serial_arm.description import SerialArm
@@ -18,9 +18,7 @@ if TYPE_CHECKING:
 
 def run(arguments: argparse.Namespace) -> int:
     """Identify, show, write."""
-    # Threads of linear algebra on matrices as small as these wait for each other.
-    for name in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS'):
-        os.environ.setdefault(name, '1')
+    one_thread()
     from rich.console import Console
 
     console = Console(stderr=True)
