@@ -45,7 +45,6 @@ TOLERANT = 'derived rates: for 2.5 s drifts of 0.1 rad/s are within torque_toler
 UNSEEN = 'derived rates: no row measures the joint of a frozen encoder'
 LOST = {
     'real_arm derived drift 0.3': ('named ends', SLOW),
-    'chain3 derived drift 0.3': ('ends', SLOW),
     'recorded real_arm derived drift 0.3': ('named', SLOW),
     'recorded real_arm derived drift 0.1': ('named kind size ends bar', TOLERANT),
     'real_arm derived stuck': ('named size ends', UNSEEN),

@@ -12,7 +12,6 @@ from lpv.core.serial_arm.diagnosis.onset import (
     PLACES,
     SHORTEST,
     Onset,
-    explained_at_onsets,
     sudden_drift,
     sudden_drift_of,
 )
@@ -34,7 +33,7 @@ def monitor():
             return monitor
 
 
-def dense_onsets(monitor, end, free):
+def dense_onsets(monitor, end):
     """All onsets, with the joint information of the drift and of the arm's unknowns."""
     estimator, interval = monitor.estimator, monitor.plan.interval
     window, null, n = estimator.window, estimator.posterior, estimator.joints
@@ -59,7 +58,7 @@ def dense_onsets(monitor, end, free):
             information = np.block([[upper.T @ upper, cross[:, None]], [cross[None], power]])
             sigma = np.linalg.inv(information)[-1, -1] ** 0.5
             score = -column @ (weights * residual)
-            gain = 0.5 * (score * sigma) ** 2 + np.log(sigma / PRIOR) - free[back]
+            gain = 0.5 * (score * sigma) ** 2 + np.log(sigma / PRIOR)
             yield Onset(gain, score * sigma**2, sigma, begin, back)
 
 
@@ -68,29 +67,21 @@ def test_given_a_drift_when_its_onset_is_looked_for_then_it_is_the_best_one_of_d
 ):
     newest = monitor._blocks(1)[-1]
     end = float(newest[9] + 0.5 * newest[10])
-    free = np.linspace(0.0, 3.0, LAST)
     mass = monitor.bank._mass[:, :, JOINT]
-    found = sudden_drift(monitor.estimator, JOINT, end, PRIOR, free, mass)
-    best = max(dense_onsets(monitor, end, free), key=lambda one: one.gain)
+    found = sudden_drift(monitor.estimator, JOINT, end, PRIOR, LAST, mass)
+    best = max(dense_onsets(monitor, end), key=lambda one: one.gain)
     np.testing.assert_allclose(found, best, rtol=1e-6)
 
 
 def test_given_a_drift_when_its_true_effect_is_taken_then_onset_and_rate_are_those_simulated(
     monitor,
 ):
-    bank = monitor.bank
-    free = explained_at_onsets(bank._outside, monitor.estimator, len(bank._lengths), LAST)
-    assert np.all(free[1:-1] >= 0.0)
-    blocks, none = monitor._blocks(LAST + 1), np.zeros(LAST)
-    plain, found = (
-        sudden_drift_of(monitor.estimator, JOINT, PRIOR, one, blocks, bank._mass)
-        for one in (none, free)
-    )
+    mass, blocks = monitor.bank._mass, monitor._blocks(LAST + 1)
+    found = sudden_drift_of(monitor.estimator, JOINT, PRIOR, LAST, blocks, mass)
     assert found.begin == pytest.approx(BEGIN, abs=0.16 * monitor.plan.interval)
     assert found.size == pytest.approx(RATE, rel=0.06)
     assert found.sigma < 0.15 * RATE
-    assert plain.gain - found.gain == pytest.approx(free[found.back], rel=1e-9)
-    short = sudden_drift_of(monitor.estimator, JOINT, PRIOR, none[:SHORTEST], blocks, bank._mass)
+    short = sudden_drift_of(monitor.estimator, JOINT, PRIOR, SHORTEST, blocks, mass)
     assert short.gain == -np.inf
 
 

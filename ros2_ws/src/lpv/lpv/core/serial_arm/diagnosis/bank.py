@@ -47,7 +47,7 @@ from lpv.core.serial_arm.diagnosis.linear_bank import (
     gather,
     new_evidence,
 )
-from lpv.core.serial_arm.diagnosis.onset import explained_at_onsets, sudden_drift_of
+from lpv.core.serial_arm.diagnosis.onset import sudden_drift_of
 from lpv.core.serial_arm.diagnosis.sampling import LATE
 from lpv.core.serial_arm.diagnosis.stuck import stuck_bayes_factor
 from lpv.core.serial_arm.dynamics.momentum import mass_matrix
@@ -394,11 +394,10 @@ class Bank:
         """Drifts of encoders with derived rates whose onset itself is evidence."""
         estimator = self.estimator
         last = min(int(self._lengths[windows - 1]) + 1, len(estimator))
-        free = explained_at_onsets(self._outside, estimator, len(self._lengths), last)
         held = blocks(last + 1)
         found = []
         for i in np.nonzero(self._derived)[0]:
-            one = sudden_drift_of(estimator, int(i), SIZE['drift'], free, held, self._mass)
+            one = sudden_drift_of(estimator, int(i), SIZE['drift'], last, held, self._mass)
             if one.gain > -np.inf:
                 found.append(Hypothesis('drift', int(i), one.gain, one.size, one.sigma, one.begin))
         return found
@@ -446,8 +445,7 @@ class Bank:
         """Compile what is called for suspected faults only; ``blocks`` are those of the horizon."""
         estimator = self.estimator
         last = min(int(self._lengths[-1]) + 1, len(estimator))
-        free = explained_at_onsets(self._outside, estimator, len(self._lengths), last)
-        found = sudden_drift_of(estimator, 0, SIZE['drift'], free, blocks, self._mass)
+        found = sudden_drift_of(estimator, 0, SIZE['drift'], last, blocks, self._mass)
         self.excludes_contact(Hypothesis('drift', 0, 0.0, 0.0, 1.0, found.begin), 0.0)
 
     def offset_against_contact(self, joint: int) -> float:

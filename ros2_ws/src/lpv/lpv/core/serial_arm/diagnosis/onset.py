@@ -24,16 +24,17 @@ from lpv.core.serial_arm.diagnosis.balance import (
     Balance,
     residuals,
 )
-from lpv.core.serial_arm.diagnosis.contact import Contact, rough_contact, weigh_residuals
 from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator, Posterior, set_residuals
-from lpv.core.serial_arm.diagnosis.information import Window, recent
+from lpv.core.serial_arm.diagnosis.information import recent
 
 PLACES = (0.1, 0.3, 0.5, 0.7, 0.9)
 """Places of the onset in its interval that are tried."""
 SHORTEST = 4
 """Balances after an onset before it is looked at."""
 _SMALLEST = 0.01
-"""Size of a drift at which its effect is evaluated, at least [rad/s]."""
+"""Change of a drift by which its effect is differentiated, at least [rad/s]."""
+_STEPS = 3
+"""Sizes of a drift that are tried, from each start."""
 
 
 class Onset(NamedTuple):
@@ -49,40 +50,11 @@ class Onset(NamedTuple):
 NO_ONSET = Onset(-np.inf, 0.0, 0.0, 0.0, 0)
 
 
-def explained_at_onsets(
-    outside: Contact, estimator: OffsetEstimator, onset: int, last: int
-) -> FloatArray:
-    """What torques from outside at an onset alone explain, by the older balance that holds it.
-
-    Parameters
-    ----------
-    outside : Contact
-        Torques from outside.
-    estimator : OffsetEstimator
-        Its posterior is the null hypothesis; its residuals are written.
-    onset : int
-        Index of the onset's length in ``outside``.
-    last : int
-        Balances that are looked at.
-
-    Returns
-    -------
-    ndarray, shape (last,)
-        Logarithms of Bayes factors.
-    """
-    null, free = estimator.posterior, np.zeros(last)
-    set_residuals(estimator.window, null, last)
-    weigh_residuals(estimator.window, null, last)
-    for back in range(1, last - 1):
-        free[back] = rough_contact(outside, null, onset, back + 1)
-    return free
-
-
 def sudden_drift_of(
     estimator: OffsetEstimator,
     joint: int,
     prior: float,
-    free: FloatArray,
+    last: int,
     blocks: FloatArray,
     mass: FloatArray,
 ) -> Onset:
@@ -96,8 +68,8 @@ def sudden_drift_of(
         Of the encoder.
     prior : float
         Standard deviation of drifts [rad/s].
-    free : ndarray, shape (last,)
-        Of `explained_at_onsets`; it is taken off.
+    last : int
+        Balances that are looked at.
     blocks : ndarray, shape (N, 3 n + 3)
         Those of the balances at hand and of the interval before, oldest first.
     mass : ndarray, shape (capacity, n, n)
@@ -110,21 +82,15 @@ def sudden_drift_of(
     """
     newest, n, plan = blocks[-1], estimator.joints, estimator.plan
     end = float(newest[3 * n] + 0.5 * newest[3 * n + 1])
-    best = sudden_drift(estimator, joint, end, prior, free, mass[:, :, joint])
+    best = sudden_drift(estimator, joint, end, prior, last, mass[:, :, joint])
     needed = (best.back + 2) * plan.blocks
     if best.gain == -np.inf or needed > len(blocks):
         return best
-    effect = joint, prior, float(free[best.back])
-    return with_true_effect(best, estimator, effect, blocks[-needed:])
+    return with_true_effect(best, estimator, (joint, prior), blocks[-needed:])
 
 
 def sudden_drift(
-    estimator: OffsetEstimator,
-    joint: int,
-    end: float,
-    prior: float,
-    free: FloatArray,
-    mass: FloatArray,
+    estimator: OffsetEstimator, joint: int, end: float, prior: float, last: int, mass: FloatArray
 ) -> Onset:
     """The best onset of a drift of one encoder in the last balances, to first order.
 
@@ -132,7 +98,7 @@ def sudden_drift(
 
     Parameters
     ----------
-    estimator, joint, prior, free
+    estimator, joint, prior, last
         As of `sudden_drift_of`.
     end : float
         Of the last balance [s].
@@ -140,7 +106,7 @@ def sudden_drift(
         Momentum by a unit rate of the encoder's reading, in the ring of the horizon.
     """
     window, null = estimator.window, estimator.posterior
-    n, last, interval = estimator.joints, len(free), estimator.plan.interval
+    n, interval = estimator.joints, estimator.plan.interval
     back = np.arange(SHORTEST, last - 1)
     if len(back) == 0:
         return NO_ONSET
@@ -177,7 +143,7 @@ def sudden_drift(
     own -= (1.0 - s)[:, None] * older[2][:, None] + s[:, None] * newer[2][:, None]
     square -= (_whitened(null, own) ** 2).sum(-1)
     power = np.maximum(square, 0.0) + prior**-2
-    gain = 0.5 * (total**2 / power - np.log(power * prior**2)) - free[back, None]
+    gain = 0.5 * (total**2 / power - np.log(power * prior**2))
     k, place = np.unravel_index(np.argmax(np.where(np.isfinite(gain), gain, -np.inf)), gain.shape)
     if not np.isfinite(gain[k, place]):
         return NO_ONSET
@@ -194,11 +160,12 @@ def _whitened(null: Posterior, rows: FloatArray) -> FloatArray:
 
 
 def with_true_effect(
-    onset: Onset, estimator: OffsetEstimator, fault: tuple[int, float, float], blocks: FloatArray
+    onset: Onset, estimator: OffsetEstimator, fault: tuple[int, float], blocks: FloatArray
 ) -> Onset:
     """The same onset with the drift's true effect: friction turns over where a joint is slow.
 
-    The column is the difference that the drift makes over its size, at its size.
+    Friction that turns over is as large for a small drift as for a large one, so that steps go from
+    the size to first order, and from that by which the joint would rest, to the most likely one.
 
     Parameters
     ----------
@@ -207,7 +174,7 @@ def with_true_effect(
     estimator : OffsetEstimator
         As there.
     fault : tuple
-        Joint, standard deviation of drifts [rad/s], what is taken off its likelihood.
+        Joint, standard deviation of drifts [rad/s].
     blocks : ndarray, shape (N, 3 n + 3)
         Those of the balances that hold the onset, and of all after them, oldest first.
 
@@ -216,21 +183,89 @@ def with_true_effect(
     Onset
         With another gain, size and deviation.
     """
-    joint, prior, free = fault
-    balance, null, per_interval = estimator.balance, estimator.posterior, estimator.plan.blocks
-    friction, blocks = _learned_friction(balance, null), np.ascontiguousarray(blocks)
-    plain = residuals(balance, blocks, per_interval, friction)
-    set_residuals(estimator.window, null, len(plain))
-    size, power, gain = onset.size, 1.0, -np.inf
-    for _ in range(3):
-        size = np.copysign(max(abs(size), _SMALLEST), size)
-        freed = _without_drift(blocks, balance, joint, onset.begin, size)
-        column = (residuals(balance, freed, per_interval, friction) - plain) / size
-        score, square = _project(estimator.window, null, column)
-        power = square + prior**-2
-        size = score / power
-        gain = 0.5 * (score * score / power - np.log(power * prior * prior)) - free
-    return Onset(float(gain), float(size), float(power**-0.5), onset.begin, onset.back)
+    joint, prior = fault
+    best = onset._replace(gain=-np.inf)
+    rival = _Rival(estimator, joint, onset.begin, np.ascontiguousarray(blocks))
+    for size in (onset.size, rival.apparent_rate()):
+        for _ in range(_STEPS):
+            fit, slope, curvature = rival.compare(size)
+            power = curvature + prior**-2
+            gain = fit - 0.5 * (size / prior) ** 2 - 0.5 * np.log(power * prior * prior)
+            if gain > best.gain:
+                best = Onset(float(gain), float(size), power**-0.5, onset.begin, onset.back)
+            size += (slope - size / prior**2) / power
+    return best
+
+
+class _Rival:
+    """Balances without a drift of one encoder, compared with those of the null hypothesis.
+
+    What the arm's unknowns explain, friction of the joints that the encoder tells of among them, is
+    that of the rates without the drift: a joint that rests has no friction to be learned.
+    """
+
+    def __init__(
+        self, estimator: OffsetEstimator, joint: int, begin: float, blocks: FloatArray
+    ) -> None:
+        self._estimator, self._joint, self._begin, self._blocks = estimator, joint, begin, blocks
+        window, null = estimator.window, estimator.posterior
+        self._friction = _learned_friction(estimator.balance, null)
+        self._plain = self._residuals(0.0, self._friction)
+        last = len(self._plain)
+        set_residuals(window, null, last)
+        at = recent(window, last)[::-1]
+        self._left, self._weights = null.residual[:last][::-1].copy(), window.weights[at]
+        self._unknowns = window.rows[at][:, :, -len(null.mean) :]
+        upper = np.triu(null.factor)
+        pulled = self._weights[:, :, None] * self._unknowns
+        self._score = np.einsum('kim,ki->m', pulled, self._left)
+        self._others = upper.T @ upper - np.einsum('kim,kil->ml', pulled, self._unknowns)
+        self._level = float((self._weights * self._left**2).sum())
+        self._freedom = 2.0 * float(np.log(np.diag(upper)).sum())
+
+    def apparent_rate(self) -> float:
+        """Mean rate since the onset, by the readings: that of the drift, if the joint rests."""
+        n = len(self._estimator.balance.reference)
+        since = self._blocks[:, 3 * n] > self._begin
+        return float(self._blocks[since, n + self._joint].mean()) if since.any() else 0.0
+
+    def _residuals(self, size: float, friction: FloatArray) -> FloatArray:
+        """Balances freed of a drift of this size."""
+        balance, per_interval = self._estimator.balance, self._estimator.plan.blocks
+        freed = _without_drift(self._blocks, balance, self._joint, self._begin, size)
+        return np.asarray(residuals(balance, freed, per_interval, friction))
+
+    def _columns(self, size: float, freed: FloatArray) -> FloatArray:
+        """Derivatives of the freed balances by the arm's unknowns."""
+        columns, balance = self._unknowns.copy(), self._estimator.balance
+        n = len(balance.reference)
+        for i in np.flatnonzero(balance.to_joints[:, self._joint]):
+            for group, part in ((VISCOUS, WET), (COULOMB, DRY)):
+                friction = self._friction.copy()
+                friction[i, part] += 1.0
+                columns[:, :, (group - OFFSET) * n + i] = self._residuals(size, friction) - freed
+        return columns
+
+    def compare(self, size: float) -> tuple[float, float, float]:
+        """Logarithm of the likelihood ratio of a drift of this size, its slope and curvature."""
+        freed = self._residuals(size, self._friction)
+        columns = self._columns(size, freed)
+        left, pulled = self._left + freed - self._plain, self._weights[:, :, None] * columns
+        change = np.copysign(max(0.1 * abs(size), _SMALLEST), size)
+        by_size = (self._residuals(size + change, self._friction) - freed) / change
+        information = self._others + np.einsum('kim,kil->ml', pulled, columns)
+        lower = np.linalg.cholesky(information)
+        right = np.stack([
+            self._score - np.einsum('kim,ki->m', pulled, left),
+            np.einsum('kim,ki->m', pulled, by_size),
+        ], axis=1)  # fmt: skip
+        both = np.linalg.solve(lower, right)
+        fit = 0.5 * (self._level - float((self._weights * left**2).sum()))
+        fit += 0.5 * float(both[:, 0] @ both[:, 0])
+        fit += 0.5 * (self._freedom - 2.0 * float(np.log(np.diag(lower)).sum()))
+        slope = -float((self._weights * by_size * left).sum()) - float(both[:, 0] @ both[:, 1])
+        curvature = float((self._weights * by_size**2).sum()) - float(both[:, 1] @ both[:, 1])
+        return fit, slope, max(curvature, 0.0)
 
 
 def _learned_friction(balance: Balance, null: Posterior) -> FloatArray:
@@ -253,13 +288,3 @@ def _without_drift(
     freed[:, joint] -= size * np.maximum(middle - begin, 0.5 * after) * share
     freed[:, n + joint] -= balance.derived[joint] * size * share
     return freed
-
-
-def _project(window: Window, null: Posterior, column: FloatArray) -> tuple[float, float]:
-    """Score and information of a column, oldest balance first, with the arm's unknowns free."""
-    last = len(column)
-    at, own = recent(window, last), column[::-1]
-    weighted = window.weights[at] * own
-    cross = np.einsum('ki,kim->m', weighted, window.rows[at][:, :, -len(null.mean) :])
-    square = float((weighted * own).sum() - (_whitened(null, cross) ** 2).sum())
-    return -float((weighted * null.residual[:last]).sum()), max(square, 0.0)
