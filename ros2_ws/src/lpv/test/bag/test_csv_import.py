@@ -218,8 +218,6 @@ def test_given_a_map_with_a_mistake_when_loaded_then_the_field_is_named(tmp_path
     [
         ((HEADER + LINES + '0.006,3.1').replace(',', ';'), COLUMNS, None),
         (None, COLUMNS, 'run.csv'),
-        ('a;b\n1;2\n', COLUMNS, "no column 't'"),
-        ((HEADER + '0,x,2,3,4,5,6\n').replace(',', ';'), COLUMNS, "column 'q1'"),
         (HEADER + LINES, None, 'columns.yaml'),
         (HEADER + LINES, HEADER, 'columns.yaml'),
         (HEADER + LINES, 'time: {column: t\njoints: [', 'columns.yaml'),
@@ -231,23 +229,13 @@ def test_given_the_command_when_run_then_it_says_how_many_samples_or_what_is_wro
     for name, content in (('run.csv', text), ('columns.yaml', columns)):
         if content is not None:
             (tmp_path / name).write_text(content)
-    places = [str(tmp_path / name) for name in ('run.csv', 'columns.yaml', 'bag')]
-    options = [
-        '--columns',
-        places[1],
-        '--out',
-        places[2],
-        '--delimiter',
-        ';',
-        '--topic',
-        '/a/joint_states',
-    ]
-    code, printed = main(['import-csv', places[0], *options]), capsys.readouterr()
+    source, mapping, out = (str(tmp_path / name) for name in ('run.csv', 'columns.yaml', 'bag'))
+    options = ['--columns', mapping, '--out', out, '--delimiter', ';', '--topic', '/a/joint_states']
+    code, printed = main(['import-csv', source, *options]), capsys.readouterr()
     assert (code, printed.err.count('\n')) == (2 if said else 0, 1)
     if said:
-        assert (
-            printed.out == '' and printed.err.startswith('lpv import-csv: ') and said in printed.err
-        )
+        assert printed.out == '' and said in printed.err
+        assert printed.err.startswith('lpv import-csv: ')
         return
     assert printed.out.startswith('3 samples of shoulder, elbow')
     assert 'warning: line 5' in printed.err
