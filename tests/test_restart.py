@@ -161,16 +161,33 @@ class Rig:
         self.client.wait(lambda: False, seconds)
 
 
-@pytest.fixture(scope='module')
-def files(tmp_path_factory):
+def slow_arm(folder, **changes):
     """Arm and gains at 200 Hz: what counts here is who talks to whom, not how fast."""
-    folder = tmp_path_factory.mktemp('slow')
     text = (BRINGUP / 'arms' / 'paper.yaml').read_text()
+    for field, (old, new) in {'sample_time': (0.002, 0.005), **changes}.items():
+        assert (line := f'{field}: {old}\n') in text
+        text = text.replace(line, f'{field}: {new}\n')
     found = {'arm': folder / 'arm.yaml', 'gains': folder / 'gains.yaml'}
-    found['arm'].write_text(text.replace('sample_time: 0.002', 'sample_time: 0.005'))
+    found['arm'].write_text(text)
     planar = planar_model(load_arm(found['arm']))
     save_gains(design(planar, load_requirement('paper')).gains, found['gains'])
     return found
+
+
+@pytest.fixture(scope='module')
+def files(tmp_path_factory):
+    """Of an upright arm without friction, which falls when it is left alone."""
+    return slow_arm(tmp_path_factory.mktemp('slow'))
+
+
+@pytest.fixture(scope='module')
+def damped(tmp_path_factory):
+    """Of an arm in oil: by e^(t / 4 s) it falls, as 98 N m/rad of weight move 400 N m s/rad.
+
+    On a busy machine commands are late for seconds on end; the other arm then gets too fast, and
+    its drives brake for good.
+    """
+    return slow_arm(tmp_path_factory.mktemp('damped'), viscous=(0.0, 400.0))
 
 
 @contextmanager
@@ -215,21 +232,21 @@ def assert_none_minds_the_recorder(rig):
     pytest.fail('the drives brake whenever the recorder dies')
 
 
-def assert_no_leap(rig):
+def assert_no_leap(rig, falls=2.3):
     """The arm moved at 0.35 rad/s along the path, at 0.5 rad/s in approaches, and a bit beyond.
 
     A torque that is held for 0.2 s, the most that is allowed, lets an upright arm fall by
     e^(0.2 s 4/s).
     """
-    assert max(np.abs(m.velocity).max() for m in rig.heard['ground_truth']) < 0.5 * 2.3
+    assert max(np.abs(m.velocity).max() for m in rig.heard['ground_truth']) < 0.5 * falls
     assert max(np.abs(m.velocity).max() for m in rig.heard['reference']) < 0.6
 
 
 @pytest.mark.realtime
 def test_given_real_time_when_each_node_is_killed_then_the_arm_brakes_and_goes_on_with_the_new_one(
-    tmp_path, files
+    tmp_path, damped
 ):
-    with rig_on(tmp_path, files) as rig:
+    with rig_on(tmp_path, damped) as rig:
         for name in ('recorder', 'uio', 'tracker', 'simulator'):
             rig.start(name)
         rig.logged('simulator', 'brakes released', 0)
@@ -258,7 +275,7 @@ def test_given_real_time_when_each_node_is_killed_then_the_arm_brakes_and_goes_o
         rig.logged('tracker', 'safe stop: no estimates', death)
         assert_recovers(rig, 'simulator', [('uio', 'measurements flow'), COMMANDS])
         assert (codes := rig.running.stop()) and set(codes.values()) == {0}, codes
-    assert_no_leap(rig)
+    assert_no_leap(rig, falls=1.1)
     assert_recorded(sorted(tmp_path.glob('bag*'))[-1], rig)
 
 
