@@ -101,6 +101,7 @@ class Hypothesis:
     sigma: float  # standard deviation of size
     begin: float  # [s]
     starts: float = 1.0  # that it stands for
+    seen: bool = False  # whether the reading shows it by itself: it froze, or jumped by as much
 
     @property
     def is_encoder(self) -> bool:
@@ -263,7 +264,7 @@ class Bank:
                 gain = pull**2 / power - (share / sigma) ** 2 - np.log(power * sigma**2)
                 found.append(Hypothesis(
                     'scale', i, 0.5 * float(gain), float(pull / power), power**-0.5,
-                    float(windows.begin[w]), float(self._starts[w])))  # fmt: skip
+                    float(windows.begin[w]), float(self._starts[w]), True))  # fmt: skip
         return found
 
     def rate_agrees(self, joint: int, taken_out: float) -> bool:
@@ -312,9 +313,11 @@ class Bank:
         self.statistic = float(np.logaddexp(every, pushed) + self._log_weight)
         self._kinematics.learn(self.statistic < QUIET * threshold)
         self._waited = 0 if self.statistic < QUIET * threshold else QUIET_EVERY
-        if self.statistic < LOUD * threshold and not stuck:
+        jumped = self._scales_that_jumped(count)
+        seen = stuck or any(one.gain > QUIET * threshold for one in jumped)
+        if self.statistic < LOUD * threshold and not seen:
             return []
-        found = stuck + self._named(count) + self._scales_that_jumped(count)
+        found = stuck + self._named(count) + jumped
         if self._derived.any():
             found += self._sudden(blocks, count)
         # Rows that are near zero throughout, as of a constant reading, say nothing.
@@ -387,7 +390,7 @@ class Bank:
                 before = 0.1 if count < longest else float(speed[i])
                 gain, *rest = stuck_bayes_factor(self.estimator, int(i), count, before)
                 gain += self._kinematics.explained(int(i), count)
-                found.append(Hypothesis('stuck', int(i), gain, *rest))
+                found.append(Hypothesis('stuck', int(i), gain, *rest, seen=True))
         return found
 
     def _sudden(self, blocks: Callable[[int], FloatArray], windows: int) -> list[Hypothesis]:

@@ -482,9 +482,9 @@ class SerialMonitor:
             self._evaluate_guarantee()
         unseen = np.maximum(JUMP_SCALE * self.sampler.scale, self.sampler.smallest)
         found = self.bank.evaluate(self._blocks, self._rest(), unseen, self._threshold)
-        frozen = self._frozen(found)
-        if frozen is not None:
-            self._blame(frozen, 1.0 - math.exp(-frozen.gain), now)
+        seen = self._seen(found)
+        if seen is not None:
+            self._blame(seen, 1.0 - math.exp(-seen.gain), now)
         elif self.bank.statistic < self._threshold:
             self._suspects = ()
             self._contact.since = math.inf
@@ -502,15 +502,20 @@ class SerialMonitor:
         ):
             one.weigh_again(1)
 
-    def _frozen(self, found: list[Hypothesis]) -> Hypothesis | None:
-        """What explains a reading that froze, if balances say that the joint moves.
+    def _seen(self, found: list[Hypothesis]) -> Hypothesis | None:
+        """What explains a reading that froze or jumped, if balances say that its joint went on.
 
-        That it froze, out of motion or without its noise, is evidence of its own against pushes.
+        That it froze, out of motion or without its noise, or jumped, is evidence of its own: a push
+        or another fault would have to come within the same few seconds.  A jump may be one of a
+        scale error as well as of an offset, which is the null hypothesis.
         """
         wrong = self.settings.probability_of_wrong_name
-        stuck = (one for one in found if one.kind == 'stuck' and one.joint not in self._filters)
-        best = next(stuck, None)
-        return best if best is not None and best.gain > -math.log(wrong) else None
+        shown = (one for one in found if one.seen and one.joint not in self._filters)
+        best = next(shown, None)
+        if best is None or best.gain <= -math.log(wrong):
+            return None
+        rivals = () if best.kind == 'stuck' else (one for one in found if one.cause != best.cause)
+        return best if all(one.gain < best.gain for one in rivals) else None
 
     def _margin(self, kind: str) -> float:
         """By how much a fault must be more likely than torques from outside."""

@@ -25,7 +25,7 @@ from lpv.core.serial_arm.diagnosis.balance import (
     residuals,
 )
 from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator, Posterior, set_residuals
-from lpv.core.serial_arm.diagnosis.information import recent
+from lpv.core.serial_arm.diagnosis.information import factorise, recent, whiten
 
 PLACES = (0.1, 0.3, 0.5, 0.7, 0.9)
 """Places of the onset in its interval that are tried."""
@@ -254,15 +254,15 @@ class _Rival:
         change = np.copysign(max(0.1 * abs(size), _SMALLEST), size)
         by_size = (self._residuals(size + change, self._friction) - freed) / change
         information = self._others + np.einsum('kim,kil->ml', pulled, columns)
-        lower = np.linalg.cholesky(information)
-        right = np.stack([
+        factorise(information, self._estimator.posterior.least)
+        both = np.stack([
             self._score - np.einsum('kim,ki->m', pulled, left),
             np.einsum('kim,ki->m', pulled, by_size),
         ], axis=1)  # fmt: skip
-        both = np.linalg.solve(lower, right)
+        whiten(information, both)
         fit = 0.5 * (self._level - float((self._weights * left**2).sum()))
         fit += 0.5 * float(both[:, 0] @ both[:, 0])
-        fit += 0.5 * (self._freedom - 2.0 * float(np.log(np.diag(lower)).sum()))
+        fit += 0.5 * (self._freedom - 2.0 * float(np.log(np.diag(information)).sum()))
         slope = -float((self._weights * by_size * left).sum()) - float(both[:, 0] @ both[:, 1])
         curvature = float((self._weights * by_size**2).sum()) - float(both[:, 1] @ both[:, 1])
         return fit, slope, max(curvature, 0.0)
