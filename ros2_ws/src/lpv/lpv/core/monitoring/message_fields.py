@@ -145,9 +145,9 @@ def diagnostic_fields(
     list of dict
         Fields of diagnostic_msgs/DiagnosticStatus; ``values`` is a dict of strings.
     """
-    level, message = _MODES[state.mode]
+    level, message = _MODES[state['mode']]
     if fault is not None and level < STALE:
-        if not state.trustworthy:
+        if not state['trustworthy']:
             level, message = ERROR, 'a confirmed fault cannot be compensated safely: stop'
         elif findings.note:
             level, message = WARN, findings.note
@@ -155,19 +155,22 @@ def diagnostic_fields(
             level, message = WARN, _INCONSISTENT
         elif findings.unsupported:
             level, message = WARN, _UNSUPPORTED
-        corrected = np.flatnonzero(state.compensated_position != state.measured_position)
+        corrected = np.flatnonzero(state['compensated_position'] != state['measured_position'])
         values['corrected joints'] = ', '.join(arm.joint_names[i] for i in corrected) or 'none'
     result = [_status(level, f'{name}: observer', message, arm.name, values)]
+    columns: list[list[Any]] = []
+    if fault is not None:
+        columns = [fault[one].tolist() for one in ('estimate', 'bound', 'threshold', 'state')]
     for i, sensor in enumerate(arm.sensor_names):
         sensor_state, values, above = SensorState.STALE, {}, False
         if fault is not None:
             unit = arm.joints[i].units[0]
-            above = abs(fault.estimate[i]) > fault.threshold[i]
-            sensor_state = fault.state[i]
+            estimate, bound, threshold, sensor_state = (column[i] for column in columns)
+            above = abs(estimate) > threshold
             values = {
-                f'fault estimate [{unit}]': f'{fault.estimate[i]:.6f}',
-                f'bound [{unit}]': f'{fault.bound[i]:.6f}',
-                f'threshold [{unit}]': f'{fault.threshold[i]:.6f}',
+                f'fault estimate [{unit}]': f'{estimate:.6f}',
+                f'bound [{unit}]': f'{bound:.6f}',
+                f'threshold [{unit}]': f'{threshold:.6f}',
                 **(findings.details[i] if findings.details else {}),
             }
         level, message = _LEVELS[sensor_state]

@@ -43,6 +43,7 @@ from lpv.core.uio.certificate.gains import Gains
 from lpv.core.uio.unknown_input_observer import CHOICES, UioParts, UnknownInputObserver, uio_answers
 
 METHOD = 'moving horizon'
+_ERROR = int(SensorState.ERROR)
 _REPORT_INTERVAL = NANOSECONDS
 """A diagnostics report is due after each such time of the data [ns], and at every alarm event."""
 _LARGEST = (1e3, 1e4, 1e9)
@@ -573,20 +574,21 @@ class SerialSensorMonitor:
         if snapshot.balances != self._balances:
             self._balances, self._balanced = snapshot.balances, stamp
         self._snapshot, tuning = snapshot, self._parameters
+        is_error = snapshot.is_error
         if self._uio is not None:
             # An offset from the start is not in the set: its estimate is on its way.
-            offset = bool((snapshot.is_error & snapshot.is_level).any())
+            offset = True in snapshot.is_level.tolist()
             self._uio.rely(not (offset or snapshot.suspects or self._monitor.has_rate_fault))
         self._arrays = Known(
             snapshot.fault,
             snapshot.rate,
             np.where(snapshot.is_level, snapshot.fault, snapshot.removed),
-            np.where(snapshot.is_level, 1.0, snapshot.share) * snapshot.rate,
+            np.where(snapshot.is_level, snapshot.rate, snapshot.share * snapshot.rate),
             tuning.sigmas * snapshot.sigma,
             snapshot.threshold,
             snapshot.jump_limit,
             snapshot.state,
-            snapshot.is_error,
+            is_error,
             self._is_derived,
             self._to_joints,
         )
@@ -625,6 +627,8 @@ class SerialSensorMonitor:
     def _is_trustworthy(self) -> bool:
         """Whether what is removed of confirmed faults is known well enough to go on."""
         known = self._snapshot
+        if _ERROR not in known.state.tolist():
+            return True
         sigma = np.where(known.is_level, known.sigma, known.removed_sigma)
         bound = self._parameters.safe_stop_bound * self._monitor.scales
         uncertain = self._parameters.sigmas * sigma > bound

@@ -1,7 +1,8 @@
 """A serial arm's monitor that says after which samples it knows more, and what."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -12,23 +13,24 @@ from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import SensorState
 from lpv.core.serial_arm.diagnosis.healthy_set import Guarantee
 from lpv.core.serial_arm.diagnosis.monitor import SerialAlarm, SerialMonitor
-from lpv.core.serial_arm.diagnosis.sampling import JUMP_SCALE
+from lpv.core.serial_arm.diagnosis.sampling import JUMP_SCALE, Sampler
+from lpv.core.support.jit import njit_in_place
 
-_ERROR = int(SensorState.ERROR)
+_OK, _ERROR = int(SensorState.OK), int(SensorState.ERROR)
+_NOT_DIAGNOSABLE = int(SensorState.NOT_DIAGNOSABLE)
 
 
-@dataclass(frozen=True)
-class Snapshot:
+class Snapshot(NamedTuple):
     """What is known from a sample on, until the next decision; arrays of shape (n,)."""
 
     row: int  # of the sample among those that were taken together
     time: float  # of the sample since the first one [s]
     fault: FloatArray  # estimated faults of the sensors [rad]
-    rate: FloatArray  # at which they go on to change [rad/s]
     sigma: FloatArray  # their standard deviations [rad]
     removed: FloatArray  # jumps and drifts that are beyond doubt: part of fault [rad]
     share: FloatArray  # of a fault that changes, which is beyond doubt
-    removed_sigma: FloatArray  # standard deviations of these [rad]
+    rate: FloatArray  # at which faults go on to change [rad/s]
+    removed_sigma: FloatArray  # standard deviations of what is removed [rad]
     jump: FloatArray  # by which readings were found to have jumped at this sample [rad]
     threshold: FloatArray  # beyond which an offset is a fault [rad]
     jump_limit: FloatArray  # change of a reading that may be a jump [rad]
@@ -47,6 +49,62 @@ class Snapshot:
     def is_error(self) -> npt.NDArray[np.bool_]:
         """Whether each sensor has a confirmed fault."""
         return self.state == _ERROR
+
+
+class Numbers(NamedTuple):
+    """Some fields of `Snapshot`, which `fill_numbers` writes."""
+
+    rate: FloatArray
+    removed_sigma: FloatArray
+    jump: FloatArray
+    threshold: FloatArray
+    jump_limit: FloatArray
+
+
+@njit_in_place
+def fill_numbers(
+    numbers: Numbers,
+    state: npt.NDArray[np.uint8],
+    sampler: Sampler,
+    sigma: FloatArray,
+    changing: FloatArray,
+    jumps: tuple[FloatArray, FloatArray, FloatArray],
+    limits: tuple[float, float, float],
+    scales: FloatArray,
+) -> None:
+    """Write what follows from standard deviations of faults, and of those that are followed.
+
+    Parameters
+    ----------
+    numbers : Numbers
+        Written.
+    state : ndarray of uint8, shape (n,)
+        States of the sensors, and, changed, whether their faults are diagnosable.
+    sampler : Sampler
+        What is known of the readings.
+    sigma, changing : ndarray, shape (n,)
+        Standard deviations of all faults, and of those that are followed [rad].
+    jumps : tuple of ndarray, shape (n,)
+        Jumps since the last decision and their variances, which are forgotten; variances of all
+        jumps of the present faults [rad], [rad2].
+    limits : tuple
+        Standard deviations in a bound; smallest level, standard deviation that says nothing [rad].
+    scales : ndarray, shape (n,)
+        Of thresholds.
+    """
+    jump, variance, removed = jumps
+    sigmas, smallest, widest = limits
+    for i in range(sigma.shape[0]):
+        removed[i] += variance[i]
+        if state[i] != _ERROR:
+            removed[i] = 0.0
+        if state[i] == _OK and sigma[i] > widest * scales[i]:
+            state[i] = _NOT_DIAGNOSABLE
+        numbers.rate[i], numbers.jump[i] = sampler.drift[i], jump[i]
+        numbers.removed_sigma[i] = np.sqrt(removed[i] + changing[i] * changing[i])
+        numbers.threshold[i] = max(sigmas * sigma[i], smallest * scales[i])
+        numbers.jump_limit[i] = max(JUMP_SCALE * sampler.scale[i], sampler.smallest[i])
+        jump[i], variance[i] = 0.0, 0.0
 
 
 _Around = tuple[Callable[[int], None], Callable[[Snapshot], None]]
@@ -160,33 +218,21 @@ class SteppedMonitor(SerialMonitor):
 
     def snapshot(self, row: int = 0) -> Snapshot:
         """What is known now."""
-        settings, estimate = self.settings, self.estimate(0)
-        state = np.array(estimate.state, np.uint8)
-        changing = self.changing_sigma()
+        settings, sensors = self.settings, self.sensors
+        state = np.array([one.state for one in sensors], np.uint8)
+        fault, sigma = self.faults()
+        numbers = Numbers(*np.empty((5, self.joints)))
+        limits = settings.sigmas, settings.smallest_level, settings.widest_level
+        jumps = self.jump, self.jump_variance, self._removed_variance
+        self._call(
+            fill_numbers, numbers, state, self.sampler, sigma, self.changing_sigma(), jumps,
+            limits, self.scales,
+        )  # fmt: skip
         alarms, self.alarms = tuple(self.alarms), []
-        self._removed_variance += self.jump_variance
-        self._removed_variance[state != _ERROR] = 0.0
-        snapshot = Snapshot(
-            row,
-            self._last(),
-            estimate.fault.copy(),
-            self.sampler.drift.copy(),
-            estimate.sigma.copy(),
-            *self.certain(),
-            np.sqrt(self._removed_variance + changing**2),
-            self.jump.copy(),
-            np.maximum(settings.sigmas * estimate.sigma, settings.smallest_level * self.scales),
-            np.maximum(JUMP_SCALE * self.sampler.scale, self.sampler.smallest),
-            state,
-            np.array([one.level and one.active for one in self.sensors]),
-            np.array([one.unseen for one in self.sensors]),
-            estimate.suspects,
-            self.in_contact,
-            self._balances,
-            alarms,
-            self.guarantee,
-            self.healthy is not None,
-            self.estimator.misfit(),
-        )
-        self.jump[:] = self.jump_variance[:] = 0.0
-        return snapshot
+        return Snapshot(
+            row, self._last(), fault, sigma, *self.certain(), *numbers, state,
+            np.array([one.level and one.active for one in sensors]),
+            np.array([one.unseen for one in sensors]),
+            self._suspects, self.in_contact, self._balances, alarms, self.guarantee,
+            self.healthy is not None, self.estimator.misfit(),
+        )  # fmt: skip

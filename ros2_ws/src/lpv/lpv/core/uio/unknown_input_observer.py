@@ -198,11 +198,12 @@ class UnknownInputObserver:
         )
         self._state = new_record(UIO_STATE)
         self._plain = plain(self._state)
+        self._found = self._plain['estimate']['fault'], self._plain['bound']['bound']
         # A fault of a sensor whose rate is derived from it is in the rate, too, and method paper
         # leaves model errors out: no bound is guaranteed then.
         independent = all(joint.sensors.rates == 'independent' for joint in arm.joints)
         self.certifies = independent and self.method == 'exact'
-        self._choice = CHOICES.index(choice)
+        self._choice, self._published = CHOICES.index(choice), -1
         self.rely(True)
         self.parts = UioParts(
             memory(self._constants),
@@ -224,7 +225,8 @@ class UnknownInputObserver:
         choice = self._choice
         if choice == _TIGHTEST and not (self.certifies and rates_are_right):
             choice = _HORIZON
-        self._constants.choice = choice
+        if choice != self._published:
+            self._published = self._constants.choice = choice
 
     def reset(self) -> None:
         """Forget everything; the next sample is a first one."""
@@ -234,8 +236,10 @@ class UnknownInputObserver:
         self._state.valid = False
 
     def level(self) -> tuple[FloatArray, FloatArray]:
-        """Faults of the sensors and their bounds, shape (2,) [rad]; infinite bounds if unknown."""
-        state = self._plain
-        if not state['valid']:
+        """Faults of the sensors and their bounds, shape (2,) [rad]; infinite bounds if unknown.
+
+        They change with the next sample.
+        """
+        if not self._plain['valid']:
             return np.zeros(2), np.full(2, np.inf)
-        return state['estimate']['fault'].copy(), state['bound']['bound'].copy()
+        return self._found

@@ -27,7 +27,16 @@ import numpy.typing as npt
 
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
-from lpv.core.serial_arm.diagnosis.balance import DRIFT, EPOCH, GAIN, OFFSET, RATE, SCALE, TORQUE
+from lpv.core.serial_arm.diagnosis.balance import (
+    DRIFT,
+    EPOCH,
+    GAIN,
+    OFFSET,
+    RATE,
+    SCALE,
+    TORQUE,
+    Balance,
+)
 from lpv.core.serial_arm.diagnosis.contact import (
     force_levers,
     joint_levers,
@@ -37,7 +46,7 @@ from lpv.core.serial_arm.diagnosis.contact import (
     weigh_residuals,
 )
 from lpv.core.serial_arm.diagnosis.estimator import HorizonPlan, OffsetEstimator, set_residuals
-from lpv.core.serial_arm.diagnosis.information import ROBUST, factorise, slot, whiten
+from lpv.core.serial_arm.diagnosis.information import ROBUST, Window, factorise, slot, whiten
 from lpv.core.serial_arm.diagnosis.linear_bank import (
     COLUMNS,
     JUMP,
@@ -51,7 +60,7 @@ from lpv.core.serial_arm.diagnosis.onset import sudden_drift_of
 from lpv.core.serial_arm.diagnosis.sampling import LATE
 from lpv.core.serial_arm.diagnosis.stuck import stuck_bayes_factor
 from lpv.core.serial_arm.dynamics.momentum import mass_matrix
-from lpv.core.serial_arm.sensor_map import map_rows, mixing
+from lpv.core.serial_arm.sensor_map import map_vector
 from lpv.core.support.jit import Entries, njit_in_place
 
 BoolArray = npt.NDArray[np.bool_]
@@ -114,6 +123,17 @@ class Hypothesis:
         return ('encoder' if self.is_encoder else self.kind, self.joint)
 
 
+@njit_in_place
+def set_momenta(
+    balance: Balance, window: Window, mixing: FloatArray, mass: FloatArray, matrix: FloatArray
+) -> None:
+    """Write M S^-1 of the newest balance; ``mixing`` is S^-T, ``matrix`` scratch."""
+    at = slot(window, 0)
+    mass_matrix(balance.chain, window.poses[at], balance.work, matrix)
+    for i in range(matrix.shape[0]):
+        map_vector(mixing, matrix[i], mass[at, i])
+
+
 class Bank:
     """Bank of one arm.
 
@@ -136,7 +156,8 @@ class Bank:
         self.estimator, plan, n = estimator, estimator.plan, estimator.joints
         self._push, self.statistic = push, -np.inf
         self._to_sensors = arm.joints_to_sensors()
-        self._mixing = mixing(arm.sensors_to_joints().T)
+        self._mixing = arm.sensors_to_joints().T.copy()
+        self._matrix = np.zeros((n, n))
         lengths = sorted({max(1, round(one / plan.interval)) for one in STARTS})
         self._lengths = np.array(lengths)
         # A start of the grid stands for those up to the next longer one.
@@ -194,15 +215,12 @@ class Bank:
         self._age += 1
         self._kinematics.take(blocks)
         window, balance = self.estimator.window, self.estimator.balance
-        at = slot(window, 0)
-        place = balance.chain, window.poses[at], balance.work, self._mass[at]
-        self._call(mass_matrix, *place)
-        if self._mixing is not None:
-            self._mass[at] = map_rows(self._mixing, self._mass[at])
+        self._call(set_momenta, balance, window, self._mixing, self._mass, self._matrix)
 
     def momenta(self, back: int) -> FloatArray:
         """Momenta by unit rates of the readings, M S^-1, at one of the last balances."""
-        return np.asarray(self._mass[slot(self.estimator.window, back)])
+        momenta: FloatArray = self._mass[self.estimator.place(back)]
+        return momenta
 
     def restart(self) -> None:
         """Begin again after a gap."""

@@ -457,6 +457,10 @@ class OffsetEstimator:
         """Balances in the horizon."""
         return int(self.window.counters[COUNT])
 
+    def place(self, back: int) -> int:
+        """Index in the ring of the balance ``back`` before the last one."""
+        return int(self.window.counters[NEXT] - 1 - back) % self.plan.capacity
+
     def times(self, last: int) -> FloatArray:
         """Ends of the last balances, oldest first [s]."""
         return self.window.times[recent(self.window, last)[::-1]]

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lpv.core.serial_arm.chain import FloatArray, compile_chain
+from lpv.core.serial_arm.chain import FloatArray, IntArray, compile_chain
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.estimator import PAST_WEIGHT, OffsetEstimator, Posterior
 from lpv.core.serial_arm.diagnosis.healthy_balance import (
@@ -26,7 +26,7 @@ from lpv.core.serial_arm.diagnosis.healthy_balance import (
     generator_count,
     new_healthy_balance,
 )
-from lpv.core.serial_arm.diagnosis.information import COUNT, NEXT, Window, slot
+from lpv.core.serial_arm.diagnosis.information import COUNT, NEXT, Window, recent, slot
 from lpv.core.serial_arm.diagnosis.learning import payload_share
 from lpv.core.serial_arm.diagnosis.parameter_set import parameter_set, payload_generator
 from lpv.core.serial_arm.sensor_map import map_rows, map_vector
@@ -223,11 +223,11 @@ class HealthySet:
         inverse = np.linalg.inv(np.triu(null.factor))
         wanted = np.vstack([np.eye(m)[:n], self._load])
         gain = wanted @ inverse @ inverse.T
-        places = [slot(window, back) for back in range(last - 1, -1, -1)]
+        places = recent(window, last)[::-1]
         weighted = window.weights[places][:, :, None] * window.rows[places][:, :, -m:]
         map_ = -(weighted.reshape(-1, m) @ gain.T).T.reshape(n + 1, last, n)
         from_past = -gain[:, n:] @ _eliminated(window, null)
-        response = np.einsum('fbi,bik->fk', map_, self._effects[places], optimize=True)
+        response = map_.reshape(n + 1, -1) @ self._effects[places].reshape(last * n, -1)
         response += from_past @ self._ring.right
         slack = np.einsum('fbi,bi->f', np.abs(map_), self._doubts[places, 0])
         # For right sides A^T W e of the past: (d A^T W e)^2 <= (d A^T W A d)(e^T W e).
@@ -258,7 +258,7 @@ class HealthySet:
         low, high = (np.clip(estimate + d, 0.0, self._largest_payload) for d in (-bound, bound))
         return float(low), float(high)
 
-    def _noise(self, map_: FloatArray, places: list[int]) -> FloatArray:
+    def _noise(self, map_: FloatArray, places: IntArray) -> FloatArray:
         """Variance of the estimates by noise of readings and rates in the horizon."""
         total = np.einsum('fbi,bi->f', map_**2, self._doubts[places, 1])
         moved = np.einsum('fbi,bij->fbj', map_, self._inertia[places])

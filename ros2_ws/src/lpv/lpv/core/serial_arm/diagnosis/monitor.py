@@ -187,6 +187,7 @@ class SerialMonitor:
         self.sensors = [SensorRecord() for _ in range(n)]
         self.rates = [SensorRecord() for _ in range(n)]
         self._filters: dict[int, FaultFilter] = {}
+        self._nothing = np.zeros(n), np.full(n, np.inf)  # is certified
         self._known = np.zeros(n)  # for how long each offset has been diagnosable [s]
         self._contact = _Contact()
         self.jump, self.jump_variance = np.zeros(n), np.zeros(n)  # of readings, for the caller
@@ -377,7 +378,10 @@ class SerialMonitor:
 
     def changing_sigma(self) -> FloatArray:
         """Standard deviations of the faults that are followed, shape (n,) [rad]."""
-        sigma, now = np.zeros(self.joints), self._last()
+        sigma = np.zeros(self.joints)
+        if not self._filters and 1 not in self.sampler.noisy.tolist():
+            return sigma
+        now = self._last()
         for i, one in self._filters.items():
             sigma[i] = one.fault(float(self.sampler.raw[i]), now)[2]
         for noisy in np.nonzero(self.sampler.noisy)[0]:
@@ -639,8 +643,8 @@ class SerialMonitor:
 
     def _decide_levels(self, now: float) -> None:
         """Offsets that gravity and motion show."""
-        settings, nothing = self.settings, (np.zeros(self.joints), np.full(self.joints, np.inf))
-        certified = self.certified_level() if self.certified_level else nothing
+        settings = self.settings
+        certified = self.certified_level() if self.certified_level else self._nothing
         at_start = math.log(1.0 / settings.fault_at_start)
         limits = (
             settings.widest_level, settings.smallest_level, settings.sigmas, self.plan.interval,
