@@ -106,3 +106,18 @@ def literal_gains(paper_model):
 def gains_of(paper_gains, real_gains):
     """Gains by the arm's name."""
     return {'paper': paper_gains, 'real_arm': real_gains}
+
+
+@pytest.fixture
+def refused(capsys):
+    """Calls a command that has to refuse: code 2, and one line that begins with its name."""
+    from lpv.cli.main import main
+
+    def run(told, command, *arguments):
+        capsys.readouterr()
+        assert main([str(word) for word in (command, *arguments)]) == 2
+        said = capsys.readouterr().err
+        assert said.startswith(f'lpv {command}: ') and said.count('\n') == 1 and told in said, said
+        return True
+
+    return run

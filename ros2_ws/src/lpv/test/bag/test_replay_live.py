@@ -277,12 +277,6 @@ def test_given_a_loop_when_interrupted_then_time_has_started_again_and_the_playe
     ids=str,
 )
 def test_given_options_that_make_no_sense_when_played_then_one_line_says_so(
-    healthy_bag, capsys, options, named
+    healthy_bag, refused, options, named
 ):
-    from lpv.cli.main import main
-
-    assert main(['replay', str(healthy_bag), '--publish', *options]) == 2
-    said = capsys.readouterr().err
-    assert said.startswith('lpv replay: ')
-    assert named in said
-    assert said.count('\n') == 1
+    assert refused(named, 'replay', healthy_bag, '--publish', *options)

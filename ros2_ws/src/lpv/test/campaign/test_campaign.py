@@ -155,12 +155,11 @@ def test_given_what_does_not_fit_the_files_when_resolved_then_the_error_names_it
 
 
 def test_given_a_file_that_is_no_campaign_when_the_command_is_run_then_one_line_says_so(
-    tmp_path, capsys
+    tmp_path, refused
 ):
     (tmp_path / 'bad.yaml').write_text('name: [')
-    assert main(['campaign', str(tmp_path / 'bad.yaml'), '--out', str(tmp_path / 'out')]) == 2
-    assert main(['campaign', str(tmp_path / 'none.yaml'), '--out', str(tmp_path / 'out')]) == 2
-    assert len(capsys.readouterr().err.strip().splitlines()) == 2
+    for name in ('bad.yaml', 'none.yaml'):
+        assert refused(name, 'campaign', tmp_path / name, '--out', tmp_path / 'out')
     assert not (tmp_path / 'out').exists()
 
 
@@ -410,18 +409,15 @@ def known(rows):
 
 
 def test_given_results_of_another_campaign_or_damaged_ones_when_going_on_then_they_are_refused(
-    tmp_path, capsys
+    tmp_path, refused
 ):
     file, out = written(tmp_path / 's.yaml', plan={'method': 'random', 'runs': 2}), tmp_path / 'out'
     assert main(command(file, out)) == 0
     other = written(tmp_path / 'other.yaml', plan={'method': 'random', 'runs': 3})
-    capsys.readouterr()
-    assert main(command(other, out)) == 2
-    assert 'another campaign' in capsys.readouterr().err
+    assert refused('another campaign', *command(other, out))
     for name in ('chunks/00000000.parquet', 'campaign.json'):
         (out / name).write_bytes(b'{PAR1 nothing')
-        assert main(command(file, out)) == 2
-        assert Path(name).name in capsys.readouterr().err
+        assert refused(Path(name).name, *command(file, out))
 
 
 def test_given_a_crash_after_a_chunk_when_run_again_then_only_the_rest_is_done(

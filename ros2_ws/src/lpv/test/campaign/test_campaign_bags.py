@@ -151,15 +151,14 @@ def test_given_a_replay_that_answers_otherwise_when_checked_then_the_signal_is_n
 
 
 def test_given_results_when_a_run_is_asked_for_then_its_figures_are_those_and_the_bag_is_there(
-    results, tmp_path, capsys
+    results, tmp_path, capsys, refused
 ):
     assert main(['campaign', str(results), '--run', '2', '--bag', str(tmp_path / 'bag')]) == 0
     text = capsys.readouterr().out
     assert 'detection_delay' in text
     assert 'lpv replay' in text
     assert load_run(tmp_path / 'bag').counts['/lpv/ground_truth'] == 1251
-    assert main(['campaign', str(results), '--run', '2', '--bag', str(tmp_path / 'bag')]) == 2
-    assert 'exists already' in capsys.readouterr().err
+    assert refused('exists already', 'campaign', results, '--run', 2, '--bag', tmp_path / 'bag')
     assert sorted(p.name for p in tmp_path.iterdir()) == ['bag']
 
 
@@ -173,19 +172,17 @@ def test_given_results_when_a_run_is_asked_for_then_its_figures_are_those_and_th
     ],
 )
 def test_given_a_run_that_is_not_there_when_asked_for_then_it_is_told(
-    results, capsys, arguments, told
+    results, refused, arguments, told
 ):
-    assert main(['campaign', str(results), *arguments]) == 2
-    assert told in capsys.readouterr().err
+    assert refused(told, 'campaign', results, *arguments)
 
 
-def test_given_a_folder_without_results_when_asked_for_a_run_then_it_is_told(tmp_path, capsys):
-    assert main(['campaign', str(tmp_path), '--run', '1', '--bag', str(tmp_path / 'b')]) == 2
-    assert 'holds no results' in capsys.readouterr().err
+def test_given_a_folder_without_results_when_asked_for_a_run_then_it_is_told(tmp_path, refused):
+    assert refused('holds no results', 'campaign', tmp_path, '--run', 1, '--bag', tmp_path / 'b')
 
 
 def test_given_results_that_are_not_what_comes_out_now_when_asked_then_the_figure_is_named(
-    results, tmp_path, capsys
+    results, tmp_path, refused
 ):
     other = tmp_path / 'out'
     (other / 'chunks').mkdir(parents=True)
@@ -194,8 +191,8 @@ def test_given_results_that_are_not_what_comes_out_now_when_asked_then_the_figur
     index = table.schema.get_field_index('angle_rms')
     wrong = table.set_column(index, 'angle_rms', pa.array([1.0] * len(table)))
     pq.write_table(wrong, other / 'chunks' / '00000000.parquet')
-    assert main(['campaign', str(other), '--run', '0', '--bag', str(tmp_path / 'bag')]) == 2
-    assert 'another angle_rms now' in capsys.readouterr().err
+    arguments = other, '--run', 0, '--bag', tmp_path / 'bag'
+    assert refused('another angle_rms now', 'campaign', *arguments)
     assert not (tmp_path / 'bag').exists()
 
 

@@ -167,14 +167,13 @@ def test_given_the_last_worker_when_it_dies_then_the_campaign_ends_and_goes_on_w
     assert len(next(execute(campaign, scheduler=cluster.address))) == 20
 
 
-def test_given_no_scheduler_when_run_then_one_line_says_so(tmp_path, capsys):
+def test_given_no_scheduler_when_run_then_one_line_says_so(tmp_path, refused):
     file = tmp_path / 'many.yaml'
     file.write_text(yaml.safe_dump(MANY))
     line = ['campaign', str(file), '--out', str(tmp_path / 'out')]
     for address in ('tcp://127.0.0.1:1', 'nonsense://x'):
-        assert main([*line, '--scheduler', address]) == 2
-        assert 'does not answer' in capsys.readouterr().err
-    assert main([*line, '--workers', '-1']) == 2
+        assert refused('does not answer', *line, '--scheduler', address)
+    assert refused('--workers', *line, '--workers', -1)
 
 
 def test_given_processes_of_its_own_when_run_then_the_results_are_those_of_one_process(

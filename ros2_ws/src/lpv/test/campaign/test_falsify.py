@@ -131,11 +131,10 @@ def test_given_no_attack_on_this_arm_when_read_then_it_is_refused_by_name(
 
 
 def test_given_what_nothing_is_guaranteed_of_when_attacked_then_that_is_said(
-    ur10, paper_arm, capsys
+    ur10, paper_arm, refused
 ):
     with pytest.raises(ConfigError, match='model_error'):
         Attacker(replace(ur10, uncertainty=Uncertainty()), 1.0)
     with pytest.raises(ConfigError, match='model_error'):
         Attacker(replace(paper_arm, uncertainty=Uncertainty()), 1.0)
-    assert main(['falsify', '--arm', 'ur10', '--gains', 'paper']) == 2
-    assert len(capsys.readouterr().err.strip().splitlines()) == 1
+    assert refused('', 'falsify', '--arm', 'ur10', '--gains', 'paper')

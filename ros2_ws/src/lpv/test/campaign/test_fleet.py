@@ -304,13 +304,11 @@ def test_given_results_when_called_again_then_only_new_changed_and_failed_bags_a
     ],
 )  # fmt: skip
 def test_given_what_makes_no_sense_when_called_then_one_line_says_so(
-    archive, gains, done, tmp_path, capsys, arguments, told
+    archive, gains, done, tmp_path, refused, arguments, told
 ):
     places = {'tmp': tmp_path, 'bags': archive, 'gains': gains, 'done': done[0]}
     line = ['--out', str(tmp_path / 'out'), *(a.format(**places) for a in arguments)]
-    assert main(['fleet', *line, '--workers', '0']) == 2
-    error = capsys.readouterr().err
-    assert told in error and error.count('\n') == 1
+    assert refused(told, 'fleet', *line, '--workers', 0)
 
 
 def test_given_an_archive_when_reported_then_figures_count_what_the_rows_say(done):

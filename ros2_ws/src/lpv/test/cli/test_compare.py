@@ -176,7 +176,7 @@ def test_given_a_terminal_of_80_columns_when_compared_then_every_figure_is_reada
 
 
 def test_given_bags_that_cannot_be_compared_when_the_command_is_run_then_one_line_says_so(
-    replayed, tmp_path, capsys
+    replayed, tmp_path, refused
 ):
     copied(replayed, tmp_path / 'measured', '/lpv/joint_states'.__eq__)
     later = lambda _, data: data[:5] + bytes([data[5] ^ 0x40]) + data[6:]  # noqa: E731
@@ -191,8 +191,4 @@ def test_given_bags_that_cannot_be_compared_when_the_command_is_run_then_one_lin
         ('broken', 'broken'),
         ('nothing', 'nothing'),
     ):
-        assert main(['compare', str(replayed), str(tmp_path / other)]) == 2
-        said = capsys.readouterr().err
-        assert said.startswith('lpv compare: ')
-        assert named in said
-        assert said.count('\n') == 1
+        assert refused(named, 'compare', replayed, tmp_path / other)

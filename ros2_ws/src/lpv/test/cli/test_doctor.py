@@ -426,8 +426,10 @@ def test_given_good_files_when_the_command_runs_offline_then_code_0_and_3_if_not
 
 
 @pytest.mark.parametrize('seconds', ['nan', '-1', '1e9'])
-def test_given_a_time_that_makes_no_sense_when_the_command_runs_then_it_ends_with_code_2(seconds):
-    assert main(['doctor', '--seconds', seconds]) == 2
+def test_given_a_time_that_makes_no_sense_when_the_command_runs_then_it_is_refused(
+    refused, seconds
+):
+    assert refused('--seconds', 'doctor', '--seconds', seconds)
 
 
 @pytest.mark.ros

@@ -87,13 +87,12 @@ def test_given_another_zero_when_read_from_a_urdf_then_it_is_found(tmp_path, pap
     ],
 )
 def test_given_a_urdf_with_a_defect_when_initialised_then_it_is_named(
-    tmp_path, urdf, capsys, old, new, said
+    tmp_path, urdf, refused, old, new, said
 ):
     text = urdf.read_text()
     assert old in text
     urdf.write_text(text.replace(old, new))
-    assert main(['init', str(tmp_path / 'new'), '--urdf', str(urdf)]) == 2
-    assert said in capsys.readouterr().err
+    assert refused(said, 'init', tmp_path / 'new', '--urdf', urdf)
     assert not (tmp_path / 'new').exists()
 
 
@@ -179,18 +178,16 @@ def test_given_a_gripper_when_its_joints_are_held_then_the_arm_has_the_others_an
     ],
 )
 def test_given_a_gripper_that_is_not_held_when_initialised_then_the_options_are_named(
-    tmp_path, gripper, capsys, options, said
+    tmp_path, gripper, refused, options, said
 ):
     if options == ['--lock', 'thumb']:
         options = [*options, '--joints', 'shoulder,elbow,wrist']
-    assert main(['init', str(tmp_path / 'new'), '--urdf', str(gripper), *options]) == 2
-    assert said in capsys.readouterr().err
+    assert refused(said, 'init', tmp_path / 'new', '--urdf', gripper, *options)
 
 
-def test_given_files_that_are_there_when_initialised_then_none_is_overwritten(tmp_path, capsys):
+def test_given_files_that_are_there_when_initialised_then_none_is_overwritten(tmp_path, refused):
     (tmp_path / 'scenario.yaml').write_text('mine')
-    assert main(['init', str(tmp_path)]) == 2
-    assert 'exists already' in capsys.readouterr().err
+    assert refused('exists already', 'init', tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ['scenario.yaml']
 
 

@@ -247,7 +247,8 @@ def _search(
     except ConfigError:
         raise
     except Exception as error:  # whatever the storage says of a file that is none
-        raise ConfigError('--out', f'study.db cannot be used ({error})', str(folder)) from None
+        reason = f'study.db cannot be used ({str(error).splitlines()[0]})'
+        raise ConfigError('--out', reason, str(folder)) from None
     if not any(trial.params == bench.base for trial in _finished(study)):
         study.enqueue_trial(bench.base, skip_if_exists=True)
     first = bench.table(bench.rows(bench.base))
