@@ -547,8 +547,10 @@ class SerialSensorMonitor:
 
     def note(self, snapshot: Snapshot, stamp: int) -> list[Alarm]:
         """Take note of what has been decided at a sample [ns]; its alarm events."""
-        onsets = [self._monitor.stamp_of(alarm.onset) for alarm in snapshot.alarms]
-        events = self._alarms.convert(snapshot, onsets, stamp, self._parameters.sigmas)
+        events = []
+        if snapshot.alarms:
+            onsets = [self._monitor.stamp_of(alarm.onset) for alarm in snapshot.alarms]
+            events = self._alarms.convert(snapshot, onsets, stamp, self._parameters.sigmas)
         self._compensation.applied[:] += snapshot.jump
         self._know(snapshot, stamp)
         return events
@@ -573,8 +575,11 @@ class SerialSensorMonitor:
         """What holds from a sample on, in the form of compiled functions."""
         if snapshot.balances != self._balances:
             self._balances, self._balanced = snapshot.balances, stamp
-        self._snapshot, tuning = snapshot, self._parameters
-        is_error = snapshot.is_error
+        self._snapshot, tuning, is_error = snapshot, self._parameters, snapshot.is_error
+        confirmed, growth = snapshot.removed, snapshot.rate  # count where there is an error
+        if True in is_error.tolist():
+            confirmed = np.where(snapshot.is_level, snapshot.fault, confirmed)
+            growth = np.where(snapshot.is_level, growth, snapshot.share * growth)
         if self._uio is not None:
             # An offset from the start is not in the set: its estimate is on its way.
             offset = True in snapshot.is_level.tolist()
@@ -582,8 +587,8 @@ class SerialSensorMonitor:
         self._arrays = Known(
             snapshot.fault,
             snapshot.rate,
-            np.where(snapshot.is_level, snapshot.fault, snapshot.removed),
-            np.where(snapshot.is_level, snapshot.rate, snapshot.share * snapshot.rate),
+            confirmed,
+            growth,
             tuning.sigmas * snapshot.sigma,
             snapshot.threshold,
             snapshot.jump_limit,

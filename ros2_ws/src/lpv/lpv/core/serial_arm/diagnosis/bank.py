@@ -293,7 +293,7 @@ class Bank:
         self,
         blocks: Callable[[int], FloatArray],
         rest: tuple[FloatArray, FloatArray],
-        unseen: FloatArray,
+        unseen: Callable[[], FloatArray],
         threshold: float,
     ) -> list[Hypothesis]:
         """Compare all hypotheses; `statistic` is written.
@@ -305,8 +305,8 @@ class Bank:
         rest : tuple of ndarray, shape (n,)
             For how long each reading has not changed at all [s], 0 where it is not conspicuous;
             and its speed before [rad/s].
-        unseen : ndarray, shape (n,)
-            Largest jump of each reading that may not have been seen [rad].
+        unseen : callable
+            Largest jump of each reading that may not have been seen, shape (n,) [rad].
         threshold : float
             Of the statistic: hypotheses that take more time are left out well below.
 
@@ -327,7 +327,7 @@ class Bank:
         if count == 0:
             self.statistic = -np.inf
             return []
-        every, pushed = self._gather(count, blocks(1)[-1], unseen)
+        every, pushed = self._gather(count, blocks(1)[-1], unseen())
         self.statistic = float(np.logaddexp(every, pushed) + self._log_weight)
         self._kinematics.learn(self.statistic < QUIET * threshold)
         self._waited = 0 if self.statistic < QUIET * threshold else QUIET_EVERY
@@ -400,15 +400,17 @@ class Bank:
     def _stuck(self, resting: FloatArray, speed: FloatArray) -> list[Hypothesis]:
         """Readings that rest while their joints move."""
         found, interval = [], self.estimator.plan.interval
-        for i in np.nonzero(resting)[0]:
-            longest = min(int(np.ceil(resting[i] / interval)) + 1, len(self.estimator))
+        for i, time in enumerate(resting.tolist()):
+            if time == 0.0:
+                continue
+            longest = min(int(np.ceil(time / interval)) + 1, len(self.estimator))
             for count in sorted({min(round(one / interval), longest) for one in STUCK_FOR}):
                 if count < 2:
                     continue
                 before = 0.1 if count < longest else float(speed[i])
-                gain, *rest = stuck_bayes_factor(self.estimator, int(i), count, before)
-                gain += self._kinematics.explained(int(i), count)
-                found.append(Hypothesis('stuck', int(i), gain, *rest, seen=True))
+                gain, *rest = stuck_bayes_factor(self.estimator, i, count, before)
+                gain += self._kinematics.explained(i, count)
+                found.append(Hypothesis('stuck', i, gain, *rest, seen=True))
         return found
 
     def _sudden(self, blocks: Callable[[int], FloatArray], windows: int) -> list[Hypothesis]:

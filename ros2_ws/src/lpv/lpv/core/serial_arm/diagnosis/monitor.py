@@ -150,7 +150,7 @@ class SerialMonitor:
         self.settings = settings or MonitorSettings()
         self.joints = len(arm.joints)
         self.alarms: list[SerialAlarm] = []
-        self.scales = arm.scales()
+        self.scales, self._names = arm.scales(), arm.sensor_names
         self._efforts = np.array([joint.torque_gain for joint in arm.joints])
         self._jump_bound = jump_bound(arm)
         self._to_sensors = mixing(arm.joints_to_sensors())
@@ -188,6 +188,7 @@ class SerialMonitor:
         self.rates = [SensorRecord() for _ in range(n)]
         self._filters: dict[int, FaultFilter] = {}
         self._nothing = np.zeros(n), np.full(n, np.inf)  # is certified
+        self._whole = np.ones(n)
         self._known = np.zeros(n)  # for how long each offset has been diagnosable [s]
         self._contact = _Contact()
         self.jump, self.jump_variance = np.zeros(n), np.zeros(n)  # of readings, for the caller
@@ -369,7 +370,10 @@ class SerialMonitor:
 
     def certain(self) -> tuple[FloatArray, FloatArray]:
         """What of `taken_out` is beyond doubt, and its share of faults that are followed."""
-        removed, share, now = self.taken_out(), np.ones(self.joints), self._last()
+        removed = self.taken_out()
+        if not self._filters:
+            return removed, self._whole
+        share, now = self._whole.copy(), self._last()
         for i, one in self._filters.items():
             reading = float(self.sampler.raw[i])
             share[i] = one.share(reading, now, self.settings.sigmas)
@@ -379,7 +383,7 @@ class SerialMonitor:
     def changing_sigma(self) -> FloatArray:
         """Standard deviations of the faults that are followed, shape (n,) [rad]."""
         sigma = np.zeros(self.joints)
-        if not self._filters and 1 not in self.sampler.noisy.tolist():
+        if not self._changes():
             return sigma
         now = self._last()
         for i, one in self._filters.items():
@@ -387,6 +391,10 @@ class SerialMonitor:
         for noisy in np.nonzero(self.sampler.noisy)[0]:
             sigma[noisy] = math.hypot(sigma[noisy], self._noise(int(noisy)))
         return sigma
+
+    def _changes(self) -> bool:
+        """Whether a fault is followed, or a reading is noisy."""
+        return bool(self._filters) or 1 in self.sampler.noisy.tolist()
 
     def learned(self) -> Learned:
         """What has been learned of the arm: payload, friction, torque offsets, noise."""
@@ -471,11 +479,11 @@ class SerialMonitor:
 
     def _decide(self, now: float) -> None:
         """A balance is complete: estimate, compare hypotheses, name a cause."""
-        learn = not (self._suspects or self._filters or self.sampler.noisy.any())
+        learn, blocks = not (self._suspects or self._changes()), self._blocks(2)
         if self.healthy is not None:
-            self.healthy.take(self._blocks(2), not self._suspects)
+            self.healthy.take(blocks, not self._suspects)
         self.estimator.take(now, learn)
-        self.bank.take(self._blocks(2))
+        self.bank.take(blocks)
         for i, one in self._filters.items():
             follow(one, self.estimator, self.sampler, self.bank.rate_row(i))
         self._add_noise()
@@ -484,8 +492,7 @@ class SerialMonitor:
             self.estimator.linearise(self._blocks(len(self.estimator) + 1))
         if self.estimator.window.counters[NEXT] % (self.plan.capacity // GUARANTEE_SHARE) == 0:
             self._evaluate_guarantee()
-        unseen = np.maximum(JUMP_SCALE * self.sampler.scale, self.sampler.smallest)
-        found = self.bank.evaluate(self._blocks, self._rest(), unseen, self._threshold)
+        found = self.bank.evaluate(self._blocks, self._rest(), self._unseen, self._threshold)
         seen = self._seen(found)
         if seen is not None:
             self._blame(seen, 1.0 - math.exp(-seen.gain), now)
@@ -496,6 +503,10 @@ class SerialMonitor:
         else:
             self._name(found, now)
         self._mark_suspects()
+
+    def _unseen(self) -> FloatArray:
+        """Largest jump of each reading that may not have been seen, shape (n,) [rad]."""
+        return np.maximum(JUMP_SCALE * self.sampler.scale, self.sampler.smallest)
 
     def _add_noise(self) -> None:
         """Balances of readings that are noisy, or rounded, say less than others."""
@@ -571,9 +582,9 @@ class SerialMonitor:
 
     def _rest(self) -> tuple[FloatArray, FloatArray]:
         """For how long each frozen reading has rested [s], and its speed before [rad/s]."""
+        if max(self.sampler.still.tolist()) * self.arm.sample_time <= STILL_TIME:
+            return self._nothing[0], self.sampler.stop
         time = self.sampler.still * self.arm.sample_time
-        if time.max() <= STILL_TIME:
-            return np.zeros(self.joints), self.sampler.stop
         followed = np.zeros(self.joints, bool)
         followed[list(self._filters)] = True
         return np.where(self._is_frozen() & ~followed, time, 0.0), np.maximum(
@@ -755,7 +766,7 @@ class SerialMonitor:
     def _mark_suspects(self) -> None:
         """Sensors whose fault may explain a contradiction."""
         suspected = {one.partition(':')[0] for one in self._suspects}
-        for name, sensor in zip(self.arm.sensor_names, self.sensors):
+        for name, sensor in zip(self._names, self.sensors):
             sensor.suspect(name in suspected)
 
     def _evaluate_guarantee(self) -> None:
