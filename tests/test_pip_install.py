@@ -19,13 +19,6 @@ plan: {method: random, runs: 2}
 duration: 1.0
 factors: {fault.kind: bias, fault.size: 0.3, fault.onset: 0.4}
 """
-COLUMNS = """
-time: {column: t, unit: s}
-angle_unit: rad
-joints:
-  joint1: {position: q1, velocity: v1, effort: e1}
-  joint2: {position: q2, velocity: v2, effort: e2}
-"""
 
 
 @pytest.fixture(scope='module')
@@ -82,13 +75,6 @@ def test_given_a_bag_of_a_campaign_when_replayed_reported_and_recovered_then_it_
     assert '\nsame\n' in lpv('compare', bag, 'again', '--exact')
     assert 'the certificate holds' in lpv('report', bag, '--out', 'report')
     assert 'the bag is whole' in lpv('recover', bag)
-
-
-def test_given_a_csv_when_imported_then_it_is_a_bag(lpv):
-    (lpv.folder / 'columns.yaml').write_text(COLUMNS)
-    rows = ''.join(f'{k / 500},0,0,0,0,0,0\n' for k in range(9))
-    (lpv.folder / 'x.csv').write_text('t,q1,q2,v1,v2,e1,e2\n' + rows)
-    assert '9 samples' in lpv('import-csv', 'x.csv', '--columns', 'columns.yaml', '--out', 'csv')
 
 
 @pytest.mark.parametrize(

@@ -59,13 +59,6 @@ def test_given_measurements_when_monitored_then_estimates_are_those_of_the_loop(
     assert [(e.sensor, e.kind) for e in events] == [(e.sensor, e.kind) for e in run.alarms]
 
 
-def test_given_gains_of_another_arm_when_used_then_they_are_refused(page):
-    with pytest.raises(lpv.ConfigError, match='gains'):
-        lpv.Monitor(lpv.load_arm('real_arm'), page['gains'])
-    with pytest.raises(lpv.ConfigError, match='gains'):
-        lpv.simulate(lpv.load_arm('real_arm'), page['gains'])
-
-
 def test_given_wrong_sizes_when_updated_then_it_is_told(page):
     with pytest.raises(lpv.SampleError, match='position'):
         lpv.Monitor(page['arm'], page['gains']).update(1, [0.0], [0.0, 0.0], [0.0, 0.0])

@@ -352,13 +352,6 @@ def test_given_runs_when_measured_then_figures_say_what_happened(serial):
             assert np.isnan(row['detection_delay'])
 
 
-def test_given_the_text_of_a_campaign_when_read_again_then_any_run_is_the_same(campaign, serial):
-    again = Campaign(campaign.text)
-    assert again.key == campaign.key
-    for number in (17, 3):
-        assert same(run_one(again, number), serial[number])
-
-
 def test_given_a_twin_when_run_then_the_errors_are_compared_with_its():
     factors = {'fault.kind': 'bias', 'fault.size': 0.3, 'fault.onset': 1.2}
     data = small(twin=True, plan={'method': 'random', 'runs': 1}, factors=factors)

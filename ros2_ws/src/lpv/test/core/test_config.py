@@ -395,13 +395,6 @@ def test_given_a_config_error_when_caught_then_it_is_also_the_packages_and_a_val
 # ------------------------------------------------------------------ scenario files
 
 
-def test_given_the_shipped_scenario_when_read_then_both_faults_overlap(two_faults):
-    one, two = two_faults.faults
-    assert (one.kind, two.kind) == ('bias', 'drift')
-    assert one.onset < two.onset < one.onset + one.duration < two.onset + two.duration
-    assert (two_faults.plant, two_faults.noise, two_faults.disturbance) == ('nonlinear', True, True)
-
-
 def test_given_a_scenario_without_options_when_read_then_defaults_are_the_true_arm():
     data = {'name': 'x', 'duration': 1.0, 'path': {'waypoints': SCENARIO['path']['waypoints']}}
     scenario = parse_scenario(data)

@@ -81,7 +81,7 @@ def healthy_cases():
         yield pytest.param(*case, marks=marks)
 
 
-@pytest.mark.parametrize(('name', 'rates', 'sample_time', 'step', 'seed'), healthy_cases())
+@pytest.mark.parametrize(('name', 'rates', 'sample_time', 'step', 'seed'), list(healthy_cases()))
 def test_given_a_healthy_arm_that_rests_when_readings_are_rounded_then_nothing_is_wrong(
     name, rates, sample_time, step, seed
 ):

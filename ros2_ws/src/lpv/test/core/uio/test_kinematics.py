@@ -44,13 +44,6 @@ def test_given_a_reachable_point_or_one_on_the_border_when_solved_then_the_tip_i
     assert q[1] >= 0.0 if elbow == 'positive' else q[1] <= 0.0
 
 
-def test_given_eqs_32_to_34_when_written_out_then_the_positive_branch_is_theirs():
-    x, y, l_1, l_2 = 0.9, 0.7, 1.0, 0.8
-    q_2 = math.acos((x**2 + y**2 - l_1**2 - l_2**2) / (2 * l_1 * l_2))
-    q_1 = math.atan(y / x) - math.atan(l_2 * math.sin(q_2) / (l_1 + l_2 * math.cos(q_2)))
-    np.testing.assert_allclose(inverse((x, y), (l_1, l_2)), [q_1, q_2], rtol=1e-14)
-
-
 @pytest.mark.parametrize(
     'point', [(2.001, 0.0), (0.1, 0.1), (math.nan, 1.0), (0.5, math.inf), (1e308, 1e308)]
 )

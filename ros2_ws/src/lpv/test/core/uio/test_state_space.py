@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from lpv.core.simulation.paper_plant import PaperPlant
 from lpv.core.simulation.scenario import Scenario
 from lpv.core.uio.model.joints import JointMap
-from lpv.core.uio.model.polytope import exact_state_space, sinc_box, vertex_matrices
+from lpv.core.uio.model.polytope import sinc_box, vertex_matrices
 from lpv.core.uio.model.state_space import (
     Descriptor,
     disturbance_matrix,
@@ -41,15 +41,6 @@ def lpv_right_side(x, u, push=(0.0, 0.0)):
         force = np.array([98.0 * vertex[1], 24.5 * vertex[2]]) * x[:2] + u
         total += rho * np.concatenate([x[2:], np.linalg.solve(xi, force)])
     return total
-
-
-def test_given_the_paper_arm_when_eqs_5_and_8_are_formed_then_they_hold_table_1(paper_model):
-    c = paper_model.constants()
-    for phi_1, xi in ((-1.0, [[8.33, -2.5], [-2.5, 1.66]]), (0.4, [[8.33, 1.0], [1.0, 1.66]])):
-        det = np.linalg.det(xi)
-        a, b = exact_state_space((1.0 / det, 2.5 * phi_1 / det, -0.2, 1.0), c)
-        np.testing.assert_allclose(np.linalg.inv(b[2:]), xi)
-        np.testing.assert_allclose(-np.array(xi) @ a[2:, :2], [[19.6, 0], [0, -24.5]], atol=1e-12)
 
 
 @given(ANGLE, ANGLE, RATE, RATE, TORQUE, TORQUE)
