@@ -409,8 +409,9 @@ class Bank:
                     continue
                 before = 0.1 if count < longest else float(speed[i])
                 gain, *rest = stuck_bayes_factor(self.estimator, i, count, before)
+                way, sigma, begin = rest
                 gain += self._kinematics.explained(i, count)
-                found.append(Hypothesis('stuck', i, gain, *rest, seen=True))
+                found.append(Hypothesis('stuck', i, gain, way, sigma, begin, seen=True))
         return found
 
     def _sudden(self, blocks: Callable[[int], FloatArray], windows: int) -> list[Hypothesis]:
