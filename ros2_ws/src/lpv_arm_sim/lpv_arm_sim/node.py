@@ -347,9 +347,10 @@ class SimulatorNode(ManagedNode):
         self._waiting = stamp
         if self._clock_out is not None:
             self._clock_out.publish(self._clock_message.at(stamp))
-        self._truth_out.publish(self._truth_message.at(stamp))
         self._joint_states_out.publish(self._state_message.at(stamp))
         self._sent = time.monotonic()
+        # Nobody waits for the truth, and meanwhile the observer is at work.
+        self._truth_out.publish(self._truth_message.at(stamp))
         self._report_progress()
 
     def _report_progress(self) -> None:

@@ -1,11 +1,16 @@
 """Quintic splines through timed points, at rest at both ends."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import BSpline, make_interp_spline
 
 from lpv.core.support.errors import ConfigError
+
+if TYPE_CHECKING:
+    from scipy.interpolate import BSpline
 
 
 def checked_times(times: Sequence[float]) -> np.ndarray:
@@ -23,6 +28,9 @@ def rest_to_rest(knots: np.ndarray, points: np.ndarray) -> BSpline:
 
     Rates and accelerations vanish at both ends; the jerk is continuous inside.
     """
+    # Here: it loads for 0.2 s, and not every program that reads a scenario follows its path.
+    from scipy.interpolate import make_interp_spline
+
     still = np.zeros(points.shape[1])
     rest = [(1, still), (2, still)]
     return make_interp_spline(knots, points, k=5, bc_type=(rest, rest))

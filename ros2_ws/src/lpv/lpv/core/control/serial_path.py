@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation, Slerp
 
 from lpv.core.control.path import Obstacle, Reference
 from lpv.core.control.rest_to_rest import checked_times, rest_to_rest
@@ -238,6 +237,8 @@ def _orientations(
     if len(waypoints.orientations) != len(knots):
         raise ConfigError('path.waypoints', 'must have an orientation each, or none at all')
     # Extrinsic xyz: Rz(yaw) Ry(pitch) Rx(roll), as in URDF.
+    from scipy.spatial.transform import Rotation, Slerp  # as `rest_to_rest` does
+
     turns = Slerp(knots, Rotation.from_euler('xyz', np.array(waypoints.orientations)))
     segment = np.clip(np.searchsorted(knots, grid, 'right') - 1, 0, len(knots) - 2)
     length = np.diff(knots)[segment]
