@@ -415,8 +415,15 @@ def _wrong_stamp(sampler: Sampler, period: float) -> float:
 
 @njit_in_place
 def _may_be_stamp(sampler: Sampler, i: int, period: float) -> bool:
-    """Whether a wrong stamp explains the jump of one joint, and no other joint contradicts."""
+    """Whether a wrong stamp explains the jump of one joint, and no other joint contradicts.
+
+    Where the reading has gone on at its rate before, it is the next one that jumps: the rate after
+    this one, if it is derived, holds that jump.
+    """
     jumps, rate = sampler.jumps[HISTORY - 2], _mean_rate(sampler, i)
+    ahead = _way(sampler, i) - period * sampler.samples[HISTORY - 3, 1, i]
+    if sampler.derived[i] == 1.0 and abs(ahead) < 0.3 * abs(jumps[i]):
+        return False
     if abs(jumps[i]) > LATE * period * abs(rate):
         return False
     for j in range(sampler.scale.shape[0]):
