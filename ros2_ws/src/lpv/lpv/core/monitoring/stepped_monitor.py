@@ -225,8 +225,8 @@ class SteppedMonitor(SerialMonitor):
         limits = settings.sigmas, settings.smallest_level, settings.widest_level
         jumps = self.jump, self.jump_variance, self._removed_variance
         self._call(
-            fill_numbers, numbers, state, self.sampler, sigma, self.changing_sigma(), jumps,
-            limits, self.scales,
+            fill_numbers, numbers, state, self.sampler, sigma,
+            self.changing_sigma() + self.jump_doubt(), jumps, limits, self.scales,
         )  # fmt: skip
         alarms, self.alarms = tuple(self.alarms), []
         return Snapshot(

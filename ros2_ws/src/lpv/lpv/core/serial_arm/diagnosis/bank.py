@@ -234,6 +234,10 @@ class Bank:
         """Do without the kinematic rows of a joint one of whose sensors has failed, or not."""
         self._kinematics.leave_out(joint, out)
 
+    def forget_rows(self, joint: int) -> None:
+        """Do without the kinematic rows of a joint so far."""
+        self._kinematics.leave_out(joint, not self._kinematics.trusted[joint])
+
     def rate_row(self, joint: int) -> tuple[float, float] | None:
         """Last kinematic row of a joint and its variance [rad], [rad2]; None without one."""
         return self._kinematics.last(joint)
@@ -245,6 +249,11 @@ class Bank:
         of its own.
         """
         return self._kinematics.way(joint, count)
+
+    @property
+    def ways_held(self) -> int:
+        """Intervals that `way` knows of."""
+        return self._kinematics.held
 
     def note_jump(self, joint: int, time: float, size: tuple[float, float], reading: float) -> None:
         """A reading jumped, and the jump was taken out: it may have been a scale error's.
@@ -408,8 +417,7 @@ class Bank:
                 if count < 2:
                     continue
                 before = 0.1 if count < longest else float(speed[i])
-                gain, *rest = stuck_bayes_factor(self.estimator, i, count, before)
-                way, sigma, begin = rest
+                gain, way, sigma, begin = stuck_bayes_factor(self.estimator, i, count, before)
                 gain += self._kinematics.explained(i, count)
                 found.append(Hypothesis('stuck', i, gain, way, sigma, begin, seen=True))
         return found
@@ -736,6 +744,11 @@ class KinematicRows:
         if not self._independent[joint] or len(self._rows) == 0:
             return None
         return float(self._rows[-1, joint]), self._variance_of_last(joint, 1)
+
+    @property
+    def held(self) -> int:
+        """Rows at hand."""
+        return len(self._rows)
 
     def way(self, joint: int, count: int) -> tuple[float, float] | None:
         """As of `Bank.way`."""

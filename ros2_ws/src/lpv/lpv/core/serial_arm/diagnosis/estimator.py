@@ -461,6 +461,11 @@ class OffsetEstimator:
         """Index in the ring of the balance ``back`` before the last one."""
         return int(self.window.counters[NEXT] - 1 - back) % self.plan.capacity
 
+    @property
+    def of_levels(self) -> tuple[Window, Posterior]:
+        """Balances as they are weighed for levels, and the estimate of these."""
+        return self.window if self._slow is None else self._slow, self.level
+
     def times(self, last: int) -> FloatArray:
         """Ends of the last balances, oldest first [s]."""
         return self.window.times[recent(self.window, last)[::-1]]
@@ -579,6 +584,23 @@ class OffsetEstimator:
             _make_absolute(rows[-1 - back], self.balance.reference)
             self.window.rows[slot(self.window, back)] = rows[-1 - back]
         self.weigh_again(last)
+
+    def doubt_readings(self, joint: int, error: FloatArray) -> None:
+        """Let the last balances say less: one sensor's readings were wrong in all of them.
+
+        Parameters
+        ----------
+        joint : int
+            Of the sensor.
+        error : ndarray, shape (last,)
+            Standard deviation of its readings in each balance, newest first [rad].  It is one error
+            for all of them, which does not average out.
+        """
+        at = recent(self.window, len(error))
+        offset = self.window.rows[at, :, 1 + OFFSET * self.joints + joint]
+        self.window.extra[at] += np.count_nonzero(error) * (error[:, None] * offset) ** 2
+        self.weigh_again(len(error))
+        self._solve()
 
     def distrust(self, last: int) -> None:
         """Take most of the weight off the last balances, and estimate anew."""

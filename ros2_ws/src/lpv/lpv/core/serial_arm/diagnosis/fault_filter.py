@@ -162,7 +162,7 @@ def correct_since(one: FaultFilter, estimator: OffsetEstimator, sampler: Sampler
     n, i, now = estimator.joints, one.joint, float(sampler.time[-1])
     share = one.mean[0] / (1.0 + one.mean[0]) if one.is_scale else 0.0
     last = int((estimator.times(len(estimator)) > one.begin).sum())
-    blocks, places = _blocks(estimator, sampler, last + 1)
+    blocks, places = held_blocks(estimator, sampler, last + 1)
     fault, rate = one.mean
 
     def take_out(time: FloatArray, reading: FloatArray, velocity: FloatArray) -> None:
@@ -245,7 +245,7 @@ def _change(
 ) -> None:
     """Add a change to the state and take it out of the last readings."""
     n, i, now = estimator.joints, one.joint, one.updated
-    blocks, places = _blocks(estimator, sampler, 2)
+    blocks, places = held_blocks(estimator, sampler, 2)
     before = one.mean.copy()
     one.mean = one.mean + change
     if one.is_scale:
@@ -281,7 +281,7 @@ def _note(one: FaultFilter, sampler: Sampler) -> None:
         sampler.drift[i] = one.mean[1]
 
 
-def _blocks(
+def held_blocks(
     estimator: OffsetEstimator, sampler: Sampler, intervals: int
 ) -> tuple[FloatArray, IntArray]:
     """The last blocks, oldest first, and their places in the ring."""

@@ -20,6 +20,7 @@ from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import SensorState
 from lpv.core.serial_arm.diagnosis.bank import CONTACT, OCCURRENCE, Bank, Hypothesis
 from lpv.core.serial_arm.diagnosis.decision import add_noise, find_levels, reading_noise
+from lpv.core.serial_arm.diagnosis.end_of_fault import EndOfFault, end_of_fault
 from lpv.core.serial_arm.diagnosis.estimator import NOISE_KNOWN_AFTER, HorizonPlan, OffsetEstimator
 from lpv.core.serial_arm.diagnosis.fault_filter import (
     FaultFilter,
@@ -35,8 +36,11 @@ from lpv.core.serial_arm.diagnosis.parameter_set import is_stated
 from lpv.core.serial_arm.diagnosis.sampling import (
     BEFORE_STOP,
     BLOCKS,
+    DELAY,
+    IN_BLOCK,
     JUMP_SCALE,
     NOISY,
+    PENDING,
     SPIKE,
     STEP,
     Sampler,
@@ -189,6 +193,7 @@ class SerialMonitor:
         self._filters: dict[int, FaultFilter] = {}
         self._nothing = np.zeros(n), np.full(n, np.inf)  # is certified
         self._whole = np.ones(n)
+        self._ends: dict[int, EndOfFault] = {}  # that jumps may have been
         self._known = np.zeros(n)  # for how long each offset has been diagnosable [s]
         self._contact = _Contact()
         self.jump, self.jump_variance = np.zeros(n), np.zeros(n)  # of readings, for the caller
@@ -291,6 +296,8 @@ class SerialMonitor:
     def begin_again(self) -> None:
         """Begin new balances, as after a gap in the samples."""
         self._take_out_levels()
+        for one in self._ends.values():
+            one.settle(self.estimator)
         restart(self.sampler, self.estimator.balance)
         if self.healthy is not None:
             self.healthy.restart()
@@ -361,7 +368,18 @@ class SerialMonitor:
         """Faults f of the position sensors and their standard deviations, shape (n,) [rad]."""
         level = self.estimator.level
         fault = self.taken_out() + level.mean[: self.joints]
-        return fault, np.hypot(level.sigma, self.changing_sigma())
+        return fault, np.hypot(level.sigma, self.changing_sigma()) + self.jump_doubt()
+
+    def jump_doubt(self) -> FloatArray:
+        """What jumps add to standard deviations, shape (n,) [rad].
+
+        While a jump may have been the end of a fault, bounds hold that as well.
+        """
+        doubt = np.zeros(self.joints)
+        for i, one in self._ends.items():
+            if one.share > self.settings.probability_of_wrong_name:
+                doubt[i] = abs(one.jump) / self.settings.sigmas
+        return doubt
 
     def taken_out(self) -> FloatArray:
         """What is taken out of the readings now, shape (n,) [rad]."""
@@ -424,6 +442,7 @@ class SerialMonitor:
             elif found == NOISY:
                 if i in self._filters:
                     self._forget(i)
+                self._ends.pop(i, None)
                 self.bank.leave_out_rate(i, True)
                 self._raise(i, 'noise', now, self._noise(i), 0.0)
         self._correction = self.sampler.correction.copy()
@@ -435,12 +454,21 @@ class SerialMonitor:
         back = self._filters.get(i)
         if sensor.state is SensorState.ERROR and back is not None and back.is_scale:
             fault = float(size + self.sampler.share[i] * self.sampler.raw[i])
-        if sensor.state is SensorState.ERROR and abs(fault) < max(
-            0.3 * abs(size), self.settings.smallest_step * self.scales[i]
+        # A frozen reading that jumps is where its joint is, however uncertain that was.
+        if sensor.state is SensorState.ERROR and (
+            (back is not None and back.kind == 'stuck')
+            or abs(fault) < max(0.3 * abs(size), self.settings.smallest_step * self.scales[i])
         ):
-            self._forget(i)
+            if sensor.level:
+                self._forget(i)
+            else:
+                self._release(i, int(self.sampler.since[i]))
             sensor.recover(now)
             return
+        self._ends.pop(i, None)
+        if sensor.state is not SensorState.ERROR and self.uses_balances:
+            self._ends[i] = end_of_fault(self.estimator, self.sampler, self.bank, i, size)
+            sigma += float(self.jump_doubt()[i])
         self.bank.note_jump(i, now, (size, sigma), float(self.sampler.samples[-1, 0, i]))
         kind = sensor.kind if back is not None else 'bias'
         value = fault if sensor.state is SensorState.ERROR else size
@@ -490,6 +518,7 @@ class SerialMonitor:
         self.estimator.estimate(learn)
         if self.estimator.must_linearise():
             self.estimator.linearise(self._blocks(len(self.estimator) + 1))
+        self._weigh_ends(now)
         if self.estimator.window.counters[NEXT] % (self.plan.capacity // GUARANTEE_SHARE) == 0:
             self._evaluate_guarantee()
         found = self.bank.evaluate(self._blocks, self._rest(), self._unseen, self._threshold)
@@ -507,6 +536,20 @@ class SerialMonitor:
     def _unseen(self) -> FloatArray:
         """Largest jump of each reading that may not have been seen, shape (n,) [rad]."""
         return np.maximum(JUMP_SCALE * self.sampler.scale, self.sampler.smallest)
+
+    def _weigh_ends(self, now: float) -> None:
+        """Whether jumps were the ends of faults that nobody had noticed."""
+        for i, one in list(self._ends.items()):
+            one.weigh(self.estimator)
+            settled = now - one.time > 2.0 * self.plan.interval  # all samples at hand are later
+            if settled and one.share >= 1.0 - self.settings.probability_of_wrong_name:
+                one.take_back(self.estimator, self.sampler)
+                self._forget(i)
+                self.sensors[i].recover(now)
+                self.bank.forget_rows(i)
+                self.healthy = self.guarantee = None  # readings were wrong
+            elif now - one.time > self.settings.horizon:
+                del self._ends[i]  # the level has been estimated without what was before
 
     def _add_noise(self) -> None:
         """Balances of readings that are noisy, or rounded, say less than others."""
@@ -540,7 +583,7 @@ class SerialMonitor:
     def _name(self, found: list[Hypothesis], now: float) -> None:
         """What explains the balances is beyond doubt, or several causes are suspected."""
         known = {*self._filters, *np.nonzero(self.sampler.noisy)[0]}
-        found = [one for one in found if one.joint not in known]
+        found = [one for one in found if one.joint not in known and not self._ended_by_jump(one)]
         if not found:
             self._suspects = ()
             return
@@ -565,6 +608,11 @@ class SerialMonitor:
                 self._suspects = tuple(dict.fromkeys((*self._suspects, CONTACT)))
         elif one.kind == 'rate_bias':
             self._blame_rate(one, share)
+
+    def _ended_by_jump(self, one: Hypothesis) -> bool:
+        """Whether a fault is one that may have ended with a jump, which is weighed on its own."""
+        end = self._ends.get(one.joint) if one.is_encoder else None
+        return end is not None and one.begin < end.time + 2.0 * self.plan.interval
 
     def _is_frozen(self) -> BoolArray:
         """Whether a reading stopped dead while it moved, or has lost its noise.
@@ -721,8 +769,8 @@ class SerialMonitor:
                 over = self.sampler.noisy[i] == 0
             elif sensor.kind == 'stuck':
                 over = self.sampler.still[i] * self.arm.sample_time < STILL_TIME
-                if over and i in self._filters:
-                    self._forget(i)
+                if over and i in self._filters and self._moved_on(i):
+                    self._lose_count(i)
             else:
                 smallest = self.settings.smallest_level * self.scales[i]
                 limit = 0.7 * max(smallest, 4.0 * sigma[i])
@@ -748,20 +796,47 @@ class SerialMonitor:
         largest = max(sensor.peak, self.settings.smallest_level)
         return sensor.kind in {'noise', 'stuck'} or 4.0 * self.estimator.level.sigma[i] < largest
 
+    def _moved_on(self, i: int) -> bool:
+        """Whether a reading has moved for long enough for a jump to have been seen."""
+        return self.sensors[i].over_since is not None and self.sampler.counters[PENDING] < 0
+
+    def _lose_count(self, i: int) -> None:
+        """A frozen reading moves on without a jump: its joint may be where it was lost.
+
+        What an absolute encoder reads is right again, an incremental one has not counted the way.
+        """
+        one = self._filters[i]
+        fault, _, sigma = one.fault(float(self.sampler.raw[i]), self._last())
+        self._release(i, DELAY)
+        self.estimator.doubt_readings(i, np.full(len(self.estimator), math.hypot(fault, sigma)))
+
+    def _release(self, i: int, since: int) -> None:
+        """The readings of sensor i are right again, for so many samples."""
+        sampler = self.sampler
+        sampler.samples[-since:, 0, i] += float(self.taken_out()[i])
+        sampler.samples[-since:, 1, i] += sampler.derived[i] * sampler.drift[i]
+        self._correct_no_more(i)
+
     def _forget(self, i: int) -> None:
         """Take nothing out of the readings of sensor i any more; what is estimated stays true."""
         sampler = self.sampler
         out = float(self.taken_out()[i])
-        if self._filters.pop(i, None) is not None or self.sensors[i].kind == 'noise':
-            self.bank.leave_out_rate(i, self.rates[i].active)
-        sampler.correction[i] = sampler.followed[i] = sampler.drift[i] = sampler.share[i] = 0.0
-        self._correction[i] = 0.0
+        self._correct_no_more(i)
         if out == 0.0:
             return
         sampler.samples[:, 0, i] += out
         sampler.blocks[:, i] += out
-        sampler.sums[0, i] += out * sampler.counters[1]
+        sampler.sums[0, i] += out * sampler.counters[IN_BLOCK]
         self.estimator.move_reference(i, out)
+
+    def _correct_no_more(self, i: int) -> None:
+        """Samples to come of sensor i are taken as they are."""
+        sampler = self.sampler
+        self._ends.pop(i, None)
+        if self._filters.pop(i, None) is not None or self.sensors[i].kind == 'noise':
+            self.bank.leave_out_rate(i, self.rates[i].active)
+        sampler.correction[i] = sampler.followed[i] = sampler.drift[i] = sampler.share[i] = 0.0
+        self._correction[i] = 0.0
 
     def _mark_suspects(self) -> None:
         """Sensors whose fault may explain a contradiction."""

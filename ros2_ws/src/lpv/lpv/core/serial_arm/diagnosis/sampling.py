@@ -74,6 +74,7 @@ class Sampler(NamedTuple):
     blocks: FloatArray  # (capacity, 3 n + 3) ring: y, v, tau of blocks; mean time, length, place
     found: IntArray  # `STEP`, `SPIKE` or `NONE` of the last sample, shape (n,)
     size: FloatArray  # height of a step that was found, shape (n,) [rad]
+    since: IntArray  # samples since that step, itself included, shape (n,)
     raw: FloatArray  # last reading as it came, shape (n,) [rad]
     still: IntArray  # samples for which the reading has not changed at all, shape (n,)
     held: IntArray  # the same before the last change, if that was the last sample, shape (n,)
@@ -116,7 +117,7 @@ def new_sampler(
         np.zeros(HISTORY), np.zeros((HISTORY, 3, n)), np.zeros((HISTORY, n)), scale.copy(),
         smallest.copy(), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n),
         derived.copy(), np.zeros((3, n)), np.zeros((capacity, 3 * n + 3)), np.zeros(n, np.int64),
-        np.zeros(n),
+        np.zeros(n), np.zeros(n, np.int64),
         np.zeros(n), np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n), np.zeros(n),
         np.full(n, np.inf),
         np.zeros((3, n)),
@@ -562,6 +563,7 @@ def _remove_step(sampler: Sampler, i: int, peak: int) -> None:
     size = sampler.jumps[peak, i]
     sampler.found[i] = STEP
     sampler.size[i] = size
+    sampler.since[i] = HISTORY - peak
     sampler.correction[i] += size
     for k in range(peak, HISTORY):
         sampler.samples[k, 0, i] -= size

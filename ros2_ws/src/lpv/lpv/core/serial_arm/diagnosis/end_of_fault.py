@@ -1,0 +1,186 @@
+"""Jumps that end a fault which nobody had noticed, the rival of faults that begin with a jump.
+
+A reading that drifts from s on and jumps back by J at b is right afterwards.  If the jump is taken
+for a fault and taken out, what remains is the error
+
+    f(t) = -J (t - s) / (b - s) for s < t < b,    f(t) = -J for t > b,
+
+which the balances of the horizon contradict or support, as does the kinematic row before b where a
+rate has a sensor of its own.  A reading that did not change at all before it jumped may have been
+frozen, with its joint anywhere.  As many faults end as begin: both are as likely before the data.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lpv.core.serial_arm.chain import FloatArray
+from lpv.core.serial_arm.diagnosis.balance import DRIFT, EPOCH, OFFSET
+from lpv.core.serial_arm.diagnosis.bank import SIZE, Bank
+from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator, set_residuals
+from lpv.core.serial_arm.diagnosis.fault_filter import held_blocks
+from lpv.core.serial_arm.diagnosis.information import recent
+from lpv.core.serial_arm.diagnosis.sampling import IN_BLOCK, Sampler
+from lpv.core.serial_arm.diagnosis.stuck import stuck_bayes_factor
+
+ONSETS = 12
+"""Onsets that are compared, spaced evenly in the logarithm of their age."""
+
+
+@dataclass
+class EndOfFault:
+    """The hypothesis that a jump of one reading was the end of a fault.
+
+    Parameters
+    ----------
+    joint : int
+        Of the sensor.
+    jump : float
+        Of its reading, which has been taken out [rad].
+    time : float
+        Of the jump [s].
+    prior : ndarray, shape (S,)
+        Logarithms of the odds of each onset against a fault that began with the jump, before the
+        balances.
+    ages : ndarray, shape (S,)
+        Of the onsets, at the jump [s].
+    ramps : ndarray, shape (S,)
+        1 where the reading drifted, 0 where it was frozen.
+    share : float
+        Probability of the hypothesis.
+    """
+
+    joint: int
+    jump: float
+    time: float
+    prior: FloatArray
+    ages: FloatArray
+    ramps: FloatArray
+    share: float = 0.5
+
+    def weigh(self, estimator: OffsetEstimator) -> None:
+        """Compare the hypothesis with the null hypothesis on all balances at hand."""
+        odds = np.logaddexp.reduce(self.prior + self._gains(estimator))
+        self.share = float(1.0 / (1.0 + np.exp(-np.clip(odds, -700.0, 700.0))))
+
+    def settle(self, estimator: OffsetEstimator) -> None:
+        """Keep what the balances say, which are about to be forgotten."""
+        self.prior = self.prior + self._gains(estimator)
+
+    def take_back(self, estimator: OffsetEstimator, sampler: Sampler) -> None:
+        """Put the jump back into the readings, and take what was wrong before it out of them.
+
+        The sampler must hold no sample from before the jump.
+        """
+        n, i = estimator.joints, self.joint
+        blocks, places = held_blocks(estimator, sampler, len(estimator) + 1)
+        time = blocks[:, 3 * n]
+        mean, rate, sigma = self._error(estimator, time)
+        after = time > self.time
+        blocks[:, i] += np.where(after, self.jump, -mean)
+        blocks[:, n + i] -= sampler.derived[i] * rate
+        sampler.blocks[places] = blocks
+        sampler.correction[i] -= self.jump
+        sampler.samples[:, 0, i] += self.jump
+        sampler.sums[0, i] += self.jump * sampler.counters[IN_BLOCK]
+        estimator.replace_last(blocks)
+        ends = estimator.times(len(estimator))[::-1]
+        wrong = np.interp(ends, time, sigma)
+        # The balances that hold the jump were made of readings before and after it.
+        wrong[np.abs(ends - self.time) < 2.0 * estimator.plan.interval] = abs(self.jump)
+        estimator.doubt_readings(i, wrong)
+
+    def _error(
+        self, estimator: OffsetEstimator, time: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Error of the readings before the jump, its rate and its standard deviation."""
+        odds = self.prior + self._gains(estimator)
+        share = np.exp(odds - np.logaddexp.reduce(odds))
+        age = self.ages[:, None]
+        since = (time - self.time + age) * (time <= self.time)
+        errors = -self.jump / age * np.maximum(since, 0.0)
+        mean, rate = share @ errors, share @ (-self.jump / age * (since > 0.0))
+        return mean, rate, np.sqrt(share @ (errors - mean) ** 2)
+
+    def _gains(self, estimator: OffsetEstimator) -> FloatArray:
+        """Logarithm of the Bayes factor of each onset; the size is known."""
+        (window, null), last, n = estimator.of_levels, len(estimator), estimator.joints
+        if last == 0:
+            return np.zeros(len(self.ages))
+        set_residuals(window, null, last)
+        at, left = recent(window, last), null.residual[:last]
+        rows = estimator.window.rows[at]
+        offset = rows[:, :, 1 + OFFSET * n + self.joint]
+        drift = rows[:, :, 1 + DRIFT * n + self.joint]
+        end, span = window.times[at], 2.0 * estimator.plan.interval
+        begin = (self.time - self.ages)[:, None]
+        rate = (-self.jump * self.ramps / self.ages)[:, None]
+        ramps = (end > begin + 0.5 * span) & (end <= self.time)
+        shift = begin - estimator.balance.clock[EPOCH]
+        columns = (rate * ramps)[:, :, None] * (drift - shift[:, :, None] * offset)
+        columns -= np.where(end > self.time, self.jump, 0.0)[None, :, None] * offset
+        # What holds the jump itself was made of readings before and after it.
+        known = np.where((end > self.time) & (end < self.time + 2.0 * span), 0.0, 1.0)
+        weighted = (window.weights[at] * known[:, None]) * columns
+        unknowns = window.rows[at][:, :, -len(null.mean) :]
+        score = -(weighted * left).sum((1, 2))
+        cross = np.linalg.solve(
+            np.triu(null.factor).T, np.einsum('ski,kim->ms', weighted, unknowns)
+        )
+        square = (weighted * columns).sum((1, 2)) - (cross**2).sum(0)
+        return np.asarray(score - 0.5 * np.maximum(square, 0.0))
+
+
+def end_of_fault(
+    estimator: OffsetEstimator, sampler: Sampler, bank: Bank, joint: int, jump: float
+) -> EndOfFault:
+    """The hypothesis at the moment of a jump.
+
+    Parameters
+    ----------
+    estimator : OffsetEstimator
+        Its horizon bounds how long the fault may have lasted.
+    sampler : Sampler
+        Its last blocks tell whether the reading was frozen.
+    bank : Bank
+        Its kinematic rows say how far a joint went before the jump.
+    joint : int
+        Of the sensor.
+    jump : float
+        [rad].
+    """
+    interval = estimator.plan.interval
+    longest = max(len(estimator), 2) * interval
+    ages = np.geomspace(interval, longest, ONSETS)
+    # Uniform over the horizon, and as the sizes of drifts are: their rates grow with the jump.
+    edges = np.sqrt(ages[1:] * ages[:-1])
+    prior = np.log(np.diff(np.concatenate([[0.0], edges, [longest]])) / longest)
+    prior += _normal(jump / ages, SIZE['drift']) - np.log(ages) - _normal(jump, SIZE['slip'])
+    for k, age in enumerate(ages):
+        way = bank.way(joint, round(age / interval))
+        if way is not None:
+            held = min(round(age / interval), bank.ways_held) * interval
+            # The reading went as far as it jumped back, and its rate knew nothing of it.
+            expected = jump * min(held / age, 1.0)
+            prior[k] += (way[0] * expected - 0.5 * expected**2) / way[1] ** 2
+    ramps, frozen = np.ones(len(ages)), _frozen_for(estimator, sampler, joint)
+    if frozen > 0:
+        gain, went, sigma, _ = stuck_bayes_factor(estimator, joint, frozen, SIZE['drift'])
+        gain += float(_normal(jump - went, sigma) - _normal(jump, SIZE['slip']))
+        prior, ages = np.append(prior, gain), np.append(ages, frozen * interval)
+        ramps = np.append(ramps, 0.0)
+    one = EndOfFault(joint, jump, float(sampler.time[-1]), prior, ages, ramps)
+    one.weigh(estimator)
+    return one
+
+
+def _frozen_for(estimator: OffsetEstimator, sampler: Sampler, joint: int) -> int:
+    """Intervals for which a reading had not changed at all before the samples at hand."""
+    blocks, _ = held_blocks(estimator, sampler, len(estimator) + 1)
+    changes = np.flatnonzero(blocks[:, joint] != blocks[-1:, joint])
+    return (len(blocks) - 1 - int(changes[-1])) // estimator.plan.blocks if len(changes) else 0
+
+
+def _normal(value: float | FloatArray, sigma: float) -> FloatArray:
+    """Logarithm of a normal density."""
+    return np.asarray(-0.5 * (np.asarray(value) / sigma) ** 2 - np.log(sigma))

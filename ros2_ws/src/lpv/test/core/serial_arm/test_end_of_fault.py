@@ -1,0 +1,102 @@
+"""Faults that end with a jump, noticed before or not: no trusted estimate is outside its bound."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from fault_injection import BY_NAME, Injected, derived, inject, subjects
+
+ONSET, AFTER = 4.0, 4.0
+"""Of the fault, and time that is watched after its end [s]."""
+SETTLED = 0.1
+"""After a change, until samples that waited are used [s]."""
+
+
+class Run:
+    """One fault of one sensor of a simulated arm, and what the monitor says."""
+
+    def __init__(self, arm, rates, fault, joint, duration, count_lost=False):
+        subject = _subject(arm).with_rates(rates)
+        self.name = subject.arm.sensor_names[joint]
+        stream = subject.streams(joint)
+        stream = derived(stream) if rates == 'derived' else stream
+        part = stream.part(2.0, 2.0 + ONSET + duration + AFTER)
+        kind, size = fault
+        kind = replace(BY_NAME['step 0.1'], kind=kind, size=abs(size))
+        one = Injected(joint, ONSET, ONSET + duration, float(np.sign(size)) or 1.0)
+        matrix = subject.arm.joints_to_sensors()
+        window = inject(part, kind, [one], rates == 'derived', matrix, np.random.default_rng(1))
+        stamps, samples, self.truth = window.stream.stamps, window.stream.samples, window.truth
+        self.time = (stamps - stamps[0]) * 1e-9
+        self.end = ONSET + duration
+        if count_lost:  # counting goes on from where it stopped
+            later = self.time >= self.end
+            lost = self.truth[~later, joint][-1]
+            samples[later, 0, joint] += lost
+            self.truth[later, joint] += lost
+            if rates == 'derived':
+                samples[np.argmax(later), 1, joint] = samples[np.argmax(later) + 1, 1, joint]
+        answers = subject.monitor().take_many(stamps, *np.moveaxis(samples, 1, 0))
+        self.estimate, self.bound = answers.fault.estimate, answers.fault.bound
+        self.trusted = np.asarray(answers.state.trustworthy)
+        self.events = [
+            (alarm.event.name, alarm.sensor, alarm.kind) for _, alarm in answers.events
+        ]  # fmt: skip
+
+    def outside(self, begin, end):
+        """Share of answers that are trusted with an estimate outside its bound."""
+        rows = (self.time > begin) & (self.time < end)
+        error = np.abs(self.estimate - self.truth)[rows]
+        return float(((error > self.bound[rows] + 1e-3).any(axis=1) & self.trusted[rows]).mean())
+
+    @property
+    def after(self):
+        return self.end + SETTLED, self.end + AFTER
+
+
+@cache
+def _subject(arm):
+    return subjects(arm, recorded=False)[0]
+
+
+DRIFTS = [(0.1, 3.0), (-0.3, 0.5), (0.3, 1.5), (-0.05, 4.0)]
+
+
+@pytest.mark.parametrize(('rate', 'duration'), DRIFTS)
+@pytest.mark.parametrize(('arm', 'joint'), [('paper', 0), ('real_arm', 1), ('chain3', 1)])
+def test_given_a_drift_when_it_ends_with_a_jump_then_bounds_hold_it(arm, joint, rate, duration):
+    run = Run(arm, 'derived', ('drift', rate), joint, duration)
+    assert run.outside(*run.after) == 0.0
+    assert all(sensor == run.name for _, sensor, _ in run.events)
+
+
+def test_given_a_drift_that_nobody_named_when_it_ends_then_the_alarm_of_its_jump_is_cleared():
+    run = Run('paper', 'derived', ('drift', 0.3), 0, 1.5)
+    assert run.events == [('RAISED', run.name, 'bias'), ('CLEARED', run.name, 'bias')]
+    assert abs(run.estimate[-1, 0]) < 0.1
+
+
+@pytest.mark.parametrize('rates', ['derived', 'independent'])
+@pytest.mark.parametrize('size', [0.15, -0.3])
+def test_given_an_offset_that_begins_with_a_jump_then_its_bound_does_not_stay_wide(rates, size):
+    run = Run('chain3', rates, ('bias', size), 1, 9.0)
+    acting = (run.time > ONSET + SETTLED) & (run.time < run.end)
+    assert run.outside(ONSET + SETTLED, run.end) == 0.0
+    assert abs(run.estimate[acting, 1] - size).max() < 0.05
+    assert np.median(run.bound[acting, 1]) < 0.1
+    assert [event for event, *_ in run.events] == ['RAISED', 'CLEARED']
+
+
+@pytest.mark.parametrize('duration', [0.1, 0.3, 1.0])
+@pytest.mark.parametrize(('arm', 'joint'), [('paper', 1), ('chain3', 1), ('ur10', 1)])
+def test_given_a_frozen_reading_when_it_jumps_to_its_joint_then_it_is_right(arm, joint, duration):
+    run = Run(arm, 'derived', ('stuck', 0.0), joint, duration)
+    assert run.outside(*run.after) == 0.0
+    assert not any(event == 'RAISED' and sensor != run.name for event, sensor, _ in run.events)
+
+
+def test_given_a_frozen_count_when_it_goes_on_from_there_then_bounds_hold_the_way_lost():
+    run = Run('chain3', 'derived', ('stuck', 0.0), 1, 0.5, count_lost=True)
+    assert abs(run.truth[-1, 1]) > 0.1
+    assert run.outside(*run.after) == 0.0
