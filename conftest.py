@@ -2,6 +2,7 @@
 
 import importlib.util
 import os
+import re
 import signal
 import sys
 from dataclasses import replace
@@ -21,6 +22,21 @@ for _name in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS'):
 # Compilation takes seconds in the first example; the same examples are drawn in every run.
 settings.register_profile('lpv', deadline=None, derandomize=True, database=None, max_examples=200)
 settings.load_profile('lpv')
+
+
+_ROS = importlib.util.find_spec('rclpy') is not None
+_OF_ROS = re.compile(r'^(import|from) (rclpy|hostile|lpv_node import|\w+_msgs)\b', re.MULTILINE)
+
+
+def pytest_report_header():
+    return None if _ROS else 'no ROS 2, neither wheels nor a sourced one: no tests of nodes'
+
+
+def pytest_ignore_collect(collection_path):
+    """Tests of nodes need ROS 2."""
+    if _ROS or not collection_path.name.startswith('test_'):
+        return None
+    return bool(_OF_ROS.search(collection_path.read_text(encoding='utf-8'))) or None
 
 
 def pytest_configure():

@@ -4,14 +4,12 @@ import numpy as np
 import pytest
 import ros
 
-pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
-
-from lpv.bag.run.record import load_run  # noqa: E402
-from lpv.campaign.execution.run_to_bag import write_run_bag  # noqa: E402
-from lpv.campaign.execution.runs import plan_run  # noqa: E402
-from lpv.campaign.plan.campaign import resolve  # noqa: E402
-from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent  # noqa: E402
-from lpv.core.uio.certificate.gains import save_gains  # noqa: E402
+from lpv.bag.run.record import load_run
+from lpv.campaign.execution.run_to_bag import write_run_bag
+from lpv.campaign.execution.runs import plan_run
+from lpv.campaign.plan.campaign import resolve
+from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent
+from lpv.core.uio.certificate.gains import save_gains
 
 pytestmark = pytest.mark.ros
 
@@ -70,6 +68,7 @@ def run_graph(folder, files):
 def test_given_a_run_of_a_campaign_when_the_graph_runs_it_then_all_signals_and_alarms_are_its(
     paper_gains, tmp_path
 ):
+    pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
     save_gains(paper_gains, tmp_path / 'gains.yaml')
     plan = plan_run(resolve(SPEC, 'spec', tmp_path), 2)
     run, files = plan.simulate(), tmp_path / 'run'

@@ -12,18 +12,15 @@ import time
 import numpy as np
 import psutil
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from hostile import damaged_bytes, fill, forge, parameter, sized
+from rcl_interfaces.srv import SetParameters
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+from test_restart import files, rig_on  # noqa: F401
 
-pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
-
-from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
-from hostile import damaged_bytes, fill, forge, parameter, sized  # noqa: E402
-from rcl_interfaces.srv import SetParameters  # noqa: E402
-from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
-from sensor_msgs.msg import JointState  # noqa: E402
-from std_srvs.srv import Trigger  # noqa: E402
-from test_restart import files, rig_on  # noqa: E402, F401
-
-from lpv_msgs.msg import (  # noqa: E402
+from lpv_msgs.msg import (
     FaultAlarm,
     FaultEstimate,
     GroundTruth,
@@ -31,7 +28,7 @@ from lpv_msgs.msg import (  # noqa: E402
     StateEstimate,
     TorqueCommand,
 )
-from lpv_msgs.srv import ClearFaults, InjectFault  # noqa: E402
+from lpv_msgs.srv import ClearFaults, InjectFault
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime, pytest.mark.fuzz]
 

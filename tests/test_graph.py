@@ -7,29 +7,26 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import ros
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from mcap.reader import make_reader
 from places import BRINGUP
+from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.srv import DescribeParameters, ListParameters
+from rclpy.qos import qos_profile_sensor_data
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
 
-pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
-
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
-from mcap.reader import make_reader  # noqa: E402
-from rcl_interfaces.msg import ParameterType  # noqa: E402
-from rcl_interfaces.srv import DescribeParameters, ListParameters  # noqa: E402
-from rclpy.qos import qos_profile_sensor_data  # noqa: E402
-from rosgraph_msgs.msg import Clock  # noqa: E402
-from sensor_msgs.msg import JointState  # noqa: E402
-
-from lpv.bag.run.record import load_run  # noqa: E402
-from lpv.core.uio.certificate.gains import save_gains  # noqa: E402
-from lpv_arm_sim.node import SimulatorNode  # noqa: E402
-from lpv_msgs.msg import FaultAlarm, GroundTruth, StateEstimate, TorqueCommand  # noqa: E402
-from lpv_msgs.srv import ClearFaults, InjectFault  # noqa: E402
-from lpv_node.managed import run_node  # noqa: E402
-from lpv_node.qos import latched, stream  # noqa: E402
-from lpv_node.recorder.node import RecorderNode  # noqa: E402
-from lpv_node.view.node import ViewNode  # noqa: E402
-from lpv_tracker.node import TrackerNode  # noqa: E402
-from lpv_uio.node import UioNode  # noqa: E402
+from lpv.bag.run.record import load_run
+from lpv.core.uio.certificate.gains import save_gains
+from lpv_arm_sim.node import SimulatorNode
+from lpv_msgs.msg import FaultAlarm, GroundTruth, StateEstimate, TorqueCommand
+from lpv_msgs.srv import ClearFaults, InjectFault
+from lpv_node.managed import run_node
+from lpv_node.qos import latched, stream
+from lpv_node.recorder.node import RecorderNode
+from lpv_node.view.node import ViewNode
+from lpv_tracker.node import TrackerNode
+from lpv_uio.node import UioNode
 
 pytestmark = pytest.mark.ros
 

@@ -10,25 +10,22 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 import ros
+from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.msg import State, Transition
+from lifecycle_msgs.srv import ChangeState, GetState
 from places import BRINGUP
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rosbags.highlevel import AnyReader
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
 
-pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
-
-from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
-from lifecycle_msgs.msg import State, Transition  # noqa: E402
-from lifecycle_msgs.srv import ChangeState, GetState  # noqa: E402
-from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
-from rosbags.highlevel import AnyReader  # noqa: E402
-from sensor_msgs.msg import JointState  # noqa: E402
-from std_srvs.srv import Trigger  # noqa: E402
-
-from lpv.core.serial_arm.arm_file import load_arm  # noqa: E402
-from lpv.core.uio.certificate.gains import save_gains  # noqa: E402
-from lpv.core.uio.planar import planar_model  # noqa: E402
-from lpv_design.design_flow import design  # noqa: E402
-from lpv_design.requirement import load_requirement  # noqa: E402
-from lpv_msgs.msg import GroundTruth, JointReference  # noqa: E402
-from lpv_node.qos import stream  # noqa: E402
+from lpv.core.serial_arm.arm_file import load_arm
+from lpv.core.uio.certificate.gains import save_gains
+from lpv.core.uio.planar import planar_model
+from lpv_design.design_flow import design
+from lpv_design.requirement import load_requirement
+from lpv_msgs.msg import GroundTruth, JointReference
+from lpv_node.qos import stream
 
 pytestmark = pytest.mark.ros
 

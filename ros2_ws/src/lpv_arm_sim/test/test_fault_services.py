@@ -5,11 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
-
-from lpv.core.simulation.faults import FaultInjector  # noqa: E402
-from lpv_arm_sim.services import FaultServices  # noqa: E402
-from lpv_msgs.srv import ClearFaults, InjectFault  # noqa: E402
+from lpv.core.simulation.faults import FaultInjector
+from lpv_arm_sim.services import FaultServices
+from lpv_msgs.srv import ClearFaults, InjectFault
 
 
 @pytest.fixture

@@ -2,19 +2,16 @@
 
 import numpy as np
 import pytest
+from hostile import Output, Refused, forge, node_of, request_service, run_cases, set_parameters
 from places import BRINGUP
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
 
-pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
-
-from hostile import Output, Refused, forge, node_of, request_service, run_cases, set_parameters  # noqa: E402
-from rosgraph_msgs.msg import Clock  # noqa: E402
-from sensor_msgs.msg import JointState  # noqa: E402
-from std_srvs.srv import Trigger  # noqa: E402
-
-from lpv.core.simulation.faults import MAX_FAULTS  # noqa: E402
-from lpv_arm_sim.node import SimulatorNode  # noqa: E402
-from lpv_msgs.msg import GroundTruth, TorqueCommand  # noqa: E402
-from lpv_msgs.srv import ClearFaults, InjectFault  # noqa: E402
+from lpv.core.simulation.faults import MAX_FAULTS
+from lpv_arm_sim.node import SimulatorNode
+from lpv_msgs.msg import GroundTruth, TorqueCommand
+from lpv_msgs.srv import ClearFaults, InjectFault
 
 pytestmark = [pytest.mark.ros, pytest.mark.fuzz]
 RECOVERY = 1_000_000_000

@@ -1,20 +1,17 @@
 """Hostile messages for the recorder: it stores them as they were sent, and goes on."""
 
 import pytest
+from hostile import damaged_bytes, forge, node_of, run_cases, set_parameters
+from rclpy.serialization import serialize_message
+from rosbags.rosbag2 import Reader
+from sensor_msgs.msg import JointState
 
-pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
-
-from hostile import damaged_bytes, forge, node_of, run_cases, set_parameters  # noqa: E402
-from rclpy.serialization import serialize_message  # noqa: E402
-from rosbags.rosbag2 import Reader  # noqa: E402
-from sensor_msgs.msg import JointState  # noqa: E402
-
-from lpv.bag.rosbag.message_loss import TopicCount  # noqa: E402
-from lpv.bag.rosbag.writing import qos_profile  # noqa: E402
-from lpv.core.support.errors import ConfigError  # noqa: E402
-from lpv_msgs.msg import FaultAlarm, StateEstimate  # noqa: E402
-from lpv_node.recorder.input import Heard, leading_stamp  # noqa: E402
-from lpv_node.recorder.node import RecorderNode  # noqa: E402
+from lpv.bag.rosbag.message_loss import TopicCount
+from lpv.bag.rosbag.writing import qos_profile
+from lpv.core.support.errors import ConfigError
+from lpv_msgs.msg import FaultAlarm, StateEstimate
+from lpv_node.recorder.input import Heard, leading_stamp
+from lpv_node.recorder.node import RecorderNode
 
 pytestmark = [pytest.mark.ros, pytest.mark.fuzz]
 TOPICS = {

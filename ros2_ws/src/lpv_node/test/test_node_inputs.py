@@ -6,23 +6,20 @@ from array import array
 
 import numpy as np
 import pytest
+import rclpy
+from builtin_interfaces.msg import Time
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from rclpy.parameter import Parameter
 
+from lpv.core.support.errors import ConfigError
+from lpv.core.support.resources import bringup_file
+from lpv_node.input_check import OneSender, all_finite, all_sized
+from lpv_node.parameter_service import CheckedParameterService
+from lpv_node.parameters import declare_gains, read_gains
 from lpv_node.signals import StopRequest, handled_signals
-
-rclpy = pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
-
-from builtin_interfaces.msg import Time  # noqa: E402
-from rcl_interfaces.msg import Parameter as ParameterMessage  # noqa: E402
-from rcl_interfaces.msg import ParameterType, ParameterValue  # noqa: E402
-from rcl_interfaces.srv import SetParameters, SetParametersAtomically  # noqa: E402
-from rclpy.parameter import Parameter  # noqa: E402
-
-from lpv.core.support.errors import ConfigError  # noqa: E402
-from lpv.core.support.resources import bringup_file  # noqa: E402
-from lpv_node.input_check import OneSender, all_finite, all_sized  # noqa: E402
-from lpv_node.parameter_service import CheckedParameterService  # noqa: E402
-from lpv_node.parameters import declare_gains, read_gains  # noqa: E402
-from lpv_node.stamps import set_stamp, to_nanoseconds  # noqa: E402
+from lpv_node.stamps import set_stamp, to_nanoseconds
 
 
 @pytest.fixture

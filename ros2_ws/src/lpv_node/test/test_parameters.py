@@ -6,10 +6,8 @@ import re
 
 import pytest
 
-pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
-
-from lpv_node import managed, parameters  # noqa: E402
-from lpv_node.parameters import Spec  # noqa: E402
+from lpv_node import managed, parameters
+from lpv_node.parameters import Spec
 
 MODULES = ('lpv_arm_sim.node', 'lpv_uio.node', 'lpv_tracker.node', 'lpv_node.recorder.node',
            'lpv_node.view.node')  # fmt: skip

@@ -7,17 +7,14 @@ import time
 import pytest
 import ros
 from bags import contents
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from places import BRINGUP
+from rclpy.qos import QoSProfile, qos_profile_sensor_data
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 
-pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
-
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
-from rclpy.qos import QoSProfile, qos_profile_sensor_data  # noqa: E402
-from sensor_msgs.msg import JointState  # noqa: E402
-from std_msgs.msg import String  # noqa: E402
-
-from lpv.bag.rosbag.reading import open_bag  # noqa: E402
-from lpv.bag.rosbag.recovery import recover  # noqa: E402
+from lpv.bag.rosbag.reading import open_bag
+from lpv.bag.rosbag.recovery import recover
 
 pytestmark = pytest.mark.ros
 

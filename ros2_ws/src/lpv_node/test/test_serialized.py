@@ -4,16 +4,13 @@ import math
 
 import numpy as np
 import pytest
+from rclpy.serialization import deserialize_message
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
 
-pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
-
-from rclpy.serialization import deserialize_message  # noqa: E402
-from rosgraph_msgs.msg import Clock  # noqa: E402
-from sensor_msgs.msg import JointState  # noqa: E402
-from std_msgs.msg import Header  # noqa: E402
-
-from lpv_msgs.msg import FaultEstimate, GroundTruth, TorqueCommand  # noqa: E402
-from lpv_node.serialized import SerializedMessage  # noqa: E402
+from lpv_msgs.msg import FaultEstimate, GroundTruth, TorqueCommand
+from lpv_node.serialized import SerializedMessage
 
 STAMP = 3_000_000_007
 

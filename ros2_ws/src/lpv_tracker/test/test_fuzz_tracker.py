@@ -2,16 +2,13 @@
 
 import numpy as np
 import pytest
+from hostile import Output, Refused, forge, node_of, run_cases, set_parameters
 from places import BRINGUP
+from std_srvs.srv import Trigger
 
-pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
-
-from hostile import Output, Refused, forge, node_of, run_cases, set_parameters  # noqa: E402
-from std_srvs.srv import Trigger  # noqa: E402
-
-from lpv.core.control.watchdog import StopReason  # noqa: E402
-from lpv_msgs.msg import JointReference, StateEstimate, TorqueCommand  # noqa: E402
-from lpv_tracker.node import TrackerNode  # noqa: E402
+from lpv.core.control.watchdog import StopReason
+from lpv_msgs.msg import JointReference, StateEstimate, TorqueCommand
+from lpv_tracker.node import TrackerNode
 
 pytestmark = [pytest.mark.ros, pytest.mark.fuzz]
 STEP = 2_000_000

@@ -4,16 +4,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hostile import Output, node_of
 from places import BRINGUP
 
-pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
-
-from hostile import Output, node_of  # noqa: E402
-
-from lpv.core.serial_arm.certificate.conditions import NO_CERTIFICATE  # noqa: E402
-from lpv.core.support.errors import ConfigError  # noqa: E402
-from lpv_msgs.msg import JointReference, StateEstimate, TorqueCommand  # noqa: E402
-from lpv_tracker.node import TrackerNode  # noqa: E402
+from lpv.core.serial_arm.certificate.conditions import NO_CERTIFICATE
+from lpv.core.support.errors import ConfigError
+from lpv_msgs.msg import JointReference, StateEstimate, TorqueCommand
+from lpv_tracker.node import TrackerNode
 
 pytestmark = pytest.mark.ros
 

@@ -5,21 +5,18 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from hostile import Output, Refused, forge, node_of, run_cases, set_parameters
 from places import BRINGUP
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
 
-pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
-
-from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
-from hostile import Output, Refused, forge, node_of, run_cases, set_parameters  # noqa: E402
-from sensor_msgs.msg import JointState  # noqa: E402
-from std_srvs.srv import Trigger  # noqa: E402
-
-from lpv.core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent, Mode  # noqa: E402
-from lpv.core.simulation.arm_simulator import ArmSimulator  # noqa: E402
-from lpv.core.simulation.scenario import load_scenario  # noqa: E402
-from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate, TorqueCommand  # noqa: E402
-from lpv_uio.node import UioNode  # noqa: E402
-from lpv_uio.open_alarms import OpenAlarms  # noqa: E402
+from lpv.core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent, Mode
+from lpv.core.simulation.arm_simulator import ArmSimulator
+from lpv.core.simulation.scenario import load_scenario
+from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate, TorqueCommand
+from lpv_uio.node import UioNode
+from lpv_uio.open_alarms import OpenAlarms
 
 pytestmark = [pytest.mark.ros, pytest.mark.fuzz]
 STEP = 2_000_000

@@ -3,15 +3,11 @@
 from types import SimpleNamespace
 
 import numpy as np
-import pytest
+from rclpy.serialization import deserialize_message
 
-pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
-
-from rclpy.serialization import deserialize_message  # noqa: E402
-
-from lpv.core.monitoring.answers import answer_type  # noqa: E402
-from lpv_msgs.msg import FaultEstimate, StateEstimate  # noqa: E402
-from lpv_uio.messages import OutputMessages  # noqa: E402
+from lpv.core.monitoring.answers import answer_type
+from lpv_msgs.msg import FaultEstimate, StateEstimate
+from lpv_uio.messages import OutputMessages
 
 STAMP = 3_000_000_007
 ALARM = {'sensor': 'link2_angle', 'sensor_index': 1, 'event': 0, 'onset': 1_000_000_000,

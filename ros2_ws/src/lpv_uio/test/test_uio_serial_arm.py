@@ -2,22 +2,19 @@
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from hostile import Output, node_of
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import JointState
 from serial_bags import crane_file, crane_run, record_crane
 
-pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
-
-from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
-from hostile import Output, node_of  # noqa: E402
-from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
-from sensor_msgs.msg import JointState  # noqa: E402
-
-from lpv.bag.replay.replay import Replay  # noqa: E402
-from lpv.bag.rosbag.reading import open_bag  # noqa: E402
-from lpv.core.monitoring.serial_monitor import SerialSensorMonitor  # noqa: E402
-from lpv.core.serial_arm.arm_file import load_arm  # noqa: E402
-from lpv.core.simulation.faults import Fault  # noqa: E402
-from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate  # noqa: E402
-from lpv_uio.node import UioNode  # noqa: E402
+from lpv.bag.replay.replay import Replay
+from lpv.bag.rosbag.reading import open_bag
+from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv.core.serial_arm.arm_file import load_arm
+from lpv.core.simulation.faults import Fault
+from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate
+from lpv_uio.node import UioNode
 
 pytestmark = pytest.mark.ros
 

@@ -13,28 +13,25 @@ import numpy as np
 import pytest
 import ros
 from places import BRINGUP
+from rclpy.qos import qos_profile_sensor_data
+from rosbags.highlevel import AnyReader
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
 
-pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
-
-from rclpy.qos import qos_profile_sensor_data  # noqa: E402
-from rosbags.highlevel import AnyReader  # noqa: E402
-from rosgraph_msgs.msg import Clock  # noqa: E402
-from sensor_msgs.msg import JointState  # noqa: E402
-
-from lpv.bag.replay.replay import Replay  # noqa: E402
-from lpv.bag.rosbag.interfaces import make_typestore  # noqa: E402
-from lpv.bag.rosbag.messages import BagMessages  # noqa: E402
-from lpv.bag.rosbag.metadata import qos_profile  # noqa: E402
-from lpv.bag.rosbag.writing import BagWriter  # noqa: E402
-from lpv.core.monitoring.message_fields import alarm_fields  # noqa: E402
-from lpv.core.monitoring.serial_monitor import SerialSensorMonitor  # noqa: E402
-from lpv.core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent  # noqa: E402
-from lpv.core.simulation.closed_loop import run_closed_loop  # noqa: E402
-from lpv.core.simulation.faults import Fault  # noqa: E402
+from lpv.bag.replay.replay import Replay
+from lpv.bag.rosbag.interfaces import make_typestore
+from lpv.bag.rosbag.messages import BagMessages
+from lpv.bag.rosbag.metadata import qos_profile
+from lpv.bag.rosbag.writing import BagWriter
+from lpv.core.monitoring.message_fields import alarm_fields
+from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv.core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent
+from lpv.core.simulation.closed_loop import run_closed_loop
+from lpv.core.simulation.faults import Fault
 from lpv.core.support.timestamps import NANOSECONDS
-from lpv_msgs.msg import FaultEstimate, StateEstimate  # noqa: E402
-from lpv_node.qos import stream  # noqa: E402
-from lpv_node.stamps import set_stamp, to_nanoseconds  # noqa: E402
+from lpv_msgs.msg import FaultEstimate, StateEstimate
+from lpv_node.qos import stream
+from lpv_node.stamps import set_stamp, to_nanoseconds
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 

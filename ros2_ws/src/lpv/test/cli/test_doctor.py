@@ -11,24 +11,21 @@ import numpy as np
 import pytest
 import ros
 from places import BRINGUP, ROOT
+from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
+from rclpy.time import Time
+from sensor_msgs.msg import JointState
 from serial_bags import crane, crane_file, crane_run
 
-pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
-
-from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data  # noqa: E402
-from rclpy.time import Time  # noqa: E402
-from sensor_msgs.msg import JointState  # noqa: E402
-
-from lpv.cli.doctor import environment, graph, signals  # noqa: E402
-from lpv.cli.doctor.files import check_arm, check_files, check_gains, check_scenario  # noqa: E402
-from lpv.cli.doctor.finding import Level  # noqa: E402
-from lpv.cli.doctor.signals import check_values, needs_rates  # noqa: E402
-from lpv.cli.doctor.snapshot import JOINT_STATE, Endpoint, Snapshot  # noqa: E402
-from lpv.cli.main import main  # noqa: E402
-from lpv.core.uio.certificate.gains import save_gains  # noqa: E402
-from lpv.core.uio.model.joints import JointMap  # noqa: E402
-from lpv.core.uio.planar import planar_model  # noqa: E402
-from lpv_node.qos import stream  # noqa: E402
+from lpv.cli.doctor import environment, graph, signals
+from lpv.cli.doctor.files import check_arm, check_files, check_gains, check_scenario
+from lpv.cli.doctor.finding import Level
+from lpv.cli.doctor.signals import check_values, needs_rates
+from lpv.cli.doctor.snapshot import JOINT_STATE, Endpoint, Snapshot
+from lpv.cli.main import main
+from lpv.core.uio.certificate.gains import save_gains
+from lpv.core.uio.model.joints import JointMap
+from lpv.core.uio.planar import planar_model
+from lpv_node.qos import stream
 
 PAPER = str(BRINGUP / 'arms' / 'paper.yaml')
 GAINS = str(BRINGUP / 'gains' / 'paper.yaml')
