@@ -24,13 +24,13 @@ from visualization_msgs.msg import MarkerArray  # noqa: E402
 
 from lpv.core.export.urdf import arm_urdf  # noqa: E402
 from lpv.core.support.errors import ConfigError  # noqa: E402
-from lpv.core.uio.certificate.gains import save_gains  # noqa: E402
 from lpv_msgs.srv import ClearFaults  # noqa: E402
 from lpv_node.view.node import ViewNode  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
 ARM = BRINGUP / 'arms' / 'paper.yaml'
+GAINS = BRINGUP / 'gains' / 'paper.yaml'
 FLAGS = '--headless --no-sandbox --disable-gpu --disable-quic --no-first-run'
 FLAGS += ' --disable-background-networking --disable-component-update --disable-sync'
 BROWSER = os.environ.get('CHROMIUM') or shutil.which('chromium') or shutil.which('chromium-browser')
@@ -103,14 +103,7 @@ def test_given_a_view_that_cannot_start_when_set_up_then_it_says_why(parameters,
 
 
 @pytest.fixture(scope='module')
-def gains_file(paper_gains, tmp_path_factory):
-    path = tmp_path_factory.mktemp('gains') / 'gains.yaml'
-    save_gains(paper_gains, path)
-    return path
-
-
-@pytest.fixture(scope='module')
-def live(gains_file, tmp_path_factory):
+def live(tmp_path_factory):
     """One graph for all tests that look on; the view is there first, and must not start it.
 
     Publishers of a lockstep graph wait for their readers.  Were the view taken for one of them,
@@ -124,7 +117,7 @@ def live(gains_file, tmp_path_factory):
         graph.start('view', ros.command('view', *files, *ports))
         running = Running(graph, domain, folder / 'log')
         running.foxglove = running.find(r'Foxglove: ws://127\.0\.0\.1:(\d+)')
-        steps = start(graph, gains_file, scenario)
+        steps = start(graph, GAINS, scenario)
         next(steps)
         with ros.client(domain) as client:
             service = client.node.create_client(ClearFaults, 'arm_sim/clear_faults')
