@@ -347,3 +347,4 @@ def test_given_what_drives_and_tracker_report_when_reported_then_stops_have_thei
         (history.BRAKED, 0.5, 0.998, 'a joint is faster than its velocity limit'),
     ]
     assert 'the drives braked 2 times (safe stop, a joint is faster' in values['verdict']
+    assert tile(values, 'stopped').value == '0.3 s'
