@@ -31,11 +31,11 @@ def machine(tmp_path):
     def build(python='python-without', source='wheels'):
         (tmp_path / 'built.txt').write_text('')
         command = (
-            f'source {ROOT}/tools/setup.sh; venv={venv}; build={tmp_path}/build; '
-            f'state={venv}/.lpv; python={tmp_path}/bin/{python}; source={source}; '
-            'build_workspace'
+            f'source {ROOT}/tools/setup.sh; build={tmp_path}/build; '
+            f'python={tmp_path}/bin/{python}; source={source}; build_workspace'
         )
-        environment = {'PATH': f'{tmp_path}/bin:/usr/bin:/bin', 'HOME': str(tmp_path)}
+        path = f'{tmp_path}/bin:/usr/bin:/bin'
+        environment = {'PATH': path, 'HOME': str(tmp_path), 'VENV': str(venv)}
         subprocess.run(['bash', '-c', command], env=environment, check=True, capture_output=True)
         return (tmp_path / 'built.txt').read_text()
 

@@ -3,6 +3,7 @@
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as some
 from places import BRINGUP
@@ -98,6 +99,7 @@ def check_numbers(whole, count, joints):
 
 
 @settings(max_examples=80, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
+@pytest.mark.slow
 @given(
     some.integers(1, 7),
     some.sampled_from([30.0, 100.0, 250.0, 500.0, 1000.0]),

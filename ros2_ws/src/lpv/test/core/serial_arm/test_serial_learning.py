@@ -37,6 +37,7 @@ def test_viscous_friction_that_nobody_stated_is_learned_without_an_alarm():
     assert np.all(np.abs(learned.viscous - 0.8) < 4.0 * learned.sigma[1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('rate', [0.003, 0.01, 0.03])
 def test_slow_ramp_is_no_arm_that_is_learned(rate):
     arm = replace(shoulder_arm(), uncertainty=Uncertainty(0.0, 0.3))
