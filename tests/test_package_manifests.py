@@ -157,6 +157,7 @@ def test_given_the_launch_files_when_run_by_a_real_launch_then_the_manifest_name
     assert {'launch_xml', 'launch_ros', 'ros2launch'} <= {e.text for e in root}
 
 
+@pytest.mark.slow
 def test_given_the_pytest_plugins_of_a_ros2_when_on_the_path_then_they_do_not_stop_the_tests(
     tmp_path,
 ):

@@ -409,6 +409,7 @@ def test_given_a_loop_faster_than_the_sample_time_carries_when_designed_then_it_
         design(slow, replace(requirement, controller=eager))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('factor', [0.01, 100.0])
 def test_given_all_noise_scaled_when_designed_then_gains_are_the_same_and_deviations_scale(
     paper_model, paper_gains, factor
@@ -431,6 +432,7 @@ def test_given_all_noise_scaled_when_designed_then_gains_are_the_same_and_deviat
     assert_same_gains(found.fault_sigma, factor * paper_gains.observer.fault_sigma)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('factor', [1e-3, 1e3])
 def test_given_all_masses_scaled_when_designed_then_gains_scale_with_them(
     paper_model, paper_gains, factor

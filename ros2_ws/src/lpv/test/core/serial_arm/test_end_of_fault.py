@@ -63,6 +63,7 @@ def _subject(arm):
 DRIFTS = [(0.1, 3.0), (-0.3, 0.5), (0.3, 1.5), (-0.05, 4.0)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('rate', 'duration'), DRIFTS)
 @pytest.mark.parametrize(('arm', 'joint'), [('paper', 0), ('real_arm', 1), ('chain3', 1)])
 def test_given_a_drift_when_it_ends_with_a_jump_then_bounds_hold_it(arm, joint, rate, duration):
@@ -88,6 +89,7 @@ def test_given_an_offset_that_begins_with_a_jump_then_its_bound_does_not_stay_wi
     assert [event for event, *_ in run.events] == ['RAISED', 'CLEARED']
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('duration', [0.1, 0.3, 1.0])
 @pytest.mark.parametrize(('arm', 'joint'), [('paper', 1), ('chain3', 1), ('ur10', 1)])
 def test_given_a_frozen_reading_when_it_jumps_to_its_joint_then_it_is_right(arm, joint, duration):

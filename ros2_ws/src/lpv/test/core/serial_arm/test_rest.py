@@ -89,6 +89,7 @@ def test_given_a_healthy_arm_that_rests_when_readings_are_rounded_then_nothing_i
     assert alarms(arm, rounded_samples(arm, seed, step)) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('step', [1e-4, 1e-3])
 @pytest.mark.parametrize('sample_time', [0.01, 0.002])
 @pytest.mark.parametrize('rates', ['derived', 'independent'])

@@ -53,6 +53,7 @@ def test_healthy_arm_raises_nothing(arm, rates, seed):
     assert watched(with_rates(arm, rates), 'nothing', 0, seed).alarms == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('sensor', [0, 1])
 @pytest.mark.parametrize('fault', ['step', 'drift', 'offset'])
 @pytest.mark.parametrize('seed', [1, 2])

@@ -113,6 +113,7 @@ def test_push_is_a_contact_and_no_fault_of_an_encoder():
     assert doubted >= round(CONTACT_PAUSE / monitor.plan.interval)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('seed', [1, 2])
 def test_given_a_collision_that_stays_in_contact_then_no_encoder_is_blamed(seed):
     direction = np.random.default_rng(seed).uniform(-1.0, 1.0, 3)
@@ -129,6 +130,7 @@ SHAPES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('shape', SHAPES)
 @pytest.mark.parametrize('seed', [1, 2])
 def test_slow_push_or_force_on_the_tip_is_no_fault_of_an_encoder(shape, seed):

@@ -39,6 +39,7 @@ def with_wrong_stamps(stamps, samples, rng):
     return moved[rows], samples[rows]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('rates', ['derived', 'independent'])
 @pytest.mark.parametrize('spoil', [as_it_is, with_gaps, with_wrong_stamps])
 def test_statistic_of_a_healthy_arm_stays_below_what_its_mean_allows(rates, spoil):
