@@ -1,6 +1,6 @@
 """What an arm shows that this software was not made on: a twin of a UR10e, line by line.
 
-    python benchmarks/any_chain.py goals --count 20
+    python benchmarks/any_chain.py goals --count 20 --first 300 --seed 7
     python benchmarks/any_chain.py A
 
 Each letter is a line of the table in README.md, ``goals`` are rates of detection.  The twin is that
@@ -49,10 +49,12 @@ def changed(arm: SerialArm, **sensors: object) -> SerialArm:
     return replace(arm, joints=tuple(joints))
 
 
-def measured(kind: str, count: int, subject: Subject | None = None) -> dict:
-    """A row of the matrix."""
+def measured(
+    kind: str, count: int, subject: Subject | None = None, first: int = 0, seed: int = 1
+) -> dict:
+    """A row of the matrix; runs from another first one on are of other recordings."""
     cell = Cell('ur10e', (subject or twin(),), next(k for k in GOALS if k.name == kind), 'derived')
-    return summary(cell, [run(cell, k) for k in range(count)])
+    return summary(cell, [run(cell, k, seed) for k in range(first, first + count)])
 
 
 def show(kind: str, count: int, names: Sequence[str], subject: Subject | None = None) -> str:
@@ -195,10 +197,11 @@ LINES: dict[str, Callable[[int], str]] = {
 }  # fmt: skip
 
 
-def goals(count: int, chosen: Sequence[str]) -> None:
+def goals(count: int, chosen: Sequence[str], first: int, seed: int) -> None:
     """Rates of detection, and alarms of healthy arms."""
     kinds: list[Kind] = [k for k in GOALS if not chosen or k.name.startswith(tuple(chosen))]
-    Console(width=170).print(*tables([measured(kind.name, count) for kind in kinds]))
+    rows = [measured(kind.name, count, first=first, seed=seed) for kind in kinds]
+    Console(width=170).print(*tables(rows))
 
 
 def main() -> None:
@@ -208,11 +211,14 @@ def main() -> None:
     )
     parser.add_argument('line', nargs='+', choices=('goals', *LINES))
     parser.add_argument('--count', type=int, default=10, help='runs of a line')
+    parser.add_argument('--first', type=int, default=0, help='recording of the first run of a goal')
+    parser.add_argument('--seed', type=int, default=1, help='of the faults of goals')
     parser.add_argument('--kinds', default='', help='beginnings of names of goals, with commas')
     options = parser.parse_args()
     for line in options.line:
         if line == 'goals':
-            goals(options.count, [one for one in options.kinds.split(',') if one])
+            chosen = [one for one in options.kinds.split(',') if one]
+            goals(options.count, chosen, options.first, options.seed)
         else:
             print(f'{line}: {LINES[line](options.count)}', flush=True)
 
