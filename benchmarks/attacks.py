@@ -34,6 +34,7 @@ from lpv.bag.run.decoder import Decoder
 from lpv.cli.processes import Graph
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.description import SerialArm
+from lpv.core.support.errors import SampleError
 from lpv.core.support.resources import bringup_file
 from lpv_msgs.msg import StateEstimate, TorqueCommand
 from lpv_msgs.srv import InjectFault
@@ -306,6 +307,13 @@ def _counted(counts: Counter[str]) -> str:
     return ', '.join(f'{count} {text}' for text, count in counts.most_common(5)) or 'none'
 
 
+def _columns(message: Any) -> tuple[slice, int]:
+    """All columns; the attacker's own messages are no outputs."""
+    if message.header.frame_id == 'attacker':
+        raise SampleError('of the attacker')
+    return slice(None), -1
+
+
 def read(bag: Path) -> tuple[dict[str, list[np.ndarray]], int]:
     """Stamps and fields by topic, in the order of stamps; how many numbers of outputs are NaN."""
     wanted = {**OUTPUTS, 'ground_truth': 'position velocity fault'}
@@ -314,14 +322,16 @@ def read(bag: Path) -> tuple[dict[str, list[np.ndarray]], int]:
         chosen = [c for c in reader.connections if c.topic.rsplit('/', 1)[1] in wanted]
         topics = [c.topic.rsplit('/', 1)[1] for c in chosen]
         decoders = [
-            Decoder(reader, c.msgtype, wanted[topic].split(), lambda m: m.header.frame_id)
+            Decoder(reader, c.msgtype, wanted[topic].split(), _columns)
             for c, topic in zip(chosen, topics)
         ]
         for block in reader.blocks(chosen):
             for i, topic in enumerate(topics):
-                for part in decoders[i].read(block, np.flatnonzero(block.connection == i)):
-                    if part.learnt != 'attacker':  # its own messages are no outputs
-                        parts[topic].append([part.stamps, *part.values.values()])
+                table = decoders[i].read(block, np.flatnonzero(block.connection == i))
+                if table is not None:
+                    fields = table[2].items()
+                    flat = (v[:, 0] if name == 'trustworthy' else v for name, v in fields)
+                    parts[topic].append([table[1], *flat])
     found, missing = {}, 0
     for topic, pieces in parts.items():
         columns = [np.concatenate(column) for column in zip(*pieces)]

@@ -46,7 +46,7 @@ UNSEEN = 'derived rates: no row measures the joint of a frozen encoder'
 LOST = {
     'real_arm derived drift 0.3': ('named ends', SLOW),
     'recorded real_arm derived drift 0.3': ('named', SLOW),
-    'recorded real_arm derived drift 0.1': ('named kind size bar', TOLERANT),
+    'recorded real_arm derived drift 0.1': ('named kind size ends bar', TOLERANT),
     'real_arm derived stuck': ('named size ends', UNSEEN),
     'recorded real_arm derived stuck': ('size', UNSEEN),
 }

@@ -16,7 +16,7 @@ SETTLED = 0.1
 class Run:
     """One fault of one sensor of a simulated arm, and what the monitor says."""
 
-    def __init__(self, arm, rates, fault, joint, duration, count_lost=False):
+    def __init__(self, arm, rates, fault, joint, duration, count_lost=False, lost=0, beside=0.0):
         subject = _subject(arm).with_rates(rates)
         self.name = subject.arm.sensor_names[joint]
         stream = subject.streams(joint)
@@ -32,11 +32,20 @@ class Run:
         self.end = ONSET + duration
         if count_lost:  # counting goes on from where it stopped
             later = self.time >= self.end
-            lost = self.truth[~later, joint][-1]
-            samples[later, 0, joint] += lost
-            self.truth[later, joint] += lost
+            way = self.truth[~later, joint][-1]
+            samples[later, 0, joint] += way
+            self.truth[later, joint] += way
             if rates == 'derived':
                 samples[np.argmax(later), 1, joint] = samples[np.argmax(later) + 1, 1, joint]
+        later = self.time >= 2.0  # another offset, from then on
+        samples[later, 0, joint] += beside
+        self.truth[later, joint] += beside
+        if lost:  # samples are missing around the onset
+            onset = np.searchsorted(self.time, ONSET)
+            kept = np.ones(len(stamps), bool)
+            kept[onset - lost // 2 : onset + (lost + 1) // 2] = False
+            stamps, samples, self.truth = stamps[kept], samples[kept], self.truth[kept]
+            self.time = self.time[kept]
         answers = subject.monitor().take_many(stamps, *np.moveaxis(samples, 1, 0))
         self.estimate, self.bound = answers.fault.estimate, answers.fault.bound
         self.trusted = np.asarray(answers.state.trustworthy)
@@ -102,3 +111,29 @@ def test_given_a_frozen_count_when_it_goes_on_from_there_then_bounds_hold_the_wa
     run = Run('chain3', 'derived', ('stuck', 0.0), 1, 0.5, count_lost=True)
     assert abs(run.truth[-1, 1]) > 0.1
     assert run.outside(*run.after) == 0.0
+
+
+@pytest.mark.parametrize('arm', ['chain3', 'real_arm'])
+def test_given_a_drift_beside_a_known_offset_when_it_ends_then_the_offset_remains(arm):
+    run = Run(arm, 'derived', ('drift', 0.3), 1, 1.5, beside=0.1)
+    assert run.outside(*run.after) == 0.0
+    assert {event for event, *_ in run.events} == {'RAISED', 'UPDATED'}
+    assert run.estimate[-1, 1] == pytest.approx(0.1, abs=0.05)
+
+
+@pytest.mark.parametrize('size', [-2.0, 1.2])
+def test_given_a_jump_too_large_for_linear_rows_then_its_bound_holds_the_healthy_reading(size):
+    run = Run('chain3', 'derived', ('bias', size), 1, 3.0)
+    assert run.outside(ONSET + SETTLED, run.end) == 0.0
+    acting = (run.time > ONSET + SETTLED) & (run.time < run.end)
+    assert (run.bound[acting, 1] > abs(size)).all()
+
+
+@pytest.mark.parametrize(('arm', 'rates'), [('ur10', 'derived'), ('chain3', 'derived')])
+def test_given_a_jump_where_samples_are_missing_then_bounds_grow_by_what_may_be_hidden(arm, rates):
+    run = Run(arm, rates, ('bias', 0.02), 1, 4.0, lost=8)
+    healthy = Run(arm, rates, ('bias', 0.0), 1, 4.0, lost=8)
+    acting = slice(np.searchsorted(run.time, ONSET + SETTLED), np.searchsorted(run.time, run.end))
+    assert run.outside(ONSET + SETTLED, run.end) < 0.05
+    assert np.median(run.bound[acting, 1]) > 1.1 * np.median(healthy.bound[acting, 1])
+    assert healthy.events == []

@@ -18,13 +18,15 @@ from lpv.core.serial_arm.chain import FloatArray
 from lpv.core.serial_arm.diagnosis.balance import DRIFT, EPOCH, OFFSET
 from lpv.core.serial_arm.diagnosis.bank import SIZE, Bank
 from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator, set_residuals
-from lpv.core.serial_arm.diagnosis.fault_filter import held_blocks
+from lpv.core.serial_arm.diagnosis.fault_filter import STUCK_RATE, held_blocks
 from lpv.core.serial_arm.diagnosis.information import recent
 from lpv.core.serial_arm.diagnosis.sampling import IN_BLOCK, Sampler
 from lpv.core.serial_arm.diagnosis.stuck import stuck_bayes_factor
 
 ONSETS = 12
 """Onsets that are compared, spaced evenly in the logarithm of their age."""
+LINEAR = 1.0
+"""Errors beyond are not linear in the balances, which say nothing of them then [rad]."""
 
 
 @dataclass
@@ -105,7 +107,7 @@ class EndOfFault:
     def _gains(self, estimator: OffsetEstimator) -> FloatArray:
         """Logarithm of the Bayes factor of each onset; the size is known."""
         (window, null), last, n = estimator.of_levels, len(estimator), estimator.joints
-        if last == 0:
+        if last == 0 or abs(self.jump) > LINEAR:
             return np.zeros(len(self.ages))
         set_residuals(window, null, last)
         at, left = recent(window, last), null.residual[:last]
@@ -155,7 +157,7 @@ def end_of_fault(
     # Uniform over the horizon, and as the sizes of drifts are: their rates grow with the jump.
     edges = np.sqrt(ages[1:] * ages[:-1])
     prior = np.log(np.diff(np.concatenate([[0.0], edges, [longest]])) / longest)
-    prior += _normal(jump / ages, SIZE['drift']) - np.log(ages) - _normal(jump, SIZE['slip'])
+    prior += _normal(jump / ages, SIZE['drift']) - np.log(ages) - _slip(jump)
     for k, age in enumerate(ages):
         way = bank.way(joint, round(age / interval))
         if way is not None:
@@ -165,8 +167,13 @@ def end_of_fault(
             prior[k] += (way[0] * expected - 0.5 * expected**2) / way[1] ** 2
     ramps, frozen = np.ones(len(ages)), _frozen_for(estimator, sampler, joint)
     if frozen > 0:
-        gain, went, sigma, _ = stuck_bayes_factor(estimator, joint, frozen, SIZE['drift'])
-        gain += float(_normal(jump - went, sigma) - _normal(jump, SIZE['slip']))
+        gain, went, sigma = 0.0, 0.0, 0.0
+        if abs(jump) < LINEAR:
+            gain, went, sigma, _ = stuck_bayes_factor(estimator, joint, frozen, SIZE['drift'])
+        # Where nothing but the dynamics tells where the joint is, their errors add up.
+        least = STUCK_RATE * frozen * interval if sampler.derived[joint] else 0.0
+        sigma = max(sigma, least, float(sampler.scale[joint]))
+        gain += float(_normal(jump - went, sigma) - _slip(jump))
         prior, ages = np.append(prior, gain), np.append(ages, frozen * interval)
         ramps = np.append(ramps, 0.0)
     one = EndOfFault(joint, jump, float(sampler.time[-1]), prior, ages, ramps)
@@ -181,6 +188,11 @@ def _frozen_for(estimator: OffsetEstimator, sampler: Sampler, joint: int) -> int
     return (len(blocks) - 1 - int(changes[-1])) // estimator.plan.blocks if len(changes) else 0
 
 
+def _slip(jump: float) -> float:
+    """Logarithm of the density of jumps that begin a fault: usual ones, or anywhere in a turn."""
+    return float(np.logaddexp(_normal(jump, SIZE['slip']), -0.5 * np.log(2.0 * np.pi)))
+
+
 def _normal(value: float | FloatArray, sigma: float) -> FloatArray:
-    """Logarithm of a normal density."""
+    """Logarithm of a normal density, times the root of 2 pi."""
     return np.asarray(-0.5 * (np.asarray(value) / sigma) ** 2 - np.log(sigma))

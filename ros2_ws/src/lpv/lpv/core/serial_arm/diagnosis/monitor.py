@@ -37,6 +37,7 @@ from lpv.core.serial_arm.diagnosis.sampling import (
     BEFORE_STOP,
     BLOCKS,
     DELAY,
+    HIDDEN,
     IN_BLOCK,
     JUMP_SCALE,
     NOISY,
@@ -439,6 +440,9 @@ class SerialMonitor:
             elif found == SPIKE and self.sensors[i].state is not SensorState.ERROR:
                 self._event(i, 'spike', now, 'raised', 0.0, 0.0)
                 self._event(i, 'spike', now, 'cleared', 0.0, 0.0)
+            elif found == HIDDEN:
+                error = abs(float(self.sampler.size[i]))
+                self.estimator.doubt_readings(i, np.full(len(self.estimator), error))
             elif found == NOISY:
                 if i in self._filters:
                     self._forget(i)
@@ -454,19 +458,24 @@ class SerialMonitor:
         back = self._filters.get(i)
         if sensor.state is SensorState.ERROR and back is not None and back.is_scale:
             fault = float(size + self.sampler.share[i] * self.sampler.raw[i])
+        # Beside a fault that is followed, an offset from before may remain, if that explains more.
+        before = float(self.sampler.correction[i]) - size
+        beside = back is not None and not back.is_scale and abs(fault - before) < abs(fault)
+        kept = before if beside else 0.0
+        smallest = self.settings.smallest_step * self.scales[i]
         # A frozen reading that jumps is where its joint is, however uncertain that was.
         if sensor.state is SensorState.ERROR and (
             (back is not None and back.kind == 'stuck')
-            or abs(fault) < max(0.3 * abs(size), self.settings.smallest_step * self.scales[i])
+            or abs(fault - kept) < max(0.3 * abs(size), smallest)
         ):
             if sensor.level:
                 self._forget(i)
             else:
-                self._release(i, int(self.sampler.since[i]))
-            sensor.recover(now)
+                self._release(i, int(self.sampler.since[i]), kept)
+            self._remains(i, kept, now)
             return
         self._ends.pop(i, None)
-        if sensor.state is not SensorState.ERROR and self.uses_balances:
+        if back is None and self.uses_balances:
             self._ends[i] = end_of_fault(self.estimator, self.sampler, self.bank, i, size)
             sigma += float(self.jump_doubt()[i])
         self.bank.note_jump(i, now, (size, sigma), float(self.sampler.samples[-1, 0, i]))
@@ -543,13 +552,31 @@ class SerialMonitor:
             one.weigh(self.estimator)
             settled = now - one.time > 2.0 * self.plan.interval  # all samples at hand are later
             if settled and one.share >= 1.0 - self.settings.probability_of_wrong_name:
-                one.take_back(self.estimator, self.sampler)
-                self._forget(i)
-                self.sensors[i].recover(now)
-                self.bank.forget_rows(i)
-                self.healthy = self.guarantee = None  # readings were wrong
+                self._end_unnoticed(one, now)
             elif now - one.time > self.settings.horizon:
                 del self._ends[i]  # the level has been estimated without what was before
+
+    def _end_unnoticed(self, one: EndOfFault, now: float) -> None:
+        """A jump was the end of a fault; what the reading had before it may remain."""
+        i = one.joint
+        one.take_back(self.estimator, self.sampler)
+        self._correction[i] = self.sampler.correction[i]
+        self.bank.forget_rows(i)
+        self.healthy = self.guarantee = None  # readings were wrong
+        del self._ends[i]
+        left = float(self.taken_out()[i])
+        if abs(left) < self.settings.smallest_step * self.scales[i]:
+            self._forget(i)
+        self._remains(i, left, now)
+
+    def _remains(self, i: int, left: float, now: float) -> None:
+        """A fault of sensor i is over, and an offset beside it remains, if that is one."""
+        sensor = self.sensors[i]
+        if sensor.level or abs(left) < self.settings.smallest_step * self.scales[i]:
+            sensor.recover(now)
+            return
+        sensor.peak = 0.0  # it never was as large as the other one
+        self._raise(i, 'bias', sensor.onset, left, float(self.faults()[1][i]))
 
     def _add_noise(self) -> None:
         """Balances of readings that are noisy, or rounded, say less than others."""
@@ -810,12 +837,13 @@ class SerialMonitor:
         self._release(i, DELAY)
         self.estimator.doubt_readings(i, np.full(len(self.estimator), math.hypot(fault, sigma)))
 
-    def _release(self, i: int, since: int) -> None:
-        """The readings of sensor i are right again, for so many samples."""
+    def _release(self, i: int, since: int, kept: float = 0.0) -> None:
+        """The readings of sensor i are right again, for so many samples, but for an offset."""
         sampler = self.sampler
-        sampler.samples[-since:, 0, i] += float(self.taken_out()[i])
+        sampler.samples[-since:, 0, i] += float(self.taken_out()[i]) - kept
         sampler.samples[-since:, 1, i] += sampler.derived[i] * sampler.drift[i]
         self._correct_no_more(i)
+        sampler.correction[i] = self._correction[i] = kept
 
     def _forget(self, i: int) -> None:
         """Take nothing out of the readings of sensor i any more; what is estimated stays true."""

@@ -22,8 +22,9 @@ from lpv.core.support.jit import njit_in_place
 HISTORY = 8
 """Samples that are kept for the test of jumps; a sample enters the balance ``DELAY`` later."""
 DELAY = 5
-NONE, STEP, SPIKE, NOISY, QUIET = range(5)
-"""What was found at a reading; the last two say that it began, or ceased, to be noisy."""
+NONE, STEP, SPIKE, NOISY, QUIET, HIDDEN = range(6)
+"""What was found at a reading: `NOISY` and `QUIET` say that it began, or ceased, to be noisy,
+`HIDDEN` that samples are missing where it may have jumped."""
 COUNT, IN_BLOCK, IN_INTERVAL, PENDING, BLOCKS = range(5)
 """Entries of `Sampler.counters`: samples since the start, in the block; blocks in the interval;
 sensor-independent age of a jump that waits for its kind, -1 if none; blocks written."""
@@ -73,7 +74,7 @@ class Sampler(NamedTuple):
     sums: FloatArray  # of the current block, shape (3, n)
     blocks: FloatArray  # (capacity, 3 n + 3) ring: y, v, tau of blocks; mean time, length, place
     found: IntArray  # `STEP`, `SPIKE` or `NONE` of the last sample, shape (n,)
-    size: FloatArray  # height of a step that was found, shape (n,) [rad]
+    size: FloatArray  # height of a step that was found, or may be hidden, shape (n,) [rad]
     since: IntArray  # samples since that step, itself included, shape (n,)
     raw: FloatArray  # last reading as it came, shape (n,) [rad]
     still: IntArray  # samples for which the reading has not changed at all, shape (n,)
@@ -83,7 +84,7 @@ class Sampler(NamedTuple):
     grain: FloatArray  # (n,) smallest change of the reading, at least its rounding step [rad]
     noise: FloatArray  # (3, n) jumps lately, usual e^2 while noisy [rad2], correction before [rad]
     noisy: IntArray  # (n,) 1 while a reading is noisy
-    doubtful: IntArray  # (HISTORY, n) 1: a wrong stamp explains e; 2: and samples were missing
+    doubtful: IntArray  # (HISTORY, n) 1: a wrong stamp explains e; 2: of several joints; 3: a gap
     # (4, n) published rates of the last sample [rad/s]; products of what the readings' differences
     # are more than the rates around them with the changes of these, and squares of both [rad2/s2]
     published: FloatArray
@@ -318,7 +319,7 @@ def _set_jumps(sampler: Sampler) -> None:
         if together > 1:
             explained = max(explained, 2.0 * LATE * period * _largest_rate(sampler, i, k))
         if abs(sampler.jumps[k, i]) < explained:
-            sampler.doubtful[k, i] = 2
+            sampler.doubtful[k, i] = 3 if gap > 0.0 else 2
             sampler.clock[STAMPS] = 1.0
         elif _may_be_stamp(sampler, i, period):
             sampler.doubtful[k, i] = 1
@@ -543,6 +544,8 @@ def _name_jump(sampler: Sampler, i: int) -> None:
             return
     if doubt == 0 or (doubt == 1 and sampler.clock[STAMPS] == 0.0 and _lasts(sampler, i, peak)):
         _remove_step(sampler, i, peak)
+    elif doubt == 3:
+        sampler.found[i], sampler.size[i] = HIDDEN, size
 
 
 @njit_in_place
