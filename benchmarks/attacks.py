@@ -329,9 +329,7 @@ def read(bag: Path) -> tuple[dict[str, list[np.ndarray]], int]:
             for i, topic in enumerate(topics):
                 table = decoders[i].read(block, np.flatnonzero(block.connection == i))
                 if table is not None:
-                    fields = table[2].items()
-                    flat = (v[:, 0] if name == 'trustworthy' else v for name, v in fields)
-                    parts[topic].append([table[1], *flat])
+                    parts[topic].append([table[1], *table[2].values()])
     found, missing = {}, 0
     for topic, pieces in parts.items():
         columns = [np.concatenate(column) for column in zip(*pieces)]
