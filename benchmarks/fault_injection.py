@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from lpv.core.monitoring.answers import Answers
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.chain import Chain, compile_chain
@@ -50,6 +51,8 @@ JUDGED = 2.0
 """Time after the onset at which the estimated size is judged [s]."""
 CLOSE = 0.1
 """An estimate within is right [rad]."""
+ROUNDING = 1e-3
+"""Error of a recorded reading itself [rad]."""
 
 
 @dataclass(frozen=True)
@@ -82,6 +85,7 @@ KINDS = (
     Kind('drift 0.05', 'drift', 0.05, 5.0, ('drift',), 5.5, level=True),
     Kind('drift 0.1', 'drift', 0.1, 2.5, ('drift',), 3.0, level=True),
     Kind('drift 0.3', 'drift', 0.3, 1.0, ('drift',), level=True),
+    Kind('short drift', 'drift', 0.3, 0.8, ('drift',), 0.8),
     Kind('scale 20 %', 'scale', 0.2, 2.0, ('scale',), level=True),
     Kind('stuck', 'stuck', 0.0, 0.3, ('stuck',)),
     Kind('noise 0.02', 'noise', 0.02, 0.2, ('noise',)),
@@ -596,6 +600,7 @@ class Verdict:
     other: bool = False  # whether a healthy sensor was blamed
     events: int = 0
     cleared: bool | None = None
+    outside: float | None = None  # share of answers after its end, see `_outside`
     second: bool | None = None  # after the first one's end
     both: bool | None = None  # while the first one acts
     seconds: float = 0.0  # watched
@@ -731,10 +736,24 @@ def run(cell: Cell, k: int, seed: int = 1) -> Verdict:
         verdict.error = abs(estimate - truth) if np.isfinite(estimate) else np.inf
         verdict.bound = float(answers.fault.bound[row, first.sensor])
         verdict.trusted = bool(answers.state.trustworthy[row])
+    verdict.outside = None if together else _outside(answers, window)
     _judge_end(
         verdict, window, names, (told, alarms), (second_limit(cell.kind, subject.arm), together)
     )
     return verdict
+
+
+def _outside(answers: Answers, window: Window) -> float | None:
+    """Share of answers that are trusted and outside a bound, after the fault and before the next.
+
+    Samples wait for up to 0.1 s until they are used.
+    """
+    time = (window.stream.stamps - window.stream.stamps[0]) * 1e-9
+    until = window.faults[1].onset if len(window.faults) > 1 else np.inf
+    rows = (time > window.faults[0].end + 0.1) & (time < until)
+    error = np.abs(answers.fault.estimate - window.truth)[rows]
+    outside = (error > answers.fault.bound[rows] + ROUNDING).any(axis=1)
+    return float((outside & answers.state.trustworthy[rows]).mean()) if rows.any() else None
 
 
 def _judge_end(

@@ -9,7 +9,8 @@ acts.  `first` = the first alarm names the faulty sensor, `in time` = within the
 `kind` = the last kind named while the fault acts is right, `size` = estimate within 0.1 rad 2 s
 after the onset, `trusted` = estimates beyond that which were said to be trustworthy, `other` = runs
 that blame a healthy sensor, `cleared` = no alarm 3 s after the end, of what was ever alarmed,
-`second` and `both` = the second fault found in time, after the end of the first one and beside it,
+`outside` = answers after the end that are trusted with an estimate outside its bound, `second`
+and `both` = the second fault found in time, after the end of the first one and beside it,
 `crash` = runs in which the monitor raised an exception.
 
 Constants of the diagnosis may be chosen on the tuned part of the recordings.  The untouched part is
@@ -43,13 +44,14 @@ SHARES = (
     'trusted',
     'other',
     'cleared',
+    'outside',
     'second',
     'both',
     'crash',
 )
 
 
-def _share(values: Iterable[bool | None]) -> float | None:
+def _share(values: Iterable[float | None]) -> float | None:
     known = [value for value in values if value is not None]
     return round(100.0 * float(np.mean(known)), 1) if known else None
 
@@ -84,6 +86,7 @@ def summary(cell: Cell, verdicts: Sequence[Verdict]) -> Row:
         'error': round(min(float(np.median(errors)), 1e3), 4) if errors else None,
         'trusted': _share(wrong),
         'cleared': _share(v.cleared for v in verdicts),
+        'outside': _share(v.outside for v in verdicts),
         'second': _share(v.second for v in verdicts),
         'both': _share(v.both for v in verdicts),
         'named': named,
@@ -134,6 +137,7 @@ HEADINGS = {
     'kind': 'kind', 'count': 'n', 'first': 'first', 'in_time': 'in time',
     'kind_right': 'kind', 'delay': 'delay [s]', 'size': 'size', 'error': 'error [rad]',
     'trusted': 'trusted', 'other': 'other', 'events': 'events', 'cleared': 'cleared',
+    'outside': 'outside',
     'second': 'second', 'both': 'both', 'crash': 'crash',
 }  # fmt: skip
 
