@@ -42,6 +42,16 @@ def pytest_ignore_collect(collection_path):
 def pytest_configure():
     """A run that is cancelled stops the nodes that it started, as one that is interrupted does."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)
+    # A shell without job control has it ignored, and all that tests start would inherit that.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture
+def hangup_acts():
+    """SIGHUP acts, also where nohup has it ignored."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
 
 
 @pytest.fixture(scope='session')

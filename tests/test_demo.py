@@ -177,6 +177,7 @@ def test_given_an_interrupt_when_the_graph_runs_then_no_node_outlives_the_comman
     assert first['/lpv/joint_states'][0] != other['/lpv/joint_states'][0]
 
 
+@pytest.mark.usefixtures('hangup_acts')
 @pytest.mark.parametrize('number', [SIGTERM, SIGHUP])
 def test_given_a_signal_when_a_command_waits_then_its_nodes_end_and_it_has_the_shells_code(
     tmp_path, number
