@@ -600,7 +600,7 @@ class Verdict:
     other: bool = False  # whether a healthy sensor was blamed
     events: int = 0
     cleared: bool | None = None
-    outside: float | None = None  # share of answers after its end, see `_outside`
+    outside: float | None = None  # share of answers after its end, see `outside_bounds`
     second: bool | None = None  # after the first one's end
     both: bool | None = None  # while the first one acts
     seconds: float = 0.0  # watched
@@ -736,22 +736,27 @@ def run(cell: Cell, k: int, seed: int = 1) -> Verdict:
         verdict.error = abs(estimate - truth) if np.isfinite(estimate) else np.inf
         verdict.bound = float(answers.fault.bound[row, first.sensor])
         verdict.trusted = bool(answers.state.trustworthy[row])
-    verdict.outside = None if together else _outside(answers, window)
+    if not together:
+        # Samples wait for up to 0.1 s until they are used.
+        until = window.faults[1].onset if len(window.faults) > 1 else np.inf
+        span = first.end + 0.1, until
+        verdict.outside = outside_bounds(answers, stream.stamps, window.truth, span)
     _judge_end(
         verdict, window, names, (told, alarms), (second_limit(cell.kind, subject.arm), together)
     )
     return verdict
 
 
-def _outside(answers: Answers, window: Window) -> float | None:
-    """Share of answers that are trusted and outside a bound, after the fault and before the next.
+def outside_bounds(
+    answers: Answers, stamps: np.ndarray, truth: np.ndarray, span: tuple[float, float]
+) -> float | None:
+    """Share of the answers in a span that are trusted with an estimate outside its bound.
 
-    Samples wait for up to 0.1 s until they are used.
+    ``span`` is in seconds from the first sample; None if no answer is in it.
     """
-    time = (window.stream.stamps - window.stream.stamps[0]) * 1e-9
-    until = window.faults[1].onset if len(window.faults) > 1 else np.inf
-    rows = (time > window.faults[0].end + 0.1) & (time < until)
-    error = np.abs(answers.fault.estimate - window.truth)[rows]
+    time = (stamps - stamps[0]) * 1e-9
+    rows = (time > span[0]) & (time < span[1])
+    error = np.abs(answers.fault.estimate - truth)[rows]
     outside = (error > answers.fault.bound[rows] + ROUNDING).any(axis=1)
     return float((outside & answers.state.trustworthy[rows]).mean()) if rows.any() else None
 

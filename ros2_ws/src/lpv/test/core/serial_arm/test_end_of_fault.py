@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from fault_injection import BY_NAME, Injected, derived, inject, subjects
+from fault_injection import BY_NAME, Injected, derived, inject, outside_bounds, subjects
 
 pytestmark = pytest.mark.slow
 ONSET, AFTER = 4.0, 4.0
@@ -48,17 +48,15 @@ class Run:
             stamps, samples, self.truth = stamps[kept], samples[kept], self.truth[kept]
             self.time = self.time[kept]
         answers = subject.monitor().take_many(stamps, *np.moveaxis(samples, 1, 0))
+        self.answers, self.stamps = answers, stamps
         self.estimate, self.bound = answers.fault.estimate, answers.fault.bound
-        self.trusted = np.asarray(answers.state.trustworthy)
         self.events = [
             (alarm.event.name, alarm.sensor, alarm.kind) for _, alarm in answers.events
         ]  # fmt: skip
 
     def outside(self, begin, end):
         """Share of answers that are trusted with an estimate outside its bound."""
-        rows = (self.time > begin) & (self.time < end)
-        error = np.abs(self.estimate - self.truth)[rows]
-        return float(((error > self.bound[rows] + 1e-3).any(axis=1) & self.trusted[rows]).mean())
+        return outside_bounds(self.answers, self.stamps, self.truth, (begin, end))
 
     @property
     def after(self):

@@ -236,7 +236,7 @@ class Bank:
 
     def forget_rows(self, joint: int) -> None:
         """Do without the kinematic rows of a joint so far."""
-        self._kinematics.leave_out(joint, not self._kinematics.trusted[joint])
+        self._kinematics.forget(joint)
 
     def rate_row(self, joint: int) -> tuple[float, float] | None:
         """Last kinematic row of a joint and its variance [rad], [rad2]; None without one."""
@@ -737,6 +737,10 @@ class KinematicRows:
     def leave_out(self, joint: int, out: bool) -> None:
         """Do without the rows of a joint, or with those to come."""
         self.trusted[joint] = self._independent[joint] and not out
+        self.forget(joint)
+
+    def forget(self, joint: int) -> None:
+        """Do without the rows of a joint so far."""
         self._rows[:, joint] = 0.0
 
     def last(self, joint: int) -> tuple[float, float] | None:

@@ -20,6 +20,7 @@ from lpv.core.serial_arm.diagnosis.bank import SIZE, Bank
 from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator, set_residuals
 from lpv.core.serial_arm.diagnosis.fault_filter import STUCK_RATE, held_blocks
 from lpv.core.serial_arm.diagnosis.information import recent
+from lpv.core.serial_arm.diagnosis.onset import whitened
 from lpv.core.serial_arm.diagnosis.sampling import IN_BLOCK, Sampler
 from lpv.core.serial_arm.diagnosis.stuck import stuck_bayes_factor
 
@@ -126,10 +127,8 @@ class EndOfFault:
         weighted = (window.weights[at] * known[:, None]) * columns
         unknowns = window.rows[at][:, :, -len(null.mean) :]
         score = -(weighted * left).sum((1, 2))
-        cross = np.linalg.solve(
-            np.triu(null.factor).T, np.einsum('ski,kim->ms', weighted, unknowns)
-        )
-        square = (weighted * columns).sum((1, 2)) - (cross**2).sum(0)
+        cross = whitened(null, np.einsum('ski,kim->sm', weighted, unknowns))
+        square = (weighted * columns).sum((1, 2)) - (cross**2).sum(1)
         return np.asarray(score - 0.5 * np.maximum(square, 0.0))
 
 

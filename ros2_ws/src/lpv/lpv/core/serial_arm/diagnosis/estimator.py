@@ -585,17 +585,18 @@ class OffsetEstimator:
             self.window.rows[slot(self.window, back)] = rows[-1 - back]
         self.weigh_again(last)
 
-    def doubt_readings(self, joint: int, error: FloatArray) -> None:
-        """Let the last balances say less: one sensor's readings were wrong in all of them.
+    def doubt_readings(self, joint: int, error: float | FloatArray) -> None:
+        """Let the balances of the horizon say less: readings of one sensor were wrong in them.
 
         Parameters
         ----------
         joint : int
             Of the sensor.
-        error : ndarray, shape (last,)
+        error : float or ndarray, shape (len(self),)
             Standard deviation of its readings in each balance, newest first [rad].  It is one error
             for all of them, which does not average out.
         """
+        error = np.broadcast_to(error, len(self))
         at = recent(self.window, len(error))
         offset = self.window.rows[at, :, 1 + OFFSET * self.joints + joint]
         self.window.extra[at] += np.count_nonzero(error) * (error[:, None] * offset) ** 2

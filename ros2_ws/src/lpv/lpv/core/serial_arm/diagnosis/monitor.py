@@ -441,8 +441,7 @@ class SerialMonitor:
                 self._event(i, 'spike', now, 'raised', 0.0, 0.0)
                 self._event(i, 'spike', now, 'cleared', 0.0, 0.0)
             elif found == HIDDEN:
-                error = abs(float(self.sampler.size[i]))
-                self.estimator.doubt_readings(i, np.full(len(self.estimator), error))
+                self.estimator.doubt_readings(i, abs(float(self.sampler.size[i])))
             elif found == NOISY:
                 if i in self._filters:
                     self._forget(i)
@@ -835,7 +834,7 @@ class SerialMonitor:
         one = self._filters[i]
         fault, _, sigma = one.fault(float(self.sampler.raw[i]), self._last())
         self._release(i, DELAY)
-        self.estimator.doubt_readings(i, np.full(len(self.estimator), math.hypot(fault, sigma)))
+        self.estimator.doubt_readings(i, math.hypot(fault, sigma))
 
     def _release(self, i: int, since: int, kept: float = 0.0) -> None:
         """The readings of sensor i are right again, for so many samples, but for an offset."""

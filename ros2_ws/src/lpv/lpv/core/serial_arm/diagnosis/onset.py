@@ -141,7 +141,7 @@ def sudden_drift(
     square -= 2.0 * s * (overlap[:, :1] - shift * overlap[:, 1:])
     own = cross[:, None, 0] - shift[:, :, None] * cross[:, None, 1]
     own -= (1.0 - s)[:, None] * older[2][:, None] + s[:, None] * newer[2][:, None]
-    square -= (_whitened(null, own) ** 2).sum(-1)
+    square -= (whitened(null, own) ** 2).sum(-1)
     power = np.maximum(square, 0.0) + prior**-2
     gain = 0.5 * (total**2 / power - np.log(power * prior**2))
     k, place = np.unravel_index(np.argmax(np.where(np.isfinite(gain), gain, -np.inf)), gain.shape)
@@ -153,7 +153,7 @@ def sudden_drift(
     )
 
 
-def _whitened(null: Posterior, rows: FloatArray) -> FloatArray:
+def whitened(null: Posterior, rows: FloatArray) -> FloatArray:
     """U^-T of rows of products with the unknowns' columns, shape (..., m)."""
     columns = np.linalg.solve(np.triu(null.factor).T, rows.reshape(-1, rows.shape[-1]).T)
     return np.asarray(columns.T.reshape(rows.shape))
