@@ -246,7 +246,7 @@ class SerialSensorMonitor:
             )
             self.method = f'{METHOD}, unknown-input observer ({self._uio.method})'
             if self._uio.certifies:
-                self._monitor.certified_level = self._uio.level
+                self._monitor.certify(self._uio.level)
         self._gap = round(LONGEST_STEP * arm.sample_time * NANOSECONDS)
         self.retune(parameters or DiagnosisParameters())
         self._begin()

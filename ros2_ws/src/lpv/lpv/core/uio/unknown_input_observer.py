@@ -197,12 +197,15 @@ class UnknownInputObserver:
             bound=error_bound(planar, gains, sigmas),
         )
         self._state = new_record(UIO_STATE)
-        self._plain = plain(self._state)
-        self._found = self._plain['estimate']['fault'], self._plain['bound']['bound']
         # A fault of a sensor whose rate is derived from it is in the rate, too, and method paper
         # leaves model errors out: no bound is guaranteed then.
         independent = all(joint.sensors.rates == 'independent' for joint in arm.joints)
         self.certifies = independent and self.method == 'exact'
+        found = plain(self._state)
+        # Faults of the sensors and their bounds, shape (2,) [rad]; whether there are any
+        self.level = (
+            found['estimate']['fault'], found['bound']['bound'], memory(self._state)['valid']
+        )  # fmt: skip
         self._choice, self._published = CHOICES.index(choice), -1
         self.rely(True)
         self.parts = UioParts(
@@ -234,12 +237,3 @@ class UnknownInputObserver:
         self._state.losses.started = False
         reset_bound(self._state.bound)
         self._state.valid = False
-
-    def level(self) -> tuple[FloatArray, FloatArray]:
-        """Faults of the sensors and their bounds, shape (2,) [rad]; infinite bounds if unknown.
-
-        They change with the next sample.
-        """
-        if not self._plain['valid']:
-            return np.zeros(2), np.full(2, np.inf)
-        return self._found

@@ -6,8 +6,15 @@ import numpy as np
 import pytest
 from serial_arms import shoulder_arm
 
-from lpv.core.serial_arm.diagnosis.bank import KinematicRows, loudest_rows
+from lpv.core.serial_arm.diagnosis.bank import (
+    KinematicRows,
+    loudest_rows,
+    loudest_window,
+    sum_rows,
+    take_row,
+)
 from lpv.core.serial_arm.diagnosis.estimator import HorizonPlan
+from lpv.core.serial_arm.diagnosis.linear_bank import new_rows
 
 
 def sums(noise=1e-3, step=0.0, rate=0.0, jump=0.0):
@@ -24,8 +31,10 @@ def sums(noise=1e-3, step=0.0, rate=0.0, jump=0.0):
     blocks[-3 * plan.blocks :, 1] += jump
     blocks[:, 9], blocks[:, 10] = time, length
     for k in range(2 * plan.blocks, len(blocks) + 1, plan.blocks):
-        rows.take(blocks[k - 2 * plan.blocks : k])
-    return rows.sums(np.array([10]), blocks[-1])
+        take_row(rows.parts, blocks[k - 2 * plan.blocks : k], plan.interval)
+    found = new_rows(1, 3)
+    sum_rows(rows.parts, plan.interval, np.array([10]), found)
+    return found
 
 
 def test_given_a_step_of_rounding_when_weighted_then_it_is_noise_of_a_twelfth_of_its_square():
@@ -48,7 +57,7 @@ def test_given_a_reading_that_jumps_when_summed_then_its_own_row_holds_the_jump(
 def test_given_no_rows_when_asked_then_rates_do_not_agree_and_nothing_speaks():
     arm = shoulder_arm('independent')
     rows = KinematicRows(arm, HorizonPlan.of(arm.sample_time))
-    assert not rows.agrees(1, 0.0) and not rows.speaks(0.0)
+    assert not rows.agrees(1, 0.0) and not loudest_window(rows.parts, 0.05) > 0.0
 
 
 def test_given_rows_when_their_sums_are_searched_then_the_loudest_window_counts():

@@ -87,7 +87,7 @@ def test_given_a_drift_when_its_true_effect_is_taken_then_onset_and_rate_are_tho
 
 def test_given_a_reading_that_rests_when_explained_then_it_froze_when_its_rest_began(monitor):
     rested, end = 0.2, monitor.estimator.window.times.max()
-    found = monitor.bank._stuck(np.array([0.0, rested, 0.0]), np.ones(3))
+    found = monitor.bank.stuck(np.array([0.0, rested, 0.0]), np.ones(3))
     assert {(one.kind, one.joint) for one in found} == {('stuck', JOINT)}
     earliest = end - rested - 2.0 * monitor.plan.interval
     assert all(earliest <= one.begin < end for one in found)

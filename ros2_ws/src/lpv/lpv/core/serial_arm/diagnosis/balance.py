@@ -329,12 +329,16 @@ def rests(balance: Balance, joint: int) -> bool:
     return bool(low < SLOW_RATE and high > -SLOW_RATE)
 
 
+@njit_in_place
 def move_epoch(balance: Balance, epoch: float) -> None:
     """Let drifts count from another moment; what has been integrated follows."""
-    n, shift = len(balance.reference), epoch - balance.clock[EPOCH]
-    drift, offset = 1 + DRIFT * n, 1 + OFFSET * n
+    n, shift = balance.reference.shape[0], epoch - balance.clock[EPOCH]
     for part in (balance.momentum, balance.rising, balance.falling):
-        part[:, :, drift : drift + n] -= shift * part[:, :, offset : offset + n]
+        for k in range(2):
+            for i in range(n):
+                for j in range(n):
+                    offset = part[k, i, 1 + OFFSET * n + j]
+                    part[k, i, 1 + DRIFT * n + j] -= shift * offset
     balance.clock[EPOCH] = epoch
 
 

@@ -38,6 +38,7 @@ from lpv.core.serial_arm.diagnosis.balance import (
     Balance,
 )
 from lpv.core.serial_arm.diagnosis.contact import (
+    Contact,
     force_levers,
     joint_levers,
     new_contact,
@@ -45,23 +46,31 @@ from lpv.core.serial_arm.diagnosis.contact import (
     smooth_contact,
     weigh_residuals,
 )
-from lpv.core.serial_arm.diagnosis.estimator import HorizonPlan, OffsetEstimator, set_residuals
-from lpv.core.serial_arm.diagnosis.information import ROBUST, Window, factorise, slot, whiten
+from lpv.core.serial_arm.diagnosis.estimator import (
+    HorizonPlan,
+    OffsetEstimator,
+    Posterior,
+    set_residuals,
+)
+from lpv.core.serial_arm.diagnosis.information import COUNT, ROBUST, Window, factorise, slot, whiten
 from lpv.core.serial_arm.diagnosis.linear_bank import (
     COLUMNS,
     JUMP,
     ONSET,
+    Evidence,
     Kinds,
     Rows,
     gather,
     new_evidence,
+    new_rows,
 )
 from lpv.core.serial_arm.diagnosis.onset import sudden_drift_of
-from lpv.core.serial_arm.diagnosis.sampling import LATE
+from lpv.core.serial_arm.diagnosis.sampling import JUMP_SCALE, LATE, Sampler
 from lpv.core.serial_arm.diagnosis.stuck import stuck_bayes_factor
 from lpv.core.serial_arm.dynamics.momentum import mass_matrix
 from lpv.core.serial_arm.sensor_map import map_vector
-from lpv.core.support.jit import Entries, njit_in_place
+from lpv.core.support.jit import njit_in_place
+from lpv.core.support.records import memory, new_record, plain, record_type
 
 BoolArray = npt.NDArray[np.bool_]
 CONTACT = 'contact'
@@ -99,6 +108,14 @@ QUIET_EVERY = 4
 _BEFORE = 1e-12
 
 
+BANK_STATE = record_type(
+    ('statistic', 'f8'),  # logarithm of M of the last decision
+    ('waited', 'i8'),  # balances since hypotheses were compared
+    ('age', 'i8'),  # balances over which causes may have begun
+    ('windows', 'i8'),  # of the evidence, that the horizon holds
+)
+
+
 @dataclass(frozen=True)
 class Hypothesis:
     """One cause with one start, and how well it explains the balances."""
@@ -123,17 +140,6 @@ class Hypothesis:
         return ('encoder' if self.is_encoder else self.kind, self.joint)
 
 
-@njit_in_place
-def set_momenta(
-    balance: Balance, window: Window, mixing: FloatArray, mass: FloatArray, matrix: FloatArray
-) -> None:
-    """Write M S^-1 of the newest balance; ``mixing`` is S^-T, ``matrix`` scratch."""
-    at = slot(window, 0)
-    mass_matrix(balance.chain, window.poses[at], balance.work, matrix)
-    for i in range(matrix.shape[0]):
-        map_vector(mixing, matrix[i], mass[at, i])
-
-
 class Bank:
     """Bank of one arm.
 
@@ -154,10 +160,7 @@ class Bank:
 
     def __init__(self, arm: SerialArm, estimator: OffsetEstimator, push: FloatArray) -> None:
         self.estimator, plan, n = estimator, estimator.plan, estimator.joints
-        self._push, self.statistic = push, -np.inf
-        self._to_sensors = arm.joints_to_sensors()
-        self._mixing = arm.sensors_to_joints().T.copy()
-        self._matrix = np.zeros((n, n))
+        self._push = push
         lengths = sorted({max(1, round(one / plan.interval)) for one in STARTS})
         self._lengths = np.array(lengths)
         # A start of the grid stands for those up to the next longer one.
@@ -165,14 +168,18 @@ class Bank:
         self._outside = new_contact([*lengths, ONSET + 1], push, plan.interval, plan.capacity)
         self._derived = estimator.balance.derived == 1.0
         self._kinematics = KinematicRows(arm, plan)
-        self._waited, self._age = 0, 0
-        self._jumped: list[tuple[float, float, float] | None] = [None] * n
         self._mass = np.zeros((plan.capacity, n, n))
-        self._call = Entries()
         self._hypotheses()
         self._evidence = new_evidence(
             self._lengths, self._starts, self._kinds, len(estimator.prior)
         )
+        state = new_record(BANK_STATE, statistic=-np.inf)
+        self._state = plain(state)
+        self.parts = BankParts(
+            self._kinds, self._evidence, self._outside, self._kinematics.parts,
+            new_rows(len(lengths), n), self._mass, np.zeros((n, n)),
+            arm.sensors_to_joints().T.copy(), arm.joints_to_sensors(), np.zeros(n), memory(state),
+            plan.interval, self._log_weight)  # fmt: skip
 
     def _hypotheses(self) -> None:
         """Kinds with their columns as sums of the seven, priors, and the sensors they apply to.
@@ -208,14 +215,12 @@ class Bank:
             for kind in self._names
         ])  # fmt: skip
         self._kinds = Kinds(basis, prior, applies, len(single), SIZE['slip'])
-        self._log_weight = -np.log(1 + applies.sum() + n)
+        self._log_weight = float(-np.log(1 + applies.sum() + n))
 
-    def take(self, blocks: FloatArray) -> None:
-        """Take the blocks of the last two intervals, rows as of `Sampler.blocks`."""
-        self._age += 1
-        self._kinematics.take(blocks)
-        window, balance = self.estimator.window, self.estimator.balance
-        self._call(set_momenta, balance, window, self._mixing, self._mass, self._matrix)
+    @property
+    def statistic(self) -> float:
+        """Logarithm of M of the last decision."""
+        return float(self._state['statistic'])
 
     def momenta(self, back: int) -> FloatArray:
         """Momenta by unit rates of the readings, M S^-1, at one of the last balances."""
@@ -228,7 +233,7 @@ class Bank:
 
     def restart_statistic(self) -> None:
         """Let causes begin from now on only, as after an alarm."""
-        self._age = 0
+        self._state['age'] = 0
 
     def leave_out_rate(self, joint: int, out: bool) -> None:
         """Do without the kinematic rows of a joint one of whose sensors has failed, or not."""
@@ -270,86 +275,39 @@ class Bank:
             Without the jump [rad].
         """
         self._kinematics.note_jump(joint, size[1] ** 2)
-        jumped = abs(size[0]) < LARGEST_SCALE * abs(reading)
-        found = time, size[0] / reading, size[1] / abs(reading)
-        self._jumped[joint] = found if jumped else None
-
-    def _scales_that_jumped(self, count: int) -> list[Hypothesis]:
-        """Scale errors of the sizes that jumps of the readings had."""
-        found, windows = [], self._evidence
-        for i, jump in enumerate(self._jumped):
-            if jump is None:
-                continue
-            time, share, sigma = jump
-            # It goes on as it began: a change in proportion to the way, by a share that is known.
-            since = time - 2.0 * self.estimator.plan.interval
-            for w in np.nonzero(windows.begin[:count] >= since)[0]:
-                column = np.zeros(COLUMNS)
-                column[SCALE], column[OFFSET] = 1.0, -windows.pose[w, i]
-                power = float(column @ windows.information[w, i] @ column) + sigma**-2
-                pull = column @ windows.score[w, i] + share / sigma**2
-                gain = pull**2 / power - (share / sigma) ** 2 - np.log(power * sigma**2)
-                found.append(Hypothesis(
-                    'scale', i, 0.5 * float(gain), float(pull / power), power**-0.5,
-                    float(windows.begin[w]), float(self._starts[w]), True))  # fmt: skip
-        return found
+        jump = self._evidence.jump[joint]
+        jump[:] = time, size[0] / reading, size[1] / abs(reading)
+        if not abs(size[0]) < LARGEST_SCALE * abs(reading):
+            jump[0] = np.inf
 
     def rate_agrees(self, joint: int, taken_out: float) -> bool:
         """Whether rate and encoder of a joint have agreed of late, but for what is taken out."""
         return self._kinematics.agrees(joint, taken_out)
 
-    def evaluate(
-        self,
-        blocks: Callable[[int], FloatArray],
-        rest: tuple[FloatArray, FloatArray],
-        unseen: Callable[[], FloatArray],
-        threshold: float,
+    def compare(
+        self, blocks: Callable[[int], FloatArray], stuck: list[Hypothesis]
     ) -> list[Hypothesis]:
-        """Compare all hypotheses; `statistic` is written.
+        """Compare all hypotheses one by one, after `ask_bank`; `statistic` is written.
 
         Parameters
         ----------
         blocks : callable
             Blocks of so many last intervals, oldest first.
-        rest : tuple of ndarray, shape (n,)
-            For how long each reading has not changed at all [s], 0 where it is not conspicuous;
-            and its speed before [rad/s].
-        unseen : callable
-            Largest jump of each reading that may not have been seen, shape (n,) [rad].
-        threshold : float
-            Of the statistic: hypotheses that take more time are left out well below.
+        stuck : list of Hypothesis
+            Of `stuck`.
 
         Returns
         -------
         list of Hypothesis
             The best first.
         """
-        stuck = self._stuck(*rest)
-        self._waited += 1
-        if (
-            self._waited < QUIET_EVERY
-            and not stuck
-            and not self._kinematics.speaks(QUIET * threshold)
-        ):
-            return []
-        count = self._held()
-        if count == 0:
-            self.statistic = -np.inf
-            return []
-        every, pushed = self._gather(count, blocks(1)[-1], unseen())
-        self.statistic = float(np.logaddexp(every, pushed) + self._log_weight)
-        self._kinematics.learn(self.statistic < QUIET * threshold)
-        self._waited = 0 if self.statistic < QUIET * threshold else QUIET_EVERY
-        jumped = self._scales_that_jumped(count)
-        seen = stuck or any(one.gain > QUIET * threshold for one in jumped)
-        if self.statistic < LOUD * threshold and not seen:
-            return []
-        found = stuck + self._named(count) + jumped
+        count = int(self._state['windows'])
+        found = stuck + self._named(count)
         if self._derived.any():
             found += self._sudden(blocks, count)
         # Rows that are near zero throughout, as of a constant reading, say nothing.
         found = [one for one in found if np.isfinite(one.gain)]
-        self.statistic = self._sum(found)
+        self._state['statistic'] = self._sum(found)
         return sorted(found, key=lambda one: -one.gain)
 
     def _sum(self, found: list[Hypothesis]) -> float:
@@ -375,22 +333,6 @@ class Bank:
         shares = {cause: float(np.exp(value - total)) for cause, value in logarithms.items()}
         return dict(sorted(shares.items(), key=lambda item: -item[1]))
 
-    def _held(self) -> int:
-        """Windows that the horizon holds."""
-        held = min(len(self.estimator), self._age + 1)
-        return int((self._lengths < held).sum())
-
-    def _gather(self, count: int, block: FloatArray, unseen: FloatArray) -> tuple[float, float]:
-        """Write the evidence of so many windows; the last block holds the readings."""
-        estimator = self.estimator
-        balance = estimator.balance
-        frame = self._to_sensors, balance.reference
-        times = float(balance.clock[EPOCH]), estimator.plan.interval
-        rows = self._kinematics.sums(self._lengths[:count], block)
-        return self._call(
-            gather, self._evidence, self._kinds, estimator.window, estimator.posterior,
-            self._outside, rows, self._mass, frame, times, unseen, count)  # fmt: skip
-
     def _named(self, count: int) -> list[Hypothesis]:
         """Hypotheses of the evidence, and contact, one by one."""
         one, starts = self._evidence, self._starts
@@ -404,10 +346,24 @@ class Bank:
             Hypothesis(CONTACT, -1, float(gain), 0.0, 0.0, float(one.begin[w]), float(starts[w]))
             for w, gain in enumerate(one.contact[:count])
         ]
+        gain, size, sigma = one.scales
+        found += [
+            Hypothesis('scale', int(i), float(gain[i, w]), float(size[i, w]), float(sigma[i, w]),
+                       float(one.begin[w]), float(starts[w]), True)
+            for i, w in zip(*np.nonzero(gain[:, :count] > -np.inf))
+        ]  # fmt: skip
         return found
 
-    def _stuck(self, resting: FloatArray, speed: FloatArray) -> list[Hypothesis]:
-        """Readings that rest while their joints move."""
+    def stuck(self, resting: FloatArray, speed: FloatArray) -> list[Hypothesis]:
+        """Readings that rest while their joints move.
+
+        Parameters
+        ----------
+        resting : ndarray, shape (n,)
+            For how long each reading has not changed at all [s], 0 where it is not conspicuous.
+        speed : ndarray, shape (n,)
+            Speeds before [rad/s].
+        """
         found, interval = [], self.estimator.plan.interval
         for i, time in enumerate(resting.tolist()):
             if time == 0.0:
@@ -552,7 +508,104 @@ class Kinematics(NamedTuple):
     lag: FloatArray  # (n,) of rates behind readings, as differences and filtered ones do [s]
     lag_known: FloatArray  # (n,) its information [1/s2]
     stamps: FloatArray  # (1,) variance of a block's time [s2]
+    latest: float  # the largest of these that is plausible [s2]
     matrix: FloatArray  # (2, n, n) scratch
+
+
+class BankParts(NamedTuple):
+    """Memory of the bank."""
+
+    kinds: Kinds
+    evidence: Evidence
+    outside: Contact
+    kinematics: Kinematics
+    rows: Rows
+    mass: FloatArray  # (capacity, n, n) M S^-1 of each balance
+    matrix: FloatArray  # (n, n) scratch
+    mixing: FloatArray  # (n, n) S^-T
+    to_sensors: FloatArray  # (n, n) S
+    unseen: FloatArray  # (n,) largest jump of each reading that may not have been seen [rad]
+    state: np.ndarray  # memory of a record of `BANK_STATE`
+    interval: float  # [s]
+    log_weight: float  # of a hypothesis
+
+
+@njit_in_place
+def take_rows(bank: BankParts, balance: Balance, window: Window, blocks: FloatArray) -> None:
+    """Take the balance that has joined the window; ``blocks`` are those of its two intervals."""
+    at, n, independent = slot(window, 0), bank.matrix.shape[0], False
+    bank.state[0].age += 1
+    for i in range(n):
+        independent = independent or bank.kinematics.independent[i]
+    if independent:
+        take_row(bank.kinematics, blocks, bank.interval)
+    mass_matrix(balance.chain, window.poses[at], balance.work, bank.matrix)
+    for i in range(n):
+        map_vector(bank.mixing, bank.matrix[i], bank.mass[at, i])
+
+
+@njit_in_place
+def ask_bank(
+    bank: BankParts,
+    window: Window,
+    null: Posterior,
+    balance: Balance,
+    sampler: Sampler,
+    block: FloatArray,
+    threshold: float,
+    rests: bool,
+) -> bool:
+    """Evaluate the statistic, every few balances or where there is reason to.
+
+    Parameters
+    ----------
+    bank : BankParts
+        Changed.
+    window, null, balance : Window, Posterior, Balance
+        The null hypothesis, whose residuals are written.
+    sampler : Sampler
+        Says how large jumps are that may not have been seen.
+    block : ndarray, shape (3 n + 3,)
+        The last one.
+    threshold : float
+        Of the statistic.
+    rests : bool
+        Whether a reading is conspicuous because it rests.
+
+    Returns
+    -------
+    bool
+        Whether hypotheses have to be compared one by one.
+    """
+    state, lengths, n = bank.state[0], bank.evidence.lengths, bank.matrix.shape[0]
+    own, rows, quiet = bank.kinematics, bank.rows, QUIET * threshold
+    state.waited += 1
+    if state.waited < QUIET_EVERY and not rests and not loudest_window(own, bank.interval) > quiet:
+        return False
+    state.windows = 0
+    for length in lengths:
+        state.windows += length < min(window.counters[COUNT], state.age + 1)
+    if state.windows == 0:
+        state.statistic = -np.inf
+        return False
+    rows.span[:], rows.weight[:], rows.found[:] = 0.0, 0.0, 0.0
+    for i in range(n):
+        rows.reading[i] = block[i]
+        bank.unseen[i] = max(JUMP_SCALE * sampler.scale[i], sampler.smallest[i])
+    sum_rows(own, bank.interval, lengths[: state.windows], rows)
+    every, pushed = gather(
+        bank.evidence, bank.kinds, window, null, bank.outside, rows, bank.mass,
+        (bank.to_sensors, balance.reference), (balance.clock[EPOCH], bank.interval), bank.unseen,
+        state.windows)  # fmt: skip
+    state.statistic = np.logaddexp(every, pushed) + bank.log_weight
+    if state.statistic < quiet and own.held[0] > 1:
+        learn_rows(own, bank.interval)
+    state.waited = 0 if state.statistic < quiet else QUIET_EVERY
+    jumped = False
+    for i in range(n):
+        for w in range(state.windows):
+            jumped = jumped or bank.evidence.scales[0, i, w] > quiet
+    return rests or jumped or not state.statistic < LOUD * threshold
 
 
 @njit_in_place
@@ -663,7 +716,7 @@ def _doubt_stamps(own: Kinematics, count: int, weight: FloatArray, found: FloatA
 
 
 @njit_in_place
-def learn_rows(own: Kinematics, interval: float, latest: float) -> None:
+def learn_rows(own: Kinematics, interval: float) -> None:
     """Learn how much rows scatter; constant errors of rates do not count as scatter."""
     n, most, power, late = own.lag.shape[0], own.rows.shape[0], 0.0, 0.0
     for i in range(n):
@@ -677,8 +730,8 @@ def learn_rows(own: Kinematics, interval: float, latest: float) -> None:
             late += rate / expected * change
     # An error d of a stamp moves the rows of all sensors by their rates.  The difference of two
     # rows holds d of three blocks, once, twice and once.
-    if power * latest >= 1.0:  # else too slow to tell
-        seen = min(((late / power) ** 2 - 1.0 / power) / 6.0, latest)
+    if power * own.latest >= 1.0:  # else too slow to tell
+        seen = min(((late / power) ** 2 - 1.0 / power) / 6.0, own.latest)
         own.stamps[0] = max(own.stamps[0] + (seen - own.stamps[0]) / 64.0, 0.0)
 
 
@@ -701,38 +754,32 @@ class KinematicRows:
         ])  # fmt: skip
         rate = np.array([one.velocity_noise for one in sensors])
         least, most = NEGLIGIBLE * arm.scales(), round(max(STARTS) / plan.interval) + 1
-        self._latest = (LATE * arm.sample_time) ** 2 / plan.per_block
+        latest = (LATE * arm.sample_time) ** 2 / plan.per_block
         independent = np.array([one.rates == 'independent' for one in sensors])
-        self._own = Kinematics(
+        self.parts = Kinematics(
             np.zeros((most, n)), np.zeros((most, n)), np.zeros((most + 1, n)),
             np.zeros(1, np.int64), np.zeros((2, n)),
             independent, independent.copy(),
             2.0 * reading / plan.per_block + least**2, rate**2 * arm.sample_time,
             np.maximum(RATE_BIAS * rate, 4.0 * least), np.ones(n), np.zeros(n),
-            np.full(n, 1.0 / arm.sample_time**2), np.array([WRONG_STAMPS * self._latest]),
-            np.zeros((2, n, n)))  # fmt: skip
-        self._independent, self.trusted = self._own.independent, self._own.trusted
-        self._call = Entries()
+            np.full(n, 1.0 / arm.sample_time**2), np.array([WRONG_STAMPS * latest]),
+            latest, np.zeros((2, n, n)))  # fmt: skip
+        self._independent, self.trusted = self.parts.independent, self.parts.trusted
 
     @property
     def _rows(self) -> FloatArray:
         """Rows at hand, oldest first."""
-        return self._own.rows[len(self._own.rows) - self._own.held[0] :]
+        return self.parts.rows[len(self.parts.rows) - self.parts.held[0] :]
 
     def restart(self) -> None:
         """Forget the rows so far."""
-        self._own.held[:] = 0
-        self._own.jumps[:] = 0.0
+        self.parts.held[:] = 0
+        self.parts.jumps[:] = 0.0
 
     def note_jump(self, joint: int, variance: float) -> None:
         """A jump was taken out of readings that are still to come, with some error [rad2]."""
         # It may belong to the next row or to the one after.
-        self._own.jumps[:, joint] += variance
-
-    def take(self, blocks: FloatArray) -> None:
-        """Add the row of the last interval; rows as of `Sampler.blocks`, of two intervals."""
-        if self._independent.any() and len(blocks) > 1:
-            self._call(take_row, self._own, blocks, self._interval)
+        self.parts.jumps[:, joint] += variance
 
     def leave_out(self, joint: int, out: bool) -> None:
         """Do without the rows of a joint, or with those to come."""
@@ -774,14 +821,10 @@ class KinematicRows:
 
     def _variance_of(self, counts: IntArray) -> FloatArray:
         """Variances of the sums of so many last rows, shape (W, n) [rad2]."""
-        own, span = self._own, self._interval * counts[:, None]
+        own, span = self.parts, self._interval * counts[:, None]
         variance = own.inflation * (own.ends + own.walk * span) + (own.bias * span) ** 2
         jumps = own.variances[::-1][: len(self._rows)]
         return np.asarray(variance + np.cumsum(jumps, axis=0)[counts - 1])
-
-    def speaks(self, evidence: float) -> bool:
-        """Whether the rows of any window contradict healthy sensors by so much evidence."""
-        return bool(self._call(loudest_window, self._own, self._interval) > evidence)
 
     def agrees(self, joint: int, taken_out: float) -> bool:
         """Whether there are rows of the last half second, and they are those of healthy sensors.
@@ -793,30 +836,3 @@ class KinematicRows:
             return False
         left = rows.sum() - taken_out * len(rows) * self._interval
         return bool(left**2 < 9.0 * self._variance_of_last(joint, len(rows)))
-
-    def learn(self, healthy: bool) -> None:
-        """Learn how much rows scatter; constant errors of rates do not count as scatter."""
-        if healthy and self._own.held[0] > 1:
-            self._call(learn_rows, self._own, self._interval, self._latest)
-
-    def sums(self, lengths: IntArray, block: FloatArray) -> Rows:
-        """Sums of the rows of windows.
-
-        Parameters
-        ----------
-        lengths : ndarray of int, shape (W,)
-            Balances of the windows.
-        block : ndarray, shape (3 n + 3,)
-            The last block.
-
-        Returns
-        -------
-        Rows
-            Of no weight where there are no rows.
-        """
-        shape = len(lengths), len(self._independent)
-        rows = Rows(
-            np.zeros(len(lengths)), np.zeros(shape), np.zeros(shape), block[: shape[1]].copy()
-        )
-        self._call(sum_rows, self._own, self._interval, lengths, rows)
-        return rows

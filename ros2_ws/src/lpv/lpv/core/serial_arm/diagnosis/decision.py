@@ -1,13 +1,97 @@
-"""What is computed at every decision, compiled; `monitor` decides."""
+"""What is computed at every decision, compiled; `monitor` does what only a suspicion needs.
+
+`decide` goes through the stages of a decision, and leaves where Python has to do one of them.
+"""
+
+from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
-from lpv.core.serial_arm.chain import FloatArray
-from lpv.core.serial_arm.diagnosis.balance import OFFSET
-from lpv.core.serial_arm.diagnosis.estimator import Posterior
-from lpv.core.serial_arm.diagnosis.information import Window, slot
-from lpv.core.serial_arm.diagnosis.sampling import Sampler
+from lpv.core.serial_arm.chain import FloatArray, IntArray
+from lpv.core.serial_arm.diagnosis.balance import OFFSET, Balance
+from lpv.core.serial_arm.diagnosis.bank import BankParts, ask_bank, take_rows
+from lpv.core.serial_arm.diagnosis.estimator import (
+    Posterior,
+    estimate_all,
+    has_moved,
+    take_balances,
+    weigh_all,
+)
+from lpv.core.serial_arm.diagnosis.healthy_set import HealthyRing, take_healthy
+from lpv.core.serial_arm.diagnosis.information import NEXT, Window, slot
+from lpv.core.serial_arm.diagnosis.sampling import BLOCKS, Sampler
 from lpv.core.support.jit import njit_in_place
+from lpv.core.support.records import record_type
+
+
+class Stage(IntEnum):
+    """Where in a decision to go on; Python does those that say so, if they are due."""
+
+    TAKE = 0  # the balance joins the horizon
+    FOLLOW = 1  # Python: faults that are followed
+    ESTIMATE = 2
+    LINEARISE = 3  # Python: the estimate has left the point of linearisation
+    ENDS = 4  # Python: jumps that may have been ends of faults
+    GUARANTEE = 5  # Python: guaranteed thresholds are due
+    REST = 6  # Python: readings rest
+    ASK = 7
+    NAME = 8  # Python: hypotheses are compared, or suspects are none any more
+    LEVELS = 9
+    RAISE = 10  # Python: offsets are beyond what a healthy arm shows
+    END = 11  # Python: faults that may be over
+    DONE = 12
+
+
+_TAKE, _FOLLOW, _ESTIMATE, _LINEARISE, _ENDS, _GUARANTEE, _REST, _ASK, _NAME, _LEVELS = range(10)
+_RAISE, _END, _DONE = range(10, 13)
+GUARANTEE_SHARE = 4
+"""Guaranteed thresholds change over the horizon: so often in it they are evaluated anew."""
+STILL_TIME = 0.05
+"""A reading without any change for longer rests [s]."""
+DECISION = record_type(
+    ('stage', 'i8'),
+    ('now', 'f8'),  # [s]
+    # What `monitor` knows:
+    ('learns', '?'),  # nothing contradicts a healthy arm
+    ('follows', '?'),  # faults are followed
+    ('ends', '?'),  # jumps may have been ends of faults
+    ('guarantees', '?'),  # nothing has been wrong of which guarantees know nothing
+    ('suspects', '?'),  # several causes are suspected
+    ('pushed', '?'),  # ... or torques from outside are
+    ('active', '?'),  # alarms are up that may end
+    ('threshold', 'f8'),  # of the statistic
+    ('limits', 'f8', (7,)),  # as of `find_levels`
+    ('sample_time', 'f8'),  # [s]
+    # What was found:
+    ('rests', '?'),  # a reading is conspicuous because it rests
+    ('asked', '?'),  # hypotheses have to be compared
+)
+
+
+Certified = tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]
+
+
+class Parts(NamedTuple):
+    """What decisions are made of."""
+
+    state: np.ndarray  # memory of a record of `DECISION`
+    sampler: Sampler
+    balance: Balance
+    window: Window
+    null: Posterior
+    slow: Window | None
+    level: Posterior
+    since_linearised: IntArray
+    healthy: HealthyRing
+    bank: BankParts
+    prior: FloatArray  # as of `find_levels`, as those that follow
+    known: FloatArray
+    certified: Certified
+    scales: FloatArray
+    beyond: FloatArray
+    recent: FloatArray  # (2 B, 3 n + 3) the B blocks of each of the last two intervals
 
 
 @njit_in_place
@@ -69,9 +153,9 @@ def find_levels(
     level: Posterior,
     prior: FloatArray,
     known: FloatArray,
-    certified: tuple[FloatArray, FloatArray],
+    certified: Certified,
     scales: FloatArray,
-    limits: tuple[float, float, float, float, float, float, float],
+    limits: FloatArray,
     beyond: FloatArray,
 ) -> bool:
     """Which offsets are beyond what a healthy arm shows.
@@ -84,11 +168,12 @@ def find_levels(
         Standard deviations of which nothing is known; the offsets' come first [rad].
     known : ndarray, shape (n,)
         For how long each offset has been diagnosable; changed [s].
-    certified : tuple of ndarray, shape (n,)
-        Offsets by an observer that certifies them, and the bounds of a healthy arm [rad].
+    certified : tuple of ndarray
+        Offsets by an observer that certifies them, and the bounds of a healthy arm, shape (n,)
+        [rad]; whether they hold, shape (1,).
     scales : ndarray, shape (n,)
         Of thresholds.
-    limits : tuple
+    limits : ndarray, shape (7,)
         Standard deviation that says nothing, smallest level [rad]; standard deviations in a bound;
         length of an interval, of the horizon [s]; log Bayes factors needed within the first
         horizon, and later.
@@ -114,7 +199,69 @@ def find_levels(
             # and every horizon is another chance of a false alarm.
             if gain > (at_start if known[i] < horizon else later) and abs(offset) > least:
                 beyond[0, i], some = gain, True
-        fault, bound = certified[0][i], certified[1][i]
+        fault, bound = certified[0][i], certified[1][i] if certified[2][0] else np.inf
         if abs(fault) > max(bound, least) and abs(offset - fault) < bound + sigmas * sigma:
             beyond[1, i], some = 1.0, True
     return some
+
+
+@njit_in_place
+def decide(parts: Parts) -> None:
+    """Go on with a decision from its stage on, until Python has to do something or it is done."""
+    state, window, bank = parts.state[0], parts.window, parts.bank
+    horizon = window, parts.null, parts.slow, parts.level
+    interval = bank.interval
+    if state.stage == _TAKE:
+        _copy_recent(parts.sampler, parts.recent)
+        if state.guarantees:
+            half = parts.recent.shape[0] // 2
+            take_healthy(
+                parts.healthy, window, parts.balance.rows, parts.recent, half, not state.suspects
+            )
+        take_balances(*horizon, parts.balance, state.now, state.learns)
+        take_rows(bank, parts.balance, window, parts.recent)
+        state.stage = _FOLLOW if state.follows else _ESTIMATE
+    if state.stage == _ESTIMATE:
+        momenta, samples = bank.mass[slot(window, 0)], round(interval / state.sample_time)
+        if add_noise(window, parts.null, parts.sampler, momenta, (interval, samples)):
+            weigh_all(*horizon, 1)
+        estimate_all(*horizon, parts.since_linearised, interval, state.learns)
+        moved = has_moved(window, parts.level, parts.balance, parts.since_linearised)
+        state.stage = _LINEARISE if moved else _ENDS
+    if state.stage == _ENDS and not state.ends:
+        state.stage = _GUARANTEE
+    if state.stage == _GUARANTEE:
+        every = window.times.shape[0] // GUARANTEE_SHARE
+        if not state.guarantees or window.counters[NEXT] % every != 0:
+            state.stage, state.rests = _REST, False
+    if state.stage == _REST:
+        longest = 0
+        for still in parts.sampler.still:
+            longest = max(longest, still)
+        if longest * state.sample_time <= STILL_TIME:
+            state.stage = _ASK
+    if state.stage == _ASK:
+        last = parts.recent.shape[0] - 1
+        state.asked = ask_bank(
+            bank, window, parts.null, parts.balance, parts.sampler, parts.recent[last],
+            state.threshold, state.rests)  # fmt: skip
+        quiet = bank.state[0].statistic < state.threshold and not (state.suspects or state.pushed)
+        state.stage = _LEVELS if quiet and not state.asked else _NAME
+    if state.stage == _LEVELS:
+        some = find_levels(
+            parts.level, parts.prior, parts.known, parts.certified, parts.scales, state.limits,
+            parts.beyond)  # fmt: skip
+        state.stage = _RAISE if some else _END
+    if state.stage == _END and not state.active:
+        state.stage = _DONE
+
+
+@njit_in_place
+def _copy_recent(sampler: Sampler, recent: FloatArray) -> None:
+    """Copy the last blocks, oldest first."""
+    count, capacity = recent.shape[0], sampler.blocks.shape[0]
+    first = sampler.counters[BLOCKS] - count
+    for k in range(count):
+        row = sampler.blocks[(first + k) % capacity]
+        for c in range(row.shape[0]):
+            recent[k, c] = row[c]

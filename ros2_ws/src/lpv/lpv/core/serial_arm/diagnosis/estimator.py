@@ -13,7 +13,7 @@ import numpy as np
 
 from lpv.core.serial_arm.chain import COULOMB as DRY
 from lpv.core.serial_arm.chain import VISCOUS as WET
-from lpv.core.serial_arm.chain import Chain, FloatArray, compile_chain
+from lpv.core.serial_arm.chain import Chain, FloatArray, IntArray, compile_chain
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.balance import (
     DRIFT,
@@ -51,7 +51,7 @@ from lpv.core.serial_arm.diagnosis.parameter_error import (
     parameter_factor,
     typical_torque,
 )
-from lpv.core.support.jit import Entries, njit, njit_in_place
+from lpv.core.support.jit import Entries, njit_in_place
 
 OFFSET_PRIOR = 0.5
 """Standard deviation of an offset of which nothing is known [rad]."""
@@ -120,6 +120,7 @@ class Posterior(NamedTuple):
     weights: FloatArray  # inverse variances of the balances, newest first, shape (capacity, n)
     recalled: FloatArray  # (1 + m, m) scratch
     inverse: FloatArray  # (m, n) scratch
+    sizes: FloatArray  # (capacity,) scratch
 
 
 @njit_in_place
@@ -251,6 +252,11 @@ def take_balances(
     learn: bool,
 ) -> None:
     """As `take_balance`, for the estimate of levels as well."""
+    n = balance.reference.shape[0]
+    if window.counters[NEXT] % window.times.shape[0] == 0:  # drifts stay small over days
+        shift = time - balance.clock[EPOCH]
+        move_drifts(window, 1 + DRIFT * n, 1 + OFFSET * n, n, shift)
+        move_epoch(balance, time)
     take_balance(window, null, balance, time, learn)
     if slow is not None:
         join(slow, time, slow.rows[0], PAST_WEIGHT if learn else -PAST_WEIGHT)
@@ -292,14 +298,36 @@ def copy_unknowns(source: Window, window: Window, last: int) -> None:
             window.rest[at, i], window.extra[at, i] = source.rest[at, i], source.extra[at, i]
 
 
-def copy_noise(source: Posterior, level: Posterior, lasting: float) -> None:
+@njit_in_place
+def estimate_all(
+    window: Window,
+    null: Posterior,
+    slow: Window | None,
+    level: Posterior,
+    since: IntArray,
+    interval: float,
+    learn: bool,
+) -> None:
+    """Estimate anew, after `take_balances`; parameters as those of `OffsetEstimator`."""
+    since[0] += 1
+    known = window.counters[NEXT] * interval > NOISE_KNOWN_AFTER
+    if (learn or not known) and window.counters[NEXT] % _NOISE_EVERY == 0:
+        learn_noise(window, null)
+        if slow is not None:
+            _copy_noise(null, level, _POSE_TIME / interval)
+    solve_all(window, null, slow, level)
+
+
+@njit_in_place
+def _copy_noise(source: Posterior, level: Posterior, lasting: float) -> None:
     """Take over what was learned of the noise, all of which lasts as long as a pose.
 
     ``lasting`` is that time in balances.  What an identified arm is known to miss remains.
     """
-    level.noise[:], level.rest[:] = source.noise, source.rest
-    least = np.maximum(level.systematic / level.noise**2, lasting)
-    level.inflation[:] = np.maximum(source.inflation, least)
+    for i in range(source.noise.shape[0]):
+        level.noise[i], level.rest[i] = source.noise[i], source.rest[i]
+        least = max(level.systematic[i] / (level.noise[i] * level.noise[i]), lasting)
+        level.inflation[i] = max(source.inflation[i], least)
 
 
 @njit_in_place
@@ -311,12 +339,12 @@ def _make_absolute(rows: FloatArray, reference: FloatArray) -> None:
             rows[i, 0] -= rows[i, 1 + OFFSET * n + j] * reference[j]
 
 
-@njit
+@njit_in_place
 def learn_noise(window: Window, null: Posterior) -> None:
     """Size and correlation of what the arm's model does not explain, from the horizon."""
     count, n = window.counters[COUNT], null.noise.shape[0]
     set_residuals(window, null, count)
-    values, trusted = np.empty(count), 0
+    values, trusted = null.sizes, 0
     for back in range(count):
         trusted += window.trust[slot(window, back)] == 1.0
     share = _share(trusted)
@@ -396,14 +424,14 @@ def misfit(null: Posterior) -> float:
 
 
 @njit_in_place
-def largest_step(level: Posterior, reference: FloatArray) -> float:
-    """Largest way from the point of linearisation to an offset that has surely moved [rad]."""
+def has_moved(window: Window, level: Posterior, balance: Balance, since: IntArray) -> bool:
+    """Whether an offset has surely left the point of linearisation."""
     largest = 0.0
-    for i in range(reference.shape[0]):
-        step = abs(level.mean[i] - reference[i])
+    for i in range(balance.reference.shape[0]):
+        step = abs(level.mean[i] - balance.reference[i])
         if step > _SURE * level.sigma[i]:
             largest = max(largest, step)
-    return largest
+    return since[0] >= max(3, window.counters[COUNT] // 10) and largest > _LINEAR_WITHIN
 
 
 class OffsetEstimator:
@@ -450,8 +478,8 @@ class OffsetEstimator:
         if systematic.any():
             self.level = _prior_posterior(self.prior, noise, rest, systematic, plan.capacity)
             self._slow = new_window(n, 0, len(self.prior), plan.capacity)
-        self._since_linearised = 0
-        self._call, self._parts = Entries(), (self.window, self.posterior, self._slow, self.level)
+        self.since_linearised = np.zeros(1, np.int64)  # balances
+        self._call, self.parts = Entries(), (self.window, self.posterior, self._slow, self.level)
 
     def __len__(self) -> int:
         """Balances in the horizon."""
@@ -485,29 +513,19 @@ class OffsetEstimator:
 
     def estimate(self, learn: bool) -> None:
         """Estimate anew, after `take`."""
-        self._since_linearised += 1
-        known = self.window.counters[NEXT] * self.plan.interval > NOISE_KNOWN_AFTER
-        if (learn or not known) and self.window.counters[NEXT] % _NOISE_EVERY == 0:
-            self._call(learn_noise, self.window, self.posterior)
-            if self._slow is not None:
-                copy_noise(self.posterior, self.level, _POSE_TIME / self.plan.interval)
-        self._solve()
+        interval = self.plan.interval
+        self._call(estimate_all, *self.parts, self.since_linearised, interval, learn)
 
     def take(self, time: float, learn: bool) -> None:
         """Take the balance that is complete without estimating; parameters as those of `add`."""
-        window, n = self.window, self.joints
-        if window.counters[NEXT] % len(window.times) == 0:
-            shift = time - self.balance.clock[EPOCH]
-            move_drifts(window, 1 + DRIFT * n, 1 + OFFSET * n, n, shift)
-            move_epoch(self.balance, time)
-        self._call(take_balances, *self._parts, self.balance, time, learn)
+        self._call(take_balances, *self.parts, self.balance, time, learn)
 
     def weigh_again(self, last: int) -> None:
         """Sum up the last balances again, after a change of their variance."""
-        self._call(weigh_all, *self._parts, last)
+        self._call(weigh_all, *self.parts, last)
 
     def _solve(self) -> None:
-        self._call(solve_all, *self._parts)
+        self._call(solve_all, *self.parts)
 
     def misfit(self) -> float:
         """By how many of its standard deviations the arm differs from its file, at most.
@@ -520,10 +538,9 @@ class OffsetEstimator:
 
     def must_linearise(self) -> bool:
         """Whether the estimate has left the point of linearisation."""
-        if self._since_linearised < max(3, len(self) // 10):
-            return False
-        step = self._call(largest_step, self.level, self.balance.reference)
-        return bool(step > _LINEAR_WITHIN)
+        return bool(
+            self._call(has_moved, self.window, self.level, self.balance, self.since_linearised)
+        )
 
     def _step(self) -> FloatArray:
         """Ways to the estimates of those offsets that have surely moved, shape (n,) [rad]."""
@@ -543,7 +560,7 @@ class OffsetEstimator:
         self.balance.reference[:] += np.clip(self._step(), -0.3, 0.3)
         self.replace_last(blocks)
         self._solve()
-        self._since_linearised = 0
+        self.since_linearised[:] = 0
 
     def move_reference(self, joint: int, by: float) -> None:
         """Let the offset of a sensor grow, as its readings do by what is no longer taken out.
@@ -621,7 +638,7 @@ def _prior_posterior(
     return Posterior(
         np.zeros(m), np.diag(1.0 / prior), prior[:n].copy(), prior**-2, expected.copy(), expected,
         inflation, rest.copy(), rest, systematic, np.zeros((capacity, n)), np.zeros((capacity, n)),
-        np.zeros((1 + m, m)), np.zeros((m, n)))  # fmt: skip
+        np.zeros((1 + m, m)), np.zeros((m, n)), np.zeros(capacity))  # fmt: skip
 
 
 def _priors(arm: SerialArm, friction: FloatArray, missed: FloatArray) -> list[FloatArray]:

@@ -30,7 +30,7 @@ from lpv.core.serial_arm.diagnosis.information import COUNT, NEXT, Window, recen
 from lpv.core.serial_arm.diagnosis.learning import payload_share
 from lpv.core.serial_arm.diagnosis.parameter_set import parameter_set, payload_generator
 from lpv.core.serial_arm.sensor_map import map_rows, map_vector
-from lpv.core.support.jit import Entries, njit_in_place
+from lpv.core.support.jit import njit_in_place
 
 SIGMAS = 4.0
 """Standard deviations of noise that a guarantee holds for."""
@@ -94,7 +94,23 @@ def take_healthy(
     per_interval: int,
     learn: bool,
 ) -> None:
-    """Take the balance that the horizon's ``window`` is about to take; see `HealthySet.take`."""
+    """Take the balance that the horizon's ``window`` is about to take.
+
+    Parameters
+    ----------
+    ring : HealthyRing
+        Changed.
+    window : Window
+        Of the horizon.
+    rows : ndarray, shape (n, columns)
+        Of the balance.
+    blocks : ndarray, shape (2 B, 3 n + 3)
+        Of its two intervals, as kept by `Sampler.blocks`.
+    per_interval : int
+        Blocks of an interval, B.
+    learn : bool
+        Whether what leaves the horizon is remembered.
+    """
     capacity, last = ring.effects.shape[0], blocks.shape[0] - per_interval
     if ring.past[LENGTH] == 0.0:
         _add(ring, rows, blocks[:last], 0)
@@ -176,36 +192,21 @@ class HealthySet:
         rate = np.array([one.velocity_noise for one in sensors]) / np.sqrt(plan.per_block)
         difference = np.sqrt(2.0) * self._reading / (plan.per_block * arm.sample_time)
         by_sensor = np.where(self._derived, difference, rate)
-        self._ring = HealthyRing(
+        self.ring = HealthyRing(
             self._balance, np.zeros((plan.capacity, n, columns)), np.zeros((plan.capacity, 2, n)),
             np.zeros((plan.capacity, n, n)), np.zeros((m, columns)), np.zeros(3),
             np.sqrt(map_rows(self._balance.to_joints**2, by_sensor**2)),
             self._reading / np.sqrt(plan.per_block * plan.blocks),
             np.where(self._derived, self._reading / plan.interval, rate / np.sqrt(plan.blocks)),
             arm.sensors_to_joints().T.copy(), 6.0 if self._derived.any() else 2.0)  # fmt: skip
-        self._effects, self._doubts = self._ring.effects, self._ring.doubts
-        self._inertia, self._mean_noise = self._ring.inertia, self._ring.mean_noise
-        self._call = Entries()
-
-    def take(self, blocks: FloatArray, learn: bool) -> None:
-        """Take the balance that the estimator is about to take.
-
-        Parameters
-        ----------
-        blocks : ndarray, shape (N, 3 n + 3)
-            Of its two intervals, as kept by `Sampler.blocks`.
-        learn : bool
-            Whether what leaves the horizon is remembered.
-        """
-        one = self._estimator
-        self._call(take_healthy, self._ring, one.window, one.balance.rows, blocks,
-                   one.plan.blocks, learn)  # fmt: skip
+        self._effects, self._doubts = self.ring.effects, self.ring.doubts
+        self._inertia, self._mean_noise = self.ring.inertia, self.ring.mean_noise
 
     def restart(self) -> None:
         """Begin anew after a gap; called before the estimator's own restart."""
         window = self._estimator.window
         for back in range(int(window.counters[COUNT]) - 1, -1, -1):
-            remember(self._ring, window, slot(window, back), True, 1.0)
+            remember(self.ring, window, slot(window, back), True, 1.0)
         self.drop()
 
     def drop(self) -> None:
@@ -214,7 +215,7 @@ class HealthySet:
             part[:] = 0.0
         self._balance.slack[:], self._balance.variance[:] = 0.0, 0.0
         self._balance.last[:] = np.inf
-        self._ring.past[LENGTH] = 0.0
+        self.ring.past[LENGTH] = 0.0
 
     def evaluate(self) -> Guarantee:
         """Bounds at the last balance."""
@@ -228,15 +229,15 @@ class HealthySet:
         map_ = -(weighted.reshape(-1, m) @ gain.T).T.reshape(n + 1, last, n)
         from_past = -gain[:, n:] @ _eliminated(window, null)
         response = map_.reshape(n + 1, -1) @ self._effects[places].reshape(last * n, -1)
-        response += from_past @ self._ring.right
+        response += from_past @ self.ring.right
         slack = np.einsum('fbi,bi->f', np.abs(map_), self._doubts[places, 0])
         # For right sides A^T W e of the past: (d A^T W e)^2 <= (d A^T W A d)(e^T W e).
         size = np.einsum('fa,ab,fb->f', gain[:, n:], null.recalled[1 + n :, n:], gain[:, n:])
         size = np.maximum(size, 0.0)
-        slack += np.sqrt(size * self._ring.past[SLACK])
+        slack += np.sqrt(size * self.ring.past[SLACK])
         share = gain[:, :n] * null.least[:n]
         slack += OTHERS * (np.abs(share).sum(1) - np.append(np.abs(np.diag(share)), 0.0))
-        noise = SIGMAS * np.sqrt(self._noise(map_, places) + self._ring.past[NOISE] * size)
+        noise = SIGMAS * np.sqrt(self._noise(map_, places) + self.ring.past[NOISE] * size)
         estimate = wanted @ null.mean
         effects, rest = response[:, 1:], np.abs(estimate - response[:, 0])
         doubt = slack + noise + rest

@@ -144,6 +144,7 @@ def forget_newest(window: Window, count: int) -> None:
     window.counters[COUNT] -= count
 
 
+@njit_in_place
 def move_drifts(window: Window, drift: int, offset: int, joints: int, shift: float) -> None:
     """Let drifts count from a moment that is later by ``shift``, and sums from the oldest balance.
 
@@ -160,15 +161,29 @@ def move_drifts(window: Window, drift: int, offset: int, joints: int, shift: flo
     shift : float
         [s].
     """
-    at = [sum_slot(window, last) for last in range(window.counters[COUNT] + 1)]
-    sums = window.sums[at] - window.sums[at[-1]]
-    squares = window.squares[at] - window.squares[at[-1]]
-    j = np.arange(joints)
-    moved = 2.0 * sums[:, 1 + j, drift + j] - shift * sums[:, 1 + j, offset + j]
-    squares[:, drift - 1 + j] -= shift * moved
-    for rows in (sums, window.rows):
-        rows[:, :, drift + j] -= shift * rows[:, :, offset + j]
-    window.sums[at], window.squares[at] = sums, squares
+    last = window.counters[COUNT]
+    oldest = sum_slot(window, last)
+    for back in range(last + 1):  # the oldest one last: it becomes zero
+        at = sum_slot(window, back)
+        sums, squares = window.sums[at], window.squares[at]
+        for a in range(sums.shape[0]):
+            for b in range(sums.shape[1]):
+                sums[a, b] -= window.sums[oldest, a, b]
+        for b in range(squares.shape[0]):
+            squares[b] -= window.squares[oldest, b]
+        for j in range(joints):
+            moved = 2.0 * sums[1 + j, drift + j] - shift * sums[1 + j, offset + j]
+            squares[drift - 1 + j] -= shift * moved
+        _shift_drifts(sums, drift, offset, joints, shift)
+    for at in range(window.rows.shape[0]):
+        _shift_drifts(window.rows[at], drift, offset, joints, shift)
+
+
+@njit_in_place
+def _shift_drifts(rows: FloatArray, drift: int, offset: int, joints: int, shift: float) -> None:
+    for row in rows:
+        for j in range(joints):
+            row[drift + j] -= shift * row[offset + j]
 
 
 def recent(window: Window, last: int) -> IntArray:

@@ -8,7 +8,6 @@ it.
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +18,15 @@ from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import SensorState
 from lpv.core.serial_arm.diagnosis.bank import CONTACT, OCCURRENCE, Bank, Hypothesis
-from lpv.core.serial_arm.diagnosis.decision import add_noise, find_levels, reading_noise
+from lpv.core.serial_arm.diagnosis.decision import (
+    DECISION,
+    STILL_TIME,
+    Certified,
+    Parts,
+    Stage,
+    decide,
+    reading_noise,
+)
 from lpv.core.serial_arm.diagnosis.end_of_fault import EndOfFault, end_of_fault
 from lpv.core.serial_arm.diagnosis.estimator import NOISE_KNOWN_AFTER, HorizonPlan, OffsetEstimator
 from lpv.core.serial_arm.diagnosis.fault_filter import (
@@ -29,7 +36,6 @@ from lpv.core.serial_arm.diagnosis.fault_filter import (
     follow,
 )
 from lpv.core.serial_arm.diagnosis.healthy_set import Guarantee, HealthySet
-from lpv.core.serial_arm.diagnosis.information import NEXT
 from lpv.core.serial_arm.diagnosis.learning import Learned, learned_of
 from lpv.core.serial_arm.diagnosis.parameter_error import typical_torque
 from lpv.core.serial_arm.diagnosis.parameter_set import is_stated
@@ -39,7 +45,6 @@ from lpv.core.serial_arm.diagnosis.sampling import (
     DELAY,
     HIDDEN,
     IN_BLOCK,
-    JUMP_SCALE,
     NOISY,
     PENDING,
     SPIKE,
@@ -54,6 +59,7 @@ from lpv.core.serial_arm.diagnosis.stuck import ACCELERATION
 from lpv.core.serial_arm.sensor_map import map_rows, mixing
 from lpv.core.support.errors import SampleError
 from lpv.core.support.jit import Entries
+from lpv.core.support.records import memory, new_record, plain
 
 BoolArray = npt.NDArray[np.bool_]
 
@@ -69,10 +75,6 @@ PUSH = 2.0
 """Largest plausible torque from outside, over that which moves the arm."""
 LIVELY = 0.02
 """Share of changes that go back and forth from which on a reading has noise, and never rests."""
-GUARANTEE_SHARE = 4
-"""Guaranteed thresholds change over the horizon: so often in it they are evaluated anew."""
-STILL_TIME = 0.05
-"""A reading without any change for longer rests [s]."""
 
 
 @dataclass(frozen=True)
@@ -161,14 +163,35 @@ class SerialMonitor:
         self._to_sensors = mixing(arm.joints_to_sensors())
         self._first: int | None = None
         self._call = Entries()
-        # Levels and bounds of another observer that certifies them, shape (n,) [rad]
-        self.certified_level: Callable[[], tuple[FloatArray, FloatArray]] | None = None
+        self._steps = {
+            Stage.FOLLOW: self._follow,
+            Stage.LINEARISE: self._linearise,
+            Stage.ENDS: self._weigh_ends,
+            Stage.GUARANTEE: self._renew_guarantee,
+            Stage.REST: self._find_stuck,
+            Stage.NAME: self._find_cause,
+            Stage.RAISE: self._raise_levels,
+            Stage.END: self._end_faults,
+        }
+        # Of another observer: nothing is certified
+        self._certified = np.zeros(self.joints), np.full(self.joints, np.inf), np.zeros(1, bool)
         self.reset()
 
     def apply_settings(self) -> None:
         """Let changed `settings` count from now on; lengths stay as they are."""
-        self._threshold = self.settings.threshold(self.plan.interval)
-        self.sampler.smallest[:] = self.settings.smallest_step * self.scales
+        settings, state = self.settings, self._state
+        self.sampler.smallest[:] = settings.smallest_step * self.scales
+        state['threshold'] = settings.threshold(self.plan.interval)
+        state['limits'] = (
+            settings.widest_level, settings.smallest_level, settings.sigmas, self.plan.interval,
+            settings.horizon, -math.log(settings.fault_at_start),
+            settings.threshold(settings.horizon),
+        )  # fmt: skip
+
+    def certify(self, certified: Certified) -> None:
+        """Raise offsets that another observer certifies, too; as of `find_levels`."""
+        self._certified = certified
+        self._join()
 
     def reset(self) -> None:
         """Forget samples, estimates and faults."""
@@ -180,11 +203,11 @@ class SerialMonitor:
             for joint in arm.joints
         ])  # fmt: skip
         self._capacity = self.plan.blocks * (self.plan.capacity + 1)
-        self.healthy = HealthySet(arm, self.estimator) if is_stated(arm) else None
+        self._healthy = HealthySet(arm, self.estimator)
+        self.healthy = self._healthy if is_stated(arm) else None
         self.guarantee: Guarantee | None = None
         self._push = PUSH * typical_torque(self.estimator.balance.chain)
         self.bank = Bank(arm, self.estimator, self._push)
-        self._threshold = settings.threshold(self.plan.interval)
         smallest = settings.smallest_step * self.scales
         self.sampler: Sampler = new_sampler(
             self.estimator.balance.derived, np.maximum(2.0 * noise, 0.2 * smallest), smallest,
@@ -192,7 +215,6 @@ class SerialMonitor:
         self.sensors = [SensorRecord() for _ in range(n)]
         self.rates = [SensorRecord() for _ in range(n)]
         self._filters: dict[int, FaultFilter] = {}
-        self._nothing = np.zeros(n), np.full(n, np.inf)  # is certified
         self._whole = np.ones(n)
         self._ends: dict[int, EndOfFault] = {}  # that jumps may have been
         self._known = np.zeros(n)  # for how long each offset has been diagnosable [s]
@@ -200,7 +222,21 @@ class SerialMonitor:
         self.jump, self.jump_variance = np.zeros(n), np.zeros(n)  # of readings, for the caller
         self._correction = np.zeros(n)
         self._suspects: tuple[str, ...] = ()
+        self._stuck: list[Hypothesis] = []
         self._last_time = -np.inf
+        self._memory = new_record(DECISION, sample_time=arm.sample_time)
+        self._state, self._beyond = plain(self._memory), np.zeros((2, n))
+        self._recent = np.zeros((2 * self.plan.blocks, 3 * n + 3))
+        self._join()
+        self.apply_settings()
+
+    def _join(self) -> None:
+        """Give decisions what they are made of."""
+        one = self.estimator
+        self._parts = Parts(
+            memory(self._memory), self.sampler, one.balance, *one.parts, one.since_linearised,
+            self._healthy.ring, self.bank.parts, one.prior, self._known, self._certified,
+            self.scales, self._beyond, self._recent)  # fmt: skip
 
     @property
     def statistic(self) -> float:
@@ -348,10 +384,24 @@ class SerialMonitor:
         """
         if self.sampler.found.any():
             self._report_samples(now)
-        if complete:
-            if self.uses_balances:
-                self._decide(now)
-            self._end_faults(now)
+        if not complete:
+            return
+        state, steps = self._state, self._steps
+        state['now'] = now
+        state['stage'] = Stage.TAKE if self.uses_balances else Stage.END
+        self._tell()
+        while self._call(decide, self._parts) or state['stage'] != Stage.DONE:
+            state['stage'] = steps[state['stage']](now)
+            self._tell()
+
+    def _tell(self) -> None:
+        """Say what decisions have to know."""
+        state, suspects = self._state, bool(self._suspects)
+        state['learns'] = not (suspects or self._changes())
+        state['follows'], state['ends'] = bool(self._filters), bool(self._ends)
+        state['guarantees'], state['suspects'] = self.healthy is not None, suspects
+        state['pushed'] = self._contact.since < math.inf
+        state['active'] = not self.settings.latch and self._has_alarm()
 
     def estimate(self, stamp: int) -> SerialEstimate:
         """What is known after the last sample."""
@@ -513,39 +563,40 @@ class SerialMonitor:
             return self.sampler.blocks[first : first + count]
         return self.sampler.blocks[np.arange(written - count, written) % self._capacity]
 
-    def _decide(self, now: float) -> None:
-        """A balance is complete: estimate, compare hypotheses, name a cause."""
-        learn, blocks = not (self._suspects or self._changes()), self._blocks(2)
-        if self.healthy is not None:
-            self.healthy.take(blocks, not self._suspects)
-        self.estimator.take(now, learn)
-        self.bank.take(blocks)
+    def _follow(self, _: float) -> Stage:
+        """Let the newest balance measure the faults that are followed."""
         for i, one in self._filters.items():
             follow(one, self.estimator, self.sampler, self.bank.rate_row(i))
-        self._add_noise()
-        self.estimator.estimate(learn)
-        if self.estimator.must_linearise():
-            self.estimator.linearise(self._blocks(len(self.estimator) + 1))
-        self._weigh_ends(now)
-        if self.estimator.window.counters[NEXT] % (self.plan.capacity // GUARANTEE_SHARE) == 0:
-            self._evaluate_guarantee()
-        found = self.bank.evaluate(self._blocks, self._rest(), self._unseen, self._threshold)
+        return Stage.ESTIMATE
+
+    def _linearise(self, _: float) -> Stage:
+        self.estimator.linearise(self._blocks(len(self.estimator) + 1))
+        return Stage.ENDS
+
+    def _find_stuck(self, _: float) -> Stage:
+        """Readings that rest while their joints move."""
+        self._stuck = self.bank.stuck(*self._rest())
+        self._state['rests'] = bool(self._stuck)
+        return Stage.ASK
+
+    def _find_cause(self, now: float) -> Stage:
+        """Compare hypotheses, name a cause."""
+        found, stuck = list[Hypothesis](), self._stuck if self._state['rests'] else []
+        if self._state['asked']:
+            found = self.bank.compare(self._blocks, stuck)
         seen = self._seen(found)
         if seen is not None:
             self._blame(seen, 1.0 - math.exp(-seen.gain), now)
-        elif self.bank.statistic < self._threshold:
+        elif self.bank.statistic < self._state['threshold']:
             self._suspects = ()
             self._contact.since = math.inf
-            self._decide_levels(now)
         else:
             self._name(found, now)
         self._mark_suspects()
+        quiet = seen is None and self.bank.statistic < self._state['threshold']
+        return Stage.LEVELS if quiet else Stage.END
 
-    def _unseen(self) -> FloatArray:
-        """Largest jump of each reading that may not have been seen, shape (n,) [rad]."""
-        return np.maximum(JUMP_SCALE * self.sampler.scale, self.sampler.smallest)
-
-    def _weigh_ends(self, now: float) -> None:
+    def _weigh_ends(self, now: float) -> Stage:
         """Whether jumps were the ends of faults that nobody had noticed."""
         for i, one in list(self._ends.items()):
             one.weigh(self.estimator)
@@ -554,6 +605,7 @@ class SerialMonitor:
                 self._end_unnoticed(one, now)
             elif now - one.time > self.settings.horizon:
                 del self._ends[i]  # the level has been estimated without what was before
+        return Stage.GUARANTEE
 
     def _end_unnoticed(self, one: EndOfFault, now: float) -> None:
         """A jump was the end of a fault; what the reading had before it may remain."""
@@ -576,15 +628,6 @@ class SerialMonitor:
             return
         sensor.peak = 0.0  # it never was as large as the other one
         self._raise(i, 'bias', sensor.onset, left, float(self.faults()[1][i]))
-
-    def _add_noise(self) -> None:
-        """Balances of readings that are noisy, or rounded, say less than others."""
-        one, plan = self.estimator, self.plan
-        interval = plan.interval, plan.per_block * plan.blocks
-        if self._call(
-            add_noise, one.window, one.posterior, self.sampler, self.bank.momenta(0), interval
-        ):
-            one.weigh_again(1)
 
     def _seen(self, found: list[Hypothesis]) -> Hypothesis | None:
         """What explains a reading that froze or jumped, if balances say that its joint went on.
@@ -657,7 +700,7 @@ class SerialMonitor:
     def _rest(self) -> tuple[FloatArray, FloatArray]:
         """For how long each frozen reading has rested [s], and its speed before [rad/s]."""
         if max(self.sampler.still.tolist()) * self.arm.sample_time <= STILL_TIME:
-            return self._nothing[0], self.sampler.stop
+            return np.zeros(self.joints), self.sampler.stop
         time = self.sampler.still * self.arm.sample_time
         followed = np.zeros(self.joints, bool)
         followed[list(self._filters)] = True
@@ -726,21 +769,9 @@ class SerialMonitor:
         self._event(one.joint, 'rate_bias', one.begin, 'raised', size, sigma,
                     confidence=share)  # fmt: skip
 
-    def _decide_levels(self, now: float) -> None:
+    def _raise_levels(self, now: float) -> Stage:
         """Offsets that gravity and motion show."""
-        settings = self.settings
-        certified = self.certified_level() if self.certified_level else self._nothing
-        at_start = math.log(1.0 / settings.fault_at_start)
-        limits = (
-            settings.widest_level, settings.smallest_level, settings.sigmas, self.plan.interval,
-            settings.horizon, at_start, settings.threshold(settings.horizon),
-        )  # fmt: skip
-        gain, excluded = beyond = np.empty((2, self.joints))
-        if not self._call(
-            find_levels, self.estimator.level, self.estimator.prior, self._known, certified,
-            self.scales, limits, beyond,
-        ):  # fmt: skip
-            return
+        gain, excluded = self._beyond
         raised = self._raise_certified(excluded > 0.0, now)
         for i in np.nonzero((gain > 0.0) & ~raised)[0]:
             sensor = self.sensors[i]
@@ -757,6 +788,8 @@ class SerialMonitor:
             share = 1.0 - math.exp(-min(float(gain[i]), 50.0))
             self._raise(int(i), 'bias', 0.0, float(fault[i]), float(deviation[i]), guaranteed,
                         share)  # fmt: skip
+        self._mark_suspects()
+        return Stage.END
 
     @property
     def _sure(self) -> float:
@@ -780,10 +813,12 @@ class SerialMonitor:
             self._raise(int(i), 'bias', now, float(size[i]), float(sigma[i]), True)
         return certified
 
-    def _end_faults(self, now: float) -> None:
+    def _has_alarm(self) -> bool:
+        """Whether an alarm is up."""
+        return any(one.active for one in self.sensors) or any(one.active for one in self.rates)
+
+    def _end_faults(self, now: float) -> Stage:
         """Faults that are over are cleared once they have been over for long enough."""
-        if self.settings.latch or not any(one.active for one in (*self.sensors, *self.rates)):
-            return
         sigma, level = self.faults()[1], self.estimator.level
         for i, sensor in enumerate(self.sensors):
             if not sensor.active:
@@ -815,6 +850,7 @@ class SerialMonitor:
                 self.sampler.rate_error[i] = 0.0
                 self._event(i, record.kind, now, 'cleared', 0.0, 0.0)
                 record.clear()
+        return Stage.DONE
 
     def _shows(self, i: int) -> bool:
         """Whether a fault of sensor i would be seen to be over, if it were."""
@@ -870,6 +906,11 @@ class SerialMonitor:
         suspected = {one.partition(':')[0] for one in self._suspects}
         for name, sensor in zip(self._names, self.sensors):
             sensor.suspect(name in suspected)
+
+    def _renew_guarantee(self, _: float) -> Stage:
+        self._evaluate_guarantee()
+        self._state['rests'] = False
+        return Stage.REST
 
     def _evaluate_guarantee(self) -> None:
         """Guaranteed thresholds now; statistical alarms of offsets beyond them are confirmed."""
