@@ -8,7 +8,7 @@ kp = 3 w^2, ki = w^3.  For a wrong model see
 `lpv.core.serial_arm.certificate`.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -147,18 +147,9 @@ class ComputedTorqueController(TrackingLaw):
         """The model that torques are computed with."""
         return self._chain
 
-    def answer(
-        self,
-        reference: FloatArray,
-        position: FloatArray,
-        velocity: FloatArray,
-        integrated: FloatArray,
-        interval: float,
-    ) -> None:
+    def answer(self, *sample: Any) -> None:
         """As `TrackingLaw.answer`."""
-        computed_torque(
-            self._chain, self.state, reference, position, velocity, integrated, interval, self._work
-        )
+        computed_torque(self._chain, self.state, *sample, self._work)
 
 
 def serial_loop_latency(bandwidth: float, sample_time: float) -> float:

@@ -7,6 +7,7 @@ faded in.
 
 import math
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 
@@ -139,10 +140,8 @@ def limit_correction(
 
 
 @njit
-def _limit_correction(
-    record: np.ndarray, stamp: int, position: np.ndarray, velocity: np.ndarray
-) -> None:
-    limit_correction(record[0], stamp, position, velocity)
+def _limit_correction(record: np.ndarray, *sample: Any) -> None:
+    limit_correction(record[0], *sample)
 
 
 class CorrectionLimit:

@@ -4,9 +4,8 @@ from collections.abc import Iterable
 from functools import lru_cache
 
 import numpy as np
-from scipy.linalg import expm
 
-from lpv.core.uio.certificate.conditions import controller_loop
+from lpv.core.uio.certificate.conditions import controller_loop, delayed_radius, discretised
 from lpv.core.uio.certificate.gains import Gains
 from lpv.core.uio.model.arm import ArmParameters
 
@@ -47,27 +46,10 @@ def loop_latency(
     sample_time : float
         [s].
     """
-    sampled = [_discretise(a, b, sample_time) for a, b in loops]
+    sampled = [discretised(a, b, sample_time) for a, b in loops]
     delay = 0
-    while delay < _MOST_SAMPLES and all(_radius(a, b, m, delay + 1) < 1.0 for a, b in sampled):
+    while delay < _MOST_SAMPLES and all(
+        delayed_radius(a, b, m, delay + 1) < 1.0 for a, b in sampled
+    ):
         delay += 1
     return delay * sample_time
-
-
-def _discretise(a: np.ndarray, b: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
-    """Zero-order hold: exp([[A, B], [0, 0]] T)."""
-    n, k = b.shape
-    block = np.zeros((n + k, n + k))
-    block[:n] = period * np.hstack([a, b])
-    result = expm(block)
-    return result[:n, :n], result[:n, n:]
-
-
-def _radius(a: np.ndarray, b: np.ndarray, m: np.ndarray, delay: int) -> float:
-    """Spectral radius of x+ = A x + B u_d, u_1+ = M x, u_2+ = u_1, ..."""
-    n, k = b.shape
-    loop = np.zeros((n + k * delay, n + k * delay))
-    loop[:n, :n], loop[:n, -k:] = a, b
-    loop[n : n + k, :n] = m
-    loop[n + k :, n:-k] = np.eye(k * (delay - 1))
-    return float(np.abs(np.linalg.eigvals(loop)).max())

@@ -1,13 +1,12 @@
-"""Smooth Cartesian paths, and the joint references that inverse kinematics makes of them."""
+"""Splines from rest to rest, Cartesian paths, and the joint references that they are made into."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lpv.core.control.rest_to_rest import checked_times, rest_to_rest
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.errors import ConfigError
 from lpv.core.uio.model.kinematics import ELBOWS, forward, inverse, joint_motion
@@ -47,6 +46,29 @@ class TimedPath(Protocol):
 
     def in_base(self, point: np.ndarray) -> np.ndarray:
         """Points in the plane of a planar arm, shape (..., 2), in the base frame [m]."""
+
+
+def checked_times(times: Sequence[float]) -> np.ndarray:
+    """Times of waypoints [s]; ConfigError if they are not two or more that increase."""
+    knots = np.asarray(times, float)
+    if len(knots) < 2:
+        raise ConfigError('path.waypoints', 'must be two or more')
+    if not (np.isfinite(knots).all() and np.all(np.diff(knots) > 0)):
+        raise ConfigError('path.waypoints', 'times must increase')
+    return knots
+
+
+def rest_to_rest(knots: np.ndarray, points: np.ndarray) -> Any:
+    """Spline through points, shape (m, n), at times, shape (m,) [s].
+
+    Rates and accelerations vanish at both ends; the jerk is continuous inside.
+    """
+    # Here: it loads for 0.2 s, and not every program that reads a scenario follows its path.
+    from scipy.interpolate import make_interp_spline
+
+    still = np.zeros(points.shape[1])
+    rest = [(1, still), (2, still)]
+    return make_interp_spline(knots, points, k=5, bc_type=(rest, rest))
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lpv.core.control.path import Obstacle, Reference
-from lpv.core.control.rest_to_rest import checked_times, rest_to_rest
+from lpv.core.control.path import Obstacle, Reference, checked_times, rest_to_rest
 from lpv.core.serial_arm.chain import Chain, FloatArray, compile_chain, workspace
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.dynamics.friction import friction_torque

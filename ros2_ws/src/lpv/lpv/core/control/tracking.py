@@ -1,6 +1,6 @@
 """Tracking with integral action, eqs. (57)-(66), with reference feed-forward."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -130,17 +130,9 @@ class TrackingParts(NamedTuple):
 
 
 @njit
-def _track(
-    params: np.ndarray,
-    state: np.ndarray,
-    reference: np.ndarray,
-    position: np.ndarray,
-    velocity: np.ndarray,
-    integrated: np.ndarray,
-    interval: float,
-) -> None:
+def _track(params: np.ndarray, state: np.ndarray, *sample: Any) -> None:
     """`track` for Python: with the memory of records."""
-    track(params[0], state[0], reference, position, velocity, integrated, interval)
+    track(params[0], state[0], *sample)
 
 
 class TrackingController(TrackingLaw):
@@ -182,16 +174,9 @@ class TrackingController(TrackingLaw):
         """Arguments of `designed_torque`."""
         return TrackingParts(self._params, self._memory)
 
-    def answer(
-        self,
-        reference: np.ndarray,
-        position: np.ndarray,
-        velocity: np.ndarray,
-        integrated: np.ndarray,
-        interval: float,
-    ) -> None:
+    def answer(self, *sample: Any) -> None:
         """As `TrackingLaw.answer`."""
-        _track(self._params, self._memory, reference, position, velocity, integrated, interval)
+        _track(self._params, self._memory, *sample)
 
 
 def make_controller(

@@ -75,10 +75,7 @@ BRAKE_TEXT = {
     BrakeReason.OVERSPEED: 'a joint is faster than its velocity limit',
 }
 _BRAKE_SAFE_STOP, _BRAKE_LATE, _BRAKE_LATENCY, _BRAKE_OVERSPEED = (
-    int(BrakeReason.SAFE_STOP),
-    int(BrakeReason.LATE),
-    int(BrakeReason.LATENCY),
-    int(BrakeReason.OVERSPEED),
+    int(reason) for reason in tuple(BrakeReason)[2:]
 )
 
 
@@ -397,29 +394,20 @@ def _is_too_fast(velocity: np.ndarray, limit: np.ndarray) -> bool:
     return fast
 
 
+# For Python: with the memory of records.
 @njit
-def _check_estimate(
-    dog: np.ndarray,
-    stamp: int,
-    latency: int,
-    mode: int,
-    trustworthy: bool,
-    velocity: np.ndarray,
-    measured_velocity: np.ndarray,
-) -> int:
-    return check_estimate(dog[0], stamp, latency, mode, trustworthy, velocity, measured_velocity)
+def _check_estimate(dog: np.ndarray, *estimate: Any) -> int:
+    return check_estimate(dog[0], *estimate)
 
 
 @njit
-def _check_motion(
-    dog: np.ndarray, stamp: int, reference: np.ndarray, position: np.ndarray, measured: np.ndarray
-) -> int:
-    return check_motion(dog[0], stamp, reference, position, measured)
+def _check_motion(dog: np.ndarray, *motion: Any) -> int:
+    return check_motion(dog[0], *motion)
 
 
 @njit
-def _check_drive(dog: np.ndarray, now: int, age: int, safe_stop: bool, velocity: np.ndarray) -> int:
-    return check_drive(dog[0], now, age, safe_stop, velocity)
+def _check_drive(dog: np.ndarray, *command: Any) -> int:
+    return check_drive(dog[0], *command)
 
 
 class _Watchdog:

@@ -9,7 +9,7 @@ gap, with missing values, or after such) goes through the monitor's `take_many`,
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,8 +20,7 @@ from lpv.core.control.computed_torque import (
     computed_torque,
 )
 from lpv.core.control.estimate_check import limit_correction, new_correction
-from lpv.core.control.path_follower import APPROACH_SPEED
-from lpv.core.control.path_references import PathReferences
+from lpv.core.control.path_follower import APPROACH_SPEED, PathReferences
 from lpv.core.control.tracking import (
     COMPENSATION,
     TrackingController,
@@ -379,33 +378,15 @@ def _command(loop: np.record, observer: _Observer, tracker: _Tracker, k: int) ->
 
 
 @njit
-def _computed_torque(
-    parts: ComputedTorqueParts | None,
-    reference: FloatArray,
-    position: FloatArray,
-    velocity: FloatArray,
-    integrated: FloatArray,
-    interval: float,
-) -> None:
+def _computed_torque(parts: ComputedTorqueParts | None, *sample: Any) -> None:
     if parts is not None:
-        computed_torque(
-            parts.chain, parts.state[0], reference, position, velocity, integrated, interval,
-            parts.work)  # fmt: skip
+        computed_torque(parts.chain, parts.state[0], *sample, parts.work)
 
 
 @njit
-def _designed_torque(
-    parts: TrackingParts | None,
-    reference: FloatArray,
-    position: FloatArray,
-    velocity: FloatArray,
-    integrated: FloatArray,
-    interval: float,
-) -> None:
+def _designed_torque(parts: TrackingParts | None, *sample: Any) -> None:
     if parts is not None:
-        track(
-            parts.constants[0], parts.state[0], reference, position, velocity, integrated, interval
-        )
+        track(parts.constants[0], parts.state[0], *sample)
 
 
 @njit

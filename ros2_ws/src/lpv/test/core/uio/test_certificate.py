@@ -20,6 +20,7 @@ from lpv.core.uio.certificate.conditions import (
     controller_loop,
     corner_arms,
     delayed_radius,
+    discretised,
     require,
     verify,
 )
@@ -130,8 +131,8 @@ def test_given_a_sampled_integrator_when_its_torque_is_late_then_the_radius_is_t
     a, b, m, dt = np.zeros((1, 1)), np.ones((1, 1)), np.array([[-2.0]]), 0.1
     # x+ = x + dt u, u = -2 x one sample late: z^2 - z + 0.2 = 0.
     expected = np.abs(np.roots([1.0, -1.0, 0.2])).max()
-    assert delayed_radius(a, b, m, dt) == pytest.approx(expected, rel=1e-12)
-    assert delayed_radius(a, b, 6.0 * m, dt) > 1.0
+    assert delayed_radius(*discretised(a, b, dt), m) == pytest.approx(expected, rel=1e-12)
+    assert delayed_radius(*discretised(a, b, dt), 6.0 * m) > 1.0
 
 
 def test_given_model_error_and_payload_when_corners_are_made_then_masses_span_the_range(

@@ -9,6 +9,7 @@ from itertools import product
 from typing import Any
 
 import numpy as np
+from scipy.linalg import expm
 
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.inequalities import Check, largest_eigenvalue
@@ -180,7 +181,7 @@ def controller_checks(arm: ArmParameters, controller: ControllerGains) -> list[C
         largest_eigenvalue(factor @ (p @ n + n.T @ p + 2.0 * controller.decay * p) @ factor.T)
         for n in closed
     )
-    radius = max(delayed_radius(a, b, m, arm.sample_time) for a, b in zip(*loop))
+    radius = max(delayed_radius(*discretised(a, b, arm.sample_time), m) for a, b in zip(*loop))
     return [
         positive,
         Check(f'controller: LMI (67), alpha {controller.decay:g}/s, {len(closed)} vertices', worst),
@@ -231,7 +232,7 @@ def _robustness(
             worst = max(
                 worst, largest_eigenvalue(factor @ (p @ n + n.T @ p + 2.0 * alpha * p) @ factor.T)
             )
-            radius = max(radius, delayed_radius(a, b, m, arm.sample_time))
+            radius = max(radius, delayed_radius(*discretised(a, b, arm.sample_time), m))
     text = f'{len(arms)} arms at the corners of model error and payload'
     return [
         Check(f'controller: {text}, alpha {alpha:g}/s', worst),
@@ -280,9 +281,11 @@ def _together(arm: ArmParameters, gains: Gains) -> list[Check]:
             whole = np.block([[a, np.zeros((6, 4))], [np.zeros((4, 6)), error]])
             whole[4:6, 6:8] = -compensated * np.eye(2)
             inputs = np.vstack([b, np.zeros((4, 2))])
-            radius = max(
-                radius, delayed_radius(whole, inputs, np.hstack([m, m @ seen]), arm.sample_time)
+            sampled, feedback = (
+                discretised(whole, inputs, arm.sample_time),
+                np.hstack([m, m @ seen]),
             )
+            radius = max(radius, delayed_radius(*sampled, feedback))
         checks.append(
             Check(
                 f'observer and controller together, {name} compensation, sampled with delay',
@@ -292,15 +295,20 @@ def _together(arm: ArmParameters, gains: Gains) -> list[Check]:
     return checks
 
 
-def delayed_radius(a: np.ndarray, b: np.ndarray, m: np.ndarray, dt: float) -> float:
-    """Spectral radius of a sampled loop whose torque acts one sample late."""
+def discretised(a: np.ndarray, b: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
+    """Zero-order hold over a sample [s]: exp([[A, B], [0, 0]] dt)."""
     n, k = b.shape
-    # Zero-order hold by the series of the exponential of [[A, B], [0, 0]] dt: dt*A is small.
     block = np.zeros((n + k, n + k))
     block[:n] = dt * np.hstack([a, b])
-    term = total = np.eye(n + k)
-    for order in range(1, 12):
-        term = term @ block / order
-        total = total + term
-    loop = np.block([[total[:n, :n], total[:n, n:]], [m, np.zeros((k, k))]])
+    held = expm(block)
+    return held[:n, :n], held[:n, n:]
+
+
+def delayed_radius(a: np.ndarray, b: np.ndarray, m: np.ndarray, delay: int = 1) -> float:
+    """Spectral radius of a `discretised` loop whose torque M x acts some samples late."""
+    n, k = b.shape
+    loop = np.zeros((n + k * delay, n + k * delay))
+    loop[:n, :n], loop[:n, -k:] = a, b
+    loop[n : n + k, :n] = m
+    loop[n + k :, n:-k] = np.eye(k * (delay - 1))
     return float(np.abs(np.linalg.eigvals(loop)).max())
