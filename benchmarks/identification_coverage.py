@@ -8,6 +8,7 @@ import sys
 from dataclasses import replace
 
 import numpy as np
+from simulated_recordings import SensorNoise, simulate
 
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.description import JointFriction, SerialArm
@@ -15,7 +16,6 @@ from lpv.core.serial_arm.urdf_chain import read_urdf_chain
 from lpv.identify.estimation.assembly import parameter_map
 from lpv.identify.estimation.workshop import Workshop
 from lpv.identify.motions.excitation import plan_excitation
-from lpv.identify.motions.simulation import SensorNoise, simulate
 
 DURATION, RATE = 30.0, 125.0
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from simulated_recordings import SensorNoise, simulate
 
 from lpv.core.serial_arm.description import (
     JointFriction,
@@ -14,7 +15,6 @@ from lpv.core.serial_arm.description import (
     SerialJoint,
 )
 from lpv.identify.estimation.identification import identify
-from lpv.identify.motions.simulation import SensorNoise, simulate
 from lpv.identify.motions.trajectory import Trajectory, random_trajectory
 from lpv.identify.recordings.recording import Recording
 

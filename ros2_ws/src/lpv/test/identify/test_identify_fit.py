@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from simulated_recordings import SensorNoise, simulate
 
 from lpv.core.serial_arm.description import JointFriction, JointLimits, LinkInertia, LpvRegion
 from lpv.identify.estimation.assembly import parameter_map
@@ -14,7 +15,6 @@ from lpv.identify.estimation.torque_error import calibrate
 from lpv.identify.estimation.workshop import Workshop
 from lpv.identify.model.rigid_body import joint_torques
 from lpv.identify.motions.excitation import plan_excitation
-from lpv.identify.motions.simulation import SensorNoise, simulate
 from lpv.identify.recordings.filters import low_pass
 
 pytestmark = pytest.mark.slow

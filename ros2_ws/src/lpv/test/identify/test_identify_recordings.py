@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bags import write_measurements
+from simulated_recordings import SensorNoise, simulate
 
 from lpv.identify.errors import IdentificationError
 from lpv.identify.estimation.identification import identify
-from lpv.identify.motions.simulation import SensorNoise, simulate
 from lpv.identify.recordings.motion import split
 from lpv.identify.recordings.recording import clean, read_recording
 

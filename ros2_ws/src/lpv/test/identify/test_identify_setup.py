@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from simulated_recordings import SensorNoise, simulate
 
 from lpv.core.serial_arm.arm_file import load_arm, save_arm
 from lpv.identify.estimation.mistakes import find_mistakes
 from lpv.identify.estimation.torque_error import calibrate, torque_error
-from lpv.identify.motions.simulation import SensorNoise, simulate
 from lpv.identify.recordings.filters import shifted
 
 STEP = 0.01

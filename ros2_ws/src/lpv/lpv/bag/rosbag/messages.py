@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 from rosbags.typesys.store import Typestore
 
+from lpv.bag.rosbag.metadata import qos_profile
+from lpv.bag.rosbag.writing import BagWriter
 from lpv.core.support.timestamps import NANOSECONDS
 
 _DTYPES = {'state': np.uint8, 'alarm': np.bool_}
@@ -65,3 +67,18 @@ class BagMessages:
             list(names),
             *(np.array(v, float) for v in (position, velocity, effort)),
         )
+
+
+def write_joint_states(
+    writer: BagWriter, topic: str, names: Iterable[str], samples: Iterable[tuple[Any, ...]]
+) -> int:
+    """Write measurements on a topic that is new to a bag; how many.
+
+    Each is a stamp [ns], then positions, rates and efforts of the joints.
+    """
+    writer.add_topic(topic, 'sensor_msgs/msg/JointState', [qos_profile(True, False, 10)])
+    messages, joints, count = BagMessages(writer.typestore, 'base_link'), list(names), 0
+    for stamp, *values in samples:
+        writer.write(topic, stamp, messages.joint_state(stamp, joints, *values))
+        count += 1
+    return count

@@ -10,8 +10,8 @@ from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from lpv.bag.rosbag.messages import BagMessages
-from lpv.bag.rosbag.writing import BagWriter, qos_profile
+from lpv.bag.rosbag.messages import write_joint_states
+from lpv.bag.rosbag.writing import BagWriter
 from lpv.core.support.config import Section, read_yaml
 from lpv.core.support.errors import LpvError
 
@@ -85,20 +85,15 @@ def import_csv(
     left out.  Without any effort column the messages carry no effort.  CsvError if a column is
     missing or a cell is no number, ConfigError if the bag cannot be made.
     """
-    count, warnings = 0, list[str]()
+    warnings = list[str]()
     try:
         samples = _samples(Path(source), columns, delimiter, warnings)
         first = next(samples, None)
         if first is None:
             raise CsvError(f'{source}: holds no sample')
         with BagWriter(out) as writer:
-            writer.add_topic(topic, 'sensor_msgs/msg/JointState', [qos_profile(True, False, 10)])
-            messages = BagMessages(writer.typestore, 'base_link')
             try:
-                for stamp, *values in chain([first], samples):
-                    message = messages.joint_state(stamp, columns.joints, *values)
-                    writer.write(topic, stamp, message)
-                    count += 1
+                count = write_joint_states(writer, topic, columns.joints, chain([first], samples))
             except (CsvError, UnicodeDecodeError, csv.Error):
                 # What is there looks like a whole recording, and would block the next try.
                 shutil.rmtree(out, ignore_errors=True)

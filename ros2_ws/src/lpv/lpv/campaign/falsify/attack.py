@@ -198,7 +198,8 @@ def _geometric(share: FloatArray, low: float, high: float) -> FloatArray:
     return np.asarray(low * (high / low) ** (0.5 * (share + 1.0)))
 
 
-def _stamps(samples: FloatArray, period: float) -> np.ndarray:
+def stamps_of(samples: FloatArray, period: float) -> np.ndarray:
+    """Stamps of the samples of a run [ns]."""
     return 10**9 + round(period * 1e9) * np.arange(len(samples))
 
 
@@ -256,7 +257,7 @@ class _DesignedRange:
     def judge(self, samples: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, bool]:
         self._monitor.reset()
         answers = self._monitor.take_many(
-            _stamps(samples, self.arm.sample_time), *np.ascontiguousarray(samples.swapaxes(0, 1))
+            stamps_of(samples, self.arm.sample_time), *np.ascontiguousarray(samples.swapaxes(0, 1))
         )
         # The bound is the threshold without its floor.
         state, threshold = np.asarray(answers.fault.state), np.array(answers.fault.bound)
@@ -310,7 +311,7 @@ class _StatedRange:
                     self._measured(attacker.samples[:count]),
                     SerialMonitor(self._told),
                 )
-                monitor.update_many(_stamps(samples, self.arm.sample_time), samples)
+                monitor.update_many(stamps_of(samples, self.arm.sample_time), samples)
                 if monitor.healthy is not None:
                     effects = monitor.healthy.evaluate().effects
                     shares = np.where(effects[joint] * sign >= 0.0, 1.0, -1.0)
@@ -336,7 +337,7 @@ class _StatedRange:
         return measured
 
     def judge(self, samples: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, bool]:
-        n, stamps = samples.shape[2], _stamps(samples, self.arm.sample_time)
+        n, stamps = samples.shape[2], stamps_of(samples, self.arm.sample_time)
         ratios, thresholds, times = np.zeros(n), np.full(n, np.nan), np.zeros(n)
         samples, monitor = self._measured(samples), SerialMonitor(self._told)
         chunk = max(1, round(_LOOK_EVERY / self.arm.sample_time))

@@ -9,9 +9,9 @@ import numpy as np
 import yaml
 from cmaes import CMA
 
-from lpv.bag.rosbag.messages import BagMessages
+from lpv.bag.rosbag.messages import write_joint_states
 from lpv.bag.rosbag.writing import BagWriter
-from lpv.campaign.falsify.attack import Attacker, Finding
+from lpv.campaign.falsify.attack import Attacker, Finding, stamps_of
 from lpv.core.serial_arm.chain import FloatArray
 from lpv.core.support.config import read_yaml
 from lpv.core.support.errors import ConfigError
@@ -88,12 +88,9 @@ def write_worst(attacker: Attacker, worst: Finding, folder: str | Path) -> None:
     (folder / SCENARIO).write_text(yaml.safe_dump(content, sort_keys=False), encoding='utf-8')
     attacker.run(worst.attack)
     with BagWriter(folder / BAG, 'zstd_small') as writer:
-        messages = BagMessages(writer.typestore, 'base_link')
-        writer.add_topic('/lpv/joint_states', 'sensor_msgs/msg/JointState')
-        for k, sample in enumerate(attacker.samples):
-            stamp = 10**9 + k * round(arm.sample_time * 1e9)
-            message = messages.joint_state(stamp, arm.joint_names, *sample.tolist())
-            writer.write('/lpv/joint_states', stamp, message)
+        stamps = stamps_of(attacker.samples, arm.sample_time).tolist()
+        samples = zip(stamps, *attacker.samples.swapaxes(0, 1).tolist())
+        write_joint_states(writer, '/lpv/joint_states', arm.joint_names, samples)
 
 
 def read_attack(path: str | Path) -> tuple[dict[str, Any], float]:

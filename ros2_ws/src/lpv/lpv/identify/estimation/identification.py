@@ -11,11 +11,9 @@ from lpv.identify.estimation.determination import Determination, determine
 from lpv.identify.estimation.evaluation import Figures, Prediction, figures, predict
 from lpv.identify.estimation.mistakes import Mistake, find_mistakes
 from lpv.identify.estimation.regression import Filters, Fit
+from lpv.identify.estimation.selection import WeightEvidence
 from lpv.identify.estimation.torque_error import torque_error, torque_tolerance
-from lpv.identify.estimation.weight import WeightEvidence
 from lpv.identify.estimation.workshop import Workshop
-from lpv.identify.model.base_parameters import BaseParameters
-from lpv.identify.recordings.motion import Bandwidths
 from lpv.identify.recordings.recording import Recording
 from lpv.identify.sensors.sensing import Sensing
 
@@ -43,10 +41,7 @@ class Identification:
     sensing: Sensing
     determination: Determination
     fit: Fit  # to the training data, without a prior
-    base: BaseParameters
-    bandwidths: Bandwidths
     filters: Filters
-    strength: float  # of the prior
     used_rates: bool  # measured rates were used
     weight: WeightEvidence  # whether the efforts contain the arm's weight
     mistakes: tuple[Mistake, ...]  # what is likely wrong in the set-up; part of the warnings, too
@@ -125,10 +120,7 @@ def identify(
         sensing,
         determination,
         free,
-        workshop.base,
-        workshop.bands,
         workshop.filters,
-        strength,
         workshop.use_rates,
         weight,
         tuple(mistakes),

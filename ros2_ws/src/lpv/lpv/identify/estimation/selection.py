@@ -1,7 +1,7 @@
 """Choice of the model by prediction of data that were held back."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,6 +21,8 @@ _GAIN = 0.9  # ratio of mean squares below which the richer model is taken
 _NOTHING = 1e-5  # share of an effort's power that counts for nothing
 EQUAL = 0.02
 """Difference of the logarithms of mean squares that counts for nothing."""
+_SLOPE = 50.0  # of the Coulomb term while the weight is looked for [s/rad]
+_SURE = 2.0  # ratio of errors above which efforts with the weight, or without it, are preferred
 
 
 def divide(rows: Rows, share: float) -> tuple[Rows, Rows]:
@@ -104,3 +106,35 @@ def choose_prior(
     found = [validation_error(rows, filters, estimator_of(strength)) for strength in STRENGTHS]
     errors = np.mean(np.log(found), axis=1)
     return STRENGTHS[int(np.flatnonzero(errors < errors.min() + EQUAL)[-1])]
+
+
+@dataclass(frozen=True)
+class WeightEvidence:
+    """How well the efforts are predicted with the weight and without it.
+
+    Some drivers report efforts with the weight taken out: both assumptions are fitted.
+    """
+
+    with_weight: np.ndarray  # RMS error of each joint on data held back, shape (n,) [N m]
+    without_weight: np.ndarray  # the same if efforts do not contain the weight
+
+    @property
+    def ratio(self) -> float:
+        """Error without the weight by that with it, at the joint where they differ most."""
+        ratios = np.log(self.without_weight / self.with_weight)
+        return float(np.exp(ratios[np.argmax(np.abs(ratios))]))
+
+    @property
+    def contains_weight(self) -> bool | None:
+        """What the data say; None if they do not tell."""
+        return None if 1.0 / _SURE < self.ratio < _SURE else self.ratio > 1.0
+
+
+def error_of(rows: Sequence[Rows], filters: Filters, prior: Prior) -> np.ndarray:
+    """RMS error of each joint on data held back of the training data, shape (n,) [N m]."""
+    n = rows[0].effort.shape[1]
+    slope, no_load = np.full(n, _SLOPE), np.zeros(n, bool)
+    squares = validation_error(
+        rows, filters, lambda part: fit_parameters(part, filters, no_load, prior, slope)
+    )
+    return np.sqrt(np.maximum(squares, 1e-24))

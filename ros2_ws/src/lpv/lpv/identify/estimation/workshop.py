@@ -12,12 +12,13 @@ from lpv.identify.estimation.gains import estimate_gains
 from lpv.identify.estimation.regression import Filters, Fit, Rows, fit_parameters, make_rows
 from lpv.identify.estimation.selection import (
     EQUAL,
+    WeightEvidence,
     choose_effort_band,
     choose_prior,
     divide,
+    error_of,
     validation_error,
 )
-from lpv.identify.estimation.weight import WeightEvidence, error_of
 from lpv.identify.model.base_parameters import find_base_parameters
 from lpv.identify.model.prior import Prior, base_prior
 from lpv.identify.model.rigid_body import RigidBody

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import yaml
 
-from lpv.bag.rosbag.messages import BagMessages
-from lpv.bag.rosbag.writing import BagWriter, qos_profile
+from lpv.bag.rosbag.messages import write_joint_states
+from lpv.bag.rosbag.writing import BagWriter
 from lpv.core.serial_arm.description import SerialArm
 from lpv.identify.model.rigid_body import joint_torques
 from lpv.identify.motions.trajectory import Trajectory
@@ -51,7 +51,9 @@ def write_reference(
     header = ','.join(['time', *(f'{name}_{kind}' for kind in kinds for name in names)])
     table = np.column_stack([time, *signals])
     np.savetxt(files[0], table, '%.9g', ',', header=header, comments='')
-    _write_bag(files[2], names, time, *signals)
+    with BagWriter(files[2]) as writer:
+        stamps = (round((1.0 + t) * 1e9) for t in time)
+        write_joint_states(writer, TOPIC, names, zip(stamps, *signals))
     for file, content in zip(files[1::2], (_message(names, trajectory), _scenario(trajectory))):
         file.write_text(yaml.safe_dump(content, sort_keys=False, width=110))
     return files
@@ -87,12 +89,3 @@ def _message(names: tuple[str, ...], trajectory: Trajectory) -> dict[str, Any]:
         point['time_from_start'] = {'sec': seconds, 'nanosec': nanoseconds}
         points.append(point)
     return {'joint_names': list(names), 'points': points}
-
-
-def _write_bag(path: Path, names: tuple[str, ...], time: np.ndarray, *signals: np.ndarray) -> None:
-    with BagWriter(path) as writer:
-        writer.add_topic(TOPIC, 'sensor_msgs/msg/JointState', [qos_profile(True, False, 10)])
-        messages = BagMessages(writer.typestore, 'base_link')
-        for t, *sample in zip(time, *signals):
-            stamp = round((1.0 + t) * 1e9)
-            writer.write(TOPIC, stamp, messages.joint_state(stamp, names, *sample))

@@ -1,5 +1,6 @@
 """Recordings of an arm: positions, rates and efforts of its joints over time."""
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,12 +10,14 @@ import numpy as np
 
 from lpv.bag.rosbag.reading import BagReader, open_bag
 from lpv.bag.run.csv_import import ColumnMap
+from lpv.bag.run.decoder import Columns, Decoder
 from lpv.bag.run.record import CORRECTED
+from lpv.core.support.errors import SampleError
 from lpv.identify.errors import IdentificationError
 
 MAX_SAMPLES = 4_000_000
 """Largest number of samples of one recording."""
-JOINT_STATE = 'sensor_msgs/msg/JointState'
+JOINT_STATE, SIGNALS = 'sensor_msgs/msg/JointState', ('position', 'velocity', 'effort')
 MIN_SHARE_VALID = 0.7
 """Smallest share of samples that must be complete."""
 _SHORTEST = 1e-6  # time from which samples follow each other [s]
@@ -211,46 +214,46 @@ def _roughness(time: np.ndarray, position: np.ndarray) -> float:
 
 def _read_bag(path: Path, joints: Sequence[str], topic: str | None) -> tuple[Any, ...]:
     """Stamps, positions, rates (or None) and efforts."""
-    parts: dict[str, list[tuple[Any, ...]]] = {}
+    parts: dict[str, list[tuple[np.ndarray, ...]]] = {}
     unknown: dict[str, list[str]] = {}
+    count = 0
+
+    def columns(topic: str, message: Any) -> Columns:
+        names = list(message.name)
+        if not set(joints) <= set(names):
+            unknown.setdefault(topic, names)
+            raise SampleError('other joints')
+        return [names.index(name) for name in joints], len(names)
+
     with open_bag(path) as bag:
-        for connection, log_time, raw in bag.messages(_joint_state_topics(bag, topic, path)):
-            message = bag.deserialize(raw, connection.msgtype)
-            names = list(message.name)
-            if not set(joints) <= set(names):
-                unknown.setdefault(connection.topic, names)
-                continue
-            rows = parts.setdefault(connection.topic, [])
-            if len(rows) >= MAX_SAMPLES:
+        topics = _joint_state_topics(bag, topic, path)
+        decoders = [
+            Decoder(bag, JOINT_STATE, SIGNALS, functools.partial(columns, c.topic)) for c in topics
+        ]
+        for block in bag.blocks(topics):
+            for i, decoder in enumerate(decoders):
+                found = decoder.read(block, np.flatnonzero(block.connection == i))
+                if found is not None:
+                    rows = found[1], block.time[found[0]], *found[2].values()
+                    parts.setdefault(topics[i].topic, []).append(rows)
+                    count += len(rows[0])
+            if count > MAX_SAMPLES:
                 raise IdentificationError(f'{path}: has more than {MAX_SAMPLES} samples')
-            index, stamp = [names.index(name) for name in joints], message.header.stamp
-            fields = (message.position, message.velocity, message.effort)
-            seconds = stamp.sec + 1e-9 * stamp.nanosec
-            rows.append((seconds, log_time, *(_pick(field, index) for field in fields)))
     if not parts:
-        found = '; '.join(f'{name}: {", ".join(names)}' for name, names in unknown.items())
+        found_names = '; '.join(f'{name}: {", ".join(names)}' for name, names in unknown.items())
         raise IdentificationError(
             f'{path}: no message has all joints {", ".join(joints)}; '
-            f'found {found or "no joint states"}'
+            f'found {found_names or "no joint states"}'
         )
     if len(parts) > 1:
         raise IdentificationError(
             f'{path}: several topics have the joints '
             f'({", ".join(sorted(parts))}); name one with --topic'
         )
-    header, log, *signals = zip(*next(iter(parts.values())))
-    log_time = 1e-9 * (np.array(log, np.int64) - log[0]).astype(float)
-    position, rates, effort = (np.array(signal) for signal in signals)
+    signals = [np.concatenate(part) for part in zip(*next(iter(parts.values())))]
+    header, log, position, rates, effort = signals
     velocity = rates if np.isfinite(rates).any() else None
-    return [np.array(header), log_time], position, velocity, effort
-
-
-def _pick(values: Any, index: list[int]) -> np.ndarray:
-    """Values of the arm's joints; an empty field of a JointState means "not known"."""
-    array = np.asarray(values, float)
-    if len(array) <= max(index):
-        return np.full(len(index), np.nan)
-    return array[index]
+    return [1e-9 * (stamps - stamps[0]) for stamps in (header, log)], position, velocity, effort
 
 
 def _joint_state_topics(bag: BagReader, topic: str | None, path: Path) -> list[Any]:
