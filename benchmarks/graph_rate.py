@@ -34,7 +34,7 @@ from lpv.cli.processes import Graph
 from lpv.core.support.discovery import stay_local
 from lpv.core.support.resources import bringup_file, executable
 from lpv_msgs.msg import FaultEstimate, GroundTruth, JointReference, StateEstimate, TorqueCommand
-from lpv_node.discovery import announce_often
+from lpv_node.arguments import announce_often
 from lpv_node.managed import ManagedNode
 from lpv_node.qos import stream
 from lpv_node.stamps import set_stamp, to_nanoseconds

@@ -7,7 +7,7 @@ import sys
 
 from lpv.core.support.discovery import stay_local
 from lpv.core.support.errors import LpvError
-from lpv_node.signals import raising_signals
+from lpv.core.support.signals import raising_signals
 from lpv_ros2cli import bag, launch, lifecycle, node, param, run, service, topic
 from lpv_ros2cli.command_line import CliError
 

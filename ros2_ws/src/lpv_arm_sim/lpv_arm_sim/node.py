@@ -31,55 +31,35 @@ from lpv.core.uio.planar import planar_model
 from lpv_arm_sim.services import FaultServices
 from lpv_msgs.msg import GroundTruth, TorqueCommand
 from lpv_node.input_check import Refusals, all_finite, all_sized
-from lpv_node.latency import FROM_GAINS, chosen_limit
 from lpv_node.managed import ManagedNode, run_node
-from lpv_node.parameters import declare_gains, fixed, named_file, read_gains_if_set
+from lpv_node.parameters import (
+    FROM_GAINS,
+    chosen_limit,
+    declare_gains,
+    named_file,
+    read_gains_if_set,
+    table,
+)
 from lpv_node.qos import stream
 from lpv_node.serialized import SerializedMessage
 from lpv_node.stamps import to_nanoseconds
 from lpv_node.status import ERROR, OK, WARN, StatusReporter
 
-SPECS = (
-    fixed('arm_file', '', 'arm file (YAML), or name of a shipped arm'),
-    fixed('scenario_file', '', 'scenario file (YAML), or name of a shipped one'),
-    fixed('seed', -1, "seed of noise and disturbance; -1 takes the scenario's", -1, 2**31 - 1),
-    fixed('substeps', 2, 'Runge-Kutta steps per sample', 1, 100),
-    fixed(
-        'shutdown_at_end',
-        False,
-        "exit with code 0 after the scenario's duration; otherwise "
-        'the arm goes on at the end of its path',
-    ),
-    fixed(
-        'command_timeout',
-        0.0,
-        'real time only: brake when the measurement that was answered last is this old [s]; '
-        + FROM_GAINS,
-        0.0,
-        60.0,
-    ),
-    fixed(
-        'max_mean_latency',
-        0.0,
-        f'real time only: brake when commands are this old on average over 0.1 s [s]; {FROM_GAINS}',
-        0.0,
-        60.0,
-    ),
-    fixed(
-        'bandwidth',
-        BANDWIDTH,
-        'serial arms only: that of the tracker, which limits of latency follow from [rad/s]',
-        0.1,
-        100.0,
-    ),
-    fixed(
-        'start_time',
-        1.0,
-        'lockstep only: stamp of the first sample [s]; zero means "not set" in ROS',
-        0.001,
-        1e9,
-    ),
-)
+SPECS = table(f"""
+arm_file FILE           arm file (YAML), or name of a shipped arm
+scenario_file FILE      scenario file (YAML), or name of a shipped one
+seed=-1[-1:2147483647]  seed of noise and disturbance; -1 takes the scenario's
+substeps=2[1:100]       Runge-Kutta steps per sample
+shutdown_at_end         exit with code 0 after the scenario's duration; otherwise the arm goes on at
+                        the end of its path
+command_timeout=0.0[0:60]  real time only: brake when the measurement that was answered last is this
+                        old [s]; {FROM_GAINS}
+max_mean_latency=0.0[0:60]  real time only: brake when commands are this old on average over 0.1 s
+                        [s]; {FROM_GAINS}
+bandwidth={BANDWIDTH}[0.1:100]  serial arms only: that of the tracker, which limits of latency
+                        follow from [rad/s]
+start_time=1.0[0.001:1e9]  lockstep only: stamp of the first sample [s]; zero means "not set" in ROS
+""")
 
 _CATCH_UP = 5
 """Most samples that a braked arm makes up for; what is beyond is left out."""
@@ -372,7 +352,3 @@ class SimulatorNode(ManagedNode):
 def main(argv: list[str] | None = None) -> None:
     """Entry point of ``ros2 run lpv_arm_sim simulator``."""
     sys.exit(run_node(SimulatorNode, argv))
-
-
-if __name__ == '__main__':
-    main()

@@ -1,5 +1,6 @@
-"""Start of ROS from a node's command line, with errors in one line."""
+"""Start of ROS from a node's command line, with errors in one line; how soon nodes meet."""
 
+import os
 import sys
 from pathlib import Path
 
@@ -8,12 +9,30 @@ from rclpy.signals import SignalHandlerOptions
 
 from lpv.core.support.errors import ConfigError
 
+_FAST_DDS_2 = ('humble', 'jazzy')
+"""Distributions whose Fast DDS does not read profiles of the next one."""
+_PROFILE_VARIABLES = ('FASTDDS_DEFAULT_PROFILES_FILE', 'FASTRTPS_DEFAULT_PROFILES_FILE')
+
+
+def announce_often() -> None:
+    """Let Fast DDS use the profiles ``fastdds.xml`` of this package, unless the user has some.
+
+    To be called before rclpy.init; other middlewares ignore it.
+    """
+    if not any(os.environ.get(name) for name in _PROFILE_VARIABLES):
+        is_old = os.environ.get('ROS_DISTRO') in _FAST_DDS_2
+        name = 'fastdds_2.xml' if is_old else 'fastdds.xml'
+        os.environ[_PROFILE_VARIABLES[0]] = str(Path(__file__).with_name(name))
+
 
 def initialise(argv: list[str] | None = None) -> None:
-    """Start ROS without its signal handlers, from ``argv`` or the process's command line.
+    """Start ROS, which announces itself often, without its signal handlers.
+
+    From ``argv`` or the process's command line.
 
     Raises ConfigError if a parameter file is missing, or the ROS arguments cannot be parsed.
     """
+    announce_often()
     argv = sys.argv if argv is None else argv
     for option, path in zip(argv, argv[1:]):
         if option == '--params-file' and not Path(path).is_file():

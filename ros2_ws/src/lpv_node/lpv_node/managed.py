@@ -18,29 +18,22 @@ from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
 from lpv.core.support.errors import LpvError
+from lpv.core.support.signals import StopRequest
 from lpv_node.arguments import initialise
-from lpv_node.discovery import announce_often
 from lpv_node.parameter_service import CheckedParameterService
-from lpv_node.parameters import Spec, declare, fixed
-from lpv_node.signals import StopRequest
+from lpv_node.parameters import Spec, declare, table
 
 VIEWER = 'view'
 """Name of the live view's node: the graph does not wait for it, nor start because of it."""
 _LONGEST_DRAIN = 10.0
 """Longest time that stopping may take [s]."""
 
-COMMON = (
-    fixed('autostart', True, 'configure and activate at start, without a lifecycle manager'),
-    fixed('lockstep', False, 'reliable topics with deep queues: every step waits for its answer'),
-    fixed(
-        'await_recorders',
-        0,
-        'wait until each output has this many recorders before taking part: '
-        'recordings are then complete from the first sample',
-        0,
-        100,
-    ),
-)
+COMMON = table("""
+autostart=true         configure and activate at start, without a lifecycle manager
+lockstep               reliable topics with deep queues: every step waits for its answer
+await_recorders=0[0:100]  wait until each output has this many recorders before taking part:
+                       recordings are then complete from the first sample
+""")
 
 
 class ManagedNode(LifecycleNode):
@@ -247,7 +240,6 @@ def run_node(node_class: Callable[[], ManagedNode], argv: list[str] | None = Non
     stop = StopRequest()
     node, code = None, 1
     try:
-        announce_often()
         initialise(argv)
         node = node_class()
         code = _spin(node, stop)

@@ -20,6 +20,7 @@ from lpv.core.serial_arm.certificate.loop_gains import LoopGains, parse_loop
 from lpv.core.serial_arm.certificate.model_bounds import BOUNDS
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.errors import ConfigError
+from lpv.core.support.options import entries as table_entries
 from lpv.core.support.resources import bringup_file
 from lpv.core.uio.certificate.conditions import require
 from lpv.core.uio.certificate.gains import (
@@ -72,6 +73,16 @@ class Spec:
 
 fixed = partial(Spec, read_only=True)
 """Declaration of a parameter that is fixed once the node runs."""
+
+
+def table(text: str, read_only: bool = True) -> tuple[Spec, ...]:
+    """Declarations of a table as of `lpv.core.support.options`: '' or false without a default."""
+    found = []
+    for one in table_entries(text):
+        default = ('' if one.shown else False) if one.default is None else one.default
+        low, high = one.limits or (None, None)
+        found.append(Spec(one.names, default, one.text, low, high, one.choices, read_only))
+    return tuple(found)
 
 
 @dataclass(frozen=True)
@@ -213,6 +224,24 @@ def named_file(node: Node, name: str, kind: str) -> str:
         If the parameter is empty, or there is no such file.
     """
     return str(bringup_file(kind, required_text(node, name)))
+
+
+FROM_GAINS = '0: as the gains allow'
+"""What a limit of latency means that was not set."""
+
+
+def chosen_limit(node: Node, name: str, certified: float) -> float:
+    """Value of a parameter, or what follows from the gains if it is 0 [s].
+
+    A longer one is taken, with a warning: nothing is known of the loop there.
+    """
+    value = float(node.get_parameter(name).value)
+    if value > certified:
+        node.get_logger().warning(
+            f'{name}: {value:g} s is longer than the {certified:.3g} s that the gains allow; '
+            'the loop may become unstable before the arm is stopped'
+        )
+    return value or certified
 
 
 def declare_gains(node: Node) -> frozenset[str]:

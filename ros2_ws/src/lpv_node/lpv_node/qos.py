@@ -1,6 +1,8 @@
 """Quality of service of the graph's topics."""
 
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile
+
+from lpv.bag.rosbag.live import ros_qos
 
 # Lockstep must not lose a message however slow the recorder is: it may lag by a whole run.
 _LOCKSTEP_DEPTH = 20000
@@ -12,22 +14,9 @@ def stream(lockstep: bool) -> QoSProfile:
     Reliable with deep queues in lockstep; sensor-data QoS (best effort, the latest few) in real
     time, where an old sample is worth less than none.
     """
-    if lockstep:
-        return QoSProfile(
-            history=HistoryPolicy.KEEP_LAST,
-            depth=_LOCKSTEP_DEPTH,
-            reliability=ReliabilityPolicy.RELIABLE,
-        )
-    return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST, depth=5, reliability=ReliabilityPolicy.BEST_EFFORT
-    )
+    return ros_qos(lockstep, False, _LOCKSTEP_DEPTH if lockstep else 5)
 
 
 def latched() -> QoSProfile:
     """QoS of alarms, reliable and transient local: late subscribers get the last ones."""
-    return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST,
-        depth=50,
-        reliability=ReliabilityPolicy.RELIABLE,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL,
-    )
+    return ros_qos(True, True, 50)

@@ -9,8 +9,8 @@ import sys
 import threading
 from collections.abc import Sequence
 
+from lpv.core.support.signals import StopRequest
 from lpv.core.support.threads import one_thread
-from lpv_node.signals import StopRequest
 
 _SILENCE = 1.5
 """A start that takes longer than this is said [s]."""

@@ -11,6 +11,19 @@ from lpv_node.stamps import set_stamp
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 
+def diagnostics(
+    stamp: int, level: bytes, name: str, message: str, values: Mapping[str, object], arm: str = ''
+) -> DiagnosticArray:
+    """A diagnostic_msgs/DiagnosticArray of one status with a stamp [ns]."""
+    pairs = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
+    status = DiagnosticStatus(
+        name=name, level=level, message=message, hardware_id=arm, values=pairs
+    )
+    array = DiagnosticArray(status=[status])
+    set_stamp(array.header.stamp, max(0, stamp))
+    return array
+
+
 class StatusReporter:
     """Publishes a status when it changes, and every second of its clock.
 
@@ -31,8 +44,7 @@ class StatusReporter:
 
     def __init__(self, node: Node, part: str, hardware_id: str) -> None:
         self.publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
-        name = f'{node.get_fully_qualified_name()}: {part}'
-        self._status = DiagnosticStatus(name=name, hardware_id=hardware_id)
+        self._name, self._arm = f'{node.get_fully_qualified_name()}: {part}', hardware_id
         self._last: tuple[bytes, str] | None = None
         self._due = 0
 
@@ -46,8 +58,5 @@ class StatusReporter:
         if self._last == (level, message) and self._due - NANOSECONDS <= stamp < self._due:
             return
         self._last, self._due = (level, message), stamp + NANOSECONDS
-        self._status.level, self._status.message = level, message
-        self._status.values = [KeyValue(key=k, value=str(v)) for k, v in values().items()]
-        array = DiagnosticArray(status=[self._status])
-        set_stamp(array.header.stamp, max(0, stamp))
+        array = diagnostics(stamp, level, self._name, message, values(), self._arm)
         self.publisher.publish(array)

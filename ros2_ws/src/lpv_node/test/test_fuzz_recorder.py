@@ -10,8 +10,9 @@ from lpv.bag.rosbag.message_loss import TopicCount
 from lpv.bag.rosbag.writing import qos_profile
 from lpv.core.support.errors import ConfigError
 from lpv_msgs.msg import FaultAlarm, StateEstimate
-from lpv_node.recorder.input import Heard, leading_stamp
+from lpv_node.recorder.input import Heard
 from lpv_node.recorder.node import RecorderNode
+from lpv_node.stamps import leading_stamp
 
 pytestmark = [pytest.mark.ros, pytest.mark.fuzz]
 TOPICS = {

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from lpv_node.signals import raising_signals
+from lpv.core.support.signals import raising_signals
 
 
 class Dropped:

@@ -30,16 +30,17 @@ from lpv.core.simulation.scenario import load_scenario
 from lpv.core.support.timestamps import NANOSECONDS
 from lpv_msgs.msg import JointReference, StateEstimate, TorqueCommand
 from lpv_node.input_check import Refusals, all_finite, all_sized
-from lpv_node.latency import FROM_GAINS, chosen_limit
 from lpv_node.managed import ManagedNode, run_node
 from lpv_node.parameters import (
+    FROM_GAINS,
     Spec,
+    chosen_limit,
     declare_gains,
     declare_loop,
-    fixed,
     named_file,
     read_gains_if_set,
     read_loop_if_set,
+    table,
 )
 from lpv_node.qos import stream
 from lpv_node.serialized import SerializedMessage
@@ -47,74 +48,29 @@ from lpv_node.stamps import to_nanoseconds
 from lpv_node.status import ERROR, OK, WARN, StatusReporter
 from lpv_tracker.upcoming import UpcomingReferences
 
-SPECS = (
-    fixed('arm_file', '', 'arm file (YAML), or name of a shipped arm'),
-    fixed(
-        'scenario_file', '', 'scenario file (YAML) or name of a shipped one; its path is tracked'
-    ),
-    Spec(
-        'compensation',
-        'confirmed',
-        'position in the loop: as measured (off), with confirmed '
-        'faults removed, or as estimated (always)',
-        choices=COMPENSATION,
-    ),
-    fixed(
-        'estimate_timeout',
-        0.0,
-        f'real time only: safe stop when no estimate came for this long [s]; {FROM_GAINS}',
-        0.0,
-        60.0,
-    ),
-    fixed(
-        'max_latency',
-        0.0,
-        'real time only: safe stop when an estimate answers a measurement that is older [s]; '
-        + FROM_GAINS,
-        0.0,
-        60.0,
-    ),
-    fixed(
-        'max_mean_latency',
-        0.0,
-        'real time only: safe stop when measurements that estimates answer are older on average '
-        'over 0.1 s [s]; 0: in proportion to max_latency',
-        0.0,
-        60.0,
-    ),
-    fixed(
-        'max_tracking_error',
-        TrackerLimits.tracking_error,
-        'safe stop, until ~/resume is called, when a joint is further from its reference '
-        'for 0.05 s [rad]',
-        0.01,
-        10.0,
-    ),
-    fixed(
-        'max_speed',
-        TrackerLimits.speed,
-        'safe stop, until ~/resume is called, when a joint is faster for 0.02 s than this share of '
-        'its velocity limit, as measured or as estimated [1]',
-        0.01,
-        1.0,
-    ),
-    fixed(
-        'approach_speed',
-        APPROACH_SPEED,
-        'fastest joint rate on the way to the path, where the arm starts '
-        'or goes on elsewhere [rad/s]',
-        0.01,
-        10.0,
-    ),
-    fixed(
-        'bandwidth',
-        BANDWIDTH,
-        'serial arms only: distance from zero of the three poles of every joint [rad/s]; '
-        'the gains of a two-link arm are in its gains file',
-        0.1,
-        100.0,
-    ),
-)
+SPECS = table(f"""
+arm_file FILE           arm file (YAML), or name of a shipped arm
+scenario_file FILE      scenario file (YAML) or name of a shipped one; its path is tracked
+estimate_timeout=0.0[0:60]  real time only: safe stop when no estimate came for this long [s];
+                        {FROM_GAINS}
+max_latency=0.0[0:60]   real time only: safe stop when an estimate answers a measurement that is
+                        older [s]; {FROM_GAINS}
+max_mean_latency=0.0[0:60]  real time only: safe stop when measurements that estimates answer are
+                        older on average over 0.1 s [s]; 0: in proportion to max_latency
+max_tracking_error={TrackerLimits.tracking_error}[0.01:10]  safe stop, until ~/resume is called,
+                        when a joint is further from its reference for 0.05 s [rad]
+max_speed={TrackerLimits.speed}[0.01:1]  safe stop, until ~/resume is called, when a joint is faster
+                        for 0.02 s than this share of its velocity limit, as measured or as
+                        estimated [1]
+approach_speed={APPROACH_SPEED}[0.01:10]  fastest joint rate on the way to the path, where the arm
+                        starts or goes on elsewhere [rad/s]
+bandwidth={BANDWIDTH}[0.1:100]  serial arms only: distance from zero of the three poles of every
+                        joint [rad/s]; the gains of a two-link arm are in its gains file
+""") + (
+    Spec('compensation', 'confirmed',
+         'position in the loop: as measured (off), with confirmed faults removed, or as estimated '
+         '(always)', choices=COMPENSATION),
+)  # fmt: skip
 _REFUSALS = {
     ValueFault.NOT_FINITE: 'estimate with values that are not finite',
     ValueFault.IMPOSSIBLE: 'estimate with values that no arm has',
@@ -444,7 +400,3 @@ _fields = attrgetter(*ROWS)
 def main(argv: list[str] | None = None) -> None:
     """Entry point of ``ros2 run lpv_tracker tracker``."""
     sys.exit(run_node(TrackerNode, argv))
-
-
-if __name__ == '__main__':
-    main()

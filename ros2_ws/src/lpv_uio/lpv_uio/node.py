@@ -4,6 +4,7 @@ import math
 import sys
 import threading
 from collections import deque
+from dataclasses import replace
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -27,76 +28,41 @@ from lpv.core.uio.unknown_input_observer import CHOICES
 from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate, TorqueCommand
 from lpv_node.input_check import OneSender, Refusals, all_finite, all_sized
 from lpv_node.managed import ManagedNode, run_node
-from lpv_node.parameters import Spec, declare_gains, fixed, named_file, read_gains_if_set
+from lpv_node.parameters import declare_gains, named_file, read_gains_if_set, table
 from lpv_node.qos import latched, stream
 from lpv_node.stamps import to_nanoseconds
 from lpv_node.status import ERROR, OK, WARN, StatusReporter
 from lpv_uio.messages import OutputMessages
 from lpv_uio.open_alarms import OpenAlarms, alarm_file
 
-_TUNABLE: tuple[tuple[Any, ...], ...] = (
-    (
-        'hours_between_false_alarms',
-        'mean time between false alarms of a healthy arm [h]',
-        0.01,
-        1e6,
-    ),
-    ('probability_of_wrong_name', 'probability that a named cause is another one [1]', 1e-6, 0.5),
-    ('minimum_threshold', 'smaller lasting offsets are no faults [rad]', 0.0, 10.0),
-    ('smallest_step', 'smaller jumps of a reading are no faults [rad]', 0.0, 10.0),
-    ('clear_dwell', 'for which a fault must be over before its alarm ends [s]', 0.0, 100.0),
-    ('latch', 'alarms stay until ~/reset, even if the fault is over'),
-    ('sigmas', 'standard deviations in a bound [1]', 1.0, 10.0),
-    (
-        'compensation_rate',
-        'how fast a compensation without a known step is faded in and out [rad/s]',
-        0.01,
-        100.0,
-    ),
-    (
-        'safe_stop_bound',
-        'a confirmed fault that is removed with a wider bound stops the arm [rad]',
-        0.01,
-        100.0,
-    ),
-)
-"""Fields of `DiagnosisParameters` with their meanings and ranges."""
+_TUNABLE = table("""
+hours_between_false_alarms[0.01:1e6]  mean time between false alarms of a healthy arm [h]
+probability_of_wrong_name[1e-6:0.5]  probability that a named cause is another one [1]
+minimum_threshold[0:10]  smaller lasting offsets are no faults [rad]
+smallest_step[0:10]      smaller jumps of a reading are no faults [rad]
+clear_dwell[0:100]       for which a fault must be over before its alarm ends [s]
+latch                    alarms stay until ~/reset, even if the fault is over
+sigmas[1:10]             standard deviations in a bound [1]
+compensation_rate[0.01:100]  how fast a compensation without a known step is faded in and out
+                         [rad/s]
+safe_stop_bound[0.01:100]  a confirmed fault that is removed with a wider bound stops the arm [rad]
+""", read_only=False)  # fmt: skip
+"""Fields of `DiagnosisParameters`, which has their defaults."""
 DIAGNOSIS_SPECS = tuple(
-    Spec(f'diagnosis.{name}', getattr(DiagnosisParameters, name), *meaning)
-    for name, *meaning in _TUNABLE
+    replace(spec, name=f'diagnosis.{spec.name}', default=getattr(DiagnosisParameters, spec.name))
+    for spec in _TUNABLE
 )
-SPECS = DIAGNOSIS_SPECS + (
-    fixed('arm_file', '', 'arm file (YAML), or name of a shipped arm'),
-    fixed(
-        'torque_source',
-        'effort',
-        'where torques come from: the effort of joint_states, or the latest torque_command',
-        choices=('effort', 'command'),
-    ),
-    fixed(
-        'stale_after',
-        0.5,
-        'real time only: silence after which the diagnosis is stale [s]',
-        0.01,
-        60.0,
-    ),
-    fixed(
-        'observer',
-        CHOICES[0],
-        'whose estimate of the faults is published, where gains are given: that of the smaller '
-        'bound, or one of the observers alone',
-        choices=CHOICES,
-    ),
-    fixed('initial_samples', 1, 'samples over which the start value is averaged', 1, 100000),
-    fixed(
-        'max_gap',
-        0.1,
-        'longest interval that is integrated [s]; after a longer one the '
-        'estimate is re-anchored on the encoders',
-        0.001,
-        10.0,
-    ),
-)
+SPECS = DIAGNOSIS_SPECS + table(f"""
+arm_file FILE            arm file (YAML), or name of a shipped arm
+torque_source {{effort,command}}  where torques come from: the effort of joint_states, or the latest
+                         torque_command
+stale_after=0.5[0.01:60]  real time only: silence after which the diagnosis is stale [s]
+observer {{{','.join(CHOICES)}}}  whose estimate of the faults is published, where gains are given:
+                         that of the smaller bound, or one of the observers alone
+initial_samples=1[1:100000]  samples over which the start value is averaged
+max_gap=0.1[0.001:10]    longest interval that is integrated [s]; after a longer one the estimate is
+                         re-anchored on the encoders
+""")
 _COMPILING = 'compiling the observer: the first start after an installation takes up to a minute'
 _NOT_ESTIMATED = int(Mode.STALE)
 """From this mode on there is nothing to correct."""
@@ -373,7 +339,3 @@ class UioNode(ManagedNode):
 def main(argv: list[str] | None = None) -> None:
     """Entry point of ``ros2 run lpv_uio uio``."""
     sys.exit(run_node(UioNode, argv))
-
-
-if __name__ == '__main__':
-    main()

@@ -7,13 +7,14 @@ import signal
 import subprocess
 import threading
 import time
-from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from lpv.core.support.discovery import stay_local
 from lpv.core.support.errors import LpvError
+from lpv.core.support.signals import exit_by_signal, handled_signals
 
 
 class NodeFailure(LpvError):
@@ -29,26 +30,12 @@ class NodeProcess:
     log: Path  # What it printed
 
 
-@contextlib.contextmanager
-def ended_by_signals() -> Iterator[None]:
+def ended_by_signals() -> AbstractContextManager[None]:
     """Context in which SIGTERM and SIGHUP raise SystemExit: nodes must not outlive the command.
 
-    They are in sessions of their own, where neither arrives.  SIGHUP is left alone where it is
-    ignored, as nohup asks for.
+    They are in sessions of their own, where neither arrives.
     """
-
-    def end(number: int, _frame: object) -> None:
-        raise SystemExit(128 + number)
-
-    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
-    before = {number: handler for number, handler in before.items() if handler != signal.SIG_IGN}
-    for number in before:
-        signal.signal(number, end)
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    return handled_signals(exit_by_signal, signal.SIGTERM, signal.SIGHUP)
 
 
 class Graph:

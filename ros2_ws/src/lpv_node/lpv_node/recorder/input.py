@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import fnmatch
-import struct
 from collections.abc import Callable, Iterable
 from operator import itemgetter
 from typing import Any, NamedTuple
@@ -15,6 +14,7 @@ from rosbags.interfaces import Qos
 
 from lpv.bag.rosbag.live import message_class, ros_qos
 from lpv.bag.rosbag.metadata import qos_profile
+from lpv_node.stamps import leading_stamp
 
 _DEPTH = 20000
 _MOST = 2000
@@ -179,12 +179,3 @@ def _offer(publisher: TopicEndpointInfo) -> tuple[bool, bool]:
         qos.reliability == ReliabilityPolicy.RELIABLE,
         qos.durability == DurabilityPolicy.TRANSIENT_LOCAL,
     )
-
-
-def leading_stamp(data: bytes) -> int | None:
-    """Stamp of a CDR message whose first field is a Header or a Time."""
-    if len(data) < 12:
-        return None
-    order = '<' if data[1] & 1 else '>'
-    seconds, nanoseconds = struct.unpack_from(order + 'iI', data, 4)
-    return seconds * 1_000_000_000 + nanoseconds

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray
 from rosbags.interfaces import Qos
 
 from lpv.bag.rosbag.interfaces import add_type
@@ -23,39 +23,34 @@ from lpv.bag.rosbag.output_folder import (
 from lpv.bag.rosbag.writing import PRESETS, BagWriter
 from lpv.core.support.errors import ConfigError
 from lpv_node.managed import ManagedNode, run_node
-from lpv_node.parameters import fixed, named_file, required_text
+from lpv_node.parameters import fixed, named_file, required_text, table
 from lpv_node.recorder.input import Heard, RecorderInput, Selection
 from lpv_node.recorder.stamp_sorter import StampSorter
+from lpv_node.status import ERROR, OK, WARN, diagnostics
 
 _TOPICS = [
     *('joint_states', 'torque_command', 'state_estimate', 'fault_estimate'),
     *('joint_states_corrected', 'fault_alarm', 'reference', 'ground_truth', '/diagnostics'),
 ]
-# fmt: off
-SPECS = (
-    fixed('output', '',
-          'bag directory to create; if it exists, one with a number behind its name is made'),
+SPECS = table("""
+output FOLDER        bag directory to create; if it exists, one with a number behind its name is
+                     made
+all                  record all topics but hidden and excluded ones, not those of "topics"
+split_size=0[0:1048576]  size at which a new file is begun; 0 for never [MiB]
+split_duration=0.0[0:1e6]  log time after which a new file is begun; 0 for never [s]
+flush_period=0.25[0.02:0.5]  longest time that a message stays in this process; in lockstep chunks
+                     are cut by stamps instead [s]
+fsync                wait after each chunk until it is on the disk: a power failure then loses no
+                     more than a crash
+gains_file FILE      gains file of this run, copied into the bag as gains.yaml; may be empty
+scenario_file FILE   scenario file of this run, copied into the bag as scenario.yaml; may be empty
+""") + (
     fixed('topics', _TOPICS,
           "topics to record; relative names are resolved in the node's namespace"),
-    fixed('all', False, 'record all topics but hidden and excluded ones, not those of "topics"'),
+    fixed('preset', 'zstd_fast', 'compression', choices=tuple(PRESETS)),
     fixed('exclude', ['/rosout', '/parameter_events'],
           'patterns of topics that "all" leaves out, as of a shell, against full names'),
-    fixed('preset', 'zstd_fast', 'compression', choices=tuple(PRESETS)),
-    fixed('split_size', 0, 'size at which a new file is begun; 0 for never [MiB]', 0, 1 << 20),
-    fixed('split_duration', 0.0, 'log time after which a new file is begun; 0 for never [s]',
-          0.0, 1e6),
-    fixed('flush_period', 0.25,
-          'longest time that a message stays in this process; in lockstep chunks are cut by stamps '
-          'instead [s]', 0.02, 0.5),
-    fixed('fsync', False,
-          'wait after each chunk until it is on the disk: a power failure then loses no more than '
-          'a crash'),
-    fixed('gains_file', '',
-          'gains file of this run, copied into the bag as gains.yaml; may be empty'),
-    fixed('scenario_file', '',
-          'scenario file of this run, copied into the bag as scenario.yaml; may be empty'),
-)
-# fmt: on
+)  # fmt: skip
 _POLL = 0.01
 _CHUNK_TIME = 250_000_000
 _SPARE = 1 << 20
@@ -239,27 +234,20 @@ class RecorderNode(ManagedNode):
     def _report(self) -> None:
         """State of the recording on /diagnostics."""
         lost = sum(count.lost for count in self._counts.values())
-        level, text = DiagnosticStatus.OK, 'recording' if self._writer is not None else 'bag closed'
+        level, text = OK, 'recording' if self._writer is not None else 'bag closed'
         if self._failure:
-            level, text = DiagnosticStatus.ERROR, f'recording stopped: {self._failure}'
+            level, text = ERROR, f'recording stopped: {self._failure}'
         elif lost or (self._input is not None and self._input.complaints):
             text = f'{lost} messages lost' if lost else 'some topics are not recorded'
-            level = DiagnosticStatus.WARN
+            level = WARN
         values = {} if self._writer is None else {
             'bytes': self._writer.size, 'files': self._writer.files}  # fmt: skip
         for topic, count in sorted(self._counts.items()):
             values |= {f'{topic} {name}': value for name, value in count.known().items()}
-        pairs = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
-        status = DiagnosticStatus(name=self._label, level=level, message=text, values=pairs)
-        message = DiagnosticArray(status=[status])
-        message.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics.publish(message)
+        now = self.get_clock().now().nanoseconds
+        self._diagnostics.publish(diagnostics(now, level, self._label, text, values))
 
 
 def main(argv: list[str] | None = None) -> None:
     """Entry point of ``ros2 run lpv_node recorder``."""
     sys.exit(run_node(RecorderNode, argv))
-
-
-if __name__ == '__main__':
-    main()

@@ -2,7 +2,6 @@
 
 import os
 import socket
-import struct
 import sys
 import time
 from collections.abc import Callable
@@ -24,7 +23,8 @@ from lpv.core.support.errors import ConfigError
 from lpv.core.support.timestamps import NANOSECONDS
 from lpv_node.input_check import Refusals
 from lpv_node.managed import VIEWER, ManagedNode, run_node
-from lpv_node.parameters import fixed, named_file
+from lpv_node.parameters import fixed, named_file, table
+from lpv_node.stamps import leading_stamp
 from lpv_node.status import OK, WARN, StatusReporter
 from lpv_node.view.access import Access
 from lpv_node.view.foxglove_bridge import BAND, FoxgloveBridge, gate, sdk_is_installed
@@ -35,30 +35,20 @@ from lpv_node.view.server import ViewServer
 from lpv_node.view.skeleton import urdf_text
 from lpv_node.view.topics import TOPICS, Inbox, Topic
 
-SPECS = (
-    fixed('arm_file', '', 'arm file (YAML), or name of a shipped arm'),
-    fixed(
-        'scenario_file', '', 'scenario file (YAML) whose path and obstacle are drawn; may be empty'
-    ),
-    fixed(
-        'address',
-        '127.0.0.1',
-        'where to listen; anything but a loopback address lets others '
-        'see the page, and its buttons then need the token',
-    ),
-    fixed('port', 8090, 'port of the page; 0 takes a free one', 0, 65535),
-    fixed('foxglove_port', 8765, 'port of the Foxglove WebSocket protocol; 0: off', 0, 65535),
-    fixed(
-        'foxglove_rate', 100.0, 'most messages of a fast topic sent to Foxglove [1/s]', 1.0, 1000.0
-    ),
-    fixed(
-        'foxglove_origins',
-        ['https://app.foxglove.dev', 'file://'],
-        'web origins that may connect to the Foxglove port',
-    ),
+SPECS = table("""
+arm_file FILE       arm file (YAML), or name of a shipped arm
+scenario_file FILE  scenario file (YAML) whose path and obstacle are drawn; may be empty
+address=127.0.0.1   where to listen; anything but a loopback address lets others see the page, and
+                    its buttons then need the token
+port=8090[0:65535]  port of the page; 0 takes a free one
+foxglove_port=8765[0:65535]  port of the Foxglove WebSocket protocol; 0: off
+foxglove_rate=100.0[1:1000]  most messages of a fast topic sent to Foxglove [1/s]
+rate=25.0[1:60]     frames, markers and transforms [1/s]
+""") + (
+    fixed('foxglove_origins', ['https://app.foxglove.dev', 'file://'],
+          'web origins that may connect to the Foxglove port'),
     fixed('hosts', [''], 'further names of this machine under which the page is called'),
-    fixed('rate', 25.0, 'frames, markers and transforms [1/s]', 1.0, 60.0),
-)
+)  # fmt: skip
 _ALARM_INTERVAL = 0.2
 """Shortest time between two lists of alarms [s]."""
 _TOKEN_VARIABLE = 'LPV_VIEW_TOKEN'
@@ -172,7 +162,7 @@ class ViewNode(ManagedNode):
         name = self.resolve_topic_name(topic.name)
 
         def forward(data: bytes) -> None:
-            stamp = _leading_stamp(data)
+            stamp = max(0, leading_stamp(data) or 0)
             restarted = self._stamp is not None and stamp < self._stamp - NANOSECONDS
             if restarted and not topic.every:  # those of the latter are latched, and may be old
                 bridge.restart()
@@ -293,17 +283,6 @@ class ViewNode(ManagedNode):
             self._foxglove.send(self.resolve_topic_name(name), data, stamp)
 
 
-def _leading_stamp(data: bytes) -> int:
-    """Stamp of a CDR message whose first field is a Header [ns]."""
-    order = '<' if data[1] & 1 else '>'
-    seconds, nanoseconds = struct.unpack_from(order + 'iI', data, 4)
-    return max(0, seconds) * NANOSECONDS + min(nanoseconds, NANOSECONDS - 1)
-
-
 def main(argv: list[str] | None = None) -> None:
     """Entry point of ``ros2 run lpv_node view``."""
     sys.exit(run_node(ViewNode, argv))
-
-
-if __name__ == '__main__':
-    main()
