@@ -24,7 +24,7 @@ MANY = {
     'seed': 9,
     'designs': [str(shipped_files('gains')['paper'])],
     'duration': 1.5,
-    'plan': {'method': 'random', 'runs': 60},
+    'plan': {'method': 'random', 'runs': 24},
     'factors': {
         'fault.kind': ['none', 'bias', 'drift', 'noise'],
         'fault.size': 0.3,
@@ -107,7 +107,7 @@ def serial(campaign):
     return [run_one(campaign, number) for number in range(campaign.spec.runs)]
 
 
-def execute(campaign, workers=None, scheduler=None, size=20):
+def execute(campaign, workers=None, scheduler=None, size=8):
     """Rows chunk by chunk."""
     with worker_pool(workers, scheduler) as do:
         for _, rows in do(campaign, chunks_of(campaign, size)):
@@ -123,7 +123,7 @@ def test_given_two_workers_when_one_is_killed_then_no_result_is_lost_or_differen
 ):
     first, _ = cluster.workers(2)
     rows, killed = [], False
-    for part in execute(campaign, scheduler=cluster.address, size=4):
+    for part in execute(campaign, scheduler=cluster.address, size=2):
         rows += part
         if not killed:
             kill(first)
@@ -132,12 +132,12 @@ def test_given_two_workers_when_one_is_killed_then_no_result_is_lost_or_differen
     assert_same(rows, serial)
     # The other one did what the dead one had in hand, and is there for the next command.
     file, out = tmp_path / 'few.yaml', tmp_path / 'out'
-    few = {**MANY, 'plan': {'method': 'random', 'runs': 22}}
+    few = {**MANY, 'plan': {'method': 'random', 'runs': 10}}
     file.write_text(yaml.safe_dump(few))
     line = ['campaign', str(file), '--out', str(out), '--scheduler', cluster.address]
     assert main([*line, '--no-report']) == 0
     again = pq.read_table(out / 'runs.parquet').to_pylist()
-    assert len(again) == 22
+    assert len(again) == 10
     for row, full in zip(again, serial):
         assert repr([row[name] for name in full]) == repr(list(full.values()))
 
@@ -164,7 +164,7 @@ def test_given_the_last_worker_when_it_dies_then_the_campaign_ends_and_goes_on_w
     with pytest.raises(WorkerError, match='has no workers'):
         next(execute(campaign, scheduler=cluster.address))
     cluster.workers(1)
-    assert len(next(execute(campaign, scheduler=cluster.address))) == 20
+    assert len(next(execute(campaign, scheduler=cluster.address))) == 8
 
 
 def test_given_no_scheduler_when_run_then_one_line_says_so(tmp_path, refused):
@@ -179,5 +179,5 @@ def test_given_no_scheduler_when_run_then_one_line_says_so(tmp_path, refused):
 def test_given_processes_of_its_own_when_run_then_the_results_are_those_of_one_process(
     campaign, serial
 ):
-    rows = [row for part in execute(campaign, workers=2, size=10) for row in part]
+    rows = [row for part in execute(campaign, workers=2, size=6) for row in part]
     assert_same(rows, serial)

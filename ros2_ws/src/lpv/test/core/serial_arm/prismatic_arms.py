@@ -62,10 +62,10 @@ def scara() -> SerialArm:
 
 
 def ur10_on_rail() -> SerialArm:
-    """The shipped UR10 on a horizontal rail: seven joints, the first one prismatic."""
+    """The shipped UR10 on a horizontal rail, without its last joint: its compiled code serves."""
     arm = load_arm(BRINGUP / 'arms' / 'ur10.yaml')
     own = {'name': 'ur10_on_rail', 'covariance': None, 'urdf': '', 'locked': ()}
-    joints = (_joint(*RAIL), *arm.joints)
+    joints = (_joint(*RAIL), *arm.joints[:-1])
     return replace(arm, joints=joints, uncertainty=Uncertainty(0.5, 0.3), **own)
 
 
