@@ -16,8 +16,8 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(1800)]
 CAMPAIGN = """
 name: small
 plan: {method: random, runs: 2}
-duration: 1.0
-factors: {fault.kind: bias, fault.size: 0.3, fault.onset: 0.4}
+duration: 0.5
+factors: {fault.kind: bias, fault.size: 0.3, fault.onset: 0.2}
 """
 
 

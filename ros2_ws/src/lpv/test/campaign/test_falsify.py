@@ -83,7 +83,7 @@ def test_given_an_arm_beyond_its_file_when_searched_then_the_threshold_is_crosse
     """The search finds what is there to be found: the bound of one arm, a worse one simulated."""
     attacker = Attacker(paper_arm, 2.0, paper_gains)
     attacker.range.arm = replace(paper_model, model_error=0.2, disturbance_mean=1.0)
-    assert search(attacker, 60)[0].ratio > 1.0
+    assert search(attacker, 12)[0].ratio > 1.0
 
 
 def test_given_a_short_search_of_a_serial_arm_then_it_comes_near_and_never_across(ur10):

@@ -47,6 +47,7 @@ def test_given_rounded_readings_with_rests_when_their_step_is_looked_for_then_it
     assert quantization_step([position]) == [0.0]
 
 
+@pytest.mark.slow
 def test_given_rounded_signals_when_sensed_then_each_has_its_step_and_its_noise_without_it():
     one = segment(noise=3e-4)
     sensed = found(1e-4 * np.round(one.position / 1e-4), 5e-3 * np.round(one.velocity / 5e-3))
@@ -56,6 +57,7 @@ def test_given_rounded_signals_when_sensed_then_each_has_its_step_and_its_noise_
     assert found(np.round(one.position, 1), one.velocity).position_noise > 0.0
 
 
+@pytest.mark.slow
 def test_given_rates_of_which_nothing_is_proved_when_sensed_then_they_are_called_derived():
     time = STEP * np.arange(5000)[:, None]
     assert found(np.sin(time), np.cos(time)).rates == ['derived']
