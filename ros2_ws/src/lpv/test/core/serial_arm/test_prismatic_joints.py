@@ -15,6 +15,7 @@ from lpv.core.simulation.faults import Fault
 from lpv.core.simulation.scenario import Scenario
 from lpv.core.support.errors import ConfigError
 
+
 def arms(*values):
     return pytest.mark.parametrize('arm', values, ids=lambda arm: arm.name)
 
