@@ -8,6 +8,7 @@ import numpy.typing as npt
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.sensor_map import map_vector
 from lpv.core.support.jit import njit_in_place
+from lpv.core.support.records import record_type
 from lpv.core.support.timestamps import NANOSECONDS, NEVER
 
 BRIDGED = 6
@@ -44,16 +45,16 @@ class Known(NamedTuple):
     to_joints: FloatArray  # S^-1 of y = S q + f, shape (n, n)
 
 
-class Flags(NamedTuple):
-    """The same for the arm as a whole."""
-
-    stamp: int  # of the decision [ns]
-    mode: int
-    trustworthy: bool
-    until: int  # trustworthy until a stamp, without another balance [ns]
-    inconsistent: bool
-    fading: float  # rate at which a fault is faded in and out [rad/s]
-    sample_time: float  # [s]
+FLAGS = record_type(
+    ('stamp', 'i8'),  # of the decision [ns]
+    ('mode', 'u1'),
+    ('trustworthy', '?'),
+    ('until', 'i8'),  # trustworthy until a stamp, without another balance [ns]
+    ('inconsistent', '?'),
+    ('fading', 'f8'),  # rate at which a fault is faded in and out [rad/s]
+    ('sample_time', 'f8'),  # [s]
+)
+"""The same for the arm as a whole."""
 
 
 class AnswerRows(NamedTuple):
@@ -99,11 +100,12 @@ def new_compensation(joints: int) -> Compensation:
 def fill_answers(
     work: Compensation,
     rows: AnswerRows,
+    first: int,
     part: tuple[int, int],
     stamps: IntArray,
     samples: FloatArray,
     known: Known,
-    flags: Flags,
+    flags: np.record,
 ) -> None:
     """Answers to samples in a row: faults by sensor, positions and rates by joint.
 
@@ -116,6 +118,8 @@ def fill_answers(
         Changed.
     rows : AnswerRows
         Written.
+    first : int
+        Row of the first one of ``samples``.
     part : tuple
         First sample, and the first one after the last.
     stamps : ndarray of int64, shape (N,)
@@ -124,10 +128,11 @@ def fill_answers(
         Readings of the sensors, their rates, efforts.
     known : Known
         Faults.
-    flags : Flags
-        What else is known.
+    flags : numpy.record
+        Of `FLAGS`: what else is known.
     """
     for k in range(part[0], part[1]):
+        row = first + k
         elapsed = (stamps[k] - flags.stamp) / NANOSECONDS
         step = _step(work, stamps[k], flags.fading, flags.sample_time)
         for i in range(known.fault.shape[0]):
@@ -140,17 +145,17 @@ def fill_answers(
             measured = samples[k, 0, i], samples[k, 1, i]
             _correct(work, i, measured, (confirmed, drift, growth), known.limit[i], step)
             work.estimate[i] = work.position[i] + work.applied[i] - fault
-            rows.estimate[k, i], rows.bound[k, i] = fault, known.bound[i]
-            rows.threshold[k, i], rows.state[k, i] = known.threshold[i], known.state[i]
-            rows.alarm[k, i] = known.is_error[i]
-        map_vector(known.to_joints, work.position, rows.compensated[k])
-        map_vector(known.to_joints, work.velocity, rows.velocity[k])
-        map_vector(known.to_joints, work.estimate, rows.position[k])
-        map_vector(known.to_joints, samples[k, 0], rows.measured[k])
-        map_vector(known.to_joints, samples[k, 1], rows.measured_velocity[k])
-        rows.answered[k], rows.has_fault[k] = True, True
-        rows.inconsistent[k], rows.mode[k] = flags.inconsistent, flags.mode
-        rows.trustworthy[k] = flags.trustworthy and stamps[k] <= flags.until
+            rows.estimate[row, i], rows.bound[row, i] = fault, known.bound[i]
+            rows.threshold[row, i], rows.state[row, i] = known.threshold[i], known.state[i]
+            rows.alarm[row, i] = known.is_error[i]
+        map_vector(known.to_joints, work.position, rows.compensated[row])
+        map_vector(known.to_joints, work.velocity, rows.velocity[row])
+        map_vector(known.to_joints, work.estimate, rows.position[row])
+        map_vector(known.to_joints, samples[k, 0], rows.measured[row])
+        map_vector(known.to_joints, samples[k, 1], rows.measured_velocity[row])
+        rows.answered[row], rows.has_fault[row] = True, True
+        rows.inconsistent[row], rows.mode[row] = flags.inconsistent, flags.mode
+        rows.trustworthy[row] = flags.trustworthy and stamps[k] <= flags.until
         work.stamp[0] = stamps[k]
 
 

@@ -8,7 +8,7 @@ not depend on how measurements are divided.
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,31 +16,24 @@ import numpy.typing as npt
 
 from lpv.core.monitoring import message_fields
 from lpv.core.monitoring.answers import LONGEST_STALE, Answer, Answers, answer_type
-from lpv.core.monitoring.compensation import (
-    AnswerRows,
-    Compensation,
-    Flags,
-    Known,
-    answer_rows,
-    fill_answers,
-    new_compensation,
-)
+from lpv.core.monitoring.compensation import FLAGS, AnswerRows, Known, answer_rows, new_compensation
 from lpv.core.monitoring.joint_order import JointOrder
 from lpv.core.monitoring.parameters import DiagnosisParameters
+from lpv.core.monitoring.sample_loop import PROGRESS, UNWATCHED, Answering
 from lpv.core.monitoring.serial_alarms import AlarmConverter
 from lpv.core.monitoring.stamp_gate import JUMP, StampGate
-from lpv.core.monitoring.stepped_monitor import Snapshot, SteppedMonitor
+from lpv.core.monitoring.stepped_monitor import Snapshot, SteppedMonitor, Told
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import Alarm, Mode, SensorState
-from lpv.core.serial_arm.diagnosis.bank import STARTS
 from lpv.core.serial_arm.diagnosis.monitor import LONGEST_STEP
 from lpv.core.serial_arm.sensor_map import map_rows, mixing
 from lpv.core.support.errors import SampleError
 from lpv.core.support.jit import Entries, njit_in_place
+from lpv.core.support.records import memory, new_record, plain
 from lpv.core.support.timestamps import NANOSECONDS, NEVER
 from lpv.core.uio.certificate.gains import Gains
-from lpv.core.uio.unknown_input_observer import CHOICES, UioParts, UnknownInputObserver, uio_answers
+from lpv.core.uio.unknown_input_observer import CHOICES, UnknownInputObserver
 
 METHOD = 'moving horizon'
 _ERROR = int(SensorState.ERROR)
@@ -52,8 +45,6 @@ _LARGEST_FOUND = 1.5
 """Offsets beyond are no statement: estimates are linear in small ones [rad]."""
 _WARM_UP = (0.3, 1.0)
 """Motion that makes every compiled function run, without and with those of suspected faults [s]."""
-_UNWATCHED = round(STARTS[-1] * NANOSECONDS)
-"""Time without a complete balance after which faults may have begun that are never found [ns]."""
 _CONTACT = 'torques from outside: something pushes or holds the arm, or its load has changed'
 _JUMPS_ALONE = 'jumps of readings are found, offsets and drifts are not diagnosable'
 _LARGEST_MISFIT = 3.0
@@ -86,7 +77,6 @@ class _Batch(NamedTuple):
 
     stamps: IntArray
     samples: FloatArray
-    torques: FloatArray  # of the joints, for the designed observer [N m]
     records: np.recarray
     plain: np.ndarray  # the same, of which a part is taken in a tenth of the time
     rows: AnswerRows
@@ -107,11 +97,9 @@ def _new_batch(kind: np.dtype, count: int, joints: int) -> _Batch:
         events=[],
         reports=[],
     )
-    samples, torques = np.empty((count, 3, joints)), np.empty((count, joints))
     return _Batch(
         np.empty(count, np.int64),
-        samples,
-        torques,
+        np.empty((count, 3, joints)),
         records,
         records.view(np.ndarray),
         answer_rows(memory),
@@ -161,10 +149,7 @@ class MonitorParts(NamedTuple):
     """What a compiled loop calls the monitor's functions with."""
 
     monitor: SteppedMonitor
-    compensation: Compensation
-    known: Known
-    flags: Flags
-    uio: UioParts | None  # of the designed observer, if there is one
+    answering: Answering
 
 
 class SerialSensorMonitor:
@@ -227,7 +212,6 @@ class SerialSensorMonitor:
         self._joints = len(arm.joints)
         self.answer_type = answer_type(self._joints)
         self._call = Entries()
-        self._balances, self._balanced = -1, NEVER  # at the last complete balance
         self._one = _new_batch(self.answer_type, 1, self._joints)  # of `take`
         self._bytes = self._one.plain.view('u1')
         self._order = JointOrder(arm.joint_names, self.needs_rates)
@@ -237,7 +221,6 @@ class SerialSensorMonitor:
         self._to_sensors, self._to_joints = mixing(arm.joints_to_sensors()), arm.sensors_to_joints()
         self._without_rates = np.array([rate == 'none' for rate in rates])
         self._monitor = SteppedMonitor(arm)
-        self._torque_gain = np.array([joint.torque_gain for joint in arm.joints])
         self._gains = gains
         self._uio: UnknownInputObserver | None = None
         if gains is not None:
@@ -259,7 +242,7 @@ class SerialSensorMonitor:
     @property
     def decisions(self) -> int:
         """Decisions so far."""
-        return int(self._snapshot.balances)
+        return self._monitor.balances
 
     def restart_statistic(self) -> None:
         """Let causes begin from now on only; what was learned stays."""
@@ -271,8 +254,8 @@ class SerialSensorMonitor:
         self._monitor.tune(parameters)
         if self._uio is not None:
             self._uio.retune(parameters.sigmas)
-        if hasattr(self, '_snapshot'):
-            self._know(self._snapshot, self._flags.stamp)
+        if hasattr(self, '_answering'):
+            self._know(self._snapshot, int(self._flags['stamp']))
 
     def reset(self) -> None:
         """Forget estimates and alarms; counters stay."""
@@ -287,14 +270,28 @@ class SerialSensorMonitor:
         self._blind: bool | None = None  # whether efforts are missing
         self._stamp = NEVER  # of the last usable sample [ns]
         self._reading = np.zeros(self._joints)  # of that sample [rad]
-        self._next_report = NEVER
+        n, self._noted = self._joints, 0  # stamp from which on the snapshot holds [ns]
+        flags = new_record(FLAGS, sample_time=self.arm.sample_time)
+        progress = new_record(PROGRESS, next_report=NEVER)
+        uio = None if self._uio is None else self._uio.parts
+        self._answering = Answering(
+            new_compensation(n), self._nothing_known(), memory(flags), memory(progress), uio
+        )
+        self._flags, self._progress = plain(flags), plain(progress)
+        self._balances, self._balanced = -1, NEVER  # at the last complete balance
         self._know(self._monitor.snapshot(), 0)
-        self._compensation = new_compensation(self._joints)
         self._alarms = AlarmConverter(self.arm)
         self._missing_since = np.full(self._joints, NEVER)  # readings, stamps [ns]
         self._is_missing = False
         self._newest = np.zeros(1, self.answer_type)  # row with the last estimate
         self._warned: set[str] = set()
+
+    def _nothing_known(self) -> Known:
+        fault, rate, confirmed, growth, bound, threshold, limit = np.zeros((7, self._joints))
+        state, is_error = np.zeros(self._joints, np.uint8), np.zeros(self._joints, bool)
+        return Known(
+            fault, rate, confirmed, growth, bound, threshold, limit, state, is_error,
+            self._is_derived, self._to_joints)  # fmt: skip
 
     def warm_up(self, suspicious: bool = False) -> None:
         """Compile with a made-up motion, and forget it: the first real samples must not wait.
@@ -375,11 +372,10 @@ class SerialSensorMonitor:
         self, batch: _Batch, position: FloatArray, velocity: FloatArray, effort: FloatArray
     ) -> Answers:
         """Use the measurements of a batch, which has their stamps."""
-        stamps, samples, torques, records, _, rows, answers = batch
+        stamps, samples, records, _, rows, answers = batch
         samples[:, 0] = map_rows(self._to_sensors, np.asarray(position))
         samples[:, 1] = map_rows(self._to_sensors, np.asarray(velocity))
         samples[:, 2] = effort
-        np.multiply(effort, self._torque_gain, out=torques)
         begin = 0
         while begin < len(stamps):
             regular = self._regular(batch, begin)
@@ -427,9 +423,9 @@ class SerialSensorMonitor:
 
     def _set_clock(self, shift: int) -> None:
         """Move all stamps to a clock that is ahead by ``shift`` [ns]; faults may have ended."""
-        for moments in (self._missing_since, self._compensation.stamp):
+        for moments in (self._missing_since, self._answering.work.stamp):
             moments[moments != NEVER] += shift
-        self._next_report = NEVER
+        self._progress['next_report'] = NEVER
         if self._stamp == NEVER:
             return
         self._stamp += shift
@@ -483,7 +479,7 @@ class SerialSensorMonitor:
         self._missing_since[~missing] = NEVER
         self._is_missing = bool(missing.any())
         if events:
-            self._next_report = NEVER
+            self._progress['next_report'] = NEVER
 
     def _is_new(self, stamp: int) -> bool:
         """Whether a stamp is later than that of the last sample."""
@@ -504,40 +500,46 @@ class SerialSensorMonitor:
         self._gate.follow(self._stamp)
         if self._blind:
             samples[:, 2] = 0.0
-        filled = begin
 
-        def fill(until: int) -> None:
-            nonlocal filled
-            self._fill(batch, filled, until, answers)
-            filled = until
+        def report(first: int, until: int) -> None:
+            self._report_due(batch.stamps[first:until], answers, first)
 
-        def decide(snapshot: Snapshot) -> None:
-            row = begin + snapshot.row
-            self._decide(snapshot, int(batch.stamps[row]), row, answers)
+        def known(snapshot: Snapshot, row: int, stamp: int) -> None:
+            events = self.note(snapshot, stamp)
+            answers.events += [(row, event) for event in events]
+            if events:
+                self._progress['next_report'] = NEVER
 
-        # What was decided at a sample counts from this sample on; the designed observer has used
-        # all samples before it then.
-        self._monitor.run(stamps, samples, lambda row: fill(begin + row), decide)
-        fill(end)
+        self._monitor.run(stamps, samples, self._answering, batch.rows, begin, Told(report, known))
         self._newest = batch.plain[end - 1 : end].copy()
 
     def _watch_from(self, stamp: int) -> None:
         """Balances are due from a stamp [ns] on."""
-        self._balanced = stamp
-        self._know(self._snapshot, self._flags.stamp)
+        known, self._balanced = self._snapshot, stamp
+        self._know(known, int(self._flags['stamp']))
 
     @property
     def parts(self) -> MonitorParts:
         """Arguments of the compiled functions, until `note`; for closed-loop simulations."""
-        return MonitorParts(
-            self._monitor, self._compensation, self._arrays, self._flags, self._uio_parts
-        )
+        return MonitorParts(self._monitor, self._answering)
+
+    def decide(self, stamp: int, complete: bool) -> list[Alarm]:
+        """Decide on what was found at a sample [ns], taken with `parts`; alarm events."""
+        events: list[Alarm] = []
+
+        def known(snapshot: Snapshot, _: int, stamp: int) -> None:
+            events.extend(self.note(snapshot, stamp))
+
+        told = Told(lambda first, until: None, known)
+        self._monitor.settle(stamp, complete, self._answering, self._one.rows, told)
+        return events
 
     @property
-    def _uio_parts(self) -> UioParts | None:
-        """The designed observer needs efforts that hold the weight."""
-        usable = self._uio is not None and self._monitor.uses_balances
-        return self._uio.parts if self._uio is not None and usable else None
+    def _snapshot(self) -> Snapshot:
+        """What has been known since the last decision."""
+        if self._flags['stamp'] != self._noted:  # compiled functions have decided since
+            self._noted, self._seen = int(self._flags['stamp']), self._monitor.snapshot()
+        return self._seen
 
     @property
     def _last(self) -> np.recarray:
@@ -563,16 +565,9 @@ class SerialSensorMonitor:
         if snapshot.alarms:
             onsets = [self._monitor.stamp_of(alarm.onset) for alarm in snapshot.alarms]
             events = self._alarms.convert(snapshot, onsets, stamp, self._parameters.sigmas)
-        self._compensation.applied[:] += snapshot.jump
+        self._answering.work.applied[:] += snapshot.jump
         self._know(snapshot, stamp)
         return events
-
-    def _decide(self, snapshot: Snapshot, stamp: int, row: int, answers: Answers) -> None:
-        """What has been decided counts from a sample on."""
-        events = self.note(snapshot, stamp)
-        answers.events += [(row, event) for event in events]
-        if events:
-            self._next_report = NEVER
 
     def _add_rates(self, stamps: IntArray, samples: FloatArray) -> None:
         """Rates that are missing are differences of the readings."""
@@ -587,7 +582,8 @@ class SerialSensorMonitor:
         """What holds from a sample on, in the form of compiled functions."""
         if snapshot.balances != self._balances:
             self._balances, self._balanced = snapshot.balances, stamp
-        self._snapshot, tuning, is_error = snapshot, self._parameters, snapshot.is_error
+        tuning, is_error, flags = self._parameters, snapshot.is_error, self._flags
+        self._seen, self._noted, flags['stamp'] = snapshot, stamp, stamp
         confirmed, growth = snapshot.removed, snapshot.rate  # count where there is an error
         if True in is_error.tolist():
             confirmed = np.where(snapshot.is_level, snapshot.fault, confirmed)
@@ -596,45 +592,17 @@ class SerialSensorMonitor:
             # An offset from the start is not in the set: its estimate is on its way.
             offset = True in snapshot.is_level.tolist()
             self._uio.rely(not (offset or snapshot.suspects or self._monitor.has_rate_fault))
-        self._arrays = Known(
-            snapshot.fault,
-            snapshot.rate,
-            confirmed,
-            growth,
-            tuning.sigmas * snapshot.sigma,
-            snapshot.threshold,
-            snapshot.jump_limit,
-            snapshot.state,
-            is_error,
-            self._is_derived,
-            self._to_joints,
-        )
-        self._flags = Flags(
-            stamp,
-            int(self._mode()),
-            self._is_trustworthy(),
-            self._balanced + _UNWATCHED if self._monitor.uses_balances else np.iinfo(int).max,
-            bool(snapshot.suspects),
-            tuning.compensation_rate,
-            self.arm.sample_time,
-        )
-
-    def _fill(self, batch: _Batch, begin: int, end: int, answers: Answers) -> None:
-        """Answers to samples between two decisions, and reports that are due."""
-        if begin < end:
-            self._call(
-                fill_answers,
-                self._compensation,
-                batch.rows,
-                (begin, end),
-                batch.stamps,
-                batch.samples,
-                self._arrays,
-                self._flags,
-            )
-            if (uio := self._uio_parts) is not None:
-                self._call(uio_answers, uio, batch.rows, (begin, end), batch.stamps, batch.torques)
-            self._report_due(batch.stamps[begin:end], answers, begin)
+        known = self._answering.known
+        known.fault[:], known.rate[:] = snapshot.fault, snapshot.rate
+        known.confirmed[:], known.growth[:] = confirmed, growth
+        known.bound[:], known.threshold[:] = tuning.sigmas * snapshot.sigma, snapshot.threshold
+        known.limit[:], known.state[:] = snapshot.jump_limit, snapshot.state
+        known.is_error[:] = is_error
+        unwatched = self._balanced + UNWATCHED
+        flags['mode'], flags['trustworthy'] = self._mode(), self._is_trustworthy()
+        flags['inconsistent'] = bool(snapshot.suspects)
+        flags['until'] = unwatched if self._monitor.uses_balances else np.iinfo(int).max
+        flags['fading'] = tuning.compensation_rate
 
     def _mode(self) -> Mode:
         if not self._monitor.uses_balances:
@@ -662,19 +630,18 @@ class SerialSensorMonitor:
             row.state.trustworthy = False
 
     def _is_due(self, stamp: int) -> bool:
-        return self._next_report == NEVER or stamp >= self._next_report
+        return bool(stamp >= self._progress['next_report'])
 
     def _report_due(self, stamps: IntArray, answers: Answers, first: int) -> None:
         """Diagnostics reports of samples between two decisions."""
         k = 0
         while k < len(stamps) and self._is_due(int(stamps[-1])):
-            if self._next_report != NEVER:
-                k += int(np.searchsorted(stamps[k:], self._next_report))
+            k += int(np.searchsorted(stamps[k:], self._progress['next_report']))
             if k < len(stamps):
                 self._report(int(stamps[k]), first + k, answers)
 
     def _report(self, stamp: int, row: int, answers: Answers) -> None:
-        self._next_report = stamp + _REPORT_INTERVAL
+        self._progress['next_report'] = stamp + _REPORT_INTERVAL
         answer = answers.state[row], answers.fault[row] if answers.has_fault[row] else None
         answers.reports.append((row, self._status(*answer)))
 
@@ -696,7 +663,7 @@ class SerialSensorMonitor:
 
     def _status(self, state: np.record, fault: np.record | None) -> list[dict[str, Any]]:
         values = {
-            **asdict(self.counters),
+            **vars(self.counters),
             'rejected messages': self.rejected,
             'method': self.method,
             'bounds': f'statistical, {self._parameters.sigmas:g} standard deviations',

@@ -7,24 +7,23 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from lpv.core.monitoring.compensation import AnswerRows
 from lpv.core.monitoring.parameters import DiagnosisParameters
+from lpv.core.monitoring.sample_loop import Answering, Phase, advance
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import SensorState
+from lpv.core.serial_arm.diagnosis.decision import Parts, Stage
 from lpv.core.serial_arm.diagnosis.healthy_set import Guarantee
 from lpv.core.serial_arm.diagnosis.monitor import SerialAlarm, SerialMonitor
-from lpv.core.serial_arm.diagnosis.sampling import JUMP_SCALE, Sampler
-from lpv.core.support.jit import njit_in_place
+from lpv.core.serial_arm.diagnosis.sampling import JUMP_SCALE
 
-_OK, _ERROR = int(SensorState.OK), int(SensorState.ERROR)
-_NOT_DIAGNOSABLE = int(SensorState.NOT_DIAGNOSABLE)
+_OK, _ERROR, _NOT_DIAGNOSABLE = SensorState.OK, SensorState.ERROR, SensorState.NOT_DIAGNOSABLE
 
 
 class Snapshot(NamedTuple):
     """What is known from a sample on, until the next decision; arrays of shape (n,)."""
 
-    row: int  # of the sample among those that were taken together
-    time: float  # of the sample since the first one [s]
     fault: FloatArray  # estimated faults of the sensors [rad]
     sigma: FloatArray  # their standard deviations [rad]
     removed: FloatArray  # jumps and drifts that are beyond doubt: part of fault [rad]
@@ -51,63 +50,11 @@ class Snapshot(NamedTuple):
         return self.state == _ERROR
 
 
-class Numbers(NamedTuple):
-    """Some fields of `Snapshot`, which `fill_numbers` writes."""
+class Told(NamedTuple):
+    """Who is told between two samples."""
 
-    rate: FloatArray
-    removed_sigma: FloatArray
-    jump: FloatArray
-    threshold: FloatArray
-    jump_limit: FloatArray
-
-
-@njit_in_place
-def fill_numbers(
-    numbers: Numbers,
-    state: npt.NDArray[np.uint8],
-    sampler: Sampler,
-    sigma: FloatArray,
-    changing: FloatArray,
-    jumps: tuple[FloatArray, FloatArray, FloatArray],
-    limits: tuple[float, float, float],
-    scales: FloatArray,
-) -> None:
-    """Write what follows from standard deviations of faults, and of those that are followed.
-
-    Parameters
-    ----------
-    numbers : Numbers
-        Written.
-    state : ndarray of uint8, shape (n,)
-        States of the sensors, and, changed, whether their faults are diagnosable.
-    sampler : Sampler
-        What is known of the readings.
-    sigma, changing : ndarray, shape (n,)
-        Standard deviations of all faults, and of those that are followed [rad].
-    jumps : tuple of ndarray, shape (n,)
-        Jumps since the last decision and their variances, which are forgotten; variances of all
-        jumps of the present faults [rad], [rad2].
-    limits : tuple
-        Standard deviations in a bound; smallest level, standard deviation that says nothing [rad].
-    scales : ndarray, shape (n,)
-        Of thresholds.
-    """
-    jump, variance, removed = jumps
-    sigmas, smallest, widest = limits
-    for i in range(sigma.shape[0]):
-        removed[i] += variance[i]
-        if state[i] != _ERROR:
-            removed[i] = 0.0
-        if state[i] == _OK and sigma[i] > widest * scales[i]:
-            state[i] = _NOT_DIAGNOSABLE
-        numbers.rate[i], numbers.jump[i] = sampler.drift[i], jump[i]
-        numbers.removed_sigma[i] = np.sqrt(removed[i] + changing[i] * changing[i])
-        numbers.threshold[i] = max(sigmas * sigma[i], smallest * scales[i])
-        numbers.jump_limit[i] = max(JUMP_SCALE * sampler.scale[i], sampler.smallest[i])
-        jump[i], variance[i] = 0.0, 0.0
-
-
-_Around = tuple[Callable[[int], None], Callable[[Snapshot], None]]
+    report: Callable[[int, int], None]  # rows that have been answered, and reports may be due
+    known: Callable[[Snapshot, int, int], None]  # what holds from a row and its stamp [ns] on
 
 
 class SteppedMonitor(SerialMonitor):
@@ -133,8 +80,6 @@ class SteppedMonitor(SerialMonitor):
         super().reset()
         self._first = None
         self.alarms = []
-        self._balances, self._row = 0, 0
-        self._around: _Around | None = None
         self._removed_variance = np.zeros(self.joints)
 
     def tune(self, parameters: DiagnosisParameters) -> None:
@@ -152,6 +97,16 @@ class SteppedMonitor(SerialMonitor):
         self.apply_settings()
 
     @property
+    def balances(self) -> int:
+        """Balances that were used so far."""
+        return int(self._state['balances'])
+
+    @property
+    def parts(self) -> Parts:
+        """What samples are decided on with."""
+        return self._parts
+
+    @property
     def has_rate_fault(self) -> bool:
         """Whether a rate sensor has a confirmed fault."""
         return any(record.active for record in self.rates)
@@ -165,25 +120,40 @@ class SteppedMonitor(SerialMonitor):
         self,
         stamps: IntArray,
         samples: FloatArray,
-        before: Callable[[int], None],
-        after: Callable[[Snapshot], None],
+        answering: Answering,
+        rows: AnswerRows,
+        first: int,
+        told: Told,
     ) -> None:
-        """Take samples as `take_readings`.
+        """Take samples as `take_readings`, and answer them.
 
         Parameters
         ----------
         stamps, samples : ndarray
             As of `take_readings`.
-        before : callable
-            Called with the row of a sample at which something is about to be decided.
-        after : callable
-            Called with what is known from that sample on.
+        answering : Answering
+            Changed.
+        rows : AnswerRows
+            Written.
+        first : int
+            Row of the first sample.
+        told : Told
+            Called in between.
         """
-        self._row, self._around = 0, (before, after)
-        try:
-            self.take_readings(stamps, samples)
-        finally:
-            self._around = None
+        self._out, self._row, self._stamps = (answering, rows, told), first, stamps
+        self.take_readings(stamps, samples)
+
+    def settle(
+        self, stamp: int, complete: bool, answering: Answering, rows: AnswerRows, told: Told
+    ) -> None:
+        """Decide on what `take_samples` has found at a sample [ns]; for loops that call it."""
+        self._out, self._row = (answering, rows, told), 0
+        progress, found = answering.progress[0], self.sampler.found
+        progress['stamp'], progress['complete'] = stamp, complete
+        progress['jumped'], progress['touched'] = found.any(), False
+        progress['phase'], self._state['now'] = Phase.JUMP, self._last()
+        self._state['stage'] = Stage.BEGIN if complete else Stage.DONE
+        self._go_on(np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 3, self.joints)))
 
     def went_on(self, stamp: int) -> None:
         """Samples up to a stamp [ns] were taken by compiled functions."""
@@ -200,39 +170,53 @@ class SteppedMonitor(SerialMonitor):
         return (self._first or 0) + round(seconds * 1e9)
 
     def _take(self, times: FloatArray, samples: FloatArray) -> None:
-        super()._take(times, samples)
-        self._row += len(times)
+        count, self._stamps = len(times), self._stamps
+        self._go_on(self._stamps[:count], times, samples)
+        self._row, self._stamps = self._row + count, self._stamps[count:]
 
-    def decide(self, now: float, complete: bool) -> None:
-        """As of `SerialMonitor`."""
-        super().decide(now, complete)
-        self._balances += complete and self.uses_balances
+    def _go_on(self, stamps: IntArray, times: FloatArray, samples: FloatArray) -> None:
+        """Take samples, decide on them and answer them."""
+        (answering, rows, told), first = self._out, self._row
+        progress, plan = answering.progress[0], (self.plan.per_block, self.plan.blocks)
+        progress['taken'] = progress['answered'] = progress['reported'] = 0
+        fixed = self._parts, plan, answering, rows, first, stamps, times, samples
+        self._tell()
+        while self._call(advance, *fixed) or progress['phase'] != Phase.SAMPLE:
+            now, row = float(self._state['now']), first + int(progress['taken']) - 1
+            if progress['phase'] == Phase.REPORT:
+                told.report(first + int(progress['reported']), first + int(progress['answered']))
+                progress['reported'] = progress['answered']
+            elif progress['phase'] == Phase.KNOW:
+                told.known(self.snapshot(), row, int(progress['stamp']))
+                progress['phase'] = Phase.SAMPLE
+            else:
+                if progress['phase'] == Phase.JUMP:
+                    self._report_samples(now)
+                    self._tell()
+                    progress['phase'] = Phase.DECIDE
+                else:
+                    self._do_stage(now)
+                progress['touched'] = True
 
-    def _after(self, count: int, now: float, complete: bool) -> None:
-        row = self._row + count - 1
-        if self._around:
-            self._around[0](row)
-        self.decide(now, complete)
-        if self._around:
-            self._around[1](self.snapshot(row))
-
-    def snapshot(self, row: int = 0) -> Snapshot:
-        """What is known now."""
-        settings, sensors = self.settings, self.sensors
+    def snapshot(self) -> Snapshot:
+        """What has been known since the last decision."""
+        settings, sensors, sampler, scales = self.settings, self.sensors, self.sampler, self.scales
         state = np.array([one.state for one in sensors], np.uint8)
-        fault, sigma = self.faults()
-        numbers = Numbers(*np.empty((5, self.joints)))
-        limits = settings.sigmas, settings.smallest_level, settings.widest_level
-        jumps = self.jump, self.jump_variance, self._removed_variance
-        self._call(
-            fill_numbers, numbers, state, self.sampler, sigma,
-            self.changing_sigma() + self.jump_doubt(), jumps, limits, self.scales,
-        )  # fmt: skip
+        (fault, sigma), changing = self.faults(), self.changing_sigma() + self.jump_doubt()
+        jump, self.jump = self.jump, np.zeros(self.joints)
+        self._removed_variance = np.where(
+            state == _ERROR, self._removed_variance + self.jump_variance, 0.0
+        )
+        self.jump_variance[:] = 0.0
+        state[(state == _OK) & (sigma > settings.widest_level * scales)] = _NOT_DIAGNOSABLE
         alarms, self.alarms = tuple(self.alarms), []
         return Snapshot(
-            row, self._last(), fault, sigma, *self.certain(), *numbers, state,
+            fault, sigma, *self.certain(), sampler.drift.copy(),
+            np.sqrt(self._removed_variance + changing**2), jump,
+            np.maximum(settings.sigmas * sigma, settings.smallest_level * scales),
+            np.maximum(JUMP_SCALE * sampler.scale, sampler.smallest), state,
             np.array([one.level and one.active for one in sensors]),
             np.array([one.unseen for one in sensors]),
-            self._suspects, self.in_contact, self._balances, alarms, self.guarantee,
+            self._suspects, self.in_contact, self.balances, alarms, self.guarantee,
             self.healthy is not None, self.estimator.misfit(),
         )  # fmt: skip

@@ -41,23 +41,16 @@ from lpv.core.control.watchdog import (
     tracker_watchdog,
 )
 from lpv.core.monitoring.answers import answer_type
-from lpv.core.monitoring.compensation import (
-    AnswerRows,
-    Compensation,
-    Flags,
-    Known,
-    answer_rows,
-    copy_answer,
-    fill_answers,
-)
+from lpv.core.monitoring.compensation import AnswerRows, answer_rows, copy_answer
 from lpv.core.monitoring.parameters import DiagnosisParameters
+from lpv.core.monitoring.sample_loop import Answering, answer
 from lpv.core.monitoring.serial_monitor import MonitorParts, SerialSensorMonitor
 from lpv.core.serial_arm.chain import Chain, FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import Alarm
-from lpv.core.serial_arm.diagnosis.balance import Balance
+from lpv.core.serial_arm.diagnosis.decision import Parts
 from lpv.core.serial_arm.diagnosis.monitor import LONGEST_STEP
-from lpv.core.serial_arm.diagnosis.sampling import Sampler, take_samples
+from lpv.core.serial_arm.diagnosis.sampling import take_samples
 from lpv.core.serial_arm.sensor_map import map_vector
 from lpv.core.simulation.arm_simulator import (
     ArmSimulator,
@@ -81,7 +74,6 @@ from lpv.core.support.jit import njit_in_place as njit
 from lpv.core.support.records import memory, new_record, plain, record_type
 from lpv.core.support.timestamps import NANOSECONDS, NEVER
 from lpv.core.uio.certificate.gains import Gains
-from lpv.core.uio.unknown_input_observer import UioParts, uio_answers
 
 
 class Phase(IntEnum):
@@ -176,22 +168,18 @@ class _Streams(NamedTuple):
 
 
 class _Observer(NamedTuple):
-    """Arguments of `take_samples` and `fill_answers`, for all samples of the run."""
+    """Arguments of `take_samples` and `answer`, for all samples of the run."""
 
-    sampler: Sampler
-    balance: Balance
+    parts: Parts
     plan: tuple[int, int]
     stamps: IntArray
     times: FloatArray
     samples: FloatArray
-    compensation: Compensation
-    known: Known
-    flags: Flags
+    answering: Answering
     answers: AnswerRows
     feedback: FloatArray  # those positions of the answers that the loop is closed on
     gains: FloatArray
     to_sensors: FloatArray  # S of y = S q + f
-    uio: UioParts | None  # of the designed observer, if there is one
 
 
 class _Tracker(NamedTuple):
@@ -291,15 +279,15 @@ def _sense(
 def _take(loop: np.record, observer: _Observer, k: int) -> None:
     """Hand the sample to the diagnosis."""
     _, loop.complete = take_samples(
-        observer.sampler,
-        observer.balance,
+        observer.parts.sampler,
+        observer.parts.balance,
         observer.times[: k + 1],
         observer.samples[: k + 1],
         k,
         observer.plan,
     )
     loop.phase = _DECIDE if loop.complete else _ANSWER
-    for found in observer.sampler.found:
+    for found in observer.parts.sampler.found:
         if found != 0:
             loop.phase = _DECIDE
 
@@ -307,16 +295,15 @@ def _take(loop: np.record, observer: _Observer, k: int) -> None:
 @njit
 def _answer(loop: np.record, observer: _Observer, k: int) -> None:
     """What the node answers: readings without confirmed faults."""
-    fill_answers(
-        observer.compensation,
+    answer(
+        observer.parts,
+        observer.answering,
         observer.answers,
+        0,
         (k, k + 1),
         observer.stamps,
         observer.samples,
-        observer.known,
-        observer.flags,
     )
-    uio_answers(observer.uio, observer.answers, (k, k + 1), observer.stamps, observer.samples[:, 2])
     loop.phase = _ESTIMATE
 
 
@@ -577,11 +564,8 @@ def run_closed_loop(
         if phase == _MONITOR:
             alarms += _hand_over(monitor, parts, records, loop, simulator.state, k)
             parts.times[:] = (parts.stamps - stepped.stamp_of(0.0)) / NANOSECONDS
-            parts = parts._replace(known=monitor.parts.known, flags=monitor.parts.flags)
         elif phase == _DECIDE:
-            stepped.decide(float(parts.times[k]), bool(now['complete']))
-            alarms += monitor.note(stepped.snapshot(), int(parts.stamps[k]))
-            parts = parts._replace(known=monitor.parts.known, flags=monitor.parts.flags)
+            alarms += monitor.decide(int(parts.stamps[k]), bool(now['complete']))
             now['phase'] = _ANSWER
         elif phase == _START:
             references.restart(k - int(loop.offset), loop.feedback.copy())
@@ -634,18 +618,14 @@ def _new_observer(
     count, n = feedback.shape
     stamps = np.rint(arm.sample_time * NANOSECONDS * np.arange(count)).astype(np.int64)
     return _Observer(
-        parts.monitor.sampler,
-        parts.monitor.estimator.balance,
+        parts.monitor.parts,
         (parts.monitor.plan.per_block, parts.monitor.plan.blocks),
         stamps,
         stamps / NANOSECONDS,
         np.empty((count, 3, n)),
-        parts.compensation,
-        parts.known,
-        parts.flags,
+        parts.answering,
         answers,
         feedback,
         np.array([joint.torque_gain for joint in arm.joints]),
         arm.joints_to_sensors(),
-        parts.uio,
     )

@@ -22,7 +22,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-_IMPORT = re.compile(r'^from (lpv[\w.]*) import (\([^)]*\)|.*)$|^import (lpv[\w.]*)', re.M)
+_IMPORT = re.compile(r'^ *from (lpv[\w.]*) import (\([^)]*\)|.*)$|^ *import (lpv[\w.]*)', re.M)
 
 
 def source_digest(folder: Path) -> str:
@@ -118,6 +118,8 @@ def _load_numba() -> Any:
         import numba
     except ImportError:  # a machine without Numba runs the plain functions
         return None
+    import lpv.core.support.references  # noqa: F401
+
     return numba
 
 

@@ -90,7 +90,7 @@ def uio_step(
 
 @njit
 def uio_answers(
-    parts: Any, rows: Any, part: tuple[int, int], stamps: IntArray, efforts: FloatArray
+    parts: Any, rows: Any, first: int, part: tuple[int, int], stamps: IntArray, samples: FloatArray
 ) -> None:
     """Advance over samples in a row, and let the tighter estimate of each fault be the answer.
 
@@ -101,24 +101,27 @@ def uio_answers(
     rows : lpv.core.monitoring.compensation.AnswerRows
         Answers of the horizon to these samples; estimates, bounds and positions are changed where
         the observer's bound is smaller.
+    first : int
+        Row of the first one of ``samples``.
     part : tuple
         First sample, and the first one after the last.
     stamps : ndarray of int64, shape (N,)
         [ns].
-    efforts : ndarray, shape (N, 2)
-        Joint torques [N m].
+    samples : ndarray, shape (N, 3, 2)
+        The last ones of each are joint torques [N m].
     """
     if parts is None:
         return
     params, state, measured = parts.constants[0], parts.state[0], parts.measured
     for k in range(part[0], part[1]):
+        row = first + k
         for i in range(2):
-            measured[0, i] = rows.measured[k, i]
-            measured[1, i] = rows.measured_velocity[k, i]
-            measured[2, i] = efforts[k, i]
+            measured[0, i] = rows.measured[row, i]
+            measured[1, i] = rows.measured_velocity[row, i]
+            measured[2, i] = samples[k, 2, i]
         uio_step(params, state, stamps[k], measured[0], measured[1], measured[2])
         if state.valid and params.choice != _HORIZON:
-            _tighten(params.choice, state, parts, rows, k)
+            _tighten(params.choice, state, parts, rows, row)
 
 
 @njit

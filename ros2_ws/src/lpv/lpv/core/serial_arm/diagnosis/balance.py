@@ -16,7 +16,7 @@ from lpv.core.serial_arm.chain import SLOPE, Chain, FloatArray, joint_count, wor
 from lpv.core.serial_arm.dynamics.friction import friction_torque, smooth_sign
 from lpv.core.serial_arm.dynamics.momentum import carried_momentum, momentum_balance, set_velocities
 from lpv.core.serial_arm.sensor_map import map_vector
-from lpv.core.support.jit import njit, njit_in_place
+from lpv.core.support.jit import njit_in_place
 
 GROUPS = ('drift', 'scale', 'rate', 'gain', 'offset', 'torque', 'viscous', 'coulomb')
 """Groups of n columns each, in this order; those of the inertial directions follow.  The unknowns
@@ -215,11 +215,9 @@ def add_block(
         _add_fault_columns(balance, i, reading, torque, time - balance.clock[EPOCH], weight)
     set_velocities(chain, angle, rate, balance.work)
     for k in range(balance.directions.shape[0]):
-        along = Chain(
-            chain.rotation, chain.translation, balance.directions[k], balance.rigid,
-            chain.friction, chain.gravity, chain.tip_rotation, chain.tip_translation,
-            chain.prismatic)  # fmt: skip
-        carried_momentum(along, rate, balance.work, p_by, force_by)
+        carried_momentum(
+            chain, balance.directions[k], balance.rigid, rate, balance.work, p_by, force_by
+        )
         for j in range(n):
             column, part = 1 + 8 * n + k, balance.drives[k, j]
             dry = part[COULOMB_PART] + part[LOAD_PART] * abs(torque[j])
@@ -388,7 +386,6 @@ def fill_balances(
             length = 0.0
 
 
-@njit
 def residuals(
     balance: Balance, blocks: FloatArray, per_interval: int, friction: FloatArray
 ) -> FloatArray:
@@ -411,17 +408,22 @@ def residuals(
         [N m s].
     """
     n, intervals = balance.reference.shape[0], blocks.shape[0] // per_interval
-    chain = Chain(
-        balance.chain.rotation, balance.chain.translation, balance.chain.inertial,
-        balance.chain.motor, friction, balance.chain.gravity, balance.chain.tip_rotation,
-        balance.chain.tip_translation, balance.chain.prismatic)  # fmt: skip
-    own = Balance(
-        chain, balance.directions, balance.reference, balance.derived,
-        np.zeros((2, n, 1)), np.zeros((2, n, 1)), np.zeros((2, n, 1)), np.zeros((n, 1)),
-        np.zeros(2), np.zeros((2, n)), np.zeros((3, 2, n)), balance.rigid, balance.work.copy(),
-        balance.vectors.copy(), balance.drives, balance.to_joints)  # fmt: skip
-    result, length = np.zeros((intervals - 1, n)), 0.0
-    for k in range(intervals * per_interval):
+    own = balance._replace(
+        chain=balance.chain._replace(friction=friction), momentum=np.zeros((2, n, 1)),
+        rising=np.zeros((2, n, 1)), falling=np.zeros((2, n, 1)), rows=np.zeros((n, 1)),
+        clock=np.zeros(2), poses=np.zeros((2, n)), rates=np.zeros((3, 2, n)),
+        work=balance.work.copy(), vectors=balance.vectors.copy())  # fmt: skip
+    result = np.zeros((intervals - 1, n))
+    _fill_residuals(own, np.ascontiguousarray(blocks), per_interval, result)
+    return result
+
+
+@njit_in_place
+def _fill_residuals(
+    own: Balance, blocks: FloatArray, per_interval: int, result: FloatArray
+) -> None:
+    n, length = own.reference.shape[0], 0.0
+    for k in range((result.shape[0] + 1) * per_interval):
         block = blocks[k]
         weight = (block[3 * n + 1], block[3 * n + 2])
         add_residual(own, block[:n], block[n : 2 * n], block[2 * n : 3 * n], weight)
@@ -431,4 +433,3 @@ def residuals(
                 for i in range(n):
                     result[(k + 1) // per_interval - 2, i] = own.rows[i, 0]
             length = 0.0
-    return result

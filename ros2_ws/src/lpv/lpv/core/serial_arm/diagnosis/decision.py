@@ -29,23 +29,26 @@ from lpv.core.support.records import record_type
 class Stage(IntEnum):
     """Where in a decision to go on; Python does those that say so, if they are due."""
 
-    TAKE = 0  # the balance joins the horizon
-    FOLLOW = 1  # Python: faults that are followed
-    ESTIMATE = 2
-    LINEARISE = 3  # Python: the estimate has left the point of linearisation
-    ENDS = 4  # Python: jumps that may have been ends of faults
-    GUARANTEE = 5  # Python: guaranteed thresholds are due
-    REST = 6  # Python: readings rest
-    ASK = 7
-    NAME = 8  # Python: hypotheses are compared, or suspects are none any more
-    LEVELS = 9
-    RAISE = 10  # Python: offsets are beyond what a healthy arm shows
-    END = 11  # Python: faults that may be over
-    DONE = 12
+    BEGIN = 0
+    TAKE = 1  # the balance joins the horizon
+    FOLLOW = 2  # Python: faults that are followed
+    ESTIMATE = 3
+    LINEARISE = 4  # Python: the estimate has left the point of linearisation
+    ENDS = 5  # Python: jumps that may have been ends of faults
+    GUARANTEE = 6  # Python: guaranteed thresholds are due
+    REST = 7  # Python: readings rest
+    ASK = 8
+    NAME = 9  # Python: hypotheses are compared, or suspects are none any more
+    LEVELS = 10
+    RAISE = 11  # Python: offsets are beyond what a healthy arm shows
+    END = 12  # Python: faults that may be over
+    DONE = 13
 
 
-_TAKE, _FOLLOW, _ESTIMATE, _LINEARISE, _ENDS, _GUARANTEE, _REST, _ASK, _NAME, _LEVELS = range(10)
-_RAISE, _END, _DONE = range(10, 13)
+(
+    _BEGIN, _TAKE, _FOLLOW, _ESTIMATE, _LINEARISE, _ENDS, _GUARANTEE, _REST, _ASK, _NAME, _LEVELS,
+    _RAISE, _END, _DONE,
+) = map(int, Stage)  # fmt: skip
 GUARANTEE_SHARE = 4
 """Guaranteed thresholds change over the horizon: so often in it they are evaluated anew."""
 STILL_TIME = 0.05
@@ -61,10 +64,13 @@ DECISION = record_type(
     ('suspects', '?'),  # several causes are suspected
     ('pushed', '?'),  # ... or torques from outside are
     ('active', '?'),  # alarms are up that may end
+    ('usual', '?'),  # nothing of all this, and no alarm
+    ('uses_balances', '?'),  # whether balances say anything
     ('threshold', 'f8'),  # of the statistic
     ('limits', 'f8', (7,)),  # as of `find_levels`
     ('sample_time', 'f8'),  # [s]
     # What was found:
+    ('balances', 'i8'),  # used so far
     ('rests', '?'),  # a reading is conspicuous because it rests
     ('asked', '?'),  # hypotheses have to be compared
 )
@@ -211,6 +217,8 @@ def decide(parts: Parts) -> None:
     state, window, bank = parts.state[0], parts.window, parts.bank
     horizon = window, parts.null, parts.slow, parts.level
     interval = bank.interval
+    if state.stage == _BEGIN:
+        state.stage = _TAKE if state.uses_balances else _END
     if state.stage == _TAKE:
         _copy_recent(parts.sampler, parts.recent)
         if state.guarantees:
@@ -220,6 +228,7 @@ def decide(parts: Parts) -> None:
             )
         take_balances(*horizon, parts.balance, state.now, state.learns)
         take_rows(bank, parts.balance, window, parts.recent)
+        state.balances += 1
         state.stage = _FOLLOW if state.follows else _ESTIMATE
     if state.stage == _ESTIMATE:
         momenta, samples = bank.mass[slot(window, 0)], round(interval / state.sample_time)

@@ -361,47 +361,40 @@ class SerialMonitor:
         while k < len(times):
             k, complete = self._call(take_samples, *fixed, k, plan)
             if complete or self.sampler.found.any():
-                self._after(k, float(times[k - 1]), complete)
-
-    def _after(self, count: int, now: float, complete: bool) -> None:
-        """So many samples of those at hand have been taken, and a decision is due."""
-        self.decide(now, complete)
+                self._decide(float(times[k - 1]), complete)
 
     @property
     def uses_balances(self) -> bool:
         """Whether momentum balances say anything: the efforts have to hold the weight."""
         return self.arm.effort_includes_gravity
 
-    def decide(self, now: float, complete: bool) -> None:
-        """Decide on what `take_samples` has found; for loops that call it themselves.
-
-        Parameters
-        ----------
-        now : float
-            Time of the last sample, from the first one on [s].
-        complete : bool
-            Whether a balance is complete.
-        """
+    def _decide(self, now: float, complete: bool) -> None:
+        """Decide on what `take_samples` has found."""
         if self.sampler.found.any():
             self._report_samples(now)
         if not complete:
             return
-        state, steps = self._state, self._steps
-        state['now'] = now
-        state['stage'] = Stage.TAKE if self.uses_balances else Stage.END
+        self._state['now'], self._state['stage'] = now, Stage.BEGIN
         self._tell()
-        while self._call(decide, self._parts) or state['stage'] != Stage.DONE:
-            state['stage'] = steps[state['stage']](now)
-            self._tell()
+        while self._call(decide, self._parts) or self._state['stage'] != Stage.DONE:
+            self._do_stage(now)
+
+    def _do_stage(self, now: float) -> None:
+        """Do the stage of a decision at which `decide` left."""
+        self._state['stage'] = self._steps[self._state['stage']](now)
+        self._tell()
 
     def _tell(self) -> None:
         """Say what decisions have to know."""
         state, suspects = self._state, bool(self._suspects)
+        state['uses_balances'] = self.uses_balances
         state['learns'] = not (suspects or self._changes())
         state['follows'], state['ends'] = bool(self._filters), bool(self._ends)
         state['guarantees'], state['suspects'] = self.healthy is not None, suspects
         state['pushed'] = self._contact.since < math.inf
-        state['active'] = not self.settings.latch and self._has_alarm()
+        alarm = self._has_alarm()
+        state['active'] = alarm and not self.settings.latch
+        state['usual'] = state['learns'] and not (self._ends or state['pushed'] or alarm)
 
     def estimate(self, stamp: int) -> SerialEstimate:
         """What is known after the last sample."""
@@ -719,7 +712,7 @@ class SerialMonitor:
     @property
     def in_contact(self) -> bool:
         """Whether torques act from outside."""
-        return self._contact.until > self._last()
+        return bool(self._contact.until > self._state['now'])
 
     def _label(self, one: Hypothesis) -> str:
         """Name of a hypothesis for people."""

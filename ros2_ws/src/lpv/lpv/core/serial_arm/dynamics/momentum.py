@@ -35,9 +35,8 @@ _COMPOSITE, _SOLUTION, _BIAS, _STILL = 9, 36, 37, 39
 
 
 @njit
-def _set_body_momentum(chain: Chain, i: int, work: FloatArray) -> None:
+def _set_body_momentum(body: FloatArray, i: int, work: FloatArray) -> None:
     """Write linear and angular momentum of body i, and its first moment, about its origin."""
-    body = chain.inertial[i]
     wx, wy, wz = work[i, _RATE], work[i, _RATE + 1], work[i, _RATE + 2]
     ux, uy, uz = work[i, _SPEED], work[i, _SPEED + 1], work[i, _SPEED + 2]
     hx, hy, hz = body[MX], body[MY], body[MZ]
@@ -112,22 +111,28 @@ def momentum_balance(
         Written: p [N m s] or [N s], C^T v - g [N m] or [N]; p' = force + tau - friction.
     """
     set_velocities(chain, q, v, work)
-    carried_momentum(chain, v, work, momentum, force)
+    carried_momentum(chain, chain.inertial, chain.motor, v, work, momentum, force)
 
 
 @njit
 def carried_momentum(
-    chain: Chain, v: FloatArray, work: FloatArray, momentum: FloatArray, force: FloatArray
+    chain: Chain,
+    inertial: FloatArray,
+    motor: FloatArray,
+    v: FloatArray,
+    work: FloatArray,
+    momentum: FloatArray,
+    force: FloatArray,
 ) -> None:
-    """As `momentum_balance`, where `set_velocities` has been called; bodies may be others since."""
+    """As `momentum_balance`, of any bodies, where `set_velocities` has been called."""
     n = v.shape[0]
     for i in range(n):
-        _set_body_momentum(chain, i, work)
+        _set_body_momentum(inertial[i], i, work)
     for i in range(n - 1, -1, -1):
         hx, hy = work[i, _MOMENT], work[i, _MOMENT + 1]
         momentum[i] = along_axis(chain, i, work[i, _LINEAR + 2], work[i, _ANGULAR + 2])
         for j in range(n):
-            momentum[i] += chain.motor[i, j] * v[j]
+            momentum[i] += motor[i, j] * v[j]
         if not chain.prismatic[i]:
             force[i] = (
                 work[i, _RATE + 1] * work[i, _ANGULAR]

@@ -1,0 +1,176 @@
+"""Samples in a row: taken, decided on and answered in one compiled call.
+
+`advance` leaves where Python has to do something: a report is due, a reading jumped, a decision
+needs what only a suspicion does, or there is more to be known than that nothing is wrong.
+"""
+
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+
+from lpv.core.monitoring.compensation import AnswerRows, Compensation, Known, fill_answers
+from lpv.core.serial_arm.chain import FloatArray, IntArray
+from lpv.core.serial_arm.diagnosis.alarms import Mode, SensorState
+from lpv.core.serial_arm.diagnosis.bank import STARTS
+from lpv.core.serial_arm.diagnosis.decision import Parts, Stage, decide
+from lpv.core.serial_arm.diagnosis.sampling import JUMP_SCALE, NONE, Sampler, removed, take_samples
+from lpv.core.support.jit import njit_in_place
+from lpv.core.support.records import record_type
+from lpv.core.support.timestamps import NANOSECONDS
+from lpv.core.uio.unknown_input_observer import UioParts, uio_answers
+
+UNWATCHED = round(STARTS[-1] * NANOSECONDS)
+"""Time without a complete balance after which faults may have begun that are never found [ns]."""
+OK, NOT_DIAGNOSABLE = int(SensorState.OK), int(SensorState.NOT_DIAGNOSABLE)
+_BEGIN, _DONE, _OBSERVING = int(Stage.BEGIN), int(Stage.DONE), int(Mode.OBSERVING)
+
+
+class Phase(IntEnum):
+    """Where to go on; Python does what is due of all but the first one."""
+
+    SAMPLE = 0
+    REPORT = 1  # of samples that have been answered
+    JUMP = 2  # something was found at a sample
+    DECIDE = 3  # stages of the decision
+    KNOW = 4  # what holds from the sample on
+
+
+_SAMPLE, _REPORT, _JUMP, _DECIDE, _KNOW = map(int, Phase)
+PROGRESS = record_type(
+    ('phase', 'i8'),
+    ('taken', 'i8'),  # samples
+    ('answered', 'i8'),  # samples
+    ('reported', 'i8'),  # samples
+    ('stamp', 'i8'),  # of the last sample [ns]
+    ('next_report', 'i8'),  # that is due [ns]
+    ('complete', '?'),  # whether a balance is complete at the last sample
+    ('jumped', '?'),  # whether something was found at it
+    ('touched', '?'),  # whether Python has had a part in the decision
+)
+
+
+class Answering(NamedTuple):
+    """What samples are answered with."""
+
+    work: Compensation
+    known: Known
+    flags: np.ndarray  # memory of a record of `FLAGS`
+    progress: np.ndarray  # memory of a record of `PROGRESS`
+    uio: UioParts | None  # of the designed observer, if there is one
+
+
+@njit_in_place
+def answer(
+    parts: Parts,
+    one: Answering,
+    rows: AnswerRows,
+    first: int,
+    part: tuple[int, int],
+    stamps: IntArray,
+    samples: FloatArray,
+) -> None:
+    """Answer samples between two decisions; parameters as of `fill_answers`."""
+    fill_answers(one.work, rows, first, part, stamps, samples, one.known, one.flags[0])
+    if parts.state[0].uses_balances:  # the designed observer needs efforts that hold the weight
+        uio_answers(one.uio, rows, first, part, stamps, samples)
+
+
+@njit_in_place
+def advance(
+    parts: Parts,
+    plan: tuple[int, int],
+    one: Answering,
+    rows: AnswerRows,
+    first: int,
+    stamps: IntArray,
+    times: FloatArray,
+    samples: FloatArray,
+) -> None:
+    """Go on with samples until Python has to do something, or all are answered.
+
+    What is decided at a sample counts from this sample on; the designed observer has used all
+    samples before it then.
+
+    Parameters
+    ----------
+    parts : Parts
+        Changed.
+    plan : tuple
+        Samples of a block, blocks of an interval.
+    one : Answering
+        Changed.
+    rows : AnswerRows
+        Written.
+    first : int
+        Row of the first sample.
+    stamps : ndarray of int64, shape (N,)
+        [ns].
+    times : ndarray, shape (N,)
+        The same since the first sample of all [s].
+    samples : ndarray, shape (N, 3, n)
+        Readings, rates, torques.
+    """
+    progress, state = one.progress[0], parts.state[0]
+    while True:
+        if progress.phase == _SAMPLE:
+            taken, complete, jumped = progress.taken, False, False
+            if taken < times.shape[0]:
+                taken, complete = take_samples(
+                    parts.sampler, parts.balance, times, samples, taken, plan
+                )
+                for found in parts.sampler.found:
+                    jumped = jumped or found != NONE
+                state.now, progress.stamp = times[taken - 1], stamps[taken - 1]
+            elif progress.answered == taken:
+                return
+            answered = taken - 1 if complete or jumped else taken
+            answer(parts, one, rows, first, (progress.answered, answered), stamps, samples)
+            progress.complete, progress.jumped, progress.touched = complete, jumped, False
+            progress.taken, progress.answered, progress.phase = taken, answered, _REPORT
+            state.stage = _BEGIN if complete else _DONE
+        if progress.phase == _REPORT:
+            last = progress.answered - 1
+            if progress.reported <= last and stamps[last] >= progress.next_report:
+                return
+            progress.reported, progress.phase = progress.answered, _JUMP
+        if progress.phase == _JUMP:
+            if progress.jumped:
+                return
+            progress.phase = _DECIDE
+        if progress.phase == _DECIDE:
+            decide(parts)
+            if state.stage != _DONE:
+                return
+            progress.phase = _KNOW
+        if progress.complete or progress.jumped:
+            if progress.touched or progress.jumped or not state.usual:
+                return
+            _know_nothing_wrong(parts, one, progress.stamp)
+        progress.phase = _SAMPLE
+
+
+@njit_in_place
+def _know_nothing_wrong(parts: Parts, one: Answering, stamp: int) -> None:
+    """Write what holds from a sample on, where nothing is suspected and no reading noisy."""
+    state, level, known, flags = parts.state[0], parts.level, one.known, one.flags[0]
+    widest, smallest, sigmas = state.limits[0], state.limits[1], state.limits[2]
+    for i in range(known.fault.shape[0]):
+        sigma = level.sigma[i]
+        known.confirmed[i] = removed(parts.sampler, i, parts.sampler.raw[i])
+        known.fault[i] = known.confirmed[i] + level.mean[i]
+        known.rate[i] = known.growth[i] = parts.sampler.drift[i]
+        known.bound[i] = sigmas * sigma
+        known.threshold[i] = max(sigmas * sigma, smallest * parts.scales[i])
+        known.limit[i] = smallest_jump(parts.sampler, i)
+        known.is_error[i] = False
+        known.state[i] = NOT_DIAGNOSABLE if sigma > widest * parts.scales[i] else OK
+    flags.stamp, flags.trustworthy, flags.inconsistent = stamp, True, False
+    if state.uses_balances:
+        flags.mode, flags.until = _OBSERVING, stamp + UNWATCHED
+
+
+@njit_in_place
+def smallest_jump(sampler: Sampler, i: int) -> float:
+    """Change of a reading that may be a jump [rad]."""
+    return float(max(JUMP_SCALE * sampler.scale[i], sampler.smallest[i]))
