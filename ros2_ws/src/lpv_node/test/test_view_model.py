@@ -52,8 +52,12 @@ def joint_states(t, name, position):
     return message(t, name=name, position=position, velocity=[0.0] * len(name), effort=[])
 
 
-def test_given_no_messages_when_a_frame_is_made_then_it_says_that_nothing_is_known(paper_arm):
-    model = LiveModel(paper_arm)
+@pytest.fixture
+def model(paper_arm):
+    return LiveModel(paper_arm)
+
+
+def test_given_no_messages_when_a_frame_is_made_then_it_says_that_nothing_is_known(model):
     frame = model.frame(0.0)
     assert frame['mode'] is None and frame['age'] is None and frame['sample']['t'] is None
     assert set(frame['arms'].values()) == {None}
@@ -61,8 +65,7 @@ def test_given_no_messages_when_a_frame_is_made_then_it_says_that_nothing_is_kno
     assert model.hello()['history'] == []
 
 
-def test_given_messages_of_other_arms_when_they_come_then_they_are_left_out(paper_arm):
-    model = LiveModel(paper_arm)
+def test_given_messages_of_other_arms_when_they_come_then_they_are_left_out(model):
     model.take('fault_estimate', fault_estimate(1.0, (0.0, 0.0, 0.0)), 0.0)
     model.take('state_estimate', state_estimate(1.0, (0.1,)), 0.0)
     model.take('reference', message(1.0, tip_position=[0.0] * 9), 0.0)
@@ -71,8 +74,7 @@ def test_given_messages_of_other_arms_when_they_come_then_they_are_left_out(pape
     assert frame['sample']['estimate'] == frame['states'] == [None, None]
 
 
-def test_given_values_that_are_not_finite_when_framed_then_json_has_none_of_them(paper_arm):
-    model = LiveModel(paper_arm)
+def test_given_values_that_are_not_finite_when_framed_then_json_has_none_of_them(model):
     model.take('ground_truth', message(1.0, position=[math.nan, 0.0], fault=[math.nan, 0.1]), 0.0)
     model.take('fault_estimate', fault_estimate(1.0, (math.inf, -0.2)), 0.0)
     model.take('joint_states', joint_states(1.0, ['elbow'], [1.0]), 0.0)
@@ -82,8 +84,7 @@ def test_given_values_that_are_not_finite_when_framed_then_json_has_none_of_them
     assert frame['sample']['estimate'] == [None, -0.2]
 
 
-def test_given_joints_in_another_order_when_framed_then_the_measured_arm_is_the_same(paper_arm):
-    model = LiveModel(paper_arm)
+def test_given_joints_in_another_order_when_framed_then_the_measured_arm_is_the_same(model):
     names = ['gripper', 'joint2', 'joint1']
     model.take('joint_states', joint_states(1.0, names, [9.0, 0.5, 1.0]), 0.0)
     # The paper's q1 counts from the x axis; joint 1 is at the base.
@@ -105,8 +106,7 @@ def test_given_a_serial_arm_when_framed_then_each_joint_has_its_values_and_place
     np.testing.assert_allclose(frame['arms']['estimated'][-1], [0.0, 0.0, 1.0], atol=1e-4)
 
 
-def test_given_a_source_that_falls_silent_when_framed_then_it_is_no_longer_shown(paper_arm):
-    model = LiveModel(paper_arm)
+def test_given_a_source_that_falls_silent_when_framed_then_it_is_no_longer_shown(model):
     model.take('state_estimate', state_estimate(1.0), 10.0)
     assert model.frame(10.5)['arms']['estimated'] is not None
     frame = model.frame(12.0)
@@ -116,10 +116,7 @@ def test_given_a_source_that_falls_silent_when_framed_then_it_is_no_longer_shown
     assert model.frame(13.0)['arms']['estimated'] is None, 'values of NO_ESTIMATE mean nothing'
 
 
-def test_given_a_long_run_when_history_is_asked_for_then_it_is_one_window_without_repeats(
-    paper_arm,
-):
-    model = LiveModel(paper_arm)
+def test_given_a_long_run_when_history_is_asked_for_then_it_is_one_window_without_repeats(model):
     for k in range(2000):
         model.take('fault_estimate', fault_estimate(1.0 + 0.04 * (k // 2)), 0.04 * k)
         model.frame(0.04 * k)
@@ -131,10 +128,7 @@ def test_given_a_long_run_when_history_is_asked_for_then_it_is_one_window_withou
     assert len(model.hello()['history']) == 1, 'time started anew'
 
 
-def test_given_a_source_that_ended_with_the_old_clock_when_time_starts_anew_then_it_goes_on(
-    paper_arm,
-):
-    model = LiveModel(paper_arm)
+def test_given_a_source_that_ended_with_the_old_clock_when_time_starts_anew_then_it_goes_on(model):
     model.take('ground_truth', message(50.0, position=[1.0, 0.0], fault=[0.0, 0.0]), 0.0)
     model.take('state_estimate', state_estimate(50.0), 0.0)
     assert model.frame(0.0)['sample']['t'] == 50.0
@@ -145,8 +139,7 @@ def test_given_a_source_that_ended_with_the_old_clock_when_time_starts_anew_then
     assert max(sample['t'] for sample in model.hello()['history']) < 4.0
 
 
-def test_given_many_diagnostics_when_framed_then_their_number_is_bounded(paper_arm):
-    model = LiveModel(paper_arm)
+def test_given_many_diagnostics_when_framed_then_their_number_is_bounded(model):
     for k in range(100):
         status = SimpleNamespace(
             name=f'node {k}' * 100, level=bytes([k % 4]), message='m' * 9999, values=[]
@@ -158,20 +151,19 @@ def test_given_many_diagnostics_when_framed_then_their_number_is_bounded(paper_a
     assert [s['level'] for s in shown[:4]] == ['OK', 'WARN', 'ERROR', 'STALE']
 
 
-def test_given_safe_stops_when_framed_then_they_are_counted_with_the_last_reason(paper_arm):
-    def report(model, now, **values):
+def test_given_safe_stops_when_framed_then_they_are_counted_with_the_last_reason(model):
+    def report(now, **values):
         pairs = [SimpleNamespace(key=k.replace('_', ' '), value=v) for k, v in values.items()]
         status = SimpleNamespace(name='tracking', level=b'\2', message='m', values=pairs)
         model.take('diagnostics', SimpleNamespace(status=[status]), now)
         return model.frame(now)['stops']
 
-    model = LiveModel(paper_arm)
     assert model.frame(0.0)['stops'] == {'count': 0, 'last': '', 'recent': False}
-    stops = report(model, 1.0, safe_stops='22', last_safe_stop='estimates come too late')
+    stops = report(1.0, safe_stops='22', last_safe_stop='estimates come too late')
     assert stops == {'count': 22, 'last': 'estimates come too late', 'recent': True}
-    assert not report(model, 2.0 + WINDOW, safe_stops='22', last_safe_stop='x')['recent']
+    assert not report(2.0 + WINDOW, safe_stops='22', last_safe_stop='x')['recent']
     for odd in ('-1', '', 'x', '9' * 99, '\u00b2'):
-        assert report(model, 40.0, safe_stops=odd)['count'] == 22
+        assert report(40.0, safe_stops=odd)['count'] == 22
 
 
 def test_given_the_events_of_one_alarm_when_listed_then_they_are_one_row():

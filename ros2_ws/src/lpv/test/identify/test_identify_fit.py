@@ -20,18 +20,16 @@ from lpv.identify.recordings.filters import low_pass
 pytestmark = pytest.mark.slow
 
 
-def test_given_a_noisy_recording_when_identified_then_torques_are_predicted_to_the_noise(
+def test_given_a_noisy_recording_when_identified_then_links_are_physical_and_predict_to_the_noise(
     result, recording
 ):
     noise = 0.02 * np.max(np.abs(recording.effort), axis=0)
     assert np.all(result.figures.rms < 1.1 * noise)
     assert np.all(result.figures.rms_band < 0.4 * noise)
     assert np.all(result.prior_figures.rms > 3.0 * noise)
-
-
-def test_given_a_noisy_recording_when_identified_then_links_are_physical(result):
     assert all(joint.link.is_physical() for joint in result.arm.joints)
     assert all(joint.rotor_inertia >= 0.0 for joint in result.arm.joints)
+    assert result.weight.contains_weight and result.arm.effort_includes_gravity
 
 
 def test_given_another_motion_when_predicted_from_the_file_alone_then_torques_fit(arm, result):
@@ -95,11 +93,6 @@ def test_given_efforts_without_gravity_when_said_otherwise_then_only_a_warning_c
     assert workshop.check_weight(0.6, may_change=False).contains_weight is False
     assert workshop.arm.effort_includes_gravity
     assert any('not to contain the weight' in text for text in workshop.warnings)
-
-
-def test_given_efforts_with_gravity_when_identified_then_they_stay_so(result):
-    assert result.weight.contains_weight
-    assert result.arm.effort_includes_gravity
 
 
 def test_given_a_planar_arm_when_weighed_then_the_data_do_not_tell(arm, motion):

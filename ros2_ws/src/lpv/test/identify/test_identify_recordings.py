@@ -29,16 +29,19 @@ def test_given_a_bag_when_read_then_joints_are_found_by_name(tmp_path, recording
     assert np.array_equal(read.effort[:, 2], recording.effort[:, 0])
 
 
-def test_given_an_unknown_joint_when_read_then_those_of_the_bag_are_named(tmp_path, recording):
-    write_bag(tmp_path / 'bag', recording)
-    with pytest.raises(IdentificationError, match='no message has all joints.*one, two, three'):
-        read_recording(tmp_path / 'bag', ('one', 'elbow'))
-
-
-def test_given_no_efforts_when_read_then_it_is_refused(tmp_path, recording):
-    write_bag(tmp_path / 'bag', recording, effort=False)
-    with pytest.raises(IdentificationError, match='has no efforts'):
-        read_recording(tmp_path / 'bag', NAMES)
+@pytest.mark.parametrize(
+    ('names', 'effort', 'reason'),
+    [
+        (('one', 'elbow'), True, 'no message has all joints.*one, two, three'),
+        (NAMES, False, 'has no efforts'),
+    ],
+)
+def test_given_a_bag_that_lacks_something_when_read_then_it_is_named(
+    tmp_path, recording, names, effort, reason
+):
+    write_bag(tmp_path / 'bag', recording, effort=effort)
+    with pytest.raises(IdentificationError, match=reason):
+        read_recording(tmp_path / 'bag', names)
 
 
 def test_given_a_csv_when_read_then_columns_are_guessed(tmp_path, recording):
@@ -60,15 +63,13 @@ def cleaned(recording, **changes):
     return clean('test', [one.time], one.position, one.velocity, one.effort)
 
 
-def test_given_a_short_recording_when_identified_then_the_reason_is_said(arm, recording):
-    with pytest.raises(IdentificationError, match='too short to identify'):
-        identify(arm, [recording.rows(slice(300))])
-
-
-def test_given_no_motion_when_identified_then_the_reason_is_said(arm, recording):
+def test_given_a_short_recording_or_no_motion_when_identified_then_the_reason_is_said(
+    arm, recording
+):
     still = replace(recording, position=0.0 * recording.position, velocity=0.0 * recording.velocity)
-    with pytest.raises(IdentificationError, match='no joint moves'):
-        identify(arm, [still])
+    for bad, reason in ((recording.rows(slice(300)), 'too short'), (still, 'no joint moves')):
+        with pytest.raises(IdentificationError, match=reason):
+            identify(arm, [bad])
 
 
 def test_given_a_joint_at_rest_when_identified_then_a_warning_names_it(arm, motion):
@@ -81,29 +82,24 @@ def test_given_a_joint_at_rest_when_identified_then_a_warning_names_it(arm, moti
     assert np.isfinite(found.arm.parameter_vector()).all()
 
 
-def test_given_a_few_bad_samples_when_cleaned_then_they_are_left_out(recording):
+def test_given_bad_samples_when_cleaned_then_a_few_are_left_out_and_many_are_refused(recording):
     effort = recording.effort.copy()
     effort[100:110] = np.nan
     mended = cleaned(recording, effort=effort)
     assert len(mended.time) == len(recording.time) - 10
     assert 'not finite' in mended.warnings[0]
-
-
-def test_given_mostly_bad_samples_when_cleaned_then_it_is_refused(recording):
-    effort = recording.effort.copy()
     effort[::2] = np.nan
     with pytest.raises(IdentificationError, match='only 50 %'):
         cleaned(recording, effort=effort)
 
 
-def test_given_stamps_that_jitter_when_cleaned_then_the_count_of_samples_is_taken(recording):
+def test_given_stamps_when_cleaned_then_jitter_is_mended_and_a_clock_that_stands_is_refused(
+    recording,
+):
     jitter = 0.004 * np.random.default_rng(0).uniform(-1, 1, len(recording.time))
     mended = cleaned(recording, time=recording.time + jitter)
     assert 'count of the samples' in mended.warnings[0]
     assert np.ptp(np.diff(mended.time)) < 1e-9
-
-
-def test_given_stamps_that_stand_still_when_cleaned_then_it_is_refused(recording):
     with pytest.raises(IdentificationError, match='stamps stand still'):
         cleaned(recording, time=np.zeros(len(recording.time)))
 
