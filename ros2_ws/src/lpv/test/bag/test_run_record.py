@@ -3,6 +3,7 @@
 import math
 import re
 import shutil
+from itertools import chain
 
 import numpy as np
 import pytest
@@ -172,12 +173,8 @@ def test_given_wanted_joints_when_loaded_then_they_are_taken_in_that_order(tmp_p
     names = tuple(f'j{i}' for i in range(7))
     arrays = dict.fromkeys(('estimate', 'bound', 'threshold'), np.arange(7.0))
     fault = {**arrays, 'sensor_names': names, 'state': [0] * 7, 'alarm': [False] * 7}
-    entries = [
-        e
-        for k in (1, 2)
-        for e in (measure(k, np.arange(7.0), names), ('/fault_estimate', k, fault))
-    ]
-    bag = write(tmp_path / 'bag', entries)
+    pairs = [(measure(k, np.arange(7.0), names), ('/fault_estimate', k, fault)) for k in (1, 2)]
+    bag = write(tmp_path / 'bag', chain(*pairs))
     whole, part = load_run(bag), load_run(bag, joint_names=('j5', 'j2'))
     assert whole.joint_names == whole.sensor_names == names
     np.testing.assert_array_equal(whole.get('fault_estimate', 'estimate'), [np.arange(7.0)] * 2)
@@ -188,12 +185,9 @@ def test_given_wanted_joints_when_loaded_then_they_are_taken_in_that_order(tmp_p
 
 
 def test_given_one_joint_when_loaded_then_its_columns_stay_columns(tmp_path):
-    entries = [
-        e
-        for k in range(3)
-        for e in (measure(k, [0.5], ('j',)), ('/torque_command', k, {'torque': [2.0]}))
-    ]
-    record = load_run(write(tmp_path / 'bag', entries))
+    torque = {'torque': [2.0]}
+    pairs = [(measure(k, [0.5], ('j',)), ('/torque_command', k, torque)) for k in range(3)]
+    record = load_run(write(tmp_path / 'bag', chain(*pairs)))
     assert record.get('torque_command', 'torque').shape == (3, 1)
     assert record.get('torque_command', 'safe_stop').shape == (3,)
 
@@ -295,12 +289,8 @@ def test_given_a_bag_whose_arrays_have_a_fixed_length_when_loaded_then_it_is_as_
         return re.sub(r'^(\w+)\[\] ', r'\1[2] ', text, flags=re.M) if 'lpv' in msgtype else text
 
     monkeypatch.setattr('lpv.bag.rosbag.interfaces.message_text', as_before)
-    entries = [
-        e
-        for k in range(3)
-        for e in (measure(k, ZERO), ('/fault_estimate', k, {'estimate': [k, 0.5]}))
-    ]
-    bag = write(tmp_path / 'bag', entries)
+    faults = [('/fault_estimate', k, {'estimate': [k, 0.5]}) for k in range(3)]
+    bag = write(tmp_path / 'bag', [*(measure(k, ZERO) for k in range(3)), *faults])
     monkeypatch.undo()
     assert b'float64[2] estimate' in next(bag.glob('*.mcap')).read_bytes()
     record = load_run(bag)

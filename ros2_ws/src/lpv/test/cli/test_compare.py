@@ -30,9 +30,8 @@ def replayed(tmp_path_factory):
 def slower(tmp_path_factory):
     """The same with alarms that end later."""
     out = tmp_path_factory.mktemp('slower') / 'bag'
-    Replay(
-        reference.monitor(parameters=DiagnosisParameters(clear_dwell=1.0)), estimates_only=True
-    ).run(reference.BAG, out)
+    monitor = reference.monitor(parameters=DiagnosisParameters(clear_dwell=1.0))
+    Replay(monitor, estimates_only=True).run(reference.BAG, out)
     return out
 
 
@@ -92,11 +91,7 @@ def test_given_alarms_of_one_run_alone_when_compared_then_they_stand_alone(repla
     first, second = load_pair(replayed, replayed, paper_arm)
     second.alarms = [a for a in second.alarms if a.sensor_index == 0]
     pairs = compare_runs(first, second, paper_arm).alarms
-    assert [(p.second is None, p.same) for p in pairs] == [
-        (False, True),
-        (True, False),
-        (False, True),
-    ]
+    assert [p.second is None for p in pairs] == [not p.same for p in pairs] == [False, True, False]
     pairs = compare_runs(second, first, paper_arm).alarms
     assert [p.first is None for p in pairs] == [False, True, False]
 
@@ -127,14 +122,11 @@ def test_given_a_tolerance_that_is_none_when_made_then_it_is_refused(changes):
 def test_given_two_equal_bags_when_the_command_is_run_then_the_code_is_0(
     replayed, tmp_path, capsys
 ):
-    assert (
-        main(['compare', str(replayed), str(replayed), '--exact', '--out', str(tmp_path / 'out')])
-        == 0
-    )
+    bag, out = str(replayed), str(tmp_path / 'out')
+    assert main(['compare', bag, bag, '--exact', '--out', out]) == 0
     said = capsys.readouterr().out
     assert said.rstrip().endswith('same')
-    assert 'differs' not in said
-    assert 'delay' in said
+    assert 'differs' not in said and 'delay' in said
     assert json.loads((tmp_path / 'out' / 'comparison.json').read_text())['same'] is True
     for name in ('faults', 'differences'):
         assert (tmp_path / 'out' / f'{name}.png').read_bytes().startswith(b'\x89PNG')
@@ -155,8 +147,7 @@ def test_given_alarms_that_end_later_when_the_command_is_run_then_the_code_is_3_
     assert {f['name'] for f in found['figures']} >= {'f1: estimate of the fault'}
     assert main(['compare', str(replayed), str(slower)]) == 3
     said = capsys.readouterr().out
-    assert 'DIFFERENT' in said
-    assert '<- differs' in said
+    assert 'DIFFERENT' in said and '<- differs' in said
 
 
 def test_given_a_terminal_of_80_columns_when_compared_then_every_figure_is_readable(

@@ -41,14 +41,11 @@ def found(findings, level=None):
 # ------------------------------------------------------------------ files
 
 
-def test_given_files_that_fit_when_checked_then_nothing_is_found():
+def test_given_files_that_fit_when_checked_then_nothing_is_found_and_missing_gains_are_designed():
     arm, findings = check_files('paper', GAINS, 'two_faults')
     assert arm.name == 'paper'
     assert [f.check for f in findings] == ['arm', 'gains', 'scenario']
     assert found(findings) == []
-
-
-def test_given_an_arm_without_gains_when_checked_then_the_design_is_named():
     _, findings = check_files('paper', None, None)
     assert {f.level for f in findings} == {Level.OK}
     (finding,) = [f for f in findings if f.check == 'gains']
@@ -137,13 +134,10 @@ def crane_messages(duration, sign=1.0, rates=True):
         yield one
 
 
-def test_given_a_serial_arm_when_its_driver_sends_no_rates_then_they_are_not_asked_for():
-    messages = list(crane_messages(0.6, rates=False))
-    assert check_values('/joint_states', messages, needs_rates(crane())) is None
-    assert check_values('/joint_states', messages).check == 'values'
-
-
 def test_given_a_serial_arm_when_its_signals_are_checked_then_units_and_rates_are_as_stated():
+    without = list(crane_messages(0.6, rates=False))
+    assert check_values('/joint_states', without, needs_rates(crane())) is None
+    assert check_values('/joint_states', without).check == 'values'
     messages = list(crane_messages(0.6))
     assert signals.check_units('/joint_states', messages, crane()) is None
     assert signals.check_rate_source('/joint_states', messages, crane()).level == Level.OK
@@ -376,14 +370,13 @@ def test_given_a_mistake_in_the_graph_when_checked_then_it_is_found_and_nothing_
     assert all(f.remedy for f in bad)
 
 
-def test_given_measurements_elsewhere_when_checked_then_the_remedy_names_their_topic(paper_arm):
+def test_given_measurements_elsewhere_or_torques_from_commands_when_checked_then_it_is_taken_so(
+    paper_arm,
+):
     shot = healthy(paper_arm)
     elsewhere(shot)
     (finding,) = graph.check_connections(shot)
     assert '-r joint_states:=/joint_states' in finding.remedy
-
-
-def test_given_torques_from_commands_when_efforts_are_missing_then_that_is_fine(paper_arm):
     shot = healthy(paper_arm)
     measure(shot, STAMPS, effort=())
     shot.parameters['/lpv/uio']['torque_source'] = 'command'

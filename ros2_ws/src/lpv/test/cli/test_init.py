@@ -23,9 +23,19 @@ def urdf(tmp_path, paper_arm):
     return path
 
 
-def test_given_an_empty_folder_when_initialised_then_its_files_are_valid(tmp_path, capsys):
-    assert main(['init', str(tmp_path / 'new'), '--name', 'bench']) == 0
-    arm = load_arm(tmp_path / 'new' / 'arm.yaml')
+@pytest.fixture
+def init(tmp_path):
+    """Calls the command for a new folder; the arm that it writes."""
+
+    def run(*options):
+        assert main(['init', str(tmp_path / 'new'), *map(str, options)]) == 0
+        return load_arm(tmp_path / 'new' / 'arm.yaml')
+
+    return run
+
+
+def test_given_an_empty_folder_when_initialised_then_its_files_are_valid(tmp_path, init, capsys):
+    arm = init('--name', 'bench')
     assert arm.name == 'bench'
     load_requirement(tmp_path / 'new' / 'requirement.yaml')
     load_scenario(tmp_path / 'new' / 'scenario.yaml').path(arm)
@@ -41,9 +51,8 @@ def test_given_the_files_as_written_when_designed_then_the_certificate_holds(tmp
     assert main(['verify', gains, '--arm', arm]) == 0
 
 
-def test_given_a_urdf_when_initialised_then_the_arm_is_that_of_the_urdf(tmp_path, urdf, paper_arm):
-    assert main(['init', str(tmp_path / 'new'), '--urdf', str(urdf)]) == 0
-    arm = load_arm(tmp_path / 'new' / 'arm.yaml')
+def test_given_a_urdf_when_initialised_then_the_arm_is_that_of_the_urdf(init, urdf, paper_arm):
+    arm = init('--urdf', urdf)
     found, wanted = planar_model(arm), planar_model(paper_arm)
     for one, other in zip(found.links, wanted.links):
         assert vars(one) == pytest.approx(vars(other))
@@ -54,26 +63,20 @@ def test_given_a_urdf_when_initialised_then_the_arm_is_that_of_the_urdf(tmp_path
 
 @pytest.mark.parametrize(('name', 'joints'), [('ur10', 6), ('panda', 7)])
 def test_given_the_urdf_of_a_serial_arm_when_initialised_then_arm_and_path_fit(
-    tmp_path, name, joints, capsys
+    tmp_path, init, name, joints, capsys
 ):
-    urdf = BRINGUP / 'urdf' / f'{name}.urdf'
-    assert main(['init', str(tmp_path / 'new'), '--urdf', str(urdf), '--name', 'bench']) == 0
-    arm = load_arm(tmp_path / 'new' / 'arm.yaml')
+    arm = init('--urdf', BRINGUP / 'urdf' / f'{name}.urdf', '--name', 'bench')
     assert arm.name == 'bench' and len(arm.joint_names) == joints
-    scenario = load_scenario(tmp_path / 'new' / 'scenario.yaml')
-    assert (
-        np.ptp(scenario.path(arm).sample(np.linspace(0.0, 12.0, 50)).position, axis=0).min() > 0.1
-    )
+    path = load_scenario(tmp_path / 'new' / 'scenario.yaml').path(arm)
+    assert np.ptp(path.sample(np.linspace(0.0, 12.0, 50)).position, axis=0).min() > 0.1
     assert 'lpv demo --arm' in capsys.readouterr().out
 
 
 @pytest.mark.parametrize('zero', [0.0, np.pi / 3, np.pi])
-def test_given_another_zero_when_read_from_a_urdf_then_it_is_found(tmp_path, paper_model, zero):
-    path = tmp_path / 'arm.urdf'
-    path.write_text(arm_urdf(serial_from_planar(replace(paper_model, zero_angle=zero))))
-    assert main(['init', str(tmp_path / 'new'), '--urdf', str(path)]) == 0
-    found = planar_model(load_arm(tmp_path / 'new' / 'arm.yaml')).zero_angle
-    assert np.cos(found - zero) == pytest.approx(1.0)
+def test_given_another_zero_when_read_from_a_urdf_then_it_is_found(init, urdf, paper_model, zero):
+    urdf.write_text(arm_urdf(serial_from_planar(replace(paper_model, zero_angle=zero))))
+    found = planar_model(init('--urdf', urdf))
+    assert np.cos(found.zero_angle - zero) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(
@@ -96,12 +99,9 @@ def test_given_a_urdf_with_a_defect_when_initialised_then_it_is_named(
     assert not (tmp_path / 'new').exists()
 
 
-def test_given_two_links_out_of_a_vertical_plane_when_initialised_then_it_has_no_region(
-    tmp_path, urdf
-):
+def test_given_two_links_out_of_a_vertical_plane_when_initialised_then_it_has_no_region(init, urdf):
     urdf.write_text(urdf.read_text().replace('xyz="0 -1.0 0"', 'xyz="0 0 1"'))
-    assert main(['init', str(tmp_path / 'new'), '--urdf', str(urdf)]) == 0
-    arm = load_arm(tmp_path / 'new' / 'arm.yaml')
+    arm = init('--urdf', urdf)
     assert [joint.axis for joint in arm.joints] == [(0.0, 0.0, 1.0)] * 2
     assert arm.lpv is None
 
@@ -150,18 +150,14 @@ def gripper(tmp_path):
     ],
 )
 def test_given_a_gripper_when_its_joints_are_held_then_the_arm_has_the_others_and_their_friction(
-    tmp_path, gripper, options
+    init, gripper, options
 ):
-    assert main(['init', str(tmp_path / 'new'), '--urdf', str(gripper), *options]) == 0
-    arm = load_arm(tmp_path / 'new' / 'arm.yaml')
+    arm = init('--urdf', gripper, *options)
     assert (arm.name, arm.joint_names) == ('my_arm', ('shoulder', 'elbow', 'wrist'))
     assert dict(arm.locked).keys() == {'left_finger', 'right_finger'}
     assert dict(arm.locked)['left_finger'] == (0.02 if '--lock' in options else 0.0)
-    assert [(j.friction.viscous, j.friction.coulomb) for j in arm.joints] == [
-        (0.5, 0.25),
-        (0.0, 0.0),
-        (0.0, 0.0),
-    ]
+    friction = [(j.friction.viscous, j.friction.coulomb) for j in arm.joints]
+    assert friction == [(0.5, 0.25), (0.0, 0.0), (0.0, 0.0)]
     if '--tip' in options:
         assert arm.tip == (0.0, 0.0, 0.3)
 
@@ -206,14 +202,11 @@ def test_given_the_version_when_asked_then_it_is_printed(capsys):
         ('lpv_msgs.msg', 'ROS 2 is needed'),
         ('rclpy', 'ROS 2 is needed'),
         ('rich', 'pip install rich'),
+        ('lpv_design.main', 'lpv_design, which designs gains, is not installed'),
     ],
 )
 def test_given_a_missing_module_when_explained_then_its_installation_is_named(module, said):
     assert said in remedy(module)
-
-
-def test_given_no_package_of_designs_when_one_is_asked_for_then_that_package_is_named():
-    assert 'lpv_design, which designs gains, is not installed' in remedy('lpv_design.main')
 
 
 def test_given_an_installation_by_pip_when_a_module_is_missing_then_its_extra_is_named(monkeypatch):
