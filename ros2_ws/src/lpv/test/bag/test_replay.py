@@ -566,14 +566,6 @@ def test_given_alarms_when_injected_faults_are_judged_then_each_has_its_verdict(
         assert true_size(one, 3.0) == (None if size is None else pytest.approx(size))
 
 
-# ------------------------------------------------------------------ arms of three joints
-
-
-@pytest.fixture(scope='module')
-def crane_motion():
-    return crane_run()
-
-
 # ------------------------------------------------------------------ bags that cannot be replayed
 
 
@@ -774,10 +766,8 @@ def test_given_a_bag_with_its_gains_when_the_command_is_run_then_neither_arm_nor
     assert main([*arguments, '--gains', 'paper']) == 0
 
 
-def test_given_gains_for_a_serial_arm_when_replayed_then_they_are_refused(
-    crane_motion, tmp_path, refused
-):
-    bag, arm = record_crane(tmp_path / 'bag', crane_motion), str(crane_file(tmp_path))
+def test_given_gains_for_a_serial_arm_when_replayed_then_they_are_refused(tmp_path, refused):
+    bag, arm = record_crane(tmp_path / 'bag', crane_run()), str(crane_file(tmp_path))
     arguments = ['replay', str(bag), '--arm', arm, '--out', str(tmp_path / 'out')]
     assert refused('', *arguments, '--gains', 'paper.yaml')
     told = 'lpv: is missing: gains are designed for its region'

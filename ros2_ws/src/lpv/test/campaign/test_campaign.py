@@ -127,42 +127,6 @@ def test_given_a_wrong_field_when_parsed_then_the_error_names_it(field, change):
     assert error.value.field == field
 
 
-@pytest.mark.parametrize(
-    'field, change',
-    [
-        ('factors.fault.sensor', {'factors': {'fault.sensor': 'elbow'}}),
-        ('factors.design', {'factors': {'design': 'other'}}),
-        ('path.waypoints[0].joints', {'scenario': 'ur10', 'factors': {}}),
-        ('requirement', {'designs': ['nowhere']}),
-        ('arm', {'arm': 'nowhere'}),
-        ('scenario', {'scenario': 'nowhere'}),
-        ('scenario', {'factors': {'path': ['random', 'nowhere']}}),
-        (
-            'gains.arm_sha256',
-            {'designs': ['gains.yaml'], 'arm': 'real_arm', 'scenario': 'reach.yaml'},
-        ),
-        ('gains.arm_sha256', {'designs': ['gains.yaml'], 'factors': {'sample_time': 0.004}}),
-    ],
-)
-def test_given_what_does_not_fit_the_files_when_resolved_then_the_error_names_it(
-    field, change, tmp_path, paper_gains
-):
-    save_gains(paper_gains, tmp_path / 'gains.yaml')
-    (tmp_path / 'reach.yaml').write_text(REACH)
-    with pytest.raises(ConfigError) as error:
-        resolve(small(**change), 'small', tmp_path)
-    assert error.value.field == field
-
-
-def test_given_a_file_that_is_no_campaign_when_the_command_is_run_then_one_line_says_so(
-    tmp_path, refused
-):
-    (tmp_path / 'bad.yaml').write_text('name: [')
-    for name in ('bad.yaml', 'none.yaml'):
-        assert refused(name, 'campaign', tmp_path / name, '--out', tmp_path / 'out')
-    assert not (tmp_path / 'out').exists()
-
-
 UR10 = {
     'name': 'steps',
     'seed': 2,
@@ -182,20 +146,44 @@ UR10 = {
 }
 
 
-@pytest.mark.parametrize(
-    'field, change',
-    [
-        ('designs', {'designs': ['paper']}),
-        ('lpv', {'scenario': 'two_faults', 'factors': {}}),
-        ('factors.disturbance', {'factors': {'disturbance': 1.0}}),
-        ('factors.plant', {'factors': {'plant': 'lpv'}}),
-        ('factors.fault.sensor', {'factors': {'fault.sensor': 'link1_angle'}}),
-    ],
-)
-def test_given_what_a_serial_arm_does_not_have_when_resolved_then_the_error_names_it(field, change):
+OF_REAL_ARM = {'designs': ['gains.yaml'], 'arm': 'real_arm', 'scenario': 'reach.yaml'}
+MISFITS = [
+    (SMALL, 'factors.fault.sensor', {'factors': {'fault.sensor': 'elbow'}}),
+    (SMALL, 'factors.design', {'factors': {'design': 'other'}}),
+    (SMALL, 'path.waypoints[0].joints', {'scenario': 'ur10', 'factors': {}}),
+    (SMALL, 'requirement', {'designs': ['nowhere']}),
+    (SMALL, 'arm', {'arm': 'nowhere'}),
+    (SMALL, 'scenario', {'scenario': 'nowhere'}),
+    (SMALL, 'scenario', {'factors': {'path': ['random', 'nowhere']}}),
+    (SMALL, 'gains.arm_sha256', OF_REAL_ARM),
+    (SMALL, 'gains.arm_sha256', {'designs': ['gains.yaml'], 'factors': {'sample_time': 0.004}}),
+    (UR10, 'designs', {'designs': ['paper']}),
+    (UR10, 'lpv', {'scenario': 'two_faults', 'factors': {}}),
+    (UR10, 'factors.disturbance', {'factors': {'disturbance': 1.0}}),
+    (UR10, 'factors.plant', {'factors': {'plant': 'lpv'}}),
+    (UR10, 'factors.fault.sensor', {'factors': {'fault.sensor': 'link1_angle'}}),
+]
+"""A campaign, the field that the error names, and what does not fit its files or its arm."""
+
+
+@pytest.mark.parametrize(('base', 'field', 'change'), MISFITS)
+def test_given_what_does_not_fit_the_files_when_resolved_then_the_error_names_it(
+    base, field, change, tmp_path, paper_gains
+):
+    save_gains(paper_gains, tmp_path / 'gains.yaml')
+    (tmp_path / 'reach.yaml').write_text(REACH)
     with pytest.raises(ConfigError) as error:
-        resolve({**UR10, **change}, 'steps', '.')
+        resolve({**base, **change}, 'misfit', tmp_path)
     assert error.value.field == field
+
+
+def test_given_a_file_that_is_no_campaign_when_the_command_is_run_then_one_line_says_so(
+    tmp_path, refused
+):
+    (tmp_path / 'bad.yaml').write_text('name: [')
+    for name in ('bad.yaml', 'none.yaml'):
+        assert refused(name, 'campaign', tmp_path / name, '--out', tmp_path / 'out')
+    assert not (tmp_path / 'out').exists()
 
 
 @pytest.mark.parametrize('name', sorted(shipped_files('campaigns')))
