@@ -15,6 +15,7 @@ from lpv.core.serial_arm.diagnosis.onset import (
     sudden_drift,
     sudden_drift_of,
 )
+from lpv.core.serial_arm.diagnosis.stuck import Frozen
 from lpv.core.simulation.faults import Fault
 
 JOINT, BEGIN, RATE, PRIOR, LAST = 1, 3.022, 0.2, 0.3, 14
@@ -86,8 +87,9 @@ def test_given_a_drift_when_its_true_effect_is_taken_then_onset_and_rate_are_tho
 
 
 def test_given_a_reading_that_rests_when_explained_then_it_froze_when_its_rest_began(monitor):
-    rested, end = 0.2, monitor.estimator.window.times.max()
-    found = monitor.bank.stuck(np.array([0.0, rested, 0.0]), np.ones(3))
+    rested, end = 0.25, monitor.estimator.window.times.max()
+    frozen = Frozen(end - rested, 1.0, 0.1, alive=False)
+    found = monitor.bank.stuck({JOINT: frozen}, monitor._blocks)
     assert {(one.kind, one.joint) for one in found} == {('stuck', JOINT)}
-    earliest = end - rested - 2.0 * monitor.plan.interval
-    assert all(earliest <= one.begin < end for one in found)
+    assert found[0].begin == frozen.time
+    assert all(frozen.time <= one.begin < end for one in found)

@@ -158,11 +158,17 @@ def test_given_messages_that_do_not_fit_when_taken_then_they_are_refused_and_cou
     assert monitor.rejected == 4
 
 
-def test_given_a_fault_that_is_not_known_well_enough_when_confirmed_then_it_is_not_trusted():
+@pytest.mark.parametrize(('limit', 'trusted'), [(0.1, False), (1.5, True)])
+def test_given_a_fault_that_is_not_known_well_enough_when_confirmed_then_it_is_not_trusted(
+    limit, trusted
+):
     run = simulated(ARM, Fault('encoder3', 'stuck', 4.3), duration=6.0)
-    _, answers = observe(run.stamps, run.samples)
-    assert [e.kind for _, e in answers.events] == ['stuck']
-    assert answers.state.trustworthy[2000] and not answers.state.trustworthy[-1]
+    monitor = SerialSensorMonitor('/uio', ARM, DiagnosisParameters(safe_stop_bound=limit))
+    _, answers = observe(run.stamps, run.samples, monitor)
+    ((_, alarm),) = answers.events
+    named = run.stamps >= alarm.detected
+    assert alarm.kind == 'stuck' and answers.state.trustworthy[named][0]
+    assert answers.state.trustworthy[named].all() == trusted
 
 
 def test_given_gains_when_the_arm_has_no_region_then_they_are_refused(paper_gains):

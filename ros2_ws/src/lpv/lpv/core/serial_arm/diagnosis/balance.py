@@ -351,6 +351,12 @@ def drop_interval(balance: Balance) -> None:
     balance.clock[LENGTH] = 0.0
 
 
+def scratch_of(balance: Balance) -> Balance:
+    """A balance of the same arm at the same point, with intervals and scratch of its own."""
+    own = ('momentum', 'rising', 'falling', 'rows', 'clock', 'poses', 'rates', 'work', 'vectors')
+    return balance._replace(**{name: getattr(balance, name).copy() for name in own})
+
+
 @njit_in_place
 def fill_balances(
     balance: Balance, blocks: FloatArray, per_interval: int, rows: FloatArray

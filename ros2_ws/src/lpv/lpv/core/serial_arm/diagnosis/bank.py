@@ -66,7 +66,7 @@ from lpv.core.serial_arm.diagnosis.linear_bank import (
 )
 from lpv.core.serial_arm.diagnosis.onset import sudden_drift_of
 from lpv.core.serial_arm.diagnosis.sampling import JUMP_SCALE, LATE, Sampler
-from lpv.core.serial_arm.diagnosis.stuck import stuck_bayes_factor
+from lpv.core.serial_arm.diagnosis.stuck import Course, Frozen, course_of_frozen
 from lpv.core.serial_arm.dynamics.momentum import mass_matrix
 from lpv.core.serial_arm.sensor_map import map_vector
 from lpv.core.support.jit import njit_in_place
@@ -128,6 +128,7 @@ class Hypothesis:
     begin: float  # [s]
     starts: float = 1.0  # that it stands for
     seen: bool = False  # whether the reading shows it by itself: it froze, or jumped by as much
+    course: Course | None = None  # of a joint whose reading froze
 
     @property
     def is_encoder(self) -> bool:
@@ -225,6 +226,11 @@ class Bank:
     def momenta(self, back: int) -> FloatArray:
         """Momenta by unit rates of the readings, M S^-1, at one of the last balances."""
         momenta: FloatArray = self._mass[self.estimator.place(back)]
+        return momenta
+
+    def momenta_of(self, joint: int) -> FloatArray:
+        """Momenta by a unit rate of one reading, in the ring of the horizon."""
+        momenta: FloatArray = self._mass[:, :, joint]
         return momenta
 
     def restart(self) -> None:
@@ -354,29 +360,40 @@ class Bank:
         ]  # fmt: skip
         return found
 
-    def stuck(self, resting: FloatArray, speed: FloatArray) -> list[Hypothesis]:
+    def stuck(
+        self, frozen: dict[int, Frozen], blocks: Callable[[int], FloatArray]
+    ) -> list[Hypothesis]:
         """Readings that rest while their joints move.
 
         Parameters
         ----------
-        resting : ndarray, shape (n,)
-            For how long each reading has not changed at all [s], 0 where it is not conspicuous.
-        speed : ndarray, shape (n,)
-            Speeds before [rad/s].
+        frozen : dict of Frozen
+            Readings that have not changed at all for a conspicuous time, by sensor.
+        blocks : callable
+            Blocks of so many last intervals, oldest first.
         """
         found, interval = [], self.estimator.plan.interval
-        for i, time in enumerate(resting.tolist()):
-            if time == 0.0:
-                continue
-            longest = min(int(np.ceil(time / interval)) + 1, len(self.estimator))
-            for count in sorted({min(round(one / interval), longest) for one in STUCK_FOR}):
-                if count < 2:
+        held = blocks(len(self.estimator) + 1)
+        for i, one in frozen.items():
+            since = held[-1, 3 * self.estimator.joints] - one.time
+            lengths = [round(time / interval) for time in STUCK_FOR if time < since]
+            for count in (0, *lengths):
+                course = self.course(i, one, count, held)
+                if course is None:
                     continue
-                before = 0.1 if count < longest else float(speed[i])
-                gain, way, sigma, begin = stuck_bayes_factor(self.estimator, i, count, before)
-                gain += self._kinematics.explained(i, count)
-                found.append(Hypothesis('stuck', i, gain, way, sigma, begin, seen=True))
+                rows = count or int(np.ceil(since / interval))
+                gain = course.gain + self._kinematics.explained(i, rows)
+                way, sigma = float(course.mean[0]), float(course.covariance[0, 0]) ** 0.5
+                begin = course.begin
+                found.append(Hypothesis('stuck', i, gain, way, sigma, begin, 1.0, True, course))
         return found
+
+    def course(
+        self, joint: int, frozen: Frozen, balances: int, blocks: FloatArray
+    ) -> Course | None:
+        """As of `course_of_frozen`."""
+        about = self.momenta_of(joint), self._push
+        return course_of_frozen(self.estimator, joint, frozen, balances, blocks, about)
 
     def _sudden(self, blocks: Callable[[int], FloatArray], windows: int) -> list[Hypothesis]:
         """Drifts of encoders with derived rates whose onset itself is evidence."""

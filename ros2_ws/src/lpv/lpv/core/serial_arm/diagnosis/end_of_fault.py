@@ -18,11 +18,11 @@ from lpv.core.serial_arm.chain import FloatArray
 from lpv.core.serial_arm.diagnosis.balance import DRIFT, EPOCH, OFFSET
 from lpv.core.serial_arm.diagnosis.bank import SIZE, Bank
 from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator, set_residuals
-from lpv.core.serial_arm.diagnosis.fault_filter import STUCK_RATE, held_blocks
+from lpv.core.serial_arm.diagnosis.fault_filter import held_blocks
 from lpv.core.serial_arm.diagnosis.information import recent
 from lpv.core.serial_arm.diagnosis.onset import whitened
 from lpv.core.serial_arm.diagnosis.sampling import IN_BLOCK, Sampler
-from lpv.core.serial_arm.diagnosis.stuck import stuck_bayes_factor
+from lpv.core.serial_arm.diagnosis.stuck import Frozen
 
 ONSETS = 12
 """Onsets that are compared, spaced evenly in the logarithm of their age."""
@@ -164,27 +164,36 @@ def end_of_fault(
             # The reading went as far as it jumped back, and its rate knew nothing of it.
             expected = jump * min(held / age, 1.0)
             prior[k] += (way[0] * expected - 0.5 * expected**2) / way[1] ** 2
-    ramps, frozen = np.ones(len(ages)), _frozen_for(estimator, sampler, joint)
-    if frozen > 0:
-        gain, went, sigma = 0.0, 0.0, 0.0
+    ramps = np.ones(len(ages))
+    blocks, _ = held_blocks(estimator, sampler, len(estimator) + 1)
+    frozen = _frozen(estimator, blocks, joint)
+    if frozen is not None:
+        course = None
         if abs(jump) < LINEAR:
-            gain, went, sigma, _ = stuck_bayes_factor(estimator, joint, frozen, SIZE['drift'])
-        # Where nothing but the dynamics tells where the joint is, their errors add up.
-        least = STUCK_RATE * frozen * interval if sampler.derived[joint] else 0.0
-        sigma = max(sigma, least, float(sampler.scale[joint]))
+            course = bank.course(joint, frozen, 0, blocks)
+        gain, went, sigma = 0.0, 0.0, LINEAR
+        if course is not None:
+            gain, went = course.gain, float(course.mean[0])
+            sigma = max(float(course.covariance[0, 0]) ** 0.5, float(sampler.scale[joint]))
         gain += float(_normal(jump - went, sigma) - _slip(jump))
-        prior, ages = np.append(prior, gain), np.append(ages, frozen * interval)
+        prior, ages = (
+            np.append(prior, gain),
+            np.append(ages, blocks[-1, 3 * estimator.joints] - frozen.time),
+        )
         ramps = np.append(ramps, 0.0)
     one = EndOfFault(joint, jump, float(sampler.time[-1]), prior, ages, ramps)
     one.weigh(estimator)
     return one
 
 
-def _frozen_for(estimator: OffsetEstimator, sampler: Sampler, joint: int) -> int:
-    """Intervals for which a reading had not changed at all before the samples at hand."""
-    blocks, _ = held_blocks(estimator, sampler, len(estimator) + 1)
-    changes = np.flatnonzero(blocks[:, joint] != blocks[-1:, joint])
-    return (len(blocks) - 1 - int(changes[-1])) // estimator.plan.blocks if len(changes) else 0
+def _frozen(estimator: OffsetEstimator, blocks: FloatArray, joint: int) -> Frozen | None:
+    """A reading that had not changed at all for an interval before the samples at hand."""
+    n, changes = estimator.joints, np.flatnonzero(blocks[:, joint] != blocks[-1:, joint])
+    if len(changes) == 0 or len(blocks) - 1 - changes[-1] < estimator.plan.blocks:
+        return None
+    last = max(int(changes[-1]), 1)
+    time = float(blocks[last, 3 * n] + 0.5 * blocks[last, 3 * n + 1])
+    return Frozen(time, float(blocks[last - 1, n + joint]), SIZE['drift'], False)
 
 
 def _slip(jump: float) -> float:

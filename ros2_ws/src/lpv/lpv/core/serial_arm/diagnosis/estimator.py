@@ -232,7 +232,7 @@ def take_balance(
     learn : bool
         Whether what leaves the horizon is remembered.
     """
-    _make_absolute(balance.rows, balance.reference)
+    make_absolute(balance.rows, balance.reference)
     join(window, time, balance.rows, PAST_WEIGHT if learn else -PAST_WEIGHT)
     at = slot(window, 0)
     for i in range(null.noise.shape[0]):
@@ -331,7 +331,7 @@ def _copy_noise(source: Posterior, level: Posterior, lasting: float) -> None:
 
 
 @njit_in_place
-def _make_absolute(rows: FloatArray, reference: FloatArray) -> None:
+def make_absolute(rows: FloatArray, reference: FloatArray) -> None:
     """Let the constant part belong to f = 0 instead of the point of linearisation."""
     n = reference.shape[0]
     for i in range(n):
@@ -598,7 +598,7 @@ class OffsetEstimator:
         rows = np.empty((len(blocks) // self.plan.blocks - 1, *self.balance.rows.shape))
         fill_balances(self.balance, np.ascontiguousarray(blocks), self.plan.blocks, rows)
         for back in range(last):
-            _make_absolute(rows[-1 - back], self.balance.reference)
+            make_absolute(rows[-1 - back], self.balance.reference)
             self.window.rows[slot(self.window, back)] = rows[-1 - back]
         self.weigh_again(last)
 

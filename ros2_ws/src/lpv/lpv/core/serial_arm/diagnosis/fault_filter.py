@@ -11,18 +11,18 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from lpv.core.serial_arm.chain import FloatArray, IntArray
-from lpv.core.serial_arm.diagnosis.balance import DRIFT, EPOCH, OFFSET, SCALE
+from lpv.core.serial_arm.diagnosis.balance import DRIFT, EPOCH, OFFSET, RATE, SCALE
 from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator
 from lpv.core.serial_arm.diagnosis.information import ROBUST, slot
 from lpv.core.serial_arm.diagnosis.sampling import BLOCKS, Sampler
-from lpv.core.serial_arm.diagnosis.stuck import ACCELERATION
+from lpv.core.serial_arm.diagnosis.stuck import Course
 
 STEADY = 0.1
 """Change of the rate of a drift in a second, standard deviation [rad/s]."""
 SCALE_STEADY = 0.01
 """The same of a scale error [-]."""
-STUCK_RATE = 1.0
-"""By which the position of a joint whose reading rests becomes uncertain [rad/s]."""
+STEADY_FOR = 0.2
+"""Time over which a joint's acceleration is correlated [s]."""
 LOST = 0.5
 """Standard deviation of a fault that is not followed any more [rad]."""
 LARGEST_SCALE = 0.9
@@ -35,17 +35,18 @@ OFFSET_SIGMA = 0.05
 class FaultFilter:
     """Filter of one sensor's fault while it changes.
 
-    The state is fault and rate [rad], [rad/s], or scale error and offset [-], [rad]; what has been
-    taken out of the readings is its mean.
+    The state is fault, rate and acceleration [rad], [rad/s], [rad/s2], or scale error and offset
+    [-], [rad] and nothing; what has been taken out of the readings is its mean.  Only a frozen
+    reading's fault accelerates, as its joint does.
     """
 
     joint: int
     kind: str  # drift, scale, slip or stuck
     begin: float  # when it began to change [s]
-    mean: FloatArray = field(default_factory=lambda: np.zeros(2))  # of the state now
-    covariance: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
+    mean: FloatArray = field(default_factory=lambda: np.zeros(3))  # of the state now
+    covariance: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
     updated: float = 0.0  # moment of the state [s]
-    has_rate: bool = False  # whether a rate sensor of its own tells how the joint moves
+    acceleration: float = 0.0  # usual one of the fault [rad/s2]
 
     @property
     def is_scale(self) -> bool:
@@ -64,17 +65,18 @@ class FaultFilter:
         """
         if self.is_scale:
             position = (reading - self.mean[1]) / (1.0 + self.mean[0])
-            direction = np.array([position, 1.0])
+            direction = np.array([position, 1.0, 0.0])
             fault = reading - position
             variance = float(direction @ self.covariance @ direction)
             return fault, 0.0, float(np.sqrt(max(variance, 0.0)))
-        direction = np.array([1.0, now - self.updated])
-        variance = float(direction @ self.covariance @ direction)
-        # Where nothing but the dynamics tells where the joint is, their errors add up.
-        alone = self.kind == 'stuck' and not self.has_rate
-        least = STUCK_RATE * (now - self.begin) if alone else 0.0
-        sigma = max(float(np.sqrt(max(variance, 0.0))), least)
-        return float(direction @ self.mean), float(self.mean[1]), sigma
+        move = _motion(now - self.updated)
+        mean, variance = move @ self.mean, float(move[0] @ self.covariance @ move[0])
+        return float(mean[0]), float(mean[1]), float(np.sqrt(max(variance, 0.0)))
+
+    def course(self, since: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Fault and its rate at times from the state's on; not of a scale error."""
+        fault, rate, acceleration = self.mean
+        return fault + (rate + 0.5 * acceleration * since) * since, rate + acceleration * since
 
     def share(self, reading: float, now: float, sigmas: float) -> float:
         """Share of the fault that is beyond doubt: 1 - (bound / fault)^2, none within its bound.
@@ -90,22 +92,38 @@ class FaultFilter:
         if self.is_scale:
             self.covariance[0, 0] += SCALE_STEADY**2 * interval
             return
-        move = np.array([[1.0, interval], [0.0, 1.0]])
-        acceleration = ACCELERATION**2 * interval if self.kind == 'stuck' else STEADY**2
+        move, change = _motion(interval), STEADY**2
+        if self.kind == 'stuck':
+            kept = float(np.exp(-interval / STEADY_FOR))
+            move[2, 2], change = kept, 0.0
+            self.covariance[2, 2] += self.acceleration**2 * (1.0 - kept**2)
         self.mean = move @ self.mean
         self.covariance = move @ self.covariance @ move.T
-        self.covariance += acceleration * interval * np.array([
+        self.covariance[:2, :2] += change * interval * np.array([
             [interval**2 / 3.0, interval / 2.0], [interval / 2.0, 1.0],
         ])  # fmt: skip
 
-    def columns(self, rows: FloatArray, epoch: float, now: float) -> FloatArray:
-        """Derivatives of a balance by the state now, shape (n, 2)."""
+    def columns(
+        self, rows: FloatArray, epoch: float, now: float, momentum: FloatArray, interval: float
+    ) -> FloatArray:
+        """Derivatives of a balance by the state now, shape (n, 3).
+
+        ``momentum`` is that by a unit rate of the reading, shape (n,).
+        """
         n, i = len(rows), self.joint
         offset = rows[:, 1 + OFFSET * n + i]
         if self.is_scale:
-            return np.stack([rows[:, 1 + SCALE * n + i], offset], axis=1)
+            return np.stack([rows[:, 1 + SCALE * n + i], offset, 0.0 * offset], axis=1)
         drift = rows[:, 1 + DRIFT * n + i] - (now - epoch) * offset
-        return np.stack([offset, drift], axis=1)
+        # The rate changes by a T from interval to interval, and is on average a T less than now.
+        bend = 7.0 / 12.0 * interval**2 * offset
+        bend -= interval * (momentum + rows[:, 1 + RATE * n + i])
+        return np.stack([offset, drift, bend], axis=1)
+
+
+def _motion(interval: float) -> FloatArray:
+    """How fault, rate and acceleration go on."""
+    return np.array([[1.0, interval, 0.5 * interval**2], [0.0, 1.0, interval], [0.0, 0.0, 1.0]])
 
 
 def begin_filter(
@@ -116,6 +134,7 @@ def begin_filter(
     sigma: float,
     origin: float,
     spread: float = 0.0,
+    acceleration: float = 0.0,
 ) -> FaultFilter:
     """Filter of a fault that has just been named.
 
@@ -133,6 +152,8 @@ def begin_filter(
         Reading when it began to change, as corrected so far [rad].
     spread : float, optional
         Standard deviation of the moment when it began [s].
+    acceleration : float, optional
+        Usual one of a joint whose reading rests [rad/s2].
 
     Returns
     -------
@@ -141,29 +162,66 @@ def begin_filter(
     """
     begin, now = span
     past = max(now - begin, 1e-3)
-    one = FaultFilter(joint, kind, begin, updated=now)
+    one = FaultFilter(joint, kind, begin, updated=now, acceleration=acceleration)
     if kind == 'drift':
-        one.mean = size * np.array([past, 1.0])
-        one.covariance = sigma**2 * np.array([[past**2, past], [past, 1.0]])
+        one.mean[:2] = size * np.array([past, 1.0])
+        one.covariance[:2, :2] = sigma**2 * np.array([[past**2, past], [past, 1.0]])
         one.covariance[0, 0] += (size * spread) ** 2
     elif kind == 'scale':
-        one.mean = np.array([size, -size * origin])
-        one.covariance = np.diag([sigma**2, OFFSET_SIGMA**2])
+        one.mean[:2] = size, -size * origin
+        one.covariance = np.diag([sigma**2, OFFSET_SIGMA**2, 0.0])
     elif kind == 'stuck':  # the reading is behind the joint: its fault is minus the way
-        one.mean = -size * np.array([1.0, 1.0 / past])
-        one.covariance = np.diag([sigma**2, (2.0 * sigma / past) ** 2])
+        one.mean[:2] = -size, -size / past
+        one.covariance = np.diag([sigma**2, (2.0 * sigma / past) ** 2, acceleration**2])
     else:
-        one.mean, one.covariance = np.array([size, 0.0]), np.diag([sigma**2, STEADY**2])
+        one.mean[0] = size
+        one.covariance = np.diag([sigma**2, STEADY**2, 0.0])
     return one
 
 
-def correct_since(one: FaultFilter, estimator: OffsetEstimator, sampler: Sampler) -> None:
-    """Take a fault that has just been named out of the readings since it began."""
+def begin_frozen(joint: int, course: Course, now: float, acceleration: float) -> FaultFilter:
+    """Filter of a reading that rests, whose joint's way and rate are known.
+
+    Parameters
+    ----------
+    joint : int
+        Of the sensor.
+    course : Course
+        At the end of the last balance.
+    now : float
+        [s].
+    acceleration : float
+        Usual one [rad/s2].
+
+    Returns
+    -------
+    FaultFilter
+        At the present time.
+    """
+    one = FaultFilter(joint, 'stuck', course.begin, updated=course.end, acceleration=acceleration)
+    past = max(course.end - course.begin, 1e-3)
+    way, rate = course.mean
+    # It went the way that it did, and ends at the rate that it has.
+    one.mean = -np.array([way, rate, 2.0 * (rate * past - way) / past**2])
+    one.mean[2] = min(max(one.mean[2], -acceleration), acceleration)
+    one.covariance[:2, :2] = course.covariance
+    one.covariance[2, 2] = acceleration**2
+    one.predict(now - course.end)
+    one.updated = now
+    return one
+
+
+def correct_since(
+    one: FaultFilter, estimator: OffsetEstimator, sampler: Sampler, momenta: FloatArray
+) -> None:
+    """Take a fault that has just been named out of the readings since it began.
+
+    ``momenta`` are those by a unit rate of its reading, in the ring of the horizon.
+    """
     n, i, now = estimator.joints, one.joint, float(sampler.time[-1])
     share = one.mean[0] / (1.0 + one.mean[0]) if one.is_scale else 0.0
     last = int((estimator.times(len(estimator)) > one.begin).sum())
     blocks, places = held_blocks(estimator, sampler, last + 1)
-    fault, rate = one.mean
 
     def take_out(time: FloatArray, reading: FloatArray, velocity: FloatArray) -> None:
         after = time > one.begin
@@ -171,8 +229,9 @@ def correct_since(one: FaultFilter, estimator: OffsetEstimator, sampler: Sampler
             velocity[after] -= sampler.derived[i] * share * velocity[after]
             reading[after] -= share * reading[after] + one.mean[1] / (1.0 + one.mean[0])
         else:
+            fault, rate = one.course(time[after] - now)
             velocity[after] -= sampler.derived[i] * rate
-            reading[after] -= (fault + rate * (time - now))[after]
+            reading[after] -= fault
 
     take_out(blocks[:, 3 * n], blocks[:, i], blocks[:, n + i])
     sampler.blocks[places] = blocks
@@ -180,8 +239,9 @@ def correct_since(one: FaultFilter, estimator: OffsetEstimator, sampler: Sampler
     _note(one, sampler)
     window, epoch = estimator.window, estimator.balance.clock[EPOCH]
     for back in range(min(last, len(estimator))):
-        columns = one.columns(window.rows[slot(window, back)], epoch, now)
-        window.extra[slot(window, back)] = ((columns @ one.covariance) * columns).sum(1)
+        at = slot(window, back)
+        columns = one.columns(window.rows[at], epoch, now, momenta[at], estimator.plan.interval)
+        window.extra[at] = ((columns @ one.covariance) * columns).sum(1)
     estimator.replace_last(blocks)
 
 
@@ -190,6 +250,7 @@ def follow(
     estimator: OffsetEstimator,
     sampler: Sampler,
     kinematic: tuple[float, float] | None,
+    momenta: FloatArray,
 ) -> None:
     """Update a fault by the newest balance, and the correction of the readings.
 
@@ -204,18 +265,20 @@ def follow(
     kinematic : tuple of float, optional
         D of the last interval, of readings as corrected, and its variance [rad], [rad2], where the
         rate has a sensor of its own.
+    momenta : ndarray, shape (capacity, n)
+        By a unit rate of the reading, in the ring of the horizon.
     """
-    window, null = estimator.window, estimator.posterior
-    now, one.has_rate = float(sampler.time[-1]), kinematic is not None
+    window, null, interval = estimator.window, estimator.posterior, estimator.plan.interval
+    now = float(sampler.time[-1])
     one.predict(now - one.updated)
     one.updated = now
     if one.fault(float(sampler.raw[one.joint]), now)[2] > LOST:
-        one.mean[1] = 0.0  # the balances, linearised at the estimate, say nothing any more
+        one.mean[1:] = 0.0  # the balances, linearised at the estimate, say nothing any more
         _note(one, sampler)
         return
     at = slot(window, 0)
     rows, m = window.rows[at], len(null.mean)
-    columns = one.columns(rows, estimator.balance.clock[EPOCH], now)
+    columns = one.columns(rows, estimator.balance.clock[EPOCH], now, momenta[at], interval)
     unknowns = rows[:, rows.shape[1] - m :]
     known = np.linalg.solve(np.triu(null.factor).T, unknowns.T)
     noise = null.noise * (1.0 + (null.rest - 1.0) * window.rest[at])
@@ -230,7 +293,7 @@ def follow(
     change = -gain @ residual
     one.covariance = one.covariance - gain @ columns @ one.covariance
     if kinematic is not None and not one.is_scale:
-        column = np.array([0.0, estimator.plan.interval])
+        column = interval * np.array([0.0, 1.0, -0.5 * interval])
         gain = one.covariance @ column / (column @ one.covariance @ column + kinematic[1])
         change += gain * (kinematic[0] - column @ change)
         one.covariance = one.covariance - np.outer(gain, column) @ one.covariance
@@ -263,8 +326,9 @@ def _change(
             (blocks[:, 3 * n], blocks[:, i], blocks[:, n + i]),
             (sampler.time, sampler.samples[:, 0, i], sampler.samples[:, 1, i]),
         ):
-            reading -= change[0] + change[1] * (time - now)
-            velocity -= sampler.derived[i] * change[1]
+            since = time - now
+            reading -= change[0] + (change[1] + 0.5 * change[2] * since) * since
+            velocity -= sampler.derived[i] * (change[1] + change[2] * since)
     sampler.blocks[places] = blocks
     _note(one, sampler)
     estimator.replace_last(blocks)
@@ -277,8 +341,7 @@ def _note(one: FaultFilter, sampler: Sampler) -> None:
         sampler.share[i] = one.mean[0] / (1.0 + one.mean[0])
         sampler.followed[i] = one.mean[1] / (1.0 + one.mean[0])
     else:
-        sampler.followed[i] = one.mean[0]
-        sampler.drift[i] = one.mean[1]
+        sampler.followed[i], sampler.drift[i], sampler.curve[i] = one.mean
 
 
 def held_blocks(

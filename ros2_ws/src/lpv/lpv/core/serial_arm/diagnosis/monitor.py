@@ -32,6 +32,7 @@ from lpv.core.serial_arm.diagnosis.estimator import NOISE_KNOWN_AFTER, HorizonPl
 from lpv.core.serial_arm.diagnosis.fault_filter import (
     FaultFilter,
     begin_filter,
+    begin_frozen,
     correct_since,
     follow,
 )
@@ -55,7 +56,7 @@ from lpv.core.serial_arm.diagnosis.sampling import (
     take_samples,
 )
 from lpv.core.serial_arm.diagnosis.sensor_state import SensorRecord
-from lpv.core.serial_arm.diagnosis.stuck import ACCELERATION
+from lpv.core.serial_arm.diagnosis.stuck import STILL_RATE, Frozen, usual_acceleration
 from lpv.core.serial_arm.sensor_map import map_rows, mixing
 from lpv.core.support.errors import SampleError
 from lpv.core.support.jit import Entries
@@ -559,7 +560,9 @@ class SerialMonitor:
     def _follow(self, _: float) -> Stage:
         """Let the newest balance measure the faults that are followed."""
         for i, one in self._filters.items():
-            follow(one, self.estimator, self.sampler, self.bank.rate_row(i))
+            follow(
+                one, self.estimator, self.sampler, self.bank.rate_row(i), self.bank.momenta_of(i)
+            )
         return Stage.ESTIMATE
 
     def _linearise(self, _: float) -> Stage:
@@ -568,7 +571,7 @@ class SerialMonitor:
 
     def _find_stuck(self, _: float) -> Stage:
         """Readings that rest while their joints move."""
-        self._stuck = self.bank.stuck(*self._rest())
+        self._stuck = self.bank.stuck(self._unfollowed(), self._blocks)
         self._state['rests'] = bool(self._stuck)
         return Stage.ASK
 
@@ -676,30 +679,34 @@ class SerialMonitor:
         end = self._ends.get(one.joint) if one.is_encoder else None
         return end is not None and one.begin < end.time + 2.0 * self.plan.interval
 
-    def _is_frozen(self) -> BoolArray:
-        """Whether a reading stopped dead while it moved, or has lost its noise.
+    def _frozen(self) -> dict[int, Frozen]:
+        """Readings that stopped dead while they moved, or have lost their noise.
 
-        Rounding and usual braking explain a part of the speed before.
+        Rounding and usual braking explain a part of the rate before.
         """
-        sampler = self.sampler
-        still = sampler.still * self.arm.sample_time > STILL_TIME
-        measured = BEFORE_STOP * self.arm.sample_time
-        speed = sampler.stop - sampler.grain / measured - 0.5 * ACCELERATION * measured
-        stopped = speed * STILL_TIME > np.maximum(
-            self.settings.smallest_step * self.scales, sampler.grain
-        )
-        return still & (stopped | (sampler.lively > LIVELY))
+        sampler, period, found = self.sampler, self.arm.sample_time, dict[int, Frozen]()
+        if max(sampler.still.tolist()) * period <= STILL_TIME:
+            return found
+        for i in np.flatnonzero(sampler.still * period > STILL_TIME).tolist():
+            measured = BEFORE_STOP * period
+            braking = 0.5 * measured * self._acceleration(i)
+            rounding, rate = float(sampler.grain[i]) / measured, float(sampler.stop[i])
+            smallest = max(self.settings.smallest_step * self.scales[i], sampler.grain[i])
+            alive = bool(sampler.lively[i] > LIVELY)
+            if alive or (abs(rate) - rounding - braking) * STILL_TIME > smallest:
+                time = self._last() - float(sampler.still[i]) * period
+                sigma = math.hypot(rounding, braking, STILL_RATE)
+                found[i] = Frozen(time, rate, sigma, alive)
+        return found
 
-    def _rest(self) -> tuple[FloatArray, FloatArray]:
-        """For how long each frozen reading has rested [s], and its speed before [rad/s]."""
-        if max(self.sampler.still.tolist()) * self.arm.sample_time <= STILL_TIME:
-            return np.zeros(self.joints), self.sampler.stop
-        time = self.sampler.still * self.arm.sample_time
-        followed = np.zeros(self.joints, bool)
-        followed[list(self._filters)] = True
-        return np.where(self._is_frozen() & ~followed, time, 0.0), np.maximum(
-            self.sampler.stop, 0.1
-        )
+    def _acceleration(self, i: int) -> float:
+        """Usual acceleration of a joint [rad/s2]."""
+        blocks = self._blocks(len(self.estimator) + 1)
+        return usual_acceleration(blocks, i, self.joints, self.plan.blocks)
+
+    def _unfollowed(self) -> dict[int, Frozen]:
+        """Frozen readings that nobody has named."""
+        return {i: one for i, one in self._frozen().items() if i not in self._filters}
 
     def _report_contact(self, now: float) -> None:
         """Something pushes the arm: no sensor is to blame, and nothing is learned from it."""
@@ -722,29 +729,40 @@ class SerialMonitor:
         """A position sensor explains what nothing else does: its fault is followed from now on."""
         i = one.joint
         still = self.sampler.still[i] * self.arm.sample_time
-        rests = self._is_frozen()[i] or still > max(STILL_TIME, now - one.begin)
+        rests = i in self._frozen() or still > max(STILL_TIME, now - one.begin)
         kind = 'stuck' if rests else one.kind
-        if kind == 'stuck' and one.kind != 'stuck':  # the rate of the joint that its reading hides
-            rate = -one.size if one.kind == 'drift' else 0.0
-            size, sigma = rate * (now - one.begin), max(0.1, one.sigma * (now - one.begin))
-        else:
-            size, sigma = one.size, one.sigma
         last = float(self.sampler.time[-1])
-        if kind == 'stuck':
+        way = None
+        if kind == 'stuck':  # a rate of its own tells how far the joint went
             way = self.bank.way(i, round((last - one.begin) / self.plan.interval))
-            size, sigma = way or (size, sigma)  # a rate of its own tells how far the joint went
-        blocks = self._blocks(len(self.estimator) + 1)
-        origin = float(np.interp(one.begin, blocks[:, 3 * self.joints], blocks[:, i]))
-        # Uniform over the starts that the named one stands for.
-        spread = one.starts * self.plan.interval / math.sqrt(12.0)
-        self._filters[i] = begin_filter(i, kind, (one.begin, last), size, sigma, origin, spread)
+        if one.course is not None and way is None:
+            self._filters[i] = begin_frozen(i, one.course, last, self._acceleration(i))
+        else:
+            self._filters[i] = self._begin(one, kind, way, last)
         self.bank.leave_out_rate(i, True)
-        correct_since(self._filters[i], self.estimator, self.sampler)
+        correct_since(self._filters[i], self.estimator, self.sampler, self.bank.momenta_of(i))
         self.healthy = self.guarantee = None  # readings are changed
         fault, deviation = self.faults()
         name = {'slip': 'bias'}.get(kind, kind)
         self._raise(i, name, one.begin, float(fault[i]), float(deviation[i]), confidence=share)
         self._suspects = ()
+
+    def _begin(
+        self, one: Hypothesis, kind: str, way: tuple[float, float] | None, now: float
+    ) -> FaultFilter:
+        """Filter of a fault of a kind; ``way`` is that of the joint since a reading froze."""
+        size, sigma = one.size, one.sigma
+        if kind == 'stuck' and one.kind != 'stuck':  # the rate of the joint that its reading hides
+            rate, since = -one.size if one.kind == 'drift' else 0.0, now - one.begin
+            size, sigma = rate * since, max(0.1, one.sigma * since)
+        size, sigma = way or (size, sigma)
+        blocks = self._blocks(len(self.estimator) + 1)
+        origin = float(np.interp(one.begin, blocks[:, 3 * self.joints], blocks[:, one.joint]))
+        # Uniform over the starts that the named one stands for.
+        spread = one.starts * self.plan.interval / math.sqrt(12.0)
+        span = one.begin, now
+        acceleration = self._acceleration(one.joint)
+        return begin_filter(one.joint, kind, span, size, sigma, origin, spread, acceleration)
 
     def _blame_rate(self, one: Hypothesis, share: float) -> None:
         """A rate sensor contradicts its encoder, and balances say that it is the one to blame."""
@@ -870,6 +888,8 @@ class SerialMonitor:
         sampler = self.sampler
         sampler.samples[-since:, 0, i] += float(self.taken_out()[i]) - kept
         sampler.samples[-since:, 1, i] += sampler.derived[i] * sampler.drift[i]
+        if sampler.derived[i] == 1.0 and since > 1:  # the first difference holds the jump
+            sampler.samples[-since, 1, i] = sampler.samples[1 - since, 1, i]
         self._correct_no_more(i)
         sampler.correction[i] = self._correction[i] = kept
 
@@ -892,6 +912,7 @@ class SerialMonitor:
         if self._filters.pop(i, None) is not None or self.sensors[i].kind == 'noise':
             self.bank.leave_out_rate(i, self.rates[i].active)
         sampler.correction[i] = sampler.followed[i] = sampler.drift[i] = sampler.share[i] = 0.0
+        sampler.curve[i] = 0.0
         self._correction[i] = 0.0
 
     def _mark_suspects(self) -> None:

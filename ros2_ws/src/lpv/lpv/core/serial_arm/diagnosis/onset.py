@@ -232,7 +232,7 @@ class _Rival:
     def _residuals(self, size: float, friction: FloatArray) -> FloatArray:
         """Balances freed of a drift of this size."""
         balance, per_interval = self._estimator.balance, self._estimator.plan.blocks
-        freed = _without_drift(self._blocks, balance, self._joint, self._begin, size)
+        freed = without_drift(self._blocks, balance, self._joint, self._begin, size)
         return np.asarray(residuals(balance, freed, per_interval, friction))
 
     def _columns(self, size: float, freed: FloatArray) -> FloatArray:
@@ -277,7 +277,7 @@ def _learned_friction(balance: Balance, null: Posterior) -> FloatArray:
     return friction
 
 
-def _without_drift(
+def without_drift(
     blocks: FloatArray, balance: Balance, joint: int, begin: float, size: float
 ) -> FloatArray:
     """Blocks whose reading, and the rate that is derived from it, are freed of a drift."""

@@ -41,6 +41,8 @@ LATE = 1.5
 """Largest error of a stamp, over the time since the sample before."""
 _USUAL = 5.0
 """Sizes of e, over the usual one, that are nothing special."""
+ROUNDED = 2.5
+"""Changes of a reading by less than so many of its smallest ones tell no rate."""
 BEFORE_STOP = 3
 """Periods before a reading comes to rest over which its speed is measured."""
 LAGGING = 1.0
@@ -68,6 +70,7 @@ class Sampler(NamedTuple):
     correction: FloatArray  # (n,) jumps that are removed from the reading [rad]
     followed: FloatArray  # (n,) fault that changes, and is removed, too [rad]
     drift: FloatArray  # (n,) its rate [rad/s]
+    curve: FloatArray  # (n,) its acceleration [rad/s2]
     share: FloatArray  # (n,) of the reading that is removed as a scale error [-]
     rate_error: FloatArray  # (n,) bias of the rate sensor that is removed [rad/s]
     derived: FloatArray  # 1 where the rate is derived from the reading, shape (n,)
@@ -80,7 +83,7 @@ class Sampler(NamedTuple):
     still: IntArray  # samples for which the reading has not changed at all, shape (n,)
     held: IntArray  # the same before the last change, if that was the last sample, shape (n,)
     lively: FloatArray  # (n,) share of changes that go back and forth by more than rounding
-    stop: FloatArray  # speed of the reading before it came to rest, shape (n,) [rad/s]
+    stop: FloatArray  # rate of the reading before it came to rest, shape (n,) [rad/s]
     grain: FloatArray  # (n,) smallest change of the reading, at least its rounding step [rad]
     noise: FloatArray  # (3, n) jumps lately, usual e^2 while noisy [rad2], correction before [rad]
     noisy: IntArray  # (n,) 1 while a reading is noisy
@@ -117,6 +120,7 @@ def new_sampler(
     return Sampler(
         np.zeros(HISTORY), np.zeros((HISTORY, 3, n)), np.zeros((HISTORY, n)), scale.copy(),
         smallest.copy(), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n),
+        np.zeros(n),
         derived.copy(), np.zeros((3, n)), np.zeros((capacity, 3 * n + 3)), np.zeros(n, np.int64),
         np.zeros(n), np.zeros(n, np.int64),
         np.zeros(n), np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n), np.zeros(n),
@@ -154,7 +158,9 @@ def push_sample(
     for i in range(n):
         sampler.found[i] = NONE
         if sampler.counters[COUNT] > 0:
-            sampler.followed[i] += sampler.drift[i] * period
+            change = sampler.curve[i] * period
+            sampler.followed[i] += (sampler.drift[i] + 0.5 * change) * period
+            sampler.drift[i] += change
         reading = y[i] - removed(sampler, i, y[i])
         sampler.held[i] = 0
         if abs(y[i] - sampler.raw[i]) > ROUNDING:
@@ -167,7 +173,7 @@ def push_sample(
                 sampler.stop[i] = 0.0
             elif sampler.still[i] == 1:
                 way = sampler.samples[HISTORY - 2, 0, i] - sampler.samples[before, 0, i]
-                sampler.stop[i] = abs(way) / (sampler.time[HISTORY - 2] - sampler.time[before])
+                sampler.stop[i] = way / (sampler.time[HISTORY - 2] - sampler.time[before])
         _watch_lag(sampler, i, y[i] - sampler.raw[i], v[i], period)
         sampler.raw[i] = y[i]
         sampler.samples[HISTORY - 1, 0, i] = reading
@@ -239,6 +245,9 @@ def _fill_repeated(sampler: Sampler) -> None:
             time, way, rate = _since_change(sampler, i)
             most = _smallest_jump(sampler.scale[i], sampler.smallest[i])
             evenly = evenly and abs(way - rate * time) <= most
+            # Its e is that of all samples in which it was repeated: these are filled in evenly.
+            rounded = _is_rounded(sampler, i, way)
+            _learn_scale(sampler, i, way if rounded else way - rate * time, held + 1.0)
     for i in range(n):
         if sampler.held[i] == 0 or not _is_late(sampler, i):
             continue
@@ -267,9 +276,21 @@ def _since_change(sampler: Sampler, i: int) -> tuple[float, float, float]:
     now, old, rate = HISTORY - 1, HISTORY - 2 - sampler.held[i], sampler.samples[:, 1, i]
     way = sampler.samples[now, 0, i] - sampler.samples[old, 0, i]
     time = sampler.time[now] - sampler.time[old]
-    if abs(way) < 2.5 * sampler.grain[i]:
+    if _is_rounded(sampler, i, way):
         return time, way, way / time
     return time, way, rate[old] if sampler.derived[i] == 1.0 else 0.5 * (rate[old] + rate[now])
+
+
+@njit_in_place
+def _is_rounded(sampler: Sampler, i: int, way: float) -> bool:
+    """Whether a change of a reading that was repeated may be that of its rounding.
+
+    One that has gone on at every sample shows no small changes, whatever it is rounded to.
+    """
+    old, reading = HISTORY - 2 - sampler.held[i], sampler.samples[:, 0, i]
+    steady = old > 1 and (reading[old] - reading[old - 1]) * way > 0.0
+    steady = steady and (reading[old - 1] - reading[old - 2]) * way > 0.0
+    return bool(abs(way) < ROUNDED * sampler.grain[i] and not steady)
 
 
 @njit_in_place
@@ -297,14 +318,17 @@ def _set_jumps(sampler: Sampler) -> None:
     k, n, beyond = HISTORY - 2, sampler.scale.shape[0], False
     period = sampler.time[k] - sampler.time[k - 1]
     for i in range(n):
-        sampler.jumps[k, i] = _way(sampler, i) - period * _mean_rate(sampler, i)
+        sampler.jumps[k, i] = 0.0
+        if not _is_followed_at_rest(sampler, i):
+            sampler.jumps[k, i] = _way(sampler, i) - period * _mean_rate(sampler, i)
         sampler.doubtful[k, i] = 0
         beyond = beyond or _is_beyond(sampler, i, k)
     if not beyond:
         return
     late = _wrong_stamp(sampler, period)
     for i in range(n):
-        sampler.jumps[k, i] = _unexplained(sampler, i, period + late)
+        if not _is_followed_at_rest(sampler, i):
+            sampler.jumps[k, i] = _unexplained(sampler, i, period + late)
     gap, together = _gap(sampler), 0
     if late != 0.0:
         sampler.clock[STAMPS] = 1.0
@@ -323,6 +347,12 @@ def _set_jumps(sampler: Sampler) -> None:
             sampler.clock[STAMPS] = 1.0
         elif _may_be_stamp(sampler, i, period):
             sampler.doubtful[k, i] = 1
+
+
+@njit_in_place
+def _is_followed_at_rest(sampler: Sampler, i: int) -> bool:
+    """Whether the last reading but one did not change at all, so that only its estimate moved."""
+    return bool(sampler.followed[i] != 0.0 and max(sampler.still[i] - 1, sampler.held[i]) > 0)
 
 
 @njit_in_place
@@ -447,9 +477,7 @@ def _find_jumps(sampler: Sampler) -> None:
         if beyond:
             sampler.counters[PENDING] = max(sampler.counters[PENDING], 0)
         elif not waits:
-            bounded = min(abs(sampler.jumps[k, i]), ROBUST * sampler.scale[i])
-            change = bounded * bounded - sampler.scale[i] * sampler.scale[i]
-            sampler.scale[i] = np.sqrt(sampler.scale[i] * sampler.scale[i] + change / SCALE_MEMORY)
+            _learn_scale(sampler, i, sampler.jumps[k, i], 1.0)
     if waits:
         sampler.counters[PENDING] += 1
     elif sampler.counters[PENDING] < 0:
@@ -464,6 +492,15 @@ def _find_jumps(sampler: Sampler) -> None:
     for i in range(n):
         if sampler.found[i] == NONE and sampler.noisy[i] == 0:
             _name_jump(sampler, i)
+
+
+@njit_in_place
+def _learn_scale(sampler: Sampler, i: int, e: float, count: float) -> None:
+    """Learn the usual size of e, from that of so many samples."""
+    scale = sampler.scale[i]
+    bounded = min(abs(e), ROBUST * scale)
+    change = (bounded * bounded - scale * scale) * count / SCALE_MEMORY
+    sampler.scale[i] = np.sqrt(scale * scale + change)
 
 
 @njit_in_place

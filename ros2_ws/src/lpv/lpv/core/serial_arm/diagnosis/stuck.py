@@ -1,22 +1,69 @@
-"""A reading that rests while its joint moves: rates that walk at random explain the balances."""
+"""A reading that rests while its joint moves on, at a rate that walks at random.
+
+Where the reading froze out of motion, the balances are evaluated anew along the way that the joint
+would have gone at the rate that it had; they hold the momentum that the frozen reading lost.
+"""
+
+from typing import NamedTuple
 
 import numpy as np
 
 from lpv.core.serial_arm.chain import FloatArray, IntArray
-from lpv.core.serial_arm.diagnosis.balance import OFFSET, RATE
-from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator, Posterior, set_residuals
-from lpv.core.serial_arm.diagnosis.information import ROBUST, last_rows, slot, whiten
+from lpv.core.serial_arm.diagnosis.balance import OFFSET, RATE, fill_balances, scratch_of
+from lpv.core.serial_arm.diagnosis.estimator import (
+    OffsetEstimator,
+    Posterior,
+    make_absolute,
+    set_residuals,
+)
+from lpv.core.serial_arm.diagnosis.information import ROBUST, recent, whiten
+from lpv.core.serial_arm.diagnosis.onset import without_drift
 
-ACCELERATION = 10.0
-"""Usual acceleration of a joint whose reading rests [rad/s2]."""
+LEAST_ACCELERATION = 1.0
+"""Usual acceleration of a joint that has hardly been seen to move [rad/s2]."""
+STILL_RATE = 0.1
+"""Usual rate of a joint that begins to move while its reading rests [rad/s]."""
 
 
-def stuck_bayes_factor(
-    estimator: OffsetEstimator, joint: int, balances: int, speed: float
-) -> tuple[float, float, float, float]:
-    """Logarithm of the Bayes factor of a joint that moves at a rate that walks at random.
+class Frozen(NamedTuple):
+    """What is known of a reading that rests."""
 
-    log det(S I + 1) / 2 is taken off for the freedom of the rates.
+    time: float  # when it froze [s]
+    rate: float  # at which it had moved [rad/s]
+    sigma: float  # standard deviation of that [rad/s]
+    alive: bool  # whether a reading at rest would go back and forth
+
+
+class Course(NamedTuple):
+    """How a joint may have gone on, at the end of the last balance."""
+
+    gain: float  # logarithm of the Bayes factor to a joint that rests, or is held, as it reads
+    begin: float  # when it began to move, or its reading froze [s]
+    end: float  # of the last balance [s]
+    mean: FloatArray  # way and rate, shape (2,) [rad], [rad/s]
+    covariance: FloatArray  # of these, shape (2, 2)
+
+
+def usual_acceleration(blocks: FloatArray, joint: int, joints: int, per_interval: int) -> float:
+    """Root mean square of a reading's acceleration from interval to interval [rad/s2]."""
+    whole = len(blocks) // per_interval * per_interval
+    time, rate = blocks[len(blocks) - whole :, [3 * joints, joints + joint]].T
+    time, rate = time.reshape(-1, per_interval).mean(1), rate.reshape(-1, per_interval).mean(1)
+    if len(rate) < 2:
+        return LEAST_ACCELERATION
+    change = np.diff(rate) / np.diff(time)
+    return max(float(np.sqrt((change**2).mean())), LEAST_ACCELERATION)
+
+
+def course_of_frozen(
+    estimator: OffsetEstimator,
+    joint: int,
+    frozen: Frozen,
+    balances: int,
+    blocks: FloatArray,
+    about: tuple[FloatArray, FloatArray],
+) -> Course | None:
+    """How likely a joint went on while its reading rests, and where it is then.
 
     Parameters
     ----------
@@ -24,42 +71,70 @@ def stuck_bayes_factor(
         Its posterior is the null hypothesis.
     joint : int
         Sensor whose reading rests.
+    frozen : Frozen
+        When it came to rest, and how.
     balances : int
-        For how many of the last balances it may have moved.
-    speed : float
-        Usual rate to begin with [rad/s].
+        For how many of the last balances the joint may have moved; 0: ever since.
+    blocks : ndarray, shape (N, 3 n + 3)
+        Those of the horizon, oldest first.
+    about : tuple of ndarray
+        Momenta by a unit rate of the reading, in the ring of the horizon, shape (capacity, n);
+        standard deviations of torques that may hold the joints, shape (n,) [N m].
 
     Returns
     -------
-    tuple of float
-        The logarithm; the way that the joint has gone since, and its standard deviation [rad];
-        when it began to move [s].
+    Course or None
+        None while no balance holds the time since.
     """
-    n, null, step = estimator.joints, estimator.posterior, estimator.plan.interval
-    count = min(balances, len(estimator))
-    rows = last_rows(estimator.window, count)
+    n, plan, null = estimator.joints, estimator.plan, estimator.posterior
+    end = float(blocks[-1, 3 * n] + 0.5 * blocks[-1, 3 * n + 1])
+    since = balances * plan.interval if balances else end - frozen.time
+    begin, first = end - since, 0.0 if balances else frozen.rate
+    count = min(int(np.ceil(since / plan.interval - 1e-6)), len(estimator))
+    if count < 1 or len(blocks) < (count + 1) * plan.blocks:
+        return None
+    step = usual_acceleration(blocks, joint, n, plan.blocks) * plan.interval
+    blocks = blocks[-(count + 1) * plan.blocks :]
+    momenta, push = about
+    at = recent(estimator.window, count)[::-1]
     set_residuals(estimator.window, null, count)
-    residual = null.residual[:count][::-1]
-    size = _usual_sizes(estimator, count)
-    moved = np.nonzero(estimator.balance.to_joints[:, joint])[0]
-    at_rest = size[:, moved].copy()
-    size[:, moved] = null.noise[moved]  # if the reading lies, joints move
-    weights = _weights(residual, size, null)
-    columns = _rate_steps(rows, 1 + OFFSET * n + joint, 1 + RATE * n + joint, step)
-    score = -np.einsum('kij,ki,ki->j', columns, weights, residual)
-    unknowns = rows[..., rows.shape[2] - len(null.mean) :]
-    cross = np.einsum('kix,ki,kij->xj', unknowns, weights, columns)
+    before = null.residual[:count][::-1]
+    rows = np.empty((count, *estimator.balance.rows.shape))
+    gone = without_drift(blocks, estimator.balance, joint, begin, -first)
+    fill_balances(scratch_of(estimator.balance), gone, plan.blocks, rows)
+    for row in rows:
+        make_absolute(row, estimator.balance.reference)
+    unknowns = rows[:, :, rows.shape[2] - len(null.mean) :]
+    after = rows[:, :, 0] + unknowns @ null.mean
+    # Sizes of what is left: of joints that move where the reading lies, else as they rest.
+    moved = np.flatnonzero(estimator.balance.to_joints[:, joint])
+    resting = null.noise * (1.0 + (null.rest - 1.0) * estimator.window.rest[at])
+    size = resting.copy()
+    size[:, moved] = null.noise[moved]
+    weights = np.minimum(_weights(before, size, null), _weights(after, size, null))
+    columns = _rate_steps(rows, joint, momenta[at], plan.interval)
+    every = np.concatenate([(after - before)[:, :, None], columns], axis=2)
+    cross = np.einsum('kix,ki,kij->xj', unknowns, weights, every)
     whiten(null.factor, cross)
-    information = np.einsum('kia,ki,kib->ab', columns, weights, columns) - cross.T @ cross
+    information = np.einsum('kia,ki,kib->ab', every, weights, every) - cross.T @ cross
+    score = -np.einsum('kij,ki,ki->j', every, weights, before)
     place = np.arange(1.0, count + 1.0)
-    walk = (ACCELERATION * step) ** 2 * np.minimum(place, place[:, None]) + speed**2
-    scaled = walk @ information + np.eye(count)
-    rates = np.linalg.solve(scaled, walk @ score)
-    gain = 0.5 * (score @ rates - np.linalg.slogdet(scaled)[1])
-    gain += _rest_instead(residual[:, moved], at_rest, weights[:, moved], null, moved)
-    begin = estimator.times(count)[0] - step
-    sigma = step * np.sqrt(max(float(np.linalg.solve(scaled, walk).sum()), 0.0))
-    return float(gain), float(step * rates.sum()), float(sigma), float(begin)
+    spread = STILL_RATE if balances else frozen.sigma
+    walk = step**2 * np.minimum(place, place[:, None]) + spread**2
+    scaled = walk @ information[1:, 1:] + np.eye(count)
+    pull = score[1:] - information[1:, 0]
+    rates = np.linalg.solve(scaled, walk @ pull)
+    gain = score[0] - 0.5 * information[0, 0]
+    gain += 0.5 * (pull @ rates - np.linalg.slogdet(scaled)[1])
+    rivals = [resting[:, moved]]
+    if not frozen.alive:
+        rivals.append(np.hypot(resting, plan.interval * push)[:, moved])
+    gain += min(_at_rest(before[:, moved], one, weights[:, moved], null, moved) for one in rivals)
+    covariance = np.linalg.solve(scaled, walk)
+    sums = plan.interval * np.ones(count), np.eye(count)[-1]
+    way = np.array([first * since, first]) - np.array([one @ rates for one in sums])
+    spread_of = np.array([[a @ covariance @ b for b in sums] for a in sums])
+    return Course(float(gain), begin, end, way, 0.5 * (spread_of + spread_of.T))
 
 
 def _weights(residual: FloatArray, size: FloatArray, null: Posterior) -> FloatArray:
@@ -68,12 +143,13 @@ def _weights(residual: FloatArray, size: FloatArray, null: Posterior) -> FloatAr
     return np.asarray(1.0 / (variance * np.sqrt(1.0 + (residual / (ROBUST * size)) ** 2)))
 
 
-def _rest_instead(
+def _at_rest(
     residual: FloatArray, size: FloatArray, weights: FloatArray, null: Posterior, joints: IntArray
 ) -> float:
-    """Change of the log-likelihood ratio where joints rest as the reading says.
+    """Change of the log-likelihood ratio where joints rest as the reading says, or are held.
 
-    Its friction explains more then than in motion; at most what was counted against it.
+    What rests or is held leaves more of a balance than what moves; at most what was counted against
+    it is taken back.
     """
     resting = 1.0 / (size**2 * null.inflation[joints])
     resting /= np.sqrt(1.0 + (residual / (ROBUST * size)) ** 2)
@@ -83,22 +159,19 @@ def _rest_instead(
     return min(float(change), 0.0)
 
 
-def _usual_sizes(estimator: OffsetEstimator, last: int) -> FloatArray:
-    """Usual sizes of what is left of the last balances, oldest first, shape (last, n) [N m s]."""
-    window, null = estimator.window, estimator.posterior
-    rest = window.rest[[slot(window, back) for back in range(last - 1, -1, -1)]]
-    return np.asarray(null.noise * (1.0 + (null.rest - 1.0) * rest))
+def _rate_steps(rows: FloatArray, joint: int, momenta: FloatArray, step: float) -> FloatArray:
+    """Columns of errors of the rate in the newer interval of each balance.
 
-
-def _rate_steps(rows: FloatArray, offset: int, rate: int, step: float) -> FloatArray:
-    """Columns of errors of the rate, one for each balance, with the angles that follow from them.
-
-    An error u during balance j is u in its rate and u T in all angles after it, half of that in
-    its own.  Shape (count, n, count).
+    An error u is u in its rate and u T in all angles after it.  The momentum changes by M e_i times
+    the difference of the rates of both intervals, the rest takes the mean of both; the angle at
+    their junction is off by the difference of these times T / 6.  Shape (count, n, count).
     """
-    count = len(rows)
-    later = np.tri(count, k=-1) + 0.5 * np.eye(count)
-    columns = step * later[:, None, :] * rows[:, :, offset, None]
-    for j in range(count):
-        columns[j, :, j] += rows[j, :, rate]
-    return columns
+    count, n = rows.shape[:2]
+    own, older = np.eye(count), np.eye(count, k=-1)
+    angle = step * (np.tri(count, k=-1) + (own - older) / 6.0)
+    offset, rate = rows[:, :, 1 + OFFSET * n + joint], rows[:, :, 1 + RATE * n + joint]
+    return np.asarray(
+        offset[:, :, None] * angle[:, None, :]
+        + 0.5 * rate[:, :, None] * (own + older)[:, None, :]
+        - momenta[:, :, None] * (own - older)[:, None, :]
+    )
