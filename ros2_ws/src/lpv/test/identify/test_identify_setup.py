@@ -69,6 +69,7 @@ def test_given_errors_that_grow_with_speed_when_fitted_then_size_growth_and_time
     assert found.time == pytest.approx(0.2, rel=0.4)
 
 
+@pytest.mark.slow
 def test_given_a_short_healthy_recording_when_calibrated_then_the_model_stays(
     arm, motion, tmp_path
 ):
@@ -87,6 +88,7 @@ def test_given_a_short_healthy_recording_when_calibrated_then_the_model_stays(
     assert load_arm(tmp_path / 'arm.yaml') == found.arm
 
 
+@pytest.mark.slow
 def test_given_an_arm_at_rest_when_calibrated_then_it_is_said_that_errors_at_speed_are_not_seen(
     arm, recording
 ):
