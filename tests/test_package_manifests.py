@@ -31,6 +31,8 @@ PYPI = {'foxglove': 'foxglove-sdk', 'pinocchio': 'pin'} | {
         *('clarabel', 'cmaes', 'distributed', 'lz4', 'mcap', 'optuna', 'pyarrow', 'zstandard'),
     )
 }
+COMES_WITH = {'llvmlite': 'numba'}
+"""Libraries that another one pins and installs: it is declared."""
 
 
 def imported(folder):
@@ -42,7 +44,7 @@ def imported(folder):
                 names |= {alias.name.split('.')[0] for alias in node.names}
             elif isinstance(node, ast.ImportFrom) and not node.level:
                 names.add(node.module.split('.')[0])
-    return names - set(sys.stdlib_module_names)
+    return {COMES_WITH.get(name, name) for name in names} - set(sys.stdlib_module_names)
 
 
 def missing_dependencies(package, declared, remarks):
