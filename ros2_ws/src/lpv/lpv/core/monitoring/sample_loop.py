@@ -36,7 +36,7 @@ class Phase(IntEnum):
     KNOW = 4  # what holds from the sample on
 
 
-_SAMPLE, _REPORT, _JUMP, _DECIDE, _KNOW = map(int, Phase)
+SAMPLE, REPORT, JUMP, DECIDE, KNOW = map(int, Phase)
 PROGRESS = record_type(
     ('phase', 'i8'),
     ('taken', 'i8'),  # samples
@@ -113,7 +113,7 @@ def advance(
     """
     progress, state = one.progress[0], parts.state[0]
     while True:
-        if progress.phase == _SAMPLE:
+        if progress.phase == SAMPLE:
             taken, complete, jumped = progress.taken, False, False
             if taken < times.shape[0]:
                 taken, complete = take_samples(
@@ -127,27 +127,27 @@ def advance(
             answered = taken - 1 if complete or jumped else taken
             answer(parts, one, rows, first, (progress.answered, answered), stamps, samples)
             progress.complete, progress.jumped, progress.touched = complete, jumped, False
-            progress.taken, progress.answered, progress.phase = taken, answered, _REPORT
+            progress.taken, progress.answered, progress.phase = taken, answered, REPORT
             state.stage = _BEGIN if complete else _DONE
-        if progress.phase == _REPORT:
+        if progress.phase == REPORT:
             last = progress.answered - 1
             if progress.reported <= last and stamps[last] >= progress.next_report:
                 return
-            progress.reported, progress.phase = progress.answered, _JUMP
-        if progress.phase == _JUMP:
+            progress.reported, progress.phase = progress.answered, JUMP
+        if progress.phase == JUMP:
             if progress.jumped:
                 return
-            progress.phase = _DECIDE
-        if progress.phase == _DECIDE:
+            progress.phase = DECIDE
+        if progress.phase == DECIDE:
             decide(parts)
             if state.stage != _DONE:
                 return
-            progress.phase = _KNOW
+            progress.phase = KNOW
         if progress.complete or progress.jumped:
             if progress.touched or progress.jumped or not state.usual:
                 return
             _know_nothing_wrong(parts, one, progress.stamp)
-        progress.phase = _SAMPLE
+        progress.phase = SAMPLE
 
 
 @njit_in_place

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from lpv.core.monitoring.compensation import AnswerRows
 from lpv.core.monitoring.parameters import DiagnosisParameters
-from lpv.core.monitoring.sample_loop import Answering, Phase, advance
+from lpv.core.monitoring.sample_loop import DECIDE, JUMP, KNOW, REPORT, SAMPLE, Answering, advance
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import SensorState
@@ -151,7 +151,7 @@ class SteppedMonitor(SerialMonitor):
         progress, found = answering.progress[0], self.sampler.found
         progress['stamp'], progress['complete'] = stamp, complete
         progress['jumped'], progress['touched'] = found.any(), False
-        progress['phase'], self._state['now'] = Phase.JUMP, self._last()
+        progress['phase'], self._state['now'] = JUMP, self._last()
         self._state['stage'] = Stage.BEGIN if complete else Stage.DONE
         self._go_on(np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 3, self.joints)))
 
@@ -170,7 +170,7 @@ class SteppedMonitor(SerialMonitor):
         return (self._first or 0) + round(seconds * 1e9)
 
     def _take(self, times: FloatArray, samples: FloatArray) -> None:
-        count, self._stamps = len(times), self._stamps
+        count = len(times)
         self._go_on(self._stamps[:count], times, samples)
         self._row, self._stamps = self._row + count, self._stamps[count:]
 
@@ -180,20 +180,19 @@ class SteppedMonitor(SerialMonitor):
         progress, plan = answering.progress[0], (self.plan.per_block, self.plan.blocks)
         progress['taken'] = progress['answered'] = progress['reported'] = 0
         fixed = self._parts, plan, answering, rows, first, stamps, times, samples
-        self._tell()
-        while self._call(advance, *fixed) or progress['phase'] != Phase.SAMPLE:
+        while self._call(advance, *fixed) or progress['phase'] != SAMPLE:
             now, row = float(self._state['now']), first + int(progress['taken']) - 1
-            if progress['phase'] == Phase.REPORT:
+            if progress['phase'] == REPORT:
                 told.report(first + int(progress['reported']), first + int(progress['answered']))
                 progress['reported'] = progress['answered']
-            elif progress['phase'] == Phase.KNOW:
+            elif progress['phase'] == KNOW:
                 told.known(self.snapshot(), row, int(progress['stamp']))
-                progress['phase'] = Phase.SAMPLE
+                progress['phase'] = SAMPLE
             else:
-                if progress['phase'] == Phase.JUMP:
+                if progress['phase'] == JUMP:
                     self._report_samples(now)
                     self._tell()
-                    progress['phase'] = Phase.DECIDE
+                    progress['phase'] = DECIDE
                 else:
                     self._do_stage(now)
                 progress['touched'] = True

@@ -413,17 +413,6 @@ def _correlation(values: FloatArray) -> float:
 
 
 @njit_in_place
-def misfit(null: Posterior) -> float:
-    """By how many standard deviations the arm differs from its file, at most."""
-    largest, n = 0.0, null.sigma.shape[0]
-    for k in range(n, null.mean.shape[0]):
-        largest = max(largest, abs(null.mean[k]) * np.sqrt(null.least[k]))
-    for i in range(n):
-        largest = max(largest, null.noise[i] / null.expected[i])
-    return largest
-
-
-@njit_in_place
 def has_moved(window: Window, level: Posterior, balance: Balance, since: IntArray) -> bool:
     """Whether an offset has surely left the point of linearisation."""
     largest = 0.0
@@ -498,28 +487,6 @@ class OffsetEstimator:
         """Ends of the last balances, oldest first [s]."""
         return self.window.times[recent(self.window, last)[::-1]]
 
-    def add(self, time: float, learn: bool) -> None:
-        """Take the balance that is complete, and estimate anew.
-
-        Parameters
-        ----------
-        time : float
-            Of the balance [s].
-        learn : bool
-            Whether noise is learned, and what leaves the horizon remembered.
-        """
-        self.take(time, learn)
-        self.estimate(learn)
-
-    def estimate(self, learn: bool) -> None:
-        """Estimate anew, after `take`."""
-        interval = self.plan.interval
-        self._call(estimate_all, *self.parts, self.since_linearised, interval, learn)
-
-    def take(self, time: float, learn: bool) -> None:
-        """Take the balance that is complete without estimating; parameters as those of `add`."""
-        self._call(take_balances, *self.parts, self.balance, time, learn)
-
     def weigh_again(self, last: int) -> None:
         """Sum up the last balances again, after a change of their variance."""
         self._call(weigh_all, *self.parts, last)
@@ -534,13 +501,9 @@ class OffsetEstimator:
         """
         if self.window.counters[NEXT] * self.plan.interval < NOISE_KNOWN_AFTER:
             return 0.0
-        return float(self._call(misfit, self.posterior))
-
-    def must_linearise(self) -> bool:
-        """Whether the estimate has left the point of linearisation."""
-        return bool(
-            self._call(has_moved, self.window, self.level, self.balance, self.since_linearised)
-        )
+        null, n = self.posterior, self.joints
+        unknowns = np.abs(null.mean[n:]) * np.sqrt(null.least[n:])
+        return float(max(unknowns.max(), (null.noise / null.expected).max()))
 
     def _step(self) -> FloatArray:
         """Ways to the estimates of those offsets that have surely moved, shape (n,) [rad]."""

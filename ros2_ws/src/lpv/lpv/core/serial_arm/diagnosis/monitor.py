@@ -188,6 +188,7 @@ class SerialMonitor:
             settings.horizon, -math.log(settings.fault_at_start),
             settings.threshold(settings.horizon),
         )  # fmt: skip
+        self._tell()
 
     def certify(self, certified: Certified) -> None:
         """Raise offsets that another observer certifies, too; as of `find_levels`."""
@@ -341,6 +342,7 @@ class SerialMonitor:
             self.healthy.restart()
         self.estimator.restart()
         self.bank.restart()
+        self._tell()
 
     def _take_out_levels(self) -> None:
         """Take confirmed offsets out of the readings: new balances know of no offset."""
