@@ -1,7 +1,7 @@
 """Parameters: declared once with description, range and read-only flag."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -33,14 +33,6 @@ from lpv.core.uio.certificate.gains import (
     parse_gains,
 )
 from lpv.core.uio.planar import planar_model
-
-_ARRAY, _DOUBLE, _STRING, _INTEGER = (
-    Parameter.Type.DOUBLE_ARRAY,
-    Parameter.Type.DOUBLE,
-    Parameter.Type.STRING,
-    Parameter.Type.INTEGER,
-)
-_LIKE: dict[Parameter.Type, float | int] = {_DOUBLE: 0.0, _INTEGER: 0}
 
 
 @dataclass(frozen=True)
@@ -76,55 +68,54 @@ fixed = partial(Spec, read_only=True)
 
 
 def table(text: str, read_only: bool = True) -> tuple[Spec, ...]:
-    """Declarations of a table as of `lpv.core.support.options`: '' or false without a default."""
+    """Declarations of a table as of `lpv.core.support.options`.
+
+    Without a default an entry is a switch that is off, with a metavar an empty text; one that may
+    be repeated is an array of numbers.
+    """
     found = []
     for one in table_entries(text):
-        default = ('' if one.shown else False) if one.default is None else one.default
+        default = one.default
+        if default is None:
+            default = [0.0] if one.mark == '*' else '' if one.shown else False
         low, high = one.limits or (None, None)
         found.append(Spec(one.names, default, one.text, low, high, one.choices, read_only))
     return tuple(found)
 
 
-@dataclass(frozen=True)
-class GainField:
-    """Declaration of one parameter of the gains file: no default, read-only."""
+def _of_file(specs: Iterable[Spec]) -> dict[str, Spec]:
+    """Declarations of what a gains file sets, by name; their defaults stand for what it does not.
 
-    kind: Parameter.Type
-    description: str  # meaning, with the unit
-    low: float | None = None  # range that makes sense at all; the certificate decides what holds
-    high: float | None = None
-
-    def placeholder(self) -> Any:
-        """A value of the parameter's type, for a parameter that no file sets."""
-        if self.kind in (_STRING, _ARRAY):
-            return '' if self.kind is _STRING else [0.0]
-        return type(_LIKE[self.kind])(self.low or 0)
-
-    def descriptor(self) -> ParameterDescriptor:
-        """The ROS descriptor of this parameter."""
-        like: Any = _LIKE.get(self.kind, '')
-        text = self.description + ', from the gains file written by lpv design'
-        return Spec('', like, text, self.low, self.high, read_only=True).descriptor()
+    Their ranges are those that make sense at all: the certificate decides what holds.
+    """
+    text = '{}, from the gains file written by lpv design'.format
+    return {one.name: replace(one, description=text(one.description)) for one in specs}
 
 
-FORMAT_FIELD = GainField(_INTEGER, 'version of the format [1]', 1, 1000)
+def _gain_fields(kind: Any, prefix: str) -> dict[str, Spec]:
+    specs = []
+    for name, (how, text, _, limits) in entries(kind).items():
+        low, high = limits.get('low', 0.0), limits.get('high', 1e9)
+        default = {'matrix': [0.0], 'number': float(low), 'text': ''}[how]
+        ends = (low, high) if how == 'number' else ()
+        specs.append(fixed(f'{prefix}.{name}', default, text, *ends))
+    return _of_file(specs)
 
 
-def _gain_fields(kind: Any, prefix: str) -> dict[str, GainField]:
-    kinds = {'matrix': _ARRAY, 'number': _DOUBLE, 'text': _STRING}
-    return {
-        f'{prefix}.{name}': GainField(
-            kinds[how], text, limits.get('low', 0.0), limits.get('high', 1e9)
-        )
-        for name, (how, text, _, limits) in entries(kind).items()
-    }
-
-
+_FORMAT = 'format=1[1:1000]   version of the format [1]'
+_HASHES = """
+arm_sha256 HASH    hash of its parameters
+checksum HASH      hash of the numbers as they were designed
+"""
 GAIN_FIELDS = {
-    'arm_name': GainField(_STRING, 'arm that the gains are for'),
-    'arm_sha256': GainField(_STRING, 'hash of its parameters'),
-    'checksum': GainField(_STRING, 'hash of the numbers as they were designed'),
-    'observer.method': GainField(_STRING, 'exact or paper'),
+    **_of_file(
+        table(f"""
+{_FORMAT}
+arm_name NAME      arm that the gains are for
+{_HASHES}
+observer.method METHOD  exact or paper
+""")
+    ),
     **_gain_fields(ControllerGains, 'controller'),
 }
 """Parameters below ``gains.`` that every gains file sets; see lpv.core.uio.certificate.gains."""
@@ -134,32 +125,31 @@ METHOD_FIELDS = {
     kind.method: _gain_fields(kind, 'observer') for kind in (ExactObserverGains, PaperObserverGains)
 }
 """Parameters below ``gains.`` of each method of the observer."""
-LOOP_FIELDS = {
-    'format': FORMAT_FIELD,
-    'arm_name': GainField(_STRING, 'arm that the certificate is for'),
-    'arm_sha256': GainField(_STRING, 'hash of its parameters'),
-    'checksum': GainField(_STRING, 'hash of the numbers as they were designed'),
-    'model_error': GainField(_DOUBLE, "relative error of each link's inertia [1]", 0.0, 0.5),
-    'rate_share': GainField(_DOUBLE, 'region: share of the velocity limits [1]', 0.0, 1.0),
-    'model.payload': GainField(_DOUBLE, 'largest payload over M(q) [1]', 0.0, 1e6),
-    'model.damping': GainField(_DOUBLE, 'viscous friction over M(q) [1/s]', 0.0, 1e9),
-    'model.growth': GainField(_DOUBLE, 'growth of M(q) at the velocity limits [1/s]', 0.0, 1e9),
-    'model.inertia': GainField(_ARRAY, 'diagonal matrix below M(q) [kg m2]'),
-    **{f'model.forms.{bound}': GainField(_ARRAY, f'proof of {bound}') for bound in BOUNDS},
-    **{
-        f'{part}.{name}': field
-        for part in ('motion', 'sampled', 'error')
-        for name, field in (
-            ('decay', GainField(_DOUBLE, 'certified decay rate [1/s]', 0.0, 1e6)),
-            ('lyapunov', GainField(_ARRAY, 'Lyapunov matrix, row by row')),
-            ('multipliers', GainField(_ARRAY, 'of the sectors')),
-        )
-    },
-    'error.rate_share': GainField(_DOUBLE, 'share of the velocity limits [1]', 0.0, 1.0),
-    'error.acceleration': GainField(_DOUBLE, 'of the path [rad/s2]', 0.0, 1e6),
-    'error.level': GainField(_DOUBLE, 'level that V ends below [1]', 0.0, 1e12),
-    'error.bound': GainField(_ARRAY, 'bound of the tracking error [rad]'),
-}
+_FORMS = '\n'.join(f'model.forms.{bound} NUMBERS*  proof of {bound}' for bound in BOUNDS)
+_PROOF = """
+{0}.decay=0.0[0:1e6]   certified decay rate [1/s]
+{0}.lyapunov NUMBERS*  Lyapunov matrix, row by row
+{0}.multipliers NUMBERS*  of the sectors
+""".format
+LOOP_FIELDS = _of_file(
+    table(f"""
+{_FORMAT}
+arm_name NAME      arm that the certificate is for
+{_HASHES}
+model_error=0.0[0:0.5]  relative error of each link's inertia [1]
+rate_share=0.0[0:1]    region: share of the velocity limits [1]
+model.payload=0.0[0:1e6]  largest payload over M(q) [1]
+model.damping=0.0[0:1e9]  viscous friction over M(q) [1/s]
+model.growth=0.0[0:1e9]  growth of M(q) at the velocity limits [1/s]
+model.inertia NUMBERS*  diagonal matrix below M(q) [kg m2]
+{_FORMS}
+{''.join(map(_PROOF, ('motion', 'sampled', 'error')))}
+error.rate_share=0.0[0:1]  share of the velocity limits [1]
+error.acceleration=0.0[0:1e6]  of the path [rad/s2]
+error.level=0.0[0:1e12]  level that V ends below [1]
+error.bound NUMBERS*   bound of the tracking error [rad]
+""")
+)
 """Parameters below ``loop.`` of a serial arm's file; see lpv.core.serial_arm.certificate."""
 
 
@@ -250,7 +240,7 @@ def declare_gains(node: Node) -> frozenset[str]:
     They get a value all the same: one parameter without a value would make a request for all of a
     node's parameters return nothing.
     """
-    fields = {'format': FORMAT_FIELD, **GAIN_FIELDS, **MOTION_FIELDS}
+    fields = {**GAIN_FIELDS, **MOTION_FIELDS}
     for of_method in METHOD_FIELDS.values():
         fields.update(of_method)
     return _declare_fields(node, 'gains', fields)
@@ -261,16 +251,17 @@ def declare_loop(node: Node) -> frozenset[str]:
     return _declare_fields(node, 'loop', LOOP_FIELDS)
 
 
-def _declare_fields(node: Node, prefix: str, fields: dict[str, GainField]) -> frozenset[str]:
+def _declare_fields(node: Node, prefix: str, fields: dict[str, Spec]) -> frozenset[str]:
     unset = set()
-    for name, field in fields.items():
-        full, descriptor = f'{prefix}.{name}', field.descriptor()
+    for name, spec in fields.items():
+        full, descriptor = f'{prefix}.{name}', spec.descriptor()
         descriptor.read_only = False  # as yet, or it could not be declared again
-        given: Parameter = node.declare_parameter(full, field.kind, descriptor)
+        kind = Parameter.Type.from_parameter_value(spec.default)
+        given: Parameter = node.declare_parameter(full, kind, descriptor)
         node.undeclare_parameter(full)
         if given.type_ is Parameter.Type.NOT_SET:
             unset.add(name)
-        node.declare_parameter(full, field.placeholder(), field.descriptor())
+        node.declare_parameter(full, spec.default, spec.descriptor())
     return frozenset(unset)
 
 
@@ -285,7 +276,7 @@ def read_gains(node: Node, arm: SerialArm, unset: frozenset[str]) -> Gains:
     method = _gain(node, 'gains.observer.method', unset)
     own = METHOD_FIELDS.get(method, ())
     motion = [name for name in MOTION_FIELDS if name not in unset]
-    nested = _nested(node, 'gains', ('format', *GAIN_FIELDS, *own, *motion), unset)
+    nested = _nested(node, 'gains', (*GAIN_FIELDS, *own, *motion), unset)
     gains = parse_gains(nested, node.get_name())
     require(planar_model(arm), gains, node.get_name())
     return gains
