@@ -5,8 +5,6 @@ import time
 from dataclasses import replace
 
 from rclpy.publisher import Publisher
-from rclpy.subscription import Subscription
-from rclpy.timer import Timer
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
@@ -85,8 +83,7 @@ class SimulatorNode(ManagedNode):
     def __init__(self) -> None:
         super().__init__('arm_sim', SPECS)
         self._unset_gains = declare_gains(self)
-        self._command_in: Subscription | None = None
-        self._ticker: Timer | None = None
+        self._begun = False
         self._command: TorqueCommand | None = None
         self._waiting = 0  # stamp of the sample that lockstep wants answered [ns]
         self._sent = 0.0  # steady time at which it was sent [s]
@@ -165,33 +162,30 @@ class SimulatorNode(ManagedNode):
 
     def listen(self) -> None:
         """Subscribe to commands: the tracker waits for this before it takes estimates."""
-        self._command_in = self.create_subscription(
+        self.create_subscription(
             TorqueCommand, 'torque_command', self._on_command, stream(self.lockstep)
         )
 
     def begin(self) -> None:
         """Start stepping."""
+        self._begun = True
         if self.lockstep:
             self._start = round(self.get_parameter('start_time').value * NANOSECONDS)
             self.get_logger().info(f'lockstep, {self._last} steps of {self._arm.sample_time} s')
             self._newcomers, self._peers = True, self._count_peers()
             self._publish()
-            self._ticker = self.steady_timer(0.25, self._ask_again)
+            self.steady_timer(0.25, self._ask_again)
         else:
             # Time that passed while the node was inactive is none of the arm's.
             self._start = self.get_clock().now().nanoseconds - self._plant.step_count * self._period
             self._first = self._start + self._plant.step_count * self._period
             self.get_logger().info(f'real time, {1.0 / self._arm.sample_time:.0f} Hz')
-            self._ticker = self.steady_timer(self._arm.sample_time, self._tick)
+            self.steady_timer(self._arm.sample_time, self._tick)
 
     def end(self) -> None:
         """Stop stepping."""
-        if self._command_in is not None:
-            self.destroy_subscription(self._command_in)
-        if self._ticker is not None:
-            self.destroy_timer(self._ticker)
-        self._command_in = self._ticker = self._command = None
-        self._flowing = False
+        self._command = None
+        self._begun = self._flowing = False
 
     @property
     def _stamp(self) -> int:
@@ -199,7 +193,7 @@ class SimulatorNode(ManagedNode):
 
     def _on_command(self, message: TorqueCommand) -> None:
         """Lockstep: the answer to the present sample makes the next step. Real time: store it."""
-        if self._ticker is None:
+        if not self._begun:
             return  # it answers no sample of this simulator, which has not begun
         stamp = to_nanoseconds(message.header.stamp)
         refusal = self._refusal(message, stamp)

@@ -25,7 +25,7 @@ class Drives:
         self.node = node
         self.states = node._joint_states_out = Output(JointState)
         node._truth_out, node._clock_out = Output(GroundTruth), Output(Clock)
-        node._ticker, node._newcomers, node._peers = object(), False, (1, 1)
+        node._begun, node._newcomers, node._peers = True, False, (1, 1)
         node._count_peers = lambda: (1, 1)
         node._publish()
 
@@ -67,7 +67,6 @@ def drives():
         lockstep='true',
     ) as node:
         yield Drives(node)
-        node._ticker = None
 
 
 def test_given_forged_commands_when_obeyed_then_measurements_are_finite_and_it_recovers(drives):

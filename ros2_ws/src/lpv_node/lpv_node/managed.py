@@ -3,7 +3,8 @@
 import functools
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import rclpy
@@ -43,6 +44,8 @@ class ManagedNode(LifecycleNode):
     fails), ``outputs`` (publishers and how many nodes of the graph consume each: in lockstep these
     must be matched first), ``begin`` and ``end``.  A loop of nodes that all wait for their outputs
     would never start: the one that makes the first step subscribes earlier, in ``listen``.
+    Publishers, subscriptions, services and timers are destroyed without being named: those of
+    ``setup`` when the node is cleaned up, those of ``listen`` and ``begin`` when it is deactivated.
 
     Parameters
     ----------
@@ -69,13 +72,14 @@ class ManagedNode(LifecycleNode):
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._gate: Timer | None = None
         self._taking_part = False
-        self._lasting = {*self.publishers, *self.services}
+        self._of_setup: set[Any] = set()
+        self._of_activity: set[Any] = set()
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Lifecycle: read files and parameters."""
-        self._lasting = {*self.publishers, *self.services}
         try:
-            self.setup()
+            with self._noting(self._of_setup):
+                self.setup()
         except LpvError as error:
             self.get_logger().error(str(error))
             self._take_down()
@@ -89,7 +93,8 @@ class ManagedNode(LifecycleNode):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Lifecycle: take part in the graph as soon as the outputs are matched."""
         self._taking_part = True
-        self.listen()
+        with self._noting(self._of_activity):
+            self.listen()
         self._gate = self.steady_timer(0.02, self._try_begin)
         return super().on_activate(state)
 
@@ -121,15 +126,33 @@ class ManagedNode(LifecycleNode):
         if self._gate is not None:
             self.destroy_timer(self._gate)
             self._gate = None
+        self._destroy(self._of_activity)
         self.end()
 
     def _take_down(self) -> None:
         """Destroy what `setup` created: configured twice, a node must not publish twice."""
         self.teardown()
-        for publisher in {*self.publishers} - self._lasting:
-            self.destroy_publisher(publisher)
-        for service in {*self.services} - self._lasting:
-            self.destroy_service(service)
+        self._destroy(self._of_setup)
+
+    @contextmanager
+    def _noting(self, created: set[Any]) -> Iterator[None]:
+        """Add what is created meanwhile to a set."""
+        before = self._entities()
+        try:
+            yield
+        finally:
+            created |= self._entities() - before
+
+    def _entities(self) -> set[Any]:
+        return {*self.publishers, *self.services, *self.subscriptions, *self.timers}
+
+    def _destroy(self, entities: set[Any]) -> None:
+        while entities:
+            entity = entities.pop()
+            self.destroy_publisher(entity)  # each does nothing for an entity of another kind
+            self.destroy_service(entity)
+            self.destroy_subscription(entity)
+            self.destroy_timer(entity)
 
     def _try_begin(self) -> None:
         recorders = self.get_parameter('await_recorders').value
@@ -149,7 +172,8 @@ class ManagedNode(LifecycleNode):
         if self._gate is not None:
             self.destroy_timer(self._gate)
         self._gate = None
-        self.begin()
+        with self._noting(self._of_activity):
+            self.begin()
 
     def _matched(self, publisher: Publisher) -> int:
         """Subscribers of an output, without viewers.
@@ -217,10 +241,10 @@ class ManagedNode(LifecycleNode):
         """Create subscriptions and timers."""
 
     def end(self) -> None:
-        """Destroy what `listen` and `begin` created; may be called twice."""
+        """Undo `listen` and `begin` beyond their subscriptions and timers; may be called twice."""
 
     def teardown(self) -> None:
-        """Undo `setup`; its publishers and services are destroyed without being named here."""
+        """Undo `setup` beyond its publishers, services and timers; may be called twice."""
 
 
 def _executor() -> Executor:

@@ -5,8 +5,6 @@ from operator import attrgetter
 
 import numpy as np
 from rclpy.publisher import Publisher
-from rclpy.subscription import Subscription
-from rclpy.timer import Timer
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
@@ -97,8 +95,6 @@ class TrackerNode(ManagedNode):
     def __init__(self) -> None:
         super().__init__('tracker', SPECS)
         self._unset_gains, self._unset_loop = declare_gains(self), declare_loop(self)
-        self._estimate_in: Subscription | None = None
-        self._watch: Timer | None = None
         self._reason: StopReason | None = StopReason.SILENCE  # None: following the path
         self._last: int | None = None  # stamp of the last estimate [ns]
         self.add_post_set_parameters_callback(self._choose_feedback)
@@ -205,24 +201,18 @@ class TrackerNode(ManagedNode):
 
     def begin(self) -> None:
         """Subscribe."""
-        self._estimate_in = self.create_subscription(
+        self.create_subscription(
             StateEstimate, 'state_estimate', self._on_estimate, stream(self.lockstep)
         )
         if not self.lockstep:
-            self._watch = self.steady_timer(0.02, self._check_silence)
+            self.steady_timer(0.02, self._check_silence)
         self.get_logger().info(
             f'tracking a path of {self._path.end:.1f} s; the loop tolerates a constant latency of '
             f'{1e3 * self._tolerated:.0f} ms; certificate of the loop: {self._certificate}'
         )
 
     def end(self) -> None:
-        """Unsubscribe, and leave the arm braked."""
-        if self._estimate_in is not None:
-            self.destroy_subscription(self._estimate_in)
-            self._estimate_in = None
-        if self._watch is not None:
-            self.destroy_timer(self._watch)
-            self._watch = None
+        """Leave the arm braked."""
         if self._reason is None and not self.lockstep:
             self._stop(StopReason.SILENCE)
 

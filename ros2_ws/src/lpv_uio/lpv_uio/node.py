@@ -12,7 +12,6 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
-from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
@@ -88,8 +87,7 @@ class UioNode(ManagedNode):
         super().__init__('uio', SPECS)
         self._alarms: OpenAlarms | None = None
         self._unset_gains = declare_gains(self)
-        self._inputs: list[Subscription] = []
-        self._watch: Timer | None = None
+        self._measurement_in: Subscription | None = None
         self.add_on_set_parameters_callback(self._retune)
 
     def setup(self) -> None:
@@ -151,25 +149,14 @@ class UioNode(ManagedNode):
     def begin(self) -> None:
         """Subscribe."""
         qos = stream(self.lockstep)
-        self._inputs = [
-            self.create_subscription(JointState, 'joint_states', self._on_measurement, qos)
-        ]
+        self._measurement_in = self.create_subscription(
+            JointState, 'joint_states', self._on_measurement, qos
+        )
         if self._from_command:
-            self._inputs.append(
-                self.create_subscription(TorqueCommand, 'torque_command', self._on_command, qos)
-            )
+            self.create_subscription(TorqueCommand, 'torque_command', self._on_command, qos)
         if not self.lockstep:
-            self._watch = self.steady_timer(0.1, self._check_silence)
+            self.steady_timer(0.1, self._check_silence)
         self.get_logger().info(f'observing {self._arm.name!r} with method {self._monitor.method!r}')
-
-    def end(self) -> None:
-        """Unsubscribe."""
-        for subscription in self._inputs:
-            self.destroy_subscription(subscription)
-        self._inputs = []
-        if self._watch is not None:
-            self.destroy_timer(self._watch)
-            self._watch = None
 
     def stopping(self) -> None:
         """Told to stop: who starts it again knows what for."""
@@ -211,7 +198,8 @@ class UioNode(ManagedNode):
 
     def _is_of_one_sender(self, message: JointState, stamp: int) -> bool:
         """Whether a measurement continues the others, where several nodes publish some."""
-        several = self._inputs[0].get_publisher_count() > 1 if self._inputs else False
+        source = self._measurement_in
+        several = source is not None and source.get_publisher_count() > 1
         if self._sender.accept(stamp, message.name, message.position, several):
             return True
         self._refusals.add('measurement of a second publisher of joint_states')

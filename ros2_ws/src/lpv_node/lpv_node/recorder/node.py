@@ -6,7 +6,6 @@ import sys
 import time
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rosbags.interfaces import Qos
@@ -71,7 +70,6 @@ class RecorderNode(ManagedNode):
         super().__init__('recorder', SPECS)
         self._writer: BagWriter | None = None
         self._input: RecorderInput | None = None
-        self._clockwork: list[Any] = []
         self._announced: dict[str, Qos] = {}  # topics that the bag does not have yet
         self._types: dict[str, str] = {}
         self._counts: dict[str, TopicCount] = {}
@@ -118,10 +116,8 @@ class RecorderNode(ManagedNode):
         self._input = RecorderInput(
             self, self._selection, partial(add_type, self._writer.typestore)
         )
-        self._clockwork = [
+        for period, callback in ((0.05, self._search), (_POLL, self._poll), (1.0, self._report)):
             self.steady_timer(period, callback)
-            for period, callback in ((0.05, self._search), (_POLL, self._poll), (1.0, self._report))
-        ]
         what = f'{len(self._selection.names)} topics' if self._selection.names else 'all topics'
         self.get_logger().info(f'recording {what} into {self._writer.path}')
 
@@ -135,9 +131,6 @@ class RecorderNode(ManagedNode):
 
     def end(self) -> None:
         """Take what is left, and close the bag."""
-        for timer in self._clockwork:
-            self.destroy_timer(timer)
-        self._clockwork = []
         if self._input is not None:
             self._poll()
         self._order.flush()

@@ -9,8 +9,6 @@ from typing import Any
 
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rclpy.subscription import Subscription
-from rclpy.timer import Timer
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
@@ -70,12 +68,10 @@ class ViewNode(ManagedNode):
     _server: ViewServer | None = None
     _foxglove: FoxgloveBridge | None = None
     _requests: Requests | None = None
-    _ticker: Timer | None = None
 
     def __init__(self) -> None:
         super().__init__(VIEWER, SPECS)
         self._inboxes: list[Inbox] = []
-        self._inputs: list[Subscription] = []
 
     def setup(self) -> None:
         """Read the files, open the ports, create publishers."""
@@ -101,7 +97,7 @@ class ViewNode(ManagedNode):
         forward = [self._forwarder(bridge, topic) if bridge else None for topic in TOPICS]
         refuse = self._refusals.add
         self._inboxes = [Inbox(*pair, period, refuse) for pair in zip(TOPICS, forward)]
-        self._ticker = self.steady_timer(1.0 / self.get_parameter('rate').value, self._tick)
+        self.steady_timer(1.0 / self.get_parameter('rate').value, self._tick)
 
     def _create_publishers(self) -> None:
         once = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -201,33 +197,19 @@ class ViewNode(ManagedNode):
 
     def begin(self) -> None:
         """Subscribe."""
-        self._inputs = [
-            self.create_subscription(
-                inbox.topic.kind, inbox.topic.name, inbox.store, inbox.topic.qos, raw=True
-            )
-            for inbox in self._inboxes
-        ]
-
-    def end(self) -> None:
-        """Unsubscribe; the page stays, and says that nothing comes."""
-        for subscription in self._inputs:
-            self.destroy_subscription(subscription)
-        self._inputs = []
+        for inbox in self._inboxes:
+            topic = inbox.topic
+            self.create_subscription(topic.kind, topic.name, inbox.store, topic.qos, raw=True)
 
     def teardown(self) -> None:
-        """Close the ports and destroy what `setup` created."""
-        if self._ticker is not None:
-            self.destroy_timer(self._ticker)
+        """Close the ports."""
         if self._server is not None:
             self._server.stop()
         if self._foxglove is not None:
             self._foxglove.stop()
         if self._requests is not None:
             self._requests.close()
-            for publisher, _ in self._outputs.values():
-                if publisher is not None:
-                    self.destroy_publisher(publisher)
-        self._server = self._foxglove = self._requests = self._ticker = None
+        self._server = self._foxglove = self._requests = None
 
     def destroy_node(self) -> None:
         """Close the ports, however the node ends."""
