@@ -36,10 +36,10 @@ from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.errors import SampleError
 from lpv.core.support.resources import bringup_file
+from lpv.core.support.timestamps import set_stamp
 from lpv_msgs.msg import StateEstimate, TorqueCommand
 from lpv_msgs.srv import InjectFault
 from lpv_node.qos import stream
-from lpv_node.stamps import set_stamp
 
 SCENARIOS = {'paper': 'two_faults', 'ur10': 'ur10'}
 DOMAIN, LOAD = 84, ['nice', '-n', '5', sys.executable, '-c', 'while True: pass']

@@ -33,11 +33,11 @@ from sensor_msgs.msg import JointState
 from lpv.cli.processes import Graph
 from lpv.core.support.discovery import stay_local
 from lpv.core.support.resources import bringup_file, executable
+from lpv.core.support.timestamps import set_stamp, to_nanoseconds
 from lpv_msgs.msg import FaultEstimate, GroundTruth, JointReference, StateEstimate, TorqueCommand
 from lpv_node.arguments import announce_often
 from lpv_node.managed import ManagedNode
 from lpv_node.qos import stream
-from lpv_node.stamps import set_stamp, to_nanoseconds
 
 NAMESPACE = '/lpv'
 ROUNDS = 3

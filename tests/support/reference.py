@@ -16,11 +16,11 @@ from rosbags.highlevel import AnyReader
 
 from lpv.bag.replay.replay import Replay
 from lpv.bag.rosbag.writing import BagWriter
-from lpv.bag.run.streams import stamp_of
 from lpv.cli.commands.compare import show
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.support.resources import bringup_file
+from lpv.core.support.timestamps import to_nanoseconds
 from lpv.core.uio.certificate.gains import load_gains
 from lpv.report.comparison import Tolerances, compare_runs, load_pair
 
@@ -64,7 +64,7 @@ def renew():
 
 def _is_kept(connection, message):
     if connection.topic.endswith('_estimate'):
-        return stamp_of(message.header.stamp) // 2_000_000 % _THINNED == 0
+        return to_nanoseconds(message.header.stamp) // 2_000_000 % _THINNED == 0
     return connection.topic.startswith('/lpv/')
 
 

@@ -24,7 +24,7 @@ from lpv.core.control.watchdog import (
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.simulation.arm_simulator import ArmSimulator
 from lpv.core.simulation.scenario import load_scenario
-from lpv.core.support.timestamps import NANOSECONDS
+from lpv.core.support.timestamps import NANOSECONDS, to_nanoseconds
 from lpv.core.uio.planar import planar_model
 from lpv_arm_sim.services import FaultServices
 from lpv_msgs.msg import GroundTruth, TorqueCommand
@@ -40,7 +40,6 @@ from lpv_node.parameters import (
 )
 from lpv_node.qos import stream
 from lpv_node.serialized import SerializedMessage
-from lpv_node.stamps import to_nanoseconds
 from lpv_node.status import ERROR, OK, WARN, StatusReporter
 
 SPECS = table(f"""

@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 from rclpy.serialization import deserialize_message
 
-from lpv.core.support.timestamps import NANOSECONDS
-from lpv_node.stamps import LAST_STAMP
+from lpv.core.support.timestamps import LAST_STAMP, NANOSECONDS
 
 _LITTLE_ENDIAN = sys.byteorder == 'little'
 _HEADER = 4  # the representation identifier; alignment counts from behind it [bytes]

@@ -5,8 +5,7 @@ from collections.abc import Callable, Mapping
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
-from lpv.core.support.timestamps import NANOSECONDS
-from lpv_node.stamps import set_stamp
+from lpv.core.support.timestamps import NANOSECONDS, set_stamp
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 

@@ -9,10 +9,10 @@ from sensor_msgs.msg import JointState
 from lpv.bag.rosbag.message_loss import TopicCount
 from lpv.bag.rosbag.writing import qos_profile
 from lpv.core.support.errors import ConfigError
+from lpv.core.support.timestamps import leading_stamp
 from lpv_msgs.msg import FaultAlarm, StateEstimate
 from lpv_node.recorder.input import Heard
 from lpv_node.recorder.node import RecorderNode
-from lpv_node.stamps import leading_stamp
 
 pytestmark = [pytest.mark.ros, pytest.mark.fuzz]
 TOPICS = {

@@ -16,10 +16,10 @@ from rclpy.parameter import Parameter
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.resources import bringup_file
 from lpv.core.support.signals import StopRequest, handled_signals
+from lpv.core.support.timestamps import set_stamp, to_nanoseconds
 from lpv_node.input_check import OneSender, all_finite, all_sized
 from lpv_node.parameter_service import CheckedParameterService
 from lpv_node.parameters import declare_gains, read_gains
-from lpv_node.stamps import set_stamp, to_nanoseconds
 
 
 @pytest.fixture

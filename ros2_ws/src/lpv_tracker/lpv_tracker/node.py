@@ -25,7 +25,7 @@ from lpv.core.monitoring.stamp_gate import StampGate
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.certificate.conditions import NO_CERTIFICATE, certified_region
 from lpv.core.simulation.scenario import load_scenario
-from lpv.core.support.timestamps import NANOSECONDS
+from lpv.core.support.timestamps import NANOSECONDS, to_nanoseconds
 from lpv_msgs.msg import JointReference, StateEstimate, TorqueCommand
 from lpv_node.input_check import Refusals, all_finite, all_sized
 from lpv_node.managed import ManagedNode, run_node
@@ -42,7 +42,6 @@ from lpv_node.parameters import (
 )
 from lpv_node.qos import stream
 from lpv_node.serialized import SerializedMessage
-from lpv_node.stamps import to_nanoseconds
 from lpv_node.status import ERROR, OK, WARN, StatusReporter
 from lpv_tracker.upcoming import UpcomingReferences
 

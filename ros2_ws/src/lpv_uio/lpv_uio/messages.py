@@ -10,9 +10,9 @@ from std_msgs.msg import Header
 
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import Mode, SensorState
+from lpv.core.support.timestamps import set_stamp
 from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate
 from lpv_node.serialized import SerializedMessage
-from lpv_node.stamps import set_stamp
 
 Fields = dict[str, Any]
 _WITHOUT_NUMBER = {'size': 0.0, 'bound': math.inf, 'confidence': 0.0}

@@ -10,9 +10,9 @@ from places import BRINGUP
 
 from lpv.bag.rosbag.reading import open_bag
 from lpv.bag.run.csv_import import ANGLE_UNITS, TIME_UNITS, CsvError, import_csv, load_column_map
-from lpv.bag.run.streams import stamp_of
 from lpv.cli.main import main
 from lpv.core.support.errors import ConfigError
+from lpv.core.support.timestamps import to_nanoseconds
 
 COLUMNS = """
 time: {column: t, unit: s}
@@ -44,7 +44,7 @@ def convert(tmp_path_factory):
             found = [
                 (time, reader.deserialize(data, c.msgtype)) for c, time, data in reader.messages()
             ]
-        assert [time for time, _ in found] == [stamp_of(m.header.stamp) for _, m in found]
+        assert [time for time, _ in found] == [to_nanoseconds(m.header.stamp) for _, m in found]
         assert len(found) == count
         return warnings, [m for _, m in found], out
 
@@ -52,7 +52,7 @@ def convert(tmp_path_factory):
 
 
 def stamps(messages):
-    return [stamp_of(m.header.stamp) for m in messages]
+    return [to_nanoseconds(m.header.stamp) for m in messages]
 
 
 def values(message):

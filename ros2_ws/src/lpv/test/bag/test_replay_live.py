@@ -28,10 +28,9 @@ from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent
 from lpv.core.simulation.closed_loop import run_closed_loop
 from lpv.core.simulation.faults import Fault
-from lpv.core.support.timestamps import NANOSECONDS
+from lpv.core.support.timestamps import NANOSECONDS, set_stamp, to_nanoseconds
 from lpv_msgs.msg import FaultEstimate, StateEstimate
 from lpv_node.qos import stream
-from lpv_node.stamps import set_stamp, to_nanoseconds
 
 pytestmark = pytest.mark.ros
 

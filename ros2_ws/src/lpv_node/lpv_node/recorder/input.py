@@ -14,7 +14,7 @@ from rosbags.interfaces import Qos
 
 from lpv.bag.rosbag.live import message_class, ros_qos
 from lpv.bag.rosbag.metadata import qos_profile
-from lpv_node.stamps import leading_stamp
+from lpv.core.support.timestamps import leading_stamp
 
 _DEPTH = 20000
 _MOST = 2000

@@ -3,7 +3,7 @@
 import math
 from typing import Any
 
-from lpv.core.support.timestamps import NANOSECONDS
+from lpv.core.support.timestamps import NANOSECONDS, to_nanoseconds
 
 RAISED, UPDATED, CLEARED = range(3)
 Row = dict[str, Any]
@@ -87,7 +87,7 @@ class AlarmList:
 
 
 def _time(stamp: Any) -> float:
-    return seconds(stamp.sec * NANOSECONDS + stamp.nanosec)
+    return seconds(to_nanoseconds(stamp))
 
 
 def _finite(value: float) -> float | None:

@@ -13,7 +13,7 @@ from lpv.core.monitoring.joint_order import JointOrder
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.simulation.faults import KINDS
 from lpv.core.support.errors import SampleError
-from lpv.core.support.timestamps import NANOSECONDS
+from lpv.core.support.timestamps import LAST_STAMP, NANOSECONDS, to_nanoseconds
 from lpv_node.view.alarm_list import AlarmList, seconds
 from lpv_node.view.skeleton import Skeleton
 
@@ -25,7 +25,6 @@ WINDOW = 30.0
 """Length of the history that a new client gets [s]."""
 QUIET = 1.0
 """A source that was silent for this long is no longer shown as live [s]."""
-_LAST_STAMP = 2**31 * NANOSECONDS - 1
 _MOST_SAMPLES, _MOST_STATUSES, _MOST_TEXT = 1500, 14, 300
 _ARRAYS = {
     'joint_states': (),
@@ -244,8 +243,7 @@ class LiveModel:
 
 def _stamp(message: Any) -> int:
     # Within what a stamp can hold, whatever a sender wrote.
-    sent = message.header.stamp.sec * NANOSECONDS + message.header.stamp.nanosec
-    return min(_LAST_STAMP, max(0, sent))
+    return min(LAST_STAMP, max(0, to_nanoseconds(message.header.stamp)))
 
 
 def _name(names: Sequence[str], index: int) -> str:

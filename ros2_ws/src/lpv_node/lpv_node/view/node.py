@@ -18,11 +18,10 @@ from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.simulation.scenario import load_scenario
 from lpv.core.support.errors import ConfigError
-from lpv.core.support.timestamps import NANOSECONDS
+from lpv.core.support.timestamps import NANOSECONDS, leading_stamp
 from lpv_node.input_check import Refusals
 from lpv_node.managed import VIEWER, ManagedNode, run_node
 from lpv_node.parameters import fixed, named_file, table
-from lpv_node.stamps import leading_stamp
 from lpv_node.status import OK, WARN, StatusReporter
 from lpv_node.view.access import Access
 from lpv_node.view.foxglove_bridge import BAND, FoxgloveBridge, gate, sdk_is_installed

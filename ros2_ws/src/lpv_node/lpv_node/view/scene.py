@@ -9,7 +9,7 @@ from rosbags.typesys.store import Typestore
 from lpv.core.control.path import TimedPath
 from lpv.core.export.urdf import BASE, Transform, transforms
 from lpv.core.serial_arm.description import SerialArm
-from lpv.core.support.timestamps import NANOSECONDS
+from lpv.core.support.timestamps import set_stamp
 from lpv_node.view.skeleton import Skeleton
 
 ARMS = {
@@ -142,5 +142,5 @@ class Scene:
 
 
 def _set_header(header: Any, stamp: int, frame: str) -> None:
-    header.stamp.sec, header.stamp.nanosec = divmod(stamp, NANOSECONDS)
+    set_stamp(header.stamp, stamp)
     header.frame_id = frame

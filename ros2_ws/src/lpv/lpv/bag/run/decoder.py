@@ -9,8 +9,8 @@ import numpy as np
 from lpv.bag.blocks.cdr_layout import Layout, find_layout
 from lpv.bag.blocks.message_blocks import Block
 from lpv.bag.rosbag.reading import BagReader
-from lpv.bag.run.streams import stamp_of
 from lpv.core.support.errors import SampleError
+from lpv.core.support.timestamps import to_nanoseconds
 
 MOST_LAYOUTS = 8
 _MOST_ATTEMPTS = 32
@@ -87,7 +87,7 @@ class Decoder:
             yield places, stamps, {path: _picked(v, *columns) for path, v in read.items()}
 
     def _single(self, places: np.ndarray, message: Any, columns: Columns) -> Table:
-        stamp = stamp_of(message.header.stamp) if hasattr(message, 'header') else 0
+        stamp = to_nanoseconds(message.header.stamp) if hasattr(message, 'header') else 0
         read = {path: np.atleast_1d(value_at(message, path))[None] for path in self._paths}
         picked = {path: _picked(values, *columns) for path, values in read.items()}
         return places, np.array([stamp]), picked

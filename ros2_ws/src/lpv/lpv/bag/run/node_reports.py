@@ -6,7 +6,7 @@ from typing import Any
 
 from lpv.bag.errors import BagError
 from lpv.bag.rosbag.reading import open_bag
-from lpv.bag.run.streams import stamp_of
+from lpv.core.support.timestamps import to_nanoseconds
 
 _TYPE = 'diagnostic_msgs/msg/DiagnosticArray'
 
@@ -30,7 +30,7 @@ def node_reports(path: str | Path, namespace: str) -> dict[str, list[NodeReport]
         connections = [c for c in reader.connections if c.msgtype == _TYPE]
         for connection, _, data in reader.messages(connections) if connections else ():
             message = reader.deserialize(data, connection.msgtype)
-            stamp = stamp_of(message.header.stamp)
+            stamp = to_nanoseconds(message.header.stamp)
             for status in message.status:
                 parent, _, name = status.name.rpartition('/')
                 _, colon, part = name.partition(': ')

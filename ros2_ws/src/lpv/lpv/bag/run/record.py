@@ -11,9 +11,10 @@ from rosbags.interfaces import Connection
 from lpv.bag.errors import BagError
 from lpv.bag.rosbag.reading import BagReader, open_bag
 from lpv.bag.run.decoder import Columns, Decoder, Table
-from lpv.bag.run.streams import SCALARS, STREAMS, RecordedAlarm, RunRecord, stamp_of
+from lpv.bag.run.streams import SCALARS, STREAMS, RecordedAlarm, RunRecord
 from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent, Mode
 from lpv.core.support.errors import SampleError
+from lpv.core.support.timestamps import to_nanoseconds
 
 CORRECTED = 'joint_states_corrected'
 """Last part of a topic's name that carries measurements with confirmed faults removed: an answer,
@@ -243,11 +244,11 @@ def _alarm(message: Any) -> RecordedAlarm:
         event,
         int(message.sensor_index),
         message.sensor,
-        stamp_of(message.onset),
-        stamp_of(message.detected),
+        to_nanoseconds(message.onset),
+        to_nanoseconds(message.detected),
         float(message.size),
         float(message.bound),
         message.kind,
         float(message.confidence),
-        stamp_of(message.header.stamp),
+        to_nanoseconds(message.header.stamp),
     )

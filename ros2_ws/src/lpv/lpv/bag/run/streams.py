@@ -37,11 +37,6 @@ class RecordedAlarm(Alarm):
     stamp: int = 0  # [ns]
 
 
-def stamp_of(stamp: Any) -> int:
-    """Nanoseconds of a builtin_interfaces/Time as rosbags gives it."""
-    return stamp.sec * NANOSECONDS + stamp.nanosec
-
-
 @dataclass
 class RunRecord:
     """One run.

@@ -12,6 +12,7 @@ from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.rate_independence import contradicts, rate_source
 from lpv.core.support.errors import SampleError
+from lpv.core.support.timestamps import to_nanoseconds
 
 _FAR_CLOCK = 0.5
 """Largest difference between stamp and clock [s]."""
@@ -154,7 +155,7 @@ def check_rate(topic: str, messages: list[Any], arm: SerialArm) -> Finding | Non
 
 
 def _stamps(messages: list[Any]) -> np.ndarray:
-    times = [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in messages]
+    times = [to_nanoseconds(m.header.stamp) for m in messages]
     return np.array(times, np.int64)
 
 

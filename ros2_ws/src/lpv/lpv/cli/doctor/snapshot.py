@@ -17,6 +17,7 @@ from sensor_msgs.msg import JointState
 
 from lpv.bag.run.record import CORRECTED
 from lpv.core.support.discovery import stay_local
+from lpv.core.support.timestamps import to_nanoseconds
 
 JOINT_STATE = 'sensor_msgs/msg/JointState'
 OURS = ('arm_sim', 'uio', 'tracker', 'recorder', 'view')
@@ -126,7 +127,7 @@ def _listen(node: Any, shot: Snapshot) -> None:
         node.create_subscription(JointState, topic, take, qos_profile_sensor_data)
 
     def tick(message: Any) -> None:
-        shot.clock.append((time.time_ns(), message.clock.sec * 10**9 + message.clock.nanosec))
+        shot.clock.append((time.time_ns(), to_nanoseconds(message.clock)))
 
     node.create_subscription(Clock, '/clock', tick, qos_profile_sensor_data)
 
