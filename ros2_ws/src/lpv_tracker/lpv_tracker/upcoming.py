@@ -47,13 +47,15 @@ class UpcomingReferences:
         over = self._first is None or stamp >= self._first + _AHEAD * self._period
         if even and over:
             self._first = stamp
-            _fill(self._block, self._follower.ahead(stamp + self._period * np.arange(_AHEAD)))
+            ahead = self._follower.ahead(stamp + self._period * np.arange(_AHEAD))
+            ahead.write(self._block['motion'], self._block['tip'])
         if self._first is not None:
             row, rest = divmod(stamp - self._first, self._period)
             if rest == 0 and 0 <= row < _AHEAD:
                 self._present[0] = self._block[row]
                 return
-        _fill(self._present, self._follower.reference(stamp, position))
+        present = self._follower.reference(stamp, position)
+        present.write(self._present['motion'], self._present['tip'])
 
     def stop(self) -> None:
         """As `PathFollower.stop`."""
@@ -64,10 +66,3 @@ class UpcomingReferences:
         """As `PathFollower.reset`."""
         self._follower.reset()
         self._first = self._last = None
-
-
-def _fill(rows: np.ndarray, reference: Reference) -> None:
-    """Write references into rows."""
-    motion, rows['tip'] = rows['motion'], reference.tip
-    motion[:, 0], motion[:, 1] = reference.position, reference.velocity
-    motion[:, 2] = reference.acceleration

@@ -22,6 +22,11 @@ class Reference:
     acceleration: np.ndarray  # the same, shape (..., n) [rad/s2]
     tip: np.ndarray  # the point of the path: x, y, z in the base frame [m]
 
+    def write(self, motion: np.ndarray, tip: np.ndarray) -> None:
+        """Write position, velocity and acceleration into (m, 3, n), the point into (m, 2 or 3)."""
+        motion[:, 0], motion[:, 1], motion[:, 2] = self.position, self.velocity, self.acceleration
+        tip[:] = self.tip
+
 
 @dataclass(frozen=True)
 class Obstacle:

@@ -188,17 +188,11 @@ class PathReferences:
         start = path.sample(0.0)
         self.motion = np.empty((count, 3, len(start.position)))
         self.tip = np.empty((count, len(start.tip)))
-        self._set(0, start)
+        start.write(self.motion, self.tip)
 
     def restart(self, first: int, position: np.ndarray) -> None:
         """From row ``first`` on, references of a loop that starts, or goes on after a stop."""
         if self._follower.running:
             self._follower.stop(round((first - 1) * self._period * NANOSECONDS))
         self._follower.reference(int(self._stamps[first]), position)
-        self._set(first, self._follower.ahead(self._stamps[first:]))
-
-    def _set(self, first: int, reference: Reference) -> None:
-        self.motion[first:, 0] = reference.position
-        self.motion[first:, 1] = reference.velocity
-        self.motion[first:, 2] = reference.acceleration
-        self.tip[first:] = reference.tip
+        self._follower.ahead(self._stamps[first:]).write(self.motion[first:], self.tip[first:])

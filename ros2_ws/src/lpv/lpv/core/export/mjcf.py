@@ -4,12 +4,12 @@ World frame: the base frame of the arm.  Joint positions are those of the arm.  
 are left to the program that runs the model.
 """
 
-import xml.etree.ElementTree as ElementTree
-from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from lpv.core.export.elements import about_center, add_element
 from lpv.core.serial_arm.chain import IXX, MASS, MX, Chain, FloatArray
 from lpv.core.support.errors import ConfigError
 
@@ -38,15 +38,13 @@ def chain_mjcf(chain: Chain) -> str:
     armature, rotors = _rotors(chain)
     root = ElementTree.Element('mujoco', model='arm')
     add_element(root, 'compiler', angle='radian', autolimits='true')
-    option = add_element(
-        root, 'option', integrator='RK4', timestep=1e-3, gravity=tuple(chain.gravity)
-    )
+    option = add_element(root, 'option', integrator='RK4', timestep=1e-3, gravity=chain.gravity)
     add_element(option, 'flag', contact='disable')
     parent = add_element(root, 'worldbody')
     for i in range(len(chain.translation)):
         x, y, z, w = Rotation.from_matrix(chain.rotation[i]).as_quat()
         parent = add_element(
-            parent, 'body', name=f'link{i + 1}', pos=tuple(chain.translation[i]), quat=(w, x, y, z)
+            parent, 'body', name=f'link{i + 1}', pos=chain.translation[i], quat=(w, x, y, z)
         )
         add_element(
             parent,
@@ -89,22 +87,7 @@ def _add_inertia(parent: ElementTree.Element, body: FloatArray, i: int) -> None:
     center = body[MX:IXX] / mass
     xx, xy, yy, xz, yz, zz = body[IXX:]
     about = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    about -= mass * (center @ center * np.eye(3) - np.outer(center, center))
+    about = about_center(about, mass, center)
     about += max(_THINNEST * np.trace(about) - np.linalg.eigvalsh(about)[0], 0.0) * np.eye(3)
     entries = about[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-    add_element(parent, 'inertial', pos=tuple(center), mass=mass, fullinertia=tuple(entries))
-
-
-def add_element(parent: ElementTree.Element, tag: str, **attributes: Any) -> ElementTree.Element:
-    """A child element; numbers keep every digit."""
-    return ElementTree.SubElement(
-        parent, tag, {name: _text(value) for name, value in attributes.items()}
-    )
-
-
-def _text(value: str | float | tuple[float, ...]) -> str:
-    if isinstance(value, str):
-        return value
-    if isinstance(value, tuple):
-        return ' '.join(repr(float(v)) for v in value)
-    return repr(float(value))
+    add_element(parent, 'inertial', pos=center, mass=mass, fullinertia=entries)

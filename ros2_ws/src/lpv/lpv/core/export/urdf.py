@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from lpv.core.export.elements import about_center, add_element
 from lpv.core.serial_arm.chain import FloatArray
 from lpv.core.serial_arm.description import SerialArm, SerialJoint, rotation_from_rpy
 from lpv.core.support.errors import ConfigError
@@ -110,12 +111,12 @@ def arm_urdf(arm: SerialArm, inertial: bool = True, colours: Sequence[str] = COL
     """
     robot, names = ElementTree.Element('robot', name=arm.name), link_names(arm)
     for i, colour in enumerate(colours):
-        material = ElementTree.SubElement(robot, 'material', name=f'colour{i + 1}')
-        ElementTree.SubElement(material, 'color', rgba=colour)
+        material = add_element(robot, 'material', name=f'colour{i + 1}')
+        add_element(material, 'color', rgba=colour)
     ends = [np.array(joint.position) for joint in arm.joints] + [np.array(arm.tip)]
     radius = _THICKNESS * float(np.mean([np.linalg.norm(end) for end in ends]) or 1.0)
     for i, name in enumerate(names[:-1]):
-        link = ElementTree.SubElement(robot, 'link', name=name)
+        link = add_element(robot, 'link', name=name)
         if i > 0 and inertial:
             _inertial(link, arm, i - 1)
         colour = f'colour{1 + i % len(colours)}'
@@ -123,10 +124,10 @@ def arm_urdf(arm: SerialArm, inertial: bool = True, colours: Sequence[str] = COL
         _cylinder(link, colour, 1.4 * radius, 0.0 * axis, 2.6 * radius * axis)
         if np.linalg.norm(ends[i]) > 0.0:
             _cylinder(link, colour, radius, 0.5 * ends[i], ends[i])
-    ElementTree.SubElement(robot, 'link', name=TIP)
+    add_element(robot, 'link', name=TIP)
     for i, joint in enumerate(arm.joints):
         _joint(robot, joint, names[i], names[i + 1])
-    fixed = ElementTree.SubElement(robot, 'joint', name='tip_joint', type='fixed')
+    fixed = add_element(robot, 'joint', name='tip_joint', type='fixed')
     _ends(fixed, names[-2], TIP)
     _origin(fixed, arm.tip)
     ElementTree.indent(robot)
@@ -138,8 +139,7 @@ def _inertial(link: ElementTree.Element, arm: SerialArm, index: int) -> None:
     if described.mass == 0.0:
         return
     center = np.array(described.first_moment) / described.mass
-    inertia = described.rotational_inertia()
-    inertia -= described.mass * (center @ center * np.eye(3) - np.outer(center, center))
+    inertia = about_center(described.rotational_inertia(), described.mass, center)
     values, axes = np.linalg.eigh(inertia)
     if values[1] <= 0.0:
         raise ConfigError(
@@ -149,12 +149,11 @@ def _inertial(link: ElementTree.Element, arm: SerialArm, index: int) -> None:
             arm.name,
         )
     inertia = axes @ np.diag(np.maximum(values, _SLENDER * values[2])) @ axes.T
-    element = ElementTree.SubElement(link, 'inertial')
+    element = add_element(link, 'inertial')
     _origin(element, center)
-    ElementTree.SubElement(element, 'mass', value=_text(described.mass))
-    places = {'ixx': (0, 0), 'iyy': (1, 1), 'izz': (2, 2), 'ixy': (0, 1), 'ixz': (0, 2)}
-    entries = {name: _text(inertia[place]) for name, place in {**places, 'iyz': (1, 2)}.items()}
-    ElementTree.SubElement(element, 'inertia', entries)
+    add_element(element, 'mass', value=described.mass)
+    (ixx, ixy, ixz), (_, iyy, iyz), (_, _, izz) = inertia
+    add_element(element, 'inertia', ixx=ixx, iyy=iyy, izz=izz, ixy=ixy, ixz=ixz, iyz=iyz)
 
 
 def _cylinder(
@@ -163,35 +162,33 @@ def _cylinder(
     """A visual around a middle, along a vector of its length."""
     length = float(np.linalg.norm(along))
     yaw, pitch = math.atan2(along[1], along[0]), math.acos(along[2] / length)
-    visual = ElementTree.SubElement(link, 'visual')
+    visual = add_element(link, 'visual')
     _origin(visual, middle, (0.0, pitch, yaw))
-    geometry = ElementTree.SubElement(visual, 'geometry')
-    ElementTree.SubElement(geometry, 'cylinder', radius=_text(radius), length=_text(length))
-    ElementTree.SubElement(visual, 'material', name=material)
+    geometry = add_element(visual, 'geometry')
+    add_element(geometry, 'cylinder', radius=radius, length=length)
+    add_element(visual, 'material', name=material)
 
 
 def _joint(robot: ElementTree.Element, joint: SerialJoint, parent: str, child: str) -> None:
     limits = joint.limits
     bounded = math.isfinite(limits.lower) and math.isfinite(limits.upper)
     kind = joint.type if bounded or joint.is_prismatic else 'continuous'
-    element = ElementTree.SubElement(robot, 'joint', name=joint.name, type=kind)
+    element = add_element(robot, 'joint', name=joint.name, type=kind)
     _ends(element, parent, child)
     _origin(element, joint.position, joint.orientation)
-    ElementTree.SubElement(element, 'axis', xyz=' '.join(map(_text, joint.axis)))
-    values = {'effort': _text(min(limits.torque, _UNLIMITED)), 'velocity': _text(limits.velocity)}
+    add_element(element, 'axis', xyz=joint.axis)
+    values = {'effort': min(limits.torque, _UNLIMITED), 'velocity': limits.velocity}
     if bounded:
-        values |= {'lower': _text(limits.lower), 'upper': _text(limits.upper)}
+        values |= {'lower': limits.lower, 'upper': limits.upper}
     if bounded or joint.is_prismatic or limits.torque < _UNLIMITED:
-        ElementTree.SubElement(element, 'limit', values)
+        add_element(element, 'limit', **values)
     friction = joint.friction
-    ElementTree.SubElement(
-        element, 'dynamics', damping=_text(friction.viscous), friction=_text(friction.coulomb)
-    )
+    add_element(element, 'dynamics', damping=friction.viscous, friction=friction.coulomb)
 
 
 def _ends(joint: ElementTree.Element, parent: str, child: str) -> None:
-    ElementTree.SubElement(joint, 'parent', link=parent)
-    ElementTree.SubElement(joint, 'child', link=child)
+    add_element(joint, 'parent', link=parent)
+    add_element(joint, 'child', link=child)
 
 
 def _origin(
@@ -199,10 +196,4 @@ def _origin(
     xyz: Sequence[float] | FloatArray,
     rpy: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> None:
-    ElementTree.SubElement(
-        element, 'origin', xyz=' '.join(map(_text, xyz)), rpy=' '.join(map(_text, rpy))
-    )
-
-
-def _text(value: float) -> str:
-    return repr(float(value)) if value else '0'
+    add_element(element, 'origin', xyz=xyz, rpy=rpy)
