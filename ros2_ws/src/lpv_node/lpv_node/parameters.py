@@ -194,24 +194,8 @@ def required_text(node: Node, name: str) -> str:
 def named_file(node: Node, name: str, kind: str) -> str:
     """Path that a string parameter gives, or that of the shipped file that it names.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        The node.
-    name : str
-        Name of the parameter.
-    kind : {'arms', 'scenarios'}
-        Of the file.
-
-    Returns
-    -------
-    str
-        Path of an existing file.
-
-    Raises
-    ------
-    ConfigError
-        If the parameter is empty, or there is no such file.
+    ``kind`` is 'arms' or 'scenarios'.  Raises ConfigError if the parameter is empty, or there is no
+    such file.
     """
     return str(bringup_file(kind, required_text(node, name)))
 

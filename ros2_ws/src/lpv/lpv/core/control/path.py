@@ -154,18 +154,7 @@ class CartesianPath:
                 )
 
     def sample(self, times: ArrayLike) -> Reference:
-        """References at the given times.
-
-        Parameters
-        ----------
-        times : array_like, shape (...)
-            Times on the path's clock [s].
-
-        Returns
-        -------
-        Reference
-            Arrays of shape (..., 2), the tip's (..., 3).
-        """
+        """References at times on the path's clock, an array of shape (...) [s]."""
         clock = np.clip(np.asarray(times, float), self.start, self.end)
         tip = self._spline(clock)
         q = inverse(tip, self._arm.lengths, self._elbow)

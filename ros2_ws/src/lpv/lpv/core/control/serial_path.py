@@ -113,18 +113,7 @@ class SerialPath:
         return point
 
     def sample(self, times: ArrayLike) -> Reference:
-        """References at the given times.
-
-        Parameters
-        ----------
-        times : array_like, shape (...)
-            Times on the path's clock [s].
-
-        Returns
-        -------
-        Reference
-            Arrays of shape (..., n), the tip's of shape (..., 3).
-        """
+        """References at times on the path's clock, an array of shape (...) [s]."""
         clock = np.clip(np.asarray(times, float), self.start, self.end)
         position = self._spline(clock)
         return Reference(position, self._rate(clock), self._bend(clock), self.tip(position))

@@ -429,13 +429,6 @@ class _Watchdog:
 class TrackerWatchdog(_Watchdog):
     """The tracker's watchdog, estimate by estimate.
 
-    Parameters
-    ----------
-    arm : SerialArm
-        The arm.
-    limits : TrackerLimits
-        Limits.
-
     Attributes
     ----------
     silence : int
@@ -461,13 +454,6 @@ class TrackerWatchdog(_Watchdog):
 
 class DriveWatchdog(_Watchdog):
     """The drives' watchdog, sample by sample.
-
-    Parameters
-    ----------
-    arm : SerialArm
-        The arm.
-    limits : DriveLimits
-        Limits.
 
     Attributes
     ----------

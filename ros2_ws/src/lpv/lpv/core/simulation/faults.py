@@ -205,18 +205,7 @@ class FaultInjector:
             self.add(fault)
 
     def add(self, fault: Fault) -> None:
-        """Schedule a further fault.
-
-        Parameters
-        ----------
-        fault : Fault
-            The fault.
-
-        Raises
-        ------
-        ConfigError
-            If it is not valid.
-        """
+        """Schedule a further fault; ConfigError if it is not valid."""
         check_fault(fault, self._names)
         if len(self.faults) >= MAX_FAULTS:
             raise ConfigError('fault', f'there are {MAX_FAULTS} already: clear some first')
