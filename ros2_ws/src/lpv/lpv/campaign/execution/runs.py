@@ -135,9 +135,15 @@ def _faults(
 def run_one(campaign: Campaign, number: int) -> dict[str, Any]:
     """Simulate a run and measure it; a row of the results."""
     try:
-        plan = plan_run(campaign, number)
-        run = plan.simulate()
-        twin = plan.simulate(faults=False) if campaign.spec.twin and plan.scenario.faults else None
+        _, _, row = repeat(campaign, number)
     except LpvError as error:
         raise LpvError(f'run {number}: {error}') from error
-    return {'number': number, **plan.values, **figures(plan, run, twin)}
+    return row
+
+
+def repeat(campaign: Campaign, number: int) -> tuple[RunPlan, Run, dict[str, Any]]:
+    """Plan of a run, what happens in it, and its row of the results."""
+    plan = plan_run(campaign, number)
+    run = plan.simulate()
+    twin = plan.simulate(faults=False) if campaign.spec.twin and plan.scenario.faults else None
+    return plan, run, {'number': number, **plan.values, **figures(plan, run, twin)}

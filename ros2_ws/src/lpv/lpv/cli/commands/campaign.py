@@ -8,8 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from lpv.campaign.execution.execute import ResultsFolder, chunks_of, worker_pool
-from lpv.campaign.execution.run_metrics import figures
-from lpv.campaign.execution.runs import plan_run
+from lpv.campaign.execution.runs import repeat
 from lpv.campaign.plan.campaign import Campaign, resolve
 from lpv.cli.progress import bar
 from lpv.core.support.config import read_yaml
@@ -112,10 +111,7 @@ def _run_to_bag(
         )
     if not 0 <= number < runs:
         raise ConfigError('--run', f'must lie within 0 and {runs - 1}, got {number}')
-    plan = plan_run(campaign, number)
-    run = plan.simulate()
-    twin = plan.simulate(faults=False) if campaign.spec.twin and plan.scenario.faults else None
-    found = {'number': number, **plan.values, **figures(plan, run, twin)}
+    plan, run, found = repeat(campaign, number)
     stored = _stored_row(campaign, folder, number)
     table = Table('figure', 'results', 'now', title=f'run {number}', title_justify='left')
     for name, value in found.items():
