@@ -285,10 +285,11 @@ def follow(
     # Neighbouring balances share an interval: each counts half.
     variance = 2.0 * np.diag(noise**2 * null.inflation) + known.T @ known
     residual = rows[:, 0] + unknowns @ null.mean
-    innovation = columns @ one.covariance @ columns.T + variance
-    ratio = np.abs(residual) / (ROBUST * np.sqrt(np.diag(innovation)))
+    spread = columns @ one.covariance @ columns.T
+    ratio = np.abs(residual) / (ROBUST * np.sqrt(np.diag(spread + variance)))
     factor = np.sqrt(np.maximum(ratio, 1.0))
-    innovation = innovation * factor[:, None] * factor
+    # Of outliers the variance is raised, so that what is known never becomes negative.
+    innovation = spread + variance * factor[:, None] * factor
     gain = one.covariance @ columns.T @ np.linalg.inv(innovation)
     change = -gain @ residual
     one.covariance = one.covariance - gain @ columns @ one.covariance
