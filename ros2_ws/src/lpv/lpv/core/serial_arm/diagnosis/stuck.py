@@ -121,16 +121,20 @@ def course_of_frozen(
     place = np.arange(1.0, count + 1.0)
     spread = STILL_RATE if balances else frozen.sigma
     walk = step**2 * np.minimum(place, place[:, None]) + spread**2
-    scaled = walk @ information[1:, 1:] + np.eye(count)
+    # Of information that rounding made negative none is used: the covariance stays positive.
+    root = np.linalg.cholesky(walk)
+    powers, axes = np.linalg.eigh(root.T @ information[1:, 1:] @ root)
+    powers = 1.0 + np.maximum(powers, 0.0)
+    axes = root @ axes
+    covariance = (axes / powers) @ axes.T
     pull = score[1:] - information[1:, 0]
-    rates = np.linalg.solve(scaled, walk @ pull)
+    rates = covariance @ pull
     gain = score[0] - 0.5 * information[0, 0]
-    gain += 0.5 * (pull @ rates - np.linalg.slogdet(scaled)[1])
+    gain += 0.5 * float(pull @ rates - np.log(powers).sum())
     rivals = [resting[:, moved]]
     if not frozen.alive:
         rivals.append(np.hypot(resting, plan.interval * push)[:, moved])
     gain += min(_at_rest(before[:, moved], one, weights[:, moved], null, moved) for one in rivals)
-    covariance = np.linalg.solve(scaled, walk)
     sums = plan.interval * np.ones(count), np.eye(count)[-1]
     way = np.array([first * since, first]) - np.array([one @ rates for one in sums])
     spread_of = np.array([[a @ covariance @ b for b in sums] for a in sums])
