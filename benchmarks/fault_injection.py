@@ -51,6 +51,8 @@ JUDGED = 2.0
 """Time after the onset at which the estimated size is judged [s]."""
 CLOSE = 0.1
 """An estimate within is right [rad]."""
+MOVES = 0.2
+"""Rate from which on a joint moves [rad/s]."""
 ROUNDING = 1e-3
 """Error of a recorded reading itself [rad]."""
 
@@ -647,6 +649,9 @@ def draw(cell: Cell, k: int, seed: int) -> tuple[Subject, Window, bool]:
     end = lead + kind.duration
     onset = lead
     faults = [Injected(i, onset, end, rng.choice([-1.0, 1.0]))]
+    if kind.kind == 'stuck':  # a frozen reading shows where its joint moves
+        rates = window.samples[min(window.index(onset + later), len(window.samples) - 1), 1]
+        others = [j for j in others if abs(matrix[j] @ rates) > MOVES]
     if others and onset + later + limit <= window.duration:
         j = others[int(rng.integers(len(others)))]
         sign = rng.choice([-1.0, 1.0])
@@ -673,9 +678,11 @@ def _begin(
         begin = float(rng.uniform(0.0, free)) if free else 0.0
         at, later = stream.index(begin + lead), stream.index(begin + lead + max(kind.limit, 0.3))
         if kind.kind == 'stuck':
-            shows = abs(rate[at]) > 0.2 and np.ptp(reading[at:later]) > 0.03
+            shows = abs(rate[at]) > MOVES and np.ptp(reading[at:later]) > 0.03
         elif kind.kind == 'scale':
-            shows = kind.size * np.abs(reading[at:later]).max() > 0.05
+            # Of a joint that rests it is an offset.
+            shows = np.ptp(reading[at:later]) > MOVES * kind.limit / 2.0
+            shows = shows and kind.size * np.abs(reading[at:later]).max() > 0.05
         elif kind.kind == 'wrap':
             shows = np.abs(rate[at:later]).max() > 0.7 * np.abs(rate).max()
         else:
