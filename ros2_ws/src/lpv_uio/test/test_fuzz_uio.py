@@ -152,9 +152,11 @@ def test_given_a_file_of_alarms_that_is_none_when_read_then_it_does_no_harm(tmp_
     assert 'link2_angle' in OpenAlarms(path).before
 
 
-def test_given_a_second_publisher_when_its_readings_are_mixed_in_then_they_are_refused(arm):
+def test_given_a_second_publisher_when_its_readings_are_mixed_in_then_they_are_refused(
+    arm, monkeypatch
+):
     arm.recover()
-    arm.node._sender._wait = np.inf  # a busy machine is slow
+    monkeypatch.setattr('lpv_node.input_check._WAIT', np.inf)  # a busy machine is slow
     arm.node._inputs = [SimpleNamespace(get_publisher_count=lambda: 2)]
     for _ in range(30):
         message = arm.good()
