@@ -134,6 +134,7 @@ def crane_messages(duration, sign=1.0, rates=True):
         yield one
 
 
+@pytest.mark.slow
 def test_given_a_serial_arm_when_its_signals_are_checked_then_units_and_rates_are_as_stated():
     without = list(crane_messages(0.6, rates=False))
     assert check_values('/joint_states', without, needs_rates(crane())) is None

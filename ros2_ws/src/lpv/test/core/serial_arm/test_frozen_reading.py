@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from fault_injection import BY_NAME, cells, draw
 
+pytestmark = pytest.mark.slow
+
 KIND = BY_NAME['stuck']
 RUNS = 6
 NAMED = 0.3
