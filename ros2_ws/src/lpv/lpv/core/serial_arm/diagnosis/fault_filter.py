@@ -104,20 +104,27 @@ class FaultFilter:
         ])  # fmt: skip
 
     def columns(
-        self, rows: FloatArray, epoch: float, now: float, momentum: FloatArray, interval: float
+        self,
+        rows: FloatArray,
+        times: tuple[float, float, float],
+        momentum: FloatArray,
+        interval: float,
     ) -> FloatArray:
         """Derivatives of a balance by the state now, shape (n, 3).
 
-        ``momentum`` is that by a unit rate of the reading, shape (n,).
+        ``times`` are the epoch of drifts, now, and when the balance ended; ``momentum`` is that by
+        a unit rate of the reading, shape (n,).
         """
+        epoch, now, end = times
         n, i = len(rows), self.joint
         offset = rows[:, 1 + OFFSET * n + i]
         if self.is_scale:
             return np.stack([rows[:, 1 + SCALE * n + i], offset, 0.0 * offset], axis=1)
         drift = rows[:, 1 + DRIFT * n + i] - (now - epoch) * offset
-        # The rate changes by a T from interval to interval, and is on average a T less than now.
-        bend = 7.0 / 12.0 * interval**2 * offset
-        bend -= interval * (momentum + rows[:, 1 + RATE * n + i])
+        # The rate changes by a T from interval to interval, and is on average less than now.
+        ago = now - end + interval
+        bend = 0.5 * (ago**2 + interval**2 / 6.0) * offset
+        bend -= interval * momentum + ago * rows[:, 1 + RATE * n + i]
         return np.stack([offset, drift, bend], axis=1)
 
 
@@ -222,6 +229,7 @@ def correct_since(
     share = one.mean[0] / (1.0 + one.mean[0]) if one.is_scale else 0.0
     last = int((estimator.times(len(estimator)) > one.begin).sum())
     blocks, places = held_blocks(estimator, sampler, last + 1)
+    ended = _end(blocks, n)
 
     def take_out(time: FloatArray, reading: FloatArray, velocity: FloatArray) -> None:
         after = time > one.begin
@@ -240,7 +248,9 @@ def correct_since(
     window, epoch = estimator.window, estimator.balance.clock[EPOCH]
     for back in range(min(last, len(estimator))):
         at = slot(window, back)
-        columns = one.columns(window.rows[at], epoch, now, momenta[at], estimator.plan.interval)
+        end = ended + window.times[at] - estimator.times(1)[0]
+        times = epoch, now, end
+        columns = one.columns(window.rows[at], times, momenta[at], estimator.plan.interval)
         window.extra[at] = ((columns @ one.covariance) * columns).sum(1)
     estimator.replace_last(blocks)
 
@@ -278,7 +288,9 @@ def follow(
         return
     at = slot(window, 0)
     rows, m = window.rows[at], len(null.mean)
-    columns = one.columns(rows, estimator.balance.clock[EPOCH], now, momenta[at], interval)
+    end = _end(held_blocks(estimator, sampler, 1)[0], estimator.joints)
+    times = float(estimator.balance.clock[EPOCH]), now, end
+    columns = one.columns(rows, times, momenta[at], interval)
     unknowns = rows[:, rows.shape[1] - m :]
     known = np.linalg.solve(np.triu(null.factor).T, unknowns.T)
     noise = null.noise * (1.0 + (null.rest - 1.0) * window.rest[at])
@@ -294,7 +306,7 @@ def follow(
     change = -gain @ residual
     one.covariance = one.covariance - gain @ columns @ one.covariance
     if kinematic is not None and not one.is_scale:
-        column = interval * np.array([0.0, 1.0, -0.5 * interval])
+        column = interval * np.array([0.0, 1.0, end - now - 0.5 * interval])
         gain = one.covariance @ column / (column @ one.covariance @ column + kinematic[1])
         change += gain * (kinematic[0] - column @ change)
         one.covariance = one.covariance - np.outer(gain, column) @ one.covariance
@@ -343,6 +355,11 @@ def _note(one: FaultFilter, sampler: Sampler) -> None:
         sampler.followed[i] = one.mean[1] / (1.0 + one.mean[0])
     else:
         sampler.followed[i], sampler.drift[i], sampler.curve[i] = one.mean
+
+
+def _end(blocks: FloatArray, joints: int) -> float:
+    """When the last block ended: samples wait for a test of jumps [s]."""
+    return float(blocks[-1, 3 * joints] + 0.5 * blocks[-1, 3 * joints + 1])
 
 
 def held_blocks(
