@@ -226,7 +226,11 @@ def test_given_a_topic_when_recorded_then_the_bag_is_described(out, tmp_path):
     bag = tmp_path / 'bag'
     with Running('bag', 'record', '-o', bag, 'cell/joints') as recorder:
         recorder.until(r'rosbag2_recorder\]: recording 1 topic')
-        assert out('topic', 'echo', '--once', '/cell/joints')  # time passes
+        begin = (bag / 'bag.mcap').stat().st_size
+        for _ in range(30):  # until the recorder knows of the publisher
+            assert out('topic', 'echo', '--once', '/cell/joints')  # time passes
+            if (bag / 'bag.mcap').stat().st_size > begin:
+                break
         code, text = recorder.interrupt()
     assert code == 0, text
     info = out('bag', 'info', bag)

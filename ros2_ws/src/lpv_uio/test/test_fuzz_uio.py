@@ -157,7 +157,8 @@ def test_given_a_second_publisher_when_its_readings_are_mixed_in_then_they_are_r
 ):
     arm.recover()
     monkeypatch.setattr('lpv_node.input_check._WAIT', np.inf)  # a busy machine is slow
-    arm.node._inputs = [SimpleNamespace(get_publisher_count=lambda: 2)]
+    two = SimpleNamespace(get_publisher_count=lambda: 2)
+    monkeypatch.setattr(arm.node, '_measurement_in', two)
     for _ in range(30):
         message = arm.good()
         foreign = deepcopy(message)
@@ -167,4 +168,3 @@ def test_given_a_second_publisher_when_its_readings_are_mixed_in_then_they_are_r
         arm.send(message)
     assert arm.node._refusals.counts == {'measurement of a second publisher of joint_states': 30}
     assert arm.others[1].last is None, 'no alarm'
-    arm.node._inputs = []
