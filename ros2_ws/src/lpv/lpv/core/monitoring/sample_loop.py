@@ -14,7 +14,7 @@ from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.diagnosis.alarms import Mode, SensorState
 from lpv.core.serial_arm.diagnosis.bank import STARTS
 from lpv.core.serial_arm.diagnosis.decision import Parts, Stage, decide
-from lpv.core.serial_arm.diagnosis.sampling import JUMP_SCALE, NONE, Sampler, removed, take_samples
+from lpv.core.serial_arm.diagnosis.sampling import NONE, removed, smallest_jump, take_samples
 from lpv.core.support.jit import njit_in_place
 from lpv.core.support.records import record_type
 from lpv.core.support.timestamps import NANOSECONDS
@@ -168,9 +168,3 @@ def _know_nothing_wrong(parts: Parts, one: Answering, stamp: int) -> None:
     flags.stamp, flags.trustworthy, flags.inconsistent = stamp, True, False
     if state.uses_balances:
         flags.mode, flags.until = _OBSERVING, stamp + UNWATCHED
-
-
-@njit_in_place
-def smallest_jump(sampler: Sampler, i: int) -> float:
-    """Change of a reading that may be a jump [rad]."""
-    return float(max(JUMP_SCALE * sampler.scale[i], sampler.smallest[i]))

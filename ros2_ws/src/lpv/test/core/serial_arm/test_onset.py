@@ -6,7 +6,7 @@ from serial_arms import shoulder_arm
 from simulated_runs import simulated_run
 
 from lpv.core.serial_arm.diagnosis.balance import DRIFT, EPOCH, OFFSET
-from lpv.core.serial_arm.diagnosis.information import last_rows, recent
+from lpv.core.serial_arm.diagnosis.information import recent
 from lpv.core.serial_arm.diagnosis.monitor import MonitorSettings, SerialMonitor
 from lpv.core.serial_arm.diagnosis.onset import (
     PLACES,
@@ -38,7 +38,7 @@ def dense_onsets(monitor, end):
     """All onsets, with the joint information of the drift and of the arm's unknowns."""
     estimator, interval = monitor.estimator, monitor.plan.interval
     window, null, n = estimator.window, estimator.posterior, estimator.joints
-    m, rows = len(null.mean), last_rows(window, LAST)[::-1]
+    m, rows = len(null.mean), window.rows[recent(window, LAST)]
     weights, unknowns = window.weights[recent(window, LAST)].ravel(), rows[:, :, -m:]
     residual = (rows[:, :, 0] + unknowns @ null.mean).ravel()
     weighted = weights[:, None] * unknowns.reshape(-1, m)

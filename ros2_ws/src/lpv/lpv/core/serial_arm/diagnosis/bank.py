@@ -65,7 +65,7 @@ from lpv.core.serial_arm.diagnosis.linear_bank import (
     new_rows,
 )
 from lpv.core.serial_arm.diagnosis.onset import sudden_drift_of
-from lpv.core.serial_arm.diagnosis.sampling import JUMP_SCALE, LATE, Sampler
+from lpv.core.serial_arm.diagnosis.sampling import LATE, Sampler, smallest_jump
 from lpv.core.serial_arm.diagnosis.stuck import Course, Frozen, course_of_frozen
 from lpv.core.serial_arm.dynamics.momentum import mass_matrix
 from lpv.core.serial_arm.sensor_map import map_vector
@@ -608,7 +608,7 @@ def ask_bank(
     rows.span[:], rows.weight[:], rows.found[:] = 0.0, 0.0, 0.0
     for i in range(n):
         rows.reading[i] = block[i]
-        bank.unseen[i] = max(JUMP_SCALE * sampler.scale[i], sampler.smallest[i])
+        bank.unseen[i] = smallest_jump(sampler, i)
     sum_rows(own, bank.interval, lengths[: state.windows], rows)
     every, pushed = gather(
         bank.evidence, bank.kinds, window, null, bank.outside, rows, bank.mass,

@@ -21,7 +21,7 @@ from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator, set_residua
 from lpv.core.serial_arm.diagnosis.fault_filter import held_blocks
 from lpv.core.serial_arm.diagnosis.information import recent
 from lpv.core.serial_arm.diagnosis.onset import whitened
-from lpv.core.serial_arm.diagnosis.sampling import IN_BLOCK, Sampler
+from lpv.core.serial_arm.diagnosis.sampling import IN_BLOCK, Sampler, block_end
 from lpv.core.serial_arm.diagnosis.stuck import Frozen
 
 ONSETS = 12
@@ -168,19 +168,14 @@ def end_of_fault(
     blocks, _ = held_blocks(estimator, sampler, len(estimator) + 1)
     frozen = _frozen(estimator, blocks, joint)
     if frozen is not None:
-        course = None
-        if abs(jump) < LINEAR:
-            course = bank.course(joint, frozen, 0, blocks)
+        course = bank.course(joint, frozen, 0, blocks) if abs(jump) < LINEAR else None
         gain, went, sigma = 0.0, 0.0, LINEAR
         if course is not None:
             gain, went = course.gain, float(course.mean[0])
             sigma = max(float(course.covariance[0, 0]) ** 0.5, float(sampler.scale[joint]))
         gain += float(_normal(jump - went, sigma) - _slip(jump))
-        prior, ages = (
-            np.append(prior, gain),
-            np.append(ages, blocks[-1, 3 * estimator.joints] - frozen.time),
-        )
-        ramps = np.append(ramps, 0.0)
+        age = blocks[-1, 3 * estimator.joints] - frozen.time
+        prior, ages, ramps = np.append(prior, gain), np.append(ages, age), np.append(ramps, 0.0)
     one = EndOfFault(joint, jump, float(sampler.time[-1]), prior, ages, ramps)
     one.weigh(estimator)
     return one
@@ -192,8 +187,7 @@ def _frozen(estimator: OffsetEstimator, blocks: FloatArray, joint: int) -> Froze
     if len(changes) == 0 or len(blocks) - 1 - changes[-1] < estimator.plan.blocks:
         return None
     last = max(int(changes[-1]), 1)
-    time = float(blocks[last, 3 * n] + 0.5 * blocks[last, 3 * n + 1])
-    return Frozen(time, float(blocks[last - 1, n + joint]), SIZE['drift'], False)
+    return Frozen(block_end(blocks[last]), float(blocks[last - 1, n + joint]), SIZE['drift'], False)
 
 
 def _slip(jump: float) -> float:

@@ -14,7 +14,7 @@ from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.diagnosis.balance import DRIFT, EPOCH, OFFSET, RATE, SCALE
 from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator
 from lpv.core.serial_arm.diagnosis.information import ROBUST, slot
-from lpv.core.serial_arm.diagnosis.sampling import BLOCKS, Sampler
+from lpv.core.serial_arm.diagnosis.sampling import BLOCKS, Sampler, block_end
 from lpv.core.serial_arm.diagnosis.stuck import Course
 
 STEADY = 0.1
@@ -229,7 +229,7 @@ def correct_since(
     share = one.mean[0] / (1.0 + one.mean[0]) if one.is_scale else 0.0
     last = int((estimator.times(len(estimator)) > one.begin).sum())
     blocks, places = held_blocks(estimator, sampler, last + 1)
-    ended = _end(blocks, n)
+    ended = block_end(blocks[-1])
 
     def take_out(time: FloatArray, reading: FloatArray, velocity: FloatArray) -> None:
         after = time > one.begin
@@ -288,7 +288,7 @@ def follow(
         return
     at = slot(window, 0)
     rows, m = window.rows[at], len(null.mean)
-    end = _end(held_blocks(estimator, sampler, 1)[0], estimator.joints)
+    end = block_end(held_blocks(estimator, sampler, 1)[0][-1])
     times = float(estimator.balance.clock[EPOCH]), now, end
     columns = one.columns(rows, times, momenta[at], interval)
     unknowns = rows[:, rows.shape[1] - m :]
@@ -355,11 +355,6 @@ def _note(one: FaultFilter, sampler: Sampler) -> None:
         sampler.followed[i] = one.mean[1] / (1.0 + one.mean[0])
     else:
         sampler.followed[i], sampler.drift[i], sampler.curve[i] = one.mean
-
-
-def _end(blocks: FloatArray, joints: int) -> float:
-    """When the last block ended: samples wait for a test of jumps [s]."""
-    return float(blocks[-1, 3 * joints] + 0.5 * blocks[-1, 3 * joints + 1])
 
 
 def held_blocks(

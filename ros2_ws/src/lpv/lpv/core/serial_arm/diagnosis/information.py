@@ -196,11 +196,6 @@ def products(window: Window, last: int) -> FloatArray:
     return window.sums[sum_slot(window, 0)] - window.sums[sum_slot(window, last)]
 
 
-def last_rows(window: Window, last: int) -> FloatArray:
-    """Rows of the last balances, oldest first, shape (last, n, columns)."""
-    return window.rows[recent(window, last)[::-1]]
-
-
 @njit_in_place
 def factorise(matrix: FloatArray, least: FloatArray) -> None:
     """Factor U of A = U^T U, in place of the upper triangle of A.

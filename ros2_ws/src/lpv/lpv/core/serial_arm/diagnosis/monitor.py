@@ -689,13 +689,15 @@ class SerialMonitor:
         sampler, period, found = self.sampler, self.arm.sample_time, dict[int, Frozen]()
         if max(sampler.still.tolist()) * period <= STILL_TIME:
             return found
+        measured = BEFORE_STOP * period
         for i in np.flatnonzero(sampler.still * period > STILL_TIME).tolist():
-            measured = BEFORE_STOP * period
-            braking = 0.5 * measured * self._acceleration(i)
             rounding, rate = float(sampler.grain[i]) / measured, float(sampler.stop[i])
             smallest = max(self.settings.smallest_step * self.scales[i], sampler.grain[i])
-            alive = bool(sampler.lively[i] > LIVELY)
-            if alive or (abs(rate) - rounding - braking) * STILL_TIME > smallest:
+            alive, speed = bool(sampler.lively[i] > LIVELY), abs(rate) - rounding
+            if not alive and speed * STILL_TIME <= smallest:
+                continue  # joints that rest are many, and usual accelerations take time
+            braking = 0.5 * measured * self._acceleration(i)
+            if alive or (speed - braking) * STILL_TIME > smallest:
                 time = self._last() - float(sampler.still[i]) * period
                 sigma = math.hypot(rounding, braking, STILL_RATE)
                 found[i] = Frozen(time, rate, sigma, alive)

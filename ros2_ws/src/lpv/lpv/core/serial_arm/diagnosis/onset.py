@@ -26,6 +26,7 @@ from lpv.core.serial_arm.diagnosis.balance import (
 )
 from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator, Posterior, set_residuals
 from lpv.core.serial_arm.diagnosis.information import factorise, recent, whiten
+from lpv.core.serial_arm.diagnosis.sampling import block_end
 
 PLACES = (0.1, 0.3, 0.5, 0.7, 0.9)
 """Places of the onset in its interval that are tried."""
@@ -80,8 +81,8 @@ def sudden_drift_of(
     Onset
         Its gain is -inf while there are too few balances.
     """
-    newest, n, plan = blocks[-1], estimator.joints, estimator.plan
-    end = float(newest[3 * n] + 0.5 * newest[3 * n + 1])
+    plan = estimator.plan
+    end = block_end(blocks[-1])
     best = sudden_drift(estimator, joint, end, prior, last, mass[:, :, joint])
     needed = (best.back + 2) * plan.blocks
     if best.gain == -np.inf or needed > len(blocks):

@@ -243,7 +243,7 @@ def _fill_repeated(sampler: Sampler) -> None:
                 sampler.samples[now, 1, i] = (reading[now] - reading[now - 1]) / time
         elif held > 0:
             time, way, rate = _since_change(sampler, i)
-            most = _smallest_jump(sampler.scale[i], sampler.smallest[i])
+            most = smallest_jump(sampler, i)
             evenly = evenly and abs(way - rate * time) <= most
             # Its e is that of all samples in which it was repeated: these are filled in evenly.
             rounded = _is_rounded(sampler, i, way)
@@ -380,7 +380,7 @@ def _largest_rate(sampler: Sampler, i: int, end: int) -> float:
 @njit_in_place
 def _is_beyond(sampler: Sampler, i: int, k: int) -> bool:
     """Whether a reading jumped at a sample."""
-    return bool(abs(sampler.jumps[k, i]) > _smallest_jump(sampler.scale[i], sampler.smallest[i]))
+    return bool(abs(sampler.jumps[k, i]) > smallest_jump(sampler, i))
 
 
 @njit_in_place
@@ -528,9 +528,9 @@ def _watch_noise(sampler: Sampler, i: int, beyond: bool) -> None:
 
 
 @njit_in_place
-def _smallest_jump(scale: float, smallest: float) -> float:
-    """Size of e beyond which a reading jumps."""
-    return max(JUMP_SCALE * scale, smallest)
+def smallest_jump(sampler: Sampler, i: int) -> float:
+    """Size of e beyond which a reading jumps [rad]."""
+    return float(max(JUMP_SCALE * sampler.scale[i], sampler.smallest[i]))
 
 
 @njit_in_place
@@ -540,9 +540,7 @@ def _is_clear_step(sampler: Sampler, i: int) -> bool:
     jump = sampler.jumps[k, i]
     if sampler.doubtful[k, i] > 0 or sampler.doubtful[k - 1, i] > 0:
         return False
-    if abs(jump) <= max(
-        _smallest_jump(sampler.scale[i], sampler.smallest[i]), abs(sampler.jumps[k - 1, i]) / 0.6
-    ):
+    if abs(jump) <= max(smallest_jump(sampler, i), abs(sampler.jumps[k - 1, i]) / 0.6):
         return False
     way = samples[k + 1, 0, i] - samples[k - 1, 0, i] - jump
     period = sampler.time[k + 1] - sampler.time[k - 1]
@@ -562,7 +560,7 @@ def _name_jump(sampler: Sampler, i: int) -> None:
     while abs(sampler.jumps[peak, i]) < 0.9 * largest:
         peak += 1
     size, after = sampler.jumps[peak, i], sampler.jumps[peak + 1, i]
-    if abs(size) <= _smallest_jump(sampler.scale[i], sampler.smallest[i]):
+    if abs(size) <= smallest_jump(sampler, i):
         return
     doubt = sampler.doubtful[peak, i]
     if abs(after + size) < 0.3 * abs(size):
@@ -696,6 +694,12 @@ def _close_block(sampler: Sampler, balance: Balance, now: float, blocks: int) ->
     sampler.counters[IN_BLOCK] = 0
     sampler.counters[IN_INTERVAL] += 1
     sampler.clock[BLOCK_START] = now
+
+
+def block_end(block: FloatArray) -> float:
+    """When a block of `Sampler.blocks` ended [s]."""
+    n = len(block) // 3 - 1
+    return float(block[3 * n] + 0.5 * block[3 * n + 1])
 
 
 def restart(sampler: Sampler, balance: Balance) -> None:

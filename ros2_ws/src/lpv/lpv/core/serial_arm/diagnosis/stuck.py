@@ -18,6 +18,7 @@ from lpv.core.serial_arm.diagnosis.estimator import (
 )
 from lpv.core.serial_arm.diagnosis.information import ROBUST, recent, whiten
 from lpv.core.serial_arm.diagnosis.onset import without_drift
+from lpv.core.serial_arm.diagnosis.sampling import block_end
 
 LEAST_ACCELERATION = 1.0
 """Usual acceleration of a joint that has hardly been seen to move [rad/s2]."""
@@ -87,7 +88,7 @@ def course_of_frozen(
         None while no balance holds the time since.
     """
     n, plan, null = estimator.joints, estimator.plan, estimator.posterior
-    end = float(blocks[-1, 3 * n] + 0.5 * blocks[-1, 3 * n + 1])
+    end = block_end(blocks[-1])
     since = balances * plan.interval if balances else end - frozen.time
     begin, first = end - since, 0.0 if balances else frozen.rate
     count = min(int(np.ceil(since / plan.interval - 1e-6)), len(estimator))
@@ -111,7 +112,8 @@ def course_of_frozen(
     resting = null.noise * (1.0 + (null.rest - 1.0) * estimator.window.rest[at])
     size = resting.copy()
     size[:, moved] = null.noise[moved]
-    weights = np.minimum(_weights(before, size, null), _weights(after, size, null))
+    inflation = null.inflation
+    weights = np.minimum(_weights(before, size, inflation), _weights(after, size, inflation))
     columns = _rate_steps(rows, joint, momenta[at], plan.interval)
     every = np.concatenate([(after - before)[:, :, None], columns], axis=2)
     cross = np.einsum('kix,ki,kij->xj', unknowns, weights, every)
@@ -135,15 +137,14 @@ def course_of_frozen(
     if not frozen.alive:
         rivals.append(np.hypot(resting, plan.interval * push)[:, moved])
     gain += min(_at_rest(before[:, moved], one, weights[:, moved], null, moved) for one in rivals)
-    sums = plan.interval * np.ones(count), np.eye(count)[-1]
-    way = np.array([first * since, first]) - np.array([one @ rates for one in sums])
-    spread_of = np.array([[a @ covariance @ b for b in sums] for a in sums])
-    return Course(float(gain), begin, end, way, 0.5 * (spread_of + spread_of.T))
+    sums = np.stack([plan.interval * np.ones(count), np.eye(count)[-1]])
+    way = np.array([first * since, first]) - sums @ rates
+    return Course(float(gain), begin, end, way, sums @ covariance @ sums.T)
 
 
-def _weights(residual: FloatArray, size: FloatArray, null: Posterior) -> FloatArray:
+def _weights(residual: FloatArray, size: FloatArray, inflation: FloatArray) -> FloatArray:
     """Inverse variances of balances, outliers with less weight; shape (last, n)."""
-    variance = size**2 * null.inflation
+    variance = size**2 * inflation
     return np.asarray(1.0 / (variance * np.sqrt(1.0 + (residual / (ROBUST * size)) ** 2)))
 
 
@@ -155,8 +156,7 @@ def _at_rest(
     What rests or is held leaves more of a balance than what moves; at most what was counted against
     it is taken back.
     """
-    resting = 1.0 / (size**2 * null.inflation[joints])
-    resting /= np.sqrt(1.0 + (residual / (ROBUST * size)) ** 2)
+    resting = _weights(residual, size, null.inflation[joints])
     change = (
         0.5 * (residual**2 * (resting - weights)).sum() + np.log(size / null.noise[joints]).sum()
     )
