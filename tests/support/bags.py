@@ -32,14 +32,14 @@ def write_small(path, count=20, **options):
     return path
 
 
-def write_measurements(path, names, time, position, velocity, effort):
+def write_measurements(path, names, time, position, velocity, effort, topic=JOINTS):
     """A bag of measurements of joints; times in s, None for what is not measured."""
     with BagWriter(path, 'none') as writer:
         messages = BagMessages(writer.typestore, 'base')
-        writer.add_topic(JOINTS, JOINT_STATE)
+        writer.add_topic(topic, JOINT_STATE)
         for k, stamp in enumerate(np.round(1e9 * np.asarray(time)).astype(int).tolist()):
             vectors = ([] if v is None else v[k] for v in (position, velocity, effort))
-            writer.write(JOINTS, stamp, messages.joint_state(stamp, names, *vectors))
+            writer.write(topic, stamp, messages.joint_state(stamp, names, *vectors))
     return path
 
 

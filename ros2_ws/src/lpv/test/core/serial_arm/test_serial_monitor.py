@@ -207,23 +207,3 @@ def test_efforts_are_scaled_in_a_copy():
     other.update_many(run.stamps, halved)
     assert np.array_equal(halved, before)
     assert one.estimate(0).fault.tobytes() == other.estimate(0).fault.tobytes()
-
-
-def test_without_efforts_that_hold_gravity_only_jumps_are_found():
-    arm = replace(shoulder_arm('independent'), effort_includes_gravity=False)
-    monitor, _ = watched(arm, Fault('encoder2', 'bias', 1.0, size=0.01), duration=2.0)
-    assert [(alarm.sensor, alarm.kind) for alarm in monitor.alarms] == [('encoder2', 'bias')]
-    assert set(monitor.estimate(0).state) == {SensorState.ERROR, SensorState.NOT_DIAGNOSABLE}
-
-
-@pytest.mark.parametrize('joint', [1, 2])
-def test_drift_and_bias_of_an_independent_rate_are_told_apart(joint):
-    arm, name = shoulder_arm('independent'), f'encoder{joint + 1}'
-    monitor, _ = watched(arm, Fault(f'encoder{joint + 1}', 'drift', 4.0, rate=0.1))
-    assert (monitor.alarms[0].sensor, monitor.alarms[0].kind) == (name, 'drift')
-    assert monitor.alarms[0].detected < 6.5
-    run = simulated(arm)
-    run.samples[2000:, 1, joint] += 0.2
-    monitor = watch(arm, run)
-    assert {(a.sensor, a.kind) for a in monitor.alarms} == {(name, 'rate_bias')}
-    assert monitor.alarms[0].size == pytest.approx(0.2, abs=0.03)

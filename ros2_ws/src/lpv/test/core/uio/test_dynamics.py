@@ -13,34 +13,11 @@ from hypothesis import strategies as st
 from parts import energy
 
 from lpv.core.support.errors import ConfigError
-from lpv.core.uio.model.dynamics import acceleration, friction, inverse_dynamics, runge_kutta_step
+from lpv.core.uio.model.dynamics import acceleration, friction, inverse_dynamics
 
 ANGLE = st.floats(-math.pi, math.pi)
 RATE = st.floats(-8.0, 8.0)
 TORQUE = st.floats(-50.0, 50.0)
-
-
-def roll(state, dt, steps, c):
-    """An arm that falls without torque."""
-
-    def slope(x):
-        return np.array([x[2], x[3], *acceleration(*x, 0.0, 0.0, c)])
-
-    state = np.array(state)
-    for _ in range(steps):
-        state = runge_kutta_step(slope, state, dt)
-    return state
-
-
-def test_given_half_the_step_when_integrated_then_the_error_falls_by_two_to_the_fourth(arm):
-    c = replace(arm, viscous=(0.0, 0.0), coulomb=(0.0, 0.0)).constants()
-    state, span = (0.4, -0.7, 1.5, -2.0), 0.4
-    exact = roll(state, span / 1280, 1280, c)
-    assert abs(energy(*exact, c) - energy(*state, c)) < 1e-9 * c.gravity[0]
-    coarse = np.abs(roll(state, span / 40, 40, c) - exact).max()
-    fine = np.abs(roll(state, span / 80, 80, c) - exact).max()
-    assert 13.0 < coarse / fine < 19.0
-    assert fine > 1e-13  # above rounding, so that the quotient means something
 
 
 @given(ANGLE, ANGLE, RATE, RATE, TORQUE, TORQUE)

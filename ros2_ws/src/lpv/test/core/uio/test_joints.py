@@ -49,24 +49,6 @@ def test_given_both_arms_when_upright_or_hanging_then_zeros_and_torques_are_thos
     np.testing.assert_allclose(hanging.absolute_position([0.2, 0.3]), expected)
 
 
-@pytest.mark.parametrize(
-    ('name', 'fault', 'joint', 'absolute'),
-    [
-        ('real_model', (0.3, 0.0), (0.3, 0.0), (0.3, 0.3)),  # both links behind the encoder shift
-        ('real_model', (0.0, 0.3), (0.0, 0.3), (0.0, 0.3)),
-        ('paper_model', (0.3, 0.0), (0.3, -0.3), (0.3, 0.0)),
-    ],
-)
-def test_given_a_sensor_that_is_wrong_when_read_then_joints_and_links_shift_as_it_is_mounted(
-    request, name, fault, joint, absolute
-):
-    joints, q = JointMap(request.getfixturevalue(name)), np.array([0.4, -0.2])
-    wrong = joints.joint_from_sensor(joints.sensor_position(q) + fault)
-    np.testing.assert_allclose(wrong - q, joint, atol=1e-15)
-    shift = joints.absolute_position(wrong) - joints.absolute_position(q)
-    np.testing.assert_allclose(shift, absolute, atol=1e-15)
-
-
 def test_given_a_batch_when_converted_then_every_row_is_converted_alone(arm):
     batch = np.random.default_rng(1).normal(size=(4, 3, 2))
     for pair in conversions(JointMap(arm)):

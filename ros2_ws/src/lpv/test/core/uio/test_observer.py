@@ -58,17 +58,6 @@ def test_given_the_first_sample_when_taken_then_it_is_believed_and_called_initia
     assert update(observer, 6 * TS, *swing.sample(0.012)).mode == Mode.OBSERVING
 
 
-@pytest.mark.parametrize('sensor', [0, 1])
-def test_given_a_step_fault_when_it_starts_then_its_own_sensor_shows_it_in_the_same_sample(
-    observer, swing, sensor
-):
-    follow(observer, swing, 0, 500)
-    fault = 0.3 * np.eye(2)[sensor]
-    estimate = update(observer, 501 * TS, *swing.sample(1.002, fault=fault))
-    np.testing.assert_allclose(estimate.fault, fault, atol=5e-4)
-    np.testing.assert_allclose(estimate.position, swing.position(1.002), atol=5e-4)
-
-
 def test_given_noise_at_rest_when_started_on_many_samples_then_the_start_value_is_their_mean(
     paper_arm, paper_gains
 ):

@@ -134,13 +134,6 @@ def test_given_the_pseudo_inverse_when_formed_then_it_is_the_smallest_solution_o
     np.testing.assert_allclose(delta, np.linalg.inv(sigma.T @ sigma) @ sigma.T, atol=1e-14)
 
 
-def test_given_the_exact_decoupling_when_formed_then_positions_feed_the_fault_alone(arm):
-    _, (d, t1, t2) = both_designs(arm)
-    np.testing.assert_array_equal(t2, np.eye(6, 4, -4))
-    np.testing.assert_array_equal(t1[:4, :4], np.eye(4))
-    assert np.linalg.norm(t1 @ d.bd) > 0.1  # the disturbance is attenuated, not decoupled
-
-
 # ------------------------------------------------------------------ the recursions
 
 
