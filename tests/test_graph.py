@@ -173,6 +173,9 @@ def run_here():
         (SimulatorNode, (ARM,), 'scenario_file: must be set'),
         (RecorderNode, ('output:=/proc/nothing/bag',), 'cannot be written'),
         (ViewNode, (ARM, 'port:=70000'), 'port'),
+        (ViewNode, (), 'arm_file: must be set'),
+        (ViewNode, (ARM, 'scenario_file:=/no/x.yaml'), 'neither a file nor shipped'),
+        (ViewNode, (ARM, 'address:=192.0.2.1', 'port:=0'), r'cannot listen on 192\.0\.2\.1'),
     ],
 )
 def test_given_a_node_that_cannot_start_when_run_then_it_says_why_and_ends_with_code_1(

@@ -16,16 +16,13 @@ from places import BRINGUP
 pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
 aiohttp = pytest.importorskip('aiohttp')
 
-from hostile import node_of  # noqa: E402
 from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
 from test_view_foxglove import Viewer, connect, decode  # noqa: E402
 from visualization_msgs.msg import MarkerArray  # noqa: E402
 
 from lpv.core.export.urdf import arm_urdf  # noqa: E402
-from lpv.core.support.errors import ConfigError  # noqa: E402
 from lpv_msgs.srv import ClearFaults  # noqa: E402
-from lpv_node.view.node import ViewNode  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
@@ -84,22 +81,6 @@ def scenario_file(folder):
     path = folder / 'scenario.yaml'
     path.write_text('name: to_and_fro\nduration: 1000.0\npath:\n  waypoints:\n' + points)
     return path
-
-
-@pytest.mark.parametrize(
-    ('parameters', 'told'),
-    [
-        ({}, 'arm_file: must be set'),
-        ({'arm_file': ARM, 'scenario_file': '/no/x.yaml'}, 'neither a file nor shipped'),
-        ({'arm_file': ARM, 'address': '192.0.2.1'}, r'cannot listen on 192\.0\.2\.1'),
-    ],
-)
-def test_given_a_view_that_cannot_start_when_set_up_then_it_says_why(parameters, told):
-    with (
-        pytest.raises(ConfigError, match=told),
-        node_of(ViewNode, 'view', foxglove_port=0, port=0, **parameters),
-    ):
-        pass
 
 
 @pytest.fixture(scope='module')
