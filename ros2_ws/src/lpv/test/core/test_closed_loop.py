@@ -215,7 +215,7 @@ def test_given_saturation_when_the_error_lasts_then_the_integral_does_not_wind_u
     np.testing.assert_array_equal(controller.integral, 0.0)
 
 
-@pytest.mark.xfail(reason='an offset below minimum_threshold is raised')
+@pytest.mark.xfail(reason='an offset below minimum_threshold is raised', strict=True)
 def test_given_a_stricter_tuning_when_run_then_it_reaches_the_diagnosis(
     paper_arm, paper_gains, two_faults
 ):

@@ -87,7 +87,8 @@ DRIFT = 'moves the estimate of the next joint instead'
     [
         Fault('rail_encoder', 'bias', 3.0, size=0.03),
         pytest.param(
-            Fault('rail_encoder', 'drift', 3.0, rate=0.05), marks=pytest.mark.xfail(reason=DRIFT)
+            Fault('rail_encoder', 'drift', 3.0, rate=0.05),
+            marks=pytest.mark.xfail(reason=DRIFT, strict=True),
         ),
         Fault('shoulder_lift_encoder', 'bias', 3.0, size=0.1),
     ],
