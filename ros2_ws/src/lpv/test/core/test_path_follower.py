@@ -103,19 +103,3 @@ def test_given_a_stop_in_an_approach_when_it_goes_on_then_it_approaches_the_same
     np.testing.assert_allclose(rows['position'][0], half, atol=1e-12)
     time = 2.998 - 1.875 * np.abs(half - target).max() / 0.5
     np.testing.assert_allclose(rows['position'][-1], path.sample(time).position, atol=1e-9)
-
-
-@pytest.mark.parametrize('offset', [0.0, 0.6])
-def test_given_many_times_when_looked_ahead_then_they_are_those_of_one_by_one(
-    paper_arm, path, offset
-):
-    guide, other = PathFollower(path), PathFollower(path)
-    for begin, position in ((0, path.sample(0.0).position + offset), (10**10, (1.2, 1.3))):
-        rows = follow(guide, position, begin, 4.0)
-        other.reference(begin, position)
-        stamps = begin + STEP * np.arange(2000)
-        ahead = other.ahead(stamps)
-        for name, values in rows.items():
-            np.testing.assert_array_equal(getattr(ahead, name), values, err_msg=name)
-        guide.stop()
-        other.stop(int(stamps[-1]))

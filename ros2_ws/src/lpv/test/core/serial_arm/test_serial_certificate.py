@@ -185,12 +185,6 @@ def test_given_any_changed_number_when_verified_then_the_checksum_tells(ur10, tm
     assert load_loop_gains(tmp_path / 'gains.yaml').rate_share == changed.rate_share
 
 
-def test_given_another_arm_when_verified_then_it_is_refused(ur10):
-    arm, gains = ur10
-    with pytest.raises(ConfigError, match='is for another arm'):
-        verify_loop(replace(arm, gravity=9.8), gains)
-
-
 def test_given_a_file_with_a_bandwidth_only_when_loaded_then_it_says_what_is_missing(tmp_path):
     path = tmp_path / 'gains.yaml'
     path.write_text('/**: {ros__parameters: {bandwidth: 10.0}}\n', encoding='utf-8')
