@@ -7,6 +7,7 @@ import pinocchio
 import pytest
 from serial_arms import URDF
 
+from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.chain import compile_chain, make_chain
 from lpv.core.serial_arm.dynamics.kinematics import forward_kinematics
 from lpv.core.serial_arm.dynamics.model import SerialModel
@@ -45,6 +46,14 @@ def test_gripper_is_locked_where_it_was_told_and_axes_point_anywhere(small):
     expected = data.oMf[full.getFrameId('left')].translation
     tip = forward_kinematics(compile_chain(found), q[:2])[1]
     np.testing.assert_allclose(tip, expected, atol=1e-12)
+
+
+def test_arm_file_with_a_urdf_alone_has_its_joints(small, tmp_path):
+    found = small(locked={'finger': 0.03})
+    text = '{kind: serial_arm, name: small, urdf: small.urdf, locked: {finger: 0.03}}'
+    (tmp_path / 'arm.yaml').write_text(text)
+    arm = load_arm(tmp_path / 'arm.yaml')
+    assert (arm.joints, arm.locked) == (found.joints, found.locked) and len(arm.joints) == 2
 
 
 def test_base_on_the_wall_turns_gravity(small):
