@@ -6,15 +6,16 @@ import numpy as np
 import numpy.typing as npt
 
 from lpv.core.serial_arm.chain import FloatArray, IntArray
+from lpv.core.serial_arm.diagnosis.monitor import LONGEST_STEP
+from lpv.core.serial_arm.diagnosis.sampling import DELAY
 from lpv.core.serial_arm.sensor_map import map_vector
 from lpv.core.support.jit import njit_in_place
 from lpv.core.support.records import record_type
 from lpv.core.support.timestamps import NANOSECONDS, NEVER
 
-BRIDGED = 6
-"""Samples over which a reading that jumps is carried on by its rate: by then the jump is known."""
-_LONGEST_STEP = 10.0
-"""Sample times after which nothing is carried on."""
+BRIDGED = DELAY + 1
+"""Samples over which a reading that jumps is carried on by its rate: by then the jump is known, or
+has entered the balance."""
 
 
 class Compensation(NamedTuple):
@@ -184,7 +185,7 @@ def _step(
     """Time since the sample before, whether it is near, and the rate of fading."""
     follows = work.stamp[0] != NEVER
     interval = (stamp - work.stamp[0]) / NANOSECONDS if follows else 0.0
-    return interval, follows and interval < _LONGEST_STEP * sample_time, fading
+    return interval, follows and interval < LONGEST_STEP * sample_time, fading
 
 
 @njit_in_place

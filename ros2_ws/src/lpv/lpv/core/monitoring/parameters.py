@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+from lpv.core.serial_arm.description import SIGMAS
+
 
 @dataclass(frozen=True)
 class DiagnosisParameters:
@@ -13,7 +15,7 @@ class DiagnosisParameters:
     smallest_step: float = 0.005  # smaller jumps of a reading are no faults [rad]
     clear_dwell: float = 0.5  # for which a fault must be over before its alarm ends [s]
     latch: bool = False  # alarms stay until they are reset, even if the fault is over
-    sigmas: float = 4.0  # standard deviations in a bound
+    sigmas: float = SIGMAS  # standard deviations in a bound
     # how fast a compensation without a known step is faded in and out [rad/s]
     compensation_rate: float = 0.5
     # a confirmed fault that is removed with a wider bound stops the arm [rad]

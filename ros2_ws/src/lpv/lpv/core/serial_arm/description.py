@@ -17,6 +17,8 @@ JOINT_TYPES = ('revolute', 'prismatic')
 """A joint turns about its axis, or moves along it."""
 RATE_BIAS = 0.1
 """Bias of a rate sensor, over the standard deviation of its noise."""
+SIGMAS = 4.0
+"""Standard deviations in a bound, unless asked otherwise: 1 in 16 000 normal errors is larger."""
 RATE_SOURCES = ('independent', 'derived', 'none')
 """Where measured rates come from: a sensor of their own, differences of positions, nowhere."""
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lpv.core.serial_arm.chain import FloatArray, IntArray
-from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.description import SIGMAS, SerialArm
 from lpv.core.support.jit import njit_in_place as njit
 from lpv.core.support.records import memory, new_record, plain, record_type
 from lpv.core.uio.bound.error_bound import (
@@ -186,7 +186,7 @@ class UnknownInputObserver:
         arm: SerialArm,
         gains: Gains,
         choice: str = CHOICES[0],
-        sigmas: float = 4.0,
+        sigmas: float = SIGMAS,
         initial_samples: int = 1,
         max_gap: float = 0.1,
     ) -> None:

@@ -26,7 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lpv.core.serial_arm.chain import FloatArray, IntArray
-from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.description import RATE_BIAS, SerialArm
 from lpv.core.serial_arm.diagnosis.balance import (
     DRIFT,
     EPOCH,
@@ -91,8 +91,6 @@ ENCODER_KINDS = ('drift', 'scale', 'slip', 'stuck')
 """Faults of a position sensor (with the rate that is derived from it)."""
 SIZE = {'drift': 0.3, 'slip': 0.2, 'scale': 0.2, 'rate_bias': 0.3, 'torque_gain': 0.5}
 """Standard deviations of faults' sizes [rad/s], [rad], [-], [rad/s], [-]."""
-RATE_BIAS = 0.1
-"""Bias of a healthy rate sensor, over its noise a sample."""
 NEGLIGIBLE = 5e-4
 """Errors of readings, and of rates in a quarter of a second, that are no faults, however little
 noise the file states [rad], times `SerialJoint.scale`."""
@@ -739,7 +737,7 @@ def learn_rows(own: Kinematics, interval: float) -> None:
     for i in range(n):
         expected = max(2.0 * (2.0 * own.ends[i] + own.walk[i] * interval), _BEFORE)
         change = own.rows[most - 1, i] - own.rows[most - 2, i]
-        bounded = min(change * change / expected, 9.0 * own.inflation[i])
+        bounded = min(change * change / expected, ROBUST**2 * own.inflation[i])
         own.inflation[i] = max(own.inflation[i] + (bounded - own.inflation[i]) / 64.0, 1.0)
         if own.trusted[i]:
             rate = own.edges[most - 1, i]
@@ -852,4 +850,4 @@ class KinematicRows:
         if len(rows) == 0:
             return False
         left = rows.sum() - taken_out * len(rows) * self._interval
-        return bool(left**2 < 9.0 * self._variance_of_last(joint, len(rows)))
+        return bool(left**2 < ROBUST**2 * self._variance_of_last(joint, len(rows)))

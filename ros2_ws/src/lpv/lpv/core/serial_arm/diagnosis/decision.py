@@ -140,7 +140,7 @@ def add_noise(
         rounded, noisy = 0.0, 0.0
         for j in range(n):
             # Means of derived rates hold the errors of the readings where two intervals begin and
-            # end.
+            # end, once, twice and once.
             rates = 6.0 * sampler.derived[j] * (momenta[i, j] / interval[0]) ** 2
             if np.isfinite(sampler.grain[j]):
                 rounded += rates * sampler.grain[j] * sampler.grain[j] / 12.0

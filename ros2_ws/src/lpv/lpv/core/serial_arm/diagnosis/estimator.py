@@ -63,19 +63,21 @@ STATIC = 0.6
 _FAST = 3.0
 """Usual rate of a joint whose limit is higher [rad/s]."""
 _LINEAR_WITHIN = 0.05
-"""Change of an offset after which the horizon is linearised again [rad]."""
-_SURE = 3.0
-"""... and by so many of its standard deviations."""
+"""Change of an offset after which the horizon is linearised again, if it is no chance: beyond
+`ROBUST` of its standard deviations [rad]."""
 _NOISE_SAMPLES = 20
 """Balances after which what is seen of the noise counts as much as what is expected."""
 NOISE_KNOWN_AFTER = 3.0
 """Before, noise is learned in any case; what acts from outside is not told from it [s]."""
 _NOISE_EVERY = 10
 """Balances after which the noise is learned anew."""
-_LARGEST_INFLATION = 15.0
-_LARGEST_REST = 10.0
 _LAGS = 8
 """Balances over which what the model does not explain is correlated."""
+_LARGEST_INFLATION = 2.0 * _LAGS - 1.0
+"""1 + 2 sum of autocorrelations of one each: what never changes over these lags."""
+_LARGEST_FACTOR = 10.0
+"""What is learned of the noise is that of the file within this factor: beyond, file or units are
+wrong, which `misfit` reports."""
 PAST_WEIGHT = 0.998
 """Factor of what was learned, each balance."""
 _POSE_TIME = 0.5
@@ -352,10 +354,10 @@ def learn_noise(window: Window, null: Posterior) -> None:
         expected = null.expected[i]
         moving = values[: _sizes(window, null, i, 0.0, values)]
         noise = _learned_size(moving, expected)
-        null.noise[i] = min(max(noise, 0.1 * expected), 10.0 * expected)
+        null.noise[i] = min(max(noise, expected / _LARGEST_FACTOR), _LARGEST_FACTOR * expected)
         resting = values[: _sizes(window, null, i, 1.0, values)]
         rest = _learned_size(resting, null.expected_rest[i] * null.noise[i])
-        null.rest[i] = min(max(rest / null.noise[i], 1.0), _LARGEST_REST)
+        null.rest[i] = min(max(rest / null.noise[i], 1.0), _LARGEST_FACTOR)
         if trusted >= 10:
             k = 0
             for back in range(count):
@@ -393,7 +395,7 @@ def _learned_size(sizes: FloatArray, expected: float) -> float:
         return expected
     sort(sizes)
     median = 0.5 * (sizes[(count - 1) // 2] + sizes[count // 2])
-    size, share = 1.4826 * median, _share(count)
+    size, share = 1.4826 * median, _share(count)  # of normal ones: 1 / Phi^-1(3/4)
     return float(np.sqrt((1.0 - share) * expected * expected + share * size * size))
 
 
@@ -418,7 +420,7 @@ def has_moved(window: Window, level: Posterior, balance: Balance, since: IntArra
     largest = 0.0
     for i in range(balance.reference.shape[0]):
         step = abs(level.mean[i] - balance.reference[i])
-        if step > _SURE * level.sigma[i]:
+        if step > ROBUST * level.sigma[i]:
             largest = max(largest, step)
     return since[0] >= max(3, window.counters[COUNT] // 10) and largest > _LINEAR_WITHIN
 
@@ -510,7 +512,7 @@ class OffsetEstimator:
         step = self.level.mean[: self.joints] - self.balance.reference
         # The columns of the offsets are those of the nominal arm: what it carries is not in them.
         # Where gravity says little, the search would run away from the truth.
-        return np.where(np.abs(step) > _SURE * self.level.sigma, step, 0.0)
+        return np.where(np.abs(step) > ROBUST * self.level.sigma, step, 0.0)
 
     def linearise(self, blocks: FloatArray) -> None:
         """Evaluate the balances of the horizon again, at the present estimate of the offsets.

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lpv.core.serial_arm.chain import FloatArray, IntArray, compile_chain
-from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.description import SIGMAS, SerialArm
 from lpv.core.serial_arm.diagnosis.estimator import PAST_WEIGHT, OffsetEstimator, Posterior
 from lpv.core.serial_arm.diagnosis.healthy_balance import (
     HealthyBalance,
@@ -32,8 +32,6 @@ from lpv.core.serial_arm.diagnosis.parameter_set import parameter_set, payload_g
 from lpv.core.serial_arm.sensor_map import map_rows, map_vector
 from lpv.core.support.jit import njit_in_place
 
-SIGMAS = 4.0
-"""Standard deviations of noise that a guarantee holds for."""
 OTHERS = 1.0
 """Offsets of the other sensors that do not move an estimate across its threshold [rad]."""
 SLACK, NOISE, LENGTH = range(3)

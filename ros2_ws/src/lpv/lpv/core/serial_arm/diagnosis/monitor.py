@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from lpv.core.serial_arm.certificate.jump_bound import jump_bound
 from lpv.core.serial_arm.chain import FloatArray, IntArray
-from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.description import SIGMAS, SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import SensorState
 from lpv.core.serial_arm.diagnosis.bank import CONTACT, OCCURRENCE, Bank, Hypothesis
 from lpv.core.serial_arm.diagnosis.decision import (
@@ -61,10 +61,10 @@ from lpv.core.serial_arm.sensor_map import map_rows, mixing
 from lpv.core.support.errors import SampleError
 from lpv.core.support.jit import Entries
 from lpv.core.support.records import memory, new_record, plain
+from lpv.core.support.timestamps import NANOSECONDS
 
 BoolArray = npt.NDArray[np.bool_]
 
-NANOSECONDS = 1_000_000_000
 LONGEST_STEP = 10.0
 """Sample times after which the next sample begins anew."""
 CONTACT_TIME = 1.0
@@ -91,7 +91,7 @@ class MonitorSettings:
     widest_level: float = 0.1  # standard deviation of an offset that says nothing [rad]
     clear_dwell: float = 0.5  # for which a fault must be over before its alarm ends [s]
     latch: bool = False  # whether alarms stay until `SerialMonitor.reset`
-    sigmas: float = 4.0  # standard deviations in a bound
+    sigmas: float = SIGMAS  # standard deviations in a bound
     horizon: float = 10.0  # [s]
 
     def threshold(self, interval: float) -> float:
@@ -800,7 +800,7 @@ class SerialMonitor:
             sensor.level = True
             sensor.unproved = not guaranteed
             fault, deviation = self.faults()
-            share = 1.0 - math.exp(-min(float(gain[i]), 50.0))
+            share = 1.0 - math.exp(-float(gain[i]))
             self._raise(int(i), 'bias', 0.0, float(fault[i]), float(deviation[i]), guaranteed,
                         share)  # fmt: skip
         self._mark_suspects()
@@ -834,12 +834,12 @@ class SerialMonitor:
 
     def _end_faults(self, now: float) -> Stage:
         """Faults that are over are cleared once they have been over for long enough."""
-        sigma, level = self.faults()[1], self.estimator.level
+        sigma, level, sigmas = self.faults()[1], self.estimator.level, self.settings.sigmas
         for i, sensor in enumerate(self.sensors):
             if not sensor.active:
                 continue
             # Gravity's word counts where it was confirmed, or is sure beside the fault.
-            counts = sensor.level or 4.0 * level.sigma[i] < sensor.peak
+            counts = sensor.level or sigmas * level.sigma[i] < sensor.peak
             left = float(self.taken_out()[i] + counts * level.mean[i])
             if sensor.kind == 'noise':
                 over = self.sampler.noisy[i] == 0
@@ -849,7 +849,7 @@ class SerialMonitor:
                     self._lose_count(i)
             else:
                 smallest = self.settings.smallest_level * self.scales[i]
-                limit = 0.7 * max(smallest, 4.0 * sigma[i])
+                limit = 0.7 * max(smallest, sigmas * sigma[i])
                 over = abs(left) < min(0.3 * sensor.peak, limit)
             sensor.unseen &= over or not self._shows(i)
             if sensor.watch_end(over, now, self.settings.clear_dwell, abs(left)):
@@ -871,7 +871,8 @@ class SerialMonitor:
         """Whether a fault of sensor i would be seen to be over, if it were."""
         sensor = self.sensors[i]
         largest = max(sensor.peak, self.settings.smallest_level)
-        return sensor.kind in {'noise', 'stuck'} or 4.0 * self.estimator.level.sigma[i] < largest
+        bound = self.settings.sigmas * self.estimator.level.sigma[i]
+        return sensor.kind in {'noise', 'stuck'} or bool(bound < largest)
 
     def _moved_on(self, i: int) -> bool:
         """Whether a reading has moved for long enough for a jump to have been seen."""

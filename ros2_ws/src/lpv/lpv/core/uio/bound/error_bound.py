@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from lpv.core.serial_arm.description import RATE_BIAS
+from lpv.core.serial_arm.description import RATE_BIAS, SIGMAS
 from lpv.core.support.jit import njit_in_place as njit
 from lpv.core.support.records import new_record, record_type
 from lpv.core.uio.bound.dead_reckoning_interval import (
@@ -96,7 +96,7 @@ BOUND_STATE = record_type(
 """Reachable set of the errors; r_i = s m_i/Xi_ii is the momentum error in units of a rate."""
 
 
-def error_bound(arm: ArmParameters, gains: Gains, sigmas: float = 4.0) -> np.record:
+def error_bound(arm: ArmParameters, gains: Gains, sigmas: float = SIGMAS) -> np.record:
     """Constants of the bound, of type `BOUND_CONSTANTS`, with ``sigmas`` standard deviations of
     noise."""
     observer = gains.observer

@@ -17,7 +17,7 @@ import math
 
 import numpy as np
 
-from lpv.core.serial_arm.description import RATE_BIAS
+from lpv.core.serial_arm.description import RATE_BIAS, SIGMAS
 from lpv.core.support.jit import njit_in_place as njit
 from lpv.core.support.records import new_record, record_type
 from lpv.core.uio.model.arm import ARM_CONSTANTS, ArmParameters
@@ -54,7 +54,7 @@ MOTION = record_type(
 """The signals that unknown parameters multiply."""
 
 
-def healthy_arm(arm: ArmParameters, sigmas: float = 4.0) -> np.record:
+def healthy_arm(arm: ArmParameters, sigmas: float = SIGMAS) -> np.record:
     """What a healthy arm may do that its model does not say, of type `UNKNOWN_TORQUE`."""
     sensor = JointMap(arm).sensor_matrix
     inverse = np.linalg.inv(sensor)
