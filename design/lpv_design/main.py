@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from lpv_design.guarantee import Guarantee
 
 EXIT_INFEASIBLE, EXIT_BAD_INPUT, EXIT_NOT_DETECTABLE = 1, 2, 3
+"""Exit codes."""
 
 
 def run(

@@ -33,6 +33,7 @@ _ATTRIBUTES = {
 _SHOW_ARGS = ('-s', '--show-args')
 _SUBSTITUTION = re.compile(r'\$\(([a-z-]+)')
 _MOST_INCLUDES = 50
+"""Files inside each other from which on one includes itself."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

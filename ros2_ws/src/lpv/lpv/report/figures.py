@@ -58,6 +58,7 @@ _LINES = {
     history.TOO_FAST: '#d01c3b',
 }
 _WIDTH, _HALF = 8.6, 0.32
+"""Width of a figure [inch]; half the height of a bar, whose rows are 1 apart."""
 
 
 def draw_all(run: 'Run') -> Iterator[tuple[str, Figure]]:

@@ -36,6 +36,7 @@ SETTINGS: Any = {
     'figure.constrained_layout.w_pad': 0.05,
 }  # fmt: skip
 _POINTS = 1500
+"""Points of a curve: more than a figure has pixels across."""
 SPARSE: dict[str, Any] = {'handlelength': 1.7, 'columnspacing': 1.3, 'handletextpad': 0.5}
 """Spacing of legends that stand in one row."""
 

@@ -51,7 +51,9 @@ scenario_file FILE   scenario file of this run, copied into the bag as scenario.
           'patterns of topics that "all" leaves out, as of a shell, against full names'),
 )  # fmt: skip
 _POLL = 0.01
+"""Between two looks at what has come [s]."""
 _CHUNK_TIME = 250_000_000
+"""Chunks hold so much time of the data in lockstep, so that bags of equal runs are equal [ns]."""
 _SPARE = 1 << 20
 """Free space that is left alone: what is to be written when all is over needs some [bytes]."""
 

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Mapping
 from lpv.core.support.errors import ConfigError
 
 _SHORTEST_TOKEN = 16
+"""Characters of a token: 64 bits in hexadecimal."""
 
 
 class Access:

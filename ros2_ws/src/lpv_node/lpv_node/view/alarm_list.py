@@ -8,6 +8,7 @@ from lpv.core.support.timestamps import NANOSECONDS, to_nanoseconds
 RAISED, UPDATED, CLEARED = range(3)
 Row = dict[str, Any]
 _MOST_ROWS, _MOST_TEXT = 200, 100
+"""Rows of the list, and characters of a text, that are kept: both come from the network."""
 
 
 def seconds(nanoseconds: int) -> float:

@@ -12,6 +12,7 @@ from lpv.core.support.errors import LpvError
 Reply = Callable[[bool, str], None]
 """Told whether a command succeeded, and a text."""
 _LARGEST, _MOST_TEXT = 1e6, 256
+"""Largest number, as of a fault, and most characters of a token, that a client may send."""
 
 
 class CommandError(LpvError):

@@ -36,6 +36,7 @@ _BAND_SCHEMA = {
 _BACKLOG = 256
 """Messages that wait for one slow client; then the oldest are dropped."""
 _LARGEST_REQUEST, _LARGEST_MESSAGE = 1 << 16, 1 << 22
+"""Largest message of a client, and of the graph [bytes]."""
 
 
 class FoxgloveBridge:

@@ -26,6 +26,8 @@ WINDOW = 30.0
 QUIET = 1.0
 """A source that was silent for this long is no longer shown as live [s]."""
 _MOST_SAMPLES, _MOST_STATUSES, _MOST_TEXT = 1500, 14, 300
+"""Samples of the history, statuses beside those of the joints, characters of a text: all come from
+the network."""
 _ARRAYS = {
     'joint_states': (),
     'state_estimate': ('position',),

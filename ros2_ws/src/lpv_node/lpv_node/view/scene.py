@@ -20,7 +20,9 @@ ARMS = {
 """Colour of each arm: red, green, blue, alpha."""
 MARKERS, TRANSFORMS = 'visualization_msgs/msg/MarkerArray', 'tf2_msgs/msg/TFMessage'
 _LINE_STRIP, _SPHERE_LIST, _CYLINDER = 4, 7, 3
+"""Types of visualization_msgs/Marker."""
 _LIFETIME = 500_000_000
+"""An arm that is not drawn anew disappears after this time [ns]."""
 
 
 class Scene:

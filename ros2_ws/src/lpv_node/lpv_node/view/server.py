@@ -24,6 +24,7 @@ LARGEST_MESSAGE = 4096
 HEARTBEAT = 6.0
 """Interval of pings; a client that answers none for half of it loses its place [s]."""
 _MOST_WRONG_TOKENS, _WRONG_TOKEN_DELAY = 5, 0.5
+"""Wrong tokens after which a client is dropped, and the time that each one costs it [s]."""
 _MOST_RATE, _BURST = 10.0, 30.0
 """Messages of one client [1/s], and how many at once."""
 _FILES = {

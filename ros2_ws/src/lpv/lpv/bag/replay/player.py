@@ -33,6 +33,7 @@ _SETTLING = 1.0
 _LAST_CALL = 5.0
 """How long slow subscribers may take for the last messages [s]."""
 _DEEPEST = 20000
+"""Deepest queue, whatever a recorded publisher offered: messages wait in memory."""
 _LONGEST_NAP = 0.1
 """A player that is told to end is awake at least so often [s]."""
 

@@ -22,7 +22,8 @@ from lpv.bag.errors import BagError, DamageError
 
 MAX_CHUNK = 1 << 27
 """Largest chunk that is read, decompressed [bytes]."""
-_MAX_RECORD = 1 << 28
+_MAX_RECORD = 2 * MAX_CHUNK
+"""Largest record: a chunk that compression made no smaller, with its index [bytes]."""
 _KINDS: dict[int, Any] = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel}
 
 

@@ -31,6 +31,7 @@ RECORD_NAME = 'lpv_recorder'
 Known = dict[str, dict[str, int]]
 """What a recorder knows of each topic: messages, lost, late."""
 _MAX_BYTES = 1 << 26
+"""Largest metadata.yaml that is read: files from elsewhere must not fill the memory."""
 _DUMPER = getattr(yaml, 'CSafeDumper', yaml.SafeDumper)
 _FOREVER = QosTime(2147483647, 4294967295)
 

@@ -14,10 +14,10 @@ from lpv.bag.rosbag.messages import write_joint_states
 from lpv.bag.rosbag.writing import BagWriter
 from lpv.core.support.config import Section, read_yaml
 from lpv.core.support.errors import LpvError
+from lpv.core.support.timestamps import LAST_STAMP
 
 TIME_UNITS = {'s': 1_000_000_000, 'ms': 1_000_000, 'us': 1000, 'ns': 1}
 ANGLE_UNITS = {'rad': 1.0, 'deg': math.pi / 180.0}
-_LATEST = 2**31 * 1_000_000_000
 
 
 class CsvError(LpvError):
@@ -133,7 +133,7 @@ def _samples(
                 if last < 0 and columns.start is not None:
                     offset = round(columns.start * 1e9) - time
                 stamp = time + offset
-                if not 0 <= stamp < _LATEST:
+                if not 0 <= stamp <= LAST_STAMP:
                     raise row.error(columns.time)
             except CsvError as error:
                 # In the very last line it is that of a recording that was cut off.

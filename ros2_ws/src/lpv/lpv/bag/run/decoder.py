@@ -13,6 +13,7 @@ from lpv.core.support.errors import SampleError
 from lpv.core.support.timestamps import to_nanoseconds
 
 MOST_LAYOUTS = 8
+"""Shapes of one topic's messages that are learnt; each is tried on every block."""
 _MOST_ATTEMPTS = 32
 """Messages from which a shape is to be learnt; then they are read one by one."""
 Columns = tuple[Any, int]

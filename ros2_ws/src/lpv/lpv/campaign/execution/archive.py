@@ -24,6 +24,7 @@ _METADATA, _STORAGE = 'metadata.yaml', ('.mcap', '.db3')
 _UNIT = ('serial', 'unit')
 """Keys of a bag's custom data that name the arm, as ``ros2 bag record --custom-data`` sets them."""
 _LONGEST_ERROR = 500
+"""Characters of an error that a row keeps."""
 
 
 def archive_text(

@@ -10,6 +10,7 @@ from lpv.core.support.errors import ConfigError
 
 _KEYS = {'low', 'high', 'spacing', 'levels'}
 _MOST_CHOICES = 1000
+"""Values of one factor: grids are products of them, and bounded before they are built."""
 
 
 @dataclass(frozen=True)

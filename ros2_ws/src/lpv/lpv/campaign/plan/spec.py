@@ -16,6 +16,7 @@ from lpv.core.support.config import Section, read_yaml
 
 METHODS = ('factorial', 'random', 'latin_hypercube')
 MOST_RUNS = 10_000_000
+"""Runs of a campaign: their plan has to fit into memory."""
 NO_FAULT, BOTH = 'none', 'both'
 PATHS = ('scenario', 'random')
 _INF = math.inf

@@ -11,7 +11,9 @@ from matplotlib.ticker import PercentFormatter
 from lpv.report.style import BAND, INK, SENSOR, SETTINGS
 
 _LEAST_DELAY = 1e-3
+"""Least number on logarithmic axes, which have no zero."""
 _MOST_TRENDS = 6
+"""Trends that are drawn, clearest first."""
 
 
 def draw_all(numbers: dict[str, Any]) -> dict[str, Figure]:

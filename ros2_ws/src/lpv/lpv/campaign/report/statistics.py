@@ -15,9 +15,10 @@ from lpv.core.simulation.faults import KINDS
 LEVEL = 0.95
 """Confidence level of all intervals."""
 _FEWEST_CASES = 10
+"""Cases from which a smallest size that is found is given."""
 _FEWEST_BAGS = 5
 """Bags of one arm from which a trend is looked for."""
-_DAY = 86400e9
+_DAY = 86400e9  # [ns]
 DOSES = {
     'bias': ('size', 'rad'),
     'drift': ('rate', 'rad/s'),

@@ -36,7 +36,9 @@ from lpv.core.support.formatting import number, seconds
 from lpv.report.page import embedded, environment, finite
 
 _CLASSES, _LEVELS = 8, 12
+"""Classes of sizes, and values of a factor, that a table or figure has room for."""
 _MOST = 10
+"""Rows of tables that are examples; all are in the Parquet file."""
 _MOST_BAGS = 500
 """Rows of a table of bags; all are in the Parquet file."""
 

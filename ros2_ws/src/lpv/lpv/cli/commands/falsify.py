@@ -15,6 +15,7 @@ from lpv.core.uio.certificate.gains import load_gains
 from lpv.core.uio.planar import planar_model
 
 EXIT_CROSSED = 1
+"""Exit code where a healthy arm crossed a threshold."""
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -13,6 +13,7 @@ from lpv.bag.errors import BagError
 from lpv.bag.rosbag.recovery import Recovery, recover
 
 NOTHING_LOST, UNREADABLE, SOMETHING_LOST = 0, 1, 3
+"""Exit codes."""
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -34,6 +34,7 @@ from lpv_design.requirement import load_requirement, parse_requirement
 from lpv_design.solve import InfeasibleError
 
 EXIT_NOTHING = 1
+"""Exit code where nothing better was found."""
 COSTS = {
     'detection_delay': 2.0, 'missed': 1.0, 'unstable': 1.0, 'fault_rms_before': 0.5,
     'fault_rms_during': 0.5, 'tracking_rms_during': 0.5,
@@ -42,6 +43,8 @@ COSTS = {
 _RATES, _LEAST_RATE = ('missed', 'unstable', 'wrong_alarms', 'false_alarms'), 0.05
 """Figures that may be zero before the search, and what they count over then."""
 _TOLERANCE, _LEAST_GAIN, _RESAMPLES = 0.02, 0.02, 2000
+"""Share of the cost within which trials are equal, and that a change has to gain; resamples of the
+bootstrap that says whether it does, 50 of which are beyond either end of a 95 % interval."""
 _DIAGNOSIS = {'sigmas': 3.0, 'hours_between_false_alarms': 1.0, 'probability_of_wrong_name': 1e-6}
 """Least values: below its bound a threshold means nothing, whatever a campaign says."""
 _FIELD = re.compile(r'(observer|controller|diagnosis)\.(\w+)(?:\[(\d)\])?')

@@ -18,7 +18,7 @@ _FAR_CLOCK = 0.5
 """Largest difference between stamp and clock [s]."""
 _UNEVEN = 1.5
 """Largest ratio of measured to expected interval."""
-_DEGREES = 180.0 / np.pi
+_DEGREES = 180.0 / np.pi  # of a radian
 _FAR = 4.0 * np.pi
 """Positions beyond two turns are no angles of an arm in rad."""
 _MOTION = 0.05

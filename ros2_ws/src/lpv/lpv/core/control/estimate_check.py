@@ -18,7 +18,7 @@ from lpv.core.support.timestamps import NANOSECONDS, NEVER
 
 ROWS = ('position', 'compensated_position', 'measured_position', 'velocity', 'measured_velocity')
 """Fields of lpv_msgs/StateEstimate in the order in which `check_values` takes them."""
-_POSITIONS = 3
+_POSITIONS = 3  # of `ROWS`, the first ones
 _FARTHEST, _FASTEST = 100.0, 1e6
 """Positions [rad] and rates [rad/s] that no arm has: sixteen turns; rates above the velocity limit
 are judged by the watchdog."""
@@ -52,12 +52,13 @@ def check_values(values: np.ndarray) -> int:
 CHANGE_SHARE = 0.25
 """Rate at which a position may leave what the rates say: share of the velocity limit."""
 FADING = 0.5
-"""Fastest rate at which the rest of such a change reaches the loop [rad/s]."""
+"""Fastest rate at which the rest of such a change reaches the loop, as `compensation_rate`
+[rad/s]."""
 _RATE_SHARE = 0.1
 """Change of a rate between two samples that passes at once: share of the limit, at least."""
 _RATE_FADING = 10.0
 """Rate at which the rest of it does: of the velocity limit [1/s]."""
-_SIGMAS = 8.5
+_SIGMAS = 6.0 * math.sqrt(2.0)
 """Change of a reading between two samples by noise: six standard deviations of a difference."""
 
 

@@ -10,6 +10,7 @@ from lpv.core.uio.certificate.gains import Gains
 from lpv.core.uio.model.arm import ArmParameters
 
 _MOST_SAMPLES = 128
+"""Delay at which the search ends: each sample of it adds a state."""
 
 
 def tolerated_latency(arm: ArmParameters, gains: Gains) -> float:

@@ -23,6 +23,7 @@ _CHECKED = 501
 _SPACING = 0.04
 """Time between the poses of a Cartesian path that inverse kinematics solves [s]."""
 _MOST_POSES = 2001
+"""Poses that inverse kinematics solves at most; long paths have them at larger distances."""
 
 
 @dataclass(frozen=True)

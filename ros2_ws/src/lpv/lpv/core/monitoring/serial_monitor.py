@@ -26,6 +26,7 @@ from lpv.core.monitoring.stepped_monitor import Snapshot, SteppedMonitor, Told
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import Alarm, Mode, SensorState
+from lpv.core.serial_arm.diagnosis.information import ROBUST
 from lpv.core.serial_arm.diagnosis.monitor import LONGEST_STEP
 from lpv.core.serial_arm.sensor_map import map_rows, mixing
 from lpv.core.support.errors import SampleError
@@ -47,8 +48,6 @@ _WARM_UP = (0.3, 1.0)
 """Motion that makes every compiled function run, without and with those of suspected faults [s]."""
 _CONTACT = 'torques from outside: something pushes or holds the arm, or its load has changed'
 _JUMPS_ALONE = 'jumps of readings are found, offsets and drifts are not diagnosable'
-_LARGEST_MISFIT = 3.0
-"""Standard deviations by which a healthy arm differs from its file."""
 _MISFIT = (
     'motion and efforts do not fit the arm file, whatever sensor is blamed; lpv doctor (or lpv '
     'identify --calibrate, from a recording) names the likely cause: load, mounting, units, signs, '
@@ -716,7 +715,7 @@ class SerialSensorMonitor:
             return _CONTACT
         if self._snapshot.suspects:
             return 'inconsistent; what explains it: ' + ', '.join(self._snapshot.suspects)
-        return _MISFIT if self._snapshot.misfit > _LARGEST_MISFIT else ''
+        return _MISFIT if self._snapshot.misfit > ROBUST else ''
 
     def _new_warnings(self) -> list[str]:
         """What was not warned of before, whatever its details."""

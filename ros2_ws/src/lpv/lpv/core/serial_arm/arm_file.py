@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from lpv.core.serial_arm.chain import MAX_JOINTS
 from lpv.core.serial_arm.description import (
     JOINT_TYPES,
     RATE_SOURCES,
@@ -26,7 +27,7 @@ from lpv.core.serial_arm.description import (
     Uncertainty,
 )
 from lpv.core.serial_arm.old_arm_file import parse_two_links
-from lpv.core.serial_arm.urdf_chain import MAX_JOINTS, read_urdf_chain
+from lpv.core.serial_arm.urdf_chain import read_urdf_chain
 from lpv.core.support.config import Section, names_all_errors, read_yaml
 
 _OLD_KIND = 'serial_arm'
@@ -387,7 +388,9 @@ def _friction(section: Section) -> JointFriction:
         offset=friction.number('offset', 0.0, -1e6, 1e6),
         viscous=friction.number('viscous', 0.0, -1e6, 1e6),
         coulomb=friction.number('coulomb', 0.0, 0.0, 1e6),
-        coulomb_slope=friction.number('coulomb_slope', 100.0, above=0.0, high=1e6),
+        coulomb_slope=friction.number(
+            'coulomb_slope', JointFriction.coulomb_slope, above=0.0, high=1e6
+        ),
         load=friction.number('load', 0.0, 0.0, 1.0),
     )
     friction.finish()

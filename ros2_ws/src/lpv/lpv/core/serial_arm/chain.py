@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lpv.core.serial_arm.description import SerialArm, rotation_from_rpy
+from lpv.core.serial_arm.description import N_INERTIAL, SerialArm, rotation_from_rpy
 from lpv.core.support.errors import ConfigError
 
 FloatArray = npt.NDArray[np.float64]
@@ -21,10 +21,9 @@ MAX_JOINTS = 32
 """Longest chain that is accepted; sizes from files are bounded before anything is allocated."""
 MASS, MX, MY, MZ, IXX, IXY, IYY, IXZ, IYZ, IZZ = range(10)
 """Columns of `Chain.inertial`."""
-N_INERTIAL = 10
 VISCOUS, COULOMB, LOAD, OFFSET, SLOPE = range(5)
 """Columns of `Chain.friction`."""
-N_FRICTION = 5
+N_FRICTION = SLOPE + 1
 WORK_COLUMNS = 43
 """Columns of the scratch array of `workspace`."""
 PLACE = 40

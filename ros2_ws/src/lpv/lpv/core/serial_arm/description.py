@@ -17,6 +17,8 @@ JOINT_TYPES = ('revolute', 'prismatic')
 """A joint turns about its axis, or moves along it."""
 RATE_BIAS = 0.1
 """Bias of a rate sensor, over the standard deviation of its noise."""
+UNSTATED_FRICTION = 0.3
+"""Relative change of friction of an arm whose file does not state any."""
 SIGMAS = 4.0
 """Standard deviations in a bound, unless asked otherwise: 1 in 16 000 normal errors is larger."""
 RATE_SOURCES = ('independent', 'derived', 'none')

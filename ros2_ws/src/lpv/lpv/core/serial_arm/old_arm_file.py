@@ -4,12 +4,9 @@ import math
 from types import SimpleNamespace
 from typing import Any
 
-from lpv.core.serial_arm.description import RATE_SOURCES, SerialArm
+from lpv.core.serial_arm.description import RATE_SOURCES, UNSTATED_FRICTION, SerialArm
 from lpv.core.serial_arm.two_links import two_link_arm
 from lpv.core.support.config import Section, names_all_errors
-
-_FRICTION = 0.3
-"""Relative uncertainty of Coulomb friction, which the old form does not state."""
 
 
 @names_all_errors
@@ -50,7 +47,7 @@ def parse_two_links(data: dict[str, Any], source: str = 'arm') -> SerialArm:
     fields['cos_min'] = region.pair('cos_min', low=0.01, high=0.999)
     region.finish()
     fields['model_error'] = top.number('model_error', 0.0, 0.0, 0.5)
-    fields['friction_error'] = _FRICTION
+    fields['friction_error'] = UNSTATED_FRICTION
     fields['payload'] = top.number('payload', 0.0, 0.0, 1e4)
     fields['torque_tolerance'] = top.pair('torque_tolerance', 0.0, 0.0, 1e9)
     fields['sample_time'] = top.number('sample_time', 0.002, 1e-5, 0.1)

@@ -9,6 +9,7 @@ from lpv.core.serial_arm.dynamics.momentum import forward_dynamics
 from lpv.core.support.jit import njit_in_place as njit
 
 MAX_SUBSTEPS = 64
+"""Runge-Kutta steps of a sample: files that ask for more would stop the simulator."""
 
 
 @njit

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lpv.core.serial_arm.chain import MAX_JOINTS
 from lpv.core.serial_arm.description import (
     JointLimits,
     JointSensors,
@@ -22,9 +23,6 @@ from lpv.core.support.errors import ConfigError
 
 if TYPE_CHECKING:
     import pinocchio
-
-MAX_JOINTS = 32
-"""Largest number of moving joints of an arm."""
 
 
 def read_urdf_chain(

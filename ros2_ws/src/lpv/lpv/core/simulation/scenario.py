@@ -23,6 +23,7 @@ PAPER_PLANTS = ('nonlinear_without_coriolis', 'lpv')
 PLANTS = ('nonlinear', *PAPER_PLANTS, 'mujoco')
 """The true arm, those of the paper, or MuJoCo's."""
 _MOST_WAYPOINTS = 10_000
+"""Of a path, which is computed as a whole."""
 _FAR = 1e3
 """Largest coordinate of a waypoint [m], and largest angle [rad]."""
 

@@ -6,6 +6,9 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import ArrayLike
 
+SAME = 1e-6
+"""Relative difference up to which a recomputed number is the stored one."""
+
 
 @dataclass(frozen=True)
 class Check:

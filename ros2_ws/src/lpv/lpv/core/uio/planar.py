@@ -11,14 +11,17 @@ from functools import lru_cache
 import numpy as np
 
 from lpv.core.serial_arm.chain import FloatArray
-from lpv.core.serial_arm.description import LpvRegion, SerialArm, rotation_from_rpy
+from lpv.core.serial_arm.description import (
+    UNSTATED_FRICTION,
+    LpvRegion,
+    SerialArm,
+    rotation_from_rpy,
+)
 from lpv.core.serial_arm.two_links import two_link_arm
 from lpv.core.support.errors import ConfigError
 from lpv.core.uio.model.arm import ArmParameters, Link
 from lpv.core.uio.model.joints import J_INVERSE
 
-FRICTION = 0.3
-"""Relative uncertainty of Coulomb friction of an arm whose file does not state it."""
 _CLOSE = 1e-6
 """Largest deviation from a planar arm, in radians or relative to the links."""
 
@@ -60,7 +63,7 @@ def planar_model(arm: SerialArm) -> ArmParameters:
         disturbance_mean=region.disturbance_mean,
         disturbance_variance=region.disturbance_variance,
         model_error=arm.uncertainty.model_error or 0.0,
-        friction_error=arm.uncertainty.friction or FRICTION,
+        friction_error=arm.uncertainty.friction or UNSTATED_FRICTION,
         payload=arm.uncertainty.payload,
         torque_tolerance=tuple(max(joint.torque_tolerance.torque) for joint in arm.joints),
         torque_limit=arm.torque_limit,

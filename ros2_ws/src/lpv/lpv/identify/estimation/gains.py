@@ -12,7 +12,7 @@ from lpv.identify.estimation.robust import invert_normal, normal_equations
 from lpv.identify.model.friction import TERMS
 from lpv.identify.model.prior import Prior
 
-_ROUNDS = 12
+_ROUNDS = 12  # most: (1 + _STEP)^12 = 57 times a gain
 _STEP = 0.4  # largest relative change of a gain in a round
 _SEEN = 0.5  # correlation of torques with efforts above which they show the gain
 _WIDTH = 0.5  # of the logarithm of a gain about that at which the masses given fit

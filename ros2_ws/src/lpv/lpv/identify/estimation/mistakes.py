@@ -13,7 +13,7 @@ import numpy as np
 from lpv.core.serial_arm.description import SerialArm
 from lpv.identify.estimation.robust import robust_fit
 from lpv.identify.model.base_parameters import find_base_parameters
-from lpv.identify.model.friction import friction_columns, join_columns
+from lpv.identify.model.friction import SLOPE, friction_columns, join_columns
 from lpv.identify.model.prior import Prior, base_prior
 from lpv.identify.model.rigid_body import RigidBody
 from lpv.identify.recordings.filters import derivative, low_pass, shifted
@@ -23,13 +23,12 @@ from lpv.identify.recordings.recording import Recording
 _SURE = 15.0  # logarithm of a Bayes factor from which a mistake is named
 _COST = 2.0  # logarithm of how much less likely a mistake is than none, of one joint
 _MOST = 3  # mistakes that are looked for, one after another
-_SLOPE = 50.0  # of the Coulomb term [s/rad]
 _FREE = 1e-6  # information on friction before the data
-_LEAST_TILT = np.radians(1.5)
+_LEAST_TILT = np.radians(1.5)  # smaller tilts of the base are no mistakes of a mounting
 _SCALE = 0.2  # standard deviation of the logarithm of the arm's torques, as the file gives them
 _FACTOR = 2.0  # within which efforts may be N m
 _DELAYS = (-0.05, *np.arange(0.02, 0.11, 0.01))  # what filters of drivers do is no mistake [s]
-_MOST_SAMPLES = 1500
+_MOST_SAMPLES = 1500  # that mistakes are tried on: each is a fit of its own
 _Tried = Iterator[tuple[str, '_Setup']]
 
 
@@ -152,7 +151,7 @@ class _Judge:
         effort = np.concatenate([s.effort for s in setup.segments])
         rates = np.concatenate([s.velocity for s in setup.segments])
         count, n, size = columns.shape
-        friction = friction_columns(rates, np.full(n, _SLOPE), np.zeros_like(rates))
+        friction = friction_columns(rates, np.full(n, SLOPE), np.zeros_like(rates))
         design = join_columns(columns, friction[:, :, [0, 1, 3]])
         information = np.diag(np.where(np.arange(design.shape[2]) < size, 0.0, _FREE))
         information[: self._size, : self._size] = self._information

@@ -15,8 +15,8 @@ from lpv.identify.recordings.filters import derivative, low_pass
 from lpv.identify.recordings.motion import Segment, find_bandwidths, split
 from lpv.identify.recordings.recording import Recording
 
-_HUBER = 2.0
-_BLOCKS = 20
+_HUBER = 2.0  # scales beyond which residuals weigh less
+_BLOCKS = 20  # of time, whose scatter is that of the fit: errors last, and count once a block
 _Triple = tuple[float, float, float]
 
 

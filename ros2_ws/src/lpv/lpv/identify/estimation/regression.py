@@ -34,8 +34,8 @@ from lpv.identify.model.rigid_body import RigidBody
 from lpv.identify.recordings.filters import derivative, low_pass
 from lpv.identify.recordings.motion import Motion
 
-_SWEEPS = 6
-_REFINEMENTS = 3
+_SWEEPS = 6  # most, of weights and slopes in turn
+_REFINEMENTS = 3  # steps of the last slopes, from the nearest ones of the grid
 _SLOPE_HELD = 1.0  # information on a slope's logarithm: known within a factor of e
 
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from lpv.identify.estimation.regression import Filters, Fit, Rows, fit_parameters, model_torque
 from lpv.identify.estimation.robust import bounded_mean_square
+from lpv.identify.model.friction import SLOPE
 from lpv.identify.model.prior import Prior
 from lpv.identify.recordings.filters import causal_low_pass, low_pass
 
@@ -21,7 +22,6 @@ _GAIN = 0.9  # ratio of mean squares below which the richer model is taken
 _NOTHING = 1e-5  # share of an effort's power that counts for nothing
 EQUAL = 0.02
 """Difference of the logarithms of mean squares that counts for nothing."""
-_SLOPE = 50.0  # of the Coulomb term while the weight is looked for [s/rad]
 _SURE = 2.0  # ratio of errors above which efforts with the weight, or without it, are preferred
 
 
@@ -133,7 +133,7 @@ class WeightEvidence:
 def error_of(rows: Sequence[Rows], filters: Filters, prior: Prior) -> np.ndarray:
     """RMS error of each joint on data held back of the training data, shape (n,) [N m]."""
     n = rows[0].effort.shape[1]
-    slope, no_load = np.full(n, _SLOPE), np.zeros(n, bool)
+    slope, no_load = np.full(n, SLOPE), np.zeros(n, bool)
     squares = validation_error(
         rows, filters, lambda part: fit_parameters(part, filters, no_load, prior, slope)
     )

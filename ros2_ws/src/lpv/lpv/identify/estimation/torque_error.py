@@ -15,8 +15,8 @@ from lpv.identify.recordings.motion import Motion, Segment, find_bandwidths, smo
 from lpv.identify.recordings.recording import Recording
 from lpv.identify.sensors.sensing import Sensing, noise_deviation, sense
 
-_QUANTILE = 0.99
-_BINS = 8
+_QUANTILE = 0.99  # of residuals that an envelope holds
+_BINS = 8  # of speed
 _LEAST = 30  # samples of a bin
 _MOVES = 0.05  # largest rate of a joint from which errors at speed are seen [rad/s]
 

@@ -8,8 +8,8 @@ from scipy.linalg import qr, solve_triangular
 from lpv.core.serial_arm.description import N_INERTIAL
 from lpv.identify.model.rigid_body import STANDARD, RigidBody
 
-_SAMPLES = 300
-_TOLERANCE = 1e-8
+_SAMPLES = 300  # random states; each has n rows, so that ten parameters a link are overdetermined
+_TOLERANCE = 1e-8  # relative size of a column that depends on others: rounding is 1e-16
 
 
 @dataclass(frozen=True)

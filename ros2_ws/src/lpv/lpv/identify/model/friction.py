@@ -4,6 +4,8 @@ import numpy as np
 
 TERMS = ('viscous', 'coulomb', 'load', 'offset')
 """Friction parameters of a joint, in the order of their columns."""
+SLOPE = 50.0
+"""Slope of the Coulomb term where it does not matter much [s/rad]: about the middle of `SLOPES`."""
 SLOPES = np.geomspace(3.0, 1000.0, 16)
 """Slopes of the Coulomb term that are tried [s/rad]."""
 

@@ -8,12 +8,11 @@ from lpv.core.serial_arm.description import N_INERTIAL, SerialArm
 from lpv.core.serial_arm.dynamics.kinematics import joint_frames
 from lpv.identify.errors import IdentificationError
 from lpv.identify.model.base_parameters import find_base_parameters
-from lpv.identify.model.friction import friction_columns, join_columns
+from lpv.identify.model.friction import SLOPE, friction_columns, join_columns
 from lpv.identify.model.rigid_body import RigidBody
 from lpv.identify.motions.trajectory import Trajectory, fit_to_limits, random_trajectory
 
 _STEP = 0.1  # between samples that are rated [s]
-_SLOPE = 50.0  # of the Coulomb term [s/rad]
 _CHECK_STEP = 0.02  # between samples whose limits are checked [s]
 
 
@@ -160,7 +159,7 @@ class _Search:
         q, v, a = trajectory.sample(np.arange(0.0, trajectory.duration, _STEP))
         full = self._model.regressor(q, v, a)
         torque = full[:, :, : N_INERTIAL * self._model.n] @ self._arm.inertial_parameters()
-        friction = friction_columns(v, np.full(self._model.n, _SLOPE), torque)[:, :, [0, 1, 3]]
+        friction = friction_columns(v, np.full(self._model.n, SLOPE), torque)[:, :, [0, 1, 3]]
         rows = join_columns(full[:, :, self._base.columns], friction)
         size = np.maximum(np.max(np.abs(torque), axis=0), 0.02 * np.abs(torque).max())
         return (rows / size[:, None]).reshape(-1, rows.shape[2])

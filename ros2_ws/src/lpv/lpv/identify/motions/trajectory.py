@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 HARMONICS = 5
+"""Of a joint's Fourier series, as in Swevers et al. (1997)."""
 RAMP = 1.5
 """Time in which the motion fades in and out [s]."""
 

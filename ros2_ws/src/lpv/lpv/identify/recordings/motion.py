@@ -18,10 +18,10 @@ MIN_TRAVEL = 0.05
 """Smallest range of a joint that counts as motion [rad]."""
 MAX_GAP = 0.1
 """Longest gap that is bridged [s]; longer ones separate segments."""
-_MIN_SEGMENT = 2.0
-_FIT_BAND = 6.0
+_MIN_SEGMENT = 2.0  # time without a gap that is used [s]
+_FIT_BAND = 6.0  # bandwidth of the fit, over that of the motion
 _ORDER = 4  # of the filters of positions and rates: motion passes unchanged
-_MAX_GRID = 2_000_000
+_MAX_GRID = 2_000_000  # samples on an even grid: memory
 
 
 @dataclass(frozen=True)

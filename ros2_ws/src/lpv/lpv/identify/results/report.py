@@ -12,7 +12,7 @@ from lpv.identify.results.summary import DRIVES, FIGURES, SENSORS, cells, remark
 from lpv.report.page import embedded, environment
 from lpv.report.style import INK, SENSOR, SETTINGS, SOFT, png, thin
 
-_MOST_POINTS = 4000
+_MOST_POINTS = 4000  # of a scatter plot; more hide each other
 
 
 def torque_figure(result: Identification) -> Figure:

@@ -10,7 +10,7 @@ from lpv.core.serial_arm.rate_independence import rate_source
 from lpv.identify.recordings.motion import Segment
 from lpv.identify.recordings.recording import Recording
 
-_ORDER = 3
+_ORDER = 3  # of the differences that show noise: motion up to a constant acceleration has none
 _GAIN = np.sqrt(20.0)  # of white noise through third differences
 _FEW = 20  # gaps between levels, fewer of which show no step
 _UNKNOWN_RATE_NOISE = 1e-2  # where no rates are measured [rad/s]

@@ -27,10 +27,8 @@ from lpv.core.serial_arm.certificate.model_bounds import (
 from lpv.core.serial_arm.chain import FloatArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.errors import ConfigError
-from lpv.core.support.inequalities import Check, largest_eigenvalue
+from lpv.core.support.inequalities import SAME, Check, largest_eigenvalue
 
-_SAME = 1e-6
-"""Relative difference up to which a recomputed number is the stored one."""
 NO_CERTIFICATE = 'none (lpv design writes one)'
 """Of a loop whose parameter file has a bandwidth only, for the reader."""
 _MODEL_TEXT = {
@@ -192,7 +190,7 @@ def _checks(arm: SerialArm, gains: LoopGains) -> Iterator[Check]:
         yield Check(name, largest_eigenvalue(matrix))
     total = sum(error_bound(arm, gains).values())
     away = np.abs(gains.error.bound / total - 1.0).max()
-    yield Check('error: bound of each joint as recomputed', float(away) - _SAME)
+    yield Check('error: bound of each joint as recomputed', float(away) - SAME)
 
 
 def bound_name(gains: LoopGains, bound: str) -> str:

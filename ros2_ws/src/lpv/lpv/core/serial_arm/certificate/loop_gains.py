@@ -12,6 +12,7 @@ from lpv.core.support.config import Section, read_yaml, sha256_of, write_paramet
 from lpv.core.support.errors import ConfigError
 
 FORMAT = 1
+"""Of the file; others are not read."""
 COEFFICIENTS = {1: 7, 2: 26}
 """Of one matrix that commutes with rotations about z, by the number of twists."""
 

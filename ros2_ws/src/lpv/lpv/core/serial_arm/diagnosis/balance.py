@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lpv.core.serial_arm.chain import SLOPE, Chain, FloatArray, joint_count, workspace
+from lpv.core.serial_arm.description import JointFriction
 from lpv.core.serial_arm.dynamics.friction import friction_torque, smooth_sign
 from lpv.core.serial_arm.dynamics.momentum import carried_momentum, momentum_balance, set_velocities
 from lpv.core.serial_arm.sensor_map import map_vector
@@ -28,8 +29,11 @@ LENGTH, EPOCH = range(2)
 """Entries of `Balance.clock`."""
 SLOW_RATE = 0.1
 """Rate below which the friction of a joint may be anything up to that of rest [rad/s]."""
+_STEEPEST = JointFriction.coulomb_slope
+"""Slope of the sign of a rate, at most: files that state none have it [s/rad]."""
 _STEP = 1e-5
-"""Step of the differences by which columns of angles and rates are found [rad], [rad/s]."""
+"""Step of the differences by which columns of angles and rates are found [rad], [rad/s]: these are
+wrong by 1e-5 of themselves, and by rounding, 1e-16 / 1e-5, by less."""
 
 
 class Balance(NamedTuple):
@@ -259,7 +263,7 @@ def _add_fault_columns(
         p_v, force_v = (p_rate[j] - p[j]) / _STEP, (force_rate[j] - force[j]) / _STEP
         if share[j] != 0.0:
             row = chain.friction[j]
-            slip = 100.0 if row[SLOPE] > 100.0 else row[SLOPE]
+            slip = min(row[SLOPE], _STEEPEST)
             dry = row[1] + row[2] * abs(torque[j])
             bend = (
                 smooth_sign(rate[j] + 0.5 / slip, slip) - smooth_sign(rate[j] - 0.5 / slip, slip)

@@ -104,6 +104,7 @@ the second one on hypotheses that take more time are compared, too."""
 QUIET_EVERY = 4
 """Balances after which the bank is asked while it has found nothing, and readings agree."""
 _BEFORE = 1e-12
+"""Least variance of a row [rad2]: those of readings without any noise are not divided by zero."""
 
 
 BANK_STATE = record_type(
@@ -470,7 +471,7 @@ class Bank:
         column = np.linalg.solve(upper.T @ upper, np.eye(len(null.mean))[joint])
         variance, offset = column[joint], null.mean[joint]
         held = upper.T @ upper
-        held[joint, joint] += 1e6 / variance
+        held[joint, joint] += 1e6 / variance  # as good as known
         without = null._replace(
             mean=null.mean - column * offset / variance,
             factor=np.ascontiguousarray(np.linalg.cholesky(held).T),

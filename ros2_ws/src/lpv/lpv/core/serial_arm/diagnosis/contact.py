@@ -30,10 +30,9 @@ SMOOTH_PENALTY = math.log(len(AMPLITUDES) * len(SMOOTH_TIMES))
 """The same for amplitude and course."""
 HORIZON_TIME = 2.0
 """The same for a torque over the whole horizon [s]."""
-_MODES = 8
-_HORIZON_MODES = 12
 _NEGLIGIBLE = 1e-4
-"""Share of the largest eigenvalue below which an eigenfunction is left out."""
+"""Share of the largest eigenvalue below which an eigenfunction is left out: it has 1 % of the
+amplitude."""
 
 
 class Contact(NamedTuple):
@@ -77,13 +76,13 @@ def new_contact(lengths: list[int], torque: FloatArray, interval: float, capacit
     for w, length in enumerate(lengths):
         distance = _distances(length, interval) / ROUGH_TIME
         values[w, :length], vectors[w, :length, :length] = np.linalg.eigh(np.exp(-distance))
-    smooth = tuple(_courses(longest, interval, one, _MODES) for one in SMOOTH_TIMES)
+    smooth = tuple(_courses(longest, interval, one) for one in SMOOTH_TIMES)
     shares = len(AMPLITUDES)
     return Contact(
         np.array(lengths), torque, np.zeros(n), np.zeros(count, np.int64),
         values * interval**2, vectors, np.zeros((count, shares, n, longest)),
         np.zeros((count, shares, n)), smooth,
-        _courses(capacity, interval, HORIZON_TIME, _HORIZON_MODES), np.zeros(longest))  # fmt: skip
+        _courses(capacity, interval, HORIZON_TIME), np.zeros(longest))  # fmt: skip
 
 
 def _distances(count: int, interval: float) -> FloatArray:
@@ -91,10 +90,10 @@ def _distances(count: int, interval: float) -> FloatArray:
     return np.abs(place - place[:, None])
 
 
-def _courses(count: int, interval: float, time: float, modes: int) -> FloatArray:
+def _courses(count: int, interval: float, time: float) -> FloatArray:
     """Leading eigenfunctions of a Gaussian kernel that are not negligible."""
     kernel = np.exp(-0.5 * (_distances(count, interval) / time) ** 2)
-    values, vectors = (part[..., ::-1][..., :modes] for part in np.linalg.eigh(kernel))
+    values, vectors = (part[..., ::-1] for part in np.linalg.eigh(kernel))
     kept = values > _NEGLIGIBLE * values[0]
     return np.ascontiguousarray(interval * vectors[:, kept] * np.sqrt(values[kept]))
 
@@ -211,7 +210,7 @@ def force_levers(chain: Chain, torque: FloatArray, window: Window, last: int) ->
     n = torque.shape[0]
     levers, jacobian = np.zeros((last, 3, n)), np.zeros((6, n))
     rotations, origins = np.zeros((n + 1, 3, 3)), np.zeros((n + 1, 3))
-    largest = 1e-9
+    largest = 1e-9  # a force on a tip that no joint moves does not matter
     for back in range(last):
         joint_frames(chain, window.poses[slot(window, back)], rotations, origins)
         fill_jacobian(chain, rotations, origins, jacobian)

@@ -13,6 +13,7 @@ from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.diagnosis.balance import OFFSET, Balance
 from lpv.core.serial_arm.diagnosis.bank import BankParts, ask_bank, take_rows
 from lpv.core.serial_arm.diagnosis.estimator import (
+    INTERVAL,
     Posterior,
     estimate_all,
     has_moved,
@@ -51,7 +52,7 @@ class Stage(IntEnum):
 ) = map(int, Stage)  # fmt: skip
 GUARANTEE_SHARE = 4
 """Guaranteed thresholds change over the horizon: so often in it they are evaluated anew."""
-STILL_TIME = 0.05
+STILL_TIME = INTERVAL
 """A reading without any change for longer rests [s]."""
 DECISION = record_type(
     ('stage', 'i8'),
@@ -103,8 +104,9 @@ class Parts(NamedTuple):
 @njit_in_place
 def reading_noise(sampler: Sampler, i: int) -> float:
     """Variance of a noisy reading [rad2]."""
-    # e is made of two readings, of four where the rates are derived from them.
-    return float(sampler.noise[1, i] / (3.5 if sampler.derived[i] == 1.0 else 2.0))
+    # e is made of two readings; where the rates are derived from them, of four, with weights 1.5,
+    # 1.5, 0.5 and 0.5.
+    return float(sampler.noise[1, i] / (5.0 if sampler.derived[i] == 1.0 else 2.0))
 
 
 @njit_in_place

@@ -14,7 +14,7 @@ import numpy as np
 from lpv.core.serial_arm.chain import COULOMB as DRY
 from lpv.core.serial_arm.chain import VISCOUS as WET
 from lpv.core.serial_arm.chain import Chain, FloatArray, IntArray, compile_chain
-from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.description import UNSTATED_FRICTION, SerialArm
 from lpv.core.serial_arm.diagnosis.balance import (
     DRIFT,
     EPOCH,
@@ -53,11 +53,14 @@ from lpv.core.serial_arm.diagnosis.parameter_error import (
 )
 from lpv.core.support.jit import Entries, njit_in_place
 
+INTERVAL = 0.05
+"""Between decisions, about [s]."""
+HORIZON = 10.0
+"""Over which an arm's unknowns are estimated, unless asked otherwise [s]."""
 OFFSET_PRIOR = 0.5
 """Standard deviation of an offset of which nothing is known [rad]."""
-UNSTATED = 0.3
-"""Relative change of friction that a file does not speak of; the same share of the torque that the
-model misses lasts as long as a pose."""
+_LASTING = 0.3
+"""Share of the torque that the model misses which lasts as long as a pose."""
 STATIC = 0.6
 """Share of the torque that the model misses which is friction or a constant torque."""
 _FAST = 3.0
@@ -69,8 +72,8 @@ _NOISE_SAMPLES = 20
 """Balances after which what is seen of the noise counts as much as what is expected."""
 NOISE_KNOWN_AFTER = 3.0
 """Before, noise is learned in any case; what acts from outside is not told from it [s]."""
-_NOISE_EVERY = 10
-"""Balances after which the noise is learned anew."""
+_FEW = 10
+"""Balances from which the size of noise is learned; after as many it is learned anew."""
 _LAGS = 8
 """Balances over which what the model does not explain is correlated."""
 _LARGEST_INFLATION = 2.0 * _LAGS - 1.0
@@ -96,12 +99,14 @@ class HorizonPlan:
     capacity: int  # balances of the horizon
 
     @staticmethod
-    def of(sample_time: float, interval: float = 0.05, horizon: float = 10.0) -> 'HorizonPlan':
+    def of(
+        sample_time: float, interval: float = INTERVAL, horizon: float = HORIZON
+    ) -> 'HorizonPlan':
         """Plan for a sample time: blocks of about 10 ms, intervals of at least two samples."""
         per_block = max(1, round(0.01 / sample_time))
         blocks = max(2, round(interval / (per_block * sample_time)))
         length = per_block * blocks * sample_time
-        return HorizonPlan(per_block, blocks, length, max(20, round(horizon / length)))
+        return HorizonPlan(per_block, blocks, length, max(_NOISE_SAMPLES, round(horizon / length)))
 
 
 class Posterior(NamedTuple):
@@ -313,7 +318,7 @@ def estimate_all(
     """Estimate anew, after `take_balances`; parameters as those of `OffsetEstimator`."""
     since[0] += 1
     known = window.counters[NEXT] * interval > NOISE_KNOWN_AFTER
-    if (learn or not known) and window.counters[NEXT] % _NOISE_EVERY == 0:
+    if (learn or not known) and window.counters[NEXT] % _FEW == 0:
         learn_noise(window, null)
         if slow is not None:
             _copy_noise(null, level, _POSE_TIME / interval)
@@ -358,7 +363,7 @@ def learn_noise(window: Window, null: Posterior) -> None:
         resting = values[: _sizes(window, null, i, 1.0, values)]
         rest = _learned_size(resting, null.expected_rest[i] * null.noise[i])
         null.rest[i] = min(max(rest / null.noise[i], 1.0), _LARGEST_FACTOR)
-        if trusted >= 10:
+        if trusted >= _FEW:
             k = 0
             for back in range(count):
                 if window.trust[slot(window, back)] == 1.0:
@@ -391,7 +396,7 @@ def _share(count: int) -> float:
 def _learned_size(sizes: FloatArray, expected: float) -> float:
     """Usual size of residuals, from their absolute values, which are sorted."""
     count = len(sizes)
-    if count < 10:
+    if count < _FEW:
         return expected
     sort(sizes)
     median = 0.5 * (sizes[(count - 1) // 2] + sizes[count // 2])
@@ -422,6 +427,7 @@ def has_moved(window: Window, level: Posterior, balance: Balance, since: IntArra
         step = abs(level.mean[i] - balance.reference[i])
         if step > ROBUST * level.sigma[i]:
             largest = max(largest, step)
+    # All balances are evaluated anew: not before a tenth of them are new ones.
     return since[0] >= max(3, window.counters[COUNT] // 10) and largest > _LINEAR_WITHIN
 
 
@@ -460,7 +466,7 @@ class OffsetEstimator:
         )
         self.window: Window = new_window(n, OFFSET * n, len(self.prior), plan.capacity)
         noise = _expected_noise(arm, chain, missed, plan)
-        systematic = _systematic_error(arm, UNSTATED * missed, plan)
+        systematic = _systematic_error(arm, _LASTING * missed, plan)
         # Friction at rest is anything between both signs of Coulomb's: uniformly distributed.
         rest = np.hypot(1.0, plan.interval * chain.friction[:, DRY] / (np.sqrt(3.0) * noise))
         self.posterior = _prior_posterior(self.prior, noise, rest, 0.0 * noise, plan.capacity)
@@ -522,6 +528,7 @@ class OffsetEstimator:
         blocks : ndarray, shape (N, 3 n + 3)
             Means as kept by `Sampler.blocks`, oldest first; whole intervals.
         """
+        # sin(0.3) = 0.3 less 1.5 %: so far, balances are linear.
         self.balance.reference[:] += np.clip(self._step(), -0.3, 0.3)
         self.replace_last(blocks)
         self._solve()
@@ -608,7 +615,7 @@ def _prior_posterior(
 
 def _priors(arm: SerialArm, friction: FloatArray, missed: FloatArray) -> list[FloatArray]:
     """Standard deviations of offsets, torque offsets, viscous and Coulomb friction."""
-    share, absent = max(arm.uncertainty.friction, UNSTATED), STATIC * missed
+    share, absent = max(arm.uncertainty.friction, UNSTATED_FRICTION), STATIC * missed
     return [
         np.full(len(arm.joints), OFFSET_PRIOR),
         absent,

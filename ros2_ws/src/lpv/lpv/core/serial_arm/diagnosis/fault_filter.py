@@ -12,7 +12,7 @@ import numpy as np
 
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.diagnosis.balance import DRIFT, EPOCH, OFFSET, RATE, SCALE
-from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator
+from lpv.core.serial_arm.diagnosis.estimator import OFFSET_PRIOR, OffsetEstimator
 from lpv.core.serial_arm.diagnosis.information import ROBUST, slot
 from lpv.core.serial_arm.diagnosis.sampling import BLOCKS, Sampler, block_end
 from lpv.core.serial_arm.diagnosis.stuck import Course
@@ -23,12 +23,14 @@ SCALE_STEADY = 0.01
 """The same of a scale error [-]."""
 STEADY_FOR = 0.2
 """Time over which a joint's acceleration is correlated [s]."""
-LOST = 0.5
-"""Standard deviation of a fault that is not followed any more [rad]."""
+LOST = OFFSET_PRIOR
+"""Standard deviation of a fault that is not followed any more: nothing is known of it [rad]."""
 LARGEST_SCALE = 0.9
-"""Largest scale error that is corrected [-]."""
+"""Largest scale error s that is corrected: y / (1 + s) is at most ten times the reading [-]."""
 OFFSET_SIGMA = 0.05
 """Standard deviation of the offset beside a scale error that has just been named [rad]."""
+_JUST_NOW = 1e-3
+"""Least age of a fault: rates are its size over its age [s]."""
 
 
 @dataclass
@@ -168,7 +170,7 @@ def begin_filter(
         At the present time.
     """
     begin, now = span
-    past = max(now - begin, 1e-3)
+    past = max(now - begin, _JUST_NOW)
     one = FaultFilter(joint, kind, begin, updated=now, acceleration=acceleration)
     if kind == 'drift':
         one.mean[:2] = size * np.array([past, 1.0])
@@ -206,7 +208,7 @@ def begin_frozen(joint: int, course: Course, now: float, acceleration: float) ->
         At the present time.
     """
     one = FaultFilter(joint, 'stuck', course.begin, updated=course.end, acceleration=acceleration)
-    past = max(course.end - course.begin, 1e-3)
+    past = max(course.end - course.begin, _JUST_NOW)
     way, rate = course.mean
     # It went the way that it did, and ends at the rate that it has.
     one.mean = -np.array([way, rate, 2.0 * (rate * past - way) / past**2])

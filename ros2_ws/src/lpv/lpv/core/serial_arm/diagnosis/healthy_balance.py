@@ -33,7 +33,7 @@ from lpv.core.support.jit import njit_in_place as njit
 
 RESIDUAL, SPEED, VISCOSITY, DRY, LOADED, ONE, TORQUE = range(7)
 """Columns of the parts that concern one joint each."""
-_PARTS = 7
+_PARTS = TORQUE + 1
 
 
 class HealthyBalance(NamedTuple):

@@ -28,7 +28,12 @@ from lpv.core.serial_arm.diagnosis.decision import (
     reading_noise,
 )
 from lpv.core.serial_arm.diagnosis.end_of_fault import EndOfFault, end_of_fault
-from lpv.core.serial_arm.diagnosis.estimator import NOISE_KNOWN_AFTER, HorizonPlan, OffsetEstimator
+from lpv.core.serial_arm.diagnosis.estimator import (
+    HORIZON,
+    NOISE_KNOWN_AFTER,
+    HorizonPlan,
+    OffsetEstimator,
+)
 from lpv.core.serial_arm.diagnosis.fault_filter import (
     FaultFilter,
     begin_filter,
@@ -46,6 +51,8 @@ from lpv.core.serial_arm.diagnosis.sampling import (
     DELAY,
     HIDDEN,
     IN_BLOCK,
+    JUMP_SCALE,
+    LEFT,
     NOISY,
     PENDING,
     SPIKE,
@@ -92,7 +99,7 @@ class MonitorSettings:
     clear_dwell: float = 0.5  # for which a fault must be over before its alarm ends [s]
     latch: bool = False  # whether alarms stay until `SerialMonitor.reset`
     sigmas: float = SIGMAS  # standard deviations in a bound
-    horizon: float = 10.0  # [s]
+    horizon: float = HORIZON  # [s]
 
     def threshold(self, interval: float) -> float:
         """Logarithm of A: decisions between false alarms, one every interval [s]."""
@@ -211,9 +218,11 @@ class SerialMonitor:
         self._push = PUSH * typical_torque(self.estimator.balance.chain)
         self.bank = Bank(arm, self.estimator, self._push)
         smallest = settings.smallest_step * self.scales
+        # Before any e was seen, jumps count from twice the smallest one.
+        usual = np.maximum(2.0 * noise, 2.0 * smallest / JUMP_SCALE)
         self.sampler: Sampler = new_sampler(
-            self.estimator.balance.derived, np.maximum(2.0 * noise, 0.2 * smallest), smallest,
-            self._capacity)  # fmt: skip
+            self.estimator.balance.derived, usual, smallest, self._capacity
+        )
         self.sensors = [SensorRecord() for _ in range(n)]
         self.rates = [SensorRecord() for _ in range(n)]
         self._filters: dict[int, FaultFilter] = {}
@@ -511,7 +520,7 @@ class SerialMonitor:
         # A frozen reading that jumps is where its joint is, however uncertain that was.
         if sensor.state is SensorState.ERROR and (
             (back is not None and back.kind == 'stuck')
-            or abs(fault - kept) < max(0.3 * abs(size), smallest)
+            or abs(fault - kept) < max(LEFT * abs(size), smallest)
         ):
             if sensor.level:
                 self._forget(i)
@@ -758,7 +767,7 @@ class SerialMonitor:
         size, sigma = one.size, one.sigma
         if kind == 'stuck' and one.kind != 'stuck':  # the rate of the joint that its reading hides
             rate, since = -one.size if one.kind == 'drift' else 0.0, now - one.begin
-            size, sigma = rate * since, max(0.1, one.sigma * since)
+            size, sigma = rate * since, max(self.settings.widest_level, one.sigma * since)
         size, sigma = way or (size, sigma)
         blocks = self._blocks(len(self.estimator) + 1)
         origin = float(np.interp(one.begin, blocks[:, 3 * self.joints], blocks[:, one.joint]))
@@ -849,8 +858,8 @@ class SerialMonitor:
                     self._lose_count(i)
             else:
                 smallest = self.settings.smallest_level * self.scales[i]
-                limit = 0.7 * max(smallest, sigmas * sigma[i])
-                over = abs(left) < min(0.3 * sensor.peak, limit)
+                limit = (1.0 - LEFT) * max(smallest, sigmas * sigma[i])
+                over = abs(left) < min(LEFT * sensor.peak, limit)
             sensor.unseen &= over or not self._shows(i)
             if sensor.watch_end(over, now, self.settings.clear_dwell, abs(left)):
                 self._forget(i)

@@ -29,13 +29,13 @@ from lpv.core.serial_arm.diagnosis.information import factorise, recent, whiten
 from lpv.core.serial_arm.diagnosis.sampling import block_end
 
 PLACES = (0.1, 0.3, 0.5, 0.7, 0.9)
-"""Places of the onset in its interval that are tried."""
+"""Places of the onset in its interval that are tried: the middles of its fifths."""
 SHORTEST = 4
 """Balances after an onset before it is looked at."""
 _SMALLEST = 0.01
 """Change of a drift by which its effect is differentiated, at least [rad/s]."""
 _STEPS = 3
-"""Sizes of a drift that are tried, from each start."""
+"""Newton steps for the size of a drift, from each start."""
 
 
 class Onset(NamedTuple):

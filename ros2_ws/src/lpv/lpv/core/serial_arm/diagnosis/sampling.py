@@ -19,9 +19,13 @@ from lpv.core.serial_arm.diagnosis.balance import Balance, add_block, close_inte
 from lpv.core.serial_arm.diagnosis.information import ROBUST
 from lpv.core.support.jit import njit_in_place
 
-HISTORY = 8
-"""Samples that are kept for the test of jumps; a sample enters the balance ``DELAY`` later."""
 DELAY = 5
+"""Samples after which one enters the balance: until then it is moved if a late driver repeated it,
+and jumps are known, whose e needs the next sample, and whose kind three more."""
+HISTORY = DELAY + 3
+"""Samples that are kept: two before that of the balance tell whether a reading went on steadily."""
+LEFT = 0.3
+"""What is left of a jump or a fault, over its size, where it is over."""
 NONE, STEP, SPIKE, NOISY, QUIET, HIDDEN = range(6)
 """What was found at a reading: `NOISY` and `QUIET` say that it began, or ceased, to be noisy,
 `HIDDEN` that samples are missing where it may have jumped."""
@@ -38,7 +42,8 @@ JUMP_SCALE = 10.0
 _SLOW = 0.05
 """Rates that do not tell whether a stamp is wrong [rad/s]."""
 LATE = 1.5
-"""Largest error of a stamp, over the time since the sample before."""
+"""Largest error of a stamp, over the time since the sample before; halfway between one period and
+two, samples after so many have others lost before them."""
 _USUAL = 5.0
 """Sizes of e, over the usual one, that are nothing special."""
 ROUNDED = 2.5
@@ -298,6 +303,7 @@ def _watch_change(sampler: Sampler, i: int, change: float) -> None:
     """Learn rounding and noise of a reading from a change of it, before its sample is kept."""
     last, k = sampler.samples[:, 0, i], HISTORY - 2
     sampler.grain[i] = min(sampler.grain[i], abs(change))
+    # More than one step of its rounding.
     least, before, first = 1.5 * sampler.grain[i], last[k] - last[k - 1], last[k - 1] - last[k - 2]
     alternates = change * before < 0.0 and before * first < 0.0
     beyond = min(abs(change), abs(before), abs(first)) > least
@@ -454,7 +460,7 @@ def _may_be_stamp(sampler: Sampler, i: int, period: float) -> bool:
     """
     jumps, rate = sampler.jumps[HISTORY - 2], _mean_rate(sampler, i)
     ahead = _way(sampler, i) - period * sampler.samples[HISTORY - 3, 1, i]
-    if sampler.derived[i] == 1.0 and abs(ahead) < 0.3 * abs(jumps[i]):
+    if sampler.derived[i] == 1.0 and abs(ahead) < LEFT * abs(jumps[i]):
         return False
     if abs(jumps[i]) > LATE * period * abs(rate):
         return False
@@ -540,13 +546,14 @@ def _is_clear_step(sampler: Sampler, i: int) -> bool:
     jump = sampler.jumps[k, i]
     if sampler.doubtful[k, i] > 0 or sampler.doubtful[k - 1, i] > 0:
         return False
-    if abs(jump) <= max(smallest_jump(sampler, i), abs(sampler.jumps[k - 1, i]) / 0.6):
+    # The e before a step is half as large where the rate is derived.
+    if abs(jump) <= max(smallest_jump(sampler, i), abs(sampler.jumps[k - 1, i]) / (2.0 * LEFT)):
         return False
     way = samples[k + 1, 0, i] - samples[k - 1, 0, i] - jump
     period = sampler.time[k + 1] - sampler.time[k - 1]
     before, after = samples[k - 1, 1, i], samples[k + 1, 1, i]
     largest = max(abs(way - period * before), abs(way - 0.5 * period * (before + after)))
-    return largest < 0.3 * abs(jump)
+    return largest < LEFT * abs(jump)
 
 
 @njit_in_place
@@ -563,7 +570,7 @@ def _name_jump(sampler: Sampler, i: int) -> None:
     if abs(size) <= smallest_jump(sampler, i):
         return
     doubt = sampler.doubtful[peak, i]
-    if abs(after + size) < 0.3 * abs(size):
+    if abs(after + size) < LEFT * abs(size):
         doubt = max(doubt, sampler.doubtful[peak + 1, i])
         sampler.found[i] = SPIKE if doubt == 0 else NONE
         if doubt > 0:
@@ -572,9 +579,9 @@ def _name_jump(sampler: Sampler, i: int) -> None:
         sampler.samples[peak, 0, i] = middle
         _smooth_rates(sampler, i, peak, 2)
         return
-    if peak + 2 <= last and abs(after) < 0.3 * abs(size):
+    if peak + 2 <= last and abs(after) < LEFT * abs(size):
         again = sampler.jumps[peak + 2, i]
-        if abs(again - size) < 0.3 * abs(size):
+        if abs(again - size) < LEFT * abs(size):
             _smooth_rates(sampler, i, peak + 1, 1)
             return
     if doubt == 0 or (doubt == 1 and sampler.clock[STAMPS] == 0.0 and _lasts(sampler, i, peak)):
@@ -592,7 +599,7 @@ def _lasts(sampler: Sampler, i: int, peak: int) -> bool:
     )
     way = sampler.samples[after, 0, i] - sampler.samples[before, 0, i]
     rest, size = way - rate * (sampler.time[after] - sampler.time[before]), sampler.jumps[peak, i]
-    return bool(rest * np.sign(size) > 0.7 * abs(size))
+    return bool(rest * np.sign(size) > (1.0 - LEFT) * abs(size))
 
 
 @njit_in_place

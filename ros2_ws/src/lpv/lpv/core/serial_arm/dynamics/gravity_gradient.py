@@ -5,6 +5,7 @@ from lpv.core.serial_arm.dynamics.frames import set_frames
 from lpv.core.support.jit import njit_in_place as njit
 
 _AXIS, _ORIGIN, _MOMENT, _WEIGHT, _TURN = 9, 12, 15, 18, 19
+"""Columns of `workspace` that are used here, behind the orientations."""
 
 
 @njit

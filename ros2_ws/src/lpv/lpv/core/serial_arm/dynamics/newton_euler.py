@@ -27,6 +27,7 @@ from lpv.core.serial_arm.dynamics.frames import (
 from lpv.core.support.jit import njit_in_place as njit
 
 _FORCE, _MOMENT = 9, 12
+"""Columns of `workspace` that are used here, behind the orientations."""
 
 
 @njit

@@ -9,8 +9,9 @@ from lpv.core.serial_arm.dynamics.frames import along_axis, set_frames, to_child
 from lpv.core.serial_arm.dynamics.momentum import set_velocities
 from lpv.core.support.jit import njit_in_place as njit
 
-_RATE, _SPEED, _FALL = 15, 18, 21
+_RATE, _SPEED, _FALL = 15, 18, 21  # columns, as in `momentum`
 _W, _S, _A = 9, 12, 15
+"""Columns of `workspace` that are used here, behind the orientations."""
 
 
 @njit

@@ -6,6 +6,7 @@ accelerations at both (Euler and Maclaurin), and what may have been between them
 
 import numpy as np
 
+from lpv.core.serial_arm.diagnosis.sampling import LATE
 from lpv.core.support.jit import njit_in_place as njit
 from lpv.core.support.records import new_record, record_type
 from lpv.core.uio.model.arm import ArmParameters
@@ -15,8 +16,6 @@ _RESERVE = 4.0
 """What may be between two samples, over what is known of the accelerations at both."""
 _SMOOTHING = 0.05
 """Time constant of the average of roughness [s]."""
-_LATE = 1.5
-"""Samples that come after so many sample times have others lost before them."""
 
 LOSS_CONSTANTS = record_type(
     ('sensor_matrix', 'f8', (2, 2)),  # S
@@ -37,7 +36,7 @@ def loss_constants(arm: ArmParameters) -> np.record:
     return new_record(
         LOSS_CONSTANTS,
         sensor_matrix=np.asarray(JointMap(arm).sensor_matrix),
-        longest=_LATE * arm.sample_time,
+        longest=LATE * arm.sample_time,
     )
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from lpv.core.support.errors import ConfigError
-from lpv.core.support.inequalities import Check, largest_eigenvalue
+from lpv.core.support.inequalities import SAME, Check, largest_eigenvalue
 from lpv.core.uio.certificate.error_system import link_errors
 from lpv.core.uio.certificate.gains import (
     ControllerGains,
@@ -27,9 +27,6 @@ from lpv.core.uio.certificate.sampled_motion import sampled_loop
 from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.model.polytope import exact_vertices, sinc_box, state_spaces, vertex_matrices
 from lpv.core.uio.model.state_space import Descriptor
-
-_SAME = 1e-6
-"""Relative difference up to which a recomputed number is the stored one."""
 
 
 def verify(arm: ArmParameters, gains: Gains) -> list[Check]:
@@ -82,7 +79,7 @@ def _noise_checks(
     else:
         sigma = paper_fault_sigma(arm, observer)
     away = float(np.abs(observer.fault_sigma / sigma - 1.0).max())
-    return [*checks, Check('observer: standard deviation of f^ as recomputed', away - _SAME)]
+    return [*checks, Check('observer: standard deviation of f^ as recomputed', away - SAME)]
 
 
 def _symmetric(matrix: np.ndarray) -> bool:

@@ -11,6 +11,7 @@ from lpv.core.support.errors import ConfigError
 from lpv.core.uio.model.arm import ArmParameters
 
 FORMAT = 3
+"""Of the file; others are not read."""
 METHODS = ('paper', 'exact')
 
 

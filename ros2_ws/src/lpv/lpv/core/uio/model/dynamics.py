@@ -13,7 +13,7 @@ import numpy as np
 
 from lpv.core.support.jit import njit_in_place as njit
 
-_TWO_OVER_PI = 2.0 / math.pi
+_TWO_OVER_PI = 2.0 / math.pi  # atan ends at pi/2, friction at its Coulomb torque
 
 
 @njit

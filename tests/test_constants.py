@@ -1,0 +1,48 @@
+"""Numbers at the top of a module say where they come from, in the source."""
+
+import ast
+
+import import_graph
+
+LITERAL = (ast.Constant, ast.UnaryOp, ast.BinOp, ast.Tuple, ast.operator, ast.unaryop, ast.Load)
+
+
+def is_number(value):
+    """Whether an expression is made of numbers; one that names others says itself what it is."""
+    parts = list(ast.walk(value))
+    numbers = [one for one in parts if isinstance(one, ast.Constant)]
+    return all(isinstance(one, LITERAL) for one in parts) and any(
+        type(one.value) in {int, float} for one in numbers
+    )
+
+
+def silent_constants(path):
+    """Numeric constants of a module that neither a string below nor a comment explains."""
+    text = path.read_text(encoding='utf-8')
+    lines, body = text.splitlines(), ast.parse(text).body
+    for one, following in zip(body, [*body[1:], None]):
+        if not isinstance(one, (ast.Assign, ast.AnnAssign)) or not is_number(one.value):
+            continue
+        target = one.targets[0] if isinstance(one, ast.Assign) else one.target
+        if isinstance(target, ast.Subscript) or not ast.unparse(target).strip('(').isupper():
+            continue  # an entry, or a state
+        beside = '#' in lines[one.end_lineno - 1] or lines[one.lineno - 2].startswith('#')
+        below = isinstance(following, ast.Expr) and isinstance(following.value, ast.Constant)
+        if not (beside or below):
+            yield f'{path.name}:{one.lineno}: {lines[one.lineno - 1]}'
+
+
+def test_given_the_sources_when_a_module_has_a_number_then_it_says_why():
+    found = []
+    for folder in import_graph.package_folders().values():
+        for path in sorted(folder.rglob('*.py')):
+            found += silent_constants(path)
+    assert found == []
+
+
+def test_given_a_number_without_a_word_when_looked_for_then_it_is_found(tmp_path):
+    path = tmp_path / 'module.py'
+    path.write_text(
+        'A = 1.0\n"""Why."""\nB = 2  # why\n_C, D = 3, 4\nE = 1 << 3\nF = 2 * A\ng = 0\n'
+    )
+    assert [one.split()[1] for one in silent_constants(path)] == ['_C,', 'E']
