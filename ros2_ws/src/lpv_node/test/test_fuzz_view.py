@@ -58,7 +58,7 @@ class View:
 
     def is_live(self):
         """Whether good messages are shown."""
-        for inbox in self.node._inboxes:
+        for inbox in 2 * self.node._inboxes:  # what is loaded at first takes its time
             self.show(inbox, serialize_message(self.good(inbox.topic.kind)))
         return all(self.node._model._live(time.monotonic()).values())
 
@@ -121,3 +121,22 @@ def test_given_a_simulated_time_when_the_view_reports_itself_then_it_is_of_that_
     assert view.is_live()
     assert 'view: page' in reports.last.status[0].name
     assert 0 < reports.last.header.stamp.sec < 10
+
+
+def test_given_arms_of_which_nothing_is_heard_any_more_when_shown_then_none_is_published(
+    view, monkeypatch
+):
+    assert view.is_live()
+    published, model = [], view.node._model
+    monkeypatch.setattr(view.node, '_publish', lambda name, *_: published.append(name))
+    for later in (0.0, 60.0):
+        now = time.monotonic() + later
+        view.node._publish_arms(model.arms(now), model.frame(now)['sample'], False)
+    assert published == ['arm_markers', '/tf']
+
+
+def test_given_an_arm_with_a_urdf_when_viewed_then_both_descriptions_are_that_urdf():
+    arm = BRINGUP / 'arms' / 'ur10.yaml'
+    with node_of(ViewNode, 'view', arm_file=arm, port=0, foxglove_port=0) as node:
+        first, second = node._described
+    assert first == second and b'<joint name="wrist_3_joint"' in first
