@@ -3,6 +3,9 @@
 import ast
 
 import import_graph
+from places import ROOT
+
+from lpv.core.serial_arm.diagnosis import priors
 
 LITERAL = (ast.Constant, ast.UnaryOp, ast.BinOp, ast.Tuple, ast.operator, ast.unaryop, ast.Load)
 
@@ -46,3 +49,19 @@ def test_given_a_number_without_a_word_when_looked_for_then_it_is_found(tmp_path
         'A = 1.0\n"""Why."""\nB = 2  # why\n_C, D = 3, 4\nE = 1 << 3\nF = 2 * A\ng = 0\n'
     )
     assert [one.split()[1] for one in silent_constants(path)] == ['_C,', 'E']
+
+
+def test_given_the_priors_when_documented_then_all_of_them_with_their_values():
+    page = (ROOT / 'docs' / 'diagnosis.md').read_text(encoding='utf-8')
+    table = page.partition('## Priors')[2].partition('\n## ')[0]
+    cells = [
+        row.strip('| ').split(' | ')[-2:]
+        for row in table.splitlines()
+        if row.startswith('|') and '`' in row
+    ]
+    rows = {name.split('`')[1]: ast.literal_eval(value) for name, value in cells}
+    names = {name for name in vars(priors) if name.isupper()} - {'CONTACT'}
+    sizes = {f"SIZE['{kind}']" for kind in priors.SIZE}
+    assert {name.partition('[')[0] for name in rows} == names
+    assert sizes <= set(rows)
+    assert {name: eval(name, vars(priors).copy()) for name in rows} == rows

@@ -14,6 +14,7 @@ import numpy as np
 
 from lpv.core.serial_arm.chain import SLOPE, Chain, FloatArray, joint_count, workspace
 from lpv.core.serial_arm.description import JointFriction
+from lpv.core.serial_arm.diagnosis.priors import SLOW_RATE
 from lpv.core.serial_arm.dynamics.friction import friction_torque, smooth_sign
 from lpv.core.serial_arm.dynamics.momentum import carried_momentum, momentum_balance, set_velocities
 from lpv.core.serial_arm.sensor_map import map_vector
@@ -27,8 +28,6 @@ VISCOUS_PART, COULOMB_PART, LOAD_PART, OFFSET_PART, GAIN_PART = range(5)
 """Columns of `Balance.drives`: those of `Chain.friction`, and the gain."""
 LENGTH, EPOCH = range(2)
 """Entries of `Balance.clock`."""
-SLOW_RATE = 0.1
-"""Rate below which the friction of a joint may be anything up to that of rest [rad/s]."""
 _STEEPEST = JointFriction.coulomb_slope
 """Slope of the sign of a rate, at most: files that state none have it [s/rad]."""
 _STEP = 1e-5

@@ -65,6 +65,7 @@ from lpv.core.serial_arm.diagnosis.linear_bank import (
     new_rows,
 )
 from lpv.core.serial_arm.diagnosis.onset import sudden_drift_of
+from lpv.core.serial_arm.diagnosis.priors import CONTACT, OCCURRENCE, SIZE, WRONG_STAMPS
 from lpv.core.serial_arm.diagnosis.sampling import LATE, Sampler, smallest_jump
 from lpv.core.serial_arm.diagnosis.stuck import Course, Frozen, course_of_frozen
 from lpv.core.serial_arm.dynamics.momentum import mass_matrix
@@ -73,29 +74,15 @@ from lpv.core.support.jit import njit_in_place
 from lpv.core.support.records import memory, new_record, plain, record_type
 
 BoolArray = npt.NDArray[np.bool_]
-CONTACT = 'contact'
-"""Unknown torques on all joints: something pushes or holds the arm, or its load has changed."""
 STARTS = (0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0, 1.4, 1.8, 2.5)
 """Times ago at which a cause may have begun [s]: every one that comes passes each of them."""
 STUCK_FOR = (0.2, 0.4, 1.0)
 """Times for which a joint may have moved while its reading rests [s]."""
-OCCURRENCE = {
-    CONTACT: 1.0,
-    **dict.fromkeys(
-        ('drift', 'scale', 'slip', 'stuck', 'rate_bias', 'torque_gain', 'torque_offset'), 0.01
-    ),
-}
-"""How often causes come, per hour of motion: a push every hour, one fault of a kind in 100 h.  Only
-ratios count.  Torque sensors fail as often as encoders do."""
 ENCODER_KINDS = ('drift', 'scale', 'slip', 'stuck')
 """Faults of a position sensor (with the rate that is derived from it)."""
-SIZE = {'drift': 0.3, 'slip': 0.2, 'scale': 0.2, 'rate_bias': 0.3, 'torque_gain': 0.5}
-"""Standard deviations of faults' sizes [rad/s], [rad], [-], [rad/s], [-]."""
 NEGLIGIBLE = 5e-4
 """Errors of readings, and of rates in a quarter of a second, that are no faults, however little
 noise the file states [rad], times `SerialJoint.scale`."""
-WRONG_STAMPS = 0.01
-"""Share of stamps that are wrong, before any were seen."""
 LARGEST_SCALE = 0.5
 """Largest scale error that is looked for in jumps [-]."""
 QUIET, LOUD = 0.25, 0.5

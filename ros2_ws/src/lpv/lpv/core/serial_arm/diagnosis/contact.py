@@ -15,21 +15,14 @@ import numpy as np
 from lpv.core.serial_arm.chain import Chain, FloatArray, IntArray
 from lpv.core.serial_arm.diagnosis.estimator import Posterior, set_residuals, usual_size
 from lpv.core.serial_arm.diagnosis.information import ROBUST, Window, recent, slot
+from lpv.core.serial_arm.diagnosis.priors import AMPLITUDES, HORIZON_TIME, ROUGH_TIME, SMOOTH_TIMES
 from lpv.core.serial_arm.dynamics.kinematics import fill_jacobian, joint_frames
 from lpv.core.support.jit import njit, njit_in_place
 
-ROUGH_TIME = 0.3
-"""Over which rough torques are correlated [s]."""
-AMPLITUDES = (1.0, 0.3, 0.1, 0.03)
-"""Amplitudes of torques from outside that are tried, in the largest plausible one."""
-SMOOTH_TIMES = (1e3, 1.0, 0.5)
-"""Correlation times of the smooth courses [s]; the first one is constant."""
 ROUGH_PENALTY = math.log(len(AMPLITUDES))
 """What it costs to choose the amplitude that explains most."""
 SMOOTH_PENALTY = math.log(len(AMPLITUDES) * len(SMOOTH_TIMES))
 """The same for amplitude and course."""
-HORIZON_TIME = 2.0
-"""The same for a torque over the whole horizon [s]."""
 _NEGLIGIBLE = 1e-4
 """Share of the largest eigenvalue below which an eigenfunction is left out: it has 1 % of the
 amplitude."""

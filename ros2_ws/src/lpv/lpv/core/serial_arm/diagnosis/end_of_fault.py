@@ -17,11 +17,12 @@ from scipy.special import expit
 
 from lpv.core.serial_arm.chain import FloatArray
 from lpv.core.serial_arm.diagnosis.balance import DRIFT, EPOCH, OFFSET
-from lpv.core.serial_arm.diagnosis.bank import SIZE, STARTS, Bank
+from lpv.core.serial_arm.diagnosis.bank import STARTS, Bank
 from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator, set_residuals
 from lpv.core.serial_arm.diagnosis.fault_filter import held_blocks
 from lpv.core.serial_arm.diagnosis.information import recent
 from lpv.core.serial_arm.diagnosis.onset import whitened
+from lpv.core.serial_arm.diagnosis.priors import SIZE
 from lpv.core.serial_arm.diagnosis.sampling import IN_BLOCK, Sampler, block_end
 from lpv.core.serial_arm.diagnosis.stuck import Frozen
 

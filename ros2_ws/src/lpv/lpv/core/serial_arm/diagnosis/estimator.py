@@ -51,20 +51,13 @@ from lpv.core.serial_arm.diagnosis.parameter_error import (
     parameter_factor,
     typical_torque,
 )
+from lpv.core.serial_arm.diagnosis.priors import FAST, LASTING, OFFSET_PRIOR, POSE_TIME, STATIC
 from lpv.core.support.jit import Entries, njit_in_place
 
 INTERVAL = 0.05
 """Between decisions, about [s]."""
 HORIZON = 10.0
 """Over which an arm's unknowns are estimated, unless asked otherwise [s]."""
-OFFSET_PRIOR = 0.5
-"""Standard deviation of an offset of which nothing is known [rad]."""
-_LASTING = 0.3
-"""Share of the torque that the model misses which lasts as long as a pose."""
-STATIC = 0.6
-"""Share of the torque that the model misses which is friction or a constant torque."""
-_FAST = 3.0
-"""Usual rate of a joint whose limit is higher [rad/s]."""
 _LINEAR_WITHIN = 0.05
 """Change of an offset after which the horizon is linearised again, if it is no chance: beyond
 `ROBUST` of its standard deviations [rad]."""
@@ -83,8 +76,6 @@ _LARGEST_FACTOR = 10.0
 wrong, which `misfit` reports."""
 PAST_WEIGHT = 0.998
 """Factor of what was learned, each balance."""
-_POSE_TIME = 0.5
-"""Over which an error that depends on the pose is correlated [s]."""
 DISTRUST = 0.02
 """Factor of the weights of balances while something acts from outside."""
 
@@ -321,7 +312,7 @@ def estimate_all(
     if (learn or not known) and window.counters[NEXT] % _FEW == 0:
         learn_noise(window, null)
         if slow is not None:
-            _copy_noise(null, level, _POSE_TIME / interval)
+            _copy_noise(null, level, POSE_TIME / interval)
     solve_all(window, null, slow, level)
 
 
@@ -454,7 +445,7 @@ class OffsetEstimator:
         self.plan = plan
         chain = compile_chain(arm)
         self.joints = n = len(arm.joints)
-        speed = np.array([min(joint.limits.velocity, _FAST) for joint in arm.joints])
+        speed = np.array([min(joint.limits.velocity, FAST) for joint in arm.joints])
         missed = model_error(arm) * typical_torque(chain)
         directions, drives = parameter_directions(chain, parameter_factor(arm, chain), speed)
         derived = np.array([float(joint.sensors.rates != 'independent') for joint in arm.joints])
@@ -466,7 +457,7 @@ class OffsetEstimator:
         )
         self.window: Window = new_window(n, OFFSET * n, len(self.prior), plan.capacity)
         noise = _expected_noise(arm, chain, missed, plan)
-        systematic = _systematic_error(arm, _LASTING * missed, plan)
+        systematic = _systematic_error(arm, LASTING * missed, plan)
         # Friction at rest is anything between both signs of Coulomb's: uniformly distributed.
         rest = np.hypot(1.0, plan.interval * chain.friction[:, DRY] / (np.sqrt(3.0) * noise))
         self.posterior = _prior_posterior(self.prior, noise, rest, 0.0 * noise, plan.capacity)
@@ -619,7 +610,7 @@ def _priors(arm: SerialArm, friction: FloatArray, missed: FloatArray) -> list[Fl
     return [
         np.full(len(arm.joints), OFFSET_PRIOR),
         absent,
-        share * np.abs(friction[:, WET]) + absent / _FAST,
+        share * np.abs(friction[:, WET]) + absent / FAST,
         share * friction[:, DRY] + absent,
     ]
 
@@ -635,7 +626,7 @@ def _expected_noise(
 
 def _systematic_error(arm: SerialArm, missed: FloatArray, plan: HorizonPlan) -> FloatArray:
     """What the model misses while a pose lasts: as measured, or on data held back, or expected."""
-    lasting = arm.uncertainty.torque_error_time or _POSE_TIME
+    lasting = arm.uncertainty.torque_error_time or POSE_TIME
     if arm.uncertainty.torque_error is not None:
         missed = np.array(arm.uncertainty.torque_error)
     elif arm.covariance is not None:

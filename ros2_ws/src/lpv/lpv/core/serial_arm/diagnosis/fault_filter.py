@@ -12,23 +12,22 @@ import numpy as np
 
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.diagnosis.balance import DRIFT, EPOCH, OFFSET, RATE, SCALE
-from lpv.core.serial_arm.diagnosis.estimator import OFFSET_PRIOR, OffsetEstimator
+from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator
 from lpv.core.serial_arm.diagnosis.information import ROBUST, slot
+from lpv.core.serial_arm.diagnosis.priors import (
+    OFFSET_PRIOR,
+    OFFSET_SIGMA,
+    SCALE_STEADY,
+    STEADY,
+    STEADY_FOR,
+)
 from lpv.core.serial_arm.diagnosis.sampling import BLOCKS, Sampler, block_end
 from lpv.core.serial_arm.diagnosis.stuck import Course
 
-STEADY = 0.1
-"""Change of the rate of a drift in a second, standard deviation [rad/s]."""
-SCALE_STEADY = 0.01
-"""The same of a scale error [-]."""
-STEADY_FOR = 0.2
-"""Time over which a joint's acceleration is correlated [s]."""
 LOST = OFFSET_PRIOR
 """Standard deviation of a fault that is not followed any more: nothing is known of it [rad]."""
 LARGEST_SCALE = 0.9
 """Largest scale error s that is corrected: y / (1 + s) is at most ten times the reading [-]."""
-OFFSET_SIGMA = 0.05
-"""Standard deviation of the offset beside a scale error that has just been named [rad]."""
 _JUST_NOW = 1e-3
 """Least age of a fault: rates are its size over its age [s]."""
 

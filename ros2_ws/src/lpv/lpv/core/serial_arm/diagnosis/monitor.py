@@ -17,7 +17,7 @@ from lpv.core.serial_arm.certificate.jump_bound import jump_bound
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.description import SIGMAS, SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import SensorState
-from lpv.core.serial_arm.diagnosis.bank import CONTACT, OCCURRENCE, Bank, Hypothesis
+from lpv.core.serial_arm.diagnosis.bank import Bank, Hypothesis
 from lpv.core.serial_arm.diagnosis.decision import (
     DECISION,
     STILL_TIME,
@@ -45,6 +45,7 @@ from lpv.core.serial_arm.diagnosis.healthy_set import Guarantee, HealthySet
 from lpv.core.serial_arm.diagnosis.learning import Learned, learned_of
 from lpv.core.serial_arm.diagnosis.parameter_error import typical_torque
 from lpv.core.serial_arm.diagnosis.parameter_set import is_stated
+from lpv.core.serial_arm.diagnosis.priors import CONTACT, OCCURRENCE, PUSH
 from lpv.core.serial_arm.diagnosis.sampling import (
     BEFORE_STOP,
     BLOCKS,
@@ -79,8 +80,6 @@ CONTACT_TIME = 1.0
 begins shows as free torques first, until its time profile is seen."""
 CONTACT_PAUSE = 1.0
 """What is around a contact by less is not learned from [s]."""
-PUSH = 2.0
-"""Largest plausible torque from outside, over that which moves the arm."""
 LIVELY = 0.02
 """Share of changes that go back and forth from which on a reading has noise, and never rests."""
 

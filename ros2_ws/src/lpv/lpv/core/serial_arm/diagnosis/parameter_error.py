@@ -11,15 +11,10 @@ import numpy as np
 from lpv.core.serial_arm.chain import COULOMB as DRY
 from lpv.core.serial_arm.chain import MASS, MX, SLOPE, VISCOUS, Chain, FloatArray, joint_count
 from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.diagnosis.priors import MODEL_ERROR, USUAL_ACCELERATION, USUAL_RATE
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.dynamics.payload import PAYLOAD_PLACE, payload_parameters
 
-MODEL_ERROR = 0.05
-"""Relative standard deviation of masses and inertias that were not identified."""
-USUAL_ACCELERATION = 2.0
-"""Of a joint in the motions of an arm [rad/s2]."""
-USUAL_RATE = 1.0
-"""The same [rad/s]."""
 _SAMPLES = 100
 """Poses, or motions, over which root mean squares are taken: these are right within 10 %."""
 _NEGLIGIBLE = 0.001

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lpv.core.serial_arm.chain import FloatArray, IntArray
-from lpv.core.serial_arm.diagnosis.balance import OFFSET, RATE, SLOW_RATE, fill_balances, scratch_of
+from lpv.core.serial_arm.diagnosis.balance import OFFSET, RATE, fill_balances, scratch_of
 from lpv.core.serial_arm.diagnosis.estimator import (
     OffsetEstimator,
     Posterior,
@@ -18,10 +18,9 @@ from lpv.core.serial_arm.diagnosis.estimator import (
 )
 from lpv.core.serial_arm.diagnosis.information import ROBUST, recent, whiten
 from lpv.core.serial_arm.diagnosis.onset import without_drift
+from lpv.core.serial_arm.diagnosis.priors import LEAST_ACCELERATION, SLOW_RATE
 from lpv.core.serial_arm.diagnosis.sampling import block_end
 
-LEAST_ACCELERATION = 1.0
-"""Usual acceleration of a joint that has hardly been seen to move [rad/s2]."""
 STILL_RATE = SLOW_RATE
 """Usual rate of a joint that begins to move while its reading rests [rad/s]."""
 
