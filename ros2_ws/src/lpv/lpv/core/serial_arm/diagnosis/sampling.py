@@ -53,6 +53,9 @@ BEFORE_STOP = 3
 LAGGING = 1.0
 """Lag of published rates, in periods, from which on differences of the readings take their place:
 twice that of such differences."""
+_PEAK = 0.75
+"""The first e of a pattern is at least so many times the largest one: halfway between a step and
+the e beside it, half as large, of a rate that is derived from the reading."""
 SCALE_MEMORY = 256.0
 """Samples over which the usual size of e, and that a reading has noise, are learned."""
 NOISE_MEMORY = 32.0
@@ -347,7 +350,9 @@ def _set_jumps(sampler: Sampler) -> None:
         # Readings that jump together have a common cause, if their motion explains it.
         explained = LATE * gap * _largest_rate(sampler, i, HISTORY)
         if together > 1:
-            explained = max(explained, 2.0 * LATE * period * _largest_rate(sampler, i, k))
+            # A way is wrong by the errors of two stamps; so are rates before and after it.
+            most = 2.0 * LATE * (1.0 + sampler.derived[i])
+            explained = max(explained, most * period * _largest_rate(sampler, i, k))
         if abs(sampler.jumps[k, i]) < explained:
             sampler.doubtful[k, i] = 3 if gap > 0.0 else 2
             sampler.clock[STAMPS] = 1.0
@@ -425,6 +430,20 @@ def _mean_rate(sampler: Sampler, i: int) -> float:
 
 
 @njit_in_place
+def _usual_rate(sampler: Sampler, i: int) -> float:
+    """Median rate of a joint over the last samples but the first [rad/s]: jumps do not count."""
+    rates = sampler.samples[1:, 1, i]
+    for one in rates:
+        smaller, equal = 0, 0
+        for other in rates:
+            smaller += other < one
+            equal += other == one
+        if smaller <= len(rates) // 2 < smaller + equal:
+            return float(one)
+    return 0.0
+
+
+@njit_in_place
 def _wrong_stamp(sampler: Sampler, period: float) -> float:
     """By how much the stamp of the last sample but one is wrong, 0 if that explains nothing [s].
 
@@ -462,7 +481,10 @@ def _may_be_stamp(sampler: Sampler, i: int, period: float) -> bool:
     ahead = _way(sampler, i) - period * sampler.samples[HISTORY - 3, 1, i]
     if sampler.derived[i] == 1.0 and abs(ahead) < LEFT * abs(jumps[i]):
         return False
-    if abs(jumps[i]) > LATE * period * abs(rate):
+    # Where stamps have been wrong, two in a row may be.  Rates that carry jumps tell no motion.
+    usual = abs(_usual_rate(sampler, i))
+    wrong = 2.0 if sampler.clock[STAMPS] == 1.0 else 1.0 + 0.5 * sampler.derived[i]
+    if abs(jumps[i]) > LATE * wrong * period * usual + _USUAL * sampler.scale[i]:
         return False
     for j in range(sampler.scale.shape[0]):
         way = jumps[i] / rate * _mean_rate(sampler, j)
@@ -564,7 +586,7 @@ def _name_jump(sampler: Sampler, i: int) -> None:
     for k in range(first, last):
         largest = max(largest, abs(sampler.jumps[k, i]))
     peak = first
-    while abs(sampler.jumps[peak, i]) < 0.9 * largest:
+    while abs(sampler.jumps[peak, i]) < _PEAK * largest:
         peak += 1
     size, after = sampler.jumps[peak, i], sampler.jumps[peak + 1, i]
     if abs(size) <= smallest_jump(sampler, i):
