@@ -615,6 +615,7 @@ def ask_bank(
 def take_row(own: Kinematics, blocks: FloatArray, interval: float) -> None:
     """Add the row of the last interval; ``blocks`` are those of two intervals, oldest first."""
     n, last, first = own.lag.shape[0], blocks.shape[0] - 1, blocks.shape[0] // 2 - 1
+    usual = interval / (last - first)
     most = own.rows.shape[0]
     if own.held[0] == 0:
         for i in range(n):
@@ -627,13 +628,16 @@ def take_row(own: Kinematics, blocks: FloatArray, interval: float) -> None:
                 own.rows[k, i], own.variances[k, i] = own.rows[k + 1, i], own.variances[k + 1, i]
     for i in range(n):
         own.edges[most, i] = blocks[last, n + i]
-        row = blocks[last, i] - blocks[first, i]
+        row, missing = blocks[last, i] - blocks[first, i], 0.0
         for k in range(first, last):
             length = blocks[k + 1, 3 * n] - blocks[k, 3 * n]
             row -= 0.5 * (blocks[k, n + i] + blocks[k + 1, n + i]) * length
+            # Where samples are missing, the rate is hardly known.
+            gap = max(blocks[k + 1, 3 * n + 1] - usual, 0.0)
+            missing += (0.5 * gap * blocks[k + 1, n + i]) ** 2
         change = own.edges[most, i] - own.edges[most - 1, i]
         own.rows[most - 1, i] = row - own.lag[i] * change
-        own.variances[most - 1, i] = own.jumps[0, i]
+        own.variances[most - 1, i] = own.jumps[0, i] + missing
         own.jumps[0, i], own.jumps[1, i] = own.jumps[1, i], 0.0
         if own.trusted[i]:
             _learn_lag(own, i, interval)
@@ -650,9 +654,10 @@ def _learn_lag(own: Kinematics, i: int, interval: float) -> None:
     variance = own.inflation[i] * (own.ends[i] + own.walk[i] * interval)
     variance = max(variance + own.variances[most - 1, i], _BEFORE)
     change = own.edges[most, i] - own.edges[most - 1, i]
-    own.lag_known[i] += change * change / variance
-    bound = ROBUST * np.sqrt(variance)
-    step = min(max(own.rows[most - 1, i], -bound), bound) * change / variance / own.lag_known[i]
+    row, spread = own.rows[most - 1, i], np.sqrt(variance + change * change / own.lag_known[i])
+    share = min(1.0, ROBUST * spread / max(abs(row), _BEFORE))
+    own.lag_known[i] += share * change * change / variance
+    step = share * row * change / variance / own.lag_known[i]
     own.lag[i] += step
     for k in range(most - own.held[0], most):
         own.rows[k, i] -= step * (own.edges[k + 1, i] - own.edges[k, i])
@@ -733,9 +738,12 @@ def learn_rows(own: Kinematics, interval: float) -> None:
             late += rate / expected * change
     # An error d of a stamp moves the rows of all sensors by their rates.  The difference of two
     # rows holds d of three blocks, once, twice and once.
-    if power * own.latest >= 1.0:  # else too slow to tell
+    # Where the joints are slow it says little of them.
+    known = 6.0 * power * WRONG_STAMPS * own.latest
+    if known > 0.0:
         seen = min(((late / power) ** 2 - 1.0 / power) / 6.0, own.latest)
-        own.stamps[0] = max(own.stamps[0] + (seen - own.stamps[0]) / 64.0, 0.0)
+        share = (known / (1.0 + known)) ** 2 / 64.0
+        own.stamps[0] = max(own.stamps[0] + share * (seen - own.stamps[0]), 0.0)
 
 
 class KinematicRows:
