@@ -337,10 +337,13 @@ def _set_jumps(sampler: Sampler) -> None:
     late = _wrong_stamp(sampler, period)
     for i in range(n):
         if not _is_followed_at_rest(sampler, i):
-            sampler.jumps[k, i] = _unexplained(sampler, i, period + late)
+            sampler.jumps[k, i] = _unexplained(sampler, i, period, late)
     gap, together = _gap(sampler), 0
     if late != 0.0:
         sampler.clock[STAMPS] = 1.0
+        for i in range(n):
+            if sampler.derived[i] == 1.0:  # the e before holds the same jump of the rate
+                sampler.doubtful[k - 1, i] = 2
     for i in range(n):
         if _is_beyond(sampler, i, k):
             together += 1
@@ -350,9 +353,8 @@ def _set_jumps(sampler: Sampler) -> None:
         # Readings that jump together have a common cause, if their motion explains it.
         explained = LATE * gap * _largest_rate(sampler, i, HISTORY)
         if together > 1:
-            # A way is wrong by the errors of two stamps; so are rates before and after it.
-            most = 2.0 * LATE * (1.0 + sampler.derived[i])
-            explained = max(explained, most * period * _largest_rate(sampler, i, k))
+            most = _latest(sampler, i, period)
+            explained = max(explained, most * _largest_rate(sampler, i, k))
         if abs(sampler.jumps[k, i]) < explained:
             sampler.doubtful[k, i] = 3 if gap > 0.0 else 2
             sampler.clock[STAMPS] = 1.0
@@ -395,18 +397,25 @@ def _is_beyond(sampler: Sampler, i: int, k: int) -> bool:
 
 
 @njit_in_place
-def _unexplained(sampler: Sampler, i: int, period: float) -> float:
-    """What no two of three rates explain of a way, if they are independent [rad].
+def _unexplained(sampler: Sampler, i: int, period: float, late: float) -> float:
+    """What a wrong stamp, and no two of three rates if they are independent, explain of a way [rad].
 
     A joint that shakes faster than it is sampled does not jump, nor does one whose rate is wrong.
     """
-    k, rate, way = HISTORY - 2, sampler.samples[:, 1, i], _way(sampler, i)
+    k, rate = HISTORY - 2, sampler.samples[:, 1, i]
+    way = _way(sampler, i) - late * _motion(sampler, i)
     least = way - period * _mean_rate(sampler, i)
     if sampler.derived[i] == 0.0:
         for other in (k - 1, k + 1):
             rest = way - 0.5 * period * (rate[k] + rate[other])
             least = rest if abs(rest) < abs(least) else least
     return least
+
+
+@njit_in_place
+def _latest(sampler: Sampler, i: int, period: float) -> float:
+    """Largest e of wrong stamps, over the rate [s]: of two of them, and of rates made of them."""
+    return float(2.0 * LATE * (1.0 + sampler.derived[i]) * period)
 
 
 @njit_in_place
@@ -427,6 +436,12 @@ def _mean_rate(sampler: Sampler, i: int) -> float:
     if sampler.derived[i] == 1.0 and sampler.still[i] > 0:
         return float(before)
     return float(0.5 * (before + after))
+
+
+@njit_in_place
+def _motion(sampler: Sampler, i: int) -> float:
+    """Rate of a joint at the last sample but one that its own jump does not change [rad/s]."""
+    return _usual_rate(sampler, i) if sampler.derived[i] == 1.0 else _mean_rate(sampler, i)
 
 
 @njit_in_place
@@ -451,13 +466,12 @@ def _wrong_stamp(sampler: Sampler, period: float) -> float:
     """
     jumps, n, late, best = sampler.jumps[HISTORY - 2], sampler.scale.shape[0], 0.0, 1
     for c in range(n):
-        rate = _mean_rate(sampler, c)
-        # A period is wrong by the errors of two stamps.
-        if abs(rate) < _SLOW or abs(jumps[c]) > 2.0 * LATE * period * abs(rate):
+        rate = _motion(sampler, c)
+        if abs(rate) < _SLOW or abs(jumps[c]) > _latest(sampler, c, period) * abs(rate):
             continue
         gained, common, weight = 0, 0.0, 0.0
         for i in range(n):
-            own = _mean_rate(sampler, i)
+            own = _motion(sampler, i)
             way, usual = jumps[c] / rate * own, _USUAL * sampler.scale[i]
             if max(abs(way), abs(jumps[i])) <= usual:
                 continue
@@ -477,7 +491,7 @@ def _may_be_stamp(sampler: Sampler, i: int, period: float) -> bool:
     Where the reading has gone on at its rate before, it is the next one that jumps: the rate after
     this one, if it is derived, holds that jump.
     """
-    jumps, rate = sampler.jumps[HISTORY - 2], _mean_rate(sampler, i)
+    jumps, rate = sampler.jumps[HISTORY - 2], _motion(sampler, i)
     ahead = _way(sampler, i) - period * sampler.samples[HISTORY - 3, 1, i]
     if sampler.derived[i] == 1.0 and abs(ahead) < LEFT * abs(jumps[i]):
         return False
@@ -487,7 +501,7 @@ def _may_be_stamp(sampler: Sampler, i: int, period: float) -> bool:
     if abs(jumps[i]) > LATE * wrong * period * usual + _USUAL * sampler.scale[i]:
         return False
     for j in range(sampler.scale.shape[0]):
-        way = jumps[i] / rate * _mean_rate(sampler, j)
+        way = jumps[i] / rate * _motion(sampler, j)
         if j != i and abs(jumps[j] - way) > max(0.5 * abs(way), _USUAL * sampler.scale[j]):
             return False
     return True
