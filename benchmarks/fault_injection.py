@@ -98,6 +98,8 @@ KINDS = (
     Kind('payload', 'payload', 0.0, 0.0),
     Kind('healthy', 'none', 0.0, 0.0),
     Kind('stamps off', 'stamps', 0.0, 0.0),
+    Kind('stamps off, own rates', 'stamps', 1.0, 0.0, rates=('derived',)),
+    Kind('bursts', 'bursts', 0.2, 0.0),
     Kind('repeated', 'repeated', 0.0, 0.0),
     Kind('gaps', 'gaps', 0.0, 0.0),
     Kind('rest 0.1 mrad', 'rest', 1e-4, 0.0),
@@ -402,7 +404,7 @@ def _recorded_kr300() -> Subject:
     return Subject('kr300', 'tuned', arm, streams, ())
 
 
-ARMS = ('paper', 'real_arm', 'chain3', 'ur10', 'panda', 'kr300')
+ARMS = ('paper', 'real_arm', 'swinging', 'chain3', 'ur10', 'panda', 'kr300')
 
 
 def subjects(name: str, recorded: bool, untouched: bool = False) -> list[Subject]:
@@ -430,6 +432,9 @@ def _simulated_subject(name: str) -> Subject:
     if name == 'real_arm':  # hangs down
         arm, gains = two_links('real_arm')
         return _simulated('real_arm', arm, (0.0, 0.0), (0.8, 0.9), 2.5, (0, 1), gains)
+    if name == 'swinging':  # the same arm turns over, as fast as it does by itself
+        arm, gains = two_links('real_arm')
+        return _simulated(name, arm, (0.0, 0.0), (9.0, 9.0), 25.0, (0, 1), gains)
     if name == 'chain3':
         arm = shoulder_arm()
         return _simulated(name, arm, *motion_range(arm, 0.5), (1, 2))
@@ -537,6 +542,15 @@ def disturb(stream: Stream, kind: Kind, is_derived: bool, rng: np.random.Generat
         # Readings are up to 1.5 samples older or newer than 2 % of the stamps.
         off = (rng.random(len(time)) < 0.02) * rng.uniform(-1.5, 1.5, len(time)) * period
         samples = _at(stream, time + off)
+        if kind.size:  # the driver makes rates of such readings, in place of the drive
+            return derived(Stream(stamps, samples))
+    elif kind.kind == 'bursts':
+        # Faster than stated, one gap in twenty samples; readings off their stamps, rates made of
+        # both.
+        step = np.where(rng.random(len(time)) < 0.05, 3.0, 0.8) * period
+        stamp = np.cumsum(step)[np.cumsum(step) < time[-1] - 2.0 * period]
+        samples = _at(stream, stamp + kind.size * period * rng.normal(size=len(stamp)))
+        return derived(Stream(stamps[0] + np.round(stamp * 1e9).astype(np.int64), samples))
     elif kind.kind == 'repeated':
         # A driver that was late gives the reading before once more.
         rows = 1 + np.flatnonzero(rng.random(len(time) - 1) < 0.01)
@@ -566,7 +580,7 @@ def _at(stream: Stream, time: np.ndarray) -> np.ndarray:
     own = (stream.stamps - stream.stamps[0]) * 1e-9
     flat = stream.samples.reshape(len(own), -1)
     values = [np.interp(time, own, column) for column in flat.T]
-    return np.stack(values, axis=1).reshape(stream.samples.shape)
+    return np.stack(values, axis=1).reshape(len(time), *stream.samples.shape[1:])
 
 
 # --- drawing and judging ----------------------------------------------------------------------

@@ -370,7 +370,7 @@ def fill_balances(
     ----------
     balance : Balance
         Changed.
-    blocks : ndarray, shape (N, 3 n + 3)
+    blocks : ndarray, shape (N, 3 n + 4)
         Means y, v, tau with time, length and place of each block; whole intervals.
     per_interval : int
         Blocks of an interval.
@@ -404,7 +404,7 @@ def residuals(
     ----------
     balance : Balance
         Of the arm; its scratch is not changed either.
-    blocks : ndarray, shape (N, 3 n + 3)
+    blocks : ndarray, shape (N, 3 n + 4)
         As in `fill_balances`.
     per_interval : int
         Blocks of an interval.

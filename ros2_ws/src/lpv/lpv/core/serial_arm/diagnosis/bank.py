@@ -510,7 +510,8 @@ class Kinematics(NamedTuple):
     inflation: FloatArray  # (n,) factor of the variance, as seen
     lag: FloatArray  # (n,) of rates behind readings, as differences and filtered ones do [s]
     lag_known: FloatArray  # (n,) its information [1/s2]
-    stamps: FloatArray  # (1,) variance of a block's time [s2]
+    stamps: FloatArray  # (1,) usual variance of a block's time [s2]
+    late: FloatArray  # (most + 1,) more of it where stamps are known to be wrong [s2]
     latest: float  # the largest of these that is plausible [s2]
     matrix: FloatArray  # (2, n, n) scratch
 
@@ -568,7 +569,7 @@ def ask_bank(
         The null hypothesis, whose residuals are written.
     sampler : Sampler
         Says how large jumps are that may not have been seen.
-    block : ndarray, shape (3 n + 3,)
+    block : ndarray, shape (3 n + 4,)
         The last one.
     threshold : float
         Of the statistic.
@@ -620,12 +621,15 @@ def take_row(own: Kinematics, blocks: FloatArray, interval: float) -> None:
     if own.held[0] == 0:
         for i in range(n):
             own.edges[most, i] = blocks[first, n + i]
+        own.late[most] = blocks[first, 3 * n + 3] ** 2
     own.held[0] = min(own.held[0] + 1, most)
     for k in range(most - own.held[0], most):
+        own.late[k] = own.late[k + 1]
         for i in range(n):
             own.edges[k, i] = own.edges[k + 1, i]
             if k + 1 < most:
                 own.rows[k, i], own.variances[k, i] = own.rows[k + 1, i], own.variances[k + 1, i]
+    own.late[most] = blocks[last, 3 * n + 3] ** 2
     for i in range(n):
         own.edges[most, i] = blocks[last, n + i]
         row, missing = blocks[last, i] - blocks[first, i], 0.0
@@ -690,8 +694,7 @@ def sum_rows(own: Kinematics, interval: float, lengths: IntArray, rows: Rows) ->
                 variance = max(variance + (own.bias[i] * rows.span[w]) ** 2 + jumps, _BEFORE)
                 turned = own.edges[most, i] - own.edges[most - count, i]
                 rows.weight[w, i] = 1.0 / (variance + turned * turned / own.lag_known[i])
-        if own.stamps[0] > 0.0:
-            _doubt_stamps(own, count, rows.weight[w], rows.found[w])
+        _doubt_stamps(own, count, rows.weight[w], rows.found[w])
 
 
 @njit_in_place
@@ -702,10 +705,13 @@ def _doubt_stamps(own: Kinematics, count: int, weight: FloatArray, found: FloatA
     """
     n, most, matrix, inverse = weight.shape[0], own.rows.shape[0], own.matrix[0], own.matrix[1]
     now, then = own.edges[most], own.edges[most - count]
+    late, old = own.stamps[0] + own.late[most], own.stamps[0] + own.late[most - count]
+    if late + old == 0.0:
+        return
     for i in range(n):
         for j in range(n):
             counts = weight[i] > 0.0 and weight[j] > 0.0
-            both = own.stamps[0] * (now[i] * now[j] + then[i] * then[j]) if counts else 0.0
+            both = late * now[i] * now[j] + old * then[i] * then[j] if counts else 0.0
             matrix[i, j], inverse[i, j] = both, 1.0 if i == j else 0.0
         matrix[i, i] += 1.0 / weight[i] if weight[i] > 0.0 else 1.0
     factorise(matrix, own.ends)  # no pivot is smaller than what readings alone leave
@@ -774,6 +780,7 @@ class KinematicRows:
             2.0 * reading / plan.per_block + least**2, rate**2 * arm.sample_time,
             np.maximum(RATE_BIAS * rate, 4.0 * least), np.ones(n), np.zeros(n),
             np.full(n, 1.0 / arm.sample_time**2), np.array([WRONG_STAMPS * latest]),
+            np.zeros(most + 1),
             latest, np.zeros((2, n, n)))  # fmt: skip
         self._independent, self.trusted = self.parts.independent, self.parts.trusted
 

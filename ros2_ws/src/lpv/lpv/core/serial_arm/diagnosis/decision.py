@@ -98,7 +98,7 @@ class Parts(NamedTuple):
     certified: Certified
     scales: FloatArray
     beyond: FloatArray
-    recent: FloatArray  # (2 B, 3 n + 3) the B blocks of each of the last two intervals
+    recent: FloatArray  # (2 B, 3 n + 4) the B blocks of each of the last two intervals
 
 
 @njit_in_place

@@ -516,7 +516,7 @@ class OffsetEstimator:
 
         Parameters
         ----------
-        blocks : ndarray, shape (N, 3 n + 3)
+        blocks : ndarray, shape (N, 3 n + 4)
             Means as kept by `Sampler.blocks`, oldest first; whole intervals.
         """
         # sin(0.3) = 0.3 less 1.5 %: so far, balances are linear.

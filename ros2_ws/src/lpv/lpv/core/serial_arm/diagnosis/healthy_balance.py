@@ -82,7 +82,7 @@ def add_healthy_blocks(
     ----------
     balance : HealthyBalance
         Changed.
-    blocks : ndarray, shape (N, 3 n + 3)
+    blocks : ndarray, shape (N, 3 n + 4)
         As `Sampler.blocks`.
     rate_noise : ndarray, shape (n,)
         Standard deviation of the mean joint rates of a block [rad/s].

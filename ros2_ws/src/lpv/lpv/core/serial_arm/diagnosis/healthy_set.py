@@ -102,7 +102,7 @@ def take_healthy(
         Of the horizon.
     rows : ndarray, shape (n, columns)
         Of the balance.
-    blocks : ndarray, shape (2 B, 3 n + 3)
+    blocks : ndarray, shape (2 B, 3 n + 4)
         Of its two intervals, as kept by `Sampler.blocks`.
     per_interval : int
         Blocks of an interval, B.

@@ -236,7 +236,7 @@ class SerialMonitor:
         self._last_time = -np.inf
         self._memory = new_record(DECISION, sample_time=arm.sample_time)
         self._state, self._beyond = plain(self._memory), np.zeros((2, n))
-        self._recent = np.zeros((2 * self.plan.blocks, 3 * n + 3))
+        self._recent = np.zeros((2 * self.plan.blocks, 3 * n + 4))
         self._join()
         self.apply_settings()
 

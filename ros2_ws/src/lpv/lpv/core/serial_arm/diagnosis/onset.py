@@ -72,7 +72,7 @@ def sudden_drift_of(
         Standard deviation of drifts [rad/s].
     last : int
         Balances that are looked at.
-    blocks : ndarray, shape (N, 3 n + 3)
+    blocks : ndarray, shape (N, 3 n + 4)
         Those of the balances at hand and of the interval before, oldest first.
     mass : ndarray, shape (capacity, n, n)
         M S^-1 of each balance, in the ring of the horizon.
@@ -177,7 +177,7 @@ def with_true_effect(
         As there.
     fault : tuple
         Joint, standard deviation of drifts [rad/s].
-    blocks : ndarray, shape (N, 3 n + 3)
+    blocks : ndarray, shape (N, 3 n + 4)
         Those of the balances that hold the onset, and of all after them, oldest first.
 
     Returns

@@ -32,9 +32,10 @@ NONE, STEP, SPIKE, NOISY, QUIET, HIDDEN = range(6)
 COUNT, IN_BLOCK, IN_INTERVAL, PENDING, BLOCKS = range(5)
 """Entries of `Sampler.counters`: samples since the start, in the block; blocks in the interval;
 sensor-independent age of a jump that waits for its kind, -1 if none; blocks written."""
-TIME, INTERVAL_START, BLOCK_START, STAMPS, TIMES = range(5)
-"""Entries of `Sampler.clock` [s]; the fourth one is 1 once a stamp has been wrong, the last one is
-the sum of the block's stamps."""
+TIME, INTERVAL_START, BLOCK_START, STAMPS, TIMES, LATEST, LATE_FROM, LATE_UNTIL, IN_DOUBT = range(9)
+"""Entries of `Sampler.clock` [s]; the fourth one is 1 once a stamp has been wrong, then comes the
+sum of the block's stamps; by how much stamps were wrong lately, from and until when, and by how much
+those of the block may be."""
 ROUNDING = 1e-12
 """Change of a reading that rounding explains, where it was found from joint positions [rad]."""
 JUMP_SCALE = 10.0
@@ -83,7 +84,8 @@ class Sampler(NamedTuple):
     rate_error: FloatArray  # (n,) bias of the rate sensor that is removed [rad/s]
     derived: FloatArray  # 1 where the rate is derived from the reading, shape (n,)
     sums: FloatArray  # of the current block, shape (3, n)
-    blocks: FloatArray  # (capacity, 3 n + 3) ring: y, v, tau of blocks; mean time, length, place
+    # (capacity, 3 n + 4) ring: y, v, tau of blocks; mean time, length, place, error of stamps
+    blocks: FloatArray
     found: IntArray  # `STEP`, `SPIKE` or `NONE` of the last sample, shape (n,)
     size: FloatArray  # height of a step that was found, or may be hidden, shape (n,) [rad]
     since: IntArray  # samples since that step, itself included, shape (n,)
@@ -100,7 +102,7 @@ class Sampler(NamedTuple):
     # are more than the rates around them with the changes of these, and squares of both [rad2/s2]
     published: FloatArray
     counters: IntArray  # (5,)
-    clock: FloatArray  # moments, shape (5,) [s]
+    clock: FloatArray  # moments, shape (9,) [s]
 
 
 def new_sampler(
@@ -129,13 +131,13 @@ def new_sampler(
         np.zeros(HISTORY), np.zeros((HISTORY, 3, n)), np.zeros((HISTORY, n)), scale.copy(),
         smallest.copy(), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n),
         np.zeros(n),
-        derived.copy(), np.zeros((3, n)), np.zeros((capacity, 3 * n + 3)), np.zeros(n, np.int64),
+        derived.copy(), np.zeros((3, n)), np.zeros((capacity, 3 * n + 4)), np.zeros(n, np.int64),
         np.zeros(n), np.zeros(n, np.int64),
         np.zeros(n), np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n), np.zeros(n),
         np.full(n, np.inf),
         np.zeros((3, n)),
         np.zeros(n, np.int64), np.zeros((HISTORY, n), np.int64), np.zeros((4, n)), counters,
-        np.zeros(5))  # fmt: skip
+        np.zeros(9))  # fmt: skip
 
 
 @njit_in_place
@@ -340,7 +342,7 @@ def _set_jumps(sampler: Sampler) -> None:
             sampler.jumps[k, i] = _unexplained(sampler, i, period, late)
     gap, together = _gap(sampler), 0
     if late != 0.0:
-        sampler.clock[STAMPS] = 1.0
+        _doubt_stamps(sampler, abs(late))
         for i in range(n):
             if sampler.derived[i] == 1.0:  # the e before holds the same jump of the rate
                 sampler.doubtful[k - 1, i] = 2
@@ -357,9 +359,20 @@ def _set_jumps(sampler: Sampler) -> None:
             explained = max(explained, most * _largest_rate(sampler, i, k))
         if abs(sampler.jumps[k, i]) < explained:
             sampler.doubtful[k, i] = 3 if gap > 0.0 else 2
-            sampler.clock[STAMPS] = 1.0
+            _doubt_stamps(sampler, LATE * period)
         elif _may_be_stamp(sampler, i, period):
             sampler.doubtful[k, i] = 1
+
+
+@njit_in_place
+def _doubt_stamps(sampler: Sampler, late: float) -> None:
+    """Note that the last stamp but one is wrong; some that follow may be, too."""
+    clock, now = sampler.clock, sampler.time[HISTORY - 2]
+    clock[STAMPS] = 1.0
+    if clock[LATE_UNTIL] < sampler.time[HISTORY - 1 - DELAY]:
+        clock[LATEST], clock[LATE_FROM] = 0.0, sampler.time[HISTORY - 3]
+    clock[LATEST] = max(clock[LATEST], late)
+    clock[LATE_UNTIL] = now + HISTORY * (now - sampler.time[HISTORY - 3])
 
 
 @njit_in_place
@@ -692,6 +705,8 @@ def move_to_balance(sampler: Sampler, balance: Balance, per_block: int, blocks: 
             late = 0.5 * (sampler.samples[k + 1, 1, i] - sampler.samples[k, 1, i])
             sampler.sums[1, i] += sampler.derived[i] * late
     sampler.clock[TIMES] += now
+    if sampler.clock[LATE_FROM] < now < sampler.clock[LATE_UNTIL]:
+        sampler.clock[IN_DOUBT] = sampler.clock[LATEST]
     sampler.counters[IN_BLOCK] += 1
     if sampler.counters[IN_BLOCK] < per_block:
         return False
@@ -732,6 +747,8 @@ def _close_block(sampler: Sampler, balance: Balance, now: float, blocks: int) ->
     sampler.clock[TIMES] = 0.0
     row[3 * n + 1] = length
     row[3 * n + 2] = place
+    row[3 * n + 3] = sampler.clock[IN_DOUBT]
+    sampler.clock[IN_DOUBT] = 0.0
     add_block(balance, row[:n], row[n : 2 * n], row[2 * n : 3 * n], row[3 * n], length, place)
     sampler.counters[BLOCKS] += 1
     sampler.counters[IN_BLOCK] = 0
@@ -760,6 +777,7 @@ def restart(sampler: Sampler, balance: Balance) -> None:
     sampler.still[:] = 0
     sampler.doubtful[:] = 0
     sampler.sums[:] = 0.0
+    sampler.clock[LATE_FROM:] = 0.0
     drop_interval(balance)
 
 

@@ -75,7 +75,7 @@ def course_of_frozen(
         When it came to rest, and how.
     balances : int
         For how many of the last balances the joint may have moved; 0: ever since.
-    blocks : ndarray, shape (N, 3 n + 3)
+    blocks : ndarray, shape (N, 3 n + 4)
         Those of the horizon, oldest first.
     about : tuple of ndarray
         Momenta by a unit rate of the reading, in the ring of the horizon, shape (capacity, n);
