@@ -658,10 +658,9 @@ def _learn_lag(own: Kinematics, i: int, interval: float) -> None:
     variance = own.inflation[i] * (own.ends[i] + own.walk[i] * interval)
     variance = max(variance + own.variances[most - 1, i], _BEFORE)
     change = own.edges[most, i] - own.edges[most - 1, i]
-    row, spread = own.rows[most - 1, i], np.sqrt(variance + change * change / own.lag_known[i])
-    share = min(1.0, ROBUST * spread / max(abs(row), _BEFORE))
-    own.lag_known[i] += share * change * change / variance
-    step = share * row * change / variance / own.lag_known[i]
+    bound = ROBUST * np.sqrt(variance + change * change / own.lag_known[i])
+    own.lag_known[i] += change * change / variance
+    step = min(max(own.rows[most - 1, i], -bound), bound) * change / variance / own.lag_known[i]
     own.lag[i] += step
     for k in range(most - own.held[0], most):
         own.rows[k, i] -= step * (own.edges[k + 1, i] - own.edges[k, i])
