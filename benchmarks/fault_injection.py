@@ -98,7 +98,7 @@ KINDS = (
     Kind('payload', 'payload', 0.0, 0.0),
     Kind('healthy', 'none', 0.0, 0.0),
     Kind('stamps off', 'stamps', 0.0, 0.0),
-    Kind('stamps off, own rates', 'stamps', 1.0, 0.0, rates=('derived',)),
+    Kind('stamps off differenced', 'stamps', 1.0, 0.0, rates=('derived',)),
     Kind('bursts', 'bursts', 0.2, 0.0),
     Kind('repeated', 'repeated', 0.0, 0.0),
     Kind('gaps', 'gaps', 0.0, 0.0),
