@@ -34,8 +34,8 @@ COUNT, IN_BLOCK, IN_INTERVAL, PENDING, BLOCKS = range(5)
 sensor-independent age of a jump that waits for its kind, -1 if none; blocks written."""
 TIME, INTERVAL_START, BLOCK_START, STAMPS, TIMES, LATEST, LATE_FROM, LATE_UNTIL, IN_DOUBT = range(9)
 """Entries of `Sampler.clock` [s]; the fourth one is 1 once a stamp has been wrong, then comes the
-sum of the block's stamps; by how much stamps were wrong lately, from and until when, and by how much
-those of the block may be."""
+sum of the block's stamps; by how much stamps were wrong lately, from and until when, and by how
+much those of the block may be."""
 ROUNDING = 1e-12
 """Change of a reading that rounding explains, where it was found from joint positions [rad]."""
 JUMP_SCALE = 10.0
@@ -411,7 +411,7 @@ def _is_beyond(sampler: Sampler, i: int, k: int) -> bool:
 
 @njit_in_place
 def _unexplained(sampler: Sampler, i: int, period: float, late: float) -> float:
-    """What a wrong stamp, and no two of three rates if they are independent, explain of a way [rad].
+    """What neither a wrong stamp nor rates explain of a way [rad]; of independent ones, any two.
 
     A joint that shakes faster than it is sampled does not jump, nor does one whose rate is wrong.
     """
