@@ -480,13 +480,16 @@ def _wrong_stamp(sampler: Sampler, period: float) -> float:
     jumps, n, late, best = sampler.jumps[HISTORY - 2], sampler.scale.shape[0], 0.0, 1
     for c in range(n):
         rate = _motion(sampler, c)
-        if abs(rate) < _SLOW or abs(jumps[c]) > _latest(sampler, c, period) * abs(rate):
+        # Noisy readings jump by themselves.
+        if sampler.noisy[c] == 1 or abs(rate) < _SLOW:
+            continue
+        if abs(jumps[c]) > _latest(sampler, c, period) * abs(rate):
             continue
         gained, common, weight = 0, 0.0, 0.0
         for i in range(n):
             own = _motion(sampler, i)
             way, usual = jumps[c] / rate * own, _USUAL * sampler.scale[i]
-            if max(abs(way), abs(jumps[i])) <= usual:
+            if sampler.noisy[i] == 1 or max(abs(way), abs(jumps[i])) <= usual:
                 continue
             if abs(jumps[i] - way) < max(0.5 * abs(way), usual):
                 gained, common, weight = gained + 1, common + jumps[i] * own, weight + own * own
