@@ -13,6 +13,7 @@ from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.diagnosis.balance import OFFSET, Balance
 from lpv.core.serial_arm.diagnosis.bank import BankParts, ask_bank, take_rows
 from lpv.core.serial_arm.diagnosis.estimator import (
+    NOISE_SAMPLES,
     INTERVAL,
     Posterior,
     estimate_all,
@@ -205,7 +206,10 @@ def find_levels(
             gain = 0.5 * ratio * ratio - np.log(prior[i] / sigma)
             # An offset may have been there before the first sample; later ones come at any time,
             # and every horizon is another chance of a false alarm.
-            if gain > (at_start if known[i] < horizon else later) and abs(offset) > least:
+            needed = at_start if known[i] < horizon else later
+            # Before, the noise is what the file expects.
+            needed = needed if known[i] > NOISE_SAMPLES * interval else np.inf
+            if gain > needed and abs(offset) > least:
                 beyond[0, i], some = gain, True
         fault, bound = certified[0][i], certified[1][i] if certified[2][0] else np.inf
         if abs(fault) > max(bound, least) and abs(offset - fault) < bound + sigmas * sigma:

@@ -61,7 +61,7 @@ HORIZON = 10.0
 _LINEAR_WITHIN = 0.05
 """Change of an offset after which the horizon is linearised again, if it is no chance: beyond
 `ROBUST` of its standard deviations [rad]."""
-_NOISE_SAMPLES = 20
+NOISE_SAMPLES = 20
 """Balances after which what is seen of the noise counts as much as what is expected."""
 NOISE_KNOWN_AFTER = 3.0
 """Before, noise is learned in any case; what acts from outside is not told from it [s]."""
@@ -97,7 +97,7 @@ class HorizonPlan:
         per_block = max(1, round(0.01 / sample_time))
         blocks = max(2, round(interval / (per_block * sample_time)))
         length = per_block * blocks * sample_time
-        return HorizonPlan(per_block, blocks, length, max(_NOISE_SAMPLES, round(horizon / length)))
+        return HorizonPlan(per_block, blocks, length, max(NOISE_SAMPLES, round(horizon / length)))
 
 
 class Posterior(NamedTuple):
@@ -380,7 +380,7 @@ def _sizes(window: Window, null: Posterior, i: int, rest: float, values: FloatAr
 @njit_in_place
 def _share(count: int) -> float:
     """Weight of what was seen in so many balances, beside what is expected."""
-    return count * count / (_NOISE_SAMPLES * _NOISE_SAMPLES + count * count)
+    return count * count / (NOISE_SAMPLES * NOISE_SAMPLES + count * count)
 
 
 @njit_in_place

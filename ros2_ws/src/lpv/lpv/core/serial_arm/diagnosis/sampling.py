@@ -189,7 +189,9 @@ def push_sample(
         sampler.samples[HISTORY - 1, 0, i] = reading
         rate = v[i] - sampler.derived[i] * (sampler.drift[i] + sampler.share[i] * v[i])
         rate -= sampler.rate_error[i]
-        sampler.samples[HISTORY - 1, 1, i] = rate
+        first = 0 if sampler.counters[COUNT] == 0 else HISTORY - 1  # nothing is known of before
+        for k in range(first, HISTORY):
+            sampler.samples[k, 1, i] = rate
         sampler.samples[HISTORY - 1, 2, i] = torque[i]
     if sampler.counters[COUNT] > 0 and rates_lag(sampler):
         for i in range(n):
