@@ -26,7 +26,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy.stats import poisson
 
-LEVELS = (1e1, 1e3, 1e5)
+LEVELS = (1e1, 1e2, 1e3, 1e4, 1e5)
 """Values a at which M stops."""
 
 Statistics = Iterator[float]
@@ -132,15 +132,24 @@ def plot(curves: dict[str, list[Frequency]], file: Path) -> None:
     """Frequencies of stops against 1/a."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(6, 5), layout='constrained')
-    axes = figure.add_subplot(xscale='log', yscale='log')
-    line = np.array([min(LEVELS), max(LEVELS)])
-    axes.plot(line, 1.0 / line, 'k--', label='1/a')
+    places: dict[str, dict[str, list[Frequency]]] = {}
     for name, found in curves.items():
-        seen = [one for one in found if one.stops]
-        axes.plot([one.level for one in seen], [one.per_decision for one in seen], 'o-', label=name)
-    axes.set(xlabel='a', ylabel='stops per decision, healthy')
-    axes.legend(fontsize=7)
+        *arm, kind = name.split(maxsplit=3)
+        places.setdefault(kind, {})[' '.join(arm)] = found
+    arms = list(dict.fromkeys(arm for group in places.values() for arm in group))
+    figure = Figure(figsize=(3.2 * len(places) + 2.5, 4.0), layout='constrained')
+    line = np.array([min(LEVELS), max(LEVELS)])
+    for place, (kind, group) in enumerate(places.items()):
+        axes = figure.add_subplot(1, len(places), place + 1, xscale='log', yscale='log')
+        axes.plot(line, 1.0 / line, 'k--', label='1/a')
+        for arm, found in group.items():
+            seen = [one for one in found if one.stops]
+            style = dict(color=f'C{arms.index(arm) // 2}', marker='os'[arms.index(arm) % 2])
+            axes.plot([one.level for one in seen], [one.per_decision for one in seen],
+                      label=arm, **style)  # fmt: skip
+        axes.set(title=kind, xlabel='a', ylabel='stops per decision' if place == 0 else None,
+                 ylim=(0.5 / line[1], 1.0))  # fmt: skip
+    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc='outside right', fontsize=7)
     figure.savefig(file)
 
 

@@ -26,7 +26,7 @@ def sums(noise=1e-3, step=0.0, rate=0.0, jump=0.0):
     plan = HorizonPlan.of(arm.sample_time)
     rows, length = KinematicRows(arm, plan), plan.interval / plan.blocks
     time = length * np.arange(30 * plan.blocks)
-    blocks = np.zeros((len(time), 12))
+    blocks = np.zeros((len(time), 13))
     blocks[:, :3], blocks[:, 3:6] = rate * time[:, None], rate
     blocks[-3 * plan.blocks :, 1] += jump
     blocks[:, 9], blocks[:, 10] = time, length
