@@ -13,8 +13,8 @@ from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.diagnosis.balance import OFFSET, Balance
 from lpv.core.serial_arm.diagnosis.bank import BankParts, ask_bank, take_rows
 from lpv.core.serial_arm.diagnosis.estimator import (
-    NOISE_SAMPLES,
     INTERVAL,
+    NOISE_SAMPLES,
     Posterior,
     estimate_all,
     has_moved,
