@@ -117,8 +117,9 @@ def add_noise(
     sampler: Sampler,
     momenta: FloatArray,
     interval: tuple[float, int],
+    blocks: FloatArray,
 ) -> bool:
-    """Balances of readings that are noisy, or rounded, say less than others.
+    """Balances of readings that are noisy, rounded, or off their stamps say less than others.
 
     Parameters
     ----------
@@ -132,6 +133,8 @@ def add_noise(
         By unit rates of the readings, at that balance.
     interval : tuple
         Its length [s], and the samples in it.
+    blocks : ndarray, shape (2 B, 3 n + 4)
+        Of the last balance.
 
     Returns
     -------
@@ -147,6 +150,10 @@ def add_noise(
             rates = 6.0 * sampler.derived[j] * (momenta[i, j] / interval[0]) ** 2
             if np.isfinite(sampler.grain[j]):
                 rounded += rates * sampler.grain[j] * sampler.grain[j] / 12.0
+            wrong = 0.0
+            for block in blocks:
+                wrong = max(wrong, (block[3 * n + 3] * block[n + j]) ** 2)
+            noisy += rates * wrong
             if sampler.noisy[j] == 1:
                 mean = window.rows[at, i, 1 + OFFSET * n + j] ** 2 / interval[1]
                 noisy += reading_noise(sampler, j) * (mean + rates)
@@ -238,7 +245,8 @@ def decide(parts: Parts) -> None:
         state.stage = _FOLLOW if state.follows else _ESTIMATE
     if state.stage == _ESTIMATE:
         momenta, samples = bank.mass[slot(window, 0)], round(interval / state.sample_time)
-        if add_noise(window, parts.null, parts.sampler, momenta, (interval, samples)):
+        plan = interval, samples
+        if add_noise(window, parts.null, parts.sampler, momenta, plan, parts.recent):
             weigh_all(*horizon, 1)
         estimate_all(*horizon, parts.since_linearised, interval, state.learns)
         moved = has_moved(window, parts.level, parts.balance, parts.since_linearised)
