@@ -8,6 +8,7 @@ import sys
 from dataclasses import replace
 
 import numpy as np
+from scipy import stats
 from simulated_recordings import SensorNoise, simulate
 
 from lpv.core.serial_arm.arm_file import load_arm
@@ -18,6 +19,7 @@ from lpv.identify.estimation.workshop import Workshop
 from lpv.identify.motions.excitation import plan_excitation
 
 DURATION, RATE = 30.0, 125.0
+LEVEL = 0.95
 
 
 def arm_with_friction(path: str) -> SerialArm:
@@ -44,10 +46,14 @@ def main(path: str, runs: int) -> None:
         sigma = np.sqrt(np.diag(fit.covariance))
         used = sigma > 0.0
         error = fit.parameters - truth
-        inside.append(np.abs(error[used]) < fit.interval()[used])
+        factor = float(stats.t.ppf(0.5 + 0.5 * LEVEL, fit.freedom))
+        inside.append(np.abs(error[used]) < factor * sigma[used])
         covariance = fit.covariance[np.ix_(used, used)]
         distance = error[used] @ np.linalg.solve(covariance, error[used])
-        regions.append(distance < fit.region(int(used.sum())))
+        # The joint region of Hotelling's T^2.
+        size = int(used.sum())
+        rest = max(1.0, fit.freedom - size + 1.0)
+        regions.append(distance < size * fit.freedom / rest * stats.f.ppf(LEVEL, size, rest))
     size = inside[0].size
     share = np.mean(inside, axis=0)
     print(

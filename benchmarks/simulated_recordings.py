@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.description import LinkInertia, SerialArm
 from lpv.identify.model.rigid_body import joint_torques
 from lpv.identify.motions.trajectory import Trajectory
 from lpv.identify.recordings.recording import Recording
@@ -39,3 +39,9 @@ def simulate(
     velocity = velocity + noise.velocity * rng.normal(size=torque.shape)
     effort = (torque + spread * rng.normal(size=torque.shape)) / gain
     return Recording('simulation', time, position, velocity, effort)
+
+
+def is_physical(link: LinkInertia) -> bool:
+    """Whether some distribution of positive mass has the parameters of a link."""
+    matrix = link.pseudo_inertia()
+    return bool(np.linalg.eigvalsh(matrix)[0] >= -1e-9 * np.trace(matrix))

@@ -5,13 +5,18 @@ from fuzzing import fuzz, mutate_text
 from places import BRINGUP, ROOT
 
 from lpv.bag.run.csv_import import load_column_map
-from lpv.campaign.plan.spec import load_spec
+from lpv.campaign.plan.spec import parse_spec
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.simulation.scenario import load_scenario
+from lpv.core.support.config import read_yaml
 from lpv.core.uio.certificate.gains import load_gains
 from lpv_design.requirement import load_requirement
 
 pytestmark = pytest.mark.fuzz
+
+
+def _load_spec(path):
+    return parse_spec(read_yaml(path))
 
 
 _KINDS = {
@@ -19,7 +24,10 @@ _KINDS = {
     'requirement': (load_requirement, ROOT / 'design/lpv_design/requirements/real_arm.yaml'),
     'scenario': (load_scenario, BRINGUP / 'scenarios' / 'two_faults.yaml'),
     'columns': (load_column_map, BRINGUP / 'columns' / 'real_arm.yaml'),
-    'campaign': (load_spec, BRINGUP / 'campaigns' / 'thresholds.yaml'),
+    'campaign': (
+        lambda path: parse_spec(read_yaml(path)),
+        BRINGUP / 'campaigns' / 'thresholds.yaml',
+    ),
     'gains': (load_gains, BRINGUP / 'gains' / 'real_arm.yaml'),
 }
 _UNBOUNDED = {

@@ -44,9 +44,9 @@ class Swing:
     def sample(self, t, dt=0.002, fault=(0.0, 0.0)):
         """Positions, rates and efforts of the joints; the effort acted over the interval before."""
         theta, rate, _ = self.absolute(t)
-        reading = self.joints.sensor_position(self.joints.joint_position(theta)) + fault
+        wrong = np.linalg.solve(self.joints.sensor_matrix, fault)
         return (
-            self.joints.joint_from_sensor(reading),
+            self.joints.joint_position(theta + wrong),
             self.joints.joint_velocity(rate),
             self.joints.joint_torque(self.torque(t - dt / 2)),
         )

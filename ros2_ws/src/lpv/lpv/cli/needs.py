@@ -6,6 +6,7 @@ import platform
 from typing import Any
 
 from lpv.core.support.errors import ConfigError
+from lpv.core.support.resources import installed_version
 
 DISTRIBUTION = 'lpv-arm-fdi'
 _EXTRAS = {
@@ -38,7 +39,7 @@ def remedy(module: str | None) -> str:
     """One sentence for a module that cannot be imported."""
     name = (module or '').split('.')[0]
     if name in _EXTRAS:
-        if _version(DISTRIBUTION) == '-':
+        if not installed_version(DISTRIBUTION):
             return f'{name} is not installed: run "make setup-extras" in the checkout'
         return f"{name} is not installed: pip install '{DISTRIBUTION}[{_EXTRAS[name]}]'"
     if name == 'lpv_design':
@@ -56,17 +57,8 @@ class Version(argparse.Action):
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
         """Print and leave."""
-        own = _version(DISTRIBUTION)
-        parts = [f'{name} {_version(name)}' for name in ('numpy', 'numba')]
+        own = installed_version(DISTRIBUTION) or installed_version('lpv', '-')
+        parts = [f'{name} {installed_version(name, "-")}' for name in ('numpy', 'numba')]
         text = ', '.join([f'Python {platform.python_version()}', *parts])
-        print(f'lpv {_version("lpv") if own == "-" else own} ({text})')
+        print(f'lpv {own} ({text})')
         parser.exit()
-
-
-def _version(name: str) -> str:
-    from importlib.metadata import PackageNotFoundError, version  # only here: it takes time
-
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return '-'

@@ -4,7 +4,6 @@ import math
 import platform
 import time
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,6 +13,7 @@ from lpv.bag.run.streams import RunRecord
 from lpv.core.control.path import CartesianPath
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import SensorState
+from lpv.core.support.resources import installed_version
 from lpv.core.support.timestamps import NANOSECONDS
 from lpv.report.certificate import Certificate
 from lpv.report.figures import draw_all
@@ -118,7 +118,10 @@ def content(run: Run) -> dict[str, Any]:
         'errors': any(row.is_error for row in run.table),
         'detectable': _detectable(record, arm),
         'certificate': run.certificate,
-        'versions': [(name, _version(name)) for name in ('lpv', *_PACKAGES)]
+        'versions': [
+            (name, installed_version(name, 'not installed as a package'))
+            for name in ('lpv', *_PACKAGES)
+        ]
         + [('Python', platform.python_version())],
         'counts': sorted(record.counts.items()),
         'arm_facts': [
@@ -129,13 +132,6 @@ def content(run: Run) -> dict[str, Any]:
             ('sample time', f'{1000.0 * arm.sample_time:g} ms'),
         ],
     }
-
-
-def _version(name: str) -> str:
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return 'not installed as a package'
 
 
 def _detectable(record: RunRecord, arm: SerialArm) -> list[dict[str, Any]]:

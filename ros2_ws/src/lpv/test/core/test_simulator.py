@@ -18,6 +18,11 @@ from lpv.core.uio.planar import planar_model
 pytestmark = pytest.mark.slow
 
 
+def reading_of(joints, position):
+    """Readings of the sensors from joint positions."""
+    return joints.absolute_position(position) @ joints.sensor_matrix.T
+
+
 @pytest.fixture
 def simulate(paper_arm, two_faults):
     """A simulator of the paper's arm, without faults if not said otherwise."""
@@ -91,7 +96,7 @@ def test_given_a_fault_when_injected_then_noise_and_disturbance_stay_the_same(si
         (plain, truth), (faulty, other) = (p.sense() for p in plants)
         np.testing.assert_array_equal(truth.position, other.position)
         np.testing.assert_array_equal(plain.velocity, faulty.velocity)
-        shift = joints.sensor_position(faulty.position) - joints.sensor_position(plain.position)
+        shift = reading_of(joints, faulty.position) - reading_of(joints, plain.position)
         np.testing.assert_allclose(shift, other.fault, atol=1e-12)
         for plant in plants:
             plant.step((1.0, 2.0))
@@ -103,8 +108,8 @@ def test_given_a_noise_fault_when_sampled_then_it_is_independent_of_the_sensors_
     plant, pairs = simulate(Fault('link1_angle', 'noise', 0.0, size=0.1)), []
     for _ in range(1000):
         measurement, truth = plant.sense()
-        reading = joints.sensor_position(measurement.position)
-        noise = reading - joints.sensor_position(truth.position) - truth.fault
+        reading = reading_of(joints, measurement.position)
+        noise = reading - reading_of(joints, truth.position) - truth.fault
         pairs.append((truth.fault[0], *noise))
         plant.hold()
     fault, *noise = np.array(pairs).T
@@ -118,9 +123,9 @@ def test_given_noise_and_disturbance_when_sampled_then_their_moments_are_the_arm
     plant, residuals, pushes = simulate(), [], []
     for _ in range(4000):
         measurement, truth = plant.sense()
-        angles = joints.sensor_position(measurement.position)
+        angles = reading_of(joints, measurement.position)
         rates = joints.absolute_velocity(measurement.velocity - truth.velocity)
-        own = angles - joints.sensor_position(truth.position)
+        own = angles - reading_of(joints, truth.position)
         residuals.append([*own, *rates @ joints.sensor_matrix.T])
         plant.step((0.0, 0.0))
         pushes.append(plant.sense()[1].disturbance)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from places import RECORDINGS as DATA
+from simulated_recordings import is_physical
 
 from lpv.bag.run.csv_import import load_column_map
 from lpv.core.serial_arm.arm_file import load_arm, save_arm
@@ -25,7 +26,7 @@ def identified(folder, urdf):
 def test_given_a_ur10_when_identified_then_torques_held_back_are_predicted():
     result = identified('ur10', 'ur10.urdf')
     assert np.all(result.figures.rms <= [1.3, 1.25, 1.3, 0.4, 0.4, 2.4])
-    assert all(joint.link.is_physical() for joint in result.arm.joints)
+    assert all(is_physical(joint.link) for joint in result.arm.joints)
 
 
 def test_given_a_panda_when_identified_then_torques_held_back_are_predicted():

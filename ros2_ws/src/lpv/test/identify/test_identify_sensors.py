@@ -51,8 +51,9 @@ def test_given_rounded_readings_with_rests_when_their_step_is_looked_for_then_it
 def test_given_rounded_signals_when_sensed_then_each_has_its_step_and_its_noise_without_it():
     one = segment(noise=3e-4)
     sensed = found(1e-4 * np.round(one.position / 1e-4), 5e-3 * np.round(one.velocity / 5e-3))
-    steps = sensed.quantization, sensed.velocity_step, sensed.effort_step
-    assert np.concatenate(steps) == pytest.approx([1e-4, 5e-3, 1e-2], rel=1e-3)
+    assert sensed.quantization == pytest.approx([1e-4], rel=1e-3)
+    rates = 5e-3 * np.round(one.velocity / 5e-3)
+    assert quantization_step([rates]) == pytest.approx([5e-3], rel=1e-3)
     assert sensed.position_noise == pytest.approx([3e-4], rel=0.05)
     assert found(np.round(one.position, 1), one.velocity).position_noise > 0.0
 
@@ -72,5 +73,6 @@ def test_given_residuals_that_grow_near_rest_when_enveloped_then_the_tolerance_d
     rng = np.random.default_rng(1)
     speed = rng.uniform(0, 2, 5000)
     tolerance = torque_tolerance(speed, np.exp(-4 * speed) + 0.1 * rng.uniform(-1, 1, 5000))
-    assert tolerance.at(0.01) > 0.9
-    assert tolerance.at(1.5) < 0.15
+    near, fast = np.interp([0.01, 1.5], tolerance.speed, tolerance.torque)
+    assert near > 0.9
+    assert fast < 0.15

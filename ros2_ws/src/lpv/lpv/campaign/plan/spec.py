@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass, fields
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ from lpv.core.control.tracking import COMPENSATION
 from lpv.core.monitoring.parameters import DiagnosisParameters
 from lpv.core.simulation.faults import KINDS
 from lpv.core.simulation.scenario import PLANTS
-from lpv.core.support.config import Section, read_yaml
+from lpv.core.support.config import Section
 
 METHODS = ('factorial', 'random', 'latin_hypercube')
 MOST_RUNS = 10_000_000
@@ -78,11 +77,6 @@ class CampaignSpec:
     substeps: int = 2  # Runge-Kutta steps of the plant per sample
     # Whether each run with a fault is repeated without it, for the ratio of tracking errors
     twin: bool = False
-
-
-def load_spec(path: str | Path) -> CampaignSpec:
-    """Read a campaign file; see ``docs/scenario-file.md``."""
-    return parse_spec(read_yaml(path), str(path))
 
 
 def parse_spec(data: dict[str, Any], source: str = 'campaign') -> CampaignSpec:

@@ -1,7 +1,6 @@
 """Checks of what is installed and how the shell is set up."""
 
 import importlib
-import importlib.metadata
 import os
 import re
 import subprocess
@@ -12,7 +11,7 @@ from typing import NamedTuple
 from lpv.cli.completion import PROGRAMS
 from lpv.cli.doctor.finding import Finding, error, ok, warn
 from lpv.core.support.errors import LpvError
-from lpv.core.support.resources import executable
+from lpv.core.support.resources import executable, installed_version
 
 REQUIREMENTS = (
     'numpy>=1.24,<3', 'scipy>=1.10,<2', 'numba>=0.59,<1', 'pyyaml>=6,<7', 'cvxpy-base>=1.5,<1.8',
@@ -66,7 +65,8 @@ def check_packages(requirements: Sequence[str] = REQUIREMENTS) -> Finding:
 
     bad = []
     for wanted in map(Requirement, requirements):
-        version = _version(wanted.name) or _version(_SAME.get(wanted.name, wanted.name))
+        names = wanted.name, _SAME.get(wanted.name, wanted.name)
+        version = next(filter(None, map(installed_version, names)), '')
         if not version:
             bad.append(f'{wanted.name} is missing')
         elif not wanted.specifier.contains(version, prereleases=True):
@@ -75,13 +75,6 @@ def check_packages(requirements: Sequence[str] = REQUIREMENTS) -> Finding:
         remedy = 'make setup, or pip install -r requirements/base.txt'
         return error('packages', '; '.join(bad), remedy)
     return ok('packages', f'{len(requirements)} packages in the versions that are needed')
-
-
-def _version(name: str) -> str:
-    try:
-        return importlib.metadata.version(name)
-    except importlib.metadata.PackageNotFoundError:
-        return ''
 
 
 def check_compiler() -> Finding:

@@ -67,12 +67,6 @@ class LinkInertia:
         result[3, 3] = self.mass
         return result
 
-    def is_physical(self, tolerance: float = 1e-9) -> bool:
-        """Whether some distribution of positive mass has these parameters."""
-        matrix = self.pseudo_inertia()
-        scale = max(float(np.trace(matrix)), 1e-300)
-        return bool(np.linalg.eigvalsh(matrix)[0] >= -tolerance * scale)
-
 
 @dataclass(frozen=True)
 class JointFriction:
@@ -123,10 +117,6 @@ class TorqueTolerance:
 
     speed: tuple[float, ...] = (0.0,)  # increasing [rad/s]
     torque: tuple[float, ...] = (0.0,)  # [N m]
-
-    def at(self, speed: float) -> float:
-        """Tolerance [N m] at abs(v) [rad/s]."""
-        return float(np.interp(abs(speed), self.speed, self.torque))
 
 
 @dataclass(frozen=True)

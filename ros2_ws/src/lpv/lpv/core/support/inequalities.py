@@ -1,10 +1,13 @@
 """Whether matrix inequalities hold: by eigenvalues, and in exact rational arithmetic."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
 from numpy.typing import ArrayLike
+
+from lpv.core.support.errors import ConfigError
 
 SAME = 1e-6
 """Relative difference up to which a recomputed number is the stored one."""
@@ -23,16 +26,20 @@ class Check:
         return self.margin < 0.0
 
 
-def symmetric_part(matrix: np.ndarray) -> np.ndarray:
-    """(M + M^T)/2: what an inequality on a numerically unsymmetric matrix is about."""
-    return 0.5 * (matrix + matrix.T)
+def require_all(checks: Iterable[Check], field: str, remedy: str, source: str) -> None:
+    """Refuse a certificate that does not hold: ConfigError names the inequality that fails."""
+    for check in checks:
+        if not check.holds:
+            reason = f'{check.name}, {check.margin:.3g} is not negative; {remedy}'
+            raise ConfigError(field, f'the certificate does not hold: {reason}', source)
 
 
 def largest_eigenvalue(matrix: np.ndarray) -> float:
     """Largest eigenvalue of a symmetric matrix; negative if M < 0 holds, NaN if M is not finite."""
     if not np.isfinite(matrix).all():
         return np.nan
-    return float(np.linalg.eigvalsh(symmetric_part(np.asarray(matrix)))[-1])
+    matrix = np.asarray(matrix)
+    return float(np.linalg.eigvalsh(0.5 * (matrix + matrix.T))[-1])
 
 
 def exact(values: ArrayLike) -> np.ndarray:

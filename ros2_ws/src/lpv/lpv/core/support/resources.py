@@ -24,6 +24,16 @@ def prefix_of(package: str) -> Path:
     raise ConfigError(f'package {package!r}', reason)
 
 
+def installed_version(distribution: str, otherwise: str = '') -> str:
+    """Version of an installed Python distribution."""
+    from importlib.metadata import PackageNotFoundError, version  # only here: it takes time
+
+    try:
+        return version(distribution)
+    except PackageNotFoundError:
+        return otherwise
+
+
 def executable(package: str, name: str) -> Path:
     """Program that ``ros2 run PACKAGE NAME`` starts."""
     folder = prefix_of(package) / 'lib' / package

@@ -9,8 +9,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.optimize import nnls
-from scipy.stats import f as fisher
-from scipy.stats import t as student
 
 from lpv.identify.estimation.autocorrelation import residual_autocovariances, score_covariance
 from lpv.identify.estimation.robust import (
@@ -90,16 +88,6 @@ class Fit:
     covariance: np.ndarray  # of the parameters, with correlated residuals accounted for
     freedom: float  # degrees of freedom of the covariance
     used_load: np.ndarray  # joints with load-dependent friction, shape (n,)
-
-    def interval(self, level: float = 0.95) -> np.ndarray:
-        """Half width of each parameter's interval at a level of confidence (Student's t)."""
-        factor = float(student.ppf(0.5 + 0.5 * level, self.freedom))
-        return factor * np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
-
-    def region(self, size: int, level: float = 0.95) -> float:
-        """Largest squared distance, in covariances, inside the joint region (Hotelling's T^2)."""
-        rest = max(1.0, self.freedom - size + 1.0)
-        return size * self.freedom / rest * float(fisher.ppf(level, size, rest))
 
     @property
     def base(self) -> np.ndarray:

@@ -23,8 +23,6 @@ class Sensing:
     position_noise: np.ndarray  # without quantization [rad]
     quantization: np.ndarray  # step of the positions, 0 if there is none [rad]
     velocity_noise: np.ndarray  # [rad/s]
-    velocity_step: np.ndarray  # of the rates [rad/s]
-    effort_step: np.ndarray  # of the efforts [unit of the driver]
     rates: list[str]  # source of the rates: 'independent' where that is proved
     rate_evidence: np.ndarray  # share of the rates' noise that positions explain; NaN: not known
     jitter: float  # standard deviation of the stamps' distances [s]
@@ -58,7 +56,6 @@ def sense(
     uniform grid; delays, shape (n,), are known from elsewhere [s].  Rates are called derived unless
     it is proved that they are independent.
     """
-    rates = [one.velocity for one in recordings if one.velocity is not None]
     n = recordings[0].position.shape[1]
     step = quantization_step([one.position for one in recordings])
     noise = noise_deviation([segment.position for segment in segments])
@@ -72,8 +69,6 @@ def sense(
         noise,
         step,
         noise_deviation(on_grid) if on_grid else np.full(n, _UNKNOWN_RATE_NOISE),
-        quantization_step(rates) if rates else np.zeros(n),
-        quantization_step([one.effort for one in recordings]),
         sources,
         evidence,
         float(np.std(near)),

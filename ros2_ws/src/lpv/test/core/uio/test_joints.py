@@ -14,8 +14,8 @@ PAIR = st.tuples(st.floats(-10, 10), st.floats(-10, 10)).map(np.array)
 
 def conversions(joints):
     """Each conversion, and the one back."""
-    names = ('absolute_position', 'absolute_velocity', 'absolute_torque', 'sensor_position')
-    back = ('joint_position', 'joint_velocity', 'joint_torque', 'joint_from_sensor')
+    names = ('absolute_position', 'absolute_velocity', 'absolute_torque')
+    back = ('joint_position', 'joint_velocity', 'joint_torque')
     return [(getattr(joints, a), getattr(joints, b)) for a, b in zip(names, back)]
 
 
@@ -30,12 +30,8 @@ def test_given_any_pair_when_converted_then_it_comes_back_and_power_and_rates_ar
             np.testing.assert_allclose(there(back(pair)), pair, atol=1e-13)
         absolute = joints.absolute_torque(pair) @ joints.absolute_velocity(rate)
         assert absolute == pytest.approx(pair @ rate, abs=1e-12)
-        for position, matrix in (
-            (joints.absolute_position, np.eye(2)),
-            (joints.sensor_position, joints.sensor_matrix),
-        ):
-            moved = (position(pair + h * rate) - position(pair)) / h
-            np.testing.assert_allclose(moved, matrix @ joints.absolute_velocity(rate), atol=1e-7)
+        moved = (joints.absolute_position(pair + h * rate) - joints.absolute_position(pair)) / h
+        np.testing.assert_allclose(moved, joints.absolute_velocity(rate), atol=1e-7)
 
 
 def test_given_both_arms_when_upright_or_hanging_then_zeros_and_torques_are_those_of_their_files(

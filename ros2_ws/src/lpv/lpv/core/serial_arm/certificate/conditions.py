@@ -27,7 +27,7 @@ from lpv.core.serial_arm.certificate.model_bounds import (
 from lpv.core.serial_arm.chain import FloatArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.errors import ConfigError
-from lpv.core.support.inequalities import SAME, Check, largest_eigenvalue
+from lpv.core.support.inequalities import SAME, Check, largest_eigenvalue, require_all
 
 NO_CERTIFICATE = 'none (lpv design writes one)'
 """Of a loop whose parameter file has a bandwidth only, for the reader."""
@@ -157,14 +157,7 @@ def verify_loop(arm: SerialArm, gains: LoopGains) -> list[Check]:
 
 def require_loop(arm: SerialArm, gains: LoopGains, source: str = 'gains') -> None:
     """Refuse a certificate that does not hold (ConfigError naming the inequality)."""
-    for check in _checks(arm, gains):
-        if not check.holds:
-            raise ConfigError(
-                'loop',
-                f'the certificate does not hold: {check.name}, {check.margin:.3g} is not '
-                'negative; design again',
-                source,
-            )
+    require_all(_checks(arm, gains), 'loop', 'design again', source)
 
 
 def _checks(arm: SerialArm, gains: LoopGains) -> Iterator[Check]:

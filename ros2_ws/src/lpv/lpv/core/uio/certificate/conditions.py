@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import expm
 
-from lpv.core.support.errors import ConfigError
-from lpv.core.support.inequalities import SAME, Check, largest_eigenvalue
+from lpv.core.support.inequalities import SAME, Check, largest_eigenvalue, require_all
 from lpv.core.uio.certificate.error_system import link_errors
 from lpv.core.uio.certificate.gains import (
     ControllerGains,
@@ -52,14 +51,7 @@ def _checks(arm: ArmParameters, gains: Gains) -> Iterator[Check]:
 
 def require(arm: ArmParameters, gains: Gains, source: str = 'gains') -> None:
     """Refuse gains whose certificate does not hold: ConfigError names the inequality that fails."""
-    for check in _checks(arm, gains):
-        if not check.holds:
-            raise ConfigError(
-                'gains',
-                f'the certificate does not hold: {check.name}, '
-                f'{check.margin:.3g} is not negative; design the gains again',
-                source,
-            )
+    require_all(_checks(arm, gains), 'gains', 'design the gains again', source)
 
 
 def _noise_checks(

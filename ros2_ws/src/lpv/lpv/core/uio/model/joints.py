@@ -68,8 +68,6 @@ class JointMap:
     def __init__(self, arm: ArmParameters) -> None:
         self._zero = np.array([arm.zero_angle, 0.0])
         self.sensor_matrix = np.eye(2) if arm.arrangement == 'absolute' else J.copy()
-        self._from_joint = self.sensor_matrix @ J_INVERSE
-        self._to_joint = J @ np.linalg.inv(self.sensor_matrix)
 
     def record(self) -> np.record:
         """The matrices for compiled functions, of type `JOINT_MAP`."""
@@ -78,7 +76,7 @@ class JointMap:
             zero=self._zero[0],
             sensor=self.sensor_matrix,
             angle=np.linalg.inv(self.sensor_matrix),
-            from_joint=self._from_joint,
+            from_joint=self.sensor_matrix @ J_INVERSE,
             j=J,
         )
 
@@ -105,11 +103,3 @@ class JointMap:
     def joint_torque(self, absolute: ArrayLike) -> np.ndarray:
         """Joint torques tau from generalised torques Q of the absolute angles."""
         return np.asarray(absolute, float) @ J_INVERSE
-
-    def sensor_position(self, joint: ArrayLike) -> np.ndarray:
-        """Readings S theta of the physical sensors from joint positions."""
-        return (np.asarray(joint, float) + self._zero) @ self._from_joint.T
-
-    def joint_from_sensor(self, sensor: ArrayLike) -> np.ndarray:
-        """Joint positions from readings of the physical sensors."""
-        return np.asarray(sensor, float) @ self._to_joint.T - self._zero
