@@ -1,6 +1,5 @@
 """Simulator node: publishes faulty joint measurements of a simulated arm."""
 
-import sys
 import time
 from dataclasses import replace
 
@@ -29,7 +28,7 @@ from lpv.core.uio.planar import planar_model
 from lpv_arm_sim.services import FaultServices
 from lpv_msgs.msg import GroundTruth, TorqueCommand
 from lpv_node.input_check import Refusals, all_finite, all_sized
-from lpv_node.managed import ManagedNode, run_node
+from lpv_node.managed import ManagedNode
 from lpv_node.parameters import (
     FROM_GAINS,
     chosen_limit,
@@ -340,8 +339,3 @@ class SimulatorNode(ManagedNode):
             self.get_logger().info('the scenario is over')
         if step == self._last and self.get_parameter('shutdown_at_end').value:
             self.finish()
-
-
-def main(argv: list[str] | None = None) -> None:
-    """Entry point of ``ros2 run lpv_arm_sim simulator``."""
-    sys.exit(run_node(SimulatorNode, argv))

@@ -16,8 +16,8 @@ _SILENCE = 1.5
 """A start that takes longer than this is said [s]."""
 
 
-def start(module: str, argv: Sequence[str] | None = None) -> None:
-    """Run ``main`` of a node's module, and leave with its exit code.
+def start(module: str, node: str, argv: Sequence[str] | None = None) -> None:
+    """Run a node, a class of a module, and leave with its exit code.
 
     Told to stop during the imports, the process leaves with code 0 and without a traceback.  What
     is told twice stays told: at the end of the process further signals are ignored, where the
@@ -29,11 +29,12 @@ def start(module: str, argv: Sequence[str] | None = None) -> None:
     note.daemon = True
     note.start()
     try:
-        main = importlib.import_module(module).main
+        node_class = getattr(importlib.import_module(module), node)
+        run_node = importlib.import_module('lpv_node.managed').run_node
         note.cancel()
         if stop.is_set:  # its exception was lost in an import
             sys.exit(0)
-        main(argv)
+        sys.exit(run_node(node_class, argv))
     except KeyboardInterrupt:
         sys.exit(0)
     except SystemExit as leaving:

@@ -1,6 +1,7 @@
 """One node's status on /diagnostics."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
@@ -10,15 +11,14 @@ from lpv.core.support.timestamps import NANOSECONDS, set_stamp
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 
-def diagnostics(
-    stamp: int, level: bytes, name: str, message: str, values: Mapping[str, object], arm: str = ''
-) -> DiagnosticArray:
-    """A diagnostic_msgs/DiagnosticArray of one status with a stamp [ns]."""
-    pairs = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
-    status = DiagnosticStatus(
-        name=name, level=level, message=message, hardware_id=arm, values=pairs
-    )
-    array = DiagnosticArray(status=[status])
+def diagnostics(stamp: int, found: Iterable[Mapping[str, Any]]) -> DiagnosticArray:
+    """A diagnostic_msgs/DiagnosticArray with a stamp [ns]: fields of each status, its values by
+    key."""
+    array = DiagnosticArray()
+    for fields in found:
+        pairs = [KeyValue(key=key, value=str(value)) for key, value in fields['values'].items()]
+        level = fields['level'] if isinstance(fields['level'], bytes) else bytes([fields['level']])
+        array.status.append(DiagnosticStatus(**{**fields, 'level': level, 'values': pairs}))
     set_stamp(array.header.stamp, max(0, stamp))
     return array
 
@@ -57,5 +57,6 @@ class StatusReporter:
         if self._last == (level, message) and self._due - NANOSECONDS <= stamp < self._due:
             return
         self._last, self._due = (level, message), stamp + NANOSECONDS
-        array = diagnostics(stamp, level, self._name, message, values(), self._arm)
-        self.publisher.publish(array)
+        names = ('level', 'message', 'name', 'hardware_id', 'values')
+        fields = dict(zip(names, (level, message, self._name, self._arm, values())))
+        self.publisher.publish(diagnostics(stamp, [fields]))

@@ -1,6 +1,5 @@
 """Tracker node: torques from estimates and from inverse-kinematics references."""
 
-import sys
 from operator import attrgetter
 
 import numpy as np
@@ -28,7 +27,7 @@ from lpv.core.simulation.scenario import load_scenario
 from lpv.core.support.timestamps import NANOSECONDS, to_nanoseconds
 from lpv_msgs.msg import JointReference, StateEstimate, TorqueCommand
 from lpv_node.input_check import Refusals, all_finite, all_sized
-from lpv_node.managed import ManagedNode, run_node
+from lpv_node.managed import ManagedNode
 from lpv_node.parameters import (
     FROM_GAINS,
     Spec,
@@ -384,8 +383,3 @@ class TrackerNode(ManagedNode):
 
 _fields = attrgetter(*ROWS)
 """Values of a StateEstimate, in the order of `ROWS`."""
-
-
-def main(argv: list[str] | None = None) -> None:
-    """Entry point of ``ros2 run lpv_tracker tracker``."""
-    sys.exit(run_node(TrackerNode, argv))

@@ -5,4 +5,4 @@ from lpv_node.start import start
 
 def main(argv: list[str] | None = None) -> None:
     """Start the node."""
-    start('lpv_uio.node', argv)
+    start('lpv_uio.node', 'UioNode', argv)

@@ -4,7 +4,6 @@ import math
 from typing import Any
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
@@ -100,24 +99,6 @@ class OutputMessages:
                 missing = isinstance(value, float) and math.isnan(value)
                 setattr(message, name, _WITHOUT_NUMBER[name] if missing else value)
         return message
-
-    @staticmethod
-    def diagnostics(stamp: int, status: list[Fields]) -> DiagnosticArray:
-        """A new diagnostic_msgs/DiagnosticArray with a stamp [ns] and statuses."""
-        array = DiagnosticArray(
-            status=[
-                DiagnosticStatus(
-                    **{
-                        **fields,
-                        'level': bytes([fields['level']]),
-                        'values': [KeyValue(key=k, value=v) for k, v in fields['values'].items()],
-                    }
-                )
-                for fields in status
-            ]
-        )
-        set_stamp(array.header.stamp, stamp)
-        return array
 
 
 def _views(record: np.ndarray) -> Fields:

@@ -1,7 +1,6 @@
 """UIO node: state and fault estimates, alarms and diagnostics from joint measurements."""
 
 import math
-import sys
 import threading
 from collections import deque
 from dataclasses import replace
@@ -26,10 +25,10 @@ from lpv.core.support.timestamps import NANOSECONDS, to_nanoseconds
 from lpv.core.uio.unknown_input_observer import CHOICES
 from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate, TorqueCommand
 from lpv_node.input_check import OneSender, Refusals, all_finite, all_sized
-from lpv_node.managed import ManagedNode, run_node
+from lpv_node.managed import ManagedNode
 from lpv_node.parameters import declare_gains, named_file, read_gains_if_set, table
 from lpv_node.qos import latched, stream
-from lpv_node.status import ERROR, OK, WARN, StatusReporter
+from lpv_node.status import ERROR, OK, WARN, StatusReporter, diagnostics
 from lpv_uio.messages import OutputMessages
 from lpv_uio.open_alarms import OpenAlarms, alarm_file
 
@@ -231,7 +230,7 @@ class UioNode(ManagedNode):
         for warning in answer.warnings:
             self.get_logger().warning(warning)
         if answer.status is not None:
-            self._diagnostics_out.publish(messages.diagnostics(stamp, answer.status))
+            self._diagnostics_out.publish(diagnostics(stamp, answer.status))
 
     def _publish_estimates(self, stamp: int) -> None:
         messages = self._messages
@@ -265,9 +264,7 @@ class UioNode(ManagedNode):
         if now - self._received > self.get_parameter('stale_after').value * NANOSECONDS:
             self._stale = True
             self.get_logger().warning('no measurements: diagnosis is stale')
-            self._diagnostics_out.publish(
-                self._messages.diagnostics(now, self._monitor.status(Mode.STALE))
-            )
+            self._diagnostics_out.publish(diagnostics(now, self._monitor.status(Mode.STALE)))
             fault = self._monitor.stale_fault()
             if fault is not None:
                 record = self._messages.record['fault']
@@ -321,8 +318,3 @@ class UioNode(ManagedNode):
         if changed and hasattr(self, '_monitor'):
             self._monitor.retune(self._diagnosis_parameters(changed))
         return SetParametersResult(successful=True)
-
-
-def main(argv: list[str] | None = None) -> None:
-    """Entry point of ``ros2 run lpv_uio uio``."""
-    sys.exit(run_node(UioNode, argv))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from functools import partial
 from pathlib import Path
@@ -21,7 +20,7 @@ from lpv.bag.rosbag.output_folder import (
 )
 from lpv.bag.rosbag.writing import PRESETS, BagWriter
 from lpv.core.support.errors import ConfigError
-from lpv_node.managed import ManagedNode, run_node
+from lpv_node.managed import ManagedNode
 from lpv_node.parameters import fixed, named_file, required_text, table
 from lpv_node.recorder.input import Heard, RecorderInput, Selection
 from lpv_node.recorder.stamp_sorter import StampSorter
@@ -240,9 +239,5 @@ class RecorderNode(ManagedNode):
         for topic, count in sorted(self._counts.items()):
             values |= {f'{topic} {name}': value for name, value in count.known().items()}
         now = self.get_clock().now().nanoseconds
-        self._diagnostics.publish(diagnostics(now, level, self._label, text, values))
-
-
-def main(argv: list[str] | None = None) -> None:
-    """Entry point of ``ros2 run lpv_node recorder``."""
-    sys.exit(run_node(RecorderNode, argv))
+        status = {'level': level, 'name': self._label, 'message': text, 'values': values}
+        self._diagnostics.publish(diagnostics(now, [status]))

@@ -2,7 +2,6 @@
 
 import os
 import socket
-import sys
 import time
 from collections.abc import Callable
 from typing import Any
@@ -20,7 +19,7 @@ from lpv.core.simulation.scenario import load_scenario
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.timestamps import NANOSECONDS, leading_stamp
 from lpv_node.input_check import Refusals
-from lpv_node.managed import VIEWER, ManagedNode, run_node
+from lpv_node.managed import VIEWER, ManagedNode
 from lpv_node.parameters import fixed, named_file, table
 from lpv_node.status import OK, WARN, StatusReporter
 from lpv_node.view.access import Access
@@ -262,8 +261,3 @@ class ViewNode(ManagedNode):
         # Without a stamp there is no time yet that Foxglove could show.
         if self._foxglove is not None and stamp is not None:
             self._foxglove.send(self.resolve_topic_name(name), data, stamp)
-
-
-def main(argv: list[str] | None = None) -> None:
-    """Entry point of ``ros2 run lpv_node view``."""
-    sys.exit(run_node(ViewNode, argv))

@@ -52,14 +52,10 @@ class Bandwidths:
 
 
 @dataclass(frozen=True)
-class Motion:
-    """Smoothed motion of a segment, all arrays of shape (samples, n)."""
+class Motion(Segment):
+    """Smoothed motion of a segment; the efforts are raw."""
 
-    step: float  # [s]
-    time: np.ndarray  # shape (samples,) [s]
-    position: np.ndarray  # [rad]
-    velocity: np.ndarray  # [rad/s]
-    effort: np.ndarray  # raw [unit of the driver]
+    velocity: np.ndarray  # shape (samples, n) [rad/s]
 
 
 def split(recording: Recording) -> list[Segment]:
