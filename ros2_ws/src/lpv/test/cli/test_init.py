@@ -210,7 +210,7 @@ def test_given_a_missing_module_when_explained_then_its_installation_is_named(mo
 
 
 def test_given_an_installation_by_pip_when_a_module_is_missing_then_its_extra_is_named(monkeypatch):
-    monkeypatch.setattr('lpv.cli.needs._version', lambda name: '0.1.0')
+    monkeypatch.setattr('lpv.cli.needs.installed_version', lambda name: '0.1.0')
     assert "pip install 'lpv-arm-fdi[campaign]'" in remedy('pyarrow.parquet')
 
 
