@@ -5,7 +5,13 @@ import sys
 
 import pytest
 
-START = 'import sys; from lpv_node.start import start; start(sys.argv[1])'
+START = """
+import sys, types
+run = types.SimpleNamespace(run_node=lambda node, argv: node(argv))
+sys.modules['lpv_node.managed'] = run  # a node is a function here
+from lpv_node.start import start
+start(sys.argv[1], 'main')
+"""
 TELL = 'import os, signal, time\ndef tell(): os.kill(os.getpid(), signal.{}); time.sleep(0.05)\n'
 
 
