@@ -516,7 +516,8 @@ def _may_be_stamp(sampler: Sampler, i: int, period: float) -> bool:
     # Where stamps have been wrong, two in a row may be.  Rates that carry jumps tell no motion.
     usual = abs(_usual_rate(sampler, i))
     wrong = 2.0 if sampler.clock[STAMPS] == 1.0 else 1.0 + 0.5 * sampler.derived[i]
-    if abs(jumps[i]) > LATE * wrong * period * usual + _USUAL * sampler.scale[i]:
+    largest = LATE * wrong * period * usual + _USUAL * sampler.scale[i]
+    if rate == 0.0 or abs(jumps[i]) > largest:
         return False
     for j in range(sampler.scale.shape[0]):
         way = jumps[i] / rate * _motion(sampler, j)
