@@ -268,9 +268,9 @@ class Bank:
         """
         self._kinematics.note_jump(joint, size[1] ** 2)
         jump = self._evidence.jump[joint]
-        jump[:] = time, size[0] / reading, size[1] / abs(reading)
-        if not abs(size[0]) < LARGEST_SCALE * abs(reading):
-            jump[0] = np.inf
+        jump[0] = np.inf
+        if abs(size[0]) < LARGEST_SCALE * abs(reading):
+            jump[:] = time, size[0] / reading, size[1] / abs(reading)
 
     def rate_agrees(self, joint: int, taken_out: float) -> bool:
         """Whether rate and encoder of a joint have agreed of late, but for what is taken out."""

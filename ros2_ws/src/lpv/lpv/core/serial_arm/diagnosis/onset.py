@@ -35,6 +35,9 @@ SHORTEST = 4
 alike."""
 _SMALLEST = 0.01
 """Change of a drift by which its effect is differentiated, at least [rad/s]."""
+_DIVERGED = 100.0
+"""Standard deviations of drifts beyond which the search for a size has diverged: they alone cost
+more than balances give."""
 _STEPS = 3
 """Newton steps for the size of a drift, from each start."""
 
@@ -196,6 +199,8 @@ def with_true_effect(
             if gain > best.gain:
                 best = Onset(float(gain), float(size), power**-0.5, onset.begin, onset.back)
             size += (slope - size / prior**2) / power
+            if not abs(size) < _DIVERGED * prior:
+                break
     return best
 
 

@@ -124,6 +124,8 @@ def course_of_frozen(
     walk = step**2 * np.minimum(place, place[:, None]) + spread**2
     # Of information that rounding made negative none is used: the covariance stays positive.
     root = np.linalg.cholesky(walk)
+    if not np.isfinite(information).all():  # a fault that is followed ran away
+        return None
     powers, axes = np.linalg.eigh(root.T @ information[1:, 1:] @ root)
     powers = 1.0 + np.maximum(powers, 0.0)
     axes = root @ axes
