@@ -1,5 +1,6 @@
 """Fixtures shared by the tests of the maths: shipped arms, scenario, designed gains."""
 
+import contextlib
 import importlib.util
 import os
 import re
@@ -19,7 +20,11 @@ for _name, _place in (('lpv', ROOT / 'ros2_ws' / 'src' / 'lpv'), ('lpv_design', 
 for _name in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS'):
     os.environ.setdefault(_name, '1')
 
-# Compilation takes seconds in the first example; the same examples are drawn in every run.
+# Compilation takes seconds in the first example; the same examples are drawn in every run, for
+# which Hypothesis may not draw constants of the modules that happen to be imported by then.
+with contextlib.suppress(ImportError):  # an older one draws none
+    providers = importlib.import_module('hypothesis.internal.conjecture.providers')
+    providers.is_local_module_file = lambda path: False
 settings.register_profile('lpv', deadline=None, derandomize=True, database=None, max_examples=200)
 settings.load_profile('lpv')
 

@@ -366,9 +366,11 @@ def assert_waits(rig):
     pytest.fail('steps are made without answers')
 
 
-def assert_nobody_reads_the_truth(node):
+def assert_nobody_reads_the_truth(client):
     """The simulator tells it, with types that other tools know, and no node listens."""
-    assert node.count_publishers('ground_truth') == 1
+    node = client.node
+    # What a node publishes becomes known one topic after the other.
+    assert client.wait(lambda: node.count_publishers('ground_truth') == 1)
     assert node.count_subscribers('ground_truth') == 0
     types = dict(node.get_topic_names_and_types())
     assert types['/lpv/ground_truth'] == ['lpv_msgs/msg/GroundTruth']
@@ -382,7 +384,7 @@ def test_given_lockstep_when_each_node_is_killed_then_time_waits_and_goes_on_wit
         for name in ('uio', 'tracker', 'simulator'):
             rig.start(name)
         assert_advances(rig)
-        assert_nobody_reads_the_truth(rig.client.node)
+        assert_nobody_reads_the_truth(rig.client)
         for name in ('uio', 'tracker'):
             rig.kill(name)
             assert_waits(rig)

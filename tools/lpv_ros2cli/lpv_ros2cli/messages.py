@@ -77,7 +77,17 @@ def to_yaml(message: Any) -> str:
     """A message as YAML; of long fields only the beginning is shown."""
     import yaml
 
-    return yaml.safe_dump(_plain(message), width=sys.maxsize, sort_keys=False, allow_unicode=True)
+    class Dumper(yaml.SafeDumper):
+        """Escapes what cannot be printed: a plain U+0085 would be read back as a space."""
+
+        def represent_str(self, data: str) -> yaml.ScalarNode:
+            style = None if data.isprintable() else '"'
+            return self.represent_scalar('tag:yaml.org,2002:str', data, style)
+
+    Dumper.add_representer(str, Dumper.represent_str)
+    return yaml.dump(
+        _plain(message), Dumper=Dumper, width=sys.maxsize, sort_keys=False, allow_unicode=True
+    )
 
 
 def _plain(value: Any) -> Any:

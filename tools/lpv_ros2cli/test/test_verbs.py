@@ -9,7 +9,7 @@ import threading
 import pytest
 import ros
 import yaml
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from ros2_commands import Running
 
@@ -69,6 +69,7 @@ def test_given_what_is_not_covered_when_asked_for_then_the_code_is_that_of_a_wro
     st.text(max_size=20),
     st.integers(0, 2**31 - 1),
 )
+@example([], '\x85', 0)
 def test_given_any_values_when_shown_and_read_back_then_the_message_is_the_same(
     numbers, text, seconds
 ):
