@@ -42,7 +42,7 @@ def moves_and_rests(rng, times, joints):
     return motion
 
 
-def rounded_samples(arm, seed, step, frozen=None):
+def rounded_samples(arm, seed, step, frozen=None, noisy=None):
     """Stamps, and readings, rates, efforts of a plant that is not quite the model."""
     rng, period = np.random.default_rng(seed), arm.sample_time
     times, n = np.arange(round(DURATION / period)) * period, len(arm.joints)
@@ -50,11 +50,18 @@ def rounded_samples(arm, seed, step, frozen=None):
     if frozen is not None:
         q[:, frozen], v[:, frozen] = np.sin(2.0 * times), 2.0 * np.cos(2.0 * times)
         a[:, frozen] = -4.0 * np.sin(2.0 * times)
+    if noisy is not None:  # it comes to rest at 3 s
+        x = np.pi / 3.0 * np.minimum(times, 3.0)
+        q[:, noisy], v[:, noisy] = np.cos(x) / 3.0, -np.pi / 9.0 * np.sin(x)
+        a[:, noisy] = -(np.pi**2) / 27.0 * np.cos(x) * (times < 3.0)
     model = SerialModel(wrong_chain(arm, np.random.default_rng(seed)))
     effort = np.array([model.torque(*one) for one in zip(q, v, a)])
     reading = q + (seed % 2) * 1e-4 * rng.normal(size=q.shape)
     if frozen is not None:
         reading[times > 6.4, frozen] = reading[np.argmax(times > 6.4), frozen]
+    if noisy is not None:
+        now = (times > 3.5) & (times < 6.0)
+        reading[now, noisy] += 0.02 * rng.normal(size=now.sum())
     reading = np.round(reading / step) * step
     rate = v + 5e-3 * rng.normal(size=v.shape)
     if arm.joints[0].sensors.rates == 'derived':
@@ -101,3 +108,15 @@ def test_given_a_reading_that_freezes_in_motion_when_rounded_then_it_is_named(
         found = alarms(arm, rounded_samples(arm, seed, step, frozen=2))
         assert ('encoder3', 'stuck') in found, seed
         assert not {one for one in found if one[1] == 'stuck'} - {('encoder3', 'stuck')}
+
+
+@pytest.mark.parametrize('step', [1e-4, 1e-3])
+@pytest.mark.parametrize('seed', range(4))
+def test_given_noise_that_ends_while_its_joint_rests_when_named_then_nothing_is_frozen(seed, step):
+    arm = arm_named('three', 0.01, 'derived')
+    monitor = SerialMonitor(arm)
+    monitor.update_many(*rounded_samples(arm, seed, step, noisy=seed % 3))
+    found = {(one.sensor, one.kind) for one in monitor.alarms if one.sensor}
+    assert {sensor for sensor, _ in found} == {arm.sensor_names[seed % 3]}
+    assert 'stuck' not in {kind for _, kind in found}
+    assert np.abs(monitor.faults()[0]).max() < 0.1

@@ -24,13 +24,10 @@ from lpv.core.serial_arm.diagnosis.information import recent
 from lpv.core.serial_arm.diagnosis.onset import whitened
 from lpv.core.serial_arm.diagnosis.priors import SIZE
 from lpv.core.serial_arm.diagnosis.sampling import IN_BLOCK, Sampler, block_end
-from lpv.core.serial_arm.diagnosis.stuck import Frozen
+from lpv.core.serial_arm.diagnosis.stuck import LINEAR, Frozen
 
 ONSETS = len(STARTS)
 """Onsets that are compared, spaced evenly in the logarithm of their age: as many as of others."""
-LINEAR = 1.0
-"""Errors beyond are not linear in the balances, which say nothing of them then [rad]: sin(1) is
-16 % less."""
 
 
 @dataclass

@@ -22,7 +22,7 @@ from lpv.core.serial_arm.diagnosis.priors import (
     STEADY_FOR,
 )
 from lpv.core.serial_arm.diagnosis.sampling import BLOCKS, Sampler, block_end
-from lpv.core.serial_arm.diagnosis.stuck import Course
+from lpv.core.serial_arm.diagnosis.stuck import LINEAR, Course
 
 LOST = OFFSET_PRIOR
 """Standard deviation of a fault that is not followed any more: nothing is known of it [rad]."""
@@ -284,8 +284,7 @@ def follow(
     one.predict(now - one.updated)
     one.updated = now
     if one.fault(float(sampler.raw[one.joint]), now)[2] > LOST:
-        one.mean[1:] = 0.0  # the balances, linearised at the estimate, say nothing any more
-        _note(one, sampler)
+        _lose(one, sampler)
         return
     at = slot(window, 0)
     rows, m = window.rows[at], len(null.mean)
@@ -305,6 +304,10 @@ def follow(
     innovation = spread + variance * factor[:, None] * factor
     gain = one.covariance @ columns.T @ np.linalg.inv(innovation)
     change = -gain @ residual
+    if not abs(change[0]) < LINEAR:
+        one.covariance[0, 0] += 4.0 * LINEAR**2  # more than what is lost
+        _lose(one, sampler)
+        return
     one.covariance = one.covariance - gain @ columns @ one.covariance
     if kinematic is not None and not one.is_scale:
         column = interval * np.array([0.0, 1.0, end - now - 0.5 * interval])
@@ -315,6 +318,12 @@ def follow(
     _change(one, change, estimator, sampler)
     window.extra[at] = ((columns @ one.covariance) * columns).sum(1)
     estimator.weigh_again(1)
+
+
+def _lose(one: FaultFilter, sampler: Sampler) -> None:
+    """Stay where the fault is: balances, linearised at the estimate, say nothing any more."""
+    one.mean[1:] = 0.0
+    _note(one, sampler)
 
 
 def _change(

@@ -179,7 +179,8 @@ def push_sample(
                 _watch_change(sampler, i, y[i] - sampler.raw[i])
         else:
             sampler.still[i] += 1
-            if sampler.still[i] == 1 and sampler.counters[COUNT] <= BEFORE_STOP:
+            noisy = sampler.noisy[i] == 1  # its noise tells no rate
+            if sampler.still[i] == 1 and (noisy or sampler.counters[COUNT] <= BEFORE_STOP):
                 sampler.stop[i] = 0.0
             elif sampler.still[i] == 1:
                 way = sampler.samples[HISTORY - 2, 0, i] - sampler.samples[before, 0, i]
@@ -310,6 +311,8 @@ def _watch_change(sampler: Sampler, i: int, change: float) -> None:
     """Learn rounding and noise of a reading from a change of it, before its sample is kept."""
     last, k = sampler.samples[:, 0, i], HISTORY - 2
     sampler.grain[i] = min(sampler.grain[i], abs(change))
+    if sampler.noisy[i] == 1:
+        return
     # More than one step of its rounding.
     least, before, first = 1.5 * sampler.grain[i], last[k] - last[k - 1], last[k - 1] - last[k - 2]
     alternates = change * before < 0.0 and before * first < 0.0
@@ -578,6 +581,7 @@ def _watch_noise(sampler: Sampler, i: int, beyond: bool) -> None:
     if sampler.noisy[i] == 0 and count > _NOISE_COUNT:
         sampler.noisy[i] = 1
         sampler.found[i] = NOISY
+        sampler.lively[i] = 0.0  # the noise ends, too: readings that rest then are healthy
         wrong = sampler.correction[i] - before
         sampler.correction[i] = before
         for k in range(HISTORY):

@@ -21,6 +21,9 @@ from lpv.core.serial_arm.diagnosis.onset import without_drift
 from lpv.core.serial_arm.diagnosis.priors import LEAST_ACCELERATION, SLOW_RATE
 from lpv.core.serial_arm.diagnosis.sampling import block_end
 
+LINEAR = 1.0
+"""Errors beyond are not linear in the balances, which say nothing of them then [rad]: sin(1) is
+16 % less."""
 STILL_RATE = SLOW_RATE
 """Usual rate of a joint that begins to move while its reading rests [rad/s]."""
 
@@ -139,7 +142,10 @@ def course_of_frozen(
         rivals.append(np.hypot(resting, plan.interval * push)[:, moved])
     gain += min(_at_rest(before[:, moved], one, weights[:, moved], null, moved) for one in rivals)
     sums = np.stack([plan.interval * np.ones(count), np.eye(count)[-1]])
-    way = np.array([first * since, first]) - sums @ rates
+    change = sums @ rates
+    if not abs(change[0]) < LINEAR:
+        return None
+    way = np.array([first * since, first]) - change
     return Course(float(gain), begin, end, way, sums @ covariance @ sums.T)
 
 
