@@ -105,25 +105,10 @@ def new_balance(
     drives: FloatArray | None = None,
     to_joints: FloatArray | None = None,
 ) -> Balance:
-    """Empty balances.
+    """Empty balances, linearised at no fault; arguments are as in `Balance`.
 
-    Parameters
-    ----------
-    chain : Chain
-        The arm.
-    directions : ndarray, shape (k, n, 10)
-        Possible errors of the inertial parameters.
-    derived : ndarray, shape (n,)
-        1 where a rate is derived from the encoder, else 0.
-    drives : ndarray, shape (k, n, 5), optional
-        Possible errors of drives that go with those of the inertial parameters; none by default.
-    to_joints : ndarray, shape (n, n), optional
-        S^-1 of y = S q + f; 1 by default.
-
-    Returns
-    -------
-    Balance
-        Linearised at no fault.
+    By default, parameters of drives have no errors (``drives``), and each encoder reads its own
+    joint (``to_joints``).
     """
     n = joint_count(chain)
     size = (n, column_count(n, len(directions)))
@@ -186,18 +171,8 @@ def add_block(
 ) -> None:
     """Add the means of some samples to the current interval.
 
-    Parameters
-    ----------
-    balance : Balance
-        Changed.
-    y, v, torque : ndarray, shape (n,)
-        Mean readings, rates of the same and joint torques, as measured [rad], [rad/s], [N m].
-    time : float
-        Of the block's middle [s].
-    length : float
-        Of the block [s].
-    place : float
-        Of the block's middle in the interval, 0 to 1.
+    ``y``, ``v`` and ``torque`` are as measured [rad], [rad/s], [N m].  ``time`` [s] and ``place``,
+    0 to 1 in the interval, are those of the block's middle; ``length`` is the block's [s].
     """
     chain, n = balance.chain, y.shape[0]
     weight = (length, place)
@@ -281,19 +256,10 @@ def _add_fault_columns(
 
 @njit_in_place
 def close_interval(balance: Balance, length: float) -> bool:
-    """End the current interval; it becomes the previous one.
+    """End the current interval, which becomes the previous one; true if a hat is complete.
 
-    Parameters
-    ----------
-    balance : Balance
-        Changed; ``rows`` hold the residual and its derivatives if a hat is complete.
-    length : float
-        Of the interval [s].
-
-    Returns
-    -------
-    bool
-        Whether a hat is complete.
+    Then ``rows`` of the balance hold the residual and its derivatives.  ``length`` is the
+    interval's [s].
     """
     complete = balance.clock[LENGTH] > 0.0
     n, columns = balance.rows.shape
@@ -366,16 +332,8 @@ def fill_balances(
 ) -> None:
     """Balances of blocks that were kept; the state of the balance is that after the last block.
 
-    Parameters
-    ----------
-    balance : Balance
-        Changed.
-    blocks : ndarray, shape (N, 3 n + 4)
-        Means y, v, tau with time, length and place of each block; whole intervals.
-    per_interval : int
-        Blocks of an interval.
-    rows : ndarray, shape (N / per_interval - 1, n, columns)
-        Written.
+    ``blocks``, shape (N, 3 n + 4), hold means y, v, tau with time, length and place of each block,
+    for whole intervals.  ``rows``, shape (N / per_interval - 1, n, columns), are written.
     """
     n = balance.reference.shape[0]
     drop_interval(balance)
@@ -400,21 +358,8 @@ def residuals(
 ) -> FloatArray:
     """Residuals of the balances of some blocks, without derivatives; the balance stays as it is.
 
-    Parameters
-    ----------
-    balance : Balance
-        Of the arm; its scratch is not changed either.
-    blocks : ndarray, shape (N, 3 n + 4)
-        As in `fill_balances`.
-    per_interval : int
-        Blocks of an interval.
-    friction : ndarray, shape (n, 5)
-        As in `Chain`.
-
-    Returns
-    -------
-    ndarray, shape (N / per_interval - 1, n)
-        [N m s].
+    Its scratch is not changed either.  ``blocks`` are as in `fill_balances`, ``friction`` is as in
+    `Chain`; residuals have shape (N / per_interval - 1, n) [N m s].
     """
     n, intervals = balance.reference.shape[0], blocks.shape[0] // per_interval
     own = balance._replace(

@@ -46,23 +46,11 @@ class Contact(NamedTuple):
 
 
 def new_contact(lengths: list[int], torque: FloatArray, interval: float, capacity: int) -> Contact:
-    """Models of torques from outside.
+    """Models of torques from outside, for any noise.
 
-    Parameters
-    ----------
-    lengths : list of int
-        Of the windows [balances].
-    torque : ndarray, shape (n,)
-        Largest plausible torques [N m].
-    interval : float
-        Between balances [s].
-    capacity : int
-        Balances of the horizon.
-
-    Returns
-    -------
-    Contact
-        For any noise.
+    ``lengths`` are those of the windows [balances]; ``torque``, shape (n,), has the largest
+    plausible torques [N m].  Balances are ``interval`` apart [s]; the horizon holds ``capacity`` of
+    them.
     """
     count, longest, n = len(lengths), max(lengths), len(torque)
     values, vectors = np.zeros((count, longest)), np.zeros((count, longest, longest))
@@ -116,27 +104,14 @@ def weigh_residuals(window: Window, null: Posterior, last: int) -> None:
 
 @njit_in_place
 def rough_contact(contact: Contact, null: Posterior, w: int, oldest: int) -> float:
-    """Ratio of marginal likelihoods of rough torques, for all windows in any case.
+    """Log ratio of marginal likelihoods of rough torques, for all windows in any case.
 
     With the eigenvalues l_k of the correlation and z_k the residuals along its eigenvectors,
     sum_k [g z_k^2 / s^2 - log(1 + a^2 l_k / s^2)] / 2, g = a^2 l / (s^2 + a^2 l).  The arm's
     unknowns are held.
 
-    Parameters
-    ----------
-    contact : Contact
-        Its scratch is changed.
-    null : Posterior
-        With residuals.
-    w : int
-        Index of the window's length.
-    oldest : int
-        Balances before the last one at which the window begins.
-
-    Returns
-    -------
-    float
-        Its logarithm.
+    ``w`` is the index of the window's length; the window begins ``oldest`` balances before the last
+    one.  ``null`` must hold the residuals.
     """
     if contact.known[w] == 0:
         _set_shares(contact, w)
@@ -184,21 +159,8 @@ def joint_levers(torque: FloatArray, last: int) -> FloatArray:
 def force_levers(chain: Chain, torque: FloatArray, window: Window, last: int) -> FloatArray:
     """Torques by the largest plausible force on the tip along x, y and z of the base.
 
-    Parameters
-    ----------
-    chain : Chain
-        The arm.
-    torque : ndarray, shape (n,)
-        Largest plausible torques [N m].
-    window : Window
-        With the poses.
-    last : int
-        Number of balances.
-
-    Returns
-    -------
-    ndarray, shape (last, 3, n)
-        Newest first [N m].
+    ``torque``, shape (n,), has the largest plausible torques of the joints [N m].  Levers have
+    shape (last, 3, n), newest balance first [N m].
     """
     n = torque.shape[0]
     levers, jacobian = np.zeros((last, 3, n)), np.zeros((6, n))
@@ -221,25 +183,12 @@ def force_levers(chain: Chain, torque: FloatArray, window: Window, last: int) ->
 def smooth_contact(
     courses: FloatArray, levers: FloatArray, window: Window, null: Posterior, last: int
 ) -> float:
-    """Ratio of marginal likelihoods of smooth torques in the last balances.
+    """Log ratio of marginal likelihoods of smooth torques in the last balances.
 
-    Parameters
-    ----------
-    courses : ndarray, shape (L, M)
-        Of unit variance, as impulses, newest first [s].
-    levers : ndarray, shape (last, G, n)
-        Torques of what acts independently: one joint each, or a force along one axis each [N m].
-    window : Window
-        Balances.
-    null : Posterior
-        The null hypothesis, whose unknowns are free; its residuals are written.
-    last : int
-        Number of balances.
-
-    Returns
-    -------
-    float
-        Its logarithm; 0 where none is needed.
+    ``courses``, shape (L, M), have unit variance, as impulses, newest first [s].  ``levers``, shape
+    (last, G, n), are torques of what acts independently: one joint each, or a force along one axis
+    each [N m].  The unknowns of ``null`` are free; its residuals are written.  The answer is 0
+    where no torque is needed.
     """
     set_residuals(window, null, last)
     score, information = _contact_columns(courses[:last], levers, window, null, last)

@@ -121,25 +121,9 @@ def add_noise(
 ) -> bool:
     """Balances of readings that are noisy, rounded, or off their stamps say less than others.
 
-    Parameters
-    ----------
-    window : Window
-        The variance of its last balance is raised.
-    null : Posterior
-        With the usual size of what is left of a balance.
-    sampler : Sampler
-        What is known of the readings.
-    momenta : ndarray, shape (n, n)
-        By unit rates of the readings, at that balance.
-    interval : tuple
-        Its length [s], and the samples in it.
-    blocks : ndarray, shape (2 B, 3 n + 4)
-        Of the last balance.
-
-    Returns
-    -------
-    bool
-        Whether the last balance says less.
+    The variance of the last balance is raised; true if it says less.  ``momenta``, shape (n, n),
+    are those by unit rates of the readings at that balance, and ``blocks``, shape (2 B, 3 n + 4),
+    are its blocks.  ``interval`` is the length of an interval [s] with the number of its samples.
     """
     n, at, less = sampler.scale.shape[0], slot(window, 0), False
     for i in range(n):
@@ -174,33 +158,21 @@ def find_levels(
     limits: FloatArray,
     beyond: FloatArray,
 ) -> bool:
-    """Which offsets are beyond what a healthy arm shows.
+    """Which offsets are beyond what a healthy arm shows; true if there is any.
 
-    Parameters
-    ----------
-    level : Posterior
-        The estimate of the offsets.
-    prior : ndarray, shape (m,)
-        Standard deviations of which nothing is known; the offsets' come first [rad].
-    known : ndarray, shape (n,)
-        For how long each offset has been diagnosable; changed [s].
-    certified : tuple of ndarray
-        Offsets by an observer that certifies them, and the bounds of a healthy arm, shape (n,)
-        [rad]; whether they hold, shape (1,).
-    scales : ndarray, shape (n,)
-        Of thresholds.
-    limits : ndarray, shape (7,)
-        Standard deviation that says nothing, smallest level [rad]; standard deviations in a bound;
-        length of an interval, of the horizon [s]; log Bayes factors needed within the first
-        horizon, and later.
-    beyond : ndarray, shape (2, n)
-        Written: log Bayes factors of those that are beyond, by the horizon; 1 where the other
-        observer excludes a healthy arm, and the horizon does not contradict; else 0.
+    ``prior``, shape (m,), has the standard deviations if nothing is known, the offsets' first
+    [rad].  ``known``, shape (n,), says for how long each offset has been diagnosable [s]; it is
+    updated.  ``certified`` holds offsets by an observer that certifies them, the bounds of a
+    healthy arm, both of shape (n,) [rad], and whether they hold, shape (1,).  ``scales``, shape
+    (n,), multiply thresholds.
 
-    Returns
-    -------
-    bool
-        Whether there is any.
+    ``limits`` holds the standard deviation that says nothing and the smallest level [rad], standard
+    deviations in a bound, lengths of an interval and of the horizon [s], and the log Bayes factors
+    needed within the first horizon and later.
+
+    ``beyond``, shape (2, n), is written.  Its first row has the log Bayes factors of offsets that
+    are beyond by the horizon; its second one is 1 where the other observer excludes a healthy arm,
+    and the horizon does not contradict.  All else is 0.
     """
     widest, smallest, sigmas, interval, horizon, at_start, later = limits
     some = False

@@ -34,23 +34,10 @@ ONSETS = len(STARTS)
 class EndOfFault:
     """The hypothesis that a jump of one reading was the end of a fault.
 
-    Parameters
-    ----------
-    joint : int
-        Of the sensor.
-    jump : float
-        Of its reading, which has been taken out [rad].
-    time : float
-        Of the jump [s].
-    prior : ndarray, shape (S,)
-        Logarithms of the odds of each onset against a fault that began with the jump, before the
-        balances.
-    ages : ndarray, shape (S,)
-        Of the onsets, at the jump [s].
-    ramps : ndarray, shape (S,)
-        1 where the reading drifted, 0 where it was frozen.
-    share : float
-        Probability of the hypothesis.
+    The jump [rad] has been taken out of the reading.  Each of S onsets has an entry in ``prior``,
+    ``ages`` and ``ramps``: the logarithm of its odds against a fault that began with the jump,
+    before the balances; its age at the jump [s]; 1 where the reading drifted, 0 where it was
+    frozen.  ``share`` is the probability of the hypothesis.
     """
 
     joint: int
@@ -135,20 +122,11 @@ class EndOfFault:
 def end_of_fault(
     estimator: OffsetEstimator, sampler: Sampler, bank: Bank, joint: int, jump: float
 ) -> EndOfFault:
-    """The hypothesis at the moment of a jump.
+    """The hypothesis at the moment of a jump [rad].
 
-    Parameters
-    ----------
-    estimator : OffsetEstimator
-        Its horizon bounds how long the fault may have lasted.
-    sampler : Sampler
-        Its last blocks tell whether the reading was frozen.
-    bank : Bank
-        Its kinematic rows say how far a joint went before the jump.
-    joint : int
-        Of the sensor.
-    jump : float
-        [rad].
+    The estimator's horizon bounds how long the fault may have lasted, the sampler's last blocks
+    tell whether the reading was frozen, and the bank's kinematic rows how far the joint went
+    before.
     """
     interval = estimator.plan.interval
     longest = max(len(estimator), 2) * interval

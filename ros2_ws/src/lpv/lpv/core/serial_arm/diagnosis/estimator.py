@@ -217,18 +217,8 @@ def take_balance(
 ) -> None:
     """Let the balance that is complete join the horizon, without estimating.
 
-    Parameters
-    ----------
-    window : Window
-        Changed.
-    null : Posterior
-        Its residual and weight of the last balance are written.
-    balance : Balance
-        The constant part of its rows belongs to f = 0 afterwards.
-    time : float
-        [s].
-    learn : bool
-        Whether what leaves the horizon is remembered.
+    The constant part of its rows belongs to f = 0 afterwards.  The residual and the weight of the
+    last balance are written.  What leaves the horizon is remembered if ``learn``.
     """
     make_absolute(balance.rows, balance.reference)
     join(window, time, balance.rows, PAST_WEIGHT if learn else -PAST_WEIGHT)
@@ -425,20 +415,9 @@ def has_moved(window: Window, level: Posterior, balance: Balance, since: IntArra
 class OffsetEstimator:
     """Estimator of one arm; ``balance`` is filled by `sampling.take_samples`.
 
-    Parameters
-    ----------
-    arm : SerialArm
-        Arm, sensors, and what may vary.
-    plan : HorizonPlan
-        Lengths of balances and horizon.
-
-    Attributes
-    ----------
-    posterior : Posterior
-        The null hypothesis, with which faults that begin are compared.
-    level : Posterior
-        The estimate of the offsets.  What the model of an identified arm is known to miss lasts
-        as long as a pose: it is an error of levels, hardly one of changes, and counts only here.
+    ``posterior`` is the null hypothesis, with which faults that begin are compared; ``level`` is
+    the estimate of the offsets.  What the model of an identified arm is known to miss lasts as long
+    as a pose: it is an error of levels, hardly one of changes, and counts only in ``level``.
     """
 
     def __init__(self, arm: SerialArm, plan: HorizonPlan) -> None:
@@ -514,10 +493,7 @@ class OffsetEstimator:
     def linearise(self, blocks: FloatArray) -> None:
         """Evaluate the balances of the horizon again, at the present estimate of the offsets.
 
-        Parameters
-        ----------
-        blocks : ndarray, shape (N, 3 n + 4)
-            Means as kept by `Sampler.blocks`, oldest first; whole intervals.
+        ``blocks``, shape (N, 3 n + 4), are as in `Sampler.blocks`, oldest first; whole intervals.
         """
         # sin(0.3) = 0.3 less 1.5 %: so far, balances are linear.
         self.balance.reference[:] += np.clip(self._step(), -0.3, 0.3)
@@ -526,15 +502,7 @@ class OffsetEstimator:
         self.since_linearised[:] = 0
 
     def move_reference(self, joint: int, by: float) -> None:
-        """Let the offset of a sensor grow, as its readings do by what is no longer taken out.
-
-        Parameters
-        ----------
-        joint : int
-            Of the sensor.
-        by : float
-            [rad].
-        """
+        """Let an offset grow [rad], as the readings do by what is no longer taken out of them."""
         self.balance.reference[joint] += by
         for window, unknown in ((self.window, 1 + OFFSET * self.joints), (self._slow, 1)):
             if window is not None:
@@ -568,13 +536,8 @@ class OffsetEstimator:
     def doubt_readings(self, joint: int, error: float | FloatArray) -> None:
         """Let the balances of the horizon say less: readings of one sensor were wrong in them.
 
-        Parameters
-        ----------
-        joint : int
-            Of the sensor.
-        error : float or ndarray, shape (len(self),)
-            Standard deviation of its readings in each balance, newest first [rad].  It is one error
-            for all of them, which does not average out.
+        ``error`` is the standard deviation of its readings in each balance, newest first [rad].  It
+        is one error for all of them, which does not average out.
         """
         error = np.broadcast_to(error, len(self))
         at = recent(self.window, len(error))

@@ -55,15 +55,7 @@ class FaultFilter:
         return self.kind == 'scale'
 
     def fault(self, reading: float, now: float) -> tuple[float, float, float]:
-        """Fault, its rate and the standard deviation of the fault.
-
-        Parameters
-        ----------
-        reading : float
-            Of the sensor [rad].
-        now : float
-            [s].
-        """
+        """Fault, its rate and the standard deviation of the fault [rad], [rad/s], [rad]."""
         if self.is_scale:
             position = (reading - self.mean[1]) / (1.0 + self.mean[0])
             direction = np.array([position, 1.0, 0.0])
@@ -144,29 +136,12 @@ def begin_filter(
     spread: float = 0.0,
     acceleration: float = 0.0,
 ) -> FaultFilter:
-    """Filter of a fault that has just been named.
+    """Filter of a fault that has just been named, at the present time.
 
-    Parameters
-    ----------
-    joint : int
-        Of the faulty sensor.
-    kind : str
-        Of the fault.
-    span : tuple of float
-        When it began to change, and present time [s].
-    size, sigma : float
-        In the unit of the kind, with its standard deviation.
-    origin : float
-        Reading when it began to change, as corrected so far [rad].
-    spread : float, optional
-        Standard deviation of the moment when it began [s].
-    acceleration : float, optional
-        Usual one of a joint whose reading rests [rad/s2].
-
-    Returns
-    -------
-    FaultFilter
-        At the present time.
+    ``span`` holds when it began to change and the present time [s].  ``size`` and its standard
+    deviation are in the unit of the kind.  ``origin`` is the reading when the fault began to
+    change, as corrected so far [rad], and ``spread`` the standard deviation of that moment [s].
+    ``acceleration`` is the usual one of a joint whose reading rests [rad/s2].
     """
     begin, now = span
     past = max(now - begin, _JUST_NOW)
@@ -188,23 +163,9 @@ def begin_filter(
 
 
 def begin_frozen(joint: int, course: Course, now: float, acceleration: float) -> FaultFilter:
-    """Filter of a reading that rests, whose joint's way and rate are known.
+    """Filter of a reading that rests, whose joint's way and rate are known, at the present time.
 
-    Parameters
-    ----------
-    joint : int
-        Of the sensor.
-    course : Course
-        At the end of the last balance.
-    now : float
-        [s].
-    acceleration : float
-        Usual one [rad/s2].
-
-    Returns
-    -------
-    FaultFilter
-        At the present time.
+    ``course`` holds at the end of the last balance; ``acceleration`` is the usual one [rad/s2].
     """
     one = FaultFilter(joint, 'stuck', course.begin, updated=course.end, acceleration=acceleration)
     past = max(course.end - course.begin, _JUST_NOW)
@@ -265,19 +226,10 @@ def follow(
 ) -> None:
     """Update a fault by the newest balance, and the correction of the readings.
 
-    Parameters
-    ----------
-    one : FaultFilter
-        Changed.
-    estimator : OffsetEstimator
-        Has just got a balance; the variance of its balance is raised.
-    sampler : Sampler
-        Its corrections and its last blocks are changed.
-    kinematic : tuple of float, optional
-        D of the last interval, of readings as corrected, and its variance [rad], [rad2], where the
-        rate has a sensor of its own.
-    momenta : ndarray, shape (capacity, n)
-        By a unit rate of the reading, in the ring of the horizon.
+    The variance of the balance is raised, and the sampler's corrections and last blocks are
+    changed.  ``kinematic`` is D of the last interval, of readings as corrected, and its variance
+    [rad], [rad2], where the rate has a sensor of its own.  ``momenta``, shape (capacity, n), are
+    those by a unit rate of the reading, in the ring of the horizon.
     """
     window, null, interval = estimator.window, estimator.posterior, estimator.plan.interval
     now = float(sampler.time[-1])

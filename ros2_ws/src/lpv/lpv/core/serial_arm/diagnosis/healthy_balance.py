@@ -76,21 +76,10 @@ def generator_count(sizes: ParameterSet) -> int:
 def add_healthy_blocks(
     balance: HealthyBalance, blocks: FloatArray, rate_noise: FloatArray
 ) -> float:
-    """Add the blocks of the current interval.
+    """Add the blocks of the current interval, and return its length [s].
 
-    Parameters
-    ----------
-    balance : HealthyBalance
-        Changed.
-    blocks : ndarray, shape (N, 3 n + 4)
-        As `Sampler.blocks`.
-    rate_noise : ndarray, shape (n,)
-        Standard deviation of the mean joint rates of a block [rad/s].
-
-    Returns
-    -------
-    float
-        Length of the interval [s].
+    ``blocks`` are as `Sampler.blocks`, ``rate_noise``, shape (n,), has standard deviations of mean
+    joint rates of a block [rad/s].
     """
     length = 0.0
     for k in range(blocks.shape[0]):
@@ -189,21 +178,13 @@ def close_healthy_interval(
 ) -> None:
     """End the current interval; with one before it, write what its balance may leave.
 
-    Parameters
-    ----------
-    balance : HealthyBalance
-        Changed.
-    lengths : tuple of float
-        Of the interval before, 0 if there is none, and of this one [s].
-    rows : ndarray, shape (n, columns)
-        As `Balance.rows` of the same balance.
-    reading : ndarray, shape (n,)
-        Standard deviation of the mean of the readings [rad].
-    effects : ndarray, shape (n, 1 + k)
-        Written: the residual, then the effect of each generator, see `generator_count`.
-    doubts : ndarray, shape (2, n)
-        Written: slack [N m s], and the variance of noise except that of the mean rates
-        [N2 m2 s2].
+    ``lengths`` are those of the interval before, 0 if there is none, and of this one [s].  ``rows``
+    are `Balance.rows` of the same balance; ``reading``, shape (n,), has standard deviations of the
+    mean readings [rad].
+
+    Written are ``effects``, shape (n, 1 + k): the residual, then the effect of each generator, see
+    `generator_count`; and ``doubts``, shape (2, n): slack [N m s], and the variance of noise except
+    that of the mean rates [N2 m2 s2].
     """
     before, length = lengths
     n, row, span = effects.shape[0], balance.row, 10 * effects.shape[0]

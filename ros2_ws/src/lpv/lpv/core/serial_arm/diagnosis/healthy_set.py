@@ -94,20 +94,8 @@ def take_healthy(
 ) -> None:
     """Take the balance that the horizon's ``window`` is about to take.
 
-    Parameters
-    ----------
-    ring : HealthyRing
-        Changed.
-    window : Window
-        Of the horizon.
-    rows : ndarray, shape (n, columns)
-        Of the balance.
-    blocks : ndarray, shape (2 B, 3 n + 4)
-        Of its two intervals, as kept by `Sampler.blocks`.
-    per_interval : int
-        Blocks of an interval, B.
-    learn : bool
-        Whether what leaves the horizon is remembered.
+    ``rows`` are those of the balance, ``blocks``, shape (2 B, 3 n + 4), those of its two intervals
+    of B blocks.  What leaves the horizon is remembered if ``learn``.
     """
     capacity, last = ring.effects.shape[0], blocks.shape[0] - per_interval
     if ring.past[LENGTH] == 0.0:
@@ -161,14 +149,9 @@ def remember(ring: HealthyRing, window: Window, at: int, learn: bool, factor: fl
 
 
 class HealthySet:
-    """The set of a healthy arm's balances, beside an estimator.
+    """The set of a healthy arm's balances, beside an estimator whose estimates are bounded.
 
-    Parameters
-    ----------
-    arm : SerialArm
-        Its file states ``uncertainty.model_error``.
-    estimator : OffsetEstimator
-        Whose estimates are bounded.
+    The arm's file states ``uncertainty.model_error``.
     """
 
     def __init__(self, arm: SerialArm, estimator: OffsetEstimator) -> None:
