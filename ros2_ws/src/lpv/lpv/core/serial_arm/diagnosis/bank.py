@@ -128,21 +128,9 @@ class Hypothesis:
 
 
 class Bank:
-    """Bank of one arm.
+    """Bank of one arm; the estimator's posterior is the null hypothesis.
 
-    Parameters
-    ----------
-    arm : SerialArm
-        Its sensors.
-    estimator : OffsetEstimator
-        Of the arm; its posterior is the null hypothesis.
-    push : ndarray, shape (n,)
-        Standard deviation of torques that may act from outside [N m].
-
-    Attributes
-    ----------
-    statistic : float
-        Logarithm of M of the last decision.
+    ``push``, shape (n,), has standard deviations of torques that may act from outside [N m].
     """
 
     def __init__(self, arm: SerialArm, estimator: OffsetEstimator, push: FloatArray) -> None:
@@ -255,16 +243,8 @@ class Bank:
     def note_jump(self, joint: int, time: float, size: tuple[float, float], reading: float) -> None:
         """A reading jumped, and the jump was taken out: it may have been a scale error's.
 
-        Parameters
-        ----------
-        joint : int
-            Of the sensor.
-        time : float
-            Of the jump [s].
-        size : tuple of float
-            Of the jump, with its standard deviation [rad].
-        reading : float
-            Without the jump [rad].
+        ``size`` is the jump with its standard deviation [rad], ``reading`` the reading without it
+        [rad].
         """
         self._kinematics.note_jump(joint, size[1] ** 2)
         jump = self._evidence.jump[joint]
@@ -281,17 +261,8 @@ class Bank:
     ) -> list[Hypothesis]:
         """Compare all hypotheses one by one, after `ask_bank`; `statistic` is written.
 
-        Parameters
-        ----------
-        blocks : callable
-            Blocks of so many last intervals, oldest first.
-        stuck : list of Hypothesis
-            Of `stuck`.
-
-        Returns
-        -------
-        list of Hypothesis
-            The best first.
+        The best comes first.  ``blocks`` gives the blocks of so many last intervals, oldest first;
+        ``stuck`` comes from the method of that name.
         """
         count = int(self._state['windows'])
         found = stuck + self._named(count)
@@ -308,13 +279,7 @@ class Bank:
         return float(np.logaddexp.reduce(gains) + self._log_weight) if len(gains) else -np.inf
 
     def shares(self, found: list[Hypothesis]) -> dict[tuple[str, int], float]:
-        """Probability of each cause, if one of them there is; the most probable one first.
-
-        Parameters
-        ----------
-        found : list of Hypothesis
-            Of `evaluate`.
-        """
+        """Probability of each cause, given that there is one; the most probable one first."""
         joints = self.estimator.joints
         logarithms: dict[tuple[str, int], float] = {}
         for one in found:
@@ -351,12 +316,8 @@ class Bank:
     ) -> list[Hypothesis]:
         """Readings that rest while their joints move.
 
-        Parameters
-        ----------
-        frozen : dict of Frozen
-            Readings that have not changed at all for a conspicuous time, by sensor.
-        blocks : callable
-            Blocks of so many last intervals, oldest first.
+        ``frozen`` holds, by sensor, those that have not changed at all for a conspicuous time;
+        ``blocks`` is as in `compare`.
         """
         found, interval = [], self.estimator.plan.interval
         held = blocks(len(self.estimator) + 1)
@@ -397,14 +358,7 @@ class Bank:
         """Whether a fault explains more than smooth torques from outside do, in any window.
 
         Rough torques are a part of the bank; smooth ones cost most, and are evaluated for a fault
-        that would be named.
-
-        Parameters
-        ----------
-        fault : Hypothesis
-            What is to be named.
-        margin : float
-            By which it must explain more.
+        that would be named.  It must explain more by ``margin``.
         """
         estimator = self.estimator
         lengths = self._lengths[(self._lengths < len(estimator)) & (self._lengths > ONSET)]
@@ -442,15 +396,7 @@ class Bank:
     def offset_against_contact(self, joint: int) -> float:
         """Log Bayes factor of an offset of one encoder to torques over the whole horizon.
 
-        Parameters
-        ----------
-        joint : int
-            Of the encoder.
-
-        Returns
-        -------
-        float
-            Positive where the offset explains more; offsets of other encoders are free.
+        It is positive where the offset explains more; offsets of other encoders are free.
         """
         estimator = self.estimator
         null, window = estimator.posterior, estimator.window
@@ -561,25 +507,9 @@ def ask_bank(
 ) -> bool:
     """Evaluate the statistic, every few balances or where there is reason to.
 
-    Parameters
-    ----------
-    bank : BankParts
-        Changed.
-    window, null, balance : Window, Posterior, Balance
-        The null hypothesis, whose residuals are written.
-    sampler : Sampler
-        Says how large jumps are that may not have been seen.
-    block : ndarray, shape (3 n + 4,)
-        The last one.
-    threshold : float
-        Of the statistic.
-    rests : bool
-        Whether a reading is conspicuous because it rests.
-
-    Returns
-    -------
-    bool
-        Whether hypotheses have to be compared one by one.
+    True if hypotheses have to be compared one by one.  The residuals of ``null`` are written.
+    ``block``, shape (3 n + 4,), is the last one; ``rests`` says that a reading is conspicuous
+    because it rests.
     """
     state, lengths, n = bank.state[0], bank.evidence.lengths, bank.matrix.shape[0]
     own, rows, quiet = bank.kinematics, bank.rows, QUIET * threshold
@@ -752,15 +682,7 @@ def learn_rows(own: Kinematics, interval: float) -> None:
 
 
 class KinematicRows:
-    """D = y(t) - y(t - T) - int v dt of every interval, for sensors with rates of their own.
-
-    Parameters
-    ----------
-    arm : SerialArm
-        Its sensors.
-    plan : HorizonPlan
-        Lengths of blocks and intervals.
-    """
+    """D = y(t) - y(t - T) - int v dt of every interval, for sensors with rates of their own."""
 
     def __init__(self, arm: SerialArm, plan: HorizonPlan) -> None:
         sensors = [joint.sensors for joint in arm.joints]

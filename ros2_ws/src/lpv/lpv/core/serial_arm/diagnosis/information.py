@@ -70,17 +70,9 @@ def sum_slot(window: Window, last: int) -> int:
 def join(window: Window, time: float, rows: FloatArray, past: float) -> None:
     """Append a balance; `add_products` adds its products.
 
-    Parameters
-    ----------
-    window : Window
-        Changed.
-    time : float
-        [s].
-    rows : ndarray, shape (n, 1 + h + m)
-        Constant part and derivatives.
-    past : float
-        Factor of what was remembered, where a balance leaves the window, which is remembered,
-        too; if it is not, the factor is negative.
+    ``rows``, shape (n, 1 + h + m), hold the constant part and derivatives.  Where a balance leaves
+    the window, what was remembered is multiplied by abs(``past``), and the balance is remembered,
+    too, unless ``past`` is negative.
     """
     capacity = window.times.shape[0]
     if window.counters[COUNT] == capacity:
@@ -107,14 +99,8 @@ def join(window: Window, time: float, rows: FloatArray, past: float) -> None:
 def add_products(window: Window, back: int, weights: FloatArray) -> None:
     """Write the sum behind a balance, from the sum before it.
 
-    Parameters
-    ----------
-    window : Window
-        Changed.
-    back : int
-        Balances after it.
-    weights : ndarray, shape (n,)
-        Its inverse variances; its trust is a factor of them.
+    ``back`` balances come after it.  ``weights``, shape (n,), are its inverse variances; its trust
+    is a factor of them.
     """
     at, old, new = slot(window, back), sum_slot(window, back + 1), sum_slot(window, back)
     unknowns, columns = window.past.shape
@@ -148,18 +134,8 @@ def forget_newest(window: Window, count: int) -> None:
 def move_drifts(window: Window, drift: int, offset: int, joints: int, shift: float) -> None:
     """Let drifts count from a moment that is later by ``shift``, and sums from the oldest balance.
 
-    A drift's column is t - epoch times the offset's: both stay small over days.
-
-    Parameters
-    ----------
-    window : Window
-        Changed.
-    drift, offset : int
-        First columns of drifts and of offsets; the latter are the first unknowns.
-    joints : int
-        Number of joints.
-    shift : float
-        [s].
+    A drift's column is t - epoch times the offset's: both stay small over days.  ``drift`` and
+    ``offset`` are the first columns of either; offsets are the first unknowns.
     """
     last = window.counters[COUNT]
     oldest = sum_slot(window, last)
@@ -198,14 +174,9 @@ def products(window: Window, last: int) -> FloatArray:
 
 @njit_in_place
 def factorise(matrix: FloatArray, least: FloatArray) -> None:
-    """Factor U of A = U^T U, in place of the upper triangle of A.
+    """Factor U of A = U^T U, in place of the upper triangle of the positive definite A.
 
-    Parameters
-    ----------
-    matrix : ndarray, shape (m, m)
-        A, positive definite.
-    least : ndarray, shape (m,)
-        Smallest pivots, against rounding errors.
+    ``least``, shape (m,), are the smallest pivots, against rounding errors.
     """
     m = least.shape[0]
     for k in range(m):

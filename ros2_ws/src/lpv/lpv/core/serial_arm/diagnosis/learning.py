@@ -44,17 +44,7 @@ class Learned:
 def learned_of(arm: SerialArm, estimator: OffsetEstimator) -> Learned:
     """What an estimator has learned.
 
-    Parameters
-    ----------
-    arm : SerialArm
-        Its arm.
-    estimator : OffsetEstimator
-        After any number of balances.
-
-    Returns
-    -------
-    Learned
-        The arm file's values with the prior's deviations, if there were none.
+    Before the first balance, these are the arm file's values with the deviations of the prior.
     """
     n, chain, null = estimator.joints, compile_chain(arm), estimator.level
     inverse = np.linalg.inv(np.triu(null.factor))

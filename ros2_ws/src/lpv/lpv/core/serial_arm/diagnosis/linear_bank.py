@@ -102,36 +102,16 @@ def gather(
     unseen: FloatArray,
     count: int,
 ) -> tuple[float, float]:
-    """Write the evidence of the first ``count`` windows.
+    """Write the evidence of the first ``count`` windows, which the horizon must hold.
 
-    Parameters
-    ----------
-    evidence : Evidence
-        Written.
-    kinds : Kinds
-        Hypotheses.
-    window, null : Window, Posterior
-        Balances and null hypothesis, whose residuals are written.
-    outside : Contact
-        Torques from outside.
-    rows : Rows
-        What independent rates say.
-    mass : ndarray, shape (capacity, n, n)
-        M S^-1 of each balance, in the ring of ``window``.
-    frame : tuple of ndarray
-        S (n, n), and the point of linearisation (n,) [rad].
-    times : tuple of float
-        Moment from which drifts count, and length of an interval [s].
-    unseen : ndarray, shape (n,)
-        Largest jump of each reading that may not have been seen [rad].
-    count : int
-        Windows that the horizon holds.
+    The residuals of ``null`` are written.  ``mass``, shape (capacity, n, n), is M S^-1 of each
+    balance, in the ring of ``window``.  ``frame`` holds S, shape (n, n), and the point of
+    linearisation, shape (n,) [rad]; ``times`` the moment from which drifts count, and the length of
+    an interval [s].  ``unseen``, shape (n,), are the largest jumps of the readings that may not
+    have been seen [rad].
 
-    Returns
-    -------
-    tuple of float
-        Logarithms of the sums of Bayes factors over all kinds and starts, and over those of rough
-        torques.
+    Returns the logarithms of the sums of Bayes factors over all kinds and starts, and over those of
+    rough torques.
     """
     n, longest = null.noise.shape[0], evidence.lengths[count - 1]
     set_residuals(window, null, longest + 1)

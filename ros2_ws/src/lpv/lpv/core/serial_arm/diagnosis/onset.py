@@ -65,25 +65,10 @@ def sudden_drift_of(
 ) -> Onset:
     """The best onset of a drift of one encoder whose rate is derived from it.
 
-    Parameters
-    ----------
-    estimator : OffsetEstimator
-        Its posterior is the null hypothesis.
-    joint : int
-        Of the encoder.
-    prior : float
-        Standard deviation of drifts [rad/s].
-    last : int
-        Balances that are looked at.
-    blocks : ndarray, shape (N, 3 n + 4)
-        Those of the balances at hand and of the interval before, oldest first.
-    mass : ndarray, shape (capacity, n, n)
-        M S^-1 of each balance, in the ring of the horizon.
-
-    Returns
-    -------
-    Onset
-        Its gain is -inf while there are too few balances.
+    ``prior`` is the standard deviation of drifts [rad/s]; so many ``last`` balances are looked at.
+    ``blocks``, shape (N, 3 n + 4), are those of the balances at hand and of the interval before,
+    oldest first; ``mass``, shape (capacity, n, n), is M S^-1 of each balance, in the ring of the
+    horizon.  The gain is -inf while there are too few balances.
     """
     plan = estimator.plan
     end = block_end(blocks[-1])
@@ -100,15 +85,8 @@ def sudden_drift(
     """The best onset of a drift of one encoder in the last balances, to first order.
 
     All onsets count as equally likely; what that costs belongs to the margin of a decision.
-
-    Parameters
-    ----------
-    estimator, joint, prior, last
-        As of `sudden_drift_of`.
-    end : float
-        Of the last balance [s].
-    mass : ndarray, shape (capacity, n)
-        Momentum by a unit rate of the encoder's reading, in the ring of the horizon.
+    ``end`` is that of the last balance [s]; ``mass``, shape (capacity, n), has momenta by a unit
+    rate of the encoder's reading, in the ring of the horizon; else as in `sudden_drift_of`.
     """
     window, null = estimator.window, estimator.posterior
     n, interval = estimator.joints, estimator.plan.interval
@@ -171,22 +149,9 @@ def with_true_effect(
 
     Friction that turns over is as large for a small drift as for a large one, so that steps go from
     the size to first order, and from that by which the joint would rest, to the most likely one.
-
-    Parameters
-    ----------
-    onset : Onset
-        From `sudden_drift`.
-    estimator : OffsetEstimator
-        As there.
-    fault : tuple
-        Joint, standard deviation of drifts [rad/s].
-    blocks : ndarray, shape (N, 3 n + 4)
-        Those of the balances that hold the onset, and of all after them, oldest first.
-
-    Returns
-    -------
-    Onset
-        With another gain, size and deviation.
+    ``fault`` is the joint with the standard deviation of drifts [rad/s].  ``blocks``, shape
+    (N, 3 n + 4), are those of the balances that hold the onset, and of all after them, oldest
+    first.
     """
     joint, prior = fault
     best = onset._replace(gain=-np.inf)

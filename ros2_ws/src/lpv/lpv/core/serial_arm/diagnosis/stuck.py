@@ -68,26 +68,11 @@ def course_of_frozen(
 ) -> Course | None:
     """How likely a joint went on while its reading rests, and where it is then.
 
-    Parameters
-    ----------
-    estimator : OffsetEstimator
-        Its posterior is the null hypothesis.
-    joint : int
-        Sensor whose reading rests.
-    frozen : Frozen
-        When it came to rest, and how.
-    balances : int
-        For how many of the last balances the joint may have moved; 0: ever since.
-    blocks : ndarray, shape (N, 3 n + 4)
-        Those of the horizon, oldest first.
-    about : tuple of ndarray
-        Momenta by a unit rate of the reading, in the ring of the horizon, shape (capacity, n);
-        standard deviations of torques that may hold the joints, shape (n,) [N m].
-
-    Returns
-    -------
-    Course or None
-        None while no balance holds the time since.
+    The joint may have moved in so many last ``balances``; 0 means ever since the reading froze.
+    ``blocks``, shape (N, 3 n + 4), are those of the horizon, oldest first.  ``about`` holds momenta
+    by a unit rate of the reading, in the ring of the horizon, shape (capacity, n), and standard
+    deviations of torques that may hold the joints, shape (n,) [N m].  None while no balance holds
+    the time since.
     """
     n, plan, null = estimator.joints, estimator.plan, estimator.posterior
     end = block_end(blocks[-1])
