@@ -25,20 +25,12 @@ a horizon of balances, sensors of 0.1 mrad show 0.1 % of a wrist's torque."""
 def parameter_factor(arm: SerialArm, chain: Chain) -> FloatArray:
     """Square root F of the covariance F^T F of inertial parameters, friction and gains of drives.
 
-    Parameters
-    ----------
-    arm : SerialArm
-        Its covariance is taken where it was identified, else `MODEL_ERROR` without friction.
-    chain : Chain
-        The same arm, compiled.
-
-    Returns
-    -------
-    ndarray, shape (rows, 15 n)
-        Columns: 10 inertial parameters of each link; viscous, Coulomb and load-dependent friction,
-        offsets and relative gains of all joints.  Rows of the unknown payload: mass, and its place
-        by `PAYLOAD_PLACE`.  Where efforts are no torques, gains of drives are known as well as
-        masses are; those that were identified hold for the arm as it was, not for its load.
+    The covariance is that of the identification, if there was one, else `MODEL_ERROR` without
+    friction.  The 15 n columns are 10 inertial parameters of each link; viscous, Coulomb and
+    load-dependent friction, offsets and relative gains of all joints.  Rows of the unknown payload
+    are its mass, and its place by `PAYLOAD_PLACE`.  Where efforts are no torques, gains of drives
+    are known as well as masses are; those that were identified hold for the arm as it was, not for
+    its load.
     """
     n = joint_count(chain)
     if arm.covariance is not None:
@@ -66,18 +58,10 @@ def model_error(arm: SerialArm) -> float:
 
 
 def typical_torque(chain: Chain) -> FloatArray:
-    """Torques that move the arm, whatever its drives could give.
+    """Torques that move the arm, whatever its drives could give, shape (n,) [N m].
 
-    Parameters
-    ----------
-    chain : Chain
-        The arm.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Root mean square over poses of gravity's torque, with that of an usual acceleration of the
-        joint and its friction [N m].
+    They are the root mean square over poses of gravity's torque, with that of a usual acceleration
+    of the joint and its friction.
     """
     model, poses = SerialModel(chain), _poses(np.random.default_rng(0), chain)
     gravity = np.mean([model.gravity(q) ** 2 for q in poses], axis=0)
@@ -90,21 +74,8 @@ def momentum_noise(arm: SerialArm, chain: Chain, interval: float) -> FloatArray:
     """Noise that the sensors' noise makes in the difference of two neighbouring mean momenta.
 
     A derived rate is, in the mean of an interval, the difference of the readings at its ends; the
-    reading between two intervals counts twice.
-
-    Parameters
-    ----------
-    arm : SerialArm
-        Its sensors.
-    chain : Chain
-        The same arm.
-    interval : float
-        Over which momenta are averaged [s].
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Standard deviations, root mean square over poses [N m s].
+    reading between two intervals counts twice.  Standard deviations, shape (n,), are root mean
+    squares over poses [N m s]; momenta are averaged over ``interval`` [s].
     """
     model, poses = SerialModel(chain), _poses(np.random.default_rng(0), chain)
     samples = interval / arm.sample_time
@@ -126,17 +97,7 @@ def _with_drives(factor: FloatArray, n: int) -> FloatArray:
 def relative_factor(chain: Chain, relative: float) -> FloatArray:
     """Independent relative errors: mass of each link, place of its mass, and its inertias.
 
-    Parameters
-    ----------
-    chain : Chain
-        The arm.
-    relative : float
-        Standard deviation of each.
-
-    Returns
-    -------
-    ndarray, shape (rows, 10 n)
-        Rows F of the covariance F^T F.
+    ``relative`` is the standard deviation of each; F^T F is the covariance, F has 10 n columns.
     """
     n = joint_count(chain)
     rows = []
@@ -162,24 +123,11 @@ def _inertia(body: FloatArray) -> FloatArray:
 def parameter_directions(
     chain: Chain, factor: FloatArray, speed: FloatArray, limit: int = 16
 ) -> tuple[FloatArray, FloatArray]:
-    """The directions that matter most.
+    """The directions that matter most, at most ``limit``: independent, of standard deviation one.
 
-    Parameters
-    ----------
-    chain : Chain
-        The arm.
-    factor : ndarray, shape (rows, 15 n)
-        F of `parameter_factor`.
-    speed : ndarray, shape (n,)
-        Usual rates [rad/s].
-    limit : int, optional
-        At most so many directions.
-
-    Returns
-    -------
-    tuple of ndarray, shapes (k, n, 10) and (k, n, 5)
-        Inertial parameters, and friction (columns of `Chain.friction`) with relative gains, of
-        independent directions of standard deviation one.
+    ``factor`` is F of `parameter_factor`; ``speed``, shape (n,), has usual rates [rad/s].  Returned
+    are the directions' inertial parameters, shape (k, n, 10), and their friction (columns of
+    `Chain.friction`) with relative gains, shape (k, n, 5).
     """
     n = joint_count(chain)
     model, rng = SerialModel(chain), np.random.default_rng(0)

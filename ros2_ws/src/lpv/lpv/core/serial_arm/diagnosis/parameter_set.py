@@ -46,23 +46,13 @@ def is_stated(arm: SerialArm) -> bool:
 
 
 def parameter_set(arm: SerialArm, chain: Chain) -> ParameterSet:
-    """Set of the healthy arms of a file.
+    """Set of the healthy arms of a file, by its `Uncertainty` and sensors.
 
-    Parameters
-    ----------
-    arm : SerialArm
-        Its `Uncertainty` and sensors count.
-    chain : Chain
-        The same arm, compiled.
-
-    Returns
-    -------
-    ParameterSet
-        ``model_error`` e scales each link by 1 +- e, and, apart from that, changes its first
-        moments by e/2 of mass times distance of its centre, its inertias by e/2 of their mean, and
-        the rotors by e.  A payload of up to the stated mass is a point within `PAYLOAD_PLACE` of
-        the tip along each axis.  Efforts are half a sample early or late, beside what the file
-        states of delay and bandwidth.
+    ``model_error`` e scales each link by 1 +- e, and, apart from that, changes its first moments by
+    e/2 of mass times distance of its centre, its inertias by e/2 of their mean, and the rotors by
+    e.  A payload of up to the stated mass is a point within `PAYLOAD_PLACE` of the tip along each
+    axis.  Efforts are half a sample early or late, beside what the file states of delay and
+    bandwidth.
     """
     error = arm.uncertainty.model_error or 0.0
     friction, share = chain.friction, arm.uncertainty.friction
@@ -103,20 +93,9 @@ def payload_generator(sizes: ParameterSet, largest: float) -> int:
 def member(chain: Chain, sizes: ParameterSet, shares: FloatArray) -> Chain:
     """One arm of the set; delay and bias of the rates are not part of an arm.
 
-    Parameters
-    ----------
-    chain : Chain
-        The nominal arm.
-    sizes : ParameterSet
-        Of the same arm.
-    shares : ndarray, shape (k + 7 n,)
-        z of the generators, in [-1, 1]: inertial ones, rotors, viscous friction, Coulomb friction,
-        its growth with load, offsets; 2 n more.
-
-    Returns
-    -------
-    Chain
-        With other parameters, perhaps not physical at the corners of the set.
+    ``shares``, shape (k + 7 n,), are z of the generators, in [-1, 1]: inertial ones, rotors,
+    viscous friction, Coulomb friction, its growth with load, offsets; 2 n more.  At the corners of
+    the set, the arm is perhaps not physical.
     """
     n, count = joint_count(chain), len(sizes.inertial)
     inertial, friction = chain.inertial.copy(), chain.friction.copy()

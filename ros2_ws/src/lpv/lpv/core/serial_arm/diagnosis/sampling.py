@@ -108,21 +108,10 @@ class Sampler(NamedTuple):
 def new_sampler(
     derived: FloatArray, scale: FloatArray, smallest: FloatArray, capacity: int
 ) -> Sampler:
-    """A sampler without samples.
+    """A sampler without samples, for ``capacity`` blocks.
 
-    Parameters
-    ----------
-    derived : ndarray, shape (n,)
-        1 where a rate is derived from its reading.
-    scale, smallest : ndarray, shape (n,)
-        Usual size of e to begin with, and smallest jump [rad].
-    capacity : int
-        Blocks that are kept.
-
-    Returns
-    -------
-    Sampler
-        All zero otherwise.
+    ``derived``, shape (n,), is 1 where a rate is derived from its reading.  ``scale`` is the usual
+    size of e to begin with, ``smallest`` the smallest jump, shape (n,) [rad].
     """
     n = len(derived)
     counters = np.zeros(5, np.int64)
@@ -146,14 +135,7 @@ def push_sample(
 ) -> None:
     """Append a sample, with faults that are known removed, and test the one before for jumps.
 
-    Parameters
-    ----------
-    sampler : Sampler
-        Changed: ``found`` and ``size`` say what has been found at samples before.
-    time : float
-        Stamp [s].
-    y, v, torque : ndarray, shape (n,)
-        Readings, rates, torques [rad], [rad/s], [N m].
+    ``found`` and ``size`` of the sampler say what has been found at samples before.
     """
     n, before = y.shape[0], HISTORY - 2 - BEFORE_STOP
     period = time - sampler.time[HISTORY - 1]
@@ -685,21 +667,9 @@ def _smooth_rates(sampler: Sampler, i: int, start: int, count: int) -> None:
 
 @njit_in_place
 def move_to_balance(sampler: Sampler, balance: Balance, per_block: int, blocks: int) -> bool:
-    """Let the sample that is ``DELAY`` old enter the balance.
+    """Let the sample that is ``DELAY`` old enter the balance; true if a balance is complete.
 
-    Parameters
-    ----------
-    sampler : Sampler
-        Changed.
-    balance : Balance
-        Changed where a block is complete.
-    per_block, blocks : int
-        Samples of a block, blocks of an interval.
-
-    Returns
-    -------
-    bool
-        Whether a balance is complete.
+    A block has ``per_block`` samples, an interval has ``blocks``.
     """
     k = HISTORY - 1 - DELAY
     if sampler.counters[COUNT] <= DELAY + 1:
@@ -773,15 +743,7 @@ def block_end(block: FloatArray) -> float:
 
 
 def restart(sampler: Sampler, balance: Balance) -> None:
-    """Begin again after a gap in the samples; corrections and what was learned stay.
-
-    Parameters
-    ----------
-    sampler : Sampler
-        Changed.
-    balance : Balance
-        Changed.
-    """
+    """Begin again after a gap in the samples; corrections and what was learned stay."""
     sampler.counters[:] = 0
     sampler.counters[PENDING] = -1
     sampler.still[:] = 0
@@ -800,27 +762,11 @@ def take_samples(
     begin: int,
     plan: tuple[int, int],
 ) -> tuple[int, bool]:
-    """Take samples until something has to be decided.
+    """Take samples until something has to be decided: a balance is complete, or a reading jumped.
 
-    Parameters
-    ----------
-    sampler : Sampler
-        Changed.
-    balance : Balance
-        Changed.
-    times : ndarray, shape (N,)
-        Stamps [s].
-    samples : ndarray, shape (N, 3, n)
-        Readings, rates, torques.
-    begin : int
-        The first sample to take.
-    plan : tuple
-        Samples of a block, blocks of an interval.
-
-    Returns
-    -------
-    tuple
-        The next sample to take, and whether a balance is complete; a jump ends the call, too.
+    ``times``, shape (N,), are stamps [s], ``samples``, shape (N, 3, n), readings, rates and
+    torques; ``plan`` holds how many samples a block and how many blocks an interval has.  Returns
+    the next sample to take, and whether a balance is complete.
     """
     n = sampler.scale.shape[0]
     for k in range(begin, times.shape[0]):

@@ -45,17 +45,7 @@ class SensorRecord:
         self.over_since, self.level = now, False
 
     def watch_end(self, over: bool, now: float, dwell: float, size: float) -> bool:
-        """Whether the fault has been over for long enough.
-
-        Parameters
-        ----------
-        over : bool
-            Whether it seems over now.
-        now, dwell : float
-            [s].
-        size : float
-            Of what is left of it [rad].
-        """
+        """Whether the fault has been over for long enough; ``size`` is what is left of it [rad]."""
         if not over:
             self.over_since, self.peak = None, max(self.peak, size)
             return False
