@@ -113,24 +113,8 @@ def fill_answers(
     What is removed follows the confirmed fault at a limited rate; jumps were added to
     ``work.applied`` by the caller.
 
-    Parameters
-    ----------
-    work : Compensation
-        Changed.
-    rows : AnswerRows
-        Written.
-    first : int
-        Row of the first one of ``samples``.
-    part : tuple
-        First sample, and the first one after the last.
-    stamps : ndarray of int64, shape (N,)
-        [ns].
-    samples : ndarray, shape (N, 3, n)
-        Readings of the sensors, their rates, efforts.
-    known : Known
-        Faults.
-    flags : numpy.record
-        Of `FLAGS`: what else is known.
+    Answered are samples ``part[0]`` to ``part[1] - 1``; row ``first`` is that of ``samples[0]``.
+    Samples, shape (N, 3, n), are readings of the sensors, their rates, efforts; stamps are in [ns].
     """
     for k in range(part[0], part[1]):
         row = first + k

@@ -11,12 +11,7 @@ from lpv.core.support.errors import SampleError
 class JointOrder:
     """Picks the arm's joints out of JointState messages.
 
-    Parameters
-    ----------
-    joint_names : sequence of str
-        Joints of the arm file.
-    needs_rates : bool, optional
-        Whether messages without rates are refused.
+    ``needs_rates`` refuses messages without rates.
     """
 
     def __init__(self, joint_names: Sequence[str], needs_rates: bool = True) -> None:
@@ -39,24 +34,10 @@ class JointOrder:
         return self._index
 
     def pick(self, message: Any, torque: Sequence[float] | None = None) -> tuple[list[Any], ...]:
-        """Positions, rates and efforts of the arm's joints.
+        """Positions, rates and efforts of the arm's joints; NaN where the message carries none.
 
-        Parameters
-        ----------
-        message : sensor_msgs.msg.JointState
-            The measurement.
-        torque : sequence of float, optional
-            Torques of the arm's joints in place of the message's effort.
-
-        Returns
-        -------
-        tuple of list
-            position, velocity, effort; NaN where the message carries none.
-
-        Raises
-        ------
-        SampleError
-            If joints are unknown or an array has the wrong size.
+        ``torque``, of the arm's joints, takes the place of the message's effort.  SampleError if
+        joints are unknown or an array has the wrong size.
         """
         index, count = self.indices(message.name), len(message.name)
         picked: list[list[Any]] = []

@@ -47,18 +47,7 @@ class Findings:
 
 
 def state_fields(state: np.record) -> dict[str, Any]:
-    """Fields of lpv_msgs/StateEstimate.
-
-    Parameters
-    ----------
-    state : numpy.record
-        `lpv.core.monitoring.monitor.ANSWER`'s; the values are copied.
-
-    Returns
-    -------
-    dict
-        Field values.
-    """
+    """Fields of lpv_msgs/StateEstimate from the ``state`` of an answer, whose values are copied."""
     names = (
         'position',
         'velocity',
@@ -74,20 +63,7 @@ def state_fields(state: np.record) -> dict[str, Any]:
 
 
 def fault_fields(fault: np.record, sensor_names: Sequence[str]) -> dict[str, Any]:
-    """Fields of lpv_msgs/FaultEstimate.
-
-    Parameters
-    ----------
-    fault : numpy.record
-        `lpv.core.monitoring.monitor.ANSWER`'s; the values are copied.
-    sensor_names : sequence of str
-        Names of the sensors.
-
-    Returns
-    -------
-    dict
-        Field values.
-    """
+    """Fields of lpv_msgs/FaultEstimate from the ``fault`` of an answer, whose values are copied."""
     return {
         'sensor_names': list(sensor_names),
         **{name: fault[name].copy() for name in ('estimate', 'bound', 'threshold')},
@@ -127,23 +103,9 @@ def diagnostic_fields(
 ) -> list[dict[str, Any]]:
     """The ``status`` list of diagnostic_msgs/DiagnosticArray: observer and sensors.
 
-    Parameters
-    ----------
-    name : str
-        Fully qualified node name.
-    arm : SerialArm
-        Names of arm, joints and sensors.
-    state, fault : numpy.record
-        `lpv.core.monitoring.monitor.ANSWER`'s; ``fault`` is None without an estimate.
-    findings : Findings
-        What else is known.
-    values : dict
-        Key-value pairs of the observer's status.
-
-    Returns
-    -------
-    list of dict
-        Fields of diagnostic_msgs/DiagnosticStatus; ``values`` is a dict of strings.
+    ``name`` is the fully qualified node name, ``fault`` is None without an estimate, and ``values``
+    are the key-value pairs of the observer's status.  Each entry has the fields of
+    diagnostic_msgs/DiagnosticStatus; its ``values`` is a dict of strings.
     """
     level, message = _MODES[state['mode']]
     if fault is not None and level < STALE:

@@ -92,24 +92,9 @@ def advance(
     What is decided at a sample counts from this sample on; the designed observer has used all
     samples before it then.
 
-    Parameters
-    ----------
-    parts : Parts
-        Changed.
-    plan : tuple
-        Samples of a block, blocks of an interval.
-    one : Answering
-        Changed.
-    rows : AnswerRows
-        Written.
-    first : int
-        Row of the first sample.
-    stamps : ndarray of int64, shape (N,)
-        [ns].
-    times : ndarray, shape (N,)
-        The same since the first sample of all [s].
-    samples : ndarray, shape (N, 3, n)
-        Readings, rates, torques.
+    ``plan`` is the number of samples in a block and of blocks in an interval; ``first`` is the row
+    of the first sample.  Samples, shape (N, 3, n), are readings, rates, torques, with their stamps
+    [ns] and their times since the first sample of all [s].
     """
     progress, state = one.progress[0], parts.state[0]
     while True:

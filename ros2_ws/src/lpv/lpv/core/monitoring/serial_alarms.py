@@ -17,13 +17,7 @@ _DROPOUT, _RATE_BIAS = 'dropout', 'rate_bias'
 
 
 class AlarmConverter:
-    """Alarm events of one arm.
-
-    Parameters
-    ----------
-    arm : SerialArm
-        Names of the sensors.
-    """
+    """Alarm events of one arm."""
 
     def __init__(self, arm: SerialArm) -> None:
         self._names = arm.sensor_names
@@ -32,23 +26,10 @@ class AlarmConverter:
         self._missing = np.zeros(len(self._names), bool)
 
     def convert(self, known: Snapshot, onset: list[int], stamp: int, sigmas: float) -> list[Alarm]:
-        """Events of the alarms of a snapshot that name a sensor.
+        """Events of a snapshot's alarms that name a sensor, in the order in which they were found.
 
-        Parameters
-        ----------
-        known : Snapshot
-            What is known at the sample.
-        onset : list of int
-            Of each alarm [ns].
-        stamp : int
-            Of the sample [ns].
-        sigmas : float
-            Standard deviations in a bound.
-
-        Returns
-        -------
-        list of Alarm
-            In the order in which they were found.
+        ``onset`` is that of each alarm, ``stamp`` that of the sample [ns]; a bound has ``sigmas``
+        standard deviations.
         """
         events = []
         for alarm, begin in zip(known.alarms, onset):
@@ -67,19 +48,8 @@ class AlarmConverter:
     def dropouts(self, missing: BoolArray, since: IntArray, stamp: int) -> list[Alarm]:
         """Events of sensors that fail to deliver, or deliver again.
 
-        Parameters
-        ----------
-        missing : ndarray of bool, shape (n,)
-            Which sensors have failed to deliver for long.
-        since : ndarray of int, shape (n,)
-            When their readings began to be missing [ns].
-        stamp : int
-            Of the sample [ns].
-
-        Returns
-        -------
-        list of Alarm
-            The end of a dropout does not clear another fault of the sensor.
+        ``missing`` says which sensors have failed to deliver for long, ``since`` when that began
+        [ns].  The end of a dropout does not clear another fault of the sensor.
         """
         events = []
         for i in np.nonzero(missing != self._missing)[0]:

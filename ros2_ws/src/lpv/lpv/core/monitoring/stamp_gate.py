@@ -14,13 +14,9 @@ class StampGate:
     A stamp that is further than `JUMP` from the newest one is refused, until `CONFIRMATIONS` of
     them follow one another: the clock was set then, or samples were missing for long.
 
-    Attributes
-    ----------
-    last : int or None
-        Newest stamp that was accepted [ns]; of the new clock, once that was set.
-    shift : int
-        By how much the stamp that was accepted last differs from the one before, if the clock was
-        set in between, else 0 [ns].
+    ``last`` is the newest stamp that was accepted [ns], of the new clock once that was set.
+    ``shift`` is the difference of the last two stamps that were accepted if the clock was set in
+    between, else 0 [ns].
     """
 
     def __init__(self) -> None:

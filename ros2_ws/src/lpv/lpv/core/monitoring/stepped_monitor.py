@@ -60,15 +60,7 @@ class Told(NamedTuple):
 class SteppedMonitor(SerialMonitor):
     """`SerialMonitor` for samples by the thousand, each of which is answered.
 
-    Parameters
-    ----------
-    arm : SerialArm
-        The arm.
-
-    Attributes
-    ----------
-    blind : bool
-        Efforts are missing: only jumps of readings are looked for.
+    It is ``blind`` where efforts are missing: only jumps of readings are looked for then.
     """
 
     def __init__(self, arm: SerialArm) -> None:
@@ -125,21 +117,7 @@ class SteppedMonitor(SerialMonitor):
         first: int,
         told: Told,
     ) -> None:
-        """Take samples as `take_readings`, and answer them.
-
-        Parameters
-        ----------
-        stamps, samples : ndarray
-            As of `take_readings`.
-        answering : Answering
-            Changed.
-        rows : AnswerRows
-            Written.
-        first : int
-            Row of the first sample.
-        told : Told
-            Called in between.
-        """
+        """Take samples as `take_readings`, and answer them from row ``first`` on."""
         self._out, self._row, self._stamps = (answering, rows, told), first, stamps
         self.take_readings(stamps, samples)
 
