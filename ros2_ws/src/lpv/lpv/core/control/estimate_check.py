@@ -111,16 +111,8 @@ def limit_correction(
     A joint moves as its rate says, and its rate changes smoothly.  What else a position or a rate
     changes, by more than noise and ``record.change``, is a change of its correction: the loop gets
     it faded in, so that torques do not jump.  A start, with ``record.stamp`` NEVER, takes both as
-    they are.
-
-    Parameters
-    ----------
-    record : numpy.record
-        Of `new_correction`; changed.
-    stamp : int
-        Of the sample [ns].
-    position, velocity : ndarray, shape (n,)
-        As estimated [rad], [rad/s].
+    they are.  ``record`` is one of `new_correction`; positions and rates are in [rad] and [rad/s],
+    ``stamp`` in [ns].
     """
     starts = record.stamp == NEVER
     interval = 0.0 if starts else (stamp - record.stamp) / NANOSECONDS
@@ -148,17 +140,8 @@ def _limit_correction(record: np.ndarray, *sample: Any) -> None:
 class CorrectionLimit:
     """`limit_correction` for Python, sample by sample.
 
-    Parameters
-    ----------
-    arm : SerialArm
-        The arm.
-    limited : bool
-        Whether there is a correction: a position that is fed back as measured has none.
-
-    Attributes
-    ----------
-    position, velocity : ndarray, shape (n,)
-        What is to be fed back [rad], [rad/s].
+    ``position`` and ``velocity`` are what is to be fed back, shape (n,) [rad], [rad/s].  Without
+    ``limited`` there is no correction: the position is fed back as measured.
     """
 
     def __init__(self, arm: SerialArm, limited: bool = True) -> None:

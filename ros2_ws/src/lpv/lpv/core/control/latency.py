@@ -38,14 +38,7 @@ def loop_latency(
 ) -> float:
     """Longest constant latency with which sampled loops x' = A x + B u, u = M x are stable [s].
 
-    Parameters
-    ----------
-    loops : iterable of tuple of ndarray
-        A and B, one pair a vertex.
-    m : ndarray
-        M.
-    sample_time : float
-        [s].
+    ``loops`` are pairs A, B, one for each vertex.
     """
     sampled = [discretised(a, b, sample_time) for a, b in loops]
     delay = 0

@@ -27,14 +27,8 @@ class PathFollower:
     The clock of the path starts at the first reference and stands still while the loop is stopped.
     An arm that is elsewhere when the loop (re)starts is led to the path's present point first, in
     joint space, from rest to rest by a quintic; then the path goes on, with its speed ramped up if
-    the point is not an end of the path.  A start near the path follows it at once.
-
-    Parameters
-    ----------
-    path : TimedPath
-        Of an arm of any number of joints n.
-    speed : float, optional
-        Fastest joint rate of an approach [rad/s].
+    the point is not an end of the path.  A start near the path follows it at once.  ``speed`` is
+    the fastest joint rate of an approach [rad/s].
     """
 
     def __init__(self, path: TimedPath, speed: float = APPROACH_SPEED) -> None:
@@ -50,10 +44,7 @@ class PathFollower:
     def stop(self, stamp: int | None = None) -> None:
         """Stop the clock of the path until the next reference.
 
-        Parameters
-        ----------
-        stamp : int, optional
-            Of the last reference that was followed, where they were taken from `ahead` [ns].
+        ``stamp`` [ns] is that of the last reference followed, where they were taken from `ahead`.
         """
         if self._start is not None:
             time = self._time(self._last if stamp is None else stamp)
@@ -67,19 +58,9 @@ class PathFollower:
         return self._start is not None
 
     def reference(self, stamp: int, position: ArrayLike) -> Reference:
-        """Reference at a time.
+        """Reference at a time [ns], never less than before except after `reset` or `stop`.
 
-        Parameters
-        ----------
-        stamp : int
-            Time, never less than before except after `reset` or `stop` [ns].
-        position : array_like, shape (n,)
-            Where the arm is, in joint coordinates [rad].
-
-        Returns
-        -------
-        Reference
-            Of one time.
+        ``position`` is where the arm is, in joint coordinates [rad].
         """
         if self._start is None:
             self._restart(stamp, np.asarray(position, float))
@@ -88,18 +69,7 @@ class PathFollower:
         return Reference(rows.position[0], rows.velocity[0], rows.acceleration[0], rows.tip[0])
 
     def ahead(self, stamps: np.ndarray) -> Reference:
-        """References at many times after the present start, those of `reference` bit for bit.
-
-        Parameters
-        ----------
-        stamps : ndarray of int64, shape (m,)
-            Times [ns].
-
-        Returns
-        -------
-        Reference
-            Of m times.
-        """
+        """References at times [ns] after the present start, those of `reference` bit for bit."""
         time = self._time(stamps)
         result = self._on_path(*self._progress(np.maximum(time, 0.0)))
         approaching = np.flatnonzero(time < 0.0)
@@ -158,23 +128,9 @@ class PathFollower:
 class PathReferences:
     """References of all samples; rows count the samples in which the clock of the path runs.
 
-    Parameters
-    ----------
-    path : TimedPath
-        Of an arm of n joints.
-    sample_time : float
-        [s].
-    count : int
-        Number of samples m.
-    speed : float, optional
-        Fastest joint rate of an approach [rad/s].
-
-    Attributes
-    ----------
-    motion : ndarray, shape (m, 3, n)
-        Joint positions, rates and accelerations [rad], [rad/s], [rad/s2].
-    tip : ndarray, shape (m, 2) or (m, 3)
-        [m].
+    ``motion``, shape (m, 3, n), has positions, rates and accelerations of the joints [rad],
+    [rad/s], [rad/s2]; ``tip`` has shape (m, 2) or (m, 3) [m].  ``speed`` is the fastest joint rate
+    of an approach [rad/s].
     """
 
     def __init__(

@@ -38,20 +38,10 @@ class PoseWaypoints:
 class SerialPath:
     """Quintic spline of the joint positions, at rest at both ends.
 
-    Parameters
-    ----------
-    arm : SerialArm
-        The arm.
-    times : sequence of float
-        Strictly increasing [s]; before the first and after the last the arm rests.
-    positions : array_like, shape (m, n)
-        Joint positions at these times [rad].
-
-    Raises
-    ------
-    ConfigError
-        If times do not increase, a number of joints is wrong, or a limit of a joint (position,
-        rate, or torque according to the model) is exceeded anywhere on the path.
+    ``positions``, shape (m, n) [rad], are those at ``times`` [s], which increase; before the first
+    and after the last the arm rests.  ConfigError if times do not increase, a number of joints is
+    wrong, or a limit of a joint (position, rate, or torque according to the model) is exceeded
+    anywhere on the path.
     """
 
     obstacle: Obstacle | None = None
@@ -78,27 +68,9 @@ class SerialPath:
         Between orientations the tip turns at rest-to-rest speed about one axis.  A joint spline
         goes through the solutions of the inverse kinematics, one every 40 ms.
 
-        Parameters
-        ----------
-        arm : SerialArm
-            The arm.
-        times : sequence of float
-            Strictly increasing [s].
-        waypoints : PoseWaypoints
-            Poses at these times, and the posture to begin with.
-
-        Returns
-        -------
-        SerialPath
-            Of the arm's joints.
-
-        Raises
-        ------
-        ConfigError
-            As of the constructor.
-        UnreachableError
-            If a part of the path is out of reach, beyond the limits of a joint, or near a
-            singularity; the message says when.
+        ``waypoints`` has the poses at ``times`` [s], and the posture to begin with.  ConfigError as
+        of the constructor; UnreachableError if a part of the path is out of reach, beyond the
+        limits of a joint, or near a singularity; its message says when.
         """
         knots = checked_times(times)
         if len(waypoints.positions) != len(knots):

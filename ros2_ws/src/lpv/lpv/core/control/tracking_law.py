@@ -23,12 +23,8 @@ class Command:
 def apply_limits(state: np.record, limit: np.ndarray) -> None:
     """Clip torques to their limits [N m], and integrate eps where none is met.
 
-    Parameters
-    ----------
-    state : numpy.record
-        ``torque`` wanted, ``step`` of ``integral``; changed, with ``saturated``.
-    limit : ndarray, shape (n,)
-        Of the joint torques [N m].
+    ``state`` has the ``torque`` that is wanted and the ``step`` of ``integral``; ``saturated`` is
+    written.
     """
     state.saturated = False
     for i in range(limit.shape[0]):

@@ -250,14 +250,8 @@ def check_estimate(
 ) -> int:
     """Judge an estimate before it is answered; returns a `StopReason`.
 
-    Parameters
-    ----------
-    dog : numpy.record
-        Of `tracker_watchdog`.
-    stamp, latency : int
-        Of the measurement; time from it until now, 0 where it is not known [ns].
-    mode, trustworthy, velocity, measured_velocity
-        Fields of lpv_msgs/StateEstimate.
+    ``dog`` is one of `tracker_watchdog`; ``latency`` is the time from the measurement until now, 0
+    where it is not known [ns].  ``mode`` and what follows are fields of lpv_msgs/StateEstimate.
     """
     if mode != _STALE and mode != _NO_ESTIMATE:
         dog.usable = stamp
@@ -355,16 +349,9 @@ def note_stop(dog: np.record) -> None:
 def check_drive(dog: np.record, now: int, age: int, safe_stop: bool, velocity: np.ndarray) -> int:
     """Judge a command before it acts over a sample; returns a `BrakeReason`.
 
-    Parameters
-    ----------
-    dog : numpy.record
-        Of `drive_watchdog`.
-    now, age : int
-        Time of the sample; age of the measurement that the command answers, 0 in lockstep [ns].
-    safe_stop : bool
-        Whether the command asks for the brakes.
-    velocity : ndarray, shape (n,)
-        Joint rates as the motors' own sensors read them [rad/s].
+    ``dog`` is one of `drive_watchdog`; ``age`` is that of the measurement that the command answers,
+    0 in lockstep [ns].  ``safe_stop`` is whether the command asks for the brakes, ``velocity`` the
+    joint rates as the motors' own sensors read them [rad/s].
     """
     # An outage counts as its limit only: it ends with the first fresh command.
     dog.mean_age += dog.share * (min(age, dog.command_age) - dog.mean_age)
@@ -427,13 +414,7 @@ class _Watchdog:
 
 
 class TrackerWatchdog(_Watchdog):
-    """The tracker's watchdog, estimate by estimate.
-
-    Attributes
-    ----------
-    silence : int
-        Longest interval between estimates [ns].
-    """
+    """The tracker's watchdog; ``silence`` is the longest interval between estimates [ns]."""
 
     def __init__(self, arm: SerialArm, limits: TrackerLimits) -> None:
         super().__init__(tracker_watchdog(arm, limits))
@@ -455,10 +436,7 @@ class TrackerWatchdog(_Watchdog):
 class DriveWatchdog(_Watchdog):
     """The drives' watchdog, sample by sample.
 
-    Attributes
-    ----------
-    command_age : int
-        Greatest age of the measurement that was answered last [ns].
+    ``command_age`` is the greatest age of the measurement that was answered last [ns].
     """
 
     def __init__(self, arm: SerialArm, limits: DriveLimits) -> None:
