@@ -20,20 +20,7 @@ _THINNEST = 1e-9
 def chain_mjcf(chain: Chain) -> str:
     """Write a serial arm as MJCF, without friction, drives, contacts and shapes.
 
-    Parameters
-    ----------
-    chain : Chain
-        The arm.
-
-    Returns
-    -------
-    str
-        XML.
-
-    Raises
-    ------
-    ConfigError
-        If a link has no mass.
+    ConfigError if a link has no mass.
     """
     armature, rotors = _rotors(chain)
     root = ElementTree.Element('mujoco', model='arm')

@@ -55,18 +55,8 @@ def _axis(joint: SerialJoint) -> FloatArray:
 def transforms(arm: SerialArm, q: Sequence[float] | FloatArray) -> list[Transform]:
     """Transforms that a robot state publisher would send for one configuration.
 
-    Parameters
-    ----------
-    arm : SerialArm
-        The arm.
-    q : array_like, shape (n,)
-        Joint positions [rad], [m].
-
-    Returns
-    -------
-    list of tuple
-        ``(parent, child, translation, quaternion)`` from the base to the tip; translations x, y, z
-        [m], quaternions x, y, z, w.
+    They are ``(parent, child, translation, quaternion)`` from the base to the tip: translations x,
+    y, z [m], quaternions x, y, z, w.
     """
     names, result = link_names(arm), []
     for i, (origin, orientation, axis) in enumerate(_fixed_parts(arm)):
@@ -89,25 +79,9 @@ def arm_urdf(arm: SerialArm, inertial: bool = True, colours: Sequence[str] = COL
 
     Friction goes into ``dynamics``; rotor inertia has no place in a URDF and is left out.
 
-    Parameters
-    ----------
-    arm : SerialArm
-        The arm.
-    inertial : bool, optional
-        Whether to write masses and inertias; pictures need none.
-    colours : sequence of str, optional
-        Red, green, blue and alpha of the links in turn, each 0 to 1.
-
-    Returns
-    -------
-    str
-        XML.
-
-    Raises
-    ------
-    ConfigError
-        If an inertia about a centre of mass is not positive: identified parameters need not be,
-        but a URDF cannot say it.
+    ``inertial`` writes masses and inertias, which pictures do not need; ``colours`` are those of
+    the links in turn, as `COLOURS`.  ConfigError if an inertia about a centre of mass is not
+    positive: identified parameters need not be, but a URDF cannot say it.
     """
     robot, names = ElementTree.Element('robot', name=arm.name), link_names(arm)
     for i, colour in enumerate(colours):

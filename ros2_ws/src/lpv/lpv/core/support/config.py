@@ -50,22 +50,8 @@ def _short(value: object) -> str:
 def load_yaml(path: str | Path, max_bytes: int | None = None) -> Any:
     """Load a YAML file of other software through the safe loader, whatever its values are.
 
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        The file.
-    max_bytes : int, optional
-        Largest file that is read, ``MAX_BYTES`` if not given.
-
-    Returns
-    -------
-    object
-        Its content, of at most ``MAX_VALUES`` values.
-
-    Raises
-    ------
-    ConfigError
-        If the file is missing, too large, not YAML, nested too deeply, or has too many values.
+    ConfigError if the file is missing, larger than ``max_bytes`` (``MAX_BYTES`` if not given), not
+    YAML, nested too deeply, or has more than ``MAX_VALUES`` values.
     """
     path, limit = Path(path), MAX_BYTES if max_bytes is None else max_bytes
     try:
@@ -88,21 +74,8 @@ def load_yaml(path: str | Path, max_bytes: int | None = None) -> Any:
 def read_yaml(path: str | Path) -> dict[str, Any]:
     """Read a YAML mapping through the safe loader.
 
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        The file; at most ``MAX_BYTES`` long.
-
-    Returns
-    -------
-    dict
-        The top-level mapping.
-
-    Raises
-    ------
-    ConfigError
-        As `load_yaml`, and if the file holds what no file of this software needs: no mapping, keys
-        that are not text, dates, binary data, NaN, huge integers.
+    ConfigError as `load_yaml`, and if the file holds what no file of this software needs: no
+    mapping, keys that are not text, dates, binary data, NaN, huge integers.
     """
     data = load_yaml(path)
     if not isinstance(data, dict):
@@ -114,14 +87,7 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
 def write_parameters(path: str | Path, parameters: dict[str, Any], comment: str = '') -> None:
     """Write a ROS 2 parameter file for all nodes (``/**: ros__parameters: ...``).
 
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        File to write; parent directories are made.
-    parameters : dict
-        Plain YAML data.
-    comment : str, optional
-        Text for the head of the file.
+    ``comment`` goes to the head of the file; parent directories are made.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -178,18 +144,7 @@ def _wrong_scalar(value: object) -> str:
 
 
 def sha256_of(data: object) -> str:
-    """Hash of a configuration's content, independent of layout and comments.
-
-    Parameters
-    ----------
-    data : object
-        Nested dicts, lists, strings and numbers.
-
-    Returns
-    -------
-    str
-        Hexadecimal SHA-256.
-    """
+    """Hexadecimal SHA-256 of a configuration's content, independent of layout and comments."""
     return hashlib.sha256(_canonical(data).encode()).hexdigest()
 
 
@@ -213,15 +168,8 @@ _LONGEST = 1600
 def names_all_errors(parse: _Function) -> _Function:
     """Make a parser of a file's mapping name every field that is wrong, not only the first one.
 
-    Parameters
-    ----------
-    parse : callable
-        Builds something from a mapping, by a `Section`.
-
-    Returns
-    -------
-    callable
-        The same; its ConfigError has field and reason of the first error, and the text of all.
+    ``parse`` reads by a `Section`.  The ConfigError has field and reason of the first error, and
+    the text of all.
     """
 
     @functools.wraps(parse)
@@ -288,14 +236,8 @@ def _inside(
 class Section:
     """A mapping that is read field by field, so that every error names its field.
 
-    Parameters
-    ----------
-    data : dict
-        The mapping.
-    source : str
-        File name for error messages.
-    prefix : str, optional
-        Dotted name of this mapping inside the file.
+    ``source`` is the file name for error messages, ``prefix`` the dotted name of this mapping
+    inside the file.
     """
 
     def __init__(self, data: dict[str, Any], source: str, prefix: str = '') -> None:

@@ -9,9 +9,6 @@ DISCOVERY_RANGE = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
 def stay_local(environment: MutableMapping[str, str] = os.environ) -> None:
     """Restrict discovery to this machine, unless the user has chosen a range.
 
-    Parameters
-    ----------
-    environment : mutable mapping, optional
-        Environment of the process, or of one that is about to be started.
+    ``environment`` may be that of a process that is about to be started.
     """
     environment.setdefault(DISCOVERY_RANGE, 'LOCALHOST')

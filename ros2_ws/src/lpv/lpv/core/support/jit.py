@@ -48,14 +48,9 @@ def _imports(source: Path) -> tuple[bytes, frozenset[str]]:
 
 @cache
 def _source(module: str, above: Path) -> Path | None:
-    """File of a module of this project; None where a name is none.
+    """File of a module of this project, by its dotted name; None where a name is none.
 
-    Parameters
-    ----------
-    module : str
-        Dotted name.
-    above : pathlib.Path
-        Folder that holds the package of the module that imports it.
+    ``above`` is the folder that holds the package of the module that imports it.
     """
     package = module.partition('.')[0]
     top = getattr(sys.modules.get(package), '__file__', None)
@@ -69,17 +64,7 @@ def _source(module: str, above: Path) -> Path | None:
 def module_digest(source: Path, module: str) -> str:
     """Hash of a module and of all modules of this project that it imports, directly or not.
 
-    Parameters
-    ----------
-    source : pathlib.Path
-        File of the module.
-    module : str
-        Dotted name of the module.
-
-    Returns
-    -------
-    str
-        The same wherever the sources lie.
+    The hash is the same wherever the sources lie.
     """
     above = source.parents[module.count('.')]
     digests, waiting = {module: _imports(source)[0]}, [source]

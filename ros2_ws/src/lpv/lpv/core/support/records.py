@@ -10,23 +10,10 @@ import numpy as np
 
 
 def record_type(*fields: tuple[Any, ...]) -> np.dtype:
-    """Type of a record.
+    """Type of a record, aligned as compiled code wants it.
 
-    Parameters
-    ----------
-    *fields : tuple
-        ``(name, type)`` or ``(name, type, shape)`` as for `numpy.dtype`; a type may be another
-        record's.
-
-    Returns
-    -------
-    numpy.dtype
-        Aligned, as compiled code wants it.
-
-    Raises
-    ------
-    ValueError
-        If NumPy has an attribute of a field's name, which would hide it.
+    Fields are ``(name, type)`` or ``(name, type, shape)`` as for `numpy.dtype`; a type may be
+    another record's.  ValueError if NumPy has an attribute of a field's name, which would hide it.
     """
     for name, *_ in fields:
         if hasattr(np.recarray, name) or hasattr(np.record, name):
@@ -35,24 +22,9 @@ def record_type(*fields: tuple[Any, ...]) -> np.dtype:
 
 
 def new_record(dtype: np.dtype, **values: Any) -> np.record:
-    """A record, all zero but for what is given.
+    """A record, all zero but for what is given; fields are attributes.
 
-    Parameters
-    ----------
-    dtype : numpy.dtype
-        As of `record_type`.
-    **values
-        Fields to set.
-
-    Returns
-    -------
-    numpy.record
-        Fields are attributes.
-
-    Raises
-    ------
-    ValueError
-        If there is no such field.
+    ValueError if there is no such field.
     """
     record = np.zeros(1, dtype).view(np.recarray)[0]
     for name, value in values.items():
@@ -61,20 +33,10 @@ def new_record(dtype: np.dtype, **values: Any) -> np.record:
 
 
 def memory(record: np.record) -> np.ndarray:
-    """A record as an array of one element.
+    """A record as an array of one element, in the same memory.
 
     Numba takes an array in a tenth of a microsecond, a record in one to twenty: it has NumPy
     describe all the fields, at every call.  For what Python calls at every sample.
-
-    Parameters
-    ----------
-    record : numpy.record
-        Of `new_record`; what is written to it later is seen.
-
-    Returns
-    -------
-    ndarray, shape (1,)
-        Its memory; the element is a record.
     """
     return np.asarray(record.base)
 
@@ -85,14 +47,7 @@ def plain(record: np.record) -> np.void:
     Reading a field of a record from Python costs microseconds, of this a fraction of one: for what
     is read at every sample.
 
-    Parameters
-    ----------
-    record : numpy.record
-        Of `new_record`; what is written to it later is seen.
-
-    Returns
-    -------
-    numpy.void
-        Its fields; nested records are of the same kind, arrays are views.
+    What is written to the record later is seen; nested records are of the same kind, arrays are
+    views.
     """
     return memory(record).view(np.dtype((np.void, record.dtype)))[0]

@@ -55,22 +55,9 @@ def shipped_files(kind: str) -> dict[str, Path]:
 def bringup_file(kind: str, name: str) -> Path:
     """An arm, scenario, column or campaign file: a path, or the bare name of a shipped one.
 
-    Parameters
-    ----------
-    kind : {'arms', 'campaigns', 'columns', 'scenarios'}
-        Folder of lpv_bringup.
-    name : str
-        Path, or name (``paper`` or ``paper.yaml``) of a shipped file.
-
-    Returns
-    -------
-    pathlib.Path
-        Existing file.
-
-    Raises
-    ------
-    ConfigError
-        If there is none; names the shipped ones.
+    ``kind`` is a folder of lpv_bringup: arms, campaigns, columns or scenarios.  A bare name goes
+    with or without ``.yaml``.  ConfigError, which names the shipped files, if there is no such
+    file.
     """
     path = Path(name)
     if path.suffix in ('.yaml', '.yml') and path.is_file():

@@ -18,12 +18,7 @@ Handler = Callable[[int, FrameType | None], object]
 def handled_signals(handler: Handler, *numbers: int) -> Iterator[None]:
     """Context in which ``handler`` receives signals; what handled them before is restored.
 
-    Parameters
-    ----------
-    handler : callable
-        Called with the number and the interrupted frame.
-    *numbers : int
-        Signals.  SIGHUP is left alone where it is ignored, as nohup asks for.
+    SIGHUP is left alone where it is ignored, as nohup asks for.
     """
     wanted = [
         number
@@ -49,12 +44,7 @@ class StopRequest:
     """SIGINT and SIGTERM from construction to the end of the process.
 
     At first they raise `exit_by_signal`'s exceptions: a start may last, and there is nothing to
-    finish.  From `defer` on they only set a flag.
-
-    Attributes
-    ----------
-    is_set : bool
-        Whether one of them came.
+    finish.  From `defer` on they only set a flag.  ``is_set`` says whether one of them came.
     """
 
     def __init__(self) -> None:
@@ -82,10 +72,7 @@ def raising_signals() -> Iterator[list[int]]:
     such objects, would then wait for ever.  The exception is raised again, in what the command
     does next.
 
-    Yields
-    ------
-    list of int
-        Numbers of the signals so far.
+    Yields the numbers of the signals so far.
     """
     received: list[int] = []
 
