@@ -155,21 +155,11 @@ class _File(Writer):
 class BagWriter:
     """A bag that is written topic by topic; ConfigError if it exists already or cannot be made.
 
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        Directory to create.
-    preset : str, optional
-        Compression, a key of `PRESETS`.
-    split_size, split_time : int, optional
-        Size [bytes] and span of log times [ns] at which a new file is begun; 0 for never.
-    chunk_time : int, optional
-        A chunk is cut when log times enter the next multiple of this [ns]; 0 for never.  What a
-        chunk holds then depends on the messages alone, not on when they came.
-    fsync : bool, optional
-        Wait after each chunk until it is on the disk.
-    custom_data : dict of str to str, optional
-        Stored in metadata.yaml.
+    ``preset`` is the compression, a key of `PRESETS`.  A new file is begun at ``split_size``
+    [bytes] or after ``split_time`` of log times [ns]; a chunk is cut when log times enter the next
+    multiple of ``chunk_time`` [ns]; 0 is never.  What a chunk holds then depends on the messages
+    alone, not on when they came.  ``fsync`` waits after each chunk until it is on the disk;
+    ``custom_data`` is stored in metadata.yaml.
     """
 
     def __init__(

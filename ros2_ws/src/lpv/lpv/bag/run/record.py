@@ -85,24 +85,12 @@ def load_run(
     joint_names: Sequence[str] | None = None,
     answers_only: bool = False,
 ) -> RunRecord:
-    """Read a run.
+    """Read a run from a rosbag2 directory or a single storage file.
 
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        Bag: rosbag2 directory or single storage file.
-    namespace : str, optional
-        Namespace of the arm, in a bag with several.
-    joint_names : sequence of str, optional
-        Joints to take from joint_states, in this order; those of the first message if not given.
-    answers_only : bool, optional
-        Whether the bag may lack measurements.
-
-    Raises
-    ------
-    BagError
-        If the bag is unreadable, lacks measurements or one of the joints, or holds more than one
-        arm.
+    ``namespace`` is that of the arm, in a bag with several.  ``joint_names`` are taken from
+    joint_states in this order; those of the first message if not given.  With ``answers_only`` the
+    bag may lack measurements.  BagError if the bag is unreadable, lacks measurements or one of the
+    joints, or holds more than one arm.
     """
     with open_bag(path) as reader:
         if not answers_only:

@@ -57,28 +57,10 @@ def identify(
 ) -> Identification:
     """Identify an arm from recordings.
 
-    Parameters
-    ----------
-    arm : SerialArm
-        Kinematics, first guess of the inertias, limits, gains of the efforts.
-    recordings : sequence of Recording
-        To fit; the last part of each is held back, unless there are ``tests``.
-    options : Options, optional
-        Choices of the user.
-    tests : sequence of Recording, optional
-        Other recordings, to test on.
-    report : callable, optional
-        Is called at each of `STEPS` steps with what is done next.
-
-    Returns
-    -------
-    Identification
-        Arm and figures.
-
-    Raises
-    ------
-    IdentificationError
-        If the recordings cannot identify the arm.
+    ``arm`` gives kinematics, a first guess of the inertias, limits and gains of the efforts.  The
+    last part of each recording is held back to test on, unless ``tests`` has others.  ``report`` is
+    called at each of `STEPS` steps with what is done next.  IdentificationError if the recordings
+    cannot identify the arm.
     """
     options = options or Options()
     report('preparing the motion')

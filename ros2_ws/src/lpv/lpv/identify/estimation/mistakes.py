@@ -55,17 +55,8 @@ class _Setup:
 def find_mistakes(arm: SerialArm, recordings: Sequence[Recording]) -> list[Mistake]:
     """Name what is likely wrong in a set-up, most evident first.
 
-    Parameters
-    ----------
-    arm : SerialArm
-        As its file describes it; masses may be rough.
-    recordings : sequence of Recording
-        Healthy motion.
-
-    Returns
-    -------
-    list of Mistake
-        Empty if the data fit what the file says, or do not tell.
+    Recordings are of healthy motion; masses of the arm may be rough.  The list is empty if the data
+    fit what the arm file says, or do not tell.
     """
     slow = _slow(arm, [s for one in recordings for s in split(one)])
     judge = _Judge(arm, slow)

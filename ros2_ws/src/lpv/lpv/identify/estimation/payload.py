@@ -39,22 +39,9 @@ def identify_payload(arm: SerialArm, recordings: Sequence[Recording]) -> Payload
     The tool is a point mass on the last link: tau - tau_arm = Y_tool (m, m c), offsets of the
     joints being estimated, too.
 
-    Parameters
-    ----------
-    arm : SerialArm
-        Identified arm without the tool.
-    recordings : sequence of Recording
-        Motion with the tool.
-
-    Returns
-    -------
-    Payload
-        With standard deviations from residuals that are correlated over time.
-
-    Raises
-    ------
-    IdentificationError
-        If the recordings do not show the tool.
+    ``arm`` was identified without the tool, recordings are of motion with it.  Standard deviations
+    come from residuals that are correlated over time.  IdentificationError if the recordings do not
+    show the tool.
     """
     parts = [_balance(arm, segment) for one in recordings for segment in split(one)]
     design, rest = (np.concatenate(part) for part in zip(*parts))

@@ -208,31 +208,13 @@ def fit_parameters(
     sweeps: int = _SWEEPS,
     with_covariance: bool = False,
 ) -> Fit:
-    """Fit base parameters, friction and slopes.
+    """Fit base parameters, friction and slopes: Huber's estimate with one scale for each joint.
 
-    Parameters
-    ----------
-    rows : sequence of Rows
-        One per segment.
-    filters : Filters
-        Filters and thinning.
-    use_load : ndarray of bool, shape (n,)
-        Joints with load-dependent friction.
-    prior : Prior, optional
-        Of all parameters.
-    slope : ndarray, shape (n,), optional
-        Slopes that are kept; they are searched if not given.
-    signed : bool, optional
-        Leave out terms of friction that would drive a joint.
-    sweeps : int, optional
-        Alternations between slopes, load and linear parameters.
-    with_covariance : bool, optional
-        Compute the covariance, too; it is zero otherwise.
-
-    Returns
-    -------
-    Fit
-        Huber's estimate with one scale for each joint.
+    ``rows`` has one entry a segment, and ``prior`` is of all parameters; ``use_load``, shape (n,),
+    says which joints have load-dependent friction.  Slopes, shape (n,), are searched if not given.
+    ``signed`` leaves out terms of friction that would drive a joint.  In each of the ``sweeps``,
+    slopes, load and linear parameters are fitted in turn.  Without ``with_covariance`` the
+    covariance is zero.
     """
     problem = Problem(rows, filters, use_load)
     n, size, search = problem.n, problem.size, slope is None

@@ -64,25 +64,11 @@ def robust_fit(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Huber's estimate with one scale for each column of the target.
 
-    Parameters
-    ----------
-    design, target : ndarray, shapes (rows, n, parameters) and (rows, n)
-        Of the model target = design @ parameters.
-    scale : ndarray, shape (n,)
-        To begin with.
-    prior : Prior, optional
-        Of the first parameters.
-    bound, rounds : optional
-        Scales beyond which residuals weigh less; solutions in a row.
-    share : float, optional
-        Of the rows that are independent of each other.
-    least : optional
-        Smallest scale.
-
-    Returns
-    -------
-    tuple of ndarray
-        Parameters, residuals, and the scale.
+    The model is target = design @ parameters, with shapes (rows, n) and (rows, n, parameters);
+    ``prior`` is of the first parameters.  ``scale``, shape (n,), is to begin with, ``least`` the
+    smallest one; residuals beyond ``bound`` scales weigh less.  There are ``rounds`` solutions in a
+    row; a ``share`` of the rows is independent of the others.  Returned are parameters, residuals
+    and the scale.
     """
     weight = np.ones_like(target)
     for _ in range(rounds):

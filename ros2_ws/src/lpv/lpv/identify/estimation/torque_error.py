@@ -111,23 +111,9 @@ def model_residual(arm: SerialArm, segment: Segment) -> tuple[Motion, np.ndarray
 def calibrate(arm: SerialArm, recordings: Sequence[Recording]) -> Calibration:
     """Measure sensors and errors of a given model from healthy motion; parameters stay.
 
-    Parameters
-    ----------
-    arm : SerialArm
-        As its file describes it.
-    recordings : sequence of Recording
-        Some 10 s of any healthy motion, that of the arm's work best; no excitation is needed.
-
-    Returns
-    -------
-    Calibration
-        The arm with noise, steps and source of rates of its sensors, and the torque that its model
-        misses.
-
-    Raises
-    ------
-    IdentificationError
-        If the recordings are too short.
+    Some 10 s of any healthy motion will do, that of the arm's work best; no excitation is needed.
+    The calibration is the arm with noise, steps and source of rates of its sensors, and the torque
+    that its model misses.  IdentificationError if the recordings are too short.
     """
     segments = [segment for one in recordings for segment in split(one)]
     parts = [model_residual(arm, segment) for segment in segments]

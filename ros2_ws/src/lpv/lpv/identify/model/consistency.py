@@ -42,26 +42,9 @@ def nearest_consistent(
     Each link's pseudo-inertia is positive semidefinite (Wensing, Kim, Slotine 2018, eq. (12));
     what the data leave open stays close to the prior.
 
-    Parameters
-    ----------
-    data : Quadratic
-        Cost of the data.
-    mean, sigma : ndarray, shape (parameters,)
-        Normal prior of each parameter.
-    joints : int
-        Number of links; their inertial parameters come first in x.
-    bounds : tuple of ndarray, each of shape (parameters,)
-        Least and largest values.
-
-    Returns
-    -------
-    ndarray, shape (parameters,)
-        x.
-
-    Raises
-    ------
-    IdentificationError
-        If the solver finds no such parameters.
+    ``mean`` and ``sigma`` are of the normal prior, ``bounds`` are least and largest values, all of
+    shape (parameters,); the inertial parameters of the links come first.  IdentificationError if
+    the solver finds no such parameters.
     """
     root, target = data.root()
     size = max(1.0, float(np.linalg.norm(root * sigma)))  # solvers like costs of moderate size

@@ -48,30 +48,10 @@ def plan_excitation(
 ) -> Excitation:
     """Search a Fourier trajectory whose data determine the parameters best (D-optimal).
 
-    Parameters
-    ----------
-    arm : SerialArm
-        Limits and a first guess of the parameters are used.
-    duration : float, optional
-        [s]
-    bounds : Bounds, optional
-        Limits of the motion.
-    center : ndarray, shape (n,), optional
-        Middle of the motion [rad]; that of the joints' ranges if not given.
-    trials : int, optional
-        Trajectories that are tried.
-    seed : int, optional
-        Of the random search; the same seed gives the same motion.
-
-    Returns
-    -------
-    Excitation
-        The best one that keeps all limits.
-
-    Raises
-    ------
-    IdentificationError
-        If none keeps them.
+    Of ``trials`` trajectories of this ``duration`` [s], the best one that keeps all limits; limits
+    and a first guess of the parameters are those of ``arm``.  ``center``, shape (n,), is the middle
+    of the motion [rad], that of the joints' ranges if not given.  The same ``seed`` gives the same
+    motion.  IdentificationError if no trajectory keeps the limits.
     """
     bounds = bounds or Bounds()
     search = _Search(arm, bounds, center)

@@ -20,26 +20,12 @@ _MESSAGE_STEP = 0.1  # between points of the trajectory message and of the scena
 def write_reference(
     arm: SerialArm, trajectory: Trajectory, rate: float, folder: Path
 ) -> list[Path]:
-    """Write a motion.
+    """Write a motion into a new folder, at ``rate`` samples per second; returns its files.
 
-    Parameters
-    ----------
-    arm : SerialArm
-        The arm; its parameters give the torques that are expected.
-    trajectory : Trajectory
-        The motion.
-    rate : float
-        Samples per second [Hz].
-    folder : pathlib.Path
-        Folder to create.
-
-    Returns
-    -------
-    list of pathlib.Path
-        ``trajectory.csv``: time, positions, rates, expected torques of all samples.
-        ``trajectory.yaml``: a trajectory_msgs/JointTrajectory for a joint trajectory controller.
-        ``reference``: a bag with a sensor_msgs/JointState per sample, for ``ros2 bag play``.
-        ``scenario.yaml``: a scenario whose path the tracker node plays.
+    ``trajectory.csv`` has time, positions, rates and torques that are expected by the arm's
+    parameters; ``trajectory.yaml`` is a trajectory_msgs/JointTrajectory for a joint trajectory
+    controller, ``reference`` a bag with a sensor_msgs/JointState per sample, for ``ros2 bag play``,
+    and ``scenario.yaml`` a scenario whose path the tracker node plays.
     """
     folder.mkdir(parents=True)
     time = np.arange(0.0, trajectory.duration + 0.5 / rate, 1.0 / rate)

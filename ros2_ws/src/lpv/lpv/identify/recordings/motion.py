@@ -59,22 +59,9 @@ class Motion(Segment):
 
 
 def split(recording: Recording) -> list[Segment]:
-    """Segments of a recording, resampled to its median sample time.
+    """Segments of a recording, at least one, resampled to its median sample time.
 
-    Parameters
-    ----------
-    recording : Recording
-        Samples whose stamps increase.
-
-    Returns
-    -------
-    list of Segment
-        At least one.
-
-    Raises
-    ------
-    IdentificationError
-        If the recording is too short, too slow, or has no stretch without gaps.
+    IdentificationError if the recording is too short, too slow, or has no stretch without gaps.
     """
     time = recording.time
     if len(time) < 20 or recording.duration < MIN_DURATION:
@@ -124,13 +111,7 @@ def _resample(recording: Recording, part: np.ndarray, step: float) -> Segment:
 
 
 def check_motion(segments: list[Segment], names: tuple[str, ...]) -> list[str]:
-    """Refuse recordings without motion; return remarks on joints that hardly move.
-
-    Raises
-    ------
-    IdentificationError
-        If no joint moves.
-    """
+    """Remarks on joints that hardly move; IdentificationError if no joint moves."""
     travel = np.max([np.ptp(s.position, axis=0) for s in segments], axis=0)
     still = [name for name, way in zip(names, travel) if way < MIN_TRAVEL]
     if len(still) == len(names):

@@ -55,30 +55,13 @@ def read_recording(
     topic: str | None = None,
     columns: ColumnMap | None = None,
 ) -> Recording:
-    """Read a bag or a CSV file.
+    """Complete samples, with stamps that increase, of a bag or a CSV file.
 
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        rosbag2 directory, ``.mcap``, ``.db3`` (with or without metadata), or ``.csv``.
-    joints : sequence of str
-        Names of the arm's joints; the recording may have more, in any order.
-    topic : str, optional
-        Topic of the ``sensor_msgs/JointState``; needed if there are several that have the joints.
-    columns : ColumnMap, optional
-        Meaning of the columns of a CSV file; guessed from the header if not given.
-
-    Returns
-    -------
-    Recording
-        Complete samples with stamps that increase.
-
-    Raises
-    ------
-    IdentificationError
-        If joints, positions or efforts are missing, or too many samples are not finite.
-    LpvError
-        If the file cannot be read.
+    ``path`` is a rosbag2 directory, ``.mcap``, ``.db3`` (with or without metadata), or ``.csv``.
+    The recording may have more joints, in any order.  ``topic`` is needed if several
+    sensor_msgs/JointState have the joints; ``columns`` of a CSV file are guessed from the header if
+    not given.  IdentificationError if joints, positions or efforts are missing, or too many samples
+    are not finite; LpvError if the file cannot be read.
     """
     path = Path(path)
     if path.suffix.lower() == '.csv':
