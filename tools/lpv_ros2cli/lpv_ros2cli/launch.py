@@ -75,12 +75,8 @@ def run(arguments: argparse.Namespace) -> int:
 class Launch:
     """A launch file with all that it includes.
 
-    Parameters
-    ----------
-    given : dict of str
-        Launch arguments of the command line.
-    only_declared : bool, optional
-        Collect the arguments that the files take, given or not, and no programs.
+    ``given`` are launch arguments of the command line.  With ``only_declared`` it collects the
+    arguments that the files take, given or not, and no programs.
     """
 
     def __init__(self, given: dict[str, str], only_declared: bool = False) -> None:

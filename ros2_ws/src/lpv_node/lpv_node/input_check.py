@@ -41,11 +41,6 @@ class OneSender:
     A measurement that repeats or goes back in time, or is further from the one before than the arm
     can have moved, is of another sender.  It is believed only after none that continues the first
     one's has come for a while: then a sensor has failed, or the first sender has ended.
-
-    Parameters
-    ----------
-    arm : SerialArm
-        The arm.
     """
 
     def __init__(self, arm: SerialArm) -> None:
@@ -63,18 +58,9 @@ class OneSender:
         several: bool,
         now: float | None = None,
     ) -> bool:
-        """Whether a measurement is to be used.
+        """Whether a measurement is to be used; all are, unless there are several senders.
 
-        Parameters
-        ----------
-        stamp : int
-            [ns].
-        names, position : sequence
-            Fields of sensor_msgs/JointState.
-        several : bool
-            Whether there are several senders; otherwise all are accepted.
-        now : float, optional
-            Steady time [s].
+        ``stamp`` is in [ns], ``now`` is the steady time [s].
         """
         readings = dict(zip(names, position))
         if len(names) != len(position) or not all(name in readings for name in self._names):

@@ -47,17 +47,8 @@ class ManagedNode(LifecycleNode):
     Publishers, subscriptions, services and timers are destroyed without being named: those of
     ``setup`` when the node is cleaned up, those of ``listen`` and ``begin`` when it is deactivated.
 
-    Parameters
-    ----------
-    name : str
-        Node name.
-    specs : iterable of Spec
-        Parameters beside the common ones.
-
-    Attributes
-    ----------
-    drain_time : float
-        After it was told to stop, the node goes on until nothing has come for this long [s].
+    ``specs`` are parameters beside the common ones.  After it was told to stop, the node goes on
+    until nothing has come for ``drain_time`` [s].
     """
 
     drain_time = 0.0

@@ -25,20 +25,10 @@ _TIME = struct.Struct('=iI')
 class SerializedMessage:
     """A message of which only the stamp and some numbers change.
 
-    Parameters
-    ----------
-    message : ROS message
-        With its constant fields; the others are overwritten.
-    numbers : mapping of str to ndarray
-        For each other field the memory of its values, contiguous and of the field's type; a single
-        value is an array of one element.
-    stamp : str, optional
-        Field of the stamp, a builtin_interfaces/Time.
-
-    Raises
-    ------
-    ValueError
-        If the middleware does not read the message back as it is, or memory does not fit a field.
+    ``message`` comes with its constant fields.  ``numbers`` has the memory of the values of each
+    other field, contiguous and of the field's type; a single value is an array of one element.
+    ``stamp`` names a builtin_interfaces/Time.  ValueError if the middleware does not read the
+    message back as it is, or memory does not fit a field.
     """
 
     def __init__(

@@ -26,19 +26,8 @@ def diagnostics(stamp: int, found: Iterable[Mapping[str, Any]]) -> DiagnosticArr
 class StatusReporter:
     """Publishes a status when it changes, and every second of its clock.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Owns the publisher.
-    part : str
-        What the status is of; the node's name is put before it.
-    hardware_id : str
-        The arm's name.
-
-    Attributes
-    ----------
-    publisher : rclpy.publisher.Publisher
-        Of /diagnostics; an output of the node.
+    ``part`` is what the status is of, behind the node's name; ``hardware_id`` is the arm's name.
+    ``publisher``, of /diagnostics, is an output of the node.
     """
 
     def __init__(self, node: Node, part: str, hardware_id: str) -> None:

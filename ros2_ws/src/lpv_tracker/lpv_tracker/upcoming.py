@@ -13,21 +13,9 @@ _AHEAD = 128
 class UpcomingReferences:
     """What a follower gives one by one, where samples come evenly, bit for bit.
 
-    Parameters
-    ----------
-    follower : PathFollower
-        Gives the references.
-    period : int
-        Sample time [ns].
-    joints, tip : int
-        Numbers of joints and of coordinates of the tip.
-
-    Attributes
-    ----------
-    motion : ndarray, shape (3, joints)
-        Position, velocity and acceleration of the present reference [rad], [rad/s], [rad/s2].
-    reference : Reference
-        The present reference, in the same memory throughout.
+    ``period`` is the sample time [ns], ``tip`` the number of the tip's coordinates.  ``motion``,
+    shape (3, joints), has position, velocity and acceleration of the present reference [rad],
+    [rad/s], [rad/s2]; ``reference`` is the same one, in the same memory throughout.
     """
 
     def __init__(self, follower: PathFollower, period: int, joints: int, tip: int) -> None:

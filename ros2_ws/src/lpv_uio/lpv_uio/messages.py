@@ -19,21 +19,10 @@ _WITHOUT_NUMBER = {'size': 0.0, 'bound': math.inf, 'confidence': 0.0}
 
 
 class OutputMessages:
-    """Messages of one arm.
+    """Messages of one arm, whose name is the frame of every header.
 
-    Parameters
-    ----------
-    arm : SerialArm
-        Its name is the frame of every header.
-    answer_type : numpy.dtype
-        Of the monitor's answers.
-
-    Attributes
-    ----------
-    record : ndarray, shape (1,)
-        The answer that `state`, `fault` and `corrected` are made of.
-    state, fault, corrected : SerializedMessage
-        lpv_msgs/StateEstimate, lpv_msgs/FaultEstimate and sensor_msgs/JointState.
+    ``state``, ``fault`` and ``corrected`` are lpv_msgs/StateEstimate, lpv_msgs/FaultEstimate and
+    sensor_msgs/JointState, made of the answer in ``record``, shape (1,).
     """
 
     def __init__(self, arm: SerialArm, answer_type: np.dtype) -> None:

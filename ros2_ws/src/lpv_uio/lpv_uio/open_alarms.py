@@ -24,15 +24,8 @@ def alarm_file(node: Node) -> Path:
 class OpenAlarms:
     """Open alarms on disk; a latched topic ends with the process that published it.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        File; a file that is there was left by an observer that died.
-
-    Attributes
-    ----------
-    before : dict of str to str
-        Alarms of the observer before, by sensor, that have not been raised again.
+    A file that is there was left by an observer that died; ``before`` has its alarms, by sensor,
+    that have not been raised again.
     """
 
     def __init__(self, path: Path) -> None:

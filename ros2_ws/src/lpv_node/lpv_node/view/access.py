@@ -19,15 +19,10 @@ class Access:
     requests here: its ``Origin`` gives it away.  With DNS rebinding the other site's own name
     points here; then ``Host`` is that name.  Addresses cannot be rebound, so they are accepted.
 
-    Parameters
-    ----------
-    address : str
-        Where the server listens; ConfigError if it is no address.
-    token : str, optional
-        Asked for before commands; empty: none on the loopback address, a random one elsewhere.
-    hosts, origins : iterable of str, optional
-        Names beside addresses, ``localhost`` and this machine's, under which it may be called;
-        origins beside the page's own that may connect, e.g. ``https://app.foxglove.dev``.
+    ``address`` is where the server listens; ConfigError if it is no address.  ``token`` is asked
+    for before commands; empty: none on the loopback address, a random one elsewhere.  The server
+    may be called by ``hosts`` beside addresses, ``localhost`` and this machine's names.
+    ``origins`` may connect beside the page's own, e.g. ``https://app.foxglove.dev``.
     """
 
     def __init__(

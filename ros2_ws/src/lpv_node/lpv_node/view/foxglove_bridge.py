@@ -42,19 +42,9 @@ _LARGEST_REQUEST, _LARGEST_MESSAGE = 1 << 16, 1 << 22
 class FoxgloveBridge:
     """Foxglove server for viewing: clients can neither publish nor call services.
 
-    Parameters
-    ----------
-    name : str
-        Shown by the client.
-    topics : dict
-        Message type and number of messages that a late client still gets, by full topic name.
-    band : str
-        Full name for the topic `BAND`.
-
-    Attributes
-    ----------
-    address, port : str, int
-        Where the SDK's server listens; ConfigError where it cannot.
+    ``topics`` has message type and number of messages that a late client still gets, by full topic
+    name; ``band`` is the full name for the topic `BAND`.  The SDK's server listens at ``address``
+    and ``port``; ConfigError where it cannot.
     """
 
     def __init__(self, name: str, topics: dict[str, Any], band: str) -> None:

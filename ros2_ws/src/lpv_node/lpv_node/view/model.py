@@ -54,21 +54,8 @@ class LiveModel:
     Takes any objects with the fields of the messages, so that it needs no ROS.  Not thread safe:
     one thread takes messages and makes frames.
 
-    Parameters
-    ----------
-    arm : SerialArm
-        The arm that is shown.
-    path : TimedPath, optional
-        Path of the scenario, with its obstacle.
-
-    Attributes
-    ----------
-    alarms : AlarmList
-        Alarms as one row each.
-    services : dict
-        Whether each of ``inject``, ``clear`` and ``reset`` is there to be called.
-    misfits : int
-        Messages that were left out: of another number of joints than the arm.
+    ``services`` says whether each of ``inject``, ``clear`` and ``reset`` is there to be called;
+    ``misfits`` counts messages that were left out, of another number of joints than the arm.
     """
 
     def __init__(self, arm: SerialArm, path: TimedPath | None = None) -> None:

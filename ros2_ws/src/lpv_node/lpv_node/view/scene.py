@@ -26,17 +26,7 @@ _LIFETIME = 500_000_000
 
 
 class Scene:
-    """Makes messages with the definitions of a typestore, whether ROS has them or not.
-
-    Parameters
-    ----------
-    arm : SerialArm
-        The arm.
-    typestore : rosbags.typesys.store.Typestore
-        As of `lpv.bag.rosbag.interfaces.make_typestore`.
-    path : TimedPath, optional
-        Path of the scenario, with its obstacle.
-    """
+    """Makes messages with the definitions of a typestore, whether ROS has them or not."""
 
     def __init__(self, arm: SerialArm, typestore: Typestore, path: TimedPath | None = None) -> None:
         self._arm, self._store, self._path = arm, typestore, path
@@ -46,14 +36,8 @@ class Scene:
     def markers(self, arms: dict[str, Any], stamp: int, with_path: bool = False) -> bytes:
         """The arms as lines with dots on the joints, in a visualization_msgs/MarkerArray.
 
-        Parameters
-        ----------
-        arms : dict
-            Joint positions [rad] by a name of `ARMS`; None for one that is not known.
-        stamp : int
-            [ns].
-        with_path : bool, optional
-            Also path and obstacle.
+        ``arms`` has joint positions [rad] by a name of `ARMS`, None for one that is not known;
+        ``stamp`` is in [ns].  ``with_path`` adds path and obstacle.
         """
         found = []
         for depth, (name, colour) in enumerate(ARMS.items()):

@@ -120,17 +120,9 @@ class ViewServer:
 
     Methods without ``async`` may be called from any thread and never wait for a client.
 
-    Parameters
-    ----------
-    access : Access
-        Who may do what.
-    sensors : sequence of str
-        The arm's sensors.
-    submit : callable
-        Called in the server's thread with a `Command` and a function ``reply(ok, text)`` that may
-        be called once, from any thread; returns False if it can take no more commands now.
-    max_clients, heartbeat : int, float, optional
-        More are refused; see `HEARTBEAT`.
+    ``submit`` is called in the server's thread with a `Command` and a function ``reply(ok, text)``
+    that may be called once, from any thread; it returns False if it can take no more commands now.
+    More than ``max_clients`` are refused.
     """
 
     def __init__(
