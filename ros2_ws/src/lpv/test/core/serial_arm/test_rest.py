@@ -42,7 +42,7 @@ def moves_and_rests(rng, times, joints):
     return motion
 
 
-def rounded_samples(arm, seed, step, frozen=None, noisy=None):
+def rounded_samples(arm, seed, step, frozen=None, resting=None, error=0.0):
     """Stamps, and readings, rates, efforts of a plant that is not quite the model."""
     rng, period = np.random.default_rng(seed), arm.sample_time
     times, n = np.arange(round(DURATION / period)) * period, len(arm.joints)
@@ -50,18 +50,17 @@ def rounded_samples(arm, seed, step, frozen=None, noisy=None):
     if frozen is not None:
         q[:, frozen], v[:, frozen] = np.sin(2.0 * times), 2.0 * np.cos(2.0 * times)
         a[:, frozen] = -4.0 * np.sin(2.0 * times)
-    if noisy is not None:  # it comes to rest at 3 s
+    if resting is not None:  # from 3 s on
         x = np.pi / 3.0 * np.minimum(times, 3.0)
-        q[:, noisy], v[:, noisy] = np.cos(x) / 3.0, -np.pi / 9.0 * np.sin(x)
-        a[:, noisy] = -(np.pi**2) / 27.0 * np.cos(x) * (times < 3.0)
+        q[:, resting], v[:, resting] = np.cos(x) / 3.0, -np.pi / 9.0 * np.sin(x)
+        a[:, resting] = -(np.pi**2) / 27.0 * np.cos(x) * (times < 3.0)
     model = SerialModel(wrong_chain(arm, np.random.default_rng(seed)))
     effort = np.array([model.torque(*one) for one in zip(q, v, a)])
     reading = q + (seed % 2) * 1e-4 * rng.normal(size=q.shape)
     if frozen is not None:
         reading[times > 6.4, frozen] = reading[np.argmax(times > 6.4), frozen]
-    if noisy is not None:
-        now = (times > 3.5) & (times < 6.0)
-        reading[now, noisy] += 0.02 * rng.normal(size=now.sum())
+    if resting is not None:
+        reading[:, resting] += error
     reading = np.round(reading / step) * step
     rate = v + 5e-3 * rng.normal(size=v.shape)
     if arm.joints[0].sensors.rates == 'derived':
@@ -110,13 +109,32 @@ def test_given_a_reading_that_freezes_in_motion_when_rounded_then_it_is_named(
         assert not {one for one in found if one[1] == 'stuck'} - {('encoder3', 'stuck')}
 
 
+def followed(seed, step, error):
+    """Alarms of an arm with an error of the reading of a joint that rests, and faults at the end.
+
+    ``error`` is a function of times; the sensor comes first.
+    """
+    arm, joint = arm_named('three', 0.01, 'derived'), seed % 3
+    times = np.arange(round(DURATION / arm.sample_time)) * arm.sample_time
+    monitor = SerialMonitor(arm)
+    monitor.update_many(*rounded_samples(arm, seed, step, resting=joint, error=error(times)))
+    found = {(one.sensor, one.kind) for one in monitor.alarms if one.sensor}
+    return arm.sensor_names[joint], found, monitor.faults()[0]
+
+
 @pytest.mark.parametrize('step', [1e-4, 1e-3])
 @pytest.mark.parametrize('seed', range(4))
 def test_given_noise_that_ends_while_its_joint_rests_when_named_then_nothing_is_frozen(seed, step):
-    arm = arm_named('three', 0.01, 'derived')
-    monitor = SerialMonitor(arm)
-    monitor.update_many(*rounded_samples(arm, seed, step, noisy=seed % 3))
-    found = {(one.sensor, one.kind) for one in monitor.alarms if one.sensor}
-    assert {sensor for sensor, _ in found} == {arm.sensor_names[seed % 3]}
+    noise = 0.02 * np.random.default_rng(seed).normal(size=round(DURATION / 0.01))
+    sensor, found, faults = followed(seed, step, lambda t: noise * ((t > 3.5) & (t < 6.0)))
+    assert {name for name, _ in found} == {sensor}
     assert 'stuck' not in {kind for _, kind in found}
-    assert np.abs(monitor.faults()[0]).max() < 0.1
+    assert np.abs(faults).max() < 0.1
+
+
+@pytest.mark.parametrize('size', [0.02, 0.1])
+@pytest.mark.parametrize('seed', range(4))
+def test_given_a_reading_at_rest_when_it_jumps_then_it_is_biased_and_did_not_freeze(seed, size):
+    sensor, found, faults = followed(seed, 1e-4, lambda t: size * (t > 5.0))
+    assert found == {(sensor, 'bias')}
+    assert np.sort(np.abs(faults)) == pytest.approx([0.0, 0.0, size], abs=0.05)

@@ -134,6 +134,9 @@ def add_noise(
             rates = 6.0 * sampler.derived[j] * (momenta[i, j] / interval[0]) ** 2
             if np.isfinite(sampler.grain[j]):
                 rounded += rates * sampler.grain[j] * sampler.grain[j] / 12.0
+            # Stamps that are off make e larger at speed than what was learned at rest.
+            louder = sampler.scale[j] * sampler.scale[j] - sampler.calm[j]
+            noisy += rates * max(louder, 0.0) / 5.0
             wrong = 0.0
             for block in blocks:
                 wrong = max(wrong, (block[3 * n + 3] * block[n + j]) ** 2)

@@ -75,6 +75,7 @@ class Sampler(NamedTuple):
     samples: FloatArray  # readings, rates, torques, shape (HISTORY, 3, n)
     jumps: FloatArray  # e of each, shape (HISTORY, n)
     scale: FloatArray  # usual size of e, shape (n,) [rad]
+    calm: FloatArray  # (n,) its square where it was small, over the blocks that are kept [rad2]
     smallest: FloatArray  # smallest jump that is looked for, shape (n,) [rad]
     correction: FloatArray  # (n,) jumps that are removed from the reading [rad]
     followed: FloatArray  # (n,) fault that changes, and is removed, too [rad]
@@ -118,8 +119,8 @@ def new_sampler(
     counters[PENDING] = -1
     return Sampler(
         np.zeros(HISTORY), np.zeros((HISTORY, 3, n)), np.zeros((HISTORY, n)), scale.copy(),
-        smallest.copy(), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n),
-        np.zeros(n),
+        scale * scale, smallest.copy(), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n),
+        np.zeros(n), np.zeros(n),
         derived.copy(), np.zeros((3, n)), np.zeros((capacity, 3 * n + 4)), np.zeros(n, np.int64),
         np.zeros(n), np.zeros(n, np.int64),
         np.zeros(n), np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n), np.zeros(n),
@@ -137,7 +138,7 @@ def push_sample(
 
     ``found`` and ``size`` of the sampler say what has been found at samples before.
     """
-    n, before = y.shape[0], HISTORY - 2 - BEFORE_STOP
+    n = y.shape[0]
     period = time - sampler.time[HISTORY - 1]
     for k in range(HISTORY - 1):
         sampler.time[k] = sampler.time[k + 1]
@@ -161,12 +162,8 @@ def push_sample(
                 _watch_change(sampler, i, y[i] - sampler.raw[i])
         else:
             sampler.still[i] += 1
-            noisy = sampler.noisy[i] == 1  # its noise tells no rate
-            if sampler.still[i] == 1 and (noisy or sampler.counters[COUNT] <= BEFORE_STOP):
-                sampler.stop[i] = 0.0
-            elif sampler.still[i] == 1:
-                way = sampler.samples[HISTORY - 2, 0, i] - sampler.samples[before, 0, i]
-                sampler.stop[i] = way / (sampler.time[HISTORY - 2] - sampler.time[before])
+            if sampler.still[i] == 1:
+                _measure_stop(sampler, i)
         _watch_lag(sampler, i, y[i] - sampler.raw[i], v[i], period)
         sampler.raw[i] = y[i]
         sampler.samples[HISTORY - 1, 0, i] = reading
@@ -190,6 +187,18 @@ def push_sample(
     if sampler.counters[COUNT] >= 3:
         _set_jumps(sampler)
         _find_jumps(sampler)
+
+
+@njit_in_place
+def _measure_stop(sampler: Sampler, i: int) -> None:
+    """Rate that a reading had before it came to rest; noise tells none."""
+    last = HISTORY - 1 - sampler.still[i]
+    first = last - BEFORE_STOP
+    if sampler.noisy[i] == 1 or sampler.counters[COUNT] <= BEFORE_STOP:
+        sampler.stop[i] = 0.0
+    elif first >= 0:
+        way = sampler.samples[last, 0, i] - sampler.samples[first, 0, i]
+        sampler.stop[i] = way / (sampler.time[last] - sampler.time[first])
 
 
 @njit_in_place
@@ -238,8 +247,9 @@ def _fill_repeated(sampler: Sampler) -> None:
                 sampler.samples[now, 1, i] = (reading[now] - reading[now - 1]) / time
         elif held > 0:
             time, way, rate = _since_change(sampler, i)
-            most = smallest_jump(sampler, i)
-            evenly = evenly and abs(way - rate * time) <= most
+            # It slowed down, as far as its rounding tells.
+            less = abs(way) < ROUNDED * sampler.grain[i] and way * (rate * time - way) >= 0.0
+            evenly = evenly and (less or abs(way - rate * time) <= smallest_jump(sampler, i))
             # Its e is that of all samples in which it was repeated: these are filled in evenly.
             rounded = _is_rounded(sampler, i, way)
             _learn_scale(sampler, i, way if rounded else way - rate * time, held + 1.0)
@@ -654,6 +664,8 @@ def _remove_step(sampler: Sampler, i: int, peak: int) -> None:
     for k in range(peak, HISTORY):
         sampler.samples[k, 0, i] -= size
     sampler.jumps[peak, i] = 0.0
+    if sampler.still[i] > 0:  # it did not move by the step
+        _measure_stop(sampler, i)
     _smooth_rates(sampler, i, peak, 1)
 
 
@@ -728,6 +740,9 @@ def _close_block(sampler: Sampler, balance: Balance, now: float, blocks: int) ->
     row[3 * n + 1] = length
     row[3 * n + 2] = place
     row[3 * n + 3] = sampler.clock[IN_DOUBT]
+    for i in range(n):  # what is louder than usual shows at once, that it has become usual later
+        more = sampler.scale[i] * sampler.scale[i] - sampler.calm[i]
+        sampler.calm[i] += more if more < 0.0 else more / capacity
     sampler.clock[IN_DOUBT] = 0.0
     add_block(balance, row[:n], row[n : 2 * n], row[2 * n : 3 * n], row[3 * n], length, place)
     sampler.counters[BLOCKS] += 1

@@ -16,7 +16,7 @@ from lpv.core.serial_arm.diagnosis.estimator import (
     make_absolute,
     set_residuals,
 )
-from lpv.core.serial_arm.diagnosis.information import ROBUST, recent, whiten
+from lpv.core.serial_arm.diagnosis.information import ROBUST, factorise, recent, whiten
 from lpv.core.serial_arm.diagnosis.onset import without_drift
 from lpv.core.serial_arm.diagnosis.priors import LEAST_ACCELERATION, SLOW_RATE
 from lpv.core.serial_arm.diagnosis.sampling import block_end
@@ -104,7 +104,12 @@ def course_of_frozen(
     columns = _rate_steps(rows, joint, momenta[at], plan.interval)
     every = np.concatenate([(after - before)[:, :, None], columns], axis=2)
     cross = np.einsum('kix,ki,kij->xj', unknowns, weights, every)
-    whiten(null.factor, cross)
+    # What the unknowns explain: by these balances as evaluated anew, in place of as they were.
+    upper, old = np.triu(null.factor), estimator.window.rows[at][:, :, -unknowns.shape[2] :]
+    known = upper.T @ upper + np.einsum('kix,ki,kiy->xy', unknowns, weights, unknowns)
+    known -= np.einsum('kix,ki,kiy->xy', old, estimator.window.weights[at], old)
+    factorise(known, null.least)
+    whiten(known, cross)
     information = np.einsum('kia,ki,kib->ab', every, weights, every) - cross.T @ cross
     score = -np.einsum('kij,ki,ki->j', every, weights, before)
     place = np.arange(1.0, count + 1.0)
