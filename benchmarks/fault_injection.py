@@ -53,6 +53,8 @@ CLOSE = 0.1
 """An estimate within is right [rad]."""
 MOVES = 0.2
 """Rate from which on a joint moves [rad/s]."""
+STEP = 2.0 * np.pi / 2**16
+"""Rounding of readings by an encoder of 16 bits [rad]."""
 ROUNDING = 1e-3
 """Error of a recorded reading itself [rad]."""
 
@@ -142,8 +144,8 @@ class Subject:
     gains: Gains | None = None  # of the unknown-input observer, where one was designed
     # simulated alone: other streams, by the kind of the cell
     others: Mapping[str, Callable[[int], Stream]] = field(default_factory=dict)
-    # what a driver makes of readings, faults included: rounding, rates
-    driver: Callable[[Stream], Stream] | None = None
+    # what a driver makes of readings, faults included, for a source of rates: rounding, rates
+    driver: Callable[[Stream, str], Stream] | None = None
 
     def has(self, kind: Kind) -> bool:
         """Whether the arm can show a kind."""
@@ -201,6 +203,35 @@ def sines(
     return path
 
 
+def moves_and_rests(
+    motion: Sequence[np.ndarray], rng: np.random.Generator, time: np.ndarray
+) -> np.ndarray:
+    """Positions, rates and accelerations from pose to pose, shape (3, N, n); some joints stay."""
+    centre, reach, rate = motion
+    course = np.zeros((3, len(time), len(centre)))
+    course[0] = place = centre + reach * rng.uniform(-1.0, 1.0, len(centre))
+    begin = rng.uniform(0.3, 3.0)
+    while begin < time[-1]:
+        goal = centre + reach * rng.uniform(-1.0, 1.0, len(centre))
+        goal = np.where(rng.random(len(centre)) < 0.2, place, goal)
+        way = goal - place
+        span = max(1.9 * np.abs(way / rate).max() / rng.uniform(0.4, 1.0), 0.5)
+        x = np.clip((time - begin) / span, 0.0, 1.0)[:, None]
+        course[0] += way * (10 * x**3 - 15 * x**4 + 6 * x**5)
+        course[1] += way / span * (30 * x**2 - 60 * x**3 + 30 * x**4)
+        course[2] += way / span**2 * (60 * x - 180 * x**2 + 120 * x**3)
+        place, begin = goal, begin + span + rng.choice([0.0, 1.0]) * rng.uniform(0.3, 3.0)
+    return course
+
+
+def rounded(stream: Stream, rates: str) -> Stream:
+    """Rounded readings, and rates made of these."""
+    samples = stream.samples.copy()
+    samples[:, 0] = STEP * np.round(samples[:, 0] / STEP)
+    one = Stream(stream.stamps, samples)
+    return derived(one) if rates == 'derived' else one
+
+
 def wrong_chain(arm: SerialArm, rng: np.random.Generator) -> Chain:
     """The arm as it is: masses 5 %, centres of mass 2.5 %, friction 30 % off the file."""
     chain, n = compile_chain(arm), len(arm.joints)
@@ -234,18 +265,20 @@ def simulate(
     motion: Sequence[np.ndarray],
     seed: int,
     rests: bool = False,
+    pauses: bool = False,
     payload: float = 0.0,
     duration: float = 20.0,  # [s]
 ) -> Stream:
     """An arm that differs from its file follows a path; noise of sensors and 1 % of torques.
 
     Rates are those of a sensor of their own; `derived` makes differences of them.  From some moment
-    on the arm carries 0.3 to 1 times the payload [kg].
+    on the arm carries 0.3 to 1 times the payload [kg].  It rests at both ends, or pauses at poses.
     """
     rng, n = np.random.default_rng([7, seed]), len(arm.joints)
     time = arm.sample_time * np.arange(round((11.0 if rests else duration) / arm.sample_time))
     path, chain = sines(*motion, rng), wrong_chain(arm, rng)
-    q, v, a = (with_rests(path, rng.uniform(1.0, 5.0)) if rests else path)(time)
+    path = with_rests(path, rng.uniform(1.0, 5.0)) if rests else path
+    q, v, a = moves_and_rests(motion, rng, time) if pauses else path(time)
     models, taken = [SerialModel(chain)], np.inf
     if payload > 0.0:
         models.append(SerialModel(with_payload(chain, payload * rng.uniform(0.3, 1.0))))
@@ -262,7 +295,9 @@ def derived(stream: Stream) -> Stream:
     """The stream with rates that are differences of the positions."""
     samples = stream.samples.copy()
     time = np.diff(stream.stamps)[:, None] * 1e-9
-    samples[1:, 1] = np.diff(samples[:, 0], axis=0) / time
+    # A sample that comes twice has the rate of the one before.
+    kept = np.maximum.accumulate(np.where(time[:, 0] > 0.0, np.arange(len(time)), 0))
+    samples[1:, 1] = np.diff(samples[:, 0], axis=0)[kept] / time[kept]
     samples[0, 1] = samples[1, 1]
     return Stream(stream.stamps, samples)
 
@@ -270,7 +305,7 @@ def derived(stream: Stream) -> Stream:
 # --- subjects ---------------------------------------------------------------------------------
 
 
-def shoulder_arm() -> SerialArm:
+def shoulder_arm(position_noise: float = 1e-4, quantization: float = 0.0) -> SerialArm:
     """Three joints: the base turns about the vertical, shoulder and elbow lift."""
     length, turned = 0.4, (np.pi / 2, 0.0, 0.0)
     places = [((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), ((0.0, 0.0, 0.2), turned),
@@ -284,7 +319,8 @@ def shoulder_arm() -> SerialArm:
             f'joint{i + 1}', places[i][0], places[i][1], (0.0, 0.0, 1.0), link,
             JointFriction(viscous=0.3, coulomb=0.3, coulomb_slope=50.0), rotor_inertia=0.05,
             limits=JointLimits(-2.5, 2.5, 2.5, limit),
-            sensors=JointSensors(f'encoder{i + 1}', 1e-4, 0.0, 'derived', 5e-3)))  # fmt: skip
+            sensors=JointSensors(
+                f'encoder{i + 1}', position_noise, quantization, 'derived', 5e-3)))  # fmt: skip
     return SerialArm(
         'chain3', tuple(joints), tip=(length, 0.0, 0.0), uncertainty=Uncertainty(0.0, 0.3, 0.05)
     )
@@ -318,14 +354,14 @@ def _build(arm: SerialArm, name: str) -> SerialArm:
 
 def _simulated(
     name: str, arm: SerialArm, centre: Any, reach: Any, rate: Any, level: tuple[int, ...],
-    gains: Gains | None = None,
+    gains: Gains | None = None, pauses: bool = False,
 ) -> Subject:  # fmt: skip
     n = len(arm.joints)
     motion = [np.broadcast_to(np.asarray(one, float), n) for one in (centre, reach, rate)]
 
     @lru_cache(maxsize=8)
     def streams(k: int) -> Stream:
-        return simulate(arm, motion, k)
+        return simulate(arm, motion, k, pauses=pauses)
 
     @lru_cache(maxsize=8)
     def rest(k: int) -> Stream:
@@ -336,6 +372,8 @@ def _simulated(
         most = arm.uncertainty.payload or 0.3 * arm.joints[-1].link.mass
         return simulate(arm, motion, k, payload=most)
 
+    if pauses:
+        return Subject(name, 'simulated', arm, streams, level, gains, driver=rounded)
     others = {'rest': rest, 'payload': loaded}
     return Subject(name, 'simulated', arm, streams, level, gains, others)
 
@@ -404,7 +442,7 @@ def _recorded_kr300() -> Subject:
     return Subject('kr300', 'tuned', arm, streams, ())
 
 
-ARMS = ('paper', 'real_arm', 'swinging', 'chain3', 'ur10', 'panda', 'kr300')
+ARMS = ('paper', 'real_arm', 'swinging', 'chain3', 'pausing', 'ur10', 'panda', 'kr300')
 
 
 def subjects(name: str, recorded: bool, untouched: bool = False) -> list[Subject]:
@@ -438,6 +476,9 @@ def _simulated_subject(name: str) -> Subject:
     if name == 'chain3':
         arm = shoulder_arm()
         return _simulated(name, arm, *motion_range(arm, 0.5), (1, 2))
+    if name == 'pausing':  # from pose to pose, with rests in which rounded readings do not change
+        arm = shoulder_arm(position_noise=1e-5, quantization=STEP)
+        return _simulated(name, arm, *motion_range(arm, 0.5), (1, 2), pauses=True)
     arm = load_arm(BRINGUP / 'arms' / f'{name}.yaml')
     return _simulated(name, arm, *motion_range(arm, 0.5), (1, 2) if name == 'ur10' else (1, 3))
 
@@ -633,11 +674,11 @@ def draw(cell: Cell, k: int, seed: int) -> tuple[Subject, Window, bool]:
     n = len(subject.arm.joints)
     stream = subject.others.get(kind.kind, subject.streams)(turn)
     is_derived = cell.rates == 'derived' and subject.driver is None
-    driver = subject.driver or (lambda one: one)
+    driver = subject.driver or (lambda one, _: one)
     if is_derived and subject.part == 'simulated':
         stream = derived(stream)
     if kind.healthy:
-        healthy = driver(disturb(stream, kind, is_derived, rng))
+        healthy = driver(disturb(stream, kind, is_derived, rng), cell.rates)
         return subject, Window(healthy, [], np.zeros((0, n))), False
     limit = second_limit(kind, subject.arm)
     lead, together = LEAD, bool(turn % 2)
@@ -656,6 +697,9 @@ def draw(cell: Cell, k: int, seed: int) -> tuple[Subject, Window, bool]:
         joints = tuple(
             j for j in joints if not matrix[np.ix_(np.arange(n) != j, back[:, j] != 0)].any()
         )
+    if kind.kind == 'stuck':
+        moves = (np.abs(stream.samples[:, 1] @ matrix.T) > MOVES).any(axis=0)
+        joints = tuple(j for j in joints if moves[j]) or joints
     i = joints[int(rng.integers(len(joints)))]
     others = [j for j in joints if j != i]
     begin = _begin(stream, kind, (i, matrix), (lead, length), rng)
@@ -674,7 +718,7 @@ def draw(cell: Cell, k: int, seed: int) -> tuple[Subject, Window, bool]:
             faults[0] = replace(faults[0], end=stop)
         faults.append(Injected(j, onset + later, stop, sign))
     injected = inject(window, kind, faults, is_derived, matrix, rng)
-    return subject, replace(injected, stream=driver(injected.stream)), together
+    return subject, replace(injected, stream=driver(injected.stream, cell.rates)), together
 
 
 def _begin(

@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import cache, lru_cache
 
 import numpy as np
-from fault_injection import BRINGUP, Stream, Subject
+from fault_injection import BRINGUP, Stream, Subject, moves_and_rests
 
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.chain import compile_chain
@@ -30,7 +30,7 @@ GAINS = (13.3, 13.3, 11.2, 9.4, 9.4, 9.4)
 """Of the drives [N m/A]."""
 HOME = np.array([0.0, -1.4, 1.4, -1.5, -1.5, 0.0])
 REACH = np.array([1.5, 0.8, 0.8, 1.2, 1.2, 1.5])
-FASTEST = 1.5
+FASTEST = np.full(6, 1.5)
 """[rad/s]."""
 DURATION = 60.0
 """Of a recording [s]."""
@@ -48,25 +48,6 @@ def ur10e() -> SerialArm:
         arm, name='ur10e', joints=tuple(joints), sample_time=PERIOD, effort_unit='A',
         uncertainty=Uncertainty(PAYLOAD, 0.2, 0.05),
     )  # fmt: skip
-
-
-def moves_and_rests(rng: np.random.Generator, time: np.ndarray) -> np.ndarray:
-    """Positions, rates and accelerations from pose to pose, shape (3, N, 6)."""
-    motion = np.zeros((3, len(time), len(HOME)))
-    place = HOME + REACH * rng.uniform(-1.0, 1.0, len(HOME))
-    begin = rng.uniform(0.3, 3.0)
-    motion[0] = place
-    while begin < time[-1]:
-        goal = HOME + REACH * rng.uniform(-1.0, 1.0, len(HOME))
-        goal = np.where(rng.random(len(HOME)) < 0.2, place, goal)  # some joints stay
-        way = goal - place
-        span = max(1.9 * np.abs(way).max() / (FASTEST * rng.uniform(0.4, 1.0)), 0.5)
-        x = np.clip((time - begin) / span, 0.0, 1.0)[:, None]
-        motion[0] += way * (10 * x**3 - 15 * x**4 + 6 * x**5)
-        motion[1] += way / span * (30 * x**2 - 60 * x**3 + 30 * x**4)
-        motion[2] += way / span**2 * (60 * x - 180 * x**2 + 120 * x**3)
-        place, begin = goal, begin + span + rng.choice([0.0, 1.0]) * rng.uniform(0.3, 3.0)
-    return motion
 
 
 def drive(stream: Stream, step: float = STEP) -> Stream:
@@ -87,7 +68,7 @@ def healthy(seed: int, load: float | None = None, duration: float = DURATION) ->
     """A recording before the driver: readings with noise, currents; load drawn if not given."""
     arm, rng = ur10e(), np.random.default_rng([27, seed])
     time = PERIOD * np.arange(round(duration / PERIOD))
-    q, v, a = moves_and_rests(rng, time)
+    q, v, a = moves_and_rests((HOME, REACH, FASTEST), rng, time)
     chain, n = compile_chain(arm), len(arm.joints)
     friction = chain.friction.copy()
     friction[:, :2] *= rng.uniform(0.8, 1.2, (n, 2))
@@ -104,7 +85,7 @@ def twin(arm: SerialArm | None = None, step: float = STEP, load: float | None = 
     """The twin for `fault_injection.run`; its file may say otherwise than `ur10e`."""
     return Subject(
         'ur10e', 'simulated', arm or ur10e(), lambda k: healthy(k, load), (1, 2, 3),
-        driver=lambda stream: drive(stream, step),
+        driver=lambda stream, _: drive(stream, step),
     )  # fmt: skip
 
 

@@ -25,6 +25,8 @@ FAULTS = {
     'swinging derived': 'offset 0.2,drift 0.1,noise 0.02',
     'chain3 independent': 'drift 0.05,stuck,dropout',
     'chain3 derived': 'step 0.02,drift 0.3,stuck,noise 0.02',
+    'pausing independent': 'step 0.1,noise 0.02',
+    'pausing derived': 'step 0.02,step 0.1,noise 0.02',
     'recorded real_arm derived': (
         'offset 0.5,step 0.02,drift 0.1,drift 0.3,stuck,noise 0.02,dropout'
     ),
@@ -40,6 +42,7 @@ HEALTHY = {
     'swinging derived': 'stamps off,stamps off differenced,bursts,repeated,gaps',
     'chain3 independent': 'payload,rest 1 mrad',
     'chain3 derived': 'push,rest 0.1 mrad,rest 1 mrad',
+    'pausing derived': 'healthy,push,stamps off,stamps off differenced,bursts,repeated,gaps',
     'recorded real_arm derived': 'healthy,stamps off,repeated,gaps',
     'recorded ur10 independent': 'healthy,gaps',
     'recorded panda derived': 'healthy',
