@@ -303,12 +303,17 @@ def _compare(
                 own += basis[g] * basis[h] * information[g, h]
     own -= zero * across
     prior = kinds.prior[k, i]
-    if basis[SCALE] != 0.0:  # a larger scale error would have shown as a jump, when it came
+    # A larger slip, or scale error, would have shown as a jump, when it came.
+    share = 1.0
+    if basis[OFFSET] != 0.0:
+        share = min(unseen / prior, 1.0)
+        prior *= share
+    if basis[SCALE] != 0.0:
         prior = min(prior, unseen / max(abs(evidence.pose[w, i]), 1e-6))
     first, right = max(prior * prior * own, 0.0) + 1.0, prior * z
     if k < kinds.singles:
         mean, spread = right / first, 1.0 / np.sqrt(first)
-        gain = 0.5 * (right * mean - np.log(first))
+        gain = 0.5 * (right * mean - np.log(first)) + np.log(share)
     else:
         other = kinds.offset * score[OFFSET]
         second = max(kinds.offset * kinds.offset * information[OFFSET, OFFSET], 0.0) + 1.0
