@@ -23,7 +23,7 @@ from lpv.core.serial_arm.diagnosis.fault_filter import held_blocks
 from lpv.core.serial_arm.diagnosis.information import recent
 from lpv.core.serial_arm.diagnosis.onset import whitened
 from lpv.core.serial_arm.diagnosis.priors import SIZE
-from lpv.core.serial_arm.diagnosis.sampling import IN_BLOCK, Sampler, block_end
+from lpv.core.serial_arm.diagnosis.sampling import IN_BLOCK, ROUNDING, Sampler, block_end
 from lpv.core.serial_arm.diagnosis.stuck import LINEAR, Frozen
 
 ONSETS = len(STARTS)
@@ -161,7 +161,8 @@ def end_of_fault(
 
 def _frozen(estimator: OffsetEstimator, blocks: FloatArray, joint: int) -> Frozen | None:
     """A reading that had not changed at all for an interval before the samples at hand."""
-    n, changes = estimator.joints, np.flatnonzero(blocks[:, joint] != blocks[-1:, joint])
+    moved = np.abs(blocks[:, joint] - blocks[-1:, joint]) > ROUNDING
+    n, changes = estimator.joints, np.flatnonzero(moved)
     if len(changes) == 0 or len(blocks) - 1 - changes[-1] < estimator.plan.blocks:
         return None
     last = max(int(changes[-1]), 1)

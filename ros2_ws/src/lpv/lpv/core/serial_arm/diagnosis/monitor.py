@@ -54,6 +54,7 @@ from lpv.core.serial_arm.diagnosis.sampling import (
     IN_BLOCK,
     JUMP_SCALE,
     LEFT,
+    LIVELY,
     NOISY,
     PENDING,
     SPIKE,
@@ -80,8 +81,6 @@ CONTACT_TIME = 1.0
 begins shows as free torques first, until its time profile is seen."""
 CONTACT_PAUSE = 1.0
 """What is around a contact by less is not learned from [s]."""
-LIVELY = 0.02
-"""Share of changes that go back and forth from which on a reading has noise, and never rests."""
 
 
 @dataclass(frozen=True)

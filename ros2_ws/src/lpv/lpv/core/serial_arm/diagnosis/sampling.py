@@ -59,6 +59,8 @@ _PEAK = 0.75
 the e beside it, half as large, of a rate that is derived from the reading."""
 SCALE_MEMORY = 256.0
 """Samples over which the usual size of e, and that a reading has noise, are learned."""
+LIVELY = 0.02
+"""Share of changes that go back and forth from which on a reading has noise, and never rests."""
 NOISE_MEMORY = 32.0
 """Samples over which jumps of a reading are counted."""
 _NOISE_COUNT = 4.5
@@ -532,7 +534,7 @@ def _find_jumps(sampler: Sampler) -> None:
             continue
         if beyond:
             sampler.counters[PENDING] = max(sampler.counters[PENDING], 0)
-        elif not waits:
+        elif not waits and not (sampler.still[i] > HISTORY and sampler.lively[i] > LIVELY):
             _learn_scale(sampler, i, sampler.jumps[k, i], 1.0)
     if waits:
         sampler.counters[PENDING] += 1
