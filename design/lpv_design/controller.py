@@ -11,10 +11,7 @@ import numpy as np
 from lpv.core.support.inequalities import largest_eigenvalue
 from lpv.core.uio.certificate.lmi import integral_feedback
 from lpv.core.uio.model.arm import ArmParameters
-from lpv_design.solve import run, symmetric_below
-
-_RESERVE = 0.02
-"""Relative tightening of the pole region in the solver, against what is checked."""
+from lpv_design.solve import RESERVE, run, symmetric_below
 
 
 @dataclass(frozen=True)
@@ -68,8 +65,8 @@ class LoopProblem:
         w = cp.Variable((6, 6), symmetric=True)
         root = np.diag(np.sqrt(np.repeat(requirement.state_weight, 2) / rate) / scale)
         effort = np.sqrt(requirement.torque_weight / rate)
-        slowest = (1.0 + _RESERVE) * requirement.alpha / rate
-        fastest = (1.0 - _RESERVE) * requirement.fastest / rate
+        slowest = (1.0 + RESERVE) * requirement.alpha / rate
+        fastest = (1.0 - RESERVE) * requirement.fastest / rate
         center, radius = 0.5 * (fastest + slowest), 0.5 * (fastest - slowest)
         constraints = []
         for gravity, inverse in zip(self._gravity, self._inverse):

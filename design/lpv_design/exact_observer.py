@@ -20,10 +20,7 @@ from lpv.core.uio.certificate.error_system import LinkError, Noise, link_errors
 from lpv.core.uio.certificate.lmi import covariance, disc
 from lpv.core.uio.certificate.noise import stated_acceleration_noise
 from lpv.core.uio.model.arm import ArmParameters
-from lpv_design.solve import run, symmetric_below
-
-_RESERVE = 0.02
-"""Relative tightening of the pole region in the solver, against the certificate's."""
+from lpv_design.solve import RESERVE, run, symmetric_below
 
 
 @dataclass(frozen=True)
@@ -60,7 +57,7 @@ class LinkProblem:
         self._y = cp.Variable((2, 1))
         w = cp.Variable((2, 2), symmetric=True)
         # An optimum lies on the border of what is asked; ask for more than is to be certified.
-        slowest, fastest = (1.0 + _RESERVE) * decay, (1.0 - _RESERVE) * fastest
+        slowest, fastest = (1.0 + RESERVE) * decay, (1.0 - RESERVE) * fastest
         q, r = 0.5 * (fastest + slowest), 0.5 * (fastest - slowest)
         self._slopes = [cp.Parameter(nonneg=True) for _ in range(2)]
         self._noises = [(cp.Parameter((2, inputs)), cp.Parameter((1, inputs))) for _ in range(2)]

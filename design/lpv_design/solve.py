@@ -9,6 +9,8 @@ import numpy as np
 from lpv.core.support.inequalities import Check
 
 SOLVER = 'CLARABEL'
+RESERVE = 0.02
+"""Relative tightening of pole regions in the solver, against what is checked."""
 
 
 class InfeasibleError(RuntimeError):

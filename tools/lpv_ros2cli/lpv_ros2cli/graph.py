@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from lpv.core.support.discovery import DISCOVERY_RANGE
+from lpv.core.support.limits import PATIENCE, QUIET
 from lpv_ros2cli.command_line import CliError
 
 if TYPE_CHECKING:
@@ -20,12 +21,8 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
 Found = TypeVar('Found')
-_LONGEST = 10.0
-"""Longest wait for a name of the graph, or for the whole graph [s]."""
 _QUIET = 0.4
 """A graph that has not changed for this long is taken as known [s]."""
-_SURELY_QUIET = 1.0
-"""The same before something is said to be missing, and where nodes of other machines count [s]."""
 
 
 @contextlib.contextmanager
@@ -54,7 +51,7 @@ def settle(node: 'Node') -> None:
     find(node, lambda: None, _QUIET)
 
 
-def find(node: 'Node', query: Callable[[], Found], quiet: float = _SURELY_QUIET) -> Found:
+def find(node: 'Node', query: Callable[[], Found], quiet: float = QUIET) -> Found:
     """Repeat a query until it finds something or the whole graph is known."""
     start = changed = time.monotonic()
     known, local = None, os.environ.get(DISCOVERY_RANGE) == 'LOCALHOST'
@@ -63,8 +60,8 @@ def find(node: 'Node', query: Callable[[], Found], quiet: float = _SURELY_QUIET)
         seen = len(node.get_node_names()), len(node.get_topic_names_and_types())
         if seen != known:
             known, changed = seen, now
-        is_quiet = now > changed + (quiet if local else _SURELY_QUIET)
-        if found or now > start + _LONGEST or (is_quiet and (_all_found(node) or not local)):
+        is_quiet = now > changed + (quiet if local else QUIET)
+        if found or now > start + 2.0 * PATIENCE or (is_quiet and (_all_found(node) or not local)):
             return found
         time.sleep(0.02)
 
@@ -122,7 +119,9 @@ def find_topic(node: 'Node', name: str) -> tuple[str, str]:
     return full, types[0]
 
 
-def call(node: 'Node', service: Any, name: str, request: Any = None, longest: float = 5.0) -> Any:
+def call(
+    node: 'Node', service: Any, name: str, request: Any = None, longest: float = PATIENCE
+) -> Any:
     """Call a service of the graph that answers within so many seconds; its response."""
     import rclpy
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
+from lpv.core.support.limits import MAX_DEPTH
 from lpv.core.support.resources import executable, prefix_of
 from lpv_ros2cli.command_line import CliError
 from lpv_ros2cli.messages import parse_yaml
@@ -32,8 +33,6 @@ _ATTRIBUTES = {
 """Of the elements that are covered, beside ``if`` and ``unless``."""
 _SHOW_ARGS = ('-s', '--show-args')
 _SUBSTITUTION = re.compile(r'\$\(([a-z-]+)')
-_MOST_INCLUDES = 50
-"""Files inside each other from which on one includes itself."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -98,7 +97,7 @@ class Launch:
 
     def include(self, path: Path, passed: Iterable[str] = ()) -> None:
         """Evaluate a file."""
-        if len(self._files) > _MOST_INCLUDES:
+        if len(self._files) > MAX_DEPTH:
             raise CliError(f'{path}: included by itself, or nested too deeply')
         try:
             root = ET.fromstring(path.read_text('utf-8'))

@@ -12,6 +12,8 @@ import time
 from dataclasses import dataclass
 from types import FrameType
 
+from lpv.core.support.limits import PATIENCE
+
 
 @dataclass
 class Program:
@@ -23,7 +25,7 @@ class Program:
     respawn: bool = False
     respawn_delay: float = 0.0  # [s]
     ends_all: bool = False  # when it ends
-    grace: float = 5.0  # time between SIGTERM and SIGKILL [s]
+    grace: float = PATIENCE  # time between SIGTERM and SIGKILL [s]
     process: 'subprocess.Popen[str] | None' = None  # while it runs
     start_at: float | None = None  # steady time of the next start [s]
     kill_at: float = math.inf  # steady time

@@ -23,6 +23,7 @@ from lpv.core.control.watchdog import (
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.simulation.arm_simulator import ArmSimulator
 from lpv.core.simulation.scenario import load_scenario
+from lpv.core.support.limits import PATIENCE
 from lpv.core.support.timestamps import NANOSECONDS, to_nanoseconds
 from lpv.core.uio.planar import planar_model
 from lpv_arm_sim.services import FaultServices
@@ -58,9 +59,7 @@ start_time=1.0[0.001:1e9]  lockstep only: stamp of the first sample [s]; zero me
 """)
 
 _CATCH_UP = 5
-"""Most samples that a braked arm makes up for; what is beyond is left out."""
-_PATIENCE = 5.0
-"""Lockstep: how long an answer may take before the sample is sent again to newcomers [s]."""
+"""Most samples that a braked arm makes up for, as queues hold; what is beyond is left out."""
 
 
 class SimulatorNode(ManagedNode):
@@ -239,7 +238,7 @@ class SimulatorNode(ManagedNode):
         peers = self._count_peers()
         self._newcomers |= peers != self._peers
         self._peers = peers
-        if self._newcomers and time.monotonic() - self._sent > _PATIENCE:
+        if self._newcomers and time.monotonic() - self._sent > PATIENCE:  # without an answer
             self._sent = time.monotonic()
             self._joint_states_out.publish(self._state_message.at(self._waiting))
 

@@ -8,11 +8,10 @@ from itertools import chain
 import numpy as np
 from rclpy.node import Node
 
+from lpv.core.control.estimate_check import REST_SHARE
 from lpv.core.serial_arm.description import SerialArm
+from lpv.core.support.limits import MAX_GAP, PATIENCE
 from lpv.core.support.timestamps import NANOSECONDS
-
-_QUIET = 5.0
-"""Time between two lines of one reason [s]."""
 
 
 def all_finite(*fields: Iterable[float]) -> bool:
@@ -25,11 +24,8 @@ def all_sized(count: int, *fields: Sized) -> bool:
     return {*map(len, fields)} == {count}
 
 
-_NEAR, _CHANGE = 0.02, 0.1
-"""Change of a reading that is no jump, beside that of its rate [rad]; change of the rate, over the
-velocity limit."""
-_LONGEST_STEP = 0.1
-"""Time for which a reading may go on at its rate [s]."""
+_NEAR = 0.02
+"""Change of a reading that is no jump, beside that of its rate [rad]."""
 _WAIT = 0.3
 """Time without a measurement of the first sender after which another one is believed [s]: a loaded
 machine holds a process up for half of it."""
@@ -69,20 +65,20 @@ class OneSender:
         found = np.array([readings[name] for name in self._names])
         step = math.inf if self._stamp is None else (stamp - self._stamp) / NANOSECONDS
         if several and self._stamp is not None and now - self._heard < _WAIT:
-            most = _NEAR + (abs(self._rate) + _CHANGE * self._limit) * min(step, _LONGEST_STEP)
+            most = _NEAR + (abs(self._rate) + REST_SHARE * self._limit) * min(step, MAX_GAP)
             jumps = np.any(abs(found - self._position) > most)  # NaN, a dropout, does not
-            if jumps or not 0.0 < step <= _LONGEST_STEP:
+            if jumps or not 0.0 < step <= MAX_GAP:
                 return False
         self._stamp, self._heard = stamp, now
         found = np.where(np.isfinite(found), found, self._position)
-        if 0.0 < step <= _LONGEST_STEP:
+        if 0.0 < step <= MAX_GAP:
             self._rate = np.clip((found - self._position) / step, -self._limit, self._limit)
         self._position = found
         return True
 
 
 class Refusals:
-    """Counts refused messages by their reason, and logs each reason at most every 5 s."""
+    """Counts refused messages by their reason, and logs each reason at most every `PATIENCE`."""
 
     def __init__(self, node: Node) -> None:
         self._logger = node.get_logger()
@@ -94,11 +90,11 @@ class Refusals:
         """Count one message."""
         self._last = now = time.monotonic()
         self.counts[reason] = self.counts.get(reason, 0) + 1
-        if now - self._logged.get(reason, -math.inf) > _QUIET:
+        if now - self._logged.get(reason, -math.inf) > PATIENCE:
             self._logged[reason] = now
             self._logger.warning(f'refused: {reason} ({self.counts[reason]} so far)')
 
     @property
     def is_recent(self) -> bool:
         """Whether a message was refused in the last seconds."""
-        return time.monotonic() - self._last < _QUIET
+        return time.monotonic() - self._last < PATIENCE

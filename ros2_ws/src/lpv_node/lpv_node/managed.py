@@ -19,6 +19,7 @@ from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
 from lpv.core.support.errors import LpvError
+from lpv.core.support.limits import PATIENCE
 from lpv.core.support.signals import StopRequest
 from lpv_node.arguments import initialise
 from lpv_node.parameter_service import CheckedParameterService
@@ -26,8 +27,6 @@ from lpv_node.parameters import Spec, declare, table
 
 VIEWER = 'view'
 """Name of the live view's node: the graph does not wait for it, nor start because of it."""
-_LONGEST_DRAIN = 10.0
-"""Longest time that stopping may take [s]."""
 
 COMMON = table("""
 autostart=true         configure and activate at start, without a lifecycle manager
@@ -289,14 +288,14 @@ def _spin(node: ManagedNode, stop: StopRequest) -> int:
     if node.lockstep:
         for publisher in node.outputs():
             # A reader that lags behind still needs this process to send again.
-            publisher.wait_for_all_acked(Duration(seconds=_LONGEST_DRAIN))
+            publisher.wait_for_all_acked(Duration(seconds=2.0 * PATIENCE))
     return node.exit_code
 
 
 def _drain(node: ManagedNode, executor: Executor) -> None:
     """Process what is still queued: until nothing has come for the node's drain time."""
     now = time.monotonic()
-    limit, quiet_since, progress = now + _LONGEST_DRAIN, now, node.progress()
+    limit, quiet_since, progress = now + 2.0 * PATIENCE, now, node.progress()
     while rclpy.ok() and time.monotonic() < min(limit, quiet_since + node.drain_time):
         executor.spin_once(timeout_sec=0.05)
         if node.progress() != progress:

@@ -9,11 +9,9 @@ import sys
 import threading
 from collections.abc import Sequence
 
+from lpv.core.support.limits import QUIET
 from lpv.core.support.signals import StopRequest
 from lpv.core.support.threads import one_thread
-
-_SILENCE = 1.5
-"""A start that takes longer than this is said [s]."""
 
 
 def start(module: str, node: str, argv: Sequence[str] | None = None) -> None:
@@ -25,7 +23,7 @@ def start(module: str, node: str, argv: Sequence[str] | None = None) -> None:
     """
     stop = StopRequest()
     one_thread()
-    note = threading.Timer(_SILENCE, print, [f'{module} is loading ...'], {'flush': True})
+    note = threading.Timer(QUIET, print, [f'{module} is loading ...'], {'flush': True})
     note.daemon = True
     note.start()
     try:

@@ -24,6 +24,7 @@ from lpv.core.monitoring.stamp_gate import StampGate
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.certificate.conditions import NO_CERTIFICATE, certified_region
 from lpv.core.simulation.scenario import load_scenario
+from lpv.core.support.limits import PATIENCE, SMALL
 from lpv.core.support.timestamps import NANOSECONDS, to_nanoseconds
 from lpv_msgs.msg import JointReference, StateEstimate, TorqueCommand
 from lpv_node.input_check import Refusals, all_finite, all_sized
@@ -71,9 +72,7 @@ _REFUSALS = {
     ValueFault.NOT_FINITE: 'estimate with values that are not finite',
     ValueFault.IMPOSSIBLE: 'estimate with values that no arm has',
 }
-_CORRECTION = 0.05
-"""Smallest correction that counts as a confirmed fault, above noise and bridging [rad]."""
-_OTHER_CLOCK = 10 * NANOSECONDS
+_OTHER_CLOCK = round(2.0 * PATIENCE * NANOSECONDS)
 """Stamps that differ from this machine's time by more are of another clock [ns]."""
 
 
@@ -293,7 +292,7 @@ class TrackerNode(ManagedNode):
         before, self._forgotten = self._forgotten, None
         self._used = self._measured - self._corrected
         return before is not None and bool(
-            np.any((abs(before) > _CORRECTION) & (abs(self._used) < 0.5 * abs(before)))
+            np.any((abs(before) > SMALL) & (abs(self._used) < 0.5 * abs(before)))
         )
 
     def _restart(self) -> None:

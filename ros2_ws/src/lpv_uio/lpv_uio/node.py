@@ -21,6 +21,7 @@ from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent, Mode
 from lpv.core.support.errors import SampleError
+from lpv.core.support.limits import MAX_DELAY, MAX_GAP, PATIENCE
 from lpv.core.support.timestamps import NANOSECONDS, to_nanoseconds
 from lpv.core.uio.unknown_input_observer import CHOICES
 from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate, TorqueCommand
@@ -57,16 +58,12 @@ stale_after=0.5[0.01:60]  real time only: silence after which the diagnosis is s
 observer {{{','.join(CHOICES)}}}  whose estimate of the faults is published, where gains are given:
                          that of the smaller bound, or one of the observers alone
 initial_samples=1[1:100000]  samples over which the start value is averaged
-max_gap=0.1[0.001:10]    longest interval that is integrated [s]; after a longer one the estimate is
-                         re-anchored on the encoders
+max_gap={MAX_GAP}[0.001:10]  longest interval that is integrated [s]; after a longer one the
+                         estimate is re-anchored on the encoders
 """)
 _COMPILING = 'compiling the observer: the first start after an installation takes up to a minute'
 _NOT_ESTIMATED = int(Mode.STALE)
 """From this mode on there is nothing to correct."""
-_RECENT = 100
-"""Measurements that a command may answer, where torques are taken from commands."""
-_UNHEARD = 5.0
-"""Time without a measurement after which the observer says so, again and again [s]."""
 
 
 class UioNode(ManagedNode):
@@ -110,7 +107,7 @@ class UioNode(ManagedNode):
         self._alarms = None if self.lockstep else OpenAlarms(alarm_file(self))
         if self._alarms is not None and self._alarms.before:
             self.get_logger().error(self._untrusted_text())
-        self._recent: deque[int] = deque(maxlen=_RECENT)
+        self._recent: deque[int] = deque(maxlen=MAX_DELAY)
         qos = stream(self.lockstep)
         self._state_out = self.create_publisher(StateEstimate, 'state_estimate', qos)
         self._fault_out = self.create_publisher(FaultEstimate, 'fault_estimate', qos)
@@ -290,7 +287,7 @@ class UioNode(ManagedNode):
         """Say every few seconds that no measurement comes, and whether anybody publishes any."""
         if self._silent_since is None:
             self._silent_since = now
-        if now - self._silent_since < _UNHEARD * NANOSECONDS:
+        if now - self._silent_since < PATIENCE * NANOSECONDS:
             return
         self._silent_since = now
         topic = self.resolve_topic_name('joint_states')

@@ -9,9 +9,7 @@ from rclpy.node import Node
 
 from lpv.core.monitoring.alarm_text import describe
 from lpv.core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent
-
-_LARGEST = 1 << 20
-"""Longer files are not read [bytes]."""
+from lpv.core.support.config import MAX_BYTES
 
 
 def alarm_file(node: Node) -> Path:
@@ -54,7 +52,7 @@ class OpenAlarms:
 def _read(path: Path) -> dict[str, str]:
     """Texts of alarms by sensor; empty where there is no file of this kind."""
     try:
-        if path.stat().st_size > _LARGEST:
+        if path.stat().st_size > MAX_BYTES:
             return {}
         found = json.loads(path.read_text(encoding='utf-8'))
     except (OSError, ValueError, RecursionError):

@@ -14,6 +14,7 @@ from typing import Any
 
 from lpv.core.support.discovery import stay_local
 from lpv.core.support.errors import LpvError
+from lpv.core.support.limits import PATIENCE
 from lpv.core.support.signals import exit_by_signal, handled_signals
 
 
@@ -85,7 +86,7 @@ class Graph:
                 end = '\n'.join(log.splitlines()[-15:])
                 raise NodeFailure(f'{node.name} ended with code {code}:\n{end}')
 
-    def stop(self, patience: float = 15.0) -> dict[str, Any]:
+    def stop(self, patience: float = 3.0 * PATIENCE) -> dict[str, Any]:
         """Stop all nodes: SIGINT, then SIGTERM, then SIGKILL, to whole process groups.
 
         The node that was started first, the recorder where there is one, is stopped last:

@@ -11,11 +11,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+from lpv.core.support.limits import PATIENCE, QUIET
+
 if TYPE_CHECKING:
     from rich.console import Console
 
-_SILENT, _EVERY = 1.5, 5.0
-"""When a command first says what it does, and how often how far it is [s]."""
 _spinner: Any = None
 _bars = 0
 
@@ -40,7 +40,7 @@ def announced(text: str) -> Iterator[None]:
 def _announce(text: str, done: threading.Event) -> None:
     global _spinner
     begin = time.monotonic()
-    if done.wait(_SILENT) or _bars:
+    if done.wait(QUIET) or _bars:
         return
     if sys.stdout.isatty() and sys.stderr.isatty():
         from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -51,7 +51,7 @@ def _announce(text: str, done: threading.Event) -> None:
         _spinner.start()
         return
     print(f'{text} ...', file=sys.stderr, flush=True)
-    while not done.wait(2.0 * _EVERY):
+    while not done.wait(2.0 * PATIENCE):
         if not _bars:
             print(f'  {time.monotonic() - begin:.0f} s', file=sys.stderr, flush=True)
 
@@ -90,7 +90,7 @@ def bar(
             nonlocal said
             text = count.format(completed, total)
             progress.update(task, completed=completed, note=note, count=text)
-            if not console.is_terminal and time.monotonic() - said > _EVERY:
+            if not console.is_terminal and time.monotonic() - said > PATIENCE:
                 said = time.monotonic()
                 line = f'  {name}: {text.replace("/", " of ")}  {note}'
                 console.print(line.rstrip(), highlight=False)

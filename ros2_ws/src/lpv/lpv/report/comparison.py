@@ -13,6 +13,7 @@ import numpy as np
 from lpv.bag.errors import BagError
 from lpv.bag.run.record import load_run
 from lpv.bag.run.streams import RunRecord
+from lpv.core.monitoring.parameters import DiagnosisParameters
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.errors import LpvError
 from lpv.report.history import Episode, episodes
@@ -34,8 +35,6 @@ _SIGNALS = (
 )
 _SMALLEST = 1e-7
 """Mean squared errors below are numerical noise: their ratio says nothing."""
-_SLACK = 0.5
-"""Alarms of two runs that are this far apart may still be the same [s]."""
 
 
 @dataclass(frozen=True)
@@ -229,8 +228,8 @@ def _pairs(first: RunRecord, second: RunRecord, tolerance: float) -> list[AlarmP
         near = [
             other for other in left
             if other.sensor_index == alarm.sensor_index
-            and alarm.raised <= _end(other) + shift + _SLACK
-            and other.raised + shift <= _end(alarm) + _SLACK
+            and alarm.raised <= _end(other) + shift + DiagnosisParameters.clear_dwell
+            and other.raised + shift <= _end(alarm) + DiagnosisParameters.clear_dwell
         ]  # fmt: skip
         other = min(near, key=lambda o: abs(o.raised + shift - alarm.raised), default=None)
         if other is not None:

@@ -11,6 +11,7 @@ from lpv.bag.run.node_reports import NodeReport
 from lpv.bag.run.streams import RecordedAlarm, RunRecord
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent, Mode, SensorState
+from lpv.core.support.limits import MAX_GAP
 
 INCONSISTENT, SAFE_STOP, UNSAFE = 'inconsistent', 'safe stop', 'not trustworthy'
 NOT_DIAGNOSABLE, NO_DATA = 'not diagnosable', 'no data'
@@ -30,8 +31,6 @@ _MOST = 8
 """Intervals of one kind that are listed individually."""
 _MOST_TIPS = 5000
 """Samples of which the tip is computed."""
-_SILENCE = 0.1
-"""Measurements without a command for this long are an interval without commands [s]."""
 
 
 @dataclass(frozen=True)
@@ -305,7 +304,7 @@ def _without_commands(record: RunRecord) -> list[tuple[float, float]]:
         return []
     end = max(stamps[-1], record.stamps['joint_states'][-1])
     times = np.asarray(record.seconds(np.append(stamps, end)))
-    silent = np.flatnonzero(np.diff(times) > _SILENCE)
+    silent = np.flatnonzero(np.diff(times) > MAX_GAP)
     return [(float(times[k]), float(times[k + 1])) for k in silent]
 
 

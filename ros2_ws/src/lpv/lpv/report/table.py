@@ -11,6 +11,7 @@ from lpv.bag.run.streams import RunRecord
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.simulation.metrics import mise
 from lpv.core.support.errors import ConfigError
+from lpv.core.support.inequalities import SAME
 from lpv.core.uio.planar import planar_model
 
 PAPER = {
@@ -20,8 +21,6 @@ PAPER = {
 """MISE of Table 2 of the paper; states and tracking in absolute angles."""
 _TABLE_1 = ((10.0, 1.0, 0.5, 0.83), (5.0, 1.0, 0.5, 0.41))
 """Mass [kg], length, centre of mass [m] and inertia about it [kg m2] of the paper's links."""
-_SAME = 1e-9
-"""Relative difference that rounding of a link's direction can make."""
 _ERRORS = (
     (('x1', 'x2'), 'estimate of the position', 'position', 'ground_truth', 'state_estimate'),
     (('x3', 'x4'), 'estimate of the rate', 'velocity', 'ground_truth', 'state_estimate'),
@@ -42,7 +41,7 @@ def is_paper_arm(arm: SerialArm) -> bool:
         (k.mass, k.length, k.center_of_mass, k.inertia - k.mass * k.center_of_mass**2)
         for k in planar.links
     ]
-    same = np.allclose(links, _TABLE_1, rtol=_SAME, atol=0.0)
+    same = np.allclose(links, _TABLE_1, rtol=SAME, atol=0.0)
     return bool(same) and planar.arrangement == 'absolute' and planar.sign > 0
 
 

@@ -250,7 +250,7 @@ def test_given_sizes_of_petabytes_when_read_then_no_memory_is_taken_for_them(bag
 
 
 def test_given_a_bomb_when_read_then_it_is_not_unpacked(tmp_path, monkeypatch):
-    monkeypatch.setattr(mcap_file, 'MAX_CHUNK', 1000)
+    monkeypatch.setattr(mcap_file, 'MOST_BYTES', 1000)
     bag = write_small(tmp_path / 'bag', 100, chunk_time=0)
     with pytest.raises(BagError, match='no chunk of it is whole'):
         contents(bag)

@@ -46,8 +46,8 @@ def test_given_long_lines_when_fitted_then_none_is_longer_than_the_terminal(widt
 
 def test_given_work_that_takes_long_when_there_is_no_terminal_then_it_is_said(monkeypatch):
     said = io.StringIO()
-    monkeypatch.setattr(progress, '_SILENT', 0.0)
-    monkeypatch.setattr(progress, '_EVERY', 0.001)
+    monkeypatch.setattr(progress, 'QUIET', 0.0)
+    monkeypatch.setattr(progress, 'PATIENCE', 0.001)
     monkeypatch.setattr(sys, 'stderr', said)
     with progress.announced('lpv identify: identify an arm'):
         end = time.monotonic() + 100.0
@@ -59,7 +59,7 @@ def test_given_work_that_takes_long_when_there_is_no_terminal_then_it_is_said(mo
 
 
 def test_given_a_bar_when_there_is_no_terminal_then_lines_say_how_far_it_is(monkeypatch):
-    monkeypatch.setattr(progress, '_EVERY', 0.0)
+    monkeypatch.setattr(progress, 'PATIENCE', 0.0)
     said = io.StringIO()
     with progress.bar(Console(file=said, width=100), 'runs', 200, 50) as show:
         show(51)

@@ -226,7 +226,7 @@ def test_given_a_bad_value_in_a_file_when_read_then_its_field_is_named(
     error = kinds[name].refused(field, value)
     assert error.field == named
     if named.startswith('tip'):
-        assert f'must lie within [-100.0, 100.0], got {value[2]}' in str(error)
+        assert f'must lie within [-1000.0, 1000.0], got {value[2]}' in str(error)
 
 
 def test_given_several_wrong_fields_when_read_then_one_error_names_each(tmp_path):

@@ -20,7 +20,7 @@ from lpv_node.qos import LOCKSTEP_DEPTH
 _MOST = 2000
 """Messages taken from one topic before the others have their turn."""
 _RECHECK = 20
-"""Searches after which publishers of known topics are looked at again."""
+"""Searches after which publishers of known topics are looked at again: one second."""
 # Stamped with the system's time even where everything else follows /clock.
 _SYSTEM_TIME = ('/rosout', '/parameter_events')
 

@@ -20,10 +20,11 @@ from lpv.bag.rosbag.output_folder import (
 )
 from lpv.bag.rosbag.writing import PRESETS, BagWriter
 from lpv.core.support.errors import ConfigError
+from lpv.core.support.timestamps import NANOSECONDS
 from lpv_node.managed import ManagedNode
 from lpv_node.parameters import fixed, named_file, required_text, table
 from lpv_node.recorder.input import Heard, RecorderInput, Selection
-from lpv_node.recorder.stamp_sorter import StampSorter
+from lpv_node.recorder.stamp_sorter import WINDOW, StampSorter
 from lpv_node.status import ERROR, OK, WARN, diagnostics
 
 _TOPICS = [
@@ -51,8 +52,6 @@ scenario_file FILE   scenario file of this run, copied into the bag as scenario.
 )  # fmt: skip
 _POLL = 0.01
 """Between two looks at what has come [s]."""
-_CHUNK_TIME = 250_000_000
-"""Chunks hold so much time of the data in lockstep, so that bags of equal runs are equal [ns]."""
 _SPARE = 1 << 20
 """Free space that is left alone: what is to be written when all is over needs some [bytes]."""
 
@@ -65,7 +64,7 @@ class RecorderNode(ManagedNode):
     that runs with the same seed give the same bag byte by byte.
     """
 
-    drain_time = 0.5
+    drain_time = WINDOW / NANOSECONDS
 
     def __init__(self) -> None:
         super().__init__('recorder', SPECS)
@@ -103,7 +102,7 @@ class RecorderNode(ManagedNode):
             self.get_logger().warning(f'{output} exists already: recording into {path}')
         self._writer = BagWriter(
             *(path, value['preset'], value['split_size'] << 20),
-            *(round(value['split_duration'] * 1e9), _CHUNK_TIME if self.lockstep else 0),
+            *(round(value['split_duration'] * 1e9), WINDOW if self.lockstep else 0),
             value['fsync'],
         )
         for name, content in files.items():

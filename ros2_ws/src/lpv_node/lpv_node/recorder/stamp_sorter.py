@@ -4,11 +4,14 @@ import heapq
 from collections.abc import Callable, Hashable
 from typing import Any
 
+from lpv.core.support import limits
+from lpv.core.support.timestamps import NANOSECONDS
+
 WINDOW = 500_000_000
 """How far stamps may run ahead of a message that is still to come [ns].
 
 What is held back is lost if the recorder is killed."""
-PATIENCE = 10_000_000_000
+PATIENCE = 2 * round(limits.PATIENCE * NANOSECONDS)
 """A publisher that lags behind the newest stamp by more, or has not begun, is not waited for
 [ns]."""
 _SHARED = '/diagnostics'

@@ -3,12 +3,12 @@
 import math
 from typing import Any
 
+from lpv.core.simulation.faults import MAX_FAULTS
+from lpv.core.support.limits import MOST_TEXT
 from lpv.core.support.timestamps import NANOSECONDS, to_nanoseconds
 
 RAISED, UPDATED, CLEARED = range(3)
 Row = dict[str, Any]
-_MOST_ROWS, _MOST_TEXT = 200, 100
-"""Rows of the list, and characters of a text, that are kept: both come from the network."""
 
 
 def seconds(nanoseconds: int) -> float:
@@ -17,7 +17,7 @@ def seconds(nanoseconds: int) -> float:
 
 
 class AlarmList:
-    """Rows of the alarm list; the newest `_MOST_ROWS` are kept.
+    """Rows of the alarm list; the newest `MAX_FAULTS` are kept.
 
     ``changed`` says whether rows changed since this flag was last lowered.
     """
@@ -38,12 +38,12 @@ class AlarmList:
 
     def add(self, event: Any) -> None:
         """Add one event, with the fields of lpv_msgs/FaultAlarm."""
-        sensor = event.sensor[:_MOST_TEXT]
+        sensor = event.sensor[:MOST_TEXT]
         if event.event == RAISED and sensor in self._open:
             self._end(sensor, _time(event.onset))
         row = self._open.get(sensor) or self._ended_row(event) or self._new_row(sensor)
         row.update(
-            kind=event.kind[:_MOST_TEXT],
+            kind=event.kind[:MOST_TEXT],
             onset=_time(event.onset),
             detected=_time(event.detected),
             confidence=_finite(event.confidence),
@@ -76,7 +76,7 @@ class AlarmList:
         row: Row = {'id': self._count, 'sensor': sensor, 'ended': None, 'size': None, 'bound': None}
         self._rows.append(row)
         self._open[sensor] = row
-        if len(self._rows) > _MOST_ROWS:
+        if len(self._rows) > MAX_FAULTS:
             oldest = self._rows.pop(0)
             if self._open.get(oldest['sensor']) is oldest:
                 del self._open[oldest['sensor']]

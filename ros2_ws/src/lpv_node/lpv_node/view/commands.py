@@ -8,11 +8,10 @@ from typing import Any
 
 from lpv.core.simulation.faults import KINDS
 from lpv.core.support.errors import LpvError
+from lpv.core.support.limits import LARGEST, MOST_TEXT
 
 Reply = Callable[[bool, str], None]
 """Told whether a command succeeded, and a text."""
-_LARGEST, _MOST_TEXT = 1e6, 256
-"""Largest number, as of a fault, and most characters of a token, that a client may send."""
 
 
 class CommandError(LpvError):
@@ -46,8 +45,8 @@ def parse_command(text: str, sensors: Sequence[str]) -> Command:
         raise CommandError('id: must be a whole number, not negative')
     if name == 'token':
         token = fields['token'] = data.get('token')
-        if not isinstance(token, str) or len(token) > _MOST_TEXT:
-            raise CommandError(f'token: must be text of at most {_MOST_TEXT} characters')
+        if not isinstance(token, str) or len(token) > MOST_TEXT:
+            raise CommandError(f'token: must be text of at most {MOST_TEXT} characters')
     elif name == 'clear':
         fields['sensor'] = _choice(data, 'sensor', ('', *sensors), '')
     elif name == 'inject':
@@ -74,6 +73,6 @@ def _number(data: dict[str, Any], key: str) -> float:
     value = data.get(key, 0.0)
     is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
     # Comparison comes first: an enormous int has no float.
-    if not is_number or not -_LARGEST <= value <= _LARGEST or not math.isfinite(value):
-        raise CommandError(f'{key}: must be a number between {-_LARGEST:g} and {_LARGEST:g}')
+    if not is_number or not -LARGEST <= value <= LARGEST or not math.isfinite(value):
+        raise CommandError(f'{key}: must be a number between {-LARGEST:g} and {LARGEST:g}')
     return float(value)

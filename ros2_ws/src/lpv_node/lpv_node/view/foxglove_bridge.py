@@ -19,9 +19,10 @@ import aiohttp
 from aiohttp import WSMsgType, web
 
 from lpv.bag.rosbag.interfaces import add_type, make_typestore
+from lpv.core.support.config import MAX_BYTES
 from lpv.core.support.errors import ConfigError
 from lpv_node.view.access import Access
-from lpv_node.view.server import HEARTBEAT, guard
+from lpv_node.view.server import HEARTBEAT, LARGEST_MESSAGE, MOST_WAITING, guard
 
 Socket = web.WebSocketResponse | aiohttp.ClientWebSocketResponse
 PROTOCOL = 'foxglove.sdk.v1'
@@ -33,10 +34,6 @@ _BAND_SCHEMA = {
     'title': 'FaultBand',
     'properties': {name: _ROWS for name in ('lower', 'upper', 'threshold_low', 'threshold_high')},
 }
-_BACKLOG = 256
-"""Messages that wait for one slow client; then the oldest are dropped."""
-_LARGEST_REQUEST, _LARGEST_MESSAGE = 1 << 16, 1 << 22
-"""Largest message of a client, and of the graph [bytes]."""
 
 
 class FoxgloveBridge:
@@ -151,7 +148,7 @@ def _start(
                 context=context,
                 server_listener=_Listener(on_subscribe),
                 capabilities=[],
-                message_backlog_size=_BACKLOG,
+                message_backlog_size=MOST_WAITING,
             )
         except (OSError, RuntimeError) as error:
             failure = error
@@ -185,7 +182,7 @@ def gate(access: Access, address: str, port: int, max_clients: int = 8) -> web.A
 async def _pass_on(request: web.Request, url: str) -> web.WebSocketResponse:
     outside = web.WebSocketResponse(
         protocols=[PROTOCOL],
-        max_msg_size=_LARGEST_REQUEST,
+        max_msg_size=LARGEST_MESSAGE,
         compress=False,
         heartbeat=HEARTBEAT,
         timeout=2.0,
@@ -193,7 +190,7 @@ async def _pass_on(request: web.Request, url: str) -> web.WebSocketResponse:
     try:
         async with (
             aiohttp.ClientSession() as session,
-            session.ws_connect(url, protocols=[PROTOCOL], max_msg_size=_LARGEST_MESSAGE) as inside,
+            session.ws_connect(url, protocols=[PROTOCOL], max_msg_size=MAX_BYTES) as inside,
         ):
             await outside.prepare(request)
             pumps = [

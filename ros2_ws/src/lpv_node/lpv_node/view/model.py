@@ -13,6 +13,7 @@ from lpv.core.monitoring.joint_order import JointOrder
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.simulation.faults import KINDS
 from lpv.core.support.errors import SampleError
+from lpv.core.support.limits import LARGEST, MOST_TEXT, QUIET
 from lpv.core.support.timestamps import LAST_STAMP, NANOSECONDS, to_nanoseconds
 from lpv_node.view.alarm_list import AlarmList, seconds
 from lpv_node.view.skeleton import Skeleton
@@ -23,11 +24,8 @@ STATES = ('OK', 'WARN', 'ERROR', 'STALE', 'NOT_DIAGNOSABLE')
 LEVELS = ('OK', 'WARN', 'ERROR', 'STALE')
 WINDOW = 30.0
 """Length of the history that a new client gets [s]."""
-QUIET = 1.0
-"""A source that was silent for this long is no longer shown as live [s]."""
-_MOST_SAMPLES, _MOST_STATUSES, _MOST_TEXT = 1500, 14, 300
-"""Samples of the history, statuses beside those of the joints, characters of a text: all come from
-the network."""
+_MOST_SAMPLES, _MOST_STATUSES = round(60.0 * WINDOW), 14
+"""Samples of the history at the highest rate; statuses beside those of the joints."""
 _ARRAYS = {
     'joint_states': (),
     'state_estimate': ('position',),
@@ -93,12 +91,12 @@ class LiveModel:
         return all(len(getattr(message, field)) == self._joints for field in _ARRAYS[source])
 
     def _take_status(self, status: Any, now: float) -> None:
-        name, known = status.name[:_MOST_TEXT], self._statuses
+        name, known = status.name[:MOST_TEXT], self._statuses
         if name not in known and len(known) >= _MOST_STATUSES + self._joints:
             return
         # A byte, which Python sees as bytes.
         level = status.level[0] if isinstance(status.level, bytes) and status.level else 0
-        text = status.message[:_MOST_TEXT]
+        text = status.message[:MOST_TEXT]
         known[name] = {'name': name, 'level': _name(LEVELS, level), 'message': text}
         values = {pair.key: pair.value for pair in status.values[:_MOST_STATUSES]}
         count = values.get('safe stops', '')
@@ -106,7 +104,7 @@ class LiveModel:
             return
         if int(count) > self._stops['count']:
             self._stopped = now
-        self._stops = {'count': int(count), 'last': values.get('last safe stop', '')[:_MOST_TEXT]}
+        self._stops = {'count': int(count), 'last': values.get('last safe stop', '')[:MOST_TEXT]}
 
     def hello(self) -> dict[str, Any]:
         """First message to a client: constants of the arm, history and alarms."""
@@ -117,7 +115,7 @@ class LiveModel:
             'reach': round(self._skeleton.reach, 4),
             'joints': list(arm.joint_names),
             'sensors': list(arm.sensor_names),
-            'torque_limit': [v if v < 1e8 else None for v in arm.torque_limit],
+            'torque_limit': [v if v < LARGEST else None for v in arm.torque_limit],
             'kinds': list(KINDS),
             'window': WINDOW,
             'scene': self._scene(),

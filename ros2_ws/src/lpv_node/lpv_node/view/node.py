@@ -17,6 +17,7 @@ from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.simulation.scenario import load_scenario
 from lpv.core.support.errors import ConfigError
+from lpv.core.support.limits import AT_ONCE
 from lpv.core.support.timestamps import NANOSECONDS, leading_stamp
 from lpv_node.input_check import Refusals
 from lpv_node.managed import VIEWER, ManagedNode
@@ -45,8 +46,6 @@ rate=25.0[1:60]     frames, markers and transforms [1/s]
           'web origins that may connect to the Foxglove port'),
     fixed('hosts', [''], 'further names of this machine under which the page is called'),
 )  # fmt: skip
-_ALARM_INTERVAL = 0.2
-"""Shortest time between two lists of alarms [s]."""
 _TOKEN_VARIABLE = 'LPV_VIEW_TOKEN'
 _GREEN = '0.13 0.55 0.30 0.5', '0.25 0.65 0.40 0.5'
 _DESCRIPTIONS = ('robot_description', 'true_robot_description')
@@ -230,7 +229,7 @@ class ViewNode(ManagedNode):
         self._report()
         # In a storm of alarms, no client is to drown in lists.
         if self._model.alarms.changed and now >= self._alarms_due:
-            self._model.alarms.changed, self._alarms_due = False, now + _ALARM_INTERVAL
+            self._model.alarms.changed, self._alarms_due = False, now + AT_ONCE
             self._server.tell({'type': 'alarms', 'alarms': self._model.alarms.rows()})
         if self._server.newcomers:
             self._server.welcome(self._model.hello())

@@ -8,11 +8,10 @@ from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
+from lpv.core.support.limits import PATIENCE
 from lpv_msgs.srv import ClearFaults, InjectFault
 from lpv_node.view.commands import Command, Reply
 
-_PATIENCE = 3.0
-"""How long an answer may take [s]."""
 _MOST = 8
 """Commands that may wait or be under way."""
 
@@ -68,7 +67,7 @@ class Requests:
             return
         self._node.get_logger().info(f'{command.name} {command.fields or ""}, asked for by a page')
         future = client.call_async(client.srv_type.Request(**command.fields))
-        self._pending.append((client, future, reply, time.monotonic() + _PATIENCE))
+        self._pending.append((client, future, reply, time.monotonic() + PATIENCE))
 
     def close(self) -> None:
         """Destroy the clients."""

@@ -16,12 +16,13 @@ from aiohttp.http import HttpProcessingError
 from aiohttp.typedefs import Handler, Middleware
 
 from lpv.core.support.errors import ConfigError
+from lpv.core.support.limits import PATIENCE
 from lpv_node.view.access import Access
 from lpv_node.view.commands import Command, CommandError, Reply, parse_command
 
 LARGEST_MESSAGE = 4096
 """Largest message of a client [byte]."""
-HEARTBEAT = 6.0
+HEARTBEAT = 2.0 * PATIENCE
 """Interval of pings; a client that answers none for half of it loses its place [s]."""
 _MOST_WRONG_TOKENS, _WRONG_TOKEN_DELAY = 5, 0.5
 """Wrong tokens after which a client is dropped, and the time that each one costs it [s]."""
@@ -36,10 +37,8 @@ _FILES = {
         for name in ('view', 'arm', 'chart', 'link', 'panels', 'theme')
     },
 }
-_MOST_WAITING = 64
+MOST_WAITING = 64
 """A client with more messages waiting than this is dropped; frames do not count."""
-_LONGEST_SEND = 10.0
-"""A client that takes no data for this long is dropped [s]."""
 HEADERS = {
     'Content-Security-Policy': "default-src 'none'; script-src 'self'; style-src 'self'; "
     "img-src 'self'; connect-src 'self'; base-uri 'none'; form-action 'none'; "
@@ -75,7 +74,7 @@ class Client:
 
     def put(self, text: str) -> None:
         """Queue a message that must arrive, or give the client up."""
-        if len(self._waiting) >= _MOST_WAITING:
+        if len(self._waiting) >= MOST_WAITING:
             self.close()
         self._waiting.append(text)
         self._wake.set()
@@ -109,7 +108,7 @@ class Client:
                 else:
                     text, self._frame = self._frame or '', None
                 try:
-                    await asyncio.wait_for(self._socket.send_str(text), _LONGEST_SEND)
+                    await asyncio.wait_for(self._socket.send_str(text), 2.0 * PATIENCE)
                 # Python 3.10 has two kinds of time-out.
                 except (asyncio.TimeoutError, ConnectionError, RuntimeError):  # noqa: UP041
                     self.lost = True

@@ -7,11 +7,9 @@ import numpy as np
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import SerialArm, rotation_from_rpy
 from lpv.core.serial_arm.dynamics.kinematics import joint_frames
+from lpv.core.support.config import MAX_BYTES
 from lpv.core.support.errors import ConfigError
 from lpv.core.uio.planar import is_planar, plane_of
-
-_LARGEST_URDF = 4 << 20
-"""Descriptions with more bytes are not read."""
 
 
 class Skeleton:
@@ -54,8 +52,8 @@ def urdf_text(arm: SerialArm, arm_file: str) -> str:
         raise ConfigError('urdf', 'is not named in the arm file', arm_file)
     path = Path(arm_file).parent / arm.urdf
     try:
-        if path.stat().st_size > _LARGEST_URDF:
-            raise ConfigError('urdf', f'{path} has more than {_LARGEST_URDF} bytes', arm_file)
+        if path.stat().st_size > MAX_BYTES:
+            raise ConfigError('urdf', f'{path} has more than {MAX_BYTES} bytes', arm_file)
         return path.read_text(encoding='utf-8')
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError('urdf', f'cannot be read: {error}', arm_file) from error

@@ -10,10 +10,8 @@ from lpv.bag.run.measurements import MEASUREMENT_TYPE, Measurements
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.sensor_map import map_rows
 from lpv.core.simulation.faults import FaultInjector, derived_rate_error, rate_bias
+from lpv.core.support.limits import MAX_GAP
 from lpv.core.support.timestamps import NANOSECONDS
-
-_RECENT = 10
-"""A sample within so many sample times is the one before, if some were lost."""
 
 
 class BlockInjector:
@@ -70,7 +68,7 @@ class BlockInjector:
         self._last = time, fault
         # Faults begin from none: rows before them are not looked at.
         interval = time - before
-        if not 0.0 < interval < _RECENT * self._arm.sample_time:
+        if not 0.0 < interval < MAX_GAP + self._arm.sample_time:
             interval, last = self._arm.sample_time, np.zeros_like(fault)
         return np.array([derived_rate_error(*pair, interval) for pair in zip(fault, last)])
 

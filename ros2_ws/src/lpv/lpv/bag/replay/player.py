@@ -25,17 +25,12 @@ from lpv.bag.rosbag.reading import BagReader, open_bag
 from lpv.bag.run.measurements import MEASUREMENT_TYPE
 from lpv.bag.run.record import find_topic
 from lpv.core.support.errors import ConfigError
+from lpv.core.support.limits import AT_ONCE, PATIENCE, QUIET
 from lpv.core.support.timestamps import NANOSECONDS
 
 _CLOCK = '/clock'
-_SETTLING = 1.0
-"""Subscribers find publishers one after the other: time to wait after the latest one [s]."""
-_LAST_CALL = 5.0
-"""How long slow subscribers may take for the last messages [s]."""
 _DEEPEST = 20000
 """Deepest queue, whatever a recorded publisher offered: messages wait in memory."""
-_LONGEST_NAP = 0.1
-"""A player that is told to end is awake at least so often [s]."""
 
 
 @dataclass
@@ -49,7 +44,7 @@ class Player:
     rate: float = 1.0  # speed; 2 is twice as fast as recorded
     loop: bool = False  # start again at the end, until interrupted
     clock_rate: float = 100.0  # messages on /clock per second of the bag [Hz]; 0 for none
-    wait: float = 5.0  # longest time to wait for a subscriber before the first message [s]
+    wait: float = PATIENCE  # longest time to wait for a subscriber before the first message [s]
     # start and end, counted from the first message [s]
     interval: tuple[float | None, float | None] = (None, None)
 
@@ -92,7 +87,7 @@ class Player:
                         break
                 for publisher in publishers.values():
                     if publisher.qos_profile.reliability == ReliabilityPolicy.RELIABLE:
-                        publisher.wait_for_all_acked(Duration(seconds=_LAST_CALL))
+                        publisher.wait_for_all_acked(Duration(seconds=PATIENCE))
                 return published
             finally:
                 node.destroy_node()
@@ -118,7 +113,7 @@ class Player:
             before, counts = counts, [p.get_subscription_count() for p in publishers]
             if counts != before:
                 since = now
-            if any(counts) and now - since >= _SETTLING:
+            if any(counts) and now - since >= QUIET:
                 return
             time.sleep(0.02)
         if self.wait and not any(counts):
@@ -154,7 +149,7 @@ class Player:
             rest = wall + elapsed / NANOSECONDS / self.rate - time.monotonic()
             if rest <= 0.0:
                 return True
-            time.sleep(min(rest, _LONGEST_NAP))
+            time.sleep(min(rest, AT_ONCE))
         return False
 
 

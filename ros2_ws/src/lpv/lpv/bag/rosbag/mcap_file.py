@@ -19,10 +19,9 @@ from mcap.stream_reader import StreamReader, get_chunk_data_stream
 
 from lpv.bag.blocks.message_blocks import BLOCK_SIZE, Block, split
 from lpv.bag.errors import BagError, DamageError
+from lpv.core.support.limits import MOST_BYTES
 
-MAX_CHUNK = 1 << 27
-"""Largest chunk that is read, decompressed [bytes]."""
-_MAX_RECORD = 2 * MAX_CHUNK
+_MAX_RECORD = 2 * MOST_BYTES
 """Largest record: a chunk that compression made no smaller, with its index [bytes]."""
 _KINDS: dict[int, Any] = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel}
 
@@ -180,12 +179,12 @@ class McapFile:
 def _content(chunk: Chunk) -> np.ndarray:
     """Content of a chunk, checked, in bounded memory."""
     size = chunk.uncompressed_size
-    if size > MAX_CHUNK:
+    if size > MOST_BYTES:
         raise DamageError(f'it claims to hold {size} bytes')
     if chunk.compression == 'lz4':  # mcap's own way has no bound
         data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, size + 1)
         chunk = replace(chunk, compression='', data=data)
-    elif chunk.compression == 'zstd' and zstandard.frame_content_size(chunk.data) > MAX_CHUNK:
+    elif chunk.compression == 'zstd' and zstandard.frame_content_size(chunk.data) > MOST_BYTES:
         raise DamageError('its compressed data claim to be larger than a chunk may be')
     elif chunk.compression not in ('', 'zstd'):
         raise DamageError(f'it is compressed with {chunk.compression[:20]!r}, which is unknown')

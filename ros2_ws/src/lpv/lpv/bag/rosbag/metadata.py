@@ -22,6 +22,7 @@ from rosbags.rosbag2.metadata import dump_qos_v9
 from lpv.bag.errors import DamageError
 from lpv.core.support.config import load_yaml
 from lpv.core.support.errors import ConfigError
+from lpv.core.support.limits import MOST_BYTES
 
 FILE_NAME = 'metadata.yaml'
 VERSION = 9
@@ -30,8 +31,6 @@ RECORD_NAME = 'lpv_recorder'
 """Key of the custom data of a bag for what its recorder knew."""
 Known = dict[str, dict[str, int]]
 """What a recorder knows of each topic: messages, lost, late."""
-_MAX_BYTES = 1 << 26
-"""Largest metadata.yaml that is read: files from elsewhere must not fill the memory."""
 _DUMPER = getattr(yaml, 'CSafeDumper', yaml.SafeDumper)
 _FOREVER = QosTime(2147483647, 4294967295)
 
@@ -69,7 +68,7 @@ class BagMetadata:
 def read_metadata(folder: Path) -> BagMetadata:
     """Read the metadata of a bag; DamageError if they are none."""
     try:
-        return _parse(load_yaml(folder / FILE_NAME, _MAX_BYTES)['rosbag2_bagfile_information'])
+        return _parse(load_yaml(folder / FILE_NAME, MOST_BYTES)['rosbag2_bagfile_information'])
     except ConfigError as error:
         raise DamageError(f'{FILE_NAME} {error.reason}') from None
     except (KeyError, TypeError, ValueError, AttributeError) as error:

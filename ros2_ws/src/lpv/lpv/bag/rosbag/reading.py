@@ -31,10 +31,11 @@ from lpv.bag.rosbag.interfaces import decode, make_typestore
 from lpv.bag.rosbag.mcap_file import McapFile, error_text
 from lpv.bag.rosbag.metadata import FILE_NAME, BagMetadata, Known, offered_qos, read_metadata
 from lpv.core.support.errors import LpvError
+from lpv.core.support.limits import MOST_BYTES
 from lpv.core.support.timestamps import NANOSECONDS
 
 _LOG = logging.getLogger(__name__)
-_LARGEST_GROUP = 1 << 29
+_LARGEST_GROUP = 4 * MOST_BYTES
 """Chunks whose times overlap are sorted together up to this size [bytes]."""
 _STAMP = (('std_msgs/msg/Header', ('stamp',)), ('builtin_interfaces/msg/Time', ('sec', 'nanosec')))
 

@@ -14,7 +14,7 @@ from lpv.core.support.timestamps import to_nanoseconds
 
 MOST_LAYOUTS = 8
 """Shapes of one topic's messages that are learnt; each is tried on every block."""
-_MOST_ATTEMPTS = 32
+_MOST_ATTEMPTS = 4 * MOST_LAYOUTS
 """Messages from which a shape is to be learnt; then they are read one by one."""
 Columns = tuple[Any, int]
 """Columns to take of a field, and how many it must have for that; -1 for any number."""

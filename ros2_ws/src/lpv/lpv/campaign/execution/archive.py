@@ -18,13 +18,12 @@ from lpv.core.serial_arm.arm_file import parse_arm, to_mapping
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.config import read_yaml, sha256_of
 from lpv.core.support.errors import ConfigError, LpvError
+from lpv.core.support.limits import MAX_GAP, MOST_TEXT
 from lpv.core.uio.certificate.gains import Gains, gains_to_dict, parse_gains
 
 _METADATA, _STORAGE = 'metadata.yaml', ('.mcap', '.db3')
 _UNIT = ('serial', 'unit')
 """Keys of a bag's custom data that name the arm, as ``ros2 bag record --custom-data`` sets them."""
-_LONGEST_ERROR = 500
-"""Characters of an error that a row keeps."""
 
 
 def archive_text(
@@ -83,7 +82,7 @@ class Archive:
 
     def _figures(self, path: Path) -> dict[str, Any]:
         monitor = self.monitor()
-        found = BagFigures(self.arm, self._sampling.get('max_gap', 0.1))
+        found = BagFigures(self.arm, self._sampling.get('max_gap', MAX_GAP))
         with _quiet():
             result = Replay(monitor, self._options).watch(path, found.take)
             rejected = sum(result.rejected.values())
@@ -117,7 +116,7 @@ def _quiet() -> Iterator[None]:
 
 def _line(text: str) -> str:
     text = ' '.join(text.split())
-    return text if len(text) <= _LONGEST_ERROR else text[: _LONGEST_ERROR - 3] + '...'
+    return text if len(text) <= MOST_TEXT else text[: MOST_TEXT - 3] + '...'
 
 
 def find_bags(root: str | Path, leave_out: Sequence[Path] = ()) -> dict[str, list[str]]:

@@ -15,12 +15,11 @@ from lpv.core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent, SensorState
 from lpv.core.simulation.faults import Fault
 from lpv.core.simulation.scenario import load_scenario
 from lpv.core.support.errors import LpvError
+from lpv.core.support.limits import MOST_SAMPLES
 from lpv.core.support.timestamps import NANOSECONDS
 
 STATES = tuple(state.name.lower() for state in SensorState)
 """Names of the states of a sensor, in the order of their numbers."""
-MOST_SAMPLES = 1_000_000
-"""Most answers that are held in memory, to be compared with a truth: half an hour at 500 Hz."""
 _DIAGNOSED = (int(SensorState.OK), int(SensorState.WARN), int(SensorState.ERROR))
 _STALE = int(SensorState.STALE)
 

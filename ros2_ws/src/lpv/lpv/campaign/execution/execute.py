@@ -23,17 +23,14 @@ from lpv.campaign.plan.campaign import Campaign
 from lpv.campaign.plan.spec import TEXTS
 from lpv.core.support.errors import ConfigError, LpvError
 from lpv.core.support.jit import source_digest
+from lpv.core.support.limits import MOST_BYTES, PATIENCE
 
 CHUNK = 20
 """Runs that are sent to a worker, and written, together."""
 _BATCH = 1000
 """Chunks that a scheduler holds at a time."""
-_CONNECT_TIMEOUT = 5.0
-"""How long a scheduler may take to answer, and to have a worker [s]."""
 _NO_WORKER_TIMEOUT = 60.0
 """Time without any worker after which a campaign gives up [s]."""
-_MOST_BYTES = 64 << 20
-"""Largest campaign.json that is read."""
 
 
 class WorkerError(LpvError):
@@ -120,11 +117,11 @@ def _remote(scheduler: str) -> Any:
     from distributed import Client
 
     try:
-        client = Client(scheduler, timeout=_CONNECT_TIMEOUT)
+        client = Client(scheduler, timeout=PATIENCE)
     except (OSError, ValueError, ImportError) as error:
         raise WorkerError(f'scheduler {scheduler!r} does not answer: {error}') from error
     try:
-        client.wait_for_workers(1, timeout=_CONNECT_TIMEOUT)
+        client.wait_for_workers(1, timeout=PATIENCE)
     except TimeoutError:
         client.close()
         raise WorkerError(f'scheduler {scheduler!r} has no workers') from None
@@ -191,7 +188,7 @@ class ResultsFolder:
         if not file.exists():
             return None
         try:
-            if file.stat().st_size > _MOST_BYTES:
+            if file.stat().st_size > MOST_BYTES:
                 raise ValueError('too large')
             return work_of(file.read_text(encoding='utf-8'))
         except (OSError, ValueError, KeyError, TypeError) as error:

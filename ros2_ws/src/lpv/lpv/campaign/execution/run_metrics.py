@@ -7,13 +7,12 @@ from typing import Any
 import numpy as np
 
 from lpv.campaign.plan.spec import BOTH, NO_FAULT
+from lpv.core.control.path_follower import APPROACH
 from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent
 from lpv.core.simulation.faults import Fault
 
 DIVERGED = 1.0
 """True tracking error that counts as lost control [rad]."""
-_SETTLED = 1.0
-"""The first second is the approach; errors count from then on [s]."""
 _EARLY = 0.1
 """An onset estimate may be so much earlier than the fault [s]."""
 
@@ -98,7 +97,7 @@ def _alarm_figures(
 
 
 def _estimate_figures(arm: Any, run: Any, before: np.ndarray, during: np.ndarray) -> dict[str, Any]:
-    settled = run.time >= _SETTLED
+    settled = run.time >= APPROACH
     error = run.fault_estimate - run.fault
     # A loop that runs away ends in infinities, and its last scores are none.
     with np.errstate(invalid='ignore'):
@@ -123,7 +122,7 @@ def _tracking_figures(plan: Any, run: Any, twin: Any, during: np.ndarray) -> dic
     finite = bool(np.isfinite(run.position).all() and np.isfinite(run.torque).all())
     braked, period = run.braked, plan.arm.sample_time
     result = {
-        'tracking_rms': _rms(error[run.time >= _SETTLED]),
+        'tracking_rms': _rms(error[run.time >= APPROACH]),
         'tracking_rms_during': _rms(error[during]),
         'tracking_max': largest,
         'tracking_ratio': math.nan,

@@ -27,6 +27,7 @@ from lpv.campaign.falsify.healthy_run import (
     Sensing,
     simulate,
 )
+from lpv.core.monitoring.parameters import DiagnosisParameters
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.chain import Chain, FloatArray, compile_chain, workspace
 from lpv.core.serial_arm.description import RATE_BIAS as RATE_BIAS_FACTOR
@@ -43,11 +44,12 @@ from lpv.core.serial_arm.diagnosis.parameter_set import (
 )
 from lpv.core.serial_arm.simulation import integration_step, plant_scratch
 from lpv.core.support.errors import ConfigError
+from lpv.core.support.limits import LARGEST
 from lpv.core.uio.certificate.gains import Gains
 from lpv.core.uio.model.joints import J, JointMap
 from lpv.core.uio.planar import planar_model, serial_from_planar
 
-LARGEST = 1.5
+_WIDEST = DiagnosisParameters.safe_stop_bound
 """Thresholds above are no evidence [rad]."""
 _LOOK_EVERY = 0.25
 """Time between two looks at the thresholds of a horizon [s]."""
@@ -55,8 +57,6 @@ _SLOWEST, _FASTEST = 0.2, 8.0
 """Circular frequencies of the motion [rad/s]."""
 _SLOW_SWITCH, _FAST_SWITCH = 0.3, 60.0
 """Circular frequencies of bang-bang time profiles [rad/s]."""
-_LARGEST_VALUE = 1e6
-"""Values beyond are of a simulation that diverged."""
 _REACH, _SPEED = 0.97, 0.5
 """Shares of a certified region and velocity limit that motions use."""
 _MOTION, _SHARED = 4, 4
@@ -174,7 +174,7 @@ class Attacker:
             self.range.member(shares), course, self.range.sensing, self._substeps,
             np.random.default_rng(attack.seed), self._scratch, samples,
         ))  # fmt: skip
-        return good and bool(np.abs(samples).max() < _LARGEST_VALUE)
+        return good and bool(np.abs(samples).max() < LARGEST)
 
     def run(self, attack: Attack) -> Finding:
         """Simulate one attack, and look at the thresholds all along."""
@@ -262,7 +262,7 @@ class _DesignedRange:
         # The bound is the threshold without its floor.
         state, threshold = np.asarray(answers.fault.state), np.array(answers.fault.bound)
         judged = answers.has_fault[:, None] & (state <= int(SensorState.ERROR))
-        judged &= (threshold > 0.0) & (threshold < LARGEST)
+        judged &= (threshold > 0.0) & (threshold < _WIDEST)
         ratio = np.abs(answers.fault.estimate) / np.where(judged, threshold, np.inf)
         row, both = ratio.argmax(axis=0), np.arange(2)
         blamed = any(event.sensor for _, event in answers.events)
@@ -347,7 +347,7 @@ class _StatedRange:
             if monitor.healthy is None or len(monitor.estimator) == 0:
                 continue
             found = monitor.healthy.evaluate()
-            judged = (found.response > LEAST_RESPONSE) & (found.threshold < LARGEST)
+            judged = (found.response > LEAST_RESPONSE) & (found.threshold < _WIDEST)
             ratio = np.abs(found.estimate) / np.maximum(found.threshold, 1e-12)
             worse = np.where(judged, ratio, 0.0) > ratios
             ratios = np.where(worse, ratio, ratios)

@@ -7,10 +7,9 @@ from typing import Any
 
 from lpv.core.support.config import Section
 from lpv.core.support.errors import ConfigError
+from lpv.core.support.limits import MOST_ENTRIES
 
 _KEYS = {'low', 'high', 'spacing', 'levels'}
-_MOST_CHOICES = 1000
-"""Values of one factor: grids are products of them, and bounded before they are built."""
 
 
 @dataclass(frozen=True)
@@ -82,8 +81,8 @@ def parse_factor(
 def _choice(data: Any, name: str, source: str) -> Choice:
     values = tuple(data) if isinstance(data, list) else (data,)
     reason = ''
-    if not 1 <= len(values) <= _MOST_CHOICES:
-        reason = f'must list 1 to {_MOST_CHOICES} values'
+    if not 1 <= len(values) <= MOST_ENTRIES:
+        reason = f'must list 1 to {MOST_ENTRIES} values'
     elif not all(isinstance(v, str) or _is_number(v) for v in values):
         reason = 'must be finite numbers or texts'
     elif len({isinstance(v, str) for v in values}) > 1:
@@ -109,6 +108,6 @@ def _range(data: dict[str, Any], name: str, source: str) -> Range:
         raise ConfigError(name, 'must have a low below a high', source)
     if logarithmic and low <= 0.0:
         raise section.error('low', 'must be positive for logarithmic spacing')
-    if levels > _MOST_CHOICES:
-        raise section.error('levels', f'must be at most {_MOST_CHOICES}')
+    if levels > MOST_ENTRIES:
+        raise section.error('levels', f'must be at most {MOST_ENTRIES}')
     return Range(low, high, logarithmic, levels)

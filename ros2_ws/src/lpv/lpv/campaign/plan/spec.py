@@ -12,10 +12,9 @@ from lpv.core.monitoring.parameters import DiagnosisParameters
 from lpv.core.simulation.faults import KINDS
 from lpv.core.simulation.scenario import PLANTS
 from lpv.core.support.config import Section
+from lpv.core.support.limits import MOST_SAMPLES
 
 METHODS = ('factorial', 'random', 'latin_hypercube')
-MOST_RUNS = 10_000_000
-"""Runs of a campaign: their plan has to fit into memory."""
 NO_FAULT, BOTH = 'none', 'both'
 PATHS = ('scenario', 'random')
 _INF = math.inf
@@ -94,8 +93,8 @@ def parse_spec(data: dict[str, Any], source: str = 'campaign') -> CampaignSpec:
         runs = plan.integer('repeats', 1, low=1) * math.prod(levels)
     else:
         runs = plan.integer('runs', low=1)
-    if runs > MOST_RUNS:
-        raise plan.error('runs', f'would be {runs}; at most {MOST_RUNS} can be asked for')
+    if runs > MOST_SAMPLES:
+        raise plan.error('runs', f'would be {runs}; at most {MOST_SAMPLES} can be asked for')
     spec = CampaignSpec(
         name=top.text('name'),
         seed=top.integer('seed', 1, low=0),

@@ -17,7 +17,7 @@ LEVEL = 0.95
 _FEWEST_CASES = 10
 """Cases from which a smallest size that is found is given."""
 _FEWEST_BAGS = 5
-"""Bags of one arm from which a trend is looked for."""
+"""Bags of one arm from which a trend is looked for: each order of four is likelier than 5 %."""
 _DAY = 86400e9  # [ns]
 DOSES = {
     'bias': ('size', 'rad'),
@@ -126,7 +126,7 @@ def spread(values: np.ndarray) -> dict[str, Any]:
     return {'count': int(values.size), 'low': low, 'median': median, 'high': high}
 
 
-def found_from(sizes: np.ndarray, found: np.ndarray, rate: float = 0.95) -> float:
+def found_from(sizes: np.ndarray, found: np.ndarray, rate: float = LEVEL) -> float:
     """Smallest size from which on a share of the faults is detected; NaN if there is none."""
     order = np.argsort(-sizes, kind='stable')
     shares = np.cumsum(found[order]) / np.arange(1, len(order) + 1)

@@ -12,6 +12,7 @@ from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.rate_independence import contradicts, rate_source
 from lpv.core.support.errors import SampleError
+from lpv.core.support.limits import SMALL
 from lpv.core.support.timestamps import to_nanoseconds
 
 _FAR_CLOCK = 0.5
@@ -21,8 +22,6 @@ _UNEVEN = 1.5
 _DEGREES = 180.0 / np.pi  # of a radian
 _FAR = 4.0 * np.pi
 """Positions beyond two turns are no angles of an arm in rad."""
-_MOTION = 0.05
-"""Least change of a position from which rates are compared with it [rad]."""
 _BETTER = 0.3
 """Share of the torque residual that must be left if positions are taken as degrees."""
 _IN_RADIANS = 'let the driver publish rad, rad/s and N m in sensor_msgs/JointState (REP-103)'
@@ -186,7 +185,7 @@ def check_units(topic: str, messages: list[Any], arm: SerialArm) -> Finding | No
     known = np.isfinite(moved) & np.isfinite(driven)
     moved, driven = np.where(known, moved, 0.0), np.where(known, driven, 0.0)
     power = (driven**2).sum(axis=0)
-    far = turns & (np.abs(moved).sum(axis=0) >= _MOTION) & (power > 0.0)
+    far = turns & (np.abs(moved).sum(axis=0) >= SMALL) & (power > 0.0)
     ratios = np.where(far, (moved * driven).sum(axis=0) / np.where(far, power, 1.0), 1.0)
     for name, ratio in zip(arm.joint_names, ratios):
         for factor, what in ((_DEGREES, 'positions'), (1 / _DEGREES, 'rates')):

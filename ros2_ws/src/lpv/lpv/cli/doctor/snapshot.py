@@ -17,13 +17,14 @@ from sensor_msgs.msg import JointState
 
 from lpv.bag.run.record import CORRECTED
 from lpv.core.support.discovery import stay_local
+from lpv.core.support.limits import PATIENCE
 from lpv.core.support.timestamps import to_nanoseconds
 
 JOINT_STATE = 'sensor_msgs/msg/JointState'
 OURS = ('arm_sim', 'uio', 'tracker', 'recorder', 'view')
 """Names of this software's nodes."""
 _PARAMETERS = ('use_sim_time', 'lockstep', 'arm_file', 'torque_source', 'gains.arm_sha256')
-_QUIET, _LONGEST_SEARCH = 3.2, 10.0
+_QUIET, _LONGEST_SEARCH = 3.2, 2.0 * PATIENCE
 """The search ends when nothing new was found for this long [s] (DDS participants announce
 themselves every 3 s), and at the latest after the second."""
 _MOST_TOPICS = 8

@@ -13,6 +13,7 @@ import numpy as np
 
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.jit import njit_in_place as njit
+from lpv.core.support.limits import MAX_GAP
 from lpv.core.support.records import memory, new_record, record_type
 from lpv.core.support.timestamps import NANOSECONDS, NEVER
 
@@ -52,14 +53,14 @@ def check_values(values: np.ndarray) -> int:
 CHANGE_SHARE = 0.25
 """Rate at which a position may leave what the rates say: share of the velocity limit."""
 FADING = 0.5
-"""Fastest rate at which the rest of such a change reaches the loop, as `compensation_rate`
+"""Fastest rate at which the rest of such a change reaches the loop, default of compensation_rate
 [rad/s]."""
-_RATE_SHARE = 0.1
-"""Change of a rate between two samples that passes at once: share of the limit, at least."""
-_RATE_FADING = 10.0
+REST_SHARE = 0.1
+"""Share of the velocity limit: slower is rest, and smaller changes of a rate pass at once."""
+_RATE_FADING = 1.0 / MAX_GAP
 """Rate at which the rest of it does: of the velocity limit [1/s]."""
 _SIGMAS = 6.0 * math.sqrt(2.0)
-"""Change of a reading between two samples by noise: six standard deviations of a difference."""
+"""Change of a reading by noise: six deviations of a difference, once in six days at 1 kHz."""
 
 
 def correction_type(joints: int) -> np.dtype:
@@ -91,7 +92,7 @@ def new_correction(arm: SerialArm, limited: bool = True) -> np.record:
     position = position_noise(arm)
     rate = np.abs(arm.sensors_to_joints()) @ [_SIGMAS * s.velocity_noise for s in sensors]
     rate, scale = np.maximum(rate, position / arm.sample_time), arm.scales()
-    rate = np.maximum(rate, _RATE_SHARE * limit)
+    rate = np.maximum(rate, REST_SHARE * limit)
     change = np.array([CHANGE_SHARE * limit, _RATE_FADING * limit])
     return new_record(
         correction_type(len(limit)),

@@ -5,12 +5,10 @@ from functools import lru_cache
 
 import numpy as np
 
+from lpv.core.support.limits import MAX_DELAY
 from lpv.core.uio.certificate.conditions import controller_loop, delayed_radius, discretised
 from lpv.core.uio.certificate.gains import Gains
 from lpv.core.uio.model.arm import ArmParameters
-
-_MOST_SAMPLES = 128
-"""Delay at which the search ends: each sample of it adds a state."""
 
 
 def tolerated_latency(arm: ArmParameters, gains: Gains) -> float:
@@ -42,8 +40,6 @@ def loop_latency(
     """
     sampled = [discretised(a, b, sample_time) for a, b in loops]
     delay = 0
-    while delay < _MOST_SAMPLES and all(
-        delayed_radius(a, b, m, delay + 1) < 1.0 for a, b in sampled
-    ):
+    while delay < MAX_DELAY and all(delayed_radius(a, b, m, delay + 1) < 1.0 for a, b in sampled):
         delay += 1
     return delay * sample_time

@@ -6,16 +6,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lpv.core.control.path import Reference, TimedPath
+from lpv.core.support.limits import SMALL
 from lpv.core.support.timestamps import NANOSECONDS
 
 APPROACH_SPEED = 0.5
 """Fastest joint rate on the way to a path, unless another one is asked for [rad/s]."""
-_NEAR = 0.05
-"""A start this near to the path needs no approach [rad]: noise and a resting controller's error are
-smaller, and torques stay small."""
 _RAMP = 0.5
 """Time in which the path picks up its speed after a stop on the way [s]."""
-_SHORTEST = 1.0
+APPROACH = 1.0
 """Least time of an approach [s]: a short distance in less time asks for torques that throw an
 upright arm far if one of them is held for too long."""
 _FIELDS = ('position', 'velocity', 'acceleration', 'tip')
@@ -91,7 +89,7 @@ class PathFollower:
         at_end = not self._path.start < self._from < self._path.end
         self._ramp = 0.0 if at_end else _RAMP
         # The peak rate of the quintic is 15/8 of its mean.
-        self._approach = max(1.875 * distance / self._speed, _SHORTEST) if distance > _NEAR else 0.0
+        self._approach = max(1.875 * distance / self._speed, APPROACH) if distance > SMALL else 0.0
 
     def _approach_at(self, share: np.ndarray) -> Reference:
         """Between where the arm was found and the path, at shares of the approach's time."""

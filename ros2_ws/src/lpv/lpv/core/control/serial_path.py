@@ -18,12 +18,10 @@ from lpv.core.support.jit import njit
 SMALLEST_MANIPULABILITY = 0.02
 """Smallest singular value of the tip's Jacobian along a Cartesian path: below, the arm is near a
 singularity, where a motion of the tip needs joint rates without bound [m/rad]."""
-_CHECKED = 501
-"""Points of a path at which limits are checked."""
 _SPACING = 0.04
 """Time between the poses of a Cartesian path that inverse kinematics solves [s]."""
 _MOST_POSES = 2001
-"""Poses that inverse kinematics solves at most; long paths have them at larger distances."""
+"""Poses that inverse kinematics solves at most; limits are checked at so many points."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +97,7 @@ class SerialPath:
         return tips.reshape(*position.shape[:-1], 3)
 
     def _check_limits(self, arm: SerialArm) -> None:
-        times = np.linspace(self.start, self.end, _CHECKED)
+        times = np.linspace(self.start, self.end, _MOST_POSES)
         position, rate, bend = self._spline(times), self._rate(times), self._bend(times)
         torque = np.empty_like(position)
         _fill_torques(self._chain, position, rate, bend, workspace(self._chain), torque)

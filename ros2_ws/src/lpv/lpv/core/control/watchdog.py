@@ -11,10 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from lpv.core.control.estimate_check import position_noise
+from lpv.core.control.estimate_check import REST_SHARE, position_noise
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import Mode
 from lpv.core.support.jit import njit_in_place as njit
+from lpv.core.support.limits import MAX_GAP
 from lpv.core.support.records import memory, new_record, record_type
 from lpv.core.support.timestamps import NANOSECONDS, NEVER
 
@@ -84,8 +85,6 @@ _MEAN_SHARE = 0.9
 the sampling is seen by the mean only after it has happened."""
 _SINGLE_SHARE = 4.0
 """Largest single latency over the same.  It lasts once: where it repeats, the mean grows."""
-_LONGEST = 0.1
-"""Largest single latency of any loop: a torque that is held moves the arm all that time [s]."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +92,7 @@ class LatencyLimits:
     """What tracker and drives tolerate from a measurement to the command that answers it."""
 
     single: float  # once [s]
-    mean: float  # on average over `MEAN_TIME` [s]
+    mean: float  # on average over `MAX_GAP` [s]
 
 
 def latency_limits(tolerated: float) -> LatencyLimits:
@@ -101,7 +100,7 @@ def latency_limits(tolerated: float) -> LatencyLimits:
 
     See `lpv.core.control.latency.tolerated_latency`.
     """
-    single = min(_SINGLE_SHARE * tolerated, _LONGEST)
+    single = min(_SINGLE_SHARE * tolerated, MAX_GAP)
     return LatencyLimits(single, min(_MEAN_SHARE * tolerated, single))
 
 
@@ -124,7 +123,7 @@ class TrackerLimits:
     overspeed: float = 0.02  # above the allowed speed [s]
     speed: float = 0.7  # allowed share of the velocity limit
     tracking_error: float = 0.5  # of a joint [rad]
-    error_time: float = 0.05  # with a larger one [s]
+    error_time: float = unusable  # with a larger one [s]
 
 
 @dataclass(frozen=True)
@@ -132,13 +131,9 @@ class DriveLimits:
     """What the drives tolerate."""
 
     latency: LatencyLimits = UNKNOWN_LOOP  # from a measurement to the end of its command's effect
-    overspeed: float = 0.02  # above the velocity limit [s]
+    overspeed: float = TrackerLimits.overspeed  # above the velocity limit [s]
 
 
-_REST_SHARE = 0.1
-"""Share of the velocity limit up to which an arm counts as resting."""
-MEAN_TIME = 0.1
-"""Time constant of mean latencies [s]."""
 _SHORTEST_STOP = 200_000_000
 """How long latencies must be in time before tracker and drives go on by themselves [ns]."""
 _ARM_MOVED = 0.003, 0.01
@@ -205,7 +200,7 @@ def tracker_watchdog(arm: SerialArm, limits: TrackerLimits) -> np.record:
         error_time=_nanoseconds(limits.error_time),
         tracking_error=limits.tracking_error,
         speed_limit=limits.speed * np.array(arm.velocity_limit),
-        rest=_REST_SHARE * np.array(arm.velocity_limit),
+        rest=REST_SHARE * np.array(arm.velocity_limit),
         scale=arm.scales(),
         step=np.clip(2.0 * position_noise(arm), *np.outer(_ARM_MOVED, arm.scales())),
         share=_share(arm),
@@ -231,7 +226,7 @@ def drive_watchdog(arm: SerialArm, limits: DriveLimits) -> np.record:
 
 
 def _share(arm: SerialArm) -> float:
-    return min(1.0, arm.sample_time / MEAN_TIME)
+    return min(1.0, arm.sample_time / MAX_GAP)
 
 
 def _nanoseconds(seconds: float) -> int:

@@ -17,15 +17,14 @@ from lpv.core.export.elements import about_center, add_element
 from lpv.core.serial_arm.chain import FloatArray
 from lpv.core.serial_arm.description import SerialArm, SerialJoint, rotation_from_rpy
 from lpv.core.support.errors import ConfigError
+from lpv.core.support.limits import LARGEST
 
 BASE, TIP = 'base_link', 'tip'
 """Names of the URDF's first and last link."""
 COLOURS = ('0.27 0.47 0.67 1', '0.40 0.60 0.80 1')
 """Default colours of the links, in turn: red, green, blue, alpha."""
 _SLENDER = 1e-3
-"""Least inertia about an axis over the largest: that of a thin rod along its length."""
-_UNLIMITED = 1e8
-"""Torque limits from here on mean that there is none."""
+"""Least inertia about an axis over the largest: that of a rod 40 times as long as thick."""
 _THICKNESS = 0.04
 """Radius of the drawn links, over their mean length."""
 
@@ -151,10 +150,10 @@ def _joint(robot: ElementTree.Element, joint: SerialJoint, parent: str, child: s
     _ends(element, parent, child)
     _origin(element, joint.position, joint.orientation)
     add_element(element, 'axis', xyz=joint.axis)
-    values = {'effort': min(limits.torque, _UNLIMITED), 'velocity': limits.velocity}
+    values = {'effort': min(limits.torque, LARGEST), 'velocity': limits.velocity}
     if bounded:
         values |= {'lower': limits.lower, 'upper': limits.upper}
-    if bounded or joint.is_prismatic or limits.torque < _UNLIMITED:
+    if bounded or joint.is_prismatic or limits.torque < LARGEST:
         add_element(element, 'limit', **values)
     friction = joint.friction
     add_element(element, 'dynamics', damping=friction.viscous, friction=friction.coulomb)

@@ -16,7 +16,7 @@ _KINDS = {
 _UNITS = {'rate_bias': ' {}/s'}
 """Of sizes that are no position errors."""
 _CERTAIN = 0.9995
-"""Confidence from which on only a lower limit is given."""
+"""Confidence from which on only a lower limit is given: with one digit, it is 100.0 %."""
 COUNTER_TEXT = {
     'duplicates': 'measurements with the stamp of the one before, ignored',
     'out_of_order': 'measurements older than the one before, ignored',

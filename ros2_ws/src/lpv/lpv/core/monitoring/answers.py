@@ -6,11 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from lpv.core.control.watchdog import TrackerLimits
 from lpv.core.monitoring import message_fields
 from lpv.core.serial_arm.diagnosis.alarms import Alarm
 from lpv.core.support.records import record_type
+from lpv.core.support.timestamps import NANOSECONDS
 
-LONGEST_STALE = 50_000_000
+LONGEST_STALE = round(TrackerLimits.unusable * NANOSECONDS)
 """Time without a usable measurement after which the last estimate is not trustworthy [ns]."""
 
 

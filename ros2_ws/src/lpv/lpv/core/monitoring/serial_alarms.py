@@ -1,5 +1,7 @@
 """Alarms of a serial arm in the form of the messages."""
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
@@ -11,7 +13,7 @@ from lpv.core.serial_arm.diagnosis.monitor import SerialAlarm
 
 BoolArray = npt.NDArray[np.bool_]
 
-_STATISTICAL = 1.0 - 1e-9
+_STATISTICAL = math.nextafter(1.0, 0.0)
 """Largest confidence that is not a guarantee."""
 _DROPOUT, _RATE_BIAS = 'dropout', 'rate_bias'
 

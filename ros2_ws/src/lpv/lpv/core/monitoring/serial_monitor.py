@@ -31,6 +31,7 @@ from lpv.core.serial_arm.diagnosis.monitor import LONGEST_STEP
 from lpv.core.serial_arm.sensor_map import map_rows, mixing
 from lpv.core.support.errors import SampleError
 from lpv.core.support.jit import Entries, njit_in_place
+from lpv.core.support.limits import LARGEST, MAX_GAP
 from lpv.core.support.records import memory, new_record, plain
 from lpv.core.support.timestamps import NANOSECONDS, NEVER
 from lpv.core.uio.certificate.gains import Gains
@@ -40,10 +41,8 @@ METHOD = 'moving horizon'
 _ERROR = int(SensorState.ERROR)
 _REPORT_INTERVAL = NANOSECONDS
 """A diagnostics report is due after each such time of the data [ns], and at every alarm event."""
-_LARGEST = (1e3, 1e4, 1e9)
+_LARGEST = (1e3, 1e4, LARGEST)
 """Readings, rates and efforts beyond are no values of an arm [rad], [rad/s], [unit]."""
-_LARGEST_FOUND = 1.5
-"""Offsets beyond are no statement: estimates are linear in small ones [rad]."""
 _WARM_UP = (0.3, 1.0)
 """Motion that makes every compiled function run, without and with those of suspected faults [s]."""
 _CONTACT = 'torques from outside: something pushes or holds the arm, or its load has changed'
@@ -204,7 +203,7 @@ class SerialSensorMonitor:
         gains: Gains | None = None,
         observer: str = CHOICES[0],
         initial_samples: int = 1,
-        max_gap: float = 0.1,
+        max_gap: float = MAX_GAP,
     ) -> None:
         self.name, self.arm, self.rejected, self.method = name, arm, 0, METHOD
         self.counters = SerialCounters()
@@ -701,7 +700,7 @@ class SerialSensorMonitor:
         for joint, threshold, found in zip(self.arm.joints, known.threshold, known.smallest_found):
             unit = joint.units[0]
             one = {f'guaranteed threshold [{unit}]': 'none: this pose and motion show no offset'}
-            if found < _LARGEST_FOUND * joint.scale:
+            if found < self._parameters.safe_stop_bound * joint.scale:
                 one[f'guaranteed threshold [{unit}]'] = f'{threshold:.4f}'
                 one[f'surely found beyond [{unit}]'] = f'{found:.4f}'
             result.append(one)

@@ -29,6 +29,7 @@ from lpv.core.serial_arm.description import (
 from lpv.core.serial_arm.old_arm_file import parse_two_links
 from lpv.core.serial_arm.urdf_chain import read_urdf_chain
 from lpv.core.support.config import Section, names_all_errors, read_yaml
+from lpv.core.support.limits import LARGEST
 
 _OLD_KIND = 'serial_arm'
 _OLD_FORM = (
@@ -36,10 +37,8 @@ _OLD_FORM = (
     'python -m lpv.core.serial_arm.arm_file OLD.yaml NEW.yaml'
 )
 INERTIA_KEYS = ('xx', 'xy', 'yy', 'xz', 'yz', 'zz')
-_FAR = 100.0
-"""Largest coordinate of a frame, and largest angle of its orientation [m], [rad]."""
-_LARGEST_ENTRY = 1e3
-"""Of a matrix of sensors: gears between joint and sensor stay below."""
+FAR = 1e3
+"""Range of coordinates, angles and gears in files [m], [rad], [1]."""
 _SMALLEST_DETERMINANT = 1e-6
 """Of a matrix of sensors that tell the joints' positions."""
 _HEADER = '# docs/arm-file.md describes the fields.\n'
@@ -113,7 +112,7 @@ def _parse(data: dict[str, Any], source: str, folder: str | Path) -> SerialArm:
         locked=locked,
         base_orientation=_triple(top, 'base_orientation', -2 * math.pi, 2 * math.pi),
         gravity=top.number('gravity', 9.81, 0.0, 100.0),
-        tip=_triple(top, 'tip', -_FAR, _FAR),
+        tip=_triple(top, 'tip', -FAR, FAR),
         effort_includes_gravity=effort.flag('includes_gravity', True),
         effort_unit=effort.text('unit', 'N m'),
         effort_bandwidth=effort.number('bandwidth', above=0.0, high=1e6)
@@ -146,8 +145,8 @@ def _sensor_matrix(top: Section, n: int) -> tuple[tuple[float, ...], ...] | None
     if 'sensor_matrix' not in top:
         return None
     rows = top.rows('sensor_matrix', n, n)
-    if np.abs(rows).max() > _LARGEST_ENTRY:
-        raise top.error('sensor_matrix', f'must lie within +-{_LARGEST_ENTRY:g}')
+    if np.abs(rows).max() > FAR:
+        raise top.error('sensor_matrix', f'must lie within +-{FAR:g}')
     if len(rows) != n or abs(np.linalg.det(np.array(rows))) < _SMALLEST_DETERMINANT:
         raise top.error('sensor_matrix', f'must have {n} rows and an inverse')
     return tuple(tuple(row) for row in rows)
@@ -322,8 +321,8 @@ def _joint(section: Section, base: SerialJoint | None) -> SerialJoint:
     """A joint of the file; what it does not say comes from the URDF's joint ``base``."""
     name = section.text('name')
     if base is None or 'position' in section:
-        position = _triple(section, 'position', -_FAR, _FAR)
-        orientation = _triple(section, 'orientation', -_FAR, _FAR)
+        position = _triple(section, 'position', -FAR, FAR)
+        orientation = _triple(section, 'orientation', -FAR, FAR)
         axis = _axis(section)
     else:
         position, orientation, axis = base.position, base.orientation, base.axis
@@ -399,8 +398,8 @@ def _friction(section: Section) -> JointFriction:
 
 def _limits(section: Section) -> JointLimits:
     limits = section.section('limits', required=False)
-    lower = limits.number('lower', None, -1e6, 1e6) if 'lower' in limits else -math.inf
-    upper = limits.number('upper', None, lower, 1e6) if 'upper' in limits else math.inf
+    lower = limits.number('lower', None, -LARGEST, LARGEST) if 'lower' in limits else -math.inf
+    upper = limits.number('upper', None, lower, LARGEST) if 'upper' in limits else math.inf
     result = JointLimits(
         lower,
         upper,

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lpv.core.support.jit import njit
+from lpv.core.support.limits import SMALL
 from lpv.core.support.timestamps import NANOSECONDS
 
 INDEPENDENT, DERIVED, NO_RATES, UNDECIDED = range(4)
@@ -36,8 +37,6 @@ _DERIVED, _INDEPENDENT = 0.5, 0.2
 """Explained share of the variance above which rates are derived, below which independent."""
 _ROUGH = 0.1
 """Fourth over second differences of a rate with noise [1]; white noise has 3.4."""
-_MOVED = 1e-3
-"""Rates that are zero all the time are none if the position moves by more [rad]."""
 _SLOW = 0.3
 """Share of the samples, the slowest, in which jitter of stamps hardly shows."""
 _STEADY = 0.5
@@ -45,7 +44,7 @@ _STEADY = 0.5
 _ROUNDED = 3.0
 """Power of the noise of a rate over that of its rounding, beyond which it has noise of its own."""
 _GAIN = 70.0
-"""Power of white noise through fourth differences."""
+"""Power of white noise through fourth differences: 1 + 16 + 36 + 16 + 1."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +64,7 @@ def rate_source_of(stamps: np.ndarray, position: np.ndarray, rate: np.ndarray) -
     if count < _SAMPLES or not (np.isfinite(position).all() and np.isfinite(rate).all()):
         return UNDECIDED, math.nan
     if np.all(rate == 0.0):
-        moved = position.max() - position.min() > _MOVED
+        moved = position.max() - position.min() > SMALL
         return (NO_RATES if moved else UNDECIDED), math.nan
     speed = np.zeros(count)
     for k in range(1, count):

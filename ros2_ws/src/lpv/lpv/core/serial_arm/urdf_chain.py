@@ -18,8 +18,9 @@ from lpv.core.serial_arm.description import (
     SerialArm,
     SerialJoint,
 )
-from lpv.core.serial_arm.urdf_text import ENDLESS, Urdf, read_urdf_text
+from lpv.core.serial_arm.urdf_text import Urdf, read_urdf_text
 from lpv.core.support.errors import ConfigError
+from lpv.core.support.limits import LARGEST
 
 if TYPE_CHECKING:
     import pinocchio
@@ -164,7 +165,7 @@ def _joint(model: 'pinocchio.Model', index: int, urdf: Urdf, source: str) -> Ser
         _endless(model.lowerPositionLimit[index - 1]),
         _endless(model.upperPositionLimit[index - 1]),
         _positive(model.velocityLimit[index - 1], 100.0),
-        _positive(model.upperEffortLimit[index - 1], 1e9),
+        _positive(model.upperEffortLimit[index - 1], LARGEST),
     )
     data = model.createData()
     pinocchio.computeJointJacobians(model, data, np.zeros(model.nq))
@@ -187,7 +188,7 @@ def _joint(model: 'pinocchio.Model', index: int, urdf: Urdf, source: str) -> Ser
 
 
 def _endless(value: float) -> float:
-    return float(value) if abs(value) < ENDLESS else math.copysign(math.inf, value)
+    return float(value) if abs(value) < LARGEST else math.copysign(math.inf, value)
 
 
 def _positive(value: Any, default: float) -> float:

@@ -9,18 +9,12 @@ from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree
 
+from lpv.core.support.config import MAX_BYTES
 from lpv.core.support.errors import ConfigError
+from lpv.core.support.limits import LARGEST, MAX_DEPTH
 
-MAX_BYTES = 16 << 20
-"""Largest URDF that is read [bytes]."""
 MAX_LINKS = 1000
 """Most links of a URDF; the parser recurses once for each."""
-MAX_DEPTH = 30
-"""Deepest nesting of its elements."""
-LARGEST = 1e9
-"""Largest number [SI units]; products of a few of these are finite."""
-ENDLESS = 1e6
-"""Limits of continuous joints, which the parser wants [rad]."""
 _NUMBERS = ('xyz', 'rpy', 'value', 'ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz')
 _LIMITS = ('lower', 'upper', 'effort', 'velocity')
 
@@ -137,8 +131,8 @@ def _make_revolute(joint: ElementTree.Element) -> None:
     limit = joint.find('limit')
     if limit is None:
         limit = ElementTree.SubElement(joint, 'limit', effort='1e9', velocity='100')
-    limit.set('lower', f'{-ENDLESS}')
-    limit.set('upper', f'{ENDLESS}')
+    limit.set('lower', f'{-LARGEST}')
+    limit.set('upper', f'{LARGEST}')
 
 
 def _check_tree(joints: list[ElementTree.Element], path: Path) -> None:

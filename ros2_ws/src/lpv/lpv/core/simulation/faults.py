@@ -7,8 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lpv.core.serial_arm.chain import MAX_JOINTS
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.jit import njit
+from lpv.core.support.limits import LARGEST
 from lpv.core.support.records import record_type
 
 KINDS = ('bias', 'drift', 'scale', 'stuck', 'noise', 'spike', 'dropout', 'rate_bias')
@@ -25,10 +27,8 @@ _NEEDED = {
 }
 """Field of `Fault` that must not be zero, by kind."""
 
-_LARGEST = 1e6
-"""Largest size [rad] and rate [rad/s] of a fault, and its longest time [s]."""
-MAX_FAULTS = 200
-"""Most faults at a time: each costs time at every sample."""
+MAX_FAULTS = len(KINDS) * MAX_JOINTS
+"""Most faults at a time: every kind on every sensor."""
 
 _FAULT = record_type(
     ('kind', 'i8'),  # index in KINDS
@@ -154,9 +154,9 @@ def check_fault(fault: Fault, sensor_names: Sequence[str]) -> None:
         )
     for name in ('onset', 'duration', 'size', 'rate'):
         value = getattr(fault, name)
-        if not abs(value) <= _LARGEST:
+        if not abs(value) <= LARGEST:
             raise ConfigError(
-                f'fault.{name}', f'must be at most {_LARGEST:g} in magnitude, got {value}'
+                f'fault.{name}', f'must be at most {LARGEST:g} in magnitude, got {value}'
             )
     not_negative = {'noise': ('duration', 'size'), 'spike': ('duration', 'rate')}
     for name in not_negative.get(fault.kind, ('duration',)):

@@ -10,22 +10,20 @@ import numpy as np
 
 from lpv.core.control.path import CartesianPath, Obstacle, PlanarWaypoints
 from lpv.core.control.serial_path import PoseWaypoints, SerialPath
+from lpv.core.serial_arm.arm_file import FAR
 from lpv.core.serial_arm.chain import MAX_JOINTS, Chain, compile_chain
 from lpv.core.serial_arm.description import LinkInertia, SerialArm, SerialJoint
 from lpv.core.serial_arm.dynamics.payload import with_payload
 from lpv.core.simulation.faults import KINDS, Fault
 from lpv.core.support.config import Section, names_all_errors, read_yaml
 from lpv.core.support.errors import ConfigError
+from lpv.core.support.limits import MOST_ENTRIES
 from lpv.core.uio.model.kinematics import ELBOWS
 
 PAPER_PLANTS = ('nonlinear_without_coriolis', 'lpv')
 """The arm of eq. (4) and the LPV plant (25), for planar arms."""
 PLANTS = ('nonlinear', *PAPER_PLANTS, 'mujoco')
 """The true arm, those of the paper, or MuJoCo's."""
-_MOST_WAYPOINTS = 10_000
-"""Of a path, which is computed as a whole."""
-_FAR = 1e3
-"""Largest coordinate of a waypoint [m], and largest angle [rad]."""
 
 Waypoints = tuple[tuple[float, ...], ...] | PoseWaypoints | PlanarWaypoints
 """Joint positions [rad], poses of the tip, or points in the plane of a planar arm."""
@@ -194,8 +192,8 @@ def _factors(plant: Section, key: str) -> tuple[float, ...]:
 def _waypoints(path: Section) -> tuple[tuple[float, ...], Waypoints]:
     """Times and waypoints: joint positions, poses of the tip, or points in the plane."""
     sections = path.sections('waypoints')
-    if not 2 <= len(sections) <= _MOST_WAYPOINTS:
-        raise path.error('waypoints', f'must be 2 to {_MOST_WAYPOINTS}')
+    if not 2 <= len(sections) <= MOST_ENTRIES:
+        raise path.error('waypoints', f'must be 2 to {MOST_ENTRIES}')
     times = tuple(point.number('t', low=0.0, high=1e6) for point in sections)
     if any(b <= a for a, b in zip(times, times[1:])):
         raise path.error('waypoints', 'times must increase')
@@ -207,12 +205,12 @@ def _waypoints(path: Section) -> tuple[tuple[float, ...], Waypoints]:
         waypoints = _planar(path, sections)
     elif kinds == ['joints']:
         waypoints = tuple(
-            tuple(point.numbers('joints', MAX_JOINTS, -_FAR, _FAR)) for point in sections
+            tuple(point.numbers('joints', MAX_JOINTS, -FAR, FAR)) for point in sections
         )
     else:
         waypoints = PoseWaypoints(
             tuple(_triple(point, 'position') for point in sections),
-            tuple(path.numbers('start', MAX_JOINTS, -_FAR, _FAR)),
+            tuple(path.numbers('start', MAX_JOINTS, -FAR, FAR)),
             tuple(_triple(point, 'rpy') for point in sections if 'rpy' in point),
         )
         if 0 < len(waypoints.orientations) < len(sections):
@@ -224,21 +222,20 @@ def _waypoints(path: Section) -> tuple[tuple[float, ...], Waypoints]:
 
 def _planar(path: Section, sections: list[Section]) -> PlanarWaypoints:
     points = tuple(
-        (p.number('x', None, -_FAR, _FAR), p.number('y', None, -_FAR, _FAR)) for p in sections
+        (p.number('x', None, -FAR, FAR), p.number('y', None, -FAR, FAR)) for p in sections
     )
     obstacle = None
     if 'obstacle' in path:
         section = path.section('obstacle')
         obstacle = Obstacle(
-            section.pair('center', None, -_FAR, _FAR),
-            section.number('radius', above=0.0, high=_FAR),
+            section.pair('center', None, -FAR, FAR), section.number('radius', above=0.0, high=FAR)
         )
         section.finish()
     return PlanarWaypoints(points, path.text('elbow', 'positive', tuple(ELBOWS)), obstacle)
 
 
 def _triple(section: Section, key: str) -> tuple[float, float, float]:
-    x, y, z = section.vector(key, 3, low=-_FAR, high=_FAR)
+    x, y, z = section.vector(key, 3, low=-FAR, high=FAR)
     return x, y, z
 
 

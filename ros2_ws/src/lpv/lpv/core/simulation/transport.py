@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-MAX_DELAY = 64
-"""Commands that can be on their way."""
+from lpv.core.support.limits import MAX_DELAY
+
 PARTS = ('observer', 'tracker', 'commands')
 """What can stall: the way of measurements to the observer (or the process that publishes them, or
 the observer), the tracker, and the way of its commands to the drives."""

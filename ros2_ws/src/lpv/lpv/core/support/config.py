@@ -13,13 +13,12 @@ import numpy as np
 import yaml
 
 from lpv.core.support.errors import ConfigError
+from lpv.core.support.limits import MAX_DEPTH
 
 MAX_BYTES = 4 << 20
 """Largest YAML file that is read [bytes]; a gains file has about 20 kB."""
-MAX_VALUES = 200_000
-"""Most values in a file, with those that aliases repeat."""
-MAX_DEPTH = 50
-"""Deepest nesting of a file."""
+MAX_VALUES = MAX_BYTES // 20
+"""Most values in a file, with those that aliases repeat: a float has up to 20 characters."""
 MAX_INTEGER = 2**63 - 1
 """Largest integer, as a ROS parameter has it; all of these are finite floats, too."""
 
@@ -162,7 +161,7 @@ _Function = TypeVar('_Function', bound=Callable[..., Any])
 _found: ContextVar[list[ConfigError] | None] = ContextVar('found', default=None)
 """Errors of the fields that were read, while all of them are collected."""
 _LONGEST = 1600
-"""Most characters of the text that names all wrong fields."""
+"""Most characters of the text that names all wrong fields: 20 lines of a terminal."""
 
 
 def names_all_errors(parse: _Function) -> _Function:

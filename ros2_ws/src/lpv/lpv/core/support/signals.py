@@ -9,8 +9,8 @@ import sys
 from collections.abc import Callable, Iterator
 from types import FrameType
 
-_RETRY = 0.01
-"""A signal whose exception was lost raises another one after this time [s]."""
+from lpv.core.support.limits import AT_ONCE
+
 Handler = Callable[[int, FrameType | None], object]
 
 
@@ -84,7 +84,7 @@ def raising_signals() -> Iterator[list[int]]:
         if not received or not issubclass(unraisable.exc_type, (KeyboardInterrupt, SystemExit)):
             hook(unraisable)
         else:  # not from here, where it would be lost again
-            signal.setitimer(signal.ITIMER_REAL, _RETRY)
+            signal.setitimer(signal.ITIMER_REAL, AT_ONCE)
 
     def retry(_number: int, _frame: FrameType | None) -> None:
         exit_by_signal(received[-1])

@@ -19,11 +19,9 @@ from lpv.core.serial_arm.description import (
 )
 from lpv.core.serial_arm.two_links import two_link_arm
 from lpv.core.support.errors import ConfigError
+from lpv.core.support.inequalities import SAME
 from lpv.core.uio.model.arm import ArmParameters, Link
 from lpv.core.uio.model.joints import J_INVERSE
-
-_CLOSE = 1e-6
-"""Largest deviation from a planar arm, in radians or relative to the links."""
 
 
 @lru_cache(maxsize=64)
@@ -77,7 +75,7 @@ def planar_model(arm: SerialArm) -> ArmParameters:
 def _wrapped(angle: float) -> float:
     """An angle within (-pi, pi]."""
     angle = math.remainder(angle, 2 * math.pi)
-    return angle + 2 * math.pi if angle <= -math.pi + _CLOSE else angle
+    return angle + 2 * math.pi if angle <= -math.pi + SAME else angle
 
 
 def _arrangement(arm: SerialArm) -> str:
@@ -107,7 +105,7 @@ def _geometry(arm: SerialArm) -> tuple[FloatArray, tuple[Link, Link], float]:
         origins.append(origin)
     axes = [frame @ np.array(joint.axis) for frame, joint in zip(frames, arm.joints)]
     up = -arm.gravity_vector() / arm.gravity
-    if abs(axes[0] @ up) > _CLOSE or np.linalg.norm(axes[0] - axes[1]) > _CLOSE:
+    if abs(axes[0] @ up) > SAME or np.linalg.norm(axes[0] - axes[1]) > SAME:
         raise _not_planar(arm, 'its axes are not parallel and horizontal')
     forward = np.cross(up, axes[0])
     ends = [origins[1], origins[1] + frames[1] @ np.array(arm.tip)]
@@ -120,13 +118,13 @@ def _geometry(arm: SerialArm) -> tuple[FloatArray, tuple[Link, Link], float]:
         direction = ((way @ forward) * forward + (way @ up) * up) / along
         moment = frame @ np.array(joint.link.first_moment)
         aside = moment @ np.cross(axes[0], direction)
-        if joint.link.mass <= 0.0 or abs(aside) > _CLOSE * joint.link.mass * along:
+        if joint.link.mass <= 0.0 or abs(aside) > SAME * joint.link.mass * along:
             raise _not_planar(arm, f'the mass of {joint.name!r} is not on the line of its link')
         inertia = frame @ joint.link.rotational_inertia() @ frame.T
         center = float(moment @ direction) / joint.link.mass
         links.append(Link(joint.link.mass, along, center, float(axes[0] @ inertia @ axes[0])))
         angles.append(math.atan2(way @ up, way @ forward))
-    if abs(math.remainder(angles[1] - angles[0], 2 * math.pi)) > _CLOSE:
+    if abs(math.remainder(angles[1] - angles[0], 2 * math.pi)) > SAME:
         raise _not_planar(arm, 'joint 2 does not count from the direction of link 1')
     return axes[0], (links[0], links[1]), angles[0]
 

@@ -11,6 +11,7 @@ import numpy as np
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.description import SIGMAS, SerialArm
 from lpv.core.support.jit import njit_in_place as njit
+from lpv.core.support.limits import MAX_GAP
 from lpv.core.support.records import memory, new_record, plain, record_type
 from lpv.core.uio.bound.error_bound import (
     BOUND_CONSTANTS,
@@ -188,7 +189,7 @@ class UnknownInputObserver:
         choice: str = CHOICES[0],
         sigmas: float = SIGMAS,
         initial_samples: int = 1,
-        max_gap: float = 0.1,
+        max_gap: float = MAX_GAP,
     ) -> None:
         planar = planar_model(arm)
         self.method = gains.observer.method

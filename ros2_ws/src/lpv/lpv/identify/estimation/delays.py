@@ -4,13 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from lpv.core.support.limits import MAX_GAP
 from lpv.identify.estimation.regression import Filters, Fit, Rows, model_torque
 from lpv.identify.estimation.robust import robust_fit
 from lpv.identify.recordings.filters import derivative, low_pass
 from lpv.identify.recordings.motion import Bandwidths, Segment
 
-MAX_DELAY = 0.1
-"""Largest delay that is looked for [s]."""
 _Pair = tuple[np.ndarray, np.ndarray, float]
 """Early and late signal, each of shape (samples, n), and their sample time [s]."""
 
@@ -47,5 +46,5 @@ def _delays(pairs: Sequence[_Pair]) -> np.ndarray:
         target = late[:, j, None]
         solution, _, _ = robust_fit(columns[:, None], target, np.ones(1), rounds=5, least=1e-12)
         if 0.6 < solution[0] < 1.6:  # otherwise the one does not follow from the other
-            result[j] = np.clip(solution[1] / solution[0], -MAX_DELAY, MAX_DELAY)
+            result[j] = np.clip(solution[1] / solution[0], -MAX_GAP, MAX_GAP)
     return result

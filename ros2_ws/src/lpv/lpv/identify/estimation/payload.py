@@ -16,7 +16,7 @@ from lpv.identify.recordings.motion import Segment, find_bandwidths, split
 from lpv.identify.recordings.recording import Recording
 
 _HUBER = 2.0  # scales beyond which residuals weigh less
-_BLOCKS = 20  # of time, whose scatter is that of the fit: errors last, and count once a block
+_BLOCKS = 20  # of time: their scatter, right within 16 %, is that of the fit, as errors last
 _Triple = tuple[float, float, float]
 
 

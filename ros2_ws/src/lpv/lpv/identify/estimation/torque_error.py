@@ -7,6 +7,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from lpv.core.serial_arm.description import SerialArm, TorqueTolerance
+from lpv.core.support.limits import SMALL
 from lpv.identify.errors import IdentificationError
 from lpv.identify.estimation.autocorrelation import autocovariance
 from lpv.identify.model.rigid_body import joint_torques
@@ -18,7 +19,6 @@ from lpv.identify.sensors.sensing import Sensing, noise_deviation, sense
 _QUANTILE = 0.99  # of residuals that an envelope holds
 _BINS = 8  # of speed
 _LEAST = 30  # samples of a bin
-_MOVES = 0.05  # largest rate of a joint from which errors at speed are seen [rad/s]
 
 
 @dataclass(frozen=True)
@@ -132,7 +132,7 @@ def calibrate(arm: SerialArm, recordings: Sequence[Recording]) -> Calibration:
     warnings += [
         f'{name} hardly moves: how errors of the model grow with its speed is not seen'
         for name, speed in zip(arm.joint_names, fastest)
-        if speed < _MOVES
+        if speed < SMALL
     ]
     rms = np.sqrt(np.mean(np.concatenate(residuals) ** 2, axis=0))
     changed = error.on(replace(sensing.on(arm), sample_time=step))

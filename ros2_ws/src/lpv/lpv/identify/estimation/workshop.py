@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 
 from lpv.core.serial_arm.description import SerialArm
+from lpv.core.support.limits import MAX_GAP
 from lpv.identify.estimation.assembly import consistent_parameters, fit_of, with_parameters
-from lpv.identify.estimation.delays import MAX_DELAY, effort_delays, rate_delays
+from lpv.identify.estimation.delays import effort_delays, rate_delays
 from lpv.identify.estimation.gains import estimate_gains
 from lpv.identify.estimation.regression import Filters, Fit, Rows, fit_parameters, make_rows
 from lpv.identify.estimation.selection import (
@@ -205,7 +206,7 @@ class Workshop:
             rows = self.train_rows(share)
             found = self.consistent_fit(rows, self.strength)
             late = self.effort_delay + effort_delays(rows, found, self.filters)
-            self.effort_delay = np.clip(late, -MAX_DELAY, MAX_DELAY)
+            self.effort_delay = np.clip(late, -MAX_GAP, MAX_GAP)
             self._prepare()
         self.joint_delays = self.effort_delay
         if self._error(share) > before - EQUAL:

@@ -9,7 +9,7 @@ from scipy import sparse
 from lpv.core.serial_arm.description import N_INERTIAL, LinkInertia
 from lpv.identify.errors import IdentificationError
 
-_MARGIN = 1e-7  # smallest eigenvalue of a pseudo-inertia, relative to the link's scale
+_MARGIN = 1e-7  # smallest eigenvalue of a pseudo-inertia: ten times the tolerance of the solver
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from lpv.bag.run.csv_import import ANGLE_UNITS, TIME_UNITS, ColumnMap, CsvError
+from lpv.core.support.limits import MOST_BYTES
 from lpv.identify.errors import IdentificationError
 
-MAX_BYTES = 2 << 30
+MAX_BYTES = 16 * MOST_BYTES
 """Largest CSV file that is read [bytes]."""
 _PATTERNS = {
     'position': '{}_position {}_pos position_{} q_{} pos_meas{} motor_position{} position{} q{}',

@@ -6,22 +6,18 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.signal import welch
 
+from lpv.core.support.limits import MAX_GAP, MOST_SAMPLES, SMALL
 from lpv.identify.errors import IdentificationError
 from lpv.identify.recordings.filters import derivative, low_pass, shifted
 from lpv.identify.recordings.recording import Recording
 
 MIN_DURATION = 5.0
 """Shortest recording that is used [s]."""
-MIN_RATE = 10.0
+MIN_RATE = 1.0 / MAX_GAP
 """Slowest sampling that is used [Hz]."""
-MIN_TRAVEL = 0.05
-"""Smallest range of a joint that counts as motion [rad]."""
-MAX_GAP = 0.1
-"""Longest gap that is bridged [s]; longer ones separate segments."""
 _MIN_SEGMENT = 2.0  # time without a gap that is used [s]
 _FIT_BAND = 6.0  # bandwidth of the fit, over that of the motion
 _ORDER = 4  # of the filters of positions and rates: motion passes unchanged
-_MAX_GRID = 2_000_000  # samples on an even grid: memory
 
 
 @dataclass(frozen=True)
@@ -76,9 +72,9 @@ def split(recording: Recording) -> list[Segment]:
             f'{recording.source}: {1.0 / step:.1f} Hz is too slow, accelerations'
             f' need at least {MIN_RATE:g} Hz'
         )
-    if recording.duration / step > _MAX_GRID:
+    if recording.duration / step > MOST_SAMPLES:
         raise IdentificationError(
-            f'{recording.source}: has more than {_MAX_GRID} samples of {step:g} s; cut it'
+            f'{recording.source}: has more than {MOST_SAMPLES} samples of {step:g} s; cut it'
         )
     breaks = np.flatnonzero(np.diff(time) > max(MAX_GAP, 3.5 * step)) + 1
     parts = np.split(np.arange(len(time)), breaks)
@@ -113,7 +109,7 @@ def _resample(recording: Recording, part: np.ndarray, step: float) -> Segment:
 def check_motion(segments: list[Segment], names: tuple[str, ...]) -> list[str]:
     """Remarks on joints that hardly move; IdentificationError if no joint moves."""
     travel = np.max([np.ptp(s.position, axis=0) for s in segments], axis=0)
-    still = [name for name, way in zip(names, travel) if way < MIN_TRAVEL]
+    still = [name for name, way in zip(names, travel) if way < SMALL]
     if len(still) == len(names):
         raise IdentificationError(
             'no joint moves: inertias and friction act in motion only; '

@@ -13,17 +13,13 @@ from lpv.bag.run.csv_import import ColumnMap
 from lpv.bag.run.decoder import Columns, Decoder
 from lpv.bag.run.record import CORRECTED
 from lpv.core.support.errors import SampleError
+from lpv.core.support.limits import LARGEST, MOST_SAMPLES, SMALL
 from lpv.identify.errors import IdentificationError
 
-MAX_SAMPLES = 4_000_000
-"""Largest number of samples of one recording."""
 JOINT_STATE, SIGNALS = 'sensor_msgs/msg/JointState', ('position', 'velocity', 'effort')
 MIN_SHARE_VALID = 0.7
 """Smallest share of samples that must be complete."""
 _SHORTEST = 1e-6  # time from which samples follow each other [s]
-_MOTION = 0.05  # way from which a joint moves [rad]
-LARGEST = 1e6
-"""Positions [rad], rates [rad/s] and efforts beyond are no measurements."""
 
 
 @dataclass(frozen=True)
@@ -147,7 +143,7 @@ def _stands_still(time: np.ndarray, position: np.ndarray, velocity: np.ndarray) 
     """Whether the rates of a joint that moves are far too small for its way."""
     way = np.ptp(position, axis=0)
     reach = np.mean(np.abs(velocity), axis=0) * (time[-1] - time[0])
-    return bool(np.any((way > _MOTION) & (reach < 0.1 * way)))
+    return bool(np.any((way > SMALL) & (reach < 0.1 * way)))
 
 
 def _choose_stamps(
@@ -220,8 +216,8 @@ def _read_bag(path: Path, joints: Sequence[str], topic: str | None) -> tuple[Any
                     rows = found[1], block.time[found[0]], *found[2].values()
                     parts.setdefault(topics[i].topic, []).append(rows)
                     count += len(rows[0])
-            if count > MAX_SAMPLES:
-                raise IdentificationError(f'{path}: has more than {MAX_SAMPLES} samples')
+            if count > MOST_SAMPLES:
+                raise IdentificationError(f'{path}: has more than {MOST_SAMPLES} samples')
     if not parts:
         found_names = '; '.join(f'{name}: {", ".join(names)}' for name, names in unknown.items())
         raise IdentificationError(

@@ -9,11 +9,11 @@ import numpy as np
 from lpv.bag.run.csv_import import ColumnMap
 from lpv.core.serial_arm.description import SecondEncoder, SerialArm
 from lpv.core.support.errors import ConfigError
+from lpv.core.support.limits import SMALL
 from lpv.identify.errors import IdentificationError
 from lpv.identify.recordings.recording import LARGEST, read_pairs
 from lpv.identify.sensors.sensing import noise_deviation, quantization_step
 
-_LEAST_MOTION = 0.02  # way below which the scale of a second encoder is not judged [rad]
 _SAME_SCALE = 0.1  # deviation of the scale from 1 beyond which it measures something else
 
 
@@ -51,7 +51,7 @@ def find_second_encoders(
     found = []
     for j, (joint, name) in enumerate(pairs.items()):
         scale, offset = 1.0, float(np.median(second[:, j] - first[:, j]))
-        if np.ptp(first[:, j]) > _LEAST_MOTION:
+        if np.ptp(first[:, j]) > SMALL:
             scale, offset = (float(v) for v in np.polyfit(first[:, j], second[:, j], 1))
         if not abs(abs(scale) - 1.0) < _SAME_SCALE:
             raise IdentificationError(

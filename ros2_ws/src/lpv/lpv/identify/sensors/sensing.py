@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.description import JointSensors, SerialArm
 from lpv.core.serial_arm.rate_independence import rate_source
 from lpv.identify.recordings.motion import Segment
 from lpv.identify.recordings.recording import Recording
@@ -13,7 +13,6 @@ from lpv.identify.recordings.recording import Recording
 _ORDER = 3  # of the differences that show noise: motion up to a constant acceleration has none
 _GAIN = np.sqrt(20.0)  # of white noise through third differences
 _FEW = 20  # gaps between levels, fewer of which show no step
-_UNKNOWN_RATE_NOISE = 1e-2  # where no rates are measured [rad/s]
 
 
 @dataclass(frozen=True)
@@ -68,7 +67,7 @@ def sense(
     return Sensing(
         noise,
         step,
-        noise_deviation(on_grid) if on_grid else np.full(n, _UNKNOWN_RATE_NOISE),
+        noise_deviation(on_grid) if on_grid else np.full(n, JointSensors.velocity_noise),
         sources,
         evidence,
         float(np.std(near)),

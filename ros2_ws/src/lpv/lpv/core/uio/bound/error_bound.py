@@ -51,7 +51,7 @@ from lpv.core.uio.observer.exact_observer import injection
 _LARGEST = 10.0
 """A larger set says nothing more [rad]."""
 _LONGEST = 60.0
-"""After so long a gap the set has come to rest [s]."""
+"""After so long a gap the set has come to rest, with a slowest pole of 0.25/s to exp(-15) [s]."""
 _FAR = 2.0
 """A set so many times beyond dead reckoning starts again."""
 _INPUTS = 6

@@ -12,7 +12,7 @@ from lpv.core.support.jit import njit_in_place as njit
 KEPT = 24
 """Columns that a reduction leaves, beside one for each coordinate."""
 COLUMNS = 64
-"""Columns that are stored."""
+"""Columns that are stored: those, and what six steps of six columns add."""
 SIZE = 4
 """Coordinates."""
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from lpv.core.support.limits import SMALL
 from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.model.joints import JointMap
 
@@ -32,7 +33,7 @@ class LinkError:
     rows: np.ndarray
     # square root of the covariance of the measured absolute rates, per root of time, shape (2, 2)
     rate_noise: np.ndarray
-    unit: float = 0.05  # size of errors [rad], for scaling
+    unit: float = SMALL  # size of errors [rad], for scaling
 
     def closed(self, slope: Any, kappa: Any, mu: Any) -> np.ndarray:
         """N of the error e' = -kappa m, m' = Gamma e - mu m, for one slope."""

@@ -14,6 +14,8 @@ all else is bounded entry by entry.  One P for which every vertex contracts by m
 remainder expands proves that the loop contracts, whatever the arm does within the region.
 """
 
+import math
+import sys
 from dataclasses import dataclass
 from itertools import product
 
@@ -24,8 +26,8 @@ from lpv.core.uio.model.arm import ArmParameters
 
 SIZE = 8
 """Of (theta, theta', eps, u)."""
-_LONGEST = 10.0
-"""Norm of F Ts beyond which nothing is claimed."""
+_LONGEST = math.log(sys.float_info.max)
+"""Norm of F Ts beyond which nothing is claimed: its exponential is no number."""
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from lpv.core.serial_arm.description import UNSTATED_FRICTION
 from lpv.core.support.config import sha256_of
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.records import new_record, record_type
@@ -86,7 +87,7 @@ class ArmParameters:
     disturbance_mean: float = 0.2  # of the white disturbance d that the design must live with
     disturbance_variance: float = 0.9  # the same
     model_error: float = 0.0  # relative error of masses and inertias that thresholds must tolerate
-    friction_error: float = 0.3  # relative error of Coulomb friction that bounds must tolerate
+    friction_error: float = UNSTATED_FRICTION  # relative error of Coulomb friction in bounds
     payload: float = 0.0  # largest unknown point mass at the tip that thresholds must tolerate [kg]
     # generalised torques that the model may miss for moments (transmission, ripple) [N m]; only the
     # test of consistency needs them, what lasts belongs to the entries above

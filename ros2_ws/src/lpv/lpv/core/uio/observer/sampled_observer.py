@@ -7,8 +7,10 @@ import math
 
 import numpy as np
 
+from lpv.core.serial_arm.description import SIGMAS
 from lpv.core.serial_arm.diagnosis.alarms import Mode
 from lpv.core.support.jit import njit_in_place as njit
+from lpv.core.support.limits import MAX_GAP, SMALL
 from lpv.core.support.records import new_record, record_type
 from lpv.core.support.timestamps import NANOSECONDS, NEVER
 from lpv.core.uio.certificate.gains import ExactObserverGains, Gains
@@ -25,14 +27,13 @@ from lpv.core.uio.observer.paper_observer import (
 )
 
 _AT_REST = 5.0
-"""Rates below so many standard deviations of their noise are those of an arm at rest."""
+"""Rates below so many standard deviations of their noise are those of an arm at rest: one in two
+million is larger."""
 _SUPPORTED = 0.02
 """At rest, torques below that part of what gravity needs are not those that hold the arm."""
-_NEARLY_VERTICAL = 0.05
-"""A link within this angle of the vertical needs no torque [rad]."""
 _REST = 0.02
 """An arm is held by something that is not measured if it seems so for this long [s]."""
-_STILL = 4.0 * math.sqrt(2.0)
+_STILL = SIGMAS * math.sqrt(2.0)
 """Readings that differ by less, in standard deviations of their noise, have not moved."""
 _OBSERVING, _HOLDING, _INITIALISING = (int(m) for m in Mode if m <= Mode.INITIALISING)
 
@@ -97,7 +98,7 @@ ESTIMATE = record_type(
 
 
 def observer_constants(
-    arm: ArmParameters, gains: Gains, initial_samples: int = 1, max_gap: float = 0.1
+    arm: ArmParameters, gains: Gains, initial_samples: int = 1, max_gap: float = MAX_GAP
 ) -> np.record:
     """Constants of `observe`, of type `OBSERVER_CONSTANTS`.
 
@@ -277,7 +278,7 @@ def _is_unsupported(params: np.record, state: np.record) -> bool:
     for i in range(2):
         gravity = abs(arm.gravity[i] * math.sin(x[i]))
         needed = max(needed, gravity)
-        tolerated = params.torque_tolerance[i] + _NEARLY_VERTICAL * arm.gravity[i]
+        tolerated = params.torque_tolerance[i] + SMALL * arm.gravity[i]
         beyond = max(beyond, gravity - tolerated)
         measured = max(measured, abs(state.torque[i]))
     if _is_at_rest(params, y) and beyond > 0.0 and measured <= _SUPPORTED * needed:
