@@ -2,10 +2,7 @@
 
 from rclpy.qos import QoSProfile
 
-from lpv.bag.rosbag.live import ros_qos
-
-LOCKSTEP_DEPTH = 20000
-"""Lockstep must not lose a message however slow the recorder is: it may lag by a whole run."""
+from lpv.bag.rosbag.live import DEEPEST, ros_qos
 
 
 def stream(lockstep: bool) -> QoSProfile:
@@ -14,7 +11,7 @@ def stream(lockstep: bool) -> QoSProfile:
     Reliable with deep queues in lockstep; sensor-data QoS (best effort, the latest few) in real
     time, where an old sample is worth less than none.
     """
-    return ros_qos(lockstep, False, LOCKSTEP_DEPTH if lockstep else 5)
+    return ros_qos(lockstep, False, DEEPEST if lockstep else 5)
 
 
 def latched() -> QoSProfile:

@@ -12,10 +12,9 @@ from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rosbags.interfaces import Qos
 
-from lpv.bag.rosbag.live import message_class, ros_qos
+from lpv.bag.rosbag.live import DEEPEST, message_class, ros_qos
 from lpv.bag.rosbag.metadata import qos_profile
 from lpv.core.support.timestamps import leading_stamp
-from lpv_node.qos import LOCKSTEP_DEPTH
 
 _MOST = 2000
 """Messages taken from one topic before the others have their turn."""
@@ -123,7 +122,7 @@ class RecorderInput:
             self._node.get_logger().error(f'{topic} is not recorded: {error}')
             self._complained.add((topic, ''))
             return None
-        qos = ros_qos(reliable, latched, LOCKSTEP_DEPTH)
+        qos = ros_qos(reliable, latched, DEEPEST)
         handle = self._own.create_subscription(kind, topic, lambda _: None, qos, raw=True)
         first = next(iter(kind.get_fields_and_field_types().values()), '')
         timed = first in ('std_msgs/Header', 'builtin_interfaces/Time')

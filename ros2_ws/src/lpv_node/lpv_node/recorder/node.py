@@ -52,8 +52,8 @@ scenario_file FILE   scenario file of this run, copied into the bag as scenario.
 )  # fmt: skip
 _POLL = 0.01
 """Between two looks at what has come [s]."""
-_SPARE = 1 << 20
-"""Free space that is left alone: what is to be written when all is over needs some [bytes]."""
+_SPARE = PRESETS['none'][1]
+"""Free space that is left alone, a chunk: what is to be written at the end needs some [bytes]."""
 
 
 class RecorderNode(ManagedNode):

@@ -8,6 +8,8 @@ from collections.abc import Iterable, Mapping
 
 from lpv.core.support.errors import ConfigError
 
+MOST_CLIENTS = 16
+"""Clients of a port, and commands of theirs that may wait or be under way."""
 _SHORTEST_TOKEN = 16
 """Characters of a token: 64 bits in hexadecimal."""
 

@@ -21,7 +21,7 @@ from aiohttp import WSMsgType, web
 from lpv.bag.rosbag.interfaces import add_type, make_typestore
 from lpv.core.support.config import MAX_BYTES
 from lpv.core.support.errors import ConfigError
-from lpv_node.view.access import Access
+from lpv_node.view.access import MOST_CLIENTS, Access
 from lpv_node.view.server import HEARTBEAT, LARGEST_MESSAGE, MOST_WAITING, guard
 
 Socket = web.WebSocketResponse | aiohttp.ClientWebSocketResponse
@@ -157,7 +157,7 @@ def _start(
     raise ConfigError('foxglove_port', f'the Foxglove server does not start: {failure}')
 
 
-def gate(access: Access, address: str, port: int, max_clients: int = 8) -> web.Application:
+def gate(access: Access, address: str, port: int, most: int = MOST_CLIENTS) -> web.Application:
     """Application that lets accepted WebSockets through to the SDK's server at an address."""
     count = 0
 
@@ -166,7 +166,7 @@ def gate(access: Access, address: str, port: int, max_clients: int = 8) -> web.A
         offered = request.headers.get('Sec-WebSocket-Protocol', '')
         if PROTOCOL not in [p.strip() for p in offered.split(',')]:
             raise web.HTTPBadRequest(text=f'WebSocket with subprotocol {PROTOCOL} expected\n')
-        if count >= max_clients:
+        if count >= most:
             raise web.HTTPServiceUnavailable(text='too many clients')
         count += 1
         try:

@@ -10,10 +10,8 @@ from std_srvs.srv import Trigger
 
 from lpv.core.support.limits import PATIENCE
 from lpv_msgs.srv import ClearFaults, InjectFault
+from lpv_node.view.access import MOST_CLIENTS
 from lpv_node.view.commands import Command, Reply
-
-_MOST = 8
-"""Commands that may wait or be under way."""
 
 
 class Requests:
@@ -26,7 +24,7 @@ class Requests:
             'clear': node.create_client(ClearFaults, 'arm_sim/clear_faults'),
             'reset': node.create_client(Trigger, 'uio/reset'),
         }
-        self._incoming: queue.Queue[tuple[Command, Reply]] = queue.Queue(_MOST)
+        self._incoming: queue.Queue[tuple[Command, Reply]] = queue.Queue(MOST_CLIENTS)
         self._pending: list[tuple[Client, Future, Reply, float]] = []
 
     def submit(self, command: Command, reply: Reply) -> bool:
@@ -43,7 +41,7 @@ class Requests:
 
     def work(self) -> None:
         """Send queued commands, pass on answers; called regularly in the node's thread."""
-        while len(self._pending) < _MOST and not self._incoming.empty():
+        while len(self._pending) < MOST_CLIENTS and not self._incoming.empty():
             self._send(*self._incoming.get_nowait())
         waiting = []
         for client, future, reply, deadline in self._pending:

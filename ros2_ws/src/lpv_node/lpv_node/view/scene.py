@@ -9,6 +9,7 @@ from rosbags.typesys.store import Typestore
 from lpv.core.control.path import TimedPath
 from lpv.core.export.urdf import BASE, Transform, transforms
 from lpv.core.serial_arm.description import SerialArm
+from lpv.core.support.limits import QUIET
 from lpv.core.support.timestamps import set_stamp
 from lpv_node.view.skeleton import Skeleton
 
@@ -21,8 +22,6 @@ ARMS = {
 MARKERS, TRANSFORMS = 'visualization_msgs/msg/MarkerArray', 'tf2_msgs/msg/TFMessage'
 _LINE_STRIP, _SPHERE_LIST, _CYLINDER = 4, 7, 3
 """Types of visualization_msgs/Marker."""
-_LIFETIME = 500_000_000
-"""An arm that is not drawn anew disappears after this time [ns]."""
 
 
 class Scene:
@@ -48,7 +47,7 @@ class Scene:
             points[:, 1] += 0.3 * self._width * (1 - depth)
             for kind, width in ((_LINE_STRIP, 1.0), (_SPHERE_LIST, 1.6)):
                 marker = self._marker(name, kind, colour, stamp, width * self._width, points)
-                marker.id, marker.lifetime.nanosec = int(kind == _SPHERE_LIST), _LIFETIME
+                marker.id, marker.lifetime.sec = int(kind == _SPHERE_LIST), round(QUIET)
                 found.append(marker)
         if with_path and self._path is not None:
             found += self._surroundings(self._path, stamp)

@@ -16,18 +16,18 @@ from aiohttp.http import HttpProcessingError
 from aiohttp.typedefs import Handler, Middleware
 
 from lpv.core.support.errors import ConfigError
-from lpv.core.support.limits import PATIENCE
-from lpv_node.view.access import Access
+from lpv.core.support.limits import AT_ONCE, PATIENCE, QUIET
+from lpv_node.view.access import MOST_CLIENTS, Access
 from lpv_node.view.commands import Command, CommandError, Reply, parse_command
 
 LARGEST_MESSAGE = 4096
 """Largest message of a client [byte]."""
 HEARTBEAT = 2.0 * PATIENCE
 """Interval of pings; a client that answers none for half of it loses its place [s]."""
-_MOST_WRONG_TOKENS, _WRONG_TOKEN_DELAY = 5, 0.5
-"""Wrong tokens after which a client is dropped, and the time that each one costs it [s]."""
-_MOST_RATE, _BURST = 10.0, 30.0
-"""Messages of one client [1/s], and how many at once."""
+_MOST_WRONG_TOKENS = 5
+"""Wrong tokens after which a client is dropped; each one costs it `QUIET`."""
+_BURST = 30.0
+"""Messages of one client at once; then one in the time that seems immediate."""
 _FILES = {
     '/': ('index.html', 'text/html'),
     '/view.css': ('view.css', 'text/css'),
@@ -129,7 +129,7 @@ class ViewServer:
         access: Access,
         sensors: Sequence[str],
         submit: Callable[[Command, Reply], bool],
-        max_clients: int = 16,
+        max_clients: int = MOST_CLIENTS,
         heartbeat: float = HEARTBEAT,
     ) -> None:
         self._access, self._sensors, self._submit = access, tuple(sensors), submit
@@ -271,7 +271,7 @@ class ViewServer:
         allowance, last, refusal = _BURST, time.monotonic(), ''
         async for message in socket:
             now = time.monotonic()
-            allowance, last = min(_BURST, allowance + (now - last) * _MOST_RATE) - 1.0, now
+            allowance, last = min(_BURST, allowance + (now - last) / AT_ONCE) - 1.0, now
             try:
                 if allowance < 0.0:
                     refusal = 'too many messages'
@@ -298,7 +298,7 @@ class ViewServer:
             client.granted = self._access.accepts(command.fields['token'])
             if not client.granted:
                 client.wrong_tokens += 1
-                await asyncio.sleep(_WRONG_TOKEN_DELAY)
+                await asyncio.sleep(QUIET)
             reply(client.granted, 'token accepted' if client.granted else 'this is not the token')
             return client.wrong_tokens < _MOST_WRONG_TOKENS
         if not client.granted:

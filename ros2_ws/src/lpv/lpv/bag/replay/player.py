@@ -19,7 +19,7 @@ from rosgraph_msgs.msg import Clock
 from lpv.bag.blocks.message_blocks import ahead
 from lpv.bag.errors import BagError
 from lpv.bag.replay.writer import DIAGNOSTICS, OUTPUTS
-from lpv.bag.rosbag.live import message_class, ros_qos
+from lpv.bag.rosbag.live import DEEPEST, message_class, ros_qos
 from lpv.bag.rosbag.metadata import offered_qos
 from lpv.bag.rosbag.reading import BagReader, open_bag
 from lpv.bag.run.measurements import MEASUREMENT_TYPE
@@ -29,8 +29,6 @@ from lpv.core.support.limits import AT_ONCE, PATIENCE, QUIET
 from lpv.core.support.timestamps import NANOSECONDS
 
 _CLOCK = '/clock'
-_DEEPEST = 20000
-"""Deepest queue, whatever a recorded publisher offered: messages wait in memory."""
 
 
 @dataclass
@@ -169,7 +167,7 @@ def _publishers(
             offered = [q for c in connections if c.topic == topic for q in offered_qos(c)]
             reliable = all(q.reliability != QosReliability.BEST_EFFORT for q in offered)
             latched = all(q.durability == QosDurability.TRANSIENT_LOCAL for q in offered)
-            depth = min(max([10, *(q.depth for q in offered)]), _DEEPEST)
+            depth = min(max([10, *(q.depth for q in offered)]), DEEPEST)
             qos = ros_qos(reliable, latched and bool(offered), depth)
             found[topic] = node.create_publisher(kind, topic, qos)
     return found

@@ -5,6 +5,9 @@ from typing import Any
 
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
+DEEPEST = 20_000
+"""Messages in the deepest queues, which must lose none: 20 s at 1 kHz, a whole run."""
+
 
 def message_class(msgtype: str) -> Any:
     """Class of a message type; ValueError, AttributeError, ImportError if it is not installed."""

@@ -41,7 +41,7 @@ PRESETS = {
     'zstd_fast': (CompressionType.ZSTD, 1 << 20),
     'zstd_small': (CompressionType.ZSTD, 1 << 22),
 }
-"""Compression and size of a chunk [bytes] by name."""
+"""Compression and size of a chunk [bytes] by name: mcap's default, that of rosbag2_storage_mcap."""
 
 
 class _Output:

@@ -23,12 +23,10 @@ from lpv.campaign.plan.campaign import Campaign
 from lpv.campaign.plan.spec import TEXTS
 from lpv.core.support.errors import ConfigError, LpvError
 from lpv.core.support.jit import source_digest
-from lpv.core.support.limits import MOST_BYTES, PATIENCE
+from lpv.core.support.limits import MOST_BYTES, MOST_ENTRIES, PATIENCE
 
 CHUNK = 20
 """Runs that are sent to a worker, and written, together."""
-_BATCH = 1000
-"""Chunks that a scheduler holds at a time."""
 _NO_WORKER_TIMEOUT = 60.0
 """Time without any worker after which a campaign gives up [s]."""
 
@@ -137,7 +135,7 @@ def _mapped(
     left, own = list(chunks.items()), software()
     pending: set[Any] = set()
     while left or pending:
-        names, tasks = zip(*left[:_BATCH]) if left and not pending else ((), ())
+        names, tasks = zip(*left[:MOST_ENTRIES]) if left and not pending else ((), ())
         left = left[len(names) :]
         # Not pure: a key by content would hash the text again for each chunk.
         pending |= set(client.map(run_chunk, [work.text] * len(names), names, tasks, pure=False))

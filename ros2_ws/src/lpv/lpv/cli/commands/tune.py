@@ -42,7 +42,7 @@ COSTS = {
 """Weights of the figures that a cost is made of, unless --cost says otherwise."""
 _RATES, _LEAST_RATE = ('missed', 'unstable', 'wrong_alarms', 'false_alarms'), 0.05
 """Figures that may be zero before the search, and what they count over then."""
-_TOLERANCE, _LEAST_GAIN, _RESAMPLES = 0.02, 0.02, 2000
+_TOLERANCE, _RESAMPLES = 0.02, 2000
 """Share of the cost within which trials are equal, and that a change has to gain; resamples of the
 bootstrap that says whether it does, 50 of which are beyond either end of a 95 % interval."""
 _DIAGNOSIS = {'sigmas': 3.0, 'hours_between_false_alarms': 1.0, 'probability_of_wrong_name': 1e-6}
@@ -299,8 +299,8 @@ def _validate(bench: _Bench, values: dict[str, float], seed: int) -> dict[str, A
     reason = ''
     if score > 1.0 or alarms:
         reason = f'{alarms} false alarms, healthy score {score:.3g} on other runs'
-    elif not interval[1] < -_LEAST_GAIN * before:
-        reason = f'the cost is not lower by {_LEAST_GAIN:.0%} with 95 % confidence'
+    elif not interval[1] < -_TOLERANCE * before:
+        reason = f'the cost is not lower by {_TOLERANCE:.0%} with 95 % confidence'
     return {'values': values, 'base': bench.base, 'first': before, 'picked': now,
             'interval': interval, 'healthy_score': score, 'reason': reason}  # fmt: skip
 

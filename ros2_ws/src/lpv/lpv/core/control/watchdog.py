@@ -134,8 +134,9 @@ class DriveLimits:
     overspeed: float = TrackerLimits.overspeed  # above the velocity limit [s]
 
 
-_SHORTEST_STOP = 200_000_000
-"""How long latencies must be in time before tracker and drives go on by themselves [ns]."""
+_SHORTEST_STOP = round(2.0 * MAX_GAP * NANOSECONDS)
+"""How long latencies must be in time before tracker and drives go on by themselves, two time
+constants of the mean [ns]."""
 _ARM_MOVED = 0.003, 0.01
 """Motion of an arm that follows [rad]: above the noise of its readings, at least and at most."""
 _REFERENCE_MOVED = 2.0, 3.0

@@ -14,7 +14,7 @@ from lpv.core.support.errors import ConfigError
 from lpv.core.support.limits import LARGEST, MAX_DEPTH
 
 MAX_LINKS = 1000
-"""Most links of a URDF; the parser recurses once for each."""
+"""Most links of a URDF, the depth that Python allows: the parser recurses once for each."""
 _NUMBERS = ('xyz', 'rpy', 'value', 'ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz')
 _LIMITS = ('lower', 'upper', 'effort', 'velocity')
 

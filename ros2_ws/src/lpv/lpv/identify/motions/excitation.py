@@ -10,10 +10,9 @@ from lpv.identify.errors import IdentificationError
 from lpv.identify.model.base_parameters import find_base_parameters
 from lpv.identify.model.friction import SLOPE, friction_columns, join_columns
 from lpv.identify.model.rigid_body import RigidBody
-from lpv.identify.motions.trajectory import Trajectory, fit_to_limits, random_trajectory
+from lpv.identify.motions.trajectory import STEP, Trajectory, fit_to_limits, random_trajectory
 
-_STEP = 0.1  # between samples that are rated [s]
-_CHECK_STEP = 0.02  # between samples whose limits are checked [s]
+_CHECK_STEP = STEP / 5.0  # between samples whose limits are checked [s]
 
 
 @dataclass(frozen=True)
@@ -136,7 +135,7 @@ class _Search:
 
     def _regressor(self, trajectory: Trajectory) -> np.ndarray:
         """Rows of all joints, each in units of its torque's range."""
-        q, v, a = trajectory.sample(np.arange(0.0, trajectory.duration, _STEP))
+        q, v, a = trajectory.sample(np.arange(0.0, trajectory.duration, STEP))
         full = self._model.regressor(q, v, a)
         torque = full[:, :, : N_INERTIAL * self._model.n] @ self._arm.inertial_parameters()
         friction = friction_columns(v, np.full(self._model.n, SLOPE), torque)[:, :, [0, 1, 3]]

@@ -10,11 +10,10 @@ from lpv.bag.rosbag.messages import write_joint_states
 from lpv.bag.rosbag.writing import BagWriter
 from lpv.core.serial_arm.description import SerialArm
 from lpv.identify.model.rigid_body import joint_torques
-from lpv.identify.motions.trajectory import Trajectory
+from lpv.identify.motions.trajectory import STEP, Trajectory
 
 TOPIC = '/lpv/excitation'
 """Topic of the reference in the bag, sensor_msgs/JointState."""
-_MESSAGE_STEP = 0.1  # between points of the trajectory message and of the scenario [s]
 
 
 def write_reference(
@@ -62,8 +61,8 @@ def _scenario(trajectory: Trajectory) -> dict[str, Any]:
 
 def _message_times(trajectory: Trajectory) -> np.ndarray:
     """Times of the points from the begin to the end [s]."""
-    count = int(np.ceil(trajectory.duration / _MESSAGE_STEP - 1e-9))
-    return np.append(_MESSAGE_STEP * np.arange(count), trajectory.duration)
+    count = int(np.ceil(trajectory.duration / STEP - 1e-9))
+    return np.append(STEP * np.arange(count), trajectory.duration)
 
 
 def _message(names: tuple[str, ...], trajectory: Trajectory) -> dict[str, Any]:

@@ -6,6 +6,8 @@ import numpy as np
 
 HARMONICS = 5
 """Of a joint's Fourier series, as in Swevers et al. (1997)."""
+STEP = 10.0 / HARMONICS / 20.0
+"""Between points of the motion, 20 in a period of the last harmonic: the first one has 10 s [s]."""
 RAMP = 1.5
 """Time in which the motion fades in and out [s]."""
 

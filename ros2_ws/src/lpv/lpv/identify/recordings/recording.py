@@ -13,13 +13,15 @@ from lpv.bag.run.csv_import import ColumnMap
 from lpv.bag.run.decoder import Columns, Decoder
 from lpv.bag.run.record import CORRECTED
 from lpv.core.support.errors import SampleError
-from lpv.core.support.limits import LARGEST, MOST_SAMPLES, SMALL
+from lpv.core.support.limits import MOST_SAMPLES, SMALL
 from lpv.identify.errors import IdentificationError
 
 JOINT_STATE, SIGNALS = 'sensor_msgs/msg/JointState', ('position', 'velocity', 'effort')
+LARGEST = 1e6
+"""Positions [rad], rates [rad/s] and efforts beyond are no measurements."""
 MIN_SHARE_VALID = 0.7
 """Smallest share of samples that must be complete."""
-_SHORTEST = 1e-6  # time from which samples follow each other [s]
+_SHORTEST = 1e-6  # floats of the seconds since 1970 resolve not much less [s]
 
 
 @dataclass(frozen=True)
