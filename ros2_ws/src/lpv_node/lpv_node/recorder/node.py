@@ -20,6 +20,7 @@ from lpv.bag.rosbag.output_folder import (
 )
 from lpv.bag.rosbag.writing import PRESETS, BagWriter
 from lpv.core.support.errors import ConfigError
+from lpv.core.support.limits import AT_ONCE
 from lpv.core.support.timestamps import NANOSECONDS
 from lpv_node.managed import ManagedNode
 from lpv_node.parameters import fixed, named_file, required_text, table
@@ -50,7 +51,7 @@ scenario_file FILE   scenario file of this run, copied into the bag as scenario.
     fixed('exclude', ['/rosout', '/parameter_events'],
           'patterns of topics that "all" leaves out, as of a shell, against full names'),
 )  # fmt: skip
-_POLL = 0.01
+_POLL = 0.1 * AT_ONCE
 """Between two looks at what has come [s]."""
 _SPARE = PRESETS['none'][1]
 """Free space that is left alone, a chunk: what is to be written at the end needs some [bytes]."""

@@ -8,11 +8,12 @@ import numpy as np
 
 from lpv.campaign.plan.spec import BOTH, NO_FAULT
 from lpv.core.control.path_follower import APPROACH
+from lpv.core.control.watchdog import TrackerLimits
 from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent
 from lpv.core.simulation.faults import Fault
 
-DIVERGED = 1.0
-"""True tracking error that counts as lost control [rad]."""
+DIVERGED = 2.0 * TrackerLimits.tracking_error
+"""True tracking error that counts as lost control: the tracker should have stopped [rad]."""
 _EARLY = 0.1
 """An onset estimate may be so much earlier than the fault [s]."""
 

@@ -52,7 +52,7 @@ from lpv.core.uio.planar import planar_model, serial_from_planar
 _WIDEST = DiagnosisParameters.safe_stop_bound
 """Thresholds above are no evidence [rad]."""
 _LOOK_EVERY = 0.25
-"""Time between two looks at the thresholds of a horizon [s]."""
+"""Time between two looks at a horizon's thresholds, three in a period of the fastest motion [s]."""
 _SLOWEST, _FASTEST = 0.2, 8.0
 """Circular frequencies of the motion [rad/s]."""
 _SLOW_SWITCH, _FAST_SWITCH = 0.3, 60.0

@@ -9,6 +9,7 @@ from lpv.cli.doctor.finding import Finding, Level, error, ok, warn
 from lpv.core.monitoring.joint_order import JointOrder
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.diagnosis.sampling import LATE
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.rate_independence import contradicts, rate_source
 from lpv.core.support.errors import SampleError
@@ -17,8 +18,6 @@ from lpv.core.support.timestamps import to_nanoseconds
 
 _FAR_CLOCK = 0.5
 """Largest difference between stamp and clock [s]."""
-_UNEVEN = 1.5
-"""Largest ratio of measured to expected interval."""
 _DEGREES = 180.0 / np.pi  # of a radian
 _FAR = 4.0 * np.pi
 """Positions beyond two turns are no angles of an arm in rad."""
@@ -146,7 +145,7 @@ def check_rate(topic: str, messages: list[Any], arm: SerialArm) -> Finding | Non
     if len(stamps) < 10:
         return None
     interval = float(np.median(np.diff(stamps))) / 1e9
-    if 1.0 / _UNEVEN <= interval / arm.sample_time <= _UNEVEN:
+    if 1.0 / LATE <= interval / arm.sample_time <= LATE:
         return None
     text = f'{topic}: one sample every {1e3 * interval:.3g} ms, the arm file says '
     remedy = 'set sample_time of the arm file to that of the driver and design the gains again'

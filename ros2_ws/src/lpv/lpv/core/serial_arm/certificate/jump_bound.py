@@ -9,7 +9,8 @@ from lpv.core.serial_arm.description import SerialArm
 SIGMAS = 8.0
 """Standard deviations of noise: exceeded by one sample in 1e15."""
 NET_TORQUE = 2.0
-"""Net torque of a joint over its limit, at most: drives, weight, Coriolis torques and pushes."""
+"""Net torque of a joint over its limit, at most: a drive that moves its arm overcomes weight,
+Coriolis torques and pushes, which are no larger than what it has."""
 
 
 def jump_bound(arm: SerialArm) -> FloatArray:

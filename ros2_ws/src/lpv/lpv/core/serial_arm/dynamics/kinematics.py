@@ -13,7 +13,8 @@ from lpv.core.serial_arm.dynamics.momentum import solve_positive
 from lpv.core.support.jit import njit
 
 _MAX_STEP = 0.5
-"""Largest change of a joint in one iteration of the inverse kinematics [rad], [m]."""
+"""Largest change of a joint in one iteration of the inverse kinematics, within which the Jacobian
+is right to an eighth [rad], [m]."""
 _ORIENTATION_WEIGHT = 0.3
 """Length that weighs errors of orientation against those of position [m/rad]."""
 

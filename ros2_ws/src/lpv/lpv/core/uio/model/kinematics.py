@@ -12,7 +12,8 @@ ELBOWS = {'positive': 1.0, 'negative': -1.0}
 """Sign of q2 of the two branches; eq. (33) prints the positive one only."""
 
 SINGULAR_SINE = 1e-3
-"""Smallest abs(sin q2) at which rates are computed; below, the arm is stretched or folded."""
+"""Smallest abs(sin q2) at which rates are computed; below, the arm is stretched or folded, and
+joints turn a thousand times as fast as the tip, seen from the shoulder."""
 
 
 def forward(q: np.ndarray, lengths: tuple[float, ...]) -> np.ndarray:
