@@ -22,6 +22,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 _IMPORT = re.compile(r'^ *from (lpv[\w.]*) import (\([^)]*\)|.*)$|^ *import (lpv[\w.]*)', re.M)
 
 
@@ -197,10 +199,25 @@ def entry(function: Any, *arguments: Any) -> Callable[..., Any]:
     """
     if not COMPILED:
         return function
-    types = tuple(map(function.typeof_pyval, arguments))
-    function.compile(types)
-    found: Callable[..., Any] = function.overloads[types].entry_point
-    return found
+    key = function, tuple(map(_signature, arguments))
+    if key not in _entries:
+        types = tuple(map(function.typeof_pyval, arguments))
+        function.compile(types)
+        _entries[key] = function.overloads[types].entry_point
+    return _entries[key]
+
+
+_entries: dict[Any, Callable[..., Any]] = {}
+"""What `entry` has found: to find the types of a monitor takes as long as a second of its run."""
+
+
+def _signature(value: Any) -> Any:
+    """What the type of an argument depends on."""
+    if isinstance(value, tuple):
+        return type(value), *map(_signature, value)
+    if isinstance(value, np.ndarray):
+        return value.dtype, value.ndim, value.flags.num
+    return getattr(value, 'dtype', value if callable(value) else type(value))
 
 
 class Entries:
