@@ -23,42 +23,32 @@ from lpv.core.uio.planar import planar_model
 ARM = yaml.safe_load((BRINGUP / 'arms' / 'paper.yaml').read_text())
 SCENARIO = yaml.safe_load((BRINGUP / 'scenarios' / 'two_faults.yaml').read_text())
 NEEDED = {
-    'arm': {
-        *('name', 'joints', 'joints[].name', 'joints[].link.mass', 'joints[].link.inertia.yy'),
-        *('lpv.orientation', 'lpv.cos_min'),
-    },
-    'scenario': {
-        *('name', 'duration', 'path', 'path.waypoints', 'path.obstacle.center', 'faults[].sensor'),
-        *('path.waypoints[].t', 'path.waypoints[].x', 'path.waypoints[].y', 'faults[].onset'),
-        *('path.obstacle.radius', 'faults[].kind'),
-    },
-    'gains': {
-        *('format', 'arm_name', 'arm_sha256', 'observer', 'controller', 'observer.method'),
-        *('observer.kappa', 'observer.mu', 'observer.lyapunov', 'observer.decay'),
-        *('observer.fastest', 'observer.fault_sigma', 'controller.method', 'controller.m1'),
-        *('controller.m2', 'controller.lyapunov', 'controller.decay'),
-    },
+    'arm': 'name joints joints[].name joints[].link.mass joints[].link.inertia.yy lpv.orientation '
+    'lpv.cos_min',
+    'scenario': 'name duration path path.waypoints path.waypoints[].t path.waypoints[].x '
+    'path.waypoints[].y path.obstacle.center path.obstacle.radius faults[].sensor faults[].kind '
+    'faults[].onset',
+    'gains': 'format arm_name arm_sha256 observer observer.method observer.kappa observer.mu '
+    'observer.lyapunov observer.decay observer.fastest observer.fault_sigma controller '
+    'controller.method controller.m1 controller.m2 controller.lyapunov controller.decay',
 }
-
-
-def named_by(parse, data):
-    """The error that parsing raises: one line that begins with the file and the field."""
-    with pytest.raises(ConfigError) as caught:
-        parse(data, 'some.yaml')
-    assert str(caught.value).startswith(f'some.yaml: {caught.value.field}: ')
-    assert len(str(caught.value)) < 1000
-    return caught.value
 
 
 class Kind:
     """A kind of file: parser, good content, and how its fields are named in errors."""
 
     def __init__(self, name, parse, good):
-        self.parse, self.good, self.needed = parse, good, NEEDED[name]
+        self.parse, self.good, self.needed = parse, good, set(NEEDED[name].split())
         self.prefix = 'gains.' if name == 'gains' else ''
 
     def refused(self, field, value):
-        return named_by(self.parse, changed(self.good, field, value))
+        """The error that parsing raises: one line that begins with the file and the field."""
+        with pytest.raises(ConfigError) as caught:
+            self.parse(changed(self.good, field, value), 'some.yaml')
+        error = caught.value
+        assert isinstance(error, LpvError) and isinstance(error, ValueError)
+        assert str(error).startswith(f'some.yaml: {error.field}: ') and len(str(error)) < 1000
+        return error
 
 
 @pytest.fixture(scope='module')
@@ -90,9 +80,7 @@ def test_given_any_number_in_a_file_when_it_is_none_then_its_field_is_named(kind
             assert f'{found}['.startswith(f'{whole}[') or near, found
 
 
-def test_given_any_field_of_a_file_when_it_is_left_out_then_just_those_that_must_be_are_missed(
-    kind,
-):
+def test_given_any_field_of_a_file_when_left_out_then_just_those_that_must_be_are_missed(kind):
     missed = set()
     for field, _ in places(kind.good):
         if field.startswith('certificate.'):
@@ -114,19 +102,13 @@ def test_given_an_unknown_field_anywhere_in_a_file_when_read_then_it_is_named_wi
         assert error.field == f'{kind.prefix}{place}colour' and 'known here: ' in error.reason
 
 
-FILES = {
-    'arms': (parse_arm, ('paper', 'real_arm', 'ur10')),
-    'scenarios': (parse_scenario, ('two_faults', 'ur10')),
-}
-
-
 @pytest.mark.parametrize(
-    ('parse', 'path'),
-    [(p, BRINGUP / k / f'{name}.yaml') for k, (p, names) in FILES.items() for name in names],
+    'name', ['arms/paper', 'arms/real_arm', 'arms/ur10', 'scenarios/two_faults', 'scenarios/ur10']
 )
-def test_given_any_number_of_a_file_when_it_is_huge_then_it_is_refused(parse, path):
-    data = yaml.safe_load(path.read_text())
-    options = {'folder': path.parent} if parse is parse_arm else {}
+def test_given_any_number_of_a_file_when_it_is_huge_then_it_is_refused(name):
+    path = BRINGUP / f'{name}.yaml'
+    data, is_arm = yaml.safe_load(path.read_text()), name.startswith('arms')
+    parse, options = (parse_arm, {'folder': path.parent}) if is_arm else (parse_scenario, {})
     for field in numbers(data):
         if 'covariance' not in field:
             for huge in (1e300, -1e300):
@@ -135,97 +117,59 @@ def test_given_any_number_of_a_file_when_it_is_huge_then_it_is_refused(parse, pa
 
 
 BAD = {
-    'arm': [
-        ('sample_time', -1.0, 'sample_time'),
-        ('sample_time', 1e-6, 'sample_time'),
-        ('joints[0].link.mass', -1.0, 'joints[0].link.mass'),
-        ('gravity', -1.0, 'gravity'),
-        ('gravity', 10**400, 'gravity'),
-        ('uncertainty.model_error', 1.01, 'uncertainty.model_error'),
-        ('lpv.disturbance.variance', -0.1, 'lpv.disturbance.variance'),
-        ('lpv.cos_min', 1.0, 'lpv.cos_min[0]'),
-        ('lpv.cos_min', [0.3, 0.0], 'lpv.cos_min[1]'),
-        ('lpv.cos_min', [0.3, 0.3, 0.3], 'lpv.cos_min'),
-        ('lpv.orientation', 'sideways', 'lpv.orientation'),
-        ('joints[0].friction.viscous', -0.1, 'joints[0].friction'),
-        ('joints[0].friction', [], 'joints[0].friction'),
-        ('joints[1].rotor_inertia', -1e-5, 'joints[1].rotor_inertia'),
-        ('joints[1].limits.torque', -1.0, 'joints[1].limits.torque'),
-        ('joints[1].name', 'joint1', 'joints'),
-        ('joints[1].name', '', 'joints[1].name'),
-        ('joints[1].sensors.name', 'link1_angle', 'sensors'),
-        ('joints[1].sensors.name', 1, 'joints[1].sensors.name'),
-        ('joints[1].sensors.rates', 'guessed', 'joints[1].sensors.rates'),
-        *[('joints', value, 'joints') for value in ([], {})],
-        ('joints[0]', 5, 'joints[0]'),
-        *[('sensor_matrix', [[1.0, 0.0], *row], 'sensor_matrix') for row in ([], [[1.0, 0.0]])],
-        *[('name', value, 'name') for value in ('', 5)],
-        ('tip', [0, 0, 1e4], 'tip[2]'),
-        ('joints[0].axis', [0, 0, 0], 'joints[0].axis'),
-        (
-            'joints[0].torque_tolerance',
-            {'speed': [1.0, 0.5], 'torque': [1.0, 1.0]},
-            'joints[0].torque_tolerance.speed',
-        ),
-    ],
-    'scenario': [
-        *[('duration', v, 'duration') for v in (0.0, -1.0, 2e6)],
-        *[('seed', v, 'seed') for v in (-1, 1.5, 'x', True)],
-        *[('noise', v, 'noise') for v in (1, 'yes', None)],
-        ('plant', 'gazebo', 'plant.model'),
-        ('plant', 3, 'plant'),
-        ('plant.model', 'linear', 'plant.model'),
-        ('plant.sinc_min', 1.0, 'plant.sinc_min'),
-        ('plant.mass_factors', [1.0, 0.0], 'plant.mass_factors'),
-        ('plant.parameter_error', 0.9, 'plant.parameter_error'),
-        ('plant.friction', 1, 'plant.friction'),
-        ('disturbance', 3, 'disturbance'),
-        ('path.elbow', 'up', 'path.elbow'),
-        *[('path.waypoints', value, 'path.waypoints') for value in ('all', [])],
-        ('path.waypoints[0].t', -0.5, 'path.waypoints[0].t'),
-        ('path.waypoints[1].t', 0.1, 'path.waypoints'),
-        ('path.waypoints[1]', [0, 0], 'path.waypoints[1]'),
-        ('path.obstacle', None, 'path.obstacle'),
-        ('path.obstacle.radius', 0, 'path.obstacle.radius'),
-        ('path.obstacle.center', [1, 2, 3], 'path.obstacle.center'),
-        ('faults', {}, 'faults'),
-        ('faults[0].kind', 'melt', 'faults[0].kind'),
-        ('faults[0].onset', -1, 'faults[0].onset'),
-        ('faults[1].duration', -1, 'faults[1].duration'),
-    ],
-    'gains': [
-        *[('format', value, 'gains.format') for value in (1, '1')],
-        ('observer.method', 'magic', 'gains.observer.method'),
-        ('observer.method', 'paper', 'gains.observer.box'),
-        *[('observer.kappa', value, 'gains.observer.kappa') for value in ([0.1] * 3, 'none')],
-        ('observer.mu[0]', 0.0, 'gains.observer.mu'),
-        ('observer.kappa[0]', -1.0, 'gains.observer.kappa'),
-        ('observer.fault_sigma', [0.1], 'gains.observer.fault_sigma'),
-        *[('observer.decay', value, 'gains.observer.decay') for value in (0.0, -1.0)],
-        ('controller.m1', [0.0] * 4, 'gains.controller.m1'),
-        ('certificate', 5, 'gains.certificate'),
-        ('arm_name', '', 'gains.arm_name'),
-    ],
-    'literal gains': [
-        ('observer.r', 20.0, 'gains.observer.r'),  # a disc that reaches zero
-        # A negative bound alarms on everything.
-        ('observer.fault_sigma', [-0.01, 0.01], 'gains.observer.fault_sigma'),
-        ('observer.box', [1.0, -1.0, 1.0, 0.9, 1.0, 0.9], 'gains.observer.box'),  # upside down
-        ('observer.box', [0.0] * 6, 'gains.observer.box'),  # weights divide by its width
-    ],
-}
+    'arm': {
+        'sample_time': [-1.0, 1e-6], 'joints[0].link.mass': [-1.0], 'gravity': [-1.0, 10**400],
+        'uncertainty.model_error': [1.01], 'lpv.disturbance.variance': [-0.1],
+        'lpv.cos_min > lpv.cos_min[0]': [1.0], 'lpv.cos_min > lpv.cos_min[1]': [[0.3, 0.0]],
+        'lpv.cos_min': [[0.3, 0.3, 0.3]], 'lpv.orientation': ['sideways'],
+        'joints[0].friction.viscous > joints[0].friction': [-0.1], 'joints[0].friction': [[]],
+        'joints[1].rotor_inertia': [-1e-5], 'joints[1].limits.torque': [-1.0],
+        'joints[1].name > joints': ['joint1'], 'joints[1].name': [''],
+        'joints[1].sensors.name > sensors': ['link1_angle'], 'joints[1].sensors.name': [1],
+        'joints[1].sensors.rates': ['guessed'], 'joints': [[], {}], 'joints[0]': [5],
+        'sensor_matrix': [[[1.0, 0.0]], [[1.0, 0.0], [1.0, 0.0]]], 'name': ['', 5],
+        'tip > tip[2]': [[0, 0, 1e4]], 'joints[0].axis': [[0, 0, 0]],
+        'joints[0].torque_tolerance > joints[0].torque_tolerance.speed':
+            [{'speed': [1.0, 0.5], 'torque': [1.0, 1.0]}],
+    },
+    'scenario': {
+        'duration': [0.0, -1.0, 2e6], 'seed': [-1, 1.5, 'x', True], 'noise': [1, 'yes', None],
+        'plant > plant.model': ['gazebo'], 'plant': [3], 'plant.model': ['linear'],
+        'plant.sinc_min': [1.0], 'plant.mass_factors': [[1.0, 0.0]],
+        'plant.parameter_error': [0.9], 'plant.friction': [1], 'disturbance': [3],
+        'path.elbow': ['up'], 'path.waypoints': ['all', []], 'path.waypoints[0].t': [-0.5],
+        'path.waypoints[1].t > path.waypoints': [0.1], 'path.waypoints[1]': [[0, 0]],
+        'path.obstacle': [None], 'path.obstacle.radius': [0], 'path.obstacle.center': [[1, 2, 3]],
+        'faults': [{}], 'faults[0].kind': ['melt'], 'faults[0].onset': [-1],
+        'faults[1].duration': [-1],
+    },
+    'gains': {
+        'format': [1, '1'], 'observer.method': ['magic'],
+        'observer.method > observer.box': ['paper'],
+        'observer.kappa': [[0.1] * 3, 'none'], 'observer.mu[0] > observer.mu': [0.0],
+        'observer.kappa[0] > observer.kappa': [-1.0], 'observer.fault_sigma': [[0.1]],
+        'observer.decay': [0.0, -1.0], 'controller.m1': [[0.0] * 4], 'certificate': [5],
+        'arm_name': [''],
+    },
+    'literal gains': {
+        'observer.r': [20.0],  # a disc that reaches zero
+        'observer.fault_sigma': [[-0.01, 0.01]],  # a negative bound alarms on everything
+        # Upside down, and without the width that weights divide by.
+        'observer.box': [[1.0, -1.0, 1.0, 0.9, 1.0, 0.9], [0.0] * 6],
+    },
+}  # fmt: skip
+"""Bad values of fields; after > the field that the error names instead."""
 
 
 @pytest.mark.parametrize(
-    ('name', 'field', 'value', 'named'),
-    [(kind, *row) for kind, rows in BAD.items() for row in rows],
+    ('name', 'field', 'value'),
+    [(kind, k, v) for kind, fields in BAD.items() for k, values in fields.items() for v in values],
 )
-def test_given_a_bad_value_in_a_file_when_read_then_its_field_is_named(
-    kinds, name, field, value, named
-):
+def test_given_a_bad_value_in_a_file_when_read_then_its_field_is_named(kinds, name, field, value):
+    field, _, named = field.partition(' > ')
     error = kinds[name].refused(field, value)
-    assert error.field == named
-    if named.startswith('tip'):
+    assert error.field == kinds[name].prefix + (named or field)
+    if field == 'tip':
         assert f'must lie within [-1000.0, 1000.0], got {value[2]}' in str(error)
 
 
@@ -244,12 +188,13 @@ def test_given_several_wrong_fields_when_read_then_one_error_names_each(tmp_path
     for begin in ("sample_time: must be a number, got 'long'", 'colour: is not a known field',
                   'lpv.orientation: must be one of upright, hanging'):  # fmt: skip
         assert f') {begin}' in said
-    data = changed(SCENARIO, 'faults[0].kind', 'sabotage')
-    data = changed(changed(data, 'faults[1].onset', math.inf), 'path.waypoints[2].x', 1e9)
+    wrong = {'faults[0].kind': 'sabotage', 'faults[1].onset': math.inf, 'path.waypoints[2].x': 1e9}
+    data = SCENARIO
+    for field, value in wrong.items():
+        data = changed(data, field, value)
     with pytest.raises(ConfigError) as caught:
         parse_scenario(data)
-    for field in ('faults[0].kind', 'faults[1].onset', 'path.waypoints[2].x'):
-        assert f') {field}: ' in str(caught.value)
+    assert all(f') {field}: ' in str(caught.value) for field in wrong)
 
 
 # ------------------------------------------------------------------ arm files
@@ -277,7 +222,9 @@ def larger(value):
     return f'{value}x' if isinstance(value, str) else math.nextafter(value, math.inf)
 
 
-def test_given_any_parameter_when_changed_then_the_hash_changes(paper_model):
+def test_given_an_arm_when_hashed_then_any_parameter_counts_and_the_layout_of_its_file_does_not(
+    tmp_path, paper_model
+):
     other = {f.name: larger(getattr(paper_model, f.name)) for f in fields(paper_model)}
     other |= {'arrangement': 'relative', 'orientation': 'hanging'}
     other['inertia_reference'] = 'center_of_mass'
@@ -289,11 +236,6 @@ def test_given_any_parameter_when_changed_then_the_hash_changes(paper_model):
             links[i] = replace(link, **{f.name: getattr(link, f.name) * 1.25})
             variants.append(replace(paper_model, links=tuple(links)))
     assert len({variant.sha256() for variant in (paper_model, *variants)}) == 1 + len(variants)
-
-
-def test_given_the_same_parameters_in_another_layout_when_hashed_then_the_hash_is_the_same(
-    tmp_path, paper_model
-):
     data = changed(ARM, 'joints[0].link.mass', 10)  # an integer for 10.0
     (tmp_path / 'arm.yaml').write_text('# comment\n' + yaml.safe_dump(data, sort_keys=True))
     assert planar_model(load_arm(tmp_path / 'arm.yaml')).sha256() == paper_model.sha256()
@@ -371,13 +313,11 @@ def test_given_a_file_that_is_none_when_any_kind_is_read_then_it_is_named_and_no
     for path in (tmp_path / 'none.yaml', tmp_path, latin):
         with pytest.raises(ConfigError, match=re.escape(f'{path}: file: cannot be read')):
             load(path)
-
-
-def test_given_aliases_of_aliases_when_read_then_the_message_stays_short(tmp_path):
+    # Aliases of aliases: the message stays short.
     lines = ['a0: &a0 [x, x]'] + [f'a{i}: &a{i} [*a{i - 1}, *a{i - 1}]' for i in range(1, 14)]
-    (tmp_path / 'many.yaml').write_text('\n'.join([*lines, 'name: *a13\n']))
-    with pytest.raises(ConfigError, match='name: must be a non-empty string') as caught:
-        load_arm(tmp_path / 'many.yaml')
+    latin.write_text('\n'.join([*lines, 'name: *a13\n']))
+    with pytest.raises(ConfigError, match='name: must be a non-empty string|missing') as caught:
+        load(latin)
     assert len(str(caught.value)) < 1000
 
 
@@ -392,12 +332,6 @@ def test_given_a_file_that_is_too_large_when_read_then_it_is_refused_unread(
     monkeypatch.setattr(config, 'MAX_BYTES', 100)
     with pytest.raises(ConfigError, match='large.yaml: file: is larger than 100 bytes'):
         read_yaml(path)
-
-
-def test_given_a_config_error_when_caught_then_it_is_also_the_packages_and_a_value_error():
-    error = ConfigError('a.b', 'is wrong')
-    assert isinstance(error, LpvError) and isinstance(error, ValueError)
-    assert str(error) == 'a.b: is wrong'
 
 
 # ------------------------------------------------------------------ scenario files
@@ -415,23 +349,17 @@ def test_given_a_scenario_without_options_when_read_then_defaults_are_the_true_a
 @pytest.mark.parametrize(
     ('fault', 'field'),
     [
-        (Fault('x', 'bias', 0.0, size=1.0), 'sensor'),
-        (Fault('a', 'melt', 0.0), 'kind'),
-        (Fault('a', 'bias', 0.0), 'size'),
-        (Fault('a', 'drift', 0.0, size=1.0), 'rate'),
-        (Fault('a', 'noise', 0.0, size=-1.0), 'size'),
-        (Fault('a', 'scale', 0.0), 'size'),
-        (Fault('a', 'spike', 0.0, size=1.0, rate=-1.0), 'rate'),
-        (Fault('a', 'bias', math.nan, size=1.0), 'onset'),
-        (Fault('a', 'bias', 0.0, size=math.inf), 'size'),
-        (Fault('a', 'bias', 0.0, duration=-1.0, size=1.0), 'duration'),
+        (('x', 'bias', 0.0, 0.0, 1.0), 'sensor'), (('a', 'melt', 0.0), 'kind'),
+        (('a', 'bias', 0.0), 'size'), (('a', 'drift', 0.0, 0.0, 1.0), 'rate'),
+        (('a', 'noise', 0.0, 0.0, -1.0), 'size'), (('a', 'scale', 0.0), 'size'),
+        (('a', 'spike', 0.0, 0.0, 1.0, -1.0), 'rate'), (('a', 'bias', math.nan, 0.0, 1.0), 'onset'),
+        (('a', 'bias', 0.0, 0.0, math.inf), 'size'), (('a', 'bias', 0.0, -1.0, 1.0), 'duration'),
     ],
-)
+)  # fmt: skip
 def test_given_a_fault_that_cannot_be_injected_when_added_then_its_field_is_named(fault, field):
     injector = FaultInjector(('a', 'b'), (), np.random.default_rng(0))
-    with pytest.raises(ConfigError) as caught:
-        injector.add(fault)
-    assert caught.value.field == f'fault.{field}'
+    with pytest.raises(ConfigError, match=rf'^fault\.{field}: '):
+        injector.add(Fault(*fault))
     assert injector.faults == []
 
 
@@ -474,8 +402,7 @@ def test_given_gains_when_saved_and_loaded_then_every_bit_is_the_same(
 
 
 @pytest.mark.parametrize(
-    'text',
-    ['a: 1\n', '/**: 5\n', '/**: {ros__parameters: {}}\n', '/**: {ros__parameters: {gains: 5}}\n'],
+    'text', ['a: 1', '/**: 5', '/**: {ros__parameters: {}}', '/**: {ros__parameters: {gains: 5}}']
 )
 def test_given_another_yaml_file_when_read_as_gains_then_it_is_refused(tmp_path, text):
     (tmp_path / 'other.yaml').write_text(text)
@@ -487,8 +414,6 @@ def test_given_gains_when_checked_against_another_arm_then_both_hashes_are_told(
     paper_model, real_model, paper_gains
 ):
     paper_gains.check_arm(paper_model)
-    with pytest.raises(ConfigError) as caught:
+    hashes = '.*'.join(model.sha256()[:12] for model in (paper_model, real_model))
+    with pytest.raises(ConfigError, match=rf'^g.yaml: gains.arm_sha256: .*{hashes}'):
         paper_gains.check_arm(real_model, 'g.yaml')
-    assert caught.value.field == 'gains.arm_sha256'
-    for text in ('g.yaml', paper_model.sha256()[:12], real_model.sha256()[:12]):
-        assert text in str(caught.value)
