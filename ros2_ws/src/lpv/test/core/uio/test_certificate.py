@@ -16,14 +16,7 @@ from places import BRINGUP, ROOT
 from lpv.cli.main import main
 from lpv.core.monitoring.parameters import DiagnosisParameters
 from lpv.core.support.errors import ConfigError
-from lpv.core.uio.certificate.conditions import (
-    controller_loop,
-    corner_arms,
-    delayed_radius,
-    discretised,
-    require,
-    verify,
-)
+from lpv.core.uio.certificate import conditions
 from lpv.core.uio.certificate.error_system import link_errors
 from lpv.core.uio.certificate.exact_proof import is_positive_definite, prove
 from lpv.core.uio.certificate.gains import (
@@ -72,27 +65,33 @@ def test_given_shipped_designs_when_proved_then_every_inequality_is(
         assert all(proved.values()), proved
 
 
+def spoilt(gains, part, **changes):
+    return replace(gains, **{part: replace(getattr(gains, part), **changes)})
+
+
 @pytest.mark.parametrize(
-    ('part', 'spoil', 'named'),
+    ('design', 'part', 'spoil', 'named'),
     [
-        ('observer', lambda o: {'kappa': 0.9 * o.kappa}, 'disc'),
-        ('observer', lambda o: {'mu': 30.0 * o.mu}, 'sampled'),
-        ('observer', lambda o: {'kappa': 60.0 * o.kappa}, 'real poles'),
-        ('observer', lambda o: {'lyapunov': -o.lyapunov}, 'P > 0'),
-        ('observer', lambda o: {'lyapunov': 20.0 * o.lyapunov}, 'covariance'),
-        ('controller', lambda c: {'m2': -c.m2}, 'LMI (67)'),
-        ('controller', lambda c: {'decay': 5.0 * c.decay}, 'LMI (67)'),
-        ('controller', lambda c: {'lyapunov': -c.lyapunov}, 'controller: P > 0'),
+        ('paper', 'observer', lambda o: {'kappa': 0.9 * o.kappa}, 'disc'),
+        ('paper', 'observer', lambda o: {'mu': 30.0 * o.mu}, 'sampled'),
+        ('paper', 'observer', lambda o: {'kappa': 60.0 * o.kappa}, 'real poles'),
+        ('paper', 'observer', lambda o: {'lyapunov': -o.lyapunov}, 'P > 0'),
+        ('paper', 'observer', lambda o: {'lyapunov': 20.0 * o.lyapunov}, 'covariance'),
+        ('paper', 'controller', lambda c: {'m2': -c.m2}, 'LMI (67)'),
+        ('paper', 'controller', lambda c: {'decay': 5.0 * c.decay}, 'LMI (67)'),
+        ('paper', 'controller', lambda c: {'lyapunov': -c.lyapunov}, 'controller: P > 0'),
+        ('literal', 'observer', lambda o: {'gamma': 0.1}, 'observer: LMI (55) at 8 vertices'),
+        ('literal', 'observer', lambda o: {'k': 2.0 * o.k}, 'observer: LMI (55) at 8 vertices'),
     ],
 )
 def test_given_spoilt_gains_when_proved_then_the_inequality_is_refuted(
-    paper_model, paper_gains, part, spoil, named
+    request, paper_model, design, part, spoil, named
 ):
-    original = getattr(paper_gains, part)
-    gains = replace(paper_gains, **{part: replace(original, **spoil(original))})
+    gains = request.getfixturevalue(f'{design}_gains')
+    gains = spoilt(gains, part, **spoil(getattr(gains, part)))
     refuted = [name for name, holds in prove(paper_model, gains).items() if not holds]
     assert any(named in name for name in refuted), refuted
-    assert not all(check.holds for check in verify(paper_model, gains))
+    assert not all(check.holds for check in conditions.verify(paper_model, gains))
 
 
 @pytest.mark.parametrize('noise', ['velocity_noise', 'disturbance_variance'])
@@ -107,19 +106,13 @@ def test_given_more_noise_than_designed_for_when_proved_then_proof_and_floats_re
     assert not all(proved.values())
 
 
-def test_given_a_spoilt_literal_design_when_proved_then_it_is_refuted(paper_model, literal_gains):
-    for changes in ({'gamma': 0.1}, {'k': 2.0 * literal_gains.observer.k}):
-        gains = replace(literal_gains, observer=replace(literal_gains.observer, **changes))
-        assert not prove(paper_model, gains)['observer: LMI (55) at 8 vertices']
-
-
 def test_given_the_proof_when_compared_with_floats_then_constants_and_vertices_agree(arm):
     numbers, constants = arm.numbers(Fraction), arm.constants()
     for name, value in numbers._asdict().items():
         np.testing.assert_allclose(np.array(value, float), constants[name], rtol=1e-14)
     for method in ('paper', 'exact'):
-        loops = controller_loop(arm, method), controller_loop(arm, method, number=Fraction)
-        for floats, fractions in zip(*loops):
+        exact = conditions.controller_loop(arm, method, number=Fraction)
+        for floats, fractions in zip(conditions.controller_loop(arm, method), exact):
             assert all(isinstance(value, (Fraction, int)) for value in fractions.flat)
             np.testing.assert_allclose(fractions.astype(float), floats, rtol=1e-13)
 
@@ -131,14 +124,15 @@ def test_given_a_sampled_integrator_when_its_torque_is_late_then_the_radius_is_t
     a, b, m, dt = np.zeros((1, 1)), np.ones((1, 1)), np.array([[-2.0]]), 0.1
     # x+ = x + dt u, u = -2 x one sample late: z^2 - z + 0.2 = 0.
     expected = np.abs(np.roots([1.0, -1.0, 0.2])).max()
-    assert delayed_radius(*discretised(a, b, dt), m) == pytest.approx(expected, rel=1e-12)
-    assert delayed_radius(*discretised(a, b, dt), 6.0 * m) > 1.0
+    sampled = conditions.discretised(a, b, dt)
+    assert conditions.delayed_radius(*sampled, m) == pytest.approx(expected, rel=1e-12)
+    assert conditions.delayed_radius(*sampled, 6.0 * m) > 1.0
 
 
 def test_given_model_error_and_payload_when_corners_are_made_then_masses_span_the_range(
     paper_model,
 ):
-    arms = corner_arms(replace(paper_model, model_error=0.1, payload=0.5))
+    arms = conditions.corner_arms(replace(paper_model, model_error=0.1, payload=0.5))
     assert len(arms) == 32
     masses = np.array([[link.mass for link in a.links] for a in arms])
     np.testing.assert_allclose([masses.min(axis=0), masses.max(axis=0)], [[9.0, 4.5], [11.0, 6.0]])
@@ -174,18 +168,6 @@ def test_given_a_design_when_mapped_then_thresholds_grow_towards_the_horizontal_
         assert np.all(larger[1, 3] > base[1, 3])  # 36 deg to both sides
 
 
-def test_given_a_gains_file_when_read_then_the_certificate_describes_itself(
-    paper_model, paper_gains, tmp_path
-):
-    save_gains(paper_gains, tmp_path / 'g.yaml')
-    certificate = load_gains(tmp_path / 'g.yaml').certificate
-    assert arm_from_json(certificate['arm_json']) == paper_model
-    assert max(certificate['margins'].values()) < 0.0
-    assert certificate['solver'] == 'CLARABEL'
-    assert len(certificate['guarantee']['threshold_1']) == 13 * 13
-    assert {'clarabel_version', 'cvxpy_version', 'numpy_version'} <= set(certificate)
-
-
 # ------------------------------------------------------------------ commands
 
 
@@ -195,7 +177,15 @@ def gains_file(paper_gains, tmp_path):
     return tmp_path / 'gains.yaml'
 
 
-def test_given_a_gains_file_when_verified_then_it_holds_and_no_solver_is_loaded(gains_file):
+def test_given_a_gains_file_when_verified_then_it_describes_itself_and_no_solver_is_loaded(
+    gains_file, paper_model
+):
+    certificate = load_gains(gains_file).certificate
+    assert arm_from_json(certificate['arm_json']) == paper_model
+    assert max(certificate['margins'].values()) < 0.0
+    assert certificate['solver'] == 'CLARABEL'
+    assert len(certificate['guarantee']['threshold_1']) == 13 * 13
+    assert {'clarabel_version', 'cvxpy_version', 'numpy_version'} <= set(certificate)
     code = f"""if True:
         import sys; from lpv.cli.main import main
         sys.exit(main(["verify", {str(gains_file)!r}, "--proof"])
@@ -217,28 +207,23 @@ def test_given_tampered_gains_when_verified_then_the_code_is_1(gains_file, capsy
     assert 'FAILS' in said and 'does NOT hold' in said
 
 
-def design(*arguments):
-    return main(['design', '--arm', str(ARMS / 'paper.yaml'), *map(str, arguments)])
+def design(requirement, out, *options):
+    arm, options = ARMS / 'paper.yaml', ('--requirement', requirement, '--out', out, *options)
+    return main(['design', '--arm', str(arm), *map(str, options)])
 
 
-@pytest.fixture
-def asked(tmp_path):
+def asked(folder, old, new, name='paper'):
     """A requirement like the shipped one but for some text."""
-
-    def change(old, new, name='paper'):
-        text = (REQUIREMENTS / f'{name}.yaml').read_text()
-        assert old in text
-        (tmp_path / 'asked.yaml').write_text(text.replace(old, new))
-        return tmp_path / 'asked.yaml'
-
-    return change
+    text = (REQUIREMENTS / f'{name}.yaml').read_text()
+    assert old in text
+    (folder / 'asked.yaml').write_text(text.replace(old, new))
+    return folder / 'asked.yaml'
 
 
 @pytest.mark.slow
 def test_given_a_design_when_asked_for_then_yaml_map_and_proof_are_made(tmp_path, capsys):
     out, picture = tmp_path / 'g.yaml', tmp_path / 'map.png'
-    requirement = REQUIREMENTS / 'paper.yaml'
-    assert design('--requirement', requirement, '--out', out, '--map', picture, '--proof') == 0
+    assert design(REQUIREMENTS / 'paper.yaml', out, '--map', picture, '--proof') == 0
     said = capsys.readouterr().out
     assert 'REFUTED' not in said and said.count('proved') == 12
     assert 'lasting faults are detected from' in said
@@ -246,26 +231,25 @@ def test_given_a_design_when_asked_for_then_yaml_map_and_proof_are_made(tmp_path
 
 
 @pytest.mark.slow
-def test_given_the_published_box_when_designed_then_code_3_the_reason_and_no_file(
-    asked, tmp_path, capsys
-):
-    box = asked('sinc_min: 0.96', 'sinc_min: -0.2', 'paper_literal')
-    assert design('--requirement', box, '--out', tmp_path / 'g.yaml') == 3
+def test_given_what_cannot_be_had_when_designed_then_code_reason_and_no_file(tmp_path, capsys):
+    out = tmp_path / 'g.yaml'
+    assert design(asked(tmp_path, 'decay: 0.25', 'decay: 55.0'), out) == 1
+    assert 'slower decay' in capsys.readouterr().err
+    published = asked(tmp_path, 'sinc_min: 0.96', 'sinc_min: -0.2', 'paper_literal')
+    assert design(published, out) == 3
     said = capsys.readouterr().err
     assert 'not observable' in said and 'cannot be told apart' in said
-    largest = float(said.split('phi2, phi3 in [')[1].split(',')[0])
-    assert 0.94 < largest < 0.96
-    assert not (tmp_path / 'g.yaml').exists()
+    assert 0.94 < float(said.split('phi2, phi3 in [')[1].split(',')[0]) < 0.96
+    assert not out.exists()
 
 
 def test_given_a_bound_on_the_torque_gain_when_gravity_cannot_meet_it_then_the_design_says_so(
-    paper_model, asked, tmp_path, capsys
+    paper_model, tmp_path, capsys
 ):
     norm = 1.0 / (24.5 * 0.3)  # link 2 at the border of the region
     for factor, code in ((1.01, 0), (0.99, 1)):
         bound = f'  torque_gain: {factor * norm}\n  rate_noise'
-        requirement = asked('  rate_noise', bound)
-        assert design('--requirement', requirement, '--out', tmp_path / 'g') == code
+        assert design(asked(tmp_path, '  rate_noise', bound), tmp_path / 'g') == code
     assert 'ask for a smaller region' in capsys.readouterr().err
     # The norm is that of the designed error system, at any slope.
     gains, frequencies = load_gains(tmp_path / 'g').observer, np.logspace(-4, 3, 200)
@@ -275,13 +259,6 @@ def test_given_a_bound_on_the_torque_gain_when_gravity_cannot_meet_it_then_the_d
             systems = 1j * frequencies[:, None, None] * np.eye(2) - n
             response = np.linalg.solve(systems, np.array([[0.0], [1.0 / link.inertia]]))[:, 0, 0]
             assert np.abs(response).max() <= limit * (1.0 + 1e-9)
-
-
-def test_given_what_cannot_be_had_when_designed_then_code_1_and_no_file(asked, tmp_path, capsys):
-    requirement = asked('decay: 0.25', 'decay: 55.0')
-    assert design('--requirement', requirement, '--out', tmp_path / 'g.yaml') == 1
-    assert 'slower decay' in capsys.readouterr().err
-    assert not (tmp_path / 'g.yaml').exists()
 
 
 # ------------------------------------------------------------------ forged numbers
@@ -297,45 +274,32 @@ CHANGES = (
 """A thousandth and more, up and down; each changes zeros, too."""
 
 
-@pytest.fixture(params=['paper_gains', 'real_gains', 'literal_gains'])
-def shipped(request):
-    """Arm, and the content of the gains file of each method."""
-    arm = 'real_model' if request.param == 'real_gains' else 'paper_model'
-    gains = request.getfixturevalue(request.param)
-    return request.getfixturevalue(arm), gains_to_dict(gains)
-
-
-def test_given_any_number_that_is_used_when_forged_then_the_loader_refuses_it(shipped):
-    arm, data = shipped
+@pytest.mark.parametrize('design', ['paper', 'real', 'literal'])
+def test_given_any_number_that_is_used_when_forged_then_the_loader_refuses_it(request, design):
+    arm = request.getfixturevalue('real_model' if design == 'real' else 'paper_model')
+    data = gains_to_dict(request.getfixturevalue(f'{design}_gains'))
     used = [place for place in numbers(data) if not place.startswith('certificate')]
     assert len(used) > 60
     for place in used:
         for change in CHANGES:
             with pytest.raises(ConfigError, match='gains'):
-                require(arm, parse_gains(changed(data, place, change)))
-
-
-def test_given_numbers_for_information_when_changed_then_what_is_used_stays_the_same(shipped):
-    _, data = shipped
+                conditions.require(arm, parse_gains(changed(data, place, change)))
+    # Numbers for information do not count.
     gains = parse_gains({**data, 'certificate': {'margins': {'any': 1.0}}})
     assert gains_checksum(gains) == data['checksum']
 
 
-@pytest.mark.parametrize('factor', [1e-6, 0.999, 1.001])
-def test_given_a_forged_deviation_when_the_checksum_is_forged_too_then_it_is_still_refused(
-    paper_model, paper_gains, factor
-):
-    observer = replace(paper_gains.observer, fault_sigma=factor * paper_gains.observer.fault_sigma)
-    with pytest.raises(ConfigError, match='standard deviation'):
-        require(paper_model, replace(paper_gains, observer=observer))
-
-
-def test_given_a_lyapunov_matrix_that_claims_less_noise_when_verified_then_the_covariance_fails(
+def test_given_forged_noise_when_the_checksum_is_forged_too_then_it_is_still_refused(
     paper_model, paper_gains
 ):
     observer = paper_gains.observer
-    quiet = replace(observer, lyapunov=1e4 * observer.lyapunov)
-    quiet = replace(quiet, fault_sigma=exact_fault_sigma(paper_model, quiet.lyapunov))
-    checks = verify(paper_model, replace(paper_gains, observer=quiet))
-    failed = [check.name for check in checks if not check.holds]
+    for factor in (1e-6, 0.999, 1.001):
+        gains = spoilt(paper_gains, 'observer', fault_sigma=factor * observer.fault_sigma)
+        with pytest.raises(ConfigError, match='standard deviation'):
+            conditions.require(paper_model, gains)
+    # A matrix that claims less noise, with its own deviation.
+    lyapunov = 1e4 * observer.lyapunov
+    sigma = exact_fault_sigma(paper_model, lyapunov)
+    quiet = spoilt(paper_gains, 'observer', lyapunov=lyapunov, fault_sigma=sigma)
+    failed = [c.name for c in conditions.verify(paper_model, quiet) if not c.holds]
     assert len(failed) == 2 and all('covariance' in name for name in failed)
