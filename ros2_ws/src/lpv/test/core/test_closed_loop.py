@@ -121,10 +121,8 @@ runs = {}
 for plant in ('nonlinear', 'lpv'):
     changed = replace(scenario, duration=0.6, faults=faults, plant=plant)
     run = run_closed_loop(load_arm(arm_file), changed, load_gains(gains_file))
-    for name in run.__dataclass_fields__:
-        if name != 'alarms':
-            runs[plant + name] = getattr(run, name)
-    runs[plant + 'alarms'] = np.array([a.detected for a in run.alarms])
+    values = {**vars(run), 'alarms': [a.detected for a in run.alarms]}
+    runs |= {plant + name: value for name, value in values.items()}
 np.savez(out, compiled=COMPILED, **runs)
 """
 
@@ -174,8 +172,8 @@ def test_given_the_arm_on_its_reference_when_controlled_then_the_torque_is_inver
     np.testing.assert_array_equal(controller.integral, 0.0)
 
 
-def test_given_an_offset_when_controlled_then_eq_65_is_added_in_absolute_coordinates(
-    paper_arm, paper_gains, joints
+def test_given_both_methods_when_controlled_then_eq_65_acts_in_absolute_coordinates(
+    paper_arm, paper_gains, literal_gains, joints
 ):
     controller, gains = TrackingController(paper_arm, paper_gains), paper_gains.controller
     q, v, offset = np.array([1.5, 0.1]), np.array([0.02, -0.01]), np.array([0.01, -0.02])
@@ -188,16 +186,11 @@ def test_given_an_offset_when_controlled_then_eq_65_is_added_in_absolute_coordin
     np.testing.assert_allclose(controller.integral, epsilon, rtol=1e-12)
     controller.reset()
     np.testing.assert_array_equal(controller.integral, 0.0)
-
-
-def test_given_the_literal_method_when_controlled_then_it_is_eq_65_without_feed_forward(
-    paper_arm, literal_gains, joints
-):
+    # The literal method has no feed-forward.
     controller, gains = TrackingController(paper_arm, literal_gains), literal_gains.controller
-    q, measured = np.array([1.5, 0.1]), np.array([1.51, 0.12])
-    reference = Reference(np.array([1.4, 0.2]), np.ones(2), np.ones(2), q)
+    measured, reference = q + [0.01, 0.02], Reference(q + [-0.1, 0.1], np.ones(2), np.ones(2), q)
     command = controller.update(reference, q, np.zeros(2), measured, 0.01)
-    epsilon = 0.01 * (joints.absolute_position([1.4, 0.2]) - joints.absolute_position(measured))
+    epsilon = 0.01 * joints.absolute_velocity(reference.position - measured)
     x = np.concatenate([joints.absolute_position(q), np.zeros(2)])
     found = joints.absolute_torque(command.torque)
     np.testing.assert_allclose(found, gains.m1 @ x + gains.m2 @ epsilon, rtol=1e-12)
@@ -206,8 +199,7 @@ def test_given_the_literal_method_when_controlled_then_it_is_eq_65_without_feed_
 def test_given_saturation_when_the_error_lasts_then_the_integral_does_not_wind_up(
     paper_arm, paper_gains
 ):
-    controller = TrackingController(paper_arm, paper_gains)
-    q = np.array([1.5, 0.1])
+    controller, q = TrackingController(paper_arm, paper_gains), np.array([1.5, 0.1])
     for _ in range(100):
         command = controller.update(rest_at(q), q + 1.5, np.zeros(2), q + 1.5, 0.01)
         assert command.saturated
