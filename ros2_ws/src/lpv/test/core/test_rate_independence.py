@@ -14,25 +14,14 @@ from lpv.core.uio.model.arm import arm_from_json
 COUNT = 1000
 
 
-def motion(dt):
+def reading(dt, noise, bits):
+    """Stamps, reading of an encoder with noise or steps, and true rate."""
     time = dt * np.arange(COUNT)
     angle = 0.5 * np.sin(2.0 * time) + 0.1 * np.sin(7.0 * time)
-    return time, angle, np.cos(2.0 * time) + 0.7 * np.cos(7.0 * time)
-
-
-def reading(dt, noise, bits, seed=0):
-    """Stamps, reading of an encoder with noise or steps, and true rate."""
-    time, angle, rate = motion(dt)
-    angle = angle + noise * np.random.default_rng(seed).standard_normal(COUNT)
+    angle += noise * np.random.default_rng(0).standard_normal(COUNT)
+    rate = np.cos(2.0 * time) + 0.7 * np.cos(7.0 * time)
     step = 2.0 * math.pi / 2**bits if bits else 0.0
     return (1e9 * time).astype(int), step * np.round(angle / step) if bits else angle, rate
-
-
-def low_pass(values, share):
-    result = np.zeros(len(values))
-    for k in range(1, len(values)):
-        result[k] = result[k - 1] + share * (values[k] - result[k - 1])
-    return result
 
 
 ENCODERS = [(1e-3, 0), (1e-4, 0), (0.0, 12), (0.0, 17)]
@@ -43,7 +32,9 @@ ENCODERS = [(1e-3, 0), (1e-4, 0), (0.0, 12), (0.0, 17)]
 def test_given_rates_with_their_own_noise_when_tested_then_they_are_independent(dt, noise, bits):
     stamps, position, rate = reading(dt, noise, bits)
     own = rate + 0.01 * np.random.default_rng(1).standard_normal(COUNT)
+    kept = np.random.default_rng(2).random(COUNT) > 0.05  # also where samples are lost
     assert rate_source(stamps, position, own).source == 'independent'
+    assert rate_source(stamps[kept], position[kept], own[kept]).source == 'independent'
 
 
 @pytest.mark.parametrize('dt', [0.001, 0.002, 0.01])
@@ -51,7 +42,8 @@ def test_given_rates_with_their_own_noise_when_tested_then_they_are_independent(
 @pytest.mark.parametrize('share', [1.0, 0.5, 0.1])
 def test_given_filtered_differences_when_tested_then_rates_are_derived(dt, noise, bits, share):
     stamps, position, _ = reading(dt, noise, bits)
-    rate = low_pass(np.diff(position, prepend=position[0]) / dt, share)
+    speed = np.diff(position, prepend=position[0]) / dt
+    rate = lfilter([share], [1.0, share - 1.0], speed)  # a low-pass
     found = rate_source(stamps, position, rate)
     assert (found.source, found.explained > 0.5) == ('derived', True)
 
@@ -82,24 +74,13 @@ def test_given_stamps_that_jitter_when_tested_then_independence_is_not_proved():
     assert rate_source(stamps, position, rate).source == 'undecided'
 
 
-@pytest.mark.parametrize('rate', [np.zeros(COUNT), np.full(COUNT, np.nan)])
-def test_given_positions_that_move_without_rates_when_tested_then_there_are_none(rate):
-    stamps, position, _ = reading(0.002, 1e-3, 0)
-    assert rate_source(stamps, position, rate).source == 'none'
-
-
-def test_given_too_few_samples_or_rest_when_tested_then_it_is_not_decided():
+def test_given_no_rates_few_samples_or_rest_when_tested_then_there_are_none_or_it_is_not_decided():
     stamps, position, rate = reading(0.002, 1e-3, 0)
-    assert rate_source(stamps[:100], position[:100], rate[:100]).source == 'undecided'
+    for none in (np.zeros(COUNT), np.full(COUNT, np.nan)):
+        assert rate_source(stamps, position, none).source == 'none'
+    for few in ((stamps[:100], position[:100], rate[:100]), ([], [], [])):
+        assert rate_source(*few).source == 'undecided'
     assert rate_source(stamps, np.ones(COUNT), np.zeros(COUNT)).source == 'undecided'
-    assert rate_source([], [], []).source == 'undecided'
-
-
-def test_given_lost_samples_when_tested_then_independent_rates_stay_independent():
-    stamps, position, rate = reading(0.002, 1e-3, 0)
-    kept = np.random.default_rng(2).random(COUNT) > 0.05
-    own = rate + 0.01 * np.random.default_rng(1).standard_normal(COUNT)
-    assert rate_source(stamps[kept], position[kept], own[kept]).source == 'independent'
 
 
 @pytest.mark.parametrize('joint', [1, 2])

@@ -14,9 +14,8 @@ PAIR = st.tuples(st.floats(-10, 10), st.floats(-10, 10)).map(np.array)
 
 def conversions(joints):
     """Each conversion, and the one back."""
-    names = ('absolute_position', 'absolute_velocity', 'absolute_torque')
-    back = ('joint_position', 'joint_velocity', 'joint_torque')
-    return [(getattr(joints, a), getattr(joints, b)) for a, b in zip(names, back)]
+    pairs = ((f'absolute_{of}', f'joint_{of}') for of in ('position', 'velocity', 'torque'))
+    return [(getattr(joints, there), getattr(joints, back)) for there, back in pairs]
 
 
 @given(PAIR, PAIR)

@@ -9,7 +9,6 @@ from parts import Swing
 from lpv.core.serial_arm.diagnosis.alarms import Mode
 from lpv.core.support.timestamps import NANOSECONDS
 from lpv.core.uio.model.joints import JointMap
-from lpv.core.uio.planar import planar_model
 from lpv.core.uio.unknown_input_observer import UnknownInputObserver, uio_step
 
 TS = 2_000_000
@@ -17,20 +16,15 @@ TS = 2_000_000
 VECTORS = ('position', 'velocity', 'fault', 'absolute_position')
 
 
-@pytest.fixture(params=['paper_arm', 'real_arm'])
-def arm(request):
-    """Both shipped planar arms in turn."""
-    return request.getfixturevalue(request.param)
-
-
 @pytest.fixture
 def swing(arm):
-    return Swing(planar_model(arm))
+    return Swing(arm)
 
 
 @pytest.fixture
-def observer(arm, gains_of):
-    return UnknownInputObserver(arm, gains_of[arm.name])
+def observer(request, arm, gains_of):
+    serial = request.getfixturevalue('paper_arm' if arm.name == 'paper' else 'real_arm')
+    return UnknownInputObserver(serial, gains_of[arm.name])
 
 
 def update(observer, stamp, *measured):
@@ -95,10 +89,9 @@ def test_given_lost_samples_when_the_next_one_comes_then_the_interval_is_integra
 def test_given_jitter_below_half_a_sample_when_taken_then_the_states_follow(observer, swing):
     stamps = np.arange(500) * TS
     stamps[1:] += np.random.default_rng(8).integers(-400_000, 400_000, 499)
-    for before, stamp in zip(np.concatenate([[0], stamps[:-1]]), stamps):
+    for step, stamp in zip(np.diff(stamps, prepend=0), stamps):
         t = stamp / NANOSECONDS
-        measured = swing.sample(t, (stamp - before) / NANOSECONDS)
-        estimate = update(observer, int(stamp), *measured)
+        estimate = update(observer, int(stamp), *swing.sample(t, step / NANOSECONDS))
     np.testing.assert_allclose(estimate.position, swing.position(t), atol=5e-4)
 
 

@@ -14,10 +14,11 @@ from lpv.core.uio.planar import is_planar, planar_links, planar_model, plane_of,
 
 
 def test_given_a_shipped_arm_when_converted_there_and_back_then_it_is_the_same(
-    paper_arm, real_arm, arm
+    paper_arm, real_arm, arm, gains_of
 ):
     again, shipped = planar_model(serial_from_planar(arm)), (paper_arm, real_arm)
     (serial,) = (one for one in shipped if one.name == arm.name)
+    assert arm.sha256() == gains_of[arm.name].arm_sha256
     assert again.joint_names == serial.joint_names and again.sensor_names == serial.sensor_names
     for field in ('rotor', 'viscous', 'coulomb', 'zero_angle', 'gravity', 'cos_min'):
         one, other = getattr(again, field), getattr(arm, field)
@@ -25,10 +26,6 @@ def test_given_a_shipped_arm_when_converted_there_and_back_then_it_is_the_same(
     links = [[list(vars(link).values()) for link in one.links] for one in (again, arm)]
     np.testing.assert_allclose(*links, rtol=1e-12, atol=1e-12)
     assert (again.arrangement, again.orientation) == (arm.arrangement, arm.orientation)
-
-
-def test_given_a_shipped_arm_when_its_hash_is_taken_then_it_is_that_of_its_gains(gains_of, arm):
-    assert arm.sha256() == gains_of[arm.name].arm_sha256
 
 
 def test_given_an_arm_turned_about_the_vertical_when_converted_then_it_is_the_same(paper_arm):
@@ -107,34 +104,29 @@ def test_given_an_old_file_when_read_then_it_is_the_shipped_arm_and_the_new_form
     paper_gains.check_arm(planar_model(arm))
     save_arm(arm, tmp_path / 'new.yaml')
     assert load_arm(tmp_path / 'new.yaml') == arm
-
-
-def test_given_rotors_of_an_old_file_when_read_then_they_are_those_of_the_motors():
+    # Rotors are those of the motors.
     arm = parse_old({**OLD, 'rotor': {'inertia': 1e-4, 'gear_ratio': 6.0}})
     assert [j.rotor_inertia for j in arm.joints] == pytest.approx([37e-4, 36e-4])
     assert arm.joints[1].rotor_coupling == pytest.approx(-6e-4)
 
 
-@pytest.mark.parametrize(
-    ('field', 'value', 'named'),
-    [
-        ('links[0].mass', 0.0, 'links[0].mass'),
-        ('links[0].inertia', -0.1, 'links[0].inertia'),
-        ('links', [OLD['links'][0]] * 3, 'links'),
-        ('joints.zero_angle', 3.2, 'joints.zero_angle'),
-        ('region.cos_min', [0.3, 0.0], 'region.cos_min[1]'),
-        ('sensors.arrangement', 'polar', 'sensors.arrangement'),
-        ('disturbance.direction', [0.7, math.nan], 'disturbance.direction[1]'),
-        ('torque_limit', [100.0, -1.0], 'torque_limit[1]'),
-        ('rotor', {'mass': 1.0}, 'rotor.mass'),
-        ('colour', 'red', 'colour'),
-        ('inertia_reference', 'joint', 'links'),  # 0.83 < 10*0.5^2: no body
-    ],
-)
-def test_given_a_bad_value_in_an_old_file_when_read_then_its_field_is_named(field, value, named):
+BAD = {
+    'links[0].mass': 0.0, 'links[0].inertia': -0.1, 'links': [OLD['links'][0]] * 3,
+    'joints.zero_angle': 3.2, 'region.cos_min > region.cos_min[1]': [0.3, 0.0],
+    'sensors.arrangement': 'polar',
+    'disturbance.direction > disturbance.direction[1]': [0.7, math.nan],
+    'torque_limit > torque_limit[1]': [100.0, -1.0], 'rotor > rotor.mass': {'mass': 1.0},
+    'colour': 'red', 'inertia_reference > links': 'joint',  # 0.83 < 10*0.5^2: no body
+}  # fmt: skip
+"""Bad values of fields; after > the field that the error names instead."""
+
+
+@pytest.mark.parametrize('field', BAD)
+def test_given_a_bad_value_in_an_old_file_when_read_then_its_field_is_named(field):
+    data = changed(OLD, field.split(' > ')[0], BAD[field])
     with pytest.raises(ConfigError) as caught, pytest.warns(FutureWarning):
-        parse_arm(changed(OLD, field, value), 'some.yaml')
-    assert caught.value.field == named
+        parse_arm(data, 'some.yaml')
+    assert caught.value.field == field.split(' > ')[-1]
 
 
 def test_given_an_arm_file_that_states_the_old_kind_when_read_then_it_is_read(paper_arm):
