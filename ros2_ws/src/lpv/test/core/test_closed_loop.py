@@ -150,9 +150,6 @@ def test_given_no_compiler_when_run_then_every_bit_is_that_of_the_compiled_loop(
     assert len(compiled['nonlinearalarms']) >= 1
 
 
-# ------------------------------------------------------------------ tracking
-
-
 def rest_at(q):
     return Reference(np.asarray(q, float), *np.zeros((3, 2)))
 

@@ -15,37 +15,22 @@ pytestmark = pytest.mark.slow
 
 ONSET, NANOSECONDS = 1.5, 10**9
 FAULTS = {
-    'bias': {'size': 0.3},
-    'drift': {'rate': 0.2},
-    'stuck': {},
-    'noise': {'size': 0.02},
-    'spike': {'size': 0.3, 'rate': 20.0},
-    'dropout': {},
-}
-SWING = {
-    'name': 'swing',
-    'duration': 5.0,
-    'disturbance': False,
-    'path': {
-        'waypoints': [
-            {'t': 0.2, 'x': -0.2, 'y': -0.42},
-            {'t': 2.5, 'x': 0.2, 'y': -0.42},
-            {'t': 4.8, 'x': -0.2, 'y': -0.42},
-        ]
-    },
-}
+    'bias': {'size': 0.3}, 'drift': {'rate': 0.2}, 'stuck': {}, 'noise': {'size': 0.02},
+    'spike': {'size': 0.3, 'rate': 20.0}, 'dropout': {},
+}  # fmt: skip
+TURNS = [{'t': t, 'x': x, 'y': -0.42} for t, x in ((0.2, -0.2), (2.5, 0.2), (4.8, -0.2))]
+SWING = {'name': 'swing', 'duration': 5.0, 'disturbance': False, 'path': {'waypoints': TURNS}}
 
 
 @pytest.fixture
 def simulate(arm, gains_of, two_faults):
     """Run an arm's scenario with the given faults and other fields."""
+    gains = gains_of[arm.name]
     scenario = two_faults if arm.name == 'paper' else parse_scenario(SWING)
 
     def run(*faults, duration=5.0, compensation='confirmed', parameters=None, **fields):
-        changed = replace(scenario, faults=faults, duration=duration, **fields)
-        return run_closed_loop(
-            arm, changed, gains_of[arm.name], compensation, parameters=parameters
-        )
+        part = replace(scenario, faults=faults, duration=duration, **fields)
+        return run_closed_loop(arm, part, gains, compensation, parameters=parameters)
 
     return run
 
@@ -58,9 +43,6 @@ def largest_error(run, after=0.0):
     """Of the true arm's tracking, both joints [rad]."""
     rows = slice(np.searchsorted(run.time, after - 1e-9), None)
     return np.abs(run.position - run.reference)[rows].max()
-
-
-# ------------------------------------------------------------------ one fault
 
 
 @paper
@@ -81,9 +63,6 @@ def test_given_any_kind_of_fault_when_it_starts_then_it_is_named_and_the_arm_sta
     assert np.ptp(run.reference[run.time > ONSET], axis=0).min() > 0.1
 
 
-# ------------------------------------------------------------------ compensation
-
-
 @pytest.mark.parametrize('index', [0, 1])
 def test_given_a_confirmed_bias_when_compensated_then_the_arm_tracks_as_a_healthy_one(
     simulate, arm, index
@@ -99,9 +78,6 @@ def test_given_a_latch_when_the_fault_is_over_then_its_alarm_stays(simulate, arm
     run = simulate(ends, duration=3.5, parameters=DiagnosisParameters(latch=True))
     assert [a.event for a in run.alarms if a.event != AlarmEvent.UPDATED] == [AlarmEvent.RAISED]
     assert run.alarm[-1].tolist() == [1, 0]
-
-
-# ------------------------------------------------------------------ not a position sensor
 
 
 BLAMED = pytest.mark.xfail(reason='beyond what the file states: a sensor is blamed', strict=True)

@@ -14,39 +14,30 @@ SOURCES = {
 }
 
 
-@pytest.fixture
-def digests(tmp_path):
+def digests(package, files, moved='sub'):
     """Digests of a package, and of its modules a and c, that has some other files."""
-
-    def make(name, **changes):
-        package = tmp_path / name / 'lpv_here'
-        for file, content in {**SOURCES, **changes.get('files', {})}.items():
-            (package / file).parent.mkdir(parents=True, exist_ok=True)
-            (package / file).write_text(content)
-        if 'moved' in changes:
-            (package / 'sub').rename(package / changes['moved'])
-        jit._source.cache_clear()  # sources of a test are at places of their own
-        own = [module_digest(package / f'{m}.py', f'lpv_here.{m}') for m in 'ac']
-        jit._source.cache_clear()
-        return source_digest(package), *own
-
-    return make
+    for file, content in {**SOURCES, **files}.items():
+        (package / file).parent.mkdir(parents=True, exist_ok=True)
+        (package / file).write_text(content)
+    (package / 'sub').rename(package / moved)
+    jit._source.cache_clear()  # sources of a test are at places of their own
+    own = [module_digest(package / f'{m}.py', f'lpv_here.{m}') for m in 'ac']
+    jit._source.cache_clear()
+    return source_digest(package), *own
 
 
 @pytest.mark.parametrize(
-    ('changes', 'same'),
+    ('files', 'moved', 'same'),
     [
-        ({}, (True, True, True)),  # the same sources elsewhere
-        ({'files': {'sub/b.py': 'x = 2\n'}}, (False, False, True)),  # what a imports
-        ({'files': {'c.py': 'y = 2\n'}}, (False, True, False)),  # what a does not import
+        ({}, 'sub', (True, True, True)),  # the same sources elsewhere
+        ({'sub/b.py': 'x = 2\n'}, 'sub', (False, False, True)),  # what a imports
+        ({'c.py': 'y = 2\n'}, 'sub', (False, True, False)),  # what a does not import
+        ({}, 'other', (False, False, True)),
     ],
 )
-def test_given_sources_when_changed_then_digests_of_what_depends_on_them_change(
-    digests, changes, same
+def test_given_sources_when_changed_or_moved_then_digests_of_what_depends_on_them_change(
+    tmp_path, files, moved, same
 ):
-    before, after = digests('before'), digests('after', **changes)
+    before = digests(tmp_path / 'before' / 'lpv_here', {})
+    after = digests(tmp_path / 'after' / 'lpv_here', files, moved)
     assert tuple(one == other for one, other in zip(before, after)) == same
-
-
-def test_given_a_module_that_is_moved_when_hashed_then_the_digest_is_another(digests):
-    assert digests('before')[0] != digests('after', moved='other')[0]

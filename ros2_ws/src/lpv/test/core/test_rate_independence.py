@@ -29,23 +29,18 @@ ENCODERS = [(1e-3, 0), (1e-4, 0), (0.0, 12), (0.0, 17)]
 
 @pytest.mark.parametrize('dt', [0.001, 0.002, 0.01])
 @pytest.mark.parametrize(('noise', 'bits'), ENCODERS)
-def test_given_rates_with_their_own_noise_when_tested_then_they_are_independent(dt, noise, bits):
+def test_given_rates_when_they_have_their_own_noise_or_are_filtered_differences_then_it_is_found(
+    dt, noise, bits
+):
     stamps, position, rate = reading(dt, noise, bits)
     own = rate + 0.01 * np.random.default_rng(1).standard_normal(COUNT)
     kept = np.random.default_rng(2).random(COUNT) > 0.05  # also where samples are lost
     assert rate_source(stamps, position, own).source == 'independent'
     assert rate_source(stamps[kept], position[kept], own[kept]).source == 'independent'
-
-
-@pytest.mark.parametrize('dt', [0.001, 0.002, 0.01])
-@pytest.mark.parametrize(('noise', 'bits'), ENCODERS)
-@pytest.mark.parametrize('share', [1.0, 0.5, 0.1])
-def test_given_filtered_differences_when_tested_then_rates_are_derived(dt, noise, bits, share):
-    stamps, position, _ = reading(dt, noise, bits)
     speed = np.diff(position, prepend=position[0]) / dt
-    rate = lfilter([share], [1.0, share - 1.0], speed)  # a low-pass
-    found = rate_source(stamps, position, rate)
-    assert (found.source, found.explained > 0.5) == ('derived', True)
+    for share in (1.0, 0.5, 0.1):
+        found = rate_source(stamps, position, lfilter([share], [1.0, share - 1.0], speed))
+        assert (found.source, found.explained > 0.5) == ('derived', True)
 
 
 @pytest.mark.parametrize('dt', [0.001, 0.008, 0.01])

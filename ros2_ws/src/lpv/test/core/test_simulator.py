@@ -37,19 +37,21 @@ def joints(paper_model):
 QUIET = {'noise': False, 'disturbance': False}
 
 
-# ------------------------------------------------------------------ sensors and drives
-
-
-def test_given_the_start_when_sensed_then_the_arm_rests_at_the_path_and_is_read_as_it_is(
+def test_given_the_start_when_more_torque_is_asked_than_there_is_then_effort_shows_what_acted(
     paper_arm, two_faults, simulate
 ):
     plant = simulate(**QUIET)
     measurement, truth = plant.sense()
     start = two_faults.path(paper_arm).sample(0.0).position
-    np.testing.assert_allclose(truth.position, start, atol=1e-15)
-    np.testing.assert_allclose(measurement.position, start, atol=1e-15)
+    np.testing.assert_allclose([truth.position, measurement.position], [start] * 2, atol=1e-15)
     np.testing.assert_array_equal(truth.velocity, 0.0)
     assert plant.time == 0.0
+    plant.step((1e6, -1e6))
+    np.testing.assert_array_equal(plant.sense()[0].effort, [1500.0, -600.0])
+    for torque in ((math.nan, 0.0), (0.0, math.inf), (1.0,), (1.0, 2.0, 3.0)):
+        with pytest.raises(ValueError, match='2 finite numbers'):
+            plant.step(torque)
+    assert plant.step_count == 1
 
 
 def test_given_noise_when_sensed_twice_then_the_reading_is_one(simulate):
@@ -58,16 +60,6 @@ def test_given_noise_when_sensed_twice_then_the_reading_is_one(simulate):
     np.testing.assert_array_equal(one, two)
     plant.step((0.0, 0.0))
     assert np.abs(plant.sense()[0].position - one).max() > 1e-5
-
-
-def test_given_the_torque_limits_when_more_is_asked_then_effort_shows_what_acted(simulate):
-    plant = simulate(**QUIET)
-    plant.step((1e6, -1e6))
-    np.testing.assert_array_equal(plant.sense()[0].effort, [1500.0, -600.0])
-    for torque in ((math.nan, 0.0), (0.0, math.inf), (1.0,), (1.0, 2.0, 3.0)):
-        with pytest.raises(ValueError, match='2 finite numbers'):
-            plant.step(torque)
-    assert plant.step_count == 1
 
 
 def test_given_brakes_when_held_then_nothing_moves_and_the_effort_carries_gravity(
@@ -118,9 +110,6 @@ def test_given_noise_when_sampled_then_moments_are_the_arms_and_a_noise_fault_is
     assert np.intersect1d(*drawn).size == 0
 
 
-# ------------------------------------------------------------------ plants
-
-
 @pytest.mark.parametrize('changes', [{}, {'payload': 0.25, 'mass_factors': (1.03, 0.97)}])
 def test_given_noise_disturbance_and_model_error_when_run_on_mujoco_then_signals_are_the_same(
     paper_arm, paper_gains, two_faults, changes
@@ -167,9 +156,6 @@ def test_given_a_payload_when_the_papers_plant_carries_it_then_it_weighs_on_both
     light, heavy = moved([simulate(payload=load, **fields) for load in (0.0, 2.0)], 100)
     assert np.abs(heavy - light).max() > 1e-3
     assert planar_model(paper_arm).with_payload(2.0).links[1].mass == 7.0
-
-
-# ------------------------------------------------------------------ faults
 
 
 def injector_of(*faults):

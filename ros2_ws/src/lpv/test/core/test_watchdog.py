@@ -115,13 +115,19 @@ def test_given_an_arm_that_follows_slowly_when_judged_then_it_follows(tracker):
         assert motion(tracker, k, reference, position, position) == StopReason.NONE
 
 
-def test_given_commands_when_old_or_late_on_average_then_the_drives_brake(drives):
+def test_given_what_is_old_or_late_on_average_when_it_lasts_then_both_sides_stop_for_a_while(
+    tracker, drives
+):
     outage = commands(drives, range(60), lambda k: k * STEP)
     assert outage.index(BrakeReason.LATENCY) * 0.002 < 0.06
     assert outage[31] == BrakeReason.LATE
     back = commands(drives, range(60, 260), STEP)
     assert 0.2 < back.index(BrakeReason.NONE) * 0.002 < 0.45
     assert commands(drives, range(300, 500), 16 * MS)[-1] == BrakeReason.LATENCY
+    late = estimates(tracker, range(200), 16 * MS)
+    assert 0.05 < late.index(StopReason.LATENCY) * 0.002 < 0.2
+    back = estimates(tracker, range(200, 400), MS)
+    assert 0.2 <= back.index(StopReason.NONE) * 0.002 < 0.3
 
 
 def test_given_shipped_arms_or_any_rate_when_asked_then_limits_are_below_the_tolerated_latency(
@@ -137,15 +143,6 @@ def test_given_shipped_arms_or_any_rate_when_asked_then_limits_are_below_the_tol
         limits = watchdog.latency_limits(tolerated)
         assert 0.5 / rate < limits.mean < tolerated
         assert watchdog.mean_limit(limits.single) == pytest.approx(limits.mean)
-
-
-def test_given_estimates_that_are_late_on_average_when_it_lasts_then_the_tracker_stops_for_a_while(
-    tracker,
-):
-    late = estimates(tracker, range(200), 16 * MS)
-    assert 0.05 < late.index(StopReason.LATENCY) * 0.002 < 0.2
-    back = estimates(tracker, range(200, 400), MS)
-    assert 0.2 <= back.index(StopReason.NONE) * 0.002 < 0.3
 
 
 def test_given_a_tolerated_latency_when_simulated_then_the_arm_follows_and_beyond_it_is_braked(

@@ -31,7 +31,6 @@ from lpv.core.uio.model.arm import arm_from_json
 from lpv_design.exact_observer import torque_gains
 from lpv_design.guarantee import guarantee
 
-ARMS = BRINGUP / 'arms'
 REQUIREMENTS = ROOT / 'design' / 'lpv_design' / 'requirements'
 
 # ------------------------------------------------------------------ exact arithmetic
@@ -99,10 +98,10 @@ def test_given_more_noise_than_designed_for_when_proved_then_proof_and_floats_re
     arm, gains_of, noise
 ):
     noisy = replace(arm, **{noise: 3000.0 * getattr(arm, noise)})
-    proved = prove(noisy, gains_of[arm.name])
+    proved, name = prove(noisy, gains_of[arm.name]), 'covariance under the noise of the arm file'
     for i in range(2):
-        name = f'observer, link {i + 1}: covariance under the noise of the arm file'
-        assert proved[name] == (covariance_margin(noisy, gains_of[arm.name].observer, i) < 0.0)
+        holds = covariance_margin(noisy, gains_of[arm.name].observer, i) < 0.0
+        assert proved[f'observer, link {i + 1}: {name}'] == holds
     assert not all(proved.values())
 
 
@@ -208,8 +207,8 @@ def test_given_tampered_gains_when_verified_then_the_code_is_1(gains_file, capsy
 
 
 def design(requirement, out, *options):
-    arm, options = ARMS / 'paper.yaml', ('--requirement', requirement, '--out', out, *options)
-    return main(['design', '--arm', str(arm), *map(str, options)])
+    words = '--arm', BRINGUP / 'arms' / 'paper.yaml', '--requirement', requirement, '--out', out
+    return main(['design', *map(str, (*words, *options))])
 
 
 def asked(folder, old, new, name='paper'):

@@ -77,9 +77,6 @@ def observer(arm, gains_of):
     return Exact(arm, gains_of[arm.name])
 
 
-# ------------------------------------------------------------------ algebra
-
-
 def test_given_the_decoupling_when_formed_then_it_solves_eq_47_and_eqs_41_44_and_45_hold(arm):
     d = paper_descriptor(arm)
     t1, t2 = decoupling(d.e, d.c)
@@ -95,9 +92,6 @@ def test_given_the_decoupling_when_formed_then_it_solves_eq_47_and_eqs_41_44_and
     np.testing.assert_allclose(t1 @ d.a - n @ t1 @ d.e - ell @ d.c, 0.0, atol=scale)
     np.testing.assert_allclose(t1 @ d.b - g, 0.0, atol=1e-14)
     np.testing.assert_allclose(n @ t2 - ell, k, atol=scale)  # (50)
-
-
-# ------------------------------------------------------------------ the recursions
 
 
 def test_given_the_paper_observer_when_stepped_then_it_is_the_heun_rule_of_eq_38(arm):
@@ -157,9 +151,6 @@ def test_given_any_state_when_differentiated_then_the_momentum_error_is_decouple
         assert np.all(slope > 0.0) and np.all(slope <= c.gravity)
 
 
-# ------------------------------------------------------------------ convergence
-
-
 def test_given_the_exact_torques_of_a_motion_when_started_right_then_the_observer_stays_on_it(
     arm, observer
 ):
@@ -201,9 +192,6 @@ def test_given_position_faults_of_any_shape_when_observed_then_the_state_estimat
         y = observer.motion.outputs(60 * arm.sample_time, faults[-1])
         expected = y[:2] - observer.s @ found[:2]
         np.testing.assert_allclose(found[4:], expected, atol=1e-9 + 1e-13 * np.abs(faults).max())
-
-
-# ------------------------------------------------------------------ outside the region
 
 
 @pytest.mark.parametrize('link', [0, 1])

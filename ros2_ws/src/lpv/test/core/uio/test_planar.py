@@ -70,9 +70,6 @@ def test_given_no_region_or_other_sensors_when_converted_then_it_is_refused(pape
         planar_model(replace(paper_arm, sensor_matrix=((1.0, 0.0), (0.5, 1.0))))
 
 
-# ------------------------------------------------------------------ files of older versions
-
-
 OLD = yaml.safe_load("""
 name: paper
 inertia_reference: center_of_mass

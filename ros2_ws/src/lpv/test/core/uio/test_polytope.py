@@ -40,9 +40,6 @@ def inertia(theta, arm):
     return np.array([[c.inertia[0], off], [off, c.inertia[1]]])
 
 
-# ------------------------------------------------------------------ the paper's box
-
-
 @given(ANYWHERE, ANYWHERE, ANYWHERE, st.floats(-0.2, 0.9))
 def test_given_a_point_anywhere_when_weighted_then_the_nearest_point_of_the_box_is_formed(
     a, b, c, s_min
@@ -80,9 +77,6 @@ def test_given_phi_1_of_zero_when_b_is_interpolated_then_it_is_1_83_times_the_ar
     interpolated = np.tensordot(weights_of(paper_scheduling(*theta), sinc_box(-0.2)), b, 1)[2:]
     true = np.linalg.inv(inertia(theta, paper_model))
     np.testing.assert_allclose(np.diag(interpolated) / np.diag(true), 1.83, atol=0.01)
-
-
-# ------------------------------------------------------------------ the exact polytope
 
 
 def cross(a, b):

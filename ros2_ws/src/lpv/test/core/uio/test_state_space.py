@@ -56,11 +56,10 @@ def test_given_torque_and_disturbance_when_the_lpv_plant_steps_then_it_is_runge_
     paper_arm, paper_model
 ):
     x, u, push, dt = np.array([0.3, -0.2, 0.5, -0.4]), (20.0, -7.0), (0.14, -0.05), 0.01
-    k_1 = lpv_right_side(x, u, push)
-    k_2 = lpv_right_side(x + dt / 2 * k_1, u, push)
-    k_3 = lpv_right_side(x + dt / 2 * k_2, u, push)
-    k_4 = lpv_right_side(x + dt * k_3, u, push)
-    expected = x + dt / 6 * (k_1 + 2 * k_2 + 2 * k_3 + k_4)
+    rates = [lpv_right_side(x, u, push)]
+    for part in (dt / 2, dt / 2, dt):
+        rates.append(lpv_right_side(x + part * rates[-1], u, push))
+    expected = x + dt / 6 * np.array([1, 2, 2, 1]) @ rates
     joints = JointMap(paper_model)
     plant = PaperPlant(paper_arm, Scenario('', 1.0, 0, (), (), plant='lpv', sinc_min=-0.2))
     motion = np.array([joints.joint_position(x[:2]), joints.joint_velocity(x[2:])])

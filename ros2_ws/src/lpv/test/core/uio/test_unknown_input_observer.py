@@ -19,12 +19,9 @@ pytestmark = pytest.mark.slow
 def answers(run, arm, gains, observer, parts=1):
     """Of a monitor that gets a run in some parts."""
     monitor = SerialSensorMonitor('uio', arm, gains=gains, observer=observer)
-    rows = (run.measured, run.measured_velocity, run.effort)
     stamps = 1 + np.round(1e9 * run.time).astype(np.int64)
-    return [
-        monitor.take_many(*part)
-        for part in zip(*(np.array_split(row, parts) for row in (stamps, *rows)))
-    ]
+    rows = (stamps, run.measured, run.measured_velocity, run.effort)
+    return [monitor.take_many(*part) for part in zip(*(np.array_split(r, parts) for r in rows))]
 
 
 @pytest.mark.parametrize('payload', [0.0, 0.3])
@@ -87,16 +84,11 @@ def test_given_a_fault_when_samples_come_in_parts_then_every_answer_is_the_same(
             np.testing.assert_array_equal(rows, getattr(whole.fault, name))
 
 
-def test_given_rates_that_are_derived_when_observed_then_nothing_is_certified(
+def test_given_an_arm_when_observed_then_derived_rates_certify_nothing_and_gains_have_to_be_its_own(
     real_arm, real_gains, paper_arm, paper_gains
 ):
     assert UnknownInputObserver(paper_arm, paper_gains).certifies
     assert not UnknownInputObserver(real_arm, real_gains).certifies
-
-
-def test_given_gains_of_another_arm_when_constructed_then_they_are_refused(
-    real_arm, paper_arm, paper_gains
-):
     for make in (UnknownInputObserver, lambda a, g: SerialSensorMonitor('uio', a, gains=g)):
         with pytest.raises(ConfigError, match='gains.arm_sha256.*paper.*real_arm'):
             make(real_arm, paper_gains)
