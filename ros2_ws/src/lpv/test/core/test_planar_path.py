@@ -117,8 +117,11 @@ def test_given_bad_waypoints_when_a_path_is_made_then_the_field_is_named(paper_a
 
 
 def test_given_a_path_that_no_arm_can_follow_when_made_or_sampled_then_it_is_refused(
-    paper_arm, path
+    paper_arm, path, two_faults
 ):
+    joints = tuple(replace(j, limits=replace(j.limits, velocity=0.2)) for j in paper_arm.joints)
+    with pytest.raises(ConfigError, match='needs 0.2.* rad/s of joint1, whose velocity_limit'):
+        two_faults.path(replace(paper_arm, joints=joints))
     planar(paper_arm, obstacle=Obstacle((0.0, 1.9), 0.2))
     with pytest.raises(ConfigError, match='hits the obstacle'):
         planar(paper_arm, obstacle=Obstacle((0.0, 1.7), 0.2))

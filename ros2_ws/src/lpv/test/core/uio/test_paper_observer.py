@@ -14,12 +14,7 @@ from lpv.core.uio.model.dynamics import inverse_dynamics
 from lpv.core.uio.model.joints import JointMap
 from lpv.core.uio.model.polytope import sinc_box, vertex_matrices
 from lpv.core.uio.model.state_space import Descriptor
-from lpv.core.uio.observer.paper_observer import (
-    PAPER_CONSTANTS,
-    PAPER_STATE,
-    decoupling,
-    paper_step,
-)
+from lpv.core.uio.observer import paper_observer
 from lpv.core.uio.observer.sampled_observer import OBSERVER_STATE, advance, observer_constants
 
 pytestmark = pytest.mark.slow
@@ -79,7 +74,7 @@ def observer(arm, gains_of):
 
 def test_given_the_decoupling_when_formed_then_it_solves_eq_47_and_eqs_41_44_and_45_hold(arm):
     d = paper_descriptor(arm)
-    t1, t2 = decoupling(d.e, d.c)
+    t1, t2 = paper_observer.decoupling(d.e, d.c)
     sigma = np.vstack([d.e, d.c])
     # The smallest solution: every row lies in the column space of sigma.
     smallest = np.linalg.inv(sigma.T @ sigma) @ sigma.T
@@ -97,17 +92,18 @@ def test_given_the_decoupling_when_formed_then_it_solves_eq_47_and_eqs_41_44_and
 def test_given_the_paper_observer_when_stepped_then_it_is_the_heun_rule_of_eq_38(arm):
     s_min, dt, rng = 0.5, 0.003, np.random.default_rng(7)
     box, d = sinc_box(s_min), paper_descriptor(arm, s_min)
-    t1, t2 = decoupling(d.e, d.c)
+    t1, t2 = paper_observer.decoupling(d.e, d.c)
     gains = rng.normal(scale=10.0, size=(8, 6, 4))
     matrices = observer_matrices(d, t1, t2, gains)
     z = rng.normal(scale=0.3, size=6)
     other, x = z.copy(), np.zeros(6)
-    constants = new_record(PAPER_CONSTANTS, t1=t1, t2=t2, c=d.c, box=box, k=gains, a=d.a, b=d.b)
-    state = new_record(PAPER_STATE, z=z)
+    fields = {'t1': t1, 't2': t2, 'c': d.c, 'box': box, 'k': gains, 'a': d.a, 'b': d.b}
+    constants = new_record(paper_observer.PAPER_CONSTANTS, **fields)
+    state = new_record(paper_observer.PAPER_STATE, z=z)
     y_old = rng.normal(scale=0.3, size=4)
     for _ in range(20):
         y_new, u = y_old + rng.normal(scale=0.05, size=4), rng.normal(scale=20.0, size=2)
-        paper_step(constants, state, x, y_old, y_new, u, dt)
+        paper_observer.paper_step(constants, state, x, y_old, y_new, u, dt)
 
         guess = other + t2 @ y_old
         phi = (math.cos(guess[0] - guess[1]), np.sinc(guess[0] / np.pi), np.sinc(guess[1] / np.pi))
