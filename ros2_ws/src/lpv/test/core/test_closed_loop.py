@@ -65,10 +65,8 @@ def test_given_the_shipped_scenario_when_run_then_table_2_is_beaten_five_times_o
 def test_given_the_shipped_scenario_when_run_then_both_faults_are_alarmed_on_their_sensors(
     run, two_faults
 ):
-    raised, cleared = (
-        [a for a in run.alarms if a.event == event]
-        for event in (AlarmEvent.RAISED, AlarmEvent.CLEARED)
-    )
+    events = AlarmEvent.RAISED, AlarmEvent.CLEARED
+    raised, cleared = ([a for a in run.alarms if a.event == event] for event in events)
     assert [a.sensor for a in raised] == [f.sensor for f in two_faults.faults]
     abrupt, incipient = raised
     assert 6_000_000_000 <= abrupt.onset <= 6_002_000_000  # a sample

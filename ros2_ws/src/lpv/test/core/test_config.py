@@ -221,6 +221,7 @@ def test_given_an_arm_when_hashed_then_any_parameter_counts_and_the_layout_of_it
     other = {f.name: larger(getattr(paper_model, f.name)) for f in fields(paper_model)}
     other |= {'arrangement': 'relative', 'orientation': 'hanging'}
     other['inertia_reference'] = 'center_of_mass'
+    assert replace(paper_model, rates='derived').sha256() == paper_model.sha256()
     del other['rates']  # say nothing to the design
     variants = [replace(paper_model, **{name: value}) for name, value in other.items()]
     for i, link in enumerate(paper_model.links):

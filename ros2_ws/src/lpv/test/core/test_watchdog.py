@@ -160,12 +160,12 @@ def test_given_random_stalls_when_run_then_no_joint_is_ever_above_its_speed_limi
     paper_arm, paper_gains, two_faults, seed
 ):
     rng = np.random.default_rng(seed)
+    delay = int(rng.integers(0, 4))
     stalls = tuple(  # of any part at any time, 0.02 to 1 s long
         Stall(PARTS[rng.integers(len(PARTS))], rng.uniform(0.1, 19.0), 0.02 * 50 ** rng.random())
         for _ in range(10)
     )
-    transport = Transport(int(rng.integers(0, 4)), stalls=stalls)
-    scenario = replace(two_faults, seed=seed)
+    scenario, transport = replace(two_faults, seed=seed), Transport(delay, stalls=stalls)
     run = run_closed_loop(paper_arm, scenario, paper_gains, transport=transport)
     assert np.abs(run.velocity).max() < 2.0  # of 20 rad/s
     assert run.place[-1] > 1000, 'the arm goes on'
