@@ -190,9 +190,6 @@ def test_given_several_wrong_fields_when_read_then_one_error_names_each(tmp_path
     assert all(f') {field}: ' in str(caught.value) for field in wrong)
 
 
-# ------------------------------------------------------------------ arm files
-
-
 def test_given_the_shipped_arms_when_read_then_they_are_as_published(paper_model, real_model):
     assert paper_model.lengths == (1.0, 1.0)
     assert (paper_model.gravity, paper_model.arrangement, paper_model.sign) == (9.8, 'absolute', 1)
@@ -242,9 +239,6 @@ def test_given_texts_and_numbers_when_hashed_then_types_and_nesting_count():
     assert sha256_of(1) == sha256_of(1.0)
     assert sha256_of((1.0, 2.0)) == sha256_of([1.0, 2.0])
     assert sha256_of({'a': 1, 'b': 2}) == sha256_of({'b': 2, 'a': 1})
-
-
-# ------------------------------------------------------------------ YAML itself
 
 
 YAML = {
@@ -328,9 +322,6 @@ def test_given_a_file_that_is_too_large_when_read_then_it_is_refused_unread(
         read_yaml(path)
 
 
-# ------------------------------------------------------------------ scenario files
-
-
 def test_given_a_scenario_without_options_when_read_then_defaults_are_the_true_arm():
     data = {'name': 'x', 'duration': 1.0, 'path': {'waypoints': SCENARIO['path']['waypoints']}}
     scenario = parse_scenario(data)
@@ -361,9 +352,6 @@ def test_given_every_kind_of_fault_when_listed_then_a_scenario_file_may_name_it(
     for kind in KINDS:
         fault = {'sensor': 'link1_angle', 'kind': kind, 'onset': 1, 'size': 0.1, 'rate': 0.1}
         assert parse_scenario({**SCENARIO, 'faults': [fault]}).faults[0].kind == kind
-
-
-# ------------------------------------------------------------------ gains files
 
 
 @pytest.mark.parametrize('which', ['paper', 'real_arm', 'literal'])

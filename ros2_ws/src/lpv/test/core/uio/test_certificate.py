@@ -33,8 +33,6 @@ from lpv_design.guarantee import guarantee
 
 REQUIREMENTS = ROOT / 'design' / 'lpv_design' / 'requirements'
 
-# ------------------------------------------------------------------ exact arithmetic
-
 
 @given(st.lists(st.lists(st.integers(-5, 5), min_size=4, max_size=4), min_size=4, max_size=4))
 def test_given_a_gram_matrix_when_tested_then_only_the_identity_makes_it_positive_definite(rows):
@@ -116,9 +114,6 @@ def test_given_the_proof_when_compared_with_floats_then_constants_and_vertices_a
             np.testing.assert_allclose(fractions.astype(float), floats, rtol=1e-13)
 
 
-# ------------------------------------------------------------------ checks in floats
-
-
 def test_given_a_sampled_integrator_when_its_torque_is_late_then_the_radius_is_the_textbooks():
     a, b, m, dt = np.zeros((1, 1)), np.ones((1, 1)), np.array([[-2.0]]), 0.1
     # x+ = x + dt u, u = -2 x one sample late: z^2 - z + 0.2 = 0.
@@ -144,9 +139,6 @@ def test_given_an_arm_as_json_when_read_back_then_it_is_the_same_arm(arm):
             arm_from_json(text)
 
 
-# ------------------------------------------------------------------ what is guaranteed
-
-
 def test_given_a_design_when_mapped_then_thresholds_grow_towards_the_horizontal_and_with_errors(
     paper_model, paper_gains
 ):
@@ -165,9 +157,6 @@ def test_given_a_design_when_mapped_then_thresholds_grow_towards_the_horizontal_
         larger = guarantee(other, replace(paper_gains, arm_sha256=other.sha256()), points=5).bound
         assert np.all(larger[1:4, 1:4] >= base[1:4, 1:4])
         assert np.all(larger[1, 3] > base[1, 3])  # 36 deg to both sides
-
-
-# ------------------------------------------------------------------ commands
 
 
 @pytest.fixture
@@ -258,9 +247,6 @@ def test_given_a_bound_on_the_torque_gain_when_gravity_cannot_meet_it_then_the_d
             systems = 1j * frequencies[:, None, None] * np.eye(2) - n
             response = np.linalg.solve(systems, np.array([[0.0], [1.0 / link.inertia]]))[:, 0, 0]
             assert np.abs(response).max() <= limit * (1.0 + 1e-9)
-
-
-# ------------------------------------------------------------------ forged numbers
 
 
 CHANGES = (
