@@ -304,7 +304,8 @@ def test_given_a_file_that_is_none_when_any_kind_is_read_then_it_is_named_and_no
     # Aliases of aliases: the message stays short.
     lines = ['a0: &a0 [x, x]'] + [f'a{i}: &a{i} [*a{i - 1}, *a{i - 1}]' for i in range(1, 14)]
     latin.write_text('\n'.join([*lines, 'name: *a13\n']))
-    with pytest.raises(ConfigError, match='name: must be a non-empty string|missing') as caught:
+    told = 'name: must be a non-empty string' if load is load_arm else 'is missing'
+    with pytest.raises(ConfigError, match=told) as caught:
         load(latin)
     assert len(str(caught.value)) < 1000
 

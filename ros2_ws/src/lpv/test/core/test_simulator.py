@@ -53,14 +53,6 @@ def test_given_the_start_when_more_torque_is_asked_than_there_is_then_effort_sho
     assert plant.step_count == 1
 
 
-def test_given_noise_when_sensed_twice_then_the_reading_is_one(simulate):
-    plant = simulate()
-    one, two = (plant.sense()[0].position for _ in range(2))
-    np.testing.assert_array_equal(one, two)
-    plant.step((0.0, 0.0))
-    assert np.abs(plant.sense()[0].position - one).max() > 1e-5
-
-
 def test_given_brakes_when_held_then_nothing_moves_and_the_effort_carries_gravity(
     simulate, joints, paper_model
 ):
@@ -79,12 +71,17 @@ def test_given_brakes_when_held_then_nothing_moves_and_the_effort_carries_gravit
 def test_given_a_fault_when_injected_then_noise_and_disturbance_stay_the_same(simulate, joints):
     noise = Fault('link1_angle', 'noise', 0.0, size=0.5)
     plants = simulate(), simulate(noise, Fault('link2_angle', 'bias', 0.0, size=0.2))
+    last = np.inf
     for _ in range(20):
         (plain, truth), (faulty, other) = (p.sense() for p in plants)
         np.testing.assert_array_equal(truth.position, other.position)
         np.testing.assert_array_equal(plain.velocity, faulty.velocity)
         shift = joints.absolute_velocity(faulty.position - plain.position)
         np.testing.assert_allclose(shift, other.fault, atol=1e-12)
+        # A reading is one until the next step.
+        np.testing.assert_array_equal(plants[0].sense()[0].position, plain.position)
+        assert np.abs(plain.position - last).max() > 1e-5
+        last = plain.position
         for plant in plants:
             plant.step((1.0, 2.0))
 
