@@ -11,8 +11,8 @@ from lpv.core.uio.model.arm import ArmParameters
 from lpv_design.solve import solve, symmetric_below
 
 _RATES = (0.5, 0.25, 0.0)
-"""Largest link rates that are tried, each half of the one before, in units of the slower natural
-frequency under gravity."""
+"""Largest link rates that are tried, in units of the slower natural frequency under gravity: halved
+once, then none."""
 _RESERVE = 0.9
 """Part of the decay found that is claimed."""
 

@@ -52,7 +52,7 @@ scenario_file FILE   scenario file of this run, copied into the bag as scenario.
           'patterns of topics that "all" leaves out, as of a shell, against full names'),
 )  # fmt: skip
 _POLL = 0.1 * AT_ONCE
-"""Between two looks at what has come [s]."""
+"""Between two looks at what has come, ten in what seems immediate [s]."""
 _SPARE = PRESETS['none'][1]
 """Free space that is left alone, a chunk: what is to be written at the end needs some [bytes]."""
 

@@ -26,7 +26,8 @@ from lpv.core.support.jit import source_digest
 from lpv.core.support.limits import MOST_BYTES, MOST_ENTRIES, PATIENCE
 
 CHUNK = 20
-"""Runs that are sent to a worker, and written, together: seconds of work for milliseconds of it."""
+"""Runs that are sent to a worker, and written, together: they work for seconds, to send them takes
+milliseconds."""
 _NO_WORKER_TIMEOUT = 60.0
 """Time without any worker after which a campaign gives up [s]."""
 

@@ -29,7 +29,6 @@ from lpv.core.serial_arm.description import (
 from lpv.core.serial_arm.old_arm_file import parse_two_links
 from lpv.core.serial_arm.urdf_chain import read_urdf_chain
 from lpv.core.support.config import Section, names_all_errors, read_yaml
-from lpv.core.support.inequalities import SAME
 from lpv.core.support.limits import LARGEST
 
 _OLD_KIND = 'serial_arm'
@@ -40,6 +39,8 @@ _OLD_FORM = (
 INERTIA_KEYS = ('xx', 'xy', 'yy', 'xz', 'yz', 'zz')
 FAR = 1e3
 """Range of coordinates, angles and gears in files [m], [rad], [1]."""
+_SMALLEST_DETERMINANT = 1e-6
+"""Of a matrix of sensors that tell the joints' positions; smaller ones count as singular."""
 _HEADER = '# docs/arm-file.md describes the fields.\n'
 
 
@@ -146,7 +147,7 @@ def _sensor_matrix(top: Section, n: int) -> tuple[tuple[float, ...], ...] | None
     rows = top.rows('sensor_matrix', n, n)
     if np.abs(rows).max() > FAR:
         raise top.error('sensor_matrix', f'must lie within +-{FAR:g}')
-    if len(rows) != n or abs(np.linalg.det(np.array(rows))) < SAME:
+    if len(rows) != n or abs(np.linalg.det(np.array(rows))) < _SMALLEST_DETERMINANT:
         raise top.error('sensor_matrix', f'must have {n} rows and an inverse')
     return tuple(tuple(row) for row in rows)
 

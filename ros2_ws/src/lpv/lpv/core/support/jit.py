@@ -191,6 +191,10 @@ def _compiled(function: Callable[..., Any], **options: bool) -> Callable[..., An
     return called
 
 
+_entries: dict[Any, Callable[..., Any]] = {}
+"""What `entry` has found: to find the types of a monitor takes longer than a second of its run."""
+
+
 def entry(function: Any, *arguments: Any) -> Callable[..., Any]:
     """A compiled function for arguments of these types, which it does not look at at every call.
 
@@ -205,10 +209,6 @@ def entry(function: Any, *arguments: Any) -> Callable[..., Any]:
         function.compile(types)
         _entries[key] = function.overloads[types].entry_point
     return _entries[key]
-
-
-_entries: dict[Any, Callable[..., Any]] = {}
-"""What `entry` has found: to find the types of a monitor takes as long as a second of its run."""
 
 
 def _signature(value: Any) -> Any:

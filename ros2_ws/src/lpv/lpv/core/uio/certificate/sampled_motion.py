@@ -26,7 +26,7 @@ SIZE = 8
 """Of (theta, theta', eps, u)."""
 _LONGEST = 10.0
 """Norm of F Ts beyond which nothing is claimed: the terms from the third order on, which count as
-error, are then of size exp(10) and no loop contracts by more."""
+error, may then be as large as exp(10), far more than any loop contracts."""
 
 
 @dataclass(frozen=True)
