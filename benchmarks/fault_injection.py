@@ -9,7 +9,7 @@ import os
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, lru_cache
+from functools import cache, lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -224,10 +224,10 @@ def moves_and_rests(
     return course
 
 
-def rounded(stream: Stream, rates: str) -> Stream:
-    """Rounded readings, and rates made of these."""
+def rounded(stream: Stream, rates: str, step: float = STEP) -> Stream:
+    """Readings rounded to a step [rad], and rates made of these."""
     samples = stream.samples.copy()
-    samples[:, 0] = STEP * np.round(samples[:, 0] / STEP)
+    samples[:, 0] = step * np.round(samples[:, 0] / step)
     one = Stream(stream.stamps, samples)
     return derived(one) if rates == 'derived' else one
 
@@ -373,7 +373,8 @@ def _simulated(
         return simulate(arm, motion, k, payload=most)
 
     if pauses:
-        return Subject(name, 'simulated', arm, streams, level, gains, driver=rounded)
+        driver = partial(rounded, step=arm.joints[0].sensors.quantization)
+        return Subject(name, 'simulated', arm, streams, level, gains, driver=driver)
     others = {'rest': rest, 'payload': loaded}
     return Subject(name, 'simulated', arm, streams, level, gains, others)
 
@@ -442,7 +443,7 @@ def _recorded_kr300() -> Subject:
     return Subject('kr300', 'tuned', arm, streams, ())
 
 
-ARMS = ('paper', 'real_arm', 'swinging', 'chain3', 'pausing', 'ur10', 'panda', 'kr300')
+ARMS = ('paper', 'real_arm', 'swinging', 'chain3', 'pausing', 'coarse', 'ur10', 'panda', 'kr300')
 
 
 def subjects(name: str, recorded: bool, untouched: bool = False) -> list[Subject]:
@@ -478,6 +479,9 @@ def _simulated_subject(name: str) -> Subject:
         return _simulated(name, arm, *motion_range(arm, 0.5), (1, 2))
     if name == 'pausing':  # from pose to pose, with rests in which rounded readings do not change
         arm = shoulder_arm(position_noise=1e-5, quantization=STEP)
+        return _simulated(name, arm, *motion_range(arm, 0.5), (1, 2), pauses=True)
+    if name == 'coarse':  # the same at 100 Hz, with readings in steps of 1 mrad
+        arm = replace(shoulder_arm(position_noise=1e-5, quantization=1e-3), sample_time=0.01)
         return _simulated(name, arm, *motion_range(arm, 0.5), (1, 2), pauses=True)
     arm = load_arm(BRINGUP / 'arms' / f'{name}.yaml')
     return _simulated(name, arm, *motion_range(arm, 0.5), (1, 2) if name == 'ur10' else (1, 3))

@@ -43,6 +43,7 @@ HEALTHY = {
     'chain3 independent': 'payload,rest 1 mrad',
     'chain3 derived': 'push,rest 0.1 mrad,rest 1 mrad',
     'pausing derived': 'healthy,push,stamps off,stamps off differenced,bursts,repeated,gaps',
+    'coarse derived': 'healthy,stamps off,stamps off differenced',
     'recorded real_arm derived': 'healthy,stamps off,repeated,gaps',
     'recorded ur10 independent': 'healthy,gaps',
     'recorded panda derived': 'healthy',

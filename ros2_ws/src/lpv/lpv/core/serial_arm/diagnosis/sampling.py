@@ -101,6 +101,7 @@ class Sampler(NamedTuple):
     noise: FloatArray  # (3, n) jumps lately, usual e^2 while noisy [rad2], correction before [rad]
     noisy: IntArray  # (n,) 1 while a reading is noisy
     doubtful: IntArray  # (HISTORY, n) 1: a wrong stamp explains e; 2: of several joints; 3: a gap
+    filled: IntArray  # (n,) samples that e will still hold a reading that was filled in
     # (4, n) published rates of the last sample [rad/s]; products of what the readings' differences
     # are more than the rates around them with the changes of these, and squares of both [rad2/s2]
     published: FloatArray
@@ -128,7 +129,8 @@ def new_sampler(
         np.zeros(n), np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n), np.zeros(n),
         np.full(n, np.inf),
         np.zeros((3, n)),
-        np.zeros(n, np.int64), np.zeros((HISTORY, n), np.int64), np.zeros((4, n)), counters,
+        np.zeros(n, np.int64), np.zeros((HISTORY, n), np.int64), np.zeros(n, np.int64),
+        np.zeros((4, n)), counters,
         np.zeros(9))  # fmt: skip
 
 
@@ -152,6 +154,7 @@ def push_sample(
     sampler.time[HISTORY - 1] = time
     for i in range(n):
         sampler.found[i] = NONE
+        sampler.filled[i] = max(sampler.filled[i] - 1, 0)
         if sampler.counters[COUNT] > 0:
             change = sampler.curve[i] * period
             sampler.followed[i] += (sampler.drift[i] + 0.5 * change) * period
@@ -264,6 +267,7 @@ def _fill_repeated(sampler: Sampler) -> None:
         for k in range(old + 1, now):
             since = sampler.time[k] - sampler.time[old]
             sampler.samples[k, 0, i] = sampler.samples[old, 0, i] + rate * since
+        sampler.filled[i] = 3  # e of the last sample but one holds three readings
         if sampler.derived[i] == 1.0:
             sampler.samples[old + 1 :, 1, i] = rate
 
@@ -351,9 +355,10 @@ def _set_jumps(sampler: Sampler) -> None:
     for i in range(n):
         if not _is_beyond(sampler, i, k):
             continue
-        # Readings that jump together have a common cause, if their motion explains it.
+        # Readings that jump together, or after they were repeated, have a cause outside the
+        # sensor, if their motion explains it.
         explained = LATE * gap * _largest_rate(sampler, i, HISTORY)
-        if together > 1:
+        if together > 1 or sampler.filled[i] > 0:
             most = _latest(sampler, i, period)
             explained = max(explained, most * _largest_rate(sampler, i, k))
         if abs(sampler.jumps[k, i]) < explained:
@@ -479,8 +484,8 @@ def _wrong_stamp(sampler: Sampler, period: float) -> float:
     jumps, n, late, best = sampler.jumps[HISTORY - 2], sampler.scale.shape[0], 0.0, 1
     for c in range(n):
         rate = _motion(sampler, c)
-        # Noisy readings jump by themselves.
-        if sampler.noisy[c] == 1 or abs(rate) < _SLOW:
+        # Noisy readings jump by themselves, and repeated ones where they go on.
+        if sampler.noisy[c] == 1 or sampler.filled[c] > 0 or abs(rate) < _SLOW:
             continue
         if abs(jumps[c]) > _latest(sampler, c, period) * abs(rate):
             continue
@@ -488,7 +493,9 @@ def _wrong_stamp(sampler: Sampler, period: float) -> float:
         for i in range(n):
             own = _motion(sampler, i)
             way, usual = jumps[c] / rate * own, _USUAL * sampler.scale[i]
-            if sampler.noisy[i] == 1 or max(abs(way), abs(jumps[i])) <= usual:
+            if sampler.noisy[i] == 1 or sampler.filled[i] > 0:
+                continue
+            if max(abs(way), abs(jumps[i])) <= usual:
                 continue
             if abs(jumps[i] - way) < max(0.5 * abs(way), usual):
                 gained, common, weight = gained + 1, common + jumps[i] * own, weight + own * own
@@ -518,7 +525,8 @@ def _may_be_stamp(sampler: Sampler, i: int, period: float) -> bool:
         return False
     for j in range(sampler.scale.shape[0]):
         way = jumps[i] / rate * _motion(sampler, j)
-        if j != i and abs(jumps[j] - way) > max(0.5 * abs(way), _USUAL * sampler.scale[j]):
+        usual = max(0.5 * abs(way), _USUAL * sampler.scale[j])
+        if j != i and abs(jumps[j] - way) > usual and sampler.filled[j] == 0:
             return False
     return True
 
@@ -765,6 +773,7 @@ def restart(sampler: Sampler, balance: Balance) -> None:
     sampler.counters[PENDING] = -1
     sampler.still[:] = 0
     sampler.doubtful[:] = 0
+    sampler.filled[:] = 0
     sampler.sums[:] = 0.0
     sampler.clock[LATE_FROM:] = 0.0
     drop_interval(balance)
