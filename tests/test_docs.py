@@ -4,12 +4,15 @@ import functools
 import importlib
 import inspect
 import re
+import shlex
 import subprocess
 import sys
 
 import import_graph
 import pytest
 from places import ROOT
+
+from lpv.cli.main import build_parser
 
 PAGES = sorted((ROOT / 'docs').glob('*.md')) + [
     ROOT / name for name in ('README.md', 'CONTRIBUTING.md')
@@ -114,6 +117,14 @@ def test_given_a_page_when_its_relative_links_are_followed_then_files_and_headin
         assert target.is_file(), link
         if heading:
             assert heading in headings(target), link
+
+
+@pytest.mark.parametrize('page', PAGES, ids=lambda page: page.name)
+def test_given_a_page_when_its_lpv_commands_are_parsed_then_each_has_these_options(page):
+    text = page.read_text(encoding='utf-8').replace('\\\n', '')
+    for line in re.findall(r'^(?:\$ |my_env/bin/)?lpv (.+)$', text, re.MULTILINE):
+        argv = shlex.split(line, comments=True)
+        build_parser(argv[0]).parse_args(argv)
 
 
 def headings(path):
