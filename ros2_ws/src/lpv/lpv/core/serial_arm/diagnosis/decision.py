@@ -23,7 +23,7 @@ from lpv.core.serial_arm.diagnosis.estimator import (
 )
 from lpv.core.serial_arm.diagnosis.healthy_set import HealthyRing, take_healthy
 from lpv.core.serial_arm.diagnosis.information import NEXT, Window, slot
-from lpv.core.serial_arm.diagnosis.sampling import BLOCKS, Sampler
+from lpv.core.serial_arm.diagnosis.sampling import BLOCKS, JITTER, Sampler
 from lpv.core.support.jit import njit_in_place
 from lpv.core.support.records import record_type
 
@@ -134,12 +134,13 @@ def add_noise(
             rates = 6.0 * sampler.derived[j] * (momenta[i, j] / interval[0]) ** 2
             if np.isfinite(sampler.grain[j]):
                 rounded += rates * sampler.grain[j] * sampler.grain[j] / 12.0
-            # Stamps that are off make e larger at speed than what was learned at rest.
+            # Readings may be louder in motion than at rest.
             louder = sampler.scale[j] * sampler.scale[j] - sampler.calm[j]
             noisy += rates * max(louder, 0.0) / 5.0
             wrong = 0.0
             for block in blocks:
-                wrong = max(wrong, (block[3 * n + 3] * block[n + j]) ** 2)
+                late = sampler.clock[JITTER] + block[3 * n + 3] ** 2
+                wrong = max(wrong, late * block[n + j] ** 2)
             noisy += rates * wrong
             if sampler.noisy[j] == 1:
                 mean = window.rows[at, i, 1 + OFFSET * n + j] ** 2 / interval[1]

@@ -17,6 +17,7 @@ import numpy as np
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.diagnosis.balance import Balance, add_block, close_interval, drop_interval
 from lpv.core.serial_arm.diagnosis.information import ROBUST
+from lpv.core.serial_arm.diagnosis.priors import WRONG_STAMPS
 from lpv.core.support.jit import njit_in_place
 
 DELAY = 5
@@ -32,10 +33,13 @@ NONE, STEP, SPIKE, NOISY, QUIET, HIDDEN = range(6)
 COUNT, IN_BLOCK, IN_INTERVAL, PENDING, BLOCKS = range(5)
 """Entries of `Sampler.counters`: samples since the start, in the block; blocks in the interval;
 sensor-independent age of a jump that waits for its kind, -1 if none; blocks written."""
-TIME, INTERVAL_START, BLOCK_START, STAMPS, TIMES, LATEST, LATE_FROM, LATE_UNTIL, IN_DOUBT = range(9)
+(
+    TIME, INTERVAL_START, BLOCK_START, STAMPS, TIMES, JITTER, SEEN, LATEST, LATE_FROM, LATE_UNTIL,
+    IN_DOUBT,
+) = range(11)  # fmt: skip
 """Entries of `Sampler.clock` [s]; the fourth one is 1 once a stamp has been wrong, then comes the
-sum of the block's stamps; by how much stamps were wrong lately, from and until when, and by how
-much those of the block may be."""
+sum of the block's stamps; the usual variance of stamps [s2], and of how many it was learned; by how
+much stamps were wrong lately, from and until when, and by how much those of the block may be."""
 ROUNDING = 1e-12
 """Change of a reading that rounding explains, where it was found from joint positions [rad]."""
 JUMP_SCALE = 10.0
@@ -76,8 +80,9 @@ class Sampler(NamedTuple):
     time: FloatArray  # stamps of the last samples, newest last, shape (HISTORY,) [s]
     samples: FloatArray  # readings, rates, torques, shape (HISTORY, 3, n)
     jumps: FloatArray  # e of each, shape (HISTORY, n)
-    scale: FloatArray  # usual size of e, shape (n,) [rad]
-    calm: FloatArray  # (n,) its square where it was small, over the blocks that are kept [rad2]
+    scale: FloatArray  # usual size of e by the readings, shape (n,) [rad]
+    usual: FloatArray  # (n,) that of the last e, by the errors of stamps, too [rad]
+    calm: FloatArray  # (n,) square of scale where it was small, over the blocks kept [rad2]
     smallest: FloatArray  # smallest jump that is looked for, shape (n,) [rad]
     correction: FloatArray  # (n,) jumps that are removed from the reading [rad]
     followed: FloatArray  # (n,) fault that changes, and is removed, too [rad]
@@ -106,7 +111,7 @@ class Sampler(NamedTuple):
     # are more than the rates around them with the changes of these, and squares of both [rad2/s2]
     published: FloatArray
     counters: IntArray  # (5,)
-    clock: FloatArray  # moments, shape (9,) [s]
+    clock: FloatArray  # moments, shape (11,) [s]
 
 
 def new_sampler(
@@ -122,8 +127,8 @@ def new_sampler(
     counters[PENDING] = -1
     return Sampler(
         np.zeros(HISTORY), np.zeros((HISTORY, 3, n)), np.zeros((HISTORY, n)), scale.copy(),
-        scale * scale, smallest.copy(), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n),
-        np.zeros(n), np.zeros(n),
+        scale.copy(), scale * scale, smallest.copy(), np.zeros(n), np.zeros(n), np.zeros(n),
+        np.zeros(n), np.zeros(n), np.zeros(n),
         derived.copy(), np.zeros((3, n)), np.zeros((capacity, 3 * n + 4)), np.zeros(n, np.int64),
         np.zeros(n), np.zeros(n, np.int64),
         np.zeros(n), np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n), np.zeros(n),
@@ -131,7 +136,7 @@ def new_sampler(
         np.zeros((3, n)),
         np.zeros(n, np.int64), np.zeros((HISTORY, n), np.int64), np.zeros(n, np.int64),
         np.zeros((4, n)), counters,
-        np.zeros(9))  # fmt: skip
+        np.zeros(11))  # fmt: skip
 
 
 @njit_in_place
@@ -331,7 +336,12 @@ def _set_jumps(sampler: Sampler) -> None:
     """Write e of the last sample but one, less what a wrong stamp explains."""
     k, n, beyond = HISTORY - 2, sampler.scale.shape[0], False
     period = sampler.time[k] - sampler.time[k - 1]
+    if sampler.clock[SEEN] == 0.0:
+        sampler.clock[JITTER], sampler.clock[SEEN] = _expected_jitter(period), 1.0
     for i in range(n):
+        rate = 0.0 if sampler.noisy[i] == 1 else _rate_before(sampler, i)
+        stamps = sampler.clock[JITTER] * _stamps_in_jump(sampler, i)
+        sampler.usual[i] = np.sqrt(sampler.scale[i] ** 2 + stamps * rate * rate)
         sampler.jumps[k, i] = 0.0
         if not _is_followed_at_rest(sampler, i):
             sampler.jumps[k, i] = _way(sampler, i) - period * _mean_rate(sampler, i)
@@ -353,7 +363,8 @@ def _set_jumps(sampler: Sampler) -> None:
         if _is_beyond(sampler, i, k):
             together += 1
     for i in range(n):
-        if not _is_beyond(sampler, i, k):
+        # What is usual may have changed until a jump is named.
+        if abs(sampler.jumps[k, i]) <= _PEAK * smallest_jump(sampler, i):
             continue
         # Readings that jump together, or after they were repeated, have a cause outside the
         # sensor, if their motion explains it.
@@ -492,7 +503,7 @@ def _wrong_stamp(sampler: Sampler, period: float) -> float:
         gained, common, weight = 0, 0.0, 0.0
         for i in range(n):
             own = _motion(sampler, i)
-            way, usual = jumps[c] / rate * own, _USUAL * sampler.scale[i]
+            way, usual = jumps[c] / rate * own, _USUAL * sampler.usual[i]
             if sampler.noisy[i] == 1 or sampler.filled[i] > 0:
                 continue
             if max(abs(way), abs(jumps[i])) <= usual:
@@ -520,12 +531,12 @@ def _may_be_stamp(sampler: Sampler, i: int, period: float) -> bool:
     # Where stamps have been wrong, two in a row may be.  Rates that carry jumps tell no motion.
     usual = abs(_usual_rate(sampler, i))
     wrong = 2.0 if sampler.clock[STAMPS] == 1.0 else 1.0 + 0.5 * sampler.derived[i]
-    largest = LATE * wrong * period * usual + _USUAL * sampler.scale[i]
+    largest = LATE * wrong * period * usual + _USUAL * sampler.usual[i]
     if rate == 0.0 or abs(jumps[i]) > largest:
         return False
     for j in range(sampler.scale.shape[0]):
         way = jumps[i] / rate * _motion(sampler, j)
-        usual = max(0.5 * abs(way), _USUAL * sampler.scale[j])
+        usual = max(0.5 * abs(way), _USUAL * sampler.usual[j])
         if j != i and abs(jumps[j] - way) > usual and sampler.filled[j] == 0:
             return False
     return True
@@ -543,7 +554,10 @@ def _find_jumps(sampler: Sampler) -> None:
         if beyond:
             sampler.counters[PENDING] = max(sampler.counters[PENDING], 0)
         elif not waits and not (sampler.still[i] > HISTORY and sampler.lively[i] > LIVELY):
-            _learn_scale(sampler, i, sampler.jumps[k, i], 1.0)
+            own = sampler.scale[i] / sampler.usual[i]
+            _learn_scale(sampler, i, sampler.jumps[k, i] * own, 1.0)
+    if sampler.counters[PENDING] < 0:
+        _learn_jitter(sampler)
     if waits:
         sampler.counters[PENDING] += 1
     elif sampler.counters[PENDING] < 0:
@@ -558,6 +572,53 @@ def _find_jumps(sampler: Sampler) -> None:
     for i in range(n):
         if sampler.found[i] == NONE and sampler.noisy[i] == 0:
             _name_jump(sampler, i)
+
+
+@njit_in_place
+def _rate_before(sampler: Sampler, i: int) -> float:
+    """Mean rate of a reading over the samples before those that the last e holds [rad/s]."""
+    last, first = HISTORY - 5, max(HISTORY - sampler.counters[COUNT], 0)
+    way = sampler.samples[last, 0, i] - sampler.samples[first, 0, i]
+    return float(way / (sampler.time[last] - sampler.time[first])) if last > first else 0.0
+
+
+@njit_in_place
+def _expected_jitter(period: float) -> float:
+    """Variance of stamps before any were seen [s2]."""
+    return WRONG_STAMPS * (LATE * period) ** 2
+
+
+@njit_in_place
+def _stamps_in_jump(sampler: Sampler, i: int) -> float:
+    """How many times the variance of a stamp, per squared rate, is in e.
+
+    e holds the errors of two stamps; where the rate is derived from the reading, of four, with
+    weights 1.5, 1.5, 0.5 and 0.5.
+    """
+    return float(2.0 + 3.0 * sampler.derived[i])
+
+
+@njit_in_place
+def _learn_jitter(sampler: Sampler) -> None:
+    """Learn the usual error of stamps from the joint that shows it best, of those that move.
+
+    Errors of other readings may be correlated with its own.
+    """
+    k, clock, power, late = HISTORY - 2, sampler.clock, 0.0, 0.0
+    for i in range(sampler.scale.shape[0]):
+        if sampler.noisy[i] == 1 or sampler.filled[i] > 0 or sampler.doubtful[k, i] > 0:
+            continue
+        rate = _rate_before(sampler, i) * np.sqrt(_stamps_in_jump(sampler, i))
+        if abs(rate) > np.sqrt(power) * sampler.scale[i]:
+            power, late = (rate / sampler.scale[i]) ** 2, sampler.jumps[k, i] / rate
+    expected = power * _expected_jitter(sampler.time[k] - sampler.time[k - 1])
+    if expected == 0.0:
+        return
+    weight = (expected / (1.0 + expected)) ** 2
+    seen = min(late * late, ROBUST**2 * (clock[JITTER] + 1.0 / power)) - 1.0 / power
+    clock[SEEN] = min(clock[SEEN] + weight, SCALE_MEMORY)
+    clock[JITTER] += weight * (seen - clock[JITTER]) / clock[SEEN]
+    clock[JITTER] = max(clock[JITTER], 0.0)
 
 
 @njit_in_place
@@ -597,7 +658,7 @@ def _watch_noise(sampler: Sampler, i: int, beyond: bool) -> None:
 @njit_in_place
 def smallest_jump(sampler: Sampler, i: int) -> float:
     """Size of e beyond which a reading jumps [rad]."""
-    return float(max(JUMP_SCALE * sampler.scale[i], sampler.smallest[i]))
+    return float(max(JUMP_SCALE * sampler.usual[i], sampler.smallest[i]))
 
 
 @njit_in_place
