@@ -224,7 +224,7 @@ def moves_and_rests(
     return course
 
 
-def rounded(stream: Stream, rates: str, step: float = STEP) -> Stream:
+def rounded(stream: Stream, rates: str, step: float) -> Stream:
     """Readings rounded to a step [rad], and rates made of these."""
     samples = stream.samples.copy()
     samples[:, 0] = step * np.round(samples[:, 0] / step)
@@ -477,11 +477,11 @@ def _simulated_subject(name: str) -> Subject:
     if name == 'chain3':
         arm = shoulder_arm()
         return _simulated(name, arm, *motion_range(arm, 0.5), (1, 2))
-    if name == 'pausing':  # from pose to pose, with rests in which rounded readings do not change
-        arm = shoulder_arm(position_noise=1e-5, quantization=STEP)
-        return _simulated(name, arm, *motion_range(arm, 0.5), (1, 2), pauses=True)
-    if name == 'coarse':  # the same at 100 Hz, with readings in steps of 1 mrad
-        arm = replace(shoulder_arm(position_noise=1e-5, quantization=1e-3), sample_time=0.01)
+    if name in ('pausing', 'coarse'):
+        # From pose to pose, with rests in which rounded readings do not change; in steps of 1 mrad
+        # at 100 Hz, too.
+        step, period = (STEP, 0.002) if name == 'pausing' else (1e-3, 0.01)
+        arm = replace(shoulder_arm(position_noise=1e-5, quantization=step), sample_time=period)
         return _simulated(name, arm, *motion_range(arm, 0.5), (1, 2), pauses=True)
     arm = load_arm(BRINGUP / 'arms' / f'{name}.yaml')
     return _simulated(name, arm, *motion_range(arm, 0.5), (1, 2) if name == 'ur10' else (1, 3))
@@ -586,7 +586,7 @@ def disturb(stream: Stream, kind: Kind, is_derived: bool, rng: np.random.Generat
     elif kind.kind == 'stamps':
         # Readings are up to 1.5 samples older or newer than 2 % of the stamps.
         off = (rng.random(len(time)) < 0.02) * rng.uniform(-1.5, 1.5, len(time)) * period
-        samples = _at(stream, time + off)
+        samples = read_at(stream, time + off)
         if kind.size:  # the driver makes rates of such readings, in place of the drive
             return derived(Stream(stamps, samples))
     elif kind.kind == 'bursts':
@@ -594,7 +594,7 @@ def disturb(stream: Stream, kind: Kind, is_derived: bool, rng: np.random.Generat
         # both.
         step = np.where(rng.random(len(time)) < 0.05, 3.0, 0.8) * period
         stamp = np.cumsum(step)[np.cumsum(step) < time[-1] - 2.0 * period]
-        samples = _at(stream, stamp + kind.size * period * rng.normal(size=len(stamp)))
+        samples = read_at(stream, stamp + kind.size * period * rng.normal(size=len(stamp)))
         return derived(Stream(stamps[0] + np.round(stamp * 1e9).astype(np.int64), samples))
     elif kind.kind == 'repeated':
         # A driver that was late gives the reading before once more.
@@ -606,7 +606,7 @@ def disturb(stream: Stream, kind: Kind, is_derived: bool, rng: np.random.Generat
         for row in np.flatnonzero(rng.random(len(time)) < 0.004):
             lost[row : row + int(rng.integers(1, 5))] = True
             off[row : row + 6] = rng.uniform(-1.0, 1.0) * period
-        samples = _at(stream, time + off)
+        samples = read_at(stream, time + off)
         rows = np.flatnonzero(~lost)
         rows = np.sort(np.concatenate([rows, rows[rng.random(len(rows)) < 0.003]]))
         stamps, samples = stamps[rows], samples[rows]
@@ -620,7 +620,7 @@ def disturb(stream: Stream, kind: Kind, is_derived: bool, rng: np.random.Generat
     return Stream(stamps, samples)
 
 
-def _at(stream: Stream, time: np.ndarray) -> np.ndarray:
+def read_at(stream: Stream, time: np.ndarray) -> np.ndarray:
     """Samples at other times than their own."""
     own = (stream.stamps - stream.stamps[0]) * 1e-9
     flat = stream.samples.reshape(len(own), -1)

@@ -1,10 +1,11 @@
 """Stamps that scatter move all readings by their rates: learned, and no fault of an encoder."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
-from fault_injection import Stream, derived, motion_range, shoulder_arm, simulate
+from fault_injection import derived, motion_range, read_at, shoulder_arm, simulate
 
 from lpv.core.serial_arm.diagnosis.monitor import SerialMonitor
 from lpv.core.serial_arm.diagnosis.sampling import JITTER
@@ -12,15 +13,14 @@ from lpv.core.serial_arm.diagnosis.sampling import JITTER
 PERIOD = 0.02  # [s]
 
 
+@cache
 def monitored(seed, jitter):
     """The monitor of an arm at 50 Hz that pauses, after 20 s with readings off their stamps."""
     arm = replace(shoulder_arm(quantization=1e-4), sample_time=PERIOD)
     healthy = simulate(arm, motion_range(arm, 0.5), seed, pauses=True)
     time, rng = healthy.stamps * 1e-9, np.random.default_rng(seed)
     taken = time + jitter * PERIOD * rng.normal(size=len(time))
-    flat = healthy.samples.reshape(len(time), -1)
-    late = np.stack([np.interp(taken, time, column) for column in flat.T], axis=1)
-    stream = derived(Stream(healthy.stamps, late.reshape(healthy.samples.shape)))
+    stream = derived(replace(healthy, samples=read_at(healthy, taken)))
     monitor = SerialMonitor(arm)
     monitor.update_many(1 + stream.stamps, stream.samples)
     return monitor

@@ -274,6 +274,17 @@ def test_given_any_number_that_is_used_when_forged_then_the_loader_refuses_it(re
     assert gains_checksum(gains) == data['checksum']
 
 
+def test_given_gains_of_a_heavier_arm_when_its_hash_is_forged_then_inequalities_refuse_it(
+    paper_model, paper_gains
+):
+    heavier = paper_model.scaled(mass_factors=(1.0, 1.5))
+    with pytest.raises(ConfigError, match='designed for another arm'):
+        conditions.verify(heavier, paper_gains)
+    forged = replace(paper_gains, arm_sha256=heavier.sha256())
+    failed = [c.name for c in conditions.verify(heavier, forged) if not c.holds]
+    assert any('poles between' in name for name in failed)
+
+
 def test_given_forged_noise_when_the_checksum_is_forged_too_then_it_is_still_refused(
     paper_model, paper_gains
 ):

@@ -23,7 +23,7 @@ from lpv.core.serial_arm.diagnosis.estimator import (
 )
 from lpv.core.serial_arm.diagnosis.healthy_set import HealthyRing, take_healthy
 from lpv.core.serial_arm.diagnosis.information import NEXT, Window, slot
-from lpv.core.serial_arm.diagnosis.sampling import BLOCKS, JITTER, Sampler
+from lpv.core.serial_arm.diagnosis.sampling import BLOCKS, JITTER, Sampler, readings_in_jump
 from lpv.core.support.jit import njit_in_place
 from lpv.core.support.records import record_type
 
@@ -105,9 +105,7 @@ class Parts(NamedTuple):
 @njit_in_place
 def reading_noise(sampler: Sampler, i: int) -> float:
     """Variance of a noisy reading [rad2]."""
-    # e is made of two readings; where the rates are derived from them, of four, with weights 1.5,
-    # 1.5, 0.5 and 0.5.
-    return float(sampler.noise[1, i] / (5.0 if sampler.derived[i] == 1.0 else 2.0))
+    return float(sampler.noise[1, i] / readings_in_jump(sampler, i))
 
 
 @njit_in_place
@@ -136,7 +134,7 @@ def add_noise(
                 rounded += rates * sampler.grain[j] * sampler.grain[j] / 12.0
             # Readings may be louder in motion than at rest.
             louder = sampler.scale[j] * sampler.scale[j] - sampler.calm[j]
-            noisy += rates * max(louder, 0.0) / 5.0
+            noisy += rates * max(louder, 0.0) / readings_in_jump(sampler, j)
             wrong = 0.0
             for block in blocks:
                 late = sampler.clock[JITTER] + block[3 * n + 3] ** 2

@@ -61,6 +61,9 @@ twice that of such differences."""
 _PEAK = 0.75
 """The first e of a pattern is at least so many times the largest one: halfway between a step and
 the e beside it, half as large, of a rate that is derived from the reading."""
+_NEARLY = 0.75
+"""Share of its threshold from which on a jump carries its doubt: the threshold was seen to fall by
+4 % in the three samples until a jump is named; a quarter leaves room."""
 SCALE_MEMORY = 256.0
 """Samples over which the usual size of e, and that a reading has noise, are learned."""
 LIVELY = 0.02
@@ -340,7 +343,7 @@ def _set_jumps(sampler: Sampler) -> None:
         sampler.clock[JITTER], sampler.clock[SEEN] = _expected_jitter(period), 1.0
     for i in range(n):
         rate = 0.0 if sampler.noisy[i] == 1 else _rate_before(sampler, i)
-        stamps = sampler.clock[JITTER] * _stamps_in_jump(sampler, i)
+        stamps = sampler.clock[JITTER] * readings_in_jump(sampler, i)
         sampler.usual[i] = np.sqrt(sampler.scale[i] ** 2 + stamps * rate * rate)
         sampler.jumps[k, i] = 0.0
         if not _is_followed_at_rest(sampler, i):
@@ -364,7 +367,7 @@ def _set_jumps(sampler: Sampler) -> None:
             together += 1
     for i in range(n):
         # What is usual may have changed until a jump is named.
-        if abs(sampler.jumps[k, i]) <= _PEAK * smallest_jump(sampler, i):
+        if abs(sampler.jumps[k, i]) <= _NEARLY * smallest_jump(sampler, i):
             continue
         # Readings that jump together, or after they were repeated, have a cause outside the
         # sensor, if their motion explains it.
@@ -589,11 +592,11 @@ def _expected_jitter(period: float) -> float:
 
 
 @njit_in_place
-def _stamps_in_jump(sampler: Sampler, i: int) -> float:
-    """How many times the variance of a stamp, per squared rate, is in e.
+def readings_in_jump(sampler: Sampler, i: int) -> float:
+    """How many times the variance of a reading is in e.
 
-    e holds the errors of two stamps; where the rate is derived from the reading, of four, with
-    weights 1.5, 1.5, 0.5 and 0.5.
+    e is made of two readings; where the rates are derived from them, of four, with weights 1.5,
+    1.5, 0.5 and 0.5.
     """
     return float(2.0 + 3.0 * sampler.derived[i])
 
@@ -608,7 +611,7 @@ def _learn_jitter(sampler: Sampler) -> None:
     for i in range(sampler.scale.shape[0]):
         if sampler.noisy[i] == 1 or sampler.filled[i] > 0 or sampler.doubtful[k, i] > 0:
             continue
-        rate = _rate_before(sampler, i) * np.sqrt(_stamps_in_jump(sampler, i))
+        rate = _rate_before(sampler, i) * np.sqrt(readings_in_jump(sampler, i))
         if abs(rate) > np.sqrt(power) * sampler.scale[i]:
             power, late = (rate / sampler.scale[i]) ** 2, sampler.jumps[k, i] / rate
     expected = power * _expected_jitter(sampler.time[k] - sampler.time[k - 1])
