@@ -8,6 +8,7 @@ from serial_arms import shoulder_arm
 
 from lpv.core.serial_arm.diagnosis.bank import (
     KinematicRows,
+    learn_rows,
     loudest_rows,
     loudest_window,
     sum_rows,
@@ -17,14 +18,19 @@ from lpv.core.serial_arm.diagnosis.estimator import HorizonPlan
 from lpv.core.serial_arm.diagnosis.linear_bank import new_rows
 
 
-def sums(noise=1e-3, step=0.0, rate=0.0, jump=0.0):
-    """Sums of the rows of half a second at a constant rate, in which a reading may jump."""
+def rows_of(**noise):
+    """Rows of three joints whose readings have such noise, and the plan of their balances."""
     arm = shoulder_arm('independent')
-    own = {'position_noise': noise, 'quantization': step}
-    joints = (replace(j, sensors=replace(j.sensors, **own)) for j in arm.joints)
+    joints = (replace(j, sensors=replace(j.sensors, **noise)) for j in arm.joints)
     arm = replace(arm, joints=tuple(joints))
     plan = HorizonPlan.of(arm.sample_time)
-    rows, length = KinematicRows(arm, plan), plan.interval / plan.blocks
+    return KinematicRows(arm, plan), plan
+
+
+def sums(noise=1e-3, step=0.0, rate=0.0, jump=0.0):
+    """Sums of the rows of half a second at a constant rate, in which a reading may jump."""
+    rows, plan = rows_of(position_noise=noise, quantization=step)
+    length = plan.interval / plan.blocks
     time = length * np.arange(30 * plan.blocks)
     blocks = np.zeros((len(time), 13))
     blocks[:, :3], blocks[:, 3:6] = rate * time[:, None], rate
@@ -35,6 +41,42 @@ def sums(noise=1e-3, step=0.0, rate=0.0, jump=0.0):
     found = new_rows(1, 3)
     sum_rows(rows.parts, plan.interval, np.array([10]), found)
     return found
+
+
+def learned(error=0.0, lag=0.0, missing=0.0, seed=1):
+    """Rows after a minute of swinging joints, their stamps and rates off, and their learning.
+
+    Stamps are off by a deviation of ``error`` [s], rates late by ``lag`` [s], and every fourth
+    interval lacks samples for ``missing`` [s], in which the rate is late by a tenth of a second.
+    """
+    rows, plan = rows_of(position_noise=1e-5, quantization=0.0, velocity_noise=1e-4)
+    length, rng = plan.interval / plan.blocks, np.random.default_rng(seed)
+    time = length * np.arange(round(60.0 / length))
+    taken = time + error * rng.normal(size=len(time))
+    speed = np.array([1.0, 2.0, 3.0])
+    blocks = np.zeros((len(time), 13))
+    blocks[:, :3] = np.sin(taken[:, None] * speed)
+    late = np.full(len(time), lag)
+    spoiled = np.arange(len(time)) // plan.blocks % 4 == 3
+    late[spoiled] = max(lag, 0.1) if missing else lag
+    blocks[:, 3:6] = speed * np.cos((time - late)[:, None] * speed)
+    blocks[:, 9], blocks[:, 10] = time, length + missing * spoiled
+    for k in range(2 * plan.blocks, len(blocks) + 1, plan.blocks):
+        take_row(rows.parts, blocks[k - 2 * plan.blocks : k], plan.interval)
+        if rows.held > 1:
+            learn_rows(rows.parts, plan.interval)
+    return rows.parts
+
+
+@pytest.mark.parametrize('error', [0.0, 5e-4])
+def test_given_stamps_that_are_off_when_rows_are_learned_then_so_is_the_error_of_stamps(error):
+    found = [float(learned(error=error, seed=k).stamps[0]) ** 0.5 for k in range(4)]
+    assert np.median(found) == pytest.approx(error, rel=0.2)
+
+
+@pytest.mark.parametrize('missing', [0.0, 0.04])
+def test_given_rates_that_lag_when_rows_are_learned_then_rows_that_miss_samples_say_little(missing):
+    np.testing.assert_allclose(learned(lag=4e-3, missing=missing).lag, 4e-3, rtol=0.1)
 
 
 def test_given_a_step_of_rounding_when_weighted_then_it_is_noise_of_a_twelfth_of_its_square():

@@ -150,7 +150,7 @@ def end_of_fault(
         gain, went, sigma = 0.0, 0.0, LINEAR
         if course is not None:
             gain, went = course.gain, float(course.mean[0])
-            sigma = max(float(course.covariance[0, 0]) ** 0.5, float(sampler.scale[joint]))
+            sigma = max(float(course.covariance[0, 0]) ** 0.5, float(sampler.usual[joint]))
         gain += float(_normal(jump - went, sigma) - _slip(jump))
         age = blocks[-1, 3 * estimator.joints] - frozen.time
         prior, ages, ramps = np.append(prior, gain), np.append(ages, age), np.append(ramps, 0.0)

@@ -485,7 +485,7 @@ class SerialMonitor:
         """Events of what was found at a sample."""
         change = self.sampler.correction - self._correction
         self.jump += change
-        self.jump_variance += np.where(change != 0.0, self.sampler.scale**2, 0.0)
+        self.jump_variance += np.where(change != 0.0, self.sampler.usual**2, 0.0)
         for i in range(self.joints):
             found, self.sampler.found[i] = self.sampler.found[i], 0
             if found == STEP:
@@ -505,7 +505,7 @@ class SerialMonitor:
 
     def _jumped(self, i: int, size: float, now: float) -> None:
         """A reading jumped; what remains of its fault is over, or another fault."""
-        sensor, sigma = self.sensors[i], float(self.sampler.scale[i])
+        sensor, sigma = self.sensors[i], float(self.sampler.usual[i])
         fault = float(self.taken_out()[i] + self.estimator.level.mean[i] * sensor.level)
         back = self._filters.get(i)
         if sensor.state is SensorState.ERROR and back is not None and back.is_scale:
