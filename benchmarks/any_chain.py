@@ -3,8 +3,9 @@
     python benchmarks/any_chain.py goals --count 20 --first 300 --seed 7
     python benchmarks/any_chain.py A
 
-Each letter is a line of the table in README.md, ``goals`` are rates of detection.  The twin is that
-of `ur10e_twin`; faults are injected and judged as in `fault_matrix`.
+Each letter is a line of the table in README.md, ``goals`` are rates of detection, ``bound`` is what
+the data allow.  The twin is that of `ur10e_twin`; faults are injected and judged as in
+`fault_matrix`.
 """
 
 import argparse
@@ -15,12 +16,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from fault_injection import BY_NAME, Cell, Kind, Subject, draw, run
+from fault_injection import BY_NAME, Cell, Kind, Stream, Subject, draw, run
 from fault_matrix import summary, tables
 from rich.console import Console
 from ur10e_twin import PAYLOAD, drive, healthy, recording, twin, ur10e
 
 from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.diagnosis.information import recent
+from lpv.core.serial_arm.diagnosis.monitor import SerialMonitor
 from lpv.core.serial_arm.urdf_chain import read_urdf_chain
 from lpv.identify.estimation.identification import identify
 from lpv.identify.estimation.mistakes import find_mistakes
@@ -35,6 +38,8 @@ GOALS = tuple(
     replace(BY_NAME[name], limit=limit, duration=max(BY_NAME[name].duration, limit + 0.5))
     for name, limit in LIMITS.items()
 )
+LESS_NOISE = (1.0, 10.0, 100.0)
+"""Factors by which the variance of the noise is smaller than the engine expects."""
 URDF = """<robot name="one"><link name="base"/><link name="tool"><inertial><mass value="1"/>
 <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
 <joint name="turn" type="revolute"><parent link="base"/><child link="tool"/><axis xyz="0 0 1"/>
@@ -187,13 +192,52 @@ def setup(count: int) -> str:
     )
 
 
+def bound(count: int) -> str:
+    """Offsets of 0.2 rad that any weighing of 6 s of balances could tell from none.
+
+    Those beyond sqrt(2 ln A) deviations of the offset, that of the horizon's information, if what
+    the model does not explain had so small a share of its variance.
+    """
+    texts = []
+    for error in (0.05, 0.01):
+        for most in (PAYLOAD, 0.0):
+            stated = replace(ur10e().uncertainty, payload=most, model_error=error)
+            arm = replace(ur10e(), uncertainty=stated)
+            load = None if most else 0.0
+            shares = np.mean([_is_seen(arm, k, 0.2, load) for k in range(count)], 0)
+            seen = ', '.join(f'/ {f:g} {s:.0%}' for f, s in zip(LESS_NOISE, shares))
+            texts.append(
+                f'masses within {error:.0%}, load up to {most:g} kg: noise variance {seen}'
+            )
+    return '\n'.join(texts)
+
+
+def _is_seen(arm: SerialArm, k: int, size: float, load: float | None) -> list[bool]:
+    """Whether an offset from the start shows in 6 s, for each variance of `LESS_NOISE`."""
+    rng = np.random.default_rng(k)
+    joint, stream = int(rng.integers(1, 4)), healthy(50 + k, load, duration=6.0)
+    samples, monitor = stream.samples.copy(), SerialMonitor(arm)
+    samples[:, 0, joint] += size * rng.choice([-1.0, 1.0])
+    stream = drive(Stream(stream.stamps, samples))
+    monitor.update_many(stream.stamps, stream.samples)
+    (window, level), last = monitor.estimator.of_levels, len(monitor.estimator)
+    at, m = recent(window, last), len(level.mean)
+    rows, weights = window.rows[at][:, :, -m:], window.weights[at]
+    information = np.einsum('kia,ki,kib->ab', rows, weights, rows)
+    least = 2.0 * monitor.settings.threshold(monitor.plan.interval) / size**2
+    return [
+        1.0 / np.linalg.inv(factor * information + np.diag(level.least))[joint, joint] > least
+        for factor in LESS_NOISE
+    ]
+
+
 LINES: dict[str, Callable[[int], str]] = {
     'A': hostile, 'B': noise, 'C': rounded, 'D': sources, 'E': urdf, 'F': currents, 'G': limits,
     'H': load,
     'I': lambda count: '; '.join(
         show(kind, count, ('cleared', 'second', 'both')) for kind in ('step 0.02', 'drift 0.3')),
     'J': lambda count: show('offset 0.2', count, ('in_time', 'kind_right', 'error')),
-    'K': frozen, 'L': misnamed, 'M': setup,
+    'K': frozen, 'L': misnamed, 'M': setup, 'bound': bound,
 }  # fmt: skip
 
 
