@@ -1,6 +1,7 @@
-"""Signals as exceptions, also where Python cannot raise."""
+"""Signals as exceptions, also where Python cannot raise; while a node's process starts and ends."""
 
 import signal
+import subprocess
 import sys
 import time
 
@@ -10,21 +11,13 @@ from lpv.core.support.signals import raising_signals
 
 
 class Dropped:
-    """Something whose destructor a signal falls into."""
+    """Something whose destructor does more than it should."""
 
-    def __init__(self, number):
-        self.number = number
+    def __init__(self, act, *arguments):
+        self._act, self._arguments = act, arguments
 
     def __del__(self):
-        signal.raise_signal(self.number)
-        raise AssertionError('the handler has not raised')
-
-
-def wait():
-    deadline = time.monotonic() + 5.0
-    while time.monotonic() < deadline:
-        time.sleep(0.01)
-    return 'waited'
+        self._act(*self._arguments)
 
 
 @pytest.mark.parametrize(
@@ -40,9 +33,11 @@ def test_given_a_wait_when_a_signal_comes_then_it_ends_even_from_a_destructor(
     before = state()
     with raising_signals() as received, pytest.raises(expected) as raised:
         if lost:
-            Dropped(number)
+            Dropped(signal.raise_signal, number)
             assert received == [number]
-            wait()
+            deadline = time.monotonic() + 5.0
+            while time.monotonic() < deadline:
+                time.sleep(0.01)
         else:
             signal.raise_signal(number)
     assert received == [number] and before == state()
@@ -51,7 +46,7 @@ def test_given_a_wait_when_a_signal_comes_then_it_ends_even_from_a_destructor(
 
 def test_given_the_end_of_a_command_when_a_signal_was_lost_then_none_comes_later():
     with raising_signals():
-        Dropped(signal.SIGINT)
+        Dropped(signal.raise_signal, signal.SIGINT)
     time.sleep(0.1)
     assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
 
@@ -59,13 +54,42 @@ def test_given_the_end_of_a_command_when_a_signal_was_lost_then_none_comes_later
 def test_given_another_exception_in_a_destructor_when_reported_then_as_without_a_command(
     monkeypatch,
 ):
-    class Broken:
-        def __del__(self):
-            raise ValueError('broken')
-
     reported = []
     monkeypatch.setattr(sys, 'unraisablehook', lambda it: reported.append(it.exc_type))
     with raising_signals() as received:
-        Broken()
+        Dropped(int, 'no number')
         assert received == []
     assert reported == [ValueError]
+
+
+# ------------------------------------------------------------------ of a node's process
+
+START = """
+import sys, types
+run = types.SimpleNamespace(run_node=lambda node, argv: node(argv))
+sys.modules['lpv_node.managed'] = run  # a node is a function here
+from lpv_node.start import start
+start(sys.argv[1], 'main')
+"""
+TELL = 'import os, signal, time\ndef tell(): os.kill(os.getpid(), signal.{}); time.sleep(0.05)\n'
+SLOW = 'tell(); tell()\ndef main(argv): print("started")'
+SWALLOWS = 'try: tell()\nexcept BaseException: pass\ndef main(argv): print("started")'
+TOLD_AT_EXIT = 'import atexit\natexit.register(tell)\ndef main(argv): raise SystemExit(3)'
+FAILS = 'def main(argv): raise ValueError("what failed")'
+
+
+@pytest.mark.parametrize('name', ['SIGINT', 'SIGTERM'])
+@pytest.mark.parametrize(
+    ('source', 'code', 'told'),
+    [(SLOW, 0, ''), (SWALLOWS, 0, ''), (TOLD_AT_EXIT, 3, ''), (FAILS, 1, 'what failed')],
+    ids=['imports that last', 'an import that swallows it', 'told at its end', 'a node that fails'],
+)
+def test_given_a_node_when_told_to_stop_while_it_starts_or_ends_then_it_leaves_quietly_or_says_why(
+    tmp_path, source, code, told, name
+):
+    (tmp_path / 'some_node.py').write_text(TELL.format(name) + source)
+    line = [sys.executable, '-c', START, 'some_node']
+    done = subprocess.run(line, cwd=tmp_path, capture_output=True, text=True, timeout=600)
+    assert done.returncode == code
+    said = done.stdout + done.stderr
+    assert told in said if told else said == ''
