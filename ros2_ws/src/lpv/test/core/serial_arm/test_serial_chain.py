@@ -14,10 +14,18 @@ from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.urdf_chain import read_urdf_chain
 from lpv.core.support.errors import ConfigError
 
+END = '</robot>'
 
-def assert_same_torques(model, chain):
-    rng = np.random.default_rng(1)
-    ours, data = SerialModel(chain), model.createData()
+
+def assert_same_torques(arm, added):
+    """The arm's torques are those of Pinocchio, which holds the same joints of the URDF."""
+    full = pinocchio.buildModelFromXML(URDF.replace(END, added))
+    places, held = pinocchio.neutral(full), [full.getJointId(name) for name, _ in arm.locked]
+    for joint, (_, angle) in zip(held, arm.locked):
+        if full.joints[joint].nq == 1:  # a continuous one has cosine and sine
+            places[full.joints[joint].idx_q] = angle
+    model = pinocchio.buildReducedModel(full, held, places)
+    rng, ours, data = np.random.default_rng(1), SerialModel(compile_chain(arm)), model.createData()
     for _ in range(20):
         q, v, a = rng.uniform(-1.5, 1.5, (3, ours.joints))
         expected = pinocchio.rnea(model, data, q, v, a)
@@ -28,7 +36,7 @@ def assert_same_torques(model, chain):
 def small(tmp_path):
     """Reads the URDF, changed or with something before its end; the finger is locked."""
 
-    def read(old='</robot>', new='</robot>', **options):
+    def read(old=END, new=END, **options):
         assert old in URDF
         (tmp_path / 'small.urdf').write_text(URDF.replace(old, new))
         return read_urdf_chain(tmp_path / 'small.urdf', **{'locked': {'finger': 0.0}, **options})
@@ -36,29 +44,28 @@ def small(tmp_path):
     return read
 
 
-def test_gripper_is_locked_where_it_was_told_and_axes_point_anywhere(small):
+def test_gripper_is_locked_where_it_was_told_and_axes_point_anywhere(small, tmp_path):
     found, full = small(locked={'finger': 0.03}), pinocchio.buildModelFromXML(URDF)
-    model = pinocchio.buildReducedModel(full, [full.getJointId('finger')], np.array([0, 0, 0.03]))
-    assert found.joint_names == ('a', 'b')
-    assert_same_torques(model, compile_chain(found))
+    assert (found.joint_names, found.locked) == (('a', 'b'), (('finger', 0.03),))
+    assert_same_torques(found, END)
     data, q = full.createData(), np.array([0.4, -0.3, 0.03])
     pinocchio.framesForwardKinematics(full, data, q)
     expected = data.oMf[full.getFrameId('left')].translation
     tip = forward_kinematics(compile_chain(found), q[:2])[1]
     np.testing.assert_allclose(tip, expected, atol=1e-12)
-
-
-def test_arm_file_with_a_urdf_alone_has_its_joints(small, tmp_path):
-    found = small(locked={'finger': 0.03})
+    # A file of the arm that names the URDF alone has its joints.
     text = '{kind: serial_arm, name: small, urdf: small.urdf, locked: {finger: 0.03}}'
     (tmp_path / 'arm.yaml').write_text(text)
     arm = load_arm(tmp_path / 'arm.yaml')
-    assert (arm.joints, arm.locked) == (found.joints, found.locked) and len(arm.joints) == 2
+    assert (arm.joints, arm.locked) == (found.joints, found.locked)
 
 
-def test_base_on_the_wall_turns_gravity(small):
+def test_base_on_the_wall_turns_gravity_and_a_fixed_joint_before_the_base_the_arm(small):
     chain = compile_chain(replace(small(), base_orientation=(0.0, np.pi / 2, 0.0)))
     np.testing.assert_allclose(chain.gravity, [9.81, 0.0, 0.0], atol=1e-12)
+    world = """<link name="world"/><joint name="bolted" type="fixed"><parent link="world"/>
+    <child link="base"/><origin xyz="1 2 3" rpy="0.7 -2.0 1.1"/></joint></robot>"""
+    assert_same_torques(small(new=world), world)
 
 
 DRIVES = """<ros2_control name="driver" type="system">
@@ -89,46 +96,30 @@ BRANCH = """<link name="camera"><inertial><mass value="0.7"/><inertia ixx="0.01"
 
 
 def test_tip_names_the_branch_and_what_follows_a_locked_joint_is_locked_with_it(small):
-    own = {'new': BRANCH, 'locked': {'finger': 0.02}}
-    with pytest.raises(ConfigError, match="'pan' .* name the link at"):
-        small(**own)
-    found = small(**own, tip='tool')
+    found = small(new=BRANCH, locked={'finger': 0.02}, tip='tool')
     assert found.joint_names == ('a', 'b')
     assert dict(found.locked) == pytest.approx({'finger': 0.02, 'other': -0.03, 'pan': 0.0})
-    full = pinocchio.buildModelFromXML(URDF.replace('</robot>', BRANCH))
-    reference = pinocchio.neutral(full)
-    for name, angle in found.locked:
-        if name != 'pan':  # has cosine and sine
-            reference[full.joints[full.getJointId(name)].idx_q] = angle
-    held = [full.getJointId(name) for name, _ in found.locked]
-    assert_same_torques(pinocchio.buildReducedModel(full, held, reference), compile_chain(found))
+    assert_same_torques(found, BRANCH)
     assert small(new=BRANCH, locked={}, tip='camera').joint_names == ('a', 'pan')
-    with pytest.raises(ConfigError, match="no link 'hand'"):
-        small(new=BRANCH, locked={}, tip='hand')
+
+
+B, MOUNT = '<joint name="b" type="revolute">', '</joint>\n<joint name="mount"'
 
 
 @pytest.mark.parametrize(
-    ('old', 'new', 'reason'),
+    ('reason', 'old', 'new', 'options'),
     [
-        ('</joint>\n<joint name="mount"', '<mimic joint="a"/></joint>\n<joint name="mount"',
-         "'b' follows 'a'"),
-        ('<joint name="b" type="revolute">', '<joint name="b" type="floating">', "'b' is floating"),
-        ('<joint name="b" type="revolute">', '<joint name="b" type="planar">', "'b' is planar"),
-        ('</joint>\n<joint name="mount"', '<mimic joint="a" offset="1e99"/></joint>\n<joint name='
-         '"mount"', "'b': multiplier"),
+        ("'b' follows 'a'", MOUNT, f'<mimic joint="a"/>{MOUNT}', {}),
+        ("'b': multiplier", MOUNT, f'<mimic joint="a" offset="1e99"/>{MOUNT}', {}),
+        ("'b' is floating", B, B.replace('revolute', 'floating'), {}),
+        ("'b' is planar", B, B.replace('revolute', 'planar'), {}),
+        ("'pan' .* name the link at", END, BRANCH, {'locked': {'finger': 0.02}}),
+        ("no link 'hand'", END, BRANCH, {'locked': {}, 'tip': 'hand'}),
     ],
-)  # fmt: skip
-def test_joints_that_no_arm_has_are_refused_by_name(small, old, new, reason):
+)
+def test_joints_that_no_arm_has_are_refused_by_name(small, reason, old, new, options):
     with pytest.raises(ConfigError, match=reason):
-        small(old, new)
-
-
-def test_base_link_turned_by_a_fixed_joint_turns_the_arm(small):
-    world = """<link name="world"/><joint name="bolted" type="fixed"><parent link="world"/>
-    <child link="base"/><origin xyz="1 2 3" rpy="0.7 -2.0 1.1"/></joint></robot>"""
-    full = pinocchio.buildModelFromXML(URDF.replace('</robot>', world))
-    model = pinocchio.buildReducedModel(full, [full.getJointId('finger')], np.zeros(3))
-    assert_same_torques(model, compile_chain(small(new=world)))
+        small(old, new, **options)
 
 
 @pytest.mark.parametrize(

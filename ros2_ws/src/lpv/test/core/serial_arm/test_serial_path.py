@@ -61,31 +61,24 @@ def test_given_poses_that_cannot_be_when_followed_then_the_error_says_when_and_w
         SerialPath.through_poses(arm, (0.0, 3.0), PoseWaypoints(points, START))
 
 
-@pytest.mark.parametrize(
-    ('limits', 'reason'),
-    [
-        (JointLimits(-0.2, 0.5, 2.5, 60.0), 'takes joint1 to .* whose limit'),
-        (JointLimits(-2.5, 2.5, 0.2, 60.0), 'rad/s of joint1, whose limit is 0.2'),
-        (JointLimits(-2.5, 2.5, 2.5, 0.1), 'N m of joint1, whose limit is 0.1'),
-    ],
-)
-def test_given_a_limit_when_the_path_exceeds_it_then_it_is_refused_by_name(arm, limits, reason):
+FITTING = TIMES, JOINTS, JointLimits(-2.5, 2.5, 2.5, 60.0)
+"""Times, joint positions, limits of joint 1."""
+REFUSED = {
+    'takes joint1 to .* whose limit': (*FITTING[:2], JointLimits(-0.2, 0.5, 2.5, 60.0)),
+    'rad/s of joint1, whose limit is 0.2': (*FITTING[:2], JointLimits(-2.5, 2.5, 0.2, 60.0)),
+    'N m of joint1, whose limit is 0.1': (*FITTING[:2], JointLimits(-2.5, 2.5, 2.5, 0.1)),
+    'path.waypoints: .*must increase': ((0.0, 0.0), JOINTS[:2], FITTING[2]),
+    'path.waypoints: .*two or more': ((0.0,), JOINTS[:1], FITTING[2]),
+    'path.waypoints: .*3 joint positions': ((0.0, 1.0), ((0.0, 0.0), (0.1, 0.1)), FITTING[2]),
+    'path.waypoints: .*finite': ((0.0, 1.0), ((0.0, 0.0, np.nan), JOINTS[0]), FITTING[2]),
+}
+
+
+@pytest.mark.parametrize('reason', REFUSED)
+def test_given_what_makes_no_path_or_exceeds_a_limit_when_made_then_joint_or_field_is_named(
+    arm, reason
+):
+    times, joints, limits = REFUSED[reason]
     narrow = replace(arm, joints=(replace(arm.joints[0], limits=limits), *arm.joints[1:]))
     with pytest.raises(ConfigError, match=reason):
-        SerialPath(narrow, TIMES, JOINTS)
-
-
-@pytest.mark.parametrize(
-    ('times', 'joints', 'reason'),
-    [
-        ((0.0, 0.0), JOINTS[:2], 'must increase'),
-        ((0.0,), JOINTS[:1], 'two or more'),
-        ((0.0, 1.0), ((0.0, 0.0), (0.1, 0.1)), '3 joint positions'),
-        ((0.0, 1.0), ((0.0, 0.0, np.nan), JOINTS[0]), 'finite'),
-    ],
-)
-def test_given_waypoints_that_make_no_path_when_made_then_the_field_is_named(
-    arm, times, joints, reason
-):
-    with pytest.raises(ConfigError, match=rf'path.waypoints: .*{reason}'):
-        SerialPath(arm, times, joints)
+        SerialPath(narrow, times, joints)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import yaml
 from nested import changed
 from places import BRINGUP
 from serial_arms import shoulder_arm
@@ -13,26 +14,20 @@ from lpv.core.simulation.arm_simulator import ArmSimulator
 from lpv.core.simulation.scenario import load_scenario, parse_scenario
 from lpv.core.support.errors import ConfigError
 
-DATA = {
-    'kind': 'serial_arm',
-    'name': 'test',
-    'duration': 5.0,
-    'plant': {'parameter_error': 0.05, 'payload': 0.4, 'friction_factor': 1.2},
-    'path': {
-        'waypoints': [
-            {'t': 0.5, 'joints': [0.0, 0.5, -1.0]},
-            {'t': 4.0, 'joints': [0.6, 0.9, -1.4]},
-        ]
-    },
-    'faults': [{'sensor': 'encoder2', 'kind': 'bias', 'onset': 1.0, 'size': 0.1}],
-}
-POSES = {
-    'start': [0.0, 0.6, -1.2],
-    'waypoints': [
-        {'t': 0.5, 'position': [0.5, 0.0, 0.2], 'rpy': [0.0, 0.0, 0.0]},
-        {'t': 4.0, 'position': [0.4, 0.3, 0.4], 'rpy': [0.0, 0.0, 0.1]},
-    ],
-}
+DATA = yaml.safe_load("""
+kind: serial_arm
+name: test
+duration: 5.0
+plant: {parameter_error: 0.05, payload: 0.4, friction_factor: 1.2}
+path: {waypoints: [{t: 0.5, joints: [0.0, 0.5, -1.0]}, {t: 4.0, joints: [0.6, 0.9, -1.4]}]}
+faults: [{sensor: encoder2, kind: bias, onset: 1.0, size: 0.1}]
+""")
+POSES = yaml.safe_load("""
+start: [0.0, 0.6, -1.2]
+waypoints:
+  - {t: 0.5, position: [0.5, 0.0, 0.2], rpy: [0.0, 0.0, 0.0]}
+  - {t: 4.0, position: [0.4, 0.3, 0.4], rpy: [0.0, 0.0, 0.1]}
+""")
 
 
 @pytest.mark.parametrize('name', ['ur10', 'panda'])
