@@ -6,31 +6,28 @@ import re
 import runpy
 import subprocess
 import sys
+from graphlib import TopologicalSorter
 from pathlib import Path
 from xml.etree import ElementTree
 
-import import_graph
 import pytest
 import setuptools
-from places import ROOT
+from places import PACKAGES, ROOT
 
-PACKAGES = [*sorted((ROOT / 'ros2_ws' / 'src').iterdir()), ROOT / 'tools' / 'lpv_ros2cli']
+FOLDERS = [*sorted(PACKAGES.iterdir()), ROOT / 'tools' / 'lpv_ros2cli']
 ON_CALL = {'lpv': {'lpv_design'}}
 """What a package imports when it is asked for: a dependency the other way is in the manifest."""
 # Keys of rosdep that are not python3- and the name (rosdistro, rosdep/python.yaml), and libraries
 # that none stands for: the manifest's comment names what pip installs.
-PIP_KEYS = {'cvxpy', 'filterpy', 'mujoco', 'rosbags'}
-PLAIN_KEYS = {
-    *('aiohttp', 'argcomplete', 'hypothesis', 'jinja2', 'matplotlib', 'numba', 'numpy'),
-    *('packaging', 'pytest', 'pytest-timeout', 'rich', 'scipy', 'sqlalchemy', 'yaml'),
+PLAIN_KEYS = (
+    'aiohttp argcomplete hypothesis jinja2 matplotlib numba numpy packaging pytest pytest-timeout '
+    'rich scipy sqlalchemy yaml'
+)
+ROSDEP_KEYS = {f'python3-{name}' for name in PLAIN_KEYS.split()} | {
+    f'python3-{name}-pip' for name in ('cvxpy', 'filterpy', 'mujoco', 'rosbags')
 }
-ROSDEP_KEYS = {f'python3-{n}' for n in PLAIN_KEYS} | {f'python3-{n}-pip' for n in PIP_KEYS}
-PYPI = {'foxglove': 'foxglove-sdk', 'pinocchio': 'pin'} | {
-    name: name
-    for name in (
-        *('clarabel', 'cmaes', 'distributed', 'lz4', 'mcap', 'optuna', 'pyarrow', 'zstandard'),
-    )
-}
+_PYPI = 'clarabel cmaes distributed lz4 mcap optuna pyarrow zstandard'
+PYPI = {name: name for name in _PYPI.split()} | {'foxglove': 'foxglove-sdk', 'pinocchio': 'pin'}
 COMES_WITH = {'llvmlite': 'numba'}
 """Libraries that another one pins and installs: it is declared."""
 
@@ -48,20 +45,17 @@ def imported(folder):
 
 
 def missing_dependencies(package, declared, remarks):
-    """What a package imports and its manifest does not name."""
-    for name in (
-        imported(package / package.name) - {package.name} - ON_CALL.get(package.name, set())
-    ):
+    """What a package and its tests import and its manifest does not name."""
+    wanted = imported(package / package.name) - {package.name} - ON_CALL.get(package.name, set())
+    tests = package / 'test'  # a link leads to the tests of several packages together
+    if not tests.is_symlink():
+        wanted |= imported(tests) & {'hypothesis'}
+    for name in wanted:
         if name in PYPI:
             if not re.search(rf'\b{PYPI[name]}\b', remarks):
                 yield name
         elif not {name, f'python3-{name}', f'python3-{name}-pip'} & declared:
             yield name
-    tests = package / 'test'  # a link leads to the tests of several packages together
-    if not tests.is_symlink() and 'hypothesis' in imported(tests) - {
-        key.removeprefix('python3-') for key in declared
-    }:
-        yield 'hypothesis'
 
 
 def options_of(package, monkeypatch):
@@ -80,12 +74,12 @@ def left_out(package, options):
         folder = Path(*name.split('.'))
         installed |= {path for pattern in patterns for path in folder.glob(pattern)}
     shared = {path.parts[0] for path in installed} - {package.name, 'resource'}
-    files = {p for folder in (package.name, *shared) for p in Path(folder).rglob('*')}
     files = {
         path
-        for path in files
+        for folder in (package.name, *shared)
+        for path in Path(folder).rglob('*')
         if path.is_file()
-        and (path.parts[0] != package.name or path.suffix != '.py')
+        and (folder != package.name or path.suffix != '.py')
         and '__pycache__' not in path.parts
         and not path.parts[-2].startswith('.')
     }
@@ -93,7 +87,7 @@ def left_out(package, options):
     return files - installed | folders ^ set(options['packages'])
 
 
-@pytest.mark.parametrize('package', PACKAGES, ids=lambda p: p.name)
+@pytest.mark.parametrize('package', FOLDERS, ids=lambda p: p.name)
 def test_given_a_package_when_released_then_its_manifest_set_up_and_changelog_are_right(
     package, monkeypatch
 ):
@@ -128,40 +122,32 @@ def requirements(name):
 
 def test_given_libraries_when_installed_by_setup_or_by_pip_then_ranges_are_the_same():
     data = (ROOT / 'pyproject.toml').read_text()
-    base = re.search(r'^dependencies = \[(.*?)\]$', data, re.MULTILINE | re.DOTALL).group(1)
-    extras = re.search(r'^\[project.optional-dependencies\]\n(.*?)\n\n', data, re.M | re.DOTALL)
-    asked = (
-        set(re.findall(r'"([a-z][^"\[]*)"', base)),
-        set(re.findall(r'"([a-z][^"\[]*)"', extras.group(1))),
-    )
+    base = re.search(r'^dependencies = \[(.*?)\]$', data, re.MULTILINE | re.DOTALL)[1]
+    extras = re.search(r'^\[project.optional-dependencies\]\n(.*?)\n\n', data, re.M | re.DOTALL)[1]
+    base, extras = (set(re.findall(r'"([a-z][^"\[]*)"', text)) for text in (base, extras))
     # In an environment of its own CVXPY comes without its other solvers.  ROS alone needs the rest.
-    assert {r for r in asked[0] if not r.startswith('cvxpy')} <= requirements('base')
-    assert asked[1] <= requirements('extras')
-    libraries = {re.match(r'[\w-]+', r).group() for r in requirements('base') | asked[1]}
+    assert {r for r in base if not r.startswith('cvxpy')} <= requirements('base')
+    assert extras <= requirements('extras')
+    libraries = {re.match(r'[\w-]+', r).group() for r in requirements('base') | extras}
     assert set(PYPI.values()) - libraries == {'foxglove-sdk'}
     assert any(r.startswith('foxglove-sdk') for r in requirements('extras'))
 
 
-def test_given_the_manifests_when_packages_are_built_in_order_then_there_is_one():
-    names = {package.name for package in PACKAGES}
-    graph = {
-        package.name: names
-        & {e.text for e in ElementTree.parse(package / 'package.xml').getroot()} - {package.name}
-        for package in PACKAGES
+def test_given_the_manifests_when_packages_are_built_and_launched_then_what_they_need_is_named():
+    declared = {
+        package.name: {e.text for e in ElementTree.parse(package / 'package.xml').getroot()}
+        for package in FOLDERS
     }
-    assert len(names) == 9
-    assert len(import_graph.levels(graph)) > 2
-    assert 'lpv_design' in graph['lpv_bringup']
-
-
-def test_given_the_launch_files_when_run_by_a_real_launch_then_the_manifest_names_what_reads_them():
-    root = ElementTree.parse(ROOT / 'ros2_ws' / 'src' / 'lpv_bringup' / 'package.xml').getroot()
-    assert {'launch_xml', 'launch_ros', 'ros2launch'} <= {e.text for e in root}
+    graph = {name: (declared.keys() & needed) - {name} for name, needed in declared.items()}
+    assert len(tuple(TopologicalSorter(graph).static_order())) == 9
+    needed_to_read_launch_files = {'launch_xml', 'launch_ros', 'ros2launch'}
+    assert {'lpv_design', *needed_to_read_launch_files} <= declared['lpv_bringup']
 
 
 @pytest.mark.slow
-def test_given_the_pytest_plugins_of_a_ros2_when_on_the_path_then_they_do_not_stop_the_tests(
-    tmp_path,
+@pytest.mark.parametrize(('options', 'code'), [((), 0), (('-o', 'addopts='), 3)])
+def test_given_the_pytest_plugins_of_a_ros2_when_on_the_path_then_only_our_options_save_the_tests(
+    tmp_path, options, code
 ):
     (tmp_path / 'old_plugin.py').write_text('def pytest_pycollect_makemodule(path, parent): pass\n')
     info = tmp_path / 'launch_testing-3.7.1.dist-info'
@@ -169,13 +155,7 @@ def test_given_the_pytest_plugins_of_a_ros2_when_on_the_path_then_they_do_not_st
     (info / 'METADATA').write_text('Metadata-Version: 2.1\nName: launch_testing\nVersion: 3.7.1\n')
     (info / 'entry_points.txt').write_text('[pytest11]\nlaunch_testing = old_plugin\n')
     path = os.pathsep.join([str(tmp_path), os.environ.get('PYTHONPATH', '')])
-    words = [sys.executable, '-m', 'pytest', '--collect-only', __file__]
-    for options, code in (((), 0), (('-o', 'addopts='), 3)):  # without ours, it does stop them
-        done = subprocess.run(
-            [*words, *options],
-            cwd=ROOT,
-            env={**os.environ, 'PYTHONPATH': path},
-            capture_output=True,
-            check=False,
-        )
-        assert done.returncode == code, done.stderr.decode()
+    words = [sys.executable, '-m', 'pytest', '--collect-only', __file__, *options]
+    environment = {**os.environ, 'PYTHONPATH': path}
+    done = subprocess.run(words, cwd=ROOT, env=environment, capture_output=True)
+    assert done.returncode == code, done.stderr.decode()
