@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 import ros
 from places import BRINGUP, ROOT
-from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.time import Time
 from sensor_msgs.msg import JointState
 from serial_bags import crane, crane_file, crane_run
 
 from lpv.cli.doctor import environment, graph, signals
-from lpv.cli.doctor.files import check_arm, check_files, check_gains, check_scenario
+from lpv.cli.doctor.files import check_files
 from lpv.cli.doctor.finding import Level
 from lpv.cli.doctor.signals import check_values, needs_rates
 from lpv.cli.doctor.snapshot import JOINT_STATE, Endpoint, Snapshot
@@ -28,127 +28,98 @@ from lpv.core.uio.planar import planar_model
 from lpv_node.qos import stream
 
 PAPER = str(BRINGUP / 'arms' / 'paper.yaml')
-GAINS = str(BRINGUP / 'gains' / 'paper.yaml')
+GAINS, UR10_GAINS, PANDA_GAINS = (
+    str(BRINGUP / 'gains' / f'{name}.yaml') for name in ('paper', 'ur10', 'panda')
+)
 NODES = ('/lpv/arm_sim', '/lpv/tracker', '/lpv/uio')
 NOW = 1_800_000_000_000_000_000
+STAMPS = [NOW + k * 2_000_000 for k in range(50)]
+JOINTS, UIO = '/lpv/joint_states', '/lpv/uio'
 
 
-def found(findings, level=None):
+def found(findings):
     """Names of the checks that found something."""
-    return [f.check for f in findings if f.level != Level.OK and level in (None, f.level)]
+    return [f.check for f in findings if f.level != Level.OK]
 
 
 # ------------------------------------------------------------------ files
 
 
-def test_given_files_that_fit_when_checked_then_nothing_is_found_and_missing_gains_are_designed():
-    arm, findings = check_files('paper', GAINS, 'two_faults')
-    assert arm.name == 'paper'
-    assert [f.check for f in findings] == ['arm', 'gains', 'scenario']
-    assert found(findings) == []
-    _, findings = check_files('paper', None, None)
-    assert {f.level for f in findings} == {Level.OK}
-    (finding,) = [f for f in findings if f.check == 'gains']
-    assert 'observes alone; lpv design designs them' in finding.text
-
-
-def test_given_gains_of_another_arm_when_checked_then_both_are_named(real_arm):
-    finding = check_gains(GAINS, real_arm, 'real_arm')
-    assert finding.level == Level.ERROR
-    assert 'designed for another arm' in finding.text
-    assert "'paper'" in finding.text and "'real_arm'" in finding.text
-    assert 'lpv design --arm real_arm' in finding.remedy
-
-
-def test_given_a_certificate_that_does_not_hold_when_checked_then_its_inequality_is_named(
-    tmp_path, paper_arm, paper_gains
-):
+@pytest.fixture(scope='module')
+def files(paper_gains, tmp_path_factory):
+    """A folder with a serial arm, and with files that cannot be used."""
+    folder = tmp_path_factory.mktemp('files')
+    crane_file(folder)
     observer = replace(paper_gains.observer, kappa=3.0 * paper_gains.observer.kappa)
-    save_gains(replace(paper_gains, observer=observer), tmp_path / 'gains.yaml')
-    finding = check_gains(tmp_path / 'gains.yaml', paper_arm)
-    assert finding.level == Level.ERROR
-    assert 'certificate does not hold: observer, link 1' in finding.text
+    save_gains(replace(paper_gains, observer=observer), folder / 'changed.yaml')
+    scenario = (BRINGUP / 'scenarios' / 'two_faults.yaml').read_text()
+    for name, text in {
+        'light': Path(PAPER).read_text().replace('mass: 10.0', 'mass: -10.0'),
+        'cut': 'x: [',
+        'empty': '{}',
+        'hollow': '/**: {ros__parameters: {gains: {}}}',
+        'bare': '/**: {ros__parameters: {bandwidth: 10.0}}',
+        'far': scenario.replace('x: -0.8451', 'x: -8.451'),
+        'elbow': scenario.replace('link1_angle', 'elbow'),
+        'mujoco': scenario.replace('model: nonlinear', 'model: mujoco'),
+    }.items():
+        (folder / f'{name}.yaml').write_text(text)
+    return folder
 
 
-@pytest.mark.parametrize('content', [None, 'x: [', '{}', '/**: {ros__parameters: {gains: {}}}'])
-def test_given_no_gains_file_when_checked_then_it_says_so(tmp_path, paper_arm, content):
-    path = tmp_path / 'gains.yaml'
-    if content is not None:
-        path.write_text(content)
-    finding = check_gains(path, paper_arm)
-    assert finding.level == Level.ERROR
-    assert 'lpv design' in finding.remedy
-
-
-def test_given_an_arm_file_with_a_wrong_field_when_checked_then_it_is_named(tmp_path):
-    text = Path(PAPER).read_text().replace('mass: 10.0', 'mass: -10.0')
-    (tmp_path / 'arm.yaml').write_text(text)
-    arm, finding = check_arm(str(tmp_path / 'arm.yaml'))
-    assert arm is None
-    assert finding.level == Level.ERROR
-    assert 'joints[0].link.mass' in finding.text
+def checked(folder, *names):
+    """Arm and findings of an arm, gains and a scenario, each a file of a folder or shipped."""
+    inside = (folder / name if name and name.endswith('.yaml') else name for name in names)
+    return check_files(*(name and str(name) for name in inside))
 
 
 @pytest.mark.parametrize(
-    ('change', 'named'),
+    ('names', 'checks', 'said'),
     [
-        (('x: -0.8451', 'x: -8.451'), 'out of reach'),
-        (('link1_angle', 'elbow'), 'sensor'),
-        (('model: nonlinear', 'model: mujoco'), 'needs MuJoCo'),
+        (('paper', GAINS, 'two_faults'), ['arm', 'gains', 'scenario'], "arm 'paper' holds"),
+        (('paper', None, None), ['arm', 'gains'], 'observes alone; lpv design designs them'),
+        (('crane.yaml', None, None), ['arm', 'gains'], 'the moving horizon observes alone'),
+        (('ur10', UR10_GAINS, None), ['arm', 'gains'], "loop of arm 'ur10' holds"),
     ],
 )
-def test_given_a_scenario_that_cannot_be_run_when_checked_then_it_says_why(
-    tmp_path, monkeypatch, paper_arm, change, named
+def test_given_files_that_fit_when_checked_then_nothing_is_found(files, names, checks, said):
+    arm, findings = checked(files, *names)
+    assert arm.name == names[0].removesuffix('.yaml')
+    assert [f.check for f in findings] == checks and found(findings) == []
+    assert said in findings[1].text
+
+
+@pytest.mark.parametrize(
+    ('names', 'check', 'said'),
+    [
+        (('light.yaml', None, None), 'arm', r'joints\[0\].link.mass'),
+        (
+            ('real_arm', GAINS, None),
+            'gains',
+            "for another arm.*'paper'.*'real_arm'.*--arm real_arm",
+        ),
+        (('paper', 'changed.yaml', None), 'gains', 'does not hold: observer, link 1'),
+        (('paper', 'none.yaml', None), 'gains', 'lpv design'),
+        (('paper', 'cut.yaml', None), 'gains', 'lpv design'),
+        (('paper', 'empty.yaml', None), 'gains', 'lpv design'),
+        (('paper', 'hollow.yaml', None), 'gains', 'lpv design'),
+        (('crane.yaml', GAINS, None), 'gains', 'lpv: is missing'),
+        (('ur10', PANDA_GAINS, None), 'gains', 'for another arm'),
+        (('ur10', 'bare.yaml', None), 'gains', 'no certificate'),
+        (('paper', None, 'far.yaml'), 'scenario', 'out of reach'),
+        (('paper', None, 'elbow.yaml'), 'scenario', 'sensor'),
+        (('paper', None, 'mujoco.yaml'), 'scenario', 'needs MuJoCo'),
+    ],
+)
+def test_given_a_file_that_cannot_be_used_when_checked_then_it_says_why(
+    files, monkeypatch, names, check, said
 ):
     monkeypatch.setitem(sys.modules, 'mujoco', None)
-    text = (BRINGUP / 'scenarios' / 'two_faults.yaml').read_text().replace(*change)
-    (tmp_path / 'scenario.yaml').write_text(text)
-    finding = check_scenario(str(tmp_path / 'scenario.yaml'), paper_arm)
-    assert finding.level == Level.ERROR
-    assert named in finding.text
-
-
-def test_given_a_serial_arm_when_checked_then_it_needs_no_gains_and_refuses_some(tmp_path):
-    arm, findings = check_files(str(crane_file(tmp_path)), None, None)
-    assert arm.joint_names == ('joint1', 'joint2', 'joint3') and found(findings) == []
-    assert 'the moving horizon observes alone' in findings[-1].text
-    refused = check_gains(str(BRINGUP / 'gains' / 'paper.yaml'), arm)
-    assert refused.level == Level.ERROR and 'lpv: is missing' in refused.text
-
-
-def test_given_gains_of_serial_arms_when_checked_then_the_certificate_of_the_loop_is(tmp_path):
-    arm, _ = check_files(str(BRINGUP / 'arms' / 'ur10.yaml'), None, None)
-    assert check_gains(str(BRINGUP / 'gains' / 'ur10.yaml'), arm).level == Level.OK
-    other = check_gains(str(BRINGUP / 'gains' / 'panda.yaml'), arm)
-    assert other.level == Level.ERROR and 'for another arm' in other.text
-    (tmp_path / 'gains.yaml').write_text('/**: {ros__parameters: {bandwidth: 10.0}}\n')
-    assert 'no certificate' in check_gains(str(tmp_path / 'gains.yaml'), arm).text
-
-
-def crane_messages(duration, sign=1.0, rates=True):
-    """What the driver of a serial arm sends."""
-    run, names = crane_run(duration), crane().joint_names
-    for stamp, (q, v, tau) in zip(run.stamps, run.samples):
-        one = JointState(name=names, position=q, velocity=v if rates else [], effort=sign * tau)
-        one.header.stamp = Time(nanoseconds=int(stamp)).to_msg()
-        yield one
-
-
-@pytest.mark.slow
-def test_given_a_serial_arm_when_its_signals_are_checked_then_units_and_rates_are_as_stated():
-    without = list(crane_messages(0.6, rates=False))
-    assert check_values('/joint_states', without, needs_rates(crane())) is None
-    assert check_values('/joint_states', without).check == 'values'
-    messages = list(crane_messages(0.6))
-    assert signals.check_units('/joint_states', messages, crane()) is None
-    assert signals.check_rate_source('/joint_states', messages, crane()).level == Level.OK
-
-
-@pytest.mark.parametrize(('sign', 'level'), [(1.0, Level.OK), (-1.0, Level.ERROR)])
-def test_given_efforts_of_a_moving_arm_when_checked_then_a_wrong_sign_is_named(sign, level):
-    finding = signals.check_setup('/joint_states', list(crane_messages(8.0, sign)), crane())
-    assert finding.level == level
-    assert ('of all joints count against the motion' in finding.text) == (sign < 0.0)
+    arm, findings = checked(files, *names)
+    assert (arm is None) == (check == 'arm')
+    (finding,) = [f for f in findings if f.level != Level.OK]
+    assert (finding.check, finding.level) == (check, Level.ERROR)
+    assert re.search(said, f'{finding.text} {finding.remedy}', re.DOTALL)
 
 
 # ------------------------------------------------------------------ environment
@@ -158,13 +129,9 @@ def test_given_this_environment_when_checked_then_nothing_is_found(monkeypatch):
     for name in ('ROS_DOMAIN_ID', 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_LOCALHOST_ONLY'):
         monkeypatch.delenv(name, raising=False)
     assert found(environment.check_environment()) == []
-
-
-def test_given_the_base_requirements_when_compared_then_the_doctor_asks_for_the_same():
-    lines = (ROOT / 'requirements' / 'base.txt').read_text().splitlines()
     # CVXPY comes without its other solvers there, which does as well.
     wanted = {one for one in environment.REQUIREMENTS if not one.startswith('cvxpy')}
-    assert wanted <= set(lines)
+    assert wanted <= set((ROOT / 'requirements' / 'base.txt').read_text().splitlines())
 
 
 def test_given_packages_that_are_missing_or_old_when_checked_then_they_are_named():
@@ -228,7 +195,7 @@ def message(stamp, names=('joint1', 'joint2'), effort=(0.0, 0.0), velocity=(0.0,
     return result
 
 
-def healthy(paper_arm, stamps=None):
+def healthy(paper_arm):
     """What is seen of a graph that runs in real time."""
     qos = stream(False)
     shot = Snapshot(domain=7, nodes=list(NODES), states=dict.fromkeys(NODES, 'active'))
@@ -246,103 +213,71 @@ def healthy(paper_arm, stamps=None):
     for topic, (msgtype, source, sink) in types.items():
         shot.publishers[f'/lpv/{topic}'] = [Endpoint(f'/lpv/{source}', msgtype, qos)]
         shot.subscriptions[f'/lpv/{topic}'] = [Endpoint(f'/lpv/{sink}', msgtype, qos)]
-    measure(shot, stamps or [NOW + k * 2_000_000 for k in range(50)])
+    shot.measured[JOINTS] = heard()
     return shot
 
 
-def measure(shot, stamps, delay=1_000_000, **fields):
-    shot.measured['/lpv/joint_states'] = [
-        (stamp + delay, message(stamp, **fields)) for stamp in stamps
-    ]
-
-
-def simulated_time(shot):
-    """Turn the graph into one in lockstep, stamps and /clock from 1 s on."""
-    for values in shot.parameters.values():
-        values['lockstep'] = True
-    stamps = [10**9 + k * 2_000_000 for k in range(50)]
-    measure(shot, stamps, delay=NOW)
-    shot.clock = [(stamp + NOW, stamp) for stamp in stamps]
+def heard(stamps=STAMPS, delay=1_000_000, **fields):
+    """Measurements as they arrived."""
+    return [(stamp + delay, message(stamp, **fields)) for stamp in stamps]
 
 
 def second_simulator(shot):
     shot.nodes.append('/lpv/arm_sim')
-    shot.publishers['/lpv/joint_states'] *= 2
-
-
-def reliable_sink(shot):
-    wanted = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
-    shot.subscriptions['/lpv/joint_states'] = [Endpoint('/lpv/uio', JOINT_STATE, wanted)]
-
-
-def other_type(shot):
-    shot.subscriptions['/lpv/joint_states'] = [
-        Endpoint('/lpv/uio', 'std_msgs/msg/String', qos_profile_sensor_data)
-    ]
+    shot.publishers[JOINTS] *= 2
 
 
 def elsewhere(shot):
     """The driver publishes on a topic of another name."""
-    shot.measured['/joint_states'] = shot.measured.pop('/lpv/joint_states')
-    shot.publishers['/joint_states'] = shot.publishers.pop('/lpv/joint_states')
-
-
-def wait_for_clock(shot):
-    shot.parameters['/lpv/uio']['use_sim_time'] = True
-
-
-STAMPS = [NOW + k * 2_000_000 for k in range(50)]
-
-
-def measured(*given, **fields):
-    """The mistake of other measurements."""
-    return lambda shot: measure(shot, *(given or [STAMPS]), **fields)
-
-
-def parameter(**values):
-    return lambda shot: shot.parameters['/lpv/uio'].update(values)
-
-
-def two_clocks(shot):
-    kind = 'rosgraph_msgs/msg/Clock'
-    shot.publishers['/clock'] = [Endpoint(f'/{n}', kind, stream(True)) for n in 'ab']
-
-
-def driver(shot):
-    end = Endpoint('/driver', JOINT_STATE, stream(False))
-    shot.publishers['/lpv/joint_states'].append(end)
+    shot.measured['/joint_states'] = shot.measured.pop(JOINTS)
+    shot.publishers['/joint_states'] = shot.publishers.pop(JOINTS)
 
 
 def still_clock(shot):
-    wait_for_clock(shot)
-    measure(shot, [10**9])
+    shot.parameters[UIO]['use_sim_time'] = True
+    shot.measured[JOINTS] = heard([10**9])
     shot.clock.extend([(NOW, 10**9)] * 5)
 
 
+def given(part, key, value):
+    """The mistake of one value of a snapshot."""
+    return lambda shot: getattr(shot, part).update({key: value})
+
+
 NAN = float('nan')
+DRIVERS = [Endpoint(node, JOINT_STATE, stream(False)) for node in ('/driver', '/lpv/arm_sim')]
+CLOCKS = [Endpoint(node, 'rosgraph_msgs/msg/Clock', stream(True)) for node in ('/a', '/b')]
+RELIABLE = Endpoint(UIO, JOINT_STATE, QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE))
+TEXTS = Endpoint(UIO, 'std_msgs/msg/String', stream(False))
+OTHER_GAINS = {'gains.arm_sha256': '0' * 64}
 MISTAKES = [
-    (second_simulator, 'names publishers', 'several nodes /lpv/arm_sim'),
-    (driver, 'publishers', '/lpv/joint_states has 2 publishers: /driver, /lpv/arm_sim'),
-    (two_clocks, 'publishers', '/clock has 2 publishers'),
-    (lambda s: s.states.update({'/lpv/uio': 'inactive'}), 'lifecycle', '/lpv/uio is inactive'),
-    (lambda s: s.states.update({'/lpv/uio': None}), 'lifecycle', '/lpv/uio does not answer'),
-    (wait_for_clock, 'clock', '/clock is silent'),
+    (second_simulator, 'names, publishers', 'several nodes /lpv/arm_sim'),
+    (given('publishers', JOINTS, DRIVERS), 'publishers', '2 publishers: /driver, /lpv/arm_sim'),
+    (given('publishers', '/clock', CLOCKS), 'publishers', '/clock has 2 publishers'),
+    (given('states', UIO, 'inactive'), 'lifecycle', '/lpv/uio is inactive'),
+    (given('states', UIO, None), 'lifecycle', '/lpv/uio does not answer'),
+    (given('parameters', UIO, {'use_sim_time': True}), 'clock', '/clock is silent'),
     (still_clock, 'clock', '/clock stands still'),
-    (parameter(lockstep=True), 'mode', 'only some nodes are in lockstep: /lpv/uio'),
-    (parameter(**{'gains.arm_sha256': '0' * 64}), 'gains in use', "another arm than 'paper'"),
+    (given('parameters', UIO, {'lockstep': True}), 'mode', 'some nodes are in lockstep: /lpv/uio'),
+    (given('parameters', UIO, OTHER_GAINS), 'gains in use', "another arm than 'paper'"),
     (elsewhere, 'connections', '/lpv/uio subscribes to /lpv/joint_states, which has'),
-    (reliable_sink, 'qos', '/lpv/uio receives nothing from /lpv/arm_sim'),
-    (other_type, 'qos', 'types sensor_msgs/msg/JointState and std_msgs/msg/String'),
-    (measured([]), 'measurements', '/lpv/joint_states is silent'),
-    (measured(names=('shoulder', 'elbow')), 'joints', "joint 'joint1' occurs 0 times"),
-    (measured(effort=()), 'efforts', '50 of 50 messages carry no effort'),
-    (measured(velocity=()), 'values', 'carry no rates'),
-    (measured(velocity=(NAN, 0.0)), 'values', 'that are not numbers'),
-    (measured([0] * 50), 'stamps', 'stamps are zero'),
-    (measured(delay=3600 * 10**9), 'stamps', '3.6e+03 s behind the clock of this machine'),
-    (measured(delay=-2 * 10**9), 'stamps', 'stamps are 2 s ahead of'),
-    (measured(STAMPS[:25] * 2), 'stamps', 'time goes backwards 1 times'),
-    (measured(range(NOW, NOW + 5 * 10**8, 10**7)), 'rate', 'every 10 ms, the arm file says 2 ms'),
+    (given('subscriptions', JOINTS, [RELIABLE]), 'qos', 'uio receives nothing from /lpv/arm_sim'),
+    (given('subscriptions', JOINTS, [TEXTS]), 'qos', 'JointState and std_msgs/msg/String'),
+    *(
+        (given('measured', JOINTS, heard(**changes)), check, text)
+        for changes, check, text in (
+            ({'stamps': []}, 'measurements', '/lpv/joint_states is silent'),
+            ({'names': ('shoulder', 'elbow')}, 'joints', "joint 'joint1' occurs 0 times"),
+            ({'effort': ()}, 'efforts', '50 of 50 messages carry no effort'),
+            ({'velocity': ()}, 'values', 'carry no rates'),
+            ({'velocity': (NAN, 0.0)}, 'values', 'that are not numbers'),
+            ({'stamps': [0] * 50}, 'stamps', 'stamps are zero'),
+            ({'delay': 3600 * 10**9}, 'stamps', '3.6e+03 s behind the clock of this machine'),
+            ({'delay': -2 * 10**9}, 'stamps', 'stamps are 2 s ahead of'),
+            ({'stamps': STAMPS[:25] * 2}, 'stamps', 'time goes backwards 1 times'),
+            ({'stamps': STAMPS[::5]}, 'rate', 'every 10 ms, the arm file says 2 ms'),
+        )
+    ),
 ]
 
 
@@ -352,7 +287,12 @@ def test_given_a_healthy_graph_when_checked_then_nothing_is_found(paper_arm):
     assert found(findings) == []
     checks = {'nodes', 'lifecycle', 'names', 'publishers', 'clock', 'mode', 'connections', 'qos'}
     assert {f.check for f in findings} == checks | {'measurements', 'gains in use'}
-    simulated_time(shot)
+    # The same in lockstep, stamps and /clock from 1 s on.
+    for values in shot.parameters.values():
+        values['lockstep'] = True
+    stamps = [stamp - NOW + 10**9 for stamp in STAMPS]
+    shot.measured[JOINTS] = heard(stamps, delay=NOW)
+    shot.clock = [(stamp + NOW, stamp) for stamp in stamps]
     assert found(graph.check_graph(shot)) == []
 
 
@@ -363,9 +303,7 @@ def test_given_a_mistake_in_the_graph_when_checked_then_it_is_found_and_nothing_
     shot = healthy(paper_arm)
     spoil(shot)
     findings = graph.check_graph(shot)
-    assert sorted(set(found(findings))) == (
-        [checks] if checks == 'gains in use' else checks.split()
-    )
+    assert sorted(set(found(findings))) == checks.split(', ')
     bad = [f for f in findings if f.level != Level.OK]
     assert any(text in f.text for f in bad), [f.text for f in bad]
     assert all(f.remedy for f in bad)
@@ -379,8 +317,8 @@ def test_given_measurements_elsewhere_or_torques_from_commands_when_checked_then
     (finding,) = graph.check_connections(shot)
     assert '-r joint_states:=/joint_states' in finding.remedy
     shot = healthy(paper_arm)
-    measure(shot, STAMPS, effort=())
-    shot.parameters['/lpv/uio']['torque_source'] = 'command'
+    shot.measured[JOINTS] = heard(effort=())
+    shot.parameters[UIO]['torque_source'] = 'command'
     assert found(graph.check_graph(shot)) == []
 
 
@@ -416,44 +354,44 @@ def test_given_good_files_when_the_command_runs_offline_then_code_0_and_3_if_not
     assert [f['check'] for f in told['findings'] if f['level'] == 'ERROR'] == ['gains']
 
 
-@pytest.mark.parametrize('seconds', ['nan', '-1', '1e9'])
-def test_given_a_time_that_makes_no_sense_when_the_command_runs_then_it_is_refused(
-    refused, seconds
-):
-    assert refused('--seconds', 'doctor', '--seconds', seconds)
+def test_given_a_time_that_makes_no_sense_when_the_command_runs_then_it_is_refused(refused):
+    for seconds in ('nan', '-1', '1e9'):
+        assert refused('--seconds', 'doctor', '--seconds', seconds)
+
+
+def test_given_another_middleware_when_checked_offline_then_it_is_a_finding(monkeypatch, capsys):
+    monkeypatch.setenv('RMW_IMPLEMENTATION', 'rmw_of_nobody')
+    assert main(['doctor', '--json']) == 3  # the graph is left out: looking would end the process
+    levels = {f['check']: f['level'] for f in json.loads(capsys.readouterr().out)['findings']}
+    assert levels['middleware'] == 'ERROR' and levels['ros'] == 'OK'
+    assert 'nodes' not in levels
 
 
 @pytest.mark.ros
 def test_given_two_simulators_and_nobody_else_when_the_command_runs_then_both_mistakes_are_found(
     monkeypatch, capsys
 ):
-    import rclpy
-    from rclpy.context import Context
-    from rclpy.executors import SingleThreadedExecutor
     from rclpy.lifecycle import LifecycleNode
 
-    domain, context = ros.next_domain(), Context()
+    domain, over = ros.next_domain(), threading.Event()
     monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
-    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    rclpy.init(context=context, domain_id=domain)
-    names = ('arm_sim', 'arm_sim', 'uio')
-    nodes = [LifecycleNode(name, namespace='lpv', context=context) for name in names]
-    for node in nodes[:2]:
-        node.create_publisher(JointState, 'joint_states', 10)
-        node.create_subscription(JointState, 'torque_command', print, 10)
-    executor = SingleThreadedExecutor(context=context)
-    for node in nodes:
-        executor.add_node(node)
-    thread = threading.Thread(target=executor.spin)
-    thread.start()
-    try:
-        assert main(['doctor', '--seconds', '1', '--json']) == 3
-    finally:
-        executor.shutdown()
-        thread.join()
+    with ros.client(domain) as client:
+        names, own = ('arm_sim', 'arm_sim', 'uio'), {'context': client.node.context}
+        nodes = [LifecycleNode(name, namespace='lpv', **own) for name in names]
+        for node in nodes[:2]:
+            node.create_publisher(JointState, 'joint_states', 10)
+            node.create_subscription(JointState, 'torque_command', print, 10)
         for node in nodes:
-            node.destroy_node()
-        rclpy.shutdown(context=context)
+            client.node.executor.add_node(node)
+        thread = threading.Thread(target=client.wait, args=(over.is_set,))
+        thread.start()
+        try:
+            assert main(['doctor', '--seconds', '1', '--json']) == 3
+        finally:
+            over.set()
+            thread.join()
+            for node in nodes:
+                node.destroy_node()
     told = json.loads(capsys.readouterr().out)['findings']
     texts = {f['check']: f['text'] for f in told if f['level'] != 'OK'}
     assert '/lpv/joint_states has 2 publishers' in texts['publishers']
@@ -488,14 +426,22 @@ def recorded(arm, scale=1.0, rate_scale=1.0, derived=False):
 
 
 @pytest.mark.parametrize(
-    ('scale', 'rate_scale', 'said'),
-    [(57.3, 57.3, 'rad: degrees'), (57.3, 1.0, 'degrees'), (1.0, 57.3, 'rates in degrees')],
+    ('check', 'changes', 'level', 'said'),
+    [
+        ('units', {'scale': 57.3, 'rate_scale': 57.3}, Level.ERROR, 'rad: degrees'),
+        ('units', {'scale': 57.3}, Level.ERROR, 'degrees'),
+        ('units', {'rate_scale': 57.3}, Level.ERROR, 'rates in degrees'),
+        ('rate_source', {}, Level.OK, 'joint1 independent'),
+        ('rate_source', {'derived': True}, Level.WARN, 'joint1 derived'),
+    ],
 )
-def test_given_degrees_when_checked_then_they_are_named(paper_arm, scale, rate_scale, said):
+def test_given_degrees_or_derived_rates_when_checked_then_they_are_named(
+    paper_arm, check, changes, level, said
+):
     assert signals.check_units('/joint_states', recorded(paper_arm), paper_arm) is None
-    messages = recorded(paper_arm, scale, rate_scale)
-    finding = signals.check_units('/joint_states', messages, paper_arm)
-    assert finding.level == Level.ERROR and said in finding.text
+    messages = recorded(paper_arm, **changes)
+    finding = getattr(signals, f'check_{check}')('/joint_states', messages, paper_arm)
+    assert finding.level == level and said in finding.text
 
 
 def test_given_small_angles_in_degrees_when_checked_then_gravity_tells(paper_arm, paper_model):
@@ -509,23 +455,27 @@ def test_given_small_angles_in_degrees_when_checked_then_gravity_tells(paper_arm
     assert finding is not None and 'torques fit gravity' in finding.text
 
 
-@pytest.mark.parametrize(
-    ('derived', 'level', 'said'),
-    [(False, Level.OK, 'joint1 independent'), (True, Level.WARN, 'joint1 derived')],
-)
-def test_given_rates_when_checked_then_it_is_said_where_they_come_from(
-    paper_arm, derived, level, said
-):
-    finding = signals.check_rate_source(
-        '/joint_states', recorded(paper_arm, derived=derived), paper_arm
-    )
+def crane_messages(duration, sign=1.0, rates=True):
+    """What the driver of a serial arm sends."""
+    run, names = crane_run(duration), crane().joint_names
+    for stamp, (q, v, tau) in zip(run.stamps, run.samples):
+        one = JointState(name=names, position=q, velocity=v if rates else [], effort=sign * tau)
+        one.header.stamp = Time(nanoseconds=int(stamp)).to_msg()
+        yield one
+
+
+@pytest.mark.slow
+def test_given_a_serial_arm_when_its_signals_are_checked_then_units_and_rates_are_as_stated():
+    without = list(crane_messages(0.6, rates=False))
+    assert check_values('/joint_states', without, needs_rates(crane())) is None
+    assert check_values('/joint_states', without).check == 'values'
+    messages = list(crane_messages(0.6))
+    assert signals.check_units('/joint_states', messages, crane()) is None
+    assert signals.check_rate_source('/joint_states', messages, crane()).level == Level.OK
+
+
+@pytest.mark.parametrize(('sign', 'level'), [(1.0, Level.OK), (-1.0, Level.ERROR)])
+def test_given_efforts_of_a_moving_arm_when_checked_then_a_wrong_sign_is_named(sign, level):
+    finding = signals.check_setup('/joint_states', list(crane_messages(8.0, sign)), crane())
     assert finding.level == level
-    assert said in finding.text
-
-
-def test_given_another_middleware_when_checked_offline_then_it_is_a_finding(monkeypatch, capsys):
-    monkeypatch.setenv('RMW_IMPLEMENTATION', 'rmw_of_nobody')
-    assert main(['doctor', '--json']) == 3  # the graph is left out: looking would end the process
-    levels = {f['check']: f['level'] for f in json.loads(capsys.readouterr().out)['findings']}
-    assert levels['middleware'] == 'ERROR' and levels['ros'] == 'OK'
-    assert 'nodes' not in levels
+    assert ('of all joints count against the motion' in finding.text) == (sign < 0.0)
