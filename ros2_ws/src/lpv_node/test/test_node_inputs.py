@@ -1,7 +1,5 @@
-"""What nodes refuse, what they declare, and how they stop."""
+"""What nodes refuse, and what they declare."""
 
-import os
-import signal
 from array import array
 
 import numpy as np
@@ -15,7 +13,6 @@ from rclpy.parameter import Parameter
 
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.resources import bringup_file
-from lpv.core.support.signals import StopRequest, handled_signals
 from lpv.core.support.timestamps import set_stamp, to_nanoseconds
 from lpv_node.input_check import OneSender, all_finite, all_sized
 from lpv_node.parameter_service import CheckedParameterService
@@ -39,30 +36,25 @@ def make_node():
     rclpy.shutdown(context=context)
 
 
-def values_of(node):
-    """All parameters at once, as `ros2 param dump` asks for them."""
-    names = [n for n in node._parameters if n.startswith('gains.')]  # noqa: SLF001
-    return {p.name: p for p in node.get_parameters(names)}
-
-
-def test_given_a_gains_file_when_declared_then_every_parameter_has_a_value(make_node, paper_arm):
-    node = make_node('--ros-args', '--params-file', str(bringup_file('gains', 'paper')))
+@pytest.mark.parametrize('given', [True, False], ids=['with', 'without'])
+def test_given_a_gains_file_or_none_when_declared_then_every_parameter_has_a_value(
+    make_node, paper_arm, given
+):
+    file = '--ros-args', '--params-file', str(bringup_file('gains', 'paper'))
+    node = make_node(*file if given else ())
     unset = declare_gains(node)
-    assert 'observer.t1' in unset and 'observer.kappa' not in unset
-    values = values_of(node)
+    # All at once, as `ros2 param dump` asks for them.
+    values = node.get_parameters([n for n in node._parameters if n.startswith('gains.')])
     assert len(values) > 20
-    assert all(p.type_ is not Parameter.Type.NOT_SET for p in values.values())
-    assert read_gains(node, paper_arm, unset).observer.method == 'exact'
-    changed = node.set_parameters([Parameter('gains.arm_name', value='other')])
-    assert not changed[0].successful, 'gains are read-only'
-
-
-def test_given_no_gains_file_when_read_then_it_says_how_to_get_one(make_node, paper_arm):
-    node = make_node()
-    unset = declare_gains(node)
-    assert all(p.type_ is not Parameter.Type.NOT_SET for p in values_of(node).values())
-    with pytest.raises(ConfigError, match='is not set: start the node with --params-file'):
-        read_gains(node, paper_arm, unset)
+    assert all(p.type_ is not Parameter.Type.NOT_SET for p in values)
+    assert 'observer.t1' in unset and ('observer.kappa' in unset) is not given
+    if given:
+        assert read_gains(node, paper_arm, unset).observer.method == 'exact'
+        changed = node.set_parameters([Parameter('gains.arm_name', value='other')])
+        assert not changed[0].successful, 'gains are read-only'
+    else:
+        with pytest.raises(ConfigError, match='is not set: start the node with --params-file'):
+            read_gains(node, paper_arm, unset)
 
 
 @pytest.mark.parametrize(
@@ -73,23 +65,22 @@ def test_given_no_gains_file_when_read_then_it_says_how_to_get_one(make_node, pa
         ('wait', ParameterType.PARAMETER_NOT_SET, 'cannot be deleted'),
     ],
 )
-@pytest.mark.parametrize('atomically', [False, True])
 def test_given_a_parameter_that_makes_no_sense_when_set_then_it_is_refused(
-    make_node, name, kind, reason, atomically
+    make_node, name, kind, reason
 ):
     node = make_node()
     node.declare_parameter('wait', 1.0)
-    service, hostile = CheckedParameterService(node), ParameterMessage(name=name)
-    hostile.value = ParameterValue(type=kind)
-    if atomically:
-        request = SetParametersAtomically.Request(parameters=[hostile])
-        answer = SetParametersAtomically.Response()
-        result = service._set_parameters_atomically_callback(request, answer).result
-    else:
-        request = SetParameters.Request(parameters=[hostile])
-        (result,) = service._set_parameters_callback(request, SetParameters.Response()).results
-    assert not result.successful and reason in result.reason
-    assert node.get_parameter('wait').value == 1.0
+    service = CheckedParameterService(node)
+    hostile = [ParameterMessage(name=name, value=ParameterValue(type=kind))]
+    together = service._set_parameters_atomically_callback(
+        SetParametersAtomically.Request(parameters=hostile), SetParametersAtomically.Response()
+    )
+    each = service._set_parameters_callback(
+        SetParameters.Request(parameters=hostile), SetParameters.Response()
+    )
+    for result in (together.result, *each.results):
+        assert not result.successful and reason in result.reason
+    assert len(each.results) == 1 and node.get_parameter('wait').value == 1.0
 
 
 def test_given_fields_when_not_finite_or_not_as_long_as_the_arm_then_they_are_found():
@@ -104,17 +95,6 @@ def test_given_nanoseconds_beyond_a_second_when_written_back_then_it_is_a_stamp(
     stamp = Time()
     set_stamp(stamp, to_nanoseconds(Time(sec=2**31 - 1, nanosec=2**32 - 1)))
     assert (stamp.sec, stamp.nanosec) == (2**31 - 1, 999_999_999)
-
-
-def test_given_a_start_when_told_to_stop_then_it_ends_at_once_and_later_in_order():
-    with handled_signals(lambda *_: None, signal.SIGINT, signal.SIGTERM):
-        with pytest.raises(SystemExit):
-            StopRequest()
-            os.kill(os.getpid(), signal.SIGTERM)
-        stop = StopRequest()
-        stop.defer()
-        os.kill(os.getpid(), signal.SIGTERM)
-        assert stop.is_set
 
 
 def stream_of(sender, stamps, position, several=True, names=('joint1', 'joint2')):

@@ -20,43 +20,45 @@ pytestmark = pytest.mark.ros
 
 TOPIC = '/lpv/joint_states'
 RELIABLE = QoSProfile(depth=1000)
-PERIOD = 0.002
 GAINS = BRINGUP / 'gains' / 'paper.yaml'
 
 
-class Source:
-    """Publishes numbered measurements, stamped with the time of their publication."""
+class Session:
+    """A recorder, and a source of numbered measurements with the time of their publication."""
 
-    def __init__(self, client, qos=RELIABLE):
-        self._client = client
-        self._publisher = client.node.create_publisher(JointState, 'joint_states', qos)
+    def __init__(self, client, process, qos):
+        self.client, self.process = client, process
         self.sent = []  # stamps [ns]
-
-    def wait(self):
-        assert self._client.wait(lambda: self._publisher.get_subscription_count() == 1)
+        self._publisher = client.node.create_publisher(JointState, 'joint_states', qos)
+        assert client.wait(lambda: self._publisher.get_subscription_count() == 1)
+        self.reports = client.listen(DiagnosticArray, '/diagnostics', 10)
 
     def publish(self, stamp=None):
         stamp = time.time_ns() if stamp is None else stamp
-        message = JointState(
-            name=['a', 'b'],
-            position=[float(len(self.sent)), 0.0],
-            velocity=[0.0, 0.0],
-            effort=[0.0, 0.0],
-        )
+        zeros = [0.0, 0.0]
+        message = JointState(name=['a', 'b'], velocity=zeros, effort=zeros)
+        message.position = [float(len(self.sent)), 0.0]
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 10**9)
         self._publisher.publish(message)
         self.sent.append(stamp)
 
-    def run(self, until):
-        """Publish at 500 Hz until a condition holds."""
-        while not until():
+    def run(self, seconds, until=lambda: False):
+        """Publish at 500 Hz for a while, or until a condition holds."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end and not until():
             self.publish()
-            time.sleep(PERIOD)
+            time.sleep(0.002)
 
+    def stop(self, number=signal.SIGINT):
+        """Exit code of the recorder, told to stop."""
+        self.process.send_signal(number)
+        return self.process.wait(20)
 
-def after(seconds):
-    end = time.monotonic() + seconds
-    return lambda: time.monotonic() > end
+    def kill(self, number):
+        os.killpg(self.process.pid, number)
+
+    def statuses(self):
+        return [status for report in self.reports for status in report.status]
 
 
 def recorded(bag):
@@ -71,60 +73,58 @@ def recorded(bag):
 
 @pytest.fixture
 def session(tmp_path):
-    """Starts a recorder; gives its process, a source of measurements, and a client."""
+    """Starts a recorder."""
     domain = ros.next_domain()
     with ros.graph(tmp_path / 'log', domain) as running, ros.client(domain) as client:
 
         def start(*parameters, prefix=(), qos=RELIABLE):
             line = ros.command('recorder', f'output:={tmp_path / "bag"}', *parameters)
-            node = running.start('recorder', [*prefix, *line])
-            return node.process, Source(client, qos), client
+            return Session(client, running.start('recorder', [*prefix, *line]).process, qos)
 
         yield start
 
 
 @pytest.mark.realtime
 def test_given_a_recorder_that_is_killed_when_read_then_at_most_a_second_is_lost(session, tmp_path):
-    process, source, _ = session('preset:=zstd_small')
-    source.wait()
-    source.run(after(2.5))
-    os.killpg(process.pid, signal.SIGKILL)
+    recorder, bag = session('preset:=zstd_small'), tmp_path / 'bag'
+    recorder.run(2.5)
+    recorder.kill(signal.SIGKILL)
     killed = time.time_ns()
-    assert process.wait(10) == -signal.SIGKILL
-    numbers = recorded(tmp_path / 'bag')
+    assert recorder.process.wait(10) == -signal.SIGKILL
+    numbers = recorded(bag)
     assert numbers == list(range(len(numbers)))
-    assert killed - source.sent[len(numbers) - 1] < 1_000_000_000
-    assert any('not finished' in text for text in contents(tmp_path / 'bag')[1])
-    result = recover(tmp_path / 'bag', tmp_path / 'new')
+    assert killed - recorder.sent[len(numbers) - 1] < 1_000_000_000
+    assert any('not finished' in text for text in contents(bag)[1])
+    result = recover(bag, tmp_path / 'new')
     assert (result.lost, result.end_missing) == (0, True)
-    assert contents(tmp_path / 'new') == (contents(tmp_path / 'bag')[0], [])
+    assert contents(tmp_path / 'new') == (contents(bag)[0], [])
 
 
 def test_given_publishers_that_go_on_when_told_to_stop_then_nothing_is_lost_in_the_next_free_bag(
     session, tmp_path
 ):
-    for name in ('bag', 'bag_1', 'bag_3'):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / 'mine').write_text(name)
-    process, source, _ = session(f'gains_file:={GAINS}')
-    source.wait()
-    source.run(after(1.0))
+    taken = [tmp_path / name for name in ('bag', 'bag_1', 'bag_3')]
+    for folder in taken:
+        folder.mkdir()
+        (folder / 'mine').write_text(folder.name)
+    recorder, bag = session(f'gains_file:={GAINS}'), tmp_path / 'bag_2'
+    recorder.run(1.0)
     for _ in range(500):  # more than the recorder takes in at once
-        source.publish()
-    process.send_signal(signal.SIGINT)
-    before, told = len(source.sent), time.monotonic()
-    source.run(lambda: process.poll() is not None or time.monotonic() > told + 20.0)
-    assert process.wait(10) == 0
+        recorder.publish()
+    before, told = len(recorder.sent), time.monotonic()
+    recorder.process.send_signal(signal.SIGINT)
+    recorder.run(20.0, until=lambda: recorder.process.poll() is not None)
+    assert recorder.process.wait(10) == 0
     assert time.monotonic() - told < 8.0
-    bag = tmp_path / 'bag_2'
     numbers = recorded(bag)
     assert numbers[:before] == list(range(before))
     assert numbers == list(range(len(numbers)))
     assert contents(bag)[1] == []
     assert {p.name for p in bag.iterdir()} == {'bag_2.mcap', 'metadata.yaml', 'gains.yaml'}
     assert (bag / 'gains.yaml').read_bytes() == GAINS.read_bytes()
-    for name in ('bag', 'bag_1', 'bag_3'):
-        assert [p.read_text() for p in (tmp_path / name).iterdir()] == [name]
+    assert [[p.read_text() for p in folder.iterdir()] for folder in taken] == [
+        [folder.name] for folder in taken
+    ]
     said = (tmp_path / 'log' / 'recorder.log').read_text()
     assert '[WARN]' in said
     assert f'{tmp_path / "bag"} exists already: recording into {bag}' in said
@@ -133,16 +133,14 @@ def test_given_publishers_that_go_on_when_told_to_stop_then_nothing_is_lost_in_t
 def test_given_a_recorder_that_is_held_up_when_the_transport_overflows_then_each_loss_is_counted(
     session, tmp_path
 ):
-    process, source, _ = session(qos=qos_profile_sensor_data)
-    source.wait()
-    source.run(after(0.5))
-    os.killpg(process.pid, signal.SIGSTOP)
+    recorder = session(qos=qos_profile_sensor_data)
+    recorder.run(0.5)
+    recorder.kill(signal.SIGSTOP)
     for _ in range(8000):
-        source.publish()
-    os.killpg(process.pid, signal.SIGCONT)
-    source.run(after(1.0))  # the numbers of what comes next tell what is missing
-    process.send_signal(signal.SIGINT)
-    assert process.wait(20) == 0
+        recorder.publish()
+    recorder.kill(signal.SIGCONT)
+    recorder.run(1.0)  # the numbers of what comes next tell what is missing
+    assert recorder.stop() == 0
     numbers = recorded(tmp_path / 'bag')
     assert numbers == sorted(set(numbers))
     with open_bag(tmp_path / 'bag') as reader:
@@ -158,30 +156,28 @@ LIMITED = ('bash', '-c', 'ulimit -f 1600; exec "$@"', '-')
 def test_given_a_disk_that_gets_full_when_recording_then_it_stops_and_keeps_what_is_there(
     session, tmp_path
 ):
-    process, source, client = session('preset:=none', prefix=LIMITED)
-    reports = client.listen(DiagnosticArray, '/diagnostics', 10)
-    noise = client.node.create_publisher(String, 'torque_command', RELIABLE)
-    source.wait()
-    assert client.wait(lambda: noise.get_subscription_count() == 1)
+    recorder = session('preset:=none', prefix=LIMITED)
+    noise = recorder.client.node.create_publisher(String, 'torque_command', RELIABLE)
+    assert recorder.client.wait(lambda: noise.get_subscription_count() == 1)
+
+    def errors():
+        return [s for s in recorder.statuses() if s.level == DiagnosticStatus.ERROR]
 
     def full():
         noise.publish(String(data='x' * 4000))
-        if len(source.sent) % 25 == 0:
-            client.wait(lambda: False, 0.01)
-        return any(s.level == DiagnosticStatus.ERROR for r in reports for s in r.status)
+        if len(recorder.sent) % 25 == 0:
+            recorder.client.wait(lambda: False, 0.01)
+        return errors()
 
-    limit = after(30.0)
-    source.run(lambda: full() or limit())
-    status = next(s for r in reports for s in r.status if s.level == DiagnosticStatus.ERROR)
-    assert status.name == '/lpv/recorder: recording'
-    assert 'no space left' in status.message
-    assert process.poll() is None  # it goes on to say so
+    recorder.run(30.0, until=full)
+    assert errors()[0].name == '/lpv/recorder: recording'
+    assert 'no space left' in errors()[0].message
+    assert recorder.process.poll() is None  # it goes on to say so
     (bag,) = (tmp_path / 'bag').glob('*.mcap')
     size = bag.stat().st_size
     assert 300_000 < size < 1600 * 1024
-    source.run(after(0.3))
-    process.send_signal(signal.SIGINT)
-    assert process.wait(20) == 1
+    recorder.run(0.3)
+    assert recorder.stop() == 1
     assert bag.stat().st_size == size
     numbers = recorded(tmp_path / 'bag')
     assert numbers == list(range(len(numbers)))
@@ -193,37 +189,33 @@ def test_given_a_disk_that_gets_full_when_recording_then_it_stops_and_keeps_what
 def test_given_all_topics_when_recording_then_hidden_and_excluded_ones_are_left_out(
     session, tmp_path
 ):
-    process, source, client = session(
-        'all:=true', 'exclude:=[/rosout, /parameter_events, "/lpv/no*"]', 'split_duration:=1.0'
-    )
-    reports = client.listen(DiagnosticArray, '/diagnostics', 10)
+    left_out = 'exclude:=[/rosout, /parameter_events, "/lpv/no*"]'
+    recorder = session('all:=true', left_out, 'split_duration:=1.0')
     others = [
-        client.node.create_publisher(String, name, RELIABLE)
+        recorder.client.node.create_publisher(String, name, RELIABLE)
         for name in ('text', 'noise', '_hidden')
     ]
-    source.wait()
-    assert client.wait(lambda: others[0].get_subscription_count() == 1)
+    assert recorder.client.wait(lambda: others[0].get_subscription_count() == 1)
     others[0].publish(String(data='hello'))
-    source.run(after(1.3))
-    source.publish(source.sent[-1] - 500_000_000)  # late
-    source.run(after(0.9))
+    recorder.run(1.3)
+    recorder.publish(recorder.sent[-1] - 500_000_000)  # late
+    recorder.run(0.9)
     values = {}
 
     def counted():
-        assert {s.name for r in reports for s in r.status} <= {'/lpv/recorder: recording'}
-        values.update((v.key, v.value) for r in reports for v in r.status[0].values)
-        return values.get(f'{TOPIC} messages') == str(len(source.sent))
+        assert {status.name for status in recorder.statuses()} <= {'/lpv/recorder: recording'}
+        values.update((v.key, v.value) for status in recorder.statuses() for v in status.values)
+        return values.get(f'{TOPIC} messages') == str(len(recorder.sent))
 
-    assert client.wait(counted), values
+    assert recorder.client.wait(counted), values
     assert values[f'{TOPIC} lost'] == '0'
     assert [p.get_subscription_count() for p in others] == [1, 0, 0]
-    process.send_signal(signal.SIGTERM)
-    assert process.wait(20) == 0
+    assert recorder.stop(signal.SIGTERM) == 0
     assert len(list((tmp_path / 'bag').glob('bag_*.mcap'))) >= 3
     with open_bag(tmp_path / 'bag') as reader:
         # What the recorder says of itself is not recorded; nobody else is on /diagnostics.
         assert {c.topic for c in reader.connections} == {TOPIC, '/lpv/text'}
-        assert reader.known[TOPIC] == {'messages': len(source.sent), 'lost': 0, 'late': 1}
+        assert reader.known[TOPIC] == {'messages': len(recorder.sent), 'lost': 0, 'late': 1}
         assert reader.warnings == []
     # By the time of arrival, hence sorted, but for the late one not by stamps.
-    assert recorded(tmp_path / 'bag') == list(range(len(source.sent)))
+    assert recorded(tmp_path / 'bag') == list(range(len(recorder.sent)))

@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from lpv.core.support.signals import raising_signals
+from lpv.core.support.signals import StopRequest, handled_signals, raising_signals
 
 
 class Dropped:
@@ -60,6 +60,17 @@ def test_given_another_exception_in_a_destructor_when_reported_then_as_without_a
         Dropped(int, 'no number')
         assert received == []
     assert reported == [ValueError]
+
+
+def test_given_a_start_when_told_to_stop_then_it_ends_at_once_and_later_in_order():
+    with handled_signals(lambda *_: None, signal.SIGINT, signal.SIGTERM):
+        StopRequest()
+        with pytest.raises(SystemExit):
+            signal.raise_signal(signal.SIGTERM)
+        stop = StopRequest()
+        stop.defer()
+        signal.raise_signal(signal.SIGTERM)
+        assert stop.is_set
 
 
 # ------------------------------------------------------------------ of a node's process

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 
 import pytest
 from places import PACKAGES
+from test_view_server import connected
 
 aiohttp = pytest.importorskip('aiohttp')
 pytest.importorskip('foxglove', reason='foxglove-sdk is not installed')
@@ -75,8 +76,8 @@ class Viewer:
             return True
 
 
-def connect(session, port, **headers):
-    return session.ws_connect(f'http://127.0.0.1:{port}/', protocols=[PROTOCOL], headers=headers)
+def connect(port, **headers):
+    return connected(f'http://127.0.0.1:{port}/', protocols=[PROTOCOL], headers=headers)
 
 
 def decode(channel, data):
@@ -92,7 +93,7 @@ def test_given_a_client_when_it_subscribes_then_it_can_read_messages_by_the_sche
     stamp = 12_000_000_034
 
     async def session(running, port):
-        async with aiohttp.ClientSession() as client, connect(client, port, Origin=APP) as ws:
+        async with connect(port, Origin=APP) as ws:
             viewer = Viewer(ws)
             info = await viewer.start(len(TOPICS) + 1)
             assert info['capabilities'] == [], 'clients can only look'
@@ -127,11 +128,7 @@ def test_given_latched_messages_when_a_client_comes_late_then_it_alone_gets_the_
     paper_arm,
 ):
     async def late_ones(running, port):
-        async with (
-            aiohttp.ClientSession() as client,
-            connect(client, port) as early,
-            connect(client, port) as late,
-        ):
+        async with connect(port) as early, connect(port) as late:
             first, second = Viewer(early), Viewer(late)
             await first.start(len(TOPICS) + 1)
             got = [await first.next() for _ in range(3)]
@@ -157,13 +154,12 @@ def test_given_latched_messages_when_a_client_comes_late_then_it_alone_gets_the_
 )
 def test_given_another_origin_when_it_connects_then_it_is_refused(paper_arm, headers):
     async def attempt(port):
-        async with aiohttp.ClientSession() as client:
-            with pytest.raises(aiohttp.WSServerHandshakeError) as refused:
-                await connect(client, port, **headers)
-            return refused.value.status
+        async with connect(port, **headers):
+            pass
 
-    with bridge(paper_arm) as (_, port):
-        assert asyncio.run(attempt(port)) == 403
+    with bridge(paper_arm) as (_, port), pytest.raises(aiohttp.WSServerHandshakeError) as refused:
+        asyncio.run(attempt(port))
+    assert refused.value.status == 403
 
 
 def test_given_the_bridge_when_it_listens_then_only_this_machine_can_reach_it(paper_arm):

@@ -12,58 +12,43 @@ import numpy as np
 import pytest
 import ros
 from places import BRINGUP
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_msgs.msg import String
+from test_view_foxglove import Viewer, connect, decode
+from visualization_msgs.msg import MarkerArray
 
-pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
-aiohttp = pytest.importorskip('aiohttp')
-
-from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
-from std_msgs.msg import String  # noqa: E402
-from test_view_foxglove import Viewer, connect, decode  # noqa: E402
-from visualization_msgs.msg import MarkerArray  # noqa: E402
-
-from lpv.core.export.urdf import arm_urdf  # noqa: E402
-from lpv_msgs.srv import ClearFaults  # noqa: E402
+from lpv.core.export.urdf import arm_urdf
+from lpv_msgs.srv import ClearFaults
 
 pytestmark = pytest.mark.ros
 
-ARM = BRINGUP / 'arms' / 'paper.yaml'
+ARM = f'arm_file:={BRINGUP / "arms" / "paper.yaml"}'
 GAINS = BRINGUP / 'gains' / 'paper.yaml'
 FLAGS = '--headless --no-sandbox --disable-gpu --disable-quic --no-first-run'
 FLAGS += ' --disable-background-networking --disable-component-update --disable-sync'
 BROWSER = os.environ.get('CHROMIUM') or shutil.which('chromium') or shutil.which('chromium-browser')
 
 
-class Running:
-    """A graph with its view: domain, address of the page, log folder."""
+class View:
+    """A view that was started on a graph: what it printed, address of its page."""
 
-    def __init__(self, graph, domain, log, page=r'page: (http://\S+)'):
-        self.graph, self.domain, self.log = graph, domain, log
-        self.page = self.find(page)
+    def __init__(self, graph, folder, *parameters):
+        self._graph, self._log = graph, folder / 'view.log'
+        graph.start('view', ros.command('view', ARM, *parameters))
+        self.page = self.find(r'page: (http://\S+)')
+
+    @property
+    def log(self):
+        return self._log.read_text() if self._log.exists() else ''
 
     def find(self, pattern, timeout=60.0):
         deadline = time.monotonic() + timeout
         while time.monotonic() < deadline:
-            found = re.search(pattern, text(self.log / 'view.log'))
-            if found:
+            if found := re.search(pattern, self.log):
                 return found.group(1)
-            self.graph.check()
+            self._graph.check()
             time.sleep(0.05)
-        raise AssertionError(text(self.log / 'view.log'))
-
-
-def text(log):
-    return log.read_text() if log.exists() else ''
-
-
-def start(graph, gains, scenario):
-    """All nodes in lockstep, which no load of the machine disturbs; the simulator comes first."""
-    common = (f'arm_file:={ARM}', 'lockstep:=true')
-    path = f'scenario_file:={scenario}'
-    graph.start('simulator', ros.command('simulator', *common, path))
-    yield
-    graph.start('uio', ros.command('uio', *common, files=[gains]))
-    graph.start('tracker', ros.command('tracker', *common, path, files=[gains]))
-    yield
+        raise AssertionError(self.log)
 
 
 def free_port():
@@ -72,49 +57,51 @@ def free_port():
         return probe.getsockname()[1]
 
 
-def scenario_file(folder):
-    """To and fro on a line, for longer than any test lasts."""
+def to_and_fro(folder):
+    """A scenario on a line, for longer than any test lasts."""
     points = ''.join(
         f'    - {{t: {10.0 * k + 0.1}, x: {0.8451 * (-1) ** (k + 1)}, y: 1.5893}}\n'
         for k in range(100)
     )
     path = folder / 'scenario.yaml'
     path.write_text('name: to_and_fro\nduration: 1000.0\npath:\n  waypoints:\n' + points)
-    return path
+    return f'scenario_file:={path}'
 
 
 @pytest.fixture(scope='module')
 def live(tmp_path_factory):
     """One graph for all tests that look on; the view is there first, and must not start it.
 
-    Publishers of a lockstep graph wait for their readers.  Were the view taken for one of them,
-    the first sample would be lost, and nothing would ever move.
+    In lockstep, which no load of the machine disturbs, publishers wait for their readers.  Were the
+    view taken for one of them, the first sample would be lost, and nothing would ever move.
     """
     folder, domain = tmp_path_factory.mktemp('live'), ros.next_domain()
-    scenario = scenario_file(folder)
-    with ros.graph(folder / 'log', domain) as graph:
-        files = f'arm_file:={ARM}', f'scenario_file:={scenario}'
-        ports = 'port:=0', f'foxglove_port:={free_port()}'
-        graph.start('view', ros.command('view', *files, *ports))
-        running = Running(graph, domain, folder / 'log')
-        running.foxglove = running.find(r'Foxglove: ws://127\.0\.0\.1:(\d+)')
-        steps = start(graph, GAINS, scenario)
-        next(steps)
+    scenario = to_and_fro(folder)
+    with ros.graph(folder, domain) as graph:
+        view = View(graph, folder, scenario, 'port:=0', f'foxglove_port:={free_port()}')
+        view.domain = domain
+        view.foxglove = int(view.find(r'Foxglove: ws://127\.0\.0\.1:(\d+)'))
+
+        def start(name, *parameters, files=()):
+            graph.start(name, ros.command(name, ARM, 'lockstep:=true', *parameters, files=files))
+
+        start('simulator', scenario)
         with ros.client(domain) as client:
             service = client.node.create_client(ClearFaults, 'arm_sim/clear_faults')
             assert client.wait(service.service_is_ready, 60.0)
             client.wait(lambda: False, 1.0)
-            assert 'lockstep, ' not in text(folder / 'log' / 'simulator.log'), 'not for the view'
-            next(steps)
+            assert 'lockstep, ' not in (folder / 'simulator.log').read_text(), 'not for the view'
+            start('uio', files=[GAINS])
+            start('tracker', scenario, files=[GAINS])
             # Not by an estimate: this client would be one of its readers.  The first run compiles.
             markers = client.listen(MarkerArray, 'arm_markers', 10)
             assert client.wait(
                 lambda: any(m.ns == 'estimated' for array in markers for m in array.markers), 240.0
             ), 'no estimates'
-        yield running
+        yield view
         codes = graph.stop()
     assert set(codes.values()) == {0}, codes
-    assert 'Traceback' not in (folder / 'log' / 'view.log').read_text()
+    assert 'Traceback' not in view.log
 
 
 @pytest.fixture(scope='module')
@@ -228,7 +215,7 @@ def test_given_a_running_graph_when_foxglove_connects_then_it_sees_the_topics_an
 
     async def listen():
         seen = {}
-        async with aiohttp.ClientSession() as client, connect(client, int(live.foxglove)) as ws:
+        async with connect(live.foxglove) as ws:
             viewer = Viewer(ws)
             await viewer.start(13)
             deadline = time.monotonic() + 60.0
@@ -241,14 +228,13 @@ def test_given_a_running_graph_when_foxglove_connects_then_it_sees_the_topics_an
     with ThreadPoolExecutor(1) as thread:
         channels, seen = thread.submit(lambda: asyncio.run(listen())).result()
     assert wanted <= set(seen), wanted - set(seen)
-    stamp, data = seen['/lpv/state_estimate']
-    state = decode(channels['/lpv/state_estimate'], data)
-    assert stamp == state.header.stamp.sec * 10**9 + state.header.stamp.nanosec
-    assert np.isfinite(state.position).all()
-    faults, description = (
-        decode(channels[name], seen[name][1])
-        for name in ('/lpv/fault_estimate', '/lpv/robot_description')
+    state, faults, description = (
+        decode(channels[f'/lpv/{name}'], seen[f'/lpv/{name}'][1])
+        for name in ('state_estimate', 'fault_estimate', 'robot_description')
     )
+    stamp = state.header.stamp.sec * 10**9 + state.header.stamp.nanosec
+    assert stamp == seen['/lpv/state_estimate'][0]
+    assert np.isfinite(state.position).all()
     assert list(faults.sensor_names) == ['link1_angle', 'link2_angle']
     assert '<robot name="paper">' in description.data
 
@@ -276,12 +262,10 @@ def test_given_a_view_that_others_may_see_when_opened_then_its_buttons_need_the_
     live, tmp_path, request
 ):
     with ros.graph(tmp_path, live.domain) as graph:
-        ports = 'address:=0.0.0.0', 'port:=0', 'foxglove_port:=0'
-        graph.start('view', ros.command('view', f'arm_file:={ARM}', *ports))
-        shown = Running(graph, live.domain, tmp_path, r'(http://\S+/)#token=')
-        log = text(tmp_path / 'view.log')
-        token = re.search(r'need the token (\S+)', log).group(1)
-        assert len(token) >= 20 and log.count('need the token') == 1
+        shown = View(graph, tmp_path, 'address:=0.0.0.0', 'port:=0', 'foxglove_port:=0')
+        token = shown.find(r'need the token (\S+)')
+        assert len(token) >= 20 and shown.find(r'/#token=(\S+)') == token
+        assert shown.log.count('need the token') == 1
         try_token(request.getfixturevalue('browser').new_page(), shown.page, token)
         assert graph.stop() == {'view': 0}
 
