@@ -39,13 +39,9 @@ def test_given_numbers_that_are_nan_when_filled_then_the_last_ones_are_sent_and_
     assert (list(sent.position), sent.mode) == ([1.0] * 3, StateEstimate.STALE)
 
 
-def test_given_an_alarm_without_numbers_when_put_into_a_message_then_nothing_is_known():
-    message = messages_of(2).alarm(STAMP, {**ALARM, 'size': np.nan, 'bound': np.nan})
-    assert (message.size, message.bound) == (0.0, np.inf)
-
-
-def test_given_two_alarms_when_put_into_messages_then_each_is_its_own():
+def test_given_alarms_when_put_into_messages_then_each_is_its_own_and_nan_means_not_known():
     messages = messages_of(2)
     first = messages.alarm(STAMP, ALARM)
-    messages.alarm(STAMP, {**ALARM, 'kind': 'drift'})
-    assert first.kind == 'bias'
+    second = messages.alarm(STAMP, {**ALARM, 'kind': 'drift', 'size': np.nan, 'bound': np.nan})
+    assert (first.kind, first.size, first.bound) == ('bias', 0.3, 0.01)
+    assert (second.kind, second.size, second.bound) == ('drift', 0.0, np.inf)
