@@ -8,6 +8,7 @@ import os
 import re
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import matplotlib
 import matplotlib.image
@@ -17,13 +18,12 @@ import yaml
 from hypothesis import example, given
 from hypothesis import strategies as st
 from places import BRINGUP
-from rich.console import Console
 from runs import ALL, MEASURED, assert_stands_alone, copied, record, rows, text
-from serial_bags import crane, crane_file, crane_run, record_crane
+from serial_bags import crane, crane_run, record_crane
 
 from lpv.bag.replay.replay import Replay
 from lpv.bag.run.node_reports import node_reports
-from lpv.bag.run.record import BagError, load_run
+from lpv.bag.run.record import load_run
 from lpv.cli.main import main
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.arm_file import load_arm
@@ -34,7 +34,6 @@ from lpv.report.figures import draw_region
 from lpv.report.load import load
 from lpv.report.page import css_string
 from lpv.report.run import write_report
-from lpv.report.table import print_table
 from lpv_design.guarantee import guarantee
 
 pytestmark = pytest.mark.slow
@@ -133,14 +132,10 @@ def mean_squares(record):
 def test_given_a_simulated_run_when_reported_then_the_table_is_that_of_the_paper(report, page, run):
     expected = mean_squares(load_run(run))
     assert {row.signal: row.paper for row in report.table} == PAPER
-    stream = io.StringIO()
-    print_table(report.table, Console(file=stream, width=120))
-    printed = {cells[0]: cells for cells in map(str.split, stream.getvalue().splitlines()) if cells}
     found = {cells[0]: cells for cells in rows(page) if cells[0] in PAPER}
     for row in report.table:
         assert row.value == pytest.approx(expected[row.signal], rel=1e-9)
         assert found[row.signal][3] == f'{row.value:.2g}'
-        assert {f'{row.value:.2g}', f'{row.paper:g}'} <= set(printed[row.signal])
     assert not re.search('(?i)[+-]?nan|inf', ' '.join(sum(rows(page), []))), 'a dropout has none'
 
 
@@ -178,20 +173,15 @@ def test_given_a_fault_that_is_found_when_reported_then_onset_alarm_and_delay_ar
     assert {f'/lpv/{name}' for name in ALL} <= set(counts)
 
 
-def test_given_the_same_run_when_reported_twice_then_every_byte_is_the_same(
-    page_of, run, gains_file
+def test_given_a_title_with_markup_when_reported_twice_then_it_is_text_and_every_byte_the_same(
+    run, page_of, gains_file
 ):
-    once = page_of(run, title='A run', gains=gains_file)
-    assert page_of(run, title='A run', gains=gains_file) == once
-
-
-@pytest.mark.parametrize('title', ['<script>alert("x")</script>', 'a & b < c', '{{ 7 * 7 }} %s'])
-def test_given_a_title_with_markup_when_reported_then_it_is_text(run, page_of, title):
-    page = page_of(run, title=title)
+    title = '<script>alert("x")</script> a & b < c {{ 7 * 7 }} %s'
+    page = page_of(run, title=title, gains=gains_file)
+    assert page_of(run, title=title, gains=gains_file) == page
     for tag in ('title', 'h1'):
         (inside,) = re.findall(f'<{tag}>(.*?)</{tag}>', page, re.DOTALL)
-        assert '<' not in inside
-        assert html.unescape(inside) == title
+        assert '<' not in inside and html.unescape(inside) == title
 
 
 @given(st.text(st.characters(exclude_characters='\0', exclude_categories=['Cs'])))
@@ -300,26 +290,31 @@ FORGED = 'gains file: numbers are those of the design'
 
 
 def tampered(gains_file, change, path):
-    """A gains file with one thing changed by hand."""
+    """A gains file with one thing changed by hand, or other bytes."""
     data = yaml.safe_load(gains_file.read_text())
     gains = data['/**']['ros__parameters']['gains']
     if change == 'name':
         gains['arm_sha256'] = 'f' * 64
-    else:
+    elif not isinstance(change, bytes):
         gains['observer']['kappa'][0] *= change
-    path.write_text(yaml.safe_dump(data))
+    path.write_bytes(change if isinstance(change, bytes) else yaml.safe_dump(data).encode())
     return path
+
+
+FAILS = f'The certificate does NOT hold. What fails: {FORGED}'
 
 
 @pytest.mark.parametrize(
     ('change', 'says'),
     [
-        (30.0, f'The certificate does NOT hold. What fails: {FORGED}; observer, link 1'),
-        (1.01, f'The certificate does NOT hold. What fails: {FORGED}'),
+        (30.0, f'{FAILS}; observer, link 1'),
+        (1.01, FAILS),
         ('name', 'designed for another arm'),
+        *((rubbish, 'gains.yaml') for rubbish in (b'', b'gains: 1', b'\xff\xfe\x00', b'[1, 2')),
     ],
+    ids=str,
 )
-def test_given_a_gains_file_that_was_tampered_with_when_reported_then_nothing_is_guaranteed(
+def test_given_gains_that_were_tampered_with_or_rubbish_when_reported_then_nothing_is_guaranteed(
     bag, gains_file, page_of, change, says
 ):
     tampered(gains_file, change, bag / 'gains.yaml')
@@ -327,16 +322,9 @@ def test_given_a_gains_file_that_was_tampered_with_when_reported_then_nothing_is
     assert says in said
     assert 'The certificate holds' not in said
     assert 'no healthy arm within the stated errors' not in said
-
-
-@pytest.mark.parametrize('content', [b'', b'gains: 1', b'\xff\xfe\x00', b'[1, 2'])
-def test_given_rubbish_in_the_place_of_the_gains_when_reported_then_the_run_is_shown_all_the_same(
-    bag, page_of, content
-):
-    (bag / 'gains.yaml').write_bytes(content)
-    said = text(page_of(bag))
-    assert 'gains.yaml' in said and 'nothing that follows from it is guaranteed' in said
-    assert 'certificate of the gains unknown' in said
+    unknown = not isinstance(change, float)
+    assert ('certificate of the gains unknown' in said) == unknown
+    assert ('Not known, and nothing that follows from it is guaranteed' in said) == unknown
 
 
 @pytest.mark.parametrize(
@@ -371,9 +359,7 @@ def test_given_the_nodes_of_another_arm_when_their_reports_are_read_then_ours_ar
 # ------------------------------------------------------------------ a serial arm
 
 
-def test_given_a_run_of_three_joints_when_reported_then_its_alarm_is_listed_and_gains_are_refused(
-    tmp_path, capsys, monkeypatch, refused
-):
+def test_given_a_run_of_three_joints_when_reported_then_its_alarm_is_listed(tmp_path, monkeypatch):
     run = crane_run(faults=[Fault('encoder2', 'bias', 0.6, size=0.05)])
     measured = record_crane(tmp_path / 'measured', run)
     Replay(SerialSensorMonitor('/uio', crane())).run(measured, tmp_path / 'bag')
@@ -386,11 +372,6 @@ def test_given_a_run_of_three_joints_when_reported_then_its_alarm_is_listed_and_
                  'joint1, joint2, joint3', 'the bag carries no gains, and none'):  # fmt: skip
         assert said in text(page)
     assert 'Mean squared errors (MISE, eq. (70))' not in text(page)
-    arguments = ['report', str(tmp_path / 'bag'), '--arm', str(crane_file(tmp_path))]
-    arguments += ['--out', str(tmp_path / 'report')]
-    assert refused('', *arguments, '--gains', 'paper')
-    assert main(arguments) == 0
-    assert 'certificate not known' in capsys.readouterr().out
 
 
 # ------------------------------------------------------------------ on paper
@@ -449,6 +430,7 @@ def test_given_the_command_when_run_then_table_verdict_and_place_of_the_report_a
     assert main(['report', str(run), '--arm', ARM_FILE, '--scenario', SCENARIO, *out]) == 0
     said = capsys.readouterr().out
     assert 'e_t2' in said and str(tmp_path / 'report' / 'report.html') in said
+    assert 'certificate not known: the bag carries no gains' in said
     # Without an arm it is that of the gains.
     assert main(['report', str(run), '--gains', str(gains_file), *out]) == 0
     assert 'my_gains.yaml: the certificate holds' in capsys.readouterr().out
@@ -467,6 +449,10 @@ def test_given_the_command_when_run_then_table_verdict_and_place_of_the_report_a
         ({'--arm': 'unknown_arm'}, ''),
         ({'--arm': 'nothing.yaml'}, ''),
         ({'--arm': SCENARIO}, 'two_faults.yaml'),
+        (
+            {'--arm': 'renamed_joint.yaml'},
+            "'elbow' is not in joint_states, which has joint1, joint2",
+        ),
         ({'--scenario': 'unknown_scenario'}, ''),
         ({'--scenario': ARM_FILE}, 'paper.yaml'),
         ({'--gains': 'nothing.yaml'}, 'nothing.yaml'),
@@ -483,19 +469,12 @@ def test_given_bad_input_when_the_command_is_run_then_one_line_says_so_and_the_c
     shutil.copy(gains_file, 'gains.yaml')
     tampered(gains_file, 'name', tmp_path / 'renamed.yaml')
     (tmp_path / 'mine').write_text('mine')
+    renamed = Path(ARM_FILE).read_text().replace('joint2', 'elbow')
+    (tmp_path / 'renamed_joint.yaml').write_text(renamed)
     options = {'--arm': ARM_FILE, '--out': 'report', **changes}
     bag = options.pop('bag', str(run))
     assert refused(named, 'report', bag, *(part for pair in options.items() for part in pair))
     assert not (tmp_path / 'report').exists() and (tmp_path / 'mine').read_text() == 'mine'
-
-
-def test_given_the_joints_of_another_arm_when_reported_then_the_missing_one_is_named(
-    run, paper_arm, tmp_path
-):
-    names = zip(paper_arm.joints, ('shoulder', 'elbow'))
-    renamed = replace(paper_arm, joints=tuple(replace(joint, name=name) for joint, name in names))
-    with pytest.raises(BagError, match="'shoulder'.*joint1, joint2"):
-        write_report(run, tmp_path, renamed)
 
 
 def test_given_no_arm_when_the_command_is_run_then_a_shipped_one_is_found_and_others_are_asked_for(
