@@ -3,8 +3,6 @@
 import itertools
 import json
 import re
-import shutil
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,21 +16,22 @@ from lpv.core.support.errors import LpvError
 from lpv.report.comparison import Tolerances, compare_runs, load_pair
 
 
+def replay(out, estimates_only=False, **changes):
+    """The reference recording with the answers to other parameters of the diagnosis."""
+    monitor = reference.monitor(parameters=DiagnosisParameters(**changes))
+    Replay(monitor, estimates_only=estimates_only).run(reference.BAG, out)
+    return out
+
+
 @pytest.fixture(scope='module')
 def replayed(tmp_path_factory):
-    """The reference recording with the present answers."""
-    out = tmp_path_factory.mktemp('reference') / 'bag'
-    Replay(reference.monitor()).run(reference.BAG, out)
-    return out
+    return replay(tmp_path_factory.mktemp('reference') / 'bag')
 
 
 @pytest.fixture(scope='module')
 def slower(tmp_path_factory):
-    """The same with alarms that end later."""
-    out = tmp_path_factory.mktemp('slower') / 'bag'
-    monitor = reference.monitor(parameters=DiagnosisParameters(clear_dwell=1.0))
-    Replay(monitor, estimates_only=True).run(reference.BAG, out)
-    return out
+    """With alarms that end later."""
+    return replay(tmp_path_factory.mktemp('slower') / 'bag', estimates_only=True, clear_dwell=1.0)
 
 
 def test_given_the_reference_when_replayed_then_the_diagnosis_answers_as_it_did(replayed):
@@ -55,9 +54,7 @@ def test_given_the_reference_when_replayed_then_the_diagnosis_answers_as_it_did(
 def test_given_another_behaviour_when_compared_with_the_reference_then_it_is_noticed(
     tmp_path, change
 ):
-    monitor = reference.monitor(parameters=replace(DiagnosisParameters(), **change))
-    Replay(monitor).run(reference.BAG, tmp_path / 'bag')
-    assert not reference.compare(tmp_path / 'bag').same
+    assert not reference.compare(replay(tmp_path / 'bag', **change)).same
 
 
 def test_given_one_answer_less_when_compared_then_it_is_noticed(replayed, paper_arm, tmp_path):
@@ -77,14 +74,12 @@ def test_given_one_answer_less_when_compared_then_it_is_noticed(replayed, paper_
 def test_given_estimates_without_measurements_when_compared_then_those_of_the_other_are_used(
     replayed, slower, tmp_path, paper_arm
 ):
-    Replay(reference.monitor(), estimates_only=True).run(reference.BAG, tmp_path / 'bag')
-    for pair in ((replayed, tmp_path / 'bag'), (tmp_path / 'bag', replayed)):
+    estimates = replay(tmp_path / 'bag', estimates_only=True)
+    for pair in ((replayed, estimates), (estimates, replayed)):
         result = compare_runs(*load_pair(*pair, paper_arm), paper_arm, Tolerances(0, 0, 0, 0, 0))
-        assert result.same
-        assert len(result.figures) == 6
-    alone = compare_runs(*load_pair(tmp_path / 'bag', slower, paper_arm), paper_arm)
-    assert not alone.same
-    assert {f.unit for f in alone.figures} == {'rad'}
+        assert result.same and len(result.figures) == 6
+    alone = compare_runs(*load_pair(estimates, slower, paper_arm), paper_arm)
+    assert not alone.same and {f.unit for f in alone.figures} == {'rad'}
 
 
 def test_given_alarms_of_one_run_alone_when_compared_then_they_stand_alone(replayed, paper_arm):
@@ -108,12 +103,10 @@ def test_given_values_that_are_no_numbers_in_one_run_when_compared_then_they_are
     assert json.loads(json.dumps(result.as_dict(), allow_nan=False))['same'] is False
 
 
-@pytest.mark.parametrize(
-    'changes', [{'mise': -1.0}, {'delay': float('nan')}, {'signal': float('inf')}]
-)
-def test_given_a_tolerance_that_is_none_when_made_then_it_is_refused(changes):
-    with pytest.raises(LpvError, match=next(iter(changes))):
-        Tolerances(**changes)
+def test_given_a_tolerance_that_is_none_when_made_then_it_is_refused():
+    for name, bad in (('mise', -1.0), ('delay', float('nan')), ('signal', float('inf'))):
+        with pytest.raises(LpvError, match=name):
+            Tolerances(**{name: bad})
 
 
 # ------------------------------------------------------------------ command line
@@ -145,18 +138,16 @@ def test_given_alarms_that_end_later_when_the_command_is_run_then_the_code_is_3_
     ]
     assert 0.5 < max(late) < 0.8
     assert {f['name'] for f in found['figures']} >= {'f1: estimate of the fault'}
-    assert main(['compare', str(replayed), str(slower)]) == 3
-    said = capsys.readouterr().out
-    assert 'DIFFERENT' in said and '<- differs' in said
 
 
 def test_given_a_terminal_of_80_columns_when_compared_then_every_figure_is_readable(
     replayed, slower, monkeypatch, capsys
 ):
     monkeypatch.setenv('COLUMNS', '80')
-    main(['compare', str(replayed), str(slower)])
-    lines = capsys.readouterr().out.splitlines()
-    assert not any('…' in line for line in lines)
+    assert main(['compare', str(replayed), str(slower)]) == 3
+    said = capsys.readouterr().out
+    assert 'DIFFERENT' in said and '<- differs' in said and '…' not in said
+    lines = said.splitlines()
     assert max(map(len, lines)) <= 80
     f1 = next(line for line in lines if 'f1:' in line)
     assert len(re.findall(r'\d\.\d+(?:e-\d+)?', f1)) == 2
@@ -170,12 +161,13 @@ def test_given_bags_that_cannot_be_compared_when_the_command_is_run_then_one_lin
     replayed, tmp_path, refused
 ):
     copied(replayed, tmp_path / 'measured', '/lpv/joint_states'.__eq__)
-    later = lambda _, data: data[:5] + bytes([data[5] ^ 0x40]) + data[6:]  # noqa: E731
-    copied(replayed, tmp_path / 'later', '/lpv/fault_estimate'.__eq__, later)  # another second
-    shutil.copytree(replayed, tmp_path / 'broken')
-    (tmp_path / 'broken' / 'metadata.yaml').unlink()
-    (storage,) = (tmp_path / 'broken').glob('*.mcap')
-    storage.write_bytes(b'no bag')
+
+    def another_second(_, data):
+        return data[:5] + bytes([data[5] ^ 0x40]) + data[6:]
+
+    copied(replayed, tmp_path / 'later', '/lpv/fault_estimate'.__eq__, another_second)
+    (tmp_path / 'broken').mkdir()
+    (tmp_path / 'broken' / 'bag.mcap').write_bytes(b'no bag')
     for other, named in (
         ('measured', 'no answers'),
         ('later', 'not of one recording'),

@@ -17,17 +17,13 @@ from lpv_design.requirement import load_requirement
 
 
 @pytest.fixture
-def urdf(tmp_path, paper_arm):
-    path = tmp_path / 'arm.urdf'
-    path.write_text(arm_urdf(paper_arm))
-    return path
-
-
-@pytest.fixture
 def init(tmp_path):
-    """Calls the command for a new folder; the arm that it writes."""
+    """Calls the command for a new folder, with the text of a URDF; the arm that it writes."""
 
-    def run(*options):
+    def run(*options, urdf=None):
+        if urdf:
+            (tmp_path / 'arm.urdf').write_text(urdf)
+            options = ('--urdf', tmp_path / 'arm.urdf', *options)
         assert main(['init', str(tmp_path / 'new'), *map(str, options)]) == 0
         return load_arm(tmp_path / 'new' / 'arm.yaml')
 
@@ -51,8 +47,8 @@ def test_given_the_files_as_written_when_designed_then_the_certificate_holds(tmp
     assert main(['verify', gains, '--arm', arm]) == 0
 
 
-def test_given_a_urdf_when_initialised_then_the_arm_is_that_of_the_urdf(init, urdf, paper_arm):
-    arm = init('--urdf', urdf)
+def test_given_a_urdf_when_initialised_then_the_arm_is_that_of_the_urdf(init, paper_arm):
+    arm = init(urdf=arm_urdf(paper_arm))
     found, wanted = planar_model(arm), planar_model(paper_arm)
     for one, other in zip(found.links, wanted.links):
         assert vars(one) == pytest.approx(vars(other))
@@ -73,71 +69,41 @@ def test_given_the_urdf_of_a_serial_arm_when_initialised_then_arm_and_path_fit(
 
 
 @pytest.mark.parametrize('zero', [0.0, np.pi / 3, np.pi])
-def test_given_another_zero_when_read_from_a_urdf_then_it_is_found(init, urdf, paper_model, zero):
-    urdf.write_text(arm_urdf(serial_from_planar(replace(paper_model, zero_angle=zero))))
-    found = planar_model(init('--urdf', urdf))
+def test_given_another_zero_when_read_from_a_urdf_then_it_is_found(init, paper_model, zero):
+    turned = serial_from_planar(replace(paper_model, zero_angle=zero))
+    found = planar_model(init(urdf=arm_urdf(turned)))
     assert np.cos(found.zero_angle - zero) == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize(
-    ('old', 'new', 'said'),
-    [
-        ('xyz="0 -1.0 0"', 'xyz="0 0 0"', 'direction'),
-        ('<mass value="10.0"', '<mass value="heavy"', 'mass'),
-        ('<robot', '<!DOCTYPE x [<!ENTITY y "z">]><robot', 'document type'),
-        ('</robot>', '', 'no element found'),
-        ('<dynamics', '<dynamics damping="-1"/><dynamics', 'dynamics.damping: must be'),
-    ],
-)
-def test_given_a_urdf_with_a_defect_when_initialised_then_it_is_named(
-    tmp_path, urdf, refused, old, new, said
+def test_given_two_links_out_of_a_vertical_plane_when_initialised_then_it_has_no_region(
+    init, paper_arm
 ):
-    text = urdf.read_text()
-    assert old in text
-    urdf.write_text(text.replace(old, new))
-    assert refused(said, 'init', tmp_path / 'new', '--urdf', urdf)
-    assert not (tmp_path / 'new').exists()
-
-
-def test_given_two_links_out_of_a_vertical_plane_when_initialised_then_it_has_no_region(init, urdf):
-    urdf.write_text(urdf.read_text().replace('xyz="0 -1.0 0"', 'xyz="0 0 1"'))
-    arm = init('--urdf', urdf)
+    arm = init(urdf=arm_urdf(paper_arm).replace('xyz="0 -1.0 0"', 'xyz="0 0 1"'))
     assert [joint.axis for joint in arm.joints] == [(0.0, 0.0, 1.0)] * 2
     assert arm.lpv is None
 
 
-def link(name):
-    return (
-        f'<link name="{name}"><inertial><origin xyz="0.1 0 0.2"/><mass value="2"/>'
-        '<inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
-    )
-
-
-def joint(name, parent, child, kind='revolute', dynamics=''):
-    return (
-        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
-        '<origin xyz="0 0 0.3"/><axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="500" '
-        f'velocity="2"/>{dynamics}</joint>'
-    )
-
-
-@pytest.fixture
-def gripper(tmp_path):
-    """Three joints that turn, and two fingers that slide."""
-    path = tmp_path / 'gripper.urdf'
-    friction = '<dynamics damping="0.5" friction="0.25"/>'
-    path.write_text(
-        '<robot name="my arm">'
-        + ''.join(link(name) for name in ('base', 'one', 'two', 'hand', 'left', 'right', 'tool'))
-        + joint('shoulder', 'base', 'one', dynamics=friction)
-        + joint('elbow', 'one', 'two')
-        + joint('wrist', 'two', 'hand', 'continuous')
-        + joint('left_finger', 'hand', 'left', 'prismatic')
-        + joint('right_finger', 'hand', 'right', 'prismatic')
-        + joint('flange', 'hand', 'tool', 'fixed')
-        + '</robot>'
-    )
-    return path
+LINK = (
+    '<link name="{}"><inertial><origin xyz="0.1 0 0.2"/><mass value="2"/>'
+    '<inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+)
+JOINT = (
+    '<joint name="{}" type="{}"><parent link="{}"/><child link="{}"/><origin xyz="0 0 0.3"/>'
+    '<axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="500" velocity="2"/>{}</joint>'
+)
+JOINTS = (
+    ('shoulder', 'revolute', 'base', 'one', '<dynamics damping="0.5" friction="0.25"/>'),
+    ('elbow', 'revolute', 'one', 'two', ''),
+    ('wrist', 'continuous', 'two', 'hand', ''),
+    ('left_finger', 'prismatic', 'hand', 'left', ''),
+    ('right_finger', 'prismatic', 'hand', 'right', ''),
+    ('flange', 'fixed', 'hand', 'tool', ''),
+)
+LINKS = ['base', *(child for _, _, _, child, _ in JOINTS)]
+GRIPPER = '<robot name="my arm">{}{}</robot>'.format(
+    ''.join(map(LINK.format, LINKS)), ''.join(JOINT.format(*joint) for joint in JOINTS)
+)
+"""Three joints that turn, and two fingers that slide."""
 
 
 @pytest.mark.parametrize(
@@ -150,9 +116,9 @@ def gripper(tmp_path):
     ],
 )
 def test_given_a_gripper_when_its_joints_are_held_then_the_arm_has_the_others_and_their_friction(
-    init, gripper, options
+    init, options
 ):
-    arm = init('--urdf', gripper, *options)
+    arm = init(*options, urdf=GRIPPER)
     assert (arm.name, arm.joint_names) == ('my_arm', ('shoulder', 'elbow', 'wrist'))
     assert dict(arm.locked).keys() == {'left_finger', 'right_finger'}
     assert dict(arm.locked)['left_finger'] == (0.02 if '--lock' in options else 0.0)
@@ -162,23 +128,37 @@ def test_given_a_gripper_when_its_joints_are_held_then_the_arm_has_the_others_an
         assert arm.tip == (0.0, 0.0, 0.3)
 
 
+HELD = ['--tip', 'tool']
+
+
 @pytest.mark.parametrize(
-    ('options', 'said'),
+    ('old', 'new', 'options', 'said'),
     [
-        ([], "'left_finger' is prismatic, 'right_finger' is prismatic: hold it with --lock left_f"),
-        ([], '--joints shoulder,elbow,wrist, or its last link with --tip'),
-        (['--tip', 'nose'], "'nose' is no link of the URDF: base, one"),
-        (['--lock', 'left_finger=open'], "'open' is not a number"),
-        (['--lock', 'thumb'], "no moving joint 'thumb'"),
-        (['--tip', 'tool', '--joints', 'elbow'], 'give one of them'),
+        (
+            '',
+            '',
+            [],
+            "'left_finger' is prismatic, 'right_finger' is prismatic: hold it with --lock",
+        ),
+        ('', '', [], '--joints shoulder,elbow,wrist, or its last link with --tip'),
+        ('', '', ['--tip', 'nose'], "'nose' is no link of the URDF: base, one"),
+        ('', '', ['--lock', 'left_finger=open'], "'open' is not a number"),
+        ('', '', ['--lock', 'thumb', '--joints', 'elbow'], "no moving joint 'thumb'"),
+        ('', '', [*HELD, '--joints', 'elbow'], 'give one of them'),
+        ('axis xyz="0 1 0"', 'axis xyz="0 0 0"', HELD, 'direction'),
+        ('<mass value="2"', '<mass value="heavy"', HELD, 'mass'),
+        ('<robot', '<!DOCTYPE x [<!ENTITY y "z">]><robot', HELD, 'document type'),
+        ('</robot>', '', HELD, 'no element found'),
+        ('damping="0.5"', 'damping="-1"', HELD, 'dynamics.damping: must be'),
     ],
 )
-def test_given_a_gripper_that_is_not_held_when_initialised_then_the_options_are_named(
-    tmp_path, gripper, refused, options, said
+def test_given_a_gripper_that_is_not_held_or_a_defect_when_initialised_then_it_is_named(
+    tmp_path, refused, old, new, options, said
 ):
-    if options == ['--lock', 'thumb']:
-        options = [*options, '--joints', 'shoulder,elbow,wrist']
-    assert refused(said, 'init', tmp_path / 'new', '--urdf', gripper, *options)
+    assert old in GRIPPER
+    (tmp_path / 'arm.urdf').write_text(GRIPPER.replace(old, new))
+    assert refused(said, 'init', tmp_path / 'new', '--urdf', tmp_path / 'arm.urdf', *options)
+    assert not (tmp_path / 'new').exists()
 
 
 def test_given_files_that_are_there_when_initialised_then_none_is_overwritten(tmp_path, refused):
@@ -194,22 +174,16 @@ def test_given_the_version_when_asked_then_it_is_printed(capsys):
     assert capsys.readouterr().out.startswith('lpv ')
 
 
-@pytest.mark.parametrize(
-    ('module', 'said'),
-    [
+def test_given_a_missing_module_when_explained_then_its_installation_is_named(monkeypatch):
+    for module, said in (
         ('pyarrow.parquet', 'make setup-extras'),
         ('optuna', 'make setup-extras'),
         ('lpv_msgs.msg', 'ROS 2 is needed'),
         ('rclpy', 'ROS 2 is needed'),
         ('rich', 'pip install rich'),
         ('lpv_design.main', 'lpv_design, which designs gains, is not installed'),
-    ],
-)
-def test_given_a_missing_module_when_explained_then_its_installation_is_named(module, said):
-    assert said in remedy(module)
-
-
-def test_given_an_installation_by_pip_when_a_module_is_missing_then_its_extra_is_named(monkeypatch):
+    ):
+        assert said in remedy(module)
     monkeypatch.setattr('lpv.cli.needs.installed_version', lambda name: '0.1.0')
     assert "pip install 'lpv-arm-fdi[campaign]'" in remedy('pyarrow.parquet')
 
