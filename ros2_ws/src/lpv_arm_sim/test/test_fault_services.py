@@ -37,9 +37,7 @@ def test_given_a_fault_that_makes_no_sense_when_injected_then_the_reason_is_told
     assert not clear(services, 'c').success
 
 
-def test_given_faults_of_two_sensors_when_injected_and_one_is_cleared_then_the_other_stays(
-    services,
-):
+def test_given_two_faults_when_injected_and_one_is_cleared_then_the_other_stays(services):
     response = inject(services)
     assert response.success
     assert response.message == 'bias on a from 2.000 s on'

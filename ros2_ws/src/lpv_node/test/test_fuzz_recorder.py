@@ -84,9 +84,7 @@ def test_given_hostile_parameters_when_set_then_the_recorder_goes_on(recorder):
     assert len(recorder.stored()) == 1
 
 
-def test_given_a_gains_file_that_is_none_when_set_up_then_it_is_refused_and_no_bag_is_made(
-    tmp_path,
-):
+def test_given_a_gains_file_that_is_none_when_set_up_then_it_is_refused_without_a_bag(tmp_path):
     (tmp_path / 'gains').write_text('gains: none')
     files = {'output': tmp_path / 'bag', 'gains_file': tmp_path / 'gains'}
     with (

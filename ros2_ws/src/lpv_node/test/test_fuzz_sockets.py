@@ -98,9 +98,7 @@ async def follow(served):
         assert json.loads((await ws.receive(timeout=1.0)).data)['type'] == 'frame'
 
 
-def test_given_hostile_messages_to_the_page_when_sent_then_each_is_answered_and_others_are_served(
-    paper_arm,
-):
+def test_given_hostile_messages_to_the_page_when_sent_then_each_is_answered(paper_arm):
     with bounded_memory(), serve(paper_arm) as served:
         tally = attack(_CONNECTIONS, hostile_page, served)
         asyncio.run(follow(served))
@@ -166,9 +164,7 @@ async def no_client(ports, rng, tally):
     tally.refused += 1
 
 
-def test_given_bytes_that_are_no_request_when_sent_then_the_port_refuses_and_serves_others(
-    paper_arm, log
-):
+def test_given_bytes_that_are_no_request_when_sent_then_the_port_serves_others(paper_arm, log):
     with serve(paper_arm) as served, bridge(paper_arm) as (_, foxglove):
         attack(60, no_client, (served.port, foxglove))
         asyncio.run(follow(served))

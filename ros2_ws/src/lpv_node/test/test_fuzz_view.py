@@ -3,20 +3,15 @@
 import time
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from fuzzing import bounded_memory
+from hostile import Output, Refused, damaged_bytes, forge, node_of, run_cases, set_parameters, sized
 from places import BRINGUP
+from rclpy.serialization import serialize_message
 
-pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
-pytest.importorskip('foxglove', reason='foxglove-sdk is not installed')
-pytest.importorskip('lpv_node.view', reason='the workspace is not built')
-
-from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
-from fuzzing import bounded_memory  # noqa: E402
-from hostile import Output, Refused, damaged_bytes, forge, node_of, run_cases, set_parameters, sized  # noqa: E402
-from rclpy.serialization import serialize_message  # noqa: E402
-
-from lpv_node.view.node import ViewNode  # noqa: E402
-from lpv_node.view.server import encode  # noqa: E402
-from lpv_node.view.topics import Inbox  # noqa: E402
+from lpv_node.view.node import ViewNode
+from lpv_node.view.server import encode
+from lpv_node.view.topics import Inbox
 
 pytestmark = [pytest.mark.ros, pytest.mark.fuzz]
 
@@ -27,6 +22,10 @@ class View:
     def __init__(self, node):
         self.node, self.frames, self._stamp = node, [], 10**9
         node._server.frame = lambda frame: self.frames.append(encode(frame))
+        node._inboxes = [
+            Inbox(inbox.topic, node._forwarder(Bridge(), inbox.topic), 0.0, node._refusals.add)
+            for inbox in node._inboxes
+        ]
 
     def good(self, kind):
         """A message of a kind with the next stamp."""
@@ -42,18 +41,17 @@ class View:
         return message
 
     def show(self, inbox, data):
-        """The frame after a message's bytes."""
-        before = self.refused()
+        """The frame after a message's bytes; those that are counted are `Refused`."""
+        before = self._refused()
         inbox.store(data)
         self.node._tick()
         assert self.frames
         frame, self.frames = self.frames[-1], []
-        if self.refused() > before:
+        if self._refused() > before:
             raise Refused('counted')
         return len(frame)
 
-    def refused(self):
-        """Messages that were counted as refused."""
+    def _refused(self):
         return sum(self.node._refusals.counts.values()) + self.node._model.misfits
 
     def is_live(self):
@@ -61,23 +59,6 @@ class View:
         for inbox in 2 * self.node._inboxes:  # what is loaded at first takes its time
             self.show(inbox, serialize_message(self.good(inbox.topic.kind)))
         return all(self.node._model._live(time.monotonic()).values())
-
-
-@pytest.fixture
-def view():
-    with node_of(
-        ViewNode,
-        'view',
-        arm_file=BRINGUP / 'arms' / 'paper.yaml',
-        scenario_file=BRINGUP / 'scenarios' / 'two_faults.yaml',
-        port=0,
-        foxglove_port=0,
-    ) as node:
-        node._inboxes = [
-            Inbox(inbox.topic, node._forwarder(Bridge(), inbox.topic), 0.0, node._refusals.add)
-            for inbox in node._inboxes
-        ]
-        yield View(node)
 
 
 class Bridge:
@@ -90,19 +71,24 @@ class Bridge:
         pass
 
 
-def damaged_or_forged(rng, message):
-    """Bytes of one."""
-    if rng.random() < 0.4:
-        return damaged_bytes(rng, message)
-    return serialize_message(forge(rng, message))
+def view_of(arm, **parameters):
+    file = BRINGUP / 'arms' / f'{arm}.yaml'
+    return node_of(ViewNode, 'view', arm_file=file, port=0, foxglove_port=0, **parameters)
 
 
-def test_given_forged_and_damaged_messages_when_shown_then_frames_are_json_and_good_ones_are_live(
-    view,
-):
+@pytest.fixture
+def view():
+    with view_of('paper', scenario_file=BRINGUP / 'scenarios' / 'two_faults.yaml') as node:
+        yield View(node)
+
+
+def test_given_forged_and_damaged_messages_when_shown_then_frames_are_json_until_good_ones(view):
     def case(rng):
         inbox = view.node._inboxes[rng.integers(len(view.node._inboxes))]
-        return view.show(inbox, damaged_or_forged(rng, view.good(inbox.topic.kind)))
+        message = view.good(inbox.topic.kind)
+        if rng.random() < 0.4:
+            return view.show(inbox, damaged_bytes(rng, message))
+        return view.show(inbox, serialize_message(forge(rng, message)))
 
     with bounded_memory():
         tally = run_cases(350, case)
@@ -115,28 +101,20 @@ def test_given_hostile_parameters_when_set_then_the_view_goes_on(view):
     assert view.is_live()
 
 
-def test_given_a_simulated_time_when_the_view_reports_itself_then_it_is_of_that_time(view):
-    """A status of the wall clock would look as if the graph's time had restarted."""
+def test_given_simulated_time_when_shown_then_reports_and_arms_follow_it(view, monkeypatch):
     reports = view.node._status.publisher = Output(DiagnosticArray)
     assert view.is_live()
     assert 'view: page' in reports.last.status[0].name
-    assert 0 < reports.last.header.stamp.sec < 10
-
-
-def test_given_arms_of_which_nothing_is_heard_any_more_when_shown_then_none_is_published(
-    view, monkeypatch
-):
-    assert view.is_live()
+    assert 0 < reports.last.header.stamp.sec < 10, 'not of the wall clock'
     published, model = [], view.node._model
     monkeypatch.setattr(view.node, '_publish', lambda name, *_: published.append(name))
-    for later in (0.0, 60.0):
+    for later in (0.0, 60.0):  # then nothing is heard any more
         now = time.monotonic() + later
         view.node._publish_arms(model.arms(now), model.frame(now)['sample'], False)
     assert published == ['arm_markers', '/tf']
 
 
 def test_given_an_arm_with_a_urdf_when_viewed_then_both_descriptions_are_that_urdf():
-    arm = BRINGUP / 'arms' / 'ur10.yaml'
-    with node_of(ViewNode, 'view', arm_file=arm, port=0, foxglove_port=0) as node:
+    with view_of('ur10') as node:
         first, second = node._described
     assert first == second and b'<joint name="wrist_3_joint"' in first

@@ -37,9 +37,7 @@ def make_node():
 
 
 @pytest.mark.parametrize('given', [True, False], ids=['with', 'without'])
-def test_given_a_gains_file_or_none_when_declared_then_every_parameter_has_a_value(
-    make_node, paper_arm, given
-):
+def test_given_gains_or_none_when_declared_then_each_field_has_a_value(make_node, paper_arm, given):
     file = '--ros-args', '--params-file', str(bringup_file('gains', 'paper'))
     node = make_node(*file if given else ())
     unset = declare_gains(node)
@@ -65,9 +63,7 @@ def test_given_a_gains_file_or_none_when_declared_then_every_parameter_has_a_val
         ('wait', ParameterType.PARAMETER_NOT_SET, 'cannot be deleted'),
     ],
 )
-def test_given_a_parameter_that_makes_no_sense_when_set_then_it_is_refused(
-    make_node, name, kind, reason
-):
+def test_given_a_senseless_parameter_when_set_then_it_is_refused(make_node, name, kind, reason):
     node = make_node()
     node.declare_parameter('wait', 1.0)
     service = CheckedParameterService(node)
@@ -103,9 +99,7 @@ def stream_of(sender, stamps, position, several=True, names=('joint1', 'joint2')
 
 
 @pytest.mark.parametrize('later', [0.0, 0.001, -0.001, -0.5, 10.0])
-def test_given_two_senders_when_their_measurements_alternate_then_only_those_of_the_first_are_used(
-    paper_arm, later
-):
+def test_given_two_senders_when_they_alternate_then_only_the_first_is_used(paper_arm, later):
     sender = OneSender(paper_arm)
     assert all(stream_of(sender, [0.0, 0.002], [1.0, 0.5]))
     for k in range(2, 50):

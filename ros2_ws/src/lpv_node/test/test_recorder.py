@@ -100,9 +100,7 @@ def test_given_a_recorder_that_is_killed_when_read_then_at_most_a_second_is_lost
     assert contents(tmp_path / 'new') == (contents(bag)[0], [])
 
 
-def test_given_publishers_that_go_on_when_told_to_stop_then_nothing_is_lost_in_the_next_free_bag(
-    session, tmp_path
-):
+def test_given_busy_publishers_when_told_to_stop_then_the_next_free_bag_has_all(session, tmp_path):
     taken = [tmp_path / name for name in ('bag', 'bag_1', 'bag_3')]
     for folder in taken:
         folder.mkdir()
@@ -130,9 +128,7 @@ def test_given_publishers_that_go_on_when_told_to_stop_then_nothing_is_lost_in_t
     assert f'{tmp_path / "bag"} exists already: recording into {bag}' in said
 
 
-def test_given_a_recorder_that_is_held_up_when_the_transport_overflows_then_each_loss_is_counted(
-    session, tmp_path
-):
+def test_given_a_recorder_that_is_held_up_when_read_then_each_loss_is_counted(session, tmp_path):
     recorder = session(qos=qos_profile_sensor_data)
     recorder.run(0.5)
     recorder.kill(signal.SIGSTOP)
@@ -153,9 +149,7 @@ def test_given_a_recorder_that_is_held_up_when_the_transport_overflows_then_each
 LIMITED = ('bash', '-c', 'ulimit -f 1600; exec "$@"', '-')
 
 
-def test_given_a_disk_that_gets_full_when_recording_then_it_stops_and_keeps_what_is_there(
-    session, tmp_path
-):
+def test_given_a_disk_that_gets_full_when_recording_then_what_is_there_is_kept(session, tmp_path):
     recorder = session('preset:=none', prefix=LIMITED)
     noise = recorder.client.node.create_publisher(String, 'torque_command', RELIABLE)
     assert recorder.client.wait(lambda: noise.get_subscription_count() == 1)
@@ -186,9 +180,7 @@ def test_given_a_disk_that_gets_full_when_recording_then_it_stops_and_keeps_what
     assert 'recording stopped: no space left' in (tmp_path / 'log' / 'recorder.log').read_text()
 
 
-def test_given_all_topics_when_recording_then_hidden_and_excluded_ones_are_left_out(
-    session, tmp_path
-):
+def test_given_all_topics_when_recorded_then_hidden_and_excluded_are_left_out(session, tmp_path):
     left_out = 'exclude:=[/rosout, /parameter_events, "/lpv/no*"]'
     recorder = session('all:=true', left_out, 'split_duration:=1.0')
     others = [

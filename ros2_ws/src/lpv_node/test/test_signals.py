@@ -24,9 +24,7 @@ class Dropped:
     ('number', 'expected'), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, SystemExit)]
 )
 @pytest.mark.parametrize('lost', [False, True])
-def test_given_a_wait_when_a_signal_comes_then_it_ends_even_from_a_destructor(
-    number, expected, lost
-):
+def test_given_a_wait_when_a_signal_comes_then_it_ends_even_in_a_destructor(number, expected, lost):
     def state():
         return sys.unraisablehook, signal.getsignal(number), signal.getsignal(signal.SIGALRM)
 
@@ -51,9 +49,7 @@ def test_given_the_end_of_a_command_when_a_signal_was_lost_then_none_comes_later
     assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
 
 
-def test_given_another_exception_in_a_destructor_when_reported_then_as_without_a_command(
-    monkeypatch,
-):
+def test_given_another_exception_in_a_destructor_when_raised_then_it_is_reported(monkeypatch):
     reported = []
     monkeypatch.setattr(sys, 'unraisablehook', lambda it: reported.append(it.exc_type))
     with raising_signals() as received:
@@ -95,9 +91,7 @@ FAILS = 'def main(argv): raise ValueError("what failed")'
     [(SLOW, 0, ''), (SWALLOWS, 0, ''), (TOLD_AT_EXIT, 3, ''), (FAILS, 1, 'what failed')],
     ids=['imports that last', 'an import that swallows it', 'told at its end', 'a node that fails'],
 )
-def test_given_a_node_when_told_to_stop_while_it_starts_or_ends_then_it_leaves_quietly_or_says_why(
-    tmp_path, source, code, told, name
-):
+def test_given_a_node_when_told_to_stop_then_it_leaves_quietly(tmp_path, source, code, told, name):
     (tmp_path / 'some_node.py').write_text(TELL.format(name) + source)
     line = [sys.executable, '-c', START, 'some_node']
     done = subprocess.run(line, cwd=tmp_path, capture_output=True, text=True, timeout=600)

@@ -149,9 +149,7 @@ def until(page, condition, timeout=20.0):
         page.wait_for_timeout(50)
 
 
-def test_given_a_running_graph_when_a_fault_is_injected_from_the_page_then_its_alarm_comes_and_goes(
-    live, page
-):
+def test_given_a_fault_when_injected_from_the_page_then_its_alarm_comes_and_goes(live, page):
     until(page, lambda: page.text_content('#mode') == 'observing', 60.0)
     assert page.inner_text('#arm-name') == 'paper'
     first = picture(page)
@@ -239,9 +237,7 @@ def test_given_a_running_graph_when_foxglove_connects_then_it_sees_the_topics_an
     assert '<robot name="paper">' in description.data
 
 
-def test_given_a_running_graph_when_rviz_listens_then_it_gets_the_arm_and_its_description(
-    live, paper_arm
-):
+def test_given_a_running_graph_when_rviz_listens_then_it_gets_arm_and_description(live, paper_arm):
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     with ros.client(live.domain) as client:
         descriptions = client.listen(String, 'robot_description', latched)
@@ -258,9 +254,7 @@ def test_given_a_running_graph_when_rviz_listens_then_it_gets_the_arm_and_its_de
     assert tips['true'][1] == pytest.approx(1.5893, abs=0.05), 'the path is a line at this height'
 
 
-def test_given_a_view_that_others_may_see_when_opened_then_its_buttons_need_the_printed_token(
-    live, tmp_path, request
-):
+def test_given_a_view_for_others_when_opened_then_buttons_need_the_token(live, tmp_path, request):
     with ros.graph(tmp_path, live.domain) as graph:
         shown = View(graph, tmp_path, 'address:=0.0.0.0', 'port:=0', 'foxglove_port:=0')
         token = shown.find(r'need the token (\S+)')

@@ -208,9 +208,7 @@ JSON = st.none() | st.booleans() | st.integers() | st.floats() | st.text() | st.
 @example('size', 10**400)
 @example('rate', math.inf)
 @example('id', 8)
-def test_given_any_value_of_a_field_when_parsed_then_it_is_named_or_only_known_fields_remain(
-    name, value
-):
+def test_given_any_value_of_a_field_when_parsed_then_it_is_taken_or_named(name, value):
     data = {**INJECT, 'extra': 'x', name: value}
     text = json.dumps(data).replace('Infinity', '1e999').replace('NaN', '1e999')
     try:

@@ -47,18 +47,6 @@ class Served:
             time.sleep(0.01)
         self.server.welcome(self.model.hello())
 
-    def get(self, path='/', **headers):
-        """Status, headers and body of a page."""
-
-        async def fetch():
-            async with (
-                aiohttp.ClientSession() as session,
-                session.get(self.url + path, headers=headers) as response,
-            ):
-                return response.status, response.headers, await response.read()
-
-        return asyncio.run(fetch())
-
     def talk(self, messages, headers=None, replies=None):
         """Send messages (text or dict), collect as many replies; a close code is the last one."""
 
@@ -91,6 +79,19 @@ class Served:
         return silent
 
 
+def get(url, **headers):
+    """Status, headers and body of a page."""
+
+    async def fetch():
+        async with (
+            aiohttp.ClientSession() as session,
+            session.get(url, headers=headers) as response,
+        ):
+            return response.status, response.headers, await response.read()
+
+    return asyncio.run(fetch())
+
+
 @asynccontextmanager
 async def connected(url, **options):
     """A WebSocket to an address."""
@@ -114,9 +115,9 @@ def serve(arm, access=None, **options):
 def test_given_the_page_when_fetched_then_all_of_it_comes_from_here_with_strict_headers(paper_arm):
     with serve(paper_arm) as served:
         scripts = [f'{name}.js' for name in ('view', 'arm', 'chart', 'link', 'panels', 'theme')]
-        pages = [served.get(f'/{path}') for path in ('', 'view.css', 'icon.svg', *scripts)]
+        pages = [get(f'{served.url}/{path}') for path in ('', 'view.css', 'icon.svg', *scripts)]
         for path in ('/nothing', '/../access.py', '/static/view.js'):
-            status, headers, _ = served.get(path)
+            status, headers, _ = get(served.url + path)
             assert status == 404 and 'Content-Security-Policy' in headers
     for status, headers, body in pages:
         assert status == 200
@@ -149,12 +150,10 @@ def test_given_the_page_when_fetched_then_all_of_it_comes_from_here_with_strict_
         ({'Sec-Fetch-Site': 'cross-site', 'Sec-Fetch-Mode': 'no-cors'}, 403),
     ],
 )
-def test_given_a_request_when_its_origin_or_host_is_another_then_page_and_socket_are_refused(
-    paper_arm, headers, status
-):
+def test_given_another_origin_or_host_when_asked_then_access_is_refused(paper_arm, headers, status):
     with serve(paper_arm) as served:
         headers = {k: v.replace('{port}', str(served.port)) for k, v in headers.items()}
-        assert served.get(**headers)[0] == status
+        assert get(served.url, **headers)[0] == status
         if status == 200:
             assert served.talk([{'type': 'reset', 'id': 1}], headers)[0]['ok'], 'without a token'
         else:
@@ -162,11 +161,9 @@ def test_given_a_request_when_its_origin_or_host_is_another_then_page_and_socket
             assert served.commands == []
 
 
-def test_given_another_address_when_a_button_is_pressed_then_the_token_is_needed_but_not_to_look(
-    paper_arm,
-):
+def test_given_another_address_when_a_button_is_pressed_then_it_takes_the_token(paper_arm):
     with serve(paper_arm, Access('0.0.0.0', TOKEN)) as served:
-        assert served.get()[0] == 200
+        assert get(served.url)[0] == 200
         tokens = [{'type': 'token', 'token': token} for token in ('\ud800', TOKEN)]
         refused, wrong, granted, done = served.talk([INJECT, *tokens, INJECT])
         assert not refused['ok'] and 'token' in refused['message']
@@ -174,7 +171,7 @@ def test_given_another_address_when_a_button_is_pressed_then_the_token_is_needed
         assert len(served.commands) == 1
         # The permission is the connection's, not the server's.
         assert not served.talk([INJECT])[0]['ok']
-        assert TOKEN.encode() not in served.get()[2]
+        assert TOKEN.encode() not in get(served.url)[2]
         start = time.monotonic()
         replies = served.talk([{'type': 'token', 'token': str(k)} for k in range(8)])
         assert time.monotonic() - start > 2.0

@@ -67,9 +67,7 @@ def test_given_estimates_when_trustworthy_then_each_is_answered_and_the_arm_stop
 
 
 @pytest.mark.parametrize('node', [{'arm': 'ur10'}], indirect=True)
-def test_given_a_serial_arm_when_estimated_then_torques_carry_it_until_it_is_far_from_its_reference(
-    node,
-):
+def test_given_a_serial_arm_when_estimated_then_torques_carry_it_until_it_is_far_off(node):
     assert answers(node, (1, 2, 3)) == [False] * 3
     shoulder, elbow = node.sent.sent[0].torque[1:3]
     assert 20.0 < abs(shoulder) < 120.0 and 5.0 < abs(elbow) < 80.0
@@ -86,9 +84,7 @@ def test_given_a_serial_arm_when_estimated_then_torques_carry_it_until_it_is_far
     ],
     indirect=['node'],
 )
-def test_given_a_mode_of_compensation_when_estimated_then_the_loop_closes_on_its_position(
-    node, field
-):
+def test_given_a_mode_of_compensation_when_estimated_then_the_loop_uses_its_position(node, field):
     message = estimate(node, 1)
     for k, name in enumerate(('position', 'measured_position', 'compensated_position')):
         setattr(message, name, np.array(PLACES['paper']) + 0.001 * k)
@@ -107,9 +103,7 @@ def test_given_an_estimate_of_three_joints_when_it_comes_then_it_is_refused(node
 
 @pytest.mark.parametrize('node', [{'lockstep': 'false'}], indirect=True)
 @pytest.mark.parametrize(('pause', 'known'), [(400, False), (400, True), (1, False)])
-def test_given_a_confirmed_fault_when_forgotten_during_a_silence_then_the_arm_waits_for_resume(
-    node, pause, known
-):
+def test_given_a_fault_when_forgotten_in_a_silence_then_the_arm_waits(node, pause, known):
     """A restarted observer knows no faults; one that saw the end of the fault was not silent."""
     assert not answers(node, range(1, 10), correction=0.2)[-1]
     stops = answers(node, range(9 + pause, 30 + pause), correction=0.2 * known)[-1]
@@ -145,9 +139,7 @@ def test_given_gains_or_a_bandwidth_when_configured_then_what_they_guarantee_is_
         ('panda', '/**', '/**', 'is for another arm'),
     ],
 )
-def test_given_a_certificate_that_does_not_hold_when_configured_then_it_is_refused(
-    tmp_path, name, old, new, reason
-):
+def test_given_a_false_certificate_when_read_then_it_is_refused(tmp_path, name, old, new, reason):
     text = (BRINGUP / 'gains' / f'{name}.yaml').read_text(encoding='utf-8')
     assert old in text
     (tmp_path / 'gains.yaml').write_text(text.replace(old, new), encoding='utf-8')

@@ -30,7 +30,7 @@ def steps(count, *changes):
     ids=['even', 'stops', 'gaps', 'jitter'],
 )
 @pytest.mark.parametrize('away', [0.0, 0.3])
-def test_given_stamps_when_references_come_ahead_then_they_are_those_of_the_follower_until_a_reset(
+def test_given_stamps_when_computed_ahead_then_as_one_by_one(
     paper_arm, two_faults, stamps, stops, away
 ):
     path = two_faults.path(paper_arm)

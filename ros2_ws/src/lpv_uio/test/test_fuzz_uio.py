@@ -123,9 +123,7 @@ def alarm(event=AlarmEvent.RAISED, sensor='link2_angle'):
     return Alarm(event, 1, sensor, 0, 0, 0.3, 0.01, 'bias', 0.99)
 
 
-def test_given_an_observer_that_died_with_an_alarm_when_started_again_then_it_is_not_trustworthy(
-    arm, tmp_path
-):
+def test_given_an_observer_that_died_with_an_alarm_when_restarted_then_it_says_so(arm, tmp_path):
     path = tmp_path / 'new' / 'alarms.json'
     died = OpenAlarms(path)
     for sensor in ('link1_angle', 'link2_angle'):
@@ -152,9 +150,7 @@ def test_given_a_file_of_alarms_that_is_none_when_read_then_it_does_no_harm(tmp_
     assert 'link2_angle' in OpenAlarms(path).before
 
 
-def test_given_a_second_publisher_when_its_readings_are_mixed_in_then_they_are_refused(
-    arm, monkeypatch
-):
+def test_given_a_second_publisher_when_its_readings_come_then_they_are_refused(arm, monkeypatch):
     arm.recover()
     monkeypatch.setattr('lpv_node.input_check._WAIT', np.inf)  # a busy machine is slow
     two = SimpleNamespace(get_publisher_count=lambda: 2)

@@ -31,9 +31,7 @@ def observer(folder, *files):
     return node_of(UioNode, 'uio', *files, arm_file=crane_file(folder), lockstep='true')
 
 
-def test_given_a_serial_arm_when_observed_then_the_node_publishes_the_messages_of_a_replay(
-    tmp_path,
-):
+def test_given_a_serial_arm_when_observed_then_the_node_publishes_what_a_replay_does(tmp_path):
     run = crane_run(faults=[Fault('encoder2', 'bias', 0.6, size=0.05)])
     bag, sent = record_crane(tmp_path / 'bag', run), {}
     with observer(tmp_path) as node:
