@@ -14,17 +14,16 @@ from places import BRINGUP, ROOT
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.time import Time
 from sensor_msgs.msg import JointState
-from serial_bags import crane, crane_file, crane_run
+from serial_bags import crane, crane_file
+from simulated_runs import simulated_run
 
 from lpv.cli.doctor import environment, graph, signals
 from lpv.cli.doctor.files import check_files
 from lpv.cli.doctor.finding import Level
-from lpv.cli.doctor.signals import check_values, needs_rates
 from lpv.cli.doctor.snapshot import JOINT_STATE, Endpoint, Snapshot
 from lpv.cli.main import main
 from lpv.core.uio.certificate.gains import save_gains
 from lpv.core.uio.model.joints import JointMap
-from lpv.core.uio.planar import planar_model
 from lpv_node.qos import stream
 
 PAPER = str(BRINGUP / 'arms' / 'paper.yaml')
@@ -187,11 +186,11 @@ def test_given_plain_python_or_no_ros_when_checked_then_both_are_found(monkeypat
 # ------------------------------------------------------------------ graphs
 
 
-def message(stamp, names=('joint1', 'joint2'), effort=(0.0, 0.0), velocity=(0.0, 0.0)):
-    result = JointState(
-        name=list(names), position=[1.5] * len(names), velocity=list(velocity), effort=list(effort)
-    )
-    result.header.stamp.sec, result.header.stamp.nanosec = divmod(stamp, 10**9)
+def message(stamp, names=('joint1', 'joint2'), effort=(0.0, 0.0), velocity=(0.0, 0.0), position=()):
+    position = position if len(position) else [1.5] * len(names)
+    fields = {'position': position, 'velocity': velocity, 'effort': effort}
+    result = JointState(name=names, **{name: list(values) for name, values in fields.items()})
+    result.header.stamp = Time(nanoseconds=stamp).to_msg()
     return result
 
 
@@ -404,78 +403,59 @@ def test_given_two_simulators_and_nobody_else_when_the_command_runs_then_both_mi
 # ------------------------------------------------------------------ units, rates
 
 
-def recorded(arm, scale=1.0, rate_scale=1.0, derived=False):
-    """Messages of a moving arm whose torques hold it against gravity."""
-    rng, stamps = np.random.default_rng(0), NOW + 2_000_000 * np.arange(600)
-    time, planar = np.arange(600) / 500.0, planar_model(arm)
-    joints = JointMap(planar)
-    q = np.stack([1.57 + 0.5 * np.sin(3.0 * time), 0.4 * np.sin(2.0 * time)], axis=1)
-    held = -planar.constants().gravity * np.sin(joints.absolute_position(q))
-    torque = joints.joint_torque(held)
-    q = q + 1e-4 * rng.standard_normal(q.shape)
-    rate = np.stack([1.5 * np.cos(3.0 * time), 0.8 * np.cos(2.0 * time)], axis=1)
-    rate = np.gradient(q, time, axis=0) if derived else rate + 1e-3 * rng.standard_normal(q.shape)
-    result = []
-    for row, stamp in enumerate(stamps.tolist()):
-        one = message(
-            stamp, effort=torque[row].tolist(), velocity=(rate_scale * rate[row]).tolist()
-        )
-        one.position = (scale * q[row]).tolist()
-        result.append(one)
-    return result
+def recorded(arm, duration=1.2, scale=1.0, rate_scale=1.0, sign=1.0, rates=True):
+    """What the driver of a moving arm sends."""
+    run = simulated_run(arm, duration)
+    for stamp, (q, v, tau) in zip(run.stamps.tolist(), run.samples):
+        velocity = rate_scale * v if rates else ()
+        yield message(NOW + stamp, arm.joint_names, sign * tau, velocity, scale * q)
 
 
 @pytest.mark.parametrize(
-    ('check', 'changes', 'level', 'said'),
+    ('changes', 'said'),
     [
-        ('units', {'scale': 57.3, 'rate_scale': 57.3}, Level.ERROR, 'rad: degrees'),
-        ('units', {'scale': 57.3}, Level.ERROR, 'degrees'),
-        ('units', {'rate_scale': 57.3}, Level.ERROR, 'rates in degrees'),
-        ('rate_source', {}, Level.OK, 'joint1 independent'),
-        ('rate_source', {'derived': True}, Level.WARN, 'joint1 derived'),
+        ({'scale': 57.3, 'rate_scale': 57.3}, 'rad: degrees'),
+        ({'scale': 57.3}, 'degrees'),
+        ({'rate_scale': 57.3}, 'rates in degrees'),
     ],
 )
-def test_given_degrees_or_derived_rates_when_checked_then_they_are_named(
-    paper_arm, check, changes, level, said
-):
-    assert signals.check_units('/joint_states', recorded(paper_arm), paper_arm) is None
-    messages = recorded(paper_arm, **changes)
-    finding = getattr(signals, f'check_{check}')('/joint_states', messages, paper_arm)
-    assert finding.level == level and said in finding.text
+def test_given_degrees_when_checked_then_they_are_named(paper_arm, changes, said):
+    messages = list(recorded(paper_arm, **changes))
+    finding = signals.check_units('/joint_states', messages, paper_arm)
+    assert finding.level == Level.ERROR and said in finding.text
 
 
 def test_given_small_angles_in_degrees_when_checked_then_gravity_tells(paper_arm, paper_model):
-    messages, joints = recorded(paper_arm), JointMap(paper_model)
-    for one in messages:  # nearly at rest, below two turns: 5 degrees
-        one.position, one.velocity = [5.0, 0.0], [0.0, 0.0]
-        angles = joints.absolute_position(np.radians([5.0, 0.0]))
-        held = -paper_model.constants().gravity * np.sin(angles)
-        one.effort = joints.joint_torque(held).tolist()
+    joints, rest = JointMap(paper_model), np.array([5.0, 0.0])  # below two turns
+    held = -paper_model.constants().gravity * np.sin(joints.absolute_position(np.radians(rest)))
+    messages = [message(stamp, effort=joints.joint_torque(held), position=rest) for stamp in STAMPS]
     finding = signals.check_units('/joint_states', messages, paper_arm)
     assert finding is not None and 'torques fit gravity' in finding.text
 
 
-def crane_messages(duration, sign=1.0, rates=True):
-    """What the driver of a serial arm sends."""
-    run, names = crane_run(duration), crane().joint_names
-    for stamp, (q, v, tau) in zip(run.stamps, run.samples):
-        one = JointState(name=names, position=q, velocity=v if rates else [], effort=sign * tau)
-        one.header.stamp = Time(nanoseconds=int(stamp)).to_msg()
-        yield one
-
-
 @pytest.mark.slow
-def test_given_a_serial_arm_when_its_signals_are_checked_then_units_and_rates_are_as_stated():
-    without = list(crane_messages(0.6, rates=False))
-    assert check_values('/joint_states', without, needs_rates(crane())) is None
-    assert check_values('/joint_states', without).check == 'values'
-    messages = list(crane_messages(0.6))
-    assert signals.check_units('/joint_states', messages, crane()) is None
-    assert signals.check_rate_source('/joint_states', messages, crane()).level == Level.OK
+def test_given_moving_arms_when_checked_then_units_and_rates_are_as_their_files_say(paper_arm):
+    for arm, said in ((paper_arm, 'joint1 independent'), (crane(), 'joint1 derived')):
+        messages = list(recorded(arm))
+        assert signals.check_units('/joint_states', messages, arm) is None
+        finding = signals.check_rate_source('/joint_states', messages, arm)
+        assert finding.level == Level.OK and said in finding.text
+    sensors = [replace(joint.sensors, rates='derived') for joint in paper_arm.joints]
+    pairs = zip(paper_arm.joints, sensors)
+    derived = replace(paper_arm, joints=tuple(replace(j, sensors=own) for j, own in pairs))
+    finding = signals.check_rate_source('/joint_states', list(recorded(derived)), paper_arm)
+    assert finding.level == Level.WARN and 'joint1 derived' in finding.text
+
+
+def test_given_no_rates_when_checked_then_an_arm_that_derives_them_does_without():
+    without = list(recorded(crane(), 0.1, rates=False))
+    assert signals.check_values('/joint_states', without, signals.needs_rates(crane())) is None
+    assert signals.check_values('/joint_states', without).check == 'values'
 
 
 @pytest.mark.parametrize(('sign', 'level'), [(1.0, Level.OK), (-1.0, Level.ERROR)])
 def test_given_efforts_of_a_moving_arm_when_checked_then_a_wrong_sign_is_named(sign, level):
-    finding = signals.check_setup('/joint_states', list(crane_messages(8.0, sign)), crane())
+    messages = list(recorded(crane(), 8.0, sign=sign))
+    finding = signals.check_setup('/joint_states', messages, crane())
     assert finding.level == level
     assert ('of all joints count against the motion' in finding.text) == (sign < 0.0)
