@@ -21,6 +21,7 @@ FLOATS = (
 """Numbers that fit the type: absurd, at the ends of it, and none at all."""
 STAMPS = ((0, 0), (-(2**31), 0), (-1, 10**9 - 1), (2**31 - 1, 0), (5, 2**32 - 1))
 TEXTS = ('', 'x', 'link1_angle', 'joint1', '\u2603' * 50, '<script>', 'a' * 10_000, '%s%n')
+INTEGERS = (0, -1, 1, 2**63 - 1, -(2**63), 10**6)
 
 
 class Refused(LpvError):
@@ -51,6 +52,7 @@ def set_anything(rng, owner, name, kind):
     one = {
         'double': lambda: float(rng.choice(FLOATS)),
         'float': lambda: float(rng.choice(FLOATS)),
+        'int64': lambda: int(rng.choice(INTEGERS)),
         'uint8': lambda: int(rng.integers(256)),
         'octet': lambda: bytes([rng.integers(256)]),
         'boolean': lambda: bool(rng.integers(2)),
@@ -160,21 +162,11 @@ def run_cases(count, case):
     return tally
 
 
-# ------------------------------------------------------------------ parameters
-
-
 def parameter(rng, names):
     """A parameter of a node, or none of it, with a value of any type."""
-    name = str(rng.choice([*names, 'x', '', 'use_sim_time']))
-    value = ParameterValue(type=int(rng.integers(0, 12)), string_value=TEXTS[rng.integers(8)])
-    value.double_value = float(rng.choice(FLOATS))
-    value.integer_value = int(rng.choice([0, -1, 1, 2**63 - 1, -(2**63), 10**6]))
-    value.bool_value = bool(rng.integers(2))
-    value.double_array_value = rng.choice(FLOATS, rng.integers(0, 4)).tolist()
-    value.integer_array_value = rng.integers(-9, 9, rng.integers(0, 4)).tolist()
-    value.string_array_value = [TEXTS[k] for k in rng.integers(8, size=rng.integers(0, 3))]
-    value.byte_array_value = [bytes([k]) for k in rng.integers(0, 256, 3)]
-    return Parameter(name=name, value=value)
+    value = fill(rng, ParameterValue())
+    value.type = int(rng.integers(12))
+    return Parameter(name=str(rng.choice([*names, 'x', '', 'use_sim_time'])), value=value)
 
 
 def set_parameters(node, rng):
@@ -190,11 +182,11 @@ def set_parameters(node, rng):
         answer = service._set_parameters_callback(
             SetParameters.Request(parameters=request), SetParameters.Response()
         )
-        results = list(answer.results)
-    refused = [result for result in results if not result.successful]
-    assert all(result.reason for result in refused), 'refused without a reason'
-    if len(refused) == len(results):
-        raise Refused(' '.join(refused[0].reason.split())[:300])
+        results = answer.results
+    reasons = [result.reason for result in results if not result.successful]
+    assert all(reasons), 'refused without a reason'
+    if len(reasons) == len(results):
+        raise Refused(' '.join(reasons[0].split())[:300])
     declared = node.get_parameters([name for name in names if not name.startswith('gains.')])
     return {p.name: p.value for p in declared if isinstance(p.value, float)}
 
