@@ -54,18 +54,36 @@ def motion(arm) -> Trajectory:
 
 
 @pytest.fixture(scope='session')
-def recording(arm, motion) -> Recording:
-    return simulate(arm, motion, 100.0, SensorNoise(), np.random.default_rng(1))
+def simulated(motion):
+    """Records an arm on a motion, with noise of a seed."""
+
+    def record(arm, seed=1, rate=100.0, motion=motion, **noise):
+        return simulate(arm, motion, rate, SensorNoise(**noise), np.random.default_rng(seed))
+
+    return record
 
 
 @pytest.fixture(scope='session')
-def rough_arm(arm) -> SerialArm:
-    """The arm as a URDF may have it: no friction, masses 20 % too large."""
-    without = {'friction': JointFriction(), 'rotor_inertia': 0.0}
-    links = [LinkInertia.from_vector(1.2 * joint.link.to_vector()) for joint in arm.joints]
-    pairs = zip(arm.joints, links)
-    joints = tuple(replace(joint, link=link, **without) for joint, link in pairs)
-    return replace(arm, joints=joints)
+def recording(arm, simulated) -> Recording:
+    return simulated(arm)
+
+
+@pytest.fixture(scope='session')
+def rough():
+    """Makes the masses of an arm 20 % too large, and other changes of its joints."""
+
+    def change(arm, **changes):
+        links = [LinkInertia.from_vector(1.2 * joint.link.to_vector()) for joint in arm.joints]
+        pairs = zip(arm.joints, links)
+        return replace(arm, joints=tuple(replace(j, link=link, **changes) for j, link in pairs))
+
+    return change
+
+
+@pytest.fixture(scope='session')
+def rough_arm(arm, rough) -> SerialArm:
+    """The arm as a URDF may have it: without friction."""
+    return rough(arm, friction=JointFriction(), rotor_inertia=0.0)
 
 
 @pytest.fixture(scope='session')

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bags import write_measurements
-from simulated_recordings import SensorNoise, simulate
 
 from lpv.identify.errors import IdentificationError
 from lpv.identify.estimation.identification import identify
@@ -45,14 +44,9 @@ def test_given_a_bag_that_lacks_something_when_read_then_it_is_named(
 
 
 def test_given_a_csv_when_read_then_columns_are_guessed(tmp_path, recording):
-    header = ','.join(['time', *(f'q{i}' for i in (1, 2, 3)), *(f'tau{i}' for i in (1, 2, 3))])
-    np.savetxt(
-        tmp_path / 'a.csv',
-        np.column_stack([recording.time, recording.position, recording.effort]),
-        delimiter=',',
-        header=header,
-        comments='',
-    )
+    columns = np.column_stack([recording.time, recording.position, recording.effort])
+    header = 'time,q1,q2,q3,tau1,tau2,tau3'
+    np.savetxt(tmp_path / 'a.csv', columns, delimiter=',', header=header, comments='')
     read = read_recording(tmp_path / 'a.csv', NAMES)
     assert read.velocity is None
     assert read.effort == pytest.approx(recording.effort)
@@ -72,12 +66,11 @@ def test_given_a_short_recording_or_no_motion_when_identified_then_the_reason_is
             identify(arm, [bad])
 
 
-def test_given_a_joint_at_rest_when_identified_then_a_warning_names_it(arm, motion):
+def test_given_a_joint_at_rest_when_identified_then_a_warning_names_it(arm, motion, simulated):
     sine, cosine = motion.sine.copy(), motion.cosine.copy()
     sine[:, 0] = cosine[:, 0] = 0.0
     rest = replace(motion, sine=sine, cosine=cosine)
-    still = simulate(arm, rest, 100.0, SensorNoise(), np.random.default_rng(8))
-    found = identify(arm, [still])
+    found = identify(arm, [simulated(arm, 8, motion=rest)])
     assert any('one does not move' in text for text in found.warnings)
     assert np.isfinite(found.arm.parameter_vector()).all()
 

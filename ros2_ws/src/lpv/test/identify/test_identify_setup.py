@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated_recordings import SensorNoise, simulate
 
 from lpv.core.serial_arm.arm_file import load_arm, save_arm
 from lpv.identify.estimation.mistakes import find_mistakes
@@ -49,9 +48,7 @@ def test_given_a_mistake_of_the_setup_when_looked_for_then_its_cause_is_named(
     assert re.search(text, found[0].text)
 
 
-def test_given_a_proper_setup_when_mistakes_are_looked_for_then_there_are_none(
-    rough_arm, recording
-):
+def test_given_a_proper_setup_when_looked_at_then_there_are_no_mistakes(rough_arm, recording):
     assert find_mistakes(rough_arm, [recording]) == []
 
 
@@ -71,10 +68,9 @@ def test_given_errors_that_grow_with_speed_when_fitted_then_size_growth_and_time
 
 @pytest.mark.slow
 def test_given_a_short_healthy_recording_when_calibrated_then_the_model_stays(
-    arm, motion, tmp_path
+    arm, simulated, tmp_path
 ):
-    recording = simulate(arm, motion, 100.0, SensorNoise(), np.random.default_rng(5))
-    short = recording.rows(slice(500, 1500))
+    short = simulated(arm, 5).rows(slice(500, 1500))
     short = replace(short, position=1e-3 * np.round(short.position / 1e-3))
     found = calibrate(arm, [short])
     assert np.array_equal(found.arm.parameter_vector(), arm.parameter_vector())
