@@ -15,13 +15,12 @@ from lpv.core.uio.certificate.conditions import (
     augment,
     controller_loop,
     exact_observer_checks,
-    require,
     verify,
 )
 from lpv.core.uio.certificate.error_system import link_errors
 from lpv.core.uio.certificate.gains import ExactObserverGains, load_gains
 from lpv.core.uio.model.polytope import sinc_box, vertex_matrices
-from lpv_design.controller import ControllerRequirement, check_loop, solve_loop
+from lpv_design.controller import check_loop, solve_loop
 from lpv_design.design_flow import NotDetectableError, design
 from lpv_design.exact_observer import ExactRequirement, solve_exact
 from lpv_design.paper_observer import check_paper, paper_problem, solve_paper, undetectable_point
@@ -128,20 +127,16 @@ def solved(paper_model):
     return problem, k, p
 
 
-def test_given_good_gains_when_checked_then_both_forms_of_the_inequality_hold(solved):
-    problem, k, p = solved
-    assert check_paper(problem, k, p, 1.2, '55') < 0.0
-    for a_i, k_i in zip(problem.descriptor.a, k):
-        poles = np.linalg.eigvals(problem.t1 @ a_i + k_i @ problem.descriptor.c)
-        assert np.abs(poles + 20.0).max() < 15.0
-
-
 @pytest.mark.parametrize('name', ['55', '54+disc'])
 def test_given_poles_outside_the_disc_or_no_lyapunov_matrix_when_checked_then_they_are_refused(
     solved, name
 ):
     problem, k, p = solved
     c = problem.descriptor.c
+    assert check_paper(problem, k, p, 1.2, '55') < 0.0
+    for a_i, k_i in zip(problem.descriptor.a, k):
+        poles = np.linalg.eigvals(problem.t1 @ a_i + k_i @ c)
+        assert np.abs(poles + 20.0).max() < 15.0
     for shift in (-40.0, 40.0):  # N + shift*I on one vertex: faster than 35/s, or unstable
         bad = k.copy()
         bad[3] += shift * np.linalg.pinv(c)
@@ -207,49 +202,24 @@ def test_given_the_published_gains_when_checked_then_67_holds_with_alpha_2_at_al
     q = common_lyapunov(loop, PUBLISHED, 2.0)
     assert check_loop(loop, PUBLISHED, q, 2.0) < 0.0
     assert check_loop(loop, PUBLISHED, q, 20.0) > 0.0
-    # The same inequality by hand.
-    for a, b in zip(*loop):
-        closed = a + b @ PUBLISHED
-        matrix = closed @ q + q @ closed.T + 4.0 * q
-        assert np.linalg.eigvalsh(matrix / np.abs(q).max())[-1] < 0.0
 
 
-@pytest.mark.parametrize('method', ['paper', 'exact'])
-def test_given_our_requirement_when_both_loops_are_designed_then_67_holds_on_every_vertex(
-    arm, method
+@pytest.mark.parametrize(('method', 'vertices'), [('paper', 8), ('exact', 16)])
+def test_given_our_requirement_when_both_loops_are_designed_then_67_holds_and_not_if_spoilt(
+    arm, method, vertices
 ):
     wanted = load_requirement(arm.name).controller
     loop = controller_loop(arm, method)
+    assert len(loop[0]) == len(loop[1]) == vertices
     m, q, _ = solve_loop(arm, loop, wanted)
     assert check_loop(loop, m, q, wanted.alpha) < 0.0
     for a, b in zip(*loop):
         poles = np.linalg.eigvals(a + b @ m)
         assert poles.real.max() < -wanted.alpha
         assert np.abs(poles).max() < wanted.fastest
-
-
-@pytest.fixture(scope='module')
-def tracking(paper_model):
-    """Loop, gains and Q that satisfy (67)."""
-    loop = controller_loop(paper_model, 'exact')
-    m, q, _ = solve_loop(paper_model, loop, ControllerRequirement())
-    return loop, m, q
-
-
-@pytest.mark.parametrize(
-    'spoil',
-    [
-        lambda m, q: (-m, q),  # positive feedback
-        lambda m, q: (m * [[1, 1, 1, 1, -1, -1]], q),  # integrator the wrong way
-        lambda m, q: (np.zeros((2, 6)), q),
-        lambda m, q: (m, -q),
-        lambda m, q: (m, np.eye(6)),
-    ],
-)
-def test_given_spoilt_gains_when_checked_then_67_is_refused(tracking, spoil):
-    loop, m, q = tracking
-    assert check_loop(loop, m, q, 2.0) < 0.0
-    assert check_loop(loop, *spoil(m, q), 2.0) > 0.0
+    backwards = m * [[1, 1, 1, 1, -1, -1]]  # the integrator the wrong way
+    for spoilt in ((-m, q), (backwards, q), (0.0 * m, q), (m, -q), (m, np.eye(6))):
+        assert check_loop(loop, *spoilt, wanted.alpha) > 0.0
 
 
 def test_given_vertices_when_augmented_then_eq_64_holds(paper_model):
@@ -260,12 +230,6 @@ def test_given_vertices_when_augmented_then_eq_64_holds(paper_model):
             a_c[i], np.block([[a[i], np.zeros((4, 2))], [-np.eye(2, 4), np.zeros((2, 2))]])
         )
         np.testing.assert_array_equal(b_c[i], np.vstack([b[i], np.zeros((2, 2))]))
-
-
-def test_given_both_loops_when_compared_then_the_exact_one_has_16_vertices_of_the_arm(arm):
-    a, b = controller_loop(arm, 'exact')
-    assert (a.shape, b.shape) == ((16, 6, 6), (16, 6, 2))
-    np.testing.assert_array_equal(a[:, 4:, :2], np.repeat(-np.eye(2)[None], 16, axis=0))
 
 
 # ------------------------------------------------------------------ the exact observer
@@ -291,65 +255,6 @@ def test_given_shipped_requirements_when_designed_then_gains_are_the_shipped_one
     assert failing(arm, found) == failing(paper_model, literal_gains) == []
 
 
-SPOILT = {
-    ('paper', 'observer'): [
-        (lambda o: {'kappa': -o.kappa}, 'poles between'),
-        (lambda o: {'kappa': 0.5 * o.kappa}, 'poles between'),  # too slow for its decay
-        (lambda o: {'kappa': o.kappa * [1.0, 0.5]}, 'link 2: poles between'),
-        (lambda o: {'mu': 30.0 * o.mu}, 'sampled recursion'),  # too fast for its sample time
-        (lambda o: {'kappa': 60.0 * o.kappa}, 'real poles'),
-        (lambda o: {'lyapunov': -o.lyapunov}, 'P > 0'),
-        (lambda o: {'lyapunov': np.stack([np.eye(2)] * 2)}, 'poles between'),
-        (lambda o: {'lyapunov': o.lyapunov + [[0.0, 0.1], [0.0, 0.0]]}, 'symmetric'),
-        (lambda o: {'lyapunov': np.nan * o.lyapunov}, 'P > 0'),
-        (lambda o: {'decay': 2.0 * o.decay}, 'poles between'),
-        (lambda o: {'fastest': 0.5 * o.fastest}, 'poles between'),
-    ],
-    ('literal', 'observer'): [
-        (lambda o: {'k': -o.k}, 'LMI'),
-        (lambda o: {'gamma': 0.01 * o.gamma}, 'LMI'),
-        (lambda o: {'t1': o.t1 + 0.01}, 'decoupling'),
-        (lambda o: {'lyapunov': -o.lyapunov}, 'P > 0'),
-        (lambda o: {'box': sinc_box(0.5)}, 'LMI'),
-    ],
-    ('paper', 'controller'): [
-        (lambda c: {'m1': -c.m1}, 'LMI (67)'),
-        (lambda c: {'decay': 20.0}, 'LMI (67)'),
-        (lambda c: {'m1': 40.0 * c.m1}, 'one sample of delay'),
-        (lambda c: {'lyapunov': -c.lyapunov}, 'P > 0'),
-    ],
-}
-"""By gains and part: what is spoilt, and the check that has to fail."""
-
-
-@pytest.mark.parametrize(
-    ('which', 'part', 'spoil', 'named'), [(*key, *row) for key in SPOILT for row in SPOILT[key]]
-)
-def test_given_a_spoilt_part_when_verified_then_the_check_that_fails_is_named(
-    paper_model, paper_gains, literal_gains, which, part, spoil, named
-):
-    gains = literal_gains if which == 'literal' else paper_gains
-    original = getattr(gains, part)
-    gains = replace(gains, **{part: replace(original, **spoil(original))})
-    failed = failing(paper_model, gains)
-    assert any(named in name for name in failed), failed
-    with pytest.raises(ConfigError, match='certificate does not hold'):
-        require(paper_model, gains)
-
-
-def test_given_the_exact_design_when_any_slope_is_tried_then_poles_lie_in_the_certified_range(
-    arm, gains_of
-):
-    observer = gains_of[arm.name].observer
-    for link in link_errors(arm):
-        kappa, mu = observer.kappa[link.index], observer.mu[link.index]
-        for slope in np.linspace(*link.slopes, 50):
-            poles = np.linalg.eigvals(link.closed(slope, kappa, mu))
-            assert np.abs(poles.imag).max() == 0.0
-            assert -poles.real.max() > observer.decay
-            assert np.abs(poles).max() < observer.fastest
-
-
 @pytest.mark.parametrize('cos_min', [0.3, 0.15, 0.05])
 def test_given_a_region_up_to_the_horizontal_when_designed_at_decay_2_then_it_is_certified(
     paper_model, cos_min
@@ -362,7 +267,7 @@ def test_given_a_region_up_to_the_horizontal_when_designed_at_decay_2_then_it_is
     assert all(check.holds for check in exact_observer_checks(sampled, observer))
 
 
-def test_given_the_design_when_white_noise_is_filtered_then_the_deviation_is_below_its_bound(
+def test_given_the_design_when_any_slope_is_tried_then_poles_and_deviation_are_as_certified(
     arm, gains_of
 ):
     observer, wanted = gains_of[arm.name].observer, load_requirement(arm.name).observer
@@ -370,12 +275,14 @@ def test_given_the_design_when_white_noise_is_filtered_then_the_deviation_is_bel
         kappa, mu = observer.kappa[link.index], observer.mu[link.index]
         bound, worst = link.unit**2 * np.linalg.inv(p)[0, 0], 0.0
         gain = -np.array([[kappa * link.inertia], [mu]])
-        for slope in np.linspace(*link.slopes, 9):
+        for slope in np.linspace(*link.slopes, 50):
+            closed = link.closed(slope, kappa, mu)
+            poles = np.linalg.eigvals(closed)
+            assert np.abs(poles.imag).max() == 0.0
+            assert -poles.real.max() > observer.decay and np.abs(poles).max() < observer.fastest
             for noise in link.noises(wanted.acceleration_noise, wanted.rate_noise):
                 inputs = noise.direct + gain @ noise.measured
-                spread = solve_continuous_lyapunov(
-                    link.closed(slope, kappa, mu), -inputs @ inputs.T
-                )
+                spread = solve_continuous_lyapunov(closed, -inputs @ inputs.T)
                 worst = max(worst, spread[0, 0])
         assert 0.1 * bound < worst <= bound
 
@@ -452,49 +359,5 @@ def test_given_the_published_literal_requirement_when_read_then_it_is_the_papers
     assert (requirement.observer.q, requirement.observer.r) == (20.0, 15.0)
     assert requirement.controller.alpha == 2.0
     assert isinstance(load_requirement('paper').observer, ExactRequirement)
-
-
-# ------------------------------------------------------------------ requirement files
-
-
-BASE = """observer:
-  {method: exact, decay: 0.25, fastest: 60.0, acceleration_noise: 0.05, rate_noise: 0.001}
-controller:
-  {method: exact, alpha: 2.0, fastest: 100.0, state_weight: [10.0, 1.0, 30.0], torque_weight: 0.01}
-"""
-
-
-@pytest.mark.parametrize(
-    ('old', 'new', 'field'),
-    [
-        ('decay: 0.25, ', '', 'observer.decay'),
-        ('decay: 0.25', 'decay: -1', 'observer.decay'),
-        ('decay: 0.25', 'decay: .nan', 'observer.decay'),
-        ('decay: 0.25', 'decay: 70.0', 'observer.fastest'),
-        ('rate_noise: 0.001', 'rate_noise: 0.001, colour: red', 'observer.colour'),
-        ('_noise: 0.05', '_noise: [1, 2, 3]', 'observer.acceleration_noise'),
-        ('method: exact, decay', 'method: magic, decay', 'observer.method'),
-        ('alpha: 2.0', 'alpha: fast', 'controller.alpha'),
-        ('alpha: 2.0', 'alpha: 200.0', 'controller.fastest'),
-        ('[10.0, 1.0, 30.0]', '[10.0, 0.0, 30.0]', r'controller.state_weight\[1\]'),
-        ('torque_weight: 0.01', 'torque_weight: 0', 'controller.torque_weight'),
-        ('controller:', 'controler:', 'controller'),
-    ],
-)
-def test_given_a_bad_requirement_when_read_then_the_field_is_named(tmp_path, old, new, field):
-    good = tmp_path / 'good.yaml'
-    good.write_text(BASE)
-    load_requirement(good)
-    bad = tmp_path / 'bad.yaml'
-    bad.write_text(BASE.replace(old, new, 1))
-    with pytest.raises(ConfigError, match=f'bad.yaml: (.*\\) )?{field}: '):
-        load_requirement(bad)
-
-
-def test_given_a_disc_that_reaches_unstable_poles_or_no_file_when_read_then_it_is_refused(tmp_path):
-    path = tmp_path / 'r.yaml'
-    path.write_text('observer: {method: paper, q: 20.0, r: 20.0}\n' + BASE.split('\n', 2)[2])
-    with pytest.raises(ConfigError, match='observer.r'):
-        load_requirement(path)
     with pytest.raises(ConfigError, match='paper, paper_literal, real_arm'):
         load_requirement('nothing')

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import yaml
 from nested import Missing, changed, numbers, places
-from places import BRINGUP
+from places import BRINGUP, ROOT
 
-from lpv.core.serial_arm.arm_file import load_arm, parse_arm
+from lpv.core.serial_arm.arm_file import load_arm, parse_arm, save_arm, to_mapping
 from lpv.core.simulation.faults import KINDS, Fault, FaultInjector
 from lpv.core.simulation.scenario import load_scenario, parse_scenario
 from lpv.core.support import config
@@ -19,9 +19,27 @@ from lpv.core.support.errors import ConfigError, LpvError
 from lpv.core.uio.certificate.gains import gains_to_dict, load_gains, parse_gains, save_gains
 from lpv.core.uio.model.arm import Link
 from lpv.core.uio.planar import planar_model
+from lpv_design.requirement import load_requirement, parse_requirement
 
 ARM = yaml.safe_load((BRINGUP / 'arms' / 'paper.yaml').read_text())
 SCENARIO = yaml.safe_load((BRINGUP / 'scenarios' / 'two_faults.yaml').read_text())
+REQUIREMENT = yaml.safe_load((ROOT / 'design/lpv_design/requirements/paper.yaml').read_text())
+OLD_ARM = yaml.safe_load("""
+name: paper
+inertia_reference: center_of_mass
+gravity: 9.8
+links:
+  - {mass: 10.0, length: 1.0, center_of_mass: 0.5, inertia: 0.83}
+  - {mass: 5.0, length: 1.0, center_of_mass: 0.5, inertia: 0.41}
+joints: {names: [joint1, joint2], velocity_limit: 20.0, zero_angle: -1.5707963267948966}
+sensors: {names: [link1_angle, link2_angle], arrangement: absolute, position_noise: 0.001,
+          velocity_noise: 0.01}
+disturbance: {direction: [0.7, 0.0], mean: 0.2, variance: 0.9}
+torque_limit: [1500.0, 600.0]
+region: {orientation: upright, cos_min: [0.3, 0.3]}
+model_error: 0.05
+sample_time: 0.002
+""")
 NEEDED = {
     'arm': 'name joints joints[].name joints[].link.mass joints[].link.inertia.yy lpv.orientation '
     'lpv.cos_min',
@@ -31,7 +49,15 @@ NEEDED = {
     'gains': 'format arm_name arm_sha256 observer observer.method observer.kappa observer.mu '
     'observer.lyapunov observer.decay observer.fastest observer.fault_sigma controller '
     'controller.method controller.m1 controller.m2 controller.lyapunov controller.decay',
+    'requirement': 'observer observer.method observer.decay observer.fastest '
+    'observer.acceleration_noise observer.rate_noise controller controller.method '
+    'controller.alpha controller.fastest controller.state_weight controller.torque_weight',
+    'old arm': 'name links[].mass links[].length links[].center_of_mass links[].inertia '
+    'joints joints.names joints.zero_angle sensors sensors.names sensors.arrangement '
+    'sensors.position_noise sensors.velocity_noise disturbance disturbance.direction '
+    'disturbance.mean disturbance.variance region region.orientation region.cos_min',
 }
+OLD_FORM = pytest.mark.filterwarnings('ignore:some.yaml is of the form of two-link arms')
 
 
 class Kind:
@@ -60,6 +86,8 @@ def kinds(paper_gains, literal_gains):
         'scenario': Kind('scenario', parse_scenario, SCENARIO),
         'gains': Kind('gains', parse_gains, gains_to_dict(paper_gains)),
         'literal gains': Kind('gains', parse_gains, gains_to_dict(literal_gains)),
+        'requirement': Kind('requirement', parse_requirement, REQUIREMENT),
+        'old arm': Kind('old arm', parse_arm, OLD_ARM),
     }
 
 
@@ -68,6 +96,7 @@ def kind(request, kinds):
     return kinds[request.param]
 
 
+@OLD_FORM
 def test_given_any_number_in_a_file_when_it_is_none_then_its_field_is_named(kind):
     for field in numbers(kind.good):
         for bad in (math.nan, math.inf, -math.inf, 'heavy', True, None, {'a': 1}):
@@ -77,6 +106,7 @@ def test_given_any_number_in_a_file_when_it_is_none_then_its_field_is_named(kind
             assert f'{found}['.startswith(f'{whole}[') or near, found
 
 
+@OLD_FORM
 def test_given_any_field_of_a_file_when_left_out_then_just_those_that_must_be_are_missed(kind):
     missed = set()
     for field, _ in places(kind.good):
@@ -88,6 +118,7 @@ def test_given_any_field_of_a_file_when_left_out_then_just_those_that_must_be_ar
     assert kind.needed <= missed
 
 
+@OLD_FORM
 def test_given_an_unknown_field_in_a_file_when_read_then_it_is_named_with_the_known_ones(kind):
     inside = [f'{name}.' for name, value in places(kind.good) if isinstance(value, dict)]
     for place in ['', *inside]:
@@ -150,10 +181,25 @@ BAD = {
         # Upside down, and without the width that weights divide by.
         'observer.box': [[1.0, -1.0, 1.0, 0.9, 1.0, 0.9], [0.0] * 6],
     },
+    'requirement': {
+        'observer.decay': [-1], 'observer.decay > observer.fastest': [70.0],
+        'observer.acceleration_noise': [[1, 2, 3]], 'observer > observer.method': [{'method': 'x'}],
+        'observer > observer.r': [{'method': 'paper', 'q': 20.0, 'r': 20.0}],  # unstable poles
+        'controller.alpha > controller.fastest': [200.0], 'controller.torque_weight': [0],
+        'controller.state_weight > controller.state_weight[1]': [[10.0, 0.0, 30.0]],
+    },
+    'old arm': {
+        'links[0].mass': [0.0], 'links[0].inertia': [-0.1], 'links': [[OLD_ARM['links'][0]] * 3],
+        'joints.zero_angle': [3.2], 'region.cos_min > region.cos_min[1]': [[0.3, 0.0]],
+        'sensors.arrangement': ['polar'], 'torque_limit > torque_limit[1]': [[100.0, -1.0]],
+        'rotor > rotor.mass': [{'mass': 1.0}],
+        'inertia_reference > links': ['joint'],  # 0.83 < 10*0.5^2: no body
+    },
 }  # fmt: skip
 """Bad values of fields; after > the field that the error names instead."""
 
 
+@OLD_FORM
 @pytest.mark.parametrize(
     ('name', 'field', 'value'),
     [(kind, k, v) for kind, fields in BAD.items() for k, values in fields.items() for v in values],
@@ -201,6 +247,25 @@ def test_given_the_shipped_arms_when_read_then_they_are_as_published(paper_model
     np.testing.assert_allclose(real_model.rotor, expected, rtol=1e-12)
     # A disturbance may push either way.
     assert parse_arm(changed(ARM, 'lpv.disturbance.mean', -0.2)).name == 'paper'
+
+
+def test_given_a_file_of_an_older_form_when_read_then_it_is_the_arm_and_the_new_form_is_asked_for(
+    paper_arm, paper_gains, tmp_path
+):
+    with pytest.warns(FutureWarning, match='some.yaml is of the form of two-link arms'):
+        arm = parse_arm(OLD_ARM, 'some.yaml')
+        turned = parse_arm({**OLD_ARM, 'rotor': {'inertia': 1e-4, 'gear_ratio': 6.0}}, 'some.yaml')
+    assert planar_model(arm) == planar_model(paper_arm)
+    paper_gains.check_arm(planar_model(arm))
+    save_arm(arm, tmp_path / 'new.yaml')
+    assert load_arm(tmp_path / 'new.yaml') == arm
+    # Rotors are those of the motors.
+    assert [j.rotor_inertia for j in turned.joints] == pytest.approx([37e-4, 36e-4])
+    assert turned.joints[1].rotor_coupling == pytest.approx(-6e-4)
+    data = to_mapping(paper_arm)
+    assert parse_arm({**data, 'kind': 'serial_arm'}) == parse_arm(data)
+    with pytest.raises(ConfigError, match='kind'):
+        parse_arm({**data, 'kind': 'two_link'})
 
 
 def larger(value):
@@ -288,17 +353,19 @@ def test_given_the_largest_values_when_read_then_they_are_kept(tmp_path):
     assert read_yaml(tmp_path / 'a.yaml')['a'] == expected
 
 
-@pytest.mark.parametrize('load', [load_arm, load_scenario, load_gains])
+@pytest.mark.parametrize('load', [load_arm, load_scenario, load_gains, load_requirement])
 def test_given_a_file_that_is_none_when_any_kind_is_read_then_it_is_named_and_nothing_is_made(
     tmp_path, load
 ):
-    path, trace, latin = (tmp_path / name for name in ('odd.yaml', 'trace', 'latin.yaml'))
+    names = 'odd.yaml', 'trace', 'latin.yaml', 'folder.yaml'
+    path, trace, latin, folder = (tmp_path / name for name in names)
+    folder.mkdir()
     path.write_text(f'name: !!python/object/apply:pathlib.Path.touch [{trace}]\n')
     with pytest.raises(ConfigError, match='odd.yaml: file: is not valid YAML'):
         load(path)
     assert not trace.exists()
     latin.write_bytes(b'name: caf\xe9\n')
-    for path in (tmp_path / 'none.yaml', tmp_path, latin):
+    for path in (tmp_path / 'none.yaml', folder, latin):
         with pytest.raises(ConfigError, match=re.escape(f'{path}: file: cannot be read')):
             load(path)
     # Aliases of aliases: the message stays short.

@@ -1,4 +1,4 @@
-"""Forward and inverse kinematics; rates and accelerations are those of `test_planar_path`."""
+"""Forward and inverse kinematics; rates and accelerations are those of `test_path`."""
 
 import math
 
