@@ -1,12 +1,14 @@
-"""Answers of the tracker node to single estimates, without a graph."""
+"""Answers of the tracker node to good, wrong and hostile estimates, without a graph."""
 
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hostile import Output, node_of
+from hostile import Output, Refused, forge, node_of, run_cases, set_parameters
 from places import BRINGUP
+from std_srvs.srv import Trigger
 
+from lpv.core.control.watchdog import StopReason
 from lpv.core.serial_arm.certificate.conditions import NO_CERTIFICATE
 from lpv.core.support.errors import ConfigError
 from lpv_msgs.msg import JointReference, StateEstimate, TorqueCommand
@@ -14,6 +16,7 @@ from lpv_tracker.node import TrackerNode
 
 pytestmark = pytest.mark.ros
 
+STEP = 2_000_000
 PLACES = {'paper': [0.1, 0.2], 'ur10': [0.0, -1.6, 1.5, -1.4, -1.5, 0.0]}
 """Of an arm on its path."""
 
@@ -36,27 +39,26 @@ def node(request):
     files = [BRINGUP / 'gains' / 'paper.yaml'] if options['arm'] == 'paper' else []
     with tracker(options.pop('arm'), *files, **options) as node:
         node.sent = node._command_out = Output(TorqueCommand)
-        node._reference_out = Output(JointReference)
+        node.references = node._reference_out = Output(JointReference)
         yield node
 
 
-def estimate(node, number, trustworthy=True, offset=0.0, correction=0.0):
-    """Of an arm at rest beside its path, whose first reading is corrected."""
-    place = np.array(PLACES[node._arm.name]) + offset
+def estimate(place, stamp, trustworthy=True, correction=0.0):
+    """Of an arm at rest, whose first reading is corrected."""
     zeros = [0.0] * len(place)
     message = StateEstimate(
         trustworthy=trustworthy, position=place, compensated_position=place,
         measured_position=place, velocity=zeros, measured_velocity=zeros)  # fmt: skip
     message.measured_position[0] += correction
-    message.header.stamp.sec, message.header.stamp.nanosec = 1, number * 2_000_000
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 10**9)
     return message
 
 
-def answers(node, numbers, **options):
-    """Safe stops that answer so many estimates."""
-    known = len(node.sent.sent)
+def answers(node, numbers, offset=0.0, **options):
+    """Safe stops that answer so many estimates of an arm beside its path."""
+    known, place = len(node.sent.sent), np.array(PLACES[node._arm.name]) + offset
     for number in numbers:
-        node._on_estimate(estimate(node, number, **options))
+        node._on_estimate(estimate(place, 10**9 + number * STEP, **options))
     return [message.safe_stop for message in node.sent.sent[known:]]
 
 
@@ -85,7 +87,7 @@ def test_given_a_serial_arm_when_estimated_then_torques_carry_it_until_it_is_far
     indirect=['node'],
 )
 def test_given_a_mode_of_compensation_when_estimated_then_the_loop_uses_its_position(node, field):
-    message = estimate(node, 1)
+    message = estimate(PLACES['paper'], 10**9)
     for k, name in enumerate(('position', 'measured_position', 'compensated_position')):
         setattr(message, name, np.array(PLACES['paper']) + 0.001 * k)
     node._on_estimate(message)
@@ -94,7 +96,7 @@ def test_given_a_mode_of_compensation_when_estimated_then_the_loop_uses_its_posi
 
 def test_given_an_estimate_of_three_joints_when_it_comes_then_it_is_refused(node):
     for field in ('position', 'velocity', 'measured_velocity'):
-        message = estimate(node, 1)
+        message = estimate(PLACES['paper'], 10**9)
         setattr(message, field, [0.0] * 3)
         node._on_estimate(message)
     assert node.sent.sent == []
@@ -123,7 +125,7 @@ def test_given_a_scenario_of_another_arm_when_configured_then_the_field_is_named
         pass
 
 
-def test_given_gains_or_a_bandwidth_when_configured_then_what_they_guarantee_is_told(tmp_path):
+def test_given_gains_or_a_bandwidth_when_configured_then_what_they_guarantee_is_told():
     with tracker('ur10', BRINGUP / 'gains' / 'ur10.yaml') as node:
         assert 'holds for joint rates to 0.6' in node._certificate
     with tracker('ur10', bandwidth=40.0) as node:
@@ -145,3 +147,88 @@ def test_given_a_false_certificate_when_read_then_it_is_refused(tmp_path, name, 
     (tmp_path / 'gains.yaml').write_text(text.replace(old, new), encoding='utf-8')
     with pytest.raises(ConfigError, match=reason), tracker('ur10', tmp_path / 'gains.yaml'):
         pass
+
+
+# ------------------------------------------------------------------ hostile estimates
+
+IN_REAL_TIME = pytest.mark.parametrize('node', [{'lockstep': 'false'}], indirect=True)
+RECOVERY = 1_000_000_000
+"""Longest time of data from the last bad input to an arm that is driven again [ns]."""
+
+
+class Driver:
+    """Feeds a tracker; good estimates continue one stream, whatever else comes."""
+
+    def __init__(self, node):
+        self.node, self.stamp = node, 10**9
+        self.start = node._path.sample(0.0).position
+
+    def good(self):
+        """The next estimate of an arm that follows its path."""
+        self.stamp += STEP
+        last = self.node.references.last
+        return estimate(self.start if last is None else np.array(last.position), self.stamp)
+
+    def send(self, message):
+        """Torques that answer an estimate; refusals are `Refused`."""
+        node = self.node
+        before = sum(node._refusals.counts.values())
+        node._on_estimate(message)
+        found = node.sent.take()
+        for torque in (command['TorqueCommand.torque'] for command in found):
+            assert np.all(np.abs(torque) <= node._arm.torque_limit), torque
+        if not found or node.sent.last.safe_stop:
+            counted = sum(node._refusals.counts.values()) > before
+            raise Refused('counted' if counted else node._stop_text() or 'not continued')
+        return found, node.references.take()
+
+    def recover(self):
+        """Time of good data until the arm is driven [ns]."""
+        self.node._on_resume(Trigger.Request(), Trigger.Response())
+        begin = self.stamp
+        while self.stamp - begin < 2 * RECOVERY:
+            self.node._on_estimate(self.good())
+            if not self.node.sent.last.safe_stop:
+                break
+        return self.stamp - begin
+
+
+@pytest.mark.fuzz
+@IN_REAL_TIME
+def test_given_forged_estimates_when_followed_then_torques_are_within_limits_or_it_stops(node):
+    driver = Driver(node)
+
+    def case(rng):
+        assert driver.recover() <= RECOVERY
+        if rng.random() < 0.5:  # a start from anywhere, not a leap on the way
+            node._stop(StopReason.SILENCE)
+        return driver.send(forge(rng, driver.good()))
+
+    tally = run_cases(250, case)
+    assert tally.refused and tally.accepted
+    assert driver.recover() <= RECOVERY
+
+
+@IN_REAL_TIME
+@pytest.mark.parametrize('size', [10.0, -10.0, 1e3, 1e6, 1e150, 1e300, 1.7e308])
+@pytest.mark.parametrize('field', ['position', 'velocity', 'compensated_position'])
+def test_given_an_estimate_that_leaps_when_repeated_then_the_arm_stops(node, field, size):
+    driver, stopped = Driver(node), 0
+    assert driver.recover() == STEP
+    for _ in range(100):
+        message = driver.good()
+        setattr(message, field, [size, -size])
+        try:
+            driver.send(message)
+        except Refused:
+            stopped += 1
+    believed = field == 'velocity' and abs(size) <= min(node._arm.velocity_limit)
+    assert stopped > 50 or believed or field == 'position'  # which the loop is not closed on
+    assert driver.recover() <= RECOVERY
+
+
+@pytest.mark.fuzz
+@IN_REAL_TIME
+def test_given_hostile_parameters_when_set_then_they_are_refused_or_the_loop_goes_on(node):
+    assert run_cases(100, lambda rng: set_parameters(node, rng)).refused
+    assert Driver(node).recover() <= RECOVERY

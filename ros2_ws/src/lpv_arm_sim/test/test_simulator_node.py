@@ -1,4 +1,4 @@
-"""Hostile commands, parameters and requests for the simulator: its measurements stay finite."""
+"""Answers of the simulator node to good and hostile commands and requests, without a graph."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,9 @@ from lpv_arm_sim.node import SimulatorNode
 from lpv_msgs.msg import GroundTruth, TorqueCommand
 from lpv_msgs.srv import ClearFaults, InjectFault
 
-pytestmark = [pytest.mark.ros, pytest.mark.fuzz]
+pytestmark = pytest.mark.ros
+
+FAULT = {'sensor': 'link1_angle', 'kind': 'bias', 'size': 0.3}
 RECOVERY = 1_000_000_000
 """Longest time of data from the last bad input to an arm that is driven again [ns]."""
 
@@ -56,6 +58,14 @@ class Drives:
                 break
         return self.node._stamp - begin
 
+    def inject(self, **fields):
+        request = InjectFault.Request(**{**FAULT, **fields})
+        return self.node._faults.inject(request, InjectFault.Response())
+
+    def clear(self, sensor):
+        request = ClearFaults.Request(sensor=sensor)
+        return self.node._faults.clear(request, ClearFaults.Response())
+
 
 @pytest.fixture
 def drives():
@@ -69,6 +79,25 @@ def drives():
         yield Drives(node)
 
 
+def test_given_a_fault_that_makes_no_sense_when_injected_then_the_reason_is_told(drives):
+    for name, value in (('sensor', 'c'), ('kind', 'x'), ('size', 0.0), ('size', float('nan'))):
+        response = drives.inject(**{name: value})
+        assert not response.success and f'fault.{name}' in response.message
+    assert not drives.clear('c').success
+
+
+def test_given_two_faults_when_injected_and_one_is_cleared_then_the_other_stays(drives):
+    assert drives.clear('').cleared == 2, 'those of the scenario'
+    for _ in range(5):
+        drives.send(drives.good())
+    response = drives.inject()
+    assert response.success
+    assert response.message == 'bias on link1_angle from 0.010 s on'
+    drives.inject(sensor='link2_angle')
+    assert [drives.clear(sensor).cleared for sensor in ('link1_angle', '', '')] == [1, 1, 0]
+
+
+@pytest.mark.fuzz
 def test_given_forged_commands_when_obeyed_then_measurements_are_finite_and_it_recovers(drives):
     def case(rng):
         drives.send(drives.good())
@@ -79,12 +108,13 @@ def test_given_forged_commands_when_obeyed_then_measurements_are_finite_and_it_r
     assert drives.recover() <= RECOVERY
 
 
+@pytest.mark.fuzz
 def test_given_forged_requests_when_faults_are_injected_then_measurements_are_finite(drives):
-    services, good = drives.node._faults, {'sensor': 'link1_angle', 'kind': 'bias', 'size': 0.1}
+    services = drives.node._faults
 
     def case(rng):
         if rng.random() < 0.9:
-            text = request_service(services.inject, InjectFault, rng, good)
+            text = request_service(services.inject, InjectFault, rng, FAULT)
         else:
             text = request_service(services.clear, ClearFaults, rng, {})
         found, *truth = drives.send(drives.good())
@@ -97,6 +127,7 @@ def test_given_forged_requests_when_faults_are_injected_then_measurements_are_fi
     assert drives.recover() <= RECOVERY
 
 
+@pytest.mark.fuzz
 def test_given_hostile_parameters_when_set_then_the_simulation_goes_on(drives):
     def case(rng):
         set_parameters(drives.node, rng)

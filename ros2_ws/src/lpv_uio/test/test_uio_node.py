@@ -1,0 +1,237 @@
+"""Answers of the observer's node to good, wrong and hostile measurements, without a graph."""
+
+from copy import deepcopy
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from hostile import Output, Refused, forge, node_of, run_cases, set_parameters
+from places import BRINGUP
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import JointState
+from serial_bags import crane_file, crane_run, record_crane
+from std_srvs.srv import Trigger
+
+from lpv.bag.replay.replay import Replay
+from lpv.bag.rosbag.reading import open_bag
+from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv.core.serial_arm.arm_file import load_arm
+from lpv.core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent, Mode
+from lpv.core.simulation.arm_simulator import ArmSimulator
+from lpv.core.simulation.faults import Fault
+from lpv.core.simulation.scenario import load_scenario
+from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate, TorqueCommand
+from lpv_uio.node import UioNode
+from lpv_uio.open_alarms import OpenAlarms
+
+pytestmark = pytest.mark.ros
+
+TOPICS = {
+    '/lpv/state_estimate': ('state', StateEstimate),
+    '/lpv/fault_estimate': ('fault', FaultEstimate),
+    '/lpv/joint_states_corrected': ('corrected', JointState),
+    '/lpv/fault_alarm': ('alarm', FaultAlarm),
+    '/diagnostics': ('diagnostics', DiagnosticArray),
+}
+
+
+def with_outputs(node):
+    """Outputs of a node that take the place of its publishers, by topic."""
+    outputs = {topic: Output(kind) for topic, (_, kind) in TOPICS.items()}
+    for topic, (name, _) in TOPICS.items():
+        setattr(node, f'_{name}_out', outputs[topic])
+    return outputs
+
+
+# ------------------------------------------------------------------ serial arms
+
+
+def serial_observer(folder):
+    return node_of(UioNode, 'uio', arm_file=crane_file(folder), lockstep='true')
+
+
+def test_given_a_serial_arm_when_observed_then_the_node_publishes_what_a_replay_does(tmp_path):
+    run = crane_run(faults=[Fault('encoder2', 'bias', 0.6, size=0.05)])
+    bag = record_crane(tmp_path / 'bag', run)
+    with serial_observer(tmp_path) as node, open_bag(bag) as reader:
+        outputs = with_outputs(node)
+        for _, _, data in reader.messages():
+            node._on_measurement(deserialize_message(data, JointState))
+    assert len(outputs['/lpv/fault_alarm'].sent) == 1
+    assert len(outputs['/lpv/joint_states_corrected'].sent) == len(run.stamps)
+    monitor = SerialSensorMonitor('/uio', load_arm(crane_file(tmp_path)))
+    Replay(monitor, estimates_only=True).run(bag, tmp_path / 'out')
+    with open_bag(tmp_path / 'out') as reader:
+        for topic, output in outputs.items():
+            [connection] = [c for c in reader.connections if c.topic == topic]
+            expected = [data for _, _, data in reader.messages([connection])]
+            types, kind = reader.typestore, connection.msgtype
+            # Gaps between the fields of rclpy's messages hold anything.
+            found = [reader.deserialize(serialize_message(one), kind) for one in output.sent]
+            encoded = [bytes(types.serialize_cdr(one, kind)) for one in found]
+            assert [one + bytes(-len(one) % 4) for one in encoded] == expected, topic
+
+
+def test_given_a_measurement_of_another_arm_when_it_comes_then_it_is_refused(tmp_path):
+    with serial_observer(tmp_path) as node:
+        zeros, names = [0.0, 0.0], ['joint1', 'joint2']
+        node._on_measurement(JointState(name=names, position=zeros, velocity=zeros, effort=zeros))
+        assert node._monitor.rejected == 1
+        assert len(node._torque) == 3 and np.isnan(node._torque).all()
+
+
+# ------------------------------------------------------------------ hostile measurements
+
+STEP = 2_000_000
+RECOVERY = 1_000_000_000
+"""Longest time of data from the last bad input to estimates of good measurements [ns]."""
+
+
+class Arm:
+    """Feeds an observer with the measurements of a braked arm, whatever else comes."""
+
+    def __init__(self, node):
+        self.node, self.stamp = node, 10**9
+        self.outputs = with_outputs(node)
+        self.state = self.outputs['/lpv/state_estimate']
+        scenario = load_scenario(BRINGUP / 'scenarios' / 'two_faults.yaml')
+        self._plant = ArmSimulator(node._arm, scenario, 2)
+
+    def stamped(self, message):
+        """A message with the present stamp."""
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(self.stamp, 10**9)
+        return message
+
+    def good(self):
+        """The next measurement."""
+        self.stamp += STEP
+        self._plant.hold()
+        measured, _ = self._plant.sense()
+        values = {k: getattr(measured, k).tolist() for k in ('position', 'velocity', 'effort')}
+        return self.stamped(JointState(name=list(self.node._arm.joint_names), **values))
+
+    def send(self, message):
+        """What is published on a measurement."""
+        self.node._on_measurement(message)
+        found = self.state.take()
+        others = [output.take() for output in self.outputs.values()]
+        if not found or self.state.last.mode in (int(Mode.STALE), int(Mode.NO_ESTIMATE)):
+            raise Refused('not used')
+        return found, others
+
+    def refused(self):
+        return sum(self.node._refusals.counts.values())
+
+    def recover(self):
+        """Time of good data until each sample is estimated again [ns]."""
+        begin = used = self.stamp
+        while self.stamp - begin < 2 * RECOVERY and self.stamp - used < 10 * STEP:
+            try:
+                self.send(self.good())
+            except Refused:
+                used = self.stamp
+        return used - begin
+
+
+@pytest.fixture
+def arm():
+    with node_of(
+        UioNode, 'uio', BRINGUP / 'gains' / 'paper.yaml', arm_file=BRINGUP / 'arms' / 'paper.yaml'
+    ) as node:
+        arm = Arm(node)
+        arm.recover()  # what compiles takes its time
+        yield arm
+
+
+@pytest.mark.fuzz
+def test_given_forged_measurements_when_estimated_then_outputs_are_finite_and_it_recovers(arm):
+    def case(rng):
+        assert arm.recover() <= RECOVERY
+        return arm.send(forge(rng, arm.good()))
+
+    tally = run_cases(120, case)
+    assert tally.refused and tally.accepted
+    assert arm.recover() <= RECOVERY
+
+
+@pytest.mark.fuzz
+def test_given_forged_commands_when_torques_come_from_there_then_they_are_refused_or_finite(arm):
+    arm.node._from_command = True
+
+    def case(rng):
+        arm.node._on_measurement(arm.good())
+        arm.state.take()
+        before = arm.refused()
+        arm.node._on_command(forge(rng, arm.stamped(TorqueCommand(torque=[1.0, -1.0]))))
+        refused = arm.refused() > before
+        result = arm.send(arm.good())
+        if refused:
+            raise Refused('counted')
+        return result
+
+    tally = run_cases(150, case)
+    assert tally.refused and tally.accepted
+    assert arm.recover() <= RECOVERY
+
+
+@pytest.mark.fuzz
+def test_given_hostile_parameters_when_set_then_outputs_stay_finite(arm):
+    def case(rng):
+        set_parameters(arm.node, rng)
+        return arm.send(arm.good())
+
+    assert run_cases(100, case).refused
+    arm.node._on_reset(Trigger.Request(), Trigger.Response())
+    assert arm.recover() <= RECOVERY
+    assert np.isfinite(arm.node.get_parameter('diagnosis.clear_dwell').value)
+
+
+def test_given_a_second_publisher_when_its_readings_come_then_they_are_refused(arm, monkeypatch):
+    arm.recover()
+    monkeypatch.setattr('lpv_node.input_check._WAIT', np.inf)  # a busy machine is slow
+    two = SimpleNamespace(get_publisher_count=lambda: 2)
+    monkeypatch.setattr(arm.node, '_measurement_in', two)
+    for _ in range(30):
+        message = arm.good()
+        foreign = deepcopy(message)
+        foreign.position[0] += 0.5
+        with pytest.raises(Refused):
+            arm.send(foreign)
+        arm.send(message)
+    assert arm.node._refusals.counts == {'measurement of a second publisher of joint_states': 30}
+    assert arm.outputs['/lpv/fault_alarm'].last is None, 'no alarm'
+
+
+# ------------------------------------------------------------------ alarms that outlive a process
+
+
+def alarm(event=AlarmEvent.RAISED, sensor='link2_angle'):
+    return Alarm(event, 1, sensor, 0, 0, 0.3, 0.01, 'bias', 0.99)
+
+
+def test_given_an_observer_that_died_with_an_alarm_when_restarted_then_it_says_so(arm, tmp_path):
+    path = tmp_path / 'new' / 'alarms.json'
+    died = OpenAlarms(path)
+    for sensor in ('link1_angle', 'link2_angle'):
+        died.note(alarm(sensor=sensor))
+    died.note(alarm(AlarmEvent.CLEARED, 'link1_angle'))
+    arm.node._alarms = OpenAlarms(path)
+    arm.recover()
+    assert not arm.state.last.trustworthy
+    assert 'link2_angle: error +0.300 rad' in arm.node._untrusted_text()
+    arm.node._log(alarm())  # found again
+    arm.recover()
+    assert arm.state.last.trustworthy
+    assert list(OpenAlarms(path).before) == ['link2_angle']
+    arm.node.stopping()
+    assert OpenAlarms(path).before == {}
+
+
+@pytest.mark.parametrize('content', ['', '[1]', '{', '[' * 100000, '\0', '{"a": 1}'])
+def test_given_a_file_of_alarms_that_is_none_when_read_then_it_does_no_harm(tmp_path, content):
+    path = tmp_path / 'alarms.json'
+    path.write_text(content)
+    assert set(OpenAlarms(path).before) <= {'a'}
+    OpenAlarms(path).note(alarm())
+    assert 'link2_angle' in OpenAlarms(path).before
