@@ -1,6 +1,8 @@
-"""What nodes refuse, and what they declare."""
+"""What nodes declare, described and bounded and with units, and what they refuse."""
 
-from array import array
+import importlib
+import math
+import re
 
 import numpy as np
 import pytest
@@ -14,9 +16,44 @@ from rclpy.parameter import Parameter
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.resources import bringup_file
 from lpv.core.support.timestamps import set_stamp, to_nanoseconds
-from lpv_node.input_check import OneSender, all_finite, all_sized
+from lpv_node import managed, parameters
+from lpv_node.input_check import OneSender
 from lpv_node.parameter_service import CheckedParameterService
 from lpv_node.parameters import declare_gains, read_gains
+
+MODULES = ('lpv_arm_sim.node', 'lpv_uio.node', 'lpv_tracker.node', 'lpv_node.recorder.node',
+           'lpv_node.view.node')  # fmt: skip
+GAINS = {
+    f'gains/{method}{name}': spec
+    for method, fields in {'': parameters.GAIN_FIELDS, **parameters.METHOD_FIELDS}.items()
+    for name, spec in fields.items()
+}
+SPECS = {f'common/{spec.name}': spec for spec in managed.COMMON} | {
+    f'{name}/{spec.name}': spec for name in MODULES for spec in importlib.import_module(name).SPECS
+}
+"""Every declaration of every node, by where it is."""
+
+
+@pytest.mark.parametrize('place', [*sorted(SPECS), *GAINS])
+def test_given_a_parameter_when_declared_then_it_says_what_it_is_and_what_is_allowed(place):
+    spec = (SPECS | GAINS)[place]
+    descriptor = spec.descriptor()
+    ranges = [*descriptor.floating_point_range, *descriptor.integer_range]
+    assert len(descriptor.description) > 10
+    if isinstance(spec.default, bool) or not isinstance(spec.default, (int, float)):
+        assert spec.low is None and spec.high is None and ranges == []
+    else:
+        (limits,) = ranges
+        assert spec.low <= spec.default <= spec.high and spec.low < spec.high
+        assert math.isfinite(spec.low) and math.isfinite(spec.high)
+        assert (limits.from_value, limits.to_value) == (spec.low, spec.high)
+    if spec.choices:
+        assert spec.default in spec.choices
+        assert descriptor.additional_constraints == 'one of ' + ', '.join(spec.choices)
+    if isinstance(spec.default, float) or (ranges and place in GAINS):
+        assert re.search(r'\[[^\]]+\]', spec.description), 'no unit; [1] is that of a ratio'
+    assert descriptor.read_only == spec.read_only
+    assert spec.read_only or place not in GAINS
 
 
 @pytest.fixture
@@ -77,14 +114,6 @@ def test_given_a_senseless_parameter_when_set_then_it_is_refused(make_node, name
     for result in (together.result, *each.results):
         assert not result.successful and reason in result.reason
     assert len(each.results) == 1 and node.get_parameter('wait').value == 1.0
-
-
-def test_given_fields_when_not_finite_or_not_as_long_as_the_arm_then_they_are_found():
-    assert all_finite([0.0, 1e300], [])
-    for value in (float('nan'), float('inf'), -float('inf')):
-        assert not all_finite([0.0], [1.0, value])
-    assert all_sized(2, [0.0, 1.0], np.zeros(2), array('d', [1.0, 2.0]))
-    assert not all_sized(2, [0.0, 1.0], [0.0, 1.0, 2.0]) and not all_sized(2, [])
 
 
 def test_given_nanoseconds_beyond_a_second_when_written_back_then_it_is_a_stamp():

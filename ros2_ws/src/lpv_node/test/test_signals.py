@@ -58,6 +58,9 @@ def test_given_another_exception_in_a_destructor_when_raised_then_it_is_reported
     assert reported == [ValueError]
 
 
+# ------------------------------------------------------------------ of a node's process
+
+
 def test_given_a_start_when_told_to_stop_then_it_ends_at_once_and_later_in_order():
     with handled_signals(lambda *_: None, signal.SIGINT, signal.SIGTERM):
         StopRequest()
@@ -68,8 +71,6 @@ def test_given_a_start_when_told_to_stop_then_it_ends_at_once_and_later_in_order
         signal.raise_signal(signal.SIGTERM)
         assert stop.is_set
 
-
-# ------------------------------------------------------------------ of a node's process
 
 START = """
 import sys, types
