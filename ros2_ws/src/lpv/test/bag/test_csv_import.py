@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from places import BRINGUP
 
@@ -60,54 +60,46 @@ def values(message):
 
 
 CELL = st.floats(-1e6, 1e6) | st.just(NAN)
+TIMES = st.integers(0, 2**31 * SECOND - 1)
+ROWS = st.dictionaries(TIMES, st.lists(CELL, min_size=6, max_size=6), min_size=1, max_size=5)
 
 
 @settings(max_examples=25)
-@given(st.data())
-def test_given_any_recording_when_imported_then_every_number_is_where_it_belongs(convert, data):
-    start, unit = (
-        data.draw(st.sampled_from([None, 1.0, 12.5])),
-        data.draw(st.sampled_from(sorted(TIME_UNITS))),
-    )
-    angle, names = (
-        data.draw(st.sampled_from(sorted(ANGLE_UNITS))),
-        data.draw(st.permutations([*NAMES, 'extra'])),
-    )
-    delimiter, end = (
-        data.draw(st.sampled_from(',;\t')),
-        data.draw(st.sampled_from(['\n', '\r\n', '\n\n'])),
-    )
-    times = sorted(data.draw(st.sets(st.integers(0, 2**31 * SECOND - 1), min_size=1, max_size=5)))
-    cells = [data.draw(st.lists(CELL, min_size=6, max_size=6)) for _ in times]
-    lines = [delimiter.join(f' {name} ' for name in names)]
-    for time, row in zip(times, cells):
+@given(
+    rows=ROWS,
+    start=st.sampled_from([None, 1.0, 12.5]),
+    unit=st.sampled_from(sorted(TIME_UNITS)),
+    angle=st.sampled_from(sorted(ANGLE_UNITS)),
+    names=st.permutations([*NAMES, 'extra']),
+    delimiter=st.sampled_from(',;\t'),
+    end=st.sampled_from(['\n', '\r\n', '\n\n']),
+    outside=st.sampled_from([('', ''), ('\ufeff', '\n'), ('\ufeff', ''), ('', '\r\n')]),
+)
+def test_given_any_recording_when_imported_then_every_number_is_where_it_belongs(
+    convert, rows, start, unit, angle, names, delimiter, end, outside
+):
+    times = sorted(rows)
+    shift = 0 if start is None else round(start * SECOND) - times[0]
+    assume(times[-1] + shift < 2**31 * SECOND)
+    lines, digits = [delimiter.join(f' {name} ' for name in names)], len(str(TIME_UNITS[unit])) - 1
+    for time in times:
         whole, rest = divmod(time, TIME_UNITS[unit])
-        digits = len(str(TIME_UNITS[unit])) - 1
         texts = {'t': f'{whole}.{rest:0{digits}d}' if digits else str(whole), 'extra': 'text'}
-        texts |= {n: '' if math.isnan(v) else repr(v) for n, v in zip(NAMES[1:], row)}
+        texts |= {n: '' if math.isnan(v) else repr(v) for n, v in zip(NAMES[1:], rows[time])}
         lines.append(delimiter.join(texts[name] for name in names))
     keep = 'keep: true' if start is None else f'start: {start}'
     columns = COLUMNS.replace('unit: s', f'unit: {unit}, {keep}') + f'angle_unit: {angle}\n'
-    text = (
-        data.draw(st.sampled_from(['', '\ufeff']))
-        + end.join(lines)
-        + data.draw(st.sampled_from(['', end]))
-    )
-    shift = 0 if start is None else round(start * SECOND) - times[0]
-    if times[-1] + shift >= 2**31 * SECOND:
-        return
+    text = outside[0] + end.join(lines) + outside[1]
     warnings, messages, _ = convert(text, columns, delimiter=delimiter)
     assert warnings == []
     assert stamps(messages) == [time + shift for time in times]
     factor = np.repeat([ANGLE_UNITS[angle], 1.0], [4, 2])
-    for message, row in zip(messages, cells):
+    for time, message in zip(times, messages):
         assert message.name == ['shoulder', 'elbow']
-        np.testing.assert_allclose(values(message), factor * row, rtol=1e-15)
+        np.testing.assert_allclose(values(message), factor * rows[time], rtol=1e-15)
 
 
-def test_given_joints_without_efforts_when_imported_then_messages_carry_none_or_not_a_number(
-    convert,
-):
+def test_given_joints_without_efforts_when_imported_then_messages_have_none_or_nan(convert):
     one = COLUMNS.replace(', effort: u1', '')
     _, (message,), _ = convert('t,q1,q2,w1,w2,u2\n0,1,2,3,4,5\n', one)
     np.testing.assert_array_equal(message.effort, [NAN, 5.0])
@@ -153,23 +145,15 @@ for _name in ('t', 'q2', 'u1'):
 
 
 @pytest.mark.parametrize(('content', 'told'), DAMAGED)
-def test_given_a_file_that_is_damaged_when_imported_then_the_place_is_named_and_no_bag_is_left(
-    convert, content, told
-):
+def test_given_a_damaged_file_when_imported_then_only_an_error_comes_out(convert, content, told):
     with pytest.raises(CsvError, match=told):
         convert(content, KEPT)
     assert not (convert.folder / 'bag').exists()
 
 
-@pytest.mark.parametrize('delimiter', ['', ';;', '\\t'])
-def test_given_a_delimiter_of_another_length_than_one_when_imported_then_it_is_an_error(
-    convert, delimiter
+def test_given_no_file_an_existing_bag_or_a_long_delimiter_when_imported_then_it_is_an_error(
+    convert, tmp_path
 ):
-    with pytest.raises(CsvError):
-        convert(HEADER + LINES, delimiter=delimiter)
-
-
-def test_given_no_file_or_an_existing_bag_when_imported_then_the_error_names_it(convert, tmp_path):
     _, _, out = convert(HEADER + LINES)
     before = {file.name: file.read_bytes() for file in out.iterdir()}
     columns = load_column_map(out.parent / 'columns.yaml')
@@ -179,6 +163,9 @@ def test_given_no_file_or_an_existing_bag_when_imported_then_the_error_names_it(
     for source in (tmp_path / 'nothing.csv', tmp_path):
         with pytest.raises(CsvError, match=source.name):
             import_csv(source, columns, tmp_path / 'bag')
+    for delimiter in ('', ';;', '\\t'):
+        with pytest.raises(CsvError):
+            import_csv(out.parent / 'run.csv', columns, tmp_path / 'bag', delimiter=delimiter)
     assert not (tmp_path / 'bag').exists()
 
 
@@ -213,31 +200,22 @@ def test_given_a_map_with_a_mistake_when_loaded_then_the_field_is_named(tmp_path
         load_column_map(tmp_path / 'columns.yaml')
 
 
-@pytest.mark.parametrize(
-    ('text', 'columns', 'said'),
-    [
-        ((HEADER + LINES + '0.006,3.1').replace(',', ';'), COLUMNS, None),
-        (None, COLUMNS, 'run.csv'),
-        (HEADER + LINES, None, 'columns.yaml'),
-        (HEADER + LINES, HEADER, 'columns.yaml'),
-        (HEADER + LINES, 'time: {column: t\njoints: [', 'columns.yaml'),
-    ],
-)
-def test_given_the_command_when_run_then_it_says_how_many_samples_or_what_is_wrong_in_one_line(
-    tmp_path, capsys, text, columns, said
+def test_given_the_command_when_run_then_it_says_how_many_samples_or_what_is_wrong(
+    tmp_path, capsys, refused
 ):
-    for name, content in (('run.csv', text), ('columns.yaml', columns)):
-        if content is not None:
-            (tmp_path / name).write_text(content)
-    source, mapping, out = (str(tmp_path / name) for name in ('run.csv', 'columns.yaml', 'bag'))
-    options = ['--columns', mapping, '--out', out, '--delimiter', ';', '--topic', '/a/joint_states']
-    code, printed = main(['import-csv', source, *options]), capsys.readouterr()
-    assert (code, printed.err.count('\n')) == (2 if said else 0, 1)
-    if said:
-        assert printed.out == '' and said in printed.err
-        assert printed.err.startswith('lpv import-csv: ')
-        return
+    source, mapping, out = (tmp_path / name for name in ('run.csv', 'columns.yaml', 'bag'))
+    line = ['import-csv', source, '--columns', mapping, '--out', out]
+    line = [*map(str, line), '--delimiter', ';', '--topic', '/a/joint_states']
+    assert refused('columns.yaml', *line)
+    for columns in (HEADER, 'time: {column: t\njoints: ['):
+        mapping.write_text(columns)
+        assert refused('columns.yaml', *line)
+    mapping.write_text(COLUMNS)
+    assert refused('run.csv', *line)
+    source.write_text((HEADER + LINES + '0.006,3.1').replace(',', ';'))
+    assert main(line) == 0
+    printed = capsys.readouterr()
     assert printed.out.startswith('3 samples of shoulder, elbow')
-    assert 'warning: line 5' in printed.err
-    with open_bag(tmp_path / 'bag') as reader:
+    assert 'warning: line 5' in printed.err and printed.err.count('\n') == 1
+    with open_bag(out) as reader:
         assert [(c.topic, c.msgcount) for c in reader.connections] == [('/a/joint_states', 3)]

@@ -118,9 +118,7 @@ def shown(paper_arm, tmp_path, monkeypatch):
     ).html.read_text()
 
 
-def test_given_rates_when_reported_then_the_fastest_joint_is_told_and_above_its_limit_comes_first(
-    page,
-):
+def test_given_rates_when_reported_then_the_fastest_joint_and_its_limit_come_first(page):
     values = page(run({100: (1.5, -3.0)}))
     assert not values['ran_away'] and 'exceeded' not in values['verdict']
     assert tile(values, 'fastest joint')[1:] == ('3 rad/s', 'limit 20, joint2, measured', '')
@@ -200,9 +198,7 @@ def test_given_an_alarm_from_210_to_400_ms_when_faults_act_then_they_are_missed_
         assert found == [(start, end)] * ((start, end) in outside)
 
 
-def test_given_stops_contradictions_and_lost_sensors_when_reported_then_each_has_its_stretch(
-    paper_arm, shown
-):
+def test_given_stops_and_lost_sensors_when_reported_then_each_has_its_stretch(paper_arm, shown):
     reports = told(observer={100: 'observing', 500: CONFUSED, 600: CONFUSED, 800: 'observing'})
     record = made_up(lost=[(0, 2), (200, 300)], stopped=[(400, 700)])
     assert phases(record, paper_arm, reports) == [
@@ -267,9 +263,7 @@ def test_given_an_alarm_that_lasts_when_reported_then_its_size_is_the_error_now(
     assert now in page(record)['verdict']
 
 
-def test_given_the_states_of_a_sensor_when_drawn_then_bars_and_legend_have_the_same_colours(
-    paper_arm,
-):
+def test_given_the_states_of_a_sensor_when_drawn_then_bars_and_legend_agree(paper_arm):
     state = np.repeat([[int(s)] for s, _, _ in STATES], COUNT // len(STATES), axis=0)
     record = run(fault_estimate=stream(*ESTIMATES, state=np.hstack([state, state[::-1]])))
     figure = timeline(analysed(record, paper_arm))
