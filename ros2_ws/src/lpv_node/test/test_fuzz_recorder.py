@@ -63,11 +63,9 @@ def recorder(request, tmp_path):
 def test_given_forged_and_damaged_messages_when_recorded_then_all_are_stored_as_sent(recorder):
     def case(rng):
         topic = str(rng.choice(list(TOPICS)))
-        message = recorder.good(TOPICS[topic])
-        if rng.random() < 0.5:
-            recorder.hear(topic, serialize_message(forge(rng, message)))
-        else:
-            recorder.hear(topic, damaged_bytes(rng, message))
+        message, is_forged = recorder.good(TOPICS[topic]), rng.random() < 0.5
+        data = serialize_message(forge(rng, message)) if is_forged else damaged_bytes(rng, message)
+        recorder.hear(topic, data)
 
     run_cases(150, case)
     for topic, kind in TOPICS.items():
@@ -85,11 +83,9 @@ def test_given_hostile_parameters_when_set_then_the_recorder_goes_on(recorder):
 
 
 def test_given_a_gains_file_that_is_none_when_set_up_then_it_is_refused_without_a_bag(tmp_path):
-    (tmp_path / 'gains').write_text('gains: none')
-    files = {'output': tmp_path / 'bag', 'gains_file': tmp_path / 'gains'}
-    with (
-        pytest.raises(ConfigError, match='not a gains file'),
-        node_of(RecorderNode, 'recorder', **files),
-    ):
+    bag, gains = tmp_path / 'bag', tmp_path / 'gains'
+    gains.write_text('gains: none')
+    node = node_of(RecorderNode, 'recorder', output=bag, gains_file=gains)
+    with pytest.raises(ConfigError, match='not a gains file'), node:
         pass
-    assert not (tmp_path / 'bag').exists()
+    assert not bag.exists()
