@@ -1,8 +1,9 @@
 """Bags as files: what is written is read by others, in blocks as one by one, on a full disk too."""
 
-import errno
 import json
 import math
+import resource
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -114,40 +115,31 @@ def test_given_one_topic_with_two_types_when_copied_then_it_is_refused(tmp_path)
             writer.copy_topic(reader.connections[0])
 
 
-class FullDisk:
-    """A file that takes some bytes and no more."""
-
-    def __init__(self, file, room):
-        self._file, self._room = file, room
-
-    def write(self, data):
-        if self._room == 0:
-            raise OSError(errno.ENOSPC, 'No space left on device')
-        count = min(len(data), self._room)
-        self._room -= count
-        return self._file.write(data[:count])
-
-    def truncate(self, size):
-        self._room += self._file.seek(0, 2) - size
-        return self._file.truncate(size)
-
-    def __getattr__(self, name):
-        return getattr(self._file, name)
+@contextmanager
+def full_disk(room):
+    """Files of this process get no larger, as on a disk that is full."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 @pytest.mark.parametrize('room', [0, 2800, 4000, 4200, 5000, 6000, 10_000, 10_300])
 def test_given_a_disk_that_gets_full_when_writing_then_chunks_before_can_be_read(tmp_path, room):
     bag = tmp_path / 'bag'
     writer = BagWriter(bag, chunk_time=10 * MS)
-    output, messages = writer._file.output, BagMessages(writer.typestore, 'arm')
-    output.file = FullDisk(output.file, room)
+    messages, header = BagMessages(writer.typestore, 'arm'), writer.size
     writer.add_topic(JOINTS, JOINT_STATE)
-    with pytest.raises(OSError, match='No space left'):
-        for stamp in range(START, START + 10_000 * STEP, STEP):
-            message = messages.joint_state(stamp, ('a',), [1.0], [0.0], [0.0])
-            writer.write(JOINTS, stamp, message)
-    assert 'No space left' in writer.close()
-    assert storage(bag).stat().st_size <= room + 40  # the header was written before
+    with full_disk(room):
+        assert writer.room() < room - header
+        with pytest.raises(OSError, match='too large'):
+            for stamp in range(START, START + 10_000 * STEP, STEP):
+                message = messages.joint_state(stamp, ('a',), [1.0], [0.0], [0.0])
+                writer.write(JOINTS, stamp, message)
+        assert 'too large' in writer.close()
+    assert storage(bag).stat().st_size <= max(room, header)
     if room == 0:
         with pytest.raises(BagError, match='nothing in it can be recovered'):
             contents(bag)
