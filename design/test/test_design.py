@@ -21,7 +21,7 @@ from lpv.core.uio.certificate.error_system import link_errors
 from lpv.core.uio.certificate.gains import ExactObserverGains, load_gains
 from lpv.core.uio.model.polytope import sinc_box, vertex_matrices
 from lpv_design.controller import check_loop, solve_loop
-from lpv_design.design_flow import NotDetectableError, design
+from lpv_design.design_flow import design
 from lpv_design.exact_observer import ExactRequirement, solve_exact
 from lpv_design.paper_observer import check_paper, paper_problem, solve_paper, undetectable_point
 from lpv_design.requirement import PaperRequirement, load_requirement
@@ -287,19 +287,10 @@ def test_given_the_design_when_any_slope_is_tried_then_poles_and_deviation_are_a
         assert 0.1 * bound < worst <= bound
 
 
-@pytest.mark.parametrize(
-    ('sinc_min', 'error', 'said'),
-    [
-        (-0.2, NotDetectableError, r'phi = .*not observable.*cannot be told apart'),
-        (0.9, InfeasibleError, r'LMI \(55\) with gamma = 1 has no solution'),
-    ],
-)
-def test_given_a_box_that_is_too_large_when_designed_then_the_refusal_says_why(
-    paper_model, sinc_min, error, said
-):
-    observer = PaperRequirement(sinc_min=sinc_min)
-    with pytest.raises(error, match=said):
-        design(paper_model, replace(load_requirement('paper_literal'), observer=observer))
+def test_given_a_box_that_is_too_large_when_designed_then_the_refusal_says_why(paper_model):
+    wanted = replace(load_requirement('paper_literal'), observer=PaperRequirement(sinc_min=0.9))
+    with pytest.raises(InfeasibleError, match=r'LMI \(55\) with gamma = 1 has no solution'):
+        design(paper_model, wanted)
 
 
 @pytest.mark.slow
@@ -322,17 +313,14 @@ def test_given_all_noise_scaled_when_designed_then_gains_are_the_same_and_deviat
     paper_model, paper_gains, factor
 ):
     requirement = load_requirement('paper')
-    quiet = replace(
-        paper_model,
-        position_noise=factor * paper_model.position_noise,
-        velocity_noise=factor * paper_model.velocity_noise,
-        disturbance_variance=factor**2 * paper_model.disturbance_variance,
-    )
-    noise, rate = requirement.observer.acceleration_noise, requirement.observer.rate_noise
+    noises = ('position_noise', 'velocity_noise')
+    scaled = {name: factor * getattr(paper_model, name) for name in noises}
+    variance = factor**2 * paper_model.disturbance_variance
+    quiet = replace(paper_model, disturbance_variance=variance, **scaled)
     asked = replace(
         requirement.observer,
-        acceleration_noise=tuple(factor * v for v in noise),
-        rate_noise=factor * rate,
+        acceleration_noise=tuple(factor * v for v in requirement.observer.acceleration_noise),
+        rate_noise=factor * requirement.observer.rate_noise,
     )
     found = design(quiet, replace(requirement, observer=asked)).gains.observer
     assert_same_gains(found.kappa, paper_gains.observer.kappa)
@@ -344,10 +332,8 @@ def test_given_all_noise_scaled_when_designed_then_gains_are_the_same_and_deviat
 def test_given_all_masses_scaled_when_designed_then_gains_scale_with_them(
     paper_model, paper_gains, factor
 ):
-    links = (
-        replace(b, mass=factor * b.mass, inertia=factor * b.inertia) for b in paper_model.links
-    )
-    found = design(replace(paper_model, links=tuple(links)), load_requirement('paper')).gains
+    heavy = paper_model.scaled((factor, factor), (factor, factor))
+    found = design(heavy, load_requirement('paper')).gains
     assert_same_gains(factor * found.observer.kappa, paper_gains.observer.kappa)
     expected, limit = factor * paper_gains.controller.m1, np.abs(paper_gains.controller.m1).max()
     np.testing.assert_allclose(found.controller.m1, expected, rtol=1e-2, atol=1e-3 * factor * limit)

@@ -1,4 +1,4 @@
-"""Plant, observer, diagnosis and tracking together; the designed tracking law."""
+"""Plant, observer, diagnosis and tracking together, under every kind of fault; the tracking law."""
 
 import os
 import subprocess
@@ -18,7 +18,7 @@ from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent
 from lpv.core.simulation.closed_loop import run_closed_loop
 from lpv.core.simulation.faults import Fault
 from lpv.core.simulation.metrics import mise
-from lpv.core.simulation.scenario import load_scenario
+from lpv.core.simulation.scenario import load_scenario, parse_scenario
 from lpv.core.support.jit import COMPILED
 from lpv.core.uio.certificate.gains import save_gains
 from lpv.core.uio.model.dynamics import inverse_dynamics
@@ -105,21 +105,17 @@ def test_given_the_papers_own_plant_and_gains_when_run_then_they_work_there(
 
 SHORT_RUN = """
 import sys
-import numpy as np
 from dataclasses import replace
-from lpv.core.serial_arm.arm_file import load_arm
-from lpv.core.simulation.closed_loop import run_closed_loop
-from lpv.core.uio.certificate.gains import load_gains
+import lpv
+import numpy as np
 from lpv.core.support.jit import COMPILED
-from lpv.core.simulation.scenario import load_scenario
-arm_file, gains_file, scenario_file, out = sys.argv[1:]
-scenario = load_scenario(scenario_file)
-faults = (replace(scenario.faults[0], onset=0.2), replace(scenario.faults[1], onset=0.3))
-runs = {}
+gains, out = sys.argv[1:]
+scenario, runs = lpv.load_scenario('two_faults'), {}
+faults = [replace(fault, onset=at) for fault, at in zip(scenario.faults, (0.2, 0.3))]
 for plant in ('nonlinear', 'lpv'):
-    changed = replace(scenario, duration=0.6, faults=faults, plant=plant)
-    run = run_closed_loop(load_arm(arm_file), changed, load_gains(gains_file))
-    values = {**vars(run), 'alarms': [a.detected for a in run.alarms]}
+    changed = replace(scenario, duration=0.6, faults=tuple(faults), plant=plant)
+    values = vars(lpv.simulate(lpv.load_arm('paper'), lpv.load_gains(gains), changed))
+    values = {**values, 'alarms': [alarm.detected for alarm in values['alarms']]}
     runs |= {plant + name: value for name, value in values.items()}
 np.savez(out, compiled=COMPILED, **runs)
 """
@@ -130,13 +126,12 @@ np.savez(out, compiled=COMPILED, **runs)
 def test_given_no_compiler_when_run_then_every_bit_is_that_of_the_compiled_loop(
     tmp_path, paper_gains, literal_gains, method
 ):
-    files = [tmp_path / 'gains.yaml', BRINGUP / 'scenarios' / 'two_faults.yaml']
-    save_gains(paper_gains if method == 'exact' else literal_gains, files[0])
-    results = []
+    gains, results = tmp_path / 'gains.yaml', []
+    save_gains(paper_gains if method == 'exact' else literal_gains, gains)
     for no_jit in ('0', '1'):
         out, folder = tmp_path / f'run{no_jit}.npz', Path(lpv.core.__file__).parents[3]
         environment = {**os.environ, 'LPV_NO_JIT': no_jit, 'PYTHONPATH': str(folder)}
-        words = [sys.executable, '-c', SHORT_RUN, BRINGUP / 'arms' / 'paper.yaml', *files, out]
+        words = sys.executable, '-c', SHORT_RUN, gains, out
         subprocess.run([*map(str, words)], check=True, env=environment)
         with np.load(out) as data:
             results.append(dict(data))
@@ -217,3 +212,85 @@ def test_given_an_error_signal_when_its_mise_is_taken_then_it_is_the_mean_square
     assert float(mise([1.0, -3.0])) == 5.0
     np.testing.assert_array_equal(mise([[1.0, np.nan], [3.0, 2.0]]), [5.0, 4.0])
     np.testing.assert_array_equal(mise([[np.nan, 1.0], [np.inf, 1.0]]), [np.nan, 1.0])
+
+
+# ------------------------------------------------------------------ every kind of fault
+
+ONSET, NANOSECONDS = 1.5, 10**9
+FAULTS = {
+    'bias': {'size': 0.3}, 'drift': {'rate': 0.2}, 'stuck': {}, 'noise': {'size': 0.02},
+    'spike': {'size': 0.3, 'rate': 20.0}, 'dropout': {},
+}  # fmt: skip
+TURNS = [{'t': t, 'x': x, 'y': -0.42} for t, x in ((0.2, -0.2), (2.5, 0.2), (4.8, -0.2))]
+SWING = {'name': 'swing', 'duration': 5.0, 'disturbance': False, 'path': {'waypoints': TURNS}}
+
+
+@pytest.fixture
+def simulate(arm, gains_of, two_faults):
+    """Run an arm's scenario with the given faults and other fields."""
+    gains = gains_of[arm.name]
+    scenario = two_faults if arm.name == 'paper' else parse_scenario(SWING)
+
+    def run(*faults, duration=5.0, compensation='confirmed', parameters=None, **fields):
+        part = replace(scenario, faults=faults, duration=duration, **fields)
+        return run_closed_loop(arm, part, gains, compensation, parameters=parameters)
+
+    return run
+
+
+paper = pytest.mark.parametrize('arm', ['paper_arm'], indirect=True)
+"""Rates of the paper's arm have sensors of their own; those of the real arm are derived."""
+
+
+def largest_error(run, after=0.0):
+    """Of the true arm's tracking, both joints [rad]."""
+    rows = slice(np.searchsorted(run.time, after - 1e-9), None)
+    return np.abs(run.position - run.reference)[rows].max()
+
+
+@paper
+@pytest.mark.parametrize('index', [0, 1])
+@pytest.mark.parametrize('kind', FAULTS)
+def test_given_any_kind_of_fault_when_it_starts_then_it_is_named_and_the_arm_stays_on_its_path(
+    simulate, arm, kind, index
+):
+    run = simulate(Fault(arm.sensor_names[index], kind, ONSET, 2.0, **FAULTS[kind]))
+    # Without link1_angle, ROS joint 2 is a difference with one side missing: both are silent.
+    silent = kind == 'dropout' and index == 0
+    told = {(a.sensor_index, a.kind) for a in run.alarms if a.event != AlarmEvent.CLEARED}
+    assert {sensor for sensor, _ in told} == ({0, 1} if silent else {index})
+    assert (index, kind) in told
+    assert min(a.detected for a in run.alarms) >= ONSET * NANOSECONDS
+    assert largest_error(run) < 0.05
+    # The arm did move, so that this says something.
+    assert np.ptp(run.reference[run.time > ONSET], axis=0).min() > 0.1
+
+
+@pytest.mark.parametrize('index', [0, 1])
+def test_given_a_confirmed_bias_when_compensated_then_the_arm_tracks_as_a_healthy_one(
+    simulate, arm, index
+):
+    fault = Fault(arm.sensor_names[index], 'bias', onset=1.0, size=0.3)
+    on, off = (simulate(fault, compensation=how) for how in ('confirmed', 'off'))
+    assert largest_error(on, 1.0) < largest_error(simulate(), 1.0) + 0.015
+    assert largest_error(off, 1.0) > 0.2
+
+
+def test_given_a_latch_when_the_fault_is_over_then_its_alarm_stays(simulate, arm):
+    ends = Fault(arm.sensor_names[0], 'bias', onset=1.0, duration=1.0, size=0.3)
+    run = simulate(ends, duration=3.5, parameters=DiagnosisParameters(latch=True))
+    assert [a.event for a in run.alarms if a.event != AlarmEvent.UPDATED] == [AlarmEvent.RAISED]
+    assert run.alarm[-1].tolist() == [1, 0]
+
+
+BLAMED = pytest.mark.xfail(reason='beyond what the file states: a sensor is blamed', strict=True)
+
+
+@pytest.mark.parametrize('payload', [pytest.param(1.0, marks=BLAMED), 3.0])
+@paper
+def test_given_an_unstated_payload_when_it_is_lifted_then_no_position_sensor_is_blamed(
+    simulate, payload
+):
+    run = simulate(duration=3.0, payload=payload)
+    assert {a.kind for a in run.alarms} <= {'inconsistent'}
+    assert run.inconsistent.any() or (largest_error(run) < 0.01)

@@ -13,13 +13,15 @@ COUNT = 1000
 
 
 def reading(dt, noise, bits):
-    """Stamps, reading of an encoder with noise or steps, and true rate."""
+    """Stamps, reading of an encoder with noise or steps, its differences, and true rate."""
     time = dt * np.arange(COUNT)
     angle = 0.5 * np.sin(2.0 * time) + 0.1 * np.sin(7.0 * time)
     angle += noise * np.random.default_rng(0).standard_normal(COUNT)
     rate = np.cos(2.0 * time) + 0.7 * np.cos(7.0 * time)
     step = 2.0 * math.pi / 2**bits if bits else 0.0
-    return (1e9 * time).astype(int), step * np.round(angle / step) if bits else angle, rate
+    position = step * np.round(angle / step) if bits else angle
+    speed = np.diff(position, prepend=position[0]) / dt
+    return (1e9 * time).astype(int), position, speed, rate
 
 
 ENCODERS = [(1e-3, 0), (1e-4, 0), (0.0, 12), (0.0, 17)]
@@ -30,12 +32,11 @@ ENCODERS = [(1e-3, 0), (1e-4, 0), (0.0, 12), (0.0, 17)]
 def test_given_rates_when_they_have_their_own_noise_or_are_filtered_differences_then_it_is_found(
     dt, noise, bits
 ):
-    stamps, position, rate = reading(dt, noise, bits)
+    stamps, position, speed, rate = reading(dt, noise, bits)
     own = rate + 0.01 * np.random.default_rng(1).standard_normal(COUNT)
     kept = np.random.default_rng(2).random(COUNT) > 0.05  # also where samples are lost
     assert rate_source(stamps, position, own).source == 'independent'
     assert rate_source(stamps[kept], position[kept], own[kept]).source == 'independent'
-    speed = np.diff(position, prepend=position[0]) / dt
     for share in (1.0, 0.5, 0.1):
         found = rate_source(stamps, position, lfilter([share], [1.0, share - 1.0], speed))
         assert (found.source, found.explained > 0.5) == ('derived', True)
@@ -48,8 +49,7 @@ def test_given_rates_when_they_have_their_own_noise_or_are_filtered_differences_
 def test_given_filters_of_second_order_and_delays_when_tested_then_no_rates_are_independent(
     dt, noise, bits, cutoff, delay
 ):
-    stamps, position, _ = reading(dt, noise, bits)
-    speed = np.diff(position, prepend=position[0]) / dt
+    stamps, position, speed, _ = reading(dt, noise, bits)
     rate = np.concatenate([np.zeros(delay), lfilter(*butter(2, 2.0 * dt * cutoff), speed)])[:COUNT]
     found = rate_source(stamps, position, rate).source
     seen = cutoff > 10.0 and bits != 17  # noise is left behind the filter
@@ -68,7 +68,7 @@ def test_given_stamps_that_jitter_when_tested_then_independence_is_not_proved():
 
 
 def test_given_no_rates_few_samples_or_rest_when_tested_then_there_are_none_or_it_is_not_decided():
-    stamps, position, rate = reading(0.002, 1e-3, 0)
+    stamps, position, _, rate = reading(0.002, 1e-3, 0)
     for none in (np.zeros(COUNT), np.full(COUNT, np.nan)):
         assert rate_source(stamps, position, none).source == 'none'
     for few in ((stamps[:100], position[:100], rate[:100]), ([], [], [])):

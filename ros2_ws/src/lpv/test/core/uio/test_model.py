@@ -1,0 +1,421 @@
+"""The planar arm: dynamics, joints, kinematics, both polytopes, state space (13)-(37), its file.
+
+Torques of any planar arm are compared with the chain of Pinocchio in `test_serial_dynamics`; rates
+and accelerations of joints are those of `test_path`.
+"""
+
+import math
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from parts import energy
+from planar_formulas import inertia, scheduling, weights
+from scipy.optimize import nnls
+
+from lpv.core.simulation.paper_plant import PaperPlant
+from lpv.core.simulation.scenario import Scenario
+from lpv.core.support.errors import ConfigError, UnreachableError
+from lpv.core.uio.model import polytope
+from lpv.core.uio.model.dynamics import acceleration, inverse_dynamics
+from lpv.core.uio.model.joints import JointMap
+from lpv.core.uio.model.kinematics import forward, inverse, joint_motion
+from lpv.core.uio.model.polytope import sinc_box, vertex_matrices
+from lpv.core.uio.model.state_space import (
+    Descriptor,
+    disturbance_matrix,
+    lpv_acceleration,
+    output_matrices,
+)
+from lpv.core.uio.planar import is_planar, planar_links, planar_model, plane_of, serial_from_planar
+
+ANGLE, RATE, TORQUE = st.floats(-6.0, 6.0), st.floats(-8.0, 8.0), st.floats(-100.0, 100.0)
+ANYWHERE = st.floats(-1e6, 1e6) | st.floats(-1.0, 1.0)
+BEARING = st.floats(-math.pi, math.pi)
+ELBOW = st.sampled_from(['positive', 'negative'])
+LENGTH = st.floats(0.1, 3.0)
+PAIR = st.tuples(st.floats(-10, 10), st.floats(-10, 10)).map(np.array)
+SHARE = st.floats(-1.0, 1.0)
+
+# ------------------------------------------------------------------ rigid-body dynamics
+
+
+@given(ANGLE, ANGLE, RATE, RATE, TORQUE, TORQUE)
+def test_given_any_state_when_it_moves_then_its_torques_come_back(
+    paper_model, real_model, th_1, th_2, v_1, v_2, u_1, u_2
+):
+    for arm in (replace(paper_model, viscous=(0.3, 0.2), coulomb=(0.5, 0.4)), real_model):
+        c = arm.constants()
+        acc = acceleration(th_1, th_2, v_1, v_2, u_1, u_2, c)
+        back = inverse_dynamics(th_1, th_2, v_1, v_2, *acc, c)
+        assert back == pytest.approx((u_1, u_2), abs=1e-9)
+
+
+def test_given_the_coriolis_term_dropped_when_links_turn_then_no_centripetal_torque_is_left(
+    paper_model,
+):
+    c = paper_model.constants(coriolis=False)
+    still = inverse_dynamics(0.3, -0.4, 0.0, 0.0, 0.1, 0.2, c)
+    assert inverse_dynamics(0.3, -0.4, 3.0, -2.0, 0.1, 0.2, c) == pytest.approx(still, rel=1e-14)
+
+
+def test_given_table_1_when_constants_are_formed_then_they_are_those_of_eq_2_not_eq_5(paper_model):
+    c = paper_model.constants()
+    assert c.inertia[0] == pytest.approx(10 * 0.25 + 5 * 1.0 + 0.83)  # 8.33; 4.58 as printed
+    assert c.inertia[1] == pytest.approx(1.66)
+    assert (c.coupling, c.rotor_coupling) == (pytest.approx(2.5), 0.0)
+    np.testing.assert_allclose(c.gravity, [98.0, 24.5])
+
+
+@given(ANGLE, ANGLE, RATE, RATE, st.floats(0.0, 20.0))
+def test_given_a_payload_when_energy_is_taken_then_it_is_the_arm_and_a_point_mass_at_the_tip(
+    paper_model, real_model, th_1, th_2, v_1, v_2, mass
+):
+    for arm in (paper_model, real_model):
+        lengths, theta = np.array(arm.lengths), np.array([th_1, th_2])
+        turn = lengths * np.array([np.cos(theta), -np.sin(theta)])
+        tip_rate = turn @ (v_1, v_2)
+        extra = 0.5 * mass * tip_rate @ tip_rate + mass * arm.gravity * turn[0].sum()
+        loaded = energy(th_1, th_2, v_1, v_2, arm.with_payload(mass).constants())
+        bare = energy(th_1, th_2, v_1, v_2, arm.constants())
+        assert loaded == pytest.approx(bare + extra, rel=1e-10, abs=1e-9)
+
+
+@pytest.mark.parametrize('mass', [-6.0, math.nan])
+def test_given_an_impossible_payload_when_attached_then_it_is_refused_by_name(paper_model, mass):
+    with pytest.raises(ConfigError, match='payload'):
+        paper_model.with_payload(mass)
+
+
+def test_given_factors_when_the_arm_is_scaled_then_each_constant_follows_its_link(paper_model):
+    own = tuple(replace(b, inertia=i) for b, i in zip(paper_model.links, (0.83, 0.41)))
+    about_center = replace(paper_model, links=own, inertia_reference='center_of_mass')
+    c = about_center.scaled((1.2, 0.9), (1.5, 0.5)).constants()
+    expected = [1.2 * 2.5 + 1.5 * 0.83 + 0.9 * 5.0, 0.9 * 1.25 + 0.5 * 0.41]
+    np.testing.assert_allclose(c.inertia, expected)
+    assert c.coupling == pytest.approx(0.9 * 2.5)
+    np.testing.assert_allclose(c.gravity, [9.8 * (1.2 * 5.0 + 0.9 * 5.0), 0.9 * 24.5])
+    np.testing.assert_array_equal(paper_model.scaled().constants(), paper_model.constants())
+    c = paper_model.scaled((1.2, 0.9), (1.5, 0.5)).constants()  # inertias about the joints
+    np.testing.assert_allclose(c.inertia, [1.5 * (2.5 + 0.83) + 0.9 * 5.0, 0.5 * (1.25 + 0.41)])
+
+
+# ------------------------------------------------------------------ joints and tip
+
+
+def conversions(joints):
+    """Each conversion, and the one back."""
+    pairs = ((f'absolute_{of}', f'joint_{of}') for of in ('position', 'velocity', 'torque'))
+    return [(getattr(joints, there), getattr(joints, back)) for there, back in pairs]
+
+
+@given(PAIR, PAIR)
+def test_given_any_pair_when_converted_then_it_comes_back_and_power_and_rates_are_the_same(
+    paper_model, real_model, pair, rate
+):
+    for arm in (paper_model, real_model):
+        joints, h = JointMap(arm), 1e-6
+        for there, back in conversions(joints):
+            np.testing.assert_allclose(back(there(pair)), pair, atol=1e-13)
+            np.testing.assert_allclose(there(back(pair)), pair, atol=1e-13)
+        absolute = joints.absolute_torque(pair) @ joints.absolute_velocity(rate)
+        assert absolute == pytest.approx(pair @ rate, abs=1e-12)
+        moved = (joints.absolute_position(pair + h * rate) - joints.absolute_position(pair)) / h
+        np.testing.assert_allclose(moved, joints.absolute_velocity(rate), atol=1e-7)
+
+
+def test_given_both_arms_when_upright_or_hanging_then_zeros_and_torques_are_those_of_their_files(
+    paper_model, real_model
+):
+    upright, hanging = JointMap(paper_model), JointMap(real_model)
+    np.testing.assert_array_equal(upright.absolute_torque([5.0, 2.0]), [3.0, 2.0])
+    np.testing.assert_allclose(upright.absolute_position([math.pi / 2, 0.0]), 0.0, atol=1e-15)
+    np.testing.assert_allclose(upright.absolute_position([0.0, 0.0]), -math.pi / 2)
+    expected = [math.pi + 0.2, math.pi + 0.5]
+    np.testing.assert_allclose(hanging.absolute_position([0.2, 0.3]), expected)
+
+
+def test_given_a_batch_when_converted_or_solved_then_every_row_alone_and_a_bad_one_is_named(arm):
+    batch = np.random.default_rng(3).uniform(0.2, 1.0, (4, 5, 2))
+    lengths = 1.0, 0.9
+    methods = sum(conversions(JointMap(arm)), ()) + (lambda points: inverse(points, lengths),)
+    for method in methods:
+        rows = np.array([[method(pair) for pair in row] for row in batch])
+        np.testing.assert_allclose(method(batch), rows, rtol=1e-15, atol=1e-15)
+    batch[1, 2] = 7.5, 0.25
+    for bad in (batch, batch[1]):
+        with pytest.raises(UnreachableError, match=r'\(7.5, 0.25\)'):
+            inverse(bad, lengths)
+
+
+@given(st.floats(0.001, 0.999) | st.sampled_from([0.0, 1.0]), BEARING, ELBOW, LENGTH, LENGTH)
+def test_given_a_reachable_point_or_one_on_the_border_when_solved_then_the_tip_is_there(
+    share, bearing, elbow, l_1, l_2
+):
+    radius = abs(l_1 - l_2) + share * (l_1 + l_2 - abs(l_1 - l_2))
+    point = radius * np.array([math.cos(bearing), math.sin(bearing)])
+    q = inverse(point, (l_1, l_2), elbow)
+    np.testing.assert_allclose(forward(q, (l_1, l_2)), point, atol=1e-12)
+    assert q[1] >= 0.0 if elbow == 'positive' else q[1] <= 0.0
+
+
+def test_given_a_point_out_of_reach_or_a_singularity_when_solved_then_the_error_says_so():
+    for point in ((2.001, 0.0), (0.1, 0.1), (math.nan, 1.0), (0.5, math.inf), (1e308, 1e308)):
+        with pytest.raises(UnreachableError, match=r'out of reach.*\[0.4, 2\] m'):
+            inverse(point, (1.2, 0.8))
+    ones, lengths = np.ones(2), (1.0, 1.0)
+    for q_2 in (0.0, 5e-4, math.pi, -math.pi):
+        with pytest.raises(UnreachableError, match='singularity'):
+            joint_motion(np.array([0.3, q_2]), ones, ones, lengths)
+    rate, _ = joint_motion(np.array([0.3, math.nan]), ones, ones, lengths)
+    assert np.isnan(rate).all()  # NaN stays NaN, never a number
+
+
+# ------------------------------------------------------------------ polytopes
+
+
+def weights_of(phi, box):
+    rho = np.full(8, np.nan)
+    polytope.paper_weights(*phi, np.ascontiguousarray(box, float), rho)
+    return rho
+
+
+@given(ANYWHERE, ANYWHERE, ANYWHERE, st.floats(-0.2, 0.9))
+def test_given_a_point_anywhere_when_weighted_then_eqs_11_and_12_form_the_nearest_one_of_the_box(
+    a, b, c, s_min
+):
+    box = sinc_box(s_min)
+    rho, vertices = weights_of((a, b, c), box), polytope.paper_vertices(box)
+    assert rho.min() >= 0.0 and rho.sum() == pytest.approx(1.0, abs=1e-14)
+    np.testing.assert_allclose(rho, weights((a, b, c), box), rtol=1e-14, atol=1e-15)
+    np.testing.assert_allclose(rho @ vertices, np.clip((a, b, c), *box.T), atol=1e-14)
+    np.testing.assert_array_equal(vertices, list(product(*box)))
+
+
+@given(st.floats(-20.0, 20.0) | st.sampled_from([0.0, 1e-300, 0.99999e-4, 1e-4, 1.00001e-4]), ANGLE)
+def test_given_angles_when_scheduled_then_eqs_6_and_9_hold_also_where_the_series_ends(one, two):
+    assert polytope.sinc(one) == pytest.approx(np.sinc(one / np.pi), rel=1e-14, abs=1e-15)
+    phi = polytope.paper_scheduling(one, two)
+    assert phi[0] == math.cos(one - two)
+    assert phi[1] * one == pytest.approx(math.sin(one), abs=1e-14)
+    assert phi[2] * two == pytest.approx(math.sin(two), abs=1e-15)
+
+
+def test_given_phi_1_of_zero_when_b_is_interpolated_then_it_is_1_83_times_the_arms(paper_model):
+    box, theta = sinc_box(-0.2), (math.pi / 4, -math.pi / 4)  # phi1 = cos(pi/2)
+    _, b = vertex_matrices(box, paper_model.constants())
+    interpolated = np.tensordot(weights_of(scheduling(theta), box), b, 1)[2:]
+    true = np.linalg.inv(inertia(theta, paper_model.constants()))
+    np.testing.assert_allclose(np.diag(interpolated) / np.diag(true), 1.83, atol=0.01)
+
+
+def cross(a, b):
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+
+
+def test_given_the_quadrangle_when_compared_with_the_arc_then_it_holds_it_and_is_no_bounding_box(
+    arm,
+):
+    c = arm.constants()
+    corners = polytope.inverse_inertia_quadrangle(c)
+    s = c.rotor_coupling + c.coupling * np.linspace(-1.0, 1.0, 2001)
+    det = c.inertia[0] * c.inertia[1] - s**2
+    arc, size = np.column_stack([1.0 / det, s / det]), np.prod(np.ptp(corners, axis=0))
+    side = np.roll(corners, -1, axis=0) - corners
+    turns = cross(side, np.roll(side, -1, axis=0))
+    inside = cross(side[:, None], arc - corners[:, None])
+    assert np.all(np.sign(turns[0]) * turns > 1e-3 * size)  # convex
+    assert np.all(np.sign(turns[0]) * inside > -1e-12 * size)
+    x, y = corners.T
+    area = 0.5 * abs(x @ np.roll(y, -1) - y @ np.roll(x, -1))
+    assert area < 0.7 * np.prod(np.ptp(arc, axis=0))
+    np.testing.assert_allclose(corners[[0, 3]], arc[[0, -1]], rtol=1e-12)
+
+
+def in_region(arm, *shares):
+    """Angles whose slopes fill the arm's region, on both sides of the vertical."""
+    rest = 0.0 if arm.orientation == 'upright' else math.pi
+    return rest + np.array(shares) * np.arccos(arm.cos_min)
+
+
+@settings(max_examples=50)
+@given(SHARE, SHARE)
+def test_given_a_configuration_in_the_region_when_combined_then_16_vertices_are_the_arm(
+    paper_model, real_model, share_1, share_2
+):
+    for arm in (paper_model, real_model):
+        c, theta = arm.constants(), in_region(arm, share_1, share_2)
+        xi = inertia(theta, c)
+        point = np.array([1.0, xi[0, 1]]) / np.linalg.det(xi)
+        corners = polytope.inverse_inertia_quadrangle(c)
+        scale = np.abs(corners).max(axis=0)
+        equations = np.vstack([(corners / scale).T, np.ones(4)])
+        corner, rest = nnls(equations, [*point / scale, 1.0])  # a convex combination
+        assert rest < 1e-12
+        low, high = polytope.slope_range(arm)
+        share = (np.cos(theta) - low) / (high - low)
+        rho = np.einsum('i,j,k->ijk', corner, *([1.0 - v, v] for v in share)).ravel()
+        assert rho.min() >= -1e-12
+        pairs = [polytope.exact_state_space(v, c) for v in polytope.exact_vertices(arm)]
+        a, b = (np.tensordot(rho, [pair[i] for pair in pairs], 1) for i in range(2))
+        inverse_xi = np.linalg.inv(xi)
+        slope = inverse_xi @ np.diag(c.gravity * np.cos(theta))
+        np.testing.assert_allclose(a[2:, :2], slope, atol=1e-6 * np.abs(slope).max())
+        np.testing.assert_allclose(b[2:], inverse_xi, atol=1e-6 * np.abs(inverse_xi).max())
+
+
+@given(SHARE, SHARE, SHARE, SHARE)
+def test_given_angle_and_estimate_in_the_region_when_sines_differ_then_the_slope_is_in_the_hull(
+    paper_model, real_model, one, two, three, four
+):
+    for arm in (paper_model, real_model):
+        low, high = polytope.slope_range(arm)
+        theta, guess = in_region(arm, one, two), in_region(arm, three, four)
+        gap = theta - guess
+        apart = np.abs(gap) > 1e-6
+        slope = (np.sin(theta) - np.sin(guess))[apart] / gap[apart]
+        assert np.all(slope >= low[apart] - 1e-9) and np.all(slope <= high[apart] + 1e-9)
+
+
+def test_given_both_orientations_when_slopes_are_bounded_then_they_mirror(paper_model):
+    upright = replace(paper_model, cos_min=(0.3, 0.5))
+    np.testing.assert_array_equal(polytope.slope_range(upright), [[0.3, 0.5], [1.0, 1.0]])
+    hanging = replace(upright, orientation='hanging')
+    np.testing.assert_array_equal(polytope.slope_range(hanging), [[-1.0, -1.0], [-0.3, -0.5]])
+
+
+# ------------------------------------------------------------------ state space
+
+
+@pytest.fixture(scope='module')
+def published(paper_model):
+    """Vertices over the published box."""
+    return vertex_matrices(sinc_box(-0.2), paper_model.constants(coriolis=False))
+
+
+def lpv_right_side(x, u, push=(0.0, 0.0)):
+    """Eq. (25) with the numbers of Table 1."""
+    ranges, total = ((-1.0, 1.0), (-0.2, 1.0), (-0.2, 1.0)), np.array([0.0, 0.0, *push])
+    for rho, phi in zip(weights(scheduling(x), ranges), product(*ranges)):
+        xi = [[8.33, 2.5 * phi[0]], [2.5 * phi[0], 1.66]]
+        force = np.array([98.0 * phi[1], 24.5 * phi[2]]) * x[:2] + u
+        total += rho * np.concatenate([x[2:], np.linalg.solve(xi, force)])
+    return total
+
+
+@given(ANGLE, ANGLE, RATE, RATE, TORQUE, TORQUE)
+def test_given_any_state_when_the_lpv_plant_is_evaluated_then_it_is_eq_25(
+    published, th_1, th_2, v_1, v_2, u_1, u_2
+):
+    x, u, got = np.array([th_1, th_2, v_1, v_2]), np.array([u_1, u_2]), np.empty(2)
+    lpv_acceleration(x, u, (*published, sinc_box(-0.2)), got)
+    np.testing.assert_allclose(got, lpv_right_side(x, u)[2:], rtol=1e-11, atol=1e-11)
+
+
+def test_given_torque_and_disturbance_when_the_lpv_plant_steps_then_it_is_runge_kutta(
+    paper_arm, paper_model
+):
+    x, u, push, dt = np.array([0.3, -0.2, 0.5, -0.4]), (20.0, -7.0), (0.14, -0.05), 0.01
+    rates = [lpv_right_side(x, u, push)]
+    for part in (dt / 2, dt / 2, dt):
+        rates.append(lpv_right_side(x + part * rates[-1], u, push))
+    expected = x + dt / 6 * np.array([1, 2, 2, 1]) @ rates
+    joints = JointMap(paper_model)
+    plant = PaperPlant(paper_arm, Scenario('', 1.0, 0, (), (), plant='lpv', sinc_min=-0.2))
+    motion = np.array([joints.joint_position(x[:2]), joints.joint_velocity(x[2:])])
+    plant.advance(motion, joints.joint_torque(u), joints.joint_velocity(push), dt, 1)
+    np.testing.assert_allclose(joints.absolute_position(motion[0]), expected[:2], atol=1e-13)
+    np.testing.assert_allclose(joints.absolute_velocity(motion[1]), expected[2:], atol=1e-13)
+
+
+def test_given_both_arrangements_when_outputs_and_disturbance_are_formed_then_eqs_29_to_31_hold(
+    paper_model, real_model
+):
+    c, df = output_matrices(paper_model)
+    np.testing.assert_array_equal(c, np.eye(4))
+    np.testing.assert_array_equal(df, np.eye(4)[:, :2])
+    c, df = output_matrices(real_model)
+    np.testing.assert_array_equal(c, np.kron(np.eye(2), [[1.0, 0.0], [-1.0, 1.0]]))
+    # In absolute coordinates a fault of encoder 1 shifts both angles: Df = [[1, 0], [1, 1], ...].
+    np.testing.assert_allclose(np.linalg.inv(c) @ df, [[1, 0], [1, 1], [0, 0], [0, 0]])
+    np.testing.assert_array_equal(disturbance_matrix(paper_model), [[0], [0], [0.7], [0]])
+    np.testing.assert_array_equal(disturbance_matrix(real_model), [[0], [0], [1.0], [0]])
+
+
+def test_given_vertices_when_augmented_then_eqs_35_to_37_hold_and_47_has_a_solution(arm):
+    a, b = vertex_matrices(sinc_box(-0.2), arm.constants(coriolis=False))
+    d, (c, df) = Descriptor(a, b, arm), output_matrices(arm)
+    np.testing.assert_array_equal(d.e, np.diag([1, 1, 1, 1, 0, 0]))
+    np.testing.assert_array_equal(d.c, np.hstack([c, df]))
+    np.testing.assert_array_equal(d.bf, [[0, 0]] * 4 + [[1, 0], [0, 1]])
+    np.testing.assert_array_equal(d.bd, np.vstack([disturbance_matrix(arm), np.zeros((2, 1))]))
+    # Eq. (36) row by row: x' = A x + B u + Bd d, and 0 = -f + f.
+    x, f, u = np.split(np.random.default_rng(5).normal(size=8), [4, 6])
+    for i in range(8):
+        right = d.a[i] @ np.concatenate([x, f]) + d.b[i] @ u + d.bf @ f
+        np.testing.assert_allclose(right[:4], a[i] @ x + b[i] @ u, rtol=1e-12)
+        np.testing.assert_array_equal(right[4:], 0.0)
+    assert np.linalg.matrix_rank(np.vstack([d.e, d.c])) == 6  # every vertex is causal, y shows f
+
+
+# ------------------------------------------------------------------ as an arm file states it
+
+
+def test_given_a_shipped_arm_when_converted_there_and_back_then_it_is_the_same(
+    paper_arm, real_arm, arm, gains_of
+):
+    again, shipped = planar_model(serial_from_planar(arm)), (paper_arm, real_arm)
+    (serial,) = (one for one in shipped if one.name == arm.name)
+    assert arm.sha256() == gains_of[arm.name].arm_sha256
+    assert again.joint_names == serial.joint_names and again.sensor_names == serial.sensor_names
+    for field in ('rotor', 'viscous', 'coulomb', 'zero_angle', 'gravity', 'cos_min'):
+        one, other = getattr(again, field), getattr(arm, field)
+        np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-12, err_msg=field)
+    links = [[list(vars(link).values()) for link in one.links] for one in (again, arm)]
+    np.testing.assert_allclose(*links, rtol=1e-12, atol=1e-12)
+    assert (again.arrangement, again.orientation) == (arm.arrangement, arm.orientation)
+
+
+def test_given_an_arm_turned_about_the_vertical_when_converted_then_it_is_the_same(paper_arm):
+    turned = replace(paper_arm, base_orientation=(0.0, 0.0, 0.7))
+    assert planar_model(turned) == planar_model(paper_arm)
+    origin, plane = plane_of(paper_arm)
+    np.testing.assert_allclose(plane, [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], atol=1e-12)
+    np.testing.assert_array_equal(origin, 0.0)
+
+
+def joint(arm, index, **change):
+    joints = list(arm.joints)
+    joints[index] = replace(joints[index], **change)
+    return replace(arm, joints=tuple(joints))
+
+
+REFUSED = {
+    'a third joint': lambda a: replace(a, joints=(*a.joints, replace(a.joints[1], name='x'))),
+    'skew axes': lambda a: joint(a, 1, orientation=(0.3, 0.0, 0.0)),
+    'no length': lambda a: replace(a, tip=(0.0, 0.0, 0.0)),
+    'a mass beside its link': lambda a: joint(
+        a, 0, link=replace(a.joints[0].link, first_moment=(5.0, 0.0, 0.5))
+    ),
+    'no vertical plane': lambda a: replace(a, base_orientation=(np.pi / 2, 0.0, 0.0)),
+}
+
+
+@pytest.mark.parametrize('change', REFUSED.values(), ids=REFUSED)
+def test_given_an_arm_that_is_not_planar_when_converted_then_the_reason_is_said(paper_arm, change):
+    arm = change(paper_arm)
+    assert is_planar(paper_arm) and not is_planar(arm)
+    with pytest.raises(ConfigError, match='lpv: is for planar arms of two links: '):
+        planar_model(arm)
+
+
+def test_given_no_region_or_other_sensors_when_converted_then_it_is_refused(paper_arm, paper_model):
+    arm = replace(paper_arm, lpv=None)
+    with pytest.raises(ConfigError, match='lpv: is missing'):
+        planar_model(arm)
+    assert planar_links(arm).links == paper_model.links
+    with pytest.raises(ConfigError, match='sensor_matrix'):
+        planar_model(replace(paper_arm, sensor_matrix=((1.0, 0.0), (0.5, 1.0))))
