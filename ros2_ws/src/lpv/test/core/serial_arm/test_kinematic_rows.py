@@ -17,29 +17,37 @@ from lpv.core.serial_arm.diagnosis.bank import (
 from lpv.core.serial_arm.diagnosis.estimator import HorizonPlan
 from lpv.core.serial_arm.diagnosis.linear_bank import new_rows
 
+ARM = shoulder_arm('independent')
+PLAN = HorizonPlan.of(ARM.sample_time)
+LENGTH = PLAN.interval / PLAN.blocks
+"""Of a block [s]."""
 
-def rows_of(**noise):
-    """Rows of three joints whose readings have such noise, and the plan of their balances."""
-    arm = shoulder_arm('independent')
-    joints = (replace(j, sensors=replace(j.sensors, **noise)) for j in arm.joints)
-    arm = replace(arm, joints=tuple(joints))
-    plan = HorizonPlan.of(arm.sample_time)
-    return KinematicRows(arm, plan), plan
+
+def rows_of(time, position, rate, missing=0.0, learns=False, **noise):
+    """Rows of three joints whose readings have such noise, after blocks of such means.
+
+    Blocks are longer by ``missing`` [s], in which there were no samples.
+    """
+    joints = (replace(j, sensors=replace(j.sensors, **noise)) for j in ARM.joints)
+    rows = KinematicRows(replace(ARM, joints=tuple(joints)), PLAN)
+    blocks = np.zeros((len(time), 13))
+    blocks[:, :3], blocks[:, 3:6], blocks[:, 9], blocks[:, 10] = position, rate, time, LENGTH
+    blocks[:, 10] += missing
+    for k in range(2 * PLAN.blocks, len(blocks) + 1, PLAN.blocks):
+        take_row(rows.parts, blocks[k - 2 * PLAN.blocks : k], PLAN.interval)
+        if learns and rows.held > 1:
+            learn_rows(rows.parts, PLAN.interval)
+    return rows.parts
 
 
 def sums(noise=1e-3, step=0.0, rate=0.0, jump=0.0):
     """Sums of the rows of half a second at a constant rate, in which a reading may jump."""
-    rows, plan = rows_of(position_noise=noise, quantization=step)
-    length = plan.interval / plan.blocks
-    time = length * np.arange(30 * plan.blocks)
-    blocks = np.zeros((len(time), 13))
-    blocks[:, :3], blocks[:, 3:6] = rate * time[:, None], rate
-    blocks[-3 * plan.blocks :, 1] += jump
-    blocks[:, 9], blocks[:, 10] = time, length
-    for k in range(2 * plan.blocks, len(blocks) + 1, plan.blocks):
-        take_row(rows.parts, blocks[k - 2 * plan.blocks : k], plan.interval)
+    time = LENGTH * np.arange(30 * PLAN.blocks)
+    position = rate * np.repeat(time[:, None], 3, 1)
+    position[-3 * PLAN.blocks :, 1] += jump
     found = new_rows(1, 3)
-    sum_rows(rows.parts, plan.interval, np.array([10]), found)
+    parts = rows_of(time, position, rate, position_noise=noise, quantization=step)
+    sum_rows(parts, PLAN.interval, np.array([10]), found)
     return found
 
 
@@ -49,23 +57,14 @@ def learned(error=0.0, lag=0.0, missing=0.0, seed=1):
     Stamps are off by a deviation of ``error`` [s], rates late by ``lag`` [s], and every fourth
     interval lacks samples for ``missing`` [s], in which the rate is late by a tenth of a second.
     """
-    rows, plan = rows_of(position_noise=1e-5, quantization=0.0, velocity_noise=1e-4)
-    length, rng = plan.interval / plan.blocks, np.random.default_rng(seed)
-    time = length * np.arange(round(60.0 / length))
-    taken = time + error * rng.normal(size=len(time))
-    speed = np.array([1.0, 2.0, 3.0])
-    blocks = np.zeros((len(time), 13))
-    blocks[:, :3] = np.sin(taken[:, None] * speed)
-    late = np.full(len(time), lag)
-    spoiled = np.arange(len(time)) // plan.blocks % 4 == 3
-    late[spoiled] = max(lag, 0.1) if missing else lag
-    blocks[:, 3:6] = speed * np.cos((time - late)[:, None] * speed)
-    blocks[:, 9], blocks[:, 10] = time, length + missing * spoiled
-    for k in range(2 * plan.blocks, len(blocks) + 1, plan.blocks):
-        take_row(rows.parts, blocks[k - 2 * plan.blocks : k], plan.interval)
-        if rows.held > 1:
-            learn_rows(rows.parts, plan.interval)
-    return rows.parts
+    time, speed = LENGTH * np.arange(round(60.0 / LENGTH)), np.array([1.0, 2.0, 3.0])
+    taken = time + error * np.random.default_rng(seed).normal(size=len(time))
+    spoiled = np.arange(len(time)) // PLAN.blocks % 4 == 3
+    late = np.where(spoiled & (missing > 0.0), max(lag, 0.1), lag)
+    rate = speed * np.cos((time - late)[:, None] * speed)
+    return rows_of(
+        time, np.sin(taken[:, None] * speed), rate, missing * spoiled, learns=True,
+        position_noise=1e-5, quantization=0.0, velocity_noise=1e-4)  # fmt: skip
 
 
 @pytest.mark.parametrize('error', [0.0, 5e-4])
@@ -97,8 +96,7 @@ def test_given_a_reading_that_jumps_when_summed_then_its_own_row_holds_the_jump(
 
 
 def test_given_no_rows_when_asked_then_rates_do_not_agree_and_nothing_speaks():
-    arm = shoulder_arm('independent')
-    rows = KinematicRows(arm, HorizonPlan.of(arm.sample_time))
+    rows = KinematicRows(ARM, PLAN)
     assert not rows.agrees(1, 0.0) and not loudest_window(rows.parts, 0.05) > 0.0
 
 

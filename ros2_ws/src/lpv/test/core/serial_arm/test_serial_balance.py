@@ -71,13 +71,9 @@ def column(rows, group, joint):
     return rows[:, :, 1 + 3 * group + joint]
 
 
-def test_balance_of_the_true_arm_is_zero(chain, blocks):
-    residual = rows_of(chain, blocks)[:, :, 0]
-    assert np.abs(residual).max() < 2e-3 * np.abs(blocks[:, 6:9]).max() * 0.05
-
-
-def test_columns_of_offsets_are_derivatives(chain, blocks):
+def test_balance_of_the_true_arm_is_zero_and_columns_of_offsets_are_its_derivatives(chain, blocks):
     rows = rows_of(chain, blocks)
+    assert np.abs(rows[:, :, 0]).max() < 2e-3 * np.abs(blocks[:, 6:9]).max() * 0.05
     for joint in range(3):
         step = 1e-4 * np.eye(3)[joint]
         ahead, behind = (rows_of(chain, blocks, reference=sign * step) for sign in (1, -1))
@@ -85,13 +81,18 @@ def test_columns_of_offsets_are_derivatives(chain, blocks):
         np.testing.assert_allclose(column(rows, OFFSET, joint), expected, atol=1e-3)
 
 
-@pytest.mark.parametrize(('group', 'field'), [(VISCOUS, 0), (COULOMB, 1), (TORQUE, 3)])
-def test_columns_of_friction_are_exact(chain, blocks, group, field):
-    friction = chain.friction.copy()
-    friction[1, field] += 0.2
-    change = rows_of(chain._replace(friction=friction), blocks) - rows_of(chain, blocks)
-    expected = 0.2 * column(rows_of(chain, blocks), group, 1)
-    np.testing.assert_allclose(change[:, :, 0], expected, atol=1e-12)
+@pytest.mark.parametrize(
+    ('group', 'field'), [(VISCOUS, 0), (COULOMB, 1), (TORQUE, 3), (GAIN, None)]
+)
+def test_columns_of_friction_and_of_torque_gains_are_exact(chain, blocks, group, field):
+    friction, louder = chain.friction.copy(), blocks.copy()
+    if group == GAIN:
+        louder[:, 7] *= 1.2
+    else:
+        friction[1, field] += 0.2
+    rows = rows_of(chain, blocks)
+    change = rows_of(chain._replace(friction=friction), louder) - rows
+    np.testing.assert_allclose(change[:, :, 0], 0.2 * column(rows, group, 1), atol=1e-12)
 
 
 def test_columns_of_parameter_directions_are_exact(chain, blocks):
@@ -117,14 +118,6 @@ def test_given_masses_and_friction_identified_together_then_they_are_wrong_toget
     directions, drives = parameter_directions(chain, factor, np.full(3, 2.0))
     assert len(directions) == 1
     assert drives[0, 2, 3] / directions[0, 2, 1] == pytest.approx(-20.0)
-
-
-def test_column_of_a_torque_gain_is_the_torque(chain, blocks):
-    louder = blocks.copy()
-    louder[:, 7] *= 1.1
-    change = rows_of(chain, louder)[:, :, 0] - rows_of(chain, blocks)[:, :, 0]
-    expected = 0.1 * column(rows_of(chain, blocks), GAIN, 1)
-    np.testing.assert_allclose(change, expected, atol=1e-12)
 
 
 def window_of(rows, weights, capacity, past=0.5):
