@@ -151,9 +151,7 @@ def test_given_a_damaged_file_when_imported_then_only_an_error_comes_out(convert
     assert not (convert.folder / 'bag').exists()
 
 
-def test_given_no_file_an_existing_bag_or_a_long_delimiter_when_imported_then_it_is_an_error(
-    convert, tmp_path
-):
+def test_given_no_file_or_an_existing_bag_when_imported_then_it_is_an_error(convert, tmp_path):
     _, _, out = convert(HEADER + LINES)
     before = {file.name: file.read_bytes() for file in out.iterdir()}
     columns = load_column_map(out.parent / 'columns.yaml')
@@ -200,7 +198,7 @@ def test_given_a_map_with_a_mistake_when_loaded_then_the_field_is_named(tmp_path
         load_column_map(tmp_path / 'columns.yaml')
 
 
-def test_given_the_command_when_run_then_it_says_how_many_samples_or_what_is_wrong(
+def test_given_the_command_when_run_then_it_says_what_is_written_or_wrong(
     tmp_path, capsys, refused
 ):
     source, mapping, out = (tmp_path / name for name in ('run.csv', 'columns.yaml', 'bag'))

@@ -474,9 +474,7 @@ def test_given_a_fault_when_its_true_size_is_asked_for_then_it_is_that_of_the_ti
         assert true_size(replace(drift, **changes), 3.0) == pytest.approx(size)
 
 
-def test_given_several_topics_when_replayed_then_joint_states_or_the_chosen_one_is_taken(
-    loop, replay, tmp_path
-):
+def test_given_several_topics_when_replayed_then_the_right_one_is_taken(loop, replay, tmp_path):
     topics = ('/a/joint_states', '/b/joint_states')
     entries = [(topic, stamp, m) for stamp, m, _ in loop[:20] for topic in topics]
     two_arms = write_bag(tmp_path / 'bag', entries, dict.fromkeys(topics, JOINT_STATE))

@@ -194,9 +194,7 @@ def test_given_one_joint_when_loaded_then_its_columns_stay_columns(tmp_path):
 
 
 @pytest.mark.parametrize('attempts', [0, 32])
-def test_given_arrays_that_do_not_fit_when_loaded_then_it_is_warned(
-    tmp_path, monkeypatch, attempts
-):
+def test_given_arrays_that_do_not_fit_when_loaded_then_it_is_said(tmp_path, monkeypatch, attempts):
     monkeypatch.setattr(decoder, '_MOST_ATTEMPTS', attempts)
     entries = []
     for k in range(4):

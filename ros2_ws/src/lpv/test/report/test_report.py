@@ -389,9 +389,7 @@ def test_given_a_browser_when_the_report_is_printed_then_all_is_there_in_black_o
     assert all(box[2:] == pytest.approx([595.3, 841.9], abs=1.5) for box in boxes)  # A4
 
 
-def test_given_the_command_when_run_then_its_table_is_shown(
-    run, gains_file, plain, tmp_path, capsys
-):
+def test_given_the_command_when_run_then_a_table_is_shown(run, gains_file, plain, tmp_path, capsys):
     out = ['--out', str(tmp_path / 'report')]
     assert main(['report', str(run), '--arm', ARM_FILE, '--scenario', SCENARIO, *out]) == 0
     said = capsys.readouterr().out
@@ -415,10 +413,7 @@ def test_given_the_command_when_run_then_its_table_is_shown(
         ({'--arm': 'unknown_arm'}, ''),
         ({'--arm': 'nothing.yaml'}, ''),
         ({'--arm': SCENARIO}, 'two_faults.yaml'),
-        (
-            {'--arm': 'renamed_joint.yaml'},
-            "'elbow' is not in joint_states, which has joint1, joint2",
-        ),
+        ({'--arm': 'renamed_joint.yaml'}, "'elbow' is not in joint_states, which has joint1"),
         ({'--scenario': 'unknown_scenario'}, ''),
         ({'--scenario': ARM_FILE}, 'paper.yaml'),
         ({'--gains': 'nothing.yaml'}, 'nothing.yaml'),
