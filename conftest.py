@@ -28,6 +28,10 @@ with contextlib.suppress(ImportError):  # an older one draws none
 settings.register_profile('lpv', deadline=None, derandomize=True, database=None, max_examples=200)
 settings.load_profile('lpv')
 
+from lpv.core.serial_arm.arm_file import load_arm  # noqa: E402
+from lpv.core.simulation.scenario import load_scenario  # noqa: E402
+from lpv.core.uio.certificate.gains import load_gains  # noqa: E402
+from lpv.core.uio.planar import planar_model  # noqa: E402
 
 _ROS = importlib.util.find_spec('rclpy') is not None
 _OF_ROS = re.compile(r'^(import|from) (rclpy|hostile|lpv_node import|\w+_msgs)\b', re.MULTILINE)
@@ -64,32 +68,23 @@ def hangup_acts():
 @pytest.fixture(scope='session')
 def paper_arm():
     """Arm of the paper's Table 1."""
-    from lpv.core.serial_arm.arm_file import load_arm
-
     return load_arm(BRINGUP / 'arms' / 'paper.yaml')
 
 
 @pytest.fixture(scope='session')
 def real_arm():
     """Arm of the recordings: relative encoders, hanging, with rotors and friction."""
-    from lpv.core.serial_arm.arm_file import load_arm
-
     return load_arm(BRINGUP / 'arms' / 'real_arm.yaml')
 
 
 @pytest.fixture(scope='session')
 def paper_model(paper_arm):
     """The same in the paper's symbols, as designs take it."""
-    from lpv.core.uio.planar import planar_model
-
     return planar_model(paper_arm)
 
 
 @pytest.fixture(scope='session')
 def real_model(real_arm):
-    """The arm of the recordings in the paper's symbols."""
-    from lpv.core.uio.planar import planar_model
-
     return planar_model(real_arm)
 
 
@@ -102,27 +97,22 @@ def arm(request):
 @pytest.fixture(scope='session')
 def two_faults():
     """Shipped scenario with an abrupt and an incipient fault."""
-    from lpv.core.simulation.scenario import load_scenario
-
     return load_scenario(BRINGUP / 'scenarios' / 'two_faults.yaml')
 
 
 def _shipped_gains(name):
     """As a design returns them: tests change numbers, which a checksum of a file would tell."""
-    from lpv.core.uio.certificate.gains import load_gains
-
     return replace(load_gains(BRINGUP / 'gains' / f'{name}.yaml'), checksum='')
 
 
 @pytest.fixture(scope='session')
 def paper_gains():
-    """Shipped gains ``paper``; tests of lpv_design check that a design gives them."""
+    """Shipped gains; tests of lpv_design check that a design gives them."""
     return _shipped_gains('paper')
 
 
 @pytest.fixture(scope='session')
 def real_gains():
-    """Shipped gains ``real_arm``; tests of lpv_design check that a design gives them."""
     return _shipped_gains('real_arm')
 
 

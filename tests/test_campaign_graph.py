@@ -36,32 +36,30 @@ SPEC = {
         'diagnosis.clear_dwell': 0.2,
     },
 }
-STREAMS = {
-    'fault_estimate',
-    'ground_truth',
-    'joint_states',
-    'reference',
-    'state_estimate',
+STREAMS = (
+    *('fault_estimate', 'ground_truth', 'joint_states', 'reference', 'state_estimate'),
     'torque_command',
-}
+)
 
 
 def run_graph(folder, files):
     """The nodes in lockstep with the files of a run; the bag that they record."""
-    arm, scenario = f'arm_file:={files / "arm.yaml"}', f'scenario_file:={files / "scenario.yaml"}'
+    awaits, scenario = 'await_recorders:=1', f'scenario_file:={files / "scenario.yaml"}'
     own = {
         'recorder': [f'output:={folder / "graph"}'],
-        'uio': [arm, 'await_recorders:=1'],
-        'tracker': [arm, scenario, 'await_recorders:=1'],
-        'simulator': [arm, scenario, 'await_recorders:=1', 'shutdown_at_end:=true'],
+        'uio': [awaits],
+        'tracker': [scenario, awaits],
+        'simulator': [scenario, awaits, 'shutdown_at_end:=true'],
     }
     with ros.graph(folder / 'log') as running:
-        for name, parameters in own.items():
-            given = [files / 'parameters.yaml']
-            given += [files / 'gains.yaml'] if name in ('uio', 'tracker') else []
-            node = running.start(name, ros.command(name, *parameters, files=given))
+        for name, given in own.items():
+            kinds = ['parameters', 'gains'] if name in ('uio', 'tracker') else ['parameters']
+            if name != 'recorder':
+                given.append(f'arm_file:={files / "arm.yaml"}')
+            line = ros.command(name, *given, files=[files / f'{kind}.yaml' for kind in kinds])
+            node = running.start(name, line)
         assert node.process.wait(1000) == 0
-        assert set(running.stop().values()) == {0}
+        ros.end(running)
     return folder / 'graph'
 
 
@@ -83,6 +81,5 @@ def test_given_a_run_of_a_campaign_when_the_graph_runs_it_then_all_signals_and_a
             expected, name = first.get(stream, field), f'{stream}.{field}'
             np.testing.assert_allclose(values, expected, rtol=0.0, atol=1e-12, err_msg=name)
     assert record.alarms == first.alarms
-    assert {a.sensor for a in run.alarms if a.event == AlarmEvent.RAISED} == set(
-        plan.arm.sensor_names
-    )
+    raised = {a.sensor for a in run.alarms if a.event == AlarmEvent.RAISED}
+    assert raised == set(plan.arm.sensor_names)

@@ -15,10 +15,6 @@ from lpv_design.requirement import load_requirement
 pytestmark = pytest.mark.fuzz
 
 
-def _load_spec(path):
-    return parse_spec(read_yaml(path))
-
-
 _KINDS = {
     'arm': (load_arm, BRINGUP / 'arms' / 'real_arm.yaml'),
     'requirement': (load_requirement, ROOT / 'design/lpv_design/requirements/real_arm.yaml'),

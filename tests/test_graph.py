@@ -1,6 +1,5 @@
 """The real graph: nodes as processes, services, alarms, recordings; nodes that cannot start."""
 
-import re
 import signal
 from dataclasses import replace
 
@@ -8,11 +7,11 @@ import numpy as np
 import pytest
 import ros
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from mcap.reader import make_reader
 from places import BRINGUP
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import DescribeParameters, ListParameters
 from rclpy.qos import qos_profile_sensor_data
+from rosbags.highlevel import AnyReader
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
@@ -42,11 +41,22 @@ path:
 """
 
 
+WRONG = '--params-file wrong.yaml'
+
+
 @pytest.fixture
 def calm(tmp_path):
     path = tmp_path / 'calm.yaml'
     path.write_text(CALM)
     return f'scenario_file:={path}'
+
+
+@pytest.fixture
+def signals_as_before():
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 def start(running, names, scenario, *parameters):
@@ -81,14 +91,21 @@ def test_given_a_running_graph_when_a_fault_is_injected_then_the_alarm_is_on_top
             assert client.wait(lambda: alarms[-1].event == FaultAlarm.CLEARED), 'not cleared'
             for name in ('uio', 'tracker', 'arm_sim', 'recorder'):
                 assert_described(client, name)
-        codes = running.stop()
-    assert set(codes.values()) == {0}, codes
+        ros.end(running)
     raised = alarms[0]
     assert (raised.event, raised.sensor) == (FaultAlarm.RAISED, 'link2_angle')
     assert raised.size == pytest.approx(0.3, abs=0.1)
     errors = [s for r in reports for s in r.status if s.level == DiagnosticStatus.ERROR]
     assert {s.hardware_id for s in errors if '/uio:' in s.name} == {'link2_angle'}
-    assert_in_bag(bag, raised)
+    with AnyReader([bag]) as reader:
+        (connection,) = (c for c in reader.connections if c.topic == '/lpv/fault_alarm')
+    assert (connection.msgtype, connection.msgdef.format.name) == ('lpv_msgs/msg/FaultAlarm', 'MSG')
+    record = load_run(bag)
+    assert len(record.alarms) == connection.msgcount
+    first = record.alarms[0]
+    assert (first.event, first.sensor, first.size) == (raised.event, raised.sensor, raised.size)
+    size = record.get('fault_estimate', 'estimate')[:, 1]
+    assert np.nanmax(size) == pytest.approx(0.3, abs=0.1)
 
 
 def assert_described(client, name):
@@ -104,22 +121,6 @@ def assert_described(client, name):
         if d.type in ranges:
             (limits,) = getattr(d, ranges[d.type])
             assert limits.from_value < limits.to_value, d.name
-
-
-def assert_in_bag(bag, raised):
-    with open(next(bag.glob('*.mcap')), 'rb') as file:
-        found = [
-            (schema.name, schema.encoding)
-            for schema, _, _ in make_reader(file).iter_messages(topics=['/lpv/fault_alarm'])
-        ]
-    record = load_run(bag)
-    assert set(found) == {('lpv_msgs/msg/FaultAlarm', 'ros2msg')}
-    assert len(found) == len(record.alarms)
-    first = record.alarms[0]
-    expected = raised.event, raised.sensor, raised.size
-    assert (first.event, first.sensor, first.size) == expected
-    size = record.get('fault_estimate', 'estimate')[:, 1]
-    assert np.nanmax(size) == pytest.approx(0.3, abs=0.1)
 
 
 def test_given_lockstep_when_nobody_answers_then_the_simulator_waits(tmp_path, calm):
@@ -147,52 +148,44 @@ def test_given_lockstep_when_nobody_answers_then_the_simulator_waits(tmp_path, c
     assert np.diff(stamps).tolist() == [2_000_000] * 3
 
 
-@pytest.fixture
-def run_here():
-    """Runs a node in this process to its end; afterwards signals do what they did."""
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-
-    def run(kind, *parameters, files=()):
-        words = [word for parameter in parameters for word in ('-p', parameter)]
-        words += [word for file in files for word in ('--params-file', str(file))]
-        return run_node(kind, ['--ros-args', *words])
-
-    yield run
-    for number, handler in before.items():
-        signal.signal(number, handler)
+SCENARIO = f'-p {ARM} -p scenario_file:='
 
 
 @pytest.mark.parametrize(
-    ('kind', 'parameters', 'told'),
+    ('kind', 'words', 'told'),
     [
-        (UioNode, (), 'arm_file: must be set'),
-        (UioNode, ('arm_file:=/nowhere.yaml',), 'nowhere.yaml'),
-        (UioNode, (f'arm_file:={BRINGUP / "arms" / "real_arm.yaml"}',), 'for another arm'),
-        (UioNode, (ARM, 'torque_source:=guess'), 'torque_source'),
-        (TrackerNode, (ARM, 'scenario_file:=/nowhere.yaml'), 'nowhere.yaml'),
-        (SimulatorNode, (ARM,), 'scenario_file: must be set'),
-        (RecorderNode, ('output:=/proc/nothing/bag',), 'cannot be written'),
-        (ViewNode, (ARM, 'port:=70000'), 'port'),
-        (ViewNode, (), 'arm_file: must be set'),
-        (ViewNode, (ARM, 'scenario_file:=/no/x.yaml'), 'neither a file nor shipped'),
-        (ViewNode, (ARM, 'address:=192.0.2.1', 'port:=0'), r'cannot listen on 192\.0\.2\.1'),
+        (UioNode, '', 'arm_file: must be set'),
+        (UioNode, '-p arm_file:=/nowhere.yaml', 'nowhere.yaml'),
+        (UioNode, f'-p arm_file:={BRINGUP / "arms" / "real_arm.yaml"}', 'for another arm'),
+        (UioNode, f'-p {ARM} -p torque_source:=guess', 'torque_source'),
+        (UioNode, '-p broken', '--ros-args: '),
+        (UioNode, '--nix', '--ros-args: '),
+        (
+            UioNode,
+            '--params-file /nowhere/gains.yaml',
+            'there is no file /nowhere/gains.yaml; gains of an arm are written by: lpv design',
+        ),
+        (UioNode, f'-p {ARM} {WRONG}', 'the certificate does not hold: observer, link 1'),
+        (TrackerNode, f'{SCENARIO}calm.yaml {WRONG}', 'does not hold: observer, link 1'),
+        (TrackerNode, f'{SCENARIO}/nowhere.yaml', 'nowhere.yaml'),
+        (SimulatorNode, f'-p {ARM}', 'scenario_file: must be set'),
+        (RecorderNode, '-p output:=/proc/nothing/bag', 'cannot be written'),
+        (ViewNode, f'-p {ARM} -p port:=70000', 'port'),
+        (ViewNode, '', 'arm_file: must be set'),
+        (ViewNode, f'{SCENARIO}/no/x.yaml', 'neither a file nor shipped'),
+        (ViewNode, f'-p {ARM} -p address:=192.0.2.1 -p port:=0', 'cannot listen on 192.0.2.1'),
     ],
 )
+@pytest.mark.usefixtures('calm', 'signals_as_before')
 def test_given_a_node_that_cannot_start_when_run_then_it_says_why_and_ends_with_code_1(
-    run_here, capfd, kind, parameters, told
+    tmp_path, capfd, monkeypatch, paper_gains, kind, words, told
 ):
-    files = [GAINS] if kind in (UioNode, TrackerNode) else []
-    assert run_here(kind, *parameters, files=files) == 1
+    monkeypatch.chdir(tmp_path)
+    wrong = replace(paper_gains.observer, kappa=3.0 * paper_gains.observer.kappa)
+    save_gains(replace(paper_gains, observer=wrong), 'wrong.yaml')
+    given = ['--ros-args', *words.split()]
+    if kind in (UioNode, TrackerNode) and '--params-file' not in words:
+        given += ['--params-file', str(GAINS)]
+    assert run_node(kind, given) == 1
     said = capfd.readouterr().err
-    assert re.search(told, said) and 'Traceback' not in said, said
-
-
-@pytest.mark.parametrize('kind', [UioNode, TrackerNode])
-def test_given_gains_whose_certificate_does_not_hold_when_started_then_the_node_refuses_them(
-    tmp_path, run_here, capfd, paper_gains, calm, kind
-):
-    observer = replace(paper_gains.observer, kappa=3.0 * paper_gains.observer.kappa)
-    save_gains(replace(paper_gains, observer=observer), tmp_path / 'gains.yaml')
-    parameters = [ARM] if kind is UioNode else [ARM, calm]
-    assert run_here(kind, *parameters, files=[tmp_path / 'gains.yaml']) == 1
-    assert 'the certificate does not hold: observer, link 1' in capfd.readouterr().err
+    assert told in said and 'Traceback' not in said, said

@@ -114,6 +114,15 @@ def test_given_a_package_when_released_then_its_manifest_set_up_and_changelog_ar
         assert sorted((package / 'test').glob('test_*.py'))
 
 
+@pytest.mark.parametrize(('real', 'scripts'), [(1, []), (None, ['ros2 = lpv_ros2cli.main:main'])])
+def test_given_a_workspace_built_by_hand_when_ros2cli_is_there_then_no_ros2_command_is_made(
+    monkeypatch, real, scripts
+):
+    monkeypatch.setattr('importlib.util.find_spec', {'ros2cli': real}.__getitem__)
+    options = options_of(ROOT / 'tools' / 'lpv_ros2cli', monkeypatch)
+    assert options['entry_points']['console_scripts'] == scripts
+
+
 def requirements(name):
     """Names and ranges that a file of requirements asks for."""
     lines = (ROOT / 'requirements' / f'{name}.txt').read_text().splitlines()

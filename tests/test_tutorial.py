@@ -13,52 +13,42 @@ from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent
 pytestmark = pytest.mark.slow
 
 TUTORIAL = ROOT / 'docs' / 'tracking.md'
-_BLOCK = re.compile(r'^```(\w+)\n(.*?)^```$', re.MULTILINE | re.DOTALL)
-
-
-def blocks(path):
-    """Kind and text of every fenced block, in order."""
-    return _BLOCK.findall(path.read_text(encoding='utf-8'))
-
-
-def run_shell(text):
-    """Run the lines of a shell block that call lpv; return the exit codes."""
-    return [main(shlex.split(line)[1:]) for line in text.splitlines() if line.startswith('lpv ')]
+BLOCKS = re.findall(
+    r'^```(\w+)\n(.*?)^```$', TUTORIAL.read_text(encoding='utf-8'), re.MULTILINE | re.DOTALL
+)
+"""Kind and text of every fenced block, in order."""
 
 
 @pytest.fixture(scope='module')
 def tutorial(tmp_path_factory):
-    """What the tutorial's session holds at its end, its folder, and its commands' exit codes."""
-    folder, namespace, codes = tmp_path_factory.mktemp('tutorial'), {}, []
+    """What the tutorial's session holds at its end, and its folder; its commands succeed."""
+    folder, namespace = tmp_path_factory.mktemp('tutorial'), {}
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        for kind, text in blocks(TUTORIAL):
+        for kind, text in BLOCKS:
             if kind == 'yaml':
                 name = text.splitlines()[0].removeprefix('# ')
                 (folder / name).write_text(text, encoding='utf-8')
             elif kind == 'python':
                 exec(compile(text, str(TUTORIAL), 'exec'), namespace)
             elif kind == 'sh':
-                codes += run_shell(text)
-    return namespace, folder, codes
+                lines = [line for line in text.splitlines() if line.startswith('lpv ')]
+                assert [main(shlex.split(line)[1:]) for line in lines] == [0] * len(lines)
+    return namespace, folder
 
 
 def test_given_the_tutorial_when_designed_then_the_certificate_holds_and_is_printed_as_shown(
     tutorial,
 ):
-    _, folder, codes = tutorial
-    assert codes == [0, 0]
-    texts = [text for kind, text in blocks(TUTORIAL) if kind == 'text']
-    shown = [line for text in texts for line in text.splitlines() if line.startswith('holds (')]
-    assert len(shown) == 4
-    header = (folder / 'gains.yaml').read_text(encoding='utf-8').splitlines()
-    printed = [line.removeprefix('# ') for line in header if line.startswith('# holds (')]
-    for line, made in zip(shown, printed):
-        assert line.split('): ')[1] == made.split('): ')[1]
+    texts = '\n'.join(text for kind, text in BLOCKS if kind == 'text')
+    shown = re.findall(r'^holds \(.*?\): (.*)$', texts, re.MULTILINE)
+    header = (tutorial[1] / 'gains.yaml').read_text(encoding='utf-8')
+    printed = re.findall(r'^# holds \(.*?\): (.*)$', header, re.MULTILINE)
+    assert len(shown) == 4 and shown == printed[:4]
 
 
 def test_given_the_tutorials_figures_when_recomputed_then_they_are_as_printed(tutorial):
-    namespace, _, _ = tutorial
+    namespace, _ = tutorial
     share = namespace['friction'] / namespace['gravity']
     np.testing.assert_allclose(namespace['gravity'], [18.9, 4.2], atol=0.05)
     np.testing.assert_allclose(share, [0.021, 0.024], atol=5e-4)
@@ -67,7 +57,7 @@ def test_given_the_tutorials_figures_when_recomputed_then_they_are_as_printed(tu
 
 
 def test_given_the_tutorials_fault_when_simulated_then_one_alarm_names_the_sensor(tutorial):
-    namespace, _, _ = tutorial
+    namespace, _ = tutorial
     assert namespace['quiet']
     (alarm,) = namespace['run'].alarms
     assert (alarm.event, alarm.sensor, alarm.kind) == (AlarmEvent.RAISED, 'elbow_encoder', 'bias')

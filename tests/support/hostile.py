@@ -138,10 +138,8 @@ class Output:
 @contextmanager
 def node_of(kind, name, *files, **parameters):
     """A configured node of a class in this process, that takes part without an executor."""
-    words = [word for key, value in parameters.items() for word in ('-p', f'{key}:={value}')]
-    words += [word for file in files for word in ('--params-file', str(file))]
-    words += ['-r', f'__ns:={ros.NAMESPACE}']
-    rclpy.init(args=['--ros-args', *words], domain_id=ros.next_domain())
+    given = ros.words(*(f'{key}:={value}' for key, value in parameters.items()), files=files)
+    rclpy.init(args=given, domain_id=ros.next_domain())
     node = kind()
     try:
         node.setup()

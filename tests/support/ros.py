@@ -8,6 +8,8 @@ import time
 from contextlib import contextmanager
 from pathlib import Path
 
+import pytest
+
 from lpv.cli.processes import Graph
 from lpv.core.support.resources import executable
 
@@ -25,6 +27,7 @@ PACKAGES = {'recorder': 'lpv_node', 'simulator': 'lpv_arm_sim', 'view': 'lpv_nod
 
 def lpv(*arguments, timeout=2000):
     """Run the command as users do; it has to succeed, and its output is returned."""
+    pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
     done = subprocess.run(
         [Path(sys.executable).parent / 'lpv', *map(str, arguments)],
         env={**os.environ, 'ROS_DOMAIN_ID': str(next_domain()), 'COLUMNS': '120'},
@@ -36,19 +39,17 @@ def lpv(*arguments, timeout=2000):
     return done.stdout
 
 
+def words(*parameters, files=()):
+    """Arguments of a node with parameters (``name:=value``) and parameter files."""
+    given = [('-r', f'__ns:={NAMESPACE}'), *(('--params-file', str(file)) for file in files)]
+    given += [('-p', parameter) for parameter in parameters]
+    return ['--ros-args', *(word for pair in given for word in pair)]
+
+
 def command(name, *parameters, files=()):
-    """Command line of a node with parameters (``name:=value``) and parameter files."""
-    line = [
-        executable(PACKAGES.get(name, f'lpv_{name}'), name),
-        '--ros-args',
-        '-r',
-        f'__ns:={NAMESPACE}',
-    ]
-    for file in files:
-        line += ['--params-file', file]
-    for parameter in parameters:
-        line += ['-p', parameter]
-    return line
+    """Command line of a node."""
+    program = executable(PACKAGES.get(name, f'lpv_{name}'), name)
+    return [program, *words(*parameters, files=files)]
 
 
 def next_domain():
@@ -106,6 +107,12 @@ class Client:
         assert self.wait(future.done), f'no answer of {name}'
         self.node.destroy_client(service)
         return future.result()
+
+
+def end(running):
+    """End all nodes of a graph, which have to end in order."""
+    codes = running.stop()
+    assert codes and set(codes.values()) == {0}, codes
 
 
 @contextmanager

@@ -58,12 +58,6 @@ class Running:
 
 def ros2(*words, **options):
     """Run a command to its end: exit code, stdout, stderr."""
-    done = subprocess.run(
-        [str(ROS2), *map(str, words)],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=200,
-        **options,
-    )
+    line = [str(word) for word in (ROS2, *words)]
+    done = subprocess.run(line, capture_output=True, text=True, timeout=200, **options)
     return done.returncode, done.stdout, done.stderr
