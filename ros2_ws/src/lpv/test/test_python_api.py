@@ -19,7 +19,7 @@ BLOCKS = re.findall(r'```python\n(.*?)```', PAGE, re.DOTALL)
 
 
 @pytest.fixture(scope='module')
-def page(tmp_path_factory):
+def page():
     """Names that the page's code leaves behind."""
     names = {}
     for block in BLOCKS:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from places import BRINGUP
 
+from lpv.cli.main import main
 from lpv.core.export.urdf import arm_urdf
 from lpv.core.support.errors import ConfigError
 
@@ -29,7 +30,6 @@ def test_given_an_inertia_that_no_body_has_when_written_then_it_is_refused_by_na
 
 
 def test_given_the_command_when_run_then_it_prints_the_urdf_of_a_file(paper_arm, capsys, tmp_path):
-    main = pytest.importorskip('lpv.cli.main').main
     file = str(BRINGUP / 'arms' / 'paper.yaml')
     assert main(['urdf', '--arm', file]) == 0
     assert capsys.readouterr().out == arm_urdf(paper_arm)

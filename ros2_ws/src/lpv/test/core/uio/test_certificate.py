@@ -18,8 +18,10 @@ from scipy.linalg import expm
 
 from lpv.cli.main import main
 from lpv.core.monitoring.parameters import DiagnosisParameters
+from lpv.core.serial_arm.certificate.claims import SERIAL_CLAIMS
 from lpv.core.support.errors import ConfigError
 from lpv.core.uio.certificate import conditions
+from lpv.core.uio.certificate.claims import CLAIMS
 from lpv.core.uio.certificate.error_system import link_errors
 from lpv.core.uio.certificate.exact_proof import is_positive_definite, prove
 from lpv.core.uio.certificate.gains import (
@@ -430,3 +432,13 @@ def test_given_gains_without_it_when_read_then_nothing_is_claimed(arm, gains_of)
     assert again.controller.motion is None and conditions.motion_checks(arm, again.controller) == []
     again = parse_gains(gains_to_dict(gains))
     assert np.array_equal(again.controller.motion.lyapunov, gains.controller.motion.lyapunov)
+
+
+def test_given_the_table_of_claims_when_the_docs_are_read_then_they_claim_the_same():
+    said = (ROOT / 'docs' / 'guarantees.md').read_text(encoding='utf-8')
+    claims = (*CLAIMS, *SERIAL_CLAIMS)
+    rows = [f'| {claim.text} | {claim.region} | {claim.evidence} |' for claim in claims]
+    rows += ['| Claim | Where | Evidence |', '|---|---|---|']
+    assert [row for row in rows if row not in said] == []
+    kinds = ('exact arithmetic', 'eigenvalue', 'bound', 'experiment', 'checksum')
+    assert all(any(kind in claim.evidence for kind in kinds) for claim in claims)

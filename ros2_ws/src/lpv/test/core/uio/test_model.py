@@ -187,7 +187,7 @@ def weights_of(phi, box):
 def test_given_a_point_anywhere_when_weighted_then_eqs_11_and_12_form_the_nearest_one_of_the_box(
     a, b, c, s_min
 ):
-    box = sinc_box(s_min)
+    box = sinc_box(s_min) * [[1.0], [1.0], [0.9]]
     rho, vertices = weights_of((a, b, c), box), polytope.paper_vertices(box)
     assert rho.min() >= 0.0 and rho.sum() == pytest.approx(1.0, abs=1e-14)
     np.testing.assert_allclose(rho, weights((a, b, c), box), rtol=1e-14, atol=1e-15)
