@@ -172,15 +172,11 @@ def set_parameters(node, rng):
     service, names = node._checked_parameters, sorted(node._parameters)
     request = [parameter(rng, names) for _ in range(rng.integers(1, 4))]
     if rng.random() < 0.5:
-        answer = service._set_parameters_atomically_callback(
-            SetParametersAtomically.Request(parameters=request), SetParametersAtomically.Response()
-        )
-        results = [answer.result]
+        kind, set_all = SetParametersAtomically, service._set_parameters_atomically_callback
     else:
-        answer = service._set_parameters_callback(
-            SetParameters.Request(parameters=request), SetParameters.Response()
-        )
-        results = answer.results
+        kind, set_all = SetParameters, service._set_parameters_callback
+    answer = set_all(kind.Request(parameters=request), kind.Response())
+    results = answer.results if kind is SetParameters else [answer.result]
     reasons = [result.reason for result in results if not result.successful]
     assert all(reasons), 'refused without a reason'
     if len(reasons) == len(results):

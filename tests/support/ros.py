@@ -58,7 +58,7 @@ def next_domain():
 
 
 @contextmanager
-def client(domain):
+def client(domain, make=None, name='client'):
     """A node in this process, on the domain of a graph, with what it needs to spin."""
     import rclpy
     from rclpy.context import Context
@@ -67,7 +67,7 @@ def client(domain):
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     context = Context()
     rclpy.init(context=context, domain_id=domain)
-    node = rclpy.create_node('client', context=context, namespace=NAMESPACE)
+    node = (make or rclpy.create_node)(name, context=context, namespace=NAMESPACE)
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
     try:
@@ -82,7 +82,7 @@ class Client:
     """Listens, calls and waits."""
 
     def __init__(self, node, executor):
-        self.node, self._executor = node, executor
+        self.node, self.executor = node, executor
 
     def listen(self, msgtype, topic, qos):
         """A list that receives the topic's messages."""
@@ -96,7 +96,7 @@ class Client:
         while time.monotonic() < deadline:
             if condition():
                 return True
-            self._executor.spin_once(timeout_sec=0.05)
+            self.executor.spin_once(timeout_sec=0.05)
         return bool(condition())
 
     def call(self, srvtype, name, **fields):
