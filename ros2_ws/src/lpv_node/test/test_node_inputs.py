@@ -92,28 +92,24 @@ def test_given_gains_or_none_when_declared_then_each_field_has_a_value(make_node
             read_gains(node, paper_arm, unset)
 
 
-@pytest.mark.parametrize(
-    ('name', 'kind', 'reason'),
-    [
-        ('x', 11, 'ValueError'),  # no such type
-        ('', ParameterType.PARAMETER_DOUBLE, 'needs a name'),
-        ('wait', ParameterType.PARAMETER_NOT_SET, 'cannot be deleted'),
-    ],
-)
-def test_given_a_senseless_parameter_when_set_then_it_is_refused(make_node, name, kind, reason):
-    node = make_node()
+def test_given_senseless_parameters_when_set_then_each_is_refused(make_node):
+    node, no_such_type = make_node(), 11
     node.declare_parameter('wait', 1.0)
     service = CheckedParameterService(node)
-    hostile = [ParameterMessage(name=name, value=ParameterValue(type=kind))]
-    together = service._set_parameters_atomically_callback(
-        SetParametersAtomically.Request(parameters=hostile), SetParametersAtomically.Response()
-    )
-    each = service._set_parameters_callback(
-        SetParameters.Request(parameters=hostile), SetParameters.Response()
-    )
-    for result in (together.result, *each.results):
-        assert not result.successful and reason in result.reason
-    assert len(each.results) == 1 and node.get_parameter('wait').value == 1.0
+    for name, kind, reason in (
+        ('x', no_such_type, 'ValueError'),
+        ('', ParameterType.PARAMETER_DOUBLE, 'needs a name'),
+        ('wait', ParameterType.PARAMETER_NOT_SET, 'cannot be deleted'),
+    ):
+        hostile = [ParameterMessage(name=name, value=ParameterValue(type=kind))]
+        request = SetParametersAtomically.Request(parameters=hostile)
+        answer = SetParametersAtomically.Response()
+        together = service._set_parameters_atomically_callback(request, answer).result
+        request = SetParameters.Request(parameters=hostile)
+        (alone,) = service._set_parameters_callback(request, SetParameters.Response()).results
+        for result in (together, alone):
+            assert not result.successful and reason in result.reason
+    assert node.get_parameter('wait').value == 1.0
 
 
 def test_given_nanoseconds_beyond_a_second_when_written_back_then_it_is_a_stamp():
