@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from serial_arms import shoulder_arm
+from serial_arms import shoulder_arm, watch
 from simulated_runs import Push, simulated_run
 
 from lpv.core.monitoring.alarm_text import describe
@@ -14,7 +14,6 @@ from lpv.core.serial_arm.certificate.jump_bound import jump_bound
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import TorqueTolerance, Uncertainty
 from lpv.core.serial_arm.diagnosis.alarms import GUARANTEED, STATISTICAL
-from lpv.core.serial_arm.diagnosis.monitor import SerialMonitor
 from lpv.core.serial_arm.diagnosis.parameter_set import member, parameter_set, payload_generator
 from lpv.core.serial_arm.simulation import integration_step, plant_scratch, plant_step
 from lpv.core.simulation.faults import Fault
@@ -29,9 +28,8 @@ RATES = pytest.mark.parametrize('rates', ['independent', 'derived'])
 def watched(arm=ARM, plant=None, *faults, duration=5.0, stated=None):
     """The guarantee after a run; what the monitor's file states may differ from the arm's."""
     run = simulated_run(arm, duration, *faults, plant=plant)
-    monitor = SerialMonitor(arm if stated is None else replace(arm, uncertainty=stated))
-    monitor.update_many(run.stamps, run.samples)
-    return monitor.healthy and monitor.healthy.evaluate()
+    healthy = watch(replace(arm, uncertainty=stated or arm.uncertainty), run).healthy
+    return healthy and healthy.evaluate()
 
 
 @pytest.fixture(scope='module')
@@ -91,10 +89,9 @@ def test_given_a_torque_tolerance_when_stated_then_it_widens_the_threshold(exact
 
 def test_given_a_long_run_with_a_gap_when_remembered_then_the_estimate_is_still_explained():
     """The set follows horizon, memory and restart as the estimator does, number by number."""
-    run, monitor = simulated_run(ARM, 14.0), SerialMonitor(ARM)
+    run = simulated_run(ARM, 14.0)
     run.stamps[6500:] += 10**9
-    monitor.update_many(run.stamps, run.samples)
-    guarantee = monitor.healthy.evaluate()
+    guarantee = watch(ARM, run).healthy.evaluate()
     assert np.abs(guarantee.rest).max() < 1e-6
     assert not guarantee.exceeded.any()
 

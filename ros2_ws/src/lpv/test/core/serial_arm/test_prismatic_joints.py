@@ -8,8 +8,6 @@ from prismatic_arms import middle, mixed_arm, scara, ur10_on_rail
 
 from lpv.core.serial_arm.arm_file import load_arm, parse_arm, save_arm, to_mapping
 from lpv.core.serial_arm.certificate.model_bounds import chain_numbers
-from lpv.core.serial_arm.chain import compile_chain
-from lpv.core.serial_arm.dynamics.kinematics import forward_kinematics, inverse_kinematics
 from lpv.core.simulation.closed_loop import run_closed_loop
 from lpv.core.simulation.faults import Fault
 from lpv.core.simulation.scenario import Scenario
@@ -32,15 +30,6 @@ def test_given_an_arm_file_when_written_and_read_then_it_is_the_same(arm, tmp_pa
     data['joints'][0]['type'] = 'helical'
     with pytest.raises(ConfigError, match='revolute, prismatic'):
         parse_arm(data)
-
-
-def test_given_a_reachable_pose_when_solved_then_the_slides_take_part():
-    arm = ur10_on_rail()
-    chain, q = compile_chain(arm), np.array([0.4, 0.3, -1.0, 1.2, -0.5, 0.4])
-    rotation, position = forward_kinematics(chain, q)
-    found = inverse_kinematics(chain, position, rotation, q + 0.2)
-    assert found.reached
-    np.testing.assert_allclose(forward_kinematics(chain, found.q)[1], position, atol=1e-5)
 
 
 def test_given_a_prismatic_joint_then_its_whole_range_counts_as_a_turn_and_1_m_at_most():

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from fault_injection import wrong_chain
 from places import BRINGUP
-from serial_arms import shoulder_arm, with_rates
+from serial_arms import shoulder_arm, watch, with_rates
+from simulated_runs import Run
 
 from lpv.core.serial_arm.arm_file import load_arm
-from lpv.core.serial_arm.diagnosis.monitor import SerialMonitor
 from lpv.core.serial_arm.dynamics.model import SerialModel
 
 DURATION = 8.0
@@ -43,7 +43,7 @@ def moves_and_rests(rng, times, joints):
 
 
 def rounded_samples(arm, seed, step, frozen=None, resting=None, error=0.0):
-    """Stamps, and readings, rates, efforts of a plant that is not quite the model."""
+    """A run of a plant that is not quite the model."""
     rng, period = np.random.default_rng(seed), arm.sample_time
     times, n = np.arange(round(DURATION / period)) * period, len(arm.joints)
     q, v, a = moves_and_rests(rng, times, n)
@@ -66,13 +66,12 @@ def rounded_samples(arm, seed, step, frozen=None, resting=None, error=0.0):
     if arm.joints[0].sensors.rates == 'derived':
         rate = np.diff(reading, axis=0, prepend=reading[:1]) / period
     gains = np.array([joint.torque_gain for joint in arm.joints])
-    return np.round(times * 1e9).astype(np.int64), np.stack([reading, rate, effort / gains], 1)
+    samples = np.stack([reading, rate, effort / gains], 1)
+    return Run(np.round(times * 1e9).astype(np.int64), samples, q)
 
 
-def alarms(arm, samples):
-    monitor = SerialMonitor(arm)
-    monitor.update_many(*samples)
-    return [(one.sensor, one.kind) for one in monitor.alarms]
+def alarms(arm, run):
+    return [(one.sensor, one.kind) for one in watch(arm, run).alarms]
 
 
 BLAMED = {('ur10', 'derived', 0.002, 1e-3, 1): 'the drift of a wrist is seen in its rounding'}
@@ -116,8 +115,7 @@ def followed(seed, step, error):
     """
     arm, joint = arm_named('three', 0.01, 'derived'), seed % 3
     times = np.arange(round(DURATION / arm.sample_time)) * arm.sample_time
-    monitor = SerialMonitor(arm)
-    monitor.update_many(*rounded_samples(arm, seed, step, resting=joint, error=error(times)))
+    monitor = watch(arm, rounded_samples(arm, seed, step, resting=joint, error=error(times)))
     found = {(one.sensor, one.kind) for one in monitor.alarms if one.sensor}
     return arm.sensor_names[joint], found, monitor.faults()[0]
 

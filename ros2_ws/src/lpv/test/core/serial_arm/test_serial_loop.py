@@ -109,6 +109,7 @@ def test_given_a_run_when_the_node_gets_its_samples_then_it_answers_the_same(
             (AlarmEvent.RAISED, 'encoder3', 'dropout', 552_000_000),
             (AlarmEvent.CLEARED, 'encoder3', 'dropout', 800_000_000),
         ]
+        assert run.alarms[0].onset == 500_000_000
 
 
 @pytest.mark.parametrize('part', ['observer', 'tracker', 'commands'])

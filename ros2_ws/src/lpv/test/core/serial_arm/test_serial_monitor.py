@@ -8,18 +8,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from serial_arms import shoulder_arm, simulated, watch
-from simulated_runs import Push, simulated_run
+from simulated_runs import Push, Run, simulated_run
 
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.chain import compile_chain
+from lpv.core.serial_arm.description import Uncertainty
 from lpv.core.serial_arm.diagnosis.estimator import DISTRUST
 from lpv.core.serial_arm.diagnosis.monitor import CONTACT_PAUSE, SensorState, SerialMonitor
 from lpv.core.serial_arm.diagnosis.sampling import rates_lag
 from lpv.core.serial_arm.dynamics.kinematics import jacobian
+from lpv.core.serial_arm.dynamics.payload import with_payload
 from lpv.core.simulation.faults import Fault
 from lpv.core.support.errors import SampleError
 from lpv.core.support.resources import bringup_file
 
+UNLOADED = Uncertainty(payload=0.0, friction=0.3)
 RATES = pytest.mark.parametrize('rates', ['derived', 'independent'])
 
 
@@ -45,19 +48,17 @@ def test_healthy_arm_of_unknown_parameters_raises_nothing_and_its_vertical_axis_
         assert estimate.state[1:] == (SensorState.OK, SensorState.OK)
 
 
+@pytest.mark.parametrize('gap', [False, True])
 @pytest.mark.parametrize('joint', [1, 2])
-def test_offset_from_the_start_is_named_and_measured_also_after_a_gap(joint):
-    arm = shoulder_arm()
-    run = simulated(arm, Fault(f'encoder{joint + 1}', 'bias', 0.0, size=0.5))
-    monitor = watch(arm, run)
-    assert [(a.sensor, a.kind) for a in monitor.alarms] == [(f'encoder{joint + 1}', 'bias')]
+def test_offset_from_the_start_is_named_and_measured_also_after_a_gap(joint, gap):
+    arm, sensor = shoulder_arm(), f'encoder{joint + 1}'
+    run = simulated(arm, Fault(sensor, 'bias', 0.0, size=0.5))
+    kept = np.ones(len(run.stamps), bool)
+    kept[2513:2778] = not gap
+    monitor = watch(arm, run._replace(stamps=run.stamps[kept], samples=run.samples[kept]))
+    assert [(a.sensor, a.kind) for a in monitor.alarms] == [(sensor, 'bias')]
     assert monitor.alarms[0].detected < 5.0 and 0.99 < monitor.alarms[0].confidence <= 1.0
     assert monitor.estimate(0).fault[joint] == pytest.approx(0.5, abs=0.05)
-    kept = (np.arange(len(run.stamps)) < 2513) | (np.arange(len(run.stamps)) > 2777)
-    gone = SerialMonitor(arm)
-    gone.update_many(run.stamps[kept], run.samples[kept])
-    assert [(a.sensor, a.kind) for a in gone.alarms] == [(f'encoder{joint + 1}', 'bias')]
-    assert gone.estimate(0).fault[joint] == pytest.approx(0.5, abs=0.05)
 
 
 @RATES
@@ -96,14 +97,6 @@ def test_two_steps_at_once_are_both_named():
     assert named(monitor) == {'encoder2', 'encoder3'}
 
 
-def test_drift_with_its_derived_rate_has_the_right_onset_and_is_followed():
-    monitor, run = watched(shoulder_arm(), Fault('encoder2', 'drift', 4.0, rate=0.3))
-    assert named(monitor) == {'encoder2'}
-    assert monitor.alarms[0].onset == pytest.approx(4.0, abs=0.03)
-    truth = (run.samples[-1, 0] - run.position[-1])[1]
-    assert monitor.estimate(0).fault[1] == pytest.approx(truth, abs=0.1)
-
-
 def test_push_is_a_contact_and_no_fault_of_an_encoder():
     pushes = [Push(4.0, 4.6, (0.0, 25.0, 12.0)), Push(6.0, 6.3, (15.0, -20.0, 0.0))]
     monitor, _ = watched(shoulder_arm(), pushes=pushes)
@@ -117,10 +110,8 @@ def test_push_is_a_contact_and_no_fault_of_an_encoder():
 @pytest.mark.parametrize('seed', [1, 2])
 def test_given_a_collision_that_stays_in_contact_then_no_encoder_is_blamed(seed):
     direction = np.random.default_rng(seed).uniform(-1.0, 1.0, 3)
-    impact, rest = tuple(60.0 * direction), tuple(6.0 * direction)
-    pushes = [Push(4.0, 4.02, impact), Push(4.02, 7.0, rest)]
-    monitor, _ = watched(shoulder_arm(), pushes=pushes, seed=seed)
-    assert named(monitor) <= {''}
+    pushes = Push(4.0, 4.02, tuple(60.0 * direction)), Push(4.02, 7.0, tuple(6.0 * direction))
+    assert named(watched(shoulder_arm(), pushes=pushes, seed=seed)[0]) <= {''}
 
 
 SHAPES = {
@@ -163,11 +154,10 @@ def test_given_a_step_when_one_more_sample_confirms_it_then_it_is_named(rates):
     assert monitor.alarms[0].detected == pytest.approx(4.0 + 0.008, abs=1e-6)
 
 
-def jumps_only(arm, samples):
-    monitor = SerialMonitor(replace(arm, effort_includes_gravity=False))
-    period = round(1e9 * arm.sample_time)
-    monitor.update_many(period * np.arange(len(samples)), samples)
-    return monitor
+def named_by_jumps(arm, samples):
+    """Who is named where efforts say nothing, so that jumps alone are seen."""
+    stamps = round(1e9 * arm.sample_time) * np.arange(len(samples))
+    return named(watch(replace(arm, effort_includes_gravity=False), Run(stamps, samples, None)))
 
 
 def test_given_repeated_samples_when_an_encoder_jumps_at_one_then_it_alone_is_named():
@@ -176,16 +166,16 @@ def test_given_repeated_samples_when_an_encoder_jumps_at_one_then_it_alone_is_na
     phase = rate * 0.03 * np.arange(120)[:, None] + rate
     samples = np.stack([0.5 * np.sin(phase), 0.5 * rate * np.cos(phase), 0.0 * phase], 1)
     samples[25::50] = samples[24:-1:50]
-    assert jumps_only(arm, samples).alarms == []
+    assert named_by_jumps(arm, samples) == set()
     samples[75:, 0, 2] += 0.02
-    assert named(jumps_only(arm, samples)) == {arm.sensor_names[2]}
+    assert named_by_jumps(arm, samples) == {arm.sensor_names[2]}
 
 
 def test_given_a_joint_that_shakes_faster_than_it_is_sampled_then_it_has_not_jumped():
     samples = np.zeros((60, 3, 3))
     samples[:, 1, 1] = 0.4 * (-1.0) ** np.arange(60)
     arm = replace(shoulder_arm('independent'), sample_time=0.033)
-    assert jumps_only(arm, samples).alarms == []
+    assert named_by_jumps(arm, samples) == set()
 
 
 def test_spike_is_no_lasting_fault():
@@ -202,8 +192,35 @@ def test_efforts_are_scaled_in_a_copy():
     arm = shoulder_arm()
     louder = replace(arm, joints=tuple(replace(j, torque_gain=2.0) for j in arm.joints))
     run = simulated_run(arm, 2.0)
-    halved = run.samples * [[1.0], [1.0], [0.5]]
-    before, one, other = halved.copy(), watch(arm, run), SerialMonitor(louder)
-    other.update_many(run.stamps, halved)
-    assert np.array_equal(halved, before)
+    halved = run._replace(samples=run.samples * [[1.0], [1.0], [0.5]])
+    before, one, other = halved.samples.copy(), watch(arm, run), watch(louder, halved)
+    assert np.array_equal(halved.samples, before)
     assert one.estimate(0).fault.tobytes() == other.estimate(0).fault.tobytes()
+
+
+# ------------------------------------------------------------------ what is learned
+
+
+def test_payload_and_viscous_friction_that_nobody_stated_are_learned_without_an_alarm():
+    arm = shoulder_arm('derived', UNLOADED)
+    monitor = watch(arm, simulated_run(arm, 5.0, plant=with_payload(compile_chain(arm), 0.3)))
+    learned = monitor.learned()
+    assert monitor.alarms == [] and learned.payload == pytest.approx(0.3, abs=0.1)
+    assert set(learned.values()) >= {'learned_payload', 'learned_viscous', 'learned_noise'}
+    arm = shoulder_arm()
+    chain = compile_chain(arm)
+    friction = chain.friction + [[0.5, 0.0, 0.0, 0.0, 0.0]]
+    monitor = watch(arm, simulated_run(arm, 10.0, plant=chain._replace(friction=friction)))
+    learned = monitor.learned()
+    assert monitor.alarms == []
+    assert np.all(np.abs(learned.viscous - 0.8) < 4.0 * learned.sigma[1])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('rate', [0.003, 0.01, 0.03])
+def test_slow_ramp_is_no_arm_that_is_learned(rate):
+    fault, arm = Fault('encoder2', 'drift', 0.0, rate=rate), shoulder_arm('derived', UNLOADED)
+    monitor, _ = watched(arm, fault, seed=2, duration=30.0)
+    estimate, truth = monitor.estimate(0), rate * 30.0
+    assert named(monitor) == {'encoder2'}
+    assert abs(estimate.fault[1] - truth) < max(0.03, 4.0 * estimate.sigma[1])

@@ -1,10 +1,17 @@
-"""The statistic of detection means what it says: on healthy data it rarely is large."""
+"""Healthy data: the statistic of detection rarely is large, and stamps may scatter."""
 
+from dataclasses import replace
+from functools import cache
+
+import fault_injection
 import numpy as np
 import pytest
-from serial_arms import shoulder_arm, simulated
+from fault_injection import derived, motion_range, read_at, simulate
+from serial_arms import shoulder_arm, simulated, watch
+from simulated_runs import Run
 
 from lpv.core.serial_arm.diagnosis.monitor import SerialMonitor
+from lpv.core.serial_arm.diagnosis.sampling import JITTER
 
 DURATION = 12.0
 
@@ -46,3 +53,30 @@ def test_statistic_of_a_healthy_arm_stays_below_what_its_mean_allows(rates, spoi
     # E[M] is at most the number of decisions: P(M >= 1000 t) <= 1/1000 at the last one.
     largest, decisions = largest_statistic(rates, spoil)
     assert largest < np.log(1000.0 * decisions)
+
+
+# ------------------------------------------------------------------ stamps that scatter
+
+PERIOD = 0.02  # [s]
+
+
+@cache
+def monitored(seed, jitter):
+    """The monitor of an arm at 50 Hz that pauses, after 20 s with readings off their stamps."""
+    arm = replace(fault_injection.shoulder_arm(quantization=1e-4), sample_time=PERIOD)
+    healthy = simulate(arm, motion_range(arm, 0.5), seed, pauses=True)
+    time, rng = healthy.stamps * 1e-9, np.random.default_rng(seed)
+    taken = time + jitter * PERIOD * rng.normal(size=len(time))
+    stream = derived(replace(healthy, samples=read_at(healthy, taken)))
+    return watch(arm, Run(1 + stream.stamps, stream.samples, None))
+
+
+@pytest.mark.parametrize('jitter', [0.0, 0.2])
+def test_given_stamps_that_scatter_when_the_arm_moves_then_their_error_is_learned(jitter):
+    learned = [np.sqrt(monitored(k, jitter).sampler.clock[JITTER]) / PERIOD for k in range(4)]
+    assert np.median(learned) == pytest.approx(jitter, abs=0.05)
+
+
+@pytest.mark.parametrize('seed', range(10))
+def test_given_stamps_that_scatter_when_encoders_are_healthy_then_none_is_blamed(seed):
+    assert [(a.sensor, a.kind) for a in monitored(seed, 0.2).alarms if a.sensor] == []

@@ -1,5 +1,7 @@
 """A correction of a fault that is wrong, or no longer right, does not throw the arm."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from places import BRINGUP
@@ -30,46 +32,38 @@ CORRECTIONS = {
 class Loop:
     """The tracking law of the node on a simulated UR10; a correction is put on the true reading."""
 
-    def __init__(self, correction, corrects_rates):
+    def __init__(self, correction, corrects_rates=False):
         self.arm = load_arm(BRINGUP / 'arms' / 'ur10.yaml')
         scenario = load_scenario(BRINGUP / 'scenarios' / 'ur10.yaml')
         self.simulator = ArmSimulator(self.arm, scenario)
         self.follower = PathFollower(scenario.path(self.arm))
-        self.law = ComputedTorqueController(self.arm)
-        self.limit = CorrectionLimit(self.arm)
+        self.law, self.limit = ComputedTorqueController(self.arm), CorrectionLimit(self.arm)
         self.watchdog = TrackerWatchdog(self.arm, TrackerLimits())
         self.correction, self.corrects_rates = correction, corrects_rates
         self.reason, self.speeds, self.torques, self.errors = StopReason.NONE, [], [], []
 
-    def estimate(self, k):
-        """Positions as they are fed back, rates of the estimate, rates as measured."""
-        reading = self.simulator.sense()[0]
-        position, velocity = np.array(reading.position), np.array(reading.velocity)
-        now, before = self.correction(k * DT), self.correction((k - 1) * DT)
-        self.reading, position = position, position.copy()
-        position[JOINT] -= now
-        estimated = velocity.copy()
-        if self.corrects_rates and abs(now - before) < 0.02:  # a jump is no rate
-            estimated[JOINT] -= (now - before) / DT
-        return position, estimated, velocity
-
     def step(self, k):
-        stamp = 10**9 + k * STEP
-        position, velocity, measured = self.estimate(k)
+        stamp, sensed = 10**9 + k * STEP, self.simulator.sense()[0]
+        measured, rate = np.array(sensed.position), np.array(sensed.velocity)
+        position, velocity = measured.copy(), rate.copy()
+        now, before = self.correction(k * DT), self.correction((k - 1) * DT)
+        position[JOINT] -= now
+        if self.corrects_rates and abs(now - before) < 0.02:  # a jump is no rate
+            velocity[JOINT] -= (now - before) / DT
         self.reason = self.watchdog.check_estimate(
-            stamp, 0, int(Mode.OBSERVING), True, velocity, measured
+            stamp, 0, int(Mode.OBSERVING), True, velocity, rate
         )
         if self.reason is StopReason.NONE:
             reference = self.follower.reference(stamp, position)
-            self.reason = self.watchdog.check_motion(
-                stamp, reference.position, position, self.reading
-            )
+            self.reason = self.watchdog.check_motion(stamp, reference.position, position, measured)
         if self.reason is not StopReason.NONE:
             self.simulator.hold()
             return
         self.limit.take(stamp, position, velocity)
-        feedback, rate = self.limit.position, self.limit.velocity
-        command = self.law.update(reference, feedback, rate, feedback, DT if k else 0.0)
+        feedback = self.limit.position
+        command = self.law.update(
+            reference, feedback, self.limit.velocity, feedback, DT if k else 0.0
+        )
         self.simulator.step(command.torque)
         self.speeds.append(np.abs(self.simulator.state.motion[1]))
         self.torques.append(command.torque)
@@ -83,17 +77,22 @@ class Loop:
         return self
 
 
+@cache
+def loop_with(name, corrects_rates):
+    return Loop(CORRECTIONS[name], corrects_rates).run(ONSET + 2.5)
+
+
 @pytest.mark.parametrize('corrects_rates', [False, True])
 @pytest.mark.parametrize('name', CORRECTIONS)
 def test_given_a_wrong_correction_when_it_changes_then_no_joint_is_faster_than_its_limit(
     name, corrects_rates
 ):
-    loop = Loop(CORRECTIONS[name], corrects_rates).run(ONSET + 2.5)
-    limit = np.array(loop.arm.velocity_limit)
+    loop = loop_with(name, corrects_rates)
+    limit, fastest = np.array(loop.arm.velocity_limit), np.max(loop.speeds, axis=0)
     # The stop comes 0.02 s after a joint is too fast: until then it stays below its own limit.
-    assert np.all(np.max(loop.speeds, axis=0) < limit)
+    assert np.all(fastest < limit)
     if loop.reason is not StopReason.OVERSPEED:
-        assert np.all(np.max(loop.speeds, axis=0) < 1.2 * TrackerLimits.speed * limit)
+        assert np.all(fastest < 1.2 * TrackerLimits.speed * limit)
     assert np.abs(np.diff(loop.torques, axis=0)).max() < 0.6 * max(loop.arm.torque_limit)
     if name in ('drifts fast', 'swings') and corrects_rates:
         assert loop.reason is StopReason.OVERSPEED
@@ -101,9 +100,8 @@ def test_given_a_wrong_correction_when_it_changes_then_no_joint_is_faster_than_i
 
 @pytest.mark.parametrize('name', ['appears', 'disappears'])
 def test_given_a_correction_that_jumps_when_followed_then_torques_do_not_and_it_is_faded_in(name):
-    loop = Loop(CORRECTIONS[name], False).run(ONSET + 3.0)
-    torques, onset = np.array(loop.torques), round(ONSET / DT)
-    jump = np.abs(np.diff(torques, axis=0))
+    loop, onset = loop_with(name, False), round(ONSET / DT)
+    jump = np.abs(np.diff(loop.torques, axis=0))
     assert jump[onset - 1 :].max() < 2.0 * jump[10 : onset - 1].max() + 5.0
     errors = np.abs(np.array(loop.errors)[:, JOINT])
     assert errors[onset] == pytest.approx(SIZE, abs=0.01) and errors[: onset - 1].max() == 0.0
@@ -112,12 +110,12 @@ def test_given_a_correction_that_jumps_when_followed_then_torques_do_not_and_it_
 
 
 def test_given_true_readings_when_followed_then_the_limit_changes_nothing():
-    loop = Loop(lambda t: 0.0, False).run(3.0)
+    loop = Loop(lambda t: 0.0).run(3.0)
     assert loop.reason is StopReason.NONE and not np.any(loop.errors)
 
 
 def test_given_an_arm_that_moves_when_started_then_it_starts_from_rest():
-    loop = Loop(lambda t: 0.0, False)
+    loop = Loop(lambda t: 0.0)
     loop.simulator.state.motion[1, 3] = 0.5
     loop.step(0)
     assert loop.reason is StopReason.MOVING
