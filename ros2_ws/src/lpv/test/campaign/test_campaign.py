@@ -7,14 +7,12 @@ import sys
 import time
 from collections import Counter
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
-import yaml
+from campaign_files import FACTORS, SMALL, UR10, assert_same, command, resolved, rows_of, written
 
-from lpv.campaign.execution.execute import ResultsFolder, chunks_of
+from lpv.campaign.execution import execute
 from lpv.campaign.execution.runs import plan_run, run_one
 from lpv.campaign.plan.campaign import Campaign, resolve
 from lpv.campaign.plan.random_paths import random_joint_path, random_planar_path
@@ -32,58 +30,6 @@ from lpv.core.uio.model.joints import JointMap
 from lpv.core.uio.planar import planar_model
 
 pytestmark = pytest.mark.slow
-
-KINDS = ['none', 'bias', 'drift', 'stuck', 'scale', 'noise', 'spike', 'dropout']
-GAINS = str(shipped_files('gains')['paper'])
-SMALL = {
-    'name': 'small',
-    'designs': [GAINS],
-    'seed': 3,
-    'duration': 3.0,
-    'plan': {'method': 'latin_hypercube', 'runs': 24},
-    'factors': {
-        'path': 'random',
-        'fault.kind': KINDS,
-        'fault.sensor': ['link1_angle', 'link2_angle', 'both'],
-        'fault.size': {
-            'bias': {'low': 0.1, 'high': 0.5, 'spacing': 'log'},
-            'scale': 0.3,
-            'noise': 0.03,
-            'spike': 0.3,
-        },
-        'fault.rate': {'drift': 0.3, 'spike': 20.0},
-        'fault.onset': {'low': 1.2, 'high': 1.5},
-        'mass_1': {'low': 0.95, 'high': 1.05},
-    },
-}
-REACH = """
-name: reach
-duration: 5.0
-path:
-  waypoints:
-    - {t: 0.5, x: 0.1, y: -0.4}
-    - {t: 4.5, x: 0.2, y: -0.35}
-"""
-
-
-def small(**changes):
-    return {**SMALL, **changes}
-
-
-@pytest.fixture(scope='module')
-def campaign():
-    return resolve(SMALL, 'small', '.')
-
-
-@pytest.fixture(scope='module')
-def serial(campaign):
-    """Rows of all runs, one after the other in this process."""
-    return [run_one(campaign, number) for number in range(campaign.spec.runs)]
-
-
-def same(rows, others):
-    return repr(rows) == repr(others)  # NaN is the same as NaN
-
 
 # ------------------------------------------------------------------ the file
 
@@ -124,30 +70,11 @@ for _field, _values in WRONG_FACTORS.items():
 )
 def test_given_a_wrong_field_when_parsed_then_the_error_names_it(field, change):
     with pytest.raises(ConfigError) as error:
-        parse_spec(small(**change))
+        parse_spec({**SMALL, **change})
     assert error.value.field == field
 
 
-UR10 = {
-    'name': 'steps',
-    'seed': 2,
-    'arm': 'ur10',
-    'scenario': 'ur10',
-    'duration': 2.5,
-    'plan': {'method': 'factorial'},
-    'factors': {
-        'path': 'random',
-        'fault.kind': ['none', 'bias'],
-        'fault.sensor': ['elbow_encoder', 'both'],
-        'fault.size': {'bias': 0.01},
-        'fault.onset': 1.5,
-        'parameter_error': 0.05,
-        'payload': 1.5,
-    },
-}
-
-
-OF_REAL_ARM = {'designs': ['gains.yaml'], 'arm': 'real_arm', 'scenario': 'reach.yaml'}
+OF_REAL_ARM = {'designs': ['gains.yaml'], 'arm': 'real_arm', 'scenario': 'real_arm'}
 MISFITS = [
     (SMALL, 'factors.fault.sensor', {'factors': {'fault.sensor': 'elbow'}}),
     (SMALL, 'factors.design', {'factors': {'design': 'other'}}),
@@ -172,19 +99,9 @@ def test_given_what_does_not_fit_the_files_when_resolved_then_the_error_names_it
     base, field, change, tmp_path, paper_gains
 ):
     save_gains(paper_gains, tmp_path / 'gains.yaml')
-    (tmp_path / 'reach.yaml').write_text(REACH)
     with pytest.raises(ConfigError) as error:
         resolve({**base, **change}, 'misfit', tmp_path)
     assert error.value.field == field
-
-
-def test_given_a_file_that_is_no_campaign_when_the_command_is_run_then_one_line_says_so(
-    tmp_path, refused
-):
-    (tmp_path / 'bad.yaml').write_text('name: [')
-    for name in ('bad.yaml', 'none.yaml'):
-        assert refused(name, 'campaign', tmp_path / name, '--out', tmp_path / 'out')
-    assert not (tmp_path / 'out').exists()
 
 
 @pytest.mark.parametrize('name', sorted(shipped_files('campaigns')))
@@ -195,42 +112,34 @@ def test_given_a_shipped_campaign_when_read_then_it_is_valid(name):
 # ------------------------------------------------------------------ plans
 
 
-def points_of(spec):
-    plan = Plan(spec)
-    return [plan.point(n) for n in range(spec.runs)]
-
-
 def test_given_a_factorial_plan_when_sampled_then_every_combination_comes_once_a_repeat():
-    factors = {
-        'fault.kind': ['none', 'bias'],
-        'noise': {'low': 0.5, 'high': 2.0, 'levels': 3},
-        'payload': [0.0, 0.5],
-        'friction': 1.0,
-    }
-    spec = parse_spec(small(plan={'method': 'factorial', 'repeats': 2}, factors=factors))
-    assert spec.runs == 24
-    points = [
-        tuple(f.value(u) for f, u in zip(spec.factors.values(), point)) for point in points_of(spec)
-    ]
-    assert set(Counter(points).values()) == {2}
-    assert {p[1] for p in points} == {0.5, 1.25, 2.0}
+    factors = """
+        fault.kind: [none, bias]
+        noise: {low: 0.5, high: 2.0, levels: 3}
+        payload: [0.0, 0.5]
+        friction: 1.0
+    """
+    factorial = resolved(factors, plan={'method': 'factorial', 'repeats': 2})
+    values = [factorial.values(number) for number in factorial.tasks]
+    assert set(
+        Counter(tuple(v[name] for name in factorial.spec.factors) for v in values).values()
+    ) == {2}
+    assert len(values) == 24 and {v['noise'] for v in values} == {0.5, 1.25, 2.0}
 
 
 def test_given_a_latin_hypercube_when_sampled_then_every_stratum_of_every_factor_is_hit_once():
-    spec = parse_spec(small(plan={'method': 'latin_hypercube', 'runs': 50}))
-    points = np.array(points_of(spec))
+    plan = Plan(parse_spec({**SMALL, 'plan': {'method': 'latin_hypercube', 'runs': 50}}))
+    points = np.array([plan.point(number) for number in range(50)])
     for column in points.T:
         assert sorted((column * 50).astype(int)) == list(range(50))
     assert abs(np.corrcoef(points.T)[0, 1]) < 0.4
 
 
-def test_given_a_random_plan_when_it_is_made_longer_then_the_first_runs_stay_the_same():
-    short, long = (
-        resolve(small(plan={'method': 'random', 'runs': runs}), 's', '.') for runs in (4, 400)
-    )
+def test_given_a_random_plan_when_it_is_made_longer_then_the_first_runs_stay_the_same(small):
+    long = resolved(FACTORS, 400)
     for number in range(4):
-        assert short.values(number) == long.values(number)
-        assert plan_run(short, number).scenario == plan_run(long, number).scenario
+        assert small.values(number) == long.values(number)
+        assert plan_run(small, number).scenario == plan_run(long, number).scenario
 
 
 def test_given_random_paths_when_made_then_they_keep_inside_the_certified_region(arm):
@@ -260,32 +169,14 @@ def test_given_random_joint_paths_when_made_then_the_arm_can_follow_them(name):
 
 
 def test_given_factors_when_a_run_is_planned_then_each_arrives_where_it_acts():
-    factors = {
-        'mass_1': 1.1,
-        'mass_2': 0.9,
-        'inertia_1': 1.2,
-        'inertia_2': 0.8,
-        'payload': 0.4,
-        'friction': 0.5,
-        'noise': 3.0,
-        'disturbance': 0.0,
-        'sample_time': 0.004,
-        'command_delay': 2.0,
-        'sample_loss': 0.1,
-        'compensation': 'always',
-        'plant': 'nonlinear_without_coriolis',
-        'diagnosis.clear_dwell': 0.05,
-        'fault.kind': 'drift',
-        'fault.sensor': 'both',
-        'fault.rate': 0.2,
-        'fault.onset': 1.0,
-        'fault.duration': 0.5,
-        'fault.sign': -1.0,
-    }
-    campaign = resolve(
-        small(factors=factors, designs=['paper'], plan={'method': 'random', 'runs': 1}), 's', '.'
-    )
-    plan = plan_run(campaign, 0)
+    factors = """
+        {mass_1: 1.1, mass_2: 0.9, inertia_1: 1.2, inertia_2: 0.8, payload: 0.4, friction: 0.5,
+        noise: 3.0, disturbance: 0.0, sample_time: 0.004, command_delay: 2.0, sample_loss: 0.1,
+        compensation: always, plant: nonlinear_without_coriolis, diagnosis.clear_dwell: 0.05,
+        fault.kind: drift, fault.sensor: both, fault.rate: 0.2, fault.onset: 1.0,
+        fault.duration: 0.5, fault.sign: -1.0}
+    """
+    plan = plan_run(resolved(factors, designs=['paper']), 0)
     scenario = plan.scenario
     assert scenario.mass_factors == (1.1, 0.9) and scenario.inertia_factors == (1.2, 0.8)
     assert (scenario.payload, scenario.friction_factor) == (0.4, 0.5)
@@ -303,17 +194,7 @@ def test_given_factors_when_a_run_is_planned_then_each_arrives_where_it_acts():
 def test_given_no_factors_when_run_then_it_is_the_shipped_scenario_with_another_seed(
     paper_arm, two_faults
 ):
-    campaign = resolve(
-        {
-            'name': 'plain',
-            'designs': [GAINS],
-            'plan': {'method': 'random', 'runs': 1},
-            'duration': 7.0,
-        },
-        's',
-        '.',
-    )
-    plan = plan_run(campaign, 0)
+    plan = plan_run(resolved(duration=7.0), 0)
     assert plan.scenario.faults == two_faults.faults
     scenario = replace(two_faults, seed=plan.scenario.seed, duration=7.0)
     run, other = plan.simulate(), run_closed_loop(paper_arm, scenario, plan.gains)
@@ -342,18 +223,16 @@ def test_given_runs_when_measured_then_figures_say_what_happened(serial):
 
 
 def test_given_a_twin_when_run_then_the_errors_are_compared_with_its():
-    factors = {'fault.kind': 'bias', 'fault.size': 0.3, 'fault.onset': 1.2}
-    data = small(twin=True, plan={'method': 'random', 'runs': 1}, factors=factors)
-    row = run_one(resolve(data, 's', '.'), 0)
+    factors = '{fault.kind: bias, fault.size: 0.3, fault.onset: 1.2}'
+    row = run_one(resolved(factors, twin=True), 0)
     assert row['tracking_ratio'] > 1.0
     assert row['early_time'] == pytest.approx(1.2, abs=0.005)
     assert row['healthy_time'] == row['early_time'] and row['fault_size'] == 0.3
 
 
 def test_given_commands_that_are_late_when_run_then_the_arm_is_held():
-    factors = {'path': 'random', 'command_delay': 60.0}
-    data = small(plan={'method': 'random', 'runs': 1}, factors=factors)
-    assert run_one(resolve(data, 's', '.'), 0)['braked_time'] > 0.5
+    late = resolved('{path: random, command_delay: 60.0}')
+    assert run_one(late, 0)['braked_time'] > 0.5
 
 
 def test_given_steps_of_a_serial_arms_encoders_when_run_then_all_and_only_these_are_named():
@@ -368,7 +247,7 @@ def test_given_steps_of_a_serial_arms_encoders_when_run_then_all_and_only_these_
         assert row['isolated'] and row['said_sensor'] == row['sensor']
         assert 0.0 < row['detection_delay'] < 0.02 and row['size_error'] < 2e-3
         assert row['sensor'].count('+') == (row['fault.sensor'] == 'both')
-    assert same(run_one(Campaign(campaign.text), 1), rows[1])
+    assert_same([run_one(Campaign(campaign.text), 1)], rows[1:2])
     one, two = (plan_run(campaign, number).scenario for number in (0, 1))
     assert one.seed != two.seed and one.waypoints != two.waypoints
     assert one.parameter_error == 0.05 and one.payload == 1.5
@@ -377,58 +256,11 @@ def test_given_steps_of_a_serial_arms_encoders_when_run_then_all_and_only_these_
 # ------------------------------------------------------------------ results on disk
 
 
-def command(file, out, *more):
-    return ['campaign', str(file), '--out', str(out), '--workers', '0', '--no-report', *more]
-
-
-def written(path, **changes):
-    path.write_text(yaml.safe_dump(small(**changes)))
-    return path
-
-
-def known(rows):
-    return [{n: v for n, v in row.items() if v is not None} for row in rows]
-
-
-def test_given_results_of_another_campaign_or_damaged_ones_when_going_on_then_they_are_refused(
-    tmp_path, refused
+def test_given_kill_9_when_run_again_then_only_the_rest_is_done_and_results_are_those_of_one_go(
+    serial, tmp_path, monkeypatch
 ):
-    file, out = written(tmp_path / 's.yaml', plan={'method': 'random', 'runs': 2}), tmp_path / 'out'
-    assert main(command(file, out)) == 0
-    other = written(tmp_path / 'other.yaml', plan={'method': 'random', 'runs': 3})
-    assert refused('another campaign', *command(other, out))
-    for name in ('chunks/00000000.parquet', 'campaign.json'):
-        (out / name).write_bytes(b'{PAR1 nothing')
-        assert refused(Path(name).name, *command(file, out))
-
-
-def test_given_a_crash_after_a_chunk_when_run_again_then_only_the_rest_is_done(
-    campaign, serial, tmp_path, monkeypatch
-):
-    folder, chunks = ResultsFolder(tmp_path / 'out'), chunks_of(campaign)
-    folder.begin(campaign)
-    folder.add('00000000', serial[:20])
-    assert folder.missing(chunks) == {'00000020': [20, 21, 22, 23]}
-    import lpv.campaign.execution.execute as module
-
-    done, true = [], module.run_one
-    monkeypatch.setattr(module, 'run_one', lambda c, n: done.append(n) or true(c, n))
-    file = written(tmp_path / 'small.yaml')
-    for _ in range(2):  # the second time nothing is left to be done
-        assert main(command(file, folder.path)) == 0
-        assert done == [20, 21, 22, 23]
-        table = pq.read_table(folder.file)
-        assert table['number'].to_pylist() == list(range(24))
-        rows = [{name: row[name] for name in full} for row, full in zip(table.to_pylist(), serial)]
-        assert same(known(rows), known(serial))
-    found = sorted(f.name for f in (folder.path / 'chunks').iterdir())
-    assert found == ['00000000.parquet', '00000020.parquet']
-
-
-def test_given_kill_9_in_the_middle_when_run_again_then_the_results_are_those_of_one_go(tmp_path):
-    factors = {'fault.kind': KINDS[:2], 'fault.size': 0.3}
-    changes = {'plan': {'method': 'random', 'runs': 60}, 'factors': factors}
-    file, out = written(tmp_path / 'many.yaml', **changes), tmp_path / 'out'
+    data = {**SMALL, 'plan': {'method': 'random', 'runs': 60}}
+    file, out = written(tmp_path / 'many.yaml', data), tmp_path / 'out'
     line = [sys.executable, '-m', 'lpv.cli.main', *command(file, out)]
     process = subprocess.Popen(line, stdout=subprocess.DEVNULL, start_new_session=True)
     while not list((out / 'chunks').glob('*.parquet')):
@@ -436,11 +268,17 @@ def test_given_kill_9_in_the_middle_when_run_again_then_the_results_are_those_of
         time.sleep(0.01)
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
-    whole = resolve(small(**changes), 'many', '.')
-    assert 0 < len(ResultsFolder(out).missing(chunks_of(whole))) < 3
-    assert main(command(file, out)) == 0
-    rows = pq.read_table(out / 'runs.parquet').to_pylist()
+    whole = resolve(data, 'many', '.')
+    left = execute.ResultsFolder(out).missing(execute.chunks_of(whole))
+    assert 0 < len(left) < 3
+    done, true = [], execute.run_one
+    monkeypatch.setattr(execute, 'run_one', lambda c, n: done.append(n) or true(c, n))
+    for _ in range(2):  # the second time nothing is left to be done
+        assert main(command(file, out)) == 0
+        assert done == [number for numbers in left.values() for number in numbers]
+    rows = rows_of(out)
     assert [row['number'] for row in rows] == list(range(60))
-    for number in (0, 37, 59):
-        full = run_one(whole, number)
-        assert same(known([{name: rows[number][name] for name in full}]), known([full]))
+    assert_same(rows[:24], serial)
+    assert_same(rows[59:], [true(whole, 59)])
+    names = sorted(file.name for file in (out / 'chunks').iterdir())
+    assert names == ['00000000.parquet', '00000020.parquet', '00000040.parquet']

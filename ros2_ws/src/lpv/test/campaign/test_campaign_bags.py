@@ -1,11 +1,13 @@
 """Runs of a campaign as bags: the signals of the run, its answers, and files to repeat it."""
 
+import shutil
 from dataclasses import replace
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from campaign_files import command, spec, written
 
 from lpv.bag.run.record import load_run
 from lpv.campaign.execution.run_to_bag import (
@@ -20,59 +22,39 @@ from lpv.campaign.plan.campaign import resolve
 from lpv.cli.main import main
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.simulation.scenario import load_scenario
-from lpv.core.support.config import read_yaml
 from lpv.core.support.errors import LpvError
-from lpv.core.uio.certificate.gains import load_gains, save_gains
+from lpv.core.uio.certificate.gains import load_gains
 
 pytestmark = pytest.mark.slow
 
-SPEC = """
-name: bags
-seed: 5
-plan: {method: random, runs: 3}
-duration: 2.5
-designs: [gains.yaml]
-factors:
-  path: random
-  fault.kind: [bias, dropout, spike]
-  fault.sensor: both
-  fault.size: {bias: 0.3, spike: 0.4}
-  fault.rate: {spike: 20.0}
-  fault.onset: {low: 0.8, high: 1.0}
-  fault.duration: 0.7
-  mass_2: {low: 0.97, high: 1.03}
-  command_delay: 2
-  sample_loss: 0.05
-  diagnosis.clear_dwell: 0.2
+FACTORS = """
+path: random
+fault.kind: [bias, dropout, spike]
+fault.sensor: both
+fault.size: {bias: 0.3, spike: 0.4}
+fault.rate: {spike: 20.0}
+fault.onset: {low: 0.8, high: 1.0}
+fault.duration: 0.7
+mass_2: {low: 0.97, high: 1.03}
+command_delay: 2
+sample_loss: 0.05
+diagnosis.clear_dwell: 0.2
 """
+SPEC = spec(FACTORS, 3, seed=5, duration=2.5)
 
 
 @pytest.fixture(scope='module')
-def folder(paper_gains, tmp_path_factory):
-    """Folder with a campaign file and its gains."""
-    folder = tmp_path_factory.mktemp('campaign')
-    save_gains(paper_gains, folder / 'gains.yaml')
-    (folder / 'spec.yaml').write_text(SPEC)
-    return folder
-
-
-@pytest.fixture(scope='module')
-def campaign(folder):
-    return resolve(read_yaml(folder / 'spec.yaml'), 'spec.yaml', folder)
-
-
-@pytest.fixture(scope='module')
-def results(folder):
+def results(tmp_path_factory):
     """Results folder of the campaign."""
-    line = ['campaign', str(folder / 'spec.yaml'), '--out', str(folder / 'out')]
-    assert main([*line, '--workers', '0', '--no-report']) == 0
+    folder = tmp_path_factory.mktemp('campaign')
+    assert main(command(written(folder / 'spec.yaml', SPEC), folder / 'out')) == 0
     return folder / 'out'
 
 
 @pytest.fixture(scope='module')
-def done(campaign, tmp_path_factory):
+def done(tmp_path_factory):
     """Plan, run and bag of a run with lost samples and late commands."""
-    plan = plan_run(campaign, 1)
+    plan = plan_run(resolve(SPEC, 'bags', '.'), 1)
     run, bag = plan.simulate(), tmp_path_factory.mktemp('run') / 'bag'
     write_run_bag(plan, run, bag)
     return plan, run, bag
@@ -165,34 +147,48 @@ def test_given_results_when_a_run_is_asked_for_then_its_figures_are_those_and_th
 @pytest.mark.parametrize(
     ('arguments', 'told'),
     [
-        (['--run', '3', '--bag', 'x'], 'must lie within 0 and 2'),
-        (['--run', '-1', '--bag', 'x'], 'must lie within 0 and 2'),
-        (['--run', '1'], 'must be given together'),
-        (['--bag', 'x'], 'must be given together'),
+        (['{results}', '--run', '3', '--bag', 'x'], 'must lie within 0 and 2'),
+        (['{results}', '--run', '-1', '--bag', 'x'], 'must lie within 0 and 2'),
+        (['{results}', '--run', '1'], 'must be given together'),
+        (['{results}', '--bag', 'x'], 'must be given together'),
+        (['{results}', '--out', 'x'], 'goes with a campaign file'),
+        (['{tmp}', '--run', '1', '--bag', 'x'], 'holds no results'),
+        (['{tmp}'], 'holds no results'),
+        (['{tmp}/none.yaml', '--out', '{tmp}/out'], 'none.yaml'),
+        (['{tmp}/bad.yaml', '--out', '{tmp}/out'], 'bad.yaml'),
+        (['{tmp}/other.yaml', '--out', '{results}'], 'another campaign'),
     ],
 )
-def test_given_a_run_that_is_not_there_when_asked_for_then_it_is_told(
-    results, refused, arguments, told
+def test_given_what_makes_no_sense_when_called_then_one_line_says_so(
+    results, tmp_path, refused, arguments, told
 ):
-    assert refused(told, 'campaign', results, *arguments)
+    (tmp_path / 'bad.yaml').write_text('name: [')
+    written(tmp_path / 'other.yaml', {**SPEC, 'seed': 6})
+    places = {'results': results, 'tmp': tmp_path}
+    assert refused(told, 'campaign', *(word.format(**places) for word in arguments))
+    assert not (tmp_path / 'out').exists()
 
 
-def test_given_a_folder_without_results_when_asked_for_a_run_then_it_is_told(tmp_path, refused):
-    assert refused('holds no results', 'campaign', tmp_path, '--run', 1, '--bag', tmp_path / 'b')
+def test_given_results_that_are_damaged_when_going_on_then_the_file_is_named(
+    results, tmp_path, refused
+):
+    file, out = written(tmp_path / 'spec.yaml', SPEC), tmp_path / 'out'
+    shutil.copytree(results, out)
+    for name in ('chunks/00000000.parquet', 'campaign.json'):
+        (out / name).write_bytes(b'{PAR1 nothing')
+        assert refused(name.split('/')[-1], *command(file, out))
 
 
 def test_given_results_that_are_not_what_comes_out_now_when_asked_then_the_figure_is_named(
     results, tmp_path, refused
 ):
-    other = tmp_path / 'out'
-    (other / 'chunks').mkdir(parents=True)
-    (other / 'campaign.json').write_bytes((results / 'campaign.json').read_bytes())
+    other = shutil.copytree(results, tmp_path / 'out')
     table = pq.read_table(results / 'runs.parquet')
     index = table.schema.get_field_index('angle_rms')
     wrong = table.set_column(index, 'angle_rms', pa.array([1.0] * len(table)))
     pq.write_table(wrong, other / 'chunks' / '00000000.parquet')
-    arguments = other, '--run', 0, '--bag', tmp_path / 'bag'
-    assert refused('another angle_rms now', 'campaign', *arguments)
+    told = 'another angle_rms now'
+    assert refused(told, 'campaign', other, '--run', 0, '--bag', tmp_path / 'bag')
     assert not (tmp_path / 'bag').exists()
 
 

@@ -7,32 +7,13 @@ import subprocess
 import sys
 import time
 
-import pyarrow.parquet as pq
 import pytest
-import yaml
+from campaign_files import SMALL, assert_same, rows_of, written
 
 from lpv.campaign.execution.execute import WorkerError, chunks_of, worker_pool
-from lpv.campaign.execution.runs import run_one
-from lpv.campaign.plan.campaign import resolve
 from lpv.cli.main import main
-from lpv.core.support.resources import shipped_files
 
 pytestmark = pytest.mark.slow
-
-MANY = {
-    'name': 'many',
-    'seed': 9,
-    'designs': [str(shipped_files('gains')['paper'])],
-    'duration': 1.5,
-    'plan': {'method': 'random', 'runs': 24},
-    'factors': {
-        'fault.kind': ['none', 'bias', 'drift', 'noise'],
-        'fault.size': 0.3,
-        'fault.rate': 0.3,
-        'fault.onset': {'low': 0.5, 'high': 1.0},
-        'path': 'random',
-    },
-}
 
 
 class Cluster:
@@ -96,17 +77,6 @@ def cluster(tmp_path_factory):
     cluster.close()
 
 
-@pytest.fixture(scope='module')
-def campaign():
-    return resolve(MANY, 'many', '.')
-
-
-@pytest.fixture(scope='module')
-def serial(campaign):
-    """Rows of all runs, one after the other in this process."""
-    return [run_one(campaign, number) for number in range(campaign.spec.runs)]
-
-
 def execute(campaign, workers=None, scheduler=None, size=8):
     """Rows chunk by chunk."""
     with worker_pool(workers, scheduler) as do:
@@ -114,70 +84,62 @@ def execute(campaign, workers=None, scheduler=None, size=8):
             yield rows
 
 
-def assert_same(rows, serial):
-    assert repr(sorted(rows, key=lambda row: row['number'])) == repr(serial)
+def in_order(rows):
+    return sorted(rows, key=lambda row: row['number'])
 
 
 def test_given_two_workers_when_one_is_killed_then_no_result_is_lost_or_different(
-    cluster, campaign, serial, tmp_path
+    cluster, small, serial, tmp_path
 ):
     first, _ = cluster.workers(2)
-    rows, killed = [], False
-    for part in execute(campaign, scheduler=cluster.address, size=2):
+    rows = []
+    for part in execute(small, scheduler=cluster.address, size=2):
         rows += part
-        if not killed:
+        if len(rows) == 2:
             kill(first)
-            killed = True
-    assert killed
-    assert_same(rows, serial)
+    assert_same(in_order(rows), serial)
     # The other one did what the dead one had in hand, and is there for the next command.
-    file, out = tmp_path / 'few.yaml', tmp_path / 'out'
-    few = {**MANY, 'plan': {'method': 'random', 'runs': 10}}
-    file.write_text(yaml.safe_dump(few))
+    few = {**SMALL, 'plan': {'method': 'random', 'runs': 10}}
+    file, out = written(tmp_path / 'few.yaml', few), tmp_path / 'out'
     line = ['campaign', str(file), '--out', str(out), '--scheduler', cluster.address]
     assert main([*line, '--no-report']) == 0
-    again = pq.read_table(out / 'runs.parquet').to_pylist()
-    assert len(again) == 10
-    for row, full in zip(again, serial):
-        assert repr([row[name] for name in full]) == repr(list(full.values()))
+    assert_same(rows_of(out), serial[:10])
 
 
 def test_given_a_worker_of_another_version_when_run_then_its_results_are_refused(
-    cluster, campaign, monkeypatch
+    cluster, small, monkeypatch
 ):
     cluster.workers(1)
     monkeypatch.setattr('lpv.campaign.execution.execute.software', lambda: 'another')
     with pytest.raises(WorkerError, match='another version'):
-        list(execute(campaign, scheduler=cluster.address))
+        list(execute(small, scheduler=cluster.address))
 
 
 def test_given_the_last_worker_when_it_dies_then_the_campaign_ends_and_goes_on_with_a_new_one(
-    cluster, campaign, monkeypatch
+    cluster, small, monkeypatch
 ):
     monkeypatch.setattr('lpv.campaign.execution.execute._NO_WORKER_TIMEOUT', 2.0)
     (worker,) = cluster.workers(1)
-    found = execute(campaign, scheduler=cluster.address, size=2)
+    found = execute(small, scheduler=cluster.address, size=2)
     next(found)
     kill(worker)
     with pytest.raises(WorkerError, match='no worker has been left'):
         list(found)
     with pytest.raises(WorkerError, match='has no workers'):
-        next(execute(campaign, scheduler=cluster.address))
+        next(execute(small, scheduler=cluster.address))
     cluster.workers(1)
-    assert len(next(execute(campaign, scheduler=cluster.address))) == 8
+    assert len(next(execute(small, scheduler=cluster.address))) == 8
 
 
 def test_given_no_scheduler_when_run_then_one_line_says_so(tmp_path, refused):
-    file = tmp_path / 'many.yaml'
-    file.write_text(yaml.safe_dump(MANY))
-    line = ['campaign', str(file), '--out', str(tmp_path / 'out')]
+    line = ['campaign', written(tmp_path / 'many.yaml', SMALL), '--out', tmp_path / 'out']
     for address in ('tcp://127.0.0.1:1', 'nonsense://x'):
         assert refused('does not answer', *line, '--scheduler', address)
     assert refused('--workers', *line, '--workers', -1)
 
 
 def test_given_processes_of_its_own_when_run_then_the_results_are_those_of_one_process(
-    campaign, serial
+    small, serial
 ):
-    rows = [row for part in execute(campaign, workers=2, size=6) for row in part]
-    assert_same(rows, serial)
+    rows = [row for part in execute(small, workers=2, size=6) for row in part]
+    assert_same(in_order(rows), serial)

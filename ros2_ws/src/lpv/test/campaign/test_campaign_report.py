@@ -7,6 +7,7 @@ import re
 import numpy as np
 import pyarrow as pa
 import pytest
+from campaign_files import spec, written
 from runs import assert_stands_alone
 from scipy.stats import chi2
 
@@ -15,18 +16,12 @@ from lpv.campaign.report import write_report
 from lpv.campaign.report.statistics import Results, found_from, poisson_rate, roc, spread, trends
 from lpv.campaign.report.write import command, confusion, report_numbers, suspicion
 from lpv.cli.main import main
-from lpv.core.support.resources import shipped_files
 
 pytestmark = pytest.mark.slow
 
 SENSORS = ('link1_angle', 'link2_angle')
-SPEC = {
-    'name': 'made <up>',
-    'duration': 10.0,
-    'designs': [str(shipped_files('gains')['paper'])],
-    'plan': {'method': 'random', 'runs': 120},
-    'factors': {'fault.kind': ['none', 'bias', 'stuck'], 'compensation': ['off', 'confirmed']},
-}
+FACTORS = "{fault.kind: [none, bias, stuck], compensation: ['off', confirmed]}"
+SPEC = spec(FACTORS, 120, name='made <up>', duration=10.0)
 
 
 @pytest.fixture(scope='module')
@@ -230,14 +225,12 @@ def test_given_results_when_reported_then_the_page_is_whole_and_its_numbers_are_
 
 
 def test_given_unfinished_results_when_reported_then_the_command_says_what_is_missing(
-    tmp_path, capsys, refused
+    tmp_path, capsys
 ):
-    spec = tmp_path / 'spec.yaml'
-    factors = {'path': 'random', 'fault.kind': ['none', 'bias'], 'fault.size': 0.3}
-    data = {**SPEC, 'duration': 2.0, 'plan': {'method': 'random', 'runs': 22}, 'factors': factors}
-    spec.write_text(json.dumps(data))
+    factors = '{path: random, fault.kind: [none, bias], fault.size: 0.3}'
+    file = written(tmp_path / 'spec.yaml', spec(factors, 22, duration=2.0))
     out = tmp_path / 'out'
-    assert main(['campaign', str(spec), '--out', str(out), '--workers', '0']) == 0
+    assert main(['campaign', str(file), '--out', str(out), '--workers', '0']) == 0
     check_page(out / 'report.html')
     assert json.loads((out / 'report.json').read_text())['head']['missing'] == 0
     (out / 'chunks' / '00000000.parquet').unlink()
@@ -245,5 +238,3 @@ def test_given_unfinished_results_when_reported_then_the_command_says_what_is_mi
     assert main(['campaign', str(out)]) == 0
     assert '20 of 22 runs are missing' in capsys.readouterr().out
     assert json.loads((out / 'report.json').read_text())['head']['missing'] == 20
-    for wrong in ((out, '--out', 'x'), (tmp_path,), ('unknown',)):
-        assert refused('', 'campaign', *wrong)

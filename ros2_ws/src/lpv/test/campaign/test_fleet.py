@@ -2,12 +2,13 @@
 
 import json
 import os
+import re
 import shutil
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 import yaml
+from campaign_files import UR10, rows_of, spec
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from lpv.bag.rosbag.interfaces import make_typestore
@@ -17,46 +18,33 @@ from lpv.bag.run.record import load_run
 from lpv.campaign.execution.archive import Archive, archive_text, find_bags, unit_of
 from lpv.campaign.execution.bag_figures import STATES, alarm_rows
 from lpv.campaign.execution.run_metrics import figures
-from lpv.campaign.execution.run_to_bag import stamps_of, write_run_bag
+from lpv.campaign.execution.run_to_bag import differences, stamps_of, write_run_bag
 from lpv.campaign.execution.runs import plan_run
 from lpv.campaign.plan.campaign import resolve
 from lpv.cli.main import main
 from lpv.core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent
 from lpv.core.support.errors import ConfigError
-from lpv.core.uio.certificate.gains import save_gains
 
 pytestmark = pytest.mark.slow
 
 TYPESTORE = make_typestore()
 JOINT_STATE = 'sensor_msgs/msg/JointState'
-SPEC = {
-    'name': 'fleet',
-    'seed': 4,
-    'duration': 3.0,
-    'designs': ['gains.yaml'],
-    'plan': {'method': 'factorial'},
-    'factors': {
-        'fault.kind': ['none', 'bias', 'dropout'],
-        'fault.size': 0.3,
-        'fault.onset': 1.2,
-        'fault.duration': 0.8,
-        'path': 'random',
-    },
-}
+FACTORS = """
+fault.kind: [none, bias, dropout]
+fault.size: 0.3
+fault.onset: 1.2
+fault.duration: 0.8
+path: random
+"""
+SPEC = spec(FACTORS, seed=4, plan={'method': 'factorial'})
 GOOD = ['a/healthy', 'b/bias', 'b/dropout', 'foreign']
 BAD = ['b/junk.mcap', 'b/lonely', 'deaf', 'strange']
 
 
 @pytest.fixture(scope='module')
-def campaign(paper_gains, tmp_path_factory):
-    folder = tmp_path_factory.mktemp('spec')
-    save_gains(paper_gains, folder / 'gains.yaml')
-    return resolve(SPEC, 'fleet', folder)
-
-
-@pytest.fixture(scope='module')
-def runs(campaign):
+def runs():
     """Plans and runs by name."""
+    campaign = resolve(SPEC, 'fleet', '.')
     plans = {name: plan_run(campaign, k) for k, name in enumerate(('healthy', 'bias', 'dropout'))}
     return {name: (plan, plan.simulate()) for name, plan in plans.items()}
 
@@ -82,6 +70,13 @@ def write_odd(path, topic, msgtype, message):
             writer.write(topic, stamp, message)
 
 
+def write_files(root, content):
+    """Files by their path."""
+    for name, data in content.items():
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).write_bytes(data)
+
+
 @pytest.fixture(scope='module')
 def archive(runs, tmp_path_factory):
     """An archive with good bags and bad ones."""
@@ -90,20 +85,18 @@ def archive(runs, tmp_path_factory):
     for name in ('bias', 'dropout'):
         write_run_bag(*runs[name], root / 'b' / name)
     write_foreign(root / 'foreign', runs['bias'][1])
-    (root / 'b' / 'junk.mcap').write_bytes(b'\x89MCAP0\r\n' + bytes(300))
-    (root / 'b' / 'lonely').mkdir()
-    (root / 'b' / 'lonely' / 'metadata.yaml').write_text(
-        (root / 'a' / 'healthy' / 'metadata.yaml').read_text()
-    )
+    others = {
+        'b/junk.mcap': b'\x89MCAP0\r\n' + bytes(300),
+        'b/lonely/metadata.yaml': (root / 'a' / 'healthy' / 'metadata.yaml').read_bytes(),
+        '.hidden/x.mcap': b'',
+        'notes/metadata.yaml': b'colour: blue\n',
+    }
+    write_files(root, others)
     string = 'std_msgs/msg/String'
     write_odd(root / 'deaf', '/chatter', string, TYPESTORE.types[string]('hello'))
     zeros = [(0.0, 0.0)] * 3
     message = BagMessages(TYPESTORE, '').joint_state(1, ('elbow', 'wrist'), *zeros)
     write_odd(root / 'strange', '/js', JOINT_STATE, message)
-    (root / '.hidden').mkdir()
-    (root / '.hidden' / 'x.mcap').write_bytes(b'')
-    (root / 'notes').mkdir()
-    (root / 'notes' / 'metadata.yaml').write_text('colour: blue\n')
     return root
 
 
@@ -112,7 +105,7 @@ def settings(archive, paper_arm, runs):
     return Archive(archive_text(archive, paper_arm, runs['bias'][0].gains))
 
 
-def command(root, out, gains, *more):
+def fleet(root, out, gains, *more):
     files = ['--arm', 'paper', '--gains', str(gains), '--out', str(out), '--workers', '0']
     return ['fleet', str(root), *files, *more]
 
@@ -126,9 +119,8 @@ def gains(archive):
 def done(archive, gains, tmp_path_factory):
     """Results folder of the archive, and its rows by bag."""
     out = tmp_path_factory.mktemp('done') / 'out'
-    assert main(command(archive, out, gains)) == 3
-    rows = {row['bag']: row for row in pq.read_table(out / 'bags.parquet').to_pylist()}
-    return out, rows
+    assert main(fleet(archive, out, gains)) == 3
+    return out, {row['bag']: row for row in rows_of(out, 'bags')}
 
 
 def names(*arguments):
@@ -140,11 +132,10 @@ def test_given_an_archive_when_searched_then_bags_are_found_and_nothing_else(arc
     assert names(archive, [archive / 'b']) == sorted(['a/healthy', 'foreign', 'deaf', 'strange'])
     assert unit_of(archive, 'b/bias') == 'b'
     assert unit_of(archive, 'foreign') == ''
-    for name in ('cut/cut_0.mcap', 'cut/cut_1.mcap', 'loose/one.mcap', 'loose/two.db3',
-                 'whole/whole.mcap', 'old/old_0.db3'):  # fmt: skip
-        path = tmp_path / name
-        path.parent.mkdir(exist_ok=True)
-        path.write_bytes(b'')
+    loose = (
+        'cut/cut_0.mcap cut/cut_1.mcap loose/one.mcap loose/two.db3 whole/whole.mcap old/old_0.db3'
+    )
+    write_files(tmp_path, dict.fromkeys(loose.split(), b''))
     assert names(tmp_path) == ['cut', 'loose/one.mcap', 'loose/two.db3', 'old/old_0.db3', 'whole']
     with pytest.raises(ConfigError, match='not a folder'):
         find_bags(tmp_path / 'nowhere')
@@ -165,16 +156,10 @@ def test_given_custom_data_when_a_bag_is_asked_whose_it_is_then_the_serial_count
 
 def test_given_bags_of_runs_when_replayed_then_their_figures_are_those_of_the_campaign(done, runs):
     _, rows = done
-    for bag, name in (('a/healthy', 'healthy'), ('b/bias', 'bias'), ('b/dropout', 'dropout')):
-        expected, row = figures(*runs[name]), rows[bag]
-        assert set(expected) <= set(row)
-        for figure, value in expected.items():
-            if isinstance(value, float):
-                np.testing.assert_allclose(
-                    row[figure], value, rtol=1e-9, atol=1e-12, err_msg=f'{bag} {figure}'
-                )
-            else:
-                assert row[figure] == value, (bag, figure)
+    for bag in ('a/healthy', 'b/bias', 'b/dropout'):
+        expected = figures(*runs[bag[2:]])
+        assert set(expected) <= set(rows[bag])
+        assert differences(rows[bag], expected) == []
     assert rows['b/bias']['detected'] and not rows['a/healthy']['detected']
 
 
@@ -255,16 +240,14 @@ def test_given_a_long_bag_when_replayed_then_its_truth_is_left_out(archive, sett
 
 
 def test_given_an_archive_of_a_serial_arm_when_replayed_then_its_rows_name_all_joints(tmp_path):
-    factors = {'path': 'random', 'fault.kind': 'bias', 'fault.size': 0.1, 'fault.onset': 1.5}
-    spec = {'name': 's', 'arm': 'ur10', 'scenario': 'ur10', 'duration': 2.5, 'factors': factors}
-    plan = plan_run(resolve({**spec, 'plan': {'method': 'random', 'runs': 1}}, 's', '.'), 0)
+    plan = plan_run(resolve(UR10, 's', '.'), 2)
     write_run_bag(plan, plan.simulate(), tmp_path / 'bags' / 'one')
     out = tmp_path / 'out'
     line = ['fleet', str(tmp_path / 'bags'), '--arm', 'ur10', '--out', str(out), '--workers', '0']
     assert main(line) == 0
-    (row,) = pq.read_table(out / 'bags.parquet').to_pylist()
+    (row,) = rows_of(out, 'bags')
     assert row['isolated'] and row['kind'] == 'bias' and row['score_6'] is not None
-    assert 'UR' in (out / 'report.html').read_text() or 'ur10' in (out / 'report.html').read_text()
+    assert re.search('UR|ur10', (out / 'report.html').read_text())
 
 
 def test_given_results_when_called_again_then_only_new_changed_and_failed_bags_are_replayed(
@@ -273,21 +256,21 @@ def test_given_results_when_called_again_then_only_new_changed_and_failed_bags_a
     root, out = tmp_path / 'root', tmp_path / 'root' / 'out'
     shutil.copytree(archive / 'b', root / 'b')
     shutil.copytree(archive / 'foreign', root / 'foreign')
-    assert main(command(root, out, gains)) == 3
+    assert main(fleet(root, out, gains)) == 3
     seen, true = [], Archive.row
     monkeypatch.setattr(Archive, 'row', lambda self, bag: seen.append(bag) or true(self, bag))
     os.utime(next((root / 'b' / 'bias').glob('*.mcap')), ns=(1, 1))
     shutil.rmtree(root / 'b' / 'dropout')
     shutil.copytree(archive / 'a' / 'healthy', root / 'new')
-    assert main(command(root, out, gains)) == 3
+    assert main(fleet(root, out, gains)) == 3
     assert '1 of 5 are here already' in capsys.readouterr().out
     assert seen == ['b/bias', 'b/junk.mcap', 'b/lonely', 'new']
-    after = pq.read_table(out / 'bags.parquet')
-    assert after['bag'].to_pylist() == ['b/bias', 'b/junk.mcap', 'b/lonely', 'foreign', 'new']
+    after = [row['bag'] for row in rows_of(out, 'bags')]
+    assert after == ['b/bias', 'b/junk.mcap', 'b/lonely', 'foreign', 'new']
     for name in ('b/junk.mcap', 'b/lonely'):
         path = root / name
         shutil.rmtree(path) if path.is_dir() else path.unlink()
-    assert main(command(root, out, gains)) == 0
+    assert main(fleet(root, out, gains)) == 0
 
 
 @pytest.mark.parametrize(
@@ -315,10 +298,8 @@ def test_given_an_archive_when_reported_then_figures_count_what_the_rows_say(don
     out, rows = done
     numbers = json.loads((out / 'report.json').read_text())
     assert (numbers['head']['count'], numbers['head']['failed']) == (4, 4)
-    assert (numbers['overall']['detected']['hits'], numbers['overall']['detected']['cases']) == (
-        2,
-        2,
-    )
+    detected = numbers['overall']['detected']
+    assert (detected['hits'], detected['cases']) == (2, 2)
     alarms = {rate['name']: rate['events'] for rate in numbers['alarms']}
     assert alarms['alarms of all sensors'] == sum(rows[name]['alarms'] for name in GOOD)
     assert {row['bag'] for row in numbers['bags']} == set(GOOD)
@@ -328,20 +309,18 @@ def test_given_an_archive_when_reported_then_figures_count_what_the_rows_say(don
 
 
 def test_given_alarms_when_listed_then_those_of_one_sensor_and_kind_are_one_line():
-    def alarm(event, sensor, kind, onset):
-        return Alarm(event, 0, sensor, onset * 10**9, (onset + 1) * 10**9, 0.1, 0.01, kind, 1.0)
-
     raised, updated, cleared = AlarmEvent.RAISED, AlarmEvent.UPDATED, AlarmEvent.CLEARED
-    rows = alarm_rows(
-        [
-            alarm(raised, 'one', 'unclassified', 1),
-            alarm(updated, 'one', 'drift', 1),
-            alarm(cleared, 'one', 'drift', 1),
-            alarm(raised, 'one', 'drift', 5),
-            alarm(raised, 'two', 'drift', 6),
-        ],
-        0,
-    )
+    events = [
+        Alarm(event, 0, sensor, onset * 10**9, (onset + 1) * 10**9, 0.1, 0.01, kind, 1.0)
+        for event, sensor, kind, onset in (
+            (raised, 'one', 'unclassified', 1),
+            (updated, 'one', 'drift', 1),
+            (cleared, 'one', 'drift', 1),
+            (raised, 'one', 'drift', 5),
+            (raised, 'two', 'drift', 6),
+        )
+    ]
+    rows = alarm_rows(events, 0)
     assert [(row['sensor'], row['kind'], row['count'], row['onset']) for row in rows] == [
         ('one', 'drift', 2, 1.0),
         ('two', 'drift', 1, 6.0),

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import optuna
 import pytest
-import yaml
+from campaign_files import spec, written
 
 from lpv.cli.commands.tune import healthy
 from lpv.cli.main import main
@@ -17,19 +17,9 @@ from lpv_design.requirement import load_requirement
 
 pytestmark = pytest.mark.slow
 
-CAMPAIGN = {
-    'name': 'tune',
-    'seed': 11,
-    'designs': ['poor.yaml'],
-    'plan': {'method': 'latin_hypercube', 'runs': 4},
-    'duration': 3.5,
-    'factors': {
-        'path': 'random',
-        'fault.kind': ['none', 'bias'],
-        'fault.size': {'bias': 0.1},
-        'fault.onset': 2.0,
-    },
-}
+FACTORS = '{path: random, fault.kind: [none, bias], fault.size: {bias: 0.1}, fault.onset: 2.0}'
+PLAN = {'method': 'latin_hypercube', 'runs': 4}
+CAMPAIGN = spec(FACTORS, seed=11, designs=['poor.yaml'], plan=PLAN, duration=3.5)
 SEARCH = ['--search', 'observer.acceleration_noise=0.02:20.0']
 COST = ['--cost', 'fault_rms_before=1']
 
@@ -39,14 +29,17 @@ def file(tmp_path):
     """A campaign whose requirement believes in far too much noise of the accelerations."""
     data = read_yaml(load_requirement('paper').source)
     data['observer']['acceleration_noise'] = 10.0
-    (tmp_path / 'poor.yaml').write_text(yaml.safe_dump(data))
-    (tmp_path / 'tune.yaml').write_text(yaml.safe_dump(CAMPAIGN))
-    return tmp_path / 'tune.yaml'
+    written(tmp_path / 'poor.yaml', data)
+    return written(tmp_path / 'tune.yaml', CAMPAIGN)
 
 
 def command(file, trials, *more):
     out = ['--out', str(file.parent / 'out'), '--workers', '0']
     return ['tune', str(file), *SEARCH, *COST, '--trials', str(trials), *out, *more]
+
+
+def study_in(out):
+    return optuna.load_study(study_name=None, storage=f'sqlite:///{out / "study.db"}')
 
 
 def test_given_a_design_when_tuned_and_resumed_then_only_certified_better_gains_are_written(
@@ -57,8 +50,7 @@ def test_given_a_design_when_tuned_and_resumed_then_only_certified_better_gains_
     assert main(command(file, 3)) == 0
     text = capsys.readouterr().out
     assert text.count('trial 0: ') == text.count('trial 1: ') == 1  # what was done is kept
-    storage = f'sqlite:///{out / "study.db"}'
-    study = optuna.load_study(study_name=None, storage=storage)
+    study = study_in(out)
     assert len(study.trials) == 3
     assert study.trials[0].params == {'observer.acceleration_noise': 10.0}
     assert study.trials[0].values[0] == pytest.approx(1.0)
@@ -75,8 +67,7 @@ def test_given_a_design_when_tuned_and_resumed_then_only_certified_better_gains_
     # The same search in one go ends with the same trials.
     other = file.parent / 'other'
     assert main([*command(file, 3)[:-4], '--out', str(other), '--workers', '0']) == 0
-    again = optuna.load_study(study_name=None, storage=f'sqlite:///{other / "study.db"}')
-    assert [t.params for t in again.trials] == [t.params for t in study.trials]
+    assert [t.params for t in study_in(other).trials] == [t.params for t in study.trials]
     assert refused('another study', *command(file, 3, '--seed', '2'))
 
 
@@ -111,8 +102,8 @@ def test_given_what_makes_no_sense_when_tuned_then_one_line_says_so(file, refuse
 
 
 def test_given_an_arm_without_design_or_no_study_when_tuned_then_it_is_refused(file, refused):
-    told = 'has no lpv region: no design to tune'
-    assert refused(told, 'tune', 'ur10', *SEARCH, '--out', file.parent / 'x')
-    (file.parent / 'out').mkdir()
-    (file.parent / 'out' / 'study.db').write_text('no data base')
+    told, out = 'has no lpv region: no design to tune', file.parent / 'out'
+    assert refused(told, 'tune', 'ur10', *SEARCH, '--out', out)
+    out.mkdir(exist_ok=True)
+    (out / 'study.db').write_text('no data base')
     assert refused('study.db', *command(file, 2))
