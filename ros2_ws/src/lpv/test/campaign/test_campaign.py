@@ -121,10 +121,8 @@ def test_given_a_factorial_plan_when_sampled_then_every_combination_comes_once_a
     """
     factorial = resolved(factors, plan={'method': 'factorial', 'repeats': 2})
     values = [factorial.values(number) for number in factorial.tasks]
-    assert set(
-        Counter(tuple(v[name] for name in factorial.spec.factors) for v in values).values()
-    ) == {2}
-    assert len(values) == 24 and {v['noise'] for v in values} == {0.5, 1.25, 2.0}
+    assert list(Counter(map(str, values)).values()) == [2] * 12
+    assert {v['noise'] for v in values} == {0.5, 1.25, 2.0}
 
 
 def test_given_a_latin_hypercube_when_sampled_then_every_stratum_of_every_factor_is_hit_once():
