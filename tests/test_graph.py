@@ -13,7 +13,7 @@ from rcl_interfaces.srv import DescribeParameters, ListParameters
 from rclpy.qos import qos_profile_sensor_data
 from rosbags.highlevel import AnyReader
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import JointState
+from test_restart import rig_on, stamp_of
 
 from lpv.bag.run.record import load_run
 from lpv.core.uio.certificate.gains import save_gains
@@ -31,24 +31,13 @@ pytestmark = pytest.mark.ros
 
 ARM = f'arm_file:={BRINGUP / "arms" / "paper.yaml"}'
 GAINS = BRINGUP / 'gains' / 'paper.yaml'
+PAPER = {'arm': BRINGUP / 'arms' / 'paper.yaml', 'gains': GAINS}
 CALM = """
 name: calm
 duration: 600.0
-path:
-  waypoints:
-    - {t: 0.5, x: -0.8451, y: 1.5893}
-    - {t: 20.0, x: 0.8451, y: 1.5893}
+path: {waypoints: [{t: 0.5, x: -0.8451, y: 1.5893}, {t: 20.0, x: 0.8451, y: 1.5893}]}
 """
-
-
 WRONG = '--params-file wrong.yaml'
-
-
-@pytest.fixture
-def calm(tmp_path):
-    path = tmp_path / 'calm.yaml'
-    path.write_text(CALM)
-    return f'scenario_file:={path}'
 
 
 @pytest.fixture
@@ -59,48 +48,43 @@ def signals_as_before():
         signal.signal(number, handler)
 
 
-def start(running, names, scenario, *parameters):
-    for name in names:
-        own = [ARM] if name == 'uio' else [ARM, scenario]
-        files = [GAINS] if name in ('uio', 'tracker') else []
-        running.start(name, ros.command(name, *own, *parameters, files=files))
-
-
 @pytest.mark.realtime
 def test_given_a_running_graph_when_a_fault_is_injected_then_the_alarm_is_on_topic_and_in_bag(
-    tmp_path, calm
+    tmp_path,
 ):
-    domain, bag = ros.next_domain(), tmp_path / 'bag'
-    with ros.graph(tmp_path / 'log', domain) as running:
-        running.start('recorder', ros.command('recorder', f'output:={bag}'))
-        start(running, ('uio', 'tracker', 'simulator'), calm, 'await_recorders:=1')
-        with ros.client(domain) as client:
-            alarms = client.listen(FaultAlarm, 'fault_alarm', latched())
-            states = client.listen(StateEstimate, 'state_estimate', qos_profile_sensor_data)
-            reports = client.listen(DiagnosticArray, '/diagnostics', 10)
-            assert client.wait(lambda: len(states) > 100), 'no estimates'
-            fault = {'sensor': 'link2_angle', 'kind': 'bias', 'size': 0.3}
-            answer = client.call(InjectFault, 'arm_sim/inject_fault', **fault)
-            assert answer.success, answer.message
-            assert client.wait(lambda: alarms), 'no alarm'
-            assert client.wait(
-                lambda: any(s.level == DiagnosticStatus.ERROR for r in reports for s in r.status)
-            )
-            cleared = client.call(ClearFaults, 'arm_sim/clear_faults', sensor='')
-            assert (cleared.success, cleared.cleared) == (True, 1)
-            assert client.wait(lambda: alarms[-1].event == FaultAlarm.CLEARED), 'not cleared'
-            for name in ('uio', 'tracker', 'arm_sim', 'recorder'):
-                assert_described(client, name)
-        ros.end(running)
+    with rig_on(tmp_path, PAPER, scenario=CALM) as rig:
+        rig.start('recorder')
+        rig.start('uio', 'tracker', 'simulator', parameters=['await_recorders:=1'])
+        client = rig.client
+        alarms = client.listen(FaultAlarm, 'fault_alarm', latched())
+        states = client.listen(StateEstimate, 'state_estimate', qos_profile_sensor_data)
+        reports = client.listen(DiagnosticArray, '/diagnostics', 10)
+
+        def errors():
+            return [s for r in reports for s in r.status if s.level == DiagnosticStatus.ERROR]
+
+        assert client.wait(lambda: len(states) > 100), 'no estimates'
+        fault = {'sensor': 'link2_angle', 'kind': 'bias', 'size': 0.3}
+        answer = client.call(InjectFault, 'arm_sim/inject_fault', **fault)
+        assert answer.success, answer.message
+        assert client.wait(lambda: alarms), 'no alarm'
+        assert client.wait(errors)
+        cleared = client.call(ClearFaults, 'arm_sim/clear_faults', sensor='')
+        assert (cleared.success, cleared.cleared) == (True, 1)
+        assert client.wait(lambda: alarms[-1].event == FaultAlarm.CLEARED), 'not cleared'
+        for name in ('uio', 'tracker', 'arm_sim', 'recorder'):
+            assert_described(client, name)
+        ros.end(rig.running)
     raised = alarms[0]
     assert (raised.event, raised.sensor) == (FaultAlarm.RAISED, 'link2_angle')
     assert raised.size == pytest.approx(0.3, abs=0.1)
-    errors = [s for r in reports for s in r.status if s.level == DiagnosticStatus.ERROR]
-    assert {s.hardware_id for s in errors if '/uio:' in s.name} == {'link2_angle'}
-    with AnyReader([bag]) as reader:
+    said = {s.hardware_id: s.message for s in errors() if '/uio:' in s.name}
+    assert said.keys() == {'link2_angle'}, said
+    with AnyReader([tmp_path / 'bag1']) as reader:
         (connection,) = (c for c in reader.connections if c.topic == '/lpv/fault_alarm')
-    assert (connection.msgtype, connection.msgdef.format.name) == ('lpv_msgs/msg/FaultAlarm', 'MSG')
-    record = load_run(bag)
+    kind = connection.msgtype, connection.msgdef.format.name
+    assert kind == ('lpv_msgs/msg/FaultAlarm', 'MSG')
+    record = load_run(tmp_path / 'bag1')
     assert len(record.alarms) == connection.msgcount
     first = record.alarms[0]
     assert (first.event, first.sensor, first.size) == (raised.event, raised.sensor, raised.size)
@@ -123,29 +107,26 @@ def assert_described(client, name):
             assert limits.from_value < limits.to_value, d.name
 
 
-def test_given_lockstep_when_nobody_answers_then_the_simulator_waits(tmp_path, calm):
-    domain = ros.next_domain()
-    with ros.graph(tmp_path / 'log', domain) as running:
-        start(running, ('simulator',), calm, 'lockstep:=true')
-        with ros.client(domain) as client:
-            clocks = client.listen(Clock, '/clock', stream(True))
-            truths = client.listen(GroundTruth, 'ground_truth', stream(True))
-            measured = client.listen(JointState, 'joint_states', stream(True))
-            out = client.node.create_publisher(TorqueCommand, 'torque_command', stream(True))
-            assert client.wait(lambda: len(measured) == 1 and len(truths) == 1)
-            client.wait(lambda: False, 0.5)
-            assert len(measured) == len(clocks) == 1
-            for step in range(1, 4):
-                command = TorqueCommand(torque=[0.0, 0.0])
-                command.header.stamp = measured[-1].header.stamp
-                out.publish(command)
-                out.publish(command)  # an answer given twice makes one step
-                assert client.wait(lambda n=step: len(measured) == n + 1)
-                client.wait(lambda: False, 0.1)
-                assert len(measured) == len(clocks) == step + 1
-        assert running.stop() == {'simulator': 0}
-    stamps = [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in measured]
-    assert np.diff(stamps).tolist() == [2_000_000] * 3
+def test_given_lockstep_when_nobody_answers_then_the_simulator_waits(tmp_path):
+    with rig_on(tmp_path, PAPER, lockstep=True) as rig:
+        client, measured = rig.client, rig.heard['joint_states']
+        clocks = client.listen(Clock, '/clock', stream(True))
+        truths = client.listen(GroundTruth, 'ground_truth', stream(True))
+        out = client.node.create_publisher(TorqueCommand, 'torque_command', stream(True))
+        rig.start('simulator')
+        assert client.wait(lambda: len(measured) == 1 and len(truths) == 1)
+        rig.spin(0.5)
+        assert len(measured) == len(clocks) == 1
+        for step in range(1, 4):
+            command = TorqueCommand(torque=[0.0, 0.0])
+            command.header.stamp = measured[-1].header.stamp
+            out.publish(command)
+            out.publish(command)  # an answer given twice makes one step
+            assert client.wait(lambda n=step: len(measured) == n + 1)
+            rig.spin(0.1)
+            assert len(measured) == len(clocks) == step + 1
+        ros.end(rig.running)
+    assert np.diff([stamp_of(m) for m in measured]).tolist() == [2_000_000] * 3
 
 
 SCENARIO = f'-p {ARM} -p scenario_file:='
@@ -166,7 +147,7 @@ SCENARIO = f'-p {ARM} -p scenario_file:='
             'there is no file /nowhere/gains.yaml; gains of an arm are written by: lpv design',
         ),
         (UioNode, f'-p {ARM} {WRONG}', 'the certificate does not hold: observer, link 1'),
-        (TrackerNode, f'{SCENARIO}calm.yaml {WRONG}', 'does not hold: observer, link 1'),
+        (TrackerNode, f'{SCENARIO}two_faults {WRONG}', 'does not hold: observer, link 1'),
         (TrackerNode, f'{SCENARIO}/nowhere.yaml', 'nowhere.yaml'),
         (SimulatorNode, f'-p {ARM}', 'scenario_file: must be set'),
         (RecorderNode, '-p output:=/proc/nothing/bag', 'cannot be written'),
@@ -176,7 +157,7 @@ SCENARIO = f'-p {ARM} -p scenario_file:='
         (ViewNode, f'-p {ARM} -p address:=192.0.2.1 -p port:=0', 'cannot listen on 192.0.2.1'),
     ],
 )
-@pytest.mark.usefixtures('calm', 'signals_as_before')
+@pytest.mark.usefixtures('signals_as_before')
 def test_given_a_node_that_cannot_start_when_run_then_it_says_why_and_ends_with_code_1(
     tmp_path, capfd, monkeypatch, paper_gains, kind, words, told
 ):

@@ -71,11 +71,11 @@ def stamp_of(message):
 class Rig:
     """A running graph, and what is heard from it."""
 
-    def __init__(self, running, client, files, folder, lockstep):
+    def __init__(self, running, client, files, folder, lockstep, scenario):
         self.running, self.client, self._files = running, client, files
         self._folder, self._lockstep = folder, lockstep
         self.nodes, self._starts = {}, {}
-        (folder / 'moving.yaml').write_text(MOVING)
+        (folder / 'scenario.yaml').write_text(scenario)
         qos, topics = stream(True), {'joint_states': JointState}
         if not lockstep:
             qos = QoSProfile(depth=5000, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -91,7 +91,7 @@ class Rig:
             else:
                 own.append(f'arm_file:={self._files["arm"]}')
             if name in LIMITS:
-                own.append(f'scenario_file:={self._folder / "moving.yaml"}')
+                own.append(f'scenario_file:={self._folder / "scenario.yaml"}')
             gains = [self._files['gains']] if name in ('uio', 'tracker') else []
             line = ros.command(name, *own, files=gains)
             self.nodes[name] = self.running.start(f'{name}{count}', line)
@@ -196,10 +196,10 @@ def damped(tmp_path_factory):
 
 
 @contextmanager
-def rig_on(folder, files, lockstep=False):
+def rig_on(folder, files, lockstep=False, scenario=MOVING):
     domain = ros.next_domain()
     with ros.graph(folder / 'log', domain) as running, ros.client(domain) as client:
-        yield Rig(running, client, files, folder, lockstep)
+        yield Rig(running, client, files, folder, lockstep, scenario)
 
 
 def assert_brakes(rig, death):

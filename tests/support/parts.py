@@ -19,16 +19,15 @@ def energy(theta_1, theta_2, rate_1, rate_2, params):
 class Swing:
     """A smooth motion about the vertical as joint-space samples with their exact torques."""
 
-    def __init__(self, arm, pace=1.0):
-        self.joints, self.c, self.pace = JointMap(arm), arm.constants(), pace
+    def __init__(self, arm):
+        self.joints, self.c = JointMap(arm), arm.constants()
         self.rest = 0.0 if arm.orientation == 'upright' else math.pi
 
     def absolute(self, t):
-        p, t = self.pace, self.pace * t
         return (
             self.rest + np.array([0.5 * math.sin(1.1 * t), 0.3 * math.sin(1.7 * t)]),
-            p * np.array([0.55 * math.cos(1.1 * t), 0.51 * math.cos(1.7 * t)]),
-            p * p * np.array([-0.605 * math.sin(1.1 * t), -0.867 * math.sin(1.7 * t)]),
+            np.array([0.55 * math.cos(1.1 * t), 0.51 * math.cos(1.7 * t)]),
+            np.array([-0.605 * math.sin(1.1 * t), -0.867 * math.sin(1.7 * t)]),
         )
 
     def torque(self, t):
