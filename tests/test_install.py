@@ -1,6 +1,7 @@
-"""Where the ros2 command of ours is installed, tab completion, and a set-up again."""
+"""Where the ros2 command of ours is installed, tab completion, shells, and a set-up again."""
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -73,19 +74,6 @@ def test_given_a_set_up_that_is_done_when_set_up_again_then_nothing_is_done():
     assert (result.returncode, result.stdout) == (0, ''), result.stdout + result.stderr
 
 
-def completions(line, tmp_path):
-    """What the shell offers after a line."""
-    answer = tmp_path / 'answer'
-    asked = {
-        'COMP_LINE': line, 'COMP_POINT': str(len(line)), 'COMP_TYPE': '9', '_ARGCOMPLETE': '1',
-        '_ARGCOMPLETE_IFS': '\n', '_ARGCOMPLETE_SUPPRESS_SPACE': '1',
-        '_ARGCOMPLETE_STDOUT_FILENAME': str(answer), 'ROS_DOMAIN_ID': '99',
-    }  # fmt: skip
-    program, environment = [Path(sys.prefix) / 'bin' / line.split()[0]], {**os.environ, **asked}
-    subprocess.run(program, env=environment, timeout=600, capture_output=True, cwd=tmp_path)
-    return answer.read_text().split('\n')
-
-
 @pytest.mark.parametrize(
     ('line', 'offered'),
     [
@@ -99,4 +87,37 @@ def completions(line, tmp_path):
 def test_given_a_line_when_completed_then_what_fits_is_offered(tmp_path, line, offered):
     if line.startswith('ros2'):
         pytest.importorskip('lpv_ros2cli', reason='a real ros2cli is here')
-    assert offered <= set(completions(line, tmp_path))
+    answer = tmp_path / 'answer'
+    asked = {
+        'COMP_LINE': line, 'COMP_POINT': str(len(line)), 'COMP_TYPE': '9', '_ARGCOMPLETE': '1',
+        '_ARGCOMPLETE_IFS': '\n', '_ARGCOMPLETE_SUPPRESS_SPACE': '1',
+        '_ARGCOMPLETE_STDOUT_FILENAME': str(answer), 'ROS_DOMAIN_ID': '99',
+    }  # fmt: skip
+    program, environment = [Path(sys.prefix) / 'bin' / line.split()[0]], {**os.environ, **asked}
+    subprocess.run(program, env=environment, timeout=600, capture_output=True, cwd=tmp_path)
+    assert offered <= set(answer.read_text().split('\n'))
+
+
+# Script, options without the user's own files, what to ask, and what the answer holds.
+SHELLS = {
+    'bash': ('env.sh', '--norc', 'complete -p lpv', '_python_argcomplete'),
+    'zsh': ('env.zsh', '-f', 'print ${_comps[lpv]}', '_python_argcomplete'),
+    'fish': ('env.fish', '-N', 'complete -C "lpv ver"', 'verify'),
+}
+
+
+@pytest.mark.parametrize('shell', SHELLS)
+def test_given_a_shell_when_its_script_is_sourced_then_lpv_is_found_and_completed(shell, tmp_path):
+    if shutil.which(shell) is None:
+        pytest.skip(f'{shell} is not installed')
+    script, bare, question, answer = SHELLS[shell]
+    others = {k: v for k, v in os.environ.items() if k not in ('ROS_DISTRO', 'PYTHONPATH')}
+    done = subprocess.run(
+        [shell, bare, '-i', '-c', f'source {ROOT / "tools" / script}\ntype lpv\n{question}\n'],
+        env={**others, 'VENV': sys.prefix, 'PATH': '/usr/bin:/bin', 'HOME': str(tmp_path)},
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+    )
+    assert f'{sys.prefix}/bin/lpv' in done.stdout and answer in done.stdout
+    assert 'not found' not in done.stdout + done.stderr
