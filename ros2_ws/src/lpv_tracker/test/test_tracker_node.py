@@ -21,9 +21,9 @@ PLACES = {'paper': [0.1, 0.2], 'ur10': [0.0, -1.6, 1.5, -1.4, -1.5, 0.0]}
 """Of an arm on its path."""
 
 
-def tracker(arm, *files, **parameters):
+def tracker(arm, *files, scenario=None, **parameters):
     """A configured tracker of a shipped arm, in lockstep if not said otherwise."""
-    scenario = {'paper': 'two_faults'}.get(arm, arm)
+    scenario = scenario or {'paper': 'two_faults'}.get(arm, arm)
     given = {
         'arm_file': BRINGUP / 'arms' / f'{arm}.yaml',
         'scenario_file': BRINGUP / 'scenarios' / f'{scenario}.yaml',
@@ -117,6 +117,12 @@ def test_given_a_fault_when_forgotten_in_a_silence_then_the_arm_waits(node, paus
 
 
 # ------------------------------------------------------------------ files of serial arms
+
+
+@pytest.mark.parametrize(('scenario', 'field'), [('two_faults', 'lpv'), ('panda', 'path.start')])
+def test_given_a_scenario_of_another_arm_when_configured_then_the_field_is_named(scenario, field):
+    with pytest.raises(ConfigError, match=field), tracker('ur10', scenario=scenario):
+        pass
 
 
 def test_given_gains_or_a_bandwidth_when_configured_then_what_they_guarantee_is_told():
