@@ -3,6 +3,7 @@
 import sys
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from places import BRINGUP
 from prismatic_arms import middle, mixed_arm, scara, ur10_on_rail
@@ -29,11 +30,6 @@ def chosen(request):
 
 
 @pytest.fixture
-def pin():
-    return pytest.importorskip('pinocchio', reason='Pinocchio (pin) is not installed')
-
-
-@pytest.fixture
 def mujoco():
     return pytest.importorskip('mujoco', reason='MuJoCo is not installed')
 
@@ -48,25 +44,23 @@ def close(found, expected):
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-9 * scale)
 
 
-def pinocchio_arm(pin, arm, inertial):
+def pinocchio_arm(arm, inertial):
     """The arm as Pinocchio reads its URDF; its base stands as the arm's does."""
     model = pin.buildModelFromXML(arm_urdf(arm, inertial=inertial))
     model.gravity.linear = arm.gravity_vector()
     return model
 
 
-def position(pin, model, q):
+def position(model, q):
     """Of Pinocchio: a joint without limits is a point on a circle."""
     return pin.integrate(model, pin.neutral(model), q)
 
 
-def test_given_an_exported_urdf_when_pinocchio_places_it_then_tip_and_jacobian_are_ours(
-    pin, chosen
-):
-    model = pinocchio_arm(pin, chosen, inertial=False)
+def test_given_an_exported_urdf_when_pinocchio_places_it_then_tip_and_jacobian_are_ours(chosen):
+    model = pinocchio_arm(chosen, inertial=False)
     data, chain, tool = model.createData(), compile_chain(chosen), model.getFrameId('tip')
     for q, _, _ in states(len(chosen.joints)):
-        place = position(pin, model, q)
+        place = position(model, q)
         pin.framesForwardKinematics(model, data, place)
         _, tip = forward_kinematics(chain, q)
         close(data.oMf[tool].translation, tip)
@@ -81,10 +75,10 @@ def test_given_an_exported_urdf_when_pinocchio_places_it_then_tip_and_jacobian_a
 
 
 def test_given_an_exported_urdf_when_read_again_and_by_pinocchio_then_torques_are_the_same(
-    pin, chosen, tmp_path
+    chosen, tmp_path
 ):
     try:
-        model = pinocchio_arm(pin, chosen, inertial=True)
+        model = pinocchio_arm(chosen, inertial=True)
     except ValueError as error:
         assert 'a URDF cannot express that' in str(error)  # noqa: PT017 - identified arms
         return
@@ -94,7 +88,7 @@ def test_given_an_exported_urdf_when_read_again_and_by_pinocchio_then_torques_ar
     assert [joint.type for joint in again.joints] == [joint.type for joint in chosen.joints]
     read = SerialModel(compile_chain(again)._replace(gravity=ours.chain.gravity))
     for q, v, a in states(len(chosen.joints)):
-        place = position(pin, model, q)
+        place = position(model, q)
         close(pin.computeGeneralizedGravity(model, data, place), ours.gravity(q))
         torque = pin.rnea(model, data, place, v, a)  # a URDF has no rotors
         close(read.inverse_dynamics(q, v, a), torque)
