@@ -512,6 +512,8 @@ def test_given_unusable_messages_when_replayed_then_nothing_is_left(loop, replay
         with pytest.raises(BagError, match=told):
             replay(bag)
         assert not (tmp_path / 'out').exists()
+    with pytest.raises(BagError, match='damaged: cannot be read'):
+        load_run(damaged)
     (tmp_path / 'out').mkdir()
     with pytest.raises(ConfigError, match='exists'):
         replay(damaged)
