@@ -26,7 +26,7 @@ fault.rate: {drift: 0.3, spike: 20.0}
 fault.onset: {low: 1.2, high: 1.5}
 mass_1: {low: 0.95, high: 1.05}
 """
-SMALL = spec(FACTORS, 24)
+SMALL = spec(FACTORS, 24, seed=1)
 UR10 = yaml.safe_load("""
 name: steps
 seed: 2

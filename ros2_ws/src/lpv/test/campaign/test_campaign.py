@@ -134,7 +134,7 @@ def test_given_a_latin_hypercube_when_sampled_then_every_stratum_of_every_factor
 
 
 def test_given_a_random_plan_when_it_is_made_longer_then_the_first_runs_stay_the_same(small):
-    long = resolved(FACTORS, 400)
+    long = resolved(FACTORS, 400, seed=1)
     for number in range(4):
         assert small.values(number) == long.values(number)
         assert plan_run(small, number).scenario == plan_run(long, number).scenario
