@@ -43,4 +43,4 @@ def test_given_mutated_files_when_read_then_each_is_refused_clearly_or_holds_fin
     def mutate(seed):
         path.write_bytes(mutate_text(text, seed))
 
-    assert fuzz(60, mutate, lambda: load(path), unbounded=_UNBOUNDED.get(kind, ())).refused
+    assert fuzz(150, mutate, lambda: load(path), unbounded=_UNBOUNDED.get(kind, ())).refused
