@@ -83,8 +83,6 @@ ENCODER_KINDS = ('drift', 'scale', 'slip', 'stuck')
 NEGLIGIBLE = 5e-4
 """Errors of readings, and of rates in a quarter of a second, that are no faults, however little
 noise the file states [rad], times `SerialJoint.scale`."""
-LARGEST_SCALE = 0.5
-"""Largest scale error that is looked for in jumps [-]."""
 QUIET, LOUD = 0.25, 0.5
 """Shares of the evidence that an alarm needs: below the first one the bank has found nothing, from
 the second one on hypotheses that take more time are compared, too."""
@@ -113,7 +111,7 @@ class Hypothesis:
     sigma: float  # standard deviation of size
     begin: float  # [s]
     starts: float = 1.0  # that it stands for
-    seen: bool = False  # whether the reading shows it by itself: it froze, or jumped by as much
+    seen: bool = False  # whether the reading shows it by itself: it froze
     course: Course | None = None  # of a joint whose reading froze
 
     @property
@@ -240,17 +238,9 @@ class Bank:
         """Intervals that `way` knows of."""
         return self._kinematics.held
 
-    def note_jump(self, joint: int, time: float, size: tuple[float, float], reading: float) -> None:
-        """A reading jumped, and the jump was taken out: it may have been a scale error's.
-
-        ``size`` is the jump with its standard deviation [rad], ``reading`` the reading without it
-        [rad].
-        """
-        self._kinematics.note_jump(joint, size[1] ** 2)
-        jump = self._evidence.jump[joint]
-        jump[0] = np.inf
-        if abs(size[0]) < LARGEST_SCALE * abs(reading):
-            jump[:] = time, size[0] / reading, size[1] / abs(reading)
+    def note_jump(self, joint: int, variance: float) -> None:
+        """A reading jumped, and the jump was taken out, with some error [rad2]."""
+        self._kinematics.note_jump(joint, variance)
 
     def rate_agrees(self, joint: int, taken_out: float) -> bool:
         """Whether rate and encoder of a joint have agreed of late, but for what is taken out."""
@@ -303,12 +293,6 @@ class Bank:
             Hypothesis(CONTACT, -1, float(gain), 0.0, 0.0, float(one.begin[w]), float(starts[w]))
             for w, gain in enumerate(one.contact[:count])
         ]
-        gain, size, sigma = one.scales
-        found += [
-            Hypothesis('scale', int(i), float(gain[i, w]), float(size[i, w]), float(sigma[i, w]),
-                       float(one.begin[w]), float(starts[w]), True)
-            for i, w in zip(*np.nonzero(gain[:, :count] > -np.inf))
-        ]  # fmt: skip
         return found
 
     def stuck(
@@ -535,11 +519,7 @@ def ask_bank(
     if state.statistic < quiet and own.held[0] > 1:
         learn_rows(own, bank.interval)
     state.waited = 0 if state.statistic < quiet else QUIET_EVERY
-    jumped = False
-    for i in range(n):
-        for w in range(state.windows):
-            jumped = jumped or bank.evidence.scales[0, i, w] > quiet
-    return rests or jumped or not state.statistic < LOUD * threshold
+    return rests or not state.statistic < LOUD * threshold
 
 
 @njit_in_place

@@ -37,7 +37,7 @@ class EndOfFault:
     The jump [rad] has been taken out of the reading.  Each of S onsets has an entry in ``prior``,
     ``ages`` and ``ramps``: the logarithm of its odds against a fault that began with the jump,
     before the balances; its age at the jump [s]; 1 where the reading drifted, 0 where it was
-    frozen.  ``share`` is the probability of the hypothesis.
+    frozen.  ``odds`` is the logarithm of the odds of the hypothesis against a fault that began.
     """
 
     joint: int
@@ -46,12 +46,16 @@ class EndOfFault:
     prior: FloatArray
     ages: FloatArray
     ramps: FloatArray
-    share: float = 0.5
+    odds: float = 0.0
+
+    @property
+    def share(self) -> float:
+        """Probability of the hypothesis, against a fault that began."""
+        return float(expit(self.odds))
 
     def weigh(self, estimator: OffsetEstimator) -> None:
         """Compare the hypothesis with the null hypothesis on all balances at hand."""
-        odds = np.logaddexp.reduce(self.prior + self._gains(estimator))
-        self.share = float(expit(odds))
+        self.odds = float(np.logaddexp.reduce(self.prior + self._gains(estimator)))
 
     def settle(self, estimator: OffsetEstimator) -> None:
         """Keep what the balances say, which are about to be forgotten."""

@@ -206,6 +206,9 @@ def correct_since(
     take_out(blocks[:, 3 * n], blocks[:, i], blocks[:, n + i])
     sampler.blocks[places] = blocks
     take_out(sampler.time, sampler.samples[:, 0, i], sampler.samples[:, 1, i])
+    if one.is_scale:  # a share of the readings as they come: an offset beside it is a part of it
+        one.mean[1] += sampler.correction[i]
+        sampler.correction[i] = 0.0
     _note(one, sampler)
     window, epoch = estimator.window, estimator.balance.clock[EPOCH]
     for back in range(min(last, len(estimator))):

@@ -53,10 +53,6 @@ class Evidence(NamedTuple):
     size: FloatArray  # (K, n, W) of faults
     sigma: FloatArray  # (K, n, W) their standard deviations
     contact: FloatArray  # (W,) log Bayes factor of rough torques in the whole window
-    # (n, 3) last jump of each reading [s], as a share of it, and the standard deviation of that
-    jump: FloatArray
-    # (3, n, W) log Bayes factors, sizes and their deviations of scale errors that jumped by that
-    scales: FloatArray
     columns: FloatArray  # (m, 7 n) scratch
     grams: FloatArray  # (n, 5) scratch
 
@@ -77,9 +73,7 @@ def new_evidence(lengths: IntArray, starts: FloatArray, kinds: Kinds, unknowns: 
     return Evidence(
         lengths, np.log(starts), np.zeros(count), np.zeros((count, n)),
         np.zeros((count, n, COLUMNS)), np.zeros((count, n, COLUMNS, COLUMNS)),
-        gain, size, sigma, np.zeros(count), np.full((n, 3), np.inf), np.zeros((3, n, count)),
-        np.zeros((unknowns, COLUMNS * n)),
-        np.zeros((n, 5)))  # fmt: skip
+        gain, size, sigma, np.zeros(count), np.zeros((unknowns, COLUMNS * n)), np.zeros((n, 5)))  # fmt: skip
 
 
 def new_rows(windows: int, joints: int) -> Rows:
@@ -143,28 +137,7 @@ def gather(
             for k in range(kinds.basis.shape[0]):
                 _compare(evidence, kinds, (k, i, w), evidence.begin[w] - times[0], unseen[i])
                 every = np.logaddexp(every, evidence.gain[k, i, w] + evidence.starts[w])
-            _scale_that_jumped(evidence, i, w, times[1])
     return every, pushed
-
-
-@njit_in_place
-def _scale_that_jumped(evidence: Evidence, i: int, w: int, interval: float) -> None:
-    """Compare a scale error of the size that the last jump of the reading had.
-
-    It goes on as it began: a change in proportion to the way, by a share that is known.
-    """
-    time, share, sigma = evidence.jump[i]
-    evidence.scales[0, i, w] = -np.inf
-    if not evidence.begin[w] >= time - 2.0 * interval:
-        return
-    score, own, pose = evidence.score[w, i], evidence.information[w, i], evidence.pose[w, i]
-    known = 1.0 / (sigma * sigma)
-    power = own[SCALE, SCALE] - 2.0 * pose * own[SCALE, OFFSET] + known
-    power += pose * pose * own[OFFSET, OFFSET]
-    pull = score[SCALE] - pose * score[OFFSET] + share * known
-    gain = 0.5 * (pull * pull / power - share * share * known - np.log(power / known))
-    evidence.scales[0, i, w] = gain
-    evidence.scales[1, i, w], evidence.scales[2, i, w] = pull / power, 1.0 / np.sqrt(power)
 
 
 @njit_in_place

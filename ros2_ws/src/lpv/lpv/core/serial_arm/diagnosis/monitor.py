@@ -64,6 +64,7 @@ from lpv.core.serial_arm.diagnosis.sampling import (
     restart,
     take_samples,
 )
+from lpv.core.serial_arm.diagnosis.scale_of_jump import ScaleOfJump, scale_of_jump
 from lpv.core.serial_arm.diagnosis.sensor_state import SensorRecord
 from lpv.core.serial_arm.diagnosis.stuck import STILL_RATE, Frozen, usual_acceleration
 from lpv.core.serial_arm.sensor_map import map_rows, mixing
@@ -172,7 +173,7 @@ class SerialMonitor:
         self._steps = {
             Stage.FOLLOW: self._follow,
             Stage.LINEARISE: self._linearise,
-            Stage.ENDS: self._weigh_ends,
+            Stage.ENDS: self._weigh_jumps,
             Stage.GUARANTEE: self._renew_guarantee,
             Stage.REST: self._find_stuck,
             Stage.NAME: self._find_cause,
@@ -226,6 +227,7 @@ class SerialMonitor:
         self._filters: dict[int, FaultFilter] = {}
         self._whole = np.ones(n)
         self._ends: dict[int, EndOfFault] = {}  # that jumps may have been
+        self._scaled: dict[int, ScaleOfJump] = {}  # that they may have been as well
         self._known = np.zeros(n)  # for how long each offset has been diagnosable [s]
         self._contact = _Contact()
         self.jump, self.jump_variance = np.zeros(n), np.zeros(n)  # of readings, for the caller
@@ -342,7 +344,7 @@ class SerialMonitor:
     def begin_again(self) -> None:
         """Begin new balances, as after a gap in the samples."""
         self._take_out_levels()
-        for one in self._ends.values():
+        for one in (*self._ends.values(), *self._scaled.values()):
             one.settle(self.estimator)
         restart(self.sampler, self.estimator.balance)
         if self.healthy is not None:
@@ -399,7 +401,8 @@ class SerialMonitor:
         state, suspects = self._state, bool(self._suspects)
         state['uses_balances'] = self.uses_balances
         state['learns'] = not (suspects or self._changes())
-        state['follows'], state['ends'] = bool(self._filters), bool(self._ends)
+        state['follows'] = bool(self._filters)
+        state['ends'] = bool(self._ends or self._scaled)
         state['guarantees'], state['suspects'] = self.healthy is not None, suspects
         state['pushed'] = self._contact.since < math.inf
         alarm = self._has_alarm()
@@ -427,12 +430,16 @@ class SerialMonitor:
     def jump_doubt(self) -> FloatArray:
         """What jumps add to standard deviations, shape (n,) [rad].
 
-        While a jump may have been the end of a fault, bounds hold that as well.
+        While a jump may have been the end of a fault, or a scale error's, bounds hold that as well.
         """
-        doubt = np.zeros(self.joints)
+        doubt, wrong = np.zeros(self.joints), self.settings.probability_of_wrong_name
         for i, one in self._ends.items():
-            if one.share > self.settings.probability_of_wrong_name:
+            if one.share > wrong:
                 doubt[i] = abs(one.jump) / self.settings.sigmas
+        for i, scaled in self._scaled.items():
+            if scaled.share > wrong:
+                error = abs(scaled.error(float(self.sampler.samples[-1, 0, i])))
+                doubt[i] = max(doubt[i], error / self.settings.sigmas)
         return doubt
 
     def taken_out(self) -> FloatArray:
@@ -498,7 +505,7 @@ class SerialMonitor:
             elif found == NOISY:
                 if i in self._filters:
                     self._forget(i)
-                self._ends.pop(i, None)
+                self._doubt_no_more(i)
                 self.bank.leave_out_rate(i, True)
                 self._raise(i, 'noise', now, self._noise(i), 0.0)
         self._correction = self.sampler.correction.copy()
@@ -507,9 +514,11 @@ class SerialMonitor:
         """A reading jumped; what remains of its fault is over, or another fault."""
         sensor, sigma = self.sensors[i], float(self.sampler.usual[i])
         fault = float(self.taken_out()[i] + self.estimator.level.mean[i] * sensor.level)
-        back = self._filters.get(i)
+        back, scaled = self._filters.get(i), self._scaled.get(i)
         if sensor.state is SensorState.ERROR and back is not None and back.is_scale:
-            fault = float(size + self.sampler.share[i] * self.sampler.raw[i])
+            fault = float(size + back.mean[0] * self.sampler.raw[i])
+        elif scaled is not None:  # if it was one, it jumps back by its share of the reading now
+            fault = min(fault, size + scaled.size * float(self.sampler.raw[i]), key=abs)
         # Beside a fault that is followed, an offset from before may remain, if that explains more.
         before = float(self.sampler.correction[i]) - size
         beside = back is not None and not back.is_scale and abs(fault - before) < abs(fault)
@@ -526,11 +535,15 @@ class SerialMonitor:
                 self._release(i, int(self.sampler.since[i]), kept)
             self._remains(i, kept, now)
             return
-        self._ends.pop(i, None)
+        self._doubt_no_more(i)
         if back is None and self.uses_balances:
+            reading = float(self.sampler.samples[-1, 0, i])
+            scaled = scale_of_jump(i, now, (size, sigma), reading)
+            if scaled is not None:
+                self._scaled[i] = scaled
             self._ends[i] = end_of_fault(self.estimator, self.sampler, self.bank, i, size)
             sigma += float(self.jump_doubt()[i])
-        self.bank.note_jump(i, now, (size, sigma), float(self.sampler.samples[-1, 0, i]))
+        self.bank.note_jump(i, sigma**2)
         kind = sensor.kind if back is not None else 'bias'
         value = fault if sensor.state is SensorState.ERROR else size
         self._raise(i, kind, now, value, sigma, abs(size) > self._jump_bound[i])
@@ -601,8 +614,22 @@ class SerialMonitor:
         quiet = seen is None and self.bank.statistic < self._state['threshold']
         return Stage.LEVELS if quiet else Stage.END
 
-    def _weigh_ends(self, now: float) -> Stage:
-        """Whether jumps were the ends of faults that nobody had noticed."""
+    def _doubt_no_more(self, i: int) -> None:
+        """What the last jump of sensor i was is known, or matters no more."""
+        self._ends.pop(i, None)
+        self._scaled.pop(i, None)
+
+    def _weigh_jumps(self, now: float) -> Stage:
+        """Whether jumps were scale errors, or the ends of faults that nobody had noticed."""
+        following = Stage.GUARANTEE
+        for i, scaled in list(self._scaled.items()):
+            scaled.weigh(self.estimator, self.sampler, self.bank)
+            if self._is_scale(scaled, now):
+                self._doubt_no_more(i)
+                self._begin_following(scaled.filter(now), 1.0)
+                following = Stage.END  # the estimate is still that of the readings before
+            elif now - scaled.time > self.settings.horizon:
+                del self._scaled[i]
         for i, one in list(self._ends.items()):
             one.weigh(self.estimator)
             settled = now - one.time > 2.0 * self.plan.interval  # all samples at hand are later
@@ -610,7 +637,13 @@ class SerialMonitor:
                 self._end_unnoticed(one, now)
             elif now - one.time > self.settings.horizon:
                 del self._ends[i]  # the level has been estimated without what was before
-        return Stage.GUARANTEE
+        return following
+
+    def _is_scale(self, one: ScaleOfJump, now: float) -> bool:
+        """Whether a jump is that of a scale error, and surely not the end of a fault."""
+        end = self._ends.get(one.joint)
+        over = -math.inf if end is None else end.odds - np.logaddexp(0.0, one.odds)
+        return one.is_named(now, self._sure) and over < -self._sure
 
     def _end_unnoticed(self, one: EndOfFault, now: float) -> None:
         """A jump was the end of a fault; what the reading had before it may remain."""
@@ -619,7 +652,7 @@ class SerialMonitor:
         self._correction[i] = self.sampler.correction[i]
         self.bank.forget_rows(i)
         self.healthy = self.guarantee = None  # readings were wrong
-        del self._ends[i]
+        self._doubt_no_more(i)
         left = float(self.taken_out()[i])
         if abs(left) < self.settings.smallest_step * self.scales[i]:
             self._forget(i)
@@ -635,19 +668,14 @@ class SerialMonitor:
         self._raise(i, 'bias', sensor.onset, left, float(self.faults()[1][i]))
 
     def _seen(self, found: list[Hypothesis]) -> Hypothesis | None:
-        """What explains a reading that froze or jumped, if balances say that its joint went on.
+        """What explains a reading that froze, if balances say that its joint went on.
 
-        That it froze, out of motion or without its noise, or jumped, is evidence of its own: a push
-        or another fault would have to come within the same few seconds.  A jump may be one of a
-        scale error as well as of an offset, which is the null hypothesis.
+        That it froze, out of motion or without its noise, is evidence of its own: a push or another
+        fault would have to come within the same few seconds.
         """
-        wrong = self.settings.probability_of_wrong_name
         shown = (one for one in found if one.seen and one.joint not in self._filters)
         best = next(shown, None)
-        if best is None or best.gain <= -math.log(wrong):
-            return None
-        rivals = () if best.kind == 'stuck' else (one for one in found if one.cause != best.cause)
-        return best if all(one.gain < best.gain for one in rivals) else None
+        return best if best is not None and best.gain > self._sure else None
 
     def _margin(self, kind: str) -> float:
         """By how much a fault must be more likely than torques from outside."""
@@ -747,14 +775,21 @@ class SerialMonitor:
         if kind == 'stuck':  # a rate of its own tells how far the joint went
             way = self.bank.way(i, round((last - one.begin) / self.plan.interval))
         if one.course is not None and way is None:
-            self._filters[i] = begin_frozen(i, one.course, last, self._acceleration(i))
+            fault = begin_frozen(i, one.course, last, self._acceleration(i))
         else:
-            self._filters[i] = self._begin(one, kind, way, last)
+            fault = self._begin(one, kind, way, last)
+        self._begin_following(fault, share)
+
+    def _begin_following(self, one: FaultFilter, share: float) -> None:
+        """A fault has been named, with some confidence: it is followed from now on."""
+        i = one.joint
+        self._filters[i] = one
         self.bank.leave_out_rate(i, True)
-        correct_since(self._filters[i], self.estimator, self.sampler, self.bank.momenta_of(i))
+        correct_since(one, self.estimator, self.sampler, self.bank.momenta_of(i))
+        self._correction[i] = self.sampler.correction[i]
         self.healthy = self.guarantee = None  # readings are changed
         fault, deviation = self.faults()
-        name = {'slip': 'bias'}.get(kind, kind)
+        name = {'slip': 'bias'}.get(one.kind, one.kind)
         self._raise(i, name, one.begin, float(fault[i]), float(deviation[i]), confidence=share)
         self._suspects = ()
 
@@ -920,7 +955,7 @@ class SerialMonitor:
     def _correct_no_more(self, i: int) -> None:
         """Samples to come of sensor i are taken as they are."""
         sampler = self.sampler
-        self._ends.pop(i, None)
+        self._doubt_no_more(i)
         if self._filters.pop(i, None) is not None or self.sensors[i].kind == 'noise':
             self.bank.leave_out_rate(i, self.rates[i].active)
         sampler.correction[i] = sampler.followed[i] = sampler.drift[i] = sampler.share[i] = 0.0

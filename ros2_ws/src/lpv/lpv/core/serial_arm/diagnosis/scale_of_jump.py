@@ -1,0 +1,126 @@
+"""Jumps of scale errors, the rival of offsets that begin with a jump.
+
+A reading that jumps by J where it reads y0 has from then on the offset J, the null hypothesis, or
+the scale error s = J / y0, and is off by s (y - y0) once the jump has been taken out.  All balances
+since the jump tell the two apart, as does the kinematic row where a rate has a sensor of its own.
+Both are as likely before the data.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import expit
+
+from lpv.core.serial_arm.diagnosis.balance import OFFSET, SCALE
+from lpv.core.serial_arm.diagnosis.bank import Bank
+from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator, set_residuals
+from lpv.core.serial_arm.diagnosis.fault_filter import FaultFilter, held_blocks
+from lpv.core.serial_arm.diagnosis.information import recent
+from lpv.core.serial_arm.diagnosis.onset import whitened
+from lpv.core.serial_arm.diagnosis.priors import POSE_TIME
+from lpv.core.serial_arm.diagnosis.sampling import Sampler
+
+LARGEST_SCALE = 0.5
+"""Largest scale error that is looked for in jumps [-]."""
+KIND_ODDS = 2.0
+"""A hypothesis is the likelier one when it is so many times as likely.  Which sensor is to blame is
+known; until the kind is sure, bounds hold both."""
+
+
+@dataclass
+class ScaleOfJump:
+    """The hypothesis that a jump of one reading was a scale error's; the jump was taken out."""
+
+    joint: int
+    time: float  # of the jump [s]
+    reading: float  # y0, as corrected [rad]
+    size: float  # s [-]
+    sigma: float  # its standard deviation
+    odds: float = 0.0  # logarithm of its odds against an offset
+    before: float = 0.0  # the part of it by balances that are forgotten
+    by_rate: float = 0.0  # the part of it by the kinematic rows
+    likely_since: float = np.inf  # since when it is the likelier one by `KIND_ODDS` [s]
+
+    @property
+    def share(self) -> float:
+        """Probability of the hypothesis, against an offset."""
+        return float(expit(self.odds))
+
+    def weigh(self, estimator: OffsetEstimator, sampler: Sampler, bank: Bank) -> None:
+        """Compare the hypothesis with an offset on all balances since the jump."""
+        self._ask_rate(estimator, sampler, bank)
+        self.odds = self.before + self.by_rate + self._gain(estimator)
+        likely = self.odds > np.log(KIND_ODDS)
+        self.likely_since = min(self.likely_since, float(sampler.time[-1])) if likely else np.inf
+
+    def settle(self, estimator: OffsetEstimator) -> None:
+        """Keep what the balances say, which are about to be forgotten."""
+        self.before += self._gain(estimator)
+
+    def is_named(self, now: float, sure: float) -> bool:
+        """Whether it is the likelier one by odds that are sure, or for as long as a pose lasts.
+
+        What the model misses in a pose makes the wrong one likely for as long.
+        """
+        return self.odds > sure or now - self.likely_since >= POSE_TIME
+
+    def error(self, reading: float) -> float:
+        """What a reading, as corrected by the jump, is off by if the hypothesis is true [rad]."""
+        return self.size * (reading - self.reading)
+
+    def filter(self, now: float) -> FaultFilter:
+        """Filter of the scale error, at the present time.
+
+        The fault was J at y0; how it grows with the way is known as far as an offset is excluded.
+        """
+        way = np.array([1.0, -self.reading, 0.0])
+        one = FaultFilter(self.joint, 'scale', self.time, updated=now)
+        one.mean = self.size * way
+        variance = self.sigma**2 + (1.0 - self.share) * self.size**2
+        one.covariance = variance * np.outer(way, way)
+        one.covariance[1, 1] += (self.sigma * self.reading) ** 2
+        return one
+
+    def _gain(self, estimator: OffsetEstimator) -> float:
+        """Logarithm of the Bayes factor; the size is known as well as the jump."""
+        window, null, n = estimator.window, estimator.posterior, estimator.joints
+        # What holds the jump itself was made of readings before and after it.
+        whole = self.time + 2.0 * estimator.plan.interval
+        last = int((estimator.times(len(estimator)) > whole).sum())
+        if last == 0:
+            return 0.0
+        set_residuals(window, null, last)
+        at, left = recent(window, last), null.residual[:last]
+        rows = estimator.window.rows[at]
+        column = rows[:, :, 1 + SCALE * n + self.joint]
+        column = column - self.reading * rows[:, :, 1 + OFFSET * n + self.joint]
+        weighted = window.weights[at] * column
+        cross = whitened(null, np.einsum('ki,kim->m', weighted, rows[:, :, -len(null.mean) :]))
+        known = self.sigma**-2
+        power = known + max(float((weighted * column).sum() - cross @ cross), 0.0)
+        pull = self.size * known - float((weighted * left).sum())
+        return 0.5 * (pull**2 / power - self.size**2 * known - float(np.log(power / known)))
+
+    def _ask_rate(self, estimator: OffsetEstimator, sampler: Sampler, bank: Bank) -> None:
+        """What the rate says of the way since the jump, while all of its rows are at hand."""
+        since = float(sampler.time[-1]) - self.time
+        count = int(since / estimator.plan.interval) - 1
+        way = bank.way(self.joint, count) if 0 < count <= bank.ways_held else None
+        if way is not None:
+            blocks, _ = held_blocks(estimator, sampler, count + 1)
+            began = blocks[-1 - count * estimator.plan.blocks, self.joint]
+            more = self.size * float(blocks[-1, self.joint] - began)
+            self.by_rate = (-way[0] * more - 0.5 * more**2) / way[1] ** 2
+
+
+def scale_of_jump(
+    joint: int, time: float, jump: tuple[float, float], reading: float
+) -> ScaleOfJump | None:
+    """The hypothesis at the moment of a jump; None where no scale error explains it.
+
+    ``jump`` is its size and standard deviation, ``reading`` the reading without it [rad].
+    """
+    size, sigma = jump
+    if not abs(size) < LARGEST_SCALE * abs(reading):
+        return None
+    return ScaleOfJump(joint, time, reading, size / reading, max(sigma, 1e-9) / abs(reading))
