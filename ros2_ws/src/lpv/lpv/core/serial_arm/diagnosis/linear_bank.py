@@ -73,7 +73,8 @@ def new_evidence(lengths: IntArray, starts: FloatArray, kinds: Kinds, unknowns: 
     return Evidence(
         lengths, np.log(starts), np.zeros(count), np.zeros((count, n)),
         np.zeros((count, n, COLUMNS)), np.zeros((count, n, COLUMNS, COLUMNS)),
-        gain, size, sigma, np.zeros(count), np.zeros((unknowns, COLUMNS * n)), np.zeros((n, 5)))  # fmt: skip
+        gain, size, sigma, np.zeros(count), np.zeros((unknowns, COLUMNS * n)),
+        np.zeros((n, 5)))  # fmt: skip
 
 
 def new_rows(windows: int, joints: int) -> Rows:
