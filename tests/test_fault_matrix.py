@@ -24,14 +24,14 @@ FAULTS = {
     'real_arm derived': 'offset 0.5,step 0.1,drift 0.3,stuck',
     'swinging derived': 'offset 0.2,drift 0.1,noise 0.02',
     'chain3 independent': 'drift 0.05,stuck,dropout',
-    'chain3 derived': 'step 0.02,drift 0.3,stuck,noise 0.02',
+    'chain3 derived': 'step 0.02,drift 0.3,scale 20 %,stuck,noise 0.02',
     'pausing independent': 'step 0.1,noise 0.02',
     'pausing derived': 'step 0.02,step 0.1,noise 0.02',
     'recorded real_arm derived': (
-        'offset 0.5,step 0.02,drift 0.1,drift 0.3,stuck,noise 0.02,dropout'
+        'offset 0.5,step 0.02,drift 0.1,drift 0.3,scale 20 %,stuck,noise 0.02,dropout'
     ),
     'recorded ur10 independent': 'offset 0.2,drift 0.05,drift 0.3',
-    'recorded ur10 derived': 'stuck',
+    'recorded ur10 derived': 'scale 20 %,stuck',
     'recorded panda derived': 'offset 0.5,step 0.02',
 }
 HEALTHY = {

@@ -1,4 +1,4 @@
-"""Faults that end, and readings that freeze: no trusted estimate is outside its bound."""
+"""Faults that jump, freeze or end: no trusted estimate is outside its bound."""
 
 from dataclasses import replace
 from functools import cache
@@ -102,6 +102,22 @@ def test_given_an_offset_that_begins_with_a_jump_then_its_bound_does_not_stay_wi
     assert abs(run.estimate[run.acting, 1] - size).max() < 0.05
     assert np.median(run.bound[run.acting, 1]) < 0.1
     assert [event for event, *_ in run.events] == ['RAISED', 'CLEARED']
+
+
+@pytest.mark.parametrize('fault', [('scale', 0.2), ('scale', -0.1), ('bias', 0.2)])
+@pytest.mark.parametrize(
+    ('arm', 'rates'), [('chain3', 'derived'), ('ur10', 'derived'), ('paper', 'independent')]
+)
+def test_given_a_jump_when_its_joint_moves_then_offset_and_scale_error_are_told_apart(
+    arm, rates, fault
+):
+    run = Run(arm, rates, fault, 1, 3.0)
+    kinds = ['bias', 'scale'] if fault[0] == 'scale' else ['bias']
+    assert [event[2] for event in run.events if event[0] != 'CLEARED'] == kinds
+    assert {sensor for _, sensor, _ in run.events} == {run.name}
+    assert run.outside_during() == run.outside_after() == 0.0
+    settled = run.acting & (run.time > ONSET + 2.0)
+    assert abs(run.estimate - run.truth)[settled, 1].max() < 0.03
 
 
 @pytest.mark.parametrize(

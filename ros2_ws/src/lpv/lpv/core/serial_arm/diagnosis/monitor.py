@@ -882,7 +882,7 @@ class SerialMonitor:
                 continue
             # Gravity's word counts where it was confirmed, or is sure beside the fault.
             counts = sensor.level or sigmas * level.sigma[i] < sensor.peak
-            left = float(self.taken_out()[i] + counts * level.mean[i])
+            left = self._largest_removed(i) + float(counts * level.mean[i])
             if sensor.kind == 'noise':
                 over = self.sampler.noisy[i] == 0
             elif sensor.kind == 'stuck':
@@ -908,6 +908,13 @@ class SerialMonitor:
                 self._event(i, record.kind, now, 'cleared', 0.0, 0.0)
                 record.clear()
         return Stage.DONE
+
+    def _largest_removed(self, i: int) -> float:
+        """What is taken out of a reading; of a scale error, where that was farthest from zero."""
+        one = self._filters.get(i)
+        if one is None or not one.is_scale:
+            return float(self.taken_out()[i])
+        return float(one.mean[0] * np.abs(self._blocks(len(self.estimator) + 1)[:, i]).max())
 
     def _shows(self, i: int) -> bool:
         """Whether a fault of sensor i would be seen to be over, if it were."""
