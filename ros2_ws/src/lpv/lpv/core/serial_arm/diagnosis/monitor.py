@@ -344,7 +344,8 @@ class SerialMonitor:
     def begin_again(self) -> None:
         """Begin new balances, as after a gap in the samples."""
         self._take_out_levels()
-        for one in (*self._ends.values(), *self._scaled.values()):
+        jumps: list[EndOfFault | ScaleOfJump] = [*self._ends.values(), *self._scaled.values()]
+        for one in jumps:
             one.settle(self.estimator)
         restart(self.sampler, self.estimator.balance)
         if self.healthy is not None:
