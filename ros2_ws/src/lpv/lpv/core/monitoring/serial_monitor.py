@@ -521,15 +521,15 @@ class SerialSensorMonitor:
         """Arguments of the compiled functions, until `note`; for closed-loop simulations."""
         return MonitorParts(self._monitor, self._answering)
 
-    def decide(self, stamp: int, complete: bool) -> list[Alarm]:
-        """Decide on what was found at a sample [ns], taken with `parts`; alarm events."""
+    def decide(self) -> list[Alarm]:
+        """Go on with a decision that `sample_loop.settle` has begun with `parts`; alarm events."""
         events: list[Alarm] = []
 
         def known(snapshot: Snapshot, _: int, stamp: int) -> None:
             events.extend(self.note(snapshot, stamp))
 
         told = Told(lambda first, until: None, known)
-        self._monitor.settle(stamp, complete, self._answering, self._one.rows, told)
+        self._monitor.settle(self._answering, self._one.rows, told)
         return events
 
     @property

@@ -121,16 +121,9 @@ class SteppedMonitor(SerialMonitor):
         self._out, self._row, self._stamps = (answering, rows, told), first, stamps
         self.take_readings(stamps, samples)
 
-    def settle(
-        self, stamp: int, complete: bool, answering: Answering, rows: AnswerRows, told: Told
-    ) -> None:
-        """Decide on what `take_samples` has found at a sample [ns]; for loops that call it."""
+    def settle(self, answering: Answering, rows: AnswerRows, told: Told) -> None:
+        """Go on where `sample_loop.settle` needs Python."""
         self._out, self._row = (answering, rows, told), 0
-        progress, found = answering.progress[0], self.sampler.found
-        progress['stamp'], progress['complete'] = stamp, complete
-        progress['jumped'], progress['touched'] = found.any(), False
-        progress['phase'], self._state['now'] = JUMP, self._last()
-        self._state['stage'] = Stage.BEGIN if complete else Stage.DONE
         self._go_on(np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 3, self.joints)))
 
     def went_on(self, stamp: int) -> None:
@@ -148,7 +141,8 @@ class SteppedMonitor(SerialMonitor):
         return (self._first or 0) + round(seconds * 1e9)
 
     def _take(self, times: FloatArray, samples: FloatArray) -> None:
-        count = len(times)
+        count, progress = len(times), self._out[0].progress[0]
+        progress['taken'] = progress['answered'] = progress['reported'] = 0
         self._go_on(self._stamps[:count], times, samples)
         self._row, self._stamps = self._row + count, self._stamps[count:]
 
@@ -156,7 +150,6 @@ class SteppedMonitor(SerialMonitor):
         """Take samples, decide on them and answer them."""
         (answering, rows, told), first = self._out, self._row
         progress, plan = answering.progress[0], (self.plan.per_block, self.plan.blocks)
-        progress['taken'] = progress['answered'] = progress['reported'] = 0
         fixed = self._parts, plan, answering, rows, first, stamps, times, samples
         while self._call(advance, *fixed) or progress['phase'] != SAMPLE:
             now, row = float(self._state['now']), first + int(progress['taken']) - 1

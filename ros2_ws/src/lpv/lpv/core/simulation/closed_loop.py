@@ -2,8 +2,8 @@
 
 Simulator, monitor and controller are the very functions that the nodes call.
 
-What happens every sample is compiled; the diagnosis decides in Python, after a jump of a reading
-and every 50 ms.  A sample that does not simply follow the one before (the first one, one after a
+What happens every sample is compiled, and the diagnosis decides every 50 ms; Python does what only
+a suspicion needs, or a jump of a reading.  A sample that does not simply follow the one before (the first one, one after a
 gap, with missing values, or after such) goes through the monitor's `take_many`, as in the node.
 """
 
@@ -43,7 +43,7 @@ from lpv.core.control.watchdog import (
 from lpv.core.monitoring.answers import answer_type
 from lpv.core.monitoring.compensation import AnswerRows, answer_rows, copy_answer
 from lpv.core.monitoring.parameters import DiagnosisParameters
-from lpv.core.monitoring.sample_loop import Answering, answer
+from lpv.core.monitoring.sample_loop import Answering, answer, settle
 from lpv.core.monitoring.serial_monitor import MonitorParts, SerialSensorMonitor
 from lpv.core.serial_arm.chain import Chain, FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
@@ -82,7 +82,7 @@ class Phase(IntEnum):
     SENSE = 0
     MONITOR = 1  # the monitor itself takes the sample, outside
     TAKE = 2
-    DECIDE = 3  # the diagnosis decides, outside
+    DECIDE = 3  # the diagnosis needs Python to decide
     ANSWER = 4
     ESTIMATE = 5
     START = 6  # a path that starts or goes on needs its references from outside
@@ -110,7 +110,6 @@ def _loop_type(joints: int) -> np.dtype:
         ('reason', 'i8'),  # `StopReason` of the tracker
         ('usable', 'i8'),  # the last usable sample, or NEVER
         ('missing', '?'),  # values of the last sample were missing
-        ('complete', '?'),  # whether a momentum balance is complete
         ('delay', 'i8'),  # samples between a command and its effect
         ('loss', 'f8'),  # probability that a measurement is lost
         ('answered', 'i8'),  # sample that the last command answers
@@ -277,19 +276,23 @@ def _sense(
 
 @njit
 def _take(loop: np.record, observer: _Observer, k: int) -> None:
-    """Hand the sample to the diagnosis."""
-    _, loop.complete = take_samples(
-        observer.parts.sampler,
-        observer.parts.balance,
+    """Hand the sample to the diagnosis, and let it decide."""
+    parts, found = observer.parts, False
+    _, complete = take_samples(
+        parts.sampler,
+        parts.balance,
         observer.times[: k + 1],
         observer.samples[: k + 1],
         k,
         observer.plan,
     )
-    loop.phase = _DECIDE if loop.complete else _ANSWER
-    for found in observer.parts.sampler.found:
-        if found != 0:
-            loop.phase = _DECIDE
+    for one in parts.sampler.found:
+        found = found or one != 0
+    loop.phase = _ANSWER
+    if complete or found:
+        stamp, time = observer.stamps[k], observer.times[k]
+        known = settle(parts, observer.answering, stamp, time, complete)
+        loop.phase = _ANSWER if known else _DECIDE
 
 
 @njit
@@ -565,7 +568,7 @@ def run_closed_loop(
             alarms += _hand_over(monitor, parts, records, loop, simulator.state, k)
             parts.times[:] = (parts.stamps - stepped.stamp_of(0.0)) / NANOSECONDS
         elif phase == _DECIDE:
-            alarms += monitor.decide(int(parts.stamps[k]), bool(now['complete']))
+            alarms += monitor.decide()
             now['phase'] = _ANSWER
         elif phase == _START:
             references.restart(k - int(loop.offset), loop.feedback.copy())
