@@ -13,7 +13,7 @@ from lpv.core.monitoring.sample_loop import DECIDE, JUMP, KNOW, REPORT, SAMPLE, 
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import SensorState
-from lpv.core.serial_arm.diagnosis.decision import Parts, Stage
+from lpv.core.serial_arm.diagnosis.decision import Parts
 from lpv.core.serial_arm.diagnosis.healthy_set import Guarantee
 from lpv.core.serial_arm.diagnosis.monitor import SerialAlarm, SerialMonitor
 from lpv.core.serial_arm.diagnosis.sampling import JUMP_SCALE

@@ -3,8 +3,9 @@
 Simulator, monitor and controller are the very functions that the nodes call.
 
 What happens every sample is compiled, and the diagnosis decides every 50 ms; Python does what only
-a suspicion needs, or a jump of a reading.  A sample that does not simply follow the one before (the first one, one after a
-gap, with missing values, or after such) goes through the monitor's `take_many`, as in the node.
+a suspicion needs, or a jump of a reading.  A sample that does not simply follow the one before (the
+first one, one after a gap, with missing values, or after such) goes through the monitor's
+`take_many`, as in the node.
 """
 
 from dataclasses import dataclass
