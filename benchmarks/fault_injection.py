@@ -108,6 +108,8 @@ KINDS = (
     Kind('rest 1 mrad', 'rest', 1e-3, 0.0),
 )
 BY_NAME = {kind.name: kind for kind in KINDS}
+RATE_FAULTS = ('rate_bias', 'wrap')
+"""Kinds of faults of published rates alone."""
 
 
 @dataclass(frozen=True)
@@ -544,7 +546,7 @@ def inject(
             rate_error[acts, i] = wrapped - rate[acts, i]
             begun = time[np.abs(rate_error[:, i]) > 0.5 * limit]
             placed[k] = replace(fault, onset=float(begun[0])) if len(begun) else fault
-        if is_derived and kind.kind not in ('rate_bias', 'wrap'):
+        if is_derived and kind.kind not in RATE_FAULTS:
             step = np.diff(time)
             change = np.diff(error[:, i]) / np.maximum(step, 0.5 * np.median(step))
             here = np.zeros(len(time), bool)
@@ -721,6 +723,9 @@ def draw(cell: Cell, k: int, seed: int) -> tuple[Subject, Window, bool]:
         if together:
             faults[0] = replace(faults[0], end=stop)
         faults.append(Injected(j, onset + later, stop, sign))
+    if kind.kind in RATE_FAULTS:  # faults of what the driver publishes
+        window = driver(window, cell.rates)
+        return subject, inject(window, kind, faults, is_derived, matrix, rng), together
     injected = inject(window, kind, faults, is_derived, matrix, rng)
     return subject, replace(injected, stream=driver(injected.stream, cell.rates)), together
 

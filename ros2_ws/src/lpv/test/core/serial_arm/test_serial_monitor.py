@@ -91,6 +91,27 @@ def test_given_filtered_rates_when_a_reading_jumps_then_it_is_a_step_and_no_nois
     assert monitor.estimate(0).fault[1] == pytest.approx(0.02, abs=0.02)
 
 
+@pytest.mark.parametrize('wrong', ['wraps', 'wrong sign'])
+def test_given_a_derived_rate_when_it_contradicts_its_reading_then_it_alone_is_named(wrong):
+    run = simulated(shoulder_arm(), duration=7.0)
+    rate = run.samples[1000:2000, 1, 1]
+    rate[:] = (rate + 0.25) % 0.5 - 0.25 if wrong == 'wraps' else -rate
+    monitor = watch(shoulder_arm(), run)
+    blamed = [alarm for alarm in monitor.alarms if alarm.kind != 'contact']
+    assert {(alarm.sensor, alarm.kind) for alarm in blamed} == {('encoder2', 'rate_bias')}
+    assert blamed[0].detected < 2.5
+    assert not any(rate.active for rate in monitor.rates)  # 2 s after the end
+    assert np.abs(monitor.estimate(0).fault).max() < 0.03
+
+
+@pytest.mark.parametrize('share', [0.02, 0.1, 1.0])
+@pytest.mark.parametrize('rounding', [1e-12, 1e-3])
+def test_given_filtered_differences_of_rounded_readings_then_no_rate_is_named(share, rounding):
+    run = simulated(shoulder_arm(), duration=6.0)
+    run.samples[:, 0] = np.round(run.samples[:, 0] / rounding) * rounding
+    assert watch(shoulder_arm(), filtered(run, share)).alarms == []
+
+
 def test_two_steps_at_once_are_both_named():
     faults = Fault('encoder2', 'bias', 2.0, size=0.02), Fault('encoder3', 'bias', 2.0, size=-0.02)
     monitor, _ = watched(shoulder_arm(), *faults, duration=2.5)

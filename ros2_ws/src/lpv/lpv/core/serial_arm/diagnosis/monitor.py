@@ -17,7 +17,7 @@ from lpv.core.serial_arm.certificate.jump_bound import jump_bound
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.description import SIGMAS, SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import SensorState
-from lpv.core.serial_arm.diagnosis.bank import Bank, Hypothesis
+from lpv.core.serial_arm.diagnosis.bank import STARTS, Bank, Hypothesis
 from lpv.core.serial_arm.diagnosis.decision import (
     DECISION,
     STILL_TIME,
@@ -47,8 +47,12 @@ from lpv.core.serial_arm.diagnosis.parameter_error import typical_torque
 from lpv.core.serial_arm.diagnosis.parameter_set import is_stated
 from lpv.core.serial_arm.diagnosis.priors import CONTACT, OCCURRENCE, PUSH
 from lpv.core.serial_arm.diagnosis.sampling import (
+    APART,
     BEFORE_STOP,
     BLOCKS,
+    CONTRADICTIONS,
+    CONTRARY,
+    CONTRARY_AT,
     DELAY,
     HIDDEN,
     IN_BLOCK,
@@ -57,6 +61,7 @@ from lpv.core.serial_arm.diagnosis.sampling import (
     LIVELY,
     NOISY,
     PENDING,
+    REPLACED,
     SPIKE,
     STEP,
     Sampler,
@@ -501,6 +506,8 @@ class SerialMonitor:
             elif found == SPIKE and self.sensors[i].state is not SensorState.ERROR:
                 self._event(i, 'spike', now, 'raised', 0.0, 0.0)
                 self._event(i, 'spike', now, 'cleared', 0.0, 0.0)
+            elif found == CONTRARY:
+                self._blame_derived_rate(i, now)
             elif found == HIDDEN:
                 self.estimator.doubt_readings(i, abs(float(self.sampler.size[i])))
             elif found == NOISY:
@@ -827,6 +834,22 @@ class SerialMonitor:
         self._event(one.joint, 'rate_bias', one.begin, 'raised', size, sigma,
                     confidence=share)  # fmt: skip
 
+    def _blame_derived_rate(self, i: int, now: float) -> None:
+        """A rate contradicts the reading that it is said to be derived from, as one that wraps."""
+        record, apart = self.rates[i], float(self.sampler.contrast[APART, i])
+        if not record.active:
+            onset = now - CONTRADICTIONS * self.arm.sample_time
+            record.confirm('rate_bias', onset, abs(apart))
+            self.sampler.contrast[REPLACED, i] = 1.0
+            self._event(i, 'rate_bias', onset, 'raised', apart, 0.0)
+
+    def _rate_agrees(self, i: int, now: float) -> bool:
+        """Whether a rate has agreed with its reading of late."""
+        if self.sampler.derived[i] == 1.0:
+            agrees_since = now - float(self.sampler.contrast[CONTRARY_AT, i])
+            return agrees_since > STARTS[-1] - self.settings.clear_dwell
+        return self.bank.rate_agrees(i, float(self.sampler.rate_error[i]))
+
     def _raise_levels(self, now: float) -> Stage:
         """Offsets that gravity and motion show."""
         gain, excluded = self._beyond
@@ -900,12 +923,11 @@ class SerialMonitor:
                 self._event(i, sensor.kind, now, 'cleared', left, float(sigma[i]))
                 sensor.clear()
         for i, record in enumerate(self.rates):
-            taken_out = float(self.sampler.rate_error[i])
             if record.active and record.watch_end(
-                self.bank.rate_agrees(i, taken_out), now, self.settings.clear_dwell, 0.0
+                self._rate_agrees(i, now), now, self.settings.clear_dwell, 0.0
             ):
                 self.bank.leave_out_rate(i, False)
-                self.sampler.rate_error[i] = 0.0
+                self.sampler.rate_error[i] = self.sampler.contrast[REPLACED, i] = 0.0
                 self._event(i, record.kind, now, 'cleared', 0.0, 0.0)
                 record.clear()
         return Stage.DONE

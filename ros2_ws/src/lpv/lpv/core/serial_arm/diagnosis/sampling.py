@@ -27,9 +27,19 @@ HISTORY = DELAY + 3
 """Samples that are kept: two before that of the balance tell whether a reading went on steadily."""
 LEFT = 0.3
 """What is left of a jump or a fault, over its size, where it is over."""
-NONE, STEP, SPIKE, NOISY, QUIET, HIDDEN = range(6)
+NONE, STEP, SPIKE, NOISY, QUIET, HIDDEN, CONTRARY = range(7)
 """What was found at a reading: `NOISY` and `QUIET` say that it began, or ceased, to be noisy,
-`HIDDEN` that samples are missing where it may have jumped."""
+`HIDDEN` that samples are missing where it may have jumped, `CONTRARY` that its rate, said to be
+derived from it, contradicts it."""
+LARGEST, SMALLEST, USUAL, APART, WRONG, TIMES_WRONG, CONTRARY_AT, REPLACED = range(8)
+"""Rows of `Sampler.contrast`: the largest and the smallest difference of the reading lately; by how
+much its published rate differs from them usually, and now [rad/s]; 1 where it contradicts them, how
+often it did lately, and when last [s]; 1 while differences replace it."""
+CONTRADICTIONS = 3.0
+"""Times that a rate contradicts its reading lately to be wrong: as often as it is compared."""
+_REMEMBERED, _PER_LAG = 10.0, 6.0
+"""Samples for which differences are remembered, and how many more for each period that rates lag:
+of a rate that turns, a filter's is within what fades by 1/e in e = 2.7 lags; twice that."""
 COUNT, IN_BLOCK, IN_INTERVAL, PENDING, BLOCKS = range(5)
 """Entries of `Sampler.counters`: samples since the start, in the block; blocks in the interval;
 sensor-independent age of a jump that waits for its kind, -1 if none; blocks written."""
@@ -113,6 +123,7 @@ class Sampler(NamedTuple):
     # (4, n) published rates of the last sample [rad/s]; products of what the readings' differences
     # are more than the rates around them with the changes of these, and squares of both [rad2/s2]
     published: FloatArray
+    contrast: FloatArray  # (8, n) what published rates are compared with, see `LARGEST`
     counters: IntArray  # (5,)
     clock: FloatArray  # moments, shape (11,) [s]
 
@@ -138,7 +149,7 @@ def new_sampler(
         np.full(n, np.inf),
         np.zeros((3, n)),
         np.zeros(n, np.int64), np.zeros((HISTORY, n), np.int64), np.zeros(n, np.int64),
-        np.zeros((4, n)), counters,
+        np.zeros((4, n)), np.zeros((8, n)), counters,
         np.zeros(11))  # fmt: skip
 
 
@@ -160,6 +171,7 @@ def push_sample(
             for part in range(3):
                 sampler.samples[k, part, i] = sampler.samples[k + 1, part, i]
     sampler.time[HISTORY - 1] = time
+    lag = _lag(sampler)
     for i in range(n):
         sampler.found[i] = NONE
         sampler.filled[i] = max(sampler.filled[i] - 1, 0)
@@ -178,6 +190,7 @@ def push_sample(
             if sampler.still[i] == 1:
                 _measure_stop(sampler, i)
         _watch_lag(sampler, i, y[i] - sampler.raw[i], v[i], period)
+        _watch_contrast(sampler, i, (y[i] - sampler.raw[i]) / period, v[i], lag)
         sampler.raw[i] = y[i]
         sampler.samples[HISTORY - 1, 0, i] = reading
         rate = v[i] - sampler.derived[i] * (sampler.drift[i] + sampler.share[i] * v[i])
@@ -186,11 +199,11 @@ def push_sample(
         for k in range(first, HISTORY):
             sampler.samples[k, 1, i] = rate
         sampler.samples[HISTORY - 1, 2, i] = torque[i]
-    if sampler.counters[COUNT] > 0 and rates_lag(sampler):
-        for i in range(n):
-            if sampler.derived[i] == 1.0:
-                way = sampler.samples[HISTORY - 1, 0, i] - sampler.samples[HISTORY - 2, 0, i]
-                sampler.samples[HISTORY - 1, 1, i] = way / period
+    for i in range(n):
+        wrong = sampler.contrast[WRONG, i] + sampler.contrast[REPLACED, i] > 0.0
+        if wrong or (lag > 0.0 and sampler.derived[i] == 1.0):
+            way = sampler.samples[HISTORY - 1, 0, i] - sampler.samples[HISTORY - 2, 0, i]
+            sampler.samples[HISTORY - 1, 1, i] = way / period
     _fill_repeated(sampler)
     if sampler.counters[COUNT] > 1 and period > LATE * (
         sampler.time[HISTORY - 2] - sampler.time[HISTORY - 3]
@@ -231,8 +244,40 @@ def _watch_lag(sampler: Sampler, i: int, way: float, rate: float, period: float)
 
 
 @njit_in_place
-def rates_lag(sampler: Sampler) -> bool:
-    """Whether published rates are later than plain differences, which lag by half a period.
+def _watch_contrast(sampler: Sampler, i: int, difference: float, rate: float, lag: float) -> None:
+    """Compare a rate that is said to be derived from its reading with the reading's differences.
+
+    Whatever averages differences is between the smallest and the largest one lately, and a plain
+    difference is as near to the newest one as ever.  A counter that overflows, or a wrong sign, is
+    neither, and moves less than the joint; a difference that a stamp turns round, by at most `LATE`
+    periods, is at most half the rate.
+    """
+    own, count = sampler.contrast[:, i], sampler.counters[COUNT]
+    if sampler.derived[i] == 0.0 or count == 0:
+        return
+    kept = 1.0 - 1.0 / (_REMEMBERED + _PER_LAG * lag)
+    own[LARGEST] = max(difference, kept * own[LARGEST])
+    own[SMALLEST] = min(difference, kept * own[SMALLEST])
+    apart, usual, learned = abs(rate - difference), own[USUAL], count > NOISE_MEMORY
+    power = (min(apart, ROBUST * usual) if learned else apart) ** 2
+    own[USUAL] = np.sqrt(usual * usual + (power - usual * usual) / min(count, SCALE_MEMORY))
+    is_between = own[SMALLEST] <= rate <= own[LARGEST]
+    is_usual = lag > 0.0 or not learned or apart <= JUMP_SCALE * usual
+    moves = sampler.still[i] + sampler.held[i] == 0 and count > CONTRADICTIONS
+    opposite = rate * difference < 0.0 and abs(rate) < abs(difference)
+    far = apart > max(own[LARGEST], -own[SMALLEST])
+    wrong = moves and opposite and far and not (is_between and is_usual)
+    before, own[WRONG] = own[TIMES_WRONG], 1.0 if wrong else 0.0
+    own[TIMES_WRONG] = before * (1.0 - 1.0 / NOISE_MEMORY) + own[WRONG]
+    if wrong and own[TIMES_WRONG] > CONTRADICTIONS - 0.5:  # less what is forgotten
+        own[CONTRARY_AT], own[APART] = sampler.time[HISTORY - 1], rate - difference
+        if before <= CONTRADICTIONS - 0.5:
+            sampler.found[i] = CONTRARY
+
+
+@njit_in_place
+def _lag(sampler: Sampler) -> float:
+    """Periods by which published rates are late, 0 if not later than the half of a difference.
 
     They are filtered then, all of them by one driver, and say less than the readings do.  The lag
     has to explain most of what they differ by.
@@ -242,7 +287,13 @@ def rates_lag(sampler: Sampler) -> bool:
         late += sampler.published[1, i]
         power += sampler.published[2, i]
         whole += sampler.published[3, i]
-    return late > LAGGING * power and late * late > 0.5 * power * whole
+    return late / power if late > LAGGING * power and late * late > 0.5 * power * whole else 0.0
+
+
+@njit_in_place
+def rates_lag(sampler: Sampler) -> bool:
+    """Whether published rates are later than plain differences are."""
+    return _lag(sampler) > 0.0
 
 
 @njit_in_place
