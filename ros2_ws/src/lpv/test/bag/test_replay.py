@@ -250,7 +250,7 @@ def troubled_bag(loop, tmp_path_factory):
 
 @pytest.fixture(scope='module')
 def expected(troubled_bag, new_monitor, tmp_path_factory):
-    """The answers message by message, which are the node's (`test_uio_serial_arm`); the monitor."""
+    """The answers message by message, which are the node's (`test_uio_node`); the monitor."""
     out, monitor = tmp_path_factory.mktemp('expected') / 'bag', new_monitor()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(reading, 'BLOCK_SIZE', 1)
