@@ -836,12 +836,11 @@ class SerialMonitor:
 
     def _blame_derived_rate(self, i: int, now: float) -> None:
         """A rate contradicts the reading that it is said to be derived from, as one that wraps."""
-        record, apart = self.rates[i], float(self.sampler.contrast[APART, i])
-        if not record.active:
-            onset = now - CONTRADICTIONS * self.arm.sample_time
-            record.confirm('rate_bias', onset, abs(apart))
-            self.sampler.contrast[REPLACED, i] = 1.0
-            self._event(i, 'rate_bias', onset, 'raised', apart, 0.0)
+        apart = float(self.sampler.contrast[APART, i])
+        onset = now - CONTRADICTIONS * self.arm.sample_time
+        self.rates[i].confirm('rate_bias', onset, abs(apart))
+        self.sampler.contrast[REPLACED, i] = 1.0
+        self._event(i, 'rate_bias', onset, 'raised', apart, 0.0)
 
     def _rate_agrees(self, i: int, now: float) -> bool:
         """Whether a rate has agreed with its reading of late."""

@@ -171,37 +171,38 @@ def push_sample(
             for part in range(3):
                 sampler.samples[k, part, i] = sampler.samples[k + 1, part, i]
     sampler.time[HISTORY - 1] = time
-    lag = _lag(sampler)
+    follows = sampler.counters[COUNT] > 0  # else the sample before is on the other side of a gap
+    lag = rate_lag(sampler)
     for i in range(n):
         sampler.found[i] = NONE
         sampler.filled[i] = max(sampler.filled[i] - 1, 0)
-        if sampler.counters[COUNT] > 0:
+        if follows:
             change = sampler.curve[i] * period
             sampler.followed[i] += (sampler.drift[i] + 0.5 * change) * period
             sampler.drift[i] += change
-        reading = y[i] - removed(sampler, i, y[i])
+        reading, way = y[i] - removed(sampler, i, y[i]), y[i] - sampler.raw[i]
         sampler.held[i] = 0
-        if abs(y[i] - sampler.raw[i]) > ROUNDING:
+        if abs(way) > ROUNDING:
             sampler.held[i], sampler.still[i] = sampler.still[i], 0
-            if sampler.counters[COUNT] > 0:
-                _watch_change(sampler, i, y[i] - sampler.raw[i])
+            if follows:
+                _watch_change(sampler, i, way)
         else:
             sampler.still[i] += 1
             if sampler.still[i] == 1:
                 _measure_stop(sampler, i)
-        _watch_lag(sampler, i, y[i] - sampler.raw[i], v[i], period)
-        _watch_contrast(sampler, i, (y[i] - sampler.raw[i]) / period, v[i], lag)
+        _watch_lag(sampler, i, way, v[i], period)
+        _watch_contrast(sampler, i, way / period, v[i], lag)
         sampler.raw[i] = y[i]
         sampler.samples[HISTORY - 1, 0, i] = reading
         rate = v[i] - sampler.derived[i] * (sampler.drift[i] + sampler.share[i] * v[i])
         rate -= sampler.rate_error[i]
-        first = 0 if sampler.counters[COUNT] == 0 else HISTORY - 1  # nothing is known of before
+        first = HISTORY - 1 if follows else 0  # nothing is known of before
         for k in range(first, HISTORY):
             sampler.samples[k, 1, i] = rate
         sampler.samples[HISTORY - 1, 2, i] = torque[i]
     for i in range(n):
         wrong = sampler.contrast[WRONG, i] + sampler.contrast[REPLACED, i] > 0.0
-        if wrong or (lag > 0.0 and sampler.derived[i] == 1.0):
+        if follows and (wrong or (lag > 0.0 and sampler.derived[i] == 1.0)):
             way = sampler.samples[HISTORY - 1, 0, i] - sampler.samples[HISTORY - 2, 0, i]
             sampler.samples[HISTORY - 1, 1, i] = way / period
     _fill_repeated(sampler)
@@ -213,6 +214,10 @@ def push_sample(
     if sampler.counters[COUNT] >= 3:
         _set_jumps(sampler)
         _find_jumps(sampler)
+    for i in range(n):  # a jump goes first; a rate that is wrong is so again
+        own = sampler.contrast[:, i]
+        if sampler.found[i] == NONE and own[WRONG] > own[REPLACED] and own[CONTRARY_AT] == time:
+            sampler.found[i] = CONTRARY
 
 
 @njit_in_place
@@ -267,16 +272,14 @@ def _watch_contrast(sampler: Sampler, i: int, difference: float, rate: float, la
     opposite = rate * difference < 0.0 and abs(rate) < abs(difference)
     far = apart > max(own[LARGEST], -own[SMALLEST])
     wrong = moves and opposite and far and not (is_between and is_usual)
-    before, own[WRONG] = own[TIMES_WRONG], 1.0 if wrong else 0.0
-    own[TIMES_WRONG] = before * (1.0 - 1.0 / NOISE_MEMORY) + own[WRONG]
+    own[WRONG] = 1.0 if wrong else 0.0
+    own[TIMES_WRONG] += own[WRONG] - own[TIMES_WRONG] / NOISE_MEMORY
     if wrong and own[TIMES_WRONG] > CONTRADICTIONS - 0.5:  # less what is forgotten
         own[CONTRARY_AT], own[APART] = sampler.time[HISTORY - 1], rate - difference
-        if before <= CONTRADICTIONS - 0.5:
-            sampler.found[i] = CONTRARY
 
 
 @njit_in_place
-def _lag(sampler: Sampler) -> float:
+def rate_lag(sampler: Sampler) -> float:
     """Periods by which published rates are late, 0 if not later than the half of a difference.
 
     They are filtered then, all of them by one driver, and say less than the readings do.  The lag
@@ -288,12 +291,6 @@ def _lag(sampler: Sampler) -> float:
         power += sampler.published[2, i]
         whole += sampler.published[3, i]
     return late / power if late > LAGGING * power and late * late > 0.5 * power * whole else 0.0
-
-
-@njit_in_place
-def rates_lag(sampler: Sampler) -> bool:
-    """Whether published rates are later than plain differences are."""
-    return _lag(sampler) > 0.0
 
 
 @njit_in_place
@@ -817,7 +814,7 @@ def move_to_balance(sampler: Sampler, balance: Balance, per_block: int, blocks: 
     for part in range(3):
         for i in range(n):
             sampler.sums[part, i] += sampler.samples[k, part, i]
-    if rates_lag(sampler):  # a difference is the rate between two samples
+    if rate_lag(sampler) > 0.0:  # a difference is the rate between two samples
         for i in range(n):
             late = 0.5 * (sampler.samples[k + 1, 1, i] - sampler.samples[k, 1, i])
             sampler.sums[1, i] += sampler.derived[i] * late
