@@ -15,6 +15,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import fault_injection
 import numpy as np
 from fault_injection import BY_NAME, Cell, Kind, Stream, Subject, draw, run
 from fault_matrix import summary, tables
@@ -258,7 +259,11 @@ def main() -> None:
     parser.add_argument('--first', type=int, default=0, help='recording of the first run of a goal')
     parser.add_argument('--seed', type=int, default=1, help='of the faults of goals')
     parser.add_argument('--kinds', default='', help='beginnings of names of goals, with commas')
+    parser.add_argument(
+        '--lead', type=float, default=fault_injection.LEAD, help='time before an onset [s]'
+    )
     options = parser.parse_args()
+    fault_injection.LEAD = options.lead
     for line in options.line:
         if line == 'goals':
             chosen = [one for one in options.kinds.split(',') if one]

@@ -1,9 +1,11 @@
 """Drifts and frozen readings: onsets are those of dense matrices, corrections beyond doubt."""
 
+import fault_injection
 import numpy as np
 import pytest
 from serial_arms import shoulder_arm
 from simulated_runs import simulated_run
+from ur10e_twin import twin
 
 from lpv.core.serial_arm.diagnosis.balance import DRIFT, EPOCH, OFFSET
 from lpv.core.serial_arm.diagnosis.fault_filter import begin_filter
@@ -13,9 +15,10 @@ from lpv.core.serial_arm.diagnosis.onset import (
     PLACES,
     SHORTEST,
     Onset,
-    sudden_drift,
+    likely_onsets,
     sudden_drift_of,
 )
+from lpv.core.serial_arm.diagnosis.sampling import block_end
 from lpv.core.serial_arm.diagnosis.stuck import Frozen
 from lpv.core.simulation.faults import Fault
 
@@ -70,7 +73,7 @@ def test_given_a_drift_when_its_onset_is_looked_for_then_it_is_the_best_one_of_d
     newest = monitor._blocks(1)[-1]
     end = float(newest[9] + 0.5 * newest[10])
     mass = monitor.bank._mass[:, :, JOINT]
-    found = sudden_drift(monitor.estimator, JOINT, end, PRIOR, LAST, mass)
+    found = likely_onsets(monitor.estimator, JOINT, end, PRIOR, LAST, mass)[0]
     best = max(dense_onsets(monitor, end), key=lambda one: one.gain)
     np.testing.assert_allclose(found, best, rtol=1e-6)
 
@@ -85,6 +88,30 @@ def test_given_a_drift_when_its_true_effect_is_taken_then_onset_and_rate_are_tho
     assert found.sigma < 0.15 * RATE
     short = sudden_drift_of(monitor.estimator, JOINT, PRIOR, SHORTEST, blocks, mass)
     assert short.gain == -np.inf
+
+
+def test_given_friction_that_turns_over_when_a_drift_is_looked_for_then_its_onset_is_found(
+    monkeypatch,
+):
+    """To first order friction is what it was before the joint seemed to move."""
+    monkeypatch.setattr(fault_injection, 'LEAD', 20.0)
+    kind, last = fault_injection.BY_NAME['drift 0.3'], 50
+    cell = fault_injection.Cell('ur10e', (twin(),), kind, 'derived')
+    subject, window, _ = fault_injection.draw(cell, 1000, 31)
+    stream, (fault, *_) = window.stream, window.faults
+    monitor = SerialMonitor(subject.arm, MonitorSettings(hours_between_false_alarms=np.inf))
+    begin, end = fault.onset, stream.index(fault.onset + 0.5)
+    monitor.update_many(stream.stamps[:end], stream.samples[:end])
+    while monitor.estimator.window.times.max() != pytest.approx(monitor._last()):
+        monitor.update_many(stream.stamps[end : end + 1], stream.samples[end : end + 1])
+        end += 1
+    estimator, mass, blocks = monitor.estimator, monitor.bank._mass, monitor._blocks(last + 1)
+    about = fault.sensor, block_end(blocks[-1]), PRIOR, last, mass[:, :, fault.sensor]
+    interval = monitor.plan.interval
+    assert abs(likely_onsets(estimator, *about)[0].begin - begin) > interval
+    found = sudden_drift_of(estimator, fault.sensor, PRIOR, last, blocks, mass)
+    assert found.begin == pytest.approx(begin, abs=0.3 * interval)
+    assert abs(found.size) == pytest.approx(0.3, rel=0.1)
 
 
 def test_given_a_reading_that_rests_when_explained_then_it_froze_when_its_rest_began(monitor):

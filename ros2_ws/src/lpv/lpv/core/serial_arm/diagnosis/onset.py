@@ -38,8 +38,12 @@ _SMALLEST = 0.01
 _DIVERGED = 100.0
 """Standard deviations of drifts beyond which the search for a size has diverged: they alone cost
 more than balances give."""
-_STEPS = 3
-"""Newton steps for the size of a drift, from each start."""
+_STEPS = 2
+"""Newton steps for the size of a drift, from each of the trials that are refined."""
+_REFINED = 2
+"""Trials that are refined: as many as start from one onset."""
+_JUMPS = 2
+"""Onsets that are tried because the momentum jumps: that of a fault, and one of the model."""
 
 
 class Onset(NamedTuple):
@@ -70,19 +74,22 @@ def sudden_drift_of(
     oldest first; ``mass``, shape (capacity, n, n), is M S^-1 of each balance, in the ring of the
     horizon.  The gain is -inf while there are too few balances.
     """
-    plan = estimator.plan
-    end = block_end(blocks[-1])
-    best = sudden_drift(estimator, joint, end, prior, last, mass[:, :, joint])
-    needed = (best.back + 2) * plan.blocks
-    if best.gain == -np.inf or needed > len(blocks):
-        return best
-    return with_true_effect(best, estimator, (joint, prior), blocks[-needed:])
+    end, trials = block_end(blocks[-1]), []
+    for onset in likely_onsets(estimator, joint, end, prior, last, mass[:, :, joint]):
+        needed = (onset.back + 2) * estimator.plan.blocks
+        if needed <= len(blocks):
+            trials += with_true_effect(onset, estimator, (joint, prior), blocks[-needed:])
+    found = [one.onset for one in refined(trials, prior)]
+    return max(found, key=lambda one: one.gain, default=NO_ONSET)
 
 
-def sudden_drift(
+def likely_onsets(
     estimator: OffsetEstimator, joint: int, end: float, prior: float, last: int, mass: FloatArray
-) -> Onset:
-    """The best onset of a drift of one encoder in the last balances, to first order.
+) -> list[Onset]:
+    """Likely onsets of a drift of one encoder in the last balances.
+
+    The first one is the best to first order, where friction is what it was.  As that of a joint
+    that seems to move turns over, onsets follow at which the momentum jumps most like it.
 
     All onsets count as equally likely; what that costs belongs to the margin of a decision.
     ``end`` is that of the last balance [s]; ``mass``, shape (capacity, n), has momenta by a unit
@@ -92,7 +99,7 @@ def sudden_drift(
     n, interval = estimator.joints, estimator.plan.interval
     back = np.arange(SHORTEST, last - 1)
     if len(back) == 0:
-        return NO_ONSET
+        return []
     set_residuals(window, null, last)
     at, left = recent(window, last), null.residual[:last]
     rows, weights = window.rows[at], window.weights[at]
@@ -126,14 +133,31 @@ def sudden_drift(
     own -= (1.0 - s)[:, None] * older[2][:, None] + s[:, None] * newer[2][:, None]
     square -= (whitened(null, own) ** 2).sum(-1)
     power = np.maximum(square, 0.0) + prior**-2
+    jump = -(1.0 - s) * older[0][:, None] - s * newer[0][:, None]
+    weight = (1.0 - s) ** 2 * older[1][:, None] + s**2 * newer[1][:, None] + prior**-2
+    found = _best_onsets((total, power), prior, (begin, back), 1)
+    jumps = _best_onsets((jump, weight), prior, (begin, back), _JUMPS)
+    return found + [one for one in jumps if one.gain > 0.0]
+
+
+def _best_onsets(
+    score: tuple[FloatArray, FloatArray], prior: float, when: tuple[FloatArray, IntArray], most: int
+) -> list[Onset]:
+    """Onsets with the largest gains, at most so many, no neighbours.
+
+    ``score``, shape (B, places), has scores and their variances, ``when`` moments and balances.
+    """
+    total, power = score
     gain = 0.5 * (total**2 / power - np.log(power * prior**2))
-    k, place = np.unravel_index(np.argmax(np.where(np.isfinite(gain), gain, -np.inf)), gain.shape)
-    if not np.isfinite(gain[k, place]):
-        return NO_ONSET
-    size, sigma = -total[k, place] / power[k, place], power[k, place] ** -0.5
-    return Onset(
-        float(gain[k, place]), float(size), float(sigma), float(begin[k, place]), int(back[k])
-    )
+    gain, found = np.where(np.isfinite(gain), gain, -np.inf), list[Onset]()
+    while len(found) < most and np.max(gain) > -np.inf:
+        k, place = np.unravel_index(np.argmax(gain), gain.shape)
+        size, sigma = -total[k, place] / power[k, place], power[k, place] ** -0.5
+        begin, back = when[0][k, place], when[1][k]
+        best = gain[k, place]
+        found.append(Onset(float(best), float(size), float(sigma), float(begin), int(back)))
+        gain[max(k - 1, 0) : k + 2] = -np.inf
+    return found
 
 
 def whitened(null: Posterior, rows: FloatArray) -> FloatArray:
@@ -142,31 +166,53 @@ def whitened(null: Posterior, rows: FloatArray) -> FloatArray:
     return np.asarray(columns.T.reshape(rows.shape))
 
 
+class Trial(NamedTuple):
+    """A drift of some size that was compared, and where a Newton step leads from it."""
+
+    onset: Onset
+    rival: '_Rival'
+    next: float  # size [rad/s]
+    promise: float  # gain there, to second order
+
+
 def with_true_effect(
     onset: Onset, estimator: OffsetEstimator, fault: tuple[int, float], blocks: FloatArray
-) -> Onset:
+) -> list[Trial]:
     """The same onset with the drift's true effect: friction turns over where a joint is slow.
 
-    Friction that turns over is as large for a small drift as for a large one, so that steps go from
-    the size to first order, and from that by which the joint would rest, to the most likely one.
-    ``fault`` is the joint with the standard deviation of drifts [rad/s].  ``blocks``, shape
-    (N, 3 n + 4), are those of the balances that hold the onset, and of all after them, oldest
-    first.
+    Friction that turns over is as large for a small drift as for a large one, so that trials begin
+    with the size to first order, and with that by which the joint would rest.  ``fault`` is the
+    joint with the standard deviation of drifts [rad/s].  ``blocks``, shape (N, 3 n + 4), are those
+    of the balances that hold the onset, and of all after them, oldest first.
     """
     joint, prior = fault
-    best = onset._replace(gain=-np.inf)
     rival = _Rival(estimator, joint, onset.begin, np.ascontiguousarray(blocks))
-    for size in (onset.size, rival.apparent_rate()):
+    return [_try(rival, onset, size, prior) for size in (onset.size, rival.apparent_rate())]
+
+
+def _try(rival: '_Rival', onset: Onset, size: float, prior: float) -> Trial:
+    """Compare a drift of this size; the gain is -inf where it is no number."""
+    fit, slope, curvature = rival.compare(size)
+    power = curvature + prior**-2
+    gain = fit - 0.5 * (size / prior) ** 2 - 0.5 * np.log(power * prior * prior)
+    step = (slope - size / prior**2) / power
+    gain = float(gain) if np.isfinite(gain + step) else -np.inf
+    tried = Onset(gain, float(size), power**-0.5, onset.begin, onset.back)
+    return Trial(tried, rival, float(size + step), gain + 0.5 * power * step**2)
+
+
+def refined(trials: list[Trial], prior: float) -> list[Trial]:
+    """The trials, and Newton steps from the most promising ones."""
+    trials = [one for one in trials if one.onset.gain > -np.inf]
+    found = trials.copy()
+    likely = [one for one in trials if one.promise > 0.0]
+    for one in sorted(likely, key=lambda one: -one.promise)[:_REFINED]:
         for _ in range(_STEPS):
-            fit, slope, curvature = rival.compare(size)
-            power = curvature + prior**-2
-            gain = fit - 0.5 * (size / prior) ** 2 - 0.5 * np.log(power * prior * prior)
-            if gain > best.gain:
-                best = Onset(float(gain), float(size), power**-0.5, onset.begin, onset.back)
-            size += (slope - size / prior**2) / power
-            if not abs(size) < _DIVERGED * prior:
+            if not abs(one.next) < _DIVERGED * prior:
                 break
-    return best
+            one = _try(one.rival, one.onset, one.next, prior)
+            found.append(one)
+    return found
 
 
 class _Rival:
