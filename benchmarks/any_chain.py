@@ -15,9 +15,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import fault_injection
 import numpy as np
-from fault_injection import BY_NAME, Cell, Kind, Stream, Subject, draw, run
+from fault_injection import BY_NAME, LEAD, Cell, Kind, Stream, Subject, draw, run
 from fault_matrix import summary, tables
 from rich.console import Console
 from ur10e_twin import PAYLOAD, drive, healthy, recording, twin, ur10e
@@ -56,10 +55,16 @@ def changed(arm: SerialArm, **sensors: object) -> SerialArm:
 
 
 def measured(
-    kind: str, count: int, subject: Subject | None = None, first: int = 0, seed: int = 1
+    name: str,
+    count: int,
+    subject: Subject | None = None,
+    first: int = 0,
+    seed: int = 1,
+    lead: float = LEAD,
 ) -> dict:
     """A row of the matrix; runs from another first one on are of other recordings."""
-    cell = Cell('ur10e', (subject or twin(),), next(k for k in GOALS if k.name == kind), 'derived')
+    kind = replace(next(k for k in GOALS if k.name == name), lead=lead)
+    cell = Cell('ur10e', (subject or twin(),), kind, 'derived')
     return summary(cell, [run(cell, k, seed) for k in range(first, first + count)])
 
 
@@ -242,10 +247,10 @@ LINES: dict[str, Callable[[int], str]] = {
 }  # fmt: skip
 
 
-def goals(count: int, chosen: Sequence[str], first: int, seed: int) -> None:
+def goals(count: int, chosen: Sequence[str], first: int, seed: int, lead: float) -> None:
     """Rates of detection, and alarms of healthy arms."""
     kinds: list[Kind] = [k for k in GOALS if not chosen or k.name.startswith(tuple(chosen))]
-    rows = [measured(kind.name, count, first=first, seed=seed) for kind in kinds]
+    rows = [measured(kind.name, count, first=first, seed=seed, lead=lead) for kind in kinds]
     Console(width=170).print(*tables(rows))
 
 
@@ -259,15 +264,12 @@ def main() -> None:
     parser.add_argument('--first', type=int, default=0, help='recording of the first run of a goal')
     parser.add_argument('--seed', type=int, default=1, help='of the faults of goals')
     parser.add_argument('--kinds', default='', help='beginnings of names of goals, with commas')
-    parser.add_argument(
-        '--lead', type=float, default=fault_injection.LEAD, help='time before an onset [s]'
-    )
+    parser.add_argument('--lead', type=float, default=LEAD, help='time before an onset [s]')
     options = parser.parse_args()
-    fault_injection.LEAD = options.lead
     for line in options.line:
         if line == 'goals':
             chosen = [one for one in options.kinds.split(',') if one]
-            goals(options.count, chosen, options.first, options.seed)
+            goals(options.count, chosen, options.first, options.seed, options.lead)
         else:
             print(f'{line}: {LINES[line](options.count)}', flush=True)
 

@@ -73,6 +73,7 @@ class Kind:
     level: bool = False  # only on joints whose level gravity shows
     rates: tuple[str, ...] = ('independent', 'derived')
     samples: int = 0  # the limit is at least so many samples
+    lead: float = LEAD  # healthy time before the onset [s]
 
     @property
     def healthy(self) -> bool:
@@ -687,14 +688,14 @@ def draw(cell: Cell, k: int, seed: int) -> tuple[Subject, Window, bool]:
         healthy = driver(disturb(stream, kind, is_derived, rng), cell.rates)
         return subject, Window(healthy, [], np.zeros((0, n))), False
     limit = second_limit(kind, subject.arm)
-    lead, together = LEAD, bool(turn % 2)
+    lead, together = kind.lead, bool(turn % 2)
     if kind.from_start:
         lead, together = 0.0, False
     # A second fault begins when the first one has been judged, or after its end.
     later = max(kind.limit + 0.5, JUDGED + 0.1) if together else kind.duration + PAUSE
     wanted = later + limit + 0.2
     if lead:
-        lead = float(np.clip(stream.duration - wanted, SHORTEST_LEAD, LEAD))
+        lead = float(np.clip(stream.duration - wanted, SHORTEST_LEAD, lead))
     length = min(lead + wanted, stream.duration)
     matrix = subject.arm.joints_to_sensors()
     joints = subject.level if kind.level and subject.level else tuple(range(n))

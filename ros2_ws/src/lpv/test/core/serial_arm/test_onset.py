@@ -1,8 +1,10 @@
 """Drifts and frozen readings: onsets are those of dense matrices, corrections beyond doubt."""
 
-import fault_injection
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from fault_injection import BY_NAME, Cell, draw
 from serial_arms import shoulder_arm
 from simulated_runs import simulated_run
 from ur10e_twin import twin
@@ -31,10 +33,16 @@ def monitor():
     arm = shoulder_arm()
     fault = Fault(arm.sensor_names[JOINT], 'drift', BEGIN, rate=RATE)
     run = simulated_run(arm, 3.5, fault, noise=False)
+    return watch_to_decision(arm, run, int(np.searchsorted(run.stamps, 3_450_000_000)))
+
+
+def watch_to_decision(arm, run, first):
+    """The monitor at the first decision from a sample on; nothing is named."""
     monitor = SerialMonitor(arm, MonitorSettings(hours_between_false_alarms=np.inf))
-    for stamp, sample in zip(run.stamps, run.samples):
+    monitor.update_many(run.stamps[:first], run.samples[:first])
+    for stamp, sample in zip(run.stamps[first:], run.samples[first:]):
         monitor.update_many([stamp], sample[None])
-        if stamp >= 3_450_000_000 and monitor.estimator.window.times.max() * 1e9 == stamp:
+        if monitor.estimator.window.times.max() == pytest.approx(monitor._last()):
             return monitor
 
 
@@ -70,8 +78,7 @@ def dense_onsets(monitor, end):
 def test_given_a_drift_when_its_onset_is_looked_for_then_it_is_the_best_one_of_dense_matrices(
     monitor,
 ):
-    newest = monitor._blocks(1)[-1]
-    end = float(newest[9] + 0.5 * newest[10])
+    end = block_end(monitor._blocks(1)[-1])
     mass = monitor.bank._mass[:, :, JOINT]
     found = likely_onsets(monitor.estimator, JOINT, end, PRIOR, LAST, mass)[0]
     best = max(dense_onsets(monitor, end), key=lambda one: one.gain)
@@ -90,21 +97,13 @@ def test_given_a_drift_when_its_true_effect_is_taken_then_onset_and_rate_are_tho
     assert short.gain == -np.inf
 
 
-def test_given_friction_that_turns_over_when_a_drift_is_looked_for_then_its_onset_is_found(
-    monkeypatch,
-):
+def test_given_friction_that_turns_over_when_a_drift_is_looked_for_then_its_onset_is_found():
     """To first order friction is what it was before the joint seemed to move."""
-    monkeypatch.setattr(fault_injection, 'LEAD', 20.0)
-    kind, last = fault_injection.BY_NAME['drift 0.3'], 50
-    cell = fault_injection.Cell('ur10e', (twin(),), kind, 'derived')
-    subject, window, _ = fault_injection.draw(cell, 1000, 31)
-    stream, (fault, *_) = window.stream, window.faults
-    monitor = SerialMonitor(subject.arm, MonitorSettings(hours_between_false_alarms=np.inf))
-    begin, end = fault.onset, stream.index(fault.onset + 0.5)
-    monitor.update_many(stream.stamps[:end], stream.samples[:end])
-    while monitor.estimator.window.times.max() != pytest.approx(monitor._last()):
-        monitor.update_many(stream.stamps[end : end + 1], stream.samples[end : end + 1])
-        end += 1
+    kind, last = replace(BY_NAME['drift 0.3'], lead=20.0), 50
+    subject, window, _ = draw(Cell('ur10e', (twin(),), kind, 'derived'), 1000, 31)
+    stream, fault = window.stream, window.faults[0]
+    begin = fault.onset
+    monitor = watch_to_decision(subject.arm, stream, stream.index(begin + 0.5))
     estimator, mass, blocks = monitor.estimator, monitor.bank._mass, monitor._blocks(last + 1)
     about = fault.sensor, block_end(blocks[-1]), PRIOR, last, mass[:, :, fault.sensor]
     interval = monitor.plan.interval

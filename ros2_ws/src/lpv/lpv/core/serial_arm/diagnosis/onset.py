@@ -79,7 +79,7 @@ def sudden_drift_of(
         needed = (onset.back + 2) * estimator.plan.blocks
         if needed <= len(blocks):
             trials += with_true_effect(onset, estimator, (joint, prior), blocks[-needed:])
-    found = [one.onset for one in refined(trials, prior)]
+    found = [one.onset for one in _refined(trials, prior)]
     return max(found, key=lambda one: one.gain, default=NO_ONSET)
 
 
@@ -125,18 +125,18 @@ def likely_onsets(
     begin = begin + s * interval
     shift = begin - estimator.balance.clock[EPOCH]
     total = score[:, :1] - shift * score[:, 1:]
-    total = total - (1.0 - s) * older[0][:, None] - s * newer[0][:, None]
+    jump = -(1.0 - s) * older[0][:, None] - s * newer[0][:, None]
+    total = total + jump
     square = squares[:, 0, :1] - shift * (2.0 * squares[:, 0, 1:] - shift * squares[:, 1, 1:])
-    square += (1.0 - s) ** 2 * older[1][:, None] + s**2 * newer[1][:, None]
+    weight = (1.0 - s) ** 2 * older[1][:, None] + s**2 * newer[1][:, None]
+    square += weight
     square -= 2.0 * s * (overlap[:, :1] - shift * overlap[:, 1:])
     own = cross[:, None, 0] - shift[:, :, None] * cross[:, None, 1]
     own -= (1.0 - s)[:, None] * older[2][:, None] + s[:, None] * newer[2][:, None]
     square -= (whitened(null, own) ** 2).sum(-1)
     power = np.maximum(square, 0.0) + prior**-2
-    jump = -(1.0 - s) * older[0][:, None] - s * newer[0][:, None]
-    weight = (1.0 - s) ** 2 * older[1][:, None] + s**2 * newer[1][:, None] + prior**-2
     found = _best_onsets((total, power), prior, (begin, back), 1)
-    jumps = _best_onsets((jump, weight), prior, (begin, back), _JUMPS)
+    jumps = _best_onsets((jump, weight + prior**-2), prior, (begin, back), _JUMPS)
     return found + [one for one in jumps if one.gain > 0.0]
 
 
@@ -178,7 +178,7 @@ class Trial(NamedTuple):
 def with_true_effect(
     onset: Onset, estimator: OffsetEstimator, fault: tuple[int, float], blocks: FloatArray
 ) -> list[Trial]:
-    """The same onset with the drift's true effect: friction turns over where a joint is slow.
+    """Trials of an onset with the drift's true effect: friction turns over where a joint is slow.
 
     Friction that turns over is as large for a small drift as for a large one, so that trials begin
     with the size to first order, and with that by which the joint would rest.  ``fault`` is the
@@ -201,7 +201,7 @@ def _try(rival: '_Rival', onset: Onset, size: float, prior: float) -> Trial:
     return Trial(tried, rival, float(size + step), gain + 0.5 * power * step**2)
 
 
-def refined(trials: list[Trial], prior: float) -> list[Trial]:
+def _refined(trials: list[Trial], prior: float) -> list[Trial]:
     """The trials, and Newton steps from the most promising ones."""
     trials = [one for one in trials if one.onset.gain > -np.inf]
     found = trials.copy()
