@@ -19,7 +19,7 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
-from test_restart import files, rig_on  # noqa: F401
+from test_restart import RESUME, files, rig_on  # noqa: F401
 
 from lpv_msgs import msg
 from lpv_msgs.srv import ClearFaults, InjectFault
@@ -64,25 +64,22 @@ def hostile_senders(node, rng):
 
         return send
 
-    def setter(name):
-        client = node.create_client(SetParameters, f'{name}/set_parameters')
-        return lambda: client.call_async(
-            SetParameters.Request(parameters=[parameter(rng, PARAMETERS)])
-        )
-
     def caller(kind, name):
         client = node.create_client(kind, name)
 
         def send():
-            request = fill(rng, kind.Request())
-            request.sensor = 'no such sensor'
+            request = kind.Request()
+            if kind is SetParameters:
+                request.parameters = [parameter(rng, PARAMETERS)]
+            else:
+                fill(rng, request).sensor = 'no such sensor'
             client.call_async(request)
 
         return send
 
     return [
         *(publisher(kind, topic) for topic, kind in INPUTS.items()),
-        *(setter(name) for name in NODES.values()),
+        *(caller(SetParameters, f'{name}/set_parameters') for name in NODES.values()),
         *(caller(kind, name) for name, kind in SERVICES.items()),
     ]
 
@@ -104,7 +101,7 @@ def test_given_hostile_input_when_the_graph_runs_then_it_lives_and_recovers(tmp_
             rig.spin(0.05)
             rounds += 1
         rig.spin(1.0)
-        for service in ('tracker/resume', 'arm_sim/release_brakes'):  # what an operator does
+        for service in RESUME.values():
             answer = node.create_client(Trigger, service).call_async(Trigger.Request())
             assert rig.client.wait(answer.done, 30.0), f'{service} does not answer'
         assert rig.client.wait(lambda: not rig.is_braked(), 150.0), 'braked for ever'

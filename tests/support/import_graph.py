@@ -14,44 +14,36 @@ def package_folders():
     return {name: path for name, path in sorted(folders.items()) if path.is_dir()}
 
 
-def module_name(file, package):
-    """Dotted name of a module file of a package."""
-    parts = file.relative_to(package.parent).with_suffix('').parts
-    return '.'.join(parts[:-1] if parts[-1] == '__init__' else parts)
-
-
 def module_files():
     """Files of all modules of the workspace by their dotted names."""
-    return {
-        module_name(file, folder): file
+    files = [
+        (file.relative_to(folder.parent).with_suffix(''), file)
         for folder in package_folders().values()
         for file in sorted(folder.rglob('*.py'))
-    }
+    ]
+    return {'.'.join(name.parts).removesuffix('.__init__'): file for name, file in files}
+
+
+def imports(file, known=()):
+    """Modules that a file imports, lazy imports included; of those known also what is in them."""
+    for node in ast.walk(ast.parse(file.read_text(encoding='utf-8'))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and not node.level:
+            for alias in node.names:
+                inner = f'{node.module}.{alias.name}'
+                yield inner if inner in known else node.module
 
 
 def module_imports():
-    """Modules of the workspace that each module imports, lazy imports included."""
-    files, graph = module_files(), {}
-    for module, file in files.items():
-        found = set()
-        for node in ast.walk(ast.parse(file.read_text(encoding='utf-8'))):
-            if isinstance(node, ast.Import):
-                found.update(alias.name for alias in node.names)
-            elif isinstance(node, ast.ImportFrom) and node.module:
-                for alias in node.names:
-                    inner = f'{node.module}.{alias.name}'
-                    found.add(inner if inner in files else node.module)
-        graph[module] = (found & files.keys()) - {module}
-    return graph
+    files = module_files()
+    return {m: ({*imports(file, files)} & files.keys()) - {m} for m, file in files.items()}
 
 
 def collapse(graph, depth):
     """The graph between packages (depth 1) or sub-packages (depth 2)."""
-
-    def short(module):
-        return '.'.join(module.split('.')[:depth])
-
+    short = {module: '.'.join(module.split('.')[:depth]) for module in graph}
     result = defaultdict(set)
     for module, imported in graph.items():
-        result[short(module)].update(short(name) for name in imported)
+        result[short[module]].update(short[name] for name in imported)
     return {name: others - {name} for name, others in result.items()}

@@ -32,13 +32,11 @@ _THINNED = 20
 
 
 def monitor(**options):
-    """The monitor whose answers are the reference."""
     arm = load_arm(bringup_file('arms', 'paper'))
     return SerialSensorMonitor('', arm, gains=load_gains(BAG / 'gains.yaml'), **options)
 
 
 def compare(replayed):
-    """Comparison of the reference with a replay of it."""
     arm = load_arm(bringup_file('arms', 'paper'))
     return compare_runs(*load_pair(BAG, replayed, arm), arm, TOLERANCES)
 
@@ -69,7 +67,6 @@ def _is_kept(connection, message):
 
 
 def main():
-    """Renew, and show what has changed."""
     before = renew()
     show(before, Console(soft_wrap=True, highlight=False))
     print(f'renewed {BAG}')

@@ -28,13 +28,9 @@ PACKAGES = {'recorder': 'lpv_node', 'simulator': 'lpv_arm_sim', 'view': 'lpv_nod
 def lpv(*arguments, timeout=2000):
     """Run the command as users do; it has to succeed, and its output is returned."""
     pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
-    done = subprocess.run(
-        [Path(sys.executable).parent / 'lpv', *map(str, arguments)],
-        env={**os.environ, 'ROS_DOMAIN_ID': str(next_domain()), 'COLUMNS': '120'},
-        text=True,
-        capture_output=True,
-        timeout=timeout,
-    )
+    line = [Path(sys.executable).parent / 'lpv', *map(str, arguments)]
+    given = {**os.environ, 'ROS_DOMAIN_ID': str(next_domain()), 'COLUMNS': '120'}
+    done = subprocess.run(line, env=given, text=True, capture_output=True, timeout=timeout)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 
@@ -43,13 +39,11 @@ def words(*parameters, files=()):
     """Arguments of a node with parameters (``name:=value``) and parameter files."""
     given = [('-r', f'__ns:={NAMESPACE}'), *(('--params-file', str(file)) for file in files)]
     given += [('-p', parameter) for parameter in parameters]
-    return ['--ros-args', *(word for pair in given for word in pair)]
+    return ['--ros-args', *itertools.chain(*given)]
 
 
 def command(name, *parameters, files=()):
-    """Command line of a node."""
-    program = executable(PACKAGES.get(name, f'lpv_{name}'), name)
-    return [program, *words(*parameters, files=files)]
+    return [executable(PACKAGES.get(name, f'lpv_{name}'), name), *words(*parameters, files=files)]
 
 
 def next_domain():
@@ -93,14 +87,11 @@ class Client:
     def wait(self, condition, timeout=300.0):
         """Spin until the condition holds; False after the timeout."""
         deadline = time.monotonic() + timeout
-        while time.monotonic() < deadline:
-            if condition():
-                return True
+        while not (found := condition()) and time.monotonic() < deadline:
             self.executor.spin_once(timeout_sec=0.05)
-        return bool(condition())
+        return bool(found)
 
     def call(self, srvtype, name, **fields):
-        """Call a service; its response."""
         service = self.node.create_client(srvtype, name)
         assert self.wait(service.service_is_ready), f'no service {name}'
         future = service.call_async(srvtype.Request(**fields))

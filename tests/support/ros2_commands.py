@@ -15,15 +15,9 @@ class Running:
     """A ros2 command as a process that prints lines and is interrupted in the end."""
 
     def __init__(self, *words, program=(ROS2,), **options):
-        self.lines = []
-        self.process = subprocess.Popen(
-            [*map(str, (*program, *words))],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            start_new_session=True,
-            **options,
-        )
+        options |= {'stdout': subprocess.PIPE, 'stderr': subprocess.STDOUT, 'text': True}
+        line = [str(word) for word in (*program, *words)]
+        self.lines, self.process = [], subprocess.Popen(line, start_new_session=True, **options)
 
     def __enter__(self):
         return self
@@ -36,10 +30,7 @@ class Running:
     def until(self, pattern, timeout=300.0):
         """Read lines until one matches; all lines so far as one text."""
         deadline = time.monotonic() + timeout
-        while time.monotonic() < deadline:
-            line = self.process.stdout.readline()
-            if not line:
-                break
+        while time.monotonic() < deadline and (line := self.process.stdout.readline()):
             self.lines.append(line)
             if re.search(pattern, line):
                 return ''.join(self.lines)
@@ -54,10 +45,3 @@ class Running:
         """Wait for the end; the exit code and all that was printed."""
         rest, _ = self.process.communicate(timeout=timeout)
         return self.process.returncode, ''.join(self.lines) + rest
-
-
-def ros2(*words, **options):
-    """Run a command to its end: exit code, stdout, stderr."""
-    line = [str(word) for word in (ROS2, *words)]
-    done = subprocess.run(line, capture_output=True, text=True, timeout=200, **options)
-    return done.returncode, done.stdout, done.stderr

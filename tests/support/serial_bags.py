@@ -19,13 +19,11 @@ def crane():
 
 
 def crane_file(folder):
-    """Its arm file."""
     save_arm(crane(), folder / 'crane.yaml')
     return folder / 'crane.yaml'
 
 
 def crane_run(duration=1.2, faults=()):
-    """A simulated motion."""
     return simulated_run(crane(), duration, *faults)
 
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import rclpy
 from builtin_interfaces.msg import Time
+from hostile import answers_to
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterType, ParameterValue
-from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter
 
 from lpv.core.support.errors import ConfigError
@@ -41,7 +41,7 @@ def test_given_a_parameter_when_declared_then_it_says_what_it_is_and_what_is_all
     ranges = [*descriptor.floating_point_range, *descriptor.integer_range]
     assert len(descriptor.description) > 10
     if isinstance(spec.default, bool) or not isinstance(spec.default, (int, float)):
-        assert spec.low is None and spec.high is None and ranges == []
+        assert (spec.low, spec.high, ranges) == (None, None, [])
     else:
         (limits,) = ranges
         assert spec.low <= spec.default <= spec.high and spec.low < spec.high
@@ -57,31 +57,25 @@ def test_given_a_parameter_when_declared_then_it_says_what_it_is_and_what_is_all
 
 
 @pytest.fixture
-def make_node():
-    """A function that makes nodes with parameter files."""
-    context, nodes = rclpy.Context(), []
+def node(request):
+    context, words = rclpy.Context(), getattr(request, 'param', [])
     rclpy.init(context=context)
-
-    def make(*arguments):
-        options = {'context': context, 'start_parameter_services': False}
-        nodes.append(rclpy.create_node('probe', cli_args=list(arguments), **options))
-        return nodes[-1]
-
-    yield make
-    for node in nodes:
-        node.destroy_node()
+    options = {'context': context, 'start_parameter_services': False}
+    node = rclpy.create_node('probe', cli_args=words, **options)
+    yield node
+    node.destroy_node()
     rclpy.shutdown(context=context)
 
 
-@pytest.mark.parametrize('given', [True, False], ids=['with', 'without'])
-def test_given_gains_or_none_when_declared_then_each_field_has_a_value(make_node, paper_arm, given):
-    file = '--ros-args', '--params-file', str(bringup_file('gains', 'paper'))
-    node = make_node(*file if given else ())
+FILE = ['--ros-args', '--params-file', str(bringup_file('gains', 'paper'))]
+
+
+@pytest.mark.parametrize(('node', 'given'), [(FILE, True), ([], False)], indirect=['node'])
+def test_given_gains_or_none_when_declared_then_each_field_has_a_value(node, paper_arm, given):
     unset = declare_gains(node)
     # All at once, as `ros2 param dump` asks for them.
     values = node.get_parameters([n for n in node._parameters if n.startswith('gains.')])
-    assert len(values) > 20
-    assert all(p.type_ is not Parameter.Type.NOT_SET for p in values)
+    assert len(values) > 20 and Parameter.Type.NOT_SET not in [p.type_ for p in values]
     assert 'observer.t1' in unset and ('observer.kappa' in unset) is not given
     if given:
         assert read_gains(node, paper_arm, unset).observer.method == 'exact'
@@ -92,22 +86,17 @@ def test_given_gains_or_none_when_declared_then_each_field_has_a_value(make_node
             read_gains(node, paper_arm, unset)
 
 
-def test_given_senseless_parameters_when_set_then_each_is_refused(make_node):
-    node, no_such_type = make_node(), 11
+def test_given_senseless_parameters_when_set_then_each_is_refused(node):
     node.declare_parameter('wait', 1.0)
     service = CheckedParameterService(node)
     for name, kind, reason in (
-        ('x', no_such_type, 'ValueError'),
+        ('x', 11, 'ValueError'),  # there is no such type
         ('', ParameterType.PARAMETER_DOUBLE, 'needs a name'),
         ('wait', ParameterType.PARAMETER_NOT_SET, 'cannot be deleted'),
     ):
         hostile = [ParameterMessage(name=name, value=ParameterValue(type=kind))]
-        request = SetParametersAtomically.Request(parameters=hostile)
-        answer = SetParametersAtomically.Response()
-        together = service._set_parameters_atomically_callback(request, answer).result
-        request = SetParameters.Request(parameters=hostile)
-        (alone,) = service._set_parameters_callback(request, SetParameters.Response()).results
-        for result in (together, alone):
+        for together in (True, False):
+            (result,) = answers_to(service, hostile, together)
             assert not result.successful and reason in result.reason
     assert node.get_parameter('wait').value == 1.0
 

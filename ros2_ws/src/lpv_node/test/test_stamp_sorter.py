@@ -37,19 +37,16 @@ def test_given_senders_that_are_heard_late_when_sorted_then_the_order_is_the_sam
 
 
 def test_given_reports_of_several_senders_when_one_is_heard_late_then_the_order_is_that_of_stamps():
-    steps = [('/lpv/joint_states', k * STEP, b'', 1) for k in range(10000)]
-    reports = [
-        ('/diagnostics', 500 * k * STEP, name, name)
-        for k in range(20)
-        for name in (b'drives', b'tracking')
-    ]
-    late = [report for report in reports if report[2] == b'tracking' and report[1] >= 2500 * STEP]
-    # From the fifth second on the tracker is heard three seconds late.
-    heard = sorted(
-        [*steps, *reports], key=lambda message: message[1] + 1500 * STEP * (message in late)
-    )
-    assert stored(heard) == in_order([message[:3] for message in [*reports, *steps]])
-    one, other = (('/diagnostics', STEP, name) for name in (b'drives', b'tracking'))
+    names = (b'drives', b'tracking')
+    sent = [('/diagnostics', 500 * k * STEP, name, name) for k in range(20) for name in names]
+    sent += [('/lpv/joint_states', k * STEP, b'', 1) for k in range(10000)]
+
+    def heard(message):
+        """From the fifth second on the tracker is heard three seconds late."""
+        return message[1] + 1500 * STEP * (message[2] == names[1] and message[1] >= 2500 * STEP)
+
+    assert stored(sorted(sent, key=heard)) == in_order([message[:3] for message in sent])
+    one, other = (('/diagnostics', STEP, name) for name in names)
     assert stored([one, other]) == stored([other, one]) == [one, other]
 
 

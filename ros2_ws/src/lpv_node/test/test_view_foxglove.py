@@ -8,11 +8,9 @@ from contextlib import contextmanager
 
 import pytest
 from places import PACKAGES
-from test_view_server import connected, get
+from test_view_server import aiohttp, connected, get
 
-aiohttp = pytest.importorskip('aiohttp')
 pytest.importorskip('foxglove', reason='foxglove-sdk is not installed')
-pytest.importorskip('lpv_node.view', reason='the workspace is not built')
 
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: E402
 
@@ -51,11 +49,11 @@ class Viewer:
     def __init__(self, ws):
         self.ws, self.channels = ws, {}
 
-    async def start(self, count):
-        info = json.loads((await self.ws.receive(timeout=10.0)).data)
+    async def start(self, count=5):  # TOPICS and the band
+        info = await self.ws.receive_json(timeout=10.0)
         assert info['op'] == 'serverInfo'
         while len(self.channels) < count:
-            message = json.loads((await self.ws.receive(timeout=10.0)).data)
+            message = await self.ws.receive_json(timeout=10.0)
             assert message['op'] == 'advertise'
             self.channels.update({c['id']: c for c in message['channels']})
         wanted = [{'id': 100 + i, 'channelId': i} for i in self.channels]
@@ -89,7 +87,7 @@ def test_given_a_client_when_it_subscribes_then_it_can_read_messages_by_the_sche
     async def session(running, port):
         async with connect(port, Origin=APP) as ws:
             viewer = Viewer(ws)
-            info = await viewer.start(len(TOPICS) + 1)
+            info = await viewer.start()
             assert info['capabilities'] == [], 'clients can only look'
             await asyncio.sleep(0.2)
             running.send('/lpv/arm_markers', scene.markers(arms, stamp), stamp)
@@ -102,8 +100,8 @@ def test_given_a_client_when_it_subscribes_then_it_can_read_messages_by_the_sche
         channels, received = asyncio.run(session(running, port))
     by_topic = {c['topic']: c for c in channels.values()}
     for topic, (msgtype, _) in TOPICS.items():
-        found = [by_topic[topic][key] for key in ('schemaName', 'encoding', 'schemaEncoding')]
-        assert found == [msgtype, 'cdr', 'ros2msg']
+        told = {'schemaName': msgtype, 'encoding': 'cdr', 'schemaEncoding': 'ros2msg'}
+        assert told.items() <= by_topic[topic].items()
     messages = {topic: (time, data) for topic, time, data in received}
     assert {time for time, _ in messages.values()} == {stamp}
     markers = decode(by_topic['/lpv/arm_markers'], messages['/lpv/arm_markers'][1]).markers
@@ -123,7 +121,7 @@ def test_given_latched_messages_when_a_client_comes_late_then_it_alone_gets_the_
         async with connect(port) as early, connect(port) as late:
             viewers, got = (Viewer(early), Viewer(late)), []
             for viewer in viewers:
-                await viewer.start(len(TOPICS) + 1)
+                await viewer.start()
                 got.append([await viewer.next() for _ in range(3)])
             for viewer in viewers:
                 with pytest.raises(asyncio.TimeoutError):
@@ -142,21 +140,16 @@ def test_given_latched_messages_when_a_client_comes_late_then_it_alone_gets_the_
         assert min(time for _, time, _ in received) >= 13
 
 
-@pytest.mark.parametrize(
-    'headers', [{'Origin': 'https://app.foxglove.dev.evil.example'}, {'Host': 'evil.example'}]
-)
-def test_given_another_origin_when_it_connects_then_it_is_refused(paper_arm, headers):
-    async def attempt(port):
+def test_given_the_bridge_when_it_listens_then_only_this_machine_and_origin_can_reach_it(paper_arm):
+    async def attempt(port, headers):
         async with connect(port, **headers):
             pass
 
-    with bridge(paper_arm) as (_, port), pytest.raises(aiohttp.WSServerHandshakeError) as refused:
-        asyncio.run(attempt(port))
-    assert refused.value.status == 403
-
-
-def test_given_the_bridge_when_it_listens_then_only_this_machine_can_reach_it(paper_arm):
     with bridge(paper_arm) as (running, port):
+        for headers in {'Origin': f'{APP}.evil.example'}, {'Host': 'evil.example'}:
+            with pytest.raises(aiohttp.WSServerHandshakeError) as refused:
+                asyncio.run(attempt(port, headers))
+            assert refused.value.status == 403
         assert running.address.startswith('127.')
         assert running.address != '127.0.0.1', 'nobody can guess it'
         with pytest.raises(OSError):
@@ -170,7 +163,6 @@ def test_given_the_layout_when_read_then_every_topic_in_it_is_forwarded():
 
     made = {'arm_markers', 'robot_description', 'true_robot_description', 'fault_band'}
     known = {'/lpv/' + name for name in made | {t.name for t in LISTENED}} | {'/diagnostics'}
-    file = PACKAGES / 'lpv_node' / 'layout' / 'lpv_foxglove.json'
-    named = {name.split('.')[0] for name in re.findall(r'"(/[^" ]*)"', file.read_text())}
-    assert len(named) >= 8
-    assert named <= known
+    text = (PACKAGES / 'lpv_node' / 'layout' / 'lpv_foxglove.json').read_text()
+    named = {name.split('.')[0] for name in re.findall(r'"(/[^" ]*)"', text)}
+    assert len(named) >= 8 and named <= known

@@ -32,10 +32,9 @@ def message(t, **fields):
 
 
 def fault_estimate(t, estimate=(0.0, 0.0), alarm=(False, False), state=(0, 0)):
-    known = {'bound': np.full(len(alarm), 0.1), 'threshold': np.full(len(alarm), 0.1)}
-    names, state = SENSORS[: len(alarm)], np.array(state, np.uint8)
-    estimate = np.array(estimate)
-    return message(t, sensor_names=names, estimate=estimate, state=state, alarm=alarm, **known)
+    arrays = {'estimate': np.array(estimate), 'state': np.array(state, np.uint8)}
+    arrays |= dict.fromkeys(('bound', 'threshold'), np.full(len(alarm), 0.1))
+    return message(t, sensor_names=SENSORS[: len(alarm)], alarm=alarm, **arrays)
 
 
 def state_estimate(t, position=(1.6, 0.1), mode=0):
@@ -62,24 +61,25 @@ def model(paper_arm):
     return LiveModel(paper_arm)
 
 
+@pytest.fixture
+def alarms():
+    return AlarmList()
+
+
 def test_given_no_messages_when_a_frame_is_made_then_it_says_that_nothing_is_known(model):
     frame = model.frame(0.0)
-    assert frame['mode'] is None and frame['age'] is None and frame['sample']['t'] is None
-    assert set(frame['arms'].values()) == {None}
+    assert {frame['mode'], frame['age'], frame['sample']['t'], *frame['arms'].values()} == {None}
     json.dumps(frame, allow_nan=False)
     assert model.hello()['history'] == []
 
 
-def test_given_messages_of_other_arms_when_they_come_then_they_are_left_out(model):
+def test_given_messages_of_other_arms_or_not_finite_when_framed_then_they_are_left_out(model):
     model.take('fault_estimate', fault_estimate(1.0, (0.0, 0.0, 0.0)), 0.0)
     model.take('state_estimate', state_estimate(1.0, (0.1,)), 0.0)
     model.take('reference', message(1.0, tip_position=[0.0] * 9), 0.0)
     frame = model.frame(0.1)
     assert model.misfits == 3
     assert frame['sample']['estimate'] == frame['states'] == [None, None]
-
-
-def test_given_values_that_are_not_finite_when_framed_then_json_has_none_of_them(model):
     model.take('ground_truth', message(1.0, position=[math.nan, 0.0], fault=[math.nan, 0.1]), 0.0)
     model.take('fault_estimate', fault_estimate(1.0, (math.inf, -0.2)), 0.0)
     model.take('joint_states', joint_states(1.0, ['elbow'], [1.0]), 0.0)
@@ -94,9 +94,8 @@ def test_given_joints_in_another_order_when_framed_then_the_measured_arm_is_the_
     model.take('joint_states', joint_states(1.0, names, [9.0, 0.5, 1.0]), 0.0)
     # The paper's q1 counts from the x axis; joint 1 is at the base.
     elbow = np.array([np.cos(1.0), np.sin(1.0)])
-    tip = elbow + [np.cos(1.5), np.sin(1.5)]
-    corners = np.array(model.frame(0.0)['arms']['measured'])
-    np.testing.assert_allclose(corners, [[0.0, 0.0], [0.0, 0.0], elbow, tip], atol=1e-4)
+    corners = [[0.0, 0.0], [0.0, 0.0], elbow, elbow + [np.cos(1.5), np.sin(1.5)]]
+    np.testing.assert_allclose(model.frame(0.0)['arms']['measured'], corners, atol=1e-4)
 
 
 def test_given_a_serial_arm_when_framed_then_each_joint_has_its_values_and_place():
@@ -154,7 +153,7 @@ def test_given_many_diagnostics_when_framed_then_their_number_is_bounded(model):
 
 def test_given_safe_stops_when_framed_then_they_are_counted_with_the_last_reason(model):
     def stops(now, count, last):
-        pairs = {'safe stops': count, 'last safe stop': last}.items()
+        pairs = ('safe stops', count), ('last safe stop', last)
         report(model, now, values=[SimpleNamespace(key=key, value=value) for key, value in pairs])
         return model.frame(now)['stops']
 
@@ -166,8 +165,7 @@ def test_given_safe_stops_when_framed_then_they_are_counted_with_the_last_reason
         assert stops(40.0, odd, '')['count'] == 22
 
 
-def test_given_the_events_of_one_alarm_when_listed_then_they_are_one_row():
-    alarms = AlarmList()
+def test_given_the_events_of_one_alarm_when_listed_then_they_are_one_row(alarms):
     alarms.add(alarm(RAISED, 1.01, kind='unclassified', size=0.29))
     assert alarms.rows()[0]['ended'] is None
     alarms.add(alarm(UPDATED, 1.5))
@@ -178,26 +176,21 @@ def test_given_the_events_of_one_alarm_when_listed_then_they_are_one_row():
     assert (second['sensor'], second['onset'], second['ended']) == (SENSORS[1], 1.9, None)
 
 
-def test_given_an_observer_that_was_reset_when_it_reports_no_alarm_then_the_row_ends():
-    alarms = AlarmList()
+def test_given_an_observer_that_was_reset_when_it_reports_no_alarm_then_the_row_ends(alarms):
     alarms.add(alarm(RAISED, 1.01))
-    alarms.follow(fault_estimate(1.02))
-    assert alarms.rows()[0]['ended'] is None, 'topics may come in any order'
-    alarms.follow(fault_estimate(2.0, alarm=(True, False)))
-    assert alarms.rows()[0]['ended'] is None
-    alarms.follow(fault_estimate(2.5))
-    assert alarms.rows()[0]['ended'] == 2.5
+    for t, is_on, ended in ((1.02, False, None), (2.0, True, None), (2.5, False, 2.5)):
+        alarms.follow(fault_estimate(t, alarm=(is_on, False)))
+        assert alarms.rows()[0]['ended'] == ended, 'topics may come in any order'
     alarms.add(alarm(CLEARED, 2.5))
     assert len(alarms.rows()) == 1, 'the event came after the estimate'
 
 
-def test_given_endless_alarms_when_listed_then_the_newest_are_kept():
-    alarms = AlarmList()
+def test_given_endless_alarms_when_listed_then_the_newest_are_kept(alarms):
     for k in range(1000):
         alarms.add(alarm(RAISED, k + 0.01, onset=float(k)))
-    rows = alarms.rows()
-    assert len(rows) == 256 and rows[-1]['onset'] == 999.0
-    assert [row['ended'] is None for row in rows].count(True) == 1
+    *others, newest = alarms.rows()
+    assert (len(others), newest['onset'], newest['ended']) == (255, 999.0, None)
+    assert None not in [row['ended'] for row in others]
 
 
 INJECT = {'type': 'inject', 'id': 7, 'sensor': SENSORS[1], 'kind': 'bias', 'size': 1}
