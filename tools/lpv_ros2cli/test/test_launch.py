@@ -11,13 +11,14 @@ import pytest
 import ros
 import yaml
 from places import BRINGUP
-from ros2_commands import Running, ros2
+from ros2_commands import Running
 
 pytest.importorskip('lpv_ros2cli', reason='a real ros2cli is here')
 
 from lpv.core.support.resources import shipped_files  # noqa: E402
 from lpv_ros2cli.command_line import CliError  # noqa: E402
 from lpv_ros2cli.launch import Launch  # noqa: E402
+from lpv_ros2cli.main import main  # noqa: E402
 
 FILES = {path.name.partition('.')[0]: path for path in (BRINGUP / 'launch').glob('*.xml')}
 NODE = '<node pkg="lpv_uio" exec="uio"'
@@ -36,7 +37,6 @@ def options(program, option):
 
 
 def parameters(program):
-    """Parameters by their names."""
     pairs = (text.split(':=', 1) for text in options(program, '-p'))
     return {name: yaml.safe_load(value) for name, value in pairs}
 
@@ -67,14 +67,9 @@ def test_given_an_arm_when_launched_then_nodes_get_its_scenario_and_gains(given,
 
 
 def test_given_arguments_when_launched_then_they_are_forwarded_to_every_node(tmp_path):
-    given = dict.fromkeys(('record', 'view', 'respawn'), 'true') | {
-        'bag': 'my bag',
-        'view_port': '0',
-        'namespace': 'cell/arm',
-        'log_level': 'debug',
-        'params_file': str(tmp_path / 'my own.yaml'),
-        'gains_file': '/my/gains.yaml',
-    }
+    given = dict.fromkeys(('record', 'view', 'respawn'), 'true')
+    given |= {'bag': 'my bag', 'view_port': '0', 'namespace': 'cell/arm', 'log_level': 'debug'}
+    given |= {'params_file': str(tmp_path / 'my own.yaml'), 'gains_file': '/my/gains.yaml'}
     found = programs(FILES['pipeline'], **given)
     assert list(found) == ['recorder', 'tracker', 'simulator', 'view', 'uio']
     local = os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
@@ -92,16 +87,13 @@ def test_given_arguments_when_launched_then_they_are_forwarded_to_every_node(tmp
     assert {values[n]['await_recorders'] for n in ('tracker', 'simulator', 'uio')} == {1}
 
 
-def test_given_the_launch_files_when_their_arguments_are_shown_then_each_is_described():
-    for name in ('pipeline', 'simulation', 'observer', 'rviz'):
-        launch = Launch({}, only_declared=True)
-        launch.include(FILES[name])
-        text = launch.description()
+def test_given_the_launch_files_when_their_arguments_are_shown_then_each_is_described(capsys):
+    for name in ('simulation', 'observer', 'rviz', 'pipeline'):
+        assert main(['launch', str(FILES[name]), 'arm:=ur10', '-s']) == 0
+        text = capsys.readouterr().out
         assert text.startswith("Arguments (pass arguments as '<name>:=<value>'):\n\n    '")
         assert 'no description given' not in text
         assert "    'pkg':" not in text  # passed by the file that includes
-    code, text, _ = ros2('launch', FILES['pipeline'], 'arm:=ur10', '-s')
-    assert code == 0
     assert "    'arm':\n        installed arm" in text
     assert "Valid choices are: ['realtime', 'lockstep']" in text
 
@@ -129,23 +121,18 @@ def test_given_a_wrong_launch_file_when_launched_then_one_line_says_why(tmp_path
         programs(path)
 
 
-@pytest.fixture
-def processes():
+def processes(*given):
     """Run shell programs with options of theirs as a launch does, in a process of its own."""
-
-    def start(*given):
-        code = (
-            'import os, sys; from lpv_ros2cli.processes import Processes, Program\n'
-            'programs = [Program(f"p-{i}", ["sh", "-c", text], dict(os.environ), **options)'
-            f' for i, (text, options) in enumerate({given!r})]\n'
-            'sys.exit(Processes(programs).run())'
-        )
-        return Running(program=[sys.executable, '-c', code])
-
-    return start
+    code = (
+        'import os, sys; from lpv_ros2cli.processes import Processes, Program\n'
+        'programs = [Program(f"p-{i}", ["sh", "-c", text], dict(os.environ), **options)'
+        f' for i, (text, options) in enumerate({given!r})]\n'
+        'sys.exit(Processes(programs).run())'
+    )
+    return Running(program=[sys.executable, '-c', code])
 
 
-def test_given_processes_that_end_when_run_then_lines_and_ends_are_told(processes):
+def test_given_processes_that_end_when_run_then_lines_and_ends_are_told():
     with processes(('echo one; echo two >&2', {}), ('exit 3', {})) as launch:
         code, text = launch.end()
     assert code == 1
@@ -157,7 +144,7 @@ def test_given_processes_that_end_when_run_then_lines_and_ends_are_told(processe
     assert code == 1 and 'p-1 has ended: shutting down' in text
 
 
-def test_given_a_process_that_is_respawned_when_it_ends_then_it_starts_again(processes):
+def test_given_a_process_that_is_respawned_when_it_ends_then_it_starts_again():
     with processes(('echo turn; exit 1', {'respawn': True, 'respawn_delay': 0.05})) as launch:
         for _ in range(3):
             launch.until('turn')
@@ -166,12 +153,12 @@ def test_given_a_process_that_is_respawned_when_it_ends_then_it_starts_again(pro
 
 @pytest.mark.usefixtures('hangup_acts')
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_given_a_signal_when_run_then_programs_are_told_once_and_killed_if_deaf(processes, number):
+def test_given_a_signal_when_run_then_programs_are_told_once_and_killed_if_deaf(number):
     waits = 'echo ready; while :; do sleep 0.05; done'
     tidy, deaf = f'trap "echo caught; exit 0" TERM; {waits}', f'trap "" TERM; {waits}'
     with processes((tidy, {}), (deaf, {'grace': 0.5})) as launch:
-        launch.until('ready')
-        launch.until('ready')
+        for _ in range(2):
+            launch.until('ready')
         launch.process.send_signal(number)
         code, text = launch.end()
     assert code == 0

@@ -64,15 +64,12 @@ def test_given_what_is_not_covered_when_asked_for_then_the_code_is_that_of_a_wro
         main(['topic', 'pub', '/x'])
 
 
-@given(
-    st.lists(st.floats(allow_nan=False, width=64), max_size=5),
-    st.text(max_size=20),
-    st.integers(0, 2**31 - 1),
-)
+NUMBERS = st.lists(st.floats(allow_nan=False), max_size=5)
+
+
+@given(NUMBERS, st.text(max_size=20), st.integers(0, 2**31 - 1))
 @example([], '\x85', 0)
-def test_given_any_values_when_shown_and_read_back_then_the_message_is_the_same(
-    numbers, text, seconds
-):
+def test_given_any_values_when_shown_then_they_are_read_back(numbers, text, seconds):
     message = JointState(name=[text], position=numbers)
     message.header.stamp.sec, message.header.frame_id = seconds, text
     assert messages.from_yaml(JointState, messages.to_yaml(message)) == message
@@ -101,9 +98,7 @@ def test_given_yaml_when_a_message_is_filled_then_values_take_the_fields_types()
         (Imu, '{orientation_covariance: [1.0]}', r'takes double\[9\]'),
     ],
 )
-def test_given_yaml_that_does_not_fit_when_a_message_is_filled_then_the_field_is_named(
-    kind, text, told
-):
+def test_given_yaml_that_does_not_fit_when_filled_in_then_the_field_is_named(kind, text, told):
     with pytest.raises(CliError, match=told):
         messages.from_yaml(kind, text)
 
