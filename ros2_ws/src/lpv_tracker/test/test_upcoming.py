@@ -30,9 +30,7 @@ def steps(count, *changes):
     ids=['even', 'stops', 'gaps', 'jitter'],
 )
 @pytest.mark.parametrize('away', [0.0, 0.3])
-def test_given_stamps_when_computed_ahead_then_as_one_by_one(
-    paper_arm, two_faults, stamps, stops, away
-):
+def test_given_stamps_when_ahead_then_as_one_by_one(paper_arm, two_faults, stamps, stops, away):
     path = two_faults.path(paper_arm)
     alone = PathFollower(path)
     ahead = UpcomingReferences(PathFollower(path), STEP, 2, 3)
