@@ -1,10 +1,14 @@
-"""The import graph: packages and sub-packages in layers, nothing upwards."""
+"""The sources: packages and sub-packages in layers, nothing upwards; numbers say why they are."""
 
+import ast
 import re
 from graphlib import TopologicalSorter
 
 import import_graph
 import pytest
+from places import ROOT
+
+from lpv.core.serial_arm.diagnosis import priors
 
 LAYERS = {
     '': [
@@ -24,52 +28,88 @@ ON_CALL = {'': {('lpv', 'lpv_design')}}
 """Imports upwards that wait until a design is asked for."""
 
 
-@pytest.fixture(scope='module')
-def modules():
-    return import_graph.module_imports()
-
-
 @pytest.mark.parametrize('package', ['', 'lpv.bag.', 'lpv.campaign.', 'lpv.report.'])
-def test_given_modules_or_sub_packages_when_they_import_then_there_is_no_cycle(modules, package):
-    graph = import_graph.collapse(modules, 3 if package else 99)
-    inside = {
-        name: {other for other in others if other.startswith(package)}
-        for name, others in graph.items()
-        if name.startswith(package)
-    }
+def test_given_modules_or_sub_packages_when_they_import_then_there_is_no_cycle(package):
+    graph = import_graph.collapse(3 if package else 99)
+    names = {name for name in graph if name.startswith(package)}
+    inside = {name: graph[name] & names for name in names}
     TopologicalSorter(inside).prepare()
     assert any(inside.values())
 
 
 @pytest.mark.parametrize(('package', 'layers'), LAYERS.items())
-def test_given_layers_when_what_is_in_them_imports_then_only_downwards(modules, package, layers):
-    graph = import_graph.collapse(modules, package.count('.') + 1)
+def test_given_layers_when_what_is_in_them_imports_then_only_downwards(package, layers):
+    graph = import_graph.collapse(package.count('.') + 1)
     level = {f'{package}{name}': height for height, names in enumerate(layers) for name in names}
     inside = {name for name in graph if name.startswith(package)}
     files = import_graph.module_files()
     assert level.keys() == {name for name in inside if files[name].name == '__init__.py'}
+    top = len(layers)
     upward = {
         (name, other)
         for name in inside
         for other in graph[name]
-        if other.startswith(package[:4])
-        and level.get(other, len(layers)) > level.get(name, len(layers))
+        if other.startswith(package[:4]) and level.get(other, top) > level.get(name, top)
     }
     assert upward == ON_CALL.get(package, set())
 
 
-def test_given_the_mathematics_when_it_imports_then_nothing_else_of_ours_and_never_rclpy(modules):
-    for name, others in modules.items():
-        if name.startswith('lpv.core.'):
-            assert all(other.startswith('lpv.core') for other in others), name
+def test_given_the_library_when_imported_then_no_other_package_is_and_its_mathematics_is_alone():
     for name, file in import_graph.module_files().items():
-        if name.startswith(('lpv.core', 'lpv.identify', 'lpv_design')):
-            assert 'rclpy' not in file.read_text(encoding='utf-8'), file
-
-
-def test_given_the_library_when_imported_then_no_other_package_of_ours_is():
-    for name, file in import_graph.module_files().items():
+        text = file.read_text(encoding='utf-8')
         # A command is imported when it is called.
         if name.split('.')[0] == 'lpv' and not name.startswith('lpv.cli.commands'):
-            text = file.read_text(encoding='utf-8')
             assert not re.search(r'^(from|import) lpv_', text, re.MULTILINE), name
+        if name.startswith(('lpv.core', 'lpv.identify', 'lpv_design')):
+            assert 'rclpy' not in text, name
+        if name.startswith('lpv.core.'):
+            others = import_graph.module_imports()[name]
+            assert all(other.startswith('lpv.core') for other in others), name
+
+
+LITERAL = (ast.Constant, ast.UnaryOp, ast.BinOp, ast.Tuple, ast.operator, ast.unaryop, ast.Load)
+
+
+def is_number(value):
+    """Whether an expression is made of numbers; one that names others says itself what it is."""
+    parts = list(ast.walk(value))
+    kinds = {type(one.value) for one in parts if isinstance(one, ast.Constant)}
+    return all(isinstance(one, LITERAL) for one in parts) and bool(kinds & {int, float})
+
+
+def silent_constants(path):
+    """Numeric constants of a module that neither a string below nor a comment explains."""
+    text = path.read_text(encoding='utf-8')
+    lines, body = text.splitlines(), ast.parse(text).body
+    for one, following in zip(body, [*body[1:], None]):
+        if not isinstance(one, (ast.Assign, ast.AnnAssign)) or not is_number(one.value):
+            continue
+        target = one.targets[0] if isinstance(one, ast.Assign) else one.target
+        if isinstance(target, ast.Subscript) or not ast.unparse(target).strip('(').isupper():
+            continue  # an entry, or a state
+        beside = '#' in lines[one.end_lineno - 1] or lines[one.lineno - 2].startswith('#')
+        below = isinstance(following, ast.Expr) and isinstance(following.value, ast.Constant)
+        if not (beside or below):
+            yield f'{path.name}:{one.lineno}: {lines[one.lineno - 1]}'
+
+
+def test_given_the_sources_when_a_module_has_a_number_then_it_says_why():
+    files = import_graph.module_files().values()
+    assert [one for path in files for one in silent_constants(path)] == []
+
+
+def test_given_a_number_without_a_word_when_looked_for_then_it_is_found(tmp_path):
+    path, text = tmp_path / 'module.py', 'A = 1.0\n"""Why."""\nB = 2  # why\n_C, D = 3, 4\n'
+    path.write_text(f'{text}E = 1 << 3\nF = 2 * A\ng = 0\n')
+    assert [one.split()[1] for one in silent_constants(path)] == ['_C,', 'E']
+
+
+def test_given_the_priors_when_documented_then_all_of_them_with_their_values():
+    page = (ROOT / 'docs' / 'diagnosis.md').read_text(encoding='utf-8')
+    table = page.partition('## Priors')[2].partition('\n## ')[0]
+    cells = re.findall(r'^\|.*`(.+)`.* \| ([^|]+) \|$', table, re.MULTILINE)
+    rows = {name: ast.literal_eval(value) for name, value in cells}
+    names = {name for name in vars(priors) if name.isupper()} - {'CONTACT'}
+    assert {name.partition('[')[0] for name in rows} == names
+    assert {f"SIZE['{kind}']" for kind in priors.SIZE} <= set(rows)
+    assert {name: eval(name, vars(priors).copy()) for name in rows} == rows

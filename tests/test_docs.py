@@ -1,6 +1,5 @@
 """The documentation fits the code: references and links resolve, equations are listed."""
 
-import functools
 import inspect
 import pkgutil
 import re
@@ -32,14 +31,12 @@ _LINK = re.compile(r'\[[^\]]*\]\(\s*([^)\s]+)\s*\)')
 each_page = pytest.mark.parametrize('page', PAGES)
 
 
-@functools.cache
-def _classes():
-    """Module of every class of this software."""
-    return {
-        name: module
-        for module, file in import_graph.module_files().items()
-        for name in re.findall(r'^class (\w+)', file.read_text(encoding='utf-8'), re.MULTILINE)
-    }
+CLASSES = {
+    name: module
+    for module, file in import_graph.module_files().items()
+    for name in re.findall(r'^class (\w+)', file.read_text(encoding='utf-8'), re.MULTILINE)
+}
+"""Module of every class of this software."""
 
 
 def _resolves(reference):
@@ -63,8 +60,8 @@ def references(text):
             continue
         if first in import_graph.package_folders():
             yield reference
-        elif first[0].isupper() and first in _classes():
-            yield f'{_classes()[first]}.{reference}'
+        elif first[0].isupper() and first in CLASSES:
+            yield f'{CLASSES[first]}.{reference}'
 
 
 def headings(text):

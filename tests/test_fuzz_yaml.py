@@ -34,9 +34,7 @@ _UNBOUNDED = {
 
 
 @pytest.mark.parametrize('kind', _KINDS)
-def test_given_mutated_files_when_read_then_each_is_refused_clearly_or_holds_finite_numbers(
-    kind, tmp_path
-):
+def test_given_mutated_files_when_read_then_each_is_refused_or_holds_finite_numbers(kind, tmp_path):
     load, original = _KINDS[kind]
     text, path = original.read_text(), tmp_path / 'mutated.yaml'
 

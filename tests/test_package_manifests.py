@@ -1,6 +1,5 @@
 """Manifests: what a package imports is named, what it ships is installed, versions agree."""
 
-import ast
 import os
 import re
 import runpy
@@ -12,6 +11,7 @@ from xml.etree import ElementTree
 
 import pytest
 import setuptools
+from import_graph import imports
 from places import PACKAGES, ROOT
 
 FOLDERS = [*sorted(PACKAGES.iterdir()), ROOT / 'tools' / 'lpv_ros2cli']
@@ -34,13 +34,8 @@ COMES_WITH = {'llvmlite': 'numba'}
 
 def imported(folder):
     """Names of the top-level packages that the sources in a folder import, wherever."""
-    names = set()
-    for file in folder.rglob('*.py'):
-        for node in ast.walk(ast.parse(file.read_text())):
-            if isinstance(node, ast.Import):
-                names |= {alias.name.split('.')[0] for alias in node.names}
-            elif isinstance(node, ast.ImportFrom) and not node.level:
-                names.add(node.module.split('.')[0])
+    found = {name for file in folder.rglob('*.py') for name in imports(file)}
+    names = {name.split('.')[0] for name in found}
     return {COMES_WITH.get(name, name) for name in names} - set(sys.stdlib_module_names)
 
 
@@ -51,15 +46,12 @@ def missing_dependencies(package, declared, remarks):
     if not tests.is_symlink():
         wanted |= imported(tests) & {'hypothesis'}
     for name in wanted:
-        if name in PYPI:
-            if not re.search(rf'\b{PYPI[name]}\b', remarks):
-                yield name
-        elif not {name, f'python3-{name}', f'python3-{name}-pip'} & declared:
+        keys = {name, f'python3-{name}', f'python3-{name}-pip'}
+        if not (re.search(rf'\b{PYPI[name]}\b', remarks) if name in PYPI else keys & declared):
             yield name
 
 
 def options_of(package, monkeypatch):
-    """What a package's setup.py hands to setuptools."""
     options = {}
     monkeypatch.chdir(package)
     monkeypatch.setattr(setuptools, 'setup', options.update)
@@ -74,34 +66,26 @@ def left_out(package, options):
         folder = Path(*name.split('.'))
         installed |= {path for pattern in patterns for path in folder.glob(pattern)}
     shared = {path.parts[0] for path in installed} - {package.name, 'resource'}
-    files = {
-        path
-        for folder in (package.name, *shared)
-        for path in Path(folder).rglob('*')
-        if path.is_file()
-        and (folder != package.name or path.suffix != '.py')
-        and '__pycache__' not in path.parts
-        and not path.parts[-2].startswith('.')
-    }
+    files = {path for name in shared for path in Path(name).rglob('*')}
+    files |= {path for path in Path(package.name).rglob('*') if path.suffix != '.py'}
+    hidden = re.compile(r'(__pycache__|\.).*')
+    files = {p for p in files if p.is_file() and not any(map(hidden.match, p.parts[:-1]))}
     folders = {'.'.join(p.parent.parts) for p in Path(package.name).rglob('__init__.py')}
     return files - installed | folders ^ set(options['packages'])
 
 
 @pytest.mark.parametrize('package', FOLDERS, ids=lambda p: p.name)
-def test_given_a_package_when_released_then_its_manifest_set_up_and_changelog_are_right(
-    package, monkeypatch
-):
+def test_given_a_package_when_released_then_what_it_says_of_itself_is_right(package, monkeypatch):
     text = (package / 'package.xml').read_text()
     root, remarks = ElementTree.fromstring(text), re.findall(r'<!--(.*?)-->', text, re.DOTALL)
     declared = {e.text for e in root if e.tag.endswith('depend')}
     assert sorted(missing_dependencies(package, declared, ' '.join(remarks))) == []
     assert {d for d in declared if d.startswith('python3-')} <= ROSDEP_KEYS
     version = root.findtext('version')
-    for name in ('name', 'description', 'maintainer', 'license'):
+    for name in ('description', 'maintainer', 'license'):
         assert root.findtext(name).strip()
     assert root.findtext('name') == package.name
-    citation = (ROOT / 'CITATION.cff').read_text()
-    assert re.search(r'^version: (.+)$', citation, re.MULTILINE).group(1) == version
+    assert f'\nversion: {version}\n' in (ROOT / 'CITATION.cff').read_text()
     title, *_ = changelog = (package / 'CHANGELOG.rst').read_text().splitlines()
     assert changelog[1] == f'Changelog for package {package.name}'
     assert title == changelog[2] == '^' * len(changelog[1])
@@ -115,9 +99,7 @@ def test_given_a_package_when_released_then_its_manifest_set_up_and_changelog_ar
 
 
 @pytest.mark.parametrize(('real', 'scripts'), [(1, []), (None, ['ros2 = lpv_ros2cli.main:main'])])
-def test_given_a_workspace_built_by_hand_when_ros2cli_is_there_then_no_ros2_command_is_made(
-    monkeypatch, real, scripts
-):
+def test_given_a_real_ros2cli_when_built_by_hand_then_ours_is_left_out(monkeypatch, real, scripts):
     monkeypatch.setattr('importlib.util.find_spec', {'ros2cli': real}.__getitem__)
     options = options_of(ROOT / 'tools' / 'lpv_ros2cli', monkeypatch)
     assert options['entry_points']['console_scripts'] == scripts
@@ -143,28 +125,25 @@ def test_given_libraries_when_installed_by_setup_or_by_pip_then_ranges_are_the_s
 
 
 def test_given_the_manifests_when_packages_are_built_and_launched_then_what_they_need_is_named():
-    declared = {
-        package.name: {e.text for e in ElementTree.parse(package / 'package.xml').getroot()}
-        for package in FOLDERS
-    }
+    roots = {package.name: ElementTree.parse(package / 'package.xml') for package in FOLDERS}
+    declared = {name: {e.text for e in root.getroot()} for name, root in roots.items()}
     graph = {name: (declared.keys() & needed) - {name} for name, needed in declared.items()}
     assert len(tuple(TopologicalSorter(graph).static_order())) == 9
-    needed_to_read_launch_files = {'launch_xml', 'launch_ros', 'ros2launch'}
-    assert {'lpv_design', *needed_to_read_launch_files} <= declared['lpv_bringup']
+    to_read_launch_files = {'launch_xml', 'launch_ros', 'ros2launch'}
+    assert {'lpv_design', *to_read_launch_files} <= declared['lpv_bringup']
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(('options', 'code'), [((), 0), (('-o', 'addopts='), 3)])
-def test_given_the_pytest_plugins_of_a_ros2_when_on_the_path_then_only_our_options_save_the_tests(
-    tmp_path, options, code
+def test_given_pytest_plugins_of_a_ros2_when_found_then_options_save_us(
+    tmp_path, monkeypatch, options, code
 ):
     (tmp_path / 'old_plugin.py').write_text('def pytest_pycollect_makemodule(path, parent): pass\n')
     info = tmp_path / 'launch_testing-3.7.1.dist-info'
     info.mkdir()
     (info / 'METADATA').write_text('Metadata-Version: 2.1\nName: launch_testing\nVersion: 3.7.1\n')
     (info / 'entry_points.txt').write_text('[pytest11]\nlaunch_testing = old_plugin\n')
-    path = os.pathsep.join([str(tmp_path), os.environ.get('PYTHONPATH', '')])
+    monkeypatch.setenv('PYTHONPATH', str(tmp_path), prepend=os.pathsep)
     words = [sys.executable, '-m', 'pytest', '--collect-only', __file__, *options]
-    environment = {**os.environ, 'PYTHONPATH': path}
-    done = subprocess.run(words, cwd=ROOT, env=environment, capture_output=True)
+    done = subprocess.run(words, cwd=ROOT, capture_output=True)
     assert done.returncode == code, done.stderr.decode()

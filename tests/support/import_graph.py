@@ -2,6 +2,7 @@
 
 import ast
 from collections import defaultdict
+from functools import cache
 
 from places import PACKAGES, ROOT
 
@@ -14,6 +15,7 @@ def package_folders():
     return {name: path for name, path in sorted(folders.items()) if path.is_dir()}
 
 
+@cache
 def module_files():
     """Files of all modules of the workspace by their dotted names."""
     files = [
@@ -35,15 +37,16 @@ def imports(file, known=()):
                 yield inner if inner in known else node.module
 
 
+@cache
 def module_imports():
     files = module_files()
     return {m: ({*imports(file, files)} & files.keys()) - {m} for m, file in files.items()}
 
 
-def collapse(graph, depth):
+def collapse(depth):
     """The graph between packages (depth 1) or sub-packages (depth 2)."""
-    short = {module: '.'.join(module.split('.')[:depth]) for module in graph}
+    short = {module: '.'.join(module.split('.')[:depth]) for module in module_files()}
     result = defaultdict(set)
-    for module, imported in graph.items():
+    for module, imported in module_imports().items():
         result[short[module]].update(short[name] for name in imported)
     return {name: others - {name} for name, others in result.items()}
