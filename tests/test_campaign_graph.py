@@ -36,34 +36,29 @@ SPEC = {
         'diagnosis.clear_dwell': 0.2,
     },
 }
-STREAMS = (
-    *('fault_estimate', 'ground_truth', 'joint_states', 'reference', 'state_estimate'),
-    'torque_command',
-)
+STREAMS = ('fault_estimate', 'ground_truth', 'joint_states', 'reference', 'state_estimate',
+           'torque_command')  # fmt: skip
 
 
 def run_graph(folder, files):
     """The nodes in lockstep with the files of a run; the bag that they record."""
-    awaits, scenario = 'await_recorders:=1', f'scenario_file:={files / "scenario.yaml"}'
-    own = {
-        'recorder': [f'output:={folder / "graph"}'],
-        'uio': [awaits],
-        'tracker': [scenario, awaits],
-        'simulator': [scenario, awaits, 'shutdown_at_end:=true'],
-    }
+    scenario, gains = f'scenario_file:={files}/scenario.yaml', files / 'gains.yaml'
+    others = f'arm_file:={files}/arm.yaml', 'await_recorders:=1'
     with ros.graph(folder / 'log') as running:
-        for name, given in own.items():
-            kinds = ['parameters', 'gains'] if name in ('uio', 'tracker') else ['parameters']
-            if name != 'recorder':
-                given.append(f'arm_file:={files / "arm.yaml"}')
-            line = ros.command(name, *given, files=[files / f'{kind}.yaml' for kind in kinds])
+        for name, given, *more in (
+            ('recorder', [f'output:={folder / "graph"}']),
+            ('uio', others, gains),
+            ('tracker', [scenario, *others], gains),
+            ('simulator', [scenario, *others, 'shutdown_at_end:=true']),
+        ):
+            line = ros.command(name, *given, files=[files / 'parameters.yaml', *more])
             node = running.start(name, line)
         assert node.process.wait(1000) == 0
         ros.end(running)
     return folder / 'graph'
 
 
-def test_given_a_run_of_a_campaign_when_the_graph_runs_it_then_all_signals_and_alarms_are_its(
+def test_given_a_run_of_a_campaign_when_the_graph_runs_it_then_it_is_the_same(
     paper_gains, tmp_path
 ):
     pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')

@@ -89,15 +89,12 @@ class Rig:
     def start(self, *names, parameters=()):
         for name in names:
             self._starts[name] = count = self._starts.get(name, 0) + 1
-            own = [f'lockstep:={str(self._lockstep).lower()}', *LIMITS.get(name, ()), *parameters]
-            if name == 'recorder':
-                own.append(f'output:={self._folder / "bag"}{count}')
-            else:
-                own.append(f'arm_file:={self._files["arm"]}')
-            if name in LIMITS:
-                own.append(f'scenario_file:={self._folder / "scenario.yaml"}')
+            # Nodes ignore parameters that they do not have.
+            own = [f'lockstep:={str(self._lockstep).lower()}', f'arm_file:={self._files["arm"]}']
+            own.append(f'scenario_file:={self._folder}/scenario.yaml')
+            own.append(f'output:={self._folder}/bag{count}')
             gains = [self._files['gains']] if name in ('uio', 'tracker') else []
-            line = ros.command(name, *own, files=gains)
+            line = ros.command(name, *own, *LIMITS.get(name, ()), *parameters, files=gains)
             self.nodes[name] = self.running.start(f'{name}{count}', line)
 
     def kill(self, name):
@@ -245,9 +242,7 @@ def assert_no_leap(rig, falls=2.3):
 
 
 @pytest.mark.realtime
-def test_given_real_time_when_each_node_is_killed_then_the_arm_brakes_and_goes_on_with_the_new_one(
-    tmp_path, damped
-):
+def test_given_real_time_when_nodes_are_killed_then_the_arm_brakes_and_goes_on(tmp_path, damped):
     with rig_on(tmp_path, damped) as rig:
         rig.start('recorder', 'uio', 'tracker', 'simulator')
         rig.logged('simulator', 'brakes released')
@@ -289,9 +284,7 @@ def assert_moves_as_an_arm_does(heard):
 
 
 @pytest.mark.realtime
-def test_given_real_time_when_each_node_is_held_up_then_the_arm_goes_on_without_a_leap(
-    tmp_path, files
-):
+def test_given_real_time_when_nodes_are_held_up_then_the_arm_goes_on_without_leaps(tmp_path, files):
     with rig_on(tmp_path, files) as rig:
         rig.start('uio', 'tracker', 'simulator')
         rig.logged('simulator', 'brakes released')
@@ -310,9 +303,7 @@ def test_given_real_time_when_each_node_is_held_up_then_the_arm_goes_on_without_
 
 
 @pytest.mark.realtime
-def test_given_a_tracker_that_is_held_up_again_and_again_then_the_arm_never_runs_away(
-    tmp_path, files
-):
+def test_given_a_tracker_when_held_up_again_and_again_then_the_arm_never_runs_away(tmp_path, files):
     with rig_on(tmp_path, files) as rig:
         reports = rig.client.listen(DiagnosticArray, '/diagnostics', QoSProfile(depth=100))
         for name in ('uio', 'tracker', 'simulator'):
@@ -372,9 +363,7 @@ def assert_waits(rig):
     pytest.fail('steps are made without answers')
 
 
-def test_given_lockstep_when_each_node_is_killed_then_time_waits_and_goes_on_with_the_new_one(
-    tmp_path, files
-):
+def test_given_lockstep_when_nodes_are_killed_then_time_waits_and_goes_on(tmp_path, files):
     with rig_on(tmp_path, files, lockstep=True) as rig:
         rig.start('simulator')
         assert_waits_for_answers(rig)

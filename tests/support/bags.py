@@ -22,9 +22,8 @@ def write_small(path, count=20, **options):
         writer.add_topic(CHATTER, 'std_msgs/msg/String')
         for k in range(count):
             stamp = START + k * STEP
-            writer.write(
-                JOINTS, stamp, messages.joint_state(stamp, names, [k, 1.0], [2.0, 3.0], [4.0, 5.0])
-            )
+            measured = messages.joint_state(stamp, names, [k, 1.0], [2.0, 3.0], [4.0, 5.0])
+            writer.write(JOINTS, stamp, measured)
             if k % 5 == 0:
                 text = writer.typestore.types['std_msgs/msg/String'](f'hello {k}')
                 writer.write(CHATTER, stamp, text)

@@ -12,6 +12,7 @@ import time
 import traceback
 from contextlib import contextmanager
 from dataclasses import dataclass, field, is_dataclass
+from functools import partial
 
 import numpy as np
 
@@ -68,9 +69,7 @@ def mutate_text(text, seed, form=_YAML):
     return mutate_bytes(data, rng.randrange(1 << 30)) if rng.random() < 0.15 else data
 
 
-def mutate_xml(text, seed):
-    """An XML file with one to four mutations, as bytes."""
-    return mutate_text(text, seed, _XML)
+mutate_xml = partial(mutate_text, form=_XML)
 
 
 def _place(text, rng, pattern):
@@ -155,9 +154,8 @@ class Tally:
         except Exception as error:  # whatever else is a traceback for the user
             place = traceback.extract_tb(error.__traceback__)[-1]
             wrong = f'{type(error).__name__}: {str(error)[:80]} ({place.name}:{place.lineno})'
-        seconds = time.thread_time() - begin
-        if not wrong and seconds > ENDLESS:
-            wrong = f'took {seconds:.1f} s'
+        if not wrong and time.thread_time() - begin > ENDLESS:
+            wrong = f'took more than {ENDLESS:.0f} s'
         if wrong:
             self.failed.append((seed, wrong))
 
@@ -197,7 +195,7 @@ def bounded_memory():
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 300 << 10
 
 
-def fuzz(count, mutate, use, **options):
+def fuzz(count, mutate, use, accepts=True, **options):
     """Counts of a fuzzer: ``mutate`` lays the file of a seed, ``use`` reads it."""
     tally = Tally(**options)
     with bounded_memory():
@@ -205,5 +203,5 @@ def fuzz(count, mutate, use, **options):
             mutate(seed)
             tally.run(seed, use)
     print(tally)
-    assert not tally.failed and tally.accepted, tally.failed[:10]
+    assert not tally.failed and (tally.accepted or not accepts), tally.failed[:10]
     return tally

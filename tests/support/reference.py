@@ -12,15 +12,14 @@ from pathlib import Path
 
 from places import DATA
 from rich.console import Console
-from rosbags.highlevel import AnyReader
+from runs import copied
 
 from lpv.bag.replay.replay import Replay
-from lpv.bag.rosbag.writing import BagWriter
 from lpv.cli.commands.compare import show
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.support.resources import bringup_file
-from lpv.core.support.timestamps import to_nanoseconds
+from lpv.core.support.timestamps import leading_stamp
 from lpv.core.uio.certificate.gains import load_gains
 from lpv.report.comparison import Tolerances, compare_runs, load_pair
 
@@ -47,23 +46,16 @@ def renew():
         replayed, new = Path(folder) / 'replayed', Path(folder) / BAG.name
         Replay(monitor()).run(BAG, replayed)
         before = compare(replayed)
-        with AnyReader([replayed]) as reader, BagWriter(new, 'zstd_small') as writer:
-            for connection in reader.connections:
-                if connection.topic.startswith('/lpv/'):
-                    writer.copy_topic(connection)
-            for connection, time, data in reader.messages():
-                if _is_kept(connection, reader.deserialize(data, connection.msgtype)):
-                    writer.write_raw(connection.topic, time, bytes(data))
+        copied(replayed, new, lambda topic: topic[:5] == '/lpv/', _thinned, preset='zstd_small')
         shutil.copy(BAG / 'gains.yaml', new)
         shutil.rmtree(BAG)
         shutil.copytree(new, BAG)
     return before
 
 
-def _is_kept(connection, message):
-    if connection.topic.endswith('_estimate'):
-        return to_nanoseconds(message.header.stamp) // 2_000_000 % _THINNED == 0
-    return connection.topic.startswith('/lpv/')
+def _thinned(topic, data):
+    is_left_out = topic.endswith('_estimate') and leading_stamp(data) // 2_000_000 % _THINNED
+    return None if is_left_out else data
 
 
 def main():

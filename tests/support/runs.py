@@ -24,9 +24,9 @@ def record(path, arm, gains, scenario):
     return path
 
 
-def copied(bag, out, keep=lambda topic: True, change=lambda topic, data: data):
+def copied(bag, out, keep=lambda topic: True, change=lambda topic, data: data, **options):
     """A bag with the topics that are kept, and with other bytes; None leaves a message out."""
-    with open_bag(bag) as reader, BagWriter(out) as writer:
+    with open_bag(bag) as reader, BagWriter(out, **options) as writer:
         kept = [c for c in reader.connections if keep(c.topic)]
         for connection in kept:
             writer.copy_topic(connection)
@@ -38,13 +38,9 @@ def copied(bag, out, keep=lambda topic: True, change=lambda topic, data: data):
 
 def rows(page):
     """Cells of all table rows of a page, as text."""
-    return [
-        [
-            html.unescape(re.sub('<[^>]*>', '', cell)).strip()
-            for cell in re.findall(r'<t[dh][^>]*>(.*?)</t[dh]>', row, re.DOTALL)
-        ]
-        for row in re.findall(r'<tr>(.*?)</tr>', page, re.DOTALL)
-    ]
+    found = re.findall(r'<tr>(.*?)</tr>', page, re.DOTALL)
+    cells = [re.findall(r'<t[dh][^>]*>(.*?)</t[dh]>', row, re.DOTALL) for row in found]
+    return [[html.unescape(re.sub('<[^>]*>', '', one)).strip() for one in row] for row in cells]
 
 
 def text(page):

@@ -44,12 +44,11 @@ class View:
 
     def find(self, pattern):
         deadline = time.monotonic() + 60.0
-        while time.monotonic() < deadline:
-            if found := re.search(pattern, self.log):
-                return found.group(1)
+        while not (found := re.search(pattern, self.log)):
+            assert time.monotonic() < deadline, self.log
             self._graph.check()
             time.sleep(0.05)
-        raise AssertionError(self.log)
+        return found.group(1)
 
 
 def to_and_fro(folder):
@@ -101,14 +100,11 @@ def browser(tmp_path_factory):
     playwright = pytest.importorskip('playwright.sync_api', reason='playwright is not installed')
     if not BROWSER:
         pytest.skip('there is no Chromium: apt-get install chromium, or set CHROMIUM')
+    options = {'executable_path': BROWSER, 'args': FLAGS.split(), 'headless': True}
+    options['viewport'] = {'width': 1280, 'height': 900}
+    profile = str(tmp_path_factory.mktemp('profile'))
     with playwright.sync_playwright() as driver:
-        started = driver.chromium.launch_persistent_context(
-            str(tmp_path_factory.mktemp('profile')),
-            executable_path=BROWSER,
-            args=FLAGS.split(),
-            headless=True,
-            viewport={'width': 1280, 'height': 900},
-        )
+        started = driver.chromium.launch_persistent_context(profile, **options)
         yield started
         started.close()
 
@@ -244,32 +240,29 @@ def test_given_a_view_for_others_when_opened_then_buttons_need_the_token(live, t
         token = shown.find(r'need the token (\S+)')
         assert len(token) >= 20 and shown.find(r'/#token=(\S+)') == token
         assert shown.log.count('need the token') == 1
-        try_token(request.getfixturevalue('browser').new_page(), shown.page, token)
+        page = request.getfixturevalue('browser').new_page()
+        # Look without it, fail without it, type it, then come by the link that carries it.
+        address = f'http://127.0.0.1:{shown.page.rsplit(":", 1)[1]}'
+        reply = page.locator('#reply')
+        page.goto(address)
+        page.wait_for_selector('#clock:not([hidden])', timeout=20_000)
+        assert page.is_visible('#token-form')
+        until(page, lambda: page.is_enabled('#inject'))
+        page.click('#clear')
+        until(page, lambda: 'the token is needed' in reply.inner_text())
+        page.fill('#token', 'a wrong one')
+        page.click('#token-form button')
+        until(page, lambda: 'not the token' in reply.inner_text())
+        page.fill('#token', token)
+        page.click('#token-form button')
+        until(page, lambda: 'accepted' in reply.inner_text())
+        assert not page.is_visible('#token-form')
+        page.click('#clear')
+        until(page, lambda: 'faults cleared' in reply.inner_text())
+        page.goto('about:blank')
+        page.goto(f'{address}#token={token}')
+        until(page, lambda: 'accepted' in reply.inner_text())
+        assert page.url == address, 'the token is gone from the address bar'
+        assert not page.is_visible('#token-form')
+        page.close()
         assert graph.stop() == {'view': 0}
-
-
-def try_token(page, address, token):
-    """Look without it, fail without it, type it, then come by the link that carries it."""
-    address = f'http://127.0.0.1:{address.rsplit(":", 1)[1]}'
-    reply = page.locator('#reply')
-    page.goto(address)
-    page.wait_for_selector('#clock:not([hidden])', timeout=20_000)
-    assert page.is_visible('#token-form')
-    until(page, lambda: page.is_enabled('#inject'))
-    page.click('#clear')
-    until(page, lambda: 'the token is needed' in reply.inner_text())
-    page.fill('#token', 'a wrong one')
-    page.click('#token-form button')
-    until(page, lambda: 'not the token' in reply.inner_text())
-    page.fill('#token', token)
-    page.click('#token-form button')
-    until(page, lambda: 'accepted' in reply.inner_text())
-    assert not page.is_visible('#token-form')
-    page.click('#clear')
-    until(page, lambda: 'faults cleared' in reply.inner_text())
-    page.goto('about:blank')
-    page.goto(f'{address}#token={token}')
-    until(page, lambda: 'accepted' in reply.inner_text())
-    assert page.url == address, 'the token is gone from the address bar'
-    assert not page.is_visible('#token-form')
-    page.close()
