@@ -67,7 +67,6 @@ LOST = {
 
 
 def chosen(table, claims):
-    """Parameters: place, kind, claim."""
     for place, kinds in table.items():
         for kind in kinds.split(','):
             for claim in claims:
@@ -82,7 +81,6 @@ def chosen(table, claims):
 
 @cache
 def found(place, kind):
-    """A cell and its runs."""
     *recorded, arm, rates = place.split()
     (cell,) = cells([arm], [bool(recorded)], [rates], [BY_NAME[kind]])
     return cell, [run(cell, k) for k in range(RUNS)]
@@ -105,8 +103,7 @@ def shares_below_the_bar(place, kind):
     row = summary(*found(place, kind))
     other = bar().get(tuple(row[name] for name in KEY))
     shares = compared(row, other) if other else {}
-    return {name: pair for name, pair in shares.items()
-            if (pair[0] - pair[1]) * COMPARED[name] < 0.0}  # fmt: skip
+    return {name: (a, b) for name, (a, b) in shares.items() if (a - b) * COMPARED[name] < 0.0}
 
 
 @pytest.mark.parametrize(('place', 'kind', 'claim'), chosen(FAULTS, CLAIMS))

@@ -26,22 +26,18 @@ def machine(tmp_path):
 
     def build(python='python-without', source='wheels'):
         built.write_text('')
-        command = (
-            f'source {ROOT}/tools/setup.sh; build={tmp_path}/build; '
-            f'python={tmp_path}/bin/{python}; source={source}; build_workspace'
-        )
+        given = f'build={tmp_path}/build; python={tmp_path}/bin/{python}; source={source}'
+        line = ['bash', '-c', f'source {ROOT}/tools/setup.sh; {given}; build_workspace']
         path = f'{tmp_path}/bin:/usr/bin:/bin'
         environment = {'PATH': path, 'HOME': str(tmp_path), 'VENV': str(venv)}
-        subprocess.run(['bash', '-c', command], env=environment, check=True, capture_output=True)
+        subprocess.run(line, env=environment, check=True, capture_output=True)
         return built.read_text()
 
     build.folder, build.venv = tmp_path, venv
     return build
 
 
-def test_given_no_ros2cli_or_ours_of_another_environment_when_set_up_then_the_stand_in_is_built(
-    machine,
-):
+def test_given_no_ros2cli_or_that_of_another_place_when_set_up_then_ours_is_built(machine):
     built = machine()
     assert 'colcon' in built and 'tools/lpv_ros2cli' in built
     assert machine() == ''  # done already
@@ -50,9 +46,7 @@ def test_given_no_ros2cli_or_ours_of_another_environment_when_set_up_then_the_st
 
 
 @pytest.mark.parametrize('how', ['on the path', 'importable', 'sourced'])
-def test_given_a_real_ros2cli_when_set_up_then_ours_is_not_built_and_an_old_one_is_removed(
-    machine, how
-):
+def test_given_a_real_ros2cli_when_set_up_then_ours_is_not_built_but_removed(machine, how):
     machine()
     package = machine.venv / 'lib' / 'python3.11' / 'site-packages' / 'lpv_ros2cli'
     stale = [machine.venv / 'bin' / 'ros2', package / 'main.py']
@@ -111,13 +105,10 @@ def test_given_a_shell_when_its_script_is_sourced_then_lpv_is_found_and_complete
     if shutil.which(shell) is None:
         pytest.skip(f'{shell} is not installed')
     script, bare, question, answer = SHELLS[shell]
-    others = {k: v for k, v in os.environ.items() if k not in ('ROS_DISTRO', 'PYTHONPATH')}
-    done = subprocess.run(
-        [shell, bare, '-i', '-c', f'source {ROOT / "tools" / script}\ntype lpv\n{question}\n'],
-        env={**others, 'VENV': sys.prefix, 'PATH': '/usr/bin:/bin', 'HOME': str(tmp_path)},
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-    )
+    given = {k: v for k, v in os.environ.items() if k not in ('ROS_DISTRO', 'PYTHONPATH')}
+    given |= {'VENV': sys.prefix, 'PATH': '/usr/bin:/bin', 'HOME': str(tmp_path)}
+    text = f'source {ROOT / "tools" / script}\ntype lpv\n{question}\n'
+    line, options = [shell, bare, '-i', '-c', text], {'capture_output': True, 'text': True}
+    done = subprocess.run(line, env=given, stdin=subprocess.DEVNULL, **options)
     assert f'{sys.prefix}/bin/lpv' in done.stdout and answer in done.stdout
     assert 'not found' not in done.stdout + done.stderr

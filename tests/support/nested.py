@@ -35,4 +35,5 @@ def places(data, prefix=''):
 
 def numbers(data):
     """Dotted names of all numbers of nested data."""
-    return [name for name, value in places(data) if type(value) in (int, float)]
+    kinds = (int, float)
+    return [name for name, v in places(data) if isinstance(v, kinds) and not isinstance(v, bool)]

@@ -27,16 +27,13 @@ from lpv_ros2cli import messages  # noqa: E402
 from lpv_ros2cli.command_line import CliError  # noqa: E402
 from lpv_ros2cli.main import main  # noqa: E402
 
-# ------------------------------------------------------------------ without a graph
-
 
 def test_given_the_parser_when_built_then_nothing_heavy_is_imported():
     code = (
         'import sys; from lpv_ros2cli.main import build_parser; build_parser(); '
         'print({"rclpy", "yaml", "numpy", "rosbags", "lpv.bag"} & set(sys.modules))'
     )
-    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True)
-    assert done.stdout == 'set()\n'
+    assert subprocess.check_output([sys.executable, '-c', code]) == b'set()\n'
 
 
 @pytest.mark.parametrize(
@@ -103,9 +100,6 @@ def test_given_yaml_that_does_not_fit_when_filled_in_then_the_field_is_named(kin
         messages.from_yaml(kind, text)
 
 
-# ------------------------------------------------------------------ one graph round trip each
-
-
 @pytest.fixture(scope='module')
 def graph():
     """A managed node that publishes, serves and has a parameter, on a domain of its own."""
@@ -153,9 +147,8 @@ def test_given_a_graph_when_listed_then_nodes_topics_and_services_are_there(out)
     assert out('node', 'list') == '/lpv/arm\n'
     assert '/lpv/joints [sensor_msgs/msg/JointState]\n' in out('topic', 'list', '-t')
     assert '/lpv/inject\n' in out('service', 'list')
-    assert out('topic', 'info', '/lpv/joints') == (
-        'Type: sensor_msgs/msg/JointState\nPublisher count: 1\nSubscription count: 0\n'
-    )
+    text = out('topic', 'info', '/lpv/joints')
+    assert text == 'Type: sensor_msgs/msg/JointState\nPublisher count: 1\nSubscription count: 0\n'
 
 
 @pytest.mark.ros
@@ -215,7 +208,6 @@ def test_given_a_topic_when_recorded_then_the_bag_is_described(out, tmp_path):
         code, text = recorder.interrupt()
     assert code == 0, text
     info = out('bag', 'info', bag)
-    assert re.search(r'^Files: +bag.mcap\n', info, re.M)
-    assert re.search(r'Duration: +\d+\.\d{9}s\n', info)
     topic = r'Topic: /lpv/joints \| Type: sensor_msgs/msg/JointState \| Count: [1-9]\d* \| Ser'
-    assert re.search(topic, info)
+    for told in (r'(?m)^Files: +bag.mcap\n', r'Duration: +\d+\.\d{9}s\n', topic):
+        assert re.search(told, info), info

@@ -50,9 +50,6 @@ def test_given_the_end_of_a_command_when_a_signal_was_lost_then_none_comes_later
     assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
 
 
-# ------------------------------------------------------------------ of a node's process
-
-
 def test_given_a_start_when_told_to_stop_then_it_ends_at_once_and_later_in_order():
     with handled_signals(lambda *_: None, signal.SIGINT, signal.SIGTERM):
         StopRequest()

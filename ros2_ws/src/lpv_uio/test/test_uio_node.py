@@ -47,9 +47,6 @@ def with_outputs(node):
     return outputs
 
 
-# ------------------------------------------------------------------ serial arms
-
-
 def test_given_a_serial_arm_when_observed_then_the_node_publishes_what_a_replay_does(tmp_path):
     run = crane_run(faults=[Fault('encoder2', 'bias', 0.6, size=0.05)])
     bag = record_crane(tmp_path / 'bag', run)
@@ -78,8 +75,6 @@ def test_given_a_serial_arm_when_observed_then_the_node_publishes_what_a_replay_
             encoded = [bytes(types.serialize_cdr(one, kind)) for one in found]
             assert [one + bytes(-len(one) % 4) for one in encoded] == expected, name
 
-
-# ------------------------------------------------------------------ hostile measurements
 
 STEP = 2_000_000
 
@@ -130,9 +125,8 @@ class Arm:
 
 @pytest.fixture
 def arm():
-    with node_of(
-        UioNode, 'uio', BRINGUP / 'gains' / 'paper.yaml', arm_file=BRINGUP / 'arms' / 'paper.yaml'
-    ) as node:
+    gains, file = (BRINGUP / kind / 'paper.yaml' for kind in ('gains', 'arms'))
+    with node_of(UioNode, 'uio', gains, arm_file=file) as node:
         arm = Arm(node)
         arm.recover()  # what compiles takes its time
         yield arm
@@ -195,9 +189,6 @@ def test_given_a_second_publisher_when_its_readings_come_then_they_are_refused(a
     assert arm.outputs['alarm'].sent == [], 'no alarm'
 
 
-# ------------------------------------------------------------------ alarms that outlive a process
-
-
 def alarm(event=AlarmEvent.RAISED, sensor='link2_angle'):
     return Alarm(event, 1, sensor, 0, 0, 0.3, 0.01, 'bias', 0.99)
 
@@ -228,8 +219,6 @@ def test_given_a_file_of_alarms_that_is_none_when_read_then_it_does_no_harm(tmp_
     OpenAlarms(path).note(alarm())
     assert 'link2_angle' in OpenAlarms(path).before
 
-
-# ------------------------------------------------------------------ messages from plain fields
 
 STAMP = 3_000_000_007
 ALARM = {'sensor': 'link2_angle', 'sensor_index': 1, 'event': 0, 'onset': 1_000_000_000,
@@ -263,8 +252,6 @@ def test_given_numbers_that_are_nan_when_filled_then_the_last_ones_are_sent_and_
 def test_given_alarms_when_put_into_messages_then_each_is_its_own_and_nan_means_not_known():
     messages = messages_of(2)
     unknown = {'kind': 'drift', 'size': np.nan, 'bound': np.nan}
-    found = [messages.alarm(STAMP, {**ALARM, **change}) for change in ({}, unknown)]
-    assert [(a.kind, a.size, a.bound) for a in found] == [
-        ('bias', 0.3, 0.01),
-        ('drift', 0.0, np.inf),
-    ]
+    first, second = (messages.alarm(STAMP, {**ALARM, **change}) for change in ({}, unknown))
+    assert (first.kind, first.size, first.bound) == ('bias', 0.3, 0.01)
+    assert (second.kind, second.size, second.bound) == ('drift', 0.0, np.inf)
