@@ -8,19 +8,16 @@ from lpv_design.requirement import load_requirement
 
 @pytest.fixture(scope='session')
 def paper_gains(paper_model):
-    """Gains of the shipped requirement ``paper``."""
     return design(paper_model, load_requirement('paper')).gains
 
 
 @pytest.fixture(scope='session')
 def real_gains(real_model):
-    """Gains of the shipped requirement ``real_model``."""
     return design(real_model, load_requirement('real_arm')).gains
 
 
 @pytest.fixture(scope='session')
 def gains_of(paper_gains, real_gains):
-    """Gains by the arm's name."""
     return {'paper': paper_gains, 'real_arm': real_gains}
 
 

@@ -26,18 +26,12 @@ def found(arm):
     return certify_loop(arm, LoopRequest())
 
 
-def test_given_an_arm_when_designed_then_its_certificate_holds_and_says_what_limits_it(arm, found):
+def test_given_an_arm_when_designed_then_what_is_certified_follows_payload_and_region(arm, found):
     require_loop(arm, found.gains)
     assert any('what limits it' in line for line in found.lines)
-
-
-def test_given_half_the_payload_when_bounded_then_so_is_its_ratio(arm, found):
     lighter = replace(arm, uncertainty=replace(arm.uncertainty, payload=1.0))
     ratio = model_bounds(lighter).payload / found.gains.model.payload
     assert ratio == pytest.approx(0.5, rel=0.01)
-
-
-def test_given_a_small_region_when_asked_for_then_the_loop_decays_faster_on_it(arm, found):
     slow = certify_loop(arm, LoopRequest(rate_share=0.2)).gains
     assert slow.rate_share == 0.2 and slow.motion.decay > found.gains.motion.decay
 
@@ -58,9 +52,7 @@ def test_given_what_cannot_be_certified_when_designed_then_it_is_told(arm, asked
         certify_loop(loaded, LoopRequest(**asked))
 
 
-def test_given_the_shipped_gains_when_verified_on_the_command_line_then_all_is_told(
-    capsys, refused
-):
+def test_given_the_shipped_gains_when_verified_by_command_then_all_is_told(capsys, refused):
     gains = str(BRINGUP / 'gains' / 'ur10.yaml')
     assert main(['verify', gains]) == 0
     out = capsys.readouterr().out
