@@ -35,9 +35,7 @@ def digests(package, files, moved='sub'):
         ({}, 'other', (False, False, True)),
     ],
 )
-def test_given_sources_when_changed_or_moved_then_digests_of_what_depends_on_them_change(
-    tmp_path, files, moved, same
-):
+def test_given_sources_when_changed_or_moved_then_digests_follow(tmp_path, files, moved, same):
     before = digests(tmp_path / 'before' / 'lpv_here', {})
     after = digests(tmp_path / 'after' / 'lpv_here', files, moved)
     assert tuple(one == other for one, other in zip(before, after)) == same

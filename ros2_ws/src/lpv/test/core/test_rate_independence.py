@@ -29,9 +29,7 @@ ENCODERS = [(1e-3, 0), (1e-4, 0), (0.0, 12), (0.0, 17)]
 
 @pytest.mark.parametrize('dt', [0.001, 0.002, 0.01])
 @pytest.mark.parametrize(('noise', 'bits'), ENCODERS)
-def test_given_rates_when_they_have_their_own_noise_or_are_filtered_differences_then_it_is_found(
-    dt, noise, bits
-):
+def test_given_rates_when_derived_or_with_noise_of_their_own_then_it_is_found(dt, noise, bits):
     stamps, position, speed, rate = reading(dt, noise, bits)
     own = rate + 0.01 * np.random.default_rng(1).standard_normal(COUNT)
     kept = np.random.default_rng(2).random(COUNT) > 0.05  # also where samples are lost
@@ -46,9 +44,7 @@ def test_given_rates_when_they_have_their_own_noise_or_are_filtered_differences_
 @pytest.mark.parametrize(('noise', 'bits'), ENCODERS)
 @pytest.mark.parametrize('cutoff', [5.0, 20.0])
 @pytest.mark.parametrize('delay', [0, 3])
-def test_given_filters_of_second_order_and_delays_when_tested_then_no_rates_are_independent(
-    dt, noise, bits, cutoff, delay
-):
+def test_given_filters_and_delays_then_rates_are_derived(dt, noise, bits, cutoff, delay):
     stamps, position, speed, _ = reading(dt, noise, bits)
     rate = np.concatenate([np.zeros(delay), lfilter(*butter(2, 2.0 * dt * cutoff), speed)])[:COUNT]
     found = rate_source(stamps, position, rate).source
@@ -58,7 +54,13 @@ def test_given_filters_of_second_order_and_delays_when_tested_then_no_rates_are_
     assert rate_source(stamps, position, rounded).source != 'independent'
 
 
-def test_given_stamps_that_jitter_when_tested_then_independence_is_not_proved():
+def test_given_no_rates_few_samples_rest_or_jitter_when_tested_then_nothing_is_decided():
+    stamps, position, _, rate = reading(0.002, 1e-3, 0)
+    for none in (np.zeros(COUNT), np.full(COUNT, np.nan)):
+        assert rate_source(stamps, position, none).source == 'none'
+    for few in ((stamps[:100], position[:100], rate[:100]), ([], [], [])):
+        assert rate_source(*few).source == 'undecided'
+    assert rate_source(stamps, np.ones(COUNT), np.zeros(COUNT)).source == 'undecided'
     dt, rng = 0.033, np.random.default_rng(4)
     time = np.cumsum(dt * (1.0 + 0.1 * rng.standard_normal(COUNT)))
     position = np.sin(time) + 1e-5 * rng.standard_normal(COUNT)
@@ -67,21 +69,12 @@ def test_given_stamps_that_jitter_when_tested_then_independence_is_not_proved():
     assert rate_source(stamps, position, rate).source == 'undecided'
 
 
-def test_given_no_rates_few_samples_or_rest_when_tested_then_there_are_none_or_it_is_not_decided():
-    stamps, position, _, rate = reading(0.002, 1e-3, 0)
-    for none in (np.zeros(COUNT), np.full(COUNT, np.nan)):
-        assert rate_source(stamps, position, none).source == 'none'
-    for few in ((stamps[:100], position[:100], rate[:100]), ([], [], [])):
-        assert rate_source(*few).source == 'undecided'
-    assert rate_source(stamps, np.ones(COUNT), np.zeros(COUNT)).source == 'undecided'
-
-
-@pytest.mark.parametrize('joint', [1, 2])
-def test_given_the_recorded_arm_when_tested_then_its_rates_are_derived(joint):
+def test_given_the_recorded_arm_when_tested_then_its_rates_are_derived():
     rows = np.genfromtxt(DATA / 'real_arm' / 'excerpt.csv', delimiter=',', names=True)
     stamps = np.round(1e9 * rows['time']).astype(int)
-    position, rate = rows[f'pos_meas{joint}'], rows[f'vel_meas{joint}']
-    assert rate_source(stamps, position, rate).source == 'derived'
+    for joint in (1, 2):
+        position, rate = rows[f'pos_meas{joint}'], rows[f'vel_meas{joint}']
+        assert rate_source(stamps, position, rate).source == 'derived'
 
 
 @pytest.mark.parametrize('stated', RATE_SOURCES[:3])

@@ -7,12 +7,10 @@ import numpy as np
 import pytest
 
 from lpv.core.simulation.arm_simulator import ArmSimulator
-from lpv.core.simulation.closed_loop import run_closed_loop
 from lpv.core.simulation.faults import Fault, FaultInjector
 from lpv.core.simulation.scenario import disturbance_of
 from lpv.core.support.errors import ConfigError
 from lpv.core.uio.model.dynamics import inverse_dynamics
-from lpv.core.uio.model.joints import JointMap
 
 pytestmark = pytest.mark.slow
 
@@ -27,18 +25,10 @@ def simulate(paper_arm, two_faults):
     return make
 
 
-@pytest.fixture
-def joints(paper_model):
-    """The arm's sensors read absolute angles."""
-    return JointMap(paper_model)
-
-
 QUIET = {'noise': False, 'disturbance': False}
 
 
-def test_given_the_start_when_more_torque_is_asked_than_there_is_then_effort_shows_what_acted(
-    paper_arm, two_faults, simulate
-):
+def test_given_too_much_torque_then_effort_shows_what_acted(paper_arm, two_faults, simulate):
     plant = simulate(**QUIET)
     measurement, truth = plant.sense()
     start = two_faults.path(paper_arm).sample(0.0).position
@@ -53,9 +43,7 @@ def test_given_the_start_when_more_torque_is_asked_than_there_is_then_effort_sho
     assert plant.step_count == 1
 
 
-def test_given_brakes_when_held_then_nothing_moves_and_the_effort_carries_gravity(
-    simulate, joints, paper_model
-):
+def test_given_brakes_then_nothing_moves_and_gravity_is_carried(simulate, joints, paper_model):
     plant = simulate(noise=False)
     _, before = plant.sense()
     for _ in range(10):
@@ -86,9 +74,7 @@ def test_given_a_fault_when_injected_then_noise_and_disturbance_stay_the_same(si
             plant.step((1.0, 2.0))
 
 
-def test_given_noise_when_sampled_then_moments_are_the_arms_and_a_noise_fault_is_independent(
-    simulate, joints
-):
+def test_given_noise_when_sampled_then_moments_are_right_and_faults_independent(simulate, joints):
     plant, rows = simulate(Fault('link1_angle', 'noise', 0.0, size=0.1)), []
     for _ in range(4000):
         measurement, truth = plant.sense()
@@ -107,15 +93,10 @@ def test_given_noise_when_sampled_then_moments_are_the_arms_and_a_noise_fault_is
 
 
 @pytest.mark.parametrize('changes', [{}, {'payload': 0.25, 'mass_factors': (1.03, 0.97)}])
-def test_given_noise_disturbance_and_model_error_when_run_on_mujoco_then_signals_are_the_same(
-    paper_arm, paper_gains, two_faults, changes
-):
+def test_given_mujoco_when_run_then_signals_are_ours(run_paper, changes):
     pytest.importorskip('mujoco')
-    scenario = replace(two_faults, duration=1.5, **changes)
-    one, other = (
-        run_closed_loop(paper_arm, replace(scenario, plant=plant), paper_gains)
-        for plant in ('nonlinear', 'mujoco')
-    )
+    plants = ('nonlinear', 'mujoco')
+    one, other = (run_paper(duration=1.5, plant=plant, **changes) for plant in plants)
     for name in ('position', 'velocity', 'measured', 'fault_estimate'):
         np.testing.assert_allclose(getattr(other, name), getattr(one, name), atol=1e-6)
 
@@ -138,9 +119,7 @@ def test_given_no_coriolis_terms_when_the_arm_is_slow_or_loaded_then_the_plant_s
     assert np.abs(heavy - light).max() > 1e-3
 
 
-def test_given_a_disturbance_when_it_acts_on_the_joints_then_absolute_angles_get_eq_31(
-    paper_arm, two_faults, paper_model
-):
+def test_given_a_disturbance_then_it_is_that_of_eq_31(paper_arm, two_faults, paper_model):
     direction, mean, deviation = disturbance_of(paper_arm, two_faults)
     assert (mean, deviation) == (0.2, pytest.approx(0.9**0.5))
     to_absolute = np.array([[1.0, 0.0], [1.0, 1.0]])
@@ -173,9 +152,7 @@ TIMES = np.arange(0.0, 5.0, 0.5)
         ('dropout', {}, np.full_like(TIMES, np.nan)),
     ],
 )
-def test_given_each_kind_of_fault_when_applied_then_it_does_what_it_is_called(
-    kind, fields, expected
-):
+def test_given_each_kind_of_fault_when_applied_then_it_is_what_it_is_called(kind, fields, expected):
     found = apply_at(TIMES, Fault('b', kind, 1.0, 2.0, **fields)) - np.array([TIMES, -TIMES]).T
     on = (TIMES >= 1.0) & (TIMES < 3.0)
     np.testing.assert_array_equal(found[:, 0], 0.0)
@@ -190,15 +167,12 @@ def test_given_random_faults_when_applied_then_their_moments_are_as_asked():
     assert np.mean(spikes != 0) == pytest.approx(0.1, rel=0.2)
 
 
-def test_given_faults_of_one_sensor_when_applied_then_they_add_up_and_stuck_ones_freeze_anew():
+def test_given_faults_of_a_sensor_then_they_add_up_freeze_anew_and_are_cleared_by_name():
     found = apply_at([2.0], Fault('a', 'bias', 0.0, size=0.1), Fault('a', 'bias', 1.0, size=0.2))
     np.testing.assert_allclose(found, [[2.3, -2.0]])
     times = (0.5, 1.0, 1.5, 2.5, 1.2)
     found = apply_at(times, Fault('a', 'stuck', 1.0, 1.0), reading=lambda t: (10 * t, 0))
     assert found[:, 0].tolist() == [5.0, 10.0, 10.0, 25.0, 12.0]
-
-
-def test_given_faults_when_cleared_then_only_the_named_sensors_go():
     injector = injector_of(Fault('a', 'bias', 0.0, size=1.0), Fault('b', 'stuck', 0.0))
     with pytest.raises(ConfigError, match=r'fault\.sensor'):
         injector.clear('c')

@@ -10,7 +10,6 @@ from lpv.core.control.latency import tolerated_latency
 from lpv.core.control.watchdog import BrakeReason, DriveLimits, StopReason
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.diagnosis.alarms import Mode
-from lpv.core.simulation.closed_loop import run_closed_loop
 from lpv.core.simulation.transport import PARTS, Stall, Transport
 from lpv_design.design_flow import design
 from lpv_design.requirement import load_requirement
@@ -62,16 +61,12 @@ def test_given_measurements_when_unusable_for_long_then_the_arm_stops_in_the_sta
     ('latency', 'trustworthy', 'expected'),
     [(70 * MS, True, 'LATENCY'), (0, False, 'NOT_TRUSTWORTHY'), (50 * MS, True, 'NONE')],
 )
-def test_given_an_estimate_when_late_or_not_trustworthy_then_the_arm_stops_at_once(
-    tracker, latency, trustworthy, expected
-):
+def test_given_a_bad_estimate_then_the_arm_stops_at_once(tracker, latency, trustworthy, expected):
     assert estimates(tracker, [1], latency, trustworthy=trustworthy) == [StopReason[expected]]
 
 
 @pytest.mark.parametrize('fast', [np.array([0.0, 20.1]), np.array([np.nan, 0.0])])
-def test_given_a_joint_above_its_limit_when_it_lasts_then_both_sides_stop_until_reset(
-    tracker, drives, fast
-):
+def test_given_a_fast_joint_when_it_lasts_then_both_sides_stop_until_reset(tracker, drives, fast):
     estimates(tracker, [0]), commands(drives, [0], 0)
     stops = estimates(tracker, range(1, 20), velocity=fast)
     brakes = commands(drives, range(1, 20), 0, fast)
@@ -95,9 +90,7 @@ def test_given_an_arm_off_its_reference_when_it_stays_there_then_it_stops_until_
 
 
 @pytest.mark.parametrize('beside', [0.0, 0.04])
-def test_given_an_arm_that_stands_still_when_its_reference_leaves_then_it_is_not_following(
-    tracker, beside
-):
+def test_given_an_arm_that_stands_still_when_left_then_it_is_not_following(tracker, beside):
     reasons = [
         # The position that is fed back moves, as a correction fades; the arm does not.
         motion(tracker, k, reference, 0.9 * reference, STILL)
@@ -114,9 +107,7 @@ def test_given_an_arm_that_follows_slowly_when_judged_then_it_follows(tracker):
         assert motion(tracker, k, reference, position, position) == StopReason.NONE
 
 
-def test_given_what_is_old_or_late_on_average_when_it_lasts_then_both_sides_stop_for_a_while(
-    tracker, drives
-):
+def test_given_what_is_late_on_average_then_both_sides_stop_for_a_while(tracker, drives):
     outage = commands(drives, range(60), lambda k: k * STEP)
     assert outage.index(BrakeReason.LATENCY) * 0.002 < 0.06
     assert outage[31] == BrakeReason.LATE
@@ -129,11 +120,9 @@ def test_given_what_is_old_or_late_on_average_when_it_lasts_then_both_sides_stop
     assert 0.2 <= back.index(StopReason.NONE) * 0.002 < 0.3
 
 
-def test_given_shipped_arms_or_any_rate_when_asked_then_limits_are_below_the_tolerated_latency(
-    paper_model, paper_gains, real_model, real_gains
-):
-    for arm, gains in ((paper_model, paper_gains), (real_model, real_gains)):
-        tolerated = tolerated_latency(arm, gains)
+def test_given_any_rate_then_limits_are_below_the_latency(paper_model, real_model, gains_of):
+    for arm in (paper_model, real_model):
+        tolerated = tolerated_latency(arm, gains_of[arm.name])
         assert DriveLimits().latency.mean < tolerated < 0.1
         assert watchdog.latency_limits(tolerated).mean < tolerated
     for rate in (50, 2000):
@@ -144,40 +133,30 @@ def test_given_shipped_arms_or_any_rate_when_asked_then_limits_are_below_the_tol
         assert watchdog.mean_limit(limits.single) == pytest.approx(limits.mean)
 
 
-def test_given_a_tolerated_latency_when_simulated_then_the_arm_follows_and_beyond_it_is_braked(
-    paper_arm, paper_gains, two_faults
-):
-    part = replace(two_faults, duration=3.0)
-    run = run_closed_loop(paper_arm, part, paper_gains, transport=Transport(delay=5))
+def test_given_a_tolerated_latency_then_the_arm_follows_and_beyond_it_is_braked(run_paper):
+    run, late = (run_paper(duration=3.0, options={'transport': Transport(n)}) for n in (5, 20))
     assert np.abs(run.velocity).max() < 0.5 and not run.braked[10:].any()
-    late = run_closed_loop(paper_arm, part, paper_gains, transport=Transport(delay=20))
     assert np.abs(late.velocity).max() < 1.0
     assert set(late.brake_reason[200:]) & {BrakeReason.LATENCY, BrakeReason.SAFE_STOP}
 
 
 @pytest.mark.parametrize('seed', range(4))
-def test_given_random_stalls_when_run_then_no_joint_is_ever_above_its_speed_limit(
-    paper_arm, paper_gains, two_faults, seed
-):
+def test_given_random_stalls_when_run_then_no_joint_is_too_fast(run_paper, seed):
     rng = np.random.default_rng(seed)
     delay = int(rng.integers(0, 4))
     stalls = tuple(  # of any part at any time, 0.02 to 1 s long
         Stall(PARTS[rng.integers(len(PARTS))], rng.uniform(0.1, 19.0), 0.02 * 50 ** rng.random())
         for _ in range(10)
     )
-    scenario, transport = replace(two_faults, seed=seed), Transport(delay, stalls=stalls)
-    run = run_closed_loop(paper_arm, scenario, paper_gains, transport=transport)
+    run = run_paper(seed=seed, options={'transport': Transport(delay, stalls=stalls)})
     assert np.abs(run.velocity).max() < 2.0  # of 20 rad/s
     assert run.place[-1] > 1000, 'the arm goes on'
 
 
-def test_given_measurements_that_cannot_be_used_when_they_last_then_the_estimate_is_not_trustworthy(
-    paper_arm, paper_gains
-):
+def test_given_unusable_measurements_when_they_last_then_no_trust_is_left(paper_arm, paper_gains):
     monitor = SerialSensorMonitor('test', paper_arm, gains=paper_gains)
     velocity = np.repeat([[0.0, 0.0], [13000.0, 13000.0]], [10, 50], axis=0)
-    held = np.tile([0.1, 0.2], (60, 1))
-    stamps = 1 + STEP * np.arange(60)
+    held, stamps = np.tile([0.1, 0.2], (60, 1)), 1 + STEP * np.arange(60)
     state = monitor.take_many(stamps, held, velocity, np.zeros((60, 2))).state
     assert state.trustworthy[:35].all() and not state.trustworthy[35:].any()
     assert set(state.mode[10:]) == {STALE}

@@ -9,7 +9,6 @@ from places import DATA
 
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent
-from lpv.core.simulation.closed_loop import run_closed_loop
 from lpv.core.simulation.faults import Fault
 from lpv.core.support.errors import ConfigError
 from lpv.core.uio.planar import planar_model
@@ -28,14 +27,12 @@ def answers(run, arm, gains, observer, parts=1):
 
 @pytest.mark.parametrize('payload', [0.0, 0.3])
 @pytest.mark.parametrize('factors', [(1.05, 0.95), (0.95, 1.05), (1.05, 1.05)])
-def test_given_a_healthy_arm_inside_its_file_when_it_moves_then_errors_stay_in_the_bound(
-    paper_arm, paper_gains, two_faults, factors, payload
-):
+def test_given_a_healthy_arm_then_bounds_hold(paper_arm, paper_gains, run_paper, factors, payload):
     arm = replace(paper_arm, uncertainty=replace(paper_arm.uncertainty, payload=0.3))
     gains = replace(paper_gains, arm_sha256=planar_model(arm).sha256())  # which allow for it
-    scenario = replace(two_faults, faults=(), duration=6.0, payload=payload, mass_factors=factors,
-                       inertia_factors=factors, disturbance=False)  # fmt: skip
-    (found,) = answers(run_closed_loop(arm, scenario, gains), arm, gains, 'uio')
+    run = run_paper(arm, gains, faults=(), duration=6.0, payload=payload, mass_factors=factors,
+                    inertia_factors=factors, disturbance=False)  # fmt: skip
+    (found,) = answers(run, arm, gains, 'uio')
     assert found.events == []
     known = found.fault.bound[500:]
     assert np.isfinite(known).all() and known.max() < 0.5
@@ -44,12 +41,9 @@ def test_given_a_healthy_arm_inside_its_file_when_it_moves_then_errors_stay_in_t
 
 @pytest.mark.parametrize('sensor', [0, 1])
 @pytest.mark.parametrize('size', [0.6, -0.6])
-def test_given_an_offset_from_the_start_when_excluded_then_its_own_sensor_is_certified(
-    paper_arm, paper_gains, two_faults, sensor, size
-):
+def test_given_an_early_offset_then_it_is_certain(paper_arm, paper_gains, run_paper, sensor, size):
     fault = Fault(paper_arm.sensor_names[sensor], 'bias', 0.0, size=size)
-    scenario = replace(two_faults, faults=(fault,), duration=5.0)
-    run = run_closed_loop(paper_arm, scenario, paper_gains)
+    run = run_paper(faults=(fault,), duration=5.0)
     raised = [a for a in run.alarms if a.event != AlarmEvent.CLEARED]
     assert {a.sensor_index for a in raised} == {sensor}
     assert any(a.basis == 'guaranteed' for a in raised)
@@ -58,10 +52,8 @@ def test_given_an_offset_from_the_start_when_excluded_then_its_own_sensor_is_cer
     assert np.all(np.abs(error) < np.minimum(published.fault.bound[-1], 0.1))
 
 
-def test_given_the_tighter_of_two_observers_when_published_then_no_bound_is_larger_than_either(
-    paper_arm, paper_gains, two_faults
-):
-    run = run_closed_loop(paper_arm, replace(two_faults, faults=(), duration=3.0), paper_gains)
+def test_given_the_tighter_observer_then_no_bound_is_larger(paper_arm, paper_gains, run_paper):
+    run = run_paper(faults=(), duration=3.0)
     tightest, uio, horizon = (
         answers(run, paper_arm, paper_gains, name)[0].fault.bound
         for name in ('tightest', 'uio', 'horizon')
@@ -70,12 +62,9 @@ def test_given_the_tighter_of_two_observers_when_published_then_no_bound_is_larg
     assert (uio < horizon).any()
 
 
-def test_given_a_fault_when_samples_come_in_parts_then_every_answer_is_the_same(
-    paper_arm, paper_gains, two_faults
-):
+def test_given_samples_in_parts_then_every_answer_is_the_same(paper_arm, paper_gains, run_paper):
     fault = Fault('link1_angle', 'bias', 0.0, size=0.4, duration=4.0)
-    scenario = replace(two_faults, faults=(fault,), duration=8.0)
-    run = run_closed_loop(paper_arm, scenario, paper_gains, compensation='off')
+    run = run_paper(faults=(fault,), duration=8.0, options={'compensation': 'off'})
     (whole,) = answers(run, paper_arm, paper_gains, 'tightest')
     assert {event.sensor for _, event in whole.events} == {'link1_angle'}
     for parts in (8, 571):
@@ -86,16 +75,14 @@ def test_given_a_fault_when_samples_come_in_parts_then_every_answer_is_the_same(
             np.testing.assert_array_equal(rows, getattr(whole.fault, name))
 
 
-def test_given_an_arm_when_observed_then_derived_rates_certify_nothing_and_gains_have_to_be_its_own(
-    real_arm, real_gains, paper_arm, paper_gains
-):
-    assert UnknownInputObserver(paper_arm, paper_gains).certifies
-    assert not UnknownInputObserver(real_arm, real_gains).certifies
+def test_given_gains_then_derived_rates_certify_nothing_and_arms_fit(real_arm, paper_arm, gains_of):
+    assert UnknownInputObserver(paper_arm, gains_of['paper']).certifies
+    assert not UnknownInputObserver(real_arm, gains_of['real_arm']).certifies
     for make in (UnknownInputObserver, lambda a, g: SerialSensorMonitor('uio', a, gains=g)):
         with pytest.raises(ConfigError, match='gains.arm_sha256.*paper.*real_arm'):
-            make(real_arm, paper_gains)
+            make(real_arm, gains_of['paper'])
         with pytest.raises(ConfigError, match='gains.arm_sha256'):
-            make(replace(paper_arm, gravity=9.81), paper_gains)
+            make(replace(paper_arm, gravity=9.81), gains_of['paper'])
 
 
 @pytest.fixture(scope='module')
@@ -104,31 +91,32 @@ def recording():
     return csv_stream(DATA / 'real_arm' / 'excerpt.csv')
 
 
-def alarms(arm, gains, recording, encoder=0, size=0.0):
+@pytest.fixture
+def alarms(real_arm, real_gains, recording):
     """Along a recording of a real arm; from 3 s on an encoder reads too much."""
-    samples = recording.samples.copy()
-    samples[recording.index(3.0) :, 0, encoder] += size
-    monitor = SerialSensorMonitor('uio', arm, gains=gains)
-    return [a for _, a in monitor.take_many(recording.stamps, *np.moveaxis(samples, 1, 0)).events]
+
+    def of(encoder=0, size=0.0):
+        samples = recording.samples.copy()
+        samples[recording.index(3.0) :, 0, encoder] += size
+        monitor = SerialSensorMonitor('uio', real_arm, gains=real_gains)
+        answers = monitor.take_many(recording.stamps, *np.moveaxis(samples, 1, 0))
+        return [alarm for _, alarm in answers.events]
+
+    return of
 
 
-def test_given_a_healthy_recording_of_a_real_arm_when_diagnosed_then_there_is_no_alarm(
-    real_arm, real_gains, real_model, recording
-):
+def test_given_a_healthy_recording_then_there_is_no_alarm(alarms, real_model, recording):
     assert recording.duration > 4.9
-    assert alarms(real_arm, real_gains, recording) == []
+    assert alarms() == []
     # Most of it is inside the region of the gains.
     absolute = np.pi + np.cumsum(recording.samples[:, 0], axis=1)
     assert np.all(np.cos(absolute) < -np.array(real_model.cos_min), axis=1).mean() > 0.5
 
 
 @pytest.mark.parametrize('encoder', [0, 1])
-def test_given_a_step_on_an_encoder_when_diagnosed_then_its_own_alarm_is_raised_and_no_other(
-    real_arm, real_gains, recording, encoder
-):
-    found = alarms(real_arm, real_gains, recording, encoder, 0.3)
-    events = [a.event for a in found if a.event != AlarmEvent.UPDATED]
-    assert events == [AlarmEvent.RAISED]
+def test_given_a_step_on_an_encoder_then_it_alone_is_alarmed(real_arm, alarms, recording, encoder):
+    found = alarms(encoder, 0.3)
+    assert [a.event for a in found if a.event != AlarmEvent.UPDATED] == [AlarmEvent.RAISED]
     assert {a.sensor for a in found} == {real_arm.sensor_names[encoder]}
     onset, detected = ((t - recording.stamps[0]) / 1e9 for t in (found[0].onset, found[0].detected))
     assert 2.99 < onset <= detected < 3.03
