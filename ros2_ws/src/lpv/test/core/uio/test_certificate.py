@@ -12,7 +12,7 @@ import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
-from nested import changed, numbers
+from nested import changed, numbers, places
 from places import BRINGUP, ROOT
 from scipy.linalg import expm
 
@@ -21,16 +21,10 @@ from lpv.core.monitoring.parameters import DiagnosisParameters
 from lpv.core.serial_arm.certificate.claims import SERIAL_CLAIMS
 from lpv.core.support.errors import ConfigError
 from lpv.core.uio.certificate import conditions
+from lpv.core.uio.certificate import gains as files
 from lpv.core.uio.certificate.claims import CLAIMS
 from lpv.core.uio.certificate.error_system import link_errors
 from lpv.core.uio.certificate.exact_proof import is_positive_definite, prove
-from lpv.core.uio.certificate.gains import (
-    gains_checksum,
-    gains_to_dict,
-    load_gains,
-    parse_gains,
-    save_gains,
-)
 from lpv.core.uio.certificate.noise import covariance_margin, exact_fault_sigma
 from lpv.core.uio.certificate.sampled_motion import SIZE, sampled_loop
 from lpv.core.uio.model.arm import arm_from_json
@@ -61,12 +55,10 @@ def test_given_a_violation_below_rounding_when_tested_then_exact_arithmetic_sees
     assert not is_positive_definite([[Fraction(1, 3), Fraction(1, 3)]] * 2)
 
 
-def test_given_shipped_designs_when_proved_then_every_inequality_is(
-    arm, gains_of, paper_model, literal_gains
-):
-    for proved in (prove(arm, gains_of[arm.name]), prove(paper_model, literal_gains)):
-        assert len(proved) >= 4
-        assert all(proved.values()), proved
+def test_given_shipped_designs_when_proved_then_all_is(arms, gains_of, paper_model, literal_gains):
+    designs = zip((*arms, paper_model), (*gains_of.values(), literal_gains))
+    for proved in (prove(arm, gains) for arm, gains in designs):
+        assert len(proved) >= 4 and all(proved.values()), proved
 
 
 def spoilt(gains, part, **changes):
@@ -115,12 +107,9 @@ def failing(arm, gains):
     return [check.name for check in conditions.verify(arm, gains) if not check.holds]
 
 
-@pytest.mark.parametrize(
-    ('design', 'part', 'spoil', 'named'), [(*key, *row) for key in SPOILT for row in SPOILT[key]]
-)
-def test_given_a_spoilt_part_when_verified_or_proved_then_the_inequality_that_fails_is_named(
-    request, paper_model, design, part, spoil, named
-):
+@pytest.mark.parametrize('case', [(*key, *row) for key in SPOILT for row in SPOILT[key]])
+def test_given_a_spoilt_part_then_what_fails_is_named(request, paper_model, case):
+    design, part, spoil, named = case
     gains = request.getfixturevalue(f'{design}_gains')
     gains = spoilt(gains, part, **spoil(getattr(gains, part)))
     failed = failing(paper_model, gains)
@@ -133,13 +122,11 @@ def test_given_a_spoilt_part_when_verified_or_proved_then_the_inequality_that_fa
 
 
 @pytest.mark.parametrize('noise', ['velocity_noise', 'disturbance_variance'])
-def test_given_more_noise_than_designed_for_when_proved_then_proof_and_floats_refute_the_covariance(
-    arm, gains_of, noise
-):
+def test_given_more_noise_then_proof_and_floats_refute_the_covariance(arm, gains, noise):
     noisy = replace(arm, **{noise: 3000.0 * getattr(arm, noise)})
-    proved, name = prove(noisy, gains_of[arm.name]), 'covariance under the noise of the arm file'
+    proved, name = prove(noisy, gains), 'covariance under the noise of the arm file'
     for i in range(2):
-        holds = covariance_margin(noisy, gains_of[arm.name].observer, i) < 0.0
+        holds = covariance_margin(noisy, gains.observer, i) < 0.0
         assert proved[f'observer, link {i + 1}: {name}'] == holds
     assert not all(proved.values())
 
@@ -164,9 +151,7 @@ def test_given_a_sampled_integrator_when_its_torque_is_late_then_the_radius_is_t
     assert conditions.delayed_radius(*sampled, 6.0 * m) > 1.0
 
 
-def test_given_model_error_and_payload_when_corners_are_made_then_masses_span_the_range(
-    paper_model,
-):
+def test_given_model_error_and_payload_when_at_corners_then_masses_span_the_range(paper_model):
     arms = conditions.corner_arms(replace(paper_model, model_error=0.1, payload=0.5))
     assert len(arms) == 32
     masses = np.array([[link.mass for link in a.links] for a in arms])
@@ -180,9 +165,7 @@ def test_given_an_arm_as_json_when_read_back_then_it_is_the_same_arm(arm):
             arm_from_json(text)
 
 
-def test_given_a_design_when_mapped_then_thresholds_grow_towards_the_horizontal_and_with_errors(
-    paper_model, paper_gains
-):
+def test_given_a_design_when_mapped_then_thresholds_grow_with_errors(paper_model, paper_gains):
     found, middle = guarantee(paper_model, paper_gains, points=9), 4
     for values in (found.bound[:, middle, 0], found.bound[middle, :, 1]):
         assert np.isfinite(values[middle]) and np.all(np.diff(values[middle:]) >= 0.0)
@@ -202,14 +185,13 @@ def test_given_a_design_when_mapped_then_thresholds_grow_towards_the_horizontal_
 
 @pytest.fixture
 def gains_file(paper_gains, tmp_path):
-    save_gains(paper_gains, tmp_path / 'gains.yaml')
-    return tmp_path / 'gains.yaml'
+    path = tmp_path / 'gains.yaml'
+    files.save_gains(paper_gains, path)
+    return path
 
 
-def test_given_a_gains_file_when_verified_then_it_describes_itself_and_no_solver_is_loaded(
-    gains_file, paper_model
-):
-    certificate = load_gains(gains_file).certificate
+def test_given_a_gains_file_when_verified_then_no_solver_is_loaded(gains_file, paper_model):
+    certificate = files.load_gains(gains_file).certificate
     assert arm_from_json(certificate['arm_json']) == paper_model
     assert max(certificate['margins'].values()) < 0.0
     assert certificate['solver'] == 'CLARABEL'
@@ -256,7 +238,7 @@ def test_given_a_design_when_asked_for_then_yaml_map_and_proof_are_made(tmp_path
     said = capsys.readouterr().out
     assert 'REFUTED' not in said and said.count('proved') == 12
     assert 'lasting faults are detected from' in said
-    assert load_gains(out).arm_name == 'paper' and picture.exists()
+    assert files.load_gains(out).arm_name == 'paper' and picture.exists()
 
 
 @pytest.mark.slow
@@ -264,24 +246,21 @@ def test_given_what_cannot_be_had_when_designed_then_code_reason_and_no_file(tmp
     out = tmp_path / 'g.yaml'
     assert design(asked(tmp_path, 'decay: 0.25', 'decay: 55.0'), out) == 1
     assert 'slower decay' in capsys.readouterr().err
-    published = asked(tmp_path, 'sinc_min: 0.96', 'sinc_min: -0.2', 'paper_literal')
-    assert design(published, out) == 3
+    assert design(asked(tmp_path, 'sinc_min: 0.96', 'sinc_min: -0.2', 'paper_literal'), out) == 3
     said = capsys.readouterr().err
     assert 'not observable' in said and 'cannot be told apart' in said
     assert 0.94 < float(said.split('phi2, phi3 in [')[1].split(',')[0]) < 0.96
     assert not out.exists()
 
 
-def test_given_a_bound_on_the_torque_gain_when_gravity_cannot_meet_it_then_the_design_says_so(
-    paper_model, tmp_path, capsys
-):
+def test_given_a_torque_gain_that_gravity_exceeds_then_it_is_said(paper_model, tmp_path, capsys):
     norm = 1.0 / (24.5 * 0.3)  # link 2 at the border of the region
     for factor, code in ((1.01, 0), (0.99, 1)):
         bound = f'  torque_gain: {factor * norm}\n  rate_noise'
         assert design(asked(tmp_path, '  rate_noise', bound), tmp_path / 'g') == code
     assert 'ask for a smaller region' in capsys.readouterr().err
     # The norm is that of the designed error system, at any slope.
-    gains, frequencies = load_gains(tmp_path / 'g').observer, np.logspace(-4, 3, 200)
+    gains, frequencies = files.load_gains(tmp_path / 'g').observer, np.logspace(-4, 3, 200)
     for link, limit in zip(link_errors(paper_model), torque_gains(paper_model)):
         for slope in np.linspace(*link.slopes, 5):
             n = link.closed(slope, gains.kappa[link.index], gains.mu[link.index])
@@ -290,44 +269,30 @@ def test_given_a_bound_on_the_torque_gain_when_gravity_cannot_meet_it_then_the_d
             assert np.abs(response).max() <= limit * (1.0 + 1e-9)
 
 
-CHANGES = (
-    lambda x: x * 1.001 + 1e-9,
-    lambda x: x * 0.999 - 1e-9,
-    lambda x: -x - 1e-9,
-    lambda x: 0.0 if x else 1.0,
-    lambda x: 1e6 * x + 1.0,
-)
-"""A thousandth and more, up and down; each changes zeros, too."""
-
-
 @pytest.mark.parametrize('design', ['paper', 'real', 'literal'])
 def test_given_any_number_that_is_used_when_forged_then_the_loader_refuses_it(request, design):
     arm = request.getfixturevalue('real_model' if design == 'real' else 'paper_model')
-    data = gains_to_dict(request.getfixturevalue(f'{design}_gains'))
+    data = files.gains_to_dict(request.getfixturevalue(f'{design}_gains'))
     used = [place for place in numbers(data) if not place.startswith('certificate')]
     assert len(used) > 60
-    for place in used:
-        for change in CHANGES:
+    values = dict(places(data))
+    for place, x in ((place, values[place]) for place in used):
+        # A thousandth and more, up and down; each changes zeros, too.
+        others = x * 1.001 + 1e-9, x * 0.999 - 1e-9, -x - 1e-9, 0.0 if x else 1.0, 1e6 * x + 1.0
+        for other in others:
             with pytest.raises(ConfigError, match='gains'):
-                conditions.require(arm, parse_gains(changed(data, place, change)))
+                conditions.require(arm, files.parse_gains(changed(data, place, other)))
     # Numbers for information do not count.
-    gains = parse_gains({**data, 'certificate': {'margins': {'any': 1.0}}})
-    assert gains_checksum(gains) == data['checksum']
+    gains = files.parse_gains({**data, 'certificate': {'margins': {'any': 1.0}}})
+    assert files.gains_checksum(gains) == data['checksum']
 
 
-def test_given_gains_of_a_heavier_arm_when_its_hash_is_forged_then_inequalities_refuse_it(
-    paper_model, paper_gains
-):
+def test_given_forged_hashes_or_noise_then_inequalities_refuse_them(paper_model, paper_gains):
     heavier = paper_model.scaled(mass_factors=(1.0, 1.5))
     with pytest.raises(ConfigError, match='designed for another arm'):
         conditions.verify(heavier, paper_gains)
     forged = replace(paper_gains, arm_sha256=heavier.sha256())
     assert any('poles between' in name for name in failing(heavier, forged))
-
-
-def test_given_forged_noise_when_the_checksum_is_forged_too_then_it_is_still_refused(
-    paper_model, paper_gains
-):
     observer = paper_gains.observer
     for factor in (1e-6, 0.999, 1.001):
         gains = spoilt(paper_gains, 'observer', fault_sigma=factor * observer.fault_sigma)
@@ -341,10 +306,7 @@ def test_given_forged_noise_when_the_checksum_is_forged_too_then_it_is_still_ref
     assert len(failed) == 2 and all('covariance' in name for name in failed)
 
 
-# ------------------------------------------------------------------ the sampled loop in motion
-
-
-def corners(arm, controller, rate):
+def corners(arm, rate):
     """Flows of the loop at the corners of gravity and inertia, then of Coriolis torques."""
     swirl, flows = arm.constants().coupling * rate, []
     for a, b in zip(*conditions.controller_loop(arm, 'exact')):
@@ -369,12 +331,10 @@ def transition(flows, step, controller):
     return whole
 
 
-def test_given_an_arm_that_jumps_between_corners_within_samples_when_run_then_it_contracts(
-    arm, gains_of
-):
-    controller, rng = gains_of[arm.name].controller, np.random.default_rng(3)
+def test_given_an_arm_that_jumps_between_corners_when_run_then_it_contracts(arm, gains):
+    controller, rng = gains.controller, np.random.default_rng(3)
     motion = controller.motion
-    flows, factor = corners(arm, controller, motion.rate), np.linalg.cholesky(motion.lyapunov).T
+    flows, factor = corners(arm, motion.rate), np.linalg.cholesky(motion.lyapunov).T
     worst = 0.0
     for _ in range(500):
         places = rng.integers(len(flows), size=rng.integers(1, 6))
@@ -385,15 +345,12 @@ def test_given_an_arm_that_jumps_between_corners_within_samples_when_run_then_it
 
 
 @pytest.mark.parametrize('slower', [1.0, 10.0])
-def test_given_corners_that_change_within_a_sample_when_compared_then_the_remainder_holds_the_rest(
-    arm, gains_of, slower
-):
-    controller, rng = gains_of[arm.name].controller, np.random.default_rng(4)
+def test_given_corners_that_change_in_a_sample_then_the_remainder_holds(arm, gains, slower):
+    controller, rng = gains.controller, np.random.default_rng(4)
     arm, rate = replace(arm, sample_time=slower * arm.sample_time), controller.motion.rate
-    flows = corners(arm, controller, rate)
-    sampled = sampled_loop(
-        arm, conditions.controller_loop(arm, 'exact'), feedback(controller), rate
-    )
+    flows = corners(arm, rate)
+    loop = conditions.controller_loop(arm, 'exact')
+    sampled = sampled_loop(arm, loop, feedback(controller), rate)
     used = 0.0
     for _ in range(300):
         places = rng.integers(len(flows), size=4)
@@ -405,32 +362,24 @@ def test_given_corners_that_change_within_a_sample_when_compared_then_the_remain
     assert used > 0.1  # the bound is no formality
 
 
-@pytest.mark.parametrize(
-    'change',
-    [
-        lambda m: {'decay': 20.0 * m.decay},
-        lambda m: {'rate': 100.0 + 30.0 * m.rate},
-        lambda m: {'rate': 1e6 * m.rate},
-        lambda m: {'lyapunov': -m.lyapunov},
-        lambda m: {'lyapunov': m.lyapunov + np.triu(np.ones((SIZE, SIZE)))},
-        lambda m: {'lyapunov': m.lyapunov * np.nan},
-        lambda m: {'lyapunov': np.eye(SIZE)},
-    ],
-)
-def test_given_claims_that_do_not_hold_when_verified_then_they_are_refused(arm, gains_of, change):
-    controller = gains_of[arm.name].controller
-    forged = replace(controller.motion, **change(controller.motion))
-    for motion, holds in ((controller.motion, True), (forged, False)):
-        [check] = conditions.motion_checks(arm, replace(controller, motion=motion))
-        assert check.holds == holds
+def test_given_claims_that_do_not_hold_when_verified_then_they_are_refused(arm, gains):
+    motion, p = gains.controller.motion, gains.controller.motion.lyapunov
+    forged = {
+        'decay': [20.0 * motion.decay],
+        'rate': [100.0 + 30.0 * motion.rate, 1e6 * motion.rate],
+        'lyapunov': [-p, p + np.triu(np.ones_like(p)), p * np.nan, np.eye(SIZE)],
+    }
+    for changes in ({name: value} for name, values in forged.items() for value in values):
+        other = replace(gains.controller, motion=replace(motion, **changes))
+        assert [check.holds for check in conditions.motion_checks(arm, other)] == [False]
+    assert [check.holds for check in conditions.motion_checks(arm, gains.controller)] == [True]
 
 
-def test_given_gains_without_it_when_read_then_nothing_is_claimed(arm, gains_of):
-    gains = gains_of[arm.name]
+def test_given_gains_without_motion_when_read_then_nothing_is_claimed(arm, gains):
     without = replace(gains, controller=replace(gains.controller, motion=None))
-    again = parse_gains(gains_to_dict(without))
+    again = files.parse_gains(files.gains_to_dict(without))
     assert again.controller.motion is None and conditions.motion_checks(arm, again.controller) == []
-    again = parse_gains(gains_to_dict(gains))
+    again = files.parse_gains(files.gains_to_dict(gains))
     assert np.array_equal(again.controller.motion.lyapunov, gains.controller.motion.lyapunov)
 
 

@@ -1,8 +1,4 @@
-"""The planar arm: dynamics, joints, kinematics, both polytopes, state space (13)-(37), its file.
-
-Torques of any planar arm are compared with the chain of Pinocchio in `test_serial_dynamics`; rates
-and accelerations of joints are those of `test_path`.
-"""
+"""The planar arm: dynamics, joints, kinematics, polytopes, state space (13)-(37), its file."""
 
 import math
 from dataclasses import replace
@@ -33,64 +29,43 @@ from lpv.core.uio.model.state_space import (
 from lpv.core.uio.planar import is_planar, planar_links, planar_model, plane_of, serial_from_planar
 
 ANGLE, RATE, TORQUE = st.floats(-6.0, 6.0), st.floats(-8.0, 8.0), st.floats(-100.0, 100.0)
+STATE, EFFORT = st.tuples(ANGLE, ANGLE, RATE, RATE), st.tuples(TORQUE, TORQUE)
 ANYWHERE = st.floats(-1e6, 1e6) | st.floats(-1.0, 1.0)
-BEARING = st.floats(-math.pi, math.pi)
-ELBOW = st.sampled_from(['positive', 'negative'])
-LENGTH = st.floats(0.1, 3.0)
+BEARING, LENGTH = st.floats(-math.pi, math.pi), st.floats(0.1, 3.0)
 PAIR = st.tuples(st.floats(-10, 10), st.floats(-10, 10)).map(np.array)
-SHARE = st.floats(-1.0, 1.0)
-
-# ------------------------------------------------------------------ rigid-body dynamics
+SHARES = st.tuples(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))
 
 
-@given(ANGLE, ANGLE, RATE, RATE, TORQUE, TORQUE)
-def test_given_any_state_when_it_moves_then_its_torques_come_back(
-    paper_model, real_model, th_1, th_2, v_1, v_2, u_1, u_2
-):
-    for arm in (replace(paper_model, viscous=(0.3, 0.2), coulomb=(0.5, 0.4)), real_model):
+@given(STATE, EFFORT)
+def test_given_any_state_when_it_moves_then_its_torques_come_back(arms, state, effort):
+    for arm in (replace(arms[0], viscous=(0.3, 0.2), coulomb=(0.5, 0.4)), arms[1]):
         c = arm.constants()
-        acc = acceleration(th_1, th_2, v_1, v_2, u_1, u_2, c)
-        back = inverse_dynamics(th_1, th_2, v_1, v_2, *acc, c)
-        assert back == pytest.approx((u_1, u_2), abs=1e-9)
+        back = inverse_dynamics(*state, *acceleration(*state, *effort, c), c)
+        assert back == pytest.approx(effort, abs=1e-9)
 
 
-def test_given_the_coriolis_term_dropped_when_links_turn_then_no_centripetal_torque_is_left(
-    paper_model,
-):
+def test_given_no_coriolis_term_when_links_turn_then_no_centripetal_torque_acts(paper_model):
     c = paper_model.constants(coriolis=False)
     still = inverse_dynamics(0.3, -0.4, 0.0, 0.0, 0.1, 0.2, c)
     assert inverse_dynamics(0.3, -0.4, 3.0, -2.0, 0.1, 0.2, c) == pytest.approx(still, rel=1e-14)
 
 
-def test_given_table_1_when_constants_are_formed_then_they_are_those_of_eq_2_not_eq_5(paper_model):
-    c = paper_model.constants()
-    assert c.inertia[0] == pytest.approx(10 * 0.25 + 5 * 1.0 + 0.83)  # 8.33; 4.58 as printed
-    assert c.inertia[1] == pytest.approx(1.66)
-    assert (c.coupling, c.rotor_coupling) == (pytest.approx(2.5), 0.0)
-    np.testing.assert_allclose(c.gravity, [98.0, 24.5])
-
-
-@given(ANGLE, ANGLE, RATE, RATE, st.floats(0.0, 20.0))
-def test_given_a_payload_when_energy_is_taken_then_it_is_the_arm_and_a_point_mass_at_the_tip(
-    paper_model, real_model, th_1, th_2, v_1, v_2, mass
-):
-    for arm in (paper_model, real_model):
-        lengths, theta = np.array(arm.lengths), np.array([th_1, th_2])
-        turn = lengths * np.array([np.cos(theta), -np.sin(theta)])
-        tip_rate = turn @ (v_1, v_2)
+@given(STATE, st.floats(0.0, 20.0))
+def test_given_a_payload_then_energy_is_that_of_a_point_mass_at_the_tip_more(arms, state, mass):
+    theta, rate = np.array(state).reshape(2, 2)
+    for arm in arms:
+        turn = arm.lengths * np.array([np.cos(theta), -np.sin(theta)])
+        tip_rate = turn @ rate
         extra = 0.5 * mass * tip_rate @ tip_rate + mass * arm.gravity * turn[0].sum()
-        loaded = energy(th_1, th_2, v_1, v_2, arm.with_payload(mass).constants())
-        bare = energy(th_1, th_2, v_1, v_2, arm.constants())
+        loaded = energy(*state, arm.with_payload(mass).constants())
+        bare = energy(*state, arm.constants())
         assert loaded == pytest.approx(bare + extra, rel=1e-10, abs=1e-9)
 
 
-@pytest.mark.parametrize('mass', [-6.0, math.nan])
-def test_given_an_impossible_payload_when_attached_then_it_is_refused_by_name(paper_model, mass):
-    with pytest.raises(ConfigError, match='payload'):
-        paper_model.with_payload(mass)
-
-
-def test_given_factors_when_the_arm_is_scaled_then_each_constant_follows_its_link(paper_model):
+def test_given_factors_or_a_payload_then_each_constant_follows_and_mass_is_positive(paper_model):
+    for mass in (-6.0, math.nan):
+        with pytest.raises(ConfigError, match='payload'):
+            paper_model.with_payload(mass)
     own = tuple(replace(b, inertia=i) for b, i in zip(paper_model.links, (0.83, 0.41)))
     about_center = replace(paper_model, links=own, inertia_reference='center_of_mass')
     c = about_center.scaled((1.2, 0.9), (1.5, 0.5)).constants()
@@ -103,9 +78,6 @@ def test_given_factors_when_the_arm_is_scaled_then_each_constant_follows_its_lin
     np.testing.assert_allclose(c.inertia, [1.5 * (2.5 + 0.83) + 0.9 * 5.0, 0.5 * (1.25 + 0.41)])
 
 
-# ------------------------------------------------------------------ joints and tip
-
-
 def conversions(joints):
     """Each conversion, and the one back."""
     pairs = ((f'absolute_{of}', f'joint_{of}') for of in ('position', 'velocity', 'torque'))
@@ -113,10 +85,8 @@ def conversions(joints):
 
 
 @given(PAIR, PAIR)
-def test_given_any_pair_when_converted_then_it_comes_back_and_power_and_rates_are_the_same(
-    paper_model, real_model, pair, rate
-):
-    for arm in (paper_model, real_model):
+def test_given_any_pair_when_converted_then_it_comes_back_and_power_is_kept(arms, pair, rate):
+    for arm in arms:
         joints, h = JointMap(arm), 1e-6
         for there, back in conversions(joints):
             np.testing.assert_allclose(back(there(pair)), pair, atol=1e-13)
@@ -127,9 +97,7 @@ def test_given_any_pair_when_converted_then_it_comes_back_and_power_and_rates_ar
         np.testing.assert_allclose(moved, joints.absolute_velocity(rate), atol=1e-7)
 
 
-def test_given_both_arms_when_upright_or_hanging_then_zeros_and_torques_are_those_of_their_files(
-    paper_model, real_model
-):
+def test_given_both_arms_then_zeros_and_torques_are_those_of_files(paper_model, real_model):
     upright, hanging = JointMap(paper_model), JointMap(real_model)
     np.testing.assert_array_equal(upright.absolute_torque([5.0, 2.0]), [3.0, 2.0])
     np.testing.assert_allclose(upright.absolute_position([math.pi / 2, 0.0]), 0.0, atol=1e-15)
@@ -151,15 +119,15 @@ def test_given_a_batch_when_converted_or_solved_then_every_row_alone_and_a_bad_o
             inverse(bad, lengths)
 
 
-@given(st.floats(0.001, 0.999) | st.sampled_from([0.0, 1.0]), BEARING, ELBOW, LENGTH, LENGTH)
-def test_given_a_reachable_point_or_one_on_the_border_when_solved_then_the_tip_is_there(
-    share, bearing, elbow, l_1, l_2
-):
+@given(
+    st.floats(0.001, 0.999) | st.sampled_from([0.0, 1.0]), BEARING, st.booleans(), LENGTH, LENGTH
+)
+def test_given_a_reachable_point_when_solved_then_the_tip_is_there(share, bearing, up, l_1, l_2):
     radius = abs(l_1 - l_2) + share * (l_1 + l_2 - abs(l_1 - l_2))
     point = radius * np.array([math.cos(bearing), math.sin(bearing)])
-    q = inverse(point, (l_1, l_2), elbow)
+    q = inverse(point, (l_1, l_2), 'positive' if up else 'negative')
     np.testing.assert_allclose(forward(q, (l_1, l_2)), point, atol=1e-12)
-    assert q[1] >= 0.0 if elbow == 'positive' else q[1] <= 0.0
+    assert q[1] >= 0.0 if up else q[1] <= 0.0
 
 
 def test_given_a_point_out_of_reach_or_a_singularity_when_solved_then_the_error_says_so():
@@ -174,9 +142,6 @@ def test_given_a_point_out_of_reach_or_a_singularity_when_solved_then_the_error_
     assert np.isnan(rate).all()  # NaN stays NaN, never a number
 
 
-# ------------------------------------------------------------------ polytopes
-
-
 def weights_of(phi, box):
     rho = np.full(8, np.nan)
     polytope.paper_weights(*phi, np.ascontiguousarray(box, float), rho)
@@ -184,9 +149,7 @@ def weights_of(phi, box):
 
 
 @given(ANYWHERE, ANYWHERE, ANYWHERE, st.floats(-0.2, 0.9))
-def test_given_a_point_anywhere_when_weighted_then_eqs_11_and_12_form_the_nearest_one_of_the_box(
-    a, b, c, s_min
-):
+def test_given_a_point_anywhere_then_eqs_11_and_12_form_the_nearest_one(a, b, c, s_min):
     box = sinc_box(s_min) * [[1.0], [1.0], [0.9]]
     rho, vertices = weights_of((a, b, c), box), polytope.paper_vertices(box)
     assert rho.min() >= 0.0 and rho.sum() == pytest.approx(1.0, abs=1e-14)
@@ -216,9 +179,7 @@ def cross(a, b):
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
-def test_given_the_quadrangle_when_compared_with_the_arc_then_it_holds_it_and_is_no_bounding_box(
-    arm,
-):
+def test_given_the_quadrangle_then_it_holds_the_arc_and_is_no_bounding_box(arm):
     c = arm.constants()
     corners = polytope.inverse_inertia_quadrangle(c)
     s = c.rotor_coupling + c.coupling * np.linspace(-1.0, 1.0, 2001)
@@ -235,19 +196,17 @@ def test_given_the_quadrangle_when_compared_with_the_arc_then_it_holds_it_and_is
     np.testing.assert_allclose(corners[[0, 3]], arc[[0, -1]], rtol=1e-12)
 
 
-def in_region(arm, *shares):
+def in_region(arm, shares):
     """Angles whose slopes fill the arm's region, on both sides of the vertical."""
     rest = 0.0 if arm.orientation == 'upright' else math.pi
     return rest + np.array(shares) * np.arccos(arm.cos_min)
 
 
 @settings(max_examples=50)
-@given(SHARE, SHARE)
-def test_given_a_configuration_in_the_region_when_combined_then_16_vertices_are_the_arm(
-    paper_model, real_model, share_1, share_2
-):
-    for arm in (paper_model, real_model):
-        c, theta = arm.constants(), in_region(arm, share_1, share_2)
+@given(SHARES)
+def test_given_a_configuration_in_the_region_when_combined_then_16_vertices_are_it(arms, shares):
+    for arm in arms:
+        c, theta = arm.constants(), in_region(arm, shares)
         xi = inertia(theta, c)
         point = np.array([1.0, xi[0, 1]]) / np.linalg.det(xi)
         corners = polytope.inverse_inertia_quadrangle(c)
@@ -267,13 +226,11 @@ def test_given_a_configuration_in_the_region_when_combined_then_16_vertices_are_
         np.testing.assert_allclose(b[2:], inverse_xi, atol=1e-6 * np.abs(inverse_xi).max())
 
 
-@given(SHARE, SHARE, SHARE, SHARE)
-def test_given_angle_and_estimate_in_the_region_when_sines_differ_then_the_slope_is_in_the_hull(
-    paper_model, real_model, one, two, three, four
-):
-    for arm in (paper_model, real_model):
+@given(SHARES, SHARES)
+def test_given_angle_and_estimate_in_the_region_then_the_slope_is_in_the_hull(arms, true, wrong):
+    for arm in arms:
         low, high = polytope.slope_range(arm)
-        theta, guess = in_region(arm, one, two), in_region(arm, three, four)
+        theta, guess = in_region(arm, true), in_region(arm, wrong)
         gap = theta - guess
         apart = np.abs(gap) > 1e-6
         slope = (np.sin(theta) - np.sin(guess))[apart] / gap[apart]
@@ -287,17 +244,8 @@ def test_given_both_orientations_when_slopes_are_bounded_then_they_mirror(paper_
     np.testing.assert_array_equal(polytope.slope_range(hanging), [[-1.0, -1.0], [-0.3, -0.5]])
 
 
-# ------------------------------------------------------------------ state space
-
-
-@pytest.fixture(scope='module')
-def published(paper_model):
-    """Vertices over the published box."""
-    return vertex_matrices(sinc_box(-0.2), paper_model.constants(coriolis=False))
-
-
 def lpv_right_side(x, u, push=(0.0, 0.0)):
-    """Eq. (25) with the numbers of Table 1."""
+    """Eq. (25) with Table 1: an inertia is 8.33 by eq. (2), not 4.58 as printed in eq. (5)."""
     ranges, total = ((-1.0, 1.0), (-0.2, 1.0), (-0.2, 1.0)), np.array([0.0, 0.0, *push])
     for rho, phi in zip(weights(scheduling(x), ranges), product(*ranges)):
         xi = [[8.33, 2.5 * phi[0]], [2.5 * phi[0], 1.66]]
@@ -306,18 +254,14 @@ def lpv_right_side(x, u, push=(0.0, 0.0)):
     return total
 
 
-@given(ANGLE, ANGLE, RATE, RATE, TORQUE, TORQUE)
-def test_given_any_state_when_the_lpv_plant_is_evaluated_then_it_is_eq_25(
-    published, th_1, th_2, v_1, v_2, u_1, u_2
-):
-    x, u, got = np.array([th_1, th_2, v_1, v_2]), np.array([u_1, u_2]), np.empty(2)
-    lpv_acceleration(x, u, (*published, sinc_box(-0.2)), got)
+@given(STATE, EFFORT)
+def test_given_any_state_then_the_lpv_plant_is_eq_25(paper_model, state, effort):
+    x, u, box, got = np.array(state), np.array(effort), sinc_box(-0.2), np.empty(2)
+    lpv_acceleration(x, u, (*vertex_matrices(box, paper_model.constants(False)), box), got)
     np.testing.assert_allclose(got, lpv_right_side(x, u)[2:], rtol=1e-11, atol=1e-11)
 
 
-def test_given_torque_and_disturbance_when_the_lpv_plant_steps_then_it_is_runge_kutta(
-    paper_arm, paper_model
-):
+def test_given_a_push_when_the_lpv_plant_steps_then_it_is_runge_kutta(paper_arm, paper_model):
     x, u, push, dt = np.array([0.3, -0.2, 0.5, -0.4]), (20.0, -7.0), (0.14, -0.05), 0.01
     rates = [lpv_right_side(x, u, push)]
     for part in (dt / 2, dt / 2, dt):
@@ -331,9 +275,7 @@ def test_given_torque_and_disturbance_when_the_lpv_plant_steps_then_it_is_runge_
     np.testing.assert_allclose(joints.absolute_velocity(motion[1]), expected[2:], atol=1e-13)
 
 
-def test_given_both_arrangements_when_outputs_and_disturbance_are_formed_then_eqs_29_to_31_hold(
-    paper_model, real_model
-):
+def test_given_both_arrangements_then_eqs_29_to_31_hold(paper_model, real_model):
     c, df = output_matrices(paper_model)
     np.testing.assert_array_equal(c, np.eye(4))
     np.testing.assert_array_equal(df, np.eye(4)[:, :2])
@@ -361,15 +303,9 @@ def test_given_vertices_when_augmented_then_eqs_35_to_37_hold_and_47_has_a_solut
     assert np.linalg.matrix_rank(np.vstack([d.e, d.c])) == 6  # every vertex is causal, y shows f
 
 
-# ------------------------------------------------------------------ as an arm file states it
-
-
-def test_given_a_shipped_arm_when_converted_there_and_back_then_it_is_the_same(
-    paper_arm, real_arm, arm, gains_of
-):
-    again, shipped = planar_model(serial_from_planar(arm)), (paper_arm, real_arm)
-    (serial,) = (one for one in shipped if one.name == arm.name)
-    assert arm.sha256() == gains_of[arm.name].arm_sha256
+def test_given_a_shipped_arm_when_converted_back_then_it_is_the_same(serial, arm, gains):
+    again = planar_model(serial_from_planar(arm))
+    assert arm.sha256() == gains.arm_sha256
     assert again.joint_names == serial.joint_names and again.sensor_names == serial.sensor_names
     for field in ('rotor', 'viscous', 'coulomb', 'zero_angle', 'gravity', 'cos_min'):
         one, other = getattr(again, field), getattr(arm, field)
@@ -379,12 +315,18 @@ def test_given_a_shipped_arm_when_converted_there_and_back_then_it_is_the_same(
     assert (again.arrangement, again.orientation) == (arm.arrangement, arm.orientation)
 
 
-def test_given_an_arm_turned_about_the_vertical_when_converted_then_it_is_the_same(paper_arm):
+def test_given_an_arm_when_converted_then_it_may_turn_but_needs_a_region(paper_arm, paper_model):
     turned = replace(paper_arm, base_orientation=(0.0, 0.0, 0.7))
     assert planar_model(turned) == planar_model(paper_arm)
     origin, plane = plane_of(paper_arm)
     np.testing.assert_allclose(plane, [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], atol=1e-12)
     np.testing.assert_array_equal(origin, 0.0)
+    arm = replace(paper_arm, lpv=None)
+    with pytest.raises(ConfigError, match='lpv: is missing'):
+        planar_model(arm)
+    assert planar_links(arm).links == paper_model.links
+    with pytest.raises(ConfigError, match='sensor_matrix'):
+        planar_model(replace(paper_arm, sensor_matrix=((1.0, 0.0), (0.5, 1.0))))
 
 
 def joint(arm, index, **change):
@@ -410,12 +352,3 @@ def test_given_an_arm_that_is_not_planar_when_converted_then_the_reason_is_said(
     assert is_planar(paper_arm) and not is_planar(arm)
     with pytest.raises(ConfigError, match='lpv: is for planar arms of two links: '):
         planar_model(arm)
-
-
-def test_given_no_region_or_other_sensors_when_converted_then_it_is_refused(paper_arm, paper_model):
-    arm = replace(paper_arm, lpv=None)
-    with pytest.raises(ConfigError, match='lpv: is missing'):
-        planar_model(arm)
-    assert planar_links(arm).links == paper_model.links
-    with pytest.raises(ConfigError, match='sensor_matrix'):
-        planar_model(replace(paper_arm, sensor_matrix=((1.0, 0.0), (0.5, 1.0))))
