@@ -3,18 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
-from places import BRINGUP
 
-from lpv.core.serial_arm.arm_file import load_arm
-from lpv.core.serial_arm.description import (
-    JointFriction,
-    JointLimits,
-    JointSensors,
-    LinkInertia,
-    SerialArm,
-    SerialJoint,
-    Uncertainty,
-)
+from lpv.core.serial_arm import description as parts
+from lpv.files import load_arm
 
 UPRIGHT = (0.0, 0.0, 0.0)
 # Place and orientation of the frame, axis, mass, centre of mass, limits of position, rate, torque.
@@ -37,12 +28,12 @@ def _joint(name, place, rpy, axis, mass, center, span, rate, torque, kind):
     about = size + mass * (center @ center * np.eye(3) - np.outer(center, center))
     inertia = about[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
     slides = kind == 'prismatic'
-    return SerialJoint(
-        name, place, rpy, axis, LinkInertia.from_vector([mass, *(mass * center), *inertia]),
-        JointFriction(viscous=20.0 if slides else 0.5, coulomb=15.0 if slides else 0.5,
+    return parts.SerialJoint(
+        name, place, rpy, axis, parts.LinkInertia.from_vector([mass, *(mass * center), *inertia]),
+        parts.JointFriction(viscous=20.0 if slides else 0.5, coulomb=15.0 if slides else 0.5,
                       coulomb_slope=100.0),
-        rotor_inertia=5.0 if slides else 0.05, limits=JointLimits(*span, rate, torque),
-        sensors=JointSensors(f'{name}_encoder', 2e-5 if slides else 5e-5, 0.0, 'derived'),
+        rotor_inertia=5.0 if slides else 0.05, limits=parts.JointLimits(*span, rate, torque),
+        sensors=parts.JointSensors(f'{name}_encoder', 2e-5 if slides else 5e-5, 0.0, 'derived'),
         type=kind)  # fmt: skip
 
 
@@ -50,26 +41,26 @@ def _floats(values):
     return tuple(float(value) for value in values)
 
 
-def arm_of(name: str, rows: tuple, tip: tuple[float, float, float]) -> SerialArm:
+def arm_of(name: str, rows: tuple, tip: tuple[float, float, float]) -> parts.SerialArm:
     """An arm of joints that are described by rows as above."""
     joints = tuple(_joint(*row) for row in rows)
-    return SerialArm(name, joints, tip=tip, uncertainty=Uncertainty(0.5, 0.3))
+    return parts.SerialArm(name, joints, tip=tip, uncertainty=parts.Uncertainty(0.5, 0.3))
 
 
-def scara() -> SerialArm:
+def scara() -> parts.SerialArm:
     """Joints RRPR: the quill turns below its slide."""
     return arm_of('scara', SCARA, (0.05, 0.0, -0.15))
 
 
-def ur10_on_rail() -> SerialArm:
+def ur10_on_rail() -> parts.SerialArm:
     """The shipped UR10 on a horizontal rail, without its last joint: its compiled code serves."""
-    arm = load_arm(BRINGUP / 'arms' / 'ur10.yaml')
+    arm = load_arm('ur10')
     own = {'name': 'ur10_on_rail', 'covariance': None, 'urdf': '', 'locked': ()}
     joints = (_joint(*RAIL), *arm.joints[:-1])
-    return replace(arm, joints=joints, uncertainty=Uncertainty(0.5, 0.3), **own)
+    return replace(arm, joints=joints, uncertainty=parts.Uncertainty(0.5, 0.3), **own)
 
 
-def mixed_arm(seed: int = 9, joints: int = 9) -> SerialArm:
+def mixed_arm(seed: int = 9, joints: int = 9) -> parts.SerialArm:
     """Joints of both types in any direction."""
     rng, rows = np.random.default_rng(seed), []
     for i in range(joints):
@@ -83,6 +74,6 @@ def mixed_arm(seed: int = 9, joints: int = 9) -> SerialArm:
     return arm_of('mixed', tuple(rows), (0.1, 0.0, 0.2))
 
 
-def middle(arm: SerialArm) -> np.ndarray:
+def middle(arm: parts.SerialArm) -> np.ndarray:
     """Positions in the middle of the joints' ranges."""
     return np.array([0.5 * sum(joint.range) for joint in arm.joints])

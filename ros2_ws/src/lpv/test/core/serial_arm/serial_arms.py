@@ -55,3 +55,8 @@ def watch(arm, run) -> SerialMonitor:
     monitor = SerialMonitor(arm)
     monitor.update_many(run.stamps, run.samples)
     return monitor
+
+
+def without(run, rows) -> Run:
+    """A run of which some samples are lost."""
+    return Run(*(np.delete(one, rows, axis=0) for one in run))

@@ -31,20 +31,17 @@ def good(tmp_path):
     return tmp_path / 'arm.yaml'
 
 
-def test_given_mutated_arm_files_when_used_then_torques_are_finite_or_the_field_is_named(good):
-    text = good.read_text()
-    assert fuzz(
-        60, lambda seed: good.write_bytes(mutate_text(text, seed)), lambda: use(load_arm(good))
-    ).refused
+FILES = [('yaml', mutate_text, load_arm), ('urdf', mutate_xml, read_urdf_chain)]
 
 
-def test_given_mutated_urdfs_when_used_then_torques_are_finite_or_the_reason_is_said(good):
-    path = good.with_suffix('.urdf')
-    assert fuzz(
-        60,
-        lambda seed: path.write_bytes(mutate_xml(URDF, seed)),
-        lambda: use(read_urdf_chain(path)),
-    ).refused
+@pytest.mark.parametrize(('kind', 'mutate', 'read'), FILES)
+def test_given_mutated_files_then_torques_are_finite_or_why_not_is_said(good, kind, mutate, read):
+    path, text = good.with_suffix(f'.{kind}'), good.read_text() if kind == 'yaml' else URDF
+
+    def write(seed):
+        path.write_bytes(mutate(text, seed))
+
+    assert fuzz(60, write, lambda: use(read(path))).refused
 
 
 BOMB = '<!DOCTYPE r [<!ENTITY a "aaaaaaaaaa">' + ''.join(
@@ -66,10 +63,7 @@ HOSTILE = {
     'entity bomb in an attribute': BOMB + URDF.replace('name="small"', 'name="&i;"'),
     'file of the system': '<!DOCTYPE r [<!ENTITY x SYSTEM "file:///etc/passwd">]>'
     '<robot name="r">&x;<link name="l0"/></robot>',
-    'tree of 100 000 elements': '<robot name="r">'
-    + '<a>' * 100_000
-    + '</a>' * 100_000
-    + '</robot>',
+    'tree of 100 000 elements': f'<robot name="r">{100_000 * "<a>"}{100_000 * "</a>"}</robot>',
     '20 000 links': deep(20_000),
     '60 joints': deep(60, 'revolute'),
     'loop': deep(3).replace('<child link="l3"/>', '<child link="l1"/>'),

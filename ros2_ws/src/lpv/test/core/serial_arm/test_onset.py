@@ -9,17 +9,11 @@ from serial_arms import shoulder_arm
 from simulated_runs import simulated_run
 from ur10e_twin import twin
 
+from lpv.core.serial_arm.diagnosis import onset
 from lpv.core.serial_arm.diagnosis.balance import DRIFT, EPOCH, OFFSET
 from lpv.core.serial_arm.diagnosis.fault_filter import begin_filter
 from lpv.core.serial_arm.diagnosis.information import recent
 from lpv.core.serial_arm.diagnosis.monitor import MonitorSettings, SerialMonitor
-from lpv.core.serial_arm.diagnosis.onset import (
-    PLACES,
-    SHORTEST,
-    Onset,
-    likely_onsets,
-    sudden_drift_of,
-)
 from lpv.core.serial_arm.diagnosis.sampling import block_end
 from lpv.core.serial_arm.diagnosis.stuck import Frozen
 from lpv.core.simulation.faults import Fault
@@ -55,9 +49,9 @@ def dense_onsets(monitor, end):
     residual = (rows[:, :, 0] + unknowns @ null.mean).ravel()
     weighted = weights[:, None] * unknowns.reshape(-1, m)
     upper = np.triu(null.factor)
-    for back in range(SHORTEST, LAST - 1):
+    for back in range(onset.SHORTEST, LAST - 1):
         momentum = monitor.bank.momenta(back)[:, JOINT]
-        for place in PLACES:
+        for place in onset.PLACES:
             begin = end - (back + 1 - place) * interval
             since = begin - estimator.balance.clock[EPOCH]
             effect = np.zeros((LAST, n))
@@ -72,28 +66,24 @@ def dense_onsets(monitor, end):
             sigma = np.linalg.inv(information)[-1, -1] ** 0.5
             score = -column @ (weights * residual)
             gain = 0.5 * (score * sigma) ** 2 + np.log(sigma / PRIOR)
-            yield Onset(gain, score * sigma**2, sigma, begin, back)
+            yield onset.Onset(gain, score * sigma**2, sigma, begin, back)
 
 
-def test_given_a_drift_when_its_onset_is_looked_for_then_it_is_the_best_one_of_dense_matrices(
-    monitor,
-):
+def test_given_a_drift_when_its_onset_is_sought_then_it_is_the_best_of_dense_ones(monitor):
     end = block_end(monitor._blocks(1)[-1])
     mass = monitor.bank._mass[:, :, JOINT]
-    found = likely_onsets(monitor.estimator, JOINT, end, PRIOR, LAST, mass)[0]
+    found = onset.likely_onsets(monitor.estimator, JOINT, end, PRIOR, LAST, mass)[0]
     best = max(dense_onsets(monitor, end), key=lambda one: one.gain)
     np.testing.assert_allclose(found, best, rtol=1e-6)
 
 
-def test_given_a_drift_when_its_true_effect_is_taken_then_onset_and_rate_are_those_simulated(
-    monitor,
-):
+def test_given_a_drift_when_its_true_effect_is_taken_then_onset_and_rate_are_true(monitor):
     mass, blocks = monitor.bank._mass, monitor._blocks(LAST + 1)
-    found = sudden_drift_of(monitor.estimator, JOINT, PRIOR, LAST, blocks, mass)
+    found = onset.sudden_drift_of(monitor.estimator, JOINT, PRIOR, LAST, blocks, mass)
     assert found.begin == pytest.approx(BEGIN, abs=0.16 * monitor.plan.interval)
     assert found.size == pytest.approx(RATE, rel=0.06)
     assert found.sigma < 0.15 * RATE
-    short = sudden_drift_of(monitor.estimator, JOINT, PRIOR, SHORTEST, blocks, mass)
+    short = onset.sudden_drift_of(monitor.estimator, JOINT, PRIOR, onset.SHORTEST, blocks, mass)
     assert short.gain == -np.inf
 
 
@@ -107,8 +97,8 @@ def test_given_friction_that_turns_over_when_a_drift_is_looked_for_then_its_onse
     estimator, mass, blocks = monitor.estimator, monitor.bank._mass, monitor._blocks(last + 1)
     about = fault.sensor, block_end(blocks[-1]), PRIOR, last, mass[:, :, fault.sensor]
     interval = monitor.plan.interval
-    assert abs(likely_onsets(estimator, *about)[0].begin - begin) > interval
-    found = sudden_drift_of(estimator, fault.sensor, PRIOR, last, blocks, mass)
+    assert abs(onset.likely_onsets(estimator, *about)[0].begin - begin) > interval
+    found = onset.sudden_drift_of(estimator, fault.sensor, PRIOR, last, blocks, mass)
     assert found.begin == pytest.approx(begin, abs=0.3 * interval)
     assert abs(found.size) == pytest.approx(0.3, rel=0.1)
 
@@ -122,30 +112,18 @@ def test_given_a_reading_that_rests_when_explained_then_it_froze_when_its_rest_b
     assert all(frozen.time <= one.begin < end for one in found)
 
 
-# ------------------------------------------------------------------ what is removed of them
-
-
 def drift(size, sigma, spread=0.0, kind='drift'):
     return begin_filter(0, kind, (0.0, 0.2), size, sigma, 0.0, spread)
 
 
-@pytest.mark.parametrize('size', [0.33, -0.33])
-def test_given_a_drift_within_its_bound_when_corrected_then_nothing_is_removed(size):
-    wide = drift(size, abs(size) / 2.0)  # 0.066 rad after 0.2 s, bound 0.132 rad
-    assert wide.fault(0.0, 0.2)[0] == pytest.approx(0.2 * size)
-    assert wide.share(0.0, 0.2, 4.0) == 0.0
-
-
-def test_given_a_bound_when_it_shrinks_then_more_is_removed_and_all_of_what_is_certain():
+def test_given_a_filter_when_corrected_then_what_is_beyond_its_bound_or_rests_is_removed():
+    for size in (0.33, -0.33):
+        wide = drift(size, abs(size) / 2.0)  # 0.066 rad after 0.2 s, bound 0.132 rad
+        assert wide.fault(0.0, 0.2)[0] == pytest.approx(0.2 * size)
+        assert wide.share(0.0, 0.2, 4.0) == 0.0
+    late = drift(0.3, 0.0, 0.1)  # its bound holds the uncertainty of its onset, too
+    assert late.fault(0.0, 0.2)[2] == pytest.approx(0.03) and late.share(0.0, 0.2, 4.0) == 0.0
     shares = [drift(0.3, sigma).share(0.0, 0.2, 4.0) for sigma in (0.075, 0.07, 0.03, 1e-3, 0.0)]
     assert shares[0] == pytest.approx(0.0, abs=1e-9) and shares[-1] == 1.0
     assert np.all(np.diff(shares) > 0.0) and shares[-2] > 0.999
-
-
-def test_given_an_uncertain_onset_when_named_then_the_bound_of_the_fault_holds_it():
-    assert drift(0.3, 0.0, 0.1).fault(0.0, 0.2)[2] == pytest.approx(0.03)
-    assert drift(0.3, 0.0, 0.1).share(0.0, 0.2, 4.0) == 0.0
-
-
-def test_given_a_reading_that_rests_when_corrected_then_all_is_removed_whatever_the_bound():
     assert drift(0.3, 0.5, kind='stuck').share(0.0, 0.2, 4.0) == 1.0

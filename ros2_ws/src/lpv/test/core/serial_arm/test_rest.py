@@ -1,25 +1,27 @@
-"""Readings that rest: healthy ones that are rounded raise no alarm, stuck ones in motion do."""
+"""Healthy readings that rest, are rounded or jitter raise no alarm; frozen ones do."""
 
 from dataclasses import replace
+from functools import cache
 from itertools import product
 
+import fault_injection
 import numpy as np
 import pytest
-from fault_injection import wrong_chain
-from places import BRINGUP
-from serial_arms import shoulder_arm, watch, with_rates
+from fault_injection import derived, motion_range, read_at, simulate, wrong_chain
+from serial_arms import shoulder_arm, simulated, watch, with_rates
 from simulated_runs import Run
 
-from lpv.core.serial_arm.arm_file import load_arm
+from lpv.core.serial_arm.diagnosis.monitor import SerialMonitor
+from lpv.core.serial_arm.diagnosis.sampling import JITTER
 from lpv.core.serial_arm.dynamics.model import SerialModel
+from lpv.files import load_arm
 
 DURATION = 8.0
 
 
 def arm_named(name, sample_time, rates):
     """An arm that is shipped, or of two or three joints, with such rates."""
-    shipped = name in {'ur10', 'panda'}
-    arm = load_arm(BRINGUP / 'arms' / f'{name}.yaml') if shipped else shoulder_arm()
+    arm = load_arm(name) if name in {'ur10', 'panda'} else shoulder_arm()
     joints = arm.joints[1:] if name == 'two' else arm.joints
     return with_rates(replace(arm, joints=joints), rates, sample_time=sample_time)
 
@@ -87,9 +89,7 @@ def healthy_cases():
 
 
 @pytest.mark.parametrize(('name', 'rates', 'sample_time', 'step', 'seed'), list(healthy_cases()))
-def test_given_a_healthy_arm_that_rests_when_readings_are_rounded_then_nothing_is_wrong(
-    name, rates, sample_time, step, seed
-):
+def test_given_rounded_readings_when_at_rest_then_all_is_well(name, rates, sample_time, step, seed):
     arm = arm_named(name, sample_time, rates)
     assert alarms(arm, rounded_samples(arm, seed, step)) == []
 
@@ -98,9 +98,7 @@ def test_given_a_healthy_arm_that_rests_when_readings_are_rounded_then_nothing_i
 @pytest.mark.parametrize('step', [1e-4, 1e-3])
 @pytest.mark.parametrize('sample_time', [0.01, 0.002])
 @pytest.mark.parametrize('rates', ['derived', 'independent'])
-def test_given_a_reading_that_freezes_in_motion_when_rounded_then_it_is_named(
-    rates, sample_time, step
-):
+def test_given_a_rounded_reading_when_it_freezes_then_it_is_named(rates, sample_time, step):
     arm = arm_named('three', sample_time, rates)
     for seed in range(2):
         found = alarms(arm, rounded_samples(arm, seed, step, frozen=2))
@@ -109,10 +107,7 @@ def test_given_a_reading_that_freezes_in_motion_when_rounded_then_it_is_named(
 
 
 def followed(seed, step, error):
-    """Alarms of an arm with an error of the reading of a joint that rests, and faults at the end.
-
-    ``error`` is a function of times; the sensor comes first.
-    """
+    """The sensor of a joint that rests, with such an error over time; alarms, faults at the end."""
     arm, joint = arm_named('three', 0.01, 'derived'), seed % 3
     times = np.arange(round(DURATION / arm.sample_time)) * arm.sample_time
     monitor = watch(arm, rounded_samples(arm, seed, step, resting=joint, error=error(times)))
@@ -136,3 +131,61 @@ def test_given_a_reading_at_rest_when_it_jumps_then_it_is_biased_and_did_not_fre
     sensor, found, faults = followed(seed, 1e-4, lambda t: size * (t > 5.0))
     assert found == {(sensor, 'bias')}
     assert np.sort(np.abs(faults)) == pytest.approx([0.0, 0.0, size], abs=0.05)
+
+
+def as_it_is(stamps, samples, rng):
+    return stamps, samples
+
+
+def with_gaps(stamps, samples, rng):
+    kept = np.ones(len(stamps), bool)
+    for row in np.flatnonzero(rng.random(len(stamps)) < 0.004):
+        kept[row : row + int(rng.integers(1, 5))] = False
+    return stamps[kept], samples[kept]
+
+
+def with_wrong_stamps(stamps, samples, rng):
+    off = (rng.random(len(stamps)) < 0.02) * rng.uniform(-0.9, 0.9, len(stamps))
+    moved = stamps + np.round(off * 2e6).astype(np.int64)
+    rows = np.concatenate([[True], np.diff(moved) > 0])
+    return moved[rows], samples[rows]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('rates', ['derived', 'independent'])
+@pytest.mark.parametrize('spoil', [as_it_is, with_gaps, with_wrong_stamps])
+def test_statistic_of_a_healthy_arm_stays_below_what_its_mean_allows(rates, spoil):
+    # E[M] is at most the number of decisions: P(M >= 1000 t) <= 1/1000 at the last one.
+    arm = shoulder_arm(rates)
+    run = simulated(arm, seed=3, duration=12.0)
+    stamps, samples = spoil(run.stamps, run.samples, np.random.default_rng(3))
+    monitor, largest, decisions = SerialMonitor(arm), -np.inf, 0
+    for part in range(0, len(stamps), 25):
+        monitor.update_many(stamps[part : part + 25], samples[part : part + 25])
+        largest, decisions = max(largest, monitor.statistic), decisions + 1
+    assert largest < np.log(1000.0 * decisions)
+
+
+PERIOD = 0.02  # [s]
+
+
+@cache
+def monitored(seed, jitter):
+    """The monitor of an arm at 50 Hz that pauses, after 20 s with readings off their stamps."""
+    arm = replace(fault_injection.shoulder_arm(quantization=1e-4), sample_time=PERIOD)
+    healthy = simulate(arm, motion_range(arm, 0.5), seed, pauses=True)
+    time, rng = healthy.stamps * 1e-9, np.random.default_rng(seed)
+    taken = time + jitter * PERIOD * rng.normal(size=len(time))
+    stream = derived(replace(healthy, samples=read_at(healthy, taken)))
+    return watch(arm, Run(1 + stream.stamps, stream.samples, None))
+
+
+@pytest.mark.parametrize('jitter', [0.0, 0.2])
+def test_given_stamps_that_scatter_when_the_arm_moves_then_their_error_is_learned(jitter):
+    learned = [np.sqrt(monitored(k, jitter).sampler.clock[JITTER]) / PERIOD for k in range(4)]
+    assert np.median(learned) == pytest.approx(jitter, abs=0.05)
+
+
+@pytest.mark.parametrize('seed', range(10))
+def test_given_stamps_that_scatter_when_encoders_are_healthy_then_none_is_blamed(seed):
+    assert [(a.sensor, a.kind) for a in monitored(seed, 0.2).alarms if a.sensor] == []

@@ -1,6 +1,8 @@
-"""Exported arms against Pinocchio and MuJoCo: shipped ones, and arms with prismatic joints."""
+"""Arms against Pinocchio and MuJoCo, as URDF and as files: shipped ones, and with slides."""
 
 import sys
+from dataclasses import replace
+from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
@@ -8,16 +10,18 @@ import pytest
 from places import BRINGUP
 from prismatic_arms import middle, mixed_arm, scara, ur10_on_rail
 
+from lpv.cli.main import main
 from lpv.core.export.mjcf import chain_mjcf
 from lpv.core.export.urdf import arm_urdf, transforms
-from lpv.core.serial_arm.arm_file import load_arm
+from lpv.core.serial_arm.arm_file import load_arm, parse_arm, save_arm, to_mapping
+from lpv.core.serial_arm.certificate.model_bounds import chain_numbers
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.dynamics.kinematics import forward_kinematics, jacobian
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.simulation import plant_scratch, plant_step
 from lpv.core.serial_arm.urdf_chain import read_urdf_chain
 from lpv.core.simulation.mujoco_chain import MujocoChain
-from lpv.core.support.errors import LpvError
+from lpv.core.support.errors import ConfigError, LpvError
 
 PRISMATIC = {'scara': scara, 'ur10_on_rail': ur10_on_rail, 'mixed': mixed_arm}
 
@@ -74,9 +78,7 @@ def test_given_an_exported_urdf_when_pinocchio_places_it_then_tip_and_jacobian_a
         close(jacobian(chain, q), pin.getFrameJacobian(model, data, tool, pin.LOCAL_WORLD_ALIGNED))
 
 
-def test_given_an_exported_urdf_when_read_again_and_by_pinocchio_then_torques_are_the_same(
-    chosen, tmp_path
-):
+def test_given_an_exported_urdf_when_read_by_pinocchio_then_torques_are_ours(chosen, tmp_path):
     try:
         model = pinocchio_arm(chosen, inertial=True)
     except ValueError as error:
@@ -95,9 +97,7 @@ def test_given_an_exported_urdf_when_read_again_and_by_pinocchio_then_torques_ar
         close(ours.inverse_dynamics(q, v, a) - ours.chain.motor @ a, torque)
 
 
-def test_given_an_exported_mjcf_when_mujoco_takes_it_then_dynamics_and_motions_are_ours(
-    mujoco, chosen
-):
+def test_given_an_exported_mjcf_when_mujoco_takes_it_then_motions_are_ours(mujoco, chosen):
     chain = compile_chain(chosen)
     if chosen.name == 'panda':  # identified: its inertias are those of no rigid bodies
         with pytest.raises(LpvError, match='MuJoCo does not take the arm: .*inertia'):
@@ -125,9 +125,7 @@ def test_given_an_exported_mjcf_when_mujoco_takes_it_then_dynamics_and_motions_a
         np.testing.assert_allclose(state, theirs, rtol=0.0, atol=1e-8)
 
 
-def test_given_a_callback_of_somebody_else_when_the_plant_has_stepped_then_it_is_back(
-    mujoco, real_arm
-):
+def test_given_a_foreign_callback_when_the_plant_has_stepped_then_it_is_back(mujoco, real_arm):
     def mine(_model, _data):
         pass
 
@@ -140,9 +138,52 @@ def test_given_a_callback_of_somebody_else_when_the_plant_has_stepped_then_it_is
         mujoco.set_mjcb_passive(None)
 
 
-def test_given_no_mujoco_when_the_plant_is_made_then_the_error_says_what_to_install(
-    monkeypatch, paper_arm
-):
+def test_given_no_mujoco_when_a_plant_is_made_then_an_install_is_asked_for(monkeypatch, paper_arm):
     monkeypatch.setitem(sys.modules, 'mujoco', None)
     with pytest.raises(LpvError, match=r"pip install 'mujoco>=3.3.1,<4'"):
         MujocoChain(compile_chain(paper_arm))
+
+
+def test_given_odd_names_or_an_inertia_of_no_body_when_written_then_it_is_xml_or_refused(paper_arm):
+    joints = [replace(j, name=n) for j, n in zip(paper_arm.joints, ('x<1>', 'y&2'))]
+    arm = replace(paper_arm, name='a <b> & "c"', joints=tuple(joints))
+    robot = ElementTree.fromstring(arm_urdf(arm))
+    assert robot.get('name') == arm.name
+    assert [j.get('name') for j in robot.findall('joint')][:2] == list(arm.joint_names)
+    link = replace(paper_arm.joints[1].link, inertia=tuple(1e-3 * np.array([1, 0, 1, 0, 0, 1])))
+    joints = paper_arm.joints[0], replace(paper_arm.joints[1], link=link)
+    arm = replace(paper_arm, joints=joints)
+    with pytest.raises(ConfigError, match=r'joints\[1\]\.link\.inertia'):
+        arm_urdf(arm)
+    assert '<inertial>' not in arm_urdf(arm, inertial=False)
+
+
+def test_given_the_command_when_run_then_it_prints_the_urdf_of_a_file(paper_arm, capsys, tmp_path):
+    file = str(BRINGUP / 'arms' / 'paper.yaml')
+    assert main(['urdf', '--arm', file]) == 0
+    assert capsys.readouterr().out == arm_urdf(paper_arm)
+    assert main(['urdf', '--arm', file, '--out', str(tmp_path / 'a.urdf')]) == 0
+    assert (tmp_path / 'a.urdf').read_text() == arm_urdf(paper_arm)
+
+
+@pytest.mark.parametrize('make', PRISMATIC.values(), ids=PRISMATIC)
+def test_given_an_arm_file_when_written_and_read_then_it_is_the_same(make, tmp_path):
+    arm = make()
+    save_arm(arm, tmp_path / 'arm.yaml')
+    again = load_arm(tmp_path / 'arm.yaml')
+    assert again == arm and again.sha256() == arm.sha256()
+    data = to_mapping(arm)
+    data['joints'][0]['type'] = 'helical'
+    with pytest.raises(ConfigError, match='revolute, prismatic'):
+        parse_arm(data)
+
+
+def test_given_a_prismatic_joint_then_its_range_counts_as_a_turn_and_it_has_no_certificate():
+    scales = dict(zip(scara().joint_names, scara().scales()))
+    assert scales['turn_1'] == 1.0 and scales['lift'] == pytest.approx(0.2 / (2 * np.pi))
+    rail = ur10_on_rail().joints[0]
+    for end, scale, span in ((20.0, 1.0, (-20.0, 20.0)), (np.inf, None, (-0.5, 0.5))):
+        joint = replace(rail, limits=replace(rail.limits, lower=-end, upper=end))
+        assert joint.range == span and scale in (joint.scale, None)
+    with pytest.raises(ConfigError, match='rail is prismatic'):
+        chain_numbers(ur10_on_rail())

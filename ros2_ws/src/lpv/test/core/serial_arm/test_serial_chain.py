@@ -14,7 +14,7 @@ from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.urdf_chain import read_urdf_chain
 from lpv.core.support.errors import ConfigError
 
-END = '</robot>'
+END, LOCKED = '</robot>', {'finger': 0.0}
 
 
 def assert_same_torques(arm, added):
@@ -36,10 +36,10 @@ def assert_same_torques(arm, added):
 def small(tmp_path):
     """Reads the URDF, changed or with something before its end; the finger is locked."""
 
-    def read(old=END, new=END, **options):
+    def read(old=END, new=END, locked=LOCKED, tip=None):
         assert old in URDF
         (tmp_path / 'small.urdf').write_text(URDF.replace(old, new))
-        return read_urdf_chain(tmp_path / 'small.urdf', **{'locked': {'finger': 0.0}, **options})
+        return read_urdf_chain(tmp_path / 'small.urdf', locked=locked, tip=tip)
 
     return read
 
@@ -106,34 +106,32 @@ def test_tip_names_the_branch_and_what_follows_a_locked_joint_is_locked_with_it(
 B, MOUNT = '<joint name="b" type="revolute">', '</joint>\n<joint name="mount"'
 
 
-@pytest.mark.parametrize(
-    ('reason', 'old', 'new', 'options'),
-    [
-        ("'b' follows 'a'", MOUNT, f'<mimic joint="a"/>{MOUNT}', {}),
-        ("'b': multiplier", MOUNT, f'<mimic joint="a" offset="1e99"/>{MOUNT}', {}),
-        ("'b' is floating", B, B.replace('revolute', 'floating'), {}),
-        ("'b' is planar", B, B.replace('revolute', 'planar'), {}),
-        ("'pan' .* name the link at", END, BRANCH, {'locked': {'finger': 0.02}}),
-        ("no link 'hand'", END, BRANCH, {'locked': {}, 'tip': 'hand'}),
-    ],
-)
-def test_joints_that_no_arm_has_are_refused_by_name(small, reason, old, new, options):
+NO_ARM = {
+    "'b' follows 'a'": (MOUNT, f'<mimic joint="a"/>{MOUNT}'),
+    "'b': multiplier": (MOUNT, f'<mimic joint="a" offset="1e99"/>{MOUNT}'),
+    "'b' is floating": (B, B.replace('revolute', 'floating')),
+    "'b' is planar": (B, B.replace('revolute', 'planar')),
+    "'pan' .* name the link at": (END, BRANCH, {'finger': 0.02}),
+    "no link 'hand'": (END, BRANCH, {}, 'hand'),
+}
+
+
+@pytest.mark.parametrize('reason', NO_ARM)
+def test_joints_that_no_arm_has_are_refused_by_name(small, reason):
     with pytest.raises(ConfigError, match=reason):
-        small(old, new, **options)
+        small(*NO_ARM[reason])
 
 
-@pytest.mark.parametrize(
-    ('field', 'value'),
-    [
-        ('rotation', [2.0 * np.eye(3)]),
-        ('rotation', [np.eye(2)]),
-        ('translation', np.zeros((40, 3))),
-        ('translation', [[0.0, np.nan, 0.0]]),
-        ('inertial', [['x'] * 10]),
-        ('motor', np.ones((2, 2))),
-        ('gravity', [0.0, 9.81]),
-    ],
-)
+BAD = {
+    'rotation': ([2.0 * np.eye(3)], [np.eye(2)]),
+    'translation': (np.zeros((40, 3)), [[0.0, np.nan, 0.0]]),
+    'inertial': ([['x'] * 10],),
+    'motor': (np.ones((2, 2)),),
+    'gravity': ([0.0, 9.81],),
+}
+
+
+@pytest.mark.parametrize(('field', 'value'), [(name, one) for name in BAD for one in BAD[name]])
 def test_bad_inline_parameters_are_refused_by_name(field, value):
     good = {'rotation': [np.eye(3)], 'translation': [[0, 0, 0]], 'inertial': np.ones((1, 10))}
     with pytest.raises(ConfigError, match=field):

@@ -1,14 +1,16 @@
-"""A serial arm's diagnosis behind the interface that node and replay use."""
+"""A serial arm's diagnosis behind the interface that node and replay use; the gate for stamps."""
 
 from dataclasses import replace
+from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from serial_arms import shoulder_arm, simulated
+from serial_arms import shoulder_arm, simulated, without
 
 from lpv.core.monitoring.parameters import DiagnosisParameters
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv.core.monitoring.stamp_gate import CONFIRMATIONS, JUMP, StampGate
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent, Mode, SensorState
 from lpv.core.serial_arm.dynamics.model import SerialModel
@@ -20,17 +22,10 @@ LARGE = Fault('encoder2', 'bias', 1.0, size=0.3)
 HOUR = 3600 * 10**9
 
 
-@pytest.fixture(scope='module')
-def recording():
-    """Stamps, samples and true positions of 2 s with a step on the second encoder after 1 s."""
-    run = simulated(ARM, replace(LARGE, size=0.05), duration=2.0)
-    return run.stamps + 5, run.samples, run.position
-
-
-@pytest.fixture(scope='module')
-def long_recording():
-    """6 s with a larger step, which gravity shows."""
-    run = simulated(ARM, LARGE, duration=6.0)
+@cache
+def recorded(size=0.05, duration=2.0):
+    """Stamps, samples and true positions with a step on the second encoder after 1 s."""
+    run = simulated(ARM, replace(LARGE, size=size), duration=duration)
     return run.stamps + 5, run.samples, run.position
 
 
@@ -53,11 +48,9 @@ def message(names=ARM.joint_names, **fields):
 RAISED = [(AlarmEvent.RAISED, 'encoder2')]
 
 
-def test_given_samples_that_are_lost_repeated_or_not_finite_when_taken_then_each_is_counted(
-    recording,
-):
+def test_given_samples_that_are_lost_repeated_or_no_numbers_then_each_is_counted():
     """Their answers do not depend on the parts they come in: `test_any_data`."""
-    stamps, samples = recording[0].copy(), recording[1].copy()
+    stamps, samples, _ = (one.copy() for one in recorded())
     samples[100, 0, 1] = samples[150, 1, 0] = np.nan
     samples[700:800, 2] = np.nan
     stamps[200] = stamps[199]
@@ -65,17 +58,15 @@ def test_given_samples_that_are_lost_repeated_or_not_finite_when_taken_then_each
     stamps[400:] += 100_000_000
     stamps[900:] -= 3_000_000_000
     spoils = {'duplicates', 'out_of_order', 'not_finite', 'gaps', 'without_effort', 'restarts'}
-    for data, expected in (
-        (recording[:2], set()),
-        ((stamps, samples), spoils | {'refused_stamps'}),
-    ):
+    spoils |= {'refused_stamps'}
+    for data, expected in ((recorded()[:2], set()), ((stamps, samples), spoils)):
         monitor, answers = observe(*data)
         assert np.isfinite(answers.state.position).all() and np.isfinite(answers.fault.bound).all()
         assert {name for name, count in vars(monitor.counters).items() if count} == expected
 
 
-def test_given_a_step_when_found_then_the_alarm_names_it_and_its_reading_is_corrected(recording):
-    stamps, samples, position = recording
+def test_given_a_step_when_found_then_the_alarm_names_it_and_its_reading_is_corrected():
+    stamps, samples, position = recorded()
     _, answers = observe(stamps, samples)
     assert told(answers) == RAISED
     row, event = answers.events[0]
@@ -93,10 +84,8 @@ def test_given_a_step_when_found_then_the_alarm_names_it_and_its_reading_is_corr
 
 
 @pytest.mark.parametrize('weight', [True, False])
-def test_given_no_efforts_or_none_of_the_weight_when_observed_then_offsets_are_not_diagnosable(
-    recording, weight
-):
-    stamps, samples, position = recording
+def test_given_no_efforts_or_none_of_the_weight_then_no_offsets_are_diagnosable(weight):
+    stamps, samples, position = recorded()
     samples, arm, said = samples.copy(), ARM, 'no efforts'
     if weight:
         samples[:, 2] = np.nan
@@ -112,33 +101,27 @@ def test_given_no_efforts_or_none_of_the_weight_when_observed_then_offsets_are_n
     assert said in answers.reports[0][1][0]['message']
 
 
-def test_given_no_rates_when_observed_then_they_are_differences_of_the_readings(recording):
-    stamps, samples = recording[0], recording[1].copy()
+def test_given_no_rates_then_they_are_differences_and_independent_ones_are_waited_for():
+    stamps, samples = recorded()[0], recorded()[1].copy()
     samples[:, 1] = np.nan
     _, answers = observe(stamps, samples)
     assert answers.state.mode[0] == Mode.NO_ESTIMATE and not answers.has_fault[0]
     expected = np.diff(samples[:, 0], axis=0) / np.diff(stamps)[:, None] * 1e9
     np.testing.assert_allclose(answers.state.measured_velocity[1:], expected, atol=1e-9)
     assert told(answers) == RAISED
-
-
-def test_given_independent_rates_when_they_are_missing_then_samples_are_not_used():
     monitor = SerialSensorMonitor('/uio', shoulder_arm('independent'))
     answer = monitor.take(1, message(velocity=[]))
     assert answer.state['mode'] == Mode.NO_ESTIMATE and not answer.state['trustworthy']
     assert answer.fault is None and answer.corrected is None and monitor.counters.not_finite == 1
 
 
-def test_given_joints_in_another_order_and_more_of_them_when_taken_then_names_decide():
+def test_given_messages_when_taken_then_names_decide_and_what_does_not_fit_is_refused():
     monitor = SerialSensorMonitor('/uio', ARM)
     names = ('gripper', 'joint3', 'joint1', 'joint2')
     answer = monitor.take(1, message(names, position=[9.0, 0.3, 0.1, 0.2]))
     np.testing.assert_array_equal(answer.state['measured_position'], [0.1, 0.2, 0.3])
     assert answer.corrected['name'] == ['joint1', 'joint2', 'joint3']
     assert answer.fault['sensor_names'] == ['encoder1', 'encoder2', 'encoder3']
-
-
-def test_given_messages_that_do_not_fit_when_taken_then_they_are_refused_and_counted():
     monitor = SerialSensorMonitor('/uio', ARM)
     for wrong in ({'names': ('joint1', 'joint2')}, {'position': [0.0]}, {'effort': [0.0] * 7}):
         with pytest.raises(SampleError):
@@ -148,17 +131,15 @@ def test_given_messages_that_do_not_fit_when_taken_then_they_are_refused_and_cou
     assert monitor.rejected == 4
 
 
-@pytest.mark.parametrize(('limit', 'trusted'), [(0.1, False), (1.5, True)])
-def test_given_a_fault_that_is_not_known_well_enough_when_confirmed_then_it_is_not_trusted(
-    limit, trusted
-):
+def test_given_a_fault_that_is_hardly_known_when_confirmed_then_it_is_not_trusted():
     run = simulated(ARM, Fault('encoder3', 'stuck', 4.3), duration=6.0)
-    monitor = SerialSensorMonitor('/uio', ARM, DiagnosisParameters(safe_stop_bound=limit))
-    _, answers = observe(run.stamps, run.samples, monitor)
-    ((_, alarm),) = answers.events
-    named = run.stamps >= alarm.detected
-    assert alarm.kind == 'stuck' and answers.state.trustworthy[named][0]
-    assert answers.state.trustworthy[named].all() == trusted
+    for limit, trusted in ((0.1, False), (1.5, True)):
+        monitor = SerialSensorMonitor('/uio', ARM, DiagnosisParameters(safe_stop_bound=limit))
+        _, answers = observe(run.stamps, run.samples, monitor)
+        ((_, alarm),) = answers.events
+        named = run.stamps >= alarm.detected
+        assert alarm.kind == 'stuck' and answers.state.trustworthy[named][0]
+        assert answers.state.trustworthy[named].all() == trusted
 
 
 def test_given_gains_when_the_arm_has_no_region_then_they_are_refused(paper_gains):
@@ -166,10 +147,10 @@ def test_given_gains_when_the_arm_has_no_region_then_they_are_refused(paper_gain
         SerialSensorMonitor('/uio', ARM, gains=paper_gains)
 
 
-def test_given_smaller_sigmas_when_retuned_then_bounds_shrink_at_once(recording):
-    monitor, answers = observe(*recording[:2])
+def test_given_smaller_sigmas_when_retuned_then_bounds_shrink_at_once():
+    monitor, answers = observe(*recorded()[:2])
     monitor.retune(replace(DiagnosisParameters(), sigmas=2.0))
-    _, after = observe(recording[0][-1:] + 2_000_000, recording[1][-1:], monitor)
+    _, after = observe(recorded()[0][-1:] + 2_000_000, recorded()[1][-1:], monitor)
     np.testing.assert_allclose(after.fault.bound[0], 0.5 * answers.fault.bound[-1])
 
 
@@ -187,14 +168,9 @@ def test_given_a_drift_with_its_derived_rate_when_followed_then_onset_size_and_r
     assert answers.state.velocity[last, 1].mean() == pytest.approx(true, abs=0.1)
 
 
-# ------------------------------------------------------------------ clocks
-
-
 @pytest.mark.parametrize('odd', [0, 2**31 * 10**9 - 1])
-def test_given_one_stamp_of_another_clock_when_observed_then_its_sample_alone_is_stale(
-    recording, odd
-):
-    stamps, samples = recording[0].copy(), recording[1]
+def test_given_one_stamp_of_another_clock_then_its_sample_alone_is_stale(odd):
+    stamps, samples = recorded()[0].copy(), recorded()[1]
     stamps[800] = odd
     monitor, answers = observe(stamps, samples)
     assert (answers.state.mode[799:802] == [Mode.OBSERVING, Mode.STALE, Mode.OBSERVING]).all()
@@ -206,10 +182,8 @@ def test_given_one_stamp_of_another_clock_when_observed_then_its_sample_alone_is
 
 
 @pytest.mark.parametrize('shift', [HOUR, -HOUR])
-def test_given_a_confirmed_fault_when_the_clock_is_set_then_it_stays_untrusted_until_seen(
-    long_recording, shift
-):
-    stamps, samples, position = long_recording
+def test_given_a_fault_when_the_clock_is_set_then_trust_waits_for_it(shift):
+    stamps, samples, position = recorded(LARGE.size, 6.0)
     stamps = stamps + np.where(np.arange(len(stamps)) < 1000, 2 * HOUR, 2 * HOUR + shift)
     _, answers = observe(stamps, samples)
     assert told(answers) == RAISED
@@ -222,10 +196,8 @@ def test_given_a_confirmed_fault_when_the_clock_is_set_then_it_stays_untrusted_u
     assert np.isfinite(answers.state.position).all() and np.isfinite(answers.fault.bound).all()
 
 
-def test_given_a_fault_that_ended_while_the_clock_was_set_when_shown_then_it_is_cleared(
-    long_recording,
-):
-    stamps, samples = long_recording[0].copy(), long_recording[1].copy()
+def test_given_a_fault_that_ended_while_the_clock_was_set_then_it_is_cleared():
+    stamps, samples, _ = (one.copy() for one in recorded(LARGE.size, 6.0))
     samples[1000:, 0, 1] -= LARGE.size
     stamps[1000:] += HOUR
     _, answers = observe(stamps, samples)
@@ -234,24 +206,54 @@ def test_given_a_fault_that_ended_while_the_clock_was_set_when_shown_then_it_is_
     assert not answers.state.trustworthy[1000:row].any() and answers.state.trustworthy[row:].all()
 
 
-@pytest.mark.parametrize('shift', [HOUR, -HOUR, 100_000_000])
-def test_given_a_confirmed_offset_when_stamps_make_a_gap_then_it_stays_removed(shift):
+def test_given_a_confirmed_offset_when_stamps_make_a_gap_then_it_stays_removed():
     run = simulated(ARM, Fault('encoder2', 'bias', 0.0, size=0.3), duration=10.0)
-    stamps = run.stamps + 2 * HOUR
-    stamps[4000:] += shift
-    _, answers = observe(stamps, run.samples)
-    assert {event.sensor for _, event in answers.events} == {'encoder2'}
-    assert answers.fault.alarm[3999:, 1].all()
-    error = answers.state.compensated_position[3999:, 1] - run.position[3999:, 1]
-    assert np.abs(error).max() < 0.15
+    for shift in (HOUR, -HOUR, 100_000_000):
+        stamps = run.stamps + 2 * HOUR
+        stamps[4000:] += shift
+        _, answers = observe(stamps, run.samples)
+        assert {event.sensor for _, event in answers.events} == {'encoder2'}
+        assert answers.fault.alarm[3999:, 1].all()
+        error = answers.state.compensated_position[3999:, 1] - run.position[3999:, 1]
+        assert np.abs(error).max() < 0.15
 
 
 def test_given_samples_too_sparse_for_a_balance_when_taken_then_trust_ends_until_there_is_one():
-    run = simulated(ARM, duration=4.0)
-    k = np.arange(len(run.stamps))
-    kept = (k % 30 < 5) | (k > 1800)  # a sixth of the samples, all of them from 3.6 s on
-    _, answers = observe(run.stamps[kept], run.samples[kept])
-    time = (run.stamps[kept] - run.stamps[0]) / 1e9
+    k = np.arange(2000)  # a sixth of the samples, all of them from 3.6 s on
+    run = without(simulated(ARM, duration=4.0), (k % 30 >= 5) & (k <= 1800))
+    _, answers = observe(run.stamps, run.samples)
+    time = run.stamps / 1e9
     trusted = answers.state.trustworthy
     assert trusted[time < 2.4].all() and not trusted[(time > 2.6) & (time < 3.6)].any()
     assert trusted[time > 3.8].all() and not answers.fault.alarm.any()
+
+
+STEP = 2_000_000
+START = 1_700_000_000 * 10**9
+FUTURE = 2**31 * 10**9 - 1
+
+
+@pytest.mark.parametrize('odd', [0, -1, FUTURE])
+def test_given_odd_stamps_in_a_stream_when_asked_then_they_alone_are_refused(odd):
+    gate = StampGate()
+    for k in range(200):
+        assert gate.accept(START + k * STEP) and gate.shift == 0
+        assert not gate.accept(odd + (k % 2) * 5 * JUMP)
+
+
+@pytest.mark.parametrize('new', [10**9, START + 2 * JUMP, FUTURE])
+def test_given_a_clock_that_is_set_when_asked_then_the_third_stamp_is_believed(new):
+    gate = StampGate()
+    assert gate.accept(START)
+    found = [(gate.accept(new + k * STEP), gate.shift) for k in range(5)]
+    assert [one for one, _ in found] == [k + 1 >= CONFIRMATIONS for k in range(5)]
+    assert [shift for _, shift in found] == [0, 0, new + 2 * STEP - START, 0, 0]
+
+
+def test_given_repeated_and_late_stamps_when_asked_then_the_newest_counts_and_an_odd_one_never():
+    gate = StampGate()
+    assert all(gate.accept(stamp) for stamp in (START, START, START - JUMP, START + JUMP))
+    assert gate.last == START + JUMP and not gate.accept(START - JUMP)
+    gate = StampGate()
+    gate.accept(START)
+    assert not any(gate.accept(FUTURE) for _ in range(10))

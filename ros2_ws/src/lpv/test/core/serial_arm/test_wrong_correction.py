@@ -4,21 +4,18 @@ from functools import cache
 
 import numpy as np
 import pytest
-from places import BRINGUP
 
 from lpv.core.control.computed_torque import ComputedTorqueController
 from lpv.core.control.estimate_check import FADING, CorrectionLimit
 from lpv.core.control.path_follower import PathFollower
 from lpv.core.control.watchdog import StopReason, TrackerLimits, TrackerWatchdog
-from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.diagnosis.alarms import Mode
 from lpv.core.simulation.arm_simulator import ArmSimulator
-from lpv.core.simulation.scenario import load_scenario
+from lpv.files import load_arm, load_scenario
 
 pytestmark = pytest.mark.slow
 DT, STEP, JOINT, SIZE = 0.002, 2_000_000, 1, 0.5
-ONSET = 2.5
-"""Of the wrong correction, when the shoulder moves [s]."""
+ONSET = 2.5  # of the wrong correction, when the shoulder moves [s]
 CORRECTIONS = {
     'appears': lambda t: SIZE * (t >= ONSET),
     'disappears': lambda t: SIZE * (t < ONSET),
@@ -33,8 +30,7 @@ class Loop:
     """The tracking law of the node on a simulated UR10; a correction is put on the true reading."""
 
     def __init__(self, correction, corrects_rates=False):
-        self.arm = load_arm(BRINGUP / 'arms' / 'ur10.yaml')
-        scenario = load_scenario(BRINGUP / 'scenarios' / 'ur10.yaml')
+        self.arm, scenario = load_arm('ur10'), load_scenario('ur10')
         self.simulator = ArmSimulator(self.arm, scenario)
         self.follower = PathFollower(scenario.path(self.arm))
         self.law, self.limit = ComputedTorqueController(self.arm), CorrectionLimit(self.arm)
@@ -50,9 +46,8 @@ class Loop:
         position[JOINT] -= now
         if self.corrects_rates and abs(now - before) < 0.02:  # a jump is no rate
             velocity[JOINT] -= (now - before) / DT
-        self.reason = self.watchdog.check_estimate(
-            stamp, 0, int(Mode.OBSERVING), True, velocity, rate
-        )
+        rates = velocity, rate
+        self.reason = self.watchdog.check_estimate(stamp, 0, int(Mode.OBSERVING), True, *rates)
         if self.reason is StopReason.NONE:
             reference = self.follower.reference(stamp, position)
             self.reason = self.watchdog.check_motion(stamp, reference.position, position, measured)
@@ -60,10 +55,8 @@ class Loop:
             self.simulator.hold()
             return
         self.limit.take(stamp, position, velocity)
-        feedback = self.limit.position
-        command = self.law.update(
-            reference, feedback, self.limit.velocity, feedback, DT if k else 0.0
-        )
+        feedback, span = self.limit.position, DT if k else 0.0
+        command = self.law.update(reference, feedback, self.limit.velocity, feedback, span)
         self.simulator.step(command.torque)
         self.speeds.append(np.abs(self.simulator.state.motion[1]))
         self.torques.append(command.torque)
@@ -84,9 +77,7 @@ def loop_with(name, corrects_rates):
 
 @pytest.mark.parametrize('corrects_rates', [False, True])
 @pytest.mark.parametrize('name', CORRECTIONS)
-def test_given_a_wrong_correction_when_it_changes_then_no_joint_is_faster_than_its_limit(
-    name, corrects_rates
-):
+def test_given_a_wrong_correction_when_it_changes_then_no_joint_is_too_fast(name, corrects_rates):
     loop = loop_with(name, corrects_rates)
     limit, fastest = np.array(loop.arm.velocity_limit), np.max(loop.speeds, axis=0)
     # The stop comes 0.02 s after a joint is too fast: until then it stays below its own limit.

@@ -1,24 +1,146 @@
-"""Paths of a planar arm through points in its plane, and references for an arm beside its path."""
+"""Paths of serial and of planar arms, their scenario files, and references beside a path."""
 
 import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
+from nested import changed
+from serial_arms import shoulder_arm
 
 from lpv.core.control.path import CartesianPath, Obstacle, PlanarWaypoints, Reference
 from lpv.core.control.path_follower import PathFollower
+from lpv.core.control.serial_path import PoseWaypoints, SerialPath
+from lpv.core.serial_arm.chain import compile_chain
+from lpv.core.serial_arm.description import JointLimits
+from lpv.core.simulation.arm_simulator import ArmSimulator
+from lpv.core.simulation.scenario import parse_scenario
 from lpv.core.support.errors import ConfigError, UnreachableError
 from lpv.core.uio.model.joints import JointMap
 from lpv.core.uio.model.kinematics import forward
 from lpv.core.uio.planar import serial_from_planar
+from lpv.files import load_arm, load_scenario
 
-TIMES = (0.5, 2.0, 4.0)
+TIMES = (0.5, 2.5, 5.0)
+JOINTS = ((0.0, 0.5, -1.0), (0.6, 0.9, -1.4), (-0.3, 0.4, -0.9))
+REACHED = ((0.5, 0.0, 0.2), (0.4, 0.3, 0.4), (0.5, -0.2, 0.3))
+START = (0.0, 0.6, -1.2)
+ARM = shoulder_arm('independent')
+
+
+def test_given_waypoints_when_sampled_then_the_path_is_smooth_meets_them_and_rests_at_ends():
+    path = SerialPath(ARM, TIMES, JOINTS)
+    np.testing.assert_allclose(path.sample(TIMES).position, JOINTS, atol=1e-12)
+    for time in (0.0, 0.5, 5.0, 9.0):
+        motion = path.sample(time)
+        assert np.abs([motion.velocity, motion.acceleration]).max() < 1e-9
+    times = np.linspace(0.6, 4.9, 50)
+    before, here, after = (path.sample(times + step) for step in (-1e-5, 0.0, 1e-5))
+    assert np.abs((after.position - before.position) / 2e-5 - here.velocity).max() < 1e-6
+    assert np.abs((after.velocity - before.velocity) / 2e-5 - here.acceleration).max() < 1e-5
+
+
+def test_given_poses_when_followed_then_the_tip_is_on_the_spline_through_them():
+    path = SerialPath.through_poses(ARM, TIMES, PoseWaypoints(REACHED, START))
+    np.testing.assert_allclose(path.sample(TIMES).tip, REACHED, atol=1e-5)
+    assert np.abs(np.diff(path.sample(np.linspace(0.0, 5.0, 500)).position, axis=0)).max() < 0.05
+
+
+IMPOSSIBLE = {
+    'out of reach': ((1.5, 0.0, 0.2), (1.4, 0.0, 0.2)),
+    'singularity': ((0.5, 0.0, 0.2), (0.799, 0.0, 0.2)),
+    'singularity|out of reach': ((0.5, 0.0, 0.4), (0.001, 0.0, 0.7)),
+}
+
+
+@pytest.mark.parametrize('reason', IMPOSSIBLE)
+def test_given_impossible_poses_when_followed_then_the_error_says_when_and_why(reason):
+    with pytest.raises(UnreachableError, match=rf'at \d+\.\d\d s .*({reason})'):
+        SerialPath.through_poses(ARM, (0.0, 3.0), PoseWaypoints(IMPOSSIBLE[reason], START))
+
+
+FITTING = TIMES, JOINTS, JointLimits(-2.5, 2.5, 2.5, 60.0)
+"""Times, joint positions, limits of joint 1."""
+REFUSED = {
+    'takes joint1 to .* whose limit': (*FITTING[:2], JointLimits(-0.2, 0.5, 2.5, 60.0)),
+    'rad/s of joint1, whose limit is 0.2': (*FITTING[:2], JointLimits(-2.5, 2.5, 0.2, 60.0)),
+    'N m of joint1, whose limit is 0.1': (*FITTING[:2], JointLimits(-2.5, 2.5, 2.5, 0.1)),
+    'path.waypoints: .*must increase': ((0.0, 0.0), JOINTS[:2], FITTING[2]),
+    'path.waypoints: .*two or more': ((0.0,), JOINTS[:1], FITTING[2]),
+    'path.waypoints: .*3 joint positions': ((0.0, 1.0), ((0.0, 0.0), (0.1, 0.1)), FITTING[2]),
+    'path.waypoints: .*finite': ((0.0, 1.0), ((0.0, 0.0, np.nan), JOINTS[0]), FITTING[2]),
+}
+
+
+@pytest.mark.parametrize('reason', REFUSED)
+def test_given_what_makes_no_path_or_exceeds_a_limit_then_joint_or_field_is_named(reason):
+    times, joints, limits = REFUSED[reason]
+    narrow = replace(ARM, joints=(replace(ARM.joints[0], limits=limits), *ARM.joints[1:]))
+    with pytest.raises(ConfigError, match=reason):
+        SerialPath(narrow, times, joints)
+
+
+DATA = yaml.safe_load("""
+kind: serial_arm
+name: test
+duration: 5.0
+plant: {parameter_error: 0.05, payload: 0.4, friction_factor: 1.2}
+path: {waypoints: [{t: 0.5, joints: [0.0, 0.5, -1.0]}, {t: 4.0, joints: [0.6, 0.9, -1.4]}]}
+faults: [{sensor: encoder2, kind: bias, onset: 1.0, size: 0.1}]
+""")
+POSES = yaml.safe_load("""
+start: [0.0, 0.6, -1.2]
+waypoints:
+  - {t: 0.5, position: [0.5, 0.0, 0.2], rpy: [0.0, 0.0, 0.0]}
+  - {t: 4.0, position: [0.4, 0.3, 0.4], rpy: [0.0, 0.0, 0.1]}
+""")
+
+
+@pytest.mark.parametrize('name', ['ur10', 'panda'])
+def test_given_a_shipped_arm_when_its_scenario_is_read_then_the_arm_can_do_it(name):
+    arm, scenario = load_arm(name), load_scenario(name)
+    assert scenario.path(arm).end <= scenario.duration
+    assert {fault.kind for fault in scenario.faults} == {'bias', 'drift'}
+    ArmSimulator(arm, scenario)
+
+
+def test_given_errors_when_the_true_arm_is_drawn_then_by_the_seed_and_within_them():
+    scenario = parse_scenario(DATA)
+    true, nominal = scenario.true_chain(ARM), compile_chain(ARM)
+    factor = true.inertial[:2, 0] / nominal.inertial[:2, 0]
+    assert np.all(np.abs(factor - 1.0) <= 0.05) and np.ptp(factor) > 0.0
+    np.testing.assert_array_equal(true.inertial, scenario.true_chain(ARM).inertial)
+    np.testing.assert_allclose(true.friction[:, 1], 1.2 * nominal.friction[:, 1])
+
+
+def test_given_poses_when_read_then_position_orientation_and_posture_are_kept():
+    scenario = parse_scenario({**DATA, 'path': POSES})
+    assert isinstance(scenario.waypoints, PoseWaypoints)
+    assert scenario.waypoints.start == START
+    assert scenario.waypoints.orientations[1] == (0.0, 0.0, 0.1)
+    with pytest.raises(ConfigError, match='path.start'):
+        parse_scenario({**DATA, 'path': {**POSES, 'start': 'anywhere'}})
+    with pytest.raises(ConfigError, match=r'waypoints\[0\].joints'):
+        parse_scenario(changed(DATA, 'path.waypoints[0]', {'t': 0.0}))
+
+
+def test_given_a_scenario_of_another_arm_when_used_then_the_field_is_named():
+    with pytest.raises(ConfigError, match=r'path.waypoints\[1\].joints'):
+        parse_scenario(changed(DATA, 'path.waypoints[1].joints', [0.0, 0.1])).path(ARM)
+    with pytest.raises(ConfigError, match='plant.mass_factors: must have 3 numbers'):
+        parse_scenario(changed(DATA, 'plant', {'mass_factors': [1.0, 1.1]})).true_arm(ARM)
+    for plant in ('lpv', 'nonlinear_without_coriolis'):
+        with pytest.raises(ConfigError, match='planar arms of two links: it has 3 joints'):
+            ArmSimulator(ARM, parse_scenario({**DATA, 'plant': plant}))
+
+
+KNOTS = (0.5, 2.0, 4.0)
 POINTS = ((-0.6, 1.5), (0.0, 1.6), (0.7, 1.4))
 STEP = 2_000_000
 
 
-def planar(arm, times=TIMES, points=POINTS, elbow='positive', obstacle=None):
+def planar(arm, times=KNOTS, points=POINTS, elbow='positive', obstacle=None):
     return CartesianPath(arm, times, PlanarWaypoints(points, elbow, obstacle))
 
 
@@ -47,10 +169,8 @@ def assert_smooth(rows, dt=0.002, atol=(2e-4, 5e-2)):
         np.testing.assert_allclose(slope, getattr(rows, rate)[1:-1], atol=tolerance)
 
 
-def test_given_waypoints_when_sampled_then_the_tip_is_there_and_rests_at_both_ends_and_outside(
-    path, paper_arm, paper_model
-):
-    reference = path.sample(np.array(TIMES))
+def test_given_waypoints_when_sampled_then_the_tip_is_there_and_rests_at_ends(path, paper_model):
+    reference = path.sample(np.array(KNOTS))
     np.testing.assert_allclose(in_plane(reference.tip), POINTS, atol=1e-12)
     # Reference in ROS joints: absolute angles, then the tip by plain trigonometry.
     theta = JointMap(paper_model).absolute_position(reference.position)
@@ -58,7 +178,7 @@ def test_given_waypoints_when_sampled_then_the_tip_is_there_and_rests_at_both_en
     np.testing.assert_allclose(tip, POINTS, atol=1e-12)
     # Another zero of the joints leaves the tip where it is.
     other = replace(paper_model, zero_angle=math.pi)
-    there = planar(serial_from_planar(other)).sample(np.array(TIMES)).position
+    there = planar(serial_from_planar(other)).sample(np.array(KNOTS)).position
     turns = (JointMap(other).absolute_position(there) - theta) / (2.0 * math.pi)
     np.testing.assert_allclose(turns, np.round(turns), atol=1e-12)
     for times in ((0.5, 4.0), (-3.0, 9.0)):
@@ -84,22 +204,13 @@ def test_given_the_other_elbow_when_sampled_then_the_tip_stays_and_q2_changes_si
     assert negative.position[1] == pytest.approx(-positive.position[1], rel=1e-12)
 
 
-@pytest.mark.parametrize(
-    ('elbow', 'high', 'low'), [('positive', 0.75, -1.2), ('negative', 1.2, -0.75)]
-)
-def test_given_link_1_crosses_the_negative_x_axis_when_sampled_then_q1_is_continuous(
-    paper_arm, paper_model, elbow, high, low
-):
-    path = planar(paper_arm, (0.0, 1.0), ((-1.1, high), (-1.1, low)), elbow)
-    fine = path.sample(np.linspace(0.0, 1.0, 2001))
-    assert np.abs(np.diff(fine.position, axis=0)).max() < 0.02
-    tip = forward(fine.position, paper_model.lengths)
-    np.testing.assert_allclose(tip, in_plane(fine.tip), atol=1e-12)
-
-
-def test_given_the_shipped_path_when_sampled_then_q1_is_continuous_and_in_the_region(
-    shipped, paper_model
-):
+def test_given_the_shipped_path_or_a_turn_then_q1_is_continuous(paper_arm, paper_model, shipped):
+    for elbow, high, low in (('positive', 0.75, -1.2), ('negative', 1.2, -0.75)):
+        path = planar(paper_arm, (0.0, 1.0), ((-1.1, high), (-1.1, low)), elbow)
+        fine = path.sample(np.linspace(0.0, 1.0, 2001))
+        assert np.abs(np.diff(fine.position, axis=0)).max() < 0.02
+        tip = forward(fine.position, paper_model.lengths)
+        np.testing.assert_allclose(tip, in_plane(fine.tip), atol=1e-12)
     fine = shipped.sample(np.linspace(0.0, 20.0, 20001))
     assert np.abs(np.diff(fine.position, axis=0)).max() < 0.002
     theta = JointMap(paper_model).absolute_position(fine.position)
@@ -118,9 +229,7 @@ def test_given_bad_waypoints_when_a_path_is_made_then_the_field_is_named(paper_a
         planar(paper_arm, elbow='left')
 
 
-def test_given_a_path_that_no_arm_can_follow_when_made_or_sampled_then_it_is_refused(
-    paper_arm, path, two_faults
-):
+def test_given_a_path_that_no_arm_can_follow_then_it_is_refused(paper_arm, path, two_faults):
     joints = tuple(replace(j, limits=replace(j.limits, velocity=0.2)) for j in paper_arm.joints)
     with pytest.raises(ConfigError, match='needs 0.2.* rad/s of joint1, whose velocity_limit'):
         two_faults.path(replace(paper_arm, joints=joints))
@@ -135,9 +244,6 @@ def test_given_a_path_that_no_arm_can_follow_when_made_or_sampled_then_it_is_ref
         path.sample(math.nan)
 
 
-# ------------------------------------------------------------------ an arm beside its path
-
-
 def follow(guide, position, start, seconds):
     """Stacked references over a time; the arm is where the reference is."""
     rows = []
@@ -149,8 +255,7 @@ def follow(guide, position, start, seconds):
 
 
 def assert_starts_at_rest(rows, position):
-    np.testing.assert_allclose(rows.position[0], position, atol=1e-12)
-    np.testing.assert_allclose(rows.velocity[0], 0.0, atol=1e-12)
+    np.testing.assert_allclose([rows.position[0] - position, rows.velocity[0]], 0.0, atol=1e-12)
 
 
 def assert_ends_at(rows, path, time):
@@ -159,17 +264,14 @@ def assert_ends_at(rows, path, time):
 
 
 def test_given_an_arm_at_the_start_when_guided_then_it_follows_the_path_at_once(shipped):
-    guide = PathFollower(shipped)
-    rows = follow(guide, shipped.sample(0.0).position + 0.01, 1_000_000_000, 3.0)
+    rows = follow(PathFollower(shipped), shipped.sample(0.0).position + 0.01, 1_000_000_000, 3.0)
     for name, values in vars(rows).items():
         expected = np.array([getattr(shipped.sample(STEP * k / 1e9), name) for k in range(1500)])
         np.testing.assert_array_equal(values, expected, err_msg=name)
 
 
 @pytest.mark.parametrize('offset', [(0.06, 0.0), (-0.1, 0.2), (0.6, -0.4), (-2.0, 0.3)])
-def test_given_an_arm_elsewhere_when_guided_then_it_approaches_smoothly_and_takes_its_time(
-    shipped, offset
-):
+def test_given_an_arm_elsewhere_when_guided_then_it_approaches_smoothly_and_slowly(shipped, offset):
     """By a quintic from rest to rest, of at most 0.5 rad/s and at least 1 s."""
     start, distance = shipped.sample(0.0).position, np.abs(offset).max()
     approach = max(1.0, 1.875 * distance / 0.5)
