@@ -57,7 +57,7 @@ NEEDED = {
     'sensors.position_noise sensors.velocity_noise disturbance disturbance.direction '
     'disturbance.mean disturbance.variance region region.orientation region.cos_min',
 }
-OLD_FORM = pytest.mark.filterwarnings('ignore:some.yaml is of the form of two-link arms')
+pytestmark = pytest.mark.filterwarnings('ignore:some.yaml is of the form of two-link arms')
 
 
 class Kind:
@@ -96,7 +96,6 @@ def kind(request, kinds):
     return kinds[request.param]
 
 
-@OLD_FORM
 def test_given_any_number_in_a_file_when_it_is_none_then_its_field_is_named(kind):
     for field in numbers(kind.good):
         for bad in (math.nan, math.inf, -math.inf, 'heavy', True, None, {'a': 1}):
@@ -106,7 +105,6 @@ def test_given_any_number_in_a_file_when_it_is_none_then_its_field_is_named(kind
             assert f'{found}['.startswith(f'{whole}[') or near, found
 
 
-@OLD_FORM
 def test_given_any_field_of_a_file_when_left_out_then_just_those_that_must_be_are_missed(kind):
     missed = set()
     for field, _ in places(kind.good):
@@ -118,7 +116,6 @@ def test_given_any_field_of_a_file_when_left_out_then_just_those_that_must_be_ar
     assert kind.needed <= missed
 
 
-@OLD_FORM
 def test_given_an_unknown_field_in_a_file_when_read_then_it_is_named_with_the_known_ones(kind):
     inside = [f'{name}.' for name, value in places(kind.good) if isinstance(value, dict)]
     for place in ['', *inside]:
@@ -199,7 +196,6 @@ BAD = {
 """Bad values of fields; after > the field that the error names instead."""
 
 
-@OLD_FORM
 @pytest.mark.parametrize(
     ('name', 'field', 'value'),
     [(kind, k, v) for kind, fields in BAD.items() for k, values in fields.items() for v in values],
@@ -213,20 +209,18 @@ def test_given_a_bad_value_in_a_file_when_read_then_its_field_is_named(kinds, na
 
 
 def test_given_several_wrong_fields_when_read_then_one_error_names_each(tmp_path):
-    data, path = {**ARM, 'sample_time': 'long', 'colour': 'red', 1: 2}, tmp_path / 'arm.yaml'
+    path, data = tmp_path / 'arm.yaml', {**ARM, 'sample_time': 'long', 'colour': 'red'}
     data = changed(data, 'joints[0].link.mass', -1.0)
     with pytest.raises(ConfigError, match='is not a known field'):
-        parse_arm(data)  # of several types, too
-    del data[1]
+        parse_arm({**data, 1: 2})  # of several types, too
     path.write_text(yaml.safe_dump(changed(data, 'lpv.orientation', 'sideways')))
     with pytest.raises(ConfigError) as caught:
         load_arm(path)
     said = str(caught.value)
     assert said.startswith(f'{path}: 4 fields are wrong: (1) joints[0].link.mass: ')
-    assert '\n' not in said
-    for begin in ("sample_time: must be a number, got 'long'", 'colour: is not a known field',
-                  'lpv.orientation: must be one of upright, hanging'):  # fmt: skip
-        assert f') {begin}' in said
+    told = "sample_time: must be a number, got 'long'", 'colour: is not a known field'
+    for begin in (*told, 'lpv.orientation: must be one of upright, hanging'):
+        assert f') {begin}' in said and '\n' not in said
     wrong = {'faults[0].kind': 'sabotage', 'faults[1].onset': math.inf, 'path.waypoints[2].x': 1e9}
     data = SCENARIO
     for field, value in wrong.items():
@@ -249,9 +243,7 @@ def test_given_the_shipped_arms_when_read_then_they_are_as_published(paper_model
     assert parse_arm(changed(ARM, 'lpv.disturbance.mean', -0.2)).name == 'paper'
 
 
-def test_given_a_file_of_an_older_form_when_read_then_it_is_the_arm_and_the_new_form_is_asked_for(
-    paper_arm, paper_gains, tmp_path
-):
+def test_given_an_older_file_when_read_then_it_is_the_same_arm(paper_arm, paper_gains, tmp_path):
     with pytest.warns(FutureWarning, match='some.yaml is of the form of two-link arms'):
         arm = parse_arm(OLD_ARM, 'some.yaml')
         turned = parse_arm({**OLD_ARM, 'rotor': {'inertia': 1e-4, 'gear_ratio': 6.0}}, 'some.yaml')
@@ -277,9 +269,7 @@ def larger(value):
     return f'{value}x' if isinstance(value, str) else math.nextafter(value, math.inf)
 
 
-def test_given_an_arm_when_hashed_then_any_parameter_counts_and_the_layout_of_its_file_does_not(
-    tmp_path, paper_model
-):
+def test_given_an_arm_when_hashed_then_its_parameters_count_alone(tmp_path, paper_model):
     other = {f.name: larger(getattr(paper_model, f.name)) for f in fields(paper_model)}
     other |= {'arrangement': 'relative', 'orientation': 'hanging'}
     other['inertia_reference'] = 'center_of_mass'
@@ -346,17 +336,23 @@ def test_given_what_no_file_needs_when_read_then_it_is_refused_in_one_line(tmp_p
     assert '\n' not in str(error.value) and len(str(error.value)) < 700 + len(str(tmp_path))
 
 
-def test_given_the_largest_values_when_read_then_they_are_kept(tmp_path):
+def test_given_large_values_or_files_then_they_are_kept_or_not(tmp_path, monkeypatch, paper_gains):
     text = f'a: [{2**63 - 1}, {-(2**63) + 1}, 1.0e+308, -.inf, null, true, ""]'
     (tmp_path / 'a.yaml').write_text(text)
     expected = [2**63 - 1, -(2**63) + 1, 1e308, float('-inf'), None, True, '']
     assert read_yaml(tmp_path / 'a.yaml')['a'] == expected
+    save_gains(paper_gains, tmp_path / 'g.yaml')
+    assert 10 * (tmp_path / 'g.yaml').stat().st_size < config.MAX_BYTES < 1 << 24
+    path = tmp_path / 'large.yaml'
+    path.write_text('name: x\n' + '#' * 100)
+    assert read_yaml(path) == {'name': 'x'}
+    monkeypatch.setattr(config, 'MAX_BYTES', 100)
+    with pytest.raises(ConfigError, match='large.yaml: file: is larger than 100 bytes'):
+        read_yaml(path)
 
 
 @pytest.mark.parametrize('load', [load_arm, load_scenario, load_gains, load_requirement])
-def test_given_a_file_that_is_none_when_any_kind_is_read_then_it_is_named_and_nothing_is_made(
-    tmp_path, load
-):
+def test_given_a_file_that_is_none_when_read_then_it_is_named_and_nothing_is_made(tmp_path, load):
     names = 'odd.yaml', 'trace', 'latin.yaml', 'folder.yaml'
     path, trace, latin, folder = (tmp_path / name for name in names)
     folder.mkdir()
@@ -377,26 +373,16 @@ def test_given_a_file_that_is_none_when_any_kind_is_read_then_it_is_named_and_no
     assert len(str(caught.value)) < 1000
 
 
-def test_given_a_file_that_is_too_large_when_read_then_it_is_refused_unread(
-    tmp_path, monkeypatch, paper_gains
-):
-    save_gains(paper_gains, tmp_path / 'g.yaml')
-    assert 10 * (tmp_path / 'g.yaml').stat().st_size < config.MAX_BYTES < 1 << 24
-    path = tmp_path / 'large.yaml'
-    path.write_text('name: x\n' + '#' * 100)
-    assert read_yaml(path) == {'name': 'x'}
-    monkeypatch.setattr(config, 'MAX_BYTES', 100)
-    with pytest.raises(ConfigError, match='large.yaml: file: is larger than 100 bytes'):
-        read_yaml(path)
-
-
-def test_given_a_scenario_without_options_when_read_then_defaults_are_the_true_arm():
+def test_given_a_scenario_when_read_then_it_may_have_any_kind_of_fault_and_defaults_are_right():
     data = {'name': 'x', 'duration': 1.0, 'path': {'waypoints': SCENARIO['path']['waypoints']}}
     scenario = parse_scenario(data)
     assert (scenario.seed, scenario.plant, scenario.payload) == (1, 'nonlinear', 0.0)
     assert scenario.noise and scenario.disturbance and scenario.faults == ()
     assert scenario.waypoints.obstacle is None
     assert scenario.mass_factors == scenario.inertia_factors == ()
+    for kind in KINDS:
+        fault = {'sensor': 'link1_angle', 'kind': kind, 'onset': 1, 'size': 0.1, 'rate': 0.1}
+        assert parse_scenario({**SCENARIO, 'faults': [fault]}).faults[0].kind == kind
 
 
 @pytest.mark.parametrize(
@@ -416,46 +402,33 @@ def test_given_a_fault_that_cannot_be_injected_when_added_then_its_field_is_name
     assert injector.faults == []
 
 
-def test_given_every_kind_of_fault_when_listed_then_a_scenario_file_may_name_it():
-    for kind in KINDS:
-        fault = {'sensor': 'link1_angle', 'kind': kind, 'onset': 1, 'size': 0.1, 'rate': 0.1}
-        assert parse_scenario({**SCENARIO, 'faults': [fault]}).faults[0].kind == kind
-
-
-@pytest.mark.parametrize('which', ['paper', 'real_arm', 'literal'])
-def test_given_gains_when_saved_and_loaded_then_every_bit_is_the_same(
-    tmp_path, gains_of, literal_gains, which
-):
-    gains = {**gains_of, 'literal': literal_gains}[which]
-    if which == 'literal':  # values that decimal notation spoils
-        rng = np.random.default_rng(9)
-        odd = rng.normal(size=(8, 6, 4)) * 10.0 ** rng.integers(-300, 300, (8, 6, 4))
-        odd[0, 0] = [5e-324, 0.1 + 0.2, -0.0, 1.7976931348623157e308]
-        gains = replace(gains, observer=replace(gains.observer, k=odd))
+def test_given_gains_when_saved_and_loaded_then_no_bit_differs(tmp_path, gains_of, literal_gains):
+    rng = np.random.default_rng(9)  # values that decimal notation spoils
+    odd = rng.normal(size=(8, 6, 4)) * 10.0 ** rng.integers(-300, 300, (8, 6, 4))
+    odd[0, 0] = [5e-324, 0.1 + 0.2, -0.0, 1.7976931348623157e308]
+    spoilt = replace(literal_gains, observer=replace(literal_gains.observer, k=odd))
     path = tmp_path / 'deep' / 'er' / 'gains.yaml'
-    save_gains(gains, path, 'two\nlines')
-    back = load_gains(path)
-    assert (back.arm_name, back.arm_sha256) == (gains.arm_name, gains.arm_sha256)
-    for part in ('observer', 'controller'):
-        np.testing.assert_equal(asdict(getattr(back, part)), asdict(getattr(gains, part)))
-    assert which != 'literal' or back.observer.k.tobytes() == odd.tobytes()
-    assert back.certificate == gains.certificate
-    assert path.read_text().startswith('# two\n# lines\n/**:')
-    assert [p.name for p in path.parent.iterdir()] == ['gains.yaml']  # nothing half-written
+    for gains in (*gains_of.values(), spoilt):
+        save_gains(gains, path, 'two\nlines')
+        back = load_gains(path)
+        assert (back.arm_name, back.arm_sha256) == (gains.arm_name, gains.arm_sha256)
+        for part in ('observer', 'controller'):
+            np.testing.assert_equal(asdict(getattr(back, part)), asdict(getattr(gains, part)))
+        assert back.certificate == gains.certificate
+        assert path.read_text().startswith('# two\n# lines\n/**:')
+        assert [p.name for p in path.parent.iterdir()] == ['gains.yaml']  # nothing half-written
+    assert back.observer.k.tobytes() == odd.tobytes()
 
 
-@pytest.mark.parametrize(
-    'text', ['a: 1', '/**: 5', '/**: {ros__parameters: {}}', '/**: {ros__parameters: {gains: 5}}']
-)
-def test_given_another_yaml_file_when_read_as_gains_then_it_is_refused(tmp_path, text):
-    (tmp_path / 'other.yaml').write_text(text)
-    with pytest.raises(ConfigError, match='other.yaml: .*gains'):
-        load_gains(tmp_path / 'other.yaml')
+def test_given_another_yaml_file_when_read_as_gains_then_it_is_refused(tmp_path):
+    path, empty = tmp_path / 'other.yaml', '/**: {ros__parameters: {}}'
+    for text in ('a: 1', '/**: 5', empty, empty.replace('{}', '{gains: 5}')):
+        path.write_text(text)
+        with pytest.raises(ConfigError, match='other.yaml: .*gains'):
+            load_gains(path)
 
 
-def test_given_gains_when_checked_against_another_arm_then_both_hashes_are_told(
-    paper_model, real_model, paper_gains
-):
+def test_given_gains_of_another_arm_then_both_hashes_are_told(paper_model, real_model, paper_gains):
     paper_gains.check_arm(paper_model)
     hashes = '.*'.join(model.sha256()[:12] for model in (paper_model, real_model))
     with pytest.raises(ConfigError, match=rf'^g.yaml: gains.arm_sha256: .*{hashes}'):
