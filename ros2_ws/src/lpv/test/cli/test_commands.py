@@ -1,18 +1,27 @@
-"""What all commands share: help that does not wait, progress, text that fits the terminal."""
+"""What all commands share - help that does not wait, progress, text that fits the terminal, what is
+said where something is missing - and lpv init."""
 
 import io
 import re
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
+import numpy as np
 import pytest
+from places import BRINGUP, ROOT
 from rich.console import Console
 
 from lpv.cli import progress
 from lpv.cli.commands import demo
 from lpv.cli.main import main
+from lpv.cli.needs import remedy
+from lpv.core.export.urdf import arm_urdf
+from lpv.core.serial_arm.arm_file import load_arm
+from lpv.core.simulation.scenario import load_scenario
 from lpv.core.uio.certificate.gains import save_gains
+from lpv.core.uio.planar import planar_model, serial_from_planar
 
 HEAVY = ('numpy', 'numba', 'scipy', 'matplotlib', 'cvxpy', 'rosbags', 'pinocchio', 'rclpy', 'rich')
 
@@ -29,10 +38,14 @@ def test_given_any_command_when_asked_for_help_then_nothing_heavy_is_imported():
     assert done.stdout == '[]\n', done.stderr
 
 
-def test_given_no_command_when_run_then_the_help_speaks_of_all_arms(capsys):
+def test_given_no_command_or_the_version_when_run_then_it_is_said(capsys):
     assert main([]) == 0
     said = capsys.readouterr().out
     assert 'of serial robot arms' in said and 'two-link' not in said
+    with pytest.raises(SystemExit) as end:
+        main(['--version'])
+    assert end.value.code == 0
+    assert capsys.readouterr().out.startswith('lpv ')
 
 
 @pytest.mark.parametrize('width', [60, 80, 132])
@@ -54,18 +67,14 @@ def test_given_work_that_takes_long_when_there_is_no_terminal_then_it_is_said(mo
         while said.getvalue().count('\n') < 3 and time.monotonic() < end:
             time.sleep(0.005)
     first, second, *_ = said.getvalue().splitlines()
-    assert first == 'lpv identify: identify an arm ...'
-    assert second.endswith(' s')
-
-
-def test_given_a_bar_when_there_is_no_terminal_then_lines_say_how_far_it_is(monkeypatch):
+    assert first == 'lpv identify: identify an arm ...' and second.endswith(' s')
+    # Lines say how far a bar is.
     monkeypatch.setattr(progress, 'PATIENCE', 0.0)
-    said = io.StringIO()
     with progress.bar(Console(file=said, width=100), 'runs', 200, 50) as show:
         show(51)
         show(60, 'best 0.5')
-    assert 'runs: 51 of 200' in said.getvalue()
-    assert 'runs: 60 of 200  best 0.5' in said.getvalue()
+    for line in ('runs: 51 of 200', 'runs: 60 of 200  best 0.5'):
+        assert line in said.getvalue()
 
 
 def test_given_gains_of_an_earlier_demo_when_all_is_as_it_was_then_no_solver_is_asked(
@@ -81,3 +90,153 @@ def test_given_gains_of_an_earlier_demo_when_all_is_as_it_was_then_no_solver_is_
     file.write_text(re.sub('kappa: .*[0-9]', 'kappa: [1.0, 1.0', file.read_text(), count=1))
     with pytest.raises(ImportError):
         demo._designed(paper_arm, 'paper', tmp_path, console)
+
+
+@pytest.fixture
+def init(tmp_path):
+    """Calls the command for a new folder, with the text of a URDF; the arm that it writes."""
+
+    def run(*options, urdf=None):
+        if urdf:
+            (tmp_path / 'arm.urdf').write_text(urdf)
+            options = ('--urdf', tmp_path / 'arm.urdf', *options)
+        assert main(['init', str(tmp_path / 'new'), *map(str, options)]) == 0
+        return load_arm(tmp_path / 'new' / 'arm.yaml')
+
+    return run
+
+
+@pytest.mark.slow
+def test_given_an_empty_folder_when_initialised_then_a_design_holds(tmp_path, init, capsys):
+    arm = init('--name', 'bench')
+    assert arm.name == 'bench'
+    load_scenario(tmp_path / 'new' / 'scenario.yaml').path(arm)
+    assert 'lpv design --arm' in capsys.readouterr().out
+    names = 'arm', 'requirement', 'gains'
+    file, requirement, gains = (str(tmp_path / 'new' / f'{name}.yaml') for name in names)
+    assert main(['design', '--arm', file, '--requirement', requirement, '--out', gains]) == 0
+    assert main(['verify', gains, '--arm', file]) == 0
+
+
+@pytest.mark.parametrize(('name', 'joints'), [('ur10', 6), ('panda', 7)])
+def test_given_a_serial_urdf_when_initialised_then_it_fits(tmp_path, init, name, joints, capsys):
+    arm = init('--urdf', BRINGUP / 'urdf' / f'{name}.urdf', '--name', 'bench')
+    assert arm.name == 'bench' and len(arm.joint_names) == joints
+    path = load_scenario(tmp_path / 'new' / 'scenario.yaml').path(arm)
+    assert np.ptp(path.sample(np.linspace(0.0, 12.0, 50)).position, axis=0).min() > 0.1
+    assert 'lpv demo --arm' in capsys.readouterr().out
+
+
+@pytest.mark.parametrize('zero', [None, 0.0, np.pi / 3, np.pi])
+def test_given_a_urdf_when_initialised_then_the_arm_is_that_of_the_urdf(init, paper_arm, zero):
+    model, wanted = planar_model(paper_arm), paper_arm
+    if zero is not None:
+        model = replace(model, zero_angle=zero)
+        wanted = serial_from_planar(model)
+    arm = init(urdf=arm_urdf(wanted))
+    found = planar_model(arm)
+    for one, other in zip(found.links, model.links):
+        assert vars(one) == pytest.approx(vars(other))
+    assert np.cos(found.zero_angle - model.zero_angle) == pytest.approx(1.0)
+    assert arm.joint_names == wanted.joint_names
+    assert arm.torque_limit == pytest.approx(wanted.torque_limit)
+
+
+def test_given_links_in_no_vertical_plane_when_initialised_then_it_has_no_region(init, paper_arm):
+    arm = init(urdf=arm_urdf(paper_arm).replace('xyz="0 -1.0 0"', 'xyz="0 0 1"'))
+    assert [joint.axis for joint in arm.joints] == [(0.0, 0.0, 1.0)] * 2
+    assert arm.lpv is None
+
+
+LINK = (
+    '<link name="{}"><inertial><origin xyz="0.1 0 0.2"/><mass value="2"/>'
+    '<inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+)
+JOINT = (
+    '<joint name="{}" type="{}"><parent link="{}"/><child link="{}"/><origin xyz="0 0 0.3"/>'
+    '<axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="500" velocity="2"/>{}</joint>'
+)
+JOINTS = (
+    ('shoulder', 'revolute', 'base', 'one', '<dynamics damping="0.5" friction="0.25"/>'),
+    ('elbow', 'revolute', 'one', 'two', ''),
+    ('wrist', 'continuous', 'two', 'hand', ''),
+    ('left_finger', 'prismatic', 'hand', 'left', ''),
+    ('right_finger', 'prismatic', 'hand', 'right', ''),
+    ('flange', 'fixed', 'hand', 'tool', ''),
+)
+LINKS = ['base', *(child for _, _, _, child, _ in JOINTS)]
+GRIPPER = '<robot name="my arm">{}{}</robot>'.format(
+    ''.join(map(LINK.format, LINKS)), ''.join(JOINT.format(*joint) for joint in JOINTS)
+)
+"""Three joints that turn, and two fingers that slide."""
+
+
+@pytest.mark.parametrize(
+    'options',
+    [
+        ['--lock', 'left_finger=0.02', '--lock', 'right_finger'],
+        ['--joints', 'shoulder,elbow,wrist'],
+        ['--joints', 'shoulder', 'elbow', 'wrist'],
+        ['--tip', 'tool'],
+    ],
+)
+def test_given_a_gripper_when_held_then_the_arm_has_the_others_and_their_friction(init, options):
+    arm = init(*options, urdf=GRIPPER)
+    assert (arm.name, arm.joint_names) == ('my_arm', ('shoulder', 'elbow', 'wrist'))
+    assert dict(arm.locked).keys() == {'left_finger', 'right_finger'}
+    assert dict(arm.locked)['left_finger'] == (0.02 if '--lock' in options else 0.0)
+    friction = [(j.friction.viscous, j.friction.coulomb) for j in arm.joints]
+    assert friction == [(0.5, 0.25), (0.0, 0.0), (0.0, 0.0)]
+    if '--tip' in options:
+        assert arm.tip == (0.0, 0.0, 0.3)
+
+
+HELD = ['--tip', 'tool']
+
+
+def test_given_a_gripper_not_held_or_a_defect_when_initialised_then_it_is_named(tmp_path, refused):
+    urdf, new = tmp_path / 'arm.urdf', tmp_path / 'new'
+    for old, bad, options, said in (
+        ('', '', [], "'left_finger' is prismatic, 'right_finger' is prismatic: hold it with --"),
+        ('', '', [], ' --lock left_finger=0 --lock right_finger=0, name the joints'),
+        ('', '', [], '--joints shoulder,elbow,wrist, or its last link with --tip'),
+        ('', '', ['--tip', 'nose'], "'nose' is no link of the URDF: base, one"),
+        ('', '', ['--lock', 'left_finger=open'], "'open' is not a number"),
+        ('', '', ['--lock', 'thumb', '--joints', 'elbow'], "no moving joint 'thumb'"),
+        ('', '', [*HELD, '--joints', 'elbow'], 'give one of them'),
+        ('axis xyz="0 1 0"', 'axis xyz="0 0 0"', HELD, 'direction'),
+        ('<mass value="2"', '<mass value="heavy"', HELD, 'mass'),
+        ('<robot', '<!DOCTYPE x [<!ENTITY y "z">]><robot', HELD, 'document type'),
+        ('</robot>', '', HELD, 'no element found'),
+        ('damping="0.5"', 'damping="-1"', HELD, 'dynamics.damping: must be'),
+    ):
+        assert old in GRIPPER
+        urdf.write_text(GRIPPER.replace(old, bad))
+        assert refused(said, 'init', new, '--urdf', urdf, *options) and not new.exists()
+
+
+def test_given_files_that_are_there_when_initialised_then_none_is_overwritten(tmp_path, refused):
+    (tmp_path / 'scenario.yaml').write_text('mine')
+    assert refused('exists already', 'init', tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ['scenario.yaml']
+
+
+def test_given_a_missing_module_when_explained_then_its_installation_is_named(monkeypatch):
+    for said, *modules in (
+        ('make setup-extras', 'pyarrow.parquet', 'optuna'),
+        ('ROS 2 is needed', 'lpv_msgs.msg', 'rclpy'),
+        ('pip install rich', 'rich'),
+        ('lpv_design, which designs gains, is not installed', 'lpv_design.main'),
+    ):
+        assert all(said in remedy(module) for module in modules)
+    monkeypatch.setattr('lpv.cli.needs.installed_version', lambda name: '0.1.0')
+    assert "pip install 'lpv-arm-fdi[campaign]'" in remedy('pyarrow.parquet')
+
+
+def test_given_a_checkout_with_a_space_in_its_path_when_set_up_then_it_is_refused_at_once(tmp_path):
+    script = tmp_path / 'my checkout' / 'tools' / 'setup.sh'
+    script.parent.mkdir(parents=True)
+    script.write_text((ROOT / 'tools' / 'setup.sh').read_text())
+    done = subprocess.run(['bash', script], capture_output=True, text=True)
+    assert done.returncode == 1 and 'contains a space' in done.stderr
+    assert not (tmp_path / 'my checkout' / '.venv').exists()
