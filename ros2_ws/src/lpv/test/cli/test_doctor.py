@@ -16,6 +16,7 @@ from rclpy.time import Time
 from sensor_msgs.msg import JointState
 from serial_bags import crane, crane_file
 from simulated_runs import simulated_run
+from std_msgs.msg import Header
 
 from lpv.cli.doctor import environment, graph, signals
 from lpv.cli.doctor.files import check_files
@@ -37,9 +38,13 @@ JOINTS, UIO = '/lpv/joint_states', '/lpv/uio'
 ELSEWHERE = '/lpv/uio subscribes to /lpv/joint_states, which has.*-r joint_states:=/joint_states'
 
 
+def bad(findings):
+    return [f for f in findings if f.level != Level.OK]
+
+
 def found(findings):
     """Names of the checks that found something."""
-    return [f.check for f in findings if f.level != Level.OK]
+    return [f.check for f in bad(findings)]
 
 
 # ------------------------------------------------------------------ files
@@ -67,58 +72,43 @@ def files(paper_gains, tmp_path_factory):
     return folder
 
 
-def checked(folder, *names):
-    """Arm and findings of an arm, gains and a scenario, each a file of a folder or shipped."""
-    inside = (folder / name if name and name.endswith('.yaml') else name for name in names)
-    return check_files(*(name and str(name) for name in inside))
-
-
 @pytest.mark.parametrize(
-    ('names', 'checks', 'said'),
+    ('check', 'arm', 'gains', 'scenario', 'said'),
     [
-        (('paper', GAINS, 'two_faults'), ['arm', 'gains', 'scenario'], "arm 'paper' holds"),
-        (('paper', None, None), ['arm', 'gains'], 'observes alone; lpv design designs them'),
-        (('crane.yaml', None, None), ['arm', 'gains'], 'the moving horizon observes alone'),
-        (('ur10', UR10_GAINS, None), ['arm', 'gains'], "loop of arm 'ur10' holds"),
+        ('', 'paper', GAINS, 'two_faults', "arm 'paper' holds"),
+        ('', 'paper', None, None, 'observes alone; lpv design designs them'),
+        ('', './crane.yaml', None, None, 'the moving horizon observes alone'),
+        ('', 'ur10', UR10_GAINS, None, "loop of arm 'ur10' holds"),
+        ('arm', './light.yaml', None, None, r'joints\[0\].link.mass'),
+        ('gains', 'real_arm', GAINS, None, "another arm.*'paper'.*'real_arm'.*--arm real_arm"),
+        ('gains', 'paper', './changed.yaml', None, 'does not hold: observer, link 1'),
+        ('gains', 'paper', './none.yaml', None, 'lpv design'),
+        ('gains', 'paper', './cut.yaml', None, 'lpv design'),
+        ('gains', 'paper', './empty.yaml', None, 'lpv design'),
+        ('gains', 'paper', './hollow.yaml', None, 'lpv design'),
+        ('gains', './crane.yaml', GAINS, None, 'lpv: is missing'),
+        ('gains', 'ur10', PANDA_GAINS, None, 'for another arm'),
+        ('gains', 'ur10', './bare.yaml', None, 'no certificate'),
+        ('scenario', 'paper', None, './far.yaml', 'out of reach'),
+        ('scenario', 'paper', None, './elbow.yaml', 'sensor'),
+        ('scenario', 'paper', None, './mujoco.yaml', 'needs MuJoCo'),
     ],
 )
-def test_given_files_that_fit_when_checked_then_nothing_is_found(files, names, checks, said):
-    arm, findings = checked(files, *names)
-    assert arm.name == names[0].removesuffix('.yaml')
-    assert [f.check for f in findings] == checks and found(findings) == []
-    assert said in findings[1].text
-
-
-@pytest.mark.parametrize(
-    ('names', 'check', 'said'),
-    [
-        (('light.yaml', None, None), 'arm', r'joints\[0\].link.mass'),
-        (
-            ('real_arm', GAINS, None),
-            'gains',
-            "for another arm.*'paper'.*'real_arm'.*--arm real_arm",
-        ),
-        (('paper', 'changed.yaml', None), 'gains', 'does not hold: observer, link 1'),
-        (('paper', 'none.yaml', None), 'gains', 'lpv design'),
-        (('paper', 'cut.yaml', None), 'gains', 'lpv design'),
-        (('paper', 'empty.yaml', None), 'gains', 'lpv design'),
-        (('paper', 'hollow.yaml', None), 'gains', 'lpv design'),
-        (('crane.yaml', GAINS, None), 'gains', 'lpv: is missing'),
-        (('ur10', PANDA_GAINS, None), 'gains', 'for another arm'),
-        (('ur10', 'bare.yaml', None), 'gains', 'no certificate'),
-        (('paper', None, 'far.yaml'), 'scenario', 'out of reach'),
-        (('paper', None, 'elbow.yaml'), 'scenario', 'sensor'),
-        (('paper', None, 'mujoco.yaml'), 'scenario', 'needs MuJoCo'),
-    ],
-)
-def test_given_a_file_that_cannot_be_used_when_checked_then_it_says_why(
-    files, monkeypatch, names, check, said
+def test_given_files_when_checked_then_all_fits_or_it_is_said_why_not(
+    files, monkeypatch, check, arm, gains, scenario, said
 ):
     monkeypatch.setitem(sys.modules, 'mujoco', None)
-    arm, findings = checked(files, *names)
-    assert (arm is None) == (check == 'arm')
-    (finding,) = [f for f in findings if f.level != Level.OK]
-    assert (finding.check, finding.level) == (check, Level.ERROR)
+    model, findings = check_files(
+        *(name and name.replace('./', f'{files}/') for name in (arm, gains, scenario))
+    )
+    assert (model is None) == (check == 'arm')
+    if check:
+        (finding,) = bad(findings)
+        assert (finding.check, finding.level) == (check, Level.ERROR)
+    else:
+        _, finding, *_ = findings
+        assert model.name in arm and bad(findings) == []
+        assert [f.check for f in findings] == ['arm', 'gains', 'scenario'][: 2 + bool(scenario)]
     assert re.search(said, f'{finding.text} {finding.remedy}', re.DOTALL)
 
 
@@ -132,13 +122,6 @@ def test_given_this_environment_when_checked_then_nothing_is_found(monkeypatch):
     # CVXPY comes without its other solvers there, which does as well.
     wanted = {one for one in environment.REQUIREMENTS if not one.startswith('cvxpy')}
     assert wanted <= set((ROOT / 'requirements' / 'base.txt').read_text().splitlines())
-
-
-def test_given_packages_that_are_missing_or_old_when_checked_then_they_are_named():
-    finding = environment.check_packages(('numpy<1', 'no-such-package-of-ours>=1'))
-    assert finding.level == Level.ERROR
-    assert re.search(r'numpy is [\d.]+, <1 is needed', finding.text)
-    assert 'no-such-package-of-ours is missing' in finding.text
 
 
 @pytest.mark.parametrize(
@@ -156,9 +139,7 @@ def test_given_packages_that_are_missing_or_old_when_checked_then_they_are_named
         ('ROS_DISTRO', 'jazzy', environment.check_ros, None),
     ],
 )
-def test_given_a_variable_when_checked_then_its_value_is_judged(
-    monkeypatch, name, value, check, level
-):
+def test_given_a_variable_when_checked_then_it_is_judged(monkeypatch, name, value, check, level):
     monkeypatch.setenv(name, value)
     import rclpy
 
@@ -170,13 +151,14 @@ def test_given_a_variable_when_checked_then_its_value_is_judged(
     assert bool(finding.remedy) == (level != Level.OK)
 
 
-def test_given_plain_python_or_no_ros_when_checked_then_both_are_found(monkeypatch):
-    import lpv.core.support.jit
-
-    monkeypatch.setattr(lpv.core.support.jit, 'COMPILED', False)
-    assert environment.check_compiler().level == Level.WARN
+def test_given_what_is_old_or_missing_when_checked_then_it_is_named(monkeypatch):
+    finding = environment.check_packages(('numpy<1', 'no-such-package-of-ours>=1'))
+    assert finding.level == Level.ERROR
+    assert re.search(r'numpy is [\d.]+, <1 is needed', finding.text)
+    assert 'no-such-package-of-ours is missing' in finding.text
+    monkeypatch.setattr('lpv.core.support.jit.COMPILED', False)
     monkeypatch.setattr(sys, 'version_info', (3, 9, 1))
-    assert environment.check_python().level == Level.WARN
+    assert environment.check_compiler().level == environment.check_python().level == Level.WARN
     nothing = environment.RosProbe('', '', "No module named 'rclpy'")
     assert environment.check_ros(nothing).level == Level.ERROR
     assert environment.check_middleware(nothing).level == Level.ERROR
@@ -189,10 +171,8 @@ def test_given_plain_python_or_no_ros_when_checked_then_both_are_found(monkeypat
 
 def message(stamp, names=('joint1', 'joint2'), effort=(0.0, 0.0), velocity=(0.0, 0.0), position=()):
     position = position if len(position) else [1.5] * len(names)
-    fields = {'position': position, 'velocity': velocity, 'effort': effort}
-    result = JointState(name=names, **{name: list(values) for name, values in fields.items()})
-    result.header.stamp = Time(nanoseconds=stamp).to_msg()
-    return result
+    parts = {'position': list(position), 'velocity': list(velocity), 'effort': list(effort)}
+    return JointState(header=Header(stamp=Time(nanoseconds=stamp).to_msg()), name=names, **parts)
 
 
 @pytest.fixture
@@ -200,12 +180,9 @@ def shot(paper_arm):
     """What is seen of a graph that runs in real time."""
     qos = stream(False)
     shot = Snapshot(domain=7, nodes=list(NODES), states=dict.fromkeys(NODES, 'active'))
-    shot.parameters = {
-        name: {'use_sim_time': False, 'lockstep': False, 'arm_file': PAPER} for name in NODES
-    }
-    shot.parameters['/lpv/uio'].update(
-        {'torque_source': 'effort', 'gains.arm_sha256': paper_arm.sha256()}
-    )
+    usual = {'use_sim_time': False, 'lockstep': False, 'arm_file': PAPER}
+    shot.parameters = {name: dict(usual) for name in NODES}
+    shot.parameters[UIO] |= {'torque_source': 'effort', 'gains.arm_sha256': paper_arm.sha256()}
     types = {
         'joint_states': (JOINT_STATE, 'arm_sim', 'uio'),
         'state_estimate': ('lpv_msgs/msg/StateEstimate', 'uio', 'tracker'),
@@ -294,61 +271,48 @@ def test_given_a_healthy_graph_when_checked_then_nothing_is_found(shot):
     shot.measured[JOINTS] = heard(stamps, delay=NOW)
     shot.clock = [(stamp + NOW, stamp) for stamp in stamps]
     assert found(graph.check_graph(shot)) == []
-
-
-def test_given_torques_from_commands_when_checked_then_measurements_need_none(shot):
-    shot.measured[JOINTS] = heard(effort=())
+    # Where torques are those of commands, measurements need none.
+    shot.measured[JOINTS] = heard(stamps, delay=NOW, effort=())
     shot.parameters[UIO]['torque_source'] = 'command'
     assert found(graph.check_graph(shot)) == []
 
 
 @pytest.mark.parametrize(('spoil', 'checks', 'text'), MISTAKES, ids=[m[2] for m in MISTAKES])
-def test_given_a_mistake_in_the_graph_when_checked_then_it_is_found_and_nothing_else(
-    shot, spoil, checks, text
-):
+def test_given_a_mistake_in_a_graph_when_checked_then_it_alone_is_found(shot, spoil, checks, text):
     spoil(shot)
-    bad = [f for f in graph.check_graph(shot) if f.level != Level.OK]
-    assert sorted(set(found(bad))) == checks.split(', ')
-    assert any(re.search(text, f'{f.text} {f.remedy}') for f in bad), [f.text for f in bad]
-    assert all(f.remedy for f in bad)
+    findings = bad(graph.check_graph(shot))
+    assert sorted(set(found(findings))) == checks.split(', ')
+    assert all(f.remedy for f in findings)
+    said = [f'{f.text} {f.remedy}' for f in findings]
+    assert any(re.search(text, one) for one in said), said
 
 
-def test_given_an_arm_on_the_command_line_when_checked_then_it_counts_and_not_the_running_one(
-    shot, paper_arm, real_arm
-):
+def test_given_another_arm_or_nothing_when_checked_then_it_is_said(shot, paper_arm, real_arm):
     assert graph.running_arm(shot) == paper_arm
     assert found(graph.check_graph(shot, real_arm)) == ['gains in use']
-
-
-def test_given_nothing_of_ours_when_checked_then_it_depends_on_what_was_asked(shot):
     assert found(graph.check_graph(Snapshot())) == ['nodes']
     assert found(graph.check_graph(Snapshot(), alone=False)) == []
     driver = Snapshot(measured=shot.measured, publishers=shot.publishers)
-    (finding,) = [f for f in graph.check_graph(driver) if f.level != Level.OK]
-    assert 'but there are measurements' in finding.text
-    assert 'no gains' in finding.remedy
+    (finding,) = bad(graph.check_graph(driver))
+    assert 'but there are measurements' in finding.text and 'no gains' in finding.remedy
 
 
 # ------------------------------------------------------------------ the command
 
 
-def test_given_good_files_when_the_command_runs_offline_then_code_0_and_3_if_not(capsys):
-    assert main(['doctor', '--arm', 'paper', '--gains', GAINS, '--offline']) == 0
+def test_given_files_when_the_command_runs_then_code_0_and_3_if_not(capsys, refused, monkeypatch):
+    line = ['doctor', '--gains', GAINS, '--offline', '--arm']
+    assert main([*line, 'paper']) == 0
     assert 'nothing found' in capsys.readouterr().out
-    assert main(['doctor', '--arm', 'real_arm', '--gains', GAINS, '--offline']) == 3
+    assert main([*line, 'real_arm']) == 3
     assert '-> lpv design --arm real_arm' in ' '.join(capsys.readouterr().out.split())
-    assert main(['doctor', '--arm', 'real_arm', '--gains', GAINS, '--offline', '--json']) == 3
+    assert main([*line, 'real_arm', '--json']) == 3
     told = json.loads(capsys.readouterr().out)
     assert told['ok'] is False
     assert [f['check'] for f in told['findings'] if f['level'] == 'ERROR'] == ['gains']
-
-
-def test_given_a_time_that_makes_no_sense_when_the_command_runs_then_it_is_refused(refused):
     for seconds in ('nan', '-1', '1e9'):
         assert refused('--seconds', 'doctor', '--seconds', seconds)
-
-
-def test_given_another_middleware_when_checked_offline_then_it_is_a_finding(monkeypatch, capsys):
+    # Another middleware is a finding, too.
     monkeypatch.setenv('RMW_IMPLEMENTATION', 'rmw_of_nobody')
     assert main(['doctor', '--json']) == 3  # the graph is left out: looking would end the process
     levels = {f['check']: f['level'] for f in json.loads(capsys.readouterr().out)['findings']}
@@ -357,9 +321,7 @@ def test_given_another_middleware_when_checked_offline_then_it_is_a_finding(monk
 
 
 @pytest.mark.ros
-def test_given_two_simulators_and_nobody_else_when_the_command_runs_then_both_mistakes_are_found(
-    monkeypatch, capsys
-):
+def test_given_two_simulators_alone_when_the_command_runs_then_all_is_found(monkeypatch, capsys):
     from rclpy.lifecycle import LifecycleNode
 
     domain, over = ros.next_domain(), threading.Event()
@@ -401,21 +363,16 @@ def recorded(arm, duration=1.2, scale=1.0, rate_scale=1.0, sign=1.0, rates=True)
         yield message(NOW + stamp, arm.joint_names, sign * tau, velocity, scale * q)
 
 
-@pytest.mark.parametrize(
-    ('changes', 'said'),
-    [
-        ({'scale': 57.3, 'rate_scale': 57.3}, 'rad: degrees'),
-        ({'scale': 57.3}, 'degrees'),
-        ({'rate_scale': 57.3}, 'rates in degrees'),
-    ],
-)
-def test_given_degrees_when_checked_then_they_are_named(paper_arm, changes, said):
-    messages = list(recorded(paper_arm, **changes))
-    finding = signals.check_units('/joint_states', messages, paper_arm)
-    assert finding.level == Level.ERROR and said in finding.text
-
-
-def test_given_small_angles_in_degrees_when_checked_then_gravity_tells(paper_arm, paper_model):
+def test_given_degrees_when_checked_then_they_are_named(paper_arm, paper_model):
+    for scale, rate_scale, said in (
+        (57.3, 57.3, 'rad: degrees'),
+        (57.3, 1.0, 'degrees'),
+        (1.0, 57.3, 'rates in degrees'),
+    ):
+        messages = list(recorded(paper_arm, scale=scale, rate_scale=rate_scale))
+        finding = signals.check_units('/joint_states', messages, paper_arm)
+        assert finding.level == Level.ERROR and said in finding.text
+    # Small angles in degrees are found by gravity.
     joints, rest = JointMap(paper_model), np.array([5.0, 0.0])  # below two turns
     held = -paper_model.constants().gravity * np.sin(joints.absolute_position(np.radians(rest)))
     messages = [message(stamp, effort=joints.joint_torque(held), position=rest) for stamp in STAMPS]
@@ -430,22 +387,19 @@ def test_given_moving_arms_when_checked_then_units_and_rates_are_as_their_files_
         assert signals.check_units('/joint_states', messages, arm) is None
         finding = signals.check_rate_source('/joint_states', messages, arm)
         assert finding.level == Level.OK and said in finding.text
-    sensors = [replace(joint.sensors, rates='derived') for joint in paper_arm.joints]
-    pairs = zip(paper_arm.joints, sensors)
-    derived = replace(paper_arm, joints=tuple(replace(j, sensors=own) for j, own in pairs))
+    joints = (replace(j, sensors=replace(j.sensors, rates='derived')) for j in paper_arm.joints)
+    derived = replace(paper_arm, joints=tuple(joints))
     finding = signals.check_rate_source('/joint_states', list(recorded(derived)), paper_arm)
     assert finding.level == Level.WARN and 'joint1 derived' in finding.text
-
-
-def test_given_no_rates_when_checked_then_an_arm_that_derives_them_does_without():
+    # An arm that derives them does without.
     without = list(recorded(crane(), 0.1, rates=False))
     assert signals.check_values('/joint_states', without, signals.needs_rates(crane())) is None
     assert signals.check_values('/joint_states', without).check == 'values'
 
 
-@pytest.mark.parametrize(('sign', 'level'), [(1.0, Level.OK), (-1.0, Level.ERROR)])
-def test_given_efforts_of_a_moving_arm_when_checked_then_a_wrong_sign_is_named(sign, level):
-    messages = list(recorded(crane(), 8.0, sign=sign))
-    finding = signals.check_setup('/joint_states', messages, crane())
-    assert finding.level == level
-    assert ('of all joints count against the motion' in finding.text) == (sign < 0.0)
+def test_given_efforts_of_a_moving_arm_when_checked_then_a_wrong_sign_is_named():
+    for sign, level in ((1.0, Level.OK), (-1.0, Level.ERROR)):
+        messages = list(recorded(crane(), 8.0, sign=sign))
+        finding = signals.check_setup('/joint_states', messages, crane())
+        assert finding.level == level
+        assert ('of all joints count against the motion' in finding.text) == (sign < 0.0)
