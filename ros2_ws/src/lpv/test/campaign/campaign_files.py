@@ -17,31 +17,17 @@ def spec(factors='', runs=1, **changes):
     return {**fields, **varied, **changes}
 
 
-FACTORS = """
-path: random
-fault.kind: [none, bias, drift, stuck, scale, noise, spike, dropout]
-fault.sensor: [link1_angle, link2_angle, both]
-fault.size: {bias: {low: 0.1, high: 0.5, spacing: log}, scale: 0.3, noise: 0.03, spike: 0.3}
-fault.rate: {drift: 0.3, spike: 20.0}
-fault.onset: {low: 1.2, high: 1.5}
-mass_1: {low: 0.95, high: 1.05}
-"""
+FACTORS = """{
+path: random, fault.kind: [none, bias, drift, stuck, scale, noise, spike, dropout],
+fault.sensor: [link1_angle, link2_angle, both],
+fault.size: {bias: {low: 0.1, high: 0.5, spacing: log}, scale: 0.3, noise: 0.03, spike: 0.3},
+fault.rate: {drift: 0.3, spike: 20.0}, fault.onset: {low: 1.2, high: 1.5},
+mass_1: {low: 0.95, high: 1.05}}"""
 SMALL = spec(FACTORS, 24, seed=1)
 UR10 = yaml.safe_load("""
-name: steps
-seed: 2
-arm: ur10
-scenario: ur10
-duration: 2.5
-plan: {method: factorial}
-factors:
-  path: random
-  fault.kind: [none, bias]
-  fault.sensor: [elbow_encoder, both]
-  fault.size: {bias: 0.01}
-  fault.onset: 1.5
-  parameter_error: 0.05
-  payload: 1.5
+{name: steps, seed: 2, arm: ur10, scenario: ur10, duration: 2.5, plan: {method: factorial},
+factors: {path: random, fault.kind: [none, bias], fault.sensor: [elbow_encoder, both],
+          fault.size: {bias: 0.01}, fault.onset: 1.5, parameter_error: 0.05, payload: 1.5}}
 """)
 
 

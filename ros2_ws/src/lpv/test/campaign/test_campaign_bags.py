@@ -1,5 +1,8 @@
-"""Runs of a campaign as bags: the signals of the run, its answers, and files to repeat it."""
+"""Bags of runs of campaigns, with files to repeat them; archives of bags, and what figures say."""
 
+import json
+import os
+import re
 import shutil
 from dataclasses import replace
 
@@ -7,9 +10,17 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from campaign_files import command, spec, written
+import yaml
+from campaign_files import UR10, command, rows_of, spec, written
+from rosbags.rosbag2 import StoragePlugin, Writer
 
+from lpv.bag.rosbag.interfaces import make_typestore
+from lpv.bag.rosbag.messages import BagMessages
+from lpv.bag.rosbag.writing import BagWriter
 from lpv.bag.run.record import load_run
+from lpv.campaign.execution.archive import Archive, archive_text, find_bags, unit_of
+from lpv.campaign.execution.bag_figures import STATES, alarm_rows
+from lpv.campaign.execution.run_metrics import figures
 from lpv.campaign.execution.run_to_bag import (
     START,
     check_answers,
@@ -21,25 +32,17 @@ from lpv.campaign.execution.runs import plan_run
 from lpv.campaign.plan.campaign import resolve
 from lpv.cli.main import main
 from lpv.core.serial_arm.arm_file import load_arm
+from lpv.core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent
 from lpv.core.simulation.scenario import load_scenario
-from lpv.core.support.errors import LpvError
+from lpv.core.support.errors import ConfigError, LpvError
 from lpv.core.uio.certificate.gains import load_gains
 
 pytestmark = pytest.mark.slow
 
-FACTORS = """
-path: random
-fault.kind: [bias, dropout, spike]
-fault.sensor: both
-fault.size: {bias: 0.3, spike: 0.4}
-fault.rate: {spike: 20.0}
-fault.onset: {low: 0.8, high: 1.0}
-fault.duration: 0.7
-mass_2: {low: 0.97, high: 1.03}
-command_delay: 2
-sample_loss: 0.05
-diagnosis.clear_dwell: 0.2
-"""
+FACTORS = """{path: random, fault.kind: [bias, dropout, spike], fault.sensor: both,
+fault.size: {bias: 0.3, spike: 0.4}, fault.rate: {spike: 20.0}, fault.onset: {low: 0.8, high: 1.0},
+fault.duration: 0.7, mass_2: {low: 0.97, high: 1.03}, command_delay: 2, sample_loss: 0.05,
+diagnosis.clear_dwell: 0.2}"""
 SPEC = spec(FACTORS, 3, seed=5, duration=2.5)
 
 
@@ -60,17 +63,14 @@ def done(tmp_path_factory):
     return plan, run, bag
 
 
-def test_given_a_run_when_written_as_a_bag_then_its_signals_are_there_without_the_lost_samples(
-    done,
-):
+def test_given_a_run_when_written_as_a_bag_then_all_but_lost_samples_are_there(done):
     _, run, bag = done
-    record, kept = load_run(bag), ~run.lost
+    record, kept, stamps = load_run(bag), ~run.lost, stamps_of(run)
     assert 20 < run.lost.sum() < 150
-    stamps = stamps_of(run)
-    np.testing.assert_array_equal(record.stamps['joint_states'], stamps[kept])
-    np.testing.assert_array_equal(record.stamps['ground_truth'], stamps)
-    effort = np.vstack([[0.0, 0.0], run.torque[:-1]])
-    answered = kept & ~run.safe_stop
+    effort, answered = np.vstack([[0.0, 0.0], run.torque[:-1]]), kept & ~run.safe_stop
+    samples = {'joint_states': kept, 'ground_truth': slice(None), 'reference': answered}
+    for stream, used in samples.items():
+        np.testing.assert_array_equal(record.stamps[stream], stamps[used])
     for stream, field, expected in (
         ('joint_states', 'position', run.measured[kept]),
         ('joint_states', 'velocity', run.measured_velocity[kept]),
@@ -85,116 +85,336 @@ def test_given_a_run_when_written_as_a_bag_then_its_signals_are_there_without_th
         ('reference', 'position', run.reference[answered]),
     ):
         np.testing.assert_array_equal(record.get(stream, field), expected, f'{stream} {field}')
-    np.testing.assert_array_equal(record.stamps['reference'], stamps[answered])
     assert [a.kind for a in record.alarms] == [a.kind for a in run.alarms] != []
     assert record.counts['/diagnostics'] >= 2
     # A command acts so many samples later, within limits.
-    torque = record.get('torque_command', 'torque')
     assert record.seconds(record.stamps['torque_command'][-1]) == pytest.approx(2.5, abs=0.05)
     row = int(np.flatnonzero(answered & ~run.braked)[300])
-    np.testing.assert_array_equal(
-        torque[np.searchsorted(stamps[kept], stamps[row])], run.torque[row + 2]
-    )
-    reference = record.get('reference', 'position'), record.get('reference', 'velocity')
-    rate = np.gradient(reference[0], (record.stamps['reference'] - START) / 1e9, axis=0)
-    np.testing.assert_allclose(rate[50:-50], reference[1][50:-50], atol=5e-3)
+    torque = record.get('torque_command', 'torque')[np.searchsorted(stamps[kept], stamps[row])]
+    np.testing.assert_array_equal(torque, run.torque[row + 2])
+    position, velocity = (record.get('reference', name) for name in ('position', 'velocity'))
+    rate = np.gradient(position, (record.stamps['reference'] - START) / 1e9, axis=0)
+    np.testing.assert_allclose(rate[50:-50], velocity[50:-50], atol=5e-3)
 
 
-def test_given_the_bag_of_a_run_when_replayed_with_its_files_then_every_bit_is_the_same(
-    done, tmp_path, capsys
-):
+def test_given_a_bag_of_a_run_when_replayed_with_its_files_then_every_bit_is_same(done, tmp_path):
     plan, _, bag = done
     assert load_arm(bag / 'arm.yaml') == plan.arm
     assert load_scenario(bag / 'scenario.yaml') == plan.scenario
     assert load_gains(bag / 'gains.yaml').certificate == plan.gains.certificate
-    files = ['--arm', str(bag / 'arm.yaml')]
-    again = tmp_path / 'again'
-    others = ['--gains', str(bag / 'gains.yaml'), '--parameters', str(bag / 'parameters.yaml')]
-    assert main(['replay', str(bag), *files, *others, '--out', str(again)]) == 0
-    assert main(['compare', str(bag), str(again), *files, '--exact']) == 0
-    report = ['--scenario', str(bag / 'scenario.yaml'), '--out', str(tmp_path / 'report')]
-    assert main(['report', str(bag), *files, *report]) == 0
-    assert (tmp_path / 'report' / 'report.html').stat().st_size > 10_000
-    capsys.readouterr()
+    names = 'arm', 'gains', 'parameters', 'scenario'
+    arm, gains, parameters, scenario = ([f'--{name}', str(bag / f'{name}.yaml')] for name in names)
+    again, page = str(tmp_path / 'again'), tmp_path / 'report' / 'report.html'
+    assert main(['replay', str(bag), *arm, *gains, *parameters, '--out', again]) == 0
+    assert main(['compare', str(bag), again, *arm, '--exact']) == 0
+    assert main(['report', str(bag), *arm, *scenario, '--out', str(page.parent)]) == 0
+    assert page.stat().st_size > 10_000
 
 
 def test_given_a_replay_that_answers_otherwise_when_checked_then_the_signal_is_named(done):
     _, run, bag = done
     check_answers(run, bag)
+    others = {'alarms': run.alarms[:-1], 'lost': np.roll(run.lost, 1)}
     for name in ('estimate', 'threshold', 'fault_estimate'):
-        values = getattr(run, name).copy()
-        values[np.flatnonzero(~run.lost)[-1], 1] += 1e-15
-        with pytest.raises(LpvError, match=f'another {name} '):
+        others[name] = getattr(run, name).copy()
+        others[name][np.flatnonzero(~run.lost)[-1], 1] += 1e-15
+    told = {'alarms': 'alarms', 'lost': 'other samples'}
+    for name, values in others.items():
+        with pytest.raises(LpvError, match=told.get(name, f'another {name} ')):
             check_answers(replace(run, **{name: values}), bag)
-    with pytest.raises(LpvError, match='alarms'):
-        check_answers(replace(run, alarms=run.alarms[:-1]), bag)
-    with pytest.raises(LpvError, match='other samples'):
-        check_answers(replace(run, lost=np.roll(run.lost, 1)), bag)
 
 
-def test_given_results_when_a_run_is_asked_for_then_its_figures_are_those_and_the_bag_is_there(
-    results, tmp_path, capsys, refused
-):
-    assert main(['campaign', str(results), '--run', '2', '--bag', str(tmp_path / 'bag')]) == 0
+def test_given_results_when_a_run_is_asked_for_then_its_bag_is(results, tmp_path, capsys, refused):
+    line = ['campaign', str(results), '--run', '2', '--bag', str(tmp_path / 'bag')]
+    assert main(line) == 0
     text = capsys.readouterr().out
-    assert 'detection_delay' in text
-    assert 'lpv replay' in text
+    assert 'detection_delay' in text and 'lpv replay' in text
     assert load_run(tmp_path / 'bag').counts['/lpv/ground_truth'] == 1251
-    assert refused('exists already', 'campaign', results, '--run', 2, '--bag', tmp_path / 'bag')
-    assert sorted(p.name for p in tmp_path.iterdir()) == ['bag']
+    assert refused('exists already', *line)
+    assert [p.name for p in tmp_path.iterdir()] == ['bag']
 
 
-@pytest.mark.parametrize(
-    ('arguments', 'told'),
-    [
-        (['{results}', '--run', '3', '--bag', 'x'], 'must lie within 0 and 2'),
-        (['{results}', '--run', '-1', '--bag', 'x'], 'must lie within 0 and 2'),
-        (['{results}', '--run', '1'], 'must be given together'),
-        (['{results}', '--bag', 'x'], 'must be given together'),
-        (['{results}', '--out', 'x'], 'goes with a campaign file'),
-        (['{tmp}', '--run', '1', '--bag', 'x'], 'holds no results'),
-        (['{tmp}'], 'holds no results'),
-        (['{tmp}/none.yaml', '--out', '{tmp}/out'], 'none.yaml'),
-        (['{tmp}/bad.yaml', '--out', '{tmp}/out'], 'bad.yaml'),
-        (['{tmp}/other.yaml', '--out', '{results}'], 'another campaign'),
-    ],
-)
-def test_given_what_makes_no_sense_when_called_then_one_line_says_so(
-    results, tmp_path, refused, arguments, told
-):
+def test_given_what_makes_no_sense_when_called_then_one_line_says_so(results, tmp_path, refused):
     (tmp_path / 'bad.yaml').write_text('name: [')
     written(tmp_path / 'other.yaml', {**SPEC, 'seed': 6})
     places = {'results': results, 'tmp': tmp_path}
-    assert refused(told, 'campaign', *(word.format(**places) for word in arguments))
-    assert not (tmp_path / 'out').exists()
+    for arguments, told in (
+        ('{results} --run 3 --bag x', 'must lie within 0 and 2'),
+        ('{results} --run -1 --bag x', 'must lie within 0 and 2'),
+        ('{results} --run 1', 'must be given together'),
+        ('{results} --bag x', 'must be given together'),
+        ('{results} --out x', 'goes with a campaign file'),
+        ('{tmp} --run 1 --bag x', 'holds no results'),
+        ('{tmp}', 'holds no results'),
+        ('{tmp}/none.yaml --out {tmp}/out', 'none.yaml'),
+        ('{tmp}/bad.yaml --out {tmp}/out', 'bad.yaml'),
+        ('{tmp}/other.yaml --out {results}', 'another campaign'),
+    ):
+        assert refused(told, 'campaign', *arguments.format(**places).split())
+        assert not (tmp_path / 'out').exists()
 
 
-def test_given_results_that_are_damaged_when_going_on_then_the_file_is_named(
-    results, tmp_path, refused
-):
-    file, out = written(tmp_path / 'spec.yaml', SPEC), tmp_path / 'out'
-    shutil.copytree(results, out)
-    for name in ('chunks/00000000.parquet', 'campaign.json'):
-        (out / name).write_bytes(b'{PAR1 nothing')
-        assert refused(name.split('/')[-1], *command(file, out))
-
-
-def test_given_results_that_are_not_what_comes_out_now_when_asked_then_the_figure_is_named(
-    results, tmp_path, refused
-):
-    other = shutil.copytree(results, tmp_path / 'out')
-    table = pq.read_table(results / 'runs.parquet')
+def test_given_changed_or_damaged_results_when_used_then_they_are_named(results, tmp_path, refused):
+    file, out = written(tmp_path / 'spec.yaml', SPEC), shutil.copytree(results, tmp_path / 'out')
+    table, chunk = pq.read_table(results / 'runs.parquet'), out / 'chunks' / '00000000.parquet'
     index = table.schema.get_field_index('angle_rms')
-    wrong = table.set_column(index, 'angle_rms', pa.array([1.0] * len(table)))
-    pq.write_table(wrong, other / 'chunks' / '00000000.parquet')
-    told = 'another angle_rms now'
-    assert refused(told, 'campaign', other, '--run', 0, '--bag', tmp_path / 'bag')
-    assert not (tmp_path / 'bag').exists()
+    pq.write_table(table.set_column(index, 'angle_rms', pa.array([1.0] * len(table))), chunk)
+    told, bag = 'another angle_rms now', tmp_path / 'bag'
+    assert refused(told, 'campaign', out, '--run', 0, '--bag', bag) and not bag.exists()
+    for damaged in (chunk, out / 'campaign.json'):
+        damaged.write_bytes(b'{PAR1 nothing')
+        assert refused(damaged.name, *command(file, out))
 
 
 def test_given_figures_when_compared_then_last_bits_and_missing_ones_do_not_count():
-    nan = float('nan')
-    stored = {'a': 1.0, 'b': nan, 'd': 'x', 'e': True}
+    stored = {'a': 1.0, 'b': float('nan'), 'd': 'x', 'e': True}
     assert differences(stored, {**stored, 'a': 1.0 + 1e-14, 'more': 1}) == []
     wrong = {'a': 1.1, 'b': 0.0, 'd': 'y', 'e': False}
     assert differences(stored, wrong) == list(wrong)
+
+
+TYPESTORE = make_typestore()
+JOINT_STATE = 'sensor_msgs/msg/JointState'
+FAULT = 'fault.kind: [none, bias, dropout], fault.size: 0.3, fault.onset: 1.2, fault.duration: 0.8'
+FLEET = spec(f'{{{FAULT}, path: random}}', seed=4, plan={'method': 'factorial'})
+GOOD = ['a/healthy', 'b/bias', 'b/dropout', 'foreign']
+BAD = {'b/junk.mcap': 'damaged', 'b/lonely': 'no metadata.yaml with files',
+       'deaf': 'has no topic', 'strange': "'joint1'"}  # fmt: skip
+"""Bags that cannot be used, and what is said of each."""
+
+
+@pytest.fixture(scope='module')
+def runs():
+    """Plans and runs by name."""
+    plans = [plan_run(resolve(FLEET, 'fleet', '.'), number) for number in range(3)]
+    return {n: (p, p.simulate()) for n, p in zip(('healthy', 'bias', 'dropout'), plans)}
+
+
+def write_foreign(path, run):
+    """A recording of somebody else in sqlite3: joints in another order, and one more."""
+    messages, names = BagMessages(TYPESTORE, 'base'), ('gripper', 'joint2', 'joint1')
+    effort = np.vstack([np.zeros((1, 2)), run.torque[:-1]])
+    with Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        connection = writer.add_connection('/js', JOINT_STATE, typestore=TYPESTORE)
+        for k, stamp in enumerate(stamps_of(run).tolist()):
+            values = [[0.5, *a[k, ::-1]] for a in (run.measured, run.measured_velocity, effort)]
+            message = messages.joint_state(stamp, names, *values)
+            writer.write(connection, stamp, TYPESTORE.serialize_cdr(message, JOINT_STATE))
+
+
+def write_odd(path, topic, message):
+    with BagWriter(path) as writer:
+        writer.add_topic(topic, message.__msgtype__)
+        for stamp in range(1, 5):
+            writer.write(topic, stamp, message)
+
+
+def write_files(root, content):
+    """Files by their path."""
+    for name, data in content.items():
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).write_bytes(data)
+
+
+@pytest.fixture(scope='module')
+def archive(runs, tmp_path_factory):
+    """An archive with good bags and bad ones."""
+    root = tmp_path_factory.mktemp('archive')
+    for bag in GOOD[:3]:
+        write_run_bag(*runs[bag[2:]], root / bag)
+    write_foreign(root / 'foreign', runs['bias'][1])
+    others = {
+        'b/junk.mcap': b'\x89MCAP0\r\n' + bytes(300),
+        'b/lonely/metadata.yaml': (root / 'a' / 'healthy' / 'metadata.yaml').read_bytes(),
+        '.hidden/x.mcap': b'',
+        'notes/metadata.yaml': b'colour: blue\n',
+    }
+    write_files(root, others)
+    write_odd(root / 'deaf', '/chatter', TYPESTORE.types['std_msgs/msg/String']('hello'))
+    zeros, names = [(0.0, 0.0)] * 3, ('elbow', 'wrist')
+    write_odd(root / 'strange', '/js', BagMessages(TYPESTORE, '').joint_state(1, names, *zeros))
+    return root
+
+
+@pytest.fixture(scope='module')
+def settings(archive, paper_arm, runs):
+    return Archive(archive_text(archive, paper_arm, runs['bias'][0].gains))
+
+
+def fleet(root, out, gains, *more):
+    files = ['--arm', 'paper', '--gains', str(gains), '--out', str(out), '--workers', '0']
+    return ['fleet', str(root), *files, *more]
+
+
+@pytest.fixture(scope='module')
+def gains(archive):
+    return archive / 'a' / 'healthy' / 'gains.yaml'
+
+
+@pytest.fixture(scope='module')
+def tried(archive, gains, tmp_path_factory):
+    """Results folder of the archive, and its rows by bag."""
+    out = tmp_path_factory.mktemp('tried') / 'out'
+    assert main(fleet(archive, out, gains)) == 3
+    return out, {row['bag']: row for row in rows_of(out, 'bags')}
+
+
+def test_given_an_archive_when_searched_then_bags_are_found_and_nothing_else(archive, tmp_path):
+    def names(*arguments):
+        return [name for (name,) in find_bags(*arguments).values()]
+
+    assert names(archive) == sorted([*GOOD, *BAD])
+    assert names(archive, [archive / 'b']) == ['a/healthy', 'deaf', 'foreign', 'strange']
+    loose = ['cut/cut_0.mcap', 'cut/cut_1.mcap', 'loose/one.mcap', 'loose/two.db3']
+    write_files(tmp_path, dict.fromkeys([*loose, 'whole/whole.mcap', 'old/old_0.db3'], b''))
+    assert names(tmp_path) == ['cut', *loose[2:], 'old/old_0.db3', 'whole']
+    with pytest.raises(ConfigError, match='not a folder'):
+        find_bags(tmp_path / 'nowhere')
+
+
+def test_given_a_bag_when_asked_whose_it_is_then_its_serial_or_folder_tells(archive, tmp_path):
+    assert (unit_of(archive, 'b/bias'), unit_of(archive, 'foreign')) == ('b', '')
+    data = yaml.safe_load((archive / 'a' / 'healthy' / 'metadata.yaml').read_text())
+    data['rosbag2_bagfile_information']['custom_data'] = {'serial': 'SN-7'}
+    for content, unit in ((yaml.safe_dump(data), 'SN-7'), ('{', 'week1')):
+        write_files(tmp_path, {'week1/bag/metadata.yaml': content.encode()})
+        assert unit_of(tmp_path, 'week1/bag') == unit
+
+
+def test_given_an_archive_when_replayed_then_rows_have_figures_or_say_why(tried, runs):
+    _, rows = tried
+    for bag in GOOD[:3]:
+        expected = figures(*runs[bag[2:]])
+        assert set(expected) <= set(rows[bag])
+        assert differences(rows[bag], expected) == []
+    mine, other = rows['b/bias'], rows['foreign']
+    assert mine['detected'] and not rows['a/healthy']['detected']
+    for name in ('alarms_1', 'alarms_2', 'score_1', 'fault_rms_2', 'time_error_1', 'alarm_list'):
+        assert other[name] == mine[name], name
+    assert (other['has_truth'], other['false_alarms'], other['topic']) == (False, None, '/js')
+    assert set(rows) == {*GOOD, *BAD}
+    assert {name for name, row in rows.items() if row['error']} == set(BAD)
+    for name, told in BAD.items():
+        assert told in rows[name]['error'] and rows[name]['alarms'] is None
+
+
+def test_given_answers_when_summed_up_then_they_are_those_recorded(tried, archive, runs, paper_arm):
+    _, rows = tried
+    for name in ('b/bias', 'b/dropout'):
+        record, row = load_run(archive / name), rows[name]
+        columns = (record.get('fault_estimate', f).T for f in ('state', 'estimate', 'threshold'))
+        stamps = record.stamps['fault_estimate']
+        interval = np.append(np.diff(stamps) / 1e9, paper_arm.sample_time)
+        for i, (state, estimate, threshold) in enumerate(zip(*columns), 1):
+            here, used = state <= 2, state != 3
+            for k, word in enumerate(STATES):
+                expected = interval[state == k].sum()
+                assert row[f'time_{word}_{i}'] == pytest.approx(expected, abs=1e-9), (name, word)
+            assert row[f'fault_mean_{i}'] == pytest.approx(estimate[here].mean())
+            assert row[f'fault_rms_{i}'] == pytest.approx(np.sqrt(np.mean(estimate[here] ** 2)))
+            assert row[f'fault_largest_{i}'] == np.abs(estimate[here]).max()
+            assert row[f'threshold_mean_{i}'] == pytest.approx(threshold[here].mean())
+            assert row[f'score_{i}'] == (np.abs(estimate) / threshold)[used].max()
+        assert row['measurements'] == len(record.stamps['joint_states']) == 1501
+        assert (row['duration'], row['observed']) == (3.0, pytest.approx(3.002))
+        raised = [a for a in record.alarms if a.event == AlarmEvent.RAISED]
+        assert row['alarms'] == sum(a['count'] for a in row['alarm_list']) == len(raised) > 0
+        first, known = row['alarm_list'][0], raised[0]
+        expected = known.sensor, known.size, record.seconds(known.onset)
+        assert (first['sensor'], first['size'], first['onset']) == expected
+    run = runs['bias'][1]
+    assert rows['b/bias']['inconsistent_time'] == pytest.approx(run.inconsistent.sum() * 0.002)
+
+
+def test_given_no_scenario_or_a_long_bag_when_replayed_then_the_truth_is_shown_or_left_out(
+    archive, settings, tmp_path, runs, monkeypatch
+):
+    for name in ('bias', 'dropout'):
+        shutil.copytree(archive / 'b' / name, tmp_path / name)
+        (tmp_path / name / 'scenario.yaml').unlink()
+        row, expected = settings.row(str(tmp_path / name)), figures(*runs[name])
+        for figure in ('sensor', 'detected', 'isolated', 'false_alarms', 'wrong_alarms'):
+            assert row[figure] == expected[figure], (name, figure)
+        assert row['detection_delay'] == pytest.approx(expected['detection_delay'])
+        assert row['kind'] == 'unknown'
+    monkeypatch.setattr('lpv.campaign.execution.bag_figures.MOST_SAMPLES', 1000)
+    row = settings.row('b/bias')
+    assert (row['alarms'], row['error']) == (1, '') and 'false_alarms' not in row
+    assert 'too long' in row['warnings']
+
+
+def test_given_an_archive_of_a_serial_arm_when_replayed_then_its_rows_name_all_joints(tmp_path):
+    plan, bags, out = plan_run(resolve(UR10, 's', '.'), 2), tmp_path / 'bags', tmp_path / 'out'
+    write_run_bag(plan, plan.simulate(), bags / 'one')
+    line = ['fleet', str(bags), '--arm', 'ur10', '--out', str(out), '--workers', '0']
+    assert main(line) == 0
+    (row,) = rows_of(out, 'bags')
+    assert row['isolated'] and row['kind'] == 'bias' and row['score_6'] is not None
+    assert re.search('UR|ur10', (out / 'report.html').read_text())
+
+
+def test_given_results_when_called_again_then_only_new_changed_and_failed_bags_are_replayed(
+    archive, gains, tmp_path, monkeypatch, capsys
+):
+    root, out = tmp_path / 'root', tmp_path / 'root' / 'out'
+    shutil.copytree(archive / 'b', root / 'b')
+    shutil.copytree(archive / 'foreign', root / 'foreign')
+    assert main(fleet(root, out, gains)) == 3
+    seen, true = [], Archive.row
+    monkeypatch.setattr(Archive, 'row', lambda self, bag: seen.append(bag) or true(self, bag))
+    os.utime(next((root / 'b' / 'bias').glob('*.mcap')), ns=(1, 1))
+    shutil.rmtree(root / 'b' / 'dropout')
+    shutil.copytree(archive / 'a' / 'healthy', root / 'new')
+    assert main(fleet(root, out, gains)) == 3
+    assert '1 of 5 are here already' in capsys.readouterr().out
+    assert seen == ['b/bias', 'b/junk.mcap', 'b/lonely', 'new']
+    assert [row['bag'] for row in rows_of(out, 'bags')] == [*seen[:3], 'foreign', 'new']
+    (root / 'b' / 'junk.mcap').unlink()
+    shutil.rmtree(root / 'b' / 'lonely')
+    assert main(fleet(root, out, gains)) == 0
+
+
+def test_given_a_fleet_that_makes_no_sense_when_called_then_one_line_says_so(
+    archive, gains, tried, tmp_path, refused
+):
+    places = {'tmp': tmp_path, 'bags': archive, 'gains': gains, 'done': tried[0]}
+    for arguments, told in (
+        ('{tmp}/nowhere --arm paper', 'is not a folder'),
+        ('{tmp} --arm paper', 'holds no rosbag2 bag'),
+        ('{bags}', '--arm'),
+        ('{bags} --arm nobody', 'nobody'),
+        ('{bags} --arm real_arm --gains {gains}', 'another arm'),
+        ('{bags} --arm ur10 --gains {gains}', 'gains'),
+        ('{bags} --arm paper --gains {gains} --from 0.5 --out {done}', 'another campaign'),
+    ):
+        words = f'--out {{tmp}}/out {arguments} --workers 0'.format(**places).split()
+        assert refused(told, 'fleet', *words)
+
+
+def test_given_an_archive_when_reported_then_figures_count_what_the_rows_say(tried):
+    out, rows = tried
+    numbers, page = json.loads((out / 'report.json').read_text()), (out / 'report.html').read_text()
+    head, detected = numbers['head'], numbers['overall']['detected']
+    assert (head['count'], head['failed'], detected['hits'], detected['cases']) == (4, 4, 2, 2)
+    alarms = {rate['name']: rate['events'] for rate in numbers['alarms']}
+    assert alarms['alarms of all sensors'] == sum(rows[name]['alarms'] for name in GOOD)
+    *others, last = (row['bag'] for row in numbers['bags'])
+    assert {*others, last} == set(GOOD) and last == 'a/healthy'
+    assert all(name in page for name in (*GOOD, *BAD)) and 'src="http' not in page
+
+
+def test_given_alarms_when_listed_then_those_of_one_sensor_and_kind_are_one_line():
+    raised, updated, cleared = AlarmEvent.RAISED, AlarmEvent.UPDATED, AlarmEvent.CLEARED
+    events = [
+        Alarm(event, 0, sensor, onset * 10**9, (onset + 1) * 10**9, 0.1, 0.01, kind, 1.0)
+        for event, sensor, kind, onset in (
+            (raised, 'one', 'unclassified', 1),
+            (updated, 'one', 'drift', 1),
+            (cleared, 'one', 'drift', 1),
+            (raised, 'one', 'drift', 5),
+            (raised, 'two', 'drift', 6),
+        )
+    ]
+    rows = alarm_rows(events, 0)
+    found = [(row['sensor'], row['kind'], row['count'], row['onset']) for row in rows]
+    assert found == [('one', 'drift', 2, 1.0), ('two', 'drift', 1, 6.0)]
