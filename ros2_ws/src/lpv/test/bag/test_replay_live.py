@@ -62,21 +62,19 @@ def played(paper_arm, paper_gains, two_faults, tmp_path_factory):
     """Every second measurement of 4 s, with a fault in the second half, as of a bad transport; with
     answers of an earlier node that must not be played."""
     path, log_time = tmp_path_factory.mktemp('played') / 'bag', START
-    fault = Fault('link2_angle', 'bias', onset=2.0, size=0.3)
-    scenario = replace(two_faults, duration=4.0, faults=(fault,))
-    run = run_closed_loop(paper_arm, scenario, paper_gains)
+    faults = (Fault('link2_angle', 'bias', onset=2.0, size=0.3),)
+    run = run_closed_loop(paper_arm, replace(two_faults, duration=4.0, faults=faults), paper_gains)
     samples = list(zip(run.measured, run.measured_velocity, run.effort))[:2000:2]
-    messages = BagMessages(TYPESTORE, 'base_link')
+    messages, kind = BagMessages(TYPESTORE, 'base_link'), 'lpv_msgs/msg/FaultAlarm'
     with BagWriter(path) as writer:
         writer.add_topic(MEASURED, JOINT_STATE, [qos_profile(True, False, 1000)])
-        writer.add_topic('/lpv/fault_alarm', 'lpv_msgs/msg/FaultAlarm')
+        writer.add_topic('/lpv/fault_alarm', kind)
         for delay, k in schedule(len(samples)):
             log_time, stamp = log_time + delay, START + k * PERIOD
             message = messages.joint_state(stamp, paper_arm.joint_names, *samples[k])
             writer.write(MEASURED, log_time, message)
-        old = Alarm(AlarmEvent.RAISED, 0, 'old', 1, 2, 1.0, 1.0, 'bias', 1.0)
-        alarm = messages.make('lpv_msgs/msg/FaultAlarm', stamp, alarm_fields(old))
-        writer.write('/lpv/fault_alarm', log_time, alarm)
+        old = alarm_fields(Alarm(AlarmEvent.RAISED, 0, 'old', 1, 2, 1.0, 1.0, 'bias', 1.0))
+        writer.write('/lpv/fault_alarm', log_time, messages.make(kind, stamp, old))
     return path
 
 
@@ -92,56 +90,43 @@ def stamped(bag, **limits):
     return found
 
 
-def without(bag, out, stamps):
-    """The measurements of a bag, but not those with some stamps."""
-
-    def kept(_, data):
-        message = TYPESTORE.deserialize_cdr(data, JOINT_STATE)
-        return None if to_nanoseconds(message.header.stamp) in stamps else data
-
-    return copied(bag, out, MEASURED.__eq__, kept)
-
-
 def share_of_same_answers(bag, arm, gains, tmp_path, sent):
     """Replay what the node got, and compare every answer; how many of all there were."""
     online, measured = stamped(bag), {stamp for stamp, _ in stamped(sent)[MEASURED]}
     for topic in ANSWERS:
         # Apart from answers the node says when it has not heard anything for long.
         online[topic] = [entry for entry in online[topic] if entry[0] in measured]
-    answered = {stamp for topic in ANSWERS for stamp, _ in online[topic]}
+    answered, lost, missing = {stamp for t in ANSWERS for stamp, _ in online[t]}, set(), {0}
+
+    def received(_, data):
+        stamp = TYPESTORE.deserialize_cdr(data, JOINT_STATE).header.stamp
+        return None if to_nanoseconds(stamp) in lost else data
+
     # A busy node misses messages.  Where one is taken away, the one that it had overtaken counts.
-    lost, missing = set(), None
-    while missing is None or missing:
+    while missing:
         source, out = (tmp_path / f'{name}{len(lost)}' for name in ('received', 'replayed'))
-        without(sent, source, lost)
+        copied(sent, source, MEASURED.__eq__, received)
         Replay(SerialSensorMonitor('', arm, gains=gains)).run(source, out)
         replayed = stamped(out)
-        missing = {stamp for stamp, _ in replayed['/lpv/state_estimate']} - answered
+        given = {stamp for stamp, _ in replayed['/lpv/state_estimate']}
+        missing = given - answered
         lost |= missing
-    assert {stamp for stamp, _ in replayed['/lpv/state_estimate']} == answered
+    assert given == answered
     for topic in ANSWERS:
         # An answer may be lost on its way to the recorder, too; what arrived must be the same.
-        assert set(online[topic]) <= set(replayed[topic]), topic
-        order = [entry for entry in replayed[topic] if entry in set(online[topic])]
-        assert online[topic] == order, topic
+        arrived = set(online[topic])
+        assert online[topic] == [entry for entry in replayed[topic] if entry in arrived], topic
     return len(online['/lpv/state_estimate']) / len(measured)
 
 
 def start_player(bag, domain, *options):
-    program = Path(sys.executable).parent / 'lpv'
-    return subprocess.Popen(
-        [program, 'replay', bag, '--publish', *options],
-        text=True,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        env={**os.environ, 'ROS_DOMAIN_ID': str(domain)},
-    )
+    line = [Path(sys.executable).parent / 'lpv', 'replay', bag, '--publish', *options]
+    environment, pipe = {**os.environ, 'ROS_DOMAIN_ID': str(domain)}, subprocess.PIPE
+    return subprocess.Popen(line, text=True, stdout=pipe, stderr=pipe, env=environment)
 
 
 @pytest.mark.realtime
-def test_given_a_bag_of_bad_transport_when_played_to_a_node_then_it_answers_as_the_replay_does(
-    tmp_path, paper_arm, paper_gains, played
-):
+def test_given_bad_transport_when_played_then_as_replayed(tmp_path, paper_arm, paper_gains, played):
     stamps = np.array([stamp for stamp, _ in stamped(played)[MEASURED]])
     assert (np.diff(stamps) == 0).any(), 'no message came twice'
     assert (np.diff(stamps) < 0).any(), 'no message was overtaken'
@@ -179,8 +164,8 @@ def test_given_a_bag_of_bad_transport_when_played_to_a_node_then_it_answers_as_t
 def test_given_a_loop_when_interrupted_then_time_has_started_again_and_the_player_ends(played):
     domain, stamps = ros.next_domain(), []
     with AnyReader([played]) as reader:
-        limits = [reader.start_time + share * NANOSECONDS // 10 for share in (1, 9)]
-    chosen = {stamp for stamp, _ in stamped(played, start=limits[0], stop=limits[1])[MEASURED]}
+        start, stop = (reader.start_time + share * NANOSECONDS // 10 for share in (1, 9))
+    chosen = {stamp for stamp, _ in stamped(played, start=start, stop=stop)[MEASURED]}
     with ros.client(domain) as client:
         heard = client.listen(JointState, 'joint_states', qos_profile_sensor_data)
         others = client.listen(FaultEstimate, 'fault_estimate', qos_profile_sensor_data)
@@ -195,10 +180,8 @@ def test_given_a_loop_when_interrupted_then_time_has_started_again_and_the_playe
         assert client.node.count_publishers('/clock') == 0
         player.send_signal(signal.SIGINT)
         _, errors = player.communicate(timeout=600)
-    assert player.returncode == 130
-    assert errors.endswith('interrupted\n')
-    assert others == []
-    assert set(stamps) <= chosen
+    assert player.returncode == 130 and errors.endswith('interrupted\n')
+    assert others == [] and set(stamps) <= chosen
 
 
 def test_given_options_that_make_no_sense_when_played_then_one_line_says_so(played, refused):
