@@ -36,15 +36,12 @@ def row(number, **changes):
     each = {'score_before': 0.5, 'score_during': math.nan, 'alarms_before': 0, 'found': False,
             'error_rms': 0.01, 'mean_threshold': 0.05}  # fmt: skip
     columns = {f'{name}_{i}': value for name, value in each.items() for i in (1, 2)}
-    floats = dict.fromkeys(
-        ('fault_size', 'detection_delay', 'size_error', 'tracking_rms_during', 'tracking_ratio'),
-        math.nan,
-    )
+    figures = 'fault_size', 'detection_delay', 'size_error', 'tracking_rms_during', 'tracking_ratio'
+    times = dict.fromkeys(('observed', 'healthy_time', 'early_time'), 10.0)
     return {
-        'number': number, **texts, **counts, **columns, **floats, 'detected': False,
-        'isolated': False, 'stable': True, 'observed': 10.0, 'healthy_time': 10.0,
-        'early_time': 10.0, 'tracking_max': 0.01, 'tracking_rms': 0.001,
-        'compensation': 'confirmed', **changes,
+        'number': number, **texts, **counts, **columns, **dict.fromkeys(figures, math.nan), **times,
+        'detected': False, 'isolated': False, 'stable': True, 'tracking_max': 0.01,
+        'tracking_rms': 0.001, 'compensation': 'confirmed', **changes,
     }  # fmt: skip
 
 
@@ -77,18 +74,15 @@ def numbers_of(campaign, rows, tmp_path):
 
 
 @pytest.mark.parametrize(('events', 'hours'), [(0, 2.0), (3, 1.0), (100, 7.0)])
-def test_given_events_when_their_rate_is_bounded_then_it_is_the_exact_poisson_interval(
-    events, hours
-):
-    found = poisson_rate(events, hours)
-    tail = 0.025 if events else 0.05
+def test_given_events_when_counted_then_their_rate_has_the_exact_poisson_interval(events, hours):
+    found, tail = poisson_rate(events, hours), 0.025 if events else 0.05
     assert chi2.cdf(2.0 * hours * found['high'], 2 * events + 2) == pytest.approx(1.0 - tail)
     if events:
         assert chi2.cdf(2.0 * hours * found['low'], 2 * events) == pytest.approx(tail)
     assert poisson_rate(events, 0.0)['rate'] is None
 
 
-def test_given_scores_when_swept_then_the_area_is_that_below_the_curve():
+def test_given_scores_or_sizes_when_swept_then_area_and_smallest_size_are_those_of_the_curve():
     rng = np.random.default_rng(4)
     found = roc(rng.normal(1.5, 0.5, 150), rng.normal(0.9, 0.4, 150))
     area = np.trapezoid(found['detection'], found['false_alarm'])
@@ -96,9 +90,6 @@ def test_given_scores_when_swept_then_the_area_is_that_below_the_curve():
     assert roc(np.array([2.0, 3.0]), np.array([0.1, 0.2]))['area'] == 1.0
     assert roc(np.ones(9), np.ones(7))['area'] == 0.5
     assert roc(np.array([math.nan]), np.ones(3)) is None
-
-
-def test_given_sizes_when_asked_from_where_on_they_are_found_then_it_is_that_size():
     sizes = np.linspace(0.1, 2.0, 20)
     assert found_from(sizes, sizes > 0.95) == pytest.approx(1.0)
     assert found_from(sizes, np.ones(20, bool)) == pytest.approx(0.1)
@@ -110,42 +101,37 @@ def test_given_answers_when_counted_then_the_matrix_is_that_of_the_rows():
     truth = np.array(['bias', 'bias', 'drift', 'drift'], object)
     said = np.array(['bias', 'none', 'odd', 'drift'], object)
     found = confusion(truth, said, ('bias', 'drift', 'none'))
-    assert found['rows'] == ['bias', 'drift']
-    assert found['columns'] == ['bias', 'drift', 'none', 'odd']
-    assert found['counts'] == [[1, 0, 1, 0], [0, 1, 0, 1]]
-    assert [share['rate'] for share in found['right']] == [0.5, 0.5]
-    assert [share['rate'] for share in found['right_if_said']] == [1.0, 0.5]
+    shares = [[share['rate'] for share in found.pop(key)] for key in ('right', 'right_if_said')]
+    assert shares == [[0.5, 0.5], [1.0, 0.5]]
+    rows, columns = ['bias', 'drift'], ['bias', 'drift', 'none', 'odd']
+    counts = [[1, 0, 1, 0], [0, 1, 0, 1]]
+    assert found.items() >= {'rows': rows, 'columns': columns, 'counts': counts}.items()
     assert confusion(truth[:0], said[:0], ())['rows'] == []
 
 
-def test_given_runs_when_their_numbers_are_gathered_then_they_are_those_of_the_rows(
-    campaign, tmp_path
-):
+def test_given_runs_when_numbers_are_gathered_then_they_are_those_of_the_rows(campaign, tmp_path):
     rows = made_up(120)
     rows[0].update(false_alarms=3, alarms_before_2=2)
     found = numbers_of(campaign, rows, tmp_path)
     faulty = [r for r in rows if r['kind'] != 'none']
     assert found['overall']['detected']['hits'] == sum(r['detected'] for r in faulty)
     assert found['overall']['detected']['cases'] == len(faulty) == 80
-    rates = {rate['name']: (rate['events'], rate['hours']) for rate in found['alarms']}
-    assert rates['false alarms'] == (3, pytest.approx((40 * 10.0 + 80 * 8.0) / 3600.0))
-    early = pytest.approx((40 * 10.0 + 80 * 4.0) / 3600.0)
-    assert rates['before any fault, or without one'] == (2, early)
-    assert rates['after the end of a fault'] == (1, pytest.approx(80 * 4.0 / 3600.0))
+    rates = {rate['name']: (rate['events'], 3600.0 * rate['hours']) for rate in found['alarms']}
+    for name, events, seconds in (
+        ('false alarms', 3, 40 * 10.0 + 80 * 8.0),
+        ('before any fault, or without one', 2, 40 * 10.0 + 80 * 4.0),
+        ('after the end of a fault', 1, 80 * 4.0),
+    ):
+        assert rates[name] == (events, pytest.approx(seconds))
     both = next(e for e in found['detection'] if e['kind'] == 'bias' and e['sensor'] == 'both')
     mine = [r for r in rows if r['kind'] == 'bias' and r['sensor'] == 'both']
     assert both['delay'] == spread([r['detection_delay'] for r in mine])
     assert sorted(both['sizes']) == sorted(r['fault_size'] for r in mine)
     assert sum(c['detected']['cases'] for c in both['classes']) == len(mine)
     assert [entry['kind'] for entry in found['roc']] == ['bias', 'stuck']
-    by = {
-        table['factor']: {g['value']: g['count'] for g in table['groups']}
-        for table in found['groups']
-    }
-    assert by == {
-        'kind': {'none': 40, 'bias': 40, 'stuck': 40},
-        'compensation': {'off': 60, 'confirmed': 60},
-    }
+    by = {one['factor']: {g['value']: g['count'] for g in one['groups']} for one in found['groups']}
+    kinds = dict.fromkeys(('none', 'bias', 'stuck'), 40)
+    assert by == {'kind': kinds, 'compensation': {'off': 60, 'confirmed': 60}}
 
 
 def test_given_runs_when_the_worst_are_listed_then_each_has_its_command(campaign, tmp_path):
@@ -158,50 +144,38 @@ def test_given_runs_when_the_worst_are_listed_then_each_has_its_command(campaign
     assert [(r['number'], r['value']) for r in missed['runs']] == [(5, pytest.approx(0.5 / 0.9))]
     assert late['runs'] == false['runs'] == []
     assert missed['runs'][0]['command'] == command(tmp_path, 5)
-    assert command('my results', 7) == (
-        "lpv campaign 'my results' --run 7 --bag 'my results/bags/run_7'"
-    )
-
-
-def bags(rows):
-    return Results(table(rows), ('one', 'two'))
+    told = "lpv campaign 'my results' --run 7 --bag 'my results/bags/run_7'"
+    assert command('my results', 7) == told
 
 
 def test_given_an_encoder_that_ages_when_trends_are_asked_for_then_its_arm_is_the_first():
-    rng = np.random.default_rng(3)
+    def trends_of(bags):
+        rows = []
+        for unit, day, mean in bags:
+            means = {'fault_mean_1': mean, 'fault_mean_2': 0.0}
+            limits = dict.fromkeys(('threshold_mean_1', 'threshold_mean_2'), 0.05)
+            known = {'unit': unit, 'start': int((1e4 + day) * 86400e9), 'kind': None}
+            rows.append({**known, 'sensor': None, **means, **limits})
+        return trends(Results(table(rows), ('one', 'two')))
 
-    def made(unit, day, mean):
-        start = int((1e4 + day) * 86400e9)
-        means = {'fault_mean_1': mean, 'fault_mean_2': 0.0}
-        return {'unit': unit, 'start': start, **means, 'threshold_mean_1': 0.05,
-                'threshold_mean_2': 0.05, 'kind': None, 'sensor': None}  # fmt: skip
-
-    rows = [
-        made(f'arm{unit}', 7.0 * k, 2e-4 * (unit == 5) * 7.0 * k + 0.002 * rng.standard_normal())
-        for unit in range(8)
-        for k in range(12)
-    ]
-    found = trends(bags(rows))
+    noise, days = 0.002 * np.random.default_rng(3).standard_normal((8, 12)), 7.0 * np.arange(12)
+    noise[5] += 2e-4 * days
+    found = trends_of((f'arm{unit}', days[k], noise[unit, k]) for unit, k in np.ndindex(8, 12))
     assert len(found) == 16
     assert [(t['unit'], t['sensor']) for t in found if t['clear']] == [('arm5', 'one')]
     low, high = found[0]['interval']
     assert 1e-4 < low < 2e-4 < high
     assert found[0]['days_left'] == pytest.approx((0.05 - 77 * 2e-4) / 2e-4, rel=0.25)
     # Without dates there is no order, and few bags say nothing.
-    assert trends(bags([made('a', 0.0, k) for k in range(9)])) == []
-    assert trends(bags([made('a', k, k) for k in range(4)])) == []
+    assert trends_of(('a', 0.0, k) for k in range(9)) == []
+    assert trends_of(('a', k, k) for k in range(4)) == []
 
 
 def test_given_bags_when_ranked_then_alarms_come_first_then_contradictions_then_scores():
-    calm = {'bag': 'calm', 'alarms': 0, 'observed': 3600.0, 'inconsistent_time': 0.0, 'score': 0.5}
-    rows = [
-        calm,
-        {**calm, 'bag': 'near', 'score': 0.9},
-        {**calm, 'bag': 'odd', 'inconsistent_time': 100.0},
-        {**calm, 'bag': 'alarmed', 'alarms': 1, 'score': 0.2},
-    ]
-    ranked = sorted(rows, key=suspicion, reverse=True)
-    assert [row['bag'] for row in ranked] == ['alarmed', 'odd', 'near', 'calm']
+    calm = {'bag': 'a', 'alarms': 0, 'observed': 3600.0, 'inconsistent_time': 0.0, 'score': 0.5}
+    near, odd = {**calm, 'score': 0.9}, {**calm, 'inconsistent_time': 100.0}
+    rows = [{**calm, 'alarms': 1, 'score': 0.2}, odd, near, calm]
+    assert sorted(reversed(rows), key=suspicion, reverse=True) == rows
 
 
 def check_page(path):
@@ -213,9 +187,7 @@ def check_page(path):
 
 
 @pytest.mark.parametrize(('count', 'pictures'), [(1, 1), (2, 2), (120, 3)])
-def test_given_results_when_reported_then_the_page_is_whole_and_its_numbers_are_json(
-    campaign, tmp_path, count, pictures
-):
+def test_given_results_when_reported_then_the_page_is_whole(campaign, tmp_path, count, pictures):
     report = write_report(campaign, table(made_up(count)), tmp_path, 120)
     text = check_page(report.html)
     assert text.count('<img') == pictures
@@ -224,17 +196,16 @@ def test_given_results_when_reported_then_the_page_is_whole_and_its_numbers_are_
     assert json.loads(report.json.read_text()) == json.loads(json.dumps(report.numbers))
 
 
-def test_given_unfinished_results_when_reported_then_the_command_says_what_is_missing(
-    tmp_path, capsys
-):
-    factors = '{path: random, fault.kind: [none, bias], fault.size: 0.3}'
+def test_given_unfinished_results_when_reported_then_it_is_said_what_is_missing(tmp_path, capsys):
+    factors, out = '{path: random, fault.kind: [none, bias], fault.size: 0.3}', tmp_path / 'out'
     file = written(tmp_path / 'spec.yaml', spec(factors, 22, duration=2.0))
-    out = tmp_path / 'out'
-    assert main(['campaign', str(file), '--out', str(out), '--workers', '0']) == 0
+
+    def missing(*line):
+        assert main(['campaign', *map(str, line)]) == 0
+        return json.loads((out / 'report.json').read_text())['head']['missing']
+
+    assert missing(file, '--out', out, '--workers', 0) == 0
     check_page(out / 'report.html')
-    assert json.loads((out / 'report.json').read_text())['head']['missing'] == 0
     (out / 'chunks' / '00000000.parquet').unlink()
-    capsys.readouterr()
-    assert main(['campaign', str(out)]) == 0
+    assert missing(out) == 20
     assert '20 of 22 runs are missing' in capsys.readouterr().out
-    assert json.loads((out / 'report.json').read_text())['head']['missing'] == 20
