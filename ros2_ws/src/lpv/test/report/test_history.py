@@ -113,9 +113,11 @@ def page(paper_arm):
 def shown(paper_arm, tmp_path, monkeypatch):
     """Page of a record, without pictures."""
     monkeypatch.setattr('lpv.report.run.draw_all', lambda *_: [])
-    return lambda record, reports=None: write(
-        analysed(record, paper_arm, reports), tmp_path
-    ).html.read_text()
+
+    def html(record, reports=None):
+        return write(analysed(record, paper_arm, reports), tmp_path).html.read_text()
+
+    return html
 
 
 def test_given_rates_when_reported_then_the_fastest_joint_and_its_limit_come_first(page):
@@ -149,9 +151,7 @@ def test_given_faults_and_alarms_when_reported_then_misses_and_false_alarms_are_
     assert false[2:7] == ['0.850', '0.860', 'false alarm', 'active', '+0.998']
     missed = 'Missed: a fault of right from 0.500 s to 0.700 s raised no alarm.'
     assert re.findall('Missed: [^!]*? alarm[.]', text(page)) == [missed]
-
-
-def test_given_a_healthy_run_or_a_name_with_markup_when_reported_then_both_are_text(shown):
+    # A healthy run, and a name with markup.
     said = text(shown(made_up([], [])))
     assert 'No alarm.' in said and 'Missed' not in said
     assert 'None: no inconsistent phase, no safe stop' in said
@@ -176,9 +176,7 @@ def test_given_events_of_two_sensors_when_gathered_then_each_alarm_is_one_episod
     assert (second.largest, second.delay) == pytest.approx((-0.998, 0.03))
     assert (third.sensor, third.false_alarm, third.delay) == ('left', True, None)
     assert missed_faults(record, found) == []
-
-
-def test_given_an_alarm_without_its_start_or_without_truth_when_gathered_then_it_is_known_as_far():
+    # Neither the start of an alarm nor the truth has to be recorded.
     ended = made_up([(0, 0, 100)], [event(150, -500, -490, **CLEARED)])
     (episode,) = episodes(ended)
     assert (episode.onset, episode.raised, episode.cleared) == (-0.5, -0.49, 0.15)
@@ -217,11 +215,9 @@ def test_given_stops_and_lost_sensors_when_reported_then_each_has_its_stretch(pa
 
 def test_given_what_drives_and_tracker_report_when_reported_then_stops_have_their_reasons(page):
     fast = 'a joint is faster than its velocity limit'
-    braked = {200: 'braked: safe stop', 500: f'braked: {fast}', 600: f'braked: {fast}'}
-    reports = told(
-        drives={0: 'braked: no command yet', 100: 'driven', **braked},
-        tracking={250: 'safe stop: the observer is silent'},
-    )
+    drives = {0: 'braked: no command yet', 100: 'driven', 200: 'braked: safe stop'}
+    drives |= dict.fromkeys((500, 600), f'braked: {fast}')
+    reports = told(drives=drives, tracking={250: 'safe stop: the observer is silent'})
     values = page(run(torque_command=stream('torque', safe_stop=within((200, 500)))), reports)
     assert spans(values['phases'], 'note') == [
         (history.BRAKED, 0.2, 0.5, 'safe stop'),
@@ -259,8 +255,8 @@ def test_given_an_alarm_that_lasts_when_reported_then_its_size_is_the_error_now(
     record.alarms = [event(400, kind='drift')]
     (episode,) = episodes(record)
     assert (episode.size, episode.bound, episode.largest) == pytest.approx((0.02, 0.01, 0.3))
-    now = 'error at the end of the run: left +0.020 rad (bound 0.010)'
-    assert now in page(record)['verdict']
+    said = page(record)['verdict']
+    assert 'error at the end of the run: left +0.020 rad (bound 0.010)' in said
 
 
 def test_given_the_states_of_a_sensor_when_drawn_then_bars_and_legend_agree(paper_arm):
@@ -278,21 +274,18 @@ def test_given_the_states_of_a_sensor_when_drawn_then_bars_and_legend_agree(pape
         assert {np.asarray([color]).tobytes()} == bars[label], label
 
 
-def test_given_another_arm_when_tabulated_then_the_paper_has_no_column(paper_arm, real_arm):
+def test_given_an_arm_when_tabulated_then_only_the_papers_has_a_column(paper_arm, real_arm, capsys):
     assert is_paper_arm(paper_arm) and is_paper_arm(replace(paper_arm, name='mine'))
     first, second = paper_arm.joints
     heavier = replace(first, link=replace(first.link, mass=10.5))
     other = replace(paper_arm, joints=(heavier, second))
     assert not is_paper_arm(other) and not is_paper_arm(real_arm)
     known = stream('position', 'velocity', 'fault')
-    record = run(ground_truth=known, state_estimate=known)
+    record, names = run(ground_truth=known, state_estimate=known), ['joint1', 'joint2'] * 2
     table = make_table(record, other)
-    assert [row.paper for row in table] == [None] * 4
-    assert [row.signal for row in table] == ['joint1', 'joint2'] * 2
+    assert [(row.signal, row.paper) for row in table] == [(name, None) for name in names]
     assert all(row.paper for row in make_table(record, paper_arm))
-
-
-def test_given_a_terminal_of_80_columns_when_printed_then_nothing_is_cut_off(capsys):
+    # Nothing is cut off in a terminal of 80 columns.
     rows = [Row(name, 'estimate of the position', 'rad²', 2.6e-4, PAPER[name]) for name in PAPER]
     print_table(rows, Console(width=80))
     text = capsys.readouterr().out
