@@ -30,9 +30,7 @@ def short(recording, count=700):
 
 
 @pytest.mark.parametrize('kind', ['csv', 'bag'])
-def test_given_mutated_files_when_read_then_samples_are_finite_or_the_reason_is_said(
-    recording, arm, tmp_path, kind
-):
+def test_given_mutated_files_when_read_then_samples_are_finite(recording, arm, tmp_path, kind):
     names, path = arm.joint_names, tmp_path / f'recording.{kind}'
     if kind == 'bag':
         file, mutate = storage(write_measurements(path, names, *short(recording))), mutate_bytes
@@ -47,9 +45,6 @@ def test_given_mutated_files_when_read_then_samples_are_finite_or_the_reason_is_
         lambda seed: file.write_bytes(mutate(content, seed)),
         lambda: use(read_recording(path, names)),
     ).refused
-
-
-# ------------------------------------------------------------------ samples, up to the arm
 
 
 def _wrong_value(rng, time, *values):
@@ -107,9 +102,7 @@ def test_given_damaged_samples_when_cleaned_then_they_are_finite_or_the_reason_i
     assert fuzz(80, lambda seed: samples.append(damaged(recording, seed)), read).refused
 
 
-def test_given_damaged_samples_when_identified_then_the_arm_is_finite_or_the_reason_is_said(
-    recording, rough_arm
-):
+def test_given_damaged_samples_when_identified_then_the_arm_is_finite(recording, rough_arm):
     tally, coarse = Tally(), recording.rows(slice(0, 1200, 3))
 
     def run(seed):

@@ -1,14 +1,21 @@
-"""Identification of arms whose parameters are known."""
+"""Identification of arms whose parameters are known, and of real ones; recordings that are read,
+mended or refused."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from bags import write_measurements
+from places import RECORDINGS as DATA
 from scipy import stats
 from simulated_recordings import is_physical
 
+from lpv.bag.run.csv_import import load_column_map
 from lpv.core.serial_arm.arm_file import load_arm, save_arm
 from lpv.core.serial_arm.description import JointFriction, JointLimits, LinkInertia, LpvRegion
+from lpv.core.serial_arm.urdf_chain import read_urdf_chain
+from lpv.core.support.resources import bringup_file
+from lpv.identify.errors import IdentificationError
 from lpv.identify.estimation.assembly import parameter_map
 from lpv.identify.estimation.gains import rescaled
 from lpv.identify.estimation.identification import identify
@@ -18,13 +25,23 @@ from lpv.identify.estimation.workshop import Workshop
 from lpv.identify.model.rigid_body import joint_torques
 from lpv.identify.motions.excitation import plan_excitation
 from lpv.identify.recordings.filters import low_pass
+from lpv.identify.recordings.motion import split
+from lpv.identify.recordings.recording import clean, read_recording
 
 pytestmark = pytest.mark.slow
+of_real_arms = pytest.mark.skipif(
+    not DATA.is_dir(), reason='the recordings are not part of the repository'
+)
+NAMES = ('one', 'two', 'three')
 
 
-def test_given_a_noisy_recording_when_identified_then_links_are_physical_and_predict_to_the_noise(
-    arm, result, recording, tmp_path
-):
+def with_joints(arm, **changes):
+    """The arm with one value for each joint of some fields."""
+    values = [dict(zip(changes, each)) for each in zip(*changes.values())]
+    return replace(arm, joints=tuple(replace(j, **v) for j, v in zip(arm.joints, values)))
+
+
+def test_given_noise_when_identified_then_links_are_physical(arm, result, recording, tmp_path):
     noise = 0.02 * np.max(np.abs(recording.effort), axis=0)
     assert np.all(result.figures.rms < 1.1 * noise)
     assert np.all(result.figures.rms_band < 0.4 * noise)
@@ -44,11 +61,14 @@ def test_given_a_noisy_recording_when_identified_then_links_are_physical_and_pre
     assert np.all(np.std(error, axis=0) < 0.04 * np.std(expected, axis=0))
 
 
-def test_given_links_and_friction_when_checked_then_those_that_cannot_be_are_told(arm):
+def test_given_links_or_friction_when_checked_or_rescaled_then_torques_are_as_they_can_be(arm):
     assert all(is_physical(joint.link) for joint in arm.joints)
     assert not is_physical(LinkInertia(1.0, (1.0, 0.0, 0.0)))
     assert JointFriction(viscous=-0.4, coulomb=1.0).is_dissipative(2.0)
     assert not JointFriction(viscous=-0.6, coulomb=1.0).is_dissipative(2.0)
+    motion = np.random.default_rng(5).normal(size=(3, 20, 3))
+    expected = pytest.approx(1.3 * joint_torques(arm, *motion))
+    assert joint_torques(rescaled(arm, 1.3), *motion) == expected
 
 
 def test_given_many_noises_when_fitted_then_intervals_hold_the_truth(arm, simulated):
@@ -63,25 +83,22 @@ def test_given_many_noises_when_fitted_then_intervals_hold_the_truth(arm, simula
     assert 0.90 < np.mean(inside) < 0.99
 
 
-def test_given_a_contact_when_fitted_then_parameters_hardly_move(arm, recording, result):
+def test_given_a_contact_or_no_rates_when_fitted_then_errors_hardly_grow(arm, recording, result):
     effort = recording.effort.copy()
     effort[400:430] += 60.0
     touched = identify(arm, [replace(recording, effort=effort)])
     for before, after in zip(result.arm.joints, touched.arm.joints):
         assert after.friction.coulomb == pytest.approx(before.friction.coulomb, rel=0.1)
     assert np.all(touched.figures.rms < 1.1 * result.figures.rms)
+    # Rates come from positions where there are none.
+    blind = replace(recording, velocity=None)
+    found = identify(arm, [blind.rows(part) for part in (slice(1000), slice(1000, None))])
+    assert not found.used_rates and len(found.predictions) == 2
+    assert {joint.sensors.rates for joint in found.arm.joints} == {'none'}
+    assert np.all(found.figures.rms < 1.1 * result.figures.rms)
 
 
-def test_given_no_rates_when_identified_then_they_come_from_positions(arm, recording, result):
-    blind = identify(arm, [replace(recording, velocity=None)])
-    assert not blind.used_rates
-    assert {joint.sensors.rates for joint in blind.arm.joints} == {'none'}
-    assert np.all(blind.figures.rms < 1.1 * result.figures.rms)
-
-
-def test_given_efforts_without_gravity_when_identified_then_it_is_found_unless_said_otherwise(
-    arm, simulated
-):
+def test_given_efforts_without_gravity_when_identified_then_it_is_found(arm, simulated):
     floating = simulated(replace(arm, gravity=0.0), 2, rate=60.0)
     found, workshop = identify(arm, [floating]), Workshop(arm, [floating])
     assert np.all(found.figures.r2 > 0.98)
@@ -89,18 +106,14 @@ def test_given_efforts_without_gravity_when_identified_then_it_is_found_unless_s
     assert not found.arm.effort_includes_gravity and workshop.arm.effort_includes_gravity
     for warnings in (found.warnings, workshop.warnings):
         assert any('not to contain the weight' in text for text in warnings)
-
-
-def test_given_a_planar_arm_when_weighed_then_the_data_do_not_tell(arm, simulated):
-    flat = replace(arm, gravity=1e-3)
-    workshop = Workshop(flat, [simulated(flat, 2, rate=60.0)])
+    planar = replace(arm, gravity=1e-3)
+    workshop = Workshop(planar, [simulated(planar, 2, rate=60.0)])
     assert workshop.check_weight(0.6, True).contains_weight is None
 
 
 def test_given_currents_when_identified_then_gains_and_their_signs_are_found(arm, simulated):
     gains = (8.0, -5.0, 3.0)
-    joints = tuple(replace(joint, torque_gain=gain) for joint, gain in zip(arm.joints, gains))
-    recording = simulated(replace(arm, joints=joints), 3)
+    recording = simulated(with_joints(arm, torque_gain=gains), 3)
     found = identify(replace(arm, effort_unit='A'), [recording]).arm
     ratio = np.array([joint.torque_gain for joint in found.joints]) / gains
     assert ratio == pytest.approx(np.full(3, ratio.mean()), rel=0.1)
@@ -115,12 +128,6 @@ def test_given_a_tool_when_its_payload_is_identified_then_mass_and_centre_fit(ar
     assert found.rms_after < 0.5 * found.rms_before
 
 
-def test_given_a_factor_when_an_arm_is_rescaled_then_torques_scale(arm):
-    q, v, a = np.random.default_rng(5).normal(size=(3, 20, 3))
-    expected = pytest.approx(1.3 * joint_torques(arm, q, v, a))
-    assert joint_torques(rescaled(arm, 1.3), q, v, a) == expected
-
-
 def test_given_filtered_efforts_when_identified_then_their_bandwidth_is_found(arm, simulated):
     raw = simulated(arm, 6, torque=1e-4)
     found = identify(arm, [replace(raw, effort=low_pass(raw.effort, 2.0, 0.01))])
@@ -128,31 +135,16 @@ def test_given_filtered_efforts_when_identified_then_their_bandwidth_is_found(ar
 
 
 def test_given_friction_that_grows_with_load_when_identified_then_it_is_chosen(arm, simulated):
-    joints = tuple(
-        replace(joint, friction=JointFriction(0.1, 0.5, 0.5, 60.0, load))
-        for joint, load in zip(arm.joints, (0.0, 0.2, 0.0))
-    )
-    loaded = replace(arm, joints=joints)
-    found = identify(arm, [simulated(loaded, 7, torque=0.005)]).arm
+    frictions = [JointFriction(0.1, 0.5, 0.5, 60.0, load) for load in (0.0, 0.2, 0.0)]
+    recording = simulated(with_joints(arm, friction=frictions), 7, torque=0.005)
+    found = identify(arm, [recording]).arm
     assert found.joints[1].friction.load == pytest.approx(0.2, abs=0.03)
 
 
-def test_given_two_recordings_when_identified_then_both_count(arm, recording):
-    halves = [recording.rows(part) for part in (slice(1000), slice(1000, None))]
-    assert len(identify(arm, halves).predictions) == 2
-
-
-def test_given_a_prismatic_joint_when_identified_then_torques_and_forces_are_predicted(
-    arm, rough, simulated
-):
-    rail = replace(
-        arm.joints[0],
-        axis=(0.6, 0.0, 0.8),
-        friction=JointFriction(1.0, 20.0, 10.0, 100.0),
-        rotor_inertia=4.0,
-        limits=JointLimits(-0.8, 0.9, 1.5, 400.0),
-        type='prismatic',
-    )
+def test_given_a_prismatic_joint_when_identified_then_forces_fit(arm, rough, simulated):
+    friction, limits = JointFriction(1.0, 20.0, 10.0, 100.0), JointLimits(-0.8, 0.9, 1.5, 400.0)
+    rail = replace(arm.joints[0], axis=(0.6, 0.0, 0.8), friction=friction, limits=limits)
+    rail = replace(rail, rotor_inertia=4.0, type='prismatic')
     arm = replace(arm, joints=(rail, *arm.joints[1:]))
     recording = simulated(arm, motion=plan_excitation(arm, 20.0, trials=10).trajectory)
     found = identify(rough(arm), [recording])
@@ -166,3 +158,103 @@ def test_given_an_arm_with_an_lpv_region_when_identified_then_the_region_is_kept
     recording = simulated(arm, rate=60.0)
     for region in (LpvRegion('hanging', (0.3, 0.3)), None):
         assert calibrate(replace(arm, lpv=region), [recording]).arm.lpv == region
+
+
+def identified(folder, urdf):
+    arm = read_urdf_chain(DATA / folder / urdf)
+    return identify(arm, [read_recording(DATA / folder / 'exciting.db3', arm.joint_names)])
+
+
+@of_real_arms
+def test_given_a_ur10_or_a_panda_when_identified_then_torques_held_back_are_predicted():
+    result = identified('ur10', 'ur10.urdf')
+    assert np.all(result.figures.rms <= [1.3, 1.25, 1.3, 0.4, 0.4, 2.4])
+    assert all(is_physical(joint.link) for joint in result.arm.joints)
+    result = identified('panda', 'fer.urdf')
+    assert np.all(result.figures.rms_band <= [0.41, 0.46, 0.62, 0.14, 0.10, 0.07, 0.06])
+
+
+@of_real_arms
+@pytest.mark.parametrize('order', [1, -1])
+def test_given_a_two_link_arm_when_identified_then_it_is_no_worse_than_published(order, tmp_path):
+    arm = load_arm(bringup_file('arms', 'real_arm'))
+    columns = load_column_map(bringup_file('columns', 'real_arm'))
+    one, other = (
+        read_recording(DATA / 'real_arm' / f'run_{name}.csv', arm.joint_names, None, columns)
+        for name in ('143601', '144115')[::order]
+    )
+    result = identify(arm, [one], tests=[other])
+    assert np.all(result.figures.rms <= 1.01 * result.prior_figures.rms)
+    assert {joint.sensors.rates for joint in result.arm.joints} == {'derived'}
+    save_arm(result.arm, tmp_path / 'arm.yaml')
+    assert load_arm(tmp_path / 'arm.yaml') == result.arm
+
+
+def write_bag(path, recording, names=NAMES, effort=True):
+    motion = recording.time, recording.position, recording.velocity
+    return write_measurements(path, names, *motion, recording.effort if effort else None)
+
+
+def test_given_a_bag_when_read_then_joints_are_found_by_name_or_named(tmp_path, recording):
+    bag = write_bag(tmp_path / 'bag', recording, ('three', 'one', 'two'))
+    read = read_recording(bag, NAMES)
+    assert np.array_equal(read.position[:, 0], recording.position[:, 1])
+    assert np.array_equal(read.effort[:, 2], recording.effort[:, 0])
+    without = write_bag(tmp_path / 'without', recording, effort=False)
+    for bag, names, reason in (
+        (bag, ('one', 'elbow'), 'no message has all joints.*three, one, two'),
+        (without, NAMES, 'has no efforts'),
+    ):
+        with pytest.raises(IdentificationError, match=reason):
+            read_recording(bag, names)
+
+
+def test_given_a_csv_when_read_then_columns_are_guessed(tmp_path, recording):
+    columns = np.column_stack([recording.time, recording.position, recording.effort])
+    header = 'time,q1,q2,q3,tau1,tau2,tau3'
+    np.savetxt(tmp_path / 'a.csv', columns, delimiter=',', header=header, comments='')
+    read = read_recording(tmp_path / 'a.csv', NAMES)
+    assert read.velocity is None
+    assert read.effort == pytest.approx(recording.effort)
+
+
+def cleaned(recording, **changes):
+    one = replace(recording, **changes)
+    return clean('test', [one.time], one.position, one.velocity, one.effort)
+
+
+def test_given_a_short_recording_or_no_motion_when_identified_then_it_is_said(arm, recording):
+    still = replace(recording, position=0.0 * recording.position, velocity=0.0 * recording.velocity)
+    for bad, reason in ((recording.rows(slice(300)), 'too short'), (still, 'no joint moves')):
+        with pytest.raises(IdentificationError, match=reason):
+            identify(arm, [bad])
+
+
+def test_given_a_joint_at_rest_when_identified_then_a_warning_names_it(arm, motion, simulated):
+    sine, cosine = ([0.0, 1.0, 1.0] * part for part in (motion.sine, motion.cosine))
+    rest = replace(motion, sine=sine, cosine=cosine)
+    found = identify(arm, [simulated(arm, 8, motion=rest)])
+    assert any('one does not move' in text for text in found.warnings)
+    assert np.isfinite(found.arm.parameter_vector()).all()
+
+
+def test_given_bad_samples_when_cleaned_then_a_few_are_left_out_and_many_are_refused(recording):
+    effort = recording.effort.copy()
+    effort[100:110] = np.nan
+    mended = cleaned(recording, effort=effort)
+    assert len(mended.time) == len(recording.time) - 10
+    assert 'not finite' in mended.warnings[0]
+    effort[::2] = np.nan
+    with pytest.raises(IdentificationError, match='only 50 %'):
+        cleaned(recording, effort=effort)
+
+
+def test_given_stamps_when_used_then_jitter_is_mended_and_gaps_and_clocks_are_seen(recording):
+    jitter = 0.004 * np.random.default_rng(0).uniform(-1, 1, len(recording.time))
+    mended = cleaned(recording, time=recording.time + jitter)
+    assert 'count of the samples' in mended.warnings[0]
+    assert np.ptp(np.diff(mended.time)) < 1e-9
+    with pytest.raises(IdentificationError, match='stamps stand still'):
+        cleaned(recording, time=np.zeros(len(recording.time)))
+    keep = (recording.time < 8.0) | (recording.time > 9.0)
+    assert len(split(recording.rows(keep))) == 2

@@ -1,17 +1,185 @@
-"""Mistakes of a set-up that are named, and the calibration of a given model."""
+"""Regressors, motions, sensors and the mistakes of a set-up; the calibration of a given model."""
 
 import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
+from bags import write_measurements
+from places import RECORDINGS as DATA
+from scipy.interpolate import make_interp_spline
 
 from lpv.core.serial_arm.arm_file import load_arm, save_arm
+from lpv.core.serial_arm.chain import compile_chain
+from lpv.core.serial_arm.dynamics.kinematics import forward_kinematics
+from lpv.core.serial_arm.dynamics.model import SerialModel
+from lpv.core.support.errors import ConfigError, LpvError
+from lpv.identify.errors import IdentificationError
+from lpv.identify.estimation.delays import rate_delays
 from lpv.identify.estimation.mistakes import find_mistakes
-from lpv.identify.estimation.torque_error import calibrate, torque_error
+from lpv.identify.estimation.torque_error import calibrate, torque_error, torque_tolerance
+from lpv.identify.model.base_parameters import find_base_parameters
+from lpv.identify.model.rigid_body import RigidBody
+from lpv.identify.motions.excitation import Bounds, plan_excitation
+from lpv.identify.motions.reference import write_reference
 from lpv.identify.recordings.filters import shifted
+from lpv.identify.recordings.motion import Segment, find_bandwidths
+from lpv.identify.recordings.recording import Recording, read_recording
+from lpv.identify.sensors.second_encoder import describe, find_second_encoders, with_second_encoders
+from lpv.identify.sensors.sensing import noise_deviation, quantization_step, sense
 
-STEP = 0.01
+
+@pytest.fixture(scope='module')
+def samples():
+    return np.random.default_rng(0).normal(size=(3, 30, 3))
+
+
+@pytest.mark.parametrize('kind', ['revolute', 'prismatic'])
+def test_given_an_arm_when_computing_torques_then_regressor_and_rnea_agree(arm, samples, kind):
+    first, second, third = arm.joints
+    second = replace(second, axis=(0.6, 0.0, -0.8), type=kind)
+    arm = replace(arm, joints=(first, second, third), base_orientation=(0.3, -0.2, 0.1))
+    chain = compile_chain(arm)
+    peer = SerialModel(chain._replace(motor=0.0 * chain.motor))
+    expected = [peer.inverse_dynamics(*sample) for sample in zip(*samples)]
+    torque = RigidBody(arm).regressor(*samples)[:, :, :30] @ arm.inertial_parameters()
+    assert torque == pytest.approx(np.array(expected), abs=1e-12)
+
+
+def test_given_any_parameters_when_reduced_to_base_ones_then_torques_stay(arm, samples):
+    model = RigidBody(arm)
+    base, full = find_base_parameters(model), model.regressor(*samples)
+    x = np.random.default_rng(1).normal(size=33)
+    assert full[:, :, base.columns] @ (base.combination @ x) == pytest.approx(full @ x, abs=1e-9)
+    assert np.linalg.matrix_rank(full[:, :, base.columns].reshape(-1, base.size)) == base.size
+
+
+@pytest.fixture(scope='module')
+def plan(arm):
+    return plan_excitation(arm, 12.0, trials=40)
+
+
+def test_given_limits_when_planned_then_the_motion_keeps_them_and_rests_at_its_ends(arm, plan):
+    position, rate, acceleration = plan.trajectory.sample(np.linspace(0.0, 12.0, 1201))
+    for j, joint in enumerate(arm.joints):
+        assert joint.limits.lower < position[:, j].min() < position[:, j].max() < joint.limits.upper
+        assert np.abs(rate[:, j]).max() < joint.limits.velocity
+    assert np.all(plan.torque < [joint.limits.torque for joint in arm.joints])
+    assert np.abs([rate[[0, -1]], acceleration[[0, -1]]]).max() < 1e-9
+    # More trials inform more.
+    assert plan.information > plan_excitation(arm, 12.0, trials=1).information
+
+
+def test_given_a_floor_when_planned_then_the_tip_stays_above_or_it_is_said_that_none_does(arm):
+    center, chain = np.array([0.0, -0.6, 0.3]), compile_chain(arm)
+    plan = plan_excitation(arm, 12.0, Bounds(lowest=0.05), center=center, trials=20)
+    for q in plan.trajectory.sample(np.arange(0.0, 12.0, 0.05))[0]:
+        assert forward_kinematics(chain, q)[1][2] > 0.049
+    with pytest.raises(IdentificationError, match='no motion keeps'):
+        plan_excitation(arm, 12.0, Bounds(lowest=5.0), trials=3)
+
+
+def test_given_a_motion_when_written_then_all_files_hold_it(arm, plan, tmp_path):
+    motion = plan.trajectory
+    table, message, bag, scenario = write_reference(arm, motion, 50.0, tmp_path / 'out')
+    points = yaml.safe_load(message.read_text())['points']
+    assert points[0]['positions'] == pytest.approx(motion.center)
+    read = read_recording(bag, arm.joint_names)
+    assert read.position == pytest.approx(motion.sample(read.time)[0], abs=1e-6)
+    assert np.loadtxt(table, delimiter=',', skiprows=1).shape[0] == len(read.time)
+    data = yaml.safe_load(scenario.read_text())
+    assert data['duration'] == 12.0
+    time, joints = zip(*((p['t'], p['joints']) for p in data['path']['waypoints']))
+    rest, between = [(1, np.zeros(3)), (2, np.zeros(3))], np.arange(0.03, 12.0, 0.07)
+    spline = make_interp_spline(time, joints, k=5, bc_type=(rest, rest))
+    position, rate, _ = motion.sample(between)
+    assert spline(between) == pytest.approx(position, abs=1e-3)
+    assert spline.derivative()(between) == pytest.approx(rate, abs=2e-2)
+
+
+STEP = 0.004
+
+
+def segment(noise=1e-5, delay=0.0):
+    time, rng = STEP * np.arange(5000), np.random.default_rng(0)
+    position = np.sin(time)[:, None] + noise * rng.normal(size=(len(time), 1))
+    velocity = np.cos(time - delay)[:, None] + 1e-3 * rng.normal(size=(len(time), 1))
+    return Segment(STEP, time, position, velocity, 0.0 * position)
+
+
+def found(position, velocity):
+    """What is found of sensors whose samples are given."""
+    time = STEP * np.arange(len(position))
+    one = Segment(STEP, time, position, velocity, np.round(position, 2))
+    recording = Recording('r', time, position, velocity, one.effort)
+    return sense([recording], [one], np.zeros(1), np.zeros(1))
+
+
+@pytest.mark.parametrize('step', [2 * np.pi / 4096, 1e-4, 1e-3])
+@pytest.mark.parametrize('count', [5000, 1500])
+def test_given_rounded_readings_with_rests_when_searched_then_their_step_is_found(step, count):
+    position = segment().position[:count].copy()
+    position[: count // 3] = position[count // 3]
+    assert quantization_step([step * np.round(position / step)]) == pytest.approx([step], rel=1e-3)
+    assert quantization_step([position]) == [0.0]
+
+
+@pytest.mark.slow
+def test_given_signals_when_sensed_then_each_has_its_step_and_its_noise_without_it():
+    one = segment(noise=3e-4)
+    rates = 5e-3 * np.round(one.velocity / 5e-3)
+    sensed = found(1e-4 * np.round(one.position / 1e-4), rates)
+    assert sensed.quantization == pytest.approx([1e-4], rel=1e-3)
+    assert quantization_step([rates]) == pytest.approx([5e-3], rel=1e-3)
+    assert sensed.position_noise == pytest.approx([3e-4], rel=0.05)
+    assert found(np.round(one.position, 1), one.velocity).position_noise > 0.0
+    # Rates of which nothing is proved are called derived.
+    time = STEP * np.arange(5000)[:, None]
+    assert found(np.sin(time), np.cos(time)).rates == ['derived']
+
+
+def test_given_white_noise_or_late_rates_when_measured_then_deviation_and_delay_are_found():
+    assert noise_deviation([segment(noise=2e-4).position]) == pytest.approx([2e-4], rel=0.05)
+    late = segment(delay=0.03)
+    assert rate_delays([late], find_bandwidths([late])) == pytest.approx([0.03], abs=1e-3)
+
+
+@pytest.fixture
+def bag(recording, arm, tmp_path):
+    """A recording in which joint two has a second encoder with an offset and more noise."""
+    rng = np.random.default_rng(3)
+    other = 0.1 - recording.position[:, 1:2] + 5e-4 * rng.normal(size=(len(recording.time), 1))
+    names, still = (*arm.joint_names, 'two_link'), np.zeros_like(other)
+    samples = (recording.position, other), (recording.velocity, still), (recording.effort, still)
+    return write_measurements(tmp_path / 'bag', names, recording.time, *map(np.hstack, samples))
+
+
+def test_given_a_second_encoder_or_none_when_compared_then_it_or_the_reason_is_found(bag, arm):
+    (found,) = find_second_encoders(bag, {'two': 'two_link'})
+    assert found.encoder.position_noise == pytest.approx(5e-4, rel=0.1)
+    assert (found.scale, found.offset) == pytest.approx((-1.0, 0.1), abs=1e-3)
+    assert found.difference == pytest.approx(5e-4, rel=0.1)
+    assert 'two_link' in describe(found)
+    sensors = with_second_encoders(arm, [found]).joints[1].sensors
+    assert sensors.second_encoder == found.encoder
+    for other, reason in (
+        ('three', 'no second encoder of this joint'),
+        ('nothing', 'no message has all joints'),
+    ):
+        with pytest.raises(LpvError, match=reason):
+            find_second_encoders(bag, {'two': other})
+    found = find_second_encoders(bag, {'two_link': 'two_link'})
+    with pytest.raises(ConfigError, match='two_link'):
+        with_second_encoders(arm, found)
+
+
+@pytest.mark.skipif(not DATA.is_dir(), reason='the recordings are not part of the repository')
+def test_given_a_kr300_when_link_side_encoders_are_compared_then_they_agree_within_a_milliradian():
+    pairs = {f'{i}': f'link_position{i}' for i in (1, 2, 3)}
+    for reading in find_second_encoders(DATA / 'kr300' / 'A.csv', pairs):
+        assert abs(abs(reading.scale) - 1.0) < 0.01
+        assert reading.difference < 2e-3
 
 
 def swapped(recording):
@@ -24,6 +192,10 @@ def efforts(factor):
     return lambda recording: replace(recording, effort=recording.effort * factor)
 
 
+def late(recording):
+    return replace(recording, effort=shifted(recording.effort, 0.05, 0.01))
+
+
 MISTAKES = {
     'tilted base': ('gravity', 'about y by -5', lambda r: r, (0.0, 0.1, 0.0)),
     'mounted on a wall': ('gravity', 'about y by -(89|9[01])', lambda r: r, (0.0, np.pi / 2, 0.0)),
@@ -31,11 +203,8 @@ MISTAKES = {
     'other signs': ('sign', 'of all joints', efforts(-1.0), None),
     'swapped names': ('names', 'two and three are swapped', swapped, None),
     'currents': ('unit', 'currents', efforts([1 / 13.0, 1 / 12.0, 1 / 9.0]), None),
-    'late efforts': (
-        'delay', '50 ms too late',
-        lambda r: replace(r, effort=shifted(r.effort, 0.05, STEP)), None,
-    ),
-}  # fmt: skip
+    'late efforts': ('delay', '50 ms too late', late, None),
+}
 
 
 @pytest.mark.parametrize('kind, text, change, base', MISTAKES.values(), ids=MISTAKES)
@@ -52,24 +221,27 @@ def test_given_a_proper_setup_when_looked_at_then_there_are_no_mistakes(rough_ar
     assert find_mistakes(rough_arm, [recording]) == []
 
 
-def test_given_errors_that_grow_with_speed_when_fitted_then_size_growth_and_time_are_found():
-    rng, count = np.random.default_rng(2), 40_000
-    rate = np.repeat(rng.uniform(-2, 2, count // 50), 50)
-    keep = np.exp(-STEP / 0.2)
-    error = np.zeros(count)
+def test_given_errors_that_change_with_speed_when_fitted_then_the_bounds_do():
+    rng = np.random.default_rng(1)
+    speed = rng.uniform(0, 2, 5000)
+    tolerance = torque_tolerance(speed, np.exp(-4 * speed) + 0.1 * rng.uniform(-1, 1, 5000))
+    near, fast = np.interp([0.01, 1.5], tolerance.speed, tolerance.torque)
+    assert near > 0.9 and fast < 0.15
+    # Errors that grow with speed, and last for a while.
+    rng, count, step = np.random.default_rng(2), 40_000, 0.01
+    rate, error = np.repeat(rng.uniform(-2, 2, count // 50), 50), np.zeros(count)
+    keep = np.exp(-step / 0.2)
     for k, drawn in enumerate(rng.normal(size=count) * np.sqrt(1 - keep**2)):
         error[k] = keep * error[k - 1] + drawn
     residual = np.hypot(0.5, 0.8 * rate) * error + 0.1 * rng.normal(size=count)
-    found = torque_error([rate[:, None]], [residual[:, None]], STEP)
+    found = torque_error([rate[:, None]], [residual[:, None]], step)
     assert found.rest == pytest.approx([0.5], rel=0.15)
     assert found.growth == pytest.approx([0.8], rel=0.15)
     assert found.time == pytest.approx(0.2, rel=0.4)
 
 
 @pytest.mark.slow
-def test_given_a_short_healthy_recording_when_calibrated_then_the_model_stays(
-    arm, simulated, tmp_path
-):
+def test_given_a_short_recording_when_calibrated_then_the_model_stays(arm, simulated, tmp_path):
     short = simulated(arm, 5).rows(slice(500, 1500))
     short = replace(short, position=1e-3 * np.round(short.position / 1e-3))
     found = calibrate(arm, [short])
@@ -85,14 +257,11 @@ def test_given_a_short_healthy_recording_when_calibrated_then_the_model_stays(
 
 
 @pytest.mark.slow
-def test_given_an_arm_at_rest_when_calibrated_then_it_is_said_that_errors_at_speed_are_not_seen(
-    arm, recording
-):
-    still = np.broadcast_to(recording.position[:1], recording.position.shape)
-    rest = replace(
-        recording, position=still, velocity=0.0 * still,
-        effort=np.broadcast_to(recording.effort[:1], still.shape),
-    )  # fmt: skip
+def test_given_an_arm_at_rest_when_calibrated_then_unseen_errors_are_named(arm, recording):
+    position, effort = (
+        np.broadcast_to(part[:1], part.shape) for part in (recording.position, recording.effort)
+    )
+    rest = replace(recording, position=position, velocity=0.0 * position, effort=effort)
     found = calibrate(arm, [rest])
     assert len(found.warnings) == 3
     assert np.isfinite(found.arm.uncertainty.torque_error).all()
