@@ -201,12 +201,12 @@ def test_given_a_bag_when_read_then_joints_are_found_by_name_or_named(tmp_path, 
     assert np.array_equal(read.position[:, 0], recording.position[:, 1])
     assert np.array_equal(read.effort[:, 2], recording.effort[:, 0])
     without = write_bag(tmp_path / 'without', recording, effort=False)
-    for bag, names, reason in (
+    for source, names, reason in (
         (bag, ('one', 'elbow'), 'no message has all joints.*three, one, two'),
         (without, NAMES, 'has no efforts'),
     ):
         with pytest.raises(IdentificationError, match=reason):
-            read_recording(bag, names)
+            read_recording(source, names)
 
 
 def test_given_a_csv_when_read_then_columns_are_guessed(tmp_path, recording):
