@@ -11,6 +11,7 @@ from ur10e_twin import twin
 
 from lpv.core.serial_arm.diagnosis import onset
 from lpv.core.serial_arm.diagnosis.balance import DRIFT, EPOCH, OFFSET
+from lpv.core.serial_arm.diagnosis.bank import DRIFT_STARTS, STARTS
 from lpv.core.serial_arm.diagnosis.fault_filter import begin_filter
 from lpv.core.serial_arm.diagnosis.information import recent
 from lpv.core.serial_arm.diagnosis.monitor import MonitorSettings, SerialMonitor
@@ -67,6 +68,19 @@ def dense_onsets(monitor, end):
             score = -column @ (weights * residual)
             gain = 0.5 * (score * sigma) ** 2 + np.log(sigma / PRIOR)
             yield onset.Onset(gain, score * sigma**2, sigma, begin, back)
+
+
+def test_given_an_alarm_when_it_is_raised_then_no_drift_is_sought_long_before_it():
+    arm = shoulder_arm()
+    run = simulated_run(arm, 7.0, Fault(arm.sensor_names[JOINT], 'bias', 6.0, size=0.2))
+    monitor, before = SerialMonitor(arm), int(np.searchsorted(run.stamps, 5_900_000_000))
+    longest = []
+    for part in (slice(before), slice(before, None)):
+        monitor.update_many(run.stamps[part], run.samples[part])
+        windows = monitor.bank.parts.state[0].windows
+        longest.append(monitor.bank.parts.evidence.lengths[windows - 1] * monitor.plan.interval)
+    assert [one.event for one in monitor.alarms] == ['raised']
+    np.testing.assert_allclose(longest, [DRIFT_STARTS[1], STARTS[-1]])
 
 
 def test_given_a_drift_when_its_onset_is_sought_then_it_is_the_best_of_dense_ones(monitor):

@@ -76,6 +76,8 @@ from lpv.core.support.records import memory, new_record, plain, record_type
 BoolArray = npt.NDArray[np.bool_]
 STARTS = (0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0, 1.4, 1.8, 2.5)
 """Times ago at which a cause may have begun [s]: every one that comes passes each of them."""
+DRIFT_STARTS = (3.5, 5.0, 7.0)
+"""The same of drifts, which go on growing, and of torques, which may look like them."""
 STUCK_FOR = (0.2, 0.4, 1.0)
 """Times for which a joint may have moved while its reading rests [s]."""
 ENCODER_KINDS = ('drift', 'scale', 'slip', 'stuck')
@@ -96,6 +98,7 @@ BANK_STATE = record_type(
     ('statistic', 'f8'),  # logarithm of M of the last decision
     ('waited', 'i8'),  # balances since hypotheses were compared
     ('age', 'i8'),  # balances over which causes may have begun
+    ('unchanged', 'i8'),  # balances since an alarm was raised or cleared
     ('windows', 'i8'),  # of the evidence, that the horizon holds
 )
 
@@ -134,7 +137,9 @@ class Bank:
     def __init__(self, arm: SerialArm, estimator: OffsetEstimator, push: FloatArray) -> None:
         self.estimator, plan, n = estimator, estimator.plan, estimator.joints
         self._push = push
-        lengths = sorted({max(1, round(one / plan.interval)) for one in STARTS})
+        starts = np.array([*STARTS, *DRIFT_STARTS])
+        lengths = sorted({max(1, round(one)) for one in (starts / plan.interval).tolist()})
+        self._recent = round(STARTS[-1] / plan.interval)  # balances
         self._lengths = np.array(lengths)
         # A start of the grid stands for those up to the next longer one.
         self._starts = np.diff([*lengths, 2 * lengths[-1] - lengths[-2]]).astype(float)
@@ -152,7 +157,7 @@ class Bank:
             self._kinds, self._evidence, self._outside, self._kinematics.parts,
             new_rows(len(lengths), n), self._mass, np.zeros((n, n)),
             arm.sensors_to_joints().T.copy(), arm.joints_to_sensors(), np.zeros(n), memory(state),
-            plan.interval, self._log_weight)  # fmt: skip
+            plan.interval, self._log_weight, self._recent)  # fmt: skip
 
     def _hypotheses(self) -> None:
         """Kinds with their columns as sums of the seven, priors, and the sensors they apply to.
@@ -187,7 +192,11 @@ class Bank:
             self._push if kind == 'torque_offset' else np.full(n, SIZE[kind])
             for kind in self._names
         ])  # fmt: skip
-        self._kinds = Kinds(basis, prior, applies, len(single), SIZE['slip'])
+        growing, recent = ('drift', 'torque_gain', 'torque_offset'), self._lengths <= self._recent
+        windows = np.array([
+            len(recent) if kind in growing else np.count_nonzero(recent) for kind in self._names
+        ])  # fmt: skip
+        self._kinds = Kinds(basis, prior, applies, windows, len(single), SIZE['slip'])
         self._log_weight = float(-np.log(1 + applies.sum() + n))
 
     @property
@@ -212,6 +221,10 @@ class Bank:
     def restart_statistic(self) -> None:
         """Let causes begin from now on only, as after an alarm."""
         self._state['age'] = 0
+
+    def note_change(self) -> None:
+        """An alarm was raised or cleared: readings are not corrected as they were before."""
+        self._state['unchanged'] = 0
 
     def leave_out_rate(self, joint: int, out: bool) -> None:
         """Do without the kinematic rows of a joint one of whose sensors has failed, or not."""
@@ -329,7 +342,8 @@ class Bank:
     def _sudden(self, blocks: Callable[[int], FloatArray], windows: int) -> list[Hypothesis]:
         """Drifts of encoders with derived rates whose onset itself is evidence."""
         estimator = self.estimator
-        last = min(int(self._lengths[windows - 1]) + 1, len(estimator))
+        last = min(int(self._lengths[windows - 1]), self._recent) + 1
+        last = min(last, len(estimator))
         held = blocks(last + 1)
         found = []
         for i in np.nonzero(self._derived)[0]:
@@ -345,7 +359,10 @@ class Bank:
         that would be named.  It must explain more by ``margin``.
         """
         estimator = self.estimator
-        lengths = self._lengths[(self._lengths < len(estimator)) & (self._lengths > ONSET)]
+        # Torques that began long before the fault would have to have done nothing until then.
+        is_recent = fault.begin >= estimator.times(min(self._recent, len(estimator)))[0]
+        longest = min(self._recent if is_recent else np.inf, len(estimator) - 1)
+        lengths = self._lengths[(self._lengths <= longest) & (self._lengths > ONSET)]
         begins = np.array([estimator.times(int(one))[0] for one in lengths])
         onset = len(self._lengths)
         for w in np.argsort(np.abs(begins - fault.begin)):
@@ -373,7 +390,7 @@ class Bank:
     def warm_up(self, blocks: FloatArray) -> None:
         """Compile what is called for suspected faults only; ``blocks`` are those of the horizon."""
         estimator = self.estimator
-        last = min(int(self._lengths[-1]) + 1, len(estimator))
+        last = min(self._recent + 1, len(estimator))
         found = sudden_drift_of(estimator, 0, SIZE['drift'], last, blocks, self._mass)
         self.excludes_contact(Hypothesis('drift', 0, 0.0, 0.0, 1.0, found.begin), 0.0)
 
@@ -462,6 +479,7 @@ class BankParts(NamedTuple):
     state: np.ndarray  # memory of a record of `BANK_STATE`
     interval: float  # [s]
     log_weight: float  # of a hypothesis
+    recent: int  # balances in which causes of all kinds may have begun
 
 
 @njit_in_place
@@ -469,6 +487,7 @@ def take_rows(bank: BankParts, balance: Balance, window: Window, blocks: FloatAr
     """Take the balance that has joined the window; ``blocks`` are those of its two intervals."""
     at, n, independent = slot(window, 0), bank.matrix.shape[0], False
     bank.state[0].age += 1
+    bank.state[0].unchanged += 1
     for i in range(n):
         independent = independent or bank.kinematics.independent[i]
     if independent:
@@ -501,8 +520,10 @@ def ask_bank(
     if state.waited < QUIET_EVERY and not rests and not loudest_window(own, bank.interval) > quiet:
         return False
     state.windows = 0
+    # What is left of a fault that was corrected would pass for a drift that began before.
+    longest = max(bank.recent, state.unchanged)
     for length in lengths:
-        state.windows += length < min(window.counters[COUNT], state.age + 1)
+        state.windows += length < min(window.counters[COUNT], state.age + 1, longest + 1)
     if state.windows == 0:
         state.statistic = -np.inf
         return False
@@ -671,7 +692,7 @@ class KinematicRows:
             one.position_noise**2 + one.quantization**2 / 12.0 for one in sensors
         ])  # fmt: skip
         rate = np.array([one.velocity_noise for one in sensors])
-        least, most = NEGLIGIBLE * arm.scales(), round(max(STARTS) / plan.interval) + 1
+        least, most = NEGLIGIBLE * arm.scales(), round(DRIFT_STARTS[-1] / plan.interval) + 1
         latest = (LATE * arm.sample_time) ** 2 / plan.per_block
         independent = np.array([one.rates == 'independent' for one in sensors])
         self.parts = Kinematics(

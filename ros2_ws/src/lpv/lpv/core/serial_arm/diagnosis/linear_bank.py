@@ -36,6 +36,7 @@ class Kinds(NamedTuple):
     basis: FloatArray  # (K, 7) columns as sums of the seven
     prior: FloatArray  # (K, n) standard deviations of sizes
     applies: FloatArray  # (K, n) 1 where a sensor can have the fault
+    windows: IntArray  # (K,) in which each is compared, the shortest ones
     singles: int  # kinds from here on are free in the offset, too
     offset: float  # standard deviation of that offset [rad]
 
@@ -261,7 +262,7 @@ def _compare(
     """
     k, i, w = place
     evidence.gain[k, i, w] = -np.inf
-    if kinds.applies[k, i] == 0.0:
+    if kinds.applies[k, i] == 0.0 or w >= kinds.windows[k]:
         return
     basis, score, information = kinds.basis[k], evidence.score[w, i], evidence.information[w, i]
     zero = elapsed * basis[DRIFT] + evidence.pose[w, i] * basis[SCALE]

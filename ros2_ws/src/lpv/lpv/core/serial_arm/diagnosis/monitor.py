@@ -570,6 +570,8 @@ class SerialMonitor:
         self, i: int, kind: str, onset: float, event: str, size: float, sigma: float,
         guaranteed: bool = False, confidence: float = 1.0
     ) -> None:  # fmt: skip
+        if event != 'updated':
+            self.bank.note_change()
         rate = float(self.sampler.drift[i]) if kind == 'drift' else 0.0
         self.alarms.append(SerialAlarm(
             self.arm.sensor_names[i] if i >= 0 else '', kind, onset, self._last(), size, sigma, (),
