@@ -342,8 +342,7 @@ class Bank:
     def _sudden(self, blocks: Callable[[int], FloatArray], windows: int) -> list[Hypothesis]:
         """Drifts of encoders with derived rates whose onset itself is evidence."""
         estimator = self.estimator
-        last = min(int(self._lengths[windows - 1]), self._recent) + 1
-        last = min(last, len(estimator))
+        last = min(int(self._lengths[windows - 1]), self._recent, len(estimator) - 1) + 1
         held = blocks(last + 1)
         found = []
         for i in np.nonzero(self._derived)[0]:
@@ -519,11 +518,11 @@ def ask_bank(
     state.waited += 1
     if state.waited < QUIET_EVERY and not rests and not loudest_window(own, bank.interval) > quiet:
         return False
-    state.windows = 0
     # What is left of a fault that was corrected would pass for a drift that began before.
-    longest = max(bank.recent, state.unchanged)
+    longest = min(state.age, max(bank.recent, state.unchanged), window.counters[COUNT] - 1)
+    state.windows = 0
     for length in lengths:
-        state.windows += length < min(window.counters[COUNT], state.age + 1, longest + 1)
+        state.windows += length <= longest
     if state.windows == 0:
         state.statistic = -np.inf
         return False
