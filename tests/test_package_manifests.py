@@ -68,8 +68,8 @@ def left_out(package, options):
     shared = {path.parts[0] for path in installed} - {package.name, 'resource'}
     files = {path for name in shared for path in Path(name).rglob('*')}
     files |= {path for path in Path(package.name).rglob('*') if path.suffix != '.py'}
-    hidden = re.compile(r'(__pycache__|\.).*')
-    files = {p for p in files if p.is_file() and not any(map(hidden.match, p.parts[:-1]))}
+    files = {p for p in files if p.is_file() and '__pycache__' not in p.parts}
+    files = {p for p in files if not p.parts[-2].startswith('.')}
     folders = {'.'.join(p.parent.parts) for p in Path(package.name).rglob('__init__.py')}
     return files - installed | folders ^ set(options['packages'])
 

@@ -98,6 +98,11 @@ def test_given_a_contact_or_no_rates_when_fitted_then_errors_hardly_grow(arm, re
     assert np.all(found.figures.rms < 1.1 * result.figures.rms)
 
 
+def test_given_two_recordings_when_identified_then_both_count(arm, recording):
+    halves = [recording.rows(part) for part in (slice(1000), slice(1000, None))]
+    assert len(identify(arm, halves).predictions) == 2
+
+
 def test_given_efforts_without_gravity_when_identified_then_it_is_found(arm, simulated):
     floating = simulated(replace(arm, gravity=0.0), 2, rate=60.0)
     found, workshop = identify(arm, [floating]), Workshop(arm, [floating])

@@ -244,6 +244,14 @@ def test_given_both_orientations_when_slopes_are_bounded_then_they_mirror(paper_
     np.testing.assert_array_equal(polytope.slope_range(hanging), [[-1.0, -1.0], [-0.3, -0.5]])
 
 
+def test_given_table_1_when_constants_are_formed_then_they_are_those_of_eq_2(paper_model):
+    c = paper_model.constants()
+    assert c.inertia[0] == pytest.approx(10 * 0.25 + 5 * 1.0 + 0.83)  # 8.33; 4.58 in eq. (5)
+    assert c.inertia[1] == pytest.approx(1.66)
+    assert (c.coupling, c.rotor_coupling) == (pytest.approx(2.5), 0.0)
+    np.testing.assert_allclose(c.gravity, [98.0, 24.5])
+
+
 def lpv_right_side(x, u, push=(0.0, 0.0)):
     """Eq. (25) with Table 1: an inertia is 8.33 by eq. (2), not 4.58 as printed in eq. (5)."""
     ranges, total = ((-1.0, 1.0), (-0.2, 1.0), (-0.2, 1.0)), np.array([0.0, 0.0, *push])
