@@ -5,7 +5,7 @@ import re
 import signal
 import subprocess
 import sys
-import time
+import threading
 from pathlib import Path
 
 ROS2 = Path(sys.prefix) / 'bin' / 'ros2'
@@ -29,11 +29,15 @@ class Running:
 
     def until(self, pattern, timeout=300.0):
         """Read lines until one matches; all lines so far as one text."""
-        deadline = time.monotonic() + timeout
-        while time.monotonic() < deadline and (line := self.process.stdout.readline()):
-            self.lines.append(line)
-            if re.search(pattern, line):
-                return ''.join(self.lines)
+        guard = threading.Timer(timeout, self.process.kill)  # which ends a line that is waited for
+        guard.start()
+        try:
+            for line in iter(self.process.stdout.readline, ''):
+                self.lines.append(line)
+                if re.search(pattern, line):
+                    return ''.join(self.lines)
+        finally:
+            guard.cancel()
         raise AssertionError(f'no {pattern!r} in:\n{"".join(self.lines)}')
 
     def interrupt(self, timeout=300.0):

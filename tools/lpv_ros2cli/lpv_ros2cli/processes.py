@@ -14,6 +14,8 @@ from types import FrameType
 
 from lpv.core.support.limits import PATIENCE
 
+_one_line = threading.Lock()
+
 
 @dataclass
 class Program:
@@ -154,5 +156,6 @@ def _note(level: str, name: str, text: str) -> None:
 
 
 def _print(line: str) -> None:
-    with contextlib.suppress(OSError):  # the terminal was closed; programs are still to be stopped
+    # Each program has a thread that prints, and print writes a line and its end in two steps.
+    with _one_line, contextlib.suppress(OSError):  # of a terminal that was closed: go on
         print(line, flush=True)

@@ -121,7 +121,7 @@ def test_given_a_wrong_launch_file_when_launched_then_one_line_says_why(tmp_path
         programs(path)
 
 
-def processes(*given):
+def processes(*given, **options):
     """Run shell programs with options of theirs as a launch does, in a process of its own."""
     code = (
         'import os, sys; from lpv_ros2cli.processes import Processes, Program\n'
@@ -129,7 +129,18 @@ def processes(*given):
         f' for i, (text, options) in enumerate({given!r})]\n'
         'sys.exit(Processes(programs).run())'
     )
-    return Running(program=[sys.executable, '-c', code])
+    return Running(program=[sys.executable, '-c', code], **options)
+
+
+@pytest.mark.parametrize('unbuffered', ['', '1'])
+def test_given_programs_that_print_at_once_when_run_then_no_line_is_within_another(unbuffered):
+    prints = 'i=0; while [ $i -lt 500 ]; do echo line; i=$((i + 1)); done'
+    environment = dict(os.environ, PYTHONUNBUFFERED=unbuffered)
+    with processes((prints, {}), (prints, {}), (prints, {}), env=environment) as launch:
+        code, text = launch.end()
+    assert code == 0
+    assert len(re.findall(r'^\[p-\d\] line$', text, re.MULTILINE)) == 1500
+    assert len(text.splitlines()) == 1500 + 2 * 3  # starts and ends
 
 
 def test_given_processes_that_end_when_run_then_lines_and_ends_are_told():
