@@ -6,11 +6,15 @@ reason that docs/guarantees.md gives.
 """
 
 import json
+from dataclasses import replace
 from functools import cache
 
+import numpy as np
 import pytest
-from fault_injection import BY_NAME, CLOSE, DATA, cells, run
+from fault_injection import BY_NAME, CLOSE, DATA, cells, draw, run
 from fault_matrix import BAR, COMPARED, KEY, compared, summary
+
+from lpv.core.monitoring.parameters import DiagnosisParameters
 
 pytestmark = pytest.mark.slow
 
@@ -108,7 +112,7 @@ def shares_below_the_bar(place, kind):
     return {name: (a, b) for name, (a, b) in shares.items() if (a - b) * COMPARED[name] < 0.0}
 
 
-@pytest.mark.parametrize(('place', 'kind', 'claim'), chosen(FAULTS, CLAIMS))
+@pytest.mark.parametrize(('place', 'kind', 'claim'), list(chosen(FAULTS, CLAIMS)))
 def test_given_a_fault_when_it_acts_and_ends_then_what_is_said_of_it_is_true(place, kind, claim):
     runs = found(place, kind)[1]
     assert not any(one.crash for one in runs)
@@ -129,7 +133,23 @@ def test_given_a_fault_when_it_acts_and_ends_then_what_is_said_of_it_is_true(pla
         assert shares_below_the_bar(place, kind) == {}
 
 
-@pytest.mark.parametrize(('place', 'kind', 'claim'), chosen(HEALTHY, ['quiet']))
+@pytest.mark.parametrize(('place', 'kind', 'claim'), list(chosen(HEALTHY, ['quiet'])))
 def test_given_healthy_encoders_when_something_else_happens_then_none_is_blamed(place, kind, claim):
     runs = found(place, kind)[1]
     assert [(one.crash, one.alarms) for one in runs] == [('', [])] * len(runs)
+
+
+@pytest.mark.parametrize('size', [0.03, 0.08])
+@pytest.mark.parametrize('place', ['paper independent', 'swinging independent', 'chain3 derived'])
+def test_given_a_jump_below_the_smallest_step_when_it_lasts_then_nothing_is_raised(place, size):
+    arm, rates = place.split()
+    kind = replace(BY_NAME['step 0.1'], size=size, duration=8.0, limit=8.0)
+    (cell,) = cells([arm], [False], [rates], [kind])
+    for k in range(2):
+        subject, window, _ = draw(cell, k, 1)
+        monitor, stream = subject.monitor(), window.stream.part(0.0, window.faults[0].end)
+        monitor.retune(DiagnosisParameters(smallest_step=0.1, minimum_threshold=0.1))
+        answers = monitor.take_many(stream.stamps, *stream.samples.swapaxes(0, 1))
+        assert [(alarm.sensor, alarm.kind) for _, alarm in answers.events] == []
+        found = answers.fault.estimate[-1] - window.truth[len(stream.stamps) - 1]
+        assert (np.abs(found) < answers.fault.bound[-1]).all()

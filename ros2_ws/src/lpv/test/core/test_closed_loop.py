@@ -177,7 +177,6 @@ def test_given_saturation_when_it_lasts_then_the_integral_does_not_wind_up(paper
     np.testing.assert_array_equal(controller.integral, 0.0)
 
 
-@pytest.mark.xfail(reason='an offset below minimum_threshold is raised', strict=True)
 def test_given_a_stricter_tuning_when_run_then_it_reaches_the_diagnosis(run_paper):
     part = {'duration': 0.6, 'faults': (Fault('link1_angle', 'bias', 0.2, size=0.3),)}
     deaf = DiagnosisParameters(smallest_step=0.5, minimum_threshold=0.5)

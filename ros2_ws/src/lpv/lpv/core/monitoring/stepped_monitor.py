@@ -184,7 +184,7 @@ class SteppedMonitor(SerialMonitor):
             fault, sigma, *self.certain(), sampler.drift.copy(),
             np.sqrt(self._removed_variance + changing**2), jump,
             np.maximum(settings.sigmas * sigma, settings.smallest_level * scales),
-            np.maximum(JUMP_SCALE * sampler.usual, sampler.smallest), state,
+            np.maximum(JUMP_SCALE * sampler.usual, settings.smallest_step * scales), state,
             np.array([one.level and one.active for one in sensors]),
             np.array([one.unseen for one in sensors]),
             self._suspects, self.in_contact, self.balances, alarms, self.guarantee,

@@ -162,3 +162,28 @@ def test_given_a_reading_that_stays_frozen_when_its_joint_goes_on_then_it_is_fol
     assert (np.array(last) < 0.1).sum() >= 4
     assert np.mean(trusted) > 0.9
     assert (np.array(trusted) & np.array(wrong)).mean() < 0.02
+
+
+@pytest.mark.parametrize(
+    ('arm', 'seed', 'joint', 'hold'),
+    [('chain3', 0, 2, 0.2), ('real_arm', 1, 0, 0.2), ('ur10', 0, 3, 0.2), ('ur10', 0, 3, 0.7)],
+)
+def test_given_a_reading_that_freezes_again_and_again_then_bounds_hold(arm, seed, joint, hold):
+    """An encoder that is read too rarely: a new reading every so many seconds."""
+    subject = _subject(arm).with_rates('derived')
+    healthy = derived(subject.streams(seed)).part(0.0, 14.0)
+    time, samples = (healthy.stamps - healthy.stamps[0]) * 1e-9, healthy.samples.copy()
+    matrix = subject.arm.joints_to_sensors()
+    right = samples[:, 0] @ matrix.T
+    acts = (time > 5.0) & (time < 12.0)
+    read = np.searchsorted(time, 5.0 + np.floor((time[acts] - 5.0) / hold) * hold)
+    held = right.copy()
+    held[acts, joint] = right[read, joint]
+    samples[:, 0] = held @ np.linalg.inv(matrix).T
+    stream = derived(replace(healthy, samples=samples))
+    answers = subject.monitor().take_many(stream.stamps, *np.moveaxis(stream.samples, 1, 0))
+    assert outside_bounds(answers, stream.stamps, held - right, (5.0 + SETTLED, 14.0)) < 0.05
+    names = [(event.event.name, event.sensor) for _, event in answers.events]
+    assert names.count(('RAISED', subject.arm.sensor_names[joint])) == 1
+    assert {name for _, name in names} == {subject.arm.sensor_names[joint]}
+    assert names[-1][0] == 'CLEARED'

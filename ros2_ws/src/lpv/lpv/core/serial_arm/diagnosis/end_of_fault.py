@@ -19,12 +19,12 @@ from lpv.core.serial_arm.chain import FloatArray
 from lpv.core.serial_arm.diagnosis.balance import DRIFT, EPOCH, OFFSET
 from lpv.core.serial_arm.diagnosis.bank import STARTS, Bank
 from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator, set_residuals
-from lpv.core.serial_arm.diagnosis.fault_filter import held_blocks
+from lpv.core.serial_arm.diagnosis.fault_filter import begin_frozen, held_blocks
 from lpv.core.serial_arm.diagnosis.information import recent
 from lpv.core.serial_arm.diagnosis.onset import whitened
 from lpv.core.serial_arm.diagnosis.priors import SIZE
 from lpv.core.serial_arm.diagnosis.sampling import IN_BLOCK, ROUNDING, Sampler, block_end
-from lpv.core.serial_arm.diagnosis.stuck import LINEAR, Frozen
+from lpv.core.serial_arm.diagnosis.stuck import LINEAR, Frozen, usual_acceleration
 
 ONSETS = len(STARTS)
 """Onsets that are compared, spaced evenly in the logarithm of their age: as many as of others."""
@@ -124,13 +124,14 @@ class EndOfFault:
 
 
 def end_of_fault(
-    estimator: OffsetEstimator, sampler: Sampler, bank: Bank, joint: int, jump: float
+    estimator: OffsetEstimator, sampler: Sampler, bank: Bank, joint: int, jump: float, again: float
 ) -> EndOfFault:
     """The hypothesis at the moment of a jump [rad].
 
     The estimator's horizon bounds how long the fault may have lasted, the sampler's last blocks
     tell whether the reading was frozen, and the bank's kinematic rows how far the joint went
-    before.
+    before.  ``again`` is the logarithm of the odds that it froze, before the data; 0 where it was
+    healthy.
     """
     interval = estimator.plan.interval
     longest = max(len(estimator), 2) * interval
@@ -150,12 +151,16 @@ def end_of_fault(
     blocks, _ = held_blocks(estimator, sampler, len(estimator) + 1)
     frozen = _frozen(estimator, blocks, joint)
     if frozen is not None:
-        course = bank.course(joint, frozen, 0, blocks) if abs(jump) < LINEAR else None
+        # Where it was frozen before, balances begin with a rate that was not measured.
+        says = abs(jump) < LINEAR and again == 0.0
+        course = bank.course(joint, frozen, 0, blocks) if says else None
         gain, went, sigma = 0.0, 0.0, LINEAR
         if course is not None:
-            gain, went = course.gain, float(course.mean[0])
-            sigma = max(float(course.covariance[0, 0]) ** 0.5, float(sampler.usual[joint]))
-        gain += float(_normal(jump - went, sigma) - _slip(jump))
+            at, n = float(sampler.time[-1]), estimator.joints
+            acceleration = usual_acceleration(blocks, joint, n, estimator.plan.blocks)
+            fault, _, sigma = begin_frozen(joint, course, at, acceleration).fault(0.0, at)
+            gain, went, sigma = course.gain, -fault, max(sigma, float(sampler.usual[joint]))
+        gain += float(_normal(jump - went, sigma) - _slip(jump)) + again
         age = blocks[-1, 3 * estimator.joints] - frozen.time
         prior, ages, ramps = np.append(prior, gain), np.append(ages, age), np.append(ramps, 0.0)
     one = EndOfFault(joint, jump, float(sampler.time[-1]), prior, ages, ramps)

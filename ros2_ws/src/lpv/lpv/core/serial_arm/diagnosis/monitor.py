@@ -45,7 +45,7 @@ from lpv.core.serial_arm.diagnosis.healthy_set import Guarantee, HealthySet
 from lpv.core.serial_arm.diagnosis.learning import Learned, learned_of
 from lpv.core.serial_arm.diagnosis.parameter_error import typical_torque
 from lpv.core.serial_arm.diagnosis.parameter_set import is_stated
-from lpv.core.serial_arm.diagnosis.priors import CONTACT, OCCURRENCE, PUSH
+from lpv.core.serial_arm.diagnosis.priors import CONTACT, OCCURRENCE, PUSH, USUAL_RATE
 from lpv.core.serial_arm.diagnosis.sampling import (
     APART,
     BEFORE_STOP,
@@ -98,12 +98,17 @@ class MonitorSettings:
     fault_at_start: float = 1e-3  # probability of an offset at the first sample
     # of prismatic joints, times `SerialJoint.scale` [m]
     smallest_level: float = 0.05  # smallest offset that is a fault [rad]
-    smallest_step: float = 0.005  # smallest jump of a reading [rad]
+    smallest_step: float = 0.005  # smallest jump of a reading that is a fault [rad]
     widest_level: float = 0.1  # standard deviation of an offset that says nothing [rad]
     clear_dwell: float = 0.5  # for which a fault must be over before its alarm ends [s]
     latch: bool = False  # whether alarms stay until `SerialMonitor.reset`
     sigmas: float = SIGMAS  # standard deviations in a bound
     horizon: float = HORIZON  # [s]
+
+    @property
+    def smallest_jump(self) -> float:
+        """Smallest jump that is looked for [rad]; those that are no faults are known, too."""
+        return min(self.smallest_step, MonitorSettings.smallest_step)
 
     def threshold(self, interval: float) -> float:
         """Logarithm of A: decisions between false alarms, one every interval [s]."""
@@ -192,7 +197,7 @@ class SerialMonitor:
     def apply_settings(self) -> None:
         """Let changed `settings` count from now on; lengths stay as they are."""
         settings, state = self.settings, self._state
-        self.sampler.smallest[:] = settings.smallest_step * self.scales
+        self.sampler.smallest[:] = settings.smallest_jump * self.scales
         state['threshold'] = settings.threshold(self.plan.interval)
         state['limits'] = (
             settings.widest_level, settings.smallest_level, settings.sigmas, self.plan.interval,
@@ -221,7 +226,7 @@ class SerialMonitor:
         self.guarantee: Guarantee | None = None
         self._push = PUSH * typical_torque(self.estimator.balance.chain)
         self.bank = Bank(arm, self.estimator, self._push)
-        smallest = settings.smallest_step * self.scales
+        smallest = settings.smallest_jump * self.scales
         # Before any e was seen, jumps count from twice the smallest one.
         usual = np.maximum(2.0 * noise, 2.0 * smallest / JUMP_SCALE)
         self.sampler: Sampler = new_sampler(
@@ -503,7 +508,7 @@ class SerialMonitor:
             found, self.sampler.found[i] = self.sampler.found[i], 0
             if found == STEP:
                 self._jumped(i, float(self.sampler.size[i]), now)
-            elif found == SPIKE and self.sensors[i].state is not SensorState.ERROR:
+            elif found == SPIKE and self._is_new_fault(i, float(self.sampler.size[i])):
                 self._event(i, 'spike', now, 'raised', 0.0, 0.0)
                 self._event(i, 'spike', now, 'cleared', 0.0, 0.0)
             elif found == CONTRARY:
@@ -544,17 +549,41 @@ class SerialMonitor:
             self._remains(i, kept, now)
             return
         self._doubt_no_more(i)
+        if sensor.state is not SensorState.ERROR and not self._is_new_fault(i, size):
+            self._forget(i)
+            self.bank.note_jump(i, sigma**2)
+            self.healthy = self.guarantee = None  # readings are changed
+            return
         if back is None and self.uses_balances:
             reading = float(self.sampler.samples[-1, 0, i])
             scaled = scale_of_jump(i, now, (size, sigma), reading)
             if scaled is not None:
                 self._scaled[i] = scaled
-            self._ends[i] = end_of_fault(self.estimator, self.sampler, self.bank, i, size)
+            self._ends[i] = end = end_of_fault(
+                self.estimator, self.sampler, self.bank, i, size, self._freezes_again(i)
+            )
             sigma += float(self.jump_doubt()[i])
+            if sensor.active and end.share >= 1.0 - self.settings.probability_of_wrong_name:
+                self.bank.note_jump(i, sigma**2)
+                return  # of a fault that is known
         self.bank.note_jump(i, sigma**2)
         kind = sensor.kind if back is not None else 'bias'
         value = fault if sensor.state is SensorState.ERROR else size
         self._raise(i, kind, now, value, sigma, abs(size) > self._jump_bound[i])
+
+    def _freezes_again(self, i: int) -> float:
+        """Logarithm of the odds that a reading froze before it jumped, against another fault.
+
+        While its alarm is up a freeze comes back, or not, and another fault as rarely as ever.
+        """
+        if self.sensors[i].kind != 'stuck':
+            return 0.0
+        return -math.log(OCCURRENCE['slip'] * self.settings.clear_dwell / 3600.0)
+
+    def _is_new_fault(self, i: int, jump: float) -> bool:
+        """Whether a jump of a sensor without alarm is large enough to be a fault."""
+        smallest = self.settings.smallest_step * self.scales[i]
+        return self.sensors[i].state is not SensorState.ERROR and abs(jump) > smallest
 
     def _raise(
         self, i: int, kind: str, onset: float, size: float, sigma: float,
@@ -642,12 +671,15 @@ class SerialMonitor:
                 del self._scaled[i]
         for i, one in list(self._ends.items()):
             one.weigh(self.estimator)
-            settled = now - one.time > 2.0 * self.plan.interval  # all samples at hand are later
-            if settled and one.share >= 1.0 - self.settings.probability_of_wrong_name:
+            if self._is_settled(one) and one.share >= 1.0 - self.settings.probability_of_wrong_name:
                 self._end_unnoticed(one, now)
             elif now - one.time > self.settings.horizon:
                 del self._ends[i]  # the level has been estimated without what was before
         return following
+
+    def _is_settled(self, one: EndOfFault) -> bool:
+        """Whether all samples at hand are later than a jump."""
+        return bool(self._state['now'] - one.time > 2.0 * self.plan.interval)
 
     def _is_scale(self, one: ScaleOfJump, now: float) -> bool:
         """Whether a jump is that of a scale error, and surely not the end of a fault."""
@@ -727,7 +759,7 @@ class SerialMonitor:
         return end is not None and one.begin < end.time + 2.0 * self.plan.interval
 
     def _frozen(self) -> dict[int, Frozen]:
-        """Readings that stopped dead while they moved, or have lost their noise.
+        """Readings that stopped dead while they moved, or have lost their noise, or froze before.
 
         Rounding and usual braking explain a part of the rate before.
         """
@@ -739,11 +771,13 @@ class SerialMonitor:
             rounding, rate = float(sampler.grain[i]) / measured, float(sampler.stop[i])
             smallest = max(self.settings.smallest_step * self.scales[i], sampler.grain[i])
             alive, speed = bool(sampler.lively[i] > LIVELY), abs(rate) - rounding
+            time = self._last() - float(sampler.still[i]) * period
+            if self.sensors[i].kind == 'stuck':  # while its alarm is up, any rest may be a freeze
+                found[i] = Frozen(time, 0.0, USUAL_RATE, alive)
             if not alive and speed * STILL_TIME <= smallest:
                 continue  # joints that rest are many, and usual accelerations take time
             braking = 0.5 * measured * self._acceleration(i)
             if alive or (speed - braking) * STILL_TIME > smallest:
-                time = self._last() - float(sampler.still[i]) * period
                 sigma = math.hypot(rounding, braking, STILL_RATE)
                 found[i] = Frozen(time, rate, sigma, alive)
         return found
@@ -754,8 +788,9 @@ class SerialMonitor:
         return usual_acceleration(blocks, i, self.joints, self.plan.blocks)
 
     def _unfollowed(self) -> dict[int, Frozen]:
-        """Frozen readings that nobody has named."""
-        return {i: one for i, one in self._frozen().items() if i not in self._filters}
+        """Frozen readings that nobody has named, nor was there just a jump."""
+        known = {*self._filters, *(i for i, one in self._ends.items() if not self._is_settled(one))}
+        return {i: one for i, one in self._frozen().items() if i not in known}
 
     def _report_contact(self, now: float) -> None:
         """Something pushes the arm: no sensor is to blame, and nothing is learned from it."""
@@ -911,9 +946,10 @@ class SerialMonitor:
             if sensor.kind == 'noise':
                 over = self.sampler.noisy[i] == 0
             elif sensor.kind == 'stuck':
-                over = self.sampler.still[i] * self.arm.sample_time < STILL_TIME
-                if over and i in self._filters and self._moved_on(i):
+                moves = self.sampler.still[i] * self.arm.sample_time < STILL_TIME
+                if moves and i in self._filters and self._moved_on(i):
                     self._lose_count(i)
+                over = moves or (i not in self._filters and self._rests(i))
             else:
                 smallest = self.settings.smallest_level * self.scales[i]
                 limit = (1.0 - LEFT) * max(smallest, sigmas * sigma[i])
@@ -932,6 +968,11 @@ class SerialMonitor:
                 self._event(i, record.kind, now, 'cleared', 0.0, 0.0)
                 record.clear()
         return Stage.DONE
+
+    def _rests(self, i: int) -> bool:
+        """Whether the joint of a reading that rests does so, too, as balances say."""
+        gains = [one.gain for one in self._stuck if one.joint == i]
+        return bool(gains) and max(gains) < 0.0
 
     def _largest_removed(self, i: int) -> float:
         """What is taken out of a reading; of a scale error, where that was farthest from zero."""

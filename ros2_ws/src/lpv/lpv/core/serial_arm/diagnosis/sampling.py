@@ -107,8 +107,8 @@ class Sampler(NamedTuple):
     sums: FloatArray  # of the current block, shape (3, n)
     # (capacity, 3 n + 4) ring: y, v, tau of blocks; mean time, length, place, error of stamps
     blocks: FloatArray
-    found: IntArray  # `STEP`, `SPIKE` or `NONE` of the last sample, shape (n,)
-    size: FloatArray  # height of a step that was found, or may be hidden, shape (n,) [rad]
+    found: IntArray  # `NONE` or what else of the last sample, shape (n,)
+    size: FloatArray  # height of a jump that was found, or may be hidden, shape (n,) [rad]
     since: IntArray  # samples since that step, itself included, shape (n,)
     raw: FloatArray  # last reading as it came, shape (n,) [rad]
     still: IntArray  # samples for which the reading has not changed at all, shape (n,)
@@ -745,7 +745,7 @@ def _name_jump(sampler: Sampler, i: int) -> None:
     doubt = sampler.doubtful[peak, i]
     if abs(after + size) < LEFT * abs(size):
         doubt = max(doubt, sampler.doubtful[peak + 1, i])
-        sampler.found[i] = SPIKE if doubt == 0 else NONE
+        sampler.found[i], sampler.size[i] = SPIKE if doubt == 0 else NONE, size
         if doubt > 0:
             sampler.clock[STAMPS] = 1.0
         middle = 0.5 * (sampler.samples[peak - 1, 0, i] + sampler.samples[peak + 1, 0, i])
