@@ -13,38 +13,34 @@ import pytest
 from places import BRINGUP, ROOT
 from rich.console import Console
 
+from lpv import load_arm, load_scenario, save_gains
 from lpv.cli import progress
 from lpv.cli.commands import demo
-from lpv.cli.main import main
 from lpv.cli.needs import remedy
 from lpv.core.export.urdf import arm_urdf
-from lpv.core.serial_arm.arm_file import load_arm
-from lpv.core.simulation.scenario import load_scenario
-from lpv.core.uio.certificate.gains import save_gains
 from lpv.core.uio.planar import planar_model, serial_from_planar
 
 HEAVY = ('numpy', 'numba', 'scipy', 'matplotlib', 'cvxpy', 'rosbags', 'pinocchio', 'rclpy', 'rich')
 
 
+HELP = f"""
+import sys
+from lpv.cli.main import COMMANDS, build_parser
+for name in COMMANDS:
+    build_parser(name).format_help()
+print([name for name in {HEAVY} if name in sys.modules])"""
+
+
 def test_given_any_command_when_asked_for_help_then_nothing_heavy_is_imported():
-    code = (
-        'import sys\n'
-        'from lpv.cli.main import COMMANDS, build_parser\n'
-        f'for name in COMMANDS:\n'
-        '    build_parser(name).format_help()\n'
-        f'print([name for name in {HEAVY} if name in sys.modules])'
-    )
-    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, timeout=120)
+    done = subprocess.run([sys.executable, '-c', HELP], capture_output=True, text=True, timeout=120)
     assert done.stdout == '[]\n', done.stderr
 
 
-def test_given_no_command_or_the_version_when_run_then_it_is_said(capsys):
-    assert main([]) == 0
-    said = capsys.readouterr().out
+def test_given_no_command_or_the_version_when_run_then_it_is_said(call, capsys):
+    said = call().out
     assert 'of serial robot arms' in said and 'two-link' not in said
-    with pytest.raises(SystemExit) as end:
-        main(['--version'])
-    assert end.value.code == 0
+    with pytest.raises(SystemExit, match='^0$'):
+        call('--version')
     assert capsys.readouterr().out.startswith('lpv ')
 
 
@@ -85,46 +81,44 @@ def test_given_gains_of_an_earlier_demo_when_all_is_as_it_was_then_no_solver_is_
     save_gains(paper_gains, file, demo._design_key(paper_model, 'paper') + '\nholds: all')
     assert demo._designed(paper_arm, 'paper', tmp_path, console) == file
     assert 'all 1 checks' in console.file.getvalue()
-    with pytest.raises(ImportError):
-        demo._designed(paper_arm, 'paper_literal', tmp_path, console)
-    file.write_text(re.sub('kappa: .*[0-9]', 'kappa: [1.0, 1.0', file.read_text(), count=1))
-    with pytest.raises(ImportError):
-        demo._designed(paper_arm, 'paper', tmp_path, console)
+    changed = re.sub('kappa: .*[0-9]', 'kappa: [1.0, 1.0', file.read_text(), count=1)
+    for requirement, text in (('paper_literal', file.read_text()), ('paper', changed)):
+        file.write_text(text)
+        with pytest.raises(ImportError):
+            demo._designed(paper_arm, requirement, tmp_path, console)
 
 
 @pytest.fixture
-def init(tmp_path):
-    """Calls the command for a new folder, with the text of a URDF; the arm that it writes."""
+def init(tmp_path, call):
+    """Calls the command for a new folder, with the text of a URDF; the arm and what it prints."""
 
     def run(*options, urdf=None):
         if urdf:
             (tmp_path / 'arm.urdf').write_text(urdf)
             options = ('--urdf', tmp_path / 'arm.urdf', *options)
-        assert main(['init', str(tmp_path / 'new'), *map(str, options)]) == 0
-        return load_arm(tmp_path / 'new' / 'arm.yaml')
+        said = call('init', tmp_path / 'new', *options).out
+        return load_arm(tmp_path / 'new' / 'arm.yaml'), said
 
     return run
 
 
 @pytest.mark.slow
-def test_given_an_empty_folder_when_initialised_then_a_design_holds(tmp_path, init, capsys):
-    arm = init('--name', 'bench')
-    assert arm.name == 'bench'
-    load_scenario(tmp_path / 'new' / 'scenario.yaml').path(arm)
-    assert 'lpv design --arm' in capsys.readouterr().out
-    names = 'arm', 'requirement', 'gains'
-    file, requirement, gains = (str(tmp_path / 'new' / f'{name}.yaml') for name in names)
-    assert main(['design', '--arm', file, '--requirement', requirement, '--out', gains]) == 0
-    assert main(['verify', gains, '--arm', file]) == 0
+def test_given_an_empty_folder_when_initialised_then_a_design_holds(tmp_path, init, call):
+    arm, said = init('--name', 'bench')
+    assert arm.name == 'bench' and 'lpv design --arm' in said
+    names = 'arm', 'requirement', 'gains', 'scenario'
+    file, requirement, gains, scenario = (tmp_path / 'new' / f'{name}.yaml' for name in names)
+    load_scenario(scenario).path(arm)
+    call('design', '--arm', file, '--requirement', requirement, '--out', gains)
+    call('verify', gains, '--arm', file)
 
 
 @pytest.mark.parametrize(('name', 'joints'), [('ur10', 6), ('panda', 7)])
-def test_given_a_serial_urdf_when_initialised_then_it_fits(tmp_path, init, name, joints, capsys):
-    arm = init('--urdf', BRINGUP / 'urdf' / f'{name}.urdf', '--name', 'bench')
-    assert arm.name == 'bench' and len(arm.joint_names) == joints
+def test_given_a_serial_urdf_when_initialised_then_it_fits(tmp_path, init, name, joints):
+    arm, said = init('--urdf', BRINGUP / 'urdf' / f'{name}.urdf', '--name', 'bench')
+    assert (arm.name, len(arm.joint_names)) == ('bench', joints) and 'lpv demo --arm' in said
     path = load_scenario(tmp_path / 'new' / 'scenario.yaml').path(arm)
     assert np.ptp(path.sample(np.linspace(0.0, 12.0, 50)).position, axis=0).min() > 0.1
-    assert 'lpv demo --arm' in capsys.readouterr().out
 
 
 @pytest.mark.parametrize('zero', [None, 0.0, np.pi / 3, np.pi])
@@ -133,7 +127,7 @@ def test_given_a_urdf_when_initialised_then_the_arm_is_that_of_the_urdf(init, pa
     if zero is not None:
         model = replace(model, zero_angle=zero)
         wanted = serial_from_planar(model)
-    arm = init(urdf=arm_urdf(wanted))
+    arm, _ = init(urdf=arm_urdf(wanted))
     found = planar_model(arm)
     for one, other in zip(found.links, model.links):
         assert vars(one) == pytest.approx(vars(other))
@@ -143,9 +137,8 @@ def test_given_a_urdf_when_initialised_then_the_arm_is_that_of_the_urdf(init, pa
 
 
 def test_given_links_in_no_vertical_plane_when_initialised_then_it_has_no_region(init, paper_arm):
-    arm = init(urdf=arm_urdf(paper_arm).replace('xyz="0 -1.0 0"', 'xyz="0 0 1"'))
-    assert [joint.axis for joint in arm.joints] == [(0.0, 0.0, 1.0)] * 2
-    assert arm.lpv is None
+    arm, _ = init(urdf=arm_urdf(paper_arm).replace('xyz="0 -1.0 0"', 'xyz="0 0 1"'))
+    assert [joint.axis for joint in arm.joints] == [(0.0, 0.0, 1.0)] * 2 and arm.lpv is None
 
 
 LINK = (
@@ -171,17 +164,13 @@ GRIPPER = '<robot name="my arm">{}{}</robot>'.format(
 """Three joints that turn, and two fingers that slide."""
 
 
-@pytest.mark.parametrize(
-    'options',
-    [
-        ['--lock', 'left_finger=0.02', '--lock', 'right_finger'],
-        ['--joints', 'shoulder,elbow,wrist'],
-        ['--joints', 'shoulder', 'elbow', 'wrist'],
-        ['--tip', 'tool'],
-    ],
-)
+HOLDS = ['--lock left_finger=0.02 --lock right_finger', '--joints shoulder,elbow,wrist',
+         '--joints shoulder elbow wrist', '--tip tool']  # fmt: skip
+
+
+@pytest.mark.parametrize('options', HOLDS)
 def test_given_a_gripper_when_held_then_the_arm_has_the_others_and_their_friction(init, options):
-    arm = init(*options, urdf=GRIPPER)
+    arm, _ = init(*options.split(), urdf=GRIPPER)
     assert (arm.name, arm.joint_names) == ('my_arm', ('shoulder', 'elbow', 'wrist'))
     assert dict(arm.locked).keys() == {'left_finger', 'right_finger'}
     assert dict(arm.locked)['left_finger'] == (0.02 if '--lock' in options else 0.0)

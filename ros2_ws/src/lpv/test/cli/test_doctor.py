@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rclpy
 import ros
 from places import BRINGUP, ROOT
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -22,15 +23,12 @@ from lpv.cli.doctor import environment, graph, signals
 from lpv.cli.doctor.files import check_files
 from lpv.cli.doctor.finding import Level
 from lpv.cli.doctor.snapshot import JOINT_STATE, Endpoint, Snapshot
-from lpv.cli.main import main
 from lpv.core.uio.certificate.gains import save_gains
 from lpv.core.uio.model.joints import JointMap
 from lpv_node.qos import stream
 
 PAPER = str(BRINGUP / 'arms' / 'paper.yaml')
-GAINS, UR10_GAINS, PANDA_GAINS = (
-    str(BRINGUP / 'gains' / f'{name}.yaml') for name in ('paper', 'ur10', 'panda')
-)
+GAINS, UR10_GAINS, PANDA_GAINS = (f'{BRINGUP}/gains/{n}.yaml' for n in ('paper', 'ur10', 'panda'))
 NODES = ('/lpv/arm_sim', '/lpv/tracker', '/lpv/uio')
 NOW = 1_800_000_000_000_000_000
 STAMPS = [NOW + k * 2_000_000 for k in range(50)]
@@ -45,9 +43,6 @@ def bad(findings):
 def found(findings):
     """Names of the checks that found something."""
     return [f.check for f in bad(findings)]
-
-
-# ------------------------------------------------------------------ files
 
 
 @pytest.fixture(scope='module')
@@ -72,35 +67,33 @@ def files(paper_gains, tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize(
-    ('check', 'arm', 'gains', 'scenario', 'said'),
-    [
-        ('', 'paper', GAINS, 'two_faults', "arm 'paper' holds"),
-        ('', 'paper', None, None, 'observes alone; lpv design designs them'),
-        ('', './crane.yaml', None, None, 'the moving horizon observes alone'),
-        ('', 'ur10', UR10_GAINS, None, "loop of arm 'ur10' holds"),
-        ('arm', './light.yaml', None, None, r'joints\[0\].link.mass'),
-        ('gains', 'real_arm', GAINS, None, "another arm.*'paper'.*'real_arm'.*--arm real_arm"),
-        ('gains', 'paper', './changed.yaml', None, 'does not hold: observer, link 1'),
-        ('gains', 'paper', './none.yaml', None, 'lpv design'),
-        ('gains', 'paper', './cut.yaml', None, 'lpv design'),
-        ('gains', 'paper', './empty.yaml', None, 'lpv design'),
-        ('gains', 'paper', './hollow.yaml', None, 'lpv design'),
-        ('gains', './crane.yaml', GAINS, None, 'lpv: is missing'),
-        ('gains', 'ur10', PANDA_GAINS, None, 'for another arm'),
-        ('gains', 'ur10', './bare.yaml', None, 'no certificate'),
-        ('scenario', 'paper', None, './far.yaml', 'out of reach'),
-        ('scenario', 'paper', None, './elbow.yaml', 'sensor'),
-        ('scenario', 'paper', None, './mujoco.yaml', 'needs MuJoCo'),
-    ],
-)
+CHECKS = [
+    ('', 'paper', GAINS, 'two_faults', "arm 'paper' holds"),
+    ('', 'paper', None, None, 'observes alone; lpv design designs them'),
+    ('', './crane.yaml', None, None, 'the moving horizon observes alone'),
+    ('', 'ur10', UR10_GAINS, None, "loop of arm 'ur10' holds"),
+    ('arm', './light.yaml', None, None, r'joints\[0\].link.mass'),
+    ('gains', 'real_arm', GAINS, None, "another arm.*'paper'.*'real_arm'.*--arm real_arm"),
+    ('gains', 'paper', './changed.yaml', None, 'does not hold: observer, link 1'),
+    *(('gains', 'paper', f'./{bad}.yaml', None, 'lpv design')
+      for bad in ('none', 'cut', 'empty', 'hollow')),
+    ('gains', './crane.yaml', GAINS, None, 'lpv: is missing'),
+    ('gains', 'ur10', PANDA_GAINS, None, 'for another arm'),
+    ('gains', 'ur10', './bare.yaml', None, 'no certificate'),
+    ('scenario', 'paper', None, './far.yaml', 'out of reach'),
+    ('scenario', 'paper', None, './elbow.yaml', 'sensor'),
+    ('scenario', 'paper', None, './mujoco.yaml', 'needs MuJoCo'),
+]  # fmt: skip
+"""The check that finds something, or none; arm, gains and scenario; what is said."""
+
+
+@pytest.mark.parametrize('check, arm, gains, scenario, said', CHECKS)
 def test_given_files_when_checked_then_all_fits_or_it_is_said_why_not(
     files, monkeypatch, check, arm, gains, scenario, said
 ):
     monkeypatch.setitem(sys.modules, 'mujoco', None)
-    model, findings = check_files(
-        *(name and name.replace('./', f'{files}/') for name in (arm, gains, scenario))
-    )
+    names = (name and name.replace('./', f'{files}/') for name in (arm, gains, scenario))
+    model, findings = check_files(*names)
     assert (model is None) == (check == 'arm')
     if check:
         (finding,) = bad(findings)
@@ -112,9 +105,6 @@ def test_given_files_when_checked_then_all_fits_or_it_is_said_why_not(
     assert re.search(said, f'{finding.text} {finding.remedy}', re.DOTALL)
 
 
-# ------------------------------------------------------------------ environment
-
-
 def test_given_this_environment_when_checked_then_nothing_is_found(monkeypatch):
     for name in ('ROS_DOMAIN_ID', 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_LOCALHOST_ONLY'):
         monkeypatch.delenv(name, raising=False)
@@ -124,38 +114,30 @@ def test_given_this_environment_when_checked_then_nothing_is_found(monkeypatch):
     assert wanted <= set((ROOT / 'requirements' / 'base.txt').read_text().splitlines())
 
 
-@pytest.mark.parametrize(
-    ('name', 'value', 'check', 'level'),
-    [
-        ('ROS_DOMAIN_ID', 'x', environment.check_domain, Level.ERROR),
-        ('ROS_DOMAIN_ID', '999', environment.check_domain, Level.ERROR),
-        ('ROS_DOMAIN_ID', '150', environment.check_domain, Level.WARN),
-        ('ROS_DOMAIN_ID', '42', environment.check_domain, Level.OK),
-        ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'EVERYWHERE', environment.check_range, Level.ERROR),
-        ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'OFF', environment.check_range, Level.ERROR),
-        ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'SUBNET', environment.check_range, Level.OK),
-        ('ROS_LOCALHOST_ONLY', '1', environment.check_range, Level.WARN),
-        ('RMW_IMPLEMENTATION', 'rmw_of_nobody', environment.check_middleware, Level.ERROR),
-        ('ROS_DISTRO', 'jazzy', environment.check_ros, None),
-    ],
-)
-def test_given_a_variable_when_checked_then_it_is_judged(monkeypatch, name, value, check, level):
-    monkeypatch.setenv(name, value)
-    import rclpy
+WHEELS = rclpy.__file__.startswith(sys.prefix) and sys.prefix != sys.base_prefix
+VARIABLES = [
+    ('ROS_DOMAIN_ID', 'domain', {'x': 'ERROR', '999': 'ERROR', '150': 'WARN', '42': 'OK'}),
+    ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'range',
+     {'EVERYWHERE': 'ERROR', 'OFF': 'ERROR', 'SUBNET': 'OK'}),
+    ('ROS_LOCALHOST_ONLY', 'range', {'1': 'WARN'}),
+    ('RMW_IMPLEMENTATION', 'middleware', {'rmw_of_nobody': 'ERROR'}),
+    # A sourced ROS 2 beside wheels: only where there are wheels.
+    ('ROS_DISTRO', 'ros', {'jazzy': 'ERROR' if WHEELS else 'OK'}),
+]  # fmt: skip
 
-    if level is None:  # a sourced ROS 2 beside wheels: only where there are wheels
-        wheels = rclpy.__file__.startswith(sys.prefix)
-        level = Level.ERROR if wheels and sys.prefix != sys.base_prefix else Level.OK
-    finding = check()
-    assert finding.level == level
-    assert bool(finding.remedy) == (level != Level.OK)
+
+@pytest.mark.parametrize('name, check, levels', VARIABLES)
+def test_given_a_variable_when_checked_then_it_is_judged(monkeypatch, name, check, levels):
+    for value, level in levels.items():
+        monkeypatch.setenv(name, value)
+        finding = getattr(environment, f'check_{check}')()
+        assert (finding.level.name, bool(finding.remedy)) == (level, level != 'OK'), value
 
 
 def test_given_what_is_old_or_missing_when_checked_then_it_is_named(monkeypatch):
     finding = environment.check_packages(('numpy<1', 'no-such-package-of-ours>=1'))
-    assert finding.level == Level.ERROR
+    assert finding.level == Level.ERROR and 'no-such-package-of-ours is missing' in finding.text
     assert re.search(r'numpy is [\d.]+, <1 is needed', finding.text)
-    assert 'no-such-package-of-ours is missing' in finding.text
     monkeypatch.setattr('lpv.core.support.jit.COMPILED', False)
     monkeypatch.setattr(sys, 'version_info', (3, 9, 1))
     assert environment.check_compiler().level == environment.check_python().level == Level.WARN
@@ -164,9 +146,6 @@ def test_given_what_is_old_or_missing_when_checked_then_it_is_named(monkeypatch)
     assert environment.check_middleware(nothing).level == Level.ERROR
     monkeypatch.setitem(sys.modules, 'lpv_msgs.msg', None)
     assert environment.check_workspace().level == Level.ERROR
-
-
-# ------------------------------------------------------------------ graphs
 
 
 def message(stamp, names=('joint1', 'joint2'), effort=(0.0, 0.0), velocity=(0.0, 0.0), position=()):
@@ -213,8 +192,7 @@ def elsewhere(shot):
 
 def still_clock(shot):
     shot.parameters[UIO]['use_sim_time'] = True
-    shot.measured[JOINTS] = heard([10**9])
-    shot.clock.extend([(NOW, 10**9)] * 5)
+    shot.measured[JOINTS], shot.clock = heard([10**9]), [(NOW, 10**9)] * 5
 
 
 def given(part, key, value):
@@ -222,7 +200,11 @@ def given(part, key, value):
     return lambda shot: getattr(shot, part).update({key: value})
 
 
-NAN = float('nan')
+def sent(**fields):
+    """The mistake of what the driver sends."""
+    return given('measured', JOINTS, heard(**fields))
+
+
 DRIVERS = [Endpoint(node, JOINT_STATE, stream(False)) for node in ('/driver', '/lpv/arm_sim')]
 CLOCKS = [Endpoint(node, 'rosgraph_msgs/msg/Clock', stream(True)) for node in ('/a', '/b')]
 RELIABLE = Endpoint(UIO, JOINT_STATE, QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE))
@@ -241,21 +223,16 @@ MISTAKES = [
     (elsewhere, 'connections', ELSEWHERE),
     (given('subscriptions', JOINTS, [RELIABLE]), 'qos', 'uio receives nothing from /lpv/arm_sim'),
     (given('subscriptions', JOINTS, [TEXTS]), 'qos', 'JointState and std_msgs/msg/String'),
-    *(
-        (given('measured', JOINTS, heard(**changes)), check, text)
-        for changes, check, text in (
-            ({'stamps': []}, 'measurements', '/lpv/joint_states is silent'),
-            ({'names': ('shoulder', 'elbow')}, 'joints', "joint 'joint1' occurs 0 times"),
-            ({'effort': ()}, 'efforts', '50 of 50 messages carry no effort'),
-            ({'velocity': ()}, 'values', 'carry no rates'),
-            ({'velocity': (NAN, 0.0)}, 'values', 'that are not numbers'),
-            ({'stamps': [0] * 50}, 'stamps', 'stamps are zero'),
-            ({'delay': 3600 * 10**9}, 'stamps', r'3.6e\+03 s behind the clock of this machine'),
-            ({'delay': -2 * 10**9}, 'stamps', 'stamps are 2 s ahead of'),
-            ({'stamps': STAMPS[:25] * 2}, 'stamps', 'time goes backwards 1 times'),
-            ({'stamps': STAMPS[::5]}, 'rate', 'every 10 ms, the arm file says 2 ms'),
-        )
-    ),
+    (sent(stamps=[]), 'measurements', '/lpv/joint_states is silent'),
+    (sent(names=('shoulder', 'elbow')), 'joints', "joint 'joint1' occurs 0 times"),
+    (sent(effort=()), 'efforts', '50 of 50 messages carry no effort'),
+    (sent(velocity=()), 'values', 'carry no rates'),
+    (sent(velocity=(float('nan'), 0.0)), 'values', 'that are not numbers'),
+    (sent(stamps=[0] * 50), 'stamps', 'stamps are zero'),
+    (sent(delay=3600 * 10**9), 'stamps', r'3.6e\+03 s behind the clock of this machine'),
+    (sent(delay=-2 * 10**9), 'stamps', 'stamps are 2 s ahead of'),
+    (sent(stamps=STAMPS[:25] * 2), 'stamps', 'time goes backwards 1 times'),
+    (sent(stamps=STAMPS[::5]), 'rate', 'every 10 ms, the arm file says 2 ms'),
 ]
 
 
@@ -283,8 +260,7 @@ def test_given_a_mistake_in_a_graph_when_checked_then_it_alone_is_found(shot, sp
     findings = bad(graph.check_graph(shot))
     assert sorted(set(found(findings))) == checks.split(', ')
     assert all(f.remedy for f in findings)
-    said = [f'{f.text} {f.remedy}' for f in findings]
-    assert any(re.search(text, one) for one in said), said
+    assert re.search(text, '\n'.join(f'{f.text} {f.remedy}' for f in findings))
 
 
 def test_given_another_arm_or_nothing_when_checked_then_it_is_said(shot, paper_arm, real_arm):
@@ -297,31 +273,26 @@ def test_given_another_arm_or_nothing_when_checked_then_it_is_said(shot, paper_a
     assert 'but there are measurements' in finding.text and 'no gains' in finding.remedy
 
 
-# ------------------------------------------------------------------ the command
-
-
-def test_given_files_when_the_command_runs_then_code_0_and_3_if_not(capsys, refused, monkeypatch):
+def test_given_files_when_the_command_runs_then_code_0_and_3_if_not(call, refused, monkeypatch):
     line = ['doctor', '--gains', GAINS, '--offline', '--arm']
-    assert main([*line, 'paper']) == 0
-    assert 'nothing found' in capsys.readouterr().out
-    assert main([*line, 'real_arm']) == 3
-    assert '-> lpv design --arm real_arm' in ' '.join(capsys.readouterr().out.split())
-    assert main([*line, 'real_arm', '--json']) == 3
-    told = json.loads(capsys.readouterr().out)
+    assert 'nothing found' in call(*line, 'paper').out
+    said = call(*line, 'real_arm', code=3).out
+    assert '-> lpv design --arm real_arm' in ' '.join(said.split())
+    told = json.loads(call(*line, 'real_arm', '--json', code=3).out)
     assert told['ok'] is False
     assert [f['check'] for f in told['findings'] if f['level'] == 'ERROR'] == ['gains']
     for seconds in ('nan', '-1', '1e9'):
         assert refused('--seconds', 'doctor', '--seconds', seconds)
     # Another middleware is a finding, too.
     monkeypatch.setenv('RMW_IMPLEMENTATION', 'rmw_of_nobody')
-    assert main(['doctor', '--json']) == 3  # the graph is left out: looking would end the process
-    levels = {f['check']: f['level'] for f in json.loads(capsys.readouterr().out)['findings']}
+    told = json.loads(call('doctor', '--json', code=3).out)
+    levels = {f['check']: f['level'] for f in told['findings']}
     assert levels['middleware'] == 'ERROR' and levels['ros'] == 'OK'
-    assert 'nodes' not in levels
+    assert 'nodes' not in levels  # the graph is left out: looking would end the process
 
 
 @pytest.mark.ros
-def test_given_two_simulators_alone_when_the_command_runs_then_all_is_found(monkeypatch, capsys):
+def test_given_two_simulators_alone_when_the_command_runs_then_all_is_found(monkeypatch, call):
     from rclpy.lifecycle import LifecycleNode
 
     domain, over = ros.next_domain(), threading.Event()
@@ -337,22 +308,18 @@ def test_given_two_simulators_alone_when_the_command_runs_then_all_is_found(monk
         thread = threading.Thread(target=client.wait, args=(over.is_set,))
         thread.start()
         try:
-            assert main(['doctor', '--seconds', '1', '--json']) == 3
+            told = json.loads(call('doctor', '--seconds', '1', '--json', code=3).out)['findings']
         finally:
             over.set()
             thread.join()
             for node in nodes:
                 node.destroy_node()
-    told = json.loads(capsys.readouterr().out)['findings']
     texts = {f['check']: f['text'] for f in told if f['level'] != 'OK'}
     assert '/lpv/joint_states has 2 publishers' in texts['publishers']
     assert 'several nodes /lpv/arm_sim' in texts['names']
     assert '/lpv/uio is unconfigured' in texts['lifecycle']
     assert '/lpv/torque_command, which has no publisher' in texts['connections']
     assert '/lpv/joint_states is silent' in texts['measurements']
-
-
-# ------------------------------------------------------------------ units, rates
 
 
 def recorded(arm, duration=1.2, scale=1.0, rate_scale=1.0, sign=1.0, rates=True):
@@ -364,11 +331,8 @@ def recorded(arm, duration=1.2, scale=1.0, rate_scale=1.0, sign=1.0, rates=True)
 
 
 def test_given_degrees_when_checked_then_they_are_named(paper_arm, paper_model):
-    for scale, rate_scale, said in (
-        (57.3, 57.3, 'rad: degrees'),
-        (57.3, 1.0, 'degrees'),
-        (1.0, 57.3, 'rates in degrees'),
-    ):
+    both = {'rad: degrees': (57.3, 57.3), 'degrees': (57.3, 1.0), 'rates in degrees': (1.0, 57.3)}
+    for said, (scale, rate_scale) in both.items():
         messages = list(recorded(paper_arm, scale=scale, rate_scale=rate_scale))
         finding = signals.check_units('/joint_states', messages, paper_arm)
         assert finding.level == Level.ERROR and said in finding.text
