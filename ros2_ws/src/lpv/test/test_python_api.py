@@ -57,9 +57,7 @@ def test_given_a_serial_arm_when_its_bag_is_diagnosed_then_the_monitor_says_the_
     arm = lpv.load_arm(crane_file(tmp_path))
     bag = record_crane(tmp_path / 'bag', crane_run(0.5))
     diagnosis, monitor = lpv.diagnose(arm, None, bag), lpv.Monitor(arm)
-    updates = [
-        monitor.update(sample.stamp, sample.position, sample.velocity, sample.effort)
-        for sample in lpv.read_bag(bag, arm)
-    ]
+    samples = lpv.read_bag(bag, arm)
+    updates = [monitor.update(s.stamp, s.position, s.velocity, s.effort) for s in samples]
     np.testing.assert_array_equal(diagnosis.fault, [update.fault for update in updates])
     np.testing.assert_array_equal(diagnosis.position, [update.position for update in updates])

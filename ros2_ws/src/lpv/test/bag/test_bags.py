@@ -11,8 +11,8 @@ from itertools import chain
 import numpy as np
 import pytest
 import yaml
-from bags import CHATTER, JOINT_STATE, JOINTS, START, STEP, contents, storage, write_small
-from foreign_bags import KINDS, STRING, TOPICS, TYPESTORE, cdr, text, write_by_mcap
+from bag_messages import CHATTER, JOINT_STATE, JOINTS, START, STEP, STRING, TYPESTORE, cdr, text
+from bags import KINDS, TOPICS, contents, storage, write_by_mcap, write_small
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader

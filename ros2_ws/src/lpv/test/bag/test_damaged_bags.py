@@ -7,11 +7,12 @@ import shutil
 import struct
 
 import pytest
-from bags import CHATTER, JOINTS, START, STEP, contents, storage, write_small
-from foreign_bags import KINDS, STRING, text, write_by_mcap, write_by_rosbags
+from bag_messages import CHATTER, JOINTS, START, STEP, STRING, text
+from bags import KINDS, contents, storage, write_by_mcap, write_by_rosbags, write_small
 from fuzzing import fuzz, mutate_bytes, mutate_text
 from places import BRINGUP
 
+from lpv import ConfigError, save_gains
 from lpv.bag.errors import BagError
 from lpv.bag.replay.replay import Replay
 from lpv.bag.rosbag import mcap_file
@@ -20,10 +21,7 @@ from lpv.bag.rosbag.recovery import recover
 from lpv.bag.rosbag.writing import BagWriter
 from lpv.bag.run.csv_import import import_csv, load_column_map
 from lpv.bag.run.record import load_run
-from lpv.cli.main import main
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
-from lpv.core.support.errors import ConfigError
-from lpv.core.uio.certificate.gains import save_gains
 
 pytestmark = [pytest.mark.filterwarnings('error'), pytest.mark.slow]
 
@@ -84,10 +82,10 @@ def flipped(data, at, rng):
     return data[:at] + bytes([data[at] ^ 1 << rng.randrange(8)]) + data[at + 1 :]
 
 
-@pytest.mark.parametrize(
-    ('harm', 'preset', 'step', 'readable'),
-    [(cut, 'zstd_fast', 37, 0.33), (flipped, 'none', 101, 0.8), (flipped, 'zstd_fast', 71, 0.8)],
-)
+HARMS = [(cut, 'zstd_fast', 37, 0.33), (flipped, 'none', 101, 0.8), (flipped, 'zstd_fast', 71, 0.8)]
+
+
+@pytest.mark.parametrize('harm, preset, step, readable', HARMS)
 def test_given_a_wrong_byte_when_read_then_all_was_recorded(tmp_path, harm, preset, step, readable):
     judge, rng = Judge(write_small(tmp_path / 'bag', 8, preset=preset)), random.Random(3)
     places = range(0, len(judge.data), step)
@@ -173,9 +171,7 @@ def test_given_a_file_of_another_writer_when_damaged_then_it_is_read_in_parts(tm
 
 
 @pytest.mark.parametrize('field', ['size', 'data', 'record'])
-def test_given_sizes_of_petabytes_when_read_then_no_memory_is_taken_for_them(
-    bag, tmp_path, monkeypatch, field
-):
+def test_given_sizes_of_petabytes_when_read_then_no_memory_goes(bag, tmp_path, monkeypatch, field):
     data = bytearray(storage(bag).read_bytes())
     chunk = data.index(b'zstd') - 4 - 28 - 9
     place = {'record': chunk + 1, 'size': chunk + 9 + 16, 'data': chunk + 9 + 36}[field]
@@ -183,8 +179,7 @@ def test_given_sizes_of_petabytes_when_read_then_no_memory_is_taken_for_them(
     storage(bag).write_bytes(data)
     found, warnings = contents(bag)
     # Chunks are found by the index, and what is read of them has a checksum.
-    assert len(found) == (18 if field == 'size' else 24)
-    assert bool(warnings) == (field == 'size')
+    assert (len(found), bool(warnings)) == ((18, True) if field == 'size' else (24, False))
     # Nor is a bomb unpacked.
     monkeypatch.setattr(mcap_file, 'MOST_BYTES', 1000)
     with pytest.raises(BagError, match='no chunk of it is whole'):
@@ -197,7 +192,7 @@ def test_given_missing_files_or_metadata_when_read_then_the_others_are_and_it_is
     assert len(list(bag.glob('*.mcap'))) > 10
     (bag / 'metadata.yaml').unlink()
     found, warnings = contents(bag)
-    assert found == good  # in the order of their numbers
+    assert found == good, 'not in the order of their numbers'
     assert any('metadata.yaml' in text for text in warnings)
     (bag / 'metadata.yaml').write_bytes(metadata)
     (bag / 'bag_1.mcap').unlink()
@@ -206,22 +201,14 @@ def test_given_missing_files_or_metadata_when_read_then_the_others_are_and_it_is
     assert recover(bag).lost == len(good) - len(found) == 12
 
 
-def run(capsys, *arguments):
-    code = main(['recover', *map(str, arguments)])
-    said = capsys.readouterr()
-    assert 'Traceback' not in said.out + said.err
-    return code, said.out, said.err
-
-
-def test_given_a_good_bag_when_recovered_then_it_is_copied_if_asked(bag, tmp_path, capsys):
-    code, said, _ = run(capsys, bag)
-    assert (code, 'the bag is whole' in said) == (0, True)
+def test_given_a_good_bag_when_recovered_then_it_is_copied_if_asked(bag, tmp_path, call):
+    assert 'the bag is whole' in call('recover', bag).out
     assert [path.name for path in tmp_path.iterdir()] == ['bag']
-    assert run(capsys, bag, '--out', tmp_path / 'copy', '--preset', 'none')[0] == 0
+    call('recover', bag, '--out', tmp_path / 'copy', '--preset', 'none')
     assert contents(tmp_path / 'copy') == contents(bag)
     # A file alone becomes a bag.
     (tmp_path / 'one.mcap').write_bytes(storage(bag).read_bytes()[:-1])
-    assert run(capsys, tmp_path / 'one.mcap')[0] == 0
+    call('recover', tmp_path / 'one.mcap')
     assert contents(tmp_path / 'one_recovered')[0] == contents(bag)[0]
 
 
@@ -241,30 +228,28 @@ def harm(bag, kind):
         (bag / 'metadata.yaml').unlink()
 
 
-@pytest.mark.parametrize(
-    ('kind', 'code', 'said', 'count'),
-    [
-        ('cut in the summary', 0, 'nothing was lost', 24),
-        ('no metadata', 0, 'nothing was lost', 24),
-        ('cut in a chunk', 3, 'the recording was not finished', 6),
-        ('wrong checksum', 3, r'joint_states +15 +5', 18),
-        ('garbage between chunks', 3, r'joint_states +5 +15', 6),
-    ],
-)
+DAMAGES = [
+    ('cut in the summary', 0, 'nothing was lost', 24),
+    ('no metadata', 0, 'nothing was lost', 24),
+    ('cut in a chunk', 3, 'the recording was not finished', 6),
+    ('wrong checksum', 3, r'joint_states +15 +5', 18),
+    ('garbage between chunks', 3, r'joint_states +5 +15', 6),
+]
+
+
+@pytest.mark.parametrize('kind, code, said, count', DAMAGES)
 def test_given_a_damaged_bag_when_recovered_then_the_new_one_is_good_and_the_old_one_untouched(
-    bag, tmp_path, capsys, kind, code, said, count
+    bag, tmp_path, call, refused, kind, code, said, count
 ):
     harm(bag, kind)
     before, new = {path: path.read_bytes() for path in bag.iterdir()}, tmp_path / 'bag_recovered'
     readable, _ = contents(bag)
-    found, out, _ = run(capsys, bag)
-    assert found == code and re.search(said, out), out
+    assert re.search(said, call('recover', bag, code=code).out)
     assert {path: path.read_bytes() for path in bag.iterdir()} == before
     assert contents(new) == (readable, []) and len(readable) == count
-    assert run(capsys, new)[0] == 0
+    call('recover', new)
     (new / 'mine').write_text('mine')
-    code, _, told = run(capsys, bag)
-    assert (code, 'exists' in told, (new / 'mine').read_text()) == (2, True, 'mine')
+    assert refused('exists', 'recover', bag) and (new / 'mine').read_text() == 'mine'
 
 
 FILES = {
@@ -275,15 +260,14 @@ FILES = {
 
 
 @pytest.mark.parametrize('what', ['nothing', 'nothing.mcap', 'folder', 'no_storage', *FILES])
-def test_given_what_is_no_bag_when_recovered_then_one_line_says_so(bag, tmp_path, capsys, what):
+def test_given_what_is_no_bag_when_recovered_then_one_line_says_so(bag, tmp_path, call, what):
     for name, content in FILES.items():
         (tmp_path / name).write_bytes(content)
     (tmp_path / 'folder').mkdir()
     shutil.copytree(bag, tmp_path / 'no_storage', ignore=shutil.ignore_patterns('*.mcap'))
     before = sorted(tmp_path.iterdir())
-    code, out, said = run(capsys, tmp_path / what, '--out', tmp_path / 'new')
-    assert (code, out, said.count('\n')) == (1, '', 1)
-    assert said.startswith(f'lpv recover: {tmp_path / what}')
+    out, said = call('recover', tmp_path / what, '--out', tmp_path / 'new', code=1)
+    assert (out, said.count('\n')) == ('', 1) and said.startswith(f'lpv recover: {tmp_path / what}')
     assert sorted(tmp_path.iterdir()) == before
 
 

@@ -1,34 +1,29 @@
 """Bags that are played to a node, whose answers are those of a replay; and the player's options."""
 
 import os
-import signal
-import subprocess
-import sys
 import time
 from collections import defaultdict
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import ros
-from foreign_bags import JOINT_STATE, TYPESTORE
+from bag_messages import JOINT_STATE, TYPESTORE
+from bags import write_bag
 from places import BRINGUP
 from rclpy.qos import qos_profile_sensor_data
+from ros2_commands import ROS2, Running
 from rosbags.highlevel import AnyReader
 from rosgraph_msgs.msg import Clock
 from runs import copied
 from sensor_msgs.msg import JointState
 
+from lpv import Alarm, AlarmEvent, Fault
 from lpv.bag.replay.replay import Replay
 from lpv.bag.rosbag.messages import BagMessages
-from lpv.bag.rosbag.metadata import qos_profile
-from lpv.bag.rosbag.writing import BagWriter
 from lpv.core.monitoring.message_fields import alarm_fields
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
-from lpv.core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent
 from lpv.core.simulation.closed_loop import run_closed_loop
-from lpv.core.simulation.faults import Fault
 from lpv.core.support.timestamps import NANOSECONDS, to_nanoseconds
 from lpv_msgs.msg import FaultEstimate, StateEstimate
 
@@ -39,8 +34,8 @@ ARM = f'arm_file:={BRINGUP / "arms" / "paper.yaml"}'
 PERIOD = 4_000_000
 """Between samples [ns]; twice the arm's sample time leaves room for other users of the machine."""
 START = 5 * NANOSECONDS
-MEASURED = '/lpv/joint_states'
-ANSWERS = ('/lpv/state_estimate', '/lpv/fault_estimate', '/lpv/fault_alarm')
+MEASURED, ALARM = '/lpv/joint_states', '/lpv/fault_alarm'
+ANSWERS = ('/lpv/state_estimate', '/lpv/fault_estimate', ALARM)
 
 
 def schedule(count):
@@ -61,21 +56,19 @@ def schedule(count):
 def played(paper_arm, paper_gains, two_faults, tmp_path_factory):
     """Every second measurement of 4 s, with a fault in the second half, as of a bad transport; with
     answers of an earlier node that must not be played."""
-    path, log_time = tmp_path_factory.mktemp('played') / 'bag', START
+    log_time, entries = START, []
     faults = (Fault('link2_angle', 'bias', onset=2.0, size=0.3),)
     run = run_closed_loop(paper_arm, replace(two_faults, duration=4.0, faults=faults), paper_gains)
     samples = list(zip(run.measured, run.measured_velocity, run.effort))[:2000:2]
     messages, kind = BagMessages(TYPESTORE, 'base_link'), 'lpv_msgs/msg/FaultAlarm'
-    with BagWriter(path) as writer:
-        writer.add_topic(MEASURED, JOINT_STATE, [qos_profile(True, False, 1000)])
-        writer.add_topic('/lpv/fault_alarm', kind)
-        for delay, k in schedule(len(samples)):
-            log_time, stamp = log_time + delay, START + k * PERIOD
-            message = messages.joint_state(stamp, paper_arm.joint_names, *samples[k])
-            writer.write(MEASURED, log_time, message)
-        old = alarm_fields(Alarm(AlarmEvent.RAISED, 0, 'old', 1, 2, 1.0, 1.0, 'bias', 1.0))
-        writer.write('/lpv/fault_alarm', log_time, messages.make(kind, stamp, old))
-    return path
+    for delay, k in schedule(len(samples)):
+        log_time, stamp = log_time + delay, START + k * PERIOD
+        message = messages.joint_state(stamp, paper_arm.joint_names, *samples[k])
+        entries.append((MEASURED, log_time, message))
+    old = alarm_fields(Alarm(AlarmEvent.RAISED, 0, 'old', 1, 2, 1.0, 1.0, 'bias', 1.0))
+    entries.append((ALARM, log_time, messages.make(kind, stamp, old)))
+    path, types = tmp_path_factory.mktemp('played') / 'bag', {MEASURED: JOINT_STATE, ALARM: kind}
+    return write_bag(path, entries, types, depth=1000)
 
 
 def stamped(bag, **limits):
@@ -119,10 +112,9 @@ def share_of_same_answers(bag, arm, gains, tmp_path, sent):
     return len(online['/lpv/state_estimate']) / len(measured)
 
 
-def start_player(bag, domain, *options):
-    line = [Path(sys.executable).parent / 'lpv', 'replay', bag, '--publish', *options]
-    environment, pipe = {**os.environ, 'ROS_DOMAIN_ID': str(domain)}, subprocess.PIPE
-    return subprocess.Popen(line, text=True, stdout=pipe, stderr=pipe, env=environment)
+def player_of(bag, domain, *options):
+    program, env = [ROS2.with_name('lpv')], {**os.environ, 'ROS_DOMAIN_ID': str(domain)}
+    return Running('replay', bag, '--publish', *options, program=program, env=env)
 
 
 @pytest.mark.realtime
@@ -140,24 +132,21 @@ def test_given_bad_transport_when_played_then_as_replayed(tmp_path, paper_arm, p
             states = client.listen(StateEstimate, 'state_estimate', qos_profile_sensor_data)
             assert client.wait(lambda: client.node.count_subscribers('joint_states') == 1)
             # Slowly: discovery of /clock may take a second or two.
-            player = start_player(played, domain, '--rate', '0.5')
+            player = player_of(played, domain, '--rate', '0.5')
             assert client.wait(lambda: states)
             begin = time.monotonic()
-            assert client.wait(lambda: player.poll() is not None)
+            assert client.wait(lambda: player.process.poll() is not None)
             seconds = time.monotonic() - begin
-        said, errors = player.communicate()
-        codes = running.stop()
-    assert player.returncode == 0, errors
-    assert set(codes.values()) == {0}, codes
-    assert f'{len(stamps)} messages published' in said
+        code, said = player.end()
+        ros.end(running)
+    assert code == 0 and f'{len(stamps)} messages published' in said, said
     # Of eight seconds, counted from the first answer, which may be late, too.
     assert seconds > 2.7, 'half the rate, twice the time'
     clocks = [to_nanoseconds(c.clock) for c in heard]
-    assert len(clocks) > 50
-    assert set(np.diff(clocks)) <= {10_000_000 * n for n in range(1, 30)}
+    assert len(clocks) > 50 and set(np.diff(clocks)) <= {10_000_000 * n for n in range(1, 30)}
     assert START <= clocks[0] < clocks[-1] <= START + 5 * NANOSECONDS
     assert share_of_same_answers(bag, paper_arm, paper_gains, tmp_path, played) > 0.7
-    alarms = stamped(bag)['/lpv/fault_alarm']
+    alarms = stamped(bag)[ALARM]
     assert alarms and not any(b'old\0' in content for _, content in alarms)
 
 
@@ -170,7 +159,7 @@ def test_given_a_loop_when_interrupted_then_time_has_started_again_and_the_playe
         heard = client.listen(JointState, 'joint_states', qos_profile_sensor_data)
         others = client.listen(FaultEstimate, 'fault_estimate', qos_profile_sensor_data)
         options = ['--loop', '--rate', '4', '--clock-rate', '0', '--from', '0.1', '--to', '0.9']
-        player = start_player(played, domain, *options)
+        player = player_of(played, domain, *options)
 
         def started_again():
             stamps.extend(to_nanoseconds(m.header.stamp) for m in heard[len(stamps) :])
@@ -178,19 +167,16 @@ def test_given_a_loop_when_interrupted_then_time_has_started_again_and_the_playe
 
         assert client.wait(started_again), 'time never started again'
         assert client.node.count_publishers('/clock') == 0
-        player.send_signal(signal.SIGINT)
-        _, errors = player.communicate(timeout=600)
-    assert player.returncode == 130 and errors.endswith('interrupted\n')
+        code, said = player.interrupt(timeout=600)
+    assert code == 130 and said.endswith('interrupted\n')
     assert others == [] and set(stamps) <= chosen
 
 
 def test_given_options_that_make_no_sense_when_played_then_one_line_says_so(played, refused):
-    for name, value, told in (
-        ('--rate', '0', '--rate'),
-        ('--rate', 'nan', '--rate'),
-        ('--clock-rate', '-1', 'clock'),
-        ('--topics', '/nowhere', '/nowhere'),
-        ('--topic', '/nowhere', '/nowhere'),
-        ('--from', '-1', '--from'),
+    for told, *wrong in (
+        ('--rate', '--rate 0', '--rate nan'),
+        ('clock', '--clock-rate -1'),
+        ('/nowhere', '--topics /nowhere', '--topic /nowhere'),
+        ('--from', '--from -1'),
     ):
-        assert refused(told, 'replay', played, '--publish', name, value)
+        assert all(refused(told, 'replay', played, '--publish', *one.split()) for one in wrong)

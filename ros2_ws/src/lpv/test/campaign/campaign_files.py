@@ -41,8 +41,8 @@ def written(path, data):
     return path
 
 
-def command(file, out, *more):
-    return ['campaign', str(file), '--out', str(out), '--workers', '0', '--no-report', *more]
+def command(file, out):
+    return ['campaign', str(file), '--out', str(out), '--workers', '0', '--no-report']
 
 
 def rows_of(folder, name='runs'):

@@ -11,31 +11,21 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import yaml
-from campaign_files import UR10, command, rows_of, spec, written
-from rosbags.rosbag2 import StoragePlugin, Writer
+from bag_messages import CHATTER, JOINT_STATE, STRING, TYPESTORE, cdr, text
+from bags import write_bag, write_by_rosbags
+from campaign_files import GAINS, UR10, command, rows_of, spec, written
 
-from lpv.bag.rosbag.interfaces import make_typestore
+from lpv import AlarmEvent, ConfigError, LpvError, load_arm, load_gains, load_scenario
 from lpv.bag.rosbag.messages import BagMessages
-from lpv.bag.rosbag.writing import BagWriter
 from lpv.bag.run.record import load_run
 from lpv.campaign.execution.archive import Archive, archive_text, find_bags, unit_of
 from lpv.campaign.execution.bag_figures import STATES, alarm_rows
 from lpv.campaign.execution.run_metrics import figures
-from lpv.campaign.execution.run_to_bag import (
-    START,
-    check_answers,
-    differences,
-    stamps_of,
-    write_run_bag,
-)
+from lpv.campaign.execution.run_to_bag import check_answers, differences, stamps_of, write_run_bag
 from lpv.campaign.execution.runs import plan_run
 from lpv.campaign.plan.campaign import resolve
 from lpv.cli.main import main
-from lpv.core.serial_arm.arm_file import load_arm
-from lpv.core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent
-from lpv.core.simulation.scenario import load_scenario
-from lpv.core.support.errors import ConfigError, LpvError
-from lpv.core.uio.certificate.gains import load_gains
+from lpv.core.serial_arm.diagnosis.alarms import Alarm
 
 pytestmark = pytest.mark.slow
 
@@ -93,21 +83,21 @@ def test_given_a_run_when_written_as_a_bag_then_all_but_lost_samples_are_there(d
     torque = record.get('torque_command', 'torque')[np.searchsorted(stamps[kept], stamps[row])]
     np.testing.assert_array_equal(torque, run.torque[row + 2])
     position, velocity = (record.get('reference', name) for name in ('position', 'velocity'))
-    rate = np.gradient(position, (record.stamps['reference'] - START) / 1e9, axis=0)
+    rate = np.gradient(position, record.seconds(record.stamps['reference']), axis=0)
     np.testing.assert_allclose(rate[50:-50], velocity[50:-50], atol=5e-3)
 
 
-def test_given_a_bag_of_a_run_when_replayed_with_its_files_then_every_bit_is_same(done, tmp_path):
+def test_given_a_run_when_replayed_with_its_files_then_every_bit_is_same(done, tmp_path, call):
     plan, _, bag = done
     assert load_arm(bag / 'arm.yaml') == plan.arm
     assert load_scenario(bag / 'scenario.yaml') == plan.scenario
     assert load_gains(bag / 'gains.yaml').certificate == plan.gains.certificate
     names = 'arm', 'gains', 'parameters', 'scenario'
-    arm, gains, parameters, scenario = ([f'--{name}', str(bag / f'{name}.yaml')] for name in names)
-    again, page = str(tmp_path / 'again'), tmp_path / 'report' / 'report.html'
-    assert main(['replay', str(bag), *arm, *gains, *parameters, '--out', again]) == 0
-    assert main(['compare', str(bag), again, *arm, '--exact']) == 0
-    assert main(['report', str(bag), *arm, *scenario, '--out', str(page.parent)]) == 0
+    arm, gains, parameters, scenario = ([f'--{name}', bag / f'{name}.yaml'] for name in names)
+    again, page = tmp_path / 'again', tmp_path / 'report' / 'report.html'
+    call('replay', bag, *arm, *gains, *parameters, '--out', again)
+    call('compare', bag, again, *arm, '--exact')
+    call('report', bag, *arm, *scenario, '--out', page.parent)
     assert page.stat().st_size > 10_000
 
 
@@ -124,11 +114,10 @@ def test_given_a_replay_that_answers_otherwise_when_checked_then_the_signal_is_n
             check_answers(replace(run, **{name: values}), bag)
 
 
-def test_given_results_when_a_run_is_asked_for_then_its_bag_is(results, tmp_path, capsys, refused):
-    line = ['campaign', str(results), '--run', '2', '--bag', str(tmp_path / 'bag')]
-    assert main(line) == 0
-    text = capsys.readouterr().out
-    assert 'detection_delay' in text and 'lpv replay' in text
+def test_given_results_when_a_run_is_asked_for_then_its_bag_is(results, tmp_path, call, refused):
+    line = ['campaign', results, '--run', 2, '--bag', tmp_path / 'bag']
+    said = call(*line).out
+    assert 'detection_delay' in said and 'lpv replay' in said
     assert load_run(tmp_path / 'bag').counts['/lpv/ground_truth'] == 1251
     assert refused('exists already', *line)
     assert [p.name for p in tmp_path.iterdir()] == ['bag']
@@ -173,8 +162,6 @@ def test_given_figures_when_compared_then_last_bits_and_missing_ones_do_not_coun
     assert differences(stored, wrong) == list(wrong)
 
 
-TYPESTORE = make_typestore()
-JOINT_STATE = 'sensor_msgs/msg/JointState'
 FAULT = 'fault.kind: [none, bias, dropout], fault.size: 0.3, fault.onset: 1.2, fault.duration: 0.8'
 FLEET = spec(f'{{{FAULT}, path: random}}', seed=4, plan={'method': 'factorial'})
 GOOD = ['a/healthy', 'b/bias', 'b/dropout', 'foreign']
@@ -192,21 +179,17 @@ def runs():
 
 def write_foreign(path, run):
     """A recording of somebody else in sqlite3: joints in another order, and one more."""
-    messages, names = BagMessages(TYPESTORE, 'base'), ('gripper', 'joint2', 'joint1')
+    messages, entries = BagMessages(TYPESTORE, 'base'), []
     effort = np.vstack([np.zeros((1, 2)), run.torque[:-1]])
-    with Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
-        connection = writer.add_connection('/js', JOINT_STATE, typestore=TYPESTORE)
-        for k, stamp in enumerate(stamps_of(run).tolist()):
-            values = [[0.5, *a[k, ::-1]] for a in (run.measured, run.measured_velocity, effort)]
-            message = messages.joint_state(stamp, names, *values)
-            writer.write(connection, stamp, TYPESTORE.serialize_cdr(message, JOINT_STATE))
+    for k, stamp in enumerate(stamps_of(run).tolist()):
+        values = [[0.5, *a[k, ::-1]] for a in (run.measured, run.measured_velocity, effort)]
+        message = messages.joint_state(stamp, ('gripper', 'joint2', 'joint1'), *values)
+        entries.append(('/js', stamp, cdr(message)))
+    write_by_rosbags(path, entries)
 
 
-def write_odd(path, topic, message):
-    with BagWriter(path) as writer:
-        writer.add_topic(topic, message.__msgtype__)
-        for stamp in range(1, 5):
-            writer.write(topic, stamp, message)
+def write_odd(path, topic, msgtype, data):
+    write_bag(path, [(topic, stamp, data) for stamp in range(1, 5)], {topic: msgtype})
 
 
 def write_files(root, content):
@@ -230,9 +213,9 @@ def archive(runs, tmp_path_factory):
         'notes/metadata.yaml': b'colour: blue\n',
     }
     write_files(root, others)
-    write_odd(root / 'deaf', '/chatter', TYPESTORE.types['std_msgs/msg/String']('hello'))
-    zeros, names = [(0.0, 0.0)] * 3, ('elbow', 'wrist')
-    write_odd(root / 'strange', '/js', BagMessages(TYPESTORE, '').joint_state(1, names, *zeros))
+    write_odd(root / 'deaf', CHATTER, STRING, text('hello'))
+    strange = BagMessages(TYPESTORE, '').joint_state(1, ('elbow', 'wrist'), *np.zeros((3, 2)))
+    write_odd(root / 'strange', '/js', JOINT_STATE, cdr(strange))
     return root
 
 
@@ -241,21 +224,16 @@ def settings(archive, paper_arm, runs):
     return Archive(archive_text(archive, paper_arm, runs['bias'][0].gains))
 
 
-def fleet(root, out, gains, *more):
-    files = ['--arm', 'paper', '--gains', str(gains), '--out', str(out), '--workers', '0']
-    return ['fleet', str(root), *files, *more]
+def fleet(root, out):
+    line = ['fleet', root, '--arm', 'paper', '--gains', GAINS, '--out', out, '--workers', 0]
+    return [str(word) for word in line]
 
 
 @pytest.fixture(scope='module')
-def gains(archive):
-    return archive / 'a' / 'healthy' / 'gains.yaml'
-
-
-@pytest.fixture(scope='module')
-def tried(archive, gains, tmp_path_factory):
+def tried(archive, tmp_path_factory):
     """Results folder of the archive, and its rows by bag."""
     out = tmp_path_factory.mktemp('tried') / 'out'
-    assert main(fleet(archive, out, gains)) == 3
+    assert main(fleet(archive, out)) == 3
     return out, {row['bag']: row for row in rows_of(out, 'bags')}
 
 
@@ -343,41 +321,37 @@ def test_given_no_scenario_or_a_long_bag_when_replayed_then_the_truth_is_shown_o
     assert 'too long' in row['warnings']
 
 
-def test_given_an_archive_of_a_serial_arm_when_replayed_then_its_rows_name_all_joints(tmp_path):
+def test_given_an_archive_of_a_serial_arm_when_replayed_then_rows_name_all_joints(tmp_path, call):
     plan, bags, out = plan_run(resolve(UR10, 's', '.'), 2), tmp_path / 'bags', tmp_path / 'out'
     write_run_bag(plan, plan.simulate(), bags / 'one')
-    line = ['fleet', str(bags), '--arm', 'ur10', '--out', str(out), '--workers', '0']
-    assert main(line) == 0
+    call('fleet', bags, '--arm', 'ur10', '--out', out, '--workers', 0)
     (row,) = rows_of(out, 'bags')
     assert row['isolated'] and row['kind'] == 'bias' and row['score_6'] is not None
     assert re.search('UR|ur10', (out / 'report.html').read_text())
 
 
 def test_given_results_when_called_again_then_only_new_changed_and_failed_bags_are_replayed(
-    archive, gains, tmp_path, monkeypatch, capsys
+    archive, tmp_path, monkeypatch, call
 ):
     root, out = tmp_path / 'root', tmp_path / 'root' / 'out'
     shutil.copytree(archive / 'b', root / 'b')
     shutil.copytree(archive / 'foreign', root / 'foreign')
-    assert main(fleet(root, out, gains)) == 3
+    call(*fleet(root, out), code=3)
     seen, true = [], Archive.row
     monkeypatch.setattr(Archive, 'row', lambda self, bag: seen.append(bag) or true(self, bag))
     os.utime(next((root / 'b' / 'bias').glob('*.mcap')), ns=(1, 1))
     shutil.rmtree(root / 'b' / 'dropout')
     shutil.copytree(archive / 'a' / 'healthy', root / 'new')
-    assert main(fleet(root, out, gains)) == 3
-    assert '1 of 5 are here already' in capsys.readouterr().out
+    assert '1 of 5 are here already' in call(*fleet(root, out), code=3).out
     assert seen == ['b/bias', 'b/junk.mcap', 'b/lonely', 'new']
     assert [row['bag'] for row in rows_of(out, 'bags')] == [*seen[:3], 'foreign', 'new']
     (root / 'b' / 'junk.mcap').unlink()
     shutil.rmtree(root / 'b' / 'lonely')
-    assert main(fleet(root, out, gains)) == 0
+    call(*fleet(root, out))
 
 
-def test_given_a_fleet_that_makes_no_sense_when_called_then_one_line_says_so(
-    archive, gains, tried, tmp_path, refused
-):
-    places = {'tmp': tmp_path, 'bags': archive, 'gains': gains, 'done': tried[0]}
+def test_given_a_wrong_fleet_when_called_then_one_line_says_so(archive, tried, tmp_path, refused):
+    places = {'tmp': tmp_path, 'bags': archive, 'gains': GAINS, 'done': tried[0]}
     for arguments, told in (
         ('{tmp}/nowhere --arm paper', 'is not a folder'),
         ('{tmp} --arm paper', 'holds no rosbag2 bag'),
@@ -405,16 +379,14 @@ def test_given_an_archive_when_reported_then_figures_count_what_the_rows_say(tri
 
 def test_given_alarms_when_listed_then_those_of_one_sensor_and_kind_are_one_line():
     raised, updated, cleared = AlarmEvent.RAISED, AlarmEvent.UPDATED, AlarmEvent.CLEARED
-    events = [
-        Alarm(event, 0, sensor, onset * 10**9, (onset + 1) * 10**9, 0.1, 0.01, kind, 1.0)
-        for event, sensor, kind, onset in (
-            (raised, 'one', 'unclassified', 1),
-            (updated, 'one', 'drift', 1),
-            (cleared, 'one', 'drift', 1),
-            (raised, 'one', 'drift', 5),
-            (raised, 'two', 'drift', 6),
-        )
-    ]
-    rows = alarm_rows(events, 0)
+    told = (
+        (raised, 'one', 'unclassified', 10**9),
+        (updated, 'one', 'drift', 10**9),
+        (cleared, 'one', 'drift', 10**9),
+        (raised, 'one', 'drift', 5 * 10**9),
+        (raised, 'two', 'drift', 6 * 10**9),
+    )
+    alarms = [Alarm(e, 0, s, onset, onset + 9, 0.1, 0.01, k, 1.0) for e, s, k, onset in told]
+    rows = alarm_rows(alarms, 0)
     found = [(row['sensor'], row['kind'], row['count'], row['onset']) for row in rows]
     assert found == [('one', 'drift', 2, 1.0), ('two', 'drift', 1, 6.0)]

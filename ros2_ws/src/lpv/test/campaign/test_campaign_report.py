@@ -15,7 +15,6 @@ from lpv.campaign.plan.campaign import resolve
 from lpv.campaign.report import write_report
 from lpv.campaign.report.statistics import Results, found_from, poisson_rate, roc, spread, trends
 from lpv.campaign.report.write import command, confusion, report_numbers, suspicion
-from lpv.cli.main import main
 
 pytestmark = pytest.mark.slow
 
@@ -65,12 +64,7 @@ def made_up(count):
     return rows
 
 
-def table(rows):
-    return pa.table({name: [row[name] for row in rows] for name in rows[0]})
-
-
-def numbers_of(campaign, rows, tmp_path):
-    return report_numbers(campaign, table(rows), tmp_path, campaign.spec.runs)
+table = pa.Table.from_pylist
 
 
 @pytest.mark.parametrize(('events', 'hours'), [(0, 2.0), (3, 1.0), (100, 7.0)])
@@ -112,17 +106,17 @@ def test_given_answers_when_counted_then_the_matrix_is_that_of_the_rows():
 def test_given_runs_when_numbers_are_gathered_then_they_are_those_of_the_rows(campaign, tmp_path):
     rows = made_up(120)
     rows[0].update(false_alarms=3, alarms_before_2=2)
-    found = numbers_of(campaign, rows, tmp_path)
+    found = report_numbers(campaign, table(rows), tmp_path, 120)
     faulty = [r for r in rows if r['kind'] != 'none']
     assert found['overall']['detected']['hits'] == sum(r['detected'] for r in faulty)
     assert found['overall']['detected']['cases'] == len(faulty) == 80
     rates = {rate['name']: (rate['events'], 3600.0 * rate['hours']) for rate in found['alarms']}
-    for name, events, seconds in (
-        ('false alarms', 3, 40 * 10.0 + 80 * 8.0),
-        ('before any fault, or without one', 2, 40 * 10.0 + 80 * 4.0),
-        ('after the end of a fault', 1, 80 * 4.0),
-    ):
-        assert rates[name] == (events, pytest.approx(seconds))
+    known = {
+        'false alarms': (3, pytest.approx(40 * 10.0 + 80 * 8.0)),
+        'before any fault, or without one': (2, pytest.approx(40 * 10.0 + 80 * 4.0)),
+        'after the end of a fault': (1, pytest.approx(80 * 4.0)),
+    }
+    assert {name: rates[name] for name in known} == known
     both = next(e for e in found['detection'] if e['kind'] == 'bias' and e['sensor'] == 'both')
     mine = [r for r in rows if r['kind'] == 'bias' and r['sensor'] == 'both']
     assert both['delay'] == spread([r['detection_delay'] for r in mine])
@@ -139,7 +133,7 @@ def test_given_runs_when_the_worst_are_listed_then_each_has_its_command(campaign
     rows[3].update(tracking_max=math.nan, stable=False)
     rows[5].update(kind='bias', sensor=SENSORS[0], fault_size=0.5)
     rows[6].update(kind='bias', sensor=SENSORS[0], fault_size=0.9, detected=True)
-    lost, missed, late, false = numbers_of(campaign, rows, tmp_path)['worst']
+    lost, missed, late, false = report_numbers(campaign, table(rows), tmp_path, 120)['worst']
     assert [r['number'] for r in lost['runs']][:3] == [3, 19, 18] and len(lost['runs']) == 10
     assert [(r['number'], r['value']) for r in missed['runs']] == [(5, pytest.approx(0.5 / 0.9))]
     assert late['runs'] == false['runs'] == []
@@ -150,13 +144,11 @@ def test_given_runs_when_the_worst_are_listed_then_each_has_its_command(campaign
 
 def test_given_an_encoder_that_ages_when_trends_are_asked_for_then_its_arm_is_the_first():
     def trends_of(bags):
-        rows = []
-        for unit, day, mean in bags:
-            means = {'fault_mean_1': mean, 'fault_mean_2': 0.0}
-            limits = dict.fromkeys(('threshold_mean_1', 'threshold_mean_2'), 0.05)
-            known = {'unit': unit, 'start': int((1e4 + day) * 86400e9), 'kind': None}
-            rows.append({**known, 'sensor': None, **means, **limits})
-        return trends(Results(table(rows), ('one', 'two')))
+        same = {'kind': None, 'sensor': None, 'fault_mean_2': 0.0}
+        same |= dict.fromkeys(('threshold_mean_1', 'threshold_mean_2'), 0.05)
+        found = [{**same, 'unit': unit, 'start': int((1e4 + day) * 86400e9), 'fault_mean_1': mean}
+                 for unit, day, mean in bags]  # fmt: skip
+        return trends(Results(table(found), ('one', 'two')))
 
     noise, days = 0.002 * np.random.default_rng(3).standard_normal((8, 12)), 7.0 * np.arange(12)
     noise[5] += 2e-4 * days
@@ -196,16 +188,14 @@ def test_given_results_when_reported_then_the_page_is_whole(campaign, tmp_path, 
     assert json.loads(report.json.read_text()) == json.loads(json.dumps(report.numbers))
 
 
-def test_given_unfinished_results_when_reported_then_it_is_said_what_is_missing(tmp_path, capsys):
+def test_given_unfinished_results_when_reported_then_it_is_said_what_is_missing(tmp_path, call):
     factors, out = '{path: random, fault.kind: [none, bias], fault.size: 0.3}', tmp_path / 'out'
     file = written(tmp_path / 'spec.yaml', spec(factors, 22, duration=2.0))
 
-    def missing(*line):
-        assert main(['campaign', *map(str, line)]) == 0
+    def missing():
         return json.loads((out / 'report.json').read_text())['head']['missing']
 
-    assert missing(file, '--out', out, '--workers', 0) == 0
-    check_page(out / 'report.html')
+    call('campaign', file, '--out', out, '--workers', 0)
+    assert missing() == 0 and check_page(out / 'report.html')
     (out / 'chunks' / '00000000.parquet').unlink()
-    assert missing(out) == 20
-    assert '20 of 22 runs are missing' in capsys.readouterr().out
+    assert '20 of 22 runs are missing' in call('campaign', out).out and missing() == 20

@@ -5,14 +5,12 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
+from lpv import ConfigError, load_arm
 from lpv.campaign.falsify.attack import Attacker
 from lpv.campaign.falsify.healthy_run import ACCELERATION, CENTRE, RATE_SCALE, SPEED, SWING
 from lpv.campaign.falsify.search import BAG, SCENARIO, read_attack, repeat, search, write_worst
-from lpv.cli.main import main
-from lpv.core.serial_arm.arm_file import load_arm, save_arm
+from lpv.core.serial_arm.arm_file import save_arm
 from lpv.core.serial_arm.description import Uncertainty
-from lpv.core.support.errors import ConfigError
-from lpv.core.support.resources import bringup_file
 from lpv.core.uio.model.joints import J
 from lpv.core.uio.planar import planar_model
 
@@ -21,8 +19,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope='module')
 def ur10():
-    arm = load_arm(bringup_file('arms', 'ur10'))
-    return replace(arm, uncertainty=Uncertainty(2.0, 0.1, 0.05))
+    return replace(load_arm('ur10'), uncertainty=Uncertainty(2.0, 0.1, 0.05))
 
 
 def attacks(attacker, count):
@@ -88,7 +85,7 @@ def test_given_an_arm_beyond_its_file_when_searched_then_found(paper_arm, paper_
 
 @pytest.mark.parametrize('serial', [False, True])
 def test_given_a_worst_run_when_written_then_the_command_repeats_it_bit_by_bit(
-    serial, ur10, paper_arm, paper_gains, tmp_path, capsys
+    serial, ur10, paper_arm, paper_gains, tmp_path, call
 ):
     arm, gains = (ur10, None) if serial else (paper_arm, paper_gains)
     attacker = Attacker(arm, 0.6, gains)
@@ -99,12 +96,12 @@ def test_given_a_worst_run_when_written_then_the_command_repeats_it_bit_by_bit(
     assert again.ratio == worst.ratio and asdict(again.attack) == asdict(worst.attack)
     assert (tmp_path / BAG / 'metadata.yaml').is_file()
     save_arm(arm, tmp_path / 'arm.yaml')
-    options = ['--arm', str(tmp_path / 'arm.yaml'), *([] if serial else ['--gains', 'paper'])]
-    assert main(['falsify', *options, '--repeat', str(tmp_path / SCENARIO)]) == 0
-    assert f'reached {worst.ratio:.3f} of its threshold' in capsys.readouterr().out
+    options = ['--arm', tmp_path / 'arm.yaml', *([] if serial else ['--gains', 'paper'])]
+    said = call('falsify', *options, '--repeat', tmp_path / SCENARIO).out
+    assert f'reached {worst.ratio:.3f} of its threshold' in said
 
 
-def test_given_no_attack_or_no_guarantee_when_attacked_then_it_is_refused(
+def test_given_no_attack_or_guarantee_when_attacked_then_it_is_refused(
     tmp_path, ur10, paper_arm, paper_gains, refused
 ):
     attacker, path = Attacker(paper_arm, 1.0, paper_gains), tmp_path / 'a.yaml'

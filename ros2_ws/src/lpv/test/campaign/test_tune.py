@@ -7,12 +7,10 @@ import optuna
 import pytest
 from campaign_files import spec, written
 
+from lpv import ConfigError, load_gains
 from lpv.cli.commands.tune import healthy
-from lpv.cli.main import main
 from lpv.core.support.config import read_yaml
-from lpv.core.support.errors import ConfigError
 from lpv.core.uio.certificate.conditions import require
-from lpv.core.uio.certificate.gains import load_gains
 from lpv_design.requirement import load_requirement
 
 pytestmark = pytest.mark.slow
@@ -34,23 +32,21 @@ def file(tmp_path):
 
 
 def command(file, trials, *more):
-    out = ['--out', str(file.parent / 'out'), '--workers', '0']
-    return ['tune', str(file), *SEARCH, *COST, '--trials', str(trials), *out, *more]
+    out = ['--out', file.parent / 'out', '--workers', 0]
+    return ['tune', file, *SEARCH, *COST, '--trials', trials, *out, *more]
 
 
 def study_in(out):
     return optuna.load_study(study_name=None, storage=f'sqlite:///{out / "study.db"}')
 
 
-def test_given_a_design_when_tuned_then_only_better_gains_hold(file, paper_model, capsys, refused):
+def test_given_a_design_when_tuned_then_only_better_gains_hold(file, paper_model, call, refused):
     out = file.parent / 'out'
-    assert main(command(file, 2)) == main(command(file, 3)) == 0
-    text = capsys.readouterr().out
+    text = call(*command(file, 2)).out + call(*command(file, 3)).out
     assert text.count('trial 0: ') == text.count('trial 1: ') == 1  # what was done is kept
     trials, result = study_in(out).trials, json.loads((out / 'study.json').read_text())
-    assert len(trials) == 3
+    assert len(trials) == 3 and trials[0].values[0] == pytest.approx(1.0)
     assert trials[0].params == {'observer.acceleration_noise': 10.0}
-    assert trials[0].values[0] == pytest.approx(1.0)
     costs = [t.values[0] for t in trials if t.values and max(t.constraints.values()) <= 0.0]
     assert trials[result['trial']].values[0] <= 1.02 * min(costs)
     # Gains are written if and only if they are better on other runs, and then they are certified.
@@ -62,7 +58,7 @@ def test_given_a_design_when_tuned_then_only_better_gains_hold(file, paper_model
         assert (out / f'{name}.png').stat().st_size > 1000
     # The same search in one go ends with the same trials.
     other = file.parent / 'other'
-    assert main([*command(file, 3), '--out', str(other)]) == 0
+    call(*command(file, 3), '--out', other)
     assert [t.params for t in study_in(other).trials] == [t.params for t in trials]
     assert refused('another study', *command(file, 3, '--seed', '2'))
 
@@ -78,18 +74,16 @@ def test_given_scores_and_alarms_when_a_trial_is_judged_then_only_parts_without_
 
 
 def test_given_what_makes_no_sense_when_tuned_then_one_line_says_so(file, refused):
-    for option, value, told in (
-        ('--search', 'observer.decay', 'FIELD=LOW:HIGH'),
-        ('--search', 'observer.decay=1:0.1', 'low < high'),
-        ('--search', 'observer.speed=0.1:1', 'is no number of'),
-        ('--search', 'observer.decay=0.5:1', 'must hold 0.25'),
-        ('--cost', 'missed', 'COLUMN=WEIGHT'),
-        ('--cost', 'missed=-1', 'COLUMN=WEIGHT'),
-        ('--cost', 'beauty=1', "'beauty' is no number"),
-        ('--trials', '0', 'must lie within'),
-        ('--workers', '-1', 'must lie within'),
+    for option, told in (
+        ('--search observer.decay', 'FIELD=LOW:HIGH'),
+        ('--search observer.decay=1:0.1', 'low < high'),
+        ('--search observer.speed=0.1:1', 'is no number of'),
+        ('--search observer.decay=0.5:1', 'must hold 0.25'),
+        *((f'--cost missed{weight}', 'COLUMN=WEIGHT') for weight in ('', '=-1')),
+        ('--cost beauty=1', "'beauty' is no number"),
+        *((few, 'must lie within') for few in ('--trials 0', '--workers -1')),
     ):
-        assert refused(told, *command(file, 2), option, value)
+        assert refused(told, *command(file, 2), *option.split())
     told, out = 'has no lpv region: no design to tune', file.parent / 'out'
     assert refused(told, 'tune', 'ur10', *SEARCH, '--out', out)
     out.mkdir(exist_ok=True)

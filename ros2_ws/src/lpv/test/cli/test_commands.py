@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from places import BRINGUP, ROOT
+from places import BRINGUP, DATA, ROOT
 from rich.console import Console
 
 from lpv import load_arm, load_scenario, save_gains
@@ -141,29 +141,7 @@ def test_given_links_in_no_vertical_plane_when_initialised_then_it_has_no_region
     assert [joint.axis for joint in arm.joints] == [(0.0, 0.0, 1.0)] * 2 and arm.lpv is None
 
 
-LINK = (
-    '<link name="{}"><inertial><origin xyz="0.1 0 0.2"/><mass value="2"/>'
-    '<inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
-)
-JOINT = (
-    '<joint name="{}" type="{}"><parent link="{}"/><child link="{}"/><origin xyz="0 0 0.3"/>'
-    '<axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="500" velocity="2"/>{}</joint>'
-)
-JOINTS = (
-    ('shoulder', 'revolute', 'base', 'one', '<dynamics damping="0.5" friction="0.25"/>'),
-    ('elbow', 'revolute', 'one', 'two', ''),
-    ('wrist', 'continuous', 'two', 'hand', ''),
-    ('left_finger', 'prismatic', 'hand', 'left', ''),
-    ('right_finger', 'prismatic', 'hand', 'right', ''),
-    ('flange', 'fixed', 'hand', 'tool', ''),
-)
-LINKS = ['base', *(child for _, _, _, child, _ in JOINTS)]
-GRIPPER = '<robot name="my arm">{}{}</robot>'.format(
-    ''.join(map(LINK.format, LINKS)), ''.join(JOINT.format(*joint) for joint in JOINTS)
-)
-"""Three joints that turn, and two fingers that slide."""
-
-
+GRIPPER = (DATA / 'gripper.urdf').read_text()
 HOLDS = ['--lock left_finger=0.02 --lock right_finger', '--joints shoulder,elbow,wrist',
          '--joints shoulder elbow wrist', '--tip tool']  # fmt: skip
 

@@ -9,10 +9,8 @@ import pytest
 import reference
 from runs import copied
 
+from lpv import DiagnosisParameters, LpvError
 from lpv.bag.replay.replay import Replay
-from lpv.cli.main import main
-from lpv.core.monitoring.parameters import DiagnosisParameters
-from lpv.core.support.errors import LpvError
 from lpv.report.comparison import Tolerances, compare_runs, load_pair
 
 
@@ -54,17 +52,15 @@ def test_given_one_answer_less_when_compared_then_it_is_noticed(replayed, paper_
     def first_ones(topic, data):
         return data if topic != '/lpv/fault_estimate' or next(answers) < 20 else None
 
-    copied(replayed, tmp_path / 'bag', change=first_ones)
-    first, second = load_pair(replayed, tmp_path / 'bag', paper_arm)
+    less = copied(replayed, tmp_path / 'bag', change=first_ones)
+    first, second = load_pair(replayed, less, paper_arm)
     result = compare_runs(first, second, paper_arm)
     assert (result.only_second, result.complete, result.same) == (0, False, False)
     assert result.only_first > 100
     assert compare_runs(first, second, paper_arm, Tolerances(missing=1.0)).complete
 
 
-def test_given_no_measurements_when_compared_then_others_count(
-    replayed, slower, tmp_path, paper_arm
-):
+def test_given_no_measures_when_compared_then_others_count(replayed, slower, tmp_path, paper_arm):
     estimates = replay(tmp_path / 'bag', estimates_only=True)
     for pair in ((replayed, estimates), (estimates, replayed)):
         result = compare_runs(*load_pair(*pair, paper_arm), paper_arm, Tolerances(0, 0, 0, 0, 0))
@@ -95,36 +91,31 @@ def test_given_a_tolerance_that_is_none_when_made_then_it_is_refused():
             Tolerances(**{name: bad})
 
 
-def test_given_two_equal_bags_when_compared_then_the_code_is_0(replayed, tmp_path, capsys):
-    assert main(['compare', str(replayed), str(replayed), '--exact', '--out', str(tmp_path)]) == 0
-    said = capsys.readouterr().out
+def test_given_two_equal_bags_when_compared_then_the_code_is_0(replayed, tmp_path, call):
+    said = call('compare', replayed, replayed, '--exact', '--out', tmp_path).out
     assert said.rstrip().endswith('same') and 'differs' not in said and 'delay' in said
     assert json.loads((tmp_path / 'comparison.json').read_text())['same'] is True
     for name in ('faults', 'differences'):
         assert (tmp_path / f'{name}.png').read_bytes().startswith(b'\x89PNG')
 
 
-def test_given_late_ends_when_compared_then_it_is_told(replayed, slower, monkeypatch, capsys):
-    line = ['compare', str(replayed), str(slower)]
-    assert main([*line, '--json']) == 3
-    found = json.loads(capsys.readouterr().out)
+def test_given_late_ends_when_compared_then_it_is_told(replayed, slower, monkeypatch, call):
+    found = json.loads(call('compare', replayed, slower, '--json', code=3).out)
     assert found['same'] is False
     pairs = [(p['first'], p['second']) for p in found['alarms'] if p['second'] and not p['same']]
     late = [b['cleared'] - a['cleared'] for a, b in pairs if a['cleared'] is not None]
     assert 0.5 < max(late) < 0.8
     assert 'f1: estimate of the fault' in {f['name'] for f in found['figures']}
     monkeypatch.setenv('COLUMNS', '80')
-    assert main(line) == 3
-    said = capsys.readouterr().out
+    said = call('compare', replayed, slower, code=3).out
     assert 'DIFFERENT' in said and '<- differs' in said and '…' not in said
     lines = said.splitlines()
     assert max(map(len, lines)) <= 80
     f1 = next(line for line in lines if 'f1:' in line)
     assert len(re.findall(r'\d\.\d+(?:e-\d+)?', f1)) == 2
     first = next(i for i, line in enumerate(lines) if 'bias' in line)
-    assert 'link1_angle' in lines[first]
-    both = [re.findall(r'-?\d+\.\d{3}', line) for line in lines[first : first + 2]]
-    assert [len(figures) for figures in both] == [4, 4]
+    figures = [len(re.findall(r'-?\d+\.\d{3}', line)) for line in lines[first : first + 2]]
+    assert 'link1_angle' in lines[first] and figures == [4, 4]
 
 
 def test_given_bags_of_no_use_when_compared_then_one_line_says_so(replayed, tmp_path, refused):

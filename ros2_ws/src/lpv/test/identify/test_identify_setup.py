@@ -163,18 +163,15 @@ def test_given_a_second_encoder_or_none_when_compared_then_it_or_the_reason_is_f
     assert 'two_link' in describe(found)
     sensors = with_second_encoders(arm, [found]).joints[1].sensors
     assert sensors.second_encoder == found.encoder
-    for other, reason in (
-        ('three', 'no second encoder of this joint'),
-        ('nothing', 'no message has all joints'),
-    ):
+    reasons = {'three': 'no second encoder of this joint', 'nothing': 'no message has all joints'}
+    for other, reason in reasons.items():
         with pytest.raises(LpvError, match=reason):
             find_second_encoders(bag, {'two': other})
-    found = find_second_encoders(bag, {'two_link': 'two_link'})
     with pytest.raises(ConfigError, match='two_link'):
-        with_second_encoders(arm, found)
+        with_second_encoders(arm, find_second_encoders(bag, {'two_link': 'two_link'}))
 
 
-@pytest.mark.skipif(not DATA.is_dir(), reason='the recordings are not part of the repository')
+@pytest.mark.skipif(not DATA.is_dir(), reason='no recordings of real arms')
 def test_given_a_kr300_when_link_side_encoders_are_compared_then_they_agree_within_a_milliradian():
     pairs = {f'{i}': f'link_position{i}' for i in (1, 2, 3)}
     for reading in find_second_encoders(DATA / 'kr300' / 'A.csv', pairs):
@@ -183,9 +180,8 @@ def test_given_a_kr300_when_link_side_encoders_are_compared_then_they_agree_with
 
 
 def swapped(recording):
-    parts = (recording.position, recording.velocity, recording.effort)
-    position, velocity, effort = (part[:, [0, 2, 1]] for part in parts)
-    return replace(recording, position=position, velocity=velocity, effort=effort)
+    parts = ('position', 'velocity', 'effort')
+    return replace(recording, **{name: getattr(recording, name)[:, [0, 2, 1]] for name in parts})
 
 
 def efforts(factor):
@@ -207,14 +203,12 @@ MISTAKES = {
 }
 
 
-@pytest.mark.parametrize('kind, text, change, base', MISTAKES.values(), ids=MISTAKES)
-def test_given_a_mistake_of_the_setup_when_looked_for_then_its_cause_is_named(
-    rough_arm, recording, kind, text, change, base
-):
+@pytest.mark.parametrize('name', MISTAKES)
+def test_given_a_mistake_when_looked_for_then_its_cause_is_named(rough_arm, recording, name):
+    kind, text, change, base = MISTAKES[name]
     arm = rough_arm if base is None else replace(rough_arm, base_orientation=base)
-    found = find_mistakes(arm, [change(recording)])
-    assert found[0].kind == kind
-    assert re.search(text, found[0].text)
+    first, *_ = find_mistakes(arm, [change(recording)])
+    assert first.kind == kind and re.search(text, first.text)
 
 
 def test_given_a_proper_setup_when_looked_at_then_there_are_no_mistakes(rough_arm, recording):
@@ -258,11 +252,8 @@ def test_given_a_short_recording_when_calibrated_then_the_model_stays(arm, simul
 
 @pytest.mark.slow
 def test_given_an_arm_at_rest_when_calibrated_then_unseen_errors_are_named(arm, recording):
-    position, effort = (
-        np.broadcast_to(part[:1], part.shape) for part in (recording.position, recording.effort)
-    )
-    rest = replace(recording, position=position, velocity=0.0 * position, effort=effort)
-    found = calibrate(arm, [rest])
+    first = recording.rows(np.zeros(len(recording.time), int))
+    found = calibrate(arm, [replace(first, time=recording.time, velocity=0.0 * first.velocity)])
     assert len(found.warnings) == 3
     assert np.isfinite(found.arm.uncertainty.torque_error).all()
     assert {joint.sensors.rates for joint in found.arm.joints} == {'derived'}
