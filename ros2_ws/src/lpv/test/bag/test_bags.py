@@ -77,8 +77,7 @@ def test_given_a_bag_when_written_then_the_file_is_in_the_profile_of_ros2(tmp_pa
     (profile,) = yaml.safe_load(channel.metadata['offered_qos_profiles'])
     known_profile = {'reliability': 'reliable', 'history': 'keep_last', 'depth': 10}
     assert profile.items() >= known_profile.items()
-    inner = yaml.safe_load(metadata['rosbag2']['serialized_metadata'])
-    outer = information(bag)
+    inner, outer = yaml.safe_load(metadata['rosbag2']['serialized_metadata']), information(bag)
     assert inner['version'] == outer['version'] == 9
     assert (outer['storage_identifier'], outer['duration']['nanoseconds']) == ('mcap', 19 * STEP)
     (topic, _), digest = outer['topics_with_message_count'], channel.metadata['topic_type_hash']
@@ -403,8 +402,7 @@ def test_given_any_messages_when_loaded_then_rows_are_the_last_ones(tmp_path, mo
             fault = model['fault_estimate'].get(stamp, {'estimate': [math.nan] * 2})
             np.testing.assert_array_equal(row, fault['estimate'])
         first = next(fields for topic, _, fields in entries if topic == '/fault_estimate')
-        assert record.joint_names == PAIR
-        assert list(record.sensor_names) == first['sensor_names']
+        assert record.joint_names == PAIR and list(record.sensor_names) == first['sensor_names']
         keys = [(alarm.stamp, alarm.sensor_index, alarm.event) for alarm in record.alarms]
         assert keys == sorted(alarms)
         for key, alarm in zip(keys, record.alarms):

@@ -153,8 +153,7 @@ def test_given_no_file_or_an_existing_bag_when_imported_then_it_is_an_error(conv
 def test_given_the_shipped_map_when_loaded_then_it_fits_the_recordings():
     columns = load_column_map(BRINGUP / 'columns' / 'real_arm.yaml')
     kinds = [f'{name}{i}' for i in (1, 2) for name in ('pos_meas', 'vel_meas', 'tau_meas')]
-    assert columns.columns == ['time', *kinds]
-    assert list(columns.joints) == ['joint1', 'joint2']
+    assert columns.columns == ['time', *kinds] and list(columns.joints) == ['joint1', 'joint2']
     assert (columns.time_unit, columns.start, columns.angle_unit) == ('s', 1.0, 'rad')
 
 

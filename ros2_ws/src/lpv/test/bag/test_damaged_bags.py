@@ -215,8 +215,7 @@ def test_given_a_good_bag_when_recovered_then_it_is_copied_if_asked(bag, tmp_pat
 def harm(bag, kind):
     data = storage(bag).read_bytes()
     first = data.index(b'zstd')
-    second = data.index(b'zstd', first + 1)
-    garbage = random.Random(1).randbytes(5000)
+    second, garbage = data.index(b'zstd', first + 1), random.Random(1).randbytes(5000)
     harmed = {
         'cut in the summary': data[:-100],
         'cut in a chunk': data[: second + 30],

@@ -189,7 +189,7 @@ def troubled(loop):
     """Lost, doubled, swapped and late samples, other joints, other orders, spoiled values."""
     rng, messages, time = np.random.default_rng(3), [], NANOSECONDS
     for _, _, message in measured(loop[:700], shift=NANOSECONDS):
-        kind = rng.integers(24)
+        kind = int(rng.integers(24))
         if kind == 0:
             continue
         vectors = {name: getattr(message, name) for name in ('position', 'velocity', 'effort')}
@@ -319,8 +319,7 @@ def test_given_torques_of_any_type_when_replayed_then_the_one_before_each_sample
     useless = {f'{ARRAY} has 1 torques for 2 joints': 120} if msgtype == ARRAY else {}
     assert result.rejected == useless
     fault = [a.fault['estimate'] for a in expected if a.fault is not None]
-    assert len(fault) > 590
-    assert np.array_equal([m.estimate for m in read(out, FAULT)], fault)
+    assert len(fault) > 590 and np.array_equal([m.estimate for m in read(out, FAULT)], fault)
     assert [m.mode for m in read(out, STATE)] == [a.state['mode'] for a in expected]
     assert expected[0].state['mode'] == Mode.HOLDING
 
@@ -347,8 +346,7 @@ def test_given_a_fault_to_add_when_replayed_then_it_acts_as_on_the_arm_and_is_fo
     before, after = (load_run(place).streams['joint_states'] for place in (source, out))
     assert np.array_equal(before['effort'], after['effort'])
     sensor, time = arm.sensor_names.index(fault.sensor), np.arange(HEALTHY) * 0.002
-    acts = (time >= 0.2) & ((time < 0.4 - 1e-9) | (fault.duration == 0.0))
-    kind = fault.kind
+    acts, kind = (time >= 0.2) & ((time < 0.4 - 1e-9) | (fault.duration == 0.0)), fault.kind
     grown = {'bias': 0.3, 'drift': 0.4 * (time - 0.2), 'dropout': math.nan}.get(kind, 0.0)
     shift, rate = np.zeros((2, len(time), 2))
     shift[:, sensor] = np.where(acts, grown, 0.0)
@@ -419,8 +417,7 @@ def test_given_alarms_when_judged_then_each_fault_has_its_verdict(faults, events
 
 
 def test_given_a_fault_when_its_true_size_is_asked_for_then_it_is_that_of_the_time():
-    drift = Fault('a', 'drift', 1.0, rate=-0.1)
-    changes = {}, {'size': 0.15}, {'duration': 1.0}
+    drift, changes = Fault('a', 'drift', 1.0, rate=-0.1), ({}, {'size': 0.15}, {'duration': 1.0})
     sizes = [true_size(replace(drift, **change), 3.0) for change in changes]
     assert sizes == pytest.approx([-0.2, 0.15, -0.1])
     assert true_size(replace(drift, kind='stuck'), 3.0) is None

@@ -29,8 +29,7 @@ from lpv_msgs.msg import FaultEstimate, StateEstimate
 
 pytestmark = pytest.mark.ros
 
-GAINS = BRINGUP / 'gains' / 'paper.yaml'
-ARM = f'arm_file:={BRINGUP / "arms" / "paper.yaml"}'
+GAINS, ARM = BRINGUP / 'gains' / 'paper.yaml', f'arm_file:={BRINGUP / "arms" / "paper.yaml"}'
 PERIOD = 4_000_000
 """Between samples [ns]; twice the arm's sample time leaves room for other users of the machine."""
 START = 5 * NANOSECONDS
@@ -168,8 +167,7 @@ def test_given_a_loop_when_interrupted_then_time_has_started_again_and_the_playe
         assert client.wait(started_again), 'time never started again'
         assert client.node.count_publishers('/clock') == 0
         code, said = player.interrupt(timeout=600)
-    assert code == 130 and said.endswith('interrupted\n')
-    assert others == [] and set(stamps) <= chosen
+    assert code == 130 and said.endswith('interrupted\n') and others == [] and set(stamps) <= chosen
 
 
 def test_given_options_that_make_no_sense_when_played_then_one_line_says_so(played, refused):

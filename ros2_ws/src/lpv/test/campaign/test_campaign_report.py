@@ -7,10 +7,11 @@ import re
 import numpy as np
 import pyarrow as pa
 import pytest
-from campaign_files import spec, written
+from campaign_files import resolved, spec, written
 from runs import assert_stands_alone
 from scipy.stats import chi2
 
+from lpv.campaign.execution.runs import run_one
 from lpv.campaign.plan.campaign import resolve
 from lpv.campaign.report import write_report
 from lpv.campaign.report.statistics import Results, found_from, poisson_rate, roc, spread, trends
@@ -28,23 +29,15 @@ def campaign():
     return resolve(SPEC, 'made_up', '.')
 
 
-def row(number, **changes):
-    """A healthy run of 10 s, but for the changes."""
-    texts = dict.fromkeys(('kind', 'sensor', 'said_kind', 'said_sensor'), 'none')
-    counts = dict.fromkeys(('false_alarms', 'wrong_alarms', 'safe_stops', 'alarms'), 0)
-    each = {'score_before': 0.5, 'score_during': math.nan, 'alarms_before': 0, 'found': False,
-            'error_rms': 0.01, 'mean_threshold': 0.05}  # fmt: skip
-    columns = {f'{name}_{i}': value for name, value in each.items() for i in (1, 2)}
-    figures = 'fault_size', 'detection_delay', 'size_error', 'tracking_rms_during', 'tracking_ratio'
-    times = dict.fromkeys(('observed', 'healthy_time', 'early_time'), 10.0)
-    return {
-        'number': number, **texts, **counts, **columns, **dict.fromkeys(figures, math.nan), **times,
-        'detected': False, 'isolated': False, 'stable': True, 'tracking_max': 0.01,
-        'tracking_rms': 0.001, 'compensation': 'confirmed', **changes,
-    }  # fmt: skip
+@pytest.fixture(scope='module')
+def row():
+    """Makes rows of a healthy run of 10 s, but for the changes."""
+    healthy = run_one(resolved('{fault.kind: none}', duration=1.0), 0)
+    healthy |= dict.fromkeys(('observed', 'healthy_time', 'early_time'), 10.0)
+    return lambda number, **changes: {**healthy, 'number': number, **changes}
 
 
-def made_up(count):
+def made_up(row, count):
     """Rows of all sorts, with NaN here and there."""
     rng, rows = np.random.default_rng(1), []
     for number in range(count):
@@ -103,8 +96,8 @@ def test_given_answers_when_counted_then_the_matrix_is_that_of_the_rows():
     assert confusion(truth[:0], said[:0], ())['rows'] == []
 
 
-def test_given_runs_when_numbers_are_gathered_then_they_are_those_of_the_rows(campaign, tmp_path):
-    rows = made_up(120)
+def test_given_runs_when_numbers_are_gathered_then_they_are_of_the_rows(campaign, row, tmp_path):
+    rows = made_up(row, 120)
     rows[0].update(false_alarms=3, alarms_before_2=2)
     found = report_numbers(campaign, table(rows), tmp_path, 120)
     faulty = [r for r in rows if r['kind'] != 'none']
@@ -128,7 +121,7 @@ def test_given_runs_when_numbers_are_gathered_then_they_are_those_of_the_rows(ca
     assert by == {'kind': kinds, 'compensation': {'off': 60, 'confirmed': 60}}
 
 
-def test_given_runs_when_the_worst_are_listed_then_each_has_its_command(campaign, tmp_path):
+def test_given_runs_when_the_worst_are_listed_then_each_has_its_command(campaign, row, tmp_path):
     rows = [row(k, tracking_max=0.1 * k) for k in range(20)]
     rows[3].update(tracking_max=math.nan, stable=False)
     rows[5].update(kind='bias', sensor=SENSORS[0], fault_size=0.5)
@@ -179,11 +172,10 @@ def check_page(path):
 
 
 @pytest.mark.parametrize(('count', 'pictures'), [(1, 1), (2, 2), (120, 3)])
-def test_given_results_when_reported_then_the_page_is_whole(campaign, tmp_path, count, pictures):
-    report = write_report(campaign, table(made_up(count)), tmp_path, 120)
+def test_given_results_when_reported_then_all_is_there(campaign, row, tmp_path, count, pictures):
+    report = write_report(campaign, table(made_up(row, count)), tmp_path, 120)
     text = check_page(report.html)
-    assert text.count('<img') == pictures
-    assert 'made &lt;up&gt;' in text
+    assert text.count('<img') == pictures and 'made &lt;up&gt;' in text
     assert ('are missing' in text) == (count < 120)
     assert json.loads(report.json.read_text()) == json.loads(json.dumps(report.numbers))
 

@@ -28,8 +28,7 @@ def attacks(attacker, count):
 
 
 def test_given_any_candidate_when_made_an_attack_then_it_is_within_the_arm_file(arm, gains_of):
-    attacker = Attacker(arm, 1.0, gains_of[arm.name])
-    planar = planar_model(arm)
+    attacker, planar = Attacker(arm, 1.0, gains_of[arm.name]), planar_model(arm)
     center = planar.zero_angle - (0.0 if planar.sign > 0 else np.pi)
     for attack in attacks(attacker, 50):
         rows = np.array(attack.joints)
@@ -63,8 +62,7 @@ def test_given_a_serial_arm_when_attacked_then_only_a_monitor_told_too_little_is
         assert np.abs(attack.shares).max() <= 1.0
     # A search comes near and never across, unless the monitor is told too little.
     worst = search(Attacker(ur10, 2.0), 20)[0]
-    assert 0.4 < worst.ratio < 1.0
-    assert worst.thresholds[worst.sensor] < 1.5
+    assert 0.4 < worst.ratio < 1.0 and worst.thresholds[worst.sensor] < 1.5
     told = replace(ur10, uncertainty=Uncertainty(0.2, 0.05, 0.01))
     assert search(Attacker(ur10, 2.0, monitored=told), 8)[0].ratio > 1.0
 
@@ -72,8 +70,7 @@ def test_given_a_serial_arm_when_attacked_then_only_a_monitor_told_too_little_is
 def test_given_a_short_search_when_run_then_it_comes_near_and_never_across(arm, gains_of):
     found = search(Attacker(arm, 3.0, gains_of[arm.name]), 120)
     assert len(found) == 120 and found == sorted(found, key=lambda one: -one.ratio)
-    assert 0.4 < found[0].ratio < 1.0
-    assert not any(one.blamed for one in found)
+    assert 0.4 < found[0].ratio < 1.0 and not any(one.blamed for one in found)
 
 
 def test_given_an_arm_beyond_its_file_when_searched_then_found(paper_arm, paper_model, paper_gains):

@@ -48,8 +48,7 @@ def test_given_no_command_or_the_version_when_run_then_it_is_said(call, capsys):
 def test_given_long_lines_when_fitted_then_none_is_longer_than_the_terminal(width):
     text = 'short\n' + '  holds  ' + 'an inequality of many words ' * 12 + '\n\nlast'
     fitted = progress.fitted(text, width)
-    assert max(map(len, fitted.splitlines())) <= width
-    assert fitted.split() == text.split()
+    assert max(map(len, fitted.splitlines())) <= width and fitted.split() == text.split()
     assert fitted.startswith('short\n  holds  an') and fitted.endswith('\n\nlast')
 
 
@@ -161,7 +160,7 @@ def test_given_a_gripper_when_held_then_the_arm_has_the_others_and_their_frictio
 HELD = ['--tip', 'tool']
 
 
-def test_given_a_gripper_not_held_or_a_defect_when_initialised_then_it_is_named(tmp_path, refused):
+def test_given_what_cannot_be_used_when_initialised_then_it_is_named(tmp_path, refused):
     urdf, new = tmp_path / 'arm.urdf', tmp_path / 'new'
     for old, bad, options, said in (
         ('', '', [], "'left_finger' is prismatic, 'right_finger' is prismatic: hold it with --"),
@@ -180,12 +179,10 @@ def test_given_a_gripper_not_held_or_a_defect_when_initialised_then_it_is_named(
         assert old in GRIPPER
         urdf.write_text(GRIPPER.replace(old, bad))
         assert refused(said, 'init', new, '--urdf', urdf, *options) and not new.exists()
-
-
-def test_given_files_that_are_there_when_initialised_then_none_is_overwritten(tmp_path, refused):
+    # Files that are there are not overwritten.
     (tmp_path / 'scenario.yaml').write_text('mine')
     assert refused('exists already', 'init', tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == ['scenario.yaml']
+    assert {path.name for path in tmp_path.iterdir()} == {'scenario.yaml', 'arm.urdf'}
 
 
 def test_given_a_missing_module_when_explained_then_its_installation_is_named(monkeypatch):

@@ -258,8 +258,7 @@ def test_given_a_healthy_graph_when_checked_then_nothing_is_found(shot):
 def test_given_a_mistake_in_a_graph_when_checked_then_it_alone_is_found(shot, spoil, checks, text):
     spoil(shot)
     findings = bad(graph.check_graph(shot))
-    assert sorted(set(found(findings))) == checks.split(', ')
-    assert all(f.remedy for f in findings)
+    assert sorted(set(found(findings))) == checks.split(', ') and all(f.remedy for f in findings)
     assert re.search(text, '\n'.join(f'{f.text} {f.remedy}' for f in findings))
 
 
@@ -287,8 +286,8 @@ def test_given_files_when_the_command_runs_then_code_0_and_3_if_not(call, refuse
     monkeypatch.setenv('RMW_IMPLEMENTATION', 'rmw_of_nobody')
     told = json.loads(call('doctor', '--json', code=3).out)
     levels = {f['check']: f['level'] for f in told['findings']}
-    assert levels['middleware'] == 'ERROR' and levels['ros'] == 'OK'
-    assert 'nodes' not in levels  # the graph is left out: looking would end the process
+    # The graph is left out: looking would end the process.
+    assert levels['middleware'] == 'ERROR' and levels['ros'] == 'OK' and 'nodes' not in levels
 
 
 @pytest.mark.ros

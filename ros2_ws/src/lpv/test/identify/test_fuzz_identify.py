@@ -81,8 +81,7 @@ def _wrong_time(rng, time, *values):
 
 def damaged(recording: Recording, seed: int) -> list[np.ndarray]:
     """Time, positions, rates and efforts of a recording to which one or two things happened."""
-    rng = np.random.default_rng(seed)
-    parts = short(recording, None)
+    rng, parts = np.random.default_rng(seed), short(recording, None)
     if rng.random() < 0.2:
         count = rng.integers(len(parts[0]))
         parts = [part[:count] for part in parts]

@@ -244,8 +244,7 @@ def test_given_bad_samples_when_cleaned_then_a_few_are_left_out_and_many_are_ref
 def test_given_stamps_when_used_then_jitter_is_mended_and_gaps_and_clocks_are_seen(recording):
     jitter = 0.004 * np.random.default_rng(0).uniform(-1, 1, len(recording.time))
     mended = cleaned(recording, time=recording.time + jitter)
-    assert 'count of the samples' in mended.warnings[0]
-    assert np.ptp(np.diff(mended.time)) < 1e-9
+    assert 'count of the samples' in mended.warnings[0] and np.ptp(np.diff(mended.time)) < 1e-9
     with pytest.raises(IdentificationError, match='stamps stand still'):
         cleaned(recording, time=np.zeros(len(recording.time)))
     keep = (recording.time < 8.0) | (recording.time > 9.0)

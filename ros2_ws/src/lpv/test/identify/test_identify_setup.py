@@ -159,8 +159,7 @@ def test_given_a_second_encoder_or_none_when_compared_then_it_or_the_reason_is_f
     (found,) = find_second_encoders(bag, {'two': 'two_link'})
     assert found.encoder.position_noise == pytest.approx(5e-4, rel=0.1)
     assert (found.scale, found.offset) == pytest.approx((-1.0, 0.1), abs=1e-3)
-    assert found.difference == pytest.approx(5e-4, rel=0.1)
-    assert 'two_link' in describe(found)
+    assert found.difference == pytest.approx(5e-4, rel=0.1) and 'two_link' in describe(found)
     sensors = with_second_encoders(arm, [found]).joints[1].sensors
     assert sensors.second_encoder == found.encoder
     reasons = {'three': 'no second encoder of this joint', 'nothing': 'no message has all joints'}
@@ -175,8 +174,7 @@ def test_given_a_second_encoder_or_none_when_compared_then_it_or_the_reason_is_f
 def test_given_a_kr300_when_link_side_encoders_are_compared_then_they_agree_within_a_milliradian():
     pairs = {f'{i}': f'link_position{i}' for i in (1, 2, 3)}
     for reading in find_second_encoders(DATA / 'kr300' / 'A.csv', pairs):
-        assert abs(abs(reading.scale) - 1.0) < 0.01
-        assert reading.difference < 2e-3
+        assert abs(abs(reading.scale) - 1.0) < 0.01 and reading.difference < 2e-3
 
 
 def swapped(recording):
@@ -254,6 +252,5 @@ def test_given_a_short_recording_when_calibrated_then_the_model_stays(arm, simul
 def test_given_an_arm_at_rest_when_calibrated_then_unseen_errors_are_named(arm, recording):
     first = recording.rows(np.zeros(len(recording.time), int))
     found = calibrate(arm, [replace(first, time=recording.time, velocity=0.0 * first.velocity)])
-    assert len(found.warnings) == 3
-    assert np.isfinite(found.arm.uncertainty.torque_error).all()
+    assert len(found.warnings) == 3 and np.isfinite(found.arm.uncertainty.torque_error).all()
     assert {joint.sensors.rates for joint in found.arm.joints} == {'derived'}

@@ -21,8 +21,7 @@ from lpv.report.load import analyse
 from lpv.report.run import content, write
 from lpv.report.table import PAPER, Row, is_paper_arm, make_table, print_table
 
-MS = 1_000_000
-COUNT = 500
+MS, COUNT = 1_000_000, 500
 TIME = 2.0 * np.arange(COUNT)
 """Stamps of the samples [ms]."""
 CONFUSED = 'inconsistent, cause unknown: rates, torques and model contradict each other'
@@ -262,8 +261,7 @@ def test_given_an_alarm_that_lasts_when_reported_then_its_size_is_the_error_now(
 def test_given_the_states_of_a_sensor_when_drawn_then_bars_and_legend_agree(paper_arm):
     state = np.repeat([[int(s)] for s, _, _ in STATES], COUNT // len(STATES), axis=0)
     record = run(fault_estimate=stream(*ESTIMATES, state=np.hstack([state, state[::-1]])))
-    figure = timeline(analysed(record, paper_arm))
-    bars = {}
+    figure, bars = timeline(analysed(record, paper_arm)), {}
     for bar in figure.axes[0].collections:
         bars.setdefault(bar.get_label(), set()).add(bar.get_facecolor().tobytes())
     (legend,) = figure.legends

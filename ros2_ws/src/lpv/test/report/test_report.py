@@ -240,8 +240,7 @@ def test_given_gains_when_reported_then_arm_region_margins_and_versions_are_told
         'SHA-256 of the file': hashlib.sha256(gains_file.read_bytes()).hexdigest(),
         'numpy': np.__version__, 'matplotlib': matplotlib.__version__,
     }  # fmt: skip
-    assert facts.items() >= known.items()
-    assert {'lpv', 'Python', 'rosbags', 'mcap'} <= set(facts)
+    assert facts.items() >= known.items() and {'lpv', 'Python', 'rosbags', 'mcap'} <= set(facts)
     limit = np.degrees(np.arccos(paper_arm.lpv.cos_min[0]))
     margins = {cells[0]: cells[1:] for cells in rows(page) if cells[-1] in ('yes', 'NO')}
     for told in (
@@ -316,8 +315,7 @@ def test_given_gains_when_examined_or_drawn_then_a_loop_is_verified_or_a_map_a_p
     arm, region = load_arm('ur10'), 'gains are designed for its region'
     for gains, problem in (('ur10', ''), ('panda', 'another arm'), ('paper', region)):
         found = examine(BRINGUP / 'gains' / f'{gains}.yaml', arm)
-        assert found.holds == (not problem) and problem in found.problem
-        assert not found.bounds_faults
+        assert found.holds == (not problem) and problem in found.problem and not found.bounds_faults
     found = guarantee(paper_model, paper_gains, points=5)
     draw_region(found, paper_model, tmp_path / 'a' / 'map.png')
     assert (tmp_path / 'a' / 'map.png').read_bytes().startswith(b'\x89PNG')
@@ -359,8 +357,7 @@ def test_given_a_browser_when_the_report_is_printed_then_all_is_there_in_black_o
         browser.close()
     assert len(widths) == 6 and min(widths) > 1000
     assert [url for url in asked if not url.startswith('data:')] == [report.html.as_uri()]
-    assert complaints == []
-    assert look == ['rgb(0, 0, 0)', 'rgb(255, 255, 255)', 'none', True]
+    assert complaints == [] and look == ['rgb(0, 0, 0)', 'rgb(255, 255, 255)', 'none', True]
     boxes = re.findall(rb'/MediaBox\s*\[([^\]]*)\]', pdf)
     assert 4 <= len(boxes) <= 8
     for box in boxes:
