@@ -13,11 +13,10 @@ import pytest
 import yaml
 from bag_messages import CHATTER, JOINT_STATE, JOINTS, START, STEP, STRING, TYPESTORE, cdr, text
 from bags import KINDS, TOPICS, contents, storage, write_by_mcap, write_small
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
+from lpv import Alarm, ConfigError
 from lpv.bag.blocks.cdr_layout import find_layout
 from lpv.bag.blocks.message_blocks import split
 from lpv.bag.errors import BagError, DamageError
@@ -32,8 +31,8 @@ from lpv.bag.rosbag.writing import BagWriter, padded_cdr
 from lpv.bag.run import decoder
 from lpv.bag.run.record import ALARM_TYPE, load_run
 from lpv.bag.run.streams import SCALARS, STREAMS
+from lpv.core.monitoring.message_fields import alarm_fields
 from lpv.core.serial_arm.diagnosis.alarms import Mode
-from lpv.core.support.errors import ConfigError
 
 EPOCH, MS = 1_700_000_000_123_456_789, 1_000_000
 VECTORS = ('position', 'velocity', 'effort')
@@ -237,25 +236,6 @@ def test_given_chunks_when_written_then_others_read_what_was_written_one_by_one(
     assert (said.message_start_time, said.message_end_time) == (times[0], times[-1])
 
 
-NUMBERS = st.floats(allow_nan=True, width=64)
-NAMES = st.lists(st.text('abcäß/_ ', min_size=0, max_size=9), min_size=1, max_size=5)
-FRAMES = st.text(max_size=20).filter(lambda frame: '\0' not in frame)
-
-
-@settings(max_examples=100)
-@given(st.data(), NAMES, FRAMES, st.integers(0, 2**31 * 10**9 - 1))
-def test_given_any_message_when_read_by_layout_then_values_are_its_own(data, names, frame, stamp):
-    lengths = [data.draw(st.sampled_from([0, len(names)])) for _ in VECTORS]
-    values = [data.draw(st.lists(NUMBERS, min_size=n, max_size=n)) for n in lengths]
-    content = cdr(measurement(stamp, names, values, frame))
-    layout = find_layout(content, JOINT_STATE, TYPESTORE)
-    buffer, start = np.frombuffer(b'???' + content, np.uint8), np.array([3])
-    assert layout.match(buffer, start, np.array([len(content)])).all()
-    assert layout.stamps(buffer, start)[0] == stamp
-    for name, expected in zip(VECTORS, values):
-        np.testing.assert_array_equal(layout.read(buffer, start, name)[0], expected)
-
-
 def test_given_one_byte_that_differs_when_matched_then_only_numbers_and_padding_may():
     content = cdr(measurement(5))
     layout, start = find_layout(content, JOINT_STATE, TYPESTORE), np.zeros(1, int)
@@ -277,24 +257,11 @@ def test_given_one_byte_that_differs_when_matched_then_only_numbers_and_padding_
 
 PAIR, SENSORS, ZERO = ('joint1', 'joint2'), ['left', 'right'], [0.0, 0.0]
 TYPES = {name: msgtype for name, (msgtype, _) in STREAMS.items()} | {'fault_alarm': ALARM_TYPE}
-
-
-def zeros(name, **others):
-    return dict.fromkeys(STREAMS[name][1], ZERO) | others
-
-
-FIELDS = {
-    'state_estimate': zeros('state_estimate', mode=0, trustworthy=True),
-    'fault_estimate': zeros(
-        'fault_estimate', sensor_names=SENSORS, state=[0, 0], alarm=[False, False]
-    ),
-    'reference': zeros('reference'),
-    'torque_command': zeros('torque_command', safe_stop=False),
-    'fault_alarm': {
-        **{'sensor': 'left', 'sensor_index': 0, 'event': 0, 'onset': 5 * MS, 'detected': 15 * MS},
-        **{'size': 0.3, 'bound': 0.1, 'kind': 'unclassified', 'confidence': 0.99},
-    },
-}
+FIELDS = {name: dict.fromkeys(fields, ZERO) for name, (_, fields) in STREAMS.items()}
+FIELDS['state_estimate'] |= {'mode': 0, 'trustworthy': True}
+FIELDS['fault_estimate'] |= {'sensor_names': SENSORS, 'state': [0, 0], 'alarm': [False, False]}
+FIELDS['torque_command'] |= {'safe_stop': False}
+FIELDS['fault_alarm'] = alarm_fields(Alarm(0, 0, 'left', 5 * MS, 15 * MS, 0.3, 0.1, 'bias', 0.99))
 JUNK = b'junk'
 """Behind measurements without efforts: some serialisers pad with what was in memory."""
 
@@ -333,7 +300,7 @@ def mixed(seed):
 
     def add(name, stamp, fields, **sent):
         """A message; what is sent otherwise than it is to be read comes last."""
-        row = {field: FIELDS.get(name, {}).get(field) for field in STREAMS[name][1]}
+        row = {field: FIELDS[name][field] for field in STREAMS[name][1]}
         model.setdefault(name, {})[stamp] = row | fields
         entries.append((f'/{name}', stamp, fields | sent))
 

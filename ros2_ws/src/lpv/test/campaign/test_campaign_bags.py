@@ -221,11 +221,6 @@ def archive(runs, tmp_path_factory):
     return root
 
 
-@pytest.fixture(scope='module')
-def settings(archive, paper_arm, runs):
-    return Archive(archive_text(archive, paper_arm, runs['bias'][0].gains))
-
-
 def fleet(root, out):
     line = ['fleet', root, '--arm', 'paper', '--gains', GAINS, '--out', out, '--workers', 0]
     return [str(word) for word in line]
@@ -306,8 +301,9 @@ def test_given_answers_when_summed_up_then_they_are_those_recorded(tried, archiv
 
 
 def test_given_no_scenario_or_a_long_bag_when_replayed_then_the_truth_is_shown_or_left_out(
-    archive, settings, tmp_path, runs, monkeypatch
+    archive, runs, paper_arm, paper_gains, tmp_path, monkeypatch
 ):
+    settings = Archive(archive_text(archive, paper_arm, paper_gains))
     for name in ('bias', 'dropout'):
         shutil.copytree(archive / 'b' / name, tmp_path / name)
         (tmp_path / name / 'scenario.yaml').unlink()

@@ -145,17 +145,13 @@ def test_given_white_noise_or_late_rates_when_measured_then_deviation_and_delay_
     assert rate_delays([late], find_bandwidths([late])) == pytest.approx([0.03], abs=1e-3)
 
 
-@pytest.fixture
-def bag(recording, arm, tmp_path):
-    """A recording in which joint two has a second encoder with an offset and more noise."""
+def test_given_second_encoders_when_compared_then_they_fit_or_not(recording, arm, tmp_path):
+    """Joint two has one, with an offset and more noise."""
     rng = np.random.default_rng(3)
     other = 0.1 - recording.position[:, 1:2] + 5e-4 * rng.normal(size=(len(recording.time), 1))
     names, still = (*arm.joint_names, 'two_link'), np.zeros_like(other)
-    samples = (recording.position, other), (recording.velocity, still), (recording.effort, still)
-    return write_measurements(tmp_path / 'bag', names, recording.time, *map(np.hstack, samples))
-
-
-def test_given_a_second_encoder_or_none_when_compared_then_it_or_the_reason_is_found(bag, arm):
+    parts = (recording.position, other), (recording.velocity, still), (recording.effort, still)
+    bag = write_measurements(tmp_path / 'bag', names, recording.time, *map(np.hstack, parts))
     (found,) = find_second_encoders(bag, {'two': 'two_link'})
     assert found.encoder.position_noise == pytest.approx(5e-4, rel=0.1)
     assert (found.scale, found.offset) == pytest.approx((-1.0, 0.1), abs=1e-3)

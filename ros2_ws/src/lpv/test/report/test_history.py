@@ -203,8 +203,7 @@ def test_given_stops_and_lost_sensors_when_reported_then_each_has_its_stretch(pa
         Phase('safe stop', '', 0.4, 0.7),
         Phase('inconsistent', '', 0.5, 0.8),
     ]
-    page = shown(record, reports)
-    meaning = 'the tracker commanded the drives to brake'
+    page, meaning = shown(record, reports), 'the tracker commanded the drives to brake'
     assert ['safe stop', 'arm', '0.400', '0.700', '0.300', meaning] in rows(page)
     assert 'Alarms were not recorded; 1 safe stop, 1 inconsistent phase.' in text(page)
     assert 'come once a second' in text(page)
