@@ -1,4 +1,4 @@
-"""What the tests of commands share."""
+"""What the tests of the library share."""
 
 import pytest
 
@@ -16,3 +16,9 @@ def call(capsys):
         return said
 
     return run
+
+
+@pytest.fixture
+def quiet(caplog):
+    """Ten thousands of warnings about bags are not worth keeping."""
+    caplog.set_level('CRITICAL', 'lpv.bag')

@@ -5,7 +5,6 @@ import math
 import re
 import resource
 import shutil
-from contextlib import contextmanager
 from itertools import chain
 
 import numpy as np
@@ -120,30 +119,24 @@ def test_given_garbage_or_another_type_when_copied_then_it_is_taken_out_or_refus
             writer.copy_topic(reader.connections[0])
 
 
-@contextmanager
-def full_disk(room):
-    """Files of this process get no larger, as on a disk that is full."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (room, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-
-
 @pytest.mark.parametrize('room', [0, 2800, 4000, 4200, 5000, 6000, 10_000, 10_300])
 def test_given_a_disk_that_gets_full_when_writing_then_chunks_before_can_be_read(tmp_path, room):
     bag = tmp_path / 'bag'
     writer = BagWriter(bag, chunk_time=10 * MS)
     messages, header, free = BagMessages(writer.typestore, 'arm'), writer.size, writer.room()
     writer.add_topic(JOINTS, JOINT_STATE)
-    with full_disk(room):
+    # Files of this process get no larger, as on a disk that is full.
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room, hard))
+    try:
         assert writer.room() < room - header < free
         with pytest.raises(OSError, match='too large'):
             for stamp in range(START, START + 10_000 * STEP, STEP):
                 message = messages.joint_state(stamp, ('a',), [1.0], [0.0], [0.0])
                 writer.write(JOINTS, stamp, message)
         assert 'too large' in writer.close()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert storage(bag).stat().st_size <= max(room, header)
     if room == 0:
         with pytest.raises(BagError, match='nothing in it can be recovered'):

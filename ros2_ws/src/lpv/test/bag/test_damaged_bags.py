@@ -23,13 +23,8 @@ from lpv.bag.run.csv_import import import_csv, load_column_map
 from lpv.bag.run.record import load_run
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 
-pytestmark = [pytest.mark.filterwarnings('error'), pytest.mark.slow]
-
-
-@pytest.fixture(autouse=True)
-def quiet(caplog):
-    """Ten thousands of warnings are not worth keeping."""
-    caplog.set_level('CRITICAL', 'lpv.bag')
+strict = pytest.mark.filterwarnings('error')
+pytestmark = [strict, pytest.mark.slow, pytest.mark.usefixtures('quiet')]
 
 
 @pytest.fixture
@@ -37,41 +32,30 @@ def bag(tmp_path):
     return write_small(tmp_path / 'bag')
 
 
-class Judge:
-    """Reads, loads and recovers a bag of which one thing at most is wrong."""
-
-    def __init__(self, bag):
-        self.bag, self.file = bag, storage(bag)
-        self.data = self.file.read_bytes()
-        self.good = contents(bag)[0]
-        self.read = 0
-
-    def check(self, data, single):
-        """Nothing that was not recorded comes out, and what is missing is said."""
-        self.file.write_bytes(data)
-        path = self.file if single else self.bag
+def judge(path, good, load):
+    """Read, load and recover a bag, or the file alone, of which one thing at most is wrong: nothing
+    that was not recorded comes out, and what is missing is said.  Whether there is anything."""
+    try:
+        found, warnings = contents(path)
+    except BagError as error:
+        assert str(error).startswith(str(path)) and '\n' not in str(error)
+        with pytest.raises(BagError):
+            recover(path)
+        return False
+    left, complete = iter(good), len(found) == len(good)
+    assert all(message in left for message in found), 'not a part of what was recorded'
+    assert complete or warnings, 'messages are missing, and nobody says so'
+    result = recover(path)
+    assert sum(topic.recovered for topic in result.topics.values()) == len(found)
+    assert complete or not result.nothing_lost
+    if path.is_dir():  # metadata.yaml is there, and says how many there were
+        assert len(found) + result.lost == len(good)
+    if load:
         try:
-            found, warnings = contents(path)
-        except BagError as error:
-            assert str(error).startswith(str(path)) and '\n' not in str(error)
-            with pytest.raises(BagError):
-                recover(path)
-            return
-        left = iter(self.good)
-        assert all(message in left for message in found), 'not a part of what was recorded'
-        complete = len(found) == len(self.good)
-        assert complete or warnings, 'messages are missing, and nobody says so'
-        result = recover(path)
-        assert sum(topic.recovered for topic in result.topics.values()) == len(found)
-        assert complete or not result.nothing_lost
-        if not single:  # metadata.yaml is there, and says how many there were
-            assert len(found) + result.lost == len(self.good)
-        if self.read % 4 == 0:
-            try:
-                assert complete or load_run(path).warnings
-            except BagError:
-                assert not complete
-        self.read += bool(found)
+            assert complete or load_run(path).warnings
+        except BagError:
+            assert not complete
+    return bool(found)
 
 
 def cut(data, at, rng):
@@ -87,11 +71,14 @@ HARMS = [(cut, 'zstd_fast', 37, 0.33), (flipped, 'none', 101, 0.8), (flipped, 'z
 
 @pytest.mark.parametrize('harm, preset, step, readable', HARMS)
 def test_given_a_wrong_byte_when_read_then_all_was_recorded(tmp_path, harm, preset, step, readable):
-    judge, rng = Judge(write_small(tmp_path / 'bag', 8, preset=preset)), random.Random(3)
-    places = range(0, len(judge.data), step)
+    bag, rng, read = write_small(tmp_path / 'bag', 8, preset=preset), random.Random(3), 0
+    file, (good, _) = storage(bag), contents(bag)
+    data = file.read_bytes()
+    places = range(0, len(data), step)
     for at in places:
-        judge.check(harm(judge.data, at, rng), single=rng.randrange(2))
-    assert judge.read > readable * len(places)
+        file.write_bytes(harm(data, at, rng))
+        read += judge(rng.choice((bag, file)), good, load=read % 4 == 0)
+    assert read > readable * len(places)
 
 
 @pytest.mark.fuzz

@@ -43,20 +43,15 @@ WRONG = {
     'speed': [{'speed': 1.0}],
 }  # fmt: skip
 WRONG_FACTORS = {
-    'fault.size': [{'bais': 1.0}, True, []],
-    'fault.size.high': [{'low': 1.0}],
-    'mass_1': [{'low': 1.0, 'high': 0.9}, {'low': -1.0, 'high': 0.9}],
-    'mass_1.high': [{'low': 0.5, 'high': float('inf')}],
-    'noise.low': [{**RANGE, 'spacing': 'log'}],
-    'noise.spacing': [{**RANGE, 'spacing': 'x'}],
-    'noise.levels': [{**RANGE, 'levels': 1}],
-    'noise': ['loud', [1.0, 1.0]],
-    'masss': [1.0],
-    'sample_time': [{'low': 0.001, 'high': 0.002}],
-    'command_delay': [1.5, 64.0],
-    'compensation': ['sometimes'],
+    'fault.size': [{'bais': 1.0}, True, []], 'fault.size.high': [{'low': 1.0}],
     'fault.kind': [['bias', 'bad'], 1.0],
-}
+    'mass_1': [{'low': 1.0, 'high': 0.9}, {'low': -1.0, 'high': 0.9}],
+    'mass_1.high': [{'low': 0.5, 'high': float('inf')}], 'masss': [1.0],
+    'noise.low': [{**RANGE, 'spacing': 'log'}], 'noise.spacing': [{**RANGE, 'spacing': 'x'}],
+    'noise.levels': [{**RANGE, 'levels': 1}], 'noise': ['loud', [1.0, 1.0]],
+    'sample_time': [{'low': 0.001, 'high': 0.002}], 'command_delay': [1.5, 64.0],
+    'compensation': ['sometimes'],
+}  # fmt: skip
 for _field, _values in WRONG_FACTORS.items():
     _name = '.'.join(_field.split('.')[: 2 if _field.startswith('fault') else 1])
     WRONG[f'factors.{_field}'] = [{'factors': {_name: value}} for value in _values]
@@ -81,6 +76,17 @@ MISFITS = [
     (UR10, 'factors.fault.sensor', {'factors': {'fault.sensor': 'link1_angle'}}),
 ]
 """A campaign, the field that the error names, and what is wrong or does not fit files or arm."""
+
+
+@pytest.fixture(scope='module')
+def small():
+    return resolve(SMALL, 'small', '.')
+
+
+@pytest.fixture(scope='module')
+def serial(small):
+    """Rows of all its runs, one after the other in this process."""
+    return [run_one(small, number) for number in small.tasks]
 
 
 @pytest.mark.parametrize('base, field, change', MISFITS)
@@ -281,10 +287,6 @@ def chunks(campaign, workers=None, scheduler=None, size=8):
             yield rows
 
 
-def in_order(rows):
-    return sorted(rows, key=lambda row: row['number'])
-
-
 def test_given_two_workers_when_one_dies_then_nothing_is_lost(
     scheduler, workers, small, serial, tmp_path, call
 ):
@@ -293,14 +295,15 @@ def test_given_two_workers_when_one_dies_then_nothing_is_lost(
         rows += part
         if len(rows) == 2:
             kill(first)
-    assert_same(in_order(rows), serial)
+    assert_same(sorted(rows, key=lambda row: row['number']), serial)
     # The other one did what the dead one had in hand, and is there for the next command.
     few = {**SMALL, 'plan': {'method': 'random', 'runs': 10}}
     file, out = written(tmp_path / 'few.yaml', few), tmp_path / 'out'
     call('campaign', file, '--out', out, '--scheduler', scheduler, '--no-report')
     assert_same(rows_of(out), serial[:10])
     # Without a cluster, processes of its own do the same.
-    assert_same(in_order(sum(chunks(small, workers=2, size=6), [])), serial)
+    rows = sum(chunks(small, workers=2, size=6), [])
+    assert_same(sorted(rows, key=lambda row: row['number']), serial)
 
 
 def test_given_wrong_or_no_workers_when_run_then_it_ends(scheduler, workers, small, monkeypatch):

@@ -190,10 +190,6 @@ def write_foreign(path, run):
     write_by_rosbags(path, entries)
 
 
-def write_odd(path, topic, msgtype, data):
-    write_bag(path, [(topic, stamp, data) for stamp in range(1, 5)], {topic: msgtype})
-
-
 def write_files(root, content):
     """Files by their path."""
     for name, data in content.items():
@@ -215,9 +211,9 @@ def archive(runs, tmp_path_factory):
         'notes/metadata.yaml': b'colour: blue\n',
     }
     write_files(root, others)
-    write_odd(root / 'deaf', CHATTER, STRING, text('hello'))
-    strange = BagMessages(TYPESTORE, '').joint_state(1, ('elbow', 'wrist'), *np.zeros((3, 2)))
-    write_odd(root / 'strange', '/js', JOINT_STATE, cdr(strange))
+    write_bag(root / 'deaf', [(CHATTER, k, text('hello')) for k in range(1, 5)], {CHATTER: STRING})
+    odd = BagMessages(TYPESTORE, '').joint_state(1, ('elbow', 'wrist'), *np.zeros((3, 2)))
+    write_bag(root / 'strange', [('/js', k, cdr(odd)) for k in range(1, 5)], {'/js': JOINT_STATE})
     return root
 
 
@@ -234,7 +230,7 @@ def tried(archive, tmp_path_factory):
     return out, {row['bag']: row for row in rows_of(out, 'bags')}
 
 
-def test_given_an_archive_when_searched_then_bags_are_found_and_nothing_else(archive, tmp_path):
+def test_given_an_archive_when_searched_then_bags_and_whose_they_are_is_found(archive, tmp_path):
     def names(*arguments):
         return [name for (name,) in find_bags(*arguments).values()]
 
@@ -245,9 +241,7 @@ def test_given_an_archive_when_searched_then_bags_are_found_and_nothing_else(arc
     assert names(tmp_path) == ['cut', *loose[2:], 'old/old_0.db3', 'whole']
     with pytest.raises(ConfigError, match='not a folder'):
         find_bags(tmp_path / 'nowhere')
-
-
-def test_given_a_bag_when_asked_whose_it_is_then_its_serial_or_folder_tells(archive, tmp_path):
+    # The serial number or the folder tells whose a bag is.
     assert (unit_of(archive, 'b/bias'), unit_of(archive, 'foreign')) == ('b', '')
     data = yaml.safe_load((archive / 'a' / 'healthy' / 'metadata.yaml').read_text())
     data['rosbag2_bagfile_information']['custom_data'] = {'serial': 'SN-7'}

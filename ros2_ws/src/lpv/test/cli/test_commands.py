@@ -1,5 +1,4 @@
-"""What all commands share - help that does not wait, progress, text that fits the terminal, what is
-said where something is missing - and lpv init."""
+"""What all commands share: help, progress, text that fits, what is said of what is missing."""
 
 import io
 import re

@@ -9,12 +9,7 @@ from lpv.identify.estimation.identification import identify
 from lpv.identify.recordings.motion import find_bandwidths, split
 from lpv.identify.recordings.recording import Recording, clean, read_recording
 
-pytestmark = pytest.mark.fuzz
-
-
-@pytest.fixture(autouse=True)
-def quiet(caplog):
-    caplog.set_level('CRITICAL', 'lpv.bag')
+pytestmark = [pytest.mark.fuzz, pytest.mark.usefixtures('quiet')]
 
 
 def use(recording):

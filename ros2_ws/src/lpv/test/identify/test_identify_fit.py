@@ -1,5 +1,4 @@
-"""Identification of arms whose parameters are known, and of real ones; recordings that are read,
-mended or refused."""
+"""Identification of arms that are known, and of real ones; recordings read, mended or refused."""
 
 from dataclasses import replace
 
@@ -186,24 +185,18 @@ def test_given_a_two_link_arm_when_identified_then_it_is_no_worse_than_published
     assert load_arm(tmp_path / 'arm.yaml') == result.arm
 
 
-def write_bag(path, recording, names=NAMES, effort=True):
+def test_given_a_file_when_read_then_its_joints_are_found_or_named(tmp_path, recording):
     motion = recording.time, recording.position, recording.velocity
-    return write_measurements(path, names, *motion, recording.effort if effort else None)
-
-
-def test_given_a_bag_when_read_then_joints_are_found_by_name_or_named(tmp_path, recording):
-    bag = write_bag(tmp_path / 'bag', recording, ('three', 'one', 'two'))
+    bag = write_measurements(tmp_path / 'bag', ('three', 'one', 'two'), *motion, recording.effort)
     read = read_recording(bag, NAMES)
     assert np.array_equal(read.position[:, 0], recording.position[:, 1])
     assert np.array_equal(read.effort[:, 2], recording.effort[:, 0])
-    without = write_bag(tmp_path / 'without', recording, effort=False)
+    without = write_measurements(tmp_path / 'without', NAMES, *motion, None)
     with pytest.raises(IdentificationError, match='no message has all joints.*three, one, two'):
         read_recording(bag, ('one', 'elbow'))
     with pytest.raises(IdentificationError, match='has no efforts'):
         read_recording(without, NAMES)
-
-
-def test_given_a_csv_when_read_then_columns_are_guessed(tmp_path, recording):
+    # Columns of a CSV file are guessed.
     columns = np.column_stack([recording.time, recording.position, recording.effort])
     header = 'time,q1,q2,q3,tau1,tau2,tau3'
     np.savetxt(tmp_path / 'a.csv', columns, delimiter=',', header=header, comments='')
