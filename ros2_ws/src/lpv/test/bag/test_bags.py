@@ -16,13 +16,10 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
 from lpv import Alarm, ConfigError
-from lpv.bag.blocks.cdr_layout import find_layout
-from lpv.bag.blocks.message_blocks import split
+from lpv.bag.blocks import cdr_layout, message_blocks
 from lpv.bag.errors import BagError, DamageError
 from lpv.bag.replay.writer import RecordTemplate
-from lpv.bag.rosbag import reading
-from lpv.bag.rosbag.interfaces import message_text
-from lpv.bag.rosbag.message_loss import TopicCount
+from lpv.bag.rosbag import interfaces, message_loss, reading
 from lpv.bag.rosbag.messages import BagMessages
 from lpv.bag.rosbag.metadata import RECORD_NAME
 from lpv.bag.rosbag.reading import BagReader, open_bag
@@ -149,7 +146,7 @@ def test_given_a_disk_that_gets_full_when_writing_then_chunks_before_can_be_read
 
 
 def test_given_numbers_with_gaps_and_old_stamps_when_counted_then_lost_and_late_ones_are_known():
-    count = TopicCount()
+    count = message_loss.TopicCount()
     # 7 and 8 were lost, then 8 came.
     for publisher, numbers in {b'a': (5, 6, 9, 8), b'b': (100, 101), None: (None,)}.items():
         for number in numbers:
@@ -193,10 +190,10 @@ def test_given_chunks_that_overlap_when_read_then_times_are_sorted(tmp_path, mon
 
 def test_given_bytes_that_are_no_records_when_split_then_it_is_damage():
     good, short = (b'\x05' + bytes([size]) + bytes(29) for size in (22, 21))
-    assert len(split(np.frombuffer(good, np.uint8))[0]) == 1
+    assert len(message_blocks.split(np.frombuffer(good, np.uint8))[0]) == 1
     for bad in (good[:-1], good[:5], good + good[:20], short[:-1]):
         with pytest.raises(DamageError):
-            split(np.frombuffer(bad, np.uint8))
+            message_blocks.split(np.frombuffer(bad, np.uint8))
 
 
 @pytest.mark.parametrize('preset', ['none', 'zstd_fast', 'zstd_small'])
@@ -231,7 +228,7 @@ def test_given_chunks_when_written_then_others_read_what_was_written_one_by_one(
 
 def test_given_one_byte_that_differs_when_matched_then_only_numbers_and_padding_may():
     content = cdr(measurement(5))
-    layout, start = find_layout(content, JOINT_STATE, TYPESTORE), np.zeros(1, int)
+    layout, start = cdr_layout.find_layout(content, JOINT_STATE, TYPESTORE), np.zeros(1, int)
     for at in range(len(content)):
         changed = np.frombuffer(content, np.uint8).copy()
         changed[at] ^= 1
@@ -245,7 +242,7 @@ def test_given_one_byte_that_differs_when_matched_then_only_numbers_and_padding_
             back = layout.read(changed, start, 'position')[0]
             np.testing.assert_array_equal(back, other.position)
     for bad in (b'', b'\0\1', bytes(11), b'\0\0' + content[2:]):
-        assert find_layout(bad, JOINT_STATE, TYPESTORE) is None
+        assert cdr_layout.find_layout(bad, JOINT_STATE, TYPESTORE) is None
 
 
 PAIR, SENSORS, ZERO = ('joint1', 'joint2'), ['left', 'right'], [0.0, 0.0]
@@ -450,7 +447,7 @@ def test_given_two_arms_when_loaded_then_a_namespace_tells_them_apart(tmp_path):
 
 def test_given_arrays_of_fixed_length_when_loaded_then_it_is_as_ever(tmp_path, monkeypatch):
     def as_before(msgtype):
-        text = message_text(msgtype)
+        text = interfaces.message_text(msgtype)
         return re.sub(r'^(\w+)\[\] ', r'\1[2] ', text, flags=re.M) if 'lpv' in msgtype else text
 
     monkeypatch.setattr('lpv.bag.rosbag.interfaces.message_text', as_before)

@@ -15,10 +15,9 @@ from places import BRINGUP
 from lpv import ConfigError, save_gains
 from lpv.bag.errors import BagError
 from lpv.bag.replay.replay import Replay
-from lpv.bag.rosbag import mcap_file
+from lpv.bag.rosbag import mcap_file, writing
 from lpv.bag.rosbag.output_folder import GAINS_NAME, read_run_file
 from lpv.bag.rosbag.recovery import recover
-from lpv.bag.rosbag.writing import BagWriter
 from lpv.bag.run.csv_import import import_csv, load_column_map
 from lpv.bag.run.record import load_run
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
@@ -259,7 +258,7 @@ def test_given_what_is_no_bag_when_recovered_then_one_line_says_so(bag, tmp_path
 
 def test_given_times_and_gains_when_recovered_then_they_stay_if_whole(tmp_path, paper_gains):
     a, b, c = (tmp_path / name for name in 'abc')
-    with BagWriter(a) as writer:
+    with writing.BagWriter(a) as writer:
         writer.add_topic(CHATTER, STRING)
         for k in range(10):
             writer.write_raw(CHATTER, START + k * STEP, bytes(12), publish_time=START - k)

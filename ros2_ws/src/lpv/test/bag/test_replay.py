@@ -21,12 +21,10 @@ from lpv import AlarmEvent, ConfigError, Fault
 from lpv.bag.errors import BagError
 from lpv.bag.replay.injected_faults import judge, true_size
 from lpv.bag.replay.replay import Replay, ReplayResult
-from lpv.bag.rosbag import reading
+from lpv.bag.rosbag import reading, writing
 from lpv.bag.rosbag.messages import BagMessages
-from lpv.bag.rosbag.writing import BagWriter
-from lpv.bag.run import decoder
+from lpv.bag.run import decoder, streams
 from lpv.bag.run.record import load_run
-from lpv.bag.run.streams import STREAMS, RecordedAlarm
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.diagnosis.alarms import Mode
 from lpv.core.simulation.closed_loop import run_closed_loop
@@ -151,7 +149,7 @@ def test_given_topics_of_others_when_replayed_then_they_are_copied_byte_for_byte
 
 def test_given_an_unknown_type_when_replayed_then_its_definition_is_copied(loop, replay, tmp_path):
     odd = 'odd_msgs/msg/Note'
-    with BagWriter(tmp_path / 'bag') as writer:
+    with writing.BagWriter(tmp_path / 'bag') as writer:
         writer.typestore.register(get_types_from_msg('string text\nint32 number', odd))
         writer.add_topic('/note', odd)
         writer.add_topic('/joint_states', JOINT_STATE)
@@ -170,7 +168,7 @@ def test_given_answers_when_replayed_then_only_ours_are_replaced(loop, replayed,
     result, out = replayed
     again, twice = replay(out, out='twice')
     assert raw(twice) == raw(out) and again.events == result.events
-    vectors = dict.fromkeys(STREAMS['state_estimate'][1], [9.0, 9.0])
+    vectors = dict.fromkeys(streams.STREAMS['state_estimate'][1], [9.0, 9.0])
     nines = {**vectors, 'mode': 0, 'trustworthy': True}
     msgtype, entries = 'lpv_msgs/msg/StateEstimate', list(entries_of(loop))
     entries += [(STATE, stamp, MESSAGES.make(msgtype, stamp, nines)) for stamp, *_ in loop[::10]]
@@ -387,7 +385,7 @@ START = 5_000_000_000
 
 def event(time, sensor='a', kind=AlarmEvent.RAISED, size=0.28, name='bias'):
     stamp, place = START + round(time * 1e9), ('a', 'b').index(sensor)
-    return RecordedAlarm(kind, place, sensor, stamp, stamp, size, 0.05, name, 1.0, stamp)
+    return streams.RecordedAlarm(kind, place, sensor, stamp, stamp, size, 0.05, name, 1.0, stamp)
 
 
 ONE, OTHER, SHORT = (Fault(sensor, 'bias', 1.0, duration, 0.3)

@@ -19,14 +19,12 @@ from lpv import ConfigError, Fault, load_arm, save_gains
 from lpv.campaign.execution import execute
 from lpv.campaign.execution.execute import WorkerError, chunks_of, worker_pool
 from lpv.campaign.execution.runs import plan_run, run_one
+from lpv.campaign.plan import random_paths, spec
 from lpv.campaign.plan.campaign import Campaign, resolve
-from lpv.campaign.plan.random_paths import random_joint_path, random_planar_path
-from lpv.campaign.plan.spec import Plan, parse_spec
 from lpv.core.control.path import CartesianPath, PlanarWaypoints
 from lpv.core.control.serial_path import SerialPath
 from lpv.core.simulation.closed_loop import run_closed_loop
-from lpv.core.support.config import read_yaml
-from lpv.core.support.resources import shipped_files
+from lpv.core.support import config, resources
 from lpv.core.uio.model.joints import JointMap
 from lpv.core.uio.planar import planar_model
 
@@ -99,9 +97,9 @@ def test_given_a_wrong_field_when_resolved_then_the_error_names_it(
     assert error.value.field == field
 
 
-@pytest.mark.parametrize('name', sorted(shipped_files('campaigns')))
+@pytest.mark.parametrize('name', sorted(resources.shipped_files('campaigns')))
 def test_given_a_shipped_campaign_when_read_then_it_is_valid(name):
-    assert parse_spec(read_yaml(shipped_files('campaigns')[name])).runs >= 30
+    assert spec.parse_spec(config.read_yaml(resources.shipped_files('campaigns')[name])).runs >= 30
 
 
 def test_given_a_plan_when_sampled_then_every_combination_or_stratum_comes_once_a_repeat():
@@ -112,7 +110,7 @@ def test_given_a_plan_when_sampled_then_every_combination_or_stratum_comes_once_
     assert list(Counter(map(str, values)).values()) == [2] * 12
     assert {v['noise'] for v in values} == {0.5, 1.25, 2.0}
     # A latin hypercube hits every stratum of every factor once.
-    plan = Plan(parse_spec({**SMALL, 'plan': {'method': 'latin_hypercube', 'runs': 50}}))
+    plan = spec.Plan(spec.parse_spec({**SMALL, 'plan': {'method': 'latin_hypercube', 'runs': 50}}))
     points = np.array([plan.point(number) for number in range(50)])
     for column in points.T:
         assert sorted((column * 50).astype(int)) == list(range(50))
@@ -129,19 +127,19 @@ def test_given_a_random_plan_when_it_is_made_longer_then_the_first_runs_stay_the
 def test_given_random_paths_when_made_then_they_keep_inside_the_certified_region(arm):
     planar = planar_model(arm)
     for seed in range(5):
-        times, points = random_planar_path(arm, np.random.default_rng(seed), 10.0)
+        times, points = random_paths.random_planar_path(arm, np.random.default_rng(seed), 10.0)
         path = CartesianPath(arm, times, PlanarWaypoints(points)).sample(np.linspace(0, 10, 2000))
         cosine = planar.sign * np.cos(JointMap(planar).absolute_position(path.position))
         assert cosine.min() > max(planar.cos_min) and np.abs(path.velocity).max() < 2.1
     with pytest.raises(ConfigError, match='more than 1 s'):
-        random_planar_path(arm, np.random.default_rng(1), 0.5)
+        random_paths.random_planar_path(arm, np.random.default_rng(1), 0.5)
 
 
 @pytest.mark.parametrize('name', ['ur10', 'panda'])
 def test_given_random_joint_paths_when_made_then_the_arm_can_follow_them(name):
     arm = load_arm(name)
     for seed in range(3):
-        times, points = random_joint_path(arm, np.random.default_rng(seed), 10.0)
+        times, points = random_paths.random_joint_path(arm, np.random.default_rng(seed), 10.0)
         path = SerialPath(arm, times, points).sample(np.linspace(0.0, 10.0, 501))
         share = np.abs(path.velocity).max(axis=0) / np.array(arm.velocity_limit)
         assert share.min() > 0.05 and share.max() < 0.65

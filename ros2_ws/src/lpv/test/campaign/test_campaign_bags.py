@@ -18,9 +18,8 @@ from campaign_files import GAINS, UR10, command, rows_of, spec, written
 from lpv import AlarmEvent, ConfigError, LpvError, load_arm, load_gains, load_scenario
 from lpv.bag.rosbag.messages import BagMessages
 from lpv.bag.run.record import load_run
+from lpv.campaign.execution import bag_figures, run_metrics
 from lpv.campaign.execution.archive import Archive, archive_text, find_bags, unit_of
-from lpv.campaign.execution.bag_figures import STATES, alarm_rows
-from lpv.campaign.execution.run_metrics import figures
 from lpv.campaign.execution.run_to_bag import check_answers, differences, stamps_of, write_run_bag
 from lpv.campaign.execution.runs import plan_run
 from lpv.campaign.plan.campaign import resolve
@@ -253,7 +252,7 @@ def test_given_an_archive_when_searched_then_bags_and_whose_they_are_is_found(ar
 def test_given_an_archive_when_replayed_then_rows_have_figures_or_say_why(tried, runs):
     _, rows = tried
     for bag in GOOD[:3]:
-        expected = figures(*runs[bag[2:]])
+        expected = run_metrics.figures(*runs[bag[2:]])
         assert set(expected) <= set(rows[bag]) and differences(rows[bag], expected) == []
     mine, other = rows['b/bias'], rows['foreign']
     assert mine['detected'] and not rows['a/healthy']['detected']
@@ -275,7 +274,7 @@ def test_given_answers_when_summed_up_then_they_are_those_recorded(tried, archiv
         interval = np.append(np.diff(stamps) / 1e9, paper_arm.sample_time)
         for i, (state, estimate, threshold) in enumerate(zip(*columns), 1):
             here, used = state <= 2, state != 3
-            for k, word in enumerate(STATES):
+            for k, word in enumerate(bag_figures.STATES):
                 expected = interval[state == k].sum()
                 assert row[f'time_{word}_{i}'] == pytest.approx(expected, abs=1e-9), (name, word)
             assert row[f'fault_mean_{i}'] == pytest.approx(estimate[here].mean())
@@ -301,7 +300,7 @@ def test_given_no_scenario_or_a_long_bag_when_replayed_then_the_truth_is_shown_o
     for name in ('bias', 'dropout'):
         shutil.copytree(archive / 'b' / name, tmp_path / name)
         (tmp_path / name / 'scenario.yaml').unlink()
-        row, expected = settings.row(str(tmp_path / name)), figures(*runs[name])
+        row, expected = settings.row(str(tmp_path / name)), run_metrics.figures(*runs[name])
         for figure in ('sensor', 'detected', 'isolated', 'false_alarms', 'wrong_alarms'):
             assert row[figure] == expected[figure], (name, figure)
         assert row['detection_delay'] == pytest.approx(expected['detection_delay'])
@@ -378,6 +377,6 @@ def test_given_alarms_when_listed_then_those_of_one_sensor_and_kind_are_one_line
         (raised, 'two', 'drift', 6 * 10**9),
     )
     alarms = [Alarm(e, 0, s, onset, onset + 9, 0.1, 0.01, k, 1.0) for e, s, k, onset in told]
-    rows = alarm_rows(alarms, 0)
+    rows = bag_figures.alarm_rows(alarms, 0)
     found = [(row['sensor'], row['kind'], row['count'], row['onset']) for row in rows]
     assert found == [('one', 'drift', 2, 1.0), ('two', 'drift', 1, 6.0)]

@@ -13,9 +13,8 @@ from places import BRINGUP, DATA, ROOT
 from rich.console import Console
 
 from lpv import load_arm, load_scenario, save_gains
-from lpv.cli import progress
+from lpv.cli import needs, progress
 from lpv.cli.commands import demo
-from lpv.cli.needs import remedy
 from lpv.core.export.urdf import arm_urdf
 from lpv.core.uio.planar import planar_model, serial_from_planar
 
@@ -191,9 +190,9 @@ def test_given_a_missing_module_when_explained_then_its_installation_is_named(mo
         ('pip install rich', 'rich'),
         ('lpv_design, which designs gains, is not installed', 'lpv_design.main'),
     ):
-        assert all(said in remedy(module) for module in modules)
+        assert all(said in needs.remedy(module) for module in modules)
     monkeypatch.setattr('lpv.cli.needs.installed_version', lambda name: '0.1.0')
-    assert "pip install 'lpv-arm-fdi[campaign]'" in remedy('pyarrow.parquet')
+    assert "pip install 'lpv-arm-fdi[campaign]'" in needs.remedy('pyarrow.parquet')
 
 
 def test_given_a_checkout_with_a_space_in_its_path_when_set_up_then_it_is_refused_at_once(tmp_path):

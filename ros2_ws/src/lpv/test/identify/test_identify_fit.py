@@ -15,11 +15,9 @@ from lpv.core.serial_arm.description import JointFriction, JointLimits, LinkIner
 from lpv.core.serial_arm.urdf_chain import read_urdf_chain
 from lpv.core.support.resources import bringup_file
 from lpv.identify.errors import IdentificationError
-from lpv.identify.estimation.assembly import parameter_map
+from lpv.identify.estimation import assembly, payload, torque_error
 from lpv.identify.estimation.gains import rescaled
 from lpv.identify.estimation.identification import identify
-from lpv.identify.estimation.payload import Payload, identify_payload, with_payload
-from lpv.identify.estimation.torque_error import calibrate
 from lpv.identify.estimation.workshop import Workshop
 from lpv.identify.model.rigid_body import joint_torques
 from lpv.identify.motions.excitation import plan_excitation
@@ -73,7 +71,7 @@ def test_given_many_noises_when_fitted_then_intervals_hold_the_truth(arm, simula
     for seed in range(12):
         workshop = Workshop(arm, [simulated(arm, seed, rate=60.0)])
         fit = workshop.free_fit(1.0, None)
-        truth = parameter_map(workshop.base, 3) @ arm.parameter_vector()
+        truth = assembly.parameter_map(workshop.base, 3) @ arm.parameter_vector()
         used = np.diag(fit.covariance) > 0.0
         width = stats.t.ppf(0.975, fit.freedom) * np.sqrt(np.diag(fit.covariance)[used])
         inside.append(np.abs(fit.parameters - truth)[used] < width)
@@ -119,8 +117,8 @@ def test_given_currents_when_identified_then_gains_and_their_signs_are_found(arm
 
 
 def test_given_a_tool_when_its_payload_is_identified_then_mass_and_centre_fit(arm, simulated):
-    tool = Payload(0.8, (0.25, 0.0, 0.05), 0.0, (0.0, 0.0, 0.0), 0.0, 0.0)
-    found = identify_payload(arm, [simulated(with_payload(arm, tool), 4)])
+    tool = payload.Payload(0.8, (0.25, 0.0, 0.05), 0.0, (0.0, 0.0, 0.0), 0.0, 0.0)
+    found = payload.identify_payload(arm, [simulated(payload.with_payload(arm, tool), 4)])
     assert found.mass == pytest.approx(0.8, abs=4 * found.mass_sigma)
     assert found.center[0] == pytest.approx(0.25, abs=0.02)
     assert found.rms_after < 0.5 * found.rms_before
@@ -154,7 +152,7 @@ def test_given_a_prismatic_joint_when_identified_then_forces_fit(arm, rough, sim
 def test_given_an_arm_with_an_lpv_region_when_identified_then_the_region_is_kept(arm, simulated):
     recording = simulated(arm, rate=60.0)
     for region in (LpvRegion('hanging', (0.3, 0.3)), None):
-        assert calibrate(replace(arm, lpv=region), [recording]).arm.lpv == region
+        assert torque_error.calibrate(replace(arm, lpv=region), [recording]).arm.lpv == region
 
 
 def identified(folder, urdf):

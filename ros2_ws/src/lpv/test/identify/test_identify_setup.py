@@ -16,11 +16,9 @@ from lpv.core.serial_arm.dynamics.kinematics import forward_kinematics
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.support.errors import ConfigError, LpvError
 from lpv.identify.errors import IdentificationError
-from lpv.identify.estimation.delays import rate_delays
-from lpv.identify.estimation.mistakes import find_mistakes
+from lpv.identify.estimation import delays, mistakes
 from lpv.identify.estimation.torque_error import calibrate, torque_error, torque_tolerance
-from lpv.identify.model.base_parameters import find_base_parameters
-from lpv.identify.model.rigid_body import RigidBody
+from lpv.identify.model import base_parameters, rigid_body
 from lpv.identify.motions.excitation import Bounds, plan_excitation
 from lpv.identify.motions.reference import write_reference
 from lpv.identify.recordings.filters import shifted
@@ -43,13 +41,13 @@ def test_given_an_arm_when_computing_torques_then_regressor_and_rnea_agree(arm, 
     chain = compile_chain(arm)
     peer = SerialModel(chain._replace(motor=0.0 * chain.motor))
     expected = [peer.inverse_dynamics(*sample) for sample in zip(*samples)]
-    torque = RigidBody(arm).regressor(*samples)[:, :, :30] @ arm.inertial_parameters()
+    torque = rigid_body.RigidBody(arm).regressor(*samples)[:, :, :30] @ arm.inertial_parameters()
     assert torque == pytest.approx(np.array(expected), abs=1e-12)
 
 
 def test_given_any_parameters_when_reduced_to_base_ones_then_torques_stay(arm, samples):
-    model = RigidBody(arm)
-    base, full = find_base_parameters(model), model.regressor(*samples)
+    model = rigid_body.RigidBody(arm)
+    base, full = base_parameters.find_base_parameters(model), model.regressor(*samples)
     x = np.random.default_rng(1).normal(size=33)
     assert full[:, :, base.columns] @ (base.combination @ x) == pytest.approx(full @ x, abs=1e-9)
     assert np.linalg.matrix_rank(full[:, :, base.columns].reshape(-1, base.size)) == base.size
@@ -142,7 +140,7 @@ def test_given_signals_when_sensed_then_each_has_its_step_and_its_noise_without_
 def test_given_white_noise_or_late_rates_when_measured_then_deviation_and_delay_are_found():
     assert noise_deviation([segment(noise=2e-4).position]) == pytest.approx([2e-4], rel=0.05)
     late = segment(delay=0.03)
-    assert rate_delays([late], find_bandwidths([late])) == pytest.approx([0.03], abs=1e-3)
+    assert delays.rate_delays([late], find_bandwidths([late])) == pytest.approx([0.03], abs=1e-3)
 
 
 def test_given_second_encoders_when_compared_then_they_fit_or_not(recording, arm, tmp_path):
@@ -201,12 +199,12 @@ MISTAKES = {
 def test_given_a_mistake_when_looked_for_then_its_cause_is_named(rough_arm, recording, name):
     kind, text, change, base = MISTAKES[name]
     arm = rough_arm if base is None else replace(rough_arm, base_orientation=base)
-    first, *_ = find_mistakes(arm, [change(recording)])
+    first, *_ = mistakes.find_mistakes(arm, [change(recording)])
     assert first.kind == kind and re.search(text, first.text)
 
 
 def test_given_a_proper_setup_when_looked_at_then_there_are_no_mistakes(rough_arm, recording):
-    assert find_mistakes(rough_arm, [recording]) == []
+    assert mistakes.find_mistakes(rough_arm, [recording]) == []
 
 
 def test_given_errors_that_change_with_speed_when_fitted_then_the_bounds_do():

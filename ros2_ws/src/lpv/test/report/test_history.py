@@ -13,11 +13,9 @@ from runs import rows, text
 from lpv.bag.run.node_reports import NodeReport
 from lpv.bag.run.streams import RecordedAlarm, RunRecord
 from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent, SensorState
-from lpv.report import history
-from lpv.report.certificate import Certificate
+from lpv.report import certificate, history, load
 from lpv.report.figures import STATES, timeline
 from lpv.report.history import Phase, episodes, listed, missed_faults, phases
-from lpv.report.load import analyse
 from lpv.report.run import content, write
 from lpv.report.table import PAPER, Row, is_paper_arm, make_table, print_table
 
@@ -51,7 +49,7 @@ def run(rates=None, **streams):
 
 
 def analysed(record, arm, reports=None):
-    return analyse(record, arm, reports or {}, Certificate(problem='no gains'))
+    return load.analyse(record, arm, reports or {}, certificate.Certificate(problem='no gains'))
 
 
 def tile(values, name):
