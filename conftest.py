@@ -132,15 +132,33 @@ def gains_of(paper_gains, real_gains):
 
 
 @pytest.fixture
-def refused(capsys):
-    """Calls a command that has to refuse: code 2, and one line that begins with its name."""
+def call(capsys):
+    """Calls a command that has to end with a code, without a traceback; what it printed."""
     from lpv.cli.main import main
 
-    def run(told, command, *arguments):
+    def run(*words, code=0):
         capsys.readouterr()
-        assert main([str(word) for word in (command, *arguments)]) == 2
-        said = capsys.readouterr().err
+        assert main([str(word) for word in words]) == code
+        said = capsys.readouterr()
+        assert 'Traceback' not in said.out + said.err
+        return said
+
+    return run
+
+
+@pytest.fixture
+def refused(call):
+    """Calls a command that has to refuse: code 2, and one line that begins with its name."""
+
+    def run(told, command, *arguments):
+        said = call(command, *arguments, code=2).err
         assert said.startswith(f'lpv {command}: ') and said.count('\n') == 1 and told in said, said
         return True
 
     return run
+
+
+@pytest.fixture
+def quiet(caplog):
+    """Ten thousands of warnings about bags are not worth keeping."""
+    caplog.set_level('CRITICAL', 'lpv.bag')

@@ -150,14 +150,11 @@ def test_given_no_file_or_an_existing_bag_when_imported_then_it_is_an_error(conv
     assert not (tmp_path / 'bag').exists()
 
 
-def test_given_the_shipped_map_when_loaded_then_it_fits_the_recordings():
+def test_given_a_map_when_loaded_then_the_shipped_one_fits_and_mistakes_are_named(tmp_path):
     columns = load_column_map(BRINGUP / 'columns' / 'real_arm.yaml')
     kinds = [f'{name}{i}' for i in (1, 2) for name in ('pos_meas', 'vel_meas', 'tau_meas')]
     assert columns.columns == ['time', *kinds] and list(columns.joints) == ['joint1', 'joint2']
     assert (columns.time_unit, columns.start, columns.angle_unit) == ('s', 1.0, 'rad')
-
-
-def test_given_a_map_with_a_mistake_when_loaded_then_the_field_is_named(tmp_path):
     mapping = tmp_path / 'columns.yaml'
     for old, new, field in (
         ('unit: s', 'unit: h', r'time\.unit'),

@@ -60,15 +60,12 @@ def test_given_a_run_when_written_as_a_bag_then_all_but_lost_samples_are_there(d
     samples = {'joint_states': kept, 'ground_truth': slice(None), 'reference': answered}
     for stream, used in samples.items():
         np.testing.assert_array_equal(record.stamps[stream], stamps[used])
+    truth = {name: getattr(run, name) for name in ('position', 'velocity', 'fault', 'disturbance')}
     for stream, field, expected in (
         ('joint_states', 'position', run.measured[kept]),
         ('joint_states', 'velocity', run.measured_velocity[kept]),
         ('joint_states', 'effort', effort[kept]),
-        ('ground_truth', 'position', run.position),
-        ('ground_truth', 'velocity', run.velocity),
-        ('ground_truth', 'fault', run.fault),
-        ('ground_truth', 'torque', effort),
-        ('ground_truth', 'disturbance', run.disturbance),
+        *(('ground_truth', name, values) for name, values in {**truth, 'torque': effort}.items()),
         ('state_estimate', 'compensated_position', run.compensated[kept]),
         ('torque_command', 'safe_stop', run.safe_stop[kept]),
         ('reference', 'position', run.reference[answered]),
@@ -181,9 +178,8 @@ def runs():
 def write_foreign(path, run):
     """A recording of somebody else in sqlite3: joints in another order, and one more."""
     messages, entries = BagMessages(TYPESTORE, 'base'), []
-    effort = np.vstack([np.zeros((1, 2)), run.torque[:-1]])
     for k, stamp in enumerate(stamps_of(run).tolist()):
-        values = [[0.5, *a[k, ::-1]] for a in (run.measured, run.measured_velocity, effort)]
+        values = [[0.5, *a[k, ::-1]] for a in (run.measured, run.measured_velocity, run.effort)]
         message = messages.joint_state(stamp, ('gripper', 'joint2', 'joint1'), *values)
         entries.append(('/js', stamp, cdr(message)))
     write_by_rosbags(path, entries)

@@ -222,7 +222,7 @@ def test_given_a_joint_at_rest_when_identified_then_a_warning_names_it(arm, moti
     assert np.isfinite(found.arm.parameter_vector()).all()
 
 
-def test_given_bad_samples_when_cleaned_then_a_few_are_left_out_and_many_are_refused(recording):
+def test_given_bad_samples_or_stamps_when_cleaned_then_few_are_mended_many_refused(recording):
     effort = recording.effort.copy()
     effort[100:110] = np.nan
     mended = cleaned(recording, effort=effort)
@@ -230,9 +230,6 @@ def test_given_bad_samples_when_cleaned_then_a_few_are_left_out_and_many_are_ref
     effort[::2] = np.nan
     with pytest.raises(IdentificationError, match='only 50 %'):
         cleaned(recording, effort=effort)
-
-
-def test_given_stamps_when_used_then_jitter_is_mended_and_gaps_and_clocks_are_seen(recording):
     jitter = 0.004 * np.random.default_rng(0).uniform(-1, 1, len(recording.time))
     mended = cleaned(recording, time=recording.time + jitter)
     assert 'count of the samples' in mended.warnings[0] and np.ptp(np.diff(mended.time)) < 1e-9
