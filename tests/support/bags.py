@@ -12,9 +12,7 @@ from lpv.bag.rosbag.reading import open_bag
 from lpv.bag.rosbag.writing import BagWriter, qos_profile
 
 KINDS = {
-    'none': {'compression': CompressionType.NONE},
-    'lz4': {'compression': CompressionType.LZ4},
-    'zstd': {'compression': CompressionType.ZSTD},
+    **{kind.name.lower(): {'compression': kind} for kind in CompressionType},
     'no chunks': {'use_chunking': False},
     'no checksums': {'compression': CompressionType.NONE, 'enable_crcs': False},
 }

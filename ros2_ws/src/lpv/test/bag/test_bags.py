@@ -337,9 +337,7 @@ def test_given_any_messages_when_loaded_then_rows_are_the_last_ones(tmp_path, mo
     entries, model, alarms = mixed(seed)
     write(tmp_path / 'bag', entries)
     decoded, read = [], BagReader.deserialize
-    monkeypatch.setattr(
-        BagReader, 'deserialize', lambda *given: (decoded.append(1), read(*given))[1]
-    )
+    monkeypatch.setattr(BagReader, 'deserialize', lambda *a: (decoded.append(1), read(*a))[1])
     fast, few = load_run(tmp_path / 'bag'), len(decoded)
     monkeypatch.setattr(decoder, '_MOST_ATTEMPTS', 0)
     slow = load_run(tmp_path / 'bag')

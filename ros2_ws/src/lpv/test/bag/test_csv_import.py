@@ -57,15 +57,11 @@ ROWS = st.dictionaries(TIMES, st.lists(CELL, min_size=6, max_size=6), min_size=1
 
 @settings(max_examples=25)
 @given(
-    rows=ROWS,
-    start=st.sampled_from([None, 1.0, 12.5]),
-    unit=st.sampled_from(sorted(TIME_UNITS)),
-    angle=st.sampled_from(sorted(ANGLE_UNITS)),
-    names=st.permutations([*NAMES, 'extra']),
-    delimiter=st.sampled_from(',;\t'),
-    end=st.sampled_from(['\n', '\r\n', '\n\n']),
+    rows=ROWS, start=st.sampled_from([None, 1.0, 12.5]), unit=st.sampled_from(sorted(TIME_UNITS)),
+    angle=st.sampled_from(sorted(ANGLE_UNITS)), names=st.permutations([*NAMES, 'extra']),
+    delimiter=st.sampled_from(',;\t'), end=st.sampled_from(['\n', '\r\n', '\n\n']),
     outside=st.sampled_from([('', ''), ('\ufeff', '\n'), ('\ufeff', ''), ('', '\r\n')]),
-)
+)  # fmt: skip
 def test_given_any_recording_when_imported_then_every_number_is_where_it_belongs(
     convert, rows, start, unit, angle, names, delimiter, end, outside
 ):

@@ -33,8 +33,7 @@ from lpv.core.support.timestamps import NANOSECONDS
 
 pytestmark = pytest.mark.slow
 
-PAPER_ARM = str(BRINGUP / 'arms' / 'paper.yaml')
-PAPER_GAINS = str(BRINGUP / 'gains' / 'paper.yaml')
+PAPER_ARM, PAPER_GAINS = (f'{BRINGUP}/{kind}/paper.yaml' for kind in ('arms', 'gains'))
 MESSAGES = BagMessages(TYPESTORE, 'paper')
 HEALTHY = 500
 """Samples of the loop before its fault."""
@@ -61,22 +60,18 @@ def status(stamp, name):
     return BagMessages(TYPESTORE, '').diagnostics(stamp, [entry])
 
 
-def command(stamp, torque):
-    return MESSAGES.make(COMMAND, stamp, {'torque': torque, 'safe_stop': False})
-
-
-def measured(loop, topic=MEASURED, shift=0, **changes):
+def measured(loop, shift=0, **changes):
     """Entries of the measurements alone, with other stamps and fields."""
     for stamp, m, _ in loop:
         message = MESSAGES.joint_state(stamp + shift, m.name, m.position, m.velocity, m.effort)
-        yield topic, stamp + shift, replace(message, **changes)
+        yield MEASURED, stamp + shift, replace(message, **changes)
 
 
 def entries_of(loop):
     """A recording with commands, chatter and the diagnostics of somebody else."""
     for k, (stamp, measurement, torque) in enumerate(loop):
         yield MEASURED, stamp, measurement
-        yield TORQUE, stamp, command(stamp, torque)
+        yield TORQUE, stamp, message_of(COMMAND, stamp, torque)
         if k % 100 == 0:
             yield CHATTER, stamp + 5, text(f'sample {k}')
             yield DIAGNOSTICS, stamp + 7, status(stamp, f'/motor: axis {k}')
@@ -192,10 +187,7 @@ def troubled(loop):
             continue
         vectors = {name: getattr(message, name) for name in ('position', 'velocity', 'effort')}
         odd = {
-            1: {
-                'name': message.name[::-1],
-                **{name: v[::-1].copy() for name, v in vectors.items()},
-            },
+            1: {'name': message.name[::-1], **{n: v[::-1].copy() for n, v in vectors.items()}},
             2: {'name': ['left', 'right']},
             3: {'position': np.array([rng.choice([math.nan, math.inf, 1e300]), 0.0])},
             4: {'effort': np.array([])},
@@ -233,7 +225,6 @@ def test_given_a_troubled_recording_when_replayed_then_every_byte_is_that_of_sin
     troubled_bag, expected, new_monitor, replay, monkeypatch, size, layouts
 ):
     monkeypatch.setattr(reading, 'BLOCK_SIZE', size)
-    monkeypatch.setattr(decoder, '_MOST_ATTEMPTS', 32)
     monkeypatch.setattr(decoder, 'MOST_LAYOUTS', layouts)
     (answers, single), monitor = expected, new_monitor()
     result, out = replay(troubled_bag, monitor=monitor, estimates_only=True)
@@ -279,7 +270,7 @@ def message_of(msgtype, stamp, torque):
     """Torques as a message of any type; where joints are named, in disorder."""
     types, names = TYPESTORE.types, ['gripper', 'joint2', 'joint1']
     if msgtype == COMMAND:
-        return command(stamp, torque)
+        return MESSAGES.make(COMMAND, stamp, {'torque': torque, 'safe_stop': False})
     if msgtype == JOINT_STATE:
         return MESSAGES.joint_state(stamp, names, [], [], [9.0, *torque[::-1]])
     if msgtype == ARRAY:

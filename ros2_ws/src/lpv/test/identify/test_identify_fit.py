@@ -11,11 +11,11 @@ from simulated_recordings import is_physical
 
 from lpv.bag.run.csv_import import load_column_map
 from lpv.core.serial_arm.arm_file import load_arm, save_arm
-from lpv.core.serial_arm.description import JointFriction, JointLimits, LinkInertia, LpvRegion
+from lpv.core.serial_arm.description import JointFriction, JointLimits, LinkInertia
 from lpv.core.serial_arm.urdf_chain import read_urdf_chain
 from lpv.core.support.resources import bringup_file
 from lpv.identify.errors import IdentificationError
-from lpv.identify.estimation import assembly, payload, torque_error
+from lpv.identify.estimation import assembly, payload
 from lpv.identify.estimation.gains import rescaled
 from lpv.identify.estimation.identification import identify
 from lpv.identify.estimation.workshop import Workshop
@@ -147,12 +147,6 @@ def test_given_a_prismatic_joint_when_identified_then_forces_fit(arm, rough, sim
     assert np.all(found.figures.rms < 0.025 * np.max(np.abs(recording.effort), axis=0))
     assert found.arm.joints[0].is_prismatic and found.mistakes == ()
     assert found.arm.joints[0].friction.coulomb == pytest.approx(10.0, rel=0.15)
-
-
-def test_given_an_arm_with_an_lpv_region_when_identified_then_the_region_is_kept(arm, simulated):
-    recording = simulated(arm, rate=60.0)
-    for region in (LpvRegion('hanging', (0.3, 0.3)), None):
-        assert torque_error.calibrate(replace(arm, lpv=region), [recording]).arm.lpv == region
 
 
 def identified(folder, urdf):

@@ -12,6 +12,7 @@ from scipy.interpolate import make_interp_spline
 
 from lpv.core.serial_arm.arm_file import load_arm, save_arm
 from lpv.core.serial_arm.chain import compile_chain
+from lpv.core.serial_arm.description import LpvRegion
 from lpv.core.serial_arm.dynamics.kinematics import forward_kinematics
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.support.errors import ConfigError, LpvError
@@ -235,9 +236,11 @@ def test_given_a_short_recording_when_calibrated_then_the_model_stays(arm, simul
     assert [j.sensors.quantization for j in found.arm.joints] == pytest.approx([1e-3] * 3, rel=1e-3)
     stated = found.arm.uncertainty
     assert len(stated.torque_error) == len(stated.torque_error_speed) == 3
-    heavier = replace(arm, gravity=1.3 * arm.gravity)  # misses what it holds
-    worse = calibrate(heavier, [short]).arm.uncertainty.torque_error
-    assert worse[1] > 3.0 * stated.torque_error[1]
+    # One that misses what it holds; a region is kept.
+    heavier = replace(arm, gravity=1.3 * arm.gravity, lpv=LpvRegion('hanging', (0.3, 0.3)))
+    worse = calibrate(heavier, [short]).arm
+    assert worse.uncertainty.torque_error[1] > 3.0 * stated.torque_error[1]
+    assert worse.lpv == heavier.lpv and found.arm.lpv is None
     save_arm(found.arm, tmp_path / 'arm.yaml')
     assert load_arm(tmp_path / 'arm.yaml') == found.arm
 
