@@ -19,7 +19,8 @@ from lpv import Alarm, ConfigError
 from lpv.bag.blocks import cdr_layout, message_blocks
 from lpv.bag.errors import BagError, DamageError
 from lpv.bag.replay.writer import RecordTemplate
-from lpv.bag.rosbag import interfaces, message_loss, reading
+from lpv.bag.rosbag import message_loss, reading
+from lpv.bag.rosbag.interfaces import message_text
 from lpv.bag.rosbag.messages import BagMessages
 from lpv.bag.rosbag.metadata import RECORD_NAME
 from lpv.bag.rosbag.reading import BagReader, open_bag
@@ -445,7 +446,7 @@ def test_given_two_arms_when_loaded_then_a_namespace_tells_them_apart(tmp_path):
 
 def test_given_arrays_of_fixed_length_when_loaded_then_it_is_as_ever(tmp_path, monkeypatch):
     def as_before(msgtype):
-        text = interfaces.message_text(msgtype)
+        text = message_text(msgtype)
         return re.sub(r'^(\w+)\[\] ', r'\1[2] ', text, flags=re.M) if 'lpv' in msgtype else text
 
     monkeypatch.setattr('lpv.bag.rosbag.interfaces.message_text', as_before)

@@ -134,8 +134,8 @@ def test_given_what_makes_no_sense_when_called_then_one_line_says_so(results, tm
         ('{tmp}/bad.yaml --out {tmp}/out', 'bad.yaml'),
         ('{tmp}/other.yaml --out {results}', 'another campaign'),
         ('{tmp}/other.yaml --out {tmp}/out --workers -1', '--workers'),
-        ('{tmp}/other.yaml --out {tmp}/out --scheduler tcp://127.0.0.1:1', 'does not answer'),
-        ('{tmp}/other.yaml --out {tmp}/out --scheduler nonsense://x', 'does not answer'),
+        ('{tmp}/other.yaml --out {tmp}/new --scheduler tcp://127.0.0.1:1', 'does not answer'),
+        ('{tmp}/other.yaml --out {tmp}/new --scheduler nonsense://x', 'does not answer'),
     ):
         assert refused(told, 'campaign', *arguments.format(**places).split())
         assert not (tmp_path / 'out').exists()

@@ -56,21 +56,12 @@ def recording(arm, simulated):
 
 
 @pytest.fixture(scope='session')
-def rough():
-    """Makes the masses of an arm 20 % too large, and other changes of its joints."""
-
-    def change(arm, **changes):
-        links = [model.LinkInertia.from_vector(1.2 * j.link.to_vector()) for j in arm.joints]
-        pairs = zip(arm.joints, links)
-        return replace(arm, joints=tuple(replace(j, link=link, **changes) for j, link in pairs))
-
-    return change
-
-
-@pytest.fixture(scope='session')
-def rough_arm(arm, rough):
-    """The arm as a URDF may have it: without friction."""
-    return rough(arm, friction=model.JointFriction(), rotor_inertia=0.0)
+def rough_arm(arm):
+    """The arm as a URDF may have it: without friction, and with masses that are 20 % too large."""
+    links = [model.LinkInertia.from_vector(1.2 * j.link.to_vector()) for j in arm.joints]
+    bare = {'friction': model.JointFriction(), 'rotor_inertia': 0.0}
+    pairs = zip(arm.joints, links)
+    return replace(arm, joints=tuple(replace(j, link=link, **bare) for j, link in pairs))
 
 
 @pytest.fixture(scope='session')

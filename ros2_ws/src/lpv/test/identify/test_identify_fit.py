@@ -137,13 +137,14 @@ def test_given_friction_that_grows_with_load_when_identified_then_it_is_chosen(a
     assert found.joints[1].friction.load == pytest.approx(0.2, abs=0.03)
 
 
-def test_given_a_prismatic_joint_when_identified_then_forces_fit(arm, rough, simulated):
+def test_given_a_prismatic_joint_when_identified_then_forces_fit(arm, simulated):
     friction, limits = JointFriction(1.0, 20.0, 10.0, 100.0), JointLimits(-0.8, 0.9, 1.5, 400.0)
     changes = {'friction': friction, 'limits': limits, 'rotor_inertia': 4.0, 'type': 'prismatic'}
     rail = replace(arm.joints[0], axis=(0.6, 0.0, 0.8), **changes)
     arm = replace(arm, joints=(rail, *arm.joints[1:]))
     recording = simulated(arm, motion=plan_excitation(arm, 20.0, trials=10).trajectory)
-    found = identify(rough(arm), [recording])
+    heavier = [LinkInertia.from_vector(1.2 * joint.link.to_vector()) for joint in arm.joints]
+    found = identify(with_joints(arm, link=heavier), [recording])
     assert np.all(found.figures.rms < 0.025 * np.max(np.abs(recording.effort), axis=0))
     assert found.arm.joints[0].is_prismatic and found.mistakes == ()
     assert found.arm.joints[0].friction.coulomb == pytest.approx(10.0, rel=0.15)
