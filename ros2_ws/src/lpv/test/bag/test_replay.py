@@ -450,22 +450,16 @@ def test_given_topics_when_replayed_then_the_right_one_or_nothing_is_left(loop, 
     assert list((tmp_path / 'empty').iterdir()) == []
 
 
-@pytest.fixture
-def line(tmp_path):
+def line(bag, out, **changes):
     """Arguments of a replay that needs nothing installed."""
-    usual = {'arm': PAPER_ARM, 'gains': PAPER_GAINS, 'out': tmp_path / 'result'}
-
-    def arguments(bag, **changes):
-        options = {**usual, **changes}.items()
-        return ['replay', bag, *(part for name, value in options for part in (f'--{name}', value))]
-
-    return arguments
+    options = {'arm': PAPER_ARM, 'gains': PAPER_GAINS, 'out': out, **changes}.items()
+    return ['replay', bag, *(part for name, value in options for part in (f'--{name}', value))]
 
 
 def test_given_the_command_when_run_again_then_bag_and_report_are_those_of_the_last_run(
-    bag, replayed, line, tmp_path, call, refused
+    bag, replayed, tmp_path, call, refused
 ):
-    said, (result, answers) = call(*line(bag)).out, replayed
+    said, (result, answers) = call(*line(bag, tmp_path / 'result')).out, replayed
     assert '1001 measurements' in said
     raised = next(e for e in result.events if e.event == AlarmEvent.RAISED)
     (at,) = re.findall(r'(\d+\.\d{3}) s: .*ALARM, link1_angle', said)
@@ -486,17 +480,17 @@ def test_given_the_command_when_run_again_then_bag_and_report_are_those_of_the_l
     call(*again, '--gains', 'paper')
 
 
-def test_given_a_file_of_faults_when_run_then_they_are_added(loop, line, tmp_path, call):
+def test_given_a_file_of_faults_when_run_then_they_are_added(loop, tmp_path, call):
     source = write(tmp_path / 'bag', entries_of(loop[:HEALTHY]), TYPES)
     faults = tmp_path / 'faults.yaml'
     faults.write_text('faults:\n  - {sensor: link2_angle, kind: bias, onset: 0.5, size: -0.3}\n')
-    said = call(*line(source, inject=faults)).out
+    said = call(*line(source, tmp_path / 'result', inject=faults)).out
     assert 'ALARM, link2_angle: error -0.' in said and 'size error' in said
     assert '1 of 1 injected faults found on the right sensor' in said
     assert re.search(r'link2_angle, bias from 0.500 s on: found after 0.\d+ s as \w+, -0.\d+', said)
 
 
-def test_given_bad_input_when_run_then_one_line_says_so(bag, line, tmp_path, monkeypatch, refused):
+def test_given_bad_input_when_run_then_one_line_says_so(bag, tmp_path, monkeypatch, refused):
     monkeypatch.chdir(tmp_path)
     fault, precious = '{sensor: nose, kind: bias, onset: 1, size: 1}', Path('somewhere/precious')
     Path('faults.yaml').write_text(f'faults: [{fault}]\n')
@@ -522,7 +516,8 @@ def test_given_bad_input_when_run_then_one_line_says_so(bag, line, tmp_path, mon
         ('would overwrite', {'bag': 'somewhere', 'out': 'somewhere'}),
         ('is inside', {'bag': 'somewhere', 'out': 'somewhere/x'}),
     ):
-        assert all(refused(named, *line(**{'bag': bag, **changes})) for changes in mistakes)
+        lines = [line(**{'bag': bag, 'out': 'result', **changes}) for changes in mistakes]
+        assert all(refused(named, *words) for words in lines)
         assert not Path('result').exists() and precious.read_text() == 'mine'
 
 
