@@ -175,16 +175,6 @@ def runs():
     return {n: (p, p.simulate()) for n, p in zip(('healthy', 'bias', 'dropout'), plans)}
 
 
-def write_foreign(path, run):
-    """A recording of somebody else in sqlite3: joints in another order, and one more."""
-    messages, entries = BagMessages(TYPESTORE, 'base'), []
-    for k, stamp in enumerate(stamps_of(run).tolist()):
-        values = [[0.5, *a[k, ::-1]] for a in (run.measured, run.measured_velocity, run.effort)]
-        message = messages.joint_state(stamp, ('gripper', 'joint2', 'joint1'), *values)
-        entries.append(('/js', stamp, cdr(message)))
-    write_by_rosbags(path, entries)
-
-
 def write_files(root, content):
     """Files by their path."""
     for name, data in content.items():
@@ -198,7 +188,13 @@ def archive(runs, tmp_path_factory):
     root = tmp_path_factory.mktemp('archive')
     for bag in GOOD[:3]:
         write_run_bag(*runs[bag[2:]], root / bag)
-    write_foreign(root / 'foreign', runs['bias'][1])
+    # A recording of somebody else in sqlite3: joints in another order, and one more.
+    messages, entries, (_, run) = BagMessages(TYPESTORE, 'base'), [], runs['bias']
+    for k, stamp in enumerate(stamps_of(run).tolist()):
+        values = [[0.5, *a[k, ::-1]] for a in (run.measured, run.measured_velocity, run.effort)]
+        message = messages.joint_state(stamp, ('gripper', 'joint2', 'joint1'), *values)
+        entries.append(('/js', stamp, cdr(message)))
+    write_by_rosbags(root / 'foreign', entries)
     others = {
         'b/junk.mcap': b'\x89MCAP0\r\n' + bytes(300),
         'b/lonely/metadata.yaml': (root / 'a' / 'healthy' / 'metadata.yaml').read_bytes(),
@@ -207,7 +203,7 @@ def archive(runs, tmp_path_factory):
     }
     write_files(root, others)
     write_bag(root / 'deaf', [(CHATTER, k, text('hello')) for k in range(1, 5)], {CHATTER: STRING})
-    odd = BagMessages(TYPESTORE, '').joint_state(1, ('elbow', 'wrist'), *np.zeros((3, 2)))
+    odd = messages.joint_state(1, ('elbow', 'wrist'), *np.zeros((3, 2)))
     write_bag(root / 'strange', [('/js', k, cdr(odd)) for k in range(1, 5)], {'/js': JOINT_STATE})
     return root
 

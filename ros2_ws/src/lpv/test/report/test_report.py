@@ -100,9 +100,8 @@ def part_of(bag, out, streams, name=b'paper\0'):
     return copied(bag, out, kept.__contains__, lambda _, data: data.replace(b'paper\0', name))
 
 
-def mean_squares(record):
-    """The paper's ten figures, by signal: of absolute angles, of sensors, of the tracking."""
-    figures = []
+def test_given_a_simulated_run_when_reported_then_the_table_is_that_of_the_paper(report, page, run):
+    recorded, figures = load_run(run), []  # of absolute angles, of sensors, of the tracking
     for stream, field, other, of_other in (
         ('ground_truth', 'position', 'state_estimate', 'position'),
         ('ground_truth', 'velocity', 'state_estimate', 'velocity'),
@@ -110,14 +109,10 @@ def mean_squares(record):
         ('reference', 'position', 'joint_states', 'position'),
         ('reference', 'position', 'ground_truth', 'position'),
     ):
-        error = record.aligned(stream, field) - record.aligned(other, of_other)
+        error = recorded.aligned(stream, field) - recorded.aligned(other, of_other)
         error = error if field == 'fault' else np.cumsum(error, axis=1)
         figures += np.nanmean(error**2, axis=0).tolist()
-    return dict(zip(PAPER, figures))
-
-
-def test_given_a_simulated_run_when_reported_then_the_table_is_that_of_the_paper(report, page, run):
-    expected = mean_squares(load_run(run))
+    expected = dict(zip(PAPER, figures))
     assert {row.signal: row.paper for row in report.table} == PAPER
     found = {cells[0]: cells for cells in rows(page) if cells[0] in PAPER}
     for row in report.table:
