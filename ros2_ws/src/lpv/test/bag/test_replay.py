@@ -456,9 +456,7 @@ def line(bag, out, **changes):
     return ['replay', bag, *(part for name, value in options for part in (f'--{name}', value))]
 
 
-def test_given_the_command_when_run_again_then_bag_and_report_are_those_of_the_last_run(
-    bag, replayed, tmp_path, call, refused
-):
+def test_given_a_command_when_run_again_then_the_last_holds(bag, replayed, tmp_path, call, refused):
     said, (result, answers) = call(*line(bag, tmp_path / 'result')).out, replayed
     assert '1001 measurements' in said
     raised = next(e for e in result.events if e.event == AlarmEvent.RAISED)

@@ -88,9 +88,7 @@ def serial(small):
 
 
 @pytest.mark.parametrize('base, field, change', MISFITS)
-def test_given_a_wrong_field_when_resolved_then_the_error_names_it(
-    base, field, change, tmp_path, paper_gains
-):
+def test_given_a_wrong_field_when_read_then_it_is_named(base, field, change, tmp_path, paper_gains):
     save_gains(paper_gains, tmp_path / 'gains.yaml')
     with pytest.raises(ConfigError) as error:
         resolve({**base, **change}, 'misfit', tmp_path)

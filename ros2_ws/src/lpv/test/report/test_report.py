@@ -372,9 +372,7 @@ def test_given_the_command_when_run_then_a_table_is_shown(run, gains_file, plain
     assert fails in ' '.join(said.split())
 
 
-def test_given_bad_input_when_the_command_is_run_then_one_line_says_so_and_the_code_is_2(
-    run, gains_file, tmp_path, monkeypatch, refused
-):
+def test_given_bad_input_when_run_then_it_is_said(run, gains_file, tmp_path, monkeypatch, refused):
     monkeypatch.chdir(tmp_path)
     shutil.copy(gains_file, 'gains.yaml')
     tampered(gains_file, 'name', tmp_path / 'renamed.yaml')
@@ -400,9 +398,7 @@ def test_given_bad_input_when_the_command_is_run_then_one_line_says_so_and_the_c
         assert not (tmp_path / 'report').exists() and mine.read_text() == 'mine'
 
 
-def test_given_no_arm_when_the_command_is_run_then_a_shipped_one_is_found_or_it_is_asked_for(
-    run, plain, tmp_path, monkeypatch, call, refused
-):
+def test_given_no_arm_when_run_then_one_is_sought(run, plain, tmp_path, monkeypatch, call, refused):
     shipped, out = 'lpv.report.certificate.shipped_files', ['--out', tmp_path / 'report']
     monkeypatch.setattr(shipped, lambda kind: {'paper': BRINGUP / kind / 'paper.yaml'})
     said = call('report', run, *out).out
