@@ -1,4 +1,4 @@
-"""Start of ROS from a node's command line, with errors in one line; how soon nodes meet."""
+"""Start of ROS from a node's command line, with errors in one line; how nodes meet."""
 
 import os
 import sys

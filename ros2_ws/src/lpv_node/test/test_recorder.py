@@ -1,8 +1,10 @@
 """The recorder as a process: killed, stopped, out of space, splitting, recording all there is."""
 
 import os
+import re
 import signal
 import time
+from pathlib import Path
 
 import pytest
 import ros
@@ -110,6 +112,16 @@ def test_given_a_recorder_that_is_held_up_when_read_then_each_loss_is_counted(se
         known = reader.known[TOPIC]
     assert known['messages'] == len(numbers)
     assert known['lost'] == numbers[-1] + 1 - numbers[0] - len(numbers) > 0
+
+
+def test_given_a_recorder_when_it_listens_then_nothing_comes_through_shared_memory(session):
+    """Killed at the wrong moment, its successor would never hear those who went on sending."""
+    recorder = session(qos=qos_profile_sensor_data)
+    recorder.publish()
+    opened = [os.readlink(file) for file in Path(f'/proc/{recorder.process.pid}/fd').iterdir()]
+    # A port belongs to the process that has its lock.
+    assert opened and not [file for file in opened if re.search(r'port\d+_[es]l$', file)]
+    assert recorder.stop() == 0
 
 
 # The limit of a file's size stands in for a disk that is full; the recorder leaves 1 MiB alone.

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import fnmatch
+import os
+import socket
+import stat
 from collections.abc import Callable, Iterable
 from operator import itemgetter
 from typing import Any, NamedTuple
@@ -20,6 +24,8 @@ _MOST = 2000
 """Messages taken from one topic before the others have their turn."""
 _RECHECK = 20
 """Searches after which publishers of known topics are looked at again: one second."""
+_SOCKET_SIZE = 1 << 23
+"""Size that is asked for of buffers of sockets: 20 s at 1 kHz of measurements [bytes]."""
 # Stamped with the system's time even where everything else follows /clock.
 _SYSTEM_TIME = ('/rosout', '/parameter_events')
 
@@ -77,6 +83,7 @@ class RecorderInput:
             enable_rosout=False,
             start_parameter_services=False,
         )
+        enlarge_sockets()
         self._subscriptions: dict[str, _Subscription] = {}
         self._complained: set[tuple[str, str]] = set()  # topic and publisher; '' for all of them
         self._searches = 0
@@ -169,6 +176,25 @@ class RecorderInput:
                     found.append((newest, Heard(received, topic, data, sent, gid, number, stamp)))
         found.sort(key=itemgetter(0))
         return [heard for _, heard in found]
+
+
+def enlarge_sockets() -> None:
+    """Let UDP sockets of this process hold more, as far as the operating system allows.
+
+    What comes while the process waits for a processor is lost beyond that.  Fast DDS takes a size
+    from a profile only where discovery is not local.
+    """
+    for number in map(int, os.listdir('/proc/self/fd')):
+        with contextlib.suppress(OSError):  # of one that is closed meanwhile
+            if stat.S_ISSOCK(os.fstat(number).st_mode):
+                with socket.socket(fileno=os.dup(number)) as one:
+                    _enlarge(one)
+
+
+def _enlarge(one: socket.socket) -> None:
+    size = one.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
+    if one.type == socket.SOCK_DGRAM and size < _SOCKET_SIZE:
+        one.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _SOCKET_SIZE)
 
 
 def _offer(publisher: TopicEndpointInfo) -> tuple[bool, bool]:
