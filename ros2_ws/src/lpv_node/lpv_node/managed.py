@@ -169,11 +169,14 @@ class ManagedNode(LifecycleNode):
         """Subscribers of an output, without viewers.
 
         These are the live view, and nodes with hidden names, as those of the ros2 command; a node
-        whose name is not known yet has a hidden name as well.
+        whose name is not known yet has a hidden name as well.  A recorder that subscribes twice,
+        to publishers with different QoS, is one subscriber.
         """
         readers = self.get_subscriptions_info_by_topic(publisher.topic_name)
-        viewers = sum(r.node_name == VIEWER or r.node_name.startswith('_') for r in readers)
-        return publisher.get_subscription_count() - viewers
+        others = [r for r in readers if r.node_name != VIEWER and not r.node_name.startswith('_')]
+        # In DDS the first twelve bytes are those of the participant.
+        nodes = {(r.node_namespace, r.node_name, *r.endpoint_gid[:12]) for r in others}
+        return publisher.get_subscription_count() - len(readers) + len(nodes)
 
     def steady_timer(self, period: float, callback: Callable[[], None]) -> Timer:
         """Create a timer with a period [s] on the steady clock, which runs whatever /clock does."""

@@ -1,13 +1,121 @@
-"""Input of the recorder."""
+"""Input of the recorder: publishers of one topic that offer different quality of service."""
 
 import os
 import socket
 
 import pytest
+import rclpy
+import ros
+from sensor_msgs.msg import JointState
 
-from lpv_node.recorder.input import enlarge_sockets
+from lpv.bag.rosbag.live import ros_qos
+from lpv_node.managed import ManagedNode
+from lpv_node.recorder import input as recorder_input
+from lpv_node.recorder.input import RecorderInput, Selection, enlarge_sockets
 
 pytestmark = pytest.mark.ros
+
+TOPIC = '/lpv/joint_states'
+
+
+class Senders:
+    """Publishers of one topic, whose messages are named in the order in which they were sent."""
+
+    def __init__(self, client):
+        self.client, self._sent = client, 0
+        # The recorder does not listen to itself: its node has another one beside it.
+        self.node = rclpy.create_node('sender', context=client.node.context, namespace='/lpv')
+        self.input = RecorderInput(client.node, Selection(frozenset({TOPIC}), ()), lambda _: None)
+        self.heard = []
+
+    def add(self, reliable, latched):
+        return self.node.create_publisher(
+            JointState, 'joint_states', ros_qos(reliable, latched, 100)
+        )
+
+    def send(self, *publishers):
+        for publisher in publishers:
+            publisher.publish(JointState(name=[f'message {self._sent}']))
+            self._sent += 1
+
+    def look(self):
+        self.input.search()
+        self.heard += self.input.poll()
+
+    def wait(self, condition):
+        """Search and poll until the condition holds."""
+
+        def met():
+            self.look()
+            return condition()
+
+        assert self.client.wait(met)
+
+    def names(self):
+        """What was heard, and nothing more that is still to come."""
+        self.wait(lambda: len(self.heard) >= self._sent)
+        self.client.wait(lambda: self.look(), 0.3)
+        return sorted(int(heard.data.split(b'message ')[1].split(b'\0')[0]) for heard in self.heard)
+
+
+@pytest.fixture
+def senders():
+    with ros.client(ros.next_domain(), name='recorder') as client:
+        made = Senders(client)
+        yield made
+        made.input.close()
+        made.node.destroy_node()
+
+
+def test_given_publishers_with_lower_qos_when_they_come_later_then_all_is_heard_once(senders):
+    every = []
+    for offer in ((True, True), (True, False), (False, False)):
+        every.append(senders.add(*offer))
+        # Each is heard by its own subscription, and by those with a lower one.
+        count = len(every)
+        senders.wait(lambda p=every[-1]: p.get_subscription_count() == 1)
+        senders.wait(lambda p=every[0], n=count: p.get_subscription_count() == n)
+        for _ in range(20):
+            senders.send(*every)
+    assert senders.names() == list(range(20 * (1 + 2 + 3)))
+    assert senders.input.complaints == 0
+    offers = {bytes(p.endpoint_gid): p for p in senders.node.get_publishers_info_by_topic(TOPIC)}
+    assert {heard.publisher for heard in senders.heard} == set(offers)
+
+
+def test_given_a_publisher_with_history_beside_one_without_when_heard_then_it_is_whole(senders):
+    latched, fleeting = senders.add(True, True), senders.add(False, False)
+    senders.send(latched, latched)  # nobody listens yet
+    assert senders.client.wait(lambda: senders.node.count_publishers(TOPIC) == 2)
+    senders.wait(lambda: fleeting.get_subscription_count() == 1)
+    senders.wait(lambda: latched.get_subscription_count() == 2)
+    senders.send(latched, fleeting, latched)
+    assert senders.names() == list(range(5))
+
+
+def test_given_messages_without_a_sender_when_a_publisher_offers_less_then_it_is_told(
+    senders, monkeypatch
+):
+    """As in distributions before Kilted."""
+    monkeypatch.setattr(recorder_input, '_TELLS_PUBLISHERS', False)
+    reliable = senders.add(True, False)
+    senders.wait(lambda: reliable.get_subscription_count() == 1)
+    senders.add(False, False)
+    senders.wait(lambda: senders.input.complaints == 1)
+    senders.send(reliable)
+    assert senders.names() == [0]
+
+
+def test_given_a_recorder_that_subscribes_twice_when_recorders_are_counted_then_it_is_one(senders):
+    reliable = senders.add(True, False)
+    senders.wait(lambda: reliable.get_subscription_count() == 1)
+    senders.add(False, False)
+    senders.wait(lambda: reliable.get_subscription_count() == 2)
+    # Any node may count the subscribers of its publishers in this way.
+    assert ManagedNode._matched(senders.node, reliable) == 1
+    senders.client.listen(JointState, 'joint_states', 10)
+    senders.wait(lambda: reliable.get_subscription_count() == 3)
+    assert ManagedNode._matched(senders.node, reliable) == 2
 
 
 def test_given_sockets_when_enlarged_then_they_hold_more_and_stay_open():

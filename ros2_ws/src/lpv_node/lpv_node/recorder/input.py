@@ -8,11 +8,13 @@ import os
 import socket
 import stat
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
 from operator import itemgetter
 from typing import Any, NamedTuple
 
 import rclpy
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+from rclpy.subscription import MessageInfo
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rosbags.interfaces import Qos
 
@@ -23,7 +25,10 @@ from lpv.core.support.timestamps import leading_stamp
 _MOST = 2000
 """Messages taken from one topic before the others have their turn."""
 _RECHECK = 20
-"""Searches after which publishers of known topics are looked at again: one second."""
+"""Searches after which publishers of known topics are looked at again, one second, also where their
+number is the same."""
+_TELLS_PUBLISHERS = 'publisher_gid' in MessageInfo.__annotations__
+"""Whether messages say who sent them; distributions before Kilted do not."""
 _SOCKET_SIZE = 1 << 23
 """Size that is asked for of buffers of sockets: 20 s at 1 kHz of measurements [bytes]."""
 # Stamped with the system's time even where everything else follows /clock.
@@ -57,11 +62,38 @@ class Selection(NamedTuple):
         return sorted(t for t in shown if not any(fnmatch.fnmatchcase(t, p) for p in self.excluded))
 
 
-class _Subscription(NamedTuple):
-    handle: Any
-    stamped: bool
+_Offer = tuple[bool, bool]
+"""Of a publisher: reliable, and keeps its last messages for those who come later."""
+
+
+@dataclass
+class _Topic:
+    """A topic that is recorded, by subscriptions with what they ask for.
+
+    One that asks for more than a publisher offers does not hear it; one that asks for less hears
+    also those that offer more.  Hence a publisher is taken from one subscription only.
+    """
+
     msgtype: str
-    offer: tuple[bool, bool]  # as of `_offer`
+    kind: Any  # class of the messages
+    stamped: bool
+    subscriptions: dict[_Offer, Any] = field(default_factory=dict)
+    owners: dict[bytes, _Offer] = field(default_factory=dict)  # by publisher
+    publishers: int = 0  # number of them at the last look
+
+    def unheard(self, publisher: TopicEndpointInfo) -> _Offer | None:
+        """What a publisher offers if no subscription hears it; the best one that does owns it."""
+        offer = _offer(publisher)
+        heard = [asked for asked in self.subscriptions if not _exceeds(asked, offer)]
+        # Who was heard from before stays where it is: nothing is taken twice, nothing missed.
+        self.owners.setdefault(bytes(publisher.endpoint_gid), max(heard, default=offer))
+        return None if heard else offer
+
+    def is_taken(self, asked: _Offer, publisher: bytes | None) -> bool:
+        """Whether messages of a publisher are taken from this subscription."""
+        if len(self.subscriptions) == 1 or publisher is None:
+            return True
+        return self.owners.setdefault(publisher, asked) == asked
 
 
 class RecorderInput:
@@ -84,13 +116,13 @@ class RecorderInput:
             start_parameter_services=False,
         )
         enlarge_sockets()
-        self._subscriptions: dict[str, _Subscription] = {}
+        self._topics: dict[str, _Topic] = {}
         self._complained: set[tuple[str, str]] = set()  # topic and publisher; '' for all of them
         self._searches = 0
 
     def close(self) -> None:
         """Stop listening."""
-        self._subscriptions = {}
+        self._topics = {}
         self._own.destroy_node()
 
     @property
@@ -103,79 +135,120 @@ class RecorderInput:
         found = []
         self._searches += 1
         own = self._node.get_name(), self._node.get_namespace()
-        for topic in self._selection.chosen(dict(self._node.get_topic_names_and_types())):
-            known = topic in self._subscriptions
-            if (topic, '') in self._complained or (known and self._searches % _RECHECK):
+        for name in self._selection.chosen(dict(self._node.get_topic_names_and_types())):
+            topic = self._topics.get(name)
+            if (name, '') in self._complained or (topic is not None and not self._is_due(name)):
                 continue
             publishers = [
                 p
-                for p in self._node.get_publishers_info_by_topic(topic)
+                for p in self._node.get_publishers_info_by_topic(name)
                 if (p.node_name, p.node_namespace) != own
             ]
-            if known:
-                self._check_match(topic, publishers)
-            elif publishers and (offered := self._subscribe(topic, publishers)) is not None:
-                found.append((topic, publishers[0].topic_type, offered))
+            if topic is not None:
+                self._hear_all(name, topic, publishers)
+            elif publishers and (offered := self._subscribe(name, publishers)) is not None:
+                found.append((name, publishers[0].topic_type, offered))
         return found
 
-    def _subscribe(self, topic: str, publishers: list[TopicEndpointInfo]) -> Qos | None:
-        """Subscribe with the QoS that all publishers offer; None if the type is not installed."""
+    def _is_due(self, name: str) -> bool:
+        """Whether publishers of a known topic are to be looked at: they changed, or may have."""
+        topic, before = self._topics[name], self._topics[name].publishers
+        topic.publishers = self._node.count_publishers(name)
+        return topic.publishers != before or not self._searches % _RECHECK
+
+    def _subscribe(self, name: str, publishers: list[TopicEndpointInfo]) -> Qos | None:
+        """Subscribe to all publishers; None if the type is not installed.
+
+        Returns the QoS that all of them offer.
+        """
         msgtype, depth = publishers[0].topic_type, publishers[0].qos_profile.depth
-        reliable, latched = (all(_offer(p)[i] for p in publishers) for i in (0, 1))
         try:
             self._check_type(msgtype)
             kind = message_class(msgtype)
         except (ValueError, AttributeError, ImportError) as error:
-            self._node.get_logger().error(f'{topic} is not recorded: {error}')
-            self._complained.add((topic, ''))
+            self._node.get_logger().error(f'{name} is not recorded: {error}')
+            self._complained.add((name, ''))
             return None
-        qos = ros_qos(reliable, latched, DEEPEST)
-        handle = self._own.create_subscription(kind, topic, lambda _: None, qos, raw=True)
         first = next(iter(kind.get_fields_and_field_types().values()), '')
         timed = first in ('std_msgs/Header', 'builtin_interfaces/Time')
-        self._subscriptions[topic] = _Subscription(
-            handle, timed and topic not in _SYSTEM_TIME, msgtype, (reliable, latched)
-        )
+        topic = _Topic(msgtype, kind, timed and name not in _SYSTEM_TIME)
+        self._topics[name] = topic
+        offers = {_offer(p) for p in publishers if p.topic_type == msgtype}
+        reliable, latched = (all(offer[i] for offer in offers) for i in (0, 1))
+        # The highest first: `poll` then finds there who is heard by several.
+        for asked in sorted(offers, reverse=True) if _TELLS_PUBLISHERS else [(reliable, latched)]:
+            self._add(name, topic, asked)
+        self._hear_all(name, topic, publishers)
         return qos_profile(reliable, latched, depth)
 
-    def _check_match(self, topic: str, publishers: list[TopicEndpointInfo]) -> None:
-        """A publisher that came later may offer less than was asked for, or another type."""
-        ours = self._subscriptions[topic]
+    def _add(self, name: str, topic: _Topic, asked: _Offer) -> None:
+        qos = ros_qos(*asked, DEEPEST)
+        topic.subscriptions[asked] = self._own.create_subscription(
+            topic.kind, name, lambda _: None, qos, raw=True
+        )
+
+    def _hear_all(self, name: str, topic: _Topic, publishers: list[TopicEndpointInfo]) -> None:
+        """Subscribe to publishers that nothing is heard of, as they offer less than those before.
+
+        One with another type is not recorded.
+        """
+        unheard = set()
         for publisher in publishers:
-            if publisher.topic_type != ours.msgtype:
-                why = f'has type {publisher.topic_type}, not {ours.msgtype}'
-            elif any(asked > offered for asked, offered in zip(ours.offer, _offer(publisher))):
-                why = 'offers a lower quality of service than those before it'
-            else:
-                continue
-            who = f'{publisher.node_namespace}/{publisher.node_name}'.replace('//', '/')
-            if (topic, who) not in self._complained:
-                self._complained.add((topic, who))
-                self._node.get_logger().warning(
-                    f'{topic}: what {who} publishes is not recorded, it {why}'
+            if publisher.topic_type != topic.msgtype:
+                self._complain(
+                    name, publisher, f'has type {publisher.topic_type}, not {topic.msgtype}'
                 )
+            elif (offer := topic.unheard(publisher)) is None:
+                continue
+            elif _TELLS_PUBLISHERS:
+                unheard.add(offer)
+            else:
+                self._complain(
+                    name, publisher, 'offers a lower quality of service than those before it'
+                )
+        # All publishers have their owners by now: a new subscription hears of others, too.
+        for offer in sorted(unheard, reverse=True):
+            self._add(name, topic, offer)
+
+    def _complain(self, name: str, publisher: TopicEndpointInfo, why: str) -> None:
+        who = f'{publisher.node_namespace}/{publisher.node_name}'.replace('//', '/')
+        if (name, who) not in self._complained:
+            self._complained.add((name, who))
+            self._node.get_logger().warning(
+                f'{name}: what {who} publishes is not recorded, it {why}'
+            )
 
     def poll(self) -> list[Heard]:
         """Messages received since the last call, in the order of arrival."""
-        found = []  # with the time by which to sort: a topic keeps its order if the clock is set
-        for topic, ours in self._subscriptions.items():
-            with ours.handle.handle:
-                take, msgtype = ours.handle.handle.take_message, ours.handle.msg_type
-                newest = 0
-                for _ in range(_MOST):
-                    taken = take(msgtype, True)
-                    if taken is None:
-                        break
-                    data, info = taken
-                    gid = info.get('publisher_gid')  # not known in distributions before Kilted
-                    gid = gid.get('data') if isinstance(gid, dict) else gid
-                    received, sent = info['received_timestamp'], info['source_timestamp']
-                    number = info.get('publication_sequence_number')
-                    stamp = leading_stamp(data) if ours.stamped else None
-                    newest = max(newest, received)
-                    found.append((newest, Heard(received, topic, data, sent, gid, number, stamp)))
+        found: list[tuple[int, Heard]] = []  # with the time by which to sort
+        for name, topic in self._topics.items():
+            for asked, subscription in topic.subscriptions.items():
+                self._take(name, topic, asked, subscription, found)
         found.sort(key=itemgetter(0))
         return [heard for _, heard in found]
+
+    @staticmethod
+    def _take(
+        name: str, topic: _Topic, asked: _Offer, subscription: Any, found: list[tuple[int, Heard]]
+    ) -> None:
+        """Messages of one subscription; they keep their order if the clock is set."""
+        with subscription.handle:
+            take, msgtype = subscription.handle.take_message, subscription.msg_type
+            newest = 0
+            for _ in range(_MOST):
+                taken = take(msgtype, True)
+                if taken is None:
+                    break
+                data, info = taken
+                gid = info.get('publisher_gid')
+                gid = gid.get('data') if isinstance(gid, dict) else gid
+                if not topic.is_taken(asked, gid):
+                    continue
+                received, sent = info['received_timestamp'], info['source_timestamp']
+                number = info.get('publication_sequence_number')
+                stamp = leading_stamp(data) if topic.stamped else None
+                newest = max(newest, received)
+                found.append((newest, Heard(received, name, data, sent, gid, number, stamp)))
 
 
 def enlarge_sockets() -> None:
@@ -197,7 +270,12 @@ def _enlarge(one: socket.socket) -> None:
         one.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _SOCKET_SIZE)
 
 
-def _offer(publisher: TopicEndpointInfo) -> tuple[bool, bool]:
+def _exceeds(asked: _Offer, offered: _Offer) -> bool:
+    """Whether a subscription asks for more than a publisher offers, and does not hear it."""
+    return any(a > o for a, o in zip(asked, offered))
+
+
+def _offer(publisher: TopicEndpointInfo) -> _Offer:
     """Whether a publisher is reliable, and keeps its last messages for those who come later."""
     qos = publisher.qos_profile
     return (
