@@ -410,8 +410,8 @@ def _set_jumps(sampler: Sampler) -> None:
         for i in range(n):
             if sampler.derived[i] == 1.0:  # the e before holds the same jump of the rate
                 sampler.doubtful[k - 1, i] = 2
-    for i in range(n):
-        if _is_beyond(sampler, i, k):
+    for i in range(n):  # noisy readings jump by themselves
+        if sampler.noisy[i] == 0 and _is_beyond(sampler, i, k):
             together += 1
     for i in range(n):
         # What is usual may have changed until a jump is named.
@@ -441,6 +441,8 @@ def _doubt_stamps(sampler: Sampler, late: float) -> None:
     clock[LATE_UNTIL] = now + HISTORY * (now - sampler.time[HISTORY - 3])
 
 
+        if sampler.noisy[i] == 1:
+            continue
 @njit_in_place
 def _is_followed_at_rest(sampler: Sampler, i: int) -> bool:
     """Whether the last reading but one did not change at all, so that only its estimate moved."""
@@ -504,8 +506,12 @@ def _way(sampler: Sampler, i: int) -> float:
 
 
 @njit_in_place
+    A reading that has not changed did not jump either, whatever a rate of its own says: it is late,
+    or frozen.
 def _mean_rate(sampler: Sampler, i: int) -> float:
     """Mean rate of a joint before and after the last sample but one [rad/s].
+    if abs(_way(sampler, i)) <= ROUNDING:
+        return 0.0
 
     The difference of readings that are repeated is none.
     """
