@@ -77,6 +77,18 @@ def test_given_a_reading_that_jumps_when_summed_then_its_own_row_holds_the_jump(
     assert found.span == pytest.approx(0.5)
 
 
+@pytest.mark.parametrize(('slow', 'error'), [(0.0, 0.0), (0.03, 0.0), (0.03, 0.05)])
+def test_given_a_clock_that_is_slow_when_a_way_is_asked_for_then_other_joints_tell(slow, error):
+    time, speed = LENGTH * np.arange(30 * PLAN.blocks), np.array([0.5, 1.0, -1.0])
+    rate = np.repeat([speed], len(time), 0)
+    position = rate * time[:, None] / (1.0 - slow)
+    rows = bank.KinematicRows(ARM, PLAN)
+    rows.parts = rows_of(time, position + [0.0, error, 0.0] * time[:, None], rate)
+    way, sigma = rows.way(1, 20)
+    assert way == pytest.approx(-error * 20 * PLAN.interval, abs=2.0 * sigma)
+    assert sigma < 0.2 * 0.05 * 20 * PLAN.interval
+
+
 def test_given_no_rows_when_asked_then_rates_do_not_agree_and_nothing_speaks():
     rows = bank.KinematicRows(ARM, PLAN)
     assert not rows.agrees(1, 0.0) and not bank.loudest_window(rows.parts, 0.05) > 0.0

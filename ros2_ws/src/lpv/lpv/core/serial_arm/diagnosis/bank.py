@@ -733,7 +733,7 @@ class KinematicRows:
         """Last row of a joint and its variance; None where there is none."""
         if not self._independent[joint] or len(self._rows) == 0:
             return None
-        return float(self._rows[-1, joint]), self._variance_of_last(joint, 1)
+        return self._told(joint, 1)
 
     @property
     def held(self) -> int:
@@ -742,36 +742,47 @@ class KinematicRows:
 
     def way(self, joint: int, count: int) -> tuple[float, float] | None:
         """As of `Bank.way`."""
-        rows = self._rows[-max(count, 1) :, joint]
-        if not self.trusted[joint] or len(rows) == 0:
+        count = min(max(count, 1), self.held)
+        if not self.trusted[joint] or count == 0:
             return None
-        return -float(rows.sum()), float(np.sqrt(self._variance_of_last(joint, len(rows))))
+        total, variance = self._told(joint, count)
+        return -total, variance**0.5
 
     def explained(self, joint: int, count: int) -> float:
         """What a reading that rests explains of the last rows: all of it."""
-        rows = self._rows[-count:, joint]
-        if not self.trusted[joint] or len(rows) == 0:
+        count = min(count, self.held)
+        if not self.trusted[joint] or count == 0:
             return 0.0
-        return float(0.5 * rows.sum() ** 2 / self._variance_of_last(joint, len(rows)))
+        total, variance = self._told(joint, count)
+        return 0.5 * total**2 / variance
 
-    def _variance_of_last(self, joint: int, count: int) -> float:
-        """Variance of the sum of so many last rows of a joint [rad2]."""
-        return max(float(self._variance_of(np.array([count]))[0, joint]), _BEFORE)
+    def _told(self, joint: int, count: int) -> tuple[float, float]:
+        """Sum of so many last rows of a joint and its variance [rad], [rad2].
 
-    def _variance_of(self, counts: IntArray) -> FloatArray:
-        """Variances of the sums of so many last rows, shape (W, n) [rad2]."""
-        own, span = self.parts, self._interval * counts[:, None]
+        If intervals were not as long as their stamps say, all rows are off by the rates: what the
+        other joints show of it is taken out.
+        """
+        own, rows = self.parts, self._rows[-count:]
+        rates, jumps = 0.5 * (own.edges[1:] + own.edges[:-1])[-count:], own.variances[-count:]
+        usual = own.inflation * (own.ends + own.walk * self._interval) + jumps
+        weights = self.trusted * rates / np.maximum(usual, _BEFORE)
+        weights[:, joint] = 0.0
+        known = (weights * rates).sum(1) + 1.0 / own.latest
+        late, rate = (weights * rows).sum(1) / known, rates[:, joint]
+        span, jumped = self._interval * count, float(jumps[:, joint].sum())
         variance = own.inflation * (own.ends + own.walk * span) + (own.bias * span) ** 2
-        jumps = own.variances[::-1][: len(self._rows)]
-        return np.asarray(variance + np.cumsum(jumps, axis=0)[counts - 1])
+        by_stamps = float((rate**2 / known).sum())
+        total = float((rows[:, joint] - late * rate).sum())
+        return total, max(float(variance[joint]) + jumped + by_stamps, _BEFORE)
 
     def agrees(self, joint: int, taken_out: float) -> bool:
         """Whether there are rows of the last half second, and they are those of healthy sensors.
 
         What is taken out of the rate [rad/s] is not in the rows.
         """
-        rows = self._rows[-round(0.5 / self._interval) :, joint]
-        if len(rows) == 0:
+        count = min(round(0.5 / self._interval), self.held)
+        if count == 0:
             return False
-        left = rows.sum() - taken_out * len(rows) * self._interval
-        return bool(left**2 < ROBUST**2 * self._variance_of_last(joint, len(rows)))
+        total, variance = self._told(joint, count)
+        left = total - taken_out * count * self._interval
+        return bool(left**2 < ROBUST**2 * variance)
