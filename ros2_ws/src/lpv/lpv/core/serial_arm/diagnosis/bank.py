@@ -66,7 +66,7 @@ from lpv.core.serial_arm.diagnosis.linear_bank import (
 )
 from lpv.core.serial_arm.diagnosis.onset import sudden_drift_of
 from lpv.core.serial_arm.diagnosis.priors import CONTACT, OCCURRENCE, SIZE, WRONG_STAMPS
-from lpv.core.serial_arm.diagnosis.sampling import LATE, Sampler, smallest_jump
+from lpv.core.serial_arm.diagnosis.sampling import DELAY, LATE, Sampler, smallest_jump
 from lpv.core.serial_arm.diagnosis.stuck import Course, Frozen, course_of_frozen
 from lpv.core.serial_arm.dynamics.momentum import mass_matrix
 from lpv.core.serial_arm.sensor_map import map_vector
@@ -447,7 +447,7 @@ class Kinematics(NamedTuple):
     variances: FloatArray  # (most, n) of jumps in them [rad2]
     edges: FloatArray  # (most + 1, n) rates where rows begin and end [rad/s]
     held: IntArray  # (1,) rows at hand
-    jumps: FloatArray  # (2, n) variances of jumps in the next rows [rad2]
+    jumps: FloatArray  # (rows, n) variances of jumps in rows to come, the next one first [rad2]
     independent: BoolArray  # (n,) whether the rate has a sensor of its own
     trusted: BoolArray  # (n,) whether it has, and its rows count
     ends: FloatArray  # (n,) variance of a row by the readings at its ends [rad2]
@@ -572,7 +572,8 @@ def take_row(own: Kinematics, blocks: FloatArray, interval: float) -> None:
         change = own.edges[most, i] - own.edges[most - 1, i]
         own.rows[most - 1, i] = row - own.lag[i] * change
         own.variances[most - 1, i] = own.jumps[0, i] + missing
-        own.jumps[0, i], own.jumps[1, i] = own.jumps[1, i], 0.0
+        for k in range(own.jumps.shape[0]):
+            own.jumps[k, i] = own.jumps[k + 1, i] if k + 1 < own.jumps.shape[0] else 0.0
         if own.trusted[i]:
             _learn_lag(own, i, interval)
 
@@ -696,7 +697,7 @@ class KinematicRows:
         independent = np.array([one.rates == 'independent' for one in sensors])
         self.parts = Kinematics(
             np.zeros((most, n)), np.zeros((most, n)), np.zeros((most + 1, n)),
-            np.zeros(1, np.int64), np.zeros((2, n)),
+            np.zeros(1, np.int64), np.zeros((2 + DELAY // (plan.per_block * plan.blocks), n)),
             independent, independent.copy(),
             2.0 * reading / plan.per_block + least**2, rate**2 * arm.sample_time,
             np.maximum(RATE_BIAS * rate, 4.0 * least), np.ones(n), np.zeros(n),
@@ -717,7 +718,7 @@ class KinematicRows:
 
     def note_jump(self, joint: int, variance: float) -> None:
         """A jump was taken out of readings that are still to come, with some error [rad2]."""
-        # It may belong to the next row or to the one after.
+        # It may belong to any row that holds samples which wait.
         self.parts.jumps[:, joint] += variance
 
     def leave_out(self, joint: int, out: bool) -> None:

@@ -158,7 +158,7 @@ def end_of_fault(
         if course is not None:
             at, n = float(sampler.time[-1]), estimator.joints
             acceleration = usual_acceleration(blocks, joint, n, estimator.plan.blocks)
-            fault, _, sigma = begin_frozen(joint, course, at, acceleration).fault(0.0, at)
+            fault, _, sigma = begin_frozen(joint, course, acceleration).fault(0.0, at)
             gain, went, sigma = course.gain, -fault, max(sigma, float(sampler.usual[joint]))
         gain += float(_normal(jump - went, sigma) - _slip(jump)) + again
         age = blocks[-1, 3 * estimator.joints] - frozen.time

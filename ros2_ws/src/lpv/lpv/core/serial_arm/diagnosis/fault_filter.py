@@ -21,7 +21,14 @@ from lpv.core.serial_arm.diagnosis.priors import (
     STEADY,
     STEADY_FOR,
 )
-from lpv.core.serial_arm.diagnosis.sampling import BLOCKS, Sampler, block_end
+from lpv.core.serial_arm.diagnosis.sampling import (
+    BLOCKS,
+    HISTORY,
+    Sampler,
+    block_end,
+    put_back,
+    take_out,
+)
 from lpv.core.serial_arm.diagnosis.stuck import LINEAR, Course
 
 LOST = OFFSET_PRIOR
@@ -44,9 +51,9 @@ class FaultFilter:
     joint: int
     kind: str  # drift, scale, slip or stuck
     begin: float  # when it began to change [s]
-    mean: FloatArray = field(default_factory=lambda: np.zeros(3))  # of the state now
+    mean: FloatArray = field(default_factory=lambda: np.zeros(3))  # of the state
     covariance: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
-    updated: float = 0.0  # moment of the state [s]
+    updated: float = 0.0  # moment of the state: the end of the newest balance [s]
     acceleration: float = 0.0  # usual one of the fault [rad/s2]
 
     @property
@@ -62,12 +69,11 @@ class FaultFilter:
             fault = reading - position
             variance = float(direction @ self.covariance @ direction)
             return fault, 0.0, float(np.sqrt(max(variance, 0.0)))
-        move = _motion(now - self.updated)
-        mean, variance = move @ self.mean, float(move[0] @ self.covariance @ move[0])
-        return float(mean[0]), float(mean[1]), float(np.sqrt(max(variance, 0.0)))
+        mean, covariance = self._after(now - self.updated)
+        return float(mean[0]), float(mean[1]), float(np.sqrt(max(covariance[0, 0], 0.0)))
 
     def course(self, since: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Fault and its rate at times from the state's on; not of a scale error."""
+        """Fault and its rate at times from the state's on, or before it; not of a scale error."""
         fault, rate, acceleration = self.mean
         return fault + (rate + 0.5 * acceleration * since) * since, rate + acceleration * since
 
@@ -80,21 +86,25 @@ class FaultFilter:
         bound = 0.0 if self.kind == 'stuck' else sigmas * sigma
         return 1.0 - min(1.0, (bound / fault) ** 2) if fault else float(bound == 0.0)
 
-    def predict(self, interval: float) -> None:
-        """Let the state go on by a time [s]."""
+    def predict(self, now: float) -> None:
+        """Let the state go on until a moment [s]."""
+        self.mean, self.covariance = self._after(now - self.updated)
+        self.updated = now
+
+    def _after(self, interval: float) -> tuple[FloatArray, FloatArray]:
+        """State and its covariance after a time [s]."""
         if self.is_scale:
-            self.covariance[0, 0] += SCALE_STEADY**2 * interval
-            return
-        move, change = _motion(interval), STEADY**2
+            return self.mean, self.covariance + np.diag([SCALE_STEADY**2 * interval, 0.0, 0.0])
+        move, change, covariance = _motion(interval), STEADY**2, self.covariance.copy()
         if self.kind == 'stuck':
             kept = float(np.exp(-interval / STEADY_FOR))
             move[2, 2], change = kept, 0.0
-            self.covariance[2, 2] += self.acceleration**2 * (1.0 - kept**2)
-        self.mean = move @ self.mean
-        self.covariance = move @ self.covariance @ move.T
-        self.covariance[:2, :2] += change * interval * np.array([
+            covariance[2, 2] += self.acceleration**2 * (1.0 - kept**2)
+        covariance = move @ covariance @ move.T
+        covariance[:2, :2] += change * interval * np.array([
             [interval**2 / 3.0, interval / 2.0], [interval / 2.0, 1.0],
         ])  # fmt: skip
+        return move @ self.mean, covariance
 
     def columns(
         self,
@@ -103,10 +113,10 @@ class FaultFilter:
         momentum: FloatArray,
         interval: float,
     ) -> FloatArray:
-        """Derivatives of a balance by the state now, shape (n, 3).
+        """Derivatives of a balance by the state, shape (n, 3).
 
-        ``times`` are the epoch of drifts, now, and when the balance ended; ``momentum`` is that by
-        a unit rate of the reading, shape (n,).
+        ``times`` are the epoch of drifts, the state's moment, and when the balance ended;
+        ``momentum`` is that by a unit rate of the reading, shape (n,).
         """
         epoch, now, end = times
         n, i = len(rows), self.joint
@@ -114,7 +124,7 @@ class FaultFilter:
         if self.is_scale:
             return np.stack([rows[:, 1 + SCALE * n + i], offset, 0.0 * offset], axis=1)
         drift = rows[:, 1 + DRIFT * n + i] - (now - epoch) * offset
-        # The rate changes by a T from interval to interval, and is on average less than now.
+        # The rate changes by a T from interval to interval, and is on average less than then.
         ago = now - end + interval
         bend = 0.5 * (ago**2 + interval**2 / 6.0) * offset
         bend -= interval * momentum + ago * rows[:, 1 + RATE * n + i]
@@ -136,9 +146,9 @@ def begin_filter(
     spread: float = 0.0,
     acceleration: float = 0.0,
 ) -> FaultFilter:
-    """Filter of a fault that has just been named, at the present time.
+    """Filter of a fault that has just been named, at the end of the newest balance.
 
-    ``span`` holds when it began to change and the present time [s].  ``size`` and its standard
+    ``span`` holds when it began to change and that end [s].  ``size`` and its standard
     deviation are in the unit of the kind.  ``origin`` is the reading when the fault began to
     change, as corrected so far [rad], and ``spread`` the standard deviation of that moment [s].
     ``acceleration`` is the usual one of a joint whose reading rests [rad/s2].
@@ -162,10 +172,10 @@ def begin_filter(
     return one
 
 
-def begin_frozen(joint: int, course: Course, now: float, acceleration: float) -> FaultFilter:
-    """Filter of a reading that rests, whose joint's way and rate are known, at the present time.
+def begin_frozen(joint: int, course: Course, acceleration: float) -> FaultFilter:
+    """Filter of a reading that rests, whose joint's way and rate are known.
 
-    ``course`` holds at the end of the last balance; ``acceleration`` is the usual one [rad/s2].
+    ``acceleration`` is the usual one [rad/s2].
     """
     one = FaultFilter(joint, 'stuck', course.begin, updated=course.end, acceleration=acceleration)
     past = max(course.end - course.begin, _JUST_NOW)
@@ -175,8 +185,6 @@ def begin_frozen(joint: int, course: Course, now: float, acceleration: float) ->
     one.mean[2] = min(max(one.mean[2], -acceleration), acceleration)
     one.covariance[:2, :2] = course.covariance
     one.covariance[2, 2] = acceleration**2
-    one.predict(now - course.end)
-    one.updated = now
     return one
 
 
@@ -187,7 +195,7 @@ def correct_since(
 
     ``momenta`` are those by a unit rate of its reading, in the ring of the horizon.
     """
-    n, i, now = estimator.joints, one.joint, float(sampler.time[-1])
+    n, i = estimator.joints, one.joint
     share = one.mean[0] / (1.0 + one.mean[0]) if one.is_scale else 0.0
     last = int((estimator.times(len(estimator)) > one.begin).sum())
     blocks, places = held_blocks(estimator, sampler, last + 1)
@@ -199,7 +207,7 @@ def correct_since(
             velocity[after] -= sampler.derived[i] * share * velocity[after]
             reading[after] -= share * reading[after] + one.mean[1] / (1.0 + one.mean[0])
         else:
-            fault, rate = one.course(time[after] - now)
+            fault, rate = one.course(time[after] - one.updated)
             velocity[after] -= sampler.derived[i] * rate
             reading[after] -= fault
 
@@ -214,7 +222,7 @@ def correct_since(
     for back in range(min(last, len(estimator))):
         at = slot(window, back)
         end = ended + window.times[at] - estimator.times(1)[0]
-        times = epoch, now, end
+        times = epoch, one.updated, end
         columns = one.columns(window.rows[at], times, momenta[at], estimator.plan.interval)
         window.extra[at] = ((columns @ one.covariance) * columns).sum(1)
     estimator.replace_last(blocks)
@@ -235,16 +243,15 @@ def follow(
     those by a unit rate of the reading, in the ring of the horizon.
     """
     window, null, interval = estimator.window, estimator.posterior, estimator.plan.interval
-    now = float(sampler.time[-1])
-    one.predict(now - one.updated)
-    one.updated = now
-    if one.fault(float(sampler.raw[one.joint]), now)[2] > LOST:
+    block = held_blocks(estimator, sampler, 1)[0][-1]
+    end = block_end(block)
+    one.predict(end)
+    if one.fault(float(sampler.raw[one.joint]), float(sampler.time[-1]))[2] > LOST:
         _lose(one, sampler)
         return
     at = slot(window, 0)
     rows, m = window.rows[at], len(null.mean)
-    end = block_end(held_blocks(estimator, sampler, 1)[0][-1])
-    times = float(estimator.balance.clock[EPOCH]), now, end
+    times = float(estimator.balance.clock[EPOCH]), end, end
     columns = one.columns(rows, times, momenta[at], interval)
     unknowns = rows[:, rows.shape[1] - m :]
     known = np.linalg.solve(np.triu(null.factor).T, unknowns.T)
@@ -265,7 +272,8 @@ def follow(
         return
     one.covariance = one.covariance - gain @ columns @ one.covariance
     if kinematic is not None and not one.is_scale:
-        column = interval * np.array([0.0, 1.0, end - now - 0.5 * interval])
+        middle = float(block[3 * estimator.joints]) - 0.5 * interval
+        column = interval * np.array([0.0, 1.0, middle - end])
         gain = one.covariance @ column / (column @ one.covariance @ column + kinematic[1])
         change += gain * (kinematic[0] - column @ change)
         one.covariance = one.covariance - np.outer(gain, column) @ one.covariance
@@ -277,6 +285,8 @@ def follow(
 
 def _lose(one: FaultFilter, sampler: Sampler) -> None:
     """Stay where the fault is: balances, linearised at the estimate, say nothing any more."""
+    if not one.is_scale:
+        one.mean[0] = sampler.followed[one.joint]
     one.mean[1:] = 0.0
     _note(one, sampler)
 
@@ -285,7 +295,7 @@ def _change(
     one: FaultFilter, change: FloatArray, estimator: OffsetEstimator, sampler: Sampler
 ) -> None:
     """Add a change to the state and take it out of the last readings."""
-    n, i, now = estimator.joints, one.joint, one.updated
+    n, i = estimator.joints, one.joint
     blocks, places = held_blocks(estimator, sampler, 2)
     before = one.mean.copy()
     one.mean = one.mean + change
@@ -299,16 +309,16 @@ def _change(
         if sampler.derived[i]:
             for velocity in (blocks[:, n + i], sampler.samples[:, 1, i]):
                 velocity *= ratio
+        sampler.blocks[places] = blocks
+        _note(one, sampler)
     else:
-        for time, reading, velocity in (
-            (blocks[:, 3 * n], blocks[:, i], blocks[:, n + i]),
-            (sampler.time, sampler.samples[:, 0, i], sampler.samples[:, 1, i]),
-        ):
-            since = time - now
-            reading -= change[0] + (change[1] + 0.5 * change[2] * since) * since
-            velocity -= sampler.derived[i] * (change[1] + change[2] * since)
-    sampler.blocks[places] = blocks
-    _note(one, sampler)
+        since = blocks[:, 3 * n] - one.updated
+        blocks[:, i] -= change[0] + (change[1] + 0.5 * change[2] * since) * since
+        blocks[:, n + i] -= sampler.derived[i] * (change[1] + change[2] * since)
+        sampler.blocks[places] = blocks
+        put_back(sampler, i, HISTORY)
+        _note(one, sampler)
+        take_out(sampler, i, HISTORY)
     estimator.replace_last(blocks)
 
 
@@ -319,7 +329,8 @@ def _note(one: FaultFilter, sampler: Sampler) -> None:
         sampler.share[i] = one.mean[0] / (1.0 + one.mean[0])
         sampler.followed[i] = one.mean[1] / (1.0 + one.mean[0])
     else:
-        sampler.followed[i], sampler.drift[i], sampler.curve[i] = one.mean
+        ahead = _motion(float(sampler.time[-1]) - one.updated)
+        sampler.followed[i], sampler.drift[i], sampler.curve[i] = ahead @ one.mean
 
 
 def held_blocks(

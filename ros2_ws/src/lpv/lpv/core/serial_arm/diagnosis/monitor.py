@@ -65,13 +65,15 @@ from lpv.core.serial_arm.diagnosis.sampling import (
     SPIKE,
     STEP,
     Sampler,
+    block_end,
     new_sampler,
+    put_back,
     restart,
     take_samples,
 )
 from lpv.core.serial_arm.diagnosis.scale_of_jump import ScaleOfJump, scale_of_jump
 from lpv.core.serial_arm.diagnosis.sensor_state import SensorRecord
-from lpv.core.serial_arm.diagnosis.stuck import STILL_RATE, Frozen, usual_acceleration
+from lpv.core.serial_arm.diagnosis.stuck import STILL_RATE, Course, Frozen, usual_acceleration
 from lpv.core.serial_arm.sensor_map import map_rows, mixing
 from lpv.core.support.errors import SampleError
 from lpv.core.support.jit import Entries
@@ -665,7 +667,7 @@ class SerialMonitor:
             scaled.weigh(self.estimator, self.sampler, self.bank)
             if self._is_scale(scaled, now):
                 self._doubt_no_more(i)
-                self._begin_following(scaled.filter(now), 1.0)
+                self._begin_following(scaled.filter(self._ended()), 1.0)
                 following = Stage.END  # the estimate is still that of the readings before
             elif now - scaled.time > self.settings.horizon:
                 del self._scaled[i]
@@ -815,15 +817,31 @@ class SerialMonitor:
         still = self.sampler.still[i] * self.arm.sample_time
         rests = i in self._frozen() or still > max(STILL_TIME, now - one.begin)
         kind = 'stuck' if rests else one.kind
-        last = float(self.sampler.time[-1])
-        way = None
-        if kind == 'stuck':  # a rate of its own tells how far the joint went
-            way = self.bank.way(i, round((last - one.begin) / self.plan.interval))
-        if one.course is not None and way is None:
-            fault = begin_frozen(i, one.course, last, self._acceleration(i))
+        course = one.course
+        if kind == 'stuck':
+            course = self._course_by_rate(i, one.begin) or course
+        if course is not None:
+            fault = begin_frozen(i, course, self._acceleration(i))
         else:
-            fault = self._begin(one, kind, way, last)
+            fault = self._begin(one, kind)
         self._begin_following(fault, share)
+
+    def _ended(self) -> float:
+        """When the newest balance ended: younger samples wait to enter one [s]."""
+        return block_end(self._blocks(1)[-1])
+
+    def _course_by_rate(self, i: int, begin: float) -> Course | None:
+        """How a joint went on while its reading rested, by a rate of its own; None without one."""
+        # Rows go from the middle of a block to that of another one.
+        interval, end = self.plan.interval, float(self._blocks(1)[-1, 3 * self.joints])
+        way = self.bank.way(i, math.ceil((end - begin) / interval))
+        newest = self.bank.rate_row(i)
+        if way is None or newest is None:
+            return None
+        # The newest row has the mean rate of its interval.
+        sigma = math.hypot(newest[1] ** 0.5 / interval, 0.5 * interval * self._acceleration(i))
+        mean, covariance = np.array([way[0], -newest[0] / interval]), np.diag([way[1], sigma]) ** 2
+        return Course(0.0, begin, end, mean, covariance)
 
     def _begin_following(self, one: FaultFilter, share: float) -> None:
         """A fault has been named, with some confidence: it is followed from now on."""
@@ -838,15 +856,12 @@ class SerialMonitor:
         self._raise(i, name, one.begin, float(fault[i]), float(deviation[i]), confidence=share)
         self._suspects = ()
 
-    def _begin(
-        self, one: Hypothesis, kind: str, way: tuple[float, float] | None, now: float
-    ) -> FaultFilter:
-        """Filter of a fault of a kind; ``way`` is that of the joint since a reading froze."""
-        size, sigma = one.size, one.sigma
+    def _begin(self, one: Hypothesis, kind: str) -> FaultFilter:
+        """Filter of a fault of a kind."""
+        size, sigma, now = one.size, one.sigma, self._ended()
         if kind == 'stuck' and one.kind != 'stuck':  # the rate of the joint that its reading hides
             rate, since = -one.size if one.kind == 'drift' else 0.0, now - one.begin
             size, sigma = rate * since, max(self.settings.widest_level, one.sigma * since)
-        size, sigma = way or (size, sigma)
         blocks = self._blocks(len(self.estimator) + 1)
         origin = float(np.interp(one.begin, blocks[:, 3 * self.joints], blocks[:, one.joint]))
         # Uniform over the starts that the named one stands for.
@@ -1004,12 +1019,13 @@ class SerialMonitor:
 
     def _release(self, i: int, since: int, kept: float = 0.0) -> None:
         """The readings of sensor i are right again, for so many samples, but for an offset."""
-        sampler = self.sampler
-        sampler.samples[-since:, 0, i] += float(self.taken_out()[i]) - kept
-        sampler.samples[-since:, 1, i] += sampler.derived[i] * sampler.drift[i]
+        sampler, sigma = self.sampler, float(self.faults()[1][i])
+        put_back(sampler, i, since)
+        sampler.samples[-since:, 0, i] -= kept
         if sampler.derived[i] == 1.0 and since > 1:  # the first difference holds the jump
             sampler.samples[-since, 1, i] = sampler.samples[1 - since, 1, i]
         self._correct_no_more(i)
+        self.bank.note_jump(i, sigma**2)  # what the readings before it were wrong by
         sampler.correction[i] = self._correction[i] = kept
 
     def _forget(self, i: int) -> None:

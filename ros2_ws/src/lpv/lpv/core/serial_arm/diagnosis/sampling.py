@@ -382,6 +382,30 @@ def removed(sampler: Sampler, i: int, reading: float) -> float:
     return float(sampler.correction[i] + sampler.followed[i] + sampler.share[i] * reading)
 
 
+def put_back(sampler: Sampler, i: int, count: int) -> None:
+    """Put what was taken out of the last readings of sensor i back, at each what it was then."""
+    (offset, drift), share = _removed_since(sampler, i, count), sampler.share[i]
+    reading, rate = sampler.samples[-count:, 0, i], sampler.samples[-count:, 1, i]
+    reading[:] = (reading + offset) / (1.0 - share)
+    rate[:] = (rate + drift) / (1.0 - sampler.derived[i] * share)
+
+
+def take_out(sampler: Sampler, i: int, count: int) -> None:
+    """Take faults that are known out of the last readings of sensor i, which are as they came."""
+    (offset, drift), share = _removed_since(sampler, i, count), sampler.share[i]
+    reading, rate = sampler.samples[-count:, 0, i], sampler.samples[-count:, 1, i]
+    reading[:] = (1.0 - share) * reading - offset
+    rate[:] = (1.0 - sampler.derived[i] * share) * rate - drift
+
+
+def _removed_since(sampler: Sampler, i: int, count: int) -> tuple[FloatArray, FloatArray]:
+    """What is taken out of the last readings and their rates, but for a share of them."""
+    since = sampler.time[-count:] - sampler.time[-1]
+    drift, curve = sampler.drift[i], sampler.curve[i]
+    offset = sampler.correction[i] + sampler.followed[i] + (drift + 0.5 * curve * since) * since
+    return offset, sampler.derived[i] * (drift + curve * since)
+
+
 @njit_in_place
 def _set_jumps(sampler: Sampler) -> None:
     """Write e of the last sample but one, less what a wrong stamp explains."""
@@ -417,6 +441,8 @@ def _set_jumps(sampler: Sampler) -> None:
         # What is usual may have changed until a jump is named.
         if abs(sampler.jumps[k, i]) <= _NEARLY * smallest_jump(sampler, i):
             continue
+        if sampler.noisy[i] == 1:
+            continue
         # Readings that jump together, or after they were repeated, have a cause outside the
         # sensor, if their motion explains it.
         explained = LATE * gap * _largest_rate(sampler, i, HISTORY)
@@ -441,8 +467,6 @@ def _doubt_stamps(sampler: Sampler, late: float) -> None:
     clock[LATE_UNTIL] = now + HISTORY * (now - sampler.time[HISTORY - 3])
 
 
-        if sampler.noisy[i] == 1:
-            continue
 @njit_in_place
 def _is_followed_at_rest(sampler: Sampler, i: int) -> bool:
     """Whether the last reading but one did not change at all, so that only its estimate moved."""
@@ -482,8 +506,12 @@ def _unexplained(sampler: Sampler, i: int, period: float, late: float) -> float:
     """What neither a wrong stamp nor rates explain of a way [rad]; of independent ones, any two.
 
     A joint that shakes faster than it is sampled does not jump, nor does one whose rate is wrong.
+    A reading that has not changed did not jump either, whatever a rate of its own says: it is late,
+    or frozen.
     """
     k, rate = HISTORY - 2, sampler.samples[:, 1, i]
+    if abs(_way(sampler, i)) <= ROUNDING:
+        return 0.0
     way = _way(sampler, i) - late * _motion(sampler, i)
     least = way - period * _mean_rate(sampler, i)
     if sampler.derived[i] == 0.0:
@@ -506,12 +534,8 @@ def _way(sampler: Sampler, i: int) -> float:
 
 
 @njit_in_place
-    A reading that has not changed did not jump either, whatever a rate of its own says: it is late,
-    or frozen.
 def _mean_rate(sampler: Sampler, i: int) -> float:
     """Mean rate of a joint before and after the last sample but one [rad/s].
-    if abs(_way(sampler, i)) <= ROUNDING:
-        return 0.0
 
     The difference of readings that are repeated is none.
     """

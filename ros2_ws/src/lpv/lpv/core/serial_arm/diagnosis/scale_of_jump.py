@@ -69,7 +69,7 @@ class ScaleOfJump:
         return self.size * (reading - self.reading)
 
     def filter(self, now: float) -> FaultFilter:
-        """Filter of the scale error, at the present time.
+        """Filter of the scale error, at the end of the newest balance.
 
         The fault was J at y0; how it grows with the way is known as far as an offset is excluded.
         """
