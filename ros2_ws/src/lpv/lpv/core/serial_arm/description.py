@@ -58,7 +58,7 @@ class LinkInertia:
         """Second moments of the mass distribution, shape (4, 4).
 
         Positive semidefinite exactly where some distribution of positive mass has these
-        parameters (Wensing, Kim, Slotine 2018, eq. (12)).
+        parameters (Wensing, Kim, Slotine 2018, equation 12).
         """
         inertia = self.rotational_inertia()
         result = np.empty((4, 4))

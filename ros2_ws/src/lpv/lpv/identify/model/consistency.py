@@ -39,7 +39,7 @@ def nearest_consistent(
 ) -> np.ndarray:
     """Parameters of least cost that belong to bodies of positive mass.
 
-    Each link's pseudo-inertia is positive semidefinite (Wensing, Kim, Slotine 2018, eq. (12));
+    Each link's pseudo-inertia is positive semidefinite (Wensing, Kim, Slotine 2018, equation 12);
     what the data leave open stays close to the prior.
 
     ``mean`` and ``sigma`` are of the normal prior, ``bounds`` are least and largest values, all of
