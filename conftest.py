@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import pytest
 from hypothesis import settings
-from places import BRINGUP, ROOT
+from places import ROOT
 
 for _name, _place in (('lpv', ROOT / 'ros2_ws' / 'src' / 'lpv'), ('lpv_design', ROOT / 'design')):
     if importlib.util.find_spec(_name) is None:
@@ -28,9 +28,7 @@ with contextlib.suppress(ImportError):  # an older one draws none
 settings.register_profile('lpv', deadline=None, derandomize=True, database=None, max_examples=200)
 settings.load_profile('lpv')
 
-from lpv.core.serial_arm.arm_file import load_arm  # noqa: E402
-from lpv.core.simulation.scenario import load_scenario  # noqa: E402
-from lpv.core.uio.certificate.gains import load_gains  # noqa: E402
+from lpv import load_arm, load_gains, load_scenario  # noqa: E402
 from lpv.core.uio.planar import planar_model  # noqa: E402
 
 _ROS = importlib.util.find_spec('rclpy') is not None
@@ -58,23 +56,26 @@ def pytest_configure():
 
 
 @pytest.fixture
-def hangup_acts():
-    """SIGHUP acts, also where nohup has it ignored."""
-    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+def signals_as_before():
+    """What a test sets is reset; SIGHUP acts, also where nohup has it ignored."""
+    numbers = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
+    before = {number: signal.getsignal(number) for number in numbers}
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
     yield
-    signal.signal(signal.SIGHUP, before)
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 @pytest.fixture(scope='session')
 def paper_arm():
     """Arm of the paper's Table 1."""
-    return load_arm(BRINGUP / 'arms' / 'paper.yaml')
+    return load_arm('paper')
 
 
 @pytest.fixture(scope='session')
 def real_arm():
     """Arm of the recordings: relative encoders, hanging, with rotors and friction."""
-    return load_arm(BRINGUP / 'arms' / 'real_arm.yaml')
+    return load_arm('real_arm')
 
 
 @pytest.fixture(scope='session')
@@ -97,23 +98,21 @@ def arm(request):
 @pytest.fixture(scope='session')
 def two_faults():
     """Shipped scenario with an abrupt and an incipient fault."""
-    return load_scenario(BRINGUP / 'scenarios' / 'two_faults.yaml')
-
-
-def _shipped_gains(name):
-    """As a design returns them: tests change numbers, which a checksum of a file would tell."""
-    return replace(load_gains(BRINGUP / 'gains' / f'{name}.yaml'), checksum='')
+    return load_scenario('two_faults')
 
 
 @pytest.fixture(scope='session')
 def paper_gains():
-    """Shipped gains; tests of lpv_design check that a design gives them."""
-    return _shipped_gains('paper')
+    """Shipped gains; tests of lpv_design check that a design gives them.
+
+    As it returns them: tests change numbers, which a checksum of a file would tell.
+    """
+    return replace(load_gains('paper'), checksum='')
 
 
 @pytest.fixture(scope='session')
 def real_gains():
-    return _shipped_gains('real_arm')
+    return replace(load_gains('real_arm'), checksum='')
 
 
 @pytest.fixture(scope='session')

@@ -8,8 +8,7 @@ from lpv.bag.run.record import load_run
 from lpv.campaign.execution.run_to_bag import write_run_bag
 from lpv.campaign.execution.runs import plan_run
 from lpv.campaign.plan.campaign import resolve
-from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent
-from lpv.core.uio.certificate.gains import save_gains
+from lpv import AlarmEvent, save_gains
 
 pytestmark = pytest.mark.ros
 

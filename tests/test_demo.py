@@ -21,13 +21,9 @@ from lpv.cli.main import main
 from lpv.cli.options import COMMANDS
 from lpv.cli.processes import Graph, ended_by_signals
 from lpv.core.control.tracking import COMPENSATION
-from lpv.core.monitoring.parameters import DiagnosisParameters
-from lpv.core.serial_arm.arm_file import load_arm
-from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent
+from lpv import AlarmEvent, DiagnosisParameters, load_arm, load_gains, load_scenario
 from lpv.core.simulation.closed_loop import run_closed_loop
-from lpv.core.simulation.scenario import load_scenario
 from lpv.core.support.resources import executable
-from lpv.core.uio.certificate.gains import load_gains
 from lpv.core.uio.model.joints import JointMap
 from lpv.core.uio.planar import planar_model
 
@@ -165,7 +161,7 @@ def test_given_a_serial_arm_when_shown_then_the_fault_is_named_and_torques_as_of
     np.testing.assert_array_equal(commands[:count], run.torque[:count])
 
 
-@pytest.mark.usefixtures('hangup_acts')
+@pytest.mark.usefixtures('signals_as_before')
 @pytest.mark.parametrize('number', [SIGTERM, SIGHUP])
 def test_given_a_signal_when_a_command_waits_then_nodes_end_and_its_code_is_right(tmp_path, number):
     with pytest.raises(SystemExit) as end, ended_by_signals(), Graph(tmp_path, 1) as graph:

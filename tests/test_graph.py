@@ -1,6 +1,5 @@
 """The real graph: nodes as processes, services, alarms, recordings; nodes that cannot start."""
 
-import signal
 from dataclasses import replace
 
 import numpy as np
@@ -38,14 +37,6 @@ path: {waypoints: [{t: 0.5, x: -0.8451, y: 1.5893}, {t: 20.0, x: 0.8451, y: 1.58
 """
 WRONG = '--params-file wrong.yaml'
 NOWHERE = 'there is no file /nowhere/gains.yaml; gains of an arm '
-
-
-@pytest.fixture
-def signals_as_before():
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    yield
-    for number, handler in before.items():
-        signal.signal(number, handler)
 
 
 @pytest.mark.realtime

@@ -6,10 +6,9 @@ import pytest
 from places import BRINGUP
 
 from lpv.cli.main import main
-from lpv.core.serial_arm.arm_file import load_arm
+from lpv import ConfigError, load_arm
 from lpv.core.serial_arm.certificate.conditions import require_loop
 from lpv.core.serial_arm.description import Uncertainty
-from lpv.core.support.errors import ConfigError
 from lpv_design.serial_loop import LoopRequest, certify_loop, model_bounds
 from lpv_design.solve import InfeasibleError
 

@@ -17,10 +17,9 @@ from runs import copied
 from lpv.bag.replay.replay import Replay
 from lpv.cli.commands.compare import show
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
-from lpv.core.serial_arm.arm_file import load_arm
+from lpv import load_arm, load_gains
 from lpv.core.support.resources import bringup_file
 from lpv.core.support.timestamps import leading_stamp
-from lpv.core.uio.certificate.gains import load_gains
 from lpv.report.comparison import Tolerances, compare_runs, load_pair
 
 BAG = DATA / 'reference'

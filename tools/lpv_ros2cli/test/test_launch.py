@@ -162,7 +162,7 @@ def test_given_a_process_that_is_respawned_when_it_ends_then_it_starts_again():
         assert launch.interrupt()[0] == 1
 
 
-@pytest.mark.usefixtures('hangup_acts')
+@pytest.mark.usefixtures('signals_as_before')
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_given_a_signal_when_run_then_programs_are_told_once_and_killed_if_deaf(number):
     waits = 'echo ready; while :; do sleep 0.05; done'

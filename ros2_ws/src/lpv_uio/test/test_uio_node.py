@@ -17,11 +17,9 @@ from lpv.bag.replay.replay import Replay
 from lpv.bag.rosbag.reading import open_bag
 from lpv.core.monitoring.answers import answer_type
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
-from lpv.core.serial_arm.arm_file import load_arm
-from lpv.core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent, Mode
+from lpv import Alarm, AlarmEvent, Fault, load_arm, load_scenario
+from lpv.core.serial_arm.diagnosis.alarms import Mode
 from lpv.core.simulation.arm_simulator import ArmSimulator
-from lpv.core.simulation.faults import Fault
-from lpv.core.simulation.scenario import load_scenario
 from lpv.core.support.timestamps import set_stamp
 from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate, TorqueCommand
 from lpv_uio.messages import OutputMessages

@@ -12,18 +12,14 @@ import pytest
 import lpv.core
 from lpv.core.control.path import Reference
 from lpv.core.control.tracking import TrackingController
-from lpv.core.monitoring.parameters import DiagnosisParameters
-from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent
+from lpv import AlarmEvent, DiagnosisParameters, Fault, load_scenario, save_gains
 from lpv.core.simulation.closed_loop import run_closed_loop
-from lpv.core.simulation.faults import Fault
 from lpv.core.simulation.metrics import mise
 from lpv.core.simulation.scenario import parse_scenario
 from lpv.core.support.jit import COMPILED
-from lpv.core.uio.certificate.gains import save_gains
 from lpv.core.uio.model.dynamics import inverse_dynamics
 from lpv.core.uio.model.joints import JointMap
 from lpv.core.uio.planar import planar_model
-from lpv.files import load_scenario
 
 pytestmark = pytest.mark.slow
 

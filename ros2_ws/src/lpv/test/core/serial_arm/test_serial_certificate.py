@@ -15,9 +15,8 @@ from lpv.core.serial_arm.certificate.exact_proof import prove_loop
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.dynamics.payload import with_payload
-from lpv.core.support.errors import ConfigError
+from lpv import ConfigError, load_arm
 from lpv.core.support.resources import bringup_file
-from lpv.files import load_arm
 
 FILES = {
     n: (load_arm(n), files.load_loop_gains(bringup_file('gains', n))) for n in ('ur10', 'panda')

@@ -7,12 +7,11 @@ import pinocchio
 import pytest
 from serial_arms import URDF
 
-from lpv.core.serial_arm.arm_file import load_arm
+from lpv import ConfigError, load_arm
 from lpv.core.serial_arm.chain import compile_chain, make_chain
 from lpv.core.serial_arm.dynamics.kinematics import forward_kinematics
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.urdf_chain import read_urdf_chain
-from lpv.core.support.errors import ConfigError
 
 END, LOCKED = '</robot>', {'finger': 0.0}
 

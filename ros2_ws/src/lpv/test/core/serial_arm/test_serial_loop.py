@@ -10,13 +10,10 @@ from serial_arms import shoulder_arm
 from lpv.core.control.computed_torque import ComputedTorqueController
 from lpv.core.control.watchdog import BrakeReason, StopReason
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
-from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent
+from lpv import AlarmEvent, ConfigError, Fault, Scenario
 from lpv.core.simulation.arm_simulator import ArmSimulator
 from lpv.core.simulation.closed_loop import run_closed_loop
-from lpv.core.simulation.faults import Fault
-from lpv.core.simulation.scenario import Scenario
 from lpv.core.simulation.transport import Stall, Transport
-from lpv.core.support.errors import ConfigError
 
 pytestmark = pytest.mark.slow
 

@@ -17,9 +17,8 @@ from places import BRINGUP, ROOT
 from scipy.linalg import expm
 
 from lpv.cli.main import main
-from lpv.core.monitoring.parameters import DiagnosisParameters
+from lpv import ConfigError, DiagnosisParameters
 from lpv.core.serial_arm.certificate.claims import SERIAL_CLAIMS
-from lpv.core.support.errors import ConfigError
 from lpv.core.uio.certificate import conditions
 from lpv.core.uio.certificate import gains as files
 from lpv.core.uio.certificate.claims import CLAIMS

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from parts import energy
-from planar_formulas import inertia, scheduling, weights
+from planar_formulas import energy, inertia, scheduling, weights
 from scipy.optimize import nnls
 
 from lpv.core.simulation.paper_plant import PaperPlant
@@ -57,9 +56,8 @@ def test_given_a_payload_then_energy_is_that_of_a_point_mass_at_the_tip_more(arm
         turn = arm.lengths * np.array([np.cos(theta), -np.sin(theta)])
         tip_rate = turn @ rate
         extra = 0.5 * mass * tip_rate @ tip_rate + mass * arm.gravity * turn[0].sum()
-        loaded = energy(*state, arm.with_payload(mass).constants())
-        bare = energy(*state, arm.constants())
-        assert loaded == pytest.approx(bare + extra, rel=1e-10, abs=1e-9)
+        loaded = energy(state, arm.with_payload(mass).constants())
+        assert loaded == pytest.approx(energy(state, arm.constants()) + extra, rel=1e-10, abs=1e-9)
 
 
 def test_given_factors_or_a_payload_then_each_constant_follows_and_mass_is_positive(paper_model):

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from parts import Swing
 from planar_formulas import inertia, scheduling, weights
 
 from lpv.core.serial_arm.diagnosis.alarms import Mode
@@ -25,6 +24,40 @@ from lpv.core.uio.unknown_input_observer import UnknownInputObserver, uio_step
 def paper_descriptor(arm, s_min=-0.2):
     a, b = vertex_matrices(sinc_box(s_min), arm.constants(coriolis=False))
     return Descriptor(a, b, arm)
+
+
+class Swing:
+    """A smooth motion about the vertical as joint-space samples with their exact torques."""
+
+    def __init__(self, arm):
+        self.joints, self.c = JointMap(arm), arm.constants()
+        self.rest = 0.0 if arm.orientation == 'upright' else math.pi
+
+    def absolute(self, t):
+        """Angles, rates and accelerations of both links."""
+        size, pace = np.array([0.5, 0.3]), np.array([1.1, 1.7])
+        sine, cosine = size * np.sin(pace * t), size * np.cos(pace * t)
+        return self.rest + sine, pace * cosine, -(pace**2) * sine
+
+    def torque(self, t):
+        """Of both links, such that the arm moves as it does."""
+        return np.array(inverse_dynamics(*np.concatenate(self.absolute(t)), self.c))
+
+    def outputs(self, t, fault=(0.0, 0.0)):
+        """Readings and rates of both sensors."""
+        theta, rate, _ = self.absolute(t)
+        s = self.joints.sensor_matrix
+        return np.concatenate([s @ theta + fault, s @ rate])
+
+    def sample(self, t, dt=0.002, fault=(0.0, 0.0)):
+        """Positions, rates and efforts of the joints; the effort acted over the interval before."""
+        theta, rate, _ = self.absolute(t)
+        position = theta + np.linalg.solve(self.joints.sensor_matrix, fault)
+        effort = self.joints.joint_torque(self.torque(t - dt / 2))
+        return self.joints.joint_position(position), self.joints.joint_velocity(rate), effort
+
+    def position(self, t):
+        return self.joints.joint_position(self.absolute(t)[0])
 
 
 class Exact:
@@ -56,6 +89,11 @@ class Exact:
             y_new = self.motion.outputs((k + 1) * self.dt, faults[(k + 1) % len(faults)])
             yield self.step(y, y_new, self.motion.torque((k + 0.5) * self.dt))
             y = y_new
+
+
+@pytest.fixture
+def swing(arm):
+    return Swing(arm)
 
 
 @pytest.fixture
@@ -205,11 +243,6 @@ def test_given_a_link_on_either_side_of_the_border_then_only_outside_is_held(arm
 
 TS = 2_000_000  # sample time of both arms [ns]
 VECTORS = ('position', 'velocity', 'fault', 'absolute_position')
-
-
-@pytest.fixture
-def swing(arm):
-    return Swing(arm)
 
 
 @pytest.fixture

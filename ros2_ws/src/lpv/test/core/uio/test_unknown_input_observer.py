@@ -8,9 +8,7 @@ from fault_injection import csv_stream
 from places import DATA
 
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
-from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent
-from lpv.core.simulation.faults import Fault
-from lpv.core.support.errors import ConfigError
+from lpv import AlarmEvent, ConfigError, Fault
 from lpv.core.uio.planar import planar_model
 from lpv.core.uio.unknown_input_observer import UnknownInputObserver
 
