@@ -1,4 +1,4 @@
-"""The sources: packages and sub-packages in layers, nothing upwards; numbers say why they are."""
+"""The sources: layers without imports upwards, one kind of arm, numbers that say why they are."""
 
 import ast
 import re
@@ -65,6 +65,23 @@ def test_given_the_library_when_imported_then_no_other_package_is_and_its_mathem
         if name.startswith('lpv.core.'):
             others = import_graph.module_imports()[name]
             assert all(other.startswith('lpv.core') for other in others), name
+
+
+READS_OLD_FILES = ('uio/old_arm_file.py', 'serial_arm/arm_file.py', 'simulation/scenario.py')
+"""There is one kind of arm and one of scenario; only these see files of older versions."""
+QUESTIONS = {
+    'type': r'isinstance\([^()]*(\([^()]*\))?[^()]*\b(SerialArm|ArmParameters|Scenario)\b',
+    'links': r"hasattr\(\s*\w*arm\w*\s*,\s*'links'",
+    'kind of an arm file': r"(arm|data|content|top)\w*(\[|\.get\(|\.text\()\s*'kind'",
+}
+
+
+@pytest.mark.parametrize('question', QUESTIONS)
+def test_given_the_product_when_searched_then_it_never_asks_for_the_kind_of_an_arm(question):
+    files = import_graph.module_files().values()
+    others = [path for path in files if not path.as_posix().endswith(READS_OLD_FILES)]
+    found = {path: re.search(QUESTIONS[question], path.read_text()) for path in others}
+    assert len(found) > 100 and {path: match for path, match in found.items() if match} == {}
 
 
 LITERAL = (ast.Constant, ast.UnaryOp, ast.BinOp, ast.Tuple, ast.operator, ast.unaryop, ast.Load)

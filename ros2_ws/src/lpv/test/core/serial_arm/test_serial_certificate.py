@@ -8,6 +8,7 @@ from nested import changed
 from scipy.linalg import eigh
 from serial_certificate import corner_arm, decay
 
+from lpv import ConfigError, load_arm
 from lpv.core.serial_arm.certificate import loop_gains as files
 from lpv.core.serial_arm.certificate.conditions import error_bound, require_loop, verify_loop
 from lpv.core.serial_arm.certificate.disturbance import MotionRange, missed_torque
@@ -15,7 +16,6 @@ from lpv.core.serial_arm.certificate.exact_proof import prove_loop
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.dynamics.payload import with_payload
-from lpv import ConfigError, load_arm
 from lpv.core.support.resources import bringup_file
 
 FILES = {

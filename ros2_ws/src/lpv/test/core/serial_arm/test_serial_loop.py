@@ -7,10 +7,10 @@ import pytest
 from prismatic_arms import middle, mixed_arm, scara, ur10_on_rail
 from serial_arms import shoulder_arm
 
+from lpv import AlarmEvent, ConfigError, Fault, Scenario
 from lpv.core.control.computed_torque import ComputedTorqueController
 from lpv.core.control.watchdog import BrakeReason, StopReason
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
-from lpv import AlarmEvent, ConfigError, Fault, Scenario
 from lpv.core.simulation.arm_simulator import ArmSimulator
 from lpv.core.simulation.closed_loop import run_closed_loop
 from lpv.core.simulation.transport import Stall, Transport
