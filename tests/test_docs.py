@@ -1,4 +1,4 @@
-"""The documentation fits the code: references and links resolve, equations are listed."""
+"""The documentation fits the code: references and links resolve, the tutorial runs as printed."""
 
 import inspect
 import pkgutil
@@ -8,10 +8,12 @@ import subprocess
 import sys
 
 import import_graph
+import numpy as np
 import pytest
 from places import ROOT
 
-from lpv.cli.main import build_parser
+from lpv import AlarmEvent
+from lpv.cli.main import build_parser, main
 from lpv.core.control.watchdog import BRAKE_TEXT, STOP_TEXT
 from lpv.core.serial_arm.diagnosis.alarms import KINDS, SensorState
 
@@ -27,10 +29,7 @@ _REFERENCE = re.compile(r'`([A-Za-z]\w*(?:\.[A-Za-z_]\w*)+)(?:\(\))?`')
 _FILES = ('yaml', 'yml', 'md', 'py', 'png', 'html', 'csv', 'mcap', 'json', 'xml', 'txt', 'db3',
           'parquet')  # fmt: skip
 _LINK = re.compile(r'\[[^\]]*\]\(\s*([^)\s]+)\s*\)')
-
 each_page = pytest.mark.parametrize('page', PAGES)
-
-
 CLASSES = {
     name: module
     for module, file in import_graph.module_files().items()
@@ -55,12 +54,10 @@ def _resolves(reference):
 def references(text):
     """What a page names as code of this software: by its package, or by its class."""
     for reference in _REFERENCE.findall(text):
-        first = reference.split('.')[0]
-        if reference.rpartition('.')[2] in _FILES:
-            continue
-        if first in import_graph.package_folders():
+        first, last = reference.split('.')[0], reference.rpartition('.')[2]
+        if first in import_graph.package_folders() and last not in _FILES:
             yield reference
-        elif first[0].isupper() and first in CLASSES:
+        elif first in CLASSES and last not in _FILES:
             yield f'{CLASSES[first]}.{reference}'
 
 
@@ -78,9 +75,8 @@ def test_given_a_page_when_it_names_code_then_that_code_exists(page):
 @each_page
 def test_given_a_page_when_its_relative_links_are_followed_then_files_and_headings_exist(page):
     folder = DOCS if (DOCS / page).is_file() else ROOT
-    for link in _LINK.findall(re.sub(r'(?ms)^```.*?^```$', '', PAGES[page])):
-        if re.match(r'[a-z]+:', link):
-            continue
+    links = _LINK.findall(re.sub(r'(?ms)^```.*?^```$', '', PAGES[page]))
+    for link in (one for one in links if not re.match(r'[a-z]+:', one)):
         name, _, heading = link.partition('#')
         target = folder / (name or page)
         assert target.is_file(), link
@@ -111,3 +107,53 @@ def test_given_everything_that_stops_or_alarms_when_looked_up_then_the_page_of_a
     stops = [text.split(':')[0] for text in (*STOP_TEXT.values(), *BRAKE_TEXT.values())]
     rows = [f'`{kind}`' for kind in KINDS] + [state.name for state in SensorState] + stops
     assert [row for row in rows if row and f'| {row}' not in PAGES['alarms.md']] == []
+
+
+BLOCKS = re.findall(r'(?ms)^```(\w+)\n(.*?)^```$', PAGES['tracking.md'])
+"""Kind and text of every fenced block of the tutorial, in order."""
+
+
+@pytest.fixture(scope='module')
+def tutorial(tmp_path_factory):
+    """What the tutorial's session holds at its end, and its folder; its commands succeed."""
+    folder, namespace = tmp_path_factory.mktemp('tutorial'), {}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        for kind, text in BLOCKS:
+            if kind == 'yaml':
+                name = text.splitlines()[0].removeprefix('# ')
+                (folder / name).write_text(text, encoding='utf-8')
+            elif kind == 'python':
+                exec(compile(text, 'tracking.md', 'exec'), namespace)
+            elif kind == 'sh':
+                lines = [line for line in text.splitlines() if line.startswith('lpv ')]
+                assert [main(shlex.split(line)[1:]) for line in lines] == [0] * len(lines)
+    return namespace, folder
+
+
+@pytest.mark.slow
+def test_given_the_tutorial_when_designed_then_the_certificate_is_printed_as_shown(tutorial):
+    texts = '\n'.join(text for kind, text in BLOCKS if kind == 'text')
+    shown = re.findall(r'^holds \(.*?\): (.*)$', texts, re.MULTILINE)
+    header = (tutorial[1] / 'gains.yaml').read_text(encoding='utf-8')
+    printed = re.findall(r'^# holds \(.*?\): (.*)$', header, re.MULTILINE)
+    assert len(shown) == 4 and shown == printed[:4]
+
+
+@pytest.mark.slow
+def test_given_the_tutorials_figures_and_fault_when_recomputed_then_they_are_as_told(tutorial):
+    namespace, _ = tutorial
+    share = namespace['friction'] / namespace['gravity']
+    np.testing.assert_allclose(namespace['gravity'], [18.9, 4.2], atol=0.05)
+    np.testing.assert_allclose(share, [0.021, 0.024], atol=5e-4)
+    np.testing.assert_allclose(namespace['upright'], [0.036, 0.077], atol=2e-3)
+    np.testing.assert_allclose(namespace['leaning'], [0.134, 0.376], atol=5e-3)
+    assert namespace['quiet']
+    (alarm,) = namespace['run'].alarms
+    assert (alarm.event, alarm.sensor, alarm.kind) == (AlarmEvent.RAISED, 'elbow_encoder', 'bias')
+    assert alarm.detected == 4_002_000_000
+    assert alarm.size == pytest.approx(0.25, abs=0.005)
+    assert alarm.bound == pytest.approx(0.003, abs=0.001)
+    # Compensated, the arm is off by the estimate's error.
+    assert namespace['largest']['confirmed'] == pytest.approx(0.001, abs=0.001)
+    assert namespace['largest']['off'] == pytest.approx(0.25, abs=0.01)

@@ -14,10 +14,10 @@ from places import DATA
 from rich.console import Console
 from runs import copied
 
+from lpv import load_arm, load_gains
 from lpv.bag.replay.replay import Replay
 from lpv.cli.commands.compare import show
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
-from lpv import load_arm, load_gains
 from lpv.core.support.resources import bringup_file
 from lpv.core.support.timestamps import leading_stamp
 from lpv.report.comparison import Tolerances, compare_runs, load_pair
