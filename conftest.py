@@ -103,10 +103,7 @@ def two_faults():
 
 @pytest.fixture(scope='session')
 def paper_gains():
-    """Shipped gains; tests of lpv_design check that a design gives them.
-
-    As it returns them: tests change numbers, which a checksum of a file would tell.
-    """
+    """Shipped gains as a design returns them: tests change what a checksum of a file would tell."""
     return replace(load_gains('paper'), checksum='')
 
 

@@ -24,12 +24,10 @@ PAGES = {
 }
 WITHOUT_CODE = {69}
 """Equations that nothing implements: the paper's remark on a choice of alpha."""
-
 _REFERENCE = re.compile(r'`([A-Za-z]\w*(?:\.[A-Za-z_]\w*)+)(?:\(\))?`')
 _FILES = ('yaml', 'yml', 'md', 'py', 'png', 'html', 'csv', 'mcap', 'json', 'xml', 'txt', 'db3',
           'parquet')  # fmt: skip
 _LINK = re.compile(r'\[[^\]]*\]\(\s*([^)\s]+)\s*\)')
-each_page = pytest.mark.parametrize('page', PAGES)
 CLASSES = {
     name: module
     for module, file in import_graph.module_files().items()
@@ -67,13 +65,9 @@ def headings(text):
     return {re.sub(r'[^\w\- ]', '', title.lower()).replace(' ', '-') for title in titles}
 
 
-@each_page
-def test_given_a_page_when_it_names_code_then_that_code_exists(page):
+@pytest.mark.parametrize('page', PAGES)
+def test_given_a_page_then_the_code_links_and_commands_in_it_are_there(page):
     assert [name for name in references(PAGES[page]) if not _resolves(name)] == []
-
-
-@each_page
-def test_given_a_page_when_its_relative_links_are_followed_then_files_and_headings_exist(page):
     folder = DOCS if (DOCS / page).is_file() else ROOT
     links = _LINK.findall(re.sub(r'(?ms)^```.*?^```$', '', PAGES[page]))
     for link in (one for one in links if not re.match(r'[a-z]+:', one)):
@@ -81,29 +75,19 @@ def test_given_a_page_when_its_relative_links_are_followed_then_files_and_headin
         target = folder / (name or page)
         assert target.is_file(), link
         assert not heading or heading in headings(target.read_text(encoding='utf-8')), link
-
-
-@each_page
-def test_given_a_page_when_its_lpv_commands_are_parsed_then_each_has_these_options(page):
     text = PAGES[page].replace('\\\n', '')
     for line in re.findall(r'^(?:\$ |my_env/bin/)?lpv (.+)$', text, re.MULTILINE):
         argv = shlex.split(line, comments=True)
         build_parser(argv[0]).parse_args(argv)
 
 
-def test_given_the_docstrings_when_their_equations_are_listed_then_the_index_is_that_and_complete():
+def test_given_equations_pages_and_alarms_when_looked_up_then_the_site_has_each():
     tool = ROOT / 'tools' / 'equation_index.py'
     subprocess.run([sys.executable, str(tool), '--check'], check=True)
     listed = re.findall(r'^\| \((\d+)\) \|', PAGES['equations.md'], re.MULTILINE)
     assert set(range(1, 71)) - {int(number) for number in listed} == WITHOUT_CODE
-
-
-def test_given_the_pages_when_the_site_is_built_then_each_is_in_its_contents():
     contents = PAGES['index.md'].split()
     assert [p.stem for p in DOCS.glob('*.md') if p.stem not in contents] == ['index']
-
-
-def test_given_everything_that_stops_or_alarms_when_looked_up_then_the_page_of_alarms_has_it():
     stops = [text.split(':')[0] for text in (*STOP_TEXT.values(), *BRAKE_TEXT.values())]
     rows = [f'`{kind}`' for kind in KINDS] + [state.name for state in SensorState] + stops
     assert [row for row in rows if row and f'| {row}' not in PAGES['alarms.md']] == []
@@ -132,16 +116,12 @@ def tutorial(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_given_the_tutorial_when_designed_then_the_certificate_is_printed_as_shown(tutorial):
+def test_given_the_tutorial_when_run_then_certificate_figures_and_alarm_are_as_printed(tutorial):
     texts = '\n'.join(text for kind, text in BLOCKS if kind == 'text')
     shown = re.findall(r'^holds \(.*?\): (.*)$', texts, re.MULTILINE)
     header = (tutorial[1] / 'gains.yaml').read_text(encoding='utf-8')
     printed = re.findall(r'^# holds \(.*?\): (.*)$', header, re.MULTILINE)
     assert len(shown) == 4 and shown == printed[:4]
-
-
-@pytest.mark.slow
-def test_given_the_tutorials_figures_and_fault_when_recomputed_then_they_are_as_told(tutorial):
     namespace, _ = tutorial
     share = namespace['friction'] / namespace['gravity']
     np.testing.assert_allclose(namespace['gravity'], [18.9, 4.2], atol=0.05)

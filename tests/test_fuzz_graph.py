@@ -21,30 +21,19 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 from test_restart import RESUME, files, rig_on  # noqa: F401
 
-from lpv_msgs import msg
-from lpv_msgs.srv import ClearFaults, InjectFault
+from lpv_msgs import msg, srv
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime, pytest.mark.fuzz]
-
 SECONDS = float(os.environ.get('LPV_FUZZ_SECONDS', '3'))
 SEED = int(os.environ.get('LPV_FUZZ_SEED', '1'))
 BEST_EFFORT = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 NODES = {'uio': 'uio', 'tracker': 'tracker', 'simulator': 'arm_sim', 'view': 'view'}
 """Names in the graph by those of the programs."""
-OUTPUTS = {
-    'state_estimate': msg.StateEstimate,
-    'fault_estimate': msg.FaultEstimate,
-    'torque_command': msg.TorqueCommand,
-    'reference': msg.JointReference,
-}
-INPUTS = {
-    'joint_states': JointState,
-    'fault_alarm': msg.FaultAlarm,
-    'ground_truth': msg.GroundTruth,
-    '/diagnostics': DiagnosticArray,
-    **OUTPUTS,
-}
-SERVICES = {'arm_sim/inject_fault': InjectFault, 'arm_sim/clear_faults': ClearFaults}
+OUTPUTS = {'state_estimate': msg.StateEstimate, 'fault_estimate': msg.FaultEstimate,
+           'torque_command': msg.TorqueCommand, 'reference': msg.JointReference}  # fmt: skip
+INPUTS = {'joint_states': JointState, 'fault_alarm': msg.FaultAlarm, **OUTPUTS,
+          'ground_truth': msg.GroundTruth, '/diagnostics': DiagnosticArray}  # fmt: skip
+SERVICES = {'arm_sim/inject_fault': srv.InjectFault, 'arm_sim/clear_faults': srv.ClearFaults}
 PARAMETERS = ('diagnosis.minimum_threshold', 'compensation', 'arm_file', 'lockstep')
 MEMORY = 150e6
 """Most that a process may grow [byte]."""

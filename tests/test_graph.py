@@ -15,22 +15,18 @@ from test_restart import rig_on
 
 from lpv import AlarmEvent
 from lpv.bag.run.record import load_run
-from lpv.campaign.execution.run_to_bag import write_run_bag
-from lpv.campaign.execution.runs import plan_run
+from lpv.campaign.execution import run_to_bag, runs
 from lpv.campaign.plan.campaign import resolve
 from lpv.core.uio.certificate.gains import save_gains
 from lpv_arm_sim.node import SimulatorNode
-from lpv_msgs.msg import FaultAlarm, StateEstimate
-from lpv_msgs.srv import ClearFaults, InjectFault
-from lpv_node.managed import run_node
-from lpv_node.qos import latched
+from lpv_msgs import msg, srv
+from lpv_node import managed, qos
 from lpv_node.recorder.node import RecorderNode
 from lpv_node.view.node import ViewNode
 from lpv_tracker.node import TrackerNode
 from lpv_uio.node import UioNode
 
 pytestmark = pytest.mark.ros
-
 PAPER = {'arm': BRINGUP / 'arms' / 'paper.yaml', 'gains': BRINGUP / 'gains' / 'paper.yaml'}
 ARM = f'-p arm_file:={PAPER["arm"]}'
 SCENARIO = f'{ARM} -p scenario_file:='
@@ -49,8 +45,8 @@ def test_given_a_graph_when_a_fault_is_injected_then_the_alarm_is_on_topic_and_i
         rig.start('recorder')
         rig.start('uio', 'tracker', 'simulator', parameters=['await_recorders:=1'])
         client = rig.client
-        alarms = client.listen(FaultAlarm, 'fault_alarm', latched())
-        states = client.listen(StateEstimate, 'state_estimate', qos_profile_sensor_data)
+        alarms = client.listen(msg.FaultAlarm, 'fault_alarm', qos.latched())
+        states = client.listen(msg.StateEstimate, 'state_estimate', qos_profile_sensor_data)
         reports = client.listen(DiagnosticArray, '/diagnostics', 10)
 
         def errors():
@@ -58,18 +54,18 @@ def test_given_a_graph_when_a_fault_is_injected_then_the_alarm_is_on_topic_and_i
 
         assert client.wait(lambda: len(states) > 100), 'no estimates'
         fault = {'sensor': 'link2_angle', 'kind': 'bias', 'size': 0.3}
-        answer = client.call(InjectFault, 'arm_sim/inject_fault', **fault)
+        answer = client.call(srv.InjectFault, 'arm_sim/inject_fault', **fault)
         assert answer.success, answer.message
         assert client.wait(lambda: alarms), 'no alarm'
         assert client.wait(errors)
-        cleared = client.call(ClearFaults, 'arm_sim/clear_faults', sensor='')
+        cleared = client.call(srv.ClearFaults, 'arm_sim/clear_faults', sensor='')
         assert (cleared.success, cleared.cleared) == (True, 1)
-        assert client.wait(lambda: alarms[-1].event == FaultAlarm.CLEARED), 'not cleared'
+        assert client.wait(lambda: alarms[-1].event == msg.FaultAlarm.CLEARED), 'not cleared'
         for name in ('uio', 'tracker', 'arm_sim', 'recorder'):
             assert_described(client, name)
         ros.end(rig.running)
     raised = alarms[0]
-    assert (raised.event, raised.sensor) == (FaultAlarm.RAISED, 'link2_angle')
+    assert (raised.event, raised.sensor) == (msg.FaultAlarm.RAISED, 'link2_angle')
     assert raised.size == pytest.approx(0.3, abs=0.1)
     said = {s.hardware_id: s.message for s in errors() if '/uio:' in s.name}
     assert said.keys() == {'link2_angle'}, said
@@ -97,28 +93,25 @@ def assert_described(client, name):
             assert limits.from_value < limits.to_value, d.name
 
 
-@pytest.mark.parametrize(
-    ('kind', 'words', 'told'),
-    [
-        (UioNode, '', 'arm_file: must be set'),
-        (UioNode, '-p arm_file:=/nowhere.yaml', 'nowhere.yaml'),
-        (UioNode, f'-p arm_file:={BRINGUP / "arms" / "real_arm.yaml"}', 'for another arm'),
-        (UioNode, f'{ARM} -p torque_source:=guess', 'torque_source'),
-        (UioNode, '-p broken', '--ros-args: '),
-        (UioNode, '--nix', '--ros-args: '),
-        (UioNode, '--params-file /nowhere/gains.yaml', f'{NOWHERE}are written by: lpv design'),
-        (UioNode, f'{ARM} {WRONG}', 'the certificate does not hold: observer, link 1'),
-        (TrackerNode, f'{SCENARIO}two_faults {WRONG}', 'does not hold: observer, link 1'),
-        (TrackerNode, f'{SCENARIO}/nowhere.yaml', 'nowhere.yaml'),
-        (SimulatorNode, ARM, 'scenario_file: must be set'),
-        (RecorderNode, '-p output:=/proc/nothing/bag', 'cannot be written'),
-        (RecorderNode, f'-p output:=bag -p gains_file:={PAPER["arm"]}', 'not a gains file'),
-        (ViewNode, f'{ARM} -p port:=70000', 'port'),
-        (ViewNode, '', 'arm_file: must be set'),
-        (ViewNode, f'{SCENARIO}/no/x.yaml', 'neither a file nor shipped'),
-        (ViewNode, f'{ARM} -p address:=192.0.2.1 -p port:=0', 'cannot listen on 192.0.2.1'),
-    ],
-)
+@pytest.mark.parametrize(('kind', 'words', 'told'), [
+    (UioNode, '', 'arm_file: must be set'),
+    (UioNode, '-p arm_file:=/nowhere.yaml', 'nowhere.yaml'),
+    (UioNode, f'-p arm_file:={BRINGUP / "arms" / "real_arm.yaml"}', 'for another arm'),
+    (UioNode, f'{ARM} -p torque_source:=guess', 'torque_source'),
+    (UioNode, '-p broken', '--ros-args: '),
+    (UioNode, '--nix', '--ros-args: '),
+    (UioNode, '--params-file /nowhere/gains.yaml', f'{NOWHERE}are written by: lpv design'),
+    (UioNode, f'{ARM} {WRONG}', 'the certificate does not hold: observer, link 1'),
+    (TrackerNode, f'{SCENARIO}two_faults {WRONG}', 'does not hold: observer, link 1'),
+    (TrackerNode, f'{SCENARIO}/nowhere.yaml', 'nowhere.yaml'),
+    (SimulatorNode, ARM, 'scenario_file: must be set'),
+    (RecorderNode, '-p output:=/proc/nothing/bag', 'cannot be written'),
+    (RecorderNode, f'-p output:=bag -p gains_file:={PAPER["arm"]}', 'not a gains file'),
+    (ViewNode, f'{ARM} -p port:=70000', 'port'),
+    (ViewNode, '', 'arm_file: must be set'),
+    (ViewNode, f'{SCENARIO}/no/x.yaml', 'neither a file nor shipped'),
+    (ViewNode, f'{ARM} -p address:=192.0.2.1 -p port:=0', 'cannot listen on 192.0.2.1'),
+])  # fmt: skip
 @pytest.mark.usefixtures('signals_as_before')
 def test_given_a_node_that_cannot_start_when_run_then_it_says_why_and_ends_with_code_1(
     tmp_path, capfd, monkeypatch, paper_gains, kind, words, told
@@ -129,7 +122,7 @@ def test_given_a_node_that_cannot_start_when_run_then_it_says_why_and_ends_with_
     given = ['--ros-args', *words.split()]
     if kind in (UioNode, TrackerNode) and '--params-file' not in words:
         given += ['--params-file', str(PAPER['gains'])]
-    assert run_node(kind, given) == 1
+    assert managed.run_node(kind, given) == 1
     said = capfd.readouterr().err
     assert told in said and 'Traceback' not in said, said
     assert [path.name for path in tmp_path.iterdir()] == ['wrong.yaml'], 'no bag'
@@ -171,10 +164,10 @@ def run_graph(folder, files):
 
 def test_given_a_run_of_a_campaign_when_the_graph_runs_it_then_it_is_that(paper_gains, tmp_path):
     save_gains(paper_gains, tmp_path / 'gains.yaml')
-    plan = plan_run(resolve(SPEC, 'spec', tmp_path), 2)
+    plan = runs.plan_run(resolve(SPEC, 'spec', tmp_path), 2)
     run, files = plan.simulate(), tmp_path / 'run'
     assert run.safe_stop.any()
-    write_run_bag(plan, run, files)
+    run_to_bag.write_run_bag(plan, run, files)
     record = load_run(run_graph(tmp_path, files))
     first = load_run(files)
     assert record.streams.keys() >= set(STREAMS)

@@ -111,7 +111,7 @@ def requirements(name):
     return {line for line in lines if line and not line.startswith(('#', '-'))}
 
 
-def test_given_libraries_when_installed_by_setup_or_by_pip_then_ranges_are_the_same():
+def test_given_libraries_and_manifests_when_compared_then_ranges_and_needs_are_named():
     data = (ROOT / 'pyproject.toml').read_text()
     base = re.search(r'^dependencies = \[(.*?)\]$', data, re.MULTILINE | re.DOTALL)[1]
     extras = re.search(r'^\[project.optional-dependencies\]\n(.*?)\n\n', data, re.M | re.DOTALL)[1]
@@ -122,9 +122,6 @@ def test_given_libraries_when_installed_by_setup_or_by_pip_then_ranges_are_the_s
     libraries = {re.match(r'[\w-]+', r).group() for r in requirements('base') | extras}
     assert set(PYPI.values()) - libraries == {'foxglove-sdk'}
     assert any(r.startswith('foxglove-sdk') for r in requirements('extras'))
-
-
-def test_given_the_manifests_when_packages_are_built_and_launched_then_what_they_need_is_named():
     roots = {package.name: ElementTree.parse(package / 'package.xml') for package in FOLDERS}
     declared = {name: {e.text for e in root.getroot()} for name, root in roots.items()}
     graph = {name: (declared.keys() & needed) - {name} for name, needed in declared.items()}
@@ -135,9 +132,7 @@ def test_given_the_manifests_when_packages_are_built_and_launched_then_what_they
 
 @pytest.mark.slow
 @pytest.mark.parametrize(('options', 'code'), [((), 0), (('-o', 'addopts='), 3)])
-def test_given_pytest_plugins_of_a_ros2_when_found_then_options_save_us(
-    tmp_path, monkeypatch, options, code
-):
+def test_given_plugins_of_a_ros2_then_options_save_us(tmp_path, monkeypatch, options, code):
     (tmp_path / 'old_plugin.py').write_text('def pytest_pycollect_makemodule(path, parent): pass\n')
     info = tmp_path / 'launch_testing-3.7.1.dist-info'
     info.mkdir()

@@ -20,7 +20,6 @@ from lpv.core.support.errors import LpvError
 
 SECONDS = float(os.environ.get('LPV_FUZZ_SECONDS', 0))
 """How long each fuzzer runs; 0 for the fixed number of cases of a test run [s]."""
-
 SCALARS = (
     '1e400', '-1e400', '.inf', '-.inf', '.nan', '1e308', '-1e-320', '9' * 400, '-' + '9' * 400,
     '9' * 5000, '0x' + 'f' * 5000, '0b2', '0o9', '1:60:60', '1_0', '0', '-0.0', '1', '-1', 'true',

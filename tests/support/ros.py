@@ -20,7 +20,6 @@ _WORKERS = int(os.environ.get('PYTEST_XDIST_WORKER_COUNT', '1'))
 _WORKER = int(os.environ.get('PYTEST_XDIST_WORKER', 'gw0')[2:])
 _START = _WORKER + (os.getppid() if _WORKERS > 1 else os.getpid())
 _DOMAINS = (1 + (_START + _WORKERS * k) % 100 for k in itertools.count())
-
 PACKAGES = {'recorder': 'lpv_node', 'simulator': 'lpv_arm_sim', 'view': 'lpv_node'}
 """Of the nodes whose packages are not called after them."""
 

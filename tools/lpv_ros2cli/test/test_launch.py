@@ -41,16 +41,13 @@ def parameters(program):
     return {name: yaml.safe_load(value) for name, value in pairs}
 
 
-@pytest.mark.parametrize(
-    ('given', 'scenario'),
-    [
-        ({'arm': 'paper'}, 'two_faults'),
-        ({'arm': 'real_arm'}, 'real_arm'),
-        ({'arm': 'ur10'}, 'ur10'),
-        ({'arm': '../my arm.yaml', 'scenario': '/x/s.yaml'}, '/x/s.yaml'),
-        ({'arm_file': '../my arm.yaml', 'scenario_file': '/x/s.yaml'}, '/x/s.yaml'),
-    ],
-)
+@pytest.mark.parametrize(('given', 'scenario'), [
+    ({'arm': 'paper'}, 'two_faults'),
+    ({'arm': 'real_arm'}, 'real_arm'),
+    ({'arm': 'ur10'}, 'ur10'),
+    ({'arm': '../my arm.yaml', 'scenario': '/x/s.yaml'}, '/x/s.yaml'),
+    ({'arm_file': '../my arm.yaml', 'scenario_file': '/x/s.yaml'}, '/x/s.yaml'),
+])  # fmt: skip
 def test_given_an_arm_when_launched_then_nodes_get_its_scenario_and_gains(given, scenario):
     arm, *_ = given.values()
     found = programs(FILES['pipeline'], **given)
@@ -98,22 +95,19 @@ def test_given_the_launch_files_when_their_arguments_are_shown_then_each_is_desc
     assert "Valid choices are: ['realtime', 'lockstep']" in text
 
 
-@pytest.mark.parametrize(
-    ('text', 'told'),
-    [
-        (f'{NODE} nmae="x"/>', "<node uio>: attribute 'nmae' is not covered"),
-        ('<node pkg="lpv_uio"/>', "'exec' of <node> is missing"),
-        ('<group><param/></group>', '<param>: is not covered by this ros2 in <group>'),
-        (f'{NODE} name="$(var nix)"/>', 'does not exist'),
-        (f'{NODE} name="$(var"/>', 'is not closed'),
-        (f'{NODE} if="maybe"/>', 'must be true or false'),
-        ('<arg name="a"/>', 'required launch argument: give a:='),
-        ('<arg name="a" default="3"><choice value="1"/></arg>', 'one of 1; got'),
-        ('<include file="/nowhere.launch.xml"/>', 'nowhere.launch.xml cannot be read'),
-        ('<include file="$(dirname)/some.launch.xml"/>', 'included by itself'),
-        ('<let name="a" value="$(eval \'__import__(1)\')"/>', 'is not covered'),
-    ],
-)
+@pytest.mark.parametrize(('text', 'told'), [
+    (f'{NODE} nmae="x"/>', "<node uio>: attribute 'nmae' is not covered"),
+    ('<node pkg="lpv_uio"/>', "'exec' of <node> is missing"),
+    ('<group><param/></group>', '<param>: is not covered by this ros2 in <group>'),
+    (f'{NODE} name="$(var nix)"/>', 'does not exist'),
+    (f'{NODE} name="$(var"/>', 'is not closed'),
+    (f'{NODE} if="maybe"/>', 'must be true or false'),
+    ('<arg name="a"/>', 'required launch argument: give a:='),
+    ('<arg name="a" default="3"><choice value="1"/></arg>', 'one of 1; got'),
+    ('<include file="/nowhere.launch.xml"/>', 'nowhere.launch.xml cannot be read'),
+    ('<include file="$(dirname)/some.launch.xml"/>', 'included by itself'),
+    ('<let name="a" value="$(eval \'__import__(1)\')"/>', 'is not covered'),
+])  # fmt: skip
 def test_given_a_wrong_launch_file_when_launched_then_one_line_says_why(tmp_path, text, told):
     path = tmp_path / 'some.launch.xml'
     path.write_text(f'<launch>{text}</launch>')
@@ -143,7 +137,7 @@ def test_given_programs_that_print_at_once_when_run_then_no_line_is_within_anoth
     assert len(text.splitlines()) == 1500 + 2 * 3  # starts and ends
 
 
-def test_given_processes_that_end_when_run_then_lines_and_ends_are_told():
+def test_given_processes_when_they_end_then_it_is_told_and_they_start_again_if_asked():
     with processes(('echo one; echo two >&2', {}), ('exit 3', {})) as launch:
         code, text = launch.end()
     assert code == 1
@@ -153,9 +147,6 @@ def test_given_processes_that_end_when_run_then_lines_and_ends_are_told():
     with processes(('exec sleep 600', {}), ('exit 2', {'ends_all': True})) as launch:
         code, text = launch.end()
     assert code == 1 and 'p-1 has ended: shutting down' in text
-
-
-def test_given_a_process_that_is_respawned_when_it_ends_then_it_starts_again():
     with processes(('echo turn; exit 1', {'respawn': True, 'respawn_delay': 0.05})) as launch:
         for _ in range(3):
             launch.until('turn')

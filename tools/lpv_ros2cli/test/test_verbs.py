@@ -23,8 +23,7 @@ from sensor_msgs.msg import Imu, JointState  # noqa: E402
 from std_msgs.msg import String, UInt8MultiArray  # noqa: E402
 
 from lpv_msgs.srv import InjectFault  # noqa: E402
-from lpv_ros2cli import messages  # noqa: E402
-from lpv_ros2cli.command_line import CliError  # noqa: E402
+from lpv_ros2cli import command_line, messages  # noqa: E402
 from lpv_ros2cli.main import main  # noqa: E402
 
 
@@ -36,20 +35,17 @@ def test_given_the_parser_when_built_then_nothing_heavy_is_imported():
     assert subprocess.check_output([sys.executable, '-c', code]) == b'set()\n'
 
 
-@pytest.mark.parametrize(
-    ('words', 'told'),
-    [
-        (('run', 'lpv_uio', 'nix'), "has no program 'nix', only: uio"),
-        (('launch', 'lpv_nix', 'x.launch.xml'), "package 'lpv_nix': is not installed"),
-        (('launch', 'lpv_bringup', 'nix.launch.xml'), 'name a launch file .* pipeline.launch.xml'),
-        (('launch', 'lpv_bringup', 'pipeline.launch.xml', 'arm'), 'malformed launch argument'),
-        (('service', 'call', '/x', 'std_srvs/srv/Nix'), 'is not installed'),
-        (('service', 'call', '/x', 'lpv_msgs/srv/InjectFault', '{szie: 1}'), 'has no field szie'),
-        (('param', 'set', '/x', 'y', '"'), 'not valid YAML'),
-        (('bag', 'info', '/nowhere'), 'cannot be read'),
-        (('bag', 'record'), 'what is to be recorded'),
-    ],
-)
+@pytest.mark.parametrize(('words', 'told'), [
+    (('run', 'lpv_uio', 'nix'), "has no program 'nix', only: uio"),
+    (('launch', 'lpv_nix', 'x.launch.xml'), "package 'lpv_nix': is not installed"),
+    (('launch', 'lpv_bringup', 'nix.launch.xml'), 'name a launch file .* pipeline.launch.xml'),
+    (('launch', 'lpv_bringup', 'pipeline.launch.xml', 'arm'), 'malformed launch argument'),
+    (('service', 'call', '/x', 'std_srvs/srv/Nix'), 'is not installed'),
+    (('service', 'call', '/x', 'lpv_msgs/srv/InjectFault', '{szie: 1}'), 'has no field szie'),
+    (('param', 'set', '/x', 'y', '"'), 'not valid YAML'),
+    (('bag', 'info', '/nowhere'), 'cannot be read'),
+    (('bag', 'record'), 'what is to be recorded'),
+])  # fmt: skip
 def test_given_what_is_not_there_when_asked_for_then_one_line_says_so(capsys, words, told):
     assert main(list(words)) == 1
     errors = capsys.readouterr().err
@@ -83,20 +79,17 @@ def test_given_yaml_when_a_message_is_filled_then_values_take_the_fields_types()
     assert yaml.safe_load(messages.to_yaml(String(data='x' * 200)))['data'] == 'x' * 128 + '...'
 
 
-@pytest.mark.parametrize(
-    ('kind', 'text', 'told'),
-    [
-        (InjectFault.Request, '[1, 2]', 'takes its fields'),
-        (InjectFault.Request, '{size: large}', 'field size takes double'),
-        (InjectFault.Request, '!!python/object/apply:os.system [ls]', 'not valid YAML'),
-        (JointState, '{header: 3}', 'header takes its fields'),
-        (JointState, '{header: {stamp: {sec: 1.5}}}', 'field sec takes int32'),
-        (JointState, '{position: [1.0, x]}', 'field position takes sequence<double>'),
-        (Imu, '{orientation_covariance: [1.0]}', r'takes double\[9\]'),
-    ],
-)
+@pytest.mark.parametrize(('kind', 'text', 'told'), [
+    (InjectFault.Request, '[1, 2]', 'takes its fields'),
+    (InjectFault.Request, '{size: large}', 'field size takes double'),
+    (InjectFault.Request, '!!python/object/apply:os.system [ls]', 'not valid YAML'),
+    (JointState, '{header: 3}', 'header takes its fields'),
+    (JointState, '{header: {stamp: {sec: 1.5}}}', 'field sec takes int32'),
+    (JointState, '{position: [1.0, x]}', 'field position takes sequence<double>'),
+    (Imu, '{orientation_covariance: [1.0]}', r'takes double\[9\]'),
+])  # fmt: skip
 def test_given_yaml_that_does_not_fit_when_filled_in_then_the_field_is_named(kind, text, told):
-    with pytest.raises(CliError, match=told):
+    with pytest.raises(command_line.CliError, match=told):
         messages.from_yaml(kind, text)
 
 
@@ -143,12 +136,18 @@ def out(ros2):
 
 
 @pytest.mark.ros
-def test_given_a_graph_when_listed_then_nodes_topics_and_services_are_there(out):
+def test_given_a_graph_when_listed_or_called_then_what_is_there_answers(out, ros2):
     assert out('node', 'list') == '/lpv/arm\n'
     assert '/lpv/joints [sensor_msgs/msg/JointState]\n' in out('topic', 'list', '-t')
     assert '/lpv/inject\n' in out('service', 'list')
     text = out('topic', 'info', '/lpv/joints')
     assert text == 'Type: sensor_msgs/msg/JointState\nPublisher count: 1\nSubscription count: 0\n'
+    kind = 'lpv_msgs/srv/InjectFault'
+    text = out('service', 'call', '/lpv/inject', kind, '{sensor: elbow, size: 1}')
+    assert 'requester: making request: lpv_msgs.srv.InjectFault_Request(sensor=' in text
+    assert "response:\nlpv_msgs.srv.InjectFault_Response(success=True, message='elbow'" in text
+    code, _, errors = ros2('service', 'call', '/lpv/inject', 'std_srvs/srv/Empty')
+    assert (code, errors) == (1, f"service '/lpv/inject' is of type {kind}\n")
 
 
 @pytest.mark.ros
@@ -164,17 +163,7 @@ def test_given_a_topic_when_echoed_then_messages_are_yaml_and_rates_come_until_i
 
 
 @pytest.mark.ros
-def test_given_a_service_when_called_then_request_and_response_are_shown(out, ros2):
-    kind = 'lpv_msgs/srv/InjectFault'
-    text = out('service', 'call', '/lpv/inject', kind, '{sensor: elbow, size: 1}')
-    assert 'requester: making request: lpv_msgs.srv.InjectFault_Request(sensor=' in text
-    assert "response:\nlpv_msgs.srv.InjectFault_Response(success=True, message='elbow'" in text
-    code, _, errors = ros2('service', 'call', '/lpv/inject', 'std_srvs/srv/Empty')
-    assert (code, errors) == (1, f"service '/lpv/inject' is of type {kind}\n")
-
-
-@pytest.mark.ros
-def test_given_parameters_when_set_then_the_node_says_what_it_takes(out, ros2):
+def test_given_a_node_when_its_parameters_or_state_are_set_then_it_says_what_it_takes(out, ros2):
     assert '  gain\n' in out('param', 'list', '/lpv/arm')
     assert out('param', 'set', '/lpv/arm', 'gain', '2') == 'Set parameter successful\n'
     assert out('param', 'get', '/lpv/arm', 'gain') == 'Double value is: 2.0\n'
@@ -183,10 +172,6 @@ def test_given_parameters_when_set_then_the_node_says_what_it_takes(out, ros2):
     for words in (('get', '/lpv/arm', 'nix'), ('get', '/nix', 'gain')):
         code, _, errors = ros2('param', *words)
         assert (code, errors.count('\n')) == (1, 1)
-
-
-@pytest.mark.ros
-def test_given_a_managed_node_when_its_state_is_changed_then_it_follows(out, ros2):
     assert out('lifecycle', 'get', '/lpv/arm') == 'unconfigured [1]\n'
     assert out('lifecycle', 'set', '/lpv/arm', 'configure') == 'Transitioning successful\n'
     code, _, errors = ros2('lifecycle', 'set', '/lpv/arm', 'configure')
