@@ -1,33 +1,44 @@
 """Gain design: what is infeasible, what is feasible, and that every check can refuse."""
 
 from dataclasses import replace
+from functools import cache
 
 import cvxpy as cp
 import numpy as np
 import pytest
 from scipy.linalg import solve_continuous_are, solve_continuous_lyapunov, solve_discrete_lyapunov
 
-from lpv.core.support.errors import ConfigError
-from lpv.core.support.inequalities import largest_eigenvalue
-from lpv.core.support.resources import bringup_file
-from lpv.core.uio.certificate import conditions, lmi
-from lpv.core.uio.certificate.error_system import link_errors
+from lpv import ConfigError, load_arm
+from lpv.cli.main import main
+from lpv.core.serial_arm.certificate.conditions import require_loop
+from lpv.core.serial_arm.description import Uncertainty
+from lpv.core.support import inequalities, resources
+from lpv.core.uio.certificate import conditions, error_system, lmi
 from lpv.core.uio.certificate.gains import ExactObserverGains, load_gains
 from lpv.core.uio.model.polytope import sinc_box, vertex_matrices
-from lpv_design.controller import check_loop, solve_loop
-from lpv_design.design_flow import design
-from lpv_design.exact_observer import ExactRequirement, solve_exact
+from lpv.core.uio.planar import planar_model
+from lpv_design import controller, design_flow, exact_observer, serial_loop
 from lpv_design.paper_observer import check_paper, paper_problem, solve_paper, undetectable_point
 from lpv_design.requirement import PaperRequirement, load_requirement
 from lpv_design.solve import InfeasibleError, solve, symmetric_below
 
-PUBLISHED = np.array(
-    [
-        [-4426.747411, -0.001668, -420.832109, -0.000786, 13268.9910017, -0.0171864],
-        [0.003075, -1440.412948, -0.000361, -145.310838, -0.0312571, 3932.6833916],
-    ]
-)
+PUBLISHED = np.array([
+    [-4426.747411, -0.001668, -420.832109, -0.000786, 13268.9910017, -0.0171864],
+    [0.003075, -1440.412948, -0.000361, -145.310838, -0.0312571, 3932.6833916],
+])  # fmt: skip
 """(M1, M2) of section 5 of the paper."""
+
+
+@pytest.fixture(params=['paper_model', 'real_model'])
+def arm(request):
+    """Both shipped planar arms in turn, as designs take them."""
+    return request.getfixturevalue(request.param)
+
+
+@cache
+def designed(name):
+    """Gains of a shipped requirement; tests of other packages take the shipped ones."""
+    return design_flow.design(planar_model(load_arm(name)), load_requirement(name)).gains
 
 
 def common_lyapunov(loop, m, alpha):
@@ -62,15 +73,14 @@ def test_given_boxes_when_searched_then_those_with_zero_hold_an_undetectable_poi
     np.testing.assert_allclose(vector, expected, atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    ('lmi_name', 's_min', 'gamma'),
-    [
-        *[('55', -0.2, gamma) for gamma in (1.0, None, 1000.0)],
-        ('54+disc', -0.2, 1.0),
-        # Less than the smallest gamma of a smaller box.
-        *[('55', 0.95, 0.98), ('55', 0.5, 100.0), ('54+disc', 0.8, 0.26)],
-    ],
-)
+NO_SOLUTION = [
+    *[('55', -0.2, 1.0), ('55', -0.2, None), ('55', -0.2, 1000.0), ('54+disc', -0.2, 1.0)],
+    # Less than the smallest gamma of a smaller box.
+    *[('55', 0.95, 0.98), ('55', 0.5, 100.0), ('54+disc', 0.8, 0.26)],
+]
+
+
+@pytest.mark.parametrize(('lmi_name', 's_min', 'gamma'), NO_SOLUTION)
 def test_given_no_solution_when_solved_then_nothing_passes(paper_model, lmi_name, s_min, gamma):
     problem = paper_problem(paper_model, s_min)
     k, p, found, status = solve_paper(problem, lmi_name, gamma)
@@ -113,11 +123,6 @@ def test_given_no_lyapunov_matrix_or_wrong_poles_when_checked_then_they_are_refu
     assert all(check_paper(problem, k, 0.0 * p, 1.2, name) >= 0.0 for name in names)
 
 
-def test_given_a_matrix_when_its_largest_eigenvalue_is_asked_then_the_symmetric_part_decides():
-    assert largest_eigenvalue([[-1.0, 100.0], [-100.0, -2.0]]) == pytest.approx(-1.0)
-    assert largest_eigenvalue([[-1.0, 3.0], [3.0, -1.0]]) == pytest.approx(2.0)
-
-
 def schur_system():
     rng = np.random.default_rng(6)
     n = rng.normal(size=(6, 6))
@@ -136,30 +141,24 @@ def test_given_a_system_when_54_is_solved_by_its_riccati_equation_then_gamma_is_
     p = solve_continuous_are(n, b, 1.0001 * np.eye(6), -(gamma**2) * np.eye(3))
     for bound, holds in ((gamma, True), (0.9 * norm, False)):
         block = lmi.bounded_real(p @ n, p @ b_d, p @ b_f, bound**2)
-        assert (largest_eigenvalue(block) < 0.0) == holds
+        assert (inequalities.largest_eigenvalue(block) < 0.0) == holds
 
 
 def test_given_a_system_then_disc_and_covariance_inequalities_hold_just_if_they_should():
     (n, _, _), q = schur_system(), 8.0
     reach = np.abs(np.linalg.eigvals(n) + q).max()
     p = solve_discrete_lyapunov((n + q * np.eye(6)).T / (1.01 * reach), np.eye(6))
-    assert largest_eigenvalue(lmi.disc(p, p @ n, q, 1.01 * reach)) < 0.0
+    assert inequalities.largest_eigenvalue(lmi.disc(p, p @ n, q, 1.01 * reach)) < 0.0
     for half in np.random.default_rng(1).normal(size=(20, 6, 6)):
         p = half @ half.T
-        assert largest_eigenvalue(lmi.disc(p, p @ n, q, 0.99 * reach)) > 0.0
+        assert inequalities.largest_eigenvalue(lmi.disc(p, p @ n, q, 0.99 * reach)) > 0.0
     n, b, _ = schur_system()
     gramian = solve_continuous_lyapunov(n, -b @ b.T - 1e-3 * np.eye(6))
     for share, holds in ((1.0, True), (0.9, False)):
         p = np.linalg.inv(share * gramian)
-        assert (largest_eigenvalue(lmi.covariance(p @ n, p @ b)) < 0.0) == holds
-
-
-def test_given_the_published_gains_when_checked_then_67_holds_with_alpha_2_everywhere(paper_model):
-    loop = conditions.controller_loop(paper_model, 'paper')
-    assert len(loop[0]) == 8
-    q = common_lyapunov(loop, PUBLISHED, 2.0)
-    assert check_loop(loop, PUBLISHED, q, 2.0) < 0.0
-    assert check_loop(loop, PUBLISHED, q, 20.0) > 0.0
+        assert (inequalities.largest_eigenvalue(lmi.covariance(p @ n, p @ b)) < 0.0) == holds
+    assert inequalities.largest_eigenvalue([[-1.0, 100.0], [-100.0, -2.0]]) == pytest.approx(-1.0)
+    assert inequalities.largest_eigenvalue([[-1.0, 3.0], [3.0, -1.0]]) == pytest.approx(2.0)
 
 
 @pytest.mark.parametrize(('method', 'vertices'), [('paper', 8), ('exact', 16)])
@@ -167,28 +166,29 @@ def test_given_both_loops_when_designed_then_67_holds_and_not_if_spoilt(arm, met
     wanted = load_requirement(arm.name).controller
     loop = conditions.controller_loop(arm, method)
     assert len(loop[0]) == len(loop[1]) == vertices
-    m, q, _ = solve_loop(arm, loop, wanted)
-    assert check_loop(loop, m, q, wanted.alpha) < 0.0
+    m, q, _ = controller.solve_loop(arm, loop, wanted)
+    assert controller.check_loop(loop, m, q, wanted.alpha) < 0.0
     for a, b in zip(*loop):
         poles = np.linalg.eigvals(a + b @ m)
         assert poles.real.max() < -wanted.alpha
         assert np.abs(poles).max() < wanted.fastest
     backwards = m * [[1, 1, 1, 1, -1, -1]]  # the integrator the wrong way
     for spoilt in ((-m, q), (backwards, q), (0.0 * m, q), (m, -q), (m, np.eye(6))):
-        assert check_loop(loop, *spoilt, wanted.alpha) > 0.0
+        assert controller.check_loop(loop, *spoilt, wanted.alpha) > 0.0
 
 
-def test_given_vertices_when_augmented_then_eq_64_holds(paper_model):
+def test_given_the_published_loop_when_augmented_then_eqs_64_and_67_hold(paper_model):
     a, b = vertex_matrices(sinc_box(-0.2), paper_model.constants(coriolis=False))
     a_c, b_c = conditions.augment(a, b)
     for i in range(8):
         whole = np.block([[a[i], np.zeros((4, 2))], [-np.eye(2, 4), np.zeros((2, 2))]])
         np.testing.assert_array_equal(a_c[i], whole)
         np.testing.assert_array_equal(b_c[i], np.vstack([b[i], np.zeros((2, 2))]))
-
-
-def failing(arm, gains):
-    return [check.name for check in conditions.verify(arm, gains) if not check.holds]
+    loop = conditions.controller_loop(paper_model, 'paper')
+    assert len(loop[0]) == 8
+    q = common_lyapunov(loop, PUBLISHED, 2.0)
+    assert controller.check_loop(loop, PUBLISHED, q, 2.0) < 0.0
+    assert controller.check_loop(loop, PUBLISHED, q, 20.0) > 0.0
 
 
 def assert_same_gains(found, wanted):
@@ -196,28 +196,28 @@ def assert_same_gains(found, wanted):
     np.testing.assert_allclose(found, wanted, rtol=0.0, atol=1e-3 * np.abs(wanted).max())
 
 
-def test_given_requirements_when_designed_then_gains_are_the_shipped_ones(arm, gains_of):
-    found, shipped = gains_of[arm.name], load_gains(bringup_file('gains', arm.name))
+def test_given_requirements_when_designed_then_gains_are_the_shipped_ones(arm):
+    found, shipped = designed(arm.name), load_gains(resources.bringup_file('gains', arm.name))
     for part, names in (('observer', ('kappa', 'mu')), ('controller', ('m1', 'm2'))):
         for name in names:
             wanted = getattr(getattr(shipped, part), name)
             assert_same_gains(getattr(getattr(found, part), name), wanted)
-    assert failing(arm, found) == []
+    conditions.require(arm, found)
 
 
 @pytest.mark.parametrize('cos_min', [0.3, 0.15, 0.05])
 def test_given_a_large_region_when_designed_at_decay_2_then_it_is_certified(paper_model, cos_min):
     arm = replace(paper_model, cos_min=(cos_min, cos_min))
     wanted = replace(load_requirement('paper').observer, decay=2.0, fastest=60.0 * 0.3 / cos_min)
-    kappa, mu, p, _ = solve_exact(arm, wanted)
+    kappa, mu, p, _ = exact_observer.solve_exact(arm, wanted)
     sampled = replace(arm, sample_time=min(0.002, 0.2 / wanted.fastest))
     observer = ExactObserverGains(kappa, mu, p, 2.0, wanted.fastest, np.ones(2))
     assert all(check.holds for check in conditions.exact_observer_checks(sampled, observer))
 
 
-def test_given_any_slope_when_tried_then_poles_and_deviation_are_as_certified(arm, gains_of):
-    observer, wanted = gains_of[arm.name].observer, load_requirement(arm.name).observer
-    for link, p in zip(link_errors(arm), observer.lyapunov):
+def test_given_any_slope_when_tried_then_poles_and_deviation_are_as_certified(arm):
+    observer, wanted = designed(arm.name).observer, load_requirement(arm.name).observer
+    for link, p in zip(error_system.link_errors(arm), observer.lyapunov):
         kappa, mu = observer.kappa[link.index], observer.mu[link.index]
         bound, worst = link.unit**2 * np.linalg.inv(p)[0, 0], 0.0
         gain = -np.array([[kappa * link.inertia], [mu]])
@@ -233,27 +233,21 @@ def test_given_any_slope_when_tried_then_poles_and_deviation_are_as_certified(ar
         assert 0.1 * bound < worst <= bound
 
 
-def test_given_a_box_that_is_too_large_when_designed_then_the_refusal_says_why(paper_model):
-    wanted = replace(load_requirement('paper_literal'), observer=PaperRequirement(sinc_min=0.9))
-    with pytest.raises(InfeasibleError, match=r'LMI \(55\) with gamma = 1 has no solution'):
-        design(paper_model, wanted)
-
-
 @pytest.mark.slow
 def test_given_too_large_a_sample_time_when_designed_then_the_loop_is_limited(paper_model):
     requirement = load_requirement('paper')
     slow = replace(paper_model, sample_time=0.02)
-    result = design(slow, requirement)
+    result = design_flow.design(slow, requirement)
     assert 'instead of 60/s, which the sample time 0.02 s cannot carry' in result.lines[0]
     assert all(check.holds for check in conditions.verify(slow, result.gains))
     eager = replace(requirement.controller, alpha=30.0)
     with pytest.raises(InfeasibleError, match='alpha = 30/s is faster than the sample time'):
-        design(slow, replace(requirement, controller=eager))
+        design_flow.design(slow, replace(requirement, controller=eager))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize('factor', [0.01, 100.0])
-def test_given_all_noise_scaled_then_only_deviations_scale(paper_model, paper_gains, factor):
+def test_given_all_noise_scaled_then_only_deviations_scale(paper_model, factor):
     requirement = load_requirement('paper')
     scaled = {n: factor * getattr(paper_model, n) for n in ('position_noise', 'velocity_noise')}
     variance = factor**2 * paper_model.disturbance_variance
@@ -261,27 +255,78 @@ def test_given_all_noise_scaled_then_only_deviations_scale(paper_model, paper_ga
     wanted = requirement.observer
     noise = tuple(factor * v for v in wanted.acceleration_noise)
     asked = replace(wanted, acceleration_noise=noise, rate_noise=factor * wanted.rate_noise)
-    found = design(quiet, replace(requirement, observer=asked)).gains.observer
-    assert_same_gains(found.kappa, paper_gains.observer.kappa)
-    assert_same_gains(found.fault_sigma, factor * paper_gains.observer.fault_sigma)
+    found = design_flow.design(quiet, replace(requirement, observer=asked)).gains.observer
+    shipped = designed('paper').observer
+    assert_same_gains(found.kappa, shipped.kappa)
+    assert_same_gains(found.fault_sigma, factor * shipped.fault_sigma)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize('factor', [1e-3, 1e3])
-def test_given_all_masses_scaled_when_designed_then_so_are_gains(paper_model, paper_gains, factor):
+def test_given_all_masses_scaled_when_designed_then_so_are_gains(paper_model, factor):
+    shipped = designed('paper')
     heavy = paper_model.scaled((factor, factor), (factor, factor))
-    found = design(heavy, load_requirement('paper')).gains
-    assert_same_gains(factor * found.observer.kappa, paper_gains.observer.kappa)
-    expected, limit = factor * paper_gains.controller.m1, np.abs(paper_gains.controller.m1).max()
+    found = design_flow.design(heavy, load_requirement('paper')).gains
+    assert_same_gains(factor * found.observer.kappa, shipped.observer.kappa)
+    expected, limit = factor * shipped.controller.m1, np.abs(shipped.controller.m1).max()
     np.testing.assert_allclose(found.controller.m1, expected, rtol=1e-2, atol=1e-3 * factor * limit)
 
 
-def test_given_the_literal_requirement_then_it_is_the_papers(paper_model, literal_gains):
-    assert failing(paper_model, literal_gains) == []
+def test_given_the_literal_requirement_then_it_is_the_papers_and_sharp(paper_model, literal_gains):
+    conditions.require(paper_model, literal_gains)
     requirement = load_requirement('paper_literal')
     assert (requirement.observer.lmi, requirement.observer.gamma) == ('55', 1.0)
     assert (requirement.observer.q, requirement.observer.r) == (20.0, 15.0)
     assert requirement.controller.alpha == 2.0
-    assert isinstance(load_requirement('paper').observer, ExactRequirement)
+    assert isinstance(load_requirement('paper').observer, exact_observer.ExactRequirement)
     with pytest.raises(ConfigError, match='paper, paper_literal, real_arm'):
         load_requirement('nothing')
+    wanted = replace(load_requirement('paper_literal'), observer=PaperRequirement(sinc_min=0.9))
+    with pytest.raises(InfeasibleError, match=r'LMI \(55\) with gamma = 1 has no solution'):
+        design_flow.design(paper_model, wanted)
+
+
+@pytest.fixture(scope='module')
+def short():
+    """The first three joints of the UR10, which carry a load at the elbow's end."""
+    whole = load_arm('ur10')
+    return replace(whole, name='short', joints=whole.joints[:3], tip=(-0.57, 0.0, 0.0))
+
+
+@pytest.fixture(scope='module')
+def found(short):
+    return serial_loop.certify_loop(short, serial_loop.LoopRequest())
+
+
+def test_given_an_arm_when_designed_then_what_is_certified_follows_payload_and_region(short, found):
+    require_loop(short, found.gains)
+    assert any('what limits it' in line for line in found.lines)
+    lighter = replace(short, uncertainty=replace(short.uncertainty, payload=1.0))
+    ratio = serial_loop.model_bounds(lighter).payload / found.gains.model.payload
+    assert ratio == pytest.approx(0.5, rel=0.01)
+    slow = serial_loop.certify_loop(short, serial_loop.LoopRequest(rate_share=0.2)).gains
+    assert slow.rate_share == 0.2 and slow.motion.decay > found.gains.motion.decay
+
+
+@pytest.mark.parametrize(('asked', 'payload', 'told'), [
+    ({'bandwidth': 3.0, 'rate_share': 1.0}, None, 'cannot be certified, .* can'),
+    ({}, 500.0, 'payload 500 kg'),
+    ({'bandwidth': float('nan')}, None, 'must be'),
+    ({'model_error': 0.9}, None, 'must be'),
+])  # fmt: skip
+def test_given_what_cannot_be_certified_when_designed_then_it_is_told(short, asked, payload, told):
+    arm = replace(short, uncertainty=Uncertainty(payload=payload)) if payload else short
+    error = ConfigError if told == 'must be' else InfeasibleError
+    with pytest.raises(error, match=told):
+        serial_loop.certify_loop(arm, serial_loop.LoopRequest(**asked))
+
+
+def test_given_a_serial_arm_when_verified_or_designed_then_all_is_told(capsys, refused, tmp_path):
+    gains = str(resources.bringup_file('gains', 'ur10'))
+    assert main(['verify', gains]) == 0
+    out = capsys.readouterr().out
+    assert 'the certificate holds' in out and 'region: every position, joint rates to' in out
+    for other in ('panda', 'paper'):
+        assert refused('', 'verify', gains, '--arm', other)
+    options = '--arm', 'ur10', '--requirement', 'paper', '--out', tmp_path / 'gains.yaml'
+    assert refused('--requirement', 'design', *options)
