@@ -1,4 +1,4 @@
-"""Arms that are simulated in the tests."""
+"""Arms of the tests: of three joints; a SCARA, a large arm on a linear axis, nine mixed joints."""
 
 from dataclasses import replace
 
@@ -7,6 +7,8 @@ import numpy as np
 from fault_injection import wrong_chain
 from simulated_runs import Run, simulated_run
 
+from lpv import load_arm
+from lpv.core.serial_arm import description as parts
 from lpv.core.serial_arm.description import SerialArm, Uncertainty
 from lpv.core.serial_arm.diagnosis.monitor import SerialMonitor
 
@@ -60,3 +62,71 @@ def watch(arm, run) -> SerialMonitor:
 def without(run, rows) -> Run:
     """A run of which some samples are lost."""
     return Run(*(np.delete(one, rows, axis=0) for one in run))
+
+
+LEVEL, UP, DOWN = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)
+# Place and orientation of the frame, axis, mass, centre of mass, limits of position, rate, torque.
+RAIL = ('rail', (0.0, 0.0, 0.4), LEVEL, (1.0, 0.0, 0.0), 60.0, (0.0, 0.0, 0.1),
+        (-2.0, 2.0), 1.5, 1500.0, 'prismatic')  # fmt: skip
+SCARA = (
+    ('turn_1', (0.0, 0.0, 0.3), LEVEL, UP, 8.0, (0.15, 0.0, 0.0), (-2.5, 2.5), 4.0, 150.0),
+    ('turn_2', (0.35, 0.0, 0.0), LEVEL, UP, 5.0, (0.12, 0.0, 0.0), (-2.5, 2.5), 5.0, 80.0),
+    ('lift', (0.3, 0.0, -0.05), LEVEL, UP, 1.5, (0.0, 0.02, -0.1), (-0.2, 0.0), 0.8, 120.0,
+     'prismatic'),
+    ('turn_3', (0.0, 0.0, -0.02), LEVEL, DOWN, 0.5, (0.01, 0.0, 0.0), (-3.1, 3.1), 8.0, 10.0),
+)  # fmt: skip
+
+
+def _joint(name, place, rpy, axis, mass, center, span, rate, torque, kind='revolute'):
+    center, size = np.array(center), 0.02 * mass * np.diag([1.0, 0.8, 0.6])
+    about = size + mass * (center @ center * np.eye(3) - np.outer(center, center))
+    inertia = about[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
+    turns, slides = (0.5, 0.5, 0.05, 5e-5), (20.0, 15.0, 5.0, 2e-5)
+    viscous, coulomb, rotor, noise = slides if kind == 'prismatic' else turns
+    return parts.SerialJoint(
+        name, place, rpy, axis, parts.LinkInertia.from_vector([mass, *(mass * center), *inertia]),
+        parts.JointFriction(0.0, viscous, coulomb), rotor_inertia=rotor,
+        limits=parts.JointLimits(*span, rate, torque), type=kind,
+        sensors=parts.JointSensors(f'{name}_encoder', noise, 0.0, 'derived'))  # fmt: skip
+
+
+def _floats(values):
+    return tuple(float(value) for value in values)
+
+
+def arm_of(name: str, rows: tuple, tip: tuple[float, float, float]) -> SerialArm:
+    """An arm of joints that are described by rows as above."""
+    joints = tuple(_joint(*row) for row in rows)
+    return SerialArm(name, joints, tip=tip, uncertainty=Uncertainty(0.5, 0.3))
+
+
+def scara() -> SerialArm:
+    """Joints RRPR: the quill turns below its slide."""
+    return arm_of('scara', SCARA, (0.05, 0.0, -0.15))
+
+
+def ur10_on_rail() -> SerialArm:
+    """The shipped UR10 on a horizontal rail, without its last joint: its compiled code serves."""
+    arm = load_arm('ur10')
+    own = {'name': 'ur10_on_rail', 'covariance': None, 'urdf': '', 'locked': ()}
+    joints = (_joint(*RAIL), *arm.joints[:-1])
+    return replace(arm, joints=joints, uncertainty=Uncertainty(0.5, 0.3), **own)
+
+
+def mixed_arm(seed: int = 9, joints: int = 9) -> SerialArm:
+    """Joints of both types in any direction."""
+    rng, rows = np.random.default_rng(seed), []
+    for i in range(joints):
+        axis, turn = rng.normal(size=3), _floats(rng.uniform(-3.0, 3.0, 3))
+        kind = ('revolute', 'prismatic')[i % 3 == 1]
+        span = (-0.5, 0.6) if kind == 'prismatic' else (-2.0, 2.0)
+        rows.append((f'joint{i + 1}', _floats(rng.uniform(-0.4, 0.4, 3)),
+                     turn, _floats(axis / np.linalg.norm(axis)),
+                     float(rng.uniform(0.5, 8.0)), _floats(rng.uniform(-0.2, 0.2, 3)), span, 2.0,
+                     500.0, kind))  # fmt: skip
+    return arm_of('mixed', tuple(rows), (0.1, 0.0, 0.2))
+
+
+def middle(arm: SerialArm) -> np.ndarray:
+    """Positions in the middle of the joints' ranges."""
+    return np.array([0.5 * sum(joint.range) for joint in arm.joints])

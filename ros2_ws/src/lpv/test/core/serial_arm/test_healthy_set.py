@@ -7,19 +7,16 @@ import pytest
 from serial_arms import shoulder_arm, watch
 from simulated_runs import Push, simulated_run
 
-from lpv.core.monitoring.alarm_text import describe
-from lpv.core.monitoring.message_fields import alarm_fields
-from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv.core.monitoring import alarm_text, message_fields, serial_monitor
+from lpv.core.serial_arm import description, simulation
 from lpv.core.serial_arm.certificate.jump_bound import jump_bound
 from lpv.core.serial_arm.chain import compile_chain
-from lpv.core.serial_arm.description import TorqueTolerance, Uncertainty
 from lpv.core.serial_arm.diagnosis.alarms import GUARANTEED, STATISTICAL
 from lpv.core.serial_arm.diagnosis.parameter_set import member, parameter_set, payload_generator
-from lpv.core.serial_arm.simulation import integration_step, plant_scratch, plant_step
 from lpv.core.simulation.faults import Fault
 
-STATED = Uncertainty(payload=0.5, friction=0.3, model_error=0.05)
-UNSTATED = Uncertainty(0.5, 0.3)
+STATED = description.Uncertainty(payload=0.5, friction=0.3, model_error=0.05)
+UNSTATED = description.Uncertainty(0.5, 0.3)
 ARM = shoulder_arm('independent', STATED)
 LEVEL = pytest.mark.parametrize('joint', [1, 2])
 RATES = pytest.mark.parametrize('rates', ['independent', 'derived'])
@@ -54,26 +51,24 @@ def test_given_the_worst_arm_of_the_file_when_healthy_then_it_nears_its_threshol
 
 
 @LEVEL
-def test_given_a_file_that_states_too_little_then_a_healthy_arm_crosses_it(exact, joint):
-    forged = Uncertainty(payload=0.1, friction=0.1, model_error=0.01)
+def test_given_too_little_stated_or_an_offset_then_no_arm_of_the_file_explains_it(exact, joint):
+    forged = description.Uncertainty(payload=0.1, friction=0.1, model_error=0.01)
     assert watched(ARM, worst_member(ARM, exact, joint), stated=forged).exceeded[joint]
-
-
-@LEVEL
-def test_given_an_offset_that_is_surely_found_then_no_healthy_arm_explains_it(exact, joint):
     size = 1.2 * float(exact.smallest_found[joint])
     found = watched(ARM, None, Fault(f'encoder{joint + 1}', 'bias', 0.0, size=size))
     assert found.exceeded.tolist() == [False, joint == 1, joint == 2]
 
 
-def test_given_motion_then_thresholds_shrink_and_nothing_is_claimed_of_an_upright_base(exact):
+def test_given_motion_then_payload_is_known_and_thresholds_shrink_but_of_an_upright_base(exact):
     assert exact.response[0] == pytest.approx(0.0, abs=1e-6)
     assert not exact.exceeded[0] and exact.smallest_found[0] == np.inf
     assert exact.threshold[1] < 0.6 * watched(duration=0.6).threshold[1]
     assert watched(shoulder_arm(), duration=0.5) is None  # no stated range
-    tolerance = TorqueTolerance((0.0,), (1.0,))
+    tolerance = description.TorqueTolerance((0.0,), (1.0,))
     joints = tuple(replace(one, torque_tolerance=tolerance) for one in ARM.joints)
     assert np.all(watched(replace(ARM, joints=joints)).slack[1:] > 5.0 * exact.slack[1:])
+    low, high = watched(duration=8.0).payload
+    assert low == 0.0 and high < 0.45
 
 
 def test_given_a_long_run_with_a_gap_when_remembered_then_the_estimate_is_still_explained():
@@ -97,45 +92,34 @@ def test_given_any_payload_of_the_file_when_learned_then_the_interval_holds_it(e
     assert low <= mass <= high
 
 
-def test_given_an_exact_arm_when_moved_long_then_its_payload_is_known_better_than_stated():
-    low, high = watched(duration=8.0).payload
-    assert low == 0.0 and high < 0.45
-
-
 def answers(*faults, uncertainty=STATED, pushes=(), duration=5.0):
     arm = shoulder_arm('independent', uncertainty)
     run = simulated_run(arm, duration, *faults, pushes=pushes)
     samples = np.moveaxis(run.samples, 1, 0)
-    found = SerialSensorMonitor('uio', arm).take_many(run.stamps + 1, *samples)
+    found = serial_monitor.SerialSensorMonitor('uio', arm).take_many(run.stamps + 1, *samples)
     return [event for _, event in found.events], found.reports[-1][1]
 
 
-@pytest.mark.parametrize(
-    ('uncertainty', 'size', 'basis', 'said'),
-    [
-        (STATED, 0.4, GUARANTEED, 'no healthy arm'),
-        (UNSTATED, 0.4, STATISTICAL, 'statistical'),
-        (replace(STATED, model_error=0.2), 0.2, STATISTICAL, 'statistical'),  # below the threshold
-    ],
-)
+@pytest.mark.parametrize(('uncertainty', 'size', 'basis', 'said'), [
+    (STATED, 0.4, GUARANTEED, 'no healthy arm'),
+    (UNSTATED, 0.4, STATISTICAL, 'statistical'),
+    (replace(STATED, model_error=0.2), 0.2, STATISTICAL, 'statistical'),  # below the threshold
+])  # fmt: skip
 def test_given_an_offset_when_alarmed_then_its_basis_is_said(uncertainty, size, basis, said):
     events, _ = answers(Fault('encoder2', 'bias', 0.0, size=size), uncertainty=uncertainty)
     assert (events[-1].sensor, events[-1].basis) == ('encoder2', basis)
     assert basis == GUARANTEED or {event.basis for event in events} == {STATISTICAL}
-    assert said in describe(events[-1])
+    assert said in alarm_text.describe(events[-1])
     assert (events[-1].confidence == 1.0) == (basis == GUARANTEED)
 
 
-def test_given_a_drift_or_a_step_when_alarmed_then_rate_and_basis_are_said():
+def test_given_faults_or_ranges_when_told_then_rate_basis_and_thresholds_are_said():
     event = answers(Fault('encoder2', 'drift', 2.0, rate=0.1))[0][0]
     assert event.rate == pytest.approx(0.1, abs=0.03)
-    assert f'drift of {event.rate:+.3f} rad/s' in describe(event)
-    assert not {'basis', 'unit', 'rate'} & set(alarm_fields(event))
+    assert f'drift of {event.rate:+.3f} rad/s' in alarm_text.describe(event)
+    assert not {'basis', 'unit', 'rate'} & set(message_fields.alarm_fields(event))
     events, _ = answers(Fault('encoder3', 'bias', 2.0, size=0.05), duration=2.5)
     assert [(event.sensor, event.basis) for event in events] == [('encoder3', GUARANTEED)]
-
-
-def test_given_ranges_when_reported_then_thresholds_are_told_and_none_without_or_in_a_push():
     observer, base, *others = answers()[1]
     assert 'payload up to 0.5 kg' in observer['values']['guarantee']
     assert 'none' in base['values']['guaranteed threshold [rad]']
@@ -154,8 +138,8 @@ def test_given_ranges_when_reported_then_thresholds_are_told_and_none_without_or
 def test_given_torques_that_switch_at_their_limits_then_no_jump_is_near_its_bound(rates):
     arm, rng = shoulder_arm(rates), np.random.default_rng(0)
     chain, bound, period = compile_chain(arm), jump_bound(arm), arm.sample_time
-    step, count = integration_step(chain, period)
-    state, scratch, matrix = np.zeros((2, 3)), plant_scratch(chain), np.empty((3, 3))
+    step, count = simulation.integration_step(chain, period)
+    state, scratch, matrix = np.zeros((2, 3)), simulation.plant_scratch(chain), np.empty((3, 3))
     y, v = np.zeros((2000, 3)), np.zeros((2000, 3))
     for k in range(2000):
         y[k] = state[0] + 1e-4 * rng.normal(size=3)
@@ -164,7 +148,7 @@ def test_given_torques_that_switch_at_their_limits_then_no_jump_is_near_its_boun
             v[k] = state[1] + 5e-3 * rng.normal(size=3)
         torque = np.array(arm.torque_limit) * np.where(state[1] > 0, -1.0, 1.0)
         torque *= rng.choice([1.0, 1.0, -1.0], 3)
-        plant_step(chain, state, torque, step, count, scratch, matrix)
+        simulation.plant_step(chain, state, torque, step, count, scratch, matrix)
     jumps = y[1:-1] - y[:-2] - 0.5 * period * (v[:-2] + v[2:])
     ratio = np.abs(jumps[3:]).max(0) / bound
     assert np.all(ratio < 1.0)

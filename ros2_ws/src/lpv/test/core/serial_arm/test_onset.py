@@ -9,14 +9,9 @@ from serial_arms import shoulder_arm
 from simulated_runs import simulated_run
 from ur10e_twin import twin
 
-from lpv.core.serial_arm.diagnosis import onset
-from lpv.core.serial_arm.diagnosis.balance import DRIFT, EPOCH, OFFSET
-from lpv.core.serial_arm.diagnosis.bank import DRIFT_STARTS, STARTS
-from lpv.core.serial_arm.diagnosis.fault_filter import begin_filter
+from lpv.core.serial_arm.diagnosis import balance, bank, fault_filter, onset, sampling, stuck
 from lpv.core.serial_arm.diagnosis.information import recent
 from lpv.core.serial_arm.diagnosis.monitor import MonitorSettings, SerialMonitor
-from lpv.core.serial_arm.diagnosis.sampling import block_end
-from lpv.core.serial_arm.diagnosis.stuck import Frozen
 from lpv.core.simulation.faults import Fault
 
 JOINT, BEGIN, RATE, PRIOR, LAST = 1, 3.022, 0.2, 0.3, 14
@@ -54,10 +49,10 @@ def dense_onsets(monitor, end):
         momentum = monitor.bank.momenta(back)[:, JOINT]
         for place in onset.PLACES:
             begin = end - (back + 1 - place) * interval
-            since = begin - estimator.balance.clock[EPOCH]
+            since = begin - estimator.balance.clock[balance.EPOCH]
             effect = np.zeros((LAST, n))
-            effect[:back] = rows[:back, :, 1 + DRIFT * n + JOINT]
-            effect[:back] -= since * rows[:back, :, 1 + OFFSET * n + JOINT]
+            effect[:back] = rows[:back, :, 1 + balance.DRIFT * n + JOINT]
+            effect[:back] -= since * rows[:back, :, 1 + balance.OFFSET * n + JOINT]
             effect[back - 1] -= place * momentum
             effect[back] -= (1.0 - place) * momentum
             column = effect.ravel()
@@ -80,19 +75,14 @@ def test_given_an_alarm_when_it_is_raised_then_no_drift_is_sought_long_before_it
         windows = monitor.bank.parts.state[0].windows
         longest.append(monitor.bank.parts.evidence.lengths[windows - 1] * monitor.plan.interval)
     assert [one.event for one in monitor.alarms] == ['raised']
-    np.testing.assert_allclose(longest, [DRIFT_STARTS[1], STARTS[-1]])
+    np.testing.assert_allclose(longest, [bank.DRIFT_STARTS[1], bank.STARTS[-1]])
 
 
-def test_given_a_drift_when_its_onset_is_sought_then_it_is_the_best_of_dense_ones(monitor):
-    end = block_end(monitor._blocks(1)[-1])
-    mass = monitor.bank._mass[:, :, JOINT]
-    found = onset.likely_onsets(monitor.estimator, JOINT, end, PRIOR, LAST, mass)[0]
-    best = max(dense_onsets(monitor, end), key=lambda one: one.gain)
-    np.testing.assert_allclose(found, best, rtol=1e-6)
-
-
-def test_given_a_drift_when_its_true_effect_is_taken_then_onset_and_rate_are_true(monitor):
+def test_given_a_drift_when_its_onset_is_sought_then_it_is_the_dense_best_and_true(monitor):
     mass, blocks = monitor.bank._mass, monitor._blocks(LAST + 1)
+    about = JOINT, sampling.block_end(blocks[-1]), PRIOR, LAST, mass[:, :, JOINT]
+    best = max(dense_onsets(monitor, about[1]), key=lambda one: one.gain)
+    np.testing.assert_allclose(onset.likely_onsets(monitor.estimator, *about)[0], best, rtol=1e-6)
     found = onset.sudden_drift_of(monitor.estimator, JOINT, PRIOR, LAST, blocks, mass)
     assert found.begin == pytest.approx(BEGIN, abs=0.16 * monitor.plan.interval)
     assert found.size == pytest.approx(RATE, rel=0.06)
@@ -109,7 +99,7 @@ def test_given_friction_that_turns_over_when_a_drift_is_looked_for_then_its_onse
     begin = fault.onset
     monitor = watch_to_decision(subject.arm, stream, stream.index(begin + 0.5))
     estimator, mass, blocks = monitor.estimator, monitor.bank._mass, monitor._blocks(last + 1)
-    about = fault.sensor, block_end(blocks[-1]), PRIOR, last, mass[:, :, fault.sensor]
+    about = fault.sensor, sampling.block_end(blocks[-1]), PRIOR, last, mass[:, :, fault.sensor]
     interval = monitor.plan.interval
     assert abs(onset.likely_onsets(estimator, *about)[0].begin - begin) > interval
     found = onset.sudden_drift_of(estimator, fault.sensor, PRIOR, last, blocks, mass)
@@ -119,7 +109,7 @@ def test_given_friction_that_turns_over_when_a_drift_is_looked_for_then_its_onse
 
 def test_given_a_reading_that_rests_when_explained_then_it_froze_when_its_rest_began(monitor):
     rested, end = 0.25, monitor.estimator.window.times.max()
-    frozen = Frozen(end - rested, 1.0, 0.1, alive=False)
+    frozen = stuck.Frozen(end - rested, 1.0, 0.1, alive=False)
     found = monitor.bank.stuck({JOINT: frozen}, monitor._blocks)
     assert {(one.kind, one.joint) for one in found} == {('stuck', JOINT)}
     assert found[0].begin == frozen.time
@@ -127,7 +117,7 @@ def test_given_a_reading_that_rests_when_explained_then_it_froze_when_its_rest_b
 
 
 def drift(size, sigma, spread=0.0, kind='drift'):
-    return begin_filter(0, kind, (0.0, 0.2), size, sigma, 0.0, spread)
+    return fault_filter.begin_filter(0, kind, (0.0, 0.2), size, sigma, 0.0, spread)
 
 
 def test_given_a_filter_when_corrected_then_what_is_beyond_its_bound_or_rests_is_removed():

@@ -29,19 +29,13 @@ START = (0.0, 0.6, -1.2)
 ARM = shoulder_arm('independent')
 
 
-def test_given_waypoints_when_sampled_then_the_path_is_smooth_meets_them_and_rests_at_ends():
+def test_given_waypoints_or_poses_when_followed_then_the_path_is_smooth_and_meets_them():
     path = SerialPath(ARM, TIMES, JOINTS)
     np.testing.assert_allclose(path.sample(TIMES).position, JOINTS, atol=1e-12)
     for time in (0.0, 0.5, 5.0, 9.0):
         motion = path.sample(time)
         assert np.abs([motion.velocity, motion.acceleration]).max() < 1e-9
-    times = np.linspace(0.6, 4.9, 50)
-    before, here, after = (path.sample(times + step) for step in (-1e-5, 0.0, 1e-5))
-    assert np.abs((after.position - before.position) / 2e-5 - here.velocity).max() < 1e-6
-    assert np.abs((after.velocity - before.velocity) / 2e-5 - here.acceleration).max() < 1e-5
-
-
-def test_given_poses_when_followed_then_the_tip_is_on_the_spline_through_them():
+    assert_smooth(path.sample(np.arange(0.6, 4.9, 1e-4)), 1e-4, atol=(1e-6, 1e-5))
     path = SerialPath.through_poses(ARM, TIMES, PoseWaypoints(REACHED, START))
     np.testing.assert_allclose(path.sample(TIMES).tip, REACHED, atol=1e-5)
     assert np.abs(np.diff(path.sample(np.linspace(0.0, 5.0, 500)).position, axis=0)).max() < 0.05
@@ -105,16 +99,13 @@ def test_given_a_shipped_arm_when_its_scenario_is_read_then_the_arm_can_do_it(na
     ArmSimulator(arm, scenario)
 
 
-def test_given_errors_when_the_true_arm_is_drawn_then_by_the_seed_and_within_them():
+def test_given_a_scenario_when_used_then_arms_are_drawn_by_seed_and_fields_kept_or_named():
     scenario = parse_scenario(DATA)
     true, nominal = scenario.true_chain(ARM), compile_chain(ARM)
     factor = true.inertial[:2, 0] / nominal.inertial[:2, 0]
     assert np.all(np.abs(factor - 1.0) <= 0.05) and np.ptp(factor) > 0.0
     np.testing.assert_array_equal(true.inertial, scenario.true_chain(ARM).inertial)
     np.testing.assert_allclose(true.friction[:, 1], 1.2 * nominal.friction[:, 1])
-
-
-def test_given_poses_when_read_then_position_orientation_and_posture_are_kept():
     scenario = parse_scenario({**DATA, 'path': POSES})
     assert isinstance(scenario.waypoints, PoseWaypoints)
     assert scenario.waypoints.start == START
@@ -123,9 +114,6 @@ def test_given_poses_when_read_then_position_orientation_and_posture_are_kept():
         parse_scenario({**DATA, 'path': {**POSES, 'start': 'anywhere'}})
     with pytest.raises(ConfigError, match=r'waypoints\[0\].joints'):
         parse_scenario(changed(DATA, 'path.waypoints[0]', {'t': 0.0}))
-
-
-def test_given_a_scenario_of_another_arm_when_used_then_the_field_is_named():
     with pytest.raises(ConfigError, match=r'path.waypoints\[1\].joints'):
         parse_scenario(changed(DATA, 'path.waypoints[1].joints', [0.0, 0.1])).path(ARM)
     with pytest.raises(ConfigError, match='plant.mass_factors: must have 3 numbers'):
@@ -151,11 +139,6 @@ def in_plane(tip):
 
 
 @pytest.fixture
-def path(paper_arm):
-    return planar(paper_arm)
-
-
-@pytest.fixture
 def shipped(paper_arm, two_faults):
     return two_faults.path(paper_arm)
 
@@ -169,7 +152,8 @@ def assert_smooth(rows, dt=0.002, atol=(2e-4, 5e-2)):
         np.testing.assert_allclose(slope, getattr(rows, rate)[1:-1], atol=tolerance)
 
 
-def test_given_waypoints_when_sampled_then_the_tip_is_there_and_rests_at_ends(path, paper_model):
+def test_given_waypoints_when_sampled_then_tip_rates_and_ends_are_right(paper_arm, paper_model):
+    path = planar(paper_arm)
     reference = path.sample(np.array(KNOTS))
     np.testing.assert_allclose(in_plane(reference.tip), POINTS, atol=1e-12)
     # Reference in ROS joints: absolute angles, then the tip by plain trigonometry.
@@ -186,9 +170,6 @@ def test_given_waypoints_when_sampled_then_the_tip_is_there_and_rests_at_ends(pa
         np.testing.assert_allclose(reference.velocity, 0.0, atol=1e-12)
         np.testing.assert_allclose(reference.acceleration, 0.0, atol=1e-10)
         np.testing.assert_allclose(in_plane(reference.tip), [POINTS[0], POINTS[-1]], atol=1e-12)
-
-
-def test_given_a_path_when_sampled_then_rates_fit_and_one_time_equals_the_row_of_a_batch(path):
     rows = path.sample(np.linspace(0.0, 4.5, 45001))
     assert_smooth(rows, 1e-4, atol=(1e-6, 1e-2))
     one = path.sample(2.5)
@@ -197,14 +178,7 @@ def test_given_a_path_when_sampled_then_rates_fit_and_one_time_equals_the_row_of
         np.testing.assert_allclose(getattr(one, name), getattr(rows, name)[25000], atol=1e-12)
 
 
-def test_given_the_other_elbow_when_sampled_then_the_tip_stays_and_q2_changes_sign(paper_arm):
-    positive, negative = (planar(paper_arm, elbow=e).sample(1.0) for e in ('positive', 'negative'))
-    np.testing.assert_array_equal(positive.tip, negative.tip)
-    assert positive.position[1] > 0.0
-    assert negative.position[1] == pytest.approx(-positive.position[1], rel=1e-12)
-
-
-def test_given_the_shipped_path_or_a_turn_then_q1_is_continuous(paper_arm, paper_model, shipped):
+def test_given_either_elbow_then_q1_is_continuous_and_the_tip_one(paper_arm, paper_model, shipped):
     for elbow, high, low in (('positive', 0.75, -1.2), ('negative', 1.2, -0.75)):
         path = planar(paper_arm, (0.0, 1.0), ((-1.1, high), (-1.1, low)), elbow)
         fine = path.sample(np.linspace(0.0, 1.0, 2001))
@@ -215,21 +189,13 @@ def test_given_the_shipped_path_or_a_turn_then_q1_is_continuous(paper_arm, paper
     assert np.abs(np.diff(fine.position, axis=0)).max() < 0.002
     theta = JointMap(paper_model).absolute_position(fine.position)
     assert np.cos(theta).min() > max(paper_model.cos_min)
+    positive, negative = (planar(paper_arm, elbow=e).sample(1.0) for e in ('positive', 'negative'))
+    np.testing.assert_array_equal(positive.tip, negative.tip)
+    assert positive.position[1] > 0.0
+    assert negative.position[1] == pytest.approx(-positive.position[1], rel=1e-12)
 
 
-def test_given_bad_waypoints_when_a_path_is_made_then_the_field_is_named(paper_arm):
-    pair, flat = ((0.0, 1.5), (0.1, 1.5)), ((0.0, 1.5, 0.0), (0.1, 1.5, 0.0))
-    ends = (0.0, 0.0), (1.0, 0.5), (0.0, math.nan), (0.0, math.inf)
-    other = pair[:1], flat, (pair[0], (math.nan, 1.5))
-    bad = [((0.0,), pair[:1]), ((), ()), *((times, pair) for times in ends)]
-    for times, points in (*bad, *(((0.0, 1.0), points) for points in other)):
-        with pytest.raises(ConfigError, match=r'path\.waypoints'):
-            planar(paper_arm, times, points)
-    with pytest.raises(ConfigError, match=r'path\.elbow'):
-        planar(paper_arm, elbow='left')
-
-
-def test_given_a_path_that_no_arm_can_follow_then_it_is_refused(paper_arm, path, two_faults):
+def test_given_bad_waypoints_or_a_path_for_no_arm_then_it_is_refused(paper_arm, two_faults):
     joints = tuple(replace(j, limits=replace(j.limits, velocity=0.2)) for j in paper_arm.joints)
     with pytest.raises(ConfigError, match='needs 0.2.* rad/s of joint1, whose velocity_limit'):
         two_faults.path(replace(paper_arm, joints=joints))
@@ -241,7 +207,16 @@ def test_given_a_path_that_no_arm_can_follow_then_it_is_refused(paper_arm, path,
     with pytest.raises(UnreachableError, match='singularity'):
         planar(paper_arm, (0.0, 1.0), ((0.0, 1.5), (0.0, 2.0)))
     with pytest.raises(UnreachableError):
-        path.sample(math.nan)
+        planar(paper_arm).sample(math.nan)
+    pair, flat = ((0.0, 1.5), (0.1, 1.5)), ((0.0, 1.5, 0.0), (0.1, 1.5, 0.0))
+    ends = (0.0, 0.0), (1.0, 0.5), (0.0, math.nan), (0.0, math.inf)
+    other = pair[:1], flat, (pair[0], (math.nan, 1.5))
+    bad = [((0.0,), pair[:1]), ((), ()), *((times, pair) for times in ends)]
+    for times, points in (*bad, *(((0.0, 1.0), points) for points in other)):
+        with pytest.raises(ConfigError, match=r'path\.waypoints'):
+            planar(paper_arm, times, points)
+    with pytest.raises(ConfigError, match=r'path\.elbow'):
+        planar(paper_arm, elbow='left')
 
 
 def follow(guide, position, start, seconds):
@@ -254,12 +229,9 @@ def follow(guide, position, start, seconds):
     return Reference(*(np.array([getattr(row, name) for row in rows]) for name in names))
 
 
-def assert_starts_at_rest(rows, position):
-    np.testing.assert_allclose([rows.position[0] - position, rows.velocity[0]], 0.0, atol=1e-12)
-
-
-def assert_ends_at(rows, path, time):
-    """On the path, where it is at a time of its own."""
+def assert_goes(rows, start, path, time):
+    """From rest to where the path is at a time of its own."""
+    np.testing.assert_allclose([rows.position[0] - start, rows.velocity[0]], 0.0, atol=1e-12)
     np.testing.assert_allclose(rows.position[-1], path.sample(time).position, atol=1e-9)
 
 
@@ -276,7 +248,6 @@ def test_given_an_arm_elsewhere_when_guided_then_it_approaches_smoothly_and_slow
     start, distance = shipped.sample(0.0).position, np.abs(offset).max()
     approach = max(1.0, 1.875 * distance / 0.5)
     rows = follow(PathFollower(shipped), start + offset, 0, approach + 2.0)
-    assert_starts_at_rest(rows, start + offset)
     assert_smooth(rows)
     n = int(approach * 500)
     fastest, greatest = 1.875 * distance / approach, 5.774 * distance / approach**2
@@ -284,10 +255,10 @@ def test_given_an_arm_elsewhere_when_guided_then_it_approaches_smoothly_and_slow
     assert np.abs(rows.acceleration[:n]).max() == pytest.approx(greatest, rel=1e-3)
     np.testing.assert_allclose(rows.position[n + 1], start, atol=1e-6)
     # From then on the path itself, late by the approach.
-    assert_ends_at(rows, shipped, 0.002 * (len(rows.position) - 1) - approach)
+    assert_goes(rows, start + offset, shipped, 0.002 * (len(rows.position) - 1) - approach)
 
 
-def test_given_a_stop_on_the_way_when_it_goes_on_then_from_where_it_stopped_and_from_rest(shipped):
+def test_given_a_stop_when_it_goes_on_then_from_where_it_stopped_to_the_same_path(shipped):
     guide = PathFollower(shipped)
     before = follow(guide, shipped.sample(0.0).position, 0, 3.0)
     assert np.abs(before.velocity[-1]).max() > 0.05
@@ -295,18 +266,13 @@ def test_given_a_stop_on_the_way_when_it_goes_on_then_from_where_it_stopped_and_
     assert not guide.running
     left = before.position[-1] + 0.01  # it coasted a little
     rows = follow(guide, left, 60_000_000_000, 2.0)
-    assert_starts_at_rest(rows, before.position[-1])
     assert_smooth(rows)
     fastest = np.abs(shipped.sample(np.linspace(0.0, 20.0, 500)).velocity).max()
     assert np.abs(rows.velocity).max() < 1.2 * fastest
     # Half of the ramp's time is lost, nothing else.
-    assert_ends_at(rows, shipped, 2.998 + 1.998 - 0.25)
-
-
-def test_given_a_stop_in_an_approach_when_it_goes_on_then_it_approaches_the_same_point(shipped):
+    assert_goes(rows, before.position[-1], shipped, 2.998 + 1.998 - 0.25)
     guide, target = PathFollower(shipped), shipped.sample(0.0).position
     half = follow(guide, target + 0.6, 0, 1.0).position[-1]
     guide.stop()
     rows = follow(guide, half, 9_000_000_000, 3.0)
-    assert_starts_at_rest(rows, half)
-    assert_ends_at(rows, shipped, 2.998 - 1.875 * np.abs(half - target).max() / 0.5)
+    assert_goes(rows, half, shipped, 2.998 - 1.875 * np.abs(half - target).max() / 0.5)

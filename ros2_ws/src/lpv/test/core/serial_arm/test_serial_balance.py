@@ -1,4 +1,4 @@
-"""Momentum balances and their derivatives; windows of least squares."""
+"""Momentum balances and their derivatives, windows of least squares, rows of independent rates."""
 
 from dataclasses import replace
 
@@ -10,9 +10,9 @@ from simulated_runs import simulated_run
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import ParameterCovariance, Uncertainty
 from lpv.core.serial_arm.diagnosis import balance as balances
+from lpv.core.serial_arm.diagnosis import bank, linear_bank, parameter_error
 from lpv.core.serial_arm.diagnosis import information as info
 from lpv.core.serial_arm.diagnosis.estimator import HorizonPlan, OffsetEstimator, learn_noise
-from lpv.core.serial_arm.diagnosis.parameter_error import parameter_directions, parameter_factor
 
 CHAIN, PER_BLOCK, PER_INTERVAL = compile_chain(shoulder_arm()), 5, 5
 
@@ -39,18 +39,25 @@ def rows_of(chain, blocks, directions=None, reference=(0.0, 0.0, 0.0), drives=No
     return rows
 
 
-def column(rows, group, joint):
-    return rows[:, :, 1 + 3 * group + joint]
-
-
-def test_balance_of_the_true_arm_is_zero_and_columns_of_offsets_are_its_derivatives(blocks):
+def test_balance_of_the_true_arm_is_zero_and_its_columns_are_derivatives(blocks):
     rows = rows_of(CHAIN, blocks)
     assert np.abs(rows[:, :, 0]).max() < 2e-3 * np.abs(blocks[:, 6:9]).max() * 0.05
     for joint in range(3):
         step = 1e-4 * np.eye(3)[joint]
         ahead, behind = (rows_of(CHAIN, blocks, reference=sign * step) for sign in (1, -1))
         expected = (ahead[:, :, 0] - behind[:, :, 0]) / 2e-4
-        np.testing.assert_allclose(column(rows, balances.OFFSET, joint), expected, atol=1e-3)
+        found = rows[:, :, 1 + 3 * balances.OFFSET + joint]
+        np.testing.assert_allclose(found, expected, atol=1e-3)
+    factor = np.random.default_rng(0).normal(size=(5, 45))
+    factor[:, 36:39] = 0.0  # friction by load would multiply gains
+    directions, drives = parameter_error.parameter_directions(CHAIN, factor, np.full(3, 2.0))
+    rows = rows_of(CHAIN, blocks, directions, drives=drives)
+    friction, louder = CHAIN.friction.copy(), blocks.copy()
+    friction[:, :4] += 0.5 * drives[0, :, :4]
+    louder[:, 6:9] *= 1.0 + 0.5 * drives[0, :, 4]
+    moved = CHAIN._replace(inertial=CHAIN.inertial + 0.5 * directions[0], friction=friction)
+    change = rows_of(moved, louder)[:, :, 0] - rows[:, :, 0]
+    np.testing.assert_allclose(change, 0.5 * rows[:, :, 1 + 3 * len(balances.GROUPS)], atol=1e-10)
 
 
 @pytest.mark.parametrize(
@@ -65,20 +72,7 @@ def test_columns_of_friction_and_of_torque_gains_are_exact(blocks, group, field)
         friction[1, field] += 0.2
     rows = rows_of(CHAIN, blocks)
     change = rows_of(CHAIN._replace(friction=friction), louder) - rows
-    np.testing.assert_allclose(change[:, :, 0], 0.2 * column(rows, group, 1), atol=1e-12)
-
-
-def test_columns_of_parameter_directions_are_exact(blocks):
-    factor = np.random.default_rng(0).normal(size=(5, 45))
-    factor[:, 36:39] = 0.0  # friction by load would multiply gains
-    directions, drives = parameter_directions(CHAIN, factor, np.full(3, 2.0))
-    rows = rows_of(CHAIN, blocks, directions, drives=drives)
-    friction, louder = CHAIN.friction.copy(), blocks.copy()
-    friction[:, :4] += 0.5 * drives[0, :, :4]
-    louder[:, 6:9] *= 1.0 + 0.5 * drives[0, :, 4]
-    moved = CHAIN._replace(inertial=CHAIN.inertial + 0.5 * directions[0], friction=friction)
-    change = rows_of(moved, louder)[:, :, 0] - rows[:, :, 0]
-    np.testing.assert_allclose(change, 0.5 * rows[:, :, 1 + 3 * len(balances.GROUPS)], atol=1e-10)
+    np.testing.assert_allclose(change[:, :, 0], 0.2 * rows[:, :, 1 + 3 * group + 1], atol=1e-12)
 
 
 def test_given_masses_and_friction_identified_together_then_they_are_wrong_together():
@@ -87,8 +81,8 @@ def test_given_masses_and_friction_identified_together_then_they_are_wrong_toget
     covariance = ParameterCovariance(tuple(map(tuple, row)), 1)
     arm = replace(shoulder_arm(), covariance=covariance, uncertainty=Uncertainty())
     chain = compile_chain(arm)
-    factor = parameter_factor(arm, chain)
-    directions, drives = parameter_directions(chain, factor, np.full(3, 2.0))
+    factor = parameter_error.parameter_factor(arm, chain)
+    directions, drives = parameter_error.parameter_directions(chain, factor, np.full(3, 2.0))
     assert len(directions) == 1
     assert drives[0, 2, 3] / directions[0, 2, 1] == pytest.approx(-20.0)
 
@@ -101,7 +95,7 @@ def window_of(rows, weights, capacity, past=0.5):
     return window
 
 
-def test_window_sums_equal_direct_sums_and_what_leaves_it_is_remembered_as_told():
+def test_window_sums_equal_direct_sums_and_drifts_may_count_from_a_later_moment():
     rng = np.random.default_rng(0)
     rows, weights = rng.normal(size=(30, 2, 4)), rng.uniform(1.0, 2.0, (30, 2))
     window = window_of(rows, weights, 10)
@@ -112,9 +106,6 @@ def test_window_sums_equal_direct_sums_and_what_leaves_it_is_remembered_as_told(
     np.testing.assert_allclose(window.past, 1.5 * np.ones((2, 3)))
     info.join(window, 5.0, np.ones((1, 3)), -0.5)
     np.testing.assert_allclose(window.past, 0.75 * np.ones((2, 3)))
-
-
-def test_drifts_that_count_from_a_later_moment_are_the_same_drifts():
     rng = np.random.default_rng(1)
     rows, weights = rng.normal(size=(8, 1, 3)), np.ones((8, 1))
     later = rows.copy()
@@ -122,9 +113,8 @@ def test_drifts_that_count_from_a_later_moment_are_the_same_drifts():
     one, other = window_of(rows, weights, 5), window_of(later, weights, 5)
     info.move_drifts(one, 1, 2, 1, 2.0)
     np.testing.assert_allclose(info.products(one, 3), info.products(other, 3), atol=1e-12)
-    squares = [
-        w.squares[info.sum_slot(w, 0)] - w.squares[info.sum_slot(w, 4)] for w in (one, other)
-    ]
+    slots = info.sum_slot(one, 0), info.sum_slot(one, 4)
+    squares = (w.squares[slots[0]] - w.squares[slots[1]] for w in (one, other))
     np.testing.assert_allclose(*squares, atol=1e-12)
 
 
@@ -168,5 +158,97 @@ def test_given_residuals_that_are_larger_at_rest_then_noise_in_motion_stays_smal
 @pytest.mark.parametrize(('unit', 'known'), [('N m', 0.0), ('A', 0.04)])
 def test_given_currents_then_gains_of_drives_may_be_wrong_as_masses_may(unit, known):
     arm = replace(shoulder_arm(), effort_unit=unit, uncertainty=Uncertainty(0.0, 0.0, 0.04))
-    gains = parameter_factor(arm, compile_chain(arm))[:, 42:]
+    gains = parameter_error.parameter_factor(arm, compile_chain(arm))[:, 42:]
     assert np.abs(gains).max(0) == pytest.approx(np.full(3, known))
+
+
+ARM = shoulder_arm('independent')
+PLAN = HorizonPlan.of(ARM.sample_time)
+LENGTH = PLAN.interval / PLAN.blocks  # of a block [s]
+
+
+def kinematic_rows(time, position, rate, missing=0.0, learns=False, **noise):
+    """Rows after blocks of such means, which lack samples for ``missing`` [s], and such noise."""
+    joints = (replace(j, sensors=replace(j.sensors, **noise)) for j in ARM.joints)
+    rows = bank.KinematicRows(replace(ARM, joints=tuple(joints)), PLAN)
+    blocks = np.zeros((len(time), 13))
+    blocks[:, :3], blocks[:, 3:6], blocks[:, 9], blocks[:, 10] = position, rate, time, LENGTH
+    blocks[:, 10] += missing
+    for k in range(2 * PLAN.blocks, len(blocks) + 1, PLAN.blocks):
+        bank.take_row(rows.parts, blocks[k - 2 * PLAN.blocks : k], PLAN.interval)
+        if learns and rows.held > 1:
+            bank.learn_rows(rows.parts, PLAN.interval)
+    return rows.parts
+
+
+def sums(noise=1e-3, step=0.0, rate=0.0, jump=0.0):
+    """Sums of the rows of half a second at a constant rate, in which a reading may jump."""
+    time = LENGTH * np.arange(30 * PLAN.blocks)
+    position = rate * np.repeat(time[:, None], 3, 1)
+    position[-3 * PLAN.blocks :, 1] += jump
+    found = linear_bank.new_rows(1, 3)
+    parts = kinematic_rows(time, position, rate, position_noise=noise, quantization=step)
+    bank.sum_rows(parts, PLAN.interval, np.array([10]), found)
+    return found
+
+
+def learned(error=0.0, lag=0.0, missing=0.0, seed=1):
+    """Rows after a minute of swings, stamps off by ``error``, rates late by ``lag`` [s].
+
+    Every fourth interval lacks samples for ``missing`` [s]; there rates are late by 0.1 s.
+    """
+    time, speed = LENGTH * np.arange(round(60.0 / LENGTH)), np.array([1.0, 2.0, 3.0])
+    taken = time + error * np.random.default_rng(seed).normal(size=len(time))
+    spoiled = np.arange(len(time)) // PLAN.blocks % 4 == 3
+    late = np.where(spoiled & (missing > 0.0), max(lag, 0.1), lag)
+    rate = speed * np.cos((time - late)[:, None] * speed)
+    return kinematic_rows(
+        time, np.sin(taken[:, None] * speed), rate, missing * spoiled, learns=True,
+        position_noise=1e-5, quantization=0.0, velocity_noise=1e-4)  # fmt: skip
+
+
+def test_given_stamps_and_rates_that_are_off_when_rows_are_learned_then_so_is_how_much():
+    for error in (0.0, 5e-4):
+        found = [float(learned(error=error, seed=k).stamps[0]) ** 0.5 for k in range(4)]
+        assert np.median(found) == pytest.approx(error, rel=0.2)
+    for missing in (0.0, 0.04):  # rows that miss samples say little of the lag
+        np.testing.assert_allclose(learned(lag=4e-3, missing=missing).lag, 4e-3, rtol=0.1)
+
+
+def test_given_rounding_or_fast_motion_when_weighted_then_it_is_noise_that_costs_weight():
+    fine, rounded = sums(noise=1e-3), sums(noise=0.0, step=1e-3 * 12.0**0.5)
+    np.testing.assert_allclose(rounded.weight, fine.weight, rtol=1e-12)
+    assert np.all(sums(noise=2e-3).weight < 0.7 * fine.weight)
+    assert np.all(sums(noise=1e-5, rate=3.0).weight < 0.9 * sums(noise=1e-5).weight)
+
+
+@pytest.mark.parametrize('rate', [0.0, 1.0])
+def test_given_a_reading_that_jumps_when_summed_then_its_own_row_holds_the_jump(rate):
+    found = sums(rate=rate, jump=0.05)
+    np.testing.assert_allclose(found.found[0], [0.0, 0.05, 0.0], atol=2e-3)
+    assert found.span == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(('slow', 'error'), [(0.0, 0.0), (0.03, 0.0), (0.03, 0.05)])
+def test_given_a_clock_that_is_slow_when_a_way_is_asked_for_then_other_joints_tell(slow, error):
+    time, speed = LENGTH * np.arange(30 * PLAN.blocks), np.array([0.5, 1.0, -1.0])
+    rate = np.repeat([speed], len(time), 0)
+    position = rate * time[:, None] / (1.0 - slow)
+    rows = bank.KinematicRows(ARM, PLAN)
+    rows.parts = kinematic_rows(time, position + [0.0, error, 0.0] * time[:, None], rate)
+    way, sigma = rows.way(1, 20)
+    assert way == pytest.approx(-error * 20 * PLAN.interval, abs=2.0 * sigma)
+    assert sigma < 0.2 * 0.05 * 20 * PLAN.interval
+
+
+def test_given_rows_or_none_when_their_sums_are_searched_then_the_loudest_window_counts():
+    values = np.random.default_rng(1).normal(size=(9, 2))
+    noise = tuple(np.random.default_rng(2).uniform(0.5, 1.5, (4, 2)))
+    inflation, ends, walk, bias = noise
+    spans = 0.05 * np.arange(1, 10)[:, None]
+    variance = inflation * (ends + walk * spans) + (bias * spans) ** 2
+    expected = (0.5 * np.cumsum(values[::-1], axis=0) ** 2 / variance)[:, 1].max()
+    found = bank.loudest_rows(values, np.zeros((9, 2)), noise, 0.05, np.array([False, True]))
+    assert found == pytest.approx(expected)
+    rows = bank.KinematicRows(ARM, PLAN)
+    assert not rows.agrees(1, 0.0) and not bank.loudest_window(rows.parts, 0.05) > 0.0

@@ -21,12 +21,7 @@ from lpv.core.support.resources import bringup_file
 FILES = {
     n: (load_arm(n), files.load_loop_gains(bringup_file('gains', n))) for n in ('ur10', 'panda')
 }
-
-
-@pytest.fixture(params=FILES)
-def shipped(request):
-    """A shipped arm and its certificate."""
-    return FILES[request.param]
+EACH = pytest.mark.parametrize(('arm', 'gains'), FILES.values(), ids=FILES)
 
 
 def growth(model, q, v):
@@ -59,24 +54,31 @@ def corners(arm, gains, seed, count):
         yield corner_arm(arm, gains, rng), q, v
 
 
-def test_given_true_arms_at_corners_when_in_motion_sampled_or_late_then_the_energy_decays(shipped):
-    arm, gains = shipped
+@EACH
+def test_given_true_arms_at_corners_then_energy_decays_and_missed_torques_are_bounded(arm, gains):
     ratios = [largest_ratio(arm, gains, *one) for one in corners(arm, gains, 3, 200)]
     assert max(ratios) < 1.0 - 2.0 * gains.sampled.decay * arm.sample_time
     model = SerialModel(compile_chain(arm))
     decays = [decay(model, gains, *one) for one in corners(arm, gains, 1, 300)]
     assert min(decays) > gains.motion.decay
+    model, rates = SerialModel(compile_chain(arm)), gains.rate_share * np.array(arm.velocity_limit)
+    parts = missed_torque(arm, gains.model, gains.model_error, MotionRange(rates, 2.0))
+    for chain, q, v in corners(arm, gains, 2, 300):
+        a = 2.0 * np.sign(v * q)
+        missed = SerialModel(chain).inverse_dynamics(q, v, a) - model.inverse_dynamics(q, v, a)
+        size = np.sqrt(missed @ np.linalg.solve(model.mass_matrix(q), missed))
+        assert size < parts['model error'] + parts['payload']
 
 
-def test_given_the_shipped_files_when_verified_or_proved_then_every_inequality_holds(shipped):
-    arm, gains = shipped
+@EACH
+def test_given_the_shipped_files_when_verified_or_proved_then_all_inequalities_hold(arm, gains):
     assert all(check.holds for check in verify_loop(arm, gains))
     assert sum(error_bound(arm, gains).values()) == pytest.approx(gains.error.bound, rel=1e-9)
     assert arm.name == 'panda' or all(prove_loop(arm, gains).values())
 
 
-def test_given_random_configurations_when_compared_then_the_mass_matrix_keeps_its_bounds(shipped):
-    arm, gains = shipped
+@EACH
+def test_given_random_configurations_then_the_mass_matrix_keeps_its_bounds(arm, gains):
     chain, rng, worst = compile_chain(arm), np.random.default_rng(0), np.zeros(4)
     model, loaded = SerialModel(chain), SerialModel(with_payload(chain, arm.uncertainty.payload))
     limits, viscous = np.array(arm.velocity_limit), np.diag(chain.friction[:, 0])
@@ -88,17 +90,6 @@ def test_given_random_configurations_when_compared_then_the_mass_matrix_keeps_it
     bounds = np.array([gains.model.payload, gains.model.damping, gains.model.growth, 1.0])
     assert (worst < bounds * (1.0 + 1e-6)).all()
     assert (worst > 0.75 * bounds).all()  # they are not idle either
-
-
-def test_given_true_arms_at_corners_when_they_move_then_missed_torques_are_bounded(shipped):
-    arm, gains = shipped
-    model, rates = SerialModel(compile_chain(arm)), gains.rate_share * np.array(arm.velocity_limit)
-    parts = missed_torque(arm, gains.model, gains.model_error, MotionRange(rates, 2.0))
-    for chain, q, v in corners(arm, gains, 2, 300):
-        a = 2.0 * np.sign(v * q)
-        missed = SerialModel(chain).inverse_dynamics(q, v, a) - model.inverse_dynamics(q, v, a)
-        size = np.sqrt(missed @ np.linalg.solve(model.mass_matrix(q), missed))
-        assert size < parts['model error'] + parts['payload']
 
 
 FORGED = {

@@ -82,9 +82,14 @@ DRIVES = """<ros2_control name="driver" type="system">
 <material name="grey"><color rgba="1 1 1 1"/></material></robot>"""
 
 
-def test_drives_and_controllers_of_a_urdf_are_no_joints(small):
+def test_drives_are_no_joints_the_tip_names_the_branch_and_locks_hold_what_follows(small):
     plain = small()
     assert replace(small(new=DRIVES), urdf=plain.urdf) == plain
+    found = small(new=BRANCH, locked={'finger': 0.02}, tip='tool')
+    assert found.joint_names == ('a', 'b')
+    assert dict(found.locked) == pytest.approx({'finger': 0.02, 'other': -0.03, 'pan': 0.0})
+    assert_same_torques(found, BRANCH)
+    assert small(new=BRANCH, locked={}, tip='camera').joint_names == ('a', 'pan')
 
 
 BRANCH = """<link name="camera"><inertial><mass value="0.7"/><inertia ixx="0.01" ixy="0" ixz="0"
@@ -94,19 +99,7 @@ BRANCH = """<link name="camera"><inertial><mass value="0.7"/><inertia ixx="0.01"
 <joint name="other" type="prismatic"><parent link="tool"/><child link="right"/>
   <axis xyz="0 -1 0"/><mimic joint="finger" multiplier="-2" offset="0.01"/>
   <limit lower="-1" upper="1" velocity="1" effort="5"/></joint></robot>"""
-
-
-def test_tip_names_the_branch_and_what_follows_a_locked_joint_is_locked_with_it(small):
-    found = small(new=BRANCH, locked={'finger': 0.02}, tip='tool')
-    assert found.joint_names == ('a', 'b')
-    assert dict(found.locked) == pytest.approx({'finger': 0.02, 'other': -0.03, 'pan': 0.0})
-    assert_same_torques(found, BRANCH)
-    assert small(new=BRANCH, locked={}, tip='camera').joint_names == ('a', 'pan')
-
-
 B, MOUNT = '<joint name="b" type="revolute">', '</joint>\n<joint name="mount"'
-
-
 NO_ARM = {
     "'b' follows 'a'": (MOUNT, f'<mimic joint="a"/>{MOUNT}'),
     "'b': multiplier": (MOUNT, f'<mimic joint="a" offset="1e99"/>{MOUNT}'),

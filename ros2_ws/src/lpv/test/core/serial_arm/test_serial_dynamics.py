@@ -11,21 +11,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from places import BRINGUP
-from prismatic_arms import middle, mixed_arm, scara, ur10_on_rail
+from serial_arms import middle, mixed_arm, scara, ur10_on_rail
 
 from lpv import ConfigError, LpvError, SampleError, load_arm
 from lpv.cli.main import main
-from lpv.core.export.mjcf import chain_mjcf
-from lpv.core.export.urdf import arm_urdf, transforms
-from lpv.core.serial_arm.arm_file import parse_arm, save_arm, to_mapping
+from lpv.core.export import mjcf, urdf
+from lpv.core.serial_arm import arm_file, description, urdf_chain
 from lpv.core.serial_arm.certificate.model_bounds import chain_numbers
 from lpv.core.serial_arm.chain import body_parameters, compile_chain, make_chain
-from lpv.core.serial_arm.description import rotation_from_rpy
-from lpv.core.serial_arm.dynamics import kinematics
+from lpv.core.serial_arm.dynamics import kinematics, payload
 from lpv.core.serial_arm.dynamics.model import SerialModel
-from lpv.core.serial_arm.dynamics.payload import payload_parameters, with_payload
 from lpv.core.serial_arm.simulation import plant_scratch, plant_step
-from lpv.core.serial_arm.urdf_chain import read_urdf_chain
 from lpv.core.simulation.mujoco_chain import MujocoChain
 from lpv.core.uio.model.arm import ArmParameters, Link
 from lpv.core.uio.model.dynamics import inverse_dynamics as two_link_inverse_dynamics
@@ -38,15 +34,15 @@ CASES = given(st.integers(0, 2**31), st.integers(2, 9))
 def random_chain(seed, joints):
     """Physical bodies of any shape, joints of any type and direction, a base in any orientation."""
     rng = np.random.default_rng(seed)
-    rotation = [rotation_from_rpy(rng.uniform(-3.0, 3.0, 3)) for _ in range(joints)]
+    rotation = [description.rotation_from_rpy(rng.uniform(-3.0, 3.0, 3)) for _ in range(joints)]
     bodies = []
     for _ in range(joints):
         lengths = rng.uniform(0.02, 0.5, 3)
         mass, spread = rng.uniform(0.1, 20.0), lengths**2
-        turn = rotation_from_rpy(rng.uniform(-3.0, 3.0, 3))
+        turn = description.rotation_from_rpy(rng.uniform(-3.0, 3.0, 3))
         inertia = turn @ np.diag(mass / 12 * (spread.sum() - spread)) @ turn.T
         bodies.append(body_parameters(mass, rng.uniform(-0.4, 0.4, 3), inertia))
-    tip = rotation_from_rpy(rng.uniform(-3.0, 3.0, 3)), rng.uniform(-0.3, 0.3, 3)
+    tip = description.rotation_from_rpy(rng.uniform(-3.0, 3.0, 3)), rng.uniform(-0.3, 0.3, 3)
     direction = rng.normal(size=3)
     gravity = 9.81 * direction / np.linalg.norm(direction)
     places, motor = rng.uniform(-0.7, 0.7, (joints, 3)), rng.uniform(0.0, 0.5, joints)
@@ -115,8 +111,8 @@ def test_given_any_chain_when_moved_then_regressors_and_inversion_fit_its_torque
     close(momentum_matrix @ phi + chain.motor @ v, momentum)
     close(force_matrix @ phi, force)
     load = 1.5, (0.1, -0.2, 0.05), np.diag([0.02, 0.03, 0.04])
-    loaded = SerialModel(with_payload(chain, *load)).inverse_dynamics(q, v, a)
-    close(loaded, torque + matrix[:, -10:] @ payload_parameters(chain, *load))
+    loaded = SerialModel(payload.with_payload(chain, *load)).inverse_dynamics(q, v, a)
+    close(loaded, torque + matrix[:, -10:] @ payload.payload_parameters(chain, *load))
     scale = np.linalg.cond(ours.mass_matrix(q)) * max(1.0, np.abs(a).max())
     assert np.abs(ours.acceleration(q, v, torque) - a).max() < 1e-12 * scale
 
@@ -139,7 +135,7 @@ def test_given_any_planar_arm_when_moved_then_its_chain_equals_the_two_link_form
     close(found, joints.joint_torque(np.array(absolute)))
 
 
-def test_given_load_dependent_friction_when_moved_then_it_grows_with_the_torque(paper_arm):
+def test_given_friction_by_load_or_a_wrong_sample_then_it_grows_with_torque_or_is_named(paper_arm):
     chain, q, v = compile_chain(paper_arm), np.array([0.3, 0.4]), np.array([1.0, -1.0])
     friction = chain.friction.copy()
     friction[:, 2] = 0.1
@@ -147,9 +143,6 @@ def test_given_load_dependent_friction_when_moved_then_it_grows_with_the_torque(
     rigid = ours.inverse_dynamics(q, v, np.zeros(2))
     extra = ours.torque(q, v, np.zeros(2)) - rigid
     np.testing.assert_allclose(extra, np.sign(v) * 0.1 * np.abs(rigid), rtol=0.01)
-
-
-def test_given_a_wrong_sample_when_asked_then_it_is_named(paper_arm):
     ours = SerialModel(compile_chain(paper_arm))
     with pytest.raises(SampleError, match='v must have 2 numbers'):
         ours.inverse_dynamics([0.0, 0.0], [0.0], [0.0, 0.0])
@@ -184,20 +177,15 @@ def test_nearby_pose_is_reached(seed, joints):
     assert np.abs(kinematics.forward_kinematics(chain, found.q)[1] - position).max() < 1e-6
 
 
-def planar_arm():
-    """Two links of 1 m in a plane."""
-    return make_chain(
-        [np.eye(3)] * 2, [[0, 0, 0], [1, 0, 0]], np.ones((2, 10)), tip=(np.eye(3), (1.0, 0.0, 0.0))
-    )
-
-
 def test_given_a_pose_out_of_reach_a_singularity_or_limits_then_steps_are_finite_and_limits_kept():
-    found = kinematics.inverse_kinematics(planar_arm(), (3.0, 0.0, 0.0), None, (0.4, -0.7))
+    eyes, tip = [np.eye(3)] * 2, (np.eye(3), (1.0, 0.0, 0.0))  # two links of 1 m in a plane
+    planar_arm = make_chain(eyes, [[0, 0, 0], [1, 0, 0]], np.ones((2, 10)), tip=tip)
+    found = kinematics.inverse_kinematics(planar_arm, (3.0, 0.0, 0.0), None, (0.4, -0.7))
     assert not found.reached and found.position_error == pytest.approx(1.0, abs=1e-3)
     assert np.isfinite(found.q).all()
-    assert kinematics.inverse_kinematics(planar_arm(), (1.2, 0.6, 0.0), None, (0.0, 1e-9)).reached
+    assert kinematics.inverse_kinematics(planar_arm, (1.2, 0.6, 0.0), None, (0.0, 1e-9)).reached
     limits, point = ((-1.0, -1.0), (1.0, 1.0)), (-1.0, 0.5, 0.0)
-    found = kinematics.inverse_kinematics(planar_arm(), point, None, (0.1, 0.1), limits)
+    found = kinematics.inverse_kinematics(planar_arm, point, None, (0.1, 0.1), limits)
     assert not found.reached and (np.abs(found.q) <= 1.0).all()
 
 
@@ -231,7 +219,7 @@ def states(joints):
 
 def pinocchio_arm(arm, inertial):
     """The arm as Pinocchio reads its URDF; its base stands as the arm's does."""
-    model = pin.buildModelFromXML(arm_urdf(arm, inertial=inertial))
+    model = pin.buildModelFromXML(urdf.arm_urdf(arm, inertial=inertial))
     model.gravity.linear = arm.gravity_vector()
     return model
 
@@ -250,16 +238,14 @@ def test_given_an_exported_urdf_when_pinocchio_places_it_then_tip_and_jacobian_a
         _, tip = kinematics.forward_kinematics(chain, q)
         close(data.oMf[tool].translation, tip)
         turned, moved = np.eye(3), np.zeros(3)
-        for _, _, translation, quaternion in transforms(chosen, q):
+        for _, _, translation, quaternion in urdf.transforms(chosen, q):
             moved = moved + turned @ translation
             turned = turned @ pin.Quaternion(np.array(quaternion)).toRotationMatrix()
         close(moved, tip)
         np.testing.assert_allclose(data.oMf[tool].rotation, turned, atol=1e-9)
         pin.computeJointJacobians(model, data, place)
-        close(
-            kinematics.jacobian(chain, q),
-            pin.getFrameJacobian(model, data, tool, pin.LOCAL_WORLD_ALIGNED),
-        )
+        found = pin.getFrameJacobian(model, data, tool, pin.LOCAL_WORLD_ALIGNED)
+        close(kinematics.jacobian(chain, q), found)
 
 
 def test_given_an_exported_urdf_when_read_by_pinocchio_then_torques_are_ours(chosen, tmp_path):
@@ -269,8 +255,8 @@ def test_given_an_exported_urdf_when_read_by_pinocchio_then_torques_are_ours(cho
         assert 'a URDF cannot express that' in str(error)  # noqa: PT017 - identified arms
         return
     data, ours = model.createData(), SerialModel(compile_chain(chosen))
-    (tmp_path / 'arm.urdf').write_text(arm_urdf(chosen))
-    again = read_urdf_chain(tmp_path / 'arm.urdf')
+    (tmp_path / 'arm.urdf').write_text(urdf.arm_urdf(chosen))
+    again = urdf_chain.read_urdf_chain(tmp_path / 'arm.urdf')
     assert [joint.type for joint in again.joints] == [joint.type for joint in chosen.joints]
     read = SerialModel(compile_chain(again)._replace(gravity=ours.chain.gravity))
     for q, v, a in states(len(chosen.joints)):
@@ -287,7 +273,7 @@ def test_given_an_exported_mjcf_when_mujoco_takes_it_then_motions_are_ours(mujoc
         with pytest.raises(LpvError, match='MuJoCo does not take the arm: .*inertia'):
             MujocoChain(chain)
         return
-    model = mujoco.MjModel.from_xml_string(chain_mjcf(chain))
+    model = mujoco.MjModel.from_xml_string(mjcf.chain_mjcf(chain))
     data, ours, n = mujoco.MjData(model), SerialModel(chain), len(chosen.joints)
     for q, v, torque in states(n):
         data.qpos[:], data.qvel[:], data.qfrc_applied[:] = q, v, torque
@@ -331,35 +317,35 @@ def test_given_no_mujoco_when_a_plant_is_made_then_an_install_is_asked_for(monke
 def test_given_odd_names_or_an_inertia_of_no_body_when_written_then_it_is_xml_or_refused(paper_arm):
     joints = [replace(j, name=n) for j, n in zip(paper_arm.joints, ('x<1>', 'y&2'))]
     arm = replace(paper_arm, name='a <b> & "c"', joints=tuple(joints))
-    robot = ElementTree.fromstring(arm_urdf(arm))
+    robot = ElementTree.fromstring(urdf.arm_urdf(arm))
     assert robot.get('name') == arm.name
     assert [j.get('name') for j in robot.findall('joint')][:2] == list(arm.joint_names)
     link = replace(paper_arm.joints[1].link, inertia=tuple(1e-3 * np.array([1, 0, 1, 0, 0, 1])))
     joints = paper_arm.joints[0], replace(paper_arm.joints[1], link=link)
     arm = replace(paper_arm, joints=joints)
     with pytest.raises(ConfigError, match=r'joints\[1\]\.link\.inertia'):
-        arm_urdf(arm)
-    assert '<inertial>' not in arm_urdf(arm, inertial=False)
+        urdf.arm_urdf(arm)
+    assert '<inertial>' not in urdf.arm_urdf(arm, inertial=False)
 
 
 def test_given_the_command_when_run_then_it_prints_the_urdf_of_a_file(paper_arm, capsys, tmp_path):
     command, out = ['urdf', '--arm', str(BRINGUP / 'arms' / 'paper.yaml')], tmp_path / 'a.urdf'
     assert main(command) == 0
-    assert capsys.readouterr().out == arm_urdf(paper_arm)
+    assert capsys.readouterr().out == urdf.arm_urdf(paper_arm)
     assert main([*command, '--out', str(out)]) == 0
-    assert out.read_text() == arm_urdf(paper_arm)
+    assert out.read_text() == urdf.arm_urdf(paper_arm)
 
 
 @pytest.mark.parametrize('make', PRISMATIC.values(), ids=PRISMATIC)
 def test_given_an_arm_file_when_written_and_read_then_it_is_the_same(make, tmp_path):
     arm = make()
-    save_arm(arm, tmp_path / 'arm.yaml')
+    arm_file.save_arm(arm, tmp_path / 'arm.yaml')
     again = load_arm(tmp_path / 'arm.yaml')
     assert again == arm and again.sha256() == arm.sha256()
-    data = to_mapping(arm)
+    data = arm_file.to_mapping(arm)
     data['joints'][0]['type'] = 'helical'
     with pytest.raises(ConfigError, match='revolute, prismatic'):
-        parse_arm(data)
+        arm_file.parse_arm(data)
 
 
 def test_given_a_prismatic_joint_then_its_range_counts_as_a_turn_and_it_has_no_certificate():
