@@ -1,4 +1,4 @@
-"""Arm, scenario and gains files: errors name the field, nothing passes in silence."""
+"""Arm, scenario, gains files and others: errors name the field, nothing passes in silence."""
 
 import math
 import re
@@ -7,9 +7,12 @@ from dataclasses import asdict, fields, replace
 import numpy as np
 import pytest
 import yaml
+from fuzzing import fuzz, mutate_text
 from nested import Missing, changed, numbers, places
 from places import BRINGUP, ROOT
 
+from lpv.bag.run.csv_import import load_column_map
+from lpv.campaign.plan.spec import parse_spec
 from lpv.core.serial_arm.arm_file import load_arm, parse_arm, save_arm, to_mapping
 from lpv.core.simulation.faults import KINDS, Fault, FaultInjector
 from lpv.core.simulation.scenario import load_scenario, parse_scenario
@@ -21,9 +24,9 @@ from lpv.core.uio.model.arm import Link
 from lpv.core.uio.planar import planar_model
 from lpv_design.requirement import load_requirement, parse_requirement
 
-ARM = yaml.safe_load((BRINGUP / 'arms' / 'paper.yaml').read_text())
-SCENARIO = yaml.safe_load((BRINGUP / 'scenarios' / 'two_faults.yaml').read_text())
-REQUIREMENT = yaml.safe_load((ROOT / 'design/lpv_design/requirements/paper.yaml').read_text())
+ARM = read_yaml(BRINGUP / 'arms' / 'paper.yaml')
+SCENARIO = read_yaml(BRINGUP / 'scenarios' / 'two_faults.yaml')
+REQUIREMENT = read_yaml(ROOT / 'design/lpv_design/requirements/paper.yaml')
 OLD_ARM = yaml.safe_load("""
 name: paper
 inertia_reference: center_of_mass
@@ -96,13 +99,17 @@ def kind(request, kinds):
     return kinds[request.param]
 
 
-def test_given_any_number_in_a_file_when_it_is_none_then_its_field_is_named(kind):
+def test_given_no_number_or_an_unknown_field_in_a_file_when_read_then_it_is_named(kind):
     for field in numbers(kind.good):
         for bad in (math.nan, math.inf, -math.inf, 'heavy', True, None, {'a': 1}):
             found, whole = kind.refused(field, bad).field, kind.prefix + field
             # The field, or the list or mapping that holds it.
-            near = re.match(re.escape(found) + r'[.\[]', whole)
-            assert f'{found}['.startswith(f'{whole}[') or near, found
+            near = whole.startswith((f'{found}.', f'{found}['))
+            assert near or f'{found}['.startswith(f'{whole}['), found
+    inside = [f'{name}.' for name, value in places(kind.good) if isinstance(value, dict)]
+    for place in ['', *inside]:
+        error = kind.refused(f'{place}colour', 1.0)
+        assert error.field == f'{kind.prefix}{place}colour' and 'known here: ' in error.reason
 
 
 def test_given_any_field_of_a_file_when_left_out_then_just_those_that_must_be_are_missed(kind):
@@ -116,25 +123,17 @@ def test_given_any_field_of_a_file_when_left_out_then_just_those_that_must_be_ar
     assert kind.needed <= missed
 
 
-def test_given_an_unknown_field_in_a_file_when_read_then_it_is_named_with_the_known_ones(kind):
-    inside = [f'{name}.' for name, value in places(kind.good) if isinstance(value, dict)]
-    for place in ['', *inside]:
-        error = kind.refused(f'{place}colour', 1.0)
-        assert error.field == f'{kind.prefix}{place}colour' and 'known here: ' in error.reason
-
-
 @pytest.mark.parametrize(
     'name', ['arms/paper', 'arms/real_arm', 'arms/ur10', 'scenarios/two_faults', 'scenarios/ur10']
 )
 def test_given_any_number_of_a_file_when_it_is_huge_then_it_is_refused(name):
-    path = BRINGUP / f'{name}.yaml'
-    data, is_arm = yaml.safe_load(path.read_text()), name.startswith('arms')
+    path, is_arm = BRINGUP / f'{name}.yaml', name.startswith('arms')
     parse, options = (parse_arm, {'folder': path.parent}) if is_arm else (parse_scenario, {})
-    for field in numbers(data):
-        if 'covariance' not in field:
-            for huge in (1e300, -1e300):
-                with pytest.raises(ConfigError):
-                    parse(changed(data, field, huge), 'some.yaml', **options)
+    data = read_yaml(path)
+    for field in (one for one in numbers(data) if 'covariance' not in one):
+        for huge in (1e300, -1e300):
+            with pytest.raises(ConfigError):
+                parse(changed(data, field, huge), 'some.yaml', **options)
 
 
 BAD = {
@@ -269,12 +268,12 @@ def larger(value):
     return f'{value}x' if isinstance(value, str) else math.nextafter(value, math.inf)
 
 
-def test_given_an_arm_when_hashed_then_its_parameters_count_alone(tmp_path, paper_model):
+def test_given_arms_or_values_when_hashed_then_just_what_matters_counts(tmp_path, paper_model):
     other = {f.name: larger(getattr(paper_model, f.name)) for f in fields(paper_model)}
     other |= {'arrangement': 'relative', 'orientation': 'hanging'}
     other['inertia_reference'] = 'center_of_mass'
-    assert replace(paper_model, rates='derived').sha256() == paper_model.sha256()
     del other['rates']  # say nothing to the design
+    assert replace(paper_model, rates='derived').sha256() == paper_model.sha256()
     variants = [replace(paper_model, **{name: value}) for name, value in other.items()]
     for i, link in enumerate(paper_model.links):
         for f in fields(Link):
@@ -285,9 +284,6 @@ def test_given_an_arm_when_hashed_then_its_parameters_count_alone(tmp_path, pape
     data = changed(ARM, 'joints[0].link.mass', 10)  # an integer for 10.0
     (tmp_path / 'arm.yaml').write_text('# comment\n' + yaml.safe_dump(data, sort_keys=True))
     assert planar_model(load_arm(tmp_path / 'arm.yaml')).sha256() == paper_model.sha256()
-
-
-def test_given_texts_and_numbers_when_hashed_then_types_and_nesting_count():
     values = [1.0, '1.0', [1.0], {'a': 1.0}, {'a': [1.0]}, {'b': 1.0}, True, None, [[1.0], 2.0],
               [1.0, 2.0], [1.0, [2.0]], 'a', ['a', 'b'], ['a,b'], '']  # fmt: skip
     assert len({sha256_of(v) for v in values}) == len(values)
@@ -385,16 +381,13 @@ def test_given_a_scenario_when_read_then_it_may_have_any_kind_of_fault_and_defau
         assert parse_scenario({**SCENARIO, 'faults': [fault]}).faults[0].kind == kind
 
 
-@pytest.mark.parametrize(
-    ('fault', 'field'),
-    [
-        (('x', 'bias', 0.0, 0.0, 1.0), 'sensor'), (('a', 'melt', 0.0), 'kind'),
-        (('a', 'bias', 0.0), 'size'), (('a', 'drift', 0.0, 0.0, 1.0), 'rate'),
-        (('a', 'noise', 0.0, 0.0, -1.0), 'size'), (('a', 'scale', 0.0), 'size'),
-        (('a', 'spike', 0.0, 0.0, 1.0, -1.0), 'rate'), (('a', 'bias', math.nan, 0.0, 1.0), 'onset'),
-        (('a', 'bias', 0.0, 0.0, math.inf), 'size'), (('a', 'bias', 0.0, -1.0, 1.0), 'duration'),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(('fault', 'field'), [
+    (('x', 'bias', 0.0, 0.0, 1.0), 'sensor'), (('a', 'melt', 0.0), 'kind'),
+    (('a', 'bias', 0.0), 'size'), (('a', 'drift', 0.0, 0.0, 1.0), 'rate'),
+    (('a', 'noise', 0.0, 0.0, -1.0), 'size'), (('a', 'scale', 0.0), 'size'),
+    (('a', 'spike', 0.0, 0.0, 1.0, -1.0), 'rate'), (('a', 'bias', math.nan, 0.0, 1.0), 'onset'),
+    (('a', 'bias', 0.0, 0.0, math.inf), 'size'), (('a', 'bias', 0.0, -1.0, 1.0), 'duration'),
+])  # fmt: skip
 def test_given_a_fault_that_cannot_be_injected_when_added_then_its_field_is_named(fault, field):
     injector = FaultInjector(('a', 'b'), (), np.random.default_rng(0))
     with pytest.raises(ConfigError, match=rf'^fault\.{field}: '):
@@ -420,16 +413,40 @@ def test_given_gains_when_saved_and_loaded_then_no_bit_differs(tmp_path, gains_o
     assert back.observer.k.tobytes() == odd.tobytes()
 
 
-def test_given_another_yaml_file_when_read_as_gains_then_it_is_refused(tmp_path):
+def test_given_other_yaml_or_arm_then_gains_refuse(tmp_path, paper_model, real_model, paper_gains):
     path, empty = tmp_path / 'other.yaml', '/**: {ros__parameters: {}}'
     for text in ('a: 1', '/**: 5', empty, empty.replace('{}', '{gains: 5}')):
         path.write_text(text)
         with pytest.raises(ConfigError, match='other.yaml: .*gains'):
             load_gains(path)
-
-
-def test_given_gains_of_another_arm_then_both_hashes_are_told(paper_model, real_model, paper_gains):
     paper_gains.check_arm(paper_model)
     hashes = '.*'.join(model.sha256()[:12] for model in (paper_model, real_model))
     with pytest.raises(ConfigError, match=rf'^g.yaml: gains.arm_sha256: .*{hashes}'):
         paper_gains.check_arm(real_model, 'g.yaml')
+
+
+MUTATED = {
+    'arm': (load_arm, BRINGUP / 'arms' / 'real_arm.yaml'),
+    'requirement': (load_requirement, ROOT / 'design/lpv_design/requirements/real_arm.yaml'),
+    'scenario': (load_scenario, BRINGUP / 'scenarios' / 'two_faults.yaml'),
+    'columns': (load_column_map, BRINGUP / 'columns' / 'real_arm.yaml'),
+    'campaign': (lambda p: parse_spec(read_yaml(p)), BRINGUP / 'campaigns' / 'thresholds.yaml'),
+    'gains': (load_gains, BRINGUP / 'gains' / 'real_arm.yaml'),
+}
+UNBOUNDED = {
+    'arm': ('.effort_bandwidth', '.joints.0.limits.', '.joints.1.limits.'),
+    'gains': ('.certificate.guarantee.',),
+}
+"""Where infinity means that there is no bound, as of an angle without a threshold."""
+
+
+@pytest.mark.fuzz
+@pytest.mark.parametrize('kind', MUTATED)
+def test_given_mutated_files_when_read_then_each_is_refused_or_holds_finite_numbers(kind, tmp_path):
+    load, original = MUTATED[kind]
+    text, path = original.read_text(), tmp_path / 'mutated.yaml'
+
+    def mutate(seed):
+        path.write_bytes(mutate_text(text, seed))
+
+    assert fuzz(150, mutate, lambda: load(path), unbounded=UNBOUNDED.get(kind, ())).refused

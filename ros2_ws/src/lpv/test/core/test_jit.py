@@ -26,15 +26,12 @@ def digests(package, files, moved='sub'):
     return source_digest(package), *own
 
 
-@pytest.mark.parametrize(
-    ('files', 'moved', 'same'),
-    [
-        ({}, 'sub', (True, True, True)),  # the same sources elsewhere
-        ({'sub/b.py': 'x = 2\n'}, 'sub', (False, False, True)),  # what a imports
-        ({'c.py': 'y = 2\n'}, 'sub', (False, True, False)),  # what a does not import
-        ({}, 'other', (False, False, True)),
-    ],
-)
+@pytest.mark.parametrize(('files', 'moved', 'same'), [
+    ({}, 'sub', (True, True, True)),  # the same sources elsewhere
+    ({'sub/b.py': 'x = 2\n'}, 'sub', (False, False, True)),  # what a imports
+    ({'c.py': 'y = 2\n'}, 'sub', (False, True, False)),  # what a does not import
+    ({}, 'other', (False, False, True)),
+])  # fmt: skip
 def test_given_sources_when_changed_or_moved_then_digests_follow(tmp_path, files, moved, same):
     before = digests(tmp_path / 'before' / 'lpv_here', {})
     after = digests(tmp_path / 'after' / 'lpv_here', files, moved)

@@ -54,7 +54,7 @@ def test_given_filters_and_delays_then_rates_are_derived(dt, noise, bits, cutoff
     assert rate_source(stamps, position, rounded).source != 'independent'
 
 
-def test_given_no_rates_few_samples_rest_or_jitter_when_tested_then_nothing_is_decided():
+def test_given_rates_when_tested_then_nothing_is_decided_of_few_and_the_recorded_are_derived():
     stamps, position, _, rate = reading(0.002, 1e-3, 0)
     for none in (np.zeros(COUNT), np.full(COUNT, np.nan)):
         assert rate_source(stamps, position, none).source == 'none'
@@ -67,9 +67,6 @@ def test_given_no_rates_few_samples_rest_or_jitter_when_tested_then_nothing_is_d
     rate = np.cos(time) + 5e-3 * rng.standard_normal(COUNT)  # is not what the differences show
     stamps = (1e9 * dt * np.arange(COUNT)).astype(int)
     assert rate_source(stamps, position, rate).source == 'undecided'
-
-
-def test_given_the_recorded_arm_when_tested_then_its_rates_are_derived():
     rows = np.genfromtxt(DATA / 'real_arm' / 'excerpt.csv', delimiter=',', names=True)
     stamps = np.round(1e9 * rows['time']).astype(int)
     for joint in (1, 2):

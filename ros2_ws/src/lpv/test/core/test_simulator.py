@@ -6,29 +6,26 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lpv.core.simulation.arm_simulator import ArmSimulator
+from lpv.core.simulation import arm_simulator, scenario
 from lpv.core.simulation.faults import Fault, FaultInjector
-from lpv.core.simulation.scenario import disturbance_of
 from lpv.core.support.errors import ConfigError
 from lpv.core.uio.model.dynamics import inverse_dynamics
 
 pytestmark = pytest.mark.slow
+QUIET = {'noise': False, 'disturbance': False}
 
 
 @pytest.fixture
 def simulate(paper_arm, two_faults):
     """A simulator of the paper's arm, without faults if not said otherwise."""
-
-    def make(*faults, **changes):
-        return ArmSimulator(paper_arm, replace(two_faults, faults=faults, **changes))
-
-    return make
+    return lambda *faults, **changes: arm_simulator.ArmSimulator(
+        paper_arm, replace(two_faults, faults=faults, **changes)
+    )
 
 
-QUIET = {'noise': False, 'disturbance': False}
-
-
-def test_given_too_much_torque_then_effort_shows_what_acted(paper_arm, two_faults, simulate):
+def test_given_too_much_torque_or_brakes_then_effort_shows_what_acted(
+    paper_arm, two_faults, simulate, joints, paper_model
+):
     plant = simulate(**QUIET)
     measurement, truth = plant.sense()
     start = two_faults.path(paper_arm).sample(0.0).position
@@ -41,9 +38,6 @@ def test_given_too_much_torque_then_effort_shows_what_acted(paper_arm, two_fault
         with pytest.raises(ValueError, match='2 finite numbers'):
             plant.step(torque)
     assert plant.step_count == 1
-
-
-def test_given_brakes_then_nothing_moves_and_gravity_is_carried(simulate, joints, paper_model):
     plant = simulate(noise=False)
     _, before = plant.sense()
     for _ in range(10):
@@ -101,57 +95,50 @@ def test_given_mujoco_when_run_then_signals_are_ours(run_paper, changes):
         np.testing.assert_allclose(getattr(other, name), getattr(one, name), atol=1e-6)
 
 
-def moved(plants, count, torque=(0.0, 0.0)):
-    """True positions of plants after some steps."""
+def apart(plants, count, torque=(0.0, 0.0)):
+    """How far the true positions of two plants are from each other after some steps [rad]."""
     for plant in plants:
         for _ in range(count):
             plant.step(torque)
-    return [plant.sense()[1].position for plant in plants]
+    one, other = (plant.sense()[1].position for plant in plants)
+    return np.abs(one - other).max()
 
 
 def test_given_no_coriolis_terms_when_the_arm_is_slow_or_loaded_then_the_plant_says_so(simulate):
     papers = {'plant': 'nonlinear_without_coriolis', **QUIET}
     plants = [simulate(**QUIET), simulate(**papers)]
-    assert np.abs(np.subtract(*moved(plants, 20, (5.0, 2.0)))).max() < 1e-3
-    assert np.abs(np.subtract(*moved(plants, 300))).max() > 1e-2
+    assert apart(plants, 20, (5.0, 2.0)) < 1e-3
+    assert apart(plants, 300) > 1e-2
     # It carries a payload, too.
-    light, heavy = moved([simulate(payload=load, **papers) for load in (0.0, 2.0)], 100)
-    assert np.abs(heavy - light).max() > 1e-3
+    assert apart([simulate(payload=load, **papers) for load in (0.0, 2.0)], 100) > 1e-3
 
 
 def test_given_a_disturbance_then_it_is_that_of_eq_31(paper_arm, two_faults, paper_model):
-    direction, mean, deviation = disturbance_of(paper_arm, two_faults)
+    direction, mean, deviation = scenario.disturbance_of(paper_arm, two_faults)
     assert (mean, deviation) == (0.2, pytest.approx(0.9**0.5))
     to_absolute = np.array([[1.0, 0.0], [1.0, 1.0]])
     np.testing.assert_allclose(to_absolute @ direction, paper_model.disturbance_direction)
-    assert disturbance_of(paper_arm, replace(two_faults, disturbance=False))[2] == 0.0
-    assert disturbance_of(replace(paper_arm, lpv=None), two_faults)[2] == 0.0
-
-
-def injector_of(*faults):
-    return FaultInjector(('a', 'b'), faults, np.random.default_rng(5))
+    assert scenario.disturbance_of(paper_arm, replace(two_faults, disturbance=False))[2] == 0.0
+    assert scenario.disturbance_of(replace(paper_arm, lpv=None), two_faults)[2] == 0.0
 
 
 def apply_at(times, *faults, reading=lambda t: (t, -t)):
-    injector = injector_of(*faults)
+    injector = FaultInjector(('a', 'b'), faults, np.random.default_rng(5))
     return np.array([injector.apply(t, np.array(reading(t), float), 0.1) for t in times])
 
 
 TIMES = np.arange(0.0, 5.0, 0.5)
 
 
-@pytest.mark.parametrize(
-    ('kind', 'fields', 'expected'),
-    [
-        ('bias', {'size': -0.3}, -0.3 + 0 * TIMES),
-        ('drift', {'rate': 0.4}, 0.4 * (TIMES - 1.0)),
-        ('drift', {'rate': 0.4, 'size': 0.5}, np.minimum(0.4 * (TIMES - 1.0), 0.5)),
-        ('drift', {'rate': -0.4, 'size': 0.5}, np.maximum(-0.4 * (TIMES - 1.0), -0.5)),
-        ('scale', {'size': 0.1}, -0.1 * TIMES),
-        ('stuck', {}, TIMES - 1.0),
-        ('dropout', {}, np.full_like(TIMES, np.nan)),
-    ],
-)
+@pytest.mark.parametrize(('kind', 'fields', 'expected'), [
+    ('bias', {'size': -0.3}, -0.3 + 0 * TIMES),
+    ('drift', {'rate': 0.4}, 0.4 * (TIMES - 1.0)),
+    ('drift', {'rate': 0.4, 'size': 0.5}, np.minimum(0.4 * (TIMES - 1.0), 0.5)),
+    ('drift', {'rate': -0.4, 'size': 0.5}, np.maximum(-0.4 * (TIMES - 1.0), -0.5)),
+    ('scale', {'size': 0.1}, -0.1 * TIMES),
+    ('stuck', {}, TIMES - 1.0),
+    ('dropout', {}, np.full_like(TIMES, np.nan)),
+])  # fmt: skip
 def test_given_each_kind_of_fault_when_applied_then_it_is_what_it_is_called(kind, fields, expected):
     found = apply_at(TIMES, Fault('b', kind, 1.0, 2.0, **fields)) - np.array([TIMES, -TIMES]).T
     on = (TIMES >= 1.0) & (TIMES < 3.0)
@@ -159,21 +146,19 @@ def test_given_each_kind_of_fault_when_applied_then_it_is_what_it_is_called(kind
     np.testing.assert_allclose(found[:, 1], np.where(on, expected, 0.0), atol=1e-14)
 
 
-def test_given_random_faults_when_applied_then_their_moments_are_as_asked():
+def test_given_faults_when_applied_then_moments_are_right_they_add_up_and_are_cleared():
     faults = Fault('a', 'noise', 0.0, size=0.2), Fault('b', 'spike', 0.0, size=0.7, rate=1)
     noise, spikes = apply_at(np.arange(4000) * 0.1, *faults, reading=lambda t: (0, 0)).T
     assert noise.std() == pytest.approx(0.2, rel=0.05)
     assert set(np.unique(spikes)) == {-0.7, 0.0, 0.7}
     assert np.mean(spikes != 0) == pytest.approx(0.1, rel=0.2)
-
-
-def test_given_faults_of_a_sensor_then_they_add_up_freeze_anew_and_are_cleared_by_name():
     found = apply_at([2.0], Fault('a', 'bias', 0.0, size=0.1), Fault('a', 'bias', 1.0, size=0.2))
     np.testing.assert_allclose(found, [[2.3, -2.0]])
     times = (0.5, 1.0, 1.5, 2.5, 1.2)
     found = apply_at(times, Fault('a', 'stuck', 1.0, 1.0), reading=lambda t: (10 * t, 0))
     assert found[:, 0].tolist() == [5.0, 10.0, 10.0, 25.0, 12.0]
-    injector = injector_of(Fault('a', 'bias', 0.0, size=1.0), Fault('b', 'stuck', 0.0))
+    faults = Fault('a', 'bias', 0.0, size=1.0), Fault('b', 'stuck', 0.0)
+    injector = FaultInjector(('a', 'b'), faults, np.random.default_rng(5))
     with pytest.raises(ConfigError, match=r'fault\.sensor'):
         injector.clear('c')
     injector.apply(0.0, np.zeros(2), 0.1)

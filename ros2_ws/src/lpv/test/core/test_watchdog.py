@@ -15,7 +15,6 @@ from lpv_design.design_flow import design
 from lpv_design.requirement import load_requirement
 
 pytestmark = pytest.mark.slow
-
 MS = 1_000_000
 STEP = 2 * MS
 STILL = np.zeros(2)
@@ -34,10 +33,8 @@ def drives(paper_arm):
 
 def estimates(tracker, steps, latency=0, mode=OBSERVING, trustworthy=True, velocity=STILL):
     """What the tracker says to estimates that are all alike, at so many steps."""
-    return [
-        watchdog.check_estimate(tracker, k * STEP, latency, mode, trustworthy, velocity, STILL)
-        for k in steps
-    ]
+    what = latency, mode, trustworthy, velocity, STILL
+    return [watchdog.check_estimate(tracker, k * STEP, *what) for k in steps]
 
 
 def commands(drives, steps, latency, velocity=STILL):
@@ -91,11 +88,9 @@ def test_given_an_arm_off_its_reference_when_it_stays_there_then_it_stops_until_
 
 @pytest.mark.parametrize('beside', [0.0, 0.04])
 def test_given_an_arm_that_stands_still_when_left_then_it_is_not_following(tracker, beside):
-    reasons = [
-        # The position that is fed back moves, as a correction fades; the arm does not.
-        motion(tracker, k, reference, 0.9 * reference, STILL)
-        for k, reference in enumerate(np.outer(0.001 * np.arange(50) + beside, [1.0, 0.0]))
-    ]
+    path = np.outer(0.001 * np.arange(50) + beside, [1.0, 0.0])
+    # The position that is fed back moves, as a correction fades; the arm does not.
+    reasons = [motion(tracker, k, there, 0.9 * there, STILL) for k, there in enumerate(path)]
     assert reasons.index(StopReason.NOT_FOLLOWING) == 21
     watchdog.note_stop(tracker)
     assert motion(tracker, 60, np.array([0.1, 0.0]), STILL, STILL) == StopReason.NONE
@@ -142,13 +137,12 @@ def test_given_a_tolerated_latency_then_the_arm_follows_and_beyond_it_is_braked(
 
 @pytest.mark.parametrize('seed', range(4))
 def test_given_random_stalls_when_run_then_no_joint_is_too_fast(run_paper, seed):
-    rng = np.random.default_rng(seed)
+    rng, stalls = np.random.default_rng(seed), []
     delay = int(rng.integers(0, 4))
-    stalls = tuple(  # of any part at any time, 0.02 to 1 s long
-        Stall(PARTS[rng.integers(len(PARTS))], rng.uniform(0.1, 19.0), 0.02 * 50 ** rng.random())
-        for _ in range(10)
-    )
-    run = run_paper(seed=seed, options={'transport': Transport(delay, stalls=stalls)})
+    for _ in range(10):  # of any part at any time, 0.02 to 1 s long
+        part, onset = PARTS[rng.integers(len(PARTS))], rng.uniform(0.1, 19.0)
+        stalls.append(Stall(part, onset, 0.02 * 50 ** rng.random()))
+    run = run_paper(seed=seed, options={'transport': Transport(delay, stalls=tuple(stalls))})
     assert np.abs(run.velocity).max() < 2.0  # of 20 rad/s
     assert run.place[-1] > 1000, 'the arm goes on'
 

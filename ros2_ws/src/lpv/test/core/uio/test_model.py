@@ -32,6 +32,7 @@ STATE, EFFORT = st.tuples(ANGLE, ANGLE, RATE, RATE), st.tuples(TORQUE, TORQUE)
 ANYWHERE = st.floats(-1e6, 1e6) | st.floats(-1.0, 1.0)
 BEARING, LENGTH = st.floats(-math.pi, math.pi), st.floats(0.1, 3.0)
 PAIR = st.tuples(st.floats(-10, 10), st.floats(-10, 10)).map(np.array)
+SHARE = st.floats(0.001, 0.999) | st.sampled_from([0.0, 1.0])
 SHARES = st.tuples(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))
 
 
@@ -43,12 +44,6 @@ def test_given_any_state_when_it_moves_then_its_torques_come_back(arms, state, e
         assert back == pytest.approx(effort, abs=1e-9)
 
 
-def test_given_no_coriolis_term_when_links_turn_then_no_centripetal_torque_acts(paper_model):
-    c = paper_model.constants(coriolis=False)
-    still = inverse_dynamics(0.3, -0.4, 0.0, 0.0, 0.1, 0.2, c)
-    assert inverse_dynamics(0.3, -0.4, 3.0, -2.0, 0.1, 0.2, c) == pytest.approx(still, rel=1e-14)
-
-
 @given(STATE, st.floats(0.0, 20.0))
 def test_given_a_payload_then_energy_is_that_of_a_point_mass_at_the_tip_more(arms, state, mass):
     theta, rate = np.array(state).reshape(2, 2)
@@ -58,6 +53,17 @@ def test_given_a_payload_then_energy_is_that_of_a_point_mass_at_the_tip_more(arm
         extra = 0.5 * mass * tip_rate @ tip_rate + mass * arm.gravity * turn[0].sum()
         loaded = energy(state, arm.with_payload(mass).constants())
         assert loaded == pytest.approx(energy(state, arm.constants()) + extra, rel=1e-10, abs=1e-9)
+
+
+def test_given_table_1_when_constants_are_formed_then_they_are_those_of_eq_2(paper_model):
+    c = paper_model.constants()
+    expected = [10 * 0.25 + 5 * 1.0 + 0.83, 1.66]  # 8.33; 4.58 in eq. (5)
+    np.testing.assert_allclose(c.inertia, expected, rtol=1e-6)
+    assert (c.coupling, c.rotor_coupling) == (pytest.approx(2.5), 0.0)
+    np.testing.assert_allclose(c.gravity, [98.0, 24.5])
+    c = paper_model.constants(coriolis=False)  # no centripetal torque acts
+    still = inverse_dynamics(0.3, -0.4, 0.0, 0.0, 0.1, 0.2, c)
+    assert inverse_dynamics(0.3, -0.4, 3.0, -2.0, 0.1, 0.2, c) == pytest.approx(still, rel=1e-14)
 
 
 def test_given_factors_or_a_payload_then_each_constant_follows_and_mass_is_positive(paper_model):
@@ -78,8 +84,8 @@ def test_given_factors_or_a_payload_then_each_constant_follows_and_mass_is_posit
 
 def conversions(joints):
     """Each conversion, and the one back."""
-    pairs = ((f'absolute_{of}', f'joint_{of}') for of in ('position', 'velocity', 'torque'))
-    return [(getattr(joints, there), getattr(joints, back)) for there, back in pairs]
+    kinds = 'position', 'velocity', 'torque'
+    return [tuple(getattr(joints, f'{to}_{of}') for to in ('absolute', 'joint')) for of in kinds]
 
 
 @given(PAIR, PAIR)
@@ -95,13 +101,21 @@ def test_given_any_pair_when_converted_then_it_comes_back_and_power_is_kept(arms
         np.testing.assert_allclose(moved, joints.absolute_velocity(rate), atol=1e-7)
 
 
-def test_given_both_arms_then_zeros_and_torques_are_those_of_files(paper_model, real_model):
+def test_given_both_arms_then_zeros_torques_and_eqs_29_to_31_are_right(paper_model, real_model):
     upright, hanging = JointMap(paper_model), JointMap(real_model)
     np.testing.assert_array_equal(upright.absolute_torque([5.0, 2.0]), [3.0, 2.0])
     np.testing.assert_allclose(upright.absolute_position([math.pi / 2, 0.0]), 0.0, atol=1e-15)
     np.testing.assert_allclose(upright.absolute_position([0.0, 0.0]), -math.pi / 2)
     expected = [math.pi + 0.2, math.pi + 0.5]
     np.testing.assert_allclose(hanging.absolute_position([0.2, 0.3]), expected)
+    for found, expected in zip(output_matrices(paper_model), (np.eye(4), np.eye(4)[:, :2])):
+        np.testing.assert_array_equal(found, expected)
+    c, df = output_matrices(real_model)
+    np.testing.assert_array_equal(c, np.kron(np.eye(2), [[1.0, 0.0], [-1.0, 1.0]]))
+    # In absolute coordinates a fault of encoder 1 shifts both angles: Df = [[1, 0], [1, 1], ...].
+    np.testing.assert_allclose(np.linalg.inv(c) @ df, [[1, 0], [1, 1], [0, 0], [0, 0]])
+    np.testing.assert_array_equal(disturbance_matrix(paper_model), [[0], [0], [0.7], [0]])
+    np.testing.assert_array_equal(disturbance_matrix(real_model), [[0], [0], [1.0], [0]])
 
 
 def test_given_a_batch_when_converted_or_solved_then_every_row_alone_and_a_bad_one_is_named(arm):
@@ -117,9 +131,7 @@ def test_given_a_batch_when_converted_or_solved_then_every_row_alone_and_a_bad_o
             inverse(bad, lengths)
 
 
-@given(
-    st.floats(0.001, 0.999) | st.sampled_from([0.0, 1.0]), BEARING, st.booleans(), LENGTH, LENGTH
-)
+@given(SHARE, BEARING, st.booleans(), LENGTH, LENGTH)
 def test_given_a_reachable_point_when_solved_then_the_tip_is_there(share, bearing, up, l_1, l_2):
     radius = abs(l_1 - l_2) + share * (l_1 + l_2 - abs(l_1 - l_2))
     point = radius * np.array([math.cos(bearing), math.sin(bearing)])
@@ -173,11 +185,10 @@ def test_given_phi_1_of_zero_when_b_is_interpolated_then_it_is_1_83_times_the_ar
     np.testing.assert_allclose(np.diag(interpolated) / np.diag(true), 1.83, atol=0.01)
 
 
-def cross(a, b):
-    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
-
-
 def test_given_the_quadrangle_then_it_holds_the_arc_and_is_no_bounding_box(arm):
+    def cross(a, b):
+        return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+
     c = arm.constants()
     corners = polytope.inverse_inertia_quadrangle(c)
     s = c.rotor_coupling + c.coupling * np.linspace(-1.0, 1.0, 2001)
@@ -242,14 +253,6 @@ def test_given_both_orientations_when_slopes_are_bounded_then_they_mirror(paper_
     np.testing.assert_array_equal(polytope.slope_range(hanging), [[-1.0, -1.0], [-0.3, -0.5]])
 
 
-def test_given_table_1_when_constants_are_formed_then_they_are_those_of_eq_2(paper_model):
-    c = paper_model.constants()
-    assert c.inertia[0] == pytest.approx(10 * 0.25 + 5 * 1.0 + 0.83)  # 8.33; 4.58 in eq. (5)
-    assert c.inertia[1] == pytest.approx(1.66)
-    assert (c.coupling, c.rotor_coupling) == (pytest.approx(2.5), 0.0)
-    np.testing.assert_allclose(c.gravity, [98.0, 24.5])
-
-
 def lpv_right_side(x, u, push=(0.0, 0.0)):
     """Eq. (25) with Table 1: an inertia is 8.33 by eq. (2), not 4.58 as printed in eq. (5)."""
     ranges, total = ((-1.0, 1.0), (-0.2, 1.0), (-0.2, 1.0)), np.array([0.0, 0.0, *push])
@@ -279,18 +282,6 @@ def test_given_a_push_when_the_lpv_plant_steps_then_it_is_runge_kutta(paper_arm,
     plant.advance(motion, joints.joint_torque(u), joints.joint_velocity(push), dt, 1)
     np.testing.assert_allclose(joints.absolute_position(motion[0]), expected[:2], atol=1e-13)
     np.testing.assert_allclose(joints.absolute_velocity(motion[1]), expected[2:], atol=1e-13)
-
-
-def test_given_both_arrangements_then_eqs_29_to_31_hold(paper_model, real_model):
-    c, df = output_matrices(paper_model)
-    np.testing.assert_array_equal(c, np.eye(4))
-    np.testing.assert_array_equal(df, np.eye(4)[:, :2])
-    c, df = output_matrices(real_model)
-    np.testing.assert_array_equal(c, np.kron(np.eye(2), [[1.0, 0.0], [-1.0, 1.0]]))
-    # In absolute coordinates a fault of encoder 1 shifts both angles: Df = [[1, 0], [1, 1], ...].
-    np.testing.assert_allclose(np.linalg.inv(c) @ df, [[1, 0], [1, 1], [0, 0], [0, 0]])
-    np.testing.assert_array_equal(disturbance_matrix(paper_model), [[0], [0], [0.7], [0]])
-    np.testing.assert_array_equal(disturbance_matrix(real_model), [[0], [0], [1.0], [0]])
 
 
 def test_given_vertices_when_augmented_then_eqs_35_to_37_hold_and_47_has_a_solution(arm):

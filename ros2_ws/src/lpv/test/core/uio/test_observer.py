@@ -10,20 +10,17 @@ from hypothesis import strategies as st
 from planar_formulas import inertia, scheduling, weights
 
 from lpv.core.serial_arm.diagnosis.alarms import Mode
-from lpv.core.support.records import new_record
-from lpv.core.support.timestamps import NANOSECONDS
-from lpv.core.uio.model.dynamics import inverse_dynamics
+from lpv.core.support import records, timestamps
+from lpv.core.uio.model import dynamics, state_space
 from lpv.core.uio.model.joints import JointMap
 from lpv.core.uio.model.polytope import sinc_box, vertex_matrices
-from lpv.core.uio.model.state_space import Descriptor
-from lpv.core.uio.observer import paper_observer
-from lpv.core.uio.observer.sampled_observer import OBSERVER_STATE, advance, observer_constants
+from lpv.core.uio.observer import paper_observer, sampled_observer
 from lpv.core.uio.unknown_input_observer import UnknownInputObserver, uio_step
 
 
 def paper_descriptor(arm, s_min=-0.2):
     a, b = vertex_matrices(sinc_box(s_min), arm.constants(coriolis=False))
-    return Descriptor(a, b, arm)
+    return state_space.Descriptor(a, b, arm)
 
 
 class Swing:
@@ -41,7 +38,7 @@ class Swing:
 
     def torque(self, t):
         """Of both links, such that the arm moves as it does."""
-        return np.array(inverse_dynamics(*np.concatenate(self.absolute(t)), self.c))
+        return np.array(dynamics.inverse_dynamics(*np.concatenate(self.absolute(t)), self.c))
 
     def outputs(self, t, fault=(0.0, 0.0)):
         """Readings and rates of both sensors."""
@@ -66,12 +63,12 @@ class Exact:
     def __init__(self, arm, gains):
         self.gains, self.s, self.dt = gains.observer, JointMap(arm).sensor_matrix, arm.sample_time
         self.kappa, self.constants = arm.sign * gains.observer.kappa, arm.constants()
-        self.recursion, self.motion = observer_constants(arm, gains), Swing(arm)
-        self.state = new_record(OBSERVER_STATE)
+        self.recursion, self.motion = sampled_observer.observer_constants(arm, gains), Swing(arm)
+        self.state = records.new_record(sampled_observer.OBSERVER_STATE)
 
     def step(self, y_old, y_new, torque, dt=None):
         vectors = (np.asarray(one, float) for one in (y_old, y_new, torque))
-        advance(self.recursion, self.state, *vectors, dt or self.dt)
+        sampled_observer.advance(self.recursion, self.state, *vectors, dt or self.dt)
         return self.state.x.copy()
 
     def truth(self, t, bias=(0.0, 0.0)):
@@ -101,7 +98,7 @@ def exact(arm, gains):
     return Exact(arm, gains)
 
 
-def test_given_the_decoupling_when_formed_then_it_is_the_smallest_solution_of_eq_41(arm):
+def test_given_the_paper_observer_then_eq_41_is_solved_and_steps_are_the_heun_rule_of_38(arm):
     d = paper_descriptor(arm)
     t1, t2 = paper_observer.decoupling(d.e, d.c)
     sigma = np.vstack([d.e, d.c])
@@ -110,9 +107,6 @@ def test_given_the_decoupling_when_formed_then_it_is_the_smallest_solution_of_eq
     np.testing.assert_allclose(np.hstack([t1, t2]), smallest, atol=1e-14)
     np.testing.assert_allclose(t1 @ d.e + t2 @ d.c, np.eye(6), atol=1e-14)
     np.testing.assert_allclose(t1 @ d.bf, 0.0, atol=1e-14)
-
-
-def test_given_the_paper_observer_when_stepped_then_it_is_the_heun_rule_of_eq_38(arm):
     dt, rng = 0.003, np.random.default_rng(7)
     box, d = sinc_box(0.5), paper_descriptor(arm, 0.5)
     t1, t2 = paper_observer.decoupling(d.e, d.c)
@@ -121,8 +115,8 @@ def test_given_the_paper_observer_when_stepped_then_it_is_the_heun_rule_of_eq_38
     matrices = feedback, feedback @ t2 - gains, t1 @ d.b  # N, L and G of eqs. (51)-(53)
     other, x = rng.normal(scale=0.3, size=6), np.zeros(6)
     fields = {'t1': t1, 't2': t2, 'c': d.c, 'box': box, 'k': gains, 'a': d.a, 'b': d.b}
-    constants = new_record(paper_observer.PAPER_CONSTANTS, **fields)
-    state = new_record(paper_observer.PAPER_STATE, z=other)
+    constants = records.new_record(paper_observer.PAPER_CONSTANTS, **fields)
+    state = records.new_record(paper_observer.PAPER_STATE, z=other)
     y_old = rng.normal(scale=0.3, size=4)
     for _ in range(20):
         y_new, u = y_old + rng.normal(scale=0.05, size=4), rng.normal(scale=20.0, size=2)
@@ -209,7 +203,7 @@ def test_given_a_link_outside_the_region_then_it_is_held_on_the_measured_rate(ar
     theta, dt, other = np.full(2, exact.motion.rest), exact.dt, 1 - link
     theta[link] += math.acos(arm.cos_min[link]) + 0.1
     true_rate = np.array([0.4, -0.3])
-    torque = inverse_dynamics(*theta, *true_rate, 0.0, 0.0, exact.constants)
+    torque = dynamics.inverse_dynamics(*theta, *true_rate, 0.0, 0.0, exact.constants)
     y_old = np.concatenate([exact.s @ (theta - 0.2), exact.s @ true_rate])
     y_new = y_old + [*dt * exact.s @ true_rate, 0.0, 0.0]
     # The rate estimate is wrong on purpose: a held angle must follow the measurement instead.
@@ -273,6 +267,13 @@ def test_given_the_first_sample_then_it_is_believed_and_called_initialising(obse
     assert update(observer, 6 * TS, *swing.sample(0.012)).mode == Mode.OBSERVING
 
 
+def test_given_a_link_outside_the_region_when_observed_then_the_mode_is_holding(observer, swing):
+    q = swing.joints.joint_position(swing.rest + np.array([1.4, 0.0]))
+    for k in range(2):
+        estimate = update(observer, k * TS, q, (0, 0), (0, 0))
+    assert (estimate.mode, estimate.held.tolist()) == (Mode.HOLDING, [True, False])
+
+
 def test_given_noise_when_started_on_many_samples_then_their_mean_counts(paper_arm, paper_gains):
     noise = np.random.default_rng(4).normal(scale=0.02, size=(100, 2))
     noise[0] = 0.06  # a bad first sample must not decide alone
@@ -283,13 +284,6 @@ def test_given_noise_when_started_on_many_samples_then_their_mean_counts(paper_a
         modes.append(estimate.mode)
     np.testing.assert_allclose(estimate.absolute_position, np.cumsum(noise.mean(axis=0)), atol=5e-3)
     assert modes == [Mode.INITIALISING] * 99 + [Mode.OBSERVING]
-
-
-def test_given_a_link_outside_the_region_when_observed_then_the_mode_is_holding(observer, swing):
-    q = swing.joints.joint_position(swing.rest + np.array([1.4, 0.0]))
-    for k in range(2):
-        estimate = update(observer, k * TS, q, (0, 0), (0, 0))
-    assert (estimate.mode, estimate.held.tolist()) == (Mode.HOLDING, [True, False])
 
 
 @pytest.mark.parametrize('every', [2, 20])
@@ -304,8 +298,8 @@ def test_given_jitter_below_half_a_sample_when_taken_then_the_states_follow(obse
     stamps = np.arange(500) * TS
     stamps[1:] += np.random.default_rng(8).integers(-400_000, 400_000, 499)
     for step, stamp in zip(np.diff(stamps, prepend=0), stamps):
-        t = stamp / NANOSECONDS
-        estimate = update(observer, int(stamp), *swing.sample(t, step / NANOSECONDS))
+        t = stamp / timestamps.NANOSECONDS
+        estimate = update(observer, int(stamp), *swing.sample(t, step / timestamps.NANOSECONDS))
     np.testing.assert_allclose(estimate.position, swing.position(t), atol=5e-4)
 
 
@@ -316,7 +310,7 @@ def test_given_a_gap_then_the_encoder_moves_the_state_and_the_fault_is_held(obse
     before = follow(observer, swing, 251, 500, fault)
     t = 1.0 + gap
     measured = swing.sample(t, fault=fault)
-    estimate = update(observer, 500 * TS + round(gap * NANOSECONDS), *measured)
+    estimate = update(observer, 500 * TS + round(gap * timestamps.NANOSECONDS), *measured)
     assert estimate.interval == pytest.approx(gap)
     np.testing.assert_allclose(estimate.fault, before.fault, atol=1e-12)
     np.testing.assert_allclose(estimate.position, swing.position(t), atol=1e-3)
@@ -325,9 +319,9 @@ def test_given_a_gap_then_the_encoder_moves_the_state_and_the_fault_is_held(obse
 
 def test_given_an_interval_of_max_gap_when_taken_then_it_is_still_integrated(observer, swing):
     follow(observer, swing, 0, 100)
-    end = 100 * TS + NANOSECONDS // 10
+    end = 100 * TS + timestamps.NANOSECONDS // 10
     assert not update(observer, end, *swing.sample(0.3, 0.1)).bridged
-    assert update(observer, end + NANOSECONDS // 10 + 1, *swing.sample(0.4, 0.1)).bridged
+    assert update(observer, end + timestamps.NANOSECONDS // 10 + 1, *swing.sample(0.4, 0.1)).bridged
 
 
 @pytest.mark.parametrize('size', [1e100, -1e308])
