@@ -185,7 +185,7 @@ def set_parameters(node, rng):
     return {p.name: p.value for p in declared if isinstance(p.value, float)}
 
 
-def request_service(callback, kind, rng, good):
+def request(callback, kind, rng, good):
     """Call a service in this process with a hostile request; refusals are `Refused`."""
     answer = callback(forge(rng, kind.Request(**good)), kind.Response())
     if not answer.success:

@@ -4,17 +4,7 @@ from copy import deepcopy
 
 import numpy as np
 import pytest
-from hostile import (
-    RECOVERY,
-    Output,
-    Refused,
-    forge,
-    node_of,
-    request_service,
-    run_cases,
-    set_parameters,
-)
-from places import BRINGUP
+from hostile import RECOVERY, Output, Refused, forge, node_of, request, run_cases, set_parameters
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
@@ -25,7 +15,6 @@ from lpv_msgs.msg import GroundTruth, TorqueCommand
 from lpv_msgs.srv import ClearFaults, InjectFault
 
 pytestmark = pytest.mark.ros
-
 FAULT = {'sensor': 'link1_angle', 'kind': 'bias', 'size': 0.3}
 
 
@@ -59,11 +48,10 @@ class Drives:
     def recover(self):
         """Time of good commands until the arm is driven [ns]."""
         self.node._on_release(Trigger.Request(), Trigger.Response())
-        begin = self.node._stamp
-        while self.node._stamp - begin < 2 * RECOVERY:
+        begin, stopped = self.node._stamp, True
+        while stopped and self.node._stamp - begin < 2 * RECOVERY:
             self.node._on_command(self.good())
-            if self.node._reason is None:
-                break
+            stopped = self.node._reason is not None
         return self.node._stamp - begin
 
     def inject(self, **fields):
@@ -71,14 +59,12 @@ class Drives:
         return self.node._faults.inject(request, InjectFault.Response())
 
     def clear(self, sensor):
-        request = ClearFaults.Request(sensor=sensor)
-        return self.node._faults.clear(request, ClearFaults.Response())
+        return self.node._faults.clear(ClearFaults.Request(sensor=sensor), ClearFaults.Response())
 
 
 @pytest.fixture
 def drives():
-    arm, scenario = BRINGUP / 'arms' / 'paper.yaml', BRINGUP / 'scenarios' / 'two_faults.yaml'
-    given = {'arm_file': arm, 'scenario_file': scenario, 'lockstep': 'true'}
+    given = {'arm_file': 'paper', 'scenario_file': 'two_faults', 'lockstep': 'true'}
     with node_of(SimulatorNode, 'arm_sim', **given) as node:
         yield Drives(node)
 
@@ -113,9 +99,9 @@ def test_given_forged_requests_when_faults_are_injected_then_measurements_are_fi
 
     def case(rng):
         if rng.random() < 0.9:
-            text = request_service(services.inject, InjectFault, rng, FAULT)
+            text = request(services.inject, InjectFault, rng, FAULT)
         else:
-            text = request_service(services.clear, ClearFaults, rng, {})
+            text = request(services.clear, ClearFaults, rng, {})
         found, *truth = drives.send(drives.good())
         # Readings that are missing are NaN, as in any JointState.
         return text, truth, [] if 'dropout' in str(drives.node._plant.injector.faults) else found

@@ -6,19 +6,16 @@ import pytest
 from bags import contents
 from diagnostic_msgs.msg import DiagnosticArray
 from hostile import Output, Refused, damaged_bytes, forge, node_of, run_cases, set_parameters, sized
-from places import BRINGUP
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 
-from lpv.bag.rosbag.message_loss import TopicCount
-from lpv.bag.rosbag.writing import qos_profile
+from lpv.bag.rosbag import message_loss, writing
 from lpv.core.support.timestamps import leading_stamp, set_stamp
 from lpv_msgs.msg import FaultAlarm, StateEstimate
 from lpv_node.recorder.input import Heard
 from lpv_node.recorder.node import RecorderNode
+from lpv_node.view import server, topics
 from lpv_node.view.node import ViewNode
-from lpv_node.view.server import encode
-from lpv_node.view.topics import Inbox
 
 pytestmark = [pytest.mark.ros, pytest.mark.fuzz]
 KINDS = (JointState, StateEstimate, FaultAlarm)
@@ -32,8 +29,8 @@ class Recorder:
         for kind in KINDS:
             topic = kind.__name__
             node._types[topic] = f'{kind.__module__.split(".")[0]}/msg/{topic}'
-            node._announced[topic] = qos_profile(True, False, 10)
-            node._counts[topic] = TopicCount()
+            node._announced[topic] = writing.qos_profile(True, False, 10)
+            node._counts[topic] = message_loss.TopicCount()
 
     def good(self, kind):
         """A message with the next stamp."""
@@ -88,9 +85,9 @@ class View:
 
     def __init__(self, node):
         self.node, self.frames, self._stamp = node, [], 10**9
-        node._server.frame = lambda frame: self.frames.append(encode(frame))
+        node._server.frame = lambda frame: self.frames.append(server.encode(frame))
         pairs = [(one.topic, node._forwarder(Bridge(), one.topic)) for one in node._inboxes]
-        node._inboxes = [Inbox(*pair, 0.0, node._refusals.add) for pair in pairs]
+        node._inboxes = [topics.Inbox(*pair, 0.0, node._refusals.add) for pair in pairs]
 
     def good(self, kind):
         message = sized(kind(), 2)
@@ -135,13 +132,12 @@ class Bridge:
 
 
 def view_of(arm, **parameters):
-    file = BRINGUP / 'arms' / f'{arm}.yaml'
-    return node_of(ViewNode, 'view', arm_file=file, port=0, foxglove_port=0, **parameters)
+    return node_of(ViewNode, 'view', arm_file=arm, port=0, foxglove_port=0, **parameters)
 
 
 @pytest.fixture
 def view():
-    with view_of('paper', scenario_file=BRINGUP / 'scenarios' / 'two_faults.yaml') as node:
+    with view_of('paper', scenario_file='two_faults') as node:
         yield View(node)
 
 

@@ -22,7 +22,6 @@ from lpv.core.export.urdf import arm_urdf
 from lpv_msgs.srv import ClearFaults
 
 pytestmark = pytest.mark.ros
-
 ARM = f'arm_file:={BRINGUP / "arms" / "paper.yaml"}'
 GAINS = BRINGUP / 'gains' / 'paper.yaml'
 FLAGS = '--headless --no-sandbox --disable-gpu --disable-quic --no-first-run'

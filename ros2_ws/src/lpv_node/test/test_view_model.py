@@ -61,19 +61,11 @@ def model(paper_arm):
     return LiveModel(paper_arm)
 
 
-@pytest.fixture
-def alarms():
-    return AlarmList()
-
-
-def test_given_no_messages_when_a_frame_is_made_then_it_says_that_nothing_is_known(model):
+def test_given_no_messages_or_those_of_other_arms_when_framed_then_nothing_is_known(model):
     frame = model.frame(0.0)
     assert {frame['mode'], frame['age'], frame['sample']['t'], *frame['arms'].values()} == {None}
     json.dumps(frame, allow_nan=False)
     assert model.hello()['history'] == []
-
-
-def test_given_messages_of_other_arms_or_not_finite_when_framed_then_they_are_left_out(model):
     model.take('fault_estimate', fault_estimate(1.0, (0.0, 0.0, 0.0)), 0.0)
     model.take('state_estimate', state_estimate(1.0, (0.1,)), 0.0)
     model.take('reference', message(1.0, tip_position=[0.0] * 9), 0.0)
@@ -165,7 +157,8 @@ def test_given_safe_stops_when_framed_then_they_are_counted_with_the_last_reason
         assert stops(40.0, odd, '')['count'] == 22
 
 
-def test_given_the_events_of_one_alarm_when_listed_then_they_are_one_row(alarms):
+def test_given_the_events_of_one_alarm_when_listed_then_they_are_one_row():
+    alarms = AlarmList()
     alarms.add(alarm(RAISED, 1.01, kind='unclassified', size=0.29))
     assert alarms.rows()[0]['ended'] is None
     alarms.add(alarm(UPDATED, 1.5))
@@ -176,7 +169,8 @@ def test_given_the_events_of_one_alarm_when_listed_then_they_are_one_row(alarms)
     assert (second['sensor'], second['onset'], second['ended']) == (SENSORS[1], 1.9, None)
 
 
-def test_given_an_observer_that_was_reset_when_it_reports_no_alarm_then_the_row_ends(alarms):
+def test_given_an_observer_that_was_reset_when_it_reports_no_alarm_then_the_row_ends():
+    alarms = AlarmList()
     alarms.add(alarm(RAISED, 1.01))
     for t, is_on, ended in ((1.02, False, None), (2.0, True, None), (2.5, False, 2.5)):
         alarms.follow(fault_estimate(t, alarm=(is_on, False)))
@@ -185,7 +179,8 @@ def test_given_an_observer_that_was_reset_when_it_reports_no_alarm_then_the_row_
     assert len(alarms.rows()) == 1, 'the event came after the estimate'
 
 
-def test_given_endless_alarms_when_listed_then_the_newest_are_kept(alarms):
+def test_given_endless_alarms_when_listed_then_the_newest_are_kept():
+    alarms = AlarmList()
     for k in range(1000):
         alarms.add(alarm(RAISED, k + 0.01, onset=float(k)))
     *others, newest = alarms.rows()
@@ -216,16 +211,13 @@ def test_given_any_value_of_a_field_when_parsed_then_it_is_taken_or_named(name, 
     assert (command.name, command.number, command.fields) == ('inject', data['id'], fields)
 
 
-@pytest.mark.parametrize(
-    ('text', 'told'),
-    [
-        ('', 'JSON'), ('{', 'JSON'), ('[' * 4000, 'JSON'), ('{"type": "reset", "id": NaN}', 'JSON'),
-        ('[]', 'object'), ('null', 'object'), ('"inject"', 'object'),
-        ('{}', 'type'), ('{"type": 3}', 'type'), ('{"type": "inject"}', 'sensor'),
-        ('{"type": "clear", "sensor": "elbow"}', 'sensor'), ('{"type": "token"}', 'token'),
-        (json.dumps({'type': 'token', 'token': 'x' * 301}), 'token'),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(('text', 'told'), [
+    ('', 'JSON'), ('{', 'JSON'), ('[' * 4000, 'JSON'), ('{"type": "reset", "id": NaN}', 'JSON'),
+    ('[]', 'object'), ('null', 'object'), ('"inject"', 'object'),
+    ('{}', 'type'), ('{"type": 3}', 'type'), ('{"type": "inject"}', 'sensor'),
+    ('{"type": "clear", "sensor": "elbow"}', 'sensor'), ('{"type": "token"}', 'token'),
+    (json.dumps({'type': 'token', 'token': 'x' * 301}), 'token'),
+])  # fmt: skip
 def test_given_malformed_commands_when_parsed_then_the_reason_is_told(text, told):
     with pytest.raises(CommandError, match=told):
         parse_command(text, SENSORS)

@@ -5,38 +5,35 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from hostile import RECOVERY, Output, Refused, forge, node_of, run_cases, set_parameters
-from places import BRINGUP
 from std_srvs.srv import Trigger
 
 from lpv.core.control.watchdog import StopReason
 from lpv.core.serial_arm.certificate.conditions import NO_CERTIFICATE
 from lpv.core.support.errors import ConfigError
+from lpv.core.support.resources import bringup_file
 from lpv.core.support.timestamps import set_stamp
 from lpv_msgs.msg import JointReference, StateEstimate, TorqueCommand
 from lpv_tracker.node import TrackerNode
 
 pytestmark = pytest.mark.ros
-
 IN_REAL_TIME = pytest.mark.parametrize('node', [{'lockstep': 'false'}], indirect=True)
 STEP = 2_000_000
 PLACES = {'paper': [0.1, 0.2], 'ur10': [0.0, -1.6, 1.5, -1.4, -1.5, 0.0]}
 """Of an arm on its path."""
 
 
-def tracker(arm, *files, scenario=None, lockstep='true', **parameters):
+def tracker(*files, arm='ur10', scenario=None, lockstep='true', **parameters):
     """A configured tracker of a shipped arm."""
-    scenario = scenario or {'paper': 'two_faults'}.get(arm, arm)
-    parameters['arm_file'] = BRINGUP / 'arms' / f'{arm}.yaml'
-    parameters['scenario_file'] = BRINGUP / 'scenarios' / f'{scenario}.yaml'
-    return node_of(TrackerNode, 'tracker', *files, lockstep=lockstep, **parameters)
+    names = {'arm_file': arm, 'scenario_file': scenario or {'paper': 'two_faults'}.get(arm, arm)}
+    return node_of(TrackerNode, 'tracker', *files, lockstep=lockstep, **names, **parameters)
 
 
 @pytest.fixture
 def node(request):
     """A tracker of the paper's arm, or as a test asks; `answers` feeds it."""
     options = {'arm': 'paper', **getattr(request, 'param', {})}
-    files = [BRINGUP / 'gains' / 'paper.yaml'] if options['arm'] == 'paper' else []
-    with tracker(options.pop('arm'), *files, **options) as node:
+    files = [bringup_file('gains', 'paper')] if options['arm'] == 'paper' else []
+    with tracker(*files, **options) as node:
         node.sent = node._command_out = Output(TorqueCommand)
         node.references = node._reference_out = Output(JointReference)
         yield node
@@ -82,11 +79,10 @@ def test_given_a_serial_arm_when_estimated_then_torques_carry_it_until_it_is_far
 
 
 POSITIONS = {'off': 'measured_position', 'confirmed': 'compensated_position', 'always': 'position'}
+MODES = [{'compensation': repr(mode)} for mode in POSITIONS]
 
 
-@pytest.mark.parametrize(
-    'node', [{'compensation': repr(mode)} for mode in POSITIONS], indirect=True
-)
+@pytest.mark.parametrize('node', MODES, indirect=True)
 def test_given_a_mode_of_compensation_when_estimated_then_the_loop_uses_its_position(node):
     message = estimate(PLACES['paper'], 10**9)
     for k, name in enumerate(('position', 'measured_position', 'compensated_position')):
@@ -109,33 +105,27 @@ def test_given_a_fault_when_forgotten_in_a_silence_then_the_arm_waits(node, paus
         assert not answers(node, range(30 + pause, 40 + pause))[-1]
 
 
-def test_given_a_scenario_of_another_arm_when_configured_then_the_field_is_named():
+def test_given_gains_or_another_arms_scenario_when_configured_then_it_is_told():
+    with tracker(bringup_file('gains', 'ur10')) as node:
+        assert 'holds for joint rates to 0.6' in node._certificate
+    with tracker(bandwidth=40.0) as node:
+        assert node._certificate == NO_CERTIFICATE and node._tolerated < 0.015
     for scenario, field in {'two_faults': 'lpv', 'panda': 'path.start'}.items():
-        with pytest.raises(ConfigError, match=field), tracker('ur10', scenario=scenario):
+        with pytest.raises(ConfigError, match=field), tracker(scenario=scenario):
             pass
 
 
-def test_given_gains_or_a_bandwidth_when_configured_then_what_they_guarantee_is_told():
-    with tracker('ur10', BRINGUP / 'gains' / 'ur10.yaml') as node:
-        assert 'holds for joint rates to 0.6' in node._certificate
-    with tracker('ur10', bandwidth=40.0) as node:
-        assert node._certificate == NO_CERTIFICATE and node._tolerated < 0.015
-
-
-@pytest.mark.parametrize(
-    ('name', 'old', 'new', 'reason'),
-    [
-        ('ur10', 'bandwidth: 10.0', 'bandwidth: 8.0', 'does not hold'),
-        ('ur10', 'model_error: 0.05', 'model_error: 0.04', 'numbers are those of the design'),
-        ('ur10', '      model_error: 0.05\n', '', 'loop.model_error: is not set'),
-        ('panda', '/**', '/**', 'is for another arm'),
-    ],
-)
+@pytest.mark.parametrize(('name', 'old', 'new', 'reason'), [
+    ('ur10', 'bandwidth: 10.0', 'bandwidth: 8.0', 'does not hold'),
+    ('ur10', 'model_error: 0.05', 'model_error: 0.04', 'numbers are those of the design'),
+    ('ur10', '      model_error: 0.05\n', '', 'loop.model_error: is not set'),
+    ('panda', '/**', '/**', 'is for another arm'),
+])  # fmt: skip
 def test_given_a_false_certificate_when_read_then_it_is_refused(tmp_path, name, old, new, reason):
-    text = (BRINGUP / 'gains' / f'{name}.yaml').read_text(encoding='utf-8')
+    text, path = bringup_file('gains', name).read_text(encoding='utf-8'), tmp_path / 'gains.yaml'
     assert old in text
-    (tmp_path / 'gains.yaml').write_text(text.replace(old, new), encoding='utf-8')
-    with pytest.raises(ConfigError, match=reason), tracker('ur10', tmp_path / 'gains.yaml'):
+    path.write_text(text.replace(old, new), encoding='utf-8')
+    with pytest.raises(ConfigError, match=reason), tracker(path):
         pass
 
 
@@ -168,11 +158,10 @@ class Driver:
     def recover(self):
         """Time of good data until the arm is driven [ns]."""
         self.node._on_resume(Trigger.Request(), Trigger.Response())
-        begin = self.stamp
-        while self.stamp - begin < 2 * RECOVERY:
+        begin, stopped = self.stamp, True
+        while stopped and self.stamp - begin < 2 * RECOVERY:
             self.node._on_estimate(self.good())
-            if not self.node.sent.last.safe_stop:
-                break
+            stopped = self.node.sent.last.safe_stop
         return self.stamp - begin
 
 

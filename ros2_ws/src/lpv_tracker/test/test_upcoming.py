@@ -19,16 +19,12 @@ def steps(count, *changes):
     return (5 * STEP + np.cumsum(intervals)).tolist()
 
 
-@pytest.mark.parametrize(
-    ('stamps', 'stops'),
-    [
-        (steps(700), ()),
-        (steps(700), (150, 151, 400)),
-        (steps(700, (90, 1), (91, 3), (300, 200)), (500,)),
-        ([s + 137 * (k % 3) for k, s in enumerate(steps(300))], ()),
-    ],
-    ids=['even', 'stops', 'gaps', 'jitter'],
-)
+@pytest.mark.parametrize(('stamps', 'stops'), [
+    (steps(700), ()),
+    (steps(700), (150, 151, 400)),
+    (steps(700, (90, 1), (91, 3), (300, 200)), (500,)),
+    ([s + 137 * (k % 3) for k, s in enumerate(steps(300))], ()),
+], ids=['even', 'stops', 'gaps', 'jitter'])  # fmt: skip
 @pytest.mark.parametrize('away', [0.0, 0.3])
 def test_given_stamps_when_ahead_then_as_one_by_one(paper_arm, two_faults, stamps, stops, away):
     path = two_faults.path(paper_arm)

@@ -7,19 +7,18 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from hostile import RECOVERY, Output, Refused, forge, node_of, run_cases, set_parameters
-from places import BRINGUP
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from serial_bags import crane_file, crane_run, record_crane
 from std_srvs.srv import Trigger
 
+from lpv import Alarm, AlarmEvent, Fault, load_arm, load_scenario
 from lpv.bag.replay.replay import Replay
 from lpv.bag.rosbag.reading import open_bag
-from lpv.core.monitoring.answers import answer_type
-from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
-from lpv import Alarm, AlarmEvent, Fault, load_arm, load_scenario
+from lpv.core.monitoring import answers, serial_monitor
 from lpv.core.serial_arm.diagnosis.alarms import Mode
 from lpv.core.simulation.arm_simulator import ArmSimulator
+from lpv.core.support.resources import bringup_file
 from lpv.core.support.timestamps import set_stamp
 from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate, TorqueCommand
 from lpv_uio.messages import OutputMessages
@@ -27,7 +26,6 @@ from lpv_uio.node import UioNode
 from lpv_uio.open_alarms import OpenAlarms
 
 pytestmark = pytest.mark.ros
-
 TOPICS = {
     'state': ('/lpv/state_estimate', StateEstimate),
     'fault': ('/lpv/fault_estimate', FaultEstimate),
@@ -47,8 +45,7 @@ def with_outputs(node):
 
 def test_given_a_serial_arm_when_observed_then_the_node_publishes_what_a_replay_does(tmp_path):
     run = crane_run(faults=[Fault('encoder2', 'bias', 0.6, size=0.05)])
-    bag = record_crane(tmp_path / 'bag', run)
-    file = crane_file(tmp_path)
+    bag, file = record_crane(tmp_path / 'bag', run), crane_file(tmp_path)
     observer = node_of(UioNode, 'uio', arm_file=file, lockstep='true')
     with observer as node, open_bag(bag) as reader:
         outputs = with_outputs(node)
@@ -61,7 +58,7 @@ def test_given_a_serial_arm_when_observed_then_the_node_publishes_what_a_replay_
         assert len(node._torque) == 3 and np.isnan(node._torque).all()
     assert len(outputs['alarm'].sent) == 1
     assert len(outputs['corrected'].sent) == len(run.stamps)
-    monitor = SerialSensorMonitor('/uio', load_arm(file))
+    monitor = serial_monitor.SerialSensorMonitor('/uio', load_arm(file))
     Replay(monitor, estimates_only=True).run(bag, tmp_path / 'out')
     with open_bag(tmp_path / 'out') as reader:
         for name, output in outputs.items():
@@ -84,8 +81,7 @@ class Arm:
         self.node, self.stamp = node, 10**9
         self.outputs = with_outputs(node)
         self.state = self.outputs['state']
-        scenario = load_scenario(BRINGUP / 'scenarios' / 'two_faults.yaml')
-        self._plant = ArmSimulator(node._arm, scenario, 2)
+        self._plant = ArmSimulator(node._arm, load_scenario('two_faults'), 2)
 
     def stamped(self, message):
         set_stamp(message.header.stamp, self.stamp)
@@ -123,8 +119,7 @@ class Arm:
 
 @pytest.fixture
 def arm():
-    gains, file = (BRINGUP / kind / 'paper.yaml' for kind in ('gains', 'arms'))
-    with node_of(UioNode, 'uio', gains, arm_file=file) as node:
+    with node_of(UioNode, 'uio', bringup_file('gains', 'paper'), arm_file='paper') as node:
         arm = Arm(node)
         arm.recover()  # what compiles takes its time
         yield arm
@@ -227,11 +222,11 @@ ALARM = {'sensor': 'link2_angle', 'sensor_index': 1, 'event': 0, 'onset': 1_000_
 def messages_of(joints):
     names = [f'j{i}' for i in range(joints)]
     arm = SimpleNamespace(name='some_arm', joint_names=names, sensor_names=names)
-    return OutputMessages(arm, answer_type(joints))
+    return OutputMessages(arm, answers.answer_type(joints))
 
 
-def test_given_numbers_that_are_nan_when_filled_then_the_last_ones_are_sent_and_not_trusted():
-    messages, record = messages_of(3), np.zeros(1, answer_type(3))
+def test_given_numbers_that_are_nan_when_put_into_messages_then_they_are_not_trusted():
+    messages, record = messages_of(3), np.zeros(1, answers.answer_type(3))
     state, fault = record['state'][0], record['fault'][0]
     state['position'], state['trustworthy'], fault['bound'] = 1.0, True, [0.1, 0.2, np.inf]
     assert messages.fill(record[0]) and messages.record == record
@@ -245,9 +240,6 @@ def test_given_numbers_that_are_nan_when_filled_then_the_last_ones_are_sent_and_
     assert not messages.fill(record[0])
     sent = deserialize_message(messages.state.at(STAMP), StateEstimate)
     assert (list(sent.position), sent.mode) == ([1.0] * 3, StateEstimate.STALE)
-
-
-def test_given_alarms_when_put_into_messages_then_each_is_its_own_and_nan_means_not_known():
     messages = messages_of(2)
     unknown = {'kind': 'drift', 'size': np.nan, 'bound': np.nan}
     first, second = (messages.alarm(STAMP, {**ALARM, **change}) for change in ({}, unknown))
