@@ -240,6 +240,7 @@ class SerialMonitor:
         self._whole = np.ones(n)
         self._ends: dict[int, EndOfFault] = {}  # that jumps may have been
         self._scaled: dict[int, ScaleOfJump] = {}  # that they may have been as well
+        self._right_since = np.full(n, -np.inf)  # when readings were right again [s]
         self._known = np.zeros(n)  # for how long each offset has been diagnosable [s]
         self._contact = _Contact()
         self.jump, self.jump_variance = np.zeros(n), np.zeros(n)  # of readings, for the caller
@@ -748,7 +749,9 @@ class SerialMonitor:
             if learned and now - self._contact.since >= CONTACT_TIME:
                 self._report_contact(now)
         elif one.is_encoder:
-            if self.bank.excludes_contact(one, self._margin(one.kind)):
+            if self._is_echo(one):
+                self._suspects = ()
+            elif self.bank.excludes_contact(one, self._margin(one.kind)):
                 self._blame(one, share, now)
             else:
                 self._suspects = tuple(dict.fromkeys((*self._suspects, CONTACT)))
@@ -759,6 +762,15 @@ class SerialMonitor:
         """Whether a fault is one that may have ended with a jump, which is weighed on its own."""
         end = self._ends.get(one.joint) if one.is_encoder else None
         return end is not None and one.begin < end.time + 2.0 * self.plan.interval
+
+    def _is_echo(self, one: Hypothesis) -> bool:
+        """Whether a fault began before its reading was right again.
+
+        What the rate was thought to be until then seems to jump, if it is derived from the reading.
+        """
+        i = one.joint
+        right_since = float(self._right_since[i]) + 2.0 * self.plan.interval
+        return bool(self.sampler.derived[i] == 1.0) and one.begin < right_since
 
     def _frozen(self) -> dict[int, Frozen]:
         """Readings that stopped dead while they moved, or have lost their noise, or froze before.
@@ -1025,6 +1037,7 @@ class SerialMonitor:
         if sampler.derived[i] == 1.0 and since > 1:  # the first difference holds the jump
             sampler.samples[-since, 1, i] = sampler.samples[1 - since, 1, i]
         self._correct_no_more(i)
+        self._right_since[i] = self._last()
         self.bank.note_jump(i, sigma**2)  # what the readings before it were wrong by
         sampler.correction[i] = self._correction[i] = kept
 
