@@ -24,6 +24,16 @@ from lpv.core.uio.planar import planar_model
 pytestmark = pytest.mark.slow
 SIGNALS = ('time', 'position', 'velocity', 'measured', 'estimate', 'estimated_velocity',
            'reference', 'fault', 'fault_estimate', 'threshold', 'torque')  # fmt: skip
+ONSET, NANOSECONDS = 1.5, 10**9
+FAULTS = {
+    'bias': {'size': 0.3}, 'drift': {'rate': 0.2}, 'stuck': {}, 'noise': {'size': 0.02},
+    'spike': {'size': 0.3, 'rate': 20.0}, 'dropout': {},
+}  # fmt: skip
+TURNS = [{'t': t, 'x': x, 'y': -0.42} for t, x in ((0.2, -0.2), (2.5, 0.2), (4.8, -0.2))]
+SWING = {'name': 'swing', 'duration': 5.0, 'disturbance': False, 'path': {'waypoints': TURNS}}
+# Rates of the paper's arm have sensors of their own; those of the real arm are derived.
+paper = pytest.mark.parametrize('arm', ['paper_arm'], indirect=True)
+BLAMED = pytest.mark.xfail(reason='beyond what the file states: a sensor is blamed', strict=True)
 
 
 @pytest.fixture(scope='module')
@@ -54,7 +64,6 @@ def test_given_the_shipped_scenario_then_its_run_beats_table_2(run, joints, pape
     assert abrupt.detected <= 6_012_000_000
     assert abrupt.size == pytest.approx(0.3, abs=0.05)
     assert 9.0 < incipient.detected / 1e9 < 11.5  # 0.08 rad/s up to a threshold of 0.1 to 0.2
-
     for alarm, fault in zip(cleared, two_faults.faults):
         assert 0.0 < alarm.detected / 1e9 - fault.onset - fault.duration < 0.6
 
@@ -177,15 +186,6 @@ def test_given_an_error_signal_when_its_mise_is_taken_then_it_is_the_mean_square
     np.testing.assert_array_equal(mise(errors), [5.0, 4.0, np.nan, 1.0])
 
 
-ONSET, NANOSECONDS = 1.5, 10**9
-FAULTS = {
-    'bias': {'size': 0.3}, 'drift': {'rate': 0.2}, 'stuck': {}, 'noise': {'size': 0.02},
-    'spike': {'size': 0.3, 'rate': 20.0}, 'dropout': {},
-}  # fmt: skip
-TURNS = [{'t': t, 'x': x, 'y': -0.42} for t, x in ((0.2, -0.2), (2.5, 0.2), (4.8, -0.2))]
-SWING = {'name': 'swing', 'duration': 5.0, 'disturbance': False, 'path': {'waypoints': TURNS}}
-
-
 @pytest.fixture
 def simulate(arm, gains_of, two_faults):
     """Run an arm's scenario with the given faults and other fields."""
@@ -197,11 +197,6 @@ def simulate(arm, gains_of, two_faults):
         return run_closed_loop(arm, part, gains, compensation, parameters=parameters)
 
     return run
-
-
-# Rates of the paper's arm have sensors of their own; those of the real arm are derived.
-paper = pytest.mark.parametrize('arm', ['paper_arm'], indirect=True)
-BLAMED = pytest.mark.xfail(reason='beyond what the file states: a sensor is blamed', strict=True)
 
 
 def largest_error(run, after=0.0):

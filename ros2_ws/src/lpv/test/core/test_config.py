@@ -60,14 +60,16 @@ NEEDED = {
     'sensors.position_noise sensors.velocity_noise disturbance disturbance.direction '
     'disturbance.mean disturbance.variance region region.orientation region.cos_min',
 }
+PARSERS = {'arm': parse_arm, 'scenario': parse_scenario, 'gains': parse_gains}
+PARSERS |= {'requirement': parse_requirement, 'old arm': parse_arm}
 pytestmark = pytest.mark.filterwarnings('ignore:some.yaml is of the form of two-link arms')
 
 
 class Kind:
     """A kind of file: parser, good content, and how its fields are named in errors."""
 
-    def __init__(self, name, parse, good):
-        self.parse, self.needed = parse, set(NEEDED[name].split())
+    def __init__(self, name, good):
+        self.parse, self.needed = PARSERS[name], set(NEEDED[name].split())
         # Names and numbers of a certificate are free.
         self.good = {key: value for key, value in good.items() if key != 'certificate'}
         self.prefix = 'gains.' if name == 'gains' else ''
@@ -84,14 +86,9 @@ class Kind:
 
 @pytest.fixture(scope='module')
 def kinds(paper_gains, literal_gains):
-    return {
-        'arm': Kind('arm', parse_arm, ARM),
-        'scenario': Kind('scenario', parse_scenario, SCENARIO),
-        'gains': Kind('gains', parse_gains, gains_to_dict(paper_gains)),
-        'literal gains': Kind('gains', parse_gains, gains_to_dict(literal_gains)),
-        'requirement': Kind('requirement', parse_requirement, REQUIREMENT),
-        'old arm': Kind('old arm', parse_arm, OLD_ARM),
-    }
+    good = {'arm': ARM, 'scenario': SCENARIO, 'requirement': REQUIREMENT, 'old arm': OLD_ARM}
+    good |= {'gains': gains_to_dict(paper_gains), 'literal gains': gains_to_dict(literal_gains)}
+    return {name: Kind(name.removeprefix('literal '), data) for name, data in good.items()}
 
 
 @pytest.fixture(params=NEEDED)
@@ -164,12 +161,11 @@ BAD = {
         'faults[1].duration': [-1],
     },
     'gains': {
-        'format': [1, '1'], 'observer.method': ['magic'],
+        'format': [1, '1'], 'observer.method': ['magic'], 'arm_name': [''],
         'observer.method > observer.box': ['paper'],
         'observer.kappa': [[0.1] * 3, 'none'], 'observer.mu[0] > observer.mu': [0.0],
         'observer.kappa[0] > observer.kappa': [-1.0], 'observer.fault_sigma': [[0.1]],
         'observer.decay': [0.0, -1.0], 'controller.m1': [[0.0] * 4], 'certificate': [5],
-        'arm_name': [''],
     },
     'literal gains': {
         'observer.r': [20.0],  # a disc that reaches zero
@@ -299,15 +295,12 @@ YAML = {
         'name: !custom {a: 1}\n', 'name: [unclosed\n', 'a: b: c\n', '\tname: x\n',
         '? [list]\n: as key\n', '[' * 1500 + '\n', 'name: "\x00"\n', '- a\n- b\n', 'just text\n',
         '', 'null\n')},
-    'name: a\nname: b\n': 'name',
-    'a: 1' + 5000 * '0': 'odd.yaml',
-    'a: ' + '9' * 400: 'a: must be at most',
-    'a: ' + '9' * 5000: 'is not valid YAML',
-    'a: 0x' + 'f' * 5000: 'a: must be at most',
+    'name: a\nname: b\n': 'name', 'name: 2001-13-45\n': 'odd.yaml',
+    'a: 1' + 5000 * '0': 'odd.yaml', 'a: ' + '9' * 5000: 'is not valid YAML',
+    'a: ' + '9' * 400: 'a: must be at most', 'a: 0x' + 'f' * 5000: 'a: must be at most',
     f'a: {{b: [1, {2**63}]}}': r'a.b\[1\]: must be at most',
     'a: !!bool 1': "is not valid YAML .*'1'",
     **dict.fromkeys(('!!bool x: 1', 'a: !!int ""', 'a: !!timestamp x'), 'is not valid YAML'),
-    'name: 2001-13-45\n': 'odd.yaml',
     'a: {b: 2001-01-01}': 'a.b: must be a number or text, got a date',
     'a: !!binary YQ==': 'a: must be a number or text, got a bytes',
     'a: !!set {b}': 'a: must be a number or text, got a set',

@@ -5,13 +5,8 @@ import pytest
 from lpv.core.support import jit
 from lpv.core.support.jit import module_digest, source_digest
 
-SOURCES = {
-    '__init__.py': '',
-    'sub/__init__.py': '',
-    'a.py': 'from lpv_here.sub import (\n    b,\n)\n',
-    'sub/b.py': 'x = 1\n',
-    'c.py': 'y = 1\n',
-}
+SOURCES = {'a.py': 'from lpv_here.sub import (\n    b,\n)\n', 'sub/b.py': 'x = 1\n'}
+SOURCES |= {'c.py': 'y = 1\n', '__init__.py': '', 'sub/__init__.py': ''}
 
 
 def digests(package, files, moved='sub'):

@@ -10,6 +10,7 @@ from scipy.signal import butter, lfilter
 from lpv.core.serial_arm.rate_independence import RATE_SOURCES, contradicts, rate_source
 
 COUNT = 1000
+ENCODERS = [(1e-3, 0), (1e-4, 0), (0.0, 12), (0.0, 17)]
 
 
 def reading(dt, noise, bits):
@@ -22,9 +23,6 @@ def reading(dt, noise, bits):
     position = step * np.round(angle / step) if bits else angle
     speed = np.diff(position, prepend=position[0]) / dt
     return (1e9 * time).astype(int), position, speed, rate
-
-
-ENCODERS = [(1e-3, 0), (1e-4, 0), (0.0, 12), (0.0, 17)]
 
 
 @pytest.mark.parametrize('dt', [0.001, 0.002, 0.01])

@@ -13,6 +13,7 @@ from lpv.core.uio.model.dynamics import inverse_dynamics
 
 pytestmark = pytest.mark.slow
 QUIET = {'noise': False, 'disturbance': False}
+TIMES = np.arange(0.0, 5.0, 0.5)
 
 
 @pytest.fixture
@@ -125,9 +126,6 @@ def test_given_a_disturbance_then_it_is_that_of_eq_31(paper_arm, two_faults, pap
 def apply_at(times, *faults, reading=lambda t: (t, -t)):
     injector = FaultInjector(('a', 'b'), faults, np.random.default_rng(5))
     return np.array([injector.apply(t, np.array(reading(t), float), 0.1) for t in times])
-
-
-TIMES = np.arange(0.0, 5.0, 0.5)
 
 
 @pytest.mark.parametrize(('kind', 'fields', 'expected'), [

@@ -59,18 +59,16 @@ def _subject(arm):
     return arms(arm, recorded=False)[0]
 
 
-DRIFTS = {
-    'paper': ((0, 0.1, 3.0), (1, -0.3, 1.5)),
-    'real_arm': ((1, -0.3, 0.5), (0, -0.05, 4.0)),
-    'chain3': ((1, 0.3, 0.5), (2, 0.3, 1.5)),
-}
+DRIFTS = [
+    ('paper', 0, 0.1, 3.0), ('paper', 1, -0.3, 1.5), ('real_arm', 1, -0.3, 0.5),
+    ('real_arm', 0, -0.05, 4.0), ('chain3', 1, 0.3, 0.5), ('chain3', 2, 0.3, 1.5),
+]  # fmt: skip
 FROZEN = [('paper', 1, 1.0), ('chain3', 1, 0.1), ('chain3', 2, 1.0), ('ur10', 1, 0.3)]
-"""Arm, joint and duration; of drifts the joint, rate and duration by arm."""
+"""Arm, joint, rate of a drift, and duration."""
 
 
-@pytest.mark.parametrize(('arm', 'case'), [(arm, case) for arm in DRIFTS for case in DRIFTS[arm]])
-def test_given_a_drift_when_it_ends_with_a_jump_then_bounds_hold_it(arm, case):
-    joint, rate, duration = case
+@pytest.mark.parametrize(('arm', 'joint', 'rate', 'duration'), DRIFTS)
+def test_given_a_drift_when_it_ends_then_bounds_hold_its_jump(arm, joint, rate, duration):
     run = Run(arm, 'derived', ('drift', rate), joint, duration)
     assert run.after == 0.0
     assert all(sensor == run.name for _, sensor, _ in run.events)

@@ -16,7 +16,9 @@ from lpv.core.serial_arm.diagnosis.sampling import JITTER
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.files import load_arm
 
-DURATION = 8.0
+DURATION, PERIOD = 8.0, 0.02  # [s]
+BLAMED = {('ur10', 'derived', 0.002, 1e-3, 1): 'the drift of a wrist is seen in its rounding'}
+"""Healthy arms that raise an alarm, and why."""
 
 
 def arm_named(name, sample_time, rates):
@@ -74,10 +76,6 @@ def rounded_samples(arm, seed, step, frozen=None, resting=None, error=0.0):
 
 def alarms(arm, run):
     return [(one.sensor, one.kind) for one in watch(arm, run).alarms]
-
-
-BLAMED = {('ur10', 'derived', 0.002, 1e-3, 1): 'the drift of a wrist is seen in its rounding'}
-"""Healthy arms that raise an alarm, and why."""
 
 
 def healthy_cases():
@@ -164,9 +162,6 @@ def test_statistic_of_a_healthy_arm_stays_below_what_its_mean_allows(rates, spoi
         monitor.update_many(stamps[part : part + 25], samples[part : part + 25])
         largest, decisions = max(largest, monitor.statistic), decisions + 1
     assert largest < np.log(1000.0 * decisions)
-
-
-PERIOD = 0.02  # [s]
 
 
 @cache

@@ -15,6 +15,9 @@ from lpv.core.serial_arm.diagnosis import information as info
 from lpv.core.serial_arm.diagnosis.estimator import HorizonPlan, OffsetEstimator, learn_noise
 
 CHAIN, PER_BLOCK, PER_INTERVAL = compile_chain(shoulder_arm()), 5, 5
+ARM = shoulder_arm('independent')
+PLAN = HorizonPlan.of(ARM.sample_time)
+LENGTH = PLAN.interval / PLAN.blocks  # of a block [s]
 
 
 @pytest.fixture(scope='module')
@@ -60,19 +63,16 @@ def test_balance_of_the_true_arm_is_zero_and_its_columns_are_derivatives(blocks)
     np.testing.assert_allclose(change, 0.5 * rows[:, :, 1 + 3 * len(balances.GROUPS)], atol=1e-10)
 
 
-@pytest.mark.parametrize(
-    ('group', 'field'),
-    [(balances.VISCOUS, 0), (balances.COULOMB, 1), (balances.TORQUE, 3), (balances.GAIN, None)],
-)
-def test_columns_of_friction_and_of_torque_gains_are_exact(blocks, group, field):
-    friction, louder = CHAIN.friction.copy(), blocks.copy()
-    if group == balances.GAIN:
-        louder[:, 7] *= 1.2
-    else:
-        friction[1, field] += 0.2
-    rows = rows_of(CHAIN, blocks)
-    change = rows_of(CHAIN._replace(friction=friction), louder) - rows
-    np.testing.assert_allclose(change[:, :, 0], 0.2 * rows[:, :, 1 + 3 * group + 1], atol=1e-12)
+def test_columns_of_friction_and_of_torque_gains_are_exact(blocks):
+    rows, fields = rows_of(CHAIN, blocks), {balances.VISCOUS: 0, balances.COULOMB: 1}
+    for group, field in {**fields, balances.TORQUE: 3, balances.GAIN: None}.items():
+        friction, louder = CHAIN.friction.copy(), blocks.copy()
+        if group == balances.GAIN:
+            louder[:, 7] *= 1.2
+        else:
+            friction[1, field] += 0.2
+        change = rows_of(CHAIN._replace(friction=friction), louder) - rows
+        np.testing.assert_allclose(change[:, :, 0], 0.2 * rows[:, :, 2 + 3 * group], atol=1e-12)
 
 
 def test_given_masses_and_friction_identified_together_then_they_are_wrong_together():
@@ -160,11 +160,6 @@ def test_given_currents_then_gains_of_drives_may_be_wrong_as_masses_may(unit, kn
     arm = replace(shoulder_arm(), effort_unit=unit, uncertainty=Uncertainty(0.0, 0.0, 0.04))
     gains = parameter_error.parameter_factor(arm, compile_chain(arm))[:, 42:]
     assert np.abs(gains).max(0) == pytest.approx(np.full(3, known))
-
-
-ARM = shoulder_arm('independent')
-PLAN = HorizonPlan.of(ARM.sample_time)
-LENGTH = PLAN.interval / PLAN.blocks  # of a block [s]
 
 
 def kinematic_rows(time, position, rate, missing=0.0, learns=False, **noise):

@@ -18,9 +18,8 @@ from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.dynamics.payload import with_payload
 from lpv.core.support.resources import bringup_file
 
-FILES = {
-    n: (load_arm(n), files.load_loop_gains(bringup_file('gains', n))) for n in ('ur10', 'panda')
-}
+NAMES = ('ur10', 'panda')
+FILES = {n: (load_arm(n), files.load_loop_gains(bringup_file('gains', n))) for n in NAMES}
 EACH = pytest.mark.parametrize(('arm', 'gains'), FILES.values(), ids=FILES)
 
 
@@ -93,14 +92,10 @@ def test_given_random_configurations_then_the_mass_matrix_keeps_its_bounds(arm, 
 
 
 FORGED = {
-    0.0: 'sampled.multipliers',
-    0.8: 'bandwidth',
+    0.0: 'sampled.multipliers', 0.8: 'bandwidth', 1.3: 'rate_share', 'none': 'motion.lyapunov',
     0.9: 'model.payload model.damping model.growth error.level error.bound',
-    1.3: 'rate_share',
-    1.6: 'motion.decay sampled.decay',
-    2.0: 'model.inertia error.acceleration model_error',
-    'none': 'motion.lyapunov',
-}
+    1.6: 'motion.decay sampled.decay', 2.0: 'model.inertia error.acceleration model_error',
+}  # fmt: skip
 
 
 @pytest.mark.parametrize(('by', 'name'), [(by, n) for by in FORGED for n in FORGED[by].split()])

@@ -29,6 +29,7 @@ from lpv.core.uio.model.joints import JointMap
 from lpv.core.uio.planar import serial_from_planar
 
 CASES = given(st.integers(0, 2**31), st.integers(2, 9))
+PRISMATIC = {'scara': scara, 'ur10_on_rail': ur10_on_rail, 'mixed': mixed_arm}
 
 
 def random_chain(seed, joints):
@@ -195,9 +196,6 @@ def test_rotation_vector_inverts_the_exponential(seed, angle):
     axis /= np.linalg.norm(axis)
     vector = kinematics.rotation_vector(pin.exp3(angle * axis))
     np.testing.assert_allclose(pin.exp3(vector), pin.exp3(angle * axis), atol=1e-6)
-
-
-PRISMATIC = {'scara': scara, 'ur10_on_rail': ur10_on_rail, 'mixed': mixed_arm}
 
 
 @pytest.fixture(params=['paper', 'real_arm', 'ur10', 'panda', *PRISMATIC])

@@ -24,6 +24,17 @@ SCENARIO = Scenario(
     friction_factor=1.1, noise=True, noise_factor=1.0, times=(0.2, 2.0, 4.0), faults=(),
     waypoints=((0.0, 0.5, -1.0), (0.5, 0.9, -1.5), (-0.2, 0.4, -0.8)))  # fmt: skip
 STEP = Fault('encoder2', 'bias', 1.0, size=0.1)
+MOVES = pytest.mark.xfail(reason='moves the estimate of the next joint instead', strict=True)
+DT, JOINT, SIZE = 0.002, 1, 0.5
+ONSET = 2.5  # of the wrong correction, when the shoulder moves [s]
+CORRECTIONS = {
+    'appears': lambda t: SIZE * (t >= ONSET),
+    'disappears': lambda t: SIZE * (t < ONSET),
+    'comes and goes': lambda t: SIZE * (t >= ONSET and int((t - ONSET) / 0.02) % 2 == 0),
+    'drifts': lambda t: min(SIZE, 0.25 * max(0.0, t - ONSET)),
+    'drifts fast': lambda t: min(SIZE, 3.0 * max(0.0, t - ONSET)),
+    'swings': lambda t: SIZE * np.sin(4.0 * max(0.0, t - ONSET)),
+}
 
 
 def simulate(*faults, rates='independent', transport=None, compensation='confirmed', **changes):
@@ -51,11 +62,8 @@ def test_given_a_wrong_model_when_an_encoder_fails_then_the_arm_follows_or_is_st
     assert np.ptp(run.position[-100:], axis=0).max() == 0.0
 
 
-DROPOUT = Fault('encoder3', 'dropout', 0.5, duration=0.3)
 FAULTS = {
-    'none': (),
-    'step': (STEP,),
-    'dropout': (DROPOUT,),
+    **{'none': (), 'step': (STEP,), 'dropout': (Fault('encoder3', 'dropout', 0.5, duration=0.3),)},
     'dropout from the start': (Fault('encoder1', 'dropout', 0.0, duration=0.2),),
     'step in a dropout': (STEP, Fault('encoder2', 'dropout', 0.9, duration=0.3)),
     'stuck': (Fault('encoder3', 'stuck', 0.5, duration=0.3),),
@@ -63,11 +71,8 @@ FAULTS = {
     'noise': (Fault('encoder3', 'noise', 0.5, duration=0.3, size=0.01),),
 }
 STALLS = Stall('observer', 0.6, 0.1), Stall('tracker', 1.0, 0.02)
-WAYS = {
-    'direct': ('derived', Transport()),
-    'late and lossy': ('independent', Transport(1, 0.1)),
-    'stalled': ('derived', Transport(stalls=STALLS)),
-}
+WAYS = {'direct': ('derived', Transport()), 'late and lossy': ('independent', Transport(1, 0.1))}
+WAYS['stalled'] = 'derived', Transport(stalls=STALLS)
 
 
 @pytest.mark.parametrize('faults', FAULTS)
@@ -142,9 +147,6 @@ def test_given_an_arm_with_slides_when_nothing_fails_then_it_follows_and_nothing
     assert np.abs(run.position - run.reference).max() < 0.03
 
 
-MOVES = pytest.mark.xfail(reason='moves the estimate of the next joint instead', strict=True)
-
-
 @pytest.mark.parametrize('fault', [
     Fault('rail_encoder', 'bias', 3.0, size=0.03),
     pytest.param(Fault('rail_encoder', 'drift', 3.0, rate=0.05), marks=MOVES),
@@ -157,18 +159,6 @@ def test_given_an_arm_on_a_rail_when_an_encoder_fails_then_its_fault_is_named(fa
     assert (first.sensor, first.kind) == (fault.sensor, fault.kind)
     assert first.unit == ('m' if 'rail' in fault.sensor else 'rad')
     assert {alarm.sensor for alarm in run.alarms} == {fault.sensor}
-
-
-DT, JOINT, SIZE = 0.002, 1, 0.5
-ONSET = 2.5  # of the wrong correction, when the shoulder moves [s]
-CORRECTIONS = {
-    'appears': lambda t: SIZE * (t >= ONSET),
-    'disappears': lambda t: SIZE * (t < ONSET),
-    'comes and goes': lambda t: SIZE * (t >= ONSET and int((t - ONSET) / 0.02) % 2 == 0),
-    'drifts': lambda t: min(SIZE, 0.25 * max(0.0, t - ONSET)),
-    'drifts fast': lambda t: min(SIZE, 3.0 * max(0.0, t - ONSET)),
-    'swings': lambda t: SIZE * np.sin(4.0 * max(0.0, t - ONSET)),
-}
 
 
 class Loop:

@@ -186,9 +186,7 @@ def test_given_repeated_samples_when_an_encoder_jumps_at_one_then_it_alone_is_na
     assert named_by_jumps(arm, samples) == set()
     samples[75:, 0, 2] += 0.02
     assert named_by_jumps(arm, samples) == {arm.sensor_names[2]}
-
-
-def test_given_a_joint_that_shakes_faster_than_it_is_sampled_then_it_has_not_jumped():
+    # A joint that shakes faster than it is sampled has not jumped.
     samples = np.zeros((60, 3, 3))
     samples[:, 1, 1] = 0.4 * (-1.0) ** np.arange(60)
     arm = replace(shoulder_arm('independent'), sample_time=0.033)

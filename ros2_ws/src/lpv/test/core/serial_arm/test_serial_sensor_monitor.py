@@ -19,7 +19,9 @@ from lpv.core.support.errors import ConfigError, SampleError
 
 ARM = shoulder_arm()
 LARGE = Fault('encoder2', 'bias', 1.0, size=0.3)
-HOUR = 3600 * 10**9
+HOUR, STEP = 3600 * 10**9, 2_000_000
+START, FUTURE = 1_700_000_000 * 10**9, 2**31 * 10**9 - 1
+RAISED = [(AlarmEvent.RAISED, 'encoder2')]
 
 
 @cache
@@ -43,9 +45,6 @@ def message(names=ARM.joint_names, **fields):
     zeros = [0.0] * len(names)
     values = {'position': zeros, 'velocity': zeros, 'effort': zeros, **fields}
     return SimpleNamespace(name=list(names), **values)
-
-
-RAISED = [(AlarmEvent.RAISED, 'encoder2')]
 
 
 def test_given_samples_that_are_lost_repeated_or_no_numbers_then_each_is_counted():
@@ -115,7 +114,7 @@ def test_given_no_rates_then_they_are_differences_and_independent_ones_are_waite
     assert answer.fault is None and answer.corrected is None and monitor.counters.not_finite == 1
 
 
-def test_given_messages_when_taken_then_names_decide_and_what_does_not_fit_is_refused():
+def test_given_messages_or_gains_when_taken_then_names_decide_or_misfits_are_refused(paper_gains):
     monitor = SerialSensorMonitor('/uio', ARM)
     names = ('gripper', 'joint3', 'joint1', 'joint2')
     answer = monitor.take(1, message(names, position=[9.0, 0.3, 0.1, 0.2]))
@@ -129,6 +128,8 @@ def test_given_messages_when_taken_then_names_decide_and_what_does_not_fit_is_re
     with pytest.raises(SampleError, match='2 values for 3 joints'):
         monitor.take(1, message(), torque=[0.0, 0.0])
     assert monitor.rejected == 4
+    with pytest.raises(ConfigError, match='lpv: is missing'):
+        SerialSensorMonitor('/uio', ARM, gains=paper_gains)  # designed for its region
 
 
 def test_given_a_fault_that_is_hardly_known_when_confirmed_then_it_is_not_trusted():
@@ -140,11 +141,6 @@ def test_given_a_fault_that_is_hardly_known_when_confirmed_then_it_is_not_truste
         named = run.stamps >= alarm.detected
         assert alarm.kind == 'stuck' and answers.state.trustworthy[named][0]
         assert answers.state.trustworthy[named].all() == trusted
-
-
-def test_given_gains_when_the_arm_has_no_region_then_they_are_refused(paper_gains):
-    with pytest.raises(ConfigError, match='lpv: is missing'):
-        SerialSensorMonitor('/uio', ARM, gains=paper_gains)
 
 
 def test_given_smaller_sigmas_when_retuned_then_bounds_shrink_at_once():
@@ -168,7 +164,7 @@ def test_given_a_drift_with_its_derived_rate_when_followed_then_onset_size_and_r
     assert answers.state.velocity[last, 1].mean() == pytest.approx(true, abs=0.1)
 
 
-@pytest.mark.parametrize('odd', [0, 2**31 * 10**9 - 1])
+@pytest.mark.parametrize('odd', [0, FUTURE])
 def test_given_one_stamp_of_another_clock_then_its_sample_alone_is_stale(odd):
     stamps, samples = recorded()[0].copy(), recorded()[1]
     stamps[800] = odd
@@ -226,11 +222,6 @@ def test_given_samples_too_sparse_for_a_balance_when_taken_then_trust_ends_until
     trusted = answers.state.trustworthy
     assert trusted[time < 2.4].all() and not trusted[(time > 2.6) & (time < 3.6)].any()
     assert trusted[time > 3.8].all() and not answers.fault.alarm.any()
-
-
-STEP = 2_000_000
-START = 1_700_000_000 * 10**9
-FUTURE = 2**31 * 10**9 - 1
 
 
 @pytest.mark.parametrize('odd', [0, -1, FUTURE])

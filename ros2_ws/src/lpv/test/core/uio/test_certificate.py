@@ -66,35 +66,31 @@ POLES = 'poles between|poles in the disc'
 LITERAL_LMI = r'observer: LMI \(55\) at 8 vertices'
 SPOILT = {
     ('paper', 'observer'): [
-        (lambda o: {'kappa': -o.kappa}, POLES),
-        (lambda o: {'kappa': 0.9 * o.kappa}, POLES),  # too slow for its decay
+        (lambda o: {'kappa': -o.kappa}, POLES), (lambda o: {'fastest': 0.5 * o.fastest}, POLES),
+        # Too slow for its decay.
+        (lambda o: {'kappa': 0.9 * o.kappa}, POLES), (lambda o: {'decay': 2.0 * o.decay}, POLES),
         (lambda o: {'kappa': o.kappa * [1.0, 0.5]}, 'link 2: poles (between|in)'),
         (lambda o: {'mu': 30.0 * o.mu}, 'sampled recursion'),  # too fast for its sample time
         (lambda o: {'kappa': 60.0 * o.kappa}, 'real poles'),
-        (lambda o: {'lyapunov': -o.lyapunov}, 'P > 0'),
         (lambda o: {'lyapunov': np.stack([np.eye(2)] * 2)}, POLES),
+        (lambda o: {'lyapunov': -o.lyapunov}, 'P > 0'),
         (lambda o: {'lyapunov': 20.0 * o.lyapunov}, 'covariance'),
         (lambda o: {'lyapunov': o.lyapunov + [[0.0, 0.1], [0.0, 0.0]]}, 'P > 0 and symmetric'),
         (lambda o: {'lyapunov': np.nan * o.lyapunov}, 'P > 0 and symmetric'),
-        (lambda o: {'decay': 2.0 * o.decay}, POLES),
-        (lambda o: {'fastest': 0.5 * o.fastest}, POLES),
     ],
     ('literal', 'observer'): [
-        (lambda o: {'k': -o.k}, LITERAL_LMI),
-        (lambda o: {'k': 2.0 * o.k}, LITERAL_LMI),
-        (lambda o: {'gamma': 0.1}, LITERAL_LMI),
+        (lambda o: {'k': -o.k}, LITERAL_LMI), (lambda o: {'k': 2.0 * o.k}, LITERAL_LMI),
+        (lambda o: {'gamma': 0.1}, LITERAL_LMI), (lambda o: {'box': sinc_box(0.5)}, LITERAL_LMI),
         (lambda o: {'t1': o.t1 + 0.01}, 'decoupling'),
         (lambda o: {'lyapunov': -o.lyapunov}, 'P > 0'),
-        (lambda o: {'box': sinc_box(0.5)}, LITERAL_LMI),
     ],
     ('paper', 'controller'): [
-        (lambda c: {'m1': -c.m1}, r'LMI \(67\)'),
-        (lambda c: {'m2': -c.m2}, r'LMI \(67\)'),
+        (lambda c: {'m1': -c.m1}, r'LMI \(67\)'), (lambda c: {'m2': -c.m2}, r'LMI \(67\)'),
         (lambda c: {'decay': 5.0 * c.decay}, r'LMI \(67\)'),
         (lambda c: {'m1': 40.0 * c.m1}, 'one sample of delay'),
         (lambda c: {'lyapunov': -c.lyapunov}, 'controller: P > 0'),
     ],
-}
+}  # fmt: skip
 """By gains and part: what is spoilt, and the inequality that fails."""
 FLOATS_ALONE = 'P > 0 and symmetric', 'decoupling', 'one sample of delay'
 """What the exact proof does not speak of."""
@@ -319,10 +315,9 @@ def transition(flows, step, controller):
 
 
 def test_given_an_arm_that_jumps_between_corners_when_run_then_it_contracts(arm, gains):
-    controller, rng = gains.controller, np.random.default_rng(3)
-    motion = controller.motion
+    controller, motion, worst = gains.controller, gains.controller.motion, 0.0
     flows, factor = corners(arm, motion.rate), np.linalg.cholesky(motion.lyapunov).T
-    worst = 0.0
+    rng = np.random.default_rng(3)
     for _ in range(500):
         places = rng.integers(len(flows), size=rng.integers(1, 6))
         sample = transition([flows[i] for i in places], arm.sample_time, controller)
@@ -335,10 +330,9 @@ def test_given_an_arm_that_jumps_between_corners_when_run_then_it_contracts(arm,
 def test_given_corners_that_change_in_a_sample_then_the_remainder_holds(arm, gains, slower):
     controller, rng = gains.controller, np.random.default_rng(4)
     arm, rate = replace(arm, sample_time=slower * arm.sample_time), controller.motion.rate
-    flows = corners(arm, rate)
+    flows, used = corners(arm, rate), 0.0
     loop, law = conditions.controller_loop(arm, 'exact'), np.hstack([controller.m1, controller.m2])
     sampled = sampled_motion.sampled_loop(arm, loop, law, rate)
-    used = 0.0
     for _ in range(300):
         places = rng.integers(len(flows), size=4)
         exact = transition([flows[i] for i in places], arm.sample_time, controller)

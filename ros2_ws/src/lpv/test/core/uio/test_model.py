@@ -14,17 +14,11 @@ from scipy.optimize import nnls
 from lpv.core.simulation.paper_plant import PaperPlant
 from lpv.core.simulation.scenario import Scenario
 from lpv.core.support.errors import ConfigError, UnreachableError
-from lpv.core.uio.model import polytope
+from lpv.core.uio.model import polytope, state_space
 from lpv.core.uio.model.dynamics import acceleration, inverse_dynamics
 from lpv.core.uio.model.joints import JointMap
 from lpv.core.uio.model.kinematics import forward, inverse, joint_motion
 from lpv.core.uio.model.polytope import sinc_box, vertex_matrices
-from lpv.core.uio.model.state_space import (
-    Descriptor,
-    disturbance_matrix,
-    lpv_acceleration,
-    output_matrices,
-)
 from lpv.core.uio.planar import is_planar, planar_links, planar_model, plane_of, serial_from_planar
 
 ANGLE, RATE, TORQUE = st.floats(-6.0, 6.0), st.floats(-8.0, 8.0), st.floats(-100.0, 100.0)
@@ -108,14 +102,15 @@ def test_given_both_arms_then_zeros_torques_and_eqs_29_to_31_are_right(paper_mod
     np.testing.assert_allclose(upright.absolute_position([0.0, 0.0]), -math.pi / 2)
     expected = [math.pi + 0.2, math.pi + 0.5]
     np.testing.assert_allclose(hanging.absolute_position([0.2, 0.3]), expected)
-    for found, expected in zip(output_matrices(paper_model), (np.eye(4), np.eye(4)[:, :2])):
-        np.testing.assert_array_equal(found, expected)
-    c, df = output_matrices(real_model)
+    c, df = state_space.output_matrices(paper_model)
+    np.testing.assert_array_equal(np.hstack([c, df]), np.eye(4)[:, [0, 1, 2, 3, 0, 1]])
+    c, df = state_space.output_matrices(real_model)
     np.testing.assert_array_equal(c, np.kron(np.eye(2), [[1.0, 0.0], [-1.0, 1.0]]))
     # In absolute coordinates a fault of encoder 1 shifts both angles: Df = [[1, 0], [1, 1], ...].
     np.testing.assert_allclose(np.linalg.inv(c) @ df, [[1, 0], [1, 1], [0, 0], [0, 0]])
-    np.testing.assert_array_equal(disturbance_matrix(paper_model), [[0], [0], [0.7], [0]])
-    np.testing.assert_array_equal(disturbance_matrix(real_model), [[0], [0], [1.0], [0]])
+    for model, push in ((paper_model, 0.7), (real_model, 1.0)):
+        found = state_space.disturbance_matrix(model)
+        np.testing.assert_array_equal(found, [[0], [0], [push], [0]])
 
 
 def test_given_a_batch_when_converted_or_solved_then_every_row_alone_and_a_bad_one_is_named(arm):
@@ -266,7 +261,8 @@ def lpv_right_side(x, u, push=(0.0, 0.0)):
 @given(STATE, EFFORT)
 def test_given_any_state_then_the_lpv_plant_is_eq_25(paper_model, state, effort):
     x, u, box, got = np.array(state), np.array(effort), sinc_box(-0.2), np.empty(2)
-    lpv_acceleration(x, u, (*vertex_matrices(box, paper_model.constants(False)), box), got)
+    plant = *vertex_matrices(box, paper_model.constants(False)), box
+    state_space.lpv_acceleration(x, u, plant, got)
     np.testing.assert_allclose(got, lpv_right_side(x, u)[2:], rtol=1e-11, atol=1e-11)
 
 
@@ -286,11 +282,12 @@ def test_given_a_push_when_the_lpv_plant_steps_then_it_is_runge_kutta(paper_arm,
 
 def test_given_vertices_when_augmented_then_eqs_35_to_37_hold_and_47_has_a_solution(arm):
     a, b = vertex_matrices(sinc_box(-0.2), arm.constants(coriolis=False))
-    d, (c, df) = Descriptor(a, b, arm), output_matrices(arm)
+    d, (c, df) = state_space.Descriptor(a, b, arm), state_space.output_matrices(arm)
     np.testing.assert_array_equal(d.e, np.diag([1, 1, 1, 1, 0, 0]))
     np.testing.assert_array_equal(d.c, np.hstack([c, df]))
     np.testing.assert_array_equal(d.bf, [[0, 0]] * 4 + [[1, 0], [0, 1]])
-    np.testing.assert_array_equal(d.bd, np.vstack([disturbance_matrix(arm), np.zeros((2, 1))]))
+    push = state_space.disturbance_matrix(arm)
+    np.testing.assert_array_equal(d.bd, np.vstack([push, np.zeros((2, 1))]))
     # Eq. (36) row by row: x' = A x + B u + Bd d, and 0 = -f + f.
     x, f, u = np.split(np.random.default_rng(5).normal(size=8), [4, 6])
     for i in range(8):
@@ -326,26 +323,18 @@ def test_given_an_arm_when_converted_then_it_may_turn_but_needs_a_region(paper_a
         planar_model(replace(paper_arm, sensor_matrix=((1.0, 0.0), (0.5, 1.0))))
 
 
-def joint(arm, index, **change):
-    joints = list(arm.joints)
-    joints[index] = replace(joints[index], **change)
-    return replace(arm, joints=tuple(joints))
-
-
-REFUSED = {
-    'a third joint': lambda a: replace(a, joints=(*a.joints, replace(a.joints[1], name='x'))),
-    'skew axes': lambda a: joint(a, 1, orientation=(0.3, 0.0, 0.0)),
-    'no length': lambda a: replace(a, tip=(0.0, 0.0, 0.0)),
-    'a mass beside its link': lambda a: joint(
-        a, 0, link=replace(a.joints[0].link, first_moment=(5.0, 0.0, 0.5))
-    ),
-    'no vertical plane': lambda a: replace(a, base_orientation=(np.pi / 2, 0.0, 0.0)),
-}
-
-
-@pytest.mark.parametrize('change', REFUSED.values(), ids=REFUSED)
-def test_given_an_arm_that_is_not_planar_when_converted_then_the_reason_is_said(paper_arm, change):
-    arm = change(paper_arm)
-    assert is_planar(paper_arm) and not is_planar(arm)
-    with pytest.raises(ConfigError, match='lpv: is for planar arms of two links: '):
-        planar_model(arm)
+def test_given_an_arm_that_is_not_planar_when_converted_then_the_reason_is_said(paper_arm):
+    assert is_planar(paper_arm)
+    one, two = paper_arm.joints
+    beside = replace(one.link, first_moment=(5.0, 0.0, 0.5))
+    for change in (
+        {'joints': (one, two, replace(two, name='x'))},
+        {'joints': (one, replace(two, orientation=(0.3, 0.0, 0.0)))},  # skew axes
+        {'tip': (0.0, 0.0, 0.0)},  # no length
+        {'joints': (replace(one, link=beside), two)},  # a mass beside its link
+        {'base_orientation': (np.pi / 2, 0.0, 0.0)},  # no vertical plane
+    ):
+        arm = replace(paper_arm, **change)
+        assert not is_planar(arm), change
+        with pytest.raises(ConfigError, match='lpv: is for planar arms of two links: '):
+            planar_model(arm)

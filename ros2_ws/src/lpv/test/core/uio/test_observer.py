@@ -17,10 +17,8 @@ from lpv.core.uio.model.polytope import sinc_box, vertex_matrices
 from lpv.core.uio.observer import paper_observer, sampled_observer
 from lpv.core.uio.unknown_input_observer import UnknownInputObserver, uio_step
 
-
-def paper_descriptor(arm, s_min=-0.2):
-    a, b = vertex_matrices(sinc_box(s_min), arm.constants(coriolis=False))
-    return state_space.Descriptor(a, b, arm)
+TS = 2_000_000  # sample time of both arms [ns]
+VECTORS = ('position', 'velocity', 'fault', 'absolute_position')
 
 
 class Swing:
@@ -99,7 +97,8 @@ def exact(arm, gains):
 
 
 def test_given_the_paper_observer_then_eq_41_is_solved_and_steps_are_the_heun_rule_of_38(arm):
-    d = paper_descriptor(arm)
+    dt, box, rng = 0.003, sinc_box(0.5), np.random.default_rng(7)
+    d = state_space.Descriptor(*vertex_matrices(box, arm.constants(coriolis=False)), arm)
     t1, t2 = paper_observer.decoupling(d.e, d.c)
     sigma = np.vstack([d.e, d.c])
     # Smallest: every row lies in the column space of sigma.
@@ -107,9 +106,6 @@ def test_given_the_paper_observer_then_eq_41_is_solved_and_steps_are_the_heun_ru
     np.testing.assert_allclose(np.hstack([t1, t2]), smallest, atol=1e-14)
     np.testing.assert_allclose(t1 @ d.e + t2 @ d.c, np.eye(6), atol=1e-14)
     np.testing.assert_allclose(t1 @ d.bf, 0.0, atol=1e-14)
-    dt, rng = 0.003, np.random.default_rng(7)
-    box, d = sinc_box(0.5), paper_descriptor(arm, 0.5)
-    t1, t2 = paper_observer.decoupling(d.e, d.c)
     gains = rng.normal(scale=10.0, size=(8, 6, 4))
     feedback = t1 @ d.a + gains @ d.c
     matrices = feedback, feedback @ t2 - gains, t1 @ d.b  # N, L and G of eqs. (51)-(53)
@@ -179,12 +175,9 @@ def test_given_a_wrong_start_when_the_arm_moves_then_errors_die_out(paper_model,
             before = after
 
 
-FAULT = st.lists(st.tuples(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6)), min_size=60, max_size=60)
-
-
 @pytest.mark.slow
 @settings(max_examples=40)
-@given(FAULT)
+@given(st.lists(st.tuples(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6)), min_size=60, max_size=60))
 def test_given_any_position_faults_then_the_state_estimate_is_bitwise_same(arms, gains_of, faults):
     faults, none = np.vstack([[0.0, 0.0], faults]), np.zeros((61, 2))
     for arm in arms:
@@ -215,28 +208,21 @@ def test_given_a_link_outside_the_region_then_it_is_held_on_the_measured_rate(ar
     np.testing.assert_allclose(after[4:], y_new[:2] - exact.s @ after[:2], atol=1e-12)
 
 
-def held_at(exact, theta):
-    """Which links are held at rest at some angles."""
-    y = np.concatenate([exact.s @ theta, [0.0, 0.0]])
-    exact.state.x[:] = *theta, 0.0, 0.0, 0.0, 0.0
-    exact.step(y, y, np.zeros(2))
-    return exact.state.held.tolist()
-
-
 def test_given_a_link_on_either_side_of_the_border_then_only_outside_is_held(arm, exact):
+    cases = []
     for offset, way, link in product((-1e-6, 1e-6), (1.0, -1.0), range(2)):
         theta = np.full(2, exact.motion.rest)
         theta[link] += way * (math.acos(arm.cos_min[link]) + offset)
-        assert held_at(exact, theta) == [offset > 0.0 and i == link for i in range(2)]
+        cases.append((theta, [offset > 0.0 and i == link for i in range(2)]))
     # At the vertical, rounding of the cosine holds nothing.
     for turns in ((0, 0), (1, 1), (2, -2)):
         upright = turns[0] % 2 == 0
-        theta = math.pi * np.array(turns, float)
-        assert held_at(exact, theta) == [upright != (arm.orientation == 'upright')] * 2
-
-
-TS = 2_000_000  # sample time of both arms [ns]
-VECTORS = ('position', 'velocity', 'fault', 'absolute_position')
+        cases.append((math.pi * np.array(turns), [upright != (arm.orientation == 'upright')] * 2))
+    for theta, held in cases:
+        y = np.concatenate([exact.s @ theta, [0.0, 0.0]])
+        exact.state.x[:] = *theta, 0.0, 0.0, 0.0, 0.0
+        exact.step(y, y, np.zeros(2))
+        assert exact.state.held.tolist() == held
 
 
 @pytest.fixture
