@@ -33,6 +33,15 @@ from lpv.core.serial_arm.diagnosis.alarms import Mode
 
 EPOCH, MS = 1_700_000_000_123_456_789, 1_000_000
 VECTORS = ('position', 'velocity', 'effort')
+PAIR, SENSORS, ZERO = ('joint1', 'joint2'), ['left', 'right'], [0.0, 0.0]
+TYPES = {name: msgtype for name, (msgtype, _) in STREAMS.items()} | {'fault_alarm': ALARM_TYPE}
+FIELDS = {name: dict.fromkeys(fields, ZERO) for name, (_, fields) in STREAMS.items()}
+FIELDS['state_estimate'] |= {'mode': 0, 'trustworthy': True}
+FIELDS['fault_estimate'] |= {'sensor_names': SENSORS, 'state': [0, 0], 'alarm': [False, False]}
+FIELDS['torque_command'] |= {'safe_stop': False}
+FIELDS['fault_alarm'] = alarm_fields(Alarm(0, 0, 'left', 5 * MS, 15 * MS, 0.3, 0.1, 'bias', 0.99))
+JUNK = b'junk'
+"""Behind measurements without efforts: some serialisers pad with what was in memory."""
 
 
 def by_rosbags(path, wanted=tuple(TOPICS), **limits):
@@ -244,17 +253,6 @@ def test_given_one_byte_that_differs_when_matched_then_only_numbers_and_padding_
             np.testing.assert_array_equal(back, other.position)
     for bad in (b'', b'\0\1', bytes(11), b'\0\0' + content[2:]):
         assert cdr_layout.find_layout(bad, JOINT_STATE, TYPESTORE) is None
-
-
-PAIR, SENSORS, ZERO = ('joint1', 'joint2'), ['left', 'right'], [0.0, 0.0]
-TYPES = {name: msgtype for name, (msgtype, _) in STREAMS.items()} | {'fault_alarm': ALARM_TYPE}
-FIELDS = {name: dict.fromkeys(fields, ZERO) for name, (_, fields) in STREAMS.items()}
-FIELDS['state_estimate'] |= {'mode': 0, 'trustworthy': True}
-FIELDS['fault_estimate'] |= {'sensor_names': SENSORS, 'state': [0, 0], 'alarm': [False, False]}
-FIELDS['torque_command'] |= {'safe_stop': False}
-FIELDS['fault_alarm'] = alarm_fields(Alarm(0, 0, 'left', 5 * MS, 15 * MS, 0.3, 0.1, 'bias', 0.99))
-JUNK = b'junk'
-"""Behind measurements without efforts: some serialisers pad with what was in memory."""
 
 
 def measure(stamp, position, names=PAIR, topic='/joint_states', **others):

@@ -25,6 +25,8 @@ HEADER = ','.join(NAMES) + '\n'
 LINES = ''.join(f'{k / 500},{k}.1,{k}.2,{k}.3,{k}.4,{k}.5,{k}.6\n' for k in range(3))
 SECOND, MS = 1_000_000_000, 1_000_000
 NAN = math.nan
+CELL, TIMES = st.floats(-1e6, 1e6) | st.just(NAN), st.integers(0, 2**31 * SECOND - 1)
+ROWS = st.dictionaries(TIMES, st.lists(CELL, min_size=6, max_size=6), min_size=1, max_size=5)
 
 
 @pytest.fixture(scope='module')
@@ -48,11 +50,6 @@ def convert(tmp_path_factory):
 
 def stamps(messages):
     return [to_nanoseconds(m.header.stamp) for m in messages]
-
-
-CELL = st.floats(-1e6, 1e6) | st.just(NAN)
-TIMES = st.integers(0, 2**31 * SECOND - 1)
-ROWS = st.dictionaries(TIMES, st.lists(CELL, min_size=6, max_size=6), min_size=1, max_size=5)
 
 
 @settings(max_examples=25)

@@ -35,10 +35,9 @@ WRONG = {
     'plan.method': [{'plan': {'method': 'grid'}}],
     'plan.runs': [{'plan': {'method': 'random', **n}} for n in ({}, {'runs': 0}, {'runs': 10**9})],
     'plan.repeats': [{'plan': {'method': 'random', 'runs': 5, 'repeats': 2}}],
-    'duration': [{'duration': float('nan')}, {'duration': -1.0}],
+    'duration': [{'duration': float('nan')}, {'duration': -1.0}], 'speed': [{'speed': 1.0}],
     'designs': [{'designs': 'paper'}, {'designs': ['paper', 'paper']}],
     'factors': [{'factors': [1]}],
-    'speed': [{'speed': 1.0}],
 }  # fmt: skip
 WRONG_FACTORS = {
     'fault.size': [{'bais': 1.0}, True, []], 'fault.size.high': [{'low': 1.0}],
@@ -53,8 +52,6 @@ WRONG_FACTORS = {
 for _field, _values in WRONG_FACTORS.items():
     _name = '.'.join(_field.split('.')[: 2 if _field.startswith('fault') else 1])
     WRONG[f'factors.{_field}'] = [{'factors': {_name: value}} for value in _values]
-
-
 OF_REAL_ARM = {'designs': ['gains.yaml'], 'arm': 'real_arm', 'scenario': 'real_arm'}
 MISFITS = [
     *((SMALL, field, change) for field, changes in WRONG.items() for change in changes),
@@ -62,8 +59,7 @@ MISFITS = [
     (SMALL, 'factors.design', {'factors': {'design': 'other'}}),
     (SMALL, 'path.waypoints[0].joints', {'scenario': 'ur10', 'factors': {}}),
     (SMALL, 'requirement', {'designs': ['nowhere']}),
-    (SMALL, 'arm', {'arm': 'nowhere'}),
-    (SMALL, 'scenario', {'scenario': 'nowhere'}),
+    *((SMALL, field, {field: 'nowhere'}) for field in ('arm', 'scenario')),
     (SMALL, 'scenario', {'factors': {'path': ['random', 'nowhere']}}),
     (SMALL, 'gains.arm_sha256', OF_REAL_ARM),
     (SMALL, 'gains.arm_sha256', {'designs': ['gains.yaml'], 'factors': {'sample_time': 0.004}}),
@@ -100,7 +96,7 @@ def test_given_a_shipped_campaign_when_read_then_it_is_valid(name):
     assert spec.parse_spec(config.read_yaml(resources.shipped_files('campaigns')[name])).runs >= 30
 
 
-def test_given_a_plan_when_sampled_then_every_combination_or_stratum_comes_once_a_repeat():
+def test_given_a_plan_when_sampled_then_each_combination_or_stratum_comes_once_a_repeat(small):
     factors = """{fault.kind: [none, bias], noise: {low: 0.5, high: 2.0, levels: 3},
                   payload: [0.0, 0.5], friction: 1.0}"""
     factorial = resolved(factors, plan={'method': 'factorial', 'repeats': 2})
@@ -113,9 +109,7 @@ def test_given_a_plan_when_sampled_then_every_combination_or_stratum_comes_once_
     for column in points.T:
         assert sorted((column * 50).astype(int)) == list(range(50))
     assert abs(np.corrcoef(points.T)[0, 1]) < 0.4
-
-
-def test_given_a_random_plan_when_it_is_made_longer_then_the_first_runs_stay_the_same(small):
+    # The first runs of a random plan stay the same where it is made longer.
     long = resolved(FACTORS, 400, seed=1)
     for number in range(4):
         assert small.values(number) == long.values(number)

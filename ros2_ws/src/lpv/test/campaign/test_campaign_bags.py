@@ -33,6 +33,12 @@ fault.size: {bias: 0.3, spike: 0.4}, fault.rate: {spike: 20.0}, fault.onset: {lo
 fault.duration: 0.7, mass_2: {low: 0.97, high: 1.03}, command_delay: 2, sample_loss: 0.05,
 diagnosis.clear_dwell: 0.2}"""
 SPEC = spec(FACTORS, 3, seed=5, duration=2.5)
+FAULT = 'fault.kind: [none, bias, dropout], fault.size: 0.3, fault.onset: 1.2, fault.duration: 0.8'
+FLEET = spec(f'{{{FAULT}, path: random}}', seed=4, plan={'method': 'factorial'})
+GOOD = ['a/healthy', 'b/bias', 'b/dropout', 'foreign']
+BAD = {'b/junk.mcap': 'damaged', 'b/lonely': 'no metadata.yaml with files',
+       'deaf': 'has no topic', 'strange': "'joint1'"}  # fmt: skip
+"""Bags that cannot be used, and what is said of each."""
 
 
 @pytest.fixture(scope='module')
@@ -160,14 +166,6 @@ def test_given_figures_when_compared_then_last_bits_and_missing_ones_do_not_coun
     assert differences(stored, wrong) == list(wrong)
 
 
-FAULT = 'fault.kind: [none, bias, dropout], fault.size: 0.3, fault.onset: 1.2, fault.duration: 0.8'
-FLEET = spec(f'{{{FAULT}, path: random}}', seed=4, plan={'method': 'factorial'})
-GOOD = ['a/healthy', 'b/bias', 'b/dropout', 'foreign']
-BAD = {'b/junk.mcap': 'damaged', 'b/lonely': 'no metadata.yaml with files',
-       'deaf': 'has no topic', 'strange': "'joint1'"}  # fmt: skip
-"""Bags that cannot be used, and what is said of each."""
-
-
 @pytest.fixture(scope='module')
 def runs():
     """Plans and runs by name."""
@@ -195,12 +193,9 @@ def archive(runs, tmp_path_factory):
         message = messages.joint_state(stamp, ('gripper', 'joint2', 'joint1'), *values)
         entries.append(('/js', stamp, cdr(message)))
     write_by_rosbags(root / 'foreign', entries)
-    others = {
-        'b/junk.mcap': b'\x89MCAP0\r\n' + bytes(300),
-        'b/lonely/metadata.yaml': (root / 'a' / 'healthy' / 'metadata.yaml').read_bytes(),
-        '.hidden/x.mcap': b'',
-        'notes/metadata.yaml': b'colour: blue\n',
-    }
+    others = {'.hidden/x.mcap': b'', 'notes/metadata.yaml': b'colour: blue\n'}
+    others['b/junk.mcap'] = b'\x89MCAP0\r\n' + bytes(300)
+    others['b/lonely/metadata.yaml'] = (root / 'a' / 'healthy' / 'metadata.yaml').read_bytes()
     write_files(root, others)
     write_bag(root / 'deaf', [(CHATTER, k, text('hello')) for k in range(1, 5)], {CHATTER: STRING})
     odd = messages.joint_state(1, ('elbow', 'wrist'), *np.zeros((3, 2)))
@@ -209,7 +204,7 @@ def archive(runs, tmp_path_factory):
 
 
 def fleet(root, out):
-    line = ['fleet', root, '--arm', 'paper', '--gains', GAINS, '--out', out, '--workers', 0]
+    line = 'fleet', root, '--arm', 'paper', '--gains', GAINS, '--out', out, '--workers', 0
     return [str(word) for word in line]
 
 
@@ -358,14 +353,10 @@ def test_given_an_archive_when_reported_then_figures_count_what_the_rows_say(tri
 
 
 def test_given_alarms_when_listed_then_those_of_one_sensor_and_kind_are_one_line():
-    raised, updated, cleared = AlarmEvent.RAISED, AlarmEvent.UPDATED, AlarmEvent.CLEARED
-    told = (
-        (raised, 'one', 'unclassified', 10**9),
-        (updated, 'one', 'drift', 10**9),
-        (cleared, 'one', 'drift', 10**9),
-        (raised, 'one', 'drift', 5 * 10**9),
-        (raised, 'two', 'drift', 6 * 10**9),
-    )
+    raised = AlarmEvent.RAISED
+    first = [(raised, 'unclassified'), (AlarmEvent.UPDATED, 'drift'), (AlarmEvent.CLEARED, 'drift')]
+    told = [(event, 'one', kind, 10**9) for event, kind in first]
+    told += [(raised, 'one', 'drift', 5 * 10**9), (raised, 'two', 'drift', 6 * 10**9)]
     alarms = [Alarm(e, 0, s, onset, onset + 9, 0.1, 0.01, k, 1.0) for e, s, k, onset in told]
     rows = bag_figures.alarm_rows(alarms, 0)
     found = [(row['sensor'], row['kind'], row['count'], row['onset']) for row in rows]

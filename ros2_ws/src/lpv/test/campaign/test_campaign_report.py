@@ -19,7 +19,7 @@ from lpv.campaign.report.write import command, confusion, report_numbers, suspic
 
 pytestmark = pytest.mark.slow
 
-SENSORS = ('link1_angle', 'link2_angle')
+SENSORS, table = ('link1_angle', 'link2_angle'), pa.Table.from_pylist
 FACTORS = "{fault.kind: [none, bias, stuck], compensation: ['off', confirmed]}"
 SPEC = spec(FACTORS, 120, name='made <up>', duration=10.0)
 
@@ -55,9 +55,6 @@ def made_up(row, count):
             )  # fmt: skip
         rows.append(row(number, **changes))
     return rows
-
-
-table = pa.Table.from_pylist
 
 
 @pytest.mark.parametrize(('events', 'hours'), [(0, 2.0), (3, 1.0), (100, 7.0)])

@@ -19,7 +19,6 @@ FACTORS = '{path: random, fault.kind: [none, bias], fault.size: {bias: 0.1}, fau
 PLAN = {'method': 'latin_hypercube', 'runs': 4}
 CAMPAIGN = spec(FACTORS, seed=11, designs=['poor.yaml'], plan=PLAN, duration=3.5)
 SEARCH = ['--search', 'observer.acceleration_noise=0.02:20.0']
-COST = ['--cost', 'fault_rms_before=1']
 
 
 @pytest.fixture
@@ -32,8 +31,8 @@ def file(tmp_path):
 
 
 def command(file, trials, *more):
-    out = ['--out', file.parent / 'out', '--workers', 0]
-    return ['tune', file, *SEARCH, *COST, '--trials', trials, *out, *more]
+    options = ['--cost', 'fault_rms_before=1', '--out', file.parent / 'out', '--workers', 0]
+    return ['tune', file, *SEARCH, '--trials', trials, *options, *more]
 
 
 def study_in(out):
