@@ -20,7 +20,6 @@ from lpv.core.uio.planar import planar_model, serial_from_planar
 
 HEAVY = ('numpy', 'numba', 'scipy', 'matplotlib', 'cvxpy', 'rosbags', 'pinocchio', 'rclpy', 'rich')
 
-
 HELP = f"""
 import sys
 from lpv.cli.main import COMMANDS, build_parser
@@ -141,6 +140,7 @@ def test_given_links_in_no_vertical_plane_when_initialised_then_it_has_no_region
 GRIPPER = (DATA / 'gripper.urdf').read_text()
 HOLDS = ['--lock left_finger=0.02 --lock right_finger', '--joints shoulder,elbow,wrist',
          '--joints shoulder elbow wrist', '--tip tool']  # fmt: skip
+HELD = HOLDS[-1].split()
 
 
 @pytest.mark.parametrize('options', HOLDS)
@@ -153,9 +153,6 @@ def test_given_a_gripper_when_held_then_the_arm_has_the_others_and_their_frictio
     assert friction == [(0.5, 0.25), (0.0, 0.0), (0.0, 0.0)]
     if '--tip' in options:
         assert arm.tip == (0.0, 0.0, 0.3)
-
-
-HELD = ['--tip', 'tool']
 
 
 def test_given_what_cannot_be_used_when_initialised_then_it_is_named(tmp_path, refused):

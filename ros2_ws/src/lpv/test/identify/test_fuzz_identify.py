@@ -35,11 +35,8 @@ def test_given_mutated_files_when_read_then_samples_are_finite(recording, arm, t
         header = 'time,' + ','.join(f'{name}_{field}' for field in fields for name in names)
         np.savetxt(path, np.column_stack(short(recording)), '%.6g', ',', header=header, comments='')
         file, mutate, content = path, mutate_text, path.read_text()
-    assert fuzz(
-        40,
-        lambda seed: file.write_bytes(mutate(content, seed)),
-        lambda: use(read_recording(path, names)),
-    ).refused
+    assert fuzz(40, lambda seed: file.write_bytes(mutate(content, seed)),
+                lambda: use(read_recording(path, names))).refused  # fmt: skip
 
 
 def _wrong_value(rng, time, *values):

@@ -202,14 +202,12 @@ def cleaned(recording, **changes):
     return clean('test', [one.time], one.position, one.velocity, one.effort)
 
 
-def test_given_a_short_recording_or_no_motion_when_identified_then_it_is_said(arm, recording):
+def test_given_few_samples_or_no_motion_then_it_is_said(arm, recording, motion, simulated):
     still = replace(recording, position=0.0 * recording.position, velocity=0.0 * recording.velocity)
     for bad, reason in ((recording.rows(slice(300)), 'too short'), (still, 'no joint moves')):
         with pytest.raises(IdentificationError, match=reason):
             identify(arm, [bad])
-
-
-def test_given_a_joint_at_rest_when_identified_then_a_warning_names_it(arm, motion, simulated):
+    # A warning names one joint at rest.
     moves = np.array([0.0, 1.0, 1.0])
     rest = replace(motion, sine=moves * motion.sine, cosine=moves * motion.cosine)
     found = identify(arm, [simulated(arm, 8, motion=rest)])

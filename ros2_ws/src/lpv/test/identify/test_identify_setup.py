@@ -28,6 +28,8 @@ from lpv.identify.recordings.recording import Recording, read_recording
 from lpv.identify.sensors.second_encoder import describe, find_second_encoders, with_second_encoders
 from lpv.identify.sensors.sensing import noise_deviation, quantization_step, sense
 
+STEP = 0.004
+
 
 @pytest.fixture(scope='module')
 def samples():
@@ -95,9 +97,6 @@ def test_given_a_motion_when_written_then_all_files_hold_it(arm, plan, tmp_path)
     position, rate, _ = motion.sample(between)
     assert spline(between) == pytest.approx(position, abs=1e-3)
     assert spline.derivative()(between) == pytest.approx(rate, abs=2e-2)
-
-
-STEP = 0.004
 
 
 def segment(noise=1e-5, delay=0.0):
@@ -177,22 +176,18 @@ def swapped(recording):
     return replace(recording, **{name: getattr(recording, name)[:, [0, 2, 1]] for name in parts})
 
 
-def efforts(factor):
-    return lambda recording: replace(recording, effort=recording.effort * factor)
-
-
-def late(recording):
-    return replace(recording, effort=shifted(recording.effort, 0.05, 0.01))
+def efforts(change):
+    return lambda recording: replace(recording, effort=change(recording.effort))
 
 
 MISTAKES = {
     'tilted base': ('gravity', 'about y by -5', lambda r: r, (0.0, 0.1, 0.0)),
     'mounted on a wall': ('gravity', 'about y by -(89|9[01])', lambda r: r, (0.0, np.pi / 2, 0.0)),
-    'other sign': ('sign', 'efforts of two count', efforts([1.0, -1.0, 1.0]), None),
-    'other signs': ('sign', 'of all joints', efforts(-1.0), None),
+    'other sign': ('sign', 'efforts of two count', efforts(lambda u: u * [1, -1, 1]), None),
+    'other signs': ('sign', 'of all joints', efforts(np.negative), None),
     'swapped names': ('names', 'two and three are swapped', swapped, None),
-    'currents': ('unit', 'currents', efforts([1 / 13.0, 1 / 12.0, 1 / 9.0]), None),
-    'late efforts': ('delay', '50 ms too late', late, None),
+    'currents': ('unit', 'currents', efforts(lambda u: u / [13, 12, 9]), None),
+    'late efforts': ('delay', '50 ms too late', efforts(lambda u: shifted(u, 0.05, 0.01)), None),
 }
 
 

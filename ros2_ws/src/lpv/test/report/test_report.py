@@ -40,6 +40,8 @@ ARM_FILE = str(BRINGUP / 'arms' / 'paper.yaml')
 SCENARIO = str(BRINGUP / 'scenarios' / 'two_faults.yaml')
 PAPER = {'x1': 0.006, 'x2': 0.002, 'x3': 0.024, 'x4': 0.047, 'f1': 0.006, 'f2': 0.002,
          'y1': 0.034, 'y2': 0.053, 'e_t1': 0.003, 'e_t2': 0.007}  # fmt: skip
+FORGED = 'gains file: numbers are those of the design'
+"""The check that the checksum of a changed file fails."""
 
 
 @pytest.fixture(scope='module')
@@ -261,10 +263,6 @@ def test_given_a_bag_when_reported_then_its_gains_are_found(bag, gains_file, pag
     assert beside_bag(tmp_path / 'other.mcap', 'gains.yaml') is None, 'a file among others'
 
 
-FORGED = 'gains file: numbers are those of the design'
-"""The check that the checksum of a changed file fails."""
-
-
 def tampered(gains_file, change, path):
     """A gains file with the arm or a number changed by hand."""
     data = yaml.safe_load(gains_file.read_text())
@@ -278,8 +276,6 @@ def tampered(gains_file, change, path):
 
 
 FAILS = f'The certificate does NOT hold. What fails: {FORGED}'
-
-
 CHANGES = [
     (None, 'guaranteed: the bag carries no gains, and none were given.'),
     (30.0, f'{FAILS}; observer, link 1'),
@@ -304,9 +300,7 @@ def test_given_bad_gains_when_reported_then_no_guarantee(bag, gains_file, page_o
     assert change or 'bounds and thresholds are statistical' in said
 
 
-def test_given_gains_when_examined_or_drawn_then_a_loop_is_verified_or_a_map_a_picture(
-    paper_model, paper_gains, tmp_path
-):
+def test_given_gains_when_examined_or_drawn_then_all_is_there(paper_model, paper_gains, tmp_path):
     arm, region = load_arm('ur10'), 'gains are designed for its region'
     for gains, problem in (('ur10', ''), ('panda', 'another arm'), ('paper', region)):
         found = examine(BRINGUP / 'gains' / f'{gains}.yaml', arm)
