@@ -9,7 +9,6 @@ import pytest
 from scipy.linalg import solve_continuous_are, solve_continuous_lyapunov, solve_discrete_lyapunov
 
 from lpv import ConfigError, load_arm
-from lpv.cli.main import main
 from lpv.core.serial_arm.certificate.conditions import require_loop
 from lpv.core.serial_arm.description import Uncertainty
 from lpv.core.support import inequalities, resources
@@ -60,8 +59,7 @@ def common_lyapunov(loop, m, alpha):
 
 def test_given_boxes_when_searched_then_those_with_zero_hold_an_undetectable_point(paper_model):
     for s_min in (-0.2, 0.0, 1e-3, 0.5, 0.96):
-        found = undetectable_point(paper_problem(paper_model, s_min))
-        assert (found is not None) == (s_min <= 0.0)
+        assert (undetectable_point(paper_problem(paper_model, s_min)) is None) == (s_min > 0.0)
     problem = paper_problem(paper_model, -0.2)
     phi, eigenvalue, vector = undetectable_point(problem)
     assert np.all(problem.box[:, 0] <= phi) and np.all(phi <= problem.box[:, 1])
@@ -73,14 +71,11 @@ def test_given_boxes_when_searched_then_those_with_zero_hold_an_undetectable_poi
     np.testing.assert_allclose(vector, expected, atol=1e-9)
 
 
-NO_SOLUTION = [
-    *[('55', -0.2, 1.0), ('55', -0.2, None), ('55', -0.2, 1000.0), ('54+disc', -0.2, 1.0)],
+@pytest.mark.parametrize(('lmi_name', 's_min', 'gamma'), [
+    ('55', -0.2, 1.0), ('55', -0.2, None), ('55', -0.2, 1000.0), ('54+disc', -0.2, 1.0),
     # Less than the smallest gamma of a smaller box.
-    *[('55', 0.95, 0.98), ('55', 0.5, 100.0), ('54+disc', 0.8, 0.26)],
-]
-
-
-@pytest.mark.parametrize(('lmi_name', 's_min', 'gamma'), NO_SOLUTION)
+    ('55', 0.95, 0.98), ('55', 0.5, 100.0), ('54+disc', 0.8, 0.26),
+])  # fmt: skip
 def test_given_no_solution_when_solved_then_nothing_passes(paper_model, lmi_name, s_min, gamma):
     problem = paper_problem(paper_model, s_min)
     k, p, found, status = solve_paper(problem, lmi_name, gamma)
@@ -89,13 +84,10 @@ def test_given_no_solution_when_solved_then_nothing_passes(paper_model, lmi_name
 
 
 # (55) literally, and (54) with the disc as a separate inequality; see docs/paper-notes.md.
-GAMMA = [
+@pytest.mark.parametrize(('lmi_name', 's_min', 'expected'), [
     *[('55', s, g) for s, g in ((1.0, 0.82), (0.97, 0.93), (0.95, 1.01), (0.9, 1.31), (0.8, 3.8))],
     *[('54+disc', s, g) for s, g in ((1.0, 0.165), (0.9, 0.20), (0.8, 0.28))],
-]
-
-
-@pytest.mark.parametrize(('lmi_name', 's_min', 'expected'), GAMMA)
+])  # fmt: skip
 def test_given_a_smaller_box_then_gamma_is_as_known(paper_model, lmi_name, s_min, expected):
     problem = paper_problem(paper_model, s_min)
     k, p, gamma, _ = solve_paper(problem, lmi_name)
@@ -170,8 +162,7 @@ def test_given_both_loops_when_designed_then_67_holds_and_not_if_spoilt(arm, met
     assert controller.check_loop(loop, m, q, wanted.alpha) < 0.0
     for a, b in zip(*loop):
         poles = np.linalg.eigvals(a + b @ m)
-        assert poles.real.max() < -wanted.alpha
-        assert np.abs(poles).max() < wanted.fastest
+        assert poles.real.max() < -wanted.alpha and np.abs(poles).max() < wanted.fastest
     backwards = m * [[1, 1, 1, 1, -1, -1]]  # the integrator the wrong way
     for spoilt in ((-m, q), (backwards, q), (0.0 * m, q), (m, -q), (m, np.eye(6))):
         assert controller.check_loop(loop, *spoilt, wanted.alpha) > 0.0
@@ -185,7 +176,6 @@ def test_given_the_published_loop_when_augmented_then_eqs_64_and_67_hold(paper_m
         np.testing.assert_array_equal(a_c[i], whole)
         np.testing.assert_array_equal(b_c[i], np.vstack([b[i], np.zeros((2, 2))]))
     loop = conditions.controller_loop(paper_model, 'paper')
-    assert len(loop[0]) == 8
     q = common_lyapunov(loop, PUBLISHED, 2.0)
     assert controller.check_loop(loop, PUBLISHED, q, 2.0) < 0.0
     assert controller.check_loop(loop, PUBLISHED, q, 20.0) > 0.0
@@ -228,8 +218,7 @@ def test_given_any_slope_when_tried_then_poles_and_deviation_are_as_certified(ar
             assert -poles.real.max() > observer.decay and np.abs(poles).max() < observer.fastest
             for noise in link.noises(wanted.acceleration_noise, wanted.rate_noise):
                 inputs = noise.direct + gain @ noise.measured
-                spread = solve_continuous_lyapunov(closed, -inputs @ inputs.T)
-                worst = max(worst, spread[0, 0])
+                worst = max(worst, solve_continuous_lyapunov(closed, -inputs @ inputs.T)[0, 0])
         assert 0.1 * bound < worst <= bound
 
 
@@ -310,21 +299,18 @@ def test_given_an_arm_when_designed_then_what_is_certified_follows_payload_and_r
 
 @pytest.mark.parametrize(('asked', 'payload', 'told'), [
     ({'bandwidth': 3.0, 'rate_share': 1.0}, None, 'cannot be certified, .* can'),
-    ({}, 500.0, 'payload 500 kg'),
-    ({'bandwidth': float('nan')}, None, 'must be'),
+    ({}, 500.0, 'payload 500 kg'), ({'bandwidth': float('nan')}, None, 'must be'),
     ({'model_error': 0.9}, None, 'must be'),
 ])  # fmt: skip
 def test_given_what_cannot_be_certified_when_designed_then_it_is_told(short, asked, payload, told):
     arm = replace(short, uncertainty=Uncertainty(payload=payload)) if payload else short
-    error = ConfigError if told == 'must be' else InfeasibleError
-    with pytest.raises(error, match=told):
+    with pytest.raises(ConfigError if told == 'must be' else InfeasibleError, match=told):
         serial_loop.certify_loop(arm, serial_loop.LoopRequest(**asked))
 
 
-def test_given_a_serial_arm_when_verified_or_designed_then_all_is_told(capsys, refused, tmp_path):
-    gains = str(resources.bringup_file('gains', 'ur10'))
-    assert main(['verify', gains]) == 0
-    out = capsys.readouterr().out
+def test_given_a_serial_arm_when_verified_or_designed_then_all_is_told(call, refused, tmp_path):
+    gains = resources.bringup_file('gains', 'ur10')
+    out = call('verify', gains).out
     assert 'the certificate holds' in out and 'region: every position, joint rates to' in out
     for other in ('panda', 'paper'):
         assert refused('', 'verify', gains, '--arm', other)

@@ -42,9 +42,7 @@ def parameters(program):
 
 
 @pytest.mark.parametrize(('given', 'scenario'), [
-    ({'arm': 'paper'}, 'two_faults'),
-    ({'arm': 'real_arm'}, 'real_arm'),
-    ({'arm': 'ur10'}, 'ur10'),
+    ({'arm': 'paper'}, 'two_faults'), ({'arm': 'real_arm'}, 'real_arm'), ({'arm': 'ur10'}, 'ur10'),
     ({'arm': '../my arm.yaml', 'scenario': '/x/s.yaml'}, '/x/s.yaml'),
     ({'arm_file': '../my arm.yaml', 'scenario_file': '/x/s.yaml'}, '/x/s.yaml'),
 ])  # fmt: skip
@@ -56,8 +54,7 @@ def test_given_an_arm_when_launched_then_nodes_get_its_scenario_and_gains(given,
         files = [Path(file) for file in options(program, '--params-file')]
         assert all(file.is_file() for file in files)
         assert len(given) > 1 or ('gains', f'{arm}.yaml') in [file.parts[-2:] for file in files]
-        assert parameters(program)['arm_file'] == arm
-        assert program.ends_all and not program.respawn
+        assert parameters(program)['arm_file'] == arm and program.ends_all and not program.respawn
     for name in ('tracker', 'simulator'):
         assert parameters(found[name])['scenario_file'] == scenario
     assert len(given) > 1 or scenario in shipped_files('scenarios')
@@ -72,8 +69,7 @@ def test_given_arguments_when_launched_then_they_are_forwarded_to_every_node(tmp
     local = os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     for program in found.values():
         assert (program.respawn, program.respawn_delay, program.ends_all) == (True, 1.0, False)
-        assert program.grace == 30.0
-        assert options(program, '--log-level') == ['debug']
+        assert program.grace == 30.0 and options(program, '--log-level') == ['debug']
         assert '__ns:=/cell/arm' in options(program, '-r')
         assert '/my/gains.yaml' in options(program, '--params-file')
         assert program.command[-1] == given['params_file']  # after all others
@@ -117,12 +113,10 @@ def test_given_a_wrong_launch_file_when_launched_then_one_line_says_why(tmp_path
 
 def processes(*given, **options):
     """Run shell programs with options of theirs as a launch does, in a process of its own."""
-    code = (
-        'import os, sys; from lpv_ros2cli.processes import Processes, Program\n'
-        'programs = [Program(f"p-{i}", ["sh", "-c", text], dict(os.environ), **options)'
-        f' for i, (text, options) in enumerate({given!r})]\n'
-        'sys.exit(Processes(programs).run())'
-    )
+    code = 'import os, sys; from lpv_ros2cli.processes import Processes, Program\n'
+    code += 'programs = [Program(f"p-{i}", ["sh", "-c", text], dict(os.environ), **options)'
+    code += f' for i, (text, options) in enumerate({given!r})]\n'
+    code += 'sys.exit(Processes(programs).run())'
     return Running(program=[sys.executable, '-c', code], **options)
 
 
@@ -132,16 +126,14 @@ def test_given_programs_that_print_at_once_when_run_then_no_line_is_within_anoth
     environment = dict(os.environ, PYTHONUNBUFFERED=unbuffered)
     with processes((prints, {}), (prints, {}), (prints, {}), env=environment) as launch:
         code, text = launch.end()
-    assert code == 0
-    assert len(re.findall(r'^\[p-\d\] line$', text, re.MULTILINE)) == 1500
+    assert code == 0 and len(re.findall(r'^\[p-\d\] line$', text, re.MULTILINE)) == 1500
     assert len(text.splitlines()) == 1500 + 2 * 3  # starts and ends
 
 
 def test_given_processes_when_they_end_then_it_is_told_and_they_start_again_if_asked():
     with processes(('echo one; echo two >&2', {}), ('exit 3', {})) as launch:
         code, text = launch.end()
-    assert code == 1
-    assert re.search(r'\[p-0\] one\n(.*\n)*\[p-0\] two\n', text)
+    assert code == 1 and re.search(r'\[p-0\] one\n(.*\n)*\[p-0\] two\n', text)
     assert re.search(r'\[INFO\] \[p-0\]: process has finished cleanly \[pid \d+\]\n', text)
     assert re.search(r"\[ERROR\] \[p-1\]: process has died \[pid \d+, exit code 3, cmd 'sh", text)
     with processes(('exec sleep 600', {}), ('exit 2', {'ends_all': True})) as launch:
@@ -163,8 +155,7 @@ def test_given_a_signal_when_run_then_programs_are_told_once_and_killed_if_deaf(
             launch.until('ready')
         launch.process.send_signal(number)
         code, text = launch.end()
-    assert code == 0
-    assert text.count('[p-0] caught\n') == 1
+    assert code == 0 and text.count('[p-0] caught\n') == 1
     assert "escalating to 'SIGKILL'" in text
 
 
@@ -185,6 +176,5 @@ def test_given_files_when_launched_then_nodes_start_and_come_back_and_end_cleanl
         launch.until(r'\[uio-\d\]: process started')
         launch.until('lpv.uio.*measurements flow')
         code, text = launch.interrupt(100.0)
-    assert code == 1  # one of them died
-    assert text.count('process has finished cleanly') == 5
+    assert code == 1 and text.count('process has finished cleanly') == 5  # one of them died
     assert (tmp_path / 'bag' / 'metadata.yaml').is_file()

@@ -28,10 +28,8 @@ from lpv_ros2cli.main import main  # noqa: E402
 
 
 def test_given_the_parser_when_built_then_nothing_heavy_is_imported():
-    code = (
-        'import sys; from lpv_ros2cli.main import build_parser; build_parser(); '
-        'print({"rclpy", "yaml", "numpy", "rosbags", "lpv.bag"} & set(sys.modules))'
-    )
+    code = 'import sys; from lpv_ros2cli.main import build_parser; build_parser()\n'
+    code += 'print({"rclpy", "yaml", "numpy", "rosbags", "lpv.bag"} & set(sys.modules))'
     assert subprocess.check_output([sys.executable, '-c', code]) == b'set()\n'
 
 
@@ -57,10 +55,7 @@ def test_given_what_is_not_covered_when_asked_for_then_the_code_is_that_of_a_wro
         main(['topic', 'pub', '/x'])
 
 
-NUMBERS = st.lists(st.floats(allow_nan=False), max_size=5)
-
-
-@given(NUMBERS, st.text(max_size=20), st.integers(0, 2**31 - 1))
+@given(st.lists(st.floats(allow_nan=False), max_size=5), st.text(), st.integers(0, 2**31 - 1))
 @example([], '\x85', 0)
 def test_given_any_values_when_shown_then_they_are_read_back(numbers, text, seconds):
     message = JointState(name=[text], position=numbers)
@@ -119,40 +114,36 @@ def graph():
 
 @pytest.fixture
 def ros2(graph, capsys):
-    """Run a command in this process, which has imported rclpy: exit code, stdout, stderr."""
-    return lambda *words: (main([str(word) for word in words]), *capsys.readouterr())
+    """Run a command in this process, which has imported rclpy; what it prints, or what is wrong."""
 
-
-@pytest.fixture
-def out(ros2):
-    """Run a command that succeeds; what it prints."""
-
-    def run(*words):
-        code, text, errors = ros2(*words)
-        assert (code, errors) == (0, ''), errors
-        return text
+    def run(*words, code=0, fails=False):
+        assert main([str(word) for word in words]) == code
+        text, errors = capsys.readouterr()
+        said, silent = (errors, text) if code or fails else (text, errors)
+        assert silent == '', silent
+        return said
 
     return run
 
 
 @pytest.mark.ros
-def test_given_a_graph_when_listed_or_called_then_what_is_there_answers(out, ros2):
-    assert out('node', 'list') == '/lpv/arm\n'
-    assert '/lpv/joints [sensor_msgs/msg/JointState]\n' in out('topic', 'list', '-t')
-    assert '/lpv/inject\n' in out('service', 'list')
-    text = out('topic', 'info', '/lpv/joints')
+def test_given_a_graph_when_listed_or_called_then_what_is_there_answers(ros2):
+    assert ros2('node', 'list') == '/lpv/arm\n'
+    assert '/lpv/joints [sensor_msgs/msg/JointState]\n' in ros2('topic', 'list', '-t')
+    assert '/lpv/inject\n' in ros2('service', 'list')
+    text = ros2('topic', 'info', '/lpv/joints')
     assert text == 'Type: sensor_msgs/msg/JointState\nPublisher count: 1\nSubscription count: 0\n'
     kind = 'lpv_msgs/srv/InjectFault'
-    text = out('service', 'call', '/lpv/inject', kind, '{sensor: elbow, size: 1}')
+    text = ros2('service', 'call', '/lpv/inject', kind, '{sensor: elbow, size: 1}')
     assert 'requester: making request: lpv_msgs.srv.InjectFault_Request(sensor=' in text
     assert "response:\nlpv_msgs.srv.InjectFault_Response(success=True, message='elbow'" in text
-    code, _, errors = ros2('service', 'call', '/lpv/inject', 'std_srvs/srv/Empty')
-    assert (code, errors) == (1, f"service '/lpv/inject' is of type {kind}\n")
+    errors = ros2('service', 'call', '/lpv/inject', 'std_srvs/srv/Empty', code=1)
+    assert errors == f"service '/lpv/inject' is of type {kind}\n"
 
 
 @pytest.mark.ros
-def test_given_a_topic_when_echoed_then_messages_are_yaml_and_rates_come_until_interrupted(out):
-    text = out('topic', 'echo', '--once', '/lpv/joints')
+def test_given_a_topic_when_echoed_then_messages_are_yaml_and_rates_come_until_interrupted(ros2):
+    text = ros2('topic', 'echo', '--once', '/lpv/joints')
     assert text.startswith("header:\n  stamp:\n    sec: 0\n    nanosec: 0\n  frame_id: ''\n")
     assert text.endswith('position:\n- 0.5\n- -1.0\nvelocity: []\neffort: []\n---\n')
     with Running('topic', 'hz', '/lpv/joints') as rate:
@@ -163,36 +154,34 @@ def test_given_a_topic_when_echoed_then_messages_are_yaml_and_rates_come_until_i
 
 
 @pytest.mark.ros
-def test_given_a_node_when_its_parameters_or_state_are_set_then_it_says_what_it_takes(out, ros2):
-    assert '  gain\n' in out('param', 'list', '/lpv/arm')
-    assert out('param', 'set', '/lpv/arm', 'gain', '2') == 'Set parameter successful\n'
-    assert out('param', 'get', '/lpv/arm', 'gain') == 'Double value is: 2.0\n'
-    code, text, errors = ros2('param', 'set', '/lpv/arm', 'gain', '20.0')
-    assert (code, text) == (0, '') and errors.startswith('Setting parameter failed: ')
-    for words in (('get', '/lpv/arm', 'nix'), ('get', '/nix', 'gain')):
-        code, _, errors = ros2('param', *words)
-        assert (code, errors.count('\n')) == (1, 1)
-    assert out('lifecycle', 'get', '/lpv/arm') == 'unconfigured [1]\n'
-    assert out('lifecycle', 'set', '/lpv/arm', 'configure') == 'Transitioning successful\n'
-    code, _, errors = ros2('lifecycle', 'set', '/lpv/arm', 'configure')
-    assert code == 1
+def test_given_a_node_when_its_parameters_or_state_are_set_then_it_says_what_it_takes(ros2):
+    assert '  gain\n' in ros2('param', 'list', '/lpv/arm')
+    assert ros2('param', 'set', '/lpv/arm', 'gain', '2') == 'Set parameter successful\n'
+    assert ros2('param', 'get', '/lpv/arm', 'gain') == 'Double value is: 2.0\n'
+    errors = ros2('param', 'set', '/lpv/arm', 'gain', '20.0', fails=True)
+    assert errors.startswith('Setting parameter failed: ')
+    for words in (('/lpv/arm', 'nix'), ('/nix', 'gain')):
+        assert ros2('param', 'get', *words, code=1).count('\n') == 1
+    assert ros2('lifecycle', 'get', '/lpv/arm') == 'unconfigured [1]\n'
+    assert ros2('lifecycle', 'set', '/lpv/arm', 'configure') == 'Transitioning successful\n'
+    errors = ros2('lifecycle', 'set', '/lpv/arm', 'configure', code=1)
     assert errors.startswith('Unknown transition requested, available ones are:\n- cleanup [2]\n')
-    assert out('lifecycle', 'set', '/lpv/arm', '2') == 'Transitioning successful\n'
+    assert ros2('lifecycle', 'set', '/lpv/arm', '2') == 'Transitioning successful\n'
 
 
 @pytest.mark.ros
-def test_given_a_topic_when_recorded_then_the_bag_is_described(out, tmp_path):
+def test_given_a_topic_when_recorded_then_the_bag_is_described(ros2, tmp_path):
     bag = tmp_path / 'bag'
     with Running('bag', 'record', '-o', bag, 'lpv/joints') as recorder:
         recorder.until(r'rosbag2_recorder\]: recording 1 topic')
         begin = (bag / 'bag.mcap').stat().st_size
         for _ in range(30):  # until the recorder knows of the publisher
-            assert out('topic', 'echo', '--once', '/lpv/joints')  # time passes
+            assert ros2('topic', 'echo', '--once', '/lpv/joints')  # time passes
             if (bag / 'bag.mcap').stat().st_size > begin:
                 break
         code, text = recorder.interrupt()
     assert code == 0, text
-    info = out('bag', 'info', bag)
+    info = ros2('bag', 'info', bag)
     topic = r'Topic: /lpv/joints \| Type: sensor_msgs/msg/JointState \| Count: [1-9]\d* \| Ser'
     for told in (r'(?m)^Files: +bag.mcap\n', r'Duration: +\d+\.\d{9}s\n', topic):
         assert re.search(told, info), info
