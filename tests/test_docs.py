@@ -97,32 +97,23 @@ BLOCKS = re.findall(r'(?ms)^```(\w+)\n(.*?)^```$', PAGES['tracking.md'])
 """Kind and text of every fenced block of the tutorial, in order."""
 
 
-@pytest.fixture(scope='module')
-def tutorial(tmp_path_factory):
-    """What the tutorial's session holds at its end, and its folder; its commands succeed."""
-    folder, namespace = tmp_path_factory.mktemp('tutorial'), {}
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        for kind, text in BLOCKS:
-            if kind == 'yaml':
-                name = text.splitlines()[0].removeprefix('# ')
-                (folder / name).write_text(text, encoding='utf-8')
-            elif kind == 'python':
-                exec(compile(text, 'tracking.md', 'exec'), namespace)
-            elif kind == 'sh':
-                lines = [line for line in text.splitlines() if line.startswith('lpv ')]
-                assert [main(shlex.split(line)[1:]) for line in lines] == [0] * len(lines)
-    return namespace, folder
-
-
 @pytest.mark.slow
-def test_given_the_tutorial_when_run_then_certificate_figures_and_alarm_are_as_printed(tutorial):
+def test_given_the_tutorial_when_run_then_figures_and_alarm_are_as_printed(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    namespace = {}
+    for kind, text in BLOCKS:
+        if kind == 'yaml':
+            (tmp_path / text.splitlines()[0].removeprefix('# ')).write_text(text, encoding='utf-8')
+        elif kind == 'python':
+            exec(compile(text, 'tracking.md', 'exec'), namespace)
+        elif kind == 'sh':
+            lines = [line for line in text.splitlines() if line.startswith('lpv ')]
+            assert [main(shlex.split(line)[1:]) for line in lines] == [0] * len(lines)
     texts = '\n'.join(text for kind, text in BLOCKS if kind == 'text')
     shown = re.findall(r'^holds \(.*?\): (.*)$', texts, re.MULTILINE)
-    header = (tutorial[1] / 'gains.yaml').read_text(encoding='utf-8')
+    header = (tmp_path / 'gains.yaml').read_text(encoding='utf-8')
     printed = re.findall(r'^# holds \(.*?\): (.*)$', header, re.MULTILINE)
     assert len(shown) == 4 and shown == printed[:4]
-    namespace, _ = tutorial
     share = namespace['friction'] / namespace['gravity']
     np.testing.assert_allclose(namespace['gravity'], [18.9, 4.2], atol=0.05)
     np.testing.assert_allclose(share, [0.021, 0.024], atol=5e-4)
@@ -131,8 +122,7 @@ def test_given_the_tutorial_when_run_then_certificate_figures_and_alarm_are_as_p
     assert namespace['quiet']
     (alarm,) = namespace['run'].alarms
     assert (alarm.event, alarm.sensor, alarm.kind) == (AlarmEvent.RAISED, 'elbow_encoder', 'bias')
-    assert alarm.detected == 4_002_000_000
-    assert alarm.size == pytest.approx(0.25, abs=0.005)
+    assert alarm.detected == 4_002_000_000 and alarm.size == pytest.approx(0.25, abs=0.005)
     assert alarm.bound == pytest.approx(0.003, abs=0.001)
     # Compensated, the arm is off by the estimate's error.
     assert namespace['largest']['confirmed'] == pytest.approx(0.001, abs=0.001)

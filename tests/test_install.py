@@ -70,10 +70,8 @@ def test_given_a_set_up_that_is_done_when_set_up_again_then_nothing_is_done():
 
 
 @pytest.mark.parametrize(('line', 'offered'), [
-    ('lpv de', {'demo', 'design'}),
-    ('lpv demo --arm ', {'paper', 'real_arm'}),
-    ('lpv demo --scenario tw', {'two_faults'}),
-    ('lpv run lpv_uio ', {'uio'}),
+    ('lpv de', {'demo', 'design'}), ('lpv demo --arm ', {'paper', 'real_arm'}),
+    ('lpv demo --scenario tw', {'two_faults'}), ('lpv run lpv_uio ', {'uio'}),
     ('ros2 topic ', {'echo', 'hz'}),
 ])  # fmt: skip
 def test_given_a_line_when_completed_then_what_fits_is_offered(tmp_path, line, offered):
@@ -175,5 +173,4 @@ NEEDS = {
 def test_given_what_is_missing_when_needed_then_one_sentence_says_what_to_install(lpv, command):
     # A loaded machine is first told what is being done.
     *announced, text = lpv(*command.split(), code=2).splitlines()
-    assert re.search(NEEDS[command], text)
-    assert all(line.endswith(' ...') for line in announced)
+    assert re.search(NEEDS[command], text) and all(line.endswith(' ...') for line in announced)

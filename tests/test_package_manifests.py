@@ -19,13 +19,9 @@ ON_CALL = {'lpv': {'lpv_design'}}
 """What a package imports when it is asked for: a dependency the other way is in the manifest."""
 # Keys of rosdep that are not python3- and the name (rosdistro, rosdep/python.yaml), and libraries
 # that none stands for: the manifest's comment names what pip installs.
-PLAIN_KEYS = (
-    'aiohttp argcomplete hypothesis jinja2 matplotlib numba numpy packaging pytest pytest-timeout '
-    'rich scipy sqlalchemy yaml'
-)
-ROSDEP_KEYS = {f'python3-{name}' for name in PLAIN_KEYS.split()} | {
-    f'python3-{name}-pip' for name in ('cvxpy', 'filterpy', 'mujoco', 'rosbags')
-}
+_KEYS = 'aiohttp argcomplete hypothesis jinja2 matplotlib numba numpy packaging pytest rich scipy'
+_KEYS += ' pytest-timeout sqlalchemy yaml cvxpy-pip filterpy-pip mujoco-pip rosbags-pip'
+ROSDEP_KEYS = {f'python3-{name}' for name in _KEYS.split()}
 _PYPI = 'clarabel cmaes distributed lz4 mcap optuna pyarrow zstandard'
 PYPI = {name: name for name in _PYPI.split()} | {'foxglove': 'foxglove-sdk', 'pinocchio': 'pin'}
 COMES_WITH = {'llvmlite': 'numba'}
@@ -63,13 +59,11 @@ def left_out(package, options):
     """Files of a package, in its working directory, that an installation does not have."""
     installed = {Path(file) for _, files in options['data_files'] for file in files}
     for name, patterns in options.get('package_data', {}).items():
-        folder = Path(*name.split('.'))
-        installed |= {path for pattern in patterns for path in folder.glob(pattern)}
+        installed |= {path for one in patterns for path in Path(*name.split('.')).glob(one)}
     shared = {path.parts[0] for path in installed} - {package.name, 'resource'}
     files = {path for name in shared for path in Path(name).rglob('*')}
     files |= {path for path in Path(package.name).rglob('*') if path.suffix != '.py'}
-    files = {p for p in files if p.is_file() and '__pycache__' not in p.parts}
-    files = {p for p in files if not p.parts[-2].startswith('.')}
+    files = {p for p in files if p.is_file() and not p.parent.name.startswith(('.', '__pycache__'))}
     folders = {'.'.join(p.parent.parts) for p in Path(package.name).rglob('__init__.py')}
     return files - installed | folders ^ set(options['packages'])
 
@@ -82,8 +76,7 @@ def test_given_a_package_when_released_then_what_it_says_of_itself_is_right(pack
     assert sorted(missing_dependencies(package, declared, ' '.join(remarks))) == []
     assert {d for d in declared if d.startswith('python3-')} <= ROSDEP_KEYS
     version = root.findtext('version')
-    for name in ('description', 'maintainer', 'license'):
-        assert root.findtext(name).strip()
+    assert all(root.findtext(name).strip() for name in ('description', 'maintainer', 'license'))
     assert root.findtext('name') == package.name
     assert f'\nversion: {version}\n' in (ROOT / 'CITATION.cff').read_text()
     title, *_ = changelog = (package / 'CHANGELOG.rst').read_text().splitlines()
@@ -122,8 +115,8 @@ def test_given_libraries_and_manifests_when_compared_then_ranges_and_needs_are_n
     libraries = {re.match(r'[\w-]+', r).group() for r in requirements('base') | extras}
     assert set(PYPI.values()) - libraries == {'foxglove-sdk'}
     assert any(r.startswith('foxglove-sdk') for r in requirements('extras'))
-    roots = {package.name: ElementTree.parse(package / 'package.xml') for package in FOLDERS}
-    declared = {name: {e.text for e in root.getroot()} for name, root in roots.items()}
+    roots = (ElementTree.parse(package / 'package.xml').getroot() for package in FOLDERS)
+    declared = {root.findtext('name'): {e.text for e in root} for root in roots}
     graph = {name: (declared.keys() & needed) - {name} for name, needed in declared.items()}
     assert len(tuple(TopologicalSorter(graph).static_order())) == 9
     to_read_launch_files = {'launch_xml', 'launch_ros', 'ros2launch'}
