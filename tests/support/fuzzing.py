@@ -106,8 +106,7 @@ _MUTATIONS = (*[_set_value] * 4, *[_scale_number] * 2, *[_change_piece] * 2, _in
 
 def mutate_bytes(data, seed):
     """A binary file with one to four mutations: bits, numbers, pieces missing, doubled or moved."""
-    rng = random.Random(seed)
-    found = bytearray(data)
+    rng, found = random.Random(seed), bytearray(data)
     for _ in range(rng.choice((1, 1, 2, 4))):
         if not found:
             break
@@ -157,10 +156,6 @@ class Tally:
             wrong = f'took more than {ENDLESS:.0f} s'
         if wrong:
             self.failed.append((seed, wrong))
-
-    def __str__(self):
-        counts = f'{self.refused} refused, {self.accepted} accepted, {len(self.failed)} failed'
-        return f'{self.tried} tried, {counts}'
 
 
 def not_finite(value, name=''):

@@ -53,13 +53,11 @@ def set_anything(rng, owner, name, kind):
     """Put anything into a field that its type allows."""
     one = {
         **dict.fromkeys(('double', 'float'), lambda: float(rng.choice(FLOATS))),
-        'int64': lambda: int(rng.choice(INTEGERS)),
-        'uint8': lambda: int(rng.integers(256)),
-        'octet': lambda: bytes([rng.integers(256)]),
-        'boolean': lambda: bool(rng.integers(2)),
+        'int64': lambda: int(rng.choice(INTEGERS)), 'uint8': lambda: int(rng.integers(256)),
+        'octet': lambda: bytes([rng.integers(256)]), 'boolean': lambda: bool(rng.integers(2)),
         'string': lambda: TEXTS[rng.integers(len(TEXTS))],
         'diagnostic_msgs/DiagnosticStatus': lambda: fill(rng, DiagnosticStatus()),
-    }
+    }  # fmt: skip
     if name == 'sec':
         owner.sec, owner.nanosec = STAMPS[rng.integers(len(STAMPS))]
     elif kind in one:

@@ -6,7 +6,6 @@ with four faults, and lost, late and unusable samples.
 """
 
 import shutil
-import sys
 import tempfile
 from pathlib import Path
 
@@ -57,12 +56,6 @@ def _thinned(topic, data):
     return None if is_left_out else data
 
 
-def main():
-    before = renew()
-    show(before, Console(soft_wrap=True, highlight=False))
-    print(f'renewed {BAG}')
-    return 0
-
-
 if __name__ == '__main__':
-    sys.exit(main())
+    show(renew(), Console(soft_wrap=True, highlight=False))
+    print(f'renewed {BAG}')

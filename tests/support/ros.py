@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -19,7 +20,8 @@ NAMESPACE = '/lpv'
 _WORKERS = int(os.environ.get('PYTEST_XDIST_WORKER_COUNT', '1'))
 _WORKER = int(os.environ.get('PYTEST_XDIST_WORKER', 'gw0')[2:])
 _START = _WORKER + (os.getppid() if _WORKERS > 1 else os.getpid())
-_DOMAINS = (1 + (_START + _WORKERS * k) % 100 for k in itertools.count())
+next_domain = partial(next, (1 + (_START + _WORKERS * k) % 100 for k in itertools.count()))
+"""A ROS domain that no other running graph of this process has."""
 PACKAGES = {'recorder': 'lpv_node', 'simulator': 'lpv_arm_sim', 'view': 'lpv_node'}
 """Of the nodes whose packages are not called after them."""
 
@@ -43,11 +45,6 @@ def words(*parameters, files=()):
 
 def command(name, *parameters, files=()):
     return [executable(PACKAGES.get(name, f'lpv_{name}'), name), *words(*parameters, files=files)]
-
-
-def next_domain():
-    """A ROS domain that no other running graph of this process has."""
-    return next(_DOMAINS)
 
 
 @contextmanager
@@ -105,8 +102,6 @@ def end(running):
     assert codes and set(codes.values()) == {0}, codes
 
 
-@contextmanager
 def graph(log_dir, domain=None):
     """A graph of nodes that ends with the test."""
-    with Graph(log_dir, next_domain() if domain is None else domain) as running:
-        yield running
+    return Graph(log_dir, next_domain() if domain is None else domain)

@@ -84,13 +84,17 @@ def test_given_faults_when_injected_and_one_is_cleared_then_the_other_stays(driv
 
 
 @pytest.mark.fuzz
-def test_given_forged_commands_when_obeyed_then_measurements_are_finite_and_it_recovers(drives):
-    def case(rng):
+def test_given_hostile_input_when_obeyed_then_measurements_are_finite_and_it_recovers(drives):
+    def forged(rng):
         drives.send(drives.good())
         return drives.send(forge(rng, drives.good()))
 
-    assert run_cases(200, case).refused
-    assert drives.recover() <= RECOVERY
+    def configured(rng):
+        set_parameters(drives.node, rng)
+        return drives.send(drives.good())
+
+    assert run_cases(200, forged).refused and drives.recover() <= RECOVERY
+    assert run_cases(100, configured).refused and drives.recover() <= RECOVERY
 
 
 @pytest.mark.fuzz
@@ -108,14 +112,4 @@ def test_given_forged_requests_when_faults_are_injected_then_measurements_are_fi
 
     assert run_cases(200, case).refused
     assert len(drives.node._plant.injector.faults) <= MAX_FAULTS
-    assert drives.recover() <= RECOVERY
-
-
-@pytest.mark.fuzz
-def test_given_hostile_parameters_when_set_then_the_simulation_goes_on(drives):
-    def case(rng):
-        set_parameters(drives.node, rng)
-        return drives.send(drives.good())
-
-    assert run_cases(100, case).refused
     assert drives.recover() <= RECOVERY

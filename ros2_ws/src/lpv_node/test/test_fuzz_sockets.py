@@ -22,18 +22,16 @@ VALUES = (
 )  # fmt: skip
 GOOD = (
     {'type': 'inject', 'id': 1, 'sensor': 'link1_angle', 'kind': 'bias', 'size': 0.3},
-    {'type': 'clear', 'id': 2, 'sensor': ''},
-    {'type': 'reset', 'id': 3},
-)
+    {'type': 'clear', 'id': 2, 'sensor': ''}, {'type': 'reset', 'id': 3},
+)  # fmt: skip
 OPERATIONS = (
     {'op': 'subscribe', 'subscriptions': [{'id': 1, 'channelId': 1}]},
-    {'op': 'unsubscribe', 'subscriptionIds': [1]},
     {'op': 'advertise', 'channels': [{'id': 1, 'topic': '/x', 'encoding': 'json'}]},
     {'op': 'getParameters', 'parameterNames': ['x'], 'id': '1'},
     {'op': 'setParameters', 'parameters': [{'name': 'x', 'value': 1}]},
-    {'op': 'subscribeConnectionGraph'},
+    {'op': 'subscribeConnectionGraph'}, {'op': 'unsubscribe', 'subscriptionIds': [1]},
     {'op': 'fetchAsset', 'uri': 'file:///etc/passwd', 'requestId': 1},
-)
+)  # fmt: skip
 
 
 def hostile(rng, good):

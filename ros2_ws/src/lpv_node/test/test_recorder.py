@@ -20,7 +20,6 @@ from lpv.bag.rosbag.recovery import recover
 from lpv.core.support.timestamps import set_stamp
 
 pytestmark = pytest.mark.ros
-
 TOPIC = '/lpv/joint_states'
 RELIABLE = QoSProfile(depth=1000)
 GAINS = BRINGUP / 'gains' / 'paper.yaml'
@@ -143,15 +142,13 @@ def test_given_a_disk_that_gets_full_when_recording_then_what_is_there_is_kept(s
         return errors()
 
     recorder.run(30.0, until=full)
-    assert errors()[0].name == '/lpv/recorder: recording'
-    assert 'no space left' in errors()[0].message
+    assert errors()[0].name == '/lpv/recorder: recording' and 'no space left' in errors()[0].message
     assert recorder.process.poll() is None  # it goes on to say so
     (bag,) = (tmp_path / 'bag').glob('*.mcap')
     size = bag.stat().st_size
     assert 300_000 < size < 1600 * 1024
     recorder.run(0.3)
-    assert recorder.stop() == 1
-    assert bag.stat().st_size == size
+    assert recorder.stop() == 1 and bag.stat().st_size == size
     numbers = recorded(tmp_path / 'bag')
     assert numbers == list(range(len(numbers))) and len(numbers) > 50
     assert contents(tmp_path / 'bag')[1] == []
@@ -165,8 +162,7 @@ def test_given_all_topics_when_told_to_stop_then_the_next_free_bag_is_whole(sess
         (folder / 'mine').write_text(folder.name)
     left_out = 'exclude:=[/rosout, /parameter_events, "/lpv/no*"]'
     recorder = session('all:=true', left_out, 'split_duration:=1.0', f'gains_file:={GAINS}')
-    bag = tmp_path / 'bag_2'
-    make = recorder.client.node.create_publisher
+    bag, make = tmp_path / 'bag_2', recorder.client.node.create_publisher
     others = [make(String, name, RELIABLE) for name in ('text', 'noise', '_hidden')]
     assert recorder.client.wait(lambda: others[0].get_subscription_count() == 1)
     others[0].publish(String(data='hello'))
@@ -193,8 +189,7 @@ def test_given_all_topics_when_told_to_stop_then_the_next_free_bag_is_whole(sess
     before, told = len(recorder.sent), time.monotonic()
     recorder.process.send_signal(signal.SIGINT)
     recorder.run(20.0, until=lambda: recorder.process.poll() is not None)
-    assert recorder.process.wait(10) == 0
-    assert time.monotonic() - told < 8.0
+    assert recorder.process.wait(10) == 0 and time.monotonic() - told < 8.0
     numbers = recorded(bag)
     assert numbers[:before] == list(range(before))
     # By the time of arrival, hence sorted, but for the late one not by stamps.
@@ -210,5 +205,4 @@ def test_given_all_topics_when_told_to_stop_then_the_next_free_bag_is_whole(sess
     for folder in taken:
         assert [p.read_text() for p in folder.iterdir()] == [folder.name]
     said = (tmp_path / 'log' / 'recorder.log').read_text()
-    assert '[WARN]' in said
-    assert f'{tmp_path / "bag"} exists already: recording into {bag}' in said
+    assert '[WARN]' in said and f'{tmp_path / "bag"} exists already: recording into {bag}' in said

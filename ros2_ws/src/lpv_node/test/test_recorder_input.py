@@ -14,7 +14,6 @@ from lpv_node.recorder import input as recorder_input
 from lpv_node.recorder.input import RecorderInput, Selection, enlarge_sockets
 
 pytestmark = pytest.mark.ros
-
 TOPIC = '/lpv/joint_states'
 
 
@@ -29,9 +28,8 @@ class Senders:
         self.heard = []
 
     def add(self, reliable, latched):
-        return self.node.create_publisher(
-            JointState, 'joint_states', ros_qos(reliable, latched, 100)
-        )
+        qos = ros_qos(reliable, latched, 100)
+        return self.node.create_publisher(JointState, 'joint_states', qos)
 
     def send(self, *publishers):
         for publisher in publishers:
@@ -44,17 +42,12 @@ class Senders:
 
     def wait(self, condition):
         """Search and poll until the condition holds."""
-
-        def met():
-            self.look()
-            return condition()
-
-        assert self.client.wait(met)
+        assert self.client.wait(lambda: self.look() or condition())
 
     def names(self):
         """What was heard, and nothing more that is still to come."""
         self.wait(lambda: len(self.heard) >= self._sent)
-        self.client.wait(lambda: self.look(), 0.3)
+        self.client.wait(self.look, 0.3)
         return sorted(int(heard.data.split(b'message ')[1].split(b'\0')[0]) for heard in self.heard)
 
 
@@ -77,8 +70,7 @@ def test_given_publishers_with_lower_qos_when_they_come_later_then_all_is_heard_
         senders.wait(lambda p=every[0], n=count: p.get_subscription_count() == n)
         for _ in range(20):
             senders.send(*every)
-    assert senders.names() == list(range(20 * (1 + 2 + 3)))
-    assert senders.input.complaints == 0
+    assert senders.names() == list(range(20 * (1 + 2 + 3))) and senders.input.complaints == 0
     offers = {bytes(p.endpoint_gid): p for p in senders.node.get_publishers_info_by_topic(TOPIC)}
     assert {heard.publisher for heard in senders.heard} == set(offers)
 

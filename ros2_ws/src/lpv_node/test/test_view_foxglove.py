@@ -20,14 +20,12 @@ from lpv_node.view.foxglove_bridge import FoxgloveBridge, gate  # noqa: E402
 from lpv_node.view.scene import MARKERS, TRANSFORMS, Scene  # noqa: E402
 from lpv_node.view.server import ViewServer  # noqa: E402
 
-PROTOCOL = 'foxglove.sdk.v1'
 APP = 'https://app.foxglove.dev'
 TOPICS = {
-    '/lpv/arm_markers': (MARKERS, 0),
-    '/tf': (TRANSFORMS, 0),
+    '/lpv/arm_markers': (MARKERS, 0), '/tf': (TRANSFORMS, 0),
     '/lpv/robot_description': ('std_msgs/msg/String', 1),
     '/lpv/fault_alarm': ('lpv_msgs/msg/FaultAlarm', 2),
-}
+}  # fmt: skip
 
 
 @contextmanager
@@ -69,7 +67,7 @@ class Viewer:
 
 
 def connect(port, **headers):
-    return connected(f'http://127.0.0.1:{port}/', protocols=[PROTOCOL], headers=headers)
+    return connected(f'http://127.0.0.1:{port}/', protocols=['foxglove.sdk.v1'], headers=headers)
 
 
 def decode(channel, data):
@@ -112,8 +110,7 @@ def test_given_a_client_when_it_subscribes_then_it_can_read_messages_by_the_sche
     frames = [f'{arm}/{link}' for arm in ('true', 'estimated') for link in links]
     assert [t.child_frame_id for t in tree] == frames
     band = json.loads(messages['/lpv/fault_band'][1])
-    assert band['upper'] == pytest.approx([0.4, 0.5])
-    assert band['threshold_low'] == [-0.4, -0.5]
+    assert band['upper'] == pytest.approx([0.4, 0.5]) and band['threshold_low'] == [-0.4, -0.5]
 
 
 def test_given_latched_messages_when_a_client_comes_late_then_it_alone_gets_the_last(paper_arm):

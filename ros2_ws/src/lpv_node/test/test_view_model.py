@@ -70,15 +70,13 @@ def test_given_no_messages_or_those_of_other_arms_when_framed_then_nothing_is_kn
     model.take('state_estimate', state_estimate(1.0, (0.1,)), 0.0)
     model.take('reference', message(1.0, tip_position=[0.0] * 9), 0.0)
     frame = model.frame(0.1)
-    assert model.misfits == 3
-    assert frame['sample']['estimate'] == frame['states'] == [None, None]
+    assert model.misfits == 3 and frame['sample']['estimate'] == frame['states'] == [None, None]
     model.take('ground_truth', message(1.0, position=[math.nan, 0.0], fault=[math.nan, 0.1]), 0.0)
     model.take('fault_estimate', fault_estimate(1.0, (math.inf, -0.2)), 0.0)
     model.take('joint_states', joint_states(1.0, ['elbow'], [1.0]), 0.0)
     frame = json.loads(json.dumps(model.frame(0.1), allow_nan=False))
     assert frame['arms'] == {'true': None, 'estimated': None, 'measured': None}
-    assert frame['sample']['fault'] == [None, 0.1]
-    assert frame['sample']['estimate'] == [None, -0.2]
+    assert frame['sample']['fault'] == [None, 0.1] and frame['sample']['estimate'] == [None, -0.2]
 
 
 def test_given_joints_in_another_order_when_framed_then_the_measured_arm_is_the_same(model):
@@ -92,8 +90,7 @@ def test_given_joints_in_another_order_when_framed_then_the_measured_arm_is_the_
 
 def test_given_a_serial_arm_when_framed_then_each_joint_has_its_values_and_place():
     model = LiveModel(crane())
-    faults = fault_estimate(1.0, (0.0, 0.1, 0.2), (False,) * 3, (0, 1, 4))
-    model.take('fault_estimate', faults, 0.0)
+    model.take('fault_estimate', fault_estimate(1.0, (0.0, 0.1, 0.2), (False,) * 3, (0, 1, 4)), 0.0)
     model.take('state_estimate', state_estimate(1.0, (0.0, np.pi / 2, 0.0)), 0.0)
     frame, hello = model.frame(0.1), json.loads(json.dumps(model.hello(), allow_nan=False))
     assert frame['states'] == ['OK', 'WARN', 'NOT_DIAGNOSABLE']
@@ -117,8 +114,7 @@ def test_given_a_long_run_when_history_is_asked_for_then_it_is_one_window_withou
         model.take('fault_estimate', fault_estimate(1.0 + 0.04 * (k // 2)), 0.04 * k)
         model.frame(0.04 * k)
     times = [sample['t'] for sample in model.hello()['history']]
-    assert times == sorted(set(times))
-    assert WINDOW - 0.1 < times[-1] - times[0] <= WINDOW
+    assert times == sorted(set(times)) and WINDOW - 0.1 < times[-1] - times[0] <= WINDOW
     model.take('fault_estimate', fault_estimate(1.0), 100.0)
     model.frame(100.0)
     assert len(model.hello()['history']) == 1, 'time started anew'
@@ -153,8 +149,7 @@ def test_given_safe_stops_when_framed_then_they_are_counted_with_the_last_reason
     late = 'estimates come too late'
     assert stops(1.0, '22', late) == {'count': 22, 'last': late, 'recent': True}
     assert not stops(2.0 + WINDOW, '22', 'x')['recent']
-    for odd in ('-1', '', 'x', '9' * 99, '\u00b2'):
-        assert stops(40.0, odd, '')['count'] == 22
+    assert {stops(40.0, odd, '')['count'] for odd in ('-1', '', 'x', '9' * 99, '\u00b2')} == {22}
 
 
 def test_given_the_events_of_one_alarm_when_listed_then_they_are_one_row():

@@ -20,8 +20,7 @@ def steps(count, *changes):
 
 
 @pytest.mark.parametrize(('stamps', 'stops'), [
-    (steps(700), ()),
-    (steps(700), (150, 151, 400)),
+    (steps(700), ()), (steps(700), (150, 151, 400)),
     (steps(700, (90, 1), (91, 3), (300, 200)), (500,)),
     ([s + 137 * (k % 3) for k, s in enumerate(steps(300))], ()),
 ], ids=['even', 'stops', 'gaps', 'jitter'])  # fmt: skip

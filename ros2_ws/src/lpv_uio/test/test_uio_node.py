@@ -46,8 +46,7 @@ def with_outputs(node):
 def test_given_a_serial_arm_when_observed_then_the_node_publishes_what_a_replay_does(tmp_path):
     run = crane_run(faults=[Fault('encoder2', 'bias', 0.6, size=0.05)])
     bag, file = record_crane(tmp_path / 'bag', run), crane_file(tmp_path)
-    observer = node_of(UioNode, 'uio', arm_file=file, lockstep='true')
-    with observer as node, open_bag(bag) as reader:
+    with node_of(UioNode, 'uio', arm_file=file, lockstep='true') as node, open_bag(bag) as reader:
         outputs = with_outputs(node)
         for _, _, data in reader.messages():
             node._on_measurement(deserialize_message(data, JointState))
@@ -56,8 +55,7 @@ def test_given_a_serial_arm_when_observed_then_the_node_publishes_what_a_replay_
         node._on_measurement(JointState(name=names, position=zeros, velocity=zeros, effort=zeros))
         assert node._monitor.rejected == 1
         assert len(node._torque) == 3 and np.isnan(node._torque).all()
-    assert len(outputs['alarm'].sent) == 1
-    assert len(outputs['corrected'].sent) == len(run.stamps)
+    assert len(outputs['alarm'].sent) == 1 and len(outputs['corrected'].sent) == len(run.stamps)
     monitor = serial_monitor.SerialSensorMonitor('/uio', load_arm(file))
     Replay(monitor, estimates_only=True).run(bag, tmp_path / 'out')
     with open_bag(tmp_path / 'out') as reader:
@@ -126,13 +124,20 @@ def arm():
 
 
 @pytest.mark.fuzz
-def test_given_forged_measurements_when_estimated_then_outputs_are_finite_and_it_recovers(arm):
-    def case(rng):
+def test_given_hostile_input_when_estimated_then_outputs_are_finite_and_it_recovers(arm):
+    def forged(rng):
         assert arm.recover() <= RECOVERY
         return arm.send(forge(rng, arm.good()))
 
-    assert run_cases(120, case).refused
+    def configured(rng):
+        set_parameters(arm.node, rng)
+        return arm.send(arm.good())
+
+    assert run_cases(120, forged).refused and arm.recover() <= RECOVERY
+    assert run_cases(100, configured, accepts=False).refused
+    arm.node._on_reset(Trigger.Request(), Trigger.Response())
     assert arm.recover() <= RECOVERY
+    assert np.isfinite(arm.node.get_parameter('diagnosis.clear_dwell').value)
 
 
 @pytest.mark.fuzz
@@ -150,27 +155,13 @@ def test_given_forged_commands_when_torques_come_from_there_then_they_are_refuse
             raise Refused('counted')
         return result
 
-    assert run_cases(150, case).refused
-    assert arm.recover() <= RECOVERY
-
-
-@pytest.mark.fuzz
-def test_given_hostile_parameters_when_set_then_outputs_stay_finite(arm):
-    def case(rng):
-        set_parameters(arm.node, rng)
-        return arm.send(arm.good())
-
-    assert run_cases(100, case, accepts=False).refused
-    arm.node._on_reset(Trigger.Request(), Trigger.Response())
-    assert arm.recover() <= RECOVERY
-    assert np.isfinite(arm.node.get_parameter('diagnosis.clear_dwell').value)
+    assert run_cases(150, case).refused and arm.recover() <= RECOVERY
 
 
 def test_given_a_second_publisher_when_its_readings_come_then_they_are_refused(arm, monkeypatch):
     arm.recover()
     monkeypatch.setattr('lpv_node.input_check._WAIT', np.inf)  # a busy machine is slow
-    two = SimpleNamespace(get_publisher_count=lambda: 2)
-    monkeypatch.setattr(arm.node, '_measurement_in', two)
+    monkeypatch.setattr(arm.node, '_measurement_in', SimpleNamespace(get_publisher_count=lambda: 2))
     for _ in range(30):
         message = arm.good()
         foreign = deepcopy(message)
@@ -198,8 +189,7 @@ def test_given_an_observer_that_died_with_an_alarm_when_restarted_then_it_says_s
     assert 'link2_angle: error +0.300 rad' in arm.node._untrusted_text()
     arm.node._log(alarm())  # found again
     arm.recover()
-    assert arm.state.last.trustworthy
-    assert list(OpenAlarms(path).before) == ['link2_angle']
+    assert arm.state.last.trustworthy and list(OpenAlarms(path).before) == ['link2_angle']
     arm.node.stopping()
     assert OpenAlarms(path).before == {}
 
