@@ -31,16 +31,12 @@ from lpv_msgs.msg import GroundTruth, JointReference, TorqueCommand
 from lpv_node.qos import stream
 
 pytestmark = pytest.mark.ros
-
 # In motion from the first second on: a node that dies leaves a moving arm behind.
 MOVING = """
 name: moving
 duration: 600.0
-path:
-  waypoints:
-    - {t: 0.2, x: -0.8451, y: 1.5893}
-    - {t: 6.0, x: 0.0, y: 1.58}
-    - {t: 12.0, x: 0.8451, y: 1.5893}
+path: {waypoints: [{t: 0.2, x: -0.8451, y: 1.5893}, {t: 6.0, x: 0.0, y: 1.58},
+                   {t: 12.0, x: 0.8451, y: 1.5893}]}
 """
 SAFE = 500_000_000
 """Time after the death of a node in which commands that were on their way are heard [ns]."""
@@ -54,10 +50,8 @@ LIMITS = {
     'tracker': ('estimate_timeout:=0.2', 'max_latency:=0.2', 'max_mean_latency:=0.2'),
 }
 # 0 is what the gains allow, or what drives take that are given none.
-DEFAULTS = {
-    'simulator': ('command_timeout:=0.0', 'max_mean_latency:=0.0'),
-    'tracker': ('estimate_timeout:=0.0', 'max_latency:=0.0'),
-}
+DEFAULTS = {'simulator': ('command_timeout:=0.0', 'max_mean_latency:=0.0'),
+            'tracker': ('estimate_timeout:=0.0', 'max_latency:=0.0')}  # fmt: skip
 RESUME = {'tracker': 'tracker/resume', 'simulator': 'arm_sim/release_brakes'}
 """Services by which an operator gives leave to go on."""
 MEASURED, COMMANDED = ('uio', 'measurements flow'), ('simulator', 'commands flow')
@@ -91,8 +85,8 @@ class Rig:
             self._starts[name] = count = self._starts.get(name, 0) + 1
             # Nodes ignore parameters that they do not have.
             own = [f'lockstep:={str(self._lockstep).lower()}', f'arm_file:={self._files["arm"]}']
-            own.append(f'scenario_file:={self._folder}/scenario.yaml')
-            own.append(f'output:={self._folder}/bag{count}')
+            folder = self._folder
+            own += [f'scenario_file:={folder}/scenario.yaml', f'output:={folder}/bag{count}']
             gains = [self._files['gains']] if name in ('uio', 'tracker') else []
             line = ros.command(name, *own, *LIMITS.get(name, ()), *parameters, files=gains)
             self.nodes[name] = self.running.start(f'{name}{count}', line)
@@ -202,8 +196,7 @@ def assert_brakes(rig, death):
     assert rig.client.wait(rig.is_braked, 150.0)
     rig.client.wait(lambda: len(rig.since('ground_truth', death + SAFE)) > 100)
     moving = [any(m.velocity) for m in rig.since('ground_truth', death)]
-    assert sum(moving) * STEP * 1e-9 < MOVING_ON
-    assert len(moving) > 100 and not any(moving[-50:])
+    assert sum(moving) * STEP * 1e-9 < MOVING_ON and len(moving) > 100 and not any(moving[-50:])
 
 
 def assert_recovers(rig, name, *data):
@@ -380,9 +373,8 @@ def test_given_lockstep_when_nodes_are_killed_then_time_waits_and_goes_on(tmp_pa
             assert_waits(rig)
             rig.start(name)
             assert_advances(rig)
-        measured = [stamp_of(m) for m in rig.heard['joint_states']]
         # No sample was left out; one was repeated for each newcomer, or a few.
-        assert set(np.diff(measured)) == {0, STEP}
+        assert set(np.diff([stamp_of(m) for m in rig.heard['joint_states']])) == {0, STEP}
         rig.kill('simulator')
         rig.start('simulator')
         assert rig.client.wait(lambda: 'lockstep was restarted' in rig.log('uio')), 'no restart'
