@@ -41,8 +41,7 @@ def test_given_the_parser_when_built_then_nothing_heavy_is_imported():
     (('service', 'call', '/x', 'std_srvs/srv/Nix'), 'is not installed'),
     (('service', 'call', '/x', 'lpv_msgs/srv/InjectFault', '{szie: 1}'), 'has no field szie'),
     (('param', 'set', '/x', 'y', '"'), 'not valid YAML'),
-    (('bag', 'info', '/nowhere'), 'cannot be read'),
-    (('bag', 'record'), 'what is to be recorded'),
+    (('bag', 'info', '/nowhere'), 'cannot be read'), (('bag', 'record'), 'what is to be recorded'),
 ])  # fmt: skip
 def test_given_what_is_not_there_when_asked_for_then_one_line_says_so(capsys, words, told):
     assert main(list(words)) == 1
