@@ -35,7 +35,7 @@ from lpv.core.support.discovery import stay_local
 from lpv.core.support.resources import bringup_file, executable
 from lpv.core.support.timestamps import set_stamp, to_nanoseconds
 from lpv_msgs.msg import FaultEstimate, GroundTruth, JointReference, StateEstimate, TorqueCommand
-from lpv_node.arguments import announce_often
+from lpv_node.arguments import use_profiles
 from lpv_node.managed import ManagedNode
 from lpv_node.qos import stream
 
@@ -425,7 +425,7 @@ def main() -> None:
     if arguments.role is None:
         measure()
         return
-    announce_often()
+    use_profiles()
     rclpy.init(args=sys.argv)
     if arguments.role == 'empty':
         run_empty(arguments.nodes)

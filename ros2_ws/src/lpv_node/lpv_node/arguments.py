@@ -14,7 +14,7 @@ _FAST_DDS_2 = ('humble', 'jazzy')
 _PROFILE_VARIABLES = ('FASTDDS_DEFAULT_PROFILES_FILE', 'FASTRTPS_DEFAULT_PROFILES_FILE')
 
 
-def announce_often() -> None:
+def use_profiles() -> None:
     """Let Fast DDS use the profiles ``fastdds.xml`` of this package, unless the user has some.
 
     To be called before rclpy.init; other middlewares ignore it.
@@ -32,7 +32,7 @@ def initialise(argv: list[str] | None = None) -> None:
 
     Raises ConfigError if a parameter file is missing, or the ROS arguments cannot be parsed.
     """
-    announce_often()
+    use_profiles()
     argv = sys.argv if argv is None else argv
     for option, path in zip(argv, argv[1:]):
         if option == '--params-file' and not Path(path).is_file():

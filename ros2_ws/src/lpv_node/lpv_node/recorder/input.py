@@ -137,7 +137,9 @@ class RecorderInput:
         own = self._node.get_name(), self._node.get_namespace()
         for name in self._selection.chosen(dict(self._node.get_topic_names_and_types())):
             topic = self._topics.get(name)
-            if (name, '') in self._complained or (topic is not None and not self._is_due(name)):
+            if (name, '') in self._complained or (
+                topic is not None and not self._is_due(name, topic)
+            ):
                 continue
             publishers = [
                 p
@@ -150,9 +152,9 @@ class RecorderInput:
                 found.append((name, publishers[0].topic_type, offered))
         return found
 
-    def _is_due(self, name: str) -> bool:
+    def _is_due(self, name: str, topic: _Topic) -> bool:
         """Whether publishers of a known topic are to be looked at: they changed, or may have."""
-        topic, before = self._topics[name], self._topics[name].publishers
+        before = topic.publishers
         topic.publishers = self._node.count_publishers(name)
         return topic.publishers != before or not self._searches % _RECHECK
 

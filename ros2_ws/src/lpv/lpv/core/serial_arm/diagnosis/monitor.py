@@ -511,9 +511,10 @@ class SerialMonitor:
             found, self.sampler.found[i] = self.sampler.found[i], 0
             if found == STEP:
                 self._jumped(i, float(self.sampler.size[i]), now)
-            elif found == SPIKE and self._is_new_fault(i, float(self.sampler.size[i])):
-                self._event(i, 'spike', now, 'raised', 0.0, 0.0)
-                self._event(i, 'spike', now, 'cleared', 0.0, 0.0)
+            elif found == SPIKE:
+                if not (self.sensors[i].active or self._is_small(i, self.sampler.size[i])):
+                    self._event(i, 'spike', now, 'raised', 0.0, 0.0)
+                    self._event(i, 'spike', now, 'cleared', 0.0, 0.0)
             elif found == CONTRARY:
                 self._blame_derived_rate(i, now)
             elif found == HIDDEN:
@@ -539,11 +540,10 @@ class SerialMonitor:
         before = float(self.sampler.correction[i]) - size
         beside = back is not None and not back.is_scale and abs(fault - before) < abs(fault)
         kept = before if beside else 0.0
-        smallest = self.settings.smallest_step * self.scales[i]
         # A frozen reading that jumps is where its joint is, however uncertain that was.
         if sensor.state is SensorState.ERROR and (
             (back is not None and back.kind == 'stuck')
-            or abs(fault - kept) < max(LEFT * abs(size), smallest)
+            or abs(fault - kept) < max(LEFT * abs(size), self._smallest_step(i))
         ):
             if sensor.level:
                 self._forget(i)
@@ -552,7 +552,7 @@ class SerialMonitor:
             self._remains(i, kept, now)
             return
         self._doubt_no_more(i)
-        if sensor.state is not SensorState.ERROR and not self._is_new_fault(i, size):
+        if not sensor.active and self._is_small(i, size):
             self._forget(i)
             self.bank.note_jump(i, sigma**2)
             self.healthy = self.guarantee = None  # readings are changed
@@ -583,10 +583,13 @@ class SerialMonitor:
             return 0.0
         return -math.log(OCCURRENCE['slip'] * self.settings.clear_dwell / 3600.0)
 
-    def _is_new_fault(self, i: int, jump: float) -> bool:
-        """Whether a jump of a sensor without alarm is large enough to be a fault."""
-        smallest = self.settings.smallest_step * self.scales[i]
-        return self.sensors[i].state is not SensorState.ERROR and abs(jump) > smallest
+    def _smallest_step(self, i: int) -> float:
+        """Smallest jump of a reading that is a fault [rad]."""
+        return float(self.settings.smallest_step * self.scales[i])
+
+    def _is_small(self, i: int, jump: float) -> bool:
+        """Whether a jump of a reading, or what is left of one, is no fault."""
+        return abs(jump) < self._smallest_step(i)
 
     def _raise(
         self, i: int, kind: str, onset: float, size: float, sigma: float,
@@ -699,14 +702,14 @@ class SerialMonitor:
         self.healthy = self.guarantee = None  # readings were wrong
         self._doubt_no_more(i)
         left = float(self.taken_out()[i])
-        if abs(left) < self.settings.smallest_step * self.scales[i]:
+        if self._is_small(i, left):
             self._forget(i)
         self._remains(i, left, now)
 
     def _remains(self, i: int, left: float, now: float) -> None:
         """A fault of sensor i is over, and an offset beside it remains, if that is one."""
         sensor = self.sensors[i]
-        if sensor.level or abs(left) < self.settings.smallest_step * self.scales[i]:
+        if sensor.level or self._is_small(i, left):
             sensor.recover(now)
             return
         sensor.peak = 0.0  # it never was as large as the other one
@@ -783,7 +786,7 @@ class SerialMonitor:
         measured = BEFORE_STOP * period
         for i in np.flatnonzero(sampler.still * period > STILL_TIME).tolist():
             rounding, rate = float(sampler.grain[i]) / measured, float(sampler.stop[i])
-            smallest = max(self.settings.smallest_step * self.scales[i], sampler.grain[i])
+            smallest = max(self._smallest_step(i), sampler.grain[i])
             alive, speed = bool(sampler.lively[i] > LIVELY), abs(rate) - rounding
             time = self._last() - float(sampler.still[i]) * period
             if self.sensors[i].kind == 'stuck':  # while its alarm is up, any rest may be a freeze

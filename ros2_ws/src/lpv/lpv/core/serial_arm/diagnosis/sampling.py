@@ -439,9 +439,8 @@ def _set_jumps(sampler: Sampler) -> None:
             together += 1
     for i in range(n):
         # What is usual may have changed until a jump is named.
-        if abs(sampler.jumps[k, i]) <= _NEARLY * smallest_jump(sampler, i):
-            continue
-        if sampler.noisy[i] == 1:
+        nearly = abs(sampler.jumps[k, i]) > _NEARLY * smallest_jump(sampler, i)
+        if sampler.noisy[i] == 1 or not nearly:
             continue
         # Readings that jump together, or after they were repeated, have a cause outside the
         # sensor, if their motion explains it.
@@ -509,10 +508,10 @@ def _unexplained(sampler: Sampler, i: int, period: float, late: float) -> float:
     A reading that has not changed did not jump either, whatever a rate of its own says: it is late,
     or frozen.
     """
-    k, rate = HISTORY - 2, sampler.samples[:, 1, i]
-    if abs(_way(sampler, i)) <= ROUNDING:
+    k, rate, way = HISTORY - 2, sampler.samples[:, 1, i], _way(sampler, i)
+    if abs(way) <= ROUNDING:
         return 0.0
-    way = _way(sampler, i) - late * _motion(sampler, i)
+    way -= late * _motion(sampler, i)
     least = way - period * _mean_rate(sampler, i)
     if sampler.derived[i] == 0.0:
         for other in (k - 1, k + 1):
