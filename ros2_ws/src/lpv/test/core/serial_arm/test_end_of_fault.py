@@ -5,8 +5,9 @@ from functools import cache
 
 import numpy as np
 import pytest
-from fault_injection import BY_NAME, Injected, cells, derived, draw, inject, outside_bounds
+from fault_injection import BY_NAME, Cell, Injected, cells, derived, draw, inject, outside_bounds
 from fault_injection import subjects as arms
+from ur10e_twin import twin
 
 pytestmark = pytest.mark.slow
 ONSET, AFTER = 4.0, 4.0  # of the fault, and time that is watched after its end [s]
@@ -157,6 +158,16 @@ def test_given_a_reading_that_stays_frozen_when_its_joint_goes_on_then_it_is_fol
     assert (np.array(last) < 0.1).sum() >= 4
     assert np.mean(trusted) > 0.9
     assert (np.array(trusted) & np.array(wrong)).mean() < 0.02
+
+
+@pytest.mark.parametrize('run', [1008, 1032])
+def test_given_a_frozen_reading_when_it_jumps_back_then_no_drift_begins_there(run):
+    """Until then, its rate was only estimated: that of the reading seems to jump."""
+    subject, window, _ = draw(Cell('ur10e', (twin(),), BY_NAME['stuck'], 'derived'), run, 31)
+    answers = subject.monitor().take_many(
+        window.stream.stamps, *np.moveaxis(window.stream.samples, 1, 0)
+    )
+    assert {event.kind for _, event in answers.events} == {'stuck'}
 
 
 @pytest.mark.parametrize(

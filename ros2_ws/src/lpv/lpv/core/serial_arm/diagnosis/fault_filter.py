@@ -224,7 +224,7 @@ def correct_since(
         end = ended + window.times[at] - estimator.times(1)[0]
         times = epoch, one.updated, end
         columns = one.columns(window.rows[at], times, momenta[at], estimator.plan.interval)
-        window.extra[at] = ((columns @ one.covariance) * columns).sum(1)
+        window.extra[at] += ((columns @ one.covariance) * columns).sum(1)
     estimator.replace_last(blocks)
 
 
@@ -258,6 +258,7 @@ def follow(
     noise = null.noise * (1.0 + (null.rest - 1.0) * window.rest[at])
     # Neighbouring balances share an interval: each counts half.
     variance = 2.0 * np.diag(noise**2 * null.inflation) + known.T @ known
+    variance += np.diag(window.extra[at])  # of other faults
     residual = rows[:, 0] + unknowns @ null.mean
     spread = columns @ one.covariance @ columns.T
     ratio = np.abs(residual) / (ROBUST * np.sqrt(np.diag(spread + variance)))
@@ -279,7 +280,21 @@ def follow(
         one.covariance = one.covariance - np.outer(gain, column) @ one.covariance
     one.covariance = 0.5 * (one.covariance + one.covariance.T)
     _change(one, change, estimator, sampler)
-    window.extra[at] = ((columns @ one.covariance) * columns).sum(1)
+    window.extra[at] += ((columns @ one.covariance) * columns).sum(1)
+    estimator.weigh_again(1)
+
+
+def doubt_ended(one: FaultFilter, estimator: OffsetEstimator, momenta: FloatArray) -> None:
+    """Raise the variance of the newest balance, a part of whose readings had the fault.
+
+    The state is that when the fault ended: what the rate of its reading was thought to be until
+    then jumped to what it is, if that is derived.  ``momenta`` is as in `follow`.
+    """
+    window, i = estimator.window, one.joint
+    at = slot(window, 0)
+    offset = window.rows[at, :, 1 + OFFSET * estimator.joints + i]
+    momentum = estimator.balance.derived[i] * momenta[at]
+    window.extra[at] += one.covariance[0, 0] * offset**2 + one.covariance[1, 1] * momentum**2
     estimator.weigh_again(1)
 
 

@@ -39,6 +39,7 @@ from lpv.core.serial_arm.diagnosis.fault_filter import (
     begin_filter,
     begin_frozen,
     correct_since,
+    doubt_ended,
     follow,
 )
 from lpv.core.serial_arm.diagnosis.healthy_set import Guarantee, HealthySet
@@ -240,7 +241,7 @@ class SerialMonitor:
         self._whole = np.ones(n)
         self._ends: dict[int, EndOfFault] = {}  # that jumps may have been
         self._scaled: dict[int, ScaleOfJump] = {}  # that they may have been as well
-        self._right_since = np.full(n, -np.inf)  # when readings were right again [s]
+        self._ended_filters: list[FaultFilter] = []  # of readings that balances still hold
         self._known = np.zeros(n)  # for how long each offset has been diagnosable [s]
         self._contact = _Contact()
         self.jump, self.jump_variance = np.zeros(n), np.zeros(n)  # of readings, for the caller
@@ -415,7 +416,7 @@ class SerialMonitor:
         state, suspects = self._state, bool(self._suspects)
         state['uses_balances'] = self.uses_balances
         state['learns'] = not (suspects or self._changes())
-        state['follows'] = bool(self._filters)
+        state['follows'] = bool(self._filters or self._ended_filters)
         state['ends'] = bool(self._ends or self._scaled)
         state['guarantees'], state['suspects'] = self.healthy is not None, suspects
         state['pushed'] = self._contact.since < math.inf
@@ -626,10 +627,13 @@ class SerialMonitor:
 
     def _follow(self, _: float) -> Stage:
         """Let the newest balance measure the faults that are followed."""
+        estimator, bank, span = self.estimator, self.bank, 2.0 * self.plan.interval
+        end = self._ended()
+        self._ended_filters = [one for one in self._ended_filters if end - one.updated < span]
+        for one in self._ended_filters:
+            doubt_ended(one, estimator, bank.momenta_of(one.joint))
         for i, one in self._filters.items():
-            follow(
-                one, self.estimator, self.sampler, self.bank.rate_row(i), self.bank.momenta_of(i)
-            )
+            follow(one, estimator, self.sampler, bank.rate_row(i), bank.momenta_of(i))
         return Stage.ESTIMATE
 
     def _linearise(self, _: float) -> Stage:
@@ -752,9 +756,7 @@ class SerialMonitor:
             if learned and now - self._contact.since >= CONTACT_TIME:
                 self._report_contact(now)
         elif one.is_encoder:
-            if self._is_echo(one):
-                self._suspects = ()
-            elif self.bank.excludes_contact(one, self._margin(one.kind)):
+            if self.bank.excludes_contact(one, self._margin(one.kind)):
                 self._blame(one, share, now)
             else:
                 self._suspects = tuple(dict.fromkeys((*self._suspects, CONTACT)))
@@ -765,15 +767,6 @@ class SerialMonitor:
         """Whether a fault is one that may have ended with a jump, which is weighed on its own."""
         end = self._ends.get(one.joint) if one.is_encoder else None
         return end is not None and one.begin < end.time + 2.0 * self.plan.interval
-
-    def _is_echo(self, one: Hypothesis) -> bool:
-        """Whether a fault began before its reading was right again.
-
-        What the rate was thought to be until then seems to jump, if it is derived from the reading.
-        """
-        i = one.joint
-        right_since = float(self._right_since[i]) + 2.0 * self.plan.interval
-        return bool(self.sampler.derived[i] == 1.0) and one.begin < right_since
 
     def _frozen(self) -> dict[int, Frozen]:
         """Readings that stopped dead while they moved, or have lost their noise, or froze before.
@@ -1039,8 +1032,11 @@ class SerialMonitor:
         sampler.samples[-since:, 0, i] -= kept
         if sampler.derived[i] == 1.0 and since > 1:  # the first difference holds the jump
             sampler.samples[-since, 1, i] = sampler.samples[1 - since, 1, i]
+        one = self._filters.get(i)
+        if one is not None and not one.is_scale:
+            one.predict(self._last() - since * self.arm.sample_time)
+            self._ended_filters.append(one)
         self._correct_no_more(i)
-        self._right_since[i] = self._last()
         self.bank.note_jump(i, sigma**2)  # what the readings before it were wrong by
         sampler.correction[i] = self._correction[i] = kept
 
