@@ -1,12 +1,13 @@
 """Writing of rosbag2 bags: MCAP files by the mcap package, with metadata.yaml."""
 
+import contextlib
 import json
 import os
 import resource
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple
 
 import numpy as np
 from mcap.data_stream import RecordBuilder
@@ -60,8 +61,9 @@ class _Output:
             while left:
                 left = left[self.file.write(left) :]
         except OSError:
-            self.file.truncate(self.size)
-            self.file.seek(self.size)
+            with contextlib.suppress(OSError):  # the first one says what is wrong
+                self.file.truncate(self.size)
+                self.file.seek(self.size)
             raise
         self.size += len(data)
 
@@ -153,7 +155,8 @@ class _File(Writer):
 
 
 class BagWriter:
-    """A bag that is written topic by topic; ConfigError if it exists already or cannot be made.
+    """A bag that is written topic by topic; ConfigError if it exists already or cannot be made, or
+    at the end of a ``with`` if it is not whole.
 
     ``preset`` is the compression, a key of `PRESETS`.  A new file is begun at ``split_size``
     [bytes] or after ``split_time`` of log times [ns]; a chunk is cut when log times enter the next
@@ -179,7 +182,8 @@ class BagWriter:
         self._slot: int | None = None
         self._topics: dict[str, Connection] = {}
         self._done: list[_Content] = []
-        self._closed, self._failure = False, ''
+        self._closed = False
+        self._failure: OSError | None = None  # the first one
         try:
             self.path.mkdir(parents=True)
             self._begin_file()
@@ -191,8 +195,10 @@ class BagWriter:
     def __enter__(self) -> 'BagWriter':
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self.close()
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        missing = self.close()
+        if missing and kind is None:  # nobody knows of it yet
+            raise ConfigError('bag', f'cannot be written as a whole: {missing}', str(self.path))
 
     @property
     def files(self) -> int:
@@ -200,7 +206,8 @@ class BagWriter:
         return len(self._contents())
 
     def _contents(self) -> list[_Content]:
-        return self._done if self._closed else [*self._done, self._file.content]
+        is_done = self._file.output.file.closed
+        return self._done if is_done else [*self._done, self._file.content]
 
     @property
     def counts(self) -> dict[str, int]:
@@ -215,11 +222,15 @@ class BagWriter:
 
     def add_topic(self, topic: str, msgtype: str, profiles: Sequence[Qos] = ()) -> None:
         """Announce a topic by its full name and type, with the QoS that its publishers offer."""
+        self._add(self.describe(topic, msgtype, profiles))
+
+    def describe(self, topic: str, msgtype: str, profiles: Sequence[Qos] = ()) -> Connection:
+        """A topic as `add_topic` announces it; raises where its type cannot be recorded."""
         add_type(self.typestore, msgtype)
         text = self.typestore.generate_msgdef(msgtype, ros_version=2)[0]
         definition = MessageDefinition(MessageDefinitionFormat.MSG, text)
         digest, ext = self.typestore.hash_rihs01(msgtype), ConnectionExtRosbag2('cdr', [*profiles])
-        self._add(Connection(0, topic, msgtype, definition, digest, 0, ext, None))
+        return Connection(0, topic, msgtype, definition, digest, 0, ext, None)
 
     def copy_topic(self, connection: Connection) -> None:
         """Announce a topic as another bag has it, with its own message definition."""
@@ -236,7 +247,8 @@ class BagWriter:
 
     def _add(self, topic: Connection) -> None:
         self._topics[topic.topic] = topic
-        self._file.define(topic)
+        with self._noting():
+            self._file.define(topic)
 
     def channel(self, topic: str) -> int:
         """Number of an announced topic in the records of `write_chunk`."""
@@ -268,11 +280,9 @@ class BagWriter:
         Its log time [ns], CDR, and when it was published [ns], the log time if not given.
         """
         published = timestamp if publish_time is None else publish_time
-        try:
+        with self._noting():
             self._advance(timestamp)
             self._file.add_message(self._file.channels[topic], timestamp, data, published)
-        except OSError as error:
-            self._fail(error)
 
     def _advance(self, timestamp: int) -> None:
         """End chunks and begin files where they are due, before a message of this time."""
@@ -286,6 +296,8 @@ class BagWriter:
         span = timestamp - statistics.message_start_time if statistics.message_count else 0
         if large or (self._split_time and span >= self._split_time):
             self._finish_file()
+            if self._failure:
+                raise self._failure
             self._begin_file()
 
     def write_chunk(self, *parts: Block | np.ndarray) -> None:
@@ -295,25 +307,31 @@ class BagWriter:
         records, as of `lpv.bag.replay.writer.RecordTemplate`.
         """
         blocks = [p if isinstance(p, Block) else from_rows(p) for p in parts if len(p)]
-        try:
+        with self._noting():
             if blocks:
                 self._file.add_chunk(blocks)
-        except OSError as error:
-            self._fail(error)
 
     def flush(self) -> None:
         """Pass everything to the operating system: a later crash does not lose it."""
-        try:
+        with self._noting():
             self._file.flush()
-            if self._fsync:
-                os.fsync(self._file.output.file.fileno())
-        except OSError as error:
-            self._fail(error)
+            self._sync()
 
-    def _fail(self, error: OSError) -> NoReturn:
-        """What is in the file stays; mcap's writer cannot go on from a chunk that was refused."""
-        self._failure = self._failure or error.strerror or str(error)
-        raise error
+    def _sync(self) -> None:
+        if self._fsync:
+            os.fsync(self._file.output.file.fileno())
+
+    @contextlib.contextmanager
+    def _noting(self) -> Iterator[None]:
+        """Keep the first error, after which files are only closed.
+
+        What is in a file stays; mcap's writer cannot go on from a chunk that was refused.
+        """
+        try:
+            yield
+        except OSError as error:
+            self._failure = self._failure or error
+            raise
 
     def room(self) -> int:
         """Bytes that can be written while there is still room for the summary."""
@@ -337,15 +355,17 @@ class BagWriter:
     def _finish_file(self) -> None:
         """End the file, unless it failed before; what is in it is counted."""
         file = self._file
-        try:
+        if file.output.file.closed:
+            return
+        with contextlib.suppress(OSError), self._noting():
             if not self._failure:
                 file.flush()
                 text = dump(self._information([file.content])).strip()
                 file.add_metadata('rosbag2', {'serialized_metadata': text})
                 file.finish()
-        except OSError as error:
-            self._failure = error.strerror or str(error)
-        file.output.file.close()
+                self._sync()
+        with contextlib.suppress(OSError), self._noting():
+            file.output.file.close()
         self._done.append(file.content)
 
     def _information(self, contents: Sequence[_Content]) -> dict[str, Any]:
@@ -365,7 +385,7 @@ class BagWriter:
         self._finish_file()
         self._closed = True
         if self._failure:
-            return f'its last messages or its end ({self._failure})'
+            return f'its last messages or its end ({self._failure.strerror or self._failure})'
         text = dump({'rosbag2_bagfile_information': self._information(self._done)})
         new = self.path / f'{FILE_NAME}.new'
         try:
