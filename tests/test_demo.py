@@ -8,6 +8,7 @@ import sys
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 from signal import SIGHUP, SIGINT, SIGTERM, raise_signal
+from threading import Timer
 
 import numpy as np
 import pytest
@@ -149,10 +150,16 @@ def test_given_a_serial_arm_when_shown_then_the_fault_is_named_and_torques_as_of
 @pytest.mark.usefixtures('signals_as_before')
 @pytest.mark.parametrize('number', [SIGTERM, SIGHUP])
 def test_given_a_signal_when_a_command_waits_then_nodes_end_and_its_code_is_right(tmp_path, number):
+    ends = tmp_path / 'ends'
+    script = f'trap "sleep 0.4; echo $0 >> {ends}; exit 0" INT; echo; sleep 600'
     with pytest.raises(SystemExit) as end, ended_by_signals(), Graph(tmp_path, 1) as graph:
-        node = graph.start('sleeper', ['sleep', '600'])
+        for name in ('first', 'recorder', 'last'):
+            graph.start(name, ['sh', '-c', script, name])
+            graph.lines.get(timeout=60)
+        Timer(0.2, os.kill, (os.getpid(), number)).start()  # once more, while they end
         raise_signal(number)
-    assert end.value.code == 128 + number and node.process.poll() is not None
+    assert end.value.code == 128 + number and [n.process.poll() for n in graph.nodes] == [0] * 3
+    assert ends.read_text().split()[2:] == ['recorder']
 
 
 @pytest.mark.parametrize('command', ['design', 'demo', 'import-csv', 'replay', 'compare', 'report'])

@@ -29,6 +29,7 @@ class NodeProcess:
     name: str  # For messages
     process: subprocess.Popen  # Leader of its own process group
     log: Path  # What it printed
+    is_recorder: bool
 
 
 def ended_by_signals() -> AbstractContextManager[None]:
@@ -66,7 +67,8 @@ class Graph:
             text=True,
             start_new_session=True,
         )
-        node = NodeProcess(name, process, self._log_dir / f'{name}.log')
+        is_recorder = any(Path(part).name == 'recorder' for part in command)  # by a shell, too
+        node = NodeProcess(name, process, self._log_dir / f'{name}.log', is_recorder)
         threading.Thread(target=self._pump, args=(node,), daemon=True).start()
         self.nodes.append(node)
         return node
@@ -89,17 +91,22 @@ class Graph:
     def stop(self, patience: float = 3.0 * PATIENCE) -> dict[str, Any]:
         """Stop all nodes: SIGINT, then SIGTERM, then SIGKILL, to whole process groups.
 
-        The node that was started first, the recorder where there is one, is stopped last:
-        it takes what the others send until they end.
+        Recorders are stopped last: they take what the others send until they end.  Signals do
+        not interrupt it, or nodes in sessions of their own would outlive the command.
         """
-        for group in (self.nodes[1:], self.nodes[:1]):
-            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
-                running = [n for n in group if n.process.poll() is None]
-                for node in running:
-                    with contextlib.suppress(ProcessLookupError):
-                        os.killpg(node.process.pid, number)
-                deadline = time.monotonic() + patience
-                for node in running:
-                    with contextlib.suppress(subprocess.TimeoutExpired):
-                        node.process.wait(max(0.0, deadline - time.monotonic()))
+        with handled_signals(lambda *_: None, signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            for last in (False, True):
+                _stop([n for n in self.nodes if n.is_recorder == last], patience)
         return {node.name: node.process.poll() for node in self.nodes}
+
+
+def _stop(nodes: list[NodeProcess], patience: float) -> None:
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
+        running = [node for node in nodes if node.process.poll() is None]
+        for node in running:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(node.process.pid, number)
+        deadline = time.monotonic() + patience
+        for node in running:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                node.process.wait(max(0.0, deadline - time.monotonic()))
