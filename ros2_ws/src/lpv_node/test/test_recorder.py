@@ -5,12 +5,16 @@ import re
 import signal
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import ros
 from bags import contents
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from places import BRINGUP
+from rcl_interfaces.srv import GetParameters
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -18,6 +22,7 @@ from std_msgs.msg import String
 from lpv.bag.rosbag.reading import open_bag
 from lpv.bag.rosbag.recovery import recover
 from lpv.core.support.timestamps import set_stamp
+from lpv_node.recorder.node import RecorderNode
 
 pytestmark = pytest.mark.ros
 TOPIC = '/lpv/joint_states'
@@ -99,6 +104,9 @@ def test_given_a_recorder_that_is_killed_when_read_then_at_most_a_second_is_lost
 def test_given_a_recorder_that_is_held_up_when_read_then_each_loss_is_counted(session, tmp_path):
     recorder = session(qos=qos_profile_sensor_data)
     recorder.run(0.5)
+    # Nothing comes through shared memory, whose ports belong to the process that has their locks.
+    opened = [os.readlink(file) for file in Path(f'/proc/{recorder.process.pid}/fd').iterdir()]
+    assert opened and not [file for file in opened if re.search(r'port\d+_[es]l$', file)]
     recorder.kill(signal.SIGSTOP)
     for _ in range(8000):
         recorder.publish()
@@ -113,14 +121,17 @@ def test_given_a_recorder_that_is_held_up_when_read_then_each_loss_is_counted(se
     assert known['lost'] == numbers[-1] + 1 - numbers[0] - len(numbers) > 0
 
 
-def test_given_a_recorder_when_it_listens_then_nothing_comes_through_shared_memory(session):
-    """Killed at the wrong moment, its successor would never hear those who went on sending."""
-    recorder = session(qos=qos_profile_sensor_data)
-    recorder.publish()
-    opened = [os.readlink(file) for file in Path(f'/proc/{recorder.process.pid}/fd').iterdir()]
-    # A port belongs to the process that has its lock.
-    assert opened and not [file for file in opened if re.search(r'port\d+_[es]l$', file)]
-    assert recorder.stop() == 0
+@pytest.mark.parametrize('shift', [-3600, 0, 3600])
+def test_given_a_clock_that_is_set_when_stopping_then_what_is_old_counts(monkeypatch, shift):
+    before, now = time.time_ns(), time.time_ns() + (shift * 1000 + 50) * 1_000_000
+    heard = [SimpleNamespace(sent=sent, topic='') for sent in (before - 1, now - 1)]
+    source = SimpleNamespace(poll=lambda: heard)
+    node = SimpleNamespace(_input=source, _taken=0, _writer=None, _stopping=None)
+    RecorderNode.stopping(node)
+    monkeypatch.setattr(time, 'time_ns', lambda: now)
+    monkeypatch.setattr(time, 'monotonic_ns', lambda: node._stopping + 49_000_000)
+    RecorderNode._poll(node)
+    assert node._taken == (shift >= 0)
 
 
 # The limit of a file's size stands in for a disk that is full; the recorder leaves 1 MiB alone.
@@ -148,11 +159,18 @@ def test_given_a_disk_that_gets_full_when_recording_then_what_is_there_is_kept(s
     size = bag.stat().st_size
     assert 300_000 < size < 1600 * 1024
     recorder.run(0.3)
+    for step in (4, 2, 1, 3):  # deactivate, clean up, configure, activate
+        wanted = Transition(id=step)
+        assert recorder.client.call(ChangeState, 'recorder/change_state', transition=wanted).success
+    recorder.reports.clear()
+    recorder.run(30.0, until=full)
     assert recorder.stop() == 1 and bag.stat().st_size == size
     numbers = recorded(tmp_path / 'bag')
     assert numbers == list(range(len(numbers))) and len(numbers) > 50
     assert contents(tmp_path / 'bag')[1] == []
-    assert 'recording stopped: no space left' in (tmp_path / 'log' / 'recorder.log').read_text()
+    assert contents(tmp_path / 'bag_1')[1] == []
+    said = (tmp_path / 'log' / 'recorder.log').read_text()
+    assert said.count('recording stopped: no space left') == 2
 
 
 def test_given_all_topics_when_told_to_stop_then_the_next_free_bag_is_whole(session, tmp_path):
@@ -164,6 +182,7 @@ def test_given_all_topics_when_told_to_stop_then_the_next_free_bag_is_whole(sess
     recorder = session('all:=true', left_out, 'split_duration:=1.0', f'gains_file:={GAINS}')
     bag, make = tmp_path / 'bag_2', recorder.client.node.create_publisher
     others = [make(String, name, RELIABLE) for name in ('text', 'noise', '_hidden')]
+    make(GetParameters.Event, 'odd', RELIABLE)  # no file has the definition of such a type
     assert recorder.client.wait(lambda: others[0].get_subscription_count() == 1)
     others[0].publish(String(data='hello'))
     recorder.run(1.3)
@@ -182,7 +201,7 @@ def test_given_all_topics_when_told_to_stop_then_the_next_free_bag_is_whole(sess
         return values.get(f'{TOPIC} messages') == str(len(recorder.sent))
 
     assert recorder.client.wait(counted), values
-    assert values[f'{TOPIC} lost'] == '0'
+    assert values[f'{TOPIC} lost'] == '0' and 'not installed' in values['/lpv/odd not recorded']
     assert [p.get_subscription_count() for p in others] == [1, 0, 0]
     for _ in range(500):  # more than the recorder takes in at once
         recorder.publish()

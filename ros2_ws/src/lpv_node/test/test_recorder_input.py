@@ -6,8 +6,11 @@ import socket
 import pytest
 import rclpy
 import ros
+from rcl_interfaces.srv import GetParameters
 from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 
+from lpv.bag.rosbag.interfaces import message_text
 from lpv.bag.rosbag.live import ros_qos
 from lpv_node.managed import ManagedNode
 from lpv_node.recorder import input as recorder_input
@@ -24,7 +27,8 @@ class Senders:
         self.client, self._sent = client, 0
         # The recorder does not listen to itself: its node has another one beside it.
         self.node = rclpy.create_node('sender', context=client.node.context, namespace='/lpv')
-        self.input = RecorderInput(client.node, Selection(frozenset({TOPIC}), ()), lambda _: None)
+        wanted = Selection(frozenset({TOPIC, '/lpv/torque'}))
+        self.input = RecorderInput(client.node, wanted, message_text)
         self.heard = []
 
     def add(self, reliable, latched):
@@ -70,7 +74,7 @@ def test_given_publishers_with_lower_qos_when_they_come_later_then_all_is_heard_
         senders.wait(lambda p=every[0], n=count: p.get_subscription_count() == n)
         for _ in range(20):
             senders.send(*every)
-    assert senders.names() == list(range(20 * (1 + 2 + 3))) and senders.input.complaints == 0
+    assert senders.names() == list(range(20 * (1 + 2 + 3))) and senders.input.refused == {}
     offers = {bytes(p.endpoint_gid): p for p in senders.node.get_publishers_info_by_topic(TOPIC)}
     assert {heard.publisher for heard in senders.heard} == set(offers)
 
@@ -93,9 +97,21 @@ def test_given_messages_without_a_sender_when_a_publisher_offers_less_then_it_is
     reliable = senders.add(True, False)
     senders.wait(lambda: reliable.get_subscription_count() == 1)
     senders.add(False, False)
-    senders.wait(lambda: senders.input.complaints == 1)
+    senders.wait(lambda: 'lower quality' in senders.input.refused.get(TOPIC, ''))
     senders.send(reliable)
     assert senders.names() == [0]
+
+
+def test_given_types_that_cannot_be_recorded_when_found_then_others_are_heard(senders):
+    senders.client.node.create_publisher(String, 'torque', 10)  # no other type in this process
+    with ros.client(senders.node.context.get_domain_id()) as other:
+        for kind, topic in ((JointState, 'torque'), (GetParameters.Event, 'joint_states')):
+            other.node.create_publisher(kind, topic, 10)  # no file defines the second one
+        senders.wait(lambda: len(senders.input.refused) == 2)
+        joints = senders.add(True, False)
+        senders.wait(lambda: joints.get_subscription_count() == 1)
+        senders.send(joints)
+        assert senders.names() == [0] and 'incompatible' in senders.input.refused['/lpv/torque']
 
 
 def test_given_a_recorder_that_subscribes_twice_when_recorders_are_counted_then_it_is_one(senders):

@@ -19,10 +19,11 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rosbags.interfaces import Qos
 
 from lpv.bag.rosbag.live import DEEPEST, message_class, ros_qos
+from lpv.bag.rosbag.mcap_file import error_text
 from lpv.bag.rosbag.metadata import qos_profile
 from lpv.core.support.timestamps import leading_stamp
 
-_MOST = 2000
+MOST = 2000
 """Messages taken from one topic before the others have their turn."""
 _RECHECK = 20
 """Searches after which publishers of known topics are looked at again, one second, also where their
@@ -79,7 +80,6 @@ class _Topic:
     stamped: bool
     subscriptions: dict[_Offer, Any] = field(default_factory=dict)
     owners: dict[bytes, _Offer] = field(default_factory=dict)  # by publisher
-    publishers: int = 0  # number of them at the last look
 
     def unheard(self, publisher: TopicEndpointInfo) -> _Offer | None:
         """What a publisher offers if no subscription hears it; the best one that does owns it."""
@@ -117,7 +117,9 @@ class RecorderInput:
         )
         enlarge_sockets()
         self._topics: dict[str, _Topic] = {}
-        self._complained: set[tuple[str, str]] = set()  # topic and publisher; '' for all of them
+        self._publishers: dict[str, int] = {}  # by topic: number of them at the last look
+        # Why a topic is not recorded, by its name and a publisher or type; '' for all of it.
+        self._refused: dict[tuple[str, str], str] = {}
         self._searches = 0
 
     def close(self) -> None:
@@ -126,62 +128,67 @@ class RecorderInput:
         self._own.destroy_node()
 
     @property
-    def complaints(self) -> int:
-        """Number of topics and publishers that are not recorded though they are wanted."""
-        return len(self._complained)
+    def refused(self) -> dict[str, str]:
+        """Why wanted topics are not recorded, or not from all publishers, by name."""
+        return {name: why for (name, _), why in sorted(self._refused.items())}
 
     def search(self) -> list[tuple[str, str, Qos]]:
         """Subscribe to wanted topics that have a publisher now."""
         found = []
         self._searches += 1
-        own = self._node.get_name(), self._node.get_namespace()
         for name in self._selection.chosen(dict(self._node.get_topic_names_and_types())):
-            topic = self._topics.get(name)
-            if (name, '') in self._complained or (
-                topic is not None and not self._is_due(name, topic)
-            ):
-                continue
-            publishers = [
-                p
-                for p in self._node.get_publishers_info_by_topic(name)
-                if (p.node_name, p.node_namespace) != own
-            ]
-            if topic is not None:
-                self._hear_all(name, topic, publishers)
-            elif publishers and (offered := self._subscribe(name, publishers)) is not None:
-                found.append((name, publishers[0].topic_type, offered))
+            try:
+                if self._is_due(name):
+                    found += self._look(name)
+            except Exception as error:  # of many kinds; the other topics are recorded nevertheless
+                self._refuse(name, '', f'is not recorded, or only in part: {error_text(error)}')
         return found
 
-    def _is_due(self, name: str, topic: _Topic) -> bool:
-        """Whether publishers of a known topic are to be looked at: they changed, or may have."""
-        before = topic.publishers
-        topic.publishers = self._node.count_publishers(name)
-        return topic.publishers != before or not self._searches % _RECHECK
+    def _is_due(self, name: str) -> bool:
+        """Whether the publishers of a topic are to be looked at: they changed, or may have."""
+        before = self._publishers.get(name)
+        self._publishers[name] = self._node.count_publishers(name)
+        return self._publishers[name] != before or not self._searches % _RECHECK
 
-    def _subscribe(self, name: str, publishers: list[TopicEndpointInfo]) -> Qos | None:
-        """Subscribe to all publishers; None if the type is not installed.
+    def _look(self, name: str) -> list[tuple[str, str, Qos]]:
+        """Subscribe to the publishers of a topic that nothing is heard of; the topic if new."""
+        own = self._node.get_name(), self._node.get_namespace()
+        publishers = [
+            p
+            for p in self._node.get_publishers_info_by_topic(name)
+            if (p.node_name, p.node_namespace) != own
+        ]
+        if name in self._topics:
+            self._hear_all(name, self._topics[name], publishers)
+            return []
+        for msgtype in dict.fromkeys(p.topic_type for p in publishers):
+            if (name, msgtype) in self._refused:
+                continue
+            try:
+                return [(name, msgtype, self._subscribe(name, msgtype, publishers))]
+            except Exception as error:  # of many kinds, of texts, modules and middlewares
+                self._refuse(name, msgtype, f'is not recorded: {error_text(error)}')
+        return []
+
+    def _subscribe(self, name: str, msgtype: str, publishers: list[TopicEndpointInfo]) -> Qos:
+        """Subscribe to all publishers of a type; any exception if it cannot be recorded.
 
         Returns the QoS that all of them offer.
         """
-        msgtype, depth = publishers[0].topic_type, publishers[0].qos_profile.depth
-        try:
-            self._check_type(msgtype)
-            kind = message_class(msgtype)
-        except (ValueError, AttributeError, ImportError) as error:
-            self._node.get_logger().error(f'{name} is not recorded: {error}')
-            self._complained.add((name, ''))
-            return None
+        self._check_type(msgtype)
+        kind = message_class(msgtype)
         first = next(iter(kind.get_fields_and_field_types().values()), '')
         timed = first in ('std_msgs/Header', 'builtin_interfaces/Time')
         topic = _Topic(msgtype, kind, timed and name not in _SYSTEM_TIME)
-        self._topics[name] = topic
-        offers = {_offer(p) for p in publishers if p.topic_type == msgtype}
+        same = [p for p in publishers if p.topic_type == msgtype]
+        offers = {_offer(p) for p in same}
         reliable, latched = (all(offer[i] for offer in offers) for i in (0, 1))
         # The highest first: `poll` then finds there who is heard by several.
         for asked in sorted(offers, reverse=True) if _TELLS_PUBLISHERS else [(reliable, latched)]:
             self._add(name, topic, asked)
         self._hear_all(name, topic, publishers)
-        return qos_profile(reliable, latched, depth)
+        self._topics[name] = topic
+        return qos_profile(reliable, latched, same[0].qos_profile.depth)
 
     def _add(self, name: str, topic: _Topic, asked: _Offer) -> None:
         qos = ros_qos(*asked, DEEPEST)
@@ -214,11 +221,13 @@ class RecorderInput:
 
     def _complain(self, name: str, publisher: TopicEndpointInfo, why: str) -> None:
         who = f'{publisher.node_namespace}/{publisher.node_name}'.replace('//', '/')
-        if (name, who) not in self._complained:
-            self._complained.add((name, who))
-            self._node.get_logger().warning(
-                f'{name}: what {who} publishes is not recorded, it {why}'
-            )
+        self._refuse(name, who, f'what {who} publishes is not recorded, it {why}')
+
+    def _refuse(self, name: str, what: str, why: str) -> None:
+        """Note, and say once, why a publisher or a type of a topic is not recorded."""
+        if (name, what) not in self._refused:
+            self._refused[name, what] = why
+            self._node.get_logger().warning(f'{name}: {why}')
 
     def poll(self) -> list[Heard]:
         """Messages received since the last call, in the order of arrival."""
@@ -237,7 +246,7 @@ class RecorderInput:
         with subscription.handle:
             take, msgtype = subscription.handle.take_message, subscription.msg_type
             newest = 0
-            for _ in range(_MOST):
+            for _ in range(MOST):
                 taken = take(msgtype, True)
                 if taken is None:
                     break

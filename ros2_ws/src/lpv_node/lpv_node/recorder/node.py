@@ -9,7 +9,7 @@ from pathlib import Path
 from diagnostic_msgs.msg import DiagnosticArray
 from rosbags.interfaces import Qos
 
-from lpv.bag.rosbag.interfaces import add_type
+from lpv.bag.rosbag.live import DEEPEST
 from lpv.bag.rosbag.message_loss import TopicCount
 from lpv.bag.rosbag.output_folder import (
     GAINS_NAME,
@@ -24,7 +24,7 @@ from lpv.core.support.limits import AT_ONCE
 from lpv.core.support.timestamps import NANOSECONDS
 from lpv_node.managed import ManagedNode
 from lpv_node.parameters import fixed, named_file, required_text, table
-from lpv_node.recorder.input import Heard, RecorderInput, Selection
+from lpv_node.recorder.input import MOST, Heard, RecorderInput, Selection
 from lpv_node.recorder.stamp_sorter import WINDOW, StampSorter
 from lpv_node.status import ERROR, OK, WARN, diagnostics
 
@@ -71,20 +71,25 @@ class RecorderNode(ManagedNode):
         super().__init__('recorder', SPECS)
         self._writer: BagWriter | None = None
         self._input: RecorderInput | None = None
-        self._announced: dict[str, Qos] = {}  # topics that the bag does not have yet
-        self._types: dict[str, str] = {}
-        self._counts: dict[str, TopicCount] = {}
-        self._order = StampSorter(self._write_sorted)
+        self._forget()
         self._taken, self._flushed = 0, 0.0
-        self._stopping: int | None = None
-        self._failure = ''
+        self._stopping: int | None = None  # when the node was told to stop, monotonic [ns]
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._label = f'{self.get_fully_qualified_name()}: recording'
         # Nobody wants to read in a bag how it was written; and it would differ between runs.
         self._own_mark = self._label.encode() + b'\0'
 
+    def _forget(self) -> None:
+        """Forget the recording before this one."""
+        self._announced: dict[str, Qos] = {}  # topics that the bag does not have yet
+        self._types: dict[str, str] = {}
+        self._counts: dict[str, TopicCount] = {}
+        self._failure = ''
+        self._order = StampSorter(self._write_sorted)
+
     def setup(self) -> None:
         """Open the bag."""
+        self._forget()
         value = {spec.name: self.get_parameter(spec.name).value for spec in SPECS}
         names = frozenset(self.resolve_topic_name(name) for name in value['topics'])
         if not names and not value['all']:
@@ -112,11 +117,11 @@ class RecorderNode(ManagedNode):
     def begin(self) -> None:
         """Listen to the wanted topics."""
         if self._writer is None:
-            self.get_logger().error('the bag is closed: a new recording needs a new node')
+            self._failure = self._failure or 'the bag is closed; configure the node anew'
+            self.get_logger().error(f'nothing is recorded: {self._failure}')
+            self.steady_timer(1.0, self._report)
             return
-        self._input = RecorderInput(
-            self, self._selection, partial(add_type, self._writer.typestore)
-        )
+        self._input = RecorderInput(self, self._selection, partial(self._writer.describe, ''))
         for period, callback in ((0.05, self._search), (_POLL, self._poll), (1.0, self._report)):
             self.steady_timer(period, callback)
         what = f'{len(self._selection.names)} topics' if self._selection.names else 'all topics'
@@ -124,7 +129,7 @@ class RecorderNode(ManagedNode):
 
     def stopping(self) -> None:
         """Note the time: what was published until now is still recorded."""
-        self._stopping = time.time_ns()
+        self._stopping = time.monotonic_ns()
 
     def progress(self) -> int:
         """Messages taken so far that were published before the node was told to stop."""
@@ -132,7 +137,7 @@ class RecorderNode(ManagedNode):
 
     def end(self) -> None:
         """Take what is left, and close the bag."""
-        if self._input is not None:
+        for _ in range(DEEPEST // MOST):  # no queue holds more
             self._poll()
         self._order.flush()
         if self._writer is not None:
@@ -151,9 +156,12 @@ class RecorderNode(ManagedNode):
             self._counts[topic] = TopicCount()
 
     def _poll(self) -> None:
-        for heard in self._input.poll() if self._input is not None else ():
-            if self._stopping is None or heard.sent < self._stopping:
-                self._taken += 1
+        found = self._input.poll() if self._input is not None else []
+        # The system's clock may be set meanwhile: it only tells how old a message is now.
+        since = 0 if self._stopping is None else time.monotonic_ns() - self._stopping
+        newest = time.time_ns() - since
+        for heard in found:
+            self._taken += self._stopping is None or heard.sent < newest
             own = heard.topic == '/diagnostics' and self._own_mark in heard.data
             if self._writer is not None and not own:
                 self._take(self._writer, heard)
@@ -228,14 +236,16 @@ class RecorderNode(ManagedNode):
     def _report(self) -> None:
         """State of the recording on /diagnostics."""
         lost = sum(count.lost for count in self._counts.values())
+        refused = {} if self._input is None else self._input.refused
         level, text = OK, 'recording' if self._writer is not None else 'bag closed'
         if self._failure:
             level, text = ERROR, f'recording stopped: {self._failure}'
-        elif lost or (self._input is not None and self._input.complaints):
+        elif lost or refused:
             text = f'{lost} messages lost' if lost else 'some topics are not recorded'
             level = WARN
-        values = {} if self._writer is None else {
+        values: dict[str, object] = {} if self._writer is None else {
             'bytes': self._writer.size, 'files': self._writer.files}  # fmt: skip
+        values |= {f'{topic} not recorded': why for topic, why in refused.items()}
         for topic, count in sorted(self._counts.items()):
             values |= {f'{topic} {name}': value for name, value in count.known().items()}
         now = self.get_clock().now().nanoseconds
