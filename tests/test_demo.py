@@ -151,7 +151,9 @@ def test_given_a_serial_arm_when_shown_then_the_fault_is_named_and_torques_as_of
 @pytest.mark.parametrize('number', [SIGTERM, SIGHUP])
 def test_given_a_signal_when_a_command_waits_then_nodes_end_and_its_code_is_right(tmp_path, number):
     ends = tmp_path / 'ends'
-    script = f'trap "sleep 0.4; echo $0 >> {ends}; exit 0" INT; echo; sleep 600'
+    script = f'trap "sleep 0.4; echo $0 >> {ends}; exit 0" INT; printf "\\377\\n"; '
+    script += 'while sleep 0.1; do :; done'
+    (tmp_path / 'last.log').symlink_to('/dev/full')
     with pytest.raises(SystemExit) as end, ended_by_signals(), Graph(tmp_path, 1) as graph:
         for name in ('first', 'recorder', 'last'):
             graph.start(name, ['sh', '-c', script, name])

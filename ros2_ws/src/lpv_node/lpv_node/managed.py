@@ -251,7 +251,7 @@ def _executor() -> Executor:
 def run_node(node_class: Callable[[], ManagedNode], argv: list[str] | None = None) -> int:
     """Run one managed node until it finishes or is told to stop.
 
-    Returns the process's exit code: 0 after SIGINT, SIGTERM or a finished run; 1 if the node could
+    Returns the process's exit code: 0 after a signal to stop or a finished run; 1 if the node could
     not start.
     """
     stop = StopRequest()

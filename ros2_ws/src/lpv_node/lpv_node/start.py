@@ -1,4 +1,4 @@
-"""Start of a node's process: SIGINT and SIGTERM are handled before the imports, which last.
+"""Start of a node's process: signals to stop are handled before the imports, which last.
 
 Needs no ROS itself.
 """
@@ -10,7 +10,7 @@ import threading
 from collections.abc import Sequence
 
 from lpv.core.support.limits import QUIET
-from lpv.core.support.signals import StopRequest
+from lpv.core.support.signals import STOPS, StopRequest
 from lpv.core.support.threads import one_thread
 
 
@@ -36,9 +36,9 @@ def start(module: str, node: str, argv: Sequence[str] | None = None) -> None:
     except KeyboardInterrupt:
         sys.exit(0)
     except SystemExit as leaving:
-        if stop.is_set and leaving.code == 128 + signal.SIGTERM:
+        if stop.is_set and leaving.code in [128 + number for number in STOPS]:
             sys.exit(0)
         raise
     finally:
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in STOPS:
             signal.signal(number, signal.SIG_IGN)

@@ -102,7 +102,7 @@ def test_given_a_recorder_that_is_killed_when_read_then_at_most_a_second_is_lost
 
 
 def test_given_a_recorder_that_is_held_up_when_read_then_each_loss_is_counted(session, tmp_path):
-    recorder = session(qos=qos_profile_sensor_data)
+    recorder = session(qos=qos_profile_sensor_data, prefix=('env', '--default-signal=HUP'))
     recorder.run(0.5)
     # Nothing comes through shared memory, whose ports belong to the process that has their locks.
     opened = [os.readlink(file) for file in Path(f'/proc/{recorder.process.pid}/fd').iterdir()]
@@ -112,7 +112,7 @@ def test_given_a_recorder_that_is_held_up_when_read_then_each_loss_is_counted(se
         recorder.publish()
     recorder.kill(signal.SIGCONT)
     recorder.run(1.0)  # the numbers of what comes next tell what is missing
-    assert recorder.stop(signal.SIGTERM) == 0
+    assert recorder.stop(signal.SIGHUP) == 0  # its terminal is closed
     numbers = recorded(tmp_path / 'bag')
     assert numbers == sorted(set(numbers))
     with open_bag(tmp_path / 'bag') as reader:
@@ -171,6 +171,7 @@ def test_given_a_disk_that_gets_full_when_recording_then_what_is_there_is_kept(s
     assert contents(tmp_path / 'bag_1')[1] == []
     said = (tmp_path / 'log' / 'recorder.log').read_text()
     assert said.count('recording stopped: no space left') == 2
+    assert said.count('/lpv/ground_truth, /lpv/joint_states_corrected, /lpv/reference') == 4
 
 
 def test_given_all_topics_when_told_to_stop_then_the_next_free_bag_is_whole(session, tmp_path):

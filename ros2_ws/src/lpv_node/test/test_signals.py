@@ -8,7 +8,7 @@ from functools import partial
 
 import pytest
 
-from lpv.core.support.signals import StopRequest, handled_signals, raising_signals
+from lpv.core.support.signals import STOPS, StopRequest, handled_signals, raising_signals
 
 
 class Dropped(partial):
@@ -49,7 +49,7 @@ def test_given_the_end_of_a_command_when_a_signal_was_lost_then_none_comes_later
 
 
 def test_given_a_start_when_told_to_stop_then_it_ends_at_once_and_later_in_order():
-    with handled_signals(lambda *_: None, signal.SIGINT, signal.SIGTERM):
+    with handled_signals(lambda *_: None, *STOPS):
         StopRequest()
         with pytest.raises(SystemExit):
             signal.raise_signal(signal.SIGTERM)
@@ -60,7 +60,7 @@ def test_given_a_start_when_told_to_stop_then_it_ends_at_once_and_later_in_order
 
 
 START = """
-import sys, types
+import signal, sys, types; signal.signal(signal.SIGHUP, signal.SIG_DFL)
 run = types.SimpleNamespace(run_node=lambda node, argv: node(argv))
 sys.modules['lpv_node.managed'] = run  # a node is a function here
 from lpv_node.start import start
@@ -73,7 +73,7 @@ TOLD_AT_EXIT = 'import atexit\natexit.register(tell)\ndef main(argv): raise Syst
 FAILS = 'def main(argv): raise ValueError("what failed")'
 
 
-@pytest.mark.parametrize('name', ['SIGINT', 'SIGTERM'])
+@pytest.mark.parametrize('name', ['SIGINT', 'SIGTERM', 'SIGHUP'])
 @pytest.mark.parametrize(
     ('source', 'code', 'told'),
     [(SLOW, 0, ''), (SWALLOWS, 0, ''), (TOLD_AT_EXIT, 3, ''), (FAILS, 1, 'what failed')],

@@ -10,12 +10,12 @@ import time
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from lpv.core.support.discovery import stay_local
 from lpv.core.support.errors import LpvError
 from lpv.core.support.limits import PATIENCE
-from lpv.core.support.signals import exit_by_signal, handled_signals
+from lpv.core.support.signals import STOPS, exit_by_signal, handled_signals
 
 
 class NodeFailure(LpvError):
@@ -59,25 +59,31 @@ class Graph:
 
     def start(self, name: str, command: list[Any]) -> NodeProcess:
         """Start a node."""
+        path = self._log_dir / f'{name}.log'
+        log = open(path, 'w', encoding='utf-8', buffering=1)  # noqa: SIM115
         process = subprocess.Popen(
             [str(part) for part in command],
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             env=self._environment,
             text=True,
+            errors='replace',
             start_new_session=True,
         )
         is_recorder = any(Path(part).name == 'recorder' for part in command)  # by a shell, too
-        node = NodeProcess(name, process, self._log_dir / f'{name}.log', is_recorder)
-        threading.Thread(target=self._pump, args=(node,), daemon=True).start()
+        node = NodeProcess(name, process, path, is_recorder)
+        threading.Thread(target=self._pump, args=(node, log), daemon=True).start()
         self.nodes.append(node)
         return node
 
-    def _pump(self, node: NodeProcess) -> None:
-        with open(node.log, 'w', encoding='utf-8', buffering=1) as log:
-            for line in node.process.stdout or ():
+    def _pump(self, node: NodeProcess, log: TextIO) -> None:
+        """Thread: hand on what a node prints, which would wait for ever if nobody read it."""
+        for line in node.process.stdout or ():
+            self.lines.put((node.name, line.rstrip()))
+            with contextlib.suppress(OSError):  # of a disk that is full
                 log.write(line)
-                self.lines.put((node.name, line.rstrip()))
+        with contextlib.suppress(OSError):
+            log.close()
 
     def check(self, finite: NodeProcess | None = None) -> None:
         """Raise if a node has ended that should not."""
@@ -94,7 +100,7 @@ class Graph:
         Recorders are stopped last: they take what the others send until they end.  Signals do
         not interrupt it, or nodes in sessions of their own would outlive the command.
         """
-        with handled_signals(lambda *_: None, signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        with handled_signals(lambda *_: None, *STOPS):
             for last in (False, True):
                 _stop([n for n in self.nodes if n.is_recorder == last], patience)
         return {node.name: node.process.poll() for node in self.nodes}

@@ -229,6 +229,8 @@ class RecorderNode(ManagedNode):
         total = sum(writer.counts.values())
         missing = writer.close({t: count.known() for t, count in sorted(self._counts.items())})
         self._kept = f'bag closed with {total} messages, {writer.size} bytes'
+        if silent := sorted(self._selection.names - {t for t, n in writer.counts.items() if n}):
+            self._kept += f', nothing of {", ".join(silent)}'
         if missing:
             self._kept += f', without {missing}: lpv recover repairs it'
         self.get_logger().info(self._kept)

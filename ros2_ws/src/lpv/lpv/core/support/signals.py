@@ -6,12 +6,14 @@ Needs no ROS.
 import contextlib
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from types import FrameType
 
 from lpv.core.support.limits import AT_ONCE
 
 Handler = Callable[[int, FrameType | None], object]
+STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""Signals that ask a process to stop; the last one comes when its terminal is closed."""
 
 
 @contextlib.contextmanager
@@ -20,17 +22,17 @@ def handled_signals(handler: Handler, *numbers: int) -> Iterator[None]:
 
     SIGHUP is left alone where it is ignored, as nohup asks for.
     """
-    wanted = [
-        number
-        for number in numbers
-        if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN
-    ]
-    before = {number: signal.signal(number, handler) for number in wanted}
+    before = {number: signal.signal(number, handler) for number in _acting(numbers)}
     try:
         yield
     finally:
         for number, previous in before.items():
             signal.signal(number, previous)
+
+
+def _acting(numbers: Iterable[int]) -> list[int]:
+    ignored = signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+    return [number for number in numbers if number != signal.SIGHUP or not ignored]
 
 
 def exit_by_signal(number: int, _frame: FrameType | None = None) -> None:
@@ -41,7 +43,7 @@ def exit_by_signal(number: int, _frame: FrameType | None = None) -> None:
 
 
 class StopRequest:
-    """SIGINT and SIGTERM from construction to the end of the process.
+    """`STOPS` from construction to the end of the process.
 
     At first they raise `exit_by_signal`'s exceptions: a start may last, and there is nothing to
     finish.  From `defer` on they only set a flag.  ``is_set`` says whether one of them came.
@@ -49,7 +51,7 @@ class StopRequest:
 
     def __init__(self) -> None:
         self.is_set = self._deferred = False
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in _acting(STOPS):
             signal.signal(number, self._receive)
 
     def defer(self) -> None:
