@@ -59,10 +59,10 @@ class Graph:
 
     def start(self, name: str, command: list[Any]) -> NodeProcess:
         """Start a node."""
-        path = self._log_dir / f'{name}.log'
+        words, path = [str(part) for part in command], self._log_dir / f'{name}.log'
         log = open(path, 'w', encoding='utf-8', buffering=1)  # noqa: SIM115
         process = subprocess.Popen(
-            [str(part) for part in command],
+            words,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             env=self._environment,
@@ -70,7 +70,7 @@ class Graph:
             errors='replace',
             start_new_session=True,
         )
-        is_recorder = any(Path(part).name == 'recorder' for part in command)  # by a shell, too
+        is_recorder = any(Path(word).name == 'recorder' for word in words)  # by a shell, too
         node = NodeProcess(name, process, path, is_recorder)
         threading.Thread(target=self._pump, args=(node, log), daemon=True).start()
         self.nodes.append(node)
@@ -79,9 +79,9 @@ class Graph:
     def _pump(self, node: NodeProcess, log: TextIO) -> None:
         """Thread: hand on what a node prints, which would wait for ever if nobody read it."""
         for line in node.process.stdout or ():
-            self.lines.put((node.name, line.rstrip()))
             with contextlib.suppress(OSError):  # of a disk that is full
                 log.write(line)
+            self.lines.put((node.name, line.rstrip()))
         with contextlib.suppress(OSError):
             log.close()
 
