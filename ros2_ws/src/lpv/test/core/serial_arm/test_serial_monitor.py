@@ -11,7 +11,12 @@ from simulated_runs import Push, Run, simulated_run
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import Uncertainty
 from lpv.core.serial_arm.diagnosis.estimator import DISTRUST
-from lpv.core.serial_arm.diagnosis.monitor import CONTACT_PAUSE, SensorState, SerialMonitor
+from lpv.core.serial_arm.diagnosis.monitor import (
+    CONTACT_PAUSE,
+    MonitorSettings,
+    SensorState,
+    SerialMonitor,
+)
 from lpv.core.serial_arm.diagnosis.sampling import rate_lag
 from lpv.core.serial_arm.dynamics.kinematics import jacobian
 from lpv.core.serial_arm.dynamics.payload import with_payload
@@ -197,10 +202,14 @@ def test_spike_is_no_lasting_fault():
     arm = shoulder_arm('independent')
     run = simulated_run(arm, 3.0, seed=3)
     run.samples[1000, 0, 1] += 0.3
-    monitor = watch(arm, run)
+    monitor, unaware = watch(arm, run), SerialMonitor(arm, MonitorSettings(smallest_step=0.5))
     events = [(alarm.sensor, alarm.kind, alarm.event) for alarm in monitor.alarms]
     assert events == [('encoder2', 'spike', 'raised'), ('encoder2', 'spike', 'cleared')]
     assert abs(monitor.estimate(0).fault[1]) < 0.1
+    unaware.update_many(run.stamps, run.samples)
+    assert unaware.alarms == []  # it is smaller than what is a fault
+    run.samples[800:, 0, 1] += 0.2
+    assert {alarm.kind for alarm in watch(arm, run).alarms} == {'bias'}  # it is known to be faulty
 
 
 def test_efforts_are_scaled_in_a_copy():
