@@ -97,8 +97,7 @@ class LinkProblem:
 
 @dataclass(frozen=True)
 class _Units:
-    """Units of time and angle in which the problem of a link has numbers around one, so that the
-    solver meets the same problem for large and small, fast and slow, noisy and quiet arms."""
+    """Units of time and angle in which every link's problem has numbers around one."""
 
     rate: float  # inverse of the unit of time [1/s]
     size: float  # unit of angles [rad]

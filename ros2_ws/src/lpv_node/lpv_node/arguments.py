@@ -15,10 +15,7 @@ _PROFILE_VARIABLES = ('FASTDDS_DEFAULT_PROFILES_FILE', 'FASTRTPS_DEFAULT_PROFILE
 
 
 def use_profiles() -> None:
-    """Let Fast DDS use the profiles ``fastdds.xml`` of this package, unless the user has some.
-
-    To be called before rclpy.init; other middlewares ignore it.
-    """
+    """Let Fast DDS use this package's ``fastdds.xml`` from rclpy.init on, but for own profiles."""
     if not any(os.environ.get(name) for name in _PROFILE_VARIABLES):
         is_old = os.environ.get('ROS_DISTRO') in _FAST_DDS_2
         name = 'fastdds_2.xml' if is_old else 'fastdds.xml'
@@ -26,12 +23,7 @@ def use_profiles() -> None:
 
 
 def initialise(argv: list[str] | None = None) -> None:
-    """Start ROS, which announces itself often, without its signal handlers.
-
-    From ``argv`` or the process's command line.
-
-    Raises ConfigError if a parameter file is missing, or the ROS arguments cannot be parsed.
-    """
+    """Start ROS without its signal handlers; ConfigError for wrong arguments or files."""
     use_profiles()
     argv = sys.argv if argv is None else argv
     for option, path in zip(argv, argv[1:]):

@@ -32,12 +32,11 @@ machine holds a process up for half of it."""
 
 
 class OneSender:
-    """Keeps the measurements of two senders on one topic apart.
+    """Keeps the measurements of two senders on one topic apart."""
 
-    A measurement that repeats or goes back in time, or is further from the one before than the arm
-    can have moved, is of another sender.  It is believed only after none that continues the first
-    one's has come for a while: then a sensor has failed, or the first sender has ended.
-    """
+    # One that repeats, goes back in time, or is further from the one before than the arm can have
+    # moved is another sender's.  It is believed after none that continues the first one's has come
+    # for a while: then a sensor has failed, or the first sender has ended.
 
     def __init__(self, arm: SerialArm) -> None:
         self._names, self._limit = arm.joint_names, np.array(arm.velocity_limit)
@@ -54,10 +53,7 @@ class OneSender:
         several: bool,
         now: float | None = None,
     ) -> bool:
-        """Whether a measurement is to be used; all are, unless there are several senders.
-
-        ``stamp`` is in [ns], ``now`` is the steady time [s].
-        """
+        """Whether to use a measurement of a stamp [ns]; of one sender all are."""
         readings = dict(zip(names, position))
         if len(names) != len(position) or not all(name in readings for name in self._names):
             return True  # of other joints, or not a measurement at all: the monitor says so

@@ -166,12 +166,9 @@ class ManagedNode(LifecycleNode):
             self.begin()
 
     def _matched(self, publisher: Publisher) -> int:
-        """Subscribers of an output, without viewers.
-
-        These are the live view, and nodes with hidden names, as those of the ros2 command; a node
-        whose name is not known yet has a hidden name as well.  A recorder that subscribes twice,
-        to publishers with different QoS, is one subscriber.
-        """
+        """Subscribers of an output, without the live view and nodes with hidden names."""
+        # The latter are the ros2 command's, or not known by name yet.  A recorder that subscribes
+        # twice, to publishers with different QoS, is one subscriber.
         readers = self.get_subscriptions_info_by_topic(publisher.topic_name)
         others = [r for r in readers if r.node_name != VIEWER and not r.node_name.startswith('_')]
         # In DDS the first twelve bytes are those of the participant.
@@ -196,11 +193,8 @@ class ManagedNode(LifecycleNode):
         )
 
     def _while_active(self, callback: Callable[..., None]) -> Callable[..., None]:
-        """A callback that does nothing while the node takes no part.
-
-        Executors still call what was queued before a subscription or timer was destroyed, when
-        the publishers that it needs may be gone, too.
-        """
+        """A callback that does nothing while the node takes no part."""
+        # Executors call what was queued before a subscription or timer was destroyed, too.
 
         @functools.wraps(callback)
         def guarded(*arguments: Any) -> None:
@@ -249,11 +243,7 @@ def _executor() -> Executor:
 
 
 def run_node(node_class: Callable[[], ManagedNode], argv: list[str] | None = None) -> int:
-    """Run one managed node until it finishes or is told to stop.
-
-    Returns the process's exit code: 0 after a signal to stop or a finished run; 1 if the node could
-    not start.
-    """
+    """Run one managed node until it finishes or is told to stop; 1 if it could not start."""
     stop = StopRequest()
     node, code = None, 1
     try:

@@ -10,11 +10,7 @@ from rclpy.parameter_service import ParameterService
 
 
 class CheckedParameterService(ParameterService):
-    """rclpy's services, but requests that would end the process are refused.
-
-    With rclpy's own that are those of an unknown parameter type, and those that delete a parameter
-    which the node goes on to read.  rclpy also takes a parameter without a name.
-    """
+    """rclpy's services without requests that end the process: of unknown types, or deletions."""
 
     def _set_parameters_callback(
         self, request: SetParameters.Request, response: SetParameters.Response

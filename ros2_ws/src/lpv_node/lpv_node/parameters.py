@@ -68,11 +68,7 @@ fixed = partial(Spec, read_only=True)
 
 
 def table(text: str, read_only: bool = True) -> tuple[Spec, ...]:
-    """Declarations of a table as of `lpv.core.support.options`.
-
-    Without a default an entry is a switch that is off, with a metavar an empty text; one that may
-    be repeated is an array of numbers.
-    """
+    """Declarations of a table as of `lpv.core.support.options`; switches are off by default."""
     found = []
     for one in table_entries(text):
         default = one.default
@@ -84,10 +80,7 @@ def table(text: str, read_only: bool = True) -> tuple[Spec, ...]:
 
 
 def _of_file(specs: Iterable[Spec]) -> dict[str, Spec]:
-    """Declarations of what a gains file sets, by name; their defaults stand for what it does not.
-
-    Their ranges are those that make sense at all: the certificate decides what holds.
-    """
+    """Declarations of what a gains file sets, by name, in ranges that make sense at all."""
     text = '{}, from the gains file written by lpv design'.format
     return {one.name: replace(one, description=text(one.description)) for one in specs}
 
@@ -154,10 +147,7 @@ error.bound NUMBERS*   bound of the tracking error [rad]
 
 
 def declare(node: Node, specs: Iterable[Spec]) -> None:
-    """Declare parameters and refuse strings outside their choices, now and later.
-
-    Raises ConfigError if an override has the wrong type, is out of range or not among the choices.
-    """
+    """Declare parameters and refuse, now (ConfigError) and later, strings outside their choices."""
     specs = tuple(specs)
     choices = {spec.name: spec.choices for spec in specs if spec.choices}
     for spec in specs:
@@ -192,11 +182,7 @@ def required_text(node: Node, name: str) -> str:
 
 
 def named_file(node: Node, name: str, kind: str) -> str:
-    """Path that a string parameter gives, or that of the shipped file that it names.
-
-    ``kind`` is 'arms' or 'scenarios'.  Raises ConfigError if the parameter is empty, or there is no
-    such file.
-    """
+    """Path in a parameter, or of the shipped file of a kind that it names; ConfigError without."""
     return str(bringup_file(kind, required_text(node, name)))
 
 
@@ -205,10 +191,7 @@ FROM_GAINS = '0: as the gains allow'
 
 
 def chosen_limit(node: Node, name: str, certified: float) -> float:
-    """Value of a parameter, or what follows from the gains if it is 0 [s].
-
-    A longer one is taken, with a warning: nothing is known of the loop there.
-    """
+    """Value of a parameter, or what the gains allow if it is 0 [s]; a warning if it is longer."""
     value = float(node.get_parameter(name).value)
     if value > certified:
         node.get_logger().warning(
@@ -219,11 +202,8 @@ def chosen_limit(node: Node, name: str, certified: float) -> float:
 
 
 def declare_gains(node: Node) -> frozenset[str]:
-    """Declare the parameters of a gains file, read-only; returns those that no file sets.
-
-    They get a value all the same: one parameter without a value would make a request for all of a
-    node's parameters return nothing.
-    """
+    """Declare the parameters of a gains file, read-only; returns those that no file sets."""
+    # One parameter without a value would make a request for all of them return nothing.
     fields = {**GAIN_FIELDS, **MOTION_FIELDS}
     for of_method in METHOD_FIELDS.values():
         fields.update(of_method)
@@ -250,13 +230,7 @@ def _declare_fields(node: Node, prefix: str, fields: dict[str, Spec]) -> frozens
 
 
 def read_gains(node: Node, arm: SerialArm, unset: frozenset[str]) -> Gains:
-    """Gains from the parameters that `declare_gains` declared, with their certificate verified.
-
-    ``unset`` is what that function returned.
-
-    Raises ConfigError if no gains file was given, it is not valid, of another arm, or its
-    certificate does not hold.
-    """
+    """Verified gains from the parameters of `declare_gains`, which said what is ``unset``."""
     method = _gain(node, 'gains.observer.method', unset)
     own = METHOD_FIELDS.get(method, ())
     motion = [name for name in MOTION_FIELDS if name not in unset]
@@ -274,12 +248,7 @@ def read_gains_if_set(node: Node, arm: SerialArm, unset: frozenset[str]) -> Gain
 def read_loop_if_set(
     node: Node, arm: SerialArm, bandwidth: float, unset: frozenset[str]
 ) -> LoopGains | None:
-    """Certificate of a serial arm's loop from parameters, verified; None if no file has one.
-
-    ``unset`` is what `declare_loop` returned.
-
-    Raises ConfigError if it is not valid, of another arm or bandwidth, or does not hold.
-    """
+    """Verified certificate of a serial arm's loop by `declare_loop`; None if no file has one."""
     if unset == frozenset(LOOP_FIELDS):
         return None
     nested = _nested(node, 'loop', tuple(LOOP_FIELDS), unset)

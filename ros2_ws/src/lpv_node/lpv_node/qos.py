@@ -6,11 +6,7 @@ from lpv.bag.rosbag.live import DEEPEST, ros_qos
 
 
 def stream(lockstep: bool) -> QoSProfile:
-    """QoS of measurements, estimates and commands.
-
-    Reliable with deep queues in lockstep; sensor-data QoS (best effort, the latest few) in real
-    time, where an old sample is worth less than none.
-    """
+    """QoS of measurements and commands: best effort in real time, where old ones mislead."""
     return ros_qos(lockstep, False, DEEPEST if lockstep else 5)
 
 

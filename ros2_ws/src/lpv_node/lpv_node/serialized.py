@@ -23,13 +23,7 @@ _TIME = struct.Struct('=iI')
 
 
 class SerializedMessage:
-    """A message of which only the stamp and some numbers change.
-
-    ``message`` comes with its constant fields.  ``numbers`` has the memory of the values of each
-    other field, contiguous and of the field's type; a single value is an array of one element.
-    ``stamp`` names a builtin_interfaces/Time.  ValueError if the middleware does not read the
-    message back as it is, or memory does not fit a field.
-    """
+    """A message of which only the stamp and some ``numbers``, by contiguous memory, change."""
 
     def __init__(
         self, message: Any, numbers: Mapping[str, np.ndarray], stamp: str = 'header.stamp'

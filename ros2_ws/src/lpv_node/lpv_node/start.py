@@ -15,12 +15,7 @@ from lpv.core.support.threads import one_thread
 
 
 def start(module: str, node: str, argv: Sequence[str] | None = None) -> None:
-    """Run a node, a class of a module, and leave with its exit code.
-
-    Told to stop during the imports, the process leaves with code 0 and without a traceback.  What
-    is told twice stays told: at the end of the process further signals are ignored, where the
-    interpreter would die of them.
-    """
+    """Run a node, a class of a module, and leave with its exit code: 0 if told to stop."""
     stop = StopRequest()
     one_thread()
     note = threading.Timer(QUIET, print, [f'{module} is loading ...'], {'flush': True})

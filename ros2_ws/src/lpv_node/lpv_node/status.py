@@ -12,8 +12,7 @@ OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.E
 
 
 def diagnostics(stamp: int, found: Iterable[Mapping[str, Any]]) -> DiagnosticArray:
-    """A diagnostic_msgs/DiagnosticArray with a stamp [ns]: fields of each status, its values by
-    key."""
+    """DiagnosticArray with a stamp [ns] of the fields of each status, its values by key."""
     array = DiagnosticArray()
     for fields in found:
         pairs = [KeyValue(key=key, value=str(value)) for key, value in fields['values'].items()]
@@ -24,11 +23,7 @@ def diagnostics(stamp: int, found: Iterable[Mapping[str, Any]]) -> DiagnosticArr
 
 
 class StatusReporter:
-    """Publishes a status when it changes, and every second of its clock.
-
-    ``part`` is what the status is of, behind the node's name; ``hardware_id`` is the arm's name.
-    ``publisher``, of /diagnostics, is an output of the node.
-    """
+    """Publishes the status of a part of a node when it changes, and every second of its clock."""
 
     def __init__(self, node: Node, part: str, hardware_id: str) -> None:
         self.publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
@@ -39,10 +34,7 @@ class StatusReporter:
     def report(
         self, stamp: int, level: bytes, message: str, values: Callable[[], Mapping[str, object]]
     ) -> None:
-        """Report a status as of a stamp [ns] with a level of diagnostic_msgs/DiagnosticStatus.
-
-        ``values`` is called where the status is published.
-        """
+        """Report a status as of a stamp [ns]; ``values`` are asked for if it is published."""
         if self._last == (level, message) and self._due - NANOSECONDS <= stamp < self._due:
             return
         self._last, self._due = (level, message), stamp + NANOSECONDS

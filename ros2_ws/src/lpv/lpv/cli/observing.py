@@ -85,8 +85,7 @@ def _gains_of(arguments: argparse.Namespace, arm: ArmParameters, console: Consol
 
 
 def diagnosis_parameters(path: str | None) -> tuple[DiagnosisParameters, dict[str, Any]]:
-    """Tuning of the diagnosis in a parameter file of the node, and what it gives of ``max_gap`` and
-    ``initial_samples``."""
+    """Tuning in a parameter file of the node; its ``max_gap``, ``initial_samples`` if given."""
     if not path:
         return DiagnosisParameters(), {}
     try:

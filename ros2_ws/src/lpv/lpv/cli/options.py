@@ -1,7 +1,4 @@
-"""The commands of ``lpv``: what they are for, where they are, and their options.
-
-Their modules are imported when they run: help must not wait.
-"""
+"""The commands of ``lpv`` and their options; no command's module is imported for its help."""
 
 from typing import NamedTuple
 

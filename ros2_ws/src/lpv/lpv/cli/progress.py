@@ -22,10 +22,7 @@ _bars = 0
 
 @contextmanager
 def announced(text: str) -> Iterator[None]:
-    """Say what a command does if it takes long, and then that it goes on.
-
-    On a terminal that is one line that moves; elsewhere lines on the standard error.
-    """
+    """Say what a command does if it takes long, and then that it goes on."""
     done = threading.Event()
     thread = threading.Thread(target=_announce, args=(text, done), daemon=True)
     thread.start()
@@ -67,10 +64,7 @@ def _stop_spinner() -> None:
 def bar(
     console: 'Console', name: str, total: float, done: float = 0, unit: str = ''
 ) -> Iterator[Callable[..., None]]:
-    """Bar of a work; yields a function that sets what is done and the note behind it.
-
-    Of a work that is counted, what is finished is kept when it is interrupted.
-    """
+    """Bar of a work; yields a function that sets what is done and the note behind it."""
     global _bars
     from rich import progress as rich
 

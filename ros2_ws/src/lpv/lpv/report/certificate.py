@@ -138,13 +138,7 @@ def beside_bag(bag: str | Path, name: str) -> Path | None:
 def find_arm_and_gains(
     bag: str | Path, arm: str | None = None, gains: str | None = None
 ) -> tuple[SerialArm, Path | None, str]:
-    """Arm and gains file of a recorded run, and where the gains come from, for the reader.
-
-    Without a name or file of the arm: the arm of the gains, else the shipped one that the recorded
-    messages name.  Without gains: the file in the bag, else the shipped gains of the arm.
-    ConfigError if a given file is none, or the arm is not known; BagError if the bag cannot be
-    read.
-    """
+    """Arm and gains as given, else of the bag, else shipped; where the gains come from."""
     if not Path(bag).exists():
         raise BagError(f'{bag}: there is no such bag')
     file = bringup_file('gains', gains) if gains else beside_bag(bag, GAINS_NAME)

@@ -143,8 +143,7 @@ def load_pair(bag: str | Path, other: str | Path, arm: SerialArm) -> tuple[RunRe
 def compare_runs(
     first: RunRecord, second: RunRecord, arm: SerialArm, tolerances: Tolerances | None = None
 ) -> Comparison:
-    """Compare the answers of two runs of one recording; LpvError if they have no sample in
-    common."""
+    """Compare the answers of two runs of one recording; LpvError without a sample in common."""
     tolerances = tolerances or Tolerances()
     stamps = [_answer_stamps(record) for record in (first, second)]
     common = np.intersect1d(stamps[0], stamps[1])

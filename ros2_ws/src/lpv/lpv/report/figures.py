@@ -1,8 +1,4 @@
-"""Figures of a run, most of them counterparts of the paper's figures 4 to 8.
-
-Each joint or sensor has one colour throughout; wide pale lines are the truth or the reference,
-thin lines what is measured or estimated.  A state of a sensor has one colour, too.
-"""
+"""Figures of a run, most of them counterparts of the paper's figures 4 to 8."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -161,10 +157,7 @@ def timeline(run: 'Run') -> Figure | None:
 
 
 def path(run: 'Run') -> Figure:
-    """Fig. 4: the tip's path by reference, truth or estimate, and measurement; seen from the side.
-
-    Arms that leave the plane are seen from above, too.
-    """
+    """Fig. 4: the tip's path, seen from the side, and from above if it leaves the plane."""
     record, other = run.record, 'state_estimate'
     actual = 'ground_truth' if 'ground_truth' in record.streams else other
     tips = {s: _tips(run, s) for s in ('joint_states', 'reference', actual)}
@@ -321,10 +314,7 @@ def torques(run: 'Run') -> Figure | None:
 
 
 def draw_region(found: 'Guarantee', arm: 'ArmParameters', file: str | Path) -> None:
-    """Write a map of the smallest lasting fault that is always detected at rest, a panel a sensor.
-
-    Hatched where gravity does not limit the error, so that only changes of a fault are seen.
-    """
+    """Map of the smallest fault that is always detected at rest; hatched: gravity sets no limit."""
     degrees, levels = np.degrees(found.deviation), (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
     colors = LinearSegmentedColormap.from_list('', ['#e8f1f8', '#9fcbe6', '#4a94c4', '#0b4a75'])
     look: dict[str, Any] = {'cmap': colors, 'norm': LogNorm(levels[0], 3.0), 'shading': 'nearest'}

@@ -97,11 +97,7 @@ def true_faults(record: RunRecord) -> list[Interval] | None:
 
 
 def episodes(record: RunRecord) -> list[Episode]:
-    """Alarms of a run, in the order in which they were raised.
-
-    An alarm whose start is not in the bag (an event that clears or updates it is) is taken from
-    that event.
-    """
+    """Alarms of a run, in the order in which they were raised."""
     faults = true_faults(record)
     found: list[Episode] = []
     running: dict[int, int] = {}  # place of the episode of each sensor
@@ -132,10 +128,7 @@ def _start(record: RunRecord, event: RecordedAlarm, faults: list[Interval] | Non
 
 
 def _with_estimates(record: RunRecord, episode: Episode) -> Episode:
-    """With the largest estimate of the alarm and, of an active one, the present estimate.
-
-    Events carry the estimate at the event: what a fault is later is in the stream alone.
-    """
+    """With the largest estimate of the alarm and, of an active one, the present estimate."""
     estimate, bound = (record.get('fault_estimate', name) for name in ('estimate', 'bound'))
     i = episode.sensor_index
     if estimate is None or bound is None or not 0 <= i < estimate.shape[1]:
@@ -188,11 +181,7 @@ class Phase:
 def phases(
     record: RunRecord, arm: SerialArm, reports: Mapping[str, Sequence[NodeReport]]
 ) -> list[Phase]:
-    """All such intervals of a run, in the order of their beginnings.
-
-    ``reports`` is what the nodes said on /diagnostics, of the observer, the tracking and the
-    drives; times that come from there are as exact as these: once a second, and with every alarm.
-    """
+    """All such intervals by beginning, as exact as the nodes' ``reports`` where these say it."""
     observer = reports.get('observer', ())
     unsafe = _while(record, observer, 'a confirmed fault cannot be compensated')
     confused = _united([*_while(record, observer, INCONSISTENT), *_of_alarms(record)])

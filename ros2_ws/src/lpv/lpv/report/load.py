@@ -50,11 +50,7 @@ def load(
     gains: str | Path | None = None,
     source: str = '',
 ) -> Run:
-    """Read all of a bag that a report needs; BagError if it cannot be read.
-
-    Path (with its obstacle) and gains file are those in the bag if none are given; ``source`` says
-    where the gains come from, for the reader.
-    """
+    """Read all that a report needs; path and gains are those of the bag if not given."""
     record = load_run(bag, joint_names=arm.joint_names)
     streams = ('fault_estimate', 'state_estimate', 'torque_command')
     topic = next((record.topics[name] for name in streams if name in record.topics), None)

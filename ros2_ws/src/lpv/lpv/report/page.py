@@ -19,11 +19,7 @@ def css_string(text: str) -> str:
 
 
 def environment(folder: str | Path) -> jinja2.Environment:
-    """Templates of a folder; they escape everything, and refuse names that are not given.
-
-    They can include ``style.css`` of all reports, too, which needs ``title`` and ``tiles``: the
-    list of figures in the row of tiles on top.
-    """
+    """Templates of a folder and all reports' ``style.css``; unknown names are refused."""
     found = jinja2.Environment(
         autoescape=True,
         trim_blocks=True,

@@ -62,10 +62,7 @@ class Row:
 
 
 def make_table(record: RunRecord, arm: SerialArm) -> list[Row]:
-    """MISE against ground truth, or the size of fault estimates where there is none.
-
-    By joint and sensor; of the paper's arm the rows of its Table 2, in absolute angles.
-    """
+    """MISE against ground truth, as Table 2 for the paper's arm, or sizes of estimates."""
     if not {'ground_truth', 'state_estimate'} <= set(record.streams):
         return _sizes(record)
     is_paper, rows = is_paper_arm(arm), []

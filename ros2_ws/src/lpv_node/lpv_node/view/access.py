@@ -15,17 +15,11 @@ _SHORTEST_TOKEN = 16
 
 
 class Access:
-    """Decides on requests by their headers, and on commands by their token.
+    """Decides on requests by their headers, and on commands by their token."""
 
-    A page of another site that the operator happens to have open can make the browser send
-    requests here: its ``Origin`` gives it away.  With DNS rebinding the other site's own name
-    points here; then ``Host`` is that name.  Addresses cannot be rebound, so they are accepted.
-
-    ``address`` is where the server listens; ConfigError if it is no address.  ``token`` is asked
-    for before commands; empty: none on the loopback address, a random one elsewhere.  The server
-    may be called by ``hosts`` beside addresses, ``localhost`` and this machine's names.
-    ``origins`` may connect beside the page's own, e.g. ``https://app.foxglove.dev``.
-    """
+    # A page of another site in the operator's browser can send requests here; its ``Origin`` gives
+    # it away.  With DNS rebinding that site's name points here: ``Host`` is that name, and no
+    # address.  Without a token there is none on the loopback address, a random one elsewhere.
 
     def __init__(
         self, address: str, token: str = '', hosts: Iterable[str] = (), origins: Iterable[str] = ()

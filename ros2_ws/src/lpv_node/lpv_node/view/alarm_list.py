@@ -17,10 +17,7 @@ def seconds(nanoseconds: int) -> float:
 
 
 class AlarmList:
-    """Rows of the alarm list; the newest `MAX_FAULTS` are kept.
-
-    ``changed`` says whether rows changed since this flag was last lowered.
-    """
+    """Rows of the newest `MAX_FAULTS` alarms; ``changed`` until that flag is lowered."""
 
     def __init__(self) -> None:
         self._rows: list[Row] = []
@@ -29,11 +26,7 @@ class AlarmList:
         self.changed = False
 
     def rows(self) -> list[Row]:
-        """The alarms, oldest first.
-
-        Their fields are ``id``, ``sensor``, ``kind``, ``onset``, ``detected``, ``ended`` [s] (None
-        while it lasts), ``size`` and ``bound`` as of the event, ``confidence``.
-        """
+        """The alarms, oldest first; times in [s], ``ended`` is None while it lasts."""
         return [dict(row) for row in self._rows]
 
     def add(self, event: Any) -> None:

@@ -29,11 +29,7 @@ class Command:
 
 
 def parse_command(text: str, sensors: Sequence[str]) -> Command:
-    """A client's message, JSON of one object with ``type``, ``id`` and the fields of `Command`.
-
-    Only known fields remain, of the right types, finite and in range; CommandError says what is
-    wrong.
-    """
+    """A client's message, JSON of ``type``, ``id`` and known fields in range; or CommandError."""
     try:
         data = json.loads(text, parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:

@@ -37,12 +37,7 @@ _BAND_SCHEMA = {
 
 
 class FoxgloveBridge:
-    """Foxglove server for viewing: clients can neither publish nor call services.
-
-    ``topics`` has message type and number of messages that a late client still gets, by full topic
-    name; ``band`` is the full name for the topic `BAND`.  The SDK's server listens at ``address``
-    and ``port``; ConfigError where it cannot.
-    """
+    """Foxglove server for viewing: clients can neither publish nor call services."""
 
     def __init__(self, name: str, topics: dict[str, Any], band: str) -> None:
         foxglove = _sdk()

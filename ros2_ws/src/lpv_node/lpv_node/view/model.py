@@ -47,14 +47,7 @@ _CHARTS = {
 
 
 class LiveModel:
-    """Latest messages, a short history and the list of alarms.
-
-    Takes any objects with the fields of the messages, so that it needs no ROS.  Not thread safe:
-    one thread takes messages and makes frames.
-
-    ``services`` says whether each of ``inject``, ``clear`` and ``reset`` is there to be called;
-    ``misfits`` counts messages that were left out, of another number of joints than the arm.
-    """
+    """Latest messages, a short history and the list of alarms, for one thread and without ROS."""
 
     def __init__(self, arm: SerialArm, path: TimedPath | None = None) -> None:
         self._arm, self._path = arm, path
@@ -139,10 +132,7 @@ class LiveModel:
         }
 
     def frame(self, now: float) -> dict[str, Any]:
-        """The present at a steady time [s], for clients; it is also added to the history.
-
-        Values are None where they are not known or not finite.
-        """
+        """The present at a steady time [s], for clients and history; None: not known."""
         state, command = self._latest.get('state_estimate'), self._latest.get('torque_command')
         fault, newest = (
             self._latest.get('fault_estimate'),
@@ -170,10 +160,7 @@ class LiveModel:
         }
 
     def arms(self, now: float) -> dict[str, Any]:
-        """Joint positions [rad], or None, of the arms to draw at a steady time [s].
-
-        The keys are ``true``, ``estimated`` and ``measured``.
-        """
+        """Joint positions [rad], or None, of the arms to draw at a steady time [s]."""
         live = self._live(now)
         found = {
             'true': self._field('ground_truth', 'position', live),

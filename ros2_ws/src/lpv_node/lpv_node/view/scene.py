@@ -33,11 +33,7 @@ class Scene:
         self._width = 0.025 * self._skeleton.reach
 
     def markers(self, arms: dict[str, Any], stamp: int, with_path: bool = False) -> bytes:
-        """The arms as lines with dots on the joints, in a visualization_msgs/MarkerArray.
-
-        ``arms`` has joint positions [rad] by a name of `ARMS`, None for one that is not known;
-        ``stamp`` is in [ns].  ``with_path`` adds path and obstacle.
-        """
+        """MarkerArray of the arms at joint positions [rad] as lines, dots on joints; stamp [ns]."""
         found = []
         for depth, (name, colour) in enumerate(ARMS.items()):
             if (q := arms.get(name)) is None:
@@ -79,10 +75,7 @@ class Scene:
         return marker
 
     def tree(self, arms: dict[str, Any], stamp: int) -> bytes:
-        """Transforms of the true and the estimated arm, in a tf2_msgs/TFMessage.
-
-        Their frames have the names of the arms as prefixes, as those of `lpv.core.export.urdf`.
-        """
+        """TFMessage of the true and the estimated arm, whose names are prefixes of frames."""
         found = []
         for name in ('true', 'estimated'):
             if (q := arms.get(name)) is None or not np.isfinite(q).all():

@@ -59,10 +59,7 @@ def encode(message: dict[str, Any]) -> str:
 
 
 class Client:
-    """One open WebSocket.
-
-    Frames replace each other while the client is slow; other messages wait in a bounded queue.
-    """
+    """One open WebSocket: frames replace each other while it is slow, other messages wait."""
 
     def __init__(self, socket: web.WebSocketResponse) -> None:
         self._socket = socket
@@ -115,14 +112,7 @@ class Client:
 
 
 class ViewServer:
-    """Serves the live view from a thread of its own.
-
-    Methods without ``async`` may be called from any thread and never wait for a client.
-
-    ``submit`` is called in the server's thread with a `Command` and a function ``reply(ok, text)``
-    that may be called once, from any thread; it returns False if it can take no more commands now.
-    More than ``max_clients`` are refused.
-    """
+    """Serves the live view from a thread of its own; no method waits for a client."""
 
     def __init__(
         self,
@@ -144,10 +134,7 @@ class ViewServer:
         self._thread: threading.Thread | None = None
 
     def start(self, sites: Sequence[tuple[Any, ...]]) -> list[int]:
-        """Open ports, ``(application, address, port)``, and serve; port 0 takes a free one.
-
-        Returns the ports; ConfigError if one cannot be had.
-        """
+        """Open sites of ``(application, address, port)``; the ports, or ConfigError."""
         try:
             ports = [self._loop.run_until_complete(self._open(*site)) for site in sites]
         except ConfigError:

@@ -13,11 +13,7 @@ from lpv.core.uio.planar import is_planar, plane_of
 
 
 class Skeleton:
-    """Corners of an arm: base, joints, tip; ``reach`` is the length of the stretched arm [m].
-
-
-    Planar arms are drawn in their plane, others in space.
-    """
+    """Corners of an arm: base, joints, tip; ``reach`` is the length of the stretched arm [m]."""
 
     def __init__(self, arm: SerialArm) -> None:
         self._chain, self._up = compile_chain(arm), rotation_from_rpy(arm.base_orientation)
@@ -38,8 +34,7 @@ class Skeleton:
         return np.asarray(points @ self._up.T)
 
     def drawn(self, points: np.ndarray) -> np.ndarray:
-        """Points of the base frame as they are drawn: forward and up of a planar arm, shape
-        (..., 2), or in space with z up, shape (..., 3) [m]."""
+        """Base-frame points as drawn: forward and up of a planar arm, else x, y, z up [m]."""
         if self._plane is None:
             return self.in_world(points)
         origin, rows = self._plane

@@ -50,12 +50,7 @@ TOPICS = (
 
 
 class Inbox:
-    """Keeps the latest bytes of a topic, and passes some of them on at once.
-
-    Messages of fast topics are not deserialised when they come: most of them are never looked at.
-    ``forward``, if there is one, gets messages at most every ``period`` [s] unless every one
-    counts; ``refuse`` gets the reason for which a message is ignored.
-    """
+    """Keeps the latest bytes of a topic, most never looked at, and passes some on at once."""
 
     def __init__(
         self,

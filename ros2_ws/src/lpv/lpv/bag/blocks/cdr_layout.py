@@ -1,10 +1,4 @@
-"""Where the values of a serialised message are, found once for all messages of the same shape.
-
-CDR has no fixed offsets: strings and sequences come with their lengths.  But a publisher sends the
-same names in every message, so that almost all messages of a topic have the shape of the first
-one.  Whether a message has it is seen from its size and from the bytes of strings and lengths;
-then every number is at a known place, and a whole chunk of messages is read at once.
-"""
+"""Where the numbers of messages of one shape are: found once, then thousands are read at once."""
 
 import struct
 from dataclasses import dataclass

@@ -83,10 +83,7 @@ def from_rows(records: np.ndarray) -> Block:
 
 
 def split(content: np.ndarray) -> tuple[Block, list[bytes]]:
-    """Messages among the records of a chunk's content, and its other records as they are.
-
-    ``connection`` of the block holds the numbers of the file's channels.
-    """
+    """Messages of a chunk's content, by the file's channel numbers; its other records as bytes."""
     if len(content) < 9:
         if len(content):
             raise DamageError('a chunk ends within a record')

@@ -35,8 +35,7 @@ class InjectedFault:
 
 
 def judge(faults: Sequence[Fault], result: ReplayResult) -> list[InjectedFault]:
-    """Compare the alarms of a replay with the injected faults, whose onsets count from the first
-    measurement; in the order of the faults."""
+    """What alarms say of faults whose onsets count from the first measurement, in their order."""
     start, found = result.first_stamp or 0, []
     events = [((event.stamp - start) / NANOSECONDS, event) for event in result.events]
     for fault in faults:

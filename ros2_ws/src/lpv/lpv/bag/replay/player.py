@@ -61,11 +61,7 @@ class Player:
         self._context = Context()
 
     def run(self, say: Callable[..., Any] = lambda text: None, rounds: int | None = None) -> int:
-        """Play until the end, ``rounds`` of a loop, or until the context is shut down.
-
-        ``say`` receives lines for the user.  Returns the number of messages; BagError if the bag
-        holds nothing that can be played.
-        """
+        """Play to the end, ``rounds`` of a loop, or until shutdown; the number of messages."""
         with open_bag(self.bag) as reader:
             chosen = self._choose(reader)
             rclpy.init(context=self._context)

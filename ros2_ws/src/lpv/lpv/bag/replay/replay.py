@@ -58,9 +58,7 @@ class ReplayResult:
 
 
 class Replay:
-    """Runs a fresh monitor over a bag: with other ``options`` (or fields of them by name), with
-    injected faults; ``on_event`` takes every alarm event and its time since the first measurement
-    [s]."""
+    """Runs a fresh monitor over a bag; ``on_event`` gets alarms, and times from the start [s]."""
 
     def __init__(
         self,
@@ -75,12 +73,7 @@ class Replay:
         self._on_event = on_event or (lambda event, time: None)
 
     def run(self, bag: str | Path, out: str | Path) -> ReplayResult:
-        """Replay one bag into another, which is created.
-
-        All topics are copied unless the options say otherwise, except earlier answers of the same
-        monitor, which are replaced.  BagError if the bag cannot be read or lacks measurements,
-        ConfigError if the new one cannot be made.
-        """
+        """Replay a bag into a new one; BagError or ConfigError if either cannot be read or made."""
         options = self._options
         with open_bag(bag) as reader:
             result, effort = self._begin(reader)
@@ -113,10 +106,7 @@ class Replay:
         return result
 
     def watch(self, bag: str | Path, take: Callable[..., Any]) -> ReplayResult:
-        """Run over one bag and write nothing; errors as of `run`.
-
-        ``take`` is called block by block with measurements and answers.
-        """
+        """Run over a bag, hand measurements and answers to ``take`` by blocks, write nothing."""
         with open_bag(bag) as reader:
             result, effort = self._begin(reader)
             place = result.topic.rsplit('/', 1)[0]

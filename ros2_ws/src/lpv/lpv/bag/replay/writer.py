@@ -149,10 +149,7 @@ def _block(records: bytes) -> Block:
 
 
 class RecordTemplate:
-    """Records of one message type in which only the header stamp and numbers change.
-
-    All numbers have to be given in every call, or in none: memory is used again.
-    """
+    """Records of a type in which only header stamp and numbers change; memory is used again."""
 
     def __init__(self, typestore: Typestore, message: object, msgtype: str, channel: int) -> None:
         data = padded_cdr(typestore, message, msgtype)

@@ -54,10 +54,7 @@ def decode(deserialize: Callable[[bytes, str], Any], data: bytes, msgtype: str) 
 
 
 def add_type(typestore: Typestore, msgtype: str) -> None:
-    """Make a type known to a typestore, with the types that it uses.
-
-    Raises ConfigError if a definition is not installed.
-    """
+    """Make a type and those it uses known to a typestore; ConfigError if one is not installed."""
     if msgtype not in typestore.fielddefs:
         found = get_types_from_msg(message_text(msgtype), msgtype)
         typestore.register(found)

@@ -72,10 +72,7 @@ class BagMessages:
 def write_joint_states(
     writer: BagWriter, topic: str, names: Iterable[str], samples: Iterable[tuple[Any, ...]]
 ) -> int:
-    """Write measurements on a topic that is new to a bag; how many.
-
-    Each is a stamp [ns], then positions, rates and efforts of the joints.
-    """
+    """Write stamps [ns], positions, rates and efforts on a new topic; how many messages."""
     writer.add_topic(topic, 'sensor_msgs/msg/JointState', [qos_profile(True, False, 10)])
     messages, joints, count = BagMessages(writer.typestore, 'base_link'), list(names), 0
     for stamp, *values in samples:

@@ -118,10 +118,7 @@ def bag_information(
     counts: Mapping[str, int],
     custom: dict[str, str],
 ) -> dict[str, Any]:
-    """Content of metadata.yaml.
-
-    Of each file name, first and last log time [ns] and number of messages; messages by topic.
-    """
+    """Content of metadata.yaml; of files name, first and last log time [ns], and messages."""
     start = min((first for _, first, _, count in files if count), default=0)
     end = max((last for _, _, last, count in files if count), default=0)
     described = [

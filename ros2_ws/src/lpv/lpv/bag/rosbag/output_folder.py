@@ -23,8 +23,7 @@ def free_path(path: str | Path) -> Path:
 
 
 def read_run_file(path: str | Path, name: str) -> bytes:
-    """Text of a valid gains file (of a serial arm: parameters of its loop) or scenario file, by the
-    name of its copy; for `copy_file`."""
+    """Bytes of a valid gains or scenario file, by the name of its copy; for `copy_file`."""
     if name == SCENARIO_NAME:
         load_scenario(path)
     elif (parameters := serial_parameters(path)) is None:

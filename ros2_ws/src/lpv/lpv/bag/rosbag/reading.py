@@ -1,7 +1,4 @@
-"""Opening of bags by rosbags; the messages of MCAP files are read a chunk at a time.
-
-Of a bag that is damaged or was not finished, a scan finds what is whole.
-"""
+"""Opening of bags by rosbags; of damaged MCAP files, read by chunks, what is whole is found."""
 
 import contextlib
 import functools
@@ -86,9 +83,7 @@ class BagReader:
     def blocks(
         self, connections: Sequence[Connection], start: int | None = None, stop: int | None = None
     ) -> Iterator[Block]:
-        """Messages of some topics in the order of their log times, thousands at once, from the
-        first log time to before the last one [ns]; the blocks hold indices of connections, and are
-        not empty. BagError if the bag is damaged so that it cannot be read on."""
+        """Messages of some topics by log time in [start, stop) [ns], thousands at once."""
         with damage(self.path):
             if self.source is None:
                 last = 2**63 - 1 if stop is None else stop
@@ -151,11 +146,8 @@ class BagReader:
             return decode(method, rawdata, typ)
 
     def check_definition(self, msgtype: str, fields: Iterable[str]) -> None:
-        """BagError if fields of a message type, or its stamp, are not what they are here.
-
-        A definition may have more fields, and arrays of a fixed length where there are sequences
-        now: bags outlive the version that wrote them.
-        """
+        """BagError if fields of a message type, or its stamp, are not what they are here."""
+        # More fields, and arrays of a fixed length for sequences, are those of other versions.
         for name, needed in ((msgtype, fields), *_STAMP):
             there, expected = (
                 dict(types.fielddefs[name][1]) if name in types.fielddefs else {}
@@ -225,13 +217,7 @@ def damage(path: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def open_bag(path: str | Path) -> Iterator[BagReader]:
-    """Open a rosbag2 directory or a single ``.mcap`` or ``.db3`` file; whatever goes wrong in
-    reading is a BagError with a message.
-
-    MCAP bags that were not finished, or are damaged in places, are opened with a warning (logged,
-    and in ``warnings`` of the reader) and read as far as their checksums are right.  Bags without
-    message definitions are read with the standard types and lpv_msgs.
-    """
+    """Open a rosbag2 folder, ``.mcap`` or ``.db3``; what is damaged warns, or is a BagError."""
     path = Path(path)
     if not path.exists():
         raise BagError(f'{path}: there is no such bag')

@@ -45,13 +45,8 @@ class Recovery:
 
 
 def recover(path: str | Path, out: str | Path | None = None, preset: str = 'zstd_fast') -> Recovery:
-    """Write what can be read of an MCAP bag into a new one, or examine it only.
-
-    A chunk whose checksum is wrong is left out as a whole: one of its messages is wrong, and there
-    is no telling which.  Of a file without a whole index, what comes before the first byte that
-    makes no sense is kept.  BagError if nothing can be read, ConfigError or OSError if the new bag
-    cannot be written.
-    """
+    """Write what can be read of an MCAP bag into a new one, or examine it only."""
+    # Of a chunk whose checksum is wrong nobody knows which message is wrong: it is left out.
     path, result, found = Path(path), Recovery(), Counter[str]()
     with contextlib.ExitStack() as stack:
         reader = stack.enter_context(open_bag(path))

@@ -46,10 +46,7 @@ PRESETS = {
 
 
 class _Output:
-    """A file that takes what is written as a whole or not at all.
-
-    Half a record, of a disk that gets full, would hide the records after it.
-    """
+    """A file that takes whole writes or nothing: half a record would hide those after it."""
 
     def __init__(self, path: Path) -> None:
         self.file = open(path, 'xb', buffering=0)  # noqa: SIM115
@@ -95,10 +92,7 @@ class _Content(NamedTuple):
 
 
 class _File(Writer):
-    """One file by the writer of the mcap package, which takes whole chunks as well.
-
-    A call for each message would take a minute for an hour of answers.
-    """
+    """One file by mcap's writer, which takes whole chunks, too: a call a message is far slower."""
 
     def __init__(self, path: Path, preset: str) -> None:
         compression, size = PRESETS[preset]
@@ -155,24 +149,16 @@ class _File(Writer):
 
 
 class BagWriter:
-    """A bag that is written topic by topic; ConfigError if it exists already or cannot be made, or
-    at the end of a ``with`` if it is not whole.
-
-    ``preset`` is the compression, a key of `PRESETS`.  A new file is begun at ``split_size``
-    [bytes] or after ``split_time`` of log times [ns]; a chunk is cut when log times enter the next
-    multiple of ``chunk_time`` [ns]; 0 is never.  What a chunk holds then depends on the messages
-    alone, not on when they came.  ``fsync`` waits after each chunk until it is on the disk;
-    ``custom_data`` is stored in metadata.yaml.
-    """
+    """A bag written topic by topic; ConfigError if it exists, or is not whole after a ``with``."""
 
     def __init__(
         self,
         path: str | Path,
-        preset: str = 'none',
-        split_size: int = 0,
-        split_time: int = 0,
-        chunk_time: int = 0,
-        fsync: bool = False,
+        preset: str = 'none',  # of `PRESETS`
+        split_size: int = 0,  # of a file [bytes]; 0: not limited
+        split_time: int = 0,  # of a file by log times [ns]
+        chunk_time: int = 0,  # chunks end at its multiples: they depend on messages alone [ns]
+        fsync: bool = False,  # wait after each chunk until it is on the disk
         custom_data: dict[str, str] | None = None,
     ) -> None:
         self.path, self._preset, self._fsync = Path(path), preset, fsync
@@ -255,10 +241,7 @@ class BagWriter:
         return self._file.channels[topic]
 
     def without_garbage(self, msgtype: str, data: bytes) -> bytes:
-        """A serialised message with zeros between its fields.
-
-        What is there has no meaning, and some serialisers leave there what was in memory.
-        """
+        """A serialised message with zeros between fields, where some leave old memory."""
         if len(data) < 4 or not data[1] & 1:
             return data
         try:
@@ -275,10 +258,7 @@ class BagWriter:
     def write_raw(
         self, topic: str, timestamp: int, data: bytes, publish_time: int | None = None
     ) -> None:
-        """Write a serialised message; OSError if the disk does not take it.
-
-        Its log time [ns], CDR, and when it was published [ns], the log time if not given.
-        """
+        """Write CDR with log and publication time [ns]; OSError if the disk does not take it."""
         published = timestamp if publish_time is None else publish_time
         with self._noting():
             self._advance(timestamp)
@@ -301,11 +281,7 @@ class BagWriter:
             self._begin_file()
 
     def write_chunk(self, *parts: Block | np.ndarray) -> None:
-        """Write thousands of messages as one chunk.
-
-        Blocks hold their messages alone, with numbers of channels as connections; arrays are
-        records, as of `lpv.bag.replay.writer.RecordTemplate`.
-        """
+        """Write a chunk of blocks by numbers of channels, or of a replay's `RecordTemplate`."""
         blocks = [p if isinstance(p, Block) else from_rows(p) for p in parts if len(p)]
         with self._noting():
             if blocks:
@@ -374,10 +350,7 @@ class BagWriter:
         return bag_information(entries, list(self._topics.values()), counts, self._custom)
 
     def close(self, known: Known | None = None) -> str:
-        """Finish file and metadata, with what is known of the recording; may be called again.
-
-        Returns '', or what could not be written: the files then end as after a crash.
-        """
+        """Finish files and metadata; '', or what could not be written; may be called again."""
         if self._closed:
             return ''
         if known:

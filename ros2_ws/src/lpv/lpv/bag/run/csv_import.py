@@ -41,11 +41,7 @@ class ColumnMap:
 
 
 def load_column_map(path: str | Path) -> ColumnMap:
-    """Read a column map; ConfigError names the offending field.
-
-    A YAML file with ``time`` (``column``, ``unit``, ``start`` or ``keep``), ``angle_unit`` and
-    ``joints`` (``position``, ``velocity`` and optionally ``effort`` of each).
-    """
+    """Read a column map from a YAML file; ConfigError names the offending field."""
     data = read_yaml(path)
     top = Section(data, str(path))
     time = top.section('time')
@@ -78,13 +74,8 @@ def import_csv(
     topic: str = '/joint_states',
     delimiter: str = ',',
 ) -> tuple[int, list[str]]:
-    """Write a bag of sensor_msgs/JointState from a CSV file with a header line; number of messages,
-    and warnings.
-
-    Empty cells become NaN: the observer has modes for missing values, and nothing recorded is
-    left out.  Without any effort column the messages carry no effort.  CsvError if a column is
-    missing or a cell is no number, ConfigError if the bag cannot be made.
-    """
+    """Write a bag of JointState from a CSV file, else CsvError; messages, and warnings."""
+    # Empty cells become NaN: the observer has modes for missing values.
     warnings = list[str]()
     try:
         samples = _samples(Path(source), columns, delimiter, warnings)

@@ -23,11 +23,7 @@ Table = tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]
 
 
 class Decoder:
-    """Decodes messages of one type: columns of the numbers at some paths, as ``points.0.effort``.
-
-    ``choose`` gives the columns for all messages of one shape from the first of them; it raises
-    SampleError for those that cannot be used, which are left out and counted by its text.
-    """
+    """Decodes numbers at some paths; ``choose`` gives a shape's columns or raises SampleError."""
 
     def __init__(
         self,

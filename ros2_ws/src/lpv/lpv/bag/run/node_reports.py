@@ -21,10 +21,7 @@ class NodeReport:
 
 
 def node_reports(path: str | Path, namespace: str) -> dict[str, list[NodeReport]]:
-    """Reports of the nodes in one namespace, e.g. ``/lpv``, in the order of their stamps.
-
-    By what they are of: ``observer``, ``tracking``, ``drives``.
-    """
+    """Reports of one namespace's nodes by stamp, of ``observer``, ``tracking`` and ``drives``."""
     found: dict[str, list[NodeReport]] = {}
     with open_bag(path) as reader:
         connections = [c for c in reader.connections if c.msgtype == _TYPE]

@@ -50,15 +50,11 @@ def find_topic(
 def find_connections(
     reader: BagReader,
     msgtype: str,
-    name: str,
-    wanted: str | None = None,
-    namespace: str | None = None,
+    name: str,  # end of the topic that is preferred
+    wanted: str | None = None,  # topic that the user gives
+    namespace: str | None = None,  # directly below which topics are
 ) -> list[Connection]:
-    """All connections of the one topic that carries a stream; BagError if several topics do.
-
-    Of several topics of the type the one is preferred whose name ends with ``name``; ``wanted`` is
-    a topic given by the user, and ``namespace`` takes only topics directly below it.
-    """
+    """All connections of the one topic that carries a stream; BagError if several topics do."""
     found = [c for c in reader.connections if c.msgtype == msgtype]
     if namespace is not None:
         parent = '/' + namespace.strip('/')
@@ -81,17 +77,11 @@ def find_connections(
 
 def load_run(
     path: str | Path,
-    namespace: str | None = None,
-    joint_names: Sequence[str] | None = None,
-    answers_only: bool = False,
+    namespace: str | None = None,  # of the arm, in a bag with several
+    joint_names: Sequence[str] | None = None,  # and their order; those of the first message if None
+    answers_only: bool = False,  # the bag may lack measurements
 ) -> RunRecord:
-    """Read a run from a rosbag2 directory or a single storage file.
-
-    ``namespace`` is that of the arm, in a bag with several.  ``joint_names`` are taken from
-    joint_states in this order; those of the first message if not given.  With ``answers_only`` the
-    bag may lack measurements.  BagError if the bag is unreadable, lacks measurements or one of the
-    joints, or holds more than one arm.
-    """
+    """Read a run; BagError if it lacks measurements or a joint, or holds several arms."""
     with open_bag(path) as reader:
         if not answers_only:
             find_topic(reader, STREAMS['joint_states'][0], 'joint_states', namespace=namespace)
@@ -126,10 +116,7 @@ class _Stream:
         self.decoder = Decoder(reader, msgtype, self.fields, choose)
 
     def _of_joints(self, message: Any) -> Columns:
-        """Drivers sort joints as they like, and have more.
-
-        A message of other joints only (a gripper's, on the same topic) is not about this arm.
-        """
+        """Drivers sort joints as they like; messages of others only (a gripper's) do not count."""
         names = list(message.name)
         self.joints = self.joints or tuple(names)
         for name in self.joints:

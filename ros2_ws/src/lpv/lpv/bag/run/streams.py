@@ -39,11 +39,7 @@ class RecordedAlarm(Alarm):
 
 @dataclass
 class RunRecord:
-    """One run.
-
-    Rows of a stream are in the order of their header stamps; of several messages with the same
-    stamp the last one counts.
-    """
+    """One run; streams are in the order of stamps, of which the last message counts."""
 
     # header stamps by stream name of `STREAMS`, increasing; absent streams are missing [ns]
     stamps: dict[str, np.ndarray] = field(default_factory=dict)
@@ -61,10 +57,7 @@ class RunRecord:
         return self.streams[stream][name] if stream in self.streams else None
 
     def aligned(self, stream: str, name: str) -> np.ndarray | None:
-        """Field of a stream on the stamps of joint_states; None if the stream is absent.
-
-        Rows are NaN where the stream has no message with that stamp.
-        """
+        """Field of a stream on the stamps of joint_states, else NaN; None without the stream."""
         values = self.get(stream, name)
         if values is None:
             return None

@@ -34,8 +34,7 @@ def archive_text(
     options: ReplayOptions | None = None,
     **sampling: Any,
 ) -> str:
-    """Text of an `Archive`: its folder, the arm of all bags, what observes them; ``sampling`` as of
-    `SerialSensorMonitor`."""
+    """Text of an `Archive`; ``sampling`` as of `SerialSensorMonitor`."""
     content = {
         'root': str(Path(root).resolve()),
         'arm': to_mapping(arm),
@@ -120,13 +119,7 @@ def _line(text: str) -> str:
 
 
 def find_bags(root: str | Path, leave_out: Sequence[Path] = ()) -> dict[str, list[str]]:
-    """All rosbag2 bags below a folder, as the chunks of a campaign: path of each relative to it, by
-    a hash of names, sizes and times of its files.
-
-    A folder with storage files and a metadata.yaml is one bag, and so is one without metadata
-    whose MCAP files have its name, as an unfinished recording leaves it; other storage files are
-    bags of their own.  Hidden folders and links to folders are left out.
-    """
+    """All bags below a folder, as chunks of a campaign: relative path by a hash of its files."""
     root = Path(root)
     if not root.is_dir():
         raise ConfigError('DIR', 'is not a folder', str(root))
@@ -146,6 +139,7 @@ def find_bags(root: str | Path, leave_out: Sequence[Path] = ()) -> dict[str, lis
 
 def _bags_in(folder: Path, files: list[str]) -> list[tuple[Path, list[Path]]]:
     """Bags of one folder, each with the files that make it."""
+    # An unfinished recording leaves MCAP files with the folder's name, and no metadata.
     storage = [folder / name for name in files if Path(name).suffix in _STORAGE]
     if _METADATA in files and (storage or _is_metadata(folder)):
         return [(folder, [folder / _METADATA, *storage])]
@@ -178,8 +172,7 @@ def _fingerprint(name: str, paths: Iterable[Path]) -> str:
 
 
 def unit_of(root: Path, name: str) -> str:
-    """Which arm of the fleet a bag is of: ``serial`` or ``unit`` of its custom data; otherwise its
-    first folder, or '' at the top."""
+    """Which arm a bag is of: ``serial`` or ``unit`` of its custom data, or its first folder."""
     custom: Any = {}
     with contextlib.suppress(LpvError, OSError, KeyError, TypeError):
         data = read_yaml(root / name / _METADATA)

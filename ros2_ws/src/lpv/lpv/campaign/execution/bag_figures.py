@@ -25,11 +25,7 @@ _STALE = int(SensorState.STALE)
 
 
 class BagFigures:
-    """Sums over the answers to one bag's measurements, in bounded memory.
-
-    A sample counts for the time until the next one, at most ``max_gap`` [s]: what was not recorded
-    was not observed.
-    """
+    """Sums over a bag's answers; a sample counts until the next one, at most ``max_gap`` [s]."""
 
     def __init__(self, arm: Any, max_gap: float) -> None:
         self._arm, self._max_gap, self.warnings = arm, max_gap, list[str]()
@@ -160,8 +156,7 @@ class BagFigures:
         return found
 
     def _faults(self, run: Any, scenario: Path) -> tuple[Sequence[Fault], int]:
-        """Faults of the scenario in the bag's folder, and its seed; where there is none, of kind
-        ``unknown``, what the truth shows of a sensor from its first faulty sample to the last."""
+        """Faults and seed of the scenario in the bag, or faults ``unknown`` by the truth."""
         names = self._arm.sensor_names
         try:
             stored = load_scenario(scenario)
@@ -183,8 +178,7 @@ class BagFigures:
 def _held(
     known: np.ndarray, table: dict[str, np.ndarray], stamps: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Values at other stamps: what is not said again stays as it was; before the first one the
-    drives brake, and all else is zero or the first value."""
+    """Values held at other stamps; before the first, the drives brake, all else is zero."""
     last = np.searchsorted(known, stamps, side='right') - 1
     held = {name: array[np.maximum(last, 0)] for name, array in table.items()}
     for name, values in held.items():
@@ -194,8 +188,7 @@ def _held(
 
 
 def alarm_rows(events: Sequence[Alarm], start: int) -> list[dict[str, Any]]:
-    """Alarms of a bag by sensor and last said kind: ``count``, and of the first one ``onset`` and
-    ``detected`` [s], ``size`` and ``bound`` [rad]."""
+    """Alarms by sensor and last said kind: number, and onset [s], size [rad] of the first."""
     raised: list[tuple[Alarm, str]] = []
     for event in events:
         if event.event == AlarmEvent.RAISED:

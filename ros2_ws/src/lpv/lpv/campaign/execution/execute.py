@@ -69,13 +69,7 @@ def chunks_of(campaign: Campaign, size: int = CHUNK) -> dict[str, list[int]]:
 def worker_pool(
     workers: int | None = None, scheduler: str | None = None
 ) -> Iterator[Callable[[Work, dict[str, list[Any]]], Iterator[tuple[str, list[dict[str, Any]]]]]]:
-    """Workers that serve one campaign after another: processes on this machine (0: none, all in
-    this process; by default as many as there are cores), or those of a Dask scheduler.
-
-    Yields a function that takes a campaign and its chunks by name, and yields name and rows of each
-    as they are done; the rows are the same whoever computes them.  WorkerError if a worker runs
-    other software, or workers die of the same chunk again and again.
-    """
+    """Workers here (0: this process) or of Dask, as a function from chunks to their rows."""
     if scheduler is None and workers == 0:
         yield _here
         return
@@ -168,8 +162,7 @@ class ResultsFolder:
         self.file, self._chunks = self.path / f'{name}.parquet', self.path / 'chunks'
 
     def begin(self, work: Work) -> None:
-        """Keep what is run, so that it can be resumed after a crash; ConfigError if something else
-        was begun here."""
+        """Keep what is run, to resume it; ConfigError if something else was begun here."""
         begun = self.load()
         if begun is not None and begun.key != work.key:
             raise ConfigError(

@@ -19,9 +19,7 @@ _EARLY = 0.1
 
 
 def figures(plan: Any, run: Any, twin: Any = None) -> dict[str, Any]:
-    """Figures of one run, and of its healthy twin if there is one; NaN where there is nothing to be
-    measured. Names, meaning and units are in docs/scenario-file.md; ``arm`` and ``scenario``
-    of the plan are used."""
+    """Figures of a run and its healthy twin, see docs/scenario-file.md; NaN: none to measure."""
     scheduled = plan.scenario.faults
     faults = [f for f in scheduled if f.kind != 'rate_bias']
     begin, end = _interval(plan.scenario)

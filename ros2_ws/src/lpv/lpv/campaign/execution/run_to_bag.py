@@ -44,12 +44,7 @@ def stamps_of(run: Run) -> np.ndarray:
 
 
 def write_run_bag(plan: RunPlan, run: Run, out: str | Path) -> None:
-    """Write a run as a bag, with the files that repeat it.
-
-    Measurements, commands, references and truth come from the run; the answers of observer and
-    diagnosis from a replay of these measurements, which must give what the run had: else LpvError.
-    ConfigError if the bag exists already or cannot be made.
-    """
+    """Write a run as a bag, with files that repeat it; LpvError if a replay answers otherwise."""
     out = Path(out)
     if out.exists():
         raise ConfigError('--bag', 'exists already: name a new folder', str(out))

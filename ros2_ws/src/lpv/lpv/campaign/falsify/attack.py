@@ -98,13 +98,7 @@ class Finding:
 
 
 class Attacker:
-    """Healthy runs of one arm, of some length [s], against its own thresholds.
-
-    ``arm`` is what a healthy arm may be; its file states the ranges, and ConfigError says that it
-    does not.  ``monitored`` is what the monitor is told, by default the same.  A
-    candidate has so many ``numbers``, each in [-1, 1]; ``samples``, shape (N, 3, n), are positions,
-    rates and efforts of the last run.
-    """
+    """Healthy runs of one arm, of some length [s], against the thresholds of ``monitored``."""
 
     def __init__(
         self, arm: SerialArm, duration: float, gains: Gains | None = None, monitored: Any = None

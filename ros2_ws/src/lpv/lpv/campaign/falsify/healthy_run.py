@@ -75,18 +75,12 @@ def simulate(
     true_arm: Chain,
     course: Course,
     sensing: Sensing,
-    substeps: tuple[float, int],
-    noise: np.random.Generator,
-    scratch: tuple[FloatArray, FloatArray, FloatArray],
-    samples: FloatArray,
+    substeps: tuple[float, int],  # step [s] and number of steps of integration a sample
+    noise: np.random.Generator,  # of sensors and disturbance
+    scratch: tuple[FloatArray, FloatArray, FloatArray],  # two of `plant_step`, and a workspace
+    samples: FloatArray,  # joint positions, rates and efforts as measured
 ) -> bool:
-    """Fill the samples of a run; False if the mass matrix was not positive definite.
-
-    The loop that moves the true arm knows it.  ``substeps`` are step [s] and number of steps of
-    integration a sample, ``noise`` is that of sensors and disturbance, ``scratch`` as of
-    `plant_step` and a workspace; ``samples``, shape (N, 3, n), become joint positions, rates and
-    efforts as measured.
-    """
+    """Fill samples (N, 3, n) of a run; False if the mass matrix is not positive definite."""
     n = samples.shape[2]
     state, goal, wanted, friction = np.zeros((2, n)), np.zeros((3, n)), np.zeros(n), np.zeros(n)
     torque, applied, gain = np.zeros(n), np.zeros(n), min(20.0, 0.1 / sensing.period)

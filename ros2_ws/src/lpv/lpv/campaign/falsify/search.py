@@ -31,11 +31,7 @@ def search(
     seed: int = 0,
     progress: Callable[[int, Finding], None] | None = None,
 ) -> list[Finding]:
-    """Find the worst attack among so many runs; all of them, the worst first.
-
-    ``progress`` is called with the number of runs and the worst finding whenever there is a worse
-    one.
-    """
+    """Attacks, the worst first; ``progress`` gets the number of runs and each worst one so far."""
     rng, found = np.random.default_rng(seed), list[Finding]()
 
     def ratio(candidate: FloatArray) -> float:

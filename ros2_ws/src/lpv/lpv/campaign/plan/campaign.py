@@ -26,11 +26,7 @@ _OF_GAINS = ('design', 'disturbance')
 def resolve(
     data: dict[str, Any], source: str, folder: str | Path, designed: bool = True
 ) -> Campaign:
-    """Inline all files that a campaign names, relative to a folder, and design its gains.
-
-    Without ``designed``, `Campaign.with_gains` gives these.  LpvError if anything is missing,
-    wrong, or cannot be designed.
-    """
+    """Inline all files that a campaign names, relative to a folder, and design its gains."""
     spec = parse_spec(data, source)
     arm_file = _file('arms', spec.arm, folder)
     arm = load_arm(arm_file)
@@ -82,10 +78,7 @@ def find_gains(name: str, arm: SerialArm, folder: str | Path = '.') -> Gains:
 
 
 class Campaign:
-    """Simulated runs, from one text: JSON, as `resolve` makes it.
-
-    Parsed it is the ``content``: ``spec`` (what varies), ``arm``, ``scenarios``, ``gains``.
-    """
+    """Simulated runs from JSON: ``spec`` (what varies), ``arm``, ``scenarios``, ``gains``."""
 
     def __init__(self, text: str) -> None:
         self.text = text
@@ -99,11 +92,8 @@ class Campaign:
 
     @property
     def key(self) -> str:
-        """Hash of everything that can change a result but the software itself.
-
-        Gains count by what they were designed from: a solver of another version finds others, and
-        a campaign that is resumed keeps those that it started with.
-        """
+        """Hash of everything that can change a result but the software itself."""
+        # Gains count by what they were designed from: another version of the solver finds others.
         fixed = {name: self.content[name] for name in ('spec', 'arm', 'scenarios')}
         return sha256_of({**fixed, 'gains': sorted(self.content['gains'])})
 

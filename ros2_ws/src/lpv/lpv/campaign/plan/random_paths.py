@@ -28,10 +28,7 @@ _POSITION_SHARE, _RATE_SHARE, _TORQUE_SHARE = 0.7, 0.6, 0.7
 
 
 def random_path(arm: SerialArm, rng: np.random.Generator, duration: float) -> dict[str, Any]:
-    """``path`` of a scenario file: a random motion, inside the region of an arm with gains.
-
-    ConfigError if region or limits leave no room for one.
-    """
+    """``path`` of a scenario: a random motion, in the region if any; ConfigError without."""
     if arm.lpv is not None:
         times, points = random_planar_path(arm, rng, duration)
         return {'waypoints': [{'t': t, 'x': x, 'y': y} for t, (x, y) in zip(times, points)]}
@@ -42,11 +39,7 @@ def random_path(arm: SerialArm, rng: np.random.Generator, duration: float) -> di
 def random_planar_path(
     arm: SerialArm, rng: np.random.Generator, duration: float, fastest: float = 2.0
 ) -> tuple[Any, ...]:
-    """Times [s] and points (x, y) [m] of a random path inside the region of an arm.
-
-    It leaves half a second at either end of the run, and stays below a joint rate [rad/s];
-    ConfigError if the arm's ``cos_min`` and ``orientation`` leave no room for one.
-    """
+    """Times [s] and points (x, y) [m] of a path in an arm's region; ConfigError without."""
     _check_duration(duration)
     planar = planar_model(arm)
     joints, least = JointMap(planar), _MARGIN * max(planar.cos_min)
@@ -78,8 +71,7 @@ def random_planar_path(
 def random_joint_path(
     arm: SerialArm, rng: np.random.Generator, duration: float
 ) -> tuple[tuple[float, ...], tuple[tuple[float, ...], ...]]:
-    """Times [s] and joint positions [rad] of a random motion within an arm's limits; ConfigError if
-    they leave no room for one."""
+    """Times [s] and joint positions [rad] within an arm's limits; ConfigError without room."""
     _check_duration(duration)
     careful, low, high = _with_margins(arm)
     steps = max(1, round((duration - 1.0) / float(rng.uniform(*_SEGMENT))))

@@ -79,8 +79,7 @@ class CampaignSpec:
 
 
 def parse_spec(data: dict[str, Any], source: str = 'campaign') -> CampaignSpec:
-    """Build a campaign from the mapping of its file, validated as far as possible without the arm;
-    ConfigError names the offending field."""
+    """Campaign of its file's mapping, validated as far as can be without the arm; ConfigError."""
     top = Section(data, source)
     plan = top.section('plan')
     method = plan.text('method', choices=METHODS)

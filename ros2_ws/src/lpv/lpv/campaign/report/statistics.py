@@ -33,11 +33,7 @@ DOSES = {
 
 
 class Results:
-    """Rows of a campaign, or of a part of it; columns may be missing or empty.
-
-    ``kind`` and ``sensor`` are those of the injected fault, '' where it is not known; ``faulty``
-    says whether there was any.
-    """
+    """Rows of a campaign, or of a part of it; columns may be missing or empty."""
 
     def __init__(self, table: pa.Table, sensors: tuple[str, ...]) -> None:
         self.table, self.sensors, self.count = table, sensors, table.num_rows
@@ -102,11 +98,7 @@ def share(mask: np.ndarray, among: np.ndarray | None = None) -> dict[str, Any]:
 
 
 def poisson_rate(events: float, hours: float) -> dict[str, Any]:
-    """Rate of events with the exact Poisson interval (Garwood) [1/h].
-
-    The rates are None without time; without events ``high`` is the one-sided bound: 3.0 over the
-    time.
-    """
+    """Rate of events [1/h] with Garwood's exact interval, one-sided without events."""
     events, hours = int(events), float(hours)
     result = {'events': events, 'hours': hours, 'rate': None, 'low': None, 'high': None}
     if not hours > 0.0:
@@ -156,10 +148,7 @@ def roc(positive: np.ndarray, negative: np.ndarray) -> dict[str, Any] | None:
 
 
 def trends(results: Results) -> list[dict[str, Any]]:
-    """How fault estimates of each sensor of each arm change from bag to bag, the least probable
-    first: slope of Theil and Sen [rad/d], probability of so much order by chance (Kendall's tau),
-    days until the estimate reaches the mean threshold, and whether the trend is ``clear``: less
-    probable than 5 % over all trends together (Bonferroni)."""
+    """How estimates change from bag to bag: Theil-Sen slope [rad/d], Kendall's probability."""
     units, start = results.text('unit'), results.number('start')
     means, thresholds = results.each('fault_mean'), results.each('threshold_mean')
     found = []

@@ -54,9 +54,7 @@ class CampaignReport(NamedTuple):
 def write_report(
     work: Any, table: pa.Table, folder: str | Path, planned: int, healthy: bool = False
 ) -> CampaignReport:
-    """Write ``report.html`` and ``report.json`` of a campaign of runs or of bags, all or some of
-    those that are planned, into the folder of its results.  With ``healthy`` all alarms of bags
-    without ground truth are false."""
+    """Write ``report.html`` and ``report.json``; ``healthy``: alarms of bags are false."""
     folder = Path(folder)
     numbers = report_numbers(work, table, folder, planned, healthy)
     pictures = draw_all(numbers)
@@ -218,8 +216,7 @@ def _isolation(results: Results) -> dict[str, Any]:
 
 
 def confusion(truth: np.ndarray, said: np.ndarray, order: Sequence[str]) -> dict[str, Any]:
-    """Counts of what was said (``columns``) of what was there (``rows``), and rates with intervals:
-    ``right`` answers among all, and ``right_if_said`` among those that are not none."""
+    """Counts of what was said of what was there; rates of right answers, of all and of said."""
 
     def occurring(values: np.ndarray) -> list[str]:
         return [name for name in order if name in values] + sorted(set(values) - set(order))
@@ -258,8 +255,7 @@ def _roc(results: Results) -> list[dict[str, Any]]:
 
 
 def _estimates(results: Results) -> list[dict[str, Any]]:
-    """RMS error of each sensor's fault estimate and its mean threshold; of bags without truth, the
-    RMS of the estimate itself."""
+    """RMS error of each sensor's estimate, RMS without truth, and mean threshold."""
     truth = np.isfinite(results.each('error_rms')).any()
     values, thresholds = (
         results.each(name)

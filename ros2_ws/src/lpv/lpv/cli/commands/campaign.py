@@ -74,8 +74,7 @@ def execute(
     name: str,
     console: Console,
 ) -> list[dict[str, Any]]:
-    """Do what is missing of a campaign of runs or bags; rows of bags that could not be read, which
-    are tried again the next time."""
+    """Do what is missing of a campaign of runs or bags; rows of bags that could not be read."""
     folder.begin(work)
     missing = folder.missing(chunks)
     total, left = (sum(map(len, part.values())) for part in (chunks, missing))

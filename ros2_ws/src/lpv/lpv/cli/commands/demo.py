@@ -38,10 +38,7 @@ _SILENCE = 900.0
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Design gains where the arm has a region, run the graph, write and show the report.
-
-    Exit code: 0; 1 if a node failed or the design is infeasible.
-    """
+    """Design, run the graph, report; 1 if a node failed or the design is infeasible."""
     require_ros()
     console = Console(soft_wrap=True, highlight=False)
     # Files first, and what needs time only when they are right.
@@ -98,8 +95,7 @@ def _shipped(arm: SerialArm, console: Console) -> Path | None:
 
 
 def _designed(arm: SerialArm, requirement: str, out: Path, console: Console) -> Path | None:
-    """Gains that are designed for a requirement, kept from an earlier run with the same arm,
-    requirement and design; None where there are none."""
+    """Gains designed for a requirement, or kept from an earlier run; None if infeasible."""
     planar, file = planar_model(arm), out / 'gains.yaml'
     key = _design_key(planar, requirement)
     with contextlib.suppress(LpvError, OSError):

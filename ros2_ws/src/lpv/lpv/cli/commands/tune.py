@@ -235,8 +235,8 @@ def _finished(study: optuna.Study) -> list[optuna.trial.FrozenTrial]:
 def _search(
     bench: _Bench, arguments: argparse.Namespace, folder: Path, console: Console
 ) -> optuna.Study:
-    """Trials up to the number wanted; each draws from a generator of its own, so that a study that
-    was killed goes on as if it had not been."""
+    """Trials up to the number wanted."""
+    # Each draws from a generator of its own: a study that was killed goes on as if it had not been.
     key = sha256_of([bench.campaign.key, bench.ranges, bench.weights, bench.content({}),
                      arguments.seed, software()])  # fmt: skip
     storage = f'sqlite:///{folder / "study.db"}'

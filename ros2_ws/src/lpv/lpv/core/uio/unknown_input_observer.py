@@ -127,11 +127,7 @@ def uio_answers(
 
 @njit
 def _tighten(choice: int, state: np.record, parts: UioParts, rows: Any, k: int) -> None:
-    """Replace what is known worse; positions follow q = S^-1 (y - f).
-
-    A reading that has just jumped is carried on by its rate in the horizon's answer, and is taken
-    as measured here.
-    """
+    """Replace what is known worse; positions follow q = S^-1 (y - f), y as measured."""
     estimate, to_sensors, to_joints = state.estimate, parts.to_sensors, parts.to_joints
     for i in range(2):
         if choice == _UIO or state.bound.bound[i] < rows.bound[k, i]:

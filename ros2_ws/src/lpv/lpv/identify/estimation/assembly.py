@@ -46,11 +46,7 @@ def prior_of_all(arm: SerialArm, fit: Fit) -> tuple[np.ndarray, np.ndarray]:
 def consistent_parameters(
     arm: SerialArm, base: BaseParameters, fit: Fit, strength: float
 ) -> np.ndarray:
-    """Physically consistent parameters that fit the data as well as those can.
-
-    As `SerialArm.parameter_vector`, shape (15 n,).  Of ``fit`` the rows are used, not the
-    parameters; ``strength`` is the weight of the prior, which ``arm`` has, against the data.
-    """
+    """Physically consistent `SerialArm.parameter_vector` that fits best, shape (15 n,)."""
     n = len(arm.joints)
     mean, sigma = prior_of_all(arm, fit)
     lower, upper = np.full(len(mean), -np.inf), np.full(len(mean), np.inf)
@@ -82,10 +78,7 @@ def with_parameters(arm: SerialArm, values: np.ndarray, slope: np.ndarray) -> Se
 def covariance_of_all(
     arm: SerialArm, base: BaseParameters, fit: Fit, determined: int
 ) -> ParameterCovariance:
-    """Covariance of all parameters: of the data where they say more than the prior.
-
-    (T^T Sigma^-1 T + Sigma_0^-1)^-1 with the fit's covariance Sigma and the prior's Sigma_0.
-    """
+    """Covariance (T^T Sigma^-1 T + Sigma_0^-1)^-1 of all parameters, of fit and prior."""
     n = len(arm.joints)
     _, sigma = prior_of_all(arm, fit)
     known = np.flatnonzero(np.diag(fit.covariance) > 0.0)

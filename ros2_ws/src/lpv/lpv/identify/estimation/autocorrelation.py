@@ -13,12 +13,7 @@ _RUN = 5  # autocovariances in a row that are noise: here they end
 def score_covariance(
     rows: np.ndarray, gammas: Sequence[np.ndarray], lengths: Sequence[int]
 ) -> np.ndarray:
-    """Covariance of the scores sum_k z_k e_k, sum_kl z_k gamma(k - l) z_l^T.
-
-    ``rows`` are the weighted regressor z, shape (samples, n, parameters), made of stretches of some
-    ``lengths``; ``gammas`` the autocovariances of each joint's weighted residuals from lag 0 on.
-    Joints are independent.
-    """
+    """Covariance of the scores sum_k z_k e_k of stretches: sum_kl z_k gamma(k - l) z_l^T."""
     total = np.zeros((rows.shape[2], rows.shape[2]))
     for j, gamma in enumerate(gammas):
         used = np.flatnonzero(np.any(rows[:, j] != 0.0, axis=0))
@@ -34,13 +29,9 @@ def score_covariance(
 def residual_autocovariances(
     rows: np.ndarray, residual: np.ndarray, inverse: np.ndarray, lengths: Sequence[int]
 ) -> list[np.ndarray]:
-    """Autocovariance of each joint's errors from lag 0 on, from the residuals of a fit.
-
-    A fit takes out of the residuals what regressors can explain, most at the frequencies of the
-    motion.  How much is found by drawing errors with the present autocovariance and fitting them.
-    Weighted ``rows``, shape (samples, n, parameters), and ``residual``, shape (samples, n), are
-    made of stretches of some ``lengths``; ``inverse`` is that of the normal matrix.
-    """
+    """Autocovariance of each joint's errors from lag 0 on, from the residuals of a fit."""
+    # A fit takes out of the residuals what regressors can explain: how much is found by drawing
+    # errors with the present autocovariance and fitting them.
     count, n = residual.shape
     most = max(2, int(0.15 * max(lengths)))
     found = [_ended(autocovariance(_stretches(r, lengths), most), count) for r in residual.T]

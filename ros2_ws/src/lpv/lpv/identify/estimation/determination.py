@@ -40,11 +40,7 @@ class Determination:
 
 
 def determine(base: BaseParameters, fit: Fit, arm: SerialArm) -> Determination:
-    """Compare the uncertainty that data leave, of a fit without a prior, with that of the arm's.
-
-    A base parameter counts as determined if its standard deviation is below half of the prior's, a
-    friction parameter if it is below half of the joint's friction.
-    """
+    """Deviations of a fit's parameters, and which are determined by half of the prior's."""
     names = parameter_names(base, arm.joint_names)
     used = np.diag(fit.normal) > 0.0
     sigma = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))

@@ -20,15 +20,10 @@ _HELD = 0.01  # the same of a joint whose links' torques do not show
 
 
 def estimate_gains(rows: Sequence[Rows], filters: Filters, prior: Prior) -> np.ndarray:
-    """Factors k that turn efforts into torques, shape (n,) [N m per unit].
-
-    Links couple the joints, which fixes the gains' ratios: Gauss-Newton on i = (1/k) tau(phi),
-    whose errors are those of the currents.  Their common scale is not in the data.  It is that at
-    which the torques of the links found are as large as those of the masses given; left to the
-    prior of the parameters, it would shrink with every deviation from them, down to nothing.  A
-    tool of known mass corrects it (`rescaled`).  A gain is negative where a driver counts the
-    other way.
-    """
+    """Factors k that turn efforts into torques, of either sign, shape (n,) [N m per unit]."""
+    # Links couple the joints, which fixes ratios: Gauss-Newton on i = (1/k) tau(phi), errors being
+    # those of currents.  The common scale is not in the data: it is that at which torques of links
+    # are as large as those of the masses given; a prior alone would shrink it down to nothing.
     n = rows[0].effort.shape[1]
     start, seen = _start(rows, prior)
     gains, held = start, np.where(seen, _WIDTH, _HELD) ** -2

@@ -55,13 +55,7 @@ def identify(
     tests: Sequence[Recording] = (),
     report: Callable[[str], None] = lambda step: None,
 ) -> Identification:
-    """Identify an arm from recordings.
-
-    ``arm`` gives kinematics, a first guess of the inertias, limits and gains of the efforts.  The
-    last part of each recording is held back to test on, unless ``tests`` has others.  ``report`` is
-    called at each of `STEPS` steps with what is done next.  IdentificationError if the recordings
-    cannot identify the arm.
-    """
+    """Identify an arm, with rough inertias, from recordings; IdentificationError."""
     options = options or Options()
     report('preparing the motion')
     workshop = Workshop(arm, recordings)

@@ -53,11 +53,7 @@ class _Setup:
 
 
 def find_mistakes(arm: SerialArm, recordings: Sequence[Recording]) -> list[Mistake]:
-    """Name what is likely wrong in a set-up, most evident first.
-
-    Recordings are of healthy motion; masses of the arm may be rough.  The list is empty if the data
-    fit what the arm file says, or do not tell.
-    """
+    """What is likely wrong in a set-up by healthy motion, most evident first; none if it fits."""
     slow = _slow(arm, [s for one in recordings for s in split(one)])
     judge = _Judge(arm, slow)
     gravity = arm.gravity_vector() if arm.effort_includes_gravity else np.zeros(3)

@@ -34,15 +34,7 @@ class Payload:
 
 
 def identify_payload(arm: SerialArm, recordings: Sequence[Recording]) -> Payload:
-    """Find mass and centre of mass of a tool.
-
-    The tool is a point mass on the last link: tau - tau_arm = Y_tool (m, m c), offsets of the
-    joints being estimated, too.
-
-    ``arm`` was identified without the tool, recordings are of motion with it.  Standard deviations
-    come from residuals that are correlated over time.  IdentificationError if the recordings do not
-    show the tool.
-    """
+    """Mass and centre of a tool, a point mass on the last link; IdentificationError."""
     parts = [_balance(arm, segment) for one in recordings for segment in split(one)]
     design, rest = (np.concatenate(part) for part in zip(*parts))
     scale = np.maximum(np.median(np.abs(rest - np.median(rest, axis=0)), axis=0), 1e-6)

@@ -73,11 +73,7 @@ class Filters:
 
 @dataclass(frozen=True)
 class Fit:
-    """Result of the regression.
-
-    The parameters are the base parameters, then for each joint viscous, Coulomb, load-dependent
-    friction and offset (joint by joint).
-    """
+    """Base parameters, then of each joint viscous, Coulomb, load-dependent friction, offset."""
 
     parameters: np.ndarray  # shape (base + 4 n,)
     slope: np.ndarray  # of the Coulomb term, shape (n,) [s/rad]
@@ -104,14 +100,10 @@ def make_rows(
     model: RigidBody,
     base: BaseParameters,
     motion: Motion,
-    speed_limit: np.ndarray,
-    with_gravity: bool = True,
+    speed_limit: np.ndarray,  # up to which friction must not drive, shape (n,) [rad/s]
+    with_gravity: bool = True,  # whether efforts contain it
 ) -> Rows:
-    """Regressor of the torques along a smoothed motion with efforts [N m].
-
-    Friction must not drive a joint up to the ``speed_limit``, shape (n,) [rad/s]; ``with_gravity``
-    says whether the efforts contain gravity torques.
-    """
+    """Regressor of torques along a smoothed motion with efforts [N m]."""
     rate, gravity = motion.velocity, None if with_gravity else np.zeros(3)
     columns = model.regressor(motion.position, rate, derivative(rate, motion.step), gravity)
     return Rows(motion.step, columns[:, :, base.columns], rate, motion.effort, speed_limit)
@@ -183,11 +175,9 @@ class Problem:
         return np.concatenate([design, column[:, :, None] * np.eye(self.n)], axis=2)
 
     def constraints(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Parameters that may be used; map P from others z, parameters = P z; which z >= 0.
-
-        Friction drives at no speed up to the limit w if coulomb >= 0 and viscous + coulomb/w >= 0:
-        beyond its maximum (Stribeck's effect) friction may fall, down to nothing at w.
-        """
+        """Parameters that may be used; map P from others z, parameters = P z; which z >= 0."""
+        # Friction never drives up to the limit w if coulomb >= 0 and viscous + coulomb/w >= 0:
+        # beyond its maximum (Stribeck's effect) it may fall, down to nothing at w.
         used, signed = np.ones((2, self.n, len(TERMS)), bool)
         used[:, TERMS.index('load')] = self.use_load
         signed[:, TERMS.index('offset')] = False
@@ -201,21 +191,14 @@ class Problem:
 def fit_parameters(
     rows: Sequence[Rows],
     filters: Filters,
-    use_load: np.ndarray,
+    use_load: np.ndarray,  # joints with load-dependent friction, shape (n,)
     prior: Prior | None = None,
-    slope: np.ndarray | None = None,
-    signed: bool = True,
-    sweeps: int = _SWEEPS,
+    slope: np.ndarray | None = None,  # shape (n,); searched if not given
+    signed: bool = True,  # leave out terms of friction that would drive a joint
+    sweeps: int = _SWEEPS,  # of slopes, load and linear parameters in turn
     with_covariance: bool = False,
 ) -> Fit:
-    """Fit base parameters, friction and slopes: Huber's estimate with one scale for each joint.
-
-    ``rows`` has one entry a segment, and ``prior`` is of all parameters; ``use_load``, shape (n,),
-    says which joints have load-dependent friction.  Slopes, shape (n,), are searched if not given.
-    ``signed`` leaves out terms of friction that would drive a joint.  In each of the ``sweeps``,
-    slopes, load and linear parameters are fitted in turn.  Without ``with_covariance`` the
-    covariance is zero.
-    """
+    """Fit base parameters, friction and slopes: Huber's estimate with one scale for each joint."""
     problem = Problem(rows, filters, use_load)
     n, size, search = problem.n, problem.size, slope is None
     slope = np.full(n, 50.0) if slope is None else slope.copy()

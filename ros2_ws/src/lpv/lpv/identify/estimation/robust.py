@@ -53,23 +53,16 @@ def invert_normal(matrix: np.ndarray) -> np.ndarray:
 
 
 def robust_fit(
-    design: np.ndarray,
-    target: np.ndarray,
-    scale: np.ndarray,
-    prior: Prior | None = None,
-    bound: float = HUBER,
+    design: np.ndarray,  # shape (rows, n, parameters)
+    target: np.ndarray,  # shape (rows, n)
+    scale: np.ndarray,  # to begin with, of each column, shape (n,)
+    prior: Prior | None = None,  # of the first parameters
+    bound: float = HUBER,  # scales beyond which residuals weigh less
     rounds: int = 8,
-    share: float = 1.0,
-    least: np.ndarray | float = 1e-9,
+    share: float = 1.0,  # of the rows that is independent of the others
+    least: np.ndarray | float = 1e-9,  # scale
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Huber's estimate with one scale for each column of the target.
-
-    The model is target = design @ parameters, with shapes (rows, n) and (rows, n, parameters);
-    ``prior`` is of the first parameters.  ``scale``, shape (n,), is to begin with, ``least`` the
-    smallest one; residuals beyond ``bound`` scales weigh less.  There are ``rounds`` solutions in a
-    row; a ``share`` of the rows is independent of the others.  Returned are parameters, residuals
-    and the scale.
-    """
+    """Huber's estimate of target = design @ parameters; parameters, residuals, scales."""
     weight = np.ones_like(target)
     for _ in range(rounds):
         matrix, right = normal_equations(design, target, share * weight / scale**2, prior)

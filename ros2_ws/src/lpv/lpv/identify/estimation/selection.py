@@ -33,20 +33,13 @@ def divide(rows: Rows, share: float) -> tuple[Rows, Rows]:
 
 
 def residuals(rows: Rows, fit: Fit, filters: Filters, causal_cutoff: float = np.inf) -> np.ndarray:
-    """Effort minus prediction over the counted samples, shape (samples, n) [N m].
-
-    The bandwidth of the effort sensor is part of the prediction; the effort itself is not filtered,
-    or through a filter that uses the past only.
-    """
+    """Effort, as it is or through a causal filter, minus prediction, shape (samples, n) [N m]."""
     predicted = low_pass(model_torque(rows, fit), filters.effort, rows.step)
     return causal_low_pass(rows.effort - predicted, causal_cutoff, rows.step)[rows.part]
 
 
 def validation_error(rows: Sequence[Rows], filters: Filters, estimate: Estimator) -> np.ndarray:
-    """Mean square error of each joint on the blocks held back, shape (n,) [(N m)^2].
-
-    In the band of the analysis; ``rows`` are the training data.
-    """
+    """Mean square error of each joint on blocks of training data, shape (n,) [(N m)^2]."""
     total, count = np.zeros(rows[0].effort.shape[1]), 0
     parts = [one.part.indices(len(one.effort))[:2] for one in rows]
     edges = [np.linspace(*part, BLOCKS + 1).astype(int) for part in parts]
@@ -67,11 +60,7 @@ def validation_error(rows: Sequence[Rows], filters: Filters, estimate: Estimator
 def choose_effort_band(
     rows: Sequence[Rows], filters: Filters, use_load: np.ndarray, prior: Prior | None
 ) -> float:
-    """Bandwidth of the effort sensor, inf if none is seen.
-
-    Drivers report torques that are filtered.  Where the spectrum of the efforts ends below that
-    of the model, a filter on the model explains what friction at reversals cannot.
-    """
+    """Bandwidth of the effort sensor, inf if none is seen: drivers filter their torques."""
     errors: dict[float, float] = {}  # mean logarithms
     bands = [b for b in EFFORT_BANDS[::-1] if b < 0.15 / rows[0].step and _ends(rows, b)]
     for band in (np.inf, *bands):
@@ -110,10 +99,7 @@ def choose_prior(
 
 @dataclass(frozen=True)
 class WeightEvidence:
-    """How well the efforts are predicted with the weight and without it.
-
-    Some drivers report efforts with the weight taken out: both assumptions are fitted.
-    """
+    """How well efforts are predicted with the weight, and without it as some drivers do."""
 
     with_weight: np.ndarray  # RMS error of each joint on data held back, shape (n,) [N m]
     without_weight: np.ndarray  # the same if efforts do not contain the weight

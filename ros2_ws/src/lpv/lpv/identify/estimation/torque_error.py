@@ -56,11 +56,7 @@ class Calibration:
 def torque_error(
     rates: Sequence[np.ndarray], residuals: Sequence[np.ndarray], step: float
 ) -> TorqueError:
-    """Fit the size of what a model misses by least squares of the squares.
-
-    Of ``rates`` and ``residuals``, shape (samples, n) each [rad/s], [N m], of stretches that did
-    not serve to identify the model; ``step`` is the sample time [s].
-    """
+    """Fit the size of what a model misses by least squares of the squares of data held back."""
     noise = noise_deviation(residuals)
     speed, size = np.concatenate(rates) ** 2, np.concatenate(residuals) ** 2
     n = size.shape[1]
@@ -109,12 +105,7 @@ def model_residual(arm: SerialArm, segment: Segment) -> tuple[Motion, np.ndarray
 
 
 def calibrate(arm: SerialArm, recordings: Sequence[Recording]) -> Calibration:
-    """Measure sensors and errors of a given model from healthy motion; parameters stay.
-
-    Some 10 s of any healthy motion will do, that of the arm's work best; no excitation is needed.
-    The calibration is the arm with noise, steps and source of rates of its sensors, and the torque
-    that its model misses.  IdentificationError if the recordings are too short.
-    """
+    """Sensors and errors of a given model from some 10 s of healthy motion."""
     segments = [segment for one in recordings for segment in split(one)]
     parts = [model_residual(arm, segment) for segment in segments]
     # The ends, where filters have no motion to both sides, do not count.
@@ -140,11 +131,7 @@ def calibrate(arm: SerialArm, recordings: Sequence[Recording]) -> Calibration:
 
 
 def torque_tolerance(speed: np.ndarray, residual: np.ndarray) -> TorqueTolerance:
-    """Envelope of a joint's residuals over its speed: 99 % of their magnitudes in bins of speed.
-
-    Bins are finer near standstill, where friction reverses.  ``speed`` [rad/s] and ``residual``,
-    torque minus prediction [N m], of shape (samples,), are of data that were held back.
-    """
+    """Envelope of 99 % of a joint's residuals [N m], in bins of its speed [rad/s]."""
     speed, size = np.abs(speed), np.abs(residual)
     edges = np.quantile(speed, np.linspace(0.0, 1.0, _BINS + 1) ** 1.5)
     points: list[tuple[float, float]] = []

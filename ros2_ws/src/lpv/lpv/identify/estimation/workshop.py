@@ -196,11 +196,9 @@ class Workshop:
         )
 
     def _choose_delay(self, share: float) -> None:
-        """Delays of the efforts, if predictions gain from them.
-
-        A drive that follows late looks like a negative inertia, which no body has.  A prior that
-        is too weak hides this: it lets masses take the delay's place.
-        """
+        """Delays of the efforts, if predictions gain from them."""
+        # A drive that follows late looks like a negative inertia, which no body has; a prior that
+        # is too weak hides this, as masses take the delay's place.
         before, kept = self._error(share), (self.motions, self.rows)
         for _ in range(2):
             rows = self.train_rows(share)
@@ -227,10 +225,7 @@ class Workshop:
         return fit_parameters(rows, self.filters, self.use_load, prior), strength
 
     def _passive_joints(self, rows: Sequence[Rows]) -> list[str]:
-        """Joints whose efforts are far below the torques that act on them: they swing freely.
-
-        The balance of such a joint holds for parameters of any scale, down to none at all.
-        """
+        """Joints that swing freely: their balance holds for parameters of any scale."""
         beta = np.abs(self.prior.mean[: self.base.size])
         acting = np.mean(np.concatenate([np.abs(r.base[r.part]) @ beta for r in rows]), axis=0)
         driven = np.mean(np.concatenate([np.abs(r.effort[r.part]) for r in rows]), axis=0)

@@ -14,11 +14,7 @@ _TOLERANCE = 1e-8  # relative size of a column that depends on others: rounding 
 
 @dataclass(frozen=True)
 class BaseParameters:
-    """Base parameters beta = combination @ x of structural parameters x.
-
-    x holds the 10 n standard inertial parameters and the n rotor inertias.  A regressor of beta
-    is made of the ``columns`` of the regressor of x.
-    """
+    """Base parameters beta = combination @ x of 10 n inertial parameters and n rotor inertias x."""
 
     columns: np.ndarray  # indices into x, shape (base,)
     combination: np.ndarray  # shape (base, 11 n)
@@ -30,12 +26,9 @@ class BaseParameters:
 
 
 def find_base_parameters(model: RigidBody) -> BaseParameters:
-    """Base parameters of an arm with rotors, by QR of a random regressor.
-
-    Gautier 1991, "Numerical calculation of the base inertial parameters of robots".  A column is
-    taken where it does not depend on those before it, from the tip to the base: parameters of the
-    last links stay by themselves, as far as they can.
-    """
+    """Base parameters of an arm with rotors, by QR of a random regressor."""
+    # Gautier 1991, "Numerical calculation of the base inertial parameters of robots".  A column is
+    # taken where it does not depend on those before it, from the tip to the base.
     rng, n = np.random.default_rng(20211), model.n
     position = rng.uniform(-np.pi, np.pi, (_SAMPLES, n))
     regressor = model.regressor(position, *rng.normal(size=(2, _SAMPLES, n)))

@@ -37,15 +37,8 @@ def nearest_consistent(
     joints: int,
     bounds: tuple[np.ndarray, np.ndarray],
 ) -> np.ndarray:
-    """Parameters of least cost that belong to bodies of positive mass.
-
-    Each link's pseudo-inertia is positive semidefinite (Wensing, Kim, Slotine 2018, equation 12);
-    what the data leave open stays close to the prior.
-
-    ``mean`` and ``sigma`` are of the normal prior, ``bounds`` are least and largest values, all of
-    shape (parameters,); the inertial parameters of the links come first.  IdentificationError if
-    the solver finds no such parameters.
-    """
+    """Parameters of least cost of bodies of positive mass; IdentificationError without."""
+    # Each link's pseudo-inertia is positive semidefinite (Wensing, Kim, Slotine 2018, equation 12).
     root, target = data.root()
     size = max(1.0, float(np.linalg.norm(root * sigma)))  # solvers like costs of moderate size
     rows, count = root.shape[0], len(mean)
@@ -79,10 +72,7 @@ def nearest_consistent(
 
 
 def _pseudo_inertia(mean: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pseudo-inertia M x + b of a link, less a margin, in the solver's form of a symmetric matrix.
-
-    In units of mass and length that bring its entries near 1.
-    """
+    """Pseudo-inertia M x + b of a link less a margin, in the solver's form, scaled to 1."""
     length_unit = sigma[1] / sigma[0]
     unit = sigma[0] * np.array([1.0] + [length_unit] * 3 + [length_unit**2] * 6)
     return _PSEUDO @ np.diag(sigma / unit), _PSEUDO @ (mean / unit) - _MARGIN * _UNIT

@@ -22,11 +22,7 @@ def direction_slope(velocity: np.ndarray, slope: np.ndarray) -> np.ndarray:
 
 
 def friction_columns(velocity: np.ndarray, slope: np.ndarray, load: np.ndarray) -> np.ndarray:
-    """Regressor of the friction of every joint, in the order of `TERMS`, shape (samples, n, 4).
-
-    Of ``velocity``, shape (samples, n) [rad/s], the ``slope`` of each joint, shape (n,) [s/rad],
-    and the rigid-body torque that it carries, ``load``, shape (samples, n) [N m].
-    """
+    """Regressor (samples, n, 4) of friction at rates [rad/s], slopes [s/rad], loads [N m]."""
     way = direction(velocity, slope)
     return np.stack([velocity, way, np.abs(load) * way, np.ones_like(velocity)], axis=2)
 

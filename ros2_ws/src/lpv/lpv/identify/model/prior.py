@@ -30,11 +30,7 @@ class Prior:
 
 
 def structural_prior(arm: SerialArm) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and standard deviation of inertial parameters and rotor inertias, each of shape (11 n,).
-
-    10 parameters of each link, then the rotors.  The inertias of the arm's URDF may be rough, or
-    missing.
-    """
+    """Mean and deviation of the links' parameters, then of the rotors', each (11 n,)."""
     masses = np.array([joint.link.mass for joint in arm.joints])
     least = max(_SHARE * masses.sum(), 0.1)
     sigma = []

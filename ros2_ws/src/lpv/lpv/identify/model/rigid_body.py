@@ -31,11 +31,7 @@ class RigidBody:
         acceleration: np.ndarray,
         gravity: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Y of tau = Y(q, v, a) x, shape (samples, n, 11 n).
-
-        Arguments of shape (samples, n) or (n,) [rad], [rad/s], [rad/s2]; another ``gravity`` than
-        the arm's in the base's frame, shape (3,) [m/s2].
-        """
+        """Y of tau = Y(q, v, a) x, shape (samples, n, 11 n), in SI units."""
         motion = np.broadcast_arrays(position, velocity, acceleration)
         chain = self.chain if gravity is None else self.chain._replace(gravity=gravity)
         links = np.empty((len(motion[0]), self.n, N_INERTIAL * self.n))
@@ -60,10 +56,7 @@ def _fill(
 def joint_torques(
     arm: SerialArm, position: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray
 ) -> np.ndarray:
-    """Torques that move an arm, friction and rotors included, shape (samples, n) [N m].
-
-    Arguments of the same shape [rad], [rad/s], [rad/s2].
-    """
+    """Torques of a motion [rad], [rad/s], [rad/s2], friction included, (samples, n) [N m]."""
     matrix = RigidBody(arm).regressor(position, velocity, acceleration)
     rigid = matrix[:, :, : N_INERTIAL * len(arm.joints)] @ arm.inertial_parameters()
     friction = [j.friction.torque(velocity[:, k], rigid[:, k]) for k, j in enumerate(arm.joints)]

@@ -39,19 +39,13 @@ class Excitation:
 
 def plan_excitation(
     arm: SerialArm,
-    duration: float = 30.0,
+    duration: float = 30.0,  # [s]
     bounds: Bounds | None = None,
-    center: np.ndarray | None = None,
+    center: np.ndarray | None = None,  # shape (n,); that of the joints' ranges if not given [rad]
     trials: int = 300,
     seed: int = 1,
 ) -> Excitation:
-    """Search a Fourier trajectory whose data determine the parameters best (D-optimal).
-
-    Of ``trials`` trajectories of this ``duration`` [s], the best one that keeps all limits; limits
-    and a first guess of the parameters are those of ``arm``.  ``center``, shape (n,), is the middle
-    of the motion [rad], that of the joints' ranges if not given.  The same ``seed`` gives the same
-    motion.  IdentificationError if no trajectory keeps the limits.
-    """
+    """Fourier trajectory that determines the parameters best (D-optimal) within limits."""
     bounds = bounds or Bounds()
     search = _Search(arm, bounds, center)
     rng = np.random.default_rng(seed)

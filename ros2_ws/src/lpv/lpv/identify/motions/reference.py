@@ -19,13 +19,7 @@ TOPIC = '/lpv/excitation'
 def write_reference(
     arm: SerialArm, trajectory: Trajectory, rate: float, folder: Path
 ) -> list[Path]:
-    """Write a motion into a new folder, at ``rate`` samples per second; returns its files.
-
-    ``trajectory.csv`` has time, positions, rates and torques that are expected by the arm's
-    parameters; ``trajectory.yaml`` is a trajectory_msgs/JointTrajectory for a joint trajectory
-    controller, ``reference`` a bag with a sensor_msgs/JointState per sample, for ``ros2 bag play``,
-    and ``scenario.yaml`` a scenario whose path the tracker node plays.
-    """
+    """Write a motion into a new folder: table, trajectory message, bag, scenario."""
     folder.mkdir(parents=True)
     time = np.arange(0.0, trajectory.duration + 0.5 / rate, 1.0 / rate)
     motion = trajectory.sample(time)
@@ -45,10 +39,7 @@ def write_reference(
 
 
 def _scenario(trajectory: Trajectory) -> dict[str, Any]:
-    """Scenario of a serial arm, see ``docs/scenario-file.md``; its spline goes through the motion.
-
-    The motion begins and ends at rest, as the spline does.
-    """
+    """Scenario whose spline goes through the motion, which begins and ends at rest, too."""
     time = _message_times(trajectory)
     position, *_ = trajectory.sample(time)
     waypoints = [{'t': round(float(t), 9), 'joints': q.tolist()} for t, q in zip(time, position)]

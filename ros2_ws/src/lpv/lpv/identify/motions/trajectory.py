@@ -14,10 +14,7 @@ RAMP = 1.5
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Joint motion q(t) = centre + e(t) * sum_k (a_k sin(k w t) + b_k cos(k w t)).
-
-    The envelope e rises from 0 to 1 and falls back with continuous acceleration.
-    """
+    """q(t) = centre + e(t) sum_k (a_k sin(k w t) + b_k cos(k w t)), with an envelope e."""
 
     duration: float  # [s]
     center: np.ndarray  # shape (n,) [rad]
@@ -58,10 +55,7 @@ def random_trajectory(
     speed: np.ndarray,
     duration: float,
 ) -> Trajectory:
-    """Random trajectory, at its limit of reach [rad] or speed [rad/s] in each joint.
-
-    ``center``, ``reach`` and ``speed`` have shape (n,); ``duration`` is in [s].
-    """
+    """Random trajectory, at its limit of reach [rad] or speed [rad/s] in each joint."""
     k = np.arange(1, HARMONICS + 1)[:, None]
     period = duration / max(1, round(duration / 10.0))
     sine, cosine = rng.normal(size=(2, HARMONICS, len(center))) / k

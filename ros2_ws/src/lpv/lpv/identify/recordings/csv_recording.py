@@ -88,11 +88,7 @@ def _require(path: Path, header: list[str], names: Sequence[str]) -> None:
 
 
 def guess_columns(path: Path, header: list[str], joints: Sequence[str]) -> ColumnMap:
-    """Column map from a header that names columns after joints or their numbers.
-
-    The i-th joint may be called by its number i; time is in s, angles in rad.  IdentificationError
-    if a column is not found; ``path`` is for its message.
-    """
+    """Column map from a header that names columns after joints or their numbers."""
     time = next((name for name in header if re.fullmatch(r'(time|t|stamp)(_s)?', name, re.I)), None)
     if time is None:
         raise IdentificationError(f'{path}: has no column "time"; give a column map (--columns)')

@@ -16,12 +16,7 @@ NYQUIST_SHARE = 0.9
 def low_pass(
     signal: np.ndarray, cutoff: float, step: float, second: float = np.inf, order: int = _ORDER
 ) -> np.ndarray:
-    """Low-pass filter without delay along the first axis of a uniformly sampled signal.
-
-    That of Butterworth, forwards and backwards.  ``cutoff``, and ``second`` of another filter after
-    it, are where amplitudes are halved [Hz], inf for none; ``step`` is the sample time [s].  A high
-    ``order``, that of each filter in each direction, leaves what is below the cutoff as it is.
-    """
+    """Butterworth's low-pass along the first axis, both ways, halved at each cutoff [Hz]."""
     cutoffs = tuple(c * step for c in (cutoff, second) if c < NYQUIST_SHARE * 0.5 / step)
     if not cutoffs:
         return signal
@@ -61,11 +56,7 @@ def derivative(signal: np.ndarray, step: float) -> np.ndarray:
 
 
 def shifted(signal: np.ndarray, delay: float | np.ndarray, step: float) -> np.ndarray:
-    """Signal delayed: the value at t is that of t - delay, held at the ends.
-
-    Of a uniformly sampled ``signal``, shape (samples, n); ``delay`` of all columns or of each,
-    shape (n,) [s], negative to advance; ``step`` is the sample time [s].
-    """
+    """Signal (samples, n) delayed by [s]: the value at t is that of t - delay, held at the ends."""
     time = step * np.arange(len(signal))
     delays = np.broadcast_to(delay, signal.shape[1:])
     if not delays.any():

@@ -55,10 +55,7 @@ class Motion(Segment):
 
 
 def split(recording: Recording) -> list[Segment]:
-    """Segments of a recording, at least one, resampled to its median sample time.
-
-    IdentificationError if the recording is too short, too slow, or has no stretch without gaps.
-    """
+    """Segments resampled to the median sample time, at least one; IdentificationError if unfit."""
     time = recording.time
     if len(time) < 20 or recording.duration < MIN_DURATION:
         length = recording.duration if len(time) else 0.0
@@ -164,15 +161,11 @@ def _content(rates: np.ndarray, step: float) -> float:
 def smooth(
     segment: Segment,
     bands: Bandwidths,
-    use_rates: bool,
-    rate_delay: np.ndarray,
-    effort_delay: np.ndarray,
+    use_rates: bool,  # as measured, in place of derivatives of the positions
+    rate_delay: np.ndarray,  # shape (n,) [s]
+    effort_delay: np.ndarray,  # shape (n,) [s]
 ) -> Motion:
-    """Motion of a segment without noise above the bandwidths and without delays.
-
-    ``use_rates`` takes measured rates, which otherwise are derivatives of the smoothed positions.
-    ``rate_delay`` and ``effort_delay``, shape (n,), are taken out [s].
-    """
+    """Motion of a segment without noise above the bandwidths and without delays [s]."""
     step = segment.step
     position = low_pass(segment.position, bands.position, step, order=_ORDER)
     velocity = derivative(position, step)

@@ -53,14 +53,7 @@ def read_recording(
     topic: str | None = None,
     columns: ColumnMap | None = None,
 ) -> Recording:
-    """Complete samples, with stamps that increase, of a bag or a CSV file.
-
-    ``path`` is a rosbag2 directory, ``.mcap``, ``.db3`` (with or without metadata), or ``.csv``.
-    The recording may have more joints, in any order.  ``topic`` is needed if several
-    sensor_msgs/JointState have the joints; ``columns`` of a CSV file are guessed from the header if
-    not given.  IdentificationError if joints, positions or efforts are missing, or too many samples
-    are not finite; LpvError if the file cannot be read.
-    """
+    """Complete samples of a bag or CSV file; IdentificationError if signals are missing."""
     path = Path(path)
     if path.suffix.lower() == '.csv':
         from lpv.identify.recordings.csv_recording import read_csv
@@ -78,11 +71,7 @@ def read_pairs(
     topic: str | None = None,
     columns: ColumnMap | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Positions of joints and of their second encoders in the same samples, (n, joints) each.
-
-    Second encoders are further joints of the messages, or columns of a CSV file; otherwise as
-    `read_recording`, without its checks of the samples.
-    """
+    """Positions of joints and of their second encoders in the same samples, (n, joints) each."""
     path = Path(path)
     if path.suffix.lower() == '.csv':
         from lpv.identify.recordings.csv_recording import read_csv, read_csv_columns

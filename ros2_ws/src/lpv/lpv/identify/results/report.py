@@ -72,10 +72,7 @@ _CAPTIONS = (
 
 
 def write_report(result: Identification, folder: Path) -> Path:
-    """Write ``identification.html`` and the pictures as PNG into a folder, which is created.
-
-    Returns the page, which needs nothing from elsewhere.
-    """
+    """Write ``identification.html`` and its pictures into a folder; the page."""
     folder.mkdir(parents=True, exist_ok=True)
     pictures = []
     for name, draw, caption in _CAPTIONS:

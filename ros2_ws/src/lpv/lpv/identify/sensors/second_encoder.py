@@ -34,12 +34,7 @@ def find_second_encoders(
     topic: str | None = None,
     columns: ColumnMap | None = None,
 ) -> list[SecondReading]:
-    """Compare second encoders with the first ones along a recording, one for each of the ``pairs``.
-
-    These are names of second encoders, as a joint of the messages or a column, by the joint's name;
-    all else as of `read_recording`.  IdentificationError if readings are missing, or do not follow
-    the joint.
-    """
+    """Compare second encoders, by joint, with the first ones; IdentificationError."""
     first, second = read_pairs(path, list(pairs), list(pairs.values()), topic, columns)
     valid = (np.abs(np.hstack([first, second])) <= LARGEST).all(axis=1)
     if valid.sum() < 100:

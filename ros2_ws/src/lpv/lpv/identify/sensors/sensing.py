@@ -46,15 +46,10 @@ class Sensing:
 def sense(
     recordings: Sequence[Recording],
     segments: Sequence[Segment],
-    rate_delay: np.ndarray,
-    effort_delay: np.ndarray,
+    rate_delay: np.ndarray,  # shape (n,) [s]
+    effort_delay: np.ndarray,  # shape (n,) [s]
 ) -> Sensing:
-    """Measure what a recording says of its sensors.
-
-    Steps and stamps are those of the ``recordings``, noise that of ``segments``, the same on a
-    uniform grid; delays, shape (n,), are known from elsewhere [s].  Rates are called derived unless
-    it is proved that they are independent.
-    """
+    """What recordings, and their segments on a uniform grid, say of the sensors."""
     n = recordings[0].position.shape[1]
     step = quantization_step([one.position for one in recordings])
     noise = noise_deviation([segment.position for segment in segments])
@@ -77,11 +72,8 @@ def sense(
 
 
 def rate_sources(recordings: Sequence[Recording]) -> tuple[list[str], np.ndarray]:
-    """Source of the rates of each joint, and the evidence, shape (n,), by `rate_source`.
-
-    Of the longest recording.  'derived' unless independence is proved, or there are 'none': a
-    fault of the encoder is in derived rates, too.
-    """
+    """Source of the rates of each joint and its evidence, shape (n,), of the longest recording."""
+    # 'derived' unless independence is proved: a fault of the encoder is in derived rates, too.
     one = max(recordings, key=lambda r: len(r.time))
     n = one.position.shape[1]
     if one.velocity is None:
@@ -93,11 +85,7 @@ def rate_sources(recordings: Sequence[Recording]) -> tuple[list[str], np.ndarray
 
 
 def noise_deviation(signals: Sequence[np.ndarray]) -> np.ndarray:
-    """Standard deviation of white noise in each column, from third differences, shape (n,).
-
-    In the unit of the signals, stretches of shape (samples, n) that are sampled uniformly; includes
-    quantization.
-    """
+    """Deviation of white noise by third differences of each column, shape (n,)."""
     changes = np.concatenate([np.diff(s, _ORDER, axis=0) for s in signals])
     # A quantized signal at rest does not change; the median would be 0 there.
     robust = np.median(np.abs(changes), axis=0) / 0.6745
@@ -108,10 +96,7 @@ def noise_deviation(signals: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def quantization_step(signals: Sequence[np.ndarray]) -> np.ndarray:
-    """Step of the readings in each column, shape (n,); 0 where they are as fine as floats.
-
-    The step is the largest number that nearly all differences are multiples of.
-    """
+    """Step of each column, shape (n,), of which differences are multiples; 0 if there is none."""
     columns = [np.concatenate([s[:, j] for s in signals]) for j in range(signals[0].shape[1])]
     return np.array([_step(column) for column in columns])
 

@@ -189,8 +189,7 @@ def _angle_error(params: np.record, state: np.record, i: int) -> float:
 
 @njit
 def _make_room(state: np.record) -> None:
-    """Merge small columns in the coordinates (e_i - shear_i r_i, r_i) of slow and fast errors,
-    where an error of a rate or of a torque that has passed is in one coordinate."""
+    """Merge small columns in the coordinates (e_i - shear_i r_i, r_i) of slow and fast errors."""
     if state.used + _INPUTS > COLUMNS:
         shear_columns(state.columns, state.used, -state.shear[0], -state.shear[1])
         state.used = reduce_columns(state.columns, state.used, state.sizes, state.order, state.kept)
@@ -199,11 +198,9 @@ def _make_room(state: np.record) -> None:
 
 @njit
 def _cut(params: np.record, state: np.record) -> None:
-    """Take the smaller of the set and dead reckoning for each angle.
-
-    A set that has grown far beyond dead reckoning starts again as a box within it; before, a box
-    would lose more than it cuts off, namely which errors belong together.
-    """
+    """Take the smaller of the set and dead reckoning for each angle."""
+    # A set far beyond dead reckoning starts again as a box within it; before, a box would lose more
+    # than it cuts off, namely which errors belong together.
     restart = False
     for i in range(2):
         known = params.angle_noise[i] + params.drift[i] * math.sqrt(state.held_for[i])
@@ -346,8 +343,7 @@ def advance_set(state: np.record, dt: float) -> None:
 
 @njit
 def _update_held_time(params: np.record, state: np.record, estimate: np.record) -> None:
-    """How long noise of the rates was integrated while a link was held; it decays as slowly as the
-    observer recovers."""
+    """Time of noise integrated while a link was held; it decays as the observer recovers."""
     fall = math.exp(-estimate.interval * params.slowest_recovery)
     for i in range(2):
         if estimate.held[i]:

@@ -149,11 +149,8 @@ def unknown_torque(params: np.record, motion: np.record, out: np.ndarray) -> Non
 
 @njit
 def _friction_error(params: np.record, i: int, rate: float, error: float) -> float:
-    """Bound on true less modelled friction of one joint, with the noise of the rate averaged out.
-
-    Coulomb friction of a joint that may stand still is set-valued: anything within its limits, even
-    while the measured rate shows noise.
-    """
+    """Bound on true less modelled friction of a joint, with the noise of the rate averaged out."""
+    # Coulomb friction of a joint that may stand still is set-valued: anything within its limits.
     arm, share = params.arm, params.friction
     viscous = arm.viscous[i] * (share * abs(rate) + (1.0 + share) * error)
     most = (1.0 + share) * arm.coulomb[i]

@@ -206,11 +206,8 @@ def _robustness(
     p: np.ndarray,
     factor: np.ndarray,
 ) -> list[Check]:
-    """The same P and half the decay for arms with other masses, inertias and payloads.
-
-    The corners of the stated ranges are checked; between them Xi^-1 is not affine, so that this is
-    evidence and no proof.
-    """
+    """The same P and half the decay for arms with other masses, inertias and payloads."""
+    # Between the corners, which are checked, Xi^-1 is not affine: this is evidence and no proof.
     if controller.method != 'exact' or not (arm.model_error or arm.payload):
         return []
     alpha, worst, radius = 0.5 * controller.decay, -np.inf, 0.0

@@ -82,11 +82,7 @@ def _prove_exact(arm: ArmParameters, observer: ExactObserverGains) -> dict[str, 
 def _noise(
     arm: ArmParameters, link: LinkError, row: np.ndarray, kappa: Fraction, mu: Fraction
 ) -> np.ndarray:
-    """B B^T of the H2 inequality, in `LinkError.unit`: products of white inputs have no root.
-
-    ``row`` is one of `LinkError.rows`.  The inequality is affine in the slope and convex in Xi12,
-    so that their ends prove it in between; cf. `lpv.core.uio.certificate.noise.covariance_margin`.
-    """
+    """B B^T of the H2 inequality, in `LinkError.unit`: products of white inputs have no root."""
     period = Fraction(arm.sample_time)
     rates = exact(np.linalg.inv(JointMap(arm).sensor_matrix))  # of whole numbers
     total = np.full((2, 2), Fraction(0), dtype=object)

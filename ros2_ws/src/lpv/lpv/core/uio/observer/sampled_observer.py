@@ -268,11 +268,8 @@ def _set_state(params: np.record, state: np.record) -> None:
 
 @njit
 def _is_unsupported(params: np.record, state: np.record) -> bool:
-    """Whether the arm rests although the measured torques do not hold it.
-
-    The torque of brakes is often not measured.  Taken for what acts on the arm, zero torque at rest
-    would mean that both links are vertical.
-    """
+    """Whether the arm rests although the measured torques do not hold it."""
+    # The torque of brakes is often not measured: zero at rest would mean that links are vertical.
     x, y, arm = state.x, state.y_new, params.arm
     needed = beyond = measured = 0.0
     for i in range(2):
@@ -295,11 +292,7 @@ def _is_at_rest(params: np.record, y: np.ndarray) -> bool:
 
 @njit
 def _note_stop(params: np.record, state: np.record, interval: float) -> None:
-    """Whether the arm was braked, see `Stop`; method ``exact`` only.
-
-    Brakes take the momentum away with a torque that nobody measures.  The observer would explain
-    what is missing by gravity, and so by a wrong angle.
-    """
+    """Whether the arm was braked, of method ``exact``: missing momentum is no wrong angle."""
     stopping, x, y = state.stopping, state.x, state.y_new
     if not params.is_exact:
         stopping.kind = _MOVING
