@@ -22,10 +22,11 @@ from lpv import AlarmEvent, DiagnosisParameters, load_arm, load_gains, load_scen
 from lpv.bag.run.record import load_run
 from lpv.cli.main import main
 from lpv.cli.options import COMMANDS
-from lpv.cli.processes import Graph, ended_by_signals
+from lpv.cli.processes import Graph
 from lpv.core.control.tracking import COMPENSATION
 from lpv.core.simulation.closed_loop import run_closed_loop
 from lpv.core.support.resources import executable
+from lpv.core.support.signals import exit_by_signal, handled_signals
 from lpv.core.uio.model.joints import JointMap
 from lpv.core.uio.planar import planar_model
 
@@ -154,7 +155,8 @@ def test_given_a_signal_when_a_command_waits_then_nodes_end_and_its_code_is_righ
     script = f'trap "sleep 0.4; echo $0 >> {ends}; exit 0" INT; printf "\\377\\n"; '
     script += 'while sleep 0.1; do :; done'
     (tmp_path / 'last.log').symlink_to('/dev/full')
-    with pytest.raises(SystemExit) as end, ended_by_signals(), Graph(tmp_path, 1) as graph:
+    ending = handled_signals(exit_by_signal, SIGTERM, SIGHUP)
+    with pytest.raises(SystemExit) as end, ending, Graph(tmp_path, 1) as graph:
         for name in ('first', 'recorder', 'last'):
             graph.start(name, ['sh', '-c', script, name])
             graph.lines.get(timeout=60)

@@ -2,28 +2,29 @@
 
 import argparse
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lpv.cli.options import DESIGN
+from lpv.cli.progress import wrapped
 from lpv.core.support.errors import ConfigError, LpvError
 from lpv.core.support.options import declare
 from lpv.core.support.resources import bringup_file
 
 if TYPE_CHECKING:
     from lpv.core.serial_arm.description import SerialArm
-    from lpv.core.uio.model.arm import ArmParameters
-    from lpv_design.guarantee import Guarantee
 
 EXIT_INFEASIBLE, EXIT_BAD_INPUT, EXIT_NOT_DETECTABLE = 1, 2, 3
 """Exit codes."""
 
 
-def run(
-    arguments: argparse.Namespace, draw: 'Callable[[Guarantee, ArmParameters], None] | None' = None
-) -> int:
-    """Design, report, write; ``draw`` makes a picture of what is guaranteed."""
+def run(arguments: argparse.Namespace) -> int:
+    """Design, report, write; with ``map``, too, a picture of what is detected."""
+    with wrapped():
+        return _design(arguments, getattr(arguments, 'map', None))
+
+
+def _design(arguments: argparse.Namespace, picture: str | None) -> int:
     # Only here: help must not wait for the solver.
     from lpv.core.serial_arm.arm_file import load_arm
     from lpv.core.uio.certificate.exact_proof import prove
@@ -36,7 +37,7 @@ def run(
     try:
         described = load_arm(bringup_file('arms', arguments.arm))
         if described.lpv is None:
-            if draw is not None:
+            if picture is not None:
                 raise ConfigError('--map', 'is for arms with an lpv region')
             return _certify_loop(described, arguments)
         arm = planar_model(described)
@@ -66,8 +67,11 @@ def run(
     print('\n'.join(result.lines))
     if arguments.proof and not _print_proof(prove(arm, result.gains)):
         return EXIT_INFEASIBLE
-    if draw is not None:
-        draw(result.guarantee, arm)
+    if picture is not None:
+        from lpv.report.figures import draw_region  # a design without a picture does not wait
+
+        draw_region(result.guarantee, arm, picture)
+        print(f'map written to {picture}')
     print(f'gains written to {arguments.out}')
     return 0
 

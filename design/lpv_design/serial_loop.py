@@ -76,19 +76,7 @@ class LoopDesign:
 
 
 def certify_loop(arm: SerialArm, request: LoopRequest) -> LoopDesign:
-    """Find a certificate of the loop and check it.
-
-    Parameters
-    ----------
-    arm : SerialArm
-        The arm.
-    request : LoopRequest
-        What to certify.
-
-    Returns
-    -------
-    LoopDesign
-        Certificate with a region of rates.
+    """Find a certificate of the loop, with a region of rates, and check it.
 
     Raises
     ------

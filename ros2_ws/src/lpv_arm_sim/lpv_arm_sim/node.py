@@ -35,7 +35,7 @@ from lpv_node.parameters import (
     chosen_limit,
     declare_gains,
     named_file,
-    read_gains_if_set,
+    read_gains,
     table,
 )
 from lpv_node.qos import stream
@@ -141,7 +141,7 @@ class SimulatorNode(ManagedNode):
 
     def _latency_limits(self) -> LatencyLimits:
         """As the gains of the loop allow, if they are known, or as parameters say."""
-        if gains := read_gains_if_set(self, self._arm, self._unset_gains):
+        if gains := read_gains(self, self._arm, self._unset_gains):
             certified = latency_limits(tolerated_latency(planar_model(self._arm), gains))
         elif self._arm.lpv is not None:
             certified = UNKNOWN_LOOP

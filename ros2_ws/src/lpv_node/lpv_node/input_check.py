@@ -27,8 +27,7 @@ def all_sized(count: int, *fields: Sized) -> bool:
 _NEAR = 0.02
 """Change of a reading that is no jump, beside that of its rate [rad]."""
 _WAIT = 0.3
-"""Time without a measurement of the first sender after which another one is believed [s]: a loaded
-machine holds a process up for half of it."""
+"""Silence after which another sender is believed, twice what a loaded machine holds one up [s]."""
 
 
 class OneSender:

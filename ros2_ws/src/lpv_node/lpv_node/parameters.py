@@ -229,8 +229,10 @@ def _declare_fields(node: Node, prefix: str, fields: dict[str, Spec]) -> frozens
     return frozenset(unset)
 
 
-def read_gains(node: Node, arm: SerialArm, unset: frozenset[str]) -> Gains:
-    """Verified gains from the parameters of `declare_gains`, which said what is ``unset``."""
+def read_gains(node: Node, arm: SerialArm, unset: frozenset[str]) -> Gains | None:
+    """Verified gains by `declare_gains`, which said what is ``unset``; None without a file."""
+    if 'arm_name' in unset:
+        return None
     method = _gain(node, 'gains.observer.method', unset)
     own = METHOD_FIELDS.get(method, ())
     motion = [name for name in MOTION_FIELDS if name not in unset]
@@ -240,12 +242,7 @@ def read_gains(node: Node, arm: SerialArm, unset: frozenset[str]) -> Gains:
     return gains
 
 
-def read_gains_if_set(node: Node, arm: SerialArm, unset: frozenset[str]) -> Gains | None:
-    """As `read_gains`; None if no gains file was given."""
-    return None if 'arm_name' in unset else read_gains(node, arm, unset)
-
-
-def read_loop_if_set(
+def read_loop(
     node: Node, arm: SerialArm, bandwidth: float, unset: frozenset[str]
 ) -> LoopGains | None:
     """Verified certificate of a serial arm's loop by `declare_loop`; None if no file has one."""

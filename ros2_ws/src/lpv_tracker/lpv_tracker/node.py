@@ -36,8 +36,8 @@ from lpv_node.parameters import (
     declare_gains,
     declare_loop,
     named_file,
-    read_gains_if_set,
-    read_loop_if_set,
+    read_gains,
+    read_loop,
     table,
 )
 from lpv_node.qos import stream
@@ -171,13 +171,13 @@ class TrackerNode(ManagedNode):
     def _make_controller(self) -> None:
         """The designed law where there are gains, else computed torque."""
         bandwidth = self.get_parameter('bandwidth').value
-        gains = read_gains_if_set(self, self._arm, self._unset_gains)
+        gains = read_gains(self, self._arm, self._unset_gains)
         self._controller = make_controller(self._arm, gains, bandwidth)
         self._tolerated = self._controller.tolerated_latency
         if gains is not None:
             self._certificate = 'holds'
         else:
-            loop = read_loop_if_set(self, self._arm, bandwidth, self._unset_loop)
+            loop = read_loop(self, self._arm, bandwidth, self._unset_loop)
             self._certificate = NO_CERTIFICATE if loop is None else certified_region(loop)
 
     def _compile(self) -> None:

@@ -27,7 +27,7 @@ from lpv.core.uio.unknown_input_observer import CHOICES
 from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate, TorqueCommand
 from lpv_node.input_check import OneSender, Refusals, all_finite, all_sized
 from lpv_node.managed import ManagedNode
-from lpv_node.parameters import declare_gains, named_file, read_gains_if_set, table
+from lpv_node.parameters import declare_gains, named_file, read_gains, table
 from lpv_node.qos import latched, stream
 from lpv_node.status import ERROR, OK, WARN, StatusReporter, diagnostics
 from lpv_uio.messages import OutputMessages
@@ -119,7 +119,7 @@ class UioNode(ManagedNode):
 
     def _make_monitor(self) -> SerialSensorMonitor:
         """Observers and diagnosis of the arm."""
-        gains = read_gains_if_set(self, self._arm, self._unset_gains)
+        gains = read_gains(self, self._arm, self._unset_gains)
         if gains is None and self._arm.lpv is not None:
             self.get_logger().warning('no gains file is given: the moving horizon observes alone')
         return SerialSensorMonitor(

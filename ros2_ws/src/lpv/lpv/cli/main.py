@@ -44,8 +44,11 @@ def main(argv: list[str] | None = None) -> int:
         with waiting or nullcontext():
             arguments = build_parser(chosen).parse_args(argv)
             if getattr(arguments, 'arm', None) and chosen != 'doctor':
-                _load_arm(arguments.arm)  # before all that takes its time
-            module = importlib.import_module(f'lpv.cli.{COMMANDS[arguments.command].module}')
+                # Before all that takes its time; not for help, which needs no NumPy.
+                from lpv.core.serial_arm.arm_file import load_arm
+
+                load_arm(bringup_file('arms', arguments.arm))
+            module = importlib.import_module(COMMANDS[arguments.command].module)
             code: int = module.run(arguments)
             return code
     except ModuleNotFoundError as error:
@@ -57,13 +60,6 @@ def main(argv: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         print('interrupted', file=sys.stderr)
         return 130
-
-
-def _load_arm(name: str) -> None:
-    # Not for help, which needs no NumPy.
-    from lpv.core.serial_arm.arm_file import load_arm
-
-    load_arm(bringup_file('arms', name))
 
 
 if __name__ == '__main__':

@@ -6,7 +6,7 @@ from typing import NamedTuple
 class Command(NamedTuple):
     """One command."""
 
-    module: str  # below lpv.cli; its ``run`` takes the arguments and returns the exit code
+    module: str  # its ``run`` takes the arguments and returns the exit code
     help: str
     options: str  # for `lpv.core.support.options.declare`
     epilog: str = ''
@@ -60,13 +60,13 @@ _PRESETS = '{zstd_fast,zstd_small,none}'
 
 COMMANDS = {
     'design': Command(
-        'commands.design',
+        'lpv_design.main',
         'design certified gains for an arm',
         '--map MAP.png  picture to write: smallest fault that is always detected, over the region'
         + DESIGN,
     ),
     'verify': Command(
-        'commands.verify',
+        'lpv.cli.commands.verify',
         'check the certificate of a gains file',
         """
 gains      gains file as written by lpv design
@@ -76,7 +76,7 @@ gains      gains file as written by lpv design
 """,
     ),
     'falsify': Command(
-        'commands.falsify',
+        'lpv.cli.commands.falsify',
         'search for healthy runs that cross a threshold',
         """
 --arm ARM!              arm file, or name of a shipped arm
@@ -89,7 +89,7 @@ gains      gains file as written by lpv design
 """,
     ),
     'demo': Command(
-        'commands.demo',
+        'lpv.cli.commands.demo',
         'design, simulate with the real graph, record, report',
         """
 --arm=paper            shipped arm or arm file
@@ -104,7 +104,7 @@ gains      gains file as written by lpv design
 """,
     ),
     'doctor': Command(
-        'doctor',
+        'lpv.cli.doctor',
         'find the usual mistakes in files, environment and graph',
         """
 --arm ARM            arm file, or name of a shipped arm; without, that of the running observer
@@ -116,7 +116,7 @@ gains      gains file as written by lpv design
 """,
     ),
     'campaign': Command(
-        'commands.campaign',
+        'lpv.cli.commands.campaign',
         'run thousands of simulations, and report on them',
         """
 spec          campaign file (YAML) or name of a shipped one; or a folder of results: its report is
@@ -128,7 +128,7 @@ spec          campaign file (YAML) or name of a shipped one; or a folder of resu
         + _EXECUTION,
     ),
     'fleet': Command(
-        'commands.fleet',
+        'lpv.cli.commands.fleet',
         'replay an archive of bags, and report on all of them',
         """
 archive DIR  every rosbag2 bag below this folder is replayed; code 3 says that one could not be read
@@ -138,7 +138,7 @@ archive DIR  every rosbag2 bag below this folder is replayed; code 3 says that o
         + _OBSERVER,
     ),
     'tune': Command(
-        'commands.tune',
+        'lpv.cli.commands.tune',
         'search the weights of a design by campaigns of runs',
         """
 campaign        campaign of an arm with designed gains, file or shipped name; its first design is
@@ -154,7 +154,7 @@ campaign        campaign of an arm with designed gains, file or shipped name; it
         + _EXECUTION,
     ),
     'run': Command(
-        'commands.run',
+        'lpv.cli.commands.run',
         'start a node, as ros2 run does',
         """
 package  ROS package (lpv_arm_sim, lpv_uio, lpv_tracker, lpv_node)
@@ -163,7 +163,7 @@ rest...  passed on: --ros-args -p name:=value -r from:=to --params-file FILE
 """,
     ),
     'identify': Command(
-        'commands.identify',
+        'lpv.cli.commands.identify',
         'identify an arm from recordings of its motion',
         """
 recordings BAG|CSV+    recordings of the moving arm: rosbag2 folder, .mcap, .db3 or .csv
@@ -193,7 +193,7 @@ recordings BAG|CSV+    recordings of the moving arm: rosbag2 folder, .mcap, .db3
         + _JOINTS,
     ),
     'excite': Command(
-        'commands.excite',
+        'lpv.cli.commands.excite',
         'plan a motion that identifies an arm well',
         """
 --out FOLDER!       folder to create: trajectory.csv, trajectory.yaml, reference bag, scenario.yaml
@@ -212,7 +212,7 @@ recordings BAG|CSV+    recordings of the moving arm: rosbag2 folder, .mcap, .db3
         + _JOINTS,
     ),
     'import-csv': Command(
-        'commands.import_csv',
+        'lpv.cli.commands.import_csv',
         'turn a CSV recording of an arm into a bag',
         """
 csv                    file with a header line and one sample a line
@@ -223,7 +223,7 @@ csv                    file with a header line and one sample a line
 """,
     ),
     'replay': Command(
-        'commands.replay',
+        'lpv.cli.commands.replay',
         'run observer and diagnosis offline on a bag',
         f"""
 bag                rosbag2 directory, MCAP or sqlite3 file
@@ -245,7 +245,7 @@ bag                rosbag2 directory, MCAP or sqlite3 file
         + _OBSERVER,
     ),
     'view': Command(
-        'commands.view',
+        'lpv.cli.commands.view',
         'show the running graph: web page, Foxglove, markers',
         """
 --arm=paper           shipped arm or arm file
@@ -259,7 +259,7 @@ bag                rosbag2 directory, MCAP or sqlite3 file
 """,
     ),
     'init': Command(
-        'commands.init',
+        'lpv.cli.commands.init',
         'write commented files of an arm to start from',
         """
 folder?      where the files are written (this folder)
@@ -269,7 +269,7 @@ folder?      where the files are written (this folder)
         + _JOINTS,
     ),
     'urdf': Command(
-        'commands.urdf',
+        'lpv.cli.commands.urdf',
         'print the URDF of an arm',
         """
 --arm=paper  shipped arm or arm file
@@ -277,7 +277,7 @@ folder?      where the files are written (this folder)
 """,
     ),
     'recover': Command(
-        'commands.recover',
+        'lpv.cli.commands.recover',
         'repair a bag that is cut off or damaged',
         f"""
 bag        rosbag2 directory with MCAP files, or one MCAP file
@@ -288,7 +288,7 @@ bag        rosbag2 directory with MCAP files, or one MCAP file
         '2 wrong arguments. BAG itself is never changed.',
     ),
     'compare': Command(
-        'commands.compare',
+        'lpv.cli.commands.compare',
         'compare the answers in two bags of one recording',
         """
 bag              first bag: recorded, or a result of lpv replay
@@ -307,7 +307,7 @@ other            second bag, of the same measurements; what one bag does not hol
 """,
     ),
     'report': Command(
-        'commands.report',
+        'lpv.cli.commands.report',
         'write the report of a bag',
         """
 bag                  rosbag2 directory or MCAP file

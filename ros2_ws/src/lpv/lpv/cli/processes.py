@@ -7,7 +7,6 @@ import signal
 import subprocess
 import threading
 import time
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TextIO
@@ -15,7 +14,7 @@ from typing import Any, TextIO
 from lpv.core.support.discovery import stay_local
 from lpv.core.support.errors import LpvError
 from lpv.core.support.limits import PATIENCE
-from lpv.core.support.signals import STOPS, exit_by_signal, handled_signals
+from lpv.core.support.signals import STOPS, handled_signals
 
 
 class NodeFailure(LpvError):
@@ -30,14 +29,6 @@ class NodeProcess:
     process: subprocess.Popen  # Leader of its own process group
     log: Path  # What it printed
     is_recorder: bool
-
-
-def ended_by_signals() -> AbstractContextManager[None]:
-    """Context in which SIGTERM and SIGHUP raise SystemExit: nodes must not outlive the command.
-
-    They are in sessions of their own, where neither arrives.
-    """
-    return handled_signals(exit_by_signal, signal.SIGTERM, signal.SIGHUP)
 
 
 class Graph:

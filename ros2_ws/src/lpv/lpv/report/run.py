@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lpv.bag.run.streams import RunRecord
-from lpv.core.control.path import CartesianPath
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import SensorState
 from lpv.core.support.resources import installed_version
@@ -18,7 +17,7 @@ from lpv.core.support.timestamps import NANOSECONDS
 from lpv.report.certificate import Certificate
 from lpv.report.figures import draw_all
 from lpv.report.history import BRAKED, INCONSISTENT, SAFE_STOP, TOO_FAST, UNSAFE, listed, starting
-from lpv.report.load import Run, load
+from lpv.report.load import Run
 from lpv.report.page import embedded, environment
 from lpv.report.style import png
 from lpv.report.table import Row
@@ -54,18 +53,6 @@ class Tile(NamedTuple):
     value: str
     note: str = ''
     look: str = ''  # '', good, bad or warn
-
-
-def write_report(
-    bag: str | Path,
-    out: str | Path,
-    arm: SerialArm,
-    path: CartesianPath | None = None,
-    title: str = 'Run',
-    gains: str | Path | None = None,
-) -> ReportResult:
-    """Write the report of a bag into a folder: ``report.html`` and PNG files; else as `load`."""
-    return write(load(bag, arm, path, title, gains), out)
 
 
 def write(run: Run, out: str | Path) -> ReportResult:

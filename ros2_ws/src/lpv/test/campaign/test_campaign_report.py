@@ -13,9 +13,8 @@ from scipy.stats import chi2
 
 from lpv.campaign.execution.runs import run_one
 from lpv.campaign.plan.campaign import resolve
-from lpv.campaign.report import write_report
 from lpv.campaign.report.statistics import Results, found_from, poisson_rate, roc, spread, trends
-from lpv.campaign.report.write import command, confusion, report_numbers, suspicion
+from lpv.campaign.report.write import command, confusion, report_numbers, suspicion, write_report
 
 pytestmark = pytest.mark.slow
 

@@ -30,7 +30,7 @@ from lpv.report.certificate import beside_bag, examine
 from lpv.report.figures import draw_region
 from lpv.report.load import load
 from lpv.report.page import css_string
-from lpv.report.run import write_report
+from lpv.report.run import write as write_report
 from lpv_design.guarantee import guarantee
 
 pytestmark = pytest.mark.slow
@@ -71,7 +71,7 @@ def gains_file(paper_gains, tmp_path_factory):
 def report(run, gains_file, paper_arm, two_faults, tmp_path_factory):
     """The report with pictures."""
     out = tmp_path_factory.mktemp('report') / 'new' / 'folder'
-    return write_report(run, out, paper_arm, two_faults.path(paper_arm), 'A run', gains_file)
+    return write_report(load(run, paper_arm, two_faults.path(paper_arm), 'A run', gains_file), out)
 
 
 @pytest.fixture(scope='module')
@@ -90,7 +90,7 @@ def page_of(plain, paper_arm, tmp_path):
     """Page of a bag, without pictures."""
 
     def write(bag, *given, **options):
-        result = write_report(bag, tmp_path / 'report', paper_arm, *given, **options)
+        result = write_report(load(bag, paper_arm, *given, **options), tmp_path / 'report')
         return result.html.read_text(encoding='utf-8')
 
     return write
@@ -215,7 +215,8 @@ def test_given_a_run_without_some_topics_when_reported_then_what_is_there_is_sho
     run, paper_arm, report, tmp_path, monkeypatch, streams, missing
 ):
     monkeypatch.setattr('lpv.report.run.png', lambda figure: b'drawn')
-    found = write_report(part_of(run, tmp_path / 'part', streams), tmp_path / 'report', paper_arm)
+    part = part_of(run, tmp_path / 'part', streams)
+    found = write_report(load(part, paper_arm), tmp_path / 'report')
     assert {p.stem for p in found.pictures} == {p.stem for p in report.pictures} - missing
     page = found.html.read_text(encoding='utf-8')
     assert page.count('<figure>') == len(found.pictures)
@@ -315,7 +316,7 @@ def test_given_a_run_of_three_joints_when_reported_then_its_alarm_is_listed(tmp_
     measured = record_crane(tmp_path / 'measured', run)
     Replay(SerialSensorMonitor('/uio', crane())).run(measured, tmp_path / 'bag')
     monkeypatch.setattr('lpv.report.run.png', lambda figure: b'drawn')
-    result = write_report(tmp_path / 'bag', tmp_path / 'report', crane())
+    result = write_report(load(tmp_path / 'bag', crane()), tmp_path / 'report')
     page = result.html.read_text()
     assert len(result.pictures) == 6 and ['encoder2', 'bias'] in [row[:2] for row in rows(page)]
     for said in ('1 alarm, of encoder2', 'bounds and thresholds are statistical',

@@ -40,7 +40,9 @@ class FoxgloveBridge:
     """Foxglove server for viewing: clients can neither publish nor call services."""
 
     def __init__(self, name: str, topics: dict[str, Any], band: str) -> None:
-        foxglove = _sdk()
+        import foxglove  # which not every installation has
+
+        foxglove.set_log_level(logging.ERROR)
         self._context = foxglove.Context()
         typestore = make_typestore()
         self._channels: dict[str, Any] = {}
@@ -120,13 +122,6 @@ class _Listener:
 def sdk_is_installed() -> bool:
     """Whether there is a foxglove-sdk, which not every installation has."""
     return importlib.util.find_spec('foxglove') is not None
-
-
-def _sdk() -> ModuleType:
-    import foxglove
-
-    foxglove.set_log_level(logging.ERROR)
-    return foxglove
 
 
 def _start(

@@ -29,14 +29,10 @@ class Skeleton:
         joint_frames(self._chain, np.array(q), rotations, origins)
         return np.vstack([np.zeros((1, 3)), origins])
 
-    def in_world(self, points: np.ndarray) -> np.ndarray:
-        """Points of the base frame, shape (..., 3), in a frame whose z points up [m]."""
-        return np.asarray(points @ self._up.T)
-
     def drawn(self, points: np.ndarray) -> np.ndarray:
         """Base-frame points as drawn: forward and up of a planar arm, else x, y, z up [m]."""
         if self._plane is None:
-            return self.in_world(points)
+            return np.asarray(points @ self._up.T)
         origin, rows = self._plane
         return np.asarray((points - origin) @ rows.T)
 

@@ -22,8 +22,7 @@ _SIZES = {
 _HEADER = 4  # the representation identifier; alignment counts from behind it
 _LITTLE_ENDIAN = b'\x00\x01'
 _MOST_PADDING = 7
-"""Bytes behind a message: up to three, and four where an empty sequence of doubles is the last
-field."""
+"""Bytes behind a message: up to three, and four of an empty sequence of doubles at the end."""
 _LARGEST = 4096
 """Messages with more bytes are read one by one: copying them is what takes the time."""
 

@@ -64,10 +64,9 @@ def rows(buffer: np.ndarray, dtype: np.dtype | str, starts: np.ndarray | None = 
     return view if starts is None else view[starts]
 
 
-def record(channel: int, time: int, data: bytes, publish_time: int | None = None) -> bytes:
-    """Record of one message."""
-    published = time if publish_time is None else publish_time
-    return _HEAD.pack(_MESSAGE, 22 + len(data), channel, 0, time, published) + data
+def record(channel: int, time: int, data: bytes) -> bytes:
+    """Record of one message that was published at its log time [ns]."""
+    return _HEAD.pack(_MESSAGE, 22 + len(data), channel, 0, time, time) + data
 
 
 def from_rows(records: np.ndarray) -> Block:

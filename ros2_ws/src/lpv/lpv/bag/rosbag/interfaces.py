@@ -16,8 +16,7 @@ from rosbags.typesys.store import Typestore
 from lpv.core.support.errors import ConfigError
 
 _PADDING = 4
-"""More bytes that some publishers leave behind a message that ends with an empty sequence of
-doubles, as JointState without efforts: room for its alignment, beside the usual 0 to 3."""
+"""Bytes that some publishers leave for the alignment of an empty sequence of doubles at the end."""
 _OWN = (
     'FaultAlarm',
     'FaultEstimate',

@@ -20,8 +20,7 @@ EFFORT_TYPES = {
     'trajectory_msgs/msg/JointTrajectoryPoint': ('effort', None),
     'trajectory_msgs/msg/JointTrajectory': ('points.0.effort', 'joint_names'),
 }
-"""Fields of torques and of joint names by message type; without names, joints are in the order of
-the arm file."""
+"""Fields of torques and of joint names by type; without names, as the arm file orders joints."""
 
 
 class Measurements(NamedTuple):
@@ -61,7 +60,7 @@ class EffortReader:
     """The latest torques before each measurement; messages without use are in ``rejected``."""
 
     def __init__(self, reader: BagReader, msgtype: str, joints: Sequence[str]) -> None:
-        self._msgtype, self._joints = msgtype, tuple(joints)
+        self._msgtype, self._joints, self._order = msgtype, tuple(joints), JointOrder(joints)
         self._path, self._names = EFFORT_TYPES[msgtype]
         self._decoder = Decoder(reader, msgtype, [self._path], self._columns)
         self._latest = np.full((1, len(self._joints)), math.nan)
@@ -82,12 +81,7 @@ class EffortReader:
         except IndexError:
             text = f'{self._msgtype} holds no torques: {self._path} is missing'
             raise SampleError(text) from None
-        names = list(getattr(message, self._names)) if self._names else list(self._joints)
-        for joint in self._joints:
-            if names.count(joint) != 1:
-                raise SampleError(
-                    f'{self._msgtype} names joint {joint!r} {names.count(joint)} times: {names}'
-                )
+        names = getattr(message, self._names) if self._names else self._joints
         if len(values) != len(names):
             raise SampleError(f'{self._msgtype} has {len(values)} torques for {len(names)} joints')
-        return [names.index(joint) for joint in self._joints], -1
+        return list(self._order.indices(names)), -1

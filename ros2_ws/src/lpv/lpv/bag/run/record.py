@@ -17,8 +17,7 @@ from lpv.core.support.errors import SampleError
 from lpv.core.support.timestamps import to_nanoseconds
 
 CORRECTED = 'joint_states_corrected'
-"""Last part of a topic's name that carries measurements with confirmed faults removed: an answer,
-and never taken for the measurements."""
+"""Name of a topic of measurements without confirmed faults: an answer, no measurements."""
 ALARMS, ALARM_TYPE = 'fault_alarm', 'lpv_msgs/msg/FaultAlarm'
 _LOG = logging.getLogger(__name__)
 _NEEDED = {msgtype: ('header', *fields) for msgtype, fields in STREAMS.values()}

@@ -26,8 +26,7 @@ from lpv.core.support.jit import source_digest
 from lpv.core.support.limits import MOST_BYTES, MOST_ENTRIES, PATIENCE
 
 CHUNK = 20
-"""Runs that are sent to a worker, and written, together: they work for seconds, to send them takes
-milliseconds."""
+"""Runs that a worker gets, and writes, together: seconds of work for milliseconds of sending."""
 _NO_WORKER_TIMEOUT = 60.0
 """Time without any worker after which a campaign gives up [s]."""
 
@@ -172,7 +171,7 @@ class ResultsFolder:
                 str(self.path),
             )
         self._chunks.mkdir(parents=True, exist_ok=True)
-        _write(self.path / 'campaign.json', lambda part: part.write_text(work.text))
+        write_whole(self.path / 'campaign.json', work.text.encode())
 
     def load(self) -> Work | None:
         """What was begun here; None if nothing was. ConfigError if it cannot be read."""
@@ -192,8 +191,7 @@ class ResultsFolder:
 
     def add(self, name: str, rows: list[dict[str, Any]]) -> None:
         """Write a chunk; it is there as a whole or not at all."""
-        table = _table(rows)
-        _write(self._chunk(name), lambda part: pq.write_table(table, part))
+        write_whole(self._chunk(name), _table(rows))
 
     def rows(self, chunks: dict[str, list[Any]], others: Sequence[dict[str, Any]] = ()) -> pa.Table:
         """All rows of some chunks that are here, and others that are kept nowhere else."""
@@ -218,7 +216,7 @@ class ResultsFolder:
 
     def finish(self, table: pa.Table) -> None:
         """Write the file of all rows."""
-        _write(self.file, lambda part: pq.write_table(table, part))
+        write_whole(self.file, table)
 
     def _chunk(self, name: str) -> Path:
         return self._chunks / f'{name}.parquet'
@@ -229,10 +227,13 @@ def _table(rows: Sequence[dict[str, Any]]) -> pa.Table:
     return pa.table({name: [row.get(name) for row in rows] for name in names})
 
 
-def _write(path: Path, write: Callable[[Path], Any]) -> None:
-    """Write a file that is there as a whole or not at all."""
+def write_whole(path: Path, content: bytes | pa.Table) -> None:
+    """Write bytes or a Parquet file, which is there as a whole or not at all."""
     part = path.with_name(path.name + '.part')
-    write(part)
+    if isinstance(content, bytes):
+        part.write_bytes(content)
+    else:
+        pq.write_table(content, part)
     # On disk before it gets its name: a power cut must not leave a name without content.
     with open(part, 'rb') as file:
         os.fsync(file.fileno())

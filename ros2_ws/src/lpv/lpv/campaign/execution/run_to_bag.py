@@ -1,6 +1,5 @@
 """One run of a campaign as a bag, as the graph would have recorded it, and files to repeat it."""
 
-import math
 import shutil
 import tempfile
 from dataclasses import asdict
@@ -113,8 +112,7 @@ def differences(stored: dict[str, Any], found: dict[str, Any]) -> list[str]:
 
 def _same(one: Any, two: Any) -> bool:
     if isinstance(one, float) and isinstance(two, float):
-        unknown = math.isnan(one) and math.isnan(two)
-        return unknown or math.isclose(one, two, rel_tol=1e-9, abs_tol=1e-12)
+        return bool(np.isclose(one, two, 1e-9, 1e-12, equal_nan=True))
     return one == two
 
 

@@ -14,13 +14,11 @@ from lpv.core.uio.model.kinematics import forward
 from lpv.core.uio.planar import planar_model
 
 _TRIES = 1000
-"""Random draws after which an arm is said to have no path inside its limits: if one of 200 draws is
-one, this is wrong once in 150 times."""
+"""Draws after which an arm has no path: wrong once in 150 times if one of 200 draws is a path."""
 _MARGIN = 1.5
 """Least abs(cos) of a path of two links, over that of the certified region."""
 _LEFT, _RIGHT, _LEAST, _MOST = 0.725, 0.453, 0.25, 0.8
-"""Link 1 takes angles from -_LEFT to _RIGHT times the largest one; link 2 is that of link 1 plus
-_LEAST to _MOST [rad]: neither stretched nor folded."""
+"""Angles of link 1, over the largest one; bend of link 2 [rad]: neither stretched nor folded."""
 _SEGMENT = (1.5, 3.0)
 """Time between waypoints of an arm [s]."""
 _POSITION_SHARE, _RATE_SHARE, _TORQUE_SHARE = 0.7, 0.6, 0.7

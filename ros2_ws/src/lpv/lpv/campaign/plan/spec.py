@@ -50,8 +50,7 @@ DEFAULTS: dict[str, Any] = {
     'command_delay': 0.0,
     'sample_loss': 0.0,
 }
-"""What acts where the campaign file is silent; None: what scenario or arm file says, the first
-design, the first sensor, a sign by chance."""
+"""Where the file is silent; None: as scenario or arm file, the first one, a sign by chance."""
 TUNING = {
     f'diagnosis.{field.name}': field.name
     for field in fields(DiagnosisParameters)

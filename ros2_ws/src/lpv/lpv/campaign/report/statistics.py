@@ -15,8 +15,7 @@ from lpv.core.simulation.faults import KINDS
 LEVEL = 0.95
 """Confidence level of all intervals."""
 _FEWEST_CASES = 10
-"""Cases from which a smallest size that is found is given: ten of ten are at least 74 % with 95 %
-confidence."""
+"""Cases for a smallest size that is found: ten of ten are at least 74 % with 95 % confidence."""
 _FEWEST_BAGS = 5
 """Bags of one arm from which a trend is looked for: each order of four is likelier than 5 %."""
 _DAY = 86400e9  # [ns]

@@ -15,7 +15,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from lpv.campaign.execution.execute import software
+from lpv.campaign.execution.execute import software, write_whole
 from lpv.campaign.plan.campaign import Campaign
 from lpv.campaign.plan.factors import Choice
 from lpv.campaign.plan.spec import BOTH, NO_FAULT
@@ -65,10 +65,7 @@ def write_report(
         plt.close(figure)
     html, data = folder / 'report.html', folder / 'report.json'
     for path, content in ((html, page), (data, json.dumps(numbers, allow_nan=False, indent=1))):
-        # A page that someone looks at is replaced as a whole.
-        part = path.with_name(path.name + '.part')
-        part.write_text(content, encoding='utf-8')
-        part.replace(path)
+        write_whole(path, content.encode())  # someone may look at it
     return CampaignReport(html, data, numbers)
 
 

@@ -40,7 +40,7 @@ def run(arguments: argparse.Namespace) -> int:
         console.print(f'results: {folder.file}')
     if not arguments.no_report:
         # Only here: runs must not wait for plotting.
-        from lpv.campaign.report import print_summary, write_report
+        from lpv.campaign.report.write import print_summary, write_report
 
         report = write_report(campaign, table, folder.path, campaign.spec.runs)
         print_summary(report.numbers, console)

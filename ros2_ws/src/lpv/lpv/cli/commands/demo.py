@@ -8,6 +8,7 @@ import os
 import queue
 import re
 import shutil
+import signal
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -19,13 +20,14 @@ from rich.console import Console
 
 import lpv_design as design_package
 from lpv.cli.needs import require_ros
-from lpv.cli.processes import Graph, NodeFailure, ended_by_signals
+from lpv.cli.processes import Graph, NodeFailure
 from lpv.cli.progress import bar
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.simulation.scenario import Scenario, load_scenario
 from lpv.core.support.errors import LpvError
 from lpv.core.support.resources import bringup_file, executable, shipped_files
+from lpv.core.support.signals import exit_by_signal, handled_signals
 from lpv.core.uio.certificate.conditions import require
 from lpv.core.uio.certificate.gains import load_gains, save_gains
 from lpv.core.uio.model.arm import ArmParameters
@@ -176,7 +178,9 @@ def _run_graph(
         domain = int(os.environ.get('ROS_DOMAIN_ID', 1 + os.getpid() % 100))
     what = f'{scenario.name!r} ({scenario.duration:g} s, {arguments.mode})'
     console.print(f'running {what} with ROS_DOMAIN_ID {domain} ...')
-    with ended_by_signals(), ThreadPoolExecutor(1) as loader, Graph(out / 'log', domain) as graph:
+    # Nodes, in sessions of their own, get neither signal, and must not outlive the command.
+    ending = handled_signals(exit_by_signal, signal.SIGTERM, signal.SIGHUP)
+    with ending, ThreadPoolExecutor(1) as loader, Graph(out / 'log', domain) as graph:
         for name, command in _commands(arguments, files, out).items():
             graph.start(name, command)
         # While the nodes step one after the other; until then they load on all cores themselves.

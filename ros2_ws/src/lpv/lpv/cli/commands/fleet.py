@@ -35,7 +35,7 @@ def run(arguments: argparse.Namespace) -> int:
     table = folder.rows(chunks, failed).sort_by('bag')
     folder.finish(table)
     # Only here: bags must not wait for plotting.
-    from lpv.campaign.report import print_summary, write_report
+    from lpv.campaign.report.write import print_summary, write_report
 
     report = write_report(archive, table, folder.path, len(chunks), arguments.healthy)
     print_summary(report.numbers, console)

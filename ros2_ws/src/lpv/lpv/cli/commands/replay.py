@@ -130,13 +130,14 @@ def _summary(
 
 
 def _report(arguments: argparse.Namespace, arm: SerialArm, out: Path, console: Console) -> None:
-    from lpv.report.run import write_report
+    from lpv.report.load import load
+    from lpv.report.run import write
     from lpv.report.table import print_table
 
     folder = Path(arguments.report).resolve()
     if folder == out:
         raise ConfigError('--report', 'must be another folder than the bag')
     title = f'Replay of {Path(arguments.bag).name}, arm “{arm.name}”'
-    report = write_report(out, folder, arm, title=title)
+    report = write(load(out, arm, title=title), folder)
     print_table(report.table, console)
     console.print(f'report  {report.html}')

@@ -43,8 +43,7 @@ COSTS = {
 _RATES, _LEAST_RATE = ('missed', 'unstable', 'wrong_alarms', 'false_alarms'), 0.05
 """Figures that may be zero before the search, and what they count over then."""
 _TOLERANCE, _RESAMPLES = 0.02, 2000
-"""Share of the cost within which trials are equal, and that a change has to gain; resamples of the
-bootstrap that says whether it does, 50 of which are beyond either end of a 95 % interval."""
+"""Share of the cost that a change has to gain; resamples, 50 of which are beyond an end of 95 %."""
 _DIAGNOSIS = {'sigmas': 3.0, 'hours_between_false_alarms': 1.0, 'probability_of_wrong_name': 1e-6}
 """Least values: below its bound a threshold means nothing, whatever a campaign says."""
 _FIELD = re.compile(r'(observer|controller|diagnosis)\.(\w+)(?:\[(\d)\])?')

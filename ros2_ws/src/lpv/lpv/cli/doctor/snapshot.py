@@ -25,8 +25,7 @@ OURS = ('arm_sim', 'uio', 'tracker', 'recorder', 'view')
 """Names of this software's nodes."""
 _PARAMETERS = ('use_sim_time', 'lockstep', 'arm_file', 'torque_source', 'gains.arm_sha256')
 _QUIET, _LONGEST_SEARCH = 3.2, 2.0 * PATIENCE
-"""The search ends when nothing new was found for this long [s] (DDS participants announce
-themselves every 3 s), and at the latest after the second."""
+"""Time without news that ends the search (DDS announces every 3 s), and that of its end [s]."""
 _MOST_TOPICS = 8
 """More joint_states topics than these are not listened to."""
 

@@ -155,8 +155,6 @@ class UnknownInputObserver:
         Designed for it.
     choice : {'tightest', 'uio', 'horizon'}, optional
         Whose estimate of the faults is published.
-    sigmas : float, optional
-        Standard deviations of noise in the bound.
     initial_samples : int, optional
         Samples over which the start value is averaged.
     max_gap : float, optional
@@ -183,18 +181,17 @@ class UnknownInputObserver:
         arm: SerialArm,
         gains: Gains,
         choice: str = CHOICES[0],
-        sigmas: float = SIGMAS,
         initial_samples: int = 1,
         max_gap: float = MAX_GAP,
     ) -> None:
         planar = planar_model(arm)
         self.method = gains.observer.method
-        self._sigmas, self._planar, self._gains = sigmas, planar, gains
+        self._sigmas, self._planar, self._gains = SIGMAS, planar, gains
         self._constants = new_record(
             UIO_CONSTANTS,
             observer=observer_constants(planar, gains, initial_samples, max_gap),
             losses=loss_constants(planar),
-            bound=error_bound(planar, gains, sigmas),
+            bound=error_bound(planar, gains),
         )
         self._state = new_record(UIO_STATE)
         # A fault of a sensor whose rate is derived from it is in the rate, too, and method paper

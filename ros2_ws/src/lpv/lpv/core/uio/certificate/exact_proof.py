@@ -26,20 +26,9 @@ from lpv.core.uio.model.state_space import Descriptor
 
 
 def prove(arm: ArmParameters, gains: Gains) -> dict[str, bool]:
-    """Prove the quadratic inequalities of a gains file.
+    """What was proved or refuted of the quadratic inequalities of an arm's gains.
 
-    Parameters
-    ----------
-    arm : ArmParameters
-        The arm.
-    gains : Gains
-        Its gains.
-
-    Returns
-    -------
-    dict of str to bool
-        What was proved or refuted.  The sampled controller's spectral radius is not a definiteness
-        and stays a matter of floats.
+    The sampled controller's spectral radius is not a definiteness and stays a matter of floats.
     """
     observer = gains.observer
     proved = (
