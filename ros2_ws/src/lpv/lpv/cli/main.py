@@ -12,6 +12,7 @@ from lpv.cli.progress import announced
 from lpv.core.support.errors import LpvError
 from lpv.core.support.options import declare
 from lpv.core.support.resources import bringup_file
+from lpv.core.support.threads import one_thread
 
 
 def build_parser(chosen: str | None = None) -> argparse.ArgumentParser:
@@ -33,6 +34,7 @@ def build_parser(chosen: str | None = None) -> argparse.ArgumentParser:
 def main(argv: list[str] | None = None) -> int:
     """Entry point; exit code 2 for bad input."""
     complete(build_parser, COMMANDS)
+    one_thread()
     is_shell, argv = argv is None, sys.argv[1:] if argv is None else argv
     chosen = next((a for a in argv if a in COMMANDS), None)
     if not argv:

@@ -5,35 +5,36 @@ import sys
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from rich.console import Console
+
+from lpv.bag.run.csv_import import ColumnMap, load_column_map
+from lpv.cli.arm_choice import chosen_arm
+from lpv.core.serial_arm.arm_file import save_arm
+from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.errors import ConfigError
-from lpv.core.support.threads import one_thread
-
-if TYPE_CHECKING:
-    from lpv.core.serial_arm.description import SerialArm
-    from lpv.identify.estimation.identification import Identification
-    from lpv.identify.recordings.recording import Recording
+from lpv.core.support.resources import bringup_file
+from lpv.identify.estimation.gains import rescaled
+from lpv.identify.estimation.identification import STEPS, Identification, Options, identify
+from lpv.identify.estimation.mistakes import find_mistakes
+from lpv.identify.estimation.payload import identify_payload, with_payload
+from lpv.identify.estimation.torque_error import calibrate
+from lpv.identify.recordings.recording import Recording, read_recording
+from lpv.identify.results.summary import calibration_table, table
+from lpv.identify.sensors.second_encoder import describe, find_second_encoders, with_second_encoders
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Identify, show, write."""
-    one_thread()
-    from rich.console import Console
-
     console = Console(stderr=True)
     files = [*arguments.recordings, *arguments.test]
     console.print(f'reading {len(files)} recording{"s" if len(files) > 1 else ""}: {files[0]} ...')
-    from lpv.core.support.resources import bringup_file
-    from lpv.identify.recordings.recording import read_recording
-
     arm, columns = _arm(arguments), None
     if arguments.columns:
-        from lpv.bag.run.csv_import import load_column_map
-
         columns = load_column_map(bringup_file('columns', arguments.columns))
 
-    def read(path: str) -> 'Recording':
+    def read(path: str) -> Recording:
         return read_recording(path, arm.joint_names, arguments.topic, columns)
 
     recordings = [read(path) for path in arguments.recordings]
@@ -41,9 +42,6 @@ def run(arguments: argparse.Namespace) -> int:
         return _payload(arguments, arm, recordings)
     if arguments.calibrate:
         return _calibrate(arguments, arm, recordings)
-    from lpv.identify.estimation.identification import STEPS, Options, identify
-    from lpv.identify.results.summary import table
-
     tests = [read(path) for path in arguments.test]
     options = Options(
         arguments.train_share, arguments.refit, arguments.without_gravity or arguments.with_gravity
@@ -64,22 +62,16 @@ def run(arguments: argparse.Namespace) -> int:
     result = _with_second_encoders(arguments, result, columns)
     _save(result.arm, arguments)
     if arguments.report:
-        from lpv.identify.results.report import write_report
+        from lpv.identify.results.report import write_report  # only here: it loads Matplotlib
 
         print(f'report: {write_report(result, Path(arguments.report))}')
     return 0
 
 
 def _with_second_encoders(
-    arguments: argparse.Namespace, result: 'Identification', columns: Any
-) -> 'Identification':
+    arguments: argparse.Namespace, result: Identification, columns: ColumnMap | None
+) -> Identification:
     """The result with the second encoders that were named; says what they are."""
-    from lpv.identify.sensors.second_encoder import (
-        describe,
-        find_second_encoders,
-        with_second_encoders,
-    )
-
     pairs = dict(_pair(text) for text in arguments.second_encoder)
     if not pairs:
         return result
@@ -96,10 +88,8 @@ def _pair(text: str) -> tuple[str, str]:
     return joint, name
 
 
-def _arm(arguments: argparse.Namespace) -> 'SerialArm':
+def _arm(arguments: argparse.Namespace) -> SerialArm:
     """The arm that the fit starts from."""
-    from lpv.cli.arm_choice import chosen_arm
-
     arm, gains = chosen_arm(arguments), arguments.gain
     changes: dict[str, Any] = {'name': arguments.name or arm.name}
     if arguments.base_rpy:
@@ -117,9 +107,7 @@ def _arm(arguments: argparse.Namespace) -> 'SerialArm':
     return replace(arm, **changes)
 
 
-def _payload(arguments: argparse.Namespace, arm: 'SerialArm', recordings: list['Recording']) -> int:
-    from lpv.identify.estimation.payload import identify_payload, with_payload
-
+def _payload(arguments: argparse.Namespace, arm: SerialArm, recordings: list[Recording]) -> int:
     found = identify_payload(arm, recordings)
     x, y, z = found.center
     spread = ' '.join(f'{2 * s:.4f}' for s in found.center_sigma)
@@ -132,21 +120,13 @@ def _payload(arguments: argparse.Namespace, arm: 'SerialArm', recordings: list['
         print(f'warning: {text}', file=sys.stderr)
     result, what = with_payload(arm, found), 'arm with its tool'
     if arguments.known_mass is not None:
-        from lpv.identify.estimation.gains import rescaled
-
         factor = arguments.known_mass / found.mass
         result, what = rescaled(arm, factor), f'arm with its scale corrected by {factor:.4f}'
     _save(result, arguments, what)
     return 0
 
 
-def _calibrate(
-    arguments: argparse.Namespace, arm: 'SerialArm', recordings: list['Recording']
-) -> int:
-    from lpv.identify.estimation.mistakes import find_mistakes
-    from lpv.identify.estimation.torque_error import calibrate
-    from lpv.identify.results.summary import calibration_table
-
+def _calibrate(arguments: argparse.Namespace, arm: SerialArm, recordings: list[Recording]) -> int:
     found = calibrate(arm, recordings)
     print(calibration_table(found))
     for text in (*found.warnings, *(m.text for m in find_mistakes(arm, recordings))):
@@ -155,9 +135,7 @@ def _calibrate(
     return 0
 
 
-def _save(arm: 'SerialArm', arguments: argparse.Namespace, what: str = 'arm file') -> None:
+def _save(arm: SerialArm, arguments: argparse.Namespace, what: str = 'arm file') -> None:
     if arguments.out:
-        from lpv.core.serial_arm.arm_file import save_arm
-
         save_arm(arm, arguments.out)
         print(f'{what} written to {arguments.out}')
