@@ -43,8 +43,9 @@ _OBSERVER = """
 | --requirement REQUIREMENT  requirement to design gains for, a file or a shipped one; without
                    both, the shipped one of the arm's name
 --parameters FILE  parameter file of the node, for its diagnosis, initial_samples and max_gap
---from S:float     leave out what is before this time, counted from the first message of the bag [s]
---to S:float       leave out what is at this time or later [s]
+--from S:float[0:1e9]  leave out what is before this time, counted from the first message of the
+                   bag [s]
+--to S:float[0:1e9]  leave out what is at this time or later [s]
 --topic TOPIC      topic of the measurements, where there are several
 --effort-topic TOPIC  topic of torques to use in place of the measured efforts: TorqueCommand,
                    JointState, Float64MultiArray, JointTrajectory
@@ -235,11 +236,11 @@ bag                rosbag2 directory, MCAP or sqlite3 file
 --compression {_PRESETS}  of the new bag
 --publish          play the bag into the live graph, with /clock, and run nothing offline; needs
                    ROS 2
---rate=1.0         with --publish: speed
+--rate=1.0[1e-3:1e3]  with --publish: speed
 --loop             with --publish: again and again
---clock-rate=100.0  with --publish: messages on /clock per second of the bag, 0 for none
+--clock-rate=100.0[0:1e4]  with --publish: messages on /clock per second of the bag, 0 for none
 --topics TOPIC+    with --publish: topics to play; all but the answers of the diagnosis if not given
---wait=5.0         with --publish: longest time to wait for a subscriber before the first message
+--wait=5.0[0:1e6]  with --publish: longest time to wait for a subscriber before the first message
                    [s]
 """
         + _OBSERVER,

@@ -24,7 +24,6 @@ from lpv.bag.rosbag.metadata import offered_qos
 from lpv.bag.rosbag.reading import BagReader, open_bag
 from lpv.bag.run.measurements import MEASUREMENT_TYPE
 from lpv.bag.run.record import find_topic
-from lpv.core.support.errors import ConfigError
 from lpv.core.support.limits import AT_ONCE, PATIENCE, QUIET
 from lpv.core.support.timestamps import NANOSECONDS
 
@@ -47,16 +46,6 @@ class Player:
     interval: tuple[float | None, float | None] = (None, None)
 
     def __post_init__(self) -> None:
-        for name, value, low, high in (
-            ('--rate', self.rate, 1e-3, 1e3),
-            ('--wait', self.wait, 0.0, 1e6),
-            ('--clock-rate', self.clock_rate, 0.0, 1e4),
-        ):
-            if not low <= value <= high:
-                raise ConfigError(name, f'must be a number from {low:g} to {high:g}, got {value}')
-        for end in self.interval:
-            if end is not None and not 0.0 <= end < 1e9:
-                raise ConfigError('--from, --to', f'must be seconds from 0, got {end}')
         self._tick = round(NANOSECONDS / self.clock_rate) if self.clock_rate else 0
         self._context = Context()
 
