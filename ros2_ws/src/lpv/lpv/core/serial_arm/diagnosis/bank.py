@@ -18,8 +18,9 @@ Ramdas, Rinaldo 2022), so that an alarm at M >= A has a mean time between false 
 A decisions.  A cause is named by its share of the same sum, weighted by `OCCURRENCE`.
 """
 
+import math
+from collections import defaultdict
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -103,8 +104,7 @@ BANK_STATE = record_type(
 )
 
 
-@dataclass(frozen=True)
-class Hypothesis:
+class Hypothesis(NamedTuple):
     """One cause with one start, and how well it explains the balances."""
 
     kind: str
@@ -272,41 +272,37 @@ class Bank:
         if self._derived.any():
             found += self._sudden(blocks, count)
         # Rows that are near zero throughout, as of a constant reading, say nothing.
-        found = [one for one in found if np.isfinite(one.gain)]
+        found = [one for one in found if math.isfinite(one.gain)]
         self._state['statistic'] = self._sum(found)
         return sorted(found, key=lambda one: -one.gain)
 
     def _sum(self, found: list[Hypothesis]) -> float:
         """Logarithm of the statistic."""
-        gains = np.array([one.gain + np.log(one.starts) for one in found])
+        gains = np.array([one.gain + math.log(one.starts) for one in found])
         return float(np.logaddexp.reduce(gains) + self._log_weight) if len(gains) else -np.inf
 
     def shares(self, found: list[Hypothesis]) -> dict[tuple[str, int], float]:
         """Probability of each cause, given that there is one; the most probable one first."""
-        joints = self.estimator.joints
-        logarithms: dict[tuple[str, int], float] = {}
+        logarithms = defaultdict[tuple[str, int], list[float]](list)
         for one in found:
-            rate = OCCURRENCE[one.kind] / (1.0 if one.kind == CONTACT else joints)
-            value = one.gain + np.log(one.starts * rate)
-            logarithms[one.cause] = np.logaddexp(logarithms.get(one.cause, -np.inf), value)
-        total = np.logaddexp.reduce(np.array(list(logarithms.values())))
-        shares = {cause: float(np.exp(value - total)) for cause, value in logarithms.items()}
-        return dict(sorted(shares.items(), key=lambda item: -item[1]))
+            rate = OCCURRENCE[one.kind] / (1.0 if one.kind == CONTACT else self.estimator.joints)
+            logarithms[one.cause].append(one.gain + math.log(one.starts * rate))
+        values = np.array([np.logaddexp.reduce(every) for every in logarithms.values()])
+        shares = np.exp(values - np.logaddexp.reduce(values)).tolist()
+        return dict(sorted(zip(logarithms, shares), key=lambda item: -item[1]))
 
     def _named(self, count: int) -> list[Hypothesis]:
         """Hypotheses of the evidence, and contact, one by one."""
-        one, starts = self._evidence, self._starts
-        gains = one.gain[..., :count]
+        one = self._evidence
+        begin, starts = one.begin[:count].tolist(), self._starts[:count].tolist()
+        at = np.nonzero(one.gain[..., :count] > -np.inf)
+        values = (part[at].tolist() for part in (one.gain, one.size, one.sigma))
         found = [
-            Hypothesis(self._names[k], int(i), float(gains[k, i, w]), float(one.size[k, i, w]),
-                       float(one.sigma[k, i, w]), float(one.begin[w]), float(starts[w]))
-            for k, i, w in zip(*np.nonzero(gains > -np.inf))
-        ]  # fmt: skip
-        found += [
-            Hypothesis(CONTACT, -1, float(gain), 0.0, 0.0, float(one.begin[w]), float(starts[w]))
-            for w, gain in enumerate(one.contact[:count])
+            Hypothesis(self._names[k], i, gain, size, sigma, begin[w], starts[w])
+            for k, i, w, gain, size, sigma in zip(*(part.tolist() for part in at), *values)
         ]
-        return found
+        contact = zip(one.contact[:count].tolist(), begin, starts)
+        return found + [Hypothesis(CONTACT, -1, gain, 0.0, 0.0, *rest) for gain, *rest in contact]
 
     def stuck(
         self, frozen: dict[int, Frozen], blocks: Callable[[int], FloatArray]
@@ -366,9 +362,10 @@ class Bank:
         onset = len(self._lengths)
         for w in np.argsort(np.abs(begins - fault.begin)):
             length = int(lengths[w])
-            set_residuals(estimator.window, estimator.posterior, length + 1)
-            weigh_residuals(estimator.window, estimator.posterior, length + 1)
-            free = rough_contact(self._outside, estimator.posterior, onset, length)
+            for function in (set_residuals, weigh_residuals):
+                estimator.call(function, estimator.window, estimator.posterior, length + 1)
+            null = estimator.posterior
+            free = estimator.call(rough_contact, self._outside, null, onset, length)
             for levers in self._levers(length - ONSET):
                 for courses in self._outside.smooth:
                     gain = free + smooth_contact(
@@ -380,11 +377,9 @@ class Bank:
 
     def _levers(self, last: int) -> tuple[FloatArray, FloatArray]:
         """Of torques on single joints, and of a force on the tip."""
-        chain = self.estimator.balance.chain
-        return (
-            joint_levers(self._push, last),
-            force_levers(chain, self._push, self.estimator.window, last),
-        )
+        one = self.estimator
+        about = one.balance.chain, self._push, one.window, last
+        return joint_levers(self._push, last), one.call(force_levers, *about)
 
     def warm_up(self, blocks: FloatArray) -> None:
         """Compile what is called for suspected faults only; ``blocks`` are those of the horizon."""

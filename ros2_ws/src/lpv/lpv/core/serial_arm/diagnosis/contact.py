@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from lpv.core.serial_arm.chain import Chain, FloatArray, IntArray
-from lpv.core.serial_arm.diagnosis.estimator import Posterior, set_residuals, usual_size
-from lpv.core.serial_arm.diagnosis.information import ROBUST, Window, recent, slot
+from lpv.core.serial_arm.diagnosis.estimator import Posterior, usual_size
+from lpv.core.serial_arm.diagnosis.information import ROBUST, Window, recent, slot, whiten
 from lpv.core.serial_arm.diagnosis.priors import AMPLITUDES, HORIZON_TIME, ROUGH_TIME, SMOOTH_TIMES
 from lpv.core.serial_arm.dynamics.kinematics import fill_jacobian, joint_frames
 from lpv.core.support.jit import njit, njit_in_place
@@ -187,26 +187,30 @@ def smooth_contact(
 
     ``courses``, shape (L, M), have unit variance, as impulses, newest first [s].  ``levers``, shape
     (last, G, n), are torques of what acts independently: one joint each, or a force along one axis
-    each [N m].  The unknowns of ``null`` are free; its residuals are written.  The answer is 0
-    where no torque is needed.
+    each [N m].  The unknowns of ``null`` are free.  The answer is 0 where no torque is needed.
     """
-    set_residuals(window, null, last)
     score, information = _contact_columns(courses[:last], levers, window, null, last)
-    amplitude = np.zeros(levers.shape[1])
-    for g in range(len(amplitude)):
-        one = np.arange(len(amplitude)) == g
-        gains = [_free_torques(score, information, share * one) for share in AMPLITUDES]
-        if max(gains) > 0.0:
-            amplitude[g] = AMPLITUDES[int(np.argmax(gains))]
-    best = _free_torques(score, information, amplitude)
-    for share in AMPLITUDES:
-        same = np.full(len(amplitude), share)
-        gain = _free_torques(score, information, same)
-        if gain > best:
-            best, amplitude = gain, same
-    for g in range(len(amplitude)):
-        without = np.where(np.arange(len(amplitude)) == g, 0.0, amplitude)
-        gain = _free_torques(score, information, without)
+    (groups, modes), shares = score.shape, np.array(AMPLITUDES)
+
+    def gain_of(amplitude: FloatArray) -> float:
+        """Of what acts at all, amplitude by amplitude."""
+        active = np.flatnonzero(amplitude)
+        own = information[active][:, :, active].reshape(2 * (len(active) * modes,))
+        scale = np.repeat(amplitude[active], modes)
+        gain = _free_torques(score[active].ravel(), own, scale)
+        return float(gain) - SMOOTH_PENALTY * len(active)
+
+    alone = np.einsum('gkgl->gkl', information)[:, None]
+    gains = _free_torques(score[:, None], alone, shares[:, None]) - SMOOTH_PENALTY
+    amplitude = np.where(gains.max(1) > 0.0, shares[gains.argmax(1)], 0.0)
+    best = gain_of(amplitude)
+    whole = information.reshape(2 * (groups * modes,))
+    same = _free_torques(score.ravel(), whole, shares[:, None]) - SMOOTH_PENALTY * groups
+    if same.max() > best:
+        best, amplitude = float(same.max()), np.full(groups, shares[same.argmax()])
+    for g in np.flatnonzero(amplitude):
+        without = np.where(np.arange(groups) == g, 0.0, amplitude)
+        gain = gain_of(without)
         if gain > best:
             best, amplitude = gain, without
     return best
@@ -217,26 +221,26 @@ def _contact_columns(
 ) -> tuple[FloatArray, FloatArray]:
     """Score (G, M) and information (G, M, G, M) of courses of unit size, arm's unknowns free."""
     at, (groups, modes) = recent(window, last), (levers.shape[1], courses.shape[1])
-    pulled = levers * window.weights[at][:, None]
-    score = -np.einsum('kgi,ki->gk', pulled, null.residual[:last]) @ courses
-    rows = window.rows[at][:, :, -len(null.mean) :]
-    cross = np.einsum('kgm,kc->gcm', pulled @ rows, courses).reshape(-1, rows.shape[2])
+    pulled, rows = levers * window.weights[at][:, None], window.rows[at][:, :, -len(null.mean) :]
+    left = window.rows[at, :, 0] + rows @ null.mean
+    score = -(pulled @ left[:, :, None])[:, :, 0].T @ courses
+    cross = (pulled @ rows).reshape(last, -1).T @ courses  # (G m, M)
+    cross = cross.reshape(groups, -1, modes).swapaxes(0, 1).reshape(-1, groups * modes)
     both = (courses[:, :, None] * courses[:, None, :]).reshape(last, -1)
     information = (pulled @ levers.swapaxes(1, 2)).reshape(last, -1).T @ both
+    whiten(null.factor, cross)
     shape = groups, groups, modes, modes
-    known = np.linalg.solve(np.triu(null.factor).T, cross.T)
-    information = information.reshape(shape).swapaxes(1, 2) - (known.T @ known).reshape(
+    return score, information.reshape(shape).swapaxes(1, 2) - (cross.T @ cross).reshape(
         groups, modes, groups, modes
     )
-    return score, information
 
 
-def _free_torques(score: FloatArray, information: FloatArray, amplitude: FloatArray) -> float:
-    """Logarithm of the ratio of marginal likelihoods for given amplitudes; 0 without any."""
-    active = np.flatnonzero(amplitude)
-    size, scale = len(active) * score.shape[1], np.repeat(amplitude[active], score.shape[1])
-    matrix = information[active][:, :, active].reshape(size, size) * scale * scale[:, None]
-    right = scale * score[active].ravel()
-    matrix += np.eye(size)
-    free = right @ np.linalg.solve(matrix, right) - np.linalg.slogdet(matrix)[1]
-    return 0.5 * float(free) - SMOOTH_PENALTY * len(active)
+def _free_torques(score: FloatArray, information: FloatArray, scale: FloatArray) -> FloatArray:
+    """Logarithms of ratios of marginal likelihoods of columns with these standard deviations.
+
+    Shapes are (..., K), (..., K, K) and (..., K), where those of the last one are broadcast.
+    """
+    right = scale * score
+    matrix = information * (scale[..., None] * scale[..., None, :]) + np.eye(score.shape[-1])
+    free = (right * np.linalg.solve(matrix, right[..., None])[..., 0]).sum(-1)
+    return np.asarray(0.5 * (free - np.linalg.slogdet(matrix)[1]))

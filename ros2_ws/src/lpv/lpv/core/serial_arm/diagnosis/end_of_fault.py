@@ -101,11 +101,10 @@ class EndOfFault:
         (window, null), last, n = estimator.of_levels, len(estimator), estimator.joints
         if last == 0 or abs(self.jump) > LINEAR:
             return np.zeros(len(self.ages))
-        set_residuals(window, null, last)
-        at, left = recent(window, last), null.residual[:last]
-        rows = estimator.window.rows[at]
-        offset = rows[:, :, 1 + OFFSET * n + self.joint]
-        drift = rows[:, :, 1 + DRIFT * n + self.joint]
+        estimator.call(set_residuals, window, null, last)
+        at, left, every = recent(window, last), null.residual[:last], estimator.window.rows
+        offset = every[at, :, 1 + OFFSET * n + self.joint]
+        drift = every[at, :, 1 + DRIFT * n + self.joint]
         end, span = window.times[at], 2.0 * estimator.plan.interval
         begin = (self.time - self.ages)[:, None]
         rate = (-self.jump * self.ramps / self.ages)[:, None]
@@ -115,12 +114,11 @@ class EndOfFault:
         columns -= np.where(end > self.time, self.jump, 0.0)[None, :, None] * offset
         # What holds the jump itself was made of readings before and after it.
         known = np.where((end > self.time) & (end < self.time + 2.0 * span), 0.0, 1.0)
-        weighted = (window.weights[at] * known[:, None]) * columns
-        unknowns = window.rows[at][:, :, -len(null.mean) :]
-        score = -(weighted * left).sum((1, 2))
-        cross = whitened(null, np.einsum('ski,kim->sm', weighted, unknowns))
-        square = (weighted * columns).sum((1, 2)) - (cross**2).sum(1)
-        return np.asarray(score - 0.5 * np.maximum(square, 0.0))
+        weighted = ((window.weights[at] * known[:, None]) * columns).reshape(len(columns), -1)
+        unknowns = window.rows[at, :, -len(null.mean) :].reshape(last * n, -1)
+        cross = whitened(null, weighted @ unknowns)
+        square = (weighted * columns.reshape(weighted.shape)).sum(1) - (cross**2).sum(1)
+        return np.asarray(-weighted @ left.ravel() - 0.5 * np.maximum(square, 0.0))
 
 
 def end_of_fault(

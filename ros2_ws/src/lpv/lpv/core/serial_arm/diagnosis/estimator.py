@@ -418,6 +418,7 @@ class OffsetEstimator:
     ``posterior`` is the null hypothesis, with which faults that begin are compared; ``level`` is
     the estimate of the offsets.  What the model of an identified arm is known to miss lasts as long
     as a pose: it is an error of levels, hardly one of changes, and counts only in ``level``.
+    ``call`` calls compiled functions that take parts of the estimator.
     """
 
     def __init__(self, arm: SerialArm, plan: HorizonPlan) -> None:
@@ -446,7 +447,7 @@ class OffsetEstimator:
             self.level = _prior_posterior(self.prior, noise, rest, systematic, plan.capacity)
             self._slow = new_window(n, 0, len(self.prior), plan.capacity)
         self.since_linearised = np.zeros(1, np.int64)  # balances
-        self._call, self.parts = Entries(), (self.window, self.posterior, self._slow, self.level)
+        self.call, self.parts = Entries(), (self.window, self.posterior, self._slow, self.level)
 
     def __len__(self) -> int:
         """Balances in the horizon."""
@@ -467,10 +468,10 @@ class OffsetEstimator:
 
     def weigh_again(self, last: int) -> None:
         """Sum up the last balances again, after a change of their variance."""
-        self._call(weigh_all, *self.parts, last)
+        self.call(weigh_all, *self.parts, last)
 
     def _solve(self) -> None:
-        self._call(solve_all, *self.parts)
+        self.call(solve_all, *self.parts)
 
     def misfit(self) -> float:
         """By how many of its standard deviations the arm differs from its file, at most.
@@ -527,10 +528,11 @@ class OffsetEstimator:
         if last < 1:
             return
         rows = np.empty((len(blocks) // self.plan.blocks - 1, *self.balance.rows.shape))
-        fill_balances(self.balance, np.ascontiguousarray(blocks), self.plan.blocks, rows)
-        for back in range(last):
-            make_absolute(rows[-1 - back], self.balance.reference)
-            self.window.rows[slot(self.window, back)] = rows[-1 - back]
+        blocks = np.ascontiguousarray(blocks)
+        self.call(fill_balances, self.balance, blocks, self.plan.blocks, rows)
+        offsets = rows[:, :, 1 + OFFSET * self.joints :][:, :, : self.joints]
+        rows[:, :, 0] -= offsets @ self.balance.reference
+        self.window.rows[recent(self.window, last)] = rows[: -1 - last : -1]
         self.weigh_again(last)
 
     def doubt_readings(self, joint: int, error: float | FloatArray) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.diagnosis.balance import DRIFT, EPOCH, OFFSET, RATE, SCALE
 from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator
-from lpv.core.serial_arm.diagnosis.information import ROBUST, slot
+from lpv.core.serial_arm.diagnosis.information import ROBUST, whiten
 from lpv.core.serial_arm.diagnosis.priors import (
     OFFSET_PRIOR,
     OFFSET_SIGMA,
@@ -220,7 +220,7 @@ def correct_since(
     _note(one, sampler)
     window, epoch = estimator.window, estimator.balance.clock[EPOCH]
     for back in range(min(last, len(estimator))):
-        at = slot(window, back)
+        at = estimator.place(back)
         end = ended + window.times[at] - estimator.times(1)[0]
         times = epoch, one.updated, end
         columns = one.columns(window.rows[at], times, momenta[at], estimator.plan.interval)
@@ -249,12 +249,13 @@ def follow(
     if one.fault(float(sampler.raw[one.joint]), float(sampler.time[-1]))[2] > LOST:
         _lose(one, sampler)
         return
-    at = slot(window, 0)
+    at = estimator.place(0)
     rows, m = window.rows[at], len(null.mean)
     times = float(estimator.balance.clock[EPOCH]), end, end
     columns = one.columns(rows, times, momenta[at], interval)
     unknowns = rows[:, rows.shape[1] - m :]
-    known = np.linalg.solve(np.triu(null.factor).T, unknowns.T)
+    known = np.ascontiguousarray(unknowns.T)
+    whiten(null.factor, known)
     noise = null.noise * (1.0 + (null.rest - 1.0) * window.rest[at])
     # Neighbouring balances share an interval: each counts half.
     variance = 2.0 * np.diag(noise**2 * null.inflation) + known.T @ known

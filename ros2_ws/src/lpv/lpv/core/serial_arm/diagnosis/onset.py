@@ -6,6 +6,7 @@ and s, where s is the place of b in the interval that they share.  A torque from
 to be an impact along a column of the mass matrix, and to act as a drift does from then on.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +23,7 @@ from lpv.core.serial_arm.diagnosis.balance import (
     VISCOUS,
     VISCOUS_PART,
     Balance,
+    friction_columns,
     residuals,
 )
 from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator, Posterior, set_residuals
@@ -74,11 +76,17 @@ def sudden_drift_of(
     oldest first; ``mass``, shape (capacity, n, n), is M S^-1 of each balance, in the ring of the
     horizon.  The gain is -inf while there are too few balances.
     """
-    end, trials = block_end(blocks[-1]), []
-    for onset in likely_onsets(estimator, joint, end, prior, last, mass[:, :, joint]):
-        needed = (onset.back + 2) * estimator.plan.blocks
-        if needed <= len(blocks):
-            trials += with_true_effect(onset, estimator, (joint, prior), blocks[-needed:])
+    balance, per_interval = estimator.balance, estimator.plan.blocks
+    likely = likely_onsets(estimator, joint, block_end(blocks[-1]), prior, last, mass[:, :, joint])
+    likely = [one for one in likely if (one.back + 2) * per_interval <= len(blocks)]
+    if not likely:
+        return NO_ONSET
+    longest, friction = max(one.back for one in likely), _learned_friction(estimator)
+    blocks, trials = blocks[-(longest + 2) * per_interval :], list[Trial]()
+    plain = residuals(balance, blocks, per_interval, friction, estimator.call)
+    for onset in likely:
+        held = blocks[-(onset.back + 2) * per_interval :], plain[-1 - onset.back :], friction
+        trials += with_true_effect(onset, estimator, (joint, prior), held)
     found = [one.onset for one in _refined(trials, prior)]
     return max(found, key=lambda one: one.gain, default=NO_ONSET)
 
@@ -100,7 +108,7 @@ def likely_onsets(
     back = np.arange(SHORTEST, last - 1)
     if len(back) == 0:
         return []
-    set_residuals(window, null, last)
+    estimator.call(set_residuals, window, null, last)
     at, left = recent(window, last), null.residual[:last]
     rows, weights = window.rows[at], window.weights[at]
     columns = rows[:, :, [1 + DRIFT * n + joint, 1 + OFFSET * n + joint]]
@@ -162,7 +170,8 @@ def _best_onsets(
 
 def whitened(null: Posterior, rows: FloatArray) -> FloatArray:
     """U^-T of rows of products with the unknowns' columns, shape (..., m)."""
-    columns = np.linalg.solve(np.triu(null.factor).T, rows.reshape(-1, rows.shape[-1]).T)
+    columns = np.ascontiguousarray(rows.reshape(-1, rows.shape[-1]).T)
+    whiten(null.factor, columns)
     return np.asarray(columns.T.reshape(rows.shape))
 
 
@@ -176,29 +185,35 @@ class Trial(NamedTuple):
 
 
 def with_true_effect(
-    onset: Onset, estimator: OffsetEstimator, fault: tuple[int, float], blocks: FloatArray
+    onset: Onset,
+    estimator: OffsetEstimator,
+    fault: tuple[int, float],
+    held: tuple[FloatArray, FloatArray, FloatArray],
 ) -> list[Trial]:
     """Trials of an onset with the drift's true effect: friction turns over where a joint is slow.
 
     Friction that turns over is as large for a small drift as for a large one, so that trials begin
     with the size to first order, and with that by which the joint would rest.  ``fault`` is the
-    joint with the standard deviation of drifts [rad/s].  ``blocks``, shape (N, 3 n + 4), are those
-    of the balances that hold the onset, and of all after them, oldest first.
+    joint with the standard deviation of drifts [rad/s].  ``held`` are the blocks, shape
+    (N, 3 n + 4), of the balances that hold the onset, and of all after them, oldest first; these
+    balances' residuals, and the friction of the joints that they are evaluated with.
     """
     joint, prior = fault
-    rival = _Rival(estimator, joint, onset.begin, np.ascontiguousarray(blocks))
-    return [_try(rival, onset, size, prior) for size in (onset.size, rival.apparent_rate())]
+    rival = _Rival(estimator, joint, onset.begin, *held)
+    return _try(rival, onset, [onset.size, rival.apparent_rate()], prior)
 
 
-def _try(rival: '_Rival', onset: Onset, size: float, prior: float) -> Trial:
-    """Compare a drift of this size; the gain is -inf where it is no number."""
-    fit, slope, curvature = rival.compare(size)
-    power = curvature + prior**-2
-    gain = fit - 0.5 * (size / prior) ** 2 - 0.5 * np.log(power * prior * prior)
-    step = (slope - size / prior**2) / power
-    gain = float(gain) if np.isfinite(gain + step) else -np.inf
-    tried = Onset(gain, float(size), power**-0.5, onset.begin, onset.back)
-    return Trial(tried, rival, float(size + step), gain + 0.5 * power * step**2)
+def _try(rival: '_Rival', onset: Onset, sizes: list[float], prior: float) -> list[Trial]:
+    """Compare drifts of these sizes; gains are -inf where they are no numbers."""
+    trials = []
+    for size, (fit, slope, curvature) in zip(sizes, rival.compare(np.array(sizes))):
+        power = curvature + prior**-2
+        gain = fit - 0.5 * (size / prior) ** 2 - 0.5 * math.log(power * prior * prior)
+        step = (slope - size / prior**2) / power
+        gain = gain if math.isfinite(gain + step) else -math.inf
+        tried = Onset(gain, size, power**-0.5, onset.begin, onset.back)
+        trials.append(Trial(tried, rival, size + step, gain + 0.5 * power * step**2))
+    return trials
 
 
 def _refined(trials: list[Trial], prior: float) -> list[Trial]:
@@ -210,7 +225,7 @@ def _refined(trials: list[Trial], prior: float) -> list[Trial]:
         for _ in range(_STEPS):
             if not abs(one.next) < _DIVERGED * prior:
                 break
-            one = _try(one.rival, one.onset, one.next, prior)
+            (one,) = _try(one.rival, one.onset, [one.next], prior)
             found.append(one)
     return found
 
@@ -223,71 +238,76 @@ class _Rival:
     """
 
     def __init__(
-        self, estimator: OffsetEstimator, joint: int, begin: float, blocks: FloatArray
+        self,
+        estimator: OffsetEstimator,
+        joint: int,
+        begin: float,
+        blocks: FloatArray,
+        plain: FloatArray,
+        friction: FloatArray,
     ) -> None:
         self._estimator, self._joint, self._begin, self._blocks = estimator, joint, begin, blocks
         window, null = estimator.window, estimator.posterior
-        self._friction = _learned_friction(estimator.balance, null)
-        self._plain = self._residuals(0.0, self._friction)
-        last = len(self._plain)
-        set_residuals(window, null, last)
-        at = recent(window, last)[::-1]
-        self._left, self._weights = null.residual[:last][::-1].copy(), window.weights[at]
-        self._unknowns = window.rows[at][:, :, -len(null.mean) :]
+        self._plain, self._friction = plain, friction
+        at = recent(window, len(plain))[::-1]
+        rows = window.rows[at].reshape(-1, window.rows.shape[2])
+        self._weights, self._unknowns = window.weights[at].ravel(), rows[:, -len(null.mean) :]
+        self._left = rows[:, 0] + self._unknowns @ null.mean
+        pulled = self._weights * self._left
+        self._score, self._level = self._unknowns.T @ pulled, float(pulled @ self._left)
         upper = np.triu(null.factor)
-        pulled = self._weights[:, :, None] * self._unknowns
-        self._score = np.einsum('kim,ki->m', pulled, self._left)
-        self._others = upper.T @ upper - np.einsum('kim,kil->ml', pulled, self._unknowns)
-        self._level = float((self._weights * self._left**2).sum())
+        self._others = upper.T @ upper
+        self._others -= (self._weights[:, None] * self._unknowns).T @ self._unknowns
         self._freedom = 2.0 * float(np.log(np.diag(upper)).sum())
 
     def apparent_rate(self) -> float:
         """Mean rate since the onset, by the readings: that of the drift, if the joint rests."""
-        n = len(self._estimator.balance.reference)
+        n = self._estimator.joints
         since = self._blocks[:, 3 * n] > self._begin
         return float(self._blocks[since, n + self._joint].mean()) if since.any() else 0.0
 
-    def _residuals(self, size: float, friction: FloatArray) -> FloatArray:
-        """Balances freed of a drift of this size."""
-        balance, per_interval = self._estimator.balance, self._estimator.plan.blocks
-        freed = without_drift(self._blocks, balance, self._joint, self._begin, size)
-        return np.asarray(residuals(balance, freed, per_interval, friction))
+    def compare(self, sizes: FloatArray) -> list[tuple[float, float, float]]:
+        """Logarithms of likelihood ratios of drifts of these sizes, their slopes and curvatures."""
+        estimator, count = self._estimator, len(sizes)
+        about = estimator.balance, estimator.plan.blocks
+        changes = np.copysign(np.maximum(0.1 * np.abs(sizes), _SMALLEST), sizes)
+        every = np.concatenate([sizes, sizes + changes])
+        freed = without_drift(self._blocks, about[0], self._joint, self._begin, every)
+        left = residuals(about[0], freed, about[1], self._friction, estimator.call) - self._plain
+        left = self._left + left.reshape(len(every), -1)
+        by_size = (left[count:] - left[:count]) / changes[:, None]
+        friction = friction_columns(about[0], freed[:count], about[1])
+        return [self._compare(friction[:, k], left[k], by_size[k]) for k in range(count)]
 
-    def _columns(self, size: float, freed: FloatArray) -> FloatArray:
-        """Derivatives of the freed balances by the arm's unknowns."""
-        columns, balance = self._unknowns.copy(), self._estimator.balance
-        n = len(balance.reference)
-        for i in np.flatnonzero(balance.to_joints[:, self._joint]):
-            for group, part in ((VISCOUS, WET), (COULOMB, DRY)):
-                friction = self._friction.copy()
-                friction[i, part] += 1.0
-                columns[:, :, (group - OFFSET) * n + i] = self._residuals(size, friction) - freed
+    def _columns(self, friction: FloatArray) -> FloatArray:
+        """Derivatives of freed balances by the arm's unknowns; of friction as given."""
+        columns, n = self._unknowns.copy(), self._estimator.joints
+        for group, column in zip((VISCOUS, COULOMB), friction):
+            for i in np.flatnonzero(self._estimator.balance.to_joints[:, self._joint]):
+                columns[i::n, (group - OFFSET) * n + i] = column[:, i]
         return columns
 
-    def compare(self, size: float) -> tuple[float, float, float]:
-        """Logarithm of the likelihood ratio of a drift of this size, its slope and curvature."""
-        freed = self._residuals(size, self._friction)
-        columns = self._columns(size, freed)
-        left, pulled = self._left + freed - self._plain, self._weights[:, :, None] * columns
-        change = np.copysign(max(0.1 * abs(size), _SMALLEST), size)
-        by_size = (self._residuals(size + change, self._friction) - freed) / change
-        information = self._others + np.einsum('kim,kil->ml', pulled, columns)
+    def _compare(
+        self, friction: FloatArray, left: FloatArray, by_size: FloatArray
+    ) -> tuple[float, float, float]:
+        """The same of one drift: columns of friction, residuals, and how its size changes these."""
+        columns = self._columns(friction)
+        pulled = self._weights[:, None] * columns
+        information = self._others + pulled.T @ columns
         factorise(information, self._estimator.posterior.least)
-        both = np.stack([
-            self._score - np.einsum('kim,ki->m', pulled, left),
-            np.einsum('kim,ki->m', pulled, by_size),
-        ], axis=1)  # fmt: skip
+        weighted = self._weights * by_size
+        both = np.stack([self._score - pulled.T @ left, columns.T @ weighted], axis=1)
         whiten(information, both)
-        fit = 0.5 * (self._level - float((self._weights * left**2).sum()))
-        fit += 0.5 * float(both[:, 0] @ both[:, 0])
-        fit += 0.5 * (self._freedom - 2.0 * float(np.log(np.diag(information)).sum()))
-        slope = -float((self._weights * by_size * left).sum()) - float(both[:, 0] @ both[:, 1])
-        curvature = float((self._weights * by_size**2).sum()) - float(both[:, 1] @ both[:, 1])
-        return fit, slope, max(curvature, 0.0)
+        across = both.T @ both
+        fit = self._level - float(self._weights @ left**2) + across[0, 0] + self._freedom
+        fit -= 2.0 * float(np.log(np.diag(information)).sum())
+        slope, curvature = -float(weighted @ left) - across[0, 1], float(weighted @ by_size)
+        return 0.5 * float(fit), float(slope), max(float(curvature - across[1, 1]), 0.0)
 
 
-def _learned_friction(balance: Balance, null: Posterior) -> FloatArray:
+def _learned_friction(estimator: OffsetEstimator) -> FloatArray:
     """Friction of the chain with what the null hypothesis has learned of it."""
+    balance, null = estimator.balance, estimator.posterior
     n, friction = len(balance.reference), balance.chain.friction.copy()
     for group, column, part in ((VISCOUS, WET, VISCOUS_PART), (COULOMB, DRY, COULOMB_PART)):
         friction[:, column] += null.mean[(group - OFFSET) * n :][:n]
@@ -296,13 +316,17 @@ def _learned_friction(balance: Balance, null: Posterior) -> FloatArray:
 
 
 def without_drift(
-    blocks: FloatArray, balance: Balance, joint: int, begin: float, size: float
+    blocks: FloatArray, balance: Balance, joint: int, begin: float, size: float | FloatArray
 ) -> FloatArray:
-    """Blocks whose reading, and the rate that is derived from it, are freed of a drift."""
-    n, freed = len(balance.reference), blocks.copy()
+    """Blocks whose reading, and the rate that is derived from it, are freed of a drift.
+
+    Of S sizes they have shape (S, N, 3 n + 4).
+    """
+    n, size = len(balance.reference), np.asarray(size)[..., None]
+    freed = np.repeat(blocks[None], size.size, axis=0).reshape(*size.shape[:-1], *blocks.shape)
     middle, length = blocks[:, 3 * n], blocks[:, 3 * n + 1]
     after = np.clip(middle + 0.5 * length - begin, 0.0, length)
     share = after / length
-    freed[:, joint] -= size * np.maximum(middle - begin, 0.5 * after) * share
-    freed[:, n + joint] -= balance.derived[joint] * size * share
+    freed[..., joint] -= size * (np.maximum(middle - begin, 0.5 * after) * share)
+    freed[..., n + joint] -= balance.derived[joint] * size * share
     return freed

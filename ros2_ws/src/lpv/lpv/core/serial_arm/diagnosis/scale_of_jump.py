@@ -89,13 +89,12 @@ class ScaleOfJump:
         last = int((estimator.times(len(estimator)) > whole).sum())
         if last == 0:
             return 0.0
-        set_residuals(window, null, last)
+        estimator.call(set_residuals, window, null, last)
         at, left = recent(window, last), null.residual[:last]
-        rows = estimator.window.rows[at]
-        column = rows[:, :, 1 + SCALE * n + self.joint]
-        column = column - self.reading * rows[:, :, 1 + OFFSET * n + self.joint]
-        weighted = window.weights[at] * column
-        cross = whitened(null, np.einsum('ki,kim->m', weighted, rows[:, :, -len(null.mean) :]))
+        column = window.rows[at, :, 1 + SCALE * n + self.joint]
+        column = column - self.reading * window.rows[at, :, 1 + OFFSET * n + self.joint]
+        weighted, unknowns = window.weights[at] * column, window.rows[at, :, -len(null.mean) :]
+        cross = whitened(null, weighted.ravel() @ unknowns.reshape(last * n, -1))
         known = self.sigma**-2
         power = known + max(float((weighted * column).sum() - cross @ cross), 0.0)
         pull = self.size * known - float((weighted * left).sum())

@@ -10,12 +10,7 @@ import numpy as np
 
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.diagnosis.balance import OFFSET, RATE, fill_balances, scratch_of
-from lpv.core.serial_arm.diagnosis.estimator import (
-    OffsetEstimator,
-    Posterior,
-    make_absolute,
-    set_residuals,
-)
+from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator, Posterior, set_residuals
 from lpv.core.serial_arm.diagnosis.information import ROBUST, factorise, recent, whiten
 from lpv.core.serial_arm.diagnosis.onset import without_drift
 from lpv.core.serial_arm.diagnosis.priors import LEAST_ACCELERATION, SLOW_RATE
@@ -85,13 +80,13 @@ def course_of_frozen(
     blocks = blocks[-(count + 1) * plan.blocks :]
     momenta, push = about
     at = recent(estimator.window, count)[::-1]
-    set_residuals(estimator.window, null, count)
+    estimator.call(set_residuals, estimator.window, null, count)
     before = null.residual[:count][::-1]
     rows = np.empty((count, *estimator.balance.rows.shape))
     gone = without_drift(blocks, estimator.balance, joint, begin, -first)
-    fill_balances(scratch_of(estimator.balance), gone, plan.blocks, rows)
-    for row in rows:
-        make_absolute(row, estimator.balance.reference)
+    estimator.call(fill_balances, scratch_of(estimator.balance), gone, plan.blocks, rows)
+    reference = estimator.balance.reference
+    rows[:, :, 0] -= rows[:, :, 1 + OFFSET * n :][:, :, :n] @ reference
     unknowns = rows[:, :, rows.shape[2] - len(null.mean) :]
     after = rows[:, :, 0] + unknowns @ null.mean
     # Sizes of what is left: of joints that move where the reading lies, else as they rest.
@@ -103,15 +98,18 @@ def course_of_frozen(
     weights = np.minimum(_weights(before, size, inflation), _weights(after, size, inflation))
     columns = _rate_steps(rows, joint, momenta[at], plan.interval)
     every = np.concatenate([(after - before)[:, :, None], columns], axis=2)
-    cross = np.einsum('kix,ki,kij->xj', unknowns, weights, every)
+    every, free = every.reshape(-1, 1 + count), unknowns.reshape(-1, len(null.mean))
+    pulled, forced = weights.reshape(-1, 1) * every, weights.reshape(-1, 1) * free
+    cross = free.T @ pulled
     # What the unknowns explain: by these balances as evaluated anew, in place of as they were.
-    upper, old = np.triu(null.factor), estimator.window.rows[at][:, :, -unknowns.shape[2] :]
-    known = upper.T @ upper + np.einsum('kix,ki,kiy->xy', unknowns, weights, unknowns)
-    known -= np.einsum('kix,ki,kiy->xy', old, estimator.window.weights[at], old)
+    upper, old = np.triu(null.factor), estimator.window.rows[at].reshape(-1, rows.shape[2])
+    old = old[:, -free.shape[1] :]
+    known = upper.T @ upper + forced.T @ free
+    known -= (estimator.window.weights[at].reshape(-1, 1) * old).T @ old
     factorise(known, null.least)
     whiten(known, cross)
-    information = np.einsum('kia,ki,kib->ab', every, weights, every) - cross.T @ cross
-    score = -np.einsum('kij,ki,ki->j', every, weights, before)
+    information = every.T @ pulled - cross.T @ cross
+    score = -pulled.T @ before.ravel()
     place = np.arange(1.0, count + 1.0)
     spread = STILL_RATE if balances else frozen.sigma
     walk = step**2 * np.minimum(place, place[:, None]) + spread**2
