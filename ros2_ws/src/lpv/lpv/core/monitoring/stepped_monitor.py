@@ -17,6 +17,7 @@ from lpv.core.serial_arm.diagnosis.decision import Parts
 from lpv.core.serial_arm.diagnosis.healthy_set import Guarantee
 from lpv.core.serial_arm.diagnosis.monitor import SerialAlarm, SerialMonitor
 from lpv.core.serial_arm.diagnosis.sampling import JUMP_SCALE
+from lpv.core.support.records import plain
 
 _OK, _ERROR, _NOT_DIAGNOSABLE = SensorState.OK, SensorState.ERROR, SensorState.NOT_DIAGNOSABLE
 
@@ -149,7 +150,7 @@ class SteppedMonitor(SerialMonitor):
     def _go_on(self, stamps: IntArray, times: FloatArray, samples: FloatArray) -> None:
         """Take samples, decide on them and answer them."""
         (answering, rows, told), first = self._out, self._row
-        progress, plan = answering.progress[0], (self.plan.per_block, self.plan.blocks)
+        progress, plan = plain(answering.progress[0]), (self.plan.per_block, self.plan.blocks)
         fixed = self._parts, plan, answering, rows, first, stamps, times, samples
         while self._call(advance, *fixed) or progress['phase'] != SAMPLE:
             now, row = float(self._state['now']), first + int(progress['taken']) - 1
@@ -172,7 +173,8 @@ class SteppedMonitor(SerialMonitor):
         """What has been known since the last decision."""
         settings, sensors, sampler, scales = self.settings, self.sensors, self.sampler, self.scales
         state = np.array([one.state for one in sensors], np.uint8)
-        (fault, sigma), changing = self.faults(), self.changing_sigma() + self.jump_doubt()
+        doubts = self.doubts()
+        (fault, sigma), changing = self.faults(doubts), sum(doubts)
         jump, self.jump = self.jump, np.zeros(self.joints)
         self._removed_variance = np.where(
             state == _ERROR, self._removed_variance + self.jump_variance, 0.0

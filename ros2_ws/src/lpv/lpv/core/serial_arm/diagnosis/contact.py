@@ -8,6 +8,7 @@ well is taken off.
 """
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -55,8 +56,7 @@ def new_contact(lengths: list[int], torque: FloatArray, interval: float, capacit
     count, longest, n = len(lengths), max(lengths), len(torque)
     values, vectors = np.zeros((count, longest)), np.zeros((count, longest, longest))
     for w, length in enumerate(lengths):
-        distance = _distances(length, interval) / ROUGH_TIME
-        values[w, :length], vectors[w, :length, :length] = np.linalg.eigh(np.exp(-distance))
+        values[w, :length], vectors[w, :length, :length] = _rough(length, interval)
     smooth = tuple(_courses(longest, interval, one) for one in SMOOTH_TIMES)
     shares = len(AMPLITUDES)
     return Contact(
@@ -71,6 +71,14 @@ def _distances(count: int, interval: float) -> FloatArray:
     return np.abs(place - place[:, None])
 
 
+@lru_cache(maxsize=64)
+def _rough(count: int, interval: float) -> tuple[FloatArray, FloatArray]:
+    """Eigenvalues and eigenvectors of the correlation of rough torques."""
+    values, vectors = np.linalg.eigh(np.exp(-_distances(count, interval) / ROUGH_TIME))
+    return values, vectors
+
+
+@lru_cache(maxsize=16)
 def _courses(count: int, interval: float, time: float) -> FloatArray:
     """Leading eigenfunctions of a Gaussian kernel that are not negligible."""
     kernel = np.exp(-0.5 * (_distances(count, interval) / time) ** 2)

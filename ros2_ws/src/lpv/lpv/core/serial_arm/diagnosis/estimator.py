@@ -7,6 +7,7 @@ that has moved, the horizon is linearised again.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -422,29 +423,20 @@ class OffsetEstimator:
     """
 
     def __init__(self, arm: SerialArm, plan: HorizonPlan) -> None:
-        self.plan = plan
-        chain = compile_chain(arm)
-        self.joints = n = len(arm.joints)
-        speed = np.array([min(joint.limits.velocity, FAST) for joint in arm.joints])
-        missed = model_error(arm) * typical_torque(chain)
-        directions, drives = parameter_directions(chain, parameter_factor(arm, chain), speed)
+        self.plan, about = plan, _about(arm, plan)
+        self.joints, self.typical, self.prior = len(arm.joints), about.typical, about.prior
         derived = np.array([float(joint.sensors.rates != 'independent') for joint in arm.joints])
+        n, known = self.joints, (about.prior, about.noise, about.rest)
         self.balance: Balance = new_balance(
-            chain, directions, derived, drives, arm.sensors_to_joints()
-        )
-        self.prior = np.concatenate(
-            [*_priors(arm, chain.friction, missed), np.ones(len(directions))]
+            about.chain, about.directions, derived, about.drives, arm.sensors_to_joints()
         )
         self.window: Window = new_window(n, OFFSET * n, len(self.prior), plan.capacity)
-        noise = _expected_noise(arm, chain, missed, plan)
-        systematic = _systematic_error(arm, LASTING * missed, plan)
-        # Friction at rest is anything between both signs of Coulomb's: uniformly distributed.
-        rest = np.hypot(1.0, plan.interval * chain.friction[:, DRY] / (np.sqrt(3.0) * noise))
-        self.posterior = _prior_posterior(self.prior, noise, rest, 0.0 * noise, plan.capacity)
+        systematic = about.systematic
+        self.posterior = _prior_posterior(*known, 0.0 * systematic, plan.capacity)
         self.level = self.posterior
         self._slow: Window | None = None
         if systematic.any():
-            self.level = _prior_posterior(self.prior, noise, rest, systematic, plan.capacity)
+            self.level = _prior_posterior(*known, systematic, plan.capacity)
             self._slow = new_window(n, 0, len(self.prior), plan.capacity)
         self.since_linearised = np.zeros(1, np.int64)  # balances
         self.call, self.parts = Entries(), (self.window, self.posterior, self._slow, self.level)
@@ -556,6 +548,35 @@ class OffsetEstimator:
             self.window.trust[at] = min(self.window.trust[at], DISTRUST)
         self.weigh_again(last)
         self._solve()
+
+
+class _About(NamedTuple):
+    """What depends on the arm alone; not to be changed."""
+
+    chain: Chain
+    typical: FloatArray  # torques that move it, shape (n,) [N m]
+    directions: FloatArray  # of its parameters, as of `Balance`, and what belongs to them of drives
+    drives: FloatArray
+    prior: FloatArray  # standard deviations of the unknowns, shape (m,)
+    noise: FloatArray  # as expected, of `Posterior`, as the next two
+    rest: FloatArray
+    systematic: FloatArray
+
+
+@lru_cache(maxsize=4)
+def _about(arm: SerialArm, plan: HorizonPlan) -> _About:
+    """Kept: a campaign watches one arm again and again."""
+    chain = compile_chain(arm)
+    speed = np.array([min(joint.limits.velocity, FAST) for joint in arm.joints])
+    typical = typical_torque(chain)
+    missed = model_error(arm) * typical
+    directions, drives = parameter_directions(chain, parameter_factor(arm, chain), speed)
+    prior = np.concatenate([*_priors(arm, chain.friction, missed), np.ones(len(directions))])
+    noise = _expected_noise(arm, chain, missed, plan)
+    # Friction at rest is anything between both signs of Coulomb's: uniformly distributed.
+    rest = np.hypot(1.0, plan.interval * chain.friction[:, DRY] / (np.sqrt(3.0) * noise))
+    systematic = _systematic_error(arm, LASTING * missed, plan)
+    return _About(chain, typical, directions, drives, prior, noise, rest, systematic)
 
 
 def _prior_posterior(

@@ -6,6 +6,7 @@ estimate, so that the next fault is looked for beside this one, and what the est
 by is added to the variance of the balances.
 """
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -69,8 +70,13 @@ class FaultFilter:
             fault = reading - position
             variance = float(direction @ self.covariance @ direction)
             return fault, 0.0, float(np.sqrt(max(variance, 0.0)))
-        mean, covariance = self._after(now - self.updated)
-        return float(mean[0]), float(mean[1]), float(np.sqrt(max(covariance[0, 0], 0.0)))
+        since, (fault, rate, acceleration) = now - self.updated, self.mean.tolist()
+        _, bend, change = self._growth(since)
+        half = 0.5 * since**2
+        ahead = np.array([1.0, since, half])
+        variance = float(ahead @ self.covariance @ ahead) + bend * half**2 + change * since**2 / 3.0
+        fault += rate * since + acceleration * half
+        return fault, rate + acceleration * since, math.sqrt(max(variance, 0.0))
 
     def course(self, since: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Fault and its rate at times from the state's on, or before it; not of a scale error."""
@@ -95,16 +101,21 @@ class FaultFilter:
         """State and its covariance after a time [s]."""
         if self.is_scale:
             return self.mean, self.covariance + np.diag([SCALE_STEADY**2 * interval, 0.0, 0.0])
-        move, change, covariance = _motion(interval), STEADY**2, self.covariance.copy()
-        if self.kind == 'stuck':
-            kept = float(np.exp(-interval / STEADY_FOR))
-            move[2, 2], change = kept, 0.0
-            covariance[2, 2] += self.acceleration**2 * (1.0 - kept**2)
+        move, covariance = _motion(interval), self.covariance.copy()
+        move[2, 2], bend, change = self._growth(interval)
+        covariance[2, 2] += bend
         covariance = move @ covariance @ move.T
-        covariance[:2, :2] += change * interval * np.array([
+        covariance[:2, :2] += change * np.array([
             [interval**2 / 3.0, interval / 2.0], [interval / 2.0, 1.0],
         ])  # fmt: skip
         return move @ self.mean, covariance
+
+    def _growth(self, interval: float) -> tuple[float, float, float]:
+        """What is kept of the acceleration, and by what its variance and the rate's grow."""
+        if self.kind != 'stuck':
+            return 1.0, 0.0, STEADY**2 * interval
+        kept = math.exp(-interval / STEADY_FOR)
+        return kept, self.acceleration**2 * (1.0 - kept**2), 0.0
 
     def columns(
         self,

@@ -244,9 +244,8 @@ class HealthySet:
         """Variance of the estimates by noise of readings and rates in the horizon."""
         total = np.einsum('fbi,bi->f', map_**2, self._doubts[places, 1])
         moved = np.einsum('fbi,bij->fbj', map_, self._inertia[places])
-        padded = np.pad(moved, ((0, 0), (1, 1), (0, 0)))
-        once = np.diff(padded, axis=1)
-        twice = np.diff(np.pad(once, ((0, 0), (1, 1), (0, 0))), axis=1)
+        once = np.diff(moved, axis=1, prepend=0.0, append=0.0)
+        twice = np.diff(once, axis=1, prepend=0.0, append=0.0)
         total += ((once * ~self._derived * self._mean_noise) ** 2).sum((1, 2))
         return np.asarray(total + ((twice * self._derived * self._mean_noise) ** 2).sum((1, 2)))
 

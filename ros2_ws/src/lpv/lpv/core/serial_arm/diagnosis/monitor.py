@@ -44,7 +44,6 @@ from lpv.core.serial_arm.diagnosis.fault_filter import (
 )
 from lpv.core.serial_arm.diagnosis.healthy_set import Guarantee, HealthySet
 from lpv.core.serial_arm.diagnosis.learning import Learned, learned_of
-from lpv.core.serial_arm.diagnosis.parameter_error import typical_torque
 from lpv.core.serial_arm.diagnosis.parameter_set import is_stated
 from lpv.core.serial_arm.diagnosis.priors import CONTACT, OCCURRENCE, PUSH, USUAL_RATE
 from lpv.core.serial_arm.diagnosis.sampling import (
@@ -227,7 +226,7 @@ class SerialMonitor:
         self._healthy = HealthySet(arm, self.estimator)
         self.healthy = self._healthy if is_stated(arm) else None
         self.guarantee: Guarantee | None = None
-        self._push = PUSH * typical_torque(self.estimator.balance.chain)
+        self._push = PUSH * self.estimator.typical
         self.bank = Bank(arm, self.estimator, self._push)
         smallest = settings.smallest_jump * self.scales
         # Before any e was seen, jumps count from twice the smallest one.
@@ -436,11 +435,20 @@ class SerialMonitor:
         )
         return SerialEstimate(stamp, fault, sigma, state, self._suspects)
 
-    def faults(self) -> tuple[FloatArray, FloatArray]:
-        """Faults f of the position sensors and their standard deviations, shape (n,) [rad]."""
-        level = self.estimator.level
+    def faults(
+        self, doubts: tuple[FloatArray, FloatArray] | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Faults f of the position sensors and their standard deviations, shape (n,) [rad].
+
+        ``doubts`` are `changing_sigma` and `jump_doubt`, where they are at hand.
+        """
+        level, (changing, doubt) = self.estimator.level, doubts or self.doubts()
         fault = self.taken_out() + level.mean[: self.joints]
-        return fault, np.hypot(level.sigma, self.changing_sigma()) + self.jump_doubt()
+        return fault, np.hypot(level.sigma, changing) + doubt
+
+    def doubts(self) -> tuple[FloatArray, FloatArray]:
+        """Standard deviations of what changes, and by jumps, shape (n,) [rad]."""
+        return self.changing_sigma(), self.jump_doubt()
 
     def jump_doubt(self) -> FloatArray:
         """What jumps add to standard deviations, shape (n,) [rad].

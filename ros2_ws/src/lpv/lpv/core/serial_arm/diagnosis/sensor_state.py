@@ -4,12 +4,15 @@ from dataclasses import dataclass
 
 from lpv.core.serial_arm.diagnosis.alarms import SensorState
 
+_OK, _WARN, _ERROR = SensorState.OK, SensorState.WARN, SensorState.ERROR
+"""As attributes of their class they take microseconds."""
+
 
 @dataclass
 class SensorRecord:
     """What is known of a fault of one sensor."""
 
-    state: SensorState = SensorState.OK  # a fault that seems over is still ERROR
+    state: SensorState = _OK  # a fault that seems over is still ERROR
     kind: str = ''  # of the fault
     onset: float = 0.0  # [s]
     peak: float = 0.0  # largest size since [rad]
@@ -21,20 +24,20 @@ class SensorRecord:
     @property
     def active(self) -> bool:
         """Whether an alarm of this sensor is up."""
-        return self.state is SensorState.ERROR
+        return self.state is _ERROR
 
     def confirm(self, kind: str, onset: float, size: float) -> None:
         """A fault was named; its onset is that of the first name."""
         if not self.active:
             self.onset, self.peak = onset, 0.0
-        self.state, self.kind, self.over_since = SensorState.ERROR, kind, None
+        self.state, self.kind, self.over_since = _ERROR, kind, None
         self.unseen = False
         self.peak = max(self.peak, size)
 
     def suspect(self, is_suspect: bool) -> None:
         """What is seen may be this sensor's fault, or not."""
         if not self.active:
-            self.state = SensorState.WARN if is_suspect else SensorState.OK
+            self.state = _WARN if is_suspect else _OK
 
     def doubt(self) -> None:
         """Nothing was seen of the sensor for a while, in which its fault may have ended."""
@@ -55,5 +58,5 @@ class SensorRecord:
 
     def clear(self) -> None:
         """The fault is over."""
-        self.state, self.kind, self.peak = SensorState.OK, '', 0.0
+        self.state, self.kind, self.peak = _OK, '', 0.0
         self.level, self.unproved, self.unseen, self.over_since = False, False, False, None
