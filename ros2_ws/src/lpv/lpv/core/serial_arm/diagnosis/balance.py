@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lpv.core.serial_arm.chain import SLOPE, Chain, FloatArray, joint_count, workspace
+from lpv.core.serial_arm.chain import SLOPE, Chain, FloatArray, IntArray, joint_count, workspace
 from lpv.core.serial_arm.description import JointFriction
 from lpv.core.serial_arm.diagnosis.priors import SLOW_RATE
 from lpv.core.serial_arm.dynamics.friction import friction_torque, smooth_sign
@@ -398,19 +398,21 @@ def _fill_residuals(
                 length = 0.0
 
 
-def friction_columns(balance: Balance, blocks: FloatArray, per_interval: int) -> FloatArray:
-    """Derivatives of the balances of some blocks by viscous and Coulomb friction of their joints.
+def friction_columns(
+    balance: Balance, blocks: FloatArray, per_interval: int, joints: IntArray
+) -> FloatArray:
+    """Derivatives of balances of k joints by their own friction, viscous, then Coulomb.
 
     ``blocks``, shape (..., N, 3 n + 4), are as in `fill_balances`; the shape is
-    (2, ..., N / per_interval - 1, n).
+    (2 k, ..., N / per_interval - 1).
     """
     n = balance.reference.shape[0]
-    rates = blocks[..., n : 2 * n] @ balance.to_joints.T
-    both = np.stack([rates, np.arctan(balance.chain.friction[:, SLOPE] * rates) * (2.0 / np.pi)])
-    length, place = blocks[..., 3 * n + 1, None], blocks[..., 3 * n + 2, None]
-    shape = *both.shape[:-2], -1, per_interval, n
+    rates = np.moveaxis(blocks[..., n : 2 * n] @ balance.to_joints[joints].T, -1, 0)
+    slope = balance.chain.friction[joints, SLOPE].reshape(-1, *(1,) * (rates.ndim - 1))
+    both = np.concatenate([rates, np.arctan(slope * rates) * (2.0 / np.pi)])
+    length, place = blocks[..., 3 * n + 1], blocks[..., 3 * n + 2]
     rising, falling = (
-        (weight * both).reshape(shape).sum(-2)
+        (weight * both).reshape(*both.shape[:-1], -1, per_interval).sum(-1)
         for weight in (length * place, length * (1.0 - place))
     )
-    return np.asarray(rising[..., :-1, :] + falling[..., 1:, :])
+    return np.asarray(rising[..., :-1] + falling[..., 1:])

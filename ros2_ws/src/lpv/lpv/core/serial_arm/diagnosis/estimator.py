@@ -422,11 +422,14 @@ class OffsetEstimator:
     ``call`` calls compiled functions that take parts of the estimator.
     """
 
+    parts: tuple[Window, Posterior, Window | None, Posterior]
+
     def __init__(self, arm: SerialArm, plan: HorizonPlan) -> None:
         self.plan, about = plan, _about(arm, plan)
-        self.joints, self.typical, self.prior = len(arm.joints), about.typical, about.prior
+        self.joints = n = len(arm.joints)
+        self.typical, self.prior = about.typical, about.prior
         derived = np.array([float(joint.sensors.rates != 'independent') for joint in arm.joints])
-        n, known = self.joints, (about.prior, about.noise, about.rest)
+        known = about.prior, about.noise, about.rest
         self.balance: Balance = new_balance(
             about.chain, about.directions, derived, about.drives, arm.sensors_to_joints()
         )

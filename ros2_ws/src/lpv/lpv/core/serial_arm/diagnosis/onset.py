@@ -247,17 +247,22 @@ class _Rival:
         friction: FloatArray,
     ) -> None:
         self._estimator, self._joint, self._begin, self._blocks = estimator, joint, begin, blocks
-        window, null = estimator.window, estimator.posterior
+        window, null, n = estimator.window, estimator.posterior, estimator.joints
         self._plain, self._friction = plain, friction
+        self._per_size = blocks - without_drift(blocks, estimator.balance, joint, begin, 1.0)
         at = recent(window, len(plain))[::-1]
         rows = window.rows[at].reshape(-1, window.rows.shape[2])
         self._weights, self._unknowns = window.weights[at].ravel(), rows[:, -len(null.mean) :]
         self._left = rows[:, 0] + self._unknowns @ null.mean
         pulled = self._weights * self._left
         self._score, self._level = self._unknowns.T @ pulled, float(pulled @ self._left)
-        upper = np.triu(null.factor)
-        self._others = upper.T @ upper
-        self._others -= (self._weights[:, None] * self._unknowns).T @ self._unknowns
+        # Of the unknowns' columns, a drift changes those of the friction of the joints that move.
+        self._moved = np.flatnonzero(estimator.balance.to_joints[:, joint])
+        own = [(group - OFFSET) * n + self._moved for group in (VISCOUS, COULOMB)]
+        self._own, upper = np.concatenate(own), np.triu(null.factor)
+        self._information = upper.T @ upper
+        old = self._weights[:, None] * self._unknowns[:, self._own]
+        self._others = self._information[self._own] - old.T @ self._unknowns
         self._freedom = 2.0 * float(np.log(np.diag(upper)).sum())
 
     def apparent_rate(self) -> float:
@@ -272,31 +277,27 @@ class _Rival:
         about = estimator.balance, estimator.plan.blocks
         changes = np.copysign(np.maximum(0.1 * np.abs(sizes), _SMALLEST), sizes)
         every = np.concatenate([sizes, sizes + changes])
-        freed = without_drift(self._blocks, about[0], self._joint, self._begin, every)
+        freed = self._blocks - every[:, None, None] * self._per_size
         left = residuals(about[0], freed, about[1], self._friction, estimator.call) - self._plain
         left = self._left + left.reshape(len(every), -1)
         by_size = (left[count:] - left[:count]) / changes[:, None]
-        friction = friction_columns(about[0], freed[:count], about[1])
+        friction = friction_columns(about[0], freed[:count], about[1], self._moved)
         return [self._compare(friction[:, k], left[k], by_size[k]) for k in range(count)]
-
-    def _columns(self, friction: FloatArray) -> FloatArray:
-        """Derivatives of freed balances by the arm's unknowns; of friction as given."""
-        columns, n = self._unknowns.copy(), self._estimator.joints
-        for group, column in zip((VISCOUS, COULOMB), friction):
-            for i in np.flatnonzero(self._estimator.balance.to_joints[:, self._joint]):
-                columns[i::n, (group - OFFSET) * n + i] = column[:, i]
-        return columns
 
     def _compare(
         self, friction: FloatArray, left: FloatArray, by_size: FloatArray
     ) -> tuple[float, float, float]:
         """The same of one drift: columns of friction, residuals, and how its size changes these."""
-        columns = self._columns(friction)
-        pulled = self._weights[:, None] * columns
-        information = self._others + pulled.T @ columns
+        columns, information = self._unknowns.copy(), self._information.copy()
+        for column, c, i in zip(friction, self._own, [*self._moved, *self._moved]):
+            columns[:, c] = 0.0
+            columns[i :: self._estimator.joints, c] = column
+        own = self._others + (self._weights[:, None] * columns[:, self._own]).T @ columns
+        information[self._own], information[:, self._own] = own, own.T
         factorise(information, self._estimator.posterior.least)
         weighted = self._weights * by_size
-        both = np.stack([self._score - pulled.T @ left, columns.T @ weighted], axis=1)
+        both = columns.T @ np.stack([self._weights * left, weighted], axis=1)
+        both[:, 0] = self._score - both[:, 0]
         whiten(information, both)
         across = both.T @ both
         fit = self._level - float(self._weights @ left**2) + across[0, 0] + self._freedom
@@ -316,17 +317,13 @@ def _learned_friction(estimator: OffsetEstimator) -> FloatArray:
 
 
 def without_drift(
-    blocks: FloatArray, balance: Balance, joint: int, begin: float, size: float | FloatArray
+    blocks: FloatArray, balance: Balance, joint: int, begin: float, size: float
 ) -> FloatArray:
-    """Blocks whose reading, and the rate that is derived from it, are freed of a drift.
-
-    Of S sizes they have shape (S, N, 3 n + 4).
-    """
-    n, size = len(balance.reference), np.asarray(size)[..., None]
-    freed = np.repeat(blocks[None], size.size, axis=0).reshape(*size.shape[:-1], *blocks.shape)
+    """Blocks whose reading, and the rate that is derived from it, are freed of a drift."""
+    n, freed = len(balance.reference), blocks.copy()
     middle, length = blocks[:, 3 * n], blocks[:, 3 * n + 1]
     after = np.clip(middle + 0.5 * length - begin, 0.0, length)
     share = after / length
-    freed[..., joint] -= size * (np.maximum(middle - begin, 0.5 * after) * share)
-    freed[..., n + joint] -= balance.derived[joint] * size * share
+    freed[:, joint] -= size * np.maximum(middle - begin, 0.5 * after) * share
+    freed[:, n + joint] -= balance.derived[joint] * size * share
     return freed
