@@ -303,7 +303,7 @@ def doubt_ended(one: FaultFilter, estimator: OffsetEstimator, momenta: FloatArra
     then jumped to what it is, if that is derived.  ``momenta`` is as in `follow`.
     """
     window, i = estimator.window, one.joint
-    at = slot(window, 0)
+    at = estimator.place(0)
     offset = window.rows[at, :, 1 + OFFSET * estimator.joints + i]
     momentum = estimator.balance.derived[i] * momenta[at]
     window.extra[at] += one.covariance[0, 0] * offset**2 + one.covariance[1, 1] * momentum**2
