@@ -212,6 +212,13 @@ def test_spike_is_no_lasting_fault():
     assert {alarm.kind for alarm in watch(arm, run).alarms} == {'bias'}  # it is known to be faulty
 
 
+def test_given_a_drift_that_just_ended_when_another_begins_then_the_rate_tells_as_soon():
+    first = Fault('encoder2', 'drift', 2.0, 1.0, rate=0.1)
+    faults = first, replace(first, onset=3.1, rate=0.2)
+    one, other = watched(shoulder_arm('independent'), *faults, duration=3.6).alarms
+    assert one.detected - 2.0 < 0.2 and other.detected - 3.1 < 0.2
+
+
 def test_efforts_are_scaled_in_a_copy():
     arm = shoulder_arm()
     louder = replace(arm, joints=tuple(replace(j, torque_gain=2.0) for j in arm.joints))
