@@ -685,7 +685,7 @@ class SerialSensorMonitor:
         if stated.model_error is None:
             return 'none stated: the arm file has no uncertainty.model_error'
         if not self._snapshot.is_guaranteed:
-            return 'none of offsets after torques from outside or a fault that changes, until reset'
+            return 'none of offsets after other loads, pushes or a fault that changes, until reset'
         return (
             f'healthy arms with masses and inertias within {stated.model_error:.3g}, friction '
             f'within {stated.friction:.3g}, payload up to {stated.payload:g} kg'

@@ -53,7 +53,7 @@ def test_balance_of_the_true_arm_is_zero_and_its_columns_are_derivatives(blocks)
         np.testing.assert_allclose(found, expected, atol=1e-3)
     factor = np.random.default_rng(0).normal(size=(5, 45))
     factor[:, 36:39] = 0.0  # friction by load would multiply gains
-    directions, drives = parameter_error.parameter_directions(CHAIN, factor, np.full(3, 2.0))
+    directions, drives, _ = parameter_error.parameter_directions(CHAIN, factor, np.full(3, 2.0))
     rows = rows_of(CHAIN, blocks, directions, drives=drives)
     friction, louder = CHAIN.friction.copy(), blocks.copy()
     friction[:, :4] += 0.5 * drives[0, :, :4]
@@ -82,9 +82,13 @@ def test_given_masses_and_friction_identified_together_then_they_are_wrong_toget
     arm = replace(shoulder_arm(), covariance=covariance, uncertainty=Uncertainty())
     chain = compile_chain(arm)
     factor = parameter_error.parameter_factor(arm, chain)
-    directions, drives = parameter_error.parameter_directions(chain, factor, np.full(3, 2.0))
+    directions, drives, _ = parameter_error.parameter_directions(chain, factor, np.full(3, 2.0))
     assert len(directions) == 1
     assert drives[0, 2, 3] / directions[0, 2, 1] == pytest.approx(-20.0)
+
+
+def products(window, last):
+    return window.sums[info.sum_slot(window, 0)] - window.sums[info.sum_slot(window, last)]
 
 
 def window_of(rows, weights, capacity, past=0.5):
@@ -101,7 +105,7 @@ def test_window_sums_equal_direct_sums_and_drifts_may_count_from_a_later_moment(
     window = window_of(rows, weights, 10)
     for last in (1, 5, 10):
         direct = np.einsum('kia,ki,kib->ab', rows[-last:], weights[-last:], rows[-last:])
-        np.testing.assert_allclose(info.products(window, last), direct[[0, 2, 3]], atol=1e-10)
+        np.testing.assert_allclose(products(window, last), direct[[0, 2, 3]], atol=1e-10)
     window = window_of(np.ones((5, 1, 3)), np.ones((5, 1)), 3)
     np.testing.assert_allclose(window.past, 1.5 * np.ones((2, 3)))
     info.join(window, 5.0, np.ones((1, 3)), -0.5)
@@ -112,10 +116,27 @@ def test_window_sums_equal_direct_sums_and_drifts_may_count_from_a_later_moment(
     later[:, :, 1] -= 2.0 * rows[:, :, 2]
     one, other = window_of(rows, weights, 5), window_of(later, weights, 5)
     info.move_drifts(one, 1, 2, 1, 2.0)
-    np.testing.assert_allclose(info.products(one, 3), info.products(other, 3), atol=1e-12)
+    np.testing.assert_allclose(products(one, 3), products(other, 3), atol=1e-12)
     slots = info.sum_slot(one, 0), info.sum_slot(one, 4)
     squares = (w.squares[slots[0]] - w.squares[slots[1]] for w in (one, other))
     np.testing.assert_allclose(*squares, atol=1e-12)
+
+
+def test_given_the_load_changed_then_balances_before_say_nothing_of_it():
+    rows, load = np.random.default_rng(3).normal(size=(6, 1, 4)), np.array([0.5, -2.0])
+    window = info.new_window(1, 1, 2, 4, load[None])
+    for k, row in enumerate(rows):
+        info.join(window, float(k), row, 1.0)
+        info.add_products(window, 0, np.ones(1))
+        window.changed[info.slot(window, 0)] = k in (1, 4)  # one has left the window
+    total = window.past.copy()
+    info.add_balances(window, total)
+    changes = np.array([[1.0, 1.0], [0.0, 1.0], [0.0, 1.0], [0.0, 1.0], [0.0, 0.0], [0.0, 0.0]])
+    free = np.hstack([rows[:, 0, [0, 2, 3]], -(rows[:, 0, 2:] @ load)[:, None] * changes])
+    both = free.T @ free + np.diag([0.0, 0.0, 0.0, 1.0, 1.0])
+    known = both[:3, 3:] @ np.linalg.solve(both[3:, 3:], both[3:, :3])
+    np.testing.assert_allclose(total[1:, 2:], (both[:3, :3] - known)[1:, 1:], atol=1e-10)
+    np.testing.assert_allclose(total[0, 2:], (both[:3, :3] - known)[0, 1:], atol=1e-10)
 
 
 def test_factor_solves_and_whitens():

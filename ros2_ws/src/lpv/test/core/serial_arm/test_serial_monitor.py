@@ -5,6 +5,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from fault_injection import motion_range, simulate
 from serial_arms import shoulder_arm, simulated, watch, without
 from simulated_runs import Push, Run, simulated_run
 
@@ -126,6 +127,16 @@ def test_push_is_a_contact_and_no_fault_of_an_encoder():
     # What is around a contact is hardly learned from.
     doubted = (monitor.estimator.window.trust <= DISTRUST).sum()
     assert doubted >= round(CONTACT_PAUSE / monitor.plan.interval)
+
+
+@pytest.mark.parametrize('seed', [1, 2, 3, 4])
+def test_given_a_load_that_is_picked_up_then_the_arm_is_another_one_and_bounds_hold(seed):
+    arm = shoulder_arm('independent', Uncertainty(payload=2.0, friction=0.3))
+    run = simulate(arm, motion_range(arm, 0.5), seed, pauses=True, payload=2.0)
+    monitor = watch(arm, run)
+    estimate = monitor.estimate(0)
+    assert {alarm.kind for alarm in monitor.alarms} == {'load'} and not monitor.in_contact
+    assert (np.abs(estimate.fault) < 4.0 * estimate.sigma).all()
 
 
 @pytest.mark.slow

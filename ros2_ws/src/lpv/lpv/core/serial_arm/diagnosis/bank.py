@@ -48,16 +48,24 @@ from lpv.core.serial_arm.diagnosis.contact import (
     weigh_residuals,
 )
 from lpv.core.serial_arm.diagnosis.estimator import (
+    ONSET,
     HorizonPlan,
     OffsetEstimator,
     Posterior,
     set_residuals,
 )
-from lpv.core.serial_arm.diagnosis.information import COUNT, ROBUST, Window, factorise, slot, whiten
+from lpv.core.serial_arm.diagnosis.information import (
+    COUNT,
+    ROBUST,
+    Window,
+    factorise,
+    recent,
+    slot,
+    whiten,
+)
 from lpv.core.serial_arm.diagnosis.linear_bank import (
     COLUMNS,
     JUMP,
-    ONSET,
     Evidence,
     Kinds,
     Rows,
@@ -66,7 +74,7 @@ from lpv.core.serial_arm.diagnosis.linear_bank import (
     new_rows,
 )
 from lpv.core.serial_arm.diagnosis.onset import sudden_drift_of
-from lpv.core.serial_arm.diagnosis.priors import CONTACT, OCCURRENCE, SIZE, WRONG_STAMPS
+from lpv.core.serial_arm.diagnosis.priors import CONTACT, LOAD, OCCURRENCE, SIZE, WRONG_STAMPS
 from lpv.core.serial_arm.diagnosis.sampling import DELAY, LATE, Sampler, smallest_jump
 from lpv.core.serial_arm.diagnosis.stuck import Course, Frozen, course_of_frozen
 from lpv.core.serial_arm.dynamics.momentum import mass_matrix
@@ -116,6 +124,7 @@ class Hypothesis(NamedTuple):
     starts: float = 1.0  # that it stands for
     seen: bool = False  # whether the reading shows it by itself: it froze
     course: Course | None = None  # of a joint whose reading froze
+    change: FloatArray | None = None  # of the load, along the payload's rows
 
     @property
     def is_encoder(self) -> bool:
@@ -197,7 +206,8 @@ class Bank:
             len(recent) if kind in growing else np.count_nonzero(recent) for kind in self._names
         ])  # fmt: skip
         self._kinds = Kinds(basis, prior, applies, windows, len(single), SIZE['slip'])
-        self._log_weight = float(-np.log(1 + applies.sum() + n))
+        loads = len(self.estimator.window.loads) > 0
+        self._log_weight = float(-np.log(1 + applies.sum() + n + loads))
 
     @property
     def statistic(self) -> float:
@@ -268,7 +278,7 @@ class Bank:
         ``stuck`` comes from the method of that name.
         """
         count = int(self._state['windows'])
-        found = stuck + self._named(count)
+        found = stuck + self._named(count) + self._load_changes(count)
         if self._derived.any():
             found += self._sudden(blocks, count)
         # Rows that are near zero throughout, as of a constant reading, say nothing.
@@ -285,7 +295,7 @@ class Bank:
         """Probability of each cause, given that there is one; the most probable one first."""
         logarithms = defaultdict[tuple[str, int], list[float]](list)
         for one in found:
-            rate = OCCURRENCE[one.kind] / (1.0 if one.kind == CONTACT else self.estimator.joints)
+            rate = OCCURRENCE[one.kind] / (1.0 if one.joint < 0 else self.estimator.joints)
             logarithms[one.cause].append(one.gain + math.log(one.starts * rate))
         values = np.array([np.logaddexp.reduce(every) for every in logarithms.values()])
         shares = np.exp(values - np.logaddexp.reduce(values)).tolist()
@@ -303,6 +313,42 @@ class Bank:
         ]
         contact = zip(one.contact[:count].tolist(), begin, starts)
         return found + [Hypothesis(CONTACT, -1, gain, 0.0, 0.0, *rest) for gain, *rest in contact]
+
+    def _load_changes(self, count: int) -> list[Hypothesis]:
+        """Changes of the load, for every balance of the windows from which on it is another one.
+
+        The balances of the change itself are explained by free torques, as those of contacts.
+        """
+        estimator = self.estimator
+        window, null, longest = estimator.window, estimator.posterior, int(self._lengths[count - 1])
+        if len(window.loads) == 0 or longest <= ONSET:
+            return []
+        set_residuals(window, null, longest + 1)
+        at = recent(window, longest)
+        rows = window.rows[at][:, :, -len(null.mean) :]
+        columns = rows @ window.loads.T
+        pulled = columns * window.weights[at][:, :, None]
+        score = -np.einsum('kil,ki->kl', pulled, null.residual[:longest]).cumsum(0)
+        own = np.einsum('kil,kij->klj', pulled, columns).cumsum(0)
+        cross = np.einsum('kil,kia->kal', pulled, rows).cumsum(0)
+        known = np.linalg.solve(np.triu(null.factor).T, cross)
+        matrix = np.eye(len(window.loads)) + own - known.swapaxes(1, 2) @ known
+        change = np.linalg.solve(matrix, score[:, :, None])[:, :, 0]
+        gain = 0.5 * ((score * change).sum(1) - np.linalg.slogdet(matrix)[1])
+        weigh_residuals(window, null, longest + 1)
+        begins, onset = window.times[at] - estimator.plan.interval, len(self._lengths)
+        return [
+            Hypothesis(
+                LOAD,
+                -1,
+                float(gain[last - 1]) + rough_contact(self._outside, null, onset, last + ONSET),
+                0.0,
+                0.0,
+                float(begins[last + ONSET - 1]),
+                change=change[last - 1],
+            )
+            for last in range(1, longest - ONSET + 1)
+        ]
 
     def stuck(
         self, frozen: dict[int, Frozen], blocks: Callable[[int], FloatArray]

@@ -31,21 +31,21 @@ from lpv.core.serial_arm.diagnosis.information import (
     NEXT,
     ROBUST,
     Window,
+    add_balances,
     add_products,
     factorise,
     forget_newest,
     join,
     move_drifts,
     new_window,
-    products,
     recent,
     slot,
     solve_factorised,
     sort,
-    sum_slot,
     whiten,
 )
 from lpv.core.serial_arm.diagnosis.parameter_error import (
+    LOAD_ROWS,
     model_error,
     momentum_noise,
     parameter_directions,
@@ -77,6 +77,9 @@ _LARGEST_FACTOR = 10.0
 wrong, which `misfit` reports."""
 PAST_WEIGHT = 0.998
 """Factor of what was learned, each balance."""
+ONSET = 2
+"""Balances at the start of a window in which a cause may come in any way: they are explained by
+free torques, for encoders as for contacts.  A jump is in the two balances that hold it."""
 DISTRUST = 0.02
 """Factor of the weights of balances while something acts from outside."""
 
@@ -117,7 +120,8 @@ class Posterior(NamedTuple):
     systematic: FloatArray  # (n,) smallest variance, with correlation in time [N2 m2 s2]
     residual: FloatArray  # what the estimate leaves, newest first, shape (capacity, n) [N m s]
     weights: FloatArray  # inverse variances of the balances, newest first, shape (capacity, n)
-    recalled: FloatArray  # (1 + m, m) scratch
+    recalled: FloatArray  # (1 + m, m) what is remembered of the arm
+    total: FloatArray  # (1 + m, m) scratch
     inverse: FloatArray  # (m, n) scratch
     sizes: FloatArray  # (capacity,) scratch
 
@@ -190,15 +194,16 @@ def _recall(window: Window, null: Posterior) -> None:
 def solve(window: Window, null: Posterior) -> None:
     """Least squares over horizon, past and prior."""
     m, n = null.mean.shape[0], null.sigma.shape[0]
-    first, last = window.past.shape[1] - m, window.counters[COUNT]
-    new, old = window.sums[sum_slot(window, 0)], window.sums[sum_slot(window, last)]
     _recall(window, null)
+    for a in range(1 + m):
+        for b in range(m):
+            null.total[a, b] = null.recalled[a, b]
+    add_balances(window, null.total)
     for a in range(m):
         for b in range(a, m):
-            c = first + b
-            null.factor[a, b] = new[1 + a, c] - old[1 + a, c] + null.recalled[1 + a, b]
+            null.factor[a, b] = null.total[1 + a, b]
         null.factor[a, a] += null.least[a]
-        null.mean[a] = -(new[0, first + a] - old[0, first + a] + null.recalled[0, a])
+        null.mean[a] = -null.total[0, a]
     factorise(null.factor, null.least)
     solve_factorised(null.factor, null.mean)
     null.inverse[:] = 0.0
@@ -285,6 +290,7 @@ def copy_unknowns(source: Window, window: Window, last: int) -> None:
             for c in range(1, into.shape[0]):
                 into[c] = row[faults + c]
             window.rest[at, i], window.extra[at, i] = source.rest[at, i], source.extra[at, i]
+        window.changed[at] = source.changed[at]
 
 
 @njit_in_place
@@ -433,14 +439,14 @@ class OffsetEstimator:
         self.balance: Balance = new_balance(
             about.chain, about.directions, derived, about.drives, arm.sensors_to_joints()
         )
-        self.window: Window = new_window(n, OFFSET * n, len(self.prior), plan.capacity)
+        self.window: Window = new_window(n, OFFSET * n, len(self.prior), plan.capacity, about.loads)
         systematic = about.systematic
         self.posterior = _prior_posterior(*known, 0.0 * systematic, plan.capacity)
         self.level = self.posterior
         self._slow: Window | None = None
         if systematic.any():
             self.level = _prior_posterior(*known, systematic, plan.capacity)
-            self._slow = new_window(n, 0, len(self.prior), plan.capacity)
+            self._slow = new_window(n, 0, len(self.prior), plan.capacity, about.loads)
         self.since_linearised = np.zeros(1, np.int64)  # balances
         self.call, self.parts = Entries(), (self.window, self.posterior, self._slow, self.level)
 
@@ -514,7 +520,7 @@ class OffsetEstimator:
         last = len(self)
         for window in (self.window, self._slow):
             if window is not None:
-                window.past[:] += products(window, last)
+                add_balances(window, window.past)
                 forget_newest(window, last)
 
     def replace_last(self, blocks: FloatArray) -> None:
@@ -527,8 +533,36 @@ class OffsetEstimator:
         self.call(fill_balances, self.balance, blocks, self.plan.blocks, rows)
         offsets = rows[:, :, 1 + OFFSET * self.joints :][:, :, : self.joints]
         rows[:, :, 0] -= offsets @ self.balance.reference
-        self.window.rows[recent(self.window, last)] = rows[: -1 - last : -1]
+        at = recent(self.window, last)
+        self.window.rows[at] = rows[: -1 - last : -1]
+        self._take_out_load(at, self.window.carried[at])
         self.weigh_again(last)
+
+    def _take_out_load(self, at: IntArray | int, change: FloatArray) -> None:
+        """Let balances at places of the ring be those of a load that has changed."""
+        rows, moved = self.window.rows, change @ self.window.loads
+        rows[at, :, 0] -= rows[at][..., -len(moved) :] @ moved
+
+    def change_load(self, begin: float, change: FloatArray) -> None:
+        """The load has changed since a moment [s]: what balances before say of it is forgotten.
+
+        ``change``, shape (L,), is how, as estimated: balances before are as if they had had the
+        load of now.  Its error is in the information.  The balances of the change say nothing.
+        """
+        at = recent(self.window, len(self))
+        last = int(np.count_nonzero(self.window.times[at] > begin)) - ONSET
+        old, moved = at[last:], change @ self.window.loads
+        self.window.carried[old] += change
+        self._take_out_load(old, change)
+        self.window.changed[at[last - 1]] = 1.0
+        self.window.trust[old[:ONSET]] = DISTRUST
+        for window, null in ((self.window, self.posterior), (self._slow, self.level)):
+            if window is not None:
+                window.past[0] -= moved @ window.past[1:]
+                window.past[:, 0] -= window.past[:, -len(moved) :] @ moved
+                null.mean[:] += moved
+        self.weigh_again(len(self))
+        self._solve()
 
     def doubt_readings(self, joint: int, error: float | FloatArray) -> None:
         """Let the balances of the horizon say less: readings of one sensor were wrong in them.
@@ -560,6 +594,7 @@ class _About(NamedTuple):
     typical: FloatArray  # torques that move it, shape (n,) [N m]
     directions: FloatArray  # of its parameters, as of `Balance`, and what belongs to them of drives
     drives: FloatArray
+    loads: FloatArray  # the payload's unknowns, of `Window`
     prior: FloatArray  # standard deviations of the unknowns, shape (m,)
     noise: FloatArray  # as expected, of `Posterior`, as the next two
     rest: FloatArray
@@ -573,13 +608,15 @@ def _about(arm: SerialArm, plan: HorizonPlan) -> _About:
     speed = np.array([min(joint.limits.velocity, FAST) for joint in arm.joints])
     typical = typical_torque(chain)
     missed = model_error(arm) * typical
-    directions, drives = parameter_directions(chain, parameter_factor(arm, chain), speed)
+    directions, drives, rows = parameter_directions(chain, parameter_factor(arm, chain), speed)
+    loads = rows[-LOAD_ROWS:] if arm.uncertainty.payload > 0.0 else rows[:0]
+    loads = np.hstack([np.zeros((len(loads), 4 * len(arm.joints))), loads])
     prior = np.concatenate([*_priors(arm, chain.friction, missed), np.ones(len(directions))])
     noise = _expected_noise(arm, chain, missed, plan)
     # Friction at rest is anything between both signs of Coulomb's: uniformly distributed.
     rest = np.hypot(1.0, plan.interval * chain.friction[:, DRY] / (np.sqrt(3.0) * noise))
     systematic = _systematic_error(arm, LASTING * missed, plan)
-    return _About(chain, typical, directions, drives, prior, noise, rest, systematic)
+    return _About(chain, typical, directions, drives, loads, prior, noise, rest, systematic)
 
 
 def _prior_posterior(
@@ -590,7 +627,7 @@ def _prior_posterior(
     return Posterior(
         np.zeros(m), np.diag(1.0 / prior), prior[:n].copy(), prior**-2, expected.copy(), expected,
         inflation, rest.copy(), rest, systematic, np.zeros((capacity, n)), np.zeros((capacity, n)),
-        np.zeros((1 + m, m)), np.zeros((m, n)), np.zeros(capacity))  # fmt: skip
+        *np.zeros((2, 1 + m, m)), np.zeros((m, n)), np.zeros(capacity))  # fmt: skip
 
 
 def _priors(arm: SerialArm, friction: FloatArray, missed: FloatArray) -> list[FloatArray]:

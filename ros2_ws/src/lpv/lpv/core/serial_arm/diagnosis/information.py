@@ -39,19 +39,29 @@ class Window(NamedTuple):
     squares: FloatArray  # (capacity + 1, h) the same of the diagonal, columns of faults
     # (1 + m, 1 + h + m) of balances that have left; its columns of faults mean nothing
     past: FloatArray
+    loads: FloatArray  # (L, m) unit changes of the load, by the unknowns
+    changed: FloatArray  # (capacity,) 1 where the load was another one until this balance
+    carried: FloatArray  # (capacity, L) change of the load since, as estimated and taken out
+    along: FloatArray  # (m,) scratch
     counters: IntArray  # (2,)
 
 
-def new_window(joints: int, faults: int, unknowns: int, capacity: int) -> Window:
-    """Empty window of balances of n joints, with h columns of faults and m of unknowns."""
+def new_window(
+    joints: int, faults: int, unknowns: int, capacity: int, loads: FloatArray | None = None
+) -> Window:
+    """Empty window of balances of n joints, with h columns of faults and m of unknowns.
+
+    ``loads`` are as in `Window`; none may change by default.
+    """
     size = 1 + faults + unknowns
+    loads = np.zeros((0, unknowns)) if loads is None else np.ascontiguousarray(loads)
     return Window(
         np.zeros((capacity, joints, size)), np.zeros(capacity), np.ones(capacity),
         np.zeros((capacity, joints)), np.zeros((capacity, joints)), np.zeros((capacity, joints)),
         np.zeros((capacity, joints)),
         np.zeros((capacity + 1, 1 + unknowns, size)), np.zeros((capacity + 1, faults)),
-        np.zeros((1 + unknowns, size)),
-        np.zeros(2, np.int64))  # fmt: skip
+        np.zeros((1 + unknowns, size)), loads, np.zeros(capacity), np.zeros((capacity, len(loads))),
+        np.zeros(unknowns), np.zeros(2, np.int64))  # fmt: skip
 
 
 @njit_in_place
@@ -76,6 +86,8 @@ def join(window: Window, time: float, rows: FloatArray, past: float) -> None:
     """
     capacity = window.times.shape[0]
     if window.counters[COUNT] == capacity:
+        if window.changed[slot(window, capacity - 1)] == 1.0:
+            forget_load(window, window.past)
         gone = window.sums[sum_slot(window, capacity)]
         kept = window.sums[sum_slot(window, capacity - 1)]
         for a in range(gone.shape[0]):
@@ -93,6 +105,57 @@ def join(window: Window, time: float, rows: FloatArray, past: float) -> None:
     window.times[at] = time
     window.trust[at] = 1.0
     window.extra[at] = 0.0
+    window.changed[at] = 0.0
+    window.carried[at] = 0.0
+
+
+@njit_in_place
+def forget_load(window: Window, total: FloatArray) -> None:
+    """Let a total of products say nothing of the load: it has changed since, nobody knows how.
+
+    A change of unit covariance along each g of ``loads`` is added to the unknowns: the information
+    K becomes K - K g g^T K / (1 + g^T K g).  ``total`` is as `Window.past`, or has its columns of
+    the unknowns alone.
+    """
+    m, along = window.along.shape[0], window.along
+    first = total.shape[1] - m
+    for load in window.loads:
+        size, right = 1.0, 0.0
+        for a in range(m):
+            along[a] = 0.0
+            for b in range(m):
+                along[a] += total[1 + a, first + b] * load[b]
+            size += load[a] * along[a]
+            right += total[0, first + a] * load[a]
+        for b in range(m):
+            total[0, first + b] -= right * along[b] / size
+            for a in range(m):
+                total[1 + a, first + b] -= along[a] * along[b] / size
+    if first > 0:
+        for a in range(m):
+            total[1 + a, 0] = total[0, first + a]
+
+
+@njit_in_place
+def add_balances(window: Window, total: FloatArray) -> None:
+    """Add all balances to a total as of `forget_load`, of unknowns with the load of now."""
+    oldest = window.counters[COUNT]
+    for back in range(oldest - 1, -1, -1):
+        if window.changed[slot(window, back)] == 1.0:
+            _add_sums(window, total, back + 1, oldest)
+            forget_load(window, total)
+            oldest = back + 1
+    _add_sums(window, total, 0, oldest)
+
+
+@njit_in_place
+def _add_sums(window: Window, total: FloatArray, newest: int, oldest: int) -> None:
+    """Add the last ``oldest`` balances but for the last ``newest`` ones."""
+    new, old = window.sums[sum_slot(window, newest)], window.sums[sum_slot(window, oldest)]
+    first = new.shape[1] - total.shape[1]
+    for a in range(total.shape[0]):
+        for b in range(total.shape[1]):
+            total[a, b] += new[a, first + b] - old[a, first + b]
 
 
 @njit_in_place
@@ -165,11 +228,6 @@ def _shift_drifts(rows: FloatArray, drift: int, offset: int, joints: int, shift:
 def recent(window: Window, last: int) -> IntArray:
     """Places of the last balances in the ring, newest first."""
     return np.asarray((window.counters[NEXT] - 1 - np.arange(last)) % len(window.times))
-
-
-def products(window: Window, last: int) -> FloatArray:
-    """Sum of A^T W A over the last balances, as `Window.sums`."""
-    return window.sums[sum_slot(window, 0)] - window.sums[sum_slot(window, last)]
 
 
 @njit_in_place

@@ -16,7 +16,7 @@ from lpv.core.serial_arm.diagnosis.contact import (
     watch_noise,
     weigh_residuals,
 )
-from lpv.core.serial_arm.diagnosis.estimator import Posterior, set_residuals
+from lpv.core.serial_arm.diagnosis.estimator import ONSET, Posterior, set_residuals
 from lpv.core.serial_arm.diagnosis.information import Window, slot, sum_slot, whiten
 from lpv.core.serial_arm.sensor_map import map_vector
 from lpv.core.support.jit import njit_in_place
@@ -25,9 +25,6 @@ JUMP = 6
 """Seventh column: a rate reading jumps at the start, and the momentum seems to, by M S^-1 e_i."""
 COLUMNS = 7
 """Columns of a sensor: drift, scale, rate, gain, offset, torque, jump."""
-ONSET = 2
-"""Balances at the start of a window in which a fault may come in any way: they are explained by
-free torques, for encoders as for contacts.  A jump is in the two balances that hold it."""
 
 
 class Kinds(NamedTuple):

@@ -45,7 +45,7 @@ from lpv.core.serial_arm.diagnosis.fault_filter import (
 from lpv.core.serial_arm.diagnosis.healthy_set import Guarantee, HealthySet
 from lpv.core.serial_arm.diagnosis.learning import Learned, learned_of
 from lpv.core.serial_arm.diagnosis.parameter_set import is_stated
-from lpv.core.serial_arm.diagnosis.priors import CONTACT, OCCURRENCE, PUSH, USUAL_RATE
+from lpv.core.serial_arm.diagnosis.priors import CONTACT, LOAD, OCCURRENCE, PUSH, USUAL_RATE
 from lpv.core.serial_arm.diagnosis.sampling import (
     APART,
     BEFORE_STOP,
@@ -122,7 +122,7 @@ class SerialAlarm:
     """A change of what is known of a fault."""
 
     sensor: str  # name; '' where none is named
-    kind: str  # bias, drift, scale, stuck, noise, spike, rate_bias, contact
+    kind: str  # bias, drift, scale, stuck, noise, spike, rate_bias, contact, load
     onset: float  # [s]
     detected: float  # [s]
     size: float  # of the fault now [rad]; [rad/s] of a rate sensor's
@@ -243,6 +243,7 @@ class SerialMonitor:
         self._ended_filters: list[FaultFilter] = []  # of readings that balances still hold
         self._known = np.zeros(n)  # for how long each offset has been diagnosable [s]
         self._contact = _Contact()
+        self._rival = -np.inf  # largest evidence of an encoder's fault while something is suspected
         self.jump, self.jump_variance = np.zeros(n), np.zeros(n)  # of readings, for the caller
         self._correction = np.zeros(n)
         self._suspects: tuple[str, ...] = ()
@@ -664,7 +665,7 @@ class SerialMonitor:
             self._blame(seen, 1.0 - math.exp(-seen.gain), now)
         elif self.bank.statistic < self._state['threshold']:
             self._suspects = ()
-            self._contact.since = math.inf
+            self._contact.since, self._rival = math.inf, -math.inf
         else:
             self._name(found, now)
         self._mark_suspects()
@@ -749,6 +750,7 @@ class SerialMonitor:
         if not found:
             self._suspects = ()
             return
+        self._rival = max([self._rival, *(one.gain for one in found if one.is_encoder)])
         shares = self.bank.shares(found)
         wrong = self.settings.probability_of_wrong_name
         named = {one: share for one, share in shares.items() if share > wrong}
@@ -763,6 +765,10 @@ class SerialMonitor:
             learned = len(self.estimator) * self.plan.interval > NOISE_KNOWN_AFTER
             if learned and now - self._contact.since >= CONTACT_TIME:
                 self._report_contact(now)
+        elif one.change is not None:
+            # A fault would be forgotten with it; what that explains is not found at every decision.
+            if one.gain - self._rival > self._sure:
+                self._change_load(one.begin, one.change)
         elif one.is_encoder:
             if self.bank.excludes_contact(one, self._margin(one.kind)):
                 self._blame(one, share, now)
@@ -817,6 +823,14 @@ class SerialMonitor:
         self._contact.until = now + CONTACT_PAUSE
         self.healthy = self.guarantee = None  # the load may be another one from now on
         self.estimator.distrust(round(CONTACT_PAUSE / self.plan.interval))
+
+    def _change_load(self, begin: float, change: FloatArray) -> None:
+        """The arm has taken a load, or put it down: it is another arm from now on."""
+        self.estimator.change_load(begin, change)
+        self.bank.restart_statistic()
+        self.healthy = self.guarantee = None  # the load may be any in the file from now on
+        self._event(-1, LOAD, begin, 'raised', 0.0, 0.0)
+        self._suspects = ()
 
     @property
     def in_contact(self) -> bool:

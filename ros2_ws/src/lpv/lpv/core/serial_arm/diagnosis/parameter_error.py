@@ -15,6 +15,8 @@ from lpv.core.serial_arm.diagnosis.priors import MODEL_ERROR, USUAL_ACCELERATION
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.dynamics.payload import PAYLOAD_PLACE, payload_parameters
 
+LOAD_ROWS = 4
+"""Of the unknown payload: its mass, and its place along three axes."""
 _SAMPLES = 100
 """Poses, or motions, over which root mean squares are taken: these are right within 10 %."""
 _NEGLIGIBLE = 0.001
@@ -30,7 +32,7 @@ def parameter_factor(arm: SerialArm, chain: Chain) -> FloatArray:
     load-dependent friction, offsets and relative gains of all joints.  Rows of the unknown payload
     are its mass, and its place by `PAYLOAD_PLACE`.  Where efforts are no torques, gains of drives
     are known as well as masses are; those that were identified hold for the arm as it was, not for
-    its load.
+    its load.  Rows of the payload are the last `LOAD_ROWS`.
     """
     n = joint_count(chain)
     if arm.covariance is not None:
@@ -43,12 +45,12 @@ def parameter_factor(arm: SerialArm, chain: Chain) -> FloatArray:
         rows.append(np.hstack([np.zeros((n, 14 * n)), model_error(arm) * np.eye(n)]))
     mass = arm.uncertainty.payload
     if mass > 0.0:
-        load = np.zeros((4, n, 10))
+        load = np.zeros((LOAD_ROWS, n, 10))
         at_tip = payload_parameters(chain, mass)
         load[0, -1] = at_tip
         for k in range(3):
             load[1 + k, -1, MX + k] = PAYLOAD_PLACE * mass
-        rows.append(_with_drives(load.reshape(4, -1), n))
+        rows.append(_with_drives(load.reshape(LOAD_ROWS, -1), n))
     return np.vstack(rows)
 
 
@@ -122,12 +124,13 @@ def _inertia(body: FloatArray) -> FloatArray:
 
 def parameter_directions(
     chain: Chain, factor: FloatArray, speed: FloatArray, limit: int = 16
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """The directions that matter most, at most ``limit``: independent, of standard deviation one.
 
     ``factor`` is F of `parameter_factor`; ``speed``, shape (n,), has usual rates [rad/s].  Returned
     are the directions' inertial parameters, shape (k, n, 10), and their friction (columns of
-    `Chain.friction`) with relative gains, shape (k, n, 5).
+    `Chain.friction`) with relative gains, shape (k, n, 5); and each row of ``factor`` by the
+    directions, shape (rows, k).
     """
     n = joint_count(chain)
     model, rng = SerialModel(chain), np.random.default_rng(0)
@@ -147,10 +150,12 @@ def parameter_directions(
     ])  # fmt: skip
     right = np.linalg.svd(effects.reshape(-1, len(factor)), full_matrices=False)[2]
     sizes = np.sqrt(((effects @ right.T) ** 2).mean(0)).max(0)
-    found = right[:limit][sizes[:limit] > _NEGLIGIBLE] @ factor
+    kept = right[:limit][sizes[:limit] > _NEGLIGIBLE]
+    found = kept @ factor
     friction = found[:, 10 * n :].reshape(-1, 5, n).transpose(0, 2, 1)
     return (
-        np.ascontiguousarray(found[:, : 10 * n].reshape(-1, n, 10)), np.ascontiguousarray(friction)
+        np.ascontiguousarray(found[:, : 10 * n].reshape(-1, n, 10)), np.ascontiguousarray(friction),
+        kept.T,
     )  # fmt: skip
 
 

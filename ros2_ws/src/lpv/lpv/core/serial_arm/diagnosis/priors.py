@@ -7,8 +7,12 @@ docs/diagnosis.md has them in one table, benchmarks/README.md what half and twic
 CONTACT = 'contact'
 """Unknown torques on all joints: something pushes or holds the arm, or its load has changed."""
 
+LOAD = 'load'
+"""The load at the tip has changed, within what the arm file states."""
+
 OCCURRENCE = {
     CONTACT: 1.0,
+    LOAD: 1.0,
     **dict.fromkeys(
         ('drift', 'scale', 'slip', 'stuck', 'rate_bias', 'torque_gain', 'torque_offset'), 0.01
     ),
