@@ -25,6 +25,7 @@ COUNTER_TEXT = {
     'not_finite': 'measurements with NaN or infinite values',
     'implausible': 'measurements with values that this arm cannot reach',
     'gaps': 'interruptions after which the balances begin anew',
+    'repeated': 'measurements that the driver repeated while the arm moved',
     'without_effort': 'measurements without efforts that had been there before',
 }
 """Fields of `lpv.core.monitoring.serial_monitor.SerialCounters`, what they count."""

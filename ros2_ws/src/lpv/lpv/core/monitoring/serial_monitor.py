@@ -28,11 +28,12 @@ from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import Alarm, Mode, SensorState
 from lpv.core.serial_arm.diagnosis.information import ROBUST
 from lpv.core.serial_arm.diagnosis.monitor import LONGEST_STEP
+from lpv.core.serial_arm.diagnosis.sampling import DELAY, ROUNDED
 from lpv.core.serial_arm.sensor_map import map_rows, mixing
 from lpv.core.support.errors import SampleError
 from lpv.core.support.jit import Entries, njit_in_place
 from lpv.core.support.limits import LARGEST, MAX_GAP
-from lpv.core.support.records import memory, new_record, plain
+from lpv.core.support.records import memory, new_record, plain, record_type
 from lpv.core.support.timestamps import NANOSECONDS, NEVER
 from lpv.core.uio.certificate.gains import Gains
 from lpv.core.uio.unknown_input_observer import CHOICES, UnknownInputObserver
@@ -68,6 +69,7 @@ class SerialCounters:
     implausible: int = 0  # values that no arm has
     gaps: int = 0  # intervals after which the balances restart
     without_effort: int = 0  # efforts were missing that had been there before
+    repeated: int = 0  # by a driver that had nothing new of an arm in motion
 
 
 class _Batch(NamedTuple):
@@ -105,6 +107,18 @@ def _new_batch(kind: np.dtype, count: int, joints: int) -> _Batch:
     )
 
 
+def _repeats(joints: int) -> np.dtype:
+    """Record type of what tells a driver that repeats itself."""
+    return record_type(
+        ('measured', 'f8', (3, joints)),  # the last measurement, as it came
+        ('grain', 'f8', (joints,)),  # smallest changes of the readings, infinite before any [rad]
+        ('since', 'i8'),  # its stamp [ns]
+        ('times', 'i8'),  # that it came again
+        ('stamp', 'i8'),  # of the last time [ns]
+        ('stalled', '?'),  # so often that it is none
+    )
+
+
 class _Stream(NamedTuple):
     """What tells samples that simply follow the one before."""
 
@@ -113,6 +127,7 @@ class _Stream(NamedTuple):
     gap: int  # longest interval [ns]
     blind: bool  # efforts are missing
     independent: npt.NDArray[np.bool_]  # rates of a sensor of their own
+    repeats: np.ndarray  # memory of a record of `REPEATS`
 
 
 @njit_in_place
@@ -128,10 +143,40 @@ def _plausible(sample: FloatArray, independent: npt.NDArray[np.bool_]) -> bool:
 
 
 @njit_in_place
+def _is_repeated(stream: _Stream, stamp: int, sample: FloatArray) -> bool:
+    """Whether a measurement is the one before once more, from a driver that had no new one.
+
+    One that equals it in every number, efforts included, is none of an arm that moves: by now, a
+    joint would have gone farther at its rate than its reading is rounded.  A few are `sampling`'s.
+    """
+    one, same = stream.repeats[0], True
+    if one.stamp == stamp:
+        return bool(one.stalled)
+    one.stamp = stamp
+    for part in range(3):
+        for i in range(sample.shape[1]):
+            change = abs(sample[part, i] - one.measured[part, i])
+            same = same and change == 0.0
+            if part == 0 and change > 0.0:
+                one.grain[i] = min(one.grain[i], change)
+            one.measured[part, i] = sample[part, i]
+    if not same:
+        one.since, one.times, one.stalled = stamp, 0, False
+        return False
+    one.times += 1
+    for i in range(sample.shape[1]):
+        way = abs(sample[1, i]) * (stamp - one.since) / NANOSECONDS
+        one.stalled = one.stalled or (one.times > DELAY and way > ROUNDED * one.grain[i])
+    return bool(one.stalled)
+
+
+@njit_in_place
 def _count_regular(stream: _Stream, stamps: IntArray, samples: FloatArray, begin: int) -> int:
     """Number of samples from ``begin`` on that can be used as they are."""
     last, newest = stream.stamp, stream.newest
     for k in range(begin, len(stamps)):
+        if _is_repeated(stream, stamps[k], samples[k]):
+            return k - begin
         if not newest < stamps[k] <= newest + JUMP or stamps[k] > last + stream.gap:
             return k - begin
         finite = True
@@ -268,6 +313,8 @@ class SerialSensorMonitor:
         self._blind: bool | None = None  # whether efforts are missing
         self._stamp = NEVER  # of the last usable sample [ns]
         self._reading = np.zeros(self._joints)  # of that sample [rad]
+        self._repeats: Any = new_record(_repeats(self._joints), grain=np.inf)
+        self._older = 0  # measurements in a row that were older than the last one
         n, self._noted = self._joints, 0  # stamp from which on the snapshot holds [ns]
         flags = new_record(FLAGS, sample_time=self.arm.sample_time)
         progress = new_record(PROGRESS, next_report=NEVER)
@@ -394,9 +441,12 @@ class SerialSensorMonitor:
 
     def _regular(self, batch: _Batch, begin: int) -> int:
         """Number of samples from ``begin`` on that can be used as they are, after the last one."""
-        if self._blind is None or self._gate.last is None:
+        if self._blind is None or self._gate.last is None or self._older > LONGEST_STEP:
             return 0
-        stream = _Stream(self._stamp, self._gate.last, self._gap, self._blind, self._independent)
+        stream = _Stream(
+            self._stamp, self._gate.last, self._gap, self._blind, self._independent,
+            memory(self._repeats),
+        )  # fmt: skip
         return int(self._call(_count_regular, stream, batch.stamps, batch.samples, begin))
 
     def _derives(self, samples: FloatArray) -> np.ndarray:
@@ -438,6 +488,10 @@ class SerialSensorMonitor:
         """
         if not self._is_new(stamp):
             return False
+        if self._repeats.stalled:
+            self.counters.repeated += 1
+            self._answer_stale(stamp, row)
+            return False
         if not _plausible(sample, self._independent):
             needed = np.concatenate([sample[0], sample[1, self._independent]])
             finite = bool(np.isfinite(needed).all())
@@ -455,7 +509,10 @@ class SerialSensorMonitor:
             self._blind = self._monitor.blind = blind
             self._monitor.begin_again()
             self._watch_from(stamp)
-        gap = self._stamp == NEVER or stamp - self._stamp > self._gap
+        was_back = self._older > LONGEST_STEP  # the clock, and samples are missing since
+        if was_back:
+            self._monitor.begin_again()
+        gap = self._stamp == NEVER or stamp - self._stamp > self._gap or was_back
         self.counters.gaps += self._stamp != NEVER and gap
         if gap and self._derives(sample[None])[0]:
             # The first difference needs two readings.
@@ -486,6 +543,7 @@ class SerialSensorMonitor:
             return True
         self.counters.duplicates += delta == 0
         self.counters.out_of_order += delta < 0
+        self._older += delta < 0
         return False
 
     def _run(self, batch: _Batch, begin: int, end: int, answers: Answers) -> None:
@@ -496,6 +554,7 @@ class SerialSensorMonitor:
             self._watch_from(int(stamps[0]))
         self._stamp, self._reading = int(stamps[-1]), samples[-1, 0].copy()
         self._gate.follow(self._stamp)
+        self._older = 0
         if self._blind:
             samples[:, 2] = 0.0
 

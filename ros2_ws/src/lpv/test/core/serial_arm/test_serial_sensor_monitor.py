@@ -64,6 +64,18 @@ def test_given_samples_that_are_lost_repeated_or_no_numbers_then_each_is_counted
         assert {name for name, count in vars(monitor.counters).items() if count} == expected
 
 
+@pytest.mark.parametrize('rates', ['derived', 'independent'])
+def test_given_a_driver_that_repeats_itself_or_a_clock_that_is_set_back_then_no_sensor_is(rates):
+    arm = shoulder_arm(rates)
+    stamps, samples, _ = simulated(arm, duration=4.0)
+    samples[1000:1050] = samples[999]
+    stamps[1500:] -= 500_000_000
+    monitor, answers = observe(stamps, samples, SerialSensorMonitor('/uio', arm))
+    assert told(answers) == [] and monitor.counters.repeated > 40
+    assert set(answers.state.mode[1010:1050]) == {Mode.STALE}
+    assert monitor.counters.out_of_order == 249
+
+
 def test_given_a_step_when_found_then_the_alarm_names_it_and_its_reading_is_corrected():
     stamps, samples, position = recorded()
     _, answers = observe(stamps, samples)
