@@ -623,11 +623,11 @@ def _prior_posterior(
     prior: FloatArray, expected: FloatArray, rest: FloatArray, systematic: FloatArray, capacity: int
 ) -> Posterior:
     n, m = len(expected), len(prior)
-    inflation = np.maximum(2.0, systematic / expected**2)
+    inflation, square = np.maximum(2.0, systematic / expected**2), np.zeros((2, 1 + m, m))
     return Posterior(
         np.zeros(m), np.diag(1.0 / prior), prior[:n].copy(), prior**-2, expected.copy(), expected,
         inflation, rest.copy(), rest, systematic, np.zeros((capacity, n)), np.zeros((capacity, n)),
-        *np.zeros((2, 1 + m, m)), np.zeros((m, n)), np.zeros(capacity))  # fmt: skip
+        square[0], square[1], np.zeros((m, n)), np.zeros(capacity))  # fmt: skip
 
 
 def _priors(arm: SerialArm, friction: FloatArray, missed: FloatArray) -> list[FloatArray]:
