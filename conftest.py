@@ -95,6 +95,12 @@ def arm(request):
     return request.getfixturevalue(request.param)
 
 
+@pytest.fixture
+def planar(arm):
+    """The same in the paper's symbols."""
+    return planar_model(arm)
+
+
 @pytest.fixture(scope='session')
 def two_faults():
     """Shipped scenario with an abrupt and an incipient fault."""

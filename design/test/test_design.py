@@ -28,12 +28,6 @@ PUBLISHED = np.array([
 """(M1, M2) of section 5 of the paper."""
 
 
-@pytest.fixture(params=['paper_model', 'real_model'])
-def arm(request):
-    """Both shipped planar arms in turn, as designs take them."""
-    return request.getfixturevalue(request.param)
-
-
 @cache
 def designed(name):
     """Gains of a shipped requirement; tests of other packages take the shipped ones."""
@@ -154,11 +148,11 @@ def test_given_a_system_then_disc_and_covariance_inequalities_hold_just_if_they_
 
 
 @pytest.mark.parametrize(('method', 'vertices'), [('paper', 8), ('exact', 16)])
-def test_given_both_loops_when_designed_then_67_holds_and_not_if_spoilt(arm, method, vertices):
-    wanted = load_requirement(arm.name).controller
-    loop = conditions.controller_loop(arm, method)
+def test_given_both_loops_when_designed_then_67_holds_and_not_if_spoilt(planar, method, vertices):
+    wanted = load_requirement(planar.name).controller
+    loop = conditions.controller_loop(planar, method)
     assert len(loop[0]) == len(loop[1]) == vertices
-    m, q, _ = controller.solve_loop(arm, loop, wanted)
+    m, q, _ = controller.solve_loop(planar, loop, wanted)
     assert controller.check_loop(loop, m, q, wanted.alpha) < 0.0
     for a, b in zip(*loop):
         poles = np.linalg.eigvals(a + b @ m)
@@ -186,13 +180,13 @@ def assert_same_gains(found, wanted):
     np.testing.assert_allclose(found, wanted, rtol=0.0, atol=1e-3 * np.abs(wanted).max())
 
 
-def test_given_requirements_when_designed_then_gains_are_the_shipped_ones(arm):
-    found, shipped = designed(arm.name), load_gains(resources.bringup_file('gains', arm.name))
+def test_given_requirements_when_designed_then_gains_are_the_shipped_ones(planar):
+    found, shipped = designed(planar.name), load_gains(resources.bringup_file('gains', planar.name))
     for part, names in (('observer', ('kappa', 'mu')), ('controller', ('m1', 'm2'))):
         for name in names:
             wanted = getattr(getattr(shipped, part), name)
             assert_same_gains(getattr(getattr(found, part), name), wanted)
-    conditions.require(arm, found)
+    conditions.require(planar, found)
 
 
 @pytest.mark.parametrize('cos_min', [0.3, 0.15, 0.05])
@@ -205,9 +199,9 @@ def test_given_a_large_region_when_designed_at_decay_2_then_it_is_certified(pape
     assert all(check.holds for check in conditions.exact_observer_checks(sampled, observer))
 
 
-def test_given_any_slope_when_tried_then_poles_and_deviation_are_as_certified(arm):
-    observer, wanted = designed(arm.name).observer, load_requirement(arm.name).observer
-    for link, p in zip(error_system.link_errors(arm), observer.lyapunov):
+def test_given_any_slope_when_tried_then_poles_and_deviation_are_as_certified(planar):
+    observer, wanted = designed(planar.name).observer, load_requirement(planar.name).observer
+    for link, p in zip(error_system.link_errors(planar), observer.lyapunov):
         kappa, mu = observer.kappa[link.index], observer.mu[link.index]
         bound, worst = link.unit**2 * np.linalg.inv(p)[0, 0], 0.0
         gain = -np.array([[kappa * link.inertia], [mu]])

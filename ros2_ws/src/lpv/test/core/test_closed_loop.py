@@ -172,14 +172,6 @@ def test_given_both_methods_then_eq_65_acts(paper_arm, paper_gains, literal_gain
     np.testing.assert_array_equal(controller.integral, 0.0)
 
 
-def test_given_a_stricter_tuning_when_run_then_it_reaches_the_diagnosis(run_paper):
-    part = {'duration': 0.6, 'faults': (Fault('link1_angle', 'bias', 0.2, size=0.3),)}
-    deaf = DiagnosisParameters(smallest_step=0.5, minimum_threshold=0.5)
-    assert run_paper(**part, options={'parameters': deaf}).alarms == []
-    alarms = run_paper(**part).alarms
-    assert [a.event for a in alarms if a.event != AlarmEvent.UPDATED] == [AlarmEvent.RAISED]
-
-
 def test_given_an_error_signal_when_its_mise_is_taken_then_it_is_the_mean_square():
     assert float(mise([1.0, -3.0])) == 5.0
     errors = [[1.0, np.nan, np.nan, 1.0], [3.0, 2.0, np.inf, 1.0]]

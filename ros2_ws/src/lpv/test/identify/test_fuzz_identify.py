@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from bags import storage, write_measurements
-from fuzzing import Tally, cases, fuzz, mutate_bytes, mutate_text
+from fuzzing import fuzz, mutate_bytes, mutate_text
 
 from lpv.identify.estimation.identification import identify
 from lpv.identify.recordings.motion import find_bandwidths, split
@@ -83,25 +83,19 @@ def damaged(recording: Recording, seed: int) -> list[np.ndarray]:
     return parts
 
 
-def test_given_damaged_samples_when_cleaned_then_they_are_finite_or_the_reason_is_said(recording):
-    samples = []
+@pytest.mark.parametrize(('count', 'every'), [(80, 1), (3, 3)], ids=['cleaned', 'identified'])
+def test_given_damaged_samples_when_used_then_results_are_finite_or_the_reason_is_said(
+    recording, rough_arm, count, every
+):
+    samples, whole = [], recording.rows(slice(0, 1200 if every > 1 else None, every))
 
     def read():
-        time, position, velocity, effort = samples.pop()
-        return use(clean('r', [time], position, velocity, effort))
-
-    assert fuzz(80, lambda seed: samples.append(damaged(recording, seed)), read).refused
-
-
-def test_given_damaged_samples_when_identified_then_the_arm_is_finite(recording, rough_arm):
-    tally, coarse = Tally(), recording.rows(slice(0, 1200, 3))
-
-    def run(seed):
-        time, *samples = damaged(coarse, seed)
-        result = identify(rough_arm, [clean('r', [time], *samples)])
+        time, *others = samples.pop()
+        found = clean('r', [time], *others)
+        if every == 1:
+            return use(found)
+        result = identify(rough_arm, [found])
         return result.arm.parameter_vector(), result.figures, result.fit.covariance
 
-    for seed in cases(3):
-        tally.run(seed, run, seed)
-    print(tally)
-    assert not tally.failed
+    tally = fuzz(count, lambda seed: samples.append(damaged(whole, seed)), read, accepts=every == 1)
+    assert tally.refused or every > 1

@@ -17,6 +17,7 @@ import pytest
 import yaml
 from hypothesis import example, given
 from hypothesis import strategies as st
+from nested import changed
 from places import BRINGUP
 from runs import ALL, MEASURED, assert_stands_alone, copied, record, rows, text
 from serial_bags import crane, crane_run, record_crane
@@ -266,13 +267,10 @@ def test_given_a_bag_when_reported_then_its_gains_are_found(bag, gains_file, pag
 
 def tampered(gains_file, change, path):
     """A gains file with the arm or a number changed by hand."""
-    data = yaml.safe_load(gains_file.read_text())
-    gains = data['/**']['ros__parameters']['gains']
-    if change == 'name':
-        gains['arm_sha256'] = 'f' * 64
-    else:
-        gains['observer']['kappa'][0] *= change
-    path.write_text(yaml.safe_dump(data))
+    data, part = yaml.safe_load(gains_file.read_text()), '/**.ros__parameters.gains.'
+    named = change == 'name'
+    field, value = ('arm_sha256', 'f' * 64) if named else ('observer.kappa[0]', change.__mul__)
+    path.write_text(yaml.safe_dump(changed(data, part + field, value)))
     return path
 
 

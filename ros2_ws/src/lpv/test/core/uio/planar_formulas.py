@@ -11,12 +11,6 @@ def inertia(theta, c):
     return np.array([[c.inertia[0], off], [off, c.inertia[1]]])
 
 
-def energy(state, c):
-    """Kinetic plus potential energy [J]; kept without torque, friction and disturbance."""
-    theta, rate = np.reshape(state, (2, 2))
-    return 0.5 * rate @ inertia(theta, c) @ rate + c.gravity @ np.cos(theta)
-
-
 def scheduling(theta):
     """phi of eqs. (6) and (9)."""
     return math.cos(theta[0] - theta[1]), *np.sinc(np.array(theta[:2]) / np.pi)

@@ -115,8 +115,8 @@ def test_given_a_spoilt_part_then_what_fails_is_named(request, paper_model, case
 
 
 @pytest.mark.parametrize('noise', ['velocity_noise', 'disturbance_variance'])
-def test_given_more_noise_then_proof_and_floats_refute_the_covariance(arm, gains, noise):
-    noisy = replace(arm, **{noise: 3000.0 * getattr(arm, noise)})
+def test_given_more_noise_then_proof_and_floats_refute_the_covariance(planar, gains, noise):
+    noisy = replace(planar, **{noise: 3000.0 * getattr(planar, noise)})
     proved, name = prove(noisy, gains), 'covariance under the noise of the arm file'
     for i in range(2):
         holds = covariance_margin(noisy, gains.observer, i) < 0.0
@@ -124,13 +124,13 @@ def test_given_more_noise_then_proof_and_floats_refute_the_covariance(arm, gains
     assert not all(proved.values())
 
 
-def test_given_the_proof_when_compared_with_floats_then_constants_and_vertices_agree(arm):
-    numbers, constants = arm.numbers(Fraction), arm.constants()
+def test_given_the_proof_when_compared_with_floats_then_constants_and_vertices_agree(planar):
+    numbers, constants = planar.numbers(Fraction), planar.constants()
     for name, value in numbers._asdict().items():
         np.testing.assert_allclose(np.array(value, float), constants[name], rtol=1e-14)
     for method in ('paper', 'exact'):
-        exact = conditions.controller_loop(arm, method, number=Fraction)
-        for floats, fractions in zip(conditions.controller_loop(arm, method), exact):
+        exact = conditions.controller_loop(planar, method, number=Fraction)
+        for floats, fractions in zip(conditions.controller_loop(planar, method), exact):
             assert all(isinstance(value, (Fraction, int)) for value in fractions.flat)
             np.testing.assert_allclose(fractions.astype(float), floats, rtol=1e-13)
 
@@ -150,9 +150,9 @@ def test_given_model_error_and_payload_when_at_corners_then_masses_span_the_rang
     np.testing.assert_allclose([masses.min(axis=0), masses.max(axis=0)], [[9.0, 4.5], [11.0, 6.0]])
 
 
-def test_given_an_arm_as_json_when_read_back_then_it_is_the_same_arm(arm):
-    assert arm_from_json(arm.to_json()) == arm
-    for text in ('', '{}', '[]', '{"links": 3}', arm.to_json().replace('"name"', '"nome"')):
+def test_given_an_arm_as_json_when_read_back_then_it_is_the_same_arm(planar):
+    assert arm_from_json(planar.to_json()) == planar
+    for text in ('', '{}', '[]', '{"links": 3}', planar.to_json().replace('"name"', '"nome"')):
         with pytest.raises(ConfigError):
             arm_from_json(text)
 
@@ -314,22 +314,22 @@ def transition(flows, step, controller):
     return whole
 
 
-def test_given_an_arm_that_jumps_between_corners_when_run_then_it_contracts(arm, gains):
+def test_given_an_arm_that_jumps_between_corners_when_run_then_it_contracts(planar, gains):
     controller, motion, worst = gains.controller, gains.controller.motion, 0.0
-    flows, factor = corners(arm, motion.rate), np.linalg.cholesky(motion.lyapunov).T
+    flows, factor = corners(planar, motion.rate), np.linalg.cholesky(motion.lyapunov).T
     rng = np.random.default_rng(3)
     for _ in range(500):
         places = rng.integers(len(flows), size=rng.integers(1, 6))
-        sample = transition([flows[i] for i in places], arm.sample_time, controller)
+        sample = transition([flows[i] for i in places], planar.sample_time, controller)
         worst = max(worst, np.linalg.norm(factor @ sample @ np.linalg.inv(factor), 2))
-    assert 1.0 - 4.0 * motion.decay * arm.sample_time < worst
-    assert worst < np.exp(-motion.decay * arm.sample_time)
+    assert 1.0 - 4.0 * motion.decay * planar.sample_time < worst
+    assert worst < np.exp(-motion.decay * planar.sample_time)
 
 
 @pytest.mark.parametrize('slower', [1.0, 10.0])
-def test_given_corners_that_change_in_a_sample_then_the_remainder_holds(arm, gains, slower):
+def test_given_corners_that_change_in_a_sample_then_the_remainder_holds(planar, gains, slower):
     controller, rng = gains.controller, np.random.default_rng(4)
-    arm, rate = replace(arm, sample_time=slower * arm.sample_time), controller.motion.rate
+    arm, rate = replace(planar, sample_time=slower * planar.sample_time), controller.motion.rate
     flows, used = corners(arm, rate), 0.0
     loop, law = conditions.controller_loop(arm, 'exact'), np.hstack([controller.m1, controller.m2])
     sampled = sampled_motion.sampled_loop(arm, loop, law, rate)
@@ -343,7 +343,7 @@ def test_given_corners_that_change_in_a_sample_then_the_remainder_holds(arm, gai
     assert used > 0.1  # the bound is no formality
 
 
-def test_given_claims_that_do_not_hold_or_none_when_verified_then_they_are_not_made(arm, gains):
+def test_given_claims_that_do_not_hold_or_none_when_verified_then_they_are_not_made(planar, gains):
     motion, p = gains.controller.motion, gains.controller.motion.lyapunov
     forged = {
         'decay': [20.0 * motion.decay],
@@ -352,11 +352,12 @@ def test_given_claims_that_do_not_hold_or_none_when_verified_then_they_are_not_m
     }
     for changes in ({name: value} for name, values in forged.items() for value in values):
         other = replace(gains.controller, motion=replace(motion, **changes))
-        assert [check.holds for check in conditions.motion_checks(arm, other)] == [False]
-    assert [check.holds for check in conditions.motion_checks(arm, gains.controller)] == [True]
+        assert [check.holds for check in conditions.motion_checks(planar, other)] == [False]
+    assert [check.holds for check in conditions.motion_checks(planar, gains.controller)] == [True]
     without = replace(gains, controller=replace(gains.controller, motion=None))
     again = files.parse_gains(files.gains_to_dict(without))
-    assert again.controller.motion is None and conditions.motion_checks(arm, again.controller) == []
+    assert again.controller.motion is None
+    assert conditions.motion_checks(planar, again.controller) == []
     again = files.parse_gains(files.gains_to_dict(gains))
     assert np.array_equal(again.controller.motion.lyapunov, gains.controller.motion.lyapunov)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from planar_formulas import energy, inertia, scheduling, weights
+from planar_formulas import inertia, scheduling, weights
 from scipy.optimize import nnls
 
 from lpv.core.simulation.paper_plant import PaperPlant
@@ -38,15 +38,13 @@ def test_given_any_state_when_it_moves_then_its_torques_come_back(arms, state, e
         assert back == pytest.approx(effort, abs=1e-9)
 
 
-@given(STATE, st.floats(0.0, 20.0))
-def test_given_a_payload_then_energy_is_that_of_a_point_mass_at_the_tip_more(arms, state, mass):
-    theta, rate = np.array(state).reshape(2, 2)
-    for arm in arms:
-        turn = arm.lengths * np.array([np.cos(theta), -np.sin(theta)])
-        tip_rate = turn @ rate
-        extra = 0.5 * mass * tip_rate @ tip_rate + mass * arm.gravity * turn[0].sum()
-        loaded = energy(state, arm.with_payload(mass).constants())
-        assert loaded == pytest.approx(energy(state, arm.constants()) + extra, rel=1e-10, abs=1e-9)
+def test_given_a_payload_then_constants_are_those_of_a_point_mass_at_the_tip_more(planar):
+    bare, loaded = planar.constants(), planar.with_payload(3.0).constants()
+    moment = 3.0 * np.array(planar.lengths)
+    np.testing.assert_allclose(loaded.inertia, bare.inertia + moment * planar.lengths)
+    np.testing.assert_allclose(loaded.gravity, bare.gravity + moment * planar.gravity)
+    assert loaded.coupling == pytest.approx(bare.coupling + moment[0] * planar.lengths[1])
+    assert loaded.rotor_coupling == bare.rotor_coupling
 
 
 def test_given_table_1_when_constants_are_formed_then_they_are_those_of_eq_2(paper_model):
@@ -113,10 +111,10 @@ def test_given_both_arms_then_zeros_torques_and_eqs_29_to_31_are_right(paper_mod
         np.testing.assert_array_equal(found, [[0], [0], [push], [0]])
 
 
-def test_given_a_batch_when_converted_or_solved_then_every_row_alone_and_a_bad_one_is_named(arm):
+def test_given_a_batch_when_converted_or_solved_then_every_row_alone_and_a_bad_one_is_named(planar):
     batch = np.random.default_rng(3).uniform(0.2, 1.0, (4, 5, 2))
     lengths = 1.0, 0.9
-    methods = sum(conversions(JointMap(arm)), ()) + (lambda points: inverse(points, lengths),)
+    methods = sum(conversions(JointMap(planar)), ()) + (lambda points: inverse(points, lengths),)
     for method in methods:
         rows = np.array([[method(pair) for pair in row] for row in batch])
         np.testing.assert_allclose(method(batch), rows, rtol=1e-15, atol=1e-15)
@@ -180,11 +178,11 @@ def test_given_phi_1_of_zero_when_b_is_interpolated_then_it_is_1_83_times_the_ar
     np.testing.assert_allclose(np.diag(interpolated) / np.diag(true), 1.83, atol=0.01)
 
 
-def test_given_the_quadrangle_then_it_holds_the_arc_and_is_no_bounding_box(arm):
+def test_given_the_quadrangle_then_it_holds_the_arc_and_is_no_bounding_box(planar):
     def cross(a, b):
         return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
-    c = arm.constants()
+    c = planar.constants()
     corners = polytope.inverse_inertia_quadrangle(c)
     s = c.rotor_coupling + c.coupling * np.linspace(-1.0, 1.0, 2001)
     det = c.inertia[0] * c.inertia[1] - s**2
@@ -280,13 +278,13 @@ def test_given_a_push_when_the_lpv_plant_steps_then_it_is_runge_kutta(paper_arm,
     np.testing.assert_allclose(joints.absolute_velocity(motion[1]), expected[2:], atol=1e-13)
 
 
-def test_given_vertices_when_augmented_then_eqs_35_to_37_hold_and_47_has_a_solution(arm):
-    a, b = vertex_matrices(sinc_box(-0.2), arm.constants(coriolis=False))
-    d, (c, df) = state_space.Descriptor(a, b, arm), state_space.output_matrices(arm)
+def test_given_vertices_when_augmented_then_eqs_35_to_37_hold_and_47_has_a_solution(planar):
+    a, b = vertex_matrices(sinc_box(-0.2), planar.constants(coriolis=False))
+    d, (c, df) = state_space.Descriptor(a, b, planar), state_space.output_matrices(planar)
     np.testing.assert_array_equal(d.e, np.diag([1, 1, 1, 1, 0, 0]))
     np.testing.assert_array_equal(d.c, np.hstack([c, df]))
     np.testing.assert_array_equal(d.bf, [[0, 0]] * 4 + [[1, 0], [0, 1]])
-    push = state_space.disturbance_matrix(arm)
+    push = state_space.disturbance_matrix(planar)
     np.testing.assert_array_equal(d.bd, np.vstack([push, np.zeros((2, 1))]))
     # Eq. (36) row by row: x' = A x + B u + Bd d, and 0 = -f + f.
     x, f, u = np.split(np.random.default_rng(5).normal(size=8), [4, 6])
@@ -297,16 +295,16 @@ def test_given_vertices_when_augmented_then_eqs_35_to_37_hold_and_47_has_a_solut
     assert np.linalg.matrix_rank(np.vstack([d.e, d.c])) == 6  # every vertex is causal, y shows f
 
 
-def test_given_a_shipped_arm_when_converted_back_then_it_is_the_same(serial, arm, gains):
-    again = planar_model(serial_from_planar(arm))
-    assert arm.sha256() == gains.arm_sha256
-    assert again.joint_names == serial.joint_names and again.sensor_names == serial.sensor_names
+def test_given_a_shipped_arm_when_converted_back_then_it_is_the_same(arm, planar, gains):
+    again = planar_model(serial_from_planar(planar))
+    assert planar.sha256() == gains.arm_sha256
+    assert again.joint_names == arm.joint_names and again.sensor_names == arm.sensor_names
     for field in ('rotor', 'viscous', 'coulomb', 'zero_angle', 'gravity', 'cos_min'):
-        one, other = getattr(again, field), getattr(arm, field)
+        one, other = getattr(again, field), getattr(planar, field)
         np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-12, err_msg=field)
-    links = [[list(vars(link).values()) for link in one.links] for one in (again, arm)]
+    links = [[list(vars(link).values()) for link in one.links] for one in (again, planar)]
     np.testing.assert_allclose(*links, rtol=1e-12, atol=1e-12)
-    assert (again.arrangement, again.orientation) == (arm.arrangement, arm.orientation)
+    assert (again.arrangement, again.orientation) == (planar.arrangement, planar.orientation)
 
 
 def test_given_an_arm_when_converted_then_it_may_turn_but_needs_a_region(paper_arm, paper_model):

@@ -87,18 +87,18 @@ class Exact:
 
 
 @pytest.fixture
-def swing(arm):
-    return Swing(arm)
+def swing(planar):
+    return Swing(planar)
 
 
 @pytest.fixture
-def exact(arm, gains):
-    return Exact(arm, gains)
+def exact(planar, gains):
+    return Exact(planar, gains)
 
 
-def test_given_the_paper_observer_then_eq_41_is_solved_and_steps_are_the_heun_rule_of_38(arm):
+def test_given_the_paper_observer_then_eq_41_is_solved_and_steps_are_the_heun_rule_of_38(planar):
     dt, box, rng = 0.003, sinc_box(0.5), np.random.default_rng(7)
-    d = state_space.Descriptor(*vertex_matrices(box, arm.constants(coriolis=False)), arm)
+    d = state_space.Descriptor(*vertex_matrices(box, planar.constants(coriolis=False)), planar)
     t1, t2 = paper_observer.decoupling(d.e, d.c)
     sigma = np.vstack([d.e, d.c])
     # Smallest: every row lies in the column space of sigma.
@@ -128,7 +128,7 @@ def test_given_the_paper_observer_then_eq_41_is_solved_and_steps_are_the_heun_ru
         y_old = y_new
 
 
-def test_given_any_state_when_differentiated_then_the_momentum_error_is_decoupled(arm, exact):
+def test_given_any_state_when_differentiated_then_the_momentum_error_is_decoupled(planar, exact):
     """e' = -s kappa m and m' = s Gamma e - mu m + coupling, without any linearisation."""
     h, c, rng = 2e-7, exact.constants, np.random.default_rng(5)
     for t in rng.uniform(0.0, 5.0, 10):
@@ -150,16 +150,16 @@ def test_given_any_state_when_differentiated_then_the_momentum_error_is_decouple
         np.testing.assert_allclose(m_rate, expected, rtol=1e-4, atol=1e-4 * scale)
         e_rate = (after[:2] - guess) / h - rate
         np.testing.assert_allclose(e_rate, -exact.kappa * m, rtol=1e-4, atol=1e-6)
-        slope = gravity / e * arm.sign
+        slope = gravity / e * planar.sign
         assert np.all(slope > 0.0) and np.all(slope <= c.gravity)
 
 
 @pytest.mark.slow
-def test_given_exact_torques_when_started_right_then_the_observer_stays_on_it(arm, exact):
+def test_given_exact_torques_when_started_right_then_the_observer_stays_on_it(planar, exact):
     found = list(exact.follow(2000, [(0.0, 0.0)]))
     expected = [exact.truth((k + 1) * exact.dt) for k in range(2000)]
     # The Heun rule at 2 ms; Coulomb friction turns round within a few samples.
-    np.testing.assert_allclose(found, expected, atol=2e-4 if any(arm.coulomb) else 3e-5)
+    np.testing.assert_allclose(found, expected, atol=2e-4 if any(planar.coulomb) else 3e-5)
 
 
 @pytest.mark.slow
@@ -192,9 +192,9 @@ def test_given_any_position_faults_then_the_state_estimate_is_bitwise_same(arms,
 
 
 @pytest.mark.parametrize('link', [0, 1])
-def test_given_a_link_outside_the_region_then_it_is_held_on_the_measured_rate(arm, exact, link):
+def test_given_a_link_outside_the_region_then_it_is_held_on_the_measured_rate(planar, exact, link):
     theta, dt, other = np.full(2, exact.motion.rest), exact.dt, 1 - link
-    theta[link] += math.acos(arm.cos_min[link]) + 0.1
+    theta[link] += math.acos(planar.cos_min[link]) + 0.1
     true_rate = np.array([0.4, -0.3])
     torque = dynamics.inverse_dynamics(*theta, *true_rate, 0.0, 0.0, exact.constants)
     y_old = np.concatenate([exact.s @ (theta - 0.2), exact.s @ true_rate])
@@ -208,16 +208,16 @@ def test_given_a_link_outside_the_region_then_it_is_held_on_the_measured_rate(ar
     np.testing.assert_allclose(after[4:], y_new[:2] - exact.s @ after[:2], atol=1e-12)
 
 
-def test_given_a_link_on_either_side_of_the_border_then_only_outside_is_held(arm, exact):
+def test_given_a_link_on_either_side_of_the_border_then_only_outside_is_held(planar, exact):
     cases = []
     for offset, way, link in product((-1e-6, 1e-6), (1.0, -1.0), range(2)):
         theta = np.full(2, exact.motion.rest)
-        theta[link] += way * (math.acos(arm.cos_min[link]) + offset)
+        theta[link] += way * (math.acos(planar.cos_min[link]) + offset)
         cases.append((theta, [offset > 0.0 and i == link for i in range(2)]))
     # At the vertical, rounding of the cosine holds nothing.
     for turns in ((0, 0), (1, 1), (2, -2)):
-        upright = turns[0] % 2 == 0
-        cases.append((math.pi * np.array(turns), [upright != (arm.orientation == 'upright')] * 2))
+        outside = (turns[0] % 2 == 0) != (planar.orientation == 'upright')
+        cases.append((math.pi * np.array(turns), [outside] * 2))
     for theta, held in cases:
         y = np.concatenate([exact.s @ theta, [0.0, 0.0]])
         exact.state.x[:] = *theta, 0.0, 0.0, 0.0, 0.0
@@ -226,8 +226,8 @@ def test_given_a_link_on_either_side_of_the_border_then_only_outside_is_held(arm
 
 
 @pytest.fixture
-def observer(serial, gains):
-    return UnknownInputObserver(serial, gains)
+def observer(arm, gains):
+    return UnknownInputObserver(arm, gains)
 
 
 def update(observer, stamp, *measured):
