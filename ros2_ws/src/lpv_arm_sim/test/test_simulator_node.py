@@ -10,6 +10,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from lpv.core.simulation.faults import MAX_FAULTS
+from lpv.core.support.timestamps import to_nanoseconds
 from lpv_arm_sim.node import SimulatorNode
 from lpv_msgs.msg import GroundTruth, TorqueCommand
 from lpv_msgs.srv import ClearFaults, InjectFault
@@ -81,6 +82,18 @@ def test_given_faults_when_injected_and_one_is_cleared_then_the_other_stays(driv
     assert response.success and response.message == 'bias on link1_angle from 0.010 s on'
     drives.inject(sensor='link2_angle')
     assert [drives.clear(sensor).cleared for sensor in ('link1_angle', '', '')] == [1, 1, 0]
+
+
+def test_given_an_answer_when_repeated_then_each_sample_is_left_by_one_step(drives):
+    first = drives.good()
+    drives.send(first)
+    for _ in range(2):
+        with pytest.raises(Refused, match='answers no sample'):
+            drives.send(first)
+        drives.send(drives.good())
+    stamps = [to_nanoseconds(m.header.stamp) for m in drives.states.sent]
+    assert np.diff(stamps).tolist() == [drives.node._period] * 3
+    assert len(drives.node._clock_out.sent) == len(stamps)
 
 
 @pytest.mark.fuzz

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 import pytest
 from places import PACKAGES
-from test_view_server import aiohttp, connected, get
+from test_view_server import aiohttp, connected, get, send
 
 pytest.importorskip('foxglove', reason='foxglove-sdk is not installed')
 
@@ -26,6 +26,13 @@ TOPICS = {
     '/lpv/robot_description': ('std_msgs/msg/String', 1),
     '/lpv/fault_alarm': ('lpv_msgs/msg/FaultAlarm', 2),
 }  # fmt: skip
+
+HOSTILE = (
+    '', '{', b'\x00\xff', '[' * 1500, '{"op": "subscribe", "subscriptions": [{"id": -1}]}',
+    '{"op": "fetchAsset", "uri": "file:///etc/passwd", "requestId": 1}',
+    '{"op": "setParameters", "parameters": [{"name": "x", "value": 1e400}]}',
+    '{"op": "advertise", "channels": [{"id": 1, "topic": "/x", "encoding": "json"}]}',
+)  # fmt: skip
 
 
 @contextmanager
@@ -115,6 +122,9 @@ def test_given_a_client_when_it_subscribes_then_it_can_read_messages_by_the_sche
 
 def test_given_latched_messages_when_a_client_comes_late_then_it_alone_gets_the_last(paper_arm):
     async def late_ones(port):
+        async with connect(port) as hostile:  # nobody minds
+            for message in HOSTILE:
+                await send(hostile, message)
         async with connect(port) as early, connect(port) as late:
             viewers, got = (Viewer(early), Viewer(late)), []
             for viewer in viewers:
