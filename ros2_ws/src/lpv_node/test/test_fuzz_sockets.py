@@ -72,7 +72,9 @@ def test_given_hostile_messages_to_the_page_when_sent_then_each_is_answered(pape
     with bounded_memory(), serve(paper_arm) as served:
         for seed in cases(_CONNECTIONS):
             asyncio.run(hostile_page(served, random.Random(seed), tally))
-        assert asyncio.run(follow(served))[0]['type'] == 'hello'
+        for hello in asyncio.run(follow(served, 3)):
+            assert hello['type'] == 'hello' and hello['token_needed'] is False
+            assert hello['sensors'] == list(paper_arm.sensor_names)
     print(tally)
     assert tally.refused and tally.accepted
     for command in served.commands:

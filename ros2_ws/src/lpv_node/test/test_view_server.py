@@ -216,12 +216,6 @@ def test_given_nonsense_when_sent_then_each_message_gets_an_error_and_the_server
     assert 'busy' in served.talk([INJECT])[0]['message']
 
 
-def test_given_clients_when_frames_are_sent_then_each_gets_them_after_its_hello(served, paper_arm):
-    for hello in asyncio.run(follow(served, 3)):
-        assert hello['type'] == 'hello' and hello['token_needed'] is False
-        assert hello['sensors'] == list(paper_arm.sensor_names)
-
-
 def test_given_a_client_that_reads_nothing_when_frames_are_sent_then_nobody_waits_for_it(served):
     with served.silent_socket():
         served.welcome()

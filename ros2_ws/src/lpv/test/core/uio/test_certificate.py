@@ -13,7 +13,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 from nested import changed, numbers, places
-from places import ROOT
+from places import BRINGUP, ROOT
 from scipy.linalg import expm
 
 from lpv import ConfigError, DiagnosisParameters
@@ -30,6 +30,7 @@ from lpv_design.exact_observer import torque_gains
 from lpv_design.guarantee import guarantee
 
 REQUIREMENTS = ROOT / 'design' / 'lpv_design' / 'requirements'
+GAINS = BRINGUP / 'gains' / 'paper.yaml'
 
 
 @given(st.lists(st.lists(st.integers(-5, 5), min_size=4, max_size=4), min_size=4, max_size=4))
@@ -175,14 +176,8 @@ def test_given_a_design_when_mapped_then_thresholds_grow_with_errors(paper_model
         assert np.all(larger[1, 3] > base[1, 3])  # 36 deg to both sides
 
 
-@pytest.fixture
-def gains_file(paper_gains, tmp_path):
-    files.save_gains(paper_gains, tmp_path / 'gains.yaml')
-    return tmp_path / 'gains.yaml'
-
-
-def test_given_a_gains_file_when_verified_then_no_solver_is_loaded(gains_file, paper_model):
-    certificate = files.load_gains(gains_file).certificate
+def test_given_a_gains_file_when_verified_then_no_solver_is_loaded(paper_model):
+    certificate = files.load_gains(GAINS).certificate
     assert arm_from_json(certificate['arm_json']) == paper_model
     assert max(certificate['margins'].values()) < 0.0
     assert certificate['solver'] == 'CLARABEL'
@@ -190,7 +185,7 @@ def test_given_a_gains_file_when_verified_then_no_solver_is_loaded(gains_file, p
     assert {'clarabel_version', 'cvxpy_version', 'numpy_version'} <= set(certificate)
     code = f"""if True:
         import sys; from lpv.cli.main import main
-        code = main(["verify", {str(gains_file)!r}, "--proof"])
+        code = main(["verify", {str(GAINS)!r}, "--proof"])
         sys.exit(code or bool({{"cvxpy", "clarabel"}} & set(sys.modules)))"""
     result = subprocess.run([sys.executable, '-c', code], text=True, capture_output=True)
     assert result.returncode == 0, result.stdout + result.stderr
@@ -199,13 +194,12 @@ def test_given_a_gains_file_when_verified_then_no_solver_is_loaded(gains_file, p
 
 
 @pytest.mark.parametrize(('field', 'factor'), [('mu', 0.2), ('lyapunov', -1.0), ('decay', 1.001)])
-def test_given_tampered_gains_when_verified_then_the_code_is_1(gains_file, capsys, field, factor):
+def test_given_tampered_gains_when_verified_then_the_code_is_1(tmp_path, call, field, factor):
     where = f'/**.ros__parameters.gains.observer.{field}'
-    data = yaml.safe_load(gains_file.read_text())
+    data, path = yaml.safe_load(GAINS.read_text()), tmp_path / 'gains.yaml'
     tampered = changed(data, where, lambda values: (factor * np.array(values)).tolist())
-    gains_file.write_text(yaml.safe_dump(tampered))
-    assert main(['verify', str(gains_file), '--proof']) == 1
-    said = capsys.readouterr().out
+    path.write_text(yaml.safe_dump(tampered))
+    said = call('verify', path, '--proof', code=1).out
     assert 'FAILS' in said and 'does NOT hold' in said
 
 

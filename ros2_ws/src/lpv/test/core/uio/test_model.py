@@ -15,7 +15,7 @@ from lpv.core.simulation.paper_plant import PaperPlant
 from lpv.core.simulation.scenario import Scenario
 from lpv.core.support.errors import ConfigError, UnreachableError
 from lpv.core.uio.model import polytope, state_space
-from lpv.core.uio.model.dynamics import acceleration, inverse_dynamics
+from lpv.core.uio.model.dynamics import inverse_dynamics
 from lpv.core.uio.model.joints import JointMap
 from lpv.core.uio.model.kinematics import forward, inverse, joint_motion
 from lpv.core.uio.model.polytope import sinc_box, vertex_matrices
@@ -28,14 +28,6 @@ BEARING, LENGTH = st.floats(-math.pi, math.pi), st.floats(0.1, 3.0)
 PAIR = st.tuples(st.floats(-10, 10), st.floats(-10, 10)).map(np.array)
 SHARE = st.floats(0.001, 0.999) | st.sampled_from([0.0, 1.0])
 SHARES = st.tuples(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))
-
-
-@given(STATE, EFFORT)
-def test_given_any_state_when_it_moves_then_its_torques_come_back(arms, state, effort):
-    for arm in (replace(arms[0], viscous=(0.3, 0.2), coulomb=(0.5, 0.4)), arms[1]):
-        c = arm.constants()
-        back = inverse_dynamics(*state, *acceleration(*state, *effort, c), c)
-        assert back == pytest.approx(effort, abs=1e-9)
 
 
 def test_given_a_payload_then_constants_are_those_of_a_point_mass_at_the_tip_more(planar):

@@ -155,14 +155,6 @@ def test_given_any_state_when_differentiated_then_the_momentum_error_is_decouple
 
 
 @pytest.mark.slow
-def test_given_exact_torques_when_started_right_then_the_observer_stays_on_it(planar, exact):
-    found = list(exact.follow(2000, [(0.0, 0.0)]))
-    expected = [exact.truth((k + 1) * exact.dt) for k in range(2000)]
-    # The Heun rule at 2 ms; Coulomb friction turns round within a few samples.
-    np.testing.assert_allclose(found, expected, atol=2e-4 if any(planar.coulomb) else 3e-5)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize('bias', [(0.2, -0.1), (-0.25, 0.2)])
 def test_given_a_wrong_start_when_the_arm_moves_then_errors_die_out(paper_model, paper_gains, bias):
     exact, before = Exact(paper_model, paper_gains), 0.25
