@@ -32,9 +32,12 @@ SPECS = {f'common/{spec.name}': spec for spec in managed.COMMON} | {
 
 
 @pytest.mark.parametrize('place', [*sorted(SPECS), *GAINS])
-def test_given_a_parameter_when_declared_then_it_says_what_it_is_and_what_is_allowed(place):
+def test_given_a_parameter_when_declared_then_it_says_what_it_is_and_what_is_allowed(place, node):
     spec = (SPECS | GAINS)[place]
     descriptor = spec.descriptor()
+    if place in SPECS:  # those of gains need values
+        parameters.declare(node, [spec])
+        (descriptor,) = node.describe_parameters([spec.name])
     ranges = [*descriptor.floating_point_range, *descriptor.integer_range]
     assert len(descriptor.description) > 10
     if isinstance(spec.default, bool) or not isinstance(spec.default, (int, float)):
@@ -71,7 +74,9 @@ FILE = ['--ros-args', '--params-file', str(bringup_file('gains', 'paper'))]
 def test_given_gains_or_none_when_declared_then_each_field_has_a_value(node, paper_arm, given):
     unset = parameters.declare_gains(node)
     # All at once, as `ros2 param dump` asks for them.
-    values = node.get_parameters([n for n in node._parameters if n.startswith('gains.')])
+    names = [n for n in node._parameters if n.startswith('gains.')]
+    values = node.get_parameters(names)
+    assert all(one.description for one in node.describe_parameters(names))
     assert len(values) > 20 and Parameter.Type.NOT_SET not in [p.type_ for p in values]
     assert 'observer.t1' in unset and ('observer.kappa' in unset) is not given
     if given:
