@@ -538,10 +538,11 @@ class OffsetEstimator:
         self._take_out_load(at, self.window.carried[at])
         self.weigh_again(last)
 
-    def _take_out_load(self, at: IntArray | int, change: FloatArray) -> None:
-        """Let balances at places of the ring be those of a load that has changed."""
-        rows, moved = self.window.rows, change @ self.window.loads
-        rows[at, :, 0] -= rows[at][..., -len(moved) :] @ moved
+    def _take_out_load(self, at: IntArray, change: FloatArray) -> None:
+        """Let balances at places of the ring be those of a load that has changed, each or all."""
+        if change.any():
+            rows, moved = self.window.rows, np.atleast_2d(change @ self.window.loads)
+            rows[at, :, 0] -= (rows[at][..., -moved.shape[1] :] * moved[:, None]).sum(2)
 
     def change_load(self, begin: float, change: FloatArray) -> None:
         """The load has changed since a moment [s]: what balances before say of it is forgotten.
