@@ -17,7 +17,7 @@ from lpv.core.serial_arm.dynamics.kinematics import forward_kinematics
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.support.errors import ConfigError, LpvError
 from lpv.identify.errors import IdentificationError
-from lpv.identify.estimation import mistakes, workshop
+from lpv.identify.estimation import delays, mistakes
 from lpv.identify.estimation.torque_error import calibrate, torque_error, torque_tolerance
 from lpv.identify.model import base_parameters, rigid_body
 from lpv.identify.motions.excitation import Bounds, plan_excitation
@@ -140,7 +140,7 @@ def test_given_signals_when_sensed_then_each_has_its_step_and_its_noise_without_
 def test_given_white_noise_or_late_rates_when_measured_then_deviation_and_delay_are_found():
     assert noise_deviation([segment(noise=2e-4).position]) == pytest.approx([2e-4], rel=0.05)
     late = segment(delay=0.03)
-    assert workshop.rate_delays([late], find_bandwidths([late])) == pytest.approx([0.03], abs=1e-3)
+    assert delays.rate_delays([late], find_bandwidths([late])) == pytest.approx([0.03], abs=1e-3)
 
 
 def test_given_second_encoders_when_compared_then_they_fit_or_not(recording, arm, tmp_path):

@@ -1,10 +1,8 @@
 """From fitted base parameters to the parameters of an arm's links and drives."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-import clarabel
 import numpy as np
-from scipy import sparse
 
 from lpv.core.serial_arm.description import (
     N_INERTIAL,
@@ -13,14 +11,12 @@ from lpv.core.serial_arm.description import (
     ParameterCovariance,
     SerialArm,
 )
-from lpv.identify.errors import IdentificationError
 from lpv.identify.estimation.regression import Fit
 from lpv.identify.model.base_parameters import BaseParameters
+from lpv.identify.model.consistency import Quadratic, nearest_consistent
 from lpv.identify.model.friction import TERMS
 from lpv.identify.model.prior import LOAD_WIDTH, structural_prior
 from lpv.identify.model.rigid_body import STANDARD
-
-_MARGIN = 1e-7  # smallest eigenvalue of a pseudo-inertia: ten times the tolerance of the solver
 
 
 def _columns(term: str, joints: int) -> np.ndarray:
@@ -103,82 +99,3 @@ def fit_of(arm: SerialArm, base: BaseParameters, fit: Fit) -> Fit:
     values = parameter_map(base, len(arm.joints)) @ arm.parameter_vector()
     slope = np.array([joint.friction.coulomb_slope for joint in arm.joints])
     return replace(fit, parameters=values, slope=slope)
-
-
-@dataclass(frozen=True)
-class Quadratic:
-    """Cost (A x - b)^T W (A x - b) of parameters x."""
-
-    map: np.ndarray  # A
-    weight: np.ndarray  # W, symmetric, positive semidefinite
-    right: np.ndarray  # W b
-
-    def root(self) -> tuple[np.ndarray, np.ndarray]:
-        """R A and R b with R^T R = W; directions of no weight are left out."""
-        size = np.sqrt(np.maximum(np.diag(self.weight), 1e-300))
-        values, vectors = np.linalg.eigh(self.weight / np.outer(size, size))
-        kept = values > 1e-11 * values[-1]
-        root = np.sqrt(values[kept])[:, None] * vectors[:, kept].T
-        target = (vectors[:, kept].T @ (self.right / size)) / np.sqrt(values[kept])
-        return (root * size) @ self.map, target
-
-
-def nearest_consistent(
-    data: Quadratic,
-    mean: np.ndarray,
-    sigma: np.ndarray,
-    joints: int,
-    bounds: tuple[np.ndarray, np.ndarray],
-) -> np.ndarray:
-    """Parameters of least cost of bodies of positive mass; IdentificationError without."""
-    # Each link's pseudo-inertia is positive semidefinite (Wensing, Kim, Slotine 2018, equation 12).
-    root, target = data.root()
-    size = max(1.0, float(np.linalg.norm(root * sigma)))  # solvers like costs of moderate size
-    rows, count = root.shape[0], len(mean)
-    # Variables are x in units of the prior, and the residuals of the data.
-    cost = sparse.diags(np.append(np.full(count, 2.0 / size**2), np.full(rows, 2.0)))
-    lower, upper = ((b - mean) / sigma for b in bounds)
-    above, below, eye = np.isfinite(lower), np.isfinite(upper), np.eye(count)
-    matrices, rights = [-eye[above], eye[below]], [-lower[above], upper[below]]
-    for part in np.split(np.arange(N_INERTIAL * joints), joints):
-        matrix, right = _pseudo_inertia(mean[part], sigma[part])
-        matrices.append(-matrix @ eye[part])
-        rights.append(right)
-    bounded = np.vstack(matrices)
-    fit = np.hstack([root * sigma / size, -np.eye(rows)])
-    left = np.vstack([fit, np.hstack([bounded, np.zeros((len(bounded), rows))])])
-    right = np.concatenate([(target - root @ mean) / size, *rights])
-    cones = [
-        clarabel.ZeroConeT(rows),
-        clarabel.NonnegativeConeT(int(above.sum() + below.sum())),
-        *(clarabel.PSDTriangleConeT(4) for _ in range(joints)),
-    ]
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    programme = sparse.csc_matrix(cost), np.zeros(count + rows), sparse.csc_matrix(left), right
-    solution = clarabel.DefaultSolver(*programme, cones, settings).solve()
-    if str(solution.status) not in ('Solved', 'AlmostSolved'):
-        raise IdentificationError(
-            f'no physically consistent inertias were found ({solution.status})'
-        )
-    return np.clip(mean + sigma * np.array(solution.x[:count]), *bounds)
-
-
-def _pseudo_inertia(mean: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pseudo-inertia M x + b of a link less a margin, in the solver's form, scaled to 1."""
-    length_unit = sigma[1] / sigma[0]
-    unit = sigma[0] * np.array([1.0] + [length_unit] * 3 + [length_unit**2] * 6)
-    return _PSEUDO @ np.diag(sigma / unit), _PSEUDO @ (mean / unit) - _MARGIN * _UNIT
-
-
-def _triangle(matrix: np.ndarray) -> np.ndarray:
-    """Upper triangle by columns, entries off the diagonal times sqrt(2): norms stay."""
-    return np.array(
-        [matrix[i, j] * (1.0 if i == j else np.sqrt(2.0)) for j in range(4) for i in range(j + 1)]
-    )
-
-
-_PSEUDO = np.stack(
-    [_triangle(LinkInertia.from_vector(row).pseudo_inertia()) for row in np.eye(N_INERTIAL)], axis=1
-)
-_UNIT = _triangle(np.eye(4))

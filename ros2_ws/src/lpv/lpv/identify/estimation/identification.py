@@ -7,129 +7,18 @@ import numpy as np
 
 from lpv.core.serial_arm.description import SerialArm
 from lpv.identify.estimation.assembly import covariance_of_all, fit_of
+from lpv.identify.estimation.determination import Determination, determine
+from lpv.identify.estimation.evaluation import Figures, Prediction, figures, predict
 from lpv.identify.estimation.mistakes import Mistake, find_mistakes
-from lpv.identify.estimation.regression import Filters, Fit, Rows, model_torque
+from lpv.identify.estimation.regression import Filters, Fit
 from lpv.identify.estimation.selection import WeightEvidence
 from lpv.identify.estimation.torque_error import torque_error, torque_tolerance
 from lpv.identify.estimation.workshop import Workshop
-from lpv.identify.model.base_parameters import BaseParameters
-from lpv.identify.model.friction import TERMS
-from lpv.identify.model.prior import structural_prior
-from lpv.identify.recordings.filters import causal_low_pass, low_pass
-from lpv.identify.recordings.motion import Motion
 from lpv.identify.recordings.recording import Recording
 from lpv.identify.sensors.sensing import Sensing
 
 STEPS = 8
 """Steps of an identification that are reported."""
-_LINK = ('mass', 'mx', 'my', 'mz', 'Ixx', 'Ixy', 'Iyy', 'Ixz', 'Iyz', 'Izz')
-_REMEDIES = (
-    (_LINK[:4], 'hold it, and those before it, in more different postures'),
-    ((*_LINK[4:], 'rotor'), 'accelerate it more'),
-    (TERMS, 'move it at more different speeds, both ways'),
-)
-
-
-@dataclass(frozen=True)
-class Figures:
-    """Figures of each joint, all of shape (n,)."""
-
-    rms: np.ndarray  # of effort minus prediction, the effort as it was recorded [N m]
-    rms_band: np.ndarray  # after a causal low-pass at the analysis bandwidth [N m]
-    share: np.ndarray  # rms by the range of the recorded effort
-    r2: np.ndarray  # share of the effort's variance that is explained
-    correlation: np.ndarray  # of residuals in the band, one time constant apart; 0 if white
-
-
-@dataclass(frozen=True)
-class Prediction:
-    """Measured and predicted torque along a recording, arrays of shape (samples, n)."""
-
-    time: np.ndarray  # shape (samples,) [s]
-    measured: np.ndarray  # not filtered [N m]
-    predicted: np.ndarray  # [N m]
-    residual_band: np.ndarray  # after the causal low-pass [N m]
-    position: np.ndarray  # [rad]
-    velocity: np.ndarray  # [rad/s]
-
-    @property
-    def residual(self) -> np.ndarray:
-        """Measured less predicted torque [N m]."""
-        return self.measured - self.predicted
-
-
-def predict(rows: Rows, fit: Fit, filters: Filters, motion: Motion) -> Prediction:
-    """Prediction over the counted samples of a segment's rows and motion."""
-    predicted = low_pass(model_torque(rows, fit), filters.effort, rows.step)
-    band = causal_low_pass(rows.effort - predicted, filters.test, rows.step)
-    signals = motion.time, rows.effort, predicted, band, motion.position, rows.velocity
-    return Prediction(*(signal[rows.part] for signal in signals))
-
-
-def figures(predictions: Sequence[Prediction], filters: Filters, step: float) -> Figures:
-    """Figures over several stretches of some sample time [s]."""
-    measured = np.concatenate([p.measured for p in predictions])
-    square = np.mean(np.concatenate([p.residual for p in predictions]) ** 2, axis=0)
-    band = np.concatenate([p.residual_band for p in predictions])
-    lag = max(1, int(round(0.5 / (min(filters.test, 0.5 / step) * step))))
-    centred = band - band.mean(axis=0)
-    products = centred[lag:] * centred[:-lag] if len(centred) > lag else 0.0 * centred
-    return Figures(
-        np.sqrt(square),
-        np.sqrt(np.mean(band**2, axis=0)),
-        np.sqrt(square) / np.maximum(np.ptp(measured, axis=0), 1e-12),
-        1.0 - square / np.maximum(np.var(measured, axis=0), 1e-24),
-        np.mean(products, axis=0) / np.maximum(np.mean(centred**2, axis=0), 1e-24),
-    )
-
-
-@dataclass(frozen=True)
-class Determination:
-    """Parameters of a fit by name, with their standard deviations."""
-
-    names: list[str]
-    values: np.ndarray  # shape (parameters,)
-    sigma: np.ndarray  # standard deviation, shape (parameters,)
-    determined: np.ndarray  # the data say more than the prior, shape (parameters,)
-
-    def advice(self, joints: tuple[str, ...]) -> list[str]:
-        """What motion is missing, one sentence for each joint of which much is unknown."""
-        texts = []
-        for name in joints:
-            whose = [one.partition(': ') for one, d in zip(self.names, self.determined) if not d]
-            for terms, remedy in _REMEDIES:
-                missing = [term for joint, _, term in whose if joint == name and term in terms]
-                if missing:
-                    texts.append(f'{name}: {", ".join(missing)} not determined; {remedy}')
-        return texts
-
-
-def determine(base: BaseParameters, fit: Fit, arm: SerialArm) -> Determination:
-    """Deviations of a fit's parameters, and which are determined by half of the prior's."""
-    names = parameter_names(base, arm.joint_names)
-    used = np.diag(fit.normal) > 0.0
-    sigma = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
-    _, width = structural_prior(arm)
-    prior = np.sqrt(np.sum((base.combination * width) ** 2, axis=1))
-    friction = np.abs(fit.friction)
-    size = np.maximum(friction[:, [0, 1, 2, 1]], fit.scale[:, None] * 0.5)
-    size[:, TERMS.index('load')] = np.maximum(size[:, TERMS.index('load')], 0.05)
-    limit = 0.5 * np.concatenate([prior, 2.0 * size.ravel()])
-    active = np.ones(len(names), bool)
-    active[base.size + TERMS.index('load') :: len(TERMS)] = fit.used_load
-    determined = (sigma > 0.0) & (sigma < limit) & used
-    keep = np.flatnonzero(active)
-    return Determination(
-        [names[k] for k in keep], fit.parameters[keep], sigma[keep], determined[keep]
-    )
-
-
-def parameter_names(base: BaseParameters, joints: tuple[str, ...]) -> list[str]:
-    """Names of a fit's parameters; a base parameter has that of the column that stands for it."""
-    structural = [f'{joint}: {part}' for joint in joints for part in _LINK]
-    structural += [f'{joint}: rotor' for joint in joints]
-    friction = [f'{joint}: {term}' for joint in joints for term in TERMS]
-    return [structural[column] for column in base.columns] + friction
 
 
 @dataclass(frozen=True)

@@ -8,16 +8,9 @@ import numpy as np
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.limits import MAX_GAP
 from lpv.identify.estimation.assembly import consistent_parameters, fit_of, with_parameters
+from lpv.identify.estimation.delays import effort_delays, rate_delays
 from lpv.identify.estimation.gains import estimate_gains
-from lpv.identify.estimation.regression import (
-    Filters,
-    Fit,
-    Rows,
-    fit_parameters,
-    make_rows,
-    model_torque,
-)
-from lpv.identify.estimation.robust import robust_fit
+from lpv.identify.estimation.regression import Filters, Fit, Rows, fit_parameters, make_rows
 from lpv.identify.estimation.selection import (
     EQUAL,
     WeightEvidence,
@@ -30,9 +23,7 @@ from lpv.identify.estimation.selection import (
 from lpv.identify.model.base_parameters import find_base_parameters
 from lpv.identify.model.prior import Prior, base_prior
 from lpv.identify.model.rigid_body import RigidBody
-from lpv.identify.recordings.filters import derivative, low_pass
 from lpv.identify.recordings.motion import (
-    Bandwidths,
     Motion,
     Segment,
     check_motion,
@@ -49,8 +40,6 @@ _PASSIVE = 0.08  # share of the acting torques below which a joint is not driven
 HELD = 1e4
 """Strength of the prior where the data leave the scale open."""
 _BETTER = 0.95  # ratio of mean squares below which the other rates are taken
-_Pair = tuple[np.ndarray, np.ndarray, float]
-"""Early and late signal, each of shape (samples, n), and their sample time [s]."""
 
 
 class Workshop:
@@ -259,39 +248,3 @@ class Workshop:
     def sensing(self) -> Sensing:
         """Noise, quantization, source of rates, delays."""
         return sense(self.recordings, self.segments, self.rate_delay, self.joint_delays)
-
-
-def rate_delays(segments: Sequence[Segment], bands: Bandwidths) -> np.ndarray:
-    """Delay of measured rates behind the derivative of positions, shape (n,) [s]."""
-    pairs: list[_Pair] = []
-    cutoff = min(bands.position, bands.velocity)
-    for segment in segments:
-        assert segment.velocity is not None
-        rate = derivative(low_pass(segment.position, cutoff, segment.step), segment.step)
-        pairs.append((rate, low_pass(segment.velocity, cutoff, segment.step), segment.step))
-    return _delays(pairs)
-
-
-def effort_delays(rows: Sequence[Rows], fit: Fit, filters: Filters) -> np.ndarray:
-    """Delay of recorded efforts behind predicted ones, shape (n,) [s]."""
-    pairs: list[_Pair] = []
-    cutoff = min(filters.effort, filters.analysis)
-    for one in rows:
-        early, late = (low_pass(x, cutoff, one.step) for x in (model_torque(one, fit), one.effort))
-        pairs.append((early[one.part], late[one.part], one.step))
-    return _delays(pairs)
-
-
-def _delays(pairs: Sequence[_Pair]) -> np.ndarray:
-    """Delay d of each column: late(t) = scale*early(t - d) + offset, by Gauss-Newton."""
-    early = np.concatenate([first for first, _, _ in pairs])
-    slope = np.concatenate([derivative(first, step) for first, _, step in pairs])
-    late = np.concatenate([second for _, second, _ in pairs])
-    result = np.zeros(early.shape[1])
-    for j in np.flatnonzero(np.ptp(early, axis=0) >= 1e-9):
-        columns = np.column_stack([early[:, j], -slope[:, j], np.ones(len(early))])
-        target = late[:, j, None]
-        solution, _, _ = robust_fit(columns[:, None], target, np.ones(1), rounds=5, least=1e-12)
-        if 0.6 < solution[0] < 1.6:  # otherwise the one does not follow from the other
-            result[j] = np.clip(solution[1] / solution[0], -MAX_GAP, MAX_GAP)
-    return result
