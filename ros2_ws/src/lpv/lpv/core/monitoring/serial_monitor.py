@@ -127,7 +127,7 @@ class _Stream(NamedTuple):
     gap: int  # longest interval [ns]
     blind: bool  # efforts are missing
     independent: npt.NDArray[np.bool_]  # rates of a sensor of their own
-    repeats: np.ndarray  # memory of a record of `REPEATS`
+    repeats: np.ndarray  # memory of a record of `_repeats`
 
 
 @njit_in_place

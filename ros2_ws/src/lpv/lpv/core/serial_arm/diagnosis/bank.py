@@ -323,7 +323,7 @@ class Bank:
         window, null, longest = estimator.window, estimator.posterior, int(self._lengths[count - 1])
         if len(window.loads) == 0 or longest <= ONSET:
             return []
-        set_residuals(window, null, longest + 1)
+        estimator.call(set_residuals, window, null, longest + 1)
         at = recent(window, longest)
         rows = window.rows[at][:, :, -len(null.mean) :]
         columns = rows @ window.loads.T
@@ -335,20 +335,14 @@ class Bank:
         matrix = np.eye(len(window.loads)) + own - known.swapaxes(1, 2) @ known
         change = np.linalg.solve(matrix, score[:, :, None])[:, :, 0]
         gain = 0.5 * ((score * change).sum(1) - np.linalg.slogdet(matrix)[1])
-        weigh_residuals(window, null, longest + 1)
+        estimator.call(weigh_residuals, window, null, longest + 1)
         begins, onset = window.times[at] - estimator.plan.interval, len(self._lengths)
-        return [
-            Hypothesis(
-                LOAD,
-                -1,
-                float(gain[last - 1]) + rough_contact(self._outside, null, onset, last + ONSET),
-                0.0,
-                0.0,
-                float(begins[last + ONSET - 1]),
-                change=change[last - 1],
-            )
-            for last in range(1, longest - ONSET + 1)
-        ]
+        found = []
+        for last in range(1, longest - ONSET + 1):
+            free = estimator.call(rough_contact, self._outside, null, onset, last + ONSET)
+            evidence, begin = float(gain[last - 1]) + free, float(begins[last + ONSET - 1])
+            found.append(Hypothesis(LOAD, -1, evidence, 0.0, 0.0, begin, change=change[last - 1]))
+        return found
 
     def stuck(
         self, frozen: dict[int, Frozen], blocks: Callable[[int], FloatArray]

@@ -327,9 +327,9 @@ def _copy_noise(source: Posterior, level: Posterior, lasting: float) -> None:
 
 @njit_in_place
 def make_absolute(rows: FloatArray, reference: FloatArray) -> None:
-    """Let the constant part belong to f = 0 instead of the point of linearisation."""
+    """Let the constant parts belong to f = 0 instead of the point of linearisation."""
     n = reference.shape[0]
-    for i in range(n):
+    for i in range(rows.shape[0]):
         for j in range(n):
             rows[i, 0] -= rows[i, 1 + OFFSET * n + j] * reference[j]
 
@@ -531,8 +531,7 @@ class OffsetEstimator:
         rows = np.empty((len(blocks) // self.plan.blocks - 1, *self.balance.rows.shape))
         blocks = np.ascontiguousarray(blocks)
         self.call(fill_balances, self.balance, blocks, self.plan.blocks, rows)
-        offsets = rows[:, :, 1 + OFFSET * self.joints :][:, :, : self.joints]
-        rows[:, :, 0] -= offsets @ self.balance.reference
+        self.call(make_absolute, rows.reshape(-1, rows.shape[2]), self.balance.reference)
         at = recent(self.window, last)
         self.window.rows[at] = rows[: -1 - last : -1]
         self._take_out_load(at, self.window.carried[at])
