@@ -1,9 +1,26 @@
-"""Samples that come at 30 Hz: five of them, for which each waits, are a sixth of a second."""
+"""Samples that come at 30 to 100 Hz: each waits for five others, up to a sixth of a second.
+
+Rates that are differences are those of half a sample before.
+"""
 
 import numpy as np
 import pytest
-from fault_injection import BY_NAME, Injected, derived, inject, motion_range, simulate
+from fault_injection import (
+    BY_NAME,
+    Injected,
+    Stream,
+    derived,
+    inject,
+    motion_range,
+    simulate,
+    sines,
+    two_links,
+)
 from serial_arms import shoulder_arm, watch, with_rates
+
+from lpv.core.serial_arm.chain import compile_chain
+from lpv.core.serial_arm.diagnosis.monitor import SerialMonitor
+from lpv.core.serial_arm.dynamics.model import SerialModel
 
 RATES = pytest.mark.parametrize('rates', ['derived', 'independent'])
 END = 6.0
@@ -51,3 +68,43 @@ def test_given_a_noisy_reading_when_another_one_becomes_so_then_it_is_named_too(
     monitor, _ = watched('noise 0.02', rates, (0, 4.0, 20.0), (2, 7.0, 20.0), until=7.6)
     assert ('encoder3', 'noise') in named(monitor)
     assert monitor.sampler.noisy.tolist() == [1, 0, 1]
+
+
+def exact(arm, rate):
+    """Six seconds of an arm as its file has it, without noise; rates are differences."""
+    time = np.arange(round(6.0 * rate)) / rate
+    motion = sines(*motion_range(arm, 0.5), np.random.default_rng(1))(time)
+    model = SerialModel(compile_chain(arm))
+    torque = np.array([model.torque(*row) for row in zip(*motion)])
+    samples = np.stack([*motion[:2], torque], axis=1)
+    return derived(Stream(np.round(1e9 * time).astype(np.int64), samples))
+
+
+@pytest.mark.parametrize('rate', [30.0, 50.0, 100.0])
+def test_given_differences_as_rates_when_an_arm_moves_then_balances_hold_its_true_momentum(rate):
+    arm = with_rates(shoulder_arm(), 'derived', sample_time=1.0 / rate)
+    run = exact(arm, rate)
+    estimator = watch(arm, run).estimator
+    # Until they are known to be late by half a sample, rates are taken as they come.
+    left = estimator.window.rows[3 : len(estimator), :, 0] / estimator.plan.interval
+    usual = np.sqrt((run.samples[:, 2] ** 2).mean(0))
+    assert (np.sqrt((left**2).mean(0)) < 2e-3 * usual).all()
+
+
+def alarms_of_poses(arm, motion, seed):
+    """Alarms of a healthy arm from pose to pose, and the largest statistic over its threshold."""
+    run, monitor = derived(simulate(arm, motion, seed, pauses=True)), SerialMonitor(arm)
+    largest, threshold = -np.inf, monitor.settings.threshold(monitor.plan.interval)
+    for part in range(0, len(run.stamps), 25):
+        rows = slice(part, part + 25)
+        monitor.update_many(1 + run.stamps[rows], run.samples[rows])
+        largest = max(largest, monitor.statistic)
+    return named(monitor), largest / threshold
+
+
+@pytest.mark.parametrize('seed', [3, 6])
+def test_given_fast_joints_at_50_hz_when_encoders_are_healthy_then_nothing_is_suspected(seed):
+    arm = with_rates(two_links('real_arm')[0], 'derived', sample_time=0.02)
+    alarms, share = alarms_of_poses(arm, [np.zeros(2), np.full(2, 9.0), np.full(2, 25.0)], seed)
+    assert alarms == set()
+    assert share < 1.0

@@ -282,15 +282,28 @@ def _watch_contrast(sampler: Sampler, i: int, difference: float, rate: float, la
 def rate_lag(sampler: Sampler) -> float:
     """Periods by which published rates are late, 0 if not later than the half of a difference.
 
-    They are filtered then, all of them by one driver, and say less than the readings do.  The lag
-    has to explain most of what they differ by.
+    They are filtered then, all of them by one driver, and say less than the readings do.
     """
+    late = _late_rates(sampler)
+    return late if late > LAGGING else 0.0
+
+
+@njit_in_place
+def balance_lag(sampler: Sampler) -> float:
+    """Periods by which derived rates of the samples are late: differences, by the half of one."""
+    late = _late_rates(sampler)
+    return 0.5 if late > LAGGING else max(late, 0.0)
+
+
+@njit_in_place
+def _late_rates(sampler: Sampler) -> float:
+    """Periods by which published rates are late, if most of what they differ by shows it."""
     late, power, whole = 0.0, 0.0, 0.0
     for i in range(sampler.derived.shape[0]):
         late += sampler.published[1, i]
         power += sampler.published[2, i]
         whole += sampler.published[3, i]
-    return late / power if late > LAGGING * power and late * late > 0.5 * power * whole else 0.0
+    return late / power if late * late > 0.5 * power * whole else 0.0
 
 
 @njit_in_place
@@ -843,10 +856,10 @@ def move_to_balance(sampler: Sampler, balance: Balance, per_block: int, blocks: 
     for part in range(3):
         for i in range(n):
             sampler.sums[part, i] += sampler.samples[k, part, i]
-    if rate_lag(sampler) > 0.0:  # a difference is the rate between two samples
-        for i in range(n):
-            late = 0.5 * (sampler.samples[k + 1, 1, i] - sampler.samples[k, 1, i])
-            sampler.sums[1, i] += sampler.derived[i] * late
+    lag = balance_lag(sampler)  # a difference is the rate between two samples
+    for i in range(n):
+        late = lag * (sampler.samples[k + 1, 1, i] - sampler.samples[k, 1, i])
+        sampler.sums[1, i] += sampler.derived[i] * late
     sampler.clock[TIMES] += now
     if sampler.clock[LATE_FROM] < now < sampler.clock[LATE_UNTIL]:
         sampler.clock[IN_DOUBT] = sampler.clock[LATEST]
