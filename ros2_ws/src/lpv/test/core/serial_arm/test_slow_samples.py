@@ -1,6 +1,6 @@
 """Samples that come at 30 to 100 Hz: each waits for five others, up to a sixth of a second.
 
-Rates that are differences are those of half a sample before.
+Rates that are differences are those of half a sample before, and of a joint that rests, noise.
 """
 
 import numpy as np
@@ -17,6 +17,7 @@ from fault_injection import (
     two_links,
 )
 from serial_arms import shoulder_arm, watch, with_rates
+from serial_diagnosis import random_arm
 
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.diagnosis.monitor import SerialMonitor
@@ -106,5 +107,13 @@ def alarms_of_poses(arm, motion, seed):
 def test_given_fast_joints_at_50_hz_when_encoders_are_healthy_then_nothing_is_suspected(seed):
     arm = with_rates(two_links('real_arm')[0], 'derived', sample_time=0.02)
     alarms, share = alarms_of_poses(arm, [np.zeros(2), np.full(2, 9.0), np.full(2, 25.0)], seed)
+    assert alarms == set()
+    assert share < 1.0
+
+
+@pytest.mark.parametrize('seed', [108, 113])
+def test_given_a_long_chain_when_a_joint_rests_then_the_noise_of_its_rate_is_no_scale_error(seed):
+    arm = with_rates(random_arm(8), 'derived', sample_time=0.01)
+    alarms, share = alarms_of_poses(arm, motion_range(arm, 0.5), seed)
     assert alarms == set()
     assert share < 1.0

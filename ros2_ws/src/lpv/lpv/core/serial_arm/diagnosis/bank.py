@@ -75,7 +75,7 @@ from lpv.core.serial_arm.diagnosis.linear_bank import (
 )
 from lpv.core.serial_arm.diagnosis.onset import sudden_drift_of
 from lpv.core.serial_arm.diagnosis.priors import CONTACT, LOAD, OCCURRENCE, SIZE, WRONG_STAMPS
-from lpv.core.serial_arm.diagnosis.sampling import DELAY, LATE, Sampler, smallest_jump
+from lpv.core.serial_arm.diagnosis.sampling import DELAY, LATE, Sampler, rate_noise, smallest_jump
 from lpv.core.serial_arm.diagnosis.stuck import Course, Frozen, course_of_frozen
 from lpv.core.serial_arm.dynamics.momentum import mass_matrix
 from lpv.core.serial_arm.sensor_map import map_vector
@@ -165,7 +165,8 @@ class Bank:
         self.parts = BankParts(
             self._kinds, self._evidence, self._outside, self._kinematics.parts,
             new_rows(len(lengths), n), self._mass, np.zeros((n, n)),
-            arm.sensors_to_joints().T.copy(), arm.joints_to_sensors(), np.zeros(n), memory(state),
+            arm.sensors_to_joints().T.copy(), arm.joints_to_sensors(), np.zeros(n), np.zeros(n),
+            memory(state),
             plan.interval, self._log_weight, self._recent)  # fmt: skip
 
     def _hypotheses(self) -> None:
@@ -510,6 +511,7 @@ class BankParts(NamedTuple):
     mixing: FloatArray  # (n, n) S^-T
     to_sensors: FloatArray  # (n, n) S
     unseen: FloatArray  # (n,) largest jump of each reading that may not have been seen [rad]
+    noise: FloatArray  # (n,) variance of a balance's change of a derived rate, by noise [rad2/s2]
     state: np.ndarray  # memory of a record of `BANK_STATE`
     interval: float  # [s]
     log_weight: float  # of a hypothesis
@@ -565,11 +567,12 @@ def ask_bank(
     for i in range(n):
         rows.reading[i] = block[i]
         bank.unseen[i] = smallest_jump(sampler, i)
+        bank.noise[i] = rate_noise(sampler, i, bank.interval)
     sum_rows(own, bank.interval, lengths[: state.windows], rows)
     every, pushed = gather(
         bank.evidence, bank.kinds, window, null, bank.outside, rows, bank.mass,
         (bank.to_sensors, balance.reference), (balance.clock[EPOCH], bank.interval), bank.unseen,
-        state.windows)  # fmt: skip
+        bank.noise, state.windows)  # fmt: skip
     state.statistic = np.logaddexp(every, pushed) + bank.log_weight
     if state.statistic < quiet and own.held[0] > 1:
         learn_rows(own, bank.interval)

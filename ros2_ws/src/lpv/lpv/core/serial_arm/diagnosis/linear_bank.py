@@ -51,8 +51,9 @@ class Evidence(NamedTuple):
     size: FloatArray  # (K, n, W) of faults
     sigma: FloatArray  # (K, n, W) their standard deviations
     contact: FloatArray  # (W,) log Bayes factor of rough torques in the whole window
+    common: FloatArray  # (W, n) score of a scale error that noise in both makes, at most
     columns: FloatArray  # (m, 7 n) scratch
-    grams: FloatArray  # (n, 5) scratch
+    grams: FloatArray  # (n, 6) scratch
 
 
 class Rows(NamedTuple):
@@ -71,8 +72,8 @@ def new_evidence(lengths: IntArray, starts: FloatArray, kinds: Kinds, unknowns: 
     return Evidence(
         lengths, np.log(starts), np.zeros(count), np.zeros((count, n)),
         np.zeros((count, n, COLUMNS)), np.zeros((count, n, COLUMNS, COLUMNS)),
-        gain, size, sigma, np.zeros(count), np.zeros((unknowns, COLUMNS * n)),
-        np.zeros((n, 5)))  # fmt: skip
+        gain, size, sigma, np.zeros(count), np.zeros((count, n)), np.zeros((unknowns, COLUMNS * n)),
+        np.zeros((n, 6)))  # fmt: skip
 
 
 def new_rows(windows: int, joints: int) -> Rows:
@@ -93,6 +94,7 @@ def gather(
     frame: tuple[FloatArray, FloatArray],
     times: tuple[float, float],
     unseen: FloatArray,
+    noise: FloatArray,
     count: int,
 ) -> tuple[float, float]:
     """Write the evidence of the first ``count`` windows, which the horizon must hold.
@@ -101,7 +103,8 @@ def gather(
     balance, in the ring of ``window``.  ``frame`` holds S, shape (n, n), and the point of
     linearisation, shape (n,) [rad]; ``times`` the moment from which drifts count, and the length of
     an interval [s].  ``unseen``, shape (n,), are the largest jumps of the readings that may not
-    have been seen [rad].
+    have been seen [rad], and ``noise``, shape (n,), are variances of what the readings' noise makes
+    of a balance's change of a derived rate [rad2/s2], 0 of others.
 
     Returns the logarithms of the sums of Bayes factors over all kinds and starts, and over those of
     rough torques.
@@ -113,14 +116,14 @@ def gather(
     for w in range(count):
         length = evidence.lengths[w]
         for back in range(summed, max(length - ONSET, 0)):
-            _add_grams(evidence.grams, window, back)
+            _add_grams(evidence.grams, window, mass, back)
             summed = back + 1
         first = slot(window, length - 1)
         evidence.begin[w] = window.times[first] - times[1]
         map_vector(frame[0], window.poses[first], evidence.pose[w])
         for i in range(n):
             evidence.pose[w, i] += frame[1][i]
-        _sensor_columns(evidence, window, null, w)
+        _sensor_columns(evidence, window, null, noise, w)
         _jump_columns(evidence, window, null, mass[first], w)
         whiten(null.factor, evidence.columns)
         _eliminate(evidence, w)
@@ -140,7 +143,7 @@ def gather(
 
 
 @njit_in_place
-def _add_grams(grams: FloatArray, window: Window, back: int) -> None:
+def _add_grams(grams: FloatArray, window: Window, mass: FloatArray, back: int) -> None:
     """Add a balance's products of the columns that no cumulative sums are kept of."""
     at, n = slot(window, back), grams.shape[0]
     for i in range(n):
@@ -153,11 +156,18 @@ def _add_grams(grams: FloatArray, window: Window, back: int) -> None:
             grams[j, 2] += weight * rate * rate
             grams[j, 3] += weight * gain * gain
             grams[j, 4] += weight * drift * rate
+            grams[j, 5] += weight * mass[at, i, j] * mass[at, i, j]
 
 
 @njit_in_place
-def _sensor_columns(evidence: Evidence, window: Window, null: Posterior, w: int) -> None:
-    """Score, information and cross products of the first six columns, from cumulative sums."""
+def _sensor_columns(
+    evidence: Evidence, window: Window, null: Posterior, noise: FloatArray, w: int
+) -> None:
+    """Score, information and cross products of the first six columns, from cumulative sums.
+
+    A scale error moves the momentum by the rate, whose noise is in the residual as well: of a joint
+    that rests it is all there is, and would be explained by a reading that is too large.
+    """
     n, m = evidence.grams.shape[0], null.mean.shape[0]
     last = max(evidence.lengths[w] - ONSET, 0)
     new, old = window.sums[sum_slot(window, 0)], window.sums[sum_slot(window, last)]
@@ -184,6 +194,7 @@ def _sensor_columns(evidence: Evidence, window: Window, null: Posterior, w: int)
         for g in range(OFFSET):
             own[g, g] = evidence.grams[i, g]
         own[DRIFT, RATE] = own[RATE, DRIFT] = evidence.grams[i, 4]
+        evidence.common[w, i] = noise[i] * evidence.grams[i, 5]
 
 
 @njit_in_place
@@ -274,6 +285,8 @@ def _compare(
             if basis[h] != 0.0:
                 own += basis[g] * basis[h] * information[g, h]
     own -= zero * across
+    if basis[SCALE] != 0.0:
+        z -= min(max(z, 0.0), evidence.common[w, i])
     prior = kinds.prior[k, i]
     # A larger slip, or scale error, would have shown as a jump, when it came.
     share = 1.0

@@ -296,6 +296,20 @@ def balance_lag(sampler: Sampler) -> float:
 
 
 @njit_in_place
+def rate_noise(sampler: Sampler, i: int, interval: float) -> float:
+    """Variance of what noise of a reading makes of a balance's change of its rate [rad2/s2].
+
+    Means of derived rates over an interval [s] hold the readings where it begins and ends; two of
+    them share one.  Rates between two differences hold two readings in place of each.  Before the
+    noise is known, it is more.
+    """
+    lag = balance_lag(sampler)
+    differences = 6.0 * ((1.0 - lag) * (1.0 - lag) + lag * lag) / (interval * interval)
+    reading = sampler.calm[i] / readings_in_jump(sampler, i)
+    return float(sampler.derived[i] * differences * reading)
+
+
+@njit_in_place
 def _late_rates(sampler: Sampler) -> float:
     """Periods by which published rates are late, if most of what they differ by shows it."""
     late, power, whole = 0.0, 0.0, 0.0
