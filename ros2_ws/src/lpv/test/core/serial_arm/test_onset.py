@@ -9,7 +9,15 @@ from serial_arms import shoulder_arm
 from simulated_runs import simulated_run
 from ur10e_twin import twin
 
-from lpv.core.serial_arm.diagnosis import balance, bank, fault_filter, onset, sampling, stuck
+from lpv.core.serial_arm.diagnosis import (
+    balance,
+    bank,
+    drift_trial,
+    fault_filter,
+    onset,
+    sampling,
+    stuck,
+)
 from lpv.core.serial_arm.diagnosis.information import recent
 from lpv.core.serial_arm.diagnosis.monitor import MonitorSettings, SerialMonitor
 from lpv.core.simulation.faults import Fault
@@ -80,15 +88,34 @@ def test_given_an_alarm_when_it_is_raised_then_no_drift_is_sought_long_before_it
 
 def test_given_a_drift_when_its_onset_is_sought_then_it_is_the_dense_best_and_true(monitor):
     mass, blocks = monitor.bank._mass, monitor._blocks(LAST + 1)
-    about = JOINT, sampling.block_end(blocks[-1]), PRIOR, LAST, mass[:, :, JOINT]
-    best = max(dense_onsets(monitor, about[1]), key=lambda one: one.gain)
-    np.testing.assert_allclose(onset.likely_onsets(monitor.estimator, *about)[0], best, rtol=1e-6)
-    found = onset.sudden_drift_of(monitor.estimator, JOINT, PRIOR, LAST, blocks, mass)
+    about = monitor.estimator, np.array([0, JOINT]), sampling.block_end(blocks[-1])
+    best = max(dense_onsets(monitor, about[2]), key=lambda one: one.gain)
+    likely = onset.likely_onsets(*about, PRIOR, LAST, mass)
+    np.testing.assert_allclose(likely[1][0], best, rtol=1e-6)
+    _, found = onset.sudden_drifts(*about[:2], PRIOR, LAST, blocks, mass)
     assert found.begin == pytest.approx(BEGIN, abs=0.16 * monitor.plan.interval)
     assert found.size == pytest.approx(RATE, rel=0.06)
     assert found.sigma < 0.15 * RATE
-    short = onset.sudden_drift_of(monitor.estimator, JOINT, PRIOR, onset.SHORTEST, blocks, mass)
-    assert short.gain == -np.inf
+    short = onset.sudden_drifts(*about[:2], PRIOR, onset.SHORTEST, blocks, mass)
+    assert [one.gain for one in short] == [-np.inf, -np.inf]
+
+
+def test_given_a_drift_that_is_tried_then_it_changes_balances_as_blocks_without_it_do(monitor):
+    estimator, blocks, per = monitor.estimator, monitor._blocks(LAST + 1), monitor.plan.blocks
+    one, null, n = estimator.balance, estimator.posterior, estimator.joints
+    own = drift_trial.balance_of_trials(one, one.chain.friction)
+    trials = drift_trial.new_trials(estimator.window, null, blocks, per, n)
+    onsets = np.array([[onset.Onset(0.0, RATE, 0.1, BEGIN, LAST - 1)]])
+    found = drift_trial.new_found(onsets)
+    drift_trial.compare_drifts(own, trials, null.factor, np.array([JOINT]), PRIOR, onsets, found)
+    size, freed, rows = found[0, -1, drift_trial.SIZE], blocks.copy(), []
+    drift_trial.free_of_drift(blocks, JOINT, 1.0, BEGIN, size, freed)
+    for some in (blocks, freed):
+        rows.append(np.empty((LAST, *one.rows.shape)))
+        balance.fill_balances(balance.scratch_of(one), some, per, rows[-1])
+    changes, columns = trials.changes[0], 1 + n * np.array([balance.VISCOUS, balance.COULOMB])
+    np.testing.assert_allclose(changes[:, :, 0], (rows[1] - rows[0])[:, :, 0], atol=1e-12)
+    np.testing.assert_allclose(changes[:, JOINT, 1:], rows[1][:, JOINT, columns + JOINT])
 
 
 def test_given_friction_that_turns_over_when_a_drift_is_looked_for_then_its_onset_is_found():
@@ -99,10 +126,11 @@ def test_given_friction_that_turns_over_when_a_drift_is_looked_for_then_its_onse
     begin = fault.onset
     monitor = watch_to_decision(subject.arm, stream, stream.index(begin + 0.5))
     estimator, mass, blocks = monitor.estimator, monitor.bank._mass, monitor._blocks(last + 1)
-    about = fault.sensor, sampling.block_end(blocks[-1]), PRIOR, last, mass[:, :, fault.sensor]
-    interval = monitor.plan.interval
-    assert abs(onset.likely_onsets(estimator, *about)[0].begin - begin) > interval
-    found = onset.sudden_drift_of(estimator, fault.sensor, PRIOR, last, blocks, mass)
+    joint, interval = np.array([fault.sensor]), monitor.plan.interval
+    end = sampling.block_end(blocks[-1])
+    ((first, *_),) = onset.likely_onsets(estimator, joint, end, PRIOR, last, mass)
+    assert abs(first.begin - begin) > interval
+    (found,) = onset.sudden_drifts(estimator, joint, PRIOR, last, blocks, mass)
     assert found.begin == pytest.approx(begin, abs=0.3 * interval)
     assert abs(found.size) == pytest.approx(0.3, rel=0.1)
 

@@ -151,10 +151,8 @@ def test_factor_solves_and_whitens():
     assert columns[:, 0] @ columns[:, 0] == pytest.approx(rows[0] @ expected)
 
 
-def test_residuals_alone_are_those_of_the_whole_balance_and_reversals_are_told(blocks):
+def test_reversals_are_told(blocks):
     balance = balances.new_balance(CHAIN, np.zeros((0, 3, 10)), np.ones(3))
-    alone = balances.residuals(balance, blocks, PER_INTERVAL, CHAIN.friction)
-    np.testing.assert_array_equal(alone, rows_of(CHAIN, blocks)[:, :, 0])
     own, rows = blocks[: 2 * PER_INTERVAL].copy(), np.empty((1, *balance.rows.shape))
     for rates, expected in ((1.0, False), (np.linspace(-1.0, 1.0, len(own))[:, None], True)):
         own[:, 3:6] = rates

@@ -12,13 +12,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lpv.core.serial_arm.chain import SLOPE, Chain, FloatArray, IntArray, joint_count, workspace
+from lpv.core.serial_arm.chain import SLOPE, Chain, FloatArray, joint_count, workspace
 from lpv.core.serial_arm.description import JointFriction
 from lpv.core.serial_arm.diagnosis.priors import SLOW_RATE
 from lpv.core.serial_arm.dynamics.friction import friction_torque, smooth_sign
 from lpv.core.serial_arm.dynamics.momentum import carried_momentum, momentum_balance, set_velocities
 from lpv.core.serial_arm.sensor_map import map_vector
-from lpv.core.support.jit import Entries, njit_in_place
+from lpv.core.support.jit import njit_in_place
 
 GROUPS = ('drift', 'scale', 'rate', 'gain', 'offset', 'torque', 'viscous', 'coulomb')
 """Groups of n columns each, in this order; those of the inertial directions follow.  The unknowns
@@ -351,68 +351,3 @@ def fill_balances(
                         rows[count, i, c] = balance.rows[i, c]
                 count += 1
             length = 0.0
-
-
-def residuals(
-    balance: Balance,
-    blocks: FloatArray,
-    per_interval: int,
-    friction: FloatArray,
-    call: Entries | None = None,
-) -> FloatArray:
-    """Residuals of the balances of some blocks, without derivatives; the balance stays as it is.
-
-    Its scratch is not changed either.  ``blocks``, shape (..., N, 3 n + 4), are as in
-    `fill_balances`, ``friction`` is as in `Chain`; residuals have shape
-    (..., N / per_interval - 1, n) [N m s].  ``call`` is that of balances of this type.
-    """
-    n, (*courses, count, columns) = balance.reference.shape[0], blocks.shape
-    own = balance._replace(
-        chain=balance.chain._replace(friction=friction), momentum=np.zeros((2, n, 1)),
-        rising=np.zeros((2, n, 1)), falling=np.zeros((2, n, 1)), rows=np.zeros((n, 1)),
-        clock=np.zeros(2), poses=np.zeros((2, n)), rates=np.zeros((3, 2, n)),
-        work=balance.work.copy(), vectors=balance.vectors.copy())  # fmt: skip
-    result = np.zeros((*courses, count // per_interval - 1, n))
-    every = np.ascontiguousarray(blocks).reshape(-1, count, columns)
-    whole = result.reshape(len(every), -1, n)
-    (call or Entries())(_fill_residuals, own, every, per_interval, whole)
-    return result
-
-
-@njit_in_place
-def _fill_residuals(
-    own: Balance, blocks: FloatArray, per_interval: int, result: FloatArray
-) -> None:
-    n = own.reference.shape[0]
-    for course in range(blocks.shape[0]):
-        length, own.clock[LENGTH] = 0.0, 0.0
-        for k in range((result.shape[1] + 1) * per_interval):
-            block = blocks[course, k]
-            weight = (block[3 * n + 1], block[3 * n + 2])
-            add_residual(own, block[:n], block[n : 2 * n], block[2 * n : 3 * n], weight)
-            length += block[3 * n + 1]
-            if (k + 1) % per_interval == 0:
-                if close_interval(own, length):
-                    for i in range(n):
-                        result[course, (k + 1) // per_interval - 2, i] = own.rows[i, 0]
-                length = 0.0
-
-
-def friction_columns(
-    balance: Balance, blocks: FloatArray, per_interval: int, joints: IntArray
-) -> FloatArray:
-    """Derivatives of balances of k joints by their own friction, viscous, then Coulomb.
-
-    ``blocks``, shape (..., N, 3 n + 4), are as in `fill_balances`; the shape is
-    (2 k, ..., N / per_interval - 1).
-    """
-    n = balance.reference.shape[0]
-    rates = np.moveaxis(blocks[..., n : 2 * n] @ balance.to_joints[joints].T, -1, 0)
-    slope = balance.chain.friction[joints, SLOPE].reshape(-1, *(1,) * (rates.ndim - 1))
-    both = np.concatenate([rates, np.arctan(slope * rates) * (2.0 / np.pi)])
-    length, place = blocks[..., 3 * n + 1], blocks[..., 3 * n + 2]
-    rising, falling = (
-        (weight * both).reshape(*both.shape[:-1], -1, per_interval).sum(-1)
-        for weight in (length * place, length * (1.0 - place))
-    )
-    return np.asarray(rising[..., :-1] + falling[..., 1:])

@@ -73,7 +73,7 @@ from lpv.core.serial_arm.diagnosis.linear_bank import (
     new_evidence,
     new_rows,
 )
-from lpv.core.serial_arm.diagnosis.onset import sudden_drift_of
+from lpv.core.serial_arm.diagnosis.onset import sudden_drifts, whitened
 from lpv.core.serial_arm.diagnosis.priors import CONTACT, LOAD, OCCURRENCE, SIZE, WRONG_STAMPS
 from lpv.core.serial_arm.diagnosis.sampling import DELAY, LATE, Sampler, rate_noise, smallest_jump
 from lpv.core.serial_arm.diagnosis.stuck import Course, Frozen, course_of_frozen
@@ -331,9 +331,8 @@ class Bank:
         pulled = columns * window.weights[at][:, :, None]
         score = -np.einsum('kil,ki->kl', pulled, null.residual[:longest]).cumsum(0)
         own = np.einsum('kil,kij->klj', pulled, columns).cumsum(0)
-        cross = np.einsum('kil,kia->kal', pulled, rows).cumsum(0)
-        known = np.linalg.solve(np.triu(null.factor).T, cross)
-        matrix = np.eye(len(window.loads)) + own - known.swapaxes(1, 2) @ known
+        known = whitened(null, (pulled.swapaxes(1, 2) @ rows).cumsum(0))
+        matrix = np.eye(len(window.loads)) + own - known @ known.swapaxes(1, 2)
         change = np.linalg.solve(matrix, score[:, :, None])[:, :, 0]
         gain = 0.5 * ((score * change).sum(1) - np.linalg.slogdet(matrix)[1])
         estimator.call(weigh_residuals, window, null, longest + 1)
@@ -381,12 +380,12 @@ class Bank:
         estimator = self.estimator
         last = min(int(self._lengths[windows - 1]), self._recent, len(estimator) - 1) + 1
         held = blocks(last + 1)
-        found = []
-        for i in np.nonzero(self._derived)[0]:
-            one = sudden_drift_of(estimator, int(i), SIZE['drift'], last, held, self._mass)
-            if one.gain > -np.inf:
-                found.append(Hypothesis('drift', int(i), one.gain, one.size, one.sigma, one.begin))
-        return found
+        joints = np.flatnonzero(self._derived)
+        onsets = sudden_drifts(estimator, joints, SIZE['drift'], last, held, self._mass)
+        return [
+            Hypothesis('drift', i, one.gain, one.size, one.sigma, one.begin)
+            for i, one in zip(joints.tolist(), onsets)
+        ]
 
     def excludes_contact(self, fault: Hypothesis, margin: float) -> bool:
         """Whether a fault explains more than smooth torques from outside do, in any window.
@@ -426,8 +425,9 @@ class Bank:
         """Compile what is called for suspected faults only; ``blocks`` are those of the horizon."""
         estimator = self.estimator
         last = min(self._recent + 1, len(estimator))
-        found = sudden_drift_of(estimator, 0, SIZE['drift'], last, blocks, self._mass)
-        self.excludes_contact(Hypothesis('drift', 0, 0.0, 0.0, 1.0, found.begin), 0.0)
+        joints = np.arange(estimator.joints)
+        found = sudden_drifts(estimator, joints, SIZE['drift'], last, blocks, self._mass)
+        self.excludes_contact(Hypothesis('drift', 0, 0.0, 0.0, 1.0, found[0].begin), 0.0)
 
     def offset_against_contact(self, joint: int) -> float:
         """Log Bayes factor of an offset of one encoder to torques over the whole horizon.

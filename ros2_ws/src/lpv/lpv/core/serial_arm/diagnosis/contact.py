@@ -15,7 +15,14 @@ import numpy as np
 
 from lpv.core.serial_arm.chain import Chain, FloatArray, IntArray
 from lpv.core.serial_arm.diagnosis.estimator import Posterior, usual_size
-from lpv.core.serial_arm.diagnosis.information import ROBUST, Window, recent, slot, whiten
+from lpv.core.serial_arm.diagnosis.information import (
+    ROBUST,
+    Window,
+    factorise,
+    recent,
+    slot,
+    whiten,
+)
 from lpv.core.serial_arm.diagnosis.priors import AMPLITUDES, HORIZON_TIME, ROUGH_TIME, SMOOTH_TIMES
 from lpv.core.serial_arm.dynamics.kinematics import fill_jacobian, joint_frames
 from lpv.core.support.jit import njit, njit_in_place
@@ -248,7 +255,22 @@ def _free_torques(score: FloatArray, information: FloatArray, scale: FloatArray)
 
     Shapes are (..., K), (..., K, K) and (..., K), where those of the last one are broadcast.
     """
-    right = scale * score
     matrix = information * (scale[..., None] * scale[..., None, :]) + np.eye(score.shape[-1])
-    free = (right * np.linalg.solve(matrix, right[..., None])[..., 0]).sum(-1)
-    return np.asarray(0.5 * (free - np.linalg.slogdet(matrix)[1]))
+    right = np.broadcast_to(scale * score, matrix.shape[:-1]).copy()
+    gains, size = np.empty(right.shape[:-1]), right.shape[-1]
+    every = matrix.reshape(gains.size, size, size), right.reshape(gains.size, size, 1)
+    _fill_gains(*every, np.ones(size), gains.reshape(-1))
+    return gains
+
+
+@njit_in_place
+def _fill_gains(
+    matrices: FloatArray, right: FloatArray, least: FloatArray, gains: FloatArray
+) -> None:
+    """Write (b^T A^-1 b - log det A) / 2 of each A and b, which are overwritten."""
+    for k in range(gains.shape[0]):
+        factorise(matrices[k], least)
+        whiten(matrices[k], right[k])
+        gains[k] = 0.0
+        for i in range(least.shape[0]):
+            gains[k] += 0.5 * right[k, i, 0] * right[k, i, 0] - np.log(matrices[k, i, i])

@@ -746,11 +746,16 @@ class SerialMonitor:
     def _name(self, found: list[Hypothesis], now: float) -> None:
         """What explains the balances is beyond doubt, or several causes are suspected."""
         known = {*self._filters, *np.nonzero(self.sampler.noisy)[0]}
-        found = [one for one in found if one.joint not in known and not self._ended_by_jump(one)]
+        if known or self._ends:
+            found = [
+                one for one in found if one.joint not in known and not self._ended_by_jump(one)
+            ]
         if not found:
             self._suspects = ()
             return
-        self._rival = max([self._rival, *(one.gain for one in found if one.is_encoder)])
+        # The best one comes first.
+        rivals = (one.gain for one in found if one.is_encoder)
+        self._rival = max(self._rival, next(rivals, -math.inf))
         shares = self.bank.shares(found)
         wrong = self.settings.probability_of_wrong_name
         named = {one: share for one, share in shares.items() if share > wrong}

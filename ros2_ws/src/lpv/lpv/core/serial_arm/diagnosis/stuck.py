@@ -10,9 +10,9 @@ import numpy as np
 
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.diagnosis.balance import OFFSET, RATE, fill_balances, scratch_of
+from lpv.core.serial_arm.diagnosis.drift_trial import free_of_drift
 from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator, Posterior, set_residuals
 from lpv.core.serial_arm.diagnosis.information import ROBUST, factorise, recent, whiten
-from lpv.core.serial_arm.diagnosis.onset import without_drift
 from lpv.core.serial_arm.diagnosis.priors import LEAST_ACCELERATION, SLOW_RATE
 from lpv.core.serial_arm.diagnosis.sampling import block_end
 
@@ -83,7 +83,8 @@ def course_of_frozen(
     estimator.call(set_residuals, estimator.window, null, count)
     before = null.residual[:count][::-1]
     rows = np.empty((count, *estimator.balance.rows.shape))
-    gone = without_drift(blocks, estimator.balance, joint, begin, -first)
+    gone, derived = np.empty(blocks.shape), estimator.balance.derived[joint]
+    free_of_drift(blocks, joint, derived, begin, -first, gone)
     estimator.call(fill_balances, scratch_of(estimator.balance), gone, plan.blocks, rows)
     reference = estimator.balance.reference
     rows[:, :, 0] -= rows[:, :, 1 + OFFSET * n :][:, :, :n] @ reference
