@@ -1,7 +1,8 @@
 """A UR10e as its driver shows it: 100 Hz, rounded readings, filtered rates, currents, rests.
 
 The arm moves from pose to pose and rests between; every recording begins with a rest.  Drives have
-gains 5 % off the file's, friction is 20 % off, and a load of 0 to 5 kg hangs at the tip, unknown.
+gains 5 % off the file's, friction is 20 % off, that at rest anything up to it, and a load of 0 to
+5 kg hangs at the tip, unknown.
 """
 
 from dataclasses import replace
@@ -63,6 +64,14 @@ def drive(stream: Stream, step: float = STEP) -> Stream:
     return Stream(stream.stamps, samples)
 
 
+def held(rates: np.ndarray, coulomb: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Friction of joints that rest: another one in each rest, anything up to Coulomb's."""
+    rests = (rates == 0.0).all(1)
+    number = np.cumsum(np.diff(rests, prepend=False) & rests)
+    values = rng.uniform(-1.0, 1.0, (number[-1] + 1, len(coulomb))) * coulomb
+    return values[number] * rests[:, None]
+
+
 @lru_cache(maxsize=32)
 def healthy(seed: int, load: float | None = None, duration: float = DURATION) -> Stream:
     """A recording before the driver: readings with noise, currents; load drawn if not given."""
@@ -75,6 +84,7 @@ def healthy(seed: int, load: float | None = None, duration: float = DURATION) ->
     load = rng.uniform(0.0, PAYLOAD) if load is None else load
     model = SerialModel(with_payload(chain._replace(friction=friction), load))
     torque = np.array([model.torque(*row) for row in zip(q, v, a)])
+    torque += held(v, friction[:, 1], rng)
     torque += 0.01 * torque.std(0) * rng.normal(size=torque.shape)
     current = torque / (np.array(GAINS) * rng.choice([0.95, 1.05], n))
     samples = np.stack([q + NOISE * rng.normal(size=q.shape), v, current], axis=1)

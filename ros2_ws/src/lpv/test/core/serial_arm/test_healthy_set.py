@@ -67,7 +67,7 @@ def test_given_motion_then_payload_is_known_and_thresholds_shrink_but_of_an_upri
     tolerance = description.TorqueTolerance((0.0,), (1.0,))
     joints = tuple(replace(one, torque_tolerance=tolerance) for one in ARM.joints)
     assert np.all(watched(replace(ARM, joints=joints)).slack[1:] > 5.0 * exact.slack[1:])
-    low, high = watched(duration=8.0).payload
+    low, high = watched(duration=6.0).payload
     assert low == 0.0 and high < 0.45
 
 

@@ -116,12 +116,62 @@ def test_given_noise_that_ends_while_its_joint_rests_when_named_then_nothing_is_
     assert np.abs(faults).max() < 0.1
 
 
+def test_given_a_noisy_reading_when_its_rate_is_derived_then_balances_take_calm_ones():
+    noise = 0.02 * np.random.default_rng(0).normal(size=round(DURATION / 0.01))
+    noise[:350] = 0.0
+    arm = arm_named('three', 0.01, 'derived')
+    sampler = watch(arm, rounded_samples(arm, 0, 1e-4, resting=0, error=noise)).sampler
+    assert sampler.noisy[0] == 1
+    rates = sampler.blocks[sampler.blocks[:, 9] > 4.0, 3]
+    # Differences of neighbouring readings have 0.02 sqrt(2) / 0.01 s, those over 50 ms a fifth.
+    assert rates.std() == pytest.approx(0.02 * np.sqrt(2.0) / 0.05, rel=0.2)
+
+
 @pytest.mark.parametrize('size', [0.02, 0.1])
 @pytest.mark.parametrize('seed', range(4))
 def test_given_a_reading_at_rest_when_it_jumps_then_it_is_biased_and_did_not_freeze(seed, size):
     sensor, found, faults = followed(seed, 1e-4, lambda t: size * (t > 5.0))
     assert found == {(sensor, 'bias')}
     assert np.sort(np.abs(faults)) == pytest.approx([0.0, 0.0, size], abs=0.05)
+
+
+def held_by_friction(arm, seed):
+    """Twice a move of 3 s and a rest of 12 s, in which friction is anything up to Coulomb's."""
+    rng, n = np.random.default_rng(seed), len(arm.joints)
+    times = np.arange(round(15.0 / arm.sample_time)) * arm.sample_time
+    x, place, chain = np.clip(times / 3.0, 0.0, 1.0)[:, None], np.zeros(n), wrong_chain(arm, rng)
+    model, motion, effort = SerialModel(chain), [], []
+    gains = np.array([joint.torque_gain for joint in arm.joints])
+    for _ in range(2):
+        way = rng.uniform(-1.0, 1.0, n) - place
+        q = place + way * (10 * x**3 - 15 * x**4 + 6 * x**5)
+        v = way / 3.0 * (30 * x**2 - 60 * x**3 + 30 * x**4)
+        a = way / 9.0 * (60 * x - 180 * x**2 + 120 * x**3)
+        held = rng.uniform(-1.0, 1.0, n) * chain.friction[:, 1] * (x == 1.0)
+        effort.append(np.array([model.torque(*one) for one in zip(q, v, a)]) + held)
+        motion.append(np.stack([q, v], 1))
+        place = q[-1]
+    samples = np.concatenate([np.concatenate(motion), np.concatenate(effort)[:, None] / gains], 1)
+    samples[:, 0] += 1e-4 * rng.normal(size=samples[:, 0].shape)
+    samples[:, 1] += 5e-3 * rng.normal(size=samples[:, 0].shape)
+    if arm.joints[0].sensors.rates == 'derived':
+        change = np.diff(samples[:, 0], axis=0, prepend=samples[:1, 0])
+        samples[:, 1] = change / arm.sample_time
+    stamps = np.round(np.arange(len(samples)) * arm.sample_time * 1e9).astype(np.int64)
+    return Run(stamps, samples, None)
+
+
+@pytest.mark.parametrize('rates', ['derived', 'independent'])
+@pytest.mark.parametrize('seed', range(4))
+def test_given_friction_that_holds_joints_for_long_when_healthy_then_bounds_hold(seed, rates):
+    arm = arm_named('ur10', 0.01, rates)
+    run, monitor = held_by_friction(arm, seed), SerialMonitor(arm)
+    for part in range(0, len(run.stamps), 100):
+        monitor.update_many(run.stamps[part : part + 100], run.samples[part : part + 100])
+        fault, sigma = monitor.faults()
+        assert (np.abs(fault) < 4.0 * sigma).all()
+        assert monitor.guarantee is None or not monitor.guarantee.exceeded.any()
+    assert [(a.sensor, a.kind) for a in monitor.alarms if a.sensor] == []
 
 
 def as_it_is(stamps, samples, rng):

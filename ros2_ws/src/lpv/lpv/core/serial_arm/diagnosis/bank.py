@@ -406,14 +406,19 @@ class Bank:
                 estimator.call(function, estimator.window, estimator.posterior, length + 1)
             null = estimator.posterior
             free = estimator.call(rough_contact, self._outside, null, onset, length)
-            for levers in self._levers(length - ONSET):
-                for courses in self._outside.smooth:
-                    gain = free + smooth_contact(
-                        courses, levers, estimator.window, estimator.posterior, length - ONSET
-                    )
+            smooth, last = self._outside.smooth, length - ONSET
+            for levers in (*self._levers(last), self._friction_at_rest(last)):
+                for courses in smooth:
+                    gain = free + smooth_contact(courses, levers, estimator.window, null, last)
                     if gain > fault.gain - margin:
                         return False
         return True
+
+    def _friction_at_rest(self, last: int) -> FloatArray:
+        """Torques by usual friction of each joint while it rests; levers as of `joint_levers`."""
+        one, null = self.estimator, self.estimator.posterior
+        torque = null.expected * np.sqrt(null.expected_rest**2 - 1.0) / one.plan.interval
+        return joint_levers(torque, last) * one.window.rest[recent(one.window, last)][:, :, None]
 
     def _levers(self, last: int) -> tuple[FloatArray, FloatArray]:
         """Of torques on single joints, and of a force on the tip."""

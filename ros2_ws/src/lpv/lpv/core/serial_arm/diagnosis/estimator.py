@@ -149,8 +149,16 @@ def set_residuals(window: Window, null: Posterior, last: int) -> None:
 
 @njit_in_place
 def usual_size(window: Window, null: Posterior, back: int, i: int) -> float:
-    """Usual size of what is left of a balance of joint i [N m s]."""
-    return null.noise[i] * (1.0 + (null.rest[i] - 1.0) * window.rest[slot(window, back), i])
+    """Usual size of what is left of a balance of joint i [N m s].
+
+    In a long rest friction may be anything up to that of the file, whatever was seen in others.
+    """
+    at = slot(window, back)
+    size = null.noise[i] * (1.0 + (null.rest[i] - 1.0) * window.rest[at, i])
+    if window.lasting[at, i] > 0.0:
+        dry = null.expected[i] * null.expected[i] * (null.expected_rest[i] ** 2 - 1.0)
+        size = max(size, np.sqrt(null.noise[i] * null.noise[i] + dry))
+    return size
 
 
 @njit_in_place
@@ -159,9 +167,11 @@ def weigh(window: Window, null: Posterior, last: int) -> None:
     set_residuals(window, null, last)
     for back in range(last - 1, -1, -1):
         for i in range(null.noise.shape[0]):
-            size = usual_size(window, null, back, i)
+            at, size, moving = slot(window, back), usual_size(window, null, back, i), null.noise[i]
             ratio = null.residual[back, i] / (ROBUST * size)
-            variance = size * size * null.inflation[i] + window.extra[slot(window, back), i]
+            lasting = max(null.inflation[i], window.lasting[at, i])
+            variance = moving * moving * null.inflation[i] + window.extra[at, i]
+            variance += (size * size - moving * moving) * lasting
             null.weights[back, i] = 1.0 / (variance * np.sqrt(1.0 + ratio * ratio))
         add_products(window, back, null.weights[back])
 
@@ -232,7 +242,8 @@ def take_balance(
     for i in range(null.noise.shape[0]):
         window.poses[at, i] = balance.poses[0, i]
         window.rest[at, i] = rests(balance, i)
-    weigh(window, null, 1)
+        window.rested[i] = window.rested[i] + 1 if window.rest[at, i] == 1.0 else 0
+    weigh(window, null, _lengthen_rests(window, window.rested, 1))
 
 
 @njit_in_place
@@ -255,7 +266,31 @@ def take_balances(
     if slow is not None:
         join(slow, time, slow.rows[0], PAST_WEIGHT if learn else -PAST_WEIGHT)
         copy_unknowns(window, slow, 1)
-        weigh(slow, level, 1)
+        weigh(slow, level, _lengthen_rests(slow, window.rested, window.times.shape[0]))
+
+
+@njit_in_place
+def _lengthen_rests(window: Window, rested: IntArray, longest: int) -> int:
+    """Let friction last as long as a rest, in all of its balances; how many are to be weighed anew.
+
+    That of a joint that rests does not average out, whatever the others do; in rests of a few
+    balances it only reverses.  ``rested`` is as in `Window`.  Lengths are powers of two, so that a
+    balance is weighed a few times, and ``longest`` at most.
+    """
+    last, at = 1, slot(window, 0)
+    for i in range(rested.shape[0]):
+        if rested[i] <= _LAGS:
+            continue
+        lasting = _LAGS
+        while lasting < rested[i]:
+            lasting *= 2
+        window.lasting[at, i] = min(lasting, longest)
+        if 2 * (rested[i] - 1) == lasting and window.lasting[slot(window, 1), i] < longest:
+            held = min(rested[i], window.counters[COUNT])
+            for back in range(held):
+                window.lasting[slot(window, back), i] = min(lasting, longest)
+            last = max(last, held)
+    return last
 
 
 @njit_in_place

@@ -22,6 +22,7 @@ from lpv.core.serial_arm.chain import (
     FloatArray,
     workspace,
 )
+from lpv.core.serial_arm.description import SIGMAS
 from lpv.core.serial_arm.diagnosis.balance import OFFSET as _READING
 from lpv.core.serial_arm.diagnosis.balance import RATE, put
 from lpv.core.serial_arm.diagnosis.parameter_set import ParameterSet
@@ -135,8 +136,11 @@ def _add_block(
             for a in range(n):
                 change = abs(balance.matrix[i, a] * (v[a] - balance.last[1, a]))
                 even += turn * change / (12.0 * count)
-        missed = length * (_within(v[i], half, slope) * dry)
-        missed += length * _tolerance(balance.sizes.tolerance[i], abs(v[i]))
+        uneven = _within(v[i], half, slope) * dry
+        if abs(v[i]) <= half + SIGMAS * rate_noise[i]:  # it may rest, friction may be anything
+            most = dry + balance.sizes.coulomb[i] + balance.sizes.load[i] * abs(torque[i])
+            uneven = max(uneven, most + dry * abs(sign))
+        missed = length * (uneven + _tolerance(balance.sizes.tolerance[i], abs(v[i])))
         bend = row[VISCOUS] + dry * slope * (2.0 / np.pi) / (1.0 + (slope * v[i]) ** 2)
         noise = (length * bend * rate_noise[i]) ** 2
         for side in range(2):

@@ -31,6 +31,8 @@ class Window(NamedTuple):
     weights: FloatArray  # (capacity, n) with which each counts, trust included
     poses: FloatArray  # (capacity, n) positions in its middle [rad]
     rest: FloatArray  # (capacity, n) 1 where the joint rests or reverses
+    lasting: FloatArray  # (capacity, n) balances for which its friction there stays as it is
+    rested: IntArray  # (n,) balances for which the joint has rested so far
     # (capacity, n) variance by errors of readings whose faults are followed [N2 m2 s2]
     extra: FloatArray
     # (capacity + 1, 1 + m, 1 + h + m) sum of A^T W A before each balance, rows of the constant part
@@ -58,7 +60,7 @@ def new_window(
     return Window(
         np.zeros((capacity, joints, size)), np.zeros(capacity), np.ones(capacity),
         np.zeros((capacity, joints)), np.zeros((capacity, joints)), np.zeros((capacity, joints)),
-        np.zeros((capacity, joints)),
+        np.zeros((capacity, joints)), np.zeros(joints, np.int64), np.zeros((capacity, joints)),
         np.zeros((capacity + 1, 1 + unknowns, size)), np.zeros((capacity + 1, faults)),
         np.zeros((1 + unknowns, size)), loads, np.zeros(capacity), np.zeros((capacity, len(loads))),
         np.zeros(unknowns), np.zeros(2, np.int64))  # fmt: skip
@@ -105,6 +107,7 @@ def join(window: Window, time: float, rows: FloatArray, past: float) -> None:
     window.times[at] = time
     window.trust[at] = 1.0
     window.extra[at] = 0.0
+    window.lasting[at] = 0.0
     window.changed[at] = 0.0
     window.carried[at] = 0.0
 

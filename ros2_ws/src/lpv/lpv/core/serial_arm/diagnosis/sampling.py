@@ -914,6 +914,8 @@ def _close_block(sampler: Sampler, balance: Balance, now: float, blocks: int) ->
     place = (sampler.counters[IN_INTERVAL] + 0.5) / blocks
     # Where samples are missing, the mean of the readings is not that of the middle.
     row[3 * n] = sampler.clock[TIMES] / count
+    if sampler.counters[COUNT] > HISTORY + 2 * blocks * count:
+        _calm_rates(sampler, row, sampler.blocks[(sampler.counters[BLOCKS] - blocks) % capacity])
     sampler.clock[TIMES] = 0.0
     row[3 * n + 1] = length
     row[3 * n + 2] = place
@@ -927,6 +929,18 @@ def _close_block(sampler: Sampler, balance: Balance, now: float, blocks: int) ->
     sampler.counters[IN_BLOCK] = 0
     sampler.counters[IN_INTERVAL] += 1
     sampler.clock[BLOCK_START] = now
+
+
+@njit_in_place
+def _calm_rates(sampler: Sampler, block: FloatArray, before: FloatArray) -> None:
+    """Let rates that are derived from noisy readings be those since the block an interval before.
+
+    Torques grow with their squares, of which noise changes the mean.
+    """
+    n = sampler.scale.shape[0]
+    for i in range(n):
+        if sampler.noisy[i] == 1 and sampler.derived[i] == 1.0:
+            block[n + i] = (block[i] - before[i]) / (block[3 * n] - before[3 * n])
 
 
 def block_end(block: FloatArray) -> float:
