@@ -135,19 +135,19 @@ def test_given_a_reading_at_rest_when_it_jumps_then_it_is_biased_and_did_not_fre
     assert np.sort(np.abs(faults)) == pytest.approx([0.0, 0.0, size], abs=0.05)
 
 
-def held_by_friction(arm, seed):
-    """Twice a move of 3 s and a rest of 12 s, in which friction is anything up to Coulomb's."""
+def held_by_friction(arm, seed, rest=12.0, most=1.0, moves=2):
+    """Moves of 3 s, and rests in which friction is anything up to so many times Coulomb's."""
     rng, n = np.random.default_rng(seed), len(arm.joints)
-    times = np.arange(round(15.0 / arm.sample_time)) * arm.sample_time
+    times = np.arange(round((3.0 + rest) / arm.sample_time)) * arm.sample_time
     x, place, chain = np.clip(times / 3.0, 0.0, 1.0)[:, None], np.zeros(n), wrong_chain(arm, rng)
     model, motion, effort = SerialModel(chain), [], []
     gains = np.array([joint.torque_gain for joint in arm.joints])
-    for _ in range(2):
+    for _ in range(moves):
         way = rng.uniform(-1.0, 1.0, n) - place
         q = place + way * (10 * x**3 - 15 * x**4 + 6 * x**5)
         v = way / 3.0 * (30 * x**2 - 60 * x**3 + 30 * x**4)
         a = way / 9.0 * (60 * x - 180 * x**2 + 120 * x**3)
-        held = rng.uniform(-1.0, 1.0, n) * chain.friction[:, 1] * (x == 1.0)
+        held = most * rng.uniform(-1.0, 1.0, n) * chain.friction[:, 1] * (x == 1.0)
         effort.append(np.array([model.torque(*one) for one in zip(q, v, a)]) + held)
         motion.append(np.stack([q, v], 1))
         place = q[-1]
@@ -172,6 +172,13 @@ def test_given_friction_that_holds_joints_for_long_when_healthy_then_bounds_hold
         assert (np.abs(fault) < 4.0 * sigma).all()
         assert monitor.guarantee is None or not monitor.guarantee.exceeded.any()
     assert [(a.sensor, a.kind) for a in monitor.alarms if a.sensor] == []
+
+
+@pytest.mark.parametrize('seed', [4, 9, 13])
+def test_given_friction_beyond_the_files_when_joints_rest_then_no_encoder_is_blamed(seed):
+    arm = arm_named('ur10', 0.01, 'derived')
+    found = alarms(arm, held_by_friction(arm, seed, rest=4.0, most=1.8, moves=4))
+    assert [one for one in found if one[0]] == []
 
 
 def as_it_is(stamps, samples, rng):
