@@ -25,6 +25,15 @@ def arm_named(name, sample_time, rates):
     return with_rates(replace(arm, joints=joints), rates, sample_time=sample_time)
 
 
+def minimum_jerk(x):
+    """Share of a way after a share x of its time, and its first two derivatives by x."""
+    return (
+        10 * x**3 - 15 * x**4 + 6 * x**5,
+        30 * x**2 - 60 * x**3 + 30 * x**4,
+        60 * x - 180 * x**2 + 120 * x**3,
+    )
+
+
 def moves_and_rests(rng, times, joints):
     """Joints that move from rest to rest at any time, slowly and fast: q, v, a."""
     motion = np.zeros((3, len(times), joints))
@@ -35,10 +44,9 @@ def moves_and_rests(rng, times, joints):
             way = min(span * 10.0 ** rng.uniform(-2.3, 0.2), span**2) * rng.integers(0, 2)
             way *= -1.0 if place > 0.0 else 1.0
             now = (times >= begin) & (times < begin + span)
-            x = (times[now] - begin) / span
-            motion[0, now, i] = place + way * (10 * x**3 - 15 * x**4 + 6 * x**5)
-            motion[1, now, i] = way / span * (30 * x**2 - 60 * x**3 + 30 * x**4)
-            motion[2, now, i] = way / span**2 * (60 * x - 180 * x**2 + 120 * x**3)
+            share, rate, bend = minimum_jerk((times[now] - begin) / span)
+            motion[0, now, i] = place + way * share
+            motion[1, now, i], motion[2, now, i] = way / span * rate, way / span**2 * bend
             place, begin = place + way, begin + span
     return motion
 
@@ -140,13 +148,11 @@ def held_by_friction(arm, seed, rest=12.0, most=1.0, moves=2):
     rng, n = np.random.default_rng(seed), len(arm.joints)
     times = np.arange(round((3.0 + rest) / arm.sample_time)) * arm.sample_time
     x, place, chain = np.clip(times / 3.0, 0.0, 1.0)[:, None], np.zeros(n), wrong_chain(arm, rng)
-    model, motion, effort = SerialModel(chain), [], []
+    model, motion, effort, (share, rate, bend) = SerialModel(chain), [], [], minimum_jerk(x)
     gains = np.array([joint.torque_gain for joint in arm.joints])
     for _ in range(moves):
         way = rng.uniform(-1.0, 1.0, n) - place
-        q = place + way * (10 * x**3 - 15 * x**4 + 6 * x**5)
-        v = way / 3.0 * (30 * x**2 - 60 * x**3 + 30 * x**4)
-        a = way / 9.0 * (60 * x - 180 * x**2 + 120 * x**3)
+        q, v, a = place + way * share, way / 3.0 * rate, way / 9.0 * bend
         held = most * rng.uniform(-1.0, 1.0, n) * chain.friction[:, 1] * (x == 1.0)
         effort.append(np.array([model.torque(*one) for one in zip(q, v, a)]) + held)
         motion.append(np.stack([q, v], 1))
@@ -154,11 +160,9 @@ def held_by_friction(arm, seed, rest=12.0, most=1.0, moves=2):
     samples = np.concatenate([np.concatenate(motion), np.concatenate(effort)[:, None] / gains], 1)
     samples[:, 0] += 1e-4 * rng.normal(size=samples[:, 0].shape)
     samples[:, 1] += 5e-3 * rng.normal(size=samples[:, 0].shape)
-    if arm.joints[0].sensors.rates == 'derived':
-        change = np.diff(samples[:, 0], axis=0, prepend=samples[:1, 0])
-        samples[:, 1] = change / arm.sample_time
     stamps = np.round(np.arange(len(samples)) * arm.sample_time * 1e9).astype(np.int64)
-    return Run(stamps, samples, None)
+    run = fault_injection.Stream(stamps, samples)
+    return derived(run) if arm.joints[0].sensors.rates == 'derived' else run
 
 
 @pytest.mark.parametrize('rates', ['derived', 'independent'])

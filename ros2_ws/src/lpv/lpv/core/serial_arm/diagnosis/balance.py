@@ -20,6 +20,9 @@ from lpv.core.serial_arm.dynamics.momentum import carried_momentum, momentum_bal
 from lpv.core.serial_arm.sensor_map import map_vector
 from lpv.core.support.jit import njit_in_place
 
+READINGS_AT_EDGES = 6.0
+"""How many times the variance of a reading is in a balance's change of a derived rate, over the
+interval squared: readings where its two intervals begin and end count once, twice and once."""
 GROUPS = ('drift', 'scale', 'rate', 'gain', 'offset', 'torque', 'viscous', 'coulomb')
 """Groups of n columns each, in this order; those of the inertial directions follow.  The unknowns
 of a healthy arm are the columns from `OFFSET` on."""

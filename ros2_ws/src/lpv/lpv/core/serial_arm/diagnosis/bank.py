@@ -417,8 +417,8 @@ class Bank:
     def _friction_at_rest(self, last: int) -> FloatArray:
         """Torques by usual friction of each joint while it rests; levers as of `joint_levers`."""
         one, null = self.estimator, self.estimator.posterior
-        torque = null.expected * np.sqrt(null.expected_rest**2 - 1.0) / one.plan.interval
-        return joint_levers(torque, last) * one.window.rest[recent(one.window, last)][:, :, None]
+        levers = joint_levers(null.dry / one.plan.interval, last)
+        return levers * one.window.rest[recent(one.window, last)][:, :, None]
 
     def _levers(self, last: int) -> tuple[FloatArray, FloatArray]:
         """Of torques on single joints, and of a force on the tip."""

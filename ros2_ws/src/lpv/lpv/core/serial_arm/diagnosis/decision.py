@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lpv.core.serial_arm.chain import FloatArray, IntArray
-from lpv.core.serial_arm.diagnosis.balance import OFFSET, Balance
+from lpv.core.serial_arm.diagnosis.balance import OFFSET, READINGS_AT_EDGES, Balance
 from lpv.core.serial_arm.diagnosis.bank import BankParts, ask_bank, take_rows
 from lpv.core.serial_arm.diagnosis.estimator import (
     INTERVAL,
@@ -127,9 +127,7 @@ def add_noise(
     for i in range(n):
         rounded, noisy = 0.0, 0.0
         for j in range(n):
-            # Means of derived rates hold the errors of the readings where two intervals begin and
-            # end, once, twice and once.
-            rates = 6.0 * sampler.derived[j] * (momenta[i, j] / interval[0]) ** 2
+            rates = READINGS_AT_EDGES * sampler.derived[j] * (momenta[i, j] / interval[0]) ** 2
             if np.isfinite(sampler.grain[j]):
                 rounded += rates * sampler.grain[j] * sampler.grain[j] / 12.0
             # Readings may be louder in motion than at rest.

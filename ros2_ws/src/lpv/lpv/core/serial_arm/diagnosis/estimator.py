@@ -117,6 +117,7 @@ class Posterior(NamedTuple):
     # (n,) as `noise` where a joint rests or reverses, over `noise`: friction of any size
     rest: FloatArray
     expected_rest: FloatArray  # (n,) the same before any was seen
+    dry: FloatArray  # (n,) usual size of friction in a long rest [N m s]
     systematic: FloatArray  # (n,) smallest variance, with correlation in time [N2 m2 s2]
     residual: FloatArray  # what the estimate leaves, newest first, shape (capacity, n) [N m s]
     weights: FloatArray  # inverse variances of the balances, newest first, shape (capacity, n)
@@ -156,8 +157,7 @@ def usual_size(window: Window, null: Posterior, back: int, i: int) -> float:
     at = slot(window, back)
     size = null.noise[i] * (1.0 + (null.rest[i] - 1.0) * window.rest[at, i])
     if window.lasting[at, i] > 0.0:
-        dry = null.expected[i] * null.expected[i] * (null.expected_rest[i] ** 2 - 1.0)
-        size = max(size, np.sqrt(null.noise[i] * null.noise[i] + dry))
+        size = max(size, np.hypot(null.noise[i], null.dry[i]))
     return size
 
 
@@ -470,7 +470,7 @@ class OffsetEstimator:
         self.joints = n = len(arm.joints)
         self.typical, self.prior = about.typical, about.prior
         derived = np.array([float(joint.sensors.rates != 'independent') for joint in arm.joints])
-        known = about.prior, about.noise, about.rest
+        known = about.prior, about.noise, about.rest, about.dry
         self.balance: Balance = new_balance(
             about.chain, about.directions, derived, about.drives, arm.sensors_to_joints()
         )
@@ -631,8 +631,9 @@ class _About(NamedTuple):
     drives: FloatArray
     loads: FloatArray  # the payload's unknowns, of `Window`
     prior: FloatArray  # standard deviations of the unknowns, shape (m,)
-    noise: FloatArray  # as expected, of `Posterior`, as the next two
+    noise: FloatArray  # as expected, of `Posterior`, as the next three
     rest: FloatArray
+    dry: FloatArray
     systematic: FloatArray
 
 
@@ -649,19 +650,22 @@ def _about(arm: SerialArm, plan: HorizonPlan) -> _About:
     prior = np.concatenate([*_priors(arm, chain.friction, missed), np.ones(len(directions))])
     noise = _expected_noise(arm, chain, missed, plan)
     # Friction at rest is anything between both signs of Coulomb's: uniformly distributed.
-    rest = np.hypot(1.0, plan.interval * chain.friction[:, DRY] / (np.sqrt(3.0) * noise))
+    dry = plan.interval * chain.friction[:, DRY] / np.sqrt(3.0)
+    rest = np.hypot(1.0, dry / noise)
     systematic = _systematic_error(arm, LASTING * missed, plan)
-    return _About(chain, typical, directions, drives, loads, prior, noise, rest, systematic)
+    return _About(chain, typical, directions, drives, loads, prior, noise, rest, dry, systematic)
 
 
 def _prior_posterior(
-    prior: FloatArray, expected: FloatArray, rest: FloatArray, systematic: FloatArray, capacity: int
-) -> Posterior:
+    prior: FloatArray, expected: FloatArray, rest: FloatArray, dry: FloatArray,
+    systematic: FloatArray, capacity: int,
+) -> Posterior:  # fmt: skip
     n, m = len(expected), len(prior)
     inflation, square = np.maximum(2.0, systematic / expected**2), np.zeros((2, 1 + m, m))
     return Posterior(
         np.zeros(m), np.diag(1.0 / prior), prior[:n].copy(), prior**-2, expected.copy(), expected,
-        inflation, rest.copy(), rest, systematic, np.zeros((capacity, n)), np.zeros((capacity, n)),
+        inflation, rest.copy(), rest, dry, systematic,
+        np.zeros((capacity, n)), np.zeros((capacity, n)),
         square[0], square[1], np.zeros((m, n)), np.zeros(capacity))  # fmt: skip
 
 

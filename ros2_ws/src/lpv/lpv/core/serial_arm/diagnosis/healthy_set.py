@@ -18,6 +18,7 @@ import numpy as np
 
 from lpv.core.serial_arm.chain import FloatArray, IntArray, compile_chain
 from lpv.core.serial_arm.description import SIGMAS, SerialArm
+from lpv.core.serial_arm.diagnosis.balance import READINGS_AT_EDGES
 from lpv.core.serial_arm.diagnosis.estimator import PAST_WEIGHT, OffsetEstimator, Posterior
 from lpv.core.serial_arm.diagnosis.healthy_balance import (
     HealthyBalance,
@@ -179,7 +180,8 @@ class HealthySet:
             np.sqrt(map_rows(self._balance.to_joints**2, by_sensor**2)),
             self._reading / np.sqrt(plan.per_block * plan.blocks),
             np.where(self._derived, self._reading / plan.interval, rate / np.sqrt(plan.blocks)),
-            arm.sensors_to_joints().T.copy(), 6.0 if self._derived.any() else 2.0)  # fmt: skip
+            arm.sensors_to_joints().T.copy(),
+            READINGS_AT_EDGES if self._derived.any() else 2.0)  # fmt: skip
         self._effects, self._doubts = self.ring.effects, self.ring.doubts
         self._inertia, self._mean_noise = self.ring.inertia, self.ring.mean_noise
 

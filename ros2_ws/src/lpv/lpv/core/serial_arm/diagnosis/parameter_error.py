@@ -11,6 +11,7 @@ import numpy as np
 from lpv.core.serial_arm.chain import COULOMB as DRY
 from lpv.core.serial_arm.chain import MASS, MX, SLOPE, VISCOUS, Chain, FloatArray, joint_count
 from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.diagnosis.balance import READINGS_AT_EDGES
 from lpv.core.serial_arm.diagnosis.priors import MODEL_ERROR, USUAL_ACCELERATION, USUAL_RATE
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.dynamics.payload import PAYLOAD_PLACE, payload_parameters
@@ -83,7 +84,8 @@ def momentum_noise(arm: SerialArm, chain: Chain, interval: float) -> FloatArray:
     samples = interval / arm.sample_time
     rate = np.array([
         np.sqrt(2.0 / samples) * one.velocity_noise if one.rates == 'independent'
-        else np.sqrt(6.0 * (one.position_noise**2 + one.quantization**2 / 12.0)) / interval
+        else np.sqrt(READINGS_AT_EDGES * (one.position_noise**2 + one.quantization**2 / 12.0))
+        / interval
         for one in (joint.sensors for joint in arm.joints)
     ])  # fmt: skip
     to_joints = arm.sensors_to_joints()

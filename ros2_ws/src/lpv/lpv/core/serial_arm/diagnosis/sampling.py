@@ -15,7 +15,13 @@ from typing import NamedTuple
 import numpy as np
 
 from lpv.core.serial_arm.chain import FloatArray, IntArray
-from lpv.core.serial_arm.diagnosis.balance import Balance, add_block, close_interval, drop_interval
+from lpv.core.serial_arm.diagnosis.balance import (
+    READINGS_AT_EDGES,
+    Balance,
+    add_block,
+    close_interval,
+    drop_interval,
+)
 from lpv.core.serial_arm.diagnosis.information import ROBUST
 from lpv.core.serial_arm.diagnosis.priors import WRONG_STAMPS
 from lpv.core.support.jit import njit_in_place
@@ -299,14 +305,13 @@ def balance_lag(sampler: Sampler) -> float:
 def rate_noise(sampler: Sampler, i: int, interval: float) -> float:
     """Variance of what noise of a reading makes of a balance's change of its rate [rad2/s2].
 
-    Means of derived rates over an interval [s] hold the readings where it begins and ends; two of
-    them share one.  Rates between two differences hold two readings in place of each.  Before the
-    noise is known, it is more.
+    Balances are of intervals of a length [s].  Rates between two differences hold two readings in
+    place of each.  Before the noise is known, it is more.
     """
     lag = balance_lag(sampler)
-    differences = 6.0 * ((1.0 - lag) * (1.0 - lag) + lag * lag) / (interval * interval)
+    share = ((1.0 - lag) * (1.0 - lag) + lag * lag) / (interval * interval)
     reading = sampler.calm[i] / readings_in_jump(sampler, i)
-    return float(sampler.derived[i] * differences * reading)
+    return float(sampler.derived[i] * READINGS_AT_EDGES * share * reading)
 
 
 @njit_in_place
