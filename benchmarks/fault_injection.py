@@ -149,6 +149,7 @@ class Subject:
     others: Mapping[str, Callable[[int], Stream]] = field(default_factory=dict)
     # what a driver makes of readings, faults included, for a source of rates: rounding, rates
     driver: Callable[[Stream, str], Stream] | None = None
+    derives: bool = False  # whether the recorded driver makes rates of the readings
 
     def has(self, kind: Kind) -> bool:
         """Whether the arm can show a kind."""
@@ -294,6 +295,17 @@ def simulate(
     return Stream(np.round(time * 1e9).astype(np.int64), samples)
 
 
+def with_noise(stream: Stream, arm: SerialArm, rng: np.random.Generator) -> Stream:
+    """The stream with rates that have noise of their own: faults of the readings are not in them.
+
+    It is that of the arm file, or as large as that of the readings' differences.
+    """
+    samples, stated = stream.samples.copy(), [j.sensors.velocity_noise for j in arm.joints]
+    rough = np.diff(samples[:, 1], 4, axis=0).std(0) / np.sqrt(70.0)  # 1 + 16 + 36 + 16 + 1
+    samples[:, 1] += np.maximum(stated, rough) * rng.normal(size=samples[:, 1].shape)
+    return Stream(stream.stamps, samples)
+
+
 def derived(stream: Stream) -> Stream:
     """The stream with rates that are differences of the positions."""
     samples = stream.samples.copy()
@@ -407,7 +419,7 @@ def _recorded_two_link(build: str, names: tuple[str, ...], part: str) -> Subject
         whole = csv_stream(folder / f'{name}.csv')
         return whole.part(0.0, REAL_FAULT[name]) if name in REAL_FAULT else whole
 
-    return Subject(build, part, arm, streams, (0, 1), gains)
+    return Subject(build, part, arm, streams, (0, 1), gains, derives=True)
 
 
 def _recorded_half(name: str, level: tuple[int, ...], part: str) -> Subject:
@@ -419,7 +431,7 @@ def _recorded_half(name: str, level: tuple[int, ...], part: str) -> Subject:
         middle = 0.5 * whole.duration
         return whole.part(*((0.0, middle) if part == 'tuned' else (middle, whole.duration)))
 
-    return Subject(name, part, arm, lambda k: stream(), level)
+    return Subject(name, part, arm, lambda k: stream(), level, derives=True)
 
 
 def _recorded_kr300() -> Subject:
@@ -684,6 +696,8 @@ def draw(cell: Cell, k: int, seed: int) -> tuple[Subject, Window, bool]:
     driver = subject.driver or (lambda one, _: one)
     if is_derived and subject.part == 'simulated':
         stream = derived(stream)
+    if subject.derives and not is_derived and not kind.healthy:
+        stream = with_noise(stream, subject.arm, rng.spawn(1)[0])  # all else is drawn as before
     if kind.healthy:
         healthy = driver(disturb(stream, kind, is_derived, rng), cell.rates)
         return subject, Window(healthy, [], np.zeros((0, n))), False

@@ -7,7 +7,12 @@ import pytest
 from places import DATA
 from scipy.signal import butter, lfilter
 
-from lpv.core.serial_arm.rate_independence import RATE_SOURCES, contradicts, rate_source
+from lpv.core.serial_arm.rate_independence import (
+    RATE_SOURCES,
+    SAMPLES,
+    contradicts,
+    rate_source,
+)
 
 COUNT = 1000
 ENCODERS = [(1e-3, 0), (1e-4, 0), (0.0, 12), (0.0, 17)]
@@ -56,7 +61,8 @@ def test_given_rates_when_tested_then_nothing_is_decided_of_few_and_the_recorded
     stamps, position, _, rate = reading(0.002, 1e-3, 0)
     for none in (np.zeros(COUNT), np.full(COUNT, np.nan)):
         assert rate_source(stamps, position, none).source == 'none'
-    for few in ((stamps[:100], position[:100], rate[:100]), ([], [], [])):
+    less = SAMPLES - 1
+    for few in ((stamps[:less], position[:less], rate[:less]), ([], [], [])):
         assert rate_source(*few).source == 'undecided'
     assert rate_source(stamps, np.ones(COUNT), np.zeros(COUNT)).source == 'undecided'
     dt, rng = 0.033, np.random.default_rng(4)

@@ -53,6 +53,10 @@ _MISFIT = (
     'identify --calibrate, from a recording) names the likely cause: load, mounting, units, signs, '
     'names or delays'
 )
+_MISNAMED = (
+    'rates of {} are derived from the readings, and are taken for such; the arm file calls them '
+    'independent'
+)
 _NO_EFFORT = f'no efforts: {_JUMPS_ALONE}'
 _NO_WEIGHT = f'efforts leave out the weight: {_JUMPS_ALONE}'
 
@@ -260,7 +264,6 @@ class SerialSensorMonitor:
         self._order = JointOrder(arm.joint_names, self.needs_rates)
         rates = [joint.sensors.rates for joint in arm.joints]
         self._independent = np.array([rate == 'independent' for rate in rates])
-        self._is_derived = ~self._independent
         self._to_sensors, self._to_joints = mixing(arm.joints_to_sensors()), arm.sensors_to_joints()
         self._without_rates = np.array([rate == 'none' for rate in rates])
         self._monitor = SteppedMonitor(arm)
@@ -333,10 +336,11 @@ class SerialSensorMonitor:
 
     def _nothing_known(self) -> Known:
         fault, rate, confirmed, growth, bound, threshold, limit = np.zeros((7, self._joints))
-        state, is_error = np.zeros(self._joints, np.uint8), np.zeros(self._joints, bool)
+        state = np.zeros(self._joints, np.uint8)
+        is_error, is_derived = np.zeros((2, self._joints), bool)
         return Known(
             fault, rate, confirmed, growth, bound, threshold, limit, state, is_error,
-            self._is_derived, self._to_joints)  # fmt: skip
+            is_derived, self._to_joints)  # fmt: skip
 
     def warm_up(self, suspicious: bool = False) -> None:
         """Compile with a made-up motion, and forget it: the first real samples must not wait.
@@ -648,13 +652,15 @@ class SerialSensorMonitor:
         if self._uio is not None:
             # An offset from the start is not in the set: its estimate is on its way.
             offset = True in snapshot.is_level.tolist()
-            self._uio.rely(not (offset or snapshot.suspects or self._monitor.has_rate_fault))
+            doubtful = offset or snapshot.suspects
+            self._uio.rely(self._monitor.rates_are_right and not doubtful)
         known = self._answering.known
         known.fault[:], known.rate[:] = snapshot.fault, snapshot.rate
         known.confirmed[:], known.growth[:] = confirmed, growth
         known.bound[:], known.threshold[:] = tuning.sigmas * snapshot.sigma, snapshot.threshold
         known.limit[:], known.state[:] = snapshot.jump_limit, snapshot.state
         known.is_error[:] = is_error
+        known.is_derived[:] = self._monitor.sampler.derived == 1.0
         unwatched = self._balanced + UNWATCHED
         flags['mode'], flags['trustworthy'] = self._mode(), self._is_trustworthy()
         flags['inconsistent'] = bool(snapshot.suspects)
@@ -773,7 +779,10 @@ class SerialSensorMonitor:
             return _CONTACT
         if self._snapshot.suspects:
             return 'inconsistent; what explains it: ' + ', '.join(self._snapshot.suspects)
-        return _MISFIT if self._snapshot.misfit > ROBUST else ''
+        if self._snapshot.misfit > ROBUST:
+            return _MISFIT
+        wrong = ', '.join(self._monitor.misnamed)
+        return _MISNAMED.format(wrong) if wrong else ''
 
     def _new_warnings(self) -> list[str]:
         """What was not warned of before, whatever its details."""

@@ -100,9 +100,9 @@ class SteppedMonitor(SerialMonitor):
         return self._parts
 
     @property
-    def has_rate_fault(self) -> bool:
-        """Whether a rate sensor has a confirmed fault."""
-        return any(record.active for record in self.rates)
+    def rates_are_right(self) -> bool:
+        """Whether no rate sensor has a confirmed fault, or is none at all."""
+        return not (self.misnamed or any(record.active for record in self.rates))
 
     @property
     def uses_balances(self) -> bool:
@@ -151,8 +151,8 @@ class SteppedMonitor(SerialMonitor):
         """Take samples, decide on them and answer them."""
         (answering, rows, told), first = self._out, self._row
         progress, plan = plain(answering.progress[0]), (self.plan.per_block, self.plan.blocks)
-        fixed = self._parts, plan, answering, rows, first, stamps, times, samples
-        while self._call(advance, *fixed) or progress['phase'] != SAMPLE:
+        fixed = plan, answering, rows, first, stamps, times, samples
+        while self._call(advance, self._parts, *fixed) or progress['phase'] != SAMPLE:
             now, row = float(self._state['now']), first + int(progress['taken']) - 1
             if progress['phase'] == REPORT:
                 told.report(first + int(progress['reported']), first + int(progress['answered']))

@@ -570,6 +570,7 @@ def run_closed_loop(
             parts.times[:] = (parts.stamps - stepped.stamp_of(0.0)) / NANOSECONDS
         elif phase == _DECIDE:
             alarms += monitor.decide()
+            parts = parts._replace(parts=stepped.parts)
             now['phase'] = _ANSWER
         elif phase == _START:
             references.restart(k - int(loop.offset), loop.feedback.copy())

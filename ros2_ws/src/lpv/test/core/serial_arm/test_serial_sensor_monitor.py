@@ -6,14 +6,16 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from serial_arms import shoulder_arm, simulated, without
 
 from lpv.core.monitoring.parameters import DiagnosisParameters
-from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv.core.monitoring.serial_monitor import _MISNAMED, SerialSensorMonitor
 from lpv.core.monitoring.stamp_gate import CONFIRMATIONS, JUMP, StampGate
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent, Mode, SensorState
 from lpv.core.serial_arm.dynamics.model import SerialModel
+from lpv.core.serial_arm.rate_independence import SAMPLES
 from lpv.core.simulation.faults import Fault
 from lpv.core.support.errors import ConfigError, SampleError
 
@@ -260,3 +262,33 @@ def test_given_repeated_and_late_stamps_when_asked_then_the_newest_counts_and_an
     gate = StampGate()
     gate.accept(START)
     assert not any(gate.accept(FUTURE) for _ in range(10))
+
+
+@pytest.mark.parametrize('share', [1.0, 0.4])
+def test_given_derived_rates_when_the_file_calls_them_independent_then_they_are_found_out(share):
+    """A wrong word of the file blinds for as long as it takes to see that it is wrong."""
+    drift = Fault('encoder2', 'drift', 3.0, rate=0.3, size=0.6)
+    stamps, samples, position = simulated(ARM, drift, duration=5.0)
+    samples[:, 1] = lfilter([share], [1.0, share - 1.0], samples[:, 1], axis=0)
+    said = shoulder_arm('independent')
+    monitor, answers = observe(stamps, samples, SerialSensorMonitor('/uio', said))
+    _, right = observe(stamps, samples)
+    assert told(answers) == told(right) == RAISED
+    assert [e.kind for _, e in answers.events] == ['drift']
+    error = answers.fault.estimate - (samples[:, 0] - position)
+    assert (np.abs(error) < answers.fault.bound)[2 * SAMPLES :].mean() > 0.99
+    assert _MISNAMED.format(', '.join(ARM.joint_names)) in str(monitor.status(Mode.OBSERVING))
+    pieces = SerialSensorMonitor('/uio', said)
+    parts = [
+        observe(stamps[k : k + 77], samples[k : k + 77], pieces)[1].fault.estimate
+        for k in range(0, len(stamps), 77)
+    ]
+    assert np.array_equal(np.concatenate(parts), answers.fault.estimate)
+
+
+def test_given_rates_of_their_own_when_faults_come_then_the_file_is_believed():
+    arm = shoulder_arm('independent')
+    for fault in (None, replace(LARGE, kind='noise', size=0.02), replace(LARGE, size=0.02)):
+        stamps, samples, _ = simulated(arm, *([fault] if fault else []), duration=2.0)
+        monitor, _ = observe(stamps, samples, SerialSensorMonitor('/uio', arm))
+        assert 'are derived' not in str(monitor.status(Mode.OBSERVING))

@@ -23,7 +23,13 @@ from lpv.core.serial_arm.diagnosis.estimator import (
 )
 from lpv.core.serial_arm.diagnosis.healthy_set import HealthyRing, take_healthy
 from lpv.core.serial_arm.diagnosis.information import NEXT, Window, slot
-from lpv.core.serial_arm.diagnosis.sampling import BLOCKS, JITTER, Sampler, readings_in_jump
+from lpv.core.serial_arm.diagnosis.sampling import (
+    BLOCKS,
+    JITTER,
+    PROBED,
+    Sampler,
+    readings_in_jump,
+)
 from lpv.core.support.jit import njit_in_place
 from lpv.core.support.records import record_type
 
@@ -44,12 +50,13 @@ class Stage(IntEnum):
     LEVELS = 10
     RAISE = 11  # Python: offsets are beyond what a healthy arm shows
     END = 12  # Python: faults that may be over
-    DONE = 13
+    RATES = 13  # Python: whether rates are derived from readings
+    DONE = 14
 
 
 (
     _BEGIN, _TAKE, _FOLLOW, _ESTIMATE, _LINEARISE, _ENDS, _GUARANTEE, _REST, _ASK, _NAME, _LEVELS,
-    _RAISE, _END, _DONE,
+    _RAISE, _END, _RATES, _DONE,
 ) = map(int, Stage)  # fmt: skip
 GUARANTEE_SHARE = 4
 """Guaranteed thresholds change over the horizon: so often in it they are evaluated anew."""
@@ -248,6 +255,9 @@ def decide(parts: Parts) -> None:
             parts.beyond)  # fmt: skip
         state.stage = _RAISE if some else _END
     if state.stage == _END and not state.active:
+        state.stage = _RATES
+    probe, probed = parts.sampler.probe.shape[0], parts.sampler.counters[PROBED]
+    if state.stage == _RATES and not (probe > 0 and probed == probe):
         state.stage = _DONE
 
 

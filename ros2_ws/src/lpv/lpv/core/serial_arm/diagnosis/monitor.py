@@ -8,7 +8,7 @@ it.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -61,6 +61,7 @@ from lpv.core.serial_arm.diagnosis.sampling import (
     LIVELY,
     NOISY,
     PENDING,
+    PROBED,
     REPLACED,
     SPIKE,
     STEP,
@@ -74,6 +75,7 @@ from lpv.core.serial_arm.diagnosis.sampling import (
 from lpv.core.serial_arm.diagnosis.scale_of_jump import ScaleOfJump, scale_of_jump
 from lpv.core.serial_arm.diagnosis.sensor_state import SensorRecord
 from lpv.core.serial_arm.diagnosis.stuck import STILL_RATE, Course, Frozen, usual_acceleration
+from lpv.core.serial_arm.rate_independence import PROVED, SAMPLES, rate_source
 from lpv.core.serial_arm.sensor_map import map_rows, mixing
 from lpv.core.support.errors import SampleError
 from lpv.core.support.jit import Entries
@@ -169,6 +171,8 @@ class SerialMonitor:
         Events so far; the caller may empty it.
     statistic : float
         Logarithm of the statistic of detection at the last balance.
+    misnamed : tuple of str
+        Joints whose rates the file calls independent, and that are derived from their readings.
     """
 
     def __init__(self, arm: SerialArm, settings: MonitorSettings | None = None) -> None:
@@ -191,9 +195,10 @@ class SerialMonitor:
             Stage.NAME: self._find_cause,
             Stage.RAISE: self._raise_levels,
             Stage.END: self._end_faults,
+            Stage.RATES: self._judge_rates,
         }
-        # Of another observer: nothing is certified
-        self._certified = np.zeros(self.joints), np.full(self.joints, np.inf), np.zeros(1, bool)
+        self._certify_nothing()
+        self.misnamed: tuple[str, ...] = ()
         self.reset()
 
     def apply_settings(self) -> None:
@@ -213,8 +218,16 @@ class SerialMonitor:
         self._certified = certified
         self._join()
 
+    def _certify_nothing(self) -> None:
+        """Do without another observer."""
+        self._certified = np.zeros(self.joints), np.full(self.joints, np.inf), np.zeros(1, bool)
+
     def reset(self) -> None:
         """Forget samples, estimates and faults."""
+        self._start()
+
+    def _start(self) -> None:
+        """Begin as if no sample had been seen."""
         n, arm, settings = self.joints, self.arm, self.settings
         self.plan = HorizonPlan.of(arm.sample_time, horizon=settings.horizon)
         self.estimator = OffsetEstimator(arm, self.plan)
@@ -231,8 +244,13 @@ class SerialMonitor:
         smallest = settings.smallest_jump * self.scales
         # Before any e was seen, jumps count from twice the smallest one.
         usual = np.maximum(2.0 * noise, 2.0 * smallest / JUMP_SCALE)
+        rates = [joint.sensors.rates for joint in arm.joints]
+        # Joints whose rates the file calls independent, until that is proved, or the contrary.
+        self._unproved = [i for i in range(n) if rates[i] == 'independent']
+        probe = SAMPLES if self._unproved else 0
+        self._probed = 0  # samples
         self.sampler: Sampler = new_sampler(
-            self.estimator.balance.derived, usual, smallest, self._capacity
+            self.estimator.balance.derived, usual, smallest, self._capacity, probe
         )
         self.sensors = [SensorRecord() for _ in range(n)]
         self.rates = [SensorRecord() for _ in range(n)]
@@ -422,7 +440,15 @@ class SerialMonitor:
         state['pushed'] = self._contact.since < math.inf
         alarm = self._has_alarm()
         state['active'] = alarm and not self.settings.latch
-        state['usual'] = state['learns'] and not (self._ends or state['pushed'] or alarm)
+        state['usual'] = self._is_usual
+
+    @property
+    def _is_usual(self) -> bool:
+        """Whether nothing is suspected, followed or known to be wrong."""
+        state = self._state
+        return bool(
+            state['learns'] and not (self._ends or state['pushed'] or self._has_alarm())
+        )
 
     def estimate(self, stamp: int) -> SerialEstimate:
         """What is known after the last sample."""
@@ -1017,7 +1043,37 @@ class SerialMonitor:
                 self.sampler.rate_error[i] = self.sampler.contrast[REPLACED, i] = 0.0
                 self._event(i, record.kind, now, 'cleared', 0.0, 0.0)
                 record.clear()
+        return Stage.RATES
+
+    def _judge_rates(self, now: float) -> Stage:
+        """Whether rates that the file calls independent are derived from their readings."""
+        probe, n = self.sampler.probe, self.joints
+        stamps, derived, unproved = np.round(NANOSECONDS * probe[:, 0]), list[int](), list[int]()
+        for i in self._unproved:
+            found = rate_source(stamps, probe[:, 1 + i], probe[:, 1 + n + i])
+            if found.explained > PROVED:
+                derived.append(i)
+            elif found.source != 'independent':
+                unproved.append(i)
+        if derived and self._is_usual:
+            self._derive_rates(derived, now)
+            return Stage.DONE
+        self._unproved = sorted(derived + unproved)
+        self._probed += len(probe)
+        # As many samples later: what did not show so far may never do.
+        self.sampler.counters[PROBED] = -self._probed if self._unproved else len(probe) + 1
         return Stage.DONE
+
+    def _derive_rates(self, joints: list[int], now: float) -> None:
+        """Rates are derived, whatever the file says: the arm is another one from now on."""
+        changed, last = list(self.arm.joints), self._last_time
+        for i in joints:
+            changed[i] = replace(changed[i], sensors=replace(changed[i].sensors, rates='derived'))
+        self.arm = replace(self.arm, joints=tuple(changed))
+        self.misnamed += tuple(self.arm.joint_names[i] for i in joints)
+        self._certify_nothing()
+        self._start()
+        self._last_time, self._state['now'] = last, now
 
     def _rests(self, i: int) -> bool:
         """Whether the joint of a reading that rests does so, too, as balances say."""

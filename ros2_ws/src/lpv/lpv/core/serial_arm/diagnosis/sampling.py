@@ -46,9 +46,10 @@ CONTRADICTIONS = 3.0
 _REMEMBERED, _PER_LAG = 10.0, 6.0
 """Samples for which differences are remembered, and how many more for each period that rates lag:
 of a rate that turns, a filter's is within what fades by 1/e in e = 2.7 lags; twice that."""
-COUNT, IN_BLOCK, IN_INTERVAL, PENDING, BLOCKS = range(5)
+COUNT, IN_BLOCK, IN_INTERVAL, PENDING, BLOCKS, PROBED = range(6)
 """Entries of `Sampler.counters`: samples since the start, in the block; blocks in the interval;
-sensor-independent age of a jump that waits for its kind, -1 if none; blocks written."""
+sensor-independent age of a jump that waits for its kind, -1 if none; blocks written; samples in the
+probe, or those until one begins, times -1."""
 (
     TIME, INTERVAL_START, BLOCK_START, STAMPS, TIMES, JITTER, SEEN, LATEST, LATE_FROM, LATE_UNTIL,
     IN_DOUBT,
@@ -130,20 +131,21 @@ class Sampler(NamedTuple):
     # are more than the rates around them with the changes of these, and squares of both [rad2/s2]
     published: FloatArray
     contrast: FloatArray  # (8, n) what published rates are compared with, see `LARGEST`
-    counters: IntArray  # (5,)
+    probe: FloatArray  # (P, 2 n + 1) samples in a row as they came: time, readings, rates
+    counters: IntArray  # (6,)
     clock: FloatArray  # moments, shape (11,) [s]
 
 
 def new_sampler(
-    derived: FloatArray, scale: FloatArray, smallest: FloatArray, capacity: int
+    derived: FloatArray, scale: FloatArray, smallest: FloatArray, capacity: int, probe: int
 ) -> Sampler:
-    """A sampler without samples, for ``capacity`` blocks.
+    """A sampler without samples, for ``capacity`` blocks, and a probe of so many samples.
 
     ``derived``, shape (n,), is 1 where a rate is derived from its reading.  ``scale`` is the usual
     size of e to begin with, ``smallest`` the smallest jump, shape (n,) [rad].
     """
     n = len(derived)
-    counters = np.zeros(5, np.int64)
+    counters = np.zeros(6, np.int64)
     counters[PENDING] = -1
     return Sampler(
         np.zeros(HISTORY), np.zeros((HISTORY, 3, n)), np.zeros((HISTORY, n)), scale.copy(),
@@ -155,7 +157,7 @@ def new_sampler(
         np.full(n, np.inf),
         np.zeros((3, n)),
         np.zeros(n, np.int64), np.zeros((HISTORY, n), np.int64), np.zeros(n, np.int64),
-        np.zeros((4, n)), np.zeros((8, n)), counters,
+        np.zeros((4, n)), np.zeros((8, n)), np.zeros((probe, 2 * n + 1)), counters,
         np.zeros(11))  # fmt: skip
 
 
@@ -169,6 +171,8 @@ def push_sample(
     """
     n = y.shape[0]
     period = time - sampler.time[HISTORY - 1]
+    if sampler.counters[PROBED] < sampler.probe.shape[0]:
+        _probe(sampler, time, y, v)
     for k in range(HISTORY - 1):
         sampler.time[k] = sampler.time[k + 1]
         for i in range(n):
@@ -224,6 +228,18 @@ def push_sample(
         own = sampler.contrast[:, i]
         if sampler.found[i] == NONE and own[WRONG] > own[REPLACED] and own[CONTRARY_AT] == time:
             sampler.found[i] = CONTRARY
+
+
+@njit_in_place
+def _probe(sampler: Sampler, time: float, y: FloatArray, v: FloatArray) -> None:
+    """Keep a sample of those that tell whether rates are derived from their readings."""
+    k, n = sampler.counters[PROBED], y.shape[0]
+    if k >= 0:
+        row = sampler.probe[k]
+        row[0] = time
+        for i in range(n):
+            row[1 + i], row[1 + n + i] = y[i], v[i]
+    sampler.counters[PROBED] += 1
 
 
 @njit_in_place
