@@ -7,7 +7,11 @@ import numpy as np
 import pytest
 from fault_injection import BY_NAME, Cell, Injected, cells, derived, draw, inject, outside_bounds
 from fault_injection import subjects as arms
+from serial_arms import shoulder_arm, simulated
 from ur10e_twin import twin
+
+from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv.core.simulation.faults import Fault
 
 pytestmark = pytest.mark.slow
 ONSET, AFTER = 4.0, 4.0  # of the fault, and time that is watched after its end [s]
@@ -158,6 +162,18 @@ def test_given_a_reading_that_stays_frozen_when_its_joint_goes_on_then_it_is_fol
     assert (np.array(last) < 0.1).sum() >= 4
     assert np.mean(trusted) > 0.9
     assert (np.array(trusted) & np.array(wrong)).mean() < 0.02
+
+
+def test_given_a_loop_closed_on_a_frozen_reading_then_its_joint_is_followed_all_the_same():
+    """It accelerates ten times as much as the arm usually does."""
+    arm, wrong = shoulder_arm(), []
+    for seed in range(6):
+        run = simulated(arm, Fault('encoder2', 'stuck', 4.0), duration=5.0, seed=seed)
+        monitor, samples = SerialSensorMonitor('', arm), np.moveaxis(run.samples, 1, 0)
+        answers, truth = monitor.take_many(run.stamps, *samples), run.samples[:, 0] - run.position
+        wrong.append(outside_bounds(answers, run.stamps, truth, (4.0, 5.0)))
+        assert {event.kind for _, event in answers.events} == {'stuck'}
+    assert np.mean(wrong) < 0.15
 
 
 @pytest.mark.parametrize('run', [1008, 1032])

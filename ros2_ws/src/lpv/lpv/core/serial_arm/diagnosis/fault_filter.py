@@ -114,7 +114,9 @@ class FaultFilter:
         """What is kept of the acceleration, and by what its variance and the rate's grow."""
         if self.kind != 'stuck':
             return 1.0, 0.0, STEADY**2 * interval
-        kept = math.exp(-interval / STEADY_FOR)
+        kept, size = math.exp(-interval / STEADY_FOR), abs(float(self.mean[2]))
+        if size > self.acceleration:  # a loop that is closed on the reading drives it away
+            return 1.0, size**2 * (1.0 - kept**2), 0.0
         return kept, self.acceleration**2 * (1.0 - kept**2), 0.0
 
     def columns(
@@ -189,13 +191,7 @@ def begin_frozen(joint: int, course: Course, acceleration: float) -> FaultFilter
     ``acceleration`` is the usual one [rad/s2].
     """
     one = FaultFilter(joint, 'stuck', course.begin, updated=course.end, acceleration=acceleration)
-    past = max(course.end - course.begin, _JUST_NOW)
-    way, rate = course.mean
-    # It went the way that it did, and ends at the rate that it has.
-    one.mean = -np.array([way, rate, 2.0 * (rate * past - way) / past**2])
-    one.mean[2] = min(max(one.mean[2], -acceleration), acceleration)
-    one.covariance[:2, :2] = course.covariance
-    one.covariance[2, 2] = acceleration**2
+    one.mean, one.covariance = -course.mean, course.covariance
     return one
 
 
@@ -271,6 +267,8 @@ def follow(
     # Neighbouring balances share an interval: each counts half.
     variance = 2.0 * np.diag(noise**2 * null.inflation) + known.T @ known
     variance += np.diag(window.extra[at])  # of other faults
+    # In a balance the acceleration is not that of its end: half the change of an interval.
+    variance += 0.25 * one._growth(interval)[1] * np.outer(columns[:, 2], columns[:, 2])
     residual = rows[:, 0] + unknowns @ null.mean
     spread = columns @ one.covariance @ columns.T
     ratio = np.abs(residual) / (ROBUST * np.sqrt(np.diag(spread + variance)))

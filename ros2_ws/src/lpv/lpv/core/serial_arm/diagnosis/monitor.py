@@ -900,9 +900,10 @@ class SerialMonitor:
         if way is None or newest is None:
             return None
         # The newest row has the mean rate of its interval.
-        sigma = math.hypot(newest[1] ** 0.5 / interval, 0.5 * interval * self._acceleration(i))
-        mean, covariance = np.array([way[0], -newest[0] / interval]), np.diag([way[1], sigma]) ** 2
-        return Course(0.0, begin, end, mean, covariance)
+        acceleration = self._acceleration(i)
+        sigma = math.hypot(newest[1] ** 0.5 / interval, 0.5 * interval * acceleration)
+        mean = np.array([way[0], -newest[0] / interval, 0.0])
+        return Course(0.0, begin, end, mean, np.diag([way[1], sigma, acceleration]) ** 2)
 
     def _begin_following(self, one: FaultFilter, share: float) -> None:
         """A fault has been named, with some confidence: it is followed from now on."""

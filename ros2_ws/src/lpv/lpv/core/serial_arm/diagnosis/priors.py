@@ -50,6 +50,9 @@ FAST = 3.0
 """Usual rate of a joint whose limit is higher [rad/s]."""
 LEAST_ACCELERATION = 1.0
 """Usual acceleration of a joint that has hardly been seen to move [rad/s2]."""
+ACCELERATIONS = (1.0, 4.0, 16.0)
+"""Accelerations of a joint whose reading froze that are tried, over the usual one: a loop that is
+closed on the reading drives its joint away."""
 STEADY_FOR = 0.2
 """Time over which a joint's acceleration is correlated [s]."""
 

@@ -13,7 +13,7 @@ from lpv.core.serial_arm.diagnosis.balance import OFFSET, RATE, fill_balances, s
 from lpv.core.serial_arm.diagnosis.drift_trial import free_of_drift
 from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator, Posterior, set_residuals
 from lpv.core.serial_arm.diagnosis.information import ROBUST, factorise, recent, whiten
-from lpv.core.serial_arm.diagnosis.priors import LEAST_ACCELERATION, SLOW_RATE
+from lpv.core.serial_arm.diagnosis.priors import ACCELERATIONS, LEAST_ACCELERATION, SLOW_RATE
 from lpv.core.serial_arm.diagnosis.sampling import block_end
 
 LINEAR = 1.0
@@ -38,8 +38,8 @@ class Course(NamedTuple):
     gain: float  # logarithm of the Bayes factor to a joint that rests, or is held, as it reads
     begin: float  # when it began to move, or its reading froze [s]
     end: float  # of the last balance [s]
-    mean: FloatArray  # way and rate, shape (2,) [rad], [rad/s]
-    covariance: FloatArray  # of these, shape (2, 2)
+    mean: FloatArray  # way, rate and acceleration, shape (3,) [rad], [rad/s], [rad/s2]
+    covariance: FloatArray  # of these, shape (3, 3)
 
 
 def usual_acceleration(blocks: FloatArray, joint: int, joints: int, per_interval: int) -> float:
@@ -111,31 +111,47 @@ def course_of_frozen(
     whiten(known, cross)
     information = every.T @ pulled - cross.T @ cross
     score = -pulled.T @ before.ravel()
-    place = np.arange(1.0, count + 1.0)
-    spread = STILL_RATE if balances else frozen.sigma
-    walk = step**2 * np.minimum(place, place[:, None]) + spread**2
-    # Of information that rounding made negative none is used: the covariance stays positive.
-    root = np.linalg.cholesky(walk)
     if not np.isfinite(information).all():  # a fault that is followed ran away
         return None
-    powers, axes = np.linalg.eigh(root.T @ information[1:, 1:] @ root)
-    powers = 1.0 + np.maximum(powers, 0.0)
-    axes = root @ axes
-    covariance = (axes / powers) @ axes.T
-    pull = score[1:] - information[1:, 0]
-    rates = covariance @ pull
+    spread, pull = STILL_RATE if balances else frozen.sigma, score[1:] - information[1:, 0]
+    tried = [
+        _walk(information[1:, 1:], pull, size * step, spread) for size in ACCELERATIONS
+    ]
+    evidence, rates, covariance = max(tried, key=lambda one: one[0])
     gain = score[0] - 0.5 * information[0, 0]
-    gain += 0.5 * float(pull @ rates - np.log(powers).sum())
+    gain += np.logaddexp.reduce([one[0] for one in tried]) - np.log(len(tried))
     rivals = [resting[:, moved]]
     if not frozen.alive:
         rivals.append(np.hypot(resting, plan.interval * push)[:, moved])
     gain += min(_at_rest(before[:, moved], one, weights[:, moved], null, moved) for one in rivals)
-    sums = np.stack([plan.interval * np.ones(count), np.eye(count)[-1]])
+    # Rates are those of the middles of intervals; the last one changes as it did since the one
+    # before, or since the beginning.
+    bend = np.eye(count)[-1] - np.eye(count)[-2] if count > 1 else np.array([2.0])
+    ends = np.eye(count)[-1] + 0.5 * bend
+    sums = np.stack([plan.interval * np.ones(count), ends, bend / plan.interval])
     change = sums @ rates
     if not abs(change[0]) < LINEAR:
         return None
-    way = np.array([first * since, first]) - change
+    way = np.array([first * since, first, 0.0]) - change
     return Course(float(gain), begin, end, way, sums @ covariance @ sums.T)
+
+
+def _walk(
+    information: FloatArray, pull: FloatArray, step: float, spread: float
+) -> tuple[float, FloatArray, FloatArray]:
+    """Evidence, mean and covariance of rates that walk at random, in steps of a size [rad/s].
+
+    ``spread`` is the standard deviation of the first one [rad/s].
+    """
+    place = np.arange(1.0, len(pull) + 1.0)
+    root = np.linalg.cholesky(step**2 * np.minimum(place, place[:, None]) + spread**2)
+    # Of information that rounding made negative none is used: the covariance stays positive.
+    powers, axes = np.linalg.eigh(root.T @ information @ root)
+    powers = 1.0 + np.maximum(powers, 0.0)
+    axes = root @ axes
+    covariance = (axes / powers) @ axes.T
+    rates = covariance @ pull
+    return 0.5 * float(pull @ rates - np.log(powers).sum()), rates, covariance
 
 
 def _weights(residual: FloatArray, size: FloatArray, inflation: FloatArray) -> FloatArray:
