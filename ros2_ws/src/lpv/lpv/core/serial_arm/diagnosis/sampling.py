@@ -464,7 +464,8 @@ def _set_jumps(sampler: Sampler) -> None:
     for i in range(n):
         rate = 0.0 if sampler.noisy[i] == 1 else _rate_before(sampler, i)
         stamps = sampler.clock[JITTER] * readings_in_jump(sampler, i)
-        sampler.usual[i] = np.sqrt(sampler.scale[i] ** 2 + stamps * rate * rate)
+        more = _noise_of_gaps(sampler, period) if sampler.derived[i] == 1.0 else 1.0
+        sampler.usual[i] = np.sqrt(more * sampler.scale[i] ** 2 + stamps * rate * rate)
         sampler.jumps[k, i] = 0.0
         if not _is_followed_at_rest(sampler, i):
             sampler.jumps[k, i] = _way(sampler, i) - period * _mean_rate(sampler, i)
@@ -501,6 +502,20 @@ def _set_jumps(sampler: Sampler) -> None:
             _doubt_stamps(sampler, LATE * period)
         elif _may_be_stamp(sampler, i, period):
             sampler.doubtful[k, i] = 1
+
+
+@njit_in_place
+def _noise_of_gaps(sampler: Sampler, period: float) -> float:
+    """Variance of e of the last sample but one by the readings' noise, over that at even periods.
+
+    Rates that are differences over short periods are extrapolated over a long one.
+    """
+    k, time = HISTORY - 2, sampler.time
+    before, after = time[k - 1] - time[k - 2], time[k + 1] - time[k]
+    before = before if sampler.counters[COUNT] > 3 else period  # else of before a gap, or none
+    a, b = 0.5 * period / before, 0.5 * period / after
+    whole = (1.0 + a) * (1.0 + a) + (1.0 + b) * (1.0 + b) + a * a + b * b
+    return float(whole / 5.0)  # that of `readings_in_jump`
 
 
 @njit_in_place
