@@ -185,6 +185,34 @@ def test_given_friction_beyond_the_files_when_joints_rest_then_no_encoder_is_bla
     assert [one for one in found if one[0]] == []
 
 
+def stopped(arm, seed, step, moment=10.0, rest=10.0):
+    """An arm that brakes stop within 0.15 s; its drives give nothing, and then their hold."""
+    motion = [np.broadcast_to(one, len(arm.joints)) for one in motion_range(arm, 0.4)]
+    run = simulate(arm, motion, seed, pauses=True, duration=moment + rest + 8.0)
+    time, samples = (run.stamps - run.stamps[0]) * 1e-9, run.samples.copy()
+    begin = int(np.argmax(time >= moment))
+    braked, later = (time - moment).clip(0.0, 0.15)[:, None], time >= moment + rest
+    q, v = samples[begin, :2]
+    after = time >= moment
+    samples[after, 0] = (q + v * braked * (1.0 - braked / 0.3))[after]
+    samples[after, 1] = (v * (1.0 - braked / 0.15))[after]
+    model = SerialModel(wrong_chain(arm, np.random.default_rng([7, seed])))
+    held = model.torque(samples[-1, 0], 0.0 * q, 0.0 * q)
+    samples[after, 2] = np.where(later[after, None], held, 0.0)
+    if step:
+        samples[:, 0] = step * np.round(samples[:, 0] / step)
+    return derived(fault_injection.Stream(run.stamps, samples))
+
+
+@pytest.mark.parametrize('step', [0.0, 2.0 * np.pi / 2**16])
+@pytest.mark.parametrize('seed', [1, 3, 5])
+def test_given_brakes_that_stop_the_arm_when_drives_are_off_then_no_encoder_is_blamed(step, seed):
+    """Readings lose their noise, and efforts do not hold the weight for as long as the horizon."""
+    arm = shoulder_arm()
+    found = alarms(arm, stopped(arm, seed, step))
+    assert [one for one in found if one[0]] == []
+
+
 def as_it_is(stamps, samples, rng):
     return stamps, samples
 

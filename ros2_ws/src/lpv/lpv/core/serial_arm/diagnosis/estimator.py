@@ -80,8 +80,9 @@ PAST_WEIGHT = 0.998
 ONSET = 2
 """Balances at the start of a window in which a cause may come in any way: they are explained by
 free torques, for encoders as for contacts.  A jump is in the two balances that hold it."""
-DISTRUST = 0.02
-"""Factor of the weights of balances while something acts from outside."""
+DISTRUST = 1e-4
+"""Factor of the weights of balances while something acts from outside, which may be a hundred times
+what the model misses."""
 
 
 @dataclass(frozen=True)

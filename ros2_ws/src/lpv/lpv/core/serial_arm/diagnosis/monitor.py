@@ -86,6 +86,10 @@ BoolArray = npt.NDArray[np.bool_]
 
 LONGEST_STEP = 10.0
 """Sample times after which the next sample begins anew."""
+OUTSIDE = (CONTACT, 'torque_offset', 'torque_gain')
+"""Causes that are no sensor's of a position."""
+BRAKED_WITHIN = 0.1
+"""Joints that come to rest together do so within [s]."""
 CONTACT_TIME = 1.0
 """For which torques from outside must be the cause before they are reported [s]: a fault that
 begins shows as free torques first, until its time profile is seen."""
@@ -151,6 +155,7 @@ class SerialEstimate:
 class _Contact:
     """Torques from outside."""
 
+    begin: float = math.inf  # when something began that they explain as well [s]
     since: float = math.inf  # when they began to be the cause [s]
     until: float = -math.inf  # nothing is learned before [s]
 
@@ -265,6 +270,7 @@ class SerialMonitor:
         self.jump, self.jump_variance = np.zeros(n), np.zeros(n)  # of readings, for the caller
         self._correction = np.zeros(n)
         self._suspects: tuple[str, ...] = ()
+        self._suspected = np.zeros(n)  # sizes of the faults among these [rad]
         self._stuck: list[Hypothesis] = []
         self._last_time = -np.inf
         self._memory = new_record(DECISION, sample_time=arm.sample_time)
@@ -478,11 +484,13 @@ class SerialMonitor:
         return self.changing_sigma(), self.jump_doubt()
 
     def jump_doubt(self) -> FloatArray:
-        """What jumps add to standard deviations, shape (n,) [rad].
+        """What is not decided adds to standard deviations, shape (n,) [rad].
 
-        While a jump may have been the end of a fault, or a scale error's, bounds hold that as well.
+        While a jump may have been the end of a fault, or a scale error's, bounds hold that as well,
+        and so they do of a fault that is suspected.
         """
-        doubt, wrong = np.zeros(self.joints), self.settings.probability_of_wrong_name
+        doubt = self._suspected / self.settings.sigmas
+        wrong = self.settings.probability_of_wrong_name
         for i, one in self._ends.items():
             if one.share > wrong:
                 doubt[i] = abs(one.jump) / self.settings.sigmas
@@ -687,11 +695,13 @@ class SerialMonitor:
         if self._state['asked']:
             found = self.bank.compare(self._blocks, stuck)
         seen = self._seen(found)
+        self._suspected[:] = 0.0
         if seen is not None:
             self._blame(seen, 1.0 - math.exp(-seen.gain), now)
         elif self.bank.statistic < self._state['threshold']:
             self._suspects = ()
-            self._contact.since, self._rival = math.inf, -math.inf
+            self._contact.begin = self._contact.since = math.inf
+            self._rival = -math.inf
         else:
             self._name(found, now)
         self._mark_suspects()
@@ -787,16 +797,26 @@ class SerialMonitor:
         named = {one: share for one, share in shares.items() if share > wrong}
         best = {cause: next(one for one in found if one.cause == cause) for cause in named}
         self._suspects = tuple(self._label(one) for one in best.values())
+        for one in best.values():
+            if one.is_encoder:
+                i = one.joint
+                self._suspected[i] = max(self._suspected[i], self._size_now(one, now))
         cause, share = next(iter(shares.items()))
-        self._contact.since = min(self._contact.since, now) if cause[0] == CONTACT else math.inf
-        if not share >= 1.0 - wrong:  # also where no share can be told
-            return
-        one = best[cause]
-        if one.kind == CONTACT:
+        # A torque sensor's fault cannot be told from torques on its joint.
+        begins = (one.begin for one in best.values() if one.kind in OUTSIDE)
+        self._contact.begin = min(self._contact.begin, *begins, math.inf)
+        outside = sum(share for (kind, _), share in shares.items() if kind in OUTSIDE)
+        if outside >= 1.0 - wrong:
+            self._contact.since = min(self._contact.since, now)
             learned = len(self.estimator) * self.plan.interval > NOISE_KNOWN_AFTER
             if learned and now - self._contact.since >= CONTACT_TIME:
                 self._report_contact(now)
-        elif one.change is not None:
+            return
+        self._contact.since = math.inf
+        if not share >= 1.0 - wrong:  # also where no share can be told
+            return
+        one = best[cause]
+        if one.change is not None:
             # A fault would be forgotten with it; what that explains is not found at every decision.
             if one.gain - self._rival > self._sure:
                 self._change_load(one.begin, one.change)
@@ -807,6 +827,14 @@ class SerialMonitor:
                 self._suspects = tuple(dict.fromkeys((*self._suspects, CONTACT)))
         elif one.kind == 'rate_bias':
             self._blame_rate(one, share)
+
+    def _size_now(self, one: Hypothesis, now: float) -> float:
+        """How large the fault of an encoder would be by now [rad]."""
+        if one.kind == 'drift':
+            return abs(one.size) * (now - one.begin)
+        if one.kind == 'scale':
+            return abs(one.size) * float(np.abs(self._blocks(len(self.estimator) + 1)[:, one.joint]).max())
+        return abs(one.size)
 
     def _ended_by_jump(self, one: Hypothesis) -> bool:
         """Whether a fault is one that may have ended with a jump, which is weighed on its own."""
@@ -821,11 +849,15 @@ class SerialMonitor:
         sampler, period, found = self.sampler, self.arm.sample_time, dict[int, Frozen]()
         if max(sampler.still.tolist()) * period <= STILL_TIME:
             return found
-        measured = BEFORE_STOP * period
+        measured, lively = BEFORE_STOP * period, sampler.lively > LIVELY
+        # Brakes stop all joints at once, and silence their readings; sensors do not fail together.
+        apart = np.abs(sampler.still - sampler.still[:, None]) * period
+        np.fill_diagonal(apart, math.inf)
+        lively &= apart.min(axis=1) > BRAKED_WITHIN
         for i in np.flatnonzero(sampler.still * period > STILL_TIME).tolist():
             rounding, rate = float(sampler.grain[i]) / measured, float(sampler.stop[i])
             smallest = max(self._smallest_step(i), sampler.grain[i])
-            alive, speed = bool(sampler.lively[i] > LIVELY), abs(rate) - rounding
+            alive, speed = bool(lively[i]), abs(rate) - rounding
             time = self._last() - float(sampler.still[i]) * period
             if self.sensors[i].kind == 'stuck':  # while its alarm is up, any rest may be a freeze
                 found[i] = Frozen(time, 0.0, USUAL_RATE, alive)
@@ -853,7 +885,8 @@ class SerialMonitor:
             self._event(-1, CONTACT, now, 'raised', 0.0, 0.0)
         self._contact.until = now + CONTACT_PAUSE
         self.healthy = self.guarantee = None  # the load may be another one from now on
-        self.estimator.distrust(round(CONTACT_PAUSE / self.plan.interval))
+        acted = max(now - self._contact.begin, CONTACT_PAUSE)
+        self.estimator.distrust(math.ceil(acted / self.plan.interval))
 
     def _change_load(self, begin: float, change: FloatArray) -> None:
         """The arm has taken a load, or put it down: it is another arm from now on."""
