@@ -20,7 +20,7 @@ from lpv.identify.estimation.identification import STEPS, Identification, Option
 from lpv.identify.estimation.mistakes import find_mistakes
 from lpv.identify.estimation.payload import identify_payload, with_payload
 from lpv.identify.estimation.torque_error import calibrate
-from lpv.identify.recordings.recording import Recording, read_recording
+from lpv.identify.recordings.recording import Recording, continued, read_recording
 from lpv.identify.results.summary import calibration_table, table
 from lpv.identify.sensors.second_encoder import describe, find_second_encoders, with_second_encoders
 
@@ -35,7 +35,7 @@ def run(arguments: argparse.Namespace) -> int:
         columns = load_column_map(bringup_file('columns', arguments.columns))
 
     def read(path: str) -> Recording:
-        return read_recording(path, arm.joint_names, arguments.topic, columns)
+        return continued(arm, read_recording(path, arm.joint_names, arguments.topic, columns))
 
     recordings = [read(path) for path in arguments.recordings]
     if arguments.payload:

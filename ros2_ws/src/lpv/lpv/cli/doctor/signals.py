@@ -12,6 +12,7 @@ from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.sampling import LATE
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.rate_independence import contradicts, rate_source
+from lpv.core.serial_arm.turns import Turns
 from lpv.core.support.errors import SampleError
 from lpv.core.support.limits import SMALL
 from lpv.core.support.timestamps import to_nanoseconds
@@ -165,7 +166,8 @@ def _samples(messages: list[Any], arm: SerialArm) -> tuple[np.ndarray, ...] | No
     except SampleError:
         return None
     stamps, place = np.unique(_stamps(messages), return_index=True)
-    return (stamps, *(np.array([row[i] for row in rows], float)[place] for i in range(3)))
+    position, velocity, effort = (np.array([r[i] for r in rows], float)[place] for i in range(3))
+    return (stamps, *Turns(arm).continued(stamps, position, velocity), effort)
 
 
 def check_units(topic: str, messages: list[Any], arm: SerialArm) -> Finding | None:

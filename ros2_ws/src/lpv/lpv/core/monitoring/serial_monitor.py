@@ -30,6 +30,7 @@ from lpv.core.serial_arm.diagnosis.information import ROBUST
 from lpv.core.serial_arm.diagnosis.monitor import LONGEST_STEP
 from lpv.core.serial_arm.diagnosis.sampling import DELAY, ROUNDED
 from lpv.core.serial_arm.sensor_map import map_rows, mixing
+from lpv.core.serial_arm.turns import Turns
 from lpv.core.support.errors import SampleError
 from lpv.core.support.jit import Entries, njit_in_place
 from lpv.core.support.limits import LARGEST, MAX_GAP
@@ -313,6 +314,7 @@ class SerialSensorMonitor:
     def _begin(self) -> None:
         """Estimates and alarms of a monitor that has just been reset."""
         self._gate = StampGate()
+        self._turns = Turns(self.arm)
         self._blind: bool | None = None  # whether efforts are missing
         self._stamp = NEVER  # of the last usable sample [ns]
         self._reading = np.zeros(self._joints)  # of that sample [rad]
@@ -422,6 +424,7 @@ class SerialSensorMonitor:
     ) -> Answers:
         """Use the measurements of a batch, which has their stamps."""
         stamps, samples, records, _, rows, answers = batch
+        position, velocity = self._turns.continued(stamps, position, velocity)
         samples[:, 0] = map_rows(self._to_sensors, np.asarray(position))
         samples[:, 1] = map_rows(self._to_sensors, np.asarray(velocity))
         samples[:, 2] = effort

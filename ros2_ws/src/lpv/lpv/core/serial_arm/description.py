@@ -185,6 +185,11 @@ class SerialJoint:
         return low, low + 1.0 if math.isinf(high) else high
 
     @property
+    def is_endless(self) -> bool:
+        """Whether the joint turns without end: revolute, without limits."""
+        return not self.is_prismatic and math.isinf(self.limits.upper - self.limits.lower)
+
+    @property
     def scale(self) -> float:
         """What counts as much as 1 rad in thresholds: of a prismatic joint, at most 1 m.
 

@@ -12,8 +12,11 @@ from lpv.bag.rosbag.reading import BagReader, open_bag
 from lpv.bag.run.csv_import import ColumnMap
 from lpv.bag.run.decoder import Columns, Decoder
 from lpv.bag.run.record import CORRECTED
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.turns import Turns
 from lpv.core.support.errors import SampleError
 from lpv.core.support.limits import MOST_SAMPLES, SMALL
+from lpv.core.support.timestamps import NANOSECONDS
 from lpv.identify.errors import IdentificationError
 
 JOINT_STATE, SIGNALS = 'sensor_msgs/msg/JointState', ('position', 'velocity', 'effort')
@@ -123,6 +126,14 @@ def clean(
             warnings.append('rates stand still while positions move, they are not used')
             velocity = None
     return Recording(source, time, position, velocity, effort, tuple(warnings))
+
+
+def continued(arm: SerialArm, one: Recording) -> Recording:
+    """The recording without wraps of joints that turn without end."""
+    stamps = np.round(NANOSECONDS * (one.time - one.time[0])).astype(np.int64)
+    rates = np.full_like(one.position, np.nan) if one.velocity is None else one.velocity
+    position, rates = Turns(arm).continued(stamps, one.position, rates)
+    return replace(one, position=position, velocity=None if one.velocity is None else rates)
 
 
 def _usable(values: np.ndarray) -> np.ndarray:

@@ -13,6 +13,7 @@ from lpv.core.monitoring.parameters import DiagnosisParameters
 from lpv.core.monitoring.serial_monitor import _MISNAMED, SerialSensorMonitor
 from lpv.core.monitoring.stamp_gate import CONFIRMATIONS, JUMP, StampGate
 from lpv.core.serial_arm.chain import compile_chain
+from lpv.core.serial_arm.description import JointLimits
 from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent, Mode, SensorState
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.rate_independence import SAMPLES
@@ -292,3 +293,41 @@ def test_given_rates_of_their_own_when_faults_come_then_the_file_is_believed():
         stamps, samples, _ = simulated(arm, *([fault] if fault else []), duration=2.0)
         monitor, _ = observe(stamps, samples, SerialSensorMonitor('/uio', arm))
         assert 'are derived' not in str(monitor.status(Mode.OBSERVING))
+
+
+def wrapped(arm, joint, rates):
+    """A run that turns a joint over, its wrapped readings and their differences, truth."""
+    stamps, samples, _ = simulated(arm, duration=6.0)
+    way = np.pi - np.quantile(samples[:, 0, joint], 0.6)
+    samples[:, 0, joint] += way  # the joint is mounted so
+    whole = samples.copy()
+    samples[:, 0, joint] = (samples[:, 0, joint] + np.pi) % (2.0 * np.pi) - np.pi
+    if rates == 'differences':
+        samples[1:, 1] = np.diff(samples[:, 0], axis=0) / 2e-3
+        whole[1:, 1] = np.diff(whole[:, 0], axis=0) / 2e-3
+    return stamps, samples, whole
+
+
+@pytest.mark.parametrize('rates', ['differences', 'own'])
+def test_given_a_joint_without_limits_when_its_reading_wraps_then_it_goes_on(rates):
+    """Drivers give positions of such joints within one turn."""
+    arm = shoulder_arm('independent' if rates == 'own' else 'derived')
+    endless = replace(arm.joints[0], limits=JointLimits(velocity=2.5))  # about the vertical
+    arm = replace(arm, joints=(endless, *arm.joints[1:]))
+    stamps, samples, whole = wrapped(arm, 0, rates)
+    samples[1500:1600, 0] = np.nan  # also where readings are missing
+    whole[1500:1600, 0] = np.nan
+    jumps = np.abs(np.diff(samples[:, 0, 0])) > np.pi
+    assert jumps.sum() >= 2
+    _, answers = observe(stamps, samples, SerialSensorMonitor('/uio', arm))
+    _, right = observe(stamps, whole, SerialSensorMonitor('/uio', arm))
+    assert told(answers) == told(right)
+    turns = (answers.state.position - right.state.position)[1:, 0] / (2.0 * np.pi)
+    assert np.allclose(turns, np.round(turns[0]), atol=1e-9)
+    pieces = SerialSensorMonitor('/uio', arm)
+    parts = [observe(stamps[k:][:77], samples[k:][:77], pieces)[1] for k in range(0, 3000, 77)]
+    parts = np.concatenate([one.state.position for one in parts])
+    assert np.array_equal(parts, answers.state.position)
+    limited = replace(arm, joints=(shoulder_arm().joints[0], *arm.joints[1:]))
+    _, answers = observe(stamps, samples, SerialSensorMonitor('/uio', limited))
+    assert any(event.sensor == 'encoder1' for _, event in answers.events)

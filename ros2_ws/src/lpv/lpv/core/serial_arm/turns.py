@@ -1,0 +1,76 @@
+"""Positions of joints that turn without end, which drivers give within one turn.
+
+A reading that leaves its range at one end comes back at the other: no joint has moved by a turn.
+Joints with limits do not wrap; theirs that jump by a turn are faults.
+"""
+
+import math
+
+import numpy as np
+
+from lpv.core.serial_arm.chain import FloatArray, IntArray
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.diagnosis.sampling import LATE
+from lpv.core.support.timestamps import NANOSECONDS
+
+TURN = 2.0 * math.pi
+_NOISE = 0.05
+"""What readings jump by noise and rounding at most [rad]."""
+
+
+class Turns:
+    """Continues the positions of an arm's joints, batch by batch."""
+
+    def __init__(self, arm: SerialArm) -> None:
+        self._endless = np.array([joint.is_endless for joint in arm.joints])
+        self._speed = np.array([joint.limits.velocity for joint in arm.joints])
+        self._period = arm.sample_time
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget positions and turns so far."""
+        self._last = np.full(len(self._endless), math.nan)  # as it came [rad]
+        self._turns = np.zeros(len(self._endless))
+        self._stamp: int | None = None
+
+    def continued(
+        self, stamps: IntArray, position: FloatArray, velocity: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Positions without wraps, and rates that are differences without them.
+
+        Parameters
+        ----------
+        stamps : ndarray of int64, shape (m,)
+            [ns].
+        position, velocity : ndarray, shape (m, n)
+            Of the joints; NaN where missing [rad], [rad/s].
+
+        Returns
+        -------
+        position, velocity : ndarray, shape (m, n)
+            A jump by a turn that the largest rate does not explain is taken out.
+        """
+        if len(stamps) == 0 or not self._endless.any():
+            return position, velocity
+        seen = np.concatenate([self._last[None], position])
+        finite = np.isfinite(seen)
+        if not finite.all():  # the last one that there was
+            place = np.where(finite, np.arange(len(seen))[:, None], 0)
+            seen = np.take_along_axis(seen, np.maximum.accumulate(place, axis=0), axis=0)
+        jump = np.diff(seen, axis=0)
+        first = int(stamps[0]) if self._stamp is None else self._stamp
+        self._last, self._stamp = seen[-1], int(stamps[-1])
+        with np.errstate(invalid='ignore'):
+            wraps = (np.abs(jump) > math.pi) & self._endless
+        if not (wraps.any() or self._turns.any()):
+            return position, velocity
+        time = np.maximum(np.diff(stamps, prepend=first) / NANOSECONDS, self._period)[:, None]
+        whole = np.where(wraps, np.round(np.where(wraps, jump, 0.0) / TURN), 0.0)
+        explained = LATE * self._speed * time + _NOISE
+        whole[~(np.abs(jump - TURN * whole) < explained)] = 0.0
+        turns = self._turns + np.cumsum(whole, axis=0)
+        self._turns = turns[-1]
+        # A rate that is nearer to the jump than to the way is a difference that holds it.
+        way, step = jump - TURN * whole, velocity * time
+        holds = np.abs(step - jump) < np.abs(step - way)
+        return position - TURN * turns, velocity - np.where(holds, TURN * whole / time, 0.0)
