@@ -7,12 +7,7 @@ import pytest
 from places import DATA
 from scipy.signal import butter, lfilter
 
-from lpv.core.serial_arm.rate_independence import (
-    RATE_SOURCES,
-    SAMPLES,
-    contradicts,
-    rate_source,
-)
+from lpv.core.serial_arm.rate_independence import RATE_SOURCES, SAMPLES, contradicts, rate_source
 
 COUNT = 1000
 ENCODERS = [(1e-3, 0), (1e-4, 0), (0.0, 12), (0.0, 17)]

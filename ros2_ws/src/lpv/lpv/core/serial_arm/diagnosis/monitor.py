@@ -452,9 +452,7 @@ class SerialMonitor:
     def _is_usual(self) -> bool:
         """Whether nothing is suspected, followed or known to be wrong."""
         state = self._state
-        return bool(
-            state['learns'] and not (self._ends or state['pushed'] or self._has_alarm())
-        )
+        return bool(state['learns'] and not (self._ends or state['pushed'] or self._has_alarm()))
 
     def estimate(self, stamp: int) -> SerialEstimate:
         """What is known after the last sample."""
@@ -699,7 +697,7 @@ class SerialMonitor:
         if seen is not None:
             self._blame(seen, 1.0 - math.exp(-seen.gain), now)
         elif self.bank.statistic < self._state['threshold']:
-            self._suspects = ()
+            self._suspect_nothing()
             self._contact.begin = self._contact.since = math.inf
             self._rival = -math.inf
         else:
@@ -787,7 +785,7 @@ class SerialMonitor:
                 one for one in found if one.joint not in known and not self._ended_by_jump(one)
             ]
         if not found:
-            self._suspects = ()
+            self._suspect_nothing()
             return
         # The best one comes first.
         rivals = (one.gain for one in found if one.is_encoder)
@@ -830,11 +828,12 @@ class SerialMonitor:
 
     def _size_now(self, one: Hypothesis, now: float) -> float:
         """How large the fault of an encoder would be by now [rad]."""
-        if one.kind == 'drift':
-            return abs(one.size) * (now - one.begin)
-        if one.kind == 'scale':
-            return abs(one.size) * float(np.abs(self._blocks(len(self.estimator) + 1)[:, one.joint]).max())
-        return abs(one.size)
+        grown = {'drift': now - one.begin, 'scale': self._farthest(one.joint)}
+        return abs(one.size) * grown.get(one.kind, 1.0)
+
+    def _farthest(self, i: int) -> float:
+        """Largest distance of a reading from zero over the horizon [rad]."""
+        return float(np.abs(self._blocks(len(self.estimator) + 1)[:, i]).max())
 
     def _ended_by_jump(self, one: Hypothesis) -> bool:
         """Whether a fault is one that may have ended with a jump, which is weighed on its own."""
@@ -894,7 +893,7 @@ class SerialMonitor:
         self.bank.restart_statistic()
         self.healthy = self.guarantee = None  # the load may be any in the file from now on
         self._event(-1, LOAD, begin, 'raised', 0.0, 0.0)
-        self._suspects = ()
+        self._suspect_nothing()
 
     @property
     def in_contact(self) -> bool:
@@ -949,7 +948,7 @@ class SerialMonitor:
         fault, deviation = self.faults()
         name = {'slip': 'bias'}.get(one.kind, one.kind)
         self._raise(i, name, one.begin, float(fault[i]), float(deviation[i]), confidence=share)
-        self._suspects = ()
+        self._suspect_nothing()
 
     def _begin(self, one: Hypothesis, kind: str) -> FaultFilter:
         """Filter of a fault of a kind."""
@@ -1119,7 +1118,7 @@ class SerialMonitor:
         one = self._filters.get(i)
         if one is None or not one.is_scale:
             return float(self.taken_out()[i])
-        return float(one.mean[0] * np.abs(self._blocks(len(self.estimator) + 1)[:, i]).max())
+        return float(one.mean[0]) * self._farthest(i)
 
     def _shows(self, i: int) -> bool:
         """Whether a fault of sensor i would be seen to be over, if it were."""
@@ -1178,6 +1177,11 @@ class SerialMonitor:
         sampler.correction[i] = sampler.followed[i] = sampler.drift[i] = sampler.share[i] = 0.0
         sampler.curve[i] = 0.0
         self._correction[i] = 0.0
+
+    def _suspect_nothing(self) -> None:
+        """What was suspected is known, or over."""
+        self._suspects = ()
+        self._suspected[:] = 0.0
 
     def _mark_suspects(self) -> None:
         """Sensors whose fault may explain a contradiction."""

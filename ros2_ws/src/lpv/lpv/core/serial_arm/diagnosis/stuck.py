@@ -114,10 +114,8 @@ def course_of_frozen(
     if not np.isfinite(information).all():  # a fault that is followed ran away
         return None
     spread, pull = STILL_RATE if balances else frozen.sigma, score[1:] - information[1:, 0]
-    tried = [
-        _walk(information[1:, 1:], pull, size * step, spread) for size in ACCELERATIONS
-    ]
-    evidence, rates, covariance = max(tried, key=lambda one: one[0])
+    tried = [_walk(information[1:, 1:], pull, size * step, spread) for size in ACCELERATIONS]
+    _, rates, covariance = max(tried, key=lambda one: one[0])
     gain = score[0] - 0.5 * information[0, 0]
     gain += np.logaddexp.reduce([one[0] for one in tried]) - np.log(len(tried))
     rivals = [resting[:, moved]]
