@@ -86,7 +86,7 @@ BoolArray = npt.NDArray[np.bool_]
 
 LONGEST_STEP = 10.0
 """Sample times after which the next sample begins anew."""
-OUTSIDE = (CONTACT, 'torque_offset', 'torque_gain')
+OUTSIDE = (CONTACT, 'torque_offset')
 """Causes that are no sensor's of a position."""
 BRAKED_WITHIN = 0.1
 """Joints that come to rest together do so within [s]."""
@@ -800,7 +800,7 @@ class SerialMonitor:
                 i = one.joint
                 self._suspected[i] = max(self._suspected[i], self._size_now(one, now))
         cause, share = next(iter(shares.items()))
-        # A torque sensor's fault cannot be told from torques on its joint.
+        # An offset of a torque sensor cannot be told from a torque on its joint.
         begins = (one.begin for one in best.values() if one.kind in OUTSIDE)
         self._contact.begin = min(self._contact.begin, *begins, math.inf)
         outside = sum(share for (kind, _), share in shares.items() if kind in OUTSIDE)

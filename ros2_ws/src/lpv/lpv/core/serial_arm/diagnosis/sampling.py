@@ -508,14 +508,15 @@ def _set_jumps(sampler: Sampler) -> None:
 def _noise_of_gaps(sampler: Sampler, period: float) -> float:
     """Variance of e of the last sample but one by the readings' noise, over that at even periods.
 
-    Rates that are differences over short periods are extrapolated over a long one.
+    Rates that are differences over short periods are extrapolated over a long one.  Where a period
+    is short, e does not shrink as much: stamps are wrong there.
     """
     k, time = HISTORY - 2, sampler.time
     before, after = time[k - 1] - time[k - 2], time[k + 1] - time[k]
     before = before if sampler.counters[COUNT] > 3 else period  # else of before a gap, or none
     a, b = 0.5 * period / before, 0.5 * period / after
     whole = (1.0 + a) * (1.0 + a) + (1.0 + b) * (1.0 + b) + a * a + b * b
-    return float(whole / 5.0)  # that of `readings_in_jump`
+    return float(max(whole / 5.0, 1.0))  # 5 are those of `readings_in_jump`
 
 
 @njit_in_place
