@@ -115,7 +115,7 @@ class FaultFilter:
         if self.kind != 'stuck':
             return 1.0, 0.0, STEADY**2 * interval
         kept, size = math.exp(-interval / STEADY_FOR), abs(float(self.mean[2]))
-        if size > self.acceleration:  # a loop that is closed on the reading drives it away
+        if size > 2.0 * self.acceleration:  # a loop that is closed on the reading drives it away
             return 1.0, size**2 * (1.0 - kept**2), 0.0
         return kept, self.acceleration**2 * (1.0 - kept**2), 0.0
 

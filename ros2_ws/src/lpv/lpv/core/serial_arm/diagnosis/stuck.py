@@ -115,9 +115,11 @@ def course_of_frozen(
         return None
     spread, pull = STILL_RATE if balances else frozen.sigma, score[1:] - information[1:, 0]
     tried = [_walk(information[1:, 1:], pull, size * step, spread) for size in ACCELERATIONS]
-    _, rates, covariance = max(tried, key=lambda one: one[0])
+    # The larger an acceleration, the rarer.
+    evidence = np.array([one[0] for one in tried]) - np.log(ACCELERATIONS)
+    _, rates, covariance = tried[int(np.argmax(evidence))]
     gain = score[0] - 0.5 * information[0, 0]
-    gain += np.logaddexp.reduce([one[0] for one in tried]) - np.log(len(tried))
+    gain += np.logaddexp.reduce(evidence) - np.log(sum(1.0 / size for size in ACCELERATIONS))
     rivals = [resting[:, moved]]
     if not frozen.alive:
         rivals.append(np.hypot(resting, plan.interval * push)[:, moved])
