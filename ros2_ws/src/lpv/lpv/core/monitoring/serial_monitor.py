@@ -386,7 +386,7 @@ class SerialSensorMonitor:
         one.stamps[0] = stamp
         one.answers.events.clear()
         one.answers.reports.clear()
-        answers = self._take(one, *measured)
+        answers = self._take(one, *measured[:, None])
         if not one.rows.answered[0]:
             return None
         return Answer(

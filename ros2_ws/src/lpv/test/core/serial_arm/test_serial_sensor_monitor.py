@@ -328,6 +328,12 @@ def test_given_a_joint_without_limits_when_its_reading_wraps_then_it_goes_on(rat
     parts = [observe(stamps[k:][:77], samples[k:][:77], pieces)[1] for k in range(0, 3000, 77)]
     parts = np.concatenate([one.state.position for one in parts])
     assert np.array_equal(parts, answers.state.position)
+    single = SerialSensorMonitor('/uio', arm)
+    for k in range(280, 300):  # a wrap among them
+        position, velocity, effort = samples[k]
+        one = message(position=position, velocity=velocity, effort=effort)
+        last = single.take(int(stamps[k]), one)
+    assert abs(last.state['position'][0] - samples[280, 0, 0]) < 0.5
     limited = replace(arm, joints=(shoulder_arm().joints[0], *arm.joints[1:]))
     _, answers = observe(stamps, samples, SerialSensorMonitor('/uio', limited))
     assert any(event.sensor == 'encoder1' for _, event in answers.events)
