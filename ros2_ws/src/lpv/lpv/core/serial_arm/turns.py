@@ -14,6 +14,8 @@ from lpv.core.serial_arm.diagnosis.sampling import LATE
 from lpv.core.support.timestamps import NANOSECONDS
 
 TURN = 2.0 * math.pi
+_FARTHEST = 1e3
+"""Readings beyond are no positions of a joint [rad]."""
 _NOISE = 0.05
 """What readings jump by noise and rounding at most [rad]."""
 
@@ -53,7 +55,8 @@ class Turns:
         if len(stamps) == 0 or not self._endless.any():
             return position, velocity
         seen = np.concatenate([self._last[None], position])
-        finite = np.isfinite(seen)
+        with np.errstate(invalid='ignore'):
+            finite = np.abs(seen) < _FARTHEST
         if not finite.all():  # the last one that there was
             place = np.where(finite, np.arange(len(seen))[:, None], 0)
             seen = np.take_along_axis(seen, np.maximum.accumulate(place, axis=0), axis=0)
@@ -67,7 +70,7 @@ class Turns:
         time = np.maximum(np.diff(stamps, prepend=first) / NANOSECONDS, self._period)[:, None]
         whole = np.where(wraps, np.round(np.where(wraps, jump, 0.0) / TURN), 0.0)
         explained = LATE * self._speed * time + _NOISE
-        whole[~(np.abs(jump - TURN * whole) < explained)] = 0.0
+        whole[~((np.abs(jump - TURN * whole) < explained) & (np.abs(whole) == 1.0))] = 0.0
         turns = self._turns + np.cumsum(whole, axis=0)
         self._turns = turns[-1]
         # A rate that is nearer to the jump than to the way is a difference that holds it.
