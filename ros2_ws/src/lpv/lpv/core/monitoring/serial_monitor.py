@@ -30,7 +30,7 @@ from lpv.core.serial_arm.diagnosis.information import ROBUST
 from lpv.core.serial_arm.diagnosis.monitor import LONGEST_STEP
 from lpv.core.serial_arm.diagnosis.sampling import DELAY, ROUNDED
 from lpv.core.serial_arm.sensor_map import map_rows, mixing
-from lpv.core.serial_arm.turns import Turns
+from lpv.core.serial_arm.turns import FARTHEST, Turns
 from lpv.core.support.errors import SampleError
 from lpv.core.support.jit import Entries, njit_in_place
 from lpv.core.support.limits import LARGEST, MAX_GAP
@@ -43,7 +43,7 @@ METHOD = 'moving horizon'
 _ERROR = int(SensorState.ERROR)
 _REPORT_INTERVAL = NANOSECONDS
 """A diagnostics report is due after each such time of the data [ns], and at every alarm event."""
-_LARGEST = (1e3, 1e4, LARGEST)
+_LARGEST = (FARTHEST, 1e4, LARGEST)
 """Readings, rates and efforts beyond are no values of an arm [rad], [rad/s], [unit]."""
 _WARM_UP = (0.3, 1.0)
 """Motion that makes every compiled function run, without and with those of suspected faults [s]."""

@@ -14,7 +14,7 @@ from lpv.core.serial_arm.diagnosis.sampling import LATE
 from lpv.core.support.timestamps import NANOSECONDS
 
 TURN = 2.0 * math.pi
-_FARTHEST = 1e3
+FARTHEST = 1e3
 """Readings beyond are no positions of a joint [rad]."""
 _NOISE = 0.05
 """What readings jump by noise and rounding at most [rad]."""
@@ -27,10 +27,6 @@ class Turns:
         self._endless = np.array([joint.is_endless for joint in arm.joints])
         self._speed = np.array([joint.limits.velocity for joint in arm.joints])
         self._period = arm.sample_time
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget positions and turns so far."""
         self._last = np.full(len(self._endless), math.nan)  # as it came [rad]
         self._turns = np.zeros(len(self._endless))
         self._stamp: int | None = None
@@ -56,7 +52,7 @@ class Turns:
             return position, velocity
         seen = np.concatenate([self._last[None], position])
         with np.errstate(invalid='ignore'):
-            finite = np.abs(seen) < _FARTHEST
+            finite = np.abs(seen) < FARTHEST
         if not finite.all():  # the last one that there was
             place = np.where(finite, np.arange(len(seen))[:, None], 0)
             seen = np.take_along_axis(seen, np.maximum.accumulate(place, axis=0), axis=0)

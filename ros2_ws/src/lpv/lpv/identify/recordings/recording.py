@@ -39,6 +39,11 @@ class Recording:
     warnings: tuple[str, ...] = ()  # what was wrong and could be mended
 
     @property
+    def stamps(self) -> np.ndarray:
+        """Times since the first sample, shape (n,) [ns]."""
+        return np.round(NANOSECONDS * (self.time - self.time[0])).astype(np.int64)
+
+    @property
     def duration(self) -> float:
         """From the first sample to the last [s]."""
         return float(self.time[-1] - self.time[0])
@@ -130,9 +135,8 @@ def clean(
 
 def continued(arm: SerialArm, one: Recording) -> Recording:
     """The recording without wraps of joints that turn without end."""
-    stamps = np.round(NANOSECONDS * (one.time - one.time[0])).astype(np.int64)
     rates = np.full_like(one.position, np.nan) if one.velocity is None else one.velocity
-    position, rates = Turns(arm).continued(stamps, one.position, rates)
+    position, rates = Turns(arm).continued(one.stamps, one.position, rates)
     return replace(one, position=position, velocity=None if one.velocity is None else rates)
 
 

@@ -78,8 +78,7 @@ def rate_sources(recordings: Sequence[Recording]) -> tuple[list[str], np.ndarray
     n = one.position.shape[1]
     if one.velocity is None:
         return ['none'] * n, np.full(n, np.nan)
-    stamps = np.round(1e9 * (one.time - one.time[0])).astype(np.int64)
-    found = [rate_source(stamps, one.position[:, j], one.velocity[:, j]) for j in range(n)]
+    found = [rate_source(one.stamps, one.position[:, j], one.velocity[:, j]) for j in range(n)]
     sources = ['derived' if f.source == 'undecided' else f.source for f in found]
     return sources, np.array([f.explained for f in found])
 

@@ -190,9 +190,8 @@ def begin_frozen(joint: int, course: Course, acceleration: float) -> FaultFilter
 
     ``acceleration`` is the usual one [rad/s2].
     """
-    one = FaultFilter(joint, 'stuck', course.begin, updated=course.end, acceleration=acceleration)
-    one.mean, one.covariance = -course.mean, course.covariance
-    return one
+    state = -course.mean, course.covariance
+    return FaultFilter(joint, 'stuck', course.begin, *state, course.end, acceleration)
 
 
 def correct_since(

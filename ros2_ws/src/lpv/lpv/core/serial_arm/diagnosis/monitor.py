@@ -87,7 +87,7 @@ BoolArray = npt.NDArray[np.bool_]
 LONGEST_STEP = 10.0
 """Sample times after which the next sample begins anew."""
 OUTSIDE = (CONTACT, 'torque_offset')
-"""Causes that are no sensor's of a position."""
+"""Causes that are torques from outside, as far as can be told."""
 BRAKED_WITHIN = 0.1
 """Joints that come to rest together do so within [s]."""
 CONTACT_TIME = 1.0
@@ -446,13 +446,7 @@ class SerialMonitor:
         state['pushed'] = self._contact.since < math.inf
         alarm = self._has_alarm()
         state['active'] = alarm and not self.settings.latch
-        state['usual'] = self._is_usual
-
-    @property
-    def _is_usual(self) -> bool:
-        """Whether nothing is suspected, followed or known to be wrong."""
-        state = self._state
-        return bool(state['learns'] and not (self._ends or state['pushed'] or self._has_alarm()))
+        state['usual'] = state['learns'] and not (self._ends or state['pushed'] or alarm)
 
     def estimate(self, stamp: int) -> SerialEstimate:
         """What is known after the last sample."""
@@ -1088,7 +1082,7 @@ class SerialMonitor:
                 derived.append(i)
             elif found.source != 'independent':
                 unproved.append(i)
-        if derived and self._is_usual:
+        if derived and self._state['usual']:
             self._derive_rates(derived, now)
             return Stage.DONE
         self._unproved = sorted(derived + unproved)

@@ -464,7 +464,7 @@ def _set_jumps(sampler: Sampler) -> None:
     for i in range(n):
         rate = 0.0 if sampler.noisy[i] == 1 else _rate_before(sampler, i)
         stamps = sampler.clock[JITTER] * readings_in_jump(sampler, i)
-        more = _noise_of_gaps(sampler, period) if sampler.derived[i] == 1.0 else 1.0
+        more = _noise_of_gaps(sampler, i, period) if sampler.derived[i] == 1.0 else 1.0
         sampler.usual[i] = np.sqrt(more * sampler.scale[i] ** 2 + stamps * rate * rate)
         sampler.jumps[k, i] = 0.0
         if not _is_followed_at_rest(sampler, i):
@@ -505,7 +505,7 @@ def _set_jumps(sampler: Sampler) -> None:
 
 
 @njit_in_place
-def _noise_of_gaps(sampler: Sampler, period: float) -> float:
+def _noise_of_gaps(sampler: Sampler, i: int, period: float) -> float:
     """Variance of e of the last sample but one by the readings' noise, over that at even periods.
 
     Rates that are differences over short periods are extrapolated over a long one.  Where a period
@@ -516,7 +516,7 @@ def _noise_of_gaps(sampler: Sampler, period: float) -> float:
     before = before if sampler.counters[COUNT] > 3 else period  # else of before a gap, or none
     a, b = 0.5 * period / before, 0.5 * period / after
     whole = (1.0 + a) * (1.0 + a) + (1.0 + b) * (1.0 + b) + a * a + b * b
-    return float(max(whole / 5.0, 1.0))  # 5 are those of `readings_in_jump`
+    return float(max(whole / readings_in_jump(sampler, i), 1.0))
 
 
 @njit_in_place
