@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from lpv.bag.run.streams import RunRecord
 from lpv.core.serial_arm.diagnosis.alarms import SensorState
 from lpv.report import history
-from lpv.report.history import intervals, starting, tip_positions, true_faults
+from lpv.report.history import spans, starting, tip_positions, true_faults
 from lpv.report.style import (
     BAND,
     HATCHED,
@@ -138,7 +138,7 @@ def timeline(run: 'Run') -> Figure | None:
     for i in range(len(names)):
         shown = np.where(first, SensorState.OK, state[:, i])
         for which, label, look in STATES:
-            if parts := [(p.start, p.end - p.start) for p in intervals(shown == which, time)]:
+            if parts := [(start, end - start) for start, end in spans(shown == which, time)]:
                 axis.broken_barh(parts, (i - _HALF, 2 * _HALF), label=label, **look)
     for fault in true_faults(record) or ():
         height = [fault.sensor_index + _HALF + 0.1] * 2
@@ -238,10 +238,10 @@ def faults(run: 'Run') -> Figure | None:
         _draw(axis, record, ('fault_estimate', 'estimate', i), **_fine(SENSOR[i], 'estimate'))
         mine = [e for e in run.alarms if e.sensor_index == i]
         end = float(record.time[-1])
-        spans = [(e.raised, end if e.cleared is None else e.cleared) for e in mine]
-        shade(axis, spans, 'alarm', color=ALARM, alpha=0.14)
-        lost = intervals(state == SensorState.NOT_DIAGNOSABLE, record.time)
-        shade(axis, [(part.start, part.end) for part in lost], 'not diagnosable', **HATCHED)
+        active = [(e.raised, end if e.cleared is None else e.cleared) for e in mine]
+        shade(axis, active, 'alarm', color=ALARM, alpha=0.14)
+        lost = spans(state == SensorState.NOT_DIAGNOSABLE, record.time)
+        shade(axis, lost, 'not diagnosable', **HATCHED)
         # What is certain sets the scale: a bound that grows without end would hide the rest.
         shown = np.abs(np.concatenate([estimate, (np.abs(estimate) + known)[np.isfinite(known)]]))
         highest = np.nanpercentile(shown, 99.0) if np.isfinite(shown).any() else 1.0

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -33,21 +33,15 @@ _MOST_TIPS = 5000
 """Samples of which the tip is computed."""
 
 
-@dataclass(frozen=True)
-class Interval:
-    """An interval of time of one sensor."""
-
-    sensor_index: int  # column of the sensor
-    start: float  # [s] since the first measurement
-    end: float  # [s]; that of the record if it lasted so long
+Span = tuple[float, float]
+"""Start and end of an interval since the first measurement [s]."""
 
 
-def intervals(mask: np.ndarray, time: np.ndarray, sensor_index: int = 0) -> list[Interval]:
-    """Intervals in which a mask is true; each ends at the first sample outside."""
-    edges = np.diff(np.concatenate([[False], mask, [False]]).astype(int))
-    starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
-    ends = np.minimum(ends, len(time) - 1)
-    return [Interval(sensor_index, float(time[a]), float(time[b])) for a, b in zip(starts, ends)]
+def spans(mask: np.ndarray, time: np.ndarray) -> list[Span]:
+    """Where a mask is true; each span ends at the first sample outside, or with the record."""
+    edges = np.flatnonzero(np.diff(mask, prepend=False, append=False))
+    starts, ends = edges[::2], np.minimum(edges[1::2], len(time) - 1)
+    return list(zip(time[starts].tolist(), time[ends].tolist()))
 
 
 # ------------------------------------------------------------------ alarms
@@ -86,14 +80,26 @@ class Episode:
         return self.true_onset is not None and math.isnan(self.true_onset)
 
 
-def true_faults(record: RunRecord) -> list[Interval] | None:
-    """Intervals in which faults acted; None without ground truth."""
+class FaultSpan(NamedTuple):
+    """Where a fault of one sensor acted."""
+
+    sensor_index: int  # column of the sensor
+    start: float  # [s] since the first measurement
+    end: float  # [s]; that of the record if it lasted so long
+
+
+def true_faults(record: RunRecord) -> list[FaultSpan] | None:
+    """Where faults acted; None without ground truth."""
     truth = record.get('ground_truth', 'fault')
     if truth is None:
         return None
     time = record.seconds(record.stamps['ground_truth'])
     # A dropout is recorded as NaN, which is not zero either.
-    return [part for i, column in enumerate(truth.T) for part in intervals(column != 0.0, time, i)]
+    return [
+        FaultSpan(i, *span)
+        for i, column in enumerate(truth.T)
+        for span in spans(column != 0.0, time)
+    ]
 
 
 def episodes(record: RunRecord) -> list[Episode]:
@@ -116,7 +122,7 @@ def episodes(record: RunRecord) -> list[Episode]:
     return sorted(found, key=lambda e: (e.raised, e.sensor_index))
 
 
-def _start(record: RunRecord, event: RecordedAlarm, faults: list[Interval] | None) -> Episode:
+def _start(record: RunRecord, event: RecordedAlarm, faults: list[FaultSpan] | None) -> Episode:
     raised = record.seconds(event.detected)
     mine = [f.start for f in faults or ()
             if f.sensor_index == event.sensor_index and f.start <= raised <= f.end]  # fmt: skip
@@ -145,7 +151,7 @@ def _with_estimates(record: RunRecord, episode: Episode) -> Episode:
     return replace(episode, size=float(values[-1]), bound=float(bound[rows[-1], i]))
 
 
-def missed_faults(record: RunRecord, found: list[Episode]) -> list[Interval]:
+def missed_faults(record: RunRecord, found: list[Episode]) -> list[FaultSpan]:
     """True faults during which no alarm was raised or active; none without ground truth."""
     return [
         fault for fault in true_faults(record) or []
@@ -183,20 +189,14 @@ def phases(
 ) -> list[Phase]:
     """All such intervals by beginning, as exact as the nodes' ``reports`` where these say it."""
     observer = reports.get('observer', ())
-    unsafe = _while(record, observer, 'a confirmed fault cannot be compensated')
-    confused = _united([*_while(record, observer, INCONSISTENT), *_of_alarms(record)])
     _, time, rates = _rates(record)
-    fast = intervals((np.abs(rates) > np.asarray(arm.velocity_limit)).any(axis=1), time)
-    found = [
-        Phase(what, '', start, end)
-        for what, spans in (
-            (INCONSISTENT, confused),
-            (UNSAFE, unsafe),
-            (NO_COMMAND, _without_commands(record)),
-            (TOO_FAST, [(part.start, part.end) for part in fast]),
-        )
-        for start, end in spans
-    ]
+    of_arm = {
+        INCONSISTENT: _united([*_while(record, observer, INCONSISTENT), *_of_alarms(record)]),
+        UNSAFE: _while(record, observer, 'a confirmed fault cannot be compensated'),
+        NO_COMMAND: _without_commands(record),
+        TOO_FAST: spans((np.abs(rates) > arm.velocity_limit).any(axis=1), time),
+    }
+    found = [Phase(what, '', *span) for what, some in of_arm.items() for span in some]
     found += _safe_stops(record, reports.get('tracking', ()))
     found += _brakes(record, reports.get('drives', ()))
     states = record.get('fault_estimate', 'state')
@@ -204,10 +204,10 @@ def phases(
         stamps = record.stamps['fault_estimate']
         time, begun = record.seconds(stamps), ~starting(record, stamps)
         found += [
-            Phase(what, arm.sensor_names[i], part.start, part.end)
+            Phase(what, sensor, *span)
             for state, what in _STATES.items()
-            for i in range(states.shape[1])
-            for part in intervals((states[:, i] == state) & begun, time)
+            for sensor, column in zip(arm.sensor_names, states.T)
+            for span in spans((column == state) & begun, time)
         ]
     return sorted(found, key=lambda p: (p.start, p.what, p.sensor))
 
@@ -220,20 +220,17 @@ def starting(record: RunRecord, stamps: np.ndarray) -> np.ndarray:
     return np.isin(stamps, record.stamps['state_estimate'][mode == Mode.INITIALISING])
 
 
-def _while(
-    record: RunRecord, reports: Sequence[NodeReport], begin: str
-) -> list[tuple[float, float]]:
+def _while(record: RunRecord, reports: Sequence[NodeReport], begin: str) -> list[Span]:
     """Spans in which a node's reports begin with a text."""
     if not reports:
         return []
     time = record.seconds(np.array([report.stamp for report in reports]))
-    mask = np.array([report.message.startswith(begin) for report in reports])
-    return [(part.start, part.end) for part in intervals(mask, time)]
+    return spans(np.array([report.message.startswith(begin) for report in reports]), time)
 
 
-def _of_alarms(record: RunRecord) -> list[tuple[float, float]]:
+def _of_alarms(record: RunRecord) -> list[Span]:
     """Spans of alarms whose cause is unknown, until they are classified or cleared."""
-    found: list[tuple[float, float]] = []
+    found: list[Span] = []
     begun: dict[int, float] = {}
     for event in record.alarms:
         at = float(record.seconds(event.stamp))
@@ -244,9 +241,9 @@ def _of_alarms(record: RunRecord) -> list[tuple[float, float]]:
     return found + [(at, float(record.time[-1])) for at in begun.values()]
 
 
-def _united(spans: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:
-    united: list[tuple[float, float]] = []
-    for start, end in sorted(spans):
+def _united(parts: Iterable[Span]) -> list[Span]:
+    united: list[Span] = []
+    for start, end in sorted(parts):
         if united and start <= united[-1][1]:
             united[-1] = (united[-1][0], max(united[-1][1], end))
         else:
@@ -281,13 +278,13 @@ def _safe_stops(record: RunRecord, reports: Sequence[NodeReport]) -> list[Phase]
         if r.message.startswith('safe stop: ')
     ]
     found = []
-    for part in intervals(stopped.astype(bool), record.seconds(record.stamps['torque_command'])):
-        reasons = dict.fromkeys(text for at, text in told if part.start <= at <= part.end)
-        found.append(Phase(SAFE_STOP, '', part.start, part.end, '; '.join(reasons)))
+    for start, end in spans(stopped != 0, record.seconds(record.stamps['torque_command'])):
+        reasons = dict.fromkeys(text for at, text in told if start <= at <= end)
+        found.append(Phase(SAFE_STOP, '', start, end, '; '.join(reasons)))
     return found
 
 
-def _without_commands(record: RunRecord) -> list[tuple[float, float]]:
+def _without_commands(record: RunRecord) -> list[Span]:
     stamps = record.stamps.get('torque_command')
     if stamps is None:
         return []

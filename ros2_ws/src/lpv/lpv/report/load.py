@@ -15,7 +15,7 @@ from lpv.core.support.errors import LpvError
 from lpv.report.certificate import Certificate, beside_bag, examine
 from lpv.report.history import (
     Episode,
-    Interval,
+    FaultSpan,
     Motion,
     Phase,
     episodes,
@@ -35,7 +35,7 @@ class Run:
     title: str  # heading of its page
     certificate: Certificate  # of the gains
     alarms: list[Episode]
-    missed: list[Interval]  # true faults without an alarm
+    missed: list[FaultSpan]  # true faults without an alarm
     phases: list[Phase]  # intervals without an answer, stops, speeds above the limits
     motion: Motion  # extremes
     table: list[Row]  # of `make_table`
