@@ -9,6 +9,7 @@ P^-1 bounds the covariance of the error; its trace is minimised.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -16,7 +17,7 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 
-from lpv.core.uio.certificate.error_system import LinkError, Noise, link_errors
+from lpv.core.uio.certificate.error_system import LinkError, link_errors
 from lpv.core.uio.certificate.lmi import covariance, disc
 from lpv.core.uio.certificate.noise import stated_acceleration_noise
 from lpv.core.uio.model.arm import ArmParameters
@@ -42,7 +43,7 @@ class ExactRequirement:
 
 
 class LinkProblem:
-    """The inequalities of one link in `_Units`, compiled once; slopes and noise are parameters.
+    """The inequalities of one link, compiled once; slopes and noise are parameters.
 
     Parameters
     ----------
@@ -73,62 +74,45 @@ class LinkProblem:
         constraints.append(cp.bmat([[w, weight], [weight, self._p]]) >> 0)
         self._problem = cp.Problem(cp.Minimize(cp.trace(w)), constraints)
 
-    def solve(self, link: LinkError, noises: list[Noise], units: '_Units') -> tuple[Any, ...]:
-        """Gains of one link."""
-        rate, size = units.rate, units.size
-        for parameter, slope in zip(self._slopes, link.slopes):
-            parameter.value = slope / link.inertia / rate**2
-        for (direct, measured), noise in zip(self._noises, noises):
-            direct.value = units.direct(noise) / size
-            measured.value = units.measured(noise) / size
+    def solve(
+        self, slopes: Sequence[float], noises: Sequence[tuple[np.ndarray, np.ndarray]]
+    ) -> tuple[Any, ...]:
+        """Injection -L and P, None without a solution, and the solver's word."""
+        for parameter, slope in zip(self._slopes, slopes):
+            parameter.value = slope
+        for (direct, measured), values in zip(self._noises, noises):
+            direct.value, measured.value = values
         status = run(self._problem)
         if self._p.value is None or self._y.value is None:
-            return None, None, None, status
-        gain = -np.linalg.solve(self._p.value, self._y.value)[:, 0]
-        scale = np.diag([1.0, 1.0 / rate]) * link.unit / size
-        # The second state is m/Xi_ii.
-        return (
-            float(gain[0] / link.inertia),
-            float(gain[1] * rate),
-            scale @ self._p.value @ scale,
-            status,
-        )
-
-
-@dataclass(frozen=True)
-class _Units:
-    """Units of time and angle in which every link's problem has numbers around one."""
-
-    rate: float  # inverse of the unit of time [1/s]
-    size: float  # unit of angles [rad]
-
-    @classmethod
-    def of(cls, link: LinkError, noises: list[Noise]) -> '_Units':
-        units = cls(math.sqrt(link.slopes[1] / link.inertia), 1.0)
-        inputs = [np.vstack([units.direct(n), units.measured(n)]) for n in noises]
-        return cls(units.rate, float(max(np.linalg.norm(one, axis=1).max() for one in inputs)))
-
-    def direct(self, noise: Noise) -> np.ndarray:
-        return noise.direct / np.array([[1.0], [self.rate]]) / math.sqrt(self.rate)
-
-    def measured(self, noise: Noise) -> np.ndarray:
-        return noise.measured / math.sqrt(self.rate)
+            return None, None, status
+        return -np.linalg.solve(self._p.value, self._y.value)[:, 0], self._p.value, status
 
 
 _compiled = lru_cache(maxsize=16)(LinkProblem)
 
 
 def solve_link(link: LinkError, requirement: ExactRequirement) -> tuple[Any, ...]:
-    """Gains of one link."""
+    """Gains of one link, found in units of time, 1/rate, and angle with numbers around one."""
+    rate = math.sqrt(link.slopes[1] / link.inertia)
+    root, time = math.sqrt(rate), np.array([[1.0], [rate]])
     noises = link.noises(requirement.acceleration_noise, requirement.rate_noise)
-    units = _Units.of(link, noises)
+    inputs = [(noise.direct / time / root, noise.measured / root) for noise in noises]
+    size = max(float(np.linalg.norm(part, axis=1).max()) for pair in inputs for part in pair)
     problem = _compiled(
-        noises[0].direct.shape[1],
-        requirement.decay / units.rate,
-        requirement.fastest / units.rate,
-        requirement.velocity_weight * units.rate,
+        inputs[0][0].shape[1],
+        requirement.decay / rate,
+        requirement.fastest / rate,
+        requirement.velocity_weight * rate,
     )
-    return problem.solve(link, noises, units)
+    gain, p, status = problem.solve(
+        [slope / link.inertia / rate**2 for slope in link.slopes],
+        [(direct / size, measured / size) for direct, measured in inputs],
+    )
+    if p is None:
+        return None, None, None, status
+    scale = np.diag([1.0, 1.0 / rate]) * link.unit / size
+    # The second state is m/Xi_ii.
+    return float(gain[0] / link.inertia), float(gain[1] * rate), scale @ p @ scale, status
 
 
 def torque_gains(arm: ArmParameters) -> list[float]:

@@ -40,7 +40,7 @@ from lpv.core.serial_arm.certificate.model_bounds import (
 )
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.errors import ConfigError
-from lpv.core.support.inequalities import Check, largest_eigenvalue
+from lpv.core.support.inequalities import largest_eigenvalue
 from lpv_design.solve import InfeasibleError, check_lines, solve
 
 _SLACKS = (1.005, 1.01, 1.02, 1.05)
@@ -68,10 +68,9 @@ class LoopRequest:
 
 @dataclass(frozen=True)
 class LoopDesign:
-    """A certificate, its checks, and what the designer should read."""
+    """A certificate that was checked, and what the designer should read."""
 
     gains: LoopGains
-    checks: list[Check]
     lines: list[str]
 
 
@@ -110,7 +109,7 @@ def certify_loop(arm: SerialArm, request: LoopRequest) -> LoopDesign:
         if not check.holds:
             raise InfeasibleError(f'{check.name}: {check.margin:.3g} is not negative')
     lines = [*check_lines(checks), *region_lines(arm, gains), *_limit_lines(arm, gains, largest)]
-    return LoopDesign(gains, checks, lines)
+    return LoopDesign(gains, lines)
 
 
 def _check_request(arm: SerialArm, request: LoopRequest) -> None:
@@ -226,12 +225,6 @@ def _proof(
     return LoopProof(decay * bandwidth, np.array(p.value), np.array(multipliers.value))
 
 
-def _sampled_proof(numbers: LoopNumbers, decay: float, bandwidth: float) -> LoopProof | None:
-    if 2.0 * numbers.step * numbers.growth >= 1.0:
-        return None
-    return _proof(sampled_matrix, 4, numbers, decay, bandwidth)
-
-
 def _largest(works: Callable[[float], bool], top: float, accuracy: float) -> float:
     """Largest number up to ``top`` that works, by bisection; 0 if none does."""
     if works(top):
@@ -249,7 +242,9 @@ def largest_share(arm: SerialArm, gains: LoopGains) -> float:
     def works(share: float) -> bool:
         numbers = loop_numbers(arm, gains, share)
         motion = _proof(motion_matrix, 3, numbers, 0.0, gains.bandwidth)
-        return motion is not None and _sampled_proof(numbers, 0.0, gains.bandwidth) is not None
+        if motion is None or 2.0 * numbers.step * numbers.growth >= 1.0:
+            return False
+        return _proof(sampled_matrix, 4, numbers, 0.0, gains.bandwidth) is not None
 
     return _largest(works, 1.0, 0.005)
 
