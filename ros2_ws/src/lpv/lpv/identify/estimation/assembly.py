@@ -12,8 +12,9 @@ from lpv.core.serial_arm.description import (
     SerialArm,
 )
 from lpv.identify.estimation.regression import Fit
+from lpv.identify.estimation.robust import roots
 from lpv.identify.model.base_parameters import BaseParameters
-from lpv.identify.model.consistency import Quadratic, nearest_consistent
+from lpv.identify.model.consistency import nearest_consistent
 from lpv.identify.model.friction import TERMS
 from lpv.identify.model.prior import LOAD_WIDTH, structural_prior
 from lpv.identify.model.rigid_body import STANDARD
@@ -57,8 +58,10 @@ def consistent_parameters(
     # Friction may fall with speed, but drives at none up to the limit.
     limits = np.array([joint.limits.velocity for joint in arm.joints])
     passive[_columns('viscous', n), _columns('coulomb', n)] = -1.0 / limits
-    data = Quadratic(parameter_map(base, n) @ passive, fit.normal / strength, fit.right / strength)
-    return passive @ nearest_consistent(data, mean, sigma, n, (lower, upper))
+    root, inverse = roots(fit.normal / strength)
+    root = root @ parameter_map(base, n) @ passive
+    target = inverse @ fit.right / strength
+    return passive @ nearest_consistent(root, target, mean, sigma, n, (lower, upper))
 
 
 def with_parameters(arm: SerialArm, values: np.ndarray, slope: np.ndarray) -> SerialArm:

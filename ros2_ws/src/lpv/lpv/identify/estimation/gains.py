@@ -51,17 +51,20 @@ def estimate_gains(rows: Sequence[Rows], filters: Filters, prior: Prior) -> np.n
     return gains
 
 
+def _link_torques(rows: Sequence[Rows], parameters: np.ndarray) -> np.ndarray:
+    """Torques of the links, shape (samples, n) [N m]."""
+    size = rows[0].base.shape[2]
+    return np.concatenate([(one.base @ parameters[:size])[one.part] for one in rows])
+
+
 def _sizes(rows: Sequence[Rows], parameters: np.ndarray) -> np.ndarray:
     """RMS of the links' torques of each joint, shape (n,) [N m]."""
-    size = rows[0].base.shape[2]
-    torque = np.concatenate([(one.base @ parameters[:size])[one.part] for one in rows])
-    return np.sqrt(np.mean(torque**2, axis=0))
+    return np.sqrt(np.mean(_link_torques(rows, parameters) ** 2, axis=0))
 
 
 def _start(rows: Sequence[Rows], prior: Prior) -> tuple[np.ndarray, np.ndarray]:
     """Gains with which the prior's torques fit the efforts, and whether those torques show."""
-    size = rows[0].base.shape[2]
-    model = np.concatenate([(one.base @ prior.mean[:size])[one.part] for one in rows])
+    model = _link_torques(rows, prior.mean)
     effort = np.concatenate([one.effort[one.part] for one in rows])
     rates = np.concatenate([one.velocity[one.part] for one in rows])
     for j in range(effort.shape[1]):  # what is left beside friction

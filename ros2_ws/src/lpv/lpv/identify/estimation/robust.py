@@ -43,13 +43,19 @@ def normal_equations(
     return matrix, right
 
 
-def invert_normal(matrix: np.ndarray) -> np.ndarray:
-    """Inverse of a normal matrix; directions that the rows do not show are left out."""
+def roots(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """R, W with R^T R a normal matrix, W^T W its inverse, without directions that no row shows."""
     size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     values, vectors = np.linalg.eigh(matrix / np.outer(size, size))
     kept = values > 1e-11 * values[-1]
-    inverse = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
-    return inverse / np.outer(size, size)
+    length, turn = np.sqrt(values[kept])[:, None], vectors[:, kept].T
+    return length * turn * size, turn / length / size
+
+
+def invert_normal(matrix: np.ndarray) -> np.ndarray:
+    """Inverse of a normal matrix; directions that the rows do not show are left out."""
+    _, root = roots(matrix)
+    return root.T @ root
 
 
 def robust_fit(

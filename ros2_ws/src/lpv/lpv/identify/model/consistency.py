@@ -1,7 +1,5 @@
 """Physically consistent parameters by a semidefinite programme."""
 
-from dataclasses import dataclass
-
 import clarabel
 import numpy as np
 from scipy import sparse
@@ -12,34 +10,17 @@ from lpv.identify.errors import IdentificationError
 _MARGIN = 1e-7  # smallest eigenvalue of a pseudo-inertia: ten times the tolerance of the solver
 
 
-@dataclass(frozen=True)
-class Quadratic:
-    """Cost (A x - b)^T W (A x - b) of parameters x."""
-
-    map: np.ndarray  # A
-    weight: np.ndarray  # W, symmetric, positive semidefinite
-    right: np.ndarray  # W b
-
-    def root(self) -> tuple[np.ndarray, np.ndarray]:
-        """R A and R b with R^T R = W; directions of no weight are left out."""
-        size = np.sqrt(np.maximum(np.diag(self.weight), 1e-300))
-        values, vectors = np.linalg.eigh(self.weight / np.outer(size, size))
-        kept = values > 1e-11 * values[-1]
-        root = np.sqrt(values[kept])[:, None] * vectors[:, kept].T
-        target = (vectors[:, kept].T @ (self.right / size)) / np.sqrt(values[kept])
-        return (root * size) @ self.map, target
-
-
 def nearest_consistent(
-    data: Quadratic,
+    root: np.ndarray,
+    target: np.ndarray,
     mean: np.ndarray,
     sigma: np.ndarray,
     joints: int,
     bounds: tuple[np.ndarray, np.ndarray],
 ) -> np.ndarray:
-    """Parameters of least cost of bodies of positive mass; IdentificationError without."""
+    """Parameters x of bodies of positive mass whose root @ x is nearest to a target, with a prior;
+    IdentificationError without."""
     # Each link's pseudo-inertia is positive semidefinite (Wensing, Kim, Slotine 2018, equation 12).
-    root, target = data.root()
     size = max(1.0, float(np.linalg.norm(root * sigma)))  # solvers like costs of moderate size
     rows, count = root.shape[0], len(mean)
     # Variables are x in units of the prior, and the residuals of the data.

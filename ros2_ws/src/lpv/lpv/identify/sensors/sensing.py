@@ -7,6 +7,7 @@ import numpy as np
 
 from lpv.core.serial_arm.description import JointSensors, SerialArm
 from lpv.core.serial_arm.rate_independence import rate_source
+from lpv.identify.estimation.robust import robust_scale
 from lpv.identify.recordings.motion import Segment
 from lpv.identify.recordings.recording import Recording
 
@@ -87,10 +88,8 @@ def noise_deviation(signals: Sequence[np.ndarray]) -> np.ndarray:
     """Deviation of white noise by third differences of each column, shape (n,)."""
     changes = np.concatenate([np.diff(s, _ORDER, axis=0) for s in signals])
     # A quantized signal at rest does not change; the median would be 0 there.
-    robust = np.median(np.abs(changes), axis=0) / 0.6745
-    spread = np.sqrt(
-        np.mean(np.clip(changes, *np.quantile(changes, (0.02, 0.98), axis=0)) ** 2, axis=0)
-    )
+    robust, usual = robust_scale(changes), np.quantile(changes, (0.02, 0.98), axis=0)
+    spread = np.sqrt(np.mean(np.clip(changes, *usual) ** 2, axis=0))
     return np.where(robust > 0.0, robust, spread) / _GAIN
 
 
