@@ -40,25 +40,11 @@ class Guarantee:
 
 
 def guarantee(arm: ArmParameters, gains: Gains, points: int = POINTS) -> Guarantee:
-    """The bound that the diagnosis uses, over the region, at so many angles of each link."""
+    """The bound of the diagnosis' usual tuning over the region, at so many angles of each link."""
     limit = float(np.arccos(min(arm.cos_min)))
     deviation = np.linspace(-limit, limit, points)
-    grid = np.stack(np.meshgrid(deviation, deviation, indexing='ij'), axis=-1)
-    return Guarantee(deviation, *at_rest(arm, gains, vertical(arm) + grid))
-
-
-def vertical(arm: ArmParameters) -> float:
-    """Absolute angle of a link in the middle of the region [rad]: upright 0, hanging pi."""
-    return 0.0 if arm.sign > 0 else np.pi
-
-
-def at_rest(arm: ArmParameters, gains: Gains, theta: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Bound and threshold of each sensor at rest, with the diagnosis' usual tuning.
-
-    Absolute angles have shape (..., 2) [rad], and so have the results [rad]; they are infinite
-    where gravity cannot bound the error.
-    """
-    tuning, theta = DiagnosisParameters(), np.asarray(theta, float)
+    theta = deviation + (0.0 if arm.sign > 0 else np.pi)  # upright, hanging: absolute angles
+    tuning = DiagnosisParameters()
     constants = error_bound(arm, gains, tuning.sigmas)
-    bound = np.reshape([static_bound(constants, one) for one in theta.reshape(-1, 2)], theta.shape)
-    return bound, np.maximum(bound, tuning.minimum_threshold)
+    bound = np.array([[static_bound(constants, np.array([a, b])) for b in theta] for a in theta])
+    return Guarantee(deviation, bound, np.maximum(bound, tuning.minimum_threshold))
