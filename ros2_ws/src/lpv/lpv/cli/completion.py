@@ -53,9 +53,9 @@ def _shipped(kind: str) -> Callable[..., Any]:
 
 def _shipped_names(kind: str) -> list[str]:
     if kind == 'requirements':
-        from lpv_design.requirement import SHIPPED
+        from lpv_design.requirement import shipped_requirements
 
-        return sorted(path.stem for path in SHIPPED.glob('*.yaml'))
+        return shipped_requirements()
     try:
         return list(shipped_files(kind))
     except LpvError:  # not installed

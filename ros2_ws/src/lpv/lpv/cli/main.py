@@ -7,7 +7,7 @@ from contextlib import nullcontext
 
 from lpv.cli.completion import complete, complete_by_name
 from lpv.cli.needs import Version, remedy
-from lpv.cli.options import COMMANDS
+from lpv.cli.options import COMMANDS, module_of
 from lpv.cli.progress import announced
 from lpv.core.support.errors import LpvError
 from lpv.core.support.options import declare
@@ -50,7 +50,7 @@ def main(argv: list[str] | None = None) -> int:
                 from lpv.core.serial_arm.arm_file import load_arm
 
                 load_arm(bringup_file('arms', arguments.arm))
-            module = importlib.import_module(COMMANDS[arguments.command].module)
+            module = importlib.import_module(module_of(arguments.command))
             code: int = module.run(arguments)
             return code
     except ModuleNotFoundError as error:

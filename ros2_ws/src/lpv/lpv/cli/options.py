@@ -6,7 +6,6 @@ from typing import NamedTuple
 class Command(NamedTuple):
     """One command."""
 
-    module: str  # its ``run`` takes the arguments and returns the exit code
     help: str
     options: str  # for `lpv.core.support.options.declare`
     epilog: str = ''
@@ -61,13 +60,11 @@ _PRESETS = '{zstd_fast,zstd_small,none}'
 
 COMMANDS = {
     'design': Command(
-        'lpv_design.main',
         'design certified gains for an arm',
         '--map MAP.png  picture to write: smallest fault that is always detected, over the region'
         + DESIGN,
     ),
     'verify': Command(
-        'lpv.cli.commands.verify',
         'check the certificate of a gains file',
         """
 gains      gains file as written by lpv design
@@ -77,7 +74,6 @@ gains      gains file as written by lpv design
 """,
     ),
     'falsify': Command(
-        'lpv.cli.commands.falsify',
         'search for healthy runs that cross a threshold',
         """
 --arm ARM!              arm file, or name of a shipped arm
@@ -90,7 +86,6 @@ gains      gains file as written by lpv design
 """,
     ),
     'demo': Command(
-        'lpv.cli.commands.demo',
         'design, simulate with the real graph, record, report',
         """
 --arm=paper            shipped arm or arm file
@@ -105,7 +100,6 @@ gains      gains file as written by lpv design
 """,
     ),
     'doctor': Command(
-        'lpv.cli.doctor',
         'find the usual mistakes in files, environment and graph',
         """
 --arm ARM            arm file, or name of a shipped arm; without, that of the running observer
@@ -117,7 +111,6 @@ gains      gains file as written by lpv design
 """,
     ),
     'campaign': Command(
-        'lpv.cli.commands.campaign',
         'run thousands of simulations, and report on them',
         """
 spec          campaign file (YAML) or name of a shipped one; or a folder of results: its report is
@@ -129,7 +122,6 @@ spec          campaign file (YAML) or name of a shipped one; or a folder of resu
         + _EXECUTION,
     ),
     'fleet': Command(
-        'lpv.cli.commands.fleet',
         'replay an archive of bags, and report on all of them',
         """
 archive DIR  every rosbag2 bag below this folder is replayed; code 3 says that one could not be read
@@ -139,7 +131,6 @@ archive DIR  every rosbag2 bag below this folder is replayed; code 3 says that o
         + _OBSERVER,
     ),
     'tune': Command(
-        'lpv.cli.commands.tune',
         'search the weights of a design by campaigns of runs',
         """
 campaign        campaign of an arm with designed gains, file or shipped name; its first design is
@@ -155,7 +146,6 @@ campaign        campaign of an arm with designed gains, file or shipped name; it
         + _EXECUTION,
     ),
     'run': Command(
-        'lpv.cli.commands.run',
         'start a node, as ros2 run does',
         """
 package  ROS package (lpv_arm_sim, lpv_uio, lpv_tracker, lpv_node)
@@ -164,7 +154,6 @@ rest...  passed on: --ros-args -p name:=value -r from:=to --params-file FILE
 """,
     ),
     'identify': Command(
-        'lpv.cli.commands.identify',
         'identify an arm from recordings of its motion',
         """
 recordings BAG|CSV+    recordings of the moving arm: rosbag2 folder, .mcap, .db3 or .csv
@@ -194,7 +183,6 @@ recordings BAG|CSV+    recordings of the moving arm: rosbag2 folder, .mcap, .db3
         + _JOINTS,
     ),
     'excite': Command(
-        'lpv.cli.commands.excite',
         'plan a motion that identifies an arm well',
         """
 --out FOLDER!       folder to create: trajectory.csv, trajectory.yaml, reference bag, scenario.yaml
@@ -213,7 +201,6 @@ recordings BAG|CSV+    recordings of the moving arm: rosbag2 folder, .mcap, .db3
         + _JOINTS,
     ),
     'import-csv': Command(
-        'lpv.cli.commands.import_csv',
         'turn a CSV recording of an arm into a bag',
         """
 csv                    file with a header line and one sample a line
@@ -224,7 +211,6 @@ csv                    file with a header line and one sample a line
 """,
     ),
     'replay': Command(
-        'lpv.cli.commands.replay',
         'run observer and diagnosis offline on a bag',
         f"""
 bag                rosbag2 directory, MCAP or sqlite3 file
@@ -246,7 +232,6 @@ bag                rosbag2 directory, MCAP or sqlite3 file
         + _OBSERVER,
     ),
     'view': Command(
-        'lpv.cli.commands.view',
         'show the running graph: web page, Foxglove, markers',
         """
 --arm=paper           shipped arm or arm file
@@ -260,7 +245,6 @@ bag                rosbag2 directory, MCAP or sqlite3 file
 """,
     ),
     'init': Command(
-        'lpv.cli.commands.init',
         'write commented files of an arm to start from',
         """
 folder?      where the files are written (this folder)
@@ -270,7 +254,6 @@ folder?      where the files are written (this folder)
         + _JOINTS,
     ),
     'urdf': Command(
-        'lpv.cli.commands.urdf',
         'print the URDF of an arm',
         """
 --arm=paper  shipped arm or arm file
@@ -278,7 +261,6 @@ folder?      where the files are written (this folder)
 """,
     ),
     'recover': Command(
-        'lpv.cli.commands.recover',
         'repair a bag that is cut off or damaged',
         f"""
 bag        rosbag2 directory with MCAP files, or one MCAP file
@@ -289,7 +271,6 @@ bag        rosbag2 directory with MCAP files, or one MCAP file
         '2 wrong arguments. BAG itself is never changed.',
     ),
     'compare': Command(
-        'lpv.cli.commands.compare',
         'compare the answers in two bags of one recording',
         """
 bag              first bag: recorded, or a result of lpv replay
@@ -308,7 +289,6 @@ other            second bag, of the same measurements; what one bag does not hol
 """,
     ),
     'report': Command(
-        'lpv.cli.commands.report',
         'write the report of a bag',
         """
 bag                  rosbag2 directory or MCAP file
@@ -320,3 +300,9 @@ bag                  rosbag2 directory or MCAP file
 """,
     ),
 }
+_ELSEWHERE = {'design': 'lpv_design.main', 'doctor': 'lpv.cli.doctor'}
+
+
+def module_of(command: str) -> str:
+    """Module whose ``run`` takes the arguments of a command and returns the exit code."""
+    return _ELSEWHERE.get(command, f'lpv.cli.commands.{command.replace("-", "_")}')

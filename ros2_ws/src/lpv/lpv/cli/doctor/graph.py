@@ -20,10 +20,10 @@ _DEAD = 'a node that was killed is in the graph for some 20 s more'
 
 def check_graph(shot: Snapshot, arm: SerialArm | None = None, alone: bool = True) -> list[Finding]:
     """Run all checks of a graph."""
-    if not shot.ours() and not shot.measured:
-        return [check_anybody(shot, alone)]
-    arm = arm or running_arm(shot)
     found = [check_anybody(shot, alone)]
+    if not shot.ours() and not shot.measured:
+        return found
+    arm = arm or running_arm(shot)
     for check, name, text in (
         (_states, 'lifecycle', f'{len(shot.states)} nodes are active'),
         (_names, 'names', 'no name is used twice'),
