@@ -64,8 +64,7 @@ def write_run_bag(plan: RunPlan, run: Run, out: str | Path) -> None:
 
 def write_run_files(plan: RunPlan, folder: str | Path) -> None:
     """Write the files with which the graph repeats a run."""
-    names = ('arm', 'scenario', 'parameters')
-    arm, scenario, parameters = (Path(folder) / f'{name}.yaml' for name in names)
+    folder = Path(folder)
     own = {
         'lockstep': True,
         'diagnosis': asdict(plan.parameters),
@@ -73,12 +72,14 @@ def write_run_files(plan: RunPlan, folder: str | Path) -> None:
         'substeps': plan.substeps,
     }
     content = {**plan.files, 'parameters': {'/**': {'ros__parameters': own}}}
-    for name, path in zip(names, (arm, scenario, parameters)):
-        path.write_text(yaml.safe_dump(content[name], sort_keys=False), encoding='utf-8')
+    for name, data in content.items():
+        text = yaml.safe_dump(data, sort_keys=False)
+        (folder / f'{name}.yaml').write_text(text, encoding='utf-8')
     if plan.gains is not None:
         text = f'Gains of run {plan.number} ({plan.scenario.name}).'
-        save_gains(plan.gains, Path(folder) / 'gains.yaml', text)
-    if load_arm(arm) != plan.arm or load_scenario(scenario) != plan.scenario:
+        save_gains(plan.gains, folder / 'gains.yaml', text)
+    arm, scenario = load_arm(folder / 'arm.yaml'), load_scenario(folder / 'scenario.yaml')
+    if arm != plan.arm or scenario != plan.scenario:
         raise LpvError(f'{folder}: the files do not describe what was simulated')
 
 
