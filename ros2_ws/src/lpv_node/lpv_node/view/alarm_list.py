@@ -3,11 +3,12 @@
 import math
 from typing import Any
 
+from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent
 from lpv.core.simulation.faults import MAX_FAULTS
 from lpv.core.support.limits import MOST_TEXT
 from lpv.core.support.timestamps import NANOSECONDS, to_nanoseconds
 
-RAISED, UPDATED, CLEARED = range(3)
+RAISED, UPDATED, CLEARED = AlarmEvent
 Row = dict[str, Any]
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from lpv.core.control.path import TimedPath
 from lpv.core.monitoring.joint_order import JointOrder
 from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.diagnosis.alarms import Mode, SensorState
 from lpv.core.simulation.faults import KINDS
 from lpv.core.support.errors import SampleError
 from lpv.core.support.limits import LARGEST, MOST_TEXT, QUIET
@@ -19,8 +20,7 @@ from lpv_node.view.alarm_list import AlarmList, seconds
 from lpv_node.view.skeleton import Skeleton
 
 Numbers = list[float | None]
-MODES = ('OBSERVING', 'HOLDING', 'INITIALISING', 'STALE', 'NO_ESTIMATE')
-STATES = ('OK', 'WARN', 'ERROR', 'STALE', 'NOT_DIAGNOSABLE')
+MODES, STATES = tuple(Mode.__members__), tuple(SensorState.__members__)
 LEVELS = ('OK', 'WARN', 'ERROR', 'STALE')
 WINDOW = 30.0
 """Length of the history that a new client gets [s]."""
@@ -133,11 +133,9 @@ class LiveModel:
 
     def frame(self, now: float) -> dict[str, Any]:
         """The present at a steady time [s], for clients and history; None: not known."""
-        state, command = self._latest.get('state_estimate'), self._latest.get('torque_command')
-        fault, newest = (
-            self._latest.get('fault_estimate'),
-            max(self._received.values(), default=now),
-        )
+        sources = 'state_estimate', 'fault_estimate', 'torque_command'
+        state, fault, command = map(self._latest.get, sources)
+        newest = max(self._received.values(), default=now)
         drawn = self._skeleton.drawn
         corners = {
             name: None if q is None else [_numbers(c, 4) for c in drawn(self._skeleton.corners(q))]

@@ -39,8 +39,6 @@ class Skeleton:
 
 def urdf_text(arm: SerialArm, arm_file: str) -> str:
     """The URDF that an arm file names; ConfigError if it cannot be read."""
-    if not arm.urdf:
-        raise ConfigError('urdf', 'is not named in the arm file', arm_file)
     path = Path(arm_file).parent / arm.urdf
     try:
         if path.stat().st_size > MAX_BYTES:
