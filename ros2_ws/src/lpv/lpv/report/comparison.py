@@ -18,7 +18,7 @@ from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.errors import LpvError
 from lpv.report.history import Episode, episodes
 from lpv.report.page import finite
-from lpv.report.style import INK, PALE, SENSOR, SETTINGS, legend_above, png, thin
+from lpv.report.style import INK, PALE, SENSOR, legend_above, picture, thin
 from lpv.report.table import make_table
 
 # Stream, field, what it is called, unit; flags are compared by the share that differs.
@@ -271,16 +271,16 @@ def draw_comparison(first: RunRecord, second: RunRecord, arm: SerialArm, out: Pa
             at = first.seconds(first.stamps['ground_truth'])
             yield at, truth[:, k], {'color': INK, 'lw': 0.9, 'ls': '--', 'label': 'fault'}
 
+    def draw(name: str, unit: str) -> plt.Figure:
+        count = len(arm.sensor_names)
+        figure, axes = plt.subplots(count, sharex=True, squeeze=False, figsize=(8.6, 2.6 * count))
+        for k, axis in enumerate(axes[:, 0]):
+            for at, values, look in curves(name, k):
+                axis.plot(*thin(at, values), **look)
+            axis.set(title=f'Sensor {k + 1}: {arm.sensor_names[k]}', ylabel=unit)
+            legend_above(axis)
+        axes[-1, 0].set_xlabel('time [s]')
+        return figure
+
     for name, unit in (('faults', 'fault [rad]'), ('differences', 'difference [rad]')):
-        with plt.rc_context(SETTINGS):
-            count = len(arm.sensor_names)
-            size = 8.6, 2.6 * count
-            figure, axes = plt.subplots(count, sharex=True, squeeze=False, figsize=size)
-            for k, axis in enumerate(axes[:, 0]):
-                for at, values, look in curves(name, k):
-                    axis.plot(*thin(at, values), **look)
-                axis.set(title=f'Sensor {k + 1}: {arm.sensor_names[k]}', ylabel=unit)
-                legend_above(axis)
-            axes[-1, 0].set_xlabel('time [s]')
-            (out / f'{name}.png').write_bytes(png(figure))
-            plt.close(figure)
+        (out / f'{name}.png').write_bytes(picture(draw, name, unit))

@@ -21,11 +21,10 @@ from lpv.report.style import (
     PALE,
     PAPER,
     SENSOR,
-    SETTINGS,
     SOFT,
     SPARSE,
     legend_above,
-    png,
+    picture,
     shade,
     thin,
 )
@@ -57,22 +56,16 @@ _WIDTH, _HALF = 8.6, 0.32
 """Width of a figure [inch]; half the height of a bar, whose rows are 1 apart."""
 
 
-def draw_all(run: 'Run') -> Iterator[tuple[str, Figure]]:
-    """Draw everything that a run has to show; each figure is closed when the next one is wanted."""
+def draw_all(run: 'Run') -> Iterator[tuple[str, bytes]]:
+    """Pictures of everything that a run has to show, by name."""
     for make in (timeline, path, faults, measured, states, torques):
-        with plt.rc_context(SETTINGS):
-            figure = make(run)
-            if figure is not None:
-                yield make.__name__, figure
-                plt.close(figure)
+        if data := picture(make, run):
+            yield make.__name__, data
 
 
 def warm_up() -> None:
     """Draw nothing: fonts, layout and coding of pictures are loaded by the first figure."""
-    with plt.rc_context(SETTINGS):
-        figure, _ = _axes(1)
-        png(figure)
-        plt.close(figure)
+    picture(lambda: _axes(1)[0])
 
 
 def _wide(color: str, label: str) -> dict[str, Any]:
@@ -314,24 +307,28 @@ def torques(run: 'Run') -> Figure | None:
 
 
 def draw_region(found: 'Guarantee', arm: 'ArmParameters', file: str | Path) -> None:
-    """Map of the smallest fault that is always detected at rest; hatched: gravity sets no limit."""
+    """Write a map of the smallest fault that is always detected at rest."""
+    Path(file).parent.mkdir(parents=True, exist_ok=True)
+    Path(file).write_bytes(picture(_region, found, arm))
+
+
+def _region(found: 'Guarantee', arm: 'ArmParameters') -> Figure:
+    """What is hatched has no limit from gravity."""
     degrees, levels = np.degrees(found.deviation), (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
     colors = LinearSegmentedColormap.from_list('', ['#e8f1f8', '#9fcbe6', '#4a94c4', '#0b4a75'])
     look: dict[str, Any] = {'cmap': colors, 'norm': LogNorm(levels[0], 3.0), 'shading': 'nearest'}
-    with plt.rc_context({**SETTINGS, 'axes.grid': False}):
-        figure, axes = plt.subplots(1, 2, figsize=(_WIDTH, 4.1), sharey=True)
-        for i, axis in enumerate(axes):
-            values = found.detectable[:, :, i].T
-            values = np.where(np.isfinite(values), values, np.nan)
-            shades = axis.pcolormesh(degrees, degrees, values, **look)
-            axis.patch.set(facecolor=PAPER, hatch='////', edgecolor=SOFT, linewidth=0.0)
-            lines = axis.contour(degrees, degrees, values, levels, colors=INK, linewidths=0.8)
-            axis.clabel(lines, fmt='%g rad', fontsize=7.5)
-            axis.set(title=arm.sensor_names[i], xlabel='link 1 from the vertical [deg]')
-            axis.set_aspect('equal')
-        axes[0].set_ylabel('link 2 from the vertical [deg]')
-        bar = figure.colorbar(shades, ax=axes, ticks=levels, shrink=0.85, pad=0.02, format='%g')
-        bar.set_label('smallest lasting fault that is\nalways detected at rest [rad]')
-        Path(file).parent.mkdir(parents=True, exist_ok=True)
-        Path(file).write_bytes(png(figure))
-        plt.close(figure)
+    figure, axes = plt.subplots(1, 2, figsize=(_WIDTH, 4.1), sharey=True)
+    for i, axis in enumerate(axes):
+        axis.grid(visible=False)
+        values = found.detectable[:, :, i].T
+        values = np.where(np.isfinite(values), values, np.nan)
+        shades = axis.pcolormesh(degrees, degrees, values, **look)
+        axis.patch.set(facecolor=PAPER, hatch='////', edgecolor=SOFT, linewidth=0.0)
+        lines = axis.contour(degrees, degrees, values, levels, colors=INK, linewidths=0.8)
+        axis.clabel(lines, fmt='%g rad', fontsize=7.5)
+        axis.set(title=arm.sensor_names[i], xlabel='link 1 from the vertical [deg]')
+        axis.set_aspect('equal')
+    axes[0].set_ylabel('link 2 from the vertical [deg]')
+    bar = figure.colorbar(shades, ax=axes, ticks=levels, shrink=0.85, pad=0.02, format='%g')
+    bar.set_label('smallest lasting fault that is\nalways detected at rest [rad]')
+    return figure

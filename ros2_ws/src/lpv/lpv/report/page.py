@@ -7,9 +7,6 @@ from typing import Any
 
 import jinja2
 import numpy as np
-from matplotlib.figure import Figure
-
-from lpv.report.style import png
 
 
 def css_string(text: str) -> str:
@@ -41,7 +38,6 @@ def finite(data: Any) -> Any:
     return None if isinstance(data, float) and not math.isfinite(data) else data
 
 
-def embedded(figure: Figure | bytes) -> str:
-    """A figure as a data URL."""
-    data = figure if isinstance(figure, bytes) else png(figure)
-    return 'data:image/png;base64,' + base64.b64encode(data).decode()
+def embedded(picture: bytes) -> str:
+    """A PNG as a data URL."""
+    return 'data:image/png;base64,' + base64.b64encode(picture).decode()

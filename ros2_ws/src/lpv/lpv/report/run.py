@@ -19,7 +19,6 @@ from lpv.report.figures import draw_all
 from lpv.report.history import BRAKED, INCONSISTENT, SAFE_STOP, TOO_FAST, UNSAFE, listed, starting
 from lpv.report.load import Run
 from lpv.report.page import embedded, environment
-from lpv.report.style import png
 from lpv.report.table import Row
 
 _CALENDAR = 946684800 * NANOSECONDS
@@ -60,9 +59,9 @@ def write(run: Run, out: str | Path) -> ReportResult:
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
     pictures, figures = [], {}
-    for name, figure in draw_all(run):
+    for name, data in draw_all(run):
         pictures.append(out / f'{name}.png')
-        pictures[-1].write_bytes(data := png(figure))
+        pictures[-1].write_bytes(data)
         figures[name] = {'caption': _CAPTIONS[name], 'data': embedded(data)}
     templates = environment(Path(__file__).parent)
     templates.filters['number'] = _number

@@ -1,10 +1,11 @@
 """Look of the figures: palette, Matplotlib settings, thinning of long curves."""
 
 import io
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import matplotlib
+import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -79,8 +80,12 @@ HATCHED = {'facecolor': 'none', 'edgecolor': SOFT, 'hatch': '////'}
 """Look of intervals in which a sensor is not diagnosable."""
 
 
-def png(figure: Figure) -> bytes:
-    """Picture of a figure as PNG."""
+def picture(draw: Callable[..., Figure | None], *subject: Any) -> bytes:
+    """PNG of the figure that a function draws of a subject; empty where it draws none."""
     buffer = io.BytesIO()
-    figure.savefig(buffer, format='png', dpi=160)
+    with plt.rc_context(SETTINGS):
+        figure = draw(*subject)
+        if figure is not None:
+            figure.savefig(buffer, format='png', dpi=160)
+            plt.close(figure)
     return buffer.getvalue()

@@ -17,6 +17,7 @@ import pytest
 import yaml
 from hypothesis import example, given
 from hypothesis import strategies as st
+from matplotlib.figure import Figure
 from nested import changed
 from places import BRINGUP
 from runs import ALL, MEASURED, assert_stands_alone, copied, record, rows, text
@@ -215,7 +216,7 @@ PARTS = [
 def test_given_a_run_without_some_topics_when_reported_then_what_is_there_is_shown(
     run, paper_arm, report, tmp_path, monkeypatch, streams, missing
 ):
-    monkeypatch.setattr('lpv.report.run.png', lambda figure: b'drawn')
+    monkeypatch.setattr(Figure, 'savefig', lambda _, file, **options: file.write(b'drawn'))
     part = part_of(run, tmp_path / 'part', streams)
     found = write_report(load(part, paper_arm), tmp_path / 'report')
     assert {p.stem for p in found.pictures} == {p.stem for p in report.pictures} - missing
@@ -313,7 +314,7 @@ def test_given_a_run_of_three_joints_when_reported_then_its_alarm_is_listed(tmp_
     run = crane_run(faults=[Fault('encoder2', 'bias', 0.6, size=0.05)])
     measured = record_crane(tmp_path / 'measured', run)
     Replay(SerialSensorMonitor('/uio', crane())).run(measured, tmp_path / 'bag')
-    monkeypatch.setattr('lpv.report.run.png', lambda figure: b'drawn')
+    monkeypatch.setattr(Figure, 'savefig', lambda _, file, **options: file.write(b'drawn'))
     result = write_report(load(tmp_path / 'bag', crane()), tmp_path / 'report')
     page = result.html.read_text()
     assert len(result.pictures) == 6 and ['encoder2', 'bias'] in [row[:2] for row in rows(page)]

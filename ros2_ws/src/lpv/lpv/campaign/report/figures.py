@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from lpv.report.style import BAND, INK, SENSOR, SETTINGS
+from lpv.report.style import BAND, INK, SENSOR, picture
 
 _LEAST_DELAY = 1e-3
 """Least number on logarithmic axes, which have no zero."""
@@ -16,20 +16,11 @@ _MOST_TRENDS = 6
 """Trends that are drawn, clearest first."""
 
 
-def draw_all(numbers: dict[str, Any]) -> dict[str, Figure]:
+def draw_all(numbers: dict[str, Any]) -> dict[str, bytes]:
     """Pictures by name; those without data are left out."""
-    found = {}
-    with plt.rc_context(SETTINGS):
-        for name, draw in (
-            ('detection', _detection),
-            ('roc', _roc),
-            ('estimates', _estimates),
-            ('trends', _trends),
-        ):
-            figure = draw(numbers)
-            if figure is not None:
-                found[name] = figure
-    return found
+    draws = {'detection': _detection, 'roc': _roc, 'estimates': _estimates, 'trends': _trends}
+    found = {name: picture(draw, numbers) for name, draw in draws.items()}
+    return {name: data for name, data in found.items() if data}
 
 
 def _detection(numbers: dict[str, Any]) -> Figure | None:

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pyarrow as pa
 import yaml
@@ -57,12 +56,9 @@ def write_report(
     """Write ``report.html`` and ``report.json``; ``healthy``: alarms of bags are false."""
     folder = Path(folder)
     numbers = report_numbers(work, table, folder, planned, healthy)
-    pictures = draw_all(numbers)
-    figures = {name: embedded(figure) for name, figure in pictures.items()}
+    figures = {name: embedded(data) for name, data in draw_all(numbers).items()}
     template = environment(Path(__file__).parent).get_template('report.html')
     page = template.render(**numbers, title=numbers['head']['name'], figures=figures, text=_TEXT)
-    for figure in pictures.values():
-        plt.close(figure)
     html, data = folder / 'report.html', folder / 'report.json'
     for path, content in ((html, page), (data, json.dumps(numbers, allow_nan=False, indent=1))):
         write_whole(path, content.encode())  # someone may look at it
