@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -48,25 +49,25 @@ def search(
     rest = max(0, min(round(_RANDOM * evaluations), evaluations) - len(structured))
     first = [*structured, *rng.uniform(-1.0, 1.0, (rest, attacker.numbers))]
     best = sorted(((ratio(candidate), k) for k, candidate in enumerate(first)), reverse=True)
-    for optimiser in _optimisers([first[k] for _, k in best[:8]], rng):
+    optimisers = _optimisers([first[k] for _, k in best[:8]], rng)
+    while left():
+        optimiser = next(optimisers)
         for _ in range(_PATIENCE):
-            if not left():
-                return sorted(found, key=lambda finding: -finding.ratio)
             answers = []
             for _ in range(optimiser.population_size):
                 candidate = optimiser.ask()
                 answers.append((candidate, -ratio(candidate) if left() else 0.0))
             optimiser.tell(answers)
-            if optimiser.should_stop():
+            if optimiser.should_stop() or not left():
                 break
-    raise AssertionError('optimisers do not end')
+    return sorted(found, key=lambda finding: -finding.ratio)
 
 
 def _optimisers(means: list[FloatArray], rng: np.random.Generator) -> Iterator[CMA]:
     bounds = np.tile([-1.0, 1.0], (len(means[0]), 1))
-    for start in range(2**31):
-        mean, seed = 0.95 * means[start % len(means)], int(rng.integers(2**31))
-        yield CMA(mean=mean, sigma=0.3, bounds=bounds, seed=seed)
+    for mean in cycle(means):
+        seed = int(rng.integers(2**31))
+        yield CMA(mean=0.95 * mean, sigma=0.3, bounds=bounds, seed=seed)
 
 
 def write_worst(attacker: Attacker, worst: Finding, folder: str | Path) -> None:
