@@ -11,14 +11,11 @@ from rosbags.typesys.store import Typestore
 from lpv.bag.blocks.message_blocks import rows
 
 _SIZES = {
-    **{'bool': '?', 'octet': 'u1', 'byte': 'u1', 'char': 'u1'},
-    **{
-        f'{sign}int{8 * size}': f'<{sign or "i"}{size}'
-        for sign in ('', 'u')
-        for size in (1, 2, 4, 8)
-    },
-    **{'float32': '<f4', 'float64': '<f8'},
-}
+    'bool': '?', 'octet': 'u1', 'byte': 'u1', 'char': 'u1', 'int8': '<i1', 'uint8': '<u1',
+    'int16': '<i2', 'uint16': '<u2', 'int32': '<i4', 'uint32': '<u4', 'int64': '<i8',
+    'uint64': '<u8', 'float32': '<f4', 'float64': '<f8',
+}  # fmt: skip
+"""NumPy's names of the numbers of messages."""
 _HEADER = 4  # the representation identifier; alignment counts from behind it
 _LITTLE_ENDIAN = b'\x00\x01'
 _MOST_PADDING = 7

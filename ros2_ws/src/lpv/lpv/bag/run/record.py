@@ -89,8 +89,7 @@ def load_run(
         chosen = {name: connections for name, connections in found.items() if connections}
         record = RunRecord(topics={name: c[0].topic for name, c in chosen.items()})
         for connection in reader.connections:
-            before = record.counts.get(connection.topic, 0)
-            record.counts[connection.topic] = before + connection.msgcount
+            record.counts[connection.topic] += connection.msgcount
         try:
             _read_streams(reader, chosen, record, joint_names)
         except BagError as error:

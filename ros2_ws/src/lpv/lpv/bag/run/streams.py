@@ -1,5 +1,6 @@
 """A recorded run: its streams, the messages they come from, and its alarms."""
 
+from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -46,7 +47,7 @@ class RunRecord:
     # fields by stream name, one row per stamp; units as in the message definitions
     streams: dict[str, dict[str, np.ndarray]] = field(default_factory=dict)
     alarms: list[RecordedAlarm] = field(default_factory=list)  # in the order of their stamps
-    counts: dict[str, int] = field(default_factory=dict)  # messages in the bag by topic, all topics
+    counts: Counter[str] = field(default_factory=Counter)  # messages in the bag by topic, of all
     topics: dict[str, str] = field(default_factory=dict)  # topic by stream name
     joint_names: tuple[str, ...] = ()  # joints of the columns of joint_states
     sensor_names: tuple[str, ...] = ()  # columns of fault_estimate; empty without that stream
