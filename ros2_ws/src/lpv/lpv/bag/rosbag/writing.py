@@ -4,6 +4,7 @@ import contextlib
 import json
 import os
 import resource
+import shutil
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -149,7 +150,10 @@ class _File(Writer):
 
 
 class BagWriter:
-    """A bag written topic by topic; ConfigError if it exists, or is not whole after a ``with``."""
+    """A bag written topic by topic; ConfigError if it exists, or is not whole after a ``with``.
+
+    A ``with`` that ends by an error leaves nothing: half a bag looks like a whole one.
+    """
 
     def __init__(
         self,
@@ -176,6 +180,7 @@ class BagWriter:
         except FileExistsError:
             raise ConfigError('bag', 'cannot be written: it exists already', str(path)) from None
         except OSError as error:
+            shutil.rmtree(self.path, ignore_errors=True)
             raise ConfigError('bag', f'cannot be written: {error}', str(path)) from error
 
     def __enter__(self) -> 'BagWriter':
@@ -183,7 +188,9 @@ class BagWriter:
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         missing = self.close()
-        if missing and kind is None:  # nobody knows of it yet
+        if kind is not None:
+            shutil.rmtree(self.path, ignore_errors=True)
+        elif missing:
             raise ConfigError('bag', f'cannot be written as a whole: {missing}', str(self.path))
 
     @property
