@@ -12,7 +12,6 @@ import logging
 import secrets
 from collections import deque
 from collections.abc import Callable
-from types import ModuleType
 from typing import Any
 
 import aiohttp
@@ -62,7 +61,7 @@ class FoxgloveBridge:
             self._kept[topic] = deque(maxlen=keep)
             self._by_id[channel.id()] = topic
         self._band = foxglove.Channel(band, schema=_BAND_SCHEMA, context=self._context)
-        self._server, self.address = _start(foxglove, name, self._context, self.on_subscribe)
+        self._server, self.address = _start(name, self._context, self.on_subscribe)
         self.port: int = self._server.port
 
     def send(self, topic: str, data: bytes, stamp: int) -> None:
@@ -107,26 +106,20 @@ class FoxgloveBridge:
         self._server.stop()
 
 
-class _Listener:
-    """What the SDK asks of its listener; only one event matters."""
-
-    def __init__(self, on_subscribe: Callable[[Any, Any], None]) -> None:
-        self.on_subscribe = on_subscribe
-
-    def __getattr__(self, name: str) -> Callable[..., None]:
-        if name.startswith('on_'):
-            return lambda *_, **__: None
-        raise AttributeError(name)
-
-
 def sdk_is_installed() -> bool:
     """Whether there is a foxglove-sdk, which not every installation has."""
     return importlib.util.find_spec('foxglove') is not None
 
 
-def _start(
-    foxglove: ModuleType, name: str, context: Any, on_subscribe: Callable[[Any, Any], None]
-) -> tuple[Any, str]:
+def _start(name: str, context: Any, on_subscribe: Callable[[Any, Any], None]) -> tuple[Any, str]:
+    import foxglove
+
+    class Listener(foxglove.websocket.ServerListener):
+        """Of the SDK's events only one matters."""
+
+        def on_subscribe(self, client: Any, channel: Any) -> None:
+            on_subscribe(client, channel)
+
     # All of 127.0.0.0/8 is loopback on Linux; elsewhere it is one address.
     parts = '.'.join(str(secrets.randbelow(254) + 1) for _ in range(3))
     for address in (f'127.{parts}', '127.0.0.1'):
@@ -136,7 +129,7 @@ def _start(
                 host=address,
                 port=0,
                 context=context,
-                server_listener=_Listener(on_subscribe),
+                server_listener=Listener(),
                 capabilities=[],
                 message_backlog_size=MOST_WAITING,
             )
