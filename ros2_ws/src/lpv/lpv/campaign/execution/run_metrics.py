@@ -36,7 +36,7 @@ def figures(plan: Any, run: Any, twin: Any = None) -> dict[str, Any]:
         'healthy_time': float((~during).sum() * period),
     }
     result.update(_alarm_figures(run, faults, names, begin, end))
-    result.update(_estimate_figures(plan.arm, run, before, during))
+    result.update(_estimate_figures(run, before, during))
     result.update(_tracking_figures(plan, run, twin, during))
     return result
 
@@ -95,7 +95,7 @@ def _alarm_figures(
     }
 
 
-def _estimate_figures(arm: Any, run: Any, before: np.ndarray, during: np.ndarray) -> dict[str, Any]:
+def _estimate_figures(run: Any, before: np.ndarray, during: np.ndarray) -> dict[str, Any]:
     settled = run.time >= APPROACH
     error = run.fault_estimate - run.fault
     # A loop that runs away ends in infinities, and its last scores are none.
