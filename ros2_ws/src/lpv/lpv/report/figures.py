@@ -186,10 +186,7 @@ def path(run: 'Run') -> Figure:
 
 def _tips(run: 'Run', stream: str) -> np.ndarray | None:
     position = run.record.aligned(stream, 'position')
-    if position is None:
-        return None
-    rows = np.flatnonzero(np.isfinite(position).all(axis=1))
-    return tip_positions(run.arm, position[rows[:: max(1, len(rows) // 5000)]])
+    return None if position is None else tip_positions(run.arm, position)[0]
 
 
 def _spread(points: np.ndarray, step: float = 0.5e-3) -> np.ndarray:

@@ -351,17 +351,17 @@ def _path_error(record: RunRecord, arm: SerialArm) -> float | None:
     truth, reference = (record.aligned(s, 'position') for s in ('ground_truth', 'reference'))
     if truth is None or reference is None:
         return None
-    rows = np.flatnonzero(np.isfinite(truth).all(1) & np.isfinite(reference).all(1))
-    rows = rows[:: max(1, len(rows) // _MOST_TIPS)]
-    gap = tip_positions(arm, truth[rows]) - tip_positions(arm, reference[rows])
-    return float(np.linalg.norm(gap, axis=1).max()) if len(rows) else None
+    one, two = tip_positions(arm, truth, reference)
+    return float(np.linalg.norm(one - two, axis=1).max()) if len(one) else None
 
 
-def tip_positions(arm: SerialArm, position: np.ndarray) -> np.ndarray:
-    """Tips for rows of joint positions in the base frame, shape (k, 3) [m]."""
+def tip_positions(arm: SerialArm, *positions: np.ndarray) -> list[np.ndarray]:
+    """Tips in the base frame, (k, 3) [m], of some samples in which all positions are known."""
     # Only here: compiled code that other parts of the report do not need.
     from lpv.core.serial_arm.chain import compile_chain
     from lpv.core.serial_arm.dynamics.kinematics import forward_kinematics
 
-    chain = compile_chain(arm)
-    return np.array([forward_kinematics(chain, q)[1] for q in position]).reshape(-1, 3)
+    rows = np.flatnonzero(np.isfinite(np.hstack(positions)).all(axis=1))
+    rows, chain = rows[:: max(1, len(rows) // _MOST_TIPS)], compile_chain(arm)
+    tips = ([forward_kinematics(chain, q)[1] for q in position[rows]] for position in positions)
+    return [np.reshape(one, (-1, 3)) for one in tips]

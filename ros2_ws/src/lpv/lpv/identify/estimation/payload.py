@@ -17,7 +17,6 @@ from lpv.identify.recordings.recording import Recording
 
 _HUBER = 2.0  # scales beyond which residuals weigh less
 _BLOCKS = 20  # of time: their scatter, right within 16 %, is that of the fit, as errors last
-_Triple = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -25,9 +24,9 @@ class Payload:
     """What was found of a tool."""
 
     mass: float  # [kg]
-    center: _Triple  # in the frame of the last joint [m]
+    center: tuple[float, ...]  # x, y, z in the frame of the last joint [m]
     mass_sigma: float  # standard deviation [kg]
-    center_sigma: _Triple  # [m]
+    center_sigma: tuple[float, ...]  # standard deviations [m]
     rms_before: float  # torque residual without the tool [N m]
     rms_after: float  # with it [N m]
     warnings: tuple[str, ...] = ()
@@ -59,13 +58,9 @@ def identify_payload(arm: SerialArm, recordings: Sequence[Recording]) -> Payload
     ]
     before, after = (float(np.sqrt(np.mean(error**2))) for error in (rest, residual))
     return Payload(
-        mass, _triple(center), float(sigma[0]), _triple(spread), before, after, tuple(warnings)
+        mass, tuple(center.tolist()), float(sigma[0]), tuple(spread.tolist()), before, after,
+        tuple(warnings),
     )  # fmt: skip
-
-
-def _triple(values: np.ndarray) -> _Triple:
-    x, y, z = values.tolist()
-    return x, y, z
 
 
 def _balance(arm: SerialArm, segment: Segment) -> tuple[np.ndarray, np.ndarray]:
