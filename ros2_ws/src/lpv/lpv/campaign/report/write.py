@@ -3,6 +3,7 @@
 import json
 import math
 import shlex
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -214,21 +215,16 @@ def confusion(truth: np.ndarray, said: np.ndarray, order: Sequence[str]) -> dict
     def occurring(values: np.ndarray) -> list[str]:
         return [name for name in order if name in values] + sorted(set(values) - set(order))
 
-    rows, columns = occurring(truth), occurring(said)
-    counts = [
-        [int(np.count_nonzero((truth == row) & (said == column))) for column in columns]
-        for row in rows
-    ]
-    lines = [dict(zip(columns, line)) for line in counts]
-    right = [line.get(row, 0) for row, line in zip(rows, lines)]
-    totals = [sum(line) for line in counts]
-    spoken = [total - line.get(NO_FAULT, 0) for total, line in zip(totals, lines)]
+    rows, columns, pairs = occurring(truth), occurring(said), Counter(zip(truth, said))
+    totals = Counter(truth)
     return {
         'rows': rows,
         'columns': columns,
-        'counts': counts,
-        'right': [proportion(*pair) for pair in zip(right, totals)],
-        'right_if_said': [proportion(*pair) for pair in zip(right, spoken)],
+        'counts': [[pairs[row, column] for column in columns] for row in rows],
+        'right': [proportion(pairs[row, row], totals[row]) for row in rows],
+        'right_if_said': [
+            proportion(pairs[row, row], totals[row] - pairs[row, NO_FAULT]) for row in rows
+        ],
     }
 
 
