@@ -46,20 +46,17 @@ class FoxgloveBridge:
         typestore = make_typestore()
         self._channels: dict[str, Any] = {}
         self._kept: dict[str, deque[tuple[bytes, int]]] = {}
-        self._by_id: dict[int, str] = {}
         self._newest = 0
         for topic, (msgtype, keep) in topics.items():
             add_type(typestore, msgtype)
             text, _ = typestore.generate_msgdef(msgtype, ros_version=2)
-            channel = foxglove.Channel(
+            self._channels[topic] = foxglove.Channel(
                 topic,
                 message_encoding='cdr',
                 context=self._context,
                 schema=foxglove.Schema(name=msgtype, encoding='ros2msg', data=text.encode()),
             )
-            self._channels[topic] = channel
             self._kept[topic] = deque(maxlen=keep)
-            self._by_id[channel.id()] = topic
         self._band = foxglove.Channel(band, schema=_BAND_SCHEMA, context=self._context)
         self._server, self.address = _start(name, self._context, self.on_subscribe)
         self.port: int = self._server.port
@@ -96,10 +93,10 @@ class FoxgloveBridge:
 
     def on_subscribe(self, client: Any, channel: Any) -> None:
         """Called by the SDK: a late client gets what was latched."""
-        topic = self._by_id.get(channel.id, '')
-        for data, stamp in list(self._kept.get(topic, ())):
+        for data, stamp in list(self._kept.get(channel.topic, ())):
             # As of now, or the client's time line would begin with the first of them.
-            self._channels[topic].log(data, log_time=max(stamp, self._newest), sink_id=client.id)
+            time = max(stamp, self._newest)
+            self._channels[channel.topic].log(data, log_time=time, sink_id=client.id)
 
     def stop(self) -> None:
         """Close all connections."""
