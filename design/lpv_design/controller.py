@@ -43,18 +43,14 @@ class LoopProblem:
     The disc of radius r = (fastest - alpha)/2 around -(fastest + alpha)/2 implies LMI (67): with
     N = A_c Q + B_c X, (N + alpha Q) Q^-1 (N + alpha Q)^T >= 0 and the disc give
     N + N^T + 2 alpha Q < 0.  The solver is therefore not given (67); its check is.
-
-    Parameters
-    ----------
-    vertices : int
-        Number of vertices.
-    requirement : ControllerRequirement
-        Decay, pole and cost requirements.
-    rate : float
-        Inverse of the unit of time in which the solver works [1/s].
     """
 
-    def __init__(self, vertices: int, requirement: ControllerRequirement, rate: float) -> None:
+    def __init__(
+        self,
+        vertices: int,  # how many
+        requirement: ControllerRequirement,
+        rate: float,  # inverse of the unit of time in which the solver works [1/s]
+    ) -> None:
         self._rate = rate
         # Rates count in units of it, integrals in its inverse; time runs in its inverse.
         scale = self._scale = np.repeat([1.0, 1.0 / rate, rate], 2)

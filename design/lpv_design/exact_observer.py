@@ -43,15 +43,8 @@ class ExactRequirement:
 
 
 class LinkProblem:
-    """The inequalities of one link, compiled once; slopes and noise are parameters.
-
-    Parameters
-    ----------
-    inputs : int
-        White inputs of a link's error.
-    decay, fastest, velocity_weight : float
-        As in `ExactRequirement`.
-    """
+    """The inequalities of one link with a requirement's figures and some white inputs, compiled
+    once; slopes and noise are parameters."""
 
     def __init__(self, inputs: int, decay: float, fastest: float, velocity_weight: float) -> None:
         self._p = cp.Variable((2, 2), symmetric=True)
