@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import rclpy
-from builtin_interfaces.msg import Time
 from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import ReliabilityPolicy
+from rclpy.time import Time
 from rosbags.interfaces import Connection, QosDurability, QosReliability
 from rosgraph_msgs.msg import Clock
 
@@ -117,8 +117,7 @@ class Player:
                 if origin < 0:
                     wall, origin, tick = time.monotonic(), stamp, stamp
                 while clock and tick <= stamp and self._sleep(wall, tick - origin):
-                    seconds, rest = divmod(tick, NANOSECONDS)
-                    clock.publish(Clock(clock=Time(sec=seconds, nanosec=rest)))
+                    clock.publish(Clock(clock=Time(nanoseconds=tick).to_msg()))
                     tick += self._tick
                 if not self._sleep(wall, stamp - origin):
                     return published
