@@ -119,14 +119,10 @@ class LiveModel:
     def _scene(self) -> dict[str, Any]:
         if self._path is None:
             return {'path': [], 'obstacle': None}
-        start, end = self._path.start, self._path.end
-        times = [start + (end - start) * i / 150 for i in range(151)]
-        obstacle = self._path.obstacle
+        times = np.linspace(self._path.start, self._path.end, 151)
+        points, obstacle = self._skeleton.drawn(self._path.sample(times).tip), self._path.obstacle
         return {
-            'path': [
-                [round(float(v), 4) for v in point]
-                for point in self._skeleton.drawn(self._path.sample(times).tip)
-            ],
+            'path': [_numbers(point, 4) for point in points],
             'obstacle': obstacle
             and {'center': _numbers(obstacle.center), 'radius': obstacle.radius},
         }
