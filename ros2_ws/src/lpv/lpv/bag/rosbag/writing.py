@@ -4,7 +4,6 @@ import contextlib
 import json
 import os
 import resource
-import shutil
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -146,10 +145,7 @@ class _File(Writer):
 
 
 class BagWriter:
-    """A bag written topic by topic; ConfigError if it exists, or is not whole after a ``with``.
-
-    A ``with`` that ends by an error leaves nothing: half a bag looks like a whole one.
-    """
+    """A bag written topic by topic; ConfigError if it exists, or is not whole after a ``with``."""
 
     def __init__(
         self,
@@ -176,7 +172,6 @@ class BagWriter:
         except FileExistsError:
             raise ConfigError('bag', 'cannot be written: it exists already', str(path)) from None
         except OSError as error:
-            shutil.rmtree(self.path, ignore_errors=True)
             raise ConfigError('bag', f'cannot be written: {error}', str(path)) from error
 
     def __enter__(self) -> 'BagWriter':
@@ -184,9 +179,7 @@ class BagWriter:
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         missing = self.close()
-        if kind is not None:
-            shutil.rmtree(self.path, ignore_errors=True)
-        elif missing:
+        if missing and kind is None:  # nobody knows of it yet
             raise ConfigError('bag', f'cannot be written as a whole: {missing}', str(self.path))
 
     @property

@@ -2,6 +2,7 @@
 
 import csv
 import math
+import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 from decimal import Decimal
@@ -82,7 +83,12 @@ def import_csv(
         if first is None:
             raise CsvError(f'{source}: holds no sample')
         with BagWriter(out) as writer:
-            count = write_joint_states(writer, topic, columns.joints, chain([first], samples))
+            try:
+                count = write_joint_states(writer, topic, columns.joints, chain([first], samples))
+            except (CsvError, UnicodeDecodeError, csv.Error):
+                # What is there looks like a whole recording, and would block the next try.
+                shutil.rmtree(out, ignore_errors=True)
+                raise
     except (OSError, UnicodeDecodeError, csv.Error, TypeError) as error:
         raise CsvError(f'{source}: cannot be read ({error})') from error
     return count, warnings
