@@ -9,6 +9,8 @@ import yaml
 from bags import write_measurements
 from places import RECORDINGS as DATA
 from scipy.interpolate import make_interp_spline
+from ur10e_twin import recording as recording_of_twin
+from ur10e_twin import ur10e
 
 from lpv.core.serial_arm.arm_file import load_arm, save_arm
 from lpv.core.serial_arm.chain import compile_chain
@@ -23,7 +25,7 @@ from lpv.identify.model import base_parameters, rigid_body
 from lpv.identify.motions.excitation import Bounds, plan_excitation
 from lpv.identify.motions.reference import write_reference
 from lpv.identify.recordings.filters import shifted
-from lpv.identify.recordings.motion import Segment, find_bandwidths
+from lpv.identify.recordings.motion import Segment, find_bandwidths, moving
 from lpv.identify.recordings.recording import Recording, read_recording
 from lpv.identify.sensors.second_encoder import describe, find_second_encoders, with_second_encoders
 from lpv.identify.sensors.sensing import noise_deviation, quantization_step, sense
@@ -216,7 +218,7 @@ def test_given_errors_that_change_with_speed_when_fitted_then_the_bounds_do():
     for k, drawn in enumerate(rng.normal(size=count) * np.sqrt(1 - keep**2)):
         error[k] = keep * error[k - 1] + drawn
     residual = np.hypot(0.5, 0.8 * rate) * error + 0.1 * rng.normal(size=count)
-    found = torque_error([rate[:, None]], [residual[:, None]], step)
+    found = torque_error([rate[:, None]], [residual[:, None]], [np.ones((count, 1), bool)], step)
     assert found.rest == pytest.approx([0.5], rel=0.15)
     assert found.growth == pytest.approx([0.8], rel=0.15)
     assert found.time == pytest.approx(0.2, rel=0.4)
@@ -238,6 +240,22 @@ def test_given_a_short_recording_when_calibrated_then_the_model_stays(arm, simul
     assert worse.lpv == heavier.lpv and found.arm.lpv is None
     save_arm(found.arm, tmp_path / 'arm.yaml')
     assert load_arm(tmp_path / 'arm.yaml') == found.arm
+
+
+def test_given_rests_when_looked_for_then_reversals_and_joints_that_never_move_are_none():
+    time = 0.01 * np.arange(1000)
+    pauses = np.where(time % 2.0 < 1.0, 0.3 * np.sin(np.pi * time), 0.0)
+    rates = np.stack([pauses, 0.3 * np.sin(time), 0.0 * time], axis=1)
+    found = moving(rates, 0.01, np.ones(3))
+    assert found[:, 0].mean() == pytest.approx(0.5, abs=0.05)
+    assert found[:, 1:].all()
+
+
+def test_given_an_arm_that_pauses_when_calibrated_then_friction_at_rest_is_no_torque_error():
+    # In motion the twin's friction is within 20 % of the file's, at rest anything up to Coulomb's.
+    found = calibrate(ur10e(), [recording_of_twin(1000)]).arm.uncertainty
+    coulomb = compile_chain(ur10e()).friction[:, 1]
+    assert (np.array(found.torque_error) < 0.25 * coulomb).all()
 
 
 @pytest.mark.slow

@@ -14,6 +14,7 @@ from lpv.identify.estimation.regression import Filters, Fit
 from lpv.identify.estimation.selection import WeightEvidence
 from lpv.identify.estimation.torque_error import torque_error, torque_tolerance
 from lpv.identify.estimation.workshop import Workshop
+from lpv.identify.recordings.motion import moving
 from lpv.identify.recordings.recording import Recording
 from lpv.identify.sensors.sensing import Sensing
 
@@ -113,15 +114,16 @@ def _finish(
     fit: Fit,
 ) -> SerialArm:
     """The arm with sensors, tolerances, delays and covariance."""
-    speed = np.concatenate([p.velocity for p in predictions])
-    residual = np.concatenate([p.residual for p in predictions])
+    rates, residuals = [p.velocity for p in predictions], [p.residual for p in predictions]
+    counts = [moving(rate, workshop.step, arm.scales()) for rate in rates]
+    speed, missed, used = map(np.concatenate, (rates, residuals, counts))
     joints = []
-    for joint, delay, rate, rest in zip(arm.joints, workshop.effort_delay, speed.T, residual.T):
-        tolerance = torque_tolerance(rate, rest)
-        joints.append(replace(joint, effort_delay=float(delay), torque_tolerance=tolerance))
+    for j, joint in enumerate(arm.joints):
+        tolerance = torque_tolerance(speed[used[:, j], j], missed[used[:, j], j])
+        delay = float(workshop.effort_delay[j])
+        joints.append(replace(joint, effort_delay=delay, torque_tolerance=tolerance))
     determined = int(determination.determined.sum())
-    stretches = [p.residual for p in predictions]
-    error = torque_error([p.velocity for p in predictions], stretches, workshop.step)
+    error = torque_error(rates, residuals, counts, workshop.step)
     return replace(
         error.on(sensing.on(replace(arm, joints=tuple(joints)))),
         covariance=covariance_of_all(workshop.arm, workshop.base, fit, determined),

@@ -12,7 +12,7 @@ from lpv.identify.errors import IdentificationError
 from lpv.identify.estimation.autocorrelation import autocovariance
 from lpv.identify.model.rigid_body import joint_torques
 from lpv.identify.recordings.filters import derivative, low_pass
-from lpv.identify.recordings.motion import Motion, Segment, find_bandwidths, smooth, split
+from lpv.identify.recordings.motion import Motion, Segment, find_bandwidths, moving, smooth, split
 from lpv.identify.recordings.recording import Recording
 from lpv.identify.sensors.sensing import Sensing, noise_deviation, sense
 
@@ -25,7 +25,7 @@ _LEAST = 30  # samples of a bin
 class TorqueError:
     """What a model misses, sigma(v)^2 = rest^2 + (growth v)^2, without the efforts' white noise."""
 
-    rest: np.ndarray  # at rest and in slow motion, shape (n,) [N m]
+    rest: np.ndarray  # in slow motion, shape (n,) [N m]
     growth: np.ndarray  # with the joint's rate, shape (n,) [N m s/rad]
     time: float  # in which its correlation falls to 1/e, median of the joints [s]
     noise: np.ndarray  # white, of the efforts, shape (n,) [N m]
@@ -54,35 +54,45 @@ class Calibration:
 
 
 def torque_error(
-    rates: Sequence[np.ndarray], residuals: Sequence[np.ndarray], step: float
+    rates: Sequence[np.ndarray],
+    residuals: Sequence[np.ndarray],
+    counts: Sequence[np.ndarray],  # where joints move: friction at rest is no error of the model
+    step: float,
 ) -> TorqueError:
     """Fit the size of what a model misses by least squares of the squares of data held back."""
     noise = noise_deviation(residuals)
     speed, size = np.concatenate(rates) ** 2, np.concatenate(residuals) ** 2
-    n = size.shape[1]
+    n, every = size.shape[1], np.concatenate(counts)
     rest, growth, times = np.zeros((3, n))
     for j in range(n):
-        least = max(1e-4 * float(np.mean(size[:, j])), 1e-18)
-        target = np.maximum(size[:, j] - noise[j] ** 2, 0.0)
-        rows = np.column_stack([np.ones(len(target)), speed[:, j], target])
+        squares, fast = size[every[:, j], j], speed[every[:, j], j]
+        least = max(1e-4 * float(np.mean(squares)), 1e-18)
+        target = np.maximum(squares - noise[j] ** 2, 0.0)
+        rows = np.column_stack([np.ones(len(target)), fast, target])
         variance = np.full(len(target), 1.0)
         for _ in range(3):  # twice weighted by what the squares say
             upper = np.asarray(np.linalg.qr(rows / variance[:, None], mode='r'))
             (constant, slope), _ = nnls(upper[:, :2], upper[:, 2])
-            variance = np.maximum(constant + slope * speed[:, j], least)
+            variance = np.maximum(constant + slope * fast, least)
             variance = variance / variance.mean()
         rest[j], growth[j] = np.sqrt(max(constant, least)), np.sqrt(slope)
-        times[j] = step * _correlation_length([r[:, j] for r in residuals], float(noise[j]))
+        parts = [np.where(used[:, j], r[:, j], 0.0) for used, r in zip(counts, residuals)]
+        used = [one[:, j].astype(float) for one in counts]
+        times[j] = step * _correlation_length(parts, used, float(noise[j]))
     return TorqueError(rest, growth, float(np.median(times)), noise)
 
 
-def _correlation_length(residuals: Sequence[np.ndarray], noise: float) -> float:
-    """Samples in which the correlation of what is not white falls to 1/e."""
+def _correlation_length(
+    residuals: Sequence[np.ndarray], counts: Sequence[np.ndarray], noise: float
+) -> float:
+    """Samples in which the correlation of what is not white falls to 1/e.
+
+    Residuals that do not count are 0.
+    """
     longest = max(2, max(len(r) for r in residuals) // 4)
-    count = sum(len(r) for r in residuals)
     gamma = autocovariance(residuals, longest)
-    pairs = [sum(max(len(r) - lag, 0) for r in residuals) for lag in range(longest)]
-    value = gamma * count / np.maximum(pairs, 1) / max(gamma[0] - noise**2, 1e-18)
+    pairs = np.maximum(autocovariance(counts, longest), 1e-9)
+    value = gamma / pairs / max(gamma[0] / pairs[0] - noise**2, 1e-18)
     value[0] = 1.0
     below = np.flatnonzero(value < np.exp(-1.0))
     if not len(below):
@@ -117,7 +127,8 @@ def calibrate(arm: SerialArm, recordings: Sequence[Recording]) -> Calibration:
     step = max(segment.step for segment in segments)
     delay = np.array([joint.effort_delay for joint in arm.joints])
     sensing = sense(recordings, segments, 0.0 * delay, delay)
-    error = torque_error(rates, residuals, step)
+    counts = [moving(rate, one.step, arm.scales()) for rate, one in zip(rates, segments)]
+    error = torque_error(rates, residuals, counts, step)
     warnings = [text for one in recordings for text in one.warnings]
     fastest = np.max(np.abs(np.concatenate(rates)), axis=0)
     warnings += [

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.ndimage import binary_opening
 from scipy.signal import welch
 
 from lpv.core.support.limits import MAX_GAP, MOST_SAMPLES, SMALL
@@ -17,6 +18,9 @@ MIN_RATE = 1.0 / MAX_GAP
 """Slowest sampling that is used [Hz]."""
 _MIN_SEGMENT = 2.0  # time without a gap that is used [s]
 _FIT_BAND = 6.0  # bandwidth of the fit, over that of the motion
+_STILL = 0.01  # rate below which a joint may rest [rad/s]
+_REST = 0.2  # time for which it does so in a rest, not where it reverses [s]
+_FEW = 100  # samples of a joint that moves
 _ORDER = 4  # of the filters of positions and rates: motion passes unchanged
 
 
@@ -113,6 +117,17 @@ def check_motion(segments: list[Segment], names: tuple[str, ...]) -> list[str]:
             'record one that lpv excite plans'
         )
     return [f'{name} does not move: its friction and inertia are not determined' for name in still]
+
+
+def moving(velocity: np.ndarray, step: float, scale: np.ndarray) -> np.ndarray:
+    """Where joints do not rest, or everywhere if they hardly ever move; booleans (samples, n).
+
+    Friction of a joint that rests may be anything up to Coulomb's.  ``scale``, shape (n,), is that
+    of `SerialJoint.scale`.
+    """
+    still = np.abs(velocity) < _STILL * scale
+    rests = binary_opening(still, np.ones((max(1, round(_REST / step)), 1), bool))
+    return ~rests | (np.count_nonzero(~rests, axis=0) < _FEW)
 
 
 def find_bandwidths(segments: list[Segment]) -> Bandwidths:
