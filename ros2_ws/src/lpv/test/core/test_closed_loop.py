@@ -98,9 +98,9 @@ import numpy as np
 from lpv.core.support.jit import COMPILED
 *files, out = sys.argv[1:]
 scenario, runs = lpv.load_scenario('two_faults'), {}
-faults = [replace(fault, onset=at) for fault, at in zip(scenario.faults, (0.2, 0.3))]
+faults = [replace(fault, onset=at) for fault, at in zip(scenario.faults, (0.1, 0.15))]
 for file, plant in product(files, ('nonlinear', 'lpv')):
-    changed = replace(scenario, duration=0.6, faults=tuple(faults), plant=plant)
+    changed = replace(scenario, duration=0.3, faults=tuple(faults), plant=plant)
     values = vars(lpv.simulate(lpv.load_arm('paper'), lpv.load_gains(file), changed))
     values = {**values, 'alarms': [alarm.detected for alarm in values['alarms']]}
     runs |= {f'{Path(file).stem} {plant} {name}': value for name, value in values.items()}
