@@ -247,10 +247,19 @@ LINES: dict[str, Callable[[int], str]] = {
 }  # fmt: skip
 
 
-def goals(count: int, chosen: Sequence[str], first: int, seed: int, lead: float) -> None:
+def identified(robot: int) -> Subject:
+    """One arm, with the file that `lpv identify` makes of two recordings of it without a load."""
+    arm = identify(ur10e(), [recording(10**6 + k, robot=robot) for k in range(2)]).arm
+    arm = replace(arm, uncertainty=replace(arm.uncertainty, payload=PAYLOAD))
+    return replace(twin(arm), streams=lambda k: healthy(k, robot=robot))
+
+
+def goals(
+    subject: Subject, count: int, chosen: Sequence[str], first: int, seed: int, lead: float
+) -> None:
     """Rates of detection, and alarms of healthy arms."""
     kinds: list[Kind] = [k for k in GOALS if not chosen or k.name.startswith(tuple(chosen))]
-    rows = [measured(kind.name, count, first=first, seed=seed, lead=lead) for kind in kinds]
+    rows = [measured(kind.name, count, subject, first, seed, lead) for kind in kinds]
     Console(width=170).print(*tables(rows))
 
 
@@ -265,11 +274,13 @@ def main() -> None:
     parser.add_argument('--seed', type=int, default=1, help='of the faults of goals')
     parser.add_argument('--kinds', default='', help='beginnings of names of goals, with commas')
     parser.add_argument('--lead', type=float, default=LEAD, help='time before an onset [s]')
+    parser.add_argument('--robot', type=int, help='goals of one arm, with a file identified on it')
     options = parser.parse_args()
     for line in options.line:
         if line == 'goals':
             chosen = [one for one in options.kinds.split(',') if one]
-            goals(options.count, chosen, options.first, options.seed, options.lead)
+            subject = twin() if options.robot is None else identified(options.robot)
+            goals(subject, options.count, chosen, options.first, options.seed, options.lead)
         else:
             print(f'{line}: {LINES[line](options.count)}', flush=True)
 

@@ -73,20 +73,28 @@ def held(rates: np.ndarray, coulomb: np.ndarray, rng: np.random.Generator) -> np
 
 
 @lru_cache(maxsize=32)
-def healthy(seed: int, load: float | None = None, duration: float = DURATION) -> Stream:
-    """A recording before the driver: readings with noise, currents; load drawn if not given."""
+def healthy(
+    seed: int, load: float | None = None, duration: float = DURATION, robot: int | None = None
+) -> Stream:
+    """A recording before the driver: readings with noise, currents; load drawn if not given.
+
+    Each is of another arm, or of one ``robot``, whose friction is within 10 % of its usual one.
+    """
     arm, rng = ur10e(), np.random.default_rng([27, seed])
+    own = rng if robot is None else np.random.default_rng([28, robot])
     time = PERIOD * np.arange(round(duration / PERIOD))
     q, v, a = moves_and_rests((HOME, REACH, FASTEST), rng, time)
     chain, n = compile_chain(arm), len(arm.joints)
     friction = chain.friction.copy()
-    friction[:, :2] *= rng.uniform(0.8, 1.2, (n, 2))
+    friction[:, :2] *= own.uniform(0.8, 1.2, (n, 2))
+    if robot is not None:
+        friction[:, :2] *= rng.uniform(0.9, 1.1, (n, 2))
     load = rng.uniform(0.0, PAYLOAD) if load is None else load
     model = SerialModel(with_payload(chain._replace(friction=friction), load))
     torque = np.array([model.torque(*row) for row in zip(q, v, a)])
     torque += held(v, friction[:, 1], rng)
     torque += 0.01 * torque.std(0) * rng.normal(size=torque.shape)
-    current = torque / (np.array(GAINS) * rng.choice([0.95, 1.05], n))
+    current = torque / (np.array(GAINS) * own.choice([0.95, 1.05], n))
     samples = np.stack([q + NOISE * rng.normal(size=q.shape), v, current], axis=1)
     return Stream(np.round(time * 1e9).astype(np.int64), samples)
 
@@ -99,7 +107,9 @@ def twin(arm: SerialArm | None = None, step: float = STEP, load: float | None = 
     )  # fmt: skip
 
 
-def recording(seed: int, load: float = 0.0, duration: float = DURATION) -> Recording:
+def recording(
+    seed: int, load: float = 0.0, duration: float = DURATION, robot: int | None = None
+) -> Recording:
     """What `lpv identify` reads."""
-    stream = drive(healthy(seed, load, duration))
+    stream = drive(healthy(seed, load, duration, robot))
     return Recording('twin', stream.stamps * 1e-9, *np.moveaxis(stream.samples, 1, 0))

@@ -300,14 +300,6 @@ def rests(balance: Balance, joint: int) -> bool:
 
 
 @njit_in_place
-def stays_at_rest(balance: Balance, joint: int) -> bool:
-    """Whether a joint rests throughout the last hat."""
-    low = min(balance.rates[0, 0, joint], balance.rates[1, 0, joint])
-    high = max(balance.rates[0, 1, joint], balance.rates[1, 1, joint])
-    return bool(low > -SLOW_RATE and high < SLOW_RATE)
-
-
-@njit_in_place
 def move_epoch(balance: Balance, epoch: float) -> None:
     """Let drifts count from another moment; what has been integrated follows."""
     n, shift = balance.reference.shape[0], epoch - balance.clock[EPOCH]

@@ -73,7 +73,7 @@ from lpv.core.serial_arm.diagnosis.linear_bank import (
     new_evidence,
     new_rows,
 )
-from lpv.core.serial_arm.diagnosis.onset import SHORTEST, sudden_drifts, whitened
+from lpv.core.serial_arm.diagnosis.onset import sudden_drifts, whitened
 from lpv.core.serial_arm.diagnosis.priors import CONTACT, LOAD, OCCURRENCE, SIZE, WRONG_STAMPS
 from lpv.core.serial_arm.diagnosis.sampling import DELAY, LATE, Sampler, rate_noise, smallest_jump
 from lpv.core.serial_arm.diagnosis.stuck import Course, Frozen, course_of_frozen
@@ -319,7 +319,6 @@ class Bank:
         """Changes of the load, for every balance of the windows from which on it is another one.
 
         The balances of the change itself are explained by free torques, as those of contacts.
-        Drifts that would explain as much are looked at no earlier (`SHORTEST`).
         """
         estimator = self.estimator
         window, null, longest = estimator.window, estimator.posterior, int(self._lengths[count - 1])
@@ -339,7 +338,7 @@ class Bank:
         estimator.call(weigh_residuals, window, null, longest + 1)
         begins, onset = window.times[at] - estimator.plan.interval, len(self._lengths)
         found = []
-        for last in range(SHORTEST - 1, longest - ONSET + 1):
+        for last in range(1, longest - ONSET + 1):
             free = estimator.call(rough_contact, self._outside, null, onset, last + ONSET)
             evidence, begin = float(gain[last - 1]) + free, float(begins[last + ONSET - 1])
             found.append(Hypothesis(LOAD, -1, evidence, 0.0, 0.0, begin, change=change[last - 1]))

@@ -2,8 +2,7 @@
 
 Balances without the drift of an encoder are compared with those of the null hypothesis.  What the
 arm's unknowns explain, friction of the joints that the encoder tells of among them, is that of the
-rates without the drift: a joint that rests has no friction to be learned.  A torque may hold it
-there, anything between both signs of Coulomb's, that stays as it is in a rest.
+rates without the drift: a joint that rests has no friction to be learned.
 
 Friction that turns over is as large for a small drift as for a large one, so that trials begin with
 the size to first order, and with that by which the joint would rest.
@@ -25,7 +24,6 @@ from lpv.core.serial_arm.diagnosis.balance import (
     drop_interval,
     put,
     scratch_of,
-    stays_at_rest,
 )
 from lpv.core.serial_arm.diagnosis.estimator import Posterior
 from lpv.core.serial_arm.diagnosis.information import Window, factorise, recent, whiten
@@ -33,8 +31,6 @@ from lpv.core.serial_arm.dynamics.friction import smooth_sign
 from lpv.core.serial_arm.sensor_map import map_vector
 from lpv.core.support.jit import njit_in_place
 
-RESTS = 3
-"""Column of changes: 1 where the joint rests without the drift."""
 GAIN, SIZE, SIGMA, BEGIN, BACK, NEXT, PROMISE = range(7)
 """Columns of trials: those of `onset.Onset`, the size to which a Newton step leads [rad/s], and the
 gain there, to second order."""
@@ -43,8 +39,6 @@ _SMALLEST = 0.01
 _DIVERGED = 100.0
 """Standard deviations of drifts beyond which the search for a size has diverged: they alone cost
 more than balances give."""
-_REST = 8
-"""Balances of a rest, at least: in fewer a joint reverses."""
 _STEPS = 2
 """Newton steps for the size of a drift, from each of the trials that are refined."""
 _REFINED = 2
@@ -57,16 +51,14 @@ class Trials(NamedTuple):
     blocks: FloatArray  # (N, 3 n + 4) as of `Sampler.blocks`
     freed: FloatArray  # (N, 3 n + 4) the same without a drift
     forces: FloatArray  # (N, 2, n) momentum, and force that changes it, of each [N m s], [N m]
-    # (2, B - 1, n, 4) of residuals, for two sizes; columns of friction; 1 where a joint rests
-    changes: FloatArray
+    changes: FloatArray  # (2, B - 1, n, 3) of residuals, and columns of friction, for two sizes
     rows: FloatArray  # (B - 1, n, m) columns of the unknowns
     weights: FloatArray  # (B - 1, n) inverse variances of the balances
     residual: FloatArray  # (B - 1, n) under the null hypothesis [N m s]
     information: FloatArray  # (m, m) of that
     least: FloatArray  # (m,) smallest pivots
-    dry: FloatArray  # (n,) usual friction in a rest [N m s]
     matrix: FloatArray  # (m, m) scratch
-    sums: FloatArray  # (4, m) scratch
+    sums: FloatArray  # (3, m) scratch
 
 
 def new_trials(
@@ -77,9 +69,9 @@ def new_trials(
     at = recent(window, count)[::-1]
     return Trials(
         blocks, np.empty(blocks.shape), np.empty((len(blocks), 2, joints)),
-        np.empty((2, count, joints, 4)), window.rows[at][:, :, -m:].copy(), window.weights[at],
-        null.residual[:count][::-1].copy(), upper.T @ upper, null.least, null.dry,
-        np.empty((m, m)), np.empty((4, m)))  # fmt: skip
+        np.empty((2, count, joints, 3)), window.rows[at][:, :, -m:].copy(), window.weights[at],
+        null.residual[:count][::-1].copy(), upper.T @ upper, null.least, np.empty((m, m)),
+        np.empty((3, m)))  # fmt: skip
 
 
 def balance_of_trials(balance: Balance, friction: FloatArray) -> Balance:
@@ -146,8 +138,6 @@ def _set_changes(
         else:  # before the onset nothing is changed
             map_vector(own.to_joints, v, rate)
         for i in range(n):
-            own.rates[2, 0, i] = min(own.rates[2, 0, i], rate[i])
-            own.rates[2, 1, i] = max(own.rates[2, 1, i], rate[i])
             if which == 0 and share[i] != 0.0:
                 sign = smooth_sign(rate[i], own.chain.friction[i, SLOPE])
                 put(own, 1, i, (0.0, -rate[i]), weight)
@@ -156,10 +146,8 @@ def _set_changes(
         if (k + 1) % per_interval == 0:
             if close_interval(own, length):
                 for i in range(n):
-                    change = trials.changes[which, (k + 1) // per_interval - 2, i]
                     for c in range(3):
-                        change[c] = own.rows[i, c]
-                    change[RESTS] = stays_at_rest(own, i)
+                        trials.changes[which, (k + 1) // per_interval - 2, i, c] = own.rows[i, c]
             length = 0.0
 
 
@@ -216,59 +204,12 @@ def _compare(
         fit += score[a] * score[a] + 2.0 * np.log(factor[a, a] / matrix[a, a])
         slope -= score[a] * by_size[a]
         curvature -= by_size[a] * by_size[a]
-    for i in range(n):
-        if share[i] != 0.0:
-            parts = _free_rests(trials, i, older, step)
-            fit, slope, curvature = fit + 2.0 * parts[0], slope + parts[1], curvature + parts[2]
     power = max(curvature, 0.0) + 1.0 / (prior * prior)
     gain = 0.5 * (fit - (size / prior) ** 2 - np.log(power * prior * prior))
     way = (slope - size / (prior * prior)) / power
     trial[GAIN] = gain if np.isfinite(gain + way) else -np.inf
     trial[SIZE], trial[SIGMA] = size, 1.0 / np.sqrt(power)
     trial[NEXT], trial[PROMISE] = size + way, gain + 0.5 * power * way * way
-
-
-@njit_in_place
-def _free_rests(trials: Trials, i: int, older: int, step: float) -> tuple[float, float, float]:
-    """Let a torque hold a joint in each of its rests without the drift, or none: both as likely.
-
-    That torque is one more unknown, of the variance of friction at rest; the sums of `_compare`
-    are whitened.  Returned are the gain, and changes of slope and curvature.
-    """
-    (count, n), m, variance = trials.residual.shape, trials.least.shape[0], trials.dry[i] ** 2
-    score, by_size, pulled = trials.sums[0], trials.sums[1], trials.sums[3]
-    gain, slope, curvature = 0.0, 0.0, 0.0
-    if variance == 0.0:
-        return gain, slope, curvature
-    pulled[:], weights, pull, turned, rested = 0.0, 0.0, 0.0, 0.0, 0
-    for k in range(older, count):
-        change, rests = trials.changes[0, k, i], trials.changes[0, k, i, RESTS] == 1.0
-        if rests:
-            weight, row = trials.weights[k, i], trials.rows[k, i]
-            weights, rested = weights + weight, rested + 1
-            pull += weight * (trials.residual[k, i] + change[0])
-            turned += weight * (trials.changes[1, k, i, 0] - change[0]) / step
-            for a in range(m):
-                pulled[a] += weight * row[a]
-            for g in range(2):
-                c = (VISCOUS - OFFSET + g) * n + i
-                pulled[c] += weight * (change[1 + g] - row[c])
-            if k < count - 1:
-                continue
-        if rested >= _REST:
-            whiten(trials.matrix, pulled.reshape((m, 1)))
-            for a in range(m):
-                weights -= pulled[a] * pulled[a]
-                pull += pulled[a] * score[a]
-                turned -= pulled[a] * by_size[a]
-            power = max(weights, 0.0) + 1.0 / variance
-            odds = 0.5 * (pull * pull / power - np.log(power * variance))
-            held = 1.0 / (1.0 + np.exp(-odds))
-            gain += np.logaddexp(0.0, odds) - np.log(2.0)
-            slope += held * turned * pull / power
-            curvature -= held * turned * turned / power
-        pulled[:], weights, pull, turned, rested = 0.0, 0.0, 0.0, 0.0, 0
-    return gain, slope, curvature
 
 
 @njit_in_place
