@@ -219,7 +219,7 @@ def test_given_errors_that_change_with_speed_when_fitted_then_the_bounds_do():
         error[k] = keep * error[k - 1] + drawn
     residual = np.hypot(0.5, 0.8 * rate) * error + 0.1 * rng.normal(size=count)
     found = torque_error([rate[:, None]], [residual[:, None]], [np.ones((count, 1), bool)], step)
-    assert found.rest == pytest.approx([0.5], rel=0.15)
+    assert found.slow == pytest.approx([0.5], rel=0.15)
     assert found.growth == pytest.approx([0.8], rel=0.15)
     assert found.time == pytest.approx(0.2, rel=0.4)
 

@@ -230,7 +230,7 @@ class Uncertainty:
     model_error: float | None = None  # of masses, places of masses, inertias [-]; None: not stated
     # torque that the model misses, a standard deviation for each joint; None: not measured.
     # sigma(v)^2 = torque_error^2 + (torque_error_speed*v)^2 at joint rate v
-    torque_error: tuple[float, ...] | None = None  # at rest and in slow motion [N m]
+    torque_error: tuple[float, ...] | None = None  # in slow motion [N m]
     torque_error_speed: tuple[float, ...] | None = None  # growth with the joint's rate [N m s/rad]
     torque_error_time: float | None = None  # in which its correlation falls to 1/e [s]
 

@@ -23,19 +23,19 @@ _LEAST = 30  # samples of a bin
 
 @dataclass(frozen=True)
 class TorqueError:
-    """What a model misses, sigma(v)^2 = rest^2 + (growth v)^2, without the efforts' white noise."""
+    """What a model misses, sigma(v)^2 = slow^2 + (growth v)^2, without the efforts' white noise."""
 
-    rest: np.ndarray  # in slow motion, shape (n,) [N m]
+    slow: np.ndarray  # in slow motion, shape (n,) [N m]
     growth: np.ndarray  # with the joint's rate, shape (n,) [N m s/rad]
     time: float  # in which its correlation falls to 1/e, median of the joints [s]
     noise: np.ndarray  # white, of the efforts, shape (n,) [N m]
 
     def on(self, arm: SerialArm) -> SerialArm:
         """The arm with this uncertainty."""
-        rest, growth = (tuple(float(f'{v:.4g}') for v in x) for x in (self.rest, self.growth))
+        slow, growth = (tuple(float(f'{v:.4g}') for v in x) for x in (self.slow, self.growth))
         stated = replace(
             arm.uncertainty,
-            torque_error=rest,
+            torque_error=slow,
             torque_error_speed=growth,
             torque_error_time=float(f'{self.time:.4g}'),
         )
@@ -63,7 +63,7 @@ def torque_error(
     noise = noise_deviation(residuals)
     speed, size = np.concatenate(rates) ** 2, np.concatenate(residuals) ** 2
     n, every = size.shape[1], np.concatenate(counts)
-    rest, growth, times = np.zeros((3, n))
+    slow, growth, times = np.zeros((3, n))
     for j in range(n):
         squares, fast = size[every[:, j], j], speed[every[:, j], j]
         least = max(1e-4 * float(np.mean(squares)), 1e-18)
@@ -75,11 +75,11 @@ def torque_error(
             (constant, slope), _ = nnls(upper[:, :2], upper[:, 2])
             variance = np.maximum(constant + slope * fast, least)
             variance = variance / variance.mean()
-        rest[j], growth[j] = np.sqrt(max(constant, least)), np.sqrt(slope)
+        slow[j], growth[j] = np.sqrt(max(constant, least)), np.sqrt(slope)
         parts = [np.where(used[:, j], r[:, j], 0.0) for used, r in zip(counts, residuals)]
         used = [one[:, j].astype(float) for one in counts]
         times[j] = step * _correlation_length(parts, used, float(noise[j]))
-    return TorqueError(rest, growth, float(np.median(times)), noise)
+    return TorqueError(slow, growth, float(np.median(times)), noise)
 
 
 def _correlation_length(

@@ -43,7 +43,7 @@ SENSORS: tuple[Column, ...] = (
 )
 _ERRORS: tuple[Column, ...] = (
     ('RMS N m', '.3f', lambda r, j: r.rms[j]),
-    ('at rest', '.3f', lambda r, j: r.error.rest[j]),
+    ('slow', '.3f', lambda r, j: r.error.slow[j]),
     ('N m s/rad', '.3f', lambda r, j: r.error.growth[j]),
 )
 
@@ -74,8 +74,8 @@ def table(result: Identification) -> str:
 def calibration_table(result: Calibration) -> str:
     """What a calibration found of each joint, for a terminal."""
     last = (
-        '"RMS": efforts minus the torques of the model; "at rest" and per rad/s: what of that the '
-        f'model misses, for {result.error.time:.2g} s at a time; stamps jitter by '
+        '"RMS": efforts minus the torques of the model; "slow" and per rad/s: what of that the '
+        f'model misses in motion, for {result.error.time:.2g} s at a time; stamps jitter by '
         f'{1e3 * result.sensing.jitter:.2g} ms.'
     )
     return '\n'.join([*_text(result, (*_ERRORS, *SENSORS[:4])), '', last])
