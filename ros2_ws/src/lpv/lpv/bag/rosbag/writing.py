@@ -7,7 +7,7 @@ import resource
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from mcap.data_stream import RecordBuilder
@@ -83,6 +83,14 @@ class _Index(MessageIndex):
         stream.finish_record()
 
 
+class _Content(NamedTuple):
+    """Content of a file."""
+
+    entry: tuple[str, int, int, int]  # name, first and last log time [ns], messages
+    counts: Counter[str]  # messages by topic
+    size: int  # [bytes]
+
+
 class _File(Writer):
     """One file by mcap's writer, which takes whole chunks, too: a call a message is far slower."""
 
@@ -98,16 +106,12 @@ class _File(Writer):
         self.start('ros2', 'lpv.bag')
 
     @property
-    def entry(self) -> tuple[str, int, int, int]:
-        """Name, first and last log time [ns], and messages so far."""
+    def content(self) -> _Content:
+        """What has been written so far."""
         found = self.statistics
-        return self.name, found.message_start_time, found.message_end_time, found.message_count
-
-    @property
-    def counts(self) -> Counter[str]:
-        """Messages so far by topic."""
-        counts = self.statistics.channel_message_counts
-        return Counter({topic: counts.get(number, 0) for topic, number in self.channels.items()})
+        counts = {t: found.channel_message_counts.get(n, 0) for t, n in self.channels.items()}
+        times = found.message_start_time, found.message_end_time
+        return _Content((self.name, *times, found.message_count), Counter(counts), self.output.size)
 
     def define(self, topic: Connection) -> None:
         """Add a topic."""
@@ -163,7 +167,7 @@ class BagWriter:
         self._chunk_time, self._custom = chunk_time, dict(custom_data or {})
         self._slot: int | None = None
         self._topics: dict[str, Connection] = {}
-        self._files: list[_File] = []  # the last one is open
+        self._done: list[_Content] = []  # no files: these hold the index of every chunk
         self._closed = False
         self._failure: OSError | None = None  # the first one
         try:
@@ -185,18 +189,22 @@ class BagWriter:
     @property
     def files(self) -> int:
         """Number of files so far."""
-        return len(self._files)
+        return len(self._contents())
+
+    def _contents(self) -> list[_Content]:
+        is_done = self._file.output.file.closed
+        return self._done if is_done else [*self._done, self._file.content]
 
     @property
     def counts(self) -> dict[str, int]:
         """Messages written, by topic."""
-        counts = [file.counts for file in self._files]
+        counts = [content.counts for content in self._contents()]
         return {topic: sum(one[topic] for one in counts) for topic in self._topics}
 
     @property
     def size(self) -> int:
         """Bytes handed to the operating system, of all files."""
-        return sum(file.output.size for file in self._files)
+        return sum(content.size for content in self._contents())
 
     def add_topic(self, topic: str, msgtype: str, profiles: Sequence[Qos] = ()) -> None:
         """Announce a topic by its full name and type, with the QoS that its publishers offer."""
@@ -315,30 +323,30 @@ class BagWriter:
     def _begin_file(self) -> None:
         name = self.path.resolve().name
         if self._split_size or self._split_time:
-            name += f'_{len(self._files)}'
+            name += f'_{len(self._done)}'
         self._file = _File(self.path / f'{name}.mcap', self._preset)
-        self._files.append(self._file)
         for topic in self._topics.values():
             self._file.define(topic)
 
     def _finish_file(self) -> None:
-        """End the file, unless it failed before."""
+        """End the file, unless it failed before; what is in it is counted."""
         file = self._file
         if file.output.file.closed:
             return
         with contextlib.suppress(OSError), self._noting():
             if not self._failure:
                 file.flush()
-                text = dump(self._information([file])).strip()
+                text = dump(self._information([file.content])).strip()
                 file.add_metadata('rosbag2', {'serialized_metadata': text})
                 file.finish()
                 self._sync()
         with contextlib.suppress(OSError), self._noting():
             file.output.file.close()
+        self._done.append(file.content)
 
-    def _information(self, files: Sequence[_File]) -> dict[str, Any]:
-        counts = sum((file.counts for file in files), Counter[str]())
-        entries = [file.entry for file in files]
+    def _information(self, contents: Sequence[_Content]) -> dict[str, Any]:
+        counts = sum((one.counts for one in contents), Counter[str]())
+        entries = [one.entry for one in contents]
         return bag_information(entries, list(self._topics.values()), counts, self._custom)
 
     def close(self, known: Known | None = None) -> str:
@@ -351,7 +359,7 @@ class BagWriter:
         self._closed = True
         if self._failure:
             return f'its last messages or its end ({self._failure.strerror or self._failure})'
-        text = dump({'rosbag2_bagfile_information': self._information(self._files)})
+        text = dump({'rosbag2_bagfile_information': self._information(self._done)})
         new = self.path / f'{FILE_NAME}.new'
         try:
             with open(new, 'w', encoding='utf-8') as file:
