@@ -1,5 +1,9 @@
 """Compiled code is kept per state of the sources: no stale machine code may run."""
 
+import os
+import subprocess
+import sys
+
 import pytest
 
 from lpv.core.support import jit
@@ -31,3 +35,47 @@ def test_given_sources_when_changed_or_moved_then_digests_follow(tmp_path, files
     before = digests(tmp_path / 'before' / 'lpv_here', {})
     after = digests(tmp_path / 'after' / 'lpv_here', files, moved)
     assert tuple(one == other for one, other in zip(before, after)) == same
+
+
+LINKED = """
+import numpy as np
+from lpv.core.support.jit import njit
+
+@njit
+def innermost(x, y):
+    if x[0] < 0.0:
+        raise ValueError('negative', x[0])
+    return np.dot(x, y)
+
+@njit
+def inner(x, y):
+    return 2.0 * innermost(x, y)
+
+@njit
+def entry(x, y):
+    return 1.0 + inner(x, y)
+
+print(entry(np.ones(2), np.ones(2)))
+for x in -np.ones(2), np.ones(3):
+    try:
+        entry(x, np.ones(2))
+    except ValueError as error:
+        print(type(error).__name__, *error.args)
+print(inner(np.ones(2), np.ones(2)))  # called by Python, too
+"""
+
+
+@pytest.mark.skipif(not jit.COMPILED, reason='without Numba nothing is linked')
+def test_given_functions_that_only_compiled_code_calls_then_errors_in_them_arrive(tmp_path):
+    (tmp_path / 'linked.py').write_text(LINKED)
+    command = [sys.executable, str(tmp_path / 'linked.py')]
+    environment = {**os.environ, 'XDG_CACHE_HOME': str(tmp_path)}
+    outputs = [
+        subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
+        for _ in range(2)  # compiled, then from what is kept
+    ]
+    assert outputs == 2 * [outputs[0]]
+    assert outputs[0].splitlines() == [
+        '5.0', 'ValueError negative -1.0', 'ValueError incompatible array sizes for np.dot(a, b)'
+        ' (vector * vector)', '4.0',
+    ]  # fmt: skip

@@ -9,6 +9,8 @@ Compiled code is kept between runs.  Numba's cache notices a change of the file 
 function, but not of the files that hold what it calls: each function is kept in a folder named by
 the sources of its module and of all that the module imports.  A change of one module therefore
 compiles again what depends on it, and nothing else; two checkouts of the same sources share.
+Nodes that start together compile each function in one of them only (see `process_lock`), and
+functions that Python never calls are linked into those that it calls (see `linking`).
 """
 
 import hashlib
@@ -23,6 +25,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from lpv.core.support.process_lock import ProcessLock
 
 _IMPORT = re.compile(r'^ *from (lpv[\w.]*) import (\([^)]*\)|.*)$|^ *import (lpv[\w.]*)', re.M)
 
@@ -99,8 +103,6 @@ def _cache_home() -> Path | None:
 def _load_numba() -> Any:
     if os.environ.get('LPV_NO_JIT', '') == '1':
         return None
-    # A quarter less to compile than with all optimisation, for the same bits and 4 % slower steps.
-    os.environ.setdefault('NUMBA_OPT', '1')
     try:
         import numba
     except ImportError:  # a machine without Numba runs the plain functions
@@ -112,11 +114,19 @@ def _load_numba() -> Any:
 
 _numba = _load_numba()
 _home = _cache_home() if _numba is not None and 'NUMBA_CACHE_DIR' not in os.environ else None
+_compiling = ProcessLock(_home / 'compiling') if _home is not None else None
 
 COMPILED = _numba is not None
 _SETTINGS = ('CACHE_DIR', 'CACHE_LOCATOR_CLASSES')
 """Settings of Numba that differ from function to function here."""
 
+
+if _numba is not None:
+    from numba.core.compiler_lock import global_compiler_lock as _one_thread
+
+    from lpv.core.support import linking as _linking
+
+    _linking.install()
 
 if _home is not None:
     from numba.core import caching as _caching
@@ -149,7 +159,7 @@ def _dispatcher(function: Callable[..., Any], kind: str, **options: bool) -> Any
         # fastmath stays off: results must not depend on how a loop is vectorised.  Without the
         # interpreter's lock, a replay reads and writes while the recursion runs.  No function is
         # handed on as a pointer, which a C wrapper is for.
-        return _numba.njit(
+        dispatcher = _numba.njit(
             cache=kept,
             fastmath=False,
             error_model='numpy',
@@ -157,9 +167,26 @@ def _dispatcher(function: Callable[..., Any], kind: str, **options: bool) -> Any
             no_cfunc_wrapper=True,
             **options,
         )(function)
+        dispatcher.compile = _compile_once(dispatcher, kind)
+        return dispatcher
     finally:
         for name, value in before.items():
             setattr(_numba.config, name, value)
+
+
+def _compile_once(dispatcher: Any, kind: str) -> Callable[..., Any]:
+    """Numba's way to compile a function for some types, as this project's processes share it."""
+
+    def compile_for(types: Any) -> Any:
+        with _one_thread, _linking.linked_only(kind == 'compiled'):
+            if _compiling is None or types in dispatcher.overloads:
+                return compile_here(types)
+            with _compiling.held(f'{kind} {function} {types}'):
+                return compile_here(types)
+
+    compile_here = dispatcher.compile
+    function = f'{dispatcher.py_func.__module__}.{dispatcher.py_func.__qualname__}'
+    return compile_for
 
 
 def njit(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -1,0 +1,112 @@
+"""Functions that only compiled code calls are linked into it, and made into machine code there.
+
+Numba makes machine code of every function together with all that it calls, so what lies six calls
+deep is optimised and made six times.  While `linked_only` holds, libraries are made that keep
+their intermediate code and leave both to the function that is called from Python.
+"""
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from numba.core.codegen import JITCodeLibrary, JITCPUCodegen
+from numba.core.environment import lookup_environment
+from numba.core.registry import cpu_target
+
+_OVERRIDDEN = (
+    '_optimize_final_module',
+    '_finalize_final_module',
+    '_finalize_specific',
+    '_finalize_dynamic_globals',
+    '_verify_declare_only_symbols',
+    'serialize_using_object_code',
+    'serialize_using_bitcode',
+    'get_pointer_to_function',
+)
+"""What this file takes for granted of Numba's libraries."""
+_ENVIRONMENT = '_ZN08NumbaEnv'
+
+
+class LinkedLibrary(JITCodeLibrary):
+    """Code of a function that Python never calls: there is no machine code of its own."""
+
+    def _optimize_final_module(self) -> None:
+        """Left to the library that this one is linked into."""
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._verify_declare_only_symbols()
+        self._finalized = True
+
+    def get_pointer_to_function(self, name: str) -> int:
+        """Null: no symbol has an address here."""
+        self._ensure_finalized()
+        return 0
+
+    def serialize_using_object_code(self) -> Any:
+        """Intermediate code, as there is no other."""
+        return self.serialize_using_bitcode()
+
+
+class EntryLibrary(JITCodeLibrary):
+    """Code of a function that Python calls, with all that is linked into it."""
+
+    _codegen: Any
+
+    def _finalize_specific(self) -> None:
+        super()._finalize_specific()
+        for variable in self._final_module.global_variables:
+            if variable.name.startswith(_ENVIRONMENT):
+                constants = lookup_environment(variable.name)
+                if constants is not None:
+                    self._codegen.set_env(variable.name, constants)
+
+
+class _State(threading.local):
+    linked = False
+
+
+_state = _State()
+
+
+def _library_class() -> Any:
+    return LinkedLibrary if _state.linked else EntryLibrary
+
+
+class _Codegen(JITCPUCodegen):
+    """Makes the libraries of this file."""
+
+    def create_library(self, name: str, **options: Any) -> Any:
+        """An empty library."""
+        return _library_class()(self, name, **options)
+
+    def unserialize_library(self, serialized: Any) -> Any:
+        """A library that was kept."""
+        return _library_class()._unserialize(self, serialized)
+
+    def set_env(self, env_name: str, env: Any) -> None:
+        """Set the constants of a function, if there is machine code that reads them."""
+        if self._engine.get_global_value_address(env_name):
+            super().set_env(env_name, env)
+
+
+def install() -> bool:
+    """Let Numba make the libraries of this file; False where its own are not as expected."""
+    codegen = cpu_target.target_context.codegen()
+    as_expected = type(codegen) is JITCPUCodegen and all(
+        hasattr(JITCodeLibrary, name) for name in _OVERRIDDEN
+    )
+    if as_expected:
+        codegen.__class__ = _Codegen
+    return as_expected
+
+
+@contextmanager
+def linked_only(linked: bool) -> Iterator[None]:
+    """Functions compiled meanwhile are, or are not, called by compiled code alone."""
+    before, _state.linked = _state.linked, linked
+    try:
+        yield
+    finally:
+        _state.linked = before
