@@ -130,8 +130,10 @@ def lpv(tmp_path_factory):
     leave_out = shutil.ignore_patterns('.*', 'out', 'build', 'test', 'tests')
     source = shutil.copytree(ROOT, folder / 'source', ignore=leave_out)  # building leaves folders
     clean = {k: v for k, v in os.environ.items() if not k.startswith(('PYTHON', 'ROS', 'AMENT'))}
-    pip = [folder / 'env/bin/python', '-m', 'pip', 'install', '--quiet', '--no-compile']
-    subprocess.run([*pip, f'{source}[campaign]'], check=True, env=clean, cwd=folder)
+    # By uv or pip, as the set-up does it.
+    install = f'source {ROOT}/tools/setup.sh; source=wheels; install_packages lpv "$0"'
+    line, place = ['bash', '-c', install, f'{source}[campaign]'], {'VENV': str(folder / 'env')}
+    subprocess.run(line, check=True, env={**clean, **place}, cwd=folder)
     given = {'PATH': str(folder / 'env/bin'), 'HOME': str(folder), 'LANG': 'C.UTF-8'}
     options = {'cwd': folder, 'env': given, 'text': True, 'capture_output': True}
 
