@@ -139,7 +139,8 @@ def _fill_torques(
     for k in range(len(position)):
         inverse_dynamics(chain, position[k], rate[k], bend[k], work, torque[k])
         friction_torque(chain, rate[k], torque[k], friction)
-        torque[k] += friction
+        for i in range(len(friction)):
+            torque[k, i] += friction[i]
 
 
 def _beyond(reason: str, limit: str) -> ConfigError:

@@ -57,7 +57,7 @@ class Answering(NamedTuple):
     known: Known
     flags: np.ndarray  # memory of a record of `FLAGS`
     progress: np.ndarray  # memory of a record of `PROGRESS`
-    uio: UioParts | None  # of the designed observer, if there is one
+    uio: UioParts  # of the designed observer, or of none
 
 
 @njit_in_place

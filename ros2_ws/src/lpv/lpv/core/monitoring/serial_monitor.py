@@ -37,7 +37,7 @@ from lpv.core.support.limits import LARGEST, MAX_GAP
 from lpv.core.support.records import memory, new_record, plain, record_type
 from lpv.core.support.timestamps import NANOSECONDS, NEVER
 from lpv.core.uio.certificate.gains import Gains
-from lpv.core.uio.unknown_input_observer import CHOICES, UnknownInputObserver
+from lpv.core.uio.unknown_input_observer import CHOICES, UnknownInputObserver, no_observer
 
 METHOD = 'moving horizon'
 _ERROR = int(SensorState.ERROR)
@@ -323,7 +323,7 @@ class SerialSensorMonitor:
         n, self._noted = self._joints, 0  # stamp from which on the snapshot holds [ns]
         flags = new_record(FLAGS, sample_time=self.arm.sample_time)
         progress = new_record(PROGRESS, next_report=NEVER)
-        uio = None if self._uio is None else self._uio.parts
+        uio = no_observer() if self._uio is None else self._uio.parts
         self._answering = Answering(
             new_compensation(n), self._nothing_known(), memory(flags), memory(progress), uio
         )

@@ -39,13 +39,13 @@ from lpv.core.uio.planar import planar_model
 
 CHOICES = ('tightest', 'uio', 'horizon')
 """Whose estimate of the faults is published: that of the smaller bound, or one observer's alone."""
-_TIGHTEST, _UIO, _HORIZON = range(len(CHOICES))
+_NO_OBSERVER, _TIGHTEST, _UIO, _HORIZON = range(-1, len(CHOICES))
 
 UIO_CONSTANTS = record_type(
     ('observer', OBSERVER_CONSTANTS),
     ('losses', LOSS_CONSTANTS),
     ('bound', BOUND_CONSTANTS),
-    ('choice', 'i8'),  # index in `CHOICES`
+    ('choice', 'i8'),  # index in `CHOICES`, or that there is no observer
 )
 UIO_STATE = record_type(
     ('observer', OBSERVER_STATE),
@@ -64,6 +64,13 @@ class UioParts(NamedTuple):
     to_sensors: FloatArray  # S, shape (2, 2)
     to_joints: FloatArray  # S^-1, shape (2, 2)
     measured: FloatArray  # work space, shape (3, 2)
+
+
+def no_observer() -> UioParts:
+    """Arguments for arms without one; of the same types, so that nothing is compiled anew."""
+    constants = new_record(UIO_CONSTANTS, choice=_NO_OBSERVER)
+    empty = np.zeros((2, 2))
+    return UioParts(memory(constants), memory(new_record(UIO_STATE)), empty, empty, empty)
 
 
 @njit
@@ -91,14 +98,19 @@ def uio_step(
 
 @njit
 def uio_answers(
-    parts: Any, rows: Any, first: int, part: tuple[int, int], stamps: IntArray, samples: FloatArray
+    parts: UioParts,
+    rows: Any,
+    first: int,
+    part: tuple[int, int],
+    stamps: IntArray,
+    samples: FloatArray,
 ) -> None:
     """Advance over samples in a row, and let the tighter estimate of each fault be the answer.
 
     Parameters
     ----------
-    parts : UioParts or None
-        Of the observer; None does nothing.
+    parts : UioParts
+        Of the observer; those of `no_observer` do nothing.
     rows : lpv.core.monitoring.compensation.AnswerRows
         Answers of the horizon to these samples; estimates, bounds and positions are changed where
         the observer's bound is smaller.
@@ -111,9 +123,9 @@ def uio_answers(
     samples : ndarray, shape (N, 3, 2)
         The last ones of each are joint torques [N m].
     """
-    if parts is None:
-        return
     params, state, measured = parts.constants[0], parts.state[0], parts.measured
+    if params.choice == _NO_OBSERVER:
+        return
     for k in range(part[0], part[1]):
         row = first + k
         for i in range(2):
