@@ -26,18 +26,24 @@ from lpv.core.monitoring.stepped_monitor import Snapshot, SteppedMonitor, Told
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import Alarm, Mode, SensorState
+from lpv.core.serial_arm.diagnosis.decision import decide
 from lpv.core.serial_arm.diagnosis.information import ROBUST
 from lpv.core.serial_arm.diagnosis.monitor import LONGEST_STEP
 from lpv.core.serial_arm.diagnosis.sampling import DELAY, ROUNDED
 from lpv.core.serial_arm.sensor_map import map_rows, mixing
 from lpv.core.serial_arm.turns import FARTHEST, Turns
 from lpv.core.support.errors import SampleError
-from lpv.core.support.jit import Entries, njit_in_place
+from lpv.core.support.jit import Entries, compile_ahead, njit_in_place
 from lpv.core.support.limits import LARGEST, MAX_GAP
 from lpv.core.support.records import memory, new_record, plain, record_type
 from lpv.core.support.timestamps import NANOSECONDS, NEVER
 from lpv.core.uio.certificate.gains import Gains
-from lpv.core.uio.unknown_input_observer import CHOICES, UnknownInputObserver, no_observer
+from lpv.core.uio.unknown_input_observer import (
+    CHOICES,
+    UnknownInputObserver,
+    no_observer,
+    uio_answers,
+)
 
 METHOD = 'moving horizon'
 _ERROR = int(SensorState.ERROR)
@@ -357,6 +363,13 @@ class SerialSensorMonitor:
         other._monitor.estimator.linearise(other._monitor._blocks(2))  # noqa: SLF001
         if suspicious:
             other._monitor.warm_up()
+
+    def compile_ahead(self) -> None:
+        """Compile decisions and the designed observer, beside a process that warms up."""
+        one, rows = self._answering, self._one.rows
+        compile_ahead(decide, self._monitor.parts)
+        samples, stamps = np.zeros((1, 3, self._joints)), np.zeros(1, np.int64)
+        compile_ahead(uio_answers, one.uio, rows, 0, (0, 0), stamps, samples)
 
     def take(
         self, stamp: int, message: Any, torque: Sequence[float] | None = None

@@ -4,10 +4,12 @@ The machine code is kept (see `lpv.core.support.jit`), so that nodes start in se
 not compiled here is compiled at its first use.
 """
 
+import multiprocessing
+import os
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import numpy as np
 
@@ -41,6 +43,13 @@ def parts_of(arm: SerialArm, name: str) -> Iterator[str]:
     gains = _shipped_gains(arm, name)
     monitor = SerialSensorMonitor('precompile', arm, gains=gains)
     monitor.warm_up()
+    _run_loop(arm, name, gains)
+    yield 'diagnosis of a fault'  # the first one must not wait for this in a node
+    monitor.warm_up(suspicious=True)
+
+
+def _run_loop(arm: SerialArm, name: str, gains: Gains | None) -> None:
+    """Run what the simulator and the tracker compile."""
     try:
         scenario = load_scenario(bringup_file('scenarios', _SCENARIOS.get(name, name)))
     except ConfigError:  # an arm of the user's own
@@ -57,8 +66,36 @@ def parts_of(arm: SerialArm, name: str) -> Iterator[str]:
     watchdog.check_estimate(1, 0, 0, True, still, still)
     watchdog.check_motion(1, still, still, still)
     DriveWatchdog(arm, DriveLimits()).check(1, 0, True, still)
-    yield 'diagnosis of a fault'  # the first one must not wait for this in a node
-    monitor.warm_up(suspicious=True)
+
+
+class _Helper:
+    """A second process that compiles what comes last here, if there is a processor for it.
+
+    Whatever one of the two compiles the other one waits for, and loads.
+    """
+
+    def __init__(self, arm: SerialArm, name: str) -> None:
+        new = multiprocessing.get_context('spawn')
+        self._process = new.Process(target=_help, args=(arm, name), daemon=True)
+        self._is_started = False
+
+    def start(self) -> None:
+        """Start, unless it has been."""
+        if not self._is_started and len(os.sched_getaffinity(0)) > 1:
+            self._is_started = True
+            self._process.start()
+
+    def join(self) -> None:
+        """Wait for what it has begun."""
+        if self._is_started:
+            self._process.join()
+
+
+def _help(arm: SerialArm, name: str) -> None:
+    with suppress(KeyboardInterrupt):  # the other process says so
+        gains = _shipped_gains(arm, name)
+        _run_loop(arm, name, gains)
+        SerialSensorMonitor('precompile', arm, gains=gains).compile_ahead()
 
 
 def _shipped_gains(arm: SerialArm, name: str) -> Gains | None:
@@ -72,13 +109,14 @@ def _shipped_gains(arm: SerialArm, name: str) -> Gains | None:
 
 
 @contextmanager
-def _progress(text: str) -> Iterator[None]:
+def _progress(text: str, helper: _Helper) -> Iterator[None]:
     """Show what is being compiled: on a terminal each function, elsewhere nothing more."""
     begin, count, shown = time.monotonic(), 0, 0.0
 
     def show(name: str) -> None:
         nonlocal count, shown
         count += 1
+        helper.start()
         if sys.stdout.isatty() and time.monotonic() - shown > 0.2:
             shown = time.monotonic()
             line = f'{text}: {name} ({count} functions, {shown - begin:.0f} s)'
@@ -99,11 +137,14 @@ def precompile(name: str) -> None:
     name : str
         Shipped arm, or arm file.
     """
-    parts = parts_of(load_arm(bringup_file('arms', name)), name)
+    arm = load_arm(bringup_file('arms', name))
+    parts = parts_of(arm, name)
     part = next(parts, None)
+    helper = _Helper(arm, name)
     while part is not None:
-        with _progress(f'compiling for arm {name!r}: {part}'):
+        with _progress(f'compiling for arm {name!r}: {part}', helper):
             part = next(parts, None)
+    helper.join()
 
 
 def main() -> None:

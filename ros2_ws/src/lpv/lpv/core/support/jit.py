@@ -215,7 +215,15 @@ def _compiled(function: Callable[..., Any], **options: bool) -> Callable[..., An
         inner = _dispatcher(function, 'compiled', no_cpython_wrapper=True, **options)
         called.get_call_template = inner.get_call_template
         called.get_overload = inner.get_overload
+        called.compile_linked = inner.compile
     return called
+
+
+def compile_ahead(function: Any, *arguments: Any) -> None:
+    """Compile what compiled code that calls the function with such arguments needs, and keep it."""
+    compile_linked = getattr(function, 'compile_linked', None)
+    if compile_linked is not None:
+        compile_linked(tuple(map(function.typeof_pyval, arguments)))
 
 
 _entries: dict[Any, Callable[..., Any]] = {}
