@@ -129,10 +129,10 @@ class Rig:
         return log.rfind('brakes engaged') > log.rfind('brakes released')
 
     def drive(self):
-        """Let the arm move for a second; a busy machine may brake it by itself at any time."""
+        """Let the arm move for half a second; a busy machine may brake it by itself at any time."""
         begin = since = time.monotonic()
-        while time.monotonic() - since < 1.0:
-            assert since < begin + 600.0, 'the arm is never driven for a second'
+        while time.monotonic() - since < 0.5:
+            assert since < begin + 600.0, 'the arm is never driven for half a second'
             self.spin(0.05)
             if self.is_braked():
                 since = time.monotonic()

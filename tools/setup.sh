@@ -142,16 +142,18 @@ link_duplicates() {
 }
 
 # Loads and unpacks many packages at once, in a quarter of pip's time; where pip is set up for an
-# index of its own, uv uses that, and what uv cannot do is left to pip.
+# index of its own, uv uses that, and what uv cannot do is left to pip.  The system's certificates
+# are trusted, as pip does; older versions of uv know them by another name.
 install_by_uv() {
   [ "$source" = wheels ] || return 1  # uv does not see the packages of a sourced ROS 2
-  local uv index
+  local uv index links=${PIP_FIND_LINKS:-}
   uv=$(command -v uv) || {
     uv=$build/uv/bin/uv
     [ -x "$uv" ] || install_by_pip --target "$build/uv" 'uv>=0.4,<1' || return 1
   }
   index=$("$venv/bin/python" -m pip config get global.index-url 2>/dev/null) || index=
   UV_DEFAULT_INDEX=${UV_DEFAULT_INDEX:-${PIP_INDEX_URL:-${index:-https://pypi.org/simple}}} \
+    UV_FIND_LINKS=${UV_FIND_LINKS:-${links// /,}} UV_SYSTEM_CERTS=1 UV_NATIVE_TLS=1 \
     "$uv" pip install --python "$venv/bin/python" "$@"
 }
 

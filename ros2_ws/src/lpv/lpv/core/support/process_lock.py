@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-_PATIENCE = 120.0
+_PATIENCE = 300.0
 """Seconds after which a process no longer waits for one that may have been stopped."""
 _PLACES = 1 << 30
 """Bytes of the file that can be locked, none of which is ever written."""
