@@ -465,7 +465,7 @@ class SerialMonitor:
     ) -> tuple[FloatArray, FloatArray]:
         """Faults f of the position sensors and their standard deviations, shape (n,) [rad].
 
-        ``doubts`` are `changing_sigma` and `jump_doubt`, where they are at hand.
+        ``doubts`` are `changing_sigma` and `undecided_sigma`, where they are at hand.
         """
         level, (changing, doubt) = self.estimator.level, doubts or self.doubts()
         fault = self.taken_out() + level.mean[: self.joints]
@@ -473,24 +473,23 @@ class SerialMonitor:
 
     def doubts(self) -> tuple[FloatArray, FloatArray]:
         """Standard deviations of what changes, and by jumps, shape (n,) [rad]."""
-        return self.changing_sigma(), self.jump_doubt()
+        return self.changing_sigma(), self.undecided_sigma()
 
-    def jump_doubt(self) -> FloatArray:
+    def undecided_sigma(self) -> FloatArray:
         """What is not decided adds to standard deviations, shape (n,) [rad].
 
         While a jump may have been the end of a fault, or a scale error's, bounds hold that as well,
         and so they do of a fault that is suspected.
         """
-        doubt = self._suspected / self.settings.sigmas
-        wrong = self.settings.probability_of_wrong_name
+        error, wrong = self._suspected.copy(), self.settings.probability_of_wrong_name
         for i, one in self._ends.items():
             if one.share > wrong:
-                doubt[i] = abs(one.jump) / self.settings.sigmas
+                error[i] = max(error[i], abs(one.jump))
         for i, scaled in self._scaled.items():
             if scaled.share > wrong:
-                error = abs(scaled.error(float(self.sampler.samples[-1, 0, i])))
-                doubt[i] = max(doubt[i], error / self.settings.sigmas)
-        return doubt
+                reading = float(self.sampler.samples[-1, 0, i])
+                error[i] = max(error[i], abs(scaled.error(reading)))
+        return error / self.settings.sigmas
 
     def taken_out(self) -> FloatArray:
         """What is taken out of the readings now, shape (n,) [rad]."""
@@ -601,7 +600,7 @@ class SerialMonitor:
             self._ends[i] = end = end_of_fault(
                 self.estimator, self.sampler, self.bank, i, size, self._freezes_again(i)
             )
-            sigma += float(self.jump_doubt()[i])
+            sigma += float(self.undecided_sigma()[i])
             if sensor.active and end.share >= 1.0 - self.settings.probability_of_wrong_name:
                 self.bank.note_jump(i, sigma**2)
                 return  # of a fault that is known
