@@ -8,6 +8,7 @@ their intermediate code and leave both to the function that is called from Pytho
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from typing import Any
 
 from numba.core.codegen import JITCodeLibrary, JITCPUCodegen
@@ -102,9 +103,16 @@ def install() -> bool:
     return as_expected
 
 
+@cache
+def _prepare() -> None:
+    """Let Numba compile what it needs itself, which C code calls."""
+    cpu_target.target_context.refresh()
+
+
 @contextmanager
 def linked_only(linked: bool) -> Iterator[None]:
     """Functions compiled meanwhile are, or are not, called by compiled code alone."""
+    _prepare()
     before, _state.linked = _state.linked, linked
     try:
         yield
