@@ -365,7 +365,7 @@ class Bank:
                 gain = course.gain + self._kinematics.explained(i, rows)
                 way, sigma = float(course.mean[0]), float(course.covariance[0, 0]) ** 0.5
                 begin = course.begin
-                found.append(Hypothesis('stuck', i, gain, way, sigma, begin, 1.0, True, course))
+                found.append(Hypothesis('stuck', i, gain, way, sigma, begin, 1.0, one.seen, course))
         return found
 
     def course(

@@ -836,7 +836,8 @@ class SerialMonitor:
     def _frozen(self) -> dict[int, Frozen]:
         """Readings that stopped dead while they moved, or have lost their noise, or froze before.
 
-        Rounding and usual braking explain a part of the rate before.
+        Rounding and usual braking explain a part of the rate before.  Readings that have not
+        changed since the first sample may be frozen as well, if something is wrong.
         """
         sampler, period, found = self.sampler, self.arm.sample_time, dict[int, Frozen]()
         if max(sampler.still.tolist()) * period <= STILL_TIME:
@@ -846,6 +847,9 @@ class SerialMonitor:
         apart = np.abs(sampler.still - sampler.still[:, None]) * period
         np.fill_diagonal(apart, math.inf)
         lively &= apart.min(axis=1) > BRAKED_WITHIN
+        # A noisy reading leaves as much in the balances as a joint that moves unseen.
+        is_noisy = any(one.active and one.kind == 'noise' for one in self.sensors)
+        is_wrong = bool(self._suspects) and not is_noisy
         for i in np.flatnonzero(sampler.still * period > STILL_TIME).tolist():
             rounding, rate = float(sampler.grain[i]) / measured, float(sampler.stop[i])
             smallest = max(self._smallest_step(i), sampler.grain[i])
@@ -853,6 +857,8 @@ class SerialMonitor:
             time = self._last() - float(sampler.still[i]) * period
             if self.sensors[i].kind == 'stuck':  # while its alarm is up, any rest may be a freeze
                 found[i] = Frozen(time, 0.0, USUAL_RATE, alive)
+            if is_wrong and math.isinf(sampler.grain[i]):
+                found[i] = Frozen(time, 0.0, USUAL_RATE, alive=False, seen=False)
             if not alive and speed * STILL_TIME <= smallest:
                 continue  # joints that rest are many, and usual accelerations take time
             braking = 0.5 * measured * self._acceleration(i)

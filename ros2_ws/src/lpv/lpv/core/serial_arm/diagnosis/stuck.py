@@ -30,6 +30,7 @@ class Frozen(NamedTuple):
     rate: float  # at which it had moved [rad/s]
     sigma: float  # standard deviation of that [rad/s]
     alive: bool  # whether a reading at rest would go back and forth
+    seen: bool = True  # whether it was seen to freeze; else it has rested since the first sample
 
 
 class Course(NamedTuple):
@@ -109,8 +110,9 @@ def course_of_frozen(
     known -= (estimator.window.weights[at].reshape(-1, 1) * old).T @ old
     factorise(known, null.least)
     whiten(known, cross)
-    information = every.T @ pulled - cross.T @ cross
-    score = -pulled.T @ before.ravel()
+    with np.errstate(over='ignore', invalid='ignore'):
+        information = every.T @ pulled - cross.T @ cross
+        score = -pulled.T @ before.ravel()
     if not np.isfinite(information).all():  # a fault that is followed ran away
         return None
     spread, pull = STILL_RATE if balances else frozen.sigma, score[1:] - information[1:, 0]
