@@ -54,6 +54,12 @@ def test_given_a_process_that_never_goes_on_when_waited_for_then_not_for_ever(
         assert other.poll() is None
 
 
-def test_given_no_place_for_locks_then_nobody_waits(tmp_path):
-    with ProcessLock(tmp_path / 'missing' / 'locks').held('one'):
+@pytest.mark.parametrize('error', [FileNotFoundError, PermissionError])
+def test_given_no_place_for_locks_then_nobody_waits(tmp_path, monkeypatch, error):
+    def fail(*_):
+        raise error
+
+    monkeypatch.setattr(process_lock.os, 'open', fail)
+    monkeypatch.setattr(process_lock.time, 'sleep', lambda _: pytest.fail('it waits'))
+    with ProcessLock(tmp_path / 'locks').held('one'):
         pass

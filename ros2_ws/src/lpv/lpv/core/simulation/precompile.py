@@ -77,17 +77,15 @@ class _Helper:
     def __init__(self, arm: SerialArm, name: str) -> None:
         new = multiprocessing.get_context('spawn')
         self._process = new.Process(target=_help, args=(arm, name), daemon=True)
-        self._is_started = False
 
     def start(self) -> None:
         """Start, unless it has been."""
-        if not self._is_started and len(os.sched_getaffinity(0)) > 1:
-            self._is_started = True
+        if self._process.pid is None and len(os.sched_getaffinity(0)) > 1:
             self._process.start()
 
     def join(self) -> None:
         """Wait for what it has begun."""
-        if self._is_started:
+        if self._process.pid is not None:
             self._process.join()
 
 

@@ -92,15 +92,14 @@ class _Codegen(JITCPUCodegen):
             super().set_env(env_name, env)
 
 
-def install() -> bool:
-    """Let Numba make the libraries of this file; False where its own are not as expected."""
+def install() -> None:
+    """Let Numba make the libraries of this file, where its own are as expected."""
     codegen = cpu_target.target_context.codegen()
     as_expected = type(codegen) is JITCPUCodegen and all(
         hasattr(JITCodeLibrary, name) for name in _OVERRIDDEN
     )
     if as_expected:
         codegen.__class__ = _Codegen
-    return as_expected
 
 
 @cache

@@ -10,15 +10,13 @@ from pathlib import Path
 
 _PATIENCE = 300.0
 """Seconds after which a process no longer waits for one that may have been stopped."""
-_PLACES = 1 << 30
-"""Bytes of the file that can be locked, none of which is ever written."""
 
 
 class ProcessLock:
     """Locks by name that a process loses when it ends, however it ends.
 
-    Each name is a byte of one file that is locked.  Where the file system knows no such locks,
-    nobody waits.
+    Each name is a byte of one file that is locked, and never written.  Where the file cannot be
+    opened, or the file system knows no such locks, nobody waits.
 
     Parameters
     ----------
@@ -34,7 +32,7 @@ class ProcessLock:
     @contextmanager
     def held(self, name: str) -> Iterator[None]:
         """Keep other processes from what has this name; threads need a lock of their own."""
-        place = zlib.crc32(name.encode()) % _PLACES
+        place = zlib.crc32(name.encode())
         if place in self._held or not self._acquire(place):
             yield
             return
@@ -53,10 +51,14 @@ class ProcessLock:
 
     def _acquire(self, place: int) -> bool:
         """Whether the lock is held now."""
+        try:
+            descriptor = self._open()
+        except OSError:
+            return False
         give_up, pause = time.monotonic() + _PATIENCE, 0.001
         while time.monotonic() < give_up:
             try:
-                fcntl.lockf(self._open(), fcntl.LOCK_EX | fcntl.LOCK_NB, 1, place)
+                fcntl.lockf(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, place)
             except (BlockingIOError, PermissionError):  # another process has it
                 time.sleep(pause)
                 pause = min(2 * pause, 0.1)

@@ -472,7 +472,7 @@ class SerialMonitor:
         return fault, np.hypot(level.sigma, changing) + doubt
 
     def doubts(self) -> tuple[FloatArray, FloatArray]:
-        """Standard deviations of what changes, and by jumps, shape (n,) [rad]."""
+        """Standard deviations of what changes, and of what is not decided, shape (n,) [rad]."""
         return self.changing_sigma(), self.undecided_sigma()
 
     def undecided_sigma(self) -> FloatArray:
