@@ -11,7 +11,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from fault_injection import BY_NAME, CLOSE, DATA, cells, draw, run
+from fault_injection import BY_NAME, CLOSE, DATA, cells, draw, outside_bounds, run
 from fault_matrix import BAR, COMPARED, KEY, compared, summary
 
 from lpv.core.monitoring.parameters import DiagnosisParameters
@@ -161,3 +161,18 @@ def test_given_a_reading_that_never_changed_when_its_joint_moves_then_it_is_name
     kind = replace(BY_NAME['stuck'], from_start=True, limit=15.0, duration=15.5)
     (cell,) = cells([arm], [False], ['derived'], [kind])
     assert sum(run(cell, k).kind == 'stuck' for k in range(4)) >= 3
+
+
+@pytest.mark.parametrize('arm', ['real_arm', 'chain3'])
+def test_given_a_frozen_reading_when_its_link_turns_back_then_the_other_side_is_not_trusted(arm):
+    """Near the horizontal, gravity is the same for a link that goes on and one that turns back."""
+    kind = replace(BY_NAME['stuck'], limit=14.0, duration=14.5)
+    (cell,) = cells([arm], [False], ['derived'], [kind])
+    outside = []
+    for k in range(4):
+        subject, window, _ = draw(cell, k, 1)
+        stream, (fault, *_) = window.stream, window.faults
+        answers = subject.monitor().take_many(stream.stamps, *stream.samples.swapaxes(0, 1))
+        span = (fault.onset + 1.0, fault.end)
+        outside.append(outside_bounds(answers, stream.stamps, window.truth, span))
+    assert np.mean(outside) < 0.05, outside

@@ -25,6 +25,7 @@ from lpv.core.serial_arm.diagnosis.balance import (
     move_epoch,
     new_balance,
     rests,
+    scratch_of,
 )
 from lpv.core.serial_arm.diagnosis.information import (
     COUNT,
@@ -564,20 +565,30 @@ class OffsetEstimator:
         last = min(len(blocks) // self.plan.blocks - 1, len(self))
         if last < 1:
             return
-        rows = np.empty((len(blocks) // self.plan.blocks - 1, *self.balance.rows.shape))
-        blocks = np.ascontiguousarray(blocks)
-        self.call(fill_balances, self.balance, blocks, self.plan.blocks, rows)
-        self.call(make_absolute, rows.reshape(-1, rows.shape[2]), self.balance.reference)
-        at = recent(self.window, last)
-        self.window.rows[at] = rows[: -1 - last : -1]
-        self._take_out_load(at, self.window.carried[at])
+        at = recent(self.window, last)[::-1]
+        self.window.rows[at] = self._evaluate(self.balance, blocks, at)
         self.weigh_again(last)
 
-    def _take_out_load(self, at: IntArray, change: FloatArray) -> None:
-        """Let balances at places of the ring be those of a load that has changed, each or all."""
+    def rows_of(self, blocks: FloatArray) -> FloatArray:
+        """Rows of the last balances, oldest first, if these were their blocks; nothing is kept."""
+        at = recent(self.window, len(blocks) // self.plan.blocks - 1)[::-1]
+        return self._evaluate(scratch_of(self.balance), blocks, at)
+
+    def _evaluate(self, balance: Balance, blocks: FloatArray, at: IntArray) -> FloatArray:
+        """Rows of the balances at places of the ring, of which these are, or end, the blocks."""
+        rows = np.empty((len(blocks) // self.plan.blocks - 1, *balance.rows.shape))
+        blocks = np.ascontiguousarray(blocks)
+        self.call(fill_balances, balance, blocks, self.plan.blocks, rows)
+        self.call(make_absolute, rows.reshape(-1, rows.shape[2]), balance.reference)
+        rows = rows[len(rows) - len(at) :]
+        self._take_out_load(rows, self.window.carried[at])
+        return rows
+
+    def _take_out_load(self, rows: FloatArray, change: FloatArray) -> None:
+        """Let rows of balances be those of a load that has changed, each or all."""
         if change.any():
-            rows, moved = self.window.rows, np.atleast_2d(change @ self.window.loads)
-            rows[at, :, 0] -= (rows[at][..., -moved.shape[1] :] * moved[:, None]).sum(2)
+            moved = np.atleast_2d(change @ self.window.loads)
+            rows[:, :, 0] -= (rows[:, :, -moved.shape[1] :] * moved[:, None]).sum(2)
 
     def change_load(self, begin: float, change: FloatArray) -> None:
         """The load has changed since a moment [s]: what balances before say of it is forgotten.
@@ -589,7 +600,9 @@ class OffsetEstimator:
         last = int(np.count_nonzero(self.window.times[at] > begin)) - ONSET
         old, moved = at[last:], change @ self.window.loads
         self.window.carried[old] += change
-        self._take_out_load(old, change)
+        rows = self.window.rows[old]
+        self._take_out_load(rows, change)
+        self.window.rows[old] = rows
         self.window.changed[at[last - 1]] = 1.0
         self.window.trust[old[:ONSET]] = DISTRUST
         for window, null in ((self.window, self.posterior), (self._slow, self.level)):

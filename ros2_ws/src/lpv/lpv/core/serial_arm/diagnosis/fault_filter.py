@@ -34,6 +34,8 @@ from lpv.core.serial_arm.diagnosis.stuck import LINEAR, Course
 
 LOST = OFFSET_PRIOR
 """Standard deviation of a fault that is not followed any more: nothing is known of it [rad]."""
+_REACH = 3.0
+"""Variances of the state at which balances are evaluated: cubature, exact to third order [-]."""
 LARGEST_SCALE = 0.9
 """Largest scale error s that is corrected: y / (1 + s) is at most ten times the reading [-]."""
 _JUST_NOW = 1e-3
@@ -77,11 +79,6 @@ class FaultFilter:
         variance = float(ahead @ self.covariance @ ahead) + bend * half**2 + change * since**2 / 3.0
         fault += rate * since + acceleration * half
         return fault, rate + acceleration * since, math.sqrt(max(variance, 0.0))
-
-    def course(self, since: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Fault and its rate at times from the state's on, or before it; not of a scale error."""
-        fault, rate, acceleration = self.mean
-        return fault + (rate + 0.5 * acceleration * since) * since, rate + acceleration * since
 
     def share(self, reading: float, now: float, sigmas: float) -> float:
         """Share of the fault that is beyond doubt: 1 - (bound / fault)^2, none within its bound.
@@ -149,6 +146,12 @@ def _motion(interval: float) -> FloatArray:
     return np.array([[1.0, interval, 0.5 * interval**2], [0.0, 1.0, interval], [0.0, 0.0, 1.0]])
 
 
+def _course(state: FloatArray, since: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Fault and its rate at times from the state's on, or before it; not of a scale error."""
+    fault, rate, acceleration = state
+    return fault + (rate + 0.5 * acceleration * since) * since, rate + acceleration * since
+
+
 def begin_filter(
     joint: int,
     kind: str,
@@ -213,7 +216,7 @@ def correct_since(
             velocity[after] -= sampler.derived[i] * share * velocity[after]
             reading[after] -= share * reading[after] + one.mean[1] / (1.0 + one.mean[0])
         else:
-            fault, rate = one.course(time[after] - one.updated)
+            fault, rate = _course(one.mean, time[after] - one.updated)
             velocity[after] -= sampler.derived[i] * rate
             reading[after] -= fault
 
@@ -269,18 +272,24 @@ def follow(
     # In a balance the acceleration is not that of its end: half the change of an interval.
     variance += 0.25 * one._growth(interval)[1] * np.outer(columns[:, 2], columns[:, 2])
     residual = rows[:, 0] + unknowns @ null.mean
-    spread = columns @ one.covariance @ columns.T
+    root = _root(one.covariance)
+    slope = columns @ root
+    if not one.is_scale:
+        slope, bend = _secants(one, root, estimator, sampler, residual)
+        residual = residual + 0.5 * bend.sum(1)
+        variance += 0.5 * bend @ bend.T
+    spread, common = slope @ slope.T, root @ slope.T
     ratio = np.abs(residual) / (ROBUST * np.sqrt(np.diag(spread + variance)))
     factor = np.sqrt(np.maximum(ratio, 1.0))
     # Of outliers the variance is raised, so that what is known never becomes negative.
     innovation = spread + variance * factor[:, None] * factor
-    gain = one.covariance @ columns.T @ np.linalg.inv(innovation)
+    gain = common @ np.linalg.inv(innovation)
     change = -gain @ residual
     if not abs(change[0]) < LINEAR:
         one.covariance[0, 0] += 4.0 * LINEAR**2  # more than what is lost
         _lose(one, sampler)
         return
-    one.covariance = one.covariance - gain @ columns @ one.covariance
+    one.covariance = one.covariance - gain @ common.T
     if kinematic is not None and not one.is_scale:
         middle = float(block[3 * estimator.joints]) - 0.5 * interval
         column = interval * np.array([0.0, 1.0, middle - end])
@@ -291,6 +300,47 @@ def follow(
     _change(one, change, estimator, sampler)
     window.extra[at] += ((columns @ one.covariance) * columns).sum(1)
     estimator.weigh_again(1)
+
+
+def _root(covariance: FloatArray) -> FloatArray:
+    """Lower triangular root of a covariance; columns are zero where rounding left no variance."""
+    root = np.zeros(covariance.shape)
+    for j in range(len(root)):
+        left = covariance[j:, j] - root[j:, :j] @ root[j, :j]
+        if left[0] > np.finfo(float).eps * covariance[j, j]:
+            root[j:, j] = left / math.sqrt(left[0])
+    return root
+
+
+def _secants(
+    one: FaultFilter, root: FloatArray, estimator: OffsetEstimator, sampler: Sampler,
+    residual: FloatArray,
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    """Slopes and second derivatives of the newest balance along a root of the covariance.
+
+    Where the fault is uncertain, a link may hang on either side of the horizontal, and gravity is
+    the same: the tangent would be sure of one of them.  Shapes (n, 3).
+    """
+    blocks, reach = held_blocks(estimator, sampler, 2)[0], math.sqrt(_REACH)
+    null, (slope, bend) = estimator.posterior, np.zeros((2, len(residual), 3))
+    for k, way in enumerate(reach * root.T):
+        ends = []
+        for sign in (-1.0, 1.0):
+            moved = blocks.copy()
+            _take_from(moved, one, sign * way, sampler.derived[one.joint])
+            row = estimator.rows_of(moved)[-1]
+            ends.append(row[:, 0] + row[:, row.shape[1] - len(null.mean) :] @ null.mean)
+        slope[:, k] = 0.5 * (ends[1] - ends[0]) / reach
+        bend[:, k] = (ends[0] + ends[1] - 2.0 * residual) / _REACH
+    return slope, bend
+
+
+def _take_from(blocks: FloatArray, one: FaultFilter, state: FloatArray, derived: float) -> None:
+    """Take what belongs to a state out of the readings of blocks, and of their derived rates."""
+    n, i = blocks.shape[1] // 3 - 1, one.joint
+    fault, rate = _course(state, blocks[:, 3 * n] - one.updated)
+    blocks[:, i] -= fault
+    blocks[:, n + i] -= derived * rate
 
 
 def doubt_ended(one: FaultFilter, estimator: OffsetEstimator, momenta: FloatArray) -> None:
@@ -336,9 +386,7 @@ def _change(
         sampler.blocks[places] = blocks
         _note(one, sampler)
     else:
-        since = blocks[:, 3 * n] - one.updated
-        blocks[:, i] -= change[0] + (change[1] + 0.5 * change[2] * since) * since
-        blocks[:, n + i] -= sampler.derived[i] * (change[1] + change[2] * since)
+        _take_from(blocks, one, change, sampler.derived[i])
         sampler.blocks[places] = blocks
         put_back(sampler, i, HISTORY)
         _note(one, sampler)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lpv.core.serial_arm.chain import FloatArray, IntArray
-from lpv.core.serial_arm.diagnosis.balance import OFFSET, RATE, fill_balances, scratch_of
+from lpv.core.serial_arm.diagnosis.balance import OFFSET, RATE
 from lpv.core.serial_arm.diagnosis.drift_trial import free_of_drift
 from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator, Posterior, set_residuals
 from lpv.core.serial_arm.diagnosis.information import ROBUST, factorise, recent, whiten
@@ -83,12 +83,9 @@ def course_of_frozen(
     at = recent(estimator.window, count)[::-1]
     estimator.call(set_residuals, estimator.window, null, count)
     before = null.residual[:count][::-1]
-    rows = np.empty((count, *estimator.balance.rows.shape))
     gone, derived = np.empty(blocks.shape), estimator.balance.derived[joint]
     free_of_drift(blocks, joint, derived, begin, -first, gone)
-    estimator.call(fill_balances, scratch_of(estimator.balance), gone, plan.blocks, rows)
-    reference = estimator.balance.reference
-    rows[:, :, 0] -= rows[:, :, 1 + OFFSET * n :][:, :, :n] @ reference
+    rows = estimator.rows_of(gone)
     unknowns = rows[:, :, rows.shape[2] - len(null.mean) :]
     after = rows[:, :, 0] + unknowns @ null.mean
     # Sizes of what is left: of joints that move where the reading lies, else as they rest.
