@@ -37,6 +37,7 @@ class Known(NamedTuple):
     rate: FloatArray  # at which it changes [rad/s]
     confirmed: FloatArray  # part that is beyond doubt, where it is an error [rad]
     growth: FloatArray  # rate at which that part changes [rad/s]
+    rate_error: FloatArray  # of a rate sensor; NaN where the reading is differenced [rad/s]
     bound: FloatArray  # of the error of fault [rad]
     threshold: FloatArray  # [rad]
     limit: FloatArray  # change of a reading that may be a jump [rad]
@@ -127,6 +128,7 @@ def fill_answers(
                 growth = known.growth[i]
                 confirmed = known.confirmed[i] + elapsed * growth
                 drift = growth if known.is_derived[i] else 0.0
+            drift += known.rate_error[i]
             measured = samples[k, 0, i], samples[k, 1, i]
             _correct(work, i, measured, (confirmed, drift, growth), known.limit[i], step)
             work.estimate[i] = work.position[i] + work.applied[i] - fault
@@ -183,12 +185,15 @@ def _correct(
 ) -> None:
     """Reading and rate of a sensor without the fault; a jump is carried on by the rate.
 
-    ``fault``: of the reading [rad], of the rate, and at which the first one grows [rad/s].
+    ``fault``: of the reading [rad], of the rate, and at which the first one grows [rad/s]; of a
+    rate that says nothing NaN.
     """
     interval, follows, fading = step
     most = (fading + abs(fault[2])) * interval
     work.applied[i] += min(max(fault[0] - work.applied[i], -most), most)
     position, velocity = measured[0] - work.applied[i], measured[1] - fault[1]
+    if np.isnan(fault[1]):
+        velocity = (position - work.position[i]) / interval if follows else work.velocity[i]
     largest = limit + 2.0 * interval * abs(work.change[i])
     carried = work.position[i] + interval * work.velocity[i]
     if abs(position - carried) <= largest:

@@ -170,6 +170,7 @@ def _know_nothing_wrong(parts: Parts, one: Answering, stamp: int) -> None:
         known.confirmed[i] = removed(parts.sampler, i, parts.sampler.raw[i])
         known.fault[i] = known.confirmed[i] + level.mean[i]
         known.rate[i] = known.growth[i] = parts.sampler.drift[i]
+        known.rate_error[i] = 0.0
         known.bound[i] = sigmas * sigma
         known.threshold[i] = max(sigmas * sigma, smallest * parts.scales[i])
         known.limit[i] = smallest_jump(parts.sampler, i)

@@ -343,11 +343,11 @@ class SerialSensorMonitor:
         self._warned: set[str] = set()
 
     def _nothing_known(self) -> Known:
-        fault, rate, confirmed, growth, bound, threshold, limit = np.zeros((7, self._joints))
+        fault, rate, confirmed, growth, error, bound, threshold, limit = np.zeros((8, self._joints))
         state = np.zeros(self._joints, np.uint8)
         is_error, is_derived = np.zeros((2, self._joints), bool)
         return Known(
-            fault, rate, confirmed, growth, bound, threshold, limit, state, is_error,
+            fault, rate, confirmed, growth, error, bound, threshold, limit, state, is_error,
             is_derived, self._to_joints)  # fmt: skip
 
     def warm_up(self, suspicious: bool = False) -> None:
@@ -673,6 +673,7 @@ class SerialSensorMonitor:
         known = self._answering.known
         known.fault[:], known.rate[:] = snapshot.fault, snapshot.rate
         known.confirmed[:], known.growth[:] = confirmed, growth
+        known.rate_error[:] = snapshot.rate_error
         known.bound[:], known.threshold[:] = tuning.sigmas * snapshot.sigma, snapshot.threshold
         known.limit[:], known.state[:] = snapshot.jump_limit, snapshot.state
         known.is_error[:] = is_error

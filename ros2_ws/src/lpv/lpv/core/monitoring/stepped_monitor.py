@@ -16,7 +16,7 @@ from lpv.core.serial_arm.diagnosis.alarms import SensorState
 from lpv.core.serial_arm.diagnosis.decision import Parts
 from lpv.core.serial_arm.diagnosis.healthy_set import Guarantee
 from lpv.core.serial_arm.diagnosis.monitor import SerialAlarm, SerialMonitor
-from lpv.core.serial_arm.diagnosis.sampling import JUMP_SCALE
+from lpv.core.serial_arm.diagnosis.sampling import JUMP_SCALE, REPLACED
 from lpv.core.support.records import plain
 
 _OK, _ERROR, _NOT_DIAGNOSABLE = SensorState.OK, SensorState.ERROR, SensorState.NOT_DIAGNOSABLE
@@ -30,6 +30,7 @@ class Snapshot(NamedTuple):
     removed: FloatArray  # jumps and drifts that are beyond doubt: part of fault [rad]
     share: FloatArray  # of a fault that changes, which is beyond doubt
     rate: FloatArray  # at which faults go on to change [rad/s]
+    rate_error: FloatArray  # of rate sensors; NaN where readings are differenced [rad/s]
     removed_sigma: FloatArray  # standard deviations of what is removed [rad]
     jump: FloatArray  # by which readings were found to have jumped at this sample [rad]
     threshold: FloatArray  # beyond which an offset is a fault [rad]
@@ -183,10 +184,12 @@ class SteppedMonitor(SerialMonitor):
         state[(state == _OK) & (sigma > settings.widest_level * scales)] = _NOT_DIAGNOSABLE
         alarms, self.alarms = tuple(self.alarms), []
         return Snapshot(
-            fault, sigma, *self.certain(), sampler.drift.copy(),
+            fault, sigma, *self.certain(),
+            sampler.drift + sampler.share / (1.0 - sampler.share) * sampler.samples[-1, 1],
+            np.where(sampler.contrast[REPLACED] > 0.0, np.nan, sampler.rate_error),
             np.sqrt(self._removed_variance + changing**2), jump,
             np.maximum(settings.sigmas * sigma, settings.smallest_level * scales),
-            np.maximum(JUMP_SCALE * sampler.usual, settings.smallest_step * scales), state,
+            np.maximum(JUMP_SCALE * sampler.usual, sampler.smallest), state,
             np.array([one.level and one.active for one in sensors]),
             np.array([one.unseen for one in sensors]),
             self._suspects, self.in_contact, self.balances, alarms, self.guarantee,

@@ -107,6 +107,18 @@ def test_given_filtered_rates_when_samples_are_missing_then_no_difference_bridge
     assert monitor.sampler.samples[-1, 1] == pytest.approx(run.samples[-1, 1])
 
 
+@pytest.mark.parametrize('periods', [2, 10])
+def test_given_differences_of_a_faster_driver_then_their_noise_is_no_wrong_rate(periods):
+    arm = replace(shoulder_arm(), sample_time=0.001)
+    run = simulated(arm, duration=8.0)
+    noisy = run.position + 1e-4 * np.random.default_rng(3).standard_normal(run.position.shape)
+    rate = np.diff(noisy, axis=0, prepend=noisy[:1]) / arm.sample_time
+    samples = np.stack([noisy, rate, run.samples[:, 2]], axis=1)
+    published = run._replace(stamps=run.stamps[::periods], samples=samples[::periods])
+    arm = replace(arm, sample_time=arm.sample_time * periods)
+    assert watch(arm, published).alarms == []
+
+
 def test_given_filtered_differences_of_rounded_readings_then_no_rate_is_named():
     run = simulated(shoulder_arm(), duration=6.0)
     for share, step in product((0.02, 0.1, 1.0), (1e-12, 1e-3)):

@@ -99,6 +99,8 @@ QUIET, LOUD = 0.25, 0.5
 the second one on hypotheses that take more time are compared, too."""
 QUIET_EVERY = 4
 """Balances after which the bank is asked while it has found nothing, and readings agree."""
+AGREES = 0.5
+"""Least time for which a rate has to agree with its encoder before it is right [s]."""
 _BEFORE = 1e-12
 """Least variance of a row [rad2]: those of readings without any noise are not divided by zero."""
 
@@ -208,7 +210,7 @@ class Bank:
         ])  # fmt: skip
         self._kinds = Kinds(basis, prior, applies, windows, len(single), SIZE['slip'])
         loads = len(self.estimator.window.loads) > 0
-        self._log_weight = float(-np.log(1 + applies.sum() + n + loads))
+        self._log_weight = float(-np.log(1 + applies.sum() + n + derived.sum() + loads))
 
     @property
     def statistic(self) -> float:
@@ -266,8 +268,8 @@ class Bank:
         """A reading jumped, and the jump was taken out, with some error [rad2]."""
         self._kinematics.note_jump(joint, variance)
 
-    def rate_agrees(self, joint: int, taken_out: float) -> bool:
-        """Whether rate and encoder of a joint have agreed of late, but for what is taken out."""
+    def rate_agrees(self, joint: int, taken_out: float) -> float:
+        """For how long a rate has agreed with its encoder, but for what is taken out [s]."""
         return self._kinematics.agrees(joint, taken_out)
 
     def compare(
@@ -570,7 +572,7 @@ def ask_bank(
         return False
     rows.span[:], rows.weight[:], rows.found[:] = 0.0, 0.0, 0.0
     for i in range(n):
-        rows.reading[i] = block[i]
+        rows.reading[i] = block[i] - balance.reference[i]
         bank.unseen[i] = smallest_jump(sampler, i)
         bank.noise[i] = rate_noise(sampler, i, bank.interval)
     sum_rows(own, bank.interval, lengths[: state.windows], rows)
@@ -707,7 +709,7 @@ def learn_rows(own: Kinematics, interval: float) -> None:
     """Learn how much rows scatter; constant errors of rates do not count as scatter."""
     n, most, power, late = own.lag.shape[0], own.rows.shape[0], 0.0, 0.0
     for i in range(n):
-        expected = max(2.0 * (2.0 * own.ends[i] + own.walk[i] * interval), _BEFORE)
+        expected = max(3.0 * own.ends[i] + 2.0 * own.walk[i] * interval, _BEFORE)
         change = own.rows[most - 1, i] - own.rows[most - 2, i]
         bounded = min(change * change / expected, ROBUST**2 * own.inflation[i])
         own.inflation[i] = max(own.inflation[i] + (bounded - own.inflation[i]) / 64.0, 1.0)
@@ -819,14 +821,19 @@ class KinematicRows:
         total = float((rows[:, joint] - late * rate).sum())
         return total, max(float(variance[joint]) + jumped + by_stamps, _BEFORE)
 
-    def agrees(self, joint: int, taken_out: float) -> bool:
-        """Whether there are rows of the last half second, and they are those of healthy sensors.
+    def agrees(self, joint: int, taken_out: float) -> float:
+        """For how long the rows of late are those of healthy sensors, 0 where they are not [s].
 
-        What is taken out of the rate [rad/s] is not in the rows.
+        What is taken out of the rate [rad/s] is not in the rows.  They go back for `AGREES` at
+        least, and until they tell a rate that is right again from one that is not.
         """
-        count = min(round(0.5 / self._interval), self.held)
-        if count == 0:
-            return False
-        total, variance = self._told(joint, count)
-        left = total - taken_out * count * self._interval
-        return bool(left**2 < ROBUST**2 * variance)
+        count = min(round(AGREES / self._interval), self.held)
+        while count > 0:
+            total, variance = self._told(joint, count)
+            error = taken_out * count * self._interval
+            if error**2 > (2.0 * ROBUST) ** 2 * variance or error == 0.0 or count == self.held:
+                left = abs(total - error)
+                is_right = left < ROBUST * variance**0.5 and left <= abs(total)
+                return count * self._interval if is_right else 0.0
+            count = min(2 * count, self.held)
+        return 0.0

@@ -210,7 +210,7 @@ def decide(parts: Parts) -> None:
         if state.guarantees:
             half = parts.recent.shape[0] // 2
             take_healthy(
-                parts.healthy, window, parts.balance.rows, parts.recent, half, not state.suspects
+                parts.healthy, window, parts.balance.rows, parts.recent, half, state.learns
             )
         take_balances(*horizon, parts.balance, state.now, state.learns)
         take_rows(bank, parts.balance, window, parts.recent)

@@ -500,6 +500,13 @@ class OffsetEstimator:
         """Balances as they are weighed for levels, and the estimate of these."""
         return self.window if self._slow is None else self._slow, self.level
 
+    def usual_sizes(self, at: int | IntArray) -> FloatArray:
+        """Usual sizes of what is left of balances at places of the ring, see `usual_size`."""
+        null, window = self.posterior, self.window
+        size = null.noise * (1.0 + (null.rest - 1.0) * window.rest[at])
+        longest = np.hypot(null.noise, null.dry)
+        return np.where(window.lasting[at] > 0.0, np.maximum(size, longest), size)
+
     def times(self, last: int) -> FloatArray:
         """Ends of the last balances, oldest first [s]."""
         return self.window.times[recent(self.window, last)[::-1]]
@@ -597,7 +604,9 @@ class OffsetEstimator:
         load of now.  Its error is in the information.  The balances of the change say nothing.
         """
         at = recent(self.window, len(self))
-        last = int(np.count_nonzero(self.window.times[at] > begin)) - ONSET
+        # Beginnings are ends of balances, but for rounding.
+        later = self.window.times[at] > begin + 0.5 * self.plan.interval
+        last = int(np.count_nonzero(later)) - ONSET
         old, moved = at[last:], change @ self.window.loads
         self.window.carried[old] += change
         rows = self.window.rows[old]

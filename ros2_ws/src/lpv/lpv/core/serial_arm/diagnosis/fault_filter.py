@@ -7,7 +7,7 @@ by is added to the variance of the balances.
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -68,7 +68,7 @@ class FaultFilter:
         """Fault, its rate and the standard deviation of the fault [rad], [rad/s], [rad]."""
         if self.is_scale:
             position = (reading - self.mean[1]) / (1.0 + self.mean[0])
-            direction = np.array([position, 1.0, 0.0])
+            direction = np.array([position, 1.0, 0.0]) / (1.0 + self.mean[0])
             fault = reading - position
             variance = float(direction @ self.covariance @ direction)
             return fault, 0.0, float(np.sqrt(max(variance, 0.0)))
@@ -121,18 +121,21 @@ class FaultFilter:
         rows: FloatArray,
         times: tuple[float, float, float],
         momentum: FloatArray,
-        interval: float,
+        about: tuple[float, float],
     ) -> FloatArray:
         """Derivatives of a balance by the state, shape (n, 3).
 
         ``times`` are the epoch of drifts, the state's moment, and when the balance ended;
-        ``momentum`` is that by a unit rate of the reading, shape (n,).
+        ``momentum`` is that by a unit rate of the reading, shape (n,); ``about`` are the interval
+        [s] and the offset of the reading at which the balance is linearised [rad].
         """
+        interval, reference = about
         epoch, now, end = times
         n, i = len(rows), self.joint
         offset = rows[:, 1 + OFFSET * n + i]
         if self.is_scale:
-            return np.stack([rows[:, 1 + SCALE * n + i], offset, 0.0 * offset], axis=1)
+            scale = rows[:, 1 + SCALE * n + i] + reference * offset
+            return np.stack([scale, offset, 0.0 * offset], axis=1) / (1.0 + self.mean[0])
         drift = rows[:, 1 + DRIFT * n + i] - (now - epoch) * offset
         # The rate changes by a T from interval to interval, and is on average less than then.
         ago = now - end + interval
@@ -205,34 +208,28 @@ def correct_since(
     ``momenta`` are those by a unit rate of its reading, in the ring of the horizon.
     """
     n, i = estimator.joints, one.joint
-    share = one.mean[0] / (1.0 + one.mean[0]) if one.is_scale else 0.0
     last = int((estimator.times(len(estimator)) > one.begin).sum())
     blocks, places = held_blocks(estimator, sampler, last + 1)
     ended = block_end(blocks[-1])
-
-    def take_out(time: FloatArray, reading: FloatArray, velocity: FloatArray) -> None:
+    uncorrected = replace(one, mean=np.zeros(3))
+    newest = sampler.time, sampler.samples[:, 0, i], sampler.samples[:, 1, i]
+    for time, reading, velocity in ((blocks[:, 3 * n], blocks[:, i], blocks[:, n + i]), newest):
         after = time > one.begin
-        if one.is_scale:
-            velocity[after] -= sampler.derived[i] * share * velocity[after]
-            reading[after] -= share * reading[after] + one.mean[1] / (1.0 + one.mean[0])
-        else:
-            fault, rate = _course(one.mean, time[after] - one.updated)
-            velocity[after] -= sampler.derived[i] * rate
-            reading[after] -= fault
-
-    take_out(blocks[:, 3 * n], blocks[:, i], blocks[:, n + i])
+        part = reading[after], velocity[after]
+        _correct(uncorrected, one.mean, time[after], part, sampler.derived[i])
+        reading[after], velocity[after] = part
     sampler.blocks[places] = blocks
-    take_out(sampler.time, sampler.samples[:, 0, i], sampler.samples[:, 1, i])
     if one.is_scale:  # a share of the readings as they come: an offset beside it is a part of it
         one.mean[1] += sampler.correction[i]
         sampler.correction[i] = 0.0
     _note(one, sampler)
     window, epoch = estimator.window, estimator.balance.clock[EPOCH]
+    about = estimator.plan.interval, float(estimator.balance.reference[i])
     for back in range(min(last, len(estimator))):
         at = estimator.place(back)
         end = ended + window.times[at] - estimator.times(1)[0]
         times = epoch, one.updated, end
-        columns = one.columns(window.rows[at], times, momenta[at], estimator.plan.interval)
+        columns = one.columns(window.rows[at], times, momenta[at], about)
         window.extra[at] += ((columns @ one.covariance) * columns).sum(1)
     estimator.replace_last(blocks)
 
@@ -261,7 +258,8 @@ def follow(
     at = estimator.place(0)
     rows, m = window.rows[at], len(null.mean)
     times = float(estimator.balance.clock[EPOCH]), end, end
-    columns = one.columns(rows, times, momenta[at], interval)
+    about = interval, float(estimator.balance.reference[one.joint])
+    columns = one.columns(rows, times, momenta[at], about)
     unknowns = rows[:, rows.shape[1] - m :]
     known = np.ascontiguousarray(unknowns.T)
     whiten(null.factor, known)
@@ -273,11 +271,9 @@ def follow(
     variance += 0.25 * one._growth(interval)[1] * np.outer(columns[:, 2], columns[:, 2])
     residual = rows[:, 0] + unknowns @ null.mean
     root = _root(one.covariance)
-    slope = columns @ root
-    if not one.is_scale:
-        slope, bend = _secants(one, root, estimator, sampler, residual)
-        residual = residual + 0.5 * bend.sum(1)
-        variance += 0.5 * bend @ bend.T
+    slope, bend = _secants(one, root, estimator, sampler, residual)
+    residual = residual + 0.5 * bend.sum(1)
+    variance += 0.5 * bend @ bend.T
     spread, common = slope @ slope.T, root @ slope.T
     ratio = np.abs(residual) / (ROBUST * np.sqrt(np.diag(spread + variance)))
     factor = np.sqrt(np.maximum(ratio, 1.0))
@@ -321,13 +317,16 @@ def _secants(
     Where the fault is uncertain, a link may hang on either side of the horizontal, and gravity is
     the same: the tangent would be sure of one of them.  Shapes (n, 3).
     """
-    blocks, reach = held_blocks(estimator, sampler, 2)[0], math.sqrt(_REACH)
+    n, blocks, reach = len(residual), held_blocks(estimator, sampler, 2)[0], math.sqrt(_REACH)
     null, (slope, bend) = estimator.posterior, np.zeros((2, len(residual), 3))
     for k, way in enumerate(reach * root.T):
+        if not way.any():
+            continue
         ends = []
         for sign in (-1.0, 1.0):
             moved = blocks.copy()
-            _take_from(moved, one, sign * way, sampler.derived[one.joint])
+            readings = moved[:, one.joint], moved[:, n + one.joint]
+            _correct(one, sign * way, moved[:, 3 * n], readings, sampler.derived[one.joint])
             row = estimator.rows_of(moved)[-1]
             ends.append(row[:, 0] + row[:, row.shape[1] - len(null.mean) :] @ null.mean)
         slope[:, k] = 0.5 * (ends[1] - ends[0]) / reach
@@ -335,12 +334,22 @@ def _secants(
     return slope, bend
 
 
-def _take_from(blocks: FloatArray, one: FaultFilter, state: FloatArray, derived: float) -> None:
-    """Take what belongs to a state out of the readings of blocks, and of their derived rates."""
-    n, i = blocks.shape[1] // 3 - 1, one.joint
-    fault, rate = _course(state, blocks[:, 3 * n] - one.updated)
-    blocks[:, i] -= fault
-    blocks[:, n + i] -= derived * rate
+def _correct(
+    one: FaultFilter, change: FloatArray, time: FloatArray, readings: tuple[FloatArray, FloatArray],
+    derived: float,
+) -> None:  # fmt: skip
+    """Take a change of the state out of readings, and of the rates that are derived from them."""
+    reading, velocity = readings
+    if one.is_scale:
+        grown = max(1.0 + one.mean[0] + change[0], 1.0 - LARGEST_SCALE)
+        ratio = (1.0 + one.mean[0]) / grown
+        reading *= ratio
+        reading -= change[1] / grown
+        velocity *= 1.0 + derived * (ratio - 1.0)
+    else:
+        fault, rate = _course(change, time - one.updated)
+        reading -= fault
+        velocity -= derived * rate
 
 
 def doubt_ended(one: FaultFilter, estimator: OffsetEstimator, momenta: FloatArray) -> None:
@@ -371,26 +380,15 @@ def _change(
     """Add a change to the state and take it out of the last readings."""
     n, i = estimator.joints, one.joint
     blocks, places = held_blocks(estimator, sampler, 2)
-    before = one.mean.copy()
-    one.mean = one.mean + change
     if one.is_scale:
-        one.mean[0] = min(max(one.mean[0], -LARGEST_SCALE), LARGEST_SCALE)
-        ratio = (1.0 + before[0]) / (1.0 + one.mean[0])
-        shift = (before[1] - one.mean[1]) / (1.0 + one.mean[0])
-        for reading in (blocks[:, i], sampler.samples[:, 0, i]):
-            reading *= ratio
-            reading += shift
-        if sampler.derived[i]:
-            for velocity in (blocks[:, n + i], sampler.samples[:, 1, i]):
-                velocity *= ratio
-        sampler.blocks[places] = blocks
-        _note(one, sampler)
-    else:
-        _take_from(blocks, one, change, sampler.derived[i])
-        sampler.blocks[places] = blocks
-        put_back(sampler, i, HISTORY)
-        _note(one, sampler)
-        take_out(sampler, i, HISTORY)
+        scale = min(max(one.mean[0] + change[0], -LARGEST_SCALE), LARGEST_SCALE)
+        change = np.array([scale - one.mean[0], *change[1:]])
+    _correct(one, change, blocks[:, 3 * n], (blocks[:, i], blocks[:, n + i]), sampler.derived[i])
+    sampler.blocks[places] = blocks
+    put_back(sampler, i, HISTORY)
+    one.mean = one.mean + change
+    _note(one, sampler)
+    take_out(sampler, i, HISTORY)
     estimator.replace_last(blocks)
 
 
@@ -413,3 +411,16 @@ def held_blocks(
     count = min(intervals * estimator.plan.blocks, written, capacity)
     places = np.arange(written - count, written) % capacity
     return sampler.blocks[places], places
+
+
+def correct_rates_since(
+    joint: int, since: float, error: float, estimator: OffsetEstimator, sampler: Sampler
+) -> None:
+    """Take an error of a rate sensor [rad/s] out of its readings since a moment [s]."""
+    n = estimator.joints
+    last = int((estimator.times(len(estimator)) > since).sum())
+    blocks, places = held_blocks(estimator, sampler, last + 1)
+    blocks[blocks[:, 3 * n] > since, n + joint] -= error
+    sampler.blocks[places] = blocks
+    sampler.samples[sampler.time > since, 1, joint] -= error
+    estimator.replace_last(blocks)

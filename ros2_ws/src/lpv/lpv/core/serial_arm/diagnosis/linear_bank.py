@@ -121,8 +121,6 @@ def gather(
         first = slot(window, length - 1)
         evidence.begin[w] = window.times[first] - times[1]
         map_vector(frame[0], window.poses[first], evidence.pose[w])
-        for i in range(n):
-            evidence.pose[w, i] += frame[1][i]
         _sensor_columns(evidence, window, null, noise, w)
         _jump_columns(evidence, window, null, mass[first], w)
         whiten(null.factor, evidence.columns)

@@ -38,6 +38,7 @@ from lpv.core.serial_arm.diagnosis.fault_filter import (
     FaultFilter,
     begin_filter,
     begin_frozen,
+    correct_rates_since,
     correct_since,
     doubt_ended,
     follow,
@@ -187,7 +188,6 @@ class SerialMonitor:
         self.alarms: list[SerialAlarm] = []
         self.scales, self._names = arm.scales(), arm.sensor_names
         self._efforts = np.array([joint.torque_gain for joint in arm.joints])
-        self._jump_bound = jump_bound(arm)
         self._to_sensors = mixing(arm.joints_to_sensors())
         self._first: int | None = None
         self._call = Entries()
@@ -234,6 +234,7 @@ class SerialMonitor:
     def _start(self) -> None:
         """Begin as if no sample had been seen."""
         n, arm, settings = self.joints, self.arm, self.settings
+        self._jump_bound = jump_bound(arm)
         self.plan = HorizonPlan.of(arm.sample_time, horizon=settings.horizon)
         self.estimator = OffsetEstimator(arm, self.plan)
         noise = np.array([
@@ -390,6 +391,8 @@ class SerialMonitor:
             self.healthy.restart()
         self.estimator.restart()
         self.bank.restart()
+        self._see_nothing_wrong()
+        self._mark_suspects()
         self._tell()
 
     def _take_out_levels(self) -> None:
@@ -445,7 +448,7 @@ class SerialMonitor:
         state['guarantees'], state['suspects'] = self.healthy is not None, suspects
         state['pushed'] = self._contact.since < math.inf
         alarm = self._has_alarm()
-        state['active'] = alarm and not self.settings.latch
+        state['active'] = alarm
         state['usual'] = state['learns'] and not (self._ends or state['pushed'] or alarm)
 
     def estimate(self, stamp: int) -> SerialEstimate:
@@ -558,7 +561,7 @@ class SerialMonitor:
                 if i in self._filters:
                     self._forget(i)
                 self._doubt_no_more(i)
-                self.bank.leave_out_rate(i, True)
+                self._trust_rate(i)
                 self._raise(i, 'noise', now, self._noise(i), 0.0)
         self._correction = self.sampler.correction.copy()
 
@@ -616,7 +619,8 @@ class SerialMonitor:
         """
         if self.sensors[i].kind != 'stuck':
             return 0.0
-        return -math.log(OCCURRENCE['slip'] * self.settings.clear_dwell / 3600.0)
+        dwell = max(self.settings.clear_dwell, self.plan.interval)
+        return -math.log(OCCURRENCE['slip'] * dwell / 3600.0)
 
     def _smallest_step(self, i: int) -> float:
         """Smallest jump of a reading that is a fault [rad]."""
@@ -690,9 +694,7 @@ class SerialMonitor:
         if seen is not None:
             self._blame(seen, 1.0 - math.exp(-seen.gain), now)
         elif self.bank.statistic < self._state['threshold']:
-            self._suspect_nothing()
-            self._contact.begin = self._contact.since = math.inf
-            self._rival = -math.inf
+            self._see_nothing_wrong()
         else:
             self._name(found, now)
         self._mark_suspects()
@@ -809,7 +811,9 @@ class SerialMonitor:
         one = best[cause]
         if one.change is not None:
             # A fault would be forgotten with it; what that explains is not found at every decision.
-            if one.gain - self._rival > self._sure:
+            # A rate that is right again, and still corrected, looks like a load.
+            rated = any(record.active for record in self.rates)
+            if one.gain - self._rival > self._sure and not rated:
                 self._change_load(one.begin, one.change)
         elif one.is_encoder:
             if self.bank.excludes_contact(one, self._margin(one.kind)):
@@ -940,7 +944,7 @@ class SerialMonitor:
         """A fault has been named, with some confidence: it is followed from now on."""
         i = one.joint
         self._filters[i] = one
-        self.bank.leave_out_rate(i, True)
+        self._trust_rate(i)
         correct_since(one, self.estimator, self.sampler, self.bank.momenta_of(i))
         self._correction[i] = self.sampler.correction[i]
         self.healthy = self.guarantee = None  # readings are changed
@@ -954,7 +958,8 @@ class SerialMonitor:
         size, sigma, now = one.size, one.sigma, self._ended()
         if kind == 'stuck' and one.kind != 'stuck':  # the rate of the joint that its reading hides
             rate, since = -one.size if one.kind == 'drift' else 0.0, now - one.begin
-            size, sigma = rate * since, max(self.settings.widest_level, one.sigma * since)
+            widest = self.settings.widest_level * float(self.scales[one.joint])
+            size, sigma = rate * since, max(widest, one.sigma * since)
         blocks = self._blocks(len(self.estimator) + 1)
         origin = float(np.interp(one.begin, blocks[:, 3 * self.joints], blocks[:, one.joint]))
         # Uniform over the starts that the named one stands for.
@@ -974,8 +979,9 @@ class SerialMonitor:
             # It began somewhere in the first interval of its window; the last one has all of it.
             size, sigma = -newest[0] / self.plan.interval, newest[1] ** 0.5 / self.plan.interval
         record.confirm('rate_bias', one.begin, abs(size))
-        self.bank.leave_out_rate(one.joint, True)
+        self._trust_rate(one.joint)
         self.sampler.rate_error[one.joint] = size
+        correct_rates_since(one.joint, one.begin, size, self.estimator, self.sampler)
         self._event(one.joint, 'rate_bias', one.begin, 'raised', size, sigma,
                     confidence=share)  # fmt: skip
 
@@ -992,7 +998,7 @@ class SerialMonitor:
         if self.sampler.derived[i] == 1.0:
             agrees_since = now - float(self.sampler.contrast[CONTRARY_AT, i])
             return agrees_since > STARTS[-1] - self.settings.clear_dwell
-        return self.bank.rate_agrees(i, float(self.sampler.rate_error[i]))
+        return self.bank.rate_agrees(i, float(self.sampler.rate_error[i])) > 0.0
 
     def _raise_levels(self, now: float) -> Stage:
         """Offsets that gravity and motion show."""
@@ -1045,6 +1051,7 @@ class SerialMonitor:
     def _end_faults(self, now: float) -> Stage:
         """Faults that are over are cleared once they have been over for long enough."""
         sigma, level, sigmas = self.faults()[1], self.estimator.level, self.settings.sigmas
+        clears, dwell = not self.settings.latch, self.settings.clear_dwell
         for i, sensor in enumerate(self.sensors):
             if not sensor.active:
                 continue
@@ -1063,19 +1070,34 @@ class SerialMonitor:
                 limit = (1.0 - LEFT) * max(smallest, sigmas * sigma[i])
                 over = abs(left) < min(LEFT * sensor.peak, limit)
             sensor.unseen &= over or not self._shows(i)
-            if sensor.watch_end(over, now, self.settings.clear_dwell, abs(left)):
+            if sensor.watch_end(over, now, dwell, abs(left)) and clears:
+                before = float(self.taken_out()[i])
+                if sensor.kind == 'noise' and not self._is_small(i, before):
+                    self._remains(i, before, now)
+                    self._trust_rate(i)
+                    continue
                 self._forget(i)
                 self._event(i, sensor.kind, now, 'cleared', left, float(sigma[i]))
                 sensor.clear()
         for i, record in enumerate(self.rates):
-            if record.active and record.watch_end(
-                self._rate_agrees(i, now), now, self.settings.clear_dwell, 0.0
-            ):
-                self.bank.leave_out_rate(i, False)
+            if not record.active:
+                continue
+            if record.watch_end(self._rate_agrees(i, now), now, dwell, 0.0) and clears:
+                error = float(self.sampler.rate_error[i])
+                since = now - dwell - self.bank.rate_agrees(i, error)
+                correct_rates_since(i, since, -error, self.estimator, self.sampler)
                 self.sampler.rate_error[i] = self.sampler.contrast[REPLACED, i] = 0.0
+                # When exactly the rate was right again is not known.
+                self.bank.restart_statistic()
                 self._event(i, record.kind, now, 'cleared', 0.0, 0.0)
                 record.clear()
+                self._trust_rate(i)
         return Stage.RATES
+
+    def _trust_rate(self, i: int) -> None:
+        """Use the kinematic rows of a joint while no fault of its sensors is known."""
+        wrong = self.rates[i].active or i in self._filters or bool(self.sampler.noisy[i])
+        self.bank.leave_out_rate(i, wrong)
 
     def _judge_rates(self, now: float) -> Stage:
         """Whether rates that the file calls independent are derived from their readings."""
@@ -1122,7 +1144,7 @@ class SerialMonitor:
     def _shows(self, i: int) -> bool:
         """Whether a fault of sensor i would be seen to be over, if it were."""
         sensor = self.sensors[i]
-        largest = max(sensor.peak, self.settings.smallest_level)
+        largest = max(sensor.peak, self.settings.smallest_level * float(self.scales[i]))
         bound = self.settings.sigmas * self.estimator.level.sigma[i]
         return sensor.kind in {'noise', 'stuck'} or bool(bound < largest)
 
@@ -1172,7 +1194,7 @@ class SerialMonitor:
         sampler = self.sampler
         self._doubt_no_more(i)
         if self._filters.pop(i, None) is not None or self.sensors[i].kind == 'noise':
-            self.bank.leave_out_rate(i, self.rates[i].active)
+            self._trust_rate(i)
         sampler.correction[i] = sampler.followed[i] = sampler.drift[i] = sampler.share[i] = 0.0
         sampler.curve[i] = 0.0
         self._correction[i] = 0.0
@@ -1181,6 +1203,12 @@ class SerialMonitor:
         """What was suspected is known, or over."""
         self._suspects = ()
         self._suspected[:] = 0.0
+
+    def _see_nothing_wrong(self) -> None:
+        """There is no contradiction that wants a cause."""
+        self._suspect_nothing()
+        self._contact.begin = self._contact.since = math.inf
+        self._rival = -math.inf
 
     def _mark_suspects(self) -> None:
         """Sensors whose fault may explain a contradiction."""

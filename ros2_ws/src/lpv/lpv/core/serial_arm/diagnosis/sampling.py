@@ -186,10 +186,9 @@ def push_sample(
     for i in range(n):
         sampler.found[i] = NONE
         sampler.filled[i] = max(sampler.filled[i] - 1, 0)
-        if follows:
-            change = sampler.curve[i] * period
-            sampler.followed[i] += (sampler.drift[i] + 0.5 * change) * period
-            sampler.drift[i] += change
+        change = sampler.curve[i] * period  # none before the first sample
+        sampler.followed[i] += (sampler.drift[i] + 0.5 * change) * period
+        sampler.drift[i] += change
         reading, way = y[i] - removed(sampler, i, y[i]), y[i] - sampler.raw[i]
         sampler.held[i] = 0
         if abs(way) > ROUNDING:
@@ -286,14 +285,16 @@ def _watch_contrast(sampler: Sampler, i: int, difference: float, rate: float, la
     own[LARGEST] = max(difference, kept * own[LARGEST])
     own[SMALLEST] = min(difference, kept * own[SMALLEST])
     apart, usual, learned = abs(rate - difference), own[USUAL], count > NOISE_MEMORY
-    power = (min(apart, ROBUST * usual) if learned else apart) ** 2
-    own[USUAL] = np.sqrt(usual * usual + (power - usual * usual) / min(count, SCALE_MEMORY))
+    opposite = rate * difference < 0.0 and abs(rate) < abs(difference)
+    contrary = opposite and apart > max(own[LARGEST], -own[SMALLEST])
+    if not contrary:
+        power = (min(apart, ROBUST * usual) if learned else apart) ** 2
+        own[USUAL] = np.sqrt(usual * usual + (power - usual * usual) / min(count, SCALE_MEMORY))
     is_between = own[SMALLEST] <= rate <= own[LARGEST]
     is_usual = lag > 0.0 or not learned or apart <= JUMP_SCALE * usual
     moves = sampler.still[i] + sampler.held[i] == 0 and count > CONTRADICTIONS
-    opposite = rate * difference < 0.0 and abs(rate) < abs(difference)
-    far = apart > max(own[LARGEST], -own[SMALLEST])
-    wrong = moves and opposite and far and not (is_between and is_usual)
+    # Differences over less than a period, taken by a faster driver, have more noise.
+    wrong = moves and contrary and apart > _USUAL * usual and not (is_between and is_usual)
     own[WRONG] = 1.0 if wrong else 0.0
     own[TIMES_WRONG] += own[WRONG] - own[TIMES_WRONG] / NOISE_MEMORY
     if wrong and own[TIMES_WRONG] > CONTRADICTIONS - 0.5:  # less what is forgotten

@@ -92,7 +92,9 @@ class ScaleOfJump:
         estimator.call(set_residuals, window, null, last)
         at, left = recent(window, last), null.residual[:last]
         column = window.rows[at, :, 1 + SCALE * n + self.joint]
-        column = column - self.reading * window.rows[at, :, 1 + OFFSET * n + self.joint]
+        # Columns are those of readings from the point of linearisation on.
+        began = self.reading - estimator.balance.reference[self.joint]
+        column = column - began * window.rows[at, :, 1 + OFFSET * n + self.joint]
         weighted, unknowns = window.weights[at] * column, window.rows[at, :, -len(null.mean) :]
         cross = whitened(null, weighted.ravel() @ unknowns.reshape(last * n, -1))
         known = self.sigma**-2

@@ -1,0 +1,144 @@
+"""What is published, and what is believed, while a fault is known: gaps, ends, other sensors."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from serial_arms import shoulder_arm, simulated, watch, without
+from simulated_runs import Push
+
+from lpv.core.monitoring.parameters import DiagnosisParameters
+from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv.core.serial_arm.certificate.jump_bound import jump_bound
+from lpv.core.serial_arm.diagnosis.alarms import SensorState
+from lpv.core.serial_arm.diagnosis.fault_filter import FaultFilter
+from lpv.core.serial_arm.diagnosis.monitor import MonitorSettings, SerialMonitor
+from lpv.core.simulation.faults import Fault
+
+
+def answered(arm, run, **parameters):
+    """Answers to a run; no stamp is 0."""
+    monitor = SerialSensorMonitor('arm', arm, DiagnosisParameters(**parameters))
+    return monitor.take_many(run.stamps + 1, *run.samples.swapaxes(0, 1))
+
+
+def true_rates(arm, run):
+    return np.gradient(run.position, arm.sample_time, axis=0)
+
+
+def averaged(values):
+    """Means of 0.1 s, without those at the ends."""
+    return np.convolve(values, np.ones(50) / 50, 'valid')
+
+
+@pytest.mark.parametrize('rates', ['derived', 'independent'])
+def test_given_a_known_drift_when_samples_are_missing_then_it_goes_on_meanwhile(rates):
+    arm = shoulder_arm(rates)
+    for seed in (1, 2):
+        whole = simulated(arm, Fault('encoder2', 'drift', 3.0, rate=0.3), duration=7.0, seed=seed)
+        run = without(whole, slice(2500, 2800))
+        answers = answered(arm, run)
+        error = answers.fault.estimate - (run.samples[:, 0] - run.position)
+        assert np.abs(error[2500:]).max() < 0.06  # 0.18 rad in the gap
+        assert (np.abs(error) < answers.fault.bound)[2500:].all()
+        assert {event.kind for _, event in answers.events} == {'drift'}
+
+
+def test_given_a_step_when_its_reading_is_noisy_for_a_while_then_the_step_remains():
+    faults = Fault('encoder1', 'bias', 3.0, size=0.3), Fault('encoder1', 'noise', 5.0, 1.0, 0.02)
+    monitor = watch(shoulder_arm(), simulated(shoulder_arm(), *faults, duration=8.0))
+    own = [alarm for alarm in monitor.alarms if alarm.sensor]
+    assert [(alarm.kind, alarm.event) for alarm in own] == [
+        ('bias', 'raised'), ('noise', 'updated'), ('bias', 'updated'),
+    ]  # fmt: skip
+    known = monitor.estimate(0)
+    assert known.state[0] is SensorState.ERROR and known.fault[0] == pytest.approx(0.3, abs=0.02)
+
+
+@pytest.mark.parametrize('sensor', ['encoder1', 'encoder2'])
+def test_given_a_rate_bias_when_it_ends_then_nothing_else_is_found_and_rates_were_right(sensor):
+    arm, joint = shoulder_arm('independent'), int(sensor[-1]) - 1
+    for seed in (1, 2):
+        run = simulated(arm, Fault(sensor, 'rate_bias', 4.0, 3.0, 0.3), duration=9.0, seed=seed)
+        answers = answered(arm, run)
+        assert [(event.kind, event.event.name) for _, event in answers.events] == [
+            ('rate_bias', 'RAISED'), ('rate_bias', 'CLEARED'),
+        ]  # fmt: skip
+        error = answers.state.velocity - true_rates(arm, run)
+        assert abs(error[2250:3500, joint].mean()) < 0.05
+
+
+def test_given_a_derived_rate_that_wraps_then_differences_are_published():
+    arm, run = shoulder_arm(), simulated(shoulder_arm(), duration=6.0)
+    rate = run.samples[1000:, 1, 1]
+    rate[:] = (rate + 0.25) % 0.5 - 0.25
+    error = answered(arm, run).state.velocity[:, 1] - true_rates(arm, run)[:, 1]
+    assert np.abs(averaged(error[1500:])).max() < 0.05
+
+
+@pytest.mark.parametrize('size', [0.25, -0.45])
+def test_given_a_known_scale_error_then_published_rates_are_without_it(size):
+    arm = shoulder_arm()
+    run = simulated(arm, Fault('encoder2', 'scale', 3.0, size=size), duration=8.0)
+    true = true_rates(arm, run)[2500:, 1]
+    answers = answered(arm, run)
+    read, found = (
+        np.sqrt(np.mean(averaged(rate[2500:, 1] - true) ** 2))
+        for rate in (run.samples[:, 1], answers.state.velocity)
+    )
+    assert found < 0.4 * read
+    error = answers.fault.estimate - (run.samples[:, 0] - run.position)
+    assert np.abs(error[2500:, 1]).max() < 0.03
+
+
+@pytest.mark.parametrize('size', [0.3, -0.5])
+def test_given_an_uncertain_scale_error_then_sigma_is_that_of_draws(size):
+    one, rng = FaultFilter(0, 'scale', 0.0), np.random.default_rng(1)
+    one.mean, one.covariance = np.array([size, 0.1, 0.0]), np.diag([0.01, 0.01, 0.0]) ** 2
+    reading, (scale, offset, _) = 1.2, rng.multivariate_normal(one.mean, one.covariance, 10000).T
+    drawn = reading - (reading - offset) / (1.0 + scale)
+    fault, _, sigma = one.fault(reading, 0.0)
+    assert fault == pytest.approx(drawn.mean(), abs=0.01)
+    assert sigma == pytest.approx(drawn.std(), rel=0.05)
+
+
+def test_given_alarms_that_clear_at_once_when_a_frozen_reading_jumps_then_it_is_judged():
+    faults = Fault('encoder2', 'stuck', 4.0, 1.015), Fault('encoder2', 'bias', 5.035, size=0.2)
+    run = simulated(shoulder_arm(), *faults, duration=5.5)
+    monitor = SerialMonitor(shoulder_arm(), MonitorSettings(clear_dwell=0.0))
+    monitor.update_many(run.stamps, run.samples)
+    assert any(alarm.kind == 'stuck' for alarm in monitor.alarms)
+
+
+@pytest.mark.parametrize('latch', [False, True])
+def test_given_a_known_step_when_samples_return_after_a_break_then_answers_are_trusted(latch):
+    arm = shoulder_arm()
+    run = simulated(arm, Fault('encoder2', 'bias', 3.0, size=0.3), duration=9.0)
+    stamps = np.where(run.stamps > 5_000_000_000, run.stamps + 3_000_000_000, run.stamps)
+    answers = answered(arm, run._replace(stamps=stamps), latch=latch)
+    assert answers.state.trustworthy[-1]
+    assert [event.event.name for _, event in answers.events] == ['RAISED']
+
+
+def test_given_rates_that_are_found_to_be_derived_then_the_bound_of_jumps_is_that_of_differences():
+    sensors = {'velocity_noise': 0.0002, 'position_noise': 2e-4}
+    arms = []
+    for rates in ('independent', 'derived'):
+        arm = shoulder_arm(rates)
+        joints = (
+            replace(joint, rotor_inertia=0.2, sensors=replace(joint.sensors, **sensors))
+            for joint in arm.joints
+        )
+        arms.append(replace(arm, joints=tuple(joints)))
+    said, true = arms
+    run = simulated(true, duration=1.5, seed=3)
+    monitor = watch(said, run)
+    assert len(monitor.misnamed) == 3
+    np.testing.assert_array_equal(monitor._jump_bound, jump_bound(true))
+
+
+def test_given_a_suspicion_when_efforts_are_lost_then_it_is_dropped():
+    run = simulated(shoulder_arm(), pushes=(Push(3.0, 3.4, (0.0, 15.0, 0.0)),), duration=5.0)
+    run.samples[1650:, 2] = np.nan
+    inconsistent = answered(shoulder_arm(), run).inconsistent
+    assert inconsistent[1600:1650].any() and not inconsistent[-1]
