@@ -3,10 +3,11 @@
 import contextlib
 import math
 import os
+import re
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -88,12 +89,14 @@ def _read_model(
     import pinocchio
 
     held = dict(locked or {})
-    try:
-        with _quiet():
+    with _quiet() as sink:
+        try:
             model = pinocchio.buildModelFromXML(urdf.text)
-    except (ValueError, RuntimeError, IndexError) as error:
-        reason = ' '.join(str(error).split())[:300]
-        raise ConfigError('urdf', f'is not a model ({reason})', source) from error
+        except (ValueError, RuntimeError, IndexError) as error:
+            sink.seek(0)
+            said = re.findall('^Error:(.*)', sink.read().decode(errors='replace'), re.MULTILINE)
+            reason = ' '.join(';'.join(said or [str(error)]).split())[:300]
+            raise ConfigError('urdf', f'is not a model ({reason})', source) from error
     names = list(model.names)[1:]
     for name in (*held, *(joints or ())):
         if name not in names:
@@ -130,13 +133,13 @@ def _read_model(
 
 
 @contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """The URDF parser writes its complaints to the process's standard error."""
+def _quiet() -> Iterator[IO[bytes]]:
+    """File of the URDF parser's complaints, which it writes to the process's standard error."""
     with tempfile.TemporaryFile() as sink:
         kept = os.dup(2)
         os.dup2(sink.fileno(), 2)
         try:
-            yield
+            yield sink
         finally:
             os.dup2(kept, 2)
             os.close(kept)
