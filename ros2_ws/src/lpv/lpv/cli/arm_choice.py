@@ -29,6 +29,9 @@ def chosen_arm(arguments: argparse.Namespace) -> SerialArm:
     if tip is not None:
         if joints:
             raise ConfigError('--tip', 'and --joints say the same: give one of them')
+        links = [str(link.get('name')) for link in root.iter('link')]
+        if tip not in links:
+            raise ConfigError('--tip', f'{tip!r} is no link of the URDF: {", ".join(links)}')
         joints = [name for name in _way_to(root, tip) if name in moving and name not in locked]
     kept = [name for name in moving if name not in locked and (not joints or name in joints)]
     _refuse_others(root, kept, moving, arguments.urdf)
@@ -64,9 +67,6 @@ def _locked(text: str) -> tuple[str, float]:
 def _way_to(root: ElementTree.Element, tip: str) -> list[str]:
     """Names of the joints from the base to a link."""
     above = {_end(j, 'child'): j for j in root.findall('joint')}
-    links = [str(link.get('name')) for link in root.iter('link')]
-    if tip not in links:
-        raise ConfigError('--tip', f'{tip!r} is no link of the URDF: {", ".join(links)}')
     way: list[str] = []
     while tip in above and len(way) < len(above):
         way.insert(0, str(above[tip].get('name')))

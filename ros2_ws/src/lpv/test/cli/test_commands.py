@@ -167,6 +167,7 @@ def test_given_what_cannot_be_used_when_initialised_then_it_is_named(tmp_path, r
         ('', '', [*HELD, '--joints', 'elbow'], 'give one of them'),
         ('axis xyz="0 1 0"', 'axis xyz="0 0 0"', HELD, 'direction'),
         ('<mass value="2"', '<mass value="heavy"', HELD, 'mass'),
+        ('child link="one"', 'child link="nix"', HOLDS[0].split(), 'link [nix] of joint'),
         ('xyz="0 0 0.3"', 'xyz="0 0"', HELD, '3 expected while parsing vector [0 0]; Malformed'),
         ('<robot', '<!DOCTYPE x [<!ENTITY y "z">]><robot', HELD, 'document type'),
         ('</robot>', '', HELD, 'no element found'),
