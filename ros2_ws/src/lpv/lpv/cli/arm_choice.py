@@ -1,6 +1,7 @@
 """The arm that ``lpv init``, ``identify`` and ``excite`` start from: a URDF, or an arm file."""
 
 import argparse
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -59,9 +60,12 @@ def _read(path: str) -> ElementTree.Element:
 def _locked(text: str) -> tuple[str, float]:
     name, _, value = text.partition('=')
     try:
-        return name, float(value) if value else 0.0
+        position = float(value or 0.0)
     except ValueError:
-        raise ConfigError('--lock', f'{value!r} is not a number') from None
+        position = math.nan
+    if not math.isfinite(position):
+        raise ConfigError('--lock', f'{value!r} is not a number')
+    return name, position
 
 
 def _way_to(root: ElementTree.Element, tip: str) -> list[str]:

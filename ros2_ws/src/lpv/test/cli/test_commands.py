@@ -155,6 +155,16 @@ def test_given_a_gripper_when_held_then_the_arm_has_the_others_and_their_frictio
         assert arm.tip == (0.0, 0.0, 0.3)
 
 
+NAMES = ('left: j1', 'left, j1', 'left #1', '{left}_j1', '*j1', '${prefix}j1', "it's", '1e5')
+
+
+@pytest.mark.parametrize('name', NAMES)
+def test_given_a_joint_of_any_name_when_initialised_then_its_sensor_fails(tmp_path, init, name):
+    arm, _ = init(*HELD, urdf=GRIPPER.replace('"shoulder"', f'"{name}"'))
+    scenario = load_scenario(tmp_path / 'new' / 'scenario.yaml')
+    assert scenario.faults[0].sensor == arm.sensor_names[0] == f'{name}_encoder'
+
+
 def test_given_what_cannot_be_used_when_initialised_then_it_is_named(tmp_path, refused):
     urdf, new = tmp_path / 'arm.urdf', tmp_path / 'new'
     for old, bad, options, said in (
@@ -163,12 +173,15 @@ def test_given_what_cannot_be_used_when_initialised_then_it_is_named(tmp_path, r
         ('', '', [], '--joints shoulder,elbow,wrist, or its last link with --tip'),
         ('', '', ['--tip', 'nose'], "'nose' is no link of the URDF: base, one"),
         ('', '', ['--lock', 'left_finger=open'], "'open' is not a number"),
+        ('', '', ['--lock', 'left_finger=nan'], "'nan' is not a number"),
         ('', '', ['--lock', 'thumb', '--joints', 'elbow'], "no moving joint 'thumb'"),
         ('', '', [*HELD, '--joints', 'elbow'], 'give one of them'),
         ('axis xyz="0 1 0"', 'axis xyz="0 0 0"', HELD, 'direction'),
         ('<mass value="2"', '<mass value="heavy"', HELD, 'mass'),
         ('child link="one"', 'child link="nix"', HOLDS[0].split(), 'link [nix] of joint'),
         ('xyz="0 0 0.3"', 'xyz="0 0"', HELD, '3 expected while parsing vector [0 0]; Malformed'),
+        ('lower="-1" upper="1"', 'lower="1" upper="-1"', HELD, 'joints[0].limits.upper: must lie'),
+        ('effort="500"', 'effort="0.1"', HELD, 'N m of shoulder, whose limit is 0.1'),
         ('<robot', '<!DOCTYPE x [<!ENTITY y "z">]><robot', HELD, 'document type'),
         ('</robot>', '', HELD, 'no element found'),
         ('damping="0.5"', 'damping="-1"', HELD, 'dynamics.damping: must be'),

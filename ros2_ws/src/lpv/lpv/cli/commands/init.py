@@ -1,6 +1,7 @@
 """``lpv init``: commented files of an arm to start from, out of a URDF where there is one."""
 
 import argparse
+import json
 import math
 import os
 import re
@@ -9,11 +10,12 @@ from pathlib import Path
 from string import Template
 
 import numpy as np
+import yaml
 
 from lpv.cli import arm_choice
-from lpv.core.serial_arm.arm_file import load_arm, save_arm
+from lpv.core.serial_arm.arm_file import load_arm, parse_arm, save_arm, to_mapping
 from lpv.core.serial_arm.description import LpvRegion, SerialArm, Uncertainty
-from lpv.core.simulation.scenario import load_scenario
+from lpv.core.simulation.scenario import parse_scenario
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.resources import bringup_file
 from lpv.core.uio.model.kinematics import forward
@@ -28,7 +30,7 @@ _MODEL_ERROR = 0.02
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Write the files, read them again, and say what to do next."""
+    """Write the files, and say what to do next."""
     folder, name = Path(arguments.folder or '.'), arguments.name
     for path in (folder / file for file in FILES):
         if path.exists():
@@ -39,11 +41,11 @@ def run(arguments: argparse.Namespace) -> int:
         for option in ('joints', 'lock', 'tip'):
             if getattr(arguments, option):
                 raise ConfigError(f'--{option}', 'is for joints of a URDF: give --urdf')
-        return _write(folder, replace(_example(), name=name or 'my_arm'))
+        return _write(folder, replace(_example(), name=name or 'my_arm'), 'arm')
     arm = arm_choice.with_stated_friction(arm_choice.chosen_arm(arguments), arguments.urdf)
     arm = _with_region(replace(arm, name=name or re.sub(r'\W', '_', arm.name)))
     urdf = os.path.relpath(Path(arguments.urdf).resolve(), folder.resolve())
-    return _write(folder, replace(arm, urdf=urdf))
+    return _write(folder, replace(arm, urdf=urdf), arguments.urdf)
 
 
 def _example() -> SerialArm:
@@ -69,20 +71,24 @@ def _with_region(arm: SerialArm) -> SerialArm:
     return replace(arm, lpv=region, uncertainty=Uncertainty(0.0, 0.3, _MODEL_ERROR))
 
 
-def _write(folder: Path, arm: SerialArm) -> int:
-    """Write the files, read them again, and say what comes next."""
-    folder.mkdir(parents=True, exist_ok=True)
+def _write(folder: Path, arm: SerialArm, source: str) -> int:
+    """Check what the files say, write them, and say what comes next."""
     file, requirement, scenario = (folder / name for name in FILES)
-    values = {'name': arm.name, 'sensor': arm.sensor_names[0]}
+    # JSON's quotes are YAML's: names may hold any character.
+    sensor = json.dumps(arm.sensor_names[0], ensure_ascii=False)
+    values = {'name': arm.name, 'sensor': sensor}
     values['waypoints'] = _joint_waypoints(arm) if arm.lpv is None else _planar_waypoints(arm)
+    texts = {
+        path: _filled(path.name, values)
+        for path in ([scenario] if arm.lpv is None else [scenario, requirement])
+    }
+    # Before the first file is there: half of them would block the next try.
+    parse_scenario(yaml.safe_load(texts[scenario])).path(parse_arm(to_mapping(arm), source))
+    folder.mkdir(parents=True, exist_ok=True)
     save_arm(arm, file)
-    scenario.write_text(_filled('scenario.yaml', values), encoding='utf-8')
-    written = [file, scenario]
-    if arm.lpv is not None:
-        requirement.write_text(_filled('requirement.yaml', values), encoding='utf-8')
-        written.append(requirement)
-    load_scenario(scenario).path(load_arm(file))
-    print(f'written: {", ".join(map(str, written))}')
+    for path, text in texts.items():
+        path.write_text(text, encoding='utf-8')
+    print(f'written: {", ".join(map(str, (file, *texts)))}')
     print(f'joints: {", ".join(arm.joint_names)}')
     if arm.locked:
         print('held: ' + ', '.join(f'{joint} at {value:g}' for joint, value in arm.locked))
