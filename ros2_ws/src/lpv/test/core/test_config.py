@@ -113,11 +113,16 @@ def test_given_no_number_or_an_unknown_field_in_a_file_when_read_then_it_is_name
 def test_given_any_field_of_a_file_when_left_out_then_just_those_that_must_be_are_missed(kind):
     missed = set()
     for field, _ in places(kind.good):
+        without, (parent, _, name) = changed(kind.good, field, Missing), field.rpartition('.')
         try:
-            kind.parse(changed(kind.good, field, Missing), 'some.yaml')
+            kind.parse(without, 'some.yaml')
         except ConfigError as error:
             if error.field == kind.prefix + field:
                 missed.add(re.sub(r'\[\d+\]', '[]', field))
+        else:  # the others are known where there are none, too
+            odd, known = f'{parent}.colour'.lstrip('.'), name.partition('[')[0]
+            with pytest.raises(ConfigError, match=rf'colour: is not a known .*\b{known}\b'):
+                kind.parse(changed(without, odd, 1.0), 'some.yaml')
     assert kind.needed <= missed
 
 

@@ -260,7 +260,8 @@ class Section:
         result._missing = True
         return result
 
-    def __contains__(self, key: object) -> bool:
+    def __contains__(self, key: str) -> bool:
+        self._seen.add(key)  # what is asked for is a known field, whether the file has it or not
         return key in self._data
 
     def _get(self, key: str, default: Any) -> Any:
