@@ -12,7 +12,7 @@ from lpv.core.monitoring.parameters import DiagnosisParameters
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.certificate.loop_gains import serial_parameters
 from lpv.core.serial_arm.description import SerialArm
-from lpv.core.support.config import read_yaml
+from lpv.core.support.config import as_number, read_yaml
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.resources import bringup_file
 from lpv.core.uio.certificate.gains import Gains, load_gains
@@ -90,12 +90,14 @@ def diagnosis_parameters(path: str | None) -> tuple[DiagnosisParameters, dict[st
         return DiagnosisParameters(), {}
     try:
         values = dict(read_yaml(path)['/**']['ros__parameters'])
-        diagnosis = DiagnosisParameters(**values.get('diagnosis') or {})
+        tuning = dict(values.get('diagnosis') or {})
+        diagnosis = DiagnosisParameters(**{k: as_number(v) for k, v in tuning.items()})
     except (KeyError, TypeError, ValueError) as error:
         raise ConfigError(
             '/**.ros__parameters', f'is not a set of parameters ({error})', path
         ) from error
-    chosen = {name: values[name] for name in ('max_gap', 'initial_samples') if name in values}
+    names = ('max_gap', 'initial_samples')
+    chosen = {name: as_number(values[name]) for name in names if name in values}
     for name, value in (*vars(diagnosis).items(), *chosen.items()):
         if not isinstance(value, (int, float)) or not 0.0 <= value < 1e9:
             raise ConfigError(name, f'must be a number from 0, got {value!r}', path)

@@ -14,11 +14,12 @@ from places import BRINGUP, ROOT
 
 from lpv.bag.run.csv_import import load_column_map
 from lpv.campaign.plan.spec import parse_spec
+from lpv.cli.observing import diagnosis_parameters
 from lpv.core.serial_arm.arm_file import load_arm, parse_arm, save_arm, to_mapping
 from lpv.core.simulation.faults import KINDS, Fault, FaultInjector
 from lpv.core.simulation.scenario import load_scenario, parse_scenario
 from lpv.core.support import config
-from lpv.core.support.config import MAX_DEPTH, MAX_VALUES, read_yaml, sha256_of
+from lpv.core.support.config import MAX_DEPTH, MAX_VALUES, Section, read_yaml, sha256_of
 from lpv.core.support.errors import ConfigError, LpvError
 from lpv.core.uio.certificate.gains import gains_to_dict, load_gains, parse_gains, save_gains
 from lpv.core.uio.model.arm import Link
@@ -27,6 +28,7 @@ from lpv_design.requirement import load_requirement, parse_requirement
 
 ARM = read_yaml(BRINGUP / 'arms' / 'paper.yaml')
 SCENARIO = read_yaml(BRINGUP / 'scenarios' / 'two_faults.yaml')
+CAMPAIGN = read_yaml(BRINGUP / 'campaigns' / 'smoke.yaml')
 REQUIREMENT = read_yaml(ROOT / 'design/lpv_design/requirements/paper.yaml')
 OLD_ARM = yaml.safe_load("""
 name: paper
@@ -341,6 +343,28 @@ def test_given_large_values_or_files_then_they_are_kept_or_not(tmp_path, monkeyp
     monkeypatch.setattr(config, 'MAX_BYTES', 100)
     with pytest.raises(ConfigError, match='large.yaml: file: is larger than 100 bytes'):
         read_yaml(path)
+
+
+def test_given_exponents_without_a_dot_when_read_then_numbers_are_numbers_and_names_names(tmp_path):
+    path, name = tmp_path / 'a.yaml', {'name': '1e5', 'sensors': {'name': '1e-5'}}
+    first, second = ARM['joints']
+    first = {**first, **name, 'rotor_inertia': '1e-5', 'torque_gain': '+2.E0'}
+    path.write_text(yaml.safe_dump({**ARM, 'joints': [first, second]}))
+    assert 'rotor_inertia: 1e-5\n' in path.read_text() and 'name: 1e5\n' in path.read_text()
+    for _ in range(2):
+        joint = load_arm(path).joints[0]
+        assert (joint.rotor_inertia, joint.torque_gain) == (1e-5, 2.0)
+        assert (joint.name, joint.sensors.name) == ('1e5', '1e-5')
+        save_arm(load_arm(path), path)
+    path.write_text('/**: {ros__parameters: {max_gap: 5e-1, diagnosis: {smallest_step: 1e-3}}}')
+    found, others = diagnosis_parameters(path)
+    assert (found.smallest_step, others['max_gap']) == (1e-3, 0.5)
+    factors = {'fault.size': yaml.safe_load('[1e-3, 0.1]'), 'fault.sensor': '1e5'}
+    found = parse_spec({**CAMPAIGN, 'factors': factors}).factors
+    assert [found[name].values for name in factors] == [(1e-3, 0.1), ('1e5',)]
+    for text in ('e5', '1e', '1e5x', '0x1e5', '1e5.0', '1e-999x', '1_0e1', '\u0661e1'):
+        with pytest.raises(ConfigError, match='must be a number, got'):
+            Section({'a': text}, 'b').number('a')
 
 
 @pytest.mark.parametrize('load', [load_arm, load_scenario, load_gains, load_requirement])

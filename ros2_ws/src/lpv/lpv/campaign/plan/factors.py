@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from lpv.core.support.config import Section
+from lpv.core.support.config import Section, as_number
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.limits import MOST_ENTRIES
 
@@ -61,11 +61,11 @@ class ByKind:
 
 
 def parse_factor(
-    data: object, name: str, source: str, kinds: Sequence[str] | None = None
+    data: object, name: str, source: str, kinds: Sequence[str] | None = None, numeric: bool = True
 ) -> Choice | Range | ByKind:
     """Read a factor: a value, a list of values, ``{low, high, ...}``, or one of these by kind."""
     if not isinstance(data, dict):
-        return _choice(data, name, source)
+        return _choice(data, name, source, numeric)
     if kinds is not None and data and not _KEYS & set(data):
         unknown = sorted(set(map(str, data)) - set(kinds))
         if unknown:
@@ -78,8 +78,9 @@ def parse_factor(
     return _range(data, name, source)
 
 
-def _choice(data: Any, name: str, source: str) -> Choice:
+def _choice(data: Any, name: str, source: str, numeric: bool) -> Choice:
     values = tuple(data) if isinstance(data, list) else (data,)
+    values = tuple(map(as_number, values)) if numeric else values
     reason = ''
     if not 1 <= len(values) <= MOST_ENTRIES:
         reason = f'must list 1 to {MOST_ENTRIES} values'

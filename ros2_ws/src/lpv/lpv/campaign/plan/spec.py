@@ -129,7 +129,9 @@ def _factors(data: dict[str, Any], source: str) -> dict[str, Choice | Range | By
                 name, 'is not a factor; there are ' + ', '.join([*DEFAULTS, *sorted(TUNING)])
             )
         kinds = KINDS if name in _BY_KIND else None
-        factors[name] = factor = parse_factor(value, f'factors.{name}', source, kinds)
+        factors[name] = factor = parse_factor(
+            value, f'factors.{name}', source, kinds, name not in TEXTS
+        )
         for part in factor.kinds.values() if isinstance(factor, ByKind) else (factor,):
             _check(part, name, section)
     return factors

@@ -3,6 +3,7 @@
 import functools
 import hashlib
 import math
+import re
 import reprlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextvars import ContextVar
@@ -21,6 +22,8 @@ MAX_VALUES = MAX_BYTES // 20
 """Most values in a file, with those that aliases repeat: a float has up to 20 characters."""
 MAX_INTEGER = 2**63 - 1
 """Largest integer, as a ROS parameter has it; all of these are finite floats, too."""
+_SCIENTIFIC = re.compile(r'[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+')
+"""Floats with an exponent, as in YAML 1.2."""
 
 
 class _Loader(getattr(yaml, 'CSafeLoader', yaml.SafeLoader)):  # type: ignore[misc]
@@ -140,6 +143,15 @@ def _wrong_scalar(value: object) -> str:
     if value is None or isinstance(value, (str, int, float)):
         return ''
     return f'must be a number or text, got a {type(value).__name__}; put text in quotes'
+
+
+def as_number(value: Any) -> Any:
+    """A number for its text: to YAML 1.1 ``1e-5``, without dot or sign, is text.
+
+    For use where a number is expected; elsewhere it stays text, as a joint may be called ``1e5``.
+    """
+    is_text = isinstance(value, str) and _SCIENTIFIC.fullmatch(value)
+    return float(value) if is_text else value
 
 
 def sha256_of(data: object) -> str:
@@ -331,6 +343,7 @@ class Section:
         return self._number(key, value, low, high, above)
 
     def _number(self, key: str, value: Any, low: float, high: float, above: float | None) -> float:
+        value = as_number(value)
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise self.error(key, f'must be a number, got {_short(value)}')
         try:
