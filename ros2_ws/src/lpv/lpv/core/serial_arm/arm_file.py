@@ -278,9 +278,9 @@ def _triple(
     key: str,
     low: float = -math.inf,
     high: float = math.inf,
-    default: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    default: tuple[float, float, float] | None = (0.0, 0.0, 0.0),
 ) -> tuple[float, float, float]:
-    x, y, z = section.vector(key, 3, list(default), low, high)
+    x, y, z = section.vector(key, 3, default, low, high)
     return x, y, z
 
 
@@ -320,8 +320,9 @@ def _joints(
 def _joint(section: Section, base: SerialJoint | None) -> SerialJoint:
     """A joint of the file; what it does not say comes from the URDF's joint ``base``."""
     name = section.text('name')
-    if base is None or 'position' in section:
-        position = _triple(section, 'position', -FAR, FAR)
+    # What places the frame comes from one source: a mix of both would fit neither.
+    if base is None or any(key in section for key in ('position', 'orientation', 'axis')):
+        position = _triple(section, 'position', -FAR, FAR, default=None)
         orientation = _triple(section, 'orientation', -FAR, FAR)
         axis = _axis(section)
     else:

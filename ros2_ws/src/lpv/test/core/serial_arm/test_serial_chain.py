@@ -64,6 +64,10 @@ def test_gripper_is_locked_where_it_was_told_and_axes_point_anywhere(small, tmp_
     (tmp_path / 'arm.yaml').write_text(text)
     arm = load_arm(tmp_path / 'arm.yaml')
     assert (arm.joints, arm.locked) == (found.joints, found.locked)
+    # An axis goes with a position: that of the URDF is in another frame.
+    (tmp_path / 'arm.yaml').write_text(text[:-1] + ', joints: [{name: a, axis: [0, 0, 1]}]}')
+    with pytest.raises(ConfigError, match=r'joints\[0\].position: is missing'):
+        load_arm(tmp_path / 'arm.yaml')
 
 
 def test_base_on_the_wall_turns_gravity_and_a_fixed_joint_before_the_base_the_arm(small):
