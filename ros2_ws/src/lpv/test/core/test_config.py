@@ -47,8 +47,8 @@ model_error: 0.05
 sample_time: 0.002
 """)
 NEEDED = {
-    'arm': 'name joints joints[].name joints[].link.mass joints[].link.inertia.yy lpv.orientation '
-    'lpv.cos_min',
+    'arm': 'name joints joints[].name joints[].link.mass joints[].link.first_moment '
+    'joints[].link.inertia.yy lpv.orientation lpv.cos_min',
     'scenario': 'name duration path path.waypoints path.waypoints[].t path.waypoints[].x '
     'path.waypoints[].y path.obstacle.center path.obstacle.radius faults[].sensor faults[].kind '
     'faults[].onset',

@@ -372,7 +372,7 @@ def _link(section: Section) -> LinkInertia:
     xx, xy, yy, xz, yz, zz = (inertia.number(key, None, -1e7, 1e7) for key in INERTIA_KEYS)
     result = LinkInertia(
         link.number('mass', low=0.0, high=1e5),
-        _triple(link, 'first_moment', -1e6, 1e6),
+        _triple(link, 'first_moment', -1e6, 1e6, default=None),
         (xx, xy, yy, xz, yz, zz),
     )
     inertia.finish()
