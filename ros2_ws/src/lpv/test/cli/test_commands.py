@@ -117,6 +117,12 @@ def test_given_a_serial_urdf_when_initialised_then_it_fits(tmp_path, init, name,
     assert np.ptp(path.sample(np.linspace(0.0, 12.0, 50)).position, axis=0).min() > 0.1
 
 
+def test_given_a_link_that_no_body_is_when_initialised_then_it_is_named(tmp_path, call):
+    (tmp_path / 'arm.urdf').write_text(GRIPPER.replace('ixx="0.1"', 'ixx="0.9"', 2))
+    err = call('init', tmp_path / 'new', '--urdf', tmp_path / 'arm.urdf', *HELD).err
+    assert err.count('warning') == 1 and 'no body has the inertia of the link of shoulder' in err
+
+
 @pytest.mark.parametrize('zero', [None, 0.0, np.pi / 3, np.pi])
 def test_given_a_urdf_when_initialised_then_the_arm_is_that_of_the_urdf(init, paper_arm, zero):
     model, wanted = planar_model(paper_arm), paper_arm

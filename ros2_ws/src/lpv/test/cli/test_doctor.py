@@ -19,11 +19,12 @@ from serial_bags import crane, crane_file
 from simulated_runs import simulated_run
 from std_msgs.msg import Header
 
+from lpv import load_arm, save_gains
 from lpv.cli.doctor import environment, graph, signals
 from lpv.cli.doctor.files import check_files
 from lpv.cli.doctor.finding import Level
 from lpv.cli.doctor.snapshot import JOINT_STATE, Endpoint, Snapshot
-from lpv.core.uio.certificate.gains import save_gains
+from lpv.core.serial_arm.arm_file import save_arm
 from lpv.core.uio.model.joints import JointMap
 from lpv_node.qos import stream
 
@@ -72,6 +73,7 @@ CHECKS = [
     ('', 'paper', None, None, 'observes alone; lpv design designs them'),
     ('', './crane.yaml', None, None, 'the moving horizon observes alone'),
     ('', 'ur10', UR10_GAINS, None, "loop of arm 'ur10' holds"),
+    ('', 'panda', PANDA_GAINS, None, "loop of arm 'panda' holds"),
     ('arm', './light.yaml', None, None, r'joints\[0\].link.mass'),
     ('gains', 'real_arm', GAINS, None, "another arm.*'paper'.*'real_arm'.*--arm real_arm"),
     ('gains', 'paper', './changed.yaml', None, 'does not hold: observer, link 1'),
@@ -103,6 +105,19 @@ def test_given_files_when_checked_then_all_fits_or_it_is_said_why_not(
         assert model.name in arm and bad(findings) == []
         assert [f.check for f in findings] == ['arm', 'gains', 'scenario'][: 2 + bool(scenario)]
     assert re.search(said, f'{finding.text} {finding.remedy}', re.DOTALL)
+
+
+def test_given_an_inertia_about_the_centre_of_mass_when_checked_then_its_link_is_named(tmp_path):
+    arm = load_arm(BRINGUP / 'arms' / 'ur10.yaml')
+    link = arm.joints[1].link
+    mass, x, y, z = link.mass, *link.first_moment
+    moved = np.array([y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y]) / mass
+    link = replace(link, inertia=tuple((np.array(link.inertia) - moved).tolist()))
+    joints = (arm.joints[0], replace(arm.joints[1], link=link), *arm.joints[2:])
+    save_arm(replace(arm, joints=joints), tmp_path / 'arm.yaml')
+    finding, _ = check_files(str(tmp_path / 'arm.yaml'), None, None)[1]
+    assert (finding.check, finding.level) == ('arm', Level.WARN)
+    assert finding.text.endswith(f' the link of {arm.joint_names[1]}')
 
 
 def test_given_this_environment_when_checked_then_nothing_is_found(monkeypatch):

@@ -5,6 +5,7 @@ import json
 import math
 import os
 import re
+import sys
 from dataclasses import replace
 from pathlib import Path
 from string import Template
@@ -90,6 +91,9 @@ def _write(folder: Path, arm: SerialArm, source: str) -> int:
         path.write_text(text, encoding='utf-8')
     print(f'written: {", ".join(map(str, (file, *texts)))}')
     print(f'joints: {", ".join(arm.joint_names)}')
+    for joint in arm.joints:
+        if not joint.link.is_physical:
+            print(f'warning: no body has the inertia of the link of {joint.name}', file=sys.stderr)
     if arm.locked:
         print('held: ' + ', '.join(f'{joint} at {value:g}' for joint, value in arm.locked))
     print('next: a URDF knows no rotors and sensors; identify them from a recording')

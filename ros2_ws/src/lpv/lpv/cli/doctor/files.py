@@ -1,6 +1,6 @@
 """Checks of arm, gains and scenario files; no graph is needed."""
 
-from lpv.cli.doctor.finding import Finding, error, ok
+from lpv.cli.doctor.finding import Finding, error, ok, warn
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.description import SerialArm
@@ -35,6 +35,9 @@ def check_arm(name: str) -> tuple[SerialArm | None, Finding]:
         SerialSensorMonitor('doctor', arm)
     except LpvError as problem:
         return None, error('arm', str(problem), 'correct the field; docs/arm-file.md describes all')
+    if odd := [joint.name for joint in arm.joints if not joint.link.is_physical]:
+        text = f'{arm.name!r}: no body has the inertia of the link of {", ".join(odd)}'
+        return arm, warn('arm', text, 'give first moments and inertia about the joint frame')
     return arm, ok('arm', f'{arm.name!r}, joints {", ".join(arm.joint_names)}')
 
 

@@ -21,6 +21,8 @@ UNSTATED_FRICTION = 0.3
 """Relative change of friction of an arm whose file does not state any."""
 SIGMAS = 4.0
 """Standard deviations in a bound, unless asked otherwise: 1 in 16 000 normal errors is larger."""
+_IDENTIFIED = 0.05
+"""How indefinite a pseudo-inertia of unit mass and size may be: a published one is by 0.02."""
 RATE_SOURCES = ('independent', 'derived', 'none')
 """Where measured rates come from: a sensor of their own, differences of positions, nowhere."""
 
@@ -66,6 +68,15 @@ class LinkInertia:
         result[:3, 3] = result[3, :3] = self.first_moment
         result[3, 3] = self.mass
         return result
+
+    @property
+    def is_physical(self) -> bool:
+        """Whether a body has these parameters, within the errors of identified ones."""
+        pseudo, least = self.pseudo_inertia(), float(np.finfo(float).tiny)
+        mass = max(self.mass, least)
+        length = math.sqrt(max(float(np.trace(pseudo[:3, :3])), least) / mass)
+        scale = math.sqrt(mass) * np.array([length, length, length, 1.0])
+        return bool(np.linalg.eigvalsh(pseudo / np.outer(scale, scale))[0] > -_IDENTIFIED)
 
 
 @dataclass(frozen=True)
