@@ -116,11 +116,11 @@ def _samples(
                 if len(cells) < len(header):
                     raise CsvError(f'{row.line} has too few cells')
                 values = [
-                    [row.number(n, float) * scale for n in names] if any(names) else []
+                    [row.number(n, float, scale) for n in names] if any(names) else []
                     for names, scale in vectors
                 ]
-                # Decimal: a float of epoch seconds is 200 ns off.
-                time = round(row.number(columns.time, Decimal) * unit)
+                # Decimal: a float of epoch seconds is 200 ns off; an int may have too many digits.
+                time = row.number(columns.time, Decimal, unit).to_integral_value()
                 if last < 0 and columns.start is not None:
                     offset = round(columns.start * 1e9) - time
                 stamp = time + offset
@@ -132,7 +132,7 @@ def _samples(
                 continue
             backwards += stamp <= last
             last = stamp
-            yield (stamp, *values)
+            yield (int(stamp), *values)
     if fault is not None:
         with open(source, 'rb') as end:
             end.seek(-1, 2)
@@ -149,11 +149,11 @@ class _Row(NamedTuple):
     cells: dict[str, str]
     line: str  # for error messages
 
-    def number(self, name: str, kind: Any) -> Any:
-        """Number in a cell; not a number where there is no such cell, or an empty one."""
+    def number(self, name: str, kind: Any, unit: float) -> Any:
+        """Number of units in a cell; NaN where there is no such cell, or an empty one."""
         text = self.cells[name].strip() if name else ''
         try:
-            value = kind(text or 'nan')
+            value = kind(text or 'nan') * unit
             if kind is Decimal and not value.is_finite():
                 raise self.error(name)
             return value
