@@ -159,8 +159,7 @@ def find_arm_and_gains(
         what = 'the bag holds neither gains nor answers of the diagnosis'
         if name:
             what = f'the bag is of arm {name!r}, which is not a shipped one'
-        example = f'lpv report BAG --arm {name or "my_arm"}.yaml --gains gains.yaml'
-        raise ConfigError('--arm', f'is needed: {what}; e.g. {example}')
+        raise ConfigError('--arm', f'is needed: {what}; e.g. --arm {name or "my_arm"}.yaml')
     if file is None and name in shipped_files('gains'):
         file = shipped_files('gains')[name]
         source = f'shipped gains of arm {name!r}, which the messages name'

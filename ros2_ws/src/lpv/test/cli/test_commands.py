@@ -84,6 +84,13 @@ def test_given_gains_of_an_earlier_demo_when_all_is_as_it_was_then_no_solver_is_
             demo._designed(paper_arm, requirement, tmp_path, console)
 
 
+def test_given_an_arm_whose_loop_is_not_certified_when_told_then_it_is_all_that_is_said():
+    arm, console = load_arm(BRINGUP / 'arms' / 'ur10.yaml'), Console(file=io.StringIO(), width=200)
+    assert demo._shipped(arm, console) is not None
+    assert demo._shipped(replace(arm, name='six'), console) is None
+    assert console.file.getvalue().endswith(' its loop has no certificate\n')
+
+
 @pytest.fixture
 def init(tmp_path, call):
     """Calls the command for a new folder, with the text of a URDF; the arm and what it prints."""

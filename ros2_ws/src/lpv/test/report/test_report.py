@@ -399,5 +399,6 @@ def test_given_no_arm_when_run_then_one_is_sought(run, plain, tmp_path, monkeypa
     assert "shipped gains of arm 'paper', which the messages name" in said
     assert 'the certificate holds' in said
     other = part_of(run, tmp_path / 'other', ALL, b'mine!\0')
-    for told in ("the bag is of arm 'mine!', which is not", '--arm mine!.yaml --gains gains.yaml'):
-        assert refused(told, 'report', other, *out)
+    for line in (['report', other], ['compare', other, run]):
+        told = "the bag is of arm 'mine!', which is not a shipped one; e.g. --arm mine!.yaml"
+        assert refused(told, *line, *out)

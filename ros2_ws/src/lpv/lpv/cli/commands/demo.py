@@ -92,7 +92,7 @@ def _shipped(arm: SerialArm, console: Console) -> Path | None:
         console.print(f'{text}; the certificate of its loop holds')
         return file[arm.name]
     # Changed by the user, or of another version: the demo runs without.
-    console.print(f'{text}; its loop has no certificate: lpv design --arm {arm.name} writes one')
+    console.print(f'{text}; its loop has no certificate')
     return None
 
 
