@@ -21,14 +21,15 @@ from lpv.report.page import finite
 from lpv.report.style import INK, PALE, SENSOR, legend_above, picture, thin
 from lpv.report.table import make_table
 
-# Stream, field, what it is called, unit; flags are compared by the share that differs.
+# Stream, field, what it is called, unit by that of the joint; flags are compared by the share that
+# differs.
 _SIGNALS = (
-    ('state_estimate', 'position', 'position', 'rad'),
-    ('state_estimate', 'velocity', 'velocity', 'rad/s'),
-    ('state_estimate', 'compensated_position', 'compensated position', 'rad'),
-    ('fault_estimate', 'estimate', 'fault estimate', 'rad'),
-    ('fault_estimate', 'bound', 'bound', 'rad'),
-    ('fault_estimate', 'threshold', 'threshold', 'rad'),
+    ('state_estimate', 'position', 'position', '{}'),
+    ('state_estimate', 'velocity', 'velocity', '{}/s'),
+    ('state_estimate', 'compensated_position', 'compensated position', '{}'),
+    ('fault_estimate', 'estimate', 'fault estimate', '{}'),
+    ('fault_estimate', 'bound', 'bound', '{}'),
+    ('fault_estimate', 'threshold', 'threshold', '{}'),
     ('state_estimate', 'mode', 'observer mode', 'share'),
     ('fault_estimate', 'state', 'sensor states', 'share'),
     ('fault_estimate', 'alarm', 'alarm flags', 'share'),
@@ -71,6 +72,7 @@ class AlarmPair:
     first: Episode | None
     second: Episode | None
     same: bool
+    unit: str  # of sizes
 
     @property
     def sensor(self) -> str:
@@ -80,7 +82,7 @@ class AlarmPair:
     def as_dict(self) -> dict[str, Any]:
         """Plain data."""
         both = (e and {**asdict(e), 'delay': e.delay} for e in (self.first, self.second))
-        return {**dict(zip(('first', 'second'), both)), 'same': self.same}
+        return {**dict(zip(('first', 'second'), both)), 'same': self.same, 'unit': self.unit}
 
 
 @dataclass
@@ -150,11 +152,11 @@ def compare_runs(
     if not len(common):
         raise LpvError('the bags have no answer with the same stamp: they are not of one recording')
     alone = [len(s) - len(common) for s in stamps]
-    pairs = _pairs(first, second, tolerances.delay)
+    pairs = _pairs(first, second, arm, tolerances.delay)
     first, second = _restricted(first, common), _restricted(second, common)
     return Comparison(
         _figures(first, second, arm, tolerances.mise),
-        list(_differences(first, second, tolerances)),
+        list(_differences(first, second, arm, tolerances)),
         pairs,
         len(common),
         alone[0],
@@ -200,7 +202,9 @@ def _close(first: float | None, second: float | None, tolerance: float) -> bool:
     return abs(first - second) <= allowed
 
 
-def _differences(first: RunRecord, second: RunRecord, allowed: Tolerances) -> Iterator[Figure]:
+def _differences(
+    first: RunRecord, second: RunRecord, arm: SerialArm, allowed: Tolerances
+) -> Iterator[Figure]:
     for stream, name, label, unit in _SIGNALS:
         if stream not in first.stamps or stream not in second.stamps:
             continue
@@ -214,12 +218,15 @@ def _differences(first: RunRecord, second: RunRecord, allowed: Tolerances) -> It
         with np.errstate(invalid='ignore'):
             gap = np.abs(a - b)
         gap[(a == b) | (np.isnan(a) & np.isnan(b))] = 0.0
-        for k, column in enumerate(np.nan_to_num(gap, nan=math.inf).T, start=1):
-            largest = float(column.max(initial=0.0))
-            yield Figure(f'{label} {k}', unit, allowed.signal, largest, largest <= allowed.signal)
+        for k, column in enumerate(np.nan_to_num(gap, nan=math.inf).T):
+            largest, own = float(column.max(initial=0.0)), unit.format(arm.position_units[k])
+            same = largest <= allowed.signal
+            yield Figure(f'{label} {k + 1}', own, allowed.signal, largest, same)
 
 
-def _pairs(first: RunRecord, second: RunRecord, tolerance: float) -> list[AlarmPair]:
+def _pairs(
+    first: RunRecord, second: RunRecord, arm: SerialArm, tolerance: float
+) -> list[AlarmPair]:
     """Alarms of one sensor that are nearest in time belong together."""
     left, pairs = list(episodes(second)), []
     shift = (second.stamps['joint_states'][0] - first.stamps['joint_states'][0]) / 1e9
@@ -233,8 +240,9 @@ def _pairs(first: RunRecord, second: RunRecord, tolerance: float) -> list[AlarmP
         other = min(near, key=lambda o: abs(o.raised + shift - alarm.raised), default=None)
         if other is not None:
             left.remove(other)
-        pairs.append(AlarmPair(alarm, other, _same_alarm(alarm, other, shift, tolerance)))
-    pairs += [AlarmPair(None, other, False) for other in left]
+        same = _same_alarm(alarm, other, shift, tolerance)
+        pairs.append(AlarmPair(alarm, other, same, alarm.unit(arm)))
+    pairs += [AlarmPair(None, other, False, other.unit(arm)) for other in left]
     return sorted(pairs, key=lambda pair: (pair.first or pair.second).raised)  # type: ignore[union-attr]
 
 
@@ -271,16 +279,17 @@ def draw_comparison(first: RunRecord, second: RunRecord, arm: SerialArm, out: Pa
             at = first.seconds(first.stamps['ground_truth'])
             yield at, truth[:, k], {'color': INK, 'lw': 0.9, 'ls': '--', 'label': 'fault'}
 
-    def draw(name: str, unit: str) -> plt.Figure:
+    def draw(name: str, label: str) -> plt.Figure:
         count = len(arm.sensor_names)
         figure, axes = plt.subplots(count, sharex=True, squeeze=False, figsize=(8.6, 2.6 * count))
         for k, axis in enumerate(axes[:, 0]):
             for at, values, look in curves(name, k):
                 axis.plot(*thin(at, values), **look)
-            axis.set(title=f'Sensor {k + 1}: {arm.sensor_names[k]}', ylabel=unit)
+            unit = arm.position_units[k]
+            axis.set(title=f'Sensor {k + 1}: {arm.sensor_names[k]}', ylabel=f'{label} [{unit}]')
             legend_above(axis)
         axes[-1, 0].set_xlabel('time [s]')
         return figure
 
-    for name, unit in (('faults', 'fault [rad]'), ('differences', 'difference [rad]')):
-        (out / f'{name}.png').write_bytes(picture(draw, name, unit))
+    for name, label in (('faults', 'fault'), ('differences', 'difference')):
+        (out / f'{name}.png').write_bytes(picture(draw, name, label))

@@ -238,26 +238,27 @@ def faults(run: 'Run') -> Figure | None:
         truth = _column(record, 'ground_truth', 'fault', i)
         if truth is not None and np.isfinite(truth).any():
             highest = max(highest, np.nanmax(np.abs(truth)))
-        axis.set_ylabel('fault [rad]')
+        axis.set_ylabel(f'fault [{run.arm.position_units[i]}]')
         _finish(axis, record, f'Sensor {i + 1}: {names[i]}')
         axis.set_ylim(-1.1 * highest - 1e-6, 1.1 * highest + 1e-6)
     return figure
 
 
 def _of_joints(
-    record: RunRecord,
-    columns: tuple[tuple[str, str, tuple[tuple[Any, ...], ...]], ...],
-    height: float,
+    run: 'Run', columns: tuple[tuple[str, str, tuple[tuple[Any, ...], ...]], ...], height: float
 ) -> Figure | None:
-    """A row a joint: for each column the field's name, its unit, and curves of it."""
-    count, drawn = len(columns), False
+    """A row a joint: for each column the field's name, its unit, and curves of it.
+
+    In units, {0} stands for that of the joint's position, {1} for that of its torque.
+    """
+    record, count, drawn = run.record, len(columns), False
     figure, axes = _axes(len(record.joint_names), count, height)
     for i, row in enumerate(axes):
         title = record.joint_names[i]
         for axis, (name, unit, curves) in zip(row, columns):
             for stream, field, look, colours, label in curves:
                 drawn |= _draw(axis, record, (stream, field, i), **look(colours[i], label))
-            axis.set_ylabel(f'{name} [{unit}]')
+            axis.set_ylabel(f'{name} [{unit.format(*run.arm.joints[i].units)}]')
             _finish(axis, record, title if count > 1 else f'Joint {i + 1}: {title}')
     if drawn:
         return figure
@@ -276,7 +277,7 @@ def measured(run: 'Run') -> Figure | None:
         ('joint_states', 'position', _fine, SENSOR, 'measured'),
         ('ground_truth', 'position', dashed, [INK] * len(PALE), 'true'),
     )
-    return _of_joints(run.record, (('position', 'rad', curves),), 2.4)
+    return _of_joints(run, (('position', '{0}', curves),), 2.4)
 
 
 def states(run: 'Run') -> Figure | None:
@@ -289,9 +290,9 @@ def states(run: 'Run') -> Figure | None:
     columns = tuple(
         (field, unit, ((truth, field, _wide, PALE, label),
                        ('state_estimate', field, _fine, SENSOR, 'estimate')))
-        for field, unit in (('position', 'rad'), ('velocity', 'rad/s'))
+        for field, unit in (('position', '{0}'), ('velocity', '{0}/s'))
     )  # fmt: skip
-    return _of_joints(record, columns, 2.0)
+    return _of_joints(run, columns, 2.0)
 
 
 def torques(run: 'Run') -> Figure | None:
@@ -300,7 +301,7 @@ def torques(run: 'Run') -> Figure | None:
         ('joint_states', 'effort', _wide, PALE, 'measured effort'),
         ('torque_command', 'torque', _fine, SENSOR, 'command'),
     )
-    return _of_joints(run.record, (('torque', 'N m', curves),), 2.2)
+    return _of_joints(run, (('torque', '{1}', curves),), 2.2)
 
 
 def draw_region(found: 'Guarantee', arm: 'ArmParameters', file: str | Path) -> None:

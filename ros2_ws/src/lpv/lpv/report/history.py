@@ -56,11 +56,11 @@ class Episode:
     onset: float  # first sample above the threshold, as diagnosed
     raised: float  # when the fault was confirmed
     cleared: float | None  # when the alarm ended; None if it lasted to the end of the run
-    # fault estimate and bound [rad]: now, at the end of the run, while it is active; else the
+    # fault estimate and bound: now, at the end of the run, while it is active; else the
     # last ones before it was cleared
     size: float
     bound: float
-    largest: float  # estimate of largest magnitude during the alarm [rad]; NaN without estimates
+    largest: float  # estimate of largest magnitude during the alarm; NaN without estimates
     kind: str  # latest classification
     confidence: float  # latest confidence
     # start of the true fault at the time of the alarm; NaN if there was none (false alarm), None
@@ -73,6 +73,10 @@ class Episode:
         if self.true_onset is None or math.isnan(self.true_onset):
             return None
         return self.raised - self.true_onset
+
+    def unit(self, arm: SerialArm) -> str:
+        """Unit of its estimates; '' if a damaged message names a sensor that the arm has not."""
+        return ''.join(arm.position_units[self.sensor_index :][:1])
 
     @property
     def false_alarm(self) -> bool:
@@ -316,8 +320,9 @@ class Motion:
 
     source: str  # whose rates they are: true or measured
     fastest: float  # largest joint rate, as a share of the joint's limit; infinite if not finite
-    speed: float  # that rate [rad/s]
-    limit: float  # its limit [rad/s]
+    speed: float  # that rate
+    limit: float  # its limit
+    unit: str  # of both
     joint: str  # the joint
     path_error: float | None  # largest distance of the true tip from the reference [m]
 
@@ -334,6 +339,7 @@ def motion(record: RunRecord, arm: SerialArm) -> Motion:
         float(shares[row, joint]),
         float(abs(rates[row, joint])),
         float(limits[joint]),
+        f'{arm.position_units[joint]}/s',
         arm.joint_names[joint],
         _path_error(record, arm),
     )

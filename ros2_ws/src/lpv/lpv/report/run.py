@@ -92,6 +92,7 @@ def content(run: Run) -> dict[str, Any]:
         'verdict': _verdict(run),
         'ran_away': run.motion.fastest > 1.0,
         'tiles': _tiles(run),
+        'arm': arm,
         'episodes': run.alarms,
         'missed': [(names[m.sensor_index], m) for m in run.missed],
         'have_truth': 'ground_truth' in record.streams,
@@ -129,12 +130,12 @@ def _detectable(record: RunRecord, arm: SerialArm) -> list[dict[str, Any]]:
         return []
     begun = ~starting(record, record.stamps['fault_estimate'])
     rows = []
-    for i, sensor in enumerate(arm.sensor_names):
+    for i, (sensor, unit) in enumerate(zip(arm.sensor_names, arm.position_units)):
         lost = begun & (state[:, i] == SensorState.NOT_DIAGNOSABLE)
         values = (threshold + bound)[~lost, i]
         values = values[np.isfinite(values)] if np.isfinite(values).any() else np.array([np.nan])
         figures = {'smallest': values.min(), 'middle': np.median(values), 'largest': values.max()}
-        rows.append({'sensor': sensor, **figures, 'lost': float(lost.mean())})
+        rows.append({'sensor': sensor, 'unit': unit, **figures, 'lost': float(lost.mean())})
     return rows
 
 
@@ -144,7 +145,7 @@ def _count(number: int, one: str, many: str = '') -> str:
 
 def _verdict(run: Run) -> str:
     """The answer in a sentence or two; a run that ran away is called that first."""
-    record, move = run.record, run.motion
+    record, arm, move = run.record, run.arm, run.motion
     recorded = 'fault_alarm' in record.topics
     sensors = sorted({alarm.sensor for alarm in run.alarms})
     text = _count(len(run.alarms), 'alarm') if recorded else 'alarms were not recorded'
@@ -154,7 +155,7 @@ def _verdict(run: Run) -> str:
         missed = _count(len(run.missed), 'fault')
         parts.append(f'{_count(wrong, "false alarm")}, {missed} missed')
     lasting = (a for a in run.alarms if a.cleared is None)
-    if now := [f'{a.sensor} {a.size:+.3f} rad (bound {a.bound:.3f})' for a in lasting]:
+    if now := [f'{a.sensor} {a.size:+.3f} {a.unit(arm)} (bound {a.bound:.3f})' for a in lasting]:
         parts.append(f'error at the end of the run: {", ".join(now)}')
     if brakes := [phase for phase in run.phases if phase.what == BRAKED]:
         reasons = ', '.join(dict.fromkeys(phase.note for phase in brakes))
@@ -167,7 +168,7 @@ def _verdict(run: Run) -> str:
     lasted = sum(phase.duration for phase in run.phases if phase.what == TOO_FAST)
     return (
         f'The arm exceeded its speed limit for {lasted:.3f} s ({move.joint}: '
-        f'{move.speed:.3g} rad/s {move.source}, limit {move.limit:g} rad/s). {words}'
+        f'{move.speed:.3g} {move.unit} {move.source}, limit {move.limit:g} {move.unit}). {words}'
     )
 
 
@@ -188,7 +189,7 @@ def _tiles(run: Run) -> list[Tile]:
         tiles.append(Tile('stopped', f'{stopped:.1f} s', look='warn' if stopped else ''))
     limit = f'limit {move.limit:g}, {move.joint}, {move.source}'
     look = 'bad' if move.fastest > 1.0 else ''
-    tiles.append(Tile('fastest joint', f'{move.speed:.3g} rad/s', limit, look))
+    tiles.append(Tile('fastest joint', f'{move.speed:.3g} {move.unit}', limit, look))
     if move.path_error is not None:
         tiles.append(Tile('farthest from path', f'{move.path_error:.3g} m', 'true tip'))
     proof = run.certificate

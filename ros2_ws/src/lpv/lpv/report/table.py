@@ -64,7 +64,7 @@ class Row:
 def make_table(record: RunRecord, arm: SerialArm) -> list[Row]:
     """MISE against ground truth, as Table 2 for the paper's arm, or sizes of estimates."""
     if not {'ground_truth', 'state_estimate'} <= set(record.streams):
-        return _sizes(record)
+        return _sizes(record, arm)
     is_paper, rows = is_paper_arm(arm), []
     for names, meaning, field, stream, other in _ERRORS:
         one = record.aligned(stream, field)
@@ -72,30 +72,30 @@ def make_table(record: RunRecord, arm: SerialArm) -> list[Row]:
         if one is None or two is None:
             continue
         error = one - two
-        unit = 'rad²/s²' if field == 'velocity' else 'rad²'
+        per = '/s²' if field == 'velocity' else ''
         signals = arm.sensor_names if field == 'fault' else arm.joint_names
         if is_paper:
             signals = names
             error = error if field == 'fault' else np.cumsum(error, axis=1)
         values = np.asarray(mise(error)).tolist()
         rows += [
-            Row(signal, meaning, unit, value, PAPER[signal] if is_paper else None)
-            for signal, value in zip(signals, values)
+            Row(signal, meaning, f'{unit}²{per}', value, PAPER[signal] if is_paper else None)
+            for signal, unit, value in zip(signals, arm.position_units, values)
         ]
     return rows
 
 
-def _sizes(record: RunRecord) -> list[Row]:
+def _sizes(record: RunRecord, arm: SerialArm) -> list[Row]:
     estimate = record.aligned('fault_estimate', 'estimate')
     rows = []
     later = np.zeros((0, 0)) if estimate is None else np.abs(estimate[record.time > 1.0])
-    for sensor, column in zip(record.sensor_names, later.T):
+    for sensor, unit, column in zip(record.sensor_names, arm.position_units, later.T):
         column = column[np.isfinite(column)]
         if column.size:
             rms = float(np.sqrt(np.mean(column**2)))
             rows += [
-                Row(sensor, 'largest fault estimate after 1 s', 'rad', float(column.max())),
-                Row(sensor, 'RMS of the fault estimate after 1 s', 'rad', rms),
+                Row(sensor, 'largest fault estimate after 1 s', unit, float(column.max())),
+                Row(sensor, 'RMS of the fault estimate after 1 s', unit, rms),
             ]
     return rows
 

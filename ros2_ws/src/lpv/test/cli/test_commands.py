@@ -6,15 +6,18 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from places import BRINGUP, DATA, ROOT
 from rich.console import Console
 
-from lpv import load_arm, load_scenario, save_gains
+from lpv import Fault, load_arm, load_scenario, save_gains
+from lpv.bag.replay.injected_faults import InjectedFault
+from lpv.campaign.falsify.attack import Finding
 from lpv.cli import needs, progress
-from lpv.cli.commands import demo
+from lpv.cli.commands import demo, falsify, replay
 from lpv.core.export.urdf import arm_urdf
 from lpv.core.uio.planar import planar_model, serial_from_planar
 
@@ -89,6 +92,20 @@ def test_given_an_arm_whose_loop_is_not_certified_when_told_then_it_is_all_that_
     assert demo._shipped(arm, console) is not None
     assert demo._shipped(replace(arm, name='six'), console) is None
     assert console.file.getvalue().endswith(' its loop has no certificate\n')
+
+
+def test_given_a_prismatic_joint_when_findings_are_told_then_they_are_in_metres(paper_arm, capsys):
+    first, second = paper_arm.joints
+    arm = replace(paper_arm, joints=(first, replace(second, type='prismatic')))
+    fault = Fault('link2_angle', 'bias', 1.0, size=0.1)
+    found = [InjectedFault(fault, True, (), 0.1, 'bias', 0.12, 0.03, 0.02)]
+    replay.show_injected(found, arm, Console(width=200))
+    assert '+0.120 m within 0.030 m, size error +0.020 m\n' in capsys.readouterr().out
+    worst = Finding(np.array([0.5, 0.7]), np.array([0.2, 0.1]), np.ones(2), False, None)
+    falsify._conclude(SimpleNamespace(arm=arm), [worst])
+    told = capsys.readouterr().out
+    assert 'link1_angle: 0.500 of 0.2000 rad\nlink2_angle: 0.700 of 0.1000 m\n' in told
+    assert told.endswith('reached 0.700 of its threshold, 0.1000 m, at 1.00 s\n')
 
 
 @pytest.fixture

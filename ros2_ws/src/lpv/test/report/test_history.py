@@ -12,8 +12,10 @@ from runs import rows, text
 
 from lpv.bag.run.node_reports import NodeReport
 from lpv.bag.run.streams import RecordedAlarm, RunRecord
+from lpv.cli.commands import compare
 from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent, SensorState
-from lpv.report import certificate, history, load
+from lpv.report import certificate, figures, history, load
+from lpv.report.comparison import compare_runs
 from lpv.report.figures import STATES, timeline
 from lpv.report.history import Phase, episodes, listed, missed_faults, phases
 from lpv.report.run import content, write
@@ -138,8 +140,9 @@ def test_given_faults_and_alarms_when_reported_then_misses_and_false_alarms_are_
     alarms = [event(230, 210), event(450, 210, 230, **CLEARED), event(860, 850, size=-0.2)]
     page = shown(made_up([(0, 200, 400), (1, 500, 700)], alarms))
     found, false = (cells for cells in rows(page) if cells[0] == 'left')
-    assert found[2:7] == ['0.210', '0.230', '0.030', '0.450', '+0.300']
-    assert false[2:7] == ['0.850', '0.860', 'false alarm', 'active', '+0.998']
+    assert found[2:7] == ['0.210', '0.230', '0.030', '0.450', 'rad']
+    assert (found[7], false[7]) == ('+0.300', '+0.998')
+    assert false[2:7] == ['0.850', '0.860', 'false alarm', 'active', 'rad']
     missed = 'Missed: a fault of right from 0.500 s to 0.700 s raised no alarm.'
     assert re.findall('Missed: [^!]*? alarm[.]', text(page)) == [missed]
     # A healthy run, and a name with markup.
@@ -148,6 +151,36 @@ def test_given_faults_and_alarms_when_reported_then_misses_and_false_alarms_are_
     assert 'None: no inconsistent phase, no safe stop' in said
     page = shown(made_up(alarms=[event(210, 205, sensor='<b>left</b>')]))
     assert '<b>' not in page and '<b>left</b>' in [cells[0] for cells in rows(page)]
+
+
+def test_given_a_prismatic_joint_when_reported_then_its_figures_are_in_metres(paper_arm, capsys):
+    first, second = paper_arm.joints
+    arm = replace(paper_arm, joints=(first, replace(second, type='prismatic')))
+    alarms = [event(210, **RIGHT), event(220, sensor_index=9, sensor='of another arm')]
+    record = made_up([(0, 200, 400)], alarms)
+    record.joint_names, record.streams['ground_truth']['velocity'][9, 1] = arm.joint_names, 30.0
+    found = analysed(record, arm)
+    values = content(found)
+    assert 'right -0.998 m (bound 0.100)' in values['verdict']
+    assert '30 m/s true, limit 20 m/s' in values['verdict']
+    assert tile(values, 'fastest joint').value == '30 m/s'
+    assert [row['unit'] for row in values['detectable']] == ['rad', 'm']
+    units = [row.unit for row in found.table]
+    assert units[:4] == ['rad²', 'm²', 'rad²/s²', 'm²/s²'] and units[-2:] == ['rad²', 'm²']
+    for draw, labels in (
+        (figures.faults, ['fault [rad]', 'fault [m]']),
+        (figures.states, ['position [rad]', 'velocity [rad/s]', 'position [m]', 'velocity [m/s]']),
+        (figures.torques, ['torque [N m]', 'torque [N]']),
+    ):
+        assert [axis.get_ylabel() for axis in draw(found).axes] == labels
+    result = compare_runs(record, record, arm)
+    units = {one.name: one.unit for one in (*result.figures, *result.differences)}
+    assert (units['velocity 1'], units['velocity 2'], units['bound 2']) == ('rad/s', 'm/s', 'm')
+    compare.show(result, Console(width=80))
+    assert re.search(r'right +unclassified .* -0.998 m ', capsys.readouterr().out)
+    del record.streams['ground_truth']
+    record.stamps = {name: 3 * stamps for name, stamps in record.stamps.items()}
+    assert [row.unit for row in make_table(record, arm)] == ['rad', 'rad', 'm', 'm']
 
 
 def test_given_events_of_two_sensors_when_gathered_then_each_alarm_is_one_episode():

@@ -154,11 +154,11 @@ def test_given_a_fault_that_is_found_when_reported_then_onset_alarm_and_delay_ar
     times = [f'{onset:.3f}', f'{detected:.3f}', f'{detected - 0.8:.3f}', 'active']
     estimate = found.get('fault_estimate', 'estimate')[-1, 0]
     now = f'{estimate:+.3f}'  # not at its alarm
-    assert line[:6] == [alarms[-1].kind, *times, now]
-    assert float(line[7]) == pytest.approx(0.3, abs=0.1)
+    assert line[:7] == [alarms[-1].kind, *times, 'rad', now]
+    assert float(line[8]) == pytest.approx(0.3, abs=0.1)
     certain = sum(found.get('fault_estimate', name) for name in ('threshold', 'bound'))[:, 0]
     figures = certain.min(), np.median(certain), certain.max()
-    assert other == [*(f'{figure:.3f}' for figure in figures), '0.0 %'], 'surely detected'
+    assert other == ['rad', *(f'{figure:.3f}' for figure in figures), '0.0 %'], 'surely detected'
     assert 'no false alarms' in text(page) and 'false alarm' not in sum(rows(page), [])
     assert '1.5 s of measurements' in text(page)
     counts = dict(cells for cells in rows(page) if cells[0].startswith('/'))
@@ -197,7 +197,7 @@ def test_given_no_truth_when_reported_then_estimates_are_listed(run, paper_arm, 
     page = page_of(bag)
     assert 'false alarm' not in text(page)
     line = next(cells for cells in rows(page) if cells[0] == 'link1_angle')
-    assert len(line) == 9  # no delay without a true onset
+    assert len(line) == 10  # no delay without a true onset
 
 
 PARTS = [

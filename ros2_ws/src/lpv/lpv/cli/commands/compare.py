@@ -60,9 +60,12 @@ def show(result: Comparison, console: Console) -> None:
     ):
         rows = [(f.name, f.unit, number(f.first), number(f.second), _mark(f.same)) for f in figures]
         _table(console, title, ('', 'unit', *columns, ''), rows)
-    names = ('kind', 'raised', 'delay', 'cleared', 'size')
-    heads = ('kind', 'raised\n[s]', 'delay\n[s]', 'cleared\n[s]', 'size\n[rad]')
-    rows = [(p.sensor, *(_both(p, name) for name in names), _mark(p.same)) for p in result.alarms]
+    names = ('kind', 'raised', 'delay', 'cleared')
+    heads = ('kind', 'raised\n[s]', 'delay\n[s]', 'cleared\n[s]', 'size')
+    rows = [
+        (p.sensor, *(_both(p, n) for n in names), _both(p, 'size', f' {p.unit}'), _mark(p.same))
+        for p in result.alarms
+    ]
     _table(console, 'alarms, first run above second', ('sensor', *heads, ''), rows)
     console.print('same' if result.same else 'DIFFERENT beyond the tolerances')
 
@@ -86,10 +89,11 @@ def _mark(same: bool) -> str:
     return '' if same else '<- differs'
 
 
-def _both(pair: AlarmPair, name: str) -> str:
+def _both(pair: AlarmPair, name: str, unit: str = '') -> str:
     """Attribute of both alarms, one above the other; once if it reads the same."""
     texts = []
     for episode in (pair.first, pair.second):
         value = getattr(episode, name, None)
-        texts.append('-' if value is None else value if isinstance(value, str) else f'{value:.3f}')
+        known = value if isinstance(value, str) or value is None else f'{value:.3f}{unit}'
+        texts.append(known or '-')
     return texts[0] if pair.same and texts[0] == texts[1] else '\n'.join(texts)

@@ -32,9 +32,10 @@ def run(arguments: argparse.Namespace) -> int:
     files = write_reference(arm, plan.trajectory, arguments.rate, Path(arguments.out))
     information = f'log information per parameter {plan.information:.2f}'
     print(f'condition number {plan.condition:.0f}, {information}')
-    for name, torque in zip(arm.joint_names, plan.torque):
-        print(f'  {name}: largest torque {torque:.1f} N m')
+    for joint, torque in zip(arm.joints, plan.torque):
+        print(f'  {joint.name}: largest torque {torque:.1f} {joint.units[1]}')
     print(*files, sep='\n')
-    start = ', '.join(f'{angle:.3f}' for angle in plan.trajectory.center)
-    print(f'move there first: {start} rad; check the way for collisions')
+    places = zip(plan.trajectory.center, arm.position_units)
+    start = ', '.join(f'{place:.3f} {unit}' for place, unit in places)
+    print(f'move there first: {start}; check the way for collisions')
     return 0

@@ -48,16 +48,17 @@ def _show(count: int, found: Finding) -> None:
 
 
 def _conclude(attacker: Attacker, found: list[Finding]) -> int:
-    names, worst = attacker.arm.sensor_names, found[0]
-    for i, name in enumerate(names):
+    arm, worst = attacker.arm, found[0]
+    for i, (name, unit) in enumerate(zip(arm.sensor_names, arm.position_units)):
         most = max(found, key=lambda one: one.ratios[i])
         if most.ratios[i] > 0.0:
-            print(f'{name}: {most.ratios[i]:.3f} of {most.thresholds[i]:.4f} rad')
+            print(f'{name}: {most.ratios[i]:.3f} of {most.thresholds[i]:.4f} {unit}')
         else:
             print(f'{name}: no threshold that says anything')
     print(f'alarms: in {sum(one.blamed for one in found)} of {len(found)} runs')
     crossed, i = worst.ratio >= 1.0, worst.sensor
-    print(f'{"CROSSED" if crossed else "no crossing"} in {len(found)} runs: {names[i]} reached '
-          f'{worst.ratio:.3f} of its threshold, {worst.thresholds[i]:.4f} rad, at '
+    threshold = f'{worst.thresholds[i]:.4f} {arm.position_units[i]}'
+    print(f'{"CROSSED" if crossed else "no crossing"} in {len(found)} runs: '
+          f'{arm.sensor_names[i]} reached {worst.ratio:.3f} of its threshold, {threshold}, at '
           f'{worst.times[i]:.2f} s')  # fmt: skip
     return EXIT_CROSSED if crossed else 0

@@ -56,7 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
         save_gains(gains, out / GAINS_NAME, 'Gains that this bag was replayed with.')
     _summary(result, monitor, time.perf_counter() - begin, console)
     if faults is not None:
-        show_injected(judge(faults, result), console)
+        show_injected(judge(faults, result), arm, console)
     console.print(f'bag     {out}')
     if arguments.report:
         _report(arguments, arm, out, console)
@@ -102,18 +102,19 @@ def _alarm_line(event: RecordedAlarm, time: float) -> str:
     return line
 
 
-def show_injected(found: list[InjectedFault], console: Console) -> None:
+def show_injected(found: list[InjectedFault], arm: SerialArm, console: Console) -> None:
     """Show what was found of the injected faults."""
     right = sum(one.found for one in found)
     console.print(f'{right} of {len(found)} injected faults found on the right sensor')
     for one in found:
         fault = one.fault
+        unit = arm.position_units[arm.sensor_names.index(fault.sensor)]
         text = f'  {fault.sensor}, {fault.kind} from {fault.onset:.3f} s on: {one.verdict}'
         if one.found:
-            text += f' after {one.delay:.3f} s as {one.kind}, {one.size:+.3f} rad'
-            text += f' within {one.bound:.3f} rad'
+            text += f' after {one.delay:.3f} s as {one.kind}, {one.size:+.3f} {unit}'
+            text += f' within {one.bound:.3f} {unit}'
         if one.error is not None:
-            text += f', size error {one.error:+.3f} rad'
+            text += f', size error {one.error:+.3f} {unit}'
         console.print(text)
 
 

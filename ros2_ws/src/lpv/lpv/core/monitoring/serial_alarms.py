@@ -23,7 +23,7 @@ class AlarmConverter:
 
     def __init__(self, arm: SerialArm) -> None:
         self._names = arm.sensor_names
-        self._units = [joint.units[0] for joint in arm.joints]
+        self._units = arm.position_units
         self._raised = np.zeros(len(self._names), bool)
         self._missing = np.zeros(len(self._names), bool)
 

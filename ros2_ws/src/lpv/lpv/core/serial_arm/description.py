@@ -299,6 +299,11 @@ class SerialArm:
         return tuple(joint.sensors.name for joint in self.joints)
 
     @property
+    def position_units(self) -> tuple[str, ...]:
+        """Units of the joints' positions, which are also those of their sensors."""
+        return tuple(joint.units[0] for joint in self.joints)
+
+    @property
     def velocity_limit(self) -> tuple[float, ...]:
         """Largest joint rates, one for each joint [rad/s]."""
         return tuple(joint.limits.velocity for joint in self.joints)
