@@ -1,5 +1,6 @@
 """Identification of arms that are known, and of real ones; recordings read, mended or refused."""
 
+from argparse import Namespace
 from dataclasses import replace
 
 import numpy as np
@@ -10,9 +11,11 @@ from scipy import stats
 from simulated_recordings import is_physical
 
 from lpv.bag.run.csv_import import load_column_map
-from lpv.core.serial_arm.arm_file import load_arm, save_arm
+from lpv.cli.commands.identify import _save
+from lpv.core.serial_arm.arm_file import load_arm, parse_arm, save_arm, to_mapping
 from lpv.core.serial_arm.description import JointFriction, JointLimits, LinkInertia
 from lpv.core.serial_arm.urdf_chain import read_urdf_chain
+from lpv.core.support.errors import ConfigError
 from lpv.core.support.resources import bringup_file
 from lpv.identify.errors import IdentificationError
 from lpv.identify.estimation import assembly, payload
@@ -64,6 +67,22 @@ def test_given_links_or_friction_when_checked_or_rescaled_then_torques_are_as_th
     motion = np.random.default_rng(5).normal(size=(3, 20, 3))
     expected = pytest.approx(1.3 * joint_torques(arm, *motion))
     assert joint_torques(rescaled(arm, 1.3), *motion) == expected
+
+
+def test_given_friction_that_falls_too_far_when_fitted_then_the_arm_can_be_read(
+    arm, simulated, tmp_path
+):
+    falling = [JointFriction(0.0, -2.8, 3.0, 3.0)] * 3
+    slow = with_joints(arm, friction=falling, limits=[JointLimits(-2.5, 2.5, 1.0, 100.0)] * 3)
+    workshop = Workshop(slow, [simulated(slow, rate=60.0)])
+    found = workshop.arm_of(*workshop.fit(1.0))
+    assert all(joint.friction.viscous < 0.0 for joint in found.joints)
+    assert parse_arm(to_mapping(found)) == found
+    # What nobody could read is not written.
+    out = tmp_path / 'arm.yaml'
+    with pytest.raises(ConfigError, match=r'arm.yaml is not written: joints\[0\].friction'):
+        _save(slow, Namespace(out=out))
+    assert not out.exists()
 
 
 def test_given_many_noises_when_fitted_then_intervals_hold_the_truth(arm, simulated):

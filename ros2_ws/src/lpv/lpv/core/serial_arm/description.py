@@ -98,15 +98,15 @@ class JointFriction:
     def is_dissipative(self, velocity_limit: float) -> bool:
         """Whether friction brakes at every speed up to the limit [rad/s], the offset apart."""
         speed = np.linspace(0.0, velocity_limit, 65)[1:]
-        way = (2.0 / math.pi) * np.arctan(self.coulomb_slope * speed)
+        way = coulomb_direction(speed, self.coulomb_slope)
         slack = 0.05 * self.coulomb + 1e-9
         return bool(np.all(self.viscous * speed + self.coulomb * way >= -slack))
 
     def torque(self, velocity: np.ndarray, rigid_torque: np.ndarray) -> np.ndarray:
         """Friction torque [N m] at joint rates [rad/s] and rigid-body torques [N m]."""
-        direction = (2.0 / math.pi) * np.arctan(self.coulomb_slope * velocity)
         amplitude = self.coulomb + self.load * np.abs(rigid_torque)
-        return self.offset + self.viscous * velocity + amplitude * direction
+        way = coulomb_direction(velocity, self.coulomb_slope)
+        return self.offset + self.viscous * velocity + amplitude * way
 
 
 @dataclass(frozen=True)
@@ -366,6 +366,11 @@ class SerialArm:
             if joint['type'] == 'revolute':
                 del joint['type']
         return sha256_of(content)
+
+
+def coulomb_direction(velocity: np.ndarray, slope: float | np.ndarray) -> np.ndarray:
+    """Direction of Coulomb friction, (2/pi) atan(k v), of shape ``velocity.shape``."""
+    return (2.0 / math.pi) * np.arctan(slope * velocity)
 
 
 def rotation_from_rpy(angles: tuple[float, float, float]) -> np.ndarray:

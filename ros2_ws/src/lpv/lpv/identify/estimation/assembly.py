@@ -15,7 +15,7 @@ from lpv.identify.estimation.regression import Fit
 from lpv.identify.estimation.robust import roots
 from lpv.identify.model.base_parameters import BaseParameters
 from lpv.identify.model.consistency import nearest_consistent
-from lpv.identify.model.friction import TERMS
+from lpv.identify.model.friction import TERMS, least_viscous
 from lpv.identify.model.prior import LOAD_WIDTH, structural_prior
 from lpv.identify.model.rigid_body import STANDARD
 
@@ -55,9 +55,8 @@ def consistent_parameters(
     lower[_columns('offset', n)] = -np.inf
     upper[_columns('load', n)] = np.where(fit.used_load, 1.0, 0.0)
     passive = np.eye(len(mean))
-    # Friction may fall with speed, but drives at none up to the limit.
     limits = np.array([joint.limits.velocity for joint in arm.joints])
-    passive[_columns('viscous', n), _columns('coulomb', n)] = -1.0 / limits
+    passive[_columns('viscous', n), _columns('coulomb', n)] = least_viscous(fit.slope, limits)
     root, inverse = roots(fit.normal / strength)
     root = root @ parameter_map(base, n) @ passive
     target = inverse @ fit.right / strength

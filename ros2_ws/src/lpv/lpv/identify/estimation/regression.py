@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.optimize import nnls
 
+from lpv.core.serial_arm.description import coulomb_direction
 from lpv.identify.estimation.autocorrelation import residual_autocovariances, score_covariance
 from lpv.identify.estimation.robust import (
     huber,
@@ -22,10 +23,10 @@ from lpv.identify.model.base_parameters import BaseParameters
 from lpv.identify.model.friction import (
     SLOPES,
     TERMS,
-    direction,
     direction_slope,
     friction_columns,
     join_columns,
+    least_viscous,
 )
 from lpv.identify.model.prior import Prior
 from lpv.identify.model.rigid_body import RigidBody
@@ -151,7 +152,7 @@ class Problem:
         """Filtered friction columns of each joint, shape (rows, n, 4)."""
         columns = []
         for rows, load in zip(self._rows, loads or [None] * len(self._rows)):
-            way = direction(rows.velocity, slope)
+            way = coulomb_direction(rows.velocity, slope)
             parts = way if load is None else np.hstack([way, load * way])
             reduced = self._reduce(parts, rows)
             columns.append(np.hstack([reduced, np.zeros_like(reduced)])[:, : 2 * self.n])
@@ -174,17 +175,16 @@ class Problem:
         column = np.concatenate(parts)
         return np.concatenate([design, column[:, :, None] * np.eye(self.n)], axis=2)
 
-    def constraints(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def constraints(self, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Parameters that may be used; map P from others z, parameters = P z; which z >= 0."""
-        # Friction never drives up to the limit w if coulomb >= 0 and viscous + coulomb/w >= 0:
-        # beyond its maximum (Stribeck's effect) it may fall, down to nothing at w.
+        # Friction never drives up to the limit w if coulomb >= 0 and it does not at w.
         used, signed = np.ones((2, self.n, len(TERMS)), bool)
         used[:, TERMS.index('load')] = self.use_load
         signed[:, TERMS.index('offset')] = False
         free = np.ones(self.size, bool)
         passive = np.eye(self.size + used.size)
         first = self.size + len(TERMS) * np.arange(self.n)
-        passive[first, first + 1] = -1.0 / self.speed_limit
+        passive[first, first + 1] = least_viscous(slope, self.speed_limit)
         return np.append(free, used), passive, np.append(~free, signed)
 
 
@@ -211,7 +211,7 @@ def fit_parameters(
         design = problem.design(slope, loads)
         for _ in range(2):
             equations = normal_equations(design, problem.effort, weight / scale**2, prior)
-            parameters, active = _solve(problem, *equations, signed)
+            parameters, active = _solve(problem, slope, *equations, signed)
             residual = problem.effort - design @ parameters
             scale, weight = _weigh(residual)
     for _ in range(_REFINEMENTS if search else 0):
@@ -237,10 +237,10 @@ def _weigh(residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _solve(
-    problem: Problem, matrix: np.ndarray, right: np.ndarray, signed: bool
+    problem: Problem, slope: np.ndarray, matrix: np.ndarray, right: np.ndarray, signed: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Solution, and which parameters it has; friction that would drive is left out."""
-    active, passive, positive = problem.constraints()
+    active, passive, positive = problem.constraints(slope)
     matrix, right = passive.T @ matrix @ passive, passive.T @ right
     while True:
         result = np.zeros(len(active))
@@ -291,7 +291,7 @@ def _search_slopes(
     costs = np.empty((len(candidates), n))
     for cost, candidate in zip(costs, candidates):
         columns = problem.friction(candidate, loads) * root[:, :, None]
-        columns[:, :, 1] -= columns[:, :, 0] / problem.speed_limit
+        columns[:, :, 1] += columns[:, :, 0] * least_viscous(candidate, problem.speed_limit)
         for j in range(n):
             used = [True, True, bool(problem.use_load[j]), True]
             cost[j] = _cost(columns[:, j][:, used], rest[:, j])

@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from lpv.core.serial_arm.description import coulomb_direction
+
 TERMS = ('viscous', 'coulomb', 'load', 'offset')
 """Friction parameters of a joint, in the order of their columns."""
 SLOPE = 50.0
@@ -10,20 +12,24 @@ SLOPES = np.geomspace(3.0, 1000.0, 16)
 """Slopes of the Coulomb term that are tried [s/rad]."""
 
 
-def direction(velocity: np.ndarray, slope: np.ndarray) -> np.ndarray:
-    """Direction of Coulomb friction, (2/pi) atan(k v), of shape ``velocity.shape``."""
-    return (2.0 / np.pi) * np.arctan(slope * velocity)
+def least_viscous(slope: np.ndarray, speed: np.ndarray) -> np.ndarray:
+    """Viscous friction, per unit of Coulomb's, with which nothing is left at a speed [s/rad].
+
+    Beyond its maximum friction may fall with speed (Stribeck's effect); it drives at no speed up
+    to this one if it does not there.
+    """
+    return -coulomb_direction(speed, slope) / speed
 
 
 def direction_slope(velocity: np.ndarray, slope: np.ndarray) -> np.ndarray:
-    """Derivative of `direction` with respect to log(k)."""
+    """Derivative of `coulomb_direction` with respect to log(k)."""
     turned = slope * velocity
     return (2.0 / np.pi) * turned / (1.0 + turned**2)
 
 
 def friction_columns(velocity: np.ndarray, slope: np.ndarray, load: np.ndarray) -> np.ndarray:
     """Regressor (samples, n, 4) of friction at rates [rad/s], slopes [s/rad], loads [N m]."""
-    way = direction(velocity, slope)
+    way = coulomb_direction(velocity, slope)
     return np.stack([velocity, way, np.abs(load) * way, np.ones_like(velocity)], axis=2)
 
 
