@@ -223,7 +223,12 @@ def cleaned(recording, **changes):
 
 def test_given_few_samples_or_no_motion_then_it_is_said(arm, recording, motion, simulated):
     still = replace(recording, position=0.0 * recording.position, velocity=0.0 * recording.velocity)
-    for bad, reason in ((recording.rows(slice(300)), 'too short'), (still, 'no joint moves')):
+    partly = replace(recording, effort=recording.effort * [1.0, 0.0, 1.0])
+    for bad, reason in (
+        (recording.rows(slice(300)), 'too short'),
+        (still, 'no joint moves'),
+        (partly, 'efforts of two never change'),
+    ):
         with pytest.raises(IdentificationError, match=reason):
             identify(arm, [bad])
     # A warning names one joint at rest.
@@ -247,5 +252,7 @@ def test_given_bad_samples_or_stamps_when_cleaned_then_few_are_mended_many_refus
     assert 'count of the samples' in mended.warnings[0] and np.ptp(np.diff(mended.time)) < 1e-9
     with pytest.raises(IdentificationError, match='stamps stand still'):
         cleaned(recording, time=np.zeros(len(recording.time)))
+    with pytest.raises(IdentificationError, match='has no efforts'):
+        cleaned(recording, effort=np.full_like(effort, 0.5))
     keep = (recording.time < 8.0) | (recording.time > 9.0)
     assert len(split(recording.rows(keep))) == 2

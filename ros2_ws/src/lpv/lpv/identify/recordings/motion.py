@@ -108,7 +108,14 @@ def _resample(recording: Recording, part: np.ndarray, step: float) -> Segment:
 
 
 def check_motion(segments: list[Segment], names: tuple[str, ...]) -> list[str]:
-    """Remarks on joints that hardly move; IdentificationError if no joint moves."""
+    """Remarks on joints that hardly move; IdentificationError if none does, or without efforts."""
+    effort = np.concatenate([s.effort for s in segments])
+    constant = [name for name, span in zip(names, np.ptp(effort, axis=0)) if not span]
+    if constant:
+        raise IdentificationError(
+            f'efforts of {", ".join(constant)} never change, as without a sensor; torques or '
+            'currents of all motors must be recorded'
+        )
     travel = np.max([np.ptp(s.position, axis=0) for s in segments], axis=0)
     still = [name for name, way in zip(names, travel) if way < SMALL]
     if len(still) == len(names):
