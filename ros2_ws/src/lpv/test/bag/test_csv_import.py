@@ -119,6 +119,7 @@ DAMAGED = [
     *((content, r'run\.csv') for content in NOTHING),
     *((HEADER.replace(name, 'other', 1) + LINES, rf"no column '{name}'; it has .*other")
       for name in ('t', 'q2', 'u1')),
+    (HEADER.replace('q2', 't') + LINES, "several columns 't'"),
 ]  # fmt: skip
 
 

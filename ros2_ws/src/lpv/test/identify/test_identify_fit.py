@@ -10,7 +10,7 @@ from places import RECORDINGS as DATA
 from scipy import stats
 from simulated_recordings import is_physical
 
-from lpv.bag.run.csv_import import load_column_map
+from lpv.bag.run.csv_import import CsvError, load_column_map
 from lpv.cli.commands.identify import _save
 from lpv.core.serial_arm.arm_file import load_arm, parse_arm, save_arm, to_mapping
 from lpv.core.serial_arm.description import JointFriction, JointLimits, LinkInertia
@@ -214,6 +214,21 @@ def test_given_a_file_when_read_then_its_joints_are_found_or_named(tmp_path, rec
     np.savetxt(tmp_path / 'a.csv', columns, delimiter=',', header=header, comments='')
     read = read_recording(tmp_path / 'a.csv', NAMES)
     assert read.velocity is None and read.effort == pytest.approx(recording.effort)
+    # A file is read as `lpv import-csv` reads it: quoted numbers, an empty cell, a cut line.
+    header, first, second, *lines = (tmp_path / 'a.csv').read_text().split()
+    first = ','.join(f'"{cell}"' for cell in first.split(','))
+    no_effort = second.rpartition(',')[0] + ','
+    (tmp_path / 'b.csv').write_text('\n'.join([header, first, no_effort, *lines, '20.0,0.3']))
+    same = read_recording(tmp_path / 'b.csv', NAMES)
+    assert np.array_equal(same.position, np.delete(read.position, 1, 0))
+    assert 'is cut off' in same.warnings[0] and '1 samples' in same.warnings[1]
+    for text, reason in (
+        ('s,rad,rad,rad,Nm,Nm,Nm', "line 2, column 'q1': 'rad' is not a number"),
+        (second.replace(second.split(',')[0], '', 1), "line 2, column 'time': '' is not a number"),
+    ):
+        (tmp_path / 'b.csv').write_text('\n'.join([header, text, *lines]))
+        with pytest.raises(CsvError, match=reason):
+            read_recording(tmp_path / 'b.csv', NAMES)
 
 
 def cleaned(recording, **changes):

@@ -78,7 +78,7 @@ def import_csv(
     # Empty cells become NaN: the observer has modes for missing values.
     warnings = list[str]()
     try:
-        samples = _samples(Path(source), columns, delimiter, warnings)
+        samples = read_samples(source, columns, delimiter, warnings)
         first = next(samples, None)
         if first is None:
             raise CsvError(f'{source}: holds no sample')
@@ -94,8 +94,8 @@ def import_csv(
     return count, warnings
 
 
-def _samples(
-    source: Path, columns: ColumnMap, delimiter: str, warnings: list[str]
+def read_samples(
+    source: str | Path, columns: ColumnMap, delimiter: str, warnings: list[str]
 ) -> Iterator[tuple[Any, ...]]:
     """Stamps, positions, rates and efforts, one by one: a long recording is never in memory."""
     unit, angle = TIME_UNITS[columns.time_unit], ANGLE_UNITS[columns.angle_unit]
@@ -104,9 +104,10 @@ def _samples(
         reader = csv.reader(file, delimiter=delimiter)
         header = [name.strip() for name in next(reader, [])]
         for name in columns.columns:
-            if name not in header:
+            if header.count(name) != 1:
                 there = ', '.join(header) or 'no columns at all'
-                raise CsvError(f'{source}: has no column {name!r}; it has {there}')
+                count = 'several columns' if name in header else 'no column'
+                raise CsvError(f'{source}: has {count} {name!r}; it has {there}')
         fault, last, offset, backwards = None, -1, 0, 0
         for cells in filter(None, reader):
             if fault is not None:
@@ -125,7 +126,7 @@ def _samples(
                     offset = round(columns.start * 1e9) - time
                 stamp = time + offset
                 if not 0 <= stamp <= LAST_STAMP:
-                    raise row.error(columns.time)
+                    raise row.error(columns.time, f'is no time of a stamp [{columns.time_unit}]')
             except CsvError as error:
                 # In the very last line it is that of a recording that was cut off.
                 fault = error
@@ -160,6 +161,6 @@ class _Row(NamedTuple):
         except (ArithmeticError, ValueError):
             raise self.error(name) from None
 
-    def error(self, name: str) -> CsvError:
+    def error(self, name: str, why: str = 'is not a number that can be used') -> CsvError:
         text = self.cells[name].strip()[:40]
-        return CsvError(f'{self.line}, column {name!r}: {text!r} is not a number that can be used')
+        return CsvError(f'{self.line}, column {name!r}: {text!r} {why}')

@@ -2,18 +2,18 @@
 
 import csv
 import re
-import warnings
+from array import array
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from lpv.bag.run.csv_import import ANGLE_UNITS, TIME_UNITS, ColumnMap, CsvError
-from lpv.core.support.limits import MOST_BYTES
+from lpv.bag.run.csv_import import ColumnMap, CsvError, read_samples
+from lpv.core.support.limits import MOST_SAMPLES
 from lpv.identify.errors import IdentificationError
 
-MAX_BYTES = 16 * MOST_BYTES
-"""Largest CSV file that is read [bytes]."""
+_START = 2.0**30  # middle of the range of stamps: a clock may be set either way [s]
 _PATTERNS = {
     'position': '{}_position {}_pos position_{} q_{} pos_meas{} motor_position{} position{} q{}',
     'velocity': '{}_velocity {}_vel velocity_{} v_{} vel_meas{} motor_velocity{} velocity{} dq{} '
@@ -25,66 +25,52 @@ _PATTERNS = {
 
 
 def read_csv(
-    path: Path, joints: Sequence[str], columns: ColumnMap | None
+    path: Path, joints: Sequence[str], columns: ColumnMap | None, others: Sequence[str] = ()
 ) -> tuple[list[np.ndarray], np.ndarray, np.ndarray | None, np.ndarray, list[str]]:
-    """Stamps, positions, rates (or None), efforts, remarks of a CSV file with a header line."""
-    header, table, notes = _read_table(path)
-    if columns is None:
-        columns = guess_columns(path, header, joints)
-    index = _index(path, header, joints, columns)
-    angle = ANGLE_UNITS[columns.angle_unit]
-    table = np.column_stack([table, np.full(len(table), np.nan)])  # column -1: not recorded
-    time = table[:, header.index(columns.time)] * (TIME_UNITS[columns.time_unit] / 1e9)
-    position, velocity = angle * table[:, index[0]], angle * table[:, index[1]]
-    effort = table[:, index[2]]
-    return [time], position, velocity if np.isfinite(velocity).any() else None, effort, notes
+    """Stamps, positions, rates (or None), efforts, remarks of a CSV file with a header line.
 
-
-def read_csv_columns(path: Path, names: Sequence[str], angle_unit: str) -> np.ndarray:
-    """Angles of some columns of a CSV file, shape (n, columns) [rad]."""
-    header, table, _ = _read_table(path)
-    _require(path, header, names)
-    return ANGLE_UNITS[angle_unit] * table[:, [header.index(name) for name in names]]
-
-
-def _read_table(path: Path) -> tuple[list[str], np.ndarray, list[str]]:
-    """Header, numbers and remarks of a CSV file."""
-    if not path.is_file():
-        raise CsvError(f'{path}: there is no such file')
-    if path.stat().st_size > MAX_BYTES:
-        raise CsvError(f'{path}: is larger than {MAX_BYTES} bytes')
+    Columns of ``others`` are positions, too.
+    """
+    notes, count = list[str](), len(joints) + len(others)
+    stamps, *parts = array('q'), array('d'), array('d'), array('d')
     try:
-        with open(path, newline='', encoding='utf-8-sig') as file:
-            header = [name.strip() for name in next(csv.reader(file), [])]
-            with warnings.catch_warnings(record=True) as caught:
-                table = np.genfromtxt(file, delimiter=',', ndmin=2, invalid_raise=False)
-    except (OSError, UnicodeDecodeError, ValueError, csv.Error) as error:
+        columns = columns or guess_columns(path, _header(path), joints)
+        chosen = _chosen(path, columns, joints, others)
+        for stamp, *vectors in read_samples(path, chosen, ',', notes):
+            stamps.append(stamp)
+            for part, vector in zip(parts, vectors):
+                part.extend(vector)
+            if len(stamps) > MOST_SAMPLES:
+                raise IdentificationError(f'{path}: has more than {MOST_SAMPLES} samples')
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise CsvError(f'{path}: cannot be read ({error})') from error
-    if table.shape[0] < 2 or table.shape[1] != len(header):
-        raise CsvError(
-            f'{path}: must have a header line and at least two lines of {len(header)} numbers'
-        )
-    return header, table, ['lines with another number of columns are left out'] if caught else []
+    time = np.array(stamps)
+    position, velocity, effort = (
+        np.array(part).reshape(-1, count) if part else np.full((len(time), count), np.nan)
+        for part in parts
+    )
+    rates = velocity if np.isfinite(velocity).any() else None
+    return [1e-9 * (time - time[:1])], position, rates, effort, notes
 
 
-def _index(
-    path: Path, header: list[str], joints: Sequence[str], columns: ColumnMap
-) -> list[list[int]]:
+def _header(path: Path) -> list[str]:
+    with open(path, newline='', encoding='utf-8-sig') as file:
+        return [name.strip() for name in next(csv.reader(file), [])]
+
+
+def _chosen(
+    path: Path, columns: ColumnMap, joints: Sequence[str], others: Sequence[str]
+) -> ColumnMap:
+    """Columns of some joints, in their order, and of other positions."""
     for joint in joints:
         if joint not in columns.joints:
             known = ', '.join(columns.joints)
             raise IdentificationError(
                 f'{path}: the column map has no joint {joint!r}; it has {known}'
             )
-    wanted = [[columns.joints[joint][kind] for joint in joints] for kind in range(3)]
-    _require(path, header, [columns.time, *(n for names in wanted for n in names if n)])
-    return [[header.index(name) if name else -1 for name in names] for names in wanted]
-
-
-def _require(path: Path, header: list[str], names: Sequence[str]) -> None:
-    for name in names:
-        if name not in header:
-            raise CsvError(f'{path}: has no column {name!r}; it has {", ".join(header)}')
+    found = {name: columns.joints[name] for name in joints}
+    found |= {f'column {name}': (name, '', '') for name in others}
+    return replace(columns, start=_START, joints=found)
 
 
 def guess_columns(path: Path, header: list[str], joints: Sequence[str]) -> ColumnMap:

@@ -82,12 +82,11 @@ def read_pairs(
     """Positions of joints and of their second encoders in the same samples, (n, joints) each."""
     path = Path(path)
     if path.suffix.lower() == '.csv':
-        from lpv.identify.recordings.csv_recording import read_csv, read_csv_columns
+        from lpv.identify.recordings.csv_recording import read_csv
 
-        _, position, *_ = read_csv(path, first, columns)
-        unit = 'rad' if columns is None else columns.angle_unit
-        return position, read_csv_columns(path, second, unit)
-    _, position, *_ = _read_bag(path, (*first, *second), topic)
+        _, position, *_ = read_csv(path, first, columns, second)
+    else:
+        _, position, *_ = _read_bag(path, (*first, *second), topic)
     return position[:, : len(first)], position[:, len(first) :]
 
 
