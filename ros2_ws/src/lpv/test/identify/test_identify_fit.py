@@ -210,10 +210,12 @@ def test_given_a_file_when_read_then_its_joints_are_found_or_named(tmp_path, rec
         read_recording(without, NAMES)
     # Columns of a CSV file are guessed.
     columns = np.column_stack([recording.time, recording.position, recording.effort])
-    header = 'time,q1,q2,q3,tau1,tau2,tau3'
-    np.savetxt(tmp_path / 'a.csv', columns, delimiter=',', header=header, comments='')
-    read = read_recording(tmp_path / 'a.csv', NAMES)
-    assert read.velocity is None and read.effort == pytest.approx(recording.effort)
+    for header in ('time,q0,q1,q2,tau0,tau1,tau2', 'time,q1,q2,q3,tau1,tau2,tau3'):
+        np.savetxt(tmp_path / 'a.csv', columns, delimiter=',', header=header, comments='')
+        read = read_recording(tmp_path / 'a.csv', NAMES)
+        assert read.velocity is None and read.effort == pytest.approx(recording.effort)
+    with pytest.raises(IdentificationError, match='numbered 1, 2, 3, but the arm has 2 joints'):
+        read_recording(tmp_path / 'a.csv', NAMES[1:])
     # A file is read as `lpv import-csv` reads it: quoted numbers, an empty cell, a cut line.
     header, first, second, *lines = (tmp_path / 'a.csv').read_text().split()
     first = ','.join(f'"{cell}"' for cell in first.split(','))

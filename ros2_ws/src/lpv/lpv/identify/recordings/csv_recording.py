@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from lpv.bag.run.csv_import import ColumnMap, CsvError, read_samples
+from lpv.core.serial_arm.chain import MAX_JOINTS
 from lpv.core.support.limits import MOST_SAMPLES
 from lpv.identify.errors import IdentificationError
 
@@ -78,11 +79,11 @@ def guess_columns(path: Path, header: list[str], joints: Sequence[str]) -> Colum
     time = next((name for name in header if re.fullmatch(r'(time|t|stamp)(_s)?', name, re.I)), None)
     if time is None:
         raise IdentificationError(f'{path}: has no column "time"; give a column map (--columns)')
-    found = {}
-    for number, joint in enumerate(joints, 1):
+    found, labels = {}, _labels(path, header, joints)
+    for label, joint in zip(labels, joints):
         names = []
         for kind, patterns in _PATTERNS.items():
-            wanted = [p.format(label) for p in patterns.split() for label in (joint, number)]
+            wanted = [pattern.format(label) for pattern in patterns.split()]
             match = next((name for name in wanted if name in header), None)
             if match is None and kind != 'velocity':
                 raise IdentificationError(
@@ -92,3 +93,21 @@ def guess_columns(path: Path, header: list[str], joints: Sequence[str]) -> Colum
             names.append(match or '')
         found[joint] = tuple(names)
     return ColumnMap(time, 's', 0.0, 'rad', found)
+
+
+def _labels(path: Path, header: list[str], joints: Sequence[str]) -> Sequence[str]:
+    """What the columns of the joints' positions are named after: joints, or numbers."""
+
+    def among(labels: Sequence[str]) -> list[str]:
+        return [x for x in labels if any(p.format(x) in header for p in patterns)]
+
+    patterns = _PATTERNS['position'].split()
+    numbers = among([str(k) for k in range(MAX_JOINTS + 1)])
+    if among(joints) or not numbers:
+        return joints
+    if len(numbers) != len(joints):
+        raise IdentificationError(
+            f'{path}: positions are numbered {", ".join(numbers)}, but the arm has '
+            f'{len(joints)} joints; give a column map (--columns)'
+        )
+    return numbers
