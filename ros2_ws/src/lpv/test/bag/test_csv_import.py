@@ -91,6 +91,14 @@ def test_given_joints_without_efforts_when_imported_then_messages_have_none_or_n
     assert (message.effort.tolist(), message.velocity.tolist()) == ([], [3.0, 4.0])
 
 
+def test_given_degrees_when_imported_then_a_joint_with_a_unit_of_its_own_has_that(convert):
+    columns = COLUMNS.replace('u2}', 'u2, unit: m}') + 'angle_unit: deg\n'
+    _, (message,), _ = convert(f'{HEADER}0,90,0.2,180,0.3,1,2\n', columns)
+    assert message.position.tolist() == pytest.approx([math.pi / 2, 0.2])
+    assert message.velocity.tolist() == pytest.approx([math.pi, 0.3])
+    assert message.effort.tolist() == [1.0, 2.0]
+
+
 def test_given_a_cut_off_line_or_time_that_turns_back_when_imported_then_the_rest_stays(convert):
     for end in ('', ',3.1,3.2,3.3,3.4,3.5', *(f',3,3,3,3,3,{cell}' for cell in ('-', '2e', '2e-'))):
         (warning,), messages, _ = convert(f'{HEADER}{LINES}0.006{end}')
@@ -158,6 +166,7 @@ def test_given_a_map_when_loaded_then_the_shipped_one_fits_and_mistakes_are_name
         ('column: t, ', '', r'time\.column'),
         ('position: q2, ', '', r'joints\.elbow\.position'),
         ('effort: u1', 'torque: u1', r'joints\.shoulder\.torque'),
+        ('effort: u1', 'unit: mm', r'joints\.shoulder\.unit'),
         ('{position: q2, velocity: w2, effort: u2}', 'q2', r'joints\.elbow'),
         ('time:', 'angle_unit: turns\ntime:', 'angle_unit'),
         ('time:', 'speed: 3\ntime:', 'speed'),

@@ -173,6 +173,18 @@ def test_given_a_kr300_when_link_side_encoders_are_compared_then_they_agree_with
         assert abs(abs(reading.scale) - 1.0) < 0.01 and reading.difference < 2e-3
 
 
+def test_given_degrees_of_a_prismatic_joint_when_identified_then_its_unit_is_asked_for(
+    arm, tmp_path, call
+):
+    file, columns = tmp_path / 'arm.yaml', tmp_path / 'columns.yaml'
+    save_arm(replace(arm, joints=(replace(arm.joints[0], type='prismatic'),)), file)
+    columns.write_text(
+        'time: {column: t}\nangle_unit: deg\njoints: {one: {position: q, velocity: w}}'
+    )
+    said = call('identify', 'run.csv', '--columns', columns, '--arm', file, code=2).err
+    assert 'columns.yaml: joints.one.unit: must be m' in said
+
+
 def swapped(recording):
     parts = ('position', 'velocity', 'effort')
     return replace(recording, **{name: getattr(recording, name)[:, [0, 2, 1]] for name in parts})

@@ -4,7 +4,7 @@ import csv
 import math
 import shutil
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from decimal import Decimal
 from itertools import chain
 from pathlib import Path
@@ -18,6 +18,7 @@ from lpv.core.support.timestamps import LAST_STAMP
 
 TIME_UNITS = {'s': 1_000_000_000, 'ms': 1_000_000, 'us': 1000, 'ns': 1}
 ANGLE_UNITS = {'rad': 1.0, 'deg': math.pi / 180.0}
+UNITS = {**ANGLE_UNITS, 'm': 1.0}
 
 
 class CsvError(LpvError):
@@ -33,11 +34,16 @@ class ColumnMap:
     start: float | None  # stamp of the first sample [s]; None keeps the times of the file as stamps
     angle_unit: str  # key of `ANGLE_UNITS`, for positions and rates
     joints: dict  # columns of position, velocity and effort by joint name; the effort may be ''
+    units: dict = field(default_factory=dict)  # keys of `UNITS` by joint name, else the angle's
 
     @property
     def columns(self) -> list[str]:
         """All column names."""
         return [self.time, *(c for columns in self.joints.values() for c in columns if c)]
+
+    def unit(self, joint: str) -> str:
+        """Key of `UNITS`, for position and rate of a joint."""
+        return self.units.get(joint, self.angle_unit)
 
 
 def load_column_map(path: str | Path) -> ColumnMap:
@@ -47,11 +53,13 @@ def load_column_map(path: str | Path) -> ColumnMap:
     time = top.section('time')
     keep = time.flag('keep', False)
     start = None if keep else time.number('start', 1.0, low=1e-9, high=2e9)
-    joints, section = {}, top.section('joints')
+    angle_unit = top.text('angle_unit', 'rad', tuple(ANGLE_UNITS))
+    joints, units, section = {}, {}, top.section('joints')
     for name in data['joints']:
         one = section.section(name)
         effort = one.text('effort') if 'effort' in one else ''
         joints[str(name)] = (one.text('position'), one.text('velocity'), effort)
+        units[str(name)] = one.text('unit', angle_unit, tuple(UNITS))
         one.finish()
     if not joints:
         raise top.error('joints', 'must name at least one joint')
@@ -59,8 +67,9 @@ def load_column_map(path: str | Path) -> ColumnMap:
         time.text('column'),
         time.text('unit', 's', tuple(TIME_UNITS)),
         start,
-        top.text('angle_unit', 'rad', tuple(ANGLE_UNITS)),
+        angle_unit,
         joints,
+        units,
     )
     time.finish()
     top.finish()
@@ -98,8 +107,8 @@ def read_samples(
     source: str | Path, columns: ColumnMap, delimiter: str, warnings: list[str]
 ) -> Iterator[tuple[Any, ...]]:
     """Stamps, positions, rates and efforts, one by one: a long recording is never in memory."""
-    unit, angle = TIME_UNITS[columns.time_unit], ANGLE_UNITS[columns.angle_unit]
-    vectors = tuple(zip(zip(*columns.joints.values()), (angle, angle, 1.0)))
+    unit, scales = TIME_UNITS[columns.time_unit], [UNITS[columns.unit(j)] for j in columns.joints]
+    vectors = tuple(zip(zip(*columns.joints.values()), (scales, scales, [1.0] * len(scales))))
     with open(source, newline='', encoding='utf-8-sig') as file:
         reader = csv.reader(file, delimiter=delimiter)
         header = [name.strip() for name in next(reader, [])]
@@ -117,7 +126,7 @@ def read_samples(
                 if len(cells) < len(header):
                     raise CsvError(f'{row.line} has too few cells')
                 values = [
-                    [row.number(n, float, scale) for n in names] if any(names) else []
+                    [row.number(n, float, s) for n, s in zip(names, scale)] if any(names) else []
                     for names, scale in vectors
                 ]
                 # Decimal: a float of epoch seconds is 200 ns off; an int may have too many digits.

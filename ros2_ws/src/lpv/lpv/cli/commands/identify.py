@@ -33,6 +33,7 @@ def run(arguments: argparse.Namespace) -> int:
     arm, columns = _arm(arguments), None
     if arguments.columns:
         columns = load_column_map(bringup_file('columns', arguments.columns))
+        _check_units(arm, columns, arguments.columns)
 
     def read(path: str) -> Recording:
         return continued(arm, read_recording(path, arm.joint_names, arguments.topic, columns))
@@ -66,6 +67,12 @@ def run(arguments: argparse.Namespace) -> int:
 
         print(f'report: {write_report(result, Path(arguments.report))}')
     return 0
+
+
+def _check_units(arm: SerialArm, columns: ColumnMap, source: str) -> None:
+    for joint in arm.joints:
+        if joint.is_prismatic and columns.unit(joint.name) == 'deg':
+            raise ConfigError(f'joints.{joint.name}.unit', 'must be m: it is prismatic', source)
 
 
 def _with_second_encoders(

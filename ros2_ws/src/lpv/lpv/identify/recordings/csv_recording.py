@@ -30,7 +30,7 @@ def read_csv(
 ) -> tuple[list[np.ndarray], np.ndarray, np.ndarray | None, np.ndarray, list[str]]:
     """Stamps, positions, rates (or None), efforts, remarks of a CSV file with a header line.
 
-    Columns of ``others`` are positions, too.
+    Columns of ``others`` are positions of the same joints, too.
     """
     notes, count = list[str](), len(joints) + len(others)
     stamps, *parts = array('q'), array('d'), array('d'), array('d')
@@ -62,7 +62,7 @@ def _header(path: Path) -> list[str]:
 def _chosen(
     path: Path, columns: ColumnMap, joints: Sequence[str], others: Sequence[str]
 ) -> ColumnMap:
-    """Columns of some joints, in their order, and of other positions."""
+    """Columns of some joints, in their order, and of other positions of theirs."""
     for joint in joints:
         if joint not in columns.joints:
             known = ', '.join(columns.joints)
@@ -71,7 +71,8 @@ def _chosen(
             )
     found = {name: columns.joints[name] for name in joints}
     found |= {f'column {name}': (name, '', '') for name in others}
-    return replace(columns, start=_START, joints=found)
+    units = {f'column {name}': columns.unit(joint) for name, joint in zip(others, joints)}
+    return replace(columns, start=_START, joints=found, units=columns.units | units)
 
 
 def guess_columns(path: Path, header: list[str], joints: Sequence[str]) -> ColumnMap:
