@@ -271,5 +271,12 @@ def test_given_bad_samples_or_stamps_when_cleaned_then_few_are_mended_many_refus
         cleaned(recording, time=np.zeros(len(recording.time)))
     with pytest.raises(IdentificationError, match='has no efforts'):
         cleaned(recording, effort=np.full_like(effort, 0.5))
+    late = recording.time > 8.0
+    parts = cleaned(recording, time=recording.time - 5.0 * late)
+    assert parts.warnings == ('the clock was set back (1 times): the recording is cut there',)
+    assert np.array_equal(parts.position, recording.position)
+    assert [len(part.time) for part in split(parts)] == [np.sum(~late), np.sum(late)]
+    stray = cleaned(recording, time=np.where(recording.time == 8.0, 30.0, recording.time))
+    assert not stray.warnings and len(split(stray)) == 1
     keep = (recording.time < 8.0) | (recording.time > 9.0)
     assert len(split(recording.rows(keep))) == 2

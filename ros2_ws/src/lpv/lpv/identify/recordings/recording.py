@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from lpv.bag.rosbag.reading import BagReader, open_bag
 from lpv.bag.run.csv_import import ColumnMap
@@ -15,7 +16,7 @@ from lpv.bag.run.record import CORRECTED
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.turns import Turns
 from lpv.core.support.errors import SampleError
-from lpv.core.support.limits import MOST_SAMPLES, SMALL
+from lpv.core.support.limits import MAX_GAP, MOST_SAMPLES, SMALL
 from lpv.core.support.timestamps import NANOSECONDS
 from lpv.identify.errors import IdentificationError
 
@@ -24,6 +25,7 @@ LARGEST = 1e6
 """Positions [rad], rates [rad/s] and efforts beyond are no measurements."""
 MIN_SHARE_VALID = 0.7
 """Smallest share of samples that must be complete."""
+_CUT = 5.0 * MAX_GAP  # ends a segment at any rate that is used [s]
 _SHORTEST = 1e-6  # floats of the seconds since 1970 resolve not much less [s]
 
 
@@ -121,7 +123,11 @@ def clean(
         warnings.append(f'{np.sum(~valid)} {text}')
     time, notes = _choose_stamps(source, stamps, position)
     warnings += notes
-    index = np.flatnonzero(valid & np.isfinite(time))
+    valid &= np.isfinite(time)
+    time[valid], count = _after_sets(time[valid])
+    if count:
+        warnings.append(f'the clock was set back ({count} times): the recording is cut there')
+    index = np.flatnonzero(valid)
     index = index[np.argsort(time[index], kind='stable')]
     index = index[np.concatenate([[True], np.diff(time[index]) > _SHORTEST])]
     time, position, effort = time[index], position[index], effort[index]
@@ -163,7 +169,7 @@ def _choose_stamps(
     usable = {
         name: _roughness(time, position)
         for name, time in named.items()
-        if np.mean(np.diff(time) > 0.0) > 0.98 and time[-1] > time[0]
+        if np.mean(np.diff(time) > 0.0) > 0.98
     }
     if not usable:
         raise IdentificationError(
@@ -174,6 +180,13 @@ def _choose_stamps(
         name = min(usable, key=lambda one: usable[one])
     notes = [f'{first} jitter or stand still, times are taken from {name}']
     return named[name], notes if name != first else []
+
+
+def _after_sets(time: np.ndarray) -> tuple[np.ndarray, int]:
+    """Times that go on after a gap where a clock was set back, and how often it was."""
+    steps = np.diff(median_filter(time, 3, mode='nearest'))  # one stamp that is off sets no clock
+    back = np.where(steps < -MAX_GAP, _CUT - steps, 0.0)
+    return time + np.concatenate([[0.0], np.cumsum(back)]), int(np.count_nonzero(back))
 
 
 def _counted(time: np.ndarray) -> np.ndarray | None:
