@@ -240,6 +240,7 @@ def cleaned(recording, **changes):
 
 def test_given_few_samples_or_no_motion_then_it_is_said(arm, recording, motion, simulated):
     still = replace(recording, position=0.0 * recording.position, velocity=0.0 * recording.velocity)
+    effort = recording.effort[:1200:3]
     partly = replace(recording, effort=recording.effort * [1.0, 0.0, 1.0])
     for bad, reason in (
         (recording.rows(slice(300)), 'too short'),
@@ -248,6 +249,10 @@ def test_given_few_samples_or_no_motion_then_it_is_said(arm, recording, motion, 
     ):
         with pytest.raises(IdentificationError, match=reason):
             identify(arm, [bad])
+    # Efforts that are next to nothing say nothing of the masses.
+    found = identify(arm, [replace(recording.rows(slice(0, 1200, 3)), effort=1e-12 * effort)])
+    assert 'hardly driven' in ' '.join(found.warnings)
+    assert np.isfinite(found.arm.covariance.matrix()).all()
     # A warning names one joint at rest.
     moves = np.array([0.0, 1.0, 1.0])
     rest = replace(motion, sine=moves * motion.sine, cosine=moves * motion.cosine)

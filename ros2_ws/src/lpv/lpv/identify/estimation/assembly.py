@@ -89,8 +89,9 @@ def covariance_of_all(
     values = np.maximum(values, 1e-9 * values[-1])
     transform = (parameter_map(base, n) * sigma)[known] / scale[:, None]
     root = (vectors / np.sqrt(values)).T @ transform
-    lower = np.linalg.cholesky(root.T @ root + np.eye(len(sigma)))
-    factor = np.linalg.solve(lower, np.diag(sigma))
+    # Not by a Cholesky factor of the sum: squares of what fits far too well hide the prior.
+    upper = np.asarray(np.linalg.qr(np.vstack([root, np.eye(len(sigma))]), mode='r'))
+    factor = np.linalg.solve(upper.T, np.diag(sigma))
     factor[:, _columns('load', n)[~fit.used_load]] = 0.0
     rounded = (tuple(float(f'{v:.6g}') for v in row) for row in factor)
     return ParameterCovariance(tuple(rounded), determined)
