@@ -22,7 +22,6 @@ from lpv.identify.recordings.recording import Recording
 
 _SURE = 15.0  # logarithm of a Bayes factor from which a mistake is named
 _COST = 2.0  # logarithm of how much less likely a mistake is than none, of one joint
-_MOST = 3  # mistakes that are looked for, one after another
 _FREE = 1e-6  # information on friction before the data
 _LEAST_TILT = np.radians(1.5)  # smaller tilts of the base are no mistakes of a mounting
 _SCALE = 0.2  # standard deviation of the logarithm of the arm's torques, as the file gives them
@@ -53,14 +52,18 @@ class _Setup:
 
 
 def find_mistakes(arm: SerialArm, recordings: Sequence[Recording]) -> list[Mistake]:
-    """What is likely wrong in a set-up by healthy motion, most evident first; none if it fits."""
+    """What is most evidently wrong in a set-up by healthy motion; none if it fits.
+
+    After efforts without the weight, which an identification finds by itself, another mistake.
+    """
     slow = _slow(arm, [s for one in recordings for s in split(one)])
     judge = _Judge(arm, slow)
     gravity = arm.gravity_vector() if arm.effort_includes_gravity else np.zeros(3)
     setup = judge.setup(slow, gravity)
     found: list[Mistake] = []
     before, _ = judge.evidence(setup)
-    for _ in range(_MOST):
+    # No other ones: a mistake may be named for want of a better one, and the next one undo it.
+    while not found or found[-1].kind == 'weight':
         best: tuple[float, Mistake, _Setup] | None = None
         for kind, text, other in judge.hypotheses(setup, {m.kind for m in found}):
             value = judge.evidence(other)[0] - judge.cost - before
@@ -69,8 +72,6 @@ def find_mistakes(arm: SerialArm, recordings: Sequence[Recording]) -> list[Mista
         if best is None or best[0] < _SURE:
             break
         found.append(best[1])
-        if best[1].kind == 'unit':  # gains are anything then, and their signs
-            break
         setup, before = best[2], judge.evidence(best[2])[0]
     return found
 
