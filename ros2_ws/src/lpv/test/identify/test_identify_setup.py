@@ -194,7 +194,13 @@ def efforts(change):
     return lambda recording: replace(recording, effort=change(recording.effort))
 
 
+def in_degrees(recording):
+    position, velocity = np.degrees(recording.position), np.degrees(recording.velocity)
+    return replace(recording, position=position, velocity=velocity)
+
+
 MISTAKES = {
+    'degrees': ('angle', 'degrees', in_degrees, None),
     'tilted base': ('gravity', 'about y by -5', lambda r: r, (0.0, 0.1, 0.0)),
     'mounted on a wall': ('gravity', 'about y by -(89|9[01])', lambda r: r, (0.0, np.pi / 2, 0.0)),
     'other sign': ('sign', 'efforts of two count', efforts(lambda u: u * [1, -1, 1]), None),

@@ -27,6 +27,7 @@ _LEAST_TILT = np.radians(1.5)  # smaller tilts of the base are no mistakes of a 
 _SCALE = 0.2  # standard deviation of the logarithm of the arm's torques, as the file gives them
 _FACTOR = 2.0  # within which efforts may be N m
 _DELAYS = (-0.05, *np.arange(0.02, 0.11, 0.01))  # what filters of drivers do is no mistake [s]
+_ALMOST_ALL = (0.01, 0.99)  # quantiles of positions: single readings may be anything
 _MOST_SAMPLES = 1500  # that mistakes are tried on: each is a fit of its own
 _Tried = Iterator[tuple[str, '_Setup']]
 
@@ -35,7 +36,7 @@ _Tried = Iterator[tuple[str, '_Setup']]
 class Mistake:
     """What differs from what the file says."""
 
-    kind: str  # 'gravity', 'weight', 'sign', 'names', 'delay' or 'unit'
+    kind: str  # 'angle', 'gravity', 'weight', 'sign', 'names', 'delay' or 'unit'
     text: str  # one sentence for the user
     evidence: float  # logarithm of the Bayes factor against the set-up as it is said to be
 
@@ -56,6 +57,8 @@ def find_mistakes(arm: SerialArm, recordings: Sequence[Recording]) -> list[Mista
 
     After efforts without the weight, which an identification finds by itself, another mistake.
     """
+    if degrees := _degrees(arm, np.concatenate([one.position for one in recordings])):
+        return [degrees]  # all else would follow from it
     slow = _slow(arm, [s for one in recordings for s in split(one)])
     judge = _Judge(arm, slow)
     gravity = arm.gravity_vector() if arm.effort_includes_gravity else np.zeros(3)
@@ -74,6 +77,16 @@ def find_mistakes(arm: SerialArm, recordings: Sequence[Recording]) -> list[Mista
         found.append(best[1])
         setup, before = best[2], judge.evidence(best[2])[0]
     return found
+
+
+def _degrees(arm: SerialArm, position: np.ndarray) -> Mistake | None:
+    """Positions that are a turn and more beyond the limits of a joint."""
+    for joint, (low, high) in zip(arm.joints, np.quantile(position, _ALMOST_ALL, axis=0).T):
+        beyond = max(joint.limits.lower - low, high - joint.limits.upper)
+        if beyond > 2.0 * np.pi and not joint.is_prismatic:
+            text = f'positions of {joint.name} are {low:.3g} to {high:.3g} rad, beyond its limits'
+            return Mistake('angle', f'{text}: degrees?', np.inf)
+    return None
 
 
 def _slow(arm: SerialArm, segments: Sequence[Segment]) -> tuple[Segment, ...]:
