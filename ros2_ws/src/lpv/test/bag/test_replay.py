@@ -463,13 +463,19 @@ def test_given_a_command_when_run_again_then_the_last_holds(bag, replayed, tmp_p
 
 
 def test_given_a_file_of_faults_when_run_then_they_are_added(loop, tmp_path, call):
-    source = write(tmp_path / 'bag', entries_of(loop[:HEALTHY]), TYPES)
+    part, truth = loop[:HEALTHY], ('/lpv/ground_truth', 'lpv_msgs/msg/GroundTruth')
+    fields = dict.fromkeys(('position', 'velocity', 'torque', 'fault'), [0.0, 0.0])
+    known = [(truth[0], stamp, MESSAGES.make(truth[1], stamp, {**fields, 'disturbance': 0.0}))
+             for stamp, *_ in part]  # fmt: skip
+    entries = sorted([*entries_of(part), *known], key=lambda entry: entry[1])
+    source = write(tmp_path / 'bag', entries, {**TYPES, truth[0]: truth[1]})
     faults = tmp_path / 'faults.yaml'
     faults.write_text('faults:\n  - {sensor: link2_angle, kind: bias, onset: 0.5, size: -0.3}\n')
     said = call(*line(source, tmp_path / 'result', inject=faults)).out
     assert 'ALARM, link2_angle: error -0.' in said and 'size error' in said
     assert '1 of 1 injected faults found on the right sensor' in said
     assert re.search(r'link2_angle, bias from 0.500 s on: found after 0.\d+ s as \w+, -0.\d+', said)
+    assert raw(source, truth[0]) and not raw(tmp_path / 'result', truth[0])  # no longer true
 
 
 def test_given_bad_input_when_run_then_it_is_said(bag, tmp_path, monkeypatch, call, refused):

@@ -78,6 +78,8 @@ class Replay:
         with open_bag(bag) as reader:
             result, effort = self._begin(reader)
             copied = [] if options.estimates_only else reader.connections
+            if self._injector is not None:  # what was true is not true of other readings
+                copied = [c for c in copied if not c.msgtype.endswith('/GroundTruth')]
             writer = ReplayWriter(out, self._monitor, options.preset, copied)
             try:
                 wanted = _wanted(reader, result, effort, writer.copied)

@@ -138,6 +138,11 @@ def _parse(data: dict[str, Any], source: str, folder: str | Path) -> SerialArm:
     for names, field in ((arm.joint_names, 'joints'), (arm.sensor_names, 'sensors')):
         if len(set(names)) < len(names):
             raise top.error(field, 'use a name twice')
+    for i, joint in enumerate(joints):
+        carried = np.array([one.link.to_vector() for one in joints[i:]])
+        if joint.rotor_inertia == 0.0 and not carried.any():
+            why = f'{joint.name} moves no mass; a URDF may lack <inertial>'
+            raise top.error(f'joints[{i}].link', why)
     return arm
 
 

@@ -9,8 +9,9 @@ from fuzzing import bounded_memory, fuzz, mutate_text, mutate_xml
 from serial_arms import URDF, shoulder_arm
 
 from lpv import ConfigError, load_arm
-from lpv.core.serial_arm.arm_file import save_arm
+from lpv.core.serial_arm.arm_file import parse_arm, save_arm, to_mapping
 from lpv.core.serial_arm.chain import compile_chain, make_chain
+from lpv.core.serial_arm.description import LinkInertia
 from lpv.core.serial_arm.dynamics.kinematics import forward_kinematics
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.urdf_chain import read_urdf_chain
@@ -121,6 +122,13 @@ def test_drives_are_no_joints_the_tip_names_the_branch_and_locks_hold_what_follo
 def test_joints_that_no_arm_has_are_refused_by_name(small, reason):
     with pytest.raises(ConfigError, match=reason):
         small(*NO_ARM[reason])
+
+
+def test_given_a_joint_that_moves_no_mass_then_its_file_is_refused_by_name():
+    arm = shoulder_arm()
+    last = replace(arm.joints[-1], link=LinkInertia(0.0), rotor_inertia=0.0)
+    with pytest.raises(ConfigError, match=r'joints\[2\].link: joint3 moves no mass'):
+        parse_arm(to_mapping(replace(arm, joints=(*arm.joints[:-1], last))))
 
 
 def test_bad_inline_parameters_are_refused_by_name():
