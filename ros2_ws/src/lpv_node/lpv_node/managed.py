@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import rclpy
-from rclpy.clock import Clock, ClockType
+from rclpy.clock import Clock, ClockType, ROSClock
 from rclpy.duration import Duration
 from rclpy.exceptions import ParameterException
 from rclpy.executors import Executor, SingleThreadedExecutor
@@ -174,6 +174,12 @@ class ManagedNode(LifecycleNode):
         # In DDS the first twelve bytes are those of the participant.
         nodes = {(r.node_namespace, r.node_name, *r.endpoint_gid[:12]) for r in others}
         return publisher.get_subscription_count() - len(readers) + len(nodes)
+
+    def elapsed(self) -> int:
+        """A time that only differences of count [ns]: steady, or that of /clock if it is used."""
+        clock = self.get_clock()
+        is_simulated = isinstance(clock, ROSClock) and clock.ros_time_is_active
+        return (clock if is_simulated else self._steady).now().nanoseconds
 
     def steady_timer(self, period: float, callback: Callable[[], None]) -> Timer:
         """Create a timer with a period [s] on the steady clock, which runs whatever /clock does."""

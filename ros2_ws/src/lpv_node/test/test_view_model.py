@@ -174,6 +174,33 @@ def test_given_an_observer_that_was_reset_when_it_reports_no_alarm_then_the_row_
     assert len(alarms.rows()) == 1, 'the event came after the estimate'
 
 
+@pytest.mark.parametrize('kind', ['dropout', 'rate_bias'])
+def test_given_alarms_that_estimates_do_not_hold_when_listed_then_they_last_until_cleared(kind):
+    alarms, size = AlarmList(), {'size': 0.0, 'bound': 0.0}
+    alarms.add(alarm(RAISED, 1.01))
+    alarms.add(alarm(UPDATED if kind == 'dropout' else RAISED, 2.01, 2.0, kind=kind, **size))
+    states = (3 * (kind == 'dropout'), 0)
+    alarms.follow(fault_estimate(4.0, alarm=(True, False), state=states))
+    bias, other = alarms.rows()
+    assert (bias['kind'], bias['size'], bias['ended']) == ('bias', 0.3, None)
+    assert (other['kind'], other['ended']) == (kind, None)
+    alarms.add(alarm(CLEARED, 5.0))
+    assert [row['ended'] for row in alarms.rows()] == [5.0, None]
+    if kind == 'dropout':  # its end beside another alarm is no event
+        alarms.follow(fault_estimate(6.0))
+    else:
+        alarms.add(alarm(CLEARED, 6.0, 2.0, kind=kind, **size))
+    assert [row['ended'] for row in alarms.rows()] == [5.0, 6.0]
+
+
+def test_given_an_observer_that_begins_anew_when_estimated_then_all_alarms_end(model):
+    model.take('fault_alarm', alarm(RAISED, 1.01, kind='rate_bias'), 0.0)
+    model.take('state_estimate', state_estimate(2.0), 0.0)
+    assert model.alarms.rows()[0]['ended'] is None
+    model.take('state_estimate', state_estimate(3.0, mode=2), 0.0)
+    assert model.alarms.rows()[0]['ended'] == 3.0
+
+
 def test_given_endless_alarms_when_listed_then_the_newest_are_kept():
     alarms = AlarmList()
     for k in range(1000):

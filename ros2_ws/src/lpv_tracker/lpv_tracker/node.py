@@ -9,7 +9,7 @@ from std_srvs.srv import Trigger
 
 from lpv.core.control.computed_torque import BANDWIDTH
 from lpv.core.control.estimate_check import ROWS, CorrectionLimit, ValueFault, check_values
-from lpv.core.control.path_follower import APPROACH_SPEED, PathFollower
+from lpv.core.control.path_follower import APPROACH_SPEED, PathFollower, approach_speeds
 from lpv.core.control.tracking import COMPENSATION, FEEDBACK_FIELDS, make_controller
 from lpv.core.control.watchdog import (
     STOP_TEXT,
@@ -60,7 +60,7 @@ max_speed={TrackerLimits.speed}[0.01:1]  safe stop, until ~/resume is called, wh
                         for 0.02 s than this share of its velocity limit, as measured or as
                         estimated [1]
 approach_speed={APPROACH_SPEED}[0.01:10]  fastest joint rate on the way to the path, where the arm
-                        starts or goes on elsewhere [rad/s]
+                        starts or goes on elsewhere; below what max_speed allows [rad/s]
 bandwidth={BANDWIDTH}[0.1:100]  serial arms only: distance from zero of the three poles of every
                         joint [rad/s]; the gains of a two-link arm are in its gains file
 """) + (
@@ -102,11 +102,7 @@ class TrackerNode(ManagedNode):
         self._make_controller()
         scenario = load_scenario(named_file(self, 'scenario_file', 'scenarios'))
         self._path = scenario.path(self._arm)
-        speed = min(self.get_parameter('approach_speed').value, *self._arm.velocity_limit)
         period, joints = round(self._arm.sample_time * NANOSECONDS), len(self._arm.joint_names)
-        tip = len(self._path.sample(0.0).tip)
-        follower = PathFollower(self._path, speed)
-        self._follower = UpcomingReferences(follower, period, joints, tip)
         certified = latency_limits(self._tolerated)
         single = chosen_limit(self, 'max_latency', certified.single)
         # The default of the mean follows a longer single latency, which was warned of.
@@ -120,6 +116,12 @@ class TrackerNode(ManagedNode):
             speed=self.get_parameter('max_speed').value,
             tracking_error=self.get_parameter('max_tracking_error').value,
         )
+        speed, self._scales = self.get_parameter('approach_speed').value, self._arm.scales()
+        speeds = approach_speeds(self._arm, self._limits.speed, speed)
+        tip = len(self._path.sample(0.0).tip)
+        follower = PathFollower(self._path, speeds, self._scales)
+        self._follower = UpcomingReferences(follower, period, joints, tip)
+        self._warn_of_speed()
         self._estimate = np.zeros((len(ROWS), joints))
         self._bytes = self._estimate.data.cast('B')
         self._velocity = self._estimate[ROWS.index('velocity')]
@@ -127,7 +129,9 @@ class TrackerNode(ManagedNode):
         self._corrected = self._estimate[ROWS.index('compensated_position')]
         self._measured_velocity = self._estimate[ROWS.index('measured_velocity')]
         self._forgotten: np.ndarray | None = None  # correction before a silence [rad]
-        self._choose_feedback()
+        self._compensation = self.get_parameter('compensation').value
+        self._position = self._estimate[ROWS.index(FEEDBACK_FIELDS[self._compensation])]
+        self._correction = CorrectionLimit(self._arm, self._compensation != 'off')
         self._compile()
         self._watchdog = TrackerWatchdog(self._arm, self._limits)
         self._stamps, self._refusals, self._stops = StampGate(), Refusals(self), 0
@@ -135,7 +139,7 @@ class TrackerNode(ManagedNode):
         self._last = None
         self._used = np.zeros(joints)  # correction of the last estimate that was trusted [rad]
         self._previous: int | None = None  # stamp of the last estimate that was followed [ns]
-        self._received = 0  # time at which the last estimate came [ns]
+        self._received = 0  # steady time at which the last estimate came [ns]
         self._latency = 0  # of the last estimate [ns]
         qos = stream(self.lockstep)
         self._command_out = self.create_publisher(TorqueCommand, 'torque_command', qos)
@@ -143,6 +147,18 @@ class TrackerNode(ManagedNode):
         self._status = StatusReporter(self, 'tracking', self._arm.name)
         self.create_service(Trigger, '~/resume', self._on_resume)
         self._make_messages()
+
+    def _warn_of_speed(self) -> None:
+        """Say so if the path is faster than the watchdog allows."""
+        rate = self._path.sample(np.linspace(self._path.start, self._path.end, 1001)).velocity
+        shares = np.abs(rate).max(axis=0) / np.array(self._arm.velocity_limit)
+        i = int(np.argmax(shares))
+        if shares[i] > self._limits.speed:
+            self.get_logger().warning(
+                f'the path needs {shares[i]:.0%} of the velocity limit of '
+                f'{self._arm.joint_names[i]}; above max_speed, {self._limits.speed:.0%}, the arm '
+                'is stopped'
+            )
 
     def _make_messages(self) -> None:
         """Messages that are made of references and commands where these are."""
@@ -162,11 +178,12 @@ class TrackerNode(ManagedNode):
         )
 
     def _choose_feedback(self, _parameters: object = None) -> None:
-        """Let the loop close on the position that a parameter names."""
-        if hasattr(self, '_estimate'):
-            compensation = self.get_parameter('compensation').value
+        """Let the loop close on the position that a parameter names, if that has changed."""
+        compensation = self.get_parameter('compensation').value
+        if hasattr(self, '_correction') and compensation != self._compensation:
+            self._compensation = compensation
             self._position = self._estimate[ROWS.index(FEEDBACK_FIELDS[compensation])]
-            self._correction = CorrectionLimit(self._arm, compensation != 'off')
+            self._correction.turn_to(self._position, compensation != 'off')
 
     def _make_controller(self) -> None:
         """The designed law where there are gains, else computed torque."""
@@ -227,7 +244,7 @@ class TrackerNode(ManagedNode):
             self._restart()
         if self._last is not None and self._is_silence(stamp - self._last):
             self._forgotten = self._used
-        self._received, self._last = now, stamp
+        self._received, self._last = self.elapsed(), stamp
         reason = self._judge(message, stamp, now)
         if reason is StopReason.NONE:
             self._follower.advance(stamp, self._position)
@@ -292,7 +309,7 @@ class TrackerNode(ManagedNode):
         before, self._forgotten = self._forgotten, None
         self._used = self._measured - self._corrected
         return before is not None and bool(
-            np.any((abs(before) > SMALL) & (abs(self._used) < 0.5 * abs(before)))
+            np.any((abs(before) > SMALL * self._scales) & (abs(self._used) < 0.5 * abs(before)))
         )
 
     def _restart(self) -> None:
@@ -328,7 +345,7 @@ class TrackerNode(ManagedNode):
 
     def _check_silence(self) -> None:
         """Stop safely when the observer is silent: the drives then brake."""
-        now = self.get_clock().now().nanoseconds
+        now = self.elapsed()
         if self._reason is None and self._is_silence(now - self._received):
             self._stop(StopReason.SILENCE)
         elif self._last is not None:

@@ -1,10 +1,12 @@
 """Answers of the tracker node to good, wrong and hostile estimates, without a graph."""
 
+import time
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hostile import RECOVERY, Output, Refused, forge, node_of, run_cases, set_parameters
+from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
 from lpv.core.control.watchdog import StopReason
@@ -104,6 +106,47 @@ def test_given_a_fault_when_forgotten_in_a_silence_then_the_arm_waits(node, paus
         assert not answers(node, range(30 + pause, 40 + pause))[-1]
 
 
+@IN_REAL_TIME
+def test_given_a_sliding_joint_when_its_correction_is_forgotten_then_the_arm_waits(node):
+    """0.03 m are much of a quill that moves by 0.2 m."""
+    assert not answers(node, range(1, 10), correction=0.03)[-1]
+    node._scales = np.array([0.03, 1.0])
+    assert answers(node, range(400, 420))[-1] and 'forgotten' in node._stop_text()
+
+
+@IN_REAL_TIME
+@pytest.mark.parametrize('switches', [['confirmed', 'confirmed'], ['off', 'confirmed']])
+def test_given_a_correction_when_parameters_are_set_then_torques_do_not_leap(node, switches):
+    torques, turns = [], dict(zip((60, 160), switches))
+    for number in range(1, 350):
+        if number in turns:
+            [done] = node.set_parameters([Parameter('compensation', value=turns[number])])
+            assert done.successful
+        last = node.references.last
+        place = PLACES['paper'] if last is None else np.array(last.position)
+        message = estimate(place, 10**9 + number * STEP)
+        message.compensated_position[0] += 0.1 * (number >= 50)  # found, and faded in
+        node._on_estimate(message)
+        torques.append(node.sent.last.torque)
+        assert not node.sent.last.safe_stop
+    correction = node._correction.position - node._measured
+    np.testing.assert_allclose(correction, [0.1, 0.0], atol=1e-9)
+    assert np.abs(np.diff(torques, axis=0)).max() < 35.0  # 28 N m of the fault itself
+
+
+@IN_REAL_TIME
+def test_given_a_clock_that_is_set_back_when_estimates_end_then_the_arm_is_stopped(node):
+    assert not answers(node, range(1, 10))[-1]
+    now = node.get_clock().now().nanoseconds
+    past = SimpleNamespace(nanoseconds=now - 3600 * 10**9)
+    node.get_clock = lambda: SimpleNamespace(now=lambda: past)
+    node._check_silence()
+    assert not node.sent.last.safe_stop
+    time.sleep(1.5e-9 * node._watchdog.silence)
+    node._check_silence()
+    assert node.sent.last.safe_stop
+
+
 def test_given_gains_or_another_arms_scenario_when_configured_then_it_is_told():
     with tracker(bringup_file('gains', 'ur10')) as node:
         assert 'holds for joint rates to 0.6' in node._certificate
@@ -112,6 +155,13 @@ def test_given_gains_or_another_arms_scenario_when_configured_then_it_is_told():
     for scenario, field in {'two_faults': 'lpv', 'panda': 'path.start'}.items():
         with pytest.raises(ConfigError, match=field), tracker(scenario=scenario):
             pass
+
+
+@pytest.mark.parametrize('share', [0.1, 0.7])
+def test_given_a_path_faster_than_max_speed_when_configured_then_it_is_told(capfd, share):
+    with tracker(max_speed=share):
+        pass
+    assert ('the path needs' in capfd.readouterr().err) == (share == 0.1)
 
 
 @pytest.mark.parametrize(('name', 'old', 'new', 'reason'), [

@@ -3,6 +3,7 @@
 import math
 import threading
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -97,7 +98,10 @@ class UioNode(ManagedNode):
             note.cancel()
         self._messages = OutputMessages(self._arm, self._monitor.answer_type)
         self._from_command = self.get_parameter('torque_source').value == 'command'
-        self._torque = [math.nan] * len(self._arm.joint_names)
+        self._unknown = [math.nan] * len(self._arm.joint_names)
+        self._torque = self._unknown
+        self._commanded: int | None = None  # stamp that the last command answers [ns]
+        # Steady times, see `elapsed`.
         self._received: int | None = None  # about when the last measurement came that fits [ns]
         self._is_new = False  # whether one came since the last look for silence
         self._answered: int | None = None  # stamp of the last answer [ns]
@@ -166,7 +170,9 @@ class UioNode(ManagedNode):
         elif to_nanoseconds(message.header.stamp) not in self._recent:
             self._refusals.add('command whose stamp answers no measurement')
         else:
-            self._torque = message.torque
+            # At a safe stop it is the brakes that hold the arm.
+            self._torque = self._unknown if message.safe_stop else message.torque
+            self._commanded = to_nanoseconds(message.header.stamp)
 
     def _on_measurement(self, message: JointState) -> None:
         stamp = to_nanoseconds(message.header.stamp)
@@ -181,15 +187,19 @@ class UioNode(ManagedNode):
             return
         self._recent.append(stamp)
         try:
-            answer = self._monitor.take(
-                stamp, message, self._torque if self._from_command else None
-            )
+            answer = self._monitor.take(stamp, message, self._known_torque())
         except SampleError as error:
             self.get_logger().error(str(error), throttle_duration_sec=5.0)
             return
-        self._is_new = True
         if answer is not None:
+            self._is_new = True
             self._publish(answer)
+
+    def _known_torque(self) -> Sequence[float] | None:
+        """Torques of the last command, NaN where it is old; None: those of the measurement."""
+        if not self._from_command:
+            return None
+        return self._torque if self._commanded in self._recent else self._unknown
 
     def _is_of_one_sender(self, message: JointState, stamp: int) -> bool:
         """Whether a measurement continues the others, where several nodes publish some."""
@@ -253,12 +263,13 @@ class UioNode(ManagedNode):
     def _check_silence(self) -> None:
         now = self.get_clock().now().nanoseconds
         self._report(now)
+        elapsed = self.elapsed()
         if self._is_new:
-            self._received, self._silent_since, self._is_new = now, None, False
+            self._received, self._silent_since, self._is_new = elapsed, None, False
         if self._received is None or self._stale:
-            self._warn_of_silence(now)
+            self._warn_of_silence(elapsed)
             return
-        if now - self._received > self.get_parameter('stale_after').value * NANOSECONDS:
+        if elapsed - self._received > self.get_parameter('stale_after').value * NANOSECONDS:
             self._stale = True
             self.get_logger().warning('no measurements: diagnosis is stale')
             self._diagnostics_out.publish(diagnostics(now, self._monitor.status(Mode.STALE)))

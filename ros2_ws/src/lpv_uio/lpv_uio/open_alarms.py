@@ -32,11 +32,14 @@ class OpenAlarms:
 
     def note(self, event: Alarm) -> None:
         """Keep what one event changes; OSError if it cannot be written."""
+        if event.kind == 'dropout':
+            return  # it shows as long as it lasts, and is not the end of another fault
+        sensor = f'{event.sensor} (rate)' if event.kind == 'rate_bias' else event.sensor
         known = {**self._open}
-        self.before = {s: t for s, t in self.before.items() if s != event.sensor}
-        known.pop(event.sensor, None)
+        self.before = {s: t for s, t in self.before.items() if s != sensor}
+        known.pop(sensor, None)
         if event.event != AlarmEvent.CLEARED:
-            known[event.sensor] = describe(event)
+            known[sensor] = describe(event)
         self._open = known
         self._path.parent.mkdir(parents=True, exist_ok=True)
         new = self._path.with_suffix('.new')

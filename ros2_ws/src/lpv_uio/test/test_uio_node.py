@@ -188,8 +188,35 @@ def test_given_a_second_publisher_when_its_readings_come_then_they_are_refused(a
     assert arm.outputs['alarm'].sent == [], 'no alarm'
 
 
-def alarm(event=AlarmEvent.RAISED, sensor='link2_angle'):
-    return Alarm(event, 1, sensor, 0, 0, 0.3, 0.01, 'bias', 0.99)
+def alarm(event=AlarmEvent.RAISED, sensor='link2_angle', kind='bias'):
+    return Alarm(event, 1, sensor, 0, 0, 0.3, 0.01, kind, 0.99)
+
+
+def test_given_commands_when_the_arm_is_stopped_or_they_are_old_then_no_torque_is_known(arm):
+    arm.node._from_command = True
+    for safe_stop, known in ((False, True), (True, False)):
+        arm.node._on_measurement(arm.good())
+        command = TorqueCommand(torque=[1.0, -1.0], safe_stop=safe_stop)
+        arm.node._on_command(arm.stamped(command))
+        assert np.isfinite(arm.node._known_torque()).all() == known
+    arm.node._on_command(arm.stamped(TorqueCommand(torque=[1.0, -1.0])))
+    assert list(arm.node._known_torque()) == [1.0, -1.0]
+    for _ in range(arm.node._recent.maxlen):
+        arm.node._on_measurement(arm.good())
+    assert np.isnan(arm.node._known_torque()).all(), 'of a tracker that is no more'
+
+
+def test_given_a_driver_whose_clock_stands_when_it_goes_on_then_the_diagnosis_is_stale(arm):
+    arm.recover()
+    last = arm.good()
+    for _ in range(3):
+        arm.node._on_measurement(last)
+    arm.node._check_silence()
+    assert not arm.node._stale
+    arm.node._received -= 10**9
+    arm.node._on_measurement(last)
+    arm.node._check_silence()
+    assert arm.node._stale
 
 
 def test_given_an_observer_that_died_with_an_alarm_when_restarted_then_it_says_so(arm, tmp_path):
@@ -207,6 +234,19 @@ def test_given_an_observer_that_died_with_an_alarm_when_restarted_then_it_says_s
     assert arm.state.last.trustworthy and list(OpenAlarms(path).before) == ['link2_angle']
     arm.node.stopping()
     assert OpenAlarms(path).before == {}
+
+
+@pytest.mark.parametrize('kind', ['dropout', 'rate_bias'])
+def test_given_an_alarm_when_another_of_its_sensor_comes_and_ends_then_it_stays_open(
+    tmp_path, kind
+):
+    path = tmp_path / 'alarms.json'
+    OpenAlarms(path).note(alarm())
+    restarted = OpenAlarms(path)
+    for event in (AlarmEvent.RAISED, AlarmEvent.CLEARED):
+        restarted.note(alarm(event, kind=kind))
+        assert 'bias' in restarted.before['link2_angle']
+    assert OpenAlarms(path).before == restarted.before
 
 
 @pytest.mark.parametrize('content', ['', '[1]', '{', '[' * 100000, '\0', '{"a": 1}'])

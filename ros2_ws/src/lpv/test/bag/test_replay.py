@@ -306,6 +306,25 @@ def test_given_torques_of_any_type_when_replayed_then_the_one_before_each_sample
     assert expected[0].state['mode'] == Mode.HOLDING
 
 
+def test_given_commands_when_efforts_have_another_unit_then_a_replay_takes_newton_metres(
+    loop, paper_arm, replay, tmp_path
+):
+    joints = tuple(replace(j, torque_gain=-20.0) for j in paper_arm.joints)
+    entries, expected, latest = [], [], [math.nan] * 2
+    twin = SerialSensorMonitor('', paper_arm)
+    for stamp, measurement, torque in loop[:400]:
+        expected.append(twin.take(stamp, measurement, latest))
+        latest = list(torque)
+        entries.append((MEASURED, stamp, measurement))
+        entries.append((TORQUE, stamp + 1, cdr(message_of(COMMAND, stamp, latest), COMMAND)))
+    bag = write(tmp_path / 'bag', entries, {MEASURED: JOINT_STATE, TORQUE: COMMAND})
+    monitor = SerialSensorMonitor('', replace(paper_arm, joints=joints))
+    _, out = replay(bag, monitor=monitor, topic=MEASURED, torque_from_command=True)
+    fault = [a.fault['estimate'] for a in expected if a.fault is not None]
+    assert len(fault) > 390
+    np.testing.assert_allclose([m.estimate for m in read(out, FAULT)], fault, atol=1e-9)
+
+
 DRIFT = Fault('link2_angle', 'drift', 0.2, 0.2, rate=0.4)
 RATE_BIAS = Fault('link2_angle', 'rate_bias', 0.2, 0.2, size=0.2)
 BIASES = [Fault(sensor, 'bias', 0.2, size=0.3) for sensor in ('link1_angle', 'link2_angle')]

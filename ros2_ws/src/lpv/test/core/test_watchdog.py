@@ -62,6 +62,12 @@ def test_given_a_bad_estimate_then_the_arm_stops_at_once(tracker, latency, trust
     assert estimates(tracker, [1], latency, trustworthy=trustworthy) == [StopReason[expected]]
 
 
+def test_given_stamps_ahead_of_the_clock_when_that_is_set_then_a_late_mean_is_seen_as_soon(tracker):
+    assert set(estimates(tracker, range(50), -5000 * MS)) == {StopReason.NONE}
+    reasons = estimates(tracker, range(50, 150), 50 * MS)
+    assert reasons.index(StopReason.LATENCY) * 0.002 < 0.05
+
+
 @pytest.mark.parametrize('fast', [np.array([0.0, 20.1]), np.array([np.nan, 0.0])])
 def test_given_a_fast_joint_when_it_lasts_then_both_sides_stop_until_reset(tracker, drives, fast):
     estimates(tracker, [0]), commands(drives, [0], 0)

@@ -43,7 +43,8 @@ class StampSorter:
         sender = topic, publisher
         self._last[sender] = max(stamp, self._last.get(sender, stamp))
         newest = max(self._last.values())
-        self._first = stamp if self._first is None else self._first
+        # The lowest: one that is stamped by another clock must not make the others wait.
+        self._first = stamp if self._first is None else min(stamp, self._first)
         if newest - self._first < PATIENCE:
             return
         limit = min(last for last in self._last.values() if newest - last <= PATIENCE) - WINDOW

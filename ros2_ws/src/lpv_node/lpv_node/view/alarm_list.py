@@ -3,12 +3,13 @@
 import math
 from typing import Any
 
-from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent
+from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent, SensorState
 from lpv.core.simulation.faults import MAX_FAULTS
 from lpv.core.support.limits import MOST_TEXT
 from lpv.core.support.timestamps import NANOSECONDS, to_nanoseconds
 
 RAISED, UPDATED, CLEARED = AlarmEvent
+_DROPOUT = 'dropout'
 Row = dict[str, Any]
 
 
@@ -22,7 +23,7 @@ class AlarmList:
 
     def __init__(self) -> None:
         self._rows: list[Row] = []
-        self._open: dict[str, Row] = {}
+        self._open: dict[tuple[str, str], Row] = {}
         self._count = 0
         self.changed = False
 
@@ -33,9 +34,10 @@ class AlarmList:
     def add(self, event: Any) -> None:
         """Add one event, with the fields of lpv_msgs/FaultAlarm."""
         sensor = event.sensor[:MOST_TEXT]
-        if event.event == RAISED and sensor in self._open:
-            self._end(sensor, _time(event.onset))
-        row = self._open.get(sensor) or self._ended_row(event) or self._new_row(sensor)
+        key = sensor, _subject(event.kind)
+        if event.event == RAISED and key in self._open:
+            self._end(key, _time(event.onset))
+        row = self._open.get(key) or self._ended_row(event) or self._new_row(key)
         row.update(
             kind=event.kind[:MOST_TEXT],
             onset=_time(event.onset),
@@ -43,7 +45,7 @@ class AlarmList:
             confidence=_finite(event.confidence),
         )
         if event.event == CLEARED:
-            self._open.pop(sensor, None)
+            self._open.pop(key, None)
             row['ended'] = _time(event.header.stamp)
         else:
             row.update(size=_finite(event.size), bound=_finite(event.bound))
@@ -51,7 +53,8 @@ class AlarmList:
 
     def _ended_row(self, event: Any) -> Row | None:
         """The row that `follow` ended before the event that says so came."""
-        last = next((r for r in reversed(self._rows) if r['sensor'] == event.sensor), None)
+        same = event.sensor, _subject(event.kind)
+        last = next((r for r in reversed(self._rows) if _key(r) == same), None)
         if last is None or event.event != CLEARED or last['onset'] != _time(event.onset):
             return None
         return last
@@ -59,26 +62,44 @@ class AlarmList:
     def follow(self, faults: Any) -> None:
         """End alarms that a lpv_msgs/FaultEstimate no longer has, e.g. after a reset."""
         stamp = _time(faults.header.stamp)
-        for sensor, alarm in zip(faults.sensor_names, faults.alarm):
-            row = self._open.get(sensor)
-            # The alarm and the estimate of one sample come on two topics, in any order.
-            if row is not None and not alarm and abs(stamp - row['detected']) > 0.5:
-                self._end(sensor, max(stamp, row['detected']))
+        for sensor, alarm, state in zip(faults.sensor_names, faults.alarm, faults.state):
+            self._follow(sensor, '', not alarm, stamp)
+            self._follow(sensor, _DROPOUT, state != SensorState.STALE, stamp)
 
-    def _new_row(self, sensor: str) -> Row:
+    def restart(self, stamp: int) -> None:
+        """End all alarms: the observer has begun anew at a stamp [ns]."""
+        for sensor, subject in list(self._open):
+            self._follow(sensor, subject, True, seconds(stamp))
+
+    def _follow(self, sensor: str, subject: str, is_over: bool, stamp: float) -> None:
+        row = self._open.get((sensor, subject))
+        # The alarm and the estimate of one sample come on two topics, in any order.
+        if row is not None and is_over and abs(stamp - row['detected']) > 0.5:
+            self._end((sensor, subject), max(stamp, row['detected']))
+
+    def _new_row(self, key: tuple[str, str]) -> Row:
         self._count += 1
-        row: Row = {'id': self._count, 'sensor': sensor, 'ended': None, 'size': None, 'bound': None}
+        row: Row = {'id': self._count, 'sensor': key[0], 'ended': None, 'size': None, 'bound': None}
         self._rows.append(row)
-        self._open[sensor] = row
+        self._open[key] = row
         if len(self._rows) > MAX_FAULTS:
             oldest = self._rows.pop(0)
-            if self._open.get(oldest['sensor']) is oldest:
-                del self._open[oldest['sensor']]
+            if self._open.get(_key(oldest)) is oldest:
+                del self._open[_key(oldest)]
         return row
 
-    def _end(self, sensor: str, stamp: float) -> None:
-        self._open.pop(sensor)['ended'] = stamp
+    def _end(self, key: tuple[str, str], stamp: float) -> None:
+        self._open.pop(key)['ended'] = stamp
         self.changed = True
+
+
+def _subject(kind: str) -> str:
+    """What an alarm of a kind is about: '' for the fault that FaultEstimate is about, too."""
+    return kind if kind in (_DROPOUT, 'rate_bias') else ''
+
+
+def _key(row: Row) -> tuple[str, str]:
+    return row['sensor'], _subject(row['kind'])
 
 
 def _time(stamp: Any) -> float:

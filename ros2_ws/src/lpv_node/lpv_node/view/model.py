@@ -76,6 +76,8 @@ class LiveModel:
             self._latest[source], self._received[source] = message, now
             if source == 'fault_estimate':
                 self.alarms.follow(message)
+            elif source == 'state_estimate' and message.mode == Mode.INITIALISING:
+                self.alarms.restart(_stamp(message))
 
     def _fits(self, source: str, message: Any) -> bool:
         """Whether a message is for as many joints as the arm has."""

@@ -147,6 +147,9 @@ class Replay:
         arm = self._monitor.arm
         measurements = MeasurementReader(reader, arm.joint_names, self._monitor.needs_rates)
         efforts = effort and EffortReader(reader, effort.msgtype, arm.joint_names)
+        # Commands are in N m; the monitor wants the unit of efforts.
+        commanded = effort is not None and effort.msgtype == STREAMS[_COMMAND][0]
+        gain = np.array([joint.torque_gain if commanded else 1.0 for joint in arm.joints])
         injector = self._injector and BlockInjector(self._injector, arm, reader)
         for block in reader.blocks(wanted, *_limits(reader, self._options)):
             positions = _of(block, wanted, result.topic)
@@ -154,7 +157,8 @@ class Replay:
             result.measurements += len(positions)
             if efforts and effort:
                 given = _of(block, wanted, effort.topic)
-                measured = measured._replace(effort=efforts.before(block, given, measured.places))
+                torque = efforts.before(block, given, measured.places) / gain
+                measured = measured._replace(effort=torque)
             rejected = np.setdiff1d(positions, measured.places, assume_unique=True)
             changed = injector.apply(block, measured) if injector else {}
             yield Batch(block, measured, rejected, changed)

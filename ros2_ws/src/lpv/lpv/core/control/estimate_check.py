@@ -147,11 +147,19 @@ class CorrectionLimit:
 
     def __init__(self, arm: SerialArm, limited: bool = True) -> None:
         self._memory = memory(new_correction(arm, limited))
+        self._change = new_correction(arm).change
         self.position, self.velocity = self._memory['feedback'][0]
 
     def take(self, stamp: int, position: np.ndarray, velocity: np.ndarray) -> None:
         """As the function `limit_correction`."""
         _limit_correction(self._memory, stamp, position, velocity)
+
+    def turn_to(self, position: np.ndarray, limited: bool) -> None:
+        """Feed another position back, fading to it from the last one; it is ``position`` now."""
+        record = self._memory[0]
+        record['change'] = self._change if limited else np.inf
+        record['before'][0] = position
+        record['surplus'][0] = position - self.position
 
     def restart(self) -> None:
         """The next sample is a start."""

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lpv.core.control.path import Reference, TimedPath
+from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.limits import SMALL
 from lpv.core.support.timestamps import NANOSECONDS
 
@@ -16,7 +17,19 @@ _RAMP = 0.5
 APPROACH = 1.0
 """Least time of an approach [s]: a short distance in less time asks for torques that throw an
 upright arm far if one of them is held for too long."""
+_SHARE = 0.8
+"""Of the speed at which the tracker stops the arm, in an approach: what rates exceed by noise and
+overshoot."""
 _FIELDS = ('position', 'velocity', 'acceleration', 'tip')
+
+
+def approach_speeds(arm: SerialArm, allowed: float, speed: float = APPROACH_SPEED) -> np.ndarray:
+    """Fastest rate of each joint in an approach, shape (n,) [rad/s].
+
+    ``allowed`` is the share of the velocity limits beyond which the tracker stops the arm; of a
+    prismatic joint ``speed`` counts times its `SerialJoint.scale`, as limits of its error do.
+    """
+    return np.minimum(speed * arm.scales(), _SHARE * allowed * np.array(arm.velocity_limit))
 
 
 class PathFollower:
@@ -26,11 +39,13 @@ class PathFollower:
     An arm that is elsewhere when the loop (re)starts is led to the path's present point first, in
     joint space, from rest to rest by a quintic; then the path goes on, with its speed ramped up if
     the point is not an end of the path.  A start near the path follows it at once.  ``speed`` is
-    the fastest joint rate of an approach [rad/s].
+    the fastest rate of an approach, of all joints or of each, and ``scale`` what counts as 1 rad.
     """
 
-    def __init__(self, path: TimedPath, speed: float = APPROACH_SPEED) -> None:
-        self._path, self._speed = path, speed
+    def __init__(
+        self, path: TimedPath, speed: ArrayLike = APPROACH_SPEED, scale: ArrayLike = 1.0
+    ) -> None:
+        self._path, self._speed, self._scale = path, np.asarray(speed), np.asarray(scale)
         self.reset()
 
     def reset(self) -> None:
@@ -85,11 +100,13 @@ class PathFollower:
     def _restart(self, stamp: int, position: np.ndarray) -> None:
         self._start, self._from = stamp, self._reached
         self._offset = position - self._path.sample(self._from).position
-        distance = float(np.abs(self._offset).max())
+        distance = np.abs(self._offset)
+        is_near = bool((distance <= SMALL * self._scale).all())
         at_end = not self._path.start < self._from < self._path.end
         self._ramp = 0.0 if at_end else _RAMP
         # The peak rate of the quintic is 15/8 of its mean.
-        self._approach = max(1.875 * distance / self._speed, APPROACH) if distance > SMALL else 0.0
+        longest = float((1.875 * distance / self._speed).max())
+        self._approach = 0.0 if is_near else max(longest, APPROACH)
 
     def _approach_at(self, share: np.ndarray) -> Reference:
         """Between where the arm was found and the path, at shares of the approach's time."""
@@ -127,14 +144,19 @@ class PathReferences:
     """References of all samples; rows count the samples in which the clock of the path runs.
 
     ``motion``, shape (m, 3, n), has positions, rates and accelerations of the joints [rad],
-    [rad/s], [rad/s2]; ``tip`` has shape (m, 2) or (m, 3) [m].  ``speed`` is the fastest joint rate
-    of an approach [rad/s].
+    [rad/s], [rad/s2]; ``tip`` has shape (m, 2) or (m, 3) [m].  ``speed`` and ``scale``
+    are as of `PathFollower`.
     """
 
     def __init__(
-        self, path: TimedPath, sample_time: float, count: int, speed: float = APPROACH_SPEED
+        self,
+        path: TimedPath,
+        sample_time: float,
+        count: int,
+        speed: ArrayLike = APPROACH_SPEED,
+        scale: ArrayLike = 1.0,
     ) -> None:
-        self._follower = PathFollower(path, speed)
+        self._follower = PathFollower(path, speed, scale)
         # Times as the graph has them, in whole nanoseconds: products k*Ts are some last bits off.
         times = np.rint(np.arange(count) * sample_time * NANOSECONDS)
         self._stamps = times.astype(np.int64)

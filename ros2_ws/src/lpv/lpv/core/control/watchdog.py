@@ -290,7 +290,8 @@ def _check_speed(
 def _is_late(dog: np.record, stamp: int, latency: int) -> bool:
     """Whether this latency is too long, or the mean is or was shortly before."""
     # As for the drives: an outage ends with the first estimate that is in time.
-    dog.mean_age += dog.share * (min(latency, dog.latency) - dog.mean_age)
+    # A clock that is ahead makes latencies negative; none may hide later ones.
+    dog.mean_age += dog.share * (min(max(latency, 0), dog.latency) - dog.mean_age)
     if dog.mean_age > dog.mean_latency:
         dog.late = stamp
     if dog.late != NEVER and stamp - dog.late < _SHORTEST_STOP:

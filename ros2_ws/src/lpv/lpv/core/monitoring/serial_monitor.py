@@ -50,7 +50,8 @@ _ERROR = int(SensorState.ERROR)
 _REPORT_INTERVAL = NANOSECONDS
 """A diagnostics report is due after each such time of the data [ns], and at every alarm event."""
 _LARGEST = (FARTHEST, 1e4, LARGEST)
-"""Readings, rates and efforts beyond are no values of an arm [rad], [rad/s], [unit]."""
+"""Readings, rates and efforts beyond are no values of an arm [rad], [rad/s], [unit]; readings of
+joints that turn without end count from the last one."""
 _WARM_UP = (0.3, 1.0)
 """Motion that makes every compiled function run, without and with those of suspected faults [s]."""
 _CONTACT = 'torques from outside: something pushes or holds the arm, or its load has changed'
@@ -138,14 +139,23 @@ class _Stream(NamedTuple):
     gap: int  # longest interval [ns]
     blind: bool  # efforts are missing
     independent: npt.NDArray[np.bool_]  # rates of a sensor of their own
+    endless: npt.NDArray[np.bool_]  # readings of joints that turn without end
+    reading: FloatArray  # of the last usable sample [rad]
     repeats: np.ndarray  # memory of a record of `_repeats`
 
 
 @njit_in_place
-def _plausible(sample: FloatArray, independent: npt.NDArray[np.bool_]) -> bool:
+def _plausible(
+    sample: FloatArray,
+    independent: npt.NDArray[np.bool_],
+    endless: npt.NDArray[np.bool_],
+    last: FloatArray,
+) -> bool:
     """Whether readings, and rates of sensors of their own, are finite and of an arm."""
     for i in range(sample.shape[1]):
         reading, rate, effort = abs(sample[0, i]), abs(sample[1, i]), abs(sample[2, i])
+        if endless[i]:
+            reading = abs(sample[0, i] - last[i])
         if not reading <= _LARGEST[0] or rate > _LARGEST[1] or effort > _LARGEST[2]:
             return False
         if independent[i] and not rate <= _LARGEST[1]:
@@ -193,7 +203,12 @@ def _count_regular(stream: _Stream, stamps: IntArray, samples: FloatArray, begin
         finite = True
         for effort in samples[k, 2]:
             finite = finite and math.isfinite(effort)
-        if finite == stream.blind or not _plausible(samples[k], stream.independent):
+        if finite == stream.blind or not _plausible(
+            samples[k],
+            stream.independent,
+            stream.endless,
+            samples[k - 1, 0] if k > begin else stream.reading,
+        ):
             return k - begin
         last = newest = stamps[k]
     return len(stamps) - begin
@@ -273,6 +288,9 @@ class SerialSensorMonitor:
         self._independent = np.array([rate == 'independent' for rate in rates])
         self._to_sensors, self._to_joints = mixing(arm.joints_to_sensors()), arm.sensors_to_joints()
         self._without_rates = np.array([rate == 'none' for rate in rates])
+        self._torque_gain = np.array([joint.torque_gain for joint in arm.joints])
+        endless = np.array([joint.is_endless for joint in arm.joints])
+        self._endless = np.abs(arm.joints_to_sensors()) @ endless > 0.0
         self._monitor = SteppedMonitor(arm)
         self._gains = gains
         self._uio: UnknownInputObserver | None = None
@@ -395,6 +413,8 @@ class SerialSensorMonitor:
         except SampleError:
             self.rejected += 1
             raise
+        if torque is not None:
+            measured[2] /= self._torque_gain  # in the unit of efforts, as all that is taken
         one, self._bytes[:] = self._one, 0
         one.stamps[0] = stamp
         one.answers.events.clear()
@@ -465,7 +485,7 @@ class SerialSensorMonitor:
             return 0
         stream = _Stream(
             self._stamp, self._gate.last, self._gap, self._blind, self._independent,
-            memory(self._repeats),
+            self._endless, self._reading, memory(self._repeats),
         )  # fmt: skip
         return int(self._call(_count_regular, stream, batch.stamps, batch.samples, begin))
 
@@ -512,7 +532,7 @@ class SerialSensorMonitor:
             self.counters.repeated += 1
             self._answer_stale(stamp, row)
             return False
-        if not _plausible(sample, self._independent):
+        if not _plausible(sample, self._independent, self._endless, self._reading):
             needed = np.concatenate([sample[0], sample[1, self._independent]])
             finite = bool(np.isfinite(needed).all())
             self.counters.implausible += finite

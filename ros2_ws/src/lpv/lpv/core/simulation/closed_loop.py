@@ -21,7 +21,7 @@ from lpv.core.control.computed_torque import (
     computed_torque,
 )
 from lpv.core.control.estimate_check import limit_correction, new_correction
-from lpv.core.control.path_follower import APPROACH_SPEED, PathReferences
+from lpv.core.control.path_follower import PathReferences, approach_speeds
 from lpv.core.control.tracking import (
     COMPENSATION,
     TrackingController,
@@ -513,8 +513,8 @@ def run_closed_loop(
     simulator = ArmSimulator(arm, scenario, substeps)
     monitor = SerialSensorMonitor('loop', arm, parameters, gains, observer)
     controller = make_controller(arm, gains, bandwidth)
-    speed = min(APPROACH_SPEED, *arm.velocity_limit)
-    references = PathReferences(scenario.path(arm), arm.sample_time, count, speed)
+    speeds, scales = approach_speeds(arm, TrackerLimits.speed), arm.scales()
+    references = PathReferences(scenario.path(arm), arm.sample_time, count, speeds, scales)
     plant = _Plant(
         simulator.chain,
         memory(simulator.constants),

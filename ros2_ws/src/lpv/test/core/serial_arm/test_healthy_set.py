@@ -7,12 +7,14 @@ import pytest
 from serial_arms import shoulder_arm, watch
 from simulated_runs import Push, simulated_run
 
+from lpv import load_arm
 from lpv.core.monitoring import alarm_text, message_fields, serial_monitor
 from lpv.core.serial_arm import description, simulation
-from lpv.core.serial_arm.certificate.jump_bound import jump_bound
+from lpv.core.serial_arm.certificate.jump_bound import NET_TORQUE, jump_bound
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.diagnosis.alarms import GUARANTEED, STATISTICAL
 from lpv.core.serial_arm.diagnosis.parameter_set import member, parameter_set, payload_generator
+from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.simulation.faults import Fault
 
 STATED = description.Uncertainty(payload=0.5, friction=0.3, model_error=0.05)
@@ -132,6 +134,17 @@ def test_given_faults_or_ranges_when_told_then_rate_basis_and_thresholds_are_sai
     assert all('guaranteed threshold [rad]' not in one['values'] for one in sensors)
     pushed = answers(pushes=[Push(4.0, 4.6, (0.0, 25.0, 12.0))], duration=7.0)[1][0]
     assert 'none of offsets' in pushed['values']['guarantee']
+
+
+def test_given_rotors_that_couple_joints_when_bounded_then_no_acceleration_is_above_it():
+    arm = load_arm('ur10')
+    last = replace(arm.joints[5], rotor_coupling=-0.18)
+    arm = replace(arm, joints=(*arm.joints[:5], last))
+    model, fastest = SerialModel(compile_chain(arm)), np.zeros(6)
+    for q in np.random.default_rng(0).uniform(-np.pi, np.pi, (50, 6)):
+        inverse = np.linalg.inv(model.mass_matrix(q))
+        fastest = np.maximum(fastest, np.abs(inverse) @ np.array(arm.torque_limit))
+    assert np.all(NET_TORQUE * fastest * arm.sample_time**2 < jump_bound(arm))
 
 
 @RATES

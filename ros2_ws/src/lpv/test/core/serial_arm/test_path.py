@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 import yaml
 from nested import changed
-from serial_arms import shoulder_arm
+from serial_arms import scara, shoulder_arm
 
 from lpv.core.control.path import CartesianPath, Obstacle, PlanarWaypoints, Reference
-from lpv.core.control.path_follower import PathFollower
+from lpv.core.control.path_follower import PathFollower, approach_speeds
 from lpv.core.control.serial_path import PoseWaypoints, SerialPath
+from lpv.core.control.watchdog import StopReason, TrackerLimits, TrackerWatchdog
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import JointLimits
 from lpv.core.simulation.arm_simulator import ArmSimulator
@@ -271,3 +272,29 @@ def test_given_a_stop_when_it_goes_on_then_from_where_it_stopped_to_the_same_pat
     guide.stop()
     rows = follow(guide, half, 9_000_000_000, 3.0)
     assert_goes(rows, half, shipped, 2.998 - 1.875 * np.abs(half - target).max() / 0.5)
+
+
+def slow_arm():
+    """Joint 1 does 0.3 rad/s."""
+    slow = replace(ARM.joints[0], limits=JointLimits(velocity=0.3))
+    return replace(ARM, joints=(slow, *ARM.joints[1:]))
+
+
+@pytest.mark.parametrize('arm, joint, offset', [
+    (slow_arm(), 0, 1.0), (scara(), 2, 0.03), (scara(), 2, 0.1), (scara(), 1, 0.04),
+], ids=['slow', 'near', 'far', 'at_once'])  # fmt: skip
+def test_given_slow_or_sliding_joints_when_guided_then_no_watchdog_stops_their_approach(
+    arm, joint, offset
+):
+    place = np.array([0.1, 0.3, -0.12, 0.2][: len(arm.joints)])
+    path = SerialPath(arm, (0.0, 1.0), np.array([place, place + 0.01]))
+    dog, limits = TrackerWatchdog(arm, TrackerLimits()), TrackerLimits()
+    guide = PathFollower(path, approach_speeds(arm, limits.speed), arm.scales())
+    position, rate = place + offset * (np.arange(len(place)) == joint), np.zeros(len(place))
+    for k in range(7000):
+        assert dog.check_estimate(k * STEP, 0, 0, True, rate, rate) is StopReason.NONE
+        row = guide.reference(k * STEP, position)
+        assert dog.check_motion(k * STEP, row.position, position, position) is StopReason.NONE
+        rate = (row.position - position) / 0.05  # late by 0.05 s
+        position = position + 0.002 * rate
+    np.testing.assert_allclose(position, path.sample(1.0).position, atol=1e-3)

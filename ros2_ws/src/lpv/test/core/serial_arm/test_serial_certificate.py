@@ -91,6 +91,23 @@ def test_given_random_configurations_then_the_mass_matrix_keeps_its_bounds(arm, 
     assert (worst > 0.75 * bounds).all()  # they are not idle either
 
 
+@pytest.mark.parametrize('joint', [4, 5])
+def test_given_rotors_that_couple_joints_when_verified_then_false_bounds_are_found(joint):
+    """M(q) of such an arm falls below what the rotors' inertias alone promise."""
+    plain, gains = FILES['ur10']
+    one, before = plain.joints[joint], plain.joints[joint - 1]
+    coupling = -0.8 * (one.rotor_inertia * before.rotor_inertia) ** 0.5
+    joints = list(plain.joints)
+    joints[joint] = replace(one, rotor_coupling=coupling)
+    arm = replace(plain, joints=tuple(joints))
+    mass = SerialModel(compile_chain(arm)).mass_matrix(np.zeros(6))
+    assert 0.0 < np.linalg.eigvalsh(mass)[0] < 0.5 * gains.model.inertia.min()
+    checks = verify_loop(arm, replace(gains, arm_sha256=arm.sha256(), checksum=''))
+    failed = [check.name for check in checks if not check.holds]
+    assert any('M(q) >= diag(c)' in name for name in failed)
+    assert any('viscous friction' in name for name in failed)
+
+
 FORGED = {
     0.0: 'sampled.multipliers', 0.8: 'bandwidth', 1.3: 'rate_share', 'none': 'motion.lyapunov',
     0.9: 'model.payload model.damping model.growth error.level error.bound',

@@ -337,3 +337,33 @@ def test_given_a_joint_without_limits_when_its_reading_wraps_then_it_goes_on(rat
     limited = replace(arm, joints=(shoulder_arm().joints[0], *arm.joints[1:]))
     _, answers = observe(stamps, samples, SerialSensorMonitor('/uio', limited))
     assert any(event.sensor == 'encoder1' for _, event in answers.events)
+
+
+def test_given_a_joint_that_turns_for_an_hour_when_observed_then_its_readings_stay_plausible():
+    endless = replace(ARM.joints[0], limits=JointLimits(velocity=3.0))
+    monitor = SerialSensorMonitor('/uio', replace(ARM, joints=(endless, *ARM.joints[1:])))
+    step = np.pi / 2.0 * (np.arange(4000) % 4 - 1.5)  # a quarter of a turn from sample to sample
+    readings = np.stack([step, 0.5 + 0.0 * step, -1.0 + 0.0 * step], axis=1)
+    rates = np.tile([np.pi / 1.2, 0.0, 0.0], (len(step), 1))
+    stamps = START + 600_000_000 * np.arange(len(step), dtype=np.int64)
+    answers = monitor.take_many(stamps, readings, rates, np.zeros_like(rates))
+    assert monitor.counters.implausible == 0
+    assert answers.state.measured_position[-1, 0] > 6000.0
+    for joint in range(2):
+        readings[10 * joint :, joint] += 2000.0
+        part = slice(10 * joint, 10 * joint + 10)
+        later = stamps[part] + (joint + 1) * HOUR
+        monitor.take_many(later, readings[part], rates[part], np.zeros((10, 3)))
+        assert monitor.counters.implausible == 8 * (joint + 1)  # of a stream from the third on
+
+
+def test_given_torques_of_commands_when_efforts_have_another_unit_then_they_are_in_newton_metres():
+    stamps, samples, _ = recorded()
+    geared = (replace(j, torque_gain=-20.0) for j in ARM.joints)
+    plain = SerialSensorMonitor('/uio', ARM)
+    monitor = SerialSensorMonitor('/uio', replace(ARM, joints=tuple(geared)))
+    for k in range(600):
+        position, velocity, torque = samples[k]
+        one = message(position=position, velocity=velocity, effort=[0.0] * 3)
+        found, expected = (m.take(int(stamps[k]), one, torque) for m in (monitor, plain))
+        np.testing.assert_allclose(found.fault['estimate'], expected.fault['estimate'], atol=1e-9)

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from lpv.core.serial_arm.certificate.link_forms import spatial_inertia
-from lpv.core.serial_arm.chain import FloatArray
+from lpv.core.serial_arm.certificate.link_forms import rotors_below, spatial_inertia
+from lpv.core.serial_arm.chain import FloatArray, compile_chain
 from lpv.core.serial_arm.description import SerialArm
 
 SIGMAS = 8.0
@@ -44,10 +44,10 @@ def jump_bound(arm: SerialArm) -> FloatArray:
 def _acceleration(arm: SerialArm) -> FloatArray:
     """Largest accelerations of the readings S q in every configuration [rad/s2].
 
-    M >= diag(c) with the rotors' inertias c, as the links' part is positive semidefinite: from
+    M >= diag(c) with c of the rotors' inertias, as the links' part is positive semidefinite: from
     a^T M a = a^T tau follows sum c a^2 <= sum tau^2 / c, and (s a)^2 <= sum c a^2 sum s^2 / c.
     """
-    rotor = np.array([joint.rotor_inertia for joint in arm.joints])
+    rotor = rotors_below(compile_chain(arm).motor)
     links = [np.linalg.eigvalsh(spatial_inertia(joint.link.to_vector())) for joint in arm.joints]
     semidefinite = all(one.min() >= -1e-9 * max(one.max(), 1.0) for one in links)
     if rotor.min() <= 0.0 or not semidefinite:

@@ -59,6 +59,18 @@ def spatial_inertia(body: np.ndarray) -> np.ndarray:
     return np.block([[about, moment], [moment.T, body[0] * np.eye(3, dtype=int)]])
 
 
+def rotors_below(motor: FloatArray) -> FloatArray:
+    """Diagonal of a matrix that is nowhere above the rotors' one, shape (n,) [kg m2].
+
+    What couples two joints counts against both of them (Gershgorin), rounded down.
+    """
+    result = np.diag(motor).copy()
+    coupling = np.abs(motor - np.diag(result)).sum(axis=1)
+    coupled = coupling > 0.0
+    result[coupled] = np.nextafter(result - np.nextafter(coupling, np.inf), -np.inf)[coupled]
+    return result
+
+
 def placements(rotation: np.ndarray, translation: np.ndarray) -> list[np.ndarray]:
     """X_i: twist of a frame from that of the frame before, at q_i = 0, each of shape (6, 6)."""
     zero = np.zeros((3, 3), dtype=int)

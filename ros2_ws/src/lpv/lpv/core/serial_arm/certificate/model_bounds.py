@@ -19,6 +19,7 @@ from lpv.core.serial_arm.certificate.link_forms import (
     chain_inequalities,
     invariant_basis,
     placements,
+    rotors_below,
     spatial_inertia,
     steps,
 )
@@ -36,7 +37,7 @@ class ChainNumbers(NamedTuple):
     placement: list[np.ndarray]  # X_i, n of shape (6, 6)
     inertia: list[np.ndarray]  # spatial inertias, n of shape (6, 6)
     payload: np.ndarray  # spatial inertia of the largest payload, on the last link, (6, 6)
-    rotor: np.ndarray  # (n,) [kg m2]
+    rotor: np.ndarray  # diagonal below the rotors' matrix, (n,) [kg m2]
     viscous: np.ndarray  # (n,), without what is negative [N m s/rad]
     rates: np.ndarray  # velocity limits, (n,) [rad/s]
 
@@ -67,7 +68,7 @@ def chain_numbers(arm: SerialArm) -> ChainNumbers:
         placements(chain.rotation, chain.translation),
         [spatial_inertia(body) for body in chain.inertial],
         spatial_inertia(load),
-        np.diag(chain.motor).copy(),
+        rotors_below(chain.motor),
         np.maximum(chain.friction[:, VISCOUS], 0.0),
         np.array(arm.velocity_limit, dtype=float),
     )
