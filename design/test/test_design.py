@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from itertools import product
 
 import cvxpy as cp
 import numpy as np
@@ -13,6 +14,7 @@ from lpv.core.serial_arm.certificate.conditions import require_loop
 from lpv.core.serial_arm.description import Uncertainty
 from lpv.core.support import inequalities, resources
 from lpv.core.uio.certificate import conditions, error_system, lmi
+from lpv.core.uio.certificate.exact_proof import prove
 from lpv.core.uio.certificate.gains import ExactObserverGains, load_gains
 from lpv.core.uio.model.polytope import sinc_box, vertex_matrices
 from lpv.core.uio.planar import planar_model
@@ -242,6 +244,26 @@ def test_given_all_noise_scaled_then_only_deviations_scale(paper_model, factor):
     shipped = designed('paper').observer
     assert_same_gains(found.kappa, shipped.kappa)
     assert_same_gains(found.fault_sigma, factor * shipped.fault_sigma)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('direction', [(0.7, 0.0), (0.7, 2.0), (0.7, -2.0)])
+def test_given_one_disturbance_of_both_axes_then_its_deviation_is_as_certified(
+    paper_model, direction
+):
+    quiet = {'velocity_noise': 1e-3, 'position_noise': 1e-5, 'disturbance_variance': 30.0}
+    arm = replace(paper_model, disturbance_direction=direction, **quiet)
+    gains = design_flow.design(arm, load_requirement('paper')).gains
+    proved = prove(arm, gains)
+    push = np.array(direction) * np.sqrt(arm.disturbance_variance * arm.sample_time)
+    for link in error_system.link_errors(arm):
+        i = link.index
+        assert proved[f'observer, link {i + 1}: covariance under the noise of the arm file']
+        most = link.unit * np.sqrt(np.linalg.inv(gains.observer.lyapunov[i])[0, 0])
+        for slope, row in product(link.slopes, link.rows):
+            n = link.closed(slope, gains.observer.kappa[i], gains.observer.mu[i])
+            b = np.array([[0.0], [row @ push / link.inertia]])
+            assert np.sqrt(solve_continuous_lyapunov(n, -b @ b.T)[0, 0]) < most
 
 
 @pytest.mark.slow

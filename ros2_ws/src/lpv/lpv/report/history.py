@@ -27,6 +27,8 @@ _MEANING = {
     NOT_DIAGNOSABLE: 'the level of the fault estimate says nothing in this configuration',
     NO_DATA: 'no usable reading',
 }
+_LATE = 0.1
+"""An alarm so long after a spike is still of it [s]."""
 _MOST = 8
 """Intervals of one kind that are listed individually."""
 _MOST_TIPS = 5000
@@ -127,12 +129,16 @@ def episodes(record: RunRecord) -> list[Episode]:
 
 
 def _start(record: RunRecord, event: RecordedAlarm, faults: list[FaultSpan] | None) -> Episode:
-    raised = record.seconds(event.detected)
+    onset, raised = record.seconds(event.onset), record.seconds(event.detected)
+    late = _late(event.kind)
     mine = [f.start for f in faults or ()
-            if f.sensor_index == event.sensor_index and f.start <= raised <= f.end]  # fmt: skip
-    true_onset = None if faults is None else mine[-1] if mine else math.nan
+            if f.sensor_index == event.sensor_index and f.start <= raised <= f.end + late
+            ]  # fmt: skip
+    # The truth has faults of positions alone.
+    unknown = faults is None or (event.kind == 'rate_bias' and not mine)
+    true_onset = None if unknown else mine[-1] if mine else math.nan
     return Episode(
-        event.sensor, event.sensor_index, record.seconds(event.onset), raised, None, event.size,
+        event.sensor, event.sensor_index, onset, raised, None, event.size,
         event.bound, math.nan, event.kind, event.confidence, true_onset,
     )  # fmt: skip
 
@@ -155,11 +161,16 @@ def _with_estimates(record: RunRecord, episode: Episode) -> Episode:
     return replace(episode, size=float(values[-1]), bound=float(bound[rows[-1], i]))
 
 
+def _late(kind: str) -> float:
+    """How long after the end of a fault its alarm may be raised [s]: a spike is over by then."""
+    return _LATE if kind == 'spike' else 0.0
+
+
 def missed_faults(record: RunRecord, found: list[Episode]) -> list[FaultSpan]:
     """True faults during which no alarm was raised or active; none without ground truth."""
     return [
         fault for fault in true_faults(record) or []
-        if not any(e.sensor_index == fault.sensor_index and e.raised <= fault.end
+        if not any(e.sensor_index == fault.sensor_index and e.raised <= fault.end + _late(e.kind)
                    and (e.cleared is None or e.cleared > fault.start) for e in found)
     ]  # fmt: skip
 

@@ -409,9 +409,13 @@ def test_given_alarms_when_judged_then_each_fault_has_its_verdict(faults, events
 
 
 def test_given_a_fault_when_its_true_size_is_asked_for_then_it_is_that_of_the_time():
-    drift, changes = Fault('a', 'drift', 1.0, rate=-0.1), ({}, {'size': 0.15}, {'duration': 1.0})
+    drift = Fault('a', 'drift', 1.0, rate=-0.1)
+    changes = {}, {'size': 0.15}, {'size': -0.15}, {'duration': 1.0}
     sizes = [true_size(replace(drift, **change), 3.0) for change in changes]
-    assert sizes == pytest.approx([-0.2, 0.15, -0.1])
+    assert sizes == pytest.approx([-0.2, -0.15, -0.15, -0.1])
+    for change, size in zip(changes[:3], sizes):  # as it is injected
+        injector = FaultInjector(('a',), [replace(drift, **change)], np.random.default_rng(1))
+        assert injector.apply(3.0, np.zeros(1), 0.01) == pytest.approx([size])
     assert true_size(replace(drift, kind='stuck'), 3.0) is None
 
 

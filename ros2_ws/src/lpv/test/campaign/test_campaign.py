@@ -9,6 +9,7 @@ import sys
 import time
 from collections import Counter
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,15 +19,19 @@ from ros2_commands import Running
 from lpv import ConfigError, Fault, load_arm, save_gains
 from lpv.campaign.execution import execute
 from lpv.campaign.execution.execute import WorkerError, chunks_of, worker_pool
+from lpv.campaign.execution.run_metrics import figures
 from lpv.campaign.execution.runs import plan_run, run_one
 from lpv.campaign.plan import random_paths, spec
 from lpv.campaign.plan.campaign import Campaign, resolve
 from lpv.core.control.path import CartesianPath, PlanarWaypoints
 from lpv.core.control.serial_path import SerialPath
+from lpv.core.serial_arm.arm_file import save_arm
+from lpv.core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent
 from lpv.core.simulation.closed_loop import run_closed_loop
 from lpv.core.support import config, resources
 from lpv.core.uio.model.joints import JointMap
 from lpv.core.uio.planar import planar_model
+from lpv_design.requirement import SHIPPED
 
 pytestmark = pytest.mark.slow
 
@@ -194,6 +199,49 @@ def test_given_a_twin_or_late_commands_when_run_then_errors_are_compared_or_the_
     assert row['healthy_time'] == row['early_time'] and row['fault_size'] == 0.3
     late = resolved('{path: random, command_delay: 60.0}')
     assert run_one(late, 0)['braked_time'] > 0.5
+
+
+def test_given_a_wrong_rate_when_it_is_named_then_it_is_found_and_no_alarm_is_false(tmp_path):
+    arm = load_arm('ur10')
+    joints = [replace(j, sensors=replace(j.sensors, rates='independent')) for j in arm.joints]
+    save_arm(replace(arm, joints=tuple(joints), covariance=None), tmp_path / 'arm.yaml')
+    factors = {'fault.kind': 'rate_bias', 'fault.sensor': 'elbow_encoder', 'fault.size': 0.3}
+    spec = {**UR10, 'arm': 'arm.yaml', 'duration': 4.0, 'factors': {**factors, 'fault.onset': 3.0}}
+    row = run_one(resolve(spec, 'rates', tmp_path), 0)
+    assert row['isolated'] and row['said_kind'] == row['kind'] == 'rate_bias'
+    assert row['false_alarms'] == row['wrong_alarms'] == 0 and row['detection_delay'] < 0.3
+
+
+@pytest.mark.parametrize(('at', 'delay'), [(2.0, None), (5.5, 0.5)])
+def test_given_two_faults_when_an_alarm_comes_before_its_own_then_that_was_not_found(at, delay):
+    alarms = [
+        Alarm(AlarmEvent.RAISED, i, 'ab'[i], round(1e9 * (t - 0.01)), round(1e9 * t), 0.1, 0.1,
+              'bias', 1.0)
+        for i, t in enumerate((1.1, at))
+    ]  # fmt: skip
+    faults = Fault('a', 'bias', 1.0, size=0.1), Fault('b', 'bias', 5.0, size=0.1)
+    time, zeros = np.arange(0.0, 8.0, 0.1), np.zeros((80, 2))
+    signals = 'position', 'reference', 'torque', 'fault', 'fault_estimate', 'estimate'
+    run = SimpleNamespace(
+        time=time, alarms=alarms, threshold=zeros + 0.1, braked=time < 0.0,
+        inconsistent=time < 0.0, **dict.fromkeys(signals, zeros),
+    )  # fmt: skip
+    arm = SimpleNamespace(sensor_names=('a', 'b'), sample_time=0.1)
+    scenario = SimpleNamespace(faults=faults, seed=1)
+    row = figures(SimpleNamespace(arm=arm, scenario=scenario), run)
+    assert row['detected'] == row['isolated'] == (delay is not None)
+    assert row['wrong_alarms'] == (delay is None) and row['false_alarms'] == 0
+    assert row['detection_delay'] == pytest.approx(delay or np.nan, nan_ok=True)
+
+
+def test_given_another_requirement_below_the_same_name_then_the_campaign_is_another_one(tmp_path):
+    requirement = config.read_yaml(SHIPPED / 'paper.yaml')
+    keys = set()
+    for fastest in (60.0, 60.0, 30.0):
+        requirement['observer']['fastest'] = fastest
+        written(tmp_path / 'mine.yaml', requirement)
+        keys.add(resolve({**SMALL, 'designs': ['mine.yaml']}, 'spec', tmp_path).key)
+    assert len(keys) == 2
 
 
 def test_given_steps_of_a_serial_arms_encoders_when_run_then_all_and_only_these_are_named():

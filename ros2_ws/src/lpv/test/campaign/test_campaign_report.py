@@ -78,6 +78,19 @@ def test_given_scores_or_sizes_when_swept_then_area_and_smallest_size_are_those_
     assert found_from(sizes, np.ones(20, bool)) == pytest.approx(0.1)
     assert math.isnan(found_from(sizes, np.zeros(20, bool)))
     assert math.isnan(found_from(sizes[:5], np.ones(5, bool)))  # too few to say anything
+    levels, found = np.repeat([0.5, 0.1], 10), np.arange(20) < 11
+    assert found_from(levels, found) == found_from(levels[::-1], found[::-1]) == 0.5
+
+
+def test_given_bags_without_truth_when_swept_then_their_alarms_are_no_part_of_the_curve(
+    campaign, row, tmp_path
+):
+    alarmed = {'kind': 'bias', 'sensor': SENSORS[0], 'score_during_1': 2.0, 'alarms_before_1': 1}
+    known = [row(number, **alarmed) for number in range(4)]
+    unknown = {name: None for name in known[0] if name.startswith('alarms_before')}
+    for rows in (known, [*known, *(row(9, kind='', **unknown) for _ in range(12))]):
+        (curve,) = report_numbers(campaign, table(rows), tmp_path, len(rows))['roc']
+        assert curve['raised'][0] == 0.5  # one of two sensors
 
 
 def test_given_answers_when_counted_then_the_matrix_is_that_of_the_rows():

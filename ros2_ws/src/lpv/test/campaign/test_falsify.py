@@ -13,6 +13,7 @@ from lpv.core.serial_arm.arm_file import save_arm
 from lpv.core.serial_arm.description import Uncertainty
 from lpv.core.uio.model.joints import J
 from lpv.core.uio.planar import planar_model
+from lpv.identify.sensors.sensing import noise_deviation
 
 pytestmark = pytest.mark.slow
 
@@ -51,6 +52,14 @@ def test_given_a_nominal_healthy_run_when_simulated_then_samples_obey_the_file(a
     mean = [np.convolve(column, np.ones(50) / 50, 'valid') for column in (slope - rate).T]
     noise = arm.joints[0].sensors.position_noise / (50 * arm.sample_time)
     assert np.abs(mean).max() < 0.1 + 2.0 * noise
+
+
+def test_given_sensors_of_sums_when_simulated_then_each_has_its_stated_noise(paper_arm):
+    attacker = Attacker(paper_arm, 4.0)
+    assert attacker.simulate(attacker.attack(np.zeros(attacker.numbers), 1))
+    readings = attacker.samples[:, 0] @ paper_arm.joints_to_sensors().T
+    stated = [joint.sensors.position_noise for joint in paper_arm.joints]
+    assert noise_deviation([readings]) == pytest.approx(stated, rel=0.1)
 
 
 def test_given_a_serial_arm_when_attacked_then_only_a_monitor_told_too_little_is_crossed(ur10):

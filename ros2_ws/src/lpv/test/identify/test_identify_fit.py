@@ -67,6 +67,14 @@ def test_given_links_or_friction_when_checked_or_rescaled_then_torques_are_as_th
     motion = np.random.default_rng(5).normal(size=(3, 20, 3))
     expected = pytest.approx(1.3 * joint_torques(arm, *motion))
     assert joint_torques(rescaled(arm, 1.3), *motion) == expected
+    errors = {'torque_error': (0.1, 0.2, 0.3), 'torque_error_speed': (0.0, 0.1, 0.2)}
+    stated = replace(arm.uncertainty, torque_error_time=0.5, **errors)
+    last = replace(arm.joints[2], rotor_coupling=0.01)
+    found = rescaled(replace(arm, uncertainty=stated, joints=(*arm.joints[:2], last)), 1.3)
+    assert found.uncertainty.torque_error == pytest.approx((0.13, 0.26, 0.39))
+    assert found.uncertainty.torque_error_speed == pytest.approx((0.0, 0.13, 0.26))
+    assert found.uncertainty.torque_error_time == 0.5
+    assert found.joints[2].rotor_coupling == pytest.approx(0.013)
 
 
 def test_given_friction_that_falls_too_far_when_fitted_then_the_arm_can_be_read(

@@ -14,10 +14,11 @@ from ur10e_twin import ur10e
 
 from lpv.core.serial_arm.arm_file import load_arm, save_arm
 from lpv.core.serial_arm.chain import compile_chain
-from lpv.core.serial_arm.description import LpvRegion
+from lpv.core.serial_arm.description import JointFriction, LpvRegion
 from lpv.core.serial_arm.dynamics.kinematics import forward_kinematics
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.support.errors import ConfigError, LpvError
+from lpv.core.support.resources import bringup_file
 from lpv.identify.errors import IdentificationError
 from lpv.identify.estimation import delays, mistakes
 from lpv.identify.estimation.torque_error import calibrate, torque_error, torque_tolerance
@@ -58,6 +59,15 @@ def test_given_any_parameters_when_reduced_to_base_ones_then_torques_stay(arm, s
     assert np.linalg.matrix_rank(full[:, :, base.columns].reshape(-1, base.size)) == base.size
 
 
+def test_given_a_rotor_that_a_link_carries_then_torques_are_those_of_the_dynamics():
+    arm = load_arm(bringup_file('arms', 'real_arm'))
+    first, second = (replace(joint, friction=JointFriction()) for joint in arm.joints)
+    arm = replace(arm, joints=(first, replace(second, rotor_coupling=-0.01)))
+    motion = np.random.default_rng(2).normal(size=(3, 20, 2))
+    expected = [SerialModel(compile_chain(arm)).torque(*sample) for sample in zip(*motion)]
+    assert rigid_body.joint_torques(arm, *motion) == pytest.approx(np.array(expected), abs=1e-12)
+
+
 @pytest.fixture(scope='module')
 def plan(arm):
     return plan_excitation(arm, 12.0, trials=40)
@@ -72,6 +82,20 @@ def test_given_limits_when_planned_then_the_motion_keeps_them_and_rests_at_its_e
     assert np.abs([rate[[0, -1]], acceleration[[0, -1]]]).max() < 1e-9
     # More trials inform more.
     assert plan.information > plan_excitation(arm, 12.0, trials=1).information
+
+
+def test_given_heavy_rotors_and_friction_when_planned_then_torques_keep_their_limits(arm):
+    friction = JointFriction(2.0, 0.1, 1.0, 50.0, 0.1)
+    limits = [max(3.0 * torque, 20.0) for torque in plan_excitation(arm, 12.0, trials=3).torque]
+    joints = [
+        replace(one, rotor_inertia=8.0, friction=friction, limits=replace(one.limits, torque=most))
+        for one, most in zip(arm.joints, limits)
+    ]
+    heavy = replace(arm, joints=tuple(joints))
+    plan = plan_excitation(heavy, 12.0, trials=10)
+    motion = plan.trajectory.sample(np.arange(0.0, 12.0, 0.02))
+    largest = np.abs(rigid_body.joint_torques(heavy, *motion)).max(axis=0)
+    assert np.all(largest <= 1.001 * plan.torque) and np.all(plan.torque < limits)
 
 
 def test_given_a_floor_when_planned_then_the_tip_stays_above_or_it_is_said_that_none_does(arm):

@@ -153,6 +153,16 @@ def test_given_faults_and_alarms_when_reported_then_misses_and_false_alarms_are_
     assert '<b>' not in page and '<b>left</b>' in [cells[0] for cells in rows(page)]
 
 
+def test_given_a_spike_or_a_wrong_rate_when_its_alarm_comes_later_then_it_is_not_false():
+    record = made_up([(0, 200, 201)], [event(208, 208, kind='spike')])
+    (found,) = episodes(record)
+    assert not found.false_alarm and found.delay == pytest.approx(0.008)
+    assert missed_faults(record, [found]) == []
+    for kind, false in (('rate_bias', False), ('bias', True)):  # the truth has no rates' faults
+        (found,) = episodes(made_up([], [event(203, 200, kind=kind)]))
+        assert found.false_alarm is false and found.delay is None
+
+
 def test_given_a_prismatic_joint_when_reported_then_its_figures_are_in_metres(paper_arm, capsys):
     first, second = paper_arm.joints
     arm = replace(paper_arm, joints=(first, replace(second, type='prismatic')))

@@ -69,5 +69,6 @@ def true_size(fault: Fault, time: float) -> float | None:
         time = min(time, fault.onset + fault.duration)
     if fault.kind == 'drift':
         grown = fault.rate * (time - fault.onset)
-        return grown if fault.size == 0.0 else min(grown, fault.size, key=abs)
+        # The sign of the limit does not count, as in `lpv.core.simulation.faults.apply_faults`.
+        return grown if fault.size == 0.0 else min(max(grown, -abs(fault.size)), abs(fault.size))
     return fault.size if fault.kind == 'bias' else None

@@ -21,7 +21,6 @@ _EARLY = 0.1
 def figures(plan: Any, run: Any, twin: Any = None) -> dict[str, Any]:
     """Figures of a run and its healthy twin, see docs/scenario-file.md; NaN: none to measure."""
     scheduled = plan.scenario.faults
-    faults = [f for f in scheduled if f.kind != 'rate_bias']
     begin, end = _interval(plan.scenario)
     before, during = run.time < begin, (run.time >= begin) & (run.time < end)
     names, period = plan.arm.sensor_names, plan.arm.sample_time
@@ -35,7 +34,7 @@ def figures(plan: Any, run: Any, twin: Any = None) -> dict[str, Any]:
         'early_time': float(before.sum() * period),
         'healthy_time': float((~during).sum() * period),
     }
-    result.update(_alarm_figures(run, faults, names, begin, end))
+    result.update(_alarm_figures(run, scheduled, names, begin, end))
     result.update(_estimate_figures(run, before, during))
     result.update(_tracking_figures(plan, run, twin, during))
     return result
@@ -51,6 +50,11 @@ def _interval(scenario: Any) -> tuple[float, float]:
     return begin, end
 
 
+def _onset(fault: Fault | None) -> float:
+    """Begin of a sensor's first fault [s]; infinite if it has none."""
+    return math.inf if fault is None else fault.onset
+
+
 def _named(sensors: Collection[str], names: Sequence[str]) -> str:
     """Sensors as one text: a name, both of two, names joined by +."""
     if len(sensors) == len(names) == 2:
@@ -59,17 +63,21 @@ def _named(sensors: Collection[str], names: Sequence[str]) -> str:
 
 
 def _alarm_figures(
-    run: Any, faults: list[Fault], names: Sequence[str], begin: float, end: float
+    run: Any, faults: Sequence[Fault], names: Sequence[str], begin: float, end: float
 ) -> dict[str, Any]:
     """Alarms while a fault acts count for it; all others are false."""
     raised = [a for a in run.alarms if a.event == AlarmEvent.RAISED]
-    faulty = {f.sensor: f for f in faults}
+    # The first one of each sensor: an alarm before it is none of it.
+    faulty = {f.sensor: f for f in sorted(faults, key=lambda f: -f.onset)}
     own: dict[str, list[Any]] = {}  # alarms that count for each faulty sensor
     for alarm in run.alarms:
-        in_time = begin <= alarm.detected / 1e9 < end and alarm.onset / 1e9 >= begin - _EARLY
-        if alarm.event != AlarmEvent.CLEARED and alarm.sensor in faulty and in_time:
+        if alarm.event == AlarmEvent.CLEARED or alarm.sensor not in faulty:
+            continue
+        onset, detected = faulty[alarm.sensor].onset, alarm.detected / 1e9
+        if onset <= detected < end and alarm.onset / 1e9 >= onset - _EARLY:
             own.setdefault(alarm.sensor, []).append(alarm)
     inside = [a for a in raised if begin <= a.detected / 1e9 < end]
+    wrong = [a for a in inside if faulty and a.detected / 1e9 < _onset(faulty.get(a.sensor))]
     said, nan = {a.sensor for a in inside}, math.nan
     found = bool(own) and set(own) == set(faulty)
     pairs = [(own[sensor][0], f) for sensor, f in faulty.items()] if found else []
@@ -83,9 +91,9 @@ def _alarm_figures(
         **each,
         'alarms': len(raised),
         'false_alarms': len(raised) - len(inside) + (0 if faulty else len(inside)),
-        'wrong_alarms': sum(a.sensor not in faulty for a in inside) if faulty else 0,
+        'wrong_alarms': len(wrong),
         'detected': found,
-        'isolated': found and said == set(faulty),
+        'isolated': found and said == set(faulty) and not wrong,
         'said_sensor': _named(said, names),
         'said_kind': last[-1].kind if last else NO_FAULT,
         'detection_delay': max((a.detected / 1e9 - f.onset for a, f in pairs), default=nan),

@@ -278,7 +278,8 @@ class _StatedRange:
         self.own, self.count, self.to_joint = n + 4, generator_count(self._sizes), np.eye(n)
         self._gain = np.array([joint.torque_gain for joint in arm.joints])
         self.sensing = Sensing(
-            np.eye(n), np.eye(n), np.array([one.position_noise for one in sensors]),
+            arm.sensors_to_joints(), arm.joints_to_sensors(),
+            np.array([one.position_noise for one in sensors]),
             np.array([one.velocity_noise for one in sensors]),
             np.array([one.quantization for one in sensors]),
             np.array([float(one.rates != 'independent') for one in sensors]),

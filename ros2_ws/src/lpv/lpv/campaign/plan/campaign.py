@@ -37,6 +37,7 @@ def resolve(
         'arm': to_mapping(arm),
         'scenarios': {name: read_yaml(_file('scenarios', name, folder)) for name in sorted(names)},
         'gains': {},
+        'designs': {},
     }
     for name in names:
         scenario = parse_scenario(content['scenarios'][name], name)
@@ -48,6 +49,7 @@ def resolve(
             for design in spec.designs:
                 gains = find_gains(design, at, folder)
                 content['gains'][f'{design}@{at.sample_time!r}'] = gains_to_dict(gains)
+        content['designs'] = {name: sha256_of(_design_data(name, folder)) for name in spec.designs}
     campaign = Campaign(json.dumps(content, sort_keys=True))
     campaign.check()
     return campaign
@@ -61,6 +63,16 @@ def _file(kind: str, name: str, folder: str | Path) -> Path:
 def _values(spec: CampaignSpec, name: str) -> tuple[Any, ...]:
     factor = spec.factors.get(name)
     return factor.values if isinstance(factor, Choice) else (DEFAULTS[name],)
+
+
+def _design_data(name: str, folder: str | Path) -> Any:
+    """Content of a gains or requirement file, or of a shipped requirement."""
+    from lpv_design.requirement import SHIPPED
+
+    path = Path(folder) / name
+    if not path.is_file():
+        path = Path(name) if Path(name).suffix in ('.yaml', '.yml') else SHIPPED / f'{name}.yaml'
+    return read_yaml(path)
 
 
 def find_gains(name: str, arm: SerialArm, folder: str | Path = '.') -> Gains:
@@ -94,7 +106,8 @@ class Campaign:
     def key(self) -> str:
         """Hash of everything that can change a result but the software itself."""
         # Gains count by what they were designed from: another version of the solver finds others.
-        fixed = {name: self.content[name] for name in ('spec', 'arm', 'scenarios')}
+        names = 'spec', 'arm', 'scenarios', 'designs'
+        fixed = {name: self.content.get(name, {}) for name in names}
         return sha256_of({**fixed, 'gains': sorted(self.content['gains'])})
 
     @property

@@ -238,7 +238,8 @@ def _roc(results: Results) -> list[dict[str, Any]]:
         mine = hits & (results.kind == kind)[:, None]
         curve = roc(during[mine], before.ravel())
         if curve is not None:
-            raised = [float(np.nanmean(alarms > 0.0)), float(np.nanmean(found[mine]))]
+            known = np.isfinite(alarms)  # of bags without truth nothing is known
+            raised = [float(np.mean(alarms[known] > 0.0)), float(np.nanmean(found[mine]))]
             entries.append({'kind': kind, **curve, 'raised': raised})
     return entries
 

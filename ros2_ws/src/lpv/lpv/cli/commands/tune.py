@@ -167,7 +167,7 @@ def _weight(text: str) -> tuple[str, float]:
 
 
 def _figure(row: dict[str, Any], name: str) -> float:
-    faulty = row['kind'] not in (NO_FAULT, 'rate_bias')
+    faulty = row['kind'] != NO_FAULT
     if name == 'missed':
         return float(not row['detected']) if faulty else math.nan
     if name == 'unstable':

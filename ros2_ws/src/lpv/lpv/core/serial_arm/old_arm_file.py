@@ -99,6 +99,7 @@ def _drive(top: Section) -> dict[str, Any]:
     fields = {
         # The rotor of joint 2 is carried by link 1: R = Ir*[[gr^2+1, -gr], [-gr, gr^2]].
         'rotor': (inertia * (ratio**2 + 1.0), -inertia * ratio, inertia * ratio**2),
+        'offset': (0.0, 0.0),
         'viscous': friction.pair('viscous', 0.0, 0.0, 1e6),
         'coulomb': friction.pair('coulomb', 0.0, 0.0, 1e6),
         'coulomb_slope': friction.number('coulomb_slope', 100.0, above=0.0, high=1e6),

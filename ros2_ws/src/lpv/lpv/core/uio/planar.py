@@ -46,6 +46,7 @@ def planar_model(arm: SerialArm) -> ArmParameters:
         inertia_reference='joint',
         gravity=arm.gravity,
         rotor=(one, arm.joints[1].rotor_coupling, two),
+        offset=tuple(one.offset for one in friction),
         viscous=tuple(one.viscous for one in friction),
         coulomb=tuple(one.coulomb for one in friction),
         coulomb_slope=max(one.coulomb_slope for one in friction),

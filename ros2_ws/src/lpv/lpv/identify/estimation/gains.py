@@ -92,9 +92,16 @@ def rescaled(arm: SerialArm, factor: float) -> SerialArm:
         tolerance = joint.torque_tolerance
         tolerance = replace(tolerance, torque=tuple(factor * t for t in tolerance.torque))
         gain = factor * joint.torque_gain
-        joints.append(replace(joint, torque_gain=gain, torque_tolerance=tolerance))
+        rotors = {'rotor_coupling': factor * joint.rotor_coupling}
+        joints.append(replace(joint, torque_gain=gain, torque_tolerance=tolerance, **rotors))
     covariance = arm.covariance
     if covariance is not None:
         rows = np.array(covariance.factor) * factors.ravel()
         covariance = replace(covariance, factor=tuple(map(tuple, rows.tolist())))
-    return replace(scaled, joints=tuple(joints), covariance=covariance)
+    errors = {
+        name: tuple(factor * value for value in getattr(arm.uncertainty, name))
+        for name in ('torque_error', 'torque_error_speed')
+        if getattr(arm.uncertainty, name) is not None
+    }
+    uncertainty = replace(arm.uncertainty, **errors)
+    return replace(scaled, joints=tuple(joints), covariance=covariance, uncertainty=uncertainty)

@@ -57,8 +57,8 @@ def joint_torques(
     arm: SerialArm, position: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray
 ) -> np.ndarray:
     """Torques of a motion [rad], [rad/s], [rad/s2], friction included, (samples, n) [N m]."""
-    matrix = RigidBody(arm).regressor(position, velocity, acceleration)
+    model = RigidBody(arm)
+    matrix = model.regressor(position, velocity, acceleration)
     rigid = matrix[:, :, : N_INERTIAL * len(arm.joints)] @ arm.inertial_parameters()
     friction = [j.friction.torque(velocity[:, k], rigid[:, k]) for k, j in enumerate(arm.joints)]
-    rotors = np.array([joint.rotor_inertia for joint in arm.joints])
-    return rigid + rotors * acceleration + np.stack(friction, axis=1)
+    return rigid + acceleration @ model.chain.motor + np.stack(friction, axis=1)

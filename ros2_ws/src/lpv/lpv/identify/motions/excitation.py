@@ -105,12 +105,14 @@ class _Search:
     def torques(self, trajectory: Trajectory) -> np.ndarray:
         """Largest torque of each joint, shape (n,) [N m]."""
         motion = trajectory.sample(np.arange(0.0, trajectory.duration, 5 * _CHECK_STEP))
-        links = self._model.regressor(*motion)[:, :, : N_INERTIAL * self._model.n]
-        friction = [
-            j.friction.coulomb + abs(j.friction.viscous) * s
-            for j, s in zip(self._arm.joints, self.speed)
+        full = self._model.regressor(*motion)
+        rigid = full[:, :, : N_INERTIAL * self._model.n] @ self._arm.inertial_parameters()
+        largest, friction = np.abs(rigid).max(axis=0), [j.friction for j in self._arm.joints]
+        most = [
+            abs(f.offset) + f.coulomb + f.load * load + abs(f.viscous) * s
+            for f, load, s in zip(friction, largest, self.speed)
         ]
-        return np.abs(links @ self._arm.inertial_parameters()).max(axis=0) + friction
+        return np.abs(rigid + motion[2] @ self._model.chain.motor).max(axis=0) + most
 
     def _in_workspace(self, trajectory: Trajectory) -> bool:
         if not (np.isfinite(self._bounds.lowest) or np.isfinite(self._bounds.radius)):

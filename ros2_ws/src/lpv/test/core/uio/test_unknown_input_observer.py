@@ -9,6 +9,11 @@ from places import DATA
 
 from lpv import AlarmEvent, ConfigError, Fault
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv.core.support.records import new_record
+from lpv.core.uio.bound.error_bound import error_bound
+from lpv.core.uio.bound.unknown_torque import MOTION, healthy_arm, unknown_torque
+from lpv.core.uio.certificate.error_system import link_errors
+from lpv.core.uio.certificate.noise import exact_fault_sigma
 from lpv.core.uio.planar import planar_model
 from lpv.core.uio.unknown_input_observer import UnknownInputObserver
 
@@ -35,6 +40,50 @@ def test_given_a_healthy_arm_then_bounds_hold(paper_arm, paper_gains, run_paper,
     known = found.fault.bound[500:]
     assert np.isfinite(known).all() and known.max() < 0.5
     assert np.all(np.abs(found.fault.estimate[500:]) <= known)
+
+
+def test_given_constant_friction_then_the_observer_knows_it_and_the_bound_its_share(
+    paper_arm, paper_gains, run_paper
+):
+    friction = [replace(joint.friction, offset=10.0) for joint in paper_arm.joints]
+    joints = [replace(one, friction=f) for one, f in zip(paper_arm.joints, friction)]
+    arm = replace(paper_arm, joints=tuple(joints))
+    with pytest.raises(ConfigError, match='gains.arm_sha256'):
+        UnknownInputObserver(arm, paper_gains)
+    gains = replace(paper_gains, arm_sha256=planar_model(arm).sha256())
+    run = run_paper(arm, gains, faults=(), duration=6.0)
+    (found,) = answers(run, arm, gains, 'uio')
+    (usual,) = answers(run_paper(faults=(), duration=6.0), paper_arm, paper_gains, 'uio')
+    assert found.events == []
+    assert np.all(np.abs(found.fault.estimate[500:]) <= 0.5 * found.fault.bound[500:])
+    assert np.all(found.fault.bound[-1] > 1.05 * usual.fault.bound[-1])
+
+
+@pytest.mark.parametrize('rate', [-2.0, 5.0])
+def test_given_friction_that_falls_with_speed_then_its_error_is_bounded(paper_model, rate):
+    arm = replace(paper_model, viscous=(-2.0, 0.0), coulomb=(20.0, 0.0), friction_error=0.3)
+    viscous = arm.viscous[0] * rate
+    dry = arm.coulomb[0] * 2.0 / np.pi * np.arctan(arm.coulomb_slope * rate)
+    motion = new_record(MOTION, rate=np.array([rate, rate]), margin=np.zeros(2))
+    both = []
+    for one in (arm, replace(arm, viscous=(0.0, 0.0), coulomb=(0.0, 0.0))):
+        torque = np.zeros(2)
+        unknown_torque(healthy_arm(one), motion, torque)
+        both.append(torque[0])
+    assert both[0] - both[1] >= 0.3 * (abs(viscous) + abs(dry))
+
+
+def test_given_noisy_encoders_then_angles_have_the_noise_of_their_own(paper_model, paper_gains):
+    lyapunov = paper_gains.observer.lyapunov
+    angle = [
+        link.unit * np.sqrt(np.linalg.inv(p)[0, 0])
+        for link, p in zip(link_errors(paper_model), lyapunov)
+    ]
+    for noise in (1e-4, 0.05):
+        arm = replace(paper_model, position_noise=noise, arrangement='relative')
+        sigma = exact_fault_sigma(arm, lyapunov)
+        gains = replace(paper_gains, observer=replace(paper_gains.observer, fault_sigma=sigma))
+        assert error_bound(arm, gains, 4.0).angle_noise == pytest.approx(4.0 * np.array(angle))
 
 
 @pytest.mark.parametrize('sensor', [0, 1])

@@ -103,12 +103,14 @@ def error_bound(arm: ArmParameters, gains: Gains, sigmas: float = SIGMAS) -> np.
     sensor_matrix = JointMap(arm).sensor_matrix
     spread, noise = np.abs(sensor_matrix), sigmas * np.asarray(observer.fault_sigma)
     to_angle = np.abs(np.linalg.inv(sensor_matrix))
+    # Of f^ less that of the reading: `exact_fault_sigma` adds squares, not deviations.
+    of_angles = np.sqrt(np.maximum(noise**2 - (sigmas * arm.position_noise) ** 2, 0.0))
     params = new_record(
         BOUND_CONSTANTS,
         sign=arm.sign,
         spread=spread,
         noise=noise,
-        angle_noise=np.linalg.solve(spread, noise),
+        angle_noise=np.linalg.solve(spread, of_angles),
         start=sigmas * arm.position_noise * to_angle.sum(axis=1),
         drift=(sigmas * arm.velocity_noise * math.sqrt(arm.sample_time) * np.hypot(*to_angle.T)),
         bias=RATE_BIAS * arm.velocity_noise * to_angle.sum(axis=1),

@@ -152,7 +152,8 @@ def _friction_error(params: np.record, i: int, rate: float, error: float) -> flo
     """Bound on true less modelled friction of a joint, with the noise of the rate averaged out."""
     # Coulomb friction of a joint that may stand still is set-valued: anything within its limits.
     arm, share = params.arm, params.friction
-    viscous = arm.viscous[i] * (share * abs(rate) + (1.0 + share) * error)
+    viscous = abs(arm.viscous[i]) * (share * abs(rate) + (1.0 + share) * error)
+    viscous += share * abs(arm.offset[i])
     most = (1.0 + share) * arm.coulomb[i]
     slowest = abs(rate) - error - params.joint_noise[i]
     if slowest <= 0.0:

@@ -75,12 +75,13 @@ def _noise(
     period = Fraction(arm.sample_time)
     rates = exact(np.linalg.inv(JointMap(arm).sensor_matrix))  # of whole numbers
     total = np.full((2, 2), Fraction(0), dtype=object)
+    axes = np.count_nonzero(arm.disturbance_direction)  # as of `stated_acceleration_noise`
     for j in range(2):
         seen = (row @ rates[:, j]) / link.inertia
         b = np.array([rates[link.index, j] + kappa * link.inertia * seen, mu * seen])
         total += Fraction(arm.velocity_noise) ** 2 * period * np.outer(b, b)
         push = row[j] * Fraction(arm.disturbance_direction[j]) / link.inertia
-        total[1, 1] += push**2 * Fraction(arm.disturbance_variance) * period
+        total[1, 1] += int(axes) * push**2 * Fraction(arm.disturbance_variance) * period
     return total / Fraction(LinkError.unit) ** 2
 
 

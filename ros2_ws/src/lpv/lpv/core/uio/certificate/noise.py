@@ -15,8 +15,11 @@ from lpv.core.uio.model.state_space import Descriptor
 
 
 def stated_acceleration_noise(arm: ArmParameters) -> np.ndarray:
-    """White accelerations that the arm file's disturbance makes, per axis [rad/s2/sqrt(Hz)]."""
-    intensity = math.sqrt(arm.disturbance_variance * arm.sample_time)
+    """Independent white accelerations whose covariance bounds that of the arm file's disturbance,
+    per axis [rad/s2/sqrt(Hz)]."""
+    # One d drives both axes: (a d_1 + b d_2)^2 <= 2 (a^2 d_1^2 + b^2 d_2^2).
+    axes = np.count_nonzero(arm.disturbance_direction)
+    intensity = math.sqrt(axes * arm.disturbance_variance * arm.sample_time)
     return intensity * np.abs(np.asarray(arm.disturbance_direction, float))
 
 

@@ -20,6 +20,7 @@ ARM_CONSTANTS = record_type(
     ('coupling', 'f8'),  # m2 L1 Lc2, the part of Xi_12 that cos(theta1 - theta2) scales [kg m2]
     ('rotor_coupling', 'f8'),  # the constant part of Xi_12 [kg m2]
     ('gravity', 'f8', (2,)),  # G_i: largest gravity torque of each angle [N m]
+    ('offset', 'f8', (2,)),  # joint friction [N m]
     ('viscous', 'f8', (2,)),  # joint friction [N m s/rad]
     ('coulomb', 'f8', (2,)),  # joint friction [N m]
     ('coulomb_slope', 'f8'),  # steepness of its sign change [s/rad]
@@ -65,7 +66,8 @@ class ArmParameters:
     # rotors: inertia reflected to joint 1, coupling of both joints, inertia reflected to joint 2,
     # in joint coordinates [kg m2]
     rotor: tuple = (0.0, 0.0, 0.0)
-    # joint friction, tau = viscous*v + coulomb*(2/pi)*atan(coulomb_slope*v) [N m s]
+    offset: tuple = (0.0, 0.0)  # constant part of the joint friction [N m]
+    # joint friction, tau = offset + viscous*v + coulomb*(2/pi)*atan(coulomb_slope*v) [N m s]
     viscous: tuple = (0.0, 0.0)
     coulomb: tuple = (0.0, 0.0)  # see viscous [N m]
     coulomb_slope: float = 100.0  # steepness of the Coulomb term [s/rad]
@@ -140,6 +142,7 @@ class ArmParameters:
         return new_record(
             ARM_CONSTANTS,
             **self.numbers()._asdict(),
+            offset=self.offset,
             viscous=self.viscous,
             coulomb=self.coulomb,
             coulomb_slope=self.coulomb_slope,
@@ -186,12 +189,16 @@ class ArmParameters:
         parameters = asdict(self)
         if self.rates == 'independent':
             del parameters['rates']  # as written before rates could be stated
+        if not any(self.offset):
+            del parameters['offset']  # likewise
         return json.dumps(parameters, sort_keys=True)
 
     def sha256(self) -> str:
         """Hash of every parameter of the design: gains carry it, so that they fit one arm only."""
         parameters = asdict(self)
         del parameters['rates']
+        if not any(self.offset):
+            del parameters['offset']  # files without it keep their hash
         return sha256_of(parameters)
 
 

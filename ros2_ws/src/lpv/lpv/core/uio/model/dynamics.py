@@ -37,12 +37,10 @@ def friction(rate_1: float, rate_2: float, params: np.record) -> tuple[float, ..
     """Joint friction J^T tau_f [N m] at absolute rates theta' [rad/s]; joint rates are
     (rate_1, rate_2 - rate_1)."""
     relative = rate_2 - rate_1
-    tau_1 = params.viscous[0] * rate_1 + params.coulomb[0] * _TWO_OVER_PI * math.atan(
-        params.coulomb_slope * rate_1
-    )
-    tau_2 = params.viscous[1] * relative + params.coulomb[1] * _TWO_OVER_PI * math.atan(
-        params.coulomb_slope * relative
-    )
+    slip_1 = _TWO_OVER_PI * math.atan(params.coulomb_slope * rate_1)
+    slip_2 = _TWO_OVER_PI * math.atan(params.coulomb_slope * relative)
+    tau_1 = params.offset[0] + params.viscous[0] * rate_1 + params.coulomb[0] * slip_1
+    tau_2 = params.offset[1] + params.viscous[1] * relative + params.coulomb[1] * slip_2
     return tau_1 - tau_2, tau_2
 
 
