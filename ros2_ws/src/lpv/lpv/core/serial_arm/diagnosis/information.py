@@ -2,8 +2,7 @@
 
 Every balance adds A^T W A of its rows A = [c, J]; the sum over the last L balances is a difference
 of two cumulative sums, so that any window costs the same.  Of A^T W A only what estimates and
-hypotheses need is kept: the rows of the constant part and of the unknowns, and the diagonal of the
-columns of faults.
+hypotheses need is kept: the rows of the constant part and of the unknowns.
 """
 
 from typing import NamedTuple
@@ -38,7 +37,6 @@ class Window(NamedTuple):
     # (capacity + 1, 1 + m, 1 + h + m) sum of A^T W A before each balance, rows of the constant part
     # and of the unknowns
     sums: FloatArray
-    squares: FloatArray  # (capacity + 1, h) the same of the diagonal, columns of faults
     # (1 + m, 1 + h + m) of balances that have left; its columns of faults mean nothing
     past: FloatArray
     loads: FloatArray  # (L, m) unit changes of the load, by the unknowns
@@ -61,9 +59,9 @@ def new_window(
         np.zeros((capacity, joints, size)), np.zeros(capacity), np.ones(capacity),
         np.zeros((capacity, joints)), np.zeros((capacity, joints)), np.zeros((capacity, joints)),
         np.zeros((capacity, joints)), np.zeros(joints, np.int64), np.zeros((capacity, joints)),
-        np.zeros((capacity + 1, 1 + unknowns, size)), np.zeros((capacity + 1, faults)),
-        np.zeros((1 + unknowns, size)), loads, np.zeros(capacity), np.zeros((capacity, len(loads))),
-        np.zeros(unknowns), np.zeros(2, np.int64))  # fmt: skip
+        np.zeros((capacity + 1, 1 + unknowns, size)), np.zeros((1 + unknowns, size)), loads,
+        np.zeros(capacity), np.zeros((capacity, len(loads))), np.zeros(unknowns),
+        np.zeros(2, np.int64))  # fmt: skip
 
 
 @njit_in_place
@@ -174,8 +172,6 @@ def add_products(window: Window, back: int, weights: FloatArray) -> None:
     for a in range(unknowns):
         for b in range(columns):
             window.sums[new, a, b] = window.sums[old, a, b]
-    for b in range(faults):
-        window.squares[new, b] = window.squares[old, b]
     for i in range(weights.shape[0]):
         row, weight = window.rows[at, i], weights[i] * window.trust[at]
         window.weights[at, i] = weight
@@ -185,8 +181,6 @@ def add_products(window: Window, back: int, weights: FloatArray) -> None:
             if factor != 0.0:
                 for b in range(columns):
                     into[b] += factor * row[b]
-        for b in range(faults):
-            window.squares[new, b] += weight * row[1 + b] * row[1 + b]
 
 
 @njit_in_place
@@ -207,15 +201,10 @@ def move_drifts(window: Window, drift: int, offset: int, joints: int, shift: flo
     oldest = sum_slot(window, last)
     for back in range(last + 1):  # the oldest one last: it becomes zero
         at = sum_slot(window, back)
-        sums, squares = window.sums[at], window.squares[at]
+        sums = window.sums[at]
         for a in range(sums.shape[0]):
             for b in range(sums.shape[1]):
                 sums[a, b] -= window.sums[oldest, a, b]
-        for b in range(squares.shape[0]):
-            squares[b] -= window.squares[oldest, b]
-        for j in range(joints):
-            moved = 2.0 * sums[1 + j, drift + j] - shift * sums[1 + j, offset + j]
-            squares[drift - 1 + j] -= shift * moved
         _shift_drifts(sums, drift, offset, joints, shift)
     for at in range(window.rows.shape[0]):
         _shift_drifts(window.rows[at], drift, offset, joints, shift)
