@@ -156,7 +156,7 @@ class Bank:
         self._starts = np.diff([*lengths, 2 * lengths[-1] - lengths[-2]]).astype(float)
         self._outside = new_contact([*lengths, ONSET + 1], push, plan.interval, plan.capacity)
         self._derived = estimator.balance.derived == 1.0
-        self._kinematics = KinematicRows(arm, plan)
+        self.kinematics = KinematicRows(arm, plan)
         self._mass = np.zeros((plan.capacity, n, n))
         self._hypotheses()
         self._evidence = new_evidence(
@@ -165,7 +165,7 @@ class Bank:
         state = new_record(BANK_STATE, statistic=-np.inf)
         self._state = plain(state)
         self.parts = BankParts(
-            self._kinds, self._evidence, self._outside, self._kinematics.parts,
+            self._kinds, self._evidence, self._outside, self.kinematics.parts,
             new_rows(len(lengths), n), self._mass, np.zeros((n, n)),
             arm.sensors_to_joints().T.copy(), arm.joints_to_sensors(), np.zeros(n), np.zeros(n),
             memory(state),
@@ -227,10 +227,6 @@ class Bank:
         momenta: FloatArray = self._mass[:, :, joint]
         return momenta
 
-    def restart(self) -> None:
-        """Begin again after a gap."""
-        self._kinematics.restart()
-
     def restart_statistic(self) -> None:
         """Let causes begin from now on only, as after an alarm."""
         self._state['age'] = 0
@@ -238,39 +234,6 @@ class Bank:
     def note_change(self) -> None:
         """An alarm was raised or cleared: readings are not corrected as they were before."""
         self._state['unchanged'] = 0
-
-    def leave_out_rate(self, joint: int, out: bool) -> None:
-        """Do without the kinematic rows of a joint one of whose sensors has failed, or not."""
-        self._kinematics.leave_out(joint, out)
-
-    def forget_rows(self, joint: int) -> None:
-        """Do without the kinematic rows of a joint so far."""
-        self._kinematics.forget(joint)
-
-    def rate_row(self, joint: int) -> tuple[float, float] | None:
-        """Last kinematic row of a joint and its variance [rad], [rad2]; None without one."""
-        return self._kinematics.last(joint)
-
-    def way(self, joint: int, count: int) -> tuple[float, float] | None:
-        """How far the rate sensor of a joint says that it went while its reading rested.
-
-        Way in the last ``count`` intervals and its standard deviation [rad]; None without a rate
-        of its own.
-        """
-        return self._kinematics.way(joint, count)
-
-    @property
-    def ways_held(self) -> int:
-        """Intervals that `way` knows of."""
-        return self._kinematics.held
-
-    def note_jump(self, joint: int, variance: float) -> None:
-        """A reading jumped, and the jump was taken out, with some error [rad2]."""
-        self._kinematics.note_jump(joint, variance)
-
-    def rate_agrees(self, joint: int, taken_out: float) -> float:
-        """For how long a rate has agreed with its encoder, but for what is taken out [s]."""
-        return self._kinematics.agrees(joint, taken_out)
 
     def compare(
         self, blocks: Callable[[int], FloatArray], stuck: list[Hypothesis]
@@ -364,7 +327,7 @@ class Bank:
                 if course is None:
                     continue
                 rows = count or int(np.ceil(since / interval))
-                gain = course.gain + self._kinematics.explained(i, rows)
+                gain = course.gain + self.kinematics.explained(i, rows)
                 way, sigma = float(course.mean[0]), float(course.covariance[0, 0]) ** 0.5
                 begin = course.begin
                 found.append(Hypothesis('stuck', i, gain, way, sigma, begin, 1.0, one.seen, course))
@@ -757,7 +720,7 @@ class KinematicRows:
         return self.parts.rows[len(self.parts.rows) - self.parts.held[0] :]
 
     def restart(self) -> None:
-        """Forget the rows so far."""
+        """Forget the rows so far, after a gap."""
         self.parts.held[:] = 0
         self.parts.jumps[:] = 0.0
 
@@ -767,7 +730,7 @@ class KinematicRows:
         self.parts.jumps[:, joint] += variance
 
     def leave_out(self, joint: int, out: bool) -> None:
-        """Do without the rows of a joint, or with those to come."""
+        """Do without the rows of a joint one of whose sensors has failed, or with those to come."""
         self.trusted[joint] = self._independent[joint] and not out
         self.forget(joint)
 
@@ -776,7 +739,7 @@ class KinematicRows:
         self._rows[:, joint] = 0.0
 
     def last(self, joint: int) -> tuple[float, float] | None:
-        """Last row of a joint and its variance; None where there is none."""
+        """Last row of a joint and its variance [rad], [rad2]; None where there is none."""
         if not self._independent[joint] or len(self._rows) == 0:
             return None
         return self._told(joint, 1)
@@ -787,7 +750,11 @@ class KinematicRows:
         return len(self._rows)
 
     def way(self, joint: int, count: int) -> tuple[float, float] | None:
-        """As of `Bank.way`."""
+        """How far the rate sensor of a joint says that it went while its reading rested.
+
+        Way in the last ``count`` intervals and its standard deviation [rad]; None without a rate
+        of its own.
+        """
         count = min(max(count, 1), self.held)
         if not self.trusted[joint] or count == 0:
             return None

@@ -139,9 +139,9 @@ def end_of_fault(
     prior = np.log(np.diff(np.concatenate([[0.0], edges, [longest]])) / longest)
     prior += _normal(jump / ages, SIZE['drift']) - np.log(ages) - _slip(jump)
     for k, age in enumerate(ages):
-        way = bank.way(joint, round(age / interval))
+        way = bank.kinematics.way(joint, round(age / interval))
         if way is not None:
-            held = min(round(age / interval), bank.ways_held) * interval
+            held = min(round(age / interval), bank.kinematics.held) * interval
             # The reading went as far as it jumped back, and its rate knew nothing of it.
             expected = jump * min(held / age, 1.0)
             prior[k] += (way[0] * expected - 0.5 * expected**2) / way[1] ** 2

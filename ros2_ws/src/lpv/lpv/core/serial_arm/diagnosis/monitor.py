@@ -390,7 +390,7 @@ class SerialMonitor:
         if self.healthy is not None:
             self.healthy.restart()
         self.estimator.restart()
-        self.bank.restart()
+        self.bank.kinematics.restart()
         self._see_nothing_wrong()
         self._mark_suspects()
         self._tell()
@@ -592,7 +592,7 @@ class SerialMonitor:
         self._doubt_no_more(i)
         if not sensor.active and self._is_small(i, size):
             self._forget(i)
-            self.bank.note_jump(i, sigma**2)
+            self.bank.kinematics.note_jump(i, sigma**2)
             self.healthy = self.guarantee = None  # readings are changed
             return
         if back is None and self.uses_balances:
@@ -605,9 +605,9 @@ class SerialMonitor:
             )
             sigma += float(self.undecided_sigma()[i])
             if sensor.active and end.share >= 1.0 - self.settings.probability_of_wrong_name:
-                self.bank.note_jump(i, sigma**2)
+                self.bank.kinematics.note_jump(i, sigma**2)
                 return  # of a fault that is known
-        self.bank.note_jump(i, sigma**2)
+        self.bank.kinematics.note_jump(i, sigma**2)
         kind = sensor.kind if back is not None else 'bias'
         value = fault if sensor.state is SensorState.ERROR else size
         self._raise(i, kind, now, value, sigma, abs(size) > self._jump_bound[i])
@@ -671,7 +671,7 @@ class SerialMonitor:
         for one in self._ended_filters:
             doubt_ended(one, estimator, bank.momenta_of(one.joint))
         for i, one in self._filters.items():
-            follow(one, estimator, self.sampler, bank.rate_row(i), bank.momenta_of(i))
+            follow(one, estimator, self.sampler, bank.kinematics.last(i), bank.momenta_of(i))
         return Stage.ESTIMATE
 
     def _linearise(self, _: float) -> Stage:
@@ -740,7 +740,7 @@ class SerialMonitor:
         i = one.joint
         one.take_back(self.estimator, self.sampler)
         self._correction[i] = self.sampler.correction[i]
-        self.bank.forget_rows(i)
+        self.bank.kinematics.forget(i)
         self.healthy = self.guarantee = None  # readings were wrong
         self._doubt_no_more(i)
         left = float(self.taken_out()[i])
@@ -930,8 +930,8 @@ class SerialMonitor:
         """How a joint went on while its reading rested, by a rate of its own; None without one."""
         # Rows go from the middle of a block to that of another one.
         interval, end = self.plan.interval, float(self._blocks(1)[-1, 3 * self.joints])
-        way = self.bank.way(i, math.ceil((end - begin) / interval))
-        newest = self.bank.rate_row(i)
+        way = self.bank.kinematics.way(i, math.ceil((end - begin) / interval))
+        newest = self.bank.kinematics.last(i)
         if way is None or newest is None:
             return None
         # The newest row has the mean rate of its interval.
@@ -974,7 +974,7 @@ class SerialMonitor:
         if record.active:
             return
         size, sigma = one.size, one.sigma
-        newest = self.bank.rate_row(one.joint)
+        newest = self.bank.kinematics.last(one.joint)
         if newest is not None:
             # It began somewhere in the first interval of its window; the last one has all of it.
             size, sigma = -newest[0] / self.plan.interval, newest[1] ** 0.5 / self.plan.interval
@@ -998,7 +998,7 @@ class SerialMonitor:
         if self.sampler.derived[i] == 1.0:
             agrees_since = now - float(self.sampler.contrast[CONTRARY_AT, i])
             return agrees_since > STARTS[-1] - self.settings.clear_dwell
-        return self.bank.rate_agrees(i, float(self.sampler.rate_error[i])) > 0.0
+        return self.bank.kinematics.agrees(i, float(self.sampler.rate_error[i])) > 0.0
 
     def _raise_levels(self, now: float) -> Stage:
         """Offsets that gravity and motion show."""
@@ -1084,7 +1084,7 @@ class SerialMonitor:
                 continue
             if record.watch_end(self._rate_agrees(i, now), now, dwell, 0.0) and clears:
                 error = float(self.sampler.rate_error[i])
-                since = now - dwell - self.bank.rate_agrees(i, error)
+                since = now - dwell - self.bank.kinematics.agrees(i, error)
                 correct_rates_since(i, since, -error, self.estimator, self.sampler)
                 self.sampler.rate_error[i] = self.sampler.contrast[REPLACED, i] = 0.0
                 # When exactly the rate was right again is not known.
@@ -1097,7 +1097,7 @@ class SerialMonitor:
     def _trust_rate(self, i: int) -> None:
         """Use the kinematic rows of a joint while no fault of its sensors is known."""
         wrong = self.rates[i].active or i in self._filters or bool(self.sampler.noisy[i])
-        self.bank.leave_out_rate(i, wrong)
+        self.bank.kinematics.leave_out(i, wrong)
 
     def _judge_rates(self, now: float) -> Stage:
         """Whether rates that the file calls independent are derived from their readings."""
@@ -1174,7 +1174,7 @@ class SerialMonitor:
             one.predict(self._last() - since * self.arm.sample_time)
             self._ended_filters.append(one)
         self._correct_no_more(i)
-        self.bank.note_jump(i, sigma**2)  # what the readings before it were wrong by
+        self.bank.kinematics.note_jump(i, sigma**2)  # what the readings before it were wrong by
         sampler.correction[i] = self._correction[i] = kept
 
     def _forget(self, i: int) -> None:

@@ -106,7 +106,7 @@ class ScaleOfJump:
         """What the rate says of the way since the jump, while all of its rows are at hand."""
         since = float(sampler.time[-1]) - self.time
         count = int(since / estimator.plan.interval) - 1
-        way = bank.way(self.joint, count) if 0 < count <= bank.ways_held else None
+        way = bank.kinematics.way(self.joint, count) if 0 < count <= bank.kinematics.held else None
         if way is not None:
             blocks, _ = held_blocks(estimator, sampler, count + 1)
             began = blocks[-1 - count * estimator.plan.blocks, self.joint]
