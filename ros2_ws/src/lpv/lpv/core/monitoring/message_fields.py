@@ -5,7 +5,7 @@ header), so that neither ROS nor a bag library is needed here.
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -30,20 +30,7 @@ _MODES = {
     Mode.STALE: (STALE, 'no usable measurements'),
     Mode.NO_ESTIMATE: (STALE, 'no usable measurement yet'),
 }
-_UNSUPPORTED = 'holding: the arm rests, and the measured torques do not hold it (brakes?)'
 _INCONSISTENT = 'inconsistent, cause unknown: rates, torques and model contradict each other'
-
-
-@dataclass(frozen=True)
-class Findings:
-    """What else is known of observer and sensors."""
-
-    inconsistent: bool  # rates, torques and model contradict each other
-    unsupported: bool  # the arm rests, and the measured torques do not hold it
-    # for each sensor, what contradicts the arm file, by subject
-    warnings: tuple[dict[str, str], ...]
-    note: str = ''  # what the observer's message says where it would say that all is well
-    details: tuple[dict[str, str], ...] = ()  # for each sensor, further key-value pairs
 
 
 def state_fields(state: np.record) -> dict[str, Any]:
@@ -98,25 +85,24 @@ def diagnostic_fields(
     arm: SerialArm,
     state: np.record,
     fault: np.record | None,
-    findings: Findings,
     values: dict[str, Any],
+    note: str,
+    details: tuple[dict[str, str], ...],
 ) -> list[dict[str, Any]]:
     """The ``status`` list of diagnostic_msgs/DiagnosticArray: observer and sensors.
 
     ``name`` is the fully qualified node name, ``fault`` is None without an estimate, and ``values``
-    are the key-value pairs of the observer's status.  Each entry has the fields of
-    diagnostic_msgs/DiagnosticStatus; its ``values`` is a dict of strings.
+    are the key-value pairs of the observer's status; its message is the ``note``, if there is one,
+    where it would say that all is well.  ``details`` are further key-value pairs of each sensor, or
+    empty.  Each entry has the fields of diagnostic_msgs/DiagnosticStatus; its ``values`` is a dict
+    of strings.
     """
     level, message = _MODES[state['mode']]
     if fault is not None and level < STALE:
         if not state['trustworthy']:
             level, message = ERROR, 'a confirmed fault cannot be compensated safely: stop'
-        elif findings.note:
-            level, message = WARN, findings.note
-        elif findings.inconsistent:
-            level, message = WARN, _INCONSISTENT
-        elif findings.unsupported:
-            level, message = WARN, _UNSUPPORTED
+        elif note:
+            level, message = WARN, note
         corrected = np.flatnonzero(state['compensated_position'] != state['measured_position'])
         values['corrected joints'] = ', '.join(arm.joint_names[i] for i in corrected) or 'none'
     result = [_status(level, f'{name}: observer', message, arm.name, values)]
@@ -133,14 +119,11 @@ def diagnostic_fields(
                 f'fault estimate [{unit}]': f'{estimate:.6f}',
                 f'bound [{unit}]': f'{bound:.6f}',
                 f'threshold [{unit}]': f'{threshold:.6f}',
-                **(findings.details[i] if findings.details else {}),
+                **(details[i] if details else {}),
             }
         level, message = _LEVELS[sensor_state]
         if sensor_state == SensorState.WARN and not above:
             message = _INCONSISTENT
-        if findings.warnings[i]:
-            level = max(level, WARN)
-            message = '; '.join([message, *findings.warnings[i].values()])
         result.append(_status(level, f'{name}: {sensor}', message, sensor, values))
     return result
 

@@ -772,14 +772,9 @@ class SerialSensorMonitor:
         known = self._snapshot.guarantee
         if known is not None:
             values['guaranteed payload [kg]'] = '{:.3f} to {:.3f}'.format(*known.payload)
-        findings = message_fields.Findings(
-            bool(self._snapshot.suspects),
-            False,
-            ({},) * self._joints,
-            self._note(),
-            self._guaranteed(),
+        return message_fields.diagnostic_fields(
+            self.name, self.arm, state, fault, values, self._note(), self._guaranteed()
         )
-        return message_fields.diagnostic_fields(self.name, self.arm, state, fault, findings, values)
 
     def _guarantee(self) -> str:
         """For which healthy arms thresholds are guaranteed."""
