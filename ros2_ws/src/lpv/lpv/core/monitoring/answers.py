@@ -39,8 +39,6 @@ def answer_type(joints: int) -> np.dtype:
         ('answered', '?'),  # False for a sample with an old stamp, which needs no answer
         ('has_fault', '?'),  # whether there is a fault estimate; a state there is always
         ('restarted', '?'),  # the clock was set: estimates begin anew
-        ('has_events', '?'),  # alarms changed
-        ('due', '?'),  # a diagnostics report is due
         ('inconsistent', '?'),  # rates, torques and model contradict each other
         ('state', state),
         ('fault', fault),

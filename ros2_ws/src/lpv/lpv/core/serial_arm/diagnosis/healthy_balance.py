@@ -48,7 +48,7 @@ class HealthyBalance(NamedTuple):
     slack: FloatArray  # (2, 2, n) both intervals, rising and falling: what blocks hide [N m s]
     variance: FloatArray  # (2, 2, n) likewise: of the noise in friction [N2 m2 s2]
     row: FloatArray  # (n, 10 n + 7) of the last complete hat
-    last: FloatArray  # (4, n) means q, v, net force and torque of the block before
+    last: FloatArray  # (3, n) means q, v and net force of the block before
     first: FloatArray  # (n, 10 n) scratch: regressor
     second: FloatArray  # (n, 10 n) scratch: regressor
     work: FloatArray  # scratch: workspace
@@ -63,7 +63,7 @@ def new_healthy_balance(chain: Chain, sizes: ParameterSet, to_joints: FloatArray
     size = (2, n, 10 * n + _PARTS)
     return HealthyBalance(
         chain, sizes, np.zeros(size), np.zeros(size), np.zeros(size), np.zeros((2, 2, n)),
-        np.zeros((2, 2, n)), np.zeros(size[1:]), np.full((4, n), np.inf), np.zeros((n, 10 * n)),
+        np.zeros((2, 2, n)), np.zeros(size[1:]), np.full((3, n), np.inf), np.zeros((n, 10 * n)),
         np.zeros((n, 10 * n)), workspace(chain), np.zeros((n, n)), to_joints,
         np.zeros((2, n)))  # fmt: skip
 
@@ -149,7 +149,7 @@ def _add_block(
             balance.variance[1, side, i] += share * share * noise
         balance.last[2, i] = force
     for i in range(n):
-        balance.last[0, i], balance.last[1, i], balance.last[3, i] = q[i], v[i], torque[i]
+        balance.last[0, i], balance.last[1, i] = q[i], v[i]
 
 
 @njit

@@ -134,7 +134,6 @@ class SerialAlarm:
     detected: float  # [s]
     size: float  # of the fault now [rad]; [rad/s] of a rate sensor's
     sigma: float  # standard deviation of size
-    suspects: tuple[str, ...]  # what explains the data about as well
     guaranteed: bool = False  # whether no healthy arm inside its file shows this; else statistical
     event: str = 'raised'  # raised, updated or cleared
     confidence: float = 1.0  # probability that the name is right
@@ -648,7 +647,7 @@ class SerialMonitor:
             self.bank.note_change()
         rate = float(self.sampler.drift[i]) if kind == 'drift' else 0.0
         self.alarms.append(SerialAlarm(
-            self.arm.sensor_names[i] if i >= 0 else '', kind, onset, self._last(), size, sigma, (),
+            self.arm.sensor_names[i] if i >= 0 else '', kind, onset, self._last(), size, sigma,
             guaranteed, event, confidence, rate))  # fmt: skip
 
     def _last(self) -> float:

@@ -51,10 +51,10 @@ COUNT, IN_BLOCK, IN_INTERVAL, PENDING, BLOCKS, PROBED = range(6)
 sensor-independent age of a jump that waits for its kind, -1 if none; blocks written; samples in the
 probe, or those until one begins, times -1."""
 (
-    TIME, INTERVAL_START, BLOCK_START, STAMPS, TIMES, JITTER, SEEN, LATEST, LATE_FROM, LATE_UNTIL,
+    INTERVAL_START, BLOCK_START, STAMPS, TIMES, JITTER, SEEN, LATEST, LATE_FROM, LATE_UNTIL,
     IN_DOUBT,
-) = range(11)  # fmt: skip
-"""Entries of `Sampler.clock` [s]; the fourth one is 1 once a stamp has been wrong, then comes the
+) = range(10)  # fmt: skip
+"""Entries of `Sampler.clock` [s]; the third one is 1 once a stamp has been wrong, then comes the
 sum of the block's stamps; the usual variance of stamps [s2], and of how many it was learned; by how
 much stamps were wrong lately, from and until when, and by how much those of the block may be."""
 ROUNDING = 1e-12
@@ -133,7 +133,7 @@ class Sampler(NamedTuple):
     contrast: FloatArray  # (8, n) what published rates are compared with, see `LARGEST`
     probe: FloatArray  # (P, 2 n + 1) samples in a row as they came: time, readings, rates
     counters: IntArray  # (6,)
-    clock: FloatArray  # moments, shape (11,) [s]
+    clock: FloatArray  # moments, shape (10,) [s]
 
 
 def new_sampler(
@@ -158,7 +158,7 @@ def new_sampler(
         np.zeros((3, n)),
         np.zeros(n, np.int64), np.zeros((HISTORY, n), np.int64), np.zeros(n, np.int64),
         np.zeros((4, n)), np.zeros((8, n)), np.zeros((probe, 2 * n + 1)), counters,
-        np.zeros(11))  # fmt: skip
+        np.zeros(10))  # fmt: skip
 
 
 @njit_in_place
