@@ -54,7 +54,7 @@ def dense_onsets(monitor, end):
     weighted = weights[:, None] * unknowns.reshape(-1, m)
     upper = np.triu(null.factor)
     for back in range(onset.SHORTEST, LAST - 1):
-        momentum = monitor.bank.momenta(back)[:, JOINT]
+        momentum = monitor.bank.momenta_of(JOINT)[estimator.place(back)]
         for place in onset.PLACES:
             begin = end - (back + 1 - place) * interval
             since = begin - estimator.balance.clock[balance.EPOCH]

@@ -253,13 +253,14 @@ def test_given_a_clock_that_is_slow_when_a_way_is_asked_for_then_other_joints_te
 
 
 def test_given_rows_or_none_when_their_sums_are_searched_then_the_loudest_window_counts():
-    values = np.random.default_rng(1).normal(size=(9, 2))
-    noise = tuple(np.random.default_rng(2).uniform(0.5, 1.5, (4, 2)))
-    inflation, ends, walk, bias = noise
+    values = np.random.default_rng(1).normal(size=(9, 3))
+    inflation, ends, walk, bias = np.random.default_rng(2).uniform(0.5, 1.5, (4, 3))
     spans = 0.05 * np.arange(1, 10)[:, None]
     variance = inflation * (ends + walk * spans) + (bias * spans) ** 2
     expected = (0.5 * np.cumsum(values[::-1], axis=0) ** 2 / variance)[:, 1].max()
-    found = bank.loudest_rows(values, np.zeros((9, 2)), noise, 0.05, np.array([False, True]))
-    assert found == pytest.approx(expected)
     rows = bank.KinematicRows(ARM, PLAN)
     assert not rows.agrees(1, 0.0) and not bank.loudest_window(rows.parts, 0.05) > 0.0
+    noise = {'inflation': inflation, 'ends': ends, 'walk': walk, 'bias': bias}
+    parts = rows.parts._replace(**noise, trusted=np.array([False, True, False]))
+    parts.rows[-9:], parts.held[0] = values, 9
+    assert bank.loudest_window(parts, 0.05) == pytest.approx(expected)

@@ -217,13 +217,8 @@ class Bank:
         """Logarithm of M of the last decision."""
         return float(self._state['statistic'])
 
-    def momenta(self, back: int) -> FloatArray:
-        """Momenta by unit rates of the readings, M S^-1, at one of the last balances."""
-        momenta: FloatArray = self._mass[self.estimator.place(back)]
-        return momenta
-
     def momenta_of(self, joint: int) -> FloatArray:
-        """Momenta by a unit rate of one reading, in the ring of the horizon."""
+        """Momenta by a unit rate of one reading, of M S^-1, in the ring of the horizon."""
         momenta: FloatArray = self._mass[:, :, joint]
         return momenta
 
@@ -422,30 +417,6 @@ class Bank:
         )
 
 
-@njit_in_place
-def loudest_rows(
-    rows: FloatArray,
-    variances: FloatArray,
-    noise: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
-    interval: float,
-    trusted: BoolArray,
-) -> float:
-    """Largest evidence against healthy sensors of the sums of any number of last rows."""
-    inflation, ends, walk, bias = noise
-    largest = 0.0
-    for i in range(rows.shape[1]):
-        if not trusted[i]:
-            continue
-        total, jumps = 0.0, 0.0
-        for k in range(rows.shape[0]):
-            at, span = rows.shape[0] - 1 - k, interval * (k + 1)
-            total += rows[at, i]
-            jumps += variances[at, i]
-            variance = inflation[i] * (ends[i] + walk[i] * span) + (bias[i] * span) ** 2 + jumps
-            largest = max(largest, 0.5 * total * total / max(variance, _BEFORE))
-    return largest
-
-
 class Kinematics(NamedTuple):
     """Kinematic rows of n sensors; of the first arrays, the last entries hold the rows at hand."""
 
@@ -607,10 +578,20 @@ def _learn_lag(own: Kinematics, i: int, interval: float) -> None:
 
 @njit_in_place
 def loudest_window(own: Kinematics, interval: float) -> float:
-    """As `loudest_rows`, of the rows at hand."""
-    first = own.rows.shape[0] - own.held[0]
-    noise = own.inflation, own.ends, own.walk, own.bias
-    return loudest_rows(own.rows[first:], own.variances[first:], noise, interval, own.trusted)
+    """Largest evidence against healthy sensors of the sums of any number of last rows."""
+    most, largest = own.rows.shape[0], 0.0
+    for i in range(own.rows.shape[1]):
+        if not own.trusted[i]:
+            continue
+        total, jumps = 0.0, 0.0
+        for k in range(own.held[0]):
+            at, span = most - 1 - k, interval * (k + 1)
+            total += own.rows[at, i]
+            jumps += own.variances[at, i]
+            variance = own.inflation[i] * (own.ends[i] + own.walk[i] * span)
+            variance += (own.bias[i] * span) ** 2 + jumps
+            largest = max(largest, 0.5 * total * total / max(variance, _BEFORE))
+    return largest
 
 
 @njit_in_place

@@ -168,18 +168,18 @@ class HealthySet:
         m, columns = len(estimator.prior), 1 + generator_count(sizes)
         sensors = [joint.sensors for joint in arm.joints]
         self._derived = estimator.balance.derived > 0.0
-        self._reading = np.array([
+        reading = np.array([
             np.hypot(one.position_noise, one.quantization / np.sqrt(12.0)) for one in sensors
         ])  # fmt: skip
         rate = np.array([one.velocity_noise for one in sensors]) / np.sqrt(plan.per_block)
-        difference = np.sqrt(2.0) * self._reading / (plan.per_block * arm.sample_time)
+        difference = np.sqrt(2.0) * reading / (plan.per_block * arm.sample_time)
         by_sensor = np.where(self._derived, difference, rate)
         self.ring = HealthyRing(
             self._balance, np.zeros((plan.capacity, n, columns)), np.zeros((plan.capacity, 2, n)),
             np.zeros((plan.capacity, n, n)), np.zeros((m, columns)), np.zeros(3),
             np.sqrt(map_rows(self._balance.to_joints**2, by_sensor**2)),
-            self._reading / np.sqrt(plan.per_block * plan.blocks),
-            np.where(self._derived, self._reading / plan.interval, rate / np.sqrt(plan.blocks)),
+            reading / np.sqrt(plan.per_block * plan.blocks),
+            np.where(self._derived, reading / plan.interval, rate / np.sqrt(plan.blocks)),
             arm.sensors_to_joints().T.copy(),
             READINGS_AT_EDGES if self._derived.any() else 2.0)  # fmt: skip
         self._effects, self._doubts = self.ring.effects, self.ring.doubts
@@ -190,10 +190,7 @@ class HealthySet:
         window = self._estimator.window
         for back in range(int(window.counters[COUNT]) - 1, -1, -1):
             remember(self.ring, window, slot(window, back), True, 1.0)
-        self.drop()
-
-    def drop(self) -> None:
-        """Forget intervals that are not complete."""
+        # Intervals that are not complete are forgotten.
         for part in (self._balance.momentum, self._balance.rising, self._balance.falling):
             part[:] = 0.0
         self._balance.slack[:], self._balance.variance[:] = 0.0, 0.0

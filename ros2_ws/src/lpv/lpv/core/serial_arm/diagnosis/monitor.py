@@ -372,9 +372,10 @@ class SerialMonitor:
         steps = times.copy()
         steps[1:] -= times[:-1]
         steps[0] -= self._last_time
-        gaps = (steps > LONGEST_STEP * self.arm.sample_time).nonzero()[0]
-        for begin, end in zip([0, *gaps], [*gaps, len(times)]):
-            if begin > 0 or (len(gaps) > 0 and gaps[0] == 0):
+        after_gap = steps > LONGEST_STEP * self.arm.sample_time
+        begins = sorted({0, *after_gap.nonzero()[0].tolist()})
+        for begin, end in zip(begins, [*begins[1:], len(times)]):
+            if after_gap[begin]:
                 self.begin_again()
             self._take(times[begin:end], values[begin:end])
         self._last_time = float(times[-1])
