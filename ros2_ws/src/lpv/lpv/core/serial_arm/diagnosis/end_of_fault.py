@@ -18,10 +18,10 @@ from scipy.special import expit
 from lpv.core.serial_arm.chain import FloatArray
 from lpv.core.serial_arm.diagnosis.balance import DRIFT, EPOCH, OFFSET
 from lpv.core.serial_arm.diagnosis.bank import STARTS, Bank
-from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator, set_residuals
+from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator
 from lpv.core.serial_arm.diagnosis.fault_filter import begin_frozen, held_blocks
 from lpv.core.serial_arm.diagnosis.information import recent
-from lpv.core.serial_arm.diagnosis.onset import whitened
+from lpv.core.serial_arm.diagnosis.onset import weigh_errors
 from lpv.core.serial_arm.diagnosis.priors import SIZE
 from lpv.core.serial_arm.diagnosis.sampling import IN_BLOCK, ROUNDING, Sampler, block_end
 from lpv.core.serial_arm.diagnosis.stuck import LINEAR, Frozen, usual_acceleration
@@ -101,8 +101,7 @@ class EndOfFault:
         (window, null), last, n = estimator.of_levels, len(estimator), estimator.joints
         if last == 0 or abs(self.jump) > LINEAR:
             return np.zeros(len(self.ages))
-        estimator.call(set_residuals, window, null, last)
-        at, left, every = recent(window, last), null.residual[:last], estimator.window.rows
+        at, every = recent(window, last), estimator.window.rows
         offset = every[at, :, 1 + OFFSET * n + self.joint]
         drift = every[at, :, 1 + DRIFT * n + self.joint]
         end, span = window.times[at], 2.0 * estimator.plan.interval
@@ -114,11 +113,8 @@ class EndOfFault:
         columns -= np.where(end > self.time, self.jump, 0.0)[None, :, None] * offset
         # What holds the jump itself was made of readings before and after it.
         known = np.where((end > self.time) & (end < self.time + 2.0 * span), 0.0, 1.0)
-        weighted = ((window.weights[at] * known[:, None]) * columns).reshape(len(columns), -1)
-        unknowns = window.rows[at, :, -len(null.mean) :].reshape(last * n, -1)
-        cross = whitened(null, weighted @ unknowns)
-        square = (weighted * columns.reshape(weighted.shape)).sum(1) - (cross**2).sum(1)
-        return np.asarray(-weighted @ left.ravel() - 0.5 * np.maximum(square, 0.0))
+        score, square = weigh_errors(estimator, window, null, known[:, None] * columns)
+        return score - 0.5 * square
 
 
 def end_of_fault(

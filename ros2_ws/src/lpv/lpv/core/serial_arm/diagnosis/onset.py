@@ -30,7 +30,7 @@ from lpv.core.serial_arm.diagnosis.drift_trial import (
     new_trials,
 )
 from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator, Posterior, set_residuals
-from lpv.core.serial_arm.diagnosis.information import recent, whiten
+from lpv.core.serial_arm.diagnosis.information import Window, recent, whiten
 from lpv.core.serial_arm.diagnosis.sampling import block_end
 
 PLACES = (0.1, 0.3, 0.5, 0.7, 0.9)
@@ -186,6 +186,23 @@ def whitened(null: Posterior, rows: FloatArray) -> FloatArray:
     columns = np.ascontiguousarray(rows.reshape(-1, rows.shape[-1]).T)
     whiten(null.factor, columns)
     return np.asarray(columns.T.reshape(rows.shape))
+
+
+def weigh_errors(
+    estimator: OffsetEstimator, window: Window, null: Posterior, errors: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Score and information of errors of the last balances, unknowns integrated out, shape (...).
+
+    ``errors``, shape (..., L, n), are those of the newest balance first.
+    """
+    last, m = errors.shape[-2], len(null.mean)
+    estimator.call(set_residuals, window, null, last)
+    at = recent(window, last)
+    weighted = (window.weights[at] * errors).reshape(*errors.shape[:-2], -1)
+    cross = whitened(null, weighted @ window.rows[at, :, -m:].reshape(-1, m))
+    own = (weighted * errors.reshape(weighted.shape)).sum(-1)
+    left = null.residual[:last].ravel()
+    return -weighted @ left, np.maximum(own - (cross**2).sum(-1), 0.0)
 
 
 def _learned_friction(estimator: OffsetEstimator) -> FloatArray:

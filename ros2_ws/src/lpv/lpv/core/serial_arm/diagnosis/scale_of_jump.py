@@ -13,10 +13,10 @@ from scipy.special import expit
 
 from lpv.core.serial_arm.diagnosis.balance import OFFSET, SCALE
 from lpv.core.serial_arm.diagnosis.bank import Bank
-from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator, set_residuals
+from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator
 from lpv.core.serial_arm.diagnosis.fault_filter import FaultFilter, held_blocks
 from lpv.core.serial_arm.diagnosis.information import recent
-from lpv.core.serial_arm.diagnosis.onset import whitened
+from lpv.core.serial_arm.diagnosis.onset import weigh_errors
 from lpv.core.serial_arm.diagnosis.priors import POSE_TIME
 from lpv.core.serial_arm.diagnosis.sampling import Sampler
 
@@ -89,17 +89,14 @@ class ScaleOfJump:
         last = int((estimator.times(len(estimator)) > whole).sum())
         if last == 0:
             return 0.0
-        estimator.call(set_residuals, window, null, last)
-        at, left = recent(window, last), null.residual[:last]
+        at = recent(window, last)
         column = window.rows[at, :, 1 + SCALE * n + self.joint]
         # Columns are those of readings from the point of linearisation on.
         began = self.reading - estimator.balance.reference[self.joint]
         column = column - began * window.rows[at, :, 1 + OFFSET * n + self.joint]
-        weighted, unknowns = window.weights[at] * column, window.rows[at, :, -len(null.mean) :]
-        cross = whitened(null, weighted.ravel() @ unknowns.reshape(last * n, -1))
+        score, square = weigh_errors(estimator, window, null, column)
         known = self.sigma**-2
-        power = known + max(float((weighted * column).sum() - cross @ cross), 0.0)
-        pull = self.size * known - float((weighted * left).sum())
+        power, pull = known + float(square), self.size * known + float(score)
         return 0.5 * (pull**2 / power - self.size**2 * known - float(np.log(power / known)))
 
     def _ask_rate(self, estimator: OffsetEstimator, sampler: Sampler, bank: Bank) -> None:
