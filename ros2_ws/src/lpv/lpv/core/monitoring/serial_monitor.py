@@ -321,8 +321,8 @@ class SerialSensorMonitor:
 
     def retune(self, parameters: DiagnosisParameters) -> None:
         """Change the tuning while running; alarms stay as they are."""
-        self._parameters = parameters
-        self._monitor.tune(parameters)
+        self._parameters = self._monitor.settings = parameters
+        self._monitor.apply_settings()
         if self._uio is not None:
             self._uio.retune(parameters.sigmas)
         if hasattr(self, '_answering'):

@@ -1,21 +1,19 @@
 """A serial arm's monitor that says after which samples it knows more, and what."""
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from lpv.core.monitoring.compensation import AnswerRows
-from lpv.core.monitoring.parameters import DiagnosisParameters
 from lpv.core.monitoring.sample_loop import DECIDE, JUMP, KNOW, REPORT, SAMPLE, Answering, advance
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import SensorState
 from lpv.core.serial_arm.diagnosis.decision import Parts
 from lpv.core.serial_arm.diagnosis.healthy_set import Guarantee
-from lpv.core.serial_arm.diagnosis.monitor import SerialAlarm, SerialMonitor
+from lpv.core.serial_arm.diagnosis.monitor import WIDEST_LEVEL, SerialAlarm, SerialMonitor
 from lpv.core.serial_arm.diagnosis.sampling import JUMP_SCALE, REPLACED
 from lpv.core.support.records import plain
 
@@ -75,20 +73,6 @@ class SteppedMonitor(SerialMonitor):
         self._first = None
         self.alarms = []
         self._removed_variance = np.zeros(self.joints)
-
-    def tune(self, parameters: DiagnosisParameters) -> None:
-        """Change what is asked of the decisions; alarms stay."""
-        self.settings = replace(
-            self.settings,
-            hours_between_false_alarms=parameters.hours_between_false_alarms,
-            probability_of_wrong_name=parameters.probability_of_wrong_name,
-            smallest_level=parameters.minimum_threshold,
-            smallest_step=parameters.smallest_step,
-            clear_dwell=parameters.clear_dwell,
-            latch=parameters.latch,
-            sigmas=parameters.sigmas,
-        )
-        self.apply_settings()
 
     @property
     def balances(self) -> int:
@@ -181,14 +165,14 @@ class SteppedMonitor(SerialMonitor):
             state == _ERROR, self._removed_variance + self.jump_variance, 0.0
         )
         self.jump_variance[:] = 0.0
-        state[(state == _OK) & (sigma > settings.widest_level * scales)] = _NOT_DIAGNOSABLE
+        state[(state == _OK) & (sigma > WIDEST_LEVEL * scales)] = _NOT_DIAGNOSABLE
         alarms, self.alarms = tuple(self.alarms), []
         return Snapshot(
             fault, sigma, *self.certain(),
             sampler.drift + sampler.share / (1.0 - sampler.share) * sampler.samples[-1, 1],
             np.where(sampler.contrast[REPLACED] > 0.0, np.nan, sampler.rate_error),
             np.sqrt(self._removed_variance + changing**2), jump,
-            np.maximum(settings.sigmas * sigma, settings.smallest_level * scales),
+            np.maximum(settings.sigmas * sigma, settings.minimum_threshold * scales),
             np.maximum(JUMP_SCALE * sampler.usual, sampler.smallest), state,
             np.array([one.level and one.active for one in sensors]),
             np.array([one.unseen for one in sensors]),

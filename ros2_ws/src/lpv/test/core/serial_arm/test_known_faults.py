@@ -12,7 +12,8 @@ from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.certificate.jump_bound import jump_bound
 from lpv.core.serial_arm.diagnosis.alarms import SensorState
 from lpv.core.serial_arm.diagnosis.fault_filter import FaultFilter
-from lpv.core.serial_arm.diagnosis.monitor import MonitorSettings, SerialMonitor
+from lpv.core.serial_arm.diagnosis.monitor import SerialMonitor
+from lpv.core.serial_arm.diagnosis.settings import MonitorSettings
 from lpv.core.simulation.faults import Fault
 
 

@@ -19,7 +19,8 @@ from lpv.core.serial_arm.diagnosis import (
     stuck,
 )
 from lpv.core.serial_arm.diagnosis.information import recent
-from lpv.core.serial_arm.diagnosis.monitor import MonitorSettings, SerialMonitor
+from lpv.core.serial_arm.diagnosis.monitor import SerialMonitor
+from lpv.core.serial_arm.diagnosis.settings import MonitorSettings
 from lpv.core.simulation.faults import Fault
 
 JOINT, BEGIN, RATE, PRIOR, LAST = 1, 3.022, 0.2, 0.3, 14

@@ -12,13 +12,9 @@ from simulated_runs import Push, Run, simulated_run
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import Uncertainty
 from lpv.core.serial_arm.diagnosis.estimator import DISTRUST
-from lpv.core.serial_arm.diagnosis.monitor import (
-    CONTACT_PAUSE,
-    MonitorSettings,
-    SensorState,
-    SerialMonitor,
-)
+from lpv.core.serial_arm.diagnosis.monitor import CONTACT_PAUSE, SensorState, SerialMonitor
 from lpv.core.serial_arm.diagnosis.sampling import rate_lag
+from lpv.core.serial_arm.diagnosis.settings import MonitorSettings
 from lpv.core.serial_arm.dynamics.kinematics import jacobian
 from lpv.core.serial_arm.dynamics.payload import with_payload
 from lpv.core.simulation.faults import Fault

@@ -59,7 +59,7 @@ from lpv.core.support.jit import Entries, njit_in_place
 INTERVAL = 0.05
 """Between decisions, about [s]."""
 HORIZON = 10.0
-"""Over which an arm's unknowns are estimated, unless asked otherwise [s]."""
+"""Over which an arm's unknowns are estimated [s]."""
 _LINEAR_WITHIN = 0.05
 """Change of an offset after which the horizon is linearised again, if it is no chance: beyond
 `ROBUST` of its standard deviations [rad]."""
@@ -96,14 +96,12 @@ class HorizonPlan:
     capacity: int  # balances of the horizon
 
     @staticmethod
-    def of(
-        sample_time: float, interval: float = INTERVAL, horizon: float = HORIZON
-    ) -> 'HorizonPlan':
+    def of(sample_time: float) -> 'HorizonPlan':
         """Plan for a sample time: blocks of about 10 ms, intervals of at least two samples."""
         per_block = max(1, round(0.01 / sample_time))
-        blocks = max(2, round(interval / (per_block * sample_time)))
+        blocks = max(2, round(INTERVAL / (per_block * sample_time)))
         length = per_block * blocks * sample_time
-        return HorizonPlan(per_block, blocks, length, max(NOISE_SAMPLES, round(horizon / length)))
+        return HorizonPlan(per_block, blocks, length, max(NOISE_SAMPLES, round(HORIZON / length)))
 
 
 class Posterior(NamedTuple):

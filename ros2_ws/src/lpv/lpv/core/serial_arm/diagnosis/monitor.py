@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from lpv.core.serial_arm.certificate.jump_bound import jump_bound
 from lpv.core.serial_arm.chain import FloatArray, IntArray
-from lpv.core.serial_arm.description import SIGMAS, SerialArm
+from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import SensorState
 from lpv.core.serial_arm.diagnosis.bank import STARTS, Bank, Hypothesis
 from lpv.core.serial_arm.diagnosis.decision import (
@@ -75,6 +75,7 @@ from lpv.core.serial_arm.diagnosis.sampling import (
 )
 from lpv.core.serial_arm.diagnosis.scale_of_jump import ScaleOfJump, scale_of_jump
 from lpv.core.serial_arm.diagnosis.sensor_state import SensorRecord
+from lpv.core.serial_arm.diagnosis.settings import MonitorSettings
 from lpv.core.serial_arm.diagnosis.stuck import STILL_RATE, Course, Frozen, usual_acceleration
 from lpv.core.serial_arm.rate_independence import PROVED, SAMPLES, rate_source
 from lpv.core.serial_arm.sensor_map import map_rows, mixing
@@ -96,32 +97,10 @@ CONTACT_TIME = 1.0
 begins shows as free torques first, until its time profile is seen."""
 CONTACT_PAUSE = 1.0
 """What is around a contact by less is not learned from [s]."""
-
-
-@dataclass(frozen=True)
-class MonitorSettings:
-    """What a user asks of the decisions."""
-
-    hours_between_false_alarms: float = 1000.0  # mean, of a healthy arm [h]
-    probability_of_wrong_name: float = 0.01  # that a named cause is another one
-    fault_at_start: float = 1e-3  # probability of an offset at the first sample
-    # of prismatic joints, times `SerialJoint.scale` [m]
-    smallest_level: float = 0.05  # smallest offset that is a fault [rad]
-    smallest_step: float = 0.005  # smallest jump of a reading that is a fault [rad]
-    widest_level: float = 0.1  # standard deviation of an offset that says nothing [rad]
-    clear_dwell: float = 0.5  # for which a fault must be over before its alarm ends [s]
-    latch: bool = False  # whether alarms stay until `SerialMonitor.reset`
-    sigmas: float = SIGMAS  # standard deviations in a bound
-    horizon: float = HORIZON  # [s]
-
-    @property
-    def smallest_jump(self) -> float:
-        """Smallest jump that is looked for [rad]; those that are no faults are known, too."""
-        return min(self.smallest_step, MonitorSettings.smallest_step)
-
-    def threshold(self, interval: float) -> float:
-        """Logarithm of A: decisions between false alarms, one every interval [s]."""
-        return math.log(self.hours_between_false_alarms * 3600.0 / interval)
+FAULT_AT_START = 1e-3
+"""Probability of an offset at the first sample."""
+WIDEST_LEVEL = 0.1
+"""Standard deviation of an offset that says nothing [rad], times `SerialJoint.scale`."""
 
 
 @dataclass(frozen=True)
@@ -211,9 +190,8 @@ class SerialMonitor:
         self.sampler.smallest[:] = settings.smallest_jump * self.scales
         state['threshold'] = settings.threshold(self.plan.interval)
         state['limits'] = (
-            settings.widest_level, settings.smallest_level, settings.sigmas, self.plan.interval,
-            settings.horizon, -math.log(settings.fault_at_start),
-            settings.threshold(settings.horizon),
+            WIDEST_LEVEL, settings.minimum_threshold, settings.sigmas, self.plan.interval,
+            HORIZON, -math.log(FAULT_AT_START), settings.threshold(HORIZON),
         )  # fmt: skip
         self._tell()
 
@@ -234,7 +212,7 @@ class SerialMonitor:
         """Begin as if no sample had been seen."""
         n, arm, settings = self.joints, self.arm, self.settings
         self._jump_bound = jump_bound(arm)
-        self.plan = HorizonPlan.of(arm.sample_time, horizon=settings.horizon)
+        self.plan = HorizonPlan.of(arm.sample_time)
         self.estimator = OffsetEstimator(arm, self.plan)
         noise = np.array([
             np.hypot(joint.sensors.position_noise, joint.sensors.quantization)
@@ -456,8 +434,7 @@ class SerialMonitor:
         fault, sigma = self.faults()
         state = tuple(
             SensorState.NOT_DIAGNOSABLE
-            if one.state is SensorState.OK
-            and sigma[i] > self.settings.widest_level * self.scales[i]
+            if one.state is SensorState.OK and sigma[i] > WIDEST_LEVEL * self.scales[i]
             else one.state
             for i, one in enumerate(self.sensors)
         )
@@ -715,13 +692,13 @@ class SerialMonitor:
                 self._doubt_no_more(i)
                 self._begin_following(scaled.filter(self._ended()), 1.0)
                 following = Stage.END  # the estimate is still that of the readings before
-            elif now - scaled.time > self.settings.horizon:
+            elif now - scaled.time > HORIZON:
                 del self._scaled[i]
         for i, one in list(self._ends.items()):
             one.weigh(self.estimator)
             if self._is_settled(one) and one.share >= 1.0 - self.settings.probability_of_wrong_name:
                 self._end_unnoticed(one, now)
-            elif now - one.time > self.settings.horizon:
+            elif now - one.time > HORIZON:
                 del self._ends[i]  # the level has been estimated without what was before
         return following
 
@@ -958,7 +935,7 @@ class SerialMonitor:
         size, sigma, now = one.size, one.sigma, self._ended()
         if kind == 'stuck' and one.kind != 'stuck':  # the rate of the joint that its reading hides
             rate, since = -one.size if one.kind == 'drift' else 0.0, now - one.begin
-            widest = self.settings.widest_level * float(self.scales[one.joint])
+            widest = WIDEST_LEVEL * float(self.scales[one.joint])
             size, sigma = rate * since, max(widest, one.sigma * since)
         blocks = self._blocks(len(self.estimator) + 1)
         origin = float(np.interp(one.begin, blocks[:, 3 * self.joints], blocks[:, one.joint]))
@@ -1066,7 +1043,7 @@ class SerialMonitor:
                     self._lose_count(i)
                 over = moves or (i not in self._filters and self._rests(i))
             else:
-                smallest = self.settings.smallest_level * self.scales[i]
+                smallest = self.settings.minimum_threshold * self.scales[i]
                 limit = (1.0 - LEFT) * max(smallest, sigmas * sigma[i])
                 over = abs(left) < min(LEFT * sensor.peak, limit)
             sensor.unseen &= over or not self._shows(i)
@@ -1144,7 +1121,7 @@ class SerialMonitor:
     def _shows(self, i: int) -> bool:
         """Whether a fault of sensor i would be seen to be over, if it were."""
         sensor = self.sensors[i]
-        largest = max(sensor.peak, self.settings.smallest_level * float(self.scales[i]))
+        largest = max(sensor.peak, self.settings.minimum_threshold * float(self.scales[i]))
         bound = self.settings.sigmas * self.estimator.level.sigma[i]
         return sensor.kind in {'noise', 'stuck'} or bool(bound < largest)
 
