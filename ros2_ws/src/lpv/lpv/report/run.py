@@ -139,8 +139,8 @@ def _detectable(record: RunRecord, arm: SerialArm) -> list[dict[str, Any]]:
     return rows
 
 
-def _count(number: int, one: str, many: str = '') -> str:
-    return f'{number or "no"} {one if number == 1 else many or one + "s"}'
+def _count(number: int, one: str) -> str:
+    return f'{number or "no"} {one if number == 1 else one + "s"}'
 
 
 def _verdict(run: Run) -> str:

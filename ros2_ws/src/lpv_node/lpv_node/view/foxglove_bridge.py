@@ -137,7 +137,7 @@ def _start(name: str, context: Any, on_subscribe: Callable[[Any, Any], None]) ->
     raise ConfigError('foxglove_port', f'the Foxglove server does not start: {failure}')
 
 
-def gate(access: Access, address: str, port: int, most: int = MOST_CLIENTS) -> web.Application:
+def gate(access: Access, address: str, port: int) -> web.Application:
     """Application that lets accepted WebSockets through to the SDK's server at an address."""
     count = 0
 
@@ -146,7 +146,7 @@ def gate(access: Access, address: str, port: int, most: int = MOST_CLIENTS) -> w
         offered = request.headers.get('Sec-WebSocket-Protocol', '')
         if PROTOCOL not in [p.strip() for p in offered.split(',')]:
             raise web.HTTPBadRequest(text=f'WebSocket with subprotocol {PROTOCOL} expected\n')
-        if count >= most:
+        if count >= MOST_CLIENTS:
             raise web.HTTPServiceUnavailable(text='too many clients')
         count += 1
         try:

@@ -118,13 +118,13 @@ def spread(values: np.ndarray) -> dict[str, Any]:
     return {'count': int(values.size), 'low': low, 'median': median, 'high': high}
 
 
-def found_from(sizes: np.ndarray, found: np.ndarray, rate: float = LEVEL) -> float:
+def found_from(sizes: np.ndarray, found: np.ndarray) -> float:
     """Smallest size from which on a share of the faults is detected; NaN if there is none."""
     order = np.argsort(-sizes, kind='stable')
     shares = np.cumsum(found[order]) / np.arange(1, len(order) + 1)
     # Faults of one size count together, whatever their order.
     last = np.append(np.diff(sizes[order]) != 0.0, True)[: len(order)]
-    enough = np.flatnonzero((shares >= rate) & last)
+    enough = np.flatnonzero((shares >= LEVEL) & last)
     return (
         float(sizes[order][enough[-1]]) if len(order) >= _FEWEST_CASES and len(enough) else math.nan
     )

@@ -51,14 +51,14 @@ class LoopGains:
     error: ErrorProof  # at its own, smaller one
     checksum: str = ''  # of the numbers as they were written; '' if not read from a file
 
-    def check_arm(self, arm_name: str, arm_sha256: str, source: str = 'gains') -> None:
+    def check_arm(self, arm_name: str, arm_sha256: str) -> None:
         """Refuse an arm that the certificate is not about (ConfigError)."""
         if self.arm_sha256 != arm_sha256:
             raise ConfigError(
                 'loop.arm_sha256',
                 f'this certificate is for another arm ({self.arm_name!r}, {self.arm_sha256[:12]}) '
                 f'than the one in use ({arm_name!r}, {arm_sha256[:12]}); run lpv design for it',
-                source,
+                'gains',
             )
 
 

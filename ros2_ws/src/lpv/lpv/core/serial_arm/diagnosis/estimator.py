@@ -498,13 +498,6 @@ class OffsetEstimator:
         """Balances as they are weighed for levels, and the estimate of these."""
         return self.window if self._slow is None else self._slow, self.level
 
-    def usual_sizes(self, at: int | IntArray) -> FloatArray:
-        """Usual sizes of what is left of balances at places of the ring, see `usual_size`."""
-        null, window = self.posterior, self.window
-        size = null.noise * (1.0 + (null.rest - 1.0) * window.rest[at])
-        longest = np.hypot(null.noise, null.dry)
-        return np.where(window.lasting[at] > 0.0, np.maximum(size, longest), size)
-
     def times(self, last: int) -> FloatArray:
         """Ends of the last balances, oldest first [s]."""
         return self.window.times[recent(self.window, last)[::-1]]

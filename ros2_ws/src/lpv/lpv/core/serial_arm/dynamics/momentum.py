@@ -31,7 +31,7 @@ from lpv.core.serial_arm.dynamics.newton_euler import inverse_dynamics
 from lpv.core.support.jit import njit_in_place as njit
 
 _LINEAR, _ANGULAR, _RATE, _SPEED, _FALL, _MOMENT, _WEIGHT = 9, 12, 15, 18, 21, 24, 27  # columns
-_COMPOSITE, _SOLUTION, _BIAS, _STILL = 9, 36, 37, 39
+_COMPOSITE, _STILL = 9, 39
 """Columns of `workspace` that are used here, behind the orientations."""
 
 
