@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -91,14 +92,15 @@ def rescaled(arm: SerialArm, factor: float) -> SerialArm:
     for joint in scaled.joints:
         tolerance = joint.torque_tolerance
         tolerance = replace(tolerance, torque=tuple(factor * t for t in tolerance.torque))
-        gain = factor * joint.torque_gain
-        rotors = {'rotor_coupling': factor * joint.rotor_coupling}
-        joints.append(replace(joint, torque_gain=gain, torque_tolerance=tolerance, **rotors))
+        gain, coupling = factor * joint.torque_gain, factor * joint.rotor_coupling
+        joints.append(replace(
+            joint, torque_gain=gain, rotor_coupling=coupling, torque_tolerance=tolerance,
+        ))  # fmt: skip
     covariance = arm.covariance
     if covariance is not None:
         rows = np.array(covariance.factor) * factors.ravel()
         covariance = replace(covariance, factor=tuple(map(tuple, rows.tolist())))
-    errors = {
+    errors: dict[str, Any] = {
         name: tuple(factor * value for value in getattr(arm.uncertainty, name))
         for name in ('torque_error', 'torque_error_speed')
         if getattr(arm.uncertainty, name) is not None
