@@ -271,7 +271,9 @@ def follow(
     variance += 0.25 * one._growth(interval)[1] * np.outer(columns[:, 2], columns[:, 2])
     residual = rows[:, 0] + unknowns @ null.mean
     root = _root(one.covariance)
-    slope, bend = _secants(one, root, estimator, sampler, residual)
+    slope, bend = columns @ root, np.zeros(columns.shape)
+    if sampler.derived[one.joint]:  # else its rate tells on which side a link is
+        slope, bend = _secants(one, root, estimator, sampler, residual)
     residual = residual + 0.5 * bend.sum(1)
     variance += 0.5 * bend @ bend.T
     spread, common = slope @ slope.T, root @ slope.T
