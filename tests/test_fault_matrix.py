@@ -68,6 +68,7 @@ LOST = {
     'recorded real_arm derived drift 0.1': ('named kind size ends bar', PUSHED),
     'ur10 derived drift 0.02': ('ends', BESIDE),
     'real_arm derived stuck': ('ends', HARDLY),
+    'chain3 derived stuck': ('size', WAY),
     'recorded ur10 derived stuck': ('size', WAY),
 }
 """Claims that a cell does not keep, and why."""

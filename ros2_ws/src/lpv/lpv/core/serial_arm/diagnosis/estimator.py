@@ -58,6 +58,8 @@ from lpv.core.support.jit import Entries, njit_in_place
 
 INTERVAL = 0.05
 """Between decisions, about [s]."""
+STRAIGHT = 0.3
+"""Change of an angle in which balances are linear: sin(0.3) = 0.3 less 1.5 % [rad]."""
 HORIZON = 10.0
 """Over which an arm's unknowns are estimated [s]."""
 _LINEAR_WITHIN = 0.05
@@ -532,8 +534,7 @@ class OffsetEstimator:
 
         ``blocks``, shape (N, 3 n + 4), are as in `Sampler.blocks`, oldest first; whole intervals.
         """
-        # sin(0.3) = 0.3 less 1.5 %: so far, balances are linear.
-        self.balance.reference[:] += np.clip(self._step(), -0.3, 0.3)
+        self.balance.reference[:] += np.clip(self._step(), -STRAIGHT, STRAIGHT)
         self.replace_last(blocks)
         self._solve()
         self.since_linearised[:] = 0

@@ -13,7 +13,7 @@ import numpy as np
 
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.diagnosis.balance import DRIFT, EPOCH, OFFSET, RATE, SCALE
-from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator
+from lpv.core.serial_arm.diagnosis.estimator import STRAIGHT, OffsetEstimator
 from lpv.core.serial_arm.diagnosis.information import ROBUST, whiten
 from lpv.core.serial_arm.diagnosis.priors import (
     OFFSET_PRIOR,
@@ -34,8 +34,8 @@ from lpv.core.serial_arm.diagnosis.stuck import LINEAR, Course
 
 LOST = OFFSET_PRIOR
 """Standard deviation of a fault that is not followed any more: nothing is known of it [rad]."""
-_REACH = 3.0
-"""Variances of the state at which balances are evaluated: cubature, exact to third order [-]."""
+_REACH = math.sqrt(3.0)
+"""Standard deviations of the state at which balances are evaluated: cubature of third degree."""
 LARGEST_SCALE = 0.9
 """Largest scale error s that is corrected: y / (1 + s) is at most ten times the reading [-]."""
 _JUST_NOW = 1e-3
@@ -272,7 +272,7 @@ def follow(
     residual = rows[:, 0] + unknowns @ null.mean
     root = _root(one.covariance)
     slope, bend = columns @ root, np.zeros(columns.shape)
-    if sampler.derived[one.joint]:  # else its rate tells on which side a link is
+    if 3.0 * root[0, 0] > STRAIGHT:  # else tangents do, and keep friction of joints that rest
         slope, bend = _secants(one, root, estimator, sampler, residual)
     residual = residual + 0.5 * bend.sum(1)
     variance += 0.5 * bend @ bend.T
@@ -319,9 +319,9 @@ def _secants(
     Where the fault is uncertain, a link may hang on either side of the horizontal, and gravity is
     the same: the tangent would be sure of one of them.  Shapes (n, 3).
     """
-    n, blocks, reach = len(residual), held_blocks(estimator, sampler, 2)[0], math.sqrt(_REACH)
+    n, blocks = len(residual), held_blocks(estimator, sampler, 2)[0]
     null, (slope, bend) = estimator.posterior, np.zeros((2, len(residual), 3))
-    for k, way in enumerate(reach * root.T):
+    for k, way in enumerate(_REACH * root.T):
         if not way.any():
             continue
         ends = []
@@ -331,8 +331,8 @@ def _secants(
             _correct(one, sign * way, moved[:, 3 * n], readings, sampler.derived[one.joint])
             row = estimator.rows_of(moved)[-1]
             ends.append(row[:, 0] + row[:, row.shape[1] - len(null.mean) :] @ null.mean)
-        slope[:, k] = 0.5 * (ends[1] - ends[0]) / reach
-        bend[:, k] = (ends[0] + ends[1] - 2.0 * residual) / _REACH
+        slope[:, k] = 0.5 * (ends[1] - ends[0]) / _REACH
+        bend[:, k] = (ends[0] + ends[1] - 2.0 * residual) / _REACH**2
     return slope, bend
 
 
