@@ -39,15 +39,21 @@ def shipped_requirements() -> list[str]:
     return sorted(path.stem for path in SHIPPED.glob('*.yaml'))
 
 
-def load_requirement(name: str | Path) -> Requirement:
-    """Requirement of a path, or of the bare name of a shipped one; ConfigError names a wrong
-    field."""
+def requirement_file(name: str | Path) -> Path:
+    """File of a path, or of the bare name of a shipped requirement, else ConfigError."""
     path = Path(name)
     if path.suffix not in ('.yaml', '.yml'):
         path = SHIPPED / f'{name}.yaml'
         if not path.exists():
             known = ', '.join(shipped_requirements())
             raise ConfigError('requirement', f'{name!r} is not shipped; there are {known}')
+    return path
+
+
+def load_requirement(name: str | Path) -> Requirement:
+    """Requirement of a path, or of the bare name of a shipped one; ConfigError names a wrong
+    field."""
+    path = requirement_file(name)
     return parse_requirement(read_yaml(path), str(path))
 
 

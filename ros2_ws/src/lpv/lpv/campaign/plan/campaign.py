@@ -67,12 +67,10 @@ def _values(spec: CampaignSpec, name: str) -> tuple[Any, ...]:
 
 def _design_data(name: str, folder: str | Path) -> Any:
     """Content of a gains or requirement file, or of a shipped requirement."""
-    from lpv_design.requirement import SHIPPED
+    from lpv_design.requirement import requirement_file
 
     path = Path(folder) / name
-    if not path.is_file():
-        path = Path(name) if Path(name).suffix in ('.yaml', '.yml') else SHIPPED / f'{name}.yaml'
-    return read_yaml(path)
+    return read_yaml(path if path.is_file() else requirement_file(name))
 
 
 def find_gains(name: str, arm: SerialArm, folder: str | Path = '.') -> Gains:

@@ -512,8 +512,8 @@ def ask_bank(
     sum_rows(own, bank.interval, lengths[: state.windows], rows)
     every, pushed = gather(
         bank.evidence, bank.kinds, window, null, bank.outside, rows, bank.mass,
-        (bank.to_sensors, balance.reference), (balance.clock[EPOCH], bank.interval), bank.unseen,
-        bank.noise, state.windows)  # fmt: skip
+        bank.to_sensors, (balance.clock[EPOCH], bank.interval), bank.unseen, bank.noise,
+        state.windows)  # fmt: skip
     state.statistic = np.logaddexp(every, pushed) + bank.log_weight
     if state.statistic < quiet and own.held[0] > 1:
         learn_rows(own, bank.interval)

@@ -44,7 +44,7 @@ class Evidence(NamedTuple):
     lengths: IntArray  # (W,) of the windows [balances]
     starts: FloatArray  # (W,) logarithm of the starts that each stands for
     begin: FloatArray  # (W,) [s]
-    pose: FloatArray  # (W, n) readings at the begin, as corrected [rad]
+    pose: FloatArray  # (W, n) readings at the begin, from the point of linearisation on [rad]
     score: FloatArray  # (W, n, 7)
     information: FloatArray  # (W, n, 7, 7) the entries that kinds need
     gain: FloatArray  # (K, n, W) logarithms of Bayes factors
@@ -62,7 +62,7 @@ class Rows(NamedTuple):
     span: FloatArray  # (W,) [s]
     weight: FloatArray  # (W, n) inverse variances, 0 where there are none [1/rad2]
     found: FloatArray  # (W, n) [rad]
-    reading: FloatArray  # (n,) now [rad]
+    reading: FloatArray  # (n,) now, from the point of linearisation on [rad]
 
 
 def new_evidence(lengths: IntArray, starts: FloatArray, kinds: Kinds, unknowns: int) -> Evidence:
@@ -91,7 +91,7 @@ def gather(
     outside: Contact,
     rows: Rows,
     mass: FloatArray,
-    frame: tuple[FloatArray, FloatArray],
+    to_sensors: FloatArray,
     times: tuple[float, float],
     unseen: FloatArray,
     noise: FloatArray,
@@ -100,11 +100,11 @@ def gather(
     """Write the evidence of the first ``count`` windows, which the horizon must hold.
 
     The residuals of ``null`` are written.  ``mass``, shape (capacity, n, n), is M S^-1 of each
-    balance, in the ring of ``window``.  ``frame`` holds S, shape (n, n), and the point of
-    linearisation, shape (n,) [rad]; ``times`` the moment from which drifts count, and the length of
-    an interval [s].  ``unseen``, shape (n,), are the largest jumps of the readings that may not
-    have been seen [rad], and ``noise``, shape (n,), are variances of what the readings' noise makes
-    of a balance's change of a derived rate [rad2/s2], 0 of others.
+    balance, in the ring of ``window``, and ``to_sensors`` is S, shape (n, n).  ``times`` are the
+    moment from which drifts count, and the length of an interval [s].  ``unseen``, shape (n,), are
+    the largest jumps of the readings that may not have been seen [rad], and ``noise``, shape (n,),
+    are variances of what the readings' noise makes of a balance's change of a derived rate
+    [rad2/s2], 0 of others.
 
     Returns the logarithms of the sums of Bayes factors over all kinds and starts, and over those of
     rough torques.
@@ -120,7 +120,7 @@ def gather(
             summed = back + 1
         first = slot(window, length - 1)
         evidence.begin[w] = window.times[first] - times[1]
-        map_vector(frame[0], window.poses[first], evidence.pose[w])
+        map_vector(to_sensors, window.poses[first], evidence.pose[w])
         _sensor_columns(evidence, window, null, noise, w)
         _jump_columns(evidence, window, null, mass[first], w)
         whiten(null.factor, evidence.columns)
