@@ -310,7 +310,7 @@ class _StatedRange:
                 if monitor.healthy is not None:
                     effects = monitor.healthy.evaluate().effects
                     shares = np.where(effects[joint] * sign >= 0.0, 1.0, -1.0)
-        at_tip = payload_generator(self._sizes, self.arm.uncertainty.payload)
+        at_tip = payload_generator(self._sizes, self.arm.uncertainty.largest_payload)
         if at_tip >= 0:  # no payload is negative; its place counts with its mass
             shares[at_tip] = max(shares[at_tip], 0.0)
             shares[at_tip + 1 : len(self._sizes.inertial)] *= shares[at_tip]

@@ -69,7 +69,7 @@ def _with_region(arm: SerialArm) -> SerialArm:
     if not is_planar(arm):
         return arm
     region = LpvRegion('upright', (0.3, 0.3), (0.7, 0.7), 0.0, 0.1)
-    return replace(arm, lpv=region, uncertainty=Uncertainty(0.0, 0.3, _MODEL_ERROR))
+    return replace(arm, lpv=region, uncertainty=Uncertainty(friction=0.3, model_error=_MODEL_ERROR))
 
 
 def _write(folder: Path, arm: SerialArm, source: str) -> int:

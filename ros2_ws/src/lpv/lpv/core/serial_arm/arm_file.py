@@ -119,7 +119,7 @@ def _parse(data: dict[str, Any], source: str, folder: str | Path) -> SerialArm:
         if 'bandwidth' in effort
         else math.inf,
         uncertainty=Uncertainty(
-            varying.number('payload', 0.0, 0.0, 1e4),
+            varying.number('payload', 0.0, 0.0, 1e4) if 'payload' in varying else None,
             varying.number('friction', 0.0, 0.0, 1.0),
             varying.number('model_error', 0.0, 0.0, 1.0) if 'model_error' in varying else None,
             torque_error=_per_joint(varying, 'torque_error', len(joints)),

@@ -236,7 +236,8 @@ class ParameterCovariance:
 class Uncertainty:
     """What may differ from the description while the arm is healthy."""
 
-    payload: float = 0.0  # largest unknown mass at the tip [kg]
+    # largest unknown mass at the tip, 0 if it never carries any; None: not stated [kg]
+    payload: float | None = None
     friction: float = 0.0  # relative change of all friction, as with temperature [-]
     model_error: float | None = None  # of masses, places of masses, inertias [-]; None: not stated
     # torque that the model misses, a standard deviation for each joint; None: not measured.
@@ -244,6 +245,11 @@ class Uncertainty:
     torque_error: tuple[float, ...] | None = None  # in slow motion [N m]
     torque_error_speed: tuple[float, ...] | None = None  # growth with the joint's rate [N m s/rad]
     torque_error_time: float | None = None  # in which its correlation falls to 1/e [s]
+
+    @property
+    def largest_payload(self) -> float:
+        """Largest payload of which something can be guaranteed: as stated, else none [kg]."""
+        return self.payload or 0.0
 
 
 @dataclass(frozen=True)
@@ -352,7 +358,8 @@ class SerialArm:
     def sha256(self) -> str:
         """Hash of every parameter: what is designed for this arm carries it."""
         content = asdict(self)
-        # Files without these fields keep their hash.
+        # What is designed holds for what is stated; files without these fields keep their hash.
+        content['uncertainty']['payload'] = self.uncertainty.largest_payload
         for name in ('torque_error', 'torque_error_speed', 'torque_error_time'):
             if content['uncertainty'][name] is None:
                 del content['uncertainty'][name]
