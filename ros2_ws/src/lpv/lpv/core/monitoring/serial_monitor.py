@@ -785,7 +785,7 @@ class SerialSensorMonitor:
             return 'none of offsets after other loads, pushes or a fault that changes, until reset'
         return (
             f'healthy arms with masses and inertias within {stated.model_error:.3g}, friction '
-            f'within {stated.friction:.3g}, payload up to {stated.payload:g} kg'
+            f'within {stated.friction:.3g}, payload up to {stated.largest_payload:g} kg'
         )
 
     def _guaranteed(self) -> tuple[dict[str, str], ...]:

@@ -115,6 +115,11 @@ def test_given_an_offset_when_alarmed_then_its_basis_is_said(uncertainty, size, 
     assert (events[-1].confidence == 1.0) == (basis == GUARANTEED)
 
 
+def test_given_no_payload_in_the_file_when_told_then_guarantees_hold_without_a_load():
+    observer = answers(uncertainty=replace(STATED, payload=None), duration=2.5)[1][0]
+    assert 'payload up to 0 kg' in observer['values']['guarantee']
+
+
 def test_given_faults_or_ranges_when_told_then_rate_basis_and_thresholds_are_said():
     event = answers(Fault('encoder2', 'drift', 2.0, rate=0.1))[0][0]
     assert event.rate == pytest.approx(0.1, abs=0.03)
