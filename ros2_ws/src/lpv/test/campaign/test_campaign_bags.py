@@ -159,6 +159,19 @@ def test_given_changed_or_damaged_results_when_used_then_they_are_named(results,
         assert refused(damaged.name, *command(file, out))
 
 
+def test_given_results_of_another_version_when_used_then_none_are_added(
+    results, tmp_path, call, refused
+):
+    file, out = written(tmp_path / 'spec.yaml', SPEC), shutil.copytree(results, tmp_path / 'out')
+    (out / 'chunks' / '00000000.parquet').unlink()
+    begun = out / 'campaign.json'
+    begun.write_text(json.dumps({**json.loads(begun.read_text()), 'software': 'an older one'}))
+    assert refused('or this software changed', *command(file, out))
+    shutil.copytree(results / 'chunks', out / 'chunks', dirs_exist_ok=True)
+    call('campaign', out)
+    assert json.loads((out / 'report.json').read_text())['head']['software'] == 'an older one'
+
+
 def test_given_figures_when_compared_then_last_bits_and_missing_ones_do_not_count():
     stored = {'a': 1.0, 'b': float('nan'), 'd': 'x', 'e': True}
     assert differences(stored, {**stored, 'a': 1.0 + 1e-14, 'more': 1}) == []

@@ -15,7 +15,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from lpv.campaign.execution.execute import software, write_whole
+from lpv.campaign.execution.execute import write_whole
 from lpv.campaign.plan.campaign import Campaign
 from lpv.campaign.plan.factors import Choice
 from lpv.campaign.plan.spec import BOTH, NO_FAULT
@@ -103,7 +103,7 @@ def _head(work: Any, results: Results, planned: int, failed: int) -> dict[str, A
         'missing': max(planned - results.count - failed, 0),
         'failed': failed,
         'hours': float(np.nansum(results.number('observed'))) / 3600.0,
-        'software': software(),
+        'software': work.software,
     }
     if not isinstance(work, Campaign):
         name = f'Bags of {work.root.name}'
