@@ -65,7 +65,7 @@ def spans(found, *more):
 
 def told(**parts):
     """Reports of the nodes: what each said, by the time in ms."""
-    return {who: [NodeReport(t * MS, 2, w) for t, w in said.items()] for who, said in parts.items()}
+    return {who: [NodeReport(t * MS, w) for t, w in said.items()] for who, said in parts.items()}
 
 
 def event(time, onset=None, detected=None, **fields):
