@@ -185,6 +185,13 @@ def test_given_a_gripper_when_held_then_the_arm_has_the_others_and_their_frictio
         assert arm.tip == (0.0, 0.0, 0.3)
 
 
+def test_given_a_urdf_with_friction_when_a_motion_is_planned_then_torques_hold_it(tmp_path, call):
+    (tmp_path / 'arm.urdf').write_text(GRIPPER.replace('friction="0.25"', 'friction="300"'))
+    options = '--urdf', tmp_path / 'arm.urdf', '--out', tmp_path / 'motion', '--trials', 1
+    said = call('excite', *options, *HELD).out
+    assert float(re.search(r'shoulder: largest torque (\S+) N m', said)[1]) > 300.0
+
+
 NAMES = ('left: j1', 'left, j1', 'left #1', '{left}_j1', '*j1', '${prefix}j1', "it's", '1e5')
 
 

@@ -13,7 +13,7 @@ from string import Template
 import numpy as np
 import yaml
 
-from lpv.cli import arm_choice
+from lpv.cli.arm_choice import chosen_arm
 from lpv.core.serial_arm.arm_file import load_arm, parse_arm, save_arm, to_mapping
 from lpv.core.serial_arm.description import LpvRegion, SerialArm, Uncertainty
 from lpv.core.simulation.scenario import parse_scenario
@@ -43,7 +43,7 @@ def run(arguments: argparse.Namespace) -> int:
             if getattr(arguments, option):
                 raise ConfigError(f'--{option}', 'is for joints of a URDF: give --urdf')
         return _write(folder, replace(_example(), name=name or 'my_arm'), 'arm')
-    arm = arm_choice.with_stated_friction(arm_choice.chosen_arm(arguments), arguments.urdf)
+    arm = chosen_arm(arguments)
     arm = _with_region(replace(arm, name=name or re.sub(r'\W', '_', arm.name)))
     urdf = os.path.relpath(Path(arguments.urdf).resolve(), folder.resolve())
     return _write(folder, replace(arm, urdf=urdf), arguments.urdf)
