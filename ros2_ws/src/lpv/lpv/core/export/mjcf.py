@@ -20,7 +20,7 @@ _THINNEST = 1e-9
 def chain_mjcf(chain: Chain) -> str:
     """Write a serial arm as MJCF, without friction, drives, contacts and shapes.
 
-    ConfigError if a link has no mass.
+    ConfigError if a link has no mass, or a rotor that couples joints no inertia.
     """
     armature, rotors = _rotors(chain)
     root = ElementTree.Element('mujoco', model='arm')
@@ -61,6 +61,8 @@ def _rotors(chain: Chain) -> tuple[FloatArray, list[tuple[int, float, float]]]:
     for i in range(1, len(armature)):
         coupling, reflected = chain.motor[i - 1, i], chain.motor[i, i]
         if coupling != 0.0:
+            if reflected == 0.0:
+                raise ConfigError(f'motor[{i}]', 'must have the inertia of its rotor for MuJoCo')
             rotors.append((i, float(coupling**2 / reflected), float(-reflected / coupling)))
             armature[i - 1] -= coupling**2 / reflected
             armature[i] -= reflected

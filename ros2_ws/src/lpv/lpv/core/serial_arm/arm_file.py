@@ -138,6 +138,8 @@ def _parse(data: dict[str, Any], source: str, folder: str | Path) -> SerialArm:
     for names, field in ((arm.joint_names, 'joints'), (arm.sensor_names, 'sensors')):
         if len(set(names)) < len(names):
             raise top.error(field, 'use a name twice')
+    if joints[0].rotor_coupling != 0.0:
+        raise top.error('joints[0].rotor_coupling', 'must be 0: there is no joint before')
     for i, joint in enumerate(joints):
         carried = np.array([one.link.to_vector() for one in joints[i:]])
         if joint.rotor_inertia == 0.0 and not carried.any():
