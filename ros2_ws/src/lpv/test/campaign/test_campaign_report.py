@@ -1,5 +1,6 @@
 """Reports of campaigns: made-up rows with known answers, a page that is whole, the command."""
 
+import io
 import json
 import math
 import re
@@ -8,13 +9,21 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from campaign_files import resolved, spec, written
+from rich.console import Console
 from runs import assert_stands_alone
 from scipy.stats import chi2
 
 from lpv.campaign.execution.runs import run_one
 from lpv.campaign.plan.campaign import resolve
 from lpv.campaign.report.statistics import Results, found_from, poisson_rate, roc, spread, trends
-from lpv.campaign.report.write import command, confusion, report_numbers, suspicion, write_report
+from lpv.campaign.report.write import (
+    command,
+    confusion,
+    print_summary,
+    report_numbers,
+    suspicion,
+    write_report,
+)
 
 pytestmark = pytest.mark.slow
 
@@ -187,6 +196,16 @@ def test_given_results_when_reported_then_all_is_there(campaign, row, tmp_path, 
     assert text.count('<img') == pictures and 'made &lt;up&gt;' in text
     assert ('are missing' in text) == (count < 120)
     assert json.loads(report.json.read_text()) == json.loads(json.dumps(report.numbers))
+
+
+def test_given_a_long_text_when_summed_up_then_it_is_wrapped_and_not_cut(campaign, row, tmp_path):
+    numbers = write_report(campaign, table(made_up(row, 2)), tmp_path, 2).numbers
+    alarms = ', '.join(f'{number} stuck of link2_angle' for number in range(1, 6))
+    bag = {'bag': 'monday', 'unit': '', 'alarm_text': alarms, 'score': 1.0}
+    console = Console(soft_wrap=True, width=80, file=io.StringIO())
+    print_summary({**numbers, 'bags': [bag]}, console)
+    said = console.file.getvalue()
+    assert said.count('link2_angle') >= 5 and '\u2026' not in said
 
 
 def test_given_unfinished_results_when_reported_then_it_is_said_what_is_missing(tmp_path, call):

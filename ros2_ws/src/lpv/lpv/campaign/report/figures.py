@@ -6,7 +6,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import PercentFormatter
+from matplotlib.ticker import LogLocator, PercentFormatter
 
 from lpv.report.style import BAND, INK, SENSOR, picture
 
@@ -48,6 +48,7 @@ def _detection(numbers: dict[str, Any]) -> Figure | None:
         top.yaxis.set_major_formatter(PercentFormatter(1.0))
         label = mine[0]['dose'] + (f' [{unit}]' if unit != '1' else '')
         bottom.set(xscale='log', yscale='log', xlabel=label)
+        bottom.xaxis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))  # more labels would overlap
     axes[0, 0].set_ylabel('detected')
     axes[1, 0].set_ylabel('delay [s]')
     handles = [plt.Line2D([], [], color=colours[name], label=name) for name in names]

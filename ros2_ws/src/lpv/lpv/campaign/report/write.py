@@ -448,7 +448,7 @@ def print_summary(numbers: dict[str, Any], console: Console) -> None:
 def _show(console: Console, columns: Sequence[str], rows: list[tuple[str, ...]]) -> None:
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     for k, name in enumerate(columns):
-        table.add_column(name, justify='right' if k > 1 else 'left', no_wrap=True)
+        table.add_column(name, justify='right' if k > 1 else 'left')
     for row in rows:
         table.add_row(*row)
-    console.print(table, markup=False)
+    console.print(table, markup=False, soft_wrap=False)  # cells are wrapped, not cut
