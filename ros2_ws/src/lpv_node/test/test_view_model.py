@@ -43,7 +43,8 @@ def state_estimate(t, position=(1.6, 0.1), mode=0):
 
 def alarm(event, t, onset=1.0, sensor=SENSORS[0], **fields):
     values = {'kind': 'bias', 'size': 0.3, 'bound': 0.05, 'confidence': 0.9, **fields}
-    times = {'onset': stamp(onset), 'detected': stamp(onset + 0.01)}
+    decided = t if event == CLEARED else onset + 0.01
+    times = {'onset': stamp(onset), 'detected': stamp(decided)}
     return message(t, event=event, sensor=sensor, **times, **values)
 
 
@@ -161,6 +162,7 @@ def test_given_the_events_of_one_alarm_when_listed_then_they_are_one_row():
     alarms.add(alarm(CLEARED, 3.0, size=0.0, bound=0.0))
     first, second = alarms.rows()
     assert (first['kind'], first['size'], first['ended']) == ('bias', 0.3, 3.0)
+    assert first['detected'] == 1.01, 'shaded from there on'
     assert (second['sensor'], second['onset'], second['ended']) == (SENSORS[1], 1.9, None)
 
 

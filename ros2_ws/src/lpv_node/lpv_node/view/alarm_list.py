@@ -41,9 +41,9 @@ class AlarmList:
         row.update(
             kind=event.kind[:MOST_TEXT],
             onset=_time(event.onset),
-            detected=_time(event.detected),
             confidence=_finite(event.confidence),
         )
+        row.setdefault('detected', _time(event.detected))  # when it was raised
         if event.event == CLEARED:
             self._open.pop(key, None)
             row['ended'] = _time(event.header.stamp)

@@ -48,7 +48,7 @@ def _detection(numbers: dict[str, Any]) -> Figure | None:
         top.yaxis.set_major_formatter(PercentFormatter(1.0))
         label = mine[0]['dose'] + (f' [{unit}]' if unit != '1' else '')
         bottom.set(xscale='log', yscale='log', xlabel=label)
-        bottom.xaxis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))  # more labels would overlap
+        bottom.xaxis.set_minor_locator(LogLocator(subs=(3.0,)))  # more labels would overlap
     axes[0, 0].set_ylabel('detected')
     axes[1, 0].set_ylabel('delay [s]')
     handles = [plt.Line2D([], [], color=colours[name], label=name) for name in names]
