@@ -18,9 +18,7 @@ from lpv.core.support.errors import ConfigError
 
 _RANGE = r'(?:\[([^\s:\]]+):([^\s:\]]+)\])?'
 _ENTRY = re.compile(
-    r'(\| )?([\w-]+(?:\.[\w-]+)*)(?:=(\S+?)| (.+?)(?::(int|float))?)?'
-    + _RANGE
-    + r'([!?+*]?|\.{3})'
+    r'(\| )?([\w-]+(?:\.[\w-]+)*)(?:=(\S+?)| (.+?)(?::(int|float))?)?' + _RANGE + r'([!?+*]?|\.{3})'
 )
 _TYPES = {'int': int, 'float': float}
 
