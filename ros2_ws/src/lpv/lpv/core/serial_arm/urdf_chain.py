@@ -89,14 +89,18 @@ def _read_model(
     import pinocchio
 
     held = dict(locked or {})
+    reason = ''
     with _quiet() as sink:
         try:
             model = pinocchio.buildModelFromXML(urdf.text)
         except (ValueError, RuntimeError, IndexError) as error:
-            sink.seek(0)
-            said = re.findall('^Error:(.*)', sink.read().decode(errors='replace'), re.MULTILINE)
-            reason = ' '.join(';'.join(said or [str(error)]).split())[:300]
-            raise ConfigError('urdf', f'is not a model ({reason})', source) from error
+            reason = str(error)
+        sink.seek(0)
+        said = re.findall('^Error:(.*)', sink.read().decode(errors='replace'), re.MULTILINE)
+    # An <inertial> that it cannot read is one of mass 0 to the parser.
+    if said or reason:
+        reason = ' '.join(';'.join(said or [reason]).split())[:300]
+        raise ConfigError('urdf', f'is not a model ({reason})', source)
     names = list(model.names)[1:]
     for name in (*held, *(joints or ())):
         if name not in names:

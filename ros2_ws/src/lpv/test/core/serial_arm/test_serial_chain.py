@@ -103,6 +103,9 @@ NO_ARM = {
     "'b': multiplier": (MOUNT, f'<mimic joint="a" offset="1e99"/>{MOUNT}'),
     "'b' is floating": (B, B.replace('revolute', 'floating')),
     "'b' is planar": (B, B.replace('revolute', 'planar')),
+    'mass element; .*Link .one': ('<mass value="3"/>', ''),
+    'missing ixy .*Link .one': ('ixy="0.001"', ''),
+    'found 2 elements .*Link .two': ('<origin xyz="0 0.2 0"/>', '<origin xyz="0 0.2"/>'),
     "'pan' .* name the link at": (END, BRANCH, {'finger': 0.02}),
     "no link 'hand'": (END, BRANCH, {}, 'hand'),
 }
