@@ -115,13 +115,12 @@ def _read_model(
             raise ConfigError('tip', f'the URDF has no link {tip!r}', source)
         end = model.frames[model.getFrameId(tip, pinocchio.FrameType.BODY)].parentJoint
         moving &= {model.names[i] for i in model.supports[end]}
-    free = moving - set(held)
-    # A joint that follows a locked one is where that one puts it.
-    for name, mimic in urdf.mimics.items():
-        if name in names and name not in held and mimic.joint in names and mimic.joint not in free:
-            free.discard(name)
-            held[name] = mimic.multiplier * held.get(mimic.joint, 0.0) + mimic.offset
-    held.update({name: 0.0 for name in names if name not in free and name not in held})
+    held |= {name: 0.0 for name in names if name not in {*moving, *held, *urdf.mimics}}
+    # A joint that follows a held one is where that one puts it, others that follow are refused.
+    for _ in urdf.mimics:
+        for name, mimic in urdf.mimics.items():
+            if name in names and name not in held and mimic.joint in held:
+                held[name] = mimic.multiplier * held[mimic.joint] + mimic.offset
     if held:
         reference = pinocchio.neutral(model)
         for name, angle in held.items():

@@ -94,6 +94,8 @@ BRANCH = """<link name="camera"><inertial><mass value="0.7"/><inertia ixx="0.01"
   iyy="0.01" iyz="0" izz="0.01"/></inertial></link><link name="right"/>
 <joint name="pan" type="continuous"><parent link="one"/><child link="camera"/>
   <origin xyz="0 0.3 0"/><axis xyz="0 0 1"/></joint>
+<link name="far"/><joint name="next" type="continuous"><parent link="right"/><child link="far"/>
+  <mimic joint="other" multiplier="3"/></joint>
 <joint name="other" type="prismatic"><parent link="tool"/><child link="right"/>
   <axis xyz="0 -1 0"/><mimic joint="finger" multiplier="-2" offset="0.01"/>
   <limit lower="-1" upper="1" velocity="1" effort="5"/></joint></robot>"""
@@ -103,6 +105,7 @@ NO_ARM = {
     "'b': multiplier": (MOUNT, f'<mimic joint="a" offset="1e99"/>{MOUNT}'),
     "'b' is floating": (B, B.replace('revolute', 'floating')),
     "'b' is planar": (B, B.replace('revolute', 'planar')),
+    "'pan' follows 'a'": (END, BRANCH.replace('<axis', '<mimic joint="a"/><axis'), {}, 'tool'),
     'mass element; .*Link .one': ('<mass value="3"/>', ''),
     'missing ixy .*Link .one': ('ixy="0.001"', ''),
     'found 2 elements .*Link .two': ('<origin xyz="0 0.2 0"/>', '<origin xyz="0 0.2"/>'),
@@ -116,7 +119,8 @@ def test_drives_are_no_joints_the_tip_names_the_branch_and_locks_hold_what_follo
     assert replace(small(new=DRIVES), urdf=plain.urdf) == plain
     found = small(new=BRANCH, locked={'finger': 0.02}, tip='tool')
     assert found.joint_names == ('a', 'b')
-    assert dict(found.locked) == pytest.approx({'finger': 0.02, 'other': -0.03, 'pan': 0.0})
+    held = {'finger': 0.02, 'next': -0.09, 'other': -0.03, 'pan': 0.0}
+    assert dict(found.locked) == pytest.approx(held)
     assert_same_torques(found, BRANCH)
     assert small(new=BRANCH, locked={}, tip='camera').joint_names == ('a', 'pan')
 
