@@ -217,7 +217,7 @@ def test_given_what_cannot_be_used_when_initialised_then_it_is_named(tmp_path, r
         ('<mass value="2"', '<mass value="heavy"', HELD, 'mass'),
         ('child link="one"', 'child link="nix"', HOLDS[0].split(), 'link [nix] of joint'),
         ('xyz="0 0 0.3"', 'xyz="0 0"', HELD, '3 expected while parsing vector [0 0]; Malformed'),
-        ('lower="-1" upper="1"', 'lower="1" upper="-1"', HELD, 'joints[0].limits.upper: must lie'),
+        ('lower="-1" upper="1"', 'lower="1" upper="-1"', HELD, "'shoulder' has no lower limit"),
         ('effort="500"', 'effort="0.1"', HELD, 'N m of shoulder, whose limit is 0.1'),
         ('<robot', '<!DOCTYPE x [<!ENTITY y "z">]><robot', HELD, 'document type'),
         ('</robot>', '', HELD, 'no element found'),

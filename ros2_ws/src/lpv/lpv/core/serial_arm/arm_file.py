@@ -407,7 +407,7 @@ def _friction(section: Section) -> JointFriction:
 def _limits(section: Section) -> JointLimits:
     limits = section.section('limits', required=False)
     lower = limits.number('lower', None, -LARGEST, LARGEST) if 'lower' in limits else -math.inf
-    upper = limits.number('upper', None, lower, LARGEST) if 'upper' in limits else math.inf
+    upper = limits.number('upper', high=LARGEST, above=lower) if 'upper' in limits else math.inf
     result = JointLimits(
         lower,
         upper,

@@ -158,6 +158,8 @@ def _joint(model: 'pinocchio.Model', index: int, urdf: Urdf, source: str) -> Ser
         refused = f'is {urdf.kinds[name]}, neither revolute nor prismatic'
     elif model.parents[index] != index - 1:
         refused = f'branches off {model.names[model.parents[index]]!r}: the arm is not a chain'
+    elif not model.lowerPositionLimit[index - 1] < model.upperPositionLimit[index - 1]:
+        refused = 'has no lower limit below an upper one'
     if refused:
         raise ConfigError(
             'urdf',
