@@ -178,6 +178,17 @@ def test_nearby_pose_is_reached(seed, joints):
     assert np.abs(kinematics.forward_kinematics(chain, found.q)[1] - position).max() < 1e-6
 
 
+@given(st.integers(0, 2**31))
+def test_given_joints_at_their_limits_when_a_pose_needs_them_there_then_it_is_reached(seed):
+    arm, rng = load_arm('panda'), np.random.default_rng(seed)
+    low, high = np.array([(joint.limits.lower, joint.limits.upper) for joint in arm.joints]).T
+    q, chain, at_limit = rng.uniform(low, high), compile_chain(arm), rng.integers(7)
+    q[at_limit] = (low, high)[rng.integers(2)][at_limit]
+    rotation, position = kinematics.forward_kinematics(chain, q)
+    start = np.clip(q + rng.uniform(-0.05, 0.05, 7), low, high)
+    assert kinematics.inverse_kinematics(chain, position, rotation, start, (low, high)).reached
+
+
 def test_given_a_pose_out_of_reach_a_singularity_or_limits_then_steps_are_finite_and_limits_kept():
     eyes, tip = [np.eye(3)] * 2, (np.eye(3), (1.0, 0.0, 0.0))  # two links of 1 m in a plane
     planar_arm = make_chain(eyes, [[0, 0, 0], [1, 0, 0]], np.ones((2, 10)), tip=tip)
