@@ -17,6 +17,7 @@ from lpv.core.serial_arm.description import JointLimits
 from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent, Mode, SensorState
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.rate_independence import SAMPLES
+from lpv.core.serial_arm.turns import Turns
 from lpv.core.simulation.faults import Fault
 from lpv.core.support.errors import ConfigError, SampleError
 
@@ -336,6 +337,20 @@ def test_given_a_joint_without_limits_when_its_reading_wraps_then_it_goes_on(rat
     limited = replace(arm, joints=(shoulder_arm().joints[0], *arm.joints[1:]))
     _, answers = observe(stamps, samples, SerialSensorMonitor('/uio', limited))
     assert any(event.sensor == 'encoder1' for _, event in answers.events)
+
+
+def test_given_a_joint_without_limits_when_it_turns_over_while_it_is_not_read_then_it_goes_on():
+    endless = replace(ARM.joints[0], limits=JointLimits(velocity=2.5))
+    arm = replace(ARM, joints=(endless, *ARM.joints[1:]))
+    stamps, way = START + 2_000_000 * np.arange(500), np.linspace(2.9, 3.7, 500)
+    truth = np.stack([way, 0.0 * way, 0.0 * way], axis=1)
+    readings = (truth + np.pi) % (2.0 * np.pi) - np.pi
+    readings[100:200, 0] = np.nan  # turned over meanwhile
+    for size in (500, 1):
+        turns = Turns(arm)
+        parts = [slice(k, k + size) for k in range(0, 500, size)]
+        found = [turns.continued(stamps[p], readings[p], 0.0 * truth[p])[0] for p in parts]
+        np.testing.assert_allclose(np.concatenate(found)[200:], truth[200:], atol=1e-12)
 
 
 def test_given_a_joint_that_turns_for_an_hour_when_observed_then_its_readings_stay_plausible():
