@@ -21,7 +21,7 @@ from lpv.core.serial_arm.certificate.model_bounds import chain_numbers
 from lpv.core.serial_arm.chain import body_parameters, compile_chain, make_chain
 from lpv.core.serial_arm.dynamics import kinematics, payload
 from lpv.core.serial_arm.dynamics.model import SerialModel
-from lpv.core.serial_arm.simulation import plant_scratch, plant_step
+from lpv.core.serial_arm.simulation import integration_step, plant_scratch, plant_step
 from lpv.core.simulation.mujoco_chain import MujocoChain
 from lpv.core.uio.model.arm import ArmParameters, Link
 from lpv.core.uio.model.dynamics import inverse_dynamics as two_link_inverse_dynamics
@@ -165,6 +165,21 @@ def test_energy_is_kept_without_friction_and_torque():
         assert plant_step(chain, state, np.zeros(4), 5e-4, 1, scratch, matrix)
     assert abs(energy() - before) < 1e-6 * abs(before)
     assert np.abs(state[1]).max() > 1.0
+
+
+def test_given_friction_by_load_when_it_holds_an_arm_then_steps_are_short_enough():
+    arm = load_arm('panda')
+    chain, n, period = compile_chain(arm), len(arm.joints), 0.002
+    chain.friction[:] = 0.0, 0.0, 0.3, 0.0, 300.0
+    q = middle(arm) + 0.1
+    step, count = integration_step(chain, period)
+    torque, ends = 1.02 * SerialModel(chain).gravity(q) + 0.01, []
+    scratch, matrix = plant_scratch(chain), np.empty((n, n))
+    for finer in (1, 8):
+        state = np.array([q, 0.0 * q])
+        assert plant_step(chain, state, torque, step / finer, 50 * finer * count, scratch, matrix)
+        ends.append(state)
+    np.testing.assert_allclose(*ends, rtol=0.0, atol=1e-8)
 
 
 @given(st.integers(0, 2**31), st.integers(6, 9))
