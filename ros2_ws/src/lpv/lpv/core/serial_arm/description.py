@@ -184,13 +184,14 @@ class SerialJoint:
 
     @property
     def range(self) -> tuple[float, float]:
-        """Positions of usual motions [rad]: the limits within half a turn to each side.
+        """Positions of usual motions [rad]: the limits within half a turn about what is next to 0.
 
         Of a prismatic joint, the limits, or 1 m where there are none.
         """
         low, high = self.limits.lower, self.limits.upper
         if not self.is_prismatic:
-            return max(low, -math.pi), min(high, math.pi)
+            middle = min(max(low, 0.0), high)
+            return max(low, middle - math.pi), min(high, middle + math.pi)
         if math.isinf(low):
             low = high - 1.0 if math.isfinite(high) else -0.5
         return low, low + 1.0 if math.isinf(high) else high

@@ -372,6 +372,14 @@ def test_given_an_arm_file_when_written_and_read_then_it_is_the_same(make, tmp_p
         arm_file.parse_arm(data)
 
 
+@pytest.mark.parametrize(('low', 'high', 'span'), [
+    (-math.inf, math.inf, (-math.pi, math.pi)), (-6.3, 6.3, (-math.pi, math.pi)),
+    (-3.0, -0.1, (-3.0, -0.1)), (4.0, 6.0, (4.0, 6.0)), (-9.0, -4.0, (-4.0 - math.pi, -4.0)),
+])  # fmt: skip
+def test_given_limits_anywhere_then_usual_motions_are_within_them(low, high, span):
+    assert replace(scara().joints[0], limits=description.JointLimits(low, high)).range == span
+
+
 def test_given_a_prismatic_joint_then_its_range_counts_as_a_turn_and_it_has_no_certificate():
     scales = dict(zip(scara().joint_names, scara().scales()))
     assert scales['turn_1'] == 1.0 and scales['lift'] == pytest.approx(0.2 / (2 * np.pi))
