@@ -319,6 +319,13 @@ def test_given_an_exported_mjcf_when_mujoco_takes_it_then_motions_are_ours(mujoc
         np.testing.assert_allclose(state, theirs, rtol=0.0, atol=1e-8)
 
 
+def test_given_a_coupled_rotor_without_inertia_when_written_as_mjcf_then_it_is_refused():
+    first, last, *others = scara().joints
+    joints = first, replace(last, rotor_inertia=0.0, rotor_coupling=-0.1), *others
+    with pytest.raises(ConfigError, match=r'motor\[1\]: must have the inertia'):
+        mjcf.chain_mjcf(compile_chain(replace(scara(), joints=joints)))
+
+
 def test_given_a_foreign_callback_when_the_plant_has_stepped_then_it_is_back(mujoco, real_arm):
     def mine(_model, _data):
         pass
