@@ -144,16 +144,15 @@ def _cylinder(
 
 def _joint(robot: ElementTree.Element, joint: SerialJoint, parent: str, child: str) -> None:
     limits = joint.limits
-    bounded = math.isfinite(limits.lower) and math.isfinite(limits.upper)
-    kind = joint.type if bounded or joint.is_prismatic else 'continuous'
+    kind = 'continuous' if joint.is_endless else joint.type
     element = add_element(robot, 'joint', name=joint.name, type=kind)
     _ends(element, parent, child)
     _origin(element, joint.position, joint.orientation)
     add_element(element, 'axis', xyz=joint.axis)
     values = {'effort': min(limits.torque, LARGEST), 'velocity': limits.velocity}
-    if bounded:
-        values |= {'lower': limits.lower, 'upper': limits.upper}
-    if bounded or joint.is_prismatic or limits.torque < LARGEST:
+    if not joint.is_endless:  # what is left out is 0 to readers
+        values |= {'lower': max(limits.lower, -LARGEST), 'upper': min(limits.upper, LARGEST)}
+    if not joint.is_endless or limits.torque < LARGEST:
         add_element(element, 'limit', **values)
     friction = joint.friction
     add_element(element, 'dynamics', damping=friction.viscous, friction=friction.coulomb)

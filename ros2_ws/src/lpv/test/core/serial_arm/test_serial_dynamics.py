@@ -359,6 +359,14 @@ def test_given_odd_names_or_an_inertia_of_no_body_when_written_then_it_is_xml_or
     assert '<inertial>' not in urdf.arm_urdf(arm, inertial=False)
 
 
+def test_given_a_slide_without_limits_when_written_as_urdf_then_it_is_read_without(tmp_path):
+    arm, (low, high) = ur10_on_rail(), (-math.inf, math.inf)
+    endless = replace(arm.joints[0], limits=replace(arm.joints[0].limits, lower=low, upper=high))
+    text = urdf.arm_urdf(replace(arm, joints=(endless, *arm.joints[1:])))
+    (tmp_path / 'arm.urdf').write_text(text)
+    assert urdf_chain.read_urdf_chain(tmp_path / 'arm.urdf').joints[0].range == endless.range
+
+
 def test_given_the_command_when_run_then_it_prints_the_urdf_of_a_file(paper_arm, capsys, tmp_path):
     command, out = ['urdf', '--arm', str(BRINGUP / 'arms' / 'paper.yaml')], tmp_path / 'a.urdf'
     assert main(command) == 0
