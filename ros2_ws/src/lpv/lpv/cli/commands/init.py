@@ -63,8 +63,7 @@ def _with_region(arm: SerialArm) -> SerialArm:
     """A planar arm with the region that gains are designed for; others as they are."""
     if len(arm.joints) == 2 and not any(arm.tip):
         # A URDF without a frame at its tip: the link ends twice as far as its centre of mass.
-        link = arm.joints[1].link
-        x, y, z = (2.0 * moment / max(link.mass, 1e-9) for moment in link.first_moment)
+        x, y, z = (2.0 * arm.joints[1].link.center()).tolist()
         arm = replace(arm, tip=(x, y, z))
     if not is_planar(arm):
         return arm

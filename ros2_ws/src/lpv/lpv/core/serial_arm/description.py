@@ -56,6 +56,16 @@ class LinkInertia:
         xx, xy, yy, xz, yz, zz = self.inertia
         return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
+    def center(self) -> np.ndarray:
+        """Centre of mass, shape (3,) [m]; the origin without a mass."""
+        moment = np.array(self.first_moment)
+        return moment / self.mass if self.mass != 0.0 else 0.0 * moment
+
+    def about_center(self) -> np.ndarray:
+        """Inertia about the centre of mass, shape (3, 3) [kg m2]."""
+        c = self.center()
+        return self.rotational_inertia() - self.mass * (c @ c * np.eye(3) - np.outer(c, c))
+
     def pseudo_inertia(self) -> np.ndarray:
         """Second moments of the mass distribution, shape (4, 4).
 
