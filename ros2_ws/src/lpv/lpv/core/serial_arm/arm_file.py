@@ -180,7 +180,7 @@ def _lpv(top: Section, n: int) -> LpvRegion | None:
 
 
 def save_arm(arm: SerialArm, path: str | Path) -> None:
-    """Write an arm file; `load_arm` reads the same arm back, bit by bit.
+    """Write an arm file, from which `load_arm` reads the same arm, bit by bit.
 
     Parameters
     ----------
@@ -188,16 +188,22 @@ def save_arm(arm: SerialArm, path: str | Path) -> None:
         The arm.
     path : str or pathlib.Path
         File to write; an existing one is replaced.
+
+    Raises
+    ------
+    ConfigError
+        If `load_arm` would refuse the file; nothing is written.
     """
+    path, content = Path(path), to_mapping(arm)
+    parse_arm(content, f'{path} is not written', path.parent)
     text = yaml.dump(
-        to_mapping(arm),
+        content,
         Dumper=_Dumper,
         sort_keys=False,
         width=110,
         default_flow_style=False,
         allow_unicode=True,
     )
-    path = Path(path)
     partial = path.with_name(path.name + '.part')
     partial.write_text(_HEADER + text, encoding='utf-8')
     partial.replace(path)

@@ -385,6 +385,10 @@ def test_given_an_arm_file_when_written_and_read_then_it_is_the_same(make, tmp_p
     data['joints'][0]['type'] = 'helical'
     with pytest.raises(ConfigError, match='revolute, prismatic'):
         arm_file.parse_arm(data)
+    dead = replace(arm, joints=(replace(arm.joints[0], torque_gain=0.0), *arm.joints[1:]))
+    with pytest.raises(ConfigError, match=r'arm.yaml is not written: joints\[0\].torque_gain'):
+        arm_file.save_arm(dead, tmp_path / 'arm.yaml')
+    assert load_arm(tmp_path / 'arm.yaml') == arm
 
 
 @pytest.mark.parametrize(('low', 'high', 'span'), [
