@@ -341,7 +341,7 @@ def _joint(section: Section, base: SerialJoint | None) -> SerialJoint:
     else:
         position, orientation, axis = base.position, base.orientation, base.axis
     link = _link(section) if base is None or 'link' in section else base.link
-    limits = base.limits if base is not None and 'limits' not in section else _limits(section)
+    limits = _limits(section, JointLimits() if base is None else base.limits)
     joint = SerialJoint(
         name=name,
         position=position,
@@ -410,15 +410,17 @@ def _friction(section: Section) -> JointFriction:
     return result
 
 
-def _limits(section: Section) -> JointLimits:
+def _limits(section: Section, base: JointLimits) -> JointLimits:
     limits = section.section('limits', required=False)
-    lower = limits.number('lower', None, -LARGEST, LARGEST) if 'lower' in limits else -math.inf
-    upper = limits.number('upper', high=LARGEST, above=lower) if 'upper' in limits else math.inf
+    lower = limits.number('lower', None, -LARGEST, LARGEST) if 'lower' in limits else base.lower
+    upper = limits.number('upper', high=LARGEST, above=lower) if 'upper' in limits else base.upper
+    if not lower < upper:
+        raise limits.error('lower', f'must be below {upper}, the upper limit, got {lower}')
     result = JointLimits(
         lower,
         upper,
-        limits.number('velocity', 100.0, above=0.0, high=1e4),
-        limits.number('torque', 1e9, above=0.0, high=1e9),
+        limits.number('velocity', base.velocity, above=0.0, high=1e4),
+        limits.number('torque', base.torque, above=0.0, high=1e9),
     )
     limits.finish()
     return result

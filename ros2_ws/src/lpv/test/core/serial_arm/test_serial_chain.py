@@ -65,6 +65,16 @@ def test_gripper_is_locked_where_it_was_told_and_axes_point_anywhere(small, tmp_
     (tmp_path / 'arm.yaml').write_text(text)
     arm = load_arm(tmp_path / 'arm.yaml')
     assert (arm.joints, arm.locked) == (found.joints, found.locked)
+    # What it says of a limit leaves the others.
+    limits = (3.0, '{torque: 20.0}'), (2.0, '{velocity: 2.0}'), (3.0, '{lower: 1.0}')
+    for velocity, said in limits:
+        joints = f', joints: [{{name: a, limits: {said}}}, {{name: b}}]}}'
+        (tmp_path / 'arm.yaml').write_text(text[:-1] + joints)
+        limit = load_arm(tmp_path / 'arm.yaml').joints[0].limits
+        assert (limit.upper, limit.velocity) == (2.0, velocity)
+    (tmp_path / 'arm.yaml').write_text(text[:-1] + joints.replace('1.0', '2.0'))
+    with pytest.raises(ConfigError, match=r'limits.lower: must be below 2.0'):
+        load_arm(tmp_path / 'arm.yaml')
     # An axis goes with a position: that of the URDF is in another frame.
     (tmp_path / 'arm.yaml').write_text(text[:-1] + ', joints: [{name: a, axis: [0, 0, 1]}]}')
     with pytest.raises(ConfigError, match=r'joints\[0\].position: is missing'):
