@@ -10,7 +10,7 @@ const MODE = {
   INITIALISING: ['stale', 'initialising'], STALE: ['stale', 'stale'],
   NO_ESTIMATE: ['stale', 'no estimate'],
 };
-const LINK = { connected: ['ok', 'connected'], silent: ['stale', 'no answer'],
+const LINK = { connected: ['ok', 'connected'],
   reconnecting: ['error', 'connection lost, trying again'] };
 // Of alarms whose size is no position error: it is known as of the event only.
 const UNITS = { rate_bias: ' rad/s', torque_offset: ' N m', torque_gain: '', contact: ' N m' };

@@ -90,6 +90,23 @@ function options(select, names) {
   if (names.includes(chosen)) select.value = chosen;
 }
 
+// Without a link nothing is known of the present: neither a verdict is given nor an arm drawn.
+function takeLink(state) {
+  const lost = state !== 'connected';
+  showLink(state);
+  document.body.classList.toggle('lost', lost);
+  if (!lost) return;
+  frame = null;
+  takeServices({});
+  redraw();
+}
+
+function takeServices({ inject, clear, reset }) {
+  byId('inject').disabled = !inject;
+  byId('clear').disabled = !clear;
+  byId('reset').disabled = !reset;
+}
+
 function takeFrame(message) {
   frame = message;
   const { sample } = message;
@@ -99,10 +116,8 @@ function takeFrame(message) {
     samples.push(sample);
     while (samples.length > 4000 || samples[0].t < sample.t - hello.window) samples.shift();
   }
-  const { inject, clear, reset } = message.services;
-  byId('inject').disabled = !inject;
-  byId('clear').disabled = !clear;
-  byId('reset').disabled = !reset;
+  const { inject, clear } = message.services;
+  takeServices(message.services);
   byId('no-simulator').hidden = inject || clear;
 }
 
@@ -126,7 +141,7 @@ const link = new Link((message) => {
   else if (message.type === 'error') say(message.message, true);
   redraw();
 }, (state) => {
-  showLink(state);
+  takeLink(state);
   if (state === 'connected' && token) unlock(token);
 });
 
@@ -175,5 +190,5 @@ byId('token-form').addEventListener('submit', (event) => {
   unlock(byId('token').value.trim());
   byId('token').value = '';
 });
-startTheme(redraw);
+startTheme(draw);
 addEventListener('resize', redraw);
