@@ -203,13 +203,18 @@ def test_given_an_observer_that_begins_anew_when_estimated_then_all_alarms_end(m
     assert model.alarms.rows()[0]['ended'] == 3.0
 
 
-def test_given_endless_alarms_when_listed_then_the_newest_are_kept():
+def test_given_endless_alarms_when_listed_then_those_that_last_and_the_newest_are_kept():
     alarms = AlarmList()
+    alarms.add(alarm(RAISED, 0.0, onset=0.0, sensor=SENSORS[1]))
     for k in range(1000):
         alarms.add(alarm(RAISED, k + 0.01, onset=float(k)))
-    *others, newest = alarms.rows()
-    assert (len(others), newest['onset'], newest['ended']) == (255, 999.0, None)
+    first, *others, newest = alarms.rows()
+    assert (first['sensor'], first['ended']) == (SENSORS[1], None)
+    assert (len(others), newest['onset'], newest['ended']) == (254, 999.0, None)
     assert None not in [row['ended'] for row in others]
+    for k in range(1000):  # of no sensor that there is
+        alarms.add(alarm(RAISED, 1000.0, sensor=f'sensor {k}'))
+    assert len(alarms.rows()) == 256 and alarms.rows()[-1]['sensor'] == 'sensor 999'
 
 
 INJECT = {'type': 'inject', 'id': 7, 'sensor': SENSORS[1], 'kind': 'bias', 'size': 1}

@@ -83,8 +83,11 @@ class AlarmList:
         self._rows.append(row)
         self._open[key] = row
         if len(self._rows) > MAX_FAULTS:
-            oldest = self._rows.pop(0)
-            if self._open.get(_key(oldest)) is oldest:
+            # What lasts stays, as long as senders name sensors that there are.
+            over = (r for r in self._rows if r['ended'] is not None)
+            oldest = next(over, self._rows[0])
+            self._rows.remove(oldest)
+            if oldest['ended'] is None:
                 del self._open[_key(oldest)]
         return row
 
