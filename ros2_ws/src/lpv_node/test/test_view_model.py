@@ -105,7 +105,7 @@ def test_given_a_source_that_falls_silent_when_framed_then_it_is_no_longer_shown
     assert model.frame(10.5)['arms']['estimated'] is not None
     frame = model.frame(12.0)
     assert frame['arms']['estimated'] is None and not frame['live']['state_estimate']
-    assert frame['age'] == 2.0
+    assert frame['age'] == 2.0 and frame['mode'] is frame['trustworthy'] is None
     model.take('state_estimate', state_estimate(3.0, mode=4), 13.0)
     assert model.frame(13.0)['arms']['estimated'] is None, 'values of NO_ESTIMATE mean nothing'
 
@@ -138,6 +138,11 @@ def test_given_many_diagnostics_when_framed_then_their_number_is_bounded(model):
     assert 0 < len(shown) <= 16
     assert all(len(s['message']) <= 300 and len(s['name']) <= 300 for s in shown)
     assert [s['level'] for s in shown[:4]] == ['OK', 'WARN', 'ERROR', 'STALE']
+
+
+def test_given_a_node_that_reports_no_more_when_framed_then_its_status_is_stale(model):
+    report(model, 0.0)
+    assert [model.frame(now)['diagnostics'][0]['level'] for now in (9.0, 11.0)] == ['ERROR', 'STALE']
 
 
 def test_given_safe_stops_when_framed_then_they_are_counted_with_the_last_reason(model):

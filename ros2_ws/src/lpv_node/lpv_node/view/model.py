@@ -14,7 +14,7 @@ from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import Mode, SensorState
 from lpv.core.simulation.faults import KINDS
 from lpv.core.support.errors import SampleError
-from lpv.core.support.limits import LARGEST, MOST_TEXT, QUIET
+from lpv.core.support.limits import MOST_TEXT, PATIENCE, QUIET
 from lpv.core.support.timestamps import LAST_STAMP, NANOSECONDS, to_nanoseconds
 from lpv_node.view.alarm_list import AlarmList, seconds
 from lpv_node.view.skeleton import Skeleton
@@ -58,7 +58,7 @@ class LiveModel:
         self._latest: dict[str, Any] = {}
         self._received: dict[str, float] = {}  # steady times [s]
         self._history: deque[dict[str, Any]] = deque(maxlen=_MOST_SAMPLES)
-        self._statuses: dict[str, dict[str, str]] = {}
+        self._statuses: dict[str, tuple[float, dict[str, str]]] = {}  # with steady times [s]
         self._stops: dict[str, Any] = {'count': 0, 'last': ''}  # safe stops of the tracker
         self._stopped = -math.inf  # steady time of the last one [s]
         self._stamp: int | None = None
@@ -92,7 +92,7 @@ class LiveModel:
         # A byte, which Python sees as bytes.
         level = status.level[0] if isinstance(status.level, bytes) and status.level else 0
         text = status.message[:MOST_TEXT]
-        known[name] = {'name': name, 'level': _name(LEVELS, level), 'message': text}
+        known[name] = now, {'name': name, 'level': _name(LEVELS, level), 'message': text}
         values = {pair.key: pair.value for pair in status.values[:_MOST_STATUSES]}
         count = values.get('safe stops', '')
         if not (count.isascii() and count.isdigit() and len(count) < 10):
@@ -110,7 +110,7 @@ class LiveModel:
             'reach': round(self._skeleton.reach, 4),
             'joints': list(arm.joint_names),
             'sensors': list(arm.sensor_names),
-            'torque_limit': [v if v < LARGEST else None for v in arm.torque_limit],
+            'units': [joint.units for joint in arm.joints],  # of position and torque
             'kinds': list(KINDS),
             'window': WINDOW,
             'scene': self._scene(),
@@ -131,8 +131,9 @@ class LiveModel:
 
     def frame(self, now: float) -> dict[str, Any]:
         """The present at a steady time [s], for clients and history; None: not known."""
+        live = self._live(now)
         sources = 'state_estimate', 'fault_estimate', 'torque_command'
-        state, fault, command = map(self._latest.get, sources)
+        state, fault, command = (self._latest[s] if live[s] else None for s in sources)
         newest = max(self._received.values(), default=now)
         drawn = self._skeleton.drawn
         corners = {
@@ -142,12 +143,15 @@ class LiveModel:
         states = [None] * self._joints if fault is None else [_name(STATES, s) for s in fault.state]
         return {
             'type': 'frame',
-            'live': self._live(now),
+            'live': live,
             'services': dict(self.services),
             'age': round(max(0.0, now - newest), 1) if self._received else None,
             'sample': self._sample(now),
             'arms': corners,
-            'diagnostics': list(self._statuses.values()),
+            'diagnostics': [
+                status if now - at < 2.0 * PATIENCE else {**status, 'level': 'STALE'}
+                for at, status in self._statuses.values()
+            ],
             'mode': None if state is None else _name(MODES, state.mode),
             'trustworthy': None if state is None else bool(state.trustworthy),
             'safe_stop': None if command is None else bool(command.safe_stop),
