@@ -171,7 +171,7 @@ def path(run: 'Run') -> Figure:
                 shown = _spread(points[:, [0, row]])
                 axis.plot(*shown.T, label=text, color=color, linewidth=width)
         marked = tips[actual] if tips[actual] is not None else tips['joint_states']
-        if marked is not None and len(marked):
+        if marked is not None:
             _mark_ends(axis, marked[[0, -1]][:, [0, row]])
         obstacle = planned.obstacle if planned is not None else None
         if obstacle is not None:
@@ -186,7 +186,8 @@ def path(run: 'Run') -> Figure:
 
 def _tips(run: 'Run', stream: str) -> np.ndarray | None:
     position = run.record.aligned(stream, 'position')
-    return None if position is None else tip_positions(run.arm, position)[0]
+    tips = None if position is None else tip_positions(run.arm, position)[0]
+    return None if tips is None or not len(tips) else tips
 
 
 def _spread(points: np.ndarray, step: float = 0.5e-3) -> np.ndarray:

@@ -266,14 +266,36 @@ def test_given_many_stretches_when_listed_then_the_longest_are_shown_and_all_are
     assert sum(kept) + rest['duration'] == pytest.approx(sum(p.duration for p in many))
 
 
-def test_given_inconsistent_alarms_when_reported_then_phases_have_them_and_overlaps_are_one(page):
-    record, odd = run(), {'kind': history.INCONSISTENT}
-    record.alarms = [event(200, **odd), event(300, **odd), event(400, kind='drift')]
-    values = page(record)
-    assert '1 inconsistent phase.' in values['verdict']
-    assert spans(values['phases']) == [(history.INCONSISTENT, 0.2, 0.4)]
-    record.alarms = [event(200, **odd), event(300, **odd, **RIGHT), event(400, **odd, **CLEARED)]
-    assert spans(page(record)['phases']) == [(history.INCONSISTENT, 0.2, record.time[-1])]
+def test_given_a_rate_that_is_off_beside_a_bias_when_gathered_then_each_has_its_end_and_unit(
+    paper_arm,
+):
+    rate, times = {'kind': 'rate_bias', 'size': 0.05}, (100, 120)
+    alarms = [
+        event(120, *times, kind='bias'),
+        event(200, **rate),
+        event(250, *times, kind='dropout', size=0.0, event=AlarmEvent.UPDATED),
+        event(300, 200, 200, **rate, **CLEARED),
+        event(400, *times, kind='bias', **CLEARED),
+        event(500, **rate),
+        event(600, kind='noise', size=0.02, **RIGHT),
+    ]
+    found = [
+        (e.kind, e.raised, e.cleared, e.size, e.unit(paper_arm))
+        for e in episodes(made_up(alarms=alarms))
+    ]
+    assert found == [
+        ('bias', 0.12, 0.4, 0.3, 'rad'),
+        ('rate_bias', 0.2, 0.3, 0.05, 'rad/s'),
+        ('rate_bias', 0.5, None, 0.05, 'rad/s'),
+        ('noise', 0.6, None, 0.02, 'rad'),
+    ]
+
+
+def test_given_no_reading_at_all_when_drawn_then_there_is_no_path(paper_arm):
+    record = run()
+    record.joint_names = paper_arm.joint_names
+    record.streams['joint_states']['position'][:] = np.nan
+    assert figures.path(analysed(record, paper_arm)) is not None
 
 
 def test_given_an_alarm_that_lasts_when_reported_then_its_size_is_the_error_now(page):

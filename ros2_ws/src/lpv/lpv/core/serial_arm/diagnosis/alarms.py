@@ -38,6 +38,21 @@ GUARANTEED, STATISTICAL = 'guaranteed', 'statistical'
 """Bases of an alarm: no healthy arm inside its file shows this, or the mean time between false
 alarms."""
 
+def subject(kind: str) -> str:
+    """What alarms of a kind are about: one sensor may have one of each subject at a time.
+
+    Parameters
+    ----------
+    kind : str
+        One of `KINDS`.
+
+    Returns
+    -------
+    str
+        'rate_bias' or 'dropout', else '': the error of the position, whose kind may change.
+    """
+    return kind if kind in ('rate_bias', 'dropout') else ''
+
 
 @dataclass(frozen=True)
 class Alarm:
