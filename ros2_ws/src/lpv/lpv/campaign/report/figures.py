@@ -43,7 +43,7 @@ def _detection(numbers: dict[str, Any]) -> Figure | None:
         for entry in mine:
             _probability(top, entry, colours[entry['sensor']])
             _delay(bottom, entry, colours[entry['sensor']])
-        unit = mine[0]['unit']
+        unit = _units(mine)
         top.set(title=kind, ylim=(-0.02, 1.02))
         top.yaxis.set_major_formatter(PercentFormatter(1.0))
         label = mine[0]['dose'] + (f' [{unit}]' if unit != '1' else '')
@@ -54,6 +54,10 @@ def _detection(numbers: dict[str, Any]) -> Figure | None:
     handles = [plt.Line2D([], [], color=colours[name], label=name) for name in names]
     figure.legend(handles=handles, loc='outside upper center', ncols=min(len(names), 4))
     return figure
+
+
+def _units(entries: list[dict[str, Any]]) -> str:
+    return ' or '.join(dict.fromkeys(entry['unit'] for entry in entries))
 
 
 def _probability(axis: Axes, entry: dict[str, Any], colour: str) -> None:
@@ -118,7 +122,7 @@ def _estimates(numbers: dict[str, Any]) -> Figure | None:
             box.set_facecolor(colour)
     axis.set_xticks(range(len(entries)), [entry['sensor'] for entry in entries])
     axis.tick_params(axis='x', labelrotation=30 if len(entries) > 3 else 0)
-    axis.set(yscale='log', ylabel='[rad]', title=f'{entries[0]["what"]} (blue), thresholds (grey)')
+    axis.set(yscale='log', ylabel=f'[{_units(entries)}]', title=f'{entries[0]["what"]} (blue), thresholds (grey)')
     return figure
 
 
@@ -135,7 +139,7 @@ def _trends(numbers: dict[str, Any]) -> Figure | None:
         axis.plot(days, 1e3 * means, 'o', color=SENSOR[0], markersize=3.5)
         axis.plot(days, 1e3 * line, color=SENSOR[1])
         axis.set(title=f'{trend["unit"] or "-"}, {trend["sensor"]}', xlabel='days')
-        axis.set_ylabel('mean estimate [mrad]')
+        axis.set_ylabel(f'mean estimate [m{trend["position_unit"]}]')
     for axis in list(axes.flat)[len(chosen) :]:
         axis.set_axis_off()
     return figure
