@@ -142,7 +142,8 @@ def test_given_many_diagnostics_when_framed_then_their_number_is_bounded(model):
 
 def test_given_a_node_that_reports_no_more_when_framed_then_its_status_is_stale(model):
     report(model, 0.0)
-    assert [model.frame(now)['diagnostics'][0]['level'] for now in (9.0, 11.0)] == ['ERROR', 'STALE']
+    early, late = (model.frame(now)['diagnostics'][0]['level'] for now in (9.0, 11.0))
+    assert (early, late) == ('ERROR', 'STALE')
 
 
 def test_given_safe_stops_when_framed_then_they_are_counted_with_the_last_reason(model):

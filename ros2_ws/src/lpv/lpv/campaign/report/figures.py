@@ -122,7 +122,8 @@ def _estimates(numbers: dict[str, Any]) -> Figure | None:
             box.set_facecolor(colour)
     axis.set_xticks(range(len(entries)), [entry['sensor'] for entry in entries])
     axis.tick_params(axis='x', labelrotation=30 if len(entries) > 3 else 0)
-    axis.set(yscale='log', ylabel=f'[{_units(entries)}]', title=f'{entries[0]["what"]} (blue), thresholds (grey)')
+    title = f'{entries[0]["what"]} (blue), thresholds (grey)'
+    axis.set(yscale='log', ylabel=f'[{_units(entries)}]', title=title)
     return figure
 
 

@@ -441,7 +441,8 @@ def print_summary(numbers: dict[str, Any], console: Console) -> None:
         if trend['clear']:
             console.print(
                 f'trend   {trend["unit"] or "-"}, {trend["sensor"]}: {trend["slope"]:+.2e} '
-                f'{trend["position_unit"]} per day, reaches its threshold in {number(trend["days_left"])} days',
+                f'{trend["position_unit"]} per day, reaches its threshold in '
+                f'{number(trend["days_left"])} days',
                 markup=False,
             )
     for row in numbers['failures'][:_MOST]:

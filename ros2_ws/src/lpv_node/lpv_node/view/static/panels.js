@@ -101,9 +101,9 @@ function verdict(kind, icon, head, text) {
 }
 
 // What is faulty, and the unit of the error.
-function about({ sensor, kind }, { sensors, joints, units }) {
-  const i = sensors.indexOf(sensor), unit = units[i]?.[0] ?? '';
-  return kind === 'rate_bias' ? [`rate of ${joints[i] ?? sensor}`, `${unit}/s`] : [sensor, unit];
+function about({ sensor, kind }, { sensors, units }) {
+  const unit = units[sensors.indexOf(sensor)]?.[0] ?? '';
+  return kind === 'rate_bias' ? [`${sensor} (rate)`, `${unit}/s`] : [sensor, unit];
 }
 
 // An alarm in the words of the log.  Its error is that of now, as on the sensor's card, where there

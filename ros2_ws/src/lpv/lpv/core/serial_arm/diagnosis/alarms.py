@@ -38,6 +38,7 @@ GUARANTEED, STATISTICAL = 'guaranteed', 'statistical'
 """Bases of an alarm: no healthy arm inside its file shows this, or the mean time between false
 alarms."""
 
+
 def subject(kind: str) -> str:
     """What alarms of a kind are about: one sensor may have one of each subject at a time.
 
