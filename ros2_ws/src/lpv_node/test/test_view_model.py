@@ -121,6 +121,15 @@ def test_given_a_long_run_when_history_is_asked_for_then_it_is_one_window_withou
     assert len(model.hello()['history']) == 1, 'time started anew'
 
 
+def test_given_an_alarm_that_is_over_when_time_starts_anew_then_it_has_no_place_on_its_axis(model):
+    for t, events in ((5.0, (RAISED, CLEARED)), (1.0, ()), (3.0, (RAISED,))):
+        for event in events:
+            model.take('fault_alarm', alarm(event, t, onset=t), t)
+        model.take('fault_estimate', fault_estimate(t), 10.0)
+        model.frame(10.0)
+    assert [row['past'] for row in model.alarms.rows()] == [True, False]
+
+
 def test_given_a_source_that_ended_with_the_old_clock_when_time_starts_anew_then_it_goes_on(model):
     model.take('ground_truth', message(50.0, position=[1.0, 0.0], fault=[0.0, 0.0]), 0.0)
     shown = []

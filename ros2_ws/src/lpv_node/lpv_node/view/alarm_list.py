@@ -23,7 +23,6 @@ class AlarmList:
     def __init__(self) -> None:
         self._rows: list[Row] = []
         self._open: dict[tuple[str, str], Row] = {}
-        self._count = 0
         self.changed = False
 
     def rows(self) -> list[Row]:
@@ -70,6 +69,12 @@ class AlarmList:
         for key in list(self._open):
             self._follow(key, True, seconds(stamp))
 
+    def forget_clock(self) -> None:
+        """Time has started anew: those that are over have no place on its axis."""
+        for row in self._rows:
+            row['past'] = row['ended'] is not None
+        self.changed = True
+
     def _follow(self, key: tuple[str, str], is_over: bool, stamp: float) -> None:
         row = self._open.get(key)
         # The alarm and the estimate of one sample come on two topics, in any order.
@@ -77,8 +82,7 @@ class AlarmList:
             self._end(key, max(stamp, row['detected']))
 
     def _new_row(self, key: tuple[str, str]) -> Row:
-        self._count += 1
-        row: Row = {'id': self._count, 'sensor': key[0], 'ended': None, 'size': None, 'bound': None}
+        row: Row = {'sensor': key[0], 'ended': None, 'size': None, 'bound': None, 'past': False}
         self._rows.append(row)
         self._open[key] = row
         if len(self._rows) > MAX_FAULTS:

@@ -208,6 +208,7 @@ class LiveModel:
         if stamp is not None and stamp != self._stamp:
             if self._stamp is not None and stamp < self._stamp - NANOSECONDS:
                 self._history.clear()  # time restarted
+                self.alarms.forget_clock()
             self._stamp = stamp
             self._history.append(sample)
             while self._history[0]['t'] < sample['t'] - WINDOW:

@@ -30,7 +30,7 @@ const sensorChart = (canvas, i, unit) => new Chart(canvas, {
     { values: (s) => s.estimate[i], colour: 'estimated' }],
   band: (s) => (s.estimate[i] == null || s.bound[i] == null ? null
     : [s.estimate[i] - s.bound[i], s.estimate[i] + s.bound[i]]),
-  marks: () => alarms.filter((row) => row.sensor === hello?.sensors[i])
+  marks: () => alarms.filter((row) => row.sensor === hello?.sensors[i] && !row.past)
     .map((row) => [row.detected, row.ended]),
 });
 const torqueChart = (units) => new Chart(byId('torque'), {
