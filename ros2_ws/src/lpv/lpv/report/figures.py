@@ -220,11 +220,9 @@ def faults(run: 'Run') -> Figure | None:
         look: dict[str, Any] = {'color': BAND, 'alpha': 0.45, 'linewidth': 0}
         axis.fill_between(at, -high, high, label='below threshold', **look)
         known = np.where(state != SensorState.NOT_DIAGNOSABLE, bound, np.nan)
-        at, low = thin(record.time, estimate - known)
-        high = thin(record.time, estimate + known)[1]
-        if len(high) == len(low):
-            look = {'color': PALE[i], 'alpha': 0.5, 'linewidth': 0}
-            axis.fill_between(at, low, high, label='bound', **look)
+        at, low, high = thin(record.time, estimate - known, estimate + known)
+        look = {'color': PALE[i], 'alpha': 0.5, 'linewidth': 0}
+        axis.fill_between(at, low, high, label='bound', **look)
         _draw(axis, record, ('ground_truth', 'fault', i), **_wide(PALE[i], 'fault'))
         _draw(axis, record, ('fault_estimate', 'estimate', i), **_fine(SENSOR[i], 'estimate'))
         mine = [e for e in run.alarms if e.sensor_index == i]

@@ -19,6 +19,7 @@ from lpv.report.comparison import compare_runs
 from lpv.report.figures import STATES, timeline
 from lpv.report.history import Phase, episodes, listed, missed_faults, phases
 from lpv.report.run import content, write
+from lpv.report.style import thin
 from lpv.report.table import PAPER, Row, is_paper_arm, make_table, print_table
 
 MS, COUNT = 1_000_000, 500
@@ -289,6 +290,15 @@ def test_given_a_rate_that_is_off_beside_a_bias_when_gathered_then_each_has_its_
         ('rate_bias', 0.5, None, 0.05, 'rad/s'),
         ('noise', 0.6, None, 0.02, 'rad'),
     ]
+
+
+def test_given_a_band_of_many_samples_when_thinned_then_its_sides_keep_their_extremes():
+    time = 0.002 * np.arange(20_000)
+    sides = [np.where(time < 10.0, 0.01, 0.0) + bound for bound in (-0.01, 0.01)]
+    at, *thinned = thin(time, *sides)
+    assert [len(side) for side in thinned] == [len(at)] * 2 and len(at) < 6000
+    for side, whole in zip(thinned, sides):
+        assert (side.min(), side.max()) == (whole.min(), whole.max())
 
 
 def test_given_no_reading_at_all_when_drawn_then_there_is_no_path(paper_arm):
