@@ -59,7 +59,7 @@ class Episode:
     raised: float  # when the fault was confirmed
     cleared: float | None  # when the alarm ended; None if it lasted to the end of the run
     # fault estimate and bound: now, at the end of the run, while it is active; else the last ones
-    # before it was cleared; of noise and of a rate those of its last event
+    # before it was cleared; of noise and of a rate those of its last event; NaN of a dropout
     size: float
     bound: float
     # estimate of largest magnitude during the alarm; NaN without estimates of such an error
@@ -151,6 +151,8 @@ def _start(record: RunRecord, event: RecordedAlarm, faults: list[FaultSpan] | No
 def _with_estimates(record: RunRecord, episode: Episode) -> Episode:
     """With the largest estimate of the alarm and, of an active one, the present estimate."""
     estimate, bound = (record.get('fault_estimate', name) for name in ('estimate', 'bound'))
+    if episode.kind == 'dropout':
+        return replace(episode, size=math.nan, bound=math.nan)
     i, other = episode.sensor_index, episode.kind in ('noise', 'rate_bias')
     if other or estimate is None or bound is None or not 0 <= i < estimate.shape[1]:
         return episode

@@ -16,7 +16,16 @@ from lpv.core.support.resources import installed_version
 from lpv.core.support.timestamps import NANOSECONDS
 from lpv.report.certificate import Certificate
 from lpv.report.figures import draw_all
-from lpv.report.history import BRAKED, INCONSISTENT, SAFE_STOP, TOO_FAST, UNSAFE, listed, starting
+from lpv.report.history import (
+    BRAKED,
+    INCONSISTENT,
+    SAFE_STOP,
+    TOO_FAST,
+    UNSAFE,
+    Episode,
+    listed,
+    starting,
+)
 from lpv.report.load import Run
 from lpv.report.page import embedded, environment
 from lpv.report.table import Row
@@ -143,6 +152,15 @@ def _count(number: int, one: str) -> str:
     return f'{number or "no"} {one if number == 1 else one + "s"}'
 
 
+def _error(alarm: Episode, arm: SerialArm) -> str:
+    sensor = f'{alarm.sensor} (rate)' if alarm.kind == 'rate_bias' else alarm.sensor
+    if alarm.kind == 'dropout':
+        return f'{sensor} no readings'
+    if not math.isfinite(alarm.bound):
+        return f'{sensor} of unknown size'
+    return f'{sensor} {alarm.size:+.3f} {alarm.unit(arm)} (bound {alarm.bound:.3f})'
+
+
 def _verdict(run: Run) -> str:
     """The answer in a sentence or two; a run that ran away is called that first."""
     record, arm, move = run.record, run.arm, run.motion
@@ -155,7 +173,7 @@ def _verdict(run: Run) -> str:
         missed = _count(len(run.missed), 'fault')
         parts.append(f'{_count(wrong, "false alarm")}, {missed} missed')
     lasting = (a for a in run.alarms if a.cleared is None)
-    if now := [f'{a.sensor} {a.size:+.3f} {a.unit(arm)} (bound {a.bound:.3f})' for a in lasting]:
+    if now := [_error(alarm, arm) for alarm in lasting]:
         parts.append(f'error at the end of the run: {", ".join(now)}')
     if brakes := [phase for phase in run.phases if phase.what == BRAKED]:
         reasons = ', '.join(dict.fromkeys(phase.note for phase in brakes))

@@ -292,6 +292,20 @@ def test_given_a_rate_that_is_off_beside_a_bias_when_gathered_then_each_has_its_
     ]
 
 
+@pytest.mark.parametrize(('fields', 'said'), [
+    ({'kind': 'rate_bias', 'size': 0.05, 'bound': 0.01}, 'left (rate) +0.050 rad/s (bound 0.010)'),
+    ({'kind': 'dropout', 'size': 0.0, 'bound': 0.0}, 'left no readings'),
+    ({'kind': 'noise', 'bound': np.inf}, 'left of unknown size'),
+])  # fmt: skip
+def test_given_an_alarm_that_is_no_offset_when_it_lasts_then_the_verdict_says_so(
+    page, fields, said
+):
+    assert (
+        f'error at the end of the run: {said};'
+        in page(made_up([], [event(400, **fields)]))['verdict']
+    )
+
+
 def test_given_a_band_of_many_samples_when_thinned_then_its_sides_keep_their_extremes():
     time = 0.002 * np.arange(20_000)
     sides = [np.where(time < 10.0, 0.01, 0.0) + bound for bound in (-0.01, 0.01)]
