@@ -52,8 +52,9 @@ def joint_states(t, name, position):
     return message(t, name=name, position=position, velocity=[0.0] * len(name), effort=[])
 
 
-def report(model, now, name='tracking', level=b'\2', message='m', values=()):
-    status = SimpleNamespace(name=name, level=level, message=message, values=values)
+def report(model, now, name='tracking', level=b'\2', message='m', values=(), arm='paper'):
+    fields = {'name': name, 'level': level, 'message': message, 'values': values}
+    status = SimpleNamespace(**fields, hardware_id=arm)
     model.take('diagnostics', SimpleNamespace(status=[status]), now)
 
 
@@ -147,6 +148,20 @@ def test_given_many_diagnostics_when_framed_then_their_number_is_bounded(model):
     assert 0 < len(shown) <= 16
     assert all(len(s['message']) <= 300 and len(s['name']) <= 300 for s in shown)
     assert [s['level'] for s in shown[:4]] == ['OK', 'WARN', 'ERROR', 'STALE']
+
+
+def test_given_a_robot_with_many_other_nodes_when_framed_then_the_arms_statuses_are_there(model):
+    for k in range(100):
+        report(model, 0.0, f'camera {k}', arm='camera')
+    count = len(model.frame(0.0)['diagnostics'])
+    report(model, 0.0, 'tracking')
+    report(model, 0.0, 'elbow', arm=model.hello()['sensors'][1])
+    report(model, 0.0, 'camera 200', arm='camera')
+    shown = model.frame(0.0)['diagnostics']
+    assert [status['name'] for status in shown if status['own']] == ['tracking', 'elbow']
+    assert len(shown) == count and {status['name'] for status in shown[:-2]} < {
+        f'camera {k}' for k in range(100)
+    }
 
 
 def test_given_a_node_that_reports_no_more_when_framed_then_its_status_is_stale(model):

@@ -135,9 +135,10 @@ def test_given_states_and_errors_without_an_alarm_when_shown_then_the_verdict_na
     seen(model, 3.0, state=(2, 0))
     assert show(*take(model), HEAD) == [f'{first} is faulty']
     seen(model, 4.0, state=(0, 0))
-    report(model, 0.0, 'camera', message='no frames')
-    told = ['A node reports an error', 'camera: no frames']
-    assert show(*take(model), HEAD, TEXT) == told
+    report(model, 0.0, 'camera', message='no frames', arm='camera')
+    assert show(*take(model), HEAD) == ['No sensor fault']
+    report(model, 0.0, 'load', message='no numbers')
+    assert show(*take(model), HEAD, TEXT) == ['A node reports an error', 'load: no numbers']
     report(model, 0.0, 'tracker', message='safe stop: no estimate')
     assert show(*take(model), HEAD) == ['The arm is stopped']
     seen(model, 5.0, now=60.0)  # by then both are silent

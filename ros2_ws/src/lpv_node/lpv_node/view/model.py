@@ -58,7 +58,7 @@ class LiveModel:
         self._latest: dict[str, Any] = {}
         self._received: dict[str, float] = {}  # steady times [s]
         self._history: deque[dict[str, Any]] = deque(maxlen=_MOST_SAMPLES)
-        self._statuses: dict[str, tuple[float, dict[str, str]]] = {}  # with steady times [s]
+        self._statuses: dict[str, tuple[float, dict[str, Any]]] = {}  # with steady times [s]
         self._stops: dict[str, Any] = {'count': 0, 'last': ''}  # safe stops of the tracker
         self._stopped = -math.inf  # steady time of the last one [s]
         self._stamp: int | None = None
@@ -87,12 +87,18 @@ class LiveModel:
 
     def _take_status(self, status: Any, now: float) -> None:
         name, known = status.name[:MOST_TEXT], self._statuses
+        own = status.hardware_id in (self._arm.name, *self._arm.sensor_names)
         if name not in known and len(known) >= _MOST_STATUSES + self._joints:
-            return
+            # Those of other nodes, of which a robot has many, keep none of this arm's out.
+            other = next((n for n, (_, one) in known.items() if own and not one['own']), None)
+            if other is None:
+                return
+            del known[other]
         # A byte, which Python sees as bytes.
         level = status.level[0] if isinstance(status.level, bytes) and status.level else 0
         text = status.message[:MOST_TEXT]
-        known[name] = now, {'name': name, 'level': _name(LEVELS, level), 'message': text}
+        fields = {'name': name, 'level': _name(LEVELS, level), 'message': text, 'own': own}
+        known[name] = now, fields
         values = {pair.key: pair.value for pair in status.values[:_MOST_STATUSES]}
         count = values.get('safe stops', '')
         if not (count.isascii() and count.isdigit() and len(count) < 10):

@@ -123,7 +123,7 @@ function describe(row, { live, sample }, hello) {
 function showVerdict(frame, alarms, hello, silent) {
   const { states, stops } = frame, open = alarms.filter((row) => row.ended == null);
   const named = (state) => hello.sensors.filter((_, i) => states[i] === state);
-  const failed = frame.diagnostics.filter((status) => status.level === 'ERROR');
+  const failed = frame.diagnostics.filter(({ level, own }) => own && level === 'ERROR');
   const faulty = new Set([...open.map((row) => about(row, hello)[0]), ...named('ERROR')]);
   if (silent) {
     const since = frame.age == null ? '' : ` The last message came ${Math.floor(frame.age)} s ago.`;
@@ -135,7 +135,7 @@ function showVerdict(frame, alarms, hello, silent) {
   } else if (frame.trustworthy === false) {
     verdict('error', '✕', 'The estimate is not trustworthy', ' The arm must not rely on it.');
   } else if (failed.length) {
-    // As the tracker and the drives say it; other nodes have failures of their own.
+    // As the tracker and the drives say it.
     const stopped = failed.some((s) => /^(safe stop|braked)\b/.test(s.message));
     verdict('error', '✕', stopped ? 'The arm is stopped' : 'A node reports an error',
       failed.map((s) => `${s.name}: ${s.message}`).join('; '));
