@@ -12,6 +12,7 @@ import numpy as np
 from lpv.bag.run.streams import RunRecord
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import SensorState
+from lpv.core.support.formatting import decimals
 from lpv.core.support.resources import installed_version
 from lpv.core.support.timestamps import NANOSECONDS
 from lpv.report.certificate import Certificate
@@ -73,7 +74,7 @@ def write(run: Run, out: str | Path) -> ReportResult:
         pictures[-1].write_bytes(data)
         figures[name] = {'caption': _CAPTIONS[name], 'data': embedded(data)}
     templates = environment(Path(__file__).parent)
-    templates.filters['number'] = _number
+    templates.filters.update(number=_number, size=_size)
     page = templates.get_template('report.html').render(**content(run), figures=figures)
     html = out / 'report.html'
     html.write_text(page.lstrip(), encoding='utf-8')
@@ -82,6 +83,10 @@ def write(run: Run, out: str | Path) -> ReportResult:
 
 def _number(value: float | None, form: str) -> str:
     return form % value if value is not None and math.isfinite(value) else '-'
+
+
+def _size(value: float, unit: str, sign: str = '') -> str:
+    return _number(value, f'%{sign}.{decimals(unit)}f')
 
 
 def content(run: Run) -> dict[str, Any]:
@@ -158,7 +163,9 @@ def _error(alarm: Episode, arm: SerialArm) -> str:
         return f'{sensor} no readings'
     if not math.isfinite(alarm.bound):
         return f'{sensor} of unknown size'
-    return f'{sensor} {alarm.size:+.3f} {alarm.unit(arm)} (bound {alarm.bound:.3f})'
+    unit = alarm.unit(arm)
+    size, bound = _size(alarm.size, unit, '+'), _size(alarm.bound, unit)
+    return f'{sensor} {size} {unit} (bound {bound})'
 
 
 def _verdict(run: Run) -> str:

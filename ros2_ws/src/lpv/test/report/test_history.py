@@ -172,7 +172,7 @@ def test_given_a_prismatic_joint_when_reported_then_its_figures_are_in_metres(pa
     record.joint_names, record.streams['ground_truth']['velocity'][9, 1] = arm.joint_names, 30.0
     found = analysed(record, arm)
     values = content(found)
-    assert 'right -0.998 m (bound 0.100)' in values['verdict']
+    assert 'right -0.9980 m (bound 0.1000)' in values['verdict']
     assert '30 m/s true, limit 20 m/s' in values['verdict']
     assert tile(values, 'fastest joint').value == '30 m/s'
     assert [row['unit'] for row in values['detectable']] == ['rad', 'm']
@@ -290,6 +290,12 @@ def test_given_a_rate_that_is_off_beside_a_bias_when_gathered_then_each_has_its_
         ('rate_bias', 0.5, None, 0.05, 'rad/s'),
         ('noise', 0.6, None, 0.02, 'rad'),
     ]
+
+
+def test_given_a_run_that_ran_away_when_shown_then_its_colours_are_those_of_the_theme(shown):
+    page = shown(run({k: (25.0, 0.0) for k in range(100, 200)}))
+    assert '<p class="verdict bad">' in page
+    assert re.findall(r'[{;\s]color: (?!#000|var)[^;]*;', page) == []
 
 
 @pytest.mark.parametrize(('fields', 'said'), [
