@@ -31,10 +31,10 @@ def message(t, **fields):
     return SimpleNamespace(header=SimpleNamespace(stamp=stamp(t)), **fields)
 
 
-def fault_estimate(t, estimate=(0.0, 0.0), alarm=(False, False), state=(0, 0)):
+def fault_estimate(t, estimate=(0.0, 0.0), alarm=(False, False), state=(0, 0), names=SENSORS):
     arrays = {'estimate': np.array(estimate), 'state': np.array(state, np.uint8)}
     arrays |= dict.fromkeys(('bound', 'threshold'), np.full(len(alarm), 0.1))
-    return message(t, sensor_names=SENSORS[: len(alarm)], alarm=alarm, **arrays)
+    return message(t, sensor_names=names[: len(alarm)], alarm=alarm, **arrays)
 
 
 def state_estimate(t, position=(1.6, 0.1), mode=0):
@@ -68,11 +68,15 @@ def test_given_no_messages_or_those_of_other_arms_when_framed_then_nothing_is_kn
     assert {frame['mode'], frame['age'], frame['sample']['t'], *frame['arms'].values()} == {None}
     json.dumps(frame, allow_nan=False)
     assert model.hello()['history'] == []
-    model.take('fault_estimate', fault_estimate(1.0, (0.0, 0.0, 0.0)), 0.0)
-    model.take('state_estimate', state_estimate(1.0, (0.1,)), 0.0)
-    model.take('reference', message(1.0, tip_position=[0.0] * 9), 0.0)
+    for source, other in (
+        ('fault_estimate', fault_estimate(1.0, (0.0, 0.0, 0.0), (False,) * 3)),
+        ('fault_estimate', fault_estimate(1.0, names=('shoulder', 'elbow'))),
+        ('state_estimate', state_estimate(1.0, (0.1,))),
+        ('reference', message(1.0, tip_position=[0.0] * 9)),
+    ):
+        assert not model.take(source, other, 0.0)
     frame = model.frame(0.1)
-    assert model.misfits == 3 and frame['sample']['estimate'] == frame['states'] == [None, None]
+    assert frame['sample']['estimate'] == frame['states'] == [None, None]
     model.take('ground_truth', message(1.0, position=[math.nan, 0.0], fault=[math.nan, 0.1]), 0.0)
     model.take('fault_estimate', fault_estimate(1.0, (math.inf, -0.2)), 0.0)
     model.take('joint_states', joint_states(1.0, ['elbow'], [1.0]), 0.0)
@@ -92,7 +96,8 @@ def test_given_joints_in_another_order_when_framed_then_the_measured_arm_is_the_
 
 def test_given_a_serial_arm_when_framed_then_each_joint_has_its_values_and_place():
     model = LiveModel(crane())
-    model.take('fault_estimate', fault_estimate(1.0, (0.0, 0.1, 0.2), (False,) * 3, (0, 1, 4)), 0.0)
+    rows = (0.0, 0.1, 0.2), (False,) * 3, (0, 1, 4), crane().sensor_names
+    model.take('fault_estimate', fault_estimate(1.0, *rows), 0.0)
     model.take('state_estimate', state_estimate(1.0, (0.0, np.pi / 2, 0.0)), 0.0)
     frame, hello = model.frame(0.1), json.loads(json.dumps(model.hello(), allow_nan=False))
     assert frame['states'] == ['OK', 'WARN', 'NOT_DIAGNOSABLE']

@@ -52,7 +52,7 @@ class LiveModel:
     def __init__(self, arm: SerialArm, path: TimedPath | None = None) -> None:
         self._arm, self._path = arm, path
         self._order, self._joints = JointOrder(arm.joint_names), len(arm.joint_names)
-        self.misfits, self._skeleton = 0, Skeleton(arm)
+        self._skeleton = Skeleton(arm)
         self.alarms = AlarmList()
         self.services = {'inject': False, 'clear': False, 'reset': False}
         self._latest: dict[str, Any] = {}
@@ -63,25 +63,31 @@ class LiveModel:
         self._stopped = -math.inf  # steady time of the last one [s]
         self._stamp: int | None = None
 
-    def take(self, source: str, message: Any, now: float) -> None:
-        """Take one message of a topic, as ``state_estimate``, received at a steady time [s]."""
+    def take(self, source: str, message: Any, now: float) -> bool:
+        """Take one message of a topic, as ``state_estimate``, received at a steady time [s].
+
+        False: it is of another arm, and not taken.
+        """
         if source == 'fault_alarm':
             self.alarms.add(message)
         elif source == 'diagnostics':
             for status in message.status:
                 self._take_status(status, now)
         elif not self._fits(source, message):
-            self.misfits += 1
+            return False
         else:
             self._latest[source], self._received[source] = message, now
             if source == 'fault_estimate':
                 self.alarms.follow(message)
             elif source == 'state_estimate' and message.mode == Mode.INITIALISING:
                 self.alarms.restart(_stamp(message))
+        return True
 
     def _fits(self, source: str, message: Any) -> bool:
-        """Whether a message is for as many joints as the arm has."""
+        """Whether a message is for as many joints as the arm has, and for its sensors."""
         if source == 'reference' and len(message.tip_position) != 3:
+            return False
+        if source == 'fault_estimate' and tuple(message.sensor_names) != self._arm.sensor_names:
             return False
         return all(len(getattr(message, field)) == self._joints for field in _ARRAYS[source])
 
