@@ -1,5 +1,7 @@
 """Alarm events and counters of samples in the words of an operator."""
 
+import math
+
 from lpv.core.serial_arm.diagnosis.alarms import GUARANTEED, STATISTICAL, Alarm, AlarmEvent
 from lpv.core.support.formatting import decimals
 
@@ -38,6 +40,8 @@ def describe(event: Alarm) -> str:
     unit = _UNITS.get(event.kind, ' {}').format(event.unit)
     digits = decimals(event.unit)
     error = f'{event.size:+.{digits}f}{unit} (bound {event.bound:.{digits}f}{unit})'
+    if math.isinf(event.bound):
+        error = 'of unknown size'
     if event.kind == 'dropout':
         over = ' is over' if event.event == AlarmEvent.CLEARED else ''
         return f'{head}no readings (dropout){over}'

@@ -123,6 +123,8 @@ def test_given_no_payload_in_the_file_when_told_then_guarantees_hold_without_a_l
 def test_given_an_alarm_of_a_joint_that_slides_when_told_then_tenths_of_a_millimetre_count():
     event = Alarm(AlarmEvent.RAISED, 0, 'lift', 0, 0, 4e-4, 1e-4, 'bias', 0.9, unit='m')
     assert 'lift: error +0.0004 m (bound 0.0001 m), bias' in alarm_text.describe(event)
+    unknown = replace(event, bound=np.inf)
+    assert 'lift: error of unknown size, bias' in alarm_text.describe(unknown)
 
 
 def test_given_faults_or_ranges_when_told_then_rate_basis_and_thresholds_are_said():
