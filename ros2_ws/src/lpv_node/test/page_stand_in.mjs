@@ -63,8 +63,9 @@ Object.assign(globalThis, {
   history: { replaceState() {} }, localStorage: { getItem: () => null, setItem() {} },
   matchMedia: () => new Element(), getComputedStyle: () => ({ getPropertyValue: () => 'black' }),
   Option: class extends Element { constructor(text, value) { super('', value); this.own = text; } },
-  WebSocket: Socket, addEventListener() {}, devicePixelRatio: 1, setInterval: wait(true),
-  setTimeout: wait(false), requestAnimationFrame: wait(false), performance: { now: () => clock },
+  addEventListener: (type, handler) => byId('window').addEventListener(type, handler),
+  WebSocket: Socket, devicePixelRatio: 1, setInterval: wait(true), setTimeout: wait(false),
+  requestAnimationFrame: wait(false), performance: { now: () => clock },
 });
 
 function pass(time) {
@@ -84,7 +85,7 @@ const steps = {
   pass,
   fire(id, type) { byId(id).handlers[type]({ preventDefault() {} }); },
   set(id, value) { byId(id).value = value; },
-  show(id, name) { shown.push(name ? byId(id)[name] : byId(id).textContent); },
+  show(id, name = 'textContent') { shown.push(JSON.parse(JSON.stringify(byId(id)[name]))); },
   sockets() { shown.push(sockets.length); },
 };
 await import('./view.js');

@@ -156,6 +156,12 @@ def test_given_a_wild_reading_when_the_arm_is_drawn_then_the_picture_does_not_sh
     assert max(heights) - min(heights) > 60.0, heights
 
 
+def test_given_a_page_when_it_is_printed_then_it_is_drawn_for_paper_before(show, model):
+    calls = ('show', 'arm', 'calls')
+    screen, paper = show(*take(model), calls, ('fire', 'window', 'beforeprint'), calls)
+    assert len(paper) > len(screen)
+
+
 def test_given_many_joints_when_shown_then_each_line_of_the_legend_is_another(show, model):
     hello = {**model.hello(), 'token_needed': False}
     hello |= {'joints': list('abcdefgh'), 'units': [['rad', 'N m']] * 8}
