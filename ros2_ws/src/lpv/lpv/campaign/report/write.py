@@ -201,9 +201,8 @@ def _isolation(results: Results) -> dict[str, Any]:
     """Confusion of kinds and of sensors in runs with a fault; alarms in runs without one."""
     faulty, well = results.faulty, results.kind == NO_FAULT
     said = {name: results.text(f'said_{name}', NO_FAULT)[faulty] for name in ('kind', 'sensor')}
-    kinds = (*KINDS, NO_FAULT, 'unclassified', 'inconsistent')
     return {
-        'kind': confusion(results.kind[faulty], said['kind'], kinds),
+        'kind': confusion(results.kind[faulty], said['kind'], (*KINDS, NO_FAULT)),
         'sensor': confusion(
             results.sensor[faulty], said['sensor'], (*results.sensors, BOTH, NO_FAULT)
         ),
