@@ -278,6 +278,7 @@ other            second bag, of the same measurements; what one bag does not hol
                  --estimates-only) is taken from the other
 --arm ARM        arm file, or name of a shipped arm; that of the first bag's gains, or the shipped
                  one that its messages name, if not given
+--topic TOPIC    topic of the measurements, where there are several
 --out FOLDER     folder for comparison.json and pictures
 --json           print JSON in place of tables
 --mise=0.05      tolerated relative change of mean squared errors
@@ -296,6 +297,7 @@ bag                  rosbag2 directory or MCAP file
                      describe, or the shipped one that the recorded messages name
 --gains GAINS        gains file that the run was answered with; the one in the bag if not given
 --scenario SCENARIO  scenario whose path and obstacle are drawn; the one in the bag if not given
+--topic TOPIC        topic of the measurements, where there are several
 --out=out/report     folder for the report
 """,
     ),

@@ -124,10 +124,12 @@ class Comparison:
         return finite(found)
 
 
-def load_pair(bag: str | Path, other: str | Path, arm: SerialArm) -> tuple[RunRecord, RunRecord]:
+def load_pair(
+    bag: str | Path, other: str | Path, arm: SerialArm, topic: str | None = None
+) -> tuple[RunRecord, RunRecord]:
     """Two runs of one recording; what one bag does not hold is taken from the other."""
     first, second = (
-        load_run(path, joint_names=arm.joint_names, answers_only=True) for path in (bag, other)
+        load_run(path, topic, arm.joint_names, answers_only=True) for path in (bag, other)
     )
     for one, another in ((first, second), (second, first)):
         for name in ('joint_states', 'ground_truth', 'reference', 'torque_command'):

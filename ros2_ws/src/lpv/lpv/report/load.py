@@ -49,12 +49,13 @@ def load(
     title: str = 'Run',
     gains: str | Path | None = None,
     source: str = '',
+    topic: str | None = None,  # of the measurements, in a bag of several arms
 ) -> Run:
     """Read all that a report needs; path and gains are those of the bag if not given."""
-    record = load_run(bag, joint_names=arm.joint_names)
+    record = load_run(bag, topic, arm.joint_names)
     streams = ('fault_estimate', 'state_estimate', 'torque_command')
-    topic = next((record.topics[name] for name in streams if name in record.topics), None)
-    reports = {} if topic is None else node_reports(bag, topic.rpartition('/')[0])
+    known = next((record.topics[name] for name in streams if name in record.topics), None)
+    reports = {} if known is None else node_reports(bag, known.rpartition('/')[0])
     if gains is None and (gains := beside_bag(bag, GAINS_NAME)) is not None:
         source = f'{gains.name} of the bag'
     scenario = beside_bag(bag, SCENARIO_NAME)

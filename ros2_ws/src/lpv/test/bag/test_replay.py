@@ -23,6 +23,7 @@ from lpv.bag.replay.injected_faults import judge, true_size
 from lpv.bag.replay.replay import Replay, ReplayResult
 from lpv.bag.rosbag import reading, writing
 from lpv.bag.rosbag.messages import BagMessages
+from lpv.bag.rosbag.reading import open_bag
 from lpv.bag.run import decoder, streams
 from lpv.bag.run.record import load_run
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
@@ -445,7 +446,7 @@ def test_given_topics_when_replayed_then_the_right_one_or_nothing_is_left(loop, 
     with pytest.raises(BagError, match='damaged: cannot be read'):
         load_run(damaged)
     assert replay(two_arms, topic='/b/joint_states')[0].measurements == 20
-    counts = load_run(tmp_path / 'out', namespace='/b').counts
+    counts = load_run(tmp_path / 'out', '/b/joint_states').counts
     assert counts['/b/state_estimate'] == counts['/a/joint_states'] == 20
     assert '/a/state_estimate' not in counts
     targets = {MEASURED: JOINT_STATE, '/lpv/joint_targets': JOINT_STATE}

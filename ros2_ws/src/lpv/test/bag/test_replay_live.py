@@ -30,13 +30,13 @@ GAINS, ARM = BRINGUP / 'gains' / 'paper.yaml', f'arm_file:={BRINGUP / "arms" / "
 PERIOD = 4_000_000
 """Between samples [ns]; twice the arm's sample time leaves room for other users of the machine."""
 START = 5 * NANOSECONDS
-MEASURED, ALARM = '/lpv/joint_states', '/lpv/fault_alarm'
+MEASURED, ALARM = '/joint_states', '/lpv/fault_alarm'
 
 
 @pytest.fixture(scope='module')
 def played(paper_arm, paper_gains, two_faults, tmp_path_factory):
-    """Every second measurement of 4 s, with a fault in the second half; with answers of an earlier
-    node that must not be played."""
+    """Every second measurement of 4 s by a driver, with a fault in the second half; with answers of
+    an earlier node, in a namespace of its own, that must not be played."""
     faults = (Fault('link2_angle', 'bias', onset=2.0, size=0.3),)
     run = run_closed_loop(paper_arm, replace(two_faults, duration=4.0, faults=faults), paper_gains)
     samples = list(zip(run.measured, run.measured_velocity, run.effort))[:2000:2]
@@ -68,13 +68,14 @@ def test_given_a_bag_when_played_then_a_node_hears_it_at_its_pace_and_names_the_
 ):
     domain, sent = ros.next_domain(), measurements(played)
     with ros.graph(tmp_path / 'log', domain) as running:
-        running.start('uio', ros.command('uio', ARM, files=[GAINS]))
+        remapped = [*ros.command('uio', ARM, files=[GAINS]), '-r', f'joint_states:={MEASURED}']
+        running.start('uio', remapped)
         with ros.client(domain) as client:
             heard = client.listen(Clock, '/clock', qos_profile_sensor_data)
-            arrived = client.listen(JointState, 'joint_states', qos_profile_sensor_data)
+            arrived = client.listen(JointState, MEASURED, qos_profile_sensor_data)
             states = client.listen(StateEstimate, 'state_estimate', qos_profile_sensor_data)
             alarms = client.listen(FaultAlarm, 'fault_alarm', latched())
-            assert client.wait(lambda: client.node.count_subscribers('joint_states') == 2)
+            assert client.wait(lambda: client.node.count_subscribers(MEASURED) == 2)
             # Slowly: discovery of /clock may take a second or two.
             player = player_of(played, domain, '--rate', '0.5')
             assert client.wait(lambda: states)
@@ -103,7 +104,7 @@ def test_given_a_loop_when_interrupted_then_time_has_started_again_and_the_playe
         start, stop = (reader.start_time + share * NANOSECONDS // 10 for share in (1, 9))
     chosen = set(measurements(played, start=start, stop=stop))
     with ros.client(domain) as client:
-        heard = client.listen(JointState, 'joint_states', qos_profile_sensor_data)
+        heard = client.listen(JointState, MEASURED, qos_profile_sensor_data)
         others = client.listen(FaultEstimate, 'fault_estimate', qos_profile_sensor_data)
         options = ['--loop', '--rate', '4', '--clock-rate', '0', '--from', '0.1', '--to', '0.9']
         player = player_of(played, domain, *options)
@@ -122,7 +123,8 @@ def test_given_options_that_make_no_sense_when_played_then_one_line_says_so(play
     for told, *wrong in (
         ('--rate', '--rate 0', '--rate nan'),
         ('clock', '--clock-rate -1'),
-        ('/nowhere', '--topics /nowhere', '--topic /nowhere'),
+        ('/nowhere', '--topics /nowhere'),
+        ('--publish', '--topic /x', '--effort-topic /x', '--inject x', '--report x'),
         ('--from', '--from -1'),
     ):
         assert all(refused(told, 'replay', played, '--publish', *one.split()) for one in wrong)

@@ -22,8 +22,6 @@ from lpv.bag.replay.writer import DIAGNOSTICS, OUTPUTS
 from lpv.bag.rosbag.live import DEEPEST, message_class, ros_qos
 from lpv.bag.rosbag.metadata import offered_qos
 from lpv.bag.rosbag.reading import BagReader, open_bag
-from lpv.bag.run.measurements import MEASUREMENT_TYPE
-from lpv.bag.run.record import find_topic
 from lpv.core.support.limits import AT_ONCE, PATIENCE, QUIET
 from lpv.core.support.timestamps import NANOSECONDS
 
@@ -37,7 +35,6 @@ class Player:
     bag: str | Path
     # topics to play; otherwise all but the answers of the diagnosis, which a live one gives
     topics: Sequence[str] | None = None
-    measured: str | None = None  # topic of the measurements, where there are several
     rate: float = 1.0  # speed; 2 is twice as fast as recorded
     loop: bool = False  # start again at the end, until interrupted
     clock_rate: float = 100.0  # messages on /clock per second of the bag [Hz]; 0 for none
@@ -83,10 +80,15 @@ class Player:
                 listed = ', '.join(sorted(there))
                 raise BagError(f'{self.bag}: the bag has no topic {topic!r}; it has {listed}')
             return [c for c in reader.connections if c.topic in self.topics]
-        measured = find_topic(reader, MEASUREMENT_TYPE, 'joint_states', self.measured).topic
-        prefix = measured.rsplit('/', 1)[0]
-        answers = {f'{prefix}/{name}' for name in OUTPUTS} | {DIAGNOSTICS, _CLOCK}
-        return [c for c in reader.connections if c.topic not in answers]
+        chosen = [
+            c
+            for c in reader.connections
+            if c.topic not in (DIAGNOSTICS, _CLOCK)
+            and OUTPUTS.get(c.topic.rpartition('/')[2]) != c.msgtype
+        ]
+        if not chosen:
+            raise BagError(f'{self.bag}: holds answers of the diagnosis alone; name topics to play')
+        return chosen
 
     def _await(self, publishers: list[Publisher], say: Callable[[str], None]) -> None:
         """Wait for a subscriber, and until no more come."""

@@ -17,7 +17,7 @@ from lpv.bag.replay.injection import BlockInjector
 from lpv.bag.replay.writer import Batch, ReplayWriter
 from lpv.bag.rosbag.reading import BagReader, open_bag
 from lpv.bag.run.measurements import EFFORT_TYPES, MEASUREMENT_TYPE, EffortReader, MeasurementReader
-from lpv.bag.run.record import find_connections, find_topic
+from lpv.bag.run.record import arm_namespace, find_connections, find_topic
 from lpv.bag.run.streams import STREAMS, RecordedAlarm
 from lpv.core.monitoring.answers import Answers
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
@@ -54,6 +54,7 @@ class ReplayResult:
     topic: str = ''  # of the measurements
     streams: set[str] = field(default_factory=set)  # of `STREAMS`, that are there
     warnings: list[str] = field(default_factory=list)  # tolerated defects of the bag
+    namespace: str = ''  # of the arm's nodes
     lost: int = 0  # measurements that the recorder says it has lost
 
 
@@ -111,11 +112,11 @@ class Replay:
         """Run over a bag, hand measurements and answers to ``take`` by blocks, write nothing."""
         with open_bag(bag) as reader:
             result, effort = self._begin(reader)
-            place = result.topic.rsplit('/', 1)[0]
-            found = {
-                n: find_connections(reader, t, n, None, place) for n, (t, _) in STREAMS.items()
+            result.streams = {
+                name
+                for name, (msgtype, _) in STREAMS.items()
+                if find_connections(reader, msgtype, name, None, result.namespace)
             }
-            result.streams = {name for name, connections in found.items() if connections}
             wanted = _wanted(reader, result, effort)
             for batch in ahead(self._batches(reader, wanted, effort, result)):
                 take(batch.measured, self._answer(batch, result))
@@ -128,13 +129,13 @@ class Replay:
         """A result that names the topic of the measurements; where the torques come from."""
         options, effort = self._options, None
         measured = find_topic(reader, MEASUREMENT_TYPE, 'joint_states', options.topic).topic
-        prefix = measured.rsplit('/', 1)[0]
+        prefix = arm_namespace(reader, measured)
         self._monitor.name = f'{prefix}/uio'
         if options.effort_topic:
             effort = _effort_connection(reader, options.effort_topic)
         elif options.torque_from_command:
             effort = find_topic(reader, STREAMS[_COMMAND][0], _COMMAND, f'{prefix}/{_COMMAND}')
-        return ReplayResult(topic=measured), effort
+        return ReplayResult(topic=measured, namespace=prefix), effort
 
     def _batches(
         self,

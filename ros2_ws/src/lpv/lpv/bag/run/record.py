@@ -27,22 +27,15 @@ _ALARM = 'header event sensor_index sensor onset detected size bound kind confid
 _NEEDED[ALARM_TYPE] = tuple(_ALARM.split())
 
 
-def find_topic(
-    reader: BagReader,
-    msgtype: str,
-    name: str,
-    wanted: str | None = None,
-    namespace: str | None = None,
-) -> Connection:
+def find_topic(reader: BagReader, msgtype: str, name: str, wanted: str | None = None) -> Connection:
     """The one connection that carries a stream, as `find_connections`; BagError without it."""
-    found = find_connections(reader, msgtype, name, wanted, namespace)
+    found = find_connections(reader, msgtype, name, wanted)
     if found:
         return found[0]
-    place = f' below namespace {namespace}' if namespace is not None else ''
     there = ', '.join(sorted({f'{c.topic} ({c.msgtype})' for c in reader.connections}))
     raise BagError(
         f'{reader.path}: the bag has no topic {wanted or name!r} of type '
-        f'{msgtype}{place}; it has {there or "no topic at all"}'
+        f'{msgtype}; it has {there or "no topic at all"}'
     )
 
 
@@ -67,25 +60,39 @@ def find_connections(
     if len(topics) > 1:
         raise BagError(
             f'{reader.path}: several topics carry {msgtype}: {", ".join(topics)}; '
-            'the bag holds more than one arm, say which namespace or topic is meant'
+            'the bag holds more than one arm, say which topic has the measurements of the one that '
+            'is meant (--topic)'
         )
     if found and msgtype in _NEEDED:
         reader.check_definition(msgtype, _NEEDED[msgtype])
     return found
 
 
+def arm_namespace(reader: BagReader, measured: str) -> str:
+    """Namespace of an arm's nodes: that of its measurements, unless a driver has another one."""
+    own, own_type = measured.rpartition('/')[0], STREAMS['joint_states'][0]
+    topics = [(*c.topic.rpartition('/')[::2], c.msgtype) for c in reader.connections]
+    nodes = {place for place, _, msgtype in topics if msgtype.startswith('lpv_msgs/')}
+    others = {place for place, name, msgtype in topics if msgtype == own_type and name != CORRECTED}
+    found = nodes - others
+    return found.pop() if own not in nodes and len(found) == 1 else own
+
+
 def load_run(
     path: str | Path,
-    namespace: str | None = None,  # of the arm, in a bag with several
+    topic: str | None = None,  # of the measurements, in a bag with several
     joint_names: Sequence[str] | None = None,  # and their order; those of the first message if None
     answers_only: bool = False,  # the bag may lack measurements
 ) -> RunRecord:
     """Read a run; BagError if it lacks measurements or a joint, or holds several arms."""
     with open_bag(path) as reader:
+        msgtype, name = STREAMS['joint_states'][0], 'joint_states'
         if not answers_only:
-            find_topic(reader, STREAMS['joint_states'][0], 'joint_states', namespace=namespace)
+            find_topic(reader, msgtype, name, topic)
+        namespace = None if topic is None else arm_namespace(reader, topic)
         types = {**{name: msgtype for name, (msgtype, _) in STREAMS.items()}, ALARMS: ALARM_TYPE}
         found = {n: find_connections(reader, t, n, namespace=namespace) for n, t in types.items()}
+        found[name] = find_connections(reader, msgtype, name, topic)
         chosen = {name: connections for name, connections in found.items() if connections}
         record = RunRecord(topics={name: c[0].topic for name, c in chosen.items()})
         for connection in reader.connections:

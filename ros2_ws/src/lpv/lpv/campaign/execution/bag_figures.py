@@ -119,8 +119,7 @@ class BagFigures:
         if self._samples > MOST_SAMPLES:
             self.warnings = ['too long to be compared with its ground truth']
             return {}
-        place = result.topic.rsplit('/', 1)[0]
-        record = load_run(bag, place, self._arm.joint_names, answers_only=True)
+        record = load_run(bag, result.topic, self._arm.joint_names, answers_only=True)
         stamps = record.stamps['ground_truth']
         seen = (stamps >= self._stamps[0]) & (stamps <= self._stamps[1])
         truth = {name: values[seen] for name, values in record.streams['ground_truth'].items()}

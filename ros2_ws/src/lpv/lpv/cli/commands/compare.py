@@ -30,7 +30,7 @@ def run(arguments: argparse.Namespace) -> int:
     chosen = {name: 0.0 if arguments.exact else getattr(arguments, name) for name in names}
     tolerances = Tolerances(**chosen)
     arm, _, _ = find_arm_and_gains(arguments.bag, arguments.arm, None)
-    pair = load_pair(arguments.bag, arguments.other, arm)
+    pair = load_pair(arguments.bag, arguments.other, arm, arguments.topic)
     result = compare_runs(*pair, arm, tolerances)
     text = json.dumps(result.as_dict(), indent=1, allow_nan=False)
     if arguments.json:

@@ -59,19 +59,23 @@ def run(arguments: argparse.Namespace) -> int:
         show_injected(judge(faults, result), arm, console)
     console.print(f'bag     {out}')
     if arguments.report:
-        _report(arguments, arm, out, console)
+        _report(arguments, arm, out, result.topic, console)
     return 0
 
 
 def _publish(arguments: argparse.Namespace, console: Console) -> int:
     """The bag into the live graph."""
+    for name in ('inject', 'report', 'topic', 'effort_topic'):
+        if getattr(arguments, name) is not None:
+            option = f'--{name.replace("_", "-")}'
+            raise ConfigError(option, 'has no effect on --publish, which plays the bag as it is')
     stay_local()
     require_ros()
     from lpv.bag.replay.player import Player
 
     given = vars(arguments)
     player = Player(
-        given['bag'], given['topics'], given['topic'], given['rate'], given['loop'],
+        given['bag'], given['topics'], given['rate'], given['loop'],
         given['clock_rate'], given['wait'], (given['from'], given['to']),
     )  # fmt: skip
     console.print(f'{player.run(console.print)} messages published')
@@ -130,7 +134,9 @@ def _summary(
         console.print(f'  {count} measurements not used: {text}')
 
 
-def _report(arguments: argparse.Namespace, arm: SerialArm, out: Path, console: Console) -> None:
+def _report(
+    arguments: argparse.Namespace, arm: SerialArm, out: Path, topic: str, console: Console
+) -> None:
     from lpv.report.load import load
     from lpv.report.run import write
     from lpv.report.table import print_table
@@ -139,6 +145,6 @@ def _report(arguments: argparse.Namespace, arm: SerialArm, out: Path, console: C
     if folder == out:
         raise ConfigError('--report', 'must be another folder than the bag')
     title = f'Replay of {Path(arguments.bag).name}, arm “{arm.name}”'
-    report = write(load(out, arm, title=title), folder)
+    report = write(load(out, arm, title=title, topic=topic), folder)
     print_table(report.table, console)
     console.print(f'report  {report.html}')

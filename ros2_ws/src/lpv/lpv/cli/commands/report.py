@@ -23,7 +23,7 @@ def run(arguments: argparse.Namespace) -> int:
         load_scenario(scenario)  # one that was given must be right
         path = planned_path(scenario, arm)
     title = f'{Path(arguments.bag).name}, arm “{arm.name}”'
-    found = load(arguments.bag, arm, path, title, gains, source)
+    found = load(arguments.bag, arm, path, title, gains, source, arguments.topic)
     proof = found.certificate
     if arguments.gains and proof.problem:
         raise ConfigError('--gains', proof.problem)
