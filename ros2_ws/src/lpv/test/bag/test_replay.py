@@ -182,6 +182,36 @@ def test_given_answers_when_replayed_then_only_ours_are_replaced(loop, replayed,
     assert len(more) == 2 and sorted(raw(new, DIAGNOSTICS)) == sorted(raw(out, DIAGNOSTICS) + more)
 
 
+def test_given_a_driver_elsewhere_when_replayed_then_answers_take_the_place_of_those_recorded(
+    loop, replay, tmp_path, call
+):
+    def types(bag):
+        with open_bag(bag) as reader:
+            return {c.topic: c.msgtype for c in reader.connections}
+
+    entries = [('/joint_states', *rest) for _, *rest in measured(loop[:HEALTHY])]
+    _, first = replay(write(tmp_path / 'driver', entries, {'/joint_states': JOINT_STATE}))
+    known = types(first)
+    moved = {t: f'/lpv{t}' if known[t].startswith('lpv_msgs') else t for t in known}
+    recorded = [(moved[topic], *rest) for topic, *rest in raw(first)]
+    bag = write(tmp_path / 'recorded', recorded, {moved[t]: kind for t, kind in known.items()})
+    _, again = replay(bag, out='again')
+    assert raw(again, STATE, FAULT, ALARM) == raw(bag, STATE, FAULT, ALARM)
+    assert {t for t, kind in types(again).items() if 'lpv_msgs' in kind} == {STATE, FAULT, ALARM}
+    assert len(load_run(again, '/joint_states').stamps['state_estimate']) == HEALTHY
+    compare = ['compare', bag, again, '--exact', '--arm', PAPER_ARM]
+    assert call(*compare, '--topic', '/joint_states').out.endswith('same\n')
+
+
+def test_given_no_efforts_when_replayed_then_the_warning_of_the_node_is_there(
+    loop, tmp_path, replay, call
+):
+    bag = write(tmp_path / 'bag', measured(loop[:HEALTHY], effort=np.zeros(0)))
+    ((at, text),) = replay(bag)[0].notes
+    assert at == 0.0 and text.startswith('no efforts: ')
+    assert f'warning at 0.000 s: {text}' in call(*line(bag, tmp_path / 'result')).out
+
+
 def troubled(loop):
     """Lost, doubled, swapped and late samples, other joints, other orders, spoiled values."""
     rng, messages, time = np.random.default_rng(3), [], NANOSECONDS

@@ -51,10 +51,12 @@ class ReplayResult:
     first_stamp: int | None = None  # stamp of the first usable sample [ns]
     rejected: Counter[str] = field(default_factory=Counter)  # unusable messages by reason
     events: list[RecordedAlarm] = field(default_factory=list)  # alarm events
+    # what the observer warns of, with times from the first usable sample on [s]
+    notes: list[tuple[float, str]] = field(default_factory=list)
     topic: str = ''  # of the measurements
+    namespace: str = ''  # of the arm's nodes
     streams: set[str] = field(default_factory=set)  # of `STREAMS`, that are there
     warnings: list[str] = field(default_factory=list)  # tolerated defects of the bag
-    namespace: str = ''  # of the arm's nodes
     lost: int = 0  # measurements that the recorder says it has lost
 
 
@@ -176,10 +178,13 @@ class Replay:
             before = np.searchsorted(batch.rejected, batch.measured.places[row])
             status[0]['values']['rejected messages'] = str(self._monitor.rejected + before)
         self._monitor.rejected += len(batch.rejected)
+        start = result.first_stamp or 0
         for row, event in answers.events:
             alarm = RecordedAlarm(**vars(event), stamp=int(stamp[row]))
             result.events.append(alarm)
-            self._on_event(alarm, (alarm.stamp - (result.first_stamp or 0)) / NANOSECONDS)
+            self._on_event(alarm, (alarm.stamp - start) / NANOSECONDS)
+        for row, text in answers.warnings:
+            result.notes.append(((int(stamp[row]) - start) / NANOSECONDS, text))
         return answers
 
 

@@ -91,13 +91,14 @@ class Archive:
             if rejected >= result.measurements:
                 raise LpvError('no measurement could be used: ' + next(iter(result.rejected)))
             row = found.row(result.events, path, result)
+        notes = [text for _, text in result.notes]
         return {
             'topic': result.topic,
             'measurements': result.measurements,
             'rejected': rejected,
             'recorder_lost': result.lost,
             **vars(monitor.counters),
-            'warnings': _line('; '.join([*found.warnings, *result.warnings])),
+            'warnings': _line('; '.join([*found.warnings, *notes, *result.warnings])),
             'has_truth': 'ground_truth' in result.streams,
             'has_reference': 'reference' in result.streams,
             **row,

@@ -132,6 +132,8 @@ def _summary(
             console.print(f'  {count} {COUNTER_TEXT[name]}')
     for text, count in result.rejected.items():
         console.print(f'  {count} measurements not used: {text}')
+    for at, text in result.notes:
+        console.print(f'  warning at {at:.3f} s: {text}')
 
 
 def _report(

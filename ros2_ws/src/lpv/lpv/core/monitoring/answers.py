@@ -72,6 +72,8 @@ class Answers:
         Row and `Alarm` of each alarm event.
     reports : list of tuple
         Row and diagnostic_msgs/DiagnosticArray's statuses of each report that is due.
+    warnings : list of tuple
+        Row and text of what contradicts the arm file and was not said before.
     """
 
     answered: np.ndarray
@@ -82,3 +84,4 @@ class Answers:
     fault: np.recarray
     events: list[tuple[int, Alarm]]
     reports: list[tuple[int, list[dict[str, Any]]]]
+    warnings: list[tuple[int, str]]

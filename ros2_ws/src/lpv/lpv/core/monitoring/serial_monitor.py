@@ -108,6 +108,7 @@ def _new_batch(kind: np.dtype, count: int, joints: int) -> _Batch:
         records.fault,
         events=[],
         reports=[],
+        warnings=[],
     )
     return _Batch(
         np.empty(count, np.int64),
@@ -417,8 +418,8 @@ class SerialSensorMonitor:
             measured[2] /= self._torque_gain  # in the unit of efforts, as all that is taken
         one, self._bytes[:] = self._one, 0
         one.stamps[0] = stamp
-        one.answers.events.clear()
-        one.answers.reports.clear()
+        for found in (one.answers.events, one.answers.reports, one.answers.warnings):
+            found.clear()
         answers = self._take(one, *measured[:, None])
         if not one.rows.answered[0]:
             return None
@@ -427,7 +428,7 @@ class SerialSensorMonitor:
             one.plain.copy()[0],
             answers.reports[0][1] if answers.reports else None,
             [event for _, event in answers.events],
-            self._new_warnings() if answers.reports else [],
+            [text for _, text in answers.warnings],
         )
 
     def take_many(
@@ -743,6 +744,7 @@ class SerialSensorMonitor:
         self._progress['next_report'] = stamp + _REPORT_INTERVAL
         answer = answers.state[row], answers.fault[row] if answers.has_fault[row] else None
         answers.reports.append((row, self._status(*answer)))
+        answers.warnings += [(row, text) for text in self._new_warnings()]
 
     def stale_fault(self) -> np.record | None:
         """The last ``fault`` of an answer, if there is one, marked as such."""
