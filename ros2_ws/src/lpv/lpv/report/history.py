@@ -10,7 +10,14 @@ import numpy as np
 from lpv.bag.run.node_reports import NodeReport
 from lpv.bag.run.streams import RecordedAlarm, RunRecord
 from lpv.core.serial_arm.description import SerialArm
-from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent, Mode, SensorState, subject
+from lpv.core.serial_arm.diagnosis.alarms import (
+    RATE_BIAS,
+    AlarmEvent,
+    Mode,
+    SensorState,
+    size_unit,
+    subject,
+)
 from lpv.core.support.limits import MAX_GAP
 
 INCONSISTENT, SAFE_STOP, UNSAFE = 'inconsistent', 'safe stop', 'not trustworthy'
@@ -80,7 +87,7 @@ class Episode:
     def unit(self, arm: SerialArm) -> str:
         """Unit of its sizes; '' if a damaged message names a sensor that the arm has not."""
         units = arm.position_units[self.sensor_index :][:1]
-        return ''.join(f'{unit}/s' if self.kind == 'rate_bias' else unit for unit in units)
+        return ''.join(size_unit(self.kind, unit) for unit in units)
 
     @property
     def false_alarm(self) -> bool:
@@ -140,7 +147,7 @@ def _start(record: RunRecord, event: RecordedAlarm, faults: list[FaultSpan] | No
             if f.sensor_index == event.sensor_index and f.start <= raised <= f.end + late
             ]  # fmt: skip
     # The truth has faults of positions alone.
-    unknown = faults is None or (event.kind == 'rate_bias' and not mine)
+    unknown = faults is None or (event.kind == RATE_BIAS and not mine)
     true_onset = None if unknown else mine[-1] if mine else math.nan
     return Episode(
         event.sensor, event.sensor_index, onset, raised, None, event.size,

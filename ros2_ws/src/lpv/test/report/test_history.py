@@ -1,5 +1,6 @@
 """What the report says of alarms, misses, stops and motion; running away is never called good."""
 
+import math
 import re
 from dataclasses import replace
 
@@ -162,6 +163,22 @@ def test_given_a_spike_or_a_wrong_rate_when_its_alarm_comes_later_then_it_is_not
     for kind, false in (('rate_bias', False), ('bias', True)):  # the truth has no rates' faults
         (found,) = episodes(made_up([], [event(203, 200, kind=kind)]))
         assert found.false_alarm is false and found.delay is None
+
+
+def test_given_a_wrong_rate_beside_a_drift_when_gathered_then_each_has_its_own_end_and_unit(
+    paper_arm, capsys
+):
+    rate, drift = {'kind': 'rate_bias', 'size': -0.05}, {'kind': 'drift'}
+    alarms = [event(210, **rate), event(300, **drift), event(400, 300, **drift | CLEARED)]
+    record = made_up([], [*alarms, event(500, 210, **rate | CLEARED)])
+    first, second = episodes(record)
+    assert (first.kind, first.raised, first.cleared) == ('rate_bias', 0.21, 0.5)
+    assert (first.size, first.unit(paper_arm), math.isnan(first.largest)) == (-0.05, 'rad/s', True)
+    assert (second.kind, second.raised, second.cleared) == ('drift', 0.3, 0.4)
+    record.alarms = record.alarms[:2]
+    assert [(e.cleared, e.size) for e in episodes(record)] == [(None, -0.05), (None, 0.998)]
+    compare.show(compare_runs(record, record, paper_arm), Console(width=80))
+    assert '-0.050 rad/s' in capsys.readouterr().out
 
 
 def test_given_a_prismatic_joint_when_reported_then_its_figures_are_in_metres(paper_arm, capsys):

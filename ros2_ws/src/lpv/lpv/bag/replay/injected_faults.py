@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from lpv.bag.replay.replay import ReplayResult
-from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent
+from lpv.core.serial_arm.diagnosis.alarms import RATE_BIAS, AlarmEvent
 from lpv.core.simulation.faults import Fault
 from lpv.core.support.timestamps import NANOSECONDS
 
@@ -52,7 +52,8 @@ def judge(faults: Sequence[Fault], result: ReplayResult) -> list[InjectedFault]:
                 if event.sensor == fault.sensor and event.event != AlarmEvent.CLEARED
             ][-1]
             true = true_size(fault, at)
-            error = None if true is None else last.size - true
+            is_other = last.kind == RATE_BIAS  # its size is one of a rate
+            error = None if true is None or is_other else last.size - true
             told = (delays[0], last.kind, last.size, last.bound, error)
         found.append(InjectedFault(fault, bool(delays), tuple(sorted(wrong)), *told))
     return found

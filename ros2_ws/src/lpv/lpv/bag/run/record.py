@@ -12,7 +12,7 @@ from lpv.bag.errors import BagError
 from lpv.bag.rosbag.reading import BagReader, open_bag
 from lpv.bag.run.decoder import Columns, Decoder, Table
 from lpv.bag.run.streams import SCALARS, STREAMS, RecordedAlarm, RunRecord
-from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent, Mode
+from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent, Mode, subject
 from lpv.core.support.errors import SampleError
 from lpv.core.support.timestamps import to_nanoseconds
 
@@ -188,7 +188,7 @@ def _read_streams(
     """Fill a record with all messages of some streams; BagError if measurements are missing."""
     pairs = [(name, c) for name, connections in chosen.items() for c in connections]
     streams = {name: _Stream(reader, name, joint_names or ()) for name in chosen if name != ALARMS}
-    alarms: dict[tuple[int, int, int], RecordedAlarm] = {}
+    alarms: dict[tuple[int, int, int, str], RecordedAlarm] = {}
     for block in reader.blocks([connection for _, connection in pairs]):
         names = np.array([list(chosen).index(name) for name, _ in pairs])[block.connection]
         for i, name in enumerate(chosen):
@@ -199,7 +199,8 @@ def _read_streams(
             for k in positions.tolist() if name == ALARMS else ():
                 alarm = _alarm(reader.deserialize(block.message(k), ALARM_TYPE))
                 # Latched events are delivered again to late subscribers.
-                alarms[alarm.stamp, alarm.sensor_index, alarm.event] = alarm
+                about = alarm.sensor_index, alarm.event, subject(alarm.kind)
+                alarms[alarm.stamp, *about] = alarm
     for stream in streams.values():
         stream.fill(record)
     record.alarms = [alarms[key] for key in sorted(alarms)]

@@ -18,7 +18,7 @@ from lpv.cli.observing import arm_and_gains, diagnosis_parameters, reading_optio
 from lpv.core.monitoring.alarm_text import COUNTER_TEXT, describe
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.description import SerialArm
-from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent
+from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent, size_unit
 from lpv.core.simulation.faults import FaultInjector
 from lpv.core.simulation.scenario import parse_faults
 from lpv.core.support.config import Section, read_yaml
@@ -115,8 +115,9 @@ def show_injected(found: list[InjectedFault], arm: SerialArm, console: Console) 
         unit = arm.position_units[arm.sensor_names.index(fault.sensor)]
         text = f'  {fault.sensor}, {fault.kind} from {fault.onset:.3f} s on: {one.verdict}'
         if one.found:
-            text += f' after {one.delay:.3f} s as {one.kind}, {one.size:+.3f} {unit}'
-            text += f' within {one.bound:.3f} {unit}'
+            found_unit = size_unit(one.kind, unit)
+            text += f' after {one.delay:.3f} s as {one.kind}, {one.size:+.3f} {found_unit}'
+            text += f' within {one.bound:.3f} {found_unit}'
         if one.error is not None:
             text += f', size error {one.error:+.3f} {unit}'
         console.print(text)

@@ -2,7 +2,13 @@
 
 import math
 
-from lpv.core.serial_arm.diagnosis.alarms import GUARANTEED, STATISTICAL, Alarm, AlarmEvent
+from lpv.core.serial_arm.diagnosis.alarms import (
+    GUARANTEED,
+    STATISTICAL,
+    Alarm,
+    AlarmEvent,
+    size_unit,
+)
 from lpv.core.support.formatting import decimals
 
 _EVENTS = {
@@ -16,8 +22,6 @@ _KINDS = {
     'noise': 'too much noise',
     'rate_bias': 'of the rate sensor',
 }
-_UNITS = {'rate_bias': ' {}/s'}
-"""Of sizes that are no position errors."""
 _CERTAIN = 0.9995
 """Confidence from which on only a lower limit is given: with one digit, it is 100.0 %."""
 COUNTER_TEXT = {
@@ -37,9 +41,8 @@ COUNTER_TEXT = {
 def describe(event: Alarm) -> str:
     """An alarm event as one line: sensor, error with its bound, kind, confidence."""
     head = f'{_EVENTS[event.event]}, {event.sensor}: '
-    unit = _UNITS.get(event.kind, ' {}').format(event.unit)
-    digits = decimals(event.unit)
-    error = f'{event.size:+.{digits}f}{unit} (bound {event.bound:.{digits}f}{unit})'
+    unit, digits = size_unit(event.kind, event.unit), decimals(event.unit)
+    error = f'{event.size:+.{digits}f} {unit} (bound {event.bound:.{digits}f} {unit})'
     if math.isinf(event.bound):
         error = 'of unknown size'
     if event.kind == 'dropout':

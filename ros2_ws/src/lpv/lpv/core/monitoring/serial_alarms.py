@@ -8,14 +8,20 @@ import numpy.typing as npt
 from lpv.core.monitoring.stepped_monitor import Snapshot
 from lpv.core.serial_arm.chain import IntArray
 from lpv.core.serial_arm.description import SerialArm
-from lpv.core.serial_arm.diagnosis.alarms import GUARANTEED, STATISTICAL, Alarm, AlarmEvent
+from lpv.core.serial_arm.diagnosis.alarms import (
+    GUARANTEED,
+    RATE_BIAS,
+    STATISTICAL,
+    Alarm,
+    AlarmEvent,
+)
 from lpv.core.serial_arm.diagnosis.monitor import SerialAlarm
 
 BoolArray = npt.NDArray[np.bool_]
 
 _STATISTICAL = math.nextafter(1.0, 0.0)
 """Largest confidence that is not a guarantee."""
-_DROPOUT, _RATE_BIAS = 'dropout', 'rate_bias'
+_DROPOUT = 'dropout'
 
 
 class AlarmConverter:
@@ -43,7 +49,7 @@ class AlarmConverter:
                 AlarmEvent[alarm.event.upper()], i, alarm.sensor, begin, stamp, alarm.size,
                 sigmas * alarm.sigma, alarm.kind, confidence(alarm), basis=basis,
                 unit=self._units[i], rate=alarm.rate))  # fmt: skip
-            if alarm.kind != _RATE_BIAS:
+            if alarm.kind != RATE_BIAS:
                 self._raised[i] = alarm.event != 'cleared'
         return events
 

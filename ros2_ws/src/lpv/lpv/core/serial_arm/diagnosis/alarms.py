@@ -34,6 +34,8 @@ class AlarmEvent(IntEnum):
 
 KINDS = ('bias', 'drift', 'scale', 'stuck', 'noise', 'spike', 'dropout', 'rate_bias')
 """Kinds of faults that alarms name."""
+RATE_BIAS = KINDS[-1]
+"""The kind that is about a sensor's rate: its alarm stands beside one of the position."""
 GUARANTEED, STATISTICAL = 'guaranteed', 'statistical'
 """Bases of an alarm: no healthy arm inside its file shows this, or the mean time between false
 alarms."""
@@ -50,9 +52,14 @@ def subject(kind: str) -> str:
     Returns
     -------
     str
-        'rate_bias' or 'dropout', else '': the error of the position, whose kind may change.
+        `RATE_BIAS` or 'dropout', else '': the error of the position, whose kind may change.
     """
-    return kind if kind in ('rate_bias', 'dropout') else ''
+    return kind if kind in (RATE_BIAS, 'dropout') else ''
+
+
+def size_unit(kind: str, unit: str) -> str:
+    """Unit of the size of a fault, from that of the sensor's positions."""
+    return f'{unit}/s' if kind == RATE_BIAS else unit
 
 
 @dataclass(frozen=True)
