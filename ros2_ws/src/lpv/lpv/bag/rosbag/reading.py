@@ -235,6 +235,8 @@ def _opened(path: Path, stack: ExitStack) -> BagReader:
             damages.append(f'it has no {FILE_NAME}, its recording was not finished')
     except DamageError as error:
         damages.append(str(error))
+    if path.is_file() and path.suffix not in ('.mcap', '.db3', '.bag'):
+        raise BagError(f'{path}: is not a bag: a rosbag2 folder, or an .mcap or .db3 file')
     other = metadata is not None and (metadata.storage != 'mcap' or metadata.compressed)
     if other or not (path.is_dir() or path.suffix == '.mcap'):
         source = stack.enter_context(AnyReader([path], default_typestore=standard_types()))
