@@ -216,8 +216,8 @@ csv                    file with a header line and one sample a line
 bag                rosbag2 directory, MCAP or sqlite3 file
 --out=out/replay   bag to write; an earlier result of this command is replaced
 --report FOLDER    folder for a report of the new bag
---inject FAULTS    YAML file whose list of faults is added to the measurements: shows what would be
-                   found
+--inject FAULTS    YAML file whose list of faults is added to the measurements, or scenario: shows
+                   what would be found
 --estimates-only   write estimates, alarms and diagnostics alone; otherwise all topics are copied
 --preset {_PRESETS}  compression of the new bag
 --publish          play the bag into the live graph, with /clock, and run nothing offline; needs

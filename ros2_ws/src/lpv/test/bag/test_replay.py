@@ -529,6 +529,11 @@ def test_given_a_file_of_faults_when_run_then_they_are_added(loop, tmp_path, cal
     assert 'ALARM, link2_angle: error -0.' in said and 'size error' in said
     assert '1 of 1 injected faults found on the right sensor' in said
     assert re.search(r'link2_angle, bias from 0.500 s on: found after 0.\d+ s as \w+, -0.\d+', said)
+    scenario = tmp_path / 'scenario.yaml'
+    path = 'path: {waypoints: [{t: 0, joints: [0, 0]}, {t: 9, joints: [1, 1]}]}'
+    scenario.write_text(f'name: a\nduration: 9.0\n{path}\n{faults.read_text()}')
+    again = call(*line(source, tmp_path / 'again', inject=scenario)).out
+    assert '1 of 1 injected faults found on the right sensor' in again
     assert raw(source, truth[0]) and not raw(tmp_path / 'result', truth[0])  # no longer true
 
 
@@ -541,6 +546,7 @@ def test_given_bad_input_when_run_then_it_is_said(bag, tmp_path, monkeypatch, ca
     precious.write_text('mine')
     for named, *mistakes in (
         ('nothing', {'bag': 'nothing'}),
+        ('is not a bag: a rosbag2 folder', {'bag': 'tuned.yaml'}),
         ('', {'arm': 'unknown_arm'}, {'arm': 'nothing.yaml'}),
         ('nothing.yaml', *({name: 'nothing.yaml'} for name in ('gains', 'inject', 'parameters'))),
         ('paper.yaml', {'gains': PAPER_ARM}, {'parameters': PAPER_ARM}),

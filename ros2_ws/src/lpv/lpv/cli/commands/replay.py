@@ -19,11 +19,12 @@ from lpv.core.monitoring.alarm_text import COUNTER_TEXT, describe
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent, size_unit
-from lpv.core.simulation.faults import FaultInjector
-from lpv.core.simulation.scenario import parse_faults
+from lpv.core.simulation.faults import Fault, FaultInjector
+from lpv.core.simulation.scenario import load_scenario, parse_faults
 from lpv.core.support.config import Section, read_yaml
 from lpv.core.support.discovery import stay_local
 from lpv.core.support.errors import ConfigError
+from lpv.core.support.resources import bringup_file
 from lpv.core.support.timestamps import NANOSECONDS
 from lpv.core.uio.certificate.gains import save_gains
 
@@ -40,9 +41,7 @@ def run(arguments: argparse.Namespace) -> int:
     monitor = SerialSensorMonitor('/uio', arm, diagnosis, gains, **others)
     faults, injector = None, None
     if arguments.inject is not None:
-        top = Section(read_yaml(arguments.inject), arguments.inject)
-        faults = parse_faults(top)
-        top.finish()
+        faults = _faults(arguments.inject)
         injector = FaultInjector(arm.sensor_names, faults, np.random.default_rng(0))
     shutil.rmtree(out, ignore_errors=True)
     begin = time.perf_counter()
@@ -80,6 +79,18 @@ def _publish(arguments: argparse.Namespace, console: Console) -> int:
     )  # fmt: skip
     console.print(f'{player.run(console.print)} messages published')
     return 0
+
+
+def _faults(name: str) -> tuple[Fault, ...]:
+    """Faults of a list in a file, or of a scenario, which may be a shipped one."""
+    path = Path(name) if Path(name).is_file() else bringup_file('scenarios', name)
+    data = read_yaml(path)
+    if 'path' in data:
+        return load_scenario(path).faults
+    top = Section(data, str(path))
+    faults = parse_faults(top)
+    top.finish()
+    return faults
 
 
 def _check_out(out: Path, bag: Path) -> None:
