@@ -16,6 +16,8 @@ from lifecycle_msgs.srv import ChangeState
 from places import BRINGUP
 from rcl_interfaces.srv import GetParameters
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
+from rclpy.time import Time
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
@@ -99,6 +101,26 @@ def test_given_a_recorder_that_is_killed_when_read_then_at_most_a_second_is_lost
     result = recover(bag, tmp_path / 'new')
     assert (result.lost, result.end_missing) == (0, True)
     assert contents(tmp_path / 'new') == (contents(bag)[0], [])
+
+
+def test_given_simulated_time_when_messages_come_before_it_then_none_is_logged_at_zero(
+    session, tmp_path
+):
+    recorder, now = session('use_sim_time:=true'), 5_000_000_000
+    clock = recorder.client.node.create_publisher(Clock, '/clock', RELIABLE)
+    for _ in range(5):
+        recorder.publish()
+    assert recorder.client.wait(lambda: len(recorder.reports) > 2)  # one a second
+
+    def is_recorded():
+        clock.publish(Clock(clock=Time(nanoseconds=now).to_msg()))
+        values = [v for s in recorder.statuses() for v in s.values if v.key == f'{TOPIC} messages']
+        return values and values[-1].value == '5'
+
+    assert recorder.client.wait(is_recorded) and recorder.stop() == 0
+    assert recorded(tmp_path / 'bag') == [0, 1, 2, 3, 4]
+    with open_bag(tmp_path / 'bag') as reader:
+        assert reader.start_time == now
 
 
 def test_given_a_recorder_that_is_held_up_when_read_then_each_loss_is_counted(session, tmp_path):

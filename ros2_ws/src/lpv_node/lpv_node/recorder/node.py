@@ -122,7 +122,11 @@ class RecorderNode(ManagedNode):
             self.steady_timer(1.0, self._report)
             return
         self._input = RecorderInput(self, self._selection, partial(self._writer.describe, ''))
-        for period, callback in ((0.05, self._search), (_POLL, self._poll), (1.0, self._report)):
+        for period, callback in (
+            (0.05, self._search),
+            (_POLL, self._poll_in_time),
+            (1.0, self._report),
+        ):
             self.steady_timer(period, callback)
         what = f'{len(self._selection.names)} topics' if self._selection.names else 'all topics'
         self.get_logger().info(f'recording {what} into {self._writer.path}')
@@ -154,6 +158,18 @@ class RecorderNode(ManagedNode):
         for topic, msgtype, offered in self._input.search():
             self._announced[topic], self._types[topic] = offered, msgtype
             self._counts[topic] = TopicCount()
+
+    def _poll_in_time(self) -> None:
+        """Take what has come, once there is a time to log it with; queues hold it until then."""
+        if self.lockstep or not self.get_parameter('use_sim_time').value:
+            return self._poll()
+        if self.get_clock().now().nanoseconds:
+            return self._poll()
+        self.get_logger().warning(
+            'use_sim_time is set, and /clock has told no time yet: nothing is written until then',
+            throttle_duration_sec=5.0,
+            skip_first=True,
+        )
 
     def _poll(self) -> None:
         found = self._input.poll() if self._input is not None else []
