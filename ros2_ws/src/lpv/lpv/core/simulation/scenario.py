@@ -106,6 +106,9 @@ def _path(
 ) -> CartesianPath | SerialPath:
     """Kept: the simulator asks for the path of a run, and so does its tracker."""
     if isinstance(waypoints, PlanarWaypoints):
+        if len(arm.joints) != 2:
+            what = f'x and y are for planar arms of two links, {arm.name} has {len(arm.joints)}'
+            raise ConfigError('path.waypoints', f'{what}: give joints or position', name)
         return CartesianPath(arm, times, waypoints)
     if isinstance(waypoints, PoseWaypoints):
         return SerialPath.through_poses(arm, times, waypoints)

@@ -117,6 +117,9 @@ def test_given_a_scenario_when_used_then_arms_are_drawn_by_seed_and_fields_kept_
         parse_scenario(changed(DATA, 'path.waypoints[0]', {'t': 0.0}))
     with pytest.raises(ConfigError, match=r'path.waypoints\[1\].joints'):
         parse_scenario(changed(DATA, 'path.waypoints[1].joints', [0.0, 0.1])).path(ARM)
+    points = {'waypoints': [{'t': t, 'x': 0.1, 'y': 0.1} for t in (0.0, 1.0)]}
+    with pytest.raises(ConfigError, match=f'path.waypoints: x and y are .* {ARM.name} has 3'):
+        parse_scenario({**DATA, 'path': points}).path(ARM)
     with pytest.raises(ConfigError, match='plant.mass_factors: must have 3 numbers'):
         parse_scenario(changed(DATA, 'plant', {'mass_factors': [1.0, 1.1]})).true_arm(ARM)
     for plant in ('lpv', 'nonlinear_without_coriolis'):
