@@ -14,11 +14,11 @@ from lpv.core.serial_arm.certificate.loop_gains import serial_parameters
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.config import as_number, read_yaml
 from lpv.core.support.errors import ConfigError
-from lpv.core.support.resources import bringup_file
+from lpv.core.support.resources import bringup_file, shipped_files
 from lpv.core.uio.certificate.gains import Gains, load_gains
 from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.planar import planar_model
-from lpv.report.certificate import beside_bag, named_arm
+from lpv.report.certificate import beside_bag, named_arm, unknown_arm
 
 
 def reading_options(arguments: argparse.Namespace, **others: Any) -> ReplayOptions:
@@ -43,7 +43,9 @@ def arm_and_gains(
     bag = getattr(arguments, 'bag', None)
     if bag and not gains and not arguments.requirement:
         found, kept = _of_bag(Path(bag))
-        if found and not name:
+        if not name and found not in shipped_files('arms'):
+            raise unknown_arm(found)
+        if not name:
             what = ' and gains' if kept else ''
             console.print(f'arm {found!r}{what} as in the bag')
             name = found

@@ -156,14 +156,19 @@ def find_arm_and_gains(
     name = named_arm(bag)
     shipped = shipped_files('arms').get(name)
     if shipped is None:
-        what = 'the bag holds neither gains nor answers of the diagnosis'
-        if name:
-            what = f'the bag is of arm {name!r}, which is not a shipped one'
-        raise ConfigError('--arm', f'is needed: {what}; e.g. --arm {name or "my_arm"}.yaml')
+        raise unknown_arm(name)
     if file is None and name in shipped_files('gains'):
         file = shipped_files('gains')[name]
         source = f'shipped gains of arm {name!r}, which the messages name'
     return load_arm(shipped), file, source
+
+
+def unknown_arm(name: str) -> ConfigError:
+    """Error where a bag names no arm, '', or one that is not shipped."""
+    what = 'the bag holds neither gains nor answers of the diagnosis'
+    if name:
+        what = f'the bag is of arm {name!r}, which is not a shipped one'
+    return ConfigError('--arm', f'is needed: {what}; e.g. --arm {name or "my_arm"}.yaml')
 
 
 def named_arm(bag: str | Path) -> str:

@@ -505,7 +505,7 @@ def test_given_a_command_when_run_again_then_the_last_holds(bag, replayed, tmp_p
     # Neither arm nor gains are needed for a bag with its gains.
     bag, report = shutil.copytree(bag, tmp_path / 'bag'), tmp_path / 'report'
     again = ['replay', bag, '--out', tmp_path / 'result']
-    assert refused('--arm: is needed where neither gains nor the bag name an arm', *again)
+    assert refused('--arm: is needed: the bag holds neither gains nor answers', *again)
     shutil.copy(PAPER_GAINS, bag / 'gains.yaml')
     report.mkdir()
     (report / 'path.png').write_bytes(b'old')
@@ -575,3 +575,5 @@ def test_given_bad_input_when_run_then_it_is_said(bag, tmp_path, monkeypatch, ca
     assert refused(told, *arguments, '--requirement', 'paper')
     call(*arguments)
     assert not (tmp_path / 'out' / 'gains.yaml').exists()
+    told = "--arm: is needed: the bag is of arm 'crane', which is not a shipped one"
+    assert refused(told, 'replay', tmp_path / 'out', '--out', tmp_path / 'again')
