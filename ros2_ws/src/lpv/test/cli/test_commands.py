@@ -94,13 +94,18 @@ def test_given_an_arm_whose_loop_is_not_certified_when_told_then_it_is_all_that_
     assert console.file.getvalue().endswith(' its loop has no certificate\n')
 
 
-def test_given_a_prismatic_joint_when_findings_are_told_then_they_are_in_metres(paper_arm, capsys):
+def test_given_joints_when_findings_are_told_then_each_has_its_unit_if_it_has_a_size(
+    paper_arm, capsys
+):
     first, second = paper_arm.joints
     arm = replace(paper_arm, joints=(first, replace(second, type='prismatic')))
     fault = Fault('link2_angle', 'bias', 1.0, size=0.1)
-    found = [InjectedFault(fault, True, (), 0.1, 'bias', 0.12, 0.03, 0.02)]
+    kinds = (('bias', 0.02), ('rate_bias', None), ('dropout', None))
+    found = [InjectedFault(fault, True, (), 0.1, kind, 0.12, 0.03, off) for kind, off in kinds]
     replay.show_injected(found, arm, Console(width=200))
-    assert '+0.120 m within 0.030 m, size error +0.020 m\n' in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert '+0.120 m within 0.030 m, size error +0.020 m\n' in told
+    assert 'as rate_bias, +0.120 m/s within 0.030 m/s\n' in told and 'as dropout\n' in told
     worst = Finding(np.array([0.5, 0.7]), np.array([0.2, 0.1]), np.ones(2), False, None)
     falsify._conclude(SimpleNamespace(arm=arm), [worst])
     told = capsys.readouterr().out

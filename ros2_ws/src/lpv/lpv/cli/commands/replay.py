@@ -126,9 +126,10 @@ def show_injected(found: list[InjectedFault], arm: SerialArm, console: Console) 
         unit = arm.position_units[arm.sensor_names.index(fault.sensor)]
         text = f'  {fault.sensor}, {fault.kind} from {fault.onset:.3f} s on: {one.verdict}'
         if one.found:
+            text += f' after {one.delay:.3f} s as {one.kind}'
+        if one.found and one.kind != 'dropout':  # which has no size
             found_unit = size_unit(one.kind, unit)
-            text += f' after {one.delay:.3f} s as {one.kind}, {one.size:+.3f} {found_unit}'
-            text += f' within {one.bound:.3f} {found_unit}'
+            text += f', {one.size:+.3f} {found_unit} within {one.bound:.3f} {found_unit}'
         if one.error is not None:
             text += f', size error {one.error:+.3f} {unit}'
         console.print(text)
