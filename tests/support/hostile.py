@@ -1,7 +1,7 @@
 """Hostile messages, parameters and requests, and what a node made of them."""
 
 import math
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 
 import numpy as np
 import rclpy
@@ -138,14 +138,13 @@ def node_of(kind, name, *files, **parameters):
     """A configured node of a class in this process, that takes part without an executor."""
     given = ros.words(*(f'{key}:={value}' for key, value in parameters.items()), files=files)
     rclpy.init(args=given, domain_id=ros.next_domain())
-    node = kind()
-    try:
+    with ExitStack() as ends:
+        ends.callback(rclpy.shutdown)
+        node = kind()
+        ends.callback(node.destroy_node)
         node.setup()
         node._taking_part = True
         yield node
-    finally:
-        node.destroy_node()
-        rclpy.shutdown()
 
 
 def run_cases(count, case, **options):

@@ -18,7 +18,7 @@ from std_srvs.srv import Trigger
 from lpv.core.monitoring.alarm_text import describe
 from lpv.core.monitoring.answers import Answer
 from lpv.core.monitoring.message_fields import alarm_fields
-from lpv.core.monitoring.parameters import DiagnosisParameters
+from lpv.core.monitoring.parameters import DiagnosisParameters, check_names
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent, Mode
@@ -82,6 +82,9 @@ class UioNode(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__('uio', SPECS)
+        # Nobody else has such parameters: a misspelt one would be left out in silence.
+        parts = (name.partition('.') for name in self._parameter_overrides)
+        check_names([name for place, _, name in parts if place == 'diagnosis'], self.get_name())
         self._alarms: OpenAlarms | None = None
         self._unset_gains = declare_gains(self)
         self._measurement_in: Subscription | None = None

@@ -8,7 +8,7 @@ from rich.console import Console
 
 from lpv.bag.replay.replay import ReplayOptions
 from lpv.bag.rosbag.output_folder import GAINS_NAME
-from lpv.core.monitoring.parameters import DiagnosisParameters
+from lpv.core.monitoring.parameters import DiagnosisParameters, check_names
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.certificate.loop_gains import serial_parameters
 from lpv.core.serial_arm.description import SerialArm
@@ -93,6 +93,7 @@ def diagnosis_parameters(path: str | None) -> tuple[DiagnosisParameters, dict[st
     try:
         values = dict(read_yaml(path)['/**']['ros__parameters'])
         tuning = dict(values.get('diagnosis') or {})
+        check_names(tuning, path)
         diagnosis = DiagnosisParameters(**{k: as_number(v) for k, v in tuning.items()})
     except (KeyError, TypeError, ValueError) as error:
         raise ConfigError(

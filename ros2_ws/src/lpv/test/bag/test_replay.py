@@ -541,6 +541,7 @@ def test_given_bad_input_when_run_then_it_is_said(bag, tmp_path, monkeypatch, ca
     monkeypatch.chdir(tmp_path)
     fault, precious = '{sensor: nose, kind: bias, onset: 1, size: 1}', Path('somewhere/precious')
     Path('faults.yaml').write_text(f'faults: [{fault}]\n')
+    Path('misspelt.yaml').write_text('/**: {ros__parameters: {diagnosis: {sigma: 5.0}}}')
     Path('tuned.yaml').write_text('/**: {ros__parameters: {diagnosis: {clear_dwell: soon}}}')
     precious.parent.mkdir()
     precious.write_text('mine')
@@ -558,6 +559,7 @@ def test_given_bad_input_when_run_then_it_is_said(bag, tmp_path, monkeypatch, ca
         ('--from', {'from': -1}, {'from': 'nan'}),
         ('--to', {'from': 2, 'to': 1}, {'to': 'inf'}),
         ('clear_dwell', {'parameters': 'tuned.yaml'}),
+        ('diagnosis.sigma: is not a known parameter', {'parameters': 'misspelt.yaml'}),
         ('somewhere exists already', {'out': 'somewhere'}),
         ('exists already', {'out': 'tuned.yaml'}),
         ('would overwrite', {'bag': 'somewhere/bag', 'out': 'somewhere'}),

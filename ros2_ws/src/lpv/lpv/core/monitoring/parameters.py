@@ -1,9 +1,11 @@
 """Tuning of the diagnosis."""
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
 
 from lpv.core.control.estimate_check import FADING
 from lpv.core.serial_arm.diagnosis.settings import MonitorSettings
+from lpv.core.support.errors import ConfigError
 
 
 @dataclass(frozen=True)
@@ -14,3 +16,12 @@ class DiagnosisParameters(MonitorSettings):
     compensation_rate: float = FADING
     # a confirmed fault that is removed with a wider bound stops the arm [rad]
     safe_stop_bound: float = 1.5
+
+
+def check_names(names: Iterable[str], where: str) -> None:
+    """ConfigError for the first name, below ``diagnosis``, that is no parameter."""
+    known = [field.name for field in fields(DiagnosisParameters)]
+    for name in names:
+        if name not in known:
+            reason = f'is not a known parameter; known here: {", ".join(known)}'
+            raise ConfigError(f'diagnosis.{name}', reason, where)
