@@ -15,7 +15,7 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from lpv.core.monitoring.alarm_text import describe
+from lpv.core.monitoring.alarm_text import count_texts, describe
 from lpv.core.monitoring.answers import Answer
 from lpv.core.monitoring.message_fields import alarm_fields
 from lpv.core.monitoring.parameters import DiagnosisParameters, check_names
@@ -304,10 +304,9 @@ class UioNode(ManagedNode):
             return
         self._silent_since = now
         topic = self.resolve_topic_name('joint_states')
-        senders = self.count_publishers('joint_states')
-        self.get_logger().warning(
-            f'no measurement that fits the arm on {topic}, which has {senders} publishers'
-        )
+        text = f'no new measurement that fits the arm on {topic}, publishers: '
+        text += str(self.count_publishers('joint_states'))
+        self.get_logger().warning('; '.join([text, *count_texts(self._monitor.counters)]))
 
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._monitor.reset()

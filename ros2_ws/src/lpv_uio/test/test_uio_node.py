@@ -14,7 +14,7 @@ from sensor_msgs.msg import JointState
 from serial_bags import TOPIC, crane_file, crane_run, record_crane
 from std_srvs.srv import Trigger
 
-from lpv import Alarm, AlarmEvent, Fault, load_arm, load_scenario
+from lpv import Alarm, AlarmEvent, ConfigError, Fault, load_arm, load_scenario
 from lpv.bag.replay.replay import Replay
 from lpv.bag.rosbag.reading import open_bag
 from lpv.core.monitoring import answers, serial_monitor
@@ -206,7 +206,9 @@ def test_given_commands_when_the_arm_is_stopped_or_they_are_old_then_no_torque_i
     assert np.isnan(arm.node._known_torque()).all(), 'of a tracker that is no more'
 
 
-def test_given_a_driver_whose_clock_stands_when_it_goes_on_then_the_diagnosis_is_stale(arm):
+def test_given_a_driver_whose_clock_stands_when_it_goes_on_then_the_diagnosis_is_stale(
+    arm, monkeypatch
+):
     arm.recover()
     last = arm.good()
     for _ in range(3):
@@ -217,6 +219,19 @@ def test_given_a_driver_whose_clock_stands_when_it_goes_on_then_the_diagnosis_is
     arm.node._on_measurement(last)
     arm.node._check_silence()
     assert arm.node._stale
+    said = []
+    monkeypatch.setattr(arm.node.get_logger(), 'warning', said.append)
+    arm.node._silent_since = 0
+    arm.node._check_silence()
+    assert said and 'measurements with the stamp of the one before' in said[-1]
+
+
+def test_given_a_misspelt_tuning_when_started_then_it_is_refused_by_name():
+    with (
+        pytest.raises(ConfigError, match='diagnosis.sigma: is not a known parameter.*sigmas'),
+        node_of(UioNode, 'uio', **{'arm_file': 'paper', 'diagnosis.sigma': 5.0}),
+    ):
+        pass
 
 
 def test_given_an_observer_that_died_with_an_alarm_when_restarted_then_it_says_so(arm, tmp_path):

@@ -15,7 +15,7 @@ from lpv.bag.rosbag.output_folder import GAINS_NAME
 from lpv.bag.run.streams import RecordedAlarm
 from lpv.cli.needs import require_ros
 from lpv.cli.observing import arm_and_gains, diagnosis_parameters, reading_options
-from lpv.core.monitoring.alarm_text import COUNTER_TEXT, describe
+from lpv.core.monitoring.alarm_text import count_texts, describe
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent, size_unit
@@ -140,9 +140,8 @@ def _summary(
 ) -> None:
     counts = f'{result.measurements} measurements, {len(result.events)} alarm events'
     console.print(f'{counts}, {seconds:.2f} s')
-    for name, count in vars(monitor.counters).items():
-        if count:
-            console.print(f'  {count} {COUNTER_TEXT[name]}')
+    for text in count_texts(monitor.counters):
+        console.print(f'  {text}')
     for text, count in result.rejected.items():
         console.print(f'  {count} measurements not used: {text}')
     for at, text in result.notes:

@@ -38,6 +38,11 @@ COUNTER_TEXT = {
 """Fields of `lpv.core.monitoring.serial_monitor.SerialCounters`, what they count."""
 
 
+def count_texts(counters: object) -> list[str]:
+    """What was wrong with samples, and how often."""
+    return [f'{count} {COUNTER_TEXT[name]}' for name, count in vars(counters).items() if count]
+
+
 def describe(event: Alarm) -> str:
     """An alarm event as one line: sensor, error with its bound, kind, confidence."""
     head = f'{_EVENTS[event.event]}, {event.sensor}: '
