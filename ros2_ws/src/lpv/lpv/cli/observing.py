@@ -42,13 +42,13 @@ def arm_and_gains(
     name, kept = arguments.arm or (gains and gains.arm_name), None
     bag = getattr(arguments, 'bag', None)
     if bag and not gains and not arguments.requirement:
-        found, kept = _of_bag(Path(bag))
-        if not name and found not in shipped_files('arms'):
-            raise unknown_arm(found)
+        kept = _kept_gains(Path(bag))
         if not name:
+            name = kept.arm_name if kept else named_arm(bag)
+            if name not in shipped_files('arms'):
+                raise unknown_arm(name)
             what = ' and gains' if kept else ''
-            console.print(f'arm {found!r}{what} as in the bag')
-            name = found
+            console.print(f'arm {name!r}{what} as in the bag')
     if not name:
         raise ConfigError('--arm', 'is needed where neither gains nor the bag name an arm')
     arm = load_arm(bringup_file('arms', name))
@@ -62,13 +62,10 @@ def arm_and_gains(
     return arm, gains or _gains_of(arguments, planar, console)
 
 
-def _of_bag(bag: Path) -> tuple[str, Gains | None]:
-    """Arm that the gains in a bag, or the recorded answers, name, and the gains; '' without."""
+def _kept_gains(bag: Path) -> Gains | None:
+    """Gains of an observer that were kept in a bag."""
     file = beside_bag(bag, GAINS_NAME)
-    if file is not None and serial_parameters(file) is None:
-        gains = load_gains(file)
-        return gains.arm_name, gains
-    return named_arm(bag), None
+    return None if file is None or serial_parameters(file) is not None else load_gains(file)
 
 
 def _gains_of(arguments: argparse.Namespace, arm: ArmParameters, console: Console) -> Gains | None:
