@@ -228,7 +228,9 @@ class UioNode(ManagedNode):
         self._answered = stamp = answer.stamp
         messages = self._messages
         if answer.restarted:
-            self.get_logger().warning('the clock of the measurements was set: estimates begin anew')
+            self.get_logger().warning(
+                'no measurement came for more than 1 s, or their clock was set: balances begin anew'
+            )
         if not messages.fill(answer.record):
             self._refusals.add('estimate with values that are not finite')
         if self._alarms is not None and self._alarms.before:

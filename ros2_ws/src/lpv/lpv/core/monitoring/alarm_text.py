@@ -27,7 +27,7 @@ _CERTAIN = 0.9995
 COUNTER_TEXT = {
     'duplicates': 'measurements with the stamp of the one before, ignored',
     'out_of_order': 'measurements older than the one before, ignored',
-    'restarts': 'restarts because the clock was set',
+    'restarts': 'restarts: the clock was set, or no measurement came for more than 1 s',
     'refused_stamps': 'measurements whose stamp fits no stream, ignored',
     'not_finite': 'measurements with NaN or infinite values',
     'implausible': 'measurements with values that this arm cannot reach',

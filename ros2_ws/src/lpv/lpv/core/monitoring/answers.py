@@ -36,7 +36,7 @@ def answer_type(joints: int) -> np.dtype:
     return record_type(
         ('answered', '?'),  # False for a sample with an old stamp, which needs no answer
         ('has_fault', '?'),  # whether there is a fault estimate; a state there is always
-        ('restarted', '?'),  # the clock was set: estimates begin anew
+        ('restarted', '?'),  # as `Answer.restarted`
         ('inconsistent', '?'),  # rates, torques and model contradict each other
         ('state', state),
         ('fault', fault),
@@ -54,7 +54,7 @@ class Answer(NamedTuple):
 
     @property
     def restarted(self) -> bool:
-        """The clock was set back: observer and alarms restarted."""
+        """The clock was set, or no measurement came for more than 1 s: balances begin anew."""
         return bool(self.record['restarted'])
 
 
