@@ -80,6 +80,7 @@ def test_given_a_graph_when_a_fault_is_injected_then_the_alarm_is_on_topic_and_i
     (UioNode, f'-p arm_file:={BRINGUP / "arms" / "real_arm.yaml"}', 'for another arm'),
     (UioNode, f'{ARM} -p torque_source:=guess', 'torque_source'),
     (UioNode, '-p broken', '--ros-args: '), (UioNode, '--nix', '--ros-args: '),
+    (UioNode, '-r __ns:=/lpv/', '--ros-args: '),
     (UioNode, '--params-file /nowhere/gains.yaml', f'{NOWHERE}are written by: lpv design'),
     (UioNode, f'{ARM} {WRONG}', 'the certificate does not hold: observer, link 1'),
     (TrackerNode, f'{SCENARIO}two_faults {WRONG}', 'does not hold: observer, link 1'),

@@ -37,5 +37,9 @@ def initialise(argv: list[str] | None = None) -> None:
         # rclpy's own handler shuts the context down at once, with messages still in the queues.
         rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
     except (RuntimeError, ValueError) as error:  # rcl's errors, arguments that rcl does not know
-        reason = ' '.join(str(error).split()).partition(', at /')[0]
-        raise ConfigError('--ros-args', reason) from error
+        raise refused(error) from error
+
+
+def refused(error: Exception) -> ConfigError:
+    """What rcl says of arguments, in one line."""
+    return ConfigError('--ros-args', ' '.join(str(error).split()).partition(', at /')[0])

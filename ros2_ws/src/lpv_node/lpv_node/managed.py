@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import rclpy
+from rclpy._rclpy_pybind11 import RCLError
 from rclpy.clock import Clock, ClockType, ROSClock
 from rclpy.duration import Duration
 from rclpy.exceptions import ParameterException
@@ -21,7 +22,7 @@ from rclpy.timer import Timer
 from lpv.core.support.errors import LpvError
 from lpv.core.support.limits import PATIENCE
 from lpv.core.support.signals import StopRequest
-from lpv_node.arguments import initialise
+from lpv_node.arguments import initialise, refused
 from lpv_node.parameter_service import CheckedParameterService
 from lpv_node.parameters import Spec, declare, table
 
@@ -254,7 +255,10 @@ def run_node(node_class: Callable[[], ManagedNode], argv: list[str] | None = Non
     node, code = None, 1
     try:
         initialise(argv)
-        node = node_class()
+        try:
+            node = node_class()
+        except RCLError as error:  # of a name or namespace that nodes cannot have
+            raise refused(error) from error
         code = _spin(node, stop)
     except (KeyboardInterrupt, SystemExit):  # told to stop while it started
         code = 0

@@ -17,7 +17,7 @@ from lpv import Fault, load_arm, load_scenario, save_gains
 from lpv.bag.replay.injected_faults import InjectedFault
 from lpv.campaign.falsify.attack import Finding
 from lpv.cli import needs, progress
-from lpv.cli.commands import demo, falsify, replay
+from lpv.cli.commands import demo, falsify, replay, view
 from lpv.core.export.urdf import arm_urdf
 from lpv.core.uio.planar import planar_model, serial_from_planar
 
@@ -111,6 +111,18 @@ def test_given_joints_when_findings_are_told_then_each_has_its_unit_if_it_has_a_
     told = capsys.readouterr().out
     assert 'link1_angle: 0.500 of 0.2000 rad\nlink2_angle: 0.700 of 0.1000 m\n' in told
     assert told.endswith('reached 0.700 of its threshold, 0.1000 m, at 1.00 s\n')
+
+
+@pytest.mark.parametrize('name', ['cell/left', '/cell/left/', '/cell/left'])
+def test_given_a_namespace_when_viewed_then_slashes_at_its_ends_do_not_count(monkeypatch, name):
+    lines = []
+    monkeypatch.setattr(view, 'require_ros', lambda: None)
+    monkeypatch.setattr(view, 'executable', lambda *names: '/bin/view')
+    monkeypatch.setattr(view, 'stay_local', lambda: None)
+    monkeypatch.setattr('os.execv', lambda _, line: lines.append(line))
+    given = {'arm': 'paper', 'scenario': None, 'namespace': name, 'domain_id': None}
+    view.run(SimpleNamespace(**given, address='127.0.0.1', port=8090, foxglove_port=8765))
+    assert '__ns:=/cell/left' in lines[0]
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ def run(arguments: argparse.Namespace) -> None:
     if arguments.scenario:
         values['scenario_file'] = bringup_file('scenarios', arguments.scenario)
     values |= {name: getattr(arguments, name) for name in ('address', 'port', 'foxglove_port')}
-    line = [str(program), '--ros-args', '-r', f'__ns:={arguments.namespace}']
+    line = [str(program), '--ros-args', '-r', f'__ns:=/{arguments.namespace.strip("/")}']
     line += [word for name, value in values.items() for word in ('-p', f'{name}:={value}')]
     if arguments.domain_id is not None:
         os.environ['ROS_DOMAIN_ID'] = str(arguments.domain_id)
