@@ -529,6 +529,11 @@ def test_given_a_file_of_faults_when_run_then_they_are_added(loop, tmp_path, cal
     assert 'ALARM, link2_angle: error -0.' in said and 'size error' in said
     assert '1 of 1 injected faults found on the right sensor' in said
     assert re.search(r'link2_angle, bias from 0.500 s on: found after 0.\d+ s as \w+, -0.\d+', said)
+    late = '  - {sensor: link1_angle, kind: bias, onset: 5.0, size: 0.3}\n'
+    faults.write_text(f'{faults.read_text()}{late}')
+    said = call(*line(source, tmp_path / 'late', inject=faults)).out
+    assert '1 of 1 injected faults found' in said
+    assert 'link1_angle, bias from 5.000 s on: not injected, the recording ends before' in said
     scenario = tmp_path / 'scenario.yaml'
     path = 'path: {waypoints: [{t: 0, joints: [0, 0]}, {t: 9, joints: [1, 1]}]}'
     scenario.write_text(f'name: a\nduration: 9.0\n{path}\n{faults.read_text()}')

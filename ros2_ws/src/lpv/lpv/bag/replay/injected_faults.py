@@ -1,7 +1,8 @@
 """What a replay found of the faults that were injected into its measurements."""
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from lpv.bag.replay.replay import ReplayResult
 from lpv.core.serial_arm.diagnosis.alarms import RATE_BIAS, AlarmEvent
@@ -24,10 +25,13 @@ class InjectedFault:
     size: float | None = None  # latest estimate while it acted [rad]
     bound: float | None = None  # stated bound of the estimate's error [rad]
     error: float | None = None  # estimate minus injected size; None where no size is defined [rad]
+    acted: bool = True  # the recording was not over before
 
     @property
     def verdict(self) -> str:
         """One phrase for the user."""
+        if not self.acted:
+            return 'not injected, the recording ends before'
         wrong = ', '.join(self.wrong_sensors)
         if self.found:
             return f'found, and wrongly {wrong}' if wrong else 'found'
@@ -38,6 +42,7 @@ def judge(faults: Sequence[Fault], result: ReplayResult) -> list[InjectedFault]:
     """What alarms say of faults whose onsets count from the first measurement, in their order."""
     start, found = result.first_stamp or 0, []
     events = [((event.stamp - start) / NANOSECONDS, event) for event in result.events]
+    end = math.inf if result.last_stamp is None else (result.last_stamp - start) / NANOSECONDS
     for fault in faults:
         during = [(at, event) for at, event in events if _acts(fault, at)]
         raised = [(at, event.sensor) for at, event in during if event.event == AlarmEvent.RAISED]
@@ -55,7 +60,8 @@ def judge(faults: Sequence[Fault], result: ReplayResult) -> list[InjectedFault]:
             is_other = last.kind == RATE_BIAS  # its size is one of a rate
             error = None if true is None or is_other else last.size - true
             told = (delays[0], last.kind, last.size, last.bound, error)
-        found.append(InjectedFault(fault, bool(delays), tuple(sorted(wrong)), *told))
+        one = InjectedFault(fault, bool(delays), tuple(sorted(wrong)), *told)
+        found.append(replace(one, acted=fault.onset <= end))
     return found
 
 

@@ -49,6 +49,7 @@ class ReplayResult:
     measurements: int = 0  # samples read
     answered: int = 0  # samples that led to an answer
     first_stamp: int | None = None  # stamp of the first usable sample [ns]
+    last_stamp: int | None = None  # stamp of the last one [ns]
     rejected: Counter[str] = field(default_factory=Counter)  # unusable messages by reason
     events: list[RecordedAlarm] = field(default_factory=list)  # alarm events
     # what the observer warns of, with times from the first usable sample on [s]
@@ -178,6 +179,8 @@ class Replay:
             before = np.searchsorted(batch.rejected, batch.measured.places[row])
             status[0]['values']['rejected messages'] = str(self._monitor.rejected + before)
         self._monitor.rejected += len(batch.rejected)
+        if len(stamp):
+            result.last_stamp = int(stamp[-1])
         start = result.first_stamp or 0
         for row, event in answers.events:
             alarm = RecordedAlarm(**vars(event), stamp=int(stamp[row]))

@@ -120,7 +120,8 @@ def _alarm_line(event: RecordedAlarm, time: float) -> str:
 def show_injected(found: list[InjectedFault], arm: SerialArm, console: Console) -> None:
     """Show what was found of the injected faults."""
     right = sum(one.found for one in found)
-    console.print(f'{right} of {len(found)} injected faults found on the right sensor')
+    acted = sum(one.acted for one in found)
+    console.print(f'{right} of {acted} injected faults found on the right sensor')
     for one in found:
         fault = one.fault
         unit = arm.position_units[arm.sensor_names.index(fault.sensor)]
