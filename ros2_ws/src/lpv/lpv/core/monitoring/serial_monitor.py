@@ -65,6 +65,7 @@ _MISNAMED = (
     'rates of {} are derived from the readings, and are taken for such; the arm file calls them '
     'independent'
 )
+_TOO_RARE = f'measurements are more than ten sample times of the arm file apart: {_JUMPS_ALONE}'
 _NO_EFFORT = f'no efforts: {_JUMPS_ALONE}'
 _NO_WEIGHT = f'efforts leave out the weight: {_JUMPS_ALONE}'
 
@@ -808,6 +809,8 @@ class SerialSensorMonitor:
         """What else is to be said of the diagnosis as a whole."""
         if not self._monitor.uses_balances:
             return _NO_EFFORT if self._blind else _NO_WEIGHT
+        if not self._snapshot.balances and self.counters.gaps > LONGEST_STEP:
+            return _TOO_RARE
         if self._snapshot.contact:
             return _CONTACT
         if self._snapshot.suspects:

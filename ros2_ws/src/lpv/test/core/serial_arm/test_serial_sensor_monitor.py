@@ -51,6 +51,15 @@ def message(names=ARM.joint_names, **fields):
     return SimpleNamespace(name=list(names), **values)
 
 
+def test_given_samples_too_rare_for_the_sample_time_then_it_is_told():
+    stamps, samples, _ = recorded(duration=4.0)
+    _, answers = observe(stamps[::12], samples[::12])
+    ((_, text),) = answers.warnings
+    assert text.startswith('measurements are more than ten sample times')
+    _, answers = observe(stamps[::8], samples[::8])
+    assert not any('ten sample times' in text for _, text in answers.warnings)
+
+
 def test_given_samples_that_are_lost_repeated_or_no_numbers_then_each_is_counted():
     """Their answers do not depend on the parts they come in: `test_any_data`."""
     stamps, samples, _ = (one.copy() for one in recorded())
