@@ -9,7 +9,7 @@ from hostile import Output, Refused, damaged_bytes, forge, node_of, run_cases, s
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 
-from lpv.bag.rosbag import message_loss, writing
+from lpv.bag.rosbag import message_loss, metadata
 from lpv.core.support.timestamps import leading_stamp, set_stamp
 from lpv_msgs.msg import FaultAlarm, StateEstimate
 from lpv_node.recorder.input import Heard
@@ -29,7 +29,7 @@ class Recorder:
         for kind in KINDS:
             topic = kind.__name__
             node._types[topic] = f'{kind.__module__.split(".")[0]}/msg/{topic}'
-            node._announced[topic] = writing.qos_profile(True, False, 10)
+            node._announced[topic] = metadata.qos_profile(True, False, 10)
             node._counts[topic] = message_loss.TopicCount()
 
     def good(self, kind):

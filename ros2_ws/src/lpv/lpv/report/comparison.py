@@ -15,7 +15,6 @@ from lpv.bag.run.record import load_run
 from lpv.bag.run.streams import RunRecord
 from lpv.core.monitoring.parameters import DiagnosisParameters
 from lpv.core.serial_arm.description import SerialArm
-from lpv.core.serial_arm.diagnosis.alarms import subject
 from lpv.core.support.errors import LpvError
 from lpv.report.history import Episode, episodes
 from lpv.report.page import finite
@@ -236,7 +235,7 @@ def _pairs(
     for alarm in episodes(first):
         near = [
             other for other in left
-            if (other.sensor_index, subject(other.kind)) == (alarm.sensor_index, subject(alarm.kind))
+            if other.about == alarm.about
             and alarm.raised <= _end(other) + shift + DiagnosisParameters.clear_dwell
             and other.raised + shift <= _end(alarm) + DiagnosisParameters.clear_dwell
         ]  # fmt: skip

@@ -90,6 +90,11 @@ class Episode:
         return ''.join(size_unit(self.kind, unit) for unit in units)
 
     @property
+    def about(self) -> tuple[int, str]:
+        """Its sensor, and what of it; one alarm at a time is about it."""
+        return self.sensor_index, subject(self.kind)
+
+    @property
     def false_alarm(self) -> bool:
         """Whether ground truth says that there was no fault."""
         return self.true_onset is not None and math.isnan(self.true_onset)

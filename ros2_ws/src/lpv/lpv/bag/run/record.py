@@ -199,8 +199,8 @@ def _read_streams(
             for k in positions.tolist() if name == ALARMS else ():
                 alarm = _alarm(reader.deserialize(block.message(k), ALARM_TYPE))
                 # Latched events are delivered again to late subscribers.
-                about = alarm.sensor_index, alarm.event, subject(alarm.kind)
-                alarms[alarm.stamp, *about] = alarm
+                key = alarm.stamp, alarm.sensor_index, alarm.event, subject(alarm.kind)
+                alarms[key] = alarm
     for stream in streams.values():
         stream.fill(record)
     record.alarms = [alarms[key] for key in sorted(alarms)]
