@@ -243,8 +243,10 @@ class _DesignedRange:
         factor = 1.0 + arm.friction_error * shares[5]
         other = replace(
             arm.scaled(error[:2].tolist(), error[2:4].tolist()),
-            viscous=tuple(factor * v for v in arm.viscous),
-            coulomb=tuple(factor * v for v in arm.coulomb),
+            **{
+                name: tuple(factor * v for v in getattr(arm, name))
+                for name in ('offset', 'viscous', 'coulomb', 'load')
+            },
         ).with_payload(0.5 * (shares[4] + 1.0) * arm.payload)
         return compile_chain(serial_from_planar(other)) if other.is_physical() else self.chain
 

@@ -14,6 +14,7 @@ from lpv.core.uio.bound.error_bound import error_bound
 from lpv.core.uio.bound.unknown_torque import MOTION, healthy_arm, unknown_torque
 from lpv.core.uio.certificate.error_system import link_errors
 from lpv.core.uio.certificate.noise import exact_fault_sigma
+from lpv.core.uio.model.dynamics import friction
 from lpv.core.uio.planar import planar_model
 from lpv.core.uio.unknown_input_observer import UnknownInputObserver
 
@@ -63,7 +64,7 @@ def test_given_constant_friction_then_the_observer_knows_it_and_the_bound_its_sh
 def test_given_friction_that_falls_with_speed_then_its_error_is_bounded(paper_model, rate):
     arm = replace(paper_model, viscous=(-2.0, 0.0), coulomb=(20.0, 0.0), friction_error=0.3)
     viscous = arm.viscous[0] * rate
-    dry = arm.coulomb[0] * 2.0 / np.pi * np.arctan(arm.coulomb_slope * rate)
+    dry = arm.coulomb[0] * 2.0 / np.pi * np.arctan(arm.coulomb_slope[0] * rate)
     motion = new_record(MOTION, rate=np.array([rate, rate]), margin=np.zeros(2))
     both = []
     for one in (arm, replace(arm, viscous=(0.0, 0.0), coulomb=(0.0, 0.0))):
@@ -71,6 +72,31 @@ def test_given_friction_that_falls_with_speed_then_its_error_is_bounded(paper_mo
         unknown_torque(healthy_arm(one), motion, torque)
         both.append(torque[0])
     assert both[0] - both[1] >= 0.3 * (abs(viscous) + abs(dry))
+
+
+@pytest.mark.parametrize('share', [-0.3, 0.3])
+def test_given_slopes_and_load_of_each_joint_then_the_error_of_friction_is_bounded(
+    paper_model, share
+):
+    dry = {'coulomb': (5.0, 2.0), 'load': (0.2, 0.5)}
+    arm = replace(paper_model, coulomb_slope=(10.0, 1000.0), velocity_noise=0.0, **dry)
+    true = replace(arm, **{n: tuple((1.0 + share) * v for v in dry[n]) for n in dry})
+    frictionless = replace(arm, coulomb=(0.0, 0.0), load=(0.0, 0.0))
+    rng, largest = np.random.default_rng(4), 0.0
+    for rate, torque in zip(rng.uniform(-1.0, 1.0, (200, 2)), rng.uniform(-50.0, 50.0, (200, 2))):
+        known, other = (
+            np.array(friction(*rate, *torque, False, a.constants())) for a in (arm, true)
+        )
+        carried = torque - known
+        np.testing.assert_allclose(friction(*rate, *carried, True, arm.constants()), known)
+        motion = new_record(MOTION, rate=rate, load=np.abs([carried.sum(), carried[1]]))
+        most, rest = np.zeros(2), np.zeros(2)
+        unknown_torque(healthy_arm(arm), motion, most)
+        unknown_torque(healthy_arm(frictionless), motion, rest)
+        ratio = np.abs(other - known) / (most - rest)
+        assert np.all(ratio <= 1.0)
+        largest = max(largest, ratio.max())
+    assert largest > 0.5
 
 
 def test_given_noisy_encoders_then_angles_have_the_noise_of_their_own(paper_model, paper_gains):

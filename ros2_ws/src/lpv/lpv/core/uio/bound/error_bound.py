@@ -29,6 +29,7 @@ from lpv.core.uio.bound.unknown_torque import (
     MOTION,
     UNKNOWN_TORQUE,
     bound_rate_errors,
+    carry_load,
     healthy_arm,
     inertia_errors,
     unknown_torque,
@@ -235,6 +236,7 @@ def _read_motion(params: np.record, state: np.record, estimate: np.record) -> No
     # theta^'' = acceleration - Xi^-1 (mu Xi + Xi'(v)) r of the observer.
     r = motion.innovation[0], motion.innovation[1]
     acc = estimate.absolute_acceleration
+    carry_load(params.unknown, motion, acc[0], acc[1])
     _, _, k_1, k_2 = injection(motion.theta[0], motion.theta[1], motion.rate, r, params.mu, arm)
     for i in range(2):
         motion.driven[i, 0] = acc[0] - k_1 + params.mu[i] * r[0]
@@ -359,6 +361,7 @@ def _follow_static(params: np.record, state: np.record, estimate: np.record) -> 
     motion = state.motion
     for i in range(2):
         motion.theta[i] = estimate.absolute_position[i]
+    carry_load(params.unknown, motion, 0.0, 0.0)
     unknown_torque(params.unknown, motion, state.torque)
     fall = math.exp(-params.decay * estimate.interval)
     for i in range(2):
@@ -381,7 +384,9 @@ def static_bound(params: np.record, theta: np.ndarray) -> np.ndarray:
     """
     theta, torque = np.asarray(theta, float), np.zeros(2)
     gravity = params.unknown.arm.gravity
-    unknown_torque(params.unknown, new_record(MOTION, theta=theta), torque)
+    motion = new_record(MOTION, theta=theta)
+    carry_load(params.unknown, motion, 0.0, 0.0)
+    unknown_torque(params.unknown, motion, torque)
     if not params.exact:
         slope = gravity * np.maximum(np.abs(np.cos(theta)), params.cos_min)
         return params.spread @ (torque / slope) + params.noise

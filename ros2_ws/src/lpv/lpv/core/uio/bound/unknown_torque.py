@@ -18,9 +18,11 @@ import math
 import numpy as np
 
 from lpv.core.serial_arm.description import RATE_BIAS, SIGMAS
+from lpv.core.support.inequalities import SAME
 from lpv.core.support.jit import njit_in_place as njit
 from lpv.core.support.records import new_record, record_type
 from lpv.core.uio.model.arm import ARM_CONSTANTS, ArmParameters
+from lpv.core.uio.model.dynamics import rigid_torque
 from lpv.core.uio.model.joints import J, JointMap, row_dot
 
 UNKNOWN_TORQUE = record_type(
@@ -48,6 +50,7 @@ MOTION = record_type(
     ('driven', 'f8', (2, 2)),  # theta^''_j + mu_i r_j [rad/s2]
     ('mu', 'f8', (2,)),  # [1/s]
     ('margin', 'f8', (2,)),  # bound on the angle errors [rad]
+    ('load', 'f8', (2,)),  # torques that the joints' gears carry [N m]
     ('rate_error', 'f8', (2,)),  # bound on eta, absolute rates, without noise [rad/s]
     ('joint_error', 'f8', (2,)),  # the same of the joint rates [rad/s]
 )
@@ -115,8 +118,8 @@ def unknown_torque(params: np.record, motion: np.record, out: np.ndarray) -> Non
     away = motion.margin[0] + motion.margin[1]
     sine, cosine = min(1.0, abs(math.sin(difference)) + away), abs(math.cos(difference))
     off = abs(arm.rotor_coupling) + b * min(1.0, cosine + away)
-    joint_1 = _friction_error(params, 0, motion.rate[0], motion.joint_error[0])
-    joint_2 = _friction_error(params, 1, motion.rate[1] - motion.rate[0], motion.joint_error[1])
+    joint_1 = _friction_error(params, motion, 0, motion.rate[0])
+    joint_2 = _friction_error(params, motion, 1, motion.rate[1] - motion.rate[0])
     turning = abs(motion.rate[0] - motion.rate[1])
     turning_error = motion.rate_error[0] + motion.rate_error[1]
     for i in range(2):
@@ -148,22 +151,34 @@ def unknown_torque(params: np.record, motion: np.record, out: np.ndarray) -> Non
 
 
 @njit
-def _friction_error(params: np.record, i: int, rate: float, error: float) -> float:
-    """Bound on true less modelled friction of a joint, with the noise of the rate averaged out."""
-    # Coulomb friction of a joint that may stand still is set-valued: anything within its limits.
-    arm, share = params.arm, params.friction
-    viscous = abs(arm.viscous[i]) * (share * abs(rate) + (1.0 + share) * error)
-    viscous += share * abs(arm.offset[i])
-    most = (1.0 + share) * arm.coulomb[i]
-    slowest = abs(rate) - error - params.joint_noise[i]
-    if slowest <= 0.0:
-        return viscous + most + arm.coulomb[i] * _slip(arm, error)
-    modelled = arm.coulomb[i] * _slip(arm, rate)
-    least = (1.0 - share) * arm.coulomb[i] * _slip(arm, slowest)
-    return viscous + max(most - modelled, modelled - least)
+def carry_load(params: np.record, motion: np.record, acc_1: float, acc_2: float) -> None:
+    """Fill ``load`` of a motion with absolute accelerations of the model [rad/s2]."""
+    theta, rate = motion.theta, motion.rate
+    first, second = rigid_torque(theta[0], theta[1], rate[0], rate[1], acc_1, acc_2, params.arm)
+    motion.load[0], motion.load[1] = abs(first + second), abs(second)
 
 
 @njit
-def _slip(arm: np.record, rate: float) -> float:
-    """Share of the Coulomb friction at a rate, 0 to 1."""
-    return math.atan(arm.coulomb_slope * abs(rate)) * 2.0 / math.pi
+def _friction_error(params: np.record, motion: np.record, i: int, rate: float) -> float:
+    """Bound on true less modelled friction of a joint, with the noise of the rate averaged out."""
+    # Coulomb friction of a joint that may stand still is set-valued: anything within its limits.
+    arm, share, error = params.arm, params.friction, motion.joint_error[i]
+    dry = arm.coulomb[i] + arm.load[i] * motion.load[i]
+    total = abs(arm.viscous[i]) * (share * abs(rate) + (1.0 + share) * error)
+    total += share * abs(arm.offset[i])
+    most = (1.0 + share) * dry
+    slowest = abs(rate) - error - params.joint_noise[i]
+    if slowest <= 0.0:
+        total += most + dry * _slip(arm, i, error)
+    else:
+        modelled = dry * _slip(arm, i, rate)
+        least = (1.0 - share) * dry * _slip(arm, i, slowest)
+        total += max(most - modelled, modelled - least)
+    # The gear carries what friction leaves of the drive's torque, and is wrong by the same error.
+    return total / max(1.0 - (1.0 + share) * arm.load[i], SAME)
+
+
+@njit
+def _slip(arm: np.record, i: int, rate: float) -> float:
+    """Share of the Coulomb friction of a joint at a rate, 0 to 1."""
+    return math.atan(arm.coulomb_slope[i] * abs(rate)) * 2.0 / math.pi
