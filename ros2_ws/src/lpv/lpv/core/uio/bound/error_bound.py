@@ -299,13 +299,13 @@ def _secant_slopes(sign: float, theta: float, margin: float) -> tuple[float, flo
 def _collect_inputs(params: np.record, state: np.record) -> None:
     """Largest inputs of the errors: unknown torques, wrong rates, wrong injection."""
     arm, motion, inputs = params.unknown.arm, state.motion, state.inputs
-    own_1, own_2, cross, _ = inertia_errors(params.unknown, motion)
+    cross, _ = inertia_errors(params.unknown, motion)
     off = coupling(motion.theta[0], motion.theta[1], arm)
     away = motion.margin[0] + motion.margin[1]
     sine = min(1.0, abs(math.sin(motion.theta[0] - motion.theta[1])))
     inputs[:] = 0.0
     for i in range(2):
-        j, own = 1 - i, own_1 if i == 0 else own_2
+        j, own = 1 - i, params.unknown.own[i]
         inputs[2 + i, i] = state.torque[i] / arm.inertia[i]
         # e' = (1 + s kappa Xi^) eta - s kappa m, m' = mu Xi^ eta - mu m: signs belong together.
         inputs[i, 2 + i] = motion.rate_error[i]

@@ -115,16 +115,24 @@ class ArmParameters:
         """+1 for an upright region, -1 for a hanging one (sign of cos(theta))."""
         return 1.0 if self.orientation == 'upright' else -1.0
 
+    def joint_inertias(self, number: Callable[[Any], Any] = float) -> tuple[Any, ...]:
+        """Inertias of both links about their joints' axes [kg m2]."""
+        about_joint = self.inertia_reference == 'joint'
+        return tuple(
+            number(one.inertia)
+            + (0 if about_joint else number(one.mass) * number(one.center_of_mass) ** 2)
+            for one in self.links
+        )
+
     def numbers(self, number: Callable[[Any], Any] = float) -> ArmNumbers:
         """Constants of eqs. (2), (3) as floats, or as exact ``fractions.Fraction``.
 
         The printed eqs. (5), (14), (15) have m2*Lc1^2 in the (1, 1) inertia; the physics, and
         eq. (2), is m2*L1^2, which is used here.  Rotors are those of motors on the joint axes.
         """
-        rows = [(link.mass, link.length, link.center_of_mass, link.inertia) for link in self.links]
-        (m_1, l_1, c_1, i_1), (m_2, _, c_2, i_2) = ([number(v) for v in row] for row in rows)
-        if self.inertia_reference == 'center_of_mass':
-            i_1, i_2 = i_1 + m_1 * c_1**2, i_2 + m_2 * c_2**2
+        rows = [(link.mass, link.length, link.center_of_mass) for link in self.links]
+        (m_1, l_1, c_1), (m_2, _, c_2) = ([number(v) for v in row] for row in rows)
+        i_1, i_2 = self.joint_inertias(number)
         # J^T R J for R = [[first, across], [across, second]] in joint coordinates, q' = J theta'.
         first, across, second = (number(value) for value in self.rotor)
         g = number(self.gravity)
