@@ -1,5 +1,6 @@
 """The designed observer in the loop and on a recording: its bound holds, and what it excludes."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from places import DATA
 from lpv import AlarmEvent, ConfigError, Fault
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.chain import compile_chain
+from lpv.core.serial_arm.description import TorqueTolerance
 from lpv.core.serial_arm.diagnosis.healthy_balance import generator_count
 from lpv.core.serial_arm.diagnosis.parameter_set import (
     PAYLOAD_PARTS,
@@ -69,6 +71,19 @@ def test_given_constant_friction_then_the_observer_knows_it_and_the_bound_its_sh
     assert np.all(np.abs(found.fault.estimate[500:]) <= 0.5 * found.fault.bound[500:])
     # After 0.5 s; later, dead reckoning limits both.
     assert np.all(found.fault.bound[250] > 1.05 * usual.fault.bound[250])
+
+
+@pytest.mark.parametrize('joint', [
+    {'torque_tolerance': TorqueTolerance(torque=(0.0,))},
+    {'torque_tolerance': TorqueTolerance(torque=(15.0,))}, {'effort_delay': 0.05}, None,
+])  # fmt: skip
+def test_given_efforts_that_the_file_calls_inexact_then_the_observer_certifies_nothing(
+    paper_arm, paper_gains, joint
+):
+    joints = tuple(replace(one, **(joint or {})) for one in paper_arm.joints)
+    arm = replace(paper_arm, joints=joints, effort_bandwidth=math.inf if joint else 5.0)
+    gains = replace(paper_gains, arm_sha256=planar_model(arm).sha256())
+    assert UnknownInputObserver(arm, gains).certifies == (arm == paper_arm)
 
 
 @pytest.mark.parametrize('rate', [-2.0, 5.0])
