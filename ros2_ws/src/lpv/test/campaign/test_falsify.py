@@ -84,7 +84,7 @@ def test_given_a_short_search_when_run_then_it_comes_near_and_never_across(arm, 
 
 @pytest.mark.parametrize('serial', [False, True])
 def test_given_a_worst_run_when_written_then_the_command_repeats_it_bit_by_bit(
-    serial, ur10, paper_arm, paper_gains, tmp_path, call
+    serial, ur10, paper_arm, paper_gains, tmp_path, call, refused
 ):
     arm, gains = (ur10, None) if serial else (paper_arm, paper_gains)
     attacker = Attacker(arm, 0.6, gains)
@@ -98,6 +98,8 @@ def test_given_a_worst_run_when_written_then_the_command_repeats_it_bit_by_bit(
     options = ['--arm', tmp_path / 'arm.yaml', *([] if serial else ['--gains', 'paper'])]
     said = call('falsify', *options, '--repeat', tmp_path / SCENARIO).out
     assert f'reached {worst.ratio:.3f} of its threshold' in said
+    # Another search would be lost in the end.
+    assert refused('worst run of another search', 'falsify', *options, '--out', tmp_path)
 
 
 def test_given_no_attack_or_guarantee_when_attacked_then_it_is_refused(
