@@ -8,7 +8,8 @@ import numpy as np
 
 from lpv.bag.replay.writer import RecordTemplate
 from lpv.bag.rosbag.messages import BagMessages
-from lpv.bag.rosbag.writing import BagWriter, qos_profile
+from lpv.bag.rosbag.metadata import qos_profile
+from lpv.bag.rosbag.writing import BagWriter
 from lpv.core.control.tracking import make_controller
 from lpv.core.serial_arm.sensor_map import map_rows
 from lpv.core.simulation.arm_simulator import ArmSimulator

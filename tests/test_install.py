@@ -72,6 +72,7 @@ def test_given_a_set_up_that_is_done_when_set_up_again_then_nothing_is_done():
 @pytest.mark.parametrize(('line', 'offered'), [
     ('lpv de', {'demo', 'design'}), ('lpv demo --arm ', {'paper', 'real_arm'}),
     ('lpv demo --scenario tw', {'two_faults'}), ('lpv run lpv_uio ', {'uio'}),
+    ('lpv campaign sm', {'smoke'}), ('lpv tune sm', {'smoke'}),
     ('ros2 topic ', {'echo', 'hz'}),
 ])  # fmt: skip
 def test_given_a_line_when_completed_then_what_fits_is_offered(tmp_path, line, offered):

@@ -99,8 +99,8 @@ def certify_loop(arm: SerialArm, request: LoopRequest) -> LoopDesign:
     largest = largest_share(arm, gains)
     if largest <= 0.0:
         raise InfeasibleError(
-            f'no decay even at rest: payload {arm.uncertainty.payload:g} kg is {model.payload:.3g} '
-            f'of the inertia, model error {request.model_error:g}; state less'
+            f'no decay even at rest: payload {arm.uncertainty.largest_payload:g} kg is '
+            f'{model.payload:.3g} of the inertia, model error {request.model_error:g}; state less'
         )
     gains = _with_motion(arm, gains, largest, request.rate_share)
     gains = _with_error(arm, gains)

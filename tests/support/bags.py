@@ -8,8 +8,9 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 
 from lpv.bag.rosbag.messages import BagMessages, write_joint_states
+from lpv.bag.rosbag.metadata import qos_profile
 from lpv.bag.rosbag.reading import open_bag
-from lpv.bag.rosbag.writing import BagWriter, qos_profile
+from lpv.bag.rosbag.writing import BagWriter
 
 KINDS = {
     **{kind.name.lower(): {'compression': kind} for kind in CompressionType},

@@ -15,7 +15,7 @@ setup(
     zip_safe=False,
     maintainer='lpv-arm-fdi maintainers',
     maintainer_email='maintainers@example.org',
-    description='Simulated two-link arm with faulty joint sensors.',
+    description='Simulated arm with faulty joint sensors.',
     license='Apache-2.0',
     entry_points={'console_scripts': ['simulator = lpv_arm_sim.main:main']},
 )

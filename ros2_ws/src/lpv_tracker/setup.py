@@ -15,7 +15,7 @@ setup(
     zip_safe=False,
     maintainer='lpv-arm-fdi maintainers',
     maintainer_email='maintainers@example.org',
-    description='Tracking controller of a two-link arm.',
+    description='Tracking controller of a serial arm.',
     license='Apache-2.0',
     entry_points={'console_scripts': ['tracker = lpv_tracker.main:main']},
 )

@@ -15,7 +15,7 @@ setup(
     zip_safe=False,
     maintainer='lpv-arm-fdi maintainers',
     maintainer_email='maintainers@example.org',
-    description='Unknown-input observer and sensor-fault diagnosis of a two-link arm.',
+    description='Observer and sensor-fault diagnosis of a serial arm.',
     license='Apache-2.0',
     entry_points={'console_scripts': ['uio = lpv_uio.main:main']},
 )

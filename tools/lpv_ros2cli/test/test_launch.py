@@ -66,18 +66,30 @@ def test_given_arguments_when_launched_then_they_are_forwarded_to_every_node(tmp
     given |= {'params_file': str(tmp_path / 'my own.yaml'), 'gains_file': '/my/gains.yaml'}
     found = programs(FILES['pipeline'], **given)
     assert list(found) == ['recorder', 'tracker', 'simulator', 'view', 'uio']
-    local = os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     for program in found.values():
         assert (program.respawn, program.respawn_delay, program.ends_all) == (True, 1.0, False)
         assert program.grace == 30.0 and options(program, '--log-level') == ['debug']
         assert '__ns:=/cell/arm' in options(program, '-r')
         assert '/my/gains.yaml' in options(program, '--params-file')
         assert program.command[-1] == given['params_file']  # after all others
-        assert program.environment['ROS_AUTOMATIC_DISCOVERY_RANGE'] == local
     values = {name: parameters(program) for name, program in found.items()}
     assert (values['recorder']['output'], values['view']['port']) == ('my bag', 0)
     assert values['recorder']['gains_file'] == '/my/gains.yaml'
     assert {values[n]['await_recorders'] for n in ('tracker', 'simulator', 'uio')} == {1}
+
+
+@pytest.mark.parametrize('chosen', [None, 'SUBNET'])
+@pytest.mark.parametrize('name', ['pipeline', 'simulation', 'observer'])
+def test_given_no_range_when_launched_then_nodes_stay_on_this_machine(monkeypatch, name, chosen):
+    monkeypatch.delenv('ROS_AUTOMATIC_DISCOVERY_RANGE', raising=False)
+    if chosen:
+        monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', chosen)
+    given = {} if name == 'pipeline' else {'arm_file': 'ur10', 'gains_file': '/my/gains.yaml'}
+    ranges = {
+        program.environment['ROS_AUTOMATIC_DISCOVERY_RANGE']
+        for program in programs(FILES[name], **given).values()
+    }
+    assert ranges == {chosen or 'LOCALHOST'}
 
 
 def test_given_the_launch_files_when_their_arguments_are_shown_then_each_is_described(capsys):

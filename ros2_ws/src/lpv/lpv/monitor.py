@@ -110,16 +110,17 @@ class Monitor:
             name=list(self._names), position=position, velocity=velocity, effort=effort
         )
         answer = self._monitor.take(stamp, message)
-        if answer is None or answer.fault is None:
+        if answer is None or not answer.record['has_fault']:
             return None
+        state, fault = answer.record['state'], answer.record['fault']
         return Update(
             stamp,
-            answer.state['position'],
-            answer.state['velocity'],
-            answer.fault['estimate'],
-            answer.fault['bound'],
-            answer.fault['threshold'],
-            tuple(SensorState(state) for state in answer.fault['state']),
+            state['position'],
+            state['velocity'],
+            fault['estimate'],
+            fault['bound'],
+            fault['threshold'],
+            tuple(SensorState(one) for one in fault['state'].tolist()),
             tuple(answer.events),
         )
 

@@ -31,11 +31,23 @@ def test_given_the_page_when_its_code_is_run_then_faults_raise_alarms_of_their_s
     assert found == pytest.approx([0.0, 0.2], abs=0.03)
 
 
+@pytest.mark.parametrize(('field', 'change'), [
+    ('duration', {'duration': -1.0}), ('duration', {'duration': 1e6}),
+    ('duration', {'duration': np.nan}), ('plant.model', {'plant': 'gazebo'}), ('compensation', {}),
+])  # fmt: skip
+def test_given_what_cannot_be_simulated_then_it_is_named(field, change):
+    scenario = replace(lpv.load_scenario('two_faults'), **change)
+    with pytest.raises(lpv.ConfigError, match=f'^{field}: must be'):
+        lpv.simulate(
+            lpv.load_arm('paper'), None, scenario, compensation='on' if not change else 'off'
+        )
+
+
 def test_given_measurements_when_monitored_then_estimates_are_those_of_the_loop(page):
     monitor, run = lpv.Monitor(page['arm'], page['gains']), page['run']
     with pytest.raises(lpv.SampleError, match='position'):
         monitor.update(1, [0.0], [0.0, 0.0], [0.0, 0.0])
-    samples = zip(page['stamps'], run.measured, run.measured_velocity, page['effort'])
+    samples = zip(page['stamps'], run.measured, run.measured_velocity, run.effort)
     updates = [monitor.update(int(stamp), *vectors) for stamp, *vectors in samples]
     found = np.array([u.fault for u in updates[1:]])
     np.testing.assert_array_equal(found, run.fault_estimate[1:])

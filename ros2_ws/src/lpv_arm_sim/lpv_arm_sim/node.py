@@ -63,7 +63,7 @@ _CATCH_UP = 5
 
 
 class SimulatorNode(ManagedNode):
-    """Simulated arm of either kind in real time, or in lockstep with /clock.
+    """Simulated arm in real time, or in lockstep with /clock.
 
     Topics: publishes ``joint_states`` (sensor_msgs/JointState), ``ground_truth``
     (lpv_msgs/GroundTruth, for recording only) and, in lockstep, ``/clock``; subscribes

@@ -75,7 +75,7 @@ def table(text: str, read_only: bool = True) -> tuple[Spec, ...]:
         if default is None:
             default = [0.0] if one.mark == '*' else '' if one.shown else False
         low, high = one.limits or (None, None)
-        found.append(Spec(one.names, default, one.text, low, high, one.choices, read_only))
+        found.append(Spec(one.name, default, one.text, low, high, one.choices, read_only))
     return tuple(found)
 
 

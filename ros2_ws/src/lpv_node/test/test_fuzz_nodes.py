@@ -107,7 +107,7 @@ class View:
         return len(frame)
 
     def _refused(self):
-        return sum(self.node._refusals.counts.values()) + self.node._model.misfits
+        return sum(self.node._refusals.counts.values())
 
     def is_live(self):
         """Whether good messages are shown."""

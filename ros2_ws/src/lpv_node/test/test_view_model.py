@@ -31,10 +31,10 @@ def message(t, **fields):
     return SimpleNamespace(header=SimpleNamespace(stamp=stamp(t)), **fields)
 
 
-def fault_estimate(t, estimate=(0.0, 0.0), alarm=(False, False), state=(0, 0)):
+def fault_estimate(t, estimate=(0.0, 0.0), alarm=(False, False), state=(0, 0), names=SENSORS):
     arrays = {'estimate': np.array(estimate), 'state': np.array(state, np.uint8)}
     arrays |= dict.fromkeys(('bound', 'threshold'), np.full(len(alarm), 0.1))
-    return message(t, sensor_names=SENSORS[: len(alarm)], alarm=alarm, **arrays)
+    return message(t, sensor_names=names[: len(alarm)], alarm=alarm, **arrays)
 
 
 def state_estimate(t, position=(1.6, 0.1), mode=0):
@@ -43,7 +43,8 @@ def state_estimate(t, position=(1.6, 0.1), mode=0):
 
 def alarm(event, t, onset=1.0, sensor=SENSORS[0], **fields):
     values = {'kind': 'bias', 'size': 0.3, 'bound': 0.05, 'confidence': 0.9, **fields}
-    times = {'onset': stamp(onset), 'detected': stamp(onset + 0.01)}
+    decided = t if event == CLEARED else onset + 0.01
+    times = {'onset': stamp(onset), 'detected': stamp(decided)}
     return message(t, event=event, sensor=sensor, **times, **values)
 
 
@@ -51,8 +52,9 @@ def joint_states(t, name, position):
     return message(t, name=name, position=position, velocity=[0.0] * len(name), effort=[])
 
 
-def report(model, now, name='tracking', level=b'\2', message='m', values=()):
-    status = SimpleNamespace(name=name, level=level, message=message, values=values)
+def report(model, now, name='tracking', level=b'\2', message='m', values=(), arm='paper'):
+    fields = {'name': name, 'level': level, 'message': message, 'values': values}
+    status = SimpleNamespace(**fields, hardware_id=arm)
     model.take('diagnostics', SimpleNamespace(status=[status]), now)
 
 
@@ -66,11 +68,15 @@ def test_given_no_messages_or_those_of_other_arms_when_framed_then_nothing_is_kn
     assert {frame['mode'], frame['age'], frame['sample']['t'], *frame['arms'].values()} == {None}
     json.dumps(frame, allow_nan=False)
     assert model.hello()['history'] == []
-    model.take('fault_estimate', fault_estimate(1.0, (0.0, 0.0, 0.0)), 0.0)
-    model.take('state_estimate', state_estimate(1.0, (0.1,)), 0.0)
-    model.take('reference', message(1.0, tip_position=[0.0] * 9), 0.0)
+    for source, other in (
+        ('fault_estimate', fault_estimate(1.0, (0.0, 0.0, 0.0), (False,) * 3)),
+        ('fault_estimate', fault_estimate(1.0, names=('shoulder', 'elbow'))),
+        ('state_estimate', state_estimate(1.0, (0.1,))),
+        ('reference', message(1.0, tip_position=[0.0] * 9)),
+    ):
+        assert not model.take(source, other, 0.0)
     frame = model.frame(0.1)
-    assert model.misfits == 3 and frame['sample']['estimate'] == frame['states'] == [None, None]
+    assert frame['sample']['estimate'] == frame['states'] == [None, None]
     model.take('ground_truth', message(1.0, position=[math.nan, 0.0], fault=[math.nan, 0.1]), 0.0)
     model.take('fault_estimate', fault_estimate(1.0, (math.inf, -0.2)), 0.0)
     model.take('joint_states', joint_states(1.0, ['elbow'], [1.0]), 0.0)
@@ -90,7 +96,8 @@ def test_given_joints_in_another_order_when_framed_then_the_measured_arm_is_the_
 
 def test_given_a_serial_arm_when_framed_then_each_joint_has_its_values_and_place():
     model = LiveModel(crane())
-    model.take('fault_estimate', fault_estimate(1.0, (0.0, 0.1, 0.2), (False,) * 3, (0, 1, 4)), 0.0)
+    rows = (0.0, 0.1, 0.2), (False,) * 3, (0, 1, 4), crane().sensor_names
+    model.take('fault_estimate', fault_estimate(1.0, *rows), 0.0)
     model.take('state_estimate', state_estimate(1.0, (0.0, np.pi / 2, 0.0)), 0.0)
     frame, hello = model.frame(0.1), json.loads(json.dumps(model.hello(), allow_nan=False))
     assert frame['states'] == ['OK', 'WARN', 'NOT_DIAGNOSABLE']
@@ -104,7 +111,7 @@ def test_given_a_source_that_falls_silent_when_framed_then_it_is_no_longer_shown
     assert model.frame(10.5)['arms']['estimated'] is not None
     frame = model.frame(12.0)
     assert frame['arms']['estimated'] is None and not frame['live']['state_estimate']
-    assert frame['age'] == 2.0
+    assert frame['age'] == 2.0 and frame['mode'] is frame['trustworthy'] is None
     model.take('state_estimate', state_estimate(3.0, mode=4), 13.0)
     assert model.frame(13.0)['arms']['estimated'] is None, 'values of NO_ESTIMATE mean nothing'
 
@@ -118,6 +125,15 @@ def test_given_a_long_run_when_history_is_asked_for_then_it_is_one_window_withou
     model.take('fault_estimate', fault_estimate(1.0), 100.0)
     model.frame(100.0)
     assert len(model.hello()['history']) == 1, 'time started anew'
+
+
+def test_given_an_alarm_that_is_over_when_time_starts_anew_then_it_has_no_place_on_its_axis(model):
+    for t, events in ((5.0, (RAISED, CLEARED)), (1.0, ()), (3.0, (RAISED,))):
+        for event in events:
+            model.take('fault_alarm', alarm(event, t, onset=t), t)
+        model.take('fault_estimate', fault_estimate(t), 10.0)
+        model.frame(10.0)
+    assert [row['past'] for row in model.alarms.rows()] == [True, False]
 
 
 def test_given_a_source_that_ended_with_the_old_clock_when_time_starts_anew_then_it_goes_on(model):
@@ -137,6 +153,26 @@ def test_given_many_diagnostics_when_framed_then_their_number_is_bounded(model):
     assert 0 < len(shown) <= 16
     assert all(len(s['message']) <= 300 and len(s['name']) <= 300 for s in shown)
     assert [s['level'] for s in shown[:4]] == ['OK', 'WARN', 'ERROR', 'STALE']
+
+
+def test_given_a_robot_with_many_other_nodes_when_framed_then_the_arms_statuses_are_there(model):
+    for k in range(100):
+        report(model, 0.0, f'camera {k}', arm='camera')
+    count = len(model.frame(0.0)['diagnostics'])
+    report(model, 0.0, 'tracking')
+    report(model, 0.0, 'elbow', arm=model.hello()['sensors'][1])
+    report(model, 0.0, 'camera 200', arm='camera')
+    shown = model.frame(0.0)['diagnostics']
+    assert [status['name'] for status in shown if status['own']] == ['tracking', 'elbow']
+    assert len(shown) == count and {status['name'] for status in shown[:-2]} < {
+        f'camera {k}' for k in range(100)
+    }
+
+
+def test_given_a_node_that_reports_no_more_when_framed_then_its_status_is_stale(model):
+    report(model, 0.0)
+    early, late = (model.frame(now)['diagnostics'][0]['level'] for now in (9.0, 11.0))
+    assert (early, late) == ('ERROR', 'STALE')
 
 
 def test_given_safe_stops_when_framed_then_they_are_counted_with_the_last_reason(model):
@@ -161,6 +197,7 @@ def test_given_the_events_of_one_alarm_when_listed_then_they_are_one_row():
     alarms.add(alarm(CLEARED, 3.0, size=0.0, bound=0.0))
     first, second = alarms.rows()
     assert (first['kind'], first['size'], first['ended']) == ('bias', 0.3, 3.0)
+    assert first['detected'] == 1.01, 'shaded from there on'
     assert (second['sensor'], second['onset'], second['ended']) == (SENSORS[1], 1.9, None)
 
 
@@ -201,13 +238,18 @@ def test_given_an_observer_that_begins_anew_when_estimated_then_all_alarms_end(m
     assert model.alarms.rows()[0]['ended'] == 3.0
 
 
-def test_given_endless_alarms_when_listed_then_the_newest_are_kept():
+def test_given_endless_alarms_when_listed_then_those_that_last_and_the_newest_are_kept():
     alarms = AlarmList()
+    alarms.add(alarm(RAISED, 0.0, onset=0.0, sensor=SENSORS[1]))
     for k in range(1000):
         alarms.add(alarm(RAISED, k + 0.01, onset=float(k)))
-    *others, newest = alarms.rows()
-    assert (len(others), newest['onset'], newest['ended']) == (255, 999.0, None)
+    first, *others, newest = alarms.rows()
+    assert (first['sensor'], first['ended']) == (SENSORS[1], None)
+    assert (len(others), newest['onset'], newest['ended']) == (254, 999.0, None)
     assert None not in [row['ended'] for row in others]
+    for k in range(1000):  # of no sensor that there is
+        alarms.add(alarm(RAISED, 1000.0, sensor=f'sensor {k}'))
+    assert len(alarms.rows()) == 256 and alarms.rows()[-1]['sensor'] == 'sensor 999'
 
 
 INJECT = {'type': 'inject', 'id': 7, 'sensor': SENSORS[1], 'kind': 'bias', 'size': 1}

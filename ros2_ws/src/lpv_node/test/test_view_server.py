@@ -4,7 +4,7 @@ import asyncio
 import json
 import socket
 import time
-from contextlib import AsyncExitStack, ExitStack, asynccontextmanager, contextmanager
+from contextlib import AsyncExitStack, ExitStack, asynccontextmanager, contextmanager, suppress
 
 import pytest
 
@@ -14,7 +14,7 @@ pytest.importorskip('lpv_node.view', reason='the workspace is not built')
 from lpv.core.support.errors import ConfigError  # noqa: E402
 from lpv_node.view.access import Access  # noqa: E402
 from lpv_node.view.model import LiveModel  # noqa: E402
-from lpv_node.view.server import LARGEST_MESSAGE, ViewServer  # noqa: E402
+from lpv_node.view.server import LARGEST_MESSAGE, MOST_CONNECTIONS, ViewServer  # noqa: E402
 
 TOKEN = 'a token of this test'
 INJECT = {'type': 'inject', 'id': 5, 'sensor': 'link1_angle', 'kind': 'bias', 'size': 0.3}
@@ -253,3 +253,18 @@ def test_given_silent_sockets_in_all_places_when_time_passes_then_others_get_in(
         assert served.refusal() == 503
         wait(lambda: not served.server.clients)
         assert served.talk([INJECT])[0]['ok']
+
+
+def test_given_more_connections_than_there_is_room_when_they_say_nothing_then_they_are_closed(
+    paper_arm,
+):
+    with serve(paper_arm, patience=0.5) as served, ExitStack() as idle:
+        place = '127.0.0.1', served.port
+        sockets = [
+            idle.enter_context(socket.create_connection(place)) for _ in range(2 * MOST_CONNECTIONS)
+        ]
+        for one in sockets:  # none waits for ever
+            one.settimeout(60.0)
+            with suppress(ConnectionResetError):
+                assert one.recv(1) == b''
+        assert get(served.url)[0] == 200

@@ -17,6 +17,7 @@ from std_srvs.srv import Trigger
 
 from lpv.core.monitoring.alarm_text import describe
 from lpv.core.monitoring.answers import Answer
+from lpv.core.monitoring.message_fields import alarm_fields
 from lpv.core.monitoring.parameters import DiagnosisParameters
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.arm_file import load_arm
@@ -230,8 +231,8 @@ class UioNode(ManagedNode):
         if self._alarms is not None and self._alarms.before:
             messages.record['state']['trustworthy'] = False
         self._publish_estimates(stamp)
-        for fields in answer.alarms:
-            self._alarm_out.publish(messages.alarm(stamp, fields))
+        for event in answer.events:
+            self._alarm_out.publish(messages.alarm(stamp, alarm_fields(event)))
         for event in answer.events:
             self._log(event)
         for warning in answer.warnings:
@@ -275,9 +276,7 @@ class UioNode(ManagedNode):
             self._diagnostics_out.publish(diagnostics(now, self._monitor.status(Mode.STALE)))
             fault = self._monitor.stale_fault()
             if fault is not None:
-                record = self._messages.record['fault']
-                for name in record.dtype.names or ():
-                    record[name] = fault[name]
+                self._messages.record['fault'] = fault
                 self._messages.degrade()
                 self._fault_out.publish(self._messages.fault.at(now))
 

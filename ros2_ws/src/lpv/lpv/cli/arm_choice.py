@@ -19,10 +19,10 @@ _MOVING = ('revolute', 'continuous', 'prismatic', 'planar', 'floating')
 
 
 def chosen_arm(arguments: argparse.Namespace) -> SerialArm:
-    """Arm of the arguments."""
+    """Arm of the arguments, with the friction that a URDF states."""
     if not arguments.urdf:
         return load_arm(bringup_file('arms', arguments.arm))
-    root = _read(arguments.urdf)
+    root = ElementTree.fromstring(read_urdf_text(Path(arguments.urdf)).text)
     moving = {str(j.get('name')): j for j in root.findall('joint') if j.get('type') in _MOVING}
     locked = dict(_locked(text) for text in arguments.lock)
     joints = [name for text in arguments.joints or () for name in text.split(',') if name]
@@ -36,12 +36,12 @@ def chosen_arm(arguments: argparse.Namespace) -> SerialArm:
         joints = [name for name in _way_to(root, tip) if name in moving and name not in locked]
     kept = [name for name in moving if name not in locked and (not joints or name in joints)]
     _refuse_others(root, kept, moving, arguments.urdf)
-    return read_urdf_chain(arguments.urdf, locked, None if tip else joints or None, tip)
+    arm = read_urdf_chain(arguments.urdf, locked, None if tip else joints or None, tip)
+    return _with_friction(arm, {name: joint.find('dynamics') for name, joint in moving.items()})
 
 
-def with_stated_friction(arm: SerialArm, urdf: str) -> SerialArm:
-    """The arm with the friction that ``<dynamics>`` of its URDF states."""
-    found = {j.get('name'): j.find('dynamics') for j in _read(urdf).iter('joint')}
+def _with_friction(arm: SerialArm, found: dict[str, ElementTree.Element | None]) -> SerialArm:
+    """The arm with the friction of ``<dynamics>`` of its joints."""
     joints = []
     for joint in arm.joints:
         dynamics = found.get(joint.name)
@@ -51,10 +51,6 @@ def with_stated_friction(arm: SerialArm, urdf: str) -> SerialArm:
             joint = replace(joint, friction=friction)
         joints.append(joint)
     return replace(arm, joints=tuple(joints))
-
-
-def _read(path: str) -> ElementTree.Element:
-    return ElementTree.fromstring(read_urdf_text(Path(path)).text)
 
 
 def _locked(text: str) -> tuple[str, float]:

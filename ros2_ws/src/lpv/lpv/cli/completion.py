@@ -13,8 +13,8 @@ PROGRAMS = {
 }  # fmt: skip
 """Main program of each package with nodes."""
 _KINDS = {
-    'arm': 'arms', 'columns': 'columns', 'gains': 'gains', 'requirement': 'requirements',
-    'scenario': 'scenarios', 'spec': 'campaigns',
+    'arm': 'arms', 'campaign': 'campaigns', 'columns': 'columns', 'gains': 'gains',
+    'requirement': 'requirements', 'scenario': 'scenarios',
 }  # fmt: skip
 """Folder of shipped files by argument."""
 

@@ -113,7 +113,7 @@ gains      gains file as written by lpv design
     'campaign': Command(
         'run thousands of simulations, and report on them',
         """
-spec          campaign file (YAML) or name of a shipped one; or a folder of results: its report is
+campaign      campaign file (YAML) or name of a shipped one; or a folder of results: its report is
               written again, or with --run one of its runs as a bag
 --no-report   put the results together, and write no report
 --run N:int   do this run again, and write it as the bag that --bag names
@@ -149,7 +149,7 @@ campaign        campaign of an arm with designed gains, file or shipped name; it
         'start a node, as ros2 run does',
         """
 package  ROS package (lpv_arm_sim, lpv_uio, lpv_tracker, lpv_node)
-program  its program (simulator, uio, tracker, recorder)
+program  its program (simulator, uio, tracker, recorder, view)
 rest...  passed on: --ros-args -p name:=value -r from:=to --params-file FILE
 """,
     ),
@@ -216,10 +216,10 @@ csv                    file with a header line and one sample a line
 bag                rosbag2 directory, MCAP or sqlite3 file
 --out=out/replay   bag to write; an earlier result of this command is replaced
 --report FOLDER    folder for a report of the new bag
---inject, --faults FAULTS  YAML file whose list of faults is added to the measurements: shows what
-                   would be found
+--inject FAULTS    YAML file whose list of faults is added to the measurements: shows what would be
+                   found
 --estimates-only   write estimates, alarms and diagnostics alone; otherwise all topics are copied
---compression {_PRESETS}  of the new bag
+--preset {_PRESETS}  compression of the new bag
 --publish          play the bag into the live graph, with /clock, and run nothing offline; needs
                    ROS 2
 --rate=1.0[1e-3:1e3]  with --publish: speed

@@ -171,7 +171,7 @@ def path(run: 'Run') -> Figure:
                 shown = _spread(points[:, [0, row]])
                 axis.plot(*shown.T, label=text, color=color, linewidth=width)
         marked = tips[actual] if tips[actual] is not None else tips['joint_states']
-        if marked is not None and len(marked):
+        if marked is not None:
             _mark_ends(axis, marked[[0, -1]][:, [0, row]])
         obstacle = planned.obstacle if planned is not None else None
         if obstacle is not None:
@@ -186,7 +186,8 @@ def path(run: 'Run') -> Figure:
 
 def _tips(run: 'Run', stream: str) -> np.ndarray | None:
     position = run.record.aligned(stream, 'position')
-    return None if position is None else tip_positions(run.arm, position)[0]
+    tips = None if position is None else tip_positions(run.arm, position)[0]
+    return None if tips is None or not len(tips) else tips
 
 
 def _spread(points: np.ndarray, step: float = 0.5e-3) -> np.ndarray:
@@ -219,11 +220,9 @@ def faults(run: 'Run') -> Figure | None:
         look: dict[str, Any] = {'color': BAND, 'alpha': 0.45, 'linewidth': 0}
         axis.fill_between(at, -high, high, label='below threshold', **look)
         known = np.where(state != SensorState.NOT_DIAGNOSABLE, bound, np.nan)
-        at, low = thin(record.time, estimate - known)
-        high = thin(record.time, estimate + known)[1]
-        if len(high) == len(low):
-            look = {'color': PALE[i], 'alpha': 0.5, 'linewidth': 0}
-            axis.fill_between(at, low, high, label='bound', **look)
+        at, low, high = thin(record.time, estimate - known, estimate + known)
+        look = {'color': PALE[i], 'alpha': 0.5, 'linewidth': 0}
+        axis.fill_between(at, low, high, label='bound', **look)
         _draw(axis, record, ('ground_truth', 'fault', i), **_wide(PALE[i], 'fault'))
         _draw(axis, record, ('fault_estimate', 'estimate', i), **_fine(SENSOR[i], 'estimate'))
         mine = [e for e in run.alarms if e.sensor_index == i]

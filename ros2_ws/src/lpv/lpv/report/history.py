@@ -1,7 +1,7 @@
 """What happened in a run: alarms from onset to end, times without an answer, stops, speeds."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -10,7 +10,7 @@ import numpy as np
 from lpv.bag.run.node_reports import NodeReport
 from lpv.bag.run.streams import RecordedAlarm, RunRecord
 from lpv.core.serial_arm.description import SerialArm
-from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent, Mode, SensorState
+from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent, Mode, SensorState, subject
 from lpv.core.support.limits import MAX_GAP
 
 INCONSISTENT, SAFE_STOP, UNSAFE = 'inconsistent', 'safe stop', 'not trustworthy'
@@ -58,11 +58,12 @@ class Episode:
     onset: float  # first sample above the threshold, as diagnosed
     raised: float  # when the fault was confirmed
     cleared: float | None  # when the alarm ended; None if it lasted to the end of the run
-    # fault estimate and bound: now, at the end of the run, while it is active; else the
-    # last ones before it was cleared
+    # fault estimate and bound: now, at the end of the run, while it is active; else the last ones
+    # before it was cleared; of noise and of a rate those of its last event; NaN of a dropout
     size: float
     bound: float
-    largest: float  # estimate of largest magnitude during the alarm; NaN without estimates
+    # estimate of largest magnitude during the alarm; NaN without estimates of such an error
+    largest: float
     kind: str  # latest classification
     confidence: float  # latest confidence
     # start of the true fault at the time of the alarm; NaN if there was none (false alarm), None
@@ -77,8 +78,9 @@ class Episode:
         return self.raised - self.true_onset
 
     def unit(self, arm: SerialArm) -> str:
-        """Unit of its estimates; '' if a damaged message names a sensor that the arm has not."""
-        return ''.join(arm.position_units[self.sensor_index :][:1])
+        """Unit of its sizes; '' if a damaged message names a sensor that the arm has not."""
+        units = arm.position_units[self.sensor_index :][:1]
+        return ''.join(f'{unit}/s' if self.kind == 'rate_bias' else unit for unit in units)
 
     @property
     def false_alarm(self) -> bool:
@@ -112,16 +114,19 @@ def episodes(record: RunRecord) -> list[Episode]:
     """Alarms of a run, in the order in which they were raised."""
     faults = true_faults(record)
     found: list[Episode] = []
-    running: dict[int, int] = {}  # place of the episode of each sensor
+    running: dict[tuple[int, str], int] = {}  # place of the episode of each sensor and subject
     for event in record.alarms:
-        place = running.pop(event.sensor_index, None)
+        if event.kind == 'dropout' and event.event == AlarmEvent.UPDATED:
+            continue  # beside another alarm: no event tells its end
+        key = event.sensor_index, subject(event.kind)
+        place = running.pop(key, None)
         if place is None or event.event == AlarmEvent.RAISED:
             place = len(found)
             found.append(_start(record, event, faults))
         if event.event == AlarmEvent.CLEARED:
             changes: dict[str, Any] = {'cleared': record.seconds(event.stamp)}
         else:
-            running[event.sensor_index] = place
+            running[key] = place
             changes = {n: getattr(event, n) for n in ('kind', 'confidence', 'size', 'bound')}
         found[place] = replace(found[place], **changes)
     found = [_with_estimates(record, episode) for episode in found]
@@ -146,8 +151,10 @@ def _start(record: RunRecord, event: RecordedAlarm, faults: list[FaultSpan] | No
 def _with_estimates(record: RunRecord, episode: Episode) -> Episode:
     """With the largest estimate of the alarm and, of an active one, the present estimate."""
     estimate, bound = (record.get('fault_estimate', name) for name in ('estimate', 'bound'))
-    i = episode.sensor_index
-    if estimate is None or bound is None or not 0 <= i < estimate.shape[1]:
+    if episode.kind == 'dropout':
+        return replace(episode, size=math.nan, bound=math.nan)
+    i, other = episode.sensor_index, episode.kind in ('noise', 'rate_bias')
+    if other or estimate is None or bound is None or not 0 <= i < estimate.shape[1]:
         return episode
     time = record.seconds(record.stamps['fault_estimate'])
     end = math.inf if episode.cleared is None else episode.cleared
@@ -206,7 +213,7 @@ def phases(
     observer = reports.get('observer', ())
     _, time, rates = _rates(record)
     of_arm = {
-        INCONSISTENT: _united([*_while(record, observer, INCONSISTENT), *_of_alarms(record)]),
+        INCONSISTENT: _while(record, observer, INCONSISTENT),
         UNSAFE: _while(record, observer, 'a confirmed fault cannot be compensated'),
         NO_COMMAND: _without_commands(record),
         TOO_FAST: spans((np.abs(rates) > arm.velocity_limit).any(axis=1), time),
@@ -241,29 +248,6 @@ def _while(record: RunRecord, reports: Sequence[NodeReport], begin: str) -> list
         return []
     time = record.seconds(np.array([report.stamp for report in reports]))
     return spans(np.array([report.message.startswith(begin) for report in reports]), time)
-
-
-def _of_alarms(record: RunRecord) -> list[Span]:
-    """Spans of alarms whose cause is unknown, until they are classified or cleared."""
-    found: list[Span] = []
-    begun: dict[int, float] = {}
-    for event in record.alarms:
-        at = float(record.seconds(event.stamp))
-        if event.kind == INCONSISTENT and event.event != AlarmEvent.CLEARED:
-            begun.setdefault(event.sensor_index, at)
-        elif event.sensor_index in begun:
-            found.append((begun.pop(event.sensor_index), at))
-    return found + [(at, float(record.time[-1])) for at in begun.values()]
-
-
-def _united(parts: Iterable[Span]) -> list[Span]:
-    united: list[Span] = []
-    for start, end in sorted(parts):
-        if united and start <= united[-1][1]:
-            united[-1] = (united[-1][0], max(united[-1][1], end))
-        else:
-            united.append((start, end))
-    return united
 
 
 def _brakes(record: RunRecord, reports: Sequence[NodeReport]) -> list[Phase]:

@@ -12,11 +12,21 @@ import numpy as np
 from lpv.bag.run.streams import RunRecord
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import SensorState
+from lpv.core.support.formatting import decimals
 from lpv.core.support.resources import installed_version
 from lpv.core.support.timestamps import NANOSECONDS
 from lpv.report.certificate import Certificate
 from lpv.report.figures import draw_all
-from lpv.report.history import BRAKED, INCONSISTENT, SAFE_STOP, TOO_FAST, UNSAFE, listed, starting
+from lpv.report.history import (
+    BRAKED,
+    INCONSISTENT,
+    SAFE_STOP,
+    TOO_FAST,
+    UNSAFE,
+    Episode,
+    listed,
+    starting,
+)
 from lpv.report.load import Run
 from lpv.report.page import embedded, environment
 from lpv.report.table import Row
@@ -64,7 +74,7 @@ def write(run: Run, out: str | Path) -> ReportResult:
         pictures[-1].write_bytes(data)
         figures[name] = {'caption': _CAPTIONS[name], 'data': embedded(data)}
     templates = environment(Path(__file__).parent)
-    templates.filters['number'] = _number
+    templates.filters.update(number=_number, size=_size)
     page = templates.get_template('report.html').render(**content(run), figures=figures)
     html = out / 'report.html'
     html.write_text(page.lstrip(), encoding='utf-8')
@@ -73,6 +83,10 @@ def write(run: Run, out: str | Path) -> ReportResult:
 
 def _number(value: float | None, form: str) -> str:
     return form % value if value is not None and math.isfinite(value) else '-'
+
+
+def _size(value: float, unit: str, sign: str = '') -> str:
+    return _number(value, f'%{sign}.{decimals(unit)}f')
 
 
 def content(run: Run) -> dict[str, Any]:
@@ -143,6 +157,17 @@ def _count(number: int, one: str) -> str:
     return f'{number or "no"} {one if number == 1 else one + "s"}'
 
 
+def _error(alarm: Episode, arm: SerialArm) -> str:
+    sensor = f'{alarm.sensor} (rate)' if alarm.kind == 'rate_bias' else alarm.sensor
+    if alarm.kind == 'dropout':
+        return f'{sensor} no readings'
+    if not math.isfinite(alarm.bound):
+        return f'{sensor} of unknown size'
+    unit = alarm.unit(arm)
+    size, bound = _size(alarm.size, unit, '+'), _size(alarm.bound, unit)
+    return f'{sensor} {size} {unit} (bound {bound})'
+
+
 def _verdict(run: Run) -> str:
     """The answer in a sentence or two; a run that ran away is called that first."""
     record, arm, move = run.record, run.arm, run.motion
@@ -155,7 +180,7 @@ def _verdict(run: Run) -> str:
         missed = _count(len(run.missed), 'fault')
         parts.append(f'{_count(wrong, "false alarm")}, {missed} missed')
     lasting = (a for a in run.alarms if a.cleared is None)
-    if now := [f'{a.sensor} {a.size:+.3f} {a.unit(arm)} (bound {a.bound:.3f})' for a in lasting]:
+    if now := [_error(alarm, arm) for alarm in lasting]:
         parts.append(f'error at the end of the run: {", ".join(now)}')
     if brakes := [phase for phase in run.phases if phase.what == BRAKED]:
         reasons = ', '.join(dict.fromkeys(phase.note for phase in brakes))

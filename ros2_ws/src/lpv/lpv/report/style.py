@@ -42,11 +42,16 @@ SPARSE: dict[str, Any] = {'handlelength': 1.7, 'columnspacing': 1.3, 'handletext
 """Spacing of legends that stand in one row."""
 
 
-def thin(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Fewer points that look the same: of every bin the lowest and the highest one."""
+def thin(time: np.ndarray, *curves: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Fewer points that look the same: of every bin the lowest and highest one of each curve."""
+    if len(time) < 3 * _POINTS:
+        return time, *curves
+    index = np.unique(np.concatenate([_extremes(values) for values in curves]))
+    return time[index], *(values[index] for values in curves)
+
+
+def _extremes(values: np.ndarray) -> np.ndarray:
     count = len(values)
-    if count < 3 * _POINTS:
-        return time, values
     size = -(-count // _POINTS)
     starts = np.arange(0, count, size)
     bins = np.full((len(starts), size), np.nan)
@@ -57,8 +62,7 @@ def thin(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, ...]:
     # A NaN among numbers marks a gap's border, which must not be bridged.
     border = np.where(gaps.any(axis=1), gaps.argmax(axis=1), lowest)
     index = np.unique([starts + lowest, starts + highest, starts + border])
-    index = np.unique([0, *index[index < count], count - 1])
-    return time[index], values[index]
+    return np.array([0, *index[index < count], count - 1])
 
 
 def legend_above(axis: Axes) -> None:

@@ -300,10 +300,10 @@ def test_given_torques_of_any_type_when_replayed_then_the_one_before_each_sample
     result, out = replay(bag, topic=MEASURED, **chosen)
     useless = {f'{ARRAY} has 1 torques for 2 joints': 120} if msgtype == ARRAY else {}
     assert result.rejected == useless
-    fault = [a.fault['estimate'] for a in expected if a.fault is not None]
+    fault = [a.record['fault']['estimate'] for a in expected if a.record['has_fault']]
     assert len(fault) > 590 and np.array_equal([m.estimate for m in read(out, FAULT)], fault)
-    assert [m.mode for m in read(out, STATE)] == [a.state['mode'] for a in expected]
-    assert expected[0].state['mode'] == Mode.HOLDING
+    assert [m.mode for m in read(out, STATE)] == [a.record['state']['mode'] for a in expected]
+    assert expected[0].record['state']['mode'] == Mode.HOLDING
 
 
 def test_given_commands_when_efforts_have_another_unit_then_a_replay_takes_newton_metres(
@@ -320,7 +320,7 @@ def test_given_commands_when_efforts_have_another_unit_then_a_replay_takes_newto
     bag = write(tmp_path / 'bag', entries, {MEASURED: JOINT_STATE, TORQUE: COMMAND})
     monitor = SerialSensorMonitor('', replace(paper_arm, joints=joints))
     _, out = replay(bag, monitor=monitor, topic=MEASURED, torque_from_command=True)
-    fault = [a.fault['estimate'] for a in expected if a.fault is not None]
+    fault = [a.record['fault']['estimate'] for a in expected if a.record['has_fault']]
     assert len(fault) > 390
     np.testing.assert_allclose([m.estimate for m in read(out, FAULT)], fault, atol=1e-9)
 

@@ -346,9 +346,9 @@ def test_given_two_workers_when_one_dies_then_nothing_is_lost(
 
 def test_given_wrong_or_no_workers_when_run_then_it_ends(scheduler, workers, small, monkeypatch):
     (worker,) = workers(1)
-    with monkeypatch.context() as patch, pytest.raises(WorkerError, match='another version'):
-        patch.setattr(execute, 'software', lambda: 'another')
-        list(chunks(small, scheduler=scheduler))
+    other = Campaign(small.text.replace(small.software, 'another'))
+    with pytest.raises(WorkerError, match='another version'):
+        list(chunks(other, scheduler=scheduler))
     monkeypatch.setattr(execute, '_NO_WORKER_TIMEOUT', 2.0)
     found = chunks(small, scheduler=scheduler, size=2)
     next(found)

@@ -159,6 +159,19 @@ def test_given_changed_or_damaged_results_when_used_then_they_are_named(results,
         assert refused(damaged.name, *command(file, out))
 
 
+def test_given_results_of_another_version_when_used_then_none_are_added(
+    results, tmp_path, call, refused
+):
+    file, out = written(tmp_path / 'spec.yaml', SPEC), shutil.copytree(results, tmp_path / 'out')
+    (out / 'chunks' / '00000000.parquet').unlink()
+    begun = out / 'campaign.json'
+    begun.write_text(json.dumps({**json.loads(begun.read_text()), 'software': 'an older one'}))
+    assert refused('or this software changed', *command(file, out))
+    shutil.copytree(results / 'chunks', out / 'chunks', dirs_exist_ok=True)
+    call('campaign', out)
+    assert json.loads((out / 'report.json').read_text())['head']['software'] == 'an older one'
+
+
 def test_given_figures_when_compared_then_last_bits_and_missing_ones_do_not_count():
     stored = {'a': 1.0, 'b': float('nan'), 'd': 'x', 'e': True}
     assert differences(stored, {**stored, 'a': 1.0 + 1e-14, 'more': 1}) == []
@@ -357,7 +370,9 @@ def test_given_alarms_when_listed_then_those_of_one_sensor_and_kind_are_one_line
     first = [(raised, 'unclassified'), (AlarmEvent.UPDATED, 'drift'), (AlarmEvent.CLEARED, 'drift')]
     told = [(event, 'one', kind, 10**9) for event, kind in first]
     told += [(raised, 'one', 'drift', 5 * 10**9), (raised, 'two', 'drift', 6 * 10**9)]
+    told.insert(1, (raised, 'one', 'rate_bias', 2 * 10**9))  # an alarm of its own
     alarms = [Alarm(e, 0, s, onset, onset + 9, 0.1, 0.01, k, 1.0) for e, s, k, onset in told]
     rows = bag_figures.alarm_rows(alarms, 0)
     found = [(row['sensor'], row['kind'], row['count'], row['onset']) for row in rows]
-    assert found == [('one', 'drift', 2, 1.0), ('two', 'drift', 1, 6.0)]
+    drifts = [('one', 'drift', 2, 1.0), ('two', 'drift', 1, 6.0)]
+    assert sorted(found) == [drifts[0], ('one', 'rate_bias', 1, 2.0), drifts[1]]

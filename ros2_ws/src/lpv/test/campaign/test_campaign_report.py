@@ -1,24 +1,36 @@
 """Reports of campaigns: made-up rows with known answers, a page that is whole, the command."""
 
+import io
 import json
 import math
 import re
+from copy import copy
+from dataclasses import replace
 
 import numpy as np
 import pyarrow as pa
 import pytest
 from campaign_files import resolved, spec, written
+from rich.console import Console
 from runs import assert_stands_alone
 from scipy.stats import chi2
 
 from lpv.campaign.execution.runs import run_one
 from lpv.campaign.plan.campaign import resolve
 from lpv.campaign.report.statistics import Results, found_from, poisson_rate, roc, spread, trends
-from lpv.campaign.report.write import command, confusion, report_numbers, suspicion, write_report
+from lpv.campaign.report.write import (
+    command,
+    confusion,
+    print_summary,
+    report_numbers,
+    suspicion,
+    write_report,
+)
 
 pytestmark = pytest.mark.slow
 
 SENSORS, table = ('link1_angle', 'link2_angle'), pa.Table.from_pylist
+UNITS = 'rad', 'm', 'rad or m'
 FACTORS = "{fault.kind: [none, bias, stuck], compensation: ['off', confirmed]}"
 SPEC = spec(FACTORS, 120, name='made <up>', duration=10.0)
 
@@ -144,19 +156,34 @@ def test_given_runs_when_the_worst_are_listed_then_each_has_its_command(campaign
     assert command('my results', 7) == told
 
 
+def test_given_a_joint_that_slides_when_reported_then_its_figures_are_in_metres(
+    campaign, row, tmp_path
+):
+    sliding, (first, second) = copy(campaign), campaign.arm.joints
+    joints = first, replace(second, type='prismatic')
+    sliding.arm = replace(campaign.arm, joints=joints)
+    found = write_report(sliding, table(made_up(row, 120)), tmp_path, 120)
+    biases = [e for e in found.numbers['detection'] if e['kind'] == 'bias']
+    assert [(e['sensor'], e['unit']) for e in biases] == list(zip((*SENSORS, 'both'), UNITS))
+    assert [e['unit'] for e in found.numbers['estimates']] == list(UNITS[:2])
+    assert found.numbers['worst'][0]['unit'] == '[rad or m]'
+    assert 'tracking RMS [rad or m]' in found.html.read_text()
+
+
 def test_given_an_encoder_that_ages_when_trends_are_asked_for_then_its_arm_is_the_first():
     def trends_of(bags):
         same = {'kind': None, 'sensor': None, 'fault_mean_2': 0.0}
         same |= dict.fromkeys(('threshold_mean_1', 'threshold_mean_2'), 0.05)
         found = [{**same, 'unit': unit, 'start': int((1e4 + day) * 86400e9), 'fault_mean_1': mean}
                  for unit, day, mean in bags]  # fmt: skip
-        return trends(Results(table(found), ('one', 'two')))
+        return trends(Results(table(found), {'one': 'rad', 'two': 'm'}))
 
     noise, days = 0.002 * np.random.default_rng(3).standard_normal((8, 12)), 7.0 * np.arange(12)
     noise[5] += 2e-4 * days
     found = trends_of((f'arm{unit}', days[k], noise[unit, k]) for unit, k in np.ndindex(8, 12))
     assert len(found) == 16
     assert [(t['unit'], t['sensor']) for t in found if t['clear']] == [('arm5', 'one')]
+    assert {(t['sensor'], t['position_unit']) for t in found} == {('one', 'rad'), ('two', 'm')}
     low, high = found[0]['interval']
     assert 1e-4 < low < 2e-4 < high
     assert found[0]['days_left'] == pytest.approx((0.05 - 77 * 2e-4) / 2e-4, rel=0.25)
@@ -187,6 +214,16 @@ def test_given_results_when_reported_then_all_is_there(campaign, row, tmp_path, 
     assert text.count('<img') == pictures and 'made &lt;up&gt;' in text
     assert ('are missing' in text) == (count < 120)
     assert json.loads(report.json.read_text()) == json.loads(json.dumps(report.numbers))
+
+
+def test_given_a_long_text_when_summed_up_then_it_is_wrapped_and_not_cut(campaign, row, tmp_path):
+    numbers = write_report(campaign, table(made_up(row, 2)), tmp_path, 2).numbers
+    alarms = ', '.join(f'{number} stuck of link2_angle' for number in range(1, 6))
+    bag = {'bag': 'monday', 'unit': '', 'alarm_text': alarms, 'score': 1.0}
+    console = Console(soft_wrap=True, width=80, file=io.StringIO())
+    print_summary({**numbers, 'bags': [bag]}, console)
+    said = console.file.getvalue()
+    assert said.count('link2_angle') >= 5 and '\u2026' not in said
 
 
 def test_given_unfinished_results_when_reported_then_it_is_said_what_is_missing(tmp_path, call):

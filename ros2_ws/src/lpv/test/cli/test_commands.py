@@ -185,6 +185,13 @@ def test_given_a_gripper_when_held_then_the_arm_has_the_others_and_their_frictio
         assert arm.tip == (0.0, 0.0, 0.3)
 
 
+def test_given_a_urdf_with_friction_when_a_motion_is_planned_then_torques_hold_it(tmp_path, call):
+    (tmp_path / 'arm.urdf').write_text(GRIPPER.replace('friction="0.25"', 'friction="300"'))
+    options = '--urdf', tmp_path / 'arm.urdf', '--out', tmp_path / 'motion', '--trials', 1
+    said = call('excite', *options, *HELD).out
+    assert float(re.search(r'shoulder: largest torque (\S+) N m', said)[1]) > 300.0
+
+
 NAMES = ('left: j1', 'left, j1', 'left #1', '{left}_j1', '*j1', '${prefix}j1', "it's", '1e5')
 
 
@@ -210,7 +217,7 @@ def test_given_what_cannot_be_used_when_initialised_then_it_is_named(tmp_path, r
         ('<mass value="2"', '<mass value="heavy"', HELD, 'mass'),
         ('child link="one"', 'child link="nix"', HOLDS[0].split(), 'link [nix] of joint'),
         ('xyz="0 0 0.3"', 'xyz="0 0"', HELD, '3 expected while parsing vector [0 0]; Malformed'),
-        ('lower="-1" upper="1"', 'lower="1" upper="-1"', HELD, 'joints[0].limits.upper: must lie'),
+        ('lower="-1" upper="1"', 'lower="1" upper="-1"', HELD, "'shoulder' has no lower limit"),
         ('effort="500"', 'effort="0.1"', HELD, 'N m of shoulder, whose limit is 0.1'),
         ('<robot', '<!DOCTYPE x [<!ENTITY y "z">]><robot', HELD, 'document type'),
         ('</robot>', '', HELD, 'no element found'),

@@ -59,6 +59,7 @@ def test_given_the_shipped_scenario_then_its_run_beats_table_2(run, joints, pape
     raised, cleared = ([a for a in run.alarms if a.event == event] for event in events)
     sensors = [f.sensor for f in two_faults.faults]
     assert [a.sensor for a in raised] == [a.sensor for a in cleared] == sensors
+    assert [a.onset for a in raised] == [a.onset for a in cleared]
     abrupt, incipient = raised
     assert 6_000_000_000 <= abrupt.onset <= 6_002_000_000  # a sample
     assert abrupt.detected <= 6_012_000_000

@@ -156,6 +156,8 @@ BAD = {
         'joints[1].sensors.rates': ['guessed'], 'joints': [[], {}], 'joints[0]': [5],
         'sensor_matrix': [[[1.0, 0.0]], [[1.0, 0.0], [1.0, 0.0]]], 'name': ['', 5, LONG],
         'tip > tip[2]': [[0, 0, 1e4]], 'joints[0].axis': [[0, 0, 0]],
+        'joints[0].limits > joints[0].limits.upper': [{'lower': 1.0, 'upper': 1.0}],
+        'joints[0].rotor_coupling': [-0.1],
         'joints[0].torque_tolerance > joints[0].torque_tolerance.speed':
             [{'speed': [1.0, 0.5], 'torque': [1.0, 1.0]}],
     },

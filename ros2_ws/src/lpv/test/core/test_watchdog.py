@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from lpv.core.control import watchdog
+from lpv.core.control.estimate_check import ROWS, ValueFault, check_values
 from lpv.core.control.latency import tolerated_latency
 from lpv.core.control.watchdog import BrakeReason, DriveLimits, StopReason
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
@@ -60,6 +61,15 @@ def test_given_measurements_when_unusable_for_long_then_the_arm_stops_in_the_sta
 )
 def test_given_a_bad_estimate_then_the_arm_stops_at_once(tracker, latency, trustworthy, expected):
     assert estimates(tracker, [1], latency, trustworthy=trustworthy) == [StopReason[expected]]
+
+
+def test_given_a_joint_without_end_when_it_has_turned_far_then_its_estimate_can_be_one():
+    values = np.full((len(ROWS), 2), 6000.0)
+    assert check_values(values) == ValueFault.NONE
+    values[1, 1] = 1e7
+    assert check_values(values) == ValueFault.IMPOSSIBLE
+    values[3, 0] = np.nan
+    assert check_values(values) == ValueFault.NOT_FINITE
 
 
 def test_given_stamps_ahead_of_the_clock_when_that_is_set_then_a_late_mean_is_seen_as_soon(tracker):

@@ -19,6 +19,7 @@ from lpv.report.comparison import compare_runs
 from lpv.report.figures import STATES, timeline
 from lpv.report.history import Phase, episodes, listed, missed_faults, phases
 from lpv.report.run import content, write
+from lpv.report.style import thin
 from lpv.report.table import PAPER, Row, is_paper_arm, make_table, print_table
 
 MS, COUNT = 1_000_000, 500
@@ -65,7 +66,7 @@ def spans(found, *more):
 
 def told(**parts):
     """Reports of the nodes: what each said, by the time in ms."""
-    return {who: [NodeReport(t * MS, 2, w) for t, w in said.items()] for who, said in parts.items()}
+    return {who: [NodeReport(t * MS, w) for t, w in said.items()] for who, said in parts.items()}
 
 
 def event(time, onset=None, detected=None, **fields):
@@ -171,7 +172,7 @@ def test_given_a_prismatic_joint_when_reported_then_its_figures_are_in_metres(pa
     record.joint_names, record.streams['ground_truth']['velocity'][9, 1] = arm.joint_names, 30.0
     found = analysed(record, arm)
     values = content(found)
-    assert 'right -0.998 m (bound 0.100)' in values['verdict']
+    assert 'right -0.9980 m (bound 0.1000)' in values['verdict']
     assert '30 m/s true, limit 20 m/s' in values['verdict']
     assert tile(values, 'fastest joint').value == '30 m/s'
     assert [row['unit'] for row in values['detectable']] == ['rad', 'm']
@@ -266,14 +267,65 @@ def test_given_many_stretches_when_listed_then_the_longest_are_shown_and_all_are
     assert sum(kept) + rest['duration'] == pytest.approx(sum(p.duration for p in many))
 
 
-def test_given_inconsistent_alarms_when_reported_then_phases_have_them_and_overlaps_are_one(page):
-    record, odd = run(), {'kind': history.INCONSISTENT}
-    record.alarms = [event(200, **odd), event(300, **odd), event(400, kind='drift')]
-    values = page(record)
-    assert '1 inconsistent phase.' in values['verdict']
-    assert spans(values['phases']) == [(history.INCONSISTENT, 0.2, 0.4)]
-    record.alarms = [event(200, **odd), event(300, **odd, **RIGHT), event(400, **odd, **CLEARED)]
-    assert spans(page(record)['phases']) == [(history.INCONSISTENT, 0.2, record.time[-1])]
+def test_given_a_rate_that_is_off_beside_a_bias_when_gathered_then_each_has_its_end_and_unit(
+    paper_arm,
+):
+    rate, times = {'kind': 'rate_bias', 'size': 0.05}, (100, 120)
+    alarms = [
+        event(120, *times, kind='bias'),
+        event(200, **rate),
+        event(250, *times, kind='dropout', size=0.0, event=AlarmEvent.UPDATED),
+        event(300, 200, 200, **rate, **CLEARED),
+        event(400, *times, kind='bias', **CLEARED),
+        event(500, **rate),
+        event(600, kind='noise', size=0.02, **RIGHT),
+    ]
+    found = [
+        (e.kind, e.raised, e.cleared, e.size, e.unit(paper_arm))
+        for e in episodes(made_up(alarms=alarms))
+    ]
+    assert found == [
+        ('bias', 0.12, 0.4, 0.3, 'rad'),
+        ('rate_bias', 0.2, 0.3, 0.05, 'rad/s'),
+        ('rate_bias', 0.5, None, 0.05, 'rad/s'),
+        ('noise', 0.6, None, 0.02, 'rad'),
+    ]
+
+
+def test_given_a_run_that_ran_away_when_shown_then_its_colours_are_those_of_the_theme(shown):
+    page = shown(run({k: (25.0, 0.0) for k in range(100, 200)}))
+    assert '<p class="verdict bad">' in page
+    assert re.findall(r'[{;\s]color: (?!#000|var)[^;]*;', page) == []
+
+
+@pytest.mark.parametrize(('fields', 'said'), [
+    ({'kind': 'rate_bias', 'size': 0.05, 'bound': 0.01}, 'left (rate) +0.050 rad/s (bound 0.010)'),
+    ({'kind': 'dropout', 'size': 0.0, 'bound': 0.0}, 'left no readings'),
+    ({'kind': 'noise', 'bound': np.inf}, 'left of unknown size'),
+])  # fmt: skip
+def test_given_an_alarm_that_is_no_offset_when_it_lasts_then_the_verdict_says_so(
+    page, fields, said
+):
+    assert (
+        f'error at the end of the run: {said};'
+        in page(made_up([], [event(400, **fields)]))['verdict']
+    )
+
+
+def test_given_a_band_of_many_samples_when_thinned_then_its_sides_keep_their_extremes():
+    time = 0.002 * np.arange(20_000)
+    sides = [np.where(time < 10.0, 0.01, 0.0) + bound for bound in (-0.01, 0.01)]
+    at, *thinned = thin(time, *sides)
+    assert [len(side) for side in thinned] == [len(at)] * 2 and len(at) < 6000
+    for side, whole in zip(thinned, sides):
+        assert (side.min(), side.max()) == (whole.min(), whole.max())
+
+
+def test_given_no_reading_at_all_when_drawn_then_there_is_no_path(paper_arm):
+    record = run()
+    record.joint_names = paper_arm.joint_names
+    record.streams['joint_states']['position'][:] = np.nan
+    assert figures.path(analysed(record, paper_arm)) is not None
 
 
 def test_given_an_alarm_that_lasts_when_reported_then_its_size_is_the_error_now(page):

@@ -3,13 +3,12 @@
 import math
 from typing import Any
 
-from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent, SensorState
+from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent, SensorState, subject
 from lpv.core.simulation.faults import MAX_FAULTS
 from lpv.core.support.limits import MOST_TEXT
 from lpv.core.support.timestamps import NANOSECONDS, to_nanoseconds
 
 RAISED, UPDATED, CLEARED = AlarmEvent
-_DROPOUT = 'dropout'
 Row = dict[str, Any]
 
 
@@ -24,7 +23,6 @@ class AlarmList:
     def __init__(self) -> None:
         self._rows: list[Row] = []
         self._open: dict[tuple[str, str], Row] = {}
-        self._count = 0
         self.changed = False
 
     def rows(self) -> list[Row]:
@@ -34,16 +32,16 @@ class AlarmList:
     def add(self, event: Any) -> None:
         """Add one event, with the fields of lpv_msgs/FaultAlarm."""
         sensor = event.sensor[:MOST_TEXT]
-        key = sensor, _subject(event.kind)
+        key = sensor, subject(event.kind)
         if event.event == RAISED and key in self._open:
             self._end(key, _time(event.onset))
         row = self._open.get(key) or self._ended_row(event) or self._new_row(key)
         row.update(
             kind=event.kind[:MOST_TEXT],
             onset=_time(event.onset),
-            detected=_time(event.detected),
             confidence=_finite(event.confidence),
         )
+        row.setdefault('detected', _time(event.detected))  # when it was raised
         if event.event == CLEARED:
             self._open.pop(key, None)
             row['ended'] = _time(event.header.stamp)
@@ -53,7 +51,7 @@ class AlarmList:
 
     def _ended_row(self, event: Any) -> Row | None:
         """The row that `follow` ended before the event that says so came."""
-        same = event.sensor, _subject(event.kind)
+        same = event.sensor, subject(event.kind)
         last = next((r for r in reversed(self._rows) if _key(r) == same), None)
         if last is None or event.event != CLEARED or last['onset'] != _time(event.onset):
             return None
@@ -63,28 +61,36 @@ class AlarmList:
         """End alarms that a lpv_msgs/FaultEstimate no longer has, e.g. after a reset."""
         stamp = _time(faults.header.stamp)
         for sensor, alarm, state in zip(faults.sensor_names, faults.alarm, faults.state):
-            self._follow(sensor, '', not alarm, stamp)
-            self._follow(sensor, _DROPOUT, state != SensorState.STALE, stamp)
+            self._follow((sensor, ''), not alarm, stamp)
+            self._follow((sensor, 'dropout'), state != SensorState.STALE, stamp)
 
     def restart(self, stamp: int) -> None:
         """End all alarms: the observer has begun anew at a stamp [ns]."""
-        for sensor, subject in list(self._open):
-            self._follow(sensor, subject, True, seconds(stamp))
+        for key in list(self._open):
+            self._follow(key, True, seconds(stamp))
 
-    def _follow(self, sensor: str, subject: str, is_over: bool, stamp: float) -> None:
-        row = self._open.get((sensor, subject))
+    def forget_clock(self) -> None:
+        """Time has started anew: those that are over have no place on its axis."""
+        for row in self._rows:
+            row['past'] = row['ended'] is not None
+        self.changed = True
+
+    def _follow(self, key: tuple[str, str], is_over: bool, stamp: float) -> None:
+        row = self._open.get(key)
         # The alarm and the estimate of one sample come on two topics, in any order.
         if row is not None and is_over and abs(stamp - row['detected']) > 0.5:
-            self._end((sensor, subject), max(stamp, row['detected']))
+            self._end(key, max(stamp, row['detected']))
 
     def _new_row(self, key: tuple[str, str]) -> Row:
-        self._count += 1
-        row: Row = {'id': self._count, 'sensor': key[0], 'ended': None, 'size': None, 'bound': None}
+        row: Row = {'sensor': key[0], 'ended': None, 'size': None, 'bound': None, 'past': False}
         self._rows.append(row)
         self._open[key] = row
         if len(self._rows) > MAX_FAULTS:
-            oldest = self._rows.pop(0)
-            if self._open.get(_key(oldest)) is oldest:
+            # What lasts stays, as long as senders name sensors that there are.
+            over = (r for r in self._rows if r['ended'] is not None)
+            oldest = next(over, self._rows[0])
+            self._rows.remove(oldest)
+            if oldest['ended'] is None:
                 del self._open[_key(oldest)]
         return row
 
@@ -93,13 +99,8 @@ class AlarmList:
         self.changed = True
 
 
-def _subject(kind: str) -> str:
-    """What an alarm of a kind is about: '' for the fault that FaultEstimate is about, too."""
-    return kind if kind in (_DROPOUT, 'rate_bias') else ''
-
-
 def _key(row: Row) -> tuple[str, str]:
-    return row['sensor'], _subject(row['kind'])
+    return row['sensor'], subject(row['kind'])
 
 
 def _time(stamp: Any) -> float:

@@ -14,7 +14,7 @@ from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import Mode, SensorState
 from lpv.core.simulation.faults import KINDS
 from lpv.core.support.errors import SampleError
-from lpv.core.support.limits import LARGEST, MOST_TEXT, QUIET
+from lpv.core.support.limits import MOST_TEXT, PATIENCE, QUIET
 from lpv.core.support.timestamps import LAST_STAMP, NANOSECONDS, to_nanoseconds
 from lpv_node.view.alarm_list import AlarmList, seconds
 from lpv_node.view.skeleton import Skeleton
@@ -52,47 +52,59 @@ class LiveModel:
     def __init__(self, arm: SerialArm, path: TimedPath | None = None) -> None:
         self._arm, self._path = arm, path
         self._order, self._joints = JointOrder(arm.joint_names), len(arm.joint_names)
-        self.misfits, self._skeleton = 0, Skeleton(arm)
+        self._skeleton = Skeleton(arm)
         self.alarms = AlarmList()
         self.services = {'inject': False, 'clear': False, 'reset': False}
         self._latest: dict[str, Any] = {}
         self._received: dict[str, float] = {}  # steady times [s]
         self._history: deque[dict[str, Any]] = deque(maxlen=_MOST_SAMPLES)
-        self._statuses: dict[str, dict[str, str]] = {}
+        self._statuses: dict[str, tuple[float, dict[str, Any]]] = {}  # with steady times [s]
         self._stops: dict[str, Any] = {'count': 0, 'last': ''}  # safe stops of the tracker
         self._stopped = -math.inf  # steady time of the last one [s]
         self._stamp: int | None = None
 
-    def take(self, source: str, message: Any, now: float) -> None:
-        """Take one message of a topic, as ``state_estimate``, received at a steady time [s]."""
+    def take(self, source: str, message: Any, now: float) -> bool:
+        """Take one message of a topic, as ``state_estimate``, received at a steady time [s].
+
+        False: it is of another arm, and not taken.
+        """
         if source == 'fault_alarm':
             self.alarms.add(message)
         elif source == 'diagnostics':
             for status in message.status:
                 self._take_status(status, now)
         elif not self._fits(source, message):
-            self.misfits += 1
+            return False
         else:
             self._latest[source], self._received[source] = message, now
             if source == 'fault_estimate':
                 self.alarms.follow(message)
             elif source == 'state_estimate' and message.mode == Mode.INITIALISING:
                 self.alarms.restart(_stamp(message))
+        return True
 
     def _fits(self, source: str, message: Any) -> bool:
-        """Whether a message is for as many joints as the arm has."""
+        """Whether a message is for as many joints as the arm has, and for its sensors."""
         if source == 'reference' and len(message.tip_position) != 3:
+            return False
+        if source == 'fault_estimate' and tuple(message.sensor_names) != self._arm.sensor_names:
             return False
         return all(len(getattr(message, field)) == self._joints for field in _ARRAYS[source])
 
     def _take_status(self, status: Any, now: float) -> None:
         name, known = status.name[:MOST_TEXT], self._statuses
+        own = status.hardware_id in (self._arm.name, *self._arm.sensor_names)
         if name not in known and len(known) >= _MOST_STATUSES + self._joints:
-            return
+            # Those of other nodes, of which a robot has many, keep none of this arm's out.
+            other = next((n for n, (_, one) in known.items() if own and not one['own']), None)
+            if other is None:
+                return
+            del known[other]
         # A byte, which Python sees as bytes.
         level = status.level[0] if isinstance(status.level, bytes) and status.level else 0
         text = status.message[:MOST_TEXT]
-        known[name] = {'name': name, 'level': _name(LEVELS, level), 'message': text}
+        fields = {'name': name, 'level': _name(LEVELS, level), 'message': text, 'own': own}
+        known[name] = now, fields
         values = {pair.key: pair.value for pair in status.values[:_MOST_STATUSES]}
         count = values.get('safe stops', '')
         if not (count.isascii() and count.isdigit() and len(count) < 10):
@@ -110,7 +122,7 @@ class LiveModel:
             'reach': round(self._skeleton.reach, 4),
             'joints': list(arm.joint_names),
             'sensors': list(arm.sensor_names),
-            'torque_limit': [v if v < LARGEST else None for v in arm.torque_limit],
+            'units': [joint.units for joint in arm.joints],  # of position and torque
             'kinds': list(KINDS),
             'window': WINDOW,
             'scene': self._scene(),
@@ -131,8 +143,9 @@ class LiveModel:
 
     def frame(self, now: float) -> dict[str, Any]:
         """The present at a steady time [s], for clients and history; None: not known."""
+        live = self._live(now)
         sources = 'state_estimate', 'fault_estimate', 'torque_command'
-        state, fault, command = map(self._latest.get, sources)
+        state, fault, command = (self._latest[s] if live[s] else None for s in sources)
         newest = max(self._received.values(), default=now)
         drawn = self._skeleton.drawn
         corners = {
@@ -142,12 +155,15 @@ class LiveModel:
         states = [None] * self._joints if fault is None else [_name(STATES, s) for s in fault.state]
         return {
             'type': 'frame',
-            'live': self._live(now),
+            'live': live,
             'services': dict(self.services),
             'age': round(max(0.0, now - newest), 1) if self._received else None,
             'sample': self._sample(now),
             'arms': corners,
-            'diagnostics': list(self._statuses.values()),
+            'diagnostics': [
+                status if now - at < 2.0 * PATIENCE else {**status, 'level': 'STALE'}
+                for at, status in self._statuses.values()
+            ],
             'mode': None if state is None else _name(MODES, state.mode),
             'trustworthy': None if state is None else bool(state.trustworthy),
             'safe_stop': None if command is None else bool(command.safe_stop),
@@ -204,6 +220,7 @@ class LiveModel:
         if stamp is not None and stamp != self._stamp:
             if self._stamp is not None and stamp < self._stamp - NANOSECONDS:
                 self._history.clear()  # time restarted
+                self.alarms.forget_clock()
             self._stamp = stamp
             self._history.append(sample)
             while self._history[0]['t'] < sample['t'] - WINDOW:

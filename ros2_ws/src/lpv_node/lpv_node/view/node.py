@@ -219,7 +219,8 @@ class ViewNode(ManagedNode):
         self._requests.work()
         for inbox in self._inboxes:
             for received, message in inbox.take():
-                self._model.take(inbox.topic.source, message, received)
+                if not self._model.take(inbox.topic.source, message, received):
+                    self._refusals.add(f'messages on {inbox.topic.name} that are of another arm')
         now = time.monotonic()
         every_second = self._ticks % round(self.get_parameter('rate').value) == 0
         self._ticks += 1

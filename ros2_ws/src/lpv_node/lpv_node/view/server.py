@@ -9,7 +9,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from importlib import resources
-from typing import Any
+from typing import Any, cast
 
 from aiohttp import WSMsgType, web
 from aiohttp.http import HttpProcessingError
@@ -37,6 +37,8 @@ _FILES = {
         for name in ('view', 'arm', 'chart', 'link', 'panels', 'theme')
     },
 }
+MOST_CONNECTIONS = 8 * MOST_CLIENTS
+"""Connections of a port, of browsers that load the page as of others."""
 MOST_WAITING = 64
 """A client with more messages waiting than this is dropped; frames do not count."""
 HEADERS = {
@@ -111,6 +113,13 @@ class Client:
                     self.lost = True
 
 
+class _Refusal(asyncio.Protocol):
+    """A connection that is one too many."""
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        cast('asyncio.Transport', transport).abort()
+
+
 class ViewServer:
     """Serves the live view from a thread of its own; no method waits for a client."""
 
@@ -121,9 +130,10 @@ class ViewServer:
         submit: Callable[[Command, Reply], bool],
         max_clients: int = MOST_CLIENTS,
         heartbeat: float = HEARTBEAT,
+        patience: float = PATIENCE,
     ) -> None:
         self._access, self._sensors, self._submit = access, tuple(sensors), submit
-        self._max_clients, self._heartbeat = max_clients, heartbeat
+        self._max_clients, self._heartbeat, self._patience = max_clients, heartbeat, patience
         self.clients: set[Client] = set()  # changed in the server's thread
         folder = resources.files('lpv_node.view') / 'static'
         self._pages = {
@@ -131,6 +141,7 @@ class ViewServer:
         }
         self._loop = asyncio.new_event_loop()
         self._runners: list[web.AppRunner] = []
+        self._listeners: list[asyncio.Server] = []
         self._thread: threading.Thread | None = None
 
     def start(self, sites: Sequence[tuple[Any, ...]]) -> list[int]:
@@ -147,17 +158,27 @@ class ViewServer:
 
     async def _open(self, application: web.Application, address: str, port: int) -> int:
         options: dict[str, Any] = {'access_log': None, 'handle_signals': False}
-        runner = web.AppRunner(application, logger=_logger(), shutdown_timeout=1.0, **options)
+        options |= {'shutdown_timeout': 1.0, 'keepalive_timeout': self._patience}
+        runner = web.AppRunner(application, logger=_logger(), **options)
         await runner.setup()
         self._runners.append(runner)
+
+        def admit() -> asyncio.Protocol:
+            # Without a limit, whoever connects and says nothing takes all files of the process.
+            served = runner.server
+            if served is None or len(served.connections) >= MOST_CONNECTIONS:
+                return _Refusal()
+            return served()
+
         try:
             host = '127.0.0.1' if address == 'localhost' else address
-            await web.TCPSite(runner, host, port).start()
+            listener = await self._loop.create_server(admit, host, port)
         except (OSError, OverflowError) as error:
             reason = getattr(error, 'strerror', None) or error
             text = f'cannot listen on {address}, port {port}: {reason}'
             raise ConfigError('port', text) from error
-        return runner.addresses[0][1]
+        self._listeners.append(listener)
+        return int(listener.sockets[0].getsockname()[1])
 
     def _run(self) -> None:
         asyncio.set_event_loop(self._loop)
@@ -168,6 +189,8 @@ class ViewServer:
     async def _close(self) -> None:
         for client in self.clients:
             client.close()
+        for listener in self._listeners:
+            listener.close()
         for runner in self._runners:
             await runner.cleanup()
 

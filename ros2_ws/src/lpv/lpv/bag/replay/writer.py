@@ -11,8 +11,9 @@ from rosbags.typesys.store import Typestore
 from lpv.bag.blocks.cdr_layout import Layout
 from lpv.bag.blocks.message_blocks import RECORD, Block, record, split
 from lpv.bag.rosbag.messages import BagMessages
+from lpv.bag.rosbag.metadata import qos_profile
 from lpv.bag.rosbag.reading import BagReader
-from lpv.bag.rosbag.writing import BagWriter, padded_cdr, qos_profile
+from lpv.bag.rosbag.writing import BagWriter, padded_cdr
 from lpv.bag.run.measurements import MEASUREMENT_TYPE, Measurements
 from lpv.bag.run.record import CORRECTED
 from lpv.core.monitoring.answers import Answers

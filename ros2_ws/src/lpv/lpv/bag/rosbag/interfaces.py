@@ -1,10 +1,6 @@
 """Message definitions for reading and writing bags without ROS."""
 
-import os
-import site
-import sys
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 from rosbags.highlevel import AnyReaderError
@@ -14,6 +10,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from lpv.core.support.errors import ConfigError
+from lpv.core.support.resources import SOURCES, prefixes
 
 _PADDING = 4
 """Bytes that some publishers leave for the alignment of an empty sequence of doubles at the end."""
@@ -30,9 +27,8 @@ _OWN = (
 def message_text(msgtype: str) -> str:
     """Definition of a message type from its ``.msg`` file."""
     package, _, name = msgtype.split('/')
-    prefixes = [p for p in os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep) if p]
-    folders = [Path(p) / 'share' / package for p in (*prefixes, sys.prefix, site.getuserbase())]
-    for folder in (*folders, Path(__file__).resolve().parents[4] / package):
+    folders = [prefix / 'share' / package for prefix in prefixes()]
+    for folder in (*folders, SOURCES / package):
         path = folder / 'msg' / f'{name}.msg'
         if path.is_file():
             return path.read_text(encoding='utf-8')

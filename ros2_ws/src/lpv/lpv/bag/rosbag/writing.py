@@ -24,18 +24,8 @@ from rosbags.interfaces import (
 
 from lpv.bag.blocks.message_blocks import RECORD, Block, from_rows
 from lpv.bag.rosbag.interfaces import add_type, decode, make_typestore
-from lpv.bag.rosbag.metadata import (
-    FILE_NAME,
-    RECORD_NAME,
-    Known,
-    bag_information,
-    dump,
-    qos_profile,
-    qos_text,
-)
+from lpv.bag.rosbag.metadata import FILE_NAME, RECORD_NAME, Known, bag_information, dump, qos_text
 from lpv.core.support.errors import ConfigError
-
-__all__ = ['PRESETS', 'BagWriter', 'qos_profile']
 
 PRESETS = {
     'none': (CompressionType.NONE, 1 << 20),

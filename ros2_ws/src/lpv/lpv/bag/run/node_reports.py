@@ -2,9 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from lpv.bag.errors import BagError
 from lpv.bag.rosbag.reading import open_bag
 from lpv.core.support.timestamps import to_nanoseconds
 
@@ -16,7 +14,6 @@ class NodeReport:
     """One status of a node."""
 
     stamp: int  # [ns]
-    level: int  # as in diagnostic_msgs/DiagnosticStatus
     message: str  # its text
 
 
@@ -32,15 +29,5 @@ def node_reports(path: str | Path, namespace: str) -> dict[str, list[NodeReport]
                 parent, _, name = status.name.rpartition('/')
                 _, colon, part = name.partition(': ')
                 if parent == namespace.rstrip('/') and colon:
-                    report = NodeReport(stamp, _level(status.level), status.message)
-                    found.setdefault(part, []).append(report)
+                    found.setdefault(part, []).append(NodeReport(stamp, status.message))
     return {part: sorted(reports, key=lambda r: r.stamp) for part, reports in found.items()}
-
-
-def _level(value: Any) -> int:
-    """Levels are bytes in some versions of the definition and numbers in others."""
-    if isinstance(value, (bytes, bytearray)):
-        if len(value) != 1:
-            raise BagError(f'diagnostics: a level has {len(value)} bytes')
-        return value[0]
-    return int(value)

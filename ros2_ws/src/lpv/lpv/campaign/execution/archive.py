@@ -12,6 +12,7 @@ from typing import Any
 
 from lpv.bag.replay.replay import Replay, ReplayOptions
 from lpv.campaign.execution.bag_figures import BagFigures
+from lpv.campaign.plan.campaign import software
 from lpv.core.monitoring.parameters import DiagnosisParameters
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.arm_file import parse_arm, to_mapping
@@ -42,6 +43,7 @@ def archive_text(
         'diagnosis': asdict(diagnosis or DiagnosisParameters()),
         'options': asdict(options or ReplayOptions()),
         'sampling': sampling,
+        'software': software(),
     }
     return json.dumps(content, sort_keys=True)
 
@@ -52,6 +54,7 @@ class Archive:
     def __init__(self, text: str) -> None:
         self.text, data = text, json.loads(text)
         self.root, self.arm = Path(data['root']), parse_arm(data['arm'])
+        self.software: str = data.get('software', 'unknown')
         self._gains = data['gains'] and parse_gains(data['gains'])
         self._diagnosis = DiagnosisParameters(**data['diagnosis'])
         self._options, self._sampling = ReplayOptions(**data['options']), data['sampling']
@@ -60,7 +63,7 @@ class Archive:
     def key(self) -> str:
         """Hash of everything that can change a result but the bags and the software."""
         data = json.loads(self.text)
-        return sha256_of({name: data[name] for name in data if name != 'root'})
+        return sha256_of({name: data[name] for name in data if name not in ('root', 'software')})
 
     def monitor(self) -> SerialSensorMonitor:
         """A fresh monitor."""

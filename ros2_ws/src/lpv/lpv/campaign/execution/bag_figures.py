@@ -11,7 +11,7 @@ import numpy as np
 from lpv.bag.replay.replay import ReplayResult
 from lpv.bag.run.record import load_run
 from lpv.campaign.execution.run_metrics import figures
-from lpv.core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent, SensorState
+from lpv.core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent, SensorState, subject
 from lpv.core.simulation.faults import Fault
 from lpv.core.simulation.scenario import load_scenario
 from lpv.core.support.errors import LpvError
@@ -194,7 +194,8 @@ def alarm_rows(events: Sequence[Alarm], start: int) -> list[dict[str, Any]]:
         if event.event == AlarmEvent.RAISED:
             raised.append((event, event.kind))
             continue
-        own = [k for k, (first, _) in enumerate(raised) if first.sensor == event.sensor]
+        same = event.sensor, subject(event.kind)
+        own = [k for k, (one, kind) in enumerate(raised) if (one.sensor, subject(kind)) == same]
         if own:
             raised[own[-1]] = raised[own[-1]][0], event.kind
     rows: dict[tuple[str, str], dict[str, Any]] = {}

@@ -14,15 +14,11 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-import lpv.bag
-import lpv.campaign
-import lpv.core
 from lpv.campaign.execution.archive import Archive
 from lpv.campaign.execution.runs import run_one
-from lpv.campaign.plan.campaign import Campaign
+from lpv.campaign.plan.campaign import Campaign, software
 from lpv.campaign.plan.spec import TEXTS
 from lpv.core.support.errors import ConfigError, LpvError
-from lpv.core.support.jit import source_digest
 from lpv.core.support.limits import MOST_BYTES, MOST_ENTRIES, PATIENCE
 
 CHUNK = 20
@@ -36,13 +32,8 @@ class WorkerError(LpvError):
 
 
 Work = Campaign | Archive
-"""Both have a ``text``, all that a worker needs, and a ``key``, a hash of what makes results."""
-
-
-def software() -> str:
-    """Hash of everything that makes the numbers."""
-    modules = (lpv.core.__file__, lpv.bag.__file__, lpv.campaign.__file__)
-    return '-'.join(source_digest(Path(module).parent) for module in modules)
+"""Both have a ``text``, all that a worker needs, a ``key``, a hash of what makes results, and the
+``software`` that makes them."""
 
 
 @lru_cache(maxsize=2)
@@ -51,11 +42,15 @@ def work_of(text: str) -> Work:
     return Archive(text) if 'root' in json.loads(text) else Campaign(text)
 
 
-def run_chunk(text: str, name: str, tasks: list[Any]) -> tuple[str, str, list[dict[str, Any]]]:
-    """Some tasks, as a worker runs them; name of the chunk, software, rows."""
+def run_chunk(text: str, name: str, tasks: list[Any]) -> tuple[str, list[dict[str, Any]]]:
+    """Some tasks, as a worker runs them; name of the chunk, rows."""
     work = work_of(text)
+    if work.software != software():
+        raise WorkerError(
+            'a worker runs another version of this software: install the same one everywhere'
+        )
     run = work.row if isinstance(work, Archive) else lambda number: run_one(work, number)
-    return name, software(), [run(task) for task in tasks]
+    return name, [run(task) for task in tasks]
 
 
 def chunks_of(campaign: Campaign, size: int = CHUNK) -> dict[str, list[int]]:
@@ -81,7 +76,7 @@ def worker_pool(
 
 def _here(work: Work, chunks: dict[str, list[Any]]) -> Iterator[tuple[str, list[dict[str, Any]]]]:
     for name, tasks in chunks.items():
-        yield name, run_chunk(work.text, name, tasks)[2]
+        yield run_chunk(work.text, name, tasks)
 
 
 def _local(workers: int | None, stack: ExitStack) -> Any:
@@ -126,7 +121,7 @@ def _mapped(
     from distributed import wait
     from distributed.scheduler import KilledWorker
 
-    left, own = list(chunks.items()), software()
+    left = list(chunks.items())
     pending: set[Any] = set()
     while left or pending:
         names, tasks = zip(*left[:MOST_ENTRIES]) if left and not pending else ((), ())
@@ -144,13 +139,9 @@ def _mapped(
             ) from None
         for future in done:
             try:
-                name, version, rows = future.result()
+                yield future.result()
             except KilledWorker as error:
                 raise WorkerError(f'workers died of the same work again: {error}') from error
-            if version != own:
-                text = 'a worker runs another version of this software: install the same one '
-                raise WorkerError(text + 'everywhere')
-            yield name, rows
 
 
 class ResultsFolder:
@@ -163,11 +154,11 @@ class ResultsFolder:
     def begin(self, work: Work) -> None:
         """Keep what is run, to resume it; ConfigError if something else was begun here."""
         begun = self.load()
-        if begun is not None and begun.key != work.key:
+        if begun is not None and (begun.key, begun.software) != (work.key, software()):
             raise ConfigError(
                 '--out',
-                'holds results of another campaign (a file or an option changed): take another '
-                'folder, or remove it',
+                'holds results of another campaign (a file, an option or this software changed): '
+                'take another folder, or remove it',
                 str(self.path),
             )
         self._chunks.mkdir(parents=True, exist_ok=True)

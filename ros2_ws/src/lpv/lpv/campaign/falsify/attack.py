@@ -313,7 +313,7 @@ class _StatedRange:
                 if monitor.healthy is not None:
                     effects = monitor.healthy.evaluate().effects
                     shares = np.where(effects[joint] * sign >= 0.0, 1.0, -1.0)
-        _load(shares, self._sizes, self.arm.uncertainty.payload)
+        _load(shares, self._sizes, self.arm.uncertainty.largest_payload)
         return shares
 
     def disturb(self, joints: FloatArray, own: FloatArray, shares: FloatArray) -> None:

@@ -7,6 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import lpv.bag
+import lpv.campaign
+import lpv.core
 from lpv.campaign.plan.factors import ByKind, Choice
 from lpv.campaign.plan.spec import BOTH, DEFAULTS, PATHS, CampaignSpec, Plan, parse_spec
 from lpv.core.serial_arm.arm_file import load_arm, parse_arm, to_mapping
@@ -14,6 +17,7 @@ from lpv.core.serial_arm.description import SerialArm
 from lpv.core.simulation.scenario import PAPER_PLANTS, PLANTS, parse_scenario
 from lpv.core.support.config import read_yaml, sha256_of
 from lpv.core.support.errors import ConfigError
+from lpv.core.support.jit import source_digest
 from lpv.core.support.resources import bringup_file
 from lpv.core.uio.certificate.conditions import require
 from lpv.core.uio.certificate.gains import Gains, gains_to_dict, load_gains, parse_gains
@@ -21,6 +25,12 @@ from lpv.core.uio.planar import is_planar, planar_model
 
 _OF_GAINS = ('design', 'disturbance')
 """Factors of arms with a region for which gains are designed."""
+
+
+def software() -> str:
+    """Hash of everything that makes the numbers."""
+    modules = (lpv.core.__file__, lpv.bag.__file__, lpv.campaign.__file__)
+    return '-'.join(source_digest(Path(module).parent) for module in modules)
 
 
 def resolve(
@@ -38,6 +48,7 @@ def resolve(
         'scenarios': {name: read_yaml(_file('scenarios', name, folder)) for name in sorted(names)},
         'gains': {},
         'designs': {},
+        'software': software(),
     }
     for name in names:
         scenario = parse_scenario(content['scenarios'][name], name)
@@ -93,6 +104,7 @@ class Campaign:
     def __init__(self, text: str) -> None:
         self.text = text
         self.content: dict[str, Any] = json.loads(text)
+        self.software: str = self.content.get('software', 'unknown')
         self.spec = parse_spec(self.content['spec'])
         self.arm: SerialArm = parse_arm(self.content['arm'])
         self.designed = self.arm.lpv is not None

@@ -83,7 +83,7 @@ def parse_spec(data: dict[str, Any], source: str = 'campaign') -> CampaignSpec:
     plan = top.section('plan')
     method = plan.text('method', choices=METHODS)
     factors = _factors(top.plain('factors'), source)
-    designs = top.texts('designs', ('paper',))
+    designs = top.names('designs', default=('paper',))
     if len(designs) > 1:
         factors.setdefault('design', Choice(designs))
     if method == 'factorial':

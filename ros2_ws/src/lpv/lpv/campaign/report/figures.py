@@ -6,7 +6,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import PercentFormatter
+from matplotlib.ticker import LogLocator, PercentFormatter
 
 from lpv.report.style import BAND, INK, SENSOR, picture
 
@@ -43,16 +43,21 @@ def _detection(numbers: dict[str, Any]) -> Figure | None:
         for entry in mine:
             _probability(top, entry, colours[entry['sensor']])
             _delay(bottom, entry, colours[entry['sensor']])
-        unit = mine[0]['unit']
+        unit = _units(mine)
         top.set(title=kind, ylim=(-0.02, 1.02))
         top.yaxis.set_major_formatter(PercentFormatter(1.0))
         label = mine[0]['dose'] + (f' [{unit}]' if unit != '1' else '')
         bottom.set(xscale='log', yscale='log', xlabel=label)
+        bottom.xaxis.set_minor_locator(LogLocator(subs=(3.0,)))  # more labels would overlap
     axes[0, 0].set_ylabel('detected')
     axes[1, 0].set_ylabel('delay [s]')
     handles = [plt.Line2D([], [], color=colours[name], label=name) for name in names]
     figure.legend(handles=handles, loc='outside upper center', ncols=min(len(names), 4))
     return figure
+
+
+def _units(entries: list[dict[str, Any]]) -> str:
+    return ' or '.join(dict.fromkeys(entry['unit'] for entry in entries))
 
 
 def _probability(axis: Axes, entry: dict[str, Any], colour: str) -> None:
@@ -117,7 +122,8 @@ def _estimates(numbers: dict[str, Any]) -> Figure | None:
             box.set_facecolor(colour)
     axis.set_xticks(range(len(entries)), [entry['sensor'] for entry in entries])
     axis.tick_params(axis='x', labelrotation=30 if len(entries) > 3 else 0)
-    axis.set(yscale='log', ylabel='[rad]', title=f'{entries[0]["what"]} (blue), thresholds (grey)')
+    title = f'{entries[0]["what"]} (blue), thresholds (grey)'
+    axis.set(yscale='log', ylabel=f'[{_units(entries)}]', title=title)
     return figure
 
 
@@ -134,7 +140,7 @@ def _trends(numbers: dict[str, Any]) -> Figure | None:
         axis.plot(days, 1e3 * means, 'o', color=SENSOR[0], markersize=3.5)
         axis.plot(days, 1e3 * line, color=SENSOR[1])
         axis.set(title=f'{trend["unit"] or "-"}, {trend["sensor"]}', xlabel='days')
-        axis.set_ylabel('mean estimate [mrad]')
+        axis.set_ylabel(f'mean estimate [m{trend["position_unit"]}]')
     for axis in list(axes.flat)[len(chosen) :]:
         axis.set_axis_off()
     return figure

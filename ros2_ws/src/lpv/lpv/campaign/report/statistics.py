@@ -1,6 +1,7 @@
 """Rows of results as columns of NumPy; rates, spreads and curves with 95 % intervals."""
 
 import math
+from collections.abc import Mapping
 from functools import lru_cache
 from itertools import product
 from typing import Any
@@ -20,24 +21,29 @@ _FEWEST_BAGS = 5
 """Bags of one arm from which a trend is looked for: each order of four is likelier than 5 %."""
 _DAY = 86400e9  # [ns]
 DOSES = {
-    'bias': ('size', 'rad'),
-    'drift': ('rate', 'rad/s'),
+    'bias': ('size', '{}'),
+    'drift': ('rate', '{}/s'),
     'scale': ('relative size', '1'),
-    'noise': ('standard deviation', 'rad'),
-    'spike': ('height', 'rad'),
-    'rate_bias': ('size', 'rad/s'),
-    'unknown': ('largest size', 'rad'),
+    'noise': ('standard deviation', '{}'),
+    'spike': ('height', '{}'),
+    'rate_bias': ('size', '{}/s'),
+    'unknown': ('largest size', '{}'),
 }
-"""What ``fault_size`` is called, and its unit, of the kinds that have one."""
+"""What ``fault_size`` is called, and its unit by that of the sensor, of the kinds that have one."""
 
 
 class Results:
     """Rows of a campaign, or of a part of it; columns may be missing or empty."""
 
-    def __init__(self, table: pa.Table, sensors: tuple[str, ...]) -> None:
-        self.table, self.sensors, self.count = table, sensors, table.num_rows
+    def __init__(self, table: pa.Table, units: Mapping[str, str]) -> None:
+        self.table, self.units, self.count = table, units, table.num_rows  # units by sensor
+        self.sensors = tuple(units)
         self.kind, self.sensor = self.text('kind'), self.text('sensor')
         self.faulty = (self.kind != NO_FAULT) & (self.kind != '')
+
+    def unit(self, sensor: str) -> str:
+        """Unit of a sensor, of several those that occur."""
+        return self.units.get(sensor) or ' or '.join(dict.fromkeys(self.units.values()))
 
     def number(self, name: str) -> np.ndarray:
         """A column of numbers, NaN where there is none; shape (count,)."""
@@ -149,7 +155,7 @@ def roc(positive: np.ndarray, negative: np.ndarray) -> dict[str, Any] | None:
 
 
 def trends(results: Results) -> list[dict[str, Any]]:
-    """How estimates change from bag to bag: Theil-Sen slope [rad/d], Kendall's probability."""
+    """How estimates change from bag to bag: Theil-Sen slope a day, Kendall's probability."""
     units, start = results.text('unit'), results.number('start')
     means, thresholds = results.each('fault_mean'), results.each('threshold_mean')
     found = []
@@ -167,6 +173,7 @@ def trends(results: Results) -> list[dict[str, Any]]:
             {
                 'unit': unit,
                 'sensor': sensor,
+                'position_unit': results.unit(sensor),
                 'days': days.tolist(),
                 'means': values.tolist(),
                 'slope': slope,

@@ -15,7 +15,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from lpv.campaign.execution.execute import software, write_whole
+from lpv.campaign.execution.execute import write_whole
 from lpv.campaign.plan.campaign import Campaign
 from lpv.campaign.plan.factors import Choice
 from lpv.campaign.plan.spec import BOTH, NO_FAULT
@@ -70,12 +70,13 @@ def report_numbers(
     work: Any, table: pa.Table, folder: Path, planned: int, healthy: bool = False
 ) -> dict[str, Any]:
     """All numbers of the report; None in place of what is not finite."""
-    results = Results(table, work.arm.sensor_names)
+    units = dict(zip(work.arm.sensor_names, work.arm.position_units))
+    results = Results(table, units)
     bags = not isinstance(work, Campaign)
     failed = results.text('error') != ''
     failures = [row for row, bad in zip(table.to_pylist(), failed) if bad]
     if failures:
-        results = Results(table.filter(pa.array(~failed)), work.arm.sensor_names)
+        results = Results(table.filter(pa.array(~failed)), units)
     numbers = {
         'head': _head(work, results, planned, len(failures)),
         'overall': _overall(results),
@@ -98,12 +99,13 @@ def _head(work: Any, results: Results, planned: int, failed: int) -> dict[str, A
     head = {
         'arm': work.arm.name,
         'arm_sha256': work.arm.sha256(),
+        'unit': results.unit(BOTH),
         'count': results.count,
         'planned': planned,
         'missing': max(planned - results.count - failed, 0),
         'failed': failed,
         'hours': float(np.nansum(results.number('observed'))) / 3600.0,
-        'software': software(),
+        'software': work.software,
     }
     if not isinstance(work, Campaign):
         name = f'Bags of {work.root.name}'
@@ -165,7 +167,7 @@ def _detection(results: Results) -> list[dict[str, Any]]:
             if not chosen.any():
                 continue
             known = np.flatnonzero(chosen & (size > 0.0) & (kind in DOSES))
-            dose, unit = DOSES.get(kind, ('', ''))
+            dose, unit = (part.format(results.unit(sensor)) for part in DOSES.get(kind, ('', '')))
             parts = _classes(size, known)
             classes = [(np.median(size[p]), share(found[p]), spread(delay[p])) for p in parts]
             entries.append(
@@ -199,9 +201,8 @@ def _isolation(results: Results) -> dict[str, Any]:
     """Confusion of kinds and of sensors in runs with a fault; alarms in runs without one."""
     faulty, well = results.faulty, results.kind == NO_FAULT
     said = {name: results.text(f'said_{name}', NO_FAULT)[faulty] for name in ('kind', 'sensor')}
-    kinds = (*KINDS, NO_FAULT, 'unclassified', 'inconsistent')
     return {
-        'kind': confusion(results.kind[faulty], said['kind'], kinds),
+        'kind': confusion(results.kind[faulty], said['kind'], (*KINDS, NO_FAULT)),
         'sensor': confusion(
             results.sensor[faulty], said['sensor'], (*results.sensors, BOTH, NO_FAULT)
         ),
@@ -254,6 +255,7 @@ def _estimates(results: Results) -> list[dict[str, Any]]:
     return [
         {
             'sensor': sensor,
+            'unit': results.unit(sensor),
             'what': 'RMS error of estimates' if truth else 'RMS of estimates',
             'error': spread(values[:, i]),
             'threshold': spread(thresholds[:, i]),
@@ -275,7 +277,7 @@ def _groups(work: Any, results: Results) -> list[dict[str, Any]]:
         groups = []
         for value in values if len(values) > 1 else ():
             chosen = pa.array(results.text(factor) == value)
-            part = Results(results.table.filter(chosen), results.sensors)
+            part = Results(results.table.filter(chosen), results.units)
             well = part.flag('stable')
             group = {'value': value, 'count': part.count, **_overall(part)}
             group['delay'] = spread(part.number('detection_delay'))
@@ -301,7 +303,7 @@ def _worst(results: Results, folder: Path) -> list[dict[str, Any]]:
     missed = results.faulty & ~results.flag('detected')
     alarms = results.number('false_alarms')
     lists = (
-        ('Largest tracking errors', '[rad]', lost),
+        ('Largest tracking errors', f'[{results.unit(BOTH)}]', lost),
         ('Undetected, largest faults', 'of the largest', np.where(missed, relative, np.nan)),
         ('Longest delays', '[s]', results.number('detection_delay')),
         ('Most false alarms', '', np.where(alarms > 0.0, alarms, np.nan)),
@@ -437,8 +439,9 @@ def print_summary(numbers: dict[str, Any], console: Console) -> None:
     for trend in numbers['trends']:
         if trend['clear']:
             console.print(
-                f'trend   {trend["unit"] or "-"}, {trend["sensor"]}: {trend["slope"]:+.2e} rad per '
-                f'day, reaches its threshold in {number(trend["days_left"])} days',
+                f'trend   {trend["unit"] or "-"}, {trend["sensor"]}: {trend["slope"]:+.2e} '
+                f'{trend["position_unit"]} per day, reaches its threshold in '
+                f'{number(trend["days_left"])} days',
                 markup=False,
             )
     for row in numbers['failures'][:_MOST]:
@@ -448,7 +451,7 @@ def print_summary(numbers: dict[str, Any], console: Console) -> None:
 def _show(console: Console, columns: Sequence[str], rows: list[tuple[str, ...]]) -> None:
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     for k, name in enumerate(columns):
-        table.add_column(name, justify='right' if k > 1 else 'left', no_wrap=True)
+        table.add_column(name, justify='right' if k > 1 else 'left')
     for row in rows:
         table.add_row(*row)
-    console.print(table, markup=False)
+    console.print(table, markup=False, soft_wrap=False)  # cells are wrapped, not cut

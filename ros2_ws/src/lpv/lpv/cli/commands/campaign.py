@@ -19,7 +19,7 @@ from lpv.core.support.resources import bringup_file
 def run(arguments: argparse.Namespace) -> int:
     """Run what is missing, and put the results together."""
     console = Console(soft_wrap=True, highlight=False)
-    is_folder = Path(arguments.spec).is_dir()
+    is_folder = Path(arguments.campaign).is_dir()
     campaign, folder = _open(arguments)
     if arguments.run is not None or arguments.bag is not None:
         return _run_to_bag(arguments, campaign, folder, console)
@@ -50,7 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _open(arguments: argparse.Namespace) -> tuple[Campaign, ResultsFolder]:
     """Campaign and its results, with the gains that were used if it has begun already."""
-    path = Path(arguments.spec)
+    path = Path(arguments.campaign)
     if path.is_dir():
         folder = ResultsFolder(path)
         begun = folder.load()
@@ -58,7 +58,7 @@ def _open(arguments: argparse.Namespace) -> tuple[Campaign, ResultsFolder]:
             raise ConfigError('spec', 'holds no results of a campaign', str(path))
         return begun, folder
     if not path.is_file():
-        path = bringup_file('campaigns', arguments.spec)
+        path = bringup_file('campaigns', arguments.campaign)
     campaign = resolve(read_yaml(path), str(path), path.resolve().parent)
     folder = ResultsFolder(arguments.out or Path('out') / 'campaign' / path.stem)
     begun = folder.load()

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from lpv.bag.run.csv_import import ColumnMap, load_column_map
 from lpv.cli.arm_choice import chosen_arm
-from lpv.core.serial_arm.arm_file import parse_arm, save_arm, to_mapping
+from lpv.core.serial_arm.arm_file import save_arm
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.resources import bringup_file
@@ -145,7 +145,5 @@ def _calibrate(arguments: argparse.Namespace, arm: SerialArm, recordings: list[R
 def _save(arm: SerialArm, arguments: argparse.Namespace, what: str = 'arm file') -> None:
     """Write the arm, unless nobody could read it."""
     if arguments.out:
-        out = Path(arguments.out)
-        parse_arm(to_mapping(arm), f'{out} is not written', out.parent)
-        save_arm(arm, out)
-        print(f'{what} written to {out}')
+        save_arm(arm, arguments.out)
+        print(f'{what} written to {arguments.out}')

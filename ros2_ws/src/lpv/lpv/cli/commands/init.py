@@ -13,7 +13,7 @@ from string import Template
 import numpy as np
 import yaml
 
-from lpv.cli import arm_choice
+from lpv.cli.arm_choice import chosen_arm
 from lpv.core.serial_arm.arm_file import load_arm, parse_arm, save_arm, to_mapping
 from lpv.core.serial_arm.description import LpvRegion, SerialArm, Uncertainty
 from lpv.core.simulation.scenario import parse_scenario
@@ -43,7 +43,7 @@ def run(arguments: argparse.Namespace) -> int:
             if getattr(arguments, option):
                 raise ConfigError(f'--{option}', 'is for joints of a URDF: give --urdf')
         return _write(folder, replace(_example(), name=name or 'my_arm'), 'arm')
-    arm = arm_choice.with_stated_friction(arm_choice.chosen_arm(arguments), arguments.urdf)
+    arm = chosen_arm(arguments)
     arm = _with_region(replace(arm, name=name or re.sub(r'\W', '_', arm.name)))
     urdf = os.path.relpath(Path(arguments.urdf).resolve(), folder.resolve())
     return _write(folder, replace(arm, urdf=urdf), arguments.urdf)
@@ -63,13 +63,12 @@ def _with_region(arm: SerialArm) -> SerialArm:
     """A planar arm with the region that gains are designed for; others as they are."""
     if len(arm.joints) == 2 and not any(arm.tip):
         # A URDF without a frame at its tip: the link ends twice as far as its centre of mass.
-        link = arm.joints[1].link
-        x, y, z = (2.0 * moment / max(link.mass, 1e-9) for moment in link.first_moment)
+        x, y, z = (2.0 * arm.joints[1].link.center()).tolist()
         arm = replace(arm, tip=(x, y, z))
     if not is_planar(arm):
         return arm
     region = LpvRegion('upright', (0.3, 0.3), (0.7, 0.7), 0.0, 0.1)
-    return replace(arm, lpv=region, uncertainty=Uncertainty(0.0, 0.3, _MODEL_ERROR))
+    return replace(arm, lpv=region, uncertainty=Uncertainty(friction=0.3, model_error=_MODEL_ERROR))
 
 
 def _write(folder: Path, arm: SerialArm, source: str) -> int:

@@ -47,7 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
     shutil.rmtree(out, ignore_errors=True)
     begin = time.perf_counter()
     options = reading_options(
-        arguments, preset=arguments.compression, estimates_only=arguments.estimates_only
+        arguments, preset=arguments.preset, estimates_only=arguments.estimates_only
     )
     result = Replay(
         monitor, options, injector, lambda event, time: console.print(_alarm_line(event, time))

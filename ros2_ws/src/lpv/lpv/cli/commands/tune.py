@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy import stats
 
-from lpv.campaign.execution.execute import chunks_of, software, worker_pool
+from lpv.campaign.execution.execute import chunks_of, worker_pool
 from lpv.campaign.plan.campaign import Campaign, resolve
 from lpv.campaign.plan.spec import NO_FAULT
 from lpv.core.monitoring.parameters import DiagnosisParameters
@@ -237,7 +237,7 @@ def _search(
     """Trials up to the number wanted."""
     # Each draws from a generator of its own: a study that was killed goes on as if it had not been.
     key = sha256_of([bench.campaign.key, bench.ranges, bench.weights, bench.content({}),
-                     arguments.seed, software()])  # fmt: skip
+                     arguments.seed, bench.campaign.software])  # fmt: skip
     storage = f'sqlite:///{folder / "study.db"}'
     try:
         known = optuna.get_all_study_names(storage)

@@ -121,7 +121,6 @@ class ComputedTorqueController(TrackingLaw):
     def __init__(self, arm: SerialArm, bandwidth: float = BANDWIDTH) -> None:
         self._chain = compile_chain(arm)
         self._work = workspace(self._chain)
-        self.bandwidth = bandwidth
         gains = _triple_pole(bandwidth)
         self.tolerated_latency = serial_loop_latency(bandwidth, arm.sample_time)
         if self.tolerated_latency < arm.sample_time:
@@ -141,11 +140,6 @@ class ComputedTorqueController(TrackingLaw):
     def parts(self) -> ComputedTorqueParts:
         """Arguments of `computed_torque`."""
         return ComputedTorqueParts(self._chain, self._memory, self._work)
-
-    @property
-    def chain(self) -> Chain:
-        """The model that torques are computed with."""
-        return self._chain
 
     def answer(self, *sample: Any) -> None:
         """As `TrackingLaw.answer`."""

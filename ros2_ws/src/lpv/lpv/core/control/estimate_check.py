@@ -19,10 +19,9 @@ from lpv.core.support.timestamps import NANOSECONDS, NEVER
 
 ROWS = ('position', 'compensated_position', 'measured_position', 'velocity', 'measured_velocity')
 """Fields of lpv_msgs/StateEstimate in the order in which `check_values` takes them."""
-_POSITIONS = 3  # of `ROWS`, the first ones
-_FARTHEST, _FASTEST = 100.0, 1e6
-"""Positions [rad] and rates [rad/s] that no arm has: sixteen turns; rates above the velocity limit
-are judged by the watchdog."""
+_LARGEST = 1e6
+"""Positions [rad] and rates [rad/s] that no arm has: a joint without end takes days to turn so far;
+rates above the velocity limit are judged by the watchdog."""
 
 
 class ValueFault(IntEnum):
@@ -41,11 +40,10 @@ def check_values(values: np.ndarray) -> int:
     """`ValueFault` of positions and rates, shape (5, n), in the order of `ROWS`."""
     found = _NONE
     for k in range(values.shape[0]):
-        limit = _FARTHEST if k < _POSITIONS else _FASTEST
         for i in range(values.shape[1]):
             if not math.isfinite(values[k, i]):
                 return _NOT_FINITE
-            if abs(values[k, i]) > limit:
+            if abs(values[k, i]) > _LARGEST:
                 found = _IMPOSSIBLE
     return found
 

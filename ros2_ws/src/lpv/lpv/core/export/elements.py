@@ -5,8 +5,6 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from lpv.core.serial_arm.chain import FloatArray
-
 
 def add_element(parent: ElementTree.Element, tag: str, **attributes: Any) -> ElementTree.Element:
     """A child element; numbers and sequences of numbers keep every digit."""
@@ -20,8 +18,3 @@ def _text(value: Any) -> str:
 
 def _digits(value: float) -> str:
     return repr(float(value)) if value else '0'
-
-
-def about_center(inertia: FloatArray, mass: float, center: FloatArray) -> FloatArray:
-    """Rotational inertia about the centre of mass, of one about the frame's origin [kg m2]."""
-    return inertia - mass * (center @ center * np.eye(3) - np.outer(center, center))

@@ -9,8 +9,9 @@ from xml.etree import ElementTree
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from lpv.core.export.elements import about_center, add_element
-from lpv.core.serial_arm.chain import IXX, MASS, MX, Chain, FloatArray
+from lpv.core.export.elements import add_element
+from lpv.core.serial_arm.chain import Chain, FloatArray
+from lpv.core.serial_arm.description import LinkInertia
 from lpv.core.support.errors import ConfigError
 
 _THINNEST = 1e-9
@@ -20,7 +21,7 @@ _THINNEST = 1e-9
 def chain_mjcf(chain: Chain) -> str:
     """Write a serial arm as MJCF, without friction, drives, contacts and shapes.
 
-    ConfigError if a link has no mass.
+    ConfigError if a link has no mass, or a rotor that couples joints no inertia.
     """
     armature, rotors = _rotors(chain)
     root = ElementTree.Element('mujoco', model='arm')
@@ -61,6 +62,8 @@ def _rotors(chain: Chain) -> tuple[FloatArray, list[tuple[int, float, float]]]:
     for i in range(1, len(armature)):
         coupling, reflected = chain.motor[i - 1, i], chain.motor[i, i]
         if coupling != 0.0:
+            if reflected == 0.0:
+                raise ConfigError(f'motor[{i}]', 'must have the inertia of its rotor for MuJoCo')
             rotors.append((i, float(coupling**2 / reflected), float(-reflected / coupling)))
             armature[i - 1] -= coupling**2 / reflected
             armature[i] -= reflected
@@ -68,13 +71,10 @@ def _rotors(chain: Chain) -> tuple[FloatArray, list[tuple[int, float, float]]]:
 
 
 def _add_inertia(parent: ElementTree.Element, body: FloatArray, i: int) -> None:
-    mass = float(body[MASS])
-    if not mass > 0.0:
+    link = LinkInertia.from_vector(body)
+    if not link.mass > 0.0:
         raise ConfigError(f'inertial[{i}]', 'must have a mass for MuJoCo')
-    center = body[MX:IXX] / mass
-    xx, xy, yy, xz, yz, zz = body[IXX:]
-    about = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    about = about_center(about, mass, center)
+    about = link.about_center()
     about += max(_THINNEST * np.trace(about) - np.linalg.eigvalsh(about)[0], 0.0) * np.eye(3)
     entries = about[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-    add_element(parent, 'inertial', pos=center, mass=mass, fullinertia=entries)
+    add_element(parent, 'inertial', pos=link.center(), mass=link.mass, fullinertia=entries)

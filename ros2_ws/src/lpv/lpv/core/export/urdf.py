@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from lpv.core.export.elements import about_center, add_element
+from lpv.core.export.elements import add_element
 from lpv.core.serial_arm.chain import FloatArray
 from lpv.core.serial_arm.description import SerialArm, SerialJoint, rotation_from_rpy
 from lpv.core.support.errors import ConfigError
@@ -111,9 +111,7 @@ def _inertial(link: ElementTree.Element, arm: SerialArm, index: int) -> None:
     described = arm.joints[index].link
     if described.mass == 0.0:
         return
-    center = np.array(described.first_moment) / described.mass
-    inertia = about_center(described.rotational_inertia(), described.mass, center)
-    values, axes = np.linalg.eigh(inertia)
+    values, axes = np.linalg.eigh(described.about_center())
     if values[1] <= 0.0:
         raise ConfigError(
             f'joints[{index}].link.inertia',
@@ -123,7 +121,7 @@ def _inertial(link: ElementTree.Element, arm: SerialArm, index: int) -> None:
         )
     inertia = axes @ np.diag(np.maximum(values, _SLENDER * values[2])) @ axes.T
     element = add_element(link, 'inertial')
-    _origin(element, center)
+    _origin(element, described.center())
     add_element(element, 'mass', value=described.mass)
     (ixx, ixy, ixz), (_, iyy, iyz), (_, _, izz) = inertia
     add_element(element, 'inertia', ixx=ixx, iyy=iyy, izz=izz, ixy=ixy, ixz=ixz, iyz=iyz)
@@ -144,16 +142,15 @@ def _cylinder(
 
 def _joint(robot: ElementTree.Element, joint: SerialJoint, parent: str, child: str) -> None:
     limits = joint.limits
-    bounded = math.isfinite(limits.lower) and math.isfinite(limits.upper)
-    kind = joint.type if bounded or joint.is_prismatic else 'continuous'
+    kind = 'continuous' if joint.is_endless else joint.type
     element = add_element(robot, 'joint', name=joint.name, type=kind)
     _ends(element, parent, child)
     _origin(element, joint.position, joint.orientation)
     add_element(element, 'axis', xyz=joint.axis)
     values = {'effort': min(limits.torque, LARGEST), 'velocity': limits.velocity}
-    if bounded:
-        values |= {'lower': limits.lower, 'upper': limits.upper}
-    if bounded or joint.is_prismatic or limits.torque < LARGEST:
+    if not joint.is_endless:  # what is left out is 0 to readers
+        values |= {'lower': max(limits.lower, -LARGEST), 'upper': min(limits.upper, LARGEST)}
+    if not joint.is_endless or limits.torque < LARGEST:
         add_element(element, 'limit', **values)
     friction = joint.friction
     add_element(element, 'dynamics', damping=friction.viscous, friction=friction.coulomb)

@@ -1,6 +1,9 @@
 """Alarm events and counters of samples in the words of an operator."""
 
+import math
+
 from lpv.core.serial_arm.diagnosis.alarms import GUARANTEED, STATISTICAL, Alarm, AlarmEvent
+from lpv.core.support.formatting import decimals
 
 _EVENTS = {
     AlarmEvent.RAISED: 'ALARM',
@@ -35,7 +38,10 @@ def describe(event: Alarm) -> str:
     """An alarm event as one line: sensor, error with its bound, kind, confidence."""
     head = f'{_EVENTS[event.event]}, {event.sensor}: '
     unit = _UNITS.get(event.kind, ' {}').format(event.unit)
-    error = f'{event.size:+.3f}{unit} (bound {event.bound:.3f}{unit})'
+    digits = decimals(event.unit)
+    error = f'{event.size:+.{digits}f}{unit} (bound {event.bound:.{digits}f}{unit})'
+    if math.isinf(event.bound):
+        error = 'of unknown size'
     if event.kind == 'dropout':
         over = ' is over' if event.event == AlarmEvent.CLEARED else ''
         return f'{head}no readings (dropout){over}'
@@ -44,7 +50,7 @@ def describe(event: Alarm) -> str:
     sure = f'{event.confidence:.1%}' if event.confidence < _CERTAIN else '> 99.9%'
     kind = _KINDS.get(event.kind, event.kind)
     if event.kind == 'drift' and event.rate != 0.0:
-        kind += f' of {event.rate:+.3f} {event.unit}/s'
+        kind += f' of {event.rate:+.{digits}f} {event.unit}/s'
     if event.basis == GUARANTEED:
         return f'{head}error {error}, {kind}, guaranteed: no healthy arm inside its file reads this'
     if event.basis == STATISTICAL:

@@ -1,13 +1,11 @@
 """What a measurement leads to, for any number of joints."""
 
-from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from lpv.core.control.watchdog import TrackerLimits
-from lpv.core.monitoring import message_fields
 from lpv.core.serial_arm.diagnosis.alarms import Alarm
 from lpv.core.support.records import record_type
 from lpv.core.support.timestamps import NANOSECONDS
@@ -45,67 +43,19 @@ def answer_type(joints: int) -> np.dtype:
     )
 
 
-@dataclass
-class Answer:
-    """What one measurement leads to: a record, and what there is to say now and then.
+class Answer(NamedTuple):
+    """What one measurement leads to."""
 
-    Fields of messages are made of the record where they are asked for: a node has messages of its
-    own, which it copies the record into.
-
-    Attributes
-    ----------
-    stamp : int
-        Of the measurement [ns]; of every message, too.
-    record : numpy.void
-        Of `answer_type`.
-    arm : SerialArm
-        Names of joints and sensors.
-    status : list of dict or None
-        diagnostic_msgs/DiagnosticArray's statuses where a report is due.
-    events : list of Alarm
-        Alarm events.
-    warnings : list of str
-        What contradicts the arm file and was not said before.
-    """
-
-    stamp: int
-    record: np.void
-    arm: Any
-    status: list[dict[str, Any]] | None = None
-    events: list[Alarm] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)
-
-    @cached_property
-    def state(self) -> dict[str, Any]:
-        """Fields of lpv_msgs/StateEstimate."""
-        return message_fields.state_fields(self.record['state'])
-
-    @cached_property
-    def fault(self) -> dict[str, Any] | None:
-        """Fields of lpv_msgs/FaultEstimate, if there is one."""
-        if not self.record['has_fault']:
-            return None
-        return message_fields.fault_fields(self.record['fault'], self.arm.sensor_names)
-
-    @property
-    def corrected(self) -> dict[str, Any] | None:
-        """Fields of sensor_msgs/JointState with confirmed faults removed, if there is one."""
-        return message_fields.corrected_fields(self.record['state'], self.arm.joint_names)
-
-    @property
-    def alarms(self) -> list[dict[str, Any]]:
-        """Fields of lpv_msgs/FaultAlarm, one for each event."""
-        return [message_fields.alarm_fields(event) for event in self.events]
+    stamp: int  # of the measurement, and of every message [ns]
+    record: np.void  # of `answer_type`
+    status: list[dict[str, Any]] | None  # of diagnostic_msgs/DiagnosticArray, where a report is due
+    events: list[Alarm]
+    warnings: list[str]  # what contradicts the arm file and was not said before
 
     @property
     def restarted(self) -> bool:
         """The clock was set back: observer and alarms restarted."""
         return bool(self.record['restarted'])
-
-    @property
-    def inconsistent(self) -> bool:
-        """Rates, torques and model contradict each other."""
-        return bool(self.record['inconsistent'])
 
 
 @dataclass

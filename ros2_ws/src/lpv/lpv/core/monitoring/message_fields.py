@@ -1,10 +1,8 @@
-"""What is published about estimates, as plain fields: the same for the node and for a replay.
+"""Alarms and diagnostics as plain fields of messages: the same for the node and for a replay.
 
-Each function returns a dict whose keys are the field names of one message type (without its
-header), so that neither ROS nor a bag library is needed here.
+Neither ROS nor a bag library is needed here; headers are left out.
 """
 
-from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -31,46 +29,6 @@ _MODES = {
     Mode.NO_ESTIMATE: (STALE, 'no usable measurement yet'),
 }
 _INCONSISTENT = 'inconsistent, cause unknown: rates, torques and model contradict each other'
-
-
-def state_fields(state: np.record) -> dict[str, Any]:
-    """Fields of lpv_msgs/StateEstimate from the ``state`` of an answer, whose values are copied."""
-    names = (
-        'position',
-        'velocity',
-        'compensated_position',
-        'measured_position',
-        'measured_velocity',
-    )
-    return {
-        **{name: state[name].copy() for name in names},
-        'mode': int(state['mode']),
-        'trustworthy': bool(state['trustworthy']),
-    }
-
-
-def fault_fields(fault: np.record, sensor_names: Sequence[str]) -> dict[str, Any]:
-    """Fields of lpv_msgs/FaultEstimate from the ``fault`` of an answer, whose values are copied."""
-    return {
-        'sensor_names': list(sensor_names),
-        **{name: fault[name].copy() for name in ('estimate', 'bound', 'threshold')},
-        'state': fault['state'].tolist(),
-        'alarm': [bool(a) for a in fault['alarm']],
-    }
-
-
-def corrected_fields(state: np.record, joint_names: Sequence[str]) -> dict[str, Any] | None:
-    """Fields of sensor_msgs/JointState with confirmed faults removed; None without an estimate.
-
-    Positions are those measured less confirmed faults, rates those of the estimate.
-    """
-    if state['mode'] >= Mode.STALE:
-        return None
-    return {
-        'name': list(joint_names),
-        'position': state['compensated_position'].copy(),
-        'velocity': state['velocity'].copy(),
-    }
 
 
 def alarm_fields(alarm: Alarm) -> dict[str, Any]:

@@ -425,7 +425,6 @@ class SerialSensorMonitor:
         return Answer(
             stamp,
             one.plain.copy()[0],
-            self.arm,
             answers.reports[0][1] if answers.reports else None,
             [event for _, event in answers.events],
             self._new_warnings() if answers.reports else [],
@@ -745,13 +744,13 @@ class SerialSensorMonitor:
         answer = answers.state[row], answers.fault[row] if answers.has_fault[row] else None
         answers.reports.append((row, self._status(*answer)))
 
-    def stale_fault(self) -> dict[str, Any] | None:
-        """Fields of a FaultEstimate that says that its values are the last ones, if there are."""
+    def stale_fault(self) -> np.record | None:
+        """The last ``fault`` of an answer, if there is one, marked as such."""
         if not self._last.has_fault[0]:
             return None
         last = self._last.copy()
         last.fault.state = SensorState.STALE
-        return message_fields.fault_fields(last.fault[0], self.arm.sensor_names)
+        return last.fault[0]
 
     def status(self, mode: Mode) -> list[dict[str, Any]]:
         """Statuses for /diagnostics; of the last answer, with a mode."""
@@ -785,7 +784,7 @@ class SerialSensorMonitor:
             return 'none of offsets after other loads, pushes or a fault that changes, until reset'
         return (
             f'healthy arms with masses and inertias within {stated.model_error:.3g}, friction '
-            f'within {stated.friction:.3g}, payload up to {stated.payload:g} kg'
+            f'within {stated.friction:.3g}, payload up to {stated.largest_payload:g} kg'
         )
 
     def _guaranteed(self) -> tuple[dict[str, str], ...]:

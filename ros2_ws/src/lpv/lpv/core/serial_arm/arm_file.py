@@ -119,7 +119,7 @@ def _parse(data: dict[str, Any], source: str, folder: str | Path) -> SerialArm:
         if 'bandwidth' in effort
         else math.inf,
         uncertainty=Uncertainty(
-            varying.number('payload', 0.0, 0.0, 1e4),
+            varying.number('payload', 0.0, 0.0, 1e4) if 'payload' in varying else None,
             varying.number('friction', 0.0, 0.0, 1.0),
             varying.number('model_error', 0.0, 0.0, 1.0) if 'model_error' in varying else None,
             torque_error=_per_joint(varying, 'torque_error', len(joints)),
@@ -138,6 +138,8 @@ def _parse(data: dict[str, Any], source: str, folder: str | Path) -> SerialArm:
     for names, field in ((arm.joint_names, 'joints'), (arm.sensor_names, 'sensors')):
         if len(set(names)) < len(names):
             raise top.error(field, 'use a name twice')
+    if joints[0].rotor_coupling != 0.0:
+        raise top.error('joints[0].rotor_coupling', 'must be 0: there is no joint before')
     for i, joint in enumerate(joints):
         carried = np.array([one.link.to_vector() for one in joints[i:]])
         if joint.rotor_inertia == 0.0 and not carried.any():
@@ -178,7 +180,7 @@ def _lpv(top: Section, n: int) -> LpvRegion | None:
 
 
 def save_arm(arm: SerialArm, path: str | Path) -> None:
-    """Write an arm file; `load_arm` reads the same arm back, bit by bit.
+    """Write an arm file, from which `load_arm` reads the same arm, bit by bit.
 
     Parameters
     ----------
@@ -186,16 +188,22 @@ def save_arm(arm: SerialArm, path: str | Path) -> None:
         The arm.
     path : str or pathlib.Path
         File to write; an existing one is replaced.
+
+    Raises
+    ------
+    ConfigError
+        If `load_arm` would refuse the file; nothing is written.
     """
+    path, content = Path(path), to_mapping(arm)
+    parse_arm(content, f'{path} is not written', path.parent)
     text = yaml.dump(
-        to_mapping(arm),
+        content,
         Dumper=_Dumper,
         sort_keys=False,
         width=110,
         default_flow_style=False,
         allow_unicode=True,
     )
-    path = Path(path)
     partial = path.with_name(path.name + '.part')
     partial.write_text(_HEADER + text, encoding='utf-8')
     partial.replace(path)
@@ -333,7 +341,7 @@ def _joint(section: Section, base: SerialJoint | None) -> SerialJoint:
     else:
         position, orientation, axis = base.position, base.orientation, base.axis
     link = _link(section) if base is None or 'link' in section else base.link
-    limits = base.limits if base is not None and 'limits' not in section else _limits(section)
+    limits = _limits(section, JointLimits() if base is None else base.limits)
     joint = SerialJoint(
         name=name,
         position=position,
@@ -402,15 +410,17 @@ def _friction(section: Section) -> JointFriction:
     return result
 
 
-def _limits(section: Section) -> JointLimits:
+def _limits(section: Section, base: JointLimits) -> JointLimits:
     limits = section.section('limits', required=False)
-    lower = limits.number('lower', None, -LARGEST, LARGEST) if 'lower' in limits else -math.inf
-    upper = limits.number('upper', None, lower, LARGEST) if 'upper' in limits else math.inf
+    lower = limits.number('lower', None, -LARGEST, LARGEST) if 'lower' in limits else base.lower
+    upper = limits.number('upper', high=LARGEST, above=lower) if 'upper' in limits else base.upper
+    if not lower < upper:
+        raise limits.error('lower', f'must be below {upper}, the upper limit, got {lower}')
     result = JointLimits(
         lower,
         upper,
-        limits.number('velocity', 100.0, above=0.0, high=1e4),
-        limits.number('torque', 1e9, above=0.0, high=1e9),
+        limits.number('velocity', base.velocity, above=0.0, high=1e4),
+        limits.number('torque', base.torque, above=0.0, high=1e9),
     )
     limits.finish()
     return result

@@ -56,6 +56,16 @@ class LinkInertia:
         xx, xy, yy, xz, yz, zz = self.inertia
         return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
+    def center(self) -> np.ndarray:
+        """Centre of mass, shape (3,) [m]; the origin without a mass."""
+        moment = np.array(self.first_moment)
+        return moment / self.mass if self.mass != 0.0 else 0.0 * moment
+
+    def about_center(self) -> np.ndarray:
+        """Inertia about the centre of mass, shape (3, 3) [kg m2]."""
+        c = self.center()
+        return self.rotational_inertia() - self.mass * (c @ c * np.eye(3) - np.outer(c, c))
+
     def pseudo_inertia(self) -> np.ndarray:
         """Second moments of the mass distribution, shape (4, 4).
 
@@ -184,13 +194,14 @@ class SerialJoint:
 
     @property
     def range(self) -> tuple[float, float]:
-        """Positions of usual motions [rad]: the limits within half a turn to each side.
+        """Positions of usual motions [rad]: the limits within half a turn about what is next to 0.
 
         Of a prismatic joint, the limits, or 1 m where there are none.
         """
         low, high = self.limits.lower, self.limits.upper
         if not self.is_prismatic:
-            return max(low, -math.pi), min(high, math.pi)
+            middle = min(max(low, 0.0), high)
+            return max(low, middle - math.pi), min(high, middle + math.pi)
         if math.isinf(low):
             low = high - 1.0 if math.isfinite(high) else -0.5
         return low, low + 1.0 if math.isinf(high) else high
@@ -236,7 +247,8 @@ class ParameterCovariance:
 class Uncertainty:
     """What may differ from the description while the arm is healthy."""
 
-    payload: float = 0.0  # largest unknown mass at the tip [kg]
+    # largest unknown mass at the tip, 0 if it never carries any; None: not stated [kg]
+    payload: float | None = None
     friction: float = 0.0  # relative change of all friction, as with temperature [-]
     model_error: float | None = None  # of masses, places of masses, inertias [-]; None: not stated
     # torque that the model misses, a standard deviation for each joint; None: not measured.
@@ -244,6 +256,11 @@ class Uncertainty:
     torque_error: tuple[float, ...] | None = None  # in slow motion [N m]
     torque_error_speed: tuple[float, ...] | None = None  # growth with the joint's rate [N m s/rad]
     torque_error_time: float | None = None  # in which its correlation falls to 1/e [s]
+
+    @property
+    def largest_payload(self) -> float:
+        """Largest payload of which something can be guaranteed: as stated, else none [kg]."""
+        return self.payload or 0.0
 
 
 @dataclass(frozen=True)
@@ -352,7 +369,8 @@ class SerialArm:
     def sha256(self) -> str:
         """Hash of every parameter: what is designed for this arm carries it."""
         content = asdict(self)
-        # Files without these fields keep their hash.
+        # What is designed holds for what is stated; files without these fields keep their hash.
+        content['uncertainty']['payload'] = self.uncertainty.largest_payload
         for name in ('torque_error', 'torque_error_speed', 'torque_error_time'):
             if content['uncertainty'][name] is None:
                 del content['uncertainty'][name]

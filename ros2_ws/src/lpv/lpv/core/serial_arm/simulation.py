@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from lpv.core.serial_arm.chain import COULOMB, SLOPE, VISCOUS, Chain, FloatArray, workspace
+from lpv.core.serial_arm.chain import COULOMB, LOAD, SLOPE, VISCOUS, Chain, FloatArray, workspace
 from lpv.core.serial_arm.dynamics.friction import friction_torque
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.dynamics.momentum import forward_dynamics
@@ -103,12 +103,12 @@ def integration_step(chain: Chain, period: float) -> tuple[float, int]:
         Length of a Runge-Kutta step [s], and their number, 2 to `MAX_SUBSTEPS`.
     """
     n, model = len(chain.translation), SerialModel(chain)
-    rng = np.random.default_rng(0)
-    inertia = np.min([
-        1.0 / np.diag(np.linalg.inv(model.mass_matrix(q))) for q in rng.uniform(-3, 3, (20, n))
-    ], axis=0)  # fmt: skip
-    slope = chain.friction[:, VISCOUS] + 2.0 / np.pi * chain.friction[:, COULOMB] * np.maximum(
-        chain.friction[:, SLOPE], 1.0)  # fmt: skip
+    postures = np.random.default_rng(0).uniform(-3, 3, (20, n))
+    inertia = np.min([1.0 / np.diag(np.linalg.inv(model.mass_matrix(q))) for q in postures], axis=0)
+    carried = np.max([np.abs(model.gravity(q)) for q in postures], axis=0)
+    dry = chain.friction[:, COULOMB] + chain.friction[:, LOAD] * carried
+    slope = chain.friction[:, VISCOUS]
+    slope = slope + 2.0 / np.pi * dry * np.maximum(chain.friction[:, SLOPE], 1.0)
     needed = int(np.ceil(period * float((slope / inertia).max()) / 1.5))
     count = min(max(needed, 2), MAX_SUBSTEPS)
     return period / count, count

@@ -29,7 +29,7 @@ class Turns:
         self._period = arm.sample_time
         self._last = np.full(len(self._endless), math.nan)  # as it came [rad]
         self._turns = np.zeros(len(self._endless))
-        self._stamp: int | None = None
+        self._stamps = np.zeros(len(self._endless), np.int64)  # of these [ns]
 
     def continued(
         self, stamps: IntArray, position: FloatArray, velocity: FloatArray
@@ -51,19 +51,20 @@ class Turns:
         if len(stamps) == 0 or not self._endless.any():
             return position, velocity
         seen = np.concatenate([self._last[None], position])
+        at = np.vstack([self._stamps, np.broadcast_to(stamps[:, None], position.shape)])
         with np.errstate(invalid='ignore'):
             finite = np.abs(seen) < FARTHEST
         if not finite.all():  # the last one that there was
             place = np.where(finite, np.arange(len(seen))[:, None], 0)
-            seen = np.take_along_axis(seen, np.maximum.accumulate(place, axis=0), axis=0)
+            place = np.maximum.accumulate(place, axis=0)
+            seen, at = (np.take_along_axis(one, place, axis=0) for one in (seen, at))
         jump = np.diff(seen, axis=0)
-        first = int(stamps[0]) if self._stamp is None else self._stamp
-        self._last, self._stamp = seen[-1], int(stamps[-1])
+        self._last, self._stamps = seen[-1], at[-1]
         with np.errstate(invalid='ignore'):
             wraps = (np.abs(jump) > math.pi) & self._endless
         if not (wraps.any() or self._turns.any()):
             return position, velocity
-        time = np.maximum(np.diff(stamps, prepend=first) / NANOSECONDS, self._period)[:, None]
+        time = np.maximum((stamps[:, None] - at[:-1]) / NANOSECONDS, self._period)
         whole = np.where(wraps, np.round(np.where(wraps, jump, 0.0) / TURN), 0.0)
         explained = LATE * self._speed * time + _NOISE
         whole[~((np.abs(jump - TURN * whole) < explained) & (np.abs(whole) == 1.0))] = 0.0

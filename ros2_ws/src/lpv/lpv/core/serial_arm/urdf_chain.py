@@ -89,14 +89,18 @@ def _read_model(
     import pinocchio
 
     held = dict(locked or {})
+    reason = ''
     with _quiet() as sink:
         try:
             model = pinocchio.buildModelFromXML(urdf.text)
         except (ValueError, RuntimeError, IndexError) as error:
-            sink.seek(0)
-            said = re.findall('^Error:(.*)', sink.read().decode(errors='replace'), re.MULTILINE)
-            reason = ' '.join(';'.join(said or [str(error)]).split())[:300]
-            raise ConfigError('urdf', f'is not a model ({reason})', source) from error
+            reason = str(error)
+        sink.seek(0)
+        said = re.findall('^Error:(.*)', sink.read().decode(errors='replace'), re.MULTILINE)
+    # An <inertial> that it cannot read is one of mass 0 to the parser.
+    if said or reason:
+        reason = ' '.join(';'.join(said or [reason]).split())[:300]
+        raise ConfigError('urdf', f'is not a model ({reason})', source)
     names = list(model.names)[1:]
     for name in (*held, *(joints or ())):
         if name not in names:
@@ -111,13 +115,12 @@ def _read_model(
             raise ConfigError('tip', f'the URDF has no link {tip!r}', source)
         end = model.frames[model.getFrameId(tip, pinocchio.FrameType.BODY)].parentJoint
         moving &= {model.names[i] for i in model.supports[end]}
-    free = moving - set(held)
-    # A joint that follows a locked one is where that one puts it.
-    for name, mimic in urdf.mimics.items():
-        if name in names and name not in held and mimic.joint in names and mimic.joint not in free:
-            free.discard(name)
-            held[name] = mimic.multiplier * held.get(mimic.joint, 0.0) + mimic.offset
-    held.update({name: 0.0 for name in names if name not in free and name not in held})
+    held |= {name: 0.0 for name in names if name not in {*moving, *held, *urdf.mimics}}
+    # A joint that follows a held one is where that one puts it, others that follow are refused.
+    for _ in urdf.mimics:
+        for name, mimic in urdf.mimics.items():
+            if name in names and name not in held and mimic.joint in held:
+                held[name] = mimic.multiplier * held[mimic.joint] + mimic.offset
     if held:
         reference = pinocchio.neutral(model)
         for name, angle in held.items():
@@ -155,6 +158,8 @@ def _joint(model: 'pinocchio.Model', index: int, urdf: Urdf, source: str) -> Ser
         refused = f'is {urdf.kinds[name]}, neither revolute nor prismatic'
     elif model.parents[index] != index - 1:
         refused = f'branches off {model.names[model.parents[index]]!r}: the arm is not a chain'
+    elif not model.lowerPositionLimit[index - 1] < model.upperPositionLimit[index - 1]:
+        refused = 'has no lower limit below an upper one'
     if refused:
         raise ConfigError(
             'urdf',

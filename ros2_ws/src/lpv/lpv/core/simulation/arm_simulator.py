@@ -24,7 +24,7 @@ from lpv.core.simulation.faults import (
 )
 from lpv.core.simulation.mujoco_chain import MujocoChain
 from lpv.core.simulation.paper_plant import PaperPlant
-from lpv.core.simulation.scenario import Scenario, disturbance_of
+from lpv.core.simulation.scenario import PAPER_PLANTS, PLANTS, Scenario, disturbance_of
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.jit import njit_in_place as njit
 from lpv.core.support.records import memory, new_record, record_type
@@ -351,7 +351,9 @@ def _engine(arm: SerialArm, scenario: Scenario, chain: Chain) -> Engine | None:
         return None
     if scenario.plant == 'mujoco':
         return MujocoChain(chain)
-    return PaperPlant(scenario.true_arm(arm), scenario)
+    if scenario.plant in PAPER_PLANTS:
+        return PaperPlant(scenario.true_arm(arm), scenario)
+    raise ConfigError('plant.model', f'must be one of {", ".join(PLANTS)}, got {scenario.plant!r}')
 
 
 def _constants(arm: SerialArm, scenario: Scenario, chain: Chain, substeps: int) -> np.record:

@@ -72,6 +72,7 @@ from lpv.core.simulation.transport import (
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.jit import entry
 from lpv.core.support.jit import njit_in_place as njit
+from lpv.core.support.limits import MOST_SAMPLES
 from lpv.core.support.records import memory, new_record, plain, record_type
 from lpv.core.support.timestamps import NANOSECONDS, NEVER
 from lpv.core.uio.certificate.gains import Gains
@@ -509,7 +510,15 @@ def run_closed_loop(
     ConfigError
         If arm, path, plant or faults are not possible together.
     """
-    count = round(scenario.duration / arm.sample_time) + 1
+    samples = scenario.duration / arm.sample_time
+    if not 0.0 < samples < MOST_SAMPLES:
+        limit = MOST_SAMPLES * arm.sample_time
+        reason = f'must be above 0 and below {limit:g} s, which memory holds'
+        raise ConfigError('duration', f'{reason}, got {scenario.duration:g}')
+    if compensation not in COMPENSATION:
+        reason = f'must be one of {", ".join(COMPENSATION)}, got {compensation!r}'
+        raise ConfigError('compensation', reason)
+    count = round(samples) + 1
     simulator = ArmSimulator(arm, scenario, substeps)
     monitor = SerialSensorMonitor('loop', arm, parameters, gains, observer)
     controller = make_controller(arm, gains, bandwidth)

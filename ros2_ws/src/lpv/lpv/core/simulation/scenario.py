@@ -11,7 +11,7 @@ import numpy as np
 from lpv.core.control.path import CartesianPath, Obstacle, PlanarWaypoints
 from lpv.core.control.serial_path import PoseWaypoints, SerialPath
 from lpv.core.serial_arm.arm_file import FAR
-from lpv.core.serial_arm.chain import MAX_JOINTS, Chain, compile_chain
+from lpv.core.serial_arm.chain import MAX_JOINTS, Chain, body_parameters, compile_chain
 from lpv.core.serial_arm.description import LinkInertia, SerialArm, SerialJoint
 from lpv.core.serial_arm.dynamics.payload import with_payload
 from lpv.core.simulation.faults import KINDS, Fault
@@ -96,12 +96,8 @@ def _scaled(link: LinkInertia, mass: float, inertia: float) -> LinkInertia:
     """A link with its mass, and its inertia about the centre of mass, multiplied."""
     if mass == inertia:
         return LinkInertia.from_vector(mass * link.to_vector())
-    center = np.array(link.first_moment) / link.mass
-    steiner = link.mass * (center @ center * np.eye(3) - np.outer(center, center))
-    own = link.rotational_inertia() - steiner
-    xx, xy, xz, _, yy, yz, _, _, zz = (mass * steiner + inertia * own).reshape(-1).tolist()
-    x, y, z = mass * np.array(link.first_moment)
-    return LinkInertia(mass * link.mass, (float(x), float(y), float(z)), (xx, xy, yy, xz, yz, zz))
+    own = inertia * link.about_center()
+    return LinkInertia.from_vector(body_parameters(mass * link.mass, link.center(), own))
 
 
 @lru_cache(maxsize=4)

@@ -423,31 +423,20 @@ class Section:
         ]
         return np.array(flat, dtype=float).reshape(shape)
 
-    @_or(lambda self, key, size, default=None: tuple(f'name{i}' for i in range(size)))
-    def names(self, key: str, size: int, default: Any = None) -> tuple[str, ...]:
-        """Return ``size`` distinct non-empty strings."""
+    @_or(lambda self, key, size=None, default=None: tuple(f'name{i}' for i in range(size or 1)))
+    def names(self, key: str, size: int | None = None, default: Any = None) -> tuple[str, ...]:
+        """Return distinct non-empty strings, ``size`` of them or at least one."""
         value = self._get(key, _REQUIRED if default is None else default)
         if (
             not isinstance(value, (list, tuple))
-            or len(value) != size
+            or not 0 < len(value) == (size or len(value))
             or not all(isinstance(v, str) and v for v in value)
         ):
-            raise self.error(key, f'must be a list of {size} non-empty strings')
-        if len(set(value)) != size:
+            number = '' if size is None else f'{size} '
+            raise self.error(key, f'must be a list of {number}non-empty strings')
+        if len(set(value)) != len(value):
             raise self.error(key, f'must hold distinct names, got {_short(value)}')
         return tuple(value)
-
-    def texts(self, key: str, default: Sequence[str] | None = None) -> tuple[str, ...]:
-        """Return a tuple of different, not empty strings."""
-        values = self._get(key, _REQUIRED if default is None else list(default))
-        if not isinstance(values, list) or not values:
-            raise self.error(key, 'must be a list of texts')
-        for value in values:
-            if not isinstance(value, str) or not value:
-                raise self.error(key, f'must hold texts, got {_short(value)}')
-        if len(set(values)) < len(values):
-            raise self.error(key, 'lists a text twice')
-        return tuple(values)
 
     def plain(self, key: str) -> dict[str, Any]:
         """Return an optional mapping as it is, for data that is only passed on."""

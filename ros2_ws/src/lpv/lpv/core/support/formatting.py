@@ -10,6 +10,11 @@ def number(value: float | None, digits: int = 3) -> str:
     return 'infinite' if math.isinf(value) else f'{value:.{digits}g}'
 
 
+def decimals(unit: str) -> int:
+    """Decimals of an error in radians or metres: it is a tenth of a millimetre that counts."""
+    return 4 if unit.startswith('m') else 3
+
+
 def seconds(value: float | None) -> str:
     """A time in s or ms; ``-`` where there is none."""
     if value is None:

@@ -18,9 +18,7 @@ from lpv.core.support.errors import ConfigError
 
 _RANGE = r'(?:\[([^\s:\]]+):([^\s:\]]+)\])?'
 _ENTRY = re.compile(
-    r'(\| )?([\w-]+(?:(?:, |\.)[\w-]+)*)(?:=(\S+?)| (.+?)(?::(int|float))?)?'
-    + _RANGE
-    + r'([!?+*]?|\.{3})'
+    r'(\| )?([\w-]+(?:\.[\w-]+)*)(?:=(\S+?)| (.+?)(?::(int|float))?)?' + _RANGE + r'([!?+*]?|\.{3})'
 )
 _TYPES = {'int': int, 'float': float}
 
@@ -28,7 +26,7 @@ _TYPES = {'int': int, 'float': float}
 class Entry(NamedTuple):
     """An entry of a table."""
 
-    names: str  # of the same thing, with commas; '' for the title of a group
+    name: str  # '' for the title of a group
     text: str  # help, or the title
     default: Any = None  # a number, true or a text; None where there is none
     shown: str = ''  # metavars
@@ -50,7 +48,7 @@ def entries(table: str) -> Iterator[Entry]:
         found = _ENTRY.fullmatch(written)
         if found is None:
             raise ValueError(f'{written!r} is no option')
-        either, names, default, shown, kind, low, high, mark = found.groups()
+        either, name, default, shown, kind, low, high, mark = found.groups()
         choices: tuple[str, ...] = ()
         if shown and shown.startswith('{'):
             choices, shown = tuple(shown[1:-1].split(',')), ''
@@ -61,7 +59,7 @@ def entries(table: str) -> Iterator[Entry]:
         value = _TYPES[kind](default) if kind and default else default == 'true' or default
         limits = (float(low), float(high)) if low else None
         of_kind = _TYPES.get(kind)
-        yield Entry(names, text, value, shown or '', choices, of_kind, limits, mark, bool(either))
+        yield Entry(name, text, value, shown or '', choices, of_kind, limits, mark, bool(either))
 
 
 def declare(parser: argparse._ActionsContainer, table: str) -> None:
@@ -69,7 +67,7 @@ def declare(parser: argparse._ActionsContainer, table: str) -> None:
     found = list(entries(table))
     target = parser
     for entry, following in zip(found, [*found[1:], Entry('', '')]):
-        if not entry.names:
+        if not entry.name:
             parser = target = parser.add_argument_group(entry.text)
             continue
         if following.excludes and not entry.excludes:
@@ -80,7 +78,7 @@ def declare(parser: argparse._ActionsContainer, table: str) -> None:
             options |= (
                 {'metavar': words, 'nargs': len(words)} if words[1:] else {'metavar': words[0]}
             )
-        elif entry.default is None and entry.names.startswith('-'):
+        elif entry.default is None and entry.name.startswith('-'):
             options['action'] = 'store_true'
         if entry.choices:
             options['choices'] = list(entry.choices)
@@ -96,7 +94,7 @@ def declare(parser: argparse._ActionsContainer, table: str) -> None:
             options['required'] = True
         elif entry.mark in ('?', '+', '...'):
             options['nargs'] = entry.mark
-        target.add_argument(*entry.names.split(', '), **options)
+        target.add_argument(entry.name, **options)
         if not following.excludes:
             target = parser
 

@@ -7,19 +7,24 @@ from pathlib import Path
 
 from lpv.core.support.errors import ConfigError
 
-_SOURCES = Path(__file__).resolve().parents[4]
+SOURCES = Path(__file__).resolve().parents[4]
 """Where the packages are in a checkout."""
+
+
+def prefixes() -> list[Path]:
+    """Where packages may be: what is sourced of ROS 2, then this Python's environment."""
+    sourced = filter(None, os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep))
+    return [*map(Path, sourced), Path(sys.prefix), Path(site.getuserbase())]
 
 
 def prefix_of(package: str) -> Path:
     """Where a package is installed, with a ROS 2 sourced or in this Python's environment."""
     # The ament index by hand: its Python package refuses to look where nothing is sourced, and
     # programs built into a virtual environment must run without.
-    prefixes = [p for p in os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep) if p]
-    for prefix in (*prefixes, sys.prefix, site.getuserbase()):
-        index = Path(prefix) / 'share' / 'ament_index' / 'resource_index' / 'packages'
+    for prefix in prefixes():
+        index = prefix / 'share' / 'ament_index' / 'resource_index' / 'packages'
         if Path(package).name == package and (index / package).is_file():
-            return Path(prefix)
+            return prefix
     reason = 'is not installed: build the workspace, or source it'
     raise ConfigError(f'package {package!r}', reason)
 
@@ -46,7 +51,7 @@ def executable(package: str, name: str) -> Path:
 
 def shipped_files(kind: str) -> dict[str, Path]:
     """Files of one kind that are installed with lpv_bringup, or of the checkout that runs."""
-    folder = _SOURCES / 'lpv_bringup' / kind
+    folder = SOURCES / 'lpv_bringup' / kind
     if not folder.is_dir():
         folder = prefix_of('lpv_bringup') / 'share' / 'lpv_bringup' / kind
     return {file.stem: file for file in sorted(folder.glob('*.yaml'))}

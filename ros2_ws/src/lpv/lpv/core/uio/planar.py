@@ -64,7 +64,7 @@ def planar_model(arm: SerialArm) -> ArmParameters:
         disturbance_variance=region.disturbance_variance,
         model_error=arm.uncertainty.model_error or 0.0,
         friction_error=arm.uncertainty.friction or UNSTATED_FRICTION,
-        payload=arm.uncertainty.payload,
+        payload=arm.uncertainty.largest_payload,
         torque_tolerance=tuple(max(joint.torque_tolerance.torque) for joint in arm.joints),
         torque_limit=arm.torque_limit,
         velocity_limit=arm.velocity_limit,

@@ -28,7 +28,6 @@ class TorqueError:
     slow: np.ndarray  # in slow motion, shape (n,) [N m]
     growth: np.ndarray  # with the joint's rate, shape (n,) [N m s/rad]
     time: float  # in which its correlation falls to 1/e, median of the joints [s]
-    noise: np.ndarray  # white, of the efforts, shape (n,) [N m]
 
     def on(self, arm: SerialArm) -> SerialArm:
         """The arm with this uncertainty."""
@@ -79,7 +78,7 @@ def torque_error(
         parts = [np.where(used[:, j], r[:, j], 0.0) for used, r in zip(counts, residuals)]
         used = [one[:, j].astype(float) for one in counts]
         times[j] = step * _correlation_length(parts, used, float(noise[j]))
-    return TorqueError(slow, growth, float(np.median(times)), noise)
+    return TorqueError(slow, growth, float(np.median(times)))
 
 
 def _correlation_length(

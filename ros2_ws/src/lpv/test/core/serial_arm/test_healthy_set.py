@@ -12,7 +12,7 @@ from lpv.core.monitoring import alarm_text, message_fields, serial_monitor
 from lpv.core.serial_arm import description, simulation
 from lpv.core.serial_arm.certificate.jump_bound import NET_TORQUE, jump_bound
 from lpv.core.serial_arm.chain import compile_chain
-from lpv.core.serial_arm.diagnosis.alarms import GUARANTEED, STATISTICAL
+from lpv.core.serial_arm.diagnosis.alarms import GUARANTEED, STATISTICAL, Alarm, AlarmEvent
 from lpv.core.serial_arm.diagnosis.parameter_set import member, parameter_set, payload_generator
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.simulation.faults import Fault
@@ -113,6 +113,18 @@ def test_given_an_offset_when_alarmed_then_its_basis_is_said(uncertainty, size, 
     assert basis == GUARANTEED or {event.basis for event in events} == {STATISTICAL}
     assert said in alarm_text.describe(events[-1])
     assert (events[-1].confidence == 1.0) == (basis == GUARANTEED)
+
+
+def test_given_no_payload_in_the_file_when_told_then_guarantees_hold_without_a_load():
+    observer = answers(uncertainty=replace(STATED, payload=None), duration=2.5)[1][0]
+    assert 'payload up to 0 kg' in observer['values']['guarantee']
+
+
+def test_given_an_alarm_of_a_joint_that_slides_when_told_then_tenths_of_a_millimetre_count():
+    event = Alarm(AlarmEvent.RAISED, 0, 'lift', 0, 0, 4e-4, 1e-4, 'bias', 0.9, unit='m')
+    assert 'lift: error +0.0004 m (bound 0.0001 m), bias' in alarm_text.describe(event)
+    unknown = replace(event, bound=np.inf)
+    assert 'lift: error of unknown size, bias' in alarm_text.describe(unknown)
 
 
 def test_given_faults_or_ranges_when_told_then_rate_basis_and_thresholds_are_said():

@@ -14,7 +14,7 @@ from lpv.core.control.path_follower import PathFollower, approach_speeds
 from lpv.core.control.serial_path import PoseWaypoints, SerialPath
 from lpv.core.control.watchdog import StopReason, TrackerLimits, TrackerWatchdog
 from lpv.core.serial_arm.chain import compile_chain
-from lpv.core.serial_arm.description import JointLimits
+from lpv.core.serial_arm.description import JointLimits, LinkInertia
 from lpv.core.simulation.arm_simulator import ArmSimulator
 from lpv.core.simulation.scenario import parse_scenario
 from lpv.core.support.errors import ConfigError, UnreachableError
@@ -122,6 +122,17 @@ def test_given_a_scenario_when_used_then_arms_are_drawn_by_seed_and_fields_kept_
     for plant in ('lpv', 'nonlinear_without_coriolis'):
         with pytest.raises(ConfigError, match='planar arms of two links: it has 3 joints'):
             ArmSimulator(ARM, parse_scenario({**DATA, 'plant': plant}))
+
+
+def test_given_factors_of_links_when_one_is_massless_then_their_centres_stay():
+    still = LinkInertia(0.0)
+    joints = *ARM.joints[:2], replace(ARM.joints[2], link=still, rotor_inertia=0.1)
+    scenario = replace(parse_scenario(DATA), parameter_error=0.0, inertia_factors=(1.2,) * 3)
+    first, _, last = scenario.true_arm(replace(ARM, joints=joints)).joints
+    link = ARM.joints[0].link
+    assert last.link == still and first.link.mass == link.mass
+    np.testing.assert_allclose(first.link.center(), link.center())
+    np.testing.assert_allclose(first.link.about_center(), 1.2 * link.about_center())
 
 
 def planar(arm, times=KNOTS, points=POINTS, elbow='positive', obstacle=None):

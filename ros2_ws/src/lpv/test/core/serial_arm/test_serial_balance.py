@@ -79,7 +79,7 @@ def test_given_masses_and_friction_identified_together_then_they_are_wrong_toget
     row = np.zeros((1, 45))
     row[0, 21], row[0, 44] = 0.1, -2.0  # first moment of the last link, offset of its torque
     covariance = ParameterCovariance(tuple(map(tuple, row)), 1)
-    arm = replace(shoulder_arm(), covariance=covariance, uncertainty=Uncertainty())
+    arm = replace(shoulder_arm(), covariance=covariance, uncertainty=Uncertainty(payload=0.0))
     chain = compile_chain(arm)
     factor = parameter_error.parameter_factor(arm, chain)
     directions, drives, _ = parameter_error.parameter_directions(chain, factor, np.full(3, 2.0))

@@ -65,6 +65,16 @@ def test_gripper_is_locked_where_it_was_told_and_axes_point_anywhere(small, tmp_
     (tmp_path / 'arm.yaml').write_text(text)
     arm = load_arm(tmp_path / 'arm.yaml')
     assert (arm.joints, arm.locked) == (found.joints, found.locked)
+    # What it says of a limit leaves the others.
+    limits = (3.0, '{torque: 20.0}'), (2.0, '{velocity: 2.0}'), (3.0, '{lower: 1.0}')
+    for velocity, said in limits:
+        joints = f', joints: [{{name: a, limits: {said}}}, {{name: b}}]}}'
+        (tmp_path / 'arm.yaml').write_text(text[:-1] + joints)
+        limit = load_arm(tmp_path / 'arm.yaml').joints[0].limits
+        assert (limit.upper, limit.velocity) == (2.0, velocity)
+    (tmp_path / 'arm.yaml').write_text(text[:-1] + joints.replace('1.0', '2.0'))
+    with pytest.raises(ConfigError, match=r'limits.lower: must be below 2.0'):
+        load_arm(tmp_path / 'arm.yaml')
     # An axis goes with a position: that of the URDF is in another frame.
     (tmp_path / 'arm.yaml').write_text(text[:-1] + ', joints: [{name: a, axis: [0, 0, 1]}]}')
     with pytest.raises(ConfigError, match=r'joints\[0\].position: is missing'):
@@ -94,6 +104,8 @@ BRANCH = """<link name="camera"><inertial><mass value="0.7"/><inertia ixx="0.01"
   iyy="0.01" iyz="0" izz="0.01"/></inertial></link><link name="right"/>
 <joint name="pan" type="continuous"><parent link="one"/><child link="camera"/>
   <origin xyz="0 0.3 0"/><axis xyz="0 0 1"/></joint>
+<link name="far"/><joint name="next" type="continuous"><parent link="right"/><child link="far"/>
+  <mimic joint="other" multiplier="3"/></joint>
 <joint name="other" type="prismatic"><parent link="tool"/><child link="right"/>
   <axis xyz="0 -1 0"/><mimic joint="finger" multiplier="-2" offset="0.01"/>
   <limit lower="-1" upper="1" velocity="1" effort="5"/></joint></robot>"""
@@ -103,6 +115,12 @@ NO_ARM = {
     "'b': multiplier": (MOUNT, f'<mimic joint="a" offset="1e99"/>{MOUNT}'),
     "'b' is floating": (B, B.replace('revolute', 'floating')),
     "'b' is planar": (B, B.replace('revolute', 'planar')),
+    "'a' has no lower limit below": ('lower="-1" upper="2"', ''),
+    "'a' has no lower limit": ('lower="-1" upper="2"', 'lower="2" upper="-1"'),
+    "'pan' follows 'a'": (END, BRANCH.replace('<axis', '<mimic joint="a"/><axis'), {}, 'tool'),
+    'mass element; .*Link .one': ('<mass value="3"/>', ''),
+    'missing ixy .*Link .one': ('ixy="0.001"', ''),
+    'found 2 elements .*Link .two': ('<origin xyz="0 0.2 0"/>', '<origin xyz="0 0.2"/>'),
     "'pan' .* name the link at": (END, BRANCH, {'finger': 0.02}),
     "no link 'hand'": (END, BRANCH, {}, 'hand'),
 }
@@ -113,7 +131,8 @@ def test_drives_are_no_joints_the_tip_names_the_branch_and_locks_hold_what_follo
     assert replace(small(new=DRIVES), urdf=plain.urdf) == plain
     found = small(new=BRANCH, locked={'finger': 0.02}, tip='tool')
     assert found.joint_names == ('a', 'b')
-    assert dict(found.locked) == pytest.approx({'finger': 0.02, 'other': -0.03, 'pan': 0.0})
+    held = {'finger': 0.02, 'next': -0.09, 'other': -0.03, 'pan': 0.0}
+    assert dict(found.locked) == pytest.approx(held)
     assert_same_torques(found, BRANCH)
     assert small(new=BRANCH, locked={}, tip='camera').joint_names == ('a', 'pan')
 

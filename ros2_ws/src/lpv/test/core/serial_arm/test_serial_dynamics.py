@@ -21,7 +21,7 @@ from lpv.core.serial_arm.certificate.model_bounds import chain_numbers
 from lpv.core.serial_arm.chain import body_parameters, compile_chain, make_chain
 from lpv.core.serial_arm.dynamics import kinematics, payload
 from lpv.core.serial_arm.dynamics.model import SerialModel
-from lpv.core.serial_arm.simulation import plant_scratch, plant_step
+from lpv.core.serial_arm.simulation import integration_step, plant_scratch, plant_step
 from lpv.core.simulation.mujoco_chain import MujocoChain
 from lpv.core.uio.model.arm import ArmParameters, Link
 from lpv.core.uio.model.dynamics import inverse_dynamics as two_link_inverse_dynamics
@@ -167,6 +167,21 @@ def test_energy_is_kept_without_friction_and_torque():
     assert np.abs(state[1]).max() > 1.0
 
 
+def test_given_friction_by_load_when_it_holds_an_arm_then_steps_are_short_enough():
+    arm = load_arm('panda')
+    chain, n, period = compile_chain(arm), len(arm.joints), 0.002
+    chain.friction[:] = 0.0, 0.0, 0.3, 0.0, 300.0
+    q = middle(arm) + 0.1
+    step, count = integration_step(chain, period)
+    torque, ends = 1.02 * SerialModel(chain).gravity(q) + 0.01, []
+    scratch, matrix = plant_scratch(chain), np.empty((n, n))
+    for finer in (1, 8):
+        state = np.array([q, 0.0 * q])
+        assert plant_step(chain, state, torque, step / finer, 50 * finer * count, scratch, matrix)
+        ends.append(state)
+    np.testing.assert_allclose(*ends, rtol=0.0, atol=1e-8)
+
+
 @given(st.integers(0, 2**31), st.integers(6, 9))
 def test_nearby_pose_is_reached(seed, joints):
     chain, rng = random_chain(seed, joints), np.random.default_rng(seed)
@@ -176,6 +191,17 @@ def test_nearby_pose_is_reached(seed, joints):
     found = kinematics.inverse_kinematics(chain, position, rotation, start)
     assert found.reached
     assert np.abs(kinematics.forward_kinematics(chain, found.q)[1] - position).max() < 1e-6
+
+
+@given(st.integers(0, 2**31))
+def test_given_joints_at_their_limits_when_a_pose_needs_them_there_then_it_is_reached(seed):
+    arm, rng = load_arm('panda'), np.random.default_rng(seed)
+    low, high = np.array([(joint.limits.lower, joint.limits.upper) for joint in arm.joints]).T
+    q, chain, at_limit = rng.uniform(low, high), compile_chain(arm), rng.integers(7)
+    q[at_limit] = (low, high)[rng.integers(2)][at_limit]
+    rotation, position = kinematics.forward_kinematics(chain, q)
+    start = np.clip(q + rng.uniform(-0.05, 0.05, 7), low, high)
+    assert kinematics.inverse_kinematics(chain, position, rotation, start, (low, high)).reached
 
 
 def test_given_a_pose_out_of_reach_a_singularity_or_limits_then_steps_are_finite_and_limits_kept():
@@ -293,6 +319,13 @@ def test_given_an_exported_mjcf_when_mujoco_takes_it_then_motions_are_ours(mujoc
         np.testing.assert_allclose(state, theirs, rtol=0.0, atol=1e-8)
 
 
+def test_given_a_coupled_rotor_without_inertia_when_written_as_mjcf_then_it_is_refused():
+    first, last, *others = scara().joints
+    joints = first, replace(last, rotor_inertia=0.0, rotor_coupling=-0.1), *others
+    with pytest.raises(ConfigError, match=r'motor\[1\]: must have the inertia'):
+        mjcf.chain_mjcf(compile_chain(replace(scara(), joints=joints)))
+
+
 def test_given_a_foreign_callback_when_the_plant_has_stepped_then_it_is_back(mujoco, real_arm):
     def mine(_model, _data):
         pass
@@ -326,6 +359,14 @@ def test_given_odd_names_or_an_inertia_of_no_body_when_written_then_it_is_xml_or
     assert '<inertial>' not in urdf.arm_urdf(arm, inertial=False)
 
 
+def test_given_a_slide_without_limits_when_written_as_urdf_then_it_is_read_without(tmp_path):
+    arm, (low, high) = ur10_on_rail(), (-math.inf, math.inf)
+    endless = replace(arm.joints[0], limits=replace(arm.joints[0].limits, lower=low, upper=high))
+    text = urdf.arm_urdf(replace(arm, joints=(endless, *arm.joints[1:])))
+    (tmp_path / 'arm.urdf').write_text(text)
+    assert urdf_chain.read_urdf_chain(tmp_path / 'arm.urdf').joints[0].range == endless.range
+
+
 def test_given_the_command_when_run_then_it_prints_the_urdf_of_a_file(paper_arm, capsys, tmp_path):
     command, out = ['urdf', '--arm', str(BRINGUP / 'arms' / 'paper.yaml')], tmp_path / 'a.urdf'
     assert main(command) == 0
@@ -344,6 +385,18 @@ def test_given_an_arm_file_when_written_and_read_then_it_is_the_same(make, tmp_p
     data['joints'][0]['type'] = 'helical'
     with pytest.raises(ConfigError, match='revolute, prismatic'):
         arm_file.parse_arm(data)
+    dead = replace(arm, joints=(replace(arm.joints[0], torque_gain=0.0), *arm.joints[1:]))
+    with pytest.raises(ConfigError, match=r'arm.yaml is not written: joints\[0\].torque_gain'):
+        arm_file.save_arm(dead, tmp_path / 'arm.yaml')
+    assert load_arm(tmp_path / 'arm.yaml') == arm
+
+
+@pytest.mark.parametrize(('low', 'high', 'span'), [
+    (-math.inf, math.inf, (-math.pi, math.pi)), (-6.3, 6.3, (-math.pi, math.pi)),
+    (-3.0, -0.1, (-3.0, -0.1)), (4.0, 6.0, (4.0, 6.0)), (-9.0, -4.0, (-4.0 - math.pi, -4.0)),
+])  # fmt: skip
+def test_given_limits_anywhere_then_usual_motions_are_within_them(low, high, span):
+    assert replace(scara().joints[0], limits=description.JointLimits(low, high)).range == span
 
 
 def test_given_a_prismatic_joint_then_its_range_counts_as_a_turn_and_it_has_no_certificate():

@@ -137,9 +137,11 @@ def test_push_is_a_contact_and_no_fault_of_an_encoder():
     assert doubted >= round(CONTACT_PAUSE / monitor.plan.interval)
 
 
-@pytest.mark.parametrize('seed', [1, 2, 3, 4])
-def test_given_a_load_that_is_picked_up_then_the_arm_is_another_one_and_bounds_hold(seed):
-    arm = shoulder_arm('independent', Uncertainty(payload=2.0, friction=0.3))
+@pytest.mark.parametrize(
+    ('seed', 'stated'), [(1, 2.0), (2, 2.0), (3, 2.0), (4, 2.0), (1, None), (2, None)]
+)
+def test_given_a_load_that_is_picked_up_then_the_arm_is_another_one_and_bounds_hold(seed, stated):
+    arm = shoulder_arm('independent', Uncertainty(payload=stated, friction=0.3))
     run = simulate(arm, motion_range(arm, 0.5), seed, pauses=True, payload=2.0)
     monitor = watch(arm, run)
     estimate = monitor.estimate(0)
@@ -248,12 +250,12 @@ def test_efforts_are_scaled_in_a_copy():
     assert one.estimate(0).fault.tobytes() == other.estimate(0).fault.tobytes()
 
 
-def test_payload_and_viscous_friction_that_nobody_stated_are_learned_without_an_alarm():
-    arm = shoulder_arm('derived', UNLOADED)
-    monitor = watch(arm, simulated_run(arm, 5.0, plant=with_payload(compile_chain(arm), 0.3)))
+@pytest.mark.parametrize('load', [0.3, 4.0])
+def test_payload_and_viscous_friction_that_nobody_stated_are_learned_without_an_alarm(load):
+    arm = shoulder_arm('derived', Uncertainty(friction=0.3))
+    monitor = watch(arm, simulated_run(arm, 10.0, plant=with_payload(compile_chain(arm), load)))
     learned = monitor.learned()
-    assert monitor.alarms == [] and learned.payload == pytest.approx(0.3, abs=0.1)
-    assert set(learned.values()) >= {'learned_payload', 'learned_viscous', 'learned_noise'}
+    assert monitor.alarms == [] and learned.payload == pytest.approx(load, rel=0.3)
     arm = shoulder_arm()
     chain = compile_chain(arm)
     friction = chain.friction + [[0.5, 0.0, 0.0, 0.0, 0.0]]

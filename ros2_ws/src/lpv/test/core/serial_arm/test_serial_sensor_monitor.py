@@ -17,6 +17,7 @@ from lpv.core.serial_arm.description import JointLimits
 from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent, Mode, SensorState
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.rate_independence import SAMPLES
+from lpv.core.serial_arm.turns import Turns
 from lpv.core.simulation.faults import Fault
 from lpv.core.support.errors import ConfigError, SampleError
 
@@ -124,18 +125,17 @@ def test_given_no_rates_then_they_are_differences_and_independent_ones_are_waite
     np.testing.assert_allclose(answers.state.measured_velocity[1:], expected, atol=1e-9)
     assert told(answers) == RAISED
     monitor = SerialSensorMonitor('/uio', shoulder_arm('independent'))
-    answer = monitor.take(1, message(velocity=[]))
-    assert answer.state['mode'] == Mode.NO_ESTIMATE and not answer.state['trustworthy']
-    assert answer.fault is None and answer.corrected is None and monitor.counters.not_finite == 1
+    record = monitor.take(1, message(velocity=[])).record
+    assert record['state']['mode'] == Mode.NO_ESTIMATE and not record['state']['trustworthy']
+    assert not record['has_fault'] and monitor.counters.not_finite == 1
 
 
 def test_given_messages_or_gains_when_taken_then_names_decide_or_misfits_are_refused(paper_gains):
     monitor = SerialSensorMonitor('/uio', ARM)
     names = ('gripper', 'joint3', 'joint1', 'joint2')
-    answer = monitor.take(1, message(names, position=[9.0, 0.3, 0.1, 0.2]))
-    np.testing.assert_array_equal(answer.state['measured_position'], [0.1, 0.2, 0.3])
-    assert answer.corrected['name'] == ['joint1', 'joint2', 'joint3']
-    assert answer.fault['sensor_names'] == ['encoder1', 'encoder2', 'encoder3']
+    record = monitor.take(1, message(names, position=[9.0, 0.3, 0.1, 0.2])).record
+    np.testing.assert_array_equal(record['state']['measured_position'], [0.1, 0.2, 0.3])
+    assert record['has_fault'] and record['state']['mode'] < Mode.STALE
     monitor = SerialSensorMonitor('/uio', ARM)
     for wrong in ({'names': ('joint1', 'joint2')}, {'position': [0.0]}, {'effort': [0.0] * 7}):
         with pytest.raises(SampleError):
@@ -333,10 +333,24 @@ def test_given_a_joint_without_limits_when_its_reading_wraps_then_it_goes_on(rat
         position, velocity, effort = samples[k]
         one = message(position=position, velocity=velocity, effort=effort)
         last = single.take(int(stamps[k]), one)
-    assert abs(last.state['position'][0] - samples[280, 0, 0]) < 0.5
+    assert abs(last.record['state']['position'][0] - samples[280, 0, 0]) < 0.5
     limited = replace(arm, joints=(shoulder_arm().joints[0], *arm.joints[1:]))
     _, answers = observe(stamps, samples, SerialSensorMonitor('/uio', limited))
     assert any(event.sensor == 'encoder1' for _, event in answers.events)
+
+
+def test_given_a_joint_without_limits_when_it_turns_over_while_it_is_not_read_then_it_goes_on():
+    endless = replace(ARM.joints[0], limits=JointLimits(velocity=2.5))
+    arm = replace(ARM, joints=(endless, *ARM.joints[1:]))
+    stamps, way = START + 2_000_000 * np.arange(500), np.linspace(2.9, 3.7, 500)
+    truth = np.stack([way, 0.0 * way, 0.0 * way], axis=1)
+    readings = (truth + np.pi) % (2.0 * np.pi) - np.pi
+    readings[100:200, 0] = np.nan  # turned over meanwhile
+    for size in (500, 1):
+        turns = Turns(arm)
+        parts = [slice(k, k + size) for k in range(0, 500, size)]
+        found = [turns.continued(stamps[p], readings[p], 0.0 * truth[p])[0] for p in parts]
+        np.testing.assert_allclose(np.concatenate(found)[200:], truth[200:], atol=1e-12)
 
 
 def test_given_a_joint_that_turns_for_an_hour_when_observed_then_its_readings_stay_plausible():
@@ -365,5 +379,7 @@ def test_given_torques_of_commands_when_efforts_have_another_unit_then_they_are_
     for k in range(600):
         position, velocity, torque = samples[k]
         one = message(position=position, velocity=velocity, effort=[0.0] * 3)
-        found, expected = (m.take(int(stamps[k]), one, torque) for m in (monitor, plain))
-        np.testing.assert_allclose(found.fault['estimate'], expected.fault['estimate'], atol=1e-9)
+        found, expected = (
+            m.take(int(stamps[k]), one, torque).record['fault'] for m in (monitor, plain)
+        )
+        np.testing.assert_allclose(found['estimate'], expected['estimate'], atol=1e-9)

@@ -25,11 +25,13 @@ export class ArmDrawing {
     }
   }
 
-  include([x, y]) {
+  // A point that is within reach of the arm, or nearly: wild readings must not shrink the picture.
+  include(point) {
     const { box, hello: { reach } } = this;
-    box.side = Math.max(box.side, Math.abs(x) / reach + 0.06);
-    box.high = Math.max(box.high, y / reach + 0.06);
-    box.low = Math.max(box.low, -y / reach + 0.06);
+    const [x, y] = point.map((v) => Math.max(-1.5, Math.min(1.5, v / reach)));
+    box.side = Math.max(box.side, Math.abs(x) + 0.06);
+    box.high = Math.max(box.high, y + 0.06);
+    box.low = Math.max(box.low, -y + 0.06);
   }
 
   draw(frame) {

@@ -29,22 +29,25 @@ export class Link {
       if (message.type === 'reply') this.settle(message);
       else this.onMessage(message);
     };
-    socket.onclose = () => {
-      if (socket !== this.socket) return;
-      for (const [, { reject }] of this.waiting) reject(new Error('the connection was lost'));
-      this.waiting.clear();
-      this.onState('reconnecting');
-      setTimeout(() => this.open(), this.pause * (0.8 + 0.4 * Math.random()));
-      this.pause = Math.min(LONGEST, this.pause * 1.6);
-    };
+    socket.onclose = () => this.lose(socket);
   }
 
-  // A connection that died without a word is closed, and so opened anew.
+  lose(socket) {
+    if (socket !== this.socket) return;
+    this.socket = null;
+    for (const [, { reject }] of this.waiting) reject(new Error('the connection was lost'));
+    this.waiting.clear();
+    this.onState('reconnecting');
+    setTimeout(() => this.open(), this.pause * (0.8 + 0.4 * Math.random()));
+    this.pause = Math.min(LONGEST, this.pause * 1.6);
+  }
+
+  // A connection that died without a word is not waited for: its close may take minutes.
   check() {
-    if (this.socket.readyState === WebSocket.OPEN && performance.now() - this.heard > SILENCE) {
-      this.onState('silent');
-      this.socket.close();
-    }
+    const { socket } = this;
+    if (!socket || performance.now() - this.heard < SILENCE) return;
+    socket.close();
+    this.lose(socket);
   }
 
   settle(reply) {
@@ -56,7 +59,7 @@ export class Link {
   }
 
   send(fields) {
-    if (this.socket.readyState !== WebSocket.OPEN) {
+    if (this.socket?.readyState !== WebSocket.OPEN) {
       return Promise.reject(new Error('not connected'));
     }
     const id = ++this.number;

@@ -10,14 +10,21 @@ const MODE = {
   INITIALISING: ['stale', 'initialising'], STALE: ['stale', 'stale'],
   NO_ESTIMATE: ['stale', 'no estimate'],
 };
-const LINK = { connected: ['ok', 'connected'], silent: ['stale', 'no answer'],
+const LINK = { connected: ['ok', 'connected'],
   reconnecting: ['error', 'connection lost, trying again'] };
-// Of alarms whose size is no position error: it is known as of the event only.
-const UNITS = { rate_bias: ' rad/s', torque_offset: ' N m', torque_gain: '', contact: ' N m' };
+// Of alarms whose size is no error of the position: it is known as of the event only.
+const OTHER = ['noise', 'rate_bias'], SIZELESS = ['spike', 'dropout'];
+const WORDS = { spike: 'single wrong readings (spike)', stuck: 'reading stands still (stuck)',
+  noise: 'too much noise', dropout: 'no readings (dropout)' };
 
-const show = (value, digits = 3) => (value == null ? '–'
-  : (value >= 0 ? '+' : '−') + Math.abs(value).toFixed(digits));
-const plain = (value, digits = 3) => (value == null ? '–' : value.toFixed(digits));
+const DIGITS = { m: 4, N: 2 };
+const bare = (value, unit) => (value == null ? '–' : value.toFixed(DIGITS[unit[0]] ?? 3));
+const plain = (value, unit) => (value == null ? '–' : `${bare(value, unit)} ${unit}`);
+const show = (value, unit) => (value == null ? '–'
+  : (value >= 0 ? '+' : '−') + plain(Math.abs(value), unit));
+// One, exactly, is a guarantee.
+const sure = (p) => (p == null ? '–' : p === 1 ? 'guaranteed'
+  : p < 0.9995 ? `${(100 * p).toFixed(1)}%` : '> 99.9%');
 
 // Wall-clock stamps as time of day, simulated ones in seconds.
 function time(t) {
@@ -66,19 +73,23 @@ export function showFrame(frame, alarms, hello) {
   byId('clock').hidden = sample.t == null;
   put(byId('clock'), time(sample.t));
   showVerdict(frame, alarms, hello, silent);
-  hello.sensors.forEach((_, i) => showSensor(byId(`sensor-${i}`), i, frame));
+  hello.units.forEach(([unit], i) => showSensor(byId(`sensor-${i}`), i, unit, frame));
   put(byId('torque-now'), sample.torque[0] == null ? 'none'
-    : `${sample.torque.map((v) => show(v, 1)).join(' / ')} N m`);
+    : sample.torque.map((v, i) => torque(v, ...hello.units.slice(i, i + 2))).join(' / '));
   byId('key-true').hidden = !live.ground_truth;
   showDiagnostics(frame.diagnostics);
 }
 
-function showSensor(card, i, { live, states, sample: { estimate, bound, threshold } }) {
-  const state = live.fault_estimate ? STATE[states[i]] : null;
-  mark(card.querySelector('.pill'), 'pill', state ?? ['stale', '◌ no data']);
-  put(card.querySelector('.reading b'), `${show(estimate[i])} rad`);
+// The unit stands after the last of those that have it.
+function torque(value, [, unit], next) {
+  return show(value, unit).replace(next?.[1] === unit ? ` ${unit}` : '', '');
+}
+
+function showSensor(card, i, unit, { states, sample: { estimate, bound, threshold } }) {
+  mark(card.querySelector('.pill'), 'pill', STATE[states[i]] ?? ['stale', '◌ no data']);
+  put(card.querySelector('.reading b'), show(estimate[i], unit));
   put(card.querySelector('.reading span'),
-    `± ${plain(bound[i])}, threshold ${plain(threshold[i])}`);
+    `± ${bare(bound[i], unit)}, threshold ${bare(threshold[i], unit)}`);
 }
 
 function verdict(kind, icon, head, text) {
@@ -89,45 +100,62 @@ function verdict(kind, icon, head, text) {
   put(byId('verdict-text'), text);
 }
 
-// The fault estimate now, as on the sensor's card; of an alarm that has none, that of its event.
-function sizeOf(row, { live, sample }, sensors) {
-  const i = sensors.indexOf(row.sensor), now = i >= 0 && !(row.kind in UNITS) && live.fault_estimate;
+// What is faulty, and the unit of the error.
+function about({ sensor, kind }, { sensors, units }) {
+  const unit = units[sensors.indexOf(sensor)]?.[0] ?? '';
+  return kind === 'rate_bias' ? [`${sensor} (rate)`, `${unit}/s`] : [sensor, unit];
+}
+
+// An alarm in the words of the log.  Its error is that of now, as on the sensor's card, where there
+// is one; without a bound nothing is known of it.
+function describe(row, { live, sample }, hello) {
+  const [what, unit] = about(row, hello), i = hello.sensors.indexOf(row.sensor);
+  const now = i >= 0 && !OTHER.includes(row.kind) && live.fault_estimate;
   const [size, bound] = now ? [sample.estimate[i], sample.bound[i]] : [row.size, row.bound];
-  return `${show(size)} ± ${plain(bound)}${UNITS[row.kind] ?? ' rad'}`;
+  const error = bound == null ? 'error of unknown size'
+    : `error ${show(size, unit)} (bound ${plain(bound, unit)})`;
+  const parts = [SIZELESS.includes(row.kind) ? '' : error, WORDS[row.kind] ?? row.kind,
+    row.confidence === 1 ? 'guaranteed' : `confidence ${sure(row.confidence)}`];
+  return `${what}: ${parts.filter(Boolean).join(', ')}`;
 }
 
 // The answer to the operator's question: which sensor is faulty, by how much, how sure is that?
 function showVerdict(frame, alarms, hello, silent) {
-  const open = alarms.filter((row) => row.ended == null), { states, stops } = frame;
-  const failed = frame.diagnostics.filter((status) => status.level === 'ERROR');
+  const { states, stops } = frame, open = alarms.filter((row) => row.ended == null);
+  const named = (state) => hello.sensors.filter((_, i) => states[i] === state);
+  const failed = frame.diagnostics.filter(({ level, own }) => own && level === 'ERROR');
+  const faulty = new Set([...open.map((row) => about(row, hello)[0]), ...named('ERROR')]);
   if (silent) {
     const since = frame.age == null ? '' : ` The last message came ${Math.floor(frame.age)} s ago.`;
     verdict('stale', '◌', 'No data from the graph', since);
-  } else if (open.length) {
-    const text = open.map((row) => `${row.sensor}: ${sizeOf(row, frame, hello.sensors)}, `
-      + `${row.kind}, confidence ${plain(row.confidence, 2)}`).join('; ');
-    const names = [...new Set(open.map((row) => row.sensor))].join(' and ');
-    verdict('error', '✕', `${names} ${open.length > 1 ? 'are' : 'is'} faulty`, text);
+  } else if (faulty.size) {
+    const text = open.map((row) => describe(row, frame, hello)).join('; ');
+    verdict('error', '✕', `${[...faulty].join(' and ')} ${faulty.size > 1 ? 'are' : 'is'} faulty`,
+      text || ' The alarm itself was not received.');
   } else if (frame.trustworthy === false) {
     verdict('error', '✕', 'The estimate is not trustworthy', ' The arm must not rely on it.');
   } else if (failed.length) {
-    verdict('error', '✕', 'The arm is stopped', ` ${failed.map((s) => s.message).join('; ')}`);
+    // As the tracker and the drives say it.
+    const stopped = failed.some((s) => /^(safe stop|braked)\b/.test(s.message));
+    verdict('error', '✕', stopped ? 'The arm is stopped' : 'A node reports an error',
+      failed.map((s) => `${s.name}: ${s.message}`).join('; '));
   } else if (!frame.live.fault_estimate) {
     verdict('stale', '◌', 'No diagnosis', ' The observer sends no fault estimates.');
   } else if (states.includes('WARN')) {
-    verdict('warn', '▲', 'Something may be wrong', ' Above a threshold, not confirmed.');
+    verdict('warn', '▲', 'Something may be wrong',
+      ` Suspected, not confirmed: ${named('WARN').join(', ')}`);
   } else if (stops.recent) {
     verdict('warn', '▲', 'No sensor fault, but the arm was stopped',
       ` ${stops.count} safe stops so far; the last: ${stops.last}`);
   } else if (states.some((state) => state === 'STALE' || state === 'NOT_DIAGNOSABLE')) {
-    const names = hello.sensors.filter((_, i) => states[i] !== 'OK').join(', ');
-    verdict('stale', '?', 'No alarm, but not all can be diagnosed', ` ${names}`);
+    verdict('stale', '?', 'No alarm, but not all can be diagnosed',
+      ` ${[...named('STALE'), ...named('NOT_DIAGNOSABLE')].join(', ')}`);
   } else {
     verdict('ok', '✓', 'No sensor fault', ' All estimates are below their thresholds.');
   }
 }
 
-let shownDiagnostics = '';
+let shownDiagnostics = '[]';
 
 function showDiagnostics(list) {
   const key = JSON.stringify(list);
@@ -140,12 +168,14 @@ function showDiagnostics(list) {
   }));
 }
 
-export function showAlarms(alarms) {
+export function showAlarms(alarms, hello) {
   const rows = alarms.slice().reverse().map((alarm) => {
-    const open = alarm.ended == null, unit = UNITS[alarm.kind] ?? '';
+    const open = alarm.ended == null, [, unit] = about(alarm, hello);
+    const sizes = SIZELESS.includes(alarm.kind) ? ['–', '–']
+      : [show(alarm.size, unit), plain(alarm.bound, unit)];
     const cells = [make('span', `pill ${open ? 'error' : 'stale'}`, open ? '✕ ALARM' : 'over'),
-      alarm.sensor, alarm.kind, show(alarm.size) + unit, plain(alarm.bound) + unit,
-      plain(alarm.confidence), time(alarm.onset), time(alarm.detected), time(alarm.ended)];
+      alarm.sensor, alarm.kind, ...sizes, sure(alarm.confidence),
+      time(alarm.onset), time(alarm.detected), time(alarm.ended)];
     const row = make('tr', open ? 'open' : '',
       ...cells.map((content, i) => make('td', i > 2 ? 'number' : '', content)));
     row.dataset.sensor = alarm.sensor;

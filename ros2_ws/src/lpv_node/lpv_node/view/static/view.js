@@ -11,17 +11,17 @@ const FIELDS = {
   noise: { size: 0.05 }, spike: { size: 0.5, rate: 2 }, dropout: {},
   rate_bias: { size: 0.3 },
 };
-const LABELS = { size: { drift: 'Up to [rad], 0: no end', scale: 'Factor minus 1',
-  rate_bias: 'Size [rad/s]' },
-  rate: { drift: 'Rate [rad/s]', spike: 'Spikes a second' } };
+const LABELS = { size: { drift: 'Up to [unit], 0: no end', scale: 'Factor minus 1',
+  rate_bias: 'Size [unit/s]' },
+  rate: { drift: 'Rate [unit/s]', spike: 'Spikes a second' } };
 
 const DASHES = [[], [7, 4], [2, 3], [12, 4], [7, 3, 2, 3], [3, 6], [14, 3, 3, 3]];
 
 let hello = null, frame = null, samples = [], alarms = [], waiting = false, token = null;
 const arm = new ArmDrawing(byId('arm'));
 let charts = [];
-const sensorChart = (canvas, i) => new Chart(canvas, {
-  unit: 'rad', smallest: 0.1,
+const sensorChart = (canvas, i, unit) => new Chart(canvas, {
+  unit, smallest: 0.01,
   series: [
     { values: (s) => s.threshold[i], colour: 'threshold', dash: [6, 5], width: 1.5 },
     { values: (s) => s.threshold[i] && -s.threshold[i], colour: 'threshold', dash: [6, 5],
@@ -30,17 +30,17 @@ const sensorChart = (canvas, i) => new Chart(canvas, {
     { values: (s) => s.estimate[i], colour: 'estimated' }],
   band: (s) => (s.estimate[i] == null || s.bound[i] == null ? null
     : [s.estimate[i] - s.bound[i], s.estimate[i] + s.bound[i]]),
-  marks: () => alarms.filter((row) => row.sensor === hello?.sensors[i])
+  marks: () => alarms.filter((row) => row.sensor === hello?.sensors[i] && !row.past)
     .map((row) => [row.detected, row.ended]),
 });
-const torqueChart = (joints) => new Chart(byId('torque'), {
-  unit: 'N m', smallest: 1,
-  series: joints.map((_, i) => ({ values: (s) => s.torque[i], colour: `torque${i % 2}`,
+const torqueChart = (units) => new Chart(byId('torque'), {
+  unit: [...new Set(units)].join(', '), smallest: 1,
+  series: units.map((_, i) => ({ values: (s) => s.torque[i], colour: `torque${i % 2}`,
     dash: DASHES[i % DASHES.length] })),
 });
 
 // One card and one chart for each sensor, one line for each joint.
-function layOut({ sensors, joints }) {
+function layOut({ sensors, joints, units }) {
   const cards = sensors.map((name, i) => {
     const card = byId('sensor-card').content.firstElementChild.cloneNode(true);
     card.id = `sensor-${i}`;
@@ -49,10 +49,20 @@ function layOut({ sensors, joints }) {
   });
   byId('sensors').replaceChildren(...cards);
   byId('sensors').classList.toggle('many', sensors.length > 2);
-  byId('joints').replaceChildren(...joints.map((name, i) => make('li', '',
-    make('i', `key torque${i % 2}`), name)));
-  charts = cards.map((card, i) => sensorChart(card.querySelector('canvas'), i));
-  charts.push(torqueChart(joints));
+  byId('joints').replaceChildren(...joints.map((name, i) => make('li', '', lineKey(i), name)));
+  charts = cards.map((card, i) => sensorChart(card.querySelector('canvas'), i, units[i][0]));
+  charts.push(torqueChart(units.map(([, unit]) => unit)));
+}
+
+// A piece of a joint's line, for the legend.
+function lineKey(i) {
+  const create = (tag) => document.createElementNS('http://www.w3.org/2000/svg', tag);
+  const key = create('svg'), path = create('path');
+  key.setAttribute('class', `line-key torque${i % 2}`);
+  path.setAttribute('d', 'M0 2H34');
+  path.setAttribute('stroke-dasharray', DASHES[i % DASHES.length].join(' ') || 'none');
+  key.append(path);
+  return key;
 }
 
 function draw() {
@@ -77,17 +87,37 @@ function start(message) {
   layOut(message);
   byId('key-path').hidden = !message.scene.path.length;
   options(byId('sensor'), message.sensors);
-  options(byId('kind'), message.kinds);
+  // A connection that comes back leaves the form as it is.
+  const known = options(byId('kind'), message.kinds);
   byId('token-form').hidden = !message.token_needed || token != null;
   arm.start(message);
-  showFields();
+  (known ? showLabels : showFields)();
   takeAlarms(message.alarms);
 }
 
 function options(select, names) {
   const chosen = select.value;
   select.replaceChildren(...names.map((name) => new Option(name, name)));
-  if (names.includes(chosen)) select.value = chosen;
+  const known = names.includes(chosen);
+  if (known) select.value = chosen;
+  return known;
+}
+
+// Without a link nothing is known of the present: neither a verdict is given nor an arm drawn.
+function takeLink(state) {
+  const lost = state !== 'connected';
+  showLink(state);
+  document.body.classList.toggle('lost', lost);
+  if (!lost) return;
+  frame = null;
+  takeServices({});
+  redraw();
+}
+
+function takeServices({ inject, clear, reset }) {
+  byId('inject').disabled = !inject;
+  byId('clear').disabled = !clear;
+  byId('reset').disabled = !reset;
 }
 
 function takeFrame(message) {
@@ -99,18 +129,16 @@ function takeFrame(message) {
     samples.push(sample);
     while (samples.length > 4000 || samples[0].t < sample.t - hello.window) samples.shift();
   }
-  const { inject, clear, reset } = message.services;
-  byId('inject').disabled = !inject;
-  byId('clear').disabled = !clear;
-  byId('reset').disabled = !reset;
+  const { inject, clear } = message.services;
+  takeServices(message.services);
   byId('no-simulator').hidden = inject || clear;
 }
 
 function takeAlarms(rows) {
   alarms = rows;
-  showAlarms(rows);
+  showAlarms(rows, hello);
   const open = rows.filter((row) => row.ended == null).length;
-  document.title = `${open ? `(${open} ALARM) ` : ''}${hello?.arm ?? 'Arm'}, live`;
+  document.title = `${open ? `(${open} ALARM) ` : ''}${hello.arm}, live`;
 }
 
 // A token in the link's fragment never leaves the browser; it is kept in this tab's memory only.
@@ -122,11 +150,11 @@ if (given) {
 const link = new Link((message) => {
   if (message.type === 'hello') start(message);
   else if (message.type === 'frame' && hello) takeFrame(message);
-  else if (message.type === 'alarms') takeAlarms(message.alarms);
+  else if (message.type === 'alarms' && hello) takeAlarms(message.alarms);
   else if (message.type === 'error') say(message.message, true);
   redraw();
 }, (state) => {
-  showLink(state);
+  takeLink(state);
   if (state === 'connected' && token) unlock(token);
 });
 
@@ -145,7 +173,15 @@ function showFields() {
   for (const name of ['size', 'rate']) {
     document.querySelector(`[data-field=${name}]`).hidden = !(name in fields);
     byId(name).value = fields[name] ?? 0;
-    byId(`${name}-label`).textContent = LABELS[name][kind] ?? 'Size [rad]';
+  }
+  showLabels();
+}
+
+function showLabels() {
+  const [unit] = hello.units[byId('sensor').selectedIndex];
+  for (const name of ['size', 'rate']) {
+    const label = LABELS[name][byId('kind').value] ?? 'Size [unit]';
+    byId(`${name}-label`).textContent = label.replace('unit', unit);
   }
 }
 
@@ -162,6 +198,7 @@ function unlock(attempt) {
 }
 
 byId('kind').addEventListener('change', showFields);
+byId('sensor').addEventListener('change', showLabels);
 byId('fault-form').addEventListener('submit', (event) => {
   event.preventDefault();
   const number = (id) => Number(byId(id).value) || 0;
@@ -175,5 +212,5 @@ byId('token-form').addEventListener('submit', (event) => {
   unlock(byId('token').value.trim());
   byId('token').value = '';
 });
-startTheme(redraw);
+startTheme(draw);
 addEventListener('resize', redraw);

@@ -88,8 +88,8 @@ def region_lines(arm: SerialArm, gains: LoopGains) -> list[str]:
         f'region: every position, joint rates to {_listed(gains.rate_share * rates)} rad/s, all at '
         'once',
         f'model error {gains.model_error:g} of every link, payload to '
-        f'{arm.uncertainty.payload:g} kg, friction {arm.uncertainty.friction:g} off; bandwidth '
-        f'{gains.bandwidth:g} rad/s',
+        f'{arm.uncertainty.largest_payload:g} kg, friction {arm.uncertainty.friction:g} off; '
+        f'bandwidth {gains.bandwidth:g} rad/s',
         'bound of the tracking error of each joint [rad], rates to '
         f'{_listed(error.rate_share * rates)} rad/s, accelerations of the path to '
         f'{error.acceleration:g} rad/s2:',

@@ -53,7 +53,7 @@ def missed_torque(
     chain = compile_chain(arm)
     free_fall = math.sqrt(float(chain.gravity @ chain.gravity))
     mass, moving = float(chain.inertial[:, MASS].sum()), _moving_mass(chain, motion)
-    load = math.sqrt(bounds.payload * arm.uncertainty.payload)
+    load = math.sqrt(bounds.payload * arm.uncertainty.largest_payload)
     tip = float(_turning(motion) @ _distances(chain, len(chain.translation)))
     speed, change, friction = motion.rates, arm.uncertainty.friction, chain.friction
     viscous, torque = friction[:, VISCOUS], np.array(arm.torque_limit)

@@ -63,7 +63,7 @@ def chain_numbers(arm: SerialArm) -> ChainNumbers:
                 arm.name,
             )
     chain = compile_chain(arm)
-    load = payload_parameters(chain, arm.uncertainty.payload)
+    load = payload_parameters(chain, arm.uncertainty.largest_payload)
     return ChainNumbers(
         placements(chain.rotation, chain.translation),
         [spatial_inertia(body) for body in chain.inertial],

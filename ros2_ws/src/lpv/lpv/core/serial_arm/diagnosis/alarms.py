@@ -39,6 +39,22 @@ GUARANTEED, STATISTICAL = 'guaranteed', 'statistical'
 alarms."""
 
 
+def subject(kind: str) -> str:
+    """What alarms of a kind are about: one sensor may have one of each subject at a time.
+
+    Parameters
+    ----------
+    kind : str
+        One of `KINDS`.
+
+    Returns
+    -------
+    str
+        'rate_bias' or 'dropout', else '': the error of the position, whose kind may change.
+    """
+    return kind if kind in ('rate_bias', 'dropout') else ''
+
+
 @dataclass(frozen=True)
 class Alarm:
     """One alarm event of one sensor."""

@@ -52,6 +52,7 @@ from lpv.core.serial_arm.diagnosis.parameter_error import (
     parameter_directions,
     parameter_factor,
     typical_torque,
+    usual_load,
 )
 from lpv.core.serial_arm.diagnosis.priors import FAST, LASTING, OFFSET_PRIOR, POSE_TIME, STATIC
 from lpv.core.support.jit import Entries, njit_in_place
@@ -660,7 +661,7 @@ def _about(arm: SerialArm, plan: HorizonPlan) -> _About:
     typical = typical_torque(chain)
     missed = model_error(arm) * typical
     directions, drives, rows = parameter_directions(chain, parameter_factor(arm, chain), speed)
-    loads = rows[-LOAD_ROWS:] if arm.uncertainty.payload > 0.0 else rows[:0]
+    loads = rows[-LOAD_ROWS:] if usual_load(arm) > 0.0 else rows[:0]
     loads = np.hstack([np.zeros((len(loads), 4 * len(arm.joints))), loads])
     prior = np.concatenate([*_priors(arm, chain.friction, missed), np.ones(len(directions))])
     noise = _expected_noise(arm, chain, missed, plan)

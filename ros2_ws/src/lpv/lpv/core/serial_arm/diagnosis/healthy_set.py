@@ -160,7 +160,7 @@ class HealthySet:
         chain, plan, n = compile_chain(arm), estimator.plan, estimator.joints
         sizes = parameter_set(arm, chain)
         self._balance = new_healthy_balance(chain, sizes, arm.sensors_to_joints())
-        self._largest_payload = arm.uncertainty.payload
+        self._largest_payload = arm.uncertainty.largest_payload
         self._at_tip = payload_generator(sizes, self._largest_payload)
         self._load = np.zeros(len(estimator.prior))  # the payload's mass by the unknowns
         if self._at_tip >= 0:

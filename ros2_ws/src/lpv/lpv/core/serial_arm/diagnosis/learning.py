@@ -29,17 +29,6 @@ class Learned:
     noise: FloatArray  # (n,) usual torque that the model misses, mean over a balance [N m]
     seconds: float  # length of the horizon [s]
 
-    def values(self) -> dict[str, str]:
-        """Keys and values for a diagnostic message."""
-        result = {
-            'learned_payload': f'{self.payload:.4g}',
-            'learned_payload_sigma': f'{self.payload_sigma:.4g}',
-            'learned_seconds': f'{self.seconds:.4g}',
-        }
-        for name in ('offset', 'viscous', 'coulomb', 'noise'):
-            result[f'learned_{name}'] = ' '.join(f'{value:.4g}' for value in getattr(self, name))
-        return result
-
 
 def learned_of(arm: SerialArm, estimator: OffsetEstimator) -> Learned:
     """What an estimator has learned.

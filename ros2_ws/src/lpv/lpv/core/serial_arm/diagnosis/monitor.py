@@ -1054,7 +1054,7 @@ class SerialMonitor:
                     self._trust_rate(i)
                     continue
                 self._forget(i)
-                self._event(i, sensor.kind, now, 'cleared', left, float(sigma[i]))
+                self._event(i, sensor.kind, sensor.onset, 'cleared', left, float(sigma[i]))
                 sensor.clear()
         for i, record in enumerate(self.rates):
             if not record.active:
@@ -1066,7 +1066,7 @@ class SerialMonitor:
                 self.sampler.rate_error[i] = self.sampler.contrast[REPLACED, i] = 0.0
                 # When exactly the rate was right again is not known.
                 self.bank.restart_statistic()
-                self._event(i, record.kind, now, 'cleared', 0.0, 0.0)
+                self._event(i, record.kind, record.onset, 'cleared', 0.0, 0.0)
                 record.clear()
                 self._trust_rate(i)
         return Stage.RATES

@@ -12,7 +12,12 @@ from lpv.core.serial_arm.chain import COULOMB as DRY
 from lpv.core.serial_arm.chain import MASS, MX, SLOPE, VISCOUS, Chain, FloatArray, joint_count
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.balance import READINGS_AT_EDGES
-from lpv.core.serial_arm.diagnosis.priors import MODEL_ERROR, USUAL_ACCELERATION, USUAL_RATE
+from lpv.core.serial_arm.diagnosis.priors import (
+    MODEL_ERROR,
+    UNSTATED_LOAD,
+    USUAL_ACCELERATION,
+    USUAL_RATE,
+)
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.dynamics.payload import PAYLOAD_PLACE, payload_parameters
 
@@ -44,7 +49,7 @@ def parameter_factor(arm: SerialArm, chain: Chain) -> FloatArray:
         rows = [_with_drives(relative_factor(chain, model_error(arm)), n)]
     if arm.effort_unit != 'N m':
         rows.append(np.hstack([np.zeros((n, 14 * n)), model_error(arm) * np.eye(n)]))
-    mass = arm.uncertainty.payload
+    mass = usual_load(arm)
     if mass > 0.0:
         load = np.zeros((LOAD_ROWS, n, 10))
         at_tip = payload_parameters(chain, mass)
@@ -58,6 +63,13 @@ def parameter_factor(arm: SerialArm, chain: Chain) -> FloatArray:
 def model_error(arm: SerialArm) -> float:
     """Relative standard deviation of masses and inertias; that of the file, if it states one."""
     return arm.uncertainty.model_error or MODEL_ERROR
+
+
+def usual_load(arm: SerialArm) -> float:
+    """Standard deviation of the mass that the arm carries: as the file states, if it does [kg]."""
+    if arm.uncertainty.payload is not None:
+        return arm.uncertainty.payload
+    return UNSTATED_LOAD * sum(joint.link.mass for joint in arm.joints)
 
 
 def typical_torque(chain: Chain) -> FloatArray:

@@ -57,7 +57,7 @@ def parameter_set(arm: SerialArm, chain: Chain) -> ParameterSet:
     error = arm.uncertainty.model_error or 0.0
     friction, share = chain.friction, arm.uncertainty.friction
     links = relative_factor(chain, error)
-    load = _payload(chain, arm.uncertainty.payload)
+    load = _payload(chain, arm.uncertainty.largest_payload)
     inertial = np.vstack([links, load]).reshape(-1, joint_count(chain), 10)
     body = np.abs(inertial).max(2).argmax(1)
     inertial = inertial[np.arange(len(body)), body]

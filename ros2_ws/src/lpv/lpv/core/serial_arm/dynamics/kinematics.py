@@ -203,7 +203,10 @@ def inverse_kinematics(
     for _ in range(iterations):
         if np.linalg.norm(error) < tolerance or damping > 1e8:
             break
-        step = _damped_step(matrix, error, damping)
+        push = matrix.T @ error
+        # A joint that would leave its limits leaves the step to the others.
+        held = ((q <= low) & (push < 0.0)) | ((q >= high) & (push > 0.0))
+        step = _damped_step(np.where(held, 0.0, matrix), error, damping)
         trial = np.clip(q + step, low, high)
         trial_error, trial_matrix = _pose_error(chain, trial, (place, turn))
         if np.linalg.norm(trial_error) < np.linalg.norm(error):
