@@ -117,8 +117,8 @@ def test_given_the_tutorial_when_run_then_figures_and_alarm_are_as_printed(tmp_p
     share = namespace['friction'] / namespace['gravity']
     np.testing.assert_allclose(namespace['gravity'], [18.9, 4.2], atol=0.05)
     np.testing.assert_allclose(share, [0.021, 0.024], atol=5e-4)
-    np.testing.assert_allclose(namespace['upright'], [0.036, 0.077], atol=2e-3)
-    np.testing.assert_allclose(namespace['leaning'], [0.134, 0.376], atol=5e-3)
+    np.testing.assert_allclose(namespace['upright'], [0.040, 0.098], atol=2e-3)
+    np.testing.assert_allclose(namespace['leaning'], [0.149, 0.482], atol=5e-3)
     assert namespace['quiet']
     (alarm,) = namespace['run'].alarms
     assert (alarm.event, alarm.sensor, alarm.kind) == (AlarmEvent.RAISED, 'elbow_encoder', 'bias')

@@ -67,9 +67,9 @@ def design(arm: ArmParameters, requirement: Requirement) -> DesignResult:
             break
         except NotDetectableError:
             raise
-        except InfeasibleError:
+        except InfeasibleError as error:
             if number + 1 == len(options):
-                raise
+                raise InfeasibleError('; '.join([str(error), *limited])) from None
     found = guarantee(arm, gains)
     gains.certificate.update(
         note='information: nothing is computed from what is below certificate',
@@ -207,7 +207,8 @@ def _exact_observer(
         raise InfeasibleError(
             f'observer: no gains with decay {requirement.decay}/s and poles up to '
             f'{requirement.fastest}/s down to abs(cos theta) = {min(arm.cos_min)} '
-            f'(solver: {", ".join(statuses)}); ask for a slower decay or a smaller region'
+            f'(solver: {", ".join(statuses)}); ask for a slower decay, a larger fastest pole or a '
+            'smaller region'
         )
     return ExactObserverGains(
         kappa, mu, p, requirement.decay, requirement.fastest, exact_fault_sigma(arm, p)
@@ -271,10 +272,12 @@ def _controller(
     m, q, status = solve_loop(arm, loop, wanted)
     margin = np.inf if m is None else check_loop(loop, m, q, wanted.alpha)
     if not margin < 0.0:
+        away = max(float(np.linalg.eigvals(a).real.max()) for a in loop[0])
         raise InfeasibleError(
-            f'controller: LMI (67) with alpha = {wanted.alpha:g} and poles up to '
+            f'controller: LMI (67) with alpha = {wanted.alpha:g}/s and poles up to '
             f'{wanted.fastest:g}/s has no solution (solver: {status}, largest eigenvalue '
-            f'{margin:.3g})'
+            f'{margin:.3g}); without torques the arm leaves a pose by up to {away:.2g}/s: ask for '
+            'a smaller alpha, a larger fastest pole or a smaller region'
         )
     poles = np.concatenate([np.linalg.eigvals(a + b @ m) for a, b in zip(*loop)])
     fastest = float(np.abs(poles).max())

@@ -558,7 +558,7 @@ def test_given_bad_input_when_run_then_it_is_said(bag, tmp_path, monkeypatch, ca
         ('paper.yaml', {'gains': PAPER_ARM}, {'parameters': PAPER_ARM}),
         ('arm', {'arm': BRINGUP / 'arms' / 'real_arm.yaml'}),
         ('/nowhere', {'topic': '/nowhere'}),
-        ('nose', {'faults': 'faults.yaml'}),
+        ('nose', {'inject': 'faults.yaml'}),
         ('/lpv/torque_command', {'effort-topic': '/nowhere'}),
         ('std_msgs/msg/String', {'effort-topic': '/chatter'}),
         ('--from', {'from': -1}, {'from': 'nan'}),

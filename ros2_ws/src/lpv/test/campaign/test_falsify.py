@@ -82,9 +82,32 @@ def test_given_a_short_search_when_run_then_it_comes_near_and_never_across(arm, 
     assert 0.4 < found[0].ratio < 1.0 and not any(one.blamed for one in found)
 
 
+def test_given_fast_motion_between_few_samples_then_the_bound_covers_what_sampling_leaves_out(
+    paper_arm, paper_gains
+):
+    joints = [
+        replace(one, sensors=replace(one.sensors, position_noise=1e-6, velocity_noise=1e-5))
+        for one in paper_arm.joints
+    ]
+    arm = replace(paper_arm, joints=tuple(joints), sample_time=0.01)
+    arm = replace(
+        arm,
+        uncertainty=Uncertainty(model_error=0.0),
+        lpv=replace(arm.lpv, disturbance_mean=0.0, disturbance_variance=0.0),
+    )
+    quiet = replace(paper_gains.observer, fault_sigma=np.full(2, 1e-6))
+    gains = replace(paper_gains, arm_sha256=planar_model(arm).sha256(), observer=quiet)
+    attacker = Attacker(arm, 3.0, gains)
+    for phase in (-0.5, 0.0, 0.5):
+        candidate = np.zeros(attacker.numbers)
+        candidate[2:6], candidate[7], candidate[8] = 0.9, phase, 1.0
+        found = attacker.run(attacker.attack(candidate, 1))
+        assert 0.1 < found.ratio < 1.0 and found.thresholds.max() < 0.02
+
+
 @pytest.mark.parametrize('serial', [False, True])
 def test_given_a_worst_run_when_written_then_the_command_repeats_it_bit_by_bit(
-    serial, ur10, paper_arm, paper_gains, tmp_path, call
+    serial, ur10, paper_arm, paper_gains, tmp_path, call, refused
 ):
     arm, gains = (ur10, None) if serial else (paper_arm, paper_gains)
     attacker = Attacker(arm, 0.6, gains)
@@ -98,6 +121,8 @@ def test_given_a_worst_run_when_written_then_the_command_repeats_it_bit_by_bit(
     options = ['--arm', tmp_path / 'arm.yaml', *([] if serial else ['--gains', 'paper'])]
     said = call('falsify', *options, '--repeat', tmp_path / SCENARIO).out
     assert f'reached {worst.ratio:.3f} of its threshold' in said
+    # Another search would be lost in the end.
+    assert refused('worst run of another search', 'falsify', *options, '--out', tmp_path)
 
 
 def test_given_no_attack_or_guarantee_when_attacked_then_it_is_refused(

@@ -37,6 +37,7 @@ from lpv.core.serial_arm.diagnosis.healthy_balance import generator_count
 from lpv.core.serial_arm.diagnosis.healthy_set import LEAST_RESPONSE
 from lpv.core.serial_arm.diagnosis.monitor import SerialMonitor
 from lpv.core.serial_arm.diagnosis.parameter_set import (
+    ParameterSet,
     is_stated,
     member,
     parameter_set,
@@ -47,7 +48,7 @@ from lpv.core.support.errors import ConfigError
 from lpv.core.support.limits import LARGEST
 from lpv.core.uio.certificate.gains import Gains
 from lpv.core.uio.model.joints import J, JointMap
-from lpv.core.uio.planar import planar_model, serial_from_planar
+from lpv.core.uio.planar import planar_model
 
 _WIDEST = DiagnosisParameters.safe_stop_bound
 """Thresholds above are no evidence [rad]."""
@@ -59,8 +60,9 @@ _SLOW_SWITCH, _FAST_SWITCH = 0.3, 60.0
 """Circular frequencies of bang-bang time profiles [rad/s]."""
 _REACH, _SPEED = 0.97, 0.5
 """Shares of a certified region and velocity limit that motions use."""
-_MOTION, _SHARED = 4, 4
-"""Numbers of a candidate for each joint's motion; those of rest and switching."""
+_MOTION, _SHARED, _APART = 4, 4, 3
+"""Numbers of a candidate for each joint's motion; those of rest and switching; shares of a designed
+range that are none of its arm."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +112,7 @@ class Attacker:
         n = len(arm.joint_names)
         self.numbers = _MOTION * n + _SHARED + self.range.own
         self.samples = np.zeros((max(2, round(duration / arm.sample_time)), 3, n))
-        chain, finer = self.range.chain, self.range.finer
+        chain, finer = self.range.chain, 2  # corners are stiffer
         step, count = integration_step(chain, arm.sample_time)
         self._substeps = (step / finer, finer * count)
         self._scratch = plant_scratch(chain), np.empty((n, n)), workspace(chain)
@@ -192,6 +194,14 @@ def _geometric(share: FloatArray, low: float, high: float) -> FloatArray:
     return np.asarray(low * (high / low) ** (0.5 * (share + 1.0)))
 
 
+def _load(shares: FloatArray, sizes: ParameterSet, payload: float) -> None:
+    """No payload is negative, and its place counts with its mass."""
+    at_tip = payload_generator(sizes, payload)
+    if at_tip >= 0:
+        shares[at_tip] = max(shares[at_tip], 0.0)
+        shares[at_tip + 1 : len(sizes.inertial)] *= shares[at_tip]
+
+
 def stamps_of(samples: FloatArray, period: float) -> np.ndarray:
     """Stamps of the samples of a run [ns]."""
     return 10**9 + round(period * 1e9) * np.arange(len(samples))
@@ -200,12 +210,13 @@ def stamps_of(samples: FloatArray, period: float) -> np.ndarray:
 class _DesignedRange:
     """Model error, payload, friction, disturbance and rate errors that gains are designed for."""
 
-    own = count = 11  # numbers of a candidate beside motion, rest and switching; shares
-    finer = 1  # steps of the plant for each that the nominal arm needs
-
     def __init__(self, described: SerialArm, gains: Gains) -> None:
         self.arm, self.chain = planar_model(described), compile_chain(described)
-        arm = self.arm
+        arm, uncertainty = self.arm, described.uncertainty
+        stated = replace(uncertainty, friction=self.arm.friction_error)
+        self._sizes = parameter_set(replace(described, uncertainty=stated), self.chain)
+        # Shares of mean disturbance and scales of the rates, and of the file's set of arms.
+        self.own = self.count = _APART + generator_count(self._sizes)
         joints = JointMap(arm)
         to_joint = described.sensors_to_joints()
         self.sensing = Sensing(
@@ -228,25 +239,19 @@ class _DesignedRange:
         return np.array([self._middle + away, swing, speed / max(1.0, fastest)])
 
     def shares(self, own: FloatArray, attack: Attack, attacker: Attacker) -> FloatArray:
-        return np.clip(2.0 * own, -1.0, 1.0)  # corners are reached
+        shares = np.clip(2.0 * own, -1.0, 1.0)  # corners are reached
+        _load(shares[_APART:], self._sizes, self.arm.payload)
+        return shares
 
     def disturb(self, joints: FloatArray, own: FloatArray, shares: FloatArray) -> None:
         arm, direction = self.arm, J @ np.array(self.arm.disturbance_direction)
-        joints[ACCELERATION] = direction * abs(arm.disturbance_mean) * shares[6]
+        joints[ACCELERATION] = direction * abs(arm.disturbance_mean) * shares[0]
         joints[SHAKE] = direction * np.sqrt(arm.disturbance_variance)
-        joints[RATE_SCALE] = arm.velocity_error * shares[7:9]
-        joints[RATE_BIAS] = RATE_BIAS_FACTOR * arm.velocity_noise * shares[9:11]
+        joints[RATE_SCALE] = arm.velocity_error * shares[1:_APART]
+        joints[RATE_BIAS] = RATE_BIAS_FACTOR * arm.velocity_noise * shares[-2:]
 
     def member(self, shares: FloatArray) -> Chain:
-        """The nominal arm where the corner is not physical."""
-        arm, error = self.arm, 1.0 + self.arm.model_error * shares
-        factor = 1.0 + arm.friction_error * shares[5]
-        other = replace(
-            arm.scaled(error[:2].tolist(), error[2:4].tolist()),
-            viscous=tuple(factor * v for v in arm.viscous),
-            coulomb=tuple(factor * v for v in arm.coulomb),
-        ).with_payload(0.5 * (shares[4] + 1.0) * arm.payload)
-        return compile_chain(serial_from_planar(other)) if other.is_physical() else self.chain
+        return member(self.chain, self._sizes, shares[_APART:])
 
     def judge(self, samples: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, bool]:
         self._monitor.reset()
@@ -265,8 +270,6 @@ class _DesignedRange:
 
 class _StatedRange:
     """What an arm file states in ``uncertainty`` and of its sensors."""
-
-    finer = 2  # corners are stiffer
 
     def __init__(self, arm: SerialArm, monitored: SerialArm) -> None:
         for one in (arm, monitored):
@@ -310,10 +313,7 @@ class _StatedRange:
                 if monitor.healthy is not None:
                     effects = monitor.healthy.evaluate().effects
                     shares = np.where(effects[joint] * sign >= 0.0, 1.0, -1.0)
-        at_tip = payload_generator(self._sizes, self.arm.uncertainty.largest_payload)
-        if at_tip >= 0:  # no payload is negative; its place counts with its mass
-            shares[at_tip] = max(shares[at_tip], 0.0)
-            shares[at_tip + 1 : len(self._sizes.inertial)] *= shares[at_tip]
+        _load(shares, self._sizes, self.arm.uncertainty.largest_payload)
         return shares
 
     def disturb(self, joints: FloatArray, own: FloatArray, shares: FloatArray) -> None:

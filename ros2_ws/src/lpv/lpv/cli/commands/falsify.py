@@ -25,10 +25,11 @@ def run(arguments: argparse.Namespace) -> int:
         attack, duration = read_attack(arguments.repeat)
         attacker = _attacker(arm, arguments.gains, duration)
         return _conclude(attacker, [repeat(attacker, attack, arguments.repeat)])
-    attacker = _attacker(arm, arguments.gains, arguments.duration)
+    attacker, folder = _attacker(arm, arguments.gains, arguments.duration), Path(arguments.out)
+    if (folder / BAG).exists():  # said before hours of searching
+        raise ConfigError('--out', f'{folder} holds the worst run of another search')
     found = search(attacker, arguments.evaluations, arguments.seed, _show)
-    write_worst(attacker, found[0], arguments.out)
-    folder = Path(arguments.out)
+    write_worst(attacker, found[0], folder)
     print(f'worst run: {folder / SCENARIO}, {folder / BAG}')
     return _conclude(attacker, found)
 

@@ -102,7 +102,8 @@ def _drive(top: Section) -> dict[str, Any]:
         'offset': (0.0, 0.0),
         'viscous': friction.pair('viscous', 0.0, 0.0, 1e6),
         'coulomb': friction.pair('coulomb', 0.0, 0.0, 1e6),
-        'coulomb_slope': friction.number('coulomb_slope', 100.0, above=0.0, high=1e6),
+        'coulomb_slope': (friction.number('coulomb_slope', 100.0, above=0.0, high=1e6),) * 2,
+        'load': (0.0, 0.0),
         'torque_limit': top.pair('torque_limit', 1e9, above=0.0, high=1e9),
     }
     rotor.finish()

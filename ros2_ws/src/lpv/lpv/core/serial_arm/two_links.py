@@ -36,7 +36,7 @@ def two_link_arm(arm: Any) -> SerialArm:
         inertia = link.inertia
         if arm.inertia_reference == 'center_of_mass':
             inertia += link.mass * link.center_of_mass**2
-        friction = arm.offset[i], arm.viscous[i], arm.coulomb[i]
+        friction = arm.offset[i], arm.viscous[i], arm.coulomb[i], arm.coulomb_slope[i], arm.load[i]
         joints.append(
             SerialJoint(
                 name=arm.joint_names[i],
@@ -48,7 +48,7 @@ def two_link_arm(arm: Any) -> SerialArm:
                     (link.mass * link.center_of_mass, 0.0, 0.0),
                     (0.0, 0.0, inertia, 0.0, 0.0, inertia),
                 ),
-                friction=JointFriction(*friction, arm.coulomb_slope),
+                friction=JointFriction(*friction),
                 rotor_inertia=(first, second)[i],
                 rotor_coupling=(0.0, coupling)[i],
                 limits=JointLimits(velocity=arm.velocity_limit[i], torque=arm.torque_limit[i]),

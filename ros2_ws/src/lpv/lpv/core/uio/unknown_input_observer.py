@@ -4,6 +4,7 @@ It says at every sample where the links are and what the sensors' faults are, wi
 holds for every healthy arm inside its file whose rates are right; see `lpv.core.uio.bound`.
 """
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -177,8 +178,8 @@ class UnknownInputObserver:
     method : str
         Of the observer: ``paper`` or ``exact``.
     certifies : bool
-        Whether the bound holds while a sensor fails: method ``exact``, and rates have sensors of
-        their own.
+        Whether the bound holds while a sensor fails: method ``exact``, rates have sensors of their
+        own, and the arm file states nothing of the efforts that the bound leaves out.
     parts : UioParts
         Arguments of `uio_answers`.
 
@@ -209,7 +210,11 @@ class UnknownInputObserver:
         # A fault of a sensor whose rate is derived from it is in the rate, too, and method paper
         # leaves model errors out: no bound is guaranteed then.
         independent = all(joint.sensors.rates == 'independent' for joint in arm.joints)
-        self.certifies = independent and self.method == 'exact'
+        # Efforts are taken as they are, for those of the interval before the stamp.
+        exact = math.isinf(arm.effort_bandwidth) and not any(
+            joint.effort_delay or any(joint.torque_tolerance.torque) for joint in arm.joints
+        )
+        self.certifies = independent and exact and self.method == 'exact'
         found = plain(self._state)
         # Faults of the sensors and their bounds, shape (2,) [rad]; whether there are any
         self.level = (

@@ -1,5 +1,6 @@
 """The designed observer in the loop and on a recording: its bound holds, and what it excludes."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -9,11 +10,23 @@ from places import DATA
 
 from lpv import AlarmEvent, ConfigError, Fault
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv.core.serial_arm.chain import compile_chain
+from lpv.core.serial_arm.description import TorqueTolerance
+from lpv.core.serial_arm.diagnosis.healthy_balance import generator_count
+from lpv.core.serial_arm.diagnosis.parameter_set import (
+    PAYLOAD_PARTS,
+    member,
+    parameter_set,
+    payload_generator,
+)
+from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.support.records import new_record
 from lpv.core.uio.bound.error_bound import error_bound
 from lpv.core.uio.bound.unknown_torque import MOTION, healthy_arm, unknown_torque
 from lpv.core.uio.certificate.error_system import link_errors
 from lpv.core.uio.certificate.noise import exact_fault_sigma
+from lpv.core.uio.model.dynamics import friction
+from lpv.core.uio.model.joints import JointMap
 from lpv.core.uio.planar import planar_model
 from lpv.core.uio.unknown_input_observer import UnknownInputObserver
 
@@ -56,14 +69,28 @@ def test_given_constant_friction_then_the_observer_knows_it_and_the_bound_its_sh
     (usual,) = answers(run_paper(faults=(), duration=6.0), paper_arm, paper_gains, 'uio')
     assert found.events == []
     assert np.all(np.abs(found.fault.estimate[500:]) <= 0.5 * found.fault.bound[500:])
-    assert np.all(found.fault.bound[-1] > 1.05 * usual.fault.bound[-1])
+    # After 0.5 s; later, dead reckoning limits both.
+    assert np.all(found.fault.bound[250] > 1.05 * usual.fault.bound[250])
+
+
+@pytest.mark.parametrize('joint', [
+    {'torque_tolerance': TorqueTolerance(torque=(0.0,))},
+    {'torque_tolerance': TorqueTolerance(torque=(15.0,))}, {'effort_delay': 0.05}, None,
+])  # fmt: skip
+def test_given_efforts_that_the_file_calls_inexact_then_the_observer_certifies_nothing(
+    paper_arm, paper_gains, joint
+):
+    joints = tuple(replace(one, **(joint or {})) for one in paper_arm.joints)
+    arm = replace(paper_arm, joints=joints, effort_bandwidth=math.inf if joint else 5.0)
+    gains = replace(paper_gains, arm_sha256=planar_model(arm).sha256())
+    assert UnknownInputObserver(arm, gains).certifies == (arm == paper_arm)
 
 
 @pytest.mark.parametrize('rate', [-2.0, 5.0])
 def test_given_friction_that_falls_with_speed_then_its_error_is_bounded(paper_model, rate):
     arm = replace(paper_model, viscous=(-2.0, 0.0), coulomb=(20.0, 0.0), friction_error=0.3)
     viscous = arm.viscous[0] * rate
-    dry = arm.coulomb[0] * 2.0 / np.pi * np.arctan(arm.coulomb_slope * rate)
+    dry = arm.coulomb[0] * 2.0 / np.pi * np.arctan(arm.coulomb_slope[0] * rate)
     motion = new_record(MOTION, rate=np.array([rate, rate]), margin=np.zeros(2))
     both = []
     for one in (arm, replace(arm, viscous=(0.0, 0.0), coulomb=(0.0, 0.0))):
@@ -71,6 +98,60 @@ def test_given_friction_that_falls_with_speed_then_its_error_is_bounded(paper_mo
         unknown_torque(healthy_arm(one), motion, torque)
         both.append(torque[0])
     assert both[0] - both[1] >= 0.3 * (abs(viscous) + abs(dry))
+
+
+def test_given_links_rotors_and_payload_of_the_file_then_the_error_of_their_torques_is_bounded(
+    paper_arm,
+):
+    """By masses, their places along and beside the links, and inertias."""
+    joints = [replace(joint, rotor_inertia=0.5) for joint in paper_arm.joints]
+    uncertainty = replace(paper_arm.uncertainty, payload=0.5)
+    described = replace(paper_arm, joints=tuple(joints), uncertainty=uncertainty)
+    chain, arm = compile_chain(described), planar_model(described)
+    sizes, quiet = parameter_set(described, chain), replace(arm, velocity_noise=0.0)
+    healthy = healthy_arm(replace(quiet, disturbance_mean=0.0))
+    rng, largest, nominal = np.random.default_rng(2), 0.0, SerialModel(chain)
+    payload, angles = payload_generator(sizes, 0.5), JointMap(arm)
+    for _ in range(300):
+        shares = rng.choice([-1.0, 1.0], generator_count(sizes))
+        shares[payload:][:PAYLOAD_PARTS] *= shares[payload] > 0.0  # places are those of its mass
+        q, v, a = rng.uniform(-2.0, 2.0, (3, 2))
+        true = SerialModel(member(chain, sizes, shares))
+        missed = true.inverse_dynamics(q, v, a) - nominal.inverse_dynamics(q, v, a)
+        missed = angles.absolute_torque(missed)
+        driven = np.tile(angles.absolute_velocity(a), (2, 1))
+        pose = {'theta': angles.absolute_position(q), 'rate': angles.absolute_velocity(v)}
+        motion = new_record(MOTION, **pose, driven=driven)
+        most = np.zeros(2)
+        unknown_torque(healthy, motion, most)
+        assert np.all(np.abs(missed) <= most)
+        largest = max(largest, (np.abs(missed) / most).max())
+    assert largest > 0.8
+
+
+@pytest.mark.parametrize('share', [-0.3, 0.3])
+def test_given_slopes_and_load_of_each_joint_then_the_error_of_friction_is_bounded(
+    paper_model, share
+):
+    dry = {'coulomb': (5.0, 2.0), 'load': (0.2, 0.5)}
+    arm = replace(paper_model, coulomb_slope=(10.0, 1000.0), velocity_noise=0.0, **dry)
+    true = replace(arm, **{n: tuple((1.0 + share) * v for v in dry[n]) for n in dry})
+    frictionless = replace(arm, coulomb=(0.0, 0.0), load=(0.0, 0.0))
+    rng, largest = np.random.default_rng(4), 0.0
+    for rate, torque in zip(rng.uniform(-1.0, 1.0, (200, 2)), rng.uniform(-50.0, 50.0, (200, 2))):
+        known, other = (
+            np.array(friction(*rate, *torque, False, a.constants())) for a in (arm, true)
+        )
+        carried = torque - known
+        np.testing.assert_allclose(friction(*rate, *carried, True, arm.constants()), known)
+        motion = new_record(MOTION, rate=rate, load=np.abs([carried.sum(), carried[1]]))
+        most, rest = np.zeros(2), np.zeros(2)
+        unknown_torque(healthy_arm(arm), motion, most)
+        unknown_torque(healthy_arm(frictionless), motion, rest)
+        ratio = np.abs(other - known) / (most - rest)
+        assert np.all(ratio <= 1.0)
+        largest = max(largest, ratio.max())
+    assert largest > 0.5
 
 
 def test_given_noisy_encoders_then_angles_have_the_noise_of_their_own(paper_model, paper_gains):

@@ -18,17 +18,23 @@ import math
 import numpy as np
 
 from lpv.core.serial_arm.description import RATE_BIAS, SIGMAS
+from lpv.core.serial_arm.dynamics.payload import PAYLOAD_PLACE
+from lpv.core.support.inequalities import SAME
 from lpv.core.support.jit import njit_in_place as njit
 from lpv.core.support.records import new_record, record_type
 from lpv.core.uio.model.arm import ARM_CONSTANTS, ArmParameters
+from lpv.core.uio.model.dynamics import rigid_torque
 from lpv.core.uio.model.joints import J, JointMap, row_dot
 
 UNKNOWN_TORQUE = record_type(
     ('arm', ARM_CONSTANTS),
-    ('model_error', 'f8'),  # relative error of masses and inertias
-    ('payload', 'f8'),  # largest unknown mass at the tip [kg]
-    ('lengths', 'f8', (2,)),  # L1, L2 [m]
-    ('gravity', 'f8'),  # g [m/s2]
+    # Errors by masses, places of masses, inertias and payload:
+    ('own', 'f8', (2,)),  # of Xi_11 and Xi_22 [kg m2]
+    ('constant', 'f8'),  # of the constant part of Xi_12, by the rotor of joint 2 [kg m2]
+    ('part', 'f8'),  # of the part of Xi_12 that cos(theta1 - theta2) scales [kg m2]
+    ('aside', 'f8'),  # what sin(theta1 - theta2) scales, of masses beside the links [kg m2]
+    ('lift', 'f8', (2,)),  # of G_i [N m]
+    ('lean', 'f8', (2,)),  # gravity torques of masses beside the links [N m]
     ('friction', 'f8'),  # relative uncertainty of friction
     ('push', 'f8', (2,)),  # mean disturbance Bd2 abs(d) [rad/s2]
     # Stated errors of the measured rates:
@@ -48,6 +54,7 @@ MOTION = record_type(
     ('driven', 'f8', (2, 2)),  # theta^''_j + mu_i r_j [rad/s2]
     ('mu', 'f8', (2,)),  # [1/s]
     ('margin', 'f8', (2,)),  # bound on the angle errors [rad]
+    ('load', 'f8', (2,)),  # torques that the joints' gears carry [N m]
     ('rate_error', 'f8', (2,)),  # bound on eta, absolute rates, without noise [rad/s]
     ('joint_error', 'f8', (2,)),  # the same of the joint rates [rad/s]
 )
@@ -59,13 +66,26 @@ def healthy_arm(arm: ArmParameters, sigmas: float = SIGMAS) -> np.record:
     sensor = JointMap(arm).sensor_matrix
     inverse = np.linalg.inv(sensor)
     to_joint = J @ inverse
+    constants, (length_1, length_2) = arm.constants(), arm.lengths
+    # As of `lpv.core.serial_arm.diagnosis.parameter_set.parameter_set`: links as a whole, and apart
+    # from that places of their masses and inertias by half as much.
+    error, half = arm.model_error, 0.5 * arm.model_error
+    moment = half * np.array([abs(link.mass * link.center_of_mass) for link in arm.links])
+    # First moments of a payload along link 2 and beside it.
+    along, beside = arm.payload * (length_2 + PAYLOAD_PLACE), arm.payload * PAYLOAD_PLACE
+    reach = length_1**2, (length_2 + PAYLOAD_PLACE) ** 2 + PAYLOAD_PLACE**2
     return new_record(
         UNKNOWN_TORQUE,
-        arm=arm.constants(),
-        model_error=arm.model_error,
-        payload=arm.payload,
-        lengths=arm.lengths,
-        gravity=arm.gravity,
+        arm=constants,
+        own=error * constants.inertia
+        + half * np.array(arm.joint_inertias())
+        + arm.payload * np.array(reach),
+        constant=error * abs(arm.rotor[2]),
+        part=error * abs(constants.coupling) + length_1 * (moment[1] + along),
+        aside=length_1 * (moment[1] + beside),
+        lift=error * np.abs(constants.gravity)
+        + arm.gravity * (moment + [arm.payload * length_1, along]),
+        lean=arm.gravity * (moment + [0.0, beside]),
         friction=arm.friction_error,
         push=np.abs(arm.disturbance_mean * np.asarray(arm.disturbance_direction)),
         sensor=sensor,
@@ -89,20 +109,15 @@ def bound_rate_errors(params: np.record, motion: np.record) -> None:
 
 
 @njit
-def inertia_errors(params: np.record, motion: np.record) -> tuple[float, float, float, float]:
-    """Bounds on abs(Xi_true - Xi) at the true angles: (1, 1), (2, 2), (1, 2), and the part of
-    (1, 2) that the cosine of the angle between the links scales [kg m2]."""
-    arm, error, load = params.arm, params.model_error, params.payload
-    l_1, l_2 = params.lengths[0], params.lengths[1]
+def inertia_errors(params: np.record, motion: np.record) -> tuple[float, float]:
+    """Bounds on the error of Xi_12 at the true angles, and on that of its change with the angle
+    between the links [kg m2]."""
     difference = motion.theta[0] - motion.theta[1]
-    cosine = min(1.0, abs(math.cos(difference)) + motion.margin[0] + motion.margin[1])
-    part = error * arm.coupling + load * l_1 * l_2
-    return (
-        error * arm.inertia[0] + load * l_1 * l_1,
-        error * arm.inertia[1] + load * l_2 * l_2,
-        part * cosine,
-        part,
-    )
+    away = motion.margin[0] + motion.margin[1]
+    sine = min(1.0, abs(math.sin(difference)) + away)
+    cosine = min(1.0, abs(math.cos(difference)) + away)
+    part, aside = params.part, params.aside
+    return params.constant + part * cosine + aside * sine, part * sine + aside * cosine
 
 
 @njit
@@ -110,28 +125,27 @@ def unknown_torque(params: np.record, motion: np.record, out: np.ndarray) -> Non
     """Bounds [N m], into ``out``, on the generalised torques of a `MOTION` that neither the model
     nor the linear error explains."""
     arm, b = params.arm, params.arm.coupling
-    own_1, own_2, cross, part = inertia_errors(params, motion)
+    cross, swirl = inertia_errors(params, motion)
     difference = motion.theta[0] - motion.theta[1]
     away = motion.margin[0] + motion.margin[1]
     sine, cosine = min(1.0, abs(math.sin(difference)) + away), abs(math.cos(difference))
     off = abs(arm.rotor_coupling) + b * min(1.0, cosine + away)
-    joint_1 = _friction_error(params, 0, motion.rate[0], motion.joint_error[0])
-    joint_2 = _friction_error(params, 1, motion.rate[1] - motion.rate[0], motion.joint_error[1])
+    joint_1 = _friction_error(params, motion, 0, motion.rate[0])
+    joint_2 = _friction_error(params, motion, 1, motion.rate[1] - motion.rate[0])
     turning = abs(motion.rate[0] - motion.rate[1])
     turning_error = motion.rate_error[0] + motion.rate_error[1]
     for i in range(2):
         j = 1 - i
-        own, length = (own_1, params.lengths[0]) if i == 0 else (own_2, params.lengths[1])
+        own = params.own[i]
         speed, slip, error = abs(motion.rate[j]), abs(motion.innovation[j]), motion.rate_error[j]
         driven = abs(motion.driven[i, i]) + motion.mu[i] * motion.rate_error[i]
         driven_by_other = abs(motion.driven[i, j]) + motion.mu[i] * error
-        lift = min(1.0, abs(math.sin(motion.theta[i])) + motion.margin[i])
+        level = min(1.0, abs(math.sin(motion.theta[i])) + motion.margin[i])
+        steep = min(1.0, abs(math.cos(motion.theta[i])) + motion.margin[i])
         # (M - Xi^)(theta^'' + mu e'), gravity, centrifugal terms and M' e' with wrong parameters.
         total = own * driven + cross * driven_by_other
-        total += (
-            params.model_error * arm.gravity[i] + params.payload * params.gravity * length
-        ) * lift
-        total += part * sine * ((speed + error) ** 2 + (turning + turning_error) * (slip + error))
+        total += params.lift[i] * level + params.lean[i] * steep
+        total += swirl * ((speed + error) ** 2 + (turning + turning_error) * (slip + error))
         # The same terms of the model at wrong rates.
         total += (
             b
@@ -148,22 +162,34 @@ def unknown_torque(params: np.record, motion: np.record, out: np.ndarray) -> Non
 
 
 @njit
-def _friction_error(params: np.record, i: int, rate: float, error: float) -> float:
-    """Bound on true less modelled friction of a joint, with the noise of the rate averaged out."""
-    # Coulomb friction of a joint that may stand still is set-valued: anything within its limits.
-    arm, share = params.arm, params.friction
-    viscous = abs(arm.viscous[i]) * (share * abs(rate) + (1.0 + share) * error)
-    viscous += share * abs(arm.offset[i])
-    most = (1.0 + share) * arm.coulomb[i]
-    slowest = abs(rate) - error - params.joint_noise[i]
-    if slowest <= 0.0:
-        return viscous + most + arm.coulomb[i] * _slip(arm, error)
-    modelled = arm.coulomb[i] * _slip(arm, rate)
-    least = (1.0 - share) * arm.coulomb[i] * _slip(arm, slowest)
-    return viscous + max(most - modelled, modelled - least)
+def carry_load(params: np.record, motion: np.record, acc_1: float, acc_2: float) -> None:
+    """Fill ``load`` of a motion with absolute accelerations of the model [rad/s2]."""
+    theta, rate = motion.theta, motion.rate
+    first, second = rigid_torque(theta[0], theta[1], rate[0], rate[1], acc_1, acc_2, params.arm)
+    motion.load[0], motion.load[1] = abs(first + second), abs(second)
 
 
 @njit
-def _slip(arm: np.record, rate: float) -> float:
-    """Share of the Coulomb friction at a rate, 0 to 1."""
-    return math.atan(arm.coulomb_slope * abs(rate)) * 2.0 / math.pi
+def _friction_error(params: np.record, motion: np.record, i: int, rate: float) -> float:
+    """Bound on true less modelled friction of a joint, with the noise of the rate averaged out."""
+    # Coulomb friction of a joint that may stand still is set-valued: anything within its limits.
+    arm, share, error = params.arm, params.friction, motion.joint_error[i]
+    dry = arm.coulomb[i] + arm.load[i] * motion.load[i]
+    total = abs(arm.viscous[i]) * (share * abs(rate) + (1.0 + share) * error)
+    total += share * abs(arm.offset[i])
+    most = (1.0 + share) * dry
+    slowest = abs(rate) - error - params.joint_noise[i]
+    if slowest <= 0.0:
+        total += most + dry * _slip(arm, i, error)
+    else:
+        modelled = dry * _slip(arm, i, rate)
+        least = (1.0 - share) * dry * _slip(arm, i, slowest)
+        total += max(most - modelled, modelled - least)
+    # The gear carries what friction leaves of the drive's torque, and is wrong by the same error.
+    return total / max(1.0 - (1.0 + share) * arm.load[i], SAME)
+
+
+@njit
+def _slip(arm: np.record, i: int, rate: float) -> float:
+    """Share of the Coulomb friction of a joint at a rate, 0 to 1."""
+    return math.atan(arm.coulomb_slope[i] * abs(rate)) * 2.0 / math.pi

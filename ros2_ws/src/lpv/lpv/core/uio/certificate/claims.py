@@ -23,7 +23,8 @@ CLAIMS = (
         'A healthy arm stays below its threshold, but for noise beyond `sigmas` standard '
         'deviations: model error, payload, friction, mean disturbance, bias and relative error of '
         'the rates may have any time profile within the arm file.',
-        'everywhere (method exact); held links: dead reckoning',
+        'everywhere (method exact), without torque_tolerance, delay and bandwidth of efforts in '
+        'the arm file; held links: dead reckoning',
         'bound (reachable set and dead reckoning), attacked by lpv falsify',
     ),
     Claim(

@@ -23,7 +23,8 @@ ARM_CONSTANTS = record_type(
     ('offset', 'f8', (2,)),  # joint friction [N m]
     ('viscous', 'f8', (2,)),  # joint friction [N m s/rad]
     ('coulomb', 'f8', (2,)),  # joint friction [N m]
-    ('coulomb_slope', 'f8'),  # steepness of its sign change [s/rad]
+    ('coulomb_slope', 'f8', (2,)),  # steepness of its sign change [s/rad]
+    ('load', 'f8', (2,)),  # growth of Coulomb friction with the torque that a gear carries [-]
     ('coriolis', 'f8'),  # 1, or 0 without the quadratic term O(theta, theta')
 )
 """Constants of eqs. (1)-(3) for compiled functions."""
@@ -67,10 +68,11 @@ class ArmParameters:
     # in joint coordinates [kg m2]
     rotor: tuple = (0.0, 0.0, 0.0)
     offset: tuple = (0.0, 0.0)  # constant part of the joint friction [N m]
-    # joint friction, tau = offset + viscous*v + coulomb*(2/pi)*atan(coulomb_slope*v) [N m s]
+    # joint friction, see `lpv.core.serial_arm.description.JointFriction` [N m s]
     viscous: tuple = (0.0, 0.0)
     coulomb: tuple = (0.0, 0.0)  # see viscous [N m]
-    coulomb_slope: float = 100.0  # steepness of the Coulomb term [s/rad]
+    coulomb_slope: tuple = (100.0, 100.0)  # see viscous [s/rad]
+    load: tuple = (0.0, 0.0)  # see viscous [N m per N m]
     joint_names: tuple = ('joint1', 'joint2')  # names in ``sensor_msgs/JointState``
     zero_angle: float = -math.pi / 2  # absolute angle of link 1 at joint position q1 = 0 [rad]
     # names of the two physical position sensors; faults are reported under them
@@ -113,16 +115,24 @@ class ArmParameters:
         """+1 for an upright region, -1 for a hanging one (sign of cos(theta))."""
         return 1.0 if self.orientation == 'upright' else -1.0
 
+    def joint_inertias(self, number: Callable[[Any], Any] = float) -> tuple[Any, ...]:
+        """Inertias of both links about their joints' axes [kg m2]."""
+        about_joint = self.inertia_reference == 'joint'
+        return tuple(
+            number(one.inertia)
+            + (0 if about_joint else number(one.mass) * number(one.center_of_mass) ** 2)
+            for one in self.links
+        )
+
     def numbers(self, number: Callable[[Any], Any] = float) -> ArmNumbers:
         """Constants of eqs. (2), (3) as floats, or as exact ``fractions.Fraction``.
 
         The printed eqs. (5), (14), (15) have m2*Lc1^2 in the (1, 1) inertia; the physics, and
         eq. (2), is m2*L1^2, which is used here.  Rotors are those of motors on the joint axes.
         """
-        rows = [(link.mass, link.length, link.center_of_mass, link.inertia) for link in self.links]
-        (m_1, l_1, c_1, i_1), (m_2, _, c_2, i_2) = ([number(v) for v in row] for row in rows)
-        if self.inertia_reference == 'center_of_mass':
-            i_1, i_2 = i_1 + m_1 * c_1**2, i_2 + m_2 * c_2**2
+        rows = [(link.mass, link.length, link.center_of_mass) for link in self.links]
+        (m_1, l_1, c_1), (m_2, _, c_2) = ([number(v) for v in row] for row in rows)
+        i_1, i_2 = self.joint_inertias(number)
         # J^T R J for R = [[first, across], [across, second]] in joint coordinates, q' = J theta'.
         first, across, second = (number(value) for value in self.rotor)
         g = number(self.gravity)
@@ -146,6 +156,7 @@ class ArmParameters:
             viscous=self.viscous,
             coulomb=self.coulomb,
             coulomb_slope=self.coulomb_slope,
+            load=self.load,
             coriolis=coriolis,
         )
 
@@ -186,20 +197,26 @@ class ArmParameters:
 
     def to_json(self) -> str:
         """All parameters as one line of JSON; `arm_from_json` reads it back exactly."""
-        parameters = asdict(self)
-        if self.rates == 'independent':
-            del parameters['rates']  # as written before rates could be stated
-        if not any(self.offset):
-            del parameters['offset']  # likewise
+        parameters = self._stated()
+        if self.rates != 'independent':
+            parameters['rates'] = self.rates
         return json.dumps(parameters, sort_keys=True)
 
     def sha256(self) -> str:
         """Hash of every parameter of the design: gains carry it, so that they fit one arm only."""
+        return sha256_of(self._stated())
+
+    def _stated(self) -> dict[str, Any]:
+        """All parameters but the source of rates, as files with the first ones have them: their
+        gains stay those of this arm."""
         parameters = asdict(self)
         del parameters['rates']
-        if not any(self.offset):
-            del parameters['offset']  # files without it keep their hash
-        return sha256_of(parameters)
+        for name in ('offset', 'load'):
+            if not any(parameters[name]):
+                del parameters[name]
+        if len(set(self.coulomb_slope)) == 1:
+            parameters['coulomb_slope'] = self.coulomb_slope[0]
+        return parameters
 
 
 def arm_from_json(text: str) -> ArmParameters:
@@ -209,6 +226,8 @@ def arm_from_json(text: str) -> ArmParameters:
         data['links'] = tuple(Link(**link) for link in data['links'])
         for name, value in data.items():
             data[name] = tuple(value) if isinstance(value, list) else value
+        if not isinstance(data['coulomb_slope'], tuple):
+            data['coulomb_slope'] = (data['coulomb_slope'],) * 2
         return ArmParameters(**data)
     except (ValueError, TypeError, KeyError, RecursionError) as error:
         raise ConfigError('arm', f'is not the description of an arm ({error})') from error

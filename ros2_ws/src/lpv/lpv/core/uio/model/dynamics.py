@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from lpv.core.support.inequalities import SAME
 from lpv.core.support.jit import njit_in_place as njit
 
 _TWO_OVER_PI = 2.0 / math.pi  # atan ends at pi/2, friction at its Coulomb torque
@@ -33,14 +34,29 @@ def solve_inertia(off: float, first: float, second: float, params: np.record) ->
 
 
 @njit
-def friction(rate_1: float, rate_2: float, params: np.record) -> tuple[float, ...]:
-    """Joint friction J^T tau_f [N m] at absolute rates theta' [rad/s]; joint rates are
-    (rate_1, rate_2 - rate_1)."""
-    relative = rate_2 - rate_1
-    slip_1 = _TWO_OVER_PI * math.atan(params.coulomb_slope * rate_1)
-    slip_2 = _TWO_OVER_PI * math.atan(params.coulomb_slope * relative)
-    tau_1 = params.offset[0] + params.viscous[0] * rate_1 + params.coulomb[0] * slip_1
-    tau_2 = params.offset[1] + params.viscous[1] * relative + params.coulomb[1] * slip_2
+def _joint_friction(i: int, rate: float, torque: float, carried: bool, params: np.record) -> float:
+    """Friction of a joint at the torque that its gear carries, or that its drive gives."""
+    slip = _TWO_OVER_PI * math.atan(params.coulomb_slope[i] * rate)
+    free = params.offset[i] + params.viscous[i] * rate + params.coulomb[i] * slip
+    loaded = params.load[i] * slip
+    if loaded == 0.0:
+        return free
+    if not carried:
+        # Of the drive's torque x = c + loaded abs(c) the gear carries c.
+        torque -= free
+        torque /= max(1.0 + math.copysign(loaded, loaded * torque), SAME)
+    return free + loaded * abs(torque)
+
+
+@njit
+def friction(
+    rate_1: float, rate_2: float, torque_1: float, torque_2: float, carried: bool, params: np.record
+) -> tuple[float, ...]:
+    """Joint friction J^T tau_f [N m] at absolute rates theta' [rad/s] and generalised torques Q
+    that the gears carry, or that the drives give [N m]; joint rates are (rate_1, rate_2 - rate_1).
+    """
+    tau_1 = _joint_friction(0, rate_1, torque_1 + torque_2, carried, params)
+    tau_2 = _joint_friction(1, rate_2 - rate_1, torque_2, carried, params)
     return tau_1 - tau_2, tau_2
 
 
@@ -59,7 +75,7 @@ def acceleration(
     Absolute angles and rates are in rad and rad/s, generalised torques Q in N m.
     """
     off = coupling(theta_1, theta_2, params)
-    friction_1, friction_2 = friction(rate_1, rate_2, params)
+    friction_1, friction_2 = friction(rate_1, rate_2, torque_1, torque_2, False, params)
     swirl = params.coriolis * params.coupling * math.sin(theta_1 - theta_2)
     force_1 = (
         torque_1 - friction_1 - swirl * rate_2 * rate_2 + params.gravity[0] * math.sin(theta_1)
@@ -68,6 +84,31 @@ def acceleration(
         torque_2 - friction_2 + swirl * rate_1 * rate_1 + params.gravity[1] * math.sin(theta_2)
     )
     return solve_inertia(off, force_1, force_2, params)
+
+
+@njit
+def rigid_torque(
+    theta_1: float,
+    theta_2: float,
+    rate_1: float,
+    rate_2: float,
+    acc_1: float,
+    acc_2: float,
+    params: np.record,
+) -> tuple[float, ...]:
+    """Generalised torques Q [N m] of a motion without friction; arguments of `inverse_dynamics`."""
+    off = coupling(theta_1, theta_2, params)
+    swirl = params.coriolis * params.coupling * math.sin(theta_1 - theta_2)
+    return (
+        params.inertia[0] * acc_1
+        + off * acc_2
+        + swirl * rate_2 * rate_2
+        - params.gravity[0] * math.sin(theta_1),
+        off * acc_1
+        + params.inertia[1] * acc_2
+        - swirl * rate_1 * rate_1
+        - params.gravity[1] * math.sin(theta_2),
+    )
 
 
 @njit
@@ -84,21 +125,9 @@ def inverse_dynamics(
 
     Absolute angles, rates and accelerations are in rad, rad/s and rad/s2.
     """
-    off = coupling(theta_1, theta_2, params)
-    friction_1, friction_2 = friction(rate_1, rate_2, params)
-    swirl = params.coriolis * params.coupling * math.sin(theta_1 - theta_2)
-    return (
-        params.inertia[0] * acc_1
-        + off * acc_2
-        + swirl * rate_2 * rate_2
-        - params.gravity[0] * math.sin(theta_1)
-        + friction_1,
-        off * acc_1
-        + params.inertia[1] * acc_2
-        - swirl * rate_1 * rate_1
-        - params.gravity[1] * math.sin(theta_2)
-        + friction_2,
-    )
+    torque_1, torque_2 = rigid_torque(theta_1, theta_2, rate_1, rate_2, acc_1, acc_2, params)
+    friction_1, friction_2 = friction(rate_1, rate_2, torque_1, torque_2, True, params)
+    return torque_1 + friction_1, torque_2 + friction_2
 
 
 def runge_kutta_step(

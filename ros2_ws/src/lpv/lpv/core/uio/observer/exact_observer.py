@@ -79,12 +79,12 @@ def _rates(
     v: np.ndarray,
     torque: np.ndarray,
     kappa: tuple[float, float],
-) -> tuple[float, float, float, float]:
-    """d theta^/dt and d theta^'/dt as in the module's docstring."""
+) -> tuple[float, float, float, float, float, float]:
+    """d theta^/dt and d theta^'/dt as in the module's docstring, and theta''."""
     p_1, p_2, k_1, k_2 = injection(x[0], x[1], v, (x[2] - v[0], x[3] - v[1]), params.mu, arm)
     # Measured rates feed friction and Coriolis terms: no fault in them.
     a_1, a_2 = acceleration(x[0], x[1], v[0], v[1], torque[0], torque[1], arm)
-    return v[0] - kappa[0] * p_1, v[1] - kappa[1] * p_2, a_1 - k_1, a_2 - k_2
+    return v[0] - kappa[0] * p_1, v[1] - kappa[1] * p_2, a_1 - k_1, a_2 - k_2, a_1, a_2
 
 
 @njit
@@ -97,8 +97,9 @@ def exact_step(
     link's angle is suspended (``held``): the configuration carries no information there.
 
     Of ``state``, theta^ and theta^' in ``x`` are advanced with the measured rates ``v_old`` and
-    ``v_new`` of both ends of the interval [s]; ``held`` receives which links are held.  The
-    generalised torques Q are held over it [N m].
+    ``v_new`` of both ends of the interval [s]; ``held`` receives which links are held,
+    and ``bend`` at least how much theta'' has changed.  The generalised torques Q are held over it
+    [N m].
     """
     x = state.x
     for link in range(2):
@@ -110,3 +111,5 @@ def exact_step(
     b = _rates(params, arm, end, state.v_new, torque, kappa)
     for i in range(4):
         x[i] += 0.5 * dt * (a[i] + b[i])
+    for i in range(2):
+        state.bend[i] = max(state.bend[i], abs(b[4 + i] - a[4 + i]))

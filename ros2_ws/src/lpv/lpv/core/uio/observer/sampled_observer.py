@@ -67,6 +67,7 @@ OBSERVER_CONSTANTS = record_type(
 OBSERVER_STATE = record_type(
     ('x', 'f8', (6,)),  # x^ = (theta^, theta^', f^): absolute angles, physical sensors [rad]
     ('held', 'u1', (2,)),  # links whose angle is not corrected
+    ('bend', 'f8', (2,)),  # change of theta'' within a step, of method exact [rad/s2]
     ('v_old', 'f8', (2,)),  # absolute rates at the start of the interval [rad/s]
     ('v_new', 'f8', (2,)),  # and at its end [rad/s]
     ('paper', PAPER_STATE),  # of method paper
@@ -92,6 +93,7 @@ ESTIMATE = record_type(
     ('absolute_velocity', 'f8', (2,)),  # measured theta' [rad/s]
     ('absolute_acceleration', 'f8', (2,)),  # theta'' of the model at the estimate [rad/s2]
     ('innovation', 'f8', (2,)),  # estimated minus measured theta' [rad/s]
+    ('bend', 'f8', (2,)),  # largest change of theta'' within a step of the interval [rad/s2]
     ('held', 'u1', (2,)),  # the configuration carries no gravity information: dead reckoning
     ('bridged', '?'),  # the interval was too long: angles went on by the encoders' increments
 )
@@ -186,6 +188,7 @@ def observe(
     interval = 0.0 if state.stamp == NEVER else (stamp - state.stamp) / NANOSECONDS
     _read(params, state, position, velocity)
     state.torque[0], state.torque[1] = effort[0] - effort[1], effort[1]  # Q = J^T tau
+    state.bend[:] = 0.0
     if state.stamp == NEVER:
         state.x[4:] = 0.0
         _anchor(params, state)
@@ -391,6 +394,7 @@ def _fill(params: np.record, state: np.record, estimate: np.record) -> None:
         estimate.position[i] = row_dot(joints.j, i, x[0], x[1])
         estimate.velocity[i] = row_dot(joints.j, i, x[2], x[3])
         estimate.fault[i], estimate.absolute_position[i] = x[4 + i], x[i]
+        estimate.bend[i] = state.bend[i]
         estimate.held[i], rate[i] = state.held[i], row_dot(joints.angle, i, y[2], y[3])
         estimate.innovation[i] = x[2 + i] - rate[i]
     estimate.position[0] -= joints.zero
