@@ -164,6 +164,21 @@ def test_given_a_reading_that_stays_frozen_when_its_joint_goes_on_then_it_is_fol
     assert (np.array(trusted) & np.array(wrong)).mean() < 0.02
 
 
+@pytest.mark.parametrize('arm', ['chain3', 'ur10'])
+def test_given_a_reading_that_drops_to_zero_and_stays_there_then_no_rate_is_blamed(arm):
+    subject, joint = _subject(arm).with_rates('independent'), 1
+    for k in range(3):
+        stream = subject.streams(k).part(2.0, 8.0)
+        truth, dead = np.zeros_like(stream.samples[:, 0]), stream.index(ONSET)
+        truth[dead:, joint] = -stream.samples[dead:, 0, joint]
+        samples = stream.samples.copy()
+        samples[:, 0] += truth
+        answers = subject.monitor().take_many(stream.stamps, *np.moveaxis(samples, 1, 0))
+        assert {one.kind for _, one in answers.events} <= {'bias', 'stuck'}
+        span = ONSET + SETTLED, ONSET + 2.0
+        assert outside_bounds(answers, stream.stamps, truth, span) < 0.02
+
+
 def test_given_a_loop_closed_on_a_frozen_reading_then_its_joint_is_followed_all_the_same():
     """It accelerates ten times as much as the arm usually does."""
     arm, wrong = shoulder_arm(), []

@@ -810,9 +810,17 @@ class SerialMonitor:
         return float(np.abs(self._blocks(len(self.estimator) + 1)[:, i]).max())
 
     def _ended_by_jump(self, one: Hypothesis) -> bool:
-        """Whether a fault is one that may have ended with a jump, which is weighed on its own."""
-        end = self._ends.get(one.joint) if one.is_encoder else None
-        return end is not None and one.begin < end.time + 2.0 * self.plan.interval
+        """Whether a fault is one that may have ended with a jump, which is weighed on its own.
+
+        Nor is a rate to blame for a reading that has rested since its jump: that it froze, the
+        rival, is compared as late.
+        """
+        end = self._ends.get(one.joint)
+        if end is None or one.begin >= end.time + 2.0 * self.plan.interval:
+            return False
+        still = float(self.sampler.still[one.joint]) * self.arm.sample_time
+        rests = self._last() - still <= end.time
+        return one.is_encoder or (one.kind == 'rate_bias' and rests)
 
     def _frozen(self) -> dict[int, Frozen]:
         """Readings that stopped dead while they moved, or have lost their noise, or froze before.
