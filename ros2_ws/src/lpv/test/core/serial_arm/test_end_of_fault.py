@@ -164,6 +164,19 @@ def test_given_a_reading_that_stays_frozen_when_its_joint_goes_on_then_it_is_fol
     assert (np.array(trusted) & np.array(wrong)).mean() < 0.02
 
 
+def test_given_two_readings_that_freeze_one_after_the_other_then_both_are_within_their_bounds():
+    subject, wrong = _subject('chain3').with_rates('derived'), []
+    faults = Injected(1, ONSET, ONSET + 2.0), Injected(2, ONSET + 0.3, ONSET + 2.0)
+    for k in range(3):
+        part = derived(subject.streams(k)).part(2.0, 2.0 + ONSET + 2.0)
+        window = inject(part, BY_NAME['stuck'], faults, True, np.eye(3), None)
+        stream = window.stream
+        answers = subject.monitor().take_many(stream.stamps, *np.moveaxis(stream.samples, 1, 0))
+        span = ONSET + 0.4, ONSET + 2.0
+        wrong.append(outside_bounds(answers, stream.stamps, window.truth, span))
+    assert np.mean(wrong) < 0.05
+
+
 @pytest.mark.parametrize('arm', ['chain3', 'ur10'])
 def test_given_a_reading_that_drops_to_zero_and_stays_there_then_no_rate_is_blamed(arm):
     subject, joint = _subject(arm).with_rates('independent'), 1

@@ -7,6 +7,7 @@ by is added to the variance of the balances.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -234,8 +235,49 @@ def correct_since(
     estimator.replace_last(blocks)
 
 
-def follow(
+def follow_all(
+    filters: Sequence[FaultFilter],
+    estimator: OffsetEstimator,
+    sampler: Sampler,
+    kinematic: Sequence[tuple[float, float] | None],
+    momenta: Sequence[FloatArray],
+) -> None:
+    """Update faults by the newest balance, and the correction of the readings.
+
+    The variance of the balance is raised by what is left unknown of them.  ``kinematic`` and
+    ``momenta`` hold those of each, as of `_follow`.
+    """
+    end = block_end(held_blocks(estimator, sampler, 1)[0][-1])
+    for one in filters:
+        one.predict(end)
+    spreads = [_spread(one, estimator, each) for one, each in zip(filters, momenta)]
+    for k, one in enumerate(filters):
+        # Errors that last count as often as noise that is as large, and new in each balance.
+        lasting = 2.0 * STEADY_FOR / estimator.plan.interval
+        others = lasting * sum(spreads[:k] + spreads[k + 1 :], np.zeros_like(spreads[k]))
+        _follow(one, others, estimator, sampler, kinematic[k], momenta[k])
+        spreads[k] = _spread(one, estimator, momenta[k])
+    estimator.window.extra[estimator.place(0)] += np.diag(sum(spreads))
+    estimator.weigh_again(1)
+
+
+def _columns(one: FaultFilter, estimator: OffsetEstimator, momenta: FloatArray) -> FloatArray:
+    """Derivatives of the newest balance by the state of a fault, which is that at its end."""
+    at, epoch = estimator.place(0), float(estimator.balance.clock[EPOCH])
+    about = estimator.plan.interval, float(estimator.balance.reference[one.joint])
+    times = epoch, one.updated, one.updated
+    return one.columns(estimator.window.rows[at], times, momenta[at], about)
+
+
+def _spread(one: FaultFilter, estimator: OffsetEstimator, momenta: FloatArray) -> FloatArray:
+    """Covariance of the newest balance by what is unknown of a fault, shape (n, n)."""
+    columns = _columns(one, estimator, momenta)
+    return columns @ one.covariance @ columns.T
+
+
+def _follow(
     one: FaultFilter,
+    others: FloatArray,
     estimator: OffsetEstimator,
     sampler: Sampler,
     kinematic: tuple[float, float] | None,
@@ -243,30 +285,26 @@ def follow(
 ) -> None:
     """Update a fault by the newest balance, and the correction of the readings.
 
-    The variance of the balance is raised, and the sampler's corrections and last blocks are
-    changed.  ``kinematic`` is D of the last interval, of readings as corrected, and its variance
-    [rad], [rad2], where the rate has a sensor of its own.  ``momenta``, shape (capacity, n), are
-    those by a unit rate of the reading, in the ring of the horizon.
+    The sampler's corrections and last blocks are changed.  ``others``, shape (n, n), is the
+    covariance of the balance by other faults.  ``kinematic`` is D of the last interval, of readings
+    as corrected, and its variance [rad], [rad2], where the rate has a sensor of its own.
+    ``momenta``, shape (capacity, n), are those by a unit rate of the reading, in the ring of the
+    horizon.
     """
     window, null, interval = estimator.window, estimator.posterior, estimator.plan.interval
-    block = held_blocks(estimator, sampler, 1)[0][-1]
-    end = block_end(block)
-    one.predict(end)
     if one.fault(float(sampler.raw[one.joint]), float(sampler.time[-1]))[2] > LOST:
         _lose(one, sampler)
         return
     at = estimator.place(0)
     rows, m = window.rows[at], len(null.mean)
-    times = float(estimator.balance.clock[EPOCH]), end, end
-    about = interval, float(estimator.balance.reference[one.joint])
-    columns = one.columns(rows, times, momenta[at], about)
+    columns = _columns(one, estimator, momenta)
     unknowns = rows[:, rows.shape[1] - m :]
     known = np.ascontiguousarray(unknowns.T)
     whiten(null.factor, known)
     noise = null.noise * (1.0 + (null.rest - 1.0) * window.rest[at])
     # Neighbouring balances share an interval: each counts half.
     variance = 2.0 * np.diag(noise**2 * null.inflation) + known.T @ known
-    variance += np.diag(window.extra[at])  # of other faults
+    variance += np.diag(window.extra[at]) + others
     # In a balance the acceleration is not that of its end: half the change of an interval.
     variance += 0.25 * one._growth(interval)[1] * np.outer(columns[:, 2], columns[:, 2])
     residual = rows[:, 0] + unknowns @ null.mean
@@ -289,15 +327,14 @@ def follow(
         return
     one.covariance = one.covariance - gain @ common.T
     if kinematic is not None and not one.is_scale:
+        block = held_blocks(estimator, sampler, 1)[0][-1]
         middle = float(block[3 * estimator.joints]) - 0.5 * interval
-        column = interval * np.array([0.0, 1.0, middle - end])
+        column = interval * np.array([0.0, 1.0, middle - one.updated])
         gain = one.covariance @ column / (column @ one.covariance @ column + kinematic[1])
         change += gain * (kinematic[0] - column @ change)
         one.covariance = one.covariance - np.outer(gain, column) @ one.covariance
     one.covariance = 0.5 * (one.covariance + one.covariance.T)
     _change(one, change, estimator, sampler)
-    window.extra[at] += ((columns @ one.covariance) * columns).sum(1)
-    estimator.weigh_again(1)
 
 
 def _root(covariance: FloatArray) -> FloatArray:

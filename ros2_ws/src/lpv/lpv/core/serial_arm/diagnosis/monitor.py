@@ -41,7 +41,7 @@ from lpv.core.serial_arm.diagnosis.fault_filter import (
     correct_rates_since,
     correct_since,
     doubt_ended,
-    follow,
+    follow_all,
 )
 from lpv.core.serial_arm.diagnosis.healthy_set import Guarantee, HealthySet
 from lpv.core.serial_arm.diagnosis.learning import Learned, learned_of
@@ -647,8 +647,10 @@ class SerialMonitor:
         self._ended_filters = [one for one in self._ended_filters if end - one.updated < span]
         for one in self._ended_filters:
             doubt_ended(one, estimator, bank.momenta_of(one.joint))
-        for i, one in self._filters.items():
-            follow(one, estimator, self.sampler, bank.kinematics.last(i), bank.momenta_of(i))
+        kinematic = [bank.kinematics.last(i) for i in self._filters]
+        momenta = [bank.momenta_of(i) for i in self._filters]
+        if self._filters:
+            follow_all([*self._filters.values()], estimator, self.sampler, kinematic, momenta)
         return Stage.ESTIMATE
 
     def _linearise(self, _: float) -> Stage:
