@@ -177,6 +177,26 @@ def test_given_two_readings_that_freeze_one_after_the_other_then_both_are_within
     assert np.mean(wrong) < 0.05
 
 
+@pytest.mark.parametrize('arm', ['chain3', 'ur10', 'panda'])
+def test_given_readings_that_freeze_together_then_all_are_named_and_no_bound_is_broken(arm):
+    subject = _subject(arm).with_rates('derived')
+    names, wrong = subject.arm.sensor_names, []
+    faults = [Injected(i, ONSET, ONSET + 2.0) for i in range(len(names))]
+    for k in range(3):
+        part = derived(subject.streams(k)).part(2.0, 2.0 + ONSET + 2.0)
+        window = inject(part, BY_NAME['stuck'], faults, True, np.eye(len(names)), None)
+        stream = window.stream
+        answers = subject.monitor().take_many(stream.stamps, *np.moveaxis(stream.samples, 1, 0))
+        raised = {
+            one.sensor for _, one in answers.events
+            if one.kind == 'stuck' and (one.detected - stream.stamps[0]) * 1e-9 < ONSET + 0.3
+        }  # fmt: skip
+        assert raised == set(names)
+        span = ONSET + SETTLED, ONSET + 2.0
+        wrong.append(outside_bounds(answers, stream.stamps, window.truth, span))
+    assert np.mean(wrong) < 0.1
+
+
 @pytest.mark.parametrize('arm', ['chain3', 'ur10'])
 def test_given_a_reading_that_drops_to_zero_and_stays_there_then_no_rate_is_blamed(arm):
     subject, joint = _subject(arm).with_rates('independent'), 1

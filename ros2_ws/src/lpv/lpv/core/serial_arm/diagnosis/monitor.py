@@ -852,11 +852,19 @@ class SerialMonitor:
                 found[i] = Frozen(time, 0.0, USUAL_RATE, alive=False, seen=False)
             if not alive and speed * STILL_TIME <= smallest:
                 continue  # joints that rest are many, and usual accelerations take time
-            braking = 0.5 * measured * self._acceleration(i)
+            acceleration = self._acceleration(i)
+            braking = 0.5 * measured * acceleration
             if alive or (speed - braking) * STILL_TIME > smallest:
-                sigma = math.hypot(rounding, braking, STILL_RATE)
-                found[i] = Frozen(time, rate, sigma, alive)
+                found[i] = Frozen(*self._stopped(i, acceleration), alive)
         return found
+
+    def _stopped(self, i: int, acceleration: float) -> tuple[float, float, float]:
+        """When a reading came to rest, and the rate that it had with its standard deviation."""
+        sampler, measured = self.sampler, BEFORE_STOP * self.arm.sample_time
+        time = self._last() - float(sampler.still[i]) * self.arm.sample_time
+        rounding = float(sampler.grain[i]) / measured if np.isfinite(sampler.grain[i]) else 0.0
+        sigma = math.hypot(rounding, 0.5 * measured * acceleration, STILL_RATE)
+        return time, float(sampler.stop[i]), sigma
 
     def _acceleration(self, i: int) -> float:
         """Usual acceleration of a joint [rad/s2]."""
@@ -902,12 +910,43 @@ class SerialMonitor:
         kind = 'stuck' if rests else one.kind
         course = one.course
         if kind == 'stuck':
-            course = self._course_by_rate(i, one.begin) or course
+            together = self._frozen_with(i)
+            for j in together:
+                self._begin_following(self._begin_stuck(j), share)
+            # Balances took what froze with it for known.
+            course = self._course_by_rate(i, one.begin) or (None if together else course)
+            if course is None and together:
+                self._begin_following(self._begin_stuck(i), share)
+                return
         if course is not None:
             fault = begin_frozen(i, course, self._acceleration(i))
         else:
             fault = self._begin(one, kind)
         self._begin_following(fault, share)
+
+    def _frozen_with(self, i: int) -> list[int]:
+        """Sensors that froze in the same sample as sensor i: they share a bus, cable or driver.
+
+        Two readings that stop dead out of motion at once are no chance, as rests that begin so are.
+        """
+        together = np.flatnonzero(self.sampler.still == self.sampler.still[i]).tolist()
+        stopped = {j for j, one in self._frozen().items() if one.seen and one.rate != 0.0}
+        if i not in stopped or len(stopped.intersection(together)) < 2:
+            return []
+        known = {i, *self._filters, *np.flatnonzero(self.sampler.noisy).tolist()}
+        return [j for j in together if j not in known]
+
+    def _begin_stuck(self, i: int) -> FaultFilter:
+        """Filter of a reading that froze, by the rate that its joint has, or had."""
+        acceleration = self._acceleration(i)
+        time, rate, sigma = self._stopped(i, acceleration)
+        course = self._course_by_rate(i, time)
+        if course is not None:
+            return begin_frozen(i, course, acceleration)
+        mean, covariance = np.array([0.0, rate, 0.0]), np.diag([0.0, sigma, acceleration]) ** 2
+        fault = begin_frozen(i, Course(0.0, time, time, mean, covariance), acceleration)
+        fault.predict(self._ended())
+        return fault
 
     def _ended(self) -> float:
         """When the newest balance ended: younger samples wait to enter one [s]."""
