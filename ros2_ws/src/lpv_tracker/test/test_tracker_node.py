@@ -152,7 +152,7 @@ def test_given_gains_or_another_arms_scenario_when_configured_then_it_is_told():
         assert 'holds for joint rates to 0.6' in node._certificate
     with tracker(bandwidth=40.0) as node:
         assert node._certificate == NO_CERTIFICATE and node._tolerated < 0.015
-    for scenario, field in {'two_faults': 'lpv', 'panda': 'path.start'}.items():
+    for scenario, field in {'two_faults': 'path.waypoints', 'panda': 'path.start'}.items():
         with pytest.raises(ConfigError, match=field), tracker(scenario=scenario):
             pass
 

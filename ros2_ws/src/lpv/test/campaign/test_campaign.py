@@ -69,7 +69,7 @@ MISFITS = [
     (SMALL, 'gains.arm_sha256', OF_REAL_ARM),
     (SMALL, 'gains.arm_sha256', {'designs': ['gains.yaml'], 'factors': {'sample_time': 0.004}}),
     (UR10, 'designs', {'designs': ['paper']}),
-    (UR10, 'lpv', {'scenario': 'two_faults', 'factors': {}}),
+    (UR10, 'path.waypoints', {'scenario': 'two_faults', 'factors': {}}),
     (UR10, 'factors.disturbance', {'factors': {'disturbance': 1.0}}),
     (UR10, 'factors.plant', {'factors': {'plant': 'lpv'}}),
     (UR10, 'factors.fault.sensor', {'factors': {'fault.sensor': 'link1_angle'}}),
