@@ -33,7 +33,7 @@ from lpv_node.managed import ManagedNode
 from lpv_node.parameters import (
     FROM_GAINS,
     chosen_limit,
-    declare_gains,
+    declare_given,
     named_file,
     read_gains,
     table,
@@ -79,7 +79,7 @@ class SimulatorNode(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__('arm_sim', SPECS)
-        self._unset_gains = declare_gains(self)
+        declare_given(self, 'gains')
         self._begun = False
         self._command: TorqueCommand | None = None
         self._waiting = 0  # stamp of the sample that lockstep wants answered [ns]
@@ -141,7 +141,7 @@ class SimulatorNode(ManagedNode):
 
     def _latency_limits(self) -> LatencyLimits:
         """As the gains of the loop allow, if they are known, or as parameters say."""
-        if gains := read_gains(self, self._arm, self._unset_gains):
+        if gains := read_gains(self, self._arm):
             certified = latency_limits(tolerated_latency(planar_model(self._arm), gains))
         elif self._arm.lpv is not None:
             certified = UNKNOWN_LOOP

@@ -20,24 +20,17 @@ from lpv_node import input_check, managed, parameter_service, parameters
 
 MODULES = ('lpv_arm_sim.node', 'lpv_uio.node', 'lpv_tracker.node', 'lpv_node.recorder.node',
            'lpv_node.view.node')  # fmt: skip
-GAINS = {
-    f'gains/{method}{name}': spec
-    for method, fields in {'': parameters.GAIN_FIELDS, **parameters.METHOD_FIELDS}.items()
-    for name, spec in fields.items()
-}
 SPECS = {f'common/{spec.name}': spec for spec in managed.COMMON} | {
     f'{name}/{spec.name}': spec for name in MODULES for spec in importlib.import_module(name).SPECS
 }
 """Every declaration of every node, by where it is."""
 
 
-@pytest.mark.parametrize('place', [*sorted(SPECS), *GAINS])
+@pytest.mark.parametrize('place', sorted(SPECS))
 def test_given_a_parameter_when_declared_then_it_says_what_it_is_and_what_is_allowed(place, node):
-    spec = (SPECS | GAINS)[place]
-    descriptor = spec.descriptor()
-    if place in SPECS:  # those of gains need values
-        parameters.declare(node, [spec])
-        (descriptor,) = node.describe_parameters([spec.name])
+    spec = SPECS[place]
+    parameters.declare(node, [spec])
+    (descriptor,) = node.describe_parameters([spec.name])
     ranges = [*descriptor.floating_point_range, *descriptor.integer_range]
     assert len(descriptor.description) > 10
     if isinstance(spec.default, bool) or not isinstance(spec.default, (int, float)):
@@ -50,10 +43,9 @@ def test_given_a_parameter_when_declared_then_it_says_what_it_is_and_what_is_all
     if spec.choices:
         assert spec.default in spec.choices
         assert descriptor.additional_constraints == 'one of ' + ', '.join(spec.choices)
-    if isinstance(spec.default, float) or (ranges and place in GAINS):
+    if isinstance(spec.default, float):
         assert re.search(r'\[[^\]]+\]', spec.description), 'no unit; [1] is that of a ratio'
     assert descriptor.read_only == spec.read_only
-    assert spec.read_only or place not in GAINS
 
 
 @pytest.fixture
@@ -71,22 +63,36 @@ FILE = ['--ros-args', '--params-file', str(bringup_file('gains', 'paper'))]
 
 
 @pytest.mark.parametrize(('node', 'given'), [(FILE, True), ([], False)], indirect=['node'])
-def test_given_gains_or_none_when_declared_then_each_field_has_a_value(node, paper_arm, given):
-    unset = parameters.declare_gains(node)
+def test_given_gains_or_none_when_declared_then_each_that_a_file_sets_is_fixed(
+    node, paper_arm, given
+):
+    parameters.declare_given(node, 'gains', 'loop')
     # All at once, as `ros2 param dump` asks for them.
     names = [n for n in node._parameters if n.startswith('gains.')]
-    values = node.get_parameters(names)
     assert all(one.description for one in node.describe_parameters(names))
-    assert len(values) > 20 and Parameter.Type.NOT_SET not in [p.type_ for p in values]
-    assert 'observer.t1' in unset and ('observer.kappa' in unset) is not given
+    assert Parameter.Type.NOT_SET not in [p.type_ for p in node.get_parameters(names)]
+    assert ('gains.observer.kappa' in names and len(names) >= 20) is given
+    assert not any('certificate' in name for name in names), 'nothing is computed from it'
+    gains = parameters.read_gains(node, paper_arm)
     if given:
-        assert parameters.read_gains(node, paper_arm, unset).observer.method == 'exact'
+        assert gains.observer.method == 'exact'
         changed = node.set_parameters([Parameter('gains.arm_name', value='other')])
         assert not changed[0].successful, 'gains are read-only'
     else:
-        assert parameters.read_gains(node, paper_arm, unset) is None
-        with pytest.raises(ConfigError, match='is not set: start the node with --params-file'):
-            parameters.read_gains(node, paper_arm, unset - {'arm_name'})
+        assert gains is None
+
+
+@pytest.mark.parametrize(('node', 'told'), [
+    ([*FILE, '-p', 'gains.observer.kapa:=1.0'], 'gains.observer.kapa: is not a known field'),
+    ([*FILE, '-p', 'gains.observer.kappa:=x'], 'gains.observer.kappa: must be a flat list'),
+    (['--ros-args', '-p', 'gains.arm_name:=paper'], 'gains.format: is missing'),
+], indirect=['node'])  # fmt: skip
+def test_given_gains_that_are_misspelt_or_not_whole_when_read_then_it_says_so(
+    node, paper_arm, told
+):
+    parameters.declare_given(node, 'gains')
+    with pytest.raises(ConfigError, match=told):
+        parameters.read_gains(node, paper_arm)
 
 
 def test_given_senseless_parameters_when_set_then_each_is_refused(node):

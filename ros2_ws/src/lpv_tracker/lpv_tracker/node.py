@@ -33,8 +33,7 @@ from lpv_node.parameters import (
     FROM_GAINS,
     Spec,
     chosen_limit,
-    declare_gains,
-    declare_loop,
+    declare_given,
     named_file,
     read_gains,
     read_loop,
@@ -91,7 +90,7 @@ class TrackerNode(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__('tracker', SPECS)
-        self._unset_gains, self._unset_loop = declare_gains(self), declare_loop(self)
+        declare_given(self, 'gains', 'loop')
         self._reason: StopReason | None = StopReason.SILENCE  # None: following the path
         self._last: int | None = None  # stamp of the last estimate [ns]
         self.add_post_set_parameters_callback(self._choose_feedback)
@@ -188,13 +187,13 @@ class TrackerNode(ManagedNode):
     def _make_controller(self) -> None:
         """The designed law where there are gains, else computed torque."""
         bandwidth = self.get_parameter('bandwidth').value
-        gains = read_gains(self, self._arm, self._unset_gains)
+        gains = read_gains(self, self._arm)
         self._controller = make_controller(self._arm, gains, bandwidth)
         self._tolerated = self._controller.tolerated_latency
         if gains is not None:
             self._certificate = 'holds'
         else:
-            loop = read_loop(self, self._arm, bandwidth, self._unset_loop)
+            loop = read_loop(self, self._arm, bandwidth)
             self._certificate = NO_CERTIFICATE if loop is None else certified_region(loop)
 
     def _compile(self) -> None:

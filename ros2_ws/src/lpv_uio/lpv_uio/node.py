@@ -29,7 +29,7 @@ from lpv.core.uio.unknown_input_observer import CHOICES
 from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate, TorqueCommand
 from lpv_node.input_check import OneSender, Refusals, all_finite, all_sized
 from lpv_node.managed import ManagedNode
-from lpv_node.parameters import declare_gains, named_file, read_gains, table
+from lpv_node.parameters import declare_given, named_file, read_gains, table
 from lpv_node.qos import latched, stream
 from lpv_node.status import ERROR, OK, WARN, StatusReporter, diagnostics
 from lpv_uio.messages import OutputMessages
@@ -86,7 +86,7 @@ class UioNode(ManagedNode):
         parts = (name.partition('.') for name in self._parameter_overrides)
         check_names([name for place, _, name in parts if place == 'diagnosis'], self.get_name())
         self._alarms: OpenAlarms | None = None
-        self._unset_gains = declare_gains(self)
+        declare_given(self, 'gains')
         self._measurement_in: Subscription | None = None
         self.add_on_set_parameters_callback(self._retune)
 
@@ -127,7 +127,7 @@ class UioNode(ManagedNode):
 
     def _make_monitor(self) -> SerialSensorMonitor:
         """Observers and diagnosis of the arm."""
-        gains = read_gains(self, self._arm, self._unset_gains)
+        gains = read_gains(self, self._arm)
         if gains is None and self._arm.lpv is not None:
             self.get_logger().warning('no gains file is given: the moving horizon observes alone')
         return SerialSensorMonitor(

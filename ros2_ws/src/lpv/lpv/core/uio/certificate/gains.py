@@ -15,33 +15,33 @@ FORMAT = 3
 METHODS = ('paper', 'exact')
 
 
-def _entry(how: str, text: str, *details: Any, **limits: Any) -> Any:
-    """An entry of a gains file: the method of `Section` that reads it, meaning, and arguments."""
-    return field(metadata={'entry': (how, text, details, limits)})
+def _entry(how: str, *details: Any, **limits: Any) -> Any:
+    """An entry of a gains file: the method of `Section` that reads it, with its arguments."""
+    return field(metadata={'entry': (how, details, limits)})
 
 
-def _matrix(text: str, *shape: int) -> Any:
-    return _entry('matrix', text, shape)
+def _matrix(*shape: int) -> Any:
+    return _entry('matrix', shape)
 
 
-def _positive(text: str) -> Any:
-    return _entry('number', text, above=0.0)
+def _positive() -> Any:
+    return _entry('number', above=0.0)
 
 
 @dataclass(frozen=True)
 class PaperObserverGains:
     """Observer of method ``paper``, eqs. (41) and (56), with what its certificate claims."""
 
-    box: np.ndarray = _matrix('ranges of phi1, phi2, phi3', 3, 2)
-    t1: np.ndarray = _matrix('decoupling matrix T1, eq. (41), row by row', 6, 6)
-    t2: np.ndarray = _matrix('decoupling matrix T2, eq. (41), row by row', 6, 4)
-    k: np.ndarray = _matrix('K of all vertices, eq. (56), row by row', 8, 6, 4)
-    lyapunov: np.ndarray = _matrix('Lyapunov matrix P, row by row', 6, 6)
-    lmi: str = _entry('text', 'inequalities that hold', choices=('55', '54+disc'))
-    gamma: float = _positive('attenuation level [1]')
-    q: float = _positive("distance of the centre of the poles' disc [1/s]")
-    r: float = _positive('radius of that disc [1/s]')
-    fault_sigma: np.ndarray = _matrix('standard deviations of the fault estimates [rad]', 2)
+    box: np.ndarray = _matrix(3, 2)  # ranges of phi1, phi2, phi3
+    t1: np.ndarray = _matrix(6, 6)  # decoupling matrix T1, eq. (41), row by row
+    t2: np.ndarray = _matrix(6, 4)  # decoupling matrix T2, eq. (41), row by row
+    k: np.ndarray = _matrix(8, 6, 4)  # K of all vertices, eq. (56), row by row
+    lyapunov: np.ndarray = _matrix(6, 6)  # Lyapunov matrix P, row by row
+    lmi: str = _entry('text', choices=('55', '54+disc'))  # inequalities that hold
+    gamma: float = _positive()  # attenuation level [1]
+    q: float = _positive()  # distance of the centre of the poles' disc [1/s]
+    r: float = _positive()  # radius of that disc [1/s]
+    fault_sigma: np.ndarray = _matrix(2)  # standard deviations of the fault estimates [rad]
     method = 'paper'
 
     @property
@@ -54,12 +54,12 @@ class PaperObserverGains:
 class ExactObserverGains:
     """Observer of method ``exact``: one second-order error system for each link."""
 
-    kappa: np.ndarray = _matrix('kappa of both links [1/(kg m2)]', 2)
-    mu: np.ndarray = _matrix('mu of both links [1/s]', 2)
-    lyapunov: np.ndarray = _matrix('P of each link for (e_i, m_i / Xi_ii), row by row', 2, 2, 2)
-    decay: float = _positive('certified slowest pole of the error [1/s]')
-    fastest: float = _positive('certified fastest pole of the error [1/s]')
-    fault_sigma: np.ndarray = _matrix('standard deviations of the fault estimates [rad]', 2)
+    kappa: np.ndarray = _matrix(2)  # kappa of both links [1/(kg m2)]
+    mu: np.ndarray = _matrix(2)  # mu of both links [1/s]
+    lyapunov: np.ndarray = _matrix(2, 2, 2)  # P of each link for (e_i, m_i / Xi_ii), row by row
+    decay: float = _positive()  # certified slowest pole of the error [1/s]
+    fastest: float = _positive()  # certified fastest pole of the error [1/s]
+    fault_sigma: np.ndarray = _matrix(2)  # standard deviations of the fault estimates [rad]
     method = 'exact'
 
 
@@ -67,9 +67,9 @@ class ExactObserverGains:
 class MotionCertificate:
     """What `sampled_motion.SampledLoop` proves of the sampled loop in motion."""
 
-    lyapunov: np.ndarray = _matrix('P for (theta, theta rates, eps, u), row by row', 8, 8)
-    rate: float = _entry('number', 'fastest link that it holds for [rad/s]', low=0.0)
-    decay: float = _positive('certified decay rate of the sampled loop in motion [1/s]')
+    lyapunov: np.ndarray = _matrix(8, 8)  # P for (theta, theta rates, eps, u), row by row
+    rate: float = _entry('number', low=0.0)  # fastest link that it holds for [rad/s]
+    decay: float = _positive()  # certified decay rate of the sampled loop in motion [1/s]
 
 
 @dataclass(frozen=True)
@@ -79,21 +79,15 @@ class ControllerGains:
     Method ``paper`` is u = M1 x + M2 eps; ``exact`` adds reference feed-forward.
     """
 
-    method: str = _entry('text', 'exact or paper', choices=METHODS)
-    m1: np.ndarray = _matrix('M1, absolute coordinates, row by row [N m/rad], [N m s/rad]', 2, 4)
-    m2: np.ndarray = _matrix('M2, absolute coordinates, row by row [N m/(rad s)]', 2, 2)
-    lyapunov: np.ndarray = _matrix('P = Q^-1 of the certificate, eq. (68), row by row', 6, 6)
-    decay: float = _positive('certified alpha of eq. (67) [1/s]')
-    sinc_min: float = _entry(
-        'number', 'lower end of the box of method paper [1]', default=-0.2, low=-0.3, high=0.99
-    )
+    method: str = _entry('text', choices=METHODS)
+    m1: np.ndarray = _matrix(2, 4)  # M1, absolute coordinates, row by row [N m/rad], [N m s/rad]
+    m2: np.ndarray = _matrix(2, 2)  # M2, absolute coordinates, row by row [N m/(rad s)]
+    lyapunov: np.ndarray = _matrix(6, 6)  # P = Q^-1 of the certificate, eq. (68), row by row
+    decay: float = _positive()  # certified alpha of eq. (67) [1/s]
+    # lower end of the box of method paper [1]
+    sinc_min: float = _entry('number', default=-0.2, low=-0.3, high=0.99)
     # of the sampled loop in motion (method ``exact``), where there is one
     motion: MotionCertificate | None = None
-
-
-def entries(kind: Any) -> dict[str, tuple[str, str, tuple[Any, ...], dict[str, Any]]]:
-    """Entries of a part of the gains: how `Section` reads them, meaning, and arguments."""
-    return {one.name: one.metadata['entry'] for one in fields(kind) if one.metadata}
 
 
 @dataclass(frozen=True)
@@ -196,12 +190,12 @@ def parse_gains(data: dict[str, Any], source: str = 'gains') -> Gains:
 
 def _part(section: Section, kind: Any) -> Any:
     """A part of the gains from its section."""
-    return kind(
-        **{
-            name: getattr(section, how)(name, *details, **limits)
-            for name, (how, _, details, limits) in entries(kind).items()
-        }
-    )
+    values = {}
+    for one in fields(kind):
+        if one.metadata:
+            how, details, limits = one.metadata['entry']
+            values[one.name] = getattr(section, how)(one.name, *details, **limits)
+    return kind(**values)
 
 
 def _check_observer(section: Section, observer: ExactObserverGains | PaperObserverGains) -> None:
