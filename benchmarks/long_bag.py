@@ -80,9 +80,10 @@ def _round(arm, gains):
     for _ in range(round(scenario.duration / arm.sample_time)):
         measurement, truth = plant.sense()
         bias.append(injector.apply(plant.time, np.zeros(2), arm.sample_time))
-        torque = controller.update(
-            path.sample(plant.time), truth.position, truth.velocity, truth.position, arm.sample_time
-        ).torque
+        at = path.sample(plant.time)
+        motion = np.array([at.position, at.velocity, at.acceleration])
+        controller.answer(motion, truth.position, truth.velocity, truth.position, arm.sample_time)
+        torque = controller.torque.copy()
         rows.append((truth.position, truth.velocity, measurement.effort, torque))
         plant.step(torque)
     return [np.array(column) for column in zip(*rows)], np.array(bias)

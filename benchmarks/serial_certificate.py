@@ -15,7 +15,6 @@ from scipy.linalg import eigh
 from scipy.optimize import minimize
 
 from lpv.core.control.computed_torque import ComputedTorqueController
-from lpv.core.control.path import Reference
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.certificate.conditions import error_bound
 from lpv.core.serial_arm.certificate.loop_gains import LoopGains, load_loop_gains
@@ -97,19 +96,21 @@ def tracking_error(
     worst, torque = np.zeros(n), np.zeros(n)
     for k in range(int(duration / period)):
         phase = frequency * k * period
-        reference = Reference(
-            centre + size * np.sin(phase),
-            size * frequency * np.cos(phase),
-            -size * frequency**2 * np.sin(phase),
-            np.zeros(3),
+        reference = np.array(
+            [
+                centre + size * np.sin(phase),
+                size * frequency * np.cos(phase),
+                -size * frequency**2 * np.sin(phase),
+            ]
         )
-        following = controller.update(reference, state[0], state[1], state[0], period).torque
+        controller.answer(reference, state[0], state[1], state[0], period)
+        following = controller.torque.copy()
         if k == 0:
             torque = following
         if not plant_step(chain, state, torque, step, count, scratch, matrix):
             raise SystemExit('the true arm is not physical')
         torque = following  # one sample of delay
-        worst = np.maximum(worst, np.abs(reference.position - state[0]))
+        worst = np.maximum(worst, np.abs(reference[0] - state[0]))
     return worst
 
 

@@ -11,7 +11,6 @@ import pytest
 
 import lpv.core
 from lpv import AlarmEvent, DiagnosisParameters, Fault, load_scenario, save_gains
-from lpv.core.control.path import Reference
 from lpv.core.control.tracking import TrackingController
 from lpv.core.simulation.closed_loop import run_closed_loop
 from lpv.core.simulation.metrics import mise
@@ -129,47 +128,53 @@ def test_given_no_compiler_then_no_bit_differs(tmp_path, paper_gains, literal_ga
     assert all(len(compiled[f'{method} nonlinear alarms']) for method in ('exact', 'paper'))
 
 
+def torque(controller, *sample):
+    """Of one command; positions and rates as of `TrackingLaw.answer`."""
+    controller.answer(*sample)
+    return controller.torque.copy()
+
+
 def rest_at(q):
-    return Reference(np.asarray(q, float), *np.zeros((3, 2)))
+    return np.array([q, *np.zeros((2, 2))])
 
 
 def test_given_the_arm_on_its_reference_when_controlled_then_only_its_model_acts(arm, gains_of):
     controller, joints = TrackingController(arm, gains_of[arm.name]), JointMap(planar_model(arm))
     q, v, a = np.array([1.3, 0.3]), np.array([0.2, -0.1]), np.array([0.1, -0.2])
-    command = controller.update(Reference(q, v, a, q), q, v, q, 0.002)
+    answer = torque(controller, np.array([q, v, a]), q, v, q, 0.002)
     rates = (*joints.absolute_velocity(v), *joints.absolute_velocity(a))
     constants = planar_model(arm).constants()
     wanted = np.array(inverse_dynamics(*joints.absolute_position(q), *rates, constants))
-    np.testing.assert_allclose(command.torque, joints.joint_torque(wanted), rtol=1e-10)
-    assert not command.saturated
+    np.testing.assert_allclose(answer, joints.joint_torque(wanted), rtol=1e-10)
+    assert not controller.state.saturated
     np.testing.assert_array_equal(controller.integral, 0.0)
 
 
 def test_given_both_methods_then_eq_65_acts(paper_arm, paper_gains, literal_gains, joints):
     controller, gains = TrackingController(paper_arm, paper_gains), paper_gains.controller
     q, v, offset = np.array([1.5, 0.1]), np.array([0.02, -0.01]), np.array([0.01, -0.02])
-    base = controller.update(rest_at(q), q, np.zeros(2), q, 0.0).torque
-    command = controller.update(rest_at(q), q + offset, v, q + offset, 0.5)
+    base = torque(controller, rest_at(q), q, np.zeros(2), q, 0.0)
+    answer = torque(controller, rest_at(q), q + offset, v, q + offset, 0.5)
     epsilon = -0.5 * joints.absolute_velocity(offset)
     x = np.concatenate([joints.absolute_velocity(offset), joints.absolute_velocity(v)])
-    found = joints.absolute_torque(command.torque - base)
+    found = joints.absolute_torque(answer - base)
     np.testing.assert_allclose(found, gains.m1 @ x + gains.m2 @ epsilon, rtol=1e-9)
     np.testing.assert_allclose(controller.integral, epsilon, rtol=1e-12)
     controller.reset()
     np.testing.assert_array_equal(controller.integral, 0.0)
     # The literal method has no feed-forward.
     controller, gains = TrackingController(paper_arm, literal_gains), literal_gains.controller
-    measured, reference = q + [0.01, 0.02], Reference(q + [-0.1, 0.1], np.ones(2), np.ones(2), q)
-    command = controller.update(reference, q, np.zeros(2), measured, 0.01)
-    epsilon = 0.01 * joints.absolute_velocity(reference.position - measured)
+    measured, reference = q + [0.01, 0.02], np.array([q + [-0.1, 0.1], *np.ones((2, 2))])
+    answer = torque(controller, reference, q, np.zeros(2), measured, 0.01)
+    epsilon = 0.01 * joints.absolute_velocity(reference[0] - measured)
     wanted = gains.m1[:, :2] @ joints.absolute_position(q) + gains.m2 @ epsilon
-    np.testing.assert_allclose(joints.absolute_torque(command.torque), wanted, rtol=1e-12)
+    np.testing.assert_allclose(joints.absolute_torque(answer), wanted, rtol=1e-12)
     controller, q = TrackingController(paper_arm, paper_gains), np.array([1.5, 0.1])
     # Saturation that lasts does not wind the integral up.
     for _ in range(100):
-        command = controller.update(rest_at(q), q + 1.5, np.zeros(2), q + 1.5, 0.01)
-        assert command.saturated
-        assert np.all(np.abs(command.torque) <= paper_arm.torque_limit)
+        answer = torque(controller, rest_at(q), q + 1.5, np.zeros(2), q + 1.5, 0.01)
+        assert controller.state.saturated
+        assert np.all(np.abs(answer) <= paper_arm.torque_limit)
     np.testing.assert_array_equal(controller.integral, 0.0)
 
 

@@ -1,22 +1,11 @@
 """What the tracking controllers of all arms share: one call a sample, limits, integral action."""
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from lpv.core.control.path import Reference
 from lpv.core.support.jit import njit_in_place as njit
-from lpv.core.support.records import memory, plain
-
-
-@dataclass(frozen=True)
-class Command:
-    """One torque command."""
-
-    torque: np.ndarray  # joint torques within limits, shape (n,) [N m]
-    saturated: bool  # whether a limit was met
+from lpv.core.support.records import memory
 
 
 @njit
@@ -54,7 +43,7 @@ class TrackingLaw(ABC):
 
     def __init__(self, state: np.record) -> None:
         self.state = state
-        self._memory, self._shown = memory(state), plain(state)
+        self._memory = memory(state)
         self.torque: np.ndarray = self._memory['torque'][0]
 
     @property
@@ -65,41 +54,6 @@ class TrackingLaw(ABC):
     def reset(self) -> None:
         """Empty the integrator."""
         self.state.integral[:] = 0.0
-
-    def update(
-        self,
-        reference: Reference,
-        position: ArrayLike,
-        velocity: ArrayLike,
-        integrated_position: ArrayLike,
-        interval: float,
-    ) -> Command:
-        """Torque for the present sample.
-
-        Parameters
-        ----------
-        reference : Reference
-            References at the sample's time, shape (n,) each.
-        position, velocity : array_like, shape (n,)
-            State to feed back, joint coordinates [rad], [rad/s].
-        integrated_position : array_like, shape (n,)
-            Position that eps integrates, joint coordinates [rad].
-        interval : float
-            Time since the previous command [s]; 0 at the first.
-
-        Returns
-        -------
-        Command
-            Joint torques.
-        """
-        self.answer(
-            np.array([reference.position, reference.velocity, reference.acceleration]),
-            np.ascontiguousarray(position, dtype=float),
-            np.ascontiguousarray(velocity, dtype=float),
-            np.ascontiguousarray(integrated_position, dtype=float),
-            float(interval),
-        )
-        return Command(self.torque.copy(), bool(self._shown['saturated']))
 
     @abstractmethod
     def answer(
@@ -116,8 +70,10 @@ class TrackingLaw(ABC):
         ----------
         reference : ndarray, shape (3, n)
             Positions, rates and accelerations [rad], [rad/s], [rad/s2].
-        position, velocity, integrated : ndarray, shape (n,)
-            As of `update`, contiguous.
+        position, velocity : ndarray, shape (n,)
+            State to feed back, joint coordinates, contiguous [rad], [rad/s].
+        integrated : ndarray, shape (n,)
+            Position that eps integrates, contiguous [rad].
         interval : float
-            As of `update`.
+            Time since the previous command [s]; 0 at the first.
         """

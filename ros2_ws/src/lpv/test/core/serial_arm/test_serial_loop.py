@@ -190,10 +190,11 @@ class Loop:
             return
         self.limit.take(stamp, position, velocity)
         feedback, span = self.limit.position, DT if k else 0.0
-        command = self.law.update(reference, feedback, self.limit.velocity, feedback, span)
-        self.simulator.step(command.torque)
+        motion = np.array([reference.position, reference.velocity, reference.acceleration])
+        self.law.answer(motion, feedback, self.limit.velocity, feedback, span)
+        self.simulator.step(self.law.torque)
         self.speeds.append(np.abs(self.simulator.state.motion[1]))
-        self.torques.append(command.torque)
+        self.torques.append(self.law.torque.copy())
         self.errors.append(feedback - position)
 
     def run(self, seconds):
