@@ -78,13 +78,14 @@ def _round(arm, gains):
     rows, bias = [], []
     injector = FaultInjector(arm.sensor_names, scenario.faults, np.random.default_rng(0))
     for _ in range(round(scenario.duration / arm.sample_time)):
-        measurement, truth = plant.sense()
+        sensed = plant.sense()
+        position, velocity = sensed['position'], sensed['velocity']
         bias.append(injector.apply(plant.time, np.zeros(2), arm.sample_time))
         at = path.sample(plant.time)
         motion = np.array([at.position, at.velocity, at.acceleration])
-        controller.answer(motion, truth.position, truth.velocity, truth.position, arm.sample_time)
+        controller.answer(motion, position, velocity, position, arm.sample_time)
         torque = controller.torque.copy()
-        rows.append((truth.position, truth.velocity, measurement.effort, torque))
+        rows.append((position, velocity, sensed['effort'], torque))
         plant.step(torque)
     return [np.array(column) for column in zip(*rows)], np.array(bias)
 

@@ -53,10 +53,11 @@ def simulated_run(
     samples, position = np.zeros((count, 3, n)), np.zeros((count, n))
     torque, limit = np.zeros(n), np.array(arm.torque_limit)
     for k in range(count):
-        measured, truth = simulator.sense()
-        samples[k] = measured.position, measured.velocity, torque
-        position[k] = truth.position
-        error = 100.0 * (q[k] - measured.position) + 20.0 * (v[k] - measured.velocity)
+        sensed = simulator.sense()
+        reading, rate = sensed['measured_position'], sensed['measured_velocity']
+        samples[k] = reading, rate, torque
+        position[k] = sensed['position']
+        error = 100.0 * (q[k] - reading) + 20.0 * (v[k] - rate)
         torque = np.clip(model.torque(q[k], v[k], a[k] + error), -limit, limit)
         outside = [push.torque for push in pushes if push.begin <= time[k] < push.end]
         simulator.step(torque + sum(map(np.array, outside)))

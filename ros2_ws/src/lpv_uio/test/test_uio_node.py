@@ -103,8 +103,9 @@ class Arm:
     def good(self):
         self.stamp += STEP
         self._plant.hold()
-        measured, _ = self._plant.sense()
-        values = {k: getattr(measured, k).tolist() for k in ('position', 'velocity', 'effort')}
+        sensed = self._plant.sense()
+        values = {k: sensed[f'measured_{k}'].tolist() for k in ('position', 'velocity')}
+        values['effort'] = sensed['effort'].tolist()
         return self.stamped(JointState(name=list(self.node._arm.joint_names), **values))
 
     def send(self, message):

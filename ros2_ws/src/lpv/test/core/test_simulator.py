@@ -28,27 +28,28 @@ def test_given_too_much_torque_or_brakes_then_effort_shows_what_acted(
     paper_arm, two_faults, simulate, joints, paper_model
 ):
     plant = simulate(**QUIET)
-    measurement, truth = plant.sense()
+    sensed = plant.sense()
     start = two_faults.path(paper_arm).sample(0.0).position
-    np.testing.assert_allclose([truth.position, measurement.position], [start] * 2, atol=1e-15)
-    np.testing.assert_array_equal(truth.velocity, 0.0)
+    for name in ('position', 'measured_position'):
+        np.testing.assert_allclose(sensed[name], start, atol=1e-15)
+    np.testing.assert_array_equal(sensed['velocity'], 0.0)
     assert plant.time == 0.0
     plant.step((1e6, -1e6))
-    np.testing.assert_array_equal(plant.sense()[0].effort, [1500.0, -600.0])
+    np.testing.assert_array_equal(plant.sense()['effort'], [1500.0, -600.0])
     for torque in ((math.nan, 0.0), (0.0, math.inf), (1.0,), (1.0, 2.0, 3.0)):
         with pytest.raises(ValueError, match='2 finite numbers'):
             plant.step(torque)
     assert plant.step_count == 1
     plant = simulate(noise=False)
-    _, before = plant.sense()
+    before = plant.sense()
     for _ in range(10):
         plant.hold()
-    measurement, after = plant.sense()
-    np.testing.assert_array_equal(after.position, before.position)
+    after = plant.sense()
+    np.testing.assert_array_equal(after['position'], before['position'])
     assert plant.step_count == 10
-    theta = joints.absolute_position(after.position)
+    theta = joints.absolute_position(after['position'])
     carried = inverse_dynamics(*theta, 0.0, 0.0, 0.0, 0.0, paper_model.constants())
-    np.testing.assert_allclose(joints.absolute_torque(measurement.effort), carried, rtol=1e-12)
+    np.testing.assert_allclose(joints.absolute_torque(after['effort']), carried, rtol=1e-12)
 
 
 def test_given_a_fault_when_injected_then_noise_and_disturbance_stay_the_same(simulate, joints):
@@ -56,15 +57,16 @@ def test_given_a_fault_when_injected_then_noise_and_disturbance_stay_the_same(si
     plants = simulate(), simulate(noise, Fault('link2_angle', 'bias', 0.0, size=0.2))
     last = np.inf
     for _ in range(20):
-        (plain, truth), (faulty, other) = (p.sense() for p in plants)
-        np.testing.assert_array_equal(truth.position, other.position)
-        np.testing.assert_array_equal(plain.velocity, faulty.velocity)
-        shift = joints.absolute_velocity(faulty.position - plain.position)
-        np.testing.assert_allclose(shift, other.fault, atol=1e-12)
+        plain, faulty = (p.sense() for p in plants)
+        for name in ('position', 'measured_velocity'):
+            np.testing.assert_array_equal(plain[name], faulty[name])
+        reading = plain['measured_position']
+        shift = joints.absolute_velocity(faulty['measured_position'] - reading)
+        np.testing.assert_allclose(shift, faulty['fault'], atol=1e-12)
         # A reading is one until the next step.
-        np.testing.assert_array_equal(plants[0].sense()[0].position, plain.position)
-        assert np.abs(plain.position - last).max() > 1e-5
-        last = plain.position
+        np.testing.assert_array_equal(plants[0].sense()['measured_position'], reading)
+        assert np.abs(reading - last).max() > 1e-5
+        last = reading
         for plant in plants:
             plant.step((1.0, 2.0))
 
@@ -72,11 +74,14 @@ def test_given_a_fault_when_injected_then_noise_and_disturbance_stay_the_same(si
 def test_given_noise_when_sampled_then_moments_are_right_and_faults_independent(simulate, joints):
     plant, rows = simulate(Fault('link1_angle', 'noise', 0.0, size=0.1)), []
     for _ in range(4000):
-        measurement, truth = plant.sense()
-        own = joints.absolute_velocity(measurement.position - truth.position) - truth.fault
-        rates = joints.absolute_velocity(measurement.velocity - truth.velocity)
+        now = plant.sense()
+        own, rates = (
+            joints.absolute_velocity(now[f'measured_{name}'] - now[name])
+            for name in ('position', 'velocity')
+        )
         plant.step((0.0, 0.0))
-        rows.append([truth.fault[0], *own, *rates, plant.sense()[1].disturbance])
+        push = plant.sense()['disturbance'].item()
+        rows.append([now['fault'][0], *(own - now['fault']), *rates, push])
     fault, *noise, push = np.array(rows).T
     np.testing.assert_allclose(np.std(noise, axis=1), [1e-3, 1e-3, 1e-2, 1e-2], rtol=0.06)
     assert push.mean() == pytest.approx(0.2, abs=0.06)
@@ -101,7 +106,7 @@ def apart(plants, count, torque=(0.0, 0.0)):
     for plant in plants:
         for _ in range(count):
             plant.step(torque)
-    one, other = (plant.sense()[1].position for plant in plants)
+    one, other = (plant.sense()['position'] for plant in plants)
     return np.abs(one - other).max()
 
 

@@ -4,7 +4,6 @@ All compiled functions take constants (`plant_type`) and state (`state_type`).
 """
 
 import math
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -183,26 +182,6 @@ def _sense(params: np.ndarray, state: np.ndarray, faults: np.ndarray) -> None:
     _take_readings(params[0], state[0], faults)
 
 
-@dataclass(frozen=True)
-class Measurement:
-    """Readings of the sensors, as sensor_msgs/JointState has them."""
-
-    position: np.ndarray  # faulty, noisy joint positions, shape (n,) [rad]
-    velocity: np.ndarray  # noisy joint rates, shape (n,) [rad/s]
-    effort: np.ndarray  # of the torque that acted over the step before, shape (n,), in its own unit
-
-
-@dataclass(frozen=True)
-class Truth:
-    """True state of the arm, which no observer may know."""
-
-    position: np.ndarray  # true joint positions, shape (n,) [rad]
-    velocity: np.ndarray  # true joint rates, shape (n,) [rad/s]
-    # reading minus truth before noise, of the physical sensors, shape (n,) [rad]; NaN in a dropout
-    fault: np.ndarray
-    disturbance: float  # d over the step before
-
-
 SIGNALS = ('position', 'velocity', 'fault', 'measured_position', 'measured_velocity', 'effort')
 
 
@@ -235,9 +214,9 @@ class ArmSimulator:
     scratch, matrix : ndarray
         Scratch memory of `integrate`.
     signals : dict
-        Arrays of shape (n,), the disturbance's of (1,), that `read` writes: true ``position``,
-        ``velocity``, ``fault`` and ``disturbance``, ``measured_position``, ``measured_velocity``
-        and ``effort``.
+        Arrays of shape (n,), the disturbance's of (1,), that `read` writes, with the fields of
+        `state_type`: true ``position``, ``velocity``, ``fault`` and ``disturbance``;
+        ``measured_position``, ``measured_velocity`` and ``effort``.
     """
 
     def __init__(self, arm: SerialArm, scenario: Scenario, substeps: int = 2) -> None:
@@ -322,10 +301,10 @@ class ArmSimulator:
         brake(self.chain, self.state, self._work)
         self._sensed = False
 
-    def sense(self) -> tuple[Measurement, Truth]:
-        """Readings and truth at the present sample; the same ones when asked again."""
+    def sense(self) -> dict[str, np.ndarray]:
+        """Copies of `signals` at the present sample; the same ones when asked again."""
         self.read()
-        return copy_signals(self.signals)
+        return {name: values.copy() for name, values in self.signals.items()}
 
     def read(self) -> None:
         """Read the sensors into `signals`, if that was not done at the present sample."""
@@ -334,15 +313,6 @@ class ArmSimulator:
             self.injector.draw(self.time)
             _sense(*self._memory, self.injector.records)
             self._sensed = True
-
-
-def copy_signals(signals: dict[str, np.ndarray]) -> tuple[Measurement, Truth]:
-    """Readings and truth of a simulator's `signals`."""
-    now = {name: values.copy() for name, values in signals.items()}
-    return (
-        Measurement(now['measured_position'], now['measured_velocity'], now['effort']),
-        Truth(now['position'], now['velocity'], now['fault'], float(now['disturbance'][0])),
-    )
 
 
 def _engine(arm: SerialArm, scenario: Scenario, chain: Chain) -> Engine | None:

@@ -112,7 +112,7 @@ def test_given_a_derived_rate_when_its_encoder_jumps_then_it_jumps_too(rates, ju
     scenario = replace(SCENARIO, faults=(replace(STEP, onset=0.01),))
     simulator, found = ArmSimulator(shoulder_arm(rates), scenario), []
     for _ in range(6):
-        found.append(simulator.sense()[0].velocity[1])
+        found.append(simulator.sense()['measured_velocity'][1])
         simulator.hold()
     assert np.abs(np.diff(found)).max() == pytest.approx(jump, abs=1.0)
 
@@ -173,8 +173,8 @@ class Loop:
         self.reason, self.speeds, self.torques, self.errors = StopReason.NONE, [], [], []
 
     def step(self, k):
-        stamp, sensed = 10**9 + k * 2_000_000, self.simulator.sense()[0]
-        measured, rate = np.array(sensed.position), np.array(sensed.velocity)
+        stamp, sensed = 10**9 + k * 2_000_000, self.simulator.sense()
+        measured, rate = sensed['measured_position'], sensed['measured_velocity']
         position, velocity = measured.copy(), rate.copy()
         now, before = self.correction(k * DT), self.correction((k - 1) * DT)
         position[JOINT] -= now
