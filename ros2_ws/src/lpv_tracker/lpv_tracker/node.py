@@ -128,9 +128,8 @@ class TrackerNode(ManagedNode):
         self._corrected = self._estimate[ROWS.index('compensated_position')]
         self._measured_velocity = self._estimate[ROWS.index('measured_velocity')]
         self._forgotten: np.ndarray | None = None  # correction before a silence [rad]
-        self._compensation = self.get_parameter('compensation').value
-        self._position = self._estimate[ROWS.index(FEEDBACK_FIELDS[self._compensation])]
-        self._correction = CorrectionLimit(self._arm, self._compensation != 'off')
+        self._correction, self._compensation = CorrectionLimit(self._arm), ''
+        self._choose_feedback()
         self._compile()
         self._watchdog = TrackerWatchdog(self._arm, self._limits)
         self._stamps, self._refusals, self._stops = StampGate(), Refusals(self), 0

@@ -139,13 +139,12 @@ def _limit_correction(record: np.ndarray, *sample: Any) -> None:
 class CorrectionLimit:
     """`limit_correction` for Python, sample by sample.
 
-    ``position`` and ``velocity`` are what is to be fed back, shape (n,) [rad], [rad/s].  Without
-    ``limited`` there is no correction: the position is fed back as measured.
+    ``position`` and ``velocity`` are what is to be fed back, shape (n,) [rad], [rad/s].
     """
 
-    def __init__(self, arm: SerialArm, limited: bool = True) -> None:
-        self._memory = memory(new_correction(arm, limited))
-        self._change = new_correction(arm).change
+    def __init__(self, arm: SerialArm) -> None:
+        self._memory = memory(new_correction(arm))
+        self._change = self._memory['change'][0].copy()
         self.position, self.velocity = self._memory['feedback'][0]
 
     def take(self, stamp: int, position: np.ndarray, velocity: np.ndarray) -> None:
@@ -153,7 +152,10 @@ class CorrectionLimit:
         _limit_correction(self._memory, stamp, position, velocity)
 
     def turn_to(self, position: np.ndarray, limited: bool) -> None:
-        """Feed another position back, fading to it from the last one; it is ``position`` now."""
+        """Feed another position back, fading to it from the last one; it is ``position`` now.
+
+        Not ``limited``, there is no correction: the position is fed back as measured.
+        """
         record = self._memory[0]
         record['change'] = self._change if limited else np.inf
         record['before'][0] = position
