@@ -79,7 +79,7 @@ def test_given_arguments_when_launched_then_they_are_forwarded_to_every_node(tmp
 
 
 @pytest.mark.parametrize('chosen', [None, 'SUBNET'])
-@pytest.mark.parametrize('name', ['pipeline', 'simulation', 'observer'])
+@pytest.mark.parametrize('name', ['pipeline', 'observer'])
 def test_given_no_range_when_launched_then_nodes_stay_on_this_machine(monkeypatch, name, chosen):
     monkeypatch.delenv('ROS_AUTOMATIC_DISCOVERY_RANGE', raising=False)
     if chosen:
@@ -93,7 +93,7 @@ def test_given_no_range_when_launched_then_nodes_stay_on_this_machine(monkeypatc
 
 
 def test_given_the_launch_files_when_their_arguments_are_shown_then_each_is_described(capsys):
-    for name in ('simulation', 'observer', 'rviz', 'pipeline'):
+    for name in ('observer', 'rviz', 'pipeline'):
         assert main(['launch', str(FILES[name]), 'arm:=ur10', '-s']) == 0
         text = capsys.readouterr().out
         assert text.startswith("Arguments (pass arguments as '<name>:=<value>'):\n\n    '")
