@@ -62,8 +62,8 @@ def test_given_the_library_when_imported_then_no_other_package_is_and_its_mathem
             assert all(other.startswith('lpv.core') for other in others), name
 
 
-READS_OLD_FILES = ('uio/old_arm_file.py', 'serial_arm/arm_file.py', 'simulation/scenario.py')
-"""There is one kind of arm and one of scenario; only these see files of older versions."""
+READS_OLD_FILES = ('serial_arm/old_arm_file.py', 'serial_arm/arm_file.py')
+"""There is one kind of arm; only these see files of older versions."""
 QUESTIONS = {
     'type': r'isinstance\([^()]*(\([^()]*\))?[^()]*\b(SerialArm|ArmParameters|Scenario)\b',
     'links': r"hasattr\(\s*\w*arm\w*\s*,\s*'links'",

@@ -31,7 +31,6 @@ from lpv.core.serial_arm.urdf_chain import read_urdf_chain
 from lpv.core.support.config import Section, names_all_errors, read_yaml
 from lpv.core.support.limits import LARGEST
 
-_OLD_KIND = 'serial_arm'
 _OLD_FORM = (
     '{} is of the form of two-link arms that the next version does not read; write it anew: '
     'python -m lpv.core.serial_arm.arm_file OLD.yaml NEW.yaml'
@@ -97,8 +96,6 @@ def parse_arm(data: dict[str, Any], source: str = 'arm', folder: str | Path = '.
 @names_all_errors
 def _parse(data: dict[str, Any], source: str, folder: str | Path) -> SerialArm:
     top = Section(data, source)
-    if 'kind' in top:  # of files before there was one kind of arm
-        top.text('kind', choices=(_OLD_KIND,))
     name = top.text('name')
     urdf = top.text('urdf') if 'urdf' in top else ''
     locked = _locked(top)

@@ -144,8 +144,6 @@ def load_scenario(path: str | Path) -> Scenario:
 def parse_scenario(data: dict[str, Any], source: str = 'scenario') -> Scenario:
     """Build a scenario from the mapping of a scenario file, as `load_scenario`."""
     top = Section(_expanded(data), source)
-    if 'kind' in top:  # of files for serial arms, before there was one kind of arm
-        top.text('kind', choices=('serial_arm',))
     times, waypoints = _waypoints(top.section('path'))
     plant = top.section('plant', required=False)
     scenario = Scenario(

@@ -77,7 +77,6 @@ def test_given_what_makes_no_path_or_exceeds_a_limit_then_joint_or_field_is_name
 
 
 DATA = yaml.safe_load("""
-kind: serial_arm
 name: test
 duration: 5.0
 plant: {parameter_error: 0.05, payload: 0.4, friction_factor: 1.2}

@@ -61,7 +61,7 @@ def test_gripper_is_locked_where_it_was_told_and_axes_point_anywhere(small, tmp_
     tip = forward_kinematics(compile_chain(found), q[:2])[1]
     np.testing.assert_allclose(tip, expected, atol=1e-12)
     # A file of the arm that names the URDF alone has its joints.
-    text = '{kind: serial_arm, name: small, urdf: small.urdf, locked: {finger: 0.03}}'
+    text = '{name: small, urdf: small.urdf, locked: {finger: 0.03}}'
     (tmp_path / 'arm.yaml').write_text(text)
     arm = load_arm(tmp_path / 'arm.yaml')
     assert (arm.joints, arm.locked) == (found.joints, found.locked)
