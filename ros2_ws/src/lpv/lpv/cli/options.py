@@ -11,18 +11,6 @@ class Command(NamedTuple):
     epilog: str = ''
 
 
-DESIGN = """
---arm ARM!                 arm file, or name of a shipped arm (paper, real_arm, ur10, panda)
---requirement REQUIREMENT  requirement file, or name of a shipped one (paper, paper_literal,
-                           real_arm); without, the one with the arm's name
---proof                    also prove the inequalities in exact rational arithmetic
---out GAINS.yaml!          parameter file to write
-# arms without an lpv region: certificate of computed torque (docs/tracking.md)
---bandwidth=10.0           distance of the three poles of every joint from zero [rad/s]
---model-error SHARE:float  relative error of each link's mass and inertia; default: as the arm file
-                           states, or 0.05
---rate-share=0.0           region: share of all velocity limits at once; 0: as large as possible
-"""
 _URDF = """
 --urdf URDF            URDF of the arm (xacro expanded)
 """
@@ -61,8 +49,19 @@ _PRESETS = '{zstd_fast,zstd_small,none}'
 COMMANDS = {
     'design': Command(
         'design certified gains for an arm',
-        '--map MAP.png  picture to write: smallest fault that is always detected, over the region'
-        + DESIGN,
+        """
+--map MAP.png              picture to write: smallest fault that is always detected, over the region
+--arm ARM!                 arm file, or name of a shipped arm (paper, real_arm, ur10, panda)
+--requirement REQUIREMENT  requirement file, or name of a shipped one (paper, paper_literal,
+                           real_arm); without, the one with the arm's name
+--proof                    also prove the inequalities in exact rational arithmetic
+--out GAINS.yaml!          parameter file to write
+# arms without an lpv region: certificate of computed torque (docs/tracking.md)
+--bandwidth=10.0           distance of the three poles of every joint from zero [rad/s]
+--model-error SHARE:float  relative error of each link's mass and inertia; default: as the arm file
+                           states, or 0.05
+--rate-share=0.0           region: share of all velocity limits at once; 0: as large as possible
+""",
     ),
     'verify': Command(
         'check the certificate of a gains file',
