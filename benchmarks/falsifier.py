@@ -17,9 +17,10 @@ from pathlib import Path
 from lpv.campaign.falsify.attack import Attacker
 from lpv.campaign.falsify.search import search, write_worst
 from lpv.core.serial_arm.arm_file import load_arm
+from lpv.core.serial_arm.two_links import two_link_arm
 from lpv.core.support.resources import bringup_file
 from lpv.core.uio.model.arm import ArmParameters, Link
-from lpv.core.uio.planar import planar_model, serial_from_planar
+from lpv.core.uio.planar import planar_model
 from lpv_design.design_flow import design
 from lpv_design.requirement import load_requirement
 from lpv_design.solve import InfeasibleError
@@ -91,7 +92,7 @@ def attack(name: str, rate: int, options: argparse.Namespace) -> dict[str, objec
         Of `COLUMNS`; ``cpu_time`` is that of the search alone [s].
     """
     make, requirement = ARMS[name]
-    arm = serial_from_planar(replace(make(), sample_time=1.0 / rate))
+    arm = two_link_arm(replace(make(), sample_time=1.0 / rate))
     gains = design(planar_model(arm), load_requirement(requirement)).gains
     attacker = Attacker(arm, options.duration, gains)
     start = time.process_time()

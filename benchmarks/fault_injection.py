@@ -32,9 +32,10 @@ from lpv.core.serial_arm.description import (
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.dynamics.payload import with_payload
 from lpv.core.serial_arm.sensor_map import map_rows
+from lpv.core.serial_arm.two_links import two_link_arm
 from lpv.core.uio.certificate.gains import Gains, load_gains
 from lpv.core.uio.model.arm import Link
-from lpv.core.uio.planar import planar_model, serial_from_planar
+from lpv.core.uio.planar import planar_model
 from lpv.identify.recordings.recording import read_recording
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -364,7 +365,7 @@ def _build(arm: SerialArm, name: str) -> SerialArm:
         viscous=(given['b1'], given['b2']),
         coulomb=(given['cf1'], given['cf2']),
     )
-    return serial_from_planar(planar)
+    return two_link_arm(planar)
 
 
 def _simulated(

@@ -13,6 +13,7 @@ from lpv.core.serial_arm.certificate.claims import SERIAL_CLAIMS, Claim
 from lpv.core.serial_arm.certificate.conditions import region_lines, verify_loop
 from lpv.core.serial_arm.certificate.loop_gains import LoopGains, load_loop_gains, serial_parameters
 from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.two_links import two_link_arm
 from lpv.core.support.errors import ConfigError, LpvError
 from lpv.core.support.inequalities import Check
 from lpv.core.support.resources import bringup_file, shipped_files
@@ -20,7 +21,7 @@ from lpv.core.uio.certificate.claims import CLAIMS
 from lpv.core.uio.certificate.conditions import verify
 from lpv.core.uio.certificate.gains import Gains, load_gains
 from lpv.core.uio.model.arm import arm_from_json
-from lpv.core.uio.planar import planar_model, serial_from_planar
+from lpv.core.uio.planar import planar_model
 
 _ANSWERS = tuple(
     f'lpv_msgs/msg/{name}' for name in ('FaultEstimate', 'StateEstimate', 'FaultAlarm')
@@ -97,7 +98,7 @@ class Certified:
         """The arm that the gains describe or that is shipped under their name, if it is theirs."""
         text = getattr(self.gains, 'certificate', {}).get('arm_json')
         if isinstance(text, str):
-            return serial_from_planar(arm_from_json(text))
+            return two_link_arm(arm_from_json(text))
         file = shipped_files('arms').get(self.gains.arm_name)
         return load_arm(file) if file is not None else None
 

@@ -19,7 +19,8 @@ from lpv.campaign.falsify.attack import Finding
 from lpv.cli import needs, progress
 from lpv.cli.commands import demo, falsify, replay, view
 from lpv.core.export.urdf import arm_urdf
-from lpv.core.uio.planar import planar_model, serial_from_planar
+from lpv.core.serial_arm.two_links import two_link_arm
+from lpv.core.uio.planar import planar_model
 
 HEAVY = ('numpy', 'numba', 'scipy', 'matplotlib', 'cvxpy', 'rosbags', 'pinocchio', 'rclpy', 'rich')
 
@@ -169,7 +170,7 @@ def test_given_a_urdf_when_initialised_then_the_arm_is_that_of_the_urdf(init, pa
     model, wanted = planar_model(paper_arm), paper_arm
     if zero is not None:
         model = replace(model, zero_angle=zero)
-        wanted = serial_from_planar(model)
+        wanted = two_link_arm(model)
     arm, _ = init(urdf=arm_urdf(wanted))
     found = planar_model(arm)
     for one, other in zip(found.links, model.links):

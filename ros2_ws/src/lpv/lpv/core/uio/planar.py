@@ -17,7 +17,6 @@ from lpv.core.serial_arm.description import (
     SerialArm,
     rotation_from_rpy,
 )
-from lpv.core.serial_arm.two_links import two_link_arm
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.inequalities import SAME
 from lpv.core.uio.model.arm import ArmParameters, Link
@@ -160,7 +159,3 @@ def planar_links(arm: SerialArm) -> ArmParameters:
     if arm.sensor_matrix is not None:
         arm = replace(arm, sensor_matrix=None)
     return planar_model(arm)
-
-
-serial_from_planar = two_link_arm
-"""A planar arm as an arm file states it, with the region of its design."""

@@ -15,12 +15,12 @@ from lpv.core.control.serial_path import PoseWaypoints, SerialPath
 from lpv.core.control.watchdog import StopReason, TrackerLimits, TrackerWatchdog
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import JointLimits, LinkInertia
+from lpv.core.serial_arm.two_links import two_link_arm
 from lpv.core.simulation.arm_simulator import ArmSimulator
 from lpv.core.simulation.scenario import parse_scenario
 from lpv.core.support.errors import ConfigError, UnreachableError
 from lpv.core.uio.model.joints import JointMap
 from lpv.core.uio.model.kinematics import forward
-from lpv.core.uio.planar import serial_from_planar
 from lpv.files import load_arm, load_scenario
 
 TIMES = (0.5, 2.5, 5.0)
@@ -171,7 +171,7 @@ def test_given_waypoints_when_sampled_then_tip_rates_and_ends_are_right(paper_ar
     np.testing.assert_allclose(tip, POINTS, atol=1e-12)
     # Another zero of the joints leaves the tip where it is.
     other = replace(paper_model, zero_angle=math.pi)
-    there = planar(serial_from_planar(other)).sample(np.array(KNOTS)).position
+    there = planar(two_link_arm(other)).sample(np.array(KNOTS)).position
     turns = (JointMap(other).absolute_position(there) - theta) / (2.0 * math.pi)
     np.testing.assert_allclose(turns, np.round(turns), atol=1e-12)
     for times in ((0.5, 4.0), (-3.0, 9.0)):

@@ -22,11 +22,11 @@ from lpv.core.serial_arm.chain import body_parameters, compile_chain, make_chain
 from lpv.core.serial_arm.dynamics import kinematics, payload
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.simulation import integration_step, plant_scratch, plant_step
+from lpv.core.serial_arm.two_links import two_link_arm
 from lpv.core.simulation.mujoco_chain import MujocoChain
 from lpv.core.uio.model.arm import ArmParameters, Link
 from lpv.core.uio.model.dynamics import inverse_dynamics as two_link_inverse_dynamics
 from lpv.core.uio.model.joints import JointMap
-from lpv.core.uio.planar import serial_from_planar
 
 CASES = given(st.integers(0, 2**31), st.integers(2, 9))
 PRISMATIC = {'scara': scara, 'ur10_on_rail': ur10_on_rail, 'mixed': mixed_arm}
@@ -132,7 +132,7 @@ def test_given_any_planar_arm_when_moved_then_its_chain_equals_the_two_link_form
     (q, v, a), joints = random_motion(seed, 2), JointMap(arm)
     rates = (*joints.absolute_velocity(v), *joints.absolute_velocity(a))
     absolute = two_link_inverse_dynamics(*joints.absolute_position(q), *rates, arm.constants())
-    found = SerialModel(compile_chain(serial_from_planar(arm))).torque(q, v, a)
+    found = SerialModel(compile_chain(two_link_arm(arm))).torque(q, v, a)
     close(found, joints.joint_torque(np.array(absolute)))
 
 

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from planar_formulas import inertia, scheduling, weights
 from scipy.optimize import nnls
 
+from lpv.core.serial_arm.two_links import two_link_arm
 from lpv.core.simulation.paper_plant import PaperPlant
 from lpv.core.simulation.scenario import Scenario
 from lpv.core.support.errors import ConfigError, UnreachableError
@@ -19,7 +20,7 @@ from lpv.core.uio.model.dynamics import inverse_dynamics
 from lpv.core.uio.model.joints import JointMap
 from lpv.core.uio.model.kinematics import forward, inverse, joint_motion
 from lpv.core.uio.model.polytope import sinc_box, vertex_matrices
-from lpv.core.uio.planar import is_planar, planar_links, planar_model, plane_of, serial_from_planar
+from lpv.core.uio.planar import is_planar, planar_links, planar_model, plane_of
 
 ANGLE, RATE, TORQUE = st.floats(-6.0, 6.0), st.floats(-8.0, 8.0), st.floats(-100.0, 100.0)
 STATE, EFFORT = st.tuples(ANGLE, ANGLE, RATE, RATE), st.tuples(TORQUE, TORQUE)
@@ -288,7 +289,7 @@ def test_given_vertices_when_augmented_then_eqs_35_to_37_hold_and_47_has_a_solut
 
 
 def test_given_a_shipped_arm_when_converted_back_then_it_is_the_same(arm, planar, gains):
-    again = planar_model(serial_from_planar(planar))
+    again = planar_model(two_link_arm(planar))
     assert planar.sha256() == gains.arm_sha256
     assert again.joint_names == arm.joint_names and again.sensor_names == arm.sensor_names
     for field in ('rotor', 'viscous', 'coulomb', 'zero_angle', 'gravity', 'cos_min'):
