@@ -18,4 +18,5 @@ setup(
     maintainer_email='maintainers@example.org',
     description='Design of observer and controller gains by linear matrix inequalities.',
     license='Apache-2.0',
+    entry_points={'console_scripts': ['design = lpv_design.main:main']},
 )

@@ -4,6 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from lpv.cli import main as cli
 from lpv.cli.progress import wrapped
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.certificate.exact_proof import prove_loop
@@ -21,6 +22,11 @@ from lpv_design.solve import InfeasibleError
 
 EXIT_INFEASIBLE, EXIT_NOT_DETECTABLE = 1, 3
 """Exit codes."""
+
+
+def main() -> int:
+    """`lpv design`, as ``ros2 run lpv_design design``."""
+    return cli.main(['design', *sys.argv[1:]])
 
 
 def run(arguments: argparse.Namespace) -> int:
