@@ -410,9 +410,10 @@ def test_given_faults_when_replayed_by_blocks_then_as_one_by_one(troubled_bag, r
     assert 200 < sum(changed) < 400
 
 
-def event(time, sensor='a', kind=AlarmEvent.RAISED, size=0.28, name='bias'):
+def event(time, sensor='a', kind=AlarmEvent.RAISED, size=0.28, name='bias', began=None):
     stamp, place = START + round(time * 1e9), ('a', 'b').index(sensor)
-    return streams.RecordedAlarm(kind, place, sensor, stamp, stamp, size, 0.05, name, 1.0, stamp)
+    onset = stamp if began is None else START + round(began * 1e9)
+    return streams.RecordedAlarm(kind, place, sensor, onset, stamp, size, 0.05, name, 1.0, stamp)
 
 
 ONE, OTHER, SHORT = (Fault(sensor, 'bias', 1.0, duration, 0.3)
@@ -420,14 +421,21 @@ ONE, OTHER, SHORT = (Fault(sensor, 'bias', 1.0, duration, 0.3)
 LATER = event(2.0, kind=AlarmEvent.UPDATED, size=0.31, name='drift')
 CLEARED = event(2.5, kind=AlarmEvent.CLEARED, size=0.0)
 BOTH = [event(1.2), event(1.5, 'b')]
+BACK = event(2.01, size=-0.3)  # the reading is right again
+RATE = Fault('a', 'rate_bias', 1.0, size=0.3)
 VERDICTS = [
     ([ONE], [event(1.25), LATER], ['found'], ('drift', 0.25, 0.01)),
     ([ONE], [], ['not found'], ('', None, None)),
     ([ONE], [event(1.5, 'b')], ['wrong sensor: b'], ('', None, None)),
-    ([ONE], BOTH, ['found, and wrongly b'], ('bias', 0.2, -0.02)),
+    ([ONE], BOTH, ['found'], ('bias', 0.2, -0.02)),
     ([ONE, OTHER], BOTH, ['found', 'found'], ('bias', 0.2, -0.02)),
     ([SHORT], [event(0.5)], ['not found'], ('', None, None)),
     ([SHORT], [event(3.5)], ['not found'], ('', None, None)),
+    ([SHORT], [BACK], ['not found'], ('', None, None)),
+    ([SHORT], [event(2.3, began=1.0)], ['found'], ('bias', 1.3, -0.02)),
+    ([SHORT], [event(1.2), BACK], ['found'], ('bias', 0.2, -0.02)),
+    ([RATE], [event(1.5, name='rate_bias')], ['found'], ('rate_bias', 0.5, -0.02)),
+    ([ONE], [event(1.5, name='rate_bias')], ['found'], ('rate_bias', 0.5, None)),
     ([SHORT], [event(1.2), CLEARED], ['found'], ('bias', 0.2, -0.02)),
 ]
 
@@ -436,6 +444,8 @@ VERDICTS = [
 def test_given_alarms_when_judged_then_each_fault_has_its_verdict(faults, events, verdicts, known):
     found = judge(faults, ReplayResult(first_stamp=START, events=events))
     assert [one.verdict for one in found] == verdicts
+    alone = faults == [ONE] and any(one.sensor == 'b' for one in events)
+    assert found[0].wrong_sensors == (('b',) if alone else ())
     assert (found[0].kind, found[0].delay, found[0].error) == pytest.approx(known)
 
 

@@ -102,11 +102,13 @@ def test_given_joints_when_findings_are_told_then_each_has_its_unit_if_it_has_a_
     arm = replace(paper_arm, joints=(first, replace(second, type='prismatic')))
     fault = Fault('link2_angle', 'bias', 1.0, size=0.1)
     kinds = (('bias', 0.02), ('rate_bias', None), ('dropout', None))
-    found = [InjectedFault(fault, True, (), 0.1, kind, 0.12, 0.03, off) for kind, off in kinds]
+    found = [InjectedFault(fault, True, ('x',), 0.1, kind, 0.12, 0.03, off) for kind, off in kinds]
     replay.show_injected(found, arm, Console(width=200))
     told = capsys.readouterr().out
-    assert '+0.120 m within 0.030 m, size error +0.020 m\n' in told
-    assert 'as rate_bias, +0.120 m/s within 0.030 m/s\n' in told and 'as dropout\n' in told
+    others = '; wrongly alarmed, too: x\n'
+    assert f'+0.1200 m within 0.0300 m, size error +0.0200 m{others}' in told
+    assert f'as rate_bias, +0.1200 m/s within 0.0300 m/s{others}' in told
+    assert f'as dropout{others}' in told
     worst = Finding(np.array([0.5, 0.7]), np.array([0.2, 0.1]), np.ones(2), False, None)
     falsify._conclude(SimpleNamespace(arm=arm), [worst])
     told = capsys.readouterr().out

@@ -22,7 +22,7 @@ class InjectedFault:
     wrong_sensors: tuple[str, ...] = ()  # healthy sensors that were alarmed meanwhile
     delay: float | None = None  # from its onset to the confirmed alarm [s]
     kind: str = ''  # latest classification while it acted
-    size: float | None = None  # latest estimate while it acted [rad]
+    size: float | None = None  # latest estimate while it acted [rad]; [rad/s] of a rate
     bound: float | None = None  # stated bound of the estimate's error [rad]
     error: float | None = None  # estimate minus injected size; None where no size is defined [rad]
     acted: bool = True  # the recording was not over before
@@ -32,9 +32,9 @@ class InjectedFault:
         """One phrase for the user."""
         if not self.acted:
             return 'not injected, the recording ends before'
-        wrong = ', '.join(self.wrong_sensors)
         if self.found:
-            return f'found, and wrongly {wrong}' if wrong else 'found'
+            return 'found'
+        wrong = ', '.join(self.wrong_sensors)
         return f'wrong sensor: {wrong}' if wrong else 'not found'
 
 
@@ -44,21 +44,26 @@ def judge(faults: Sequence[Fault], result: ReplayResult) -> list[InjectedFault]:
     events = [((event.stamp - start) / NANOSECONDS, event) for event in result.events]
     end = math.inf if result.last_stamp is None else (result.last_stamp - start) / NANOSECONDS
     for fault in faults:
+        over = fault.onset + fault.duration if fault.duration > 0.0 else math.inf
         during = [(at, event) for at, event in events if _acts(fault, at)]
         raised = [(at, event.sensor) for at, event in during if event.event == AlarmEvent.RAISED]
         wrong = {sensor for at, sensor in raised
                  if not any(f.sensor == sensor and _acts(f, at) for f in faults)}  # fmt: skip
-        delays = [at - fault.onset for at, sensor in raised if sensor == fault.sensor]
+        # A reading that jumps back when its fault ends is alarmed, too.
+        own = [
+            (at, event)
+            for at, event in during
+            if event.sensor == fault.sensor and event.event != AlarmEvent.CLEARED
+            if (event.onset - start) / NANOSECONDS < over
+        ]
+        delays = [at - fault.onset for at, event in own if event.event == AlarmEvent.RAISED]
         told: tuple[float, str, float, float, float | None] | tuple[()] = ()
         if delays:
-            at, last = [
-                (at, event)
-                for at, event in during
-                if event.sensor == fault.sensor and event.event != AlarmEvent.CLEARED
-            ][-1]
+            at, last = ([pair for pair in own if pair[0] <= over] or own)[-1]
             true = true_size(fault, at)
-            is_other = last.kind == RATE_BIAS  # its size is one of a rate
-            error = None if true is None or is_other else last.size - true
+            error = None
+            if true is not None and (last.kind == RATE_BIAS) == (fault.kind == RATE_BIAS):
+                error = last.size - true
             told = (delays[0], last.kind, last.size, last.bound, error)
         one = InjectedFault(fault, bool(delays), tuple(sorted(wrong)), *told)
         found.append(replace(one, acted=fault.onset <= end))
@@ -71,11 +76,11 @@ def _acts(fault: Fault, time: float) -> bool:
 
 
 def true_size(fault: Fault, time: float) -> float | None:
-    """Error of the reading at a time; None for kinds whose error depends on the reading [rad]."""
+    """Error of a reading [rad], or of a rate, at a time; None where it depends on the reading."""
     if fault.duration > 0.0:
         time = min(time, fault.onset + fault.duration)
     if fault.kind == 'drift':
         grown = fault.rate * (time - fault.onset)
         # The sign of the limit does not count, as in `lpv.core.simulation.faults.apply_faults`.
         return grown if fault.size == 0.0 else min(max(grown, -abs(fault.size)), abs(fault.size))
-    return fault.size if fault.kind == 'bias' else None
+    return fault.size if fault.kind in ('bias', RATE_BIAS) else None

@@ -24,6 +24,7 @@ from lpv.core.simulation.scenario import load_scenario, parse_faults
 from lpv.core.support.config import Section, read_yaml
 from lpv.core.support.discovery import stay_local
 from lpv.core.support.errors import ConfigError
+from lpv.core.support.formatting import decimals
 from lpv.core.support.resources import bringup_file
 from lpv.core.support.timestamps import NANOSECONDS
 from lpv.core.uio.certificate.gains import save_gains
@@ -125,14 +126,16 @@ def show_injected(found: list[InjectedFault], arm: SerialArm, console: Console) 
     for one in found:
         fault = one.fault
         unit = arm.position_units[arm.sensor_names.index(fault.sensor)]
+        unit, digits = size_unit(one.kind, unit), decimals(unit)
         text = f'  {fault.sensor}, {fault.kind} from {fault.onset:.3f} s on: {one.verdict}'
         if one.found:
             text += f' after {one.delay:.3f} s as {one.kind}'
         if one.found and one.kind != 'dropout':  # which has no size
-            found_unit = size_unit(one.kind, unit)
-            text += f', {one.size:+.3f} {found_unit} within {one.bound:.3f} {found_unit}'
+            text += f', {one.size:+.{digits}f} {unit} within {one.bound:.{digits}f} {unit}'
         if one.error is not None:
-            text += f', size error {one.error:+.3f} {unit}'
+            text += f', size error {one.error:+.{digits}f} {unit}'
+        if one.found and one.wrong_sensors:
+            text += f'; wrongly alarmed, too: {", ".join(one.wrong_sensors)}'
         console.print(text)
 
 
