@@ -205,7 +205,7 @@ def test_given_a_prismatic_joint_when_reported_then_its_figures_are_in_metres(pa
     units = {one.name: one.unit for one in (*result.figures, *result.differences)}
     assert (units['velocity 1'], units['velocity 2'], units['bound 2']) == ('rad/s', 'm/s', 'm')
     compare.show(result, Console(width=80))
-    assert re.search(r'right +unclassified .* -0.998 m ', capsys.readouterr().out)
+    assert re.search(r'right +unclassified .* -0.9980 m ', capsys.readouterr().out)
     del record.streams['ground_truth']
     record.stamps = {name: 3 * stamps for name, stamps in record.stamps.items()}
     assert [row.unit for row in make_table(record, arm)] == ['rad', 'rad', 'm', 'm']

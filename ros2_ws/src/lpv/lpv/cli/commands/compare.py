@@ -12,7 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from lpv.core.support.errors import ConfigError
-from lpv.core.support.formatting import number
+from lpv.core.support.formatting import decimals, number
 from lpv.report.certificate import find_arm_and_gains
 from lpv.report.comparison import (
     AlarmPair,
@@ -63,7 +63,7 @@ def show(result: Comparison, console: Console) -> None:
     names = ('kind', 'raised', 'delay', 'cleared')
     heads = ('kind', 'raised\n[s]', 'delay\n[s]', 'cleared\n[s]', 'size')
     rows = [
-        (p.sensor, *(_both(p, n) for n in names), _both(p, 'size', f' {p.unit}'), _mark(p.same))
+        (p.sensor, *(_both(p, n) for n in names), _both(p, 'size', p.unit), _mark(p.same))
         for p in result.alarms
     ]
     _table(console, 'alarms, first run above second', ('sensor', *heads, ''), rows)
@@ -94,6 +94,7 @@ def _both(pair: AlarmPair, name: str, unit: str = '') -> str:
     texts = []
     for episode in (pair.first, pair.second):
         value = getattr(episode, name, None)
-        known = value if isinstance(value, str) or value is None else f'{value:.3f}{unit}'
-        texts.append(known or '-')
+        if isinstance(value, float):
+            value = f'{value:.{decimals(unit)}f} {unit}'.rstrip()
+        texts.append(value or '-')
     return texts[0] if pair.same and texts[0] == texts[1] else '\n'.join(texts)
