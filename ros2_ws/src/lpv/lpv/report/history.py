@@ -35,7 +35,9 @@ _MEANING = {
     NO_DATA: 'no usable reading',
 }
 _LATE = 0.1
-"""An alarm so long after a spike is still of it [s]."""
+"""An alarm so long after a spike, or after the end of a fault, is still of it [s]."""
+_GRACE = 1.0
+"""Likewise of a fault that acted when the alarm began [s]."""
 _MOST = 8
 """Intervals of one kind that are listed individually."""
 _MOST_TIPS = 5000
@@ -74,7 +76,7 @@ class Episode:
     kind: str  # latest classification
     confidence: float  # latest confidence
     # start of the true fault at the time of the alarm; NaN if there was none (false alarm), None
-    # without ground truth
+    # without ground truth, and where the fault had just ended
     true_onset: float | None = None
 
     @property
@@ -147,12 +149,17 @@ def episodes(record: RunRecord) -> list[Episode]:
 
 def _start(record: RunRecord, event: RecordedAlarm, faults: list[FaultSpan] | None) -> Episode:
     onset, raised = record.seconds(event.onset), record.seconds(event.detected)
-    late = _late(event.kind)
-    mine = [f.start for f in faults or ()
-            if f.sensor_index == event.sensor_index and f.start <= raised <= f.end + late
-            ]  # fmt: skip
+    mine, just_over = [], False
+    for fault in faults or ():
+        if fault.sensor_index != event.sensor_index or raised < fault.start:
+            continue
+        if raised < fault.end + (_GRACE if onset < fault.end else _late(event.kind)):
+            mine.append(fault.start)
+        elif onset <= fault.end + _LATE and raised < fault.end + _GRACE:
+            just_over = True
+    # A reading that jumps back at the end of its fault is no false alarm, but the fault not found.
     # The truth has faults of positions alone.
-    unknown = faults is None or (event.kind == RATE_BIAS and not mine)
+    unknown = faults is None or (not mine and (just_over or event.kind == RATE_BIAS))
     true_onset = None if unknown else mine[-1] if mine else math.nan
     return Episode(
         event.sensor, event.sensor_index, onset, raised, None, event.size,
@@ -189,8 +196,9 @@ def missed_faults(record: RunRecord, found: list[Episode]) -> list[FaultSpan]:
     """True faults during which no alarm was raised or active; none without ground truth."""
     return [
         fault for fault in true_faults(record) or []
-        if not any(e.sensor_index == fault.sensor_index and e.raised <= fault.end + _late(e.kind)
-                   and (e.cleared is None or e.cleared > fault.start) for e in found)
+        if not any(e.sensor_index == fault.sensor_index and (e.true_onset == fault.start or (
+                   e.raised < fault.end + _late(e.kind)
+                   and (e.cleared is None or e.cleared > fault.start))) for e in found)
     ]  # fmt: skip
 
 

@@ -165,6 +165,20 @@ def test_given_a_spike_or_a_wrong_rate_when_its_alarm_comes_later_then_it_is_not
         assert found.false_alarm is false and found.delay is None
 
 
+def test_given_a_reading_that_jumps_back_when_reported_then_its_fault_is_missed_without_false_alarm(
+    page,
+):
+    late = event(430, 300)
+    for alarms, false, missed in (
+        ([event(400)], 0, 1), ([event(420, 402)], 0, 1), ([late], 0, 0), ([event(600)], 1, 1),
+    ):  # fmt: skip
+        values = page(made_up([(0, 200, 400)], alarms))
+        numbers = [tile(values, name).value for name in ('false alarms', 'missed faults')]
+        assert numbers == [str(false), str(missed)]
+    (found,) = episodes(made_up([(0, 200, 400)], [late]))
+    assert found.delay == pytest.approx(0.23)
+
+
 def test_given_a_wrong_rate_beside_a_drift_when_gathered_then_each_has_its_own_end_and_unit(
     paper_arm, capsys
 ):
