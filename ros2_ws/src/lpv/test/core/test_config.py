@@ -427,6 +427,8 @@ def test_given_other_yaml_or_arm_then_gains_refuse(tmp_path, paper_model, real_m
         path.write_text(text)
         with pytest.raises(ConfigError, match='other.yaml: .*gains'):
             load_gains(path)
+    with pytest.raises(ConfigError, match='certifies a tracking loop'):
+        load_gains(BRINGUP / 'gains' / 'ur10.yaml')
     paper_gains.check_arm(paper_model)
     hashes = '.*'.join(model.sha256()[:12] for model in (paper_model, real_model))
     with pytest.raises(ConfigError, match=rf'^g.yaml: gains.arm_sha256: .*{hashes}'):

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from lpv.core.serial_arm.certificate.loop_gains import serial_parameters
 from lpv.core.support.config import Section, read_yaml, sha256_of, write_parameters
 from lpv.core.support.errors import ConfigError
 from lpv.core.uio.model.arm import ArmParameters
@@ -226,7 +227,8 @@ def load_gains(path: str | Path) -> Gains:
     try:
         nested = data['/**']['ros__parameters']['gains']
     except (KeyError, TypeError):
-        raise ConfigError(
-            '/**.ros__parameters.gains', 'is missing: not a gains file', str(path)
-        ) from None
+        reason = 'is missing: not a gains file'
+        if serial_parameters(path) is not None:
+            reason = 'is missing: it certifies a tracking loop; this arm has no observer with gains'
+        raise ConfigError('/**.ros__parameters.gains', reason, str(path)) from None
     return parse_gains(nested, str(path))
