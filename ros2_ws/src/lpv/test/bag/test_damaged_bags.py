@@ -186,6 +186,24 @@ def test_given_missing_files_or_metadata_when_read_then_the_others_are_and_it_is
         (bag / missing).write_bytes(content)
 
 
+@pytest.mark.parametrize('place, said', [
+    (3, 'bag_3.mcap was cut off: what came between it and the next file is lost'),
+    (-1, r'the recording was not finished: what came after its first 0\.\d+ s is lost'),
+])  # fmt: skip
+@pytest.mark.parametrize('left', [0, 500])
+def test_given_a_part_without_its_end_when_recovered_then_it_is_told_which(
+    tmp_path, call, place, said, left
+):
+    bag = write_small(tmp_path / 'bag', 200, split_time=20_000_000)
+    (bag / 'metadata.yaml').unlink()
+    part = bag / f'bag_{place % len(list(bag.iterdir()))}.mcap'
+    part.write_bytes(part.read_bytes()[:left])
+    out = call('recover', bag, code=3).out
+    lost = [line for line in out.splitlines() if line.endswith(' is lost')]
+    assert len(lost) == 1 and re.fullmatch(said, lost[0])
+    assert recover(bag).end_missing is (place < 0)
+
+
 def test_given_a_good_bag_when_recovered_then_it_is_copied_if_asked(bag, tmp_path, call):
     assert 'the bag is whole' in call('recover', bag).out
     assert [path.name for path in tmp_path.iterdir()] == ['bag']

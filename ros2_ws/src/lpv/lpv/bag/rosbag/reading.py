@@ -57,6 +57,7 @@ class BagReader:
         self.known: Known = {}  # what the recorder knew of each topic
         self.said: Counter[str] = Counter()  # messages that there should be, by topic
         self.finished = True  # whether the recording was ended in order
+        self.cut: list[str] = []  # files of which an unknown number of messages is lost
         places = [place for file in files for place in file.places]
         self.start_time = min((place.start for place in places), default=2**63 - 1)
         self.end_time = max((place.end + 1 for place in places), default=0)
@@ -241,8 +242,8 @@ def _opened(path: Path, stack: ExitStack) -> BagReader:
     if other or not (path.is_dir() or path.suffix == '.mcap'):
         source = stack.enter_context(AnyReader([path], default_typestore=standard_types()))
         return BagReader(path, source.connections, source=source)
-    files = []
-    for one in _files(path, metadata, damages):
+    files, paths = [], _files(path, metadata, damages)
+    for one in paths:
         try:
             files.append(stack.enter_context(contextlib.closing(McapFile(one))))
         except BagError as error:
@@ -260,7 +261,10 @@ def _opened(path: Path, stack: ExitStack) -> BagReader:
             'nothing in it can be recovered'
         )
     reader = BagReader(path, connections, files)
-    reader.finished = metadata is not None or all(file.complete for file in files)
+    if metadata is None:  # nobody knows how many messages there were
+        whole = [file.path for file in files if file.complete]
+        reader.cut = [one.name for one in paths if one not in whole]
+        reader.finished = paths[-1] in whole
     for text in damages:
         reader.warn(text)
     _compare_counts(reader, metadata)

@@ -28,9 +28,9 @@ class Recovery:
 
     topics: dict[str, TopicRecovery] = field(default_factory=dict)  # by topic
     damages: list[str] = field(default_factory=list)  # what was wrong
-    # whether the recording was not finished: how much came after the last message is not known
-    end_missing: bool = False
-    end: int = 0  # log time of the last message that was recovered [ns]; 0 without messages
+    end_missing: bool = False  # whether the last file is cut: the recording was not finished
+    cut: list[str] = field(default_factory=list)  # files whose ends are lost; how much is not known
+    end: int = 0  # the last message that was recovered, from the first one on [ns]
     attachments: int = 0  # attachments that were left out
 
     @property
@@ -41,7 +41,7 @@ class Recovery:
     @property
     def nothing_lost(self) -> bool:
         """Whether every message that was ever recorded is in the new bag."""
-        return not (self.lost or self.end_missing or self.attachments)
+        return not (self.lost or self.cut or self.attachments)
 
 
 def recover(path: str | Path, out: str | Path | None = None, preset: str = 'zstd_fast') -> Recovery:
@@ -63,12 +63,13 @@ def recover(path: str | Path, out: str | Path | None = None, preset: str = 'zstd
                 known = writer.counts
                 channels = [writer.channel(topic) if topic in known else -1 for topic in topics]
                 writer.write_chunk(block.copied(np.array(channels)[block.connection]))
-            result.end = max(result.end, int(block.time.max()))
+            result.end = max(result.end, int(block.time.max()) - reader.start_time)
         result.topics = {
             topic: TopicRecovery(found[topic], max(0, reader.said[topic] - found[topic]))
             for topic in sorted({*found, *reader.said})
         }
-        result.damages, result.end_missing = list(reader.warnings), not reader.finished
+        result.damages, result.cut = list(reader.warnings), reader.cut
+        result.end_missing = not reader.finished
         result.attachments = sum(file.attachments for file in reader.files)
         if writer is not None:
             missing = writer.close(reader.known)

@@ -11,6 +11,7 @@ from rich.table import Table
 
 from lpv.bag.errors import BagError
 from lpv.bag.rosbag.recovery import Recovery, recover
+from lpv.core.support.timestamps import NANOSECONDS
 
 NOTHING_LOST, UNREADABLE, SOMETHING_LOST = 0, 1, 3
 """Exit codes."""
@@ -49,14 +50,16 @@ def _show(result: Recovery, out: Path | None) -> None:
     console = Console(soft_wrap=True, highlight=False, markup=False)
     table = Table('topic', 'recovered', 'lost', box=None, header_style='')
     for name, topic in sorted(result.topics.items()):
-        lost = f'at least {topic.lost}' if result.end_missing and topic.lost else str(topic.lost)
+        lost = f'at least {topic.lost}' if result.cut and topic.lost else str(topic.lost)
         table.add_row(name, str(topic.recovered), lost)
     console.print(*(f'  {text}' for text in result.damages), table, sep='\n')
     if result.attachments:
         console.print(f'{result.attachments} attachments were left out')
     if result.end_missing:
-        end = f'{result.end / 1e9:.3f} s'
-        console.print(f'the recording was not finished: what came after {end} is lost')
-    elif result.nothing_lost:
+        end = f'{result.end / NANOSECONDS:.3f} s'
+        console.print(f'the recording was not finished: what came after its first {end} is lost')
+    for name in result.cut[: -1 if result.end_missing else None]:
+        console.print(f'{name} was cut off: what came between it and the next file is lost')
+    if result.nothing_lost:
         console.print('nothing was lost' if result.damages else 'the bag is whole')
     console.print(f'bag  {out}' if out is not None else 'nothing was written')
