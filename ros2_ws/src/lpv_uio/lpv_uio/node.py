@@ -108,6 +108,7 @@ class UioNode(ManagedNode):
         # Steady times, see `elapsed`.
         self._received: int | None = None  # about when the last measurement came that fits [ns]
         self._is_new = False  # whether one came since the last look for silence
+        self._ahead = 0  # the node's clock of the driver's, about [ns]
         self._answered: int | None = None  # stamp of the last answer [ns]
         self._silent_since: int | None = None  # time of the last warning, or of the silence [ns]
         self._stale = False
@@ -272,18 +273,21 @@ class UioNode(ManagedNode):
         elapsed = self.elapsed()
         if self._is_new:
             self._received, self._silent_since, self._is_new = elapsed, None, False
+            self._ahead = now - (self._answered or 0)
         if self._received is None or self._stale:
             self._warn_of_silence(elapsed)
             return
         if elapsed - self._received > self.get_parameter('stale_after').value * NANOSECONDS:
             self._stale = True
             self.get_logger().warning('no measurements: diagnosis is stale')
-            self._diagnostics_out.publish(diagnostics(now, self._monitor.status(Mode.STALE)))
+            # By the driver's clock, which may be another one.
+            stamp = max(now - self._ahead, (self._answered or 0) + 1)
+            self._diagnostics_out.publish(diagnostics(stamp, self._monitor.status(Mode.STALE)))
             fault = self._monitor.stale_fault()
             if fault is not None:
                 self._messages.record['fault'] = fault
                 self._messages.degrade()
-                self._fault_out.publish(self._messages.fault.at(now))
+                self._fault_out.publish(self._messages.fault.at(stamp))
 
     def _report(self, now: int) -> None:
         """Say on /diagnostics who publishes measurements, and what was known before this start."""

@@ -21,7 +21,7 @@ from lpv.core.monitoring import answers, serial_monitor
 from lpv.core.serial_arm.diagnosis.alarms import Mode
 from lpv.core.simulation.arm_simulator import ArmSimulator
 from lpv.core.support.resources import bringup_file
-from lpv.core.support.timestamps import set_stamp
+from lpv.core.support.timestamps import set_stamp, to_nanoseconds
 from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate, TorqueCommand
 from lpv_uio.messages import OutputMessages
 from lpv_uio.node import UioNode
@@ -220,6 +220,8 @@ def test_given_a_driver_whose_clock_stands_when_it_goes_on_then_the_diagnosis_is
     arm.node._on_measurement(last)
     arm.node._check_silence()
     assert arm.node._stale
+    repeated = [arm.outputs[name].sent[-1].header.stamp for name in ('fault', 'diagnostics')]
+    assert all(arm.stamp < to_nanoseconds(stamp) < arm.stamp + 10**10 for stamp in repeated)
     said = []
     monkeypatch.setattr(arm.node.get_logger(), 'warning', said.append)
     arm.node._silent_since = 0
