@@ -15,6 +15,7 @@ from lpv.bag.run.record import load_run
 from lpv.bag.run.streams import RunRecord
 from lpv.core.monitoring.parameters import DiagnosisParameters
 from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.diagnosis.alarms import SensorState
 from lpv.core.support.errors import LpvError
 from lpv.report.history import Episode, episodes
 from lpv.report.page import finite
@@ -168,8 +169,12 @@ def compare_runs(
 
 
 def _answer_stamps(record: RunRecord) -> np.ndarray:
-    name = 'fault_estimate' if 'fault_estimate' in record.stamps else 'state_estimate'
-    return record.stamps[name]
+    """Of answers to measurements: an estimate that is repeated in silence, as stale, is none."""
+    if 'fault_estimate' not in record.stamps:
+        return record.stamps['state_estimate']
+    stamps = record.stamps['fault_estimate']
+    stale = (record.streams['fault_estimate']['state'] == SensorState.STALE).all(axis=1)
+    return stamps[~stale | np.isin(stamps, record.stamps.get('joint_states', stamps))]
 
 
 def _restricted(record: RunRecord, common: np.ndarray) -> RunRecord:

@@ -3,6 +3,7 @@
 import itertools
 import json
 import re
+from copy import copy
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from runs import copied
 
 from lpv import DiagnosisParameters, LpvError
 from lpv.bag.replay.replay import Replay
+from lpv.core.serial_arm.diagnosis.alarms import SensorState
 from lpv.report.comparison import Tolerances, compare_runs, load_pair
 
 
@@ -58,6 +60,22 @@ def test_given_one_answer_less_when_compared_then_it_is_noticed(replayed, paper_
     assert (result.only_second, result.complete, result.same) == (0, False, False)
     assert result.only_first > 100
     assert compare_runs(first, second, paper_arm, Tolerances(missing=1.0)).complete
+
+
+def test_given_an_estimate_repeated_in_silence_when_compared_then_it_is_no_answer(
+    replayed, paper_arm
+):
+    first, second = load_pair(replayed, replayed, paper_arm)
+    after = second.stamps['fault_estimate'][-1] + 10**9
+    for state, same in ((SensorState.STALE, True), (SensorState.OK, False)):
+        more = copy(second)
+        rows = {n: np.append(v, v[-1:], 0) for n, v in second.streams['fault_estimate'].items()}
+        rows['state'][-1] = state
+        more.streams = second.streams | {'fault_estimate': rows}
+        stamps = np.append(second.stamps['fault_estimate'], after)
+        more.stamps = second.stamps | {'fault_estimate': stamps}
+        result = compare_runs(first, more, paper_arm, Tolerances(0, 0, 0, 0, 0))
+        assert (result.only_second == 0, result.same) == (same, same)
 
 
 def test_given_no_measures_when_compared_then_others_count(replayed, slower, tmp_path, paper_arm):
