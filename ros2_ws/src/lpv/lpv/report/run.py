@@ -12,7 +12,7 @@ import numpy as np
 from lpv.bag.run.streams import RunRecord
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import SensorState
-from lpv.core.support.formatting import decimals
+from lpv.core.support.formatting import bound, decimals
 from lpv.core.support.resources import installed_version
 from lpv.core.support.timestamps import NANOSECONDS
 from lpv.report.certificate import Certificate
@@ -74,7 +74,7 @@ def write(run: Run, out: str | Path) -> ReportResult:
         pictures[-1].write_bytes(data)
         figures[name] = {'caption': _CAPTIONS[name], 'data': embedded(data)}
     templates = environment(Path(__file__).parent)
-    templates.filters.update(number=_number, size=_size)
+    templates.filters.update(number=_number, size=_size, bound=bound)
     page = templates.get_template('report.html').render(**content(run), figures=figures)
     html = out / 'report.html'
     html.write_text(page.lstrip(), encoding='utf-8')
@@ -164,8 +164,8 @@ def _error(alarm: Episode, arm: SerialArm) -> str:
     if not math.isfinite(alarm.bound):
         return f'{sensor} of unknown size'
     unit = alarm.unit(arm)
-    size, bound = _size(alarm.size, unit, '+'), _size(alarm.bound, unit)
-    return f'{sensor} {size} {unit} (bound {bound})'
+    text = f'{sensor} {_size(alarm.size, unit, "+")} {unit}'
+    return f'{text} (bound {bound(alarm.bound, unit)})' if alarm.bound > 0.0 else text
 
 
 def _verdict(run: Run) -> str:

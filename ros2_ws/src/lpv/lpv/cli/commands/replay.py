@@ -24,7 +24,7 @@ from lpv.core.simulation.scenario import load_scenario, parse_faults
 from lpv.core.support.config import Section, read_yaml
 from lpv.core.support.discovery import stay_local
 from lpv.core.support.errors import ConfigError
-from lpv.core.support.formatting import decimals
+from lpv.core.support.formatting import bound, decimals
 from lpv.core.support.resources import bringup_file
 from lpv.core.support.timestamps import NANOSECONDS
 from lpv.core.uio.certificate.gains import save_gains
@@ -131,7 +131,9 @@ def show_injected(found: list[InjectedFault], arm: SerialArm, console: Console) 
         if one.found:
             text += f' after {one.delay:.3f} s as {one.kind}'
         if one.found and one.kind != 'dropout':  # which has no size
-            text += f', {one.size:+.{digits}f} {unit} within {one.bound:.{digits}f} {unit}'
+            text += f', {one.size:+.{digits}f} {unit}'
+            most = bound(one.bound or 0.0, unit)
+            text += '' if most == '-' else f' within {most} {unit}'
         if one.error is not None:
             text += f', size error {one.error:+.{digits}f} {unit}'
         if one.found and one.wrong_sensors:

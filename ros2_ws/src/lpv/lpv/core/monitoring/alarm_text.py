@@ -9,7 +9,7 @@ from lpv.core.serial_arm.diagnosis.alarms import (
     AlarmEvent,
     size_unit,
 )
-from lpv.core.support.formatting import decimals
+from lpv.core.support.formatting import bound, decimals
 
 _EVENTS = {
     AlarmEvent.RAISED: 'ALARM',
@@ -47,9 +47,9 @@ def describe(event: Alarm) -> str:
     """An alarm event as one line: sensor, error with its bound, kind, confidence."""
     head = f'{_EVENTS[event.event]}, {event.sensor}: '
     unit, digits = size_unit(event.kind, event.unit), decimals(event.unit)
-    error = f'{event.size:+.{digits}f} {unit} (bound {event.bound:.{digits}f} {unit})'
-    if math.isinf(event.bound):
-        error = 'of unknown size'
+    error = 'of unknown size' if math.isinf(event.bound) else f'{event.size:+.{digits}f} {unit}'
+    if 0.0 < event.bound < math.inf:
+        error += f' (bound {bound(event.bound, unit)} {unit})'
     if event.kind == 'dropout':
         over = ' is over' if event.event == AlarmEvent.CLEARED else ''
         return f'{head}no readings (dropout){over}'

@@ -15,6 +15,14 @@ def decimals(unit: str) -> int:
     return 4 if unit.startswith('m') else 3
 
 
+def bound(value: float, unit: str) -> str:
+    """Bound of an error in radians or metres, rounded up; ``-`` where none is stated."""
+    if not 0.0 < value < math.inf:
+        return '-'
+    digits = decimals(unit)
+    return f'{math.ceil(value * 10**digits - 1e-6) / 10**digits:.{digits}f}'
+
+
 def seconds(value: float | None) -> str:
     """A time in s or ms; ``-`` where there is none."""
     if value is None:

@@ -125,6 +125,10 @@ def test_given_an_alarm_of_a_joint_that_slides_when_told_then_tenths_of_a_millim
     assert 'lift: error +0.0004 m (bound 0.0001 m), bias' in alarm_text.describe(event)
     unknown = replace(event, bound=np.inf)
     assert 'lift: error of unknown size, bias' in alarm_text.describe(unknown)
+    # No bound is not a perfect estimate, nor is a small one.
+    for size, said in ((0.0, ''), (4e-5, ' (bound 0.0001 m)'), (1.01e-4, ' (bound 0.0002 m)')):
+        told = alarm_text.describe(replace(event, bound=size))
+        assert f'lift: error +0.0004 m{said}, bias' in told
 
 
 def test_given_faults_or_ranges_when_told_then_rate_basis_and_thresholds_are_said():

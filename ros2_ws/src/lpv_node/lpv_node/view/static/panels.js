@@ -113,7 +113,7 @@ function describe(row, { live, sample }, hello) {
   const now = i >= 0 && !OTHER.includes(row.kind) && live.fault_estimate;
   const [size, bound] = now ? [sample.estimate[i], sample.bound[i]] : [row.size, row.bound];
   const error = bound == null ? 'error of unknown size'
-    : `error ${show(size, unit)} (bound ${plain(bound, unit)})`;
+    : `error ${show(size, unit)}${bound ? ` (bound ${plain(bound, unit)})` : ''}`;
   const parts = [SIZELESS.includes(row.kind) ? '' : error, WORDS[row.kind] ?? row.kind,
     row.confidence === 1 ? 'guaranteed' : `confidence ${sure(row.confidence)}`];
   return `${what}: ${parts.filter(Boolean).join(', ')}`;
@@ -172,7 +172,7 @@ export function showAlarms(alarms, hello) {
   const rows = alarms.slice().reverse().map((alarm) => {
     const open = alarm.ended == null, [, unit] = about(alarm, hello);
     const sizes = SIZELESS.includes(alarm.kind) ? ['–', '–']
-      : [show(alarm.size, unit), plain(alarm.bound, unit)];
+      : [show(alarm.size, unit), plain(alarm.bound || null, unit)];
     const cells = [make('span', `pill ${open ? 'error' : 'stale'}`, open ? '✕ ALARM' : 'over'),
       alarm.sensor, alarm.kind, ...sizes, sure(alarm.confidence),
       time(alarm.onset), time(alarm.detected), time(alarm.ended)];
