@@ -41,6 +41,7 @@ def study_in(out):
 
 def test_given_a_design_when_tuned_then_only_better_gains_hold(file, paper_model, call, refused):
     out = file.parent / 'out'
+    assert refused("'beauty' is no number", *command(file, 2, '--cost', 'beauty=1'))
     text = call(*command(file, 2)).out + call(*command(file, 3)).out
     assert text.count('trial 0: ') == text.count('trial 1: ') == 1  # what was done is kept
     trials, result = study_in(out).trials, json.loads((out / 'study.json').read_text())
@@ -83,6 +84,7 @@ def test_given_what_makes_no_sense_when_tuned_then_one_line_says_so(file, refuse
         *((few, 'must lie within') for few in ('--trials 0', '--workers -1')),
     ):
         assert refused(told, *command(file, 2), *option.split())
+    assert refused('diagnosis.sigmas', *command(file, 2, '--search', 'diagnosis.size=1:2'))
     told, out = 'has no lpv region: no design to tune', file.parent / 'out'
     assert refused(told, 'tune', 'ur10', *SEARCH, '--out', out)
     out.mkdir(exist_ok=True)

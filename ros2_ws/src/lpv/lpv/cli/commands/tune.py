@@ -100,8 +100,9 @@ class _Bench:
                 return float(value[0])  # one for all
             if isinstance(value, float) and not index:
                 return value
-        parts = ((kind, getattr(self._requirement, kind)) for kind in ('observer', 'controller'))
-        known = ', '.join(f'{kind}.{field.name}' for kind, part in parts for field in fields(part))
+        parts = {'observer': self._requirement.observer, 'controller': self._requirement.controller,
+                 'diagnosis': DiagnosisParameters}  # fmt: skip
+        known = ', '.join(f'{kind}.{field.name}' for kind in parts for field in fields(parts[kind]))
         raise ConfigError(f'--search {name}', f'is no number of {known}')
 
     def content(self, values: dict[str, float]) -> dict[str, Any]:
@@ -240,9 +241,12 @@ def _search(
                      arguments.seed, bench.campaign.software])  # fmt: skip
     storage = f'sqlite:///{folder / "study.db"}'
     try:
-        known = optuna.get_all_study_names(storage)
-        if known and known != [key]:
-            raise ConfigError('--out', 'holds another study: take another folder', str(folder))
+        # One without trials is of a cost that made no sense, or was stopped before it began.
+        for other in optuna.get_all_study_summaries(storage):
+            if other.study_name != key and other.n_trials:
+                raise ConfigError('--out', 'holds another study: take another folder', str(folder))
+            if other.study_name != key:
+                optuna.delete_study(study_name=other.study_name, storage=storage)
         study = optuna.create_study(
             storage=storage, study_name=key, directions=['minimize'] * 2, load_if_exists=True
         )
@@ -251,9 +255,9 @@ def _search(
     except Exception as error:  # whatever the storage says of a file that is none
         reason = f'study.db cannot be used ({str(error).splitlines()[0]})'
         raise ConfigError('--out', reason, str(folder)) from None
+    first = bench.table(bench.rows(bench.base))
     if not any(trial.params == bench.base for trial in _finished(study)):
         study.enqueue_trial(bench.base, skip_if_exists=True)
-    first = bench.table(bench.rows(bench.base))
 
     def objective(trial: optuna.Trial) -> tuple[float, float]:
         values = {name: trial.suggest_float(name, *ends, log=True)
