@@ -293,3 +293,5 @@ def test_given_bad_samples_or_stamps_when_cleaned_then_few_are_mended_many_refus
     assert not stray.warnings and len(split(stray)) == 1
     keep = (recording.time < 8.0) | (recording.time > 9.0)
     assert len(split(recording.rows(keep))) == 2
+    (even,) = split(replace(recording, time=0.01 * np.arange(len(recording.time))))
+    assert even.step == 0.01, 'as it is written into the arm file'

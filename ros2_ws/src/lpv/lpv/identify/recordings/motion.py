@@ -67,7 +67,7 @@ def split(recording: Recording) -> list[Segment]:
             f'{recording.source}: {length:.1f} s are too short to identify an arm; record at '
             f'least {MIN_DURATION:g} s, better 20 to 60 s, in which every joint moves'
         )
-    step = float(np.median(np.diff(time)))
+    step = max(1e-9, round(float(np.median(np.diff(time))), 9))  # stamps count nanoseconds
     if 1.0 / step < MIN_RATE:
         raise IdentificationError(
             f'{recording.source}: {1.0 / step:.1f} Hz is too slow, accelerations'
