@@ -29,7 +29,7 @@ from lpv.core.serial_arm.diagnosis.alarms import Alarm, Mode, SensorState
 from lpv.core.serial_arm.diagnosis.decision import decide
 from lpv.core.serial_arm.diagnosis.information import ROBUST
 from lpv.core.serial_arm.diagnosis.monitor import LONGEST_STEP
-from lpv.core.serial_arm.diagnosis.sampling import DELAY, ROUNDED
+from lpv.core.serial_arm.diagnosis.sampling import BEFORE_STOP, DELAY, ROUNDED
 from lpv.core.serial_arm.sensor_map import map_rows, mixing
 from lpv.core.serial_arm.turns import FARTHEST, Turns
 from lpv.core.support.errors import SampleError
@@ -125,7 +125,9 @@ def _repeats(joints: int) -> np.dtype:
     """Record type of what tells a driver that repeats itself."""
     return record_type(
         ('measured', 'f8', (3, joints)),  # the last measurement, as it came
-        ('grain', 'f8', (joints,)),  # smallest changes of the readings, infinite before any [rad]
+        ('grain', 'f8', (2, joints)),  # smallest changes of readings, efforts; infinite before any
+        ('recent', 'f8', (2 * BEFORE_STOP + 1, 2, joints)),  # the last readings and efforts
+        ('taken', 'i8'),  # how many of these were there so far
         ('since', 'i8'),  # its stamp [ns]
         ('times', 'i8'),  # that it came again
         ('stamp', 'i8'),  # of the last time [ns]
@@ -166,30 +168,74 @@ def _plausible(
 
 
 @njit_in_place
+def _keep(recent: FloatArray, sample: FloatArray) -> None:
+    """Put readings and efforts of a measurement behind the last ones, shape (count, 2, n)."""
+    last = recent.shape[0] - 1
+    for i in range(recent.shape[2]):
+        for k in range(last):
+            recent[k, 0, i], recent[k, 1, i] = recent[k + 1, 0, i], recent[k + 1, 1, i]
+        recent[last, 0, i], recent[last, 1, i] = sample[0, i], sample[2, i]
+
+
+@njit_in_place
+def _stopped_dead(recent: FloatArray, grain: FloatArray) -> bool:
+    """Whether readings and efforts changed no more from one sample to the next, motion or noise.
+
+    A joint that is braked goes at most a third of its way in as many samples before the last ones,
+    and its efforts come to rest earlier or later.  A reading at rest goes back and forth by its
+    rounding, noise by more.
+    """
+    last, stops = recent.shape[0] - 1, False
+    for part in range(2):
+        works = False
+        for i in range(recent.shape[2]):
+            beyond, before, turns = -last * grain[part, i], 0.0, 0
+            for k in range(last):
+                way = recent[k + 1, part, i] - recent[k, part, i]
+                beyond += 2.0 * abs(way) if k >= last // 2 else -abs(way)
+                turns += (
+                    way * before < 0.0 and min(abs(way), abs(before)) > ROUNDED * grain[part, i]
+                )
+                before = way
+            works = works or abs(before) > 0.0
+            stops = stops or turns > 1 or (part == 0 and beyond > 0.0)
+        if not works:
+            return False
+    return stops
+
+
+@njit_in_place
 def _is_repeated(stream: _Stream, stamp: int, sample: FloatArray) -> bool:
     """Whether a measurement is the one before once more, from a driver that had no new one.
 
     One that equals it in every number, efforts included, is none of an arm that moves: by now, a
-    joint would have gone farther at its rate than its reading is rounded.  A few are `sampling`'s.
+    joint would have gone farther at its rate than its reading is rounded, or all of it stopped in
+    one sample.  A few are `sampling`'s.
     """
-    one, same = stream.repeats[0], True
+    one, same, fresh = stream.repeats[0], True, False
     if one.stamp == stamp:
         return bool(one.stalled)
     one.stamp = stamp
     for part in range(3):
         for i in range(sample.shape[1]):
             change = abs(sample[part, i] - one.measured[part, i])
-            same = same and change == 0.0
-            if part == 0 and change > 0.0:
-                one.grain[i] = min(one.grain[i], change)
+            same = same and (change == 0.0 or (part == 1 and np.isnan(change)))  # no rate is none
+            if part != 1 and change > 0.0:
+                one.grain[part // 2, i] = min(one.grain[part // 2, i], change)
+                fresh = True
             one.measured[part, i] = sample[part, i]
+    if fresh:
+        _keep(one.recent, sample)
+        one.taken += 1
     if not same:
         one.since, one.times, one.stalled = stamp, 0, False
         return False
     one.times += 1
+    if one.times == DELAY + 1 and one.taken >= one.recent.shape[0]:
+        one.stalled = _stopped_dead(one.recent, one.grain)
     for i in range(sample.shape[1]):
         way = abs(sample[1, i]) * (stamp - one.since) / NANOSECONDS
-        one.stalled = one.stalled or (one.times > DELAY and way > ROUNDED * one.grain[i])
+        one.stalled = one.stalled or (one.times > DELAY and way > ROUNDED * one.grain[0, i])
     return bool(one.stalled)
 
 

@@ -77,16 +77,38 @@ def test_given_samples_that_are_lost_repeated_or_no_numbers_then_each_is_counted
         assert {name for name, count in vars(monitor.counters).items() if count} == expected
 
 
-@pytest.mark.parametrize('rates', ['derived', 'independent'])
-def test_given_a_driver_that_repeats_itself_or_a_clock_that_is_set_back_then_no_sensor_is(rates):
+@pytest.mark.parametrize(
+    ('rates', 'meanwhile'),
+    [('derived', 1.0), ('derived', 0.0), ('derived', np.nan), ('independent', 1.0)],
+)
+def test_given_a_driver_that_repeats_itself_or_a_clock_that_is_set_back_then_no_sensor_is(
+    rates, meanwhile
+):
     arm = shoulder_arm(rates)
     stamps, samples, _ = simulated(arm, duration=4.0)
     samples[1000:1050] = samples[999]
+    samples[1000:1050, 1] *= meanwhile
     stamps[1500:] -= 500_000_000
     monitor, answers = observe(stamps, samples, SerialSensorMonitor('/uio', arm))
     assert told(answers) == [] and monitor.counters.repeated > 40
     assert set(answers.state.mode[1010:1050]) == {Mode.STALE}
     assert monitor.counters.out_of_order == 249
+
+
+@pytest.mark.parametrize('law', ['braked', 'rounded', 'noisy'])
+def test_given_an_arm_that_comes_to_rest_then_its_driver_does_not_repeat_itself(law):
+    stamps, step = STEP * (1 + np.arange(2500)), STEP * 1e-9
+    time = step * np.arange(2500) % 1.25
+    rate = np.clip(time / 0.1, 0.0, 1.0) * np.clip((0.75 - time) / 0.06, 0.0, 1.0)
+    samples = np.full((2500, 3, len(ARM.joints)), np.nan)
+    samples[:, 0] = step * np.cumsum(rate)[:, None] * [0.4, -0.7, 1.0]
+    samples[:, 2] = [3.0, 1.0, 0.2] + samples[:, 0] + 2.0 * np.gradient(rate)[:, None]
+    if law != 'braked':
+        noise = 2e-5 * np.random.default_rng(3).normal(size=samples[:, 0].shape)
+        samples[:, 0] = 1e-4 * np.round((samples[:, 0] + noise * (law == 'noisy')) / 1e-4)
+        samples[:, 2] = 0.01 * np.round(samples[:, 2] / 0.01)
+    monitor, answers = observe(stamps, samples)
+    assert monitor.counters.repeated == 0 and answers.state.trustworthy[10:].all()
 
 
 def test_given_a_step_when_found_then_the_alarm_names_it_and_its_reading_is_corrected():
