@@ -127,9 +127,9 @@ def _repeats(joints: int) -> np.dtype:
         ('measured', 'f8', (3, joints)),  # the last measurement, as it came
         ('grain', 'f8', (2, joints)),  # smallest changes of readings, efforts; infinite before any
         ('recent', 'f8', (2 * BEFORE_STOP + 1, 2, joints)),  # the last readings and efforts
-        ('taken', 'i8'),  # how many of these were there so far
         ('since', 'i8'),  # its stamp [ns]
-        ('times', 'i8'),  # that it came again
+        ('times', 'i8'),  # that its readings and rates came again
+        ('idle', 'i8'),  # that efforts did
         ('stamp', 'i8'),  # of the last time [ns]
         ('stalled', '?'),  # so often that it is none
     )
@@ -208,30 +208,32 @@ def _stopped_dead(recent: FloatArray, grain: FloatArray) -> bool:
 def _is_repeated(stream: _Stream, stamp: int, sample: FloatArray) -> bool:
     """Whether a measurement is the one before once more, from a driver that had no new one.
 
-    One that equals it in every number, efforts included, is none of an arm that moves: by now, a
-    joint would have gone farther at its rate than its reading is rounded, or all of it stopped in
+    One that equals it in all readings and rates is none of an arm that moves: by now, a joint would
+    have gone farther at its rate than its reading is rounded, or efforts have stopped with it in
     one sample.  A few are `sampling`'s.
     """
-    one, same, fresh = stream.repeats[0], True, False
+    one, same, idle, fresh = stream.repeats[0], True, True, False
     if one.stamp == stamp:
         return bool(one.stalled)
     one.stamp = stamp
     for part in range(3):
         for i in range(sample.shape[1]):
             change = abs(sample[part, i] - one.measured[part, i])
-            same = same and (change == 0.0 or (part == 1 and np.isnan(change)))  # no rate is none
+            equal = change == 0.0 or (part == 1 and np.isnan(change))  # no rate is none
+            same, idle = same and (equal or part == 2), idle and (equal or part != 2)
             if part != 1 and change > 0.0:
                 one.grain[part // 2, i] = min(one.grain[part // 2, i], change)
                 fresh = True
             one.measured[part, i] = sample[part, i]
     if fresh:
         _keep(one.recent, sample)
-        one.taken += 1
+    one.idle = one.idle + 1 if idle else 0
+    one.stalled = one.stalled and same and idle
     if not same:
-        one.since, one.times, one.stalled = stamp, 0, False
+        one.since, one.times = stamp, 0
         return False
     one.times += 1
-    if one.times == DELAY + 1 and one.taken >= one.recent.shape[0]:
+    if min(one.times, one.idle) == DELAY + 1:
         one.stalled = _stopped_dead(one.recent, one.grain)
     for i in range(sample.shape[1]):
         way = abs(sample[1, i]) * (stamp - one.since) / NANOSECONDS
@@ -390,7 +392,7 @@ class SerialSensorMonitor:
         self._blind: bool | None = None  # whether efforts are missing
         self._stamp = NEVER  # of the last usable sample [ns]
         self._reading = np.zeros(self._joints)  # of that sample [rad]
-        self._repeats: Any = new_record(_repeats(self._joints), grain=np.inf)
+        self._repeats: Any = new_record(_repeats(self._joints), grain=np.inf, recent=np.nan)
         self._older = 0  # measurements in a row that were older than the last one
         n, self._noted = self._joints, 0  # stamp from which on the snapshot holds [ns]
         flags = new_record(FLAGS, sample_time=self.arm.sample_time)

@@ -78,15 +78,21 @@ def test_given_samples_that_are_lost_repeated_or_no_numbers_then_each_is_counted
 
 
 @pytest.mark.parametrize(
-    ('rates', 'meanwhile'),
-    [('derived', 1.0), ('derived', 0.0), ('derived', np.nan), ('independent', 1.0)],
+    ('rates', 'meanwhile', 'parts'),
+    [
+        ('derived', 1.0, 3),
+        ('derived', 0.0, 3),
+        ('derived', np.nan, 3),
+        ('independent', 1.0, 3),
+        ('independent', 1.0, 2),  # efforts go on
+    ],
 )
 def test_given_a_driver_that_repeats_itself_or_a_clock_that_is_set_back_then_no_sensor_is(
-    rates, meanwhile
+    rates, meanwhile, parts
 ):
     arm = shoulder_arm(rates)
     stamps, samples, _ = simulated(arm, duration=4.0)
-    samples[1000:1050] = samples[999]
+    samples[1000:1050, :parts] = samples[999, :parts]
     samples[1000:1050, 1] *= meanwhile
     stamps[1500:] -= 500_000_000
     monitor, answers = observe(stamps, samples, SerialSensorMonitor('/uio', arm))
