@@ -14,7 +14,7 @@ from ur10e_twin import ur10e
 
 from lpv.core.serial_arm.arm_file import load_arm, save_arm
 from lpv.core.serial_arm.chain import compile_chain
-from lpv.core.serial_arm.description import JointFriction, LpvRegion
+from lpv.core.serial_arm.description import JointFriction, LpvRegion, Uncertainty
 from lpv.core.serial_arm.dynamics.kinematics import forward_kinematics
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.support.errors import ConfigError, LpvError
@@ -244,6 +244,16 @@ def test_given_mistakes_when_looked_for_then_the_most_evident_one_is_named(
     arm = rough_arm if base is None else replace(rough_arm, base_orientation=base)
     (first,) = mistakes.find_mistakes(arm, [change(recording)])
     assert first.kind == kind and re.search(text, first.text)
+
+
+@pytest.mark.parametrize(('stated', 'said'), [(0.0, ['load']), (None, []), (5.0, [])])
+def test_given_a_load_when_looked_at_then_it_is_a_mistake_where_the_file_says_that_there_is_none(
+    stated, said
+):
+    arm = replace(ur10e(), uncertainty=Uncertainty(payload=stated))
+    found = mistakes.find_mistakes(arm, [recording_of_twin(1000, 2.6, 30.0)])
+    assert [one.kind for one in found] == said
+    assert all(re.search('about 2.. kg more than the file says', one.text) for one in found)
 
 
 def test_given_a_proper_setup_when_looked_at_then_there_are_no_mistakes(rough_arm, recording):

@@ -63,7 +63,10 @@ def identify(
     share = 1.0 if tests else options.train_share
     workshop.estimate_gains(share)
     report('looking for mistakes of the set-up')
-    mistakes = [m for m in find_mistakes(workshop.arm, recordings) if m.kind != 'weight']
+    # Weight and load it finds by itself.
+    mistakes = [
+        m for m in find_mistakes(workshop.arm, recordings) if m.kind not in ('weight', 'load')
+    ]
     workshop.warnings += [m.text for m in mistakes]
     # With gravity from elsewhere, or other joints' efforts, the weight cannot be judged.
     weight = workshop.check_weight(share, not (options.weight_is_known or mistakes))

@@ -10,7 +10,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.chain import compile_chain
+from lpv.core.serial_arm.description import N_INERTIAL, SerialArm
+from lpv.core.serial_arm.diagnosis.parameter_error import usual_load
+from lpv.core.serial_arm.dynamics.payload import payload_parameters
 from lpv.identify.estimation.robust import robust_fit
 from lpv.identify.model.base_parameters import find_base_parameters
 from lpv.identify.model.friction import SLOPE, friction_columns, join_columns
@@ -36,7 +39,7 @@ _Tried = Iterator[tuple[str, '_Setup']]
 class Mistake:
     """What differs from what the file says."""
 
-    kind: str  # 'angle', 'gravity', 'weight', 'sign', 'names', 'delay' or 'unit'
+    kind: str  # 'angle', 'gravity', 'weight', 'load', 'sign', 'names', 'delay' or 'unit'
     text: str  # one sentence for the user
     evidence: float  # logarithm of the Bayes factor against the set-up as it is said to be
 
@@ -50,6 +53,7 @@ class _Setup:
     rigid: tuple[np.ndarray, ...]  # regressors without gravity, then per unit of it along x, y, z
     # torques of the segments per unit of the recorded efforts, shape (n,)
     gain: float | np.ndarray = 1.0
+    loaded: bool = False  # whether any load may be at the tip, whatever the file says
 
 
 def find_mistakes(arm: SerialArm, recordings: Sequence[Recording]) -> list[Mistake]:
@@ -115,10 +119,22 @@ class _Judge:
         self._base = find_base_parameters(self._model)
         self._size = size = self._base.size
         prior = base_prior(arm, self._base)
-        self._mean, self._information = prior.mean[:size], prior.information[:size, :size]
+        self._mean, self._known = prior.mean[:size], prior.information[:size, :size]
+        self._load = np.zeros(11 * len(arm.joints))
+        last = slice(N_INERTIAL * (len(arm.joints) - 1), N_INERTIAL * len(arm.joints))
+        self._load[last] = payload_parameters(compile_chain(arm), 1.0)
+        self._load = self._base.combination @ self._load
+        # As the file says, and any load that the arm could carry.
+        self._loads = usual_load(arm), sum(joint.link.mass for joint in arm.joints)
+        self._information = [self._with_load(sigma) for sigma in self._loads]
         duration = sum(s.time[-1] - s.time[0] for s in segments)
         self._samples = 2.0 * find_bandwidths(list(segments)).test * duration
         self.cost = _COST + np.log(len(arm.joints))
+
+    def _with_load(self, sigma: float) -> np.ndarray:
+        """Information on the base parameters where a mass at the tip is known within sigma [kg]."""
+        pull = self._known @ self._load
+        return self._known - sigma**2 * np.outer(pull, pull) / (1.0 + sigma**2 * pull @ self._load)
 
     def setup(self, segments: tuple[Segment, ...], gravity: np.ndarray) -> _Setup:
         """A set-up with its regressors."""
@@ -145,7 +161,8 @@ class _Judge:
         common = float(np.log(sizes[0] / sizes[1])) / _SCALE
         off = beta - self._mean
         misfit = self._samples * float(np.sum(np.log(scale / setup.gain)))
-        return -misfit - 0.5 * float(off @ self._information @ off) - 0.5 * common**2, beta
+        information = self._information[setup.loaded]
+        return -misfit - 0.5 * float(off @ information @ off) - 0.5 * common**2, beta
 
     def _fit(self, setup: _Setup, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Huber's estimate of all parameters with the prior; robust scale of each joint."""
@@ -155,7 +172,7 @@ class _Judge:
         friction = friction_columns(rates, np.full(n, SLOPE), np.zeros_like(rates))
         design = join_columns(columns, friction[:, :, [0, 1, 3]])
         information = np.diag(np.where(np.arange(design.shape[2]) < size, 0.0, _FREE))
-        information[: self._size, : self._size] = self._information
+        information[: self._size, : self._size] = self._information[setup.loaded]
         mean = np.append(self._mean, np.zeros(len(information) - self._size))
         spread = np.std(effort, axis=0)
         least = 1e-3 * spread + 1e-9
@@ -170,6 +187,7 @@ class _Judge:
         for kind, tried in (
             ('gravity', self._gravities),
             ('weight', self._weightless),
+            ('load', self._loaded),
             ('sign', self._signs),
             ('names', self._swaps),
             ('delay', self._delays),
@@ -205,6 +223,19 @@ class _Judge:
         if setup.gravity.any():
             text = 'efforts do not contain the torque that holds the weight (--without-gravity)'
             yield text, replace(setup, gravity=np.zeros(3))
+
+    def _loaded(self, setup: _Setup) -> _Tried:
+        if self._arm.uncertainty.payload is None:
+            return  # any load is as the file says
+        loaded = replace(setup, loaded=True)
+        off = self.evidence(loaded)[1] - self._mean
+        pull = self._known @ self._load
+        mass = float(pull @ off / (pull @ self._load + self._loads[1] ** -2))
+        yield (
+            f'the tip carries about {abs(mass):.2g} kg {"more" if mass > 0.0 else "less"} than the '
+            'file says (lpv identify --payload; uncertainty.payload)',
+            loaded,
+        )
 
     def _turned(self, setup: _Setup) -> _Setup:
         """Gravity whose direction fits best, by Gauss-Newton together with all parameters."""
