@@ -29,7 +29,7 @@ from lpv.core.serial_arm.diagnosis.alarms import Alarm, Mode, SensorState
 from lpv.core.serial_arm.diagnosis.decision import decide
 from lpv.core.serial_arm.diagnosis.information import ROBUST
 from lpv.core.serial_arm.diagnosis.monitor import LONGEST_STEP
-from lpv.core.serial_arm.diagnosis.sampling import BEFORE_STOP, DELAY, ROUNDED
+from lpv.core.serial_arm.diagnosis.sampling import BEFORE_STOP, DELAY
 from lpv.core.serial_arm.sensor_map import map_rows, mixing
 from lpv.core.serial_arm.turns import FARTHEST, Turns
 from lpv.core.support.errors import SampleError
@@ -193,9 +193,7 @@ def _stopped_dead(recent: FloatArray, grain: FloatArray) -> bool:
             for k in range(last):
                 way = recent[k + 1, part, i] - recent[k, part, i]
                 beyond += 2.0 * abs(way) if k >= last // 2 else -abs(way)
-                turns += (
-                    way * before < 0.0 and min(abs(way), abs(before)) > ROUNDED * grain[part, i]
-                )
+                turns += way * before < 0.0 and min(abs(way), abs(before)) > ROBUST * grain[part, i]
                 before = way
             works = works or abs(before) > 0.0
             stops = stops or turns > 1 or (part == 0 and beyond > 0.0)
@@ -237,7 +235,7 @@ def _is_repeated(stream: _Stream, stamp: int, sample: FloatArray) -> bool:
         one.stalled = _stopped_dead(one.recent, one.grain)
     for i in range(sample.shape[1]):
         way = abs(sample[1, i]) * (stamp - one.since) / NANOSECONDS
-        one.stalled = one.stalled or (one.times > DELAY and way > ROUNDED * one.grain[0, i])
+        one.stalled = one.stalled or (one.times > DELAY and way > ROBUST * one.grain[0, i])
     return bool(one.stalled)
 
 

@@ -11,13 +11,12 @@ import numpy as np
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.sampling import LATE
+from lpv.core.support.limits import SMALL
 from lpv.core.support.timestamps import NANOSECONDS
 
 TURN = 2.0 * math.pi
 FARTHEST = 1e3
 """Readings beyond are no positions of a joint [rad]."""
-_NOISE = 0.05
-"""What readings jump by noise and rounding at most [rad]."""
 
 
 class Turns:
@@ -66,7 +65,7 @@ class Turns:
             return position, velocity
         time = np.maximum((stamps[:, None] - at[:-1]) / NANOSECONDS, self._period)
         whole = np.where(wraps, np.round(np.where(wraps, jump, 0.0) / TURN), 0.0)
-        explained = LATE * self._speed * time + _NOISE
+        explained = LATE * self._speed * time + SMALL  # by noise and rounding at most
         whole[~((np.abs(jump - TURN * whole) < explained) & (np.abs(whole) == 1.0))] = 0.0
         turns = self._turns + np.cumsum(whole, axis=0)
         self._turns = turns[-1]

@@ -54,7 +54,7 @@ def dense_onsets(monitor, end):
     residual = (rows[:, :, 0] + unknowns @ null.mean).ravel()
     weighted = weights[:, None] * unknowns.reshape(-1, m)
     upper = np.triu(null.factor)
-    for back in range(onset.SHORTEST, LAST - 1):
+    for back in range(onset.ONSET, LAST - 1):
         momentum = monitor.bank.momenta_of(JOINT)[estimator.place(back)]
         for place in onset.PLACES:
             begin = end - (back + 1 - place) * interval
@@ -97,7 +97,7 @@ def test_given_a_drift_when_its_onset_is_sought_then_it_is_the_dense_best_and_tr
     assert found.begin == pytest.approx(BEGIN, abs=0.16 * monitor.plan.interval)
     assert found.size == pytest.approx(RATE, rel=0.06)
     assert found.sigma < 0.15 * RATE
-    short = onset.sudden_drifts(*about[:2], PRIOR, onset.SHORTEST, blocks, mass)
+    short = onset.sudden_drifts(*about[:2], PRIOR, onset.ONSET, blocks, mass)
     assert [one.gain for one in short] == [-np.inf, -np.inf]
 
 

@@ -12,7 +12,7 @@ from simulated_runs import Push, Run, simulated_run
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import Uncertainty
 from lpv.core.serial_arm.diagnosis.estimator import DISTRUST
-from lpv.core.serial_arm.diagnosis.monitor import CONTACT_PAUSE, SensorState, SerialMonitor
+from lpv.core.serial_arm.diagnosis.monitor import CONTACT_TIME, SensorState, SerialMonitor
 from lpv.core.serial_arm.diagnosis.sampling import rate_lag
 from lpv.core.serial_arm.diagnosis.settings import MonitorSettings
 from lpv.core.serial_arm.dynamics.kinematics import jacobian
@@ -134,7 +134,7 @@ def test_push_is_a_contact_and_no_fault_of_an_encoder():
     assert {alarm.kind for alarm in monitor.alarms} == {'contact'}
     # What is around a contact is hardly learned from.
     doubted = (monitor.estimator.window.trust <= DISTRUST).sum()
-    assert doubted >= round(CONTACT_PAUSE / monitor.plan.interval)
+    assert doubted >= round(CONTACT_TIME / monitor.plan.interval)
 
 
 @pytest.mark.parametrize(

@@ -74,8 +74,22 @@ from lpv.core.serial_arm.diagnosis.linear_bank import (
     new_rows,
 )
 from lpv.core.serial_arm.diagnosis.onset import sudden_drifts, whitened
-from lpv.core.serial_arm.diagnosis.priors import CONTACT, LOAD, OCCURRENCE, SIZE, WRONG_STAMPS
-from lpv.core.serial_arm.diagnosis.sampling import DELAY, LATE, Sampler, rate_noise, smallest_jump
+from lpv.core.serial_arm.diagnosis.priors import (
+    CONTACT,
+    LOAD,
+    OCCURRENCE,
+    POSE_TIME,
+    SIZE,
+    WRONG_STAMPS,
+)
+from lpv.core.serial_arm.diagnosis.sampling import (
+    DELAY,
+    LATE,
+    NOISE_MEMORY,
+    Sampler,
+    rate_noise,
+    smallest_jump,
+)
 from lpv.core.serial_arm.diagnosis.stuck import Course, Frozen, course_of_frozen
 from lpv.core.serial_arm.dynamics.momentum import mass_matrix
 from lpv.core.serial_arm.sensor_map import map_vector
@@ -94,13 +108,12 @@ ENCODER_KINDS = ('drift', 'scale', 'slip', 'stuck')
 NEGLIGIBLE = 5e-4
 """Errors of readings, and of rates in a quarter of a second, that are no faults, however little
 noise the file states [rad], times `SerialJoint.scale`."""
-QUIET, LOUD = 0.25, 0.5
-"""Shares of the evidence that an alarm needs: below the first one the bank has found nothing, from
-the second one on hypotheses that take more time are compared, too."""
+LOUD = 0.5
+QUIET = 0.5 * LOUD
+"""Shares of the evidence that an alarm needs: below the second one the bank has found nothing, from
+the first one on hypotheses that take more time are compared, too."""
 QUIET_EVERY = 4
 """Balances after which the bank is asked while it has found nothing, and readings agree."""
-AGREES = 0.5
-"""Least time for which a rate has to agree with its encoder before it is right [s]."""
 _BEFORE = 1e-12
 """Least variance of a row [rad2]: those of readings without any noise are not divided by zero."""
 
@@ -656,7 +669,7 @@ def learn_rows(own: Kinematics, interval: float) -> None:
         expected = max(3.0 * own.ends[i] + 2.0 * own.walk[i] * interval, _BEFORE)
         change = own.rows[most - 1, i] - own.rows[most - 2, i]
         bounded = min(change * change / expected, ROBUST**2 * own.inflation[i])
-        own.inflation[i] = max(own.inflation[i] + (bounded - own.inflation[i]) / 64.0, 1.0)
+        own.inflation[i] = max(own.inflation[i] + (bounded - own.inflation[i]) / NOISE_MEMORY, 1.0)
         if own.trusted[i]:
             rate = own.edges[most - 1, i]
             power += rate * rate / expected
@@ -667,7 +680,7 @@ def learn_rows(own: Kinematics, interval: float) -> None:
     known = 6.0 * power * WRONG_STAMPS * own.latest
     if known > 0.0:
         seen = min(((late / power) ** 2 - 1.0 / power) / 6.0, own.latest)
-        share = (known / (1.0 + known)) ** 2 / 64.0
+        share = (known / (1.0 + known)) ** 2 / NOISE_MEMORY
         own.stamps[0] = max(own.stamps[0] + share * (seen - own.stamps[0]), 0.0)
 
 
@@ -772,10 +785,10 @@ class KinematicRows:
     def agrees(self, joint: int, taken_out: float) -> float:
         """For how long the rows of late are those of healthy sensors, 0 where they are not [s].
 
-        What is taken out of the rate [rad/s] is not in the rows.  They go back for `AGREES` at
+        What is taken out of the rate [rad/s] is not in the rows.  They go back for a pose at
         least, and until they tell a rate that is right again from one that is not.
         """
-        count = min(round(AGREES / self._interval), self.held)
+        count = min(round(POSE_TIME / self._interval), self.held)
         while count > 0:
             total, variance = self._told(joint, count)
             error = taken_out * count * self._interval

@@ -23,6 +23,7 @@ from lpv.core.serial_arm.diagnosis.information import (
     slot,
     whiten,
 )
+from lpv.core.serial_arm.diagnosis.parameter_error import NEGLIGIBLE
 from lpv.core.serial_arm.diagnosis.priors import AMPLITUDES, HORIZON_TIME, ROUGH_TIME, SMOOTH_TIMES
 from lpv.core.serial_arm.dynamics.kinematics import fill_jacobian, joint_frames
 from lpv.core.support.jit import njit, njit_in_place
@@ -31,9 +32,6 @@ ROUGH_PENALTY = math.log(len(AMPLITUDES))
 """What it costs to choose the amplitude that explains most."""
 SMOOTH_PENALTY = math.log(len(AMPLITUDES) * len(SMOOTH_TIMES))
 """The same for amplitude and course."""
-_NEGLIGIBLE = 1e-4
-"""Share of the largest eigenvalue below which an eigenfunction is left out: it has 1 % of the
-amplitude."""
 
 
 class Contact(NamedTuple):
@@ -87,10 +85,10 @@ def _rough(count: int, interval: float) -> tuple[FloatArray, FloatArray]:
 
 @lru_cache(maxsize=16)
 def _courses(count: int, interval: float, time: float) -> FloatArray:
-    """Leading eigenfunctions of a Gaussian kernel that are not negligible."""
+    """Leading eigenfunctions of a Gaussian kernel whose variance is not negligible."""
     kernel = np.exp(-0.5 * (_distances(count, interval) / time) ** 2)
     values, vectors = (part[..., ::-1] for part in np.linalg.eigh(kernel))
-    kept = values > _NEGLIGIBLE * values[0]
+    kept = values > NEGLIGIBLE * values[0]
     return np.ascontiguousarray(interval * vectors[:, kept] * np.sqrt(values[kept]))
 
 

@@ -52,8 +52,6 @@ class Stage(IntEnum):
     _BEGIN, _TAKE, _FOLLOW, _ESTIMATE, _LINEARISE, _ENDS, _GUARANTEE, _REST, _ASK, _NAME, _LEVELS,
     _RAISE, _END, _RATES, _DONE,
 ) = map(int, Stage)  # fmt: skip
-GUARANTEE_SHARE = 4
-"""Guaranteed thresholds change over the horizon: so often in it they are evaluated anew."""
 STILL_TIME = INTERVAL
 """A reading without any change for longer rests [s]."""
 DECISION = record_type(
@@ -226,10 +224,10 @@ def decide(parts: Parts) -> None:
         state.stage = _LINEARISE if moved else _ENDS
     if state.stage == _ENDS and not state.ends:
         state.stage = _GUARANTEE
-    if state.stage == _GUARANTEE:
-        every = window.times.shape[0] // GUARANTEE_SHARE
-        if not state.guarantees or window.counters[NEXT] % every != 0:
-            state.stage, state.rests = _REST, False
+    # Guaranteed thresholds change over the horizon.
+    due = state.guarantees and window.counters[NEXT] % bank.recent == 0
+    if state.stage == _GUARANTEE and not due:
+        state.stage, state.rests = _REST, False
     if state.stage == _REST:
         longest = 0
         for still in parts.sampler.still:

@@ -27,6 +27,7 @@ from lpv.core.serial_arm.diagnosis.balance import (
 )
 from lpv.core.serial_arm.diagnosis.estimator import Posterior
 from lpv.core.serial_arm.diagnosis.information import Window, factorise, recent, whiten
+from lpv.core.serial_arm.diagnosis.priors import SLOW_RATE
 from lpv.core.serial_arm.dynamics.friction import smooth_sign
 from lpv.core.serial_arm.sensor_map import map_vector
 from lpv.core.support.jit import njit_in_place
@@ -34,8 +35,6 @@ from lpv.core.support.jit import njit_in_place
 GAIN, SIZE, SIGMA, BEGIN, BACK, NEXT, PROMISE = range(7)
 """Columns of trials: those of `onset.Onset`, the size to which a Newton step leads [rad/s], and the
 gain there, to second order."""
-_SMALLEST = 0.01
-"""Change of a drift by which its effect is differentiated, at least [rad/s]."""
 _DIVERGED = 100.0
 """Standard deviations of drifts beyond which the search for a size has diverged: they alone cost
 more than balances give."""
@@ -273,7 +272,7 @@ def compare_drifts(
                 goes_on = at >= 0 and abs(size) < _DIVERGED * prior
             if goes_on:
                 trial, older = every[t], count - 1 - int(start[BACK])
-                step = math.copysign(max(0.1 * abs(size), _SMALLEST), size)
+                step = math.copysign(0.1 * max(abs(size), SLOW_RATE), size)
                 trial[BEGIN], trial[BACK] = start[BEGIN], start[BACK]
                 for k in range(2):
                     _set_changes(own, trials, joint, (start[BEGIN], older), size + k * step, k)

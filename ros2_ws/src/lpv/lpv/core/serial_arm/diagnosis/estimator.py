@@ -15,7 +15,7 @@ import numpy as np
 from lpv.core.serial_arm.chain import COULOMB as DRY
 from lpv.core.serial_arm.chain import VISCOUS as WET
 from lpv.core.serial_arm.chain import Chain, FloatArray, IntArray, compile_chain
-from lpv.core.serial_arm.description import UNSTATED_FRICTION, SerialArm
+from lpv.core.serial_arm.description import SIGMAS, UNSTATED_FRICTION, SerialArm
 from lpv.core.serial_arm.diagnosis.balance import (
     DRIFT,
     EPOCH,
@@ -56,6 +56,7 @@ from lpv.core.serial_arm.diagnosis.parameter_error import (
 )
 from lpv.core.serial_arm.diagnosis.priors import FAST, LASTING, OFFSET_PRIOR, POSE_TIME, STATIC
 from lpv.core.support.jit import Entries, njit_in_place
+from lpv.core.support.limits import SMALL
 
 INTERVAL = 0.05
 """Between decisions, about [s]."""
@@ -63,9 +64,6 @@ STRAIGHT = 0.3
 """Change of an angle in which balances are linear: sin(0.3) = 0.3 less 1.5 % [rad]."""
 HORIZON = 10.0
 """Over which an arm's unknowns are estimated [s]."""
-_LINEAR_WITHIN = 0.05
-"""Change of an offset after which the horizon is linearised again, if it is no chance: beyond
-`ROBUST` of its standard deviations [rad]."""
 NOISE_SAMPLES = 20
 """Balances after which what is seen of the noise counts as much as what is expected."""
 NOISE_KNOWN_AFTER = 3.0
@@ -454,7 +452,7 @@ def has_moved(window: Window, level: Posterior, balance: Balance, since: IntArra
         if step > ROBUST * level.sigma[i]:
             largest = max(largest, step)
     # All balances are evaluated anew: not before a tenth of them are new ones.
-    return since[0] >= max(3, window.counters[COUNT] // 10) and largest > _LINEAR_WITHIN
+    return since[0] * _FEW >= window.counters[COUNT] and largest > SMALL
 
 
 class OffsetEstimator:
@@ -701,7 +699,7 @@ def _expected_noise(
 ) -> FloatArray:
     """Standard deviation of a balance that is expected before any was seen [N m s]."""
     tolerance = np.array([max(joint.torque_tolerance.torque) for joint in arm.joints])
-    unknown = plan.interval * np.maximum(0.25 * tolerance, missed)
+    unknown = plan.interval * np.maximum(tolerance / SIGMAS, missed)
     return np.hypot(unknown, momentum_noise(arm, chain, plan.interval))
 
 

@@ -33,8 +33,6 @@ from lpv.core.serial_arm.diagnosis.sampling import (
 )
 from lpv.core.serial_arm.diagnosis.stuck import LINEAR, Course
 
-LOST = OFFSET_PRIOR
-"""Standard deviation of a fault that is not followed any more: nothing is known of it [rad]."""
 _REACH = math.sqrt(3.0)
 """Standard deviations of the state at which balances are evaluated: cubature of third degree."""
 LARGEST_SCALE = 0.9
@@ -292,7 +290,9 @@ def _follow(
     horizon.
     """
     window, null, interval = estimator.window, estimator.posterior, estimator.plan.interval
-    if one.fault(float(sampler.raw[one.joint]), float(sampler.time[-1]))[2] > LOST:
+    if (
+        one.fault(float(sampler.raw[one.joint]), float(sampler.time[-1]))[2] > OFFSET_PRIOR
+    ):  # nothing is known of it
         _lose(one, sampler)
         return
     at = estimator.place(0)

@@ -46,7 +46,14 @@ from lpv.core.serial_arm.diagnosis.fault_filter import (
 from lpv.core.serial_arm.diagnosis.healthy_set import Guarantee, HealthySet
 from lpv.core.serial_arm.diagnosis.learning import Learned, learned_of
 from lpv.core.serial_arm.diagnosis.parameter_set import is_stated
-from lpv.core.serial_arm.diagnosis.priors import CONTACT, LOAD, OCCURRENCE, PUSH, USUAL_RATE
+from lpv.core.serial_arm.diagnosis.priors import (
+    CONTACT,
+    LOAD,
+    OCCURRENCE,
+    PUSH,
+    SLOW_RATE,
+    USUAL_RATE,
+)
 from lpv.core.serial_arm.diagnosis.sampling import (
     APART,
     BEFORE_STOP,
@@ -60,6 +67,7 @@ from lpv.core.serial_arm.diagnosis.sampling import (
     JUMP_SCALE,
     LEFT,
     LIVELY,
+    MOST,
     NOISY,
     PENDING,
     PROBED,
@@ -76,7 +84,7 @@ from lpv.core.serial_arm.diagnosis.sampling import (
 from lpv.core.serial_arm.diagnosis.scale_of_jump import ScaleOfJump, scale_of_jump
 from lpv.core.serial_arm.diagnosis.sensor_state import SensorRecord
 from lpv.core.serial_arm.diagnosis.settings import MonitorSettings
-from lpv.core.serial_arm.diagnosis.stuck import STILL_RATE, Course, Frozen, usual_acceleration
+from lpv.core.serial_arm.diagnosis.stuck import Course, Frozen, usual_acceleration
 from lpv.core.serial_arm.rate_independence import PROVED, SAMPLES, rate_source
 from lpv.core.serial_arm.sensor_map import map_rows, mixing
 from lpv.core.support.errors import SampleError
@@ -90,13 +98,10 @@ LONGEST_STEP = 10.0
 """Sample times after which the next sample begins anew."""
 OUTSIDE = (CONTACT, 'torque_offset')
 """Causes that are torques from outside, as far as can be told."""
-BRAKED_WITHIN = 0.1
-"""Joints that come to rest together do so within [s]."""
 CONTACT_TIME = 1.0
 """For which torques from outside must be the cause before they are reported [s]: a fault that
-begins shows as free torques first, until its time profile is seen."""
-CONTACT_PAUSE = 1.0
-"""What is around a contact by less is not learned from [s]."""
+begins shows as free torques first, until its time profile is seen.  As long around a contact
+nothing is learned."""
 FAULT_AT_START = 1e-3
 """Probability of an offset at the first sample."""
 WIDEST_LEVEL = 0.1
@@ -837,7 +842,7 @@ class SerialMonitor:
         # Brakes stop all joints at once, and silence their readings; sensors do not fail together.
         apart = np.abs(sampler.still - sampler.still[:, None]) * period
         np.fill_diagonal(apart, math.inf)
-        lively &= apart.min(axis=1) > BRAKED_WITHIN
+        lively &= apart.min(axis=1) > STILL_TIME
         # A noisy reading leaves as much in the balances as a joint that moves unseen.
         is_noisy = any(one.active and one.kind == 'noise' for one in self.sensors)
         is_wrong = bool(self._suspects) and not is_noisy
@@ -863,7 +868,7 @@ class SerialMonitor:
         sampler, measured = self.sampler, BEFORE_STOP * self.arm.sample_time
         time = self._last() - float(sampler.still[i]) * self.arm.sample_time
         rounding = float(sampler.grain[i]) / measured if np.isfinite(sampler.grain[i]) else 0.0
-        sigma = math.hypot(rounding, 0.5 * measured * acceleration, STILL_RATE)
+        sigma = math.hypot(rounding, 0.5 * measured * acceleration, SLOW_RATE)
         return time, float(sampler.stop[i]), sigma
 
     def _acceleration(self, i: int) -> float:
@@ -880,9 +885,9 @@ class SerialMonitor:
         """Something pushes the arm: no sensor is to blame, and nothing is learned from it."""
         if now > self._contact.until:
             self._event(-1, CONTACT, now, 'raised', 0.0, 0.0)
-        self._contact.until = now + CONTACT_PAUSE
+        self._contact.until = now + CONTACT_TIME
         self.healthy = self.guarantee = None  # the load may be another one from now on
-        acted = max(now - self._contact.begin, CONTACT_PAUSE)
+        acted = max(now - self._contact.begin, CONTACT_TIME)
         self.estimator.distrust(math.ceil(acted / self.plan.interval))
 
     def _change_load(self, begin: float, change: FloatArray) -> None:
@@ -1093,7 +1098,7 @@ class SerialMonitor:
                 over = moves or (i not in self._filters and self._rests(i))
             else:
                 smallest = self.settings.minimum_threshold * self.scales[i]
-                limit = (1.0 - LEFT) * max(smallest, sigmas * sigma[i])
+                limit = MOST * max(smallest, sigmas * sigma[i])
                 over = abs(left) < min(LEFT * sensor.peak, limit)
             sensor.unseen &= over or not self._shows(i)
             if sensor.watch_end(over, now, dwell, abs(left)) and clears:

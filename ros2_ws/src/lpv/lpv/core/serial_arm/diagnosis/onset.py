@@ -29,15 +29,12 @@ from lpv.core.serial_arm.diagnosis.drift_trial import (
     new_found,
     new_trials,
 )
-from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator, Posterior, set_residuals
+from lpv.core.serial_arm.diagnosis.estimator import ONSET, OffsetEstimator, Posterior, set_residuals
 from lpv.core.serial_arm.diagnosis.information import Window, recent, whiten
 from lpv.core.serial_arm.diagnosis.sampling import block_end
 
-PLACES = (0.1, 0.3, 0.5, 0.7, 0.9)
+PLACES = (np.arange(5) + 0.5) / 5
 """Places of the onset in its interval that are tried: the middles of its fifths."""
-SHORTEST = 4
-"""Balances after an onset before it is looked at; with 2, or 8, 78 of 79 faults are named
-alike."""
 _JUMPS = 2
 """Onsets that are tried because the momentum jumps: that of a fault, and one of the model."""
 
@@ -108,7 +105,7 @@ def likely_onsets(
     """
     window, null = estimator.window, estimator.posterior
     n, interval = estimator.joints, estimator.plan.interval
-    back = np.arange(SHORTEST, last - 1)
+    back = np.arange(ONSET, last - 1)
     if len(back) == 0:
         return [[] for _ in joints]
     estimator.call(set_residuals, window, null, last)
@@ -134,7 +131,7 @@ def likely_onsets(
     overlap = (mass * weighted[:, back - 1]).sum(2)
     late = window.times[at[0]] - end  # samples wait for a test of jumps
     # Axes: place in the interval, onset's balance, joint.
-    s, first = np.array(PLACES)[:, None, None], window.times[at[back], None] - late - interval
+    s, first = PLACES[:, None, None], window.times[at[back], None] - late - interval
     begin, epoch = first + s * interval, estimator.balance.clock[EPOCH]
     shift = begin - epoch
     jump = -(1.0 - s) * older[0] - s * newer[0]

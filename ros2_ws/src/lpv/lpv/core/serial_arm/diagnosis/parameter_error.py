@@ -25,7 +25,7 @@ LOAD_ROWS = 4
 """Of the unknown payload: its mass, and its place along three axes."""
 _SAMPLES = 100
 """Poses, or motions, over which root mean squares are taken: these are right within 10 %."""
-_NEGLIGIBLE = 0.001
+NEGLIGIBLE = 0.001
 """Directions with a smaller effect on the torques of all joints, relative to them, are left out: in
 a horizon of balances, sensors of 0.1 mrad show 0.1 % of a wrist's torque."""
 
@@ -164,7 +164,7 @@ def parameter_directions(
     ])  # fmt: skip
     right = np.linalg.svd(effects.reshape(-1, len(factor)), full_matrices=False)[2]
     sizes = np.sqrt(((effects @ right.T) ** 2).mean(0)).max(0)
-    kept = right[:limit][sizes[:limit] > _NEGLIGIBLE]
+    kept = right[:limit][sizes[:limit] > NEGLIGIBLE]
     found = kept @ factor
     friction = found[:, 10 * n :].reshape(-1, 5, n).transpose(0, 2, 1)
     return (

@@ -23,7 +23,7 @@ from lpv.core.serial_arm.diagnosis.balance import (
     drop_interval,
 )
 from lpv.core.serial_arm.diagnosis.information import ROBUST
-from lpv.core.serial_arm.diagnosis.priors import WRONG_STAMPS
+from lpv.core.serial_arm.diagnosis.priors import SLOW_RATE, WRONG_STAMPS
 from lpv.core.support.jit import njit_in_place
 
 DELAY = 5
@@ -33,6 +33,9 @@ HISTORY = DELAY + 3
 """Samples that are kept: two before that of the balance tell whether a reading went on steadily."""
 LEFT = 0.3
 """What is left of a jump or a fault, over its size, where it is over."""
+MOST = 1.0 - LEFT
+"""The share of it that says that it is there: more than the e, half as large, beside a step of a
+derived rate, and less than what is usual changes by until a jump is named."""
 NONE, STEP, SPIKE, NOISY, QUIET, HIDDEN, CONTRARY = range(7)
 """What was found at a reading: `NOISY` and `QUIET` say that it began, or ceased, to be noisy,
 `HIDDEN` that samples are missing where it may have jumped, `CONTRARY` that its rate, said to be
@@ -43,9 +46,9 @@ much its published rate differs from them usually, and now [rad/s]; 1 where it c
 often it did lately, and when last [s]; 1 while differences replace it."""
 CONTRADICTIONS = 3.0
 """Times that a rate contradicts its reading lately to be wrong: as often as it is compared."""
-_REMEMBERED, _PER_LAG = 10.0, 6.0
-"""Samples for which differences are remembered, and how many more for each period that rates lag:
-of a rate that turns, a filter's is within what fades by 1/e in e = 2.7 lags; twice that."""
+_REMEMBERED = 10.0
+"""Samples for which differences are remembered, and as many more for each period that rates lag: of
+a rate that turns, a filter's is within what fades by 1/e in e = 2.7 lags."""
 COUNT, IN_BLOCK, IN_INTERVAL, PENDING, BLOCKS, PROBED = range(6)
 """Entries of `Sampler.counters`: samples since the start, in the block; blocks in the interval;
 sensor-independent age of a jump that waits for its kind, -1 if none; blocks written; samples in the
@@ -61,26 +64,16 @@ ROUNDING = 1e-12
 """Change of a reading that rounding explains, where it was found from joint positions [rad]."""
 JUMP_SCALE = 10.0
 """A jump is larger than so many times the usual size of e."""
-_SLOW = 0.05
-"""Rates that do not tell whether a stamp is wrong [rad/s]."""
 LATE = 1.5
 """Largest error of a stamp, over the time since the sample before; halfway between one period and
 two, samples after so many have others lost before them."""
-_USUAL = 5.0
+_USUAL = 0.5 * JUMP_SCALE
 """Sizes of e, over the usual one, that are nothing special."""
-ROUNDED = 2.5
-"""Changes of a reading by less than so many of its smallest ones tell no rate."""
 BEFORE_STOP = 3
 """Periods before a reading comes to rest over which its speed is measured."""
 LAGGING = 1.0
 """Lag of published rates, in periods, from which on differences of the readings take their place:
 twice that of such differences."""
-_PEAK = 0.75
-"""The first e of a pattern is at least so many times the largest one: halfway between a step and
-the e beside it, half as large, of a rate that is derived from the reading."""
-_NEARLY = 0.75
-"""Share of its threshold from which on a jump carries its doubt: the threshold was seen to fall by
-4 % in the three samples until a jump is named; a quarter leaves room."""
 SCALE_MEMORY = 256.0
 """Samples over which the usual size of e, and that a reading has noise, are learned."""
 LIVELY = 0.02
@@ -281,7 +274,7 @@ def _watch_contrast(sampler: Sampler, i: int, difference: float, rate: float, la
     own, count = sampler.contrast[:, i], sampler.counters[COUNT]
     if sampler.derived[i] == 0.0 or count == 0:
         return
-    kept = 1.0 - 1.0 / (_REMEMBERED + _PER_LAG * lag)
+    kept = 1.0 - 1.0 / (_REMEMBERED * (1.0 + lag))
     own[LARGEST] = max(difference, kept * own[LARGEST])
     own[SMALLEST] = min(difference, kept * own[SMALLEST])
     apart, usual, learned = abs(rate - difference), own[USUAL], count > NOISE_MEMORY
@@ -358,7 +351,7 @@ def _fill_repeated(sampler: Sampler) -> None:
         elif held > 0:
             time, way, rate = _since_change(sampler, i)
             # It slowed down, as far as its rounding tells.
-            less = abs(way) < ROUNDED * sampler.grain[i] and way * (rate * time - way) >= 0.0
+            less = abs(way) < ROBUST * sampler.grain[i] and way * (rate * time - way) >= 0.0
             evenly = evenly and (less or abs(way - rate * time) <= smallest_jump(sampler, i))
             # Its e is that of all samples in which it was repeated: these are filled in evenly.
             rounded = _is_rounded(sampler, i, way)
@@ -406,7 +399,7 @@ def _is_rounded(sampler: Sampler, i: int, way: float) -> bool:
     old, reading = HISTORY - 2 - sampler.held[i], sampler.samples[:, 0, i]
     steady = old > 1 and (reading[old] - reading[old - 1]) * way > 0.0
     steady = steady and (reading[old - 1] - reading[old - 2]) * way > 0.0
-    return bool(abs(way) < ROUNDED * sampler.grain[i] and not steady)
+    return bool(abs(way) < ROBUST * sampler.grain[i] and not steady)
 
 
 @njit_in_place
@@ -489,7 +482,7 @@ def _set_jumps(sampler: Sampler) -> None:
             together += 1
     for i in range(n):
         # What is usual may have changed until a jump is named.
-        nearly = abs(sampler.jumps[k, i]) > _NEARLY * smallest_jump(sampler, i)
+        nearly = abs(sampler.jumps[k, i]) > MOST * smallest_jump(sampler, i)
         if sampler.noisy[i] == 1 or not nearly:
             continue
         # Readings that jump together, or after they were repeated, have a cause outside the
@@ -641,7 +634,7 @@ def _wrong_stamp(sampler: Sampler, period: float) -> float:
     for c in range(n):
         rate = _motion(sampler, c)
         # Noisy readings jump by themselves, and repeated ones where they go on.
-        if sampler.noisy[c] == 1 or sampler.filled[c] > 0 or abs(rate) < _SLOW:
+        if sampler.noisy[c] == 1 or sampler.filled[c] > 0 or abs(rate) < SLOW_RATE:
             continue
         if abs(jumps[c]) > _latest(sampler, c, period) * abs(rate):
             continue
@@ -785,7 +778,7 @@ def _watch_noise(sampler: Sampler, i: int, beyond: bool) -> None:
     count += 1.0 if beyond and sampler.doubtful[HISTORY - 2, i] == 0 else 0.0
     count -= count / NOISE_MEMORY
     if sampler.noisy[i] == 1 or beyond:
-        square += (jump * jump - square) / (8.0 if square < jump * jump else NOISE_MEMORY)
+        square += (jump * jump - square) / NOISE_MEMORY
     if sampler.noisy[i] == 0 and count > _NOISE_COUNT:
         sampler.noisy[i] = 1
         sampler.found[i] = NOISY
@@ -831,7 +824,7 @@ def _name_jump(sampler: Sampler, i: int) -> None:
     for k in range(first, last):
         largest = max(largest, abs(sampler.jumps[k, i]))
     peak = first
-    while abs(sampler.jumps[peak, i]) < _PEAK * largest:
+    while abs(sampler.jumps[peak, i]) < MOST * largest:
         peak += 1
     size, after = sampler.jumps[peak, i], sampler.jumps[peak + 1, i]
     if abs(size) <= smallest_jump(sampler, i):
@@ -866,7 +859,7 @@ def _lasts(sampler: Sampler, i: int, peak: int) -> bool:
     )
     way = sampler.samples[after, 0, i] - sampler.samples[before, 0, i]
     rest, size = way - rate * (sampler.time[after] - sampler.time[before]), sampler.jumps[peak, i]
-    return bool(rest * np.sign(size) > (1.0 - LEFT) * abs(size))
+    return bool(rest * np.sign(size) > MOST * abs(size))
 
 
 @njit_in_place

@@ -19,8 +19,6 @@ from lpv.core.serial_arm.diagnosis.sampling import block_end
 LINEAR = 1.0
 """Errors beyond are not linear in the balances, which say nothing of them then [rad]: sin(1) is
 16 % less."""
-STILL_RATE = SLOW_RATE
-"""Usual rate of a joint that begins to move while its reading rests [rad/s]."""
 
 
 class Frozen(NamedTuple):
@@ -112,7 +110,8 @@ def course_of_frozen(
         score = -pulled.T @ before.ravel()
     if not np.isfinite(information).all():  # a fault that is followed ran away
         return None
-    spread, pull = STILL_RATE if balances else frozen.sigma, score[1:] - information[1:, 0]
+    # A joint begins to move slowly while its reading rests.
+    spread, pull = SLOW_RATE if balances else frozen.sigma, score[1:] - information[1:, 0]
     tried = [_walk(information[1:, 1:], pull, size * step, spread) for size in ACCELERATIONS]
     # The larger an acceleration, the rarer.
     evidence = np.array([one[0] for one in tried]) - np.log(ACCELERATIONS)
