@@ -109,9 +109,10 @@ NEGLIGIBLE = 5e-4
 """Errors of readings, and of rates in a quarter of a second, that are no faults, however little
 noise the file states [rad], times `SerialJoint.scale`."""
 LOUD = 0.5
+"""Share of the evidence that an alarm needs, from which on hypotheses that take more time are
+compared, too."""
 QUIET = 0.5 * LOUD
-"""Shares of the evidence that an alarm needs: below the second one the bank has found nothing, from
-the first one on hypotheses that take more time are compared, too."""
+"""The same below which the bank has found nothing."""
 QUIET_EVERY = 4
 """Balances after which the bank is asked while it has found nothing, and readings agree."""
 _BEFORE = 1e-12
