@@ -34,7 +34,7 @@ def corner_arm(arm: SerialArm, gains: LoopGains, rng: np.random.Generator) -> Ch
     friction[:, :3] *= 1.0 + arm.uncertainty.friction * rng.choice([-1.0, 1.0])
     factors = 1.0 + gains.model_error * rng.choice([-1.0, 1.0], n)
     chain = chain._replace(inertial=chain.inertial * factors[:, None], friction=friction)
-    load = arm.uncertainty.payload * rng.choice([0.0, 1.0])
+    load = arm.uncertainty.largest_payload * rng.choice([0.0, 1.0])
     return with_payload(chain, load) if load else chain
 
 
