@@ -8,7 +8,7 @@ from rclpy.logging import get_logging_directory
 from rclpy.node import Node
 
 from lpv.core.monitoring.alarm_text import describe
-from lpv.core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent
+from lpv.core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent, blamed
 from lpv.core.support.config import MAX_BYTES
 
 
@@ -34,7 +34,7 @@ class OpenAlarms:
         """Keep what one event changes; OSError if it cannot be written."""
         if event.kind == 'dropout':
             return  # it shows as long as it lasts, and is not the end of another fault
-        sensor = f'{event.sensor} (rate)' if event.kind == 'rate_bias' else event.sensor
+        sensor = blamed(event.sensor, event.kind)
         known = {**self._open}
         self.before = {s: t for s, t in self.before.items() if s != sensor}
         known.pop(sensor, None)

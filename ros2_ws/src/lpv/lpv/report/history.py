@@ -172,7 +172,7 @@ def _with_estimates(record: RunRecord, episode: Episode) -> Episode:
     estimate, bound = (record.get('fault_estimate', name) for name in ('estimate', 'bound'))
     if episode.kind == 'dropout':
         return replace(episode, size=math.nan, bound=math.nan)
-    i, other = episode.sensor_index, episode.kind in ('noise', 'rate_bias')
+    i, other = episode.sensor_index, episode.kind in ('noise', RATE_BIAS)
     if other or estimate is None or bound is None or not 0 <= i < estimate.shape[1]:
         return episode
     time = record.seconds(record.stamps['fault_estimate'])

@@ -11,7 +11,7 @@ import numpy as np
 
 from lpv.bag.run.streams import RunRecord
 from lpv.core.serial_arm.description import SerialArm
-from lpv.core.serial_arm.diagnosis.alarms import SensorState
+from lpv.core.serial_arm.diagnosis.alarms import SensorState, blamed
 from lpv.core.support.formatting import bound, decimals
 from lpv.core.support.resources import installed_version
 from lpv.core.support.timestamps import NANOSECONDS
@@ -158,7 +158,7 @@ def _count(number: int, one: str) -> str:
 
 
 def _error(alarm: Episode, arm: SerialArm) -> str:
-    sensor = f'{alarm.sensor} (rate)' if alarm.kind == 'rate_bias' else alarm.sensor
+    sensor = blamed(alarm.sensor, alarm.kind)
     if alarm.kind == 'dropout':
         return f'{sensor} no readings'
     if not math.isfinite(alarm.bound):

@@ -127,7 +127,7 @@ def _repeats(joints: int) -> np.dtype:
         ('measured', 'f8', (3, joints)),  # the last measurement, as it came
         ('grain', 'f8', (2, joints)),  # smallest changes of readings, efforts; infinite before any
         ('recent', 'f8', (2 * BEFORE_STOP + 1, 2, joints)),  # the last readings and efforts
-        ('since', 'i8'),  # its stamp [ns]
+        ('since', 'i8'),  # stamp from which on readings and rates have been these [ns]
         ('times', 'i8'),  # that its readings and rates came again
         ('idle', 'i8'),  # that efforts did
         ('stamp', 'i8'),  # of the last time [ns]

@@ -57,6 +57,11 @@ def subject(kind: str) -> str:
     return kind if kind in (RATE_BIAS, 'dropout') else ''
 
 
+def blamed(sensor: str, kind: str) -> str:
+    """What an alarm of a kind blames, in words: the sensor, or its rate."""
+    return f'{sensor} (rate)' if kind == RATE_BIAS else sensor
+
+
 def size_unit(kind: str, unit: str) -> str:
     """Unit of the size of a fault, from that of the sensor's positions."""
     return f'{unit}/s' if kind == RATE_BIAS else unit

@@ -290,9 +290,8 @@ def _follow(
     horizon.
     """
     window, null, interval = estimator.window, estimator.posterior, estimator.plan.interval
-    if (
-        one.fault(float(sampler.raw[one.joint]), float(sampler.time[-1]))[2] > OFFSET_PRIOR
-    ):  # nothing is known of it
+    sigma = one.fault(float(sampler.raw[one.joint]), float(sampler.time[-1]))[2]
+    if sigma > OFFSET_PRIOR:  # nothing is known of it
         _lose(one, sampler)
         return
     at = estimator.place(0)

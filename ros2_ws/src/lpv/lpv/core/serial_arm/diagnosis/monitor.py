@@ -825,8 +825,7 @@ class SerialMonitor:
         end = self._ends.get(one.joint)
         if end is None or one.begin >= end.time + 2.0 * self.plan.interval:
             return False
-        still = float(self.sampler.still[one.joint]) * self.arm.sample_time
-        rests = self._last() - still <= end.time
+        rests = self._rests_since(one.joint) <= end.time
         return one.is_encoder or (one.kind == 'rate_bias' and rests)
 
     def _frozen(self) -> dict[int, Frozen]:
@@ -850,7 +849,7 @@ class SerialMonitor:
             rounding, rate = float(sampler.grain[i]) / measured, float(sampler.stop[i])
             smallest = max(self._smallest_step(i), sampler.grain[i])
             alive, speed = bool(lively[i]), abs(rate) - rounding
-            time = self._last() - float(sampler.still[i]) * period
+            time = self._rests_since(i)
             if self.sensors[i].kind == 'stuck':  # while its alarm is up, any rest may be a freeze
                 found[i] = Frozen(time, 0.0, USUAL_RATE, alive)
             if is_wrong and math.isinf(sampler.grain[i]):
@@ -860,16 +859,18 @@ class SerialMonitor:
             acceleration = self._acceleration(i)
             braking = 0.5 * measured * acceleration
             if alive or (speed - braking) * STILL_TIME > smallest:
-                found[i] = Frozen(*self._stopped(i, acceleration), alive)
+                found[i] = Frozen(time, rate, self._stop_sigma(i, acceleration), alive)
         return found
 
-    def _stopped(self, i: int, acceleration: float) -> tuple[float, float, float]:
-        """When a reading came to rest, and the rate that it had with its standard deviation."""
-        sampler, measured = self.sampler, BEFORE_STOP * self.arm.sample_time
-        time = self._last() - float(sampler.still[i]) * self.arm.sample_time
-        rounding = float(sampler.grain[i]) / measured if np.isfinite(sampler.grain[i]) else 0.0
-        sigma = math.hypot(rounding, 0.5 * measured * acceleration, SLOW_RATE)
-        return time, float(sampler.stop[i]), sigma
+    def _rests_since(self, i: int) -> float:
+        """When a reading changed last [s]."""
+        return self._last() - float(self.sampler.still[i]) * self.arm.sample_time
+
+    def _stop_sigma(self, i: int, acceleration: float) -> float:
+        """Standard deviation of the rate that a reading had before it came to rest [rad/s]."""
+        measured, grain = BEFORE_STOP * self.arm.sample_time, float(self.sampler.grain[i])
+        rounding = grain / measured if math.isfinite(grain) else 0.0
+        return math.hypot(rounding, 0.5 * measured * acceleration, SLOW_RATE)
 
     def _acceleration(self, i: int) -> float:
         """Usual acceleration of a joint [rad/s2]."""
@@ -915,14 +916,13 @@ class SerialMonitor:
         kind = 'stuck' if rests else one.kind
         course = one.course
         if kind == 'stuck':
-            together = self._frozen_with(i)
-            for j in together:
-                self._begin_following(self._begin_stuck(j), share)
-            # Balances took what froze with it for known.
-            course = self._course_by_rate(i, one.begin) or (None if together else course)
-            if course is None and together:
-                self._begin_following(self._begin_stuck(i), share)
+            if together := self._frozen_with(i):
+                # Balances took what froze with it for known.
+                for j in (*together, i):
+                    begin = one.begin if j == i else self._rests_since(j)
+                    self._begin_following(self._begin_stuck(j, begin), share)
                 return
+            course = self._course_by_rate(i, one.begin) or course
         if course is not None:
             fault = begin_frozen(i, course, self._acceleration(i))
         else:
@@ -941,14 +941,15 @@ class SerialMonitor:
         known = {i, *self._filters, *np.flatnonzero(self.sampler.noisy).tolist()}
         return [j for j in together if j not in known]
 
-    def _begin_stuck(self, i: int) -> FaultFilter:
-        """Filter of a reading that froze, by the rate that its joint has, or had."""
+    def _begin_stuck(self, i: int, begin: float) -> FaultFilter:
+        """Filter of a reading that froze [s], by the rate that its joint has, or had."""
         acceleration = self._acceleration(i)
-        time, rate, sigma = self._stopped(i, acceleration)
-        course = self._course_by_rate(i, time)
+        course = self._course_by_rate(i, begin)
         if course is not None:
             return begin_frozen(i, course, acceleration)
-        mean, covariance = np.array([0.0, rate, 0.0]), np.diag([0.0, sigma, acceleration]) ** 2
+        time, sigma = self._rests_since(i), self._stop_sigma(i, acceleration)
+        mean = np.array([0.0, float(self.sampler.stop[i]), 0.0])
+        covariance = np.diag([0.0, sigma, acceleration]) ** 2
         fault = begin_frozen(i, Course(0.0, time, time, mean, covariance), acceleration)
         fault.predict(self._ended())
         return fault
