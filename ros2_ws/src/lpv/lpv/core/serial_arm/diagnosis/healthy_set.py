@@ -30,11 +30,10 @@ from lpv.core.serial_arm.diagnosis.healthy_balance import (
 from lpv.core.serial_arm.diagnosis.information import COUNT, NEXT, Window, recent, slot
 from lpv.core.serial_arm.diagnosis.learning import payload_share
 from lpv.core.serial_arm.diagnosis.parameter_set import parameter_set, payload_generator
+from lpv.core.serial_arm.diagnosis.stuck import LINEAR
 from lpv.core.serial_arm.sensor_map import map_rows, map_vector
 from lpv.core.support.jit import njit_in_place
 
-OTHERS = 1.0
-"""Offsets of the other sensors that do not move an estimate across its threshold [rad]."""
 SLACK, NOISE, LENGTH = range(3)
 """Entries of `HealthyRing.past`: sum of squared slack times weight, largest variance of noise times
 weight, of what is remembered; length of the interval before [s]."""
@@ -216,7 +215,8 @@ class HealthySet:
         size = np.maximum(size, 0.0)
         slack += np.sqrt(size * self.ring.past[SLACK])
         share = gain[:, :n] * null.least[:n]
-        slack += OTHERS * (np.abs(share).sum(1) - np.append(np.abs(np.diag(share)), 0.0))
+        # Offsets of the other sensors, as far as the map is linear.
+        slack += LINEAR * (np.abs(share).sum(1) - np.append(np.abs(np.diag(share)), 0.0))
         noise = SIGMAS * np.sqrt(self._noise(map_, places) + self.ring.past[NOISE] * size)
         estimate = wanted @ null.mean
         effects, rest = response[:, 1:], np.abs(estimate - response[:, 0])
