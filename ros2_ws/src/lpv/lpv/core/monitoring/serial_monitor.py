@@ -34,7 +34,7 @@ from lpv.core.serial_arm.sensor_map import map_rows, mixing
 from lpv.core.serial_arm.turns import FARTHEST, Turns
 from lpv.core.support.errors import SampleError
 from lpv.core.support.jit import Entries, compile_ahead, njit_in_place
-from lpv.core.support.limits import LARGEST, MAX_GAP
+from lpv.core.support.limits import LARGEST, MAX_GAP, SMALL
 from lpv.core.support.records import memory, new_record, plain, record_type
 from lpv.core.support.timestamps import NANOSECONDS, NEVER
 from lpv.core.uio.certificate.gains import Gains
@@ -350,6 +350,9 @@ class SerialSensorMonitor:
             if self._uio.certifies:
                 self._monitor.certify(self._uio.level)
         self._gap = round(LONGEST_STEP * arm.sample_time * NANOSECONDS)
+        self._has_efforts = False  # whether any was other than 0
+        self._first: FloatArray | None = None  # positions of the first measurement [rad]
+        self._has_moved = False  # from there, before efforts came
         self.retune(parameters or DiagnosisParameters())
         self._begin()
 
@@ -425,7 +428,7 @@ class SerialSensorMonitor:
         step = round(self.arm.sample_time * NANOSECONDS)
         stamps = 1 + step * np.arange(max(20, round(_WARM_UP[suspicious] / self.arm.sample_time)))
         t = (stamps / NANOSECONDS)[:, None] + np.arange(self._joints)
-        other.take_many(stamps, np.sin(t), np.cos(t), np.zeros_like(t))
+        other.take_many(stamps, np.sin(t), np.cos(t), np.ones_like(t))
         other._monitor.estimator.linearise(other._monitor._blocks(2))  # noqa: SLF001
         if suspicious:
             other._monitor.warm_up()
@@ -508,8 +511,12 @@ class SerialSensorMonitor:
         samples[:, 0] = map_rows(self._to_sensors, np.asarray(position))
         samples[:, 1] = map_rows(self._to_sensors, np.asarray(velocity))
         samples[:, 2] = effort
+        has_moved = self._has_moved
+        idle = self._leave_out_idle(position, samples)
         begin = 0
         while begin < len(stamps):
+            if begin == idle and not has_moved:
+                self.reset()  # what was learned from them is wrong
             regular = self._regular(batch, begin)
             if not regular:
                 row: Any = records[begin : begin + 1]
@@ -525,6 +532,22 @@ class SerialSensorMonitor:
                 self._report(int(stamps[begin]), begin, answers)
             begin += max(1, regular)
         return answers
+
+    def _leave_out_idle(self, position: FloatArray, samples: FloatArray) -> int:
+        """Make efforts NaN that are 0 in motion and always were; the first such sample, or -1.
+
+        A driver that measures none may publish zeros.  An arm that rests on its brakes needs none.
+        """
+        if self._has_efforts or not len(samples):
+            return -1
+        if self._first is None:
+            self._first = np.array(position[0])
+        is_given = np.logical_or.accumulate((np.abs(samples[:, 2]) > 0.0).any(1))
+        moves = (np.abs(position - self._first) > SMALL * self.arm.scales()).any(1)
+        idle = (np.logical_or.accumulate(moves) | self._has_moved) & ~is_given
+        samples[idle, 2] = np.nan
+        self._has_efforts, self._has_moved = bool(is_given[-1]), self._has_moved or bool(idle.any())
+        return int(idle.argmax()) if idle.any() else -1
 
     def _regular(self, batch: _Batch, begin: int) -> int:
         """Number of samples from ``begin`` on that can be used as they are, after the last one."""

@@ -153,6 +153,26 @@ def test_given_no_efforts_or_none_of_the_weight_then_no_offsets_are_diagnosable(
     assert said in answers.reports[0][1][0]['message']
 
 
+@pytest.mark.parametrize('part', [1, 300, 10_000])
+def test_given_efforts_that_are_always_0_when_the_arm_moves_then_there_are_none(part):
+    """As of drivers that measure none; before the arm moves, brakes may hold it."""
+    run = simulated(ARM, duration=4.0)
+    stamps, samples = run.stamps + 5, run.samples
+    zeros = samples.copy()
+    zeros[:, 2] = 0.0
+    monitor, found, warned = SerialSensorMonitor('/uio', ARM), [], []
+    for begin in range(0, len(stamps), part):
+        rows = slice(begin, begin + part)
+        _, answers = observe(stamps[rows], zeros[rows], monitor)
+        found, warned = found + told(answers), warned + [text for _, text in answers.warnings]
+    assert found == [] and len(warned) == 1 and warned[0].startswith('no efforts')
+    assert answers.state.mode[-1] == Mode.HOLDING
+    assert (answers.fault.state[-1] == SensorState.NOT_DIAGNOSABLE).all()
+    # Efforts that come at last are used.
+    _, answers = observe(stamps + 4 * 10**9, samples, monitor)
+    assert answers.state.mode[-1] == Mode.OBSERVING and told(answers) == []
+
+
 def test_given_no_rates_then_they_are_differences_and_independent_ones_are_waited_for():
     stamps, samples = recorded()[0], recorded()[1].copy()
     samples[:, 1] = np.nan
