@@ -194,7 +194,9 @@ class UioNode(ManagedNode):
         try:
             answer = self._monitor.take(stamp, message, self._known_torque())
         except SampleError as error:
-            self.get_logger().error(str(error), throttle_duration_sec=5.0)
+            # A gripper may share the topic.
+            if self._answered is None or not {*self._arm.joint_names}.isdisjoint(message.name):
+                self.get_logger().error(str(error), throttle_duration_sec=5.0)
             return
         if answer is not None:
             self._is_new = True

@@ -189,6 +189,17 @@ def test_given_a_second_publisher_when_its_readings_come_then_they_are_refused(a
     assert arm.outputs['alarm'].sent == [], 'no alarm'
 
 
+def test_given_a_gripper_on_the_topic_when_observed_then_it_is_no_error(arm, monkeypatch):
+    arm.recover()
+    said = []
+    logger = SimpleNamespace(error=lambda text, **_: said.append(text), info=print, warning=print)
+    monkeypatch.setattr(arm.node, 'get_logger', lambda: logger)
+    first = list(arm.good().name)[0]
+    for names, count in ((['finger'], 0), ([first, 'finger'], 1)):
+        arm.node._on_measurement(JointState(name=names, position=[0.0] * len(names)))
+        assert len(said) == count
+
+
 def alarm(event=AlarmEvent.RAISED, sensor='link2_angle', kind='bias'):
     return Alarm(event, 1, sensor, 0, 0, 0.3, 0.01, kind, 0.99)
 

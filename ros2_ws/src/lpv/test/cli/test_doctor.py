@@ -287,6 +287,26 @@ def test_given_another_arm_or_nothing_when_checked_then_it_is_said(shot, paper_a
     assert 'but there are measurements' in finding.text and 'no gains' in finding.remedy
 
 
+@pytest.mark.parametrize('together', [True, False])
+def test_given_a_gripper_beside_the_arm_when_checked_then_the_arm_alone_counts(shot, together):
+    """In its messages with values that it has no sensor for, or of a publisher of its own."""
+    names, nan = ('joint2', 'finger', 'joint1'), float('nan')
+    if together:
+        shot.measured[JOINTS] = heard(names=names, effort=(0.0, nan, 0.0), velocity=(0.0, nan, 0.0))
+    else:
+        finger = heard(delay=3_000_000, names=('finger',), effort=(), velocity=())
+        late = [(time, message(time - 8_000_000, ('finger',), (), ())) for time, _ in finger]
+        shot.measured[JOINTS] = sorted(shot.measured[JOINTS] + late, key=lambda one: one[0])
+        shot.publishers[JOINTS] = DRIVERS
+    assert found(graph.check_graph(shot)) == []
+
+
+def test_given_efforts_of_0_when_the_arm_moves_then_none_are_measured(shot):
+    moving = [(stamp, message(stamp, position=[0.01 * k, 1.5])) for k, stamp in enumerate(STAMPS)]
+    finding = signals.check_efforts(JOINTS, [one for _, one in moving], shot)
+    assert finding is not None and '50 of 50 messages carry no effort' in finding.text
+
+
 def test_given_files_when_the_command_runs_then_code_0_and_3_if_not(call, refused, monkeypatch):
     line = ['doctor', '--gains', GAINS, '--offline', '--arm']
     assert 'nothing found' in call(*line, 'paper').out

@@ -84,10 +84,18 @@ def _names(shot: Snapshot) -> Iterator[Finding]:
 def _publishers(shot: Snapshot) -> Iterator[Finding]:
     for topic, ends in sorted(shot.publishers.items()):
         if len(ends) > 1 and (topic == '/clock' or topic.rsplit('/', 1)[1] in _SINGLE):
+            if topic in shot.measured and _share(shot.measured[topic], len(ends)):
+                continue
             by = ', '.join(sorted(e.node for e in ends))
             remedy = 'two simulators, or a driver and a simulator: stop one, or give it '
             remedy += f'another ROS_DOMAIN_ID or namespace; {_DEAD}'
             yield error('publishers', f'{topic} has {len(ends)} publishers: {by}', remedy)
+
+
+def _share(heard: list, publishers: int) -> bool:
+    """Whether each publisher has joints of its own, as of an arm and of its gripper."""
+    parts = {frozenset(message.name) for _, message in heard}
+    return len(parts) == publishers and sum(map(len, parts)) == len(frozenset().union(*parts))
 
 
 def _clock(shot: Snapshot) -> Iterator[Finding]:

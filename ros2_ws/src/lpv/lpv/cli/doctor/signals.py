@@ -1,6 +1,7 @@
 """Checks of the measurements that were heard: names, values, units, rates, stamps."""
 
 from collections.abc import Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -47,6 +48,7 @@ def check_measurements(shot: Any, arm: SerialArm | None) -> list[Finding]:
 def _problems(
     topic: str, heard: list[tuple[int, Any]], shot: Any, arm: SerialArm | None
 ) -> Iterator[Finding]:
+    heard = heard if arm is None else of_arm(heard, arm)
     messages = [message for _, message in heard]
     found = [
         check_efforts(topic, messages, shot),
@@ -57,6 +59,22 @@ def _problems(
         checks = check_joints, check_rate, check_units, check_rate_source, check_setup
         found += [check(topic, messages, arm) for check in checks]
     yield from (one for one in found if one is not None)
+
+
+def of_arm(heard: list[tuple[int, Any]], arm: SerialArm) -> list[tuple[int, Any]]:
+    """Messages with the arm's joints, without a gripper's; as they are if none has them."""
+    order, found = JointOrder(arm.joint_names), []
+    for time, message in heard:
+        try:
+            index = order.indices(message.name)
+        except SampleError:
+            continue  # of another publisher
+        arrays = {name: getattr(message, name) for name in ('position', 'velocity', 'effort')}
+        if all(len(values) in (0, len(message.name)) for values in arrays.values()):
+            own = {name: [v[i] for i in index] if len(v) else [] for name, v in arrays.items()}
+            message = SimpleNamespace(header=message.header, name=list(arm.joint_names), **own)
+        found.append((time, message))
+    return found or heard
 
 
 def stated_rates(arm: SerialArm) -> list[str]:
@@ -83,11 +101,20 @@ def check_efforts(topic: str, messages: list[Any], shot: Any) -> Finding | None:
     """Whether torques are measured where the observer takes them from."""
     sources = [values.get('torque_source') for values in shot.parameters.values()]
     without = sum(not len(m.effort) or not np.isfinite(m.effort).all() for m in messages)
+    if not any(np.any(m.effort) for m in messages) and _moves(messages):
+        without = len(messages)  # as of a driver that fills in zeros
     if not without or ('command' in sources and 'effort' not in sources):
         return None
     remedy = 'let the driver publish joint torques in effort [N m], or start the observer with '
     text = f'{topic}: {without} of {len(messages)} messages carry no effort'
     return error('efforts', text, f'{remedy}torque_source:=command')
+
+
+def _moves(messages: list[Any]) -> bool:
+    """Whether any joint does."""
+    count = len(messages[-1].position)
+    rows = [m.position for m in messages if len(m.position) == count]
+    return bool(np.any(np.ptp(np.array(rows, float), axis=0) > SMALL))
 
 
 def check_values(topic: str, messages: list[Any], rates: bool = True) -> Finding | None:
