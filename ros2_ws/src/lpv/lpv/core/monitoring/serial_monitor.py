@@ -81,6 +81,7 @@ class SerialCounters:
     not_finite: int = 0  # NaN or infinite readings, or rates of a sensor of their own
     implausible: int = 0  # values that no arm has
     gaps: int = 0  # intervals after which the balances restart
+    unread: int = 0  # zeros alone, as of a driver that has not read its hardware yet
     without_effort: int = 0  # efforts were missing that had been there before
     repeated: int = 0  # by a driver that had nothing new of an arm in motion
 
@@ -350,6 +351,7 @@ class SerialSensorMonitor:
             if self._uio.certifies:
                 self._monitor.certify(self._uio.level)
         self._gap = round(LONGEST_STEP * arm.sample_time * NANOSECONDS)
+        self._is_read = False  # whether the driver has measured anything but zeros
         self._has_efforts = False  # whether any was other than 0
         self._first: FloatArray | None = None  # positions of the first measurement [rad]
         self._has_moved = False  # from there, before efforts came
@@ -607,6 +609,11 @@ class SerialSensorMonitor:
             finite = bool(np.isfinite(needed).all())
             self.counters.implausible += finite
             self.counters.not_finite += not finite
+            self._answer_stale(stamp, row)
+            return False
+        self._is_read = self._is_read or bool(np.nan_to_num(sample).any())
+        if not self._is_read:
+            self.counters.unread += 1
             self._answer_stale(stamp, row)
             return False
         blind = not np.isfinite(sample[2]).all()

@@ -173,6 +173,21 @@ def test_given_efforts_that_are_always_0_when_the_arm_moves_then_there_are_none(
     assert answers.state.mode[-1] == Mode.OBSERVING and told(answers) == []
 
 
+@pytest.mark.parametrize('part', [1, 10_000])
+def test_given_zeros_until_a_driver_has_read_its_hardware_then_no_sensor_jumps(part):
+    run = simulated(ARM, duration=2.0)
+    samples, found = run.samples.copy(), []
+    samples[:100] = 0.0
+    samples[:50, 2] = np.nan  # of an interface that is missing
+    monitor = SerialSensorMonitor('/uio', ARM)
+    for begin in range(0, len(samples), part):
+        rows = slice(begin, begin + part)
+        _, answers = observe(run.stamps[rows] + 5, samples[rows], monitor)
+        found += told(answers)
+    assert found == [] and monitor.counters.unread == 100
+    assert answers.state.mode[-1] == Mode.OBSERVING
+
+
 def test_given_no_rates_then_they_are_differences_and_independent_ones_are_waited_for():
     stamps, samples = recorded()[0], recorded()[1].copy()
     samples[:, 1] = np.nan
