@@ -212,6 +212,29 @@ def test_given_a_reading_that_drops_to_zero_and_stays_there_then_no_rate_is_blam
         assert outside_bounds(answers, stream.stamps, truth, span) < 0.02
 
 
+@pytest.mark.parametrize('back', [ONSET + 1.0, ONSET + 2.0])
+@pytest.mark.parametrize('kept', [0.0, 1.0])
+@pytest.mark.parametrize('arm', ['real_arm', 'chain3', 'ur10'])
+def test_given_a_rate_that_freezes_with_its_reading_then_it_is_not_believed(arm, kept, back):
+    """Its sensor reads 0, or what it read last, until the rate comes back."""
+    subject, joint, wrong = _subject(arm).with_rates('independent'), 1, []
+    for k in range(3):
+        stream = subject.streams(k).part(2.0, 4.0 + ONSET)
+        matrix = subject.arm.joints_to_sensors()
+        fault = Injected(joint, ONSET, ONSET + 2.1)
+        window = inject(stream, BY_NAME['stuck'], [fault], False, matrix, None)
+        samples = window.stream.samples.copy()
+        frozen = slice(stream.index(ONSET), stream.index(back))
+        rates = samples[:, 1] @ matrix.T
+        rates[frozen, joint] = kept * rates[frozen.start - 1, joint]
+        samples[:, 1] = rates @ np.linalg.inv(matrix).T
+        answers = subject.monitor().take_many(stream.stamps, *np.moveaxis(samples, 1, 0))
+        assert {one.kind for _, one in answers.events} == {'stuck'}
+        span = ONSET + SETTLED, ONSET + 2.0
+        wrong.append(outside_bounds(answers, stream.stamps, window.truth, span))
+    assert np.mean(wrong) < 0.05
+
+
 def test_given_a_loop_closed_on_a_frozen_reading_then_its_joint_is_followed_all_the_same():
     """It accelerates ten times as much as the arm usually does."""
     arm, wrong = shoulder_arm(), []

@@ -72,6 +72,7 @@ from lpv.core.serial_arm.diagnosis.sampling import (
     PENDING,
     PROBED,
     REPLACED,
+    ROUNDING,
     SPIKE,
     STEP,
     Sampler,
@@ -243,6 +244,7 @@ class SerialMonitor:
         self.sensors = [SensorRecord() for _ in range(n)]
         self.rates = [SensorRecord() for _ in range(n)]
         self._filters: dict[int, FaultFilter] = {}
+        self._held_rates: dict[int, float] = {}  # that froze with their readings [rad/s]
         self._whole = np.ones(n)
         self._ends: dict[int, EndOfFault] = {}  # that jumps may have been
         self._scaled: dict[int, ScaleOfJump] = {}  # that they may have been as well
@@ -652,7 +654,12 @@ class SerialMonitor:
         self._ended_filters = [one for one in self._ended_filters if end - one.updated < span]
         for one in self._ended_filters:
             doubt_ended(one, estimator, bank.momenta_of(one.joint))
-        kinematic = [bank.kinematics.last(i) for i in self._filters]
+        for i in [*self._held_rates]:
+            if self.sampler.published[0, i] != self._held_rates[i]:
+                self._use_rate(i)
+        kinematic = [
+            None if i in self._held_rates else bank.kinematics.last(i) for i in self._filters
+        ]
         momenta = [bank.momenta_of(i) for i in self._filters]
         if self._filters:
             follow_all([*self._filters.values()], estimator, self.sampler, kinematic, momenta)
@@ -922,6 +929,9 @@ class SerialMonitor:
                     begin = one.begin if j == i else self._rests_since(j)
                     self._begin_following(self._begin_stuck(j, begin), share)
                 return
+            if self._rate_is_held(i):
+                self._begin_following(self._begin_stuck(i, one.begin), share)
+                return
             course = self._course_by_rate(i, one.begin) or course
         if course is not None:
             fault = begin_frozen(i, course, self._acceleration(i))
@@ -944,6 +954,8 @@ class SerialMonitor:
     def _begin_stuck(self, i: int, begin: float) -> FaultFilter:
         """Filter of a reading that froze [s], by the rate that its joint has, or had."""
         acceleration = self._acceleration(i)
+        if self._rate_is_held(i):
+            self._do_without_rate(i, begin)
         course = self._course_by_rate(i, begin)
         if course is not None:
             return begin_frozen(i, course, acceleration)
@@ -953,6 +965,33 @@ class SerialMonitor:
         fault = begin_frozen(i, Course(0.0, time, time, mean, covariance), acceleration)
         fault.predict(self._ended())
         return fault
+
+    def _rate_is_held(self, i: int) -> bool:
+        """Whether a rate with a sensor of its own has not changed since its reading froze."""
+        sampler, n = self.sampler, self.joints
+        if sampler.derived[i] == 1.0:
+            return False
+        blocks, still = self._blocks(len(self.estimator) + 1), int(sampler.still[i])
+        rested = blocks[:, 3 * n] - 0.5 * blocks[:, 3 * n + 1] > self._rests_since(i)
+        rates = np.concatenate([blocks[rested, n + i], sampler.samples[-still:, 1, i]])
+        return bool(np.ptp(rates) <= ROUNDING)
+
+    def _do_without_rate(self, i: int, begin: float) -> None:
+        """A rate froze with its reading [s]: it is that of the reading, 0, until it changes."""
+        held = self._held_rates[i] = float(self.sampler.published[0, i])
+        error = held - float(self.sampler.rate_error[i])
+        correct_rates_since(i, begin, error, self.estimator, self.sampler)
+        self.sampler.rate_error[i] += error
+        self.sampler.derived[i] = self.estimator.balance.derived[i] = 1.0
+        self.bank.kinematics.forget(i)
+
+    def _use_rate(self, i: int) -> None:
+        """A rate that had frozen with its reading changes, and is that of a sensor again."""
+        sampler = self.sampler
+        sampler.samples[-1, 1, i] = sampler.published[0, i]
+        sampler.rate_error[i] = sampler.derived[i] = self.estimator.balance.derived[i] = 0.0
+        self.bank.kinematics.forget(i)
+        del self._held_rates[i]
 
     def _ended(self) -> float:
         """When the newest balance ended: younger samples wait to enter one [s]."""
@@ -964,7 +1003,7 @@ class SerialMonitor:
         interval, end = self.plan.interval, float(self._blocks(1)[-1, 3 * self.joints])
         way = self.bank.kinematics.way(i, math.ceil((end - begin) / interval))
         newest = self.bank.kinematics.last(i)
-        if way is None or newest is None:
+        if way is None or newest is None or i in self._held_rates:
             return None
         # The newest row has the mean rate of its interval.
         acceleration = self._acceleration(i)
@@ -1225,6 +1264,8 @@ class SerialMonitor:
         """Samples to come of sensor i are taken as they are."""
         sampler = self.sampler
         self._doubt_no_more(i)
+        if i in self._held_rates:
+            self._use_rate(i)
         if self._filters.pop(i, None) is not None or self.sensors[i].kind == 'noise':
             self._trust_rate(i)
         sampler.correction[i] = sampler.followed[i] = sampler.drift[i] = sampler.share[i] = 0.0
