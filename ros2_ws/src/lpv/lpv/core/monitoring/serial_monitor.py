@@ -791,6 +791,8 @@ class SerialSensorMonitor:
         known = self._snapshot
         if _ERROR not in known.state.tolist():
             return True
+        if known.contradicts:  # a confirmed fault is not, or not only, what it was taken for
+            return False
         sigma = np.where(known.is_level, known.sigma, known.removed_sigma)
         bound = self._parameters.safe_stop_bound * self._monitor.scales
         uncertain = self._parameters.sigmas * sigma > bound

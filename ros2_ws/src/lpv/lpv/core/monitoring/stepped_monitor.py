@@ -43,6 +43,7 @@ class Snapshot(NamedTuple):
     guarantee: Guarantee | None = None  # of the offsets, evaluated last
     is_guaranteed: bool = True  # whether guaranteed thresholds can be evaluated
     misfit: float = 0.0  # standard deviations by which the arm differs from its file
+    contradicts: bool = False  # whether readings, corrected, go on to contradict the model
 
     @property
     def is_error(self) -> npt.NDArray[np.bool_]:
@@ -177,5 +178,5 @@ class SteppedMonitor(SerialMonitor):
             np.array([one.level and one.active for one in sensors]),
             np.array([one.unseen for one in sensors]),
             self._suspects, self.in_contact, self.balances, alarms, self.guarantee,
-            self.healthy is not None, self.estimator.misfit(),
+            self.healthy is not None, self.estimator.misfit(), self.contradicts,
         )  # fmt: skip

@@ -143,3 +143,36 @@ def test_given_a_suspicion_when_efforts_are_lost_then_it_is_dropped():
     run.samples[1650:, 2] = np.nan
     inconsistent = answered(shoulder_arm(), run).inconsistent
     assert inconsistent[1600:1650].any() and not inconsistent[-1]
+
+
+SECOND = np.array([0.0, 1.0, 0.0])
+COURSES = {
+    'slips within 5 samples': lambda y, since: 0.2 * np.clip(since / 0.01, 0.0, 1.0) * SECOND,
+    'slips within 25 samples': lambda y, since: -0.3 * np.clip(since / 0.05, 0.0, 1.0) * SECOND,
+    'swings': lambda y, since: 0.2 * np.sin(4.4 * np.maximum(since, 0.0)) * SECOND,
+    'turns its sign': lambda y, since: -2.0 * (since > 0.0) * y * SECOND,
+    'is swapped': lambda y, since: (since > 0.0) * (y[:, [0, 2, 1]] - y),
+}
+"""Faults of the second encoder, by readings and the time since their onset [s]."""
+
+
+@pytest.mark.parametrize('name', COURSES)
+def test_given_a_fault_that_no_hypothesis_describes_then_its_bound_holds_or_it_is_not_trusted(name):
+    arm, outside = shoulder_arm(), []
+    for seed in (1, 2):
+        run = simulated(arm, duration=12.0, seed=seed)
+        since = arm.sample_time * np.arange(len(run.stamps))[:, None] - 4.0
+        error = COURSES[name](run.position, since)
+        run.samples[:, 0] += error
+        run.samples[1:, 1] = np.diff(run.samples[:, 0], axis=0) / arm.sample_time
+        answers = answered(arm, run)
+        beyond = np.abs(answers.fault.estimate - error) > answers.fault.bound + 1e-3
+        outside.append(beyond.any(axis=1) & answers.state.trustworthy)
+    assert np.mean(outside) < 0.03
+
+
+def test_given_a_push_then_it_is_trusted_and_bounds_of_readings_that_do_not_explain_it_stay():
+    arm, push = shoulder_arm(), Push(5.0, 6.0, (20.0, 0.0, 0.0))
+    pushed, free = (answered(arm, simulated(arm, pushes=one)) for one in ((push,), ()))
+    assert pushed.state.trustworthy[500:].all()
+    assert (pushed.fault.bound[2500:3000, 1:] < 1.5 * free.fault.bound[2500:3000, 1:]).all()

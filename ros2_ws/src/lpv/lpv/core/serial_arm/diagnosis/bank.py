@@ -90,7 +90,7 @@ from lpv.core.serial_arm.diagnosis.sampling import (
     rate_noise,
     smallest_jump,
 )
-from lpv.core.serial_arm.diagnosis.stuck import Course, Frozen, course_of_frozen
+from lpv.core.serial_arm.diagnosis.stuck import Course, Frozen, course_of_frozen, free_course
 from lpv.core.serial_arm.dynamics.momentum import mass_matrix
 from lpv.core.serial_arm.sensor_map import map_vector
 from lpv.core.support.jit import njit_in_place
@@ -115,6 +115,11 @@ QUIET = 0.5 * LOUD
 """The same below which the bank has found nothing."""
 QUIET_EVERY = 4
 """Balances after which the bank is asked while it has found nothing, and readings agree."""
+NOT_EXCLUDED = 0.5
+"""Share of the evidence for free torques that a fault of free course has to have: one encoder's
+explained up to 0.2 of pushes, and mostly 0.6 and more where it was wrong."""
+FREE_FOR = 1.0
+"""Longest time over which faults of free course are looked for [s]: one unknown a balance."""
 _BEFORE = 1e-12
 """Least variance of a row [rad2]: those of readings without any noise are not divided by zero."""
 
@@ -348,6 +353,33 @@ class Bank:
         """As of `course_of_frozen`."""
         about = self.momenta_of(joint), self._push
         return course_of_frozen(self.estimator, joint, frozen, balances, blocks, about)
+
+    def free_courses(
+        self, found: list[Hypothesis], sigmas: float
+    ) -> dict[int, tuple[float, float]]:
+        """Encoders whose faults, of any course, are not excluded by torques from outside.
+
+        Torques of any course explain whatever such faults do: n of them have n times the freedom.
+        A fault that explains `NOT_EXCLUDED` as much is as good an explanation.  Of each sensor the
+        logarithm of its Bayes factor, and the largest fault within so many ``sigmas`` [rad].
+        """
+        end, interval = float(self.estimator.times(1)[0]), self.estimator.plan.interval
+        contact = max(
+            (one for one in found if one.kind == CONTACT and one.begin > end - FREE_FOR - interval),
+            key=lambda one: one.gain,
+            default=None,
+        )
+        if contact is None or contact.gain <= 0.0:
+            return {}
+        last = round((end - contact.begin) / interval)
+        faults = dict[int, tuple[float, float]]()
+        for i, trusted in enumerate(self.kinematics.trusted.tolist()):
+            # A rate of its own would have shown that the fault changes.
+            momenta = self.momenta_of(i)
+            gain, size, sigma = free_course(self.estimator, i, last, momenta, not trusted)
+            if gain > NOT_EXCLUDED * contact.gain:
+                faults[i] = gain, abs(size) + sigmas * sigma
+        return faults
 
     def _sudden(self, blocks: Callable[[int], FloatArray], windows: int) -> list[Hypothesis]:
         """Drifts of encoders with derived rates whose onset itself is evidence."""

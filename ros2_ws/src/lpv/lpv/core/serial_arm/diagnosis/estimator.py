@@ -521,6 +521,23 @@ class OffsetEstimator:
         unknowns = np.abs(null.mean[n:]) * np.sqrt(null.least[n:])
         return float(max(unknowns.max(), (null.noise / null.expected).max()))
 
+    def left_over(self, last: int) -> tuple[FloatArray, FloatArray]:
+        """What the estimate leaves of the last balances, newest first, and its usual size."""
+        null, at = self.posterior, recent(self.window, last)
+        rows = self.window.rows[at]
+        left = rows[:, :, 0] + rows[:, :, -len(null.mean) :] @ null.mean
+        return left, null.noise * (1.0 + (null.rest - 1.0) * self.window.rest[at])
+
+    def contradiction(self, last: int) -> float:
+        """Root mean square of what is left of the last balances, over its size; the largest.
+
+        Of balances whose readings are uncertain more is left.
+        """
+        last = min(last, len(self))
+        left, size = self.left_over(last)
+        power = left**2 / (size**2 + self.window.extra[recent(self.window, last)])
+        return float(np.sqrt(power.mean(axis=0).max())) if last else 0.0
+
     def _step(self) -> FloatArray:
         """Ways to the estimates of those offsets that have surely moved, shape (n,) [rad]."""
         step = self.level.mean[: self.joints] - self.balance.reference

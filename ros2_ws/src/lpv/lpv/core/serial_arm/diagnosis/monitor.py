@@ -44,6 +44,7 @@ from lpv.core.serial_arm.diagnosis.fault_filter import (
     follow_all,
 )
 from lpv.core.serial_arm.diagnosis.healthy_set import Guarantee, HealthySet
+from lpv.core.serial_arm.diagnosis.information import ROBUST
 from lpv.core.serial_arm.diagnosis.learning import Learned, learned_of
 from lpv.core.serial_arm.diagnosis.parameter_set import is_stated
 from lpv.core.serial_arm.diagnosis.priors import (
@@ -786,6 +787,10 @@ class SerialMonitor:
                 i = one.joint
                 self._suspected[i] = max(self._suspected[i], self._size_now(one, now))
         cause, share = next(iter(shares.items()))
+        for i, (gain, largest) in self.bank.free_courses(found, self.settings.sigmas).items():
+            self._rival = max(self._rival, gain)
+            if not best[cause].is_encoder:
+                self._suspected[i] = max(self._suspected[i], largest)
         # An offset of a torque sensor cannot be told from a torque on its joint.
         begins = (one.begin for one in best.values() if one.kind in OUTSIDE)
         self._contact.begin = min(self._contact.begin, *begins, math.inf)
@@ -910,6 +915,12 @@ class SerialMonitor:
     def in_contact(self) -> bool:
         """Whether torques act from outside."""
         return bool(self._contact.until > self._state['now'])
+
+    @property
+    def contradicts(self) -> bool:
+        """Whether readings, corrected as they are, go on to contradict the model."""
+        recently = max(round(CONTACT_TIME / self.plan.interval), 1)
+        return bool(self._suspects) and self.estimator.contradiction(recently) > ROBUST
 
     def _label(self, one: Hypothesis) -> str:
         """Name of a hypothesis for people."""
@@ -1123,6 +1134,7 @@ class SerialMonitor:
         """Faults that are over are cleared once they have been over for long enough."""
         sigma, level, sigmas = self.faults()[1], self.estimator.level, self.settings.sigmas
         clears, dwell = not self.settings.latch, self.settings.clear_dwell
+        contradicts = self.contradicts
         for i, sensor in enumerate(self.sensors):
             if not sensor.active:
                 continue
@@ -1140,6 +1152,7 @@ class SerialMonitor:
                 smallest = self.settings.minimum_threshold * self.scales[i]
                 limit = MOST * max(smallest, sigmas * sigma[i])
                 over = abs(left) < min(LEFT * sensor.peak, limit)
+            over &= not contradicts
             sensor.unseen &= over or not self._shows(i)
             if sensor.watch_end(over, now, dwell, abs(left)) and clears:
                 before = float(self.taken_out()[i])

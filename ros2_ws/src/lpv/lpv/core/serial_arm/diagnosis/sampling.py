@@ -38,8 +38,8 @@ MOST = 1.0 - LEFT
 derived rate, and less than what is usual changes by until a jump is named."""
 NONE, STEP, SPIKE, NOISY, QUIET, HIDDEN, CONTRARY = range(7)
 """What was found at a reading: `NOISY` and `QUIET` say that it began, or ceased, to be noisy,
-`HIDDEN` that samples are missing where it may have jumped, `CONTRARY` that its rate, said to be
-derived from it, contradicts it."""
+`HIDDEN` that it may have jumped where samples are missing, or over several samples, `CONTRARY` that
+its rate, said to be derived from it, contradicts it."""
 LARGEST, SMALLEST, USUAL, APART, WRONG, TIMES_WRONG, CONTRARY_AT, REPLACED = range(8)
 """Rows of `Sampler.contrast`: the largest and the smallest difference of the reading lately; by how
 much its published rate differs from them usually, and now [rad/s]; 1 where it contradicts them, how
@@ -830,6 +830,12 @@ def _name_jump(sampler: Sampler, i: int) -> None:
     if abs(size) <= smallest_jump(sampler, i):
         return
     doubt = sampler.doubtful[peak, i]
+    way = _gone_one_way(sampler, i, peak) if doubt == 0 else 0.0
+    if abs(after + size) < LEFT * abs(size) < abs(way):
+        sampler.found[i], sampler.size[i] = HIDDEN, way
+        if sampler.derived[i] == 1.0:
+            sampler.samples[peak - 1 :, 1, i] = sampler.samples[peak - 2, 1, i]
+        return
     if abs(after + size) < LEFT * abs(size):
         doubt = max(doubt, sampler.doubtful[peak + 1, i])
         sampler.found[i], sampler.size[i] = SPIKE if doubt == 0 else NONE, size
@@ -848,6 +854,18 @@ def _name_jump(sampler: Sampler, i: int) -> None:
         _remove_step(sampler, i, peak)
     elif doubt == 3:
         sampler.found[i], sampler.size[i] = HIDDEN, size
+
+
+@njit_in_place
+def _gone_one_way(sampler: Sampler, i: int, peak: int) -> float:
+    """Way since a jump that the rate before does not explain, 0 if it went back and forth [rad]."""
+    first, way, whole = peak - 2, 0.0, 0.0
+    for k in range(first + 1, HISTORY):
+        period = sampler.time[k] - sampler.time[k - 1]
+        step = sampler.samples[k, 0, i] - sampler.samples[k - 1, 0, i]
+        step -= period * sampler.samples[first, 1, i]
+        way, whole = way + step, whole + abs(step)
+    return way if abs(way) > MOST * whole else 0.0
 
 
 @njit_in_place

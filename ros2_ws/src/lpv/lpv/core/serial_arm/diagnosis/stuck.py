@@ -1,9 +1,10 @@
-"""A reading that rests while its joint moves on, at a rate that walks at random.
+"""Readings that rest, or err, while their joints move on, by rates that walk at random.
 
 Where the reading froze out of motion, the balances are evaluated anew along the way that the joint
 would have gone at the rate that it had; they hold the momentum that the frozen reading lost.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +14,13 @@ from lpv.core.serial_arm.diagnosis.balance import OFFSET, RATE
 from lpv.core.serial_arm.diagnosis.drift_trial import free_of_drift
 from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator, Posterior, set_residuals
 from lpv.core.serial_arm.diagnosis.information import ROBUST, factorise, recent, whiten
-from lpv.core.serial_arm.diagnosis.priors import ACCELERATIONS, LEAST_ACCELERATION, SLOW_RATE
+from lpv.core.serial_arm.diagnosis.priors import (
+    ACCELERATIONS,
+    LEAST_ACCELERATION,
+    OFFSET_PRIOR,
+    SLOW_RATE,
+    USUAL_ACCELERATION,
+)
 from lpv.core.serial_arm.diagnosis.sampling import block_end
 
 LINEAR = 1.0
@@ -112,7 +119,10 @@ def course_of_frozen(
         return None
     # A joint begins to move slowly while its reading rests.
     spread, pull = SLOW_RATE if balances else frozen.sigma, score[1:] - information[1:, 0]
-    tried = [_walk(information[1:, 1:], pull, size * step, spread) for size in ACCELERATIONS]
+    tried = [
+        _likely(information[1:, 1:], pull, _walk_root(count, size * step, spread))
+        for size in ACCELERATIONS
+    ]
     # The larger an acceleration, the rarer.
     evidence = np.array([one[0] for one in tried]) - np.log(ACCELERATIONS)
     _, rates, covariance = tried[int(np.argmax(evidence))]
@@ -134,22 +144,60 @@ def course_of_frozen(
     return Course(float(gain), begin, end, way, sums @ covariance @ sums.T)
 
 
-def _walk(
-    information: FloatArray, pull: FloatArray, step: float, spread: float
-) -> tuple[float, FloatArray, FloatArray]:
-    """Evidence, mean and covariance of rates that walk at random, in steps of a size [rad/s].
+def free_course(
+    estimator: OffsetEstimator, joint: int, last: int, momenta: FloatArray, moves: bool
+) -> tuple[float, float, float]:
+    """How much a fault of one reading explains of the last balances, whatever its course.
+
+    It has been there before them, of any size, and goes on at a rate that walks at random if it
+    ``moves``.  The arm's unknowns are held, as for rough torques from outside.  ``momenta``, shape
+    (capacity, n), are those by a unit rate of the reading.  Returns the logarithm of the Bayes
+    factor, and the fault now with its standard deviation [rad].
+    """
+    n, step, null = estimator.joints, estimator.plan.interval, estimator.posterior
+    at = recent(estimator.window, last)[::-1]
+    rows, derived = estimator.window.rows[at], estimator.balance.derived[joint]
+    left, size = (part[::-1] for part in estimator.left_over(last))
+    weights = _weights(left, size, null.inflation).reshape(-1, 1)
+    before = rows[:, :, 1 + OFFSET * n + joint, None]
+    steps = _rate_steps(rows, joint, momenta[at], step, derived)
+    columns = np.concatenate([before, steps], axis=2).reshape(-1, 1 + last)
+    pulled = weights * columns
+    information, pull = columns.T @ pulled, -pulled.T @ left.ravel()
+    if not np.isfinite(information).all() or not np.isfinite(pull).all():
+        return -math.inf, 0.0, 0.0  # a fault that is followed ran away
+    ways, found = np.append(1.0, np.full(last, step)), []
+    for larger in ACCELERATIONS if moves else (0.0,):
+        root = np.zeros((1 + last, 1 + last))
+        root[0, 0] = OFFSET_PRIOR
+        if moves:
+            root[1:, 1:] = _walk_root(last, larger * USUAL_ACCELERATION * step, SLOW_RATE)
+        gain, mean, covariance = _likely(information, pull, root)
+        sigma = math.sqrt(max(ways @ covariance @ ways, 0.0))
+        found.append((gain - math.log(max(larger, 1.0)), float(ways @ mean), sigma))
+    return max(found)
+
+
+def _walk_root(count: int, step: float, spread: float) -> FloatArray:
+    """Root of the covariance of rates that walk at random, in steps of a size [rad/s].
 
     ``spread`` is the standard deviation of the first one [rad/s].
     """
-    place = np.arange(1.0, len(pull) + 1.0)
-    root = np.linalg.cholesky(step**2 * np.minimum(place, place[:, None]) + spread**2)
+    place = np.arange(1.0, count + 1.0)
+    return np.linalg.cholesky(step**2 * np.minimum(place, place[:, None]) + spread**2)
+
+
+def _likely(
+    information: FloatArray, pull: FloatArray, root: FloatArray
+) -> tuple[float, FloatArray, FloatArray]:
+    """Evidence, mean and covariance of unknowns, by a root of their prior covariance."""
     # Of information that rounding made negative none is used: the covariance stays positive.
     powers, axes = np.linalg.eigh(root.T @ information @ root)
     powers = 1.0 + np.maximum(powers, 0.0)
     axes = root @ axes
     covariance = (axes / powers) @ axes.T
-    rates = covariance @ pull
-    return 0.5 * float(pull @ rates - np.log(powers).sum()), rates, covariance
+    mean = covariance @ pull
+    return 0.5 * float(pull @ mean - np.log(powers).sum()), mean, covariance
 
 
 def _weights(residual: FloatArray, size: FloatArray, inflation: FloatArray) -> FloatArray:
@@ -173,12 +221,15 @@ def _at_rest(
     return min(float(change), 0.0)
 
 
-def _rate_steps(rows: FloatArray, joint: int, momenta: FloatArray, step: float) -> FloatArray:
+def _rate_steps(
+    rows: FloatArray, joint: int, momenta: FloatArray, step: float, derived: float = 1.0
+) -> FloatArray:
     """Columns of errors of the rate in the newer interval of each balance.
 
     An error u is u in its rate and u T in all angles after it.  The momentum changes by M e_i times
     the difference of the rates of both intervals, the rest takes the mean of both; the angle at
-    their junction is off by the difference of these times T / 6.  Shape (count, n, count).
+    their junction is off by the difference of these times T / 6.  Rates that are not ``derived``
+    from the reading are right.  Shape (count, n, count).
     """
     count, n = rows.shape[:2]
     own, older = np.eye(count), np.eye(count, k=-1)
@@ -186,6 +237,6 @@ def _rate_steps(rows: FloatArray, joint: int, momenta: FloatArray, step: float) 
     offset, rate = rows[:, :, 1 + OFFSET * n + joint], rows[:, :, 1 + RATE * n + joint]
     return np.asarray(
         offset[:, :, None] * angle[:, None, :]
-        + 0.5 * rate[:, :, None] * (own + older)[:, None, :]
-        - momenta[:, :, None] * (own - older)[:, None, :]
+        + derived * 0.5 * rate[:, :, None] * (own + older)[:, None, :]
+        - derived * momenta[:, :, None] * (own - older)[:, None, :]
     )
