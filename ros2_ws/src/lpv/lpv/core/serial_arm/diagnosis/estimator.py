@@ -525,8 +525,15 @@ class OffsetEstimator:
         """What the estimate leaves of the last balances, newest first, and its usual size."""
         null, at = self.posterior, recent(self.window, last)
         rows = self.window.rows[at]
-        left = rows[:, :, 0] + rows[:, :, -len(null.mean) :] @ null.mean
-        return left, null.noise * (1.0 + (null.rest - 1.0) * self.window.rest[at])
+        return rows[:, :, 0] + rows[:, :, -len(null.mean) :] @ null.mean, self.usual_sizes(at)
+
+    def usual_sizes(self, at: int | IntArray) -> FloatArray:
+        """Usual sizes of what is left of balances at places of the ring, as they move or rest.
+
+        Unlike `usual_size`, no more in long rests.
+        """
+        null = self.posterior
+        return np.asarray(null.noise * (1.0 + (null.rest - 1.0) * self.window.rest[at]))
 
     def contradiction(self, last: int) -> float:
         """Root mean square of what is left of the last balances, over its size; the largest.

@@ -300,7 +300,7 @@ def _follow(
     unknowns = rows[:, rows.shape[1] - m :]
     known = np.ascontiguousarray(unknowns.T)
     whiten(null.factor, known)
-    noise = null.noise * (1.0 + (null.rest - 1.0) * window.rest[at])
+    noise = estimator.usual_sizes(at)
     # Neighbouring balances share an interval: each counts half.
     variance = 2.0 * np.diag(noise**2 * null.inflation) + known.T @ known
     variance += np.diag(window.extra[at]) + others

@@ -95,7 +95,7 @@ def course_of_frozen(
     after = rows[:, :, 0] + unknowns @ null.mean
     # Sizes of what is left: of joints that move where the reading lies, else as they rest.
     moved = np.flatnonzero(estimator.balance.to_joints[:, joint])
-    resting = null.noise * (1.0 + (null.rest - 1.0) * estimator.window.rest[at])
+    resting = estimator.usual_sizes(at)
     size = resting.copy()
     size[:, moved] = null.noise[moved]
     inflation = null.inflation
