@@ -830,13 +830,13 @@ def _name_jump(sampler: Sampler, i: int) -> None:
     if abs(size) <= smallest_jump(sampler, i):
         return
     doubt = sampler.doubtful[peak, i]
-    way = _gone_one_way(sampler, i, peak) if doubt == 0 else 0.0
-    if abs(after + size) < LEFT * abs(size) < abs(way):
-        sampler.found[i], sampler.size[i] = HIDDEN, way
-        if sampler.derived[i] == 1.0:
-            sampler.samples[peak - 1 :, 1, i] = sampler.samples[peak - 2, 1, i]
-        return
     if abs(after + size) < LEFT * abs(size):
+        way = _gone_one_way(sampler, i, peak) if doubt == 0 else 0.0
+        if abs(way) > LEFT * abs(size):
+            sampler.found[i], sampler.size[i] = HIDDEN, way
+            if sampler.derived[i] == 1.0:
+                sampler.samples[peak - 1 :, 1, i] = sampler.samples[peak - 2, 1, i]
+            return
         doubt = max(doubt, sampler.doubtful[peak + 1, i])
         sampler.found[i], sampler.size[i] = SPIKE if doubt == 0 else NONE, size
         if doubt > 0:
