@@ -513,11 +513,10 @@ class SerialSensorMonitor:
         samples[:, 0] = map_rows(self._to_sensors, np.asarray(position))
         samples[:, 1] = map_rows(self._to_sensors, np.asarray(velocity))
         samples[:, 2] = effort
-        has_moved = self._has_moved
         idle = self._leave_out_idle(position, samples)
         begin = 0
         while begin < len(stamps):
-            if begin == idle and not has_moved:
+            if begin == idle:
                 self.reset()  # what was learned from them is wrong
             regular = self._regular(batch, begin)
             if not regular:
@@ -536,7 +535,7 @@ class SerialSensorMonitor:
         return answers
 
     def _leave_out_idle(self, position: FloatArray, samples: FloatArray) -> int:
-        """Make efforts NaN that are 0 in motion and always were; the first such sample, or -1.
+        """Make efforts NaN that are 0 in motion and always were; the first such one of all, or -1.
 
         A driver that measures none may publish zeros.  An arm that rests on its brakes needs none.
         """
@@ -546,10 +545,11 @@ class SerialSensorMonitor:
             self._first = np.array(position[0])
         is_given = np.logical_or.accumulate((np.abs(samples[:, 2]) > 0.0).any(1))
         moves = (np.abs(position - self._first) > SMALL * self.arm.scales()).any(1)
-        idle = (np.logical_or.accumulate(moves) | self._has_moved) & ~is_given
+        had_moved = self._has_moved
+        idle = (np.logical_or.accumulate(moves) | had_moved) & ~is_given
         samples[idle, 2] = np.nan
-        self._has_efforts, self._has_moved = bool(is_given[-1]), self._has_moved or bool(idle.any())
-        return int(idle.argmax()) if idle.any() else -1
+        self._has_efforts, self._has_moved = bool(is_given[-1]), had_moved or bool(idle.any())
+        return int(idle.argmax()) if self._has_moved and not had_moved else -1
 
     def _regular(self, batch: _Batch, begin: int) -> int:
         """Number of samples from ``begin`` on that can be used as they are, after the last one."""
