@@ -10,7 +10,7 @@ from simulated_runs import Push
 from lpv.core.monitoring.parameters import DiagnosisParameters
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.certificate.jump_bound import jump_bound
-from lpv.core.serial_arm.diagnosis.alarms import SensorState
+from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent, SensorState
 from lpv.core.serial_arm.diagnosis.fault_filter import FaultFilter
 from lpv.core.serial_arm.diagnosis.monitor import SerialMonitor
 from lpv.core.serial_arm.diagnosis.settings import MonitorSettings
@@ -43,6 +43,16 @@ def test_given_a_known_drift_when_samples_are_missing_then_it_goes_on_meanwhile(
         assert np.abs(error[2500:]).max() < 0.06  # 0.18 rad in the gap
         assert (np.abs(error) < answers.fault.bound)[2500:].all()
         assert {event.kind for _, event in answers.events} == {'drift'}
+
+
+@pytest.mark.parametrize('rates', ['derived', 'independent'])
+def test_given_a_suspected_drift_when_it_is_named_then_its_alarm_has_the_bound_of_the_answer(rates):
+    run = simulated(shoulder_arm(rates), Fault('encoder2', 'drift', 3.0, rate=0.3), duration=4.0)
+    answers = answered(shoulder_arm(rates), run)
+    ((sample, alarm),) = ((k, e) for k, e in answers.events if e.event is AlarmEvent.RAISED)
+    assert (alarm.size, alarm.bound) == pytest.approx(
+        (answers.fault.estimate[sample, 1], answers.fault.bound[sample, 1])
+    )
 
 
 def test_given_a_step_when_its_reading_is_noisy_for_a_while_then_the_step_remains():

@@ -1030,10 +1030,10 @@ class SerialMonitor:
         correct_since(one, self.estimator, self.sampler, self.bank.momenta_of(i))
         self._correction[i] = self.sampler.correction[i]
         self.healthy = self.guarantee = None  # readings are changed
+        self._suspect_nothing()
         fault, deviation = self.faults()
         name = {'slip': 'bias'}.get(one.kind, one.kind)
         self._raise(i, name, one.begin, float(fault[i]), float(deviation[i]), confidence=share)
-        self._suspect_nothing()
 
     def _begin(self, one: Hypothesis, kind: str) -> FaultFilter:
         """Filter of a fault of a kind."""
