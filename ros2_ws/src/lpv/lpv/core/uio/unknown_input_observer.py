@@ -54,6 +54,11 @@ UIO_STATE = record_type(
     ('losses', LOSS_STATE),
     ('bound', BOUND_STATE),
     ('valid', '?'),  # whether there is an estimate
+    # Of faults that were there at the start: the largest that the horizon leaves possible [rad],
+    # until an alarm, and the share that the estimates may still lack.
+    ('initial', 'f8', (2,)),
+    ('alarmed', '?'),
+    ('left', 'f8'),
 )
 
 
@@ -88,13 +93,21 @@ def uio_step(
     if not observe(
         params.observer, state.observer, state.estimate, stamp, position, velocity, effort
     ):
-        reset_bound(state.bound)
-        state.losses.started = False
-        state.valid = False
+        _start_again(state)
         return
     state.valid = True
+    if not (state.estimate.held[0] or state.estimate.held[1]):
+        state.left *= math.exp(-params.bound.decay * state.estimate.interval)
     note_lost_samples(params.losses, state.losses, state.estimate)
     update_bound(params.bound, state.bound, state.estimate, state.losses.lost)
+
+
+@njit
+def _start_again(state: np.record) -> None:
+    """Without an estimate; the next one takes the readings for right."""
+    reset_bound(state.bound)
+    state.losses.started = state.valid = state.alarmed = False
+    state.initial[:], state.left = np.inf, 1.0
 
 
 @njit
@@ -134,20 +147,38 @@ def uio_answers(
             measured[1, i] = rows.measured_velocity[row, i]
             measured[2, i] = samples[k, 2, i]
         uio_step(params, state, stamps[k], measured[0], measured[1], measured[2])
+        _limit_initial_faults(state, rows, row)
         if state.valid and params.choice != _HORIZON:
             _tighten(params.choice, state, parts, rows, row)
 
 
 @njit
+def _limit_initial_faults(state: np.record, rows: Any, k: int) -> None:
+    """By the horizon, while no alarm says that others have come or gone since the start."""
+    state.alarmed |= rows.alarm[k, 0] or rows.alarm[k, 1]
+    if not state.alarmed:
+        for i in range(2):
+            left = abs(rows.estimate[k, i]) + rows.bound[k, i]
+            state.initial[i] = min(state.initial[i], left)
+
+
+@njit
 def _tighten(choice: int, state: np.record, parts: UioParts, rows: Any, k: int) -> None:
-    """Replace what is known worse; positions follow q = S^-1 (y - f), y as measured."""
+    """Replace what is known worse; positions follow q = S^-1 (y - f), y as measured.
+
+    The set of errors leaves out faults that were there at the start; what the estimate may still
+    lack of them adds to the bound.
+    """
     estimate, to_sensors, to_joints = state.estimate, parts.to_sensors, parts.to_joints
     for i in range(2):
-        if choice == _UIO or state.bound.bound[i] < rows.bound[k, i]:
+        bound = state.bound.bound[i]
+        if choice == _TIGHTEST:
+            bound += state.left * state.initial[i]
+        if choice == _UIO or bound < rows.bound[k, i]:
             change = -estimate.fault[i]
             for j in range(2):
                 change += to_sensors[i, j] * (rows.measured[k, j] - rows.position[k, j])
-            rows.estimate[k, i], rows.bound[k, i] = estimate.fault[i], state.bound.bound[i]
+            rows.estimate[k, i], rows.bound[k, i] = estimate.fault[i], bound
             for j in range(2):
                 rows.position[k, j] += to_joints[j, i] * change
     if choice == _UIO:
@@ -248,6 +279,4 @@ class UnknownInputObserver:
     def reset(self) -> None:
         """Forget everything; the next sample is a first one."""
         reset_observer(self._state.observer)
-        self._state.losses.started = False
-        reset_bound(self._state.bound)
-        self._state.valid = False
+        _start_again(self._state)
