@@ -45,6 +45,16 @@ def test_given_a_known_drift_when_samples_are_missing_then_it_goes_on_meanwhile(
         assert {event.kind for _, event in answers.events} == {'drift'}
 
 
+@pytest.mark.parametrize(('rate', 'seed'), [(0.02, 2), (0.05, 4), (-0.05, 4)])
+def test_given_a_slow_drift_then_it_is_not_called_a_scale_error_that_would_have_begun_with_a_jump(
+    rate, seed
+):
+    arm = shoulder_arm('independent')
+    drift = Fault('encoder1', 'drift', 4.0, rate=rate)
+    answers = answered(arm, simulated(arm, drift, duration=7.0, seed=seed))
+    assert [(event.sensor, event.kind) for _, event in answers.events] == [('encoder1', 'drift')]
+
+
 @pytest.mark.parametrize('rates', ['derived', 'independent'])
 def test_given_a_suspected_drift_when_it_is_named_then_its_alarm_has_the_bound_of_the_answer(rates):
     run = simulated(shoulder_arm(rates), Fault('encoder2', 'drift', 3.0, rate=0.3), duration=4.0)

@@ -286,13 +286,14 @@ def _compare(
     if basis[SCALE] != 0.0:
         z -= min(max(z, 0.0), evidence.common[w, i])
     prior = kinds.prior[k, i]
-    # A larger slip, or scale error, would have shown as a jump, when it came.
-    share = 1.0
+    # A larger slip, or scale error, would have shown as a jump, when it came: few are as small.
+    largest = np.inf
     if basis[OFFSET] != 0.0:
-        share = min(unseen / prior, 1.0)
-        prior *= share
+        largest = unseen
     if basis[SCALE] != 0.0:
-        prior = min(prior, unseen / max(abs(evidence.pose[w, i]), 1e-6))
+        largest = unseen / max(abs(evidence.pose[w, i]), 1e-6)
+    share = min(largest / prior, 1.0)
+    prior *= share
     first, right = max(prior * prior * own, 0.0) + 1.0, prior * z
     if k < kinds.singles:
         mean, spread = right / first, 1.0 / np.sqrt(first)
