@@ -79,7 +79,7 @@ class Alarm:
     size: float  # fault at the event, with sign [rad]; [rad/s] of a rate sensor's
     bound: float  # on the error of the size
     kind: str  # one of `KINDS`
-    confidence: float  # probability that the name is right; 1, exactly, where that is guaranteed
+    confidence: float  # that this sensor is to blame; 1, exactly, where that is guaranteed
     # `GUARANTEED` or `STATISTICAL`; no field of the message
     basis: str = field(default=STATISTICAL, kw_only=True)
     unit: str = field(default='rad', kw_only=True)  # of positions of the sensor

@@ -122,7 +122,7 @@ class SerialAlarm:
     sigma: float  # standard deviation of size
     guaranteed: bool = False  # whether no healthy arm inside its file shows this; else statistical
     event: str = 'raised'  # raised, updated or cleared
-    confidence: float = 1.0  # probability that the name is right
+    confidence: float = 1.0  # probability that this sensor is to blame
     rate: float = 0.0  # at which the fault grows [rad/s]
 
 
