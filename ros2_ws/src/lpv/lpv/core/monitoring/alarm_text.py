@@ -33,7 +33,7 @@ COUNTER_TEXT = {
     'implausible': 'measurements with values that this arm cannot reach',
     'gaps': 'interruptions after which the balances begin anew',
     'repeated': 'measurements that the driver repeated while the arm moved',
-    'unread': 'measurements of zeros alone, as before the driver has read any',
+    'unread': 'measurements of zeros alone, or of no number, as of a driver that reads no hardware',
     'without_effort': 'measurements without efforts that had been there before',
 }
 """Fields of `lpv.core.monitoring.serial_monitor.SerialCounters`, what they count."""

@@ -81,7 +81,7 @@ class SerialCounters:
     not_finite: int = 0  # NaN or infinite readings, or rates of a sensor of their own
     implausible: int = 0  # values that no arm has
     gaps: int = 0  # intervals after which the balances restart
-    unread: int = 0  # zeros alone, as of a driver that has not read its hardware yet
+    unread: int = 0  # without readings, as of a driver that has not read its hardware yet
     without_effort: int = 0  # efforts were missing that had been there before
     repeated: int = 0  # by a driver that had nothing new of an arm in motion
 
@@ -120,6 +120,53 @@ def _new_batch(kind: np.dtype, count: int, joints: int) -> _Batch:
         answer_rows(memory),
         answers,
     )
+
+
+def _read(joints: int) -> np.dtype:
+    """Record type of what a driver has read."""
+    return record_type(
+        ('position', 'f8', joints),  # the last one of each joint, NaN before any [rad]
+        ('stamp', 'i8'),  # of the last measurement [ns]
+    )
+
+
+@njit_in_place
+def _find_unread(
+    stamps: IntArray,
+    samples: FloatArray,
+    small: FloatArray,
+    read: np.ndarray,
+    unread: npt.NDArray[np.bool_],
+) -> None:
+    """Find measurements of a driver that has not read its hardware; their readings become NaN.
+
+    Until it has, and when it connects again, positions of all joints are NaN or exactly 0.  At
+    its start such zeros are the arm's if anything else is other than 0, and later if at most one
+    joint was farther than ``small`` from there: a single sensor that fails may read 0, too.
+    ``read`` is memory of a record of `_read`.
+    """
+    one, joints = read[0], samples.shape[2]
+    for k in range(len(stamps)):
+        if abs(stamps[k] - one.stamp) > JUMP:
+            one.position[:] = np.nan  # the driver has started
+        one.stamp = stamps[k]
+        known = others = False
+        away = zero = missing = 0
+        for i in range(joints):
+            known = known or not np.isnan(one.position[i])
+            away += abs(one.position[i]) > small[i]
+            zero += samples[k, 0, i] == 0.0
+            missing += np.isnan(samples[k, 0, i])
+            others = others or abs(samples[k, 1, i]) > 0.0 or abs(samples[k, 2, i]) > 0.0
+        if known:
+            unread[k] = zero == joints and away > 1
+        else:
+            unread[k] = missing == joints or (zero + missing == joints and not others)
+        for i in range(joints):
+            if unread[k]:
+                samples[k, 0, i] = np.nan
+            elif not np.isnan(samples[k, 0, i]):
+                one.position[i] = samples[k, 0, i]
 
 
 def _repeats(joints: int) -> np.dtype:
@@ -351,10 +398,11 @@ class SerialSensorMonitor:
             if self._uio.certifies:
                 self._monitor.certify(self._uio.level)
         self._gap = round(LONGEST_STEP * arm.sample_time * NANOSECONDS)
-        self._is_read = False  # whether the driver has measured anything but zeros
         self._has_efforts = False  # whether any was other than 0
         self._first: FloatArray | None = None  # positions of the first measurement [rad]
         self._has_moved = False  # from there, before efforts came
+        self._read: Any = new_record(_read(self._joints), position=np.nan)
+        self._small = SMALL * arm.scales()
         self.retune(parameters or DiagnosisParameters())
         self._begin()
 
@@ -383,6 +431,11 @@ class SerialSensorMonitor:
 
     def reset(self) -> None:
         """Forget estimates and alarms; counters stay."""
+        self._read.position[:] = np.nan
+        self._start_again()
+
+    def _start_again(self) -> None:
+        """Forget estimates and alarms, but not what the driver has read."""
         self._monitor.reset()
         if self._uio is not None:
             self._uio.reset()
@@ -509,23 +562,25 @@ class SerialSensorMonitor:
     ) -> Answers:
         """Use the measurements of a batch, which has their stamps."""
         stamps, samples, records, _, rows, answers = batch
-        position, velocity = self._turns.continued(stamps, position, velocity)
-        samples[:, 0] = map_rows(self._to_sensors, np.asarray(position))
-        samples[:, 1] = map_rows(self._to_sensors, np.asarray(velocity))
-        samples[:, 2] = effort
-        idle = self._leave_out_idle(position, samples)
+        samples[:, 0], samples[:, 1], samples[:, 2] = position, velocity, effort
+        unread = np.empty(len(stamps), bool)
+        self._call(_find_unread, stamps, samples, self._small, memory(self._read), unread)
+        position, velocity = self._turns.continued(stamps, samples[:, 0], samples[:, 1])
+        idle = self._leave_out_idle(position, samples[:, 2])
+        samples[:, 0] = map_rows(self._to_sensors, position)
+        samples[:, 1] = map_rows(self._to_sensors, velocity)
         begin = 0
         while begin < len(stamps):
             if begin == idle:
-                self.reset()  # what was learned from them is wrong
+                self._start_again()  # what was learned from them is wrong
             regular = self._regular(batch, begin)
             if not regular:
                 row: Any = records[begin : begin + 1]
                 if not self._is_of_stream(int(stamps[begin]), row):
                     begin += 1
                     continue
-                usable = self._prepare(int(stamps[begin]), samples[begin], row)
-            if self._is_missing or not regular:
+                usable = self._prepare(int(stamps[begin]), samples[begin], unread[begin], row)
+            if (self._is_missing or not regular) and not unread[begin]:
                 self._watch_dropouts(int(stamps[begin]), samples[begin], begin, answers)
             if regular or usable:
                 self._run(batch, begin, begin + max(1, regular), answers)
@@ -534,20 +589,21 @@ class SerialSensorMonitor:
             begin += max(1, regular)
         return answers
 
-    def _leave_out_idle(self, position: FloatArray, samples: FloatArray) -> int:
+    def _leave_out_idle(self, position: FloatArray, effort: FloatArray) -> int:
         """Make efforts NaN that are 0 in motion and always were; the first such one of all, or -1.
 
         A driver that measures none may publish zeros.  An arm that rests on its brakes needs none.
         """
-        if self._has_efforts or not len(samples):
+        read = np.isfinite(position).any(1)
+        if self._has_efforts or not read.any():
             return -1
         if self._first is None:
-            self._first = np.array(position[0])
-        is_given = np.logical_or.accumulate((np.abs(samples[:, 2]) > 0.0).any(1))
-        moves = (np.abs(position - self._first) > SMALL * self.arm.scales()).any(1)
+            self._first = position[read.argmax()].copy()
+        is_given = np.logical_or.accumulate((np.abs(effort) > 0.0).any(1) & read)
+        moves = (np.abs(position - self._first) > self._small).any(1)
         had_moved = self._has_moved
         idle = (np.logical_or.accumulate(moves) | had_moved) & ~is_given
-        samples[idle, 2] = np.nan
+        effort[idle] = np.nan
         self._has_efforts, self._has_moved = bool(is_given[-1]), had_moved or bool(idle.any())
         return int(idle.argmax()) if self._has_moved and not had_moved else -1
 
@@ -593,7 +649,7 @@ class SerialSensorMonitor:
         self._balanced += shift
         self._know(self._monitor.snapshot(), self._stamp)
 
-    def _prepare(self, stamp: int, sample: FloatArray, row: np.recarray) -> bool:
+    def _prepare(self, stamp: int, sample: FloatArray, unread: np.bool_, row: np.recarray) -> bool:
         """Get ready for a sample that does not simply follow; False if it is used up so.
 
         ``row`` receives the answer in this case.
@@ -604,16 +660,15 @@ class SerialSensorMonitor:
             self.counters.repeated += 1
             self._answer_stale(stamp, row)
             return False
+        if unread:
+            self.counters.unread += 1
+            self._answer_stale(stamp, row)
+            return False
         if not _plausible(sample, self._independent, self._endless, self._reading):
             needed = np.concatenate([sample[0], sample[1, self._independent]])
             finite = bool(np.isfinite(needed).all())
             self.counters.implausible += finite
             self.counters.not_finite += not finite
-            self._answer_stale(stamp, row)
-            return False
-        self._is_read = self._is_read or bool(np.nan_to_num(sample).any())
-        if not self._is_read:
-            self.counters.unread += 1
             self._answer_stale(stamp, row)
             return False
         blind = not np.isfinite(sample[2]).all()
@@ -730,6 +785,7 @@ class SerialSensorMonitor:
         if stamp <= self._stamp:
             return  # the gate has seen later stamps, of samples without use
         self._stamp, self._reading, self._newest = stamp, reading.copy(), record.copy()
+        self._read.stamp, self._read.position = stamp, self._to_joints @ reading
         self._gate.follow(stamp)
         self._monitor.went_on(stamp)
 

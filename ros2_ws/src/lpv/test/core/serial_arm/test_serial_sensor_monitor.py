@@ -174,18 +174,57 @@ def test_given_efforts_that_are_always_0_when_the_arm_moves_then_there_are_none(
 
 
 @pytest.mark.parametrize('part', [1, 10_000])
-def test_given_zeros_until_a_driver_has_read_its_hardware_then_no_sensor_jumps(part):
-    run = simulated(ARM, duration=2.0)
-    samples, found = run.samples.copy(), []
-    samples[:100] = 0.0
-    samples[:50, 2] = np.nan  # of an interface that is missing
-    monitor = SerialSensorMonitor('/uio', ARM)
-    for begin in range(0, len(samples), part):
-        rows = slice(begin, begin + part)
-        _, answers = observe(run.stamps[rows] + 5, samples[rows], monitor)
+@pytest.mark.parametrize('rates', ['derived', 'independent'])
+@pytest.mark.parametrize(
+    ('begin', 'count', 'values'),
+    [
+        (0, 100, (0.0, 0.0, 0.0)),
+        (0, 50, (0.0, 0.0, np.nan)),  # of an interface that is missing
+        (0, 100, (np.nan, np.nan, np.nan)),
+        (0, 100, (np.nan, 0.0, 3.0)),  # efforts come from elsewhere
+        (600, 1, (0.0, 0.0, 0.0)),  # the driver connects again
+        (600, 5, (0.0, 0.0, 0.0)),
+        (600, 100, (0.0, 0.0, 0.0)),
+        (600, 100, (0.0, 0.0, 3.0)),
+        (600, 100, (0.0, -20.0, 0.0)),  # rates are differences
+        (600, 700, (0.0, 0.0, 0.0)),
+    ],
+)
+def test_given_a_driver_that_has_not_read_its_hardware_then_no_sensor_has_failed(
+    begin, count, values, rates, part
+):
+    arm, found = shoulder_arm(rates), []
+    run = simulated(arm, duration=3.0)
+    samples, stamps = run.samples.copy(), run.stamps + 5
+    samples[begin : begin + count] = np.array(values)[:, None]
+    stamps[600:] += 5 * JUMP * (count == 700)  # silence comes first
+    monitor = SerialSensorMonitor('/uio', arm)
+    for k in range(0, len(samples), part):
+        rows = slice(k, k + part)
+        _, answers = observe(stamps[rows], samples[rows], monitor)
         found += told(answers)
-    assert found == [] and monitor.counters.unread == 100
-    assert answers.state.mode[-1] == Mode.OBSERVING
+    counters = monitor.counters
+    assert found == [] and counters.unread + counters.refused_stamps == count
+    assert answers.state.mode[-1] == Mode.OBSERVING and answers.state.trustworthy[-1]
+
+
+def test_given_readings_of_0_that_joints_may_have_then_they_are_read():
+    """A sensor fails, an arm was taken to zero in a silence, another comes to rest there."""
+    run = simulated(ARM, duration=3.0)
+    stamps, samples = run.stamps + 5, run.samples.copy()
+    failed = samples.copy()
+    failed[700:, :, 1] = 0.0
+    monitor, answers = observe(stamps, failed)
+    assert monitor.counters.unread == 0 and told(answers)[0] == RAISED[0]
+    stamps[700:] += 5 * JUMP
+    samples[700:, :2] = 0.0
+    monitor, answers = observe(stamps, samples)
+    assert monitor.counters.unread == 0 and answers.state.measured_position[-1].any() == 0.0
+    fade = np.maximum(0.0, 1.0 - np.arange(1500) / 700.0)[:, None]
+    path = np.stack([fade * [0.5, -0.4, 0.3], np.gradient(fade, 2e-3, axis=0) * [0.5, -0.4, 0.3],
+                     0.0 * fade + [0.0, 4.0, 2.0]], axis=1)  # fmt: skip
+    monitor, _ = observe(run.stamps + 5, path)
+    assert monitor.counters.unread == 0 and (path[700:, 0] == 0.0).all()
 
 
 def test_given_no_rates_then_they_are_differences_and_independent_ones_are_waited_for():
@@ -197,7 +236,7 @@ def test_given_no_rates_then_they_are_differences_and_independent_ones_are_waite
     np.testing.assert_allclose(answers.state.measured_velocity[1:], expected, atol=1e-9)
     assert told(answers) == RAISED
     monitor = SerialSensorMonitor('/uio', shoulder_arm('independent'))
-    record = monitor.take(1, message(velocity=[])).record
+    record = monitor.take(1, message(position=[0.1] * 3, velocity=[])).record
     assert record['state']['mode'] == Mode.NO_ESTIMATE and not record['state']['trustworthy']
     assert not record['has_fault'] and monitor.counters.not_finite == 1
 
