@@ -444,7 +444,8 @@ def test_given_two_arms_when_loaded_then_their_measurements_tell_them_apart(tmp_
             entries.append(measure(k, [i, i], topic=f'{name}/joint_states'))
             entries.append((f'{name}/fault_estimate', k, {'estimate': [i, k]}))
     bag = write(tmp_path / 'bag', entries, [('/a/fault_alarm', ALARM_TYPE)])
-    with pytest.raises(BagError, match='/a/joint_states, /b/c/joint_states.*--topic'):
+    told = 'carry the joints joint1, joint2: /a/joint_states, /b/c/joint_states; .*--topic'
+    with pytest.raises(BagError, match=told):
         load_run(bag)
     for place in (bag, shutil.copy(storage(bag), tmp_path / 'alone.mcap')):
         for i, name in enumerate(('/a', '/b/c')):
@@ -454,6 +455,20 @@ def test_given_two_arms_when_loaded_then_their_measurements_tell_them_apart(tmp_
             assert (record.alarms, record.counts['/a/fault_alarm']) == ([], 0)
     with pytest.raises(BagError, match="no topic '/c/joint_states'"):
         load_run(bag, '/c/joint_states')
+
+
+def test_given_a_gripper_on_a_topic_of_its_own_when_loaded_then_the_joints_choose(tmp_path):
+    entries = []
+    for k in range(3):
+        entries.append(measure(k, [0.5], ['finger'], topic='/gripper/joint_states'))
+        entries += [measure(k, [0.7], ['finger']), measure(k, [k, k])]
+    bag = write(tmp_path / 'bag', entries)
+    record = load_run(bag, joint_names=PAIR)
+    assert record.get('joint_states', 'position')[:, 0].tolist() == [0.0, 1.0, 2.0]
+    told = r'/gripper/joint_states \(finger\), /joint_states \(finger, joint1, joint2\)'
+    for joints in (None, ('elbow',)):
+        with pytest.raises(BagError, match=told):
+            load_run(bag, joint_names=joints)
 
 
 def test_given_arrays_of_fixed_length_when_loaded_then_it_is_as_ever(tmp_path, monkeypatch):

@@ -473,7 +473,7 @@ def test_given_topics_when_replayed_then_the_right_one_or_nothing_is_left(loop, 
     others = write(tmp_path / 'others', measured(loop[:50], name=['left', 'right']))
     for source, options, told in (
         (nothing, {}, r'JointState; it has /chatter \(std_msgs/msg/String\)'),
-        (two_arms, {}, '/a/joint_states, /b/joint_states'),
+        (two_arms, {}, 'carry the joints .*: /a/joint_states, /b/joint_states'),
         (two_arms, {'topic': '/c/joint_states'}, "'/c/joint_states'.* it has /a/joint_states"),
         (two_arms, {'topic': topics[1], 'torque_from_command': True}, "no topic '/b/torque_c"),
         (two_arms, {'topic': topics[1], 'start': 100.0}, 'bag: holds no message on /b/joint_s'),

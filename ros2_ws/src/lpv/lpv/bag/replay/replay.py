@@ -131,7 +131,8 @@ class Replay:
     def _begin(self, reader: BagReader) -> tuple[ReplayResult, Connection | None]:
         """A result that names the topic of the measurements; where the torques come from."""
         options, effort = self._options, None
-        measured = find_topic(reader, MEASUREMENT_TYPE, 'joint_states', options.topic).topic
+        joints = self._monitor.arm.joint_names
+        measured = find_topic(reader, MEASUREMENT_TYPE, 'joint_states', options.topic, joints).topic
         prefix = arm_namespace(reader, measured)
         self._monitor.name = f'{prefix}/uio'
         if options.effort_topic:

@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,8 @@ from lpv.core.support.timestamps import to_nanoseconds
 CORRECTED = 'joint_states_corrected'
 """Name of a topic of measurements without confirmed faults: an answer, no measurements."""
 ALARMS, ALARM_TYPE = 'fault_alarm', 'lpv_msgs/msg/FaultAlarm'
+_ENOUGH = 20
+"""Messages that tell what a topic carries, where several nodes publish on it."""
 _LOG = logging.getLogger(__name__)
 _NEEDED = {msgtype: ('header', *fields) for msgtype, fields in STREAMS.values()}
 _NEEDED['sensor_msgs/msg/JointState'] += ('name',)
@@ -27,9 +30,15 @@ _ALARM = 'header event sensor_index sensor onset detected size bound kind confid
 _NEEDED[ALARM_TYPE] = tuple(_ALARM.split())
 
 
-def find_topic(reader: BagReader, msgtype: str, name: str, wanted: str | None = None) -> Connection:
+def find_topic(
+    reader: BagReader,
+    msgtype: str,
+    name: str,
+    wanted: str | None = None,
+    joints: Sequence[str] | None = None,
+) -> Connection:
     """The one connection that carries a stream, as `find_connections`; BagError without it."""
-    found = find_connections(reader, msgtype, name, wanted)
+    found = find_connections(reader, msgtype, name, wanted, joints=joints)
     if found:
         return found[0]
     there = ', '.join(sorted({f'{c.topic} ({c.msgtype})' for c in reader.connections}))
@@ -45,6 +54,7 @@ def find_connections(
     name: str,  # end of the topic that is preferred
     wanted: str | None = None,  # topic that the user gives
     namespace: str | None = None,  # directly below which topics are
+    joints: Sequence[str] | None = None,  # of the arm; topics of others, a gripper's, do not count
 ) -> list[Connection]:
     """All connections of the one topic that carries a stream; BagError if several topics do."""
     found = [c for c in reader.connections if c.msgtype == msgtype]
@@ -56,16 +66,40 @@ def find_connections(
     else:
         found = [c for c in found if c.topic.rsplit('/', 1)[-1] != CORRECTED]
         found = [c for c in found if c.topic.rsplit('/', 1)[-1] == name] or found
-    topics = sorted({c.topic for c in found})
-    if len(topics) > 1:
-        raise BagError(
-            f'{reader.path}: several topics carry {msgtype}: {", ".join(topics)}; '
-            'the bag holds more than one arm, say which topic has the measurements of the one that '
-            'is meant (--topic)'
-        )
+    if len({c.topic for c in found}) > 1:
+        found = _of_one_topic(reader, msgtype, found, joints)
     if found and msgtype in _NEEDED:
         reader.check_definition(msgtype, _NEEDED[msgtype])
     return found
+
+
+def _of_one_topic(
+    reader: BagReader, msgtype: str, found: list[Connection], joints: Sequence[str] | None
+) -> list[Connection]:
+    """Those of some connections that carry an arm's joints; BagError where topics remain."""
+    carried = {c.topic: _joints_of(reader, c) for c in found}
+    found = [c for c in found if {*(joints or ())} <= {*carried[c.topic]}] or found
+    topics = sorted({c.topic for c in found})
+    if len(topics) == 1:
+        return found
+    what, first = msgtype, carried[topics[0]]
+    if any({*carried[topic]} != {*first} for topic in topics):
+        topics = [f'{topic} ({", ".join(carried[topic]) or "no joint"})' for topic in topics]
+    elif first:
+        what = f'the joints {", ".join(first)}'
+    raise BagError(
+        f'{reader.path}: several topics carry {what}: {", ".join(topics)}; '
+        'choose that of the measurements (--topic)'
+    )
+
+
+def _joints_of(reader: BagReader, connection: Connection) -> list[str]:
+    """Joints that the first messages of a topic name; none of another type than JointState."""
+    if connection.msgtype != STREAMS['joint_states'][0]:
+        return []
+    messages = islice(reader.messages([connection]), _ENOUGH)
+    decoded = (reader.deserialize(data, connection.msgtype) for *_, data in messages)
+    return list(dict.fromkeys(name for message in decoded for name in message.name))
 
 
 def arm_namespace(reader: BagReader, measured: str) -> str:
@@ -88,11 +122,15 @@ def load_run(
     with open_bag(path) as reader:
         msgtype, name = STREAMS['joint_states'][0], 'joint_states'
         if not answers_only:
-            find_topic(reader, msgtype, name, topic)
+            find_topic(reader, msgtype, name, topic, joint_names)
         namespace = None if topic is None else arm_namespace(reader, topic)
         types = {**{name: msgtype for name, (msgtype, _) in STREAMS.items()}, ALARMS: ALARM_TYPE}
-        found = {n: find_connections(reader, t, n, namespace=namespace) for n, t in types.items()}
-        found[name] = find_connections(reader, msgtype, name, topic)
+        found = {name: find_connections(reader, msgtype, name, topic, joints=joint_names)}
+        found |= {
+            other: find_connections(reader, kind, other, namespace=namespace)
+            for other, kind in types.items()
+            if other != name
+        }
         chosen = {name: connections for name, connections in found.items() if connections}
         record = RunRecord(topics={name: c[0].topic for name, c in chosen.items()})
         for connection in reader.connections:
