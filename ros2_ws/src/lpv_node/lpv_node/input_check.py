@@ -31,7 +31,10 @@ _WAIT = 0.3
 
 
 class OneSender:
-    """Keeps the measurements of two senders on one topic apart."""
+    """Keeps the measurements of two senders on one topic apart.
+
+    Publishers of other joints alone, a gripper's, are none of these: each is told by its joints.
+    """
 
     # One that repeats, goes back in time, or is further from the one before than the arm can have
     # moved is another sender's.  It is believed after none that continues the first one's has come
@@ -43,22 +46,35 @@ class OneSender:
         self._heard = 0.0  # when it came [s]
         self._position = np.zeros(len(self._names))
         self._rate = np.zeros(len(self._names))
+        self._others: dict[frozenset[str], float] = {}  # joints, when they were heard last [s]
+
+    def others(self, now: float | None = None) -> int:
+        """Number of publishers of other joints that were heard in the last seconds."""
+        now = time.monotonic() if now is None else now
+        self._others = {one: at for one, at in self._others.items() if now - at < PATIENCE}
+        return len(self._others)
 
     def accept(
         self,
         stamp: int,
         names: Sequence[str],
         position: Sequence[float],
-        several: bool,
+        publishers: int,
         now: float | None = None,
     ) -> bool:
-        """Whether to use a measurement of a stamp [ns]; of one sender all are."""
+        """Whether to use a measurement of a stamp [ns]; of one sender all are.
+
+        ``publishers`` is their number on the topic.
+        """
+        now = time.monotonic() if now is None else now
+        if names and {*self._names}.isdisjoint(names):
+            self._others[frozenset(names)] = now
         readings = dict(zip(names, position))
         if len(names) != len(position) or not all(name in readings for name in self._names):
             return True  # of other joints, or not a measurement at all: the monitor says so
-        now = time.monotonic() if now is None else now
         found = np.array([readings[name] for name in self._names])
         step = math.inf if self._stamp is None else (stamp - self._stamp) / NANOSECONDS
+        several = publishers > 1 and publishers - self.others(now) > 1
         if several and self._stamp is not None and now - self._heard < _WAIT:
             most = _NEAR + (abs(self._rate) + REST_SHARE * self._limit) * min(step, MAX_GAP)
             jumps = np.any(abs(found - self._position) > most)  # NaN, a dropout, does not

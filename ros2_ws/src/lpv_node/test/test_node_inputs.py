@@ -118,7 +118,7 @@ def test_given_nanoseconds_beyond_a_second_when_written_back_then_it_is_a_stamp(
 
 def stream_of(sender, stamps, position, several=True, names=('joint1', 'joint2')):
     """Which measurements of a stream are accepted; it comes as it is stamped."""
-    return [sender.accept(round(s * 1e9), names, position, several, s) for s in stamps]
+    return [sender.accept(round(s * 1e9), names, position, 1 + several, s) for s in stamps]
 
 
 @pytest.mark.parametrize('later', [0.0, 0.001, -0.001, -0.5, 10.0])
@@ -127,7 +127,7 @@ def test_given_two_senders_when_they_alternate_then_only_the_first_is_used(paper
     assert all(stream_of(sender, [0.0, 0.002], [1.0, 0.5]))
     for k in range(2, 50):
         other = round((0.002 * k + later) * 1e9)
-        assert not sender.accept(other, ('joint2', 'joint1'), [0.5, 1.3], True, 0.002 * k)
+        assert not sender.accept(other, ('joint2', 'joint1'), [0.5, 1.3], 2, 0.002 * k)
         assert all(stream_of(sender, [0.002 * k + 0.0015], [1.0, 0.5]))
     # A loaded machine holds the first one up.
     assert not any(stream_of(sender, 0.16 + 0.002 * np.arange(15), [1.3, 0.8]))
@@ -146,3 +146,9 @@ def test_given_a_jump_that_nobody_contradicts_or_a_gripper_when_heard_then_it_is
     for k in range(20):
         assert all(stream_of(sender, [0.002 * k], [1.0, 0.5]))
         assert all(stream_of(sender, [0.002 * k], [0.01 * k], names=('finger',)))
+    assert sender.others(0.04) == 1, 'the second publisher is the gripper'
+    assert all(stream_of(sender, [0.042], [3.0, 0.5])), 'a jump that no other sender makes'
+    assert sender.others(10.0) == 0
+    assert all(stream_of(sender, [10.0], [3.0, 0.5])) and not any(
+        stream_of(sender, [10.002], [1.0, 0.5])
+    )

@@ -211,8 +211,8 @@ class UioNode(ManagedNode):
     def _is_of_one_sender(self, message: JointState, stamp: int) -> bool:
         """Whether a measurement continues the others, where several nodes publish some."""
         source = self._measurement_in
-        several = source is not None and source.get_publisher_count() > 1
-        if self._sender.accept(stamp, message.name, message.position, several):
+        publishers = 1 if source is None else source.get_publisher_count()
+        if self._sender.accept(stamp, message.name, message.position, publishers):
             return True
         self._refusals.add('measurement of a second publisher of joint_states')
         return False
@@ -293,11 +293,13 @@ class UioNode(ManagedNode):
 
     def _report(self, now: int) -> None:
         """Say on /diagnostics who publishes measurements, and what was known before this start."""
-        senders = self.get_publishers_info_by_topic('joint_states')
-        level, text = OK, 'one publisher' if senders else 'no publisher'
+        senders, others = self.get_publishers_info_by_topic('joint_states'), self._sender.others()
+        own = len(senders) - others
+        level, text = OK, 'one publisher' if own > 0 else 'no publisher'
+        text += f', and {others} of other joints' if others else ''
         if self._alarms is not None and self._alarms.before:
             level, text = ERROR, self._untrusted_text()
-        elif len(senders) > 1:
+        elif own > 1:
             names = sorted(f'{s.node_namespace.rstrip("/")}/{s.node_name}' for s in senders)
             level, text = WARN, f'{len(senders)} publishers of joint_states: {", ".join(names)}'
         elif self._refusals.is_recent:

@@ -198,6 +198,17 @@ def test_given_a_gripper_on_the_topic_when_observed_then_it_is_no_error(arm, mon
     for names, count in ((['finger'], 0), ([first, 'finger'], 1)):
         arm.node._on_measurement(JointState(name=names, position=[0.0] * len(names)))
         assert len(said) == count
+    monkeypatch.setattr(arm.node, '_measurement_in', SimpleNamespace(get_publisher_count=lambda: 2))
+    for _ in range(50):  # a fault is none of the second publisher
+        jumped = arm.good()
+        jumped.position[1] += 0.1
+        arm.node._on_measurement(jumped)
+    assert [event.sensor for event in arm.outputs['alarm'].sent] == ['link2_angle']
+    told = []
+    monkeypatch.setattr(arm.node, 'get_publishers_info_by_topic', lambda _: [None] * 2)
+    monkeypatch.setattr(arm.node._status, 'report', lambda *found: told.append(found[1:3]))
+    arm.node._report(arm.stamp)
+    assert told == [(b'\x00', 'one publisher, and 1 of other joints')]
 
 
 def alarm(event=AlarmEvent.RAISED, sensor='link2_angle', kind='bias'):
