@@ -5,9 +5,9 @@ from rclpy.qos import QoSProfile
 from lpv.bag.rosbag.live import DEEPEST, ros_qos
 
 
-def stream(lockstep: bool) -> QoSProfile:
+def stream(lockstep: bool, depth: int = 5) -> QoSProfile:
     """QoS of measurements and commands: best effort in real time, where old ones mislead."""
-    return ros_qos(lockstep, False, DEEPEST if lockstep else 5)
+    return ros_qos(lockstep, False, DEEPEST if lockstep else depth)
 
 
 def latched() -> QoSProfile:

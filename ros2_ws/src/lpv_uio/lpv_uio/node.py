@@ -152,11 +152,12 @@ class UioNode(ManagedNode):
 
     def begin(self) -> None:
         """Subscribe."""
-        qos = stream(self.lockstep)
+        # The diagnosis needs every sample, also those that come late, or many at once.
         self._measurement_in = self.create_subscription(
-            JointState, 'joint_states', self._on_measurement, qos
+            JointState, 'joint_states', self._on_measurement, stream(self.lockstep, MAX_DELAY)
         )
         if self._from_command:
+            qos = stream(self.lockstep)
             self.create_subscription(TorqueCommand, 'torque_command', self._on_command, qos)
         if not self.lockstep:
             self.steady_timer(0.1, self._check_silence)

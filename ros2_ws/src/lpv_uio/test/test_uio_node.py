@@ -1,10 +1,12 @@
 """Answers of the observer's node to good, wrong and hostile measurements, without a graph."""
 
+import time
 from copy import deepcopy
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import rclpy
 from bag_messages import JOINT_STATE
 from bags import write_bag
 from diagnostic_msgs.msg import DiagnosticArray
@@ -209,6 +211,21 @@ def test_given_a_gripper_on_the_topic_when_observed_then_it_is_no_error(arm, mon
     monkeypatch.setattr(arm.node._status, 'report', lambda *found: told.append(found[1:3]))
     arm.node._report(arm.stamp)
     assert told == [(b'\x00', 'one publisher, and 1 of other joints')]
+
+
+def test_given_a_driver_that_publishes_many_at_once_then_each_measurement_is_answered(arm):
+    arm.node.begin()
+    publisher = arm.node.create_publisher(JointState, 'joint_states', 50)
+    limit = time.monotonic() + 10.0
+    while publisher.get_subscription_count() == 0:
+        assert time.monotonic() < limit, 'no subscription'
+        time.sleep(0.01)
+    arm.outputs['state'].take()
+    for _ in range(40):
+        publisher.publish(arm.good())
+    while len(arm.outputs['state'].sent) < 40 and time.monotonic() < limit:
+        rclpy.spin_once(arm.node, timeout_sec=0.1)
+    assert len(arm.outputs['state'].sent) == 40
 
 
 def alarm(event=AlarmEvent.RAISED, sensor='link2_angle', kind='bias'):
