@@ -296,7 +296,7 @@ class UioNode(ManagedNode):
         """Say on /diagnostics who publishes measurements, and what was known before this start."""
         senders, others = self.get_publishers_info_by_topic('joint_states'), self._sender.others()
         own = len(senders) - others
-        level, text = OK, 'one publisher' if own > 0 else 'no publisher'
+        level, text = (OK, 'one publisher') if own > 0 else (WARN, 'no publisher')
         text += f', and {others} of other joints' if others else ''
         if self._alarms is not None and self._alarms.before:
             level, text = ERROR, self._untrusted_text()

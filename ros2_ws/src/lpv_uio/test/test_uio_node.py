@@ -25,6 +25,7 @@ from lpv.core.simulation.arm_simulator import ArmSimulator
 from lpv.core.support.resources import bringup_file
 from lpv.core.support.timestamps import set_stamp, to_nanoseconds
 from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate, TorqueCommand
+from lpv_node.status import OK, WARN
 from lpv_uio.messages import OutputMessages
 from lpv_uio.node import UioNode
 from lpv_uio.open_alarms import OpenAlarms
@@ -207,10 +208,15 @@ def test_given_a_gripper_on_the_topic_when_observed_then_it_is_no_error(arm, mon
         arm.node._on_measurement(jumped)
     assert [event.sensor for event in arm.outputs['alarm'].sent] == ['link2_angle']
     told = []
-    monkeypatch.setattr(arm.node, 'get_publishers_info_by_topic', lambda _: [None] * 2)
     monkeypatch.setattr(arm.node._status, 'report', lambda *found: told.append(found[1:3]))
-    arm.node._report(arm.stamp)
-    assert told == [(b'\x00', 'one publisher, and 1 of other joints')]
+    for count in (2, 1):
+        there = [None] * count
+        monkeypatch.setattr(arm.node, 'get_publishers_info_by_topic', lambda _, one=there: one)
+        arm.node._report(arm.stamp)
+    words = ('one publisher', 'no publisher')
+    assert told == [
+        (level, f'{text}, and 1 of other joints') for level, text in zip((OK, WARN), words)
+    ]
 
 
 def test_given_a_driver_that_publishes_many_at_once_then_each_measurement_is_answered(arm):

@@ -471,6 +471,8 @@ def test_given_topics_when_replayed_then_the_right_one_or_nothing_is_left(loop, 
     entries[30] = (*entries[30][:2], bytes(content))
     damaged = write(tmp_path / 'damaged', entries)
     others = write(tmp_path / 'others', measured(loop[:50], name=['left', 'right']))
+    (topic, _, first), *_ = measured(loop[:1])
+    stopped = write(tmp_path / 'stopped', [(topic, k, first) for k in range(1, 9)])
     for source, options, told in (
         (nothing, {}, r'JointState; it has /chatter \(std_msgs/msg/String\)'),
         (two_arms, {}, 'carry the joints .*: /a/joint_states, /b/joint_states'),
@@ -478,7 +480,8 @@ def test_given_topics_when_replayed_then_the_right_one_or_nothing_is_left(loop, 
         (two_arms, {'topic': topics[1], 'torque_from_command': True}, "no topic '/b/torque_c"),
         (two_arms, {'topic': topics[1], 'start': 100.0}, 'bag: holds no message on /b/joint_s'),
         (damaged, {}, 'damaged: cannot be read'),
-        (others, {}, 'others: none of its 50 measurements can be used .*left'),
+        (others, {}, 'others: none of its 50 measurements can be used .*of other joints: .*left'),
+        (stopped, {}, 'stopped: no measurement on .* is newer than the first one'),
     ):
         with pytest.raises(BagError, match=told):
             replay(source, **options)

@@ -210,6 +210,11 @@ def _of(block: Block, connections: Sequence[Connection], topic: str) -> np.ndarr
 def _check(bag: str | Path, result: ReplayResult) -> None:
     if not result.measurements:
         raise BagError(f'{bag}: holds no message on {result.topic} in the chosen interval')
+    if result.answered == 1 < result.measurements - sum(result.rejected.values()):
+        raise BagError(
+            f'{bag}: no measurement on {result.topic} is newer than the first one: let the driver '
+            'stamp them with the time of measurement'
+        )
 
 
 def _effort_connection(reader: BagReader, topic: str) -> Connection:

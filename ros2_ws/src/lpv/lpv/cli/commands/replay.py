@@ -149,7 +149,7 @@ def _summary(
     for text in count_texts(monitor.counters):
         console.print(f'  {text}')
     for text, count in result.rejected.items():
-        console.print(f'  {count} measurements not used: {text}')
+        console.print(f'  {count} messages not used: {text}')
     for at, text in result.notes:
         console.print(f'  warning at {at:.3f} s: {text}')
 

@@ -23,11 +23,14 @@ class JointOrder:
         """Positions of the arm's joints among ``names``; remembered while names stay the same."""
         names = tuple(names)
         if names != self._names:
+            there = f'{reprlib.repr(list(names))}; the arm file has {list(self._wanted)}'
+            if {*self._wanted}.isdisjoint(names):
+                raise SampleError(f'the message is of other joints: {there}')
             for joint in self._wanted:
                 if names.count(joint) != 1:
                     raise SampleError(
                         f'joint {joint!r} occurs {names.count(joint)} times in the message, which '
-                        f'names {reprlib.repr(list(names))}; the arm file has {list(self._wanted)}'
+                        f'names {there}'
                     )
             self._index = tuple(names.index(joint) for joint in self._wanted)
             self._names = names
