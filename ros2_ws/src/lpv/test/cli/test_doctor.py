@@ -25,6 +25,7 @@ from lpv.cli.doctor.files import check_files
 from lpv.cli.doctor.finding import Level
 from lpv.cli.doctor.snapshot import JOINT_STATE, Endpoint, Snapshot
 from lpv.core.serial_arm.arm_file import save_arm
+from lpv.core.serial_arm.description import JointLimits
 from lpv.core.uio.model.joints import JointMap
 from lpv_node.qos import stream
 
@@ -376,6 +377,18 @@ def test_given_degrees_when_checked_then_they_are_named(paper_arm, paper_model):
     messages = [message(stamp, effort=joints.joint_torque(held), position=rest) for stamp in STAMPS]
     finding = signals.check_units('/joint_states', messages, paper_arm)
     assert finding is not None and 'torques fit gravity' in finding.text
+
+
+def test_given_millimetres_of_a_joint_that_slides_when_checked_then_only_they_are_named(shot):
+    quill = replace(crane().joints[2], type='prismatic', limits=JointLimits(-0.2, 0.0, 1.0, 50.0))
+    arm, zeros = replace(crane(), joints=(*crane().joints[:2], quill)), (0.0, 0.0, 0.0)
+    for place, checks in ((-0.15, []), (-150.0, ['units'])):
+        position = [0.1, -0.2, place]
+        run = [message(s, arm.joint_names, zeros, zeros, position) for s in STAMPS]
+        shot.measured[JOINTS] = list(zip(STAMPS, run))
+        said = bad(signals.check_measurements(shot, arm))
+        assert [f.check for f in said if f.check != 'stamps'] == checks
+        assert not checks or 'joint3 is at 150 m: millimetres?' in said[0].text
 
 
 @pytest.mark.slow

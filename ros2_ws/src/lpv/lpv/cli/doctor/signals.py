@@ -23,9 +23,13 @@ _FAR_CLOCK = 0.5
 _DEGREES = 180.0 / np.pi  # of a radian
 _FAR = 4.0 * np.pi
 """Positions beyond two turns are no angles of an arm in rad."""
+_MILLIMETRES = 1e3  # of a metre
 _BETTER = 0.3
 """Share of the torque residual that must be left if positions are taken as degrees."""
-_IN_RADIANS = 'let the driver publish rad, rad/s and N m in sensor_msgs/JointState (REP-103)'
+_IN_RADIANS = (
+    'let the driver publish rad, rad/s and N m (m, m/s and N of joints that slide) in '
+    'sensor_msgs/JointState (REP-103)'
+)
 
 
 def check_measurements(shot: Any, arm: SerialArm | None) -> list[Finding]:
@@ -56,8 +60,11 @@ def _problems(
         check_stamps(topic, heard, shot),
     ]
     if arm is not None:
-        checks = check_joints, check_rate, check_units, check_rate_source, check_setup
-        found += [check(topic, messages, arm) for check in checks]
+        units = check_units(topic, messages, arm)
+        checks = check_joints, check_rate, check_rate_source
+        found += [units, *(check(topic, messages, arm) for check in checks)]
+        if units is None:  # a wrong one explains whatever efforts contradict
+            found.append(check_setup(topic, messages, arm))
     yield from (one for one in found if one is not None)
 
 
@@ -198,15 +205,19 @@ def _samples(messages: list[Any], arm: SerialArm) -> tuple[np.ndarray, ...] | No
 
 
 def check_units(topic: str, messages: list[Any], arm: SerialArm) -> Finding | None:
-    """Whether positions look like degrees: by size, by their rates, or by gravity."""
+    """Whether positions look like degrees or mm: by size, by their rates, or by gravity."""
     found = _samples(messages, arm)
     if found is None or len(found[0]) < 2:
         return None
     stamps, position, velocity, effort = found
+    for joint, largest in zip(arm.joints, np.nan_to_num(np.abs(position)).max(axis=0)):
+        # What slides stays nearer to its limits in m than to those in mm.
+        slide = np.sqrt(_MILLIMETRES) * np.abs(joint.range).max()
+        if largest > (slide if joint.is_prismatic else _FAR):
+            wrong = 'millimetres' if joint.is_prismatic else 'degrees'
+            text = f'{topic}: {joint.name} is at {largest:.3g} {joint.units[0]}: {wrong}?'
+            return error('units', text, _IN_RADIANS)
     turns = np.array([not joint.is_prismatic for joint in arm.joints])
-    largest = np.nanmax(np.abs(position[:, turns]), initial=0.0)
-    if largest > _FAR:
-        return error('units', f'{topic}: a position is {largest:.3g} rad: degrees?', _IN_RADIANS)
     # Between samples the mean rate counts, so that sampling does not matter.
     steps = np.diff(stamps)[:, None] / 1e9
     moved, driven = np.diff(position, axis=0), 0.5 * (velocity[1:] + velocity[:-1]) * steps
