@@ -21,12 +21,14 @@ from lpv.identify.errors import IdentificationError
 from lpv.identify.estimation import assembly, payload
 from lpv.identify.estimation.gains import rescaled
 from lpv.identify.estimation.identification import identify
+from lpv.identify.estimation.mistakes import find_mistakes
 from lpv.identify.estimation.workshop import Workshop
 from lpv.identify.model.rigid_body import joint_torques
 from lpv.identify.motions.excitation import plan_excitation
 from lpv.identify.recordings.filters import low_pass
 from lpv.identify.recordings.motion import split
 from lpv.identify.recordings.recording import clean, read_recording
+from lpv.identify.results.summary import remarks
 
 pytestmark = pytest.mark.slow
 of_real_arms = pytest.mark.skipif(not DATA.is_dir(), reason='no recordings of real arms')
@@ -174,6 +176,11 @@ def test_given_a_prismatic_joint_when_identified_then_forces_fit(arm, simulated)
     found = identify(with_joints(arm, link=heavier), [recording])
     assert np.all(found.figures.rms < 0.025 * np.max(np.abs(recording.effort), axis=0))
     assert found.arm.joints[0].is_prismatic and found.mistakes == ()
+    assert any('N for N m, m for rad' in text for text in remarks(found))
+    scale = np.where([joint.is_prismatic for joint in arm.joints], 1e3, 1.0)
+    in_mm = replace(recording, position=scale * recording.position)
+    (mistake,) = find_mistakes(found.arm, [in_mm])
+    assert 'millimetres' in mistake.text
     assert found.arm.joints[0].friction.coulomb == pytest.approx(10.0, rel=0.15)
 
 

@@ -21,9 +21,6 @@ from lpv.core.support.timestamps import to_nanoseconds
 _FAR_CLOCK = 0.5
 """Largest difference between stamp and clock [s]."""
 _DEGREES = 180.0 / np.pi  # of a radian
-_FAR = 4.0 * np.pi
-"""Positions beyond two turns are no angles of an arm in rad."""
-_MILLIMETRES = 1e3  # of a metre
 _BETTER = 0.3
 """Share of the torque residual that must be left if positions are taken as degrees."""
 _IN_RADIANS = (
@@ -211,9 +208,7 @@ def check_units(topic: str, messages: list[Any], arm: SerialArm) -> Finding | No
         return None
     stamps, position, velocity, effort = found
     for joint, largest in zip(arm.joints, np.nan_to_num(np.abs(position)).max(axis=0)):
-        # What slides stays nearer to its limits in m than to those in mm.
-        slide = np.sqrt(_MILLIMETRES) * np.abs(joint.range).max()
-        if largest > (slide if joint.is_prismatic else _FAR):
+        if largest > joint.farthest:
             wrong = 'millimetres' if joint.is_prismatic else 'degrees'
             text = f'{topic}: {joint.name} is at {largest:.3g} {joint.units[0]}: {wrong}?'
             return error('units', text, _IN_RADIANS)

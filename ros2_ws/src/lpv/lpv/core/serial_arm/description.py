@@ -221,6 +221,11 @@ class SerialJoint:
         return min((high - low) / (2.0 * math.pi), 1.0) if self.is_prismatic else 1.0
 
     @property
+    def farthest(self) -> float:
+        """Positions beyond are in degrees or millimetres: two turns, thirty times the limits."""
+        return math.sqrt(1e3) * max(map(abs, self.range)) if self.is_prismatic else 4.0 * math.pi
+
+    @property
     def units(self) -> tuple[str, str]:
         """Units of position and torque."""
         return ('m', 'N') if self.is_prismatic else ('rad', 'N m')

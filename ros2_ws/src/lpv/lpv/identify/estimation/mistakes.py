@@ -61,8 +61,8 @@ def find_mistakes(arm: SerialArm, recordings: Sequence[Recording]) -> list[Mista
 
     After efforts without the weight, which an identification finds by itself, another mistake.
     """
-    if degrees := _degrees(arm, np.concatenate([one.position for one in recordings])):
-        return [degrees]  # all else would follow from it
+    if unit := _other_unit(arm, np.concatenate([one.position for one in recordings])):
+        return [unit]  # all else would follow from it
     slow = _slow(arm, [s for one in recordings for s in split(one)])
     judge = _Judge(arm, slow)
     gravity = arm.gravity_vector() if arm.effort_includes_gravity else np.zeros(3)
@@ -83,13 +83,17 @@ def find_mistakes(arm: SerialArm, recordings: Sequence[Recording]) -> list[Mista
     return found
 
 
-def _degrees(arm: SerialArm, position: np.ndarray) -> Mistake | None:
-    """Positions that are a turn and more beyond the limits of a joint."""
+def _other_unit(arm: SerialArm, position: np.ndarray) -> Mistake | None:
+    """Positions that are a turn and more beyond the limits of a joint, or look like mm."""
     for joint, (low, high) in zip(arm.joints, np.quantile(position, _ALMOST_ALL, axis=0).T):
-        beyond = max(joint.limits.lower - low, high - joint.limits.upper)
-        if beyond > 2.0 * np.pi and not joint.is_prismatic:
-            text = f'positions of {joint.name} are {low:.3g} to {high:.3g} rad, beyond its limits'
-            return Mistake('angle', f'{text}: degrees?', np.inf)
+        if joint.is_prismatic:
+            is_off, unit = max(-low, high) > joint.farthest, 'millimetres'
+        else:
+            beyond = max(joint.limits.lower - low, high - joint.limits.upper)
+            is_off, unit = beyond > 2.0 * np.pi, 'degrees'
+        if is_off:
+            where = f'{low:.3g} to {high:.3g} {joint.units[0]}, beyond its limits'
+            return Mistake('angle', f'positions of {joint.name} are {where}: {unit}?', np.inf)
     return None
 
 

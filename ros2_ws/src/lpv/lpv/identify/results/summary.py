@@ -78,7 +78,13 @@ def calibration_table(result: Calibration) -> str:
         f'model misses in motion, for {result.error.time:.2g} s at a time; stamps jitter by '
         f'{1e3 * result.sensing.jitter:.2g} ms.'
     )
-    return '\n'.join([*_text(result, (*_ERRORS, *SENSORS[:4])), '', last])
+    return '\n'.join([*_text(result, (*_ERRORS, *SENSORS[:4])), '', last, *_slides(result)])
+
+
+def _slides(result: Any) -> list[str]:
+    """Units of joints that slide, which headers leave out."""
+    names = [joint.name for joint in result.arm.joints if joint.is_prismatic]
+    return [f'Of {", ".join(names)}: N for N m, m for rad, kg for kg m².'] if names else []
 
 
 def remarks(result: Identification) -> list[str]:
@@ -90,6 +96,7 @@ def remarks(result: Identification) -> list[str]:
         f'{result.filters.test:.1f} Hz; "before": with the parameters given.',
         f'{int(determination.determined.sum())} of {len(determination.names)} parameters are '
         'determined by the data.',
+        *_slides(result),
     ]
     if np.isfinite(band):
         lines.append(
