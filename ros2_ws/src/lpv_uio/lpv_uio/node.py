@@ -198,6 +198,7 @@ class UioNode(ManagedNode):
             # A gripper may share the topic.
             if self._answered is None or not {*self._arm.joint_names}.isdisjoint(message.name):
                 self.get_logger().error(str(error), throttle_duration_sec=5.0)
+                self._refusals.add('measurement that does not fit the arm')
             return
         if answer is not None:
             self._is_new = True
