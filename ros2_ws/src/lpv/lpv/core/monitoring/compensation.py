@@ -196,12 +196,15 @@ def _correct(
         velocity = (position - work.position[i]) / interval if follows else work.velocity[i]
     largest = limit + 2.0 * interval * abs(work.change[i])
     carried = work.position[i] + interval * work.velocity[i]
-    if abs(position - carried) <= largest:
+    is_near = abs(position - carried) <= largest
+    may_differ = work.bridged[i] > 0 if is_near else follows and work.bridged[i] < BRIDGED
+    # The difference of two readings of which one is carried on, or was, is no rate.
+    if may_differ and abs(velocity - work.velocity[i]) * interval > largest:
+        velocity = work.velocity[i]
+    if is_near:
         work.bridged[i] = 0
-    elif follows and work.bridged[i] < BRIDGED:
+    elif may_differ:
         position = carried
-        if abs(velocity - work.velocity[i]) * interval > largest:
-            velocity = work.velocity[i]
         work.bridged[i] += 1
     work.change[i] = velocity - work.velocity[i] if follows else 0.0
     work.position[i], work.velocity[i] = position, velocity

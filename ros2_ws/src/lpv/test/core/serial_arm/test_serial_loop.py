@@ -61,6 +61,20 @@ def test_given_a_wrong_model_when_an_encoder_fails_then_the_arm_follows_or_is_st
     assert np.ptp(run.position[-100:], axis=0).max() == 0.0
 
 
+def test_given_spikes_when_rates_are_differences_then_the_arm_stays_on_its_path():
+    run = simulate(Fault('encoder2', 'spike', 1.0, size=0.3, rate=2.0), rates='derived')
+    assert np.abs(run.measured - run.position).max() > 0.25
+    assert np.abs(run.position - run.reference).max() < 0.02
+    assert np.abs(run.estimated_velocity - run.velocity).max() < 0.5  # of differences: 150 rad/s
+
+
+def test_given_no_readings_for_less_than_50_ms_when_the_arm_moves_then_it_is_not_stopped():
+    faults = (Fault(f'encoder{i}', 'dropout', 1.0, duration=0.04) for i in (1, 2, 3))
+    run = simulate(*faults, duration=2.0)
+    assert np.isnan(run.measured).all(1).sum() == 20
+    assert not run.stop_reason.any() and np.abs(run.position - run.reference).max() < 0.02
+
+
 FAULTS = {
     **{'none': (), 'step': (STEP,), 'dropout': (Fault('encoder3', 'dropout', 0.5, duration=0.3),)},
     'dropout from the start': (Fault('encoder1', 'dropout', 0.0, duration=0.2),),
