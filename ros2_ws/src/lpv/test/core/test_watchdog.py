@@ -112,6 +112,17 @@ def test_given_an_arm_that_stands_still_when_left_then_it_is_not_following(track
     assert motion(tracker, 60, np.array([0.1, 0.0]), STILL, STILL) == StopReason.NONE
 
 
+@pytest.mark.parametrize(('mode', 'rate'), [(OBSERVING, [1.0, 0.0]), (STALE, [0.0, 0.0])])
+def test_given_frozen_or_missing_readings_when_the_arm_goes_on_then_it_follows(tracker, mode, rate):
+    reasons, read = [], STILL
+    for k, there in enumerate(np.outer(0.002 * np.arange(500), [1.0, 0.0])):
+        now = OBSERVING if k % 50 < 30 else mode  # nothing is read for 40 ms
+        read = there if now == OBSERVING != mode else read
+        estimates(tracker, [k], mode=now, velocity=np.array(rate))
+        reasons.append(motion(tracker, k, there, there, read))
+    assert set(reasons) == {StopReason.NONE}
+
+
 def test_given_an_arm_that_follows_slowly_when_judged_then_it_follows(tracker):
     for k, reference in enumerate(np.outer(0.001 * np.arange(2000), [1.0, 0.0])):
         position = 0.97 * reference

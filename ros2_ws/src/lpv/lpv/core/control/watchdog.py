@@ -168,8 +168,10 @@ def tracker_watchdog_type(joints: int) -> np.dtype:
         ('latched', 'i8'),  # reason that lasts until reset
         ('started', '?'),  # whether there was a reference since the last stop
         ('moved', '?'),  # whether the arm has moved since the last stop
+        ('is_read', '?'),  # whether the last estimate is of a usable measurement
         ('step', 'f8', (joints,)),  # smallest motion that is one [rad], [m]
         ('arm', 'f8', (joints,)),  # what the arm's sensors read when it last moved [rad]
+        ('travel', 'f8', (joints,)),  # since then, by the rates that are fed back [rad]
         ('reference', 'f8', (joints,)),  # where its reference was then [rad]
     )
 
@@ -204,6 +206,7 @@ def tracker_watchdog(arm: SerialArm, limits: TrackerLimits) -> np.record:
         rest=REST_SHARE * np.array(arm.velocity_limit),
         scale=arm.scales(),
         step=np.clip(2.0 * position_noise(arm), *np.outer(_ARM_MOVED, arm.scales())),
+        is_read=True,
         share=_share(arm),
         late=NEVER,
         usable=NEVER,
@@ -249,7 +252,11 @@ def check_estimate(
     ``dog`` is one of `tracker_watchdog`; ``latency`` is the time from the measurement until now, 0
     where it is not known [ns].  ``mode`` and what follows are fields of lpv_msgs/StateEstimate.
     """
-    if mode != _STALE and mode != _NO_ESTIMATE:
+    dog.is_read = mode != _STALE and mode != _NO_ESTIMATE
+    if dog.is_read:
+        if dog.usable != NEVER:
+            for i in range(velocity.shape[0]):
+                dog.travel[i] += velocity[i] * (stamp - dog.usable) / NANOSECONDS
         dog.usable = stamp
         _check_speed(dog, stamp, velocity, measured_velocity)
     if dog.latched != _NONE:
@@ -307,7 +314,8 @@ def check_motion(
     """Judge the tracking error before a command is given; returns a `StopReason`.
 
     ``position`` is fed back, ``measured`` what sensors read [rad]: the end of a correction moves
-    the one, and no arm.
+    the one, and no arm.  An arm whose reading is frozen moves by its rate alone; of one that is not
+    read nothing is known.
     """
     error = moved = led = 0.0
     if not dog.started:
@@ -315,7 +323,8 @@ def check_motion(
         _set_place(dog, reference, measured)
     for i in range(position.shape[0]):
         error = max(error, abs(reference[i] - position[i]) / dog.scale[i])
-        moved = max(moved, abs(measured[i] - dog.arm[i]) / dog.step[i])
+        way = max(abs(measured[i] - dog.arm[i]), abs(dog.travel[i]))
+        moved = max(moved, way / dog.step[i])
         led = max(led, abs(reference[i] - dog.reference[i]) / dog.step[i])
     if error <= dog.tracking_error:
         dog.in_reach = stamp
@@ -325,7 +334,7 @@ def check_motion(
     if moved > 1.0:
         dog.moved = True
         _set_place(dog, reference, measured)
-    elif led > _REFERENCE_MOVED[1 if dog.moved else 0]:
+    elif dog.is_read and led > _REFERENCE_MOVED[1 if dog.moved else 0]:
         return _NOT_FOLLOWING
     return _NONE
 
@@ -333,7 +342,7 @@ def check_motion(
 @njit
 def _set_place(dog: np.record, reference: np.ndarray, measured: np.ndarray) -> None:
     for i in range(measured.shape[0]):
-        dog.arm[i], dog.reference[i] = measured[i], reference[i]
+        dog.arm[i], dog.reference[i], dog.travel[i] = measured[i], reference[i], 0.0
 
 
 @njit
