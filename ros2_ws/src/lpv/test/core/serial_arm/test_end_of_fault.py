@@ -107,6 +107,23 @@ def test_given_a_jump_in_motion_then_offset_and_scale_error_are_told_apart(arm, 
     assert abs(run.estimate - run.truth)[settled, 1].max() < 0.03
 
 
+@pytest.mark.parametrize(
+    ('arm', 'rates', 'size', 'joint'),
+    [
+        ('chain3', 'derived', 0.45, 1),
+        ('chain3', 'independent', 0.45, 1),
+        ('paper', 'independent', 0.45, 1),
+        ('ur10', 'derived', -0.4, 2),
+    ],
+)
+def test_given_a_large_scale_error_when_it_ends_then_it_is_over(arm, rates, size, joint):
+    run = Run(arm, rates, ('scale', size), joint, 3.0)
+    kinds = [('RAISED', 'bias'), ('UPDATED', 'scale'), ('CLEARED', 'scale')]
+    assert [(event, kind) for event, _, kind in run.events] == kinds
+    assert run.during == run.after == 0.0
+    assert abs(run.estimate[-1, joint]) < 0.05
+
+
 @pytest.mark.parametrize(('arm', 'joint', 'duration'), FROZEN)
 def test_given_a_frozen_reading_when_it_jumps_to_its_joint_then_it_is_right(arm, joint, duration):
     run = Run(arm, 'derived', ('stuck', 0.0), joint, duration)

@@ -556,7 +556,7 @@ class SerialMonitor:
         fault = float(self.taken_out()[i] + self.estimator.level.mean[i] * sensor.level)
         back, scaled = self._filters.get(i), self._scaled.get(i)
         if sensor.state is SensorState.ERROR and back is not None and back.is_scale:
-            fault = float(size + back.mean[0] * self.sampler.raw[i])
+            fault = float(size + self.sampler.share[i] * self.sampler.raw[i])
         elif scaled is not None:  # if it was one, it jumps back by its share of the reading now
             fault = min(fault, size + scaled.size * float(self.sampler.raw[i]), key=abs)
         # Beside a fault that is followed, an offset from before may remain, if that explains more.
