@@ -114,9 +114,13 @@ def test_given_a_jump_in_motion_then_offset_and_scale_error_are_told_apart(arm, 
         ('chain3', 'independent', 0.45, 1),
         ('paper', 'independent', 0.45, 1),
         ('ur10', 'derived', -0.4, 2),
+        ('ur10', 'independent', 0.2, 2),
+        ('ur10', 'independent', 0.45, 4),
     ],
 )
-def test_given_a_large_scale_error_when_it_ends_then_it_is_over(arm, rates, size, joint):
+def test_given_a_large_scale_error_when_it_ends_then_it_is_over_and_no_rate_was_blamed(
+    arm, rates, size, joint
+):
     run = Run(arm, rates, ('scale', size), joint, 3.0)
     kinds = [('RAISED', 'bias'), ('UPDATED', 'scale'), ('CLEARED', 'scale')]
     assert [(event, kind) for event, _, kind in run.events] == kinds

@@ -767,10 +767,8 @@ class SerialMonitor:
     def _name(self, found: list[Hypothesis], now: float) -> None:
         """What explains the balances is beyond doubt, or several causes are suspected."""
         known = {*self._filters, *np.nonzero(self.sampler.noisy)[0]}
-        if known or self._ends:
-            found = [
-                one for one in found if one.joint not in known and not self._ended_by_jump(one)
-            ]
+        if known or self._ends or self._scaled:
+            found = [one for one in found if one.joint not in known and not self._is_of_jump(one)]
         if not found:
             self._suspect_nothing()
             return
@@ -828,17 +826,20 @@ class SerialMonitor:
         """Largest distance of a reading from zero over the horizon [rad]."""
         return float(np.abs(self._blocks(len(self.estimator) + 1)[:, i]).max())
 
-    def _ended_by_jump(self, one: Hypothesis) -> bool:
-        """Whether a fault is one that may have ended with a jump, which is weighed on its own.
+    def _is_of_jump(self, one: Hypothesis) -> bool:
+        """Whether a cause is one that a jump of its reading explains, which is weighed on its own.
 
-        Nor is a rate to blame for a reading that has rested since its jump: that it froze, the
-        rival, is compared as late.
+        A fault may have ended with it.  Nor is a rate to blame for a reading that has rested since
+        its jump: that it froze, the rival, is compared as late.  Nor for one that may have a scale
+        error since, which parts it from its rate as well.
         """
-        end = self._ends.get(one.joint)
+        end, scaled = self._ends.get(one.joint), self._scaled.get(one.joint)
+        wrong, is_rate = self.settings.probability_of_wrong_name, one.kind == 'rate_bias'
+        if is_rate and scaled is not None and scaled.share > wrong:
+            return True
         if end is None or one.begin >= end.time + 2.0 * self.plan.interval:
             return False
-        rests = self._rests_since(one.joint) <= end.time
-        return one.is_encoder or (one.kind == 'rate_bias' and rests)
+        return one.is_encoder or (is_rate and self._rests_since(one.joint) <= end.time)
 
     def _frozen(self) -> dict[int, Frozen]:
         """Readings that stopped dead while they moved, or have lost their noise, or froze before.
