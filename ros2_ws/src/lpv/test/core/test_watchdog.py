@@ -123,6 +123,14 @@ def test_given_frozen_or_missing_readings_when_the_arm_goes_on_then_it_follows(t
     assert set(reasons) == {StopReason.NONE}
 
 
+def test_given_all_readings_frozen_when_rates_go_on_then_the_arm_is_not_following(tracker):
+    reasons = []
+    for k, there in enumerate(np.outer(0.002 * np.arange(50), [1.0, 0.0])):
+        estimates(tracker, [k], velocity=np.array([1.0, 0.0]))
+        reasons.append(motion(tracker, k, there, STILL, STILL))
+    assert StopReason.NOT_FOLLOWING in reasons
+
+
 def test_given_an_arm_that_follows_slowly_when_judged_then_it_follows(tracker):
     for k, reference in enumerate(np.outer(0.001 * np.arange(2000), [1.0, 0.0])):
         position = 0.97 * reference

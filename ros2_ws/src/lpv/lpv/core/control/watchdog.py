@@ -171,6 +171,7 @@ def tracker_watchdog_type(joints: int) -> np.dtype:
         ('is_read', '?'),  # whether the last estimate is of a usable measurement
         ('step', 'f8', (joints,)),  # smallest motion that is one [rad], [m]
         ('arm', 'f8', (joints,)),  # what the arm's sensors read when it last moved [rad]
+        ('fed_back', 'f8', (joints,)),  # position that was fed back then [rad]
         ('travel', 'f8', (joints,)),  # since then, by the rates that are fed back [rad]
         ('reference', 'f8', (joints,)),  # where its reference was then [rad]
     )
@@ -314,16 +315,17 @@ def check_motion(
     """Judge the tracking error before a command is given; returns a `StopReason`.
 
     ``position`` is fed back, ``measured`` what sensors read [rad]: the end of a correction moves
-    the one, and no arm.  An arm whose reading is frozen moves by its rate alone; of one that is not
-    read nothing is known.
+    the one, and no arm.  A joint whose frozen reading is corrected moves by position and rate that
+    are fed back; of an arm that is not read nothing is known.
     """
     error = moved = led = 0.0
     if not dog.started:
         dog.started, dog.moved, dog.in_reach = True, False, stamp
-        _set_place(dog, reference, measured)
+        _set_place(dog, reference, position, measured)
     for i in range(position.shape[0]):
         error = max(error, abs(reference[i] - position[i]) / dog.scale[i])
-        way = max(abs(measured[i] - dog.arm[i]), abs(dog.travel[i]))
+        corrected = min(abs(position[i] - dog.fed_back[i]), abs(dog.travel[i]))
+        way = max(abs(measured[i] - dog.arm[i]), corrected)
         moved = max(moved, way / dog.step[i])
         led = max(led, abs(reference[i] - dog.reference[i]) / dog.step[i])
     if error <= dog.tracking_error:
@@ -333,16 +335,19 @@ def check_motion(
         return _ERROR
     if moved > 1.0:
         dog.moved = True
-        _set_place(dog, reference, measured)
+        _set_place(dog, reference, position, measured)
     elif dog.is_read and led > _REFERENCE_MOVED[1 if dog.moved else 0]:
         return _NOT_FOLLOWING
     return _NONE
 
 
 @njit
-def _set_place(dog: np.record, reference: np.ndarray, measured: np.ndarray) -> None:
+def _set_place(
+    dog: np.record, reference: np.ndarray, position: np.ndarray, measured: np.ndarray
+) -> None:
     for i in range(measured.shape[0]):
-        dog.arm[i], dog.reference[i], dog.travel[i] = measured[i], reference[i], 0.0
+        dog.arm[i], dog.reference[i] = measured[i], reference[i]
+        dog.fed_back[i], dog.travel[i] = position[i], 0.0
 
 
 @njit
