@@ -43,6 +43,7 @@ from lpv.core.serial_arm.diagnosis.contact import (
     force_levers,
     joint_levers,
     new_contact,
+    onset_gains,
     rough_contact,
     smooth_contact,
     weigh_residuals,
@@ -56,6 +57,7 @@ from lpv.core.serial_arm.diagnosis.estimator import (
 )
 from lpv.core.serial_arm.diagnosis.information import (
     COUNT,
+    NEXT,
     ROBUST,
     Window,
     factorise,
@@ -73,9 +75,10 @@ from lpv.core.serial_arm.diagnosis.linear_bank import (
     new_evidence,
     new_rows,
 )
-from lpv.core.serial_arm.diagnosis.onset import sudden_drifts, whitened
+from lpv.core.serial_arm.diagnosis.onset import sudden_drifts
 from lpv.core.serial_arm.diagnosis.priors import (
     CONTACT,
+    FAULT_AT_START,
     LOAD,
     OCCURRENCE,
     POSE_TIME,
@@ -303,17 +306,10 @@ class Bank:
         window, null, longest = estimator.window, estimator.posterior, int(self._lengths[count - 1])
         if len(window.loads) == 0 or longest <= ONSET:
             return []
-        estimator.call(set_residuals, window, null, longest + 1)
         at = recent(window, longest)
-        rows = window.rows[at][:, :, -len(null.mean) :]
-        columns = rows @ window.loads.T
-        pulled = columns * window.weights[at][:, :, None]
-        score = -np.einsum('kil,ki->kl', pulled, null.residual[:longest]).cumsum(0)
-        own = np.einsum('kil,kij->klj', pulled, columns).cumsum(0)
-        known = whitened(null, (pulled.swapaxes(1, 2) @ rows).cumsum(0))
-        matrix = np.eye(len(window.loads)) + own - known @ known.swapaxes(1, 2)
-        change = np.linalg.solve(matrix, score[:, :, None])[:, :, 0]
-        gain = 0.5 * ((score * change).sum(1) - np.linalg.slogdet(matrix)[1])
+        columns = window.rows[at][:, :, -len(null.mean) :] @ window.loads.T
+        estimator.call(set_residuals, window, null, longest + 1)
+        gain, change = onset_gains(window, null, columns)
         estimator.call(weigh_residuals, window, null, longest + 1)
         begins, onset = window.times[at] - estimator.plan.interval, len(self._lengths)
         found = []
@@ -441,12 +437,13 @@ class Bank:
         self.excludes_contact(Hypothesis('drift', 0, 0.0, 0.0, 1.0, found[0].begin), 0.0)
 
     def offset_against_contact(self, joint: int) -> float:
-        """Log Bayes factor of an offset of one encoder to torques over the whole horizon.
+        """Log odds of an offset of one encoder, were it certain, to torques over the horizon.
 
-        It is positive where the offset explains more; offsets of other encoders are free.
+        Offsets of other encoders are free.  Torques change throughout, as likely beforehand as an
+        offset at the first sample, or begin at some time and stay.
         """
-        estimator = self.estimator
-        null, window = estimator.posterior, estimator.window
+        estimator, changing = self.estimator, self._outside.horizon[0]
+        null, window, last = estimator.posterior, estimator.window, len(estimator)
         upper = np.triu(null.factor)
         column = np.linalg.solve(upper.T @ upper, np.eye(len(null.mean))[joint])
         variance, offset = column[joint], null.mean[joint]
@@ -457,10 +454,31 @@ class Bank:
             factor=np.ascontiguousarray(np.linalg.cholesky(held).T),
         )
         gain = 0.5 * (offset**2 / variance - np.log(estimator.prior[joint] ** 2 / variance))
-        last, courses = len(estimator), self._outside.horizon
-        return float(gain) - max(
-            smooth_contact(courses, levers, window, without, last) for levers in self._levers(last)
-        )
+        best = -math.inf
+        for levers in self._levers(last):
+            begun, prior = self._begun(levers, without)
+            begins = [(courses, begun, prior) for courses in self._outside.horizon]
+            for courses, count, likely in ((changing, last, math.log(FAULT_AT_START)), *begins):
+                one = smooth_contact(courses, levers[:count], window, without, count)
+                best = max(best, one + likely)
+        return float(gain) - best
+
+    def _begun(self, levers: FloatArray, null: Posterior) -> tuple[int, float]:
+        """Balances since torques that stay most likely began, and the log probability beforehand.
+
+        They may have begun at every balance, or in as long a time before the horizon, but not
+        before the first sample.
+        """
+        one, last = self.estimator, len(levers)
+        columns = one.plan.interval * levers.swapaxes(1, 2)
+        one.call(set_residuals, one.window, null, last)
+        balances = np.ones(last)
+        balances[-1] += last * (one.window.counters[NEXT] > last)
+        each = np.log(OCCURRENCE[CONTACT] / 3600.0 * one.plan.interval * balances)
+        likely = onset_gains(one.window, null, columns)[0] + each
+        begun = int(likely.argmax())
+        # Neighbouring balances that explain as much are as many chances.
+        return 1 + begun, float(np.logaddexp.reduce(likely) - likely[begun] + each[begun])
 
 
 class Kinematics(NamedTuple):

@@ -23,6 +23,7 @@ from lpv.core.serial_arm.diagnosis.information import (
     slot,
     whiten,
 )
+from lpv.core.serial_arm.diagnosis.onset import whitened
 from lpv.core.serial_arm.diagnosis.parameter_error import NEGLIGIBLE
 from lpv.core.serial_arm.diagnosis.priors import AMPLITUDES, HORIZON_TIME, ROUGH_TIME, SMOOTH_TIMES
 from lpv.core.serial_arm.dynamics.kinematics import fill_jacobian, joint_frames
@@ -47,7 +48,8 @@ class Contact(NamedTuple):
     costs: FloatArray  # (W, K, n) what the freedom of K amplitudes costs
     # (L, M) time profiles of unit variance along eigenfunctions, as impulses, newest first [s]
     smooth: tuple[FloatArray, ...]
-    horizon: FloatArray  # (capacity, M') the same, for all of the horizon [s]
+    # (capacity, M') the same, for all of the horizon: torques that change, and constant ones [s]
+    horizon: tuple[FloatArray, FloatArray]
     along: FloatArray  # scratch, shape (L,)
 
 
@@ -63,12 +65,13 @@ def new_contact(lengths: list[int], torque: FloatArray, interval: float, capacit
     for w, length in enumerate(lengths):
         values[w, :length], vectors[w, :length, :length] = _rough(length, interval)
     smooth = tuple(_courses(longest, interval, one) for one in SMOOTH_TIMES)
+    changing = _courses(capacity, interval, HORIZON_TIME)
+    constant = _courses(capacity, interval, SMOOTH_TIMES[0])
     shares = len(AMPLITUDES)
     return Contact(
         np.array(lengths), torque, np.zeros(n), np.zeros(count, np.int64),
         values * interval**2, vectors, np.zeros((count, shares, n, longest)),
-        np.zeros((count, shares, n)), smooth,
-        _courses(capacity, interval, HORIZON_TIME), np.zeros(longest))  # fmt: skip
+        np.zeros((count, shares, n)), smooth, (changing, constant), np.zeros(longest))  # fmt: skip
 
 
 def _distances(count: int, interval: float) -> FloatArray:
@@ -227,6 +230,26 @@ def smooth_contact(
         if gain > best:
             best, amplitude = gain, without
     return best
+
+
+def onset_gains(
+    window: Window, null: Posterior, columns: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Log ratios of marginal likelihoods of changes that stay, by the balance that they begin with.
+
+    ``columns``, shape (last, n, K), newest balance first, are of unit standard deviations.  The
+    unknowns of ``null``, which must hold the residuals, are free.  Returns shapes (last,) and
+    (last, K), the second are the changes.
+    """
+    at = recent(window, len(columns))
+    rows = window.rows[at][:, :, -len(null.mean) :]
+    pulled = columns * window.weights[at][:, :, None]
+    score = -np.einsum('kil,ki->kl', pulled, null.residual[: len(columns)]).cumsum(0)
+    own = np.einsum('kil,kij->klj', pulled, columns).cumsum(0)
+    known = whitened(null, (pulled.swapaxes(1, 2) @ rows).cumsum(0))
+    matrix = np.eye(columns.shape[2]) + own - known @ known.swapaxes(1, 2)
+    change = np.linalg.solve(matrix, score[:, :, None])[:, :, 0]
+    return 0.5 * ((score * change).sum(1) - np.linalg.slogdet(matrix)[1]), change
 
 
 def _contact_columns(

@@ -49,6 +49,7 @@ from lpv.core.serial_arm.diagnosis.learning import Learned, learned_of
 from lpv.core.serial_arm.diagnosis.parameter_set import is_stated
 from lpv.core.serial_arm.diagnosis.priors import (
     CONTACT,
+    FAULT_AT_START,
     LOAD,
     OCCURRENCE,
     PUSH,
@@ -104,8 +105,6 @@ CONTACT_TIME = 1.0
 """For which torques from outside must be the cause before they are reported [s]: a fault that
 begins shows as free torques first, until its time profile is seen.  As long around a contact
 nothing is learned."""
-FAULT_AT_START = 1e-3
-"""Probability of an offset at the first sample."""
 WIDEST_LEVEL = 0.1
 """Standard deviation of an offset that says nothing [rad], times `SerialJoint.scale`."""
 
@@ -144,6 +143,7 @@ class _Contact:
     begin: float = math.inf  # when something began that they explain as well [s]
     since: float = math.inf  # when they began to be the cause [s]
     until: float = -math.inf  # nothing is learned before [s]
+    leant: float = -math.inf  # when they were last the cause of what looks like an offset [s]
 
 
 class SerialMonitor:
@@ -1086,22 +1086,33 @@ class SerialMonitor:
     def _raise_levels(self, now: float) -> Stage:
         """Offsets that gravity and motion show."""
         gain, excluded = self._beyond
-        raised = self._raise_certified(excluded > 0.0, now)
-        for i in np.nonzero((gain > 0.0) & ~raised)[0]:
+        for i in np.flatnonzero((gain > 0.0) | (excluded > 0.0)).tolist():
             sensor = self.sensors[i]
             if sensor.active or self.sampler.noisy[i]:
                 continue
-            if self.bank.offset_against_contact(int(i)) < self._sure:
-                self._suspects = (f'{self.arm.sensor_names[i]}:bias', CONTACT)
+            # From the start on, or since; as in `find_levels`.
+            later = OCCURRENCE['slip'] * HORIZON / 3600.0
+            prior = FAULT_AT_START if self._known[i] < HORIZON else later
+            odds = self.bank.offset_against_contact(i) + math.log(prior)
+            # Torques from outside that were the cause remain it when their onset, which told them
+            # from an offset, has left the horizon.
+            if odds < -self._sure or now - self._contact.leant < HORIZON:
+                self._contact.leant, odds = now, -math.inf
+            if odds < self._sure:
+                label = f'{self.arm.sensor_names[i]}:bias'
+                self._suspects = tuple(dict.fromkeys((*self._suspects, label, CONTACT)))
+                continue
+            sensor.level = True
+            fault, deviation = (float(part[i]) for part in self.faults())
+            if excluded[i] > 0.0:
+                # The set bounds what a healthy arm shows, not how fast an offset is found.
+                self._raise(i, 'bias', now, fault, deviation, True)
                 continue
             self._evaluate_guarantee()
             guaranteed = self.guarantee is not None and bool(self.guarantee.exceeded[i])
-            sensor.level = True
             sensor.unproved = not guaranteed
-            fault, deviation = self.faults()
             share = 1.0 - math.exp(-float(gain[i]))
-            self._raise(int(i), 'bias', 0.0, float(fault[i]), float(deviation[i]), guaranteed,
-                        share)  # fmt: skip
+            self._raise(i, 'bias', 0.0, fault, deviation, guaranteed, share)
         self._mark_suspects()
         return Stage.END
 
@@ -1109,23 +1120,6 @@ class SerialMonitor:
     def _sure(self) -> float:
         """Log Bayes factor by which a cause is named against another one."""
         return -math.log(self.settings.probability_of_wrong_name)
-
-    def _raise_certified(self, beyond: BoolArray, now: float) -> BoolArray:
-        """Raise offsets that the designed observer's reachable set excludes of a healthy arm.
-
-        The horizon does not contradict them: the rates that the set rests on would be wrong.
-        """
-        certified = np.zeros(self.joints, bool)
-        for i in np.nonzero(beyond)[0]:
-            if self.sensors[i].active or self.sampler.noisy[i]:
-                continue
-            if self.bank.offset_against_contact(int(i)) < self._sure:
-                continue  # an unknown load explains it as well
-            certified[i] = self.sensors[i].level = True
-            # The set bounds what a healthy arm shows, not how fast an offset is found.
-            size, sigma = self.faults()
-            self._raise(int(i), 'bias', now, float(size[i]), float(sigma[i]), True)
-        return certified
 
     def _has_alarm(self) -> bool:
         """Whether an alarm is up."""

@@ -1,0 +1,29 @@
+"""Torques that begin while the arm is watched, and stay: someone leans on the arm."""
+
+from functools import cache
+
+import fault_injection
+import numpy as np
+import pytest
+
+CASES = [('real_arm', 'derived', 0, 0.3), ('real_arm', 'independent', 0, 0.6),
+         ('paper', 'independent', 0, -0.3), ('paper', 'derived', 1, -0.3)]  # fmt: skip
+
+
+@cache
+def answered(name, rates, joint, share):
+    """Answers to an arm whose drives give less from 7 s on, by a share of the usual effort."""
+    (subject,) = fault_injection.subjects(name, recorded=False)
+    subject = subject.with_rates(rates)
+    stream = subject.streams(1)
+    if rates == 'derived':
+        stream = fault_injection.derived(stream)
+    samples = stream.samples.copy()
+    usual = np.quantile(np.abs(samples[:, 2, joint]), 0.95)
+    samples[stream.index(7.0) :, 2, joint] -= share * usual
+    return subject.monitor().take_many(stream.stamps, *np.moveaxis(samples, 1, 0))
+
+
+@pytest.mark.parametrize('case', CASES)
+def test_given_a_torque_that_stays_when_watched_then_no_encoder_is_blamed(case):
+    assert [event for _, event in answered(*case).events if event.sensor] == []
