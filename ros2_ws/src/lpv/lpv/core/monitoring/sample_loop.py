@@ -166,7 +166,8 @@ def _know_nothing_wrong(parts: Parts, one: Answering, stamp: int) -> None:
     state, level, known, flags = parts.state[0], parts.level, one.known, one.flags[0]
     widest, smallest, sigmas = state.limits[0], state.limits[1], state.limits[2]
     for i in range(known.fault.shape[0]):
-        sigma = level.sigma[i]
+        # An offset that is not confirmed may be none.
+        sigma = max(level.sigma[i], abs(level.mean[i]) / sigmas)
         known.confirmed[i] = removed(parts.sampler, i, parts.sampler.raw[i])
         known.fault[i] = known.confirmed[i] + level.mean[i]
         known.rate[i] = known.growth[i] = parts.sampler.drift[i]

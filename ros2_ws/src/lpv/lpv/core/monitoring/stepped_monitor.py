@@ -160,7 +160,7 @@ class SteppedMonitor(SerialMonitor):
         settings, sensors, sampler, scales = self.settings, self.sensors, self.sampler, self.scales
         state = np.array([one.state for one in sensors], np.uint8)
         doubts = self.doubts()
-        (fault, sigma), changing = self.faults(doubts), sum(doubts)
+        (fault, sigma), changing = self.published(doubts), sum(doubts)
         jump, self.jump = self.jump, np.zeros(self.joints)
         self._removed_variance = np.where(
             state == _ERROR, self._removed_variance + self.jump_variance, 0.0

@@ -27,3 +27,10 @@ def answered(name, rates, joint, share):
 @pytest.mark.parametrize('case', CASES)
 def test_given_a_torque_that_stays_when_watched_then_no_encoder_is_blamed(case):
     assert [event for _, event in answered(*case).events if event.sensor] == []
+
+
+@pytest.mark.parametrize('case', CASES)
+def test_given_a_torque_that_stays_when_watched_then_trusted_bounds_hold_healthy_sensors(case):
+    answers = answered(*case)
+    outside = (np.abs(answers.fault.estimate) > answers.fault.bound + 1e-6).any(axis=1)
+    assert not (outside & answers.state.trustworthy).any()

@@ -439,7 +439,7 @@ class SerialMonitor:
 
     def estimate(self, stamp: int) -> SerialEstimate:
         """What is known after the last sample."""
-        fault, sigma = self.faults()
+        fault, sigma = self.published()
         state = tuple(
             SensorState.NOT_DIAGNOSABLE
             if one.state is SensorState.OK and sigma[i] > WIDEST_LEVEL * self.scales[i]
@@ -458,6 +458,18 @@ class SerialMonitor:
         level, (changing, doubt) = self.estimator.level, doubts or self.doubts()
         fault = self.taken_out() + level.mean[: self.joints]
         return fault, np.hypot(level.sigma, changing) + doubt
+
+    def published(
+        self, doubts: tuple[FloatArray, FloatArray] | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """As `faults`; bounds hold 0, too, where an offset is not confirmed.
+
+        Torques from outside may be what looks like one.
+        """
+        fault, sigma = self.faults(doubts)
+        quiet = np.array([not one.active for one in self.sensors])
+        offset = quiet * np.abs(self.estimator.level.mean[: self.joints])
+        return fault, np.maximum(sigma, offset / self.settings.sigmas)
 
     def doubts(self) -> tuple[FloatArray, FloatArray]:
         """Standard deviations of what changes, and of what is not decided, shape (n,) [rad]."""
