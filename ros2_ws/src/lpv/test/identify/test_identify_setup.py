@@ -260,6 +260,11 @@ def test_given_a_proper_setup_when_looked_at_then_there_are_no_mistakes(rough_ar
     assert mistakes.find_mistakes(rough_arm, [recording]) == []
 
 
+@pytest.mark.parametrize('seed', [10**6, 10**6 + 5])
+def test_given_an_arm_that_pauses_when_looked_at_then_friction_at_rest_is_no_mistake(seed):
+    assert mistakes.find_mistakes(ur10e(), [recording_of_twin(seed, robot=1)]) == []
+
+
 def test_given_errors_that_change_with_speed_when_fitted_then_the_bounds_do():
     rng = np.random.default_rng(1)
     speed = rng.uniform(0, 2, 5000)

@@ -20,7 +20,7 @@ from lpv.identify.model.friction import SLOPE, friction_columns, join_columns
 from lpv.identify.model.prior import Prior, base_prior
 from lpv.identify.model.rigid_body import RigidBody
 from lpv.identify.recordings.filters import derivative, low_pass, shifted
-from lpv.identify.recordings.motion import Segment, find_bandwidths, split
+from lpv.identify.recordings.motion import Segment, find_bandwidths, moving, split
 from lpv.identify.recordings.recording import Recording
 
 _SURE = 15.0  # logarithm of a Bayes factor from which a mistake is named
@@ -51,6 +51,7 @@ class _Setup:
     segments: tuple[Segment, ...]
     gravity: np.ndarray  # in the base's frame [m/s2]
     rigid: tuple[np.ndarray, ...]  # regressors without gravity, then per unit of it along x, y, z
+    moves: np.ndarray  # where joints do, as friction at rest is unknown, shape (samples, n)
     # torques of the segments per unit of the recorded efforts, shape (n,)
     gain: float | np.ndarray = 1.0
     loaded: bool = False  # whether any load may be at the tip, whatever the file says
@@ -132,7 +133,8 @@ class _Judge:
         self._loads = usual_load(arm), sum(joint.link.mass for joint in arm.joints)
         self._information = [self._with_load(sigma) for sigma in self._loads]
         duration = sum(s.time[-1] - s.time[0] for s in segments)
-        self._samples = 2.0 * find_bandwidths(list(segments)).test * duration
+        samples = 2.0 * find_bandwidths(list(segments)).test * duration
+        self._share = samples / sum(len(s.time) for s in segments)  # that is independent
         self.cost = _COST + np.log(len(arm.joints))
 
     def _with_load(self, sigma: float) -> np.ndarray:
@@ -142,15 +144,17 @@ class _Judge:
 
     def setup(self, segments: tuple[Segment, ...], gravity: np.ndarray) -> _Setup:
         """A set-up with its regressors."""
-        parts = []
+        parts, moves = [], []
         for one in segments:
             assert one.velocity is not None  # segments are those of a filtered recording
+            moves.append(moving(one.velocity, one.step, self._arm.scales()))
             still = np.zeros_like(one.position)
             motion = one.velocity, derivative(one.velocity, one.step)
             full = [self._model.regressor(one.position, *motion, np.zeros(3))]
             full += [self._model.regressor(one.position, still, still, axis) for axis in np.eye(3)]
             parts.append([part[:, :, self._base.columns] for part in full])
-        return _Setup(segments, gravity, tuple(np.concatenate(part) for part in zip(*parts)))
+        rigid = tuple(np.concatenate(part) for part in zip(*parts))
+        return _Setup(segments, gravity, rigid, np.concatenate(moves))
 
     def _regressor(self, setup: _Setup) -> np.ndarray:
         return setup.rigid[0] + sum(g * part for g, part in zip(setup.gravity, setup.rigid[1:]))
@@ -164,7 +168,8 @@ class _Judge:
         sizes = [float(np.linalg.norm(regressor @ b)) + 1e-9 for b in (beta, self._mean)]
         common = float(np.log(sizes[0] / sizes[1])) / _SCALE
         off = beta - self._mean
-        misfit = self._samples * float(np.sum(np.log(scale / setup.gain)))
+        samples = self._share * setup.moves.sum(axis=0)
+        misfit = float(samples @ np.log(scale / setup.gain))
         information = self._information[setup.loaded]
         return -misfit - 0.5 * float(off @ information @ off) - 0.5 * common**2, beta
 
@@ -172,7 +177,7 @@ class _Judge:
         """Huber's estimate of all parameters with the prior; robust scale of each joint."""
         effort = np.concatenate([s.effort for s in setup.segments])
         rates = np.concatenate([s.velocity for s in setup.segments])
-        count, n, size = columns.shape
+        _, n, size = columns.shape
         friction = friction_columns(rates, np.full(n, SLOPE), np.zeros_like(rates))
         design = join_columns(columns, friction[:, :, [0, 1, 3]])
         information = np.diag(np.where(np.arange(design.shape[2]) < size, 0.0, _FREE))
@@ -182,7 +187,7 @@ class _Judge:
         least = 1e-3 * spread + 1e-9
         solution, _, scale = robust_fit(
             design, effort, np.maximum(spread, least), Prior(mean, information),
-            rounds=4, share=self._samples / count, least=least,
+            rounds=4, share=self._share, least=least, counts=setup.moves,
         )  # fmt: skip
         return solution, scale
 

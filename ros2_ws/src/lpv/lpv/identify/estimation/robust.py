@@ -67,13 +67,16 @@ def robust_fit(
     rounds: int = 8,
     share: float = 1.0,  # of the rows that is independent of the others
     least: np.ndarray | float = 1e-9,  # scale
+    counts: np.ndarray | None = None,  # which residuals do, shape (rows, n)
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Huber's estimate of target = design @ parameters; parameters, residuals, scales."""
-    weight = np.ones_like(target)
+    used = np.ones(target.shape, bool) if counts is None else counts
+    weight = used.astype(float)
     for _ in range(rounds):
         matrix, right = normal_equations(design, target, share * weight / scale**2, prior)
         solution = invert_normal(matrix) @ right
         residual = target - design @ solution
-        scale = robust_scale(residual, least)
-        weight = huber(residual / scale, bound)
+        parts = [robust_scale(column[one]) for column, one in zip(residual.T, used.T)]
+        scale = np.maximum(parts, least)
+        weight = used * huber(residual / scale, bound)
     return solution, residual, scale
