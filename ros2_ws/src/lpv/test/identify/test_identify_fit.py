@@ -1,5 +1,6 @@
 """Identification of arms that are known, and of real ones; recordings read, mended or refused."""
 
+import re
 from argparse import Namespace
 from dataclasses import replace
 
@@ -22,6 +23,7 @@ from lpv.identify.estimation import assembly, payload
 from lpv.identify.estimation.gains import rescaled
 from lpv.identify.estimation.identification import identify
 from lpv.identify.estimation.mistakes import find_mistakes
+from lpv.identify.estimation.torque_error import calibrate
 from lpv.identify.estimation.workshop import Workshop
 from lpv.identify.model.rigid_body import joint_torques
 from lpv.identify.motions.excitation import plan_excitation
@@ -121,6 +123,17 @@ def test_given_a_contact_parts_or_no_rates_when_fitted_then_all_counts(arm, reco
     assert not found.used_rates and len(found.predictions) == 2
     assert {joint.sensors.rates for joint in found.arm.joints} == {'none'}
     assert np.all(found.figures.rms < 1.1 * result.figures.rms)
+
+
+@pytest.mark.parametrize('way', ['identified', 'calibrated'])
+def test_given_a_fault_in_the_recording_then_the_diagnosis_names_it(arm, recording, result, way):
+    position = recording.position + np.outer(recording.time > 8.0, [0.0, 0.1, 0.0])
+    faulty = replace(recording, position=position)
+    run = {'identified': identify, 'calibrated': calibrate}[way]
+    (said,) = [text for text in run(arm, [faulty]).warnings if 'healthy?' in text]
+    assert re.search(r'8\.0 s: ALARM, two_encoder: error \+0\.1', said)
+    assert not any('healthy?' in text for text in result.warnings)
+    assert not any('healthy?' in text for text in calibrate(arm, [recording]).warnings)
 
 
 def test_given_efforts_without_gravity_when_identified_then_it_is_found(arm, simulated):

@@ -54,9 +54,9 @@ _LARGEST = (FARTHEST, 1e4, LARGEST)
 joints that turn without end count from the last one."""
 _WARM_UP = (0.3, 1.0)
 """Motion that makes every compiled function run, without and with those of suspected faults [s]."""
-_CONTACT = 'torques from outside: something pushes or holds the arm, or its load has changed'
+CONTACT = 'torques from outside: something pushes or holds the arm, or its load has changed'
 _JUMPS_ALONE = 'jumps of readings are found, offsets and drifts are not diagnosable'
-_MISFIT = (
+MISFIT = (
     'motion and efforts do not fit the arm file, whatever sensor is blamed; lpv doctor (or lpv '
     'identify --calibrate, from a recording) names the likely cause: load, mounting, units, signs, '
     'names or delays'
@@ -946,11 +946,11 @@ class SerialSensorMonitor:
         if not self._snapshot.balances and self.counters.gaps > LONGEST_STEP:
             return _TOO_RARE
         if self._snapshot.contact:
-            return _CONTACT
+            return CONTACT
         if self._snapshot.suspects:
             return 'inconsistent; what explains it: ' + ', '.join(self._snapshot.suspects)
         if self._snapshot.misfit > ROBUST:
-            return _MISFIT
+            return MISFIT
         wrong = ', '.join(self._monitor.misnamed)
         return _MISNAMED.format(wrong) if wrong else ''
 

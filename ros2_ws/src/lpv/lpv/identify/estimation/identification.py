@@ -9,6 +9,7 @@ from lpv.core.serial_arm.description import SerialArm
 from lpv.identify.estimation.assembly import covariance_of_all, fit_of
 from lpv.identify.estimation.determination import Determination, determine
 from lpv.identify.estimation.evaluation import Figures, Prediction, figures, predict
+from lpv.identify.estimation.health import unhealthy
 from lpv.identify.estimation.mistakes import Mistake, find_mistakes
 from lpv.identify.estimation.regression import Filters, Fit
 from lpv.identify.estimation.selection import WeightEvidence
@@ -18,7 +19,7 @@ from lpv.identify.recordings.motion import moving
 from lpv.identify.recordings.recording import Recording
 from lpv.identify.sensors.sensing import Sensing
 
-STEPS = 8
+STEPS = 9
 """Steps of an identification that are reported."""
 
 
@@ -91,6 +92,8 @@ def identify(
     determination = determine(workshop.base, free, arm)
     sensing = workshop.sensing()
     found = _finish(found, workshop, sensing, predictions, determination, free)
+    report('looking for faults in the recordings')
+    workshop.warnings += unhealthy(found, [*recordings, *tests])
     step = workshop.step
     return Identification(
         found,

@@ -10,6 +10,7 @@ from lpv.core.serial_arm.description import SerialArm, TorqueTolerance
 from lpv.core.support.limits import SMALL
 from lpv.identify.errors import IdentificationError
 from lpv.identify.estimation.autocorrelation import autocovariance
+from lpv.identify.estimation.health import unhealthy
 from lpv.identify.model.rigid_body import joint_torques
 from lpv.identify.recordings.filters import derivative, low_pass
 from lpv.identify.recordings.motion import Motion, Segment, find_bandwidths, moving, smooth, split
@@ -136,8 +137,10 @@ def calibrate(arm: SerialArm, recordings: Sequence[Recording]) -> Calibration:
         if speed < SMALL
     ]
     rms = np.sqrt(np.mean(np.concatenate(residuals) ** 2, axis=0))
-    changed = error.on(replace(sensing.on(arm), sample_time=step))
-    return Calibration(changed, sensing, error, rms, tuple(warnings))
+    given = replace(sensing.on(arm), sample_time=step)
+    # Without the errors that were measured: they hold what is wrong in the recording.
+    warnings += unhealthy(given, recordings, fits=False)
+    return Calibration(error.on(given), sensing, error, rms, tuple(warnings))
 
 
 def torque_tolerance(speed: np.ndarray, residual: np.ndarray) -> TorqueTolerance:
