@@ -265,6 +265,36 @@ def test_given_an_arm_that_pauses_when_looked_at_then_friction_at_rest_is_no_mis
     assert mistakes.find_mistakes(ur10e(), [recording_of_twin(seed, robot=1)]) == []
 
 
+def off(recording, error):
+    """Readings of the second joint that are off by an error of their own and the time."""
+    position, time = recording.position.copy(), recording.time[:, None]
+    position[:, 1:2] += error(position[:, 1:2], time)
+    return replace(recording, position=position, velocity=None)
+
+
+ERRORS = {
+    'zero': (lambda q, t: 0.4 + 0.0 * q, r'two are off by about \+0\.(4|3[6-9]) rad all the time'),
+    'ratio': (lambda q, t: 0.1 * q, r'two are off by about \+(9|10)\..% of what they are'),
+    'drift': (lambda q, t: 0.01 * t, r'two are off by about \+0\.0(1|09\d) rad/s more and more'),
+}
+
+
+@pytest.mark.parametrize('name', ERRORS)
+def test_given_readings_that_are_off_all_the_time_when_looked_at_then_their_joint_is_named(
+    rough_arm, recording, name
+):
+    error, text = ERRORS[name]
+    (first,) = mistakes.find_mistakes(rough_arm, [off(recording, error)])
+    assert first.kind == 'reading' and re.search(text, first.text)
+
+
+def test_given_a_load_that_is_taken_when_looked_at_then_no_encoder_is_blamed():
+    before, after = recording_of_twin(10**6, robot=1), recording_of_twin(10**6, 3.0, robot=1)
+    late = np.where(before.time[:, None] > 25.0, after.effort, before.effort)
+    (first,) = mistakes.find_mistakes(ur10e(), [replace(before, effort=late)])
+    assert first.kind == 'change' and re.search(r'by about \+[23].* kg after 2\d s', first.text)
+
+
 def test_given_errors_that_change_with_speed_when_fitted_then_the_bounds_do():
     rng = np.random.default_rng(1)
     speed = rng.uniform(0, 2, 5000)

@@ -5,8 +5,9 @@ its evidence is compared: how well torques are explained, and how far parameters
 the file says for that.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -14,7 +15,8 @@ from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import N_INERTIAL, SerialArm
 from lpv.core.serial_arm.diagnosis.parameter_error import usual_load
 from lpv.core.serial_arm.dynamics.payload import payload_parameters
-from lpv.identify.estimation.robust import robust_fit
+from lpv.identify.estimation.autocorrelation import autocovariance
+from lpv.identify.estimation.robust import HUBER, robust_fit
 from lpv.identify.model.base_parameters import find_base_parameters
 from lpv.identify.model.friction import SLOPE, friction_columns, join_columns
 from lpv.identify.model.prior import Prior, base_prior
@@ -23,10 +25,17 @@ from lpv.identify.recordings.filters import derivative, low_pass, shifted
 from lpv.identify.recordings.motion import Segment, find_bandwidths, moving, split
 from lpv.identify.recordings.recording import Recording
 
-_SURE = 15.0  # logarithm of a Bayes factor from which a mistake is named
+_SURE = 15.0  # logarithm of a Bayes factor from which a mistake is named, against none or others
 _COST = 2.0  # logarithm of how much less likely a mistake is than none, of one joint
+# The same of what healthy recordings seem to show where the model misses torques: an error of a
+# joint's readings up to 30 (15 s of motion; with a tool beside the axis 17).
+_SEEMING = {'reading': 15.0, 'change': 15.0}
 _FREE = 1e-6  # information on friction before the data
-_LEAST_TILT = np.radians(1.5)  # smaller tilts of the base are no mistakes of a mounting
+_LEAST_ANGLE = np.radians(1.5)  # of a base's tilt, or of a reading's error, that is a mistake
+_LEAST_LOAD = 0.1  # share of the usual load that is a change of it
+_CHANGES = np.linspace(0.1, 0.9, 17)  # moments at which the load may change, of the duration
+_FARTHEST = 0.5  # that gravity turns, or a reading is off, in a step of a search [rad]
+_STEPS = 3  # of the search for a reading's error: what is left is its cube
 _SCALE = 0.2  # standard deviation of the logarithm of the arm's torques, as the file gives them
 _FACTOR = 2.0  # within which efforts may be N m
 _DELAYS = (-0.05, *np.arange(0.02, 0.11, 0.01))  # what filters of drivers do is no mistake [s]
@@ -39,7 +48,8 @@ _Tried = Iterator[tuple[str, '_Setup']]
 class Mistake:
     """What differs from what the file says."""
 
-    kind: str  # 'angle', 'gravity', 'weight', 'load', 'sign', 'names', 'delay' or 'unit'
+    # 'angle', 'gravity', 'weight', 'load', 'change', 'sign', 'names', 'delay', 'unit' or 'reading'
+    kind: str
     text: str  # one sentence for the user
     evidence: float  # logarithm of the Bayes factor against the set-up as it is said to be
 
@@ -69,18 +79,25 @@ def find_mistakes(arm: SerialArm, recordings: Sequence[Recording]) -> list[Mista
     gravity = arm.gravity_vector() if arm.effort_includes_gravity else np.zeros(3)
     setup = judge.setup(slow, gravity)
     found: list[Mistake] = []
-    before, _ = judge.evidence(setup)
+    before = judge.evidence(setup)
     # No other ones: a mistake may be named for want of a better one, and the next one undo it.
     while not found or found[-1].kind == 'weight':
-        best: tuple[float, Mistake, _Setup] | None = None
-        for kind, text, other in judge.hypotheses(setup, {m.kind for m in found}):
-            value = judge.evidence(other)[0] - judge.cost - before
-            if best is None or value > best[0]:
-                best = value, Mistake(kind, text, value), other
-        if best is None or best[0] < _SURE:
+        tried: list[tuple[Mistake, _Setup]] = []
+        for kind, hypotheses in judge.hypotheses({m.kind for m in found}):
+            values = [
+                (judge.evidence(other).over(before) - judge.cost, text, other)
+                for text, other in hypotheses(setup)
+            ]
+            if values:
+                value, text, other = max(values, key=lambda one: one[0])
+                tried.append((Mistake(kind, text, value - _SEEMING.get(kind, 0.0)), other))
+        best, other = max(tried, key=lambda one: one[0].evidence)
+        if best.evidence < _SURE:
             break
-        found.append(best[1])
-        setup, before = best[2], judge.evidence(best[2])[0]
+        alike = [m.text for m, _ in tried if m.evidence > best.evidence - _SURE]
+        alike.remove(best.text)
+        found.append(replace(best, text='; or: '.join([best.text, *alike])))
+        setup, before = other, judge.evidence(other)
     return found
 
 
@@ -114,6 +131,21 @@ def _slow(arm: SerialArm, segments: Sequence[Segment]) -> tuple[Segment, ...]:
         cut = slice(every, len(one.time) - every, every)
         result.append(Segment(every * one.step, *(signal[cut] for signal in signals)))
     return tuple(result)
+
+
+@dataclass(frozen=True)
+class _Evidence:
+    """How well a set-up explains the torques."""
+
+    misfit: float  # sum of the logarithms of the joints' residual scales
+    leaves: float  # how far parameters leave the file: less of the evidence's logarithm
+    samples: float  # that are independent, as its residuals last
+    beta: np.ndarray  # base parameters
+    extra: np.ndarray  # other parameters that were asked for
+
+    def over(self, other: '_Evidence') -> float:
+        """Logarithm of the Bayes factor; what is right leaves nothing that lasts."""
+        return self.samples * (other.misfit - self.misfit) + other.leaves - self.leaves
 
 
 class _Judge:
@@ -159,23 +191,39 @@ class _Judge:
     def _regressor(self, setup: _Setup) -> np.ndarray:
         return setup.rigid[0] + sum(g * part for g, part in zip(setup.gravity, setup.rigid[1:]))
 
-    def evidence(self, setup: _Setup) -> tuple[float, np.ndarray]:
-        """Logarithm of the evidence but for a constant, and the base parameters."""
+    def evidence(self, setup: _Setup, more: np.ndarray | None = None) -> '_Evidence':
+        """Of a set-up, whose torques may have ``more`` columns, shape (samples, n, parameters)."""
         regressor = self._regressor(setup)
-        solution, scale = self._fit(setup, regressor)
+        columns = regressor if more is None else np.concatenate([regressor, more], axis=2)
+        solution, residual, scale = self._fit(setup, columns)
         beta = solution[: self._size]
         # Single parameters may be far off, hardly the torques of the whole arm.
         sizes = [float(np.linalg.norm(regressor @ b)) + 1e-9 for b in (beta, self._mean)]
         common = float(np.log(sizes[0] / sizes[1])) / _SCALE
         off = beta - self._mean
-        samples = self._share * setup.moves.sum(axis=0)
-        misfit = float(samples @ np.log(scale / setup.gain))
         information = self._information[setup.loaded]
-        return -misfit - 0.5 * float(off @ information @ off) - 0.5 * common**2, beta
+        return _Evidence(
+            float(np.sum(np.log(scale / setup.gain))),
+            0.5 * float(off @ information @ off) + 0.5 * common**2,
+            self._independent(setup, residual / scale) * float(setup.moves.sum(axis=0).mean()),
+            beta,
+            solution[len(beta) : columns.shape[2]],
+        )
 
-    def _fit(self, setup: _Setup, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Huber's estimate of all parameters with the prior; robust scale of each joint."""
-        effort = np.concatenate([s.effort for s in setup.segments])
+    def _independent(self, setup: _Setup, ratio: np.ndarray) -> float:
+        """Share of the samples that is independent: less than the band has where errors last."""
+        errors = np.where(setup.moves, np.clip(ratio, -HUBER, HUBER), 0.0)
+        parts = np.split(errors, _ends(setup))
+        most = max(2, max(len(part) for part in parts) // 4)
+        joints = zip(*(part.T for part in parts))
+        gamma = np.sum([autocovariance(one, most) for one in joints], axis=0)
+        rho = gamma / max(float(gamma[0]), 1e-12)
+        end = int(np.argmax(np.append(rho, -1.0) <= 0.0))
+        return min(self._share, 1.0 / (1.0 + 2.0 * float(rho[1:end].sum())))
+
+    def _fit(self, setup: _Setup, columns: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Huber's estimate of all parameters with the prior; residuals, scale of each joint."""
+        effort = _efforts(setup)
         rates = np.concatenate([s.velocity for s in setup.segments])
         _, n, size = columns.shape
         friction = friction_columns(rates, np.full(n, SLOPE), np.zeros_like(rates))
@@ -185,26 +233,60 @@ class _Judge:
         mean = np.append(self._mean, np.zeros(len(information) - self._size))
         spread = np.std(effort, axis=0)
         least = 1e-3 * spread + 1e-9
-        solution, _, scale = robust_fit(
+        return robust_fit(
             design, effort, np.maximum(spread, least), Prior(mean, information),
             rounds=4, share=self._share, least=least, counts=setup.moves,
         )  # fmt: skip
-        return solution, scale
 
-    def hypotheses(self, setup: _Setup, without: set[str]) -> Iterator[tuple[str, str, _Setup]]:
-        """Kind, text and set-up of each mistake."""
-        for kind, tried in (
+    def hypotheses(self, without: set[str]) -> Iterator[tuple[str, Callable[[_Setup], _Tried]]]:
+        """Kinds of mistakes, and what tries each: the most evident one of it counts."""
+        kinds: tuple[tuple[str, Callable[[_Setup], _Tried]], ...] = (
             ('gravity', self._gravities),
             ('weight', self._weightless),
             ('load', self._loaded),
+            ('change', self._load_changes),
             ('sign', self._signs),
             ('names', self._swaps),
             ('delay', self._delays),
             ('unit', self._units),
+            *(('reading', partial(self._readings, j)) for j in range(len(self._arm.joints))),
+        )
+        yield from (one for one in kinds if one[0] not in without)
+
+    def _readings(self, j: int, setup: _Setup) -> _Tried:
+        """Readings of a joint that are off in proportion to something."""
+        joint, unit = self._arm.joints[j], np.eye(len(self._arm.joints))[j]
+        elapsed = np.concatenate([s.time - s.time[0] for s in setup.segments])
+        position = np.concatenate([s.position[:, j] for s in setup.segments])
+        length = joint.units[0]
+        for course, text in (
+            (np.ones(len(position)), f'{{:+.2g}} {length} all the time: is its zero right?'),
+            (position, '{:+.1%} of what they are: is its ratio right?'),
+            (elapsed, f'{{:+.2g}} {length}/s more and more: its encoder drifts or slips'),
         ):
-            if kind not in without:
-                for text, other in tried(setup):
-                    yield kind, text, other
+            usual = joint.scale / max(float(np.max(np.abs(course))), 1e-9)
+            size, left, other = 0.0, np.inf, setup
+            for _ in range(_STEPS):
+                before = self.evidence(other)
+                ahead = self._moved(setup, (-size - 1e-3 * usual) * np.outer(course, unit))
+                change = (self._regressor(ahead) - self._regressor(other)) @ before.beta / 1e-3
+                found = self.evidence(other, _halves(change, elapsed))
+                left = usual * float(np.max(np.abs(found.extra)))
+                if found.over(before) - self.cost < (0.0 if size else _SURE):
+                    break
+                size += float(np.clip(found.extra.mean(), -_FARTHEST, _FARTHEST)) * usual
+                other = self._moved(setup, -size * np.outer(course, unit))
+            if abs(size) > max(left, _LEAST_ANGLE * usual):
+                yield f'readings of {joint.name} are off by about {text.format(size)}', other
+
+    def _moved(self, setup: _Setup, change: np.ndarray) -> _Setup:
+        """The set-up with other positions by a change of shape (samples, n)."""
+        segments = []
+        for one, part in zip(setup.segments, np.split(change, _ends(setup))):
+            assert one.velocity is not None
+            velocity = one.velocity + derivative(part, one.step)
+            segments.append(replace(one, position=one.position + part, velocity=velocity))
+        return replace(self.setup(tuple(segments), setup.gravity), gain=setup.gain)
 
     def _gravities(self, setup: _Setup) -> _Tried:
         size = self._arm.gravity
@@ -212,13 +294,14 @@ class _Judge:
             return
         starts = [setup.gravity] if setup.gravity.any() else []
         axes = [sign * size * axis for axis in np.eye(3) for sign in (1.0, -1.0)]
-        best = max(axes, key=lambda g: self.evidence(replace(setup, gravity=g))[0])
+        now = self.evidence(setup)
+        best = max(axes, key=lambda g: self.evidence(replace(setup, gravity=g)).over(now))
         said = self._arm.gravity_vector()
         for start in (*starts, best):
             found = self._turned(replace(setup, gravity=start))
             cross = np.cross(found.gravity, said) / size**2
             angle = float(np.arctan2(np.linalg.norm(cross), found.gravity @ said / size**2))
-            if angle < _LEAST_TILT:
+            if angle < _LEAST_ANGLE:
                 continue
             x, y, z = -found.gravity / size
             rpy = np.arctan2(y, z), np.arcsin(np.clip(-x, -1.0, 1.0))
@@ -237,7 +320,7 @@ class _Judge:
         if self._arm.uncertainty.payload is None:
             return  # any load is as the file says
         loaded = replace(setup, loaded=True)
-        off = self.evidence(loaded)[1] - self._mean
+        off = self.evidence(loaded).beta - self._mean
         pull = self._known @ self._load
         mass = float(pull @ off / (pull @ self._load + self._loads[1] ** -2))
         yield (
@@ -246,17 +329,31 @@ class _Judge:
             loaded,
         )
 
+    def _load_changes(self, setup: _Setup) -> _Tried:
+        elapsed = np.concatenate([s.time - s.time[0] for s in setup.segments])
+        pull, effort = self._regressor(setup) @ self._load, _efforts(setup)
+        for moment in _CHANGES * elapsed.max():
+            later = pull * (elapsed > moment)[:, None]
+            halves = self.evidence(setup, _halves(later, np.maximum(elapsed, moment))).extra
+            mass = float(halves.mean())
+            if abs(mass) < max(float(np.ptp(halves)), _LEAST_LOAD * self._loads[0]):
+                continue
+            yield (
+                f'the load at the tip changes by about {mass:+.2g} kg after {moment:.0f} s: '
+                'identify from a recording with one load',
+                self._changed(setup, np.split(effort - mass * later, _ends(setup))),
+            )
+
     def _turned(self, setup: _Setup) -> _Setup:
         """Gravity whose direction fits best, by Gauss-Newton together with all parameters."""
         size = float(np.linalg.norm(setup.gravity))
         for _ in range(6):
-            _, beta = self.evidence(setup)
+            beta = self.evidence(setup).beta
             down = setup.gravity / size
             across = np.linalg.svd(down[None])[2][1:]  # two directions that turn it
             pulls = np.stack([part @ beta for part in setup.rigid[1:]], axis=2)
-            columns = np.concatenate([self._regressor(setup), size * pulls @ across.T], axis=2)
-            solution, _ = self._fit(setup, columns)
-            turn = np.clip(solution[len(beta) : len(beta) + 2], -0.5, 0.5) @ across
+            found = self.evidence(setup, size * pulls @ across.T).extra
+            turn = np.clip(found, -_FARTHEST, _FARTHEST) @ across
             setup = replace(setup, gravity=size * (down + turn) / np.linalg.norm(down + turn))
             if np.linalg.norm(turn) < 1e-4:
                 break
@@ -295,7 +392,7 @@ class _Judge:
 
     def _units(self, setup: _Setup) -> _Tried:
         expected = np.std(self._regressor(setup) @ self._mean, axis=0)
-        measured = np.std(np.concatenate([s.effort for s in setup.segments]), axis=0)
+        measured = np.std(_efforts(setup), axis=0)
         carries = expected > 0.1 * expected.max()
         gain = expected / np.maximum(measured, 1e-12)
         middle = float(np.median(gain[carries]))
@@ -311,6 +408,22 @@ class _Judge:
                 gain=setup.gain * gain,
             ),
         )
+
+
+def _halves(columns: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Columns for each half of a time: what is off for long is so in both, shape (..., 2)."""
+    early = (time < 0.5 * (time.min() + time.max()))[:, None]
+    return np.stack([columns * early, columns * ~early], axis=2)
+
+
+def _efforts(setup: _Setup) -> np.ndarray:
+    """Those of all segments, shape (samples, n)."""
+    return np.concatenate([s.effort for s in setup.segments])
+
+
+def _ends(setup: _Setup) -> np.ndarray:
+    """Rows at which one segment ends and the next one begins."""
+    return np.cumsum([len(s.time) for s in setup.segments])[:-1]
 
 
 def _turn(direction: np.ndarray, angle: float) -> str:
