@@ -121,11 +121,12 @@ def load_run(
     """Read a run; BagError if it lacks measurements or a joint, or holds several arms."""
     with open_bag(path) as reader:
         msgtype, name = STREAMS['joint_states'][0], 'joint_states'
+        measured = topic
         if not answers_only:
-            find_topic(reader, msgtype, name, topic, joint_names)
+            measured = find_topic(reader, msgtype, name, topic, joint_names).topic
         namespace = None if topic is None else arm_namespace(reader, topic)
         types = {**{name: msgtype for name, (msgtype, _) in STREAMS.items()}, ALARMS: ALARM_TYPE}
-        found = {name: find_connections(reader, msgtype, name, topic, joints=joint_names)}
+        found = {name: find_connections(reader, msgtype, name, measured, joints=joint_names)}
         found |= {
             other: find_connections(reader, kind, other, namespace=namespace)
             for other, kind in types.items()

@@ -2,8 +2,6 @@
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from lpv.core.monitoring.alarm_text import describe
 from lpv.core.monitoring.serial_monitor import CONTACT, MISFIT, SerialSensorMonitor
 from lpv.core.serial_arm.description import SerialArm
@@ -17,9 +15,8 @@ def unhealthy(arm: SerialArm, recordings: Sequence[Recording], fits: bool = True
     warned = (CONTACT, MISFIT) if fits else (CONTACT,)
     texts = []
     for one in recordings:
-        rates = np.full_like(one.position, np.nan) if one.velocity is None else one.velocity
         monitor = SerialSensorMonitor('identify', arm)
-        answers = monitor.take_many(one.stamps, one.position, rates, one.effort)
+        answers = monitor.take_many(one.stamps, one.position, one.rates, one.effort)
         said = [
             (event.onset / NANOSECONDS, event.sensor, describe(event))
             for _, event in answers.events

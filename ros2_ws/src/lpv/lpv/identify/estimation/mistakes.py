@@ -256,7 +256,7 @@ class _Judge:
     def _readings(self, j: int, setup: _Setup) -> _Tried:
         """Readings of a joint that are off in proportion to something."""
         joint, unit = self._arm.joints[j], np.eye(len(self._arm.joints))[j]
-        elapsed = np.concatenate([s.time - s.time[0] for s in setup.segments])
+        elapsed = _elapsed(setup)
         position = np.concatenate([s.position[:, j] for s in setup.segments])
         length = joint.units[0]
         for course, text in (
@@ -330,7 +330,7 @@ class _Judge:
         )
 
     def _load_changes(self, setup: _Setup) -> _Tried:
-        elapsed = np.concatenate([s.time - s.time[0] for s in setup.segments])
+        elapsed = _elapsed(setup)
         pull, effort = self._regressor(setup) @ self._load, _efforts(setup)
         for moment in _CHANGES * elapsed.max():
             later = pull * (elapsed > moment)[:, None]
@@ -414,6 +414,11 @@ def _halves(columns: np.ndarray, time: np.ndarray) -> np.ndarray:
     """Columns for each half of a time: what is off for long is so in both, shape (..., 2)."""
     early = (time < 0.5 * (time.min() + time.max()))[:, None]
     return np.stack([columns * early, columns * ~early], axis=2)
+
+
+def _elapsed(setup: _Setup) -> np.ndarray:
+    """Time since the start of each segment, shape (samples,) [s]."""
+    return np.concatenate([s.time - s.time[0] for s in setup.segments])
 
 
 def _efforts(setup: _Setup) -> np.ndarray:

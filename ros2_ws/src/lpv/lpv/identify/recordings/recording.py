@@ -46,6 +46,11 @@ class Recording:
         return np.round(NANOSECONDS * (self.time - self.time[0])).astype(np.int64)
 
     @property
+    def rates(self) -> np.ndarray:
+        """Of the joints, shape (n, joints); NaN if the recording has none [rad/s]."""
+        return np.full_like(self.position, np.nan) if self.velocity is None else self.velocity
+
+    @property
     def duration(self) -> float:
         """From the first sample to the last [s]."""
         return float(self.time[-1] - self.time[0])
@@ -141,8 +146,7 @@ def clean(
 
 def continued(arm: SerialArm, one: Recording) -> Recording:
     """The recording without wraps of joints that turn without end."""
-    rates = np.full_like(one.position, np.nan) if one.velocity is None else one.velocity
-    position, rates = Turns(arm).continued(one.stamps, one.position, rates)
+    position, rates = Turns(arm).continued(one.stamps, one.position, one.rates)
     return replace(one, position=position, velocity=None if one.velocity is None else rates)
 
 

@@ -455,6 +455,7 @@ class Bank:
         )
         gain = 0.5 * (offset**2 / variance - np.log(estimator.prior[joint] ** 2 / variance))
         best = -math.inf
+        estimator.call(set_residuals, window, without, last)
         for levers in self._levers(last):
             begun, prior = self._begun(levers, without)
             begins = [(courses, begun, prior) for courses in self._outside.horizon]
@@ -467,11 +468,10 @@ class Bank:
         """Balances since torques that stay most likely began, and the log probability beforehand.
 
         They may have begun at every balance, or in as long a time before the horizon, but not
-        before the first sample.
+        before the first sample.  ``null`` must hold the residuals.
         """
         one, last = self.estimator, len(levers)
         columns = one.plan.interval * levers.swapaxes(1, 2)
-        one.call(set_residuals, one.window, null, last)
         balances = np.ones(last)
         balances[-1] += last * (one.window.counters[NEXT] > last)
         each = np.log(OCCURRENCE[CONTACT] / 3600.0 * one.plan.interval * balances)
