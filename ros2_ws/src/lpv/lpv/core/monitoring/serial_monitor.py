@@ -484,7 +484,7 @@ class SerialSensorMonitor:
         stamps = 1 + step * np.arange(max(20, round(_WARM_UP[suspicious] / self.arm.sample_time)))
         t = (stamps / NANOSECONDS)[:, None] + np.arange(self._joints)
         other.take_many(stamps, np.sin(t), np.cos(t), np.ones_like(t))
-        other._monitor.estimator.linearise(other._monitor._blocks(2))  # noqa: SLF001
+        other._monitor.estimator.linearise(other._monitor.readings.blocks(2))  # noqa: SLF001
         if suspicious:
             other._monitor.warm_up()
 

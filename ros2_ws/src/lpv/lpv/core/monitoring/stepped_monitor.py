@@ -161,15 +161,12 @@ class SteppedMonitor(SerialMonitor):
         state = np.array([one.state for one in sensors], np.uint8)
         doubts = self.doubts()
         (fault, sigma), changing = self.published(doubts), sum(doubts)
-        jump, self.jump = self.jump, np.zeros(self.joints)
-        self._removed_variance = np.where(
-            state == _ERROR, self._removed_variance + self.jump_variance, 0.0
-        )
-        self.jump_variance[:] = 0.0
+        jump, variance = self.followed.take_jumps()
+        self._removed_variance = np.where(state == _ERROR, self._removed_variance + variance, 0.0)
         state[(state == _OK) & (sigma > WIDEST_LEVEL * scales)] = _NOT_DIAGNOSABLE
         alarms, self.alarms = tuple(self.alarms), []
         return Snapshot(
-            fault, sigma, *self.certain(),
+            fault, sigma, *self.followed.certain(settings.sigmas),
             sampler.drift + sampler.share / (1.0 - sampler.share) * sampler.samples[-1, 1],
             np.where(sampler.contrast[REPLACED] > 0.0, np.nan, sampler.rate_error),
             np.sqrt(self._removed_variance + changing**2), jump,

@@ -41,7 +41,7 @@ def watch_to_decision(arm, run, first):
     monitor.update_many(run.stamps[:first], run.samples[:first])
     for stamp, sample in zip(run.stamps[first:], run.samples[first:]):
         monitor.update_many([stamp], sample[None])
-        if monitor.estimator.window.times.max() == pytest.approx(monitor._last()):
+        if monitor.estimator.window.times.max() == pytest.approx(monitor.readings.last()):
             return monitor
 
 
@@ -88,7 +88,7 @@ def test_given_an_alarm_when_it_is_raised_then_no_drift_is_sought_long_before_it
 
 
 def test_given_a_drift_when_its_onset_is_sought_then_it_is_the_dense_best_and_true(monitor):
-    mass, blocks = monitor.bank._mass, monitor._blocks(LAST + 1)
+    mass, blocks = monitor.bank._mass, monitor.readings.blocks(LAST + 1)
     about = monitor.estimator, np.array([0, JOINT]), sampling.block_end(blocks[-1])
     best = max(dense_onsets(monitor, about[2]), key=lambda one: one.gain)
     likely = onset.likely_onsets(*about, PRIOR, LAST, mass)
@@ -102,7 +102,11 @@ def test_given_a_drift_when_its_onset_is_sought_then_it_is_the_dense_best_and_tr
 
 
 def test_given_a_drift_that_is_tried_then_it_changes_balances_as_blocks_without_it_do(monitor):
-    estimator, blocks, per = monitor.estimator, monitor._blocks(LAST + 1), monitor.plan.blocks
+    estimator, blocks, per = (
+        monitor.estimator,
+        monitor.readings.blocks(LAST + 1),
+        monitor.plan.blocks,
+    )
     one, null, n = estimator.balance, estimator.posterior, estimator.joints
     own = drift_trial.balance_of_trials(one, one.chain.friction)
     trials = drift_trial.new_trials(estimator.window, null, blocks, per, n)
@@ -126,7 +130,11 @@ def test_given_friction_that_turns_over_when_a_drift_is_looked_for_then_its_onse
     stream, fault = window.stream, window.faults[0]
     begin = fault.onset
     monitor = watch_to_decision(subject.arm, stream, stream.index(begin + 0.5))
-    estimator, mass, blocks = monitor.estimator, monitor.bank._mass, monitor._blocks(last + 1)
+    estimator, mass, blocks = (
+        monitor.estimator,
+        monitor.bank._mass,
+        monitor.readings.blocks(last + 1),
+    )
     joint, interval = np.array([fault.sensor]), monitor.plan.interval
     end = sampling.block_end(blocks[-1])
     ((first, *_),) = onset.likely_onsets(estimator, joint, end, PRIOR, last, mass)
@@ -139,7 +147,7 @@ def test_given_friction_that_turns_over_when_a_drift_is_looked_for_then_its_onse
 def test_given_a_reading_that_rests_when_explained_then_it_froze_when_its_rest_began(monitor):
     rested, end = 0.25, monitor.estimator.window.times.max()
     frozen = stuck.Frozen(end - rested, 1.0, 0.1, alive=False)
-    found = monitor.bank.stuck({JOINT: frozen}, monitor._blocks)
+    found = monitor.bank.stuck({JOINT: frozen}, monitor.readings.blocks)
     assert {(one.kind, one.joint) for one in found} == {('stuck', JOINT)}
     assert found[0].begin == frozen.time
     assert all(frozen.time <= one.begin < end for one in found)

@@ -61,7 +61,7 @@ def test_given_slow_samples_when_a_frozen_reading_jumps_back_then_it_is_right(ra
     monitor, _ = watched('stuck', rates, (1, 4.0, END), seed=seed)
     assert named(monitor) == {('encoder2', 'stuck')}
     assert monitor.alarms[-1].event == 'cleared'
-    assert np.all(monitor.taken_out() == 0.0)
+    assert np.all(monitor.followed.taken_out() == 0.0)
 
 
 @RATES

@@ -19,12 +19,13 @@ from lpv.core.serial_arm.chain import FloatArray
 from lpv.core.serial_arm.diagnosis.balance import DRIFT, EPOCH, OFFSET
 from lpv.core.serial_arm.diagnosis.bank import STARTS, Bank
 from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator
-from lpv.core.serial_arm.diagnosis.fault_filter import begin_frozen, held_blocks
+from lpv.core.serial_arm.diagnosis.fault_filter import begin_frozen
 from lpv.core.serial_arm.diagnosis.information import recent
 from lpv.core.serial_arm.diagnosis.onset import weigh_errors
 from lpv.core.serial_arm.diagnosis.priors import SIZE
-from lpv.core.serial_arm.diagnosis.sampling import IN_BLOCK, ROUNDING, Sampler, block_end
-from lpv.core.serial_arm.diagnosis.stuck import LINEAR, Frozen, usual_acceleration
+from lpv.core.serial_arm.diagnosis.readings import Readings
+from lpv.core.serial_arm.diagnosis.sampling import IN_BLOCK, ROUNDING, block_end
+from lpv.core.serial_arm.diagnosis.stuck import LINEAR, Frozen
 
 ONSETS = len(STARTS)
 """Onsets that are compared, spaced evenly in the logarithm of their age: as many as of others."""
@@ -61,13 +62,14 @@ class EndOfFault:
         """Keep what the balances say, which are about to be forgotten."""
         self.prior = self.prior + self._gains(estimator)
 
-    def take_back(self, estimator: OffsetEstimator, sampler: Sampler) -> None:
+    def take_back(self, readings: Readings) -> None:
         """Put the jump back into the readings, and take what was wrong before it out of them.
 
         The sampler must hold no sample from before the jump.
         """
-        n, i = estimator.joints, self.joint
-        blocks, places = held_blocks(estimator, sampler, len(estimator) + 1)
+        sampler, estimator, _ = readings
+        n, i, places = estimator.joints, self.joint, readings.places(len(estimator) + 1)
+        blocks = sampler.blocks[places]
         time = blocks[:, 3 * n]
         mean, rate, sigma = self._error(estimator, time)
         after = time > self.time
@@ -118,7 +120,7 @@ class EndOfFault:
 
 
 def end_of_fault(
-    estimator: OffsetEstimator, sampler: Sampler, bank: Bank, joint: int, jump: float, again: float
+    readings: Readings, bank: Bank, joint: int, jump: float, again: float
 ) -> EndOfFault:
     """The hypothesis at the moment of a jump [rad].
 
@@ -127,6 +129,7 @@ def end_of_fault(
     before.  ``again`` is the logarithm of the odds that it froze, before the data; 0 where it was
     healthy.
     """
+    sampler, estimator, _ = readings
     interval = estimator.plan.interval
     longest = max(len(estimator), 2) * interval
     ages = np.geomspace(interval, longest, ONSETS)
@@ -142,7 +145,7 @@ def end_of_fault(
             expected = jump * min(held / age, 1.0)
             prior[k] += (way[0] * expected - 0.5 * expected**2) / way[1] ** 2
     ramps = np.ones(len(ages))
-    blocks, _ = held_blocks(estimator, sampler, len(estimator) + 1)
+    blocks = readings.all_blocks()
     frozen = _frozen(estimator, blocks, joint)
     if frozen is not None:
         # Where it was frozen before, balances begin with a rate that was not measured.
@@ -150,16 +153,15 @@ def end_of_fault(
         course = bank.course(joint, frozen, 0, blocks) if says else None
         gain, went, sigma = 0.0, 0.0, LINEAR
         if course is not None:
-            at, n = float(sampler.time[-1]), estimator.joints
-            acceleration = usual_acceleration(blocks, joint, n, estimator.plan.blocks)
-            fault, _, sigma = begin_frozen(joint, course, acceleration).fault(0.0, at)
+            one = begin_frozen(joint, course, readings.acceleration(joint))
+            fault, _, sigma = one.fault(0.0, readings.last())
             gain, went, sigma = course.gain, -fault, max(sigma, float(sampler.usual[joint]))
         gain += float(_normal(jump - went, sigma) - _slip(jump)) + again
         age = blocks[-1, 3 * estimator.joints] - frozen.time
         prior, ages, ramps = np.append(prior, gain), np.append(ages, age), np.append(ramps, 0.0)
-    one = EndOfFault(joint, jump, float(sampler.time[-1]), prior, ages, ramps)
-    one.weigh(estimator)
-    return one
+    end = EndOfFault(joint, jump, readings.last(), prior, ages, ramps)
+    end.weigh(estimator)
+    return end
 
 
 def _frozen(estimator: OffsetEstimator, blocks: FloatArray, joint: int) -> Frozen | None:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from lpv.core.serial_arm.chain import FloatArray, IntArray
+from lpv.core.serial_arm.chain import FloatArray
 from lpv.core.serial_arm.diagnosis.balance import DRIFT, EPOCH, OFFSET, RATE, SCALE
 from lpv.core.serial_arm.diagnosis.estimator import STRAIGHT, OffsetEstimator
 from lpv.core.serial_arm.diagnosis.information import ROBUST, whiten
@@ -23,14 +23,8 @@ from lpv.core.serial_arm.diagnosis.priors import (
     STEADY,
     STEADY_FOR,
 )
-from lpv.core.serial_arm.diagnosis.sampling import (
-    BLOCKS,
-    HISTORY,
-    Sampler,
-    block_end,
-    put_back,
-    take_out,
-)
+from lpv.core.serial_arm.diagnosis.readings import Readings
+from lpv.core.serial_arm.diagnosis.sampling import HISTORY, Sampler, block_end, put_back, take_out
 from lpv.core.serial_arm.diagnosis.stuck import LINEAR, Course
 
 _REACH = math.sqrt(3.0)
@@ -199,16 +193,16 @@ def begin_frozen(joint: int, course: Course, acceleration: float) -> FaultFilter
     return FaultFilter(joint, 'stuck', course.begin, *state, course.end, acceleration)
 
 
-def correct_since(
-    one: FaultFilter, estimator: OffsetEstimator, sampler: Sampler, momenta: FloatArray
-) -> None:
+def correct_since(one: FaultFilter, readings: Readings, momenta: FloatArray) -> None:
     """Take a fault that has just been named out of the readings since it began.
 
     ``momenta`` are those by a unit rate of its reading, in the ring of the horizon.
     """
+    sampler, estimator, _ = readings
     n, i = estimator.joints, one.joint
     last = int((estimator.times(len(estimator)) > one.begin).sum())
-    blocks, places = held_blocks(estimator, sampler, last + 1)
+    places = readings.places(last + 1)
+    blocks = sampler.blocks[places]
     ended = block_end(blocks[-1])
     uncorrected = replace(one, mean=np.zeros(3))
     newest = sampler.time, sampler.samples[:, 0, i], sampler.samples[:, 1, i]
@@ -235,8 +229,7 @@ def correct_since(
 
 def follow_all(
     filters: Sequence[FaultFilter],
-    estimator: OffsetEstimator,
-    sampler: Sampler,
+    readings: Readings,
     kinematic: Sequence[tuple[float, float] | None],
     momenta: Sequence[FloatArray],
 ) -> None:
@@ -245,7 +238,7 @@ def follow_all(
     The variance of the balance is raised by what is left unknown of them.  ``kinematic`` and
     ``momenta`` hold those of each, as of `_follow`.
     """
-    end = block_end(held_blocks(estimator, sampler, 1)[0][-1])
+    estimator, end = readings.estimator, readings.ended()
     for one in filters:
         one.predict(end)
     spreads = [_spread(one, estimator, each) for one, each in zip(filters, momenta)]
@@ -253,7 +246,7 @@ def follow_all(
         # Errors that last count as often as noise that is as large, and new in each balance.
         lasting = 2.0 * STEADY_FOR / estimator.plan.interval
         others = lasting * sum(spreads[:k] + spreads[k + 1 :], np.zeros_like(spreads[k]))
-        _follow(one, others, estimator, sampler, kinematic[k], momenta[k])
+        _follow(one, others, readings, kinematic[k], momenta[k])
         spreads[k] = _spread(one, estimator, momenta[k])
     estimator.window.extra[estimator.place(0)] += np.diag(sum(spreads))
     estimator.weigh_again(1)
@@ -276,8 +269,7 @@ def _spread(one: FaultFilter, estimator: OffsetEstimator, momenta: FloatArray) -
 def _follow(
     one: FaultFilter,
     others: FloatArray,
-    estimator: OffsetEstimator,
-    sampler: Sampler,
+    readings: Readings,
     kinematic: tuple[float, float] | None,
     momenta: FloatArray,
 ) -> None:
@@ -289,6 +281,7 @@ def _follow(
     ``momenta``, shape (capacity, n), are those by a unit rate of the reading, in the ring of the
     horizon.
     """
+    sampler, estimator, _ = readings
     window, null, interval = estimator.window, estimator.posterior, estimator.plan.interval
     sigma = one.fault(float(sampler.raw[one.joint]), float(sampler.time[-1]))[2]
     if sigma > OFFSET_PRIOR:  # nothing is known of it
@@ -310,7 +303,7 @@ def _follow(
     root = _root(one.covariance)
     slope, bend = columns @ root, np.zeros(columns.shape)
     if 3.0 * root[0, 0] > STRAIGHT:  # else tangents do, and keep friction of joints that rest
-        slope, bend = _secants(one, root, estimator, sampler, residual)
+        slope, bend = _secants(one, root, readings, residual)
     residual = residual + 0.5 * bend.sum(1)
     variance += 0.5 * bend @ bend.T
     spread, common = slope @ slope.T, root @ slope.T
@@ -326,14 +319,13 @@ def _follow(
         return
     one.covariance = one.covariance - gain @ common.T
     if kinematic is not None and not one.is_scale:
-        block = held_blocks(estimator, sampler, 1)[0][-1]
-        middle = float(block[3 * estimator.joints]) - 0.5 * interval
+        middle = float(readings.blocks(1)[-1, 3 * estimator.joints]) - 0.5 * interval
         column = interval * np.array([0.0, 1.0, middle - one.updated])
         gain = one.covariance @ column / (column @ one.covariance @ column + kinematic[1])
         change += gain * (kinematic[0] - column @ change)
         one.covariance = one.covariance - np.outer(gain, column) @ one.covariance
     one.covariance = 0.5 * (one.covariance + one.covariance.T)
-    _change(one, change, estimator, sampler)
+    _change(one, change, readings)
 
 
 def _root(covariance: FloatArray) -> FloatArray:
@@ -347,15 +339,14 @@ def _root(covariance: FloatArray) -> FloatArray:
 
 
 def _secants(
-    one: FaultFilter, root: FloatArray, estimator: OffsetEstimator, sampler: Sampler,
-    residual: FloatArray,
-) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    one: FaultFilter, root: FloatArray, readings: Readings, residual: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Slopes and second derivatives of the newest balance along a root of the covariance.
 
     Where the fault is uncertain, a link may hang on either side of the horizontal, and gravity is
     the same: the tangent would be sure of one of them.  Shapes (n, 3).
     """
-    n, blocks = len(residual), held_blocks(estimator, sampler, 2)[0]
+    (sampler, estimator, _), n, blocks = readings, len(residual), readings.blocks(2)
     null, (slope, bend) = estimator.posterior, np.zeros((2, len(residual), 3))
     for k, way in enumerate(_REACH * root.T):
         if not way.any():
@@ -363,8 +354,8 @@ def _secants(
         ends = []
         for sign in (-1.0, 1.0):
             moved = blocks.copy()
-            readings = moved[:, one.joint], moved[:, n + one.joint]
-            _correct(one, sign * way, moved[:, 3 * n], readings, sampler.derived[one.joint])
+            part = moved[:, one.joint], moved[:, n + one.joint]
+            _correct(one, sign * way, moved[:, 3 * n], part, sampler.derived[one.joint])
             row = estimator.rows_of(moved)[-1]
             ends.append(row[:, 0] + row[:, row.shape[1] - len(null.mean) :] @ null.mean)
         slope[:, k] = 0.5 * (ends[1] - ends[0]) / _REACH
@@ -412,12 +403,11 @@ def _lose(one: FaultFilter, sampler: Sampler) -> None:
     _note(one, sampler)
 
 
-def _change(
-    one: FaultFilter, change: FloatArray, estimator: OffsetEstimator, sampler: Sampler
-) -> None:
+def _change(one: FaultFilter, change: FloatArray, readings: Readings) -> None:
     """Add a change to the state and take it out of the last readings."""
-    n, i = estimator.joints, one.joint
-    blocks, places = held_blocks(estimator, sampler, 2)
+    sampler, estimator, _ = readings
+    n, i, places = estimator.joints, one.joint, readings.places(2)
+    blocks = sampler.blocks[places]
     if one.is_scale:
         scale = min(max(one.mean[0] + change[0], -LARGEST_SCALE), LARGEST_SCALE)
         change = np.array([scale - one.mean[0], *change[1:]])
@@ -441,23 +431,13 @@ def _note(one: FaultFilter, sampler: Sampler) -> None:
         sampler.followed[i], sampler.drift[i], sampler.curve[i] = ahead @ one.mean
 
 
-def held_blocks(
-    estimator: OffsetEstimator, sampler: Sampler, intervals: int
-) -> tuple[FloatArray, IntArray]:
-    """The last blocks, oldest first, and their places in the ring."""
-    capacity, written = len(sampler.blocks), int(sampler.counters[BLOCKS])
-    count = min(intervals * estimator.plan.blocks, written, capacity)
-    places = np.arange(written - count, written) % capacity
-    return sampler.blocks[places], places
-
-
-def correct_rates_since(
-    joint: int, since: float, error: float, estimator: OffsetEstimator, sampler: Sampler
-) -> None:
+def correct_rates_since(joint: int, since: float, error: float, readings: Readings) -> None:
     """Take an error of a rate sensor [rad/s] out of its readings since a moment [s]."""
+    sampler, estimator, _ = readings
     n = estimator.joints
     last = int((estimator.times(len(estimator)) > since).sum())
-    blocks, places = held_blocks(estimator, sampler, last + 1)
+    places = readings.places(last + 1)
+    blocks = sampler.blocks[places]
     blocks[blocks[:, 3 * n] > since, n + joint] -= error
     sampler.blocks[places] = blocks
     sampler.samples[sampler.time > since, 1, joint] -= error

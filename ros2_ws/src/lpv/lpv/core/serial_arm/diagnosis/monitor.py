@@ -25,9 +25,8 @@ from lpv.core.serial_arm.diagnosis.decision import (
     Parts,
     Stage,
     decide,
-    reading_noise,
 )
-from lpv.core.serial_arm.diagnosis.end_of_fault import EndOfFault, end_of_fault
+from lpv.core.serial_arm.diagnosis.end_of_fault import EndOfFault
 from lpv.core.serial_arm.diagnosis.estimator import (
     HORIZON,
     NOISE_KNOWN_AFTER,
@@ -39,56 +38,40 @@ from lpv.core.serial_arm.diagnosis.fault_filter import (
     begin_filter,
     begin_frozen,
     correct_rates_since,
-    correct_since,
-    doubt_ended,
-    follow_all,
 )
+from lpv.core.serial_arm.diagnosis.followed_faults import FollowedFaults
+from lpv.core.serial_arm.diagnosis.frozen_readings import frozen_readings, frozen_with
 from lpv.core.serial_arm.diagnosis.healthy_set import Guarantee, HealthySet
 from lpv.core.serial_arm.diagnosis.information import ROBUST
 from lpv.core.serial_arm.diagnosis.learning import Learned, learned_of
 from lpv.core.serial_arm.diagnosis.parameter_set import is_stated
-from lpv.core.serial_arm.diagnosis.priors import (
-    CONTACT,
-    FAULT_AT_START,
-    LOAD,
-    OCCURRENCE,
-    PUSH,
-    SLOW_RATE,
-    USUAL_RATE,
-)
+from lpv.core.serial_arm.diagnosis.priors import CONTACT, FAULT_AT_START, LOAD, OCCURRENCE, PUSH
+from lpv.core.serial_arm.diagnosis.rate_sources import RateSources
+from lpv.core.serial_arm.diagnosis.readings import Readings
 from lpv.core.serial_arm.diagnosis.sampling import (
     APART,
-    BEFORE_STOP,
-    BLOCKS,
     CONTRADICTIONS,
     CONTRARY,
     CONTRARY_AT,
     DELAY,
     HIDDEN,
-    IN_BLOCK,
     JUMP_SCALE,
     LEFT,
-    LIVELY,
     MOST,
     NOISY,
     PENDING,
-    PROBED,
     REPLACED,
-    ROUNDING,
     SPIKE,
     STEP,
     Sampler,
-    block_end,
     new_sampler,
-    put_back,
     restart,
     take_samples,
 )
-from lpv.core.serial_arm.diagnosis.scale_of_jump import ScaleOfJump, scale_of_jump
 from lpv.core.serial_arm.diagnosis.sensor_state import SensorRecord
 from lpv.core.serial_arm.diagnosis.settings import MonitorSettings
-from lpv.core.serial_arm.diagnosis.stuck import Course, Frozen, usual_acceleration
-from lpv.core.serial_arm.rate_independence import PROVED, SAMPLES, rate_source
+from lpv.core.serial_arm.diagnosis.stuck import Frozen
+from lpv.core.serial_arm.diagnosis.undecided_jumps import UndecidedJumps
 from lpv.core.serial_arm.sensor_map import map_rows, mixing
 from lpv.core.support.errors import SampleError
 from lpv.core.support.jit import Entries
@@ -225,7 +208,7 @@ class SerialMonitor:
             np.hypot(joint.sensors.position_noise, joint.sensors.quantization)
             for joint in arm.joints
         ])  # fmt: skip
-        self._capacity = self.plan.blocks * (self.plan.capacity + 1)
+        capacity = self.plan.blocks * (self.plan.capacity + 1)
         self._healthy = HealthySet(arm, self.estimator)
         self.healthy = self._healthy if is_stated(arm) else None
         self.guarantee: Guarantee | None = None
@@ -234,27 +217,18 @@ class SerialMonitor:
         smallest = settings.smallest_jump * self.scales
         # Before any e was seen, jumps count from twice the smallest one.
         usual = np.maximum(2.0 * noise, 2.0 * smallest / JUMP_SCALE)
-        rates = [joint.sensors.rates for joint in arm.joints]
-        # Joints whose rates the file calls independent, until that is proved, or the contrary.
-        self._unproved = [i for i in range(n) if rates[i] == 'independent']
-        probe = SAMPLES if self._unproved else 0
-        self._probed = 0  # samples
+        self._rate_sources = RateSources(arm)
         self.sampler: Sampler = new_sampler(
-            self.estimator.balance.derived, usual, smallest, self._capacity, probe
+            self.estimator.balance.derived, usual, smallest, capacity, self._rate_sources.probe
         )
+        self.readings = Readings(self.sampler, self.estimator, arm.sample_time)
         self.sensors = [SensorRecord() for _ in range(n)]
         self.rates = [SensorRecord() for _ in range(n)]
-        self._filters: dict[int, FaultFilter] = {}
-        self._held_rates: dict[int, float] = {}  # that froze with their readings [rad/s]
-        self._whole = np.ones(n)
-        self._ends: dict[int, EndOfFault] = {}  # that jumps may have been
-        self._scaled: dict[int, ScaleOfJump] = {}  # that they may have been as well
-        self._ended_filters: list[FaultFilter] = []  # of readings that balances still hold
+        self.followed = FollowedFaults(self.readings, self.bank, self.sensors, self.rates)
+        self._jumps = UndecidedJumps(self.readings, self.bank)
         self._known = np.zeros(n)  # for how long each offset has been diagnosable [s]
         self._contact = _Contact()
         self._rival = -np.inf  # largest evidence of an encoder's fault while something is suspected
-        self.jump, self.jump_variance = np.zeros(n), np.zeros(n)  # of readings, for the caller
-        self._correction = np.zeros(n)
         self._suspects: tuple[str, ...] = ()
         self._suspected = np.zeros(n)  # sizes of the faults among these [rad]
         self._stuck: list[Hypothesis] = []
@@ -368,10 +342,12 @@ class SerialMonitor:
 
     def begin_again(self) -> None:
         """Begin new balances, as after a gap in the samples."""
-        self._take_out_levels()
-        jumps: list[EndOfFault | ScaleOfJump] = [*self._ends.values(), *self._scaled.values()]
-        for one in jumps:
-            one.settle(self.estimator)
+        for i, sensor in enumerate(self.sensors):
+            if sensor.active and sensor.level:  # new balances know of no offset
+                self.followed.take_out_level(i)
+                self.healthy = self.guarantee = None  # readings are changed
+                sensor.level = sensor.unproved = False
+        self._jumps.settle()
         restart(self.sampler, self.estimator.balance)
         if self.healthy is not None:
             self.healthy.restart()
@@ -380,19 +356,6 @@ class SerialMonitor:
         self._see_nothing_wrong()
         self._mark_suspects()
         self._tell()
-
-    def _take_out_levels(self) -> None:
-        """Take confirmed offsets out of the readings: new balances know of no offset."""
-        for i, sensor in enumerate(self.sensors):
-            if not (sensor.active and sensor.level):
-                continue
-            level = float(self.estimator.level.mean[i])
-            self.jump_variance[i] += self.estimator.level.sigma[i] ** 2
-            self.sampler.correction[i] += level
-            self._correction[i] += level
-            self.estimator.move_reference(i, -level)
-            self.healthy = self.guarantee = None  # readings are changed
-            sensor.level = sensor.unproved = False
 
     def _take(self, times: FloatArray, samples: FloatArray) -> None:
         """Take samples without a gap between them."""
@@ -428,14 +391,14 @@ class SerialMonitor:
         """Say what decisions have to know."""
         state, suspects = self._state, bool(self._suspects)
         state['uses_balances'] = self.uses_balances
-        state['learns'] = not (suspects or self._changes())
-        state['follows'] = bool(self._filters or self._ended_filters)
-        state['ends'] = bool(self._ends or self._scaled)
+        state['learns'] = not (suspects or self.followed.change)
+        state['follows'] = len(self.followed) > 0
+        state['ends'] = len(self._jumps) > 0
         state['guarantees'], state['suspects'] = self.healthy is not None, suspects
         state['pushed'] = self._contact.since < math.inf
         alarm = self._has_alarm()
         state['active'] = alarm
-        state['usual'] = state['learns'] and not (self._ends or state['pushed'] or alarm)
+        state['usual'] = state['learns'] and not (self._jumps.ends or state['pushed'] or alarm)
 
     def estimate(self, stamp: int) -> SerialEstimate:
         """What is known after the last sample."""
@@ -453,10 +416,10 @@ class SerialMonitor:
     ) -> tuple[FloatArray, FloatArray]:
         """Faults f of the position sensors and their standard deviations, shape (n,) [rad].
 
-        ``doubts`` are `changing_sigma` and `undecided_sigma`, where they are at hand.
+        ``doubts`` are those of `doubts`, where they are at hand.
         """
         level, (changing, doubt) = self.estimator.level, doubts or self.doubts()
-        fault = self.taken_out() + level.mean[: self.joints]
+        fault = self.followed.taken_out() + level.mean[: self.joints]
         return fault, np.hypot(level.sigma, changing) + doubt
 
     def published(
@@ -473,56 +436,16 @@ class SerialMonitor:
 
     def doubts(self) -> tuple[FloatArray, FloatArray]:
         """Standard deviations of what changes, and of what is not decided, shape (n,) [rad]."""
-        return self.changing_sigma(), self.undecided_sigma()
+        return self.followed.sigma(), self._undecided_sigma()
 
-    def undecided_sigma(self) -> FloatArray:
+    def _undecided_sigma(self) -> FloatArray:
         """What is not decided adds to standard deviations, shape (n,) [rad].
 
         While a jump may have been the end of a fault, or a scale error's, bounds hold that as well,
         and so they do of a fault that is suspected.
         """
-        error, wrong = self._suspected.copy(), self.settings.probability_of_wrong_name
-        for i, one in self._ends.items():
-            if one.share > wrong:
-                error[i] = max(error[i], abs(one.jump))
-        for i, scaled in self._scaled.items():
-            if scaled.share > wrong:
-                reading = float(self.sampler.samples[-1, 0, i])
-                error[i] = max(error[i], abs(scaled.error(reading)))
-        return error / self.settings.sigmas
-
-    def taken_out(self) -> FloatArray:
-        """What is taken out of the readings now, shape (n,) [rad]."""
-        sampler = self.sampler
-        return sampler.correction + sampler.followed + sampler.share * sampler.raw
-
-    def certain(self) -> tuple[FloatArray, FloatArray]:
-        """What of `taken_out` is beyond doubt, and its share of faults that are followed."""
-        removed = self.taken_out()
-        if not self._filters:
-            return removed, self._whole
-        share, now = self._whole.copy(), self._last()
-        for i, one in self._filters.items():
-            reading = float(self.sampler.raw[i])
-            share[i] = one.share(reading, now, self.settings.sigmas)
-            removed[i] -= (1.0 - share[i]) * one.fault(reading, now)[0]
-        return removed, share
-
-    def changing_sigma(self) -> FloatArray:
-        """Standard deviations of the faults that are followed, shape (n,) [rad]."""
-        sigma = np.zeros(self.joints)
-        if not self._changes():
-            return sigma
-        now = self._last()
-        for i, one in self._filters.items():
-            sigma[i] = one.fault(float(self.sampler.raw[i]), now)[2]
-        for noisy in np.nonzero(self.sampler.noisy)[0]:
-            sigma[noisy] = math.hypot(sigma[noisy], self._noise(int(noisy)))
-        return sigma
-
-    def _changes(self) -> bool:
-        """Whether a fault is followed, or a reading is noisy."""
-        return bool(self._filters) or 1 in self.sampler.noisy.tolist()
+        open_jumps = self._jumps.errors(self.settings.probability_of_wrong_name)
+        return np.maximum(self._suspected, open_jumps) / self.settings.sigmas
 
     def learned(self) -> Learned:
         """What has been learned of the arm: payload, friction, torque offsets, noise."""
@@ -531,17 +454,11 @@ class SerialMonitor:
     def warm_up(self) -> None:
         """Compile what only a fault needs; nothing is decided."""
         self.bank.offset_against_contact(0)
-        self.bank.warm_up(self._blocks(len(self.estimator) + 1))
-
-    def _noise(self, i: int) -> float:
-        """Standard deviation of a noisy reading [rad]."""
-        return math.sqrt(reading_noise(self.sampler, i))
+        self.bank.warm_up(self.readings.all_blocks())
 
     def _report_samples(self, now: float) -> None:
         """Events of what was found at a sample."""
-        change = self.sampler.correction - self._correction
-        self.jump += change
-        self.jump_variance += np.where(change != 0.0, self.sampler.usual**2, 0.0)
+        self.followed.note_jumps()
         for i in range(self.joints):
             found, self.sampler.found[i] = self.sampler.found[i], 0
             if found == STEP:
@@ -555,18 +472,18 @@ class SerialMonitor:
             elif found == HIDDEN:
                 self.estimator.doubt_readings(i, abs(float(self.sampler.size[i])))
             elif found == NOISY:
-                if i in self._filters:
+                if i in self.followed.filters:
                     self._forget(i)
-                self._doubt_no_more(i)
-                self._trust_rate(i)
-                self._raise(i, 'noise', now, self._noise(i), 0.0)
-        self._correction = self.sampler.correction.copy()
+                self._jumps.forget(i)
+                self.followed.trust_rate(i)
+                self._raise(i, 'noise', now, self.readings.noise(i), 0.0)
+        self.followed.note_correction()
 
     def _jumped(self, i: int, size: float, now: float) -> None:
         """A reading jumped; what remains of its fault is over, or another fault."""
         sensor, sigma = self.sensors[i], float(self.sampler.usual[i])
-        fault = float(self.taken_out()[i] + self.estimator.level.mean[i] * sensor.level)
-        back, scaled = self._filters.get(i), self._scaled.get(i)
+        fault = float(self.followed.taken_out()[i] + self.estimator.level.mean[i] * sensor.level)
+        back, scaled = self.followed.filters.get(i), self._jumps.scaled.get(i)
         if sensor.state is SensorState.ERROR and back is not None and back.is_scale:
             fault = float(size + self.sampler.share[i] * self.sampler.raw[i])
         elif scaled is not None:  # if it was one, it jumps back by its share of the reading now
@@ -586,21 +503,15 @@ class SerialMonitor:
                 self._release(i, int(self.sampler.since[i]), kept)
             self._remains(i, kept, now)
             return
-        self._doubt_no_more(i)
+        self._jumps.forget(i)
         if not sensor.active and self._is_small(i, size):
             self._forget(i)
             self.bank.kinematics.note_jump(i, sigma**2)
             self.healthy = self.guarantee = None  # readings are changed
             return
         if back is None and self.uses_balances:
-            reading = float(self.sampler.samples[-1, 0, i])
-            scaled = scale_of_jump(i, now, (size, sigma), reading)
-            if scaled is not None:
-                self._scaled[i] = scaled
-            self._ends[i] = end = end_of_fault(
-                self.estimator, self.sampler, self.bank, i, size, self._freezes_again(i)
-            )
-            sigma += float(self.undecided_sigma()[i])
+            end = self._jumps.begin(i, size, sigma, self._freezes_again(i))
+            sigma += float(self._undecided_sigma()[i])
             if sensor.active and end.share >= 1.0 - self.settings.probability_of_wrong_name:
                 self.bank.kinematics.note_jump(i, sigma**2)
                 return  # of a fault that is known
@@ -643,48 +554,29 @@ class SerialMonitor:
     ) -> None:  # fmt: skip
         if event != 'updated':
             self.bank.note_change()
+        name, now = self.arm.sensor_names[i] if i >= 0 else '', self.readings.last()
         rate = float(self.sampler.drift[i]) if kind == 'drift' else 0.0
         self.alarms.append(SerialAlarm(
-            self.arm.sensor_names[i] if i >= 0 else '', kind, onset, self._last(), size, sigma,
-            guaranteed, event, confidence, rate))  # fmt: skip
-
-    def _last(self) -> float:
-        return float(self.sampler.time[-1])
-
-    def _blocks(self, intervals: int) -> FloatArray:
-        """The last blocks, oldest first; not to be changed."""
-        written = int(self.sampler.counters[BLOCKS])
-        count = min(intervals * self.plan.blocks, written, self._capacity)
-        first = (written - count) % self._capacity
-        if first + count <= self._capacity:
-            return self.sampler.blocks[first : first + count]
-        return self.sampler.blocks[np.arange(written - count, written) % self._capacity]
+            name, kind, onset, now, size, sigma, guaranteed, event, confidence, rate
+        ))  # fmt: skip
 
     def _follow(self, _: float) -> Stage:
-        """Let the newest balance measure the faults that are followed."""
-        estimator, bank, span = self.estimator, self.bank, 2.0 * self.plan.interval
-        end = self._ended()
-        self._ended_filters = [one for one in self._ended_filters if end - one.updated < span]
-        for one in self._ended_filters:
-            doubt_ended(one, estimator, bank.momenta_of(one.joint))
-        for i in [*self._held_rates]:
-            if self.sampler.published[0, i] != self._held_rates[i]:
-                self._use_rate(i)
-        kinematic = [
-            None if i in self._held_rates else bank.kinematics.last(i) for i in self._filters
-        ]
-        momenta = [bank.momenta_of(i) for i in self._filters]
-        if self._filters:
-            follow_all([*self._filters.values()], estimator, self.sampler, kinematic, momenta)
+        self.followed.update()
         return Stage.ESTIMATE
 
     def _linearise(self, _: float) -> Stage:
-        self.estimator.linearise(self._blocks(len(self.estimator) + 1))
+        self.estimator.linearise(self.readings.all_blocks())
         return Stage.ENDS
 
-    def _find_stuck(self, _: float) -> Stage:
-        """Readings that rest while their joints move."""
-        self._stuck = self.bank.stuck(self._unfollowed(), self._blocks)
+    def _find_stuck(self, now: float) -> Stage:
+        """Readings that rest while their joints move: nobody has named them, nor did they jump."""
+        known, jumps = self.followed.filters, self._jumps
+        frozen = {
+            i: one
+            for i, one in self._frozen().items()
+            if i not in known and jumps.is_settled(i, now)
+        }
+        self._stuck = self.bank.stuck(frozen, self.readings.blocks)
         self._state['rests'] = bool(self._stuck)
         return Stage.ASK
 
@@ -692,7 +584,7 @@ class SerialMonitor:
         """Compare hypotheses, name a cause."""
         found, stuck = list[Hypothesis](), self._stuck if self._state['rests'] else []
         if self._state['asked']:
-            found = self.bank.compare(self._blocks, stuck)
+            found = self.bank.compare(self.readings.blocks, stuck)
         seen = self._seen(found)
         self._suspected[:] = 0.0
         if seen is not None:
@@ -705,49 +597,24 @@ class SerialMonitor:
         quiet = seen is None and self.bank.statistic < self._state['threshold']
         return Stage.LEVELS if quiet else Stage.END
 
-    def _doubt_no_more(self, i: int) -> None:
-        """What the last jump of sensor i was is known, or matters no more."""
-        self._ends.pop(i, None)
-        self._scaled.pop(i, None)
-
     def _weigh_jumps(self, now: float) -> Stage:
         """Whether jumps were scale errors, or the ends of faults that nobody had noticed."""
         following = Stage.GUARANTEE
-        for i, scaled in list(self._scaled.items()):
-            scaled.weigh(self.estimator, self.sampler, self.bank)
-            if self._is_scale(scaled, now):
-                self._doubt_no_more(i)
-                self._begin_following(scaled.filter(self._ended()), 1.0)
-                following = Stage.END  # the estimate is still that of the readings before
-            elif now - scaled.time > HORIZON:
-                del self._scaled[i]
-        for i, one in list(self._ends.items()):
-            one.weigh(self.estimator)
-            if self._is_settled(one) and one.share >= 1.0 - self.settings.probability_of_wrong_name:
-                self._end_unnoticed(one, now)
-            elif now - one.time > HORIZON:
-                del self._ends[i]  # the level has been estimated without what was before
+        for scaled in self._jumps.scale_errors(now, self._sure):
+            self._begin_following(scaled.filter(self.readings.ended()), 1.0)
+            following = Stage.END  # the estimate is still that of the readings before
+        for end in self._jumps.ended_faults(now, self.settings.probability_of_wrong_name):
+            self._end_unnoticed(end, now)
         return following
-
-    def _is_settled(self, one: EndOfFault) -> bool:
-        """Whether all samples at hand are later than a jump."""
-        return bool(self._state['now'] - one.time > 2.0 * self.plan.interval)
-
-    def _is_scale(self, one: ScaleOfJump, now: float) -> bool:
-        """Whether a jump is that of a scale error, and surely not the end of a fault."""
-        end = self._ends.get(one.joint)
-        over = -math.inf if end is None else end.odds - np.logaddexp(0.0, one.odds)
-        return one.is_named(now, self._sure) and over < -self._sure
 
     def _end_unnoticed(self, one: EndOfFault, now: float) -> None:
         """A jump was the end of a fault; what the reading had before it may remain."""
         i = one.joint
-        one.take_back(self.estimator, self.sampler)
-        self._correction[i] = self.sampler.correction[i]
+        one.take_back(self.readings)
+        self.followed.note_correction()
         self.bank.kinematics.forget(i)
         self.healthy = self.guarantee = None  # readings were wrong
-        self._doubt_no_more(i)
-        left = float(self.taken_out()[i])
+        left = float(self.followed.taken_out()[i])
         if self._is_small(i, left):
             self._forget(i)
         self._remains(i, left, now)
@@ -767,7 +634,7 @@ class SerialMonitor:
         That it froze, out of motion or without its noise, is evidence of its own: a push or another
         fault would have to come within the same few seconds.
         """
-        shown = (one for one in found if one.seen and one.joint not in self._filters)
+        shown = (one for one in found if one.seen and one.joint not in self.followed.filters)
         best = next(shown, None)
         return best if best is not None and best.gain > self._sure else None
 
@@ -778,9 +645,13 @@ class SerialMonitor:
 
     def _name(self, found: list[Hypothesis], now: float) -> None:
         """What explains the balances is beyond doubt, or several causes are suspected."""
-        known = {*self._filters, *np.nonzero(self.sampler.noisy)[0]}
-        if known or self._ends or self._scaled:
-            found = [one for one in found if one.joint not in known and not self._is_of_jump(one)]
+        known, wrong = self.followed.known, self.settings.probability_of_wrong_name
+        if known or self._jumps:
+            found = [
+                one
+                for one in found
+                if one.joint not in known and not self._jumps.explain(one, wrong)
+            ]
         if not found:
             self._suspect_nothing()
             return
@@ -788,7 +659,6 @@ class SerialMonitor:
         rivals = (one.gain for one in found if one.is_encoder)
         self._rival = max(self._rival, next(rivals, -math.inf))
         shares = self.bank.shares(found)
-        wrong = self.settings.probability_of_wrong_name
         named = {one: share for one, share in shares.items() if share > wrong}
         best = {cause: next(one for one in found if one.cause == cause) for cause in named}
         self._suspects = tuple(self._label(one) for one in best.values())
@@ -831,81 +701,13 @@ class SerialMonitor:
 
     def _size_now(self, one: Hypothesis, now: float) -> float:
         """How large the fault of an encoder would be by now [rad]."""
-        grown = {'drift': now - one.begin, 'scale': self._farthest(one.joint)}
+        grown = {'drift': now - one.begin, 'scale': self.readings.farthest(one.joint)}
         return abs(one.size) * grown.get(one.kind, 1.0)
 
-    def _farthest(self, i: int) -> float:
-        """Largest distance of a reading from zero over the horizon [rad]."""
-        return float(np.abs(self._blocks(len(self.estimator) + 1)[:, i]).max())
-
-    def _is_of_jump(self, one: Hypothesis) -> bool:
-        """Whether a cause is one that a jump of its reading explains, which is weighed on its own.
-
-        A fault may have ended with it.  Nor is a rate to blame for a reading that has rested since
-        its jump: that it froze, the rival, is compared as late.  Nor for one that may have a scale
-        error since, which parts it from its rate as well.
-        """
-        end, scaled = self._ends.get(one.joint), self._scaled.get(one.joint)
-        wrong, is_rate = self.settings.probability_of_wrong_name, one.kind == 'rate_bias'
-        if is_rate and scaled is not None and scaled.share > wrong:
-            return True
-        if end is None or one.begin >= end.time + 2.0 * self.plan.interval:
-            return False
-        return one.is_encoder or (is_rate and self._rests_since(one.joint) <= end.time)
-
     def _frozen(self) -> dict[int, Frozen]:
-        """Readings that stopped dead while they moved, or have lost their noise, or froze before.
-
-        Rounding and usual braking explain a part of the rate before.  Readings that have not
-        changed since the first sample may be frozen as well, if something is wrong.
-        """
-        sampler, period, found = self.sampler, self.arm.sample_time, dict[int, Frozen]()
-        if max(sampler.still.tolist()) * period <= STILL_TIME:
-            return found
-        measured, lively = BEFORE_STOP * period, sampler.lively > LIVELY
-        # Brakes stop all joints at once, and silence their readings; sensors do not fail together.
-        apart = np.abs(sampler.still - sampler.still[:, None]) * period
-        np.fill_diagonal(apart, math.inf)
-        lively &= apart.min(axis=1) > STILL_TIME
-        # A noisy reading leaves as much in the balances as a joint that moves unseen.
-        is_noisy = any(one.active and one.kind == 'noise' for one in self.sensors)
-        is_wrong = bool(self._suspects) and not is_noisy
-        for i in np.flatnonzero(sampler.still * period > STILL_TIME).tolist():
-            rounding, rate = float(sampler.grain[i]) / measured, float(sampler.stop[i])
-            smallest = max(self._smallest_step(i), sampler.grain[i])
-            alive, speed = bool(lively[i]), abs(rate) - rounding
-            time = self._rests_since(i)
-            if self.sensors[i].kind == 'stuck':  # while its alarm is up, any rest may be a freeze
-                found[i] = Frozen(time, 0.0, USUAL_RATE, alive)
-            if is_wrong and math.isinf(sampler.grain[i]):
-                found[i] = Frozen(time, 0.0, USUAL_RATE, alive=False, seen=False)
-            if not alive and speed * STILL_TIME <= smallest:
-                continue  # joints that rest are many, and usual accelerations take time
-            acceleration = self._acceleration(i)
-            braking = 0.5 * measured * acceleration
-            if alive or (speed - braking) * STILL_TIME > smallest:
-                found[i] = Frozen(time, rate, self._stop_sigma(i, acceleration), alive)
-        return found
-
-    def _rests_since(self, i: int) -> float:
-        """When a reading changed last [s]."""
-        return self._last() - float(self.sampler.still[i]) * self.arm.sample_time
-
-    def _stop_sigma(self, i: int, acceleration: float) -> float:
-        """Standard deviation of the rate that a reading had before it came to rest [rad/s]."""
-        measured, grain = BEFORE_STOP * self.arm.sample_time, float(self.sampler.grain[i])
-        rounding = grain / measured if math.isfinite(grain) else 0.0
-        return math.hypot(rounding, 0.5 * measured * acceleration, SLOW_RATE)
-
-    def _acceleration(self, i: int) -> float:
-        """Usual acceleration of a joint [rad/s2]."""
-        blocks = self._blocks(len(self.estimator) + 1)
-        return usual_acceleration(blocks, i, self.joints, self.plan.blocks)
-
-    def _unfollowed(self) -> dict[int, Frozen]:
-        """Frozen readings that nobody has named, nor was there just a jump."""
-        known = {*self._filters, *(i for i, one in self._ends.items() if not self._is_settled(one))}
-        return {i: one for i, one in self._frozen().items() if i not in known}
+        """Readings that may be frozen."""
+        smallest = self.settings.smallest_step * self.scales
+        return frozen_readings(self.readings, self.sensors, smallest, bool(self._suspects))
 
     def _report_contact(self, now: float) -> None:
         """Something pushes the arm: no sensor is to blame, and nothing is learned from it."""
@@ -942,106 +744,31 @@ class SerialMonitor:
     def _blame(self, one: Hypothesis, share: float, now: float) -> None:
         """A position sensor explains what nothing else does: its fault is followed from now on."""
         i = one.joint
-        still = self.sampler.still[i] * self.arm.sample_time
-        rests = i in self._frozen() or still > max(STILL_TIME, now - one.begin)
+        frozen = self._frozen()
+        rests = i in frozen or self.readings.rested(i) > max(STILL_TIME, now - one.begin)
         kind = 'stuck' if rests else one.kind
         course = one.course
         if kind == 'stuck':
-            if together := self._frozen_with(i):
+            if together := frozen_with(self.readings, frozen, i, self.followed.known):
                 # Balances took what froze with it for known.
                 for j in (*together, i):
-                    begin = one.begin if j == i else self._rests_since(j)
-                    self._begin_following(self._begin_stuck(j, begin), share)
+                    begin = one.begin if j == i else self.readings.rests_since(j)
+                    self._begin_following(self.followed.frozen(j, begin), share)
                 return
-            if self._rate_is_held(i):
-                self._begin_following(self._begin_stuck(i, one.begin), share)
+            if self.readings.rate_is_held(i):
+                self._begin_following(self.followed.frozen(i, one.begin), share)
                 return
-            course = self._course_by_rate(i, one.begin) or course
+            course = self.followed.course_by_rate(i, one.begin) or course
         if course is not None:
-            fault = begin_frozen(i, course, self._acceleration(i))
+            fault = begin_frozen(i, course, self.readings.acceleration(i))
         else:
             fault = self._begin(one, kind)
         self._begin_following(fault, share)
 
-    def _frozen_with(self, i: int) -> list[int]:
-        """Sensors that froze in the same sample as sensor i: they share a bus, cable or driver.
-
-        Two readings that stop dead out of motion at once are no chance, as rests that begin so are.
-        """
-        together = np.flatnonzero(self.sampler.still == self.sampler.still[i]).tolist()
-        stopped = {j for j, one in self._frozen().items() if one.seen and one.rate != 0.0}
-        if i not in stopped or len(stopped.intersection(together)) < 2:
-            return []
-        known = {i, *self._filters, *np.flatnonzero(self.sampler.noisy).tolist()}
-        return [j for j in together if j not in known]
-
-    def _begin_stuck(self, i: int, begin: float) -> FaultFilter:
-        """Filter of a reading that froze [s], by the rate that its joint has, or had."""
-        acceleration = self._acceleration(i)
-        if self._rate_is_held(i):
-            self._do_without_rate(i, begin)
-        course = self._course_by_rate(i, begin)
-        if course is not None:
-            return begin_frozen(i, course, acceleration)
-        time, sigma = self._rests_since(i), self._stop_sigma(i, acceleration)
-        mean = np.array([0.0, float(self.sampler.stop[i]), 0.0])
-        covariance = np.diag([0.0, sigma, acceleration]) ** 2
-        fault = begin_frozen(i, Course(0.0, time, time, mean, covariance), acceleration)
-        fault.predict(self._ended())
-        return fault
-
-    def _rate_is_held(self, i: int) -> bool:
-        """Whether a rate with a sensor of its own has not changed since its reading froze."""
-        sampler, n = self.sampler, self.joints
-        if sampler.derived[i] == 1.0:
-            return False
-        blocks, still = self._blocks(len(self.estimator) + 1), int(sampler.still[i])
-        rested = blocks[:, 3 * n] - 0.5 * blocks[:, 3 * n + 1] > self._rests_since(i)
-        rates = np.concatenate([blocks[rested, n + i], sampler.samples[-still:, 1, i]])
-        return bool(np.ptp(rates) <= ROUNDING)
-
-    def _do_without_rate(self, i: int, begin: float) -> None:
-        """A rate froze with its reading [s]: it is that of the reading, 0, until it changes."""
-        held = self._held_rates[i] = float(self.sampler.published[0, i])
-        error = held - float(self.sampler.rate_error[i])
-        correct_rates_since(i, begin, error, self.estimator, self.sampler)
-        self.sampler.rate_error[i] += error
-        self.sampler.derived[i] = self.estimator.balance.derived[i] = 1.0
-        self.bank.kinematics.forget(i)
-
-    def _use_rate(self, i: int) -> None:
-        """A rate that had frozen with its reading changes, and is that of a sensor again."""
-        sampler = self.sampler
-        sampler.samples[-1, 1, i] = sampler.published[0, i]
-        sampler.rate_error[i] = sampler.derived[i] = self.estimator.balance.derived[i] = 0.0
-        self.bank.kinematics.forget(i)
-        del self._held_rates[i]
-
-    def _ended(self) -> float:
-        """When the newest balance ended: younger samples wait to enter one [s]."""
-        return block_end(self._blocks(1)[-1])
-
-    def _course_by_rate(self, i: int, begin: float) -> Course | None:
-        """How a joint went on while its reading rested, by a rate of its own; None without one."""
-        # Rows go from the middle of a block to that of another one.
-        interval, end = self.plan.interval, float(self._blocks(1)[-1, 3 * self.joints])
-        way = self.bank.kinematics.way(i, math.ceil((end - begin) / interval))
-        newest = self.bank.kinematics.last(i)
-        if way is None or newest is None or i in self._held_rates:
-            return None
-        # The newest row has the mean rate of its interval.
-        acceleration = self._acceleration(i)
-        sigma = math.hypot(newest[1] ** 0.5 / interval, 0.5 * interval * acceleration)
-        mean = np.array([way[0], -newest[0] / interval, 0.0])
-        return Course(0.0, begin, end, mean, np.diag([way[1], sigma, acceleration]) ** 2)
-
     def _begin_following(self, one: FaultFilter, share: float) -> None:
         """A fault has been named, with some confidence: it is followed from now on."""
         i = one.joint
-        self._filters[i] = one
-        self._trust_rate(i)
-        correct_since(one, self.estimator, self.sampler, self.bank.momenta_of(i))
-        self._correction[i] = self.sampler.correction[i]
+        self.followed.begin(one)
         self.healthy = self.guarantee = None  # readings are changed
         self._suspect_nothing()
         fault, deviation = self.faults()
@@ -1050,17 +777,17 @@ class SerialMonitor:
 
     def _begin(self, one: Hypothesis, kind: str) -> FaultFilter:
         """Filter of a fault of a kind."""
-        size, sigma, now = one.size, one.sigma, self._ended()
+        size, sigma, now = one.size, one.sigma, self.readings.ended()
         if kind == 'stuck' and one.kind != 'stuck':  # the rate of the joint that its reading hides
             rate, since = -one.size if one.kind == 'drift' else 0.0, now - one.begin
             widest = WIDEST_LEVEL * float(self.scales[one.joint])
             size, sigma = rate * since, max(widest, one.sigma * since)
-        blocks = self._blocks(len(self.estimator) + 1)
+        blocks = self.readings.all_blocks()
         origin = float(np.interp(one.begin, blocks[:, 3 * self.joints], blocks[:, one.joint]))
         # Uniform over the starts that the named one stands for.
         spread = one.starts * self.plan.interval / math.sqrt(12.0)
         span = one.begin, now
-        acceleration = self._acceleration(one.joint)
+        acceleration = self.readings.acceleration(one.joint)
         return begin_filter(one.joint, kind, span, size, sigma, origin, spread, acceleration)
 
     def _blame_rate(self, one: Hypothesis, share: float) -> None:
@@ -1074,9 +801,9 @@ class SerialMonitor:
             # It began somewhere in the first interval of its window; the last one has all of it.
             size, sigma = -newest[0] / self.plan.interval, newest[1] ** 0.5 / self.plan.interval
         record.confirm('rate_bias', one.begin, abs(size))
-        self._trust_rate(one.joint)
+        self.followed.trust_rate(one.joint)
         self.sampler.rate_error[one.joint] = size
-        correct_rates_since(one.joint, one.begin, size, self.estimator, self.sampler)
+        correct_rates_since(one.joint, one.begin, size, self.readings)
         self._event(one.joint, 'rate_bias', one.begin, 'raised', size, sigma,
                     confidence=share)  # fmt: skip
 
@@ -1147,14 +874,14 @@ class SerialMonitor:
                 continue
             # Gravity's word counts where it was confirmed, or is sure beside the fault.
             counts = sensor.level or sigmas * level.sigma[i] < sensor.peak
-            left = self._largest_removed(i) + float(counts * level.mean[i])
+            left = self.followed.largest(i) + float(counts * level.mean[i])
             if sensor.kind == 'noise':
                 over = self.sampler.noisy[i] == 0
             elif sensor.kind == 'stuck':
-                moves = self.sampler.still[i] * self.arm.sample_time < STILL_TIME
-                if moves and i in self._filters and self._moved_on(i):
+                moves = self.readings.rested(i) < STILL_TIME
+                if moves and i in self.followed.filters and self._moved_on(i):
                     self._lose_count(i)
-                over = moves or (i not in self._filters and self._rests(i))
+                over = moves or (i not in self.followed.filters and self._rests(i))
             else:
                 smallest = self.settings.minimum_threshold * self.scales[i]
                 limit = MOST * max(smallest, sigmas * sigma[i])
@@ -1162,10 +889,10 @@ class SerialMonitor:
             over &= not contradicts
             sensor.unseen &= over or not self._shows(i)
             if sensor.watch_end(over, now, dwell, abs(left)) and clears:
-                before = float(self.taken_out()[i])
+                before = float(self.followed.taken_out()[i])
                 if sensor.kind == 'noise' and not self._is_small(i, before):
                     self._remains(i, before, now)
-                    self._trust_rate(i)
+                    self.followed.trust_rate(i)
                     continue
                 self._forget(i)
                 self._event(i, sensor.kind, sensor.onset, 'cleared', left, float(sigma[i]))
@@ -1176,37 +903,20 @@ class SerialMonitor:
             if record.watch_end(self._rate_agrees(i, now), now, dwell, 0.0) and clears:
                 error = float(self.sampler.rate_error[i])
                 since = now - dwell - self.bank.kinematics.agrees(i, error)
-                correct_rates_since(i, since, -error, self.estimator, self.sampler)
+                correct_rates_since(i, since, -error, self.readings)
                 self.sampler.rate_error[i] = self.sampler.contrast[REPLACED, i] = 0.0
                 # When exactly the rate was right again is not known.
                 self.bank.restart_statistic()
                 self._event(i, record.kind, record.onset, 'cleared', 0.0, 0.0)
                 record.clear()
-                self._trust_rate(i)
+                self.followed.trust_rate(i)
         return Stage.RATES
-
-    def _trust_rate(self, i: int) -> None:
-        """Use the kinematic rows of a joint while no fault of its sensors is known."""
-        wrong = self.rates[i].active or i in self._filters or bool(self.sampler.noisy[i])
-        self.bank.kinematics.leave_out(i, wrong)
 
     def _judge_rates(self, now: float) -> Stage:
         """Whether rates that the file calls independent are derived from their readings."""
-        probe, n = self.sampler.probe, self.joints
-        stamps, derived, unproved = np.round(NANOSECONDS * probe[:, 0]), list[int](), list[int]()
-        for i in self._unproved:
-            found = rate_source(stamps, probe[:, 1 + i], probe[:, 1 + n + i])
-            if found.explained > PROVED:
-                derived.append(i)
-            elif found.source != 'independent':
-                unproved.append(i)
-        if derived and self._state['usual']:
+        derived = self._rate_sources.judge(self.sampler, bool(self._state['usual']))
+        if derived:
             self._derive_rates(derived, now)
-            return Stage.DONE
-        self._unproved = sorted(derived + unproved)
-        self._probed += len(probe)
-        # As many samples later: what did not show so far may never do.
-        self.sampler.counters[PROBED] = -self._probed if self._unproved else len(probe) + 1
         return Stage.DONE
 
     def _derive_rates(self, joints: list[int], now: float) -> None:
@@ -1225,13 +935,6 @@ class SerialMonitor:
         gains = [one.gain for one in self._stuck if one.joint == i]
         return bool(gains) and max(gains) < 0.0
 
-    def _largest_removed(self, i: int) -> float:
-        """What is taken out of a reading; of a scale error, where that was farthest from zero."""
-        one = self._filters.get(i)
-        if one is None or not one.is_scale:
-            return float(self.taken_out()[i])
-        return float(one.mean[0]) * self._farthest(i)
-
     def _shows(self, i: int) -> bool:
         """Whether a fault of sensor i would be seen to be over, if it were."""
         sensor = self.sensors[i]
@@ -1248,49 +951,21 @@ class SerialMonitor:
 
         What an absolute encoder reads is right again, an incremental one has not counted the way.
         """
-        one = self._filters[i]
-        fault, _, sigma = one.fault(float(self.sampler.raw[i]), self._last())
+        one, reading = self.followed.filters[i], float(self.sampler.raw[i])
+        fault, _, sigma = one.fault(reading, self.readings.last())
         self._release(i, DELAY)
         self.estimator.doubt_readings(i, math.hypot(fault, sigma))
 
     def _release(self, i: int, since: int, kept: float = 0.0) -> None:
         """The readings of sensor i are right again, for so many samples, but for an offset."""
-        sampler, sigma = self.sampler, float(self.faults()[1][i])
-        put_back(sampler, i, since)
-        sampler.samples[-since:, 0, i] -= kept
-        if sampler.derived[i] == 1.0 and since > 1:  # the first difference holds the jump
-            sampler.samples[-since, 1, i] = sampler.samples[1 - since, 1, i]
-        one = self._filters.get(i)
-        if one is not None and not one.is_scale:
-            one.predict(self._last() - since * self.arm.sample_time)
-            self._ended_filters.append(one)
-        self._correct_no_more(i)
-        self.bank.kinematics.note_jump(i, sigma**2)  # what the readings before it were wrong by
-        sampler.correction[i] = self._correction[i] = kept
+        sigma = float(self.faults()[1][i])
+        self._jumps.forget(i)
+        self.followed.release(i, since, sigma, kept)
 
     def _forget(self, i: int) -> None:
         """Take nothing out of the readings of sensor i any more; what is estimated stays true."""
-        sampler = self.sampler
-        out = float(self.taken_out()[i])
-        self._correct_no_more(i)
-        if out == 0.0:
-            return
-        sampler.samples[:, 0, i] += out
-        sampler.blocks[:, i] += out
-        sampler.sums[0, i] += out * sampler.counters[IN_BLOCK]
-        self.estimator.move_reference(i, out)
-
-    def _correct_no_more(self, i: int) -> None:
-        """Samples to come of sensor i are taken as they are."""
-        sampler = self.sampler
-        self._doubt_no_more(i)
-        if i in self._held_rates:
-            self._use_rate(i)
-        if self._filters.pop(i, None) is not None or self.sensors[i].kind == 'noise':
-            self._trust_rate(i)
-        sampler.correction[i] = sampler.followed[i] = sampler.drift[i] = sampler.share[i] = 0.0
-        sampler.curve[i] = 0.0
-        self._correction[i] = 0.0
+        self._jumps.forget(i)
+        self.followed.forget(i)
 
     def _suspect_nothing(self) -> None:
         """What was suspected is known, or over."""

@@ -14,11 +14,11 @@ from scipy.special import expit
 from lpv.core.serial_arm.diagnosis.balance import OFFSET, SCALE
 from lpv.core.serial_arm.diagnosis.bank import Bank
 from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator
-from lpv.core.serial_arm.diagnosis.fault_filter import FaultFilter, held_blocks
+from lpv.core.serial_arm.diagnosis.fault_filter import FaultFilter
 from lpv.core.serial_arm.diagnosis.information import recent
 from lpv.core.serial_arm.diagnosis.onset import weigh_errors
 from lpv.core.serial_arm.diagnosis.priors import POSE_TIME
-from lpv.core.serial_arm.diagnosis.sampling import Sampler
+from lpv.core.serial_arm.diagnosis.readings import Readings
 
 LARGEST_SCALE = 0.5
 """Largest scale error that is looked for in jumps [-]."""
@@ -46,12 +46,12 @@ class ScaleOfJump:
         """Probability of the hypothesis, against an offset."""
         return float(expit(self.odds))
 
-    def weigh(self, estimator: OffsetEstimator, sampler: Sampler, bank: Bank) -> None:
+    def weigh(self, readings: Readings, bank: Bank) -> None:
         """Compare the hypothesis with an offset on all balances since the jump."""
-        self._ask_rate(estimator, sampler, bank)
-        self.odds = self.before + self.by_rate + self._gain(estimator)
+        self._ask_rate(readings, bank)
+        self.odds = self.before + self.by_rate + self._gain(readings.estimator)
         likely = self.odds > np.log(KIND_ODDS)
-        self.likely_since = min(self.likely_since, float(sampler.time[-1])) if likely else np.inf
+        self.likely_since = min(self.likely_since, readings.last()) if likely else np.inf
 
     def settle(self, estimator: OffsetEstimator) -> None:
         """Keep what the balances say, which are about to be forgotten."""
@@ -99,14 +99,14 @@ class ScaleOfJump:
         power, pull = known + float(square), self.size * known + float(score)
         return 0.5 * (pull**2 / power - self.size**2 * known - float(np.log(power / known)))
 
-    def _ask_rate(self, estimator: OffsetEstimator, sampler: Sampler, bank: Bank) -> None:
+    def _ask_rate(self, readings: Readings, bank: Bank) -> None:
         """What the rate says of the way since the jump, while all of its rows are at hand."""
-        since = float(sampler.time[-1]) - self.time
-        count = int(since / estimator.plan.interval) - 1
+        plan, since = readings.estimator.plan, readings.last() - self.time
+        count = int(since / plan.interval) - 1
         way = bank.kinematics.way(self.joint, count) if 0 < count <= bank.kinematics.held else None
         if way is not None:
-            blocks, _ = held_blocks(estimator, sampler, count + 1)
-            began = blocks[-1 - count * estimator.plan.blocks, self.joint]
+            blocks = readings.blocks(count + 1)
+            began = blocks[-1 - count * plan.blocks, self.joint]
             more = self.size * float(blocks[-1, self.joint] - began)
             self.by_rate = (-way[0] * more - 0.5 * more**2) / way[1] ** 2
 

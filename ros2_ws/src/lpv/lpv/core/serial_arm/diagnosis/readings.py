@@ -1,0 +1,87 @@
+"""What the last readings of an arm say, and the blocks of them that balances are made of."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from lpv.core.serial_arm.chain import FloatArray, IntArray
+from lpv.core.serial_arm.diagnosis.decision import reading_noise
+from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator
+from lpv.core.serial_arm.diagnosis.priors import SLOW_RATE
+from lpv.core.serial_arm.diagnosis.sampling import BEFORE_STOP, BLOCKS, ROUNDING, Sampler, block_end
+from lpv.core.serial_arm.diagnosis.stuck import usual_acceleration
+
+
+class Readings(NamedTuple):
+    """The last samples, as corrected so far, and the horizon of balances."""
+
+    sampler: Sampler
+    estimator: OffsetEstimator
+    sample_time: float  # [s]
+
+    def last(self) -> float:
+        """When the newest sample was taken [s]."""
+        return float(self.sampler.time[-1])
+
+    def newest(self, i: int) -> float:
+        """The newest reading of sensor i, as corrected [rad]."""
+        return float(self.sampler.samples[-1, 0, i])
+
+    def places(self, intervals: int) -> IntArray:
+        """Places of the last blocks in the ring, oldest first."""
+        capacity, written = len(self.sampler.blocks), int(self.sampler.counters[BLOCKS])
+        count = min(intervals * self.estimator.plan.blocks, written, capacity)
+        return np.arange(written - count, written) % capacity
+
+    def blocks(self, intervals: int) -> FloatArray:
+        """The last blocks, oldest first; not to be changed."""
+        places = self.places(intervals)
+        if len(places) and places[0] <= places[-1]:
+            return self.sampler.blocks[places[0] : places[-1] + 1]
+        return self.sampler.blocks[places]
+
+    def all_blocks(self) -> FloatArray:
+        """Those of the horizon, and of the interval before it."""
+        return self.blocks(len(self.estimator) + 1)
+
+    def ended(self) -> float:
+        """When the newest balance ended: younger samples wait to enter one [s]."""
+        return block_end(self.blocks(1)[-1])
+
+    def noise(self, i: int) -> float:
+        """Standard deviation of a noisy reading [rad]."""
+        return math.sqrt(reading_noise(self.sampler, i))
+
+    def farthest(self, i: int) -> float:
+        """Largest distance of a reading from zero over the horizon [rad]."""
+        return float(np.abs(self.all_blocks()[:, i]).max())
+
+    def rested(self, i: int) -> float:
+        """For how long a reading has not changed [s]."""
+        return float(self.sampler.still[i]) * self.sample_time
+
+    def rests_since(self, i: int) -> float:
+        """When a reading changed last [s]."""
+        return self.last() - self.rested(i)
+
+    def acceleration(self, i: int) -> float:
+        """Usual acceleration of a joint [rad/s2]."""
+        estimator = self.estimator
+        return usual_acceleration(self.all_blocks(), i, estimator.joints, estimator.plan.blocks)
+
+    def stop_sigma(self, i: int, acceleration: float) -> float:
+        """Standard deviation of the rate that a reading had before it came to rest [rad/s]."""
+        measured, grain = BEFORE_STOP * self.sample_time, float(self.sampler.grain[i])
+        rounding = grain / measured if math.isfinite(grain) else 0.0
+        return math.hypot(rounding, 0.5 * measured * acceleration, SLOW_RATE)
+
+    def rate_is_held(self, i: int) -> bool:
+        """Whether a rate with a sensor of its own has not changed since its reading froze."""
+        sampler, n = self.sampler, self.estimator.joints
+        if sampler.derived[i] == 1.0:
+            return False
+        blocks, still = self.all_blocks(), int(sampler.still[i])
+        rested = blocks[:, 3 * n] - 0.5 * blocks[:, 3 * n + 1] > self.rests_since(i)
+        rates = np.concatenate([blocks[rested, n + i], sampler.samples[-still:, 1, i]])
+        return bool(np.ptp(rates) <= ROUNDING)
