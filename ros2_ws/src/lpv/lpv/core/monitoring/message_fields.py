@@ -10,6 +10,7 @@ import numpy as np
 
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import Alarm, Mode, SensorState
+from lpv.core.serial_arm.diagnosis.healthy_set import Guarantee
 
 # Levels of diagnostic_msgs/DiagnosticStatus.
 OK, WARN, ERROR, STALE = range(4)
@@ -84,6 +85,37 @@ def diagnostic_fields(
             message = _INCONSISTENT
         result.append(_status(level, f'{name}: {sensor}', message, sensor, values))
     return result
+
+
+def guarantee_text(arm: SerialArm, is_guaranteed: bool) -> str:
+    """For which healthy arms thresholds are guaranteed, if they still are."""
+    stated = arm.uncertainty
+    if stated.model_error is None:
+        return 'none stated: the arm file has no uncertainty.model_error'
+    if not is_guaranteed:
+        return 'none of offsets after other loads, pushes or a fault that changes, until reset'
+    return (
+        f'healthy arms with masses and inertias within {stated.model_error:.3g}, friction '
+        f'within {stated.friction:.3g}, payload up to {stated.largest_payload:g} kg'
+    )
+
+
+def guaranteed_fields(
+    arm: SerialArm, known: Guarantee, largest: float
+) -> tuple[dict[str, str], ...]:
+    """Guaranteed thresholds of the offsets, for each sensor, where faults up to ``largest`` show.
+
+    ``largest`` is in the unit of `SerialJoint.scale`.
+    """
+    result = []
+    for joint, threshold, found in zip(arm.joints, known.threshold, known.smallest_found):
+        unit = joint.units[0]
+        one = {f'guaranteed threshold [{unit}]': 'none: this pose and motion show no offset'}
+        if found < largest * joint.scale:
+            one[f'guaranteed threshold [{unit}]'] = f'{threshold:.4f}'
+            one[f'surely found beyond [{unit}]'] = f'{found:.4f}'
+        result.append(one)
+    return tuple(result)
 
 
 def _status(

@@ -6,22 +6,29 @@ one, a replay many at a time; both go through `SerialSensorMonitor.take_many`, a
 not depend on how measurements are divided.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from lpv.core.monitoring import message_fields
 from lpv.core.monitoring.answers import LONGEST_STALE, Answer, Answers, answer_type
-from lpv.core.monitoring.compensation import FLAGS, AnswerRows, Known, answer_rows, new_compensation
+from lpv.core.monitoring.batch import Batch, new_batch
+from lpv.core.monitoring.compensation import FLAGS, Known, new_compensation
 from lpv.core.monitoring.joint_order import JointOrder
 from lpv.core.monitoring.parameters import DiagnosisParameters
+from lpv.core.monitoring.plausibility import (
+    Stream,
+    count_regular,
+    driver_type,
+    find_unread,
+    is_plausible,
+    repeats_type,
+)
 from lpv.core.monitoring.sample_loop import PROGRESS, UNWATCHED, Answering
 from lpv.core.monitoring.serial_alarms import AlarmConverter
-from lpv.core.monitoring.stamp_gate import JUMP, StampGate
+from lpv.core.monitoring.stamp_gate import StampGate
 from lpv.core.monitoring.stepped_monitor import Snapshot, SteppedMonitor, Told
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
@@ -29,13 +36,12 @@ from lpv.core.serial_arm.diagnosis.alarms import Alarm, Mode, SensorState
 from lpv.core.serial_arm.diagnosis.decision import decide
 from lpv.core.serial_arm.diagnosis.information import ROBUST
 from lpv.core.serial_arm.diagnosis.monitor import LONGEST_STEP
-from lpv.core.serial_arm.diagnosis.sampling import BEFORE_STOP, DELAY
 from lpv.core.serial_arm.sensor_map import map_rows, mixing
-from lpv.core.serial_arm.turns import FARTHEST, Turns
+from lpv.core.serial_arm.turns import Turns
 from lpv.core.support.errors import SampleError
-from lpv.core.support.jit import Entries, compile_ahead, njit_in_place
-from lpv.core.support.limits import LARGEST, MAX_GAP, SMALL
-from lpv.core.support.records import memory, new_record, plain, record_type
+from lpv.core.support.jit import Entries, compile_ahead
+from lpv.core.support.limits import MAX_GAP, SMALL
+from lpv.core.support.records import memory, new_record, plain
 from lpv.core.support.timestamps import NANOSECONDS, NEVER
 from lpv.core.uio.certificate.gains import Gains
 from lpv.core.uio.unknown_input_observer import (
@@ -49,9 +55,6 @@ METHOD = 'moving horizon'
 _ERROR = int(SensorState.ERROR)
 _REPORT_INTERVAL = NANOSECONDS
 """A diagnostics report is due after each such time of the data [ns], and at every alarm event."""
-_LARGEST = (FARTHEST, 1e4, LARGEST)
-"""Readings, rates and efforts beyond are no values of an arm [rad], [rad/s], [unit]; readings of
-joints that turn without end count from the last one."""
 _WARM_UP = (0.3, 1.0)
 """Motion that makes every compiled function run, without and with those of suspected faults [s]."""
 CONTACT = 'torques from outside: something pushes or holds the arm, or its load has changed'
@@ -84,230 +87,6 @@ class SerialCounters:
     unread: int = 0  # without readings, as of a driver that has not read its hardware yet
     without_effort: int = 0  # efforts were missing that had been there before
     repeated: int = 0  # by a driver that had nothing new of an arm in motion
-
-
-class _Batch(NamedTuple):
-    """Measurements that were handed over together, and their answers."""
-
-    stamps: IntArray
-    samples: FloatArray
-    records: np.recarray
-    plain: np.ndarray  # the same, of which a part is taken in a tenth of the time
-    rows: AnswerRows
-    answers: Answers
-
-
-def _new_batch(kind: np.dtype, count: int, joints: int) -> _Batch:
-    # A single row would be contiguous, another type to compiled functions.
-    memory = np.zeros(count + 1, kind)
-    records: Any = memory[:count].view(np.recarray)
-    answers = Answers(
-        records.answered,
-        records.has_fault,
-        records.restarted,
-        records.inconsistent,
-        records.state,
-        records.fault,
-        events=[],
-        reports=[],
-        warnings=[],
-    )
-    return _Batch(
-        np.empty(count, np.int64),
-        np.empty((count, 3, joints)),
-        records,
-        records.view(np.ndarray),
-        answer_rows(memory),
-        answers,
-    )
-
-
-def _read(joints: int) -> np.dtype:
-    """Record type of what a driver has read."""
-    return record_type(
-        ('position', 'f8', joints),  # the last one of each joint, NaN before any [rad]
-        ('stamp', 'i8'),  # of the last measurement [ns]
-    )
-
-
-@njit_in_place
-def _find_unread(
-    stamps: IntArray,
-    samples: FloatArray,
-    small: FloatArray,
-    read: np.ndarray,
-    unread: npt.NDArray[np.bool_],
-) -> None:
-    """Find measurements of a driver that has not read its hardware; their readings become NaN.
-
-    Until it has, and when it connects again, positions of all joints are NaN or exactly 0.  At
-    its start such zeros are the arm's if anything else is other than 0, and later if at most one
-    joint was farther than ``small`` from there: a single sensor that fails may read 0, too.
-    ``read`` is memory of a record of `_read`.
-    """
-    one, joints = read[0], samples.shape[2]
-    for k in range(len(stamps)):
-        if abs(stamps[k] - one.stamp) > JUMP:
-            one.position[:] = np.nan  # the driver has started
-        one.stamp = stamps[k]
-        known = others = False
-        away = zero = missing = 0
-        for i in range(joints):
-            known = known or not np.isnan(one.position[i])
-            away += abs(one.position[i]) > small[i]
-            zero += samples[k, 0, i] == 0.0
-            missing += np.isnan(samples[k, 0, i])
-            others = others or abs(samples[k, 1, i]) > 0.0 or abs(samples[k, 2, i]) > 0.0
-        if known:
-            unread[k] = zero == joints and away > 1
-        else:
-            unread[k] = missing == joints or (zero + missing == joints and not others)
-        for i in range(joints):
-            if unread[k]:
-                samples[k, 0, i] = np.nan
-            elif not np.isnan(samples[k, 0, i]):
-                one.position[i] = samples[k, 0, i]
-
-
-def _repeats(joints: int) -> np.dtype:
-    """Record type of what tells a driver that repeats itself."""
-    return record_type(
-        ('measured', 'f8', (3, joints)),  # the last measurement, as it came
-        ('grain', 'f8', (2, joints)),  # smallest changes of readings, efforts; infinite before any
-        ('recent', 'f8', (2 * BEFORE_STOP + 1, 2, joints)),  # the last readings and efforts
-        ('since', 'i8'),  # stamp from which on readings and rates have been these [ns]
-        ('times', 'i8'),  # that its readings and rates came again
-        ('idle', 'i8'),  # that efforts did
-        ('stamp', 'i8'),  # of the last time [ns]
-        ('stalled', '?'),  # so often that it is none
-    )
-
-
-class _Stream(NamedTuple):
-    """What tells samples that simply follow the one before."""
-
-    stamp: int  # of the last usable sample [ns]
-    newest: int  # of all samples [ns]
-    gap: int  # longest interval [ns]
-    blind: bool  # efforts are missing
-    independent: npt.NDArray[np.bool_]  # rates of a sensor of their own
-    endless: npt.NDArray[np.bool_]  # readings of joints that turn without end
-    reading: FloatArray  # of the last usable sample [rad]
-    repeats: np.ndarray  # memory of a record of `_repeats`
-
-
-@njit_in_place
-def _plausible(
-    sample: FloatArray,
-    independent: npt.NDArray[np.bool_],
-    endless: npt.NDArray[np.bool_],
-    last: FloatArray,
-) -> bool:
-    """Whether readings, and rates of sensors of their own, are finite and of an arm."""
-    for i in range(sample.shape[1]):
-        reading, rate, effort = abs(sample[0, i]), abs(sample[1, i]), abs(sample[2, i])
-        if endless[i]:
-            reading = abs(sample[0, i] - last[i])
-        if not reading <= _LARGEST[0] or rate > _LARGEST[1] or effort > _LARGEST[2]:
-            return False
-        if independent[i] and not rate <= _LARGEST[1]:
-            return False
-    return True
-
-
-@njit_in_place
-def _keep(recent: FloatArray, sample: FloatArray) -> None:
-    """Put readings and efforts of a measurement behind the last ones, shape (count, 2, n)."""
-    last = recent.shape[0] - 1
-    for i in range(recent.shape[2]):
-        for k in range(last):
-            recent[k, 0, i], recent[k, 1, i] = recent[k + 1, 0, i], recent[k + 1, 1, i]
-        recent[last, 0, i], recent[last, 1, i] = sample[0, i], sample[2, i]
-
-
-@njit_in_place
-def _stopped_dead(recent: FloatArray, grain: FloatArray) -> bool:
-    """Whether readings and efforts changed no more from one sample to the next, motion or noise.
-
-    A joint that is braked goes at most a third of its way in as many samples before the last ones,
-    and its efforts come to rest earlier or later.  A reading at rest goes back and forth by its
-    rounding, noise by more.
-    """
-    last, stops = recent.shape[0] - 1, False
-    for part in range(2):
-        works = False
-        for i in range(recent.shape[2]):
-            beyond, before, turns = -last * grain[part, i], 0.0, 0
-            for k in range(last):
-                way = recent[k + 1, part, i] - recent[k, part, i]
-                beyond += 2.0 * abs(way) if k >= last // 2 else -abs(way)
-                turns += way * before < 0.0 and min(abs(way), abs(before)) > ROBUST * grain[part, i]
-                before = way
-            works = works or abs(before) > 0.0
-            stops = stops or turns > 1 or (part == 0 and beyond > 0.0)
-        if not works:
-            return False
-    return stops
-
-
-@njit_in_place
-def _is_repeated(stream: _Stream, stamp: int, sample: FloatArray) -> bool:
-    """Whether a measurement is the one before once more, from a driver that had no new one.
-
-    One that equals it in all readings and rates is none of an arm that moves: by now, a joint would
-    have gone farther at its rate than its reading is rounded, or efforts have stopped with it in
-    one sample.  A few are `sampling`'s.
-    """
-    one, same, idle, fresh = stream.repeats[0], True, True, False
-    if one.stamp == stamp:
-        return bool(one.stalled)
-    one.stamp = stamp
-    for part in range(3):
-        for i in range(sample.shape[1]):
-            change = abs(sample[part, i] - one.measured[part, i])
-            equal = change == 0.0 or (part == 1 and np.isnan(change))  # no rate is none
-            same, idle = same and (equal or part == 2), idle and (equal or part != 2)
-            if part != 1 and change > 0.0:
-                one.grain[part // 2, i] = min(one.grain[part // 2, i], change)
-                fresh = True
-            one.measured[part, i] = sample[part, i]
-    if fresh:
-        _keep(one.recent, sample)
-    one.idle = one.idle + 1 if idle else 0
-    one.stalled = one.stalled and same and idle
-    if not same:
-        one.since, one.times = stamp, 0
-        return False
-    one.times += 1
-    if min(one.times, one.idle) == DELAY + 1:
-        one.stalled = _stopped_dead(one.recent, one.grain)
-    for i in range(sample.shape[1]):
-        way = abs(sample[1, i]) * (stamp - one.since) / NANOSECONDS
-        one.stalled = one.stalled or (one.times > DELAY and way > ROBUST * one.grain[0, i])
-    return bool(one.stalled)
-
-
-@njit_in_place
-def _count_regular(stream: _Stream, stamps: IntArray, samples: FloatArray, begin: int) -> int:
-    """Number of samples from ``begin`` on that can be used as they are."""
-    last, newest = stream.stamp, stream.newest
-    for k in range(begin, len(stamps)):
-        if _is_repeated(stream, stamps[k], samples[k]):
-            return k - begin
-        if not newest < stamps[k] <= newest + JUMP or stamps[k] > last + stream.gap:
-            return k - begin
-        finite = True
-        for effort in samples[k, 2]:
-            finite = finite and math.isfinite(effort)
-        if finite == stream.blind or not _plausible(
-            samples[k],
-            stream.independent,
-            stream.endless,
-            samples[k - 1, 0] if k > begin else stream.reading,
-        ):
-            return k - begin
-        last = newest = stamps[k]
-    return len(stamps) - begin
 
 
 class MonitorParts(NamedTuple):
@@ -377,7 +156,7 @@ class SerialSensorMonitor:
         self._joints = len(arm.joints)
         self.answer_type = answer_type(self._joints)
         self._call = Entries()
-        self._one = _new_batch(self.answer_type, 1, self._joints)  # of `take`
+        self._one = new_batch(self.answer_type, 1, self._joints)  # of `take`
         self._bytes = self._one.plain.view('u1')
         self._order = JointOrder(arm.joint_names, self.needs_rates)
         rates = [joint.sensors.rates for joint in arm.joints]
@@ -401,7 +180,7 @@ class SerialSensorMonitor:
         self._has_efforts = False  # whether any was other than 0
         self._first: FloatArray | None = None  # positions of the first measurement [rad]
         self._has_moved = False  # from there, before efforts came
-        self._read: Any = new_record(_read(self._joints), position=np.nan)
+        self._read: Any = new_record(driver_type(self._joints), position=np.nan)
         self._small = SMALL * arm.scales()
         self.retune(parameters or DiagnosisParameters())
         self._begin()
@@ -448,7 +227,7 @@ class SerialSensorMonitor:
         self._blind: bool | None = None  # whether efforts are missing
         self._stamp = NEVER  # of the last usable sample [ns]
         self._reading = np.zeros(self._joints)  # of that sample [rad]
-        self._repeats: Any = new_record(_repeats(self._joints), grain=np.inf, recent=np.nan)
+        self._repeats: Any = new_record(repeats_type(self._joints), grain=np.inf, recent=np.nan)
         self._older = 0  # measurements in a row that were older than the last one
         n, self._noted = self._joints, 0  # stamp from which on the snapshot holds [ns]
         flags = new_record(FLAGS, sample_time=self.arm.sample_time)
@@ -553,18 +332,18 @@ class SerialSensorMonitor:
         Answers
             One row a measurement.
         """
-        batch = _new_batch(self.answer_type, len(stamps), self._joints)
+        batch = new_batch(self.answer_type, len(stamps), self._joints)
         batch.stamps[:] = stamps
         return self._take(batch, position, velocity, effort)
 
     def _take(
-        self, batch: _Batch, position: FloatArray, velocity: FloatArray, effort: FloatArray
+        self, batch: Batch, position: FloatArray, velocity: FloatArray, effort: FloatArray
     ) -> Answers:
         """Use the measurements of a batch, which has their stamps."""
         stamps, samples, records, _, rows, answers = batch
         samples[:, 0], samples[:, 1], samples[:, 2] = position, velocity, effort
         unread = np.empty(len(stamps), bool)
-        self._call(_find_unread, stamps, samples, self._small, memory(self._read), unread)
+        self._call(find_unread, stamps, samples, self._small, memory(self._read), unread)
         position, velocity = self._turns.continued(stamps, samples[:, 0], samples[:, 1])
         idle = self._leave_out_idle(position, samples[:, 2])
         samples[:, 0] = map_rows(self._to_sensors, position)
@@ -607,15 +386,15 @@ class SerialSensorMonitor:
         self._has_efforts, self._has_moved = bool(is_given[-1]), had_moved or bool(idle.any())
         return int(idle.argmax()) if self._has_moved and not had_moved else -1
 
-    def _regular(self, batch: _Batch, begin: int) -> int:
+    def _regular(self, batch: Batch, begin: int) -> int:
         """Number of samples from ``begin`` on that can be used as they are, after the last one."""
         if self._blind is None or self._gate.last is None or self._older > LONGEST_STEP:
             return 0
-        stream = _Stream(
+        stream = Stream(
             self._stamp, self._gate.last, self._gap, self._blind, self._independent,
             self._endless, self._reading, memory(self._repeats),
         )  # fmt: skip
-        return int(self._call(_count_regular, stream, batch.stamps, batch.samples, begin))
+        return int(self._call(count_regular, stream, batch.stamps, batch.samples, begin))
 
     def _derives(self, samples: FloatArray) -> np.ndarray:
         """Whether rates have to be made of the readings."""
@@ -664,7 +443,7 @@ class SerialSensorMonitor:
             self.counters.unread += 1
             self._answer_stale(stamp, row)
             return False
-        if not _plausible(sample, self._independent, self._endless, self._reading):
+        if not is_plausible(sample, self._independent, self._endless, self._reading):
             needed = np.concatenate([sample[0], sample[1, self._independent]])
             finite = bool(np.isfinite(needed).all())
             self.counters.implausible += finite
@@ -718,7 +497,7 @@ class SerialSensorMonitor:
         self._older += delta < 0
         return False
 
-    def _run(self, batch: _Batch, begin: int, end: int, answers: Answers) -> None:
+    def _run(self, batch: Batch, begin: int, end: int, answers: Answers) -> None:
         """Use samples that are in order."""
         stamps, samples = batch.stamps[begin:end], batch.samples[begin:end]
         self._add_rates(stamps, samples)
@@ -903,41 +682,17 @@ class SerialSensorMonitor:
             'rejected messages': self.rejected,
             'method': self.method,
             'bounds': f'statistical, {self._parameters.sigmas:g} standard deviations',
-            'guarantee': self._guarantee(),
+            'guarantee': message_fields.guarantee_text(self.arm, self._snapshot.is_guaranteed),
         }
         known = self._snapshot.guarantee
+        details: tuple[dict[str, str], ...] = ()
         if known is not None:
             values['guaranteed payload [kg]'] = '{:.3f} to {:.3f}'.format(*known.payload)
+            largest = self._parameters.safe_stop_bound
+            details = message_fields.guaranteed_fields(self.arm, known, largest)
         return message_fields.diagnostic_fields(
-            self.name, self.arm, state, fault, values, self._note(), self._guaranteed()
+            self.name, self.arm, state, fault, values, self._note(), details
         )
-
-    def _guarantee(self) -> str:
-        """For which healthy arms thresholds are guaranteed."""
-        stated = self.arm.uncertainty
-        if stated.model_error is None:
-            return 'none stated: the arm file has no uncertainty.model_error'
-        if not self._snapshot.is_guaranteed:
-            return 'none of offsets after other loads, pushes or a fault that changes, until reset'
-        return (
-            f'healthy arms with masses and inertias within {stated.model_error:.3g}, friction '
-            f'within {stated.friction:.3g}, payload up to {stated.largest_payload:g} kg'
-        )
-
-    def _guaranteed(self) -> tuple[dict[str, str], ...]:
-        """Guaranteed thresholds of the offsets, for each sensor."""
-        known = self._snapshot.guarantee
-        if known is None:
-            return ()
-        result = []
-        for joint, threshold, found in zip(self.arm.joints, known.threshold, known.smallest_found):
-            unit = joint.units[0]
-            one = {f'guaranteed threshold [{unit}]': 'none: this pose and motion show no offset'}
-            if found < self._parameters.safe_stop_bound * joint.scale:
-                one[f'guaranteed threshold [{unit}]'] = f'{threshold:.4f}'
-                one[f'surely found beyond [{unit}]'] = f'{found:.4f}'
-            result.append(one)
-        return tuple(result)
 
     def _note(self) -> str:
         """What else is to be said of the diagnosis as a whole."""
