@@ -10,7 +10,7 @@ from lpv.cli.doctor.finding import Finding, Level, error, ok, warn
 from lpv.core.monitoring.joint_order import JointOrder
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import SerialArm
-from lpv.core.serial_arm.diagnosis.sampling import LATE
+from lpv.core.serial_arm.diagnosis.sampler import LATE
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.rate_independence import contradicts, rate_source
 from lpv.core.serial_arm.turns import Turns

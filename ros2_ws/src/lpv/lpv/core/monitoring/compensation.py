@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.diagnosis.monitor import LONGEST_STEP
-from lpv.core.serial_arm.diagnosis.sampling import DELAY
+from lpv.core.serial_arm.diagnosis.sampler import DELAY
 from lpv.core.serial_arm.sensor_map import map_vector
 from lpv.core.support.jit import njit_in_place
 from lpv.core.support.records import record_type

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from lpv.core.monitoring.stamp_gate import JUMP
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.diagnosis.information import ROBUST
-from lpv.core.serial_arm.diagnosis.sampling import BEFORE_STOP, DELAY
+from lpv.core.serial_arm.diagnosis.sampler import BEFORE_STOP, DELAY
 from lpv.core.serial_arm.turns import FARTHEST
 from lpv.core.support.jit import njit_in_place
 from lpv.core.support.limits import LARGEST

@@ -14,7 +14,8 @@ from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.diagnosis.alarms import Mode, SensorState
 from lpv.core.serial_arm.diagnosis.bank import STARTS
 from lpv.core.serial_arm.diagnosis.decision import Parts, Stage, decide
-from lpv.core.serial_arm.diagnosis.sampling import NONE, removed, smallest_jump, take_samples
+from lpv.core.serial_arm.diagnosis.sampler import NONE, removed, smallest_jump
+from lpv.core.serial_arm.diagnosis.sampling import take_samples
 from lpv.core.support.jit import njit_in_place
 from lpv.core.support.records import record_type
 from lpv.core.support.timestamps import NANOSECONDS

@@ -14,7 +14,7 @@ from lpv.core.serial_arm.diagnosis.alarms import SensorState
 from lpv.core.serial_arm.diagnosis.decision import Parts
 from lpv.core.serial_arm.diagnosis.healthy_set import Guarantee
 from lpv.core.serial_arm.diagnosis.monitor import WIDEST_LEVEL, SerialAlarm, SerialMonitor
-from lpv.core.serial_arm.diagnosis.sampling import JUMP_SCALE, REPLACED
+from lpv.core.serial_arm.diagnosis.sampler import JUMP_SCALE, REPLACED
 from lpv.core.support.records import plain
 
 _OK, _ERROR, _NOT_DIAGNOSABLE = SensorState.OK, SensorState.ERROR, SensorState.NOT_DIAGNOSABLE

@@ -10,7 +10,7 @@ import numpy as np
 
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
-from lpv.core.serial_arm.diagnosis.sampling import LATE
+from lpv.core.serial_arm.diagnosis.sampler import LATE
 from lpv.core.support.limits import SMALL
 from lpv.core.support.timestamps import NANOSECONDS
 

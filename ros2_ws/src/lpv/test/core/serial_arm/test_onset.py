@@ -15,7 +15,7 @@ from lpv.core.serial_arm.diagnosis import (
     drift_trial,
     fault_filter,
     onset,
-    sampling,
+    sampler,
     stuck,
 )
 from lpv.core.serial_arm.diagnosis.information import recent
@@ -89,7 +89,7 @@ def test_given_an_alarm_when_it_is_raised_then_no_drift_is_sought_long_before_it
 
 def test_given_a_drift_when_its_onset_is_sought_then_it_is_the_dense_best_and_true(monitor):
     mass, blocks = monitor.bank._mass, monitor.readings.blocks(LAST + 1)
-    about = monitor.estimator, np.array([0, JOINT]), sampling.block_end(blocks[-1])
+    about = monitor.estimator, np.array([0, JOINT]), sampler.block_end(blocks[-1])
     best = max(dense_onsets(monitor, about[2]), key=lambda one: one.gain)
     likely = onset.likely_onsets(*about, PRIOR, LAST, mass)
     np.testing.assert_allclose(likely[1][0], best, rtol=1e-6)
@@ -136,7 +136,7 @@ def test_given_friction_that_turns_over_when_a_drift_is_looked_for_then_its_onse
         monitor.readings.blocks(last + 1),
     )
     joint, interval = np.array([fault.sensor]), monitor.plan.interval
-    end = sampling.block_end(blocks[-1])
+    end = sampler.block_end(blocks[-1])
     ((first, *_),) = onset.likely_onsets(estimator, joint, end, PRIOR, last, mass)
     assert abs(first.begin - begin) > interval
     (found,) = onset.sudden_drifts(estimator, joint, PRIOR, last, blocks, mass)

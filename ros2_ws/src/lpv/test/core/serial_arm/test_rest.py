@@ -11,7 +11,7 @@ from serial_arms import shoulder_arm, simulated, watch, with_rates
 from simulated_runs import Run
 
 from lpv.core.serial_arm.diagnosis.monitor import SerialMonitor
-from lpv.core.serial_arm.diagnosis.sampling import JITTER
+from lpv.core.serial_arm.diagnosis.sampler import JITTER
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.files import load_arm
 

@@ -14,7 +14,7 @@ Coriolis torques and pushes, which are no larger than what it has."""
 
 
 def jump_bound(arm: SerialArm) -> FloatArray:
-    """Bound of e (see `lpv.core.serial_arm.diagnosis.sampling`) of a healthy arm.
+    """Bound of e (see `lpv.core.serial_arm.diagnosis.jumps`) of a healthy arm.
 
     With rates that change by at most a T a sample, abs(e) <= a T^2 for rates of either kind; to
     that comes the noise of three or four readings.

@@ -85,14 +85,8 @@ from lpv.core.serial_arm.diagnosis.priors import (
     SIZE,
     WRONG_STAMPS,
 )
-from lpv.core.serial_arm.diagnosis.sampling import (
-    DELAY,
-    LATE,
-    NOISE_MEMORY,
-    Sampler,
-    rate_noise,
-    smallest_jump,
-)
+from lpv.core.serial_arm.diagnosis.published_rates import rate_noise
+from lpv.core.serial_arm.diagnosis.sampler import DELAY, LATE, NOISE_MEMORY, Sampler, smallest_jump
 from lpv.core.serial_arm.diagnosis.stuck import Course, Frozen, course_of_frozen, free_course
 from lpv.core.serial_arm.dynamics.momentum import mass_matrix
 from lpv.core.serial_arm.sensor_map import map_vector

@@ -24,7 +24,7 @@ from lpv.core.serial_arm.diagnosis.information import recent
 from lpv.core.serial_arm.diagnosis.onset import weigh_errors
 from lpv.core.serial_arm.diagnosis.priors import SIZE
 from lpv.core.serial_arm.diagnosis.readings import Readings
-from lpv.core.serial_arm.diagnosis.sampling import IN_BLOCK, ROUNDING, block_end
+from lpv.core.serial_arm.diagnosis.sampler import IN_BLOCK, ROUNDING, block_end
 from lpv.core.serial_arm.diagnosis.stuck import LINEAR, Frozen
 
 ONSETS = len(STARTS)

@@ -24,7 +24,7 @@ from lpv.core.serial_arm.diagnosis.priors import (
     STEADY_FOR,
 )
 from lpv.core.serial_arm.diagnosis.readings import Readings
-from lpv.core.serial_arm.diagnosis.sampling import HISTORY, Sampler, block_end, put_back, take_out
+from lpv.core.serial_arm.diagnosis.sampler import HISTORY, Sampler, block_end, put_back, take_out
 from lpv.core.serial_arm.diagnosis.stuck import LINEAR, Course
 
 _REACH = math.sqrt(3.0)

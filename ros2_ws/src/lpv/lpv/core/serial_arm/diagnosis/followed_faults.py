@@ -16,7 +16,7 @@ from lpv.core.serial_arm.diagnosis.fault_filter import (
     follow_all,
 )
 from lpv.core.serial_arm.diagnosis.readings import Readings
-from lpv.core.serial_arm.diagnosis.sampling import IN_BLOCK, put_back
+from lpv.core.serial_arm.diagnosis.sampler import IN_BLOCK, put_back
 from lpv.core.serial_arm.diagnosis.sensor_state import SensorRecord
 from lpv.core.serial_arm.diagnosis.stuck import Course
 

@@ -9,7 +9,7 @@ from lpv.core.serial_arm.chain import FloatArray
 from lpv.core.serial_arm.diagnosis.decision import STILL_TIME
 from lpv.core.serial_arm.diagnosis.priors import USUAL_RATE
 from lpv.core.serial_arm.diagnosis.readings import Readings
-from lpv.core.serial_arm.diagnosis.sampling import BEFORE_STOP, LIVELY
+from lpv.core.serial_arm.diagnosis.sampler import BEFORE_STOP, LIVELY
 from lpv.core.serial_arm.diagnosis.sensor_state import SensorRecord
 from lpv.core.serial_arm.diagnosis.stuck import Frozen
 

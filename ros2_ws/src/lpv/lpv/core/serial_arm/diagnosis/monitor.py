@@ -46,11 +46,11 @@ from lpv.core.serial_arm.diagnosis.information import ROBUST
 from lpv.core.serial_arm.diagnosis.learning import Learned, learned_of
 from lpv.core.serial_arm.diagnosis.parameter_set import is_stated
 from lpv.core.serial_arm.diagnosis.priors import CONTACT, FAULT_AT_START, LOAD, OCCURRENCE, PUSH
+from lpv.core.serial_arm.diagnosis.published_rates import CONTRADICTIONS
 from lpv.core.serial_arm.diagnosis.rate_sources import RateSources
 from lpv.core.serial_arm.diagnosis.readings import Readings
-from lpv.core.serial_arm.diagnosis.sampling import (
+from lpv.core.serial_arm.diagnosis.sampler import (
     APART,
-    CONTRADICTIONS,
     CONTRARY,
     CONTRARY_AT,
     DELAY,
@@ -65,9 +65,8 @@ from lpv.core.serial_arm.diagnosis.sampling import (
     STEP,
     Sampler,
     new_sampler,
-    restart,
-    take_samples,
 )
+from lpv.core.serial_arm.diagnosis.sampling import restart, take_samples
 from lpv.core.serial_arm.diagnosis.sensor_state import SensorRecord
 from lpv.core.serial_arm.diagnosis.settings import MonitorSettings
 from lpv.core.serial_arm.diagnosis.stuck import Frozen

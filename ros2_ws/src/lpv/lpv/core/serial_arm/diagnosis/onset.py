@@ -31,7 +31,7 @@ from lpv.core.serial_arm.diagnosis.drift_trial import (
 )
 from lpv.core.serial_arm.diagnosis.estimator import ONSET, OffsetEstimator, Posterior, set_residuals
 from lpv.core.serial_arm.diagnosis.information import Window, recent, whiten
-from lpv.core.serial_arm.diagnosis.sampling import block_end
+from lpv.core.serial_arm.diagnosis.sampler import block_end
 
 PLACES = (np.arange(5) + 0.5) / 5
 """Places of the onset in its interval that are tried: the middles of its fifths."""

@@ -3,7 +3,7 @@
 import numpy as np
 
 from lpv.core.serial_arm.description import SerialArm
-from lpv.core.serial_arm.diagnosis.sampling import PROBED, Sampler
+from lpv.core.serial_arm.diagnosis.sampler import PROBED, Sampler
 from lpv.core.serial_arm.rate_independence import PROVED, SAMPLES, rate_source
 from lpv.core.support.timestamps import NANOSECONDS
 

@@ -9,7 +9,7 @@ from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.diagnosis.decision import reading_noise
 from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator
 from lpv.core.serial_arm.diagnosis.priors import SLOW_RATE
-from lpv.core.serial_arm.diagnosis.sampling import BEFORE_STOP, BLOCKS, ROUNDING, Sampler, block_end
+from lpv.core.serial_arm.diagnosis.sampler import BEFORE_STOP, BLOCKS, ROUNDING, Sampler, block_end
 from lpv.core.serial_arm.diagnosis.stuck import usual_acceleration
 
 

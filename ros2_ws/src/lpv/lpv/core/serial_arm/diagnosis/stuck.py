@@ -21,7 +21,7 @@ from lpv.core.serial_arm.diagnosis.priors import (
     SLOW_RATE,
     USUAL_ACCELERATION,
 )
-from lpv.core.serial_arm.diagnosis.sampling import block_end
+from lpv.core.serial_arm.diagnosis.sampler import block_end
 
 LINEAR = 1.0
 """Errors beyond are not linear in the balances, which say nothing of them then [rad]: sin(1) is

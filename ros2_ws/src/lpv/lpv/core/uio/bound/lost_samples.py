@@ -6,7 +6,7 @@ accelerations at both (Euler and Maclaurin), and what may have been between them
 
 import numpy as np
 
-from lpv.core.serial_arm.diagnosis.sampling import LATE
+from lpv.core.serial_arm.diagnosis.sampler import LATE
 from lpv.core.support.jit import njit_in_place as njit
 from lpv.core.support.records import new_record, record_type
 from lpv.core.uio.model.arm import ArmParameters

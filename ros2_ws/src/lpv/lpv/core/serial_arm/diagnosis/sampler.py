@@ -1,0 +1,260 @@
+"""Samples on their way into the balance: their record, and what its parts say."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from lpv.core.serial_arm.chain import FloatArray, IntArray
+from lpv.core.serial_arm.diagnosis.information import ROBUST
+from lpv.core.support.jit import njit_in_place
+
+DELAY = 5
+"""Samples after which one enters the balance: until then it is moved if a late driver repeated it,
+and jumps are known, whose e needs the next sample, and whose kind three more."""
+HISTORY = DELAY + 3
+"""Samples that are kept: two before that of the balance tell whether a reading went on steadily."""
+LEFT = 0.3
+"""What is left of a jump or a fault, over its size, where it is over."""
+MOST = 1.0 - LEFT
+"""The share of it that says that it is there: more than the e, half as large, beside a step of a
+derived rate, and less than what is usual changes by until a jump is named."""
+NONE, STEP, SPIKE, NOISY, QUIET, HIDDEN, CONTRARY = range(7)
+"""What was found at a reading: `NOISY` and `QUIET` say that it began, or ceased, to be noisy,
+`HIDDEN` that it may have jumped where samples are missing, or over several samples, `CONTRARY` that
+its rate, said to be derived from it, contradicts it."""
+LARGEST, SMALLEST, USUAL, APART, WRONG, TIMES_WRONG, CONTRARY_AT, REPLACED = range(8)
+"""Rows of `Sampler.contrast`: the largest and the smallest difference of the reading lately; by how
+much its published rate differs from them usually, and now [rad/s]; 1 where it contradicts them, how
+often it did lately, and when last [s]; 1 while differences replace it."""
+COUNT, IN_BLOCK, IN_INTERVAL, PENDING, BLOCKS, PROBED = range(6)
+"""Entries of `Sampler.counters`: samples since the start, in the block; blocks in the interval;
+sensor-independent age of a jump that waits for its kind, -1 if none; blocks written; samples in the
+probe, or those until one begins, times -1."""
+(
+    INTERVAL_START, BLOCK_START, STAMPS, TIMES, JITTER, SEEN, LATEST, LATE_FROM, LATE_UNTIL,
+    IN_DOUBT,
+) = range(10)  # fmt: skip
+"""Entries of `Sampler.clock` [s]; the third one is 1 once a stamp has been wrong, then comes the
+sum of the block's stamps; the usual variance of stamps [s2], and of how many it was learned; by how
+much stamps were wrong lately, from and until when, and by how much those of the block may be."""
+ROUNDING = 1e-12
+"""Change of a reading that rounding explains, where it was found from joint positions [rad]."""
+JUMP_SCALE = 10.0
+"""A jump is larger than so many times the usual size of e."""
+LATE = 1.5
+"""Largest error of a stamp, over the time since the sample before; halfway between one period and
+two, samples after so many have others lost before them."""
+USUAL_JUMP = 0.5 * JUMP_SCALE
+"""Sizes of e, over the usual one, that are nothing special."""
+BEFORE_STOP = 3
+"""Periods before a reading comes to rest over which its speed is measured."""
+SCALE_MEMORY = 256.0
+"""Samples over which the usual size of e, and that a reading has noise, are learned."""
+LIVELY = 0.02
+"""Share of changes that go back and forth from which on a reading has noise, and never rests."""
+NOISE_MEMORY = 32.0
+"""Samples over which jumps of a reading are counted."""
+
+
+class Sampler(NamedTuple):
+    """Samples on their way into the balance."""
+
+    time: FloatArray  # stamps of the last samples, newest last, shape (HISTORY,) [s]
+    samples: FloatArray  # readings, rates, torques, shape (HISTORY, 3, n)
+    jumps: FloatArray  # e of each, shape (HISTORY, n)
+    scale: FloatArray  # usual size of e by the readings, shape (n,) [rad]
+    usual: FloatArray  # (n,) that of the last e, by the errors of stamps, too [rad]
+    calm: FloatArray  # (n,) square of scale where it was small, over the blocks kept [rad2]
+    smallest: FloatArray  # smallest jump that is looked for, shape (n,) [rad]
+    correction: FloatArray  # (n,) jumps that are removed from the reading [rad]
+    followed: FloatArray  # (n,) fault that changes, and is removed, too [rad]
+    drift: FloatArray  # (n,) its rate [rad/s]
+    curve: FloatArray  # (n,) its acceleration [rad/s2]
+    share: FloatArray  # (n,) of the reading that is removed as a scale error [-]
+    rate_error: FloatArray  # (n,) bias of the rate sensor that is removed [rad/s]
+    derived: FloatArray  # 1 where the rate is derived from the reading, shape (n,)
+    sums: FloatArray  # of the current block, shape (3, n)
+    # (capacity, 3 n + 4) ring: y, v, tau of blocks; mean time, length, place, error of stamps
+    blocks: FloatArray
+    found: IntArray  # `NONE` or what else of the last sample, shape (n,)
+    size: FloatArray  # height of a jump that was found, or may be hidden, shape (n,) [rad]
+    since: IntArray  # samples since that step, itself included, shape (n,)
+    raw: FloatArray  # last reading as it came, shape (n,) [rad]
+    still: IntArray  # samples for which the reading has not changed at all, shape (n,)
+    held: IntArray  # the same before the last change, if that was the last sample, shape (n,)
+    lively: FloatArray  # (n,) share of changes that go back and forth by more than rounding
+    stop: FloatArray  # rate of the reading before it came to rest, shape (n,) [rad/s]
+    grain: FloatArray  # (n,) smallest change of the reading, at least its rounding step [rad]
+    noise: FloatArray  # (3, n) jumps lately, usual e^2 while noisy [rad2], correction before [rad]
+    noisy: IntArray  # (n,) 1 while a reading is noisy
+    doubtful: IntArray  # (HISTORY, n) 1: a wrong stamp explains e; 2: of several joints; 3: a gap
+    filled: IntArray  # (n,) samples that e will still hold a reading that was filled in
+    # (4, n) published rates of the last sample [rad/s]; products of what the readings' differences
+    # are more than the rates around them with the changes of these, and squares of both [rad2/s2]
+    published: FloatArray
+    contrast: FloatArray  # (8, n) what published rates are compared with, see `LARGEST`
+    probe: FloatArray  # (P, 2 n + 1) samples in a row as they came: time, readings, rates
+    counters: IntArray  # (6,)
+    clock: FloatArray  # moments, shape (10,) [s]
+
+
+def new_sampler(
+    derived: FloatArray, scale: FloatArray, smallest: FloatArray, capacity: int, probe: int
+) -> Sampler:
+    """A sampler without samples, for ``capacity`` blocks, and a probe of so many samples.
+
+    ``derived``, shape (n,), is 1 where a rate is derived from its reading.  ``scale`` is the usual
+    size of e to begin with, ``smallest`` the smallest jump, shape (n,) [rad].
+    """
+    n = len(derived)
+    counters = np.zeros(6, np.int64)
+    counters[PENDING] = -1
+    return Sampler(
+        np.zeros(HISTORY), np.zeros((HISTORY, 3, n)), np.zeros((HISTORY, n)), scale.copy(),
+        scale.copy(), scale * scale, smallest.copy(), np.zeros(n), np.zeros(n), np.zeros(n),
+        np.zeros(n), np.zeros(n), np.zeros(n),
+        derived.copy(), np.zeros((3, n)), np.zeros((capacity, 3 * n + 4)), np.zeros(n, np.int64),
+        np.zeros(n), np.zeros(n, np.int64),
+        np.zeros(n), np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n), np.zeros(n),
+        np.full(n, np.inf),
+        np.zeros((3, n)),
+        np.zeros(n, np.int64), np.zeros((HISTORY, n), np.int64), np.zeros(n, np.int64),
+        np.zeros((4, n)), np.zeros((8, n)), np.zeros((probe, 2 * n + 1)), counters,
+        np.zeros(10))  # fmt: skip
+
+
+@njit_in_place
+def measure_stop(sampler: Sampler, i: int) -> None:
+    """Rate that a reading had before it came to rest; noise tells none."""
+    last = HISTORY - 1 - sampler.still[i]
+    first = last - BEFORE_STOP
+    if sampler.noisy[i] == 1 or sampler.counters[COUNT] <= BEFORE_STOP:
+        sampler.stop[i] = 0.0
+    elif first >= 0:
+        way = sampler.samples[last, 0, i] - sampler.samples[first, 0, i]
+        sampler.stop[i] = way / (sampler.time[last] - sampler.time[first])
+
+
+@njit_in_place
+def watch_change(sampler: Sampler, i: int, change: float) -> None:
+    """Learn rounding and noise of a reading from a change of it, before its sample is kept."""
+    last, k = sampler.samples[:, 0, i], HISTORY - 2
+    sampler.grain[i] = min(sampler.grain[i], abs(change))
+    if sampler.noisy[i] == 1:
+        return
+    # More than one step of its rounding.
+    least, before, first = 1.5 * sampler.grain[i], last[k] - last[k - 1], last[k - 1] - last[k - 2]
+    alternates = change * before < 0.0 and before * first < 0.0
+    beyond = min(abs(change), abs(before), abs(first)) > least
+    sampler.lively[i] += (
+        (1.0 if alternates and beyond else 0.0) - sampler.lively[i]
+    ) / SCALE_MEMORY
+
+
+@njit_in_place
+def removed(sampler: Sampler, i: int, reading: float) -> float:
+    """What is taken out of a reading of sensor i [rad]."""
+    return float(sampler.correction[i] + sampler.followed[i] + sampler.share[i] * reading)
+
+
+def put_back(sampler: Sampler, i: int, count: int) -> None:
+    """Put what was taken out of the last readings of sensor i back, at each what it was then."""
+    (offset, drift), share = _removed_since(sampler, i, count), sampler.share[i]
+    reading, rate = sampler.samples[-count:, 0, i], sampler.samples[-count:, 1, i]
+    reading[:] = (reading + offset) / (1.0 - share)
+    rate[:] = (rate + drift) / (1.0 - sampler.derived[i] * share)
+
+
+def take_out(sampler: Sampler, i: int, count: int) -> None:
+    """Take faults that are known out of the last readings of sensor i, which are as they came."""
+    (offset, drift), share = _removed_since(sampler, i, count), sampler.share[i]
+    reading, rate = sampler.samples[-count:, 0, i], sampler.samples[-count:, 1, i]
+    reading[:] = (1.0 - share) * reading - offset
+    rate[:] = (1.0 - sampler.derived[i] * share) * rate - drift
+
+
+def _removed_since(sampler: Sampler, i: int, count: int) -> tuple[FloatArray, FloatArray]:
+    """What is taken out of the last readings and their rates, but for a share of them."""
+    since = sampler.time[-count:] - sampler.time[-1]
+    drift, curve = sampler.drift[i], sampler.curve[i]
+    offset = sampler.correction[i] + sampler.followed[i] + (drift + 0.5 * curve * since) * since
+    return offset, sampler.derived[i] * (drift + curve * since)
+
+
+@njit_in_place
+def last_way(sampler: Sampler, i: int) -> float:
+    """By how much the last reading but one differs from that before [rad]."""
+    return float(sampler.samples[HISTORY - 2, 0, i] - sampler.samples[HISTORY - 3, 0, i])
+
+
+@njit_in_place
+def mean_rate(sampler: Sampler, i: int) -> float:
+    """Mean rate of a joint before and after the last sample but one [rad/s].
+
+    The difference of readings that are repeated is none.
+    """
+    before, after = sampler.samples[HISTORY - 3, 1, i], sampler.samples[HISTORY - 1, 1, i]
+    if sampler.derived[i] == 1.0 and abs(last_way(sampler, i)) <= ROUNDING:
+        return 0.0
+    if sampler.derived[i] == 1.0 and sampler.still[i] > 0:
+        return float(before)
+    return float(0.5 * (before + after))
+
+
+@njit_in_place
+def steady_rate(sampler: Sampler, i: int) -> float:
+    """Rate of a joint at the last sample but one that its own jump does not change [rad/s]."""
+    return usual_rate(sampler, i) if sampler.derived[i] == 1.0 else mean_rate(sampler, i)
+
+
+@njit_in_place
+def usual_rate(sampler: Sampler, i: int) -> float:
+    """Median rate of a joint over the last samples but the first [rad/s]: jumps do not count."""
+    rates = sampler.samples[1:, 1, i]
+    for one in rates:
+        smaller, equal = 0, 0
+        for other in rates:
+            smaller += other < one
+            equal += other == one
+        if smaller <= len(rates) // 2 < smaller + equal:
+            return float(one)
+    return 0.0
+
+
+@njit_in_place
+def rate_before(sampler: Sampler, i: int) -> float:
+    """Mean rate of a reading over the samples before those that the last e holds [rad/s]."""
+    last, first = HISTORY - 5, max(HISTORY - sampler.counters[COUNT], 0)
+    way = sampler.samples[last, 0, i] - sampler.samples[first, 0, i]
+    return float(way / (sampler.time[last] - sampler.time[first])) if last > first else 0.0
+
+
+@njit_in_place
+def readings_in_jump(sampler: Sampler, i: int) -> float:
+    """How many times the variance of a reading is in e.
+
+    e is made of two readings; where the rates are derived from them, of four, with weights 1.5,
+    1.5, 0.5 and 0.5.
+    """
+    return float(2.0 + 3.0 * sampler.derived[i])
+
+
+@njit_in_place
+def learn_scale(sampler: Sampler, i: int, e: float, count: float) -> None:
+    """Learn the usual size of e, from that of so many samples."""
+    scale = sampler.scale[i]
+    bounded = min(abs(e), ROBUST * scale)
+    change = (bounded * bounded - scale * scale) * count / SCALE_MEMORY
+    sampler.scale[i] = np.sqrt(scale * scale + change)
+
+
+@njit_in_place
+def smallest_jump(sampler: Sampler, i: int) -> float:
+    """Size of e beyond which a reading jumps [rad]."""
+    return float(max(JUMP_SCALE * sampler.usual[i], sampler.smallest[i]))
+
+
+def block_end(block: FloatArray) -> float:
+    """When a block of `Sampler.blocks` ended [s]."""
+    n = len(block) // 3 - 1
+    return float(block[3 * n] + 0.5 * block[3 * n + 1])

@@ -1,0 +1,167 @@
+"""Errors of stamps, which look like jumps of all joints that move."""
+
+import numpy as np
+
+from lpv.core.serial_arm.diagnosis.information import ROBUST
+from lpv.core.serial_arm.diagnosis.priors import SLOW_RATE, WRONG_STAMPS
+from lpv.core.serial_arm.diagnosis.sampler import (
+    COUNT,
+    DELAY,
+    HISTORY,
+    JITTER,
+    LATE,
+    LATE_FROM,
+    LATE_UNTIL,
+    LATEST,
+    LEFT,
+    SCALE_MEMORY,
+    SEEN,
+    STAMPS,
+    USUAL_JUMP,
+    Sampler,
+    last_way,
+    rate_before,
+    readings_in_jump,
+    steady_rate,
+    usual_rate,
+)
+from lpv.core.support.jit import njit_in_place
+
+
+@njit_in_place
+def noise_of_gaps(sampler: Sampler, i: int, period: float) -> float:
+    """Variance of e of the last sample but one by the readings' noise, over that at even periods.
+
+    Rates that are differences over short periods are extrapolated over a long one.  Where a period
+    is short, e does not shrink as much: stamps are wrong there.
+    """
+    k, time = HISTORY - 2, sampler.time
+    before, after = time[k - 1] - time[k - 2], time[k + 1] - time[k]
+    before = before if sampler.counters[COUNT] > 3 else period  # else of before a gap, or none
+    a, b = 0.5 * period / before, 0.5 * period / after
+    whole = (1.0 + a) * (1.0 + a) + (1.0 + b) * (1.0 + b) + a * a + b * b
+    return float(max(whole / readings_in_jump(sampler, i), 1.0))
+
+
+@njit_in_place
+def doubt_stamps(sampler: Sampler, late: float) -> None:
+    """Note that the last stamp but one is wrong; some that follow may be, too."""
+    clock, now = sampler.clock, sampler.time[HISTORY - 2]
+    clock[STAMPS] = 1.0
+    if clock[LATE_UNTIL] < sampler.time[HISTORY - 1 - DELAY]:
+        clock[LATEST], clock[LATE_FROM] = 0.0, sampler.time[HISTORY - 3]
+    clock[LATEST] = max(clock[LATEST], late)
+    clock[LATE_UNTIL] = now + HISTORY * (now - sampler.time[HISTORY - 3])
+
+
+@njit_in_place
+def longest_gap(sampler: Sampler) -> float:
+    """Longest of the last periods, if samples are missing there; stamps around it are wrong [s]."""
+    k, usual, longest = HISTORY - 2, np.inf, 0.0
+    for j in range(2, HISTORY):
+        period = sampler.time[j] - sampler.time[j - 1]
+        if sampler.time[j - 1] > 0.0:
+            usual = min(usual, period)
+    for j in range(k - 2, k + 2):
+        longest = max(longest, sampler.time[j] - sampler.time[j - 1])
+    return longest if longest > LATE * usual else 0.0
+
+
+@njit_in_place
+def largest_rate(sampler: Sampler, i: int, end: int) -> float:
+    """Largest rate of a joint in the last samples before one [rad/s]."""
+    largest = 0.0
+    for j in range(HISTORY - 6, end):
+        largest = max(largest, abs(sampler.samples[j, 1, i]))
+    return largest
+
+
+@njit_in_place
+def largest_by_stamps(sampler: Sampler, i: int, period: float) -> float:
+    """Largest e of wrong stamps, over the rate [s]: of two of them, and of rates made of them."""
+    return float(2.0 * LATE * (1.0 + sampler.derived[i]) * period)
+
+
+@njit_in_place
+def wrong_stamp(sampler: Sampler, period: float) -> float:
+    """By how much the stamp of the last sample but one is wrong, 0 if that explains nothing [s].
+
+    It has to explain two joints at least, and more than it spoils: a joint may have jumped as well.
+    """
+    jumps, n, late, best = sampler.jumps[HISTORY - 2], sampler.scale.shape[0], 0.0, 1
+    for c in range(n):
+        rate = steady_rate(sampler, c)
+        # Noisy readings jump by themselves, and repeated ones where they go on.
+        if sampler.noisy[c] == 1 or sampler.filled[c] > 0 or abs(rate) < SLOW_RATE:
+            continue
+        if abs(jumps[c]) > largest_by_stamps(sampler, c, period) * abs(rate):
+            continue
+        gained, common, weight = 0, 0.0, 0.0
+        for i in range(n):
+            own = steady_rate(sampler, i)
+            way, usual = jumps[c] / rate * own, USUAL_JUMP * sampler.usual[i]
+            if sampler.noisy[i] == 1 or sampler.filled[i] > 0:
+                continue
+            if max(abs(way), abs(jumps[i])) <= usual:
+                continue
+            if abs(jumps[i] - way) < max(0.5 * abs(way), usual):
+                gained, common, weight = gained + 1, common + jumps[i] * own, weight + own * own
+            else:
+                gained -= abs(jumps[i]) <= usual
+        if gained > best:
+            best, late = gained, common / weight
+    return late
+
+
+@njit_in_place
+def may_be_stamp(sampler: Sampler, i: int, period: float) -> bool:
+    """Whether a wrong stamp explains the jump of one joint, and no other joint contradicts.
+
+    Where the reading has gone on at its rate before, it is the next one that jumps: the rate after
+    this one, if it is derived, holds that jump.
+    """
+    jumps, rate = sampler.jumps[HISTORY - 2], steady_rate(sampler, i)
+    ahead = last_way(sampler, i) - period * sampler.samples[HISTORY - 3, 1, i]
+    if sampler.derived[i] == 1.0 and abs(ahead) < LEFT * abs(jumps[i]):
+        return False
+    # Where stamps have been wrong, two in a row may be.  Rates that carry jumps tell no motion.
+    usual = abs(usual_rate(sampler, i))
+    wrong = 2.0 if sampler.clock[STAMPS] == 1.0 else 1.0 + 0.5 * sampler.derived[i]
+    largest = LATE * wrong * period * usual + USUAL_JUMP * sampler.usual[i]
+    if rate == 0.0 or abs(jumps[i]) > largest:
+        return False
+    for j in range(sampler.scale.shape[0]):
+        way = jumps[i] / rate * steady_rate(sampler, j)
+        usual = max(0.5 * abs(way), USUAL_JUMP * sampler.usual[j])
+        if j != i and abs(jumps[j] - way) > usual and sampler.filled[j] == 0:
+            return False
+    return True
+
+
+@njit_in_place
+def expected_jitter(period: float) -> float:
+    """Variance of stamps before any were seen [s2]."""
+    return WRONG_STAMPS * (LATE * period) ** 2
+
+
+@njit_in_place
+def learn_jitter(sampler: Sampler) -> None:
+    """Learn the usual error of stamps from the joint that shows it best, of those that move.
+
+    Errors of other readings may be correlated with its own.
+    """
+    k, clock, power, late = HISTORY - 2, sampler.clock, 0.0, 0.0
+    for i in range(sampler.scale.shape[0]):
+        if sampler.noisy[i] == 1 or sampler.filled[i] > 0 or sampler.doubtful[k, i] > 0:
+            continue
+        rate = rate_before(sampler, i) * np.sqrt(readings_in_jump(sampler, i))
+        if abs(rate) > np.sqrt(power) * sampler.scale[i]:
+            power, late = (rate / sampler.scale[i]) ** 2, sampler.jumps[k, i] / rate
+    expected = power * expected_jitter(sampler.time[k] - sampler.time[k - 1])
+    if expected == 0.0:
+        return
+    weight = (expected / (1.0 + expected)) ** 2
+    seen = min(late * late, ROBUST**2 * (clock[JITTER] + 1.0 / power)) - 1.0 / power
+    clock[SEEN] = min(clock[SEEN] + weight, SCALE_MEMORY)
+    clock[JITTER] += weight * (seen - clock[JITTER]) / clock[SEEN]
+    clock[JITTER] = max(clock[JITTER], 0.0)
