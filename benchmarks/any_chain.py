@@ -19,11 +19,14 @@ import numpy as np
 from fault_injection import BY_NAME, LEAD, Cell, Kind, Stream, Subject, draw, run
 from fault_matrix import summary, tables
 from rich.console import Console
-from ur10e_twin import PAYLOAD, drive, healthy, recording, twin, ur10e
+from ur10e_twin import PAYLOAD, PERIOD, drive, healthy, recording, twin, ur10e
 
+from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
-from lpv.core.serial_arm.diagnosis.information import recent
+from lpv.core.serial_arm.diagnosis.estimator import HorizonPlan
+from lpv.core.serial_arm.diagnosis.information import Window, recent
 from lpv.core.serial_arm.diagnosis.monitor import SerialMonitor
+from lpv.core.serial_arm.diagnosis.settings import MonitorSettings
 from lpv.core.serial_arm.urdf_chain import read_urdf_chain
 from lpv.identify.estimation.identification import identify
 from lpv.identify.estimation.mistakes import find_mistakes
@@ -40,6 +43,8 @@ GOALS = tuple(
 )
 LESS_NOISE = (1.0, 10.0, 100.0)
 """Factors by which the variance of the noise is smaller than the engine expects."""
+NEVER_ALARM = 1e200
+"""Hours between false alarms of a monitor that only watches."""
 URDF = """<robot name="one"><link name="base"/><link name="tool"><inertial><mass value="1"/>
 <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
 <joint name="turn" type="revolute"><parent link="base"/><child link="tool"/><axis xyz="0 0 1"/>
@@ -204,42 +209,80 @@ def setup(count: int) -> str:
 
 
 def bound(count: int) -> str:
-    """Offsets of 0.2 rad that any weighing of 6 s of balances could tell from none.
+    """Faults that any weighing of the balances could tell from none.
 
-    Those beyond sqrt(2 ln A) deviations of the offset, that of the horizon's information, if what
-    the model does not explain had so small a share of its variance.
+    Offsets of 0.2 rad in 6 s and drifts of 0.3 rad/s, whose onset is known, in 1 s: those beyond
+    sqrt(2 ln A) of their own standard deviations, by the horizon's information, if what the model
+    does not explain had so small a share of its variance.
     """
     texts = []
     for error in (0.05, 0.01):
         for most in (PAYLOAD, 0.0):
             stated = replace(ur10e().uncertainty, payload=most, model_error=error)
             arm = replace(ur10e(), uncertainty=stated)
-            load = None if most else 0.0
-            shares = np.mean([_is_seen(arm, k, 0.2, load) for k in range(count)], 0)
-            seen = ', '.join(f'/ {f:g} {s:.0%}' for f, s in zip(LESS_NOISE, shares))
-            texts.append(
-                f'masses within {error:.0%}, load up to {most:g} kg: noise variance {seen}'
-            )
+            for name, shows in (('offsets', _offset_shows), ('drifts', _drift_shows)):
+                powers = np.array([shows(arm, k, None if most else 0.0) for k in range(count)])
+                settings = MonitorSettings()
+                least = 2.0 * settings.threshold(HorizonPlan.of(arm.sample_time).interval)
+                shares = zip(LESS_NOISE, (powers > least).mean(0))
+                seen = ', '.join(f'/ {factor:g} {share:.0%}' for factor, share in shares)
+                known = f'masses within {error:.0%}, load up to {most:g} kg'
+                texts.append(f'{known}, {name}: noise variance {seen}')
     return '\n'.join(texts)
 
 
-def _is_seen(arm: SerialArm, k: int, size: float, load: float | None) -> list[bool]:
-    """Whether an offset from the start shows in 6 s, for each variance of `LESS_NOISE`."""
-    rng = np.random.default_rng(k)
-    joint, stream = int(rng.integers(1, 4)), healthy(50 + k, load, duration=6.0)
-    samples, monitor = stream.samples.copy(), SerialMonitor(arm)
+def _watched(arm: SerialArm, stream: Stream) -> SerialMonitor:
+    """A monitor that has seen a stream, and names nothing."""
+    monitor, driven = SerialMonitor(arm, MonitorSettings(NEVER_ALARM)), drive(stream)
+    monitor.update_many(driven.stamps, driven.samples)
+    return monitor
+
+
+def _faulty(stream: Stream, k: int, size: FloatArray) -> tuple[int, Stream]:
+    """One of joints 2 to 4, and a stream whose reading of it is off by sizes, one a sample."""
+    rng, samples = np.random.default_rng(k), stream.samples.copy()
+    joint = int(rng.integers(1, 4))
     samples[:, 0, joint] += size * rng.choice([-1.0, 1.0])
-    stream = drive(Stream(stream.stamps, samples))
-    monitor.update_many(stream.stamps, stream.samples)
-    (window, level), last = monitor.estimator.of_levels, len(monitor.estimator)
-    at, m = recent(window, last), len(level.mean)
-    rows, weights = window.rows[at][:, :, -m:], window.weights[at]
-    information = np.einsum('kia,ki,kib->ab', rows, weights, rows)
-    least = 2.0 * monitor.settings.threshold(monitor.plan.interval) / size**2
+    return joint, Stream(stream.stamps, samples)
+
+
+def _offset_shows(arm: SerialArm, k: int, load: float | None) -> list[float]:
+    """Square of an offset from the start over its variance, for each share of `LESS_NOISE`."""
+    healthy_one = healthy(50 + k, load, duration=6.0)
+    joint, stream = _faulty(healthy_one, k, np.full(len(healthy_one.stamps), 0.2))
+    estimator = _watched(arm, stream).estimator
+    (window, level), last = estimator.of_levels, len(estimator)
+    information = _information(window, len(level.mean), recent(window, last))
+    least = np.diag(level.least)
     return [
-        1.0 / np.linalg.inv(factor * information + np.diag(level.least))[joint, joint] > least
+        0.2**2 / np.linalg.inv(factor * information + least)[joint, joint] for factor in LESS_NOISE
+    ]
+
+
+def _drift_shows(arm: SerialArm, k: int, load: float | None) -> list[float]:
+    """The same of a drift after 4 s, by what it changes in the balances."""
+    stream = healthy(50 + k, load, duration=LEAD + 1.0)
+    since = np.maximum(PERIOD * np.arange(len(stream.stamps)) - LEAD, 0.0)
+    one, other = (_watched(arm, each) for each in (stream, _faulty(stream, k, 0.3 * since)[1]))
+    estimator, blocks = one.estimator, other.readings.all_blocks()
+    window, null, last = estimator.window, estimator.posterior, len(estimator)
+    at, m = recent(window, last)[::-1], len(null.mean)
+    rows = estimator.rows_of(one.readings.all_blocks())
+    change = estimator.rows_of(blocks)[:, :, 0] - rows[:, :, 0]
+    weighed, unknowns = window.weights[at] * change, window.rows[at][:, :, -m:]
+    information, least = _information(window, m, at), np.diag(null.least)
+    across, own = np.einsum('kia,ki->a', unknowns, weighed), float((weighed * change).sum())
+    return [
+        factor * own - factor**2 * across @ np.linalg.solve(factor * information + least, across)
         for factor in LESS_NOISE
     ]
+
+
+def _information(window: Window, m: int, at: IntArray) -> FloatArray:
+    """Information of balances on the m unknowns."""
+    rows = window.rows[at][:, :, -m:]
+    information: FloatArray = np.einsum('kia,ki,kib->ab', rows, window.weights[at], rows)
+    return information
 
 
 LINES: dict[str, Callable[[int], str]] = {
