@@ -9,6 +9,7 @@ the data allow.  The twin is that of `ur10e_twin`; faults are injected and judge
 """
 
 import argparse
+import math
 import tempfile
 import time
 from collections.abc import Callable, Sequence
@@ -209,22 +210,28 @@ def setup(count: int) -> str:
 
 
 def bound(count: int) -> str:
-    """Faults that any weighing of the balances could tell from none.
+    """Faults that any weighing of the balances could tell from none, or from another one.
 
     Offsets of 0.2 rad in 6 s and drifts of 0.3 rad/s, whose onset is known, in 1 s: those beyond
     sqrt(2 ln A) of their own standard deviations, by the horizon's information, if what the model
-    does not explain had so small a share of its variance.
+    does not explain had so small a share of its variance.  Scale errors of 20 % in 2 s: those whose
+    odds against an offset that begins as large are those that a name needs.
     """
+    settings, interval = MonitorSettings(), HorizonPlan.of(ur10e().sample_time).interval
+    found, sure = settings.threshold(interval), -math.log(settings.probability_of_wrong_name)
+    lines = (
+        ('offsets', _offset_shows, found),
+        ('drifts', _drift_shows, found),
+        ('scale errors', _scale_shows, sure),
+    )
     texts = []
     for error in (0.05, 0.01):
         for most in (PAYLOAD, 0.0):
             stated = replace(ur10e().uncertainty, payload=most, model_error=error)
-            arm = replace(ur10e(), uncertainty=stated)
-            for name, shows in (('offsets', _offset_shows), ('drifts', _drift_shows)):
-                powers = np.array([shows(arm, k, None if most else 0.0) for k in range(count)])
-                settings = MonitorSettings()
-                least = 2.0 * settings.threshold(HorizonPlan.of(arm.sample_time).interval)
-                shares = zip(LESS_NOISE, (powers > least).mean(0))
+            arm, load = replace(ur10e(), uncertainty=stated), None if most else 0.0
+            for name, shows, least in lines:
+                powers = np.array([shows(arm, k, load) for k in range(count)])
+                shares = zip(LESS_NOISE, (powers > 2.0 * least).mean(0))
                 seen = ', '.join(f'/ {factor:g} {share:.0%}' for factor, share in shares)
                 known = f'masses within {error:.0%}, load up to {most:g} kg'
                 texts.append(f'{known}, {name}: noise variance {seen}')
@@ -260,15 +267,32 @@ def _offset_shows(arm: SerialArm, k: int, load: float | None) -> list[float]:
 
 
 def _drift_shows(arm: SerialArm, k: int, load: float | None) -> list[float]:
-    """The same of a drift after 4 s, by what it changes in the balances."""
+    """The same of a drift after 4 s, against none."""
     stream = healthy(50 + k, load, duration=LEAD + 1.0)
     since = np.maximum(PERIOD * np.arange(len(stream.stamps)) - LEAD, 0.0)
-    one, other = (_watched(arm, each) for each in (stream, _faulty(stream, k, 0.3 * since)[1]))
-    estimator, blocks = one.estimator, other.readings.all_blocks()
+    return _difference(arm, stream, _faulty(stream, k, 0.3 * since)[1])
+
+
+def _scale_shows(arm: SerialArm, k: int, load: float | None) -> list[float]:
+    """The same of a scale error, against an offset that is as large when it begins."""
+    kind = next(one for one in GOALS if one.kind == 'scale')
+    cell = Cell('ur10e', (twin(arm, load=load),), kind, 'derived')
+    _, window, _ = draw(cell, k, 1)
+    time = 1e-9 * (window.stream.stamps - window.stream.stamps[0])
+    begin, end = np.searchsorted(time, window.faults[0].onset + np.array([0.0, kind.limit]))
+    stamps, scaled = window.stream.stamps[:end], window.stream.samples[:end]
+    steady = scaled.copy()
+    steady[begin:, 0] -= window.truth[begin:end] - window.truth[begin]
+    return _difference(arm, Stream(stamps, steady), Stream(stamps, scaled))
+
+
+def _difference(arm: SerialArm, stream: Stream, other: Stream) -> list[float]:
+    """Power of the difference of two streams' balances, less what is unknown of the arm."""
+    one, changed = _watched(arm, stream), _watched(arm, other).readings.all_blocks()
+    estimator, blocks = one.estimator, one.readings.all_blocks()
     window, null, last = estimator.window, estimator.posterior, len(estimator)
     at, m = recent(window, last)[::-1], len(null.mean)
-    rows = estimator.rows_of(one.readings.all_blocks())
-    change = estimator.rows_of(blocks)[:, :, 0] - rows[:, :, 0]
+    change = (estimator.rows_of(changed) - estimator.rows_of(blocks))[:, :, 0]
     weighed, unknowns = window.weights[at] * change, window.rows[at][:, :, -m:]
     information, least = _information(window, m, at), np.diag(null.least)
     across, own = np.einsum('kia,ki->a', unknowns, weighed), float((weighed * change).sum())
