@@ -21,11 +21,11 @@ from lpv.bag.blocks import cdr_layout, message_blocks
 from lpv.bag.errors import BagError, DamageError
 from lpv.bag.replay.writer import RecordTemplate
 from lpv.bag.rosbag import message_loss, reading
-from lpv.bag.rosbag.interfaces import message_text
+from lpv.bag.rosbag.interfaces import message_text, padded_cdr
 from lpv.bag.rosbag.messages import BagMessages
 from lpv.bag.rosbag.metadata import RECORD_NAME
 from lpv.bag.rosbag.reading import BagReader, open_bag
-from lpv.bag.rosbag.writing import BagWriter, padded_cdr
+from lpv.bag.rosbag.writing import BagWriter
 from lpv.bag.run import decoder
 from lpv.bag.run.record import ALARM_TYPE, load_run
 from lpv.bag.run.streams import SCALARS, STREAMS

@@ -10,6 +10,7 @@ from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
+from lpv.bag.rosbag.live import type_name
 from lpv_msgs import msg
 from lpv_node.qos import latched
 
@@ -34,7 +35,7 @@ class Topic:
     @property
     def msgtype(self) -> str:
         """ROS name of the message type."""
-        return f'{self.kind.__module__.split(".")[0]}/msg/{self.kind.__name__}'
+        return type_name(self.kind)
 
 
 TOPICS = (

@@ -36,6 +36,11 @@ class Field:
     dtype: str  # numPy's name of one number
     count: int  # how many
 
+    @property
+    def size(self) -> int:
+        """Length of all of them [bytes]."""
+        return np.dtype(self.dtype).itemsize * self.count
+
 
 class Layout:
     """Shape of one message and of all that are like it."""
@@ -70,8 +75,7 @@ class Layout:
         field = self.fields[name]
         if field.count == 0:
             return np.empty((len(starts), 0), field.dtype)
-        size = np.dtype(field.dtype).itemsize * field.count
-        found = rows(buffer, f'V{size}', starts + field.offset)
+        found = rows(buffer, f'V{field.size}', starts + field.offset)
         return found.view(field.dtype).reshape(len(starts), field.count)
 
     def stamps(self, buffer: np.ndarray, starts: np.ndarray) -> np.ndarray:

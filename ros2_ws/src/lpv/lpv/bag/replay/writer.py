@@ -10,10 +10,11 @@ from rosbags.typesys.store import Typestore
 
 from lpv.bag.blocks.cdr_layout import Layout
 from lpv.bag.blocks.message_blocks import RECORD, Block, record, split
+from lpv.bag.rosbag.interfaces import padded_cdr
 from lpv.bag.rosbag.messages import BagMessages
 from lpv.bag.rosbag.metadata import qos_profile
 from lpv.bag.rosbag.reading import BagReader
-from lpv.bag.rosbag.writing import BagWriter, padded_cdr
+from lpv.bag.rosbag.writing import BagWriter
 from lpv.bag.run.measurements import MEASUREMENT_TYPE, Measurements
 from lpv.bag.run.record import CORRECTED
 from lpv.core.monitoring.answers import Answers
@@ -160,8 +161,7 @@ class RecordTemplate:
         places = {name: (kind, at) for name, (kind, at, *_) in (RECORD.fields or {}).items()}
         for name, field in self._fields.items():
             # Vectors as one piece: one copy in place of one for every element.
-            size = np.dtype(field.dtype).itemsize * field.count
-            places[name] = (np.dtype(f'V{size}'), RECORD.itemsize + field.offset)
+            places[name] = (np.dtype(f'V{field.size}'), RECORD.itemsize + field.offset)
         kinds, offsets = zip(*places.values())
         self._dtype = np.dtype(
             {'names': list(places), 'formats': list(kinds), 'offsets': list(offsets),

@@ -48,6 +48,12 @@ def decode(deserialize: Callable[[bytes, str], Any], data: bytes, msgtype: str) 
         return deserialize(data[:-_PADDING], msgtype)
 
 
+def padded_cdr(typestore: Any, message: object, msgtype: str) -> bytes:
+    """CDR of a message, padded to four bytes as DDS does: bags can then be compared."""
+    data = bytes(typestore.serialize_cdr(message, msgtype))
+    return data + bytes(-len(data) % 4)
+
+
 def add_type(typestore: Typestore, msgtype: str) -> None:
     """Make a type and those it uses known to a typestore; ConfigError if one is not installed."""
     if msgtype not in typestore.fielddefs:

@@ -15,6 +15,11 @@ def message_class(msgtype: str) -> Any:
     return getattr(importlib.import_module(f'{package}.{kind}'), name)
 
 
+def type_name(kind: type) -> str:
+    """Name of a message type by its class."""
+    return f'{kind.__module__.split(".")[0]}/msg/{kind.__name__}'
+
+
 def ros_qos(reliable: bool, latched: bool, depth: int) -> QoSProfile:
     """QoS of a publisher or subscription."""
     return QoSProfile(

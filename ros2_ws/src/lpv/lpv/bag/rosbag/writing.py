@@ -23,7 +23,7 @@ from rosbags.interfaces import (
 )
 
 from lpv.bag.blocks.message_blocks import RECORD, Block, from_rows
-from lpv.bag.rosbag.interfaces import add_type, decode, make_typestore
+from lpv.bag.rosbag.interfaces import add_type, decode, make_typestore, padded_cdr
 from lpv.bag.rosbag.metadata import FILE_NAME, RECORD_NAME, Known, bag_information, dump, qos_text
 from lpv.core.support.errors import ConfigError
 
@@ -361,9 +361,3 @@ class BagWriter:
         except OSError as error:
             return f'{FILE_NAME} ({error.strerror})'
         return ''
-
-
-def padded_cdr(typestore: Any, message: object, msgtype: str) -> bytes:
-    """CDR of a message, padded to four bytes as DDS does: bags can then be compared."""
-    data = bytes(typestore.serialize_cdr(message, msgtype))
-    return data + bytes(-len(data) % 4)
