@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, PercentFormatter
 
-from lpv.report.style import BAND, INK, SENSOR, picture
+from lpv.report.style import SENSOR, picture
 
 _LEAST_DELAY = 1e-3
 """Least number on logarithmic axes, which have no zero."""
@@ -18,7 +18,7 @@ _MOST_TRENDS = 6
 
 def draw_all(numbers: dict[str, Any]) -> dict[str, bytes]:
     """Pictures by name; those without data are left out."""
-    draws = {'detection': _detection, 'roc': _roc, 'estimates': _estimates, 'trends': _trends}
+    draws = {'detection': _detection, 'trends': _trends}
     found = {name: picture(draw, numbers) for name, draw in draws.items()}
     return {name: data for name, data in found.items() if data}
 
@@ -80,51 +80,6 @@ def _delay(axis: Axes, entry: dict[str, Any], colour: str) -> None:
     )
     axis.fill_between(middle, low, high, color=colour, alpha=0.18, linewidth=0.0)
     axis.plot(middle, median, color=colour, marker='o', markersize=2.5)
-
-
-def _roc(numbers: dict[str, Any]) -> Figure | None:
-    """ROC curves of the score, and the alarms that were really raised."""
-    if not numbers['roc']:
-        return None
-    figure, axis = plt.subplots(figsize=(5.6, 4.2))
-    for entry, colour in zip(numbers['roc'], SENSOR):
-        label = f'{entry["kind"]}, area {entry["area"]:.3f}'
-        axis.step(entry['false_alarm'], entry['detection'], color=colour, label=label)
-        axis.plot(*entry['shipped'], 'o', color=colour, markersize=4)
-        if entry['raised'] is not None:
-            axis.plot(*entry['raised'], 'D', color=colour, markersize=4, mfc='none')
-    axis.set_xscale('symlog', linthresh=0.01)
-    axis.set(xlim=(-0.0005, 1.0), ylim=(-0.02, 1.02), xlabel='false alarms a window')
-    axis.set_ylabel('detected')
-    for one in (axis.xaxis, axis.yaxis):
-        one.set_major_formatter(PercentFormatter(1.0))
-    axis.legend(loc='lower right')
-    return figure
-
-
-def _estimates(numbers: dict[str, Any]) -> Figure | None:
-    """Errors of the fault estimates beside the thresholds, one pair of boxes a sensor."""
-    entries = [entry for entry in numbers['estimates'] if entry['values']]
-    if not entries:
-        return None
-    figure, axis = plt.subplots(figsize=(max(4.5, 1.3 * len(entries) + 1.5), 3.4))
-    for name, shift, colour in (('values', -0.17, SENSOR[0]), ('thresholds', 0.17, BAND)):
-        boxes = axis.boxplot(
-            [entry[name] for entry in entries],
-            positions=np.arange(len(entries)) + shift,
-            widths=0.28,
-            whis=(5, 95),
-            showfliers=False,
-            patch_artist=True,
-            medianprops={'color': INK},
-        )
-        for box in boxes['boxes']:
-            box.set_facecolor(colour)
-    axis.set_xticks(range(len(entries)), [entry['sensor'] for entry in entries])
-    axis.tick_params(axis='x', labelrotation=30 if len(entries) > 3 else 0)
-    title = f'{entries[0]["what"]} (blue), thresholds (grey)'
-    axis.set(yscale='log', ylabel=f'[{_units(entries)}]', title=title)
-    return figure
 
 
 def _trends(numbers: dict[str, Any]) -> Figure | None:

@@ -79,12 +79,6 @@ class Results:
         """Rows in which several sensors are faulty; shape (count,)."""
         return np.array([name == BOTH or '+' in name for name in self.sensor], bool)
 
-    def hits(self, index: int) -> np.ndarray:
-        """Rows in which a sensor is faulty, alone or with others; shape (count,)."""
-        name = self.sensors[index]
-        mine = [sensor == BOTH or name in sensor.split('+') for sensor in self.sensor]
-        return np.array(mine, bool) & self.faulty
-
 
 @lru_cache(maxsize=10_000)
 def proportion(hits: int, cases: int) -> dict[str, Any]:
@@ -134,24 +128,6 @@ def found_from(sizes: np.ndarray, found: np.ndarray) -> float:
     return (
         float(sizes[order][enough[-1]]) if len(order) >= _FEWEST_CASES and len(enough) else math.nan
     )
-
-
-def roc(positive: np.ndarray, negative: np.ndarray) -> dict[str, Any] | None:
-    """ROC curve of scores, and the area under it; None where either is empty."""
-    positive, negative = (part[~np.isnan(part)] for part in (positive, negative))
-    if not (positive.size and negative.size):
-        return None
-    factors = np.unique(np.concatenate([[0.0, 1.0], positive, negative]))[::-1]
-    factors = factors[np.linspace(0, len(factors) - 1, min(len(factors), 400)).astype(int)]
-    area = float(stats.mannwhitneyu(positive, negative).statistic) / positive.size / negative.size
-    return {
-        'area': area,
-        'positive': positive.size,
-        'negative': negative.size,
-        'detection': (positive > factors[:, None]).mean(axis=1).tolist(),
-        'false_alarm': (negative > factors[:, None]).mean(axis=1).tolist(),
-        'shipped': [float((part > 1.0).mean()) for part in (negative, positive)],
-    }
 
 
 def trends(results: Results) -> list[dict[str, Any]]:

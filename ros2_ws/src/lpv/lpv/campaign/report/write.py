@@ -26,7 +26,6 @@ from lpv.campaign.report.statistics import (
     found_from,
     poisson_rate,
     proportion,
-    roc,
     share,
     spread,
     trends,
@@ -83,7 +82,6 @@ def report_numbers(
         'alarms': _alarms(results, bags, healthy),
         'detection': _detection(results),
         'isolation': _isolation(results),
-        'roc': _roc(results),
         'estimates': _estimates(results),
         'groups': _groups(work, results),
         'worst': [] if bags else _worst(results, folder),
@@ -229,22 +227,6 @@ def confusion(truth: np.ndarray, said: np.ndarray, order: Sequence[str]) -> dict
     }
 
 
-def _roc(results: Results) -> list[dict[str, Any]]:
-    """ROC curves of the score by kind, all sensors together."""
-    during, before = results.each('score_during'), results.each('score_before')
-    hits = np.column_stack([results.hits(i) for i in range(len(results.sensors))])
-    found, alarms = results.each('found'), results.each('alarms_before')
-    entries = []
-    for kind in results.kinds:
-        mine = hits & (results.kind == kind)[:, None]
-        curve = roc(during[mine], before.ravel())
-        if curve is not None:
-            known = np.isfinite(alarms)  # of bags without truth nothing is known
-            raised = [float(np.mean(alarms[known] > 0.0)), float(np.nanmean(found[mine]))]
-            entries.append({'kind': kind, **curve, 'raised': raised})
-    return entries
-
-
 def _estimates(results: Results) -> list[dict[str, Any]]:
     """RMS error of each sensor's estimate, RMS without truth, and mean threshold."""
     truth = np.isfinite(results.each('error_rms')).any()
@@ -259,8 +241,6 @@ def _estimates(results: Results) -> list[dict[str, Any]]:
             'what': 'RMS error of estimates' if truth else 'RMS of estimates',
             'error': spread(values[:, i]),
             'threshold': spread(thresholds[:, i]),
-            'values': values[np.isfinite(values[:, i]), i].tolist(),
-            'thresholds': thresholds[np.isfinite(thresholds[:, i]), i].tolist(),
         }
         for i, sensor in enumerate(results.sensors)
     ]
