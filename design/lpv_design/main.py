@@ -5,7 +5,6 @@ import sys
 from pathlib import Path
 
 from lpv.cli import main as cli
-from lpv.cli.progress import wrapped
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.certificate.exact_proof import prove_loop
 from lpv.core.serial_arm.certificate.loop_gains import save_loop_gains
@@ -31,15 +30,14 @@ def main() -> int:
 
 def run(arguments: argparse.Namespace) -> int:
     """Design, report, write; with ``map``, too, a picture of what is detected."""
-    with wrapped():
-        try:
-            return _design(arguments)
-        except NotDetectableError as error:
-            print(f'lpv design: not detectable: {error}', file=sys.stderr)
-            return EXIT_NOT_DETECTABLE
-        except InfeasibleError as error:
-            print(f'lpv design: infeasible: {error}', file=sys.stderr)
-            return EXIT_INFEASIBLE
+    try:
+        return _design(arguments)
+    except NotDetectableError as error:
+        print(f'lpv design: not detectable: {error}', file=sys.stderr)
+        return EXIT_NOT_DETECTABLE
+    except InfeasibleError as error:
+        print(f'lpv design: infeasible: {error}', file=sys.stderr)
+        return EXIT_INFEASIBLE
 
 
 def _design(arguments: argparse.Namespace) -> int:

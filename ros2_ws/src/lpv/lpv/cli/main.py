@@ -6,7 +6,7 @@ import sys
 from contextlib import nullcontext
 
 from lpv.cli.completion import complete, complete_by_name
-from lpv.cli.needs import Version, remedy
+from lpv.cli.needs import remedy, version
 from lpv.cli.options import COMMANDS, module_of
 from lpv.cli.progress import announced
 from lpv.core.support.errors import LpvError
@@ -20,7 +20,7 @@ def build_parser(chosen: str | None = None) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog='lpv', description='Sensor-fault diagnosis and tracking of serial robot arms.'
     )
-    parser.add_argument('--version', action=Version)
+    parser.add_argument('--version', action='version', version=version(), help='show the version')
     commands = parser.add_subparsers(dest='command', metavar='COMMAND', required=True)
     for name, command in COMMANDS.items():
         text, epilog = command.help, command.epilog

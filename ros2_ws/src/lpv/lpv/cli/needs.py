@@ -1,9 +1,7 @@
 """What a command needs that is not installed, and how it is installed."""
 
-import argparse
 import importlib.util
 import platform
-from typing import Any
 
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.resources import installed_version
@@ -49,16 +47,8 @@ def remedy(module: str | None) -> str:
     return f'{name} is not installed: pip install {name}'
 
 
-class Version(argparse.Action):
-    """Print the version of this software and of what its figures depend on."""
-
-    def __init__(self, **options: Any) -> None:
-        super().__init__(**options, nargs=0, help='show the version')
-
-    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
-        """Print and leave."""
-        own = installed_version(DISTRIBUTION) or installed_version('lpv', '-')
-        parts = [f'{name} {installed_version(name, "-")}' for name in ('numpy', 'numba')]
-        text = ', '.join([f'Python {platform.python_version()}', *parts])
-        print(f'lpv {own} ({text})')
-        parser.exit()
+def version() -> str:
+    """Version of this software and of what its figures depend on."""
+    own = installed_version(DISTRIBUTION) or installed_version('lpv', '-')
+    parts = [f'{name} {installed_version(name, "-")}' for name in ('numpy', 'numba')]
+    return f'lpv {own} ({", ".join([f"Python {platform.python_version()}", *parts])})'

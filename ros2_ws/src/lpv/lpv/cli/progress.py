@@ -1,10 +1,6 @@
-"""What a long command does, how much of it is done, and text that fits the terminal."""
+"""What a long command does, and how much of it is done."""
 
-import contextlib
-import io
-import shutil
 import sys
-import textwrap
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -98,28 +94,3 @@ def bar(
             raise
         finally:
             _bars -= 1
-
-
-@contextmanager
-def wrapped() -> Iterator[None]:
-    """Wrap what is printed at the terminal's width; text for a file or a pipe stays as it is."""
-    terminal = sys.stdout
-    if not terminal.isatty():
-        yield
-        return
-    printed = io.StringIO()
-    try:
-        with contextlib.redirect_stdout(printed):
-            yield
-    finally:  # after the redirection, which a line that moves would print into
-        terminal.write(fitted(printed.getvalue(), shutil.get_terminal_size().columns))
-
-
-def fitted(text: str, width: int) -> str:
-    """The text with long lines wrapped, their other parts below the first one's beginning."""
-    lines = []
-    for line in text.splitlines(keepends=True):
-        indent = ' ' * (len(line) - len(line.lstrip()) + 4)
-        parts = textwrap.wrap(line, width, subsequent_indent=indent) if len(line) > width else []
-        lines.append('\n'.join(parts) + '\n' if parts else line)
-    return ''.join(lines)

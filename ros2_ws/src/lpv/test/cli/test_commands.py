@@ -1,4 +1,4 @@
-"""What all commands share: help, progress, text that fits, what is said of what is missing."""
+"""What all commands share: help, progress, what is said of what is missing."""
 
 import io
 import re
@@ -43,14 +43,6 @@ def test_given_no_command_or_the_version_when_run_then_it_is_said(call, capsys):
     with pytest.raises(SystemExit, match='^0$'):
         call('--version')
     assert capsys.readouterr().out.startswith('lpv ')
-
-
-@pytest.mark.parametrize('width', [60, 80, 132])
-def test_given_long_lines_when_fitted_then_none_is_longer_than_the_terminal(width):
-    text = 'short\n' + '  holds  ' + 'an inequality of many words ' * 12 + '\n\nlast'
-    fitted = progress.fitted(text, width)
-    assert max(map(len, fitted.splitlines())) <= width and fitted.split() == text.split()
-    assert fitted.startswith('short\n  holds  an') and fitted.endswith('\n\nlast')
 
 
 def test_given_work_that_takes_long_when_there_is_no_terminal_then_it_is_said(monkeypatch):

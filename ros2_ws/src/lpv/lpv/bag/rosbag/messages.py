@@ -29,12 +29,12 @@ class BagMessages:
         return self._types['std_msgs/msg/Header'](self.time(stamp), frame_id)
 
     def make(self, msgtype: str, stamp: int, fields: dict[str, Any]) -> object:
-        """A message of lpv_msgs."""
+        """A message with a header."""
         values = {}
         for name, value in fields.items():
             if name in ('onset', 'detected'):
                 value = self.time(value)
-            elif not np.isscalar(value) and name != 'sensor_names':
+            elif not np.isscalar(value) and name not in ('name', 'sensor_names'):
                 value = np.array(value, dtype=_DTYPES.get(name, float))
             values[name] = value
         return self._types[msgtype](header=self.header(stamp), **values)
@@ -62,11 +62,8 @@ class BagMessages:
         effort: Sequence[float],
     ) -> Any:
         """sensor_msgs/JointState."""
-        return self._types['sensor_msgs/msg/JointState'](
-            self.header(stamp),
-            list(names),
-            *(np.array(v, float) for v in (position, velocity, effort)),
-        )
+        values = {'position': position, 'velocity': velocity, 'effort': effort}
+        return self.make('sensor_msgs/msg/JointState', stamp, {'name': list(names), **values})
 
 
 def write_joint_states(

@@ -2,7 +2,6 @@
 
 import argparse
 
-from lpv.cli.progress import wrapped
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.resources import bringup_file
@@ -17,15 +16,14 @@ def run(arguments: argparse.Namespace) -> int:
         raise ConfigError('--arm', 'is needed: the gains do not describe theirs', arguments.gains)
     checks, proved = found.checks(arm), found.prove(arm) if arguments.proof else {}
     holds = all(check.holds for check in checks) and all(proved.values())
-    with wrapped():
-        print(f'{found.what} of arm {arm.name!r}', *found.facts(arm), sep='\n')
-        print('largest eigenvalue of each inequality, which holds where that is negative:')
-        for check in checks:
-            print(f'  {"holds" if check.holds else "FAILS"}  {check.margin:+10.3g}  {check.name}')
-        for name, is_proved in proved.items():
-            print(f'  {"proved" if is_proved else "REFUTED"}  {name}')
-        print('what is claimed, where, and by which evidence:')
-        for claim in found.claims:
-            print(f'  {claim.text}\n    where: {claim.region}\n    evidence: {claim.evidence}')
-        print('the certificate holds' if holds else 'the certificate does NOT hold')
+    print(f'{found.what} of arm {arm.name!r}', *found.facts(arm), sep='\n')
+    print('largest eigenvalue of each inequality, which holds where that is negative:')
+    for check in checks:
+        print(f'  {"holds" if check.holds else "FAILS"}  {check.margin:+10.3g}  {check.name}')
+    for name, is_proved in proved.items():
+        print(f'  {"proved" if is_proved else "REFUTED"}  {name}')
+    print('what is claimed, where, and by which evidence:')
+    for claim in found.claims:
+        print(f'  {claim.text}\n    where: {claim.region}\n    evidence: {claim.evidence}')
+    print('the certificate holds' if holds else 'the certificate does NOT hold')
     return 0 if holds else 1
