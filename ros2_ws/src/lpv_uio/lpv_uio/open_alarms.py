@@ -9,7 +9,7 @@ from rclpy.node import Node
 
 from lpv.core.monitoring.alarm_text import describe
 from lpv.core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent, blamed
-from lpv.core.support.config import MAX_BYTES
+from lpv.core.support.config import MAX_BYTES, write_whole
 
 
 def alarm_file(node: Node) -> Path:
@@ -42,9 +42,7 @@ class OpenAlarms:
             known[sensor] = describe(event)
         self._open = known
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        new = self._path.with_suffix('.new')
-        new.write_text(json.dumps(known), encoding='utf-8')
-        new.replace(self._path)
+        write_whole(self._path, json.dumps(known))
 
     def forget(self) -> None:
         """Forget all: the observer ends in order, or was reset by an operator."""

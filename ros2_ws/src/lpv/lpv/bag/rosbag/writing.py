@@ -25,6 +25,7 @@ from rosbags.interfaces import (
 from lpv.bag.blocks.message_blocks import RECORD, Block, from_rows
 from lpv.bag.rosbag.interfaces import add_type, decode, make_typestore, padded_cdr
 from lpv.bag.rosbag.metadata import FILE_NAME, RECORD_NAME, Known, bag_information, dump, qos_text
+from lpv.core.support.config import write_whole
 from lpv.core.support.errors import ConfigError
 
 PRESETS = {
@@ -350,14 +351,8 @@ class BagWriter:
         if self._failure:
             return f'its last messages or its end ({self._failure.strerror or self._failure})'
         text = dump({'rosbag2_bagfile_information': self._information(self._done)})
-        new = self.path / f'{FILE_NAME}.new'
         try:
-            with open(new, 'w', encoding='utf-8') as file:
-                file.write(text)
-                file.flush()
-                if self._fsync:
-                    os.fsync(file.fileno())
-            os.replace(new, self.path / FILE_NAME)
+            write_whole(self.path / FILE_NAME, text, self._fsync)
         except OSError as error:
             return f'{FILE_NAME} ({error.strerror})'
         return ''

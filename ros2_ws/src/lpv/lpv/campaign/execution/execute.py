@@ -18,6 +18,7 @@ from lpv.campaign.execution.archive import Archive
 from lpv.campaign.execution.runs import run_one
 from lpv.campaign.plan.campaign import Campaign, software
 from lpv.campaign.plan.spec import TEXTS
+from lpv.core.support.config import write_whole
 from lpv.core.support.errors import ConfigError, LpvError
 from lpv.core.support.limits import MOST_BYTES, MOST_ENTRIES, PATIENCE
 
@@ -162,7 +163,7 @@ class ResultsFolder:
                 str(self.path),
             )
         self._chunks.mkdir(parents=True, exist_ok=True)
-        write_whole(self.path / 'campaign.json', work.text.encode())
+        write_whole(self.path / 'campaign.json', work.text, sync=True)
 
     def load(self) -> Work | None:
         """What was begun here; None if nothing was. ConfigError if it cannot be read."""
@@ -182,7 +183,7 @@ class ResultsFolder:
 
     def add(self, name: str, rows: list[dict[str, Any]]) -> None:
         """Write a chunk; it is there as a whole or not at all."""
-        write_whole(self._chunk(name), _table(rows))
+        _write_table(self._chunk(name), _table(rows))
 
     def rows(self, chunks: dict[str, list[Any]], others: Sequence[dict[str, Any]] = ()) -> pa.Table:
         """All rows of some chunks that are here, and others that are kept nowhere else."""
@@ -207,7 +208,7 @@ class ResultsFolder:
 
     def finish(self, table: pa.Table) -> None:
         """Write the file of all rows."""
-        write_whole(self.file, table)
+        _write_table(self.file, table)
 
     def _chunk(self, name: str) -> Path:
         return self._chunks / f'{name}.parquet'
@@ -218,14 +219,8 @@ def _table(rows: Sequence[dict[str, Any]]) -> pa.Table:
     return pa.table({name: [row.get(name) for row in rows] for name in names})
 
 
-def write_whole(path: Path, content: bytes | pa.Table) -> None:
-    """Write bytes or a Parquet file, which is there as a whole or not at all."""
-    part = path.with_name(path.name + '.part')
-    if isinstance(content, bytes):
-        part.write_bytes(content)
-    else:
-        pq.write_table(content, part)
-    # On disk before it gets its name: a power cut must not leave a name without content.
-    with open(part, 'rb') as file:
-        os.fsync(file.fileno())
-    part.replace(path)
+def _write_table(path: Path, table: pa.Table) -> None:
+    content = pa.BufferOutputStream()
+    pq.write_table(table, content)
+    # A power cut must not leave a name without content, which would count as done.
+    write_whole(path, content.getvalue(), sync=True)

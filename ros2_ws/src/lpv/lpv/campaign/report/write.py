@@ -15,7 +15,6 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from lpv.campaign.execution.execute import write_whole
 from lpv.campaign.plan.campaign import Campaign
 from lpv.campaign.plan.factors import Choice
 from lpv.campaign.plan.spec import BOTH, NO_FAULT
@@ -31,6 +30,7 @@ from lpv.campaign.report.statistics import (
     trends,
 )
 from lpv.core.simulation.faults import KINDS
+from lpv.core.support.config import write_whole
 from lpv.core.support.formatting import number, seconds
 from lpv.report.page import embedded, environment, finite
 
@@ -61,7 +61,7 @@ def write_report(
     page = template.render(**numbers, title=numbers['head']['name'], figures=figures, text=_TEXT)
     html, data = folder / 'report.html', folder / 'report.json'
     for path, content in ((html, page), (data, json.dumps(numbers, allow_nan=False, indent=1))):
-        write_whole(path, content.encode())  # someone may look at it
+        write_whole(path, content)  # someone may look at it
     return CampaignReport(html, data, numbers)
 
 

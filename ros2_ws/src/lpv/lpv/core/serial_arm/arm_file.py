@@ -28,7 +28,7 @@ from lpv.core.serial_arm.description import (
 )
 from lpv.core.serial_arm.old_arm_file import parse_two_links
 from lpv.core.serial_arm.urdf_chain import read_urdf_chain
-from lpv.core.support.config import Section, names_all_errors, read_yaml
+from lpv.core.support.config import Section, names_all_errors, read_yaml, write_whole
 from lpv.core.support.limits import LARGEST
 
 _OLD_FORM = (
@@ -201,9 +201,7 @@ def save_arm(arm: SerialArm, path: str | Path) -> None:
         default_flow_style=False,
         allow_unicode=True,
     )
-    partial = path.with_name(path.name + '.part')
-    partial.write_text(_HEADER + text, encoding='utf-8')
-    partial.replace(path)
+    write_whole(path, _HEADER + text)
 
 
 def to_mapping(arm: SerialArm) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 import functools
 import hashlib
 import math
+import os
 import re
 import reprlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -91,14 +92,25 @@ def write_parameters(path: str | Path, parameters: dict[str, Any], comment: str 
 
     ``comment`` goes to the head of the file; parent directories are made.
     """
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
     head = ''.join(f'# {line}\n' for line in comment.splitlines())
     data = {'/**': {'ros__parameters': parameters}}
     text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=100)
-    # A half-written file must never be found by a node: write aside, then rename.
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, head + text)
+
+
+def write_whole(path: str | Path, content: str | bytes, sync: bool = False) -> None:
+    """Write a file that is there as a whole or not at all.
+
+    With ``sync`` that holds for a power failure, too.
+    """
+    path = Path(path)
     part = path.with_name(path.name + '.part')
-    part.write_text(head + text, encoding='utf-8')
+    with open(part, 'wb') as file:
+        file.write(content.encode() if isinstance(content, str) else content)
+        if sync:
+            file.flush()
+            os.fsync(file.fileno())
     part.replace(path)
 
 
