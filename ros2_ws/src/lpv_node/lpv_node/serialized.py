@@ -34,8 +34,8 @@ class SerializedMessage:
         kind, types = type_name(type(message)), make_typestore()
         # The middleware leaves old memory between fields.
         whole = decode(types.deserialize_cdr, serialize_message(message), kind)
-        self._data = bytearray(padded_cdr(types, whole, kind))
-        places = Layout(self._data, kind, types).fields
+        data = padded_cdr(types, whole, kind)
+        places, self._data = Layout(data, kind, types).fields, bytearray(data)
         self._stamp, self._pieces = places[f'{stamp}.sec'].offset, []
         for name, values in numbers.items():
             start, size = places[name].offset, places[name].size

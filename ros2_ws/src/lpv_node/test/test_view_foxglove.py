@@ -11,19 +11,21 @@ from places import PACKAGES
 from test_view_server import aiohttp, connected, get, send
 
 pytest.importorskip('foxglove', reason='foxglove-sdk is not installed')
+pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
 
+from rclpy.serialization import serialize_message  # noqa: E402
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: E402
 
-from lpv.bag.rosbag.interfaces import make_typestore  # noqa: E402
 from lpv_node.view.access import Access  # noqa: E402
 from lpv_node.view.foxglove_bridge import FoxgloveBridge, gate  # noqa: E402
-from lpv_node.view.scene import MARKERS, TRANSFORMS, Scene  # noqa: E402
+from lpv_node.view.scene import Scene  # noqa: E402
 from lpv_node.view.server import ViewServer  # noqa: E402
+from lpv_node.view.topics import TOPICS as LISTENED  # noqa: E402
 
 APP = 'https://app.foxglove.dev'
 TOPICS = {
-    '/lpv/arm_markers': (MARKERS, 0), '/tf': (TRANSFORMS, 0),
-    '/lpv/robot_description': ('std_msgs/msg/String', 1),
+    '/lpv/arm_markers': ('visualization_msgs/msg/MarkerArray', 0),
+    '/lpv/text': ('std_msgs/msg/String', 1),
     '/lpv/fault_alarm': ('lpv_msgs/msg/FaultAlarm', 2),
 }  # fmt: skip
 
@@ -54,7 +56,7 @@ class Viewer:
     def __init__(self, ws):
         self.ws, self.channels = ws, {}
 
-    async def start(self, count=5):  # TOPICS and the band
+    async def start(self, count=4):  # TOPICS and the band
         info = await self.ws.receive_json(timeout=10.0)
         assert info['op'] == 'serverInfo'
         while len(self.channels) < count:
@@ -85,7 +87,7 @@ def decode(channel, data):
 
 
 def test_given_a_client_when_it_subscribes_then_it_can_read_messages_by_the_schema_alone(paper_arm):
-    scene = Scene(paper_arm, make_typestore())
+    scene = Scene(paper_arm)
     arms = {'true': [1.0, 0.5], 'estimated': [1.1, 0.4], 'measured': None}
     stamp = 12_000_000_034
 
@@ -95,11 +97,11 @@ def test_given_a_client_when_it_subscribes_then_it_can_read_messages_by_the_sche
             info = await viewer.start()
             assert info['capabilities'] == [], 'clients can only look'
             await asyncio.sleep(0.2)
-            running.send('/lpv/arm_markers', scene.markers(arms, stamp), stamp)
-            running.send('/tf', scene.tree(arms, stamp), stamp)
+            data = serialize_message(scene.markers(arms, stamp))
+            running.send('/lpv/arm_markers', data, stamp)
             band = {'estimate': [0.1, 0.2], 'bound': [0.3, 0.3], 'threshold': [0.4, 0.5]}
             running.send_band(band, stamp)
-            return viewer.channels, [await viewer.next() for _ in range(3)]
+            return viewer.channels, [await viewer.next() for _ in range(2)]
 
     with bridge(paper_arm) as (running, port):
         channels, received = asyncio.run(session(running, port))
@@ -112,10 +114,6 @@ def test_given_a_client_when_it_subscribes_then_it_can_read_messages_by_the_sche
     markers = decode(by_topic['/lpv/arm_markers'], messages['/lpv/arm_markers'][1]).markers
     assert {m.ns for m in markers} == {'true', 'estimated'}
     assert [(m.header.stamp.sec, m.header.stamp.nanosec) for m in markers] == [(12, 34)] * 4
-    tree = decode(by_topic['/tf'], messages['/tf'][1]).transforms
-    links = ('base_link', 'link1', 'link2', 'tip')
-    frames = [f'{arm}/{link}' for arm in ('true', 'estimated') for link in links]
-    assert [t.child_frame_id for t in tree] == frames
     band = json.loads(messages['/lpv/fault_band'][1])
     assert band['upper'] == pytest.approx([0.4, 0.5]) and band['threshold_low'] == [-0.4, -0.5]
 
@@ -138,7 +136,7 @@ def test_given_latched_messages_when_a_client_comes_late_then_it_alone_gets_the_
     with bridge(paper_arm) as (running, port):
         for k in range(5):
             running.send('/lpv/fault_alarm', b'\0\1\0\0%d' % k, 10 + k)
-        running.send('/lpv/robot_description', b'\0\1\0\0urdf', 5)
+        running.send('/lpv/text', b'\0\1\0\0text', 5)
         got = asyncio.run(late_ones(port))
     for received in got:
         alarms = [data for topic, _, data in received if topic == '/lpv/fault_alarm']
@@ -165,10 +163,7 @@ def test_given_the_bridge_when_it_listens_then_only_this_machine_and_origin_can_
 
 
 def test_given_the_layout_when_read_then_every_topic_in_it_is_forwarded():
-    pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
-    from lpv_node.view.topics import TOPICS as LISTENED
-
-    made = {'arm_markers', 'robot_description', 'true_robot_description', 'fault_band'}
+    made = {'arm_markers', 'fault_band'}
     known = {'/lpv/' + name for name in made | {t.name for t in LISTENED}} | {'/diagnostics'}
     text = (PACKAGES / 'lpv_node' / 'layout' / 'lpv_foxglove.json').read_text()
     named = {name.split('.')[0] for name in re.findall(r'"(/[^" ]*)"', text)}

@@ -1,1 +1,1 @@
-"""Live view: a web page of the running arm, the Foxglove protocol, markers and transforms."""
+"""Live view: a web page of the running arm, the Foxglove protocol, markers."""

@@ -1,4 +1,4 @@
-"""Live view node: the page, the Foxglove protocol, markers and transforms."""
+"""Live view node: the page, the Foxglove protocol, markers."""
 
 import os
 import socket
@@ -6,17 +6,13 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSProfile
-from std_msgs.msg import String
+from rclpy.serialization import serialize_message
 from visualization_msgs.msg import MarkerArray
 
-from lpv.bag.rosbag.interfaces import add_type, make_typestore
-from lpv.core.export.urdf import arm_urdf
+from lpv.bag.rosbag.live import type_name
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.simulation.scenario import load_scenario
-from lpv.core.support.errors import ConfigError
 from lpv.core.support.limits import AT_ONCE
 from lpv.core.support.timestamps import NANOSECONDS, leading_stamp
 from lpv_node.input_check import Refusals
@@ -27,9 +23,8 @@ from lpv_node.view.access import Access
 from lpv_node.view.foxglove_bridge import BAND, FoxgloveBridge, gate, sdk_is_installed
 from lpv_node.view.model import LiveModel
 from lpv_node.view.requests import Requests
-from lpv_node.view.scene import MARKERS, TRANSFORMS, Scene
+from lpv_node.view.scene import Scene
 from lpv_node.view.server import ViewServer
-from lpv_node.view.skeleton import urdf_text
 from lpv_node.view.topics import TOPICS, Inbox, Topic
 
 SPECS = table("""
@@ -40,24 +35,21 @@ address=127.0.0.1   where to listen; anything but a loopback address lets others
 port=8090[0:65535]  port of the page; 0 takes a free one
 foxglove_port=8765[0:65535]  port of the Foxglove WebSocket protocol; 0: off
 foxglove_rate=100.0[1:1000]  most messages of a fast topic sent to Foxglove [1/s]
-rate=25.0[1:60]     frames, markers and transforms [1/s]
+rate=25.0[1:60]     frames and markers [1/s]
 """) + (
     fixed('foxglove_origins', ['https://app.foxglove.dev', 'file://'],
           'web origins that may connect to the Foxglove port'),
     fixed('hosts', [''], 'further names of this machine under which the page is called'),
 )  # fmt: skip
+MARKERS = 'arm_markers'
 _TOKEN_VARIABLE = 'LPV_VIEW_TOKEN'
-_GREEN = '0.13 0.55 0.30 0.5', '0.25 0.65 0.40 0.5'
-_DESCRIPTIONS = ('robot_description', 'true_robot_description')
 
 
 class ViewNode(ManagedNode):
     """Live view of the running graph.
 
     Topics: subscribes all that the graph publishes, the ground truth included, but only looks;
-    publishes ``arm_markers`` (visualization_msgs/MarkerArray), ``robot_description`` and
-    ``true_robot_description`` (std_msgs/String, latched), ``/diagnostics`` and, where tf2_msgs
-    is installed, ``/tf`` with the frames ``true/...`` and ``estimated/...``.  Calls
+    publishes ``arm_markers`` (visualization_msgs/MarkerArray) and ``/diagnostics``.  Calls
     ``arm_sim/inject_fault``, ``arm_sim/clear_faults`` and ``uio/reset`` for the buttons.
     """
 
@@ -72,44 +64,25 @@ class ViewNode(ManagedNode):
 
     def setup(self) -> None:
         """Read the files, open the ports, create publishers."""
-        self._arm_file = named_file(self, 'arm_file', 'arms')
-        arm = load_arm(self._arm_file)
+        arm = load_arm(named_file(self, 'arm_file', 'arms'))
         scenario = self.get_parameter('scenario_file').value
         path = None
         if scenario:
             path = load_scenario(named_file(self, 'scenario_file', 'scenarios')).path(arm)
         self._model = LiveModel(arm, path)
-        typestore = make_typestore()
-        add_type(typestore, MARKERS)
-        self._scene = Scene(arm, typestore, path)
+        self._scene = Scene(arm, path)
         self._ticks, self._alarms_due = 0, 0.0
         self._stamp: int | None = None
         self._requests, self._refusals = Requests(self), Refusals(self)
         self._status = StatusReporter(self, 'page', arm.name)
-        self._create_publishers()
+        self._markers_out = self.create_publisher(MarkerArray, MARKERS, 1)
         self._open(arm, self._requests)
-        self._describe(arm)
         bridge = self._foxglove
         period = 1.0 / self.get_parameter('foxglove_rate').value
         forward = [self._forwarder(bridge, topic) if bridge else None for topic in TOPICS]
         refuse = self._refusals.add
         self._inboxes = [Inbox(*pair, period, refuse) for pair in zip(TOPICS, forward)]
         self.steady_timer(1.0 / self.get_parameter('rate').value, self._tick)
-
-    def _create_publishers(self) -> None:
-        once = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._outputs: dict[str, tuple[Publisher | None, str]] = {
-            name: (self.create_publisher(String, name, once), 'std_msgs/msg/String')
-            for name in _DESCRIPTIONS
-        }
-        self._outputs['arm_markers'] = self.create_publisher(MarkerArray, 'arm_markers', 1), MARKERS
-        self._outputs['/tf'] = None, TRANSFORMS
-        try:
-            from tf2_msgs.msg import TFMessage
-        except ImportError:
-            self.get_logger().info('tf2_msgs is not installed: /tf goes to Foxglove only')
-        else:
-            self._outputs['/tf'] = self.create_publisher(TFMessage, '/tf', 100), TRANSFORMS
 
     def _open(self, arm: SerialArm, requests: Requests) -> None:
         """Open the ports; says once where they are."""
@@ -143,11 +116,9 @@ class ViewNode(ManagedNode):
 
     def _forwarded(self) -> dict[str, tuple[str, int]]:
         """Topics for Foxglove: type and number of messages kept for late clients."""
-        keep = {'fault_alarm': 50, **dict.fromkeys(_DESCRIPTIONS, 1)}
-        types = {topic.name: topic.msgtype for topic in TOPICS}
-        types.update({name: msgtype for name, (_, msgtype) in self._outputs.items()})
+        types = {topic.name: topic.msgtype for topic in TOPICS} | {MARKERS: type_name(MarkerArray)}
         return {
-            self.resolve_topic_name(name): (msgtype, keep.get(name, 0))
+            self.resolve_topic_name(name): (msgtype, 50 if name == 'fault_alarm' else 0)
             for name, msgtype in types.items()
         }
 
@@ -156,41 +127,16 @@ class ViewNode(ManagedNode):
 
         def forward(data: bytes) -> None:
             stamp = max(0, leading_stamp(data) or 0)
-            restarted = self._stamp is not None and stamp < self._stamp - NANOSECONDS
-            if restarted and not topic.every:  # those of the latter are latched, and may be old
-                bridge.restart()
-            if self._stamp is None or restarted and not topic.every:
+            if self._stamp is None:
                 self._stamp = stamp
-                self._describe_again()
+            # Those of which every one counts are latched, and may be old.
+            if stamp < self._stamp - NANOSECONDS and not topic.every:
+                bridge.restart()
+                self._stamp = stamp
             self._stamp = max(stamp, self._stamp)
             bridge.send(name, data, self._stamp if topic.every else stamp)
 
         return forward
-
-    def _describe(self, arm: SerialArm) -> None:
-        """Robot descriptions: of the arm file, or the URDF that it names, if there is one."""
-        try:
-            if arm.urdf:
-                text = urdf_text(arm, self._arm_file)
-                descriptions = [text] * len(_DESCRIPTIONS)
-            else:
-                descriptions = [self._urdf(arm), self._urdf(arm, _GREEN)]
-        except ConfigError as error:
-            self.get_logger().info(f'no robot description is published: {error}')
-            descriptions = []
-        self._described = [self._scene.text(text) for text in descriptions]
-        self._describe_again()
-
-    def _urdf(self, arm: SerialArm, *colours: tuple[str, ...]) -> str:
-        try:
-            return arm_urdf(arm, True, *colours)
-        except ConfigError as error:
-            self.get_logger().warning(f'robot description without inertias: {error}')
-            return arm_urdf(arm, False, *colours)
-
-    def _describe_again(self) -> None:
-        for name, data in zip(_DESCRIPTIONS, self._described):
-            self._publish(name, data, self._stamp)
 
     def begin(self) -> None:
         """Subscribe."""
@@ -249,15 +195,8 @@ class ViewNode(ManagedNode):
         stamp = self._model.stamp()
         if stamp is None or not any(arms.values()):
             return
+        data = serialize_message(self._scene.markers(arms, stamp, with_path))
+        self._markers_out.publish(data)
         if self._foxglove is not None:
             self._foxglove.send_band(sample, stamp)
-        self._publish('arm_markers', self._scene.markers(arms, stamp, with_path), stamp)
-        self._publish('/tf', self._scene.tree(arms, stamp), stamp)
-
-    def _publish(self, name: str, data: bytes, stamp: int | None) -> None:
-        publisher, _ = self._outputs[name]
-        if publisher is not None:
-            publisher.publish(data)
-        # Without a stamp there is no time yet that Foxglove could show.
-        if self._foxglove is not None and stamp is not None:
-            self._foxglove.send(self.resolve_topic_name(name), data, stamp)
+            self._foxglove.send(self._markers_out.topic_name, data, stamp)

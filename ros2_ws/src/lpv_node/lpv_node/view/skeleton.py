@@ -1,14 +1,10 @@
 """Where the joints and the tip of an arm are, for drawings."""
 
-from pathlib import Path
-
 import numpy as np
 
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import SerialArm, rotation_from_rpy
 from lpv.core.serial_arm.dynamics.kinematics import joint_frames
-from lpv.core.support.config import MAX_BYTES
-from lpv.core.support.errors import ConfigError
 from lpv.core.uio.planar import is_planar, plane_of
 
 
@@ -35,14 +31,3 @@ class Skeleton:
             return np.asarray(points @ self._up.T)
         origin, rows = self._plane
         return np.asarray((points - origin) @ rows.T)
-
-
-def urdf_text(arm: SerialArm, arm_file: str) -> str:
-    """The URDF that an arm file names; ConfigError if it cannot be read."""
-    path = Path(arm_file).parent / arm.urdf
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise ConfigError('urdf', f'{path} has more than {MAX_BYTES} bytes', arm_file)
-        return path.read_text(encoding='utf-8')
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError('urdf', f'cannot be read: {error}', arm_file) from error

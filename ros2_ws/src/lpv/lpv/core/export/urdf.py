@@ -1,4 +1,4 @@
-"""An arm as a URDF, and where its links are: for RViz, Foxglove and other simulators.
+"""An arm as a URDF, for RViz, Foxglove and other simulators.
 
 ``base_link`` is the arm's base, ``link1`` to ``linkN`` have the frames of the joints that move
 them, ``tip`` is the reference point of a payload.
@@ -6,30 +6,24 @@ them, ``tip`` is the reference point of a payload.
 
 import math
 from collections.abc import Sequence
-from functools import lru_cache
-from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from lpv.core.export.elements import add_element
 from lpv.core.serial_arm.chain import FloatArray
-from lpv.core.serial_arm.description import SerialArm, SerialJoint, rotation_from_rpy
+from lpv.core.serial_arm.description import SerialArm, SerialJoint
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.limits import LARGEST
 
 BASE, TIP = 'base_link', 'tip'
 """Names of the URDF's first and last link."""
-COLOURS = ('0.27 0.47 0.67 1', '0.40 0.60 0.80 1')
-"""Default colours of the links, in turn: red, green, blue, alpha."""
+_COLOURS = ('0.27 0.47 0.67 1', '0.40 0.60 0.80 1')
+"""Colours of the links, in turn: red, green, blue, alpha."""
 _SLENDER = 1e-3
 """Least inertia about an axis over the largest: that of a rod 40 times as long as thick."""
 _THICKNESS = 0.04
 """Radius of the drawn links, over their mean length."""
-
-Transform = tuple[str, str, tuple[Any, ...], tuple[Any, ...]]
-"""Parent, child, translation x, y, z [m], quaternion x, y, z, w."""
 
 
 def link_names(arm: SerialArm) -> list[str]:
@@ -37,53 +31,22 @@ def link_names(arm: SerialArm) -> list[str]:
     return [BASE, *(f'link{i + 1}' for i in range(len(arm.joints))), TIP]
 
 
-@lru_cache(maxsize=8)
-def _fixed_parts(arm: SerialArm) -> list[tuple[FloatArray, Rotation, FloatArray]]:
-    """Origin, orientation and axis of each joint."""
-    return [
-        (np.array(j.position), Rotation.from_matrix(rotation_from_rpy(j.orientation)), _axis(j))
-        for j in arm.joints
-    ]
-
-
 def _axis(joint: SerialJoint) -> FloatArray:
     axis = np.array(joint.axis, float)
     return np.asarray(axis / np.linalg.norm(axis))
 
 
-def transforms(arm: SerialArm, q: Sequence[float] | FloatArray) -> list[Transform]:
-    """Transforms that a robot state publisher would send for one configuration.
-
-    They are ``(parent, child, translation, quaternion)`` from the base to the tip: translations x,
-    y, z [m], quaternions x, y, z, w.
-    """
-    names, result = link_names(arm), []
-    for i, (origin, orientation, axis) in enumerate(_fixed_parts(arm)):
-        if arm.joints[i].is_prismatic:
-            place, turned = origin + orientation.apply(float(q[i]) * axis), orientation
-        else:
-            place, turned = origin, orientation * Rotation.from_rotvec(_turn(q[i]) * axis)
-        result.append((names[i], names[i + 1], tuple(place), tuple(turned.as_quat())))
-    result.append((names[-2], TIP, tuple(arm.tip), (0.0, 0.0, 0.0, 1.0)))
-    return result
-
-
-def _turn(angle: float) -> float:
-    """An angle within (-pi, pi]: of larger ones the digits of a turn are lost."""
-    return math.remainder(float(angle), 2.0 * math.pi)
-
-
-def arm_urdf(arm: SerialArm, inertial: bool = True, colours: Sequence[str] = COLOURS) -> str:
+def arm_urdf(arm: SerialArm, inertial: bool = True) -> str:
     """URDF of an arm; links are drawn as cylinders from joint to joint.
 
     Friction goes into ``dynamics``; rotor inertia has no place in a URDF and is left out.
 
-    ``inertial`` writes masses and inertias, which pictures do not need; ``colours`` are those of
-    the links in turn, as `COLOURS`.  ConfigError if an inertia about a centre of mass is not
-    positive: identified parameters need not be, but a URDF cannot say it.
+    ``inertial`` writes masses and inertias, which pictures do not need.  ConfigError if an inertia
+    about a centre of mass is not positive: identified parameters need not be, but a URDF cannot
+    say it.
     """
     robot, names = ElementTree.Element('robot', name=arm.name), link_names(arm)
-    for i, colour in enumerate(colours):
+    for i, colour in enumerate(_COLOURS):
         material = add_element(robot, 'material', name=f'colour{i + 1}')
         add_element(material, 'color', rgba=colour)
     ends = [np.array(joint.position) for joint in arm.joints] + [np.array(arm.tip)]
@@ -92,7 +55,7 @@ def arm_urdf(arm: SerialArm, inertial: bool = True, colours: Sequence[str] = COL
         link = add_element(robot, 'link', name=name)
         if i > 0 and inertial:
             _inertial(link, arm, i - 1)
-        colour = f'colour{1 + i % len(colours)}'
+        colour = f'colour{1 + i % len(_COLOURS)}'
         axis = _axis(arm.joints[i - 1]) if i > 0 else _axis(arm.joints[0])
         _cylinder(link, colour, 1.4 * radius, 0.0 * axis, 2.6 * radius * axis)
         if np.linalg.norm(ends[i]) > 0.0:
