@@ -3,10 +3,19 @@
 import base64
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jinja2
 import numpy as np
+
+
+class Tile(NamedTuple):
+    """A figure on top of the page."""
+
+    name: str
+    value: str | int
+    note: str = ''
+    look: str = ''  # '', good, bad or warn
 
 
 def css_string(text: str) -> str:

@@ -5,7 +5,7 @@ import platform
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from lpv.report.history import (
     starting,
 )
 from lpv.report.load import Run
-from lpv.report.page import embedded, environment
+from lpv.report.page import Tile, embedded, environment
 from lpv.report.table import Row
 
 _CALENDAR = 946684800 * NANOSECONDS
@@ -53,15 +53,6 @@ class ReportResult:
     pictures: list[Path]  # PNG files
     table: list[Row]  # its table
     certificate: Certificate  # of the gains
-
-
-class Tile(NamedTuple):
-    """A figure on top of the page."""
-
-    name: str
-    value: str
-    note: str = ''
-    look: str = ''  # '', good, bad or warn
 
 
 def write(run: Run, out: str | Path) -> ReportResult:

@@ -32,7 +32,7 @@ from lpv.campaign.report.statistics import (
 from lpv.core.simulation.faults import KINDS
 from lpv.core.support.config import write_whole
 from lpv.core.support.formatting import number, seconds
-from lpv.report.page import embedded, environment, finite
+from lpv.report.page import Tile, embedded, environment, finite
 
 _CLASSES, _LEVELS = 8, 12
 """Classes of sizes, and values of a factor, that a table or figure has room for."""
@@ -76,7 +76,7 @@ def report_numbers(
     failures = [row for row, bad in zip(table.to_pylist(), failed) if bad]
     if failures:
         results = Results(table.filter(pa.array(~failed)), units)
-    numbers = {
+    numbers: dict[str, Any] = {
         'head': _head(work, results, planned, len(failures)),
         'overall': _overall(results),
         'alarms': _alarms(results, bags, healthy),
@@ -335,24 +335,26 @@ def suspicion(row: dict[str, Any]) -> tuple[Any, ...]:
     return row['alarms'] > 0, share > 0.01, row['score'], row['bag']
 
 
-def _tiles(numbers: dict[str, Any], bags: bool) -> list[tuple[str, Any, str]]:
+def _tiles(numbers: dict[str, Any], bags: bool) -> list[Tile]:
     head, overall = numbers['head'], numbers['overall']
     false = next(rate for rate in numbers['alarms'] if rate['name'] == 'false alarms')
-    tiles: list[tuple[str, Any, str]] = [
-        (head['what'], head['count'], f'{number(head["hours"])} h'),
-        ('false alarms', false['events'], f'in {number(false["hours"])} h without a fault'),
+    tiles = [
+        Tile(head['what'], head['count'], f'{number(head["hours"])} h'),
+        Tile('false alarms', false['events'], f'in {number(false["hours"])} h without a fault'),
     ]
-    if overall['detected']['cases']:
+    if (found := overall['detected'])['cases']:
         tiles += [
-            ('faults detected', percent(overall['detected']), f'of {overall["detected"]["cases"]}'),
-            ('detected and isolated', percent(overall['isolated']), 'no alarm of another sensor'),
+            Tile('faults detected', percent(found), f'of {found["cases"]}'),
+            Tile(
+                'detected and isolated', percent(overall['isolated']), 'no alarm of another sensor'
+            ),
         ]
     if overall['stable']['cases']:
         unstable = overall['stable']['cases'] - overall['stable']['hits']
-        tiles.append(('unstable runs', unstable, f'safe stops in {overall["stopped"]}'))
+        tiles.append(Tile('unstable runs', unstable, f'safe stops in {overall["stopped"]}'))
     if bags:
         clear = sum(trend['clear'] for trend in numbers['trends'])
-        tiles.append(('clear trends', clear, f'{head["failed"]} bags could not be read'))
+        tiles.append(Tile('clear trends', clear, f'{head["failed"]} bags could not be read'))
     return tiles
 
 
