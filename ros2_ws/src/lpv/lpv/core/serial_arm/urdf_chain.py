@@ -112,7 +112,8 @@ def _read_model(
     moving = set(names if joints is None else joints)
     if tip is not None:
         if not model.existFrame(tip, pinocchio.FrameType.BODY):
-            raise ConfigError('tip', f'the URDF has no link {tip!r}', source)
+            links = ', '.join(f.name for f in model.frames if f.type == pinocchio.FrameType.BODY)
+            raise ConfigError('tip', f'the URDF has no link {tip!r}; it has {links}', source)
         end = model.frames[model.getFrameId(tip, pinocchio.FrameType.BODY)].parentJoint
         moving &= {model.names[i] for i in model.supports[end]}
     held |= {name: 0.0 for name in names if name not in {*moving, *held, *urdf.mimics}}
@@ -157,14 +158,17 @@ def _joint(model: 'pinocchio.Model', index: int, urdf: Urdf, source: str) -> Ser
     elif urdf.kinds[name] not in ('revolute', 'continuous', 'prismatic'):
         refused = f'is {urdf.kinds[name]}, neither revolute nor prismatic'
     elif model.parents[index] != index - 1:
-        refused = f'branches off {model.names[model.parents[index]]!r}: the arm is not a chain'
+        parents = list(model.parents)
+        beside = [n for n, p in zip(model.names, parents) if p == parents[index] and n != name]
+        refused = f'branches off {model.names[parents[index]]!r} beside {", ".join(beside)}: '
+        refused += 'the arm is not a chain'
     elif not model.lowerPositionLimit[index - 1] < model.upperPositionLimit[index - 1]:
         refused = 'has no lower limit below an upper one'
     if refused:
         raise ConfigError(
             'urdf',
-            f'joint {name!r} {refused}; lock it, name the joints of the arm, or name the link at '
-            'its tip',
+            f'joint {name!r} {refused}; lock what is not of the arm, name the joints of the arm, '
+            'or name the link at its tip (--lock, --joints, --tip)',
             source,
         )
     placement = model.jointPlacements[index]
