@@ -14,11 +14,9 @@ from lpv.bag.rosbag.messages import BagMessages
 from lpv.bag.rosbag.writing import BagWriter
 from lpv.campaign.execution.runs import RunPlan
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
-from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.simulation.closed_loop import Run
-from lpv.core.simulation.scenario import load_scenario
-from lpv.core.support.errors import ConfigError, LpvError
+from lpv.core.support.errors import ConfigError
 from lpv.core.support.timestamps import NANOSECONDS
 from lpv.core.uio.certificate.gains import save_gains
 
@@ -67,9 +65,6 @@ def write_run_files(plan: RunPlan, folder: str | Path) -> None:
     if plan.gains is not None:
         text = f'Gains of run {plan.number} ({plan.scenario.name}).'
         save_gains(plan.gains, folder / 'gains.yaml', text)
-    arm, scenario = load_arm(folder / 'arm.yaml'), load_scenario(folder / 'scenario.yaml')
-    if arm != plan.arm or scenario != plan.scenario:
-        raise LpvError(f'{folder}: the files do not describe what was simulated')
 
 
 def differences(stored: dict[str, Any], found: dict[str, Any]) -> list[str]:
