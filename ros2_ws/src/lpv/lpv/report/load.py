@@ -8,7 +8,7 @@ from lpv.bag.rosbag.output_folder import GAINS_NAME, SCENARIO_NAME
 from lpv.bag.run.node_reports import NodeReport, node_reports
 from lpv.bag.run.record import load_run
 from lpv.bag.run.streams import RunRecord
-from lpv.core.control.path import CartesianPath
+from lpv.core.control.path import TimedPath
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.simulation.scenario import load_scenario
 from lpv.core.support.errors import LpvError
@@ -39,13 +39,13 @@ class Run:
     phases: list[Phase]  # intervals without an answer, stops, speeds above the limits
     motion: Motion  # extremes
     table: list[Row]  # of `make_table`
-    path: CartesianPath | None = None  # reference, with the obstacle
+    path: TimedPath | None = None  # reference, with the obstacle
 
 
 def load(
     bag: str | Path,
     arm: SerialArm,
-    path: CartesianPath | None = None,
+    path: TimedPath | None = None,
     title: str = 'Run',
     gains: str | Path | None = None,
     source: str = '',
@@ -64,13 +64,12 @@ def load(
     return analyse(record, arm, reports, examine(gains, arm, source), title, path)
 
 
-def planned_path(scenario: str | Path, arm: SerialArm) -> CartesianPath | None:
-    """Path of a scenario in a plane; None where it has none, or is damaged."""
+def planned_path(scenario: str | Path, arm: SerialArm) -> TimedPath | None:
+    """Path of a scenario; None where it is damaged."""
     try:
-        path = load_scenario(scenario).path(arm)
+        return load_scenario(scenario).path(arm)
     except LpvError:  # a damaged copy must not stand in the way of a report
         return None
-    return path if isinstance(path, CartesianPath) else None
 
 
 def analyse(
@@ -79,7 +78,7 @@ def analyse(
     reports: Mapping[str, Sequence[NodeReport]],
     certificate: Certificate,
     title: str = 'Run',
-    path: CartesianPath | None = None,
+    path: TimedPath | None = None,
 ) -> Run:
     """What a record says: alarms, misses, phases, motion, table."""
     alarms = episodes(record)

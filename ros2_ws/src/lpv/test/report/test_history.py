@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from places import BRINGUP
 from rich.console import Console
 from runs import rows, text
 
+from lpv import load_arm
 from lpv.bag.run.node_reports import NodeReport
 from lpv.bag.run.streams import RecordedAlarm, RunRecord
 from lpv.cli.commands import compare
@@ -357,6 +359,15 @@ def test_given_no_reading_at_all_when_drawn_then_there_is_no_path(paper_arm):
     record.joint_names = paper_arm.joint_names
     record.streams['joint_states']['position'][:] = np.nan
     assert figures.path(analysed(record, paper_arm)) is not None
+
+
+def test_given_a_scenario_of_six_joints_when_drawn_then_its_path_is_there_without_references():
+    arm, record = load_arm('ur10'), run()
+    record.streams['joint_states'] = {name: np.zeros((COUNT, 6)) for name in JOINTS}
+    record.joint_names = arm.joint_names
+    planned = load.planned_path(BRINGUP / 'scenarios' / 'ur10.yaml', arm)
+    figure = figures.path(replace(analysed(record, arm), path=planned))
+    assert 'reference path' in [words.get_text() for words in figure.legends[0].get_texts()]
 
 
 def test_given_an_alarm_that_lasts_when_reported_then_its_size_is_the_error_now(page):
