@@ -8,7 +8,10 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 
+from lpv.core.support.entries import entry, positive
 from lpv.core.support.inequalities import largest_eigenvalue
+from lpv.core.support.limits import LARGEST
+from lpv.core.uio.certificate.gains import METHODS
 from lpv.core.uio.certificate.lmi import integral_feedback
 from lpv.core.uio.model.arm import ArmParameters
 from lpv_design.solve import RESERVE, run, symmetric_below
@@ -18,12 +21,15 @@ from lpv_design.solve import RESERVE, run, symmetric_below
 class ControllerRequirement:
     """What the tracking loop must fulfil, with LMI (67)."""
 
-    alpha: float = 2.0  # decay rate of LMI (67) [1/s]
+    method: str = entry('text', choices=METHODS)
+    alpha: float = positive(LARGEST)  # decay rate of LMI (67) [1/s]
     # fastest allowed closed-loop pole [1/s]: one sample of delay must not matter
-    fastest: float = 60.0
+    fastest: float = positive(LARGEST)
     # guaranteed-cost weights of theta, theta', eps (same for both axes)
-    state_weight: tuple = (10.0, 1.0, 30.0)
-    torque_weight: float = 1.0  # weight of torque, relative to gravity torque
+    state_weight: tuple = entry('vector', 3, above=0.0, high=LARGEST)
+    torque_weight: float = positive(LARGEST)  # weight of torque, relative to gravity torque
+    # lower end of the box of phi2 and phi3, method paper
+    sinc_min: float = entry('number', default=-0.2, low=-0.3, high=0.99)
 
 
 def check_loop(loop: tuple[np.ndarray, ...], m: np.ndarray, q: np.ndarray, alpha: float) -> float:

@@ -17,6 +17,8 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 
+from lpv.core.support.entries import entry, positive
+from lpv.core.support.limits import LARGEST
 from lpv.core.uio.certificate.error_system import LinkError, link_errors
 from lpv.core.uio.certificate.lmi import covariance, disc
 from lpv.core.uio.certificate.noise import stated_acceleration_noise
@@ -28,18 +30,18 @@ from lpv_design.solve import RESERVE, run, symmetric_below
 class ExactRequirement:
     """What the observer must fulfil."""
 
-    decay: float = 0.25  # slowest allowed pole [1/s]
+    decay: float = positive(LARGEST)  # slowest allowed pole [1/s]
     # fastest allowed pole [1/s]; with the sample time it fixes the margin of the recursion
-    fastest: float = 60.0
+    fastest: float = positive(LARGEST)
     # intensity of white acceleration on both absolute axes [rad/s2/sqrt(Hz)]: disturbance and the
     # part of the model error that varies fast
-    acceleration_noise: tuple = (0.15, 0.15)
+    acceleration_noise: tuple = entry('pair', above=0.0, high=LARGEST)
     # intensity of white noise on theta' (integration of imperfect rates) [rad/s/sqrt(Hz)]
-    rate_noise: float = 1e-3
+    rate_noise: float = positive(LARGEST)
     # weight of the rate error against the angle error in the H2 criterion [s]
-    velocity_weight: float = 0.02
+    velocity_weight: float = entry('number', default=0.02, above=0.0, high=LARGEST)
     # largest H-infinity norm from an unknown torque to the angle error [rad/(N m)]
-    torque_gain: float = math.inf
+    torque_gain: float = entry('number', default=LARGEST, above=0.0, high=LARGEST)
 
 
 class LinkProblem:

@@ -6,12 +6,12 @@ from pathlib import Path
 
 from lpv.cli import main as cli
 from lpv.core.serial_arm.arm_file import load_arm
-from lpv.core.serial_arm.certificate.exact_proof import prove_loop
+from lpv.core.serial_arm.certificate.conditions import prove_loop
 from lpv.core.serial_arm.certificate.loop_gains import save_loop_gains
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.resources import bringup_file
-from lpv.core.uio.certificate.exact_proof import prove
+from lpv.core.uio.certificate.conditions import prove
 from lpv.core.uio.certificate.gains import save_gains
 from lpv.core.uio.planar import planar_model
 from lpv_design.design_flow import NotDetectableError, design

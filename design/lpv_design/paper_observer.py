@@ -11,8 +11,8 @@ import numpy as np
 from lpv.core.support.inequalities import largest_eigenvalue
 from lpv.core.uio.certificate.lmi import paper_inequalities
 from lpv.core.uio.model.arm import ArmParameters
-from lpv.core.uio.model.polytope import paper_weights, sinc_box, vertex_matrices
-from lpv.core.uio.model.state_space import Descriptor
+from lpv.core.uio.model.polytope import paper_weights, sinc_box
+from lpv.core.uio.model.state_space import Descriptor, paper_descriptor
 from lpv.core.uio.observer.paper_observer import decoupling
 from lpv_design.solve import solve, symmetric_below
 
@@ -34,7 +34,7 @@ def paper_problem(
 ) -> PaperProblem:
     """Set up the LMIs for phi2, phi3 in [s_min, 1]."""
     box = sinc_box(s_min)
-    descriptor = Descriptor(*vertex_matrices(box, arm.numbers()), arm)
+    descriptor = paper_descriptor(arm, box)
     t1, t2 = decoupling(descriptor.e, descriptor.c)
     return PaperProblem(descriptor, t1, t2, q, r, box)
 

@@ -5,7 +5,10 @@ from pathlib import Path
 from typing import Any
 
 from lpv.core.support.config import Section, names_all_errors, read_yaml
+from lpv.core.support.entries import entry, read_entries
 from lpv.core.support.errors import ConfigError
+from lpv.core.support.limits import LARGEST
+from lpv.core.uio.certificate.gains import METHODS
 from lpv_design.controller import ControllerRequirement
 from lpv_design.exact_observer import ExactRequirement
 
@@ -16,21 +19,21 @@ SHIPPED = Path(__file__).parent / 'requirements'
 class PaperRequirement:
     """Requirements of the literal observer design."""
 
-    lmi: str = '55'  # '55', literally, or '54+disc': (54) and the disc as separate inequalities
-    sinc_min: float = 0.96  # lower end of the box of phi2 and phi3
-    gamma: float = 1.0  # attenuation level
-    q: float = 20.0  # disc [1/s]
-    r: float = 15.0  # disc [1/s]
+    # '55', literally, or '54+disc': (54) and the disc as separate inequalities
+    lmi: str = entry('text', default='55', choices=('55', '54+disc'))
+    # lower end of the box of phi2 and phi3
+    sinc_min: float = entry('number', default=0.96, low=-0.3, high=0.999)
+    gamma: float = entry('number', default=1.0, above=0.0, high=LARGEST)  # attenuation level
+    q: float = entry('number', default=20.0, above=0.0, high=LARGEST)  # disc [1/s]
+    r: float = entry('number', default=15.0, above=0.0, high=LARGEST)  # disc [1/s]
 
 
 @dataclass(frozen=True)
 class Requirement:
     """A whole requirement file."""
 
-    observer: ExactRequirement | PaperRequirement  # observer part; its type tells the method
-    controller: ControllerRequirement  # controller part
-    controller_method: str  # 'paper' or 'exact'
-    controller_sinc_min: float  # box of the controller's method ``paper``
+    observer: ExactRequirement | PaperRequirement  # its type tells the method
+    controller: ControllerRequirement
     source: str  # file name
 
 
@@ -63,50 +66,24 @@ def parse_requirement(data: dict[str, Any], source: str) -> Requirement:
     top = Section(data, source)
     observer, controller = top.section('observer'), top.section('controller')
     requirement = Requirement(
-        observer=_observer(observer),
-        controller=_controller(controller),
-        controller_method=controller.text('method', choices=('paper', 'exact')),
-        controller_sinc_min=controller.number('sinc_min', -0.2, -0.3, 0.99),
-        source=source,
+        _observer(observer), read_entries(ControllerRequirement, controller), source
     )
-    for section in (observer, controller, top):
-        section.finish()
+    _check_fastest(controller, requirement.controller.alpha, 'alpha')
+    top.finish()
     return requirement
 
 
 def _observer(section: Section) -> ExactRequirement | PaperRequirement:
-    if section.text('method', choices=('paper', 'exact')) == 'paper':
-        requirement = PaperRequirement(
-            lmi=section.text('lmi', '55', ('55', '54+disc')),
-            sinc_min=section.number('sinc_min', 0.96, -0.3, 0.999),
-            gamma=section.number('gamma', 1.0, above=0.0, high=1e9),
-            q=section.number('q', 20.0, above=0.0, high=1e9),
-            r=section.number('r', 15.0, above=0.0, high=1e9),
-        )
-        if not requirement.r < requirement.q:
+    if section.text('method', choices=METHODS) == 'paper':
+        literal = read_entries(PaperRequirement, section)
+        if not literal.r < literal.q:
             raise section.error('r', 'must be below q, or the disc reaches unstable poles')
-        return requirement
-    return ExactRequirement(
-        decay=section.number('decay', above=0.0, high=1e9),
-        fastest=_fastest(section, 'decay'),
-        acceleration_noise=section.pair('acceleration_noise', above=0.0, high=1e9),
-        rate_noise=section.number('rate_noise', above=0.0, high=1e9),
-        velocity_weight=section.number('velocity_weight', 0.02, above=0.0, high=1e9),
-        torque_gain=section.number('torque_gain', 1e9, above=0.0, high=1e9),
-    )
+        return literal
+    requirement = read_entries(ExactRequirement, section)
+    _check_fastest(section, requirement.decay, 'decay')
+    return requirement
 
 
-def _controller(section: Section) -> ControllerRequirement:
-    return ControllerRequirement(
-        alpha=section.number('alpha', above=0.0, high=1e9),
-        fastest=_fastest(section, 'alpha'),
-        state_weight=tuple(section.vector('state_weight', 3, above=0.0, high=1e9)),
-        torque_weight=section.number('torque_weight', above=0.0, high=1e9),
-    )
-
-
-def _fastest(section: Section, slowest: str) -> float:
-    fastest = section.number('fastest', above=0.0, high=1e9)
-    if not fastest > section.number(slowest):
-        raise section.error('fastest', f'must be greater than {slowest}')
-    return fastest
+def _check_fastest(section: Section, slowest: float, name: str) -> None:
+    if not section.number('fastest') > slowest:
+        raise section.error('fastest', f'must be greater than {name}')

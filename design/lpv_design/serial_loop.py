@@ -18,12 +18,7 @@ from lpv.core.serial_arm.certificate.conditions import (
     verify_loop,
 )
 from lpv.core.serial_arm.certificate.link_forms import chain_inequalities, invariant_basis, steps
-from lpv.core.serial_arm.certificate.loop_gains import (
-    COEFFICIENTS,
-    ErrorProof,
-    LoopGains,
-    LoopProof,
-)
+from lpv.core.serial_arm.certificate.loop_gains import ErrorProof, LoopGains, LoopProof
 from lpv.core.serial_arm.certificate.loop_inequality import (
     LoopNumbers,
     motion_matrix,
@@ -31,6 +26,8 @@ from lpv.core.serial_arm.certificate.loop_inequality import (
 )
 from lpv.core.serial_arm.certificate.model_bounds import (
     BOUNDS,
+    COEFFICIENTS,
+    BoundForms,
     ChainNumbers,
     ModelBounds,
     bound_inequalities,
@@ -91,10 +88,10 @@ def certify_loop(arm: SerialArm, request: LoopRequest) -> LoopDesign:
         request.bandwidth,
         request.model_error,
         1.0,
-        model,
         blank,
         blank,
         ErrorProof(1.0, np.eye(3), np.ones(2), 1.0, request.acceleration, 1.0, model.inertia),
+        model,
     )
     largest = largest_share(arm, gains)
     if largest <= 0.0:
@@ -145,7 +142,7 @@ def model_bounds(arm: SerialArm) -> ModelBounds:
                 break
         else:
             raise InfeasibleError(f'no bound of {bound} with a margin: is the arm physical?')
-    return ModelBounds(forms=forms, **found)
+    return ModelBounds(forms=BoundForms(**forms), **found)
 
 
 def _variables(joints: int, twists: int) -> tuple[list[Any], list[Any]]:
@@ -198,7 +195,7 @@ def _forms(numbers: ChainNumbers, bound: str, value: Any) -> np.ndarray | None:
     if margin.value is None:
         return None
     found = np.array([row.value for row in rows])
-    rebuilt = bound_inequalities(numbers, bound, value, invariant_forms(found, twists_of(bound)))
+    rebuilt = bound_inequalities(numbers, bound, value, invariant_forms(found, bound))
     holds = all(largest_eigenvalue(-np.asarray(matrix, dtype=float)) < 0.0 for matrix in rebuilt)
     return found if holds else None
 

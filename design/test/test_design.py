@@ -14,7 +14,7 @@ from lpv.core.serial_arm.certificate.conditions import require_loop
 from lpv.core.serial_arm.description import Uncertainty
 from lpv.core.support import inequalities, resources
 from lpv.core.uio.certificate import conditions, error_system, lmi
-from lpv.core.uio.certificate.exact_proof import prove
+from lpv.core.uio.certificate.conditions import prove
 from lpv.core.uio.certificate.gains import ExactObserverGains, load_gains
 from lpv.core.uio.model.polytope import sinc_box, vertex_matrices
 from lpv.core.uio.planar import planar_model
@@ -198,7 +198,8 @@ def test_given_a_large_region_when_designed_at_decay_2_then_it_is_certified(pape
     kappa, mu, p, _ = exact_observer.solve_exact(arm, wanted)
     sampled = replace(arm, sample_time=min(0.002, 0.2 / wanted.fastest))
     observer = ExactObserverGains(kappa, mu, p, 2.0, wanted.fastest, np.ones(2))
-    assert all(check.holds for check in conditions.exact_observer_checks(sampled, observer))
+    claims = conditions.observer_inequalities(sampled, observer)
+    assert all(inequalities.largest_eigenvalue(one) < 0.0 for _, some in claims for one in some)
 
 
 def test_given_any_slope_when_tried_then_poles_and_deviation_are_as_certified(planar):

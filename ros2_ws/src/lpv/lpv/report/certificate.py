@@ -10,7 +10,7 @@ from lpv.bag.errors import BagError
 from lpv.bag.rosbag.output_folder import GAINS_NAME
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.certificate.claims import SERIAL_CLAIMS, Claim
-from lpv.core.serial_arm.certificate.conditions import region_lines, verify_loop
+from lpv.core.serial_arm.certificate.conditions import prove_loop, region_lines, verify_loop
 from lpv.core.serial_arm.certificate.loop_gains import LoopGains, load_loop_gains, serial_parameters
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.two_links import two_link_arm
@@ -18,7 +18,7 @@ from lpv.core.support.errors import ConfigError, LpvError
 from lpv.core.support.inequalities import Check
 from lpv.core.support.resources import bringup_file, shipped_files
 from lpv.core.uio.certificate.claims import CLAIMS
-from lpv.core.uio.certificate.conditions import verify
+from lpv.core.uio.certificate.conditions import prove, verify
 from lpv.core.uio.certificate.gains import Gains, load_gains
 from lpv.core.uio.model.arm import arm_from_json
 from lpv.core.uio.planar import planar_model
@@ -80,18 +80,12 @@ class Certified:
         """Every inequality, rebuilt; ConfigError for another arm than that of the gains."""
         if isinstance(self.gains, LoopGains):
             return verify_loop(arm, self.gains)
-        self.gains.check_arm(planar_model(arm))
         return verify(planar_model(arm), self.gains)
 
     def prove(self, arm: SerialArm) -> dict[str, bool]:
         """Inequalities by name, and whether exact rational arithmetic proves them."""
-        # Only here: few need the proof, and it takes time to import.
         if isinstance(self.gains, LoopGains):
-            from lpv.core.serial_arm.certificate.exact_proof import prove_loop
-
             return prove_loop(arm, self.gains)
-        from lpv.core.uio.certificate.exact_proof import prove
-
         return prove(planar_model(arm), self.gains)
 
     def arm(self) -> SerialArm | None:

@@ -423,12 +423,17 @@ class Section:
         ]
         return [row.vector(f'{key}[{i}]', width) for i, row in enumerate(rows)]
 
-    @_or(lambda self, key, shape: np.zeros(shape))
+    @_or(lambda self, key, shape: np.zeros(np.abs(shape)))
     def matrix(self, key: str, shape: tuple[int, ...]) -> np.ndarray:
-        """Return an array of the given shape from a flat list (row-major)."""
+        """Return an array of the given shape from a flat list (row-major).
+
+        A first size of -1 stands for one row or more.
+        """
         value = self._get(key, _REQUIRED)
-        size = int(np.prod(shape))
-        if not isinstance(value, (list, tuple)) or len(value) != size:
+        size = abs(int(np.prod(shape)))
+        if not isinstance(value, (list, tuple)) or not (
+            len(value) == size or (shape[0] < 0 < len(value) and len(value) % size == 0)
+        ):
             raise self.error(key, f'must be a flat list of {size} numbers for shape {shape}')
         flat = [
             self._number(f'{key}[{i}]', v, -math.inf, math.inf, None) for i, v in enumerate(value)

@@ -1,8 +1,9 @@
 """Whether matrix inequalities hold: by eigenvalues, and in exact rational arithmetic."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -45,6 +46,11 @@ def largest_eigenvalue(matrix: np.ndarray) -> float:
 def exact(values: ArrayLike) -> np.ndarray:
     """Array of fractions that equal the given floats."""
     return np.vectorize(Fraction, otypes=[object])(np.asarray(values))
+
+
+def array_of(number: Callable[[Any], Any]) -> Callable[[ArrayLike], np.ndarray]:
+    """What makes arrays of a kind of number, floats or fractions."""
+    return exact if number is Fraction else np.asarray
 
 
 def is_positive_definite(matrix: np.ndarray) -> bool:

@@ -10,9 +10,13 @@ from serial_certificate import corner_arm, decay
 
 from lpv import ConfigError, load_arm
 from lpv.core.serial_arm.certificate import loop_gains as files
-from lpv.core.serial_arm.certificate.conditions import error_bound, require_loop, verify_loop
+from lpv.core.serial_arm.certificate.conditions import (
+    error_bound,
+    prove_loop,
+    require_loop,
+    verify_loop,
+)
 from lpv.core.serial_arm.certificate.disturbance import MotionRange, missed_torque
-from lpv.core.serial_arm.certificate.exact_proof import prove_loop
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.dynamics.payload import with_payload

@@ -5,29 +5,34 @@ No solver is needed, and none is trusted.
 
 import math
 from collections.abc import Callable, Iterator
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
 
 from lpv.core.serial_arm.certificate.disturbance import MotionRange, missed_torque
-from lpv.core.serial_arm.certificate.loop_gains import ErrorProof, LoopGains, loop_checksum
+from lpv.core.serial_arm.certificate.loop_gains import LoopGains, LoopProof, loop_checksum
 from lpv.core.serial_arm.certificate.loop_inequality import (
     LoopNumbers,
     motion_matrix,
     sampled_matrix,
 )
 from lpv.core.serial_arm.certificate.model_bounds import (
-    BOUNDS,
-    ChainNumbers,
     bound_inequalities,
     chain_numbers,
     invariant_forms,
-    twists_of,
 )
 from lpv.core.serial_arm.chain import FloatArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.errors import ConfigError
-from lpv.core.support.inequalities import SAME, Check, largest_eigenvalue, require_all
+from lpv.core.support.inequalities import (
+    SAME,
+    Check,
+    array_of,
+    is_negative,
+    largest_eigenvalue,
+    require_all,
+)
 
 NO_CERTIFICATE = 'none (lpv design writes one)'
 """Of a loop whose parameter file has a bandwidth only, for the reader."""
@@ -101,17 +106,17 @@ def _listed(values: FloatArray) -> str:
     return ', '.join(f'{value:.3g}' for value in values)
 
 
-def loop_matrices(
+def loop_inequalities(
     arm: SerialArm, gains: LoopGains, number: Callable[[Any], Any] = float
 ) -> Iterator[tuple[str, Any]]:
     """What each Lyapunov matrix must satisfy: names and matrices that must be negative definite."""
 
-    def parts(proof: Any) -> tuple[Any, ...]:
-        array = np.vectorize(number, otypes=[float if number is float else object])
+    def parts(proof: LoopProof) -> tuple[Any, ...]:
         p = array(proof.lyapunov)
         decay = number(proof.decay) / number(gains.bandwidth)
         return (p + p.T) / 2, array(proof.multipliers), decay
 
+    array, proof = array_of(number), gains.error
     numbers = loop_numbers(arm, gains, gains.rate_share, number)
     share = f'rates to {gains.rate_share:.3g} of the limits'
     p, multipliers, decay = parts(gains.motion)
@@ -122,7 +127,6 @@ def loop_matrices(
     yield 'sampled: P > 0', -p
     name = f'sampled with one sample of delay: V decays, alpha {gains.sampled.decay:.3g}/s, {share}'
     yield name, sampled_matrix(p, multipliers, numbers, decay)
-    proof: ErrorProof = gains.error
     numbers = loop_numbers(arm, gains, proof.rate_share, number)
     p, multipliers, decay = parts(proof)
     middle = np.zeros((3, 3), dtype=int)
@@ -132,26 +136,21 @@ def loop_matrices(
     yield name, motion_matrix(p, multipliers, numbers, decay, number(proof.level))
 
 
+def model_inequalities(
+    arm: SerialArm, gains: LoopGains, number: Callable[[Any], Any] = float
+) -> Iterator[tuple[str, list[Any]]]:
+    """Bounds of the mass matrix: what they say, and matrices that must be negative definite."""
+    numbers, array = chain_numbers(arm, number), array_of(number)
+    for bound, text in _MODEL_TEXT.items():
+        stored = getattr(gains.model, bound)
+        value = array(stored) if np.ndim(stored) else number(stored)
+        invariant = invariant_forms(array(getattr(gains.model.forms, bound)), bound)
+        matrices = bound_inequalities(numbers, bound, value, invariant)
+        yield f'model: {text.format(np.min(stored))}', [-matrix for matrix in matrices]
+
+
 def verify_loop(arm: SerialArm, gains: LoopGains) -> list[Check]:
-    """Rebuild every inequality that a certificate claims.
-
-    Parameters
-    ----------
-    arm : SerialArm
-        The arm.
-    gains : LoopGains
-        With its certificate.
-
-    Returns
-    -------
-    list of Check
-        All checks.
-
-    Raises
-    ------
-    ConfigError
-        If the certificate is that of another arm.
-    """
+    """Rebuild every inequality that a certificate claims; ConfigError for that of another arm."""
     return list(_checks(arm, gains))
 
 
@@ -160,16 +159,27 @@ def require_loop(arm: SerialArm, gains: LoopGains, source: str = 'gains') -> Non
     require_all(_checks(arm, gains), 'loop', 'design again', source)
 
 
+def prove_loop(arm: SerialArm, gains: LoopGains) -> dict[str, bool]:
+    """Which matrix inequalities exact rational arithmetic proves or refutes.
+
+    Placements, inertias and gains are floats and therefore fractions: what is proved is proved for
+    the arm with exactly these numbers.
+    """
+    model = model_inequalities(arm, gains, Fraction)
+    results = {name: all(map(is_negative, matrices)) for name, matrices in model}
+    loop = loop_inequalities(arm, gains, Fraction)
+    return {**results, **{name: is_negative(matrix) for name, matrix in loop}}
+
+
 def _checks(arm: SerialArm, gains: LoopGains) -> Iterator[Check]:
-    gains.check_arm(arm.name, arm.sha256())
+    gains.check_arm(arm)
     if len(gains.model.inertia) != len(arm.joints):
         raise ConfigError('loop.model.inertia', f'must have {len(arm.joints)} numbers')
     if gains.checksum:
         same = gains.checksum == loop_checksum(gains)
         yield Check('gains file: numbers are those of the design', -1.0 if same else 1.0)
-    numbers = chain_numbers(arm)
-    for bound in BOUNDS:
-        yield _model_check(numbers, gains, bound)
+    for name, matrices in model_inequalities(arm, gains):
+        yield Check(name, max(map(largest_eigenvalue, matrices)))
     sectors = (gains.motion, gains.sampled, gains.error)
     lowest = min(float(part.multipliers.min()) for part in sectors)
     yield Check('multipliers are positive', -lowest)
@@ -179,23 +189,8 @@ def _checks(arm: SerialArm, gains: LoopGains) -> Iterator[Check]:
     yield followed
     if not followed.holds:
         return  # the sampled inequality would divide by zero
-    for name, matrix in loop_matrices(arm, gains):
+    for name, matrix in loop_inequalities(arm, gains):
         yield Check(name, largest_eigenvalue(matrix))
     total = sum(error_bound(arm, gains).values())
     away = np.abs(gains.error.bound / total - 1.0).max()
     yield Check('error: bound of each joint as recomputed', float(away) - SAME)
-
-
-def bound_name(gains: LoopGains, bound: str) -> str:
-    """What one of `BOUNDS` says."""
-    return f'model: {_MODEL_TEXT[bound].format(np.min(getattr(gains.model, bound)))}'
-
-
-def _model_check(numbers: ChainNumbers, gains: LoopGains, bound: str) -> Check:
-    value = getattr(gains.model, bound)
-    invariant = invariant_forms(gains.model.forms[bound], twists_of(bound))
-    worst = max(
-        largest_eigenvalue(-np.asarray(matrix, dtype=float))
-        for matrix in bound_inequalities(numbers, bound, value, invariant)
-    )
-    return Check(bound_name(gains, bound), worst)

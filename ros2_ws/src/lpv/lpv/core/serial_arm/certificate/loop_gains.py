@@ -2,64 +2,80 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
-import numpy as np
-
-from lpv.core.serial_arm.certificate.model_bounds import BOUNDS, ModelBounds, twists_of
-from lpv.core.serial_arm.chain import MAX_JOINTS, FloatArray
+from lpv.core.serial_arm.certificate.model_bounds import ModelBounds
+from lpv.core.serial_arm.chain import FloatArray
 from lpv.core.support.config import Section, read_yaml, sha256_of, write_parameters
+from lpv.core.support.entries import array, entry, part, plain_entries, positive, read_entries
 from lpv.core.support.errors import ConfigError
 
 FORMAT = 1
 """Of the file; others are not read."""
-COEFFICIENTS = {1: 7, 2: 26}
-"""Of one matrix that commutes with rotations about z, by the number of twists."""
+
+
+@dataclass(frozen=True)
+class DesignedForArm:
+    """Gains of one arm; ``section`` is where they stand in their file."""
+
+    arm_name: str = entry('text')
+    arm_sha256: str = entry('text')  # hash of its parameters
+    section: ClassVar[str]
+
+    def check_arm(self, arm: Any, source: str = 'gains') -> None:
+        """Refuse gains of another arm: ConfigError if the hash of its parameters differs."""
+        if self.arm_sha256 != arm.sha256():
+            raise ConfigError(
+                f'{self.section}.arm_sha256',
+                f'these gains were designed for another arm ({self.arm_name!r}, '
+                f'{self.arm_sha256[:12]}) than the one in use ({arm.name!r}, '
+                f'{arm.sha256()[:12]}); run lpv design for it',
+                source,
+            )
 
 
 @dataclass(frozen=True)
 class LoopProof:
     """A Lyapunov function, and what it proves."""
 
-    decay: float  # alpha: sqrt(V) falls with exp(-alpha t) [1/s]
-    lyapunov: FloatArray  # P, shape (3, 3), of the sampled loop (4, 4)
-    multipliers: FloatArray  # of the sectors of Gamma and Phi, shape (2,)
+    decay: float = positive()  # alpha: sqrt(V) falls with exp(-alpha t) [1/s]
+    lyapunov: FloatArray = array(3, 3)  # P
+    multipliers: FloatArray = array(2)  # of the sectors of Gamma and Phi
+
+
+@dataclass(frozen=True)
+class SampledProof(LoopProof):
+    """`LoopProof` of the sampled loop."""
+
+    lyapunov: FloatArray = array(4, 4)  # P, of the command, too
 
 
 @dataclass(frozen=True)
 class ErrorProof(LoopProof):
     """`LoopProof` of a region of motion on which the tracking error is bounded."""
 
-    rate_share: float  # of the velocity limits, of all joints at once [-]
-    acceleration: float  # largest of the reference [rad/s2]
-    level: float  # mu: V ends below mu abs(omega)^2 [-]
-    bound: FloatArray  # of the tracking error of each joint, shape (n,) [rad]
+    # of the velocity limits, of all joints at once [-]
+    rate_share: float = positive(high=1.0)
+    acceleration: float = entry('number', low=0.0)  # largest of the reference [rad/s2]
+    level: float = positive()  # mu: V ends below mu abs(omega)^2 [-]
+    bound: FloatArray = array(-1)  # of the tracking error of each joint, shape (n,) [rad]
 
 
 @dataclass(frozen=True)
-class LoopGains:
+class LoopGains(DesignedForArm):
     """Tracking of a serial arm, with its certificate."""
 
-    arm_name: str
-    arm_sha256: str
-    bandwidth: float  # w [rad/s]
-    model_error: float  # d: of each link's pseudo-inertia, in the matrix order [-]
-    rate_share: float  # region: share of the velocity limits, of all joints at once [-]
-    model: ModelBounds
-    motion: LoopProof  # at rate_share
-    sampled: LoopProof  # at rate_share
-    error: ErrorProof  # at its own, smaller one
+    bandwidth: float = entry('number', low=0.1, high=100.0)  # w [rad/s]
+    # d: of each link's pseudo-inertia, in the matrix order [-]
+    model_error: float = entry('number', low=0.0, high=0.5)
+    # region: share of the velocity limits, of all joints at once [-]
+    rate_share: float = positive(high=1.0)
+    motion: LoopProof = part(LoopProof)  # at rate_share
+    sampled: LoopProof = part(SampledProof)  # at rate_share
+    error: ErrorProof = part(ErrorProof)  # at its own, smaller one
+    model: ModelBounds = part(ModelBounds)
     checksum: str = ''  # of the numbers as they were written; '' if not read from a file
-
-    def check_arm(self, arm_name: str, arm_sha256: str) -> None:
-        """Refuse an arm that the certificate is not about (ConfigError)."""
-        if self.arm_sha256 != arm_sha256:
-            raise ConfigError(
-                'loop.arm_sha256',
-                f'this certificate is for another arm ({self.arm_name!r}, {self.arm_sha256[:12]}) '
-                f'than the one in use ({arm_name!r}, {arm_sha256[:12]}); run lpv design for it',
-                'gains',
-            )
+    section = 'loop'
 
 
 def loop_checksum(gains: LoopGains) -> str:
@@ -70,36 +86,7 @@ def loop_checksum(gains: LoopGains) -> str:
 
 def loop_to_dict(gains: LoopGains) -> dict[str, Any]:
     """The mapping below ``loop`` in the parameter file, and ``bandwidth``; arrays row by row."""
-
-    def flat(array: FloatArray) -> list[float]:
-        return [float(v) for v in np.asarray(array).ravel()]
-
-    def proof(part: LoopProof) -> dict[str, Any]:
-        return {
-            name: flat(value) if isinstance(value, np.ndarray) else float(value)
-            for name, value in vars(part).items()
-        }
-
-    model = gains.model
-    return {
-        'format': FORMAT,
-        'arm_name': gains.arm_name,
-        'arm_sha256': gains.arm_sha256,
-        'bandwidth': float(gains.bandwidth),
-        'model_error': float(gains.model_error),
-        'rate_share': float(gains.rate_share),
-        'motion': proof(gains.motion),
-        'sampled': proof(gains.sampled),
-        'error': proof(gains.error),
-        'model': {
-            'payload': float(model.payload),
-            'damping': float(model.damping),
-            'growth': float(model.growth),
-            'inertia': flat(model.inertia),
-            'forms': {bound: flat(model.forms[bound]) for bound in BOUNDS},
-        },
-        'checksum': gains.checksum,
-    }
+    return {'format': FORMAT, **plain_entries(gains)}
 
 
 def parse_loop(data: dict[str, Any], source: str = 'gains') -> LoopGains:
@@ -125,55 +112,11 @@ def parse_loop(data: dict[str, Any], source: str = 'gains') -> LoopGains:
     top = Section(data, source, 'loop')
     if top.integer('format') != FORMAT:
         raise top.error('format', f'must be {FORMAT}; design again')
-    model, parts = top.section('model'), {}
-    for name in ('motion', 'sampled', 'error'):
-        parts[name] = top.section(name)
-    inertia = model.numbers('inertia', MAX_JOINTS)
-    n, error = len(inertia), parts['error']
-    gains = LoopGains(
-        arm_name=top.text('arm_name'),
-        arm_sha256=top.text('arm_sha256'),
-        bandwidth=top.number('bandwidth', low=0.1, high=100.0),
-        model_error=top.number('model_error', low=0.0, high=0.5),
-        rate_share=top.number('rate_share', above=0.0, high=1.0),
-        model=ModelBounds(
-            model.number('payload', low=0.0),
-            model.number('damping', low=0.0),
-            model.number('growth', above=0.0),
-            np.array(inertia),
-            _forms(model.section('forms'), n),
-        ),
-        motion=LoopProof(*_proof(parts['motion'], 3)),
-        sampled=LoopProof(*_proof(parts['sampled'], 4)),
-        error=ErrorProof(
-            *_proof(error, 3),
-            rate_share=error.number('rate_share', above=0.0, high=1.0),
-            acceleration=error.number('acceleration', low=0.0),
-            level=error.number('level', above=0.0),
-            bound=np.array(error.vector('bound', n, low=0.0)),
-        ),
-        checksum=top.text('checksum'),
-    )
-    for section in (model, *parts.values(), top):
-        section.finish()
+    gains = read_entries(LoopGains, top, checksum=top.text('checksum'))
+    n, forms = len(gains.model.inertia), vars(gains.model.forms).values()
+    if len(gains.error.bound) != n or any(len(rows) != n - 1 for rows in forms):
+        raise top.error('model', f'must have forms and bounds of {n} joints')
     return gains
-
-
-def _proof(section: Section, size: int) -> tuple[float, FloatArray, FloatArray]:
-    return (
-        section.number('decay', above=0.0),
-        section.matrix('lyapunov', (size, size)),
-        np.array(section.vector('multipliers', 2, low=0.0)),
-    )
-
-
-def _forms(section: Section, joints: int) -> dict[str, FloatArray]:
-    forms = {
-        bound: section.matrix(bound, (joints - 1, COEFFICIENTS[twists_of(bound)]))
-        for bound in BOUNDS
-    }
-    section.finish()
-    return forms
 
 
 def save_loop_gains(gains: LoopGains, path: str | Path, comment: str = '') -> None:

@@ -9,7 +9,7 @@
 Each is one chain of inequalities of `link_forms`.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -26,7 +26,9 @@ from lpv.core.serial_arm.certificate.link_forms import (
 from lpv.core.serial_arm.chain import VISCOUS, FloatArray, compile_chain
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.dynamics.payload import payload_parameters
+from lpv.core.support.entries import array, entry, part, positive
 from lpv.core.support.errors import ConfigError
+from lpv.core.support.inequalities import array_of
 
 BOUNDS = ('payload', 'damping', 'growth', 'inertia')
 
@@ -42,19 +44,33 @@ class ChainNumbers(NamedTuple):
     rates: np.ndarray  # velocity limits, (n,) [rad/s]
 
 
+COEFFICIENTS = {1: 7, 2: 26}
+"""Of one matrix that commutes with rotations about z, by the number of twists."""
+
+
+@dataclass(frozen=True)
+class BoundForms:
+    """For each of `BOUNDS` the coefficients of B_2, ..., B_n, shape (n - 1, k)."""
+
+    payload: FloatArray = array(-1, COEFFICIENTS[1])
+    damping: FloatArray = array(-1, COEFFICIENTS[1])
+    growth: FloatArray = array(-1, COEFFICIENTS[2])
+    inertia: FloatArray = array(-1, COEFFICIENTS[1])
+
+
 @dataclass(frozen=True)
 class ModelBounds:
     """The bounds, and the matrices that prove them."""
 
-    payload: float  # k [-]
-    damping: float  # phi [1/s]
-    growth: float  # nu at the velocity limits [1/s]
-    inertia: FloatArray  # c, shape (n,) [kg m2]
-    forms: dict[str, FloatArray]  # for each of BOUNDS coefficients of B_2, ..., B_n: (n - 1, k)
+    payload: float = entry('number', low=0.0)  # k [-]
+    damping: float = entry('number', low=0.0)  # phi [1/s]
+    growth: float = positive()  # nu at the velocity limits [1/s]
+    inertia: FloatArray = array(-1)  # c, shape (n,) [kg m2]
+    forms: BoundForms = part(BoundForms)
 
 
-def chain_numbers(arm: SerialArm) -> ChainNumbers:
-    """Numbers of an arm's model, as floats; ConfigError for prismatic joints."""
+def chain_numbers(arm: SerialArm, number: Callable[[Any], Any] = float) -> ChainNumbers:
+    """Numbers of an arm's model, floats or fractions; ConfigError for prismatic joints."""
     for joint in arm.joints:
         if joint.is_prismatic:
             raise ConfigError(
@@ -62,15 +78,15 @@ def chain_numbers(arm: SerialArm) -> ChainNumbers:
                 f'{joint.name} is prismatic: loops are proved for arms of revolute joints alone',
                 arm.name,
             )
-    chain = compile_chain(arm)
+    chain, array = compile_chain(arm), array_of(number)
     load = payload_parameters(chain, arm.uncertainty.largest_payload)
     return ChainNumbers(
-        placements(chain.rotation, chain.translation),
-        [spatial_inertia(body) for body in chain.inertial],
-        spatial_inertia(load),
-        rotors_below(chain.motor),
-        np.maximum(chain.friction[:, VISCOUS], 0.0),
-        np.array(arm.velocity_limit, dtype=float),
+        [array(way) for way in placements(chain.rotation, chain.translation)],
+        [array(spatial_inertia(body)) for body in chain.inertial],
+        array(spatial_inertia(load)),
+        array(rotors_below(chain.motor)),
+        array(np.maximum(chain.friction[:, VISCOUS], 0.0)),
+        array(np.array(arm.velocity_limit, dtype=float)),
     )
 
 
@@ -120,7 +136,7 @@ def bound_inequalities(
     yield from chain_inequalities(numbers.placement, forms, scalars, invariant, joint_steps)
 
 
-def invariant_forms(coefficients: np.ndarray, twists: int) -> list[np.ndarray]:
+def invariant_forms(coefficients: np.ndarray, bound: str) -> list[np.ndarray]:
     """B_2, ..., B_n from their coefficients, floats or fractions, of shape (n - 1, k)."""
-    basis = invariant_basis(twists).astype(int)
+    basis = invariant_basis(twists_of(bound)).astype(int)
     return [np.tensordot(row, basis, axes=1) for row in coefficients]

@@ -5,13 +5,21 @@ refuse gains that do not verify.
 """
 
 from collections.abc import Callable, Iterator
+from fractions import Fraction
 from itertools import product
 from typing import Any
 
 import numpy as np
 from scipy.linalg import expm
 
-from lpv.core.support.inequalities import SAME, Check, largest_eigenvalue, require_all
+from lpv.core.support.inequalities import (
+    SAME,
+    Check,
+    array_of,
+    is_negative,
+    largest_eigenvalue,
+    require_all,
+)
 from lpv.core.uio.certificate.error_system import link_errors
 from lpv.core.uio.certificate.gains import (
     ControllerGains,
@@ -21,16 +29,46 @@ from lpv.core.uio.certificate.gains import (
     gains_checksum,
 )
 from lpv.core.uio.certificate.lmi import disc, paper_inequalities
-from lpv.core.uio.certificate.noise import covariance_margin, exact_fault_sigma, paper_fault_sigma
+from lpv.core.uio.certificate.noise import (
+    covariance_margin,
+    exact_fault_sigma,
+    paper_fault_sigma,
+    prove_covariance,
+)
 from lpv.core.uio.certificate.sampled_motion import sampled_loop
 from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.model.polytope import exact_vertices, sinc_box, state_spaces, vertex_matrices
-from lpv.core.uio.model.state_space import Descriptor
+from lpv.core.uio.model.state_space import paper_descriptor
+
+_COVARIANCE = 'observer, link {}: covariance under the noise of the arm file'
 
 
 def verify(arm: ArmParameters, gains: Gains) -> list[Check]:
     """Rebuild every inequality that gains claim to satisfy; ConfigError for another arm's gains."""
     return list(_checks(arm, gains))
+
+
+def require(arm: ArmParameters, gains: Gains, source: str = 'gains') -> None:
+    """Refuse gains whose certificate does not hold: ConfigError names the inequality that fails."""
+    require_all(_checks(arm, gains), 'gains', 'design the gains again', source)
+
+
+def prove(arm: ArmParameters, gains: Gains) -> dict[str, bool]:
+    """What exact rational arithmetic proves or refutes: rounding cannot hide a violation.
+
+    Every number of an arm file and of a gains file is a float and therefore a fraction; the
+    quadratic inequalities are polynomials in them.  The sampled controller's spectral radius is not
+    a definiteness and stays a matter of floats.
+    """
+    observer = gains.observer
+    claims = observer_inequalities(arm, observer, Fraction)
+    results = {name: all(map(is_negative, matrices)) for name, matrices in claims}
+    if isinstance(observer, ExactObserverGains):
+        for i, matrix in enumerate(observer.lyapunov):
+            p = _lyapunov(matrix, Fraction)
+            results[_COVARIANCE.format(i + 1)] = prove_covariance(arm, observer, i, p)
+    claims = controller_inequalities(arm, gains.controller, Fraction)
+    return results | {name: all(map(is_negative, matrices)) for name, matrices in claims}
 
 
 def _checks(arm: ArmParameters, gains: Gains) -> Iterator[Check]:
@@ -40,102 +78,86 @@ def _checks(arm: ArmParameters, gains: Gains) -> Iterator[Check]:
     if gains.checksum:
         same = gains.checksum == gains_checksum(gains)
         yield Check('gains file: numbers are those of the design', -1.0 if same else 1.0)
-    if isinstance(observer, ExactObserverGains):
-        yield from exact_observer_checks(arm, observer)
-    else:
-        yield from paper_observer_checks(arm, observer)
+    for name, matrices in observer_inequalities(arm, observer):
+        yield Check(name, max(map(largest_eigenvalue, matrices)))
     yield from _noise_checks(arm, observer)
     yield from controller_checks(arm, gains.controller)
     yield from _together(arm, gains)
 
 
-def require(arm: ArmParameters, gains: Gains, source: str = 'gains') -> None:
-    """Refuse gains whose certificate does not hold: ConfigError names the inequality that fails."""
-    require_all(_checks(arm, gains), 'gains', 'design the gains again', source)
-
-
 def _noise_checks(
     arm: ArmParameters, observer: ExactObserverGains | PaperObserverGains
-) -> list[Check]:
+) -> Iterator[Check]:
     """The standard deviation that thresholds rest on, recomputed."""
-    checks = []
     if isinstance(observer, ExactObserverGains):
-        checks = [
-            Check(
-                f'observer, link {i + 1}: covariance under the noise of the arm file',
-                covariance_margin(arm, observer, i),
-            )
-            for i in range(2)
-        ]
+        for i in range(2):
+            yield Check(_COVARIANCE.format(i + 1), covariance_margin(arm, observer, i))
         sigma = exact_fault_sigma(arm, observer.lyapunov)
     else:
         sigma = paper_fault_sigma(arm, observer)
     away = float(np.abs(observer.fault_sigma / sigma - 1.0).max())
-    return [*checks, Check('observer: standard deviation of f^ as recomputed', away - SAME)]
+    yield Check('observer: standard deviation of f^ as recomputed', away - SAME)
 
 
-def _symmetric(matrix: np.ndarray) -> bool:
-    """A Lyapunov matrix that is not symmetric proves nothing; NaN fails every check."""
-    scale = np.abs(matrix).max(initial=0.0)
-    return np.abs(matrix - matrix.T).max() <= 1e-9 * scale
+def _lyapunov(p: np.ndarray, number: Callable[[Any], Any]) -> np.ndarray:
+    """A Lyapunov matrix, in fractions symmetric to the last bit.
 
-
-def _lyapunov_check(name: str, p: np.ndarray) -> Check:
-    return Check(
-        f'{name}: P > 0 and symmetric', largest_eigenvalue(-p) if _symmetric(p) else np.nan
-    )
-
-
-def exact_observer_checks(arm: ArmParameters, observer: ExactObserverGains) -> list[Check]:
-    """Checks of method ``exact``, link by link.
-
-    The inequalities are affine in the slope, so that its two ends prove them for every slope in
-    between, constant or changing: disc for the error's poles, a common quadratic function for the
-    sampled Heun recursion (whose matrix is affine in the slope, too), and real poles, which the
-    comparison system of the error bound needs.
+    One that is not symmetric, or not finite, proves nothing: it is as good as a negative one.
     """
-    q, r = (0.5 * (observer.fastest + sign * observer.decay) for sign in (1.0, -1.0))
-    checks = []
-    for link in link_errors(arm):
-        kappa, mu = observer.kappa[link.index], observer.mu[link.index]
-        p, name = observer.lyapunov[link.index], f'observer, link {link.index + 1}'
+    array, scale = array_of(number), np.abs(p).max(initial=0.0)
+    if not np.abs(p - p.T).max() <= 1e-9 * scale:
+        return array(-np.eye(len(p)))
+    p = array(p)
+    return p if number is float else (p + p.T) / 2
+
+
+def observer_inequalities(
+    arm: ArmParameters,
+    observer: ExactObserverGains | PaperObserverGains,
+    number: Callable[[Any], Any] = float,
+) -> Iterator[tuple[str, list[Any]]]:
+    """Names, and matrices of floats or fractions that must be negative definite.
+
+    Method ``paper``: LMI (54) or (55) at the eight vertices, and constraint (41).  Method
+    ``exact``, link by link: disc for the error's poles, a common quadratic function for the sampled
+    Heun recursion, and real poles, which the comparison system of the error bound needs.  These are
+    affine in the slope, so that its two ends prove them for every slope in between, constant or
+    changing.
+    """
+    if isinstance(observer, PaperObserverGains):
+        array, d = array_of(number), paper_descriptor(arm, observer.box, number)
+        p = _lyapunov(observer.lyapunov, number)
+        level, q, r = (number(v) for v in (observer.gamma, observer.q, observer.r))
+        t1, t2 = array(observer.t1), array(observer.t2)
+        decoupled = np.abs(t1 @ d.e + t2 @ d.c - np.eye(6, dtype=int)).max()
+        yield 'observer: P > 0 and symmetric', [-p]
+        yield 'observer: decoupling (41)', [np.array([[decoupled - number(1e-9)]])]
+        yield (
+            f'observer: LMI ({observer.lmi}) at 8 vertices',
+            paper_inequalities(d, p, p @ t1, p @ array(observer.k), level**2, q, r, observer.lmi),
+        )
+        return
+    decay, fastest, dt = (number(v) for v in (observer.decay, observer.fastest, arm.sample_time))
+    q, r = (fastest + decay) / 2, (fastest - decay) / 2
+    for link in link_errors(arm, number):
+        kappa, mu = number(observer.kappa[link.index]), number(observer.mu[link.index])
+        p, name = (
+            _lyapunov(observer.lyapunov[link.index], number),
+            f'observer, link {link.index + 1}',
+        )
         closed = [link.closed(slope, kappa, mu) for slope in link.slopes]
-        sampled = [heun(n, arm.sample_time) for n in closed]
-        checks += [
-            _lyapunov_check(name, p),
-            Check(
-                f'{name}: poles between {observer.decay:g} and {observer.fastest:g}/s',
-                max(largest_eigenvalue(disc(p, p @ n, q, r)) for n in closed),
-            ),
-            Check(
-                f'{name}: sampled recursion contracts',
-                max(largest_eigenvalue(a.T @ p @ a - p) for a in sampled),
-            ),
-            Check(f'{name}: real poles at every slope', 4.0 * kappa * link.slopes[1] / mu**2 - 1.0),
-        ]
-    return checks
+        sampled = [heun(n, dt) for n in closed]
+        yield f'{name}: P > 0 and symmetric', [-p]
+        poles = f'{name}: poles between {observer.decay:g} and {observer.fastest:g}/s'
+        yield poles, [disc(p, p @ n, q, r) for n in closed]
+        yield f'{name}: sampled recursion contracts', [a.T @ p @ a - p for a in sampled]
+        damping = 4 * kappa * link.slopes[1] / mu**2
+        yield f'{name}: real poles at every slope', [np.array([[damping - 1]])]
 
 
 def heun(n: np.ndarray, dt: Any) -> np.ndarray:
     """Matrix of one Heun step of x' = N x."""
     return np.eye(len(n), dtype=int) + dt * n + dt**2 / 2 * (n @ n)
-
-
-def paper_observer_checks(arm: ArmParameters, observer: PaperObserverGains) -> list[Check]:
-    """Checks of method ``paper``: LMI (54) or (55) at the eight vertices, and constraint (41)."""
-    d = Descriptor(*vertex_matrices(observer.box, arm.numbers()), arm)
-    p, t1 = observer.lyapunov, observer.t1
-    decoupled = np.abs(t1 @ d.e + observer.t2 @ d.c - np.eye(6)).max()
-    matrices = paper_inequalities(
-        d, p, p @ t1, p @ observer.k, observer.gamma**2, observer.q, observer.r, observer.lmi
-    )
-    return [
-        _lyapunov_check('observer', p),
-        Check('observer: decoupling (41)', float(decoupled) - 1e-9),
-        Check(
-            f'observer: LMI ({observer.lmi}) at 8 vertices', max(map(largest_eigenvalue, matrices))
-        ),
-    ]
 
 
 def controller_loop(
@@ -158,26 +180,59 @@ def augment(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, ...]:
     return a_c, b_c
 
 
-def controller_checks(arm: ArmParameters, controller: ControllerGains) -> list[Check]:
+def controller_inequalities(
+    arm: ArmParameters, controller: ControllerGains, number: Callable[[Any], Any] = float
+) -> Iterator[tuple[str, list[Any]]]:
+    """Names, and matrices of floats or fractions that must be negative definite: LMI (67)."""
+    p, m = _lyapunov(controller.lyapunov, number), array_of(number)(_feedback(controller))
+    loop = controller_loop(arm, controller.method, controller.sinc_min, number)
+    yield 'controller: P > 0 and symmetric', [-p]
+    name = f'controller: LMI (67), alpha {controller.decay:g}/s, {len(loop[0])} vertices'
+    yield name, _decays(loop, m, p, number(controller.decay))
+
+
+def _feedback(controller: ControllerGains) -> np.ndarray:
+    """(M1, M2) of eq. (65)."""
+    return np.hstack([controller.m1, controller.m2])
+
+
+def _decays(loop: tuple[np.ndarray, ...], m: np.ndarray, p: np.ndarray, alpha: Any) -> list[Any]:
+    """LMI (67) at the vertices of a loop, with P = Q^-1."""
+    return [p @ n + n.T @ p + 2 * alpha * p for n in (a + b @ m for a, b in zip(*loop))]
+
+
+def _sampled_radius(arm: ArmParameters, loop: tuple[np.ndarray, ...], m: np.ndarray) -> float:
+    """Largest spectral radius of the sampled loop with one sample of delay, of all vertices."""
+    return max(delayed_radius(*discretised(a, b, arm.sample_time), m) for a, b in zip(*loop))
+
+
+def controller_checks(arm: ArmParameters, controller: ControllerGains) -> Iterator[Check]:
     """Checks of the tracking loop: LMI (67), and poles that the sample time can carry."""
-    loop = controller_loop(arm, controller.method, controller.sinc_min)
-    m, p = np.hstack([controller.m1, controller.m2]), controller.lyapunov
-    closed = [a + b @ m for a, b in zip(*loop)]
+    m, p = _feedback(controller), _lyapunov(controller.lyapunov, float)
+    (name, matrices), (decays, decaying) = controller_inequalities(arm, controller)
+    positive = Check(name, max(map(largest_eigenvalue, matrices)))
     # P spans many decades; a congruence with its own factor makes margins comparable.
-    positive = _lyapunov_check('controller', p)
     factor = np.linalg.inv(np.linalg.cholesky(p)) if positive.holds else np.eye(6)
-    worst = max(
-        largest_eigenvalue(factor @ (p @ n + n.T @ p + 2.0 * controller.decay * p) @ factor.T)
-        for n in closed
-    )
-    radius = max(delayed_radius(*discretised(a, b, arm.sample_time), m) for a, b in zip(*loop))
-    return [
-        positive,
-        Check(f'controller: LMI (67), alpha {controller.decay:g}/s, {len(closed)} vertices', worst),
-        Check('controller: sampled loop with one sample of delay', radius - 1.0),
-        *motion_checks(arm, controller),
-        *_robustness(arm, controller, m, p, factor),
-    ]
+
+    def worst(matrices: list[Any]) -> float:
+        return max(largest_eigenvalue(factor @ matrix @ factor.T) for matrix in matrices)
+
+    yield positive
+    yield Check(decays, worst(decaying))
+    loop = controller_loop(arm, controller.method, controller.sinc_min)
+    radius = _sampled_radius(arm, loop, m)
+    yield Check('controller: sampled loop with one sample of delay', radius - 1.0)
+    yield from motion_checks(arm, controller)
+    # The same P and half the decay for arms with other masses, inertias and payloads.  Between the
+    # corners, which are checked, Xi^-1 is not affine: this is evidence and no proof.
+    if controller.method == 'exact' and (arm.model_error or arm.payload):
+        alpha = 0.5 * controller.decay
+        loops = [controller_loop(other, 'exact') for other in corner_arms(arm)]
+        text = f'controller: {len(loops)} arms at the corners of model error and payload'
+        margin = max(worst(_decays(loop, m, p, alpha)) for loop in loops)
+        yield Check(f'{text}, alpha {alpha:g}/s', margin)
+        radius = max(_sampled_radius(arm, loop, m) for loop in loops)
+        yield Check(f'{text}, sampled with delay', radius - 1.0)
 
 
 def motion_checks(arm: ArmParameters, controller: ControllerGains) -> list[Check]:
@@ -186,43 +241,14 @@ def motion_checks(arm: ArmParameters, controller: ControllerGains) -> list[Check
     if motion is None:
         return []
     loop = controller_loop(arm, controller.method, controller.sinc_min)
-    m = np.hstack([controller.m1, controller.m2])
-    contraction = np.nan
-    if _symmetric(motion.lyapunov):
-        contraction = sampled_loop(arm, loop, m, motion.rate).contraction(motion.lyapunov)
+    sampled = sampled_loop(arm, loop, _feedback(controller), motion.rate)
+    contraction = sampled.contraction(_lyapunov(motion.lyapunov, float))
     return [
         Check(
             f'controller: sampled loop with one sample of delay, in motion up to '
             f'{motion.rate:g} rad/s, {motion.decay:g}/s',
             contraction - np.exp(-motion.decay * arm.sample_time),
         )
-    ]
-
-
-def _robustness(
-    arm: ArmParameters,
-    controller: ControllerGains,
-    m: np.ndarray,
-    p: np.ndarray,
-    factor: np.ndarray,
-) -> list[Check]:
-    """The same P and half the decay for arms with other masses, inertias and payloads."""
-    # Between the corners, which are checked, Xi^-1 is not affine: this is evidence and no proof.
-    if controller.method != 'exact' or not (arm.model_error or arm.payload):
-        return []
-    alpha, worst, radius = 0.5 * controller.decay, -np.inf, 0.0
-    arms = corner_arms(arm)
-    for other in arms:
-        for a, b in zip(*controller_loop(other, 'exact')):
-            n = a + b @ m
-            worst = max(
-                worst, largest_eigenvalue(factor @ (p @ n + n.T @ p + 2.0 * alpha * p) @ factor.T)
-            )
-            radius = max(radius, delayed_radius(*discretised(a, b, arm.sample_time), m))
-    text = f'{len(arms)} arms at the corners of model error and payload'
-    return [
-        Check(f'controller: {text}, alpha {alpha:g}/s', worst),
-        Check(f'controller: {text}, sampled with delay', radius - 1.0),
     ]
 
 
@@ -243,8 +269,7 @@ def _together(arm: ArmParameters, gains: Gains) -> list[Check]:
     observer = gains.observer
     if not isinstance(observer, ExactObserverGains) or gains.controller.method != 'exact':
         return []
-    m = np.hstack([gains.controller.m1, gains.controller.m2])
-    links, checks = link_errors(arm), []
+    m, links, checks = _feedback(gains.controller), link_errors(arm), []
     for compensated, name in ((1.0, 'with'), (0.0, 'without')):
         radius = 0.0
         for (a, b), vertex in zip(zip(*controller_loop(arm, 'exact')), exact_vertices(arm)):

@@ -1,17 +1,17 @@
 """Noise of the fault estimates, recomputed from gains and arm."""
 
 import math
+from fractions import Fraction
 
 import numpy as np
 
-from lpv.core.support.inequalities import largest_eigenvalue
-from lpv.core.uio.certificate.error_system import link_errors
+from lpv.core.support.inequalities import exact, is_negative, largest_eigenvalue
+from lpv.core.uio.certificate.error_system import LinkError, link_errors
 from lpv.core.uio.certificate.gains import ExactObserverGains, PaperObserverGains
 from lpv.core.uio.certificate.lmi import covariance
 from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.model.joints import JointMap
-from lpv.core.uio.model.polytope import vertex_matrices
-from lpv.core.uio.model.state_space import Descriptor
+from lpv.core.uio.model.state_space import paper_descriptor
 
 
 def stated_acceleration_noise(arm: ArmParameters) -> np.ndarray:
@@ -56,9 +56,37 @@ def covariance_margin(arm: ArmParameters, observer: ExactObserverGains, index: i
     return worst
 
 
+def prove_covariance(
+    arm: ArmParameters, observer: ExactObserverGains, index: int, p: np.ndarray
+) -> bool:
+    """Whether that inequality holds in exact arithmetic, with P in fractions."""
+    link = link_errors(arm, Fraction)[index]
+    kappa, mu = Fraction(observer.kappa[index]), Fraction(observer.mu[index])
+    inputs = [_exact_noise(arm, link, row, kappa, mu) for row in link.rows]
+    closed = [link.closed(slope, kappa, mu) for slope in link.slopes]
+    return all(is_negative(2 * p @ n + p @ noise @ p) for n in closed for noise in inputs)
+
+
+def _exact_noise(
+    arm: ArmParameters, link: LinkError, row: np.ndarray, kappa: Fraction, mu: Fraction
+) -> np.ndarray:
+    """B B^T of the H2 inequality, in `LinkError.unit`: products of white inputs have no root."""
+    period = Fraction(arm.sample_time)
+    rates = exact(np.linalg.inv(JointMap(arm).sensor_matrix))  # of whole numbers
+    total = np.full((2, 2), Fraction(0), dtype=object)
+    axes = np.count_nonzero(arm.disturbance_direction)  # as of `stated_acceleration_noise`
+    for j in range(2):
+        seen = (row @ rates[:, j]) / link.inertia
+        b = np.array([rates[link.index, j] + kappa * link.inertia * seen, mu * seen])
+        total += Fraction(arm.velocity_noise) ** 2 * period * np.outer(b, b)
+        push = row[j] * Fraction(arm.disturbance_direction[j]) / link.inertia
+        total[1, 1] += int(axes) * push**2 * Fraction(arm.disturbance_variance) * period
+    return total / Fraction(LinkError.unit) ** 2
+
+
 def paper_fault_sigma(arm: ArmParameters, observer: PaperObserverGains) -> np.ndarray:
     """Largest standard deviation of f^ of method ``paper`` over the vertices, per sensor [rad]."""
-    d = Descriptor(*vertex_matrices(observer.box, arm.numbers()), arm)
+    d = paper_descriptor(arm, observer.box)
     root = math.sqrt(arm.sample_time)
     noise = np.diag([arm.position_noise] * 2 + [arm.velocity_noise] * 2)
     t1, t2, sigma = observer.t1, observer.t2, np.zeros(2)

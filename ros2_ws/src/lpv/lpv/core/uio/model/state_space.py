@@ -1,11 +1,15 @@
 """The paper's LPV plant, eqs. (21), (25), (26), (29)-(31), and its descriptor form, (35)-(37)."""
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 
+from lpv.core.support.inequalities import array_of
 from lpv.core.support.jit import njit
 from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.model.joints import JointMap
-from lpv.core.uio.model.polytope import paper_scheduling, paper_weights
+from lpv.core.uio.model.polytope import paper_scheduling, paper_weights, vertex_matrices
 
 
 def output_matrices(arm: ArmParameters) -> tuple[np.ndarray, ...]:
@@ -54,6 +58,17 @@ class Descriptor:
         self.bd = np.vstack([disturbance_matrix(arm), np.zeros((2, 1))])
         self.bf = np.vstack([np.zeros((4, 2)), np.eye(2)])
         self.c = np.hstack(output_matrices(arm))
+
+
+def paper_descriptor(
+    arm: ArmParameters, box: np.ndarray, number: Callable[[Any], Any] = float
+) -> Descriptor:
+    """`Descriptor` at the vertices of the paper's box, in floats or in exact fractions."""
+    array = array_of(number)
+    descriptor = Descriptor(*vertex_matrices(array(box), arm.numbers(number)), arm)
+    for name in ('e', 'bd', 'bf', 'c'):
+        setattr(descriptor, name, array(getattr(descriptor, name)))
+    return descriptor
 
 
 @njit

@@ -16,8 +16,8 @@ from lpv.core.support.records import new_record, record_type
 from lpv.core.uio.certificate.gains import PaperObserverGains
 from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.model.joints import copy_vector
-from lpv.core.uio.model.polytope import paper_scheduling, paper_weights, vertex_matrices
-from lpv.core.uio.model.state_space import Descriptor
+from lpv.core.uio.model.polytope import paper_scheduling, paper_weights
+from lpv.core.uio.model.state_space import paper_descriptor
 
 
 def decoupling(e: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -53,7 +53,7 @@ PAPER_STATE = record_type(
 
 def paper_constants(arm: ArmParameters, gains: PaperObserverGains) -> np.record:
     """Constants of `paper_step`, of type `PAPER_CONSTANTS`."""
-    descriptor = Descriptor(*vertex_matrices(gains.box, arm.numbers()), arm)
+    descriptor = paper_descriptor(arm, gains.box)
     return new_record(
         PAPER_CONSTANTS,
         t1=gains.t1,
