@@ -14,7 +14,7 @@ from places import ROOT
 
 from lpv import AlarmEvent
 from lpv.cli.main import build_parser, main
-from lpv.core.control.watchdog import BRAKE_TEXT, STOP_TEXT
+from lpv.core.control.watchdog import BrakeReason, StopReason
 from lpv.core.serial_arm.diagnosis.alarms import KINDS, SensorState
 
 DOCS = ROOT / 'docs'
@@ -88,7 +88,7 @@ def test_given_equations_pages_and_alarms_when_looked_up_then_the_site_has_each(
     assert set(range(1, 71)) - {int(number) for number in listed} == WITHOUT_CODE
     contents = PAGES['index.md'].split()
     assert [p.stem for p in DOCS.glob('*.md') if p.stem not in contents] == ['index']
-    stops = [text.split(':')[0] for text in (*STOP_TEXT.values(), *BRAKE_TEXT.values())]
+    stops = [reason.text.split(':')[0] for reason in (*StopReason, *BrakeReason)]
     rows = [f'`{kind}`' for kind in KINDS] + [state.name for state in SensorState] + stops
     assert [row for row in rows if row and f'| {row}' not in PAGES['alarms.md']] == []
 

@@ -12,7 +12,6 @@ from std_srvs.srv import Trigger
 from lpv.core.control.computed_torque import BANDWIDTH, serial_loop_latency
 from lpv.core.control.latency import tolerated_latency
 from lpv.core.control.watchdog import (
-    BRAKE_TEXT,
     UNKNOWN_LOOP,
     BrakeReason,
     DriveLimits,
@@ -296,7 +295,7 @@ class SimulatorNode(ManagedNode):
             self._refusals.add(f'the topic torque_command has {senders} senders')
 
     def _brake_text(self, reason: BrakeReason) -> str:
-        text = BRAKE_TEXT[reason]
+        text = reason.text
         return f'{text}; stays until ~/release_brakes is called' if self._watchdog.latched else text
 
     def _age(self) -> int:

@@ -12,7 +12,6 @@ from lpv.core.control.estimate_check import ROWS, CorrectionLimit, ValueFault, c
 from lpv.core.control.path_follower import APPROACH_SPEED, PathFollower, approach_speeds
 from lpv.core.control.tracking import COMPENSATION, FEEDBACK_FIELDS, make_controller
 from lpv.core.control.watchdog import (
-    STOP_TEXT,
     LatencyLimits,
     StopReason,
     TrackerLimits,
@@ -365,7 +364,7 @@ class TrackerNode(ManagedNode):
         self._report(stamp)
 
     def _stop_text(self) -> str:
-        text = STOP_TEXT[self._reason or StopReason.NONE]
+        text = (self._reason or StopReason.NONE).text
         return f'{text}; stays until ~/resume is called' if self._watchdog.latched else text
 
     def _report(self, stamp: int) -> None:

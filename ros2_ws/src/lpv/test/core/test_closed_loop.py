@@ -141,9 +141,9 @@ def test_given_the_arm_on_its_reference_when_controlled_then_only_its_model_acts
     controller, joints = TrackingController(arm, gains_of[arm.name]), JointMap(planar_model(arm))
     q, v, a = np.array([1.3, 0.3]), np.array([0.2, -0.1]), np.array([0.1, -0.2])
     answer = torque(controller, np.array([q, v, a]), q, v, q, 0.002)
-    rates = (*joints.absolute_velocity(v), *joints.absolute_velocity(a))
+    rates = joints.absolute_velocity(v), joints.absolute_velocity(a)
     constants = planar_model(arm).constants()
-    wanted = np.array(inverse_dynamics(*joints.absolute_position(q), *rates, constants))
+    wanted = np.array(inverse_dynamics(joints.absolute_position(q), *rates, constants))
     np.testing.assert_allclose(answer, joints.joint_torque(wanted), rtol=1e-10)
     assert not controller.state.saturated
     np.testing.assert_array_equal(controller.integral, 0.0)

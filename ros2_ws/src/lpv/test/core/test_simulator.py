@@ -48,7 +48,7 @@ def test_given_too_much_torque_or_brakes_then_effort_shows_what_acted(
     np.testing.assert_array_equal(after['position'], before['position'])
     assert plant.step_count == 10
     theta = joints.absolute_position(after['position'])
-    carried = inverse_dynamics(*theta, 0.0, 0.0, 0.0, 0.0, paper_model.constants())
+    carried = inverse_dynamics(theta, (0.0, 0.0), (0.0, 0.0), paper_model.constants())
     np.testing.assert_allclose(joints.absolute_torque(after['effort']), carried, rtol=1e-12)
 
 

@@ -8,7 +8,14 @@ import pytest
 from lpv.core.control import watchdog
 from lpv.core.control.estimate_check import ROWS, ValueFault, check_values
 from lpv.core.control.latency import tolerated_latency
-from lpv.core.control.watchdog import BrakeReason, DriveLimits, StopReason
+from lpv.core.control.watchdog import (
+    BrakeReason,
+    DriveLimits,
+    DriveWatchdog,
+    StopReason,
+    TrackerLimits,
+    TrackerWatchdog,
+)
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.diagnosis.alarms import Mode
 from lpv.core.simulation.transport import PARTS, Stall, Transport
@@ -24,29 +31,29 @@ OBSERVING, STALE = int(Mode.OBSERVING), int(Mode.STALE)
 
 @pytest.fixture
 def tracker(paper_arm):
-    return watchdog.tracker_watchdog(paper_arm, watchdog.TrackerLimits())
+    return TrackerWatchdog(paper_arm, TrackerLimits())
 
 
 @pytest.fixture
 def drives(paper_arm):
-    return watchdog.drive_watchdog(paper_arm, DriveLimits())
+    return DriveWatchdog(paper_arm, DriveLimits())
 
 
 def estimates(tracker, steps, latency=0, mode=OBSERVING, trustworthy=True, velocity=STILL):
     """What the tracker says to estimates that are all alike, at so many steps."""
     what = latency, mode, trustworthy, velocity, STILL
-    return [watchdog.check_estimate(tracker, k * STEP, *what) for k in steps]
+    return [tracker.check_estimate(k * STEP, *what) for k in steps]
 
 
 def commands(drives, steps, latency, velocity=STILL):
     """What drives say at so many steps; the latency may depend on them."""
     late = latency if callable(latency) else lambda _: latency
-    return [watchdog.check_drive(drives, k * STEP, late(k), False, velocity) for k in steps]
+    return [drives.check(k * STEP, late(k), False, velocity) for k in steps]
 
 
 def motion(tracker, step, reference, fed_back, position):
     """What the tracker says to a motion at one step."""
-    return watchdog.check_motion(tracker, step * STEP, reference, fed_back, position)
+    return tracker.check_motion(step * STEP, reference, fed_back, position)
 
 
 def test_given_measurements_when_unusable_for_long_then_the_arm_stops_in_the_stated_time(tracker):
@@ -108,7 +115,7 @@ def test_given_an_arm_that_stands_still_when_left_then_it_is_not_following(track
     # The position that is fed back moves, as a correction fades; the arm does not.
     reasons = [motion(tracker, k, there, 0.9 * there, STILL) for k, there in enumerate(path)]
     assert reasons.index(StopReason.NOT_FOLLOWING) == 21
-    watchdog.note_stop(tracker)
+    tracker.note_stop()
     assert motion(tracker, 60, np.array([0.1, 0.0]), STILL, STILL) == StopReason.NONE
 
 

@@ -8,7 +8,7 @@ kp = 3 w^2, ki = w^3.  For a wrong model see
 `lpv.core.serial_arm.certificate`.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from lpv.core.serial_arm.dynamics.friction import friction_torque
 from lpv.core.serial_arm.dynamics.newton_euler import inverse_dynamics
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.jit import njit_in_place as njit
-from lpv.core.support.records import new_record, record_type
+from lpv.core.support.records import memory, new_record, record_type
 
 BANDWIDTH = 10.0
 """Default [rad/s]."""
@@ -42,35 +42,25 @@ def computed_torque_type(joints: int) -> np.dtype:
     )
 
 
+class ComputedTorqueParts(NamedTuple):
+    """What `computed_torque` is made of."""
+
+    chain: Chain  # the arm's model
+    state: np.ndarray  # memory of a record of `computed_torque_type`
+    work: FloatArray  # from `workspace`
+
+
 @njit
 def computed_torque(
-    chain: Chain,
-    state: np.record,
+    parts: ComputedTorqueParts,
     reference: FloatArray,
     position: FloatArray,
     velocity: FloatArray,
     integrated: FloatArray,
     interval: float,
-    work: FloatArray,
 ) -> None:
-    """One torque command; it is in ``state.torque``.
-
-    Parameters
-    ----------
-    chain : Chain
-        The arm's model.
-    state : numpy.record
-        Of `computed_torque_type`.
-    reference : ndarray, shape (3, n)
-        Positions, rates and accelerations [rad], [rad/s], [rad/s2].
-    position, velocity, integrated : ndarray, shape (n,)
-        State to feed back, and the position that eps integrates [rad], [rad/s].
-    interval : float
-        Time since the previous command [s]; 0 at the first.
-    work : ndarray
-        From `workspace`.
-    """
-    n = position.shape[0]
+    """One torque command, into ``parts.state``; the rest is as of `TrackingLaw.answer`."""
+    chain, state, n = parts.chain, parts.state[0], position.shape[0]
     for i in range(n):
         state.step[i] = interval * (reference[0, i] - integrated[i])
         state.acceleration[i] = (
@@ -79,20 +69,12 @@ def computed_torque(
             + state.kp * (reference[0, i] - position[i])
             + state.ki * (state.integral[i] + state.step[i])
         )
-    inverse_dynamics(chain, position, velocity, state.acceleration, work, state.torque)
+    inverse_dynamics(chain, position, velocity, state.acceleration, parts.work, state.torque)
     # Friction along the reference: noise of rates around zero would make it chatter.
     friction_torque(chain, reference[1], state.torque, state.friction)
     for i in range(n):
         state.torque[i] += state.friction[i]
     apply_limits(state, state.limit)
-
-
-class ComputedTorqueParts(NamedTuple):
-    """Arguments of `computed_torque`."""
-
-    chain: Chain
-    state: np.ndarray  # memory of the record, shape (1,)
-    work: FloatArray
 
 
 class ComputedTorqueController(TrackingLaw):
@@ -119,8 +101,6 @@ class ComputedTorqueController(TrackingLaw):
     integrates_measurement = False
 
     def __init__(self, arm: SerialArm, bandwidth: float = BANDWIDTH) -> None:
-        self._chain = compile_chain(arm)
-        self._work = workspace(self._chain)
         gains = _triple_pole(bandwidth)
         self.tolerated_latency = serial_loop_latency(bandwidth, arm.sample_time)
         if self.tolerated_latency < arm.sample_time:
@@ -134,16 +114,9 @@ class ComputedTorqueController(TrackingLaw):
             kd=gains[2],
             limit=arm.torque_limit,
         )
-        super().__init__(state)
-
-    @property
-    def parts(self) -> ComputedTorqueParts:
-        """Arguments of `computed_torque`."""
-        return ComputedTorqueParts(self._chain, self._memory, self._work)
-
-    def answer(self, *sample: Any) -> None:
-        """As `TrackingLaw.answer`."""
-        computed_torque(self._chain, self.state, *sample, self._work)
+        chain = compile_chain(arm)
+        parts = ComputedTorqueParts(chain, memory(state), workspace(chain))
+        super().__init__(computed_torque, parts)
 
 
 def serial_loop_latency(bandwidth: float, sample_time: float) -> float:

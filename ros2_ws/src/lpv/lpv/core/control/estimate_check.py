@@ -7,7 +7,6 @@ faded in.
 
 import math
 from enum import IntEnum
-from typing import Any
 
 import numpy as np
 
@@ -103,16 +102,17 @@ def new_correction(arm: SerialArm, limited: bool = True) -> np.record:
 
 @njit
 def limit_correction(
-    record: np.record, stamp: int, position: np.ndarray, velocity: np.ndarray
+    shared: np.ndarray, stamp: int, position: np.ndarray, velocity: np.ndarray
 ) -> None:
     """Position and rate to feed back, the rows of ``record.feedback``.
 
     A joint moves as its rate says, and its rate changes smoothly.  What else a position or a rate
     changes, by more than noise and ``record.change``, is a change of its correction: the loop gets
     it faded in, so that torques do not jump.  A start, with ``record.stamp`` NEVER, takes both as
-    they are.  ``record`` is one of `new_correction`; positions and rates are in [rad] and [rad/s],
-    ``stamp`` in [ns].
+    they are.  ``shared`` is the memory of a `new_correction`, ``record``; positions and rates are
+    in [rad] and [rad/s], ``stamp`` in [ns].
     """
+    record = shared[0]
     starts = record.stamp == NEVER
     interval = 0.0 if starts else (stamp - record.stamp) / NANOSECONDS
     for i in range(position.shape[0]):
@@ -131,11 +131,6 @@ def limit_correction(
     record.stamp = stamp
 
 
-@njit
-def _limit_correction(record: np.ndarray, *sample: Any) -> None:
-    limit_correction(record[0], *sample)
-
-
 class CorrectionLimit:
     """`limit_correction` for Python, sample by sample.
 
@@ -149,7 +144,7 @@ class CorrectionLimit:
 
     def take(self, stamp: int, position: np.ndarray, velocity: np.ndarray) -> None:
         """As the function `limit_correction`."""
-        _limit_correction(self._memory, stamp, position, velocity)
+        limit_correction(self._memory, stamp, position, velocity)
 
     def turn_to(self, position: np.ndarray, limited: bool) -> None:
         """Feed another position back, fading to it from the last one; it is ``position`` now.

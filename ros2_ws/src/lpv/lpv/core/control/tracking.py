@@ -1,6 +1,6 @@
 """Tracking with integral action, eqs. (57)-(66), with reference feed-forward."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -58,55 +58,47 @@ def tracking_constants(arm: ArmParameters, gains: Gains) -> np.record:
     )
 
 
+class TrackingParts(NamedTuple):
+    """Memory of constants and state of a `TrackingController`, shape (1,)."""
+
+    constants: np.ndarray
+    state: np.ndarray
+
+
 @njit
-def _absolute(position: np.ndarray, i: int) -> float:
-    """Absolute angle of link i without the zero angle, or its rate: J^-1 q."""
-    return position[0] if i == 0 else position[0] + position[1]
+def _absolute(position: np.ndarray) -> tuple[float, float]:
+    """Absolute angles without the zero angle, or their rates: J^-1 q."""
+    return position[0], position[0] + position[1]
 
 
 @njit
 def track(
-    params: np.record,
-    state: np.record,
+    parts: TrackingParts,
     reference: np.ndarray,
     position: np.ndarray,
     velocity: np.ndarray,
     integrated: np.ndarray,
     interval: float,
 ) -> None:
-    """One torque command, see `TrackingController`; it is in ``state.torque``.
+    """One torque command, see `TrackingController`; it is in the state's ``torque``.
 
-    Parameters
-    ----------
-    params, state : numpy.record
-        Constants and state.
-    reference : ndarray, shape (3, 2)
-        Joint positions, rates and accelerations [rad], [rad/s], [rad/s2].
-    position, velocity, integrated : ndarray, shape (2,)
-        State to feed back, and the position y of eq. (59), joint coordinates [rad], [rad/s].
-    interval : float
-        Time since the previous command [s]; 0 at the first.
+    Arguments are as of `TrackingLaw.answer`; ``integrated`` is y of eq. (59).
     """
-    x, zero = state.x, params.joints.zero
+    params, state = parts.constants[0], parts.state[0]
+    x, zero, rate = state.x, params.joints.zero, _absolute(reference[1])
+    wanted, angle = _absolute(reference[0]), _absolute(integrated)
+    measured, speed = _absolute(position), _absolute(velocity)
     for i in range(2):
-        state.w[i] = _absolute(reference[0], i) + zero
-        state.step[i] = interval * (state.w[i] - (_absolute(integrated, i) + zero))
-        x[i], x[2 + i] = _absolute(position, i) + zero, _absolute(velocity, i)
-    forward_1 = forward_2 = 0.0
+        state.w[i] = wanted[i] + zero
+        state.step[i] = interval * (state.w[i] - (angle[i] + zero))
+        x[i], x[2 + i] = measured[i] + zero, speed[i]
+    forward = 0.0, 0.0
     if params.feed_forward:
-        rate_1, rate_2 = _absolute(reference[1], 0), _absolute(reference[1], 1)
-        forward_1, forward_2 = inverse_dynamics(
-            state.w[0],
-            state.w[1],
-            rate_1,
-            rate_2,
-            _absolute(reference[2], 0),
-            _absolute(reference[2], 1),
-            params.arm,
-        )
-        x[0], x[1], x[2], x[3] = x[0] - state.w[0], x[1] - state.w[1], x[2] - rate_1, x[3] - rate_2
-    q_1 = forward_1 + _feedback(params, state, 0)
-    q_2 = forward_2 + _feedback(params, state, 1)
+        forward = inverse_dynamics(state.w, rate, _absolute(reference[2]), params.arm)
+        for i in range(2):
+            x[i], x[2 + i] = x[i] - state.w[i], x[2 + i] - rate[i]
+    q_1 = forward[0] + _feedback(params, state, 0)
+    q_2 = forward[1] + _feedback(params, state, 1)
     state.torque[0], state.torque[1] = q_1 + q_2, q_2  # tau = J^-T Q
     apply_limits(state, params.limit)
 
@@ -120,19 +112,6 @@ def _feedback(params: np.record, state: np.record, i: int) -> float:
     for j in range(2):
         total += params.m2[i, j] * (state.integral[j] + state.step[j])
     return total
-
-
-class TrackingParts(NamedTuple):
-    """Memory of constants and state of a `TrackingController`, shape (1,)."""
-
-    constants: np.ndarray
-    state: np.ndarray
-
-
-@njit
-def _track(params: np.ndarray, state: np.ndarray, *sample: Any) -> None:
-    """`track` for Python: with the memory of records."""
-    track(params[0], state[0], *sample)
 
 
 class TrackingController(TrackingLaw):
@@ -164,19 +143,10 @@ class TrackingController(TrackingLaw):
 
     def __init__(self, arm: SerialArm, gains: Gains) -> None:
         planar = planar_model(arm)
-        self._params = memory(tracking_constants(planar, gains))
         self.tolerated_latency = tolerated_latency(planar, gains)
         self.integrates_measurement = gains.controller.method == 'paper'
-        super().__init__(new_record(TRACKING_STATE))
-
-    @property
-    def parts(self) -> TrackingParts:
-        """Arguments of `designed_torque`."""
-        return TrackingParts(self._params, self._memory)
-
-    def answer(self, *sample: Any) -> None:
-        """As `TrackingLaw.answer`."""
-        _track(self._params, self._memory, *sample)
+        constants = memory(tracking_constants(planar, gains))
+        super().__init__(track, TrackingParts(constants, memory(new_record(TRACKING_STATE))))
 
 
 def make_controller(

@@ -1,11 +1,11 @@
 """What the tracking controllers of all arms share: one call a sample, limits, integral action."""
 
-from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from lpv.core.support.jit import njit_in_place as njit
-from lpv.core.support.records import memory
 
 
 @njit
@@ -27,13 +27,16 @@ def apply_limits(state: np.record, limit: np.ndarray) -> None:
             state.integral[i] += state.step[i]
 
 
-class TrackingLaw(ABC):
+class TrackingLaw:
     """A tracking controller with integral action.
 
     Parameters
     ----------
-    state : numpy.record
-        With ``integral``, ``torque``, ``saturated``.
+    law : callable
+        Compiled; takes ``parts`` and what `answer` does.
+    parts : NamedTuple
+        Its constants and its ``state``, memory of a record with ``integral``, ``torque``,
+        ``saturated``.
 
     Attributes
     ----------
@@ -41,10 +44,10 @@ class TrackingLaw(ABC):
         Joint torques of the last command [N m].
     """
 
-    def __init__(self, state: np.record) -> None:
-        self.state = state
-        self._memory = memory(state)
-        self.torque: np.ndarray = self._memory['torque'][0]
+    def __init__(self, law: Callable[..., None], parts: Any) -> None:
+        self._law, self.parts = law, parts
+        self.state = parts.state.view(np.recarray)[0]
+        self.torque: np.ndarray = parts.state['torque'][0]
 
     @property
     def integral(self) -> np.ndarray:
@@ -55,7 +58,6 @@ class TrackingLaw(ABC):
         """Empty the integrator."""
         self.state.integral[:] = 0.0
 
-    @abstractmethod
     def answer(
         self,
         reference: np.ndarray,
@@ -77,3 +79,4 @@ class TrackingLaw(ABC):
         interval : float
             Time since the previous command [s]; 0 at the first.
         """
+        self._law(self.parts, reference, position, velocity, integrated, interval)

@@ -22,59 +22,51 @@ from lpv.core.support.timestamps import NANOSECONDS, NEVER
 _STALE, _NO_ESTIMATE = int(Mode.STALE), int(Mode.NO_ESTIMATE)
 
 
-class StopReason(IntEnum):
-    """Why the tracker stops the arm; see `STOP_TEXT`."""
+class _Reason(IntEnum):
+    """Reasons with their texts."""
 
-    NONE = 0
-    SILENCE = 1
-    LATENCY = 2
-    NOT_TRUSTWORTHY = 3
-    UNUSABLE = 4
-    NOT_FOLLOWING = 5
-    OVERSPEED = 6  # latched until reset, as the next
-    TRACKING_ERROR = 7
-    MOVING = 8
-    CORRECTION_LOST = 9  # latched until reset
+    text: str
+
+    def __new__(cls, number: int, text: str) -> '_Reason':
+        reason = int.__new__(cls, number)
+        reason._value_, reason.text = number, text
+        return reason
 
 
-STOP_TEXT = {
-    StopReason.NONE: '',
-    StopReason.SILENCE: 'no estimates',
-    StopReason.LATENCY: 'estimates come too late',
-    StopReason.NOT_TRUSTWORTHY: 'the estimate is not trustworthy',
-    StopReason.UNUSABLE: 'measurements cannot be used',
-    StopReason.NOT_FOLLOWING: 'the arm does not follow: commands do not reach it, or it is braked',
-    StopReason.OVERSPEED: 'overspeed: a joint is faster than max_speed allows',
-    StopReason.TRACKING_ERROR: 'deviation: a joint is further from its reference than '
-    'max_tracking_error',
-    StopReason.MOVING: 'the arm is still moving: it starts from rest',
-    StopReason.CORRECTION_LOST: 'a confirmed fault was forgotten while no estimates came',
-}
+class StopReason(_Reason):
+    """Why the tracker stops the arm."""
+
+    NONE = 0, ''
+    SILENCE = 1, 'no estimates'
+    LATENCY = 2, 'estimates come too late'
+    NOT_TRUSTWORTHY = 3, 'the estimate is not trustworthy'
+    UNUSABLE = 4, 'measurements cannot be used'
+    NOT_FOLLOWING = 5, 'the arm does not follow: commands do not reach it, or it is braked'
+    # Latched until reset, as the next and the last.
+    OVERSPEED = 6, 'overspeed: a joint is faster than max_speed allows'
+    TRACKING_ERROR = (7, 'deviation: a joint is further from its reference than max_tracking_error')
+    MOVING = 8, 'the arm is still moving: it starts from rest'
+    CORRECTION_LOST = 9, 'a confirmed fault was forgotten while no estimates came'
+
+
 _NONE, _SILENCE, _LATENCY, _NOT_TRUSTWORTHY, _UNUSABLE, _NOT_FOLLOWING, _OVERSPEED, _ERROR = (
     int(reason) for reason in tuple(StopReason)[:8]
 )
 _MOVING = int(StopReason.MOVING)
 
 
-class BrakeReason(IntEnum):
-    """Why the drives brake; see `BRAKE_TEXT`."""
+class BrakeReason(_Reason):
+    """Why the drives brake."""
 
-    NONE = 0
-    NO_COMMAND = 1
-    SAFE_STOP = 2
-    LATE = 3
-    LATENCY = 4
-    OVERSPEED = 5  # latched until the brakes are released by an operator
+    NONE = 0, ''
+    NO_COMMAND = 1, 'no command'
+    SAFE_STOP = 2, 'safe stop'
+    LATE = 3, 'commands stay away'
+    LATENCY = 4, 'commands are late on average'
+    # Latched until the brakes are released by an operator.
+    OVERSPEED = 5, 'a joint is faster than its velocity limit'
 
 
-BRAKE_TEXT = {
-    BrakeReason.NONE: '',
-    BrakeReason.NO_COMMAND: 'no command',
-    BrakeReason.SAFE_STOP: 'safe stop',
-    BrakeReason.LATE: 'commands stay away',
-    BrakeReason.LATENCY: 'commands are late on average',
-    BrakeReason.OVERSPEED: 'a joint is faster than its velocity limit',
-}
 _BRAKE_SAFE_STOP, _BRAKE_LATE, _BRAKE_LATENCY, _BRAKE_OVERSPEED = (
     int(reason) for reason in tuple(BrakeReason)[2:]
 )
@@ -240,7 +232,7 @@ def _nanoseconds(seconds: float) -> int:
 
 @njit
 def check_estimate(
-    dog: np.record,
+    shared: np.ndarray,
     stamp: int,
     latency: int,
     mode: int,
@@ -250,9 +242,11 @@ def check_estimate(
 ) -> int:
     """Judge an estimate before it is answered; returns a `StopReason`.
 
-    ``dog`` is one of `tracker_watchdog`; ``latency`` is the time from the measurement until now, 0
-    where it is not known [ns].  ``mode`` and what follows are fields of lpv_msgs/StateEstimate.
+    ``shared`` is the memory of a `tracker_watchdog`; ``latency`` is the time from the measurement
+    until now, 0 where it is not known [ns].  ``mode`` and what follows are fields of
+    lpv_msgs/StateEstimate.
     """
+    dog = shared[0]
     dog.is_read = mode != _STALE and mode != _NO_ESTIMATE
     if dog.is_read:
         if dog.usable != NEVER:
@@ -310,7 +304,11 @@ def _is_late(dog: np.record, stamp: int, latency: int) -> bool:
 
 @njit
 def check_motion(
-    dog: np.record, stamp: int, reference: np.ndarray, position: np.ndarray, measured: np.ndarray
+    shared: np.ndarray,
+    stamp: int,
+    reference: np.ndarray,
+    position: np.ndarray,
+    measured: np.ndarray,
 ) -> int:
     """Judge the tracking error before a command is given; returns a `StopReason`.
 
@@ -318,7 +316,7 @@ def check_motion(
     the one, and no arm.  A joint whose frozen reading is corrected moves by position and rate that
     are fed back; of an arm that is not read nothing is known.
     """
-    error = moved = led = 0.0
+    dog, error, moved, led = shared[0], 0.0, 0.0, 0.0
     if not dog.started:
         dog.started, dog.moved, dog.in_reach = True, False, stamp
         _set_place(dog, reference, position, measured)
@@ -351,19 +349,16 @@ def _set_place(
 
 
 @njit
-def note_stop(dog: np.record) -> None:
-    """The tracker has stopped the arm: the next reference is a start."""
-    dog.started = False
-
-
-@njit
-def check_drive(dog: np.record, now: int, age: int, safe_stop: bool, velocity: np.ndarray) -> int:
+def check_drive(
+    shared: np.ndarray, now: int, age: int, safe_stop: bool, velocity: np.ndarray
+) -> int:
     """Judge a command before it acts over a sample; returns a `BrakeReason`.
 
-    ``dog`` is one of `drive_watchdog`; ``age`` is that of the measurement that the command answers,
-    0 in lockstep [ns].  ``safe_stop`` is whether the command asks for the brakes, ``velocity`` the
-    joint rates as the motors' own sensors read them [rad/s].
+    ``shared`` is the memory of a `drive_watchdog`; ``age`` is that of the measurement that the
+    command answers, 0 in lockstep [ns].  ``safe_stop`` is whether the command asks for the brakes,
+    ``velocity`` the joint rates as the motors' own sensors read them [rad/s].
     """
+    dog = shared[0]
     # An outage counts as its limit only: it ends with the first fresh command.
     dog.mean_age += dog.share * (min(age, dog.command_age) - dog.mean_age)
     if not _is_too_fast(velocity, dog.velocity_limit):
@@ -392,22 +387,6 @@ def _is_too_fast(velocity: np.ndarray, limit: np.ndarray) -> bool:
     return fast
 
 
-# For Python: with the memory of records.
-@njit
-def _check_estimate(dog: np.ndarray, *estimate: Any) -> int:
-    return check_estimate(dog[0], *estimate)
-
-
-@njit
-def _check_motion(dog: np.ndarray, *motion: Any) -> int:
-    return check_motion(dog[0], *motion)
-
-
-@njit
-def _check_drive(dog: np.ndarray, *command: Any) -> int:
-    return check_drive(dog[0], *command)
-
-
 class _Watchdog:
     """What both watchdogs have for Python: the memory of a record, and what is latched."""
 
@@ -433,14 +412,14 @@ class TrackerWatchdog(_Watchdog):
 
     def check_estimate(self, *estimate: Any) -> StopReason:
         """As the function `check_estimate`."""
-        return _STOP_REASONS[_check_estimate(self._memory, *estimate)]
+        return _STOP_REASONS[check_estimate(self._memory, *estimate)]
 
     def check_motion(self, *motion: Any) -> StopReason:
         """As the function `check_motion`."""
-        return _STOP_REASONS[_check_motion(self._memory, *motion)]
+        return _STOP_REASONS[check_motion(self._memory, *motion)]
 
     def note_stop(self) -> None:
-        """As the function `note_stop`."""
+        """The tracker has stopped the arm: the next reference is a start."""
         self._memory['started'] = False
 
 
@@ -456,7 +435,7 @@ class DriveWatchdog(_Watchdog):
 
     def check(self, now: int, age: int, safe_stop: bool, velocity: np.ndarray) -> BrakeReason:
         """As the function `check_drive`."""
-        return _BRAKE_REASONS[_check_drive(self._memory, now, age, safe_stop, velocity)]
+        return _BRAKE_REASONS[check_drive(self._memory, now, age, safe_stop, velocity)]
 
 
 _STOP_REASONS, _BRAKE_REASONS = tuple(StopReason), tuple(BrakeReason)

@@ -38,7 +38,6 @@ from lpv.core.control.watchdog import (
     check_motion,
     drive_watchdog,
     latency_limits,
-    note_stop,
     tracker_watchdog,
 )
 from lpv.core.monitoring.answers import answer_type
@@ -324,7 +323,7 @@ def _estimate(
     for i in range(len(loop.feedback)):
         loop.feedback[i], loop.rate[i] = observer.feedback[k, i], answers.velocity[k, i]
     reason = check_estimate(
-        tracker.watchdog[0],
+        tracker.watchdog,
         observer.stamps[k],
         0,
         answers.mode[k],
@@ -345,7 +344,7 @@ def _stop(loop: np.record, tracker: _Tracker, reason: int) -> None:
     tracker.integral[:] = 0.0
     tracker.torque[:] = 0.0
     tracker.correction[0].stamp = NEVER
-    note_stop(tracker.watchdog[0])
+    tracker.watchdog[0].started = False  # the next reference is a start
 
 
 @njit
@@ -354,13 +353,12 @@ def _command(loop: np.record, observer: _Observer, tracker: _Tracker, k: int) ->
     now, loop.ran = observer.stamps[k], True
     reference = tracker.references[k - loop.offset]
     measured = observer.answers.measured[k]
-    reason = check_motion(tracker.watchdog[0], now, reference[0], loop.feedback, measured)
+    reason = check_motion(tracker.watchdog, now, reference[0], loop.feedback, measured)
     if reason != _NONE:
         _stop(loop, tracker, reason)
         return
-    correction = tracker.correction[0]
-    limit_correction(correction, now, loop.feedback, loop.rate)
-    feedback, rate = correction.feedback[0], correction.feedback[1]
+    limit_correction(tracker.correction, now, loop.feedback, loop.rate)
+    feedback, rate = tracker.correction[0].feedback[0], tracker.correction[0].feedback[1]
     # Eq. (59) literally integrates the faulty measurement.
     integrated = measured if loop.literal else feedback
     interval = (now - observer.stamps[loop.previous]) / NANOSECONDS
@@ -372,13 +370,13 @@ def _command(loop: np.record, observer: _Observer, tracker: _Tracker, k: int) ->
 @njit
 def _computed_torque(parts: ComputedTorqueParts | None, *sample: Any) -> None:
     if parts is not None:
-        computed_torque(parts.chain, parts.state[0], *sample, parts.work)
+        computed_torque(parts, *sample)
 
 
 @njit
 def _designed_torque(parts: TrackingParts | None, *sample: Any) -> None:
     if parts is not None:
-        track(parts.constants[0], parts.state[0], *sample)
+        track(parts, *sample)
 
 
 @njit
@@ -409,7 +407,7 @@ def _act(
     row.place = place
     row.time, row.stop_reason = k * loop.period, loop.reason
     age = now - observer.stamps[loop.acting]
-    row.brake_reason = check_drive(tracker.drives[0], now, age, loop.braking, state.velocity)
+    row.brake_reason = check_drive(tracker.drives, now, age, loop.braking, state.velocity)
     for i in range(n):
         row.position[i], row.velocity[i] = state.position[i], state.velocity[i]
         row.measured[i], row.fault[i] = state.measured_position[i], state.fault[i]

@@ -58,7 +58,7 @@ class PaperPlant:
     def _acceleration(self, x: FloatArray, torque: FloatArray) -> FloatArray:
         """theta'' without disturbance [rad/s2]."""
         if self._vertices is None:
-            return np.array(acceleration(*x, *torque, self._constants))
+            return np.array(acceleration(x, x[2:], torque, self._constants))
         result = np.empty(2)
         lpv_acceleration(x, torque, self._vertices, result)
         return result

@@ -130,8 +130,8 @@ def test_given_any_planar_arm_when_moved_then_its_chain_equals_the_two_link_form
         rotor=rotor, viscous=(0.3, 0.2), coulomb=(0.5, 0.4),
         zero_angle=rng.uniform(-math.pi, math.pi))  # fmt: skip
     (q, v, a), joints = random_motion(seed, 2), JointMap(arm)
-    rates = (*joints.absolute_velocity(v), *joints.absolute_velocity(a))
-    absolute = two_link_inverse_dynamics(*joints.absolute_position(q), *rates, arm.constants())
+    rates = joints.absolute_velocity(v), joints.absolute_velocity(a)
+    absolute = two_link_inverse_dynamics(joints.absolute_position(q), *rates, arm.constants())
     found = SerialModel(compile_chain(two_link_arm(arm))).torque(q, v, a)
     close(found, joints.joint_torque(np.array(absolute)))
 

@@ -47,8 +47,10 @@ def test_given_table_1_when_constants_are_formed_then_they_are_those_of_eq_2(pap
     assert (c.coupling, c.rotor_coupling) == (pytest.approx(2.5), 0.0)
     np.testing.assert_allclose(c.gravity, [98.0, 24.5])
     c = paper_model.constants(coriolis=False)  # no centripetal torque acts
-    still = inverse_dynamics(0.3, -0.4, 0.0, 0.0, 0.1, 0.2, c)
-    assert inverse_dynamics(0.3, -0.4, 3.0, -2.0, 0.1, 0.2, c) == pytest.approx(still, rel=1e-14)
+    still = inverse_dynamics((0.3, -0.4), (0.0, 0.0), (0.1, 0.2), c)
+    assert inverse_dynamics((0.3, -0.4), (3.0, -2.0), (0.1, 0.2), c) == pytest.approx(
+        still, rel=1e-14
+    )
 
 
 def test_given_factors_or_a_payload_then_each_constant_follows_and_mass_is_positive(paper_model):

@@ -243,8 +243,8 @@ def _read_motion(params: np.record, state: np.record, estimate: np.record) -> No
     # theta^'' = acceleration - Xi^-1 (mu Xi + Xi'(v)) r of the observer.
     r = motion.innovation[0], motion.innovation[1]
     acc = estimate.absolute_acceleration
-    carry_load(params.unknown, motion, acc[0], acc[1])
-    _, _, k_1, k_2 = injection(motion.theta[0], motion.theta[1], motion.rate, r, params.mu, arm)
+    carry_load(params.unknown, motion, acc)
+    _, _, k_1, k_2 = injection(motion.theta, motion.rate, r, params.mu, arm)
     for i in range(2):
         motion.driven[i, 0] = acc[0] - k_1 + params.mu[i] * r[0]
         motion.driven[i, 1] = acc[1] - k_2 + params.mu[i] * r[1]
@@ -262,7 +262,7 @@ def _sample_motion(
     for i in range(2):
         bend[i] = max(estimate.bend[i], _FADING * bend[i])
         jump[i] += estimate.interval * estimate.interval / 12.0 * bend[i]
-    off = abs(coupling(motion.theta[0], motion.theta[1], arm))
+    off = abs(coupling(motion.theta, arm))
     state.turned[0] = arm.inertia[0] * bend[0] + off * bend[1]
     state.turned[1] = off * bend[0] + arm.inertia[1] * bend[1]
 
@@ -329,7 +329,7 @@ def _collect_inputs(params: np.record, state: np.record, dt: float) -> None:
     """Largest inputs of the errors: unknown torques, wrong rates, wrong injection."""
     arm, motion, inputs = params.unknown.arm, state.motion, state.inputs
     cross, _ = inertia_errors(params.unknown, motion)
-    off = coupling(motion.theta[0], motion.theta[1], arm)
+    off = coupling(motion.theta, arm)
     away = motion.margin[0] + motion.margin[1]
     sine = min(1.0, abs(math.sin(motion.theta[0] - motion.theta[1])))
     inputs[:] = 0.0
@@ -391,7 +391,7 @@ def _follow_static(params: np.record, state: np.record, estimate: np.record) -> 
     motion = state.motion
     for i in range(2):
         motion.theta[i] = estimate.absolute_position[i]
-    carry_load(params.unknown, motion, 0.0, 0.0)
+    carry_load(params.unknown, motion, (0.0, 0.0))
     unknown_torque(params.unknown, motion, state.torque)
     fall = math.exp(-params.decay * estimate.interval)
     for i in range(2):
@@ -415,7 +415,7 @@ def static_bound(params: np.record, theta: np.ndarray) -> np.ndarray:
     theta, torque = np.asarray(theta, float), np.zeros(2)
     gravity = params.unknown.arm.gravity
     motion = new_record(MOTION, theta=theta)
-    carry_load(params.unknown, motion, 0.0, 0.0)
+    carry_load(params.unknown, motion, (0.0, 0.0))
     unknown_torque(params.unknown, motion, torque)
     if not params.exact:
         slope = gravity * np.maximum(np.abs(np.cos(theta)), params.cos_min)

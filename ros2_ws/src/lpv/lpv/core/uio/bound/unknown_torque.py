@@ -23,7 +23,7 @@ from lpv.core.support.inequalities import SAME
 from lpv.core.support.jit import njit_in_place as njit
 from lpv.core.support.records import new_record, record_type
 from lpv.core.uio.model.arm import ARM_CONSTANTS, ArmParameters
-from lpv.core.uio.model.dynamics import rigid_torque
+from lpv.core.uio.model.dynamics import Pair, rigid_torque
 from lpv.core.uio.model.joints import J, JointMap, row_dot
 
 UNKNOWN_TORQUE = record_type(
@@ -162,10 +162,9 @@ def unknown_torque(params: np.record, motion: np.record, out: np.ndarray) -> Non
 
 
 @njit
-def carry_load(params: np.record, motion: np.record, acc_1: float, acc_2: float) -> None:
+def carry_load(params: np.record, motion: np.record, acc: Pair) -> None:
     """Fill ``load`` of a motion with absolute accelerations of the model [rad/s2]."""
-    theta, rate = motion.theta, motion.rate
-    first, second = rigid_torque(theta[0], theta[1], rate[0], rate[1], acc_1, acc_2, params.arm)
+    first, second = rigid_torque(motion.theta, motion.rate, acc, params.arm)
     motion.load[0], motion.load[1] = abs(first + second), abs(second)
 
 

@@ -8,19 +8,22 @@ All functions take the record of `lpv.core.uio.model.arm.ArmParameters.constants
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from lpv.core.support.inequalities import SAME
 from lpv.core.support.jit import njit_in_place as njit
 
+Pair = Any
+"""Values of both links: an array or a tuple, of which the first two count."""
 _TWO_OVER_PI = 2.0 / math.pi  # atan ends at pi/2, friction at its Coulomb torque
 
 
 @njit
-def coupling(theta_1: float, theta_2: float, params: np.record) -> float:
+def coupling(theta: Pair, params: np.record) -> float:
     """Off-diagonal inertia Xi12 = o + m2*L1*Lc2*phi1, phi1 = cos(theta1 - theta2), eq. (6)."""
-    return params.rotor_coupling + params.coupling * math.cos(theta_1 - theta_2)
+    return params.rotor_coupling + params.coupling * math.cos(theta[0] - theta[1])
 
 
 @njit
@@ -49,85 +52,51 @@ def _joint_friction(i: int, rate: float, torque: float, carried: bool, params: n
 
 
 @njit
-def friction(
-    rate_1: float, rate_2: float, torque_1: float, torque_2: float, carried: bool, params: np.record
-) -> tuple[float, ...]:
+def friction(rate: Pair, torque: Pair, carried: bool, params: np.record) -> tuple[float, ...]:
     """Joint friction J^T tau_f [N m] at absolute rates theta' [rad/s] and generalised torques Q
-    that the gears carry, or that the drives give [N m]; joint rates are (rate_1, rate_2 - rate_1).
-    """
-    tau_1 = _joint_friction(0, rate_1, torque_1 + torque_2, carried, params)
-    tau_2 = _joint_friction(1, rate_2 - rate_1, torque_2, carried, params)
+    that the gears carry, or that the drives give [N m]."""
+    tau_1 = _joint_friction(0, rate[0], torque[0] + torque[1], carried, params)
+    tau_2 = _joint_friction(1, rate[1] - rate[0], torque[1], carried, params)
     return tau_1 - tau_2, tau_2
 
 
 @njit
-def acceleration(
-    theta_1: float,
-    theta_2: float,
-    rate_1: float,
-    rate_2: float,
-    torque_1: float,
-    torque_2: float,
-    params: np.record,
-) -> tuple[float, ...]:
+def acceleration(theta: Pair, rate: Pair, torque: Pair, params: np.record) -> tuple[float, ...]:
     """Absolute accelerations theta'' [rad/s2] without disturbance, eq. (1) solved for them.
 
     Absolute angles and rates are in rad and rad/s, generalised torques Q in N m.
     """
-    off = coupling(theta_1, theta_2, params)
-    friction_1, friction_2 = friction(rate_1, rate_2, torque_1, torque_2, False, params)
-    swirl = params.coriolis * params.coupling * math.sin(theta_1 - theta_2)
-    force_1 = (
-        torque_1 - friction_1 - swirl * rate_2 * rate_2 + params.gravity[0] * math.sin(theta_1)
-    )
-    force_2 = (
-        torque_2 - friction_2 + swirl * rate_1 * rate_1 + params.gravity[1] * math.sin(theta_2)
-    )
-    return solve_inertia(off, force_1, force_2, params)
+    friction_1, friction_2 = friction(rate, torque, False, params)
+    swirl = params.coriolis * params.coupling * math.sin(theta[0] - theta[1])
+    gravity_1 = params.gravity[0] * math.sin(theta[0])
+    gravity_2 = params.gravity[1] * math.sin(theta[1])
+    force_1 = torque[0] - friction_1 - swirl * rate[1] * rate[1] + gravity_1
+    force_2 = torque[1] - friction_2 + swirl * rate[0] * rate[0] + gravity_2
+    return solve_inertia(coupling(theta, params), force_1, force_2, params)
 
 
 @njit
-def rigid_torque(
-    theta_1: float,
-    theta_2: float,
-    rate_1: float,
-    rate_2: float,
-    acc_1: float,
-    acc_2: float,
-    params: np.record,
-) -> tuple[float, ...]:
+def rigid_torque(theta: Pair, rate: Pair, acc: Pair, params: np.record) -> tuple[float, ...]:
     """Generalised torques Q [N m] of a motion without friction; arguments of `inverse_dynamics`."""
-    off = coupling(theta_1, theta_2, params)
-    swirl = params.coriolis * params.coupling * math.sin(theta_1 - theta_2)
+    off = coupling(theta, params)
+    swirl = params.coriolis * params.coupling * math.sin(theta[0] - theta[1])
+    gravity_1 = params.gravity[0] * math.sin(theta[0])
+    gravity_2 = params.gravity[1] * math.sin(theta[1])
     return (
-        params.inertia[0] * acc_1
-        + off * acc_2
-        + swirl * rate_2 * rate_2
-        - params.gravity[0] * math.sin(theta_1),
-        off * acc_1
-        + params.inertia[1] * acc_2
-        - swirl * rate_1 * rate_1
-        - params.gravity[1] * math.sin(theta_2),
+        params.inertia[0] * acc[0] + off * acc[1] + swirl * rate[1] * rate[1] - gravity_1,
+        off * acc[0] + params.inertia[1] * acc[1] - swirl * rate[0] * rate[0] - gravity_2,
     )
 
 
 @njit
-def inverse_dynamics(
-    theta_1: float,
-    theta_2: float,
-    rate_1: float,
-    rate_2: float,
-    acc_1: float,
-    acc_2: float,
-    params: np.record,
-) -> tuple[float, ...]:
+def inverse_dynamics(theta: Pair, rate: Pair, acc: Pair, params: np.record) -> tuple[float, ...]:
     """Generalised torques Q [N m] that produce a motion (feed-forward), eq. (1).
 
     Absolute angles, rates and accelerations are in rad, rad/s and rad/s2.
     """
-    torque_1, torque_2 = rigid_torque(theta_1, theta_2, rate_1, rate_2, acc_1, acc_2, params)
-    friction_1, friction_2 = friction(rate_1, rate_2, torque_1, torque_2, True, params)
-    return torque_1 + friction_1, torque_2 + friction_2
+    torque = rigid_torque(theta, rate, acc, params)
+    friction_1, friction_2 = friction(rate, torque, True, params)
+    return torque[0] + friction_1, torque[1] + friction_2
 
 
 def runge_kutta_step(

@@ -29,7 +29,7 @@ from lpv.core.support.jit import njit_in_place as njit
 from lpv.core.support.records import new_record, record_type
 from lpv.core.uio.certificate.gains import ExactObserverGains
 from lpv.core.uio.model.arm import ArmParameters
-from lpv.core.uio.model.dynamics import acceleration, coupling, solve_inertia
+from lpv.core.uio.model.dynamics import Pair, acceleration, coupling, solve_inertia
 from lpv.core.uio.model.polytope import slope_range
 
 EXACT_CONSTANTS = record_type(
@@ -55,16 +55,11 @@ def exact_constants(arm: ArmParameters, gains: ExactObserverGains) -> np.record:
 
 @njit
 def injection(
-    theta_1: float,
-    theta_2: float,
-    v: np.ndarray,
-    r: tuple[float, float],
-    mu: np.ndarray,
-    arm: np.record,
+    theta: Pair, v: Pair, r: Pair, mu: np.ndarray, arm: np.record
 ) -> tuple[float, float, float, float]:
     """Xi(theta^) r and Xi^-1 (mu Xi + Xi'(v)) r."""
-    off = coupling(theta_1, theta_2, arm)
-    turning = -arm.coupling * math.sin(theta_1 - theta_2) * (v[0] - v[1])  # Xi12'
+    off = coupling(theta, arm)
+    turning = -arm.coupling * math.sin(theta[0] - theta[1]) * (v[0] - v[1])  # Xi12'
     p_1, p_2 = arm.inertia[0] * r[0] + off * r[1], off * r[0] + arm.inertia[1] * r[1]
     c_1, c_2 = mu[0] * p_1 + turning * r[1], mu[1] * p_2 + turning * r[0]
     k_1, k_2 = solve_inertia(off, c_1, c_2, arm)
@@ -81,9 +76,9 @@ def _rates(
     kappa: tuple[float, float],
 ) -> tuple[float, float, float, float, float, float]:
     """d theta^/dt and d theta^'/dt as in the module's docstring, and theta''."""
-    p_1, p_2, k_1, k_2 = injection(x[0], x[1], v, (x[2] - v[0], x[3] - v[1]), params.mu, arm)
+    p_1, p_2, k_1, k_2 = injection(x, v, (x[2] - v[0], x[3] - v[1]), params.mu, arm)
     # Measured rates feed friction and Coriolis terms: no fault in them.
-    a_1, a_2 = acceleration(x[0], x[1], v[0], v[1], torque[0], torque[1], arm)
+    a_1, a_2 = acceleration(x, v, torque, arm)
     return v[0] - kappa[0] * p_1, v[1] - kappa[1] * p_2, a_1 - k_1, a_2 - k_2, a_1, a_2
 
 

@@ -398,5 +398,5 @@ def _fill(params: np.record, state: np.record, estimate: np.record) -> None:
         estimate.held[i], rate[i] = state.held[i], row_dot(joints.angle, i, y[2], y[3])
         estimate.innovation[i] = x[2 + i] - rate[i]
     estimate.position[0] -= joints.zero
-    acc_1, acc_2 = acceleration(x[0], x[1], rate[0], rate[1], torque[0], torque[1], params.arm)
+    acc_1, acc_2 = acceleration(x, rate, torque, params.arm)
     estimate.absolute_acceleration[0], estimate.absolute_acceleration[1] = acc_1, acc_2
