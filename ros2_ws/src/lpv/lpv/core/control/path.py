@@ -1,13 +1,16 @@
 """Splines from rest to rest, Cartesian paths, and the joint references that they are made into."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lpv.core.serial_arm.arm_file import FAR
 from lpv.core.serial_arm.description import SerialArm
+from lpv.core.support.entries import entry, positive
 from lpv.core.support.errors import ConfigError
 from lpv.core.uio.model.kinematics import ELBOWS, forward, inverse, joint_motion
 from lpv.core.uio.planar import planar_links, plane_of
@@ -32,25 +35,8 @@ class Reference:
 class Obstacle:
     """A round obstacle in the plane of the arm."""
 
-    center: tuple[float, float]  # x, y [m]
-    radius: float  # [m]
-
-
-class TimedPath(Protocol):
-    """A path in time, at rest at both ends."""
-
-    start: float  # of the motion [s]
-    end: float  # of the motion [s]
-    obstacle: Obstacle | None  # in the plane of a planar arm
-
-    def sample(self, times: ArrayLike) -> Reference:
-        """References at times on the path's clock [s]."""
-
-    def tip(self, position: np.ndarray) -> np.ndarray:
-        """Where joint positions, shape (..., n) [rad], bring the tip [m]."""
-
-    def in_base(self, point: np.ndarray) -> np.ndarray:
-        """Points in the plane of a planar arm, shape (..., 2), in the base frame [m]."""
+    center: tuple[float, float] = entry('pair', low=-FAR, high=FAR)  # x, y [m]
+    radius: float = positive(FAR)  # [m]
 
 
 def checked_times(times: Sequence[float]) -> np.ndarray:
@@ -76,6 +62,64 @@ def rest_to_rest(knots: np.ndarray, points: np.ndarray) -> Any:
     return make_interp_spline(knots, points, k=5, bc_type=(rest, rest))
 
 
+class TimedPath(ABC):
+    """Quintic spline through timed points, at rest at both ends, and before and after.
+
+    Parameters
+    ----------
+    times : sequence of float
+        Strictly increasing [s].
+    points : array_like, shape (m, n)
+        Points at these times.
+    size : int
+        n.
+    what : str
+        What points are made of, for messages.
+
+    Attributes
+    ----------
+    start, end : float
+        Of the motion [s].
+    obstacle : Obstacle or None
+        In the plane of a planar arm.
+
+    Raises
+    ------
+    ConfigError
+        If times do not increase, there are fewer than two points, or these are of another size, or
+        not finite.
+    """
+
+    obstacle: Obstacle | None = None
+
+    def __init__(self, times: Sequence[float], points: ArrayLike, size: int, what: str) -> None:
+        knots, values = checked_times(times), np.asarray(points, float)
+        if values.shape != (len(knots), size):
+            raise ConfigError('path.waypoints', f'must give {size} {what} each')
+        if not np.isfinite(values).all():
+            raise ConfigError('path.waypoints', 'must be finite')
+        self.start, self.end = float(knots[0]), float(knots[-1])
+        self._spline = rest_to_rest(knots, values)
+        self._rate, self._bend = self._spline.derivative(1), self._spline.derivative(2)
+
+    def _clock(self, times: ArrayLike) -> np.ndarray:
+        """Times within the motion."""
+        return np.clip(np.asarray(times, float), self.start, self.end)
+
+    @abstractmethod
+    def sample(self, times: ArrayLike) -> Reference:
+        """References at times on the path's clock, an array of shape (...) [s]."""
+
+    @abstractmethod
+    def tip(self, position: np.ndarray) -> np.ndarray:
+        """Where joint positions, shape (..., n) [rad], bring the tip, shape (..., 3) [m]."""
+
+    def in_base(self, point: np.ndarray) -> np.ndarray:
+        """Points in the plane of a planar arm, shape (..., 2), in the base frame, shape (..., 3)
+        [m]; of paths without a plane points of the base frame, as they are."""
+        return point
+
+
 @dataclass(frozen=True)
 class PlanarWaypoints:
     """Points in the vertical plane of a planar arm that its tip goes through."""
@@ -86,7 +130,7 @@ class PlanarWaypoints:
     obstacle: Obstacle | None = None
 
 
-class CartesianPath:
+class CartesianPath(TimedPath):
     """Quintic spline through timed points in the plane, at rest at both ends.
 
     Parameters
@@ -108,26 +152,19 @@ class CartesianPath:
     """
 
     def __init__(self, arm: SerialArm, times: Sequence[float], waypoints: PlanarWaypoints) -> None:
-        knots, tips = checked_times(times), np.asarray(waypoints.points, float)
-        if tips.shape != (len(knots), 2):
-            raise ConfigError('path.waypoints', 'needs points with t, x and y')
-        if not np.isfinite(tips).all():
-            raise ConfigError('path.waypoints', 'x and y must be finite')
+        super().__init__(times, waypoints.points, 2, 'coordinates x and y')
         if waypoints.elbow not in ELBOWS:
             raise ConfigError('path.elbow', f'must be one of {", ".join(ELBOWS)}')
-        self._arm, self._elbow, self.obstacle = (
-            planar_links(arm), waypoints.elbow, waypoints.obstacle
-        )  # fmt: skip
+        self._arm, self._elbow = planar_links(arm), waypoints.elbow
+        self.obstacle = waypoints.obstacle
         self._origin, self._plane = plane_of(arm)
-        self.start, self.end = float(knots[0]), float(knots[-1])
-        self._spline = rest_to_rest(knots, tips)
-        self._rate, self._curvature = self._spline.derivative(1), self._spline.derivative(2)
         # q1 of eqs. (32)-(34) counts from the x-axis, which is -pi/2 from the upper vertical.
         self._offset = np.array([-np.pi / 2 - self._arm.zero_angle, 0.0])
         self._grid = np.linspace(self.start, self.end, 1001)
         self._turning = self._first_joint(self._grid)
+        motion = self.sample(self._grid)  # reachable everywhere
         self._check_clearance()
-        self._check_rates(arm)
+        self._check_rates(arm, motion)
 
     def _first_joint(self, times: np.ndarray) -> np.ndarray:
         """Continuous q1 along the path, started within (-pi, pi]."""
@@ -136,7 +173,6 @@ class CartesianPath:
         return np.unwrap(q_1)
 
     def _check_clearance(self) -> None:
-        self.sample(self._grid)  # reachable everywhere
         tip = self._spline(self._grid)
         if self.obstacle is not None:
             distance = np.hypot(*(tip - np.asarray(self.obstacle.center)).T)
@@ -145,8 +181,8 @@ class CartesianPath:
                     'path', f'the tip hits the obstacle ({distance.min():.3f} m from its centre)'
                 )
 
-    def _check_rates(self, arm: SerialArm) -> None:
-        fastest = np.abs(self.sample(self._grid).velocity).max(axis=0)
+    def _check_rates(self, arm: SerialArm, motion: Reference) -> None:
+        fastest = np.abs(motion.velocity).max(axis=0)
         for name, rate, limit in zip(arm.joint_names, fastest, arm.velocity_limit):
             if rate > limit:
                 raise ConfigError(
@@ -154,22 +190,22 @@ class CartesianPath:
                 )
 
     def sample(self, times: ArrayLike) -> Reference:
-        """References at times on the path's clock, an array of shape (...) [s]."""
-        clock = np.clip(np.asarray(times, float), self.start, self.end)
+        """As of `TimedPath`; the point of the path is that of the spline."""
+        clock = self._clock(times)
         tip = self._spline(clock)
         q = inverse(tip, self._arm.lengths, self._elbow)
         rate, acceleration = joint_motion(
-            q, self._rate(clock), self._curvature(clock), self._arm.lengths
+            q, self._rate(clock), self._bend(clock), self._arm.lengths
         )
         position = self._continuous(q + self._offset, clock)
         return Reference(position, rate, acceleration, self.in_base(tip))
 
     def tip(self, position: np.ndarray) -> np.ndarray:
-        """Where joint positions, shape (..., 2) [rad], bring the tip, shape (..., 3) [m]."""
+        """As of `TimedPath`."""
         return self.in_base(forward(position - self._offset, self._arm.lengths))
 
     def in_base(self, point: np.ndarray) -> np.ndarray:
-        """Points in the plane, shape (..., 2), in the base frame, shape (..., 3) [m]."""
+        """As of `TimedPath`."""
         return np.asarray(self._origin + point @ self._plane)
 
     def _continuous(self, q: np.ndarray, times: np.ndarray) -> np.ndarray:

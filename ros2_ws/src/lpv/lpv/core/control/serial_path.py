@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lpv.core.control.path import Obstacle, Reference, checked_times, rest_to_rest
+from lpv.core.control.path import Reference, TimedPath, checked_times, rest_to_rest
 from lpv.core.serial_arm.chain import Chain, FloatArray, compile_chain, workspace
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.dynamics.friction import friction_torque
@@ -33,7 +33,7 @@ class PoseWaypoints:
     orientations: tuple[tuple[float, float, float], ...] = ()  # roll, pitch, yaw [rad]; none: any
 
 
-class SerialPath:
+class SerialPath(TimedPath):
     """Quintic spline of the joint positions, at rest at both ends.
 
     ``positions``, shape (m, n) [rad], are those at ``times`` [s], which increase; before the first
@@ -42,19 +42,9 @@ class SerialPath:
     anywhere on the path.
     """
 
-    obstacle: Obstacle | None = None
-
     def __init__(self, arm: SerialArm, times: Sequence[float], positions: ArrayLike) -> None:
-        knots, joints = checked_times(times), np.asarray(positions, float)
-        n = len(arm.joints)
-        if joints.shape != (len(knots), n):
-            raise ConfigError('path.waypoints', f'must give {n} joint positions each')
-        if not np.isfinite(joints).all():
-            raise ConfigError('path.waypoints', 'must be finite')
+        super().__init__(times, positions, len(arm.joints), 'joint positions')
         self._chain = compile_chain(arm)
-        self.start, self.end = float(knots[0]), float(knots[-1])
-        self._spline = rest_to_rest(knots, joints)
-        self._rate, self._bend = self._spline.derivative(1), self._spline.derivative(2)
         self._check_limits(arm)
 
     @classmethod
@@ -79,18 +69,14 @@ class SerialPath:
         grid = np.linspace(knots[0], knots[-1], count)
         return cls(arm, grid.tolist(), _solve_poses(arm, knots, waypoints, grid))
 
-    def in_base(self, point: FloatArray) -> FloatArray:
-        """Points of the base frame, as they are: the path has no plane."""
-        return point
-
     def sample(self, times: ArrayLike) -> Reference:
-        """References at times on the path's clock, an array of shape (...) [s]."""
-        clock = np.clip(np.asarray(times, float), self.start, self.end)
+        """As of `TimedPath`; the point of the path is where its joints bring the tip."""
+        clock = self._clock(times)
         position = self._spline(clock)
         return Reference(position, self._rate(clock), self._bend(clock), self.tip(position))
 
     def tip(self, position: np.ndarray) -> np.ndarray:
-        """Where joint positions, shape (..., n) [rad], bring the tip, shape (..., 3) [m]."""
+        """As of `TimedPath`."""
         rows = np.ascontiguousarray(position, dtype=float).reshape(-1, position.shape[-1])
         tips = np.empty((len(rows), 3))
         _fill_tips(self._chain, rows, tips)

@@ -90,11 +90,6 @@ def set_torque(
 ) -> None:
     """Set joint torques [N m] for the coming step, within limits, and draw the disturbance."""
     draw = generator.standard_normal() if params.push_deviation > 0.0 else 0.0
-    _set_inputs(params, state, torque, draw)
-
-
-@njit
-def _set_inputs(params: np.record, state: np.record, torque: FloatArray, draw: float) -> None:
     state.disturbance = params.push_mean + params.push_deviation * draw
     for i in range(torque.shape[0]):
         limit = params.torque_limit[i]

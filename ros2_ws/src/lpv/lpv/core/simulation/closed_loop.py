@@ -9,7 +9,6 @@ first one, one after a gap, with missing values, or after such) goes through the
 """
 
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -76,31 +75,16 @@ from lpv.core.support.records import memory, new_record, plain, record_type
 from lpv.core.support.timestamps import NANOSECONDS, NEVER
 from lpv.core.uio.certificate.gains import Gains
 
-
-class Phase(IntEnum):
-    """Where in a sample the loop goes on."""
-
-    SENSE = 0
-    MONITOR = 1  # the monitor itself takes the sample, outside
-    TAKE = 2
-    DECIDE = 3  # the diagnosis needs Python to decide
-    ANSWER = 4
-    ESTIMATE = 5
-    START = 6  # a path that starts or goes on needs its references from outside
-    COMMAND = 7
-    ACT = 8
-    ADVANCE = 9  # the plant is integrated outside
-
-
-_SENSE, _MONITOR, _TAKE, _DECIDE, _ANSWER, _ESTIMATE, _START, _COMMAND, _ACT, _ADVANCE = (
-    int(phase) for phase in Phase
-)
+# Where in a sample the loop goes on.  Outside, in Python: the monitor itself takes the sample, the
+# diagnosis needs Python to decide, a path that starts or goes on needs references, the plant is
+# integrated by an engine of its own.
+_SENSE, _MONITOR, _TAKE, _DECIDE, _ANSWER, _ESTIMATE, _START, _COMMAND, _ACT, _ADVANCE = range(10)
 _NONE, _SILENCE = int(StopReason.NONE), int(StopReason.SILENCE)
 
 
 def _loop_type(joints: int) -> np.dtype:
     return record_type(
-        ('phase', 'i8'),  # of `Phase`
+        ('phase', 'i8'),  # where in a sample the loop goes on
         ('external', '?'),  # whether the plant is integrated outside
         ('period', 'f8'),  # sample time [s]
         ('previous', 'i8'),  # sample of the last command, or NEVER
@@ -207,7 +191,7 @@ def _run(
     blocked: np.ndarray,
     first: int,
 ) -> int:
-    """Go on from a sample until something is needed from outside, see `Phase`.
+    """Go on from a sample until something is needed from outside.
 
     ``shared`` is the memory of the loop's record.
     """

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lpv.core.serial_arm.chain import MAX_JOINTS
+from lpv.core.support.entries import entry
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.jit import njit
 from lpv.core.support.limits import LARGEST
@@ -48,18 +49,18 @@ _FAULT = record_type(
 class Fault:
     """One fault of one sensor."""
 
-    sensor: str  # name of the physical sensor
-    # one of `KINDS`: ``bias`` adds ``size`` [rad]; ``drift`` grows with ``rate`` [rad/s] up to
-    # ``size`` (without end if 0); ``scale`` multiplies the reading by 1 + ``size``; ``stuck``
-    # freezes it; ``noise`` adds white noise of standard deviation ``size`` [rad]; ``spike`` adds
-    # +-``size`` [rad] to single samples, ``rate`` of them a second; ``dropout`` gives NaN;
-    # ``rate_bias`` is no position fault: it adds ``size`` [rad/s] to the rate that belongs to the
-    # sensor
-    kind: str
-    onset: float  # start [s]
-    duration: float = 0.0  # length [s]; 0 until cleared
-    size: float = 0.0  # see kind
-    rate: float = 0.0  # see kind
+    sensor: str = entry('text')  # name of the physical sensor
+    # ``bias`` adds ``size`` [rad]; ``drift`` grows with ``rate`` [rad/s] up to ``size`` (without
+    # end if 0); ``scale`` multiplies the reading by 1 + ``size``; ``stuck`` freezes it; ``noise``
+    # adds white noise of standard deviation ``size`` [rad]; ``spike`` adds +-``size`` [rad] to
+    # single samples, ``rate`` of them a second; ``dropout`` gives NaN; ``rate_bias`` is no position
+    # fault: it adds ``size`` [rad/s] to the rate that belongs to the sensor
+    kind: str = entry('text', choices=KINDS)
+    onset: float = entry('number', low=0.0, high=1e6)  # start [s]
+    # length [s]; 0 until cleared
+    duration: float = entry('number', default=0.0, low=0.0, high=1e6)
+    size: float = entry('number', default=0.0, low=-1e3, high=1e3)  # see kind
+    rate: float = entry('number', default=0.0, low=-1e3, high=1e3)  # see kind
 
 
 @njit
@@ -141,16 +142,18 @@ def is_frozen(faults: np.ndarray, sensor: int, time: float) -> bool:
     return False
 
 
+def _check_sensor(name: str, known: Sequence[str]) -> None:
+    if name not in known:
+        reason = f'{reprlib.repr(name)} is unknown; the arm has {", ".join(known)}'
+        raise ConfigError('fault.sensor', reason)
+
+
 def check_fault(fault: Fault, sensor_names: Sequence[str]) -> None:
     """Refuse a fault that the simulator cannot apply: ConfigError naming the field."""
-    if fault.sensor not in sensor_names:
-        raise ConfigError(
-            'fault.sensor',
-            f'{reprlib.repr(fault.sensor)} is unknown; the arm has ' + ', '.join(sensor_names),
-        )
+    _check_sensor(fault.sensor, sensor_names)
     if fault.kind not in KINDS:
         raise ConfigError(
-            'fault.kind', f'{reprlib.repr(fault.kind)} must be one of ' + ', '.join(KINDS)
+            'fault.kind', f'{reprlib.repr(fault.kind)} must be one of {", ".join(KINDS)}'
         )
     for name in ('onset', 'duration', 'size', 'rate'):
         value = getattr(fault, name)
@@ -234,11 +237,8 @@ class FaultInjector:
         ConfigError
             If the sensor is unknown.
         """
-        if sensor and sensor not in self._names:
-            raise ConfigError(
-                'fault.sensor',
-                f'{reprlib.repr(sensor)} is unknown; the arm has ' + ', '.join(self._names),
-            )
+        if sensor:
+            _check_sensor(sensor, self._names)
         kept = [bool(sensor) and f.sensor != sensor for f in self.faults]
         removed = kept.count(False)
         self.faults = [f for f, keep in zip(self.faults, kept) if keep]

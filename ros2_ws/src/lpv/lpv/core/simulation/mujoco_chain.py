@@ -48,21 +48,7 @@ class MujocoChain:
     def advance(
         self, motion: FloatArray, torque: FloatArray, push: FloatArray, interval: float, steps: int
     ) -> None:
-        """Integrate with torques and disturbance held.
-
-        Parameters
-        ----------
-        motion : ndarray, shape (2, n)
-            Positions and rates, changed [rad], [rad/s].
-        torque : ndarray, shape (n,)
-            Of the drives [N m].
-        push : ndarray, shape (n,)
-            Accelerations by the disturbance [rad/s2].
-        interval : float
-            Time to advance [s].
-        steps : int
-            Runge-Kutta steps to do it in.
-        """
+        """As `lpv.core.simulation.arm_simulator.Engine.advance`."""
         data = self._data
         data.qpos[:], data.qvel[:] = motion
         data.qfrc_applied[:] = self._torque[:] = torque

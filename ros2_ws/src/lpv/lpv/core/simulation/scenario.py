@@ -14,8 +14,9 @@ from lpv.core.serial_arm.arm_file import FAR
 from lpv.core.serial_arm.chain import MAX_JOINTS, Chain, body_parameters, compile_chain
 from lpv.core.serial_arm.description import LinkInertia, SerialArm, SerialJoint
 from lpv.core.serial_arm.dynamics.payload import with_payload
-from lpv.core.simulation.faults import KINDS, Fault
+from lpv.core.simulation.faults import Fault
 from lpv.core.support.config import Section, names_all_errors, read_yaml
+from lpv.core.support.entries import read_entries
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.limits import MOST_ENTRIES
 from lpv.core.uio.model.kinematics import ELBOWS
@@ -223,11 +224,7 @@ def _planar(path: Section, sections: list[Section]) -> PlanarWaypoints:
     )
     obstacle = None
     if 'obstacle' in path:
-        section = path.section('obstacle')
-        obstacle = Obstacle(
-            section.pair('center', None, -FAR, FAR), section.number('radius', above=0.0, high=FAR)
-        )
-        section.finish()
+        obstacle = read_entries(Obstacle, path.section('obstacle'))
     return PlanarWaypoints(points, path.text('elbow', 'positive', tuple(ELBOWS)), obstacle)
 
 
@@ -238,20 +235,7 @@ def _triple(section: Section, key: str) -> tuple[float, float, float]:
 
 def parse_faults(top: Section) -> tuple[Fault, ...]:
     """Read the list ``faults``, which may be missing; ConfigError naming the offending field."""
-    return tuple(_fault(section) for section in top.sections('faults', []))
-
-
-def _fault(section: Section) -> Fault:
-    fault = Fault(
-        sensor=section.text('sensor'),
-        kind=section.text('kind', choices=KINDS),
-        onset=section.number('onset', low=0.0, high=1e6),
-        duration=section.number('duration', 0.0, 0.0, 1e6),
-        size=section.number('size', 0.0, -1e3, 1e3),
-        rate=section.number('rate', 0.0, -1e3, 1e3),
-    )
-    section.finish()
-    return fault
+    return tuple(read_entries(Fault, section) for section in top.sections('faults', []))
 
 
 def disturbance_of(arm: SerialArm, scenario: Scenario) -> tuple[np.ndarray, float, float]:
