@@ -35,9 +35,6 @@ def parse_two_links(data: dict[str, Any], source: str = 'arm') -> SerialArm:
         'name': top.text('name'),
         'gravity': top.number('gravity', 9.81, above=0.0, high=100.0),
     }
-    fields['inertia_reference'] = top.text(
-        'inertia_reference', 'center_of_mass', ('center_of_mass', 'joint')
-    )
     fields['links'] = _links(top)
     fields.update(_drive(top))
     fields.update(_joints_and_sensors(top))
@@ -61,12 +58,9 @@ def _check_inertia(arm: SimpleNamespace, top: Section) -> None:
     """The mass matrix must be positive definite where the links are in line, and so everywhere."""
     one, two = arm.links
     first, across, second = arm.rotor
-    about_joint = [link.inertia for link in arm.links]
-    if arm.inertia_reference == 'center_of_mass':
-        about_joint = [link.inertia + link.mass * link.center_of_mass**2 for link in arm.links]
-    inertia_1 = about_joint[0] + two.mass * one.length**2 + first - 2.0 * across + second
+    inertia_1 = one.inertia + two.mass * one.length**2 + first - 2.0 * across + second
     coupling = abs(across - second) + two.mass * one.length * two.center_of_mass
-    if not inertia_1 * (about_joint[1] + second) > coupling**2:
+    if not inertia_1 * (two.inertia + second) > coupling**2:
         raise top.error(
             'links',
             'give an inertia matrix that is not positive definite in every '
@@ -78,6 +72,7 @@ def _links(top: Section) -> tuple[SimpleNamespace, SimpleNamespace]:
     sections = top.sections('links')
     if len(sections) != 2:
         raise top.error('links', f'must describe exactly two links, got {len(sections)}')
+    about = top.text('inertia_reference', 'center_of_mass', ('center_of_mass', 'joint'))
     links = []
     for section in sections:
         link = SimpleNamespace(
@@ -86,6 +81,8 @@ def _links(top: Section) -> tuple[SimpleNamespace, SimpleNamespace]:
             center_of_mass=section.number('center_of_mass', above=0.0, high=100.0),
             inertia=section.number('inertia', low=0.0, high=1e7),
         )
+        if about == 'center_of_mass':
+            link.inertia += link.mass * link.center_of_mass**2
         section.finish()
         links.append(link)
     return links[0], links[1]

@@ -33,9 +33,6 @@ def two_link_arm(arm: Any) -> SerialArm:
     upright = arm.zero_angle + math.pi / 2
     first, coupling, second = arm.rotor
     for i, link in enumerate(arm.links):
-        inertia = link.inertia
-        if arm.inertia_reference == 'center_of_mass':
-            inertia += link.mass * link.center_of_mass**2
         friction = arm.offset[i], arm.viscous[i], arm.coulomb[i], arm.coulomb_slope[i], arm.load[i]
         joints.append(
             SerialJoint(
@@ -46,7 +43,7 @@ def two_link_arm(arm: Any) -> SerialArm:
                 link=LinkInertia(
                     link.mass,
                     (link.mass * link.center_of_mass, 0.0, 0.0),
-                    (0.0, 0.0, inertia, 0.0, 0.0, inertia),
+                    (0.0, 0.0, link.inertia, 0.0, 0.0, link.inertia),
                 ),
                 friction=JointFriction(*friction),
                 rotor_inertia=(first, second)[i],

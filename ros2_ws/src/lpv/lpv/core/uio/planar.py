@@ -42,7 +42,6 @@ def planar_model(arm: SerialArm) -> ArmParameters:
     return ArmParameters(
         name=arm.name,
         links=links,
-        inertia_reference='joint',
         gravity=arm.gravity,
         rotor=(one, arm.joints[1].rotor_coupling, two),
         offset=tuple(one.offset for one in friction),

@@ -78,7 +78,7 @@ def healthy_arm(arm: ArmParameters, sigmas: float = SIGMAS) -> np.record:
         UNKNOWN_TORQUE,
         arm=constants,
         own=error * constants.inertia
-        + half * np.array(arm.joint_inertias())
+        + half * np.array([link.inertia for link in arm.links])
         + arm.payload * np.array(reach),
         constant=error * abs(arm.rotor[2]),
         part=error * abs(constants.coupling) + length_1 * (moment[1] + along),

@@ -46,8 +46,7 @@ class Link:
     mass: float  # m_i [kg]
     length: float  # L_i, joint to joint (or to the tip) [m]
     center_of_mass: float  # L_ci, joint to centre of mass [m]
-    # I_i [kg m2], about the centre of mass or the joint (``ArmParameters.inertia_reference``)
-    inertia: float
+    inertia: float  # I_i, about the joint [kg m2]
 
 
 @dataclass(frozen=True)
@@ -61,8 +60,6 @@ class ArmParameters:
 
     name: str  # name of the arm
     links: tuple  # two, of type Link
-    # 'center_of_mass' or 'joint': the point that each ``Link.inertia`` refers to
-    inertia_reference: str = 'center_of_mass'
     gravity: float = 9.81  # g [m/s2]
     # rotors: inertia reflected to joint 1, coupling of both joints, inertia reflected to joint 2,
     # in joint coordinates [kg m2]
@@ -115,24 +112,14 @@ class ArmParameters:
         """+1 for an upright region, -1 for a hanging one (sign of cos(theta))."""
         return 1.0 if self.orientation == 'upright' else -1.0
 
-    def joint_inertias(self, number: Callable[[Any], Any] = float) -> tuple[Any, ...]:
-        """Inertias of both links about their joints' axes [kg m2]."""
-        about_joint = self.inertia_reference == 'joint'
-        return tuple(
-            number(one.inertia)
-            + (0 if about_joint else number(one.mass) * number(one.center_of_mass) ** 2)
-            for one in self.links
-        )
-
     def numbers(self, number: Callable[[Any], Any] = float) -> ArmNumbers:
         """Constants of eqs. (2), (3) as floats, or as exact ``fractions.Fraction``.
 
         The printed eqs. (5), (14), (15) have m2*Lc1^2 in the (1, 1) inertia; the physics, and
         eq. (2), is m2*L1^2, which is used here.  Rotors are those of motors on the joint axes.
         """
-        rows = [(link.mass, link.length, link.center_of_mass) for link in self.links]
-        (m_1, l_1, c_1), (m_2, _, c_2) = ([number(v) for v in row] for row in rows)
-        i_1, i_2 = self.joint_inertias(number)
+        rows = [(link.mass, link.length, link.center_of_mass, link.inertia) for link in self.links]
+        (m_1, l_1, c_1, i_1), (m_2, _, c_2, i_2) = ([number(v) for v in row] for row in rows)
         # J^T R J for R = [[first, across], [across, second]] in joint coordinates, q' = J theta'.
         first, across, second = (number(value) for value in self.rotor)
         g = number(self.gravity)
@@ -167,14 +154,7 @@ class ArmParameters:
         link = self.links[1]
         total = link.mass + mass
         center = (link.mass * link.center_of_mass + mass * link.length) / total
-        if self.inertia_reference == 'joint':
-            inertia = link.inertia + mass * link.length**2
-        else:
-            inertia = (
-                link.inertia
-                + link.mass * (link.center_of_mass - center) ** 2
-                + mass * (link.length - center) ** 2
-            )
+        inertia = link.inertia + mass * link.length**2
         return replace(self, links=(self.links[0], Link(total, link.length, center, inertia)))
 
     def scaled(
@@ -209,7 +189,7 @@ class ArmParameters:
     def _stated(self) -> dict[str, Any]:
         """All parameters but the source of rates, as files with the first ones have them: their
         gains stay those of this arm."""
-        parameters = asdict(self)
+        parameters = {**asdict(self), 'inertia_reference': 'joint'}
         del parameters['rates']
         for name in ('offset', 'load'):
             if not any(parameters[name]):
@@ -223,6 +203,8 @@ def arm_from_json(text: str) -> ArmParameters:
     """The same arm, bit by bit, from `ArmParameters.to_json`; ConfigError for any other text."""
     try:
         data = json.loads(text)
+        if data.pop('inertia_reference') != 'joint':
+            raise ValueError('inertias must be about the joints')
         data['links'] = tuple(Link(**link) for link in data['links'])
         for name, value in data.items():
             data[name] = tuple(value) if isinstance(value, list) else value
