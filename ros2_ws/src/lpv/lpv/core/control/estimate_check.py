@@ -82,24 +82,6 @@ def position_noise(arm: SerialArm) -> np.ndarray:
     return np.abs(arm.sensors_to_joints()) @ noise
 
 
-def new_correction(arm: SerialArm, limited: bool = True) -> np.record:
-    """Record of `limit_correction` before the first sample; not ``limited``, it passes all on."""
-    limit = np.array(arm.velocity_limit)
-    sensors = [joint.sensors for joint in arm.joints]
-    position = position_noise(arm)
-    rate = np.abs(arm.sensors_to_joints()) @ [_SIGMAS * s.velocity_noise for s in sensors]
-    rate, scale = np.maximum(rate, position / arm.sample_time), arm.scales()
-    rate = np.maximum(rate, REST_SHARE * limit)
-    change = np.array([CHANGE_SHARE * limit, _RATE_FADING * limit])
-    return new_record(
-        correction_type(len(limit)),
-        noise=np.array([position + 0.0 * limit, rate]),
-        change=change if limited else np.inf,
-        fading=np.array([np.minimum(change[0], FADING * scale), change[1]]),
-        stamp=NEVER,
-    )
-
-
 @njit
 def limit_correction(
     shared: np.ndarray, stamp: int, position: np.ndarray, velocity: np.ndarray
@@ -109,7 +91,7 @@ def limit_correction(
     A joint moves as its rate says, and its rate changes smoothly.  What else a position or a rate
     changes, by more than noise and ``record.change``, is a change of its correction: the loop gets
     it faded in, so that torques do not jump.  A start, with ``record.stamp`` NEVER, takes both as
-    they are.  ``shared`` is the memory of a `new_correction`, ``record``; positions and rates are
+    they are.  ``shared`` is the memory of a `CorrectionLimit`, ``record``; positions and rates are
     in [rad] and [rad/s], ``stamp`` in [ns].
     """
     record = shared[0]
@@ -134,28 +116,43 @@ def limit_correction(
 class CorrectionLimit:
     """`limit_correction` for Python, sample by sample.
 
-    ``position`` and ``velocity`` are what is to be fed back, shape (n,) [rad], [rad/s].
+    ``position`` and ``velocity`` are what is to be fed back, shape (n,) [rad], [rad/s].  Not
+    ``limited``, it passes all on.
     """
 
-    def __init__(self, arm: SerialArm) -> None:
-        self._memory = memory(new_correction(arm))
-        self._change = self._memory['change'][0].copy()
-        self.position, self.velocity = self._memory['feedback'][0]
+    def __init__(self, arm: SerialArm, limited: bool = True) -> None:
+        limit = np.array(arm.velocity_limit)
+        sensors = [joint.sensors for joint in arm.joints]
+        position = position_noise(arm)
+        rate = np.abs(arm.sensors_to_joints()) @ [_SIGMAS * s.velocity_noise for s in sensors]
+        rate, scale = np.maximum(rate, position / arm.sample_time), arm.scales()
+        rate = np.maximum(rate, REST_SHARE * limit)
+        change = np.array([CHANGE_SHARE * limit, _RATE_FADING * limit])
+        record = new_record(
+            correction_type(len(limit)),
+            noise=np.array([position + 0.0 * limit, rate]),
+            change=change if limited else np.inf,
+            fading=np.array([np.minimum(change[0], FADING * scale), change[1]]),
+            stamp=NEVER,
+        )
+        self.memory = memory(record)
+        self._change = self.memory['change'][0].copy()
+        self.position, self.velocity = self.memory['feedback'][0]
 
     def take(self, stamp: int, position: np.ndarray, velocity: np.ndarray) -> None:
         """As the function `limit_correction`."""
-        limit_correction(self._memory, stamp, position, velocity)
+        limit_correction(self.memory, stamp, position, velocity)
 
     def turn_to(self, position: np.ndarray, limited: bool) -> None:
         """Feed another position back, fading to it from the last one; it is ``position`` now.
 
         Not ``limited``, there is no correction: the position is fed back as measured.
         """
-        record = self._memory[0]
+        record = self.memory[0]
         record['change'] = self._change if limited else np.inf
         record['before'][0] = position
         record['surplus'][0] = position - self.position
 
     def restart(self) -> None:
         """The next sample is a start."""
-        self._memory['stamp'] = NEVER
+        self.memory['stamp'] = NEVER

@@ -184,44 +184,6 @@ def drive_watchdog_type(joints: int) -> np.dtype:
     )
 
 
-def tracker_watchdog(arm: SerialArm, limits: TrackerLimits) -> np.record:
-    """Watchdog of the tracker of an arm, see `tracker_watchdog_type`."""
-    return new_record(
-        tracker_watchdog_type(len(arm.joint_names)),
-        silence=_nanoseconds(limits.silence),
-        latency=_nanoseconds(limits.latency.single),
-        mean_latency=_nanoseconds(limits.latency.mean),
-        unusable=_nanoseconds(limits.unusable),
-        overspeed=_nanoseconds(limits.overspeed),
-        error_time=_nanoseconds(limits.error_time),
-        tracking_error=limits.tracking_error,
-        speed_limit=limits.speed * np.array(arm.velocity_limit),
-        rest=REST_SHARE * np.array(arm.velocity_limit),
-        scale=arm.scales(),
-        step=np.clip(2.0 * position_noise(arm), *np.outer(_ARM_MOVED, arm.scales())),
-        is_read=True,
-        share=_share(arm),
-        late=NEVER,
-        usable=NEVER,
-        in_speed=NEVER,
-        in_reach=NEVER,
-    )
-
-
-def drive_watchdog(arm: SerialArm, limits: DriveLimits) -> np.record:
-    """Watchdog of the drives of an arm, see `drive_watchdog_type`."""
-    return new_record(
-        drive_watchdog_type(len(arm.joint_names)),
-        command_age=_nanoseconds(limits.latency.single),
-        overspeed=_nanoseconds(limits.overspeed),
-        mean_latency=_nanoseconds(limits.latency.mean),
-        velocity_limit=arm.velocity_limit,
-        share=_share(arm),
-        in_speed=NEVER,
-        braked=NEVER,
-    )
-
-
 def _share(arm: SerialArm) -> float:
     return min(1.0, arm.sample_time / MAX_GAP)
 
@@ -242,7 +204,7 @@ def check_estimate(
 ) -> int:
     """Judge an estimate before it is answered; returns a `StopReason`.
 
-    ``shared`` is the memory of a `tracker_watchdog`; ``latency`` is the time from the measurement
+    ``shared`` is the memory of a `TrackerWatchdog`; ``latency`` is the time from the measurement
     until now, 0 where it is not known [ns].  ``mode`` and what follows are fields of
     lpv_msgs/StateEstimate.
     """
@@ -354,7 +316,7 @@ def check_drive(
 ) -> int:
     """Judge a command before it acts over a sample; returns a `BrakeReason`.
 
-    ``shared`` is the memory of a `drive_watchdog`; ``age`` is that of the measurement that the
+    ``shared`` is the memory of a `DriveWatchdog`; ``age`` is that of the measurement that the
     command answers, 0 in lockstep [ns].  ``safe_stop`` is whether the command asks for the brakes,
     ``velocity`` the joint rates as the motors' own sensors read them [rad/s].
     """
@@ -388,39 +350,59 @@ def _is_too_fast(velocity: np.ndarray, limit: np.ndarray) -> bool:
 
 
 class _Watchdog:
-    """What both watchdogs have for Python: the memory of a record, and what is latched."""
+    """What both watchdogs have: the memory of a record for compiled functions, what is latched."""
 
     def __init__(self, record: np.record) -> None:
-        self._memory = memory(record)
+        self.memory = memory(record)
 
     @property
     def latched(self) -> int:
         """Reason that lasts until it is set to 0."""
-        return int(self._memory['latched'][0])
+        return int(self.memory['latched'][0])
 
     @latched.setter
     def latched(self, reason: int) -> None:
-        self._memory['latched'] = reason
+        self.memory['latched'] = reason
 
 
 class TrackerWatchdog(_Watchdog):
     """The tracker's watchdog; ``silence`` is the longest interval between estimates [ns]."""
 
     def __init__(self, arm: SerialArm, limits: TrackerLimits) -> None:
-        super().__init__(tracker_watchdog(arm, limits))
+        record = new_record(
+            tracker_watchdog_type(len(arm.joint_names)),
+            silence=_nanoseconds(limits.silence),
+            latency=_nanoseconds(limits.latency.single),
+            mean_latency=_nanoseconds(limits.latency.mean),
+            unusable=_nanoseconds(limits.unusable),
+            overspeed=_nanoseconds(limits.overspeed),
+            error_time=_nanoseconds(limits.error_time),
+            tracking_error=limits.tracking_error,
+            speed_limit=limits.speed * np.array(arm.velocity_limit),
+            rest=REST_SHARE * np.array(arm.velocity_limit),
+            scale=arm.scales(),
+            step=np.clip(2.0 * position_noise(arm), *np.outer(_ARM_MOVED, arm.scales())),
+            is_read=True,
+            share=_share(arm),
+            late=NEVER,
+            usable=NEVER,
+            in_speed=NEVER,
+            in_reach=NEVER,
+        )
+        super().__init__(record)
         self.silence = _nanoseconds(limits.silence)
 
     def check_estimate(self, *estimate: Any) -> StopReason:
         """As the function `check_estimate`."""
-        return _STOP_REASONS[check_estimate(self._memory, *estimate)]
+        return _STOP_REASONS[check_estimate(self.memory, *estimate)]
 
     def check_motion(self, *motion: Any) -> StopReason:
         """As the function `check_motion`."""
-        return _STOP_REASONS[check_motion(self._memory, *motion)]
+        return _STOP_REASONS[check_motion(self.memory, *motion)]
 
     def note_stop(self) -> None:
         """The tracker has stopped the arm: the next reference is a start."""
-        self._memory['started'] = False
+        self.memory['started'] = False
 
 
 class DriveWatchdog(_Watchdog):
@@ -430,12 +412,22 @@ class DriveWatchdog(_Watchdog):
     """
 
     def __init__(self, arm: SerialArm, limits: DriveLimits) -> None:
-        super().__init__(drive_watchdog(arm, limits))
+        record = new_record(
+            drive_watchdog_type(len(arm.joint_names)),
+            command_age=_nanoseconds(limits.latency.single),
+            overspeed=_nanoseconds(limits.overspeed),
+            mean_latency=_nanoseconds(limits.latency.mean),
+            velocity_limit=arm.velocity_limit,
+            share=_share(arm),
+            in_speed=NEVER,
+            braked=NEVER,
+        )
+        super().__init__(record)
         self.command_age = _nanoseconds(limits.latency.single)
 
     def check(self, now: int, age: int, safe_stop: bool, velocity: np.ndarray) -> BrakeReason:
         """As the function `check_drive`."""
-        return _BRAKE_REASONS[check_drive(self._memory, now, age, safe_stop, velocity)]
+        return _BRAKE_REASONS[check_drive(self.memory, now, age, safe_stop, velocity)]
 
 
 _STOP_REASONS, _BRAKE_REASONS = tuple(StopReason), tuple(BrakeReason)

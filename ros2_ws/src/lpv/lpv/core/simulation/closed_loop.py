@@ -19,7 +19,7 @@ from lpv.core.control.computed_torque import (
     ComputedTorqueParts,
     computed_torque,
 )
-from lpv.core.control.estimate_check import limit_correction, new_correction
+from lpv.core.control.estimate_check import CorrectionLimit, limit_correction
 from lpv.core.control.path_follower import PathReferences, approach_speeds
 from lpv.core.control.tracking import (
     COMPENSATION,
@@ -30,14 +30,14 @@ from lpv.core.control.tracking import (
 )
 from lpv.core.control.watchdog import (
     DriveLimits,
+    DriveWatchdog,
     StopReason,
     TrackerLimits,
+    TrackerWatchdog,
     check_drive,
     check_estimate,
     check_motion,
-    drive_watchdog,
     latency_limits,
-    tracker_watchdog,
 )
 from lpv.core.monitoring.answers import answer_type
 from lpv.core.monitoring.compensation import AnswerRows, answer_rows, copy_answer
@@ -529,9 +529,9 @@ def run_closed_loop(
         controller.torque,
         controller.integral,
         references.motion,
-        memory(new_correction(arm, compensation != 'off')),
-        memory(tracker_watchdog(arm, TrackerLimits(latency.single, latency))),
-        memory(drive_watchdog(arm, DriveLimits(latency))),
+        CorrectionLimit(arm, compensation != 'off').memory,
+        TrackerWatchdog(arm, TrackerLimits(latency.single, latency)).memory,
+        DriveWatchdog(arm, DriveLimits(latency)).memory,
     )
     loop = new_record(
         _loop_type(len(arm.joints)),
