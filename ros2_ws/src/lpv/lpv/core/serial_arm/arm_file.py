@@ -13,14 +13,12 @@ import yaml
 from lpv.core.serial_arm.chain import MAX_JOINTS
 from lpv.core.serial_arm.description import (
     JOINT_TYPES,
-    RATE_SOURCES,
     JointFriction,
     JointLimits,
     JointSensors,
     LinkInertia,
     LpvRegion,
     ParameterCovariance,
-    SecondEncoder,
     SerialArm,
     SerialJoint,
     TorqueTolerance,
@@ -29,6 +27,7 @@ from lpv.core.serial_arm.description import (
 from lpv.core.serial_arm.old_arm_file import parse_two_links
 from lpv.core.serial_arm.urdf_chain import read_urdf_chain
 from lpv.core.support.config import Section, names_all_errors, read_yaml, write_whole
+from lpv.core.support.entries import read_entries
 from lpv.core.support.limits import LARGEST
 
 _OLD_FORM = (
@@ -102,6 +101,10 @@ def _parse(data: dict[str, Any], source: str, folder: str | Path) -> SerialArm:
     joints = _joints(top, urdf, Path(folder), dict(locked))
     effort = top.section('effort', required=False)
     varying = top.section('uncertainty', required=False)
+    errors = ('torque_error', 'torque_error_speed')
+    uncertainty = read_entries(
+        Uncertainty, varying, **{key: _per_joint(varying, key, len(joints)) for key in errors}
+    )
     arm = SerialArm(
         name=name,
         joints=joints,
@@ -115,22 +118,13 @@ def _parse(data: dict[str, Any], source: str, folder: str | Path) -> SerialArm:
         effort_bandwidth=effort.number('bandwidth', above=0.0, high=1e6)
         if 'bandwidth' in effort
         else math.inf,
-        uncertainty=Uncertainty(
-            varying.number('payload', 0.0, 0.0, 1e4) if 'payload' in varying else None,
-            varying.number('friction', 0.0, 0.0, 1.0),
-            varying.number('model_error', 0.0, 0.0, 1.0) if 'model_error' in varying else None,
-            torque_error=_per_joint(varying, 'torque_error', len(joints)),
-            torque_error_speed=_per_joint(varying, 'torque_error_speed', len(joints)),
-            torque_error_time=varying.number('torque_error_time', low=0.0, high=1e4)
-            if 'torque_error_time' in varying
-            else None,
-        ),
+        uncertainty=uncertainty,
         covariance=_covariance(top, 15 * len(joints)),
         sample_time=top.number('sample_time', 0.002, 1e-5, 1.0),
         sensor_matrix=_sensor_matrix(top, len(joints)),
         lpv=_lpv(top, len(joints)),
     )
-    for section in (effort, varying, top):
+    for section in (effort, top):
         section.finish()
     for names, field in ((arm.joint_names, 'joints'), (arm.sensor_names, 'sensors')):
         if len(set(names)) < len(names):
@@ -337,20 +331,21 @@ def _joint(section: Section, base: SerialJoint | None) -> SerialJoint:
         position, orientation, axis = base.position, base.orientation, base.axis
     link = _link(section) if base is None or 'link' in section else base.link
     limits = _limits(section, JointLimits() if base is None else base.limits)
+    sensors = section.section('sensors', required=False)
     joint = SerialJoint(
         name=name,
         position=position,
         orientation=orientation,
         axis=axis,
         link=link,
-        friction=_friction(section),
+        friction=read_entries(JointFriction, section.section('friction', required=False)),
         rotor_inertia=section.number('rotor_inertia', 0.0, 0.0, 1e5),
         rotor_coupling=section.number('rotor_coupling', 0.0, -1e5, 1e5),
         torque_gain=section.number('torque_gain', 1.0, -1e6, 1e6),
         effort_delay=section.number('effort_delay', 0.0, -1.0, 1.0),
         limits=limits,
         torque_tolerance=_tolerance(section),
-        sensors=_sensors(section, name),
+        sensors=read_entries(JointSensors, sensors, name=sensors.text('name', f'{name}_encoder')),
         type=section.text('type', 'revolute' if base is None else base.type, JOINT_TYPES),
     )
     if base is not None and joint.type != base.type:
@@ -390,21 +385,6 @@ def _link(section: Section) -> LinkInertia:
     return result
 
 
-def _friction(section: Section) -> JointFriction:
-    friction = section.section('friction', required=False)
-    result = JointFriction(
-        offset=friction.number('offset', 0.0, -1e6, 1e6),
-        viscous=friction.number('viscous', 0.0, -1e6, 1e6),
-        coulomb=friction.number('coulomb', 0.0, 0.0, 1e6),
-        coulomb_slope=friction.number(
-            'coulomb_slope', JointFriction.coulomb_slope, above=0.0, high=1e6
-        ),
-        load=friction.number('load', 0.0, 0.0, 1.0),
-    )
-    friction.finish()
-    return result
-
-
 def _limits(section: Section, base: JointLimits) -> JointLimits:
     limits = section.section('limits', required=False)
     lower = limits.number('lower', None, -LARGEST, LARGEST) if 'lower' in limits else base.lower
@@ -429,29 +409,6 @@ def _tolerance(section: Section) -> TorqueTolerance:
     if any(b <= a for a, b in zip(speed, speed[1:])):
         raise part.error('speed', 'must increase')
     result = TorqueTolerance(tuple(speed), tuple(part.vector('torque', len(speed), None, 0.0, 1e9)))
-    part.finish()
-    return result
-
-
-def _sensors(section: Section, joint: str) -> JointSensors:
-    part = section.section('sensors', required=False)
-    second = None
-    if 'second_encoder' in part:
-        other = part.section('second_encoder')
-        second = SecondEncoder(
-            other.text('name'),
-            other.number('position_noise', 1e-4, above=0.0, high=10.0),
-            other.number('quantization', 0.0, 0.0, 10.0),
-        )
-        other.finish()
-    result = JointSensors(
-        name=part.text('name', f'{joint}_encoder'),
-        position_noise=part.number('position_noise', 1e-4, above=0.0, high=10.0),
-        quantization=part.number('quantization', 0.0, 0.0, 10.0),
-        rates=part.text('rates', 'derived', RATE_SOURCES),
-        velocity_noise=part.number('velocity_noise', 1e-2, above=0.0, high=1e3),
-        second_encoder=second,
-    )
     part.finish()
     return result
 

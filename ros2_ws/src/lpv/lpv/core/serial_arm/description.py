@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from lpv.core.support.config import sha256_of
+from lpv.core.support.entries import entry, part
 
 N_INERTIAL = 10
 """Inertial parameters of a link: mass, 3 first moments, 6 entries of its inertia."""
@@ -99,11 +100,11 @@ class JointFriction:
     (Stribeck's effect), ``viscous`` is negative; within the velocity limit friction never drives.
     """
 
-    offset: float = 0.0  # [N m]
-    viscous: float = 0.0  # [N m s/rad]
-    coulomb: float = 0.0  # [N m]
-    coulomb_slope: float = 100.0  # [s/rad]
-    load: float = 0.0  # [N m per N m]
+    offset: float = entry('number', default=0.0, low=-1e6, high=1e6)  # [N m]
+    viscous: float = entry('number', default=0.0, low=-1e6, high=1e6)  # [N m s/rad]
+    coulomb: float = entry('number', default=0.0, low=0.0, high=1e6)  # [N m]
+    coulomb_slope: float = entry('number', default=100.0, above=0.0, high=1e6)  # [s/rad]
+    load: float = entry('number', default=0.0, low=0.0, high=1.0)  # [N m per N m]
 
     def is_dissipative(self, velocity_limit: float) -> bool:
         """Whether friction brakes at every speed up to the limit [rad/s], the offset apart."""
@@ -144,21 +145,26 @@ class TorqueTolerance:
 class SecondEncoder:
     """Another position sensor of the same joint, as the link-side one of an elastic gear."""
 
-    name: str  # name of the sensor; faults carry it
-    position_noise: float = 1e-4  # standard deviation per sample [rad]
-    quantization: float = 0.0  # step of the readings, 0 if none is known [rad]
+    name: str = entry('text')  # name of the sensor; faults carry it
+    # standard deviation per sample [rad]
+    position_noise: float = entry('number', default=1e-4, above=0.0, high=10.0)
+    # step of the readings, 0 if none is known [rad]
+    quantization: float = entry('number', default=0.0, low=0.0, high=10.0)
 
 
 @dataclass(frozen=True)
 class JointSensors:
     """Sensors of one joint."""
 
-    name: str  # name of the position sensor; faults carry it
-    position_noise: float = 1e-4  # standard deviation per sample, without quantization [rad]
-    quantization: float = 0.0  # step of the positions, 0 if none is known [rad]
-    rates: str = 'derived'  # one of RATE_SOURCES
-    velocity_noise: float = 1e-2  # standard deviation per sample [rad/s]
-    second_encoder: SecondEncoder | None = None
+    name: str = entry('text')  # name of the position sensor; faults carry it
+    # standard deviation per sample, without quantization [rad]
+    position_noise: float = entry('number', default=1e-4, above=0.0, high=10.0)
+    # step of the positions, 0 if none is known [rad]
+    quantization: float = entry('number', default=0.0, low=0.0, high=10.0)
+    rates: str = entry('text', default='derived', choices=RATE_SOURCES)
+    # standard deviation per sample [rad/s]
+    velocity_noise: float = entry('number', default=1e-2, above=0.0, high=1e3)
+    second_encoder: SecondEncoder | None = part(SecondEncoder, default=None)
 
 
 @dataclass(frozen=True)
@@ -253,14 +259,17 @@ class Uncertainty:
     """What may differ from the description while the arm is healthy."""
 
     # largest unknown mass at the tip, 0 if it never carries any; None: not stated [kg]
-    payload: float | None = None
-    friction: float = 0.0  # relative change of all friction, as with temperature [-]
-    model_error: float | None = None  # of masses, places of masses, inertias [-]; None: not stated
+    payload: float | None = entry('number', default=None, low=0.0, high=1e4)
+    # relative change of all friction, as with temperature [-]
+    friction: float = entry('number', default=0.0, low=0.0, high=1.0)
+    # of masses, places of masses, inertias [-]; None: not stated
+    model_error: float | None = entry('number', default=None, low=0.0, high=1.0)
     # torque that the model misses, a standard deviation for each joint; None: not measured.
     # sigma(v)^2 = torque_error^2 + (torque_error_speed*v)^2 at joint rate v
     torque_error: tuple[float, ...] | None = None  # in slow motion [N m]
     torque_error_speed: tuple[float, ...] | None = None  # growth with the joint's rate [N m s/rad]
-    torque_error_time: float | None = None  # in which its correlation falls to 1/e [s]
+    # in which its correlation falls to 1/e [s]
+    torque_error_time: float | None = entry('number', default=None, low=0.0, high=1e4)
 
     @property
     def largest_payload(self) -> float:

@@ -11,8 +11,11 @@ _Kind = TypeVar('_Kind')
 
 
 def entry(how: str, *details: Any, default: Any = MISSING, **limits: Any) -> Any:
-    """A field that the method ``how`` of `Section` reads, with its arguments."""
-    if default is not MISSING:
+    """A field that the method ``how`` of `Section` reads, with its arguments.
+
+    One whose default is None may be missing.
+    """
+    if default is not MISSING and default is not None:
         limits['default'] = default
     return field(default=default, metadata={'entry': (how, details, limits)})
 
@@ -40,11 +43,13 @@ def read_entries(kind: type[_Kind], section: Section, **given: Any) -> _Kind:
     values = dict(given)
     for one in fields(kind):  # type: ignore[arg-type]
         name = one.name
-        if 'entry' in one.metadata and name not in given:
+        if name in given or (one.default is None and name not in section):
+            continue
+        if 'entry' in one.metadata:
             how, details, limits = one.metadata['entry']
             value = getattr(section, how)(name, *details, **limits)
             values[name] = tuple(value) if isinstance(value, list) else value
-        elif 'part' in one.metadata and (one.default is MISSING or name in section):
+        elif 'part' in one.metadata:
             values[name] = read_entries(one.metadata['part'], section.section(name))
     section.finish()
     return kind(**values)
