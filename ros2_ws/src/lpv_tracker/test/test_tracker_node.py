@@ -168,7 +168,7 @@ def test_given_a_path_faster_than_max_speed_when_configured_then_it_is_told(capf
     ('ur10', 'bandwidth: 10.0', 'bandwidth: 8.0', 'does not hold'),
     ('ur10', 'model_error: 0.05', 'model_error: 0.04', 'numbers are those of the design'),
     ('ur10', '      model_error: 0.05\n', '', 'loop.model_error: is missing'),
-    ('panda', '/**', '/**', 'is for another arm'),
+    ('panda', '/**', '/**', 'designed for another arm'),
 ])  # fmt: skip
 def test_given_a_false_certificate_when_read_then_it_is_refused(tmp_path, name, old, new, reason):
     text, path = bringup_file('gains', name).read_text(encoding='utf-8'), tmp_path / 'gains.yaml'
