@@ -140,11 +140,9 @@ def observer_inequalities(
     decay, fastest, dt = (number(v) for v in (observer.decay, observer.fastest, arm.sample_time))
     q, r = (fastest + decay) / 2, (fastest - decay) / 2
     for link in link_errors(arm, number):
-        kappa, mu = number(observer.kappa[link.index]), number(observer.mu[link.index])
-        p, name = (
-            _lyapunov(observer.lyapunov[link.index], number),
-            f'observer, link {link.index + 1}',
-        )
+        i, name = link.index, f'observer, link {link.index + 1}'
+        kappa, mu = number(observer.kappa[i]), number(observer.mu[i])
+        p = _lyapunov(observer.lyapunov[i], number)
         closed = [link.closed(slope, kappa, mu) for slope in link.slopes]
         sampled = [heun(n, dt) for n in closed]
         yield f'{name}: P > 0 and symmetric', [-p]
