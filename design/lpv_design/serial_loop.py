@@ -3,7 +3,7 @@
 What is found is rebuilt and judged by `lpv.core.serial_arm.certificate.conditions`.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,7 +17,7 @@ from lpv.core.serial_arm.certificate.conditions import (
     region_lines,
     verify_loop,
 )
-from lpv.core.serial_arm.certificate.link_forms import chain_inequalities, invariant_basis, steps
+from lpv.core.serial_arm.certificate.link_forms import invariant_basis
 from lpv.core.serial_arm.certificate.loop_gains import ErrorProof, LoopGains, LoopProof
 from lpv.core.serial_arm.certificate.loop_inequality import (
     LoopNumbers,
@@ -158,30 +158,16 @@ def _best_value(numbers: ChainNumbers, bound: str) -> Any:
     n = len(numbers.rotor)
     _, invariant = _variables(n, twists_of(bound))
     value = cp.Variable(n) if bound == 'inertia' else cp.Variable()
-    objective, unit = value, 1.0
+    objective = value
+    unit = float(numbers.rates.sum()) if bound == 'growth' else 1.0
     if bound == 'inertia':
         typical = np.array([float(form[2, 2]) for form in numbers.inertia]) + numbers.rotor
         objective = cp.sum(cp.multiply(typical, cp.inv_pos(value)))
-    if bound == 'growth':
-        unit = float(numbers.rates.sum())
-        matrices = _growth_inequalities(numbers, value, unit, invariant)
-    else:
-        matrices = bound_inequalities(numbers, bound, value, invariant)
+    matrices = bound_inequalities(numbers, bound, value, invariant, unit, cp.bmat)
     status = solve(objective, [_positive(matrix) for matrix in matrices])
     if value.value is None:
         raise InfeasibleError(f'no bound of {bound} (solver: {status}): is the arm physical?')
     return unit * value.value
-
-
-def _growth_inequalities(
-    numbers: ChainNumbers, value: Any, unit: float, invariant: list[Any]
-) -> Iterator[Any]:
-    """As `bound_inequalities`, linear in nu over ``unit``: time is in units of 1/unit."""
-    zero = np.zeros((6, 6))
-    forms = [cp.bmat([[value * form, -form], [-form, zero]]) for form in numbers.inertia]
-    joint_steps = steps(2, [rate / unit for rate in numbers.rates])
-    rotors = [value * rotor for rotor in numbers.rotor]
-    yield from chain_inequalities(numbers.placement, forms, rotors, invariant, joint_steps)
 
 
 def _forms(numbers: ChainNumbers, bound: str, value: Any) -> np.ndarray | None:

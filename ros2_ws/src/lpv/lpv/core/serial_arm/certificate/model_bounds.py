@@ -96,7 +96,12 @@ def twists_of(bound: str) -> int:
 
 
 def bound_inequalities(
-    numbers: ChainNumbers, bound: str, value: Any, invariant: Sequence[Any]
+    numbers: ChainNumbers,
+    bound: str,
+    value: Any,
+    invariant: Sequence[Any],
+    unit: Any = None,
+    block: Callable[..., Any] = np.block,
 ) -> Iterator[Any]:
     """Matrices that must be positive definite for one of `BOUNDS` to hold.
 
@@ -110,6 +115,11 @@ def bound_inequalities(
         k, phi, nu or c.
     invariant : sequence of matrix
         B_2, ..., B_n.
+    unit : number, optional
+        Inverse of the unit of time, of growth [1/s]; nu if not given.  With it inequalities are
+        linear in nu, for the solver.
+    block : callable, optional
+        ``numpy.block`` or ``cvxpy.bmat``.
 
     Yields
     ------
@@ -129,10 +139,12 @@ def bound_inequalities(
     elif bound == 'inertia':
         scalars = [scalars[i] - value[i] for i in range(len(forms))]
     else:
-        # M - M'/nu, that is with time in units of 1/nu; -M' is that of the opposite rates.
+        # nu M - M' with time in units of 1/unit; -M' is that of the opposite rates.
         zero = np.zeros((6, 6), dtype=int)
-        forms = [np.block([[form, -form], [-form, zero]]) for form in forms]
-        joint_steps = steps(2, [rate / value for rate in numbers.rates])
+        scale, unit = (1, value) if unit is None else (value, unit)
+        forms = [block([[scale * form, -form], [-form, zero]]) for form in forms]
+        scalars = [scale * rotor for rotor in scalars]
+        joint_steps = steps(2, [rate / unit for rate in numbers.rates])
     yield from chain_inequalities(numbers.placement, forms, scalars, invariant, joint_steps)
 
 
