@@ -228,8 +228,10 @@ class SerialJoint:
 
     @property
     def farthest(self) -> float:
-        """Positions beyond are in degrees or millimetres: two turns, thirty times the limits."""
-        return math.sqrt(1e3) * max(map(abs, self.range)) if self.is_prismatic else 4.0 * math.pi
+        """Positions beyond are in degrees or mm: a turn past the limits, thirty times those."""
+        if self.is_prismatic:
+            return math.sqrt(1e3) * max(map(abs, self.range))
+        return max(map(abs, (self.limits.lower, self.limits.upper))) + 2.0 * math.pi
 
     @property
     def units(self) -> tuple[str, str]:

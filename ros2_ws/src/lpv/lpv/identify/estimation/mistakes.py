@@ -13,24 +13,22 @@ import numpy as np
 
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import N_INERTIAL, SerialArm
-from lpv.core.serial_arm.diagnosis.parameter_error import usual_load
+from lpv.core.serial_arm.diagnosis.parameter_error import model_error, usual_load
 from lpv.core.serial_arm.dynamics.payload import payload_parameters
-from lpv.identify.estimation.autocorrelation import autocovariance
 from lpv.identify.estimation.robust import HUBER, robust_fit
 from lpv.identify.model.base_parameters import find_base_parameters
-from lpv.identify.model.friction import SLOPE, friction_columns, join_columns
+from lpv.identify.model.friction import SLOPE, friction_columns, join_columns, least_viscous
 from lpv.identify.model.prior import Prior, base_prior
 from lpv.identify.model.rigid_body import RigidBody
 from lpv.identify.recordings.filters import derivative, low_pass, shifted
 from lpv.identify.recordings.motion import Segment, find_bandwidths, moving, split
 from lpv.identify.recordings.recording import Recording
 
-_SURE = 15.0  # logarithm of a Bayes factor from which a mistake is named, against none or others
+_SURE = 10.0  # logarithm of a Bayes factor from which a mistake is named, against none or others
 _COST = 2.0  # logarithm of how much less likely a mistake is than none, of one joint
-# The same of what healthy recordings seem to show where the model misses torques: an error of a
-# joint's readings up to 30 (15 s of motion; with a tool beside the axis 17).
-_SEEMING = {'reading': 15.0, 'change': 15.0}
+_MISSED = 0.01  # share of the torques that models of healthy arms miss, at least
 _FREE = 1e-6  # information on friction before the data
+_LATE = 0.01  # usual delay of efforts, at least that of a sample [s]
 _LEAST_ANGLE = np.radians(1.5)  # of a base's tilt, or of a reading's error, that is a mistake
 _LEAST_LOAD = 0.1  # share of the usual load that is a change of it
 _CHANGES = np.linspace(0.1, 0.9, 17)  # moments at which the load may change, of the duration
@@ -38,7 +36,7 @@ _FARTHEST = 0.5  # that gravity turns, or a reading is off, in a step of a searc
 _STEPS = 3  # of the search for a reading's error: what is left is its cube
 _SCALE = 0.2  # standard deviation of the logarithm of the arm's torques, as the file gives them
 _FACTOR = 2.0  # within which efforts may be N m
-_DELAYS = (-0.05, *np.arange(0.02, 0.11, 0.01))  # what filters of drivers do is no mistake [s]
+_DELAYS = (-0.05, *np.arange(0.03, 0.11, 0.01))  # what filters of drivers do is no mistake [s]
 _ALMOST_ALL = (0.01, 0.99)  # quantiles of positions: single readings may be anything
 _MOST_SAMPLES = 1500  # that mistakes are tried on: each is a fit of its own
 _Tried = Iterator[tuple[str, '_Setup']]
@@ -72,8 +70,8 @@ def find_mistakes(arm: SerialArm, recordings: Sequence[Recording]) -> list[Mista
 
     After efforts without the weight, which an identification finds by itself, another mistake.
     """
-    if unit := _other_unit(arm, np.concatenate([one.position for one in recordings])):
-        return [unit]  # all else would follow from it
+    if text := other_unit(arm, np.concatenate([one.position for one in recordings])):
+        return [Mistake('angle', text, np.inf)]  # all else would follow from it
     slow = _slow(arm, [s for one in recordings for s in split(one)])
     judge = _Judge(arm, slow)
     gravity = arm.gravity_vector() if arm.effort_includes_gravity else np.zeros(3)
@@ -84,13 +82,11 @@ def find_mistakes(arm: SerialArm, recordings: Sequence[Recording]) -> list[Mista
     while not found or found[-1].kind == 'weight':
         tried: list[tuple[Mistake, _Setup]] = []
         for kind, hypotheses in judge.hypotheses({m.kind for m in found}):
-            values = [
-                (judge.evidence(other).over(before) - judge.cost, text, other)
-                for text, other in hypotheses(setup)
-            ]
+            values = [(judge.evidence(other), text, other) for text, other in hypotheses(setup)]
             if values:
-                value, text, other = max(values, key=lambda one: one[0])
-                tried.append((Mistake(kind, text, value - _SEEMING.get(kind, 0.0)), other))
+                likeliest, text, other = max(values, key=lambda one: one[0].total)
+                value = likeliest.over(before) - judge.cost
+                tried.append((Mistake(kind, text, value), other))
         best, other = max(tried, key=lambda one: one[0].evidence)
         if best.evidence < _SURE:
             break
@@ -101,17 +97,13 @@ def find_mistakes(arm: SerialArm, recordings: Sequence[Recording]) -> list[Mista
     return found
 
 
-def _other_unit(arm: SerialArm, position: np.ndarray) -> Mistake | None:
-    """Positions that are a turn and more beyond the limits of a joint, or look like mm."""
-    for joint, (low, high) in zip(arm.joints, np.quantile(position, _ALMOST_ALL, axis=0).T):
-        if joint.is_prismatic:
-            is_off, unit = max(-low, high) > joint.farthest, 'millimetres'
-        else:
-            beyond = max(joint.limits.lower - low, high - joint.limits.upper)
-            is_off, unit = beyond > 2.0 * np.pi, 'degrees'
-        if is_off:
+def other_unit(arm: SerialArm, position: np.ndarray) -> str | None:
+    """Positions, shape (samples, n), that look like degrees or mm, as text; None if none do."""
+    for joint, (low, high) in zip(arm.joints, np.nanquantile(position, _ALMOST_ALL, axis=0).T):
+        if max(-low, high) > joint.farthest:
+            unit = 'millimetres' if joint.is_prismatic else 'degrees'
             where = f'{low:.3g} to {high:.3g} {joint.units[0]}, beyond its limits'
-            return Mistake('angle', f'positions of {joint.name} are {where}: {unit}?', np.inf)
+            return f'positions of {joint.name} are {where}: {unit}?'
     return None
 
 
@@ -137,15 +129,28 @@ def _slow(arm: SerialArm, segments: Sequence[Segment]) -> tuple[Segment, ...]:
 class _Evidence:
     """How well a set-up explains the torques."""
 
-    misfit: float  # sum of the logarithms of the joints' residual scales
+    fits: np.ndarray  # logarithm of the likelihood of each stretch of time
     leaves: float  # how far parameters leave the file: less of the evidence's logarithm
-    samples: float  # that are independent, as its residuals last
     beta: np.ndarray  # base parameters
     extra: np.ndarray  # other parameters that were asked for
 
+    @property
+    def total(self) -> float:
+        """Logarithm of the evidence, as if the model missed nothing of its own."""
+        return float(self.fits.sum()) - self.leaves
+
     def over(self, other: '_Evidence') -> float:
-        """Logarithm of the Bayes factor; what is right leaves nothing that lasts."""
-        return self.samples * (other.misfit - self.misfit) + other.leaves - self.leaves
+        """Logarithm of the Bayes factor, no more than its scatter over time allows.
+
+        What a model misses of its own gains by chance: then the gain is about normal with mean 0,
+        its variance twice what stretches fall short of the mean, as few gain much from any change;
+        the logarithm of the likelihood ratio is that of Student's t.
+        """
+        gains = self.fits - other.fits
+        gain, count = float(gains.sum()), len(gains)
+        short = np.minimum(gains - gains.mean(), 0.0)
+        sure = 0.5 * count * np.log1p(gain**2 / (2.0 * count * float(short @ short) + 1e-12))
+        return min(gain, sure) + other.leaves - self.leaves
 
 
 class _Judge:
@@ -165,8 +170,15 @@ class _Judge:
         self._loads = usual_load(arm), sum(joint.link.mass for joint in arm.joints)
         self._information = [self._with_load(sigma) for sigma in self._loads]
         duration = sum(s.time[-1] - s.time[0] for s in segments)
-        samples = 2.0 * find_bandwidths(list(segments)).test * duration
+        self._band = find_bandwidths(list(segments)).test
+        samples = 2.0 * self._band * duration
         self._share = samples / sum(len(s.time) for s in segments)  # that is independent
+        self._of_drive = np.array(
+            [_FREE, _FREE, _FREE, model_error(arm) ** -2, max(_LATE, arm.sample_time) ** -2]
+        )
+        self._fastest = np.array([joint.limits.velocity for joint in arm.joints])
+        # What a model misses lasts as long as a pose: half a period of the fastest motion.
+        self._stretches = max(3, int(self._band * duration))
         self.cost = _COST + np.log(len(arm.joints))
 
     def _with_load(self, sigma: float) -> np.ndarray:
@@ -184,9 +196,14 @@ class _Judge:
             motion = one.velocity, derivative(one.velocity, one.step)
             full = [self._model.regressor(one.position, *motion, np.zeros(3))]
             full += [self._model.regressor(one.position, still, still, axis) for axis in np.eye(3)]
-            parts.append([part[:, :, self._base.columns] for part in full])
+            base = (part[:, :, self._base.columns] for part in full)
+            parts.append([low_pass(part, self._band, one.step) for part in base])
         rigid = tuple(np.concatenate(part) for part in zip(*parts))
         return _Setup(segments, gravity, rigid, np.concatenate(moves))
+
+    def _filtered(self, setup: _Setup, signal: np.ndarray) -> np.ndarray:
+        """What the motion excites of a signal of all segments."""
+        return _each(setup, lambda part, step: low_pass(part, self._band, step), signal)
 
     def _regressor(self, setup: _Setup) -> np.ndarray:
         return setup.rigid[0] + sum(g * part for g, part in zip(setup.gravity, setup.rigid[1:]))
@@ -195,48 +212,60 @@ class _Judge:
         """Of a set-up, whose torques may have ``more`` columns, shape (samples, n, parameters)."""
         regressor = self._regressor(setup)
         columns = regressor if more is None else np.concatenate([regressor, more], axis=2)
-        solution, residual, scale = self._fit(setup, columns)
-        beta = solution[: self._size]
+        design, prior, passive = self._design(setup, columns, regressor @ self._mean)
+        solution, residual, scale = self._fit(setup, design, prior, passive)
+        beta, off = solution[: self._size], solution - prior.mean
         # Single parameters may be far off, hardly the torques of the whole arm.
         sizes = [float(np.linalg.norm(regressor @ b)) + 1e-9 for b in (beta, self._mean)]
         common = float(np.log(sizes[0] / sizes[1])) / _SCALE
-        off = beta - self._mean
-        information = self._information[setup.loaded]
+        loss = 0.5 * np.minimum(np.abs(residual / scale), HUBER) ** 2  # contacts decide nothing
+        logs = np.sum((-np.log(scale / setup.gain) - loss) * setup.moves, axis=1)
+        counted = np.cumsum(setup.moves.sum(axis=1))
+        edges = np.searchsorted(counted, counted[-1] * np.arange(self._stretches) / self._stretches)
         return _Evidence(
-            float(np.sum(np.log(scale / setup.gain))),
-            0.5 * float(off @ information @ off) + 0.5 * common**2,
-            self._independent(setup, residual / scale) * float(setup.moves.sum(axis=0).mean()),
+            self._share * np.add.reduceat(logs, edges),
+            0.5 * float(off @ prior.information @ off) + 0.5 * common**2,
             beta,
-            solution[len(beta) : columns.shape[2]],
+            solution[self._size : columns.shape[2]],
         )
 
-    def _independent(self, setup: _Setup, ratio: np.ndarray) -> float:
-        """Share of the samples that is independent: less than the band has where errors last."""
-        errors = np.where(setup.moves, np.clip(ratio, -HUBER, HUBER), 0.0)
-        parts = np.split(errors, _ends(setup))
-        most = max(2, max(len(part) for part in parts) // 4)
-        joints = zip(*(part.T for part in parts))
-        gamma = np.sum([autocovariance(one, most) for one in joints], axis=0)
-        rho = gamma / max(float(gamma[0]), 1e-12)
-        end = int(np.argmax(np.append(rho, -1.0) <= 0.0))
-        return min(self._share, 1.0 / (1.0 + 2.0 * float(rho[1:end].sum())))
+    def _design(
+        self, setup: _Setup, columns: np.ndarray, torque: np.ndarray
+    ) -> tuple[np.ndarray, Prior, np.ndarray]:
+        """Columns with those of all drives, their prior, and which may not be negative.
 
-    def _fit(self, setup: _Setup, columns: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Huber's estimate of all parameters with the prior; residuals, scale of each joint."""
-        effort = _efforts(setup)
+        Drives have friction, which dissipates at all rates, an offset, and a gain and delay that
+        are about as the file says; ``torque``, shape (samples, n), is what it expects.
+        """
         rates = np.concatenate([s.velocity for s in setup.segments])
         _, n, size = columns.shape
-        friction = friction_columns(rates, np.full(n, SLOPE), np.zeros_like(rates))
-        design = join_columns(columns, friction[:, :, [0, 1, 3]])
-        information = np.diag(np.where(np.arange(design.shape[2]) < size, 0.0, _FREE))
+        slope = np.full(n, SLOPE)
+        friction = friction_columns(rates, slope, np.zeros_like(rates))[:, :, [0, 1, 3]]
+        friction[:, :, 1] += friction[:, :, 0] * least_viscous(slope, self._fastest)
+        drives = np.stack([torque, _each(setup, derivative, torque)], axis=2)
+        terms = np.concatenate([self._filtered(setup, friction), drives], axis=2)
+        information = np.diag(np.append(np.zeros(size), np.tile(self._of_drive, n)))
         information[: self._size, : self._size] = self._information[setup.loaded]
         mean = np.append(self._mean, np.zeros(len(information) - self._size))
+        passive = np.append(np.zeros(size, bool), np.tile([True, True, False, False, False], n))
+        return join_columns(columns, terms), Prior(mean, information), passive
+
+    def _fit(
+        self, setup: _Setup, design: np.ndarray, prior: Prior, passive: np.ndarray
+    ) -> tuple[np.ndarray, ...]:
+        """Huber's estimate of all parameters with the prior; residuals, scale of each joint."""
+        effort = self._filtered(setup, _efforts(setup))
         spread = np.std(effort, axis=0)
-        least = 1e-3 * spread + 1e-9
-        return robust_fit(
-            design, effort, np.maximum(spread, least), Prior(mean, information),
-            rounds=4, share=self._share, least=least, counts=setup.moves,
-        )  # fmt: skip
+        least = _MISSED * spread + 1e-9
+        while True:
+            found = robust_fit(
+                design, effort, np.maximum(spread, least), prior,
+                rounds=4, share=self._share, least=least, counts=setup.moves,
+            )  # fmt: skip
+            negative = passive & (found[0] < 0.0)
+            if not negative.any():
+                return found
+            design[:, :, negative], passive = 0.0, passive & ~negative
 
     def hypotheses(self, without: set[str]) -> Iterator[tuple[str, Callable[[_Setup], _Tried]]]:
         """Kinds of mistakes, and what tries each: the most evident one of it counts."""
@@ -395,10 +424,10 @@ class _Judge:
         measured = np.std(_efforts(setup), axis=0)
         carries = expected > 0.1 * expected.max()
         gain = expected / np.maximum(measured, 1e-12)
-        middle = float(np.median(gain[carries]))
-        if 1.0 / _FACTOR < middle < _FACTOR:
+        least = min(gain[carries], key=lambda g: abs(np.log(g)))
+        if 1.0 / _FACTOR < least < _FACTOR:
             return
-        gain = np.where(carries, gain, middle)
+        gain = np.where(carries, gain, float(np.median(gain[carries])))
         yield (
             'efforts are no torques in N m: currents? About '
             + ', '.join(f'{g:.3g}' for g in gain)
@@ -424,6 +453,14 @@ def _elapsed(setup: _Setup) -> np.ndarray:
 def _efforts(setup: _Setup) -> np.ndarray:
     """Those of all segments, shape (samples, n)."""
     return np.concatenate([s.effort for s in setup.segments])
+
+
+def _each(
+    setup: _Setup, change: Callable[[np.ndarray, float], np.ndarray], signal: np.ndarray
+) -> np.ndarray:
+    """A signal of all segments, changed in each of them."""
+    pairs = zip(np.split(signal, _ends(setup)), setup.segments)
+    return np.concatenate([change(part, one.step) for part, one in pairs])
 
 
 def _ends(setup: _Setup) -> np.ndarray:
