@@ -366,7 +366,14 @@ def recorded(arm, duration=1.2, scale=1.0, rate_scale=1.0, sign=1.0, rates=True)
 
 
 def test_given_degrees_when_checked_then_they_are_named(paper_arm, paper_model):
-    both = {'rad: degrees': (57.3, 57.3), 'degrees': (57.3, 1.0), 'rates in degrees': (1.0, 57.3)}
+    paper_arm = replace(paper_arm, joints=tuple(
+        replace(joint, limits=JointLimits(-3.1, 3.1, 10.0, 100.0)) for joint in paper_arm.joints
+    ))  # fmt: skip
+    both = {
+        'limits: degrees': (57.3, 57.3),
+        'degrees': (57.3, 1.0),
+        'rates in degrees': (1.0, 57.3),
+    }
     for said, (scale, rate_scale) in both.items():
         messages = list(recorded(paper_arm, scale=scale, rate_scale=rate_scale))
         finding = signals.check_units('/joint_states', messages, paper_arm)
@@ -388,7 +395,10 @@ def test_given_millimetres_of_a_joint_that_slides_when_checked_then_only_they_ar
         shot.measured[JOINTS] = list(zip(STAMPS, run))
         said = bad(signals.check_measurements(shot, arm))
         assert [f.check for f in said if f.check != 'stamps'] == checks
-        assert not checks or 'joint3 is at 150 m: millimetres?' in said[0].text
+        assert (
+            not checks
+            or 'joint3 are -150 to -150 m, beyond its limits: millimetres?' in said[0].text
+        )
 
 
 @pytest.mark.slow
@@ -414,3 +424,12 @@ def test_given_efforts_of_a_moving_arm_when_checked_then_a_wrong_sign_is_named()
         finding = signals.check_setup('/joint_states', messages, crane())
         assert finding.level == level
         assert ('of all joints count against the motion' in finding.text) == (sign < 0.0)
+
+
+def test_given_a_reading_that_steps_when_checked_then_the_diagnosis_names_it():
+    messages = list(recorded(crane(), 8.0))
+    for late in messages[7 * len(messages) // 8 :]:
+        late.position[1] += 0.1
+    finding = signals.check_setup('/joint_states', messages, crane())
+    assert (finding.level, finding.check) == (Level.WARN, 'health')
+    assert '7.0 s: ALARM, encoder2: error +0.1' in finding.text

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from lpv.cli.doctor.finding import Finding, Level, error, ok, warn
+from lpv.core.monitoring.idle_efforts import without_efforts
 from lpv.core.monitoring.joint_order import JointOrder
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import SerialArm
@@ -105,8 +106,8 @@ def check_efforts(topic: str, messages: list[Any], shot: Any) -> Finding | None:
     """Whether torques are measured where the observer takes them from."""
     sources = [values.get('torque_source') for values in shot.parameters.values()]
     without = sum(not len(m.effort) or not np.isfinite(m.effort).all() for m in messages)
-    if not any(np.any(m.effort) for m in messages) and _moves(messages):
-        without = len(messages)  # as of a driver that fills in zeros
+    if not without and _fills_in(messages):
+        without = len(messages)
     if not without or ('command' in sources and 'effort' not in sources):
         return None
     remedy = 'let the driver publish joint torques in effort [N m], or start the observer with '
@@ -114,11 +115,15 @@ def check_efforts(topic: str, messages: list[Any], shot: Any) -> Finding | None:
     return error('efforts', text, f'{remedy}torque_source:=command')
 
 
-def _moves(messages: list[Any]) -> bool:
-    """Whether any joint does."""
+def _fills_in(messages: list[Any]) -> bool:
+    """Whether zeros are published in place of efforts."""
     count = len(messages[-1].position)
-    rows = [m.position for m in messages if len(m.position) == count]
-    return bool(np.any(np.ptp(np.array(rows, float), axis=0) > SMALL))
+    rows = [(m.position, m.effort) for m in messages if len(m.position) == len(m.effort) == count]
+    if not rows:
+        return False
+    position, effort = (np.array(values, float) for values in zip(*rows))
+    moved, given = without_efforts(position, effort, position[0], SMALL)
+    return bool(moved[-1] and not given[-1])
 
 
 def check_values(topic: str, messages: list[Any], rates: bool = True) -> Finding | None:
@@ -203,15 +208,14 @@ def _samples(messages: list[Any], arm: SerialArm) -> tuple[np.ndarray, ...] | No
 
 def check_units(topic: str, messages: list[Any], arm: SerialArm) -> Finding | None:
     """Whether positions look like degrees or mm: by size, by their rates, or by gravity."""
+    from lpv.identify.estimation.mistakes import other_unit
+
     found = _samples(messages, arm)
     if found is None or len(found[0]) < 2:
         return None
     stamps, position, velocity, effort = found
-    for joint, largest in zip(arm.joints, np.nan_to_num(np.abs(position)).max(axis=0)):
-        if largest > joint.farthest:
-            wrong = 'millimetres' if joint.is_prismatic else 'degrees'
-            text = f'{topic}: {joint.name} is at {largest:.3g} {joint.units[0]}: {wrong}?'
-            return error('units', text, _IN_RADIANS)
+    if said := other_unit(arm, np.nan_to_num(position)):
+        return error('units', f'{topic}: {said}', _IN_RADIANS)
     turns = np.array([not joint.is_prismatic for joint in arm.joints])
     # Between samples the mean rate counts, so that sampling does not matter.
     steps = np.diff(stamps)[:, None] / 1e9
@@ -278,8 +282,9 @@ def check_rate_source(topic: str, messages: list[Any], arm: SerialArm) -> Findin
 
 
 def check_setup(topic: str, messages: list[Any], arm: SerialArm) -> Finding | None:
-    """Whether motion and efforts fit arm file and mounting; what is likely wrong, if not."""
+    """Whether motion and efforts fit arm file and mounting; else what is wrong, or alarms."""
     from lpv.identify.errors import IdentificationError
+    from lpv.identify.estimation.health import unhealthy
     from lpv.identify.estimation.mistakes import find_mistakes
     from lpv.identify.recordings.recording import clean
 
@@ -293,6 +298,8 @@ def check_setup(topic: str, messages: list[Any], arm: SerialArm) -> Finding | No
         mistakes = find_mistakes(arm, [recording])
     except IdentificationError:
         return None  # too short, or at rest: that is no mistake
+    if not mistakes and (alarms := unhealthy(arm, [recording])):
+        return warn('health', '; '.join(alarms), 'see docs/alarms.md, or look at the observer')
     if not mistakes:
         return ok('setup', f'{topic}: efforts of {recording.duration:.0f} s of motion fit the arm')
     remedy = 'correct arm file, mounting or driver; lpv identify says what fits, from a recording'

@@ -16,6 +16,7 @@ from lpv.core.monitoring import message_fields
 from lpv.core.monitoring.answers import LONGEST_STALE, Answer, Answers, answer_type
 from lpv.core.monitoring.batch import Batch, new_batch
 from lpv.core.monitoring.compensation import FLAGS, Known, new_compensation
+from lpv.core.monitoring.idle_efforts import without_efforts
 from lpv.core.monitoring.joint_order import JointOrder
 from lpv.core.monitoring.parameters import DiagnosisParameters
 from lpv.core.monitoring.plausibility import (
@@ -369,19 +370,15 @@ class SerialSensorMonitor:
         return answers
 
     def _leave_out_idle(self, position: FloatArray, effort: FloatArray) -> int:
-        """Make efforts NaN that are 0 in motion and always were; the first such one of all, or -1.
-
-        A driver that measures none may publish zeros.  An arm that rests on its brakes needs none.
-        """
+        """Make efforts NaN that are not measured but 0; the first such one of all, or -1."""
         read = np.isfinite(position).any(1)
         if self._has_efforts or not read.any():
             return -1
         if self._first is None:
             self._first = position[read.argmax()].copy()
-        is_given = np.logical_or.accumulate((np.abs(effort) > 0.0).any(1) & read)
-        moves = (np.abs(position - self._first) > self._small).any(1)
+        moved, is_given = without_efforts(position, effort, self._first, self._small)
         had_moved = self._has_moved
-        idle = (np.logical_or.accumulate(moves) | had_moved) & ~is_given
+        idle = (moved | had_moved) & ~is_given
         effort[idle] = np.nan
         self._has_efforts, self._has_moved = bool(is_given[-1]), had_moved or bool(idle.any())
         return int(idle.argmax()) if self._has_moved and not had_moved else -1
