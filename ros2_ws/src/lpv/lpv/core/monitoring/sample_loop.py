@@ -12,8 +12,8 @@ import numpy as np
 from lpv.core.monitoring.compensation import AnswerRows, Compensation, Known, fill_answers
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.diagnosis.alarms import Mode, SensorState
-from lpv.core.serial_arm.diagnosis.bank import STARTS
 from lpv.core.serial_arm.diagnosis.decision import Parts, Stage, decide
+from lpv.core.serial_arm.diagnosis.linear_bank import STARTS
 from lpv.core.serial_arm.diagnosis.sampler import NONE, removed, smallest_jump
 from lpv.core.serial_arm.diagnosis.sampling import take_samples
 from lpv.core.support.jit import njit_in_place

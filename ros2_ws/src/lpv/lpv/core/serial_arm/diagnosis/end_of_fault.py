@@ -17,10 +17,11 @@ from scipy.special import expit
 
 from lpv.core.serial_arm.chain import FloatArray
 from lpv.core.serial_arm.diagnosis.balance import DRIFT, EPOCH, OFFSET
-from lpv.core.serial_arm.diagnosis.bank import STARTS, Bank
+from lpv.core.serial_arm.diagnosis.bank import Bank
 from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator
 from lpv.core.serial_arm.diagnosis.fault_filter import begin_frozen
 from lpv.core.serial_arm.diagnosis.information import recent
+from lpv.core.serial_arm.diagnosis.linear_bank import STARTS
 from lpv.core.serial_arm.diagnosis.onset import weigh_errors
 from lpv.core.serial_arm.diagnosis.priors import SIZE
 from lpv.core.serial_arm.diagnosis.readings import Readings

@@ -17,7 +17,7 @@ from lpv.core.serial_arm.certificate.jump_bound import jump_bound
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import SensorState
-from lpv.core.serial_arm.diagnosis.bank import STARTS, Bank, Hypothesis
+from lpv.core.serial_arm.diagnosis.bank import Bank, Hypothesis
 from lpv.core.serial_arm.diagnosis.decision import (
     DECISION,
     STILL_TIME,
@@ -44,6 +44,7 @@ from lpv.core.serial_arm.diagnosis.frozen_readings import frozen_readings, froze
 from lpv.core.serial_arm.diagnosis.healthy_set import Guarantee, HealthySet
 from lpv.core.serial_arm.diagnosis.information import ROBUST
 from lpv.core.serial_arm.diagnosis.learning import Learned, learned_of
+from lpv.core.serial_arm.diagnosis.linear_bank import STARTS
 from lpv.core.serial_arm.diagnosis.parameter_set import is_stated
 from lpv.core.serial_arm.diagnosis.priors import CONTACT, FAULT_AT_START, LOAD, OCCURRENCE, PUSH
 from lpv.core.serial_arm.diagnosis.published_rates import CONTRADICTIONS
