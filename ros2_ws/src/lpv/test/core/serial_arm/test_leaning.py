@@ -34,3 +34,10 @@ def test_given_a_torque_that_stays_when_watched_then_trusted_bounds_hold_healthy
     answers = answered(*case)
     outside = (np.abs(answers.fault.estimate) > answers.fault.bound + 1e-6).any(axis=1)
     assert not (outside & answers.state.trustworthy).any()
+
+
+@pytest.mark.parametrize('case', CASES)
+def test_given_a_torque_that_stays_when_watched_then_the_loop_gets_what_healthy_sensors_read(case):
+    state = answered(*case).state
+    np.testing.assert_array_equal(state.compensated_position, state.measured_position)
+    np.testing.assert_array_equal(state.velocity, state.measured_velocity)
