@@ -10,6 +10,8 @@ from bags import write_measurements
 from places import RECORDINGS as DATA
 from scipy import stats
 from simulated_recordings import is_physical
+from ur10e_twin import recording as recording_of_twin
+from ur10e_twin import ur10e
 
 from lpv.bag.run.csv_import import CsvError, load_column_map
 from lpv.cli.commands.identify import _save
@@ -156,6 +158,16 @@ def test_given_currents_when_identified_then_gains_and_their_signs_are_found(arm
     ratio = np.array([joint.torque_gain for joint in found.joints]) / gains
     assert ratio == pytest.approx(np.full(3, ratio.mean()), rel=0.1)
     assert ratio.mean() == pytest.approx(1.0, abs=0.25)
+
+
+@pytest.mark.parametrize('seed', [1000, 1002])
+def test_given_currents_of_an_arm_that_pauses_when_looked_at_then_rests_do_not_decide_gains(seed):
+    true = np.array([joint.torque_gain for joint in ur10e().joints])
+    blank = with_joints(ur10e(), torque_gain=[1.0] * len(true))
+    workshop = Workshop(blank, [recording_of_twin(seed)])
+    workshop.estimate_gains(0.7)
+    ratio = workshop.gain / true
+    assert ratio == pytest.approx(np.full(len(true), ratio.mean()), rel=0.25)
 
 
 def test_given_a_tool_when_its_payload_is_identified_then_mass_and_centre_fit(arm, simulated):

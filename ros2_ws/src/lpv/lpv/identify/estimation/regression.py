@@ -48,6 +48,7 @@ class Rows:
     effort: np.ndarray  # shape (samples, n) [N m]
     speed_limit: np.ndarray  # of the joints, shape (n,) [rad/s]
     part: slice = field(default_factory=lambda: slice(None))  # samples that count
+    moves: np.ndarray | None = None  # where efforts count, if not everywhere, (samples, n)
     cache: dict[tuple[float, float], np.ndarray] = field(  # filtered regressors of base parameters
         default_factory=dict, compare=False, repr=False
     )
@@ -132,6 +133,8 @@ class Problem:
         self.effort = np.concatenate(
             [self._keep(low_pass(r.effort, filters.analysis, r.step), r) for r in rows]
         )
+        counts = [np.ones(r.effort.shape, bool) if r.moves is None else r.moves for r in rows]
+        self.counts = np.concatenate([self._keep(c, r) for c, r in zip(counts, rows)])
         self.lengths = [len(self._keep(r.effort, r)) for r in rows]
         self._rates = np.concatenate([self._reduce(r.velocity, r) for r in rows])
 
@@ -203,7 +206,7 @@ def fit_parameters(
     n, size, search = problem.n, problem.size, slope is None
     slope = np.full(n, 50.0) if slope is None else slope.copy()
     parameters = np.zeros(size + len(TERMS) * n)
-    scale, weight = np.ones(n), np.ones_like(problem.effort)
+    scale, weight = np.ones(n), problem.counts.astype(float)
     for sweep in range(sweeps if search else min(sweeps, 3)):
         loads = problem.loads(parameters[:size]) if sweep else None
         if search and sweep:
@@ -213,11 +216,11 @@ def fit_parameters(
             equations = normal_equations(design, problem.effort, weight / scale**2, prior)
             parameters, active = _solve(problem, slope, *equations, signed)
             residual = problem.effort - design @ parameters
-            scale, weight = _weigh(residual)
+            scale, weight = _weigh(problem, residual)
     for _ in range(_REFINEMENTS if search else 0):
         weights = weight / scale**2
         slope, parameters, residual = _refine(problem, slope, parameters, weights, active, prior)
-        scale, weight = _weigh(residual)
+        scale, weight = _weigh(problem, residual)
     if search:
         design = problem.design(slope, problem.loads(parameters[:size]))
     weights = weight / scale**2
@@ -229,11 +232,12 @@ def fit_parameters(
     return Fit(parameters, slope, scale, size, normal, right, covariance, freedom, use_load)
 
 
-def _weigh(residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _weigh(problem: Problem, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Robust scale of each joint, and weights."""
-    scale = robust_scale(residual)
+    pairs = zip(residual.T, problem.counts.T)
+    scale = np.array([robust_scale(column[counts]) for column, counts in pairs])
     scale = np.maximum(scale, 1e-9 + 1e-6 * np.max(scale))
-    return scale, huber(residual / scale)
+    return scale, problem.counts * huber(residual / scale)
 
 
 def _solve(

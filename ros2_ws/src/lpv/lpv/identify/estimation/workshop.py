@@ -86,7 +86,9 @@ class Workshop:
         """Gains of the efforts, if those are currents and no gains are given."""
         if self.arm.effort_unit == 'N m' or np.any(self.gain != 1.0):
             return
-        self.gain = estimate_gains(self.train_rows(share), self.filters, self.prior)
+        self.gain = estimate_gains(
+            self.train_rows(share), self.filters, self.prior, self.arm.scales()
+        )
         pairs = zip(self.arm.joints, self.gain.tolist())
         joints = tuple(replace(joint, torque_gain=gain) for joint, gain in pairs)
         self.arm = replace(self.arm, joints=joints)
