@@ -234,8 +234,7 @@ def fit_parameters(
 
 def _weigh(problem: Problem, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Robust scale of each joint, and weights."""
-    pairs = zip(residual.T, problem.counts.T)
-    scale = np.array([robust_scale(column[counts]) for column, counts in pairs])
+    scale = robust_scale(residual, counts=problem.counts)
     scale = np.maximum(scale, 1e-9 + 1e-6 * np.max(scale))
     return scale, problem.counts * huber(residual / scale)
 

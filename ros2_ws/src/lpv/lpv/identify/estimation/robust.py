@@ -8,9 +8,17 @@ HUBER = 3.0
 """Residuals beyond this many scales weigh less (contacts, outliers)."""
 
 
-def robust_scale(residual: np.ndarray, least: np.ndarray | float = 0.0) -> np.ndarray:
+def robust_scale(
+    residual: np.ndarray,
+    least: np.ndarray | float = 0.0,
+    counts: np.ndarray | None = None,  # which residuals do, of the same shape
+) -> np.ndarray:
     """Standard deviation of each column by its median magnitude, at least ``least``."""
-    return np.maximum(np.median(np.abs(residual), axis=0) / 0.6745, least)
+    if counts is None:
+        median = np.median(np.abs(residual), axis=0)
+    else:
+        median = np.array([np.median(np.abs(r[one])) for r, one in zip(residual.T, counts.T)])
+    return np.maximum(median / 0.6745, least)
 
 
 def huber(ratio: np.ndarray, bound: float = HUBER) -> np.ndarray:
@@ -76,7 +84,6 @@ def robust_fit(
         matrix, right = normal_equations(design, target, share * weight / scale**2, prior)
         solution = invert_normal(matrix) @ right
         residual = target - design @ solution
-        parts = [robust_scale(column[one]) for column, one in zip(residual.T, used.T)]
-        scale = np.maximum(parts, least)
+        scale = robust_scale(residual, least, used)
         weight = used * huber(residual / scale, bound)
     return solution, residual, scale
