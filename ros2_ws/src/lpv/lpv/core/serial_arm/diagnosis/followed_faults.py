@@ -47,11 +47,6 @@ class FollowedFaults:
         self._noted = np.zeros(n)  # correction of which the caller knows [rad]
 
     @property
-    def change(self) -> bool:
-        """Whether a fault is followed, or a reading is noisy."""
-        return bool(self.filters) or 1 in self._readings.sampler.noisy.tolist()
-
-    @property
     def known(self) -> set[int]:
         """Sensors of which a fault is followed, or whose readings are noisy."""
         return {*self.filters, *np.flatnonzero(self._readings.sampler.noisy).tolist()}
@@ -78,8 +73,6 @@ class FollowedFaults:
     def sigma(self) -> FloatArray:
         """Standard deviations of faults that change, and of noise, shape (n,) [rad]."""
         sigma, readings = np.zeros(len(self._sensors)), self._readings
-        if not self.change:
-            return sigma
         now = readings.last()
         for i, one in self.filters.items():
             sigma[i] = one.fault(float(readings.sampler.raw[i]), now)[2]

@@ -391,7 +391,7 @@ class SerialMonitor:
         """Say what decisions have to know."""
         state, suspects = self._state, bool(self._suspects)
         state['uses_balances'] = self.uses_balances
-        state['learns'] = not (suspects or self.followed.change)
+        state['learns'] = not (suspects or self.followed.known)
         state['follows'] = len(self.followed) > 0
         state['ends'] = len(self._jumps) > 0
         state['guarantees'], state['suspects'] = self.healthy is not None, suspects
