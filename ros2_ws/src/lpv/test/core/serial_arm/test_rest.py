@@ -6,12 +6,22 @@ from functools import cache
 import fault_injection
 import numpy as np
 import pytest
-from fault_injection import derived, motion_range, read_at, simulate, wrong_chain
+from fault_injection import (
+    BY_NAME,
+    cells,
+    derived,
+    draw,
+    motion_range,
+    read_at,
+    simulate,
+    wrong_chain,
+)
 from serial_arms import shoulder_arm, simulated, watch, with_rates
 from simulated_runs import Run
 
 from lpv.core.serial_arm.diagnosis.monitor import SerialMonitor
 from lpv.core.serial_arm.diagnosis.sampler import JITTER
+from lpv.core.serial_arm.diagnosis.stuck import Frozen
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.files import load_arm
 
@@ -265,3 +275,18 @@ def test_given_stamps_that_scatter_when_the_arm_moves_then_their_error_is_learne
 @pytest.mark.parametrize('seed', range(10))
 def test_given_stamps_that_scatter_when_encoders_are_healthy_then_none_is_blamed(seed):
     assert [(a.sensor, a.kind) for a in monitored(seed, 0.2).alarms if a.sensor] == []
+
+
+def test_given_a_joint_that_rests_when_another_drifts_then_its_motion_explains_no_more_than_all():
+    """The evidence of a reading that is frozen is at most what the balances leave at all."""
+    (cell,) = cells(['pausing'], [False], ['derived'], [BY_NAME['drift 0.1']])
+    subject, window, _ = draw(cell, 2, 1)
+    monitor, stream = SerialMonitor(subject.arm), window.stream.part(0.0, 6.6)
+    monitor.update_many(stream.stamps, stream.samples)
+    (rests,) = np.flatnonzero(np.ptp(stream.samples[:, 0], axis=0) < 1e-3)
+    frozen = Frozen(0.0, 0.0, 1.0, alive=False, seen=False)
+    found = monitor.bank.stuck({int(rests): frozen}, monitor.readings.blocks)
+    estimator, null = monitor.estimator, monitor.estimator.posterior
+    left, size = estimator.left_over(len(estimator))
+    everything = 0.5 * (left**2 / (size**2 * null.inflation)).sum()
+    assert max(one.gain for one in found) < everything

@@ -108,13 +108,16 @@ def course_of_frozen(
     # What the unknowns explain: by these balances as evaluated anew, in place of as they were.
     upper, old = np.triu(null.factor), estimator.window.rows[at].reshape(-1, rows.shape[2])
     old = old[:, -free.shape[1] :]
-    known = upper.T @ upper + forced.T @ free
-    known -= (estimator.window.weights[at].reshape(-1, 1) * old).T @ old
+    held = estimator.window.weights[at].reshape(-1, 1) * old
+    known = upper.T @ upper + forced.T @ free - held.T @ old
+    # By these weights they are others than estimated.
+    slope = (forced - held).T @ before.reshape(-1, 1)
     factorise(known, null.least)
     whiten(known, cross)
+    whiten(known, slope)
     with np.errstate(over='ignore', invalid='ignore'):
         information = every.T @ pulled - cross.T @ cross
-        score = -pulled.T @ before.ravel()
+        score = (cross.T @ slope)[:, 0] - pulled.T @ before.ravel()
     if not np.isfinite(information).all():  # a fault that is followed ran away
         return None
     # A joint begins to move slowly while its reading rests.
@@ -131,7 +134,8 @@ def course_of_frozen(
     rivals = [resting[:, moved]]
     if not frozen.alive:
         rivals.append(np.hypot(resting, plan.interval * push)[:, moved])
-    gain += min(_at_rest(before[:, moved], one, weights[:, moved], null, moved) for one in rivals)
+    least = min(_at_rest(before[:, moved], one, weights[:, moved], null, moved) for one in rivals)
+    gain += min(least + 0.5 * float((slope**2).sum()), 0.0)
     # Rates are those of the middles of intervals; the last one changes as it did since the one
     # before, or since the beginning.
     bend = np.eye(count)[-1] - np.eye(count)[-2] if count > 1 else np.array([2.0])
@@ -218,7 +222,7 @@ def _at_rest(
     change = (
         0.5 * (residual**2 * (resting - weights)).sum() + np.log(size / null.noise[joints]).sum()
     )
-    return min(float(change), 0.0)
+    return float(change)
 
 
 def _rate_steps(
