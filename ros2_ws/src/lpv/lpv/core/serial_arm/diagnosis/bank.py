@@ -66,6 +66,7 @@ from lpv.core.serial_arm.diagnosis.linear_bank import (
     Evidence,
     Kinds,
     Rows,
+    explain,
     gather,
     new_evidence,
     new_rows,
@@ -529,7 +530,11 @@ def ask_bank(
         bank.to_sensors, (balance.clock[EPOCH], bank.interval), bank.unseen, bank.noise,
         state.windows)  # fmt: skip
     state.statistic = np.logaddexp(every, pushed) + bank.log_weight
-    if state.statistic < quiet and own.held[0] > 1:
-        learn_rows(own, bank.interval)
+    if state.statistic < quiet:
+        window.explained[:] = 0.0
+        if own.held[0] > 1:
+            learn_rows(own, bank.interval)
+    else:
+        explain(bank.evidence, bank.kinds, window, null, rows, balance.clock[EPOCH], state.windows)
     state.waited = 0 if state.statistic < quiet else QUIET_EVERY
     return rests or not state.statistic < LOUD * threshold

@@ -343,10 +343,28 @@ def estimate_all(
     since[0] += 1
     known = window.counters[NEXT] * interval > NOISE_KNOWN_AFTER
     if (learn or not known) and window.counters[NEXT] % _FEW == 0:
-        learn_noise(window, null)
-        if slow is not None:
-            _copy_noise(null, level, POSE_TIME / interval)
+        _learn_all(window, null, slow, level, POSE_TIME / interval)
     solve_all(window, null, slow, level)
+
+
+@njit_in_place
+def _learn_all(
+    window: Window, null: Posterior, slow: Window | None, level: Posterior, lasting: float
+) -> None:
+    """Learn the noise; that of levels from all that the arm's unknowns leave.
+
+    What the likeliest fault explains is no noise of the null hypothesis: a fault that grows slowly
+    would raise the noise that it is compared with.  ``lasting`` is as of `_copy_noise`.
+    """
+    count = window.counters[COUNT]
+    set_residuals(window, null, count)
+    if slow is not None:
+        learn_noise(window, null)
+        _copy_noise(null, level, lasting)
+    for back in range(count):
+        for i in range(null.noise.shape[0]):
+            null.residual[back, i] += window.explained[slot(window, back), i]
+    learn_noise(window, null)
 
 
 @njit_in_place
@@ -372,9 +390,8 @@ def make_absolute(rows: FloatArray, reference: FloatArray) -> None:
 
 @njit_in_place
 def learn_noise(window: Window, null: Posterior) -> None:
-    """Size and correlation of what the arm's model does not explain, from the horizon."""
+    """Size and correlation of what is not explained, from the residuals of the horizon."""
     count, n = window.counters[COUNT], null.noise.shape[0]
-    set_residuals(window, null, count)
     values, trusted = null.sizes, 0
     for back in range(count):
         trusted += window.trust[slot(window, back)] == 1.0

@@ -42,6 +42,7 @@ class Window(NamedTuple):
     loads: FloatArray  # (L, m) unit changes of the load, by the unknowns
     changed: FloatArray  # (capacity,) 1 where the load was another one until this balance
     carried: FloatArray  # (capacity, L) change of the load since, as estimated and taken out
+    explained: FloatArray  # (capacity, n) what the likeliest cause adds to residuals [N m s]
     along: FloatArray  # (m,) scratch
     counters: IntArray  # (2,)
 
@@ -60,8 +61,8 @@ def new_window(
         np.zeros((capacity, joints)), np.zeros((capacity, joints)), np.zeros((capacity, joints)),
         np.zeros((capacity, joints)), np.zeros(joints, np.int64), np.zeros((capacity, joints)),
         np.zeros((capacity + 1, 1 + unknowns, size)), np.zeros((1 + unknowns, size)), loads,
-        np.zeros(capacity), np.zeros((capacity, len(loads))), np.zeros(unknowns),
-        np.zeros(2, np.int64))  # fmt: skip
+        np.zeros(capacity), np.zeros((capacity, len(loads))), np.zeros((capacity, joints)),
+        np.zeros(unknowns), np.zeros(2, np.int64))  # fmt: skip
 
 
 @njit_in_place
@@ -108,6 +109,7 @@ def join(window: Window, time: float, rows: FloatArray, past: float) -> None:
     window.lasting[at] = 0.0
     window.changed[at] = 0.0
     window.carried[at] = 0.0
+    window.explained[at] = 0.0
 
 
 @njit_in_place

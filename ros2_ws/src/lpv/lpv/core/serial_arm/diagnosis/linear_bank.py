@@ -17,7 +17,14 @@ from lpv.core.serial_arm.diagnosis.contact import (
     weigh_residuals,
 )
 from lpv.core.serial_arm.diagnosis.estimator import ONSET, Posterior, set_residuals
-from lpv.core.serial_arm.diagnosis.information import Window, slot, sum_slot, whiten
+from lpv.core.serial_arm.diagnosis.information import (
+    COUNT,
+    Window,
+    slot,
+    solve_factorised,
+    sum_slot,
+    whiten,
+)
 from lpv.core.serial_arm.sensor_map import map_vector
 from lpv.core.support.jit import njit_in_place
 
@@ -139,9 +146,63 @@ def gather(
         pushed = np.logaddexp(pushed, evidence.contact[w] + evidence.starts[w])
         for i in range(n):
             for k in range(kinds.basis.shape[0]):
-                _compare(evidence, kinds, (k, i, w), evidence.begin[w] - times[0], unseen[i])
+                _compare(evidence, kinds, (k, i, w), times[0], unseen[i])
                 every = np.logaddexp(every, evidence.gain[k, i, w] + evidence.starts[w])
     return every, pushed
+
+
+@njit_in_place
+def explain(
+    evidence: Evidence,
+    kinds: Kinds,
+    window: Window,
+    null: Posterior,
+    rows: Rows,
+    epoch: float,
+    count: int,
+) -> None:
+    """Write what the likeliest fault explains of the residuals of the horizon, after `gather`.
+
+    Faults that kinematic rows show are left out: these have a noise of their own.
+    """
+    window.explained[:] = 0.0
+    best, at = 0.0, (0, 0, 0)
+    for k, i, w in np.ndindex(evidence.gain[:, :, :count].shape):
+        gain = evidence.gain[k, i, w] + evidence.starts[w]
+        if gain > best and rows.weight[w, i] == 0.0:
+            best, at = gain, (k, i, w)
+    if best == 0.0:
+        return
+    k, i, w = at
+    n, m, moved = null.noise.shape[0], null.mean.shape[0], window.along
+    first, basis = window.rows.shape[2] - m, kinds.basis[k]
+    zero = _zero(evidence, basis, (i, w), epoch)
+    moved[:] = 0.0
+    for back in range(evidence.lengths[w] - ONSET):
+        here = slot(window, back)
+        for j in range(n):
+            row = window.rows[here, j]
+            column = -zero * row[1 + OFFSET * n + i]
+            for g in range(JUMP):
+                column += basis[g] * row[1 + g * n + i]
+            window.explained[here, j] = evidence.size[k, i, w] * column
+            for a in range(m):
+                moved[a] -= row[first + a] * window.weights[here, j] * window.explained[here, j]
+    # The estimate of the arm's unknowns would be another one.
+    solve_factorised(null.factor, moved)
+    for back in range(window.counters[COUNT]):
+        here = slot(window, back)
+        for j in range(n):
+            for a in range(m):
+                window.explained[here, j] += window.rows[here, j, first + a] * moved[a]
+
+
+@njit_in_place
+def _zero(evidence: Evidence, basis: FloatArray, place: tuple[int, int], epoch: float) -> float:
+    """What columns of drifts and scale errors have at the start of their window, in offsets."""
+    i, w = place
+    since = evidence.begin[w] - epoch
+    return float(since * basis[DRIFT] + evidence.pose[w, i] * basis[SCALE])
 
 
 @njit_in_place
@@ -264,7 +325,7 @@ def _add_rows(evidence: Evidence, rows: Rows, elapsed: float, w: int) -> None:
 
 @njit_in_place
 def _compare(
-    evidence: Evidence, kinds: Kinds, place: tuple[int, int, int], elapsed: float, unseen: float
+    evidence: Evidence, kinds: Kinds, place: tuple[int, int, int], epoch: float, unseen: float
 ) -> None:
     """Logarithm of a Bayes factor, with size and standard deviation.
 
@@ -275,7 +336,7 @@ def _compare(
     if kinds.applies[k, i] == 0.0 or w >= kinds.windows[k]:
         return
     basis, score, information = kinds.basis[k], evidence.score[w, i], evidence.information[w, i]
-    zero = elapsed * basis[DRIFT] + evidence.pose[w, i] * basis[SCALE]
+    zero = _zero(evidence, basis, (i, w), epoch)
     z, own, across = -zero * score[OFFSET], 0.0, -zero * information[OFFSET, OFFSET]
     for g in range(COLUMNS):
         if basis[g] == 0.0:
