@@ -24,6 +24,7 @@ import numpy as np
 import psutil
 import rclpy
 import yaml
+from node_processes import Graph
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from sensor_msgs.msg import JointState
@@ -31,7 +32,6 @@ from std_msgs.msg import Header
 
 from lpv.bag.rosbag.reading import open_bag
 from lpv.bag.run.decoder import Decoder
-from lpv.cli.processes import Graph
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.errors import SampleError

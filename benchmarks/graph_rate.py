@@ -25,12 +25,12 @@ from typing import Any
 import numpy as np
 import rclpy
 import yaml
+from node_processes import Graph
 from rclpy.executors import Executor
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
-from lpv.cli.processes import Graph
 from lpv.core.support.discovery import stay_local
 from lpv.core.support.resources import bringup_file, executable
 from lpv.core.support.timestamps import set_stamp, to_nanoseconds

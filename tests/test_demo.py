@@ -7,8 +7,7 @@ import shutil
 import sys
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
-from signal import SIGHUP, SIGINT, SIGTERM, raise_signal
-from threading import Timer
+from signal import SIGHUP, SIGINT, SIGKILL
 
 import numpy as np
 import pytest
@@ -22,11 +21,9 @@ from lpv import AlarmEvent, DiagnosisParameters, load_arm, load_gains, load_scen
 from lpv.bag.run.record import load_run
 from lpv.cli.main import main
 from lpv.cli.options import COMMANDS
-from lpv.cli.processes import Graph
 from lpv.core.control.tracking import COMPENSATION
 from lpv.core.simulation.closed_loop import run_closed_loop
 from lpv.core.support.resources import executable
-from lpv.core.support.signals import exit_by_signal, handled_signals
 from lpv.core.uio.model.joints import JointMap
 from lpv.core.uio.planar import planar_model
 
@@ -45,12 +42,13 @@ def shortened(folder, name, onset=0.5, **changes):
 
 
 def nodes_of(folder):
-    """Command lines of the processes that were given files in a folder."""
+    """Numbers and command lines of the processes that were given files in a folder."""
     lines = []
     for file in Path('/proc').glob('[0-9]*/cmdline'):
         with contextlib.suppress(OSError):  # it has ended
-            lines.append(file.read_bytes().replace(b'\0', b' ').decode(errors='replace'))
-    return [line for line in lines if f'{folder}/' in line and '--ros-args' in line]
+            line = file.read_bytes().replace(b'\0', b' ').decode(errors='replace')
+            lines.append((int(file.parent.name), line))
+    return [one for one in lines if f'{folder}/' in one[1] and '--ros-args' in one[1]]
 
 
 @pytest.fixture(scope='module')
@@ -107,7 +105,10 @@ def test_given_the_papers_design_and_plant_when_run_twice_then_bags_are_right_an
 
 
 @pytest.mark.ros
-def test_given_an_interrupt_when_the_graph_runs_then_no_node_outlives_the_command(demo, tmp_path):
+@pytest.mark.parametrize('number', [SIGINT, SIGHUP])
+def test_given_a_signal_when_the_graph_runs_then_no_node_outlives_the_command(
+    demo, tmp_path, number
+):
     scenario, out = shortened(tmp_path, 'two_faults', duration=300.0), tmp_path / 'out'
     out.mkdir()
     shutil.copy(demo[0] / 'gains.yaml', out)
@@ -116,13 +117,30 @@ def test_given_an_interrupt_when_the_graph_runs_then_no_node_outlives_the_comman
     with Running(*words, program=[LPV], env=environment) as command:
         command.until('ALARM')
         assert len(nodes_of(tmp_path)) >= 3
-        assert command.interrupt(600.0)[0] == 128 + SIGINT
+        command.process.send_signal(number)
+        assert command.end(600.0)[0] == 128 + number
     assert nodes_of(tmp_path) == []
     # What was recorded until then is there, with the noise of another seed.
     record = load_run(out / 'bag')
     assert sum(record.counts.values()) > 1000
     first, other = (one.get('joint_states', 'position')[0] for one in (record, demo[2]))
     assert np.all(first != other)
+
+
+@pytest.mark.ros
+def test_given_a_node_that_dies_when_the_graph_runs_then_the_command_says_so(demo, tmp_path):
+    (tmp_path / 'scenario').mkdir()
+    scenario = shortened(tmp_path / 'scenario', 'two_faults', duration=300.0)
+    shutil.copy(demo[0] / 'gains.yaml', tmp_path)
+    words = 'demo', '--scenario', scenario, '--out', tmp_path
+    environment = {**os.environ, 'ROS_DOMAIN_ID': str(ros.next_domain())}
+    with Running(*words, program=[LPV], env=environment) as command:
+        command.until('ALARM')
+        (observer,) = (number for number, line in nodes_of(tmp_path) if '/uio' in line.split()[1])
+        os.kill(observer, SIGKILL)
+        code, said = command.end(600.0)
+    assert code == 1 and 'a node has died' in said and nodes_of(tmp_path) == []
+    assert re.search(r'ERROR.*uio.*process has died', (tmp_path / 'launch.log').read_text())
 
 
 @pytest.mark.ros
@@ -142,24 +160,6 @@ def test_given_a_serial_arm_when_shown_then_the_fault_is_named_and_torques_as_of
     commands = record.get('torque_command', 'torque')
     count = min(len(commands), len(run.torque))
     np.testing.assert_array_equal(commands[:count], run.torque[:count])
-
-
-@pytest.mark.usefixtures('signals_as_before')
-@pytest.mark.parametrize('number', [SIGTERM, SIGHUP])
-def test_given_a_signal_when_a_command_waits_then_nodes_end_and_its_code_is_right(tmp_path, number):
-    ends = tmp_path / 'ends'
-    script = f'trap "sleep 0.4; echo $0 >> {ends}; exit 0" INT; printf "\\377\\n"; '
-    script += 'while sleep 0.1; do :; done'
-    (tmp_path / 'last.log').symlink_to('/dev/full')
-    ending = handled_signals(exit_by_signal, SIGTERM, SIGHUP)
-    with pytest.raises(SystemExit) as end, ending, Graph(tmp_path, 1) as graph:
-        for name in ('first', 'recorder', 'last'):
-            graph.start(name, ['sh', '-c', script, name])
-            graph.lines.get(timeout=60)
-        Timer(0.2, os.kill, (os.getpid(), number)).start()  # once more, while they end
-        raise_signal(number)
-    assert end.value.code == 128 + number and [n.process.poll() for n in graph.nodes] == [0] * 3
-    assert ends.read_text().split()[2:] == ['recorder']
 
 
 @pytest.mark.parametrize('command', ['design', 'demo', 'import-csv', 'replay', 'compare', 'report'])

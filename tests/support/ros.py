@@ -10,8 +10,8 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+from node_processes import Graph
 
-from lpv.cli.processes import Graph
 from lpv.core.support.resources import executable
 
 NAMESPACE = '/lpv'

@@ -5,38 +5,33 @@ import contextlib
 import hashlib
 import importlib
 import os
-import queue
 import re
 import shutil
 import signal
-import time
-from collections.abc import Callable
+import subprocess
+import sys
+from collections import deque
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from pathlib import Path
-from typing import Any
 
+import yaml
 from rich.console import Console
 
 import lpv_design as design_package
 from lpv.cli.needs import require_ros
-from lpv.cli.processes import Graph, NodeFailure
 from lpv.cli.progress import bar
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.simulation.scenario import Scenario, load_scenario
 from lpv.core.support.errors import LpvError
-from lpv.core.support.resources import bringup_file, executable, shipped_files
-from lpv.core.support.signals import exit_by_signal, handled_signals
+from lpv.core.support.resources import bringup_file, shipped_files
+from lpv.core.support.signals import STOPS, exit_by_signal, handled_signals
 from lpv.core.uio.certificate.conditions import require
 from lpv.core.uio.certificate.gains import load_gains, save_gains
 from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.planar import planar_model
 
-NAMESPACE = '/lpv'
 _PROGRESS = re.compile(r'scenario time ([0-9.]+) of')
-_SILENCE = 900.0
-"""Longest time without progress before the run is given up [s]; the first start compiles."""
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -52,7 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
     scenario = load_scenario(files['scenario'])
     scenario.path(arm)
     out = Path(arguments.out).resolve()
-    for part in ('bag', 'report', 'log'):  # an earlier run's results, and nothing else
+    for part in ('bag', 'report'):  # an earlier run's results, and nothing else
         shutil.rmtree(out / part, ignore_errors=True)
     out.mkdir(parents=True, exist_ok=True)
     if is_designed:
@@ -64,11 +59,9 @@ def run(arguments: argparse.Namespace) -> int:
 
         gains = _shipped(arm, console)
         precompile(arguments.arm)  # kept after the first time
-    files |= {'gains': gains} if gains else {}
-    try:
-        _run_graph(arguments, files, out, scenario, console)
-    except NodeFailure as error:
-        console.print(f'[red]lpv demo: {error}')
+    files |= {'gains_file': gains} if gains else {}
+    if problem := _run_graph(arguments, files, out, scenario, console):
+        console.print(f'lpv demo: {problem}', style='red', markup=False)
         return 1
     console.print('writing the report ...')
     from lpv.report.load import load, planned_path
@@ -140,55 +133,49 @@ def _show_design(lines: list[str], console: Console) -> None:
     console.print(*(f'  {line}' for line in lines if not line.startswith('holds')), sep='\n')
 
 
-def _commands(
-    arguments: argparse.Namespace, files: dict[str, Path], out: Path
-) -> dict[str, list[Any]]:
-    """Programs of the graph with their arguments, in the order in which they start."""
-
-    def program(package: str, name: str, **values: Any) -> list[Any]:
-        line = [executable(package, name), '--ros-args', '-r', f'__ns:={NAMESPACE}']
-        if name != 'recorder' and 'gains' in files:
-            line += ['--params-file', files['gains']]
-        for key, value in {'lockstep': arguments.mode == 'lockstep', **values}.items():
-            line += ['-p', f'{key}:={str(value).lower() if isinstance(value, bool) else value}']
-        return line
-
-    arm = {'arm_file': files['arm'], 'await_recorders': 1}
-    scenario = {'scenario_file': files['scenario']}
-    recorded = {'gains_file': files['gains']} if 'gains' in files else {}
-    end = {'shutdown_at_end': True, 'seed': arguments.seed}
-    compensation = {'compensation': arguments.compensation}
-    return {
-        'recorder': program('lpv_node', 'recorder', output=out / 'bag', **recorded, **scenario),
-        'uio': program('lpv_uio', 'uio', **arm),
-        'tracker': program('lpv_tracker', 'tracker', **arm, **scenario, **compensation),
-        'simulator': program('lpv_arm_sim', 'simulator', **arm, **scenario, **end),
-    }
-
-
 def _run_graph(
     arguments: argparse.Namespace,
     files: dict[str, Path],
     out: Path,
     scenario: Scenario,
     console: Console,
-) -> None:
+) -> str:
+    """Run the launch file of the whole pipeline; what went wrong, or ''."""
     domain = arguments.domain_id
     if domain is None:
         domain = int(os.environ.get('ROS_DOMAIN_ID', 1 + os.getpid() % 100))
     what = f'{scenario.name!r} ({scenario.duration:g} s, {arguments.mode})'
     console.print(f'running {what} with ROS_DOMAIN_ID {domain} ...')
-    # Nodes, in sessions of their own, get neither signal, and must not outlive the command.
-    ending = handled_signals(exit_by_signal, signal.SIGTERM, signal.SIGHUP)
-    with ending, ThreadPoolExecutor(1) as loader, Graph(out / 'log', domain) as graph:
-        for name, command in _commands(arguments, files, out).items():
-            graph.start(name, command)
-        # While the nodes step one after the other; until then they load on all cores themselves.
-        _follow(graph, scenario.duration, console, partial(loader.submit, _load_report))
-        codes = graph.stop()
-    bad = {name: code for name, code in codes.items() if code != 0}
-    if bad:
-        raise NodeFailure(f'nodes ended with codes {bad}; their logs are in {out / "log"}')
+    values = {'seed': arguments.seed, 'compensation': arguments.compensation}
+    parameters = {'/**': {'ros__parameters': {**values, 'shutdown_at_end': True}}}
+    given = {**files, 'params_file': out / 'parameters.yaml', 'bag': out / 'bag', 'record': 'true'}
+    given['params_file'].write_text(yaml.safe_dump(parameters), encoding='utf-8')
+    # That of this environment, else of the ROS 2 that is sourced.
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get('PATH', '')])
+    line = [shutil.which('ros2', path=path) or 'ros2', 'launch', 'lpv_bringup']
+    line += ['pipeline.launch.xml', f'mode:={arguments.mode}']
+    process = subprocess.Popen(
+        [*line, *(f'{name}:={value}' for name, value in given.items())],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        env=dict(os.environ, ROS_DOMAIN_ID=str(domain), PYTHONUNBUFFERED='1'),
+        text=True,
+        errors='replace',
+        start_new_session=True,
+    )
+    lines = deque[str](maxlen=15)
+    try:
+        # The nodes, in sessions of their own, get no signal, and must not outlive the command.
+        with handled_signals(exit_by_signal, signal.SIGTERM, signal.SIGHUP):
+            has_died = _follow(process, out / 'launch.log', scenario.duration, lines, console)
+    finally:
+        with handled_signals(lambda *_: None, *STOPS):
+            if process.poll() is None:
+                process.send_signal(signal.SIGINT)
+            process.communicate()
+    if has_died or process.returncode:
+        return f'a node has died; {out / "launch.log"} ends with\n' + ''.join(lines)
+    return ''
 
 
 def _load_report() -> None:
@@ -198,28 +185,27 @@ def _load_report() -> None:
 
 
 def _follow(
-    graph: Graph, duration: float, console: Console, when_begun: Callable[[], object]
-) -> None:
-    """Show progress and alarms until the simulator has finished; the others then miss it."""
-    simulator, last, done, begun = graph.nodes[-1], time.monotonic(), 0.0, False
-    with bar(console, 'scenario', duration, unit='s') as show:
-        while simulator.process.poll() is None or not graph.lines.empty():
-            try:
-                name, line = graph.lines.get(timeout=0.2)
-            except queue.Empty:
-                graph.check(finite=simulator)
-                show(done)
-                if time.monotonic() - last > _SILENCE:
-                    raise NodeFailure(f'no progress for {_SILENCE:g} s; logs are kept') from None
-                continue
+    process: 'subprocess.Popen[str]', log: Path, duration: float, last: deque[str], console: Console
+) -> bool:
+    """Show progress and alarms until all has ended; whether a node died."""
+    done, has_died = 0.0, False
+    with (
+        bar(console, 'scenario', duration, unit='s') as show,
+        ThreadPoolExecutor(1) as loader,
+        open(log, 'w', encoding='utf-8') as file,
+    ):
+        for line in process.stdout or ():
+            with contextlib.suppress(OSError):  # of a disk that is full
+                file.write(line)
+            last.append(line)
             if found := _PROGRESS.search(line):
-                last, done = time.monotonic(), float(found.group(1))
+                if not done:  # nodes step one after the other; before, they use all cores
+                    loader.submit(_load_report)
+                done = float(found.group(1))
                 show(done)
-                if not begun:
-                    begun = True
-                    when_begun()
             elif 'ALARM' in line or 'alarm ' in line:
-                console.print(f'  {line.split("]: ", 1)[-1]}')
+                console.print(f'  {line.rstrip().split("]: ", 1)[-1]}')
             elif done < duration and ('ERROR' in line or 'FATAL' in line):
-                console.print(f'  {name}: {line}')
-    graph.check(finite=simulator)
+                console.print(f'  {line.rstrip()}', markup=False)
+            has_died |= 'process has died' in line
+    return has_died
