@@ -236,7 +236,7 @@ def test_given_what_cannot_be_used_when_initialised_then_it_is_named(tmp_path, r
         ('effort="500"', 'effort="0.1"', HELD, 'N m of shoulder, whose limit is 0.1'),
         ('<robot', '<!DOCTYPE x [<!ENTITY y "z">]><robot', HELD, 'document type'),
         ('</robot>', '', HELD, 'no element found'),
-        ('damping="0.5"', 'damping="-1"', HELD, 'dynamics.damping: must be'),
+        ('damping="0.5"', 'damping="-1"', HELD, "'shoulder': damping must not be negative"),
     ):
         assert old in GRIPPER
         urdf.write_text(GRIPPER.replace(old, bad))

@@ -332,13 +332,16 @@ def _joint(section: Section, base: SerialJoint | None) -> SerialJoint:
     link = _link(section) if base is None or 'link' in section else base.link
     limits = _limits(section, JointLimits() if base is None else base.limits)
     sensors = section.section('sensors', required=False)
+    friction = read_entries(JointFriction, section.section('friction', required=False))
+    if base is not None and 'friction' not in section:
+        friction = base.friction
     joint = SerialJoint(
         name=name,
         position=position,
         orientation=orientation,
         axis=axis,
         link=link,
-        friction=read_entries(JointFriction, section.section('friction', required=False)),
+        friction=friction,
         rotor_inertia=section.number('rotor_inertia', 0.0, 0.0, 1e5),
         rotor_coupling=section.number('rotor_coupling', 0.0, -1e5, 1e5),
         torque_gain=section.number('torque_gain', 1.0, -1e6, 1e6),

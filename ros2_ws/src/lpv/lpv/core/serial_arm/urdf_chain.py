@@ -13,6 +13,7 @@ import numpy as np
 
 from lpv.core.serial_arm.chain import MAX_JOINTS
 from lpv.core.serial_arm.description import (
+    JointFriction,
     JointLimits,
     JointSensors,
     LinkInertia,
@@ -33,7 +34,7 @@ def read_urdf_chain(
     joints: Sequence[str] | None = None,
     tip: str | None = None,
 ) -> SerialArm:
-    """Kinematics, inertias and limits of an arm from its URDF.
+    """Kinematics, inertias, friction and limits of an arm from its URDF.
 
     Fixed joints are merged into the links before them, and so are locked ones.
 
@@ -52,7 +53,7 @@ def read_urdf_chain(
     Returns
     -------
     SerialArm
-        Without friction; sensors are named after the joints.
+        Sensors are named after the joints.
 
     Raises
     ------
@@ -193,6 +194,9 @@ def _joint(model: 'pinocchio.Model', index: int, urdf: Urdf, source: str) -> Ser
         orientation=_triple(pinocchio.rpy.matrixToRpy(placement.rotation)),
         axis=_triple(axis),
         link=LinkInertia.from_vector(inertia),
+        friction=JointFriction(
+            viscous=float(model.damping[index - 1]), coulomb=float(model.friction[index - 1])
+        ),
         limits=limits,
         sensors=JointSensors(f'{name}_encoder'),
         type=kind,

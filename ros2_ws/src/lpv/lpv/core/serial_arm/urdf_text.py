@@ -15,8 +15,9 @@ from lpv.core.support.limits import LARGEST, MAX_DEPTH
 
 MAX_LINKS = 1000
 """Most links of a URDF, the depth that Python allows: the parser recurses once for each."""
-_NUMBERS = ('xyz', 'rpy', 'value', 'ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz')
+_NUMBERS = ('xyz', 'rpy', 'value', 'ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz', 'damping', 'friction')
 _LIMITS = ('lower', 'upper', 'effort', 'velocity')
+_NOT_NEGATIVE = (('mass', 'value'), ('dynamics', 'damping'), ('dynamics', 'friction'))
 
 
 class Mimic(NamedTuple):
@@ -160,7 +161,8 @@ def _link_of(joint: ElementTree.Element, end: str) -> str:
 
 
 def _check_numbers(element: ElementTree.Element, path: Path) -> None:
-    """Refuse numbers without bound, and negative masses; the parser refuses what is no number."""
+    """Refuse numbers without bound, negative masses and friction; the parser what is no number."""
+    name = f'{element.tag} {element.get("name", "")[:100]!r}'
     for part in element.iter():
         for key in (*_NUMBERS, *_LIMITS):
             for word in part.get(key, '').split():
@@ -171,12 +173,13 @@ def _check_numbers(element: ElementTree.Element, path: Path) -> None:
                 if key in _LIMITS and value == math.inf:
                     continue
                 if not value <= LARGEST:
-                    name = f'{element.tag} {element.get("name", "")[:100]!r}'
                     raise _error(
                         path, f'{name}: {key} must be at most {LARGEST:g} in magnitude, got {word}'
                     )
-        if part.tag == 'mass' and part.get('value', '').strip().startswith('-'):
-            raise _error(path, f'link {element.get("name", "")[:100]!r}: mass must not be negative')
+        for tag, key in _NOT_NEGATIVE:
+            if part.tag == tag and part.get(key, '').strip().startswith('-'):
+                what = tag if key == 'value' else key
+                raise _error(path, f'{name}: {what} must not be negative')
 
 
 def _error(path: Path, reason: str) -> ConfigError:

@@ -81,6 +81,16 @@ def test_gripper_is_locked_where_it_was_told_and_axes_point_anywhere(small, tmp_
         load_arm(tmp_path / 'arm.yaml')
 
 
+def test_friction_of_the_urdf_counts_where_the_file_of_the_arm_says_none(small, tmp_path):
+    joint = '<joint name="a" type="revolute">'
+    found = small(joint, f'{joint}<dynamics damping="0.5" friction="2"/>')
+    assert [(j.friction.viscous, j.friction.coulomb) for j in found.joints] == [(0.5, 2.0), (0, 0)]
+    for said, viscous in (('', 0.5), (', friction: {viscous: 0.1}', 0.1)):
+        text = f'{{name: a, urdf: small.urdf, joints: [{{name: a{said}}}, {{name: b}}], '
+        (tmp_path / 'arm.yaml').write_text(f'{text}locked: {{finger: 0.0}}}}')
+        assert load_arm(tmp_path / 'arm.yaml').joints[0].friction.viscous == viscous
+
+
 def test_base_on_the_wall_turns_gravity_and_a_fixed_joint_before_the_base_the_arm(small):
     chain = compile_chain(replace(small(), base_orientation=(0.0, np.pi / 2, 0.0)))
     np.testing.assert_allclose(chain.gravity, [9.81, 0.0, 0.0], atol=1e-12)
