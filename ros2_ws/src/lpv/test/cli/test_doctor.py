@@ -242,7 +242,7 @@ MISTAKES = [
     (sent(stamps=[]), 'measurements', '/lpv/joint_states is silent'),
     (sent(names=('shoulder', 'elbow')), 'joints', r"of other joints: \['shoulder'"),
     (sent(effort=()), 'efforts', '50 of 50 messages carry no effort'),
-    (sent(velocity=()), 'values', 'carry no rates'),
+    (sent(velocity=()), 'values', '50 messages not used: velocity has 0 values for 2 joints'),
     (sent(velocity=(float('nan'), 0.0)), 'values', 'that are not numbers'),
     (sent(stamps=[0] * 50), 'stamps', 'stamps are zero'),
     (sent(delay=3600 * 10**9), 'stamps', r'3.6e\+03 s behind the clock of this machine'),
@@ -302,9 +302,9 @@ def test_given_a_gripper_beside_the_arm_when_checked_then_the_arm_alone_counts(s
     assert found(graph.check_graph(shot)) == []
 
 
-def test_given_efforts_of_0_when_the_arm_moves_then_none_are_measured(shot):
+def test_given_efforts_of_0_when_the_arm_moves_then_none_are_measured(shot, paper_arm):
     moving = [(stamp, message(stamp, position=[0.01 * k, 1.5])) for k, stamp in enumerate(STAMPS)]
-    finding = signals.check_efforts(JOINTS, [one for _, one in moving], shot)
+    finding = signals.check_efforts(signals.hear(JOINTS, moving, paper_arm), shot)
     assert finding is not None and '50 of 50 messages carry no effort' in finding.text
 
 
@@ -359,10 +359,16 @@ def test_given_two_simulators_alone_when_the_command_runs_then_all_is_found(monk
 
 def recorded(arm, duration=1.2, scale=1.0, rate_scale=1.0, sign=1.0, rates=True):
     """What the driver of a moving arm sends."""
-    run = simulated_run(arm, duration)
+    run, messages = simulated_run(arm, duration), []
     for stamp, (q, v, tau) in zip(run.stamps.tolist(), run.samples):
         velocity = rate_scale * v if rates else ()
-        yield message(NOW + stamp, arm.joint_names, sign * tau, velocity, scale * q)
+        messages.append(message(NOW + stamp, arm.joint_names, sign * tau, velocity, scale * q))
+    return messages
+
+
+def of(arm, messages):
+    """What is heard of an arm."""
+    return signals.hear('/joint_states', [(NOW, one) for one in messages], arm)
 
 
 def test_given_degrees_when_checked_then_they_are_named(paper_arm, paper_model):
@@ -375,14 +381,14 @@ def test_given_degrees_when_checked_then_they_are_named(paper_arm, paper_model):
         'rates in degrees': (1.0, 57.3),
     }
     for said, (scale, rate_scale) in both.items():
-        messages = list(recorded(paper_arm, scale=scale, rate_scale=rate_scale))
-        finding = signals.check_units('/joint_states', messages, paper_arm)
+        messages = recorded(paper_arm, scale=scale, rate_scale=rate_scale)
+        finding = signals.check_units(of(paper_arm, messages), paper_arm)
         assert finding.level == Level.ERROR and said in finding.text
     # Small angles in degrees are found by gravity.
     joints, rest = JointMap(paper_model), np.array([5.0, 0.0])  # below two turns
     held = -paper_model.constants().gravity * np.sin(joints.absolute_position(np.radians(rest)))
     messages = [message(stamp, effort=joints.joint_torque(held), position=rest) for stamp in STAMPS]
-    finding = signals.check_units('/joint_states', messages, paper_arm)
+    finding = signals.check_units(of(paper_arm, messages), paper_arm)
     assert finding is not None and 'torques fit gravity' in finding.text
 
 
@@ -404,32 +410,32 @@ def test_given_millimetres_of_a_joint_that_slides_when_checked_then_only_they_ar
 @pytest.mark.slow
 def test_given_moving_arms_when_checked_then_units_and_rates_are_as_their_files_say(paper_arm):
     for arm, said in ((paper_arm, 'joint1 independent'), (crane(), 'joint1 derived')):
-        messages = list(recorded(arm))
-        assert signals.check_units('/joint_states', messages, arm) is None
-        finding = signals.check_rate_source('/joint_states', messages, arm)
+        seen = of(arm, recorded(arm))
+        assert signals.check_units(seen, arm) is None
+        finding = signals.check_rate_source(seen, arm)
         assert finding.level == Level.OK and said in finding.text
     joints = (replace(j, sensors=replace(j.sensors, rates='derived')) for j in paper_arm.joints)
     derived = replace(paper_arm, joints=tuple(joints))
-    finding = signals.check_rate_source('/joint_states', list(recorded(derived)), paper_arm)
+    finding = signals.check_rate_source(of(paper_arm, recorded(derived)), paper_arm)
     assert finding.level == Level.WARN and 'joint1 derived' in finding.text
     # An arm that derives them does without.
-    without = list(recorded(crane(), 0.1, rates=False))
-    assert signals.check_values('/joint_states', without, signals.needs_rates(crane())) is None
-    assert signals.check_values('/joint_states', without).check == 'values'
+    without = recorded(crane(), 0.1, rates=False)
+    seen = of(crane(), without)
+    assert signals.check_use(seen) is signals.check_values(seen, rates=False) is None
+    assert signals.check_use(of(None, without)).check == 'values'
 
 
 def test_given_efforts_of_a_moving_arm_when_checked_then_a_wrong_sign_is_named():
     for sign, level in ((1.0, Level.OK), (-1.0, Level.ERROR)):
-        messages = list(recorded(crane(), 8.0, sign=sign))
-        finding = signals.check_setup('/joint_states', messages, crane())
+        finding = signals.check_setup(of(crane(), recorded(crane(), 8.0, sign=sign)), crane())
         assert finding.level == level
         assert ('of all joints count against the motion' in finding.text) == (sign < 0.0)
 
 
 def test_given_a_reading_that_steps_when_checked_then_the_diagnosis_names_it():
-    messages = list(recorded(crane(), 8.0))
+    messages = recorded(crane(), 8.0)
     for late in messages[7 * len(messages) // 8 :]:
         late.position[1] += 0.1
-    finding = signals.check_setup('/joint_states', messages, crane())
+    finding = signals.check_setup(of(crane(), messages), crane())
     assert (finding.level, finding.check) == (Level.WARN, 'health')
     assert '7.0 s: ALARM, encoder2: error +0.1' in finding.text

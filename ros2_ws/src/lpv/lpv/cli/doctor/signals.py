@@ -1,8 +1,8 @@
 """Checks of the measurements that were heard: names, values, units, rates, stamps."""
 
+from collections import Counter
 from collections.abc import Iterator
-from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -30,130 +30,119 @@ _IN_RADIANS = (
 )
 
 
+class Heard(NamedTuple):
+    """Measurements of an arm on a topic, in the order of arrival; NaN where a message has none."""
+
+    topic: str
+    arrived: np.ndarray  # times of arrival, shape (n,) [ns]
+    stamps: np.ndarray  # header stamps, likewise
+    position: np.ndarray  # shape (n, joints) [rad]
+    velocity: np.ndarray  # likewise [rad/s]
+    effort: np.ndarray  # likewise, in the unit of the driver
+    rejected: Counter[str]  # messages of the joints without use, by reason
+    others: str  # what messages of other joints were, a gripper's or those of another arm
+
+
+def hear(topic: str, messages: list[tuple[int, Any]], arm: SerialArm | None) -> Heard:
+    """What of some messages is the arm's, or of the joints of the first one."""
+    names = messages[0][1].name if arm is None else arm.joint_names
+    order, rows = JointOrder(names, needs_rates(arm)), list[tuple[Any, ...]]()
+    rejected, others = Counter[str](), ''
+    for time, message in messages:
+        try:
+            order.indices(message.name)
+        except SampleError as problem:
+            others = str(problem)
+            continue
+        try:
+            rows.append((time, to_nanoseconds(message.header.stamp), *order.pick(message)))
+        except SampleError as problem:
+            rejected[str(problem)] += 1
+    columns = list(zip(*rows)) or [()] * 5
+    times = (np.array(column, np.int64) for column in columns[:2])
+    signals = (np.reshape(np.array(c, float), (-1, len(names))) for c in columns[2:])
+    return Heard(topic, *times, *signals, rejected, others)
+
+
 def check_measurements(shot: Any, arm: SerialArm | None) -> list[Finding]:
     """Run all checks of the measurements of a `Snapshot`."""
     findings = []
-    for topic, heard in sorted(shot.measured.items()):
-        if not heard:
+    for topic, messages in sorted(shot.measured.items()):
+        if not messages:
             remedy = 'the driver or simulator is not active, or waits (lockstep: for the torque '
             remedy += 'that answers); see its log'
             findings.append(error('measurements', f'{topic} is silent', remedy))
             continue
-        found = list(_problems(topic, heard, shot, arm))
+        seen = hear(topic, messages, arm)
+        found = [one for one in _problems(seen, shot, arm) if one is not None]
         if all(p.level == Level.OK for p in found):
-            text = f'{topic}: {len(heard)} messages in {shot.seconds:g} s'
+            text = f'{topic}: {len(messages)} messages in {shot.seconds:g} s'
             found.insert(0, ok('measurements', text))
         findings += found
     return findings
 
 
-def _problems(
-    topic: str, heard: list[tuple[int, Any]], shot: Any, arm: SerialArm | None
-) -> Iterator[Finding]:
-    heard = heard if arm is None else of_arm(heard, arm)
-    messages = [message for _, message in heard]
-    found = [
-        check_efforts(topic, messages, shot),
-        check_values(topic, messages, needs_rates(arm)),
-        check_stamps(topic, heard, shot),
-    ]
-    if arm is not None:
-        units = check_units(topic, messages, arm)
-        checks = check_joints, check_rate, check_rate_source
-        found += [units, *(check(topic, messages, arm) for check in checks)]
-        if units is None:  # a wrong one explains whatever efforts contradict
-            found.append(check_setup(topic, messages, arm))
-    yield from (one for one in found if one is not None)
-
-
-def of_arm(heard: list[tuple[int, Any]], arm: SerialArm) -> list[tuple[int, Any]]:
-    """Messages with the arm's joints, without a gripper's; as they are if none has them."""
-    order, found = JointOrder(arm.joint_names), []
-    for time, message in heard:
-        try:
-            index = order.indices(message.name)
-        except SampleError:
-            continue  # of another publisher
-        arrays = {name: getattr(message, name) for name in ('position', 'velocity', 'effort')}
-        if all(len(values) in (0, len(message.name)) for values in arrays.values()):
-            own = {name: [v[i] for i in index] if len(v) else [] for name, v in arrays.items()}
-            message = SimpleNamespace(header=message.header, name=list(arm.joint_names), **own)
-        found.append((time, message))
-    return found or heard
-
-
-def stated_rates(arm: SerialArm) -> list[str]:
-    """What the arm file says of the rates of each joint."""
-    return [joint.sensors.rates for joint in arm.joints]
+def _problems(seen: Heard, shot: Any, arm: SerialArm | None) -> Iterator[Finding | None]:
+    yield check_use(seen)
+    if not len(seen.stamps):
+        return
+    yield check_efforts(seen, shot)
+    yield check_values(seen, needs_rates(arm))
+    yield check_stamps(seen, shot)
+    if arm is None:
+        return
+    units = check_units(seen, arm)
+    yield from (units, check_rate(seen, arm), check_rate_source(seen, arm))
+    if units is None:  # a wrong one explains whatever efforts contradict
+        yield check_setup(seen, arm)
 
 
 def needs_rates(arm: SerialArm | None) -> bool:
     """Whether rates are measured on their own, or the observer needs them in any case."""
-    return arm is None or 'independent' in stated_rates(arm)
+    return arm is None or any(joint.sensors.rates == 'independent' for joint in arm.joints)
 
 
-def check_joints(topic: str, messages: list[Any], arm: SerialArm) -> Finding | None:
-    """Names and sizes against the arm file."""
-    try:
-        JointOrder(arm.joint_names).indices(messages[-1].name)
-    except SampleError as problem:
-        remedy = 'put the names of the driver into the arm file (and design its gains again), or '
-        return error('joints', f'{topic}: {problem}', remedy + 'correct the driver')
-    return None
+def check_use(seen: Heard) -> Finding | None:
+    """Names and sizes of the messages against the arm file."""
+    if seen.rejected:
+        (reason, count), *_ = seen.rejected.most_common(1)
+        remedy = 'let the driver publish a position and a rate for each joint (rates only where '
+        remedy += 'the arm file calls them independent): samples without are not used'
+        return error('values', f'{seen.topic}: {count} messages not used: {reason}', remedy)
+    if len(seen.stamps):
+        return None
+    remedy = 'put the names of the driver into the arm file (and design its gains again), or '
+    return error('joints', f'{seen.topic}: {seen.others}', remedy + 'correct the driver')
 
 
-def check_efforts(topic: str, messages: list[Any], shot: Any) -> Finding | None:
+def check_efforts(seen: Heard, shot: Any) -> Finding | None:
     """Whether torques are measured where the observer takes them from."""
     sources = [values.get('torque_source') for values in shot.parameters.values()]
-    without = sum(not len(m.effort) or not np.isfinite(m.effort).all() for m in messages)
-    if not without and _fills_in(messages):
-        without = len(messages)
+    without, count = int((~np.isfinite(seen.effort)).any(axis=1).sum()), len(seen.stamps)
+    moved, given = without_efforts(seen.position, seen.effort, seen.position[0], SMALL)
+    if not without and moved[-1] and not given[-1]:  # zeros in place of efforts
+        without = count
     if not without or ('command' in sources and 'effort' not in sources):
         return None
     remedy = 'let the driver publish joint torques in effort [N m], or start the observer with '
-    text = f'{topic}: {without} of {len(messages)} messages carry no effort'
+    text = f'{seen.topic}: {without} of {count} messages carry no effort'
     return error('efforts', text, f'{remedy}torque_source:=command')
 
 
-def _fills_in(messages: list[Any]) -> bool:
-    """Whether zeros are published in place of efforts."""
-    count = len(messages[-1].position)
-    rows = [(m.position, m.effort) for m in messages if len(m.position) == len(m.effort) == count]
-    if not rows:
-        return False
-    position, effort = (np.array(values, float) for values in zip(*rows))
-    moved, given = without_efforts(position, effort, position[0], SMALL)
-    return bool(moved[-1] and not given[-1])
+def check_values(seen: Heard, rates: bool = True) -> Finding | None:
+    """Whether positions and, where they are needed, rates are numbers."""
+    values = np.hstack([seen.position, seen.velocity]) if rates else seen.position
+    bad = ~np.isfinite(values).all(axis=1)
+    if not bad.any():
+        return None
+    text = f'{sum(bad)} of {len(bad)} messages have positions or rates that are not numbers'
+    remedy = 'see the sensors and their driver; the observer predicts positions for some time, and '
+    return error('values', f'{seen.topic}: {text}', f'{remedy}does not use samples without rates')
 
 
-def check_values(topic: str, messages: list[Any], rates: bool = True) -> Finding | None:
-    """Whether positions and, where they are needed, rates are there, and numbers."""
-    for bad, text, remedy in (
-        (
-            [rates and not len(m.velocity) for m in messages],
-            'carry no rates (velocity is empty)',
-            'let the driver publish joint rates in velocity [rad/s]: samples without are not used',
-        ),
-        (
-            [{len(m.position), len(m.velocity) or len(m.name)} != {len(m.name)} for m in messages],
-            'have other numbers of positions or rates than of names',
-            'let the driver publish one position and one rate per joint',
-        ),
-        (
-            [not np.isfinite([*m.position, *m.velocity]).all() for m in messages],
-            'have positions or rates that are not numbers',
-            'see the sensors and their driver; the observer predicts positions for some time, and '
-            'does not use samples without rates',
-        ),
-    ):
-        if any(bad):
-            return error('values', f'{topic}: {sum(bad)} of {len(bad)} messages {text}', remedy)
-    return None
-
-
-def check_stamps(topic: str, heard: list[tuple[int, Any]], shot: Any) -> Finding | None:
+def check_stamps(seen: Heard, shot: Any) -> Finding | None:
     """Whether stamps are set, increase, and are near the clock."""
-    stamps = _stamps([message for _, message in heard])
+    topic, stamps, clock, name = seen.topic, seen.stamps, seen.arrived, 'the clock of this machine'
     if not stamps.any():
         remedy = 'let the driver stamp its messages with the time of measurement'
         return error('stamps', f'{topic}: stamps are zero', remedy)
@@ -161,7 +150,6 @@ def check_stamps(topic: str, heard: list[tuple[int, Any]], shot: Any) -> Finding
         text = f'{topic}: time goes backwards {backwards} times in {len(stamps)} messages'
         remedy = 'two sources publish on the topic, or a bag is played in a loop'
         return error('stamps', text, remedy)
-    clock, name = np.array([t for t, _ in heard], dtype=np.int64), 'the clock of this machine'
     if any(v.get('lockstep') or v.get('use_sim_time') for v in shot.parameters.values()):
         if not shot.clock:
             return None  # its own finding
@@ -176,44 +164,33 @@ def check_stamps(topic: str, heard: list[tuple[int, Any]], shot: Any) -> Finding
     return error('stamps', f'{topic}: stamps are {abs(offset):.3g} s {way} {name}', remedy)
 
 
-def check_rate(topic: str, messages: list[Any], arm: SerialArm) -> Finding | None:
+def check_rate(seen: Heard, arm: SerialArm) -> Finding | None:
     """Whether samples come as often as the arm file says."""
-    stamps = np.unique(_stamps(messages))
+    stamps = np.unique(seen.stamps)
     if len(stamps) < 10:
         return None
     interval = float(np.median(np.diff(stamps))) / 1e9
     if 1.0 / LATE <= interval / arm.sample_time <= LATE:
         return None
-    text = f'{topic}: one sample every {1e3 * interval:.3g} ms, the arm file says '
+    text = f'{seen.topic}: one sample every {1e3 * interval:.3g} ms, the arm file says '
     remedy = 'set sample_time of the arm file to that of the driver and design the gains again'
     return warn('rate', f'{text}{1e3 * arm.sample_time:.3g} ms', remedy)
 
 
-def _stamps(messages: list[Any]) -> np.ndarray:
-    times = [to_nanoseconds(m.header.stamp) for m in messages]
-    return np.array(times, np.int64)
+def _samples(seen: Heard, arm: SerialArm) -> tuple[np.ndarray, ...]:
+    """Stamps [ns], each once, positions without wraps, rates and efforts of the arm's joints."""
+    stamps, place = np.unique(seen.stamps, return_index=True)
+    position, velocity = Turns(arm).continued(stamps, seen.position[place], seen.velocity[place])
+    return stamps, position, velocity, seen.effort[place]
 
 
-def _samples(messages: list[Any], arm: SerialArm) -> tuple[np.ndarray, ...] | None:
-    """Stamps [ns], positions, rates and efforts of the arm's joints; None without all of them."""
-    order = JointOrder(arm.joint_names, needs_rates=False)
-    try:
-        rows = [order.pick(message) for message in messages]
-    except SampleError:
-        return None
-    stamps, place = np.unique(_stamps(messages), return_index=True)
-    position, velocity, effort = (np.array([r[i] for r in rows], float)[place] for i in range(3))
-    return (stamps, *Turns(arm).continued(stamps, position, velocity), effort)
-
-
-def check_units(topic: str, messages: list[Any], arm: SerialArm) -> Finding | None:
+def check_units(seen: Heard, arm: SerialArm) -> Finding | None:
     """Whether positions look like degrees or mm: by size, by their rates, or by gravity."""
     from lpv.identify.estimation.mistakes import other_unit
 
-    found = _samples(messages, arm)
-    if found is None or len(found[0]) < 2:
+    topic, (stamps, position, velocity, effort) = seen.topic, _samples(seen, arm)
+    if len(stamps) < 2:
         return None
-    stamps, position, velocity, effort = found
     if said := other_unit(arm, np.nan_to_num(position)):
         return error('units', f'{topic}: {said}', _IN_RADIANS)
     turns = np.array([not joint.is_prismatic for joint in arm.joints])
@@ -256,12 +233,11 @@ def _against_gravity(
     return error('units', f'{text}and within {as_said:.3g} N m if they are rad', _IN_RADIANS)
 
 
-def check_rate_source(topic: str, messages: list[Any], arm: SerialArm) -> Finding | None:
+def check_rate_source(seen: Heard, arm: SerialArm) -> Finding | None:
     """Whether rates are what the arm file says: independent, or derived from the positions."""
-    found = _samples(messages, arm)
-    if found is None or not np.isfinite(found[2]).all():
+    stamps, position, velocity, _ = _samples(seen, arm)
+    if not np.isfinite(velocity).all():
         return None  # its own finding
-    stamps, position, velocity, _ = found
     sources = [rate_source(stamps, q, v) for q, v in zip(position.T, velocity.T)]
     if all(source.source == 'undecided' for source in sources):
         return None  # at rest, or too few samples
@@ -270,7 +246,7 @@ def check_rate_source(topic: str, messages: list[Any], arm: SerialArm) -> Findin
         known = not np.isnan(one.explained)
         share = f' ({100 * max(one.explained, 0.0):.0f}% derived)' if known else ''
         texts.append(f'{name} {one.source}{share}')
-    text, stated = f'{topic}: ' + ', '.join(texts), stated_rates(arm)
+    text, stated = f'{seen.topic}: ' + ', '.join(texts), [j.sensors.rates for j in arm.joints]
     pairs = zip(stated, (one.source for one in sources))
     wrong = sorted({s for said, s in pairs if said != 'none' and contradicts(said, s)})
     if not wrong:
@@ -281,17 +257,14 @@ def check_rate_source(topic: str, messages: list[Any], arm: SerialArm) -> Findin
     return warn('rates', f'{text}; the arm file says {said}', remedy)
 
 
-def check_setup(topic: str, messages: list[Any], arm: SerialArm) -> Finding | None:
+def check_setup(seen: Heard, arm: SerialArm) -> Finding | None:
     """Whether motion and efforts fit arm file and mounting; else what is wrong, or alarms."""
     from lpv.identify.errors import IdentificationError
     from lpv.identify.estimation.health import unhealthy
     from lpv.identify.estimation.mistakes import find_mistakes
     from lpv.identify.recordings.recording import clean
 
-    found = _samples(messages, arm)
-    if found is None:
-        return None  # its own finding
-    stamps, position, velocity, effort = found
+    topic, (stamps, position, velocity, effort) = seen.topic, _samples(seen, arm)
     rates = velocity if np.isfinite(velocity).all() else None
     try:
         recording = clean(topic, [(stamps - stamps[0]) / 1e9], position, rates, effort)
