@@ -5,12 +5,10 @@ import sys
 from pathlib import Path
 
 from lpv.cli import main as cli
-from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.certificate.conditions import prove_loop
 from lpv.core.serial_arm.certificate.loop_gains import save_loop_gains
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.errors import ConfigError
-from lpv.core.support.resources import bringup_file
 from lpv.core.uio.certificate.conditions import prove
 from lpv.core.uio.certificate.gains import save_gains
 from lpv.core.uio.planar import planar_model
@@ -41,7 +39,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _design(arguments: argparse.Namespace) -> int:
-    described = load_arm(bringup_file('arms', arguments.arm))
+    described = arguments.arm
     if described.lpv is None:
         if arguments.map is not None:
             raise ConfigError('--map', 'is for arms with an lpv region')

@@ -3,17 +3,15 @@
 import argparse
 import math
 
-from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.urdf_chain import read_urdf_chain
 from lpv.core.support.errors import ConfigError
-from lpv.core.support.resources import bringup_file
 
 
 def chosen_arm(arguments: argparse.Namespace) -> SerialArm:
     """Arm of the arguments."""
     if not arguments.urdf:
-        return load_arm(bringup_file('arms', arguments.arm))
+        return arguments.arm
     locked = dict(_locked(text) for text in arguments.lock)
     joints = [name for text in arguments.joints or () for name in text.split(',') if name]
     if arguments.tip is not None and joints:

@@ -49,7 +49,8 @@ def main(argv: list[str] | None = None) -> int:
                 # Before all that takes its time; not for help, which needs no NumPy.
                 from lpv.core.serial_arm.arm_file import load_arm
 
-                load_arm(bringup_file('arms', arguments.arm))
+                arguments.arm_file = bringup_file('arms', arguments.arm)
+                arguments.arm = load_arm(arguments.arm_file)
             module = importlib.import_module(module_of(arguments.command))
             code: int = module.run(arguments)
             return code

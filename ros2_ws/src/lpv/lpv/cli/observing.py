@@ -9,16 +9,15 @@ from rich.console import Console
 from lpv.bag.replay.replay import ReplayOptions
 from lpv.bag.rosbag.output_folder import GAINS_NAME
 from lpv.core.monitoring.parameters import DiagnosisParameters, check_names
-from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.certificate.loop_gains import serial_parameters
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.config import as_number, read_yaml
 from lpv.core.support.errors import ConfigError
-from lpv.core.support.resources import bringup_file, shipped_files
+from lpv.core.support.resources import bringup_file
 from lpv.core.uio.certificate.gains import Gains, load_gains
 from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.planar import planar_model
-from lpv.report.certificate import beside_bag, named_arm, unknown_arm
+from lpv.report.certificate import beside_bag, named_arm, shipped_arm
 
 
 def reading_options(arguments: argparse.Namespace, **others: Any) -> ReplayOptions:
@@ -39,19 +38,14 @@ def arm_and_gains(
 ) -> tuple[SerialArm, Gains | None]:
     """Arm and gains as arguments say, or as the bag says; gains only of an arm with a region."""
     gains = load_gains(bringup_file('gains', arguments.gains)) if arguments.gains else None
-    name, kept = arguments.arm or (gains and gains.arm_name), None
-    bag = getattr(arguments, 'bag', None)
+    arm, bag, kept = arguments.arm, getattr(arguments, 'bag', None), None
     if bag and not gains and not arguments.requirement:
         kept = _kept_gains(Path(bag))
-        if not name:
-            name = kept.arm_name if kept else named_arm(bag)
-            if name not in shipped_files('arms'):
-                raise unknown_arm(name)
-            what = ' and gains' if kept else ''
-            console.print(f'arm {name!r}{what} as in the bag')
-    if not name:
-        raise ConfigError('--arm', 'is needed where neither gains nor the bag name an arm')
-    arm = load_arm(bringup_file('arms', name))
+    if arm is None:
+        named = gains or kept
+        arm = shipped_arm(named.arm_name if named else named_arm(bag) if bag else '')
+        if not gains:
+            console.print(f'arm {arm.name!r}{" and gains" if kept else ""} as in the bag')
     if arm.lpv is None and not (gains or arguments.requirement):
         return arm, None
     planar = planar_model(arm)

@@ -305,5 +305,8 @@ _ELSEWHERE = {'design': 'lpv_design.main', 'doctor': 'lpv.cli.doctor'}
 
 
 def module_of(command: str) -> str:
-    """Module whose ``run`` takes the arguments of a command and returns the exit code."""
+    """Module whose ``run`` takes the arguments of a command and returns the exit code.
+
+    Of all but the doctor, ``arm`` is the arm itself, where one is named, and ``arm_file`` its file.
+    """
     return _ELSEWHERE.get(command, f'lpv.cli.commands.{command.replace("-", "_")}')

@@ -131,7 +131,7 @@ def beside_bag(bag: str | Path, name: str) -> Path | None:
 
 
 def find_arm_and_gains(
-    bag: str | Path, arm: str | None = None, gains: str | None = None
+    bag: str | Path, arm: SerialArm | None = None, gains: str | None = None
 ) -> tuple[SerialArm, Path | None, str]:
     """Arm and gains as given, else of the bag, else shipped; where the gains come from."""
     if not Path(bag).exists():
@@ -139,7 +139,7 @@ def find_arm_and_gains(
     file = bringup_file('gains', gains) if gains else beside_bag(bag, GAINS_NAME)
     source = file.name + ('' if gains else ' of the bag') if file else ''
     if arm:
-        return load_arm(bringup_file('arms', arm)), file, source
+        return arm, file, source
     try:
         described = load_certified(file).arm() if file else None
     except ConfigError:
@@ -149,21 +149,21 @@ def find_arm_and_gains(
     if described is not None:
         return described, file, source
     name = named_arm(bag)
-    shipped = shipped_files('arms').get(name)
-    if shipped is None:
-        raise unknown_arm(name)
+    shipped = shipped_arm(name)
     if file is None and name in shipped_files('gains'):
         file = shipped_files('gains')[name]
         source = f'shipped gains of arm {name!r}, which the messages name'
-    return load_arm(shipped), file, source
+    return shipped, file, source
 
 
-def unknown_arm(name: str) -> ConfigError:
-    """Error where a bag names no arm, '', or one that is not shipped."""
-    what = 'the bag holds neither gains nor answers of the diagnosis'
+def shipped_arm(name: str) -> SerialArm:
+    """The arm that a bag names; ConfigError if it names none, '', or one that is not shipped."""
+    if name in (files := shipped_files('arms')):
+        return load_arm(files[name])
+    what = 'neither gains nor answers of the diagnosis in the bag name one'
     if name:
         what = f'the bag is of arm {name!r}, which is not a shipped one'
-    return ConfigError('--arm', f'is needed: {what}; e.g. --arm {name or "my_arm"}.yaml')
+    raise ConfigError('--arm', f'is needed: {what}; e.g. --arm {name or "my_arm"}.yaml')
 
 
 def named_arm(bag: str | Path) -> str:

@@ -518,7 +518,7 @@ def test_given_a_command_when_run_again_then_the_last_holds(bag, replayed, tmp_p
     # Neither arm nor gains are needed for a bag with its gains.
     bag, report = shutil.copytree(bag, tmp_path / 'bag'), tmp_path / 'report'
     again = ['replay', bag, '--out', tmp_path / 'result']
-    assert refused('--arm: is needed: the bag holds neither gains nor answers', *again)
+    assert refused('--arm: is needed: neither gains nor answers', *again)
     shutil.copy(PAPER_GAINS, bag / 'gains.yaml')
     report.mkdir()
     (report / 'path.png').write_bytes(b'old')

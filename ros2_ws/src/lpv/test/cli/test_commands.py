@@ -115,7 +115,7 @@ def test_given_a_namespace_when_viewed_then_slashes_at_its_ends_do_not_count(mon
     monkeypatch.setattr(view, 'executable', lambda *names: '/bin/view')
     monkeypatch.setattr(view, 'stay_local', lambda: None)
     monkeypatch.setattr('os.execv', lambda _, line: lines.append(line))
-    given = {'arm': 'paper', 'scenario': None, 'namespace': name, 'domain_id': None}
+    given = {'arm_file': 'paper.yaml', 'scenario': None, 'namespace': name, 'domain_id': None}
     view.run(SimpleNamespace(**given, address='127.0.0.1', port=8090, foxglove_port=8765))
     assert '__ns:=/cell/left' in lines[0]
 

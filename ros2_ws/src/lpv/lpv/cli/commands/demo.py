@@ -20,7 +20,6 @@ from rich.console import Console
 import lpv_design as design_package
 from lpv.cli.needs import require_ros
 from lpv.cli.progress import bar
-from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.simulation.scenario import Scenario, load_scenario
 from lpv.core.support.errors import LpvError
@@ -39,10 +38,9 @@ def run(arguments: argparse.Namespace) -> int:
     require_ros()
     console = Console(soft_wrap=True, highlight=False)
     # Files first, and what needs time only when they are right.
-    files = {'arm': bringup_file('arms', arguments.arm)}
-    arm = load_arm(files['arm'])
+    arm, files = arguments.arm, {'arm': arguments.arm_file}
     is_designed = arm.lpv is not None
-    default = 'two_faults' if is_designed else Path(arguments.arm).stem
+    default = 'two_faults' if is_designed else arguments.arm_file.stem
     files['scenario'] = bringup_file('scenarios', arguments.scenario or default)
     scenario = load_scenario(files['scenario'])
     scenario.path(arm)
@@ -58,7 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
         from lpv.core.simulation.precompile import precompile
 
         gains = _shipped(arm, console)
-        precompile(arguments.arm)  # kept after the first time
+        precompile(str(arguments.arm_file))  # kept after the first time
     files |= {'gains_file': gains} if gains else {}
     if problem := _run_graph(arguments, files, out, scenario, console):
         console.print(f'lpv demo: {problem}', style='red', markup=False)

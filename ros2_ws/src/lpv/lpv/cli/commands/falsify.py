@@ -6,7 +6,6 @@ from pathlib import Path
 
 from lpv.campaign.falsify.attack import Attacker, Finding
 from lpv.campaign.falsify.search import BAG, SCENARIO, read_attack, repeat, search, write_worst
-from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.resources import bringup_file
@@ -20,7 +19,7 @@ EXIT_CROSSED = 1
 
 def run(arguments: argparse.Namespace) -> int:
     """Search, write the worst run, and say whether a threshold was crossed."""
-    arm = load_arm(bringup_file('arms', arguments.arm))
+    arm = arguments.arm
     if arguments.repeat:
         attack, duration = read_attack(arguments.repeat)
         attacker = _attacker(arm, arguments.gains, duration)

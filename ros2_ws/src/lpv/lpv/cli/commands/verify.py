@@ -2,16 +2,14 @@
 
 import argparse
 
-from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.support.errors import ConfigError
-from lpv.core.support.resources import bringup_file
 from lpv.report.certificate import load_certified
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Rebuild and judge every inequality; 1 if one does not hold."""
-    found, name = load_certified(arguments.gains), arguments.arm
-    arm = load_arm(bringup_file('arms', name)) if name else found.arm()
+    found = load_certified(arguments.gains)
+    arm = arguments.arm or found.arm()
     if arm is None:
         raise ConfigError('--arm', 'is needed: the gains do not describe theirs', arguments.gains)
     checks, proved = found.checks(arm), found.prove(arm) if arguments.proof else {}

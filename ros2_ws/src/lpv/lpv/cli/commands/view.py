@@ -12,7 +12,7 @@ def run(arguments: argparse.Namespace) -> None:
     """Become the view node; returns only where it cannot be started."""
     require_ros()
     program = executable('lpv_node', 'view')
-    values = {'arm_file': bringup_file('arms', arguments.arm)}
+    values = {'arm_file': arguments.arm_file}
     if arguments.scenario:
         values['scenario_file'] = bringup_file('scenarios', arguments.scenario)
     values |= {name: getattr(arguments, name) for name in ('address', 'port', 'foxglove_port')}
