@@ -65,29 +65,25 @@ def find_connections(
         found = [c for c in found if c.topic == wanted]
     else:
         found = [c for c in found if c.topic.rsplit('/', 1)[-1] != CORRECTED]
+        several = len({c.topic for c in found}) > 1
+        carried = {c.topic: _joints_of(reader, c) for c in found if several}
+        found = [c for c in found if {*(joints or ())} <= {*carried.get(c.topic, ())}] or found
         found = [c for c in found if c.topic.rsplit('/', 1)[-1] == name] or found
-    if len({c.topic for c in found}) > 1:
-        found = _of_one_topic(reader, msgtype, found, joints)
+        if len(topics := sorted({c.topic for c in found})) > 1:
+            raise _ambiguous(reader, msgtype, {topic: carried[topic] for topic in topics})
     if found and msgtype in _NEEDED:
         reader.check_definition(msgtype, _NEEDED[msgtype])
     return found
 
 
-def _of_one_topic(
-    reader: BagReader, msgtype: str, found: list[Connection], joints: Sequence[str] | None
-) -> list[Connection]:
-    """Those of some connections that carry an arm's joints; BagError where topics remain."""
-    carried = {c.topic: _joints_of(reader, c) for c in found}
-    found = [c for c in found if {*(joints or ())} <= {*carried[c.topic]}] or found
-    topics = sorted({c.topic for c in found})
-    if len(topics) == 1:
-        return found
-    what, first = msgtype, carried[topics[0]]
-    if any({*carried[topic]} != {*first} for topic in topics):
-        topics = [f'{topic} ({", ".join(carried[topic]) or "no joint"})' for topic in topics]
+def _ambiguous(reader: BagReader, msgtype: str, carried: dict[str, list[str]]) -> BagError:
+    """Error where several topics carry a stream: which, and with which joints."""
+    what, topics, (first, *_) = msgtype, list(carried), carried.values()
+    if any({*joints} != {*first} for joints in carried.values()):
+        topics = [f'{topic} ({", ".join(own) or "no joint"})' for topic, own in carried.items()]
     elif first:
         what = f'the joints {", ".join(first)}'
-    raise BagError(
+    return BagError(
         f'{reader.path}: several topics carry {what}: {", ".join(topics)}; '
         'choose that of the measurements (--topic)'
     )

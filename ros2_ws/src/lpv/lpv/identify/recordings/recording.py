@@ -1,6 +1,5 @@
 """Recordings of an arm: positions, rates and efforts of its joints over time."""
 
-import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,18 +8,16 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import median_filter
 
-from lpv.bag.rosbag.reading import BagReader, open_bag
+from lpv.bag.rosbag.reading import open_bag
 from lpv.bag.run.csv_import import ColumnMap
-from lpv.bag.run.decoder import Columns, Decoder
-from lpv.bag.run.record import CORRECTED
+from lpv.bag.run.measurements import MEASUREMENT_TYPE, MeasurementReader
+from lpv.bag.run.record import find_topic
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.turns import Turns
-from lpv.core.support.errors import SampleError
 from lpv.core.support.limits import MAX_GAP, MOST_SAMPLES, SMALL
 from lpv.core.support.timestamps import NANOSECONDS
 from lpv.identify.errors import IdentificationError
 
-JOINT_STATE, SIGNALS = 'sensor_msgs/msg/JointState', ('position', 'velocity', 'effort')
 LARGEST = 1e6
 """Positions [rad], rates [rad/s] and efforts beyond are no measurements."""
 MIN_SHARE_VALID = 0.7
@@ -216,55 +213,19 @@ def _roughness(time: np.ndarray, position: np.ndarray) -> float:
 
 def _read_bag(path: Path, joints: Sequence[str], topic: str | None) -> tuple[Any, ...]:
     """Stamps, positions, rates (or None) and efforts."""
-    parts: dict[str, list[tuple[np.ndarray, ...]]] = {}
-    unknown: dict[str, list[str]] = {}
-    count = 0
-
-    def columns(topic: str, message: Any) -> Columns:
-        names = list(message.name)
-        if not set(joints) <= set(names):
-            unknown.setdefault(topic, names)
-            raise SampleError('other joints')
-        return [names.index(name) for name in joints], len(names)
-
+    parts, count = list[tuple[np.ndarray, ...]](), 0
     with open_bag(path) as bag:
-        topics = _joint_state_topics(bag, topic, path)
-        decoders = [
-            Decoder(bag, JOINT_STATE, SIGNALS, functools.partial(columns, c.topic)) for c in topics
-        ]
-        for block in bag.blocks(topics):
-            for i, decoder in enumerate(decoders):
-                found = decoder.read(block, np.flatnonzero(block.connection == i))
-                if found is not None:
-                    rows = found[1], block.time[found[0]], *found[2].values()
-                    parts.setdefault(topics[i].topic, []).append(rows)
-                    count += len(rows[0])
+        measured = find_topic(bag, MEASUREMENT_TYPE, 'joint_states', topic, joints).topic
+        reader = MeasurementReader(bag, joints, needs_rates=False)
+        for block in bag.blocks([c for c in bag.connections if c.topic == measured]):
+            found = reader.read(block, np.arange(len(block)))
+            parts.append((found.stamp, block.time[found.places], *found[2:]))
+            count += len(found.places)
             if count > MOST_SAMPLES:
                 raise IdentificationError(f'{path}: has more than {MOST_SAMPLES} samples')
-    if not parts:
-        found_names = '; '.join(f'{name}: {", ".join(names)}' for name, names in unknown.items())
-        raise IdentificationError(
-            f'{path}: no message has all joints {", ".join(joints)}; '
-            f'found {found_names or "no joint states"}'
-        )
-    if len(parts) > 1:
-        raise IdentificationError(
-            f'{path}: several topics have the joints '
-            f'({", ".join(sorted(parts))}); name one with --topic'
-        )
-    signals = [np.concatenate(part) for part in zip(*next(iter(parts.values())))]
-    header, log, position, rates, effort = signals
+    if not count:
+        reason = next(iter(reader.rejected), f'holds no message on {measured}')
+        raise IdentificationError(f'{path}: {reason}')
+    header, log, position, rates, effort = (np.concatenate(part) for part in zip(*parts))
     velocity = rates if np.isfinite(rates).any() else None
     return [1e-9 * (stamps - stamps[0]) for stamps in (header, log)], position, velocity, effort
-
-
-def _joint_state_topics(bag: BagReader, topic: str | None, path: Path) -> list[Any]:
-    found = [c for c in bag.connections if c.msgtype == JOINT_STATE]
-    found = [
-        c for c in found if (c.topic == topic if topic else not c.topic.endswith(f'/{CORRECTED}'))
-    ]
-    if not found:
-        topics = ', '.join(sorted({c.topic for c in bag.connections})) or 'none'
-        wanted = f'{JOINT_STATE} on {topic}' if topic else JOINT_STATE
-        raise IdentificationError(f'{path}: has no topic of {wanted}; its topics: {topics}')
-    return found
