@@ -156,6 +156,14 @@ def test_given_a_disk_that_gets_full_when_writing_then_chunks_before_can_be_read
     assert any('not finished' in text for text in warnings)
 
 
+def test_given_an_error_when_a_bag_is_written_then_half_of_it_is_not_left(tmp_path):
+    for kind in (ValueError, KeyboardInterrupt):
+        with pytest.raises(kind), BagWriter(tmp_path / 'bag') as writer:
+            writer.add_topic('/text', STRING)
+            raise kind
+        assert not (tmp_path / 'bag').exists()
+
+
 def test_given_a_disk_that_fails_twice_when_closed_then_the_first_error_is_told(tmp_path):
     full, broken = OSError(28, 'No space left'), OSError(5, 'Input/output error')
     fail = Mock(side_effect=[full, broken, broken])

@@ -1,6 +1,5 @@
 """Offline run of the diagnosis over a recorded bag, with the node's own code."""
 
-import shutil
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -85,18 +84,17 @@ class Replay:
             if self._injector is not None:  # what was true is not true of other readings
                 copied = [c for c in copied if not c.msgtype.endswith('/GroundTruth')]
             writer = ReplayWriter(out, self._monitor, options.preset, copied)
-            try:
+            with writer.bag, ThreadPoolExecutor(1) as pool:
                 wanted = _wanted(reader, result, effort, writer.copied)
-                with ThreadPoolExecutor(1) as pool:
-                    written: Future[None] | None = None
-                    for batch in ahead(self._batches(reader, wanted, effort, result)):
-                        copies = writer.copies(reader, wanted, batch)
-                        answers = self._answer(batch, result)
-                        if written is not None:
-                            written.result()
-                        written = pool.submit(writer.write, batch, copies, answers)
+                written: Future[None] | None = None
+                for batch in ahead(self._batches(reader, wanted, effort, result)):
+                    copies = writer.copies(reader, wanted, batch)
+                    answers = self._answer(batch, result)
                     if written is not None:
                         written.result()
+                    written = pool.submit(writer.write, batch, copies, answers)
+                if written is not None:
+                    written.result()
                 _check(bag, result)
                 if not result.answered and result.rejected:
                     (reason, count), *_ = result.rejected.most_common(1)
@@ -104,11 +102,6 @@ class Replay:
                         f'{bag}: none of its {result.measurements} measurements can be used '
                         f'({count} of them: {reason})'
                     )
-                writer.close()
-            except BaseException:
-                # Half a bag looks like a whole one, and would block the next try.
-                shutil.rmtree(out, ignore_errors=True)
-                raise
         return result
 
     def watch(self, bag: str | Path, take: Callable[..., Any]) -> ReplayResult:

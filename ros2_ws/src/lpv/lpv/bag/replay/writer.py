@@ -21,7 +21,6 @@ from lpv.core.monitoring.answers import Answers
 from lpv.core.monitoring.message_fields import alarm_fields
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.diagnosis.alarms import Mode
-from lpv.core.support.errors import ConfigError
 from lpv.core.support.timestamps import NANOSECONDS
 
 OUTPUTS = {
@@ -46,7 +45,7 @@ class Batch(NamedTuple):
 
 
 class ReplayWriter:
-    """Writes the new bag."""
+    """Writes a new bag, ``bag``, which its user closes."""
 
     def __init__(
         self,
@@ -59,17 +58,17 @@ class ReplayWriter:
         prefix = self._name.rsplit('/', 1)[0]
         own = {f'{prefix}/{name}': msgtype for name, msgtype in OUTPUTS.items()}
         mark = {MARK: f'arm {arm.name} {arm.sha256()[:12]}'}
-        self._bag = BagWriter(path, preset, custom_data=mark)
+        self.bag = BagWriter(path, preset, custom_data=mark)
         self.copied = frozenset(c.topic for c in copied if c.topic not in own)
         for connection in copied:
             if connection.topic in self.copied:
-                self._bag.copy_topic(connection)
+                self.bag.copy_topic(connection)
         for topic, msgtype in (*own.items(), (DIAGNOSTICS, _DIAGNOSTICS_TYPE)):
             if topic not in self.copied:
                 latched = topic.endswith('/fault_alarm')
-                self._bag.add_topic(topic, msgtype, [qos_profile(True, latched, 50)])
-        self._messages = BagMessages(self._bag.typestore, arm.name)
-        self._channels = {name: self._bag.channel(f'{prefix}/{name}') for name in OUTPUTS}
+                self.bag.add_topic(topic, msgtype, [qos_profile(True, latched, 50)])
+        self._messages = BagMessages(self.bag.typestore, arm.name)
+        self._channels = {name: self.bag.channel(f'{prefix}/{name}') for name in OUTPUTS}
         zero, joints = np.zeros(1, monitor.answer_type)[0], [0.0] * len(arm.joint_names)
         state, fault = ({n: zero[part][n].tolist() for n in zero[part].dtype.names}
                         for part in ('state', 'fault'))  # fmt: skip
@@ -80,7 +79,7 @@ class ReplayWriter:
             self._messages.joint_state(0, arm.joint_names, joints, joints, []),
         )
         self._templates = [
-            RecordTemplate(self._bag.typestore, message, OUTPUTS[name], self._channels[name])
+            RecordTemplate(self.bag.typestore, message, OUTPUTS[name], self._channels[name])
             for name, message in zip(OUTPUTS, examples)
         ]
 
@@ -90,7 +89,7 @@ class ReplayWriter:
         """Messages of a block that are copied: all but earlier answers of the same monitor."""
         block, own = batch.block, f'{self._name}: '.encode()
         channels = np.array(
-            [self._bag.channel(c.topic) if c.topic in self.copied else -1 for c in connections]
+            [self.bag.channel(c.topic) if c.topic in self.copied else -1 for c in connections]
         )[block.connection]
         for i, connection in enumerate(connections):
             if connection.topic == DIAGNOSTICS and connection.topic in self.copied:
@@ -103,7 +102,7 @@ class ReplayWriter:
         changed = b''
         for k, message in batch.changed.items():  # by injected faults; its size may differ now
             if channels[k] >= 0:
-                data = padded_cdr(self._bag.typestore, message, MEASUREMENT_TYPE)
+                data = padded_cdr(self.bag.typestore, message, MEASUREMENT_TYPE)
                 changed += record(int(channels[k]), int(block.time[k]), data)
                 channels[k] = -1
         kept = channels >= 0
@@ -129,21 +128,13 @@ class ReplayWriter:
             message = self._messages.make(
                 OUTPUTS['fault_alarm'], int(stamp[row]), alarm_fields(event)
             )
-            data = padded_cdr(self._bag.typestore, message, OUTPUTS['fault_alarm'])
+            data = padded_cdr(self.bag.typestore, message, OUTPUTS['fault_alarm'])
             texts += record(self._channels['fault_alarm'], int(time[row]), data)
         for row, status in answers.reports:
             message = self._messages.diagnostics(int(stamp[row]), status)
-            data = padded_cdr(self._bag.typestore, message, _DIAGNOSTICS_TYPE)
-            texts += record(self._bag.channel(DIAGNOSTICS), int(time[row]), data)
-        self._bag.write_chunk(*copies, *found, _block(texts))
-
-    def close(self) -> None:
-        """Finish the bag."""
-        missing = self._bag.close()
-        if missing:
-            raise ConfigError(
-                'bag', f'cannot be written as a whole: {missing} is missing', str(self._bag.path)
-            )
+            data = padded_cdr(self.bag.typestore, message, _DIAGNOSTICS_TYPE)
+            texts += record(self.bag.channel(DIAGNOSTICS), int(time[row]), data)
+        self.bag.write_chunk(*copies, *found, _block(texts))
 
 
 def _block(records: bytes) -> Block:

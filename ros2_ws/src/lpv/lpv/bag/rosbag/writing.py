@@ -4,6 +4,7 @@ import contextlib
 import json
 import os
 import resource
+import shutil
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -140,7 +141,10 @@ class _File(Writer):
 
 
 class BagWriter:
-    """A bag written topic by topic; ConfigError if it exists, or is not whole after a ``with``."""
+    """A bag written topic by topic; ConfigError if it exists, or is not whole after a ``with``.
+
+    A ``with`` that ends by an exception leaves no bag.
+    """
 
     def __init__(
         self,
@@ -174,7 +178,9 @@ class BagWriter:
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         missing = self.close()
-        if missing and kind is None:  # nobody knows of it yet
+        if kind is not None:  # half a bag looks like a whole one, and would block the next try
+            shutil.rmtree(self.path, ignore_errors=True)
+        elif missing:
             raise ConfigError('bag', f'cannot be written as a whole: {missing}', str(self.path))
 
     @property

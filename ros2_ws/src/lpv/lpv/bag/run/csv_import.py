@@ -2,7 +2,6 @@
 
 import csv
 import math
-import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from decimal import Decimal
@@ -92,12 +91,7 @@ def import_csv(
         if first is None:
             raise CsvError(f'{source}: holds no sample')
         with BagWriter(out) as writer:
-            try:
-                count = write_joint_states(writer, topic, columns.joints, chain([first], samples))
-            except (CsvError, UnicodeDecodeError, csv.Error):
-                # What is there looks like a whole recording, and would block the next try.
-                shutil.rmtree(out, ignore_errors=True)
-                raise
+            count = write_joint_states(writer, topic, columns.joints, chain([first], samples))
     except (OSError, UnicodeDecodeError, csv.Error, TypeError) as error:
         raise CsvError(f'{source}: cannot be read ({error})') from error
     return count, warnings

@@ -2,7 +2,6 @@
 
 import argparse
 import logging
-import shutil
 import sys
 from pathlib import Path
 
@@ -28,22 +27,12 @@ def run(arguments: argparse.Namespace) -> int:
             if result.damages:
                 out = bag.with_name(f'{bag.name.removesuffix(".mcap")}_recovered')
         if out is not None:
-            result = _recover_into(bag, out, arguments.preset)
+            result = recover(bag, out, arguments.preset)
     except BagError as error:
         print(f'lpv recover: {error}', file=sys.stderr)
         return UNREADABLE
     _show(result, out)
     return NOTHING_LOST if result.nothing_lost else SOMETHING_LOST
-
-
-def _recover_into(bag: Path, out: Path, preset: str) -> Recovery:
-    new = not out.exists()
-    try:
-        return recover(bag, out, preset)
-    except BaseException:
-        if new:  # half a bag looks like a whole one
-            shutil.rmtree(out, ignore_errors=True)
-        raise
 
 
 def _show(result: Recovery, out: Path | None) -> None:
