@@ -13,6 +13,8 @@ import sys
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from threading import Timer
+from typing import Any
 
 import yaml
 from rich.console import Console
@@ -23,7 +25,7 @@ from lpv.cli.progress import bar
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.simulation.scenario import Scenario, load_scenario
 from lpv.core.support.errors import LpvError
-from lpv.core.support.resources import bringup_file, shipped_files
+from lpv.core.support.resources import bringup_file, prefixes, shipped_files
 from lpv.core.support.signals import STOPS, exit_by_signal, handled_signals
 from lpv.core.uio.certificate.conditions import require
 from lpv.core.uio.certificate.gains import load_gains, save_gains
@@ -31,6 +33,8 @@ from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.planar import planar_model
 
 _PROGRESS = re.compile(r'scenario time ([0-9.]+) of')
+_SILENCE = 900.0
+"""Longest time without progress before the run is given up [s]; the first start compiles."""
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -146,34 +150,34 @@ def _run_graph(
     console.print(f'running {what} with ROS_DOMAIN_ID {domain} ...')
     values = {'seed': arguments.seed, 'compensation': arguments.compensation}
     parameters = {'/**': {'ros__parameters': {**values, 'shutdown_at_end': True}}}
-    given = {**files, 'params_file': out / 'parameters.yaml', 'bag': out / 'bag', 'record': 'true'}
-    given['params_file'].write_text(yaml.safe_dump(parameters), encoding='utf-8')
+    file, bag = out / 'parameters.yaml', out / 'bag'
+    given = {**files, 'params_file': file, 'bag': bag, 'record': 'true'}
+    file.write_text(yaml.safe_dump(parameters), encoding='utf-8')
     # That of this environment, else of the ROS 2 that is sourced.
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get('PATH', '')])
     line = [shutil.which('ros2', path=path) or 'ros2', 'launch', 'lpv_bringup']
     line += ['pipeline.launch.xml', f'mode:={arguments.mode}']
-    process = subprocess.Popen(
-        [*line, *(f'{name}:={value}' for name, value in given.items())],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        env=dict(os.environ, ROS_DOMAIN_ID=str(domain), PYTHONUNBUFFERED='1'),
-        text=True,
-        errors='replace',
-        start_new_session=True,
-    )
-    lines = deque[str](maxlen=15)
-    try:
+    options: dict[str, Any] = {'stdout': subprocess.PIPE, 'stderr': subprocess.STDOUT}
+    options |= {'text': True, 'errors': 'replace', 'start_new_session': True}
+    options['env'] = {**os.environ, 'ROS_DOMAIN_ID': str(domain), 'PYTHONUNBUFFERED': '1'}
+    if os.environ.get('AMENT_PREFIX_PATH'):  # of a ROS 2 that may not know where this is
+        options['env']['AMENT_PREFIX_PATH'] = os.pathsep.join(map(str, prefixes()))
+    lines, log = deque[str](maxlen=15), out / 'launch.log'
+    with (
         # The nodes, in sessions of their own, get no signal, and must not outlive the command.
-        with handled_signals(exit_by_signal, signal.SIGTERM, signal.SIGHUP):
-            has_died = _follow(process, out / 'launch.log', scenario.duration, lines, console)
-    finally:
-        with handled_signals(lambda *_: None, *STOPS):
-            if process.poll() is None:
-                process.send_signal(signal.SIGINT)
-            process.communicate()
-    if has_died or process.returncode:
-        return f'a node has died; {out / "launch.log"} ends with\n' + ''.join(lines)
-    return ''
+        handled_signals(exit_by_signal, signal.SIGTERM, signal.SIGHUP),
+        subprocess.Popen([*line, *(f'{k}:={v}' for k, v in given.items())], **options) as process,
+    ):
+        try:
+            has_ended = _follow(process, log, scenario.duration, lines, console)
+        finally:
+            with handled_signals(lambda *_: None, *STOPS):
+                if process.poll() is None:
+                    process.send_signal(signal.SIGINT)
+                process.communicate()
+    if has_ended and not process.returncode:
+        return ''
+    return f'a node has died, or hangs; {log} ends with\n' + ''.join(lines)
 
 
 def _load_report() -> None:
@@ -185,12 +189,13 @@ def _load_report() -> None:
 def _follow(
     process: 'subprocess.Popen[str]', log: Path, duration: float, last: deque[str], console: Console
 ) -> bool:
-    """Show progress and alarms until all has ended; whether a node died."""
-    done, has_died = 0.0, False
+    """Show progress and alarms until all has ended; whether it did so with the scenario."""
+    done, is_over, has_died = 0.0, False, False
+    guard = _give_up_later(process)
     with (
         bar(console, 'scenario', duration, unit='s') as show,
         ThreadPoolExecutor(1) as loader,
-        open(log, 'w', encoding='utf-8') as file,
+        open(log, 'w', 1, encoding='utf-8') as file,
     ):
         for line in process.stdout or ():
             with contextlib.suppress(OSError):  # of a disk that is full
@@ -200,10 +205,22 @@ def _follow(
                 if not done:  # nodes step one after the other; before, they use all cores
                     loader.submit(_load_report)
                 done = float(found.group(1))
-                show(done)
+                guard.cancel()
+                guard = _give_up_later(process)
             elif 'ALARM' in line or 'alarm ' in line:
                 console.print(f'  {line.rstrip().split("]: ", 1)[-1]}')
             elif done < duration and ('ERROR' in line or 'FATAL' in line):
                 console.print(f'  {line.rstrip()}', markup=False)
             has_died |= 'process has died' in line
-    return has_died
+            is_over |= 'the scenario is over' in line
+            show(done)
+    guard.cancel()
+    return is_over and not has_died
+
+
+def _give_up_later(process: 'subprocess.Popen[str]') -> Timer:
+    """Stops a graph that makes no progress, unless it is cancelled."""
+    timer = Timer(_SILENCE, process.send_signal, [signal.SIGINT])
+    timer.daemon = True
+    timer.start()
+    return timer

@@ -59,9 +59,11 @@ def hear(topic: str, messages: list[tuple[int, Any]], arm: SerialArm | None) -> 
         except SampleError as problem:
             rejected[str(problem)] += 1
     columns = list(zip(*rows)) or [()] * 5
-    times = (np.array(column, np.int64) for column in columns[:2])
-    signals = (np.reshape(np.array(c, float), (-1, len(names))) for c in columns[2:])
-    return Heard(topic, *times, *signals, rejected, others)
+    arrived, stamps = (np.array(column, np.int64) for column in columns[:2])
+    position, velocity, effort = (
+        np.reshape(np.array(column, float), (-1, len(names))) for column in columns[2:]
+    )
+    return Heard(topic, arrived, stamps, position, velocity, effort, rejected, others)
 
 
 def check_measurements(shot: Any, arm: SerialArm | None) -> list[Finding]:
