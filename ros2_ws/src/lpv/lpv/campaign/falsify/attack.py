@@ -14,17 +14,14 @@ from typing import Any
 import numpy as np
 
 from lpv.campaign.falsify.healthy_run import (
-    ACCELERATION,
     CENTRE,
     PHASE,
     PUSH,
     RATE_BIAS,
     RATE_SCALE,
-    SHAKE,
     SPEED,
     SWING,
     Course,
-    Sensing,
     simulate,
 )
 from lpv.core.monitoring.parameters import DiagnosisParameters
@@ -44,8 +41,12 @@ from lpv.core.serial_arm.diagnosis.parameter_set import (
     payload_generator,
 )
 from lpv.core.serial_arm.simulation import integration_step, plant_scratch
+from lpv.core.simulation.arm_simulator import plant_constants, state_type
+from lpv.core.simulation.faults import Fault, FaultInjector
+from lpv.core.simulation.scenario import Scenario
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.limits import LARGEST
+from lpv.core.support.records import memory, new_record
 from lpv.core.uio.certificate.gains import Gains
 from lpv.core.uio.model.joints import J, JointMap
 from lpv.core.uio.planar import planar_model
@@ -70,6 +71,7 @@ class Attack:
     """A motion, a true arm and time profiles that the arm file allows; see `Course`."""
 
     joints: list[list[float]]
+    disturbance: float
     rest: float
     switch_speed: float
     switch_phase: float
@@ -112,9 +114,15 @@ class Attacker:
         n = len(arm.joint_names)
         self.numbers = _MOTION * n + _SHARED + self.range.own
         self.samples = np.zeros((max(2, round(duration / arm.sample_time)), 3, n))
-        chain, finer = self.range.chain, 2  # corners are stiffer
-        step, count = integration_step(chain, arm.sample_time)
-        self._substeps = (step / finer, finer * count)
+        chain = self.range.chain
+        scenario = Scenario('attack', duration, 0, (), (), disturbance=gains is not None)
+        _, count = integration_step(chain, arm.sample_time)
+        constants = plant_constants(arm, scenario, chain, 2 * count)  # corners are stiffer
+        if gains is not None:  # they are of rates with sensors of their own
+            constants.derived[:] = 0
+        faults = (Fault(name, 'rate_bias', 0.0, size=1.0) for name in arm.sensor_names)
+        self._plant = memory(constants), memory(new_record(state_type(n)))
+        self._faults = FaultInjector(arm.sensor_names, faults, np.random.default_rng(0)).records
         self._scratch = plant_scratch(chain), np.empty((n, n)), workspace(chain)
 
     def structured(self, rng: np.random.Generator) -> list[FloatArray]:
@@ -147,6 +155,7 @@ class Attacker:
         rest, switch, phase, rates = shared
         attack = Attack(
             joints.tolist(),
+            0.0,
             float(0.6 * (rest + 1.0) * len(self.samples) * self.arm.sample_time),
             0.0 if switch < -0.3 else float(_geometric(switch, _SLOW_SWITCH, _FAST_SWITCH)),
             float(np.pi * phase),
@@ -154,20 +163,20 @@ class Attacker:
             [0.0] * self.range.count,
             seed,
         )
-        self.range.disturb(joints, own, np.zeros(self.range.count))
-        attack = replace(attack, joints=joints.tolist())
+        mean = self.range.disturb(joints, own, np.zeros(self.range.count))
+        attack = replace(attack, joints=joints.tolist(), disturbance=mean)
         shares = self.range.shares(own, attack, self)
-        self.range.disturb(joints, own, shares)
-        return replace(attack, joints=joints.tolist(), shares=shares.tolist())
+        mean = self.range.disturb(joints, own, shares)
+        return replace(attack, joints=joints.tolist(), disturbance=mean, shares=shares.tolist())
 
     def simulate(self, attack: Attack, count: int | None = None) -> bool:
         """Fill the first samples; False if the simulation diverged."""
         samples, shares = self.samples[:count], np.array(attack.shares)
         course = Course(
-            self.range.to_joint, np.array(attack.joints), attack.rest, attack.switch_speed,
-            attack.switch_phase, attack.rate_switch)  # fmt: skip
+            self.range.to_joint, np.array(attack.joints), attack.disturbance, attack.rest,
+            attack.switch_speed, attack.switch_phase, attack.rate_switch)  # fmt: skip
         good = bool(simulate(
-            self.range.member(shares), course, self.range.sensing, self._substeps,
+            self.range.member(shares), course, *self._plant, self._faults,
             np.random.default_rng(attack.seed), self._scratch, samples,
         ))  # fmt: skip
         return good and bool(np.abs(samples).max() < LARGEST)
@@ -185,7 +194,9 @@ class Attacker:
         shape = RATE_SCALE + 1, self.samples.shape[2]
         if np.shape(attack.joints) != shape or len(attack.shares) != self.range.count:
             raise ValueError(f'joints must have shape {shape}, shares {self.range.count} numbers')
-        if not np.isfinite([*np.ravel(attack.joints), *attack.shares, attack.rest]).all():
+        if not np.isfinite(
+            [*np.ravel(attack.joints), *attack.shares, attack.rest, attack.disturbance]
+        ).all():
             raise ValueError('must be finite numbers')
         return attack
 
@@ -218,11 +229,6 @@ class _DesignedRange:
         # Shares of mean disturbance and scales of the rates, and of the file's set of arms.
         self.own = self.count = _APART + generator_count(self._sizes)
         joints = JointMap(arm)
-        to_joint = described.sensors_to_joints()
-        self.sensing = Sensing(
-            to_joint, np.linalg.inv(to_joint), np.full(2, arm.position_noise),
-            np.full(2, arm.velocity_noise), np.zeros(2), np.zeros(2), arm.sample_time,
-            np.array(arm.torque_limit))  # fmt: skip
         # Motions are those of the absolute angles, which the certified region is of.
         self.to_joint = J
         self._reach = _REACH * np.arccos(arm.cos_min)
@@ -243,12 +249,11 @@ class _DesignedRange:
         _load(shares[_APART:], self._sizes, self.arm.payload)
         return shares
 
-    def disturb(self, joints: FloatArray, own: FloatArray, shares: FloatArray) -> None:
-        arm, direction = self.arm, J @ np.array(self.arm.disturbance_direction)
-        joints[ACCELERATION] = direction * abs(arm.disturbance_mean) * shares[0]
-        joints[SHAKE] = direction * np.sqrt(arm.disturbance_variance)
-        joints[RATE_SCALE] = arm.velocity_error * shares[1:_APART]
-        joints[RATE_BIAS] = RATE_BIAS_FACTOR * arm.velocity_noise * shares[-2:]
+    def disturb(self, joints: FloatArray, own: FloatArray, shares: FloatArray) -> float:
+        """Write what disturbs a motion into its rows; the mean of d."""
+        joints[RATE_SCALE] = self.arm.velocity_error * shares[1:_APART]
+        joints[RATE_BIAS] = RATE_BIAS_FACTOR * self.arm.velocity_noise * shares[-2:]
+        return float(abs(self.arm.disturbance_mean) * shares[0])
 
     def member(self, shares: FloatArray) -> Chain:
         return member(self.chain, self._sizes, shares[_APART:])
@@ -275,18 +280,9 @@ class _StatedRange:
         for one in (arm, monitored):
             if not is_stated(one):
                 raise ConfigError('uncertainty.model_error', 'is not stated: nothing is guaranteed')
-        n, sensors = len(arm.joints), [joint.sensors for joint in arm.joints]
-        self.arm, self._told, self.chain = arm, monitored, compile_chain(arm)
+        n, self.arm, self._told, self.chain = len(arm.joints), arm, monitored, compile_chain(arm)
         self._sizes = parameter_set(arm, self.chain)
         self.own, self.count, self.to_joint = n + 4, generator_count(self._sizes), np.eye(n)
-        self._gain = np.array([joint.torque_gain for joint in arm.joints])
-        self.sensing = Sensing(
-            arm.sensors_to_joints(), arm.joints_to_sensors(),
-            np.array([one.position_noise for one in sensors]),
-            np.array([one.velocity_noise for one in sensors]),
-            np.array([one.quantization for one in sensors]),
-            np.array([float(one.rates != 'independent') for one in sensors]),
-            arm.sample_time, np.array(arm.torque_limit))  # fmt: skip
 
     def motion(self, numbers: FloatArray) -> FloatArray:
         low, high = np.array([joint.range for joint in self.arm.joints]).T
@@ -305,10 +301,7 @@ class _StatedRange:
             joint = min(int(0.5 * (aim + 1.0) * n), n - 1)
             count = max(int(max(0.1, 0.5 * (late + 1.0)) * len(attacker.samples)), 100)
             if attacker.simulate(attack, count):
-                samples, monitor = (
-                    self._measured(attacker.samples[:count]),
-                    SerialMonitor(self._told),
-                )
+                samples, monitor = attacker.samples[:count], SerialMonitor(self._told)
                 monitor.update_many(stamps_of(samples, self.arm.sample_time), samples)
                 if monitor.healthy is not None:
                     effects = monitor.healthy.evaluate().effects
@@ -316,25 +309,20 @@ class _StatedRange:
         _load(shares, self._sizes, self.arm.uncertainty.largest_payload)
         return shares
 
-    def disturb(self, joints: FloatArray, own: FloatArray, shares: FloatArray) -> None:
+    def disturb(self, joints: FloatArray, own: FloatArray, shares: FloatArray) -> float:
         # Torques that the model misses are what it may miss at any speed.
         missed = np.array([min(joint.torque_tolerance.torque) for joint in self.arm.joints])
         joints[PUSH] = np.clip(2.0 * own[:-4], -1.0, 1.0) * missed
         joints[RATE_BIAS] = shares[-len(missed) :] * self._sizes.rate_bias
+        return 0.0
 
     def member(self, shares: FloatArray) -> Chain:
         return member(self.chain, self._sizes, shares)
 
-    def _measured(self, samples: FloatArray) -> FloatArray:
-        """Efforts as the drives state them."""
-        measured = samples.copy()
-        measured[:, 2] /= self._gain
-        return measured
-
     def judge(self, samples: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, bool]:
         n, stamps = samples.shape[2], stamps_of(samples, self.arm.sample_time)
         ratios, thresholds, times = np.zeros(n), np.full(n, np.nan), np.zeros(n)
-        samples, monitor = self._measured(samples), SerialMonitor(self._told)
+        monitor = SerialMonitor(self._told)
         chunk = max(1, round(_LOOK_EVERY / self.arm.sample_time))
         for begin in range(0, len(stamps), chunk):
             end = min(begin + chunk, len(stamps))

@@ -1,4 +1,4 @@
-"""One healthy run of any arm, compiled: motion, true arm, sensors.
+"""One healthy run of any arm, compiled: its motion, and what the arm file allows meanwhile.
 
 Machine code that is kept between runs notices changes of its own file (and of lpv.core) only.
 """
@@ -12,10 +12,11 @@ from lpv.core.serial_arm.chain import Chain, FloatArray
 from lpv.core.serial_arm.dynamics.friction import friction_torque
 from lpv.core.serial_arm.dynamics.newton_euler import inverse_dynamics
 from lpv.core.serial_arm.simulation import plant_step
+from lpv.core.simulation.arm_simulator import read_sensors, set_torque
 from lpv.core.support.jit import njit
 
-_ROWS = range(9)
-CENTRE, SWING, SPEED, PHASE, PUSH, ACCELERATION, SHAKE, RATE_BIAS, RATE_SCALE = _ROWS
+_ROWS = range(7)
+CENTRE, SWING, SPEED, PHASE, PUSH, RATE_BIAS, RATE_SCALE = _ROWS
 """Rows of `Course.joints`."""
 
 
@@ -23,27 +24,14 @@ class Course(NamedTuple):
     """Motion, disturbances and errors of the rates in a run."""
 
     to_joint: FloatArray  # (n, n) joint positions from the angles that follow the motion
-    # (9, n) centres and amplitudes of these [rad], circular frequencies [rad/s], phases [rad];
-    # torques that the model misses [N m]; accelerations by the disturbance [rad/s2], and standard
-    # deviations of their white part; bias [rad/s] and relative error of each sensor's rate
+    # (7, n) centres and amplitudes of these [rad], circular frequencies [rad/s], phases [rad];
+    # torques that the model misses [N m]; bias [rad/s] and relative error of each sensor's rate
     joints: FloatArray
+    disturbance: float  # mean of the arm's d
     rest: float  # from when on the arm comes to rest [s]
     switch_speed: float  # of the sign of what disturbs; 0: constant [rad/s]
     switch_phase: float  # of that sign [rad]
     rate_switch: float  # 1: errors of the rates change their sign with it
-
-
-class Sensing(NamedTuple):
-    """Sensors and drives."""
-
-    to_joint: FloatArray  # (n, n) joint positions from readings
-    from_joint: FloatArray  # its inverse
-    position_noise: FloatArray  # of readings [rad]
-    velocity_noise: FloatArray  # of rates [rad/s]
-    quantization: FloatArray  # steps [rad]
-    derived: FloatArray  # 1 for rates derived from readings
-    period: float  # sample time [s]
-    limit: FloatArray  # torques of the drives [N m]
 
 
 @njit
@@ -74,78 +62,47 @@ def _follow(course: Course, time: float, goal: FloatArray) -> None:
 def simulate(
     true_arm: Chain,
     course: Course,
-    sensing: Sensing,
-    substeps: tuple[float, int],  # step [s] and number of steps of integration a sample
+    constants: np.ndarray,  # of the plant and its state, as records of one element
+    plant: np.ndarray,
+    faults: np.ndarray,  # an error of each sensor's rate
     noise: np.random.Generator,  # of sensors and disturbance
     scratch: tuple[FloatArray, FloatArray, FloatArray],  # two of `plant_step`, and a workspace
     samples: FloatArray,  # joint positions, rates and efforts as measured
 ) -> bool:
     """Fill samples (N, 3, n) of a run; False if the mass matrix is not positive definite."""
-    n = samples.shape[2]
-    state, goal, wanted, friction = np.zeros((2, n)), np.zeros((3, n)), np.zeros(n), np.zeros(n)
-    torque, applied, gain = np.zeros(n), np.zeros(n), min(20.0, 0.1 / sensing.period)
-    disturbed = np.abs(course.joints[ACCELERATION : SHAKE + 1]).max() > 0.0
+    params, state, n = constants[0], plant[0], samples.shape[2]
+    goal, wanted, friction = np.zeros((3, n)), np.zeros(n), np.zeros(n)
+    torque, gain = np.zeros(n), min(20.0, 0.1 / params.sample_time)
     _follow(course, 0.0, goal)
-    state[0], state[1] = goal[0], goal[1]
+    state.motion[:], state.torque[:], state.reading[:], state.step_count = goal[:2], 0.0, 0.0, 0
     for k in range(samples.shape[0]):
-        time, sign = k * sensing.period, 1.0
+        time, sign = k * params.sample_time, 1.0
         if course.switch_speed > 0.0:
             sign = 1.0 if math.sin(course.switch_speed * time + course.switch_phase) > 0 else -1.0
-        _read(course, sensing, state, torque, sign, noise, samples, k)
+        for i in range(n):
+            wrong = course.joints[RATE_BIAS, i]
+            for j in range(n):
+                wrong += course.joints[RATE_SCALE, i] * params.sensor[i, j] * state.motion[1, j]
+            faults[i].amount = wrong * (sign if course.rate_switch > 0.5 else 1.0)
+        read_sensors(params, state, faults, noise, noise)
         _follow(course, time, goal)
         for i in range(n):
-            wanted[i] = goal[2, i] + gain * gain * (goal[0, i] - state[0, i])
-            wanted[i] += 2.0 * gain * (goal[1, i] - state[1, i])
-        inverse_dynamics(true_arm, state[0], state[1], wanted, scratch[2], torque)
-        friction_torque(true_arm, state[1], torque, friction)
-        if disturbed:
-            # Torques that a disturbance of the accelerations is the same as.
-            white = noise.standard_normal()
-            for i in range(n):
-                wanted[i] += sign * course.joints[ACCELERATION, i] + course.joints[SHAKE, i] * white
-            inverse_dynamics(true_arm, state[0], state[1], wanted, scratch[2], applied)
+            samples[k, 0, i], samples[k, 2, i] = state.measured_position[i], state.effort[i]
+            samples[k, 1, i] = state.measured_velocity[i]
+            wanted[i] = goal[2, i] + gain * gain * (goal[0, i] - state.motion[0, i])
+            wanted[i] += 2.0 * gain * (goal[1, i] - state.motion[1, i])
+        inverse_dynamics(true_arm, state.motion[0], state.motion[1], wanted, scratch[2], torque)
+        friction_torque(true_arm, state.motion[1], torque, friction)
         for i in range(n):
-            push = applied[i] - torque[i] if disturbed else 0.0
-            torque[i] = min(max(torque[i] + friction[i], -sensing.limit[i]), sensing.limit[i])
-            applied[i] = torque[i] + push + sign * course.joints[PUSH, i]
+            torque[i] += friction[i]
+        params.push_mean = sign * course.disturbance
+        set_torque(params, state, torque, noise)
+        for i in range(n):
+            torque[i] = state.torque[i] + sign * course.joints[PUSH, i]
         if not plant_step(
-            true_arm, state, applied, substeps[0], substeps[1], scratch[0], scratch[1]
-        ):
+            true_arm, state.motion, torque, params.step, params.substeps, scratch[0], scratch[1],
+            state.push,
+        ):  # fmt: skip
             return False
+        state.step_count += 1
     return True
-
-
-@njit
-def _read(
-    course: Course,
-    sensing: Sensing,
-    state: FloatArray,
-    torque: FloatArray,
-    sign: float,
-    noise: np.random.Generator,
-    samples: FloatArray,
-    k: int,
-) -> None:
-    """Readings of one sample."""
-    n = torque.shape[0]
-    position, rate = np.zeros(n), np.zeros(n)
-    for i in range(n):
-        position[i] = sensing.position_noise[i] * noise.standard_normal()
-        true_rate = 0.0
-        for j in range(n):
-            true_rate += sensing.from_joint[i, j] * state[1, j]
-        wrong = course.joints[RATE_BIAS, i] + course.joints[RATE_SCALE, i] * true_rate
-        rate[i] = wrong * (sign if course.rate_switch > 0.5 else 1.0)
-        rate[i] += sensing.velocity_noise[i] * noise.standard_normal()
-    for i in range(n):
-        reading, derivative = state[0, i], state[1, i]
-        for j in range(n):
-            reading += sensing.to_joint[i, j] * position[j]
-            derivative += sensing.to_joint[i, j] * rate[j]
-        step = sensing.quantization[i]
-        if step > 0.0:
-            reading = np.round(reading / step) * step
-        if sensing.derived[i] > 0.0:
-            before = samples[k - 1, 0, i] if k > 0 else reading - state[1, i] * sensing.period
-            derivative = (reading - before) / sensing.period
-        samples[k, 0, i], samples[k, 1, i], samples[k, 2, i] = reading, derivative, torque[i]

@@ -223,7 +223,7 @@ class ArmSimulator:
         self.noise, self.push, chance = (np.random.default_rng(stream) for stream in streams)
         self.injector = FaultInjector(arm.sensor_names, scenario.faults, chance)
         n = len(arm.joints)
-        self.constants = _constants(arm, scenario, self.chain, substeps)
+        self.constants = plant_constants(arm, scenario, self.chain, substeps)
         self.state = new_record(state_type(n))
         self.state.motion[0] = scenario.path(arm).sample(0.0).position
         self.engine = _engine(arm, scenario, self.chain)
@@ -321,7 +321,10 @@ def _engine(arm: SerialArm, scenario: Scenario, chain: Chain) -> Engine | None:
     raise ConfigError('plant.model', f'must be one of {", ".join(PLANTS)}, got {scenario.plant!r}')
 
 
-def _constants(arm: SerialArm, scenario: Scenario, chain: Chain, substeps: int) -> np.record:
+def plant_constants(
+    arm: SerialArm, scenario: Scenario, chain: Chain, substeps: int = 1
+) -> np.record:
+    """Constants of `plant_type` for a true arm; ``substeps`` as of `ArmSimulator`."""
     joints = arm.joints
     _, needed = integration_step(chain, arm.sample_time)
     count, noise = max(substeps, needed), scenario.noise_factor if scenario.noise else 0.0
