@@ -32,7 +32,8 @@ from lpv.identify.motions.excitation import plan_excitation
 from lpv.identify.recordings.filters import low_pass
 from lpv.identify.recordings.motion import split
 from lpv.identify.recordings.recording import clean, read_recording
-from lpv.identify.results.summary import remarks
+from lpv.identify.results.report import write_report
+from lpv.identify.results.summary import DRIVES, FIGURES, SENSORS, cells, remarks
 
 pytestmark = pytest.mark.slow
 of_real_arms = pytest.mark.skipif(not DATA.is_dir(), reason='no recordings of real arms')
@@ -63,6 +64,16 @@ def test_given_noise_when_identified_then_links_are_physical(arm, result, record
     expected = joint_torques(arm, q, v, a)
     error = joint_torques(loaded, q, v, a) - expected
     assert np.all(np.std(error, axis=0) < 0.04 * np.std(expected, axis=0))
+
+
+def test_given_a_result_when_written_as_a_page_then_it_has_the_tables_of_the_terminal(
+    result, tmp_path
+):
+    page = write_report(result, tmp_path).read_text()
+    rows = [re.findall('<td[^>]*>(.*?)</td>', row) for row in re.findall('<tr>.*', page)]
+    for columns in (FIGURES, DRIVES, SENSORS):
+        assert [row for row in cells(result, columns) if row not in rows] == []
+    assert page.count('data:image/png;base64,') == 2 and '<dd>3 <small>' in page
 
 
 def test_given_links_or_friction_when_checked_or_rescaled_then_torques_are_as_they_can_be(arm):

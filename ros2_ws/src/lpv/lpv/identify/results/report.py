@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from lpv.identify.estimation.identification import Identification
 from lpv.identify.results.summary import DRIVES, FIGURES, SENSORS, cells, remarks
-from lpv.report.page import embedded, environment
+from lpv.report.page import Tile, embedded, environment
 from lpv.report.style import INK, SENSOR, SOFT, picture, thin
 
 _MOST_POINTS = 4000  # of a scatter plot; more hide each other
@@ -76,10 +76,11 @@ def write_report(result: Identification, folder: Path) -> Path:
     for name, draw, caption in _CAPTIONS:
         data = picture(draw, result)
         (folder / f'{name}.png').write_bytes(data)
-        pictures.append({'source': embedded(data), 'caption': caption})
+        pictures.append({'data': embedded(data), 'caption': caption})
     template = environment(Path(__file__).parent).get_template('report.html')
     page = folder / 'identification.html'
-    page.write_text(template.render(figures=pictures, **_content(result)), encoding='utf-8')
+    text = template.render(figures=pictures, **_content(result))
+    page.write_text(text.lstrip(), encoding='utf-8')
     return page
 
 
@@ -92,12 +93,11 @@ def _content(result: Identification) -> dict[str, Any]:
     tables = {'joints': FIGURES, 'drives': DRIVES, 'sensors': SENSORS}
     return {
         'title': f'Identification of {result.arm.name}',
-        'lead': 'Parameters of the arm from recordings of its motion, and how well they predict.',
         'tiles': (
-            ('joints', len(names), result.arm.name),
-            ('data held back', f'{held_back:.0f} s', 'never fitted'),
-            ('torque explained', f'{explained:.1f} %', 'median of the joints'),
-            ('parameters determined', determined, 'by the data alone'),
+            Tile('joints', len(names), result.arm.name),
+            Tile('data held back', f'{held_back:.0f} s', 'never fitted'),
+            Tile('torque explained', f'{explained:.1f} %', 'median of the joints'),
+            Tile('parameters determined', determined, 'by the data alone'),
         ),
         'warnings': result.warnings,
         'band': f'{result.filters.test:.1f}',
@@ -108,7 +108,7 @@ def _content(result: Identification) -> dict[str, Any]:
             for name, value, sigma, known in parameters
         ],
         'tables': {
-            name: ([header for header, _, _ in columns], cells(result, columns))
+            name: (['joint', *(f'>{head}' for head, _, _ in columns)], cells(result, columns))
             for name, columns in tables.items()
         },
     }
