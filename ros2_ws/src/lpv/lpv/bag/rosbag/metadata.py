@@ -62,7 +62,18 @@ class BagMetadata:
     compressed: bool  # by rosbag2 itself, beside what a storage does
     counts: dict[str, int]  # messages by topic
     hashes: dict[str, str]  # type description hash by message type
-    known: Known  # what the recorder knew of each topic
+    custom: dict[str, str]  # what who recorded it said of the bag
+
+    @property
+    def known(self) -> Known:
+        """What the recorder knew of each topic; nothing where that is damaged."""
+        try:
+            return {
+                str(topic): {str(name): int(value) for name, value in counts.items()}
+                for topic, counts in json.loads(self.custom.get(RECORD_NAME, '{}')).items()
+            }
+        except (ValueError, TypeError, AttributeError, RecursionError):
+            return {}
 
 
 def read_metadata(folder: Path) -> BagMetadata:
@@ -92,19 +103,8 @@ def _parse(data: Any) -> BagMetadata:
         str(data.get('compression_mode') or 'none').lower() not in ('none', 'storage'),
         counts,
         hashes,
-        _known(str((data.get('custom_data') or {}).get(RECORD_NAME, '{}'))),
+        {str(key): str(value) for key, value in (data.get('custom_data') or {}).items()},
     )
-
-
-def _known(text: str) -> Known:
-    """Counts by topic from custom data; none where they are damaged."""
-    try:
-        return {
-            str(topic): {str(name): int(value) for name, value in counts.items()}
-            for topic, counts in json.loads(text).items()
-        }
-    except (ValueError, TypeError, AttributeError, RecursionError):
-        return {}
 
 
 def dump(data: object) -> str:

@@ -11,18 +11,19 @@ from pathlib import Path
 from typing import Any
 
 from lpv.bag.replay.replay import Replay, ReplayOptions
+from lpv.bag.rosbag.metadata import FILE_NAME, read_metadata
 from lpv.campaign.execution.bag_figures import BagFigures
 from lpv.campaign.plan.campaign import software
 from lpv.core.monitoring.parameters import DiagnosisParameters
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.arm_file import parse_arm, to_mapping
 from lpv.core.serial_arm.description import SerialArm
-from lpv.core.support.config import read_yaml, sha256_of
+from lpv.core.support.config import sha256_of
 from lpv.core.support.errors import ConfigError, LpvError
 from lpv.core.support.limits import MAX_GAP, MOST_TEXT
 from lpv.core.uio.certificate.gains import Gains, gains_to_dict, parse_gains
 
-_METADATA, _STORAGE = 'metadata.yaml', ('.mcap', '.db3')
+_STORAGE = ('.mcap', '.db3')
 _UNIT = ('serial', 'unit')
 """Keys of a bag's custom data that name the arm, as ``ros2 bag record --custom-data`` sets them."""
 
@@ -145,8 +146,8 @@ def _bags_in(folder: Path, files: list[str]) -> list[tuple[Path, list[Path]]]:
     """Bags of one folder, each with the files that make it."""
     # An unfinished recording leaves MCAP files with the folder's name, and no metadata.
     storage = [folder / name for name in files if Path(name).suffix in _STORAGE]
-    if _METADATA in files and (storage or _is_metadata(folder)):
-        return [(folder, [folder / _METADATA, *storage])]
+    if FILE_NAME in files and (storage or _is_metadata(folder)):
+        return [(folder, [folder / FILE_NAME, *storage])]
     own = [
         path
         for path in storage
@@ -158,7 +159,7 @@ def _bags_in(folder: Path, files: list[str]) -> list[tuple[Path, list[Path]]]:
 
 def _is_metadata(folder: Path) -> bool:
     """Whether a metadata.yaml without bag files is that of a bag, whose files are then missing."""
-    with contextlib.suppress(OSError), open(folder / _METADATA, 'rb') as file:
+    with contextlib.suppress(OSError), open(folder / FILE_NAME, 'rb') as file:
         return b'rosbag2_bagfile_information' in file.read(4096)
     return False
 
@@ -177,12 +178,9 @@ def _fingerprint(name: str, paths: Iterable[Path]) -> str:
 
 def unit_of(root: Path, name: str) -> str:
     """Which arm a bag is of: ``serial`` or ``unit`` of its custom data, or its first folder."""
-    custom: Any = {}
-    with contextlib.suppress(LpvError, OSError, KeyError, TypeError):
-        data = read_yaml(root / name / _METADATA)
-        custom = data['rosbag2_bagfile_information']['custom_data']
-    for key in _UNIT:
-        if isinstance(custom, dict) and custom.get(key):
-            return str(custom[key])[:200]
+    with contextlib.suppress(LpvError, OSError):
+        custom = read_metadata(root / name).custom
+        if said := next(filter(None, map(custom.get, _UNIT)), ''):
+            return said[:200]
     parts = Path(name).parts
     return parts[0] if len(parts) > 1 else ''

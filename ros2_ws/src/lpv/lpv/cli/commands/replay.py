@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
+from lpv.bag.errors import BagError
 from lpv.bag.replay.injected_faults import InjectedFault, judge
 from lpv.bag.replay.replay import Replay, ReplayResult
 from lpv.bag.replay.writer import MARK
+from lpv.bag.rosbag.metadata import read_metadata
 from lpv.bag.rosbag.output_folder import GAINS_NAME
 from lpv.bag.run.streams import RecordedAlarm
 from lpv.cli.needs import require_ros
@@ -102,9 +104,8 @@ def _check_out(out: Path, bag: Path) -> None:
     if not out.exists():
         return
     try:
-        information = read_yaml(out / 'metadata.yaml')['rosbag2_bagfile_information']
-        is_ours = MARK in (information.get('custom_data') or ())
-    except (ConfigError, TypeError, KeyError, AttributeError):
+        is_ours = MARK in read_metadata(out).custom
+    except BagError:
         is_ours = False
     if not is_ours:
         raise ConfigError('--out', f'{out} exists already and was not written by this command')
