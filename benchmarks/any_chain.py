@@ -19,14 +19,12 @@ from pathlib import Path
 import numpy as np
 from fault_injection import BY_NAME, LEAD, Cell, Kind, Stream, Subject, draw, run
 from fault_matrix import summary, tables
+from limits import LESS_NOISE, difference, needed, offset_shows
 from rich.console import Console
 from ur10e_twin import PAYLOAD, PERIOD, drive, healthy, recording, twin, ur10e
 
-from lpv.core.serial_arm.chain import FloatArray, IntArray
+from lpv.core.serial_arm.chain import FloatArray
 from lpv.core.serial_arm.description import SerialArm
-from lpv.core.serial_arm.diagnosis.estimator import HorizonPlan
-from lpv.core.serial_arm.diagnosis.information import Window, recent
-from lpv.core.serial_arm.diagnosis.monitor import SerialMonitor
 from lpv.core.serial_arm.diagnosis.settings import MonitorSettings
 from lpv.core.serial_arm.urdf_chain import read_urdf_chain
 from lpv.identify.estimation.identification import identify
@@ -42,10 +40,6 @@ GOALS = tuple(
     replace(BY_NAME[name], limit=limit, duration=max(BY_NAME[name].duration, limit + 0.5))
     for name, limit in LIMITS.items()
 )
-LESS_NOISE = (1.0, 10.0, 100.0)
-"""Factors by which the variance of the noise is smaller than the engine expects."""
-NEVER_ALARM = 1e200
-"""Hours between false alarms of a monitor that only watches."""
 URDF = """<robot name="one"><link name="base"/><link name="tool"><inertial><mass value="1"/>
 <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
 <joint name="turn" type="revolute"><parent link="base"/><child link="tool"/><axis xyz="0 0 1"/>
@@ -217,8 +211,7 @@ def bound(count: int) -> str:
     does not explain had so small a share of its variance.  Scale errors of 20 % in 2 s: those whose
     odds against an offset that begins as large are those that a name needs.
     """
-    settings, interval = MonitorSettings(), HorizonPlan.of(ur10e().sample_time).interval
-    found, sure = settings.threshold(interval), -math.log(settings.probability_of_wrong_name)
+    found, sure = needed(ur10e()), -2.0 * math.log(MonitorSettings().probability_of_wrong_name)
     lines = (
         ('offsets', _offset_shows, found),
         ('drifts', _drift_shows, found),
@@ -231,18 +224,11 @@ def bound(count: int) -> str:
             arm, load = replace(ur10e(), uncertainty=stated), None if most else 0.0
             for name, shows, least in lines:
                 powers = np.array([shows(arm, k, load) for k in range(count)])
-                shares = zip(LESS_NOISE, (powers > 2.0 * least).mean(0))
+                shares = zip(LESS_NOISE, (powers > least).mean(0))
                 seen = ', '.join(f'/ {factor:g} {share:.0%}' for factor, share in shares)
                 known = f'masses within {error:.0%}, load up to {most:g} kg'
                 texts.append(f'{known}, {name}: noise variance {seen}')
     return '\n'.join(texts)
-
-
-def _watched(arm: SerialArm, stream: Stream) -> SerialMonitor:
-    """A monitor that has seen a stream, and names nothing."""
-    monitor, driven = SerialMonitor(arm, MonitorSettings(NEVER_ALARM)), drive(stream)
-    monitor.update_many(driven.stamps, driven.samples)
-    return monitor
 
 
 def _faulty(stream: Stream, k: int, size: FloatArray) -> tuple[int, Stream]:
@@ -257,20 +243,14 @@ def _offset_shows(arm: SerialArm, k: int, load: float | None) -> list[float]:
     """Square of an offset from the start over its variance, for each share of `LESS_NOISE`."""
     healthy_one = healthy(50 + k, load, duration=6.0)
     joint, stream = _faulty(healthy_one, k, np.full(len(healthy_one.stamps), 0.2))
-    estimator = _watched(arm, stream).estimator
-    (window, level), last = estimator.of_levels, len(estimator)
-    information = _information(window, len(level.mean), recent(window, last))
-    least = np.diag(level.least)
-    return [
-        0.2**2 / np.linalg.inv(factor * information + least)[joint, joint] for factor in LESS_NOISE
-    ]
+    return offset_shows(arm, drive(stream), joint, 0.2)
 
 
 def _drift_shows(arm: SerialArm, k: int, load: float | None) -> list[float]:
     """The same of a drift after 4 s, against none."""
     stream = healthy(50 + k, load, duration=LEAD + 1.0)
     since = np.maximum(PERIOD * np.arange(len(stream.stamps)) - LEAD, 0.0)
-    return _difference(arm, stream, _faulty(stream, k, 0.3 * since)[1])
+    return difference(arm, drive(stream), drive(_faulty(stream, k, 0.3 * since)[1]))
 
 
 def _scale_shows(arm: SerialArm, k: int, load: float | None) -> list[float]:
@@ -283,30 +263,7 @@ def _scale_shows(arm: SerialArm, k: int, load: float | None) -> list[float]:
     stamps, scaled = window.stream.stamps[:end], window.stream.samples[:end]
     steady = scaled.copy()
     steady[begin:, 0] -= window.truth[begin:end] - window.truth[begin]
-    return _difference(arm, Stream(stamps, steady), Stream(stamps, scaled))
-
-
-def _difference(arm: SerialArm, stream: Stream, other: Stream) -> list[float]:
-    """Power of the difference of two streams' balances, less what is unknown of the arm."""
-    one, changed = _watched(arm, stream), _watched(arm, other).readings.all_blocks()
-    estimator, blocks = one.estimator, one.readings.all_blocks()
-    window, null, last = estimator.window, estimator.posterior, len(estimator)
-    at, m = recent(window, last)[::-1], len(null.mean)
-    change = (estimator.rows_of(changed) - estimator.rows_of(blocks))[:, :, 0]
-    weighed, unknowns = window.weights[at] * change, window.rows[at][:, :, -m:]
-    information, least = _information(window, m, at), np.diag(null.least)
-    across, own = np.einsum('kia,ki->a', unknowns, weighed), float((weighed * change).sum())
-    return [
-        factor * own - factor**2 * across @ np.linalg.solve(factor * information + least, across)
-        for factor in LESS_NOISE
-    ]
-
-
-def _information(window: Window, m: int, at: IntArray) -> FloatArray:
-    """Information of balances on the m unknowns."""
-    rows = window.rows[at][:, :, -m:]
-    information: FloatArray = np.einsum('kia,ki,kib->ab', rows, window.weights[at], rows)
-    return information
+    return difference(arm, drive(Stream(stamps, steady)), drive(Stream(stamps, scaled)))
 
 
 LINES: dict[str, Callable[[int], str]] = {

@@ -13,6 +13,9 @@ that blame a healthy sensor, `cleared` = no alarm 3 s after the end, of what was
 and `both` = the second fault found in time, after the end of the first one and beside it,
 `crash` = runs in which the monitor raised an exception.
 
+`--bound` runs no diagnosis: it prints the shares of offsets from the start and of drifts, rates
+derived, that the data show in time, as of `limits`.
+
 Constants of the diagnosis may be chosen on the tuned part of the recordings.  The untouched part is
 run with `--untouched` alone, to report, not to choose.
 """
@@ -29,6 +32,7 @@ from typing import Any
 
 import numpy as np
 from fault_injection import ARMS, CLOSE, KINDS, Cell, Kind, Verdict, cells, run
+from limits import LESS_NOISE, needed, shown
 from rich.console import Console
 from rich.table import Table
 
@@ -195,6 +199,15 @@ def measure(
         yield row
 
 
+def bound(cell: Cell, count: int, seed: int) -> str:
+    """What the data of a cell allow, in one line."""
+    powers = np.array([shown(cell, k, seed) for k in range(count)])
+    least = [needed(cell.subjects[k % len(cell.subjects)].arm) for k in range(count)]
+    shares = zip(LESS_NOISE, (powers > np.array(least)[:, None]).mean(0))
+    text = ', '.join(f'/ {factor:g} {share:.0%}' for factor, share in shares)
+    return f'{cell.arm} {cell.part} {cell.kind.name}, {count} runs: noise variance {text}'
+
+
 _SHARED: dict[str, Any] = {}
 
 
@@ -224,6 +237,7 @@ def main() -> None:
     parser.add_argument('--resume', action='store_true', help='leave out cells that the file has')
     parser.add_argument('--bar', type=Path, default=BAR, help='rows to compare with')
     parser.add_argument('--show', action='store_true', help='show the rows of --json, run nothing')
+    parser.add_argument('--bound', action='store_true', help='print what the data allow')
     parser.add_argument('--alarms', action='store_true', help='print every alarm event')
     options = parser.parse_args()
     recorded = [True] * options.recorded + [False] * options.simulated or [False, True]
@@ -249,6 +263,11 @@ def main() -> None:
             for k in range(options.count):
                 verdict = asdict(run(cell, k, options.seed))
                 say(f'{cell.arm} {cell.kind.name} {k}: {verdict}')
+        return
+    if options.bound:
+        for cell in chosen:
+            if cell.rates == 'derived' and (cell.kind.from_start or cell.kind.kind == 'drift'):
+                print(bound(cell, options.count, options.seed), flush=True)
         return
     for row in measure([] if options.show else chosen, options.count, options.seed, say,
                        options.jobs):  # fmt: skip
