@@ -21,15 +21,9 @@ from lpv.core.uio.bound.error_bound import (
     reset_bound,
     update_bound,
 )
-from lpv.core.uio.bound.lost_samples import (
-    LOSS_CONSTANTS,
-    LOSS_STATE,
-    loss_constants,
-    note_lost_samples,
-)
+from lpv.core.uio.bound.lost_samples import LOSS_STATE, note_lost_samples
 from lpv.core.uio.certificate.gains import Gains
 from lpv.core.uio.observer.sampled_observer import (
-    ESTIMATE,
     OBSERVER_CONSTANTS,
     OBSERVER_STATE,
     observe,
@@ -44,13 +38,11 @@ _NO_OBSERVER, _TIGHTEST, _UIO, _HORIZON = range(-1, len(CHOICES))
 
 UIO_CONSTANTS = record_type(
     ('observer', OBSERVER_CONSTANTS),
-    ('losses', LOSS_CONSTANTS),
     ('bound', BOUND_CONSTANTS),
     ('choice', 'i8'),  # index in `CHOICES`, or that there is no observer
 )
 UIO_STATE = record_type(
     ('observer', OBSERVER_STATE),
-    ('estimate', ESTIMATE),
     ('losses', LOSS_STATE),
     ('bound', BOUND_STATE),
     ('valid', '?'),  # whether there is an estimate
@@ -59,6 +51,7 @@ UIO_STATE = record_type(
     ('initial', 'f8', (2,)),
     ('alarmed', '?'),
     ('left', 'f8'),
+    ('measured', 'f8', (3, 2)),  # work space: positions, rates and efforts of the joints
 )
 
 
@@ -67,16 +60,12 @@ class UioParts(NamedTuple):
 
     constants: np.ndarray  # of `UIO_CONSTANTS`, shape (1,)
     state: np.ndarray  # of `UIO_STATE`, shape (1,)
-    to_sensors: FloatArray  # S, shape (2, 2)
-    to_joints: FloatArray  # S^-1, shape (2, 2)
-    measured: FloatArray  # work space, shape (3, 2)
 
 
 def no_observer() -> UioParts:
     """Arguments for arms without one; of the same types, so that nothing is compiled anew."""
     constants = new_record(UIO_CONSTANTS, choice=_NO_OBSERVER)
-    empty = np.zeros((2, 2))
-    return UioParts(memory(constants), memory(new_record(UIO_STATE)), empty, empty, empty)
+    return UioParts(memory(constants), memory(new_record(UIO_STATE)))
 
 
 @njit
@@ -90,16 +79,15 @@ def uio_step(
 ) -> None:
     """Use one sample of the joints as measured, later than the one before; estimate and bound are
     in ``state``, of type `UIO_STATE`."""
-    if not observe(
-        params.observer, state.observer, state.estimate, stamp, position, velocity, effort
-    ):
+    observer = state.observer
+    if not observe(params.observer, observer, stamp, position, velocity, effort):
         _start_again(state)
         return
     state.valid = True
-    if not (state.estimate.held[0] or state.estimate.held[1]):
-        state.left *= math.exp(-params.bound.decay * state.estimate.interval)
-    note_lost_samples(params.losses, state.losses, state.estimate)
-    update_bound(params.bound, state.bound, state.estimate, state.losses.lost)
+    if not (observer.held[0] or observer.held[1]):
+        state.left *= math.exp(-params.bound.decay * observer.interval)
+    note_lost_samples(params.observer, state.losses, observer)
+    update_bound(params.bound, state.bound, observer, state.losses.lost)
 
 
 @njit
@@ -137,7 +125,7 @@ def uio_answers(
     samples : ndarray, shape (N, 3, 2)
         The last ones of each are joint torques [N m].
     """
-    params, state, measured = parts.constants[0], parts.state[0], parts.measured
+    params, state, measured = parts.constants[0], parts.state[0], parts.state[0].measured
     if params.choice == _NO_OBSERVER:
         return
     for k in range(part[0], part[1]):
@@ -149,7 +137,7 @@ def uio_answers(
         uio_step(params, state, stamps[k], measured[0], measured[1], measured[2])
         _limit_initial_faults(state, rows, row)
         if state.valid and params.choice != _HORIZON:
-            _tighten(params.choice, state, parts, rows, row)
+            _tighten(params, state, rows, row)
 
 
 @njit
@@ -163,29 +151,30 @@ def _limit_initial_faults(state: np.record, rows: Any, k: int) -> None:
 
 
 @njit
-def _tighten(choice: int, state: np.record, parts: UioParts, rows: Any, k: int) -> None:
+def _tighten(params: np.record, state: np.record, rows: Any, k: int) -> None:
     """Replace what is known worse; positions follow q = S^-1 (y - f), y as measured.
 
     The set of errors leaves out faults that were there at the start; what the estimate may still
     lack of them adds to the bound.
     """
-    estimate, to_sensors, to_joints = state.estimate, parts.to_sensors, parts.to_joints
+    observer, choice, joints = state.observer, params.choice, params.observer.joints
     for i in range(2):
         bound = state.bound.bound[i]
         if choice == _TIGHTEST:
             bound += state.left * state.initial[i]
         if choice == _UIO or bound < rows.bound[k, i]:
-            change = -estimate.fault[i]
+            fault = observer.x[4 + i]
+            change = -fault
             for j in range(2):
-                change += to_sensors[i, j] * (rows.measured[k, j] - rows.position[k, j])
-            rows.estimate[k, i], rows.bound[k, i] = estimate.fault[i], bound
+                change += joints.from_joint[i, j] * (rows.measured[k, j] - rows.position[k, j])
+            rows.estimate[k, i], rows.bound[k, i] = fault, bound
             for j in range(2):
-                rows.position[k, j] += to_joints[j, i] * change
+                rows.position[k, j] += joints.to_joint[j, i] * change
     if choice == _UIO:
         for i in range(2):
-            rows.velocity[k, i] = estimate.velocity[i]
-            rows.position[k, i] = estimate.position[i]
-        rows.mode[k] = estimate.mode
+            rows.velocity[k, i] = observer.velocity[i]
+            rows.position[k, i] = observer.position[i]
+        rows.mode[k] = observer.mode
 
 
 class UnknownInputObserver:
@@ -234,7 +223,6 @@ class UnknownInputObserver:
         self._constants = new_record(
             UIO_CONSTANTS,
             observer=observer_constants(planar, gains, initial_samples, max_gap),
-            losses=loss_constants(planar),
             bound=error_bound(planar, gains),
         )
         self._state = new_record(UIO_STATE)
@@ -249,17 +237,11 @@ class UnknownInputObserver:
         found = plain(self._state)
         # Faults of the sensors and their bounds, shape (2,) [rad]; whether there are any
         self.level = (
-            found['estimate']['fault'], found['bound']['bound'], memory(self._state)['valid']
+            found['observer']['x'][4:], found['bound']['bound'], memory(self._state)['valid']
         )  # fmt: skip
         self._choice, self._published = CHOICES.index(choice), -1
         self.rely(True)
-        self.parts = UioParts(
-            memory(self._constants),
-            memory(self._state),
-            arm.joints_to_sensors(),
-            arm.sensors_to_joints(),
-            np.zeros((3, 2)),
-        )
+        self.parts = UioParts(memory(self._constants), memory(self._state))
         self.reset()
 
     def retune(self, sigmas: float) -> None:

@@ -22,25 +22,25 @@ INTERVAL_STATE = record_type(
 
 
 @njit
-def start_interval(state: np.record, estimate: np.record, size: np.ndarray) -> None:
+def start_interval(state: np.record, observer: np.record, size: np.ndarray) -> None:
     """Begin with errors of a given size, per angle [rad]."""
     for i in range(2):
         state.low[i], state.high[i], state.age[i] = -size[i], size[i], 0.0
-        state.theta[i] = estimate.absolute_position[i]
-        state.rate[i] = estimate.absolute_velocity[i]
+        state.theta[i] = observer.x[i]
+        state.rate[i] = observer.v_new[i]
 
 
 @njit
 def move_interval(
-    state: np.record, estimate: np.record, rate_error: np.ndarray, jump: np.ndarray
+    state: np.record, observer: np.record, rate_error: np.ndarray, jump: np.ndarray
 ) -> None:
     """Follow one estimate: absolute rates are wrong by at most ``rate_error`` but for noise
     [rad/s], and angles by ``jump`` more, an unknown part of lost samples [rad]."""
-    dt = estimate.interval
+    dt = observer.interval
     for i in range(2):
-        theta, rate = estimate.absolute_position[i], estimate.absolute_velocity[i]
+        theta, rate = observer.x[i], observer.v_new[i]
         shift, grown = 0.0, jump[i]
-        if not estimate.bridged:  # over a gap the angles follow the encoder, errors stay
+        if not observer.bridged:  # over a gap the angles follow the encoder, errors stay
             shift = theta - state.theta[i] - 0.5 * dt * (rate + state.rate[i])
             grown += dt * rate_error[i]
             state.age[i] += dt

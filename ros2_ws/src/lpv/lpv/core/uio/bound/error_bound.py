@@ -145,30 +145,30 @@ def reset_bound(state: np.record) -> None:
 
 @njit
 def update_bound(
-    params: np.record, state: np.record, estimate: np.record, lost: np.ndarray
+    params: np.record, state: np.record, observer: np.record, lost: np.ndarray
 ) -> None:
     """Follow one estimate; fills ``bound`` of the state.
 
     ``lost`` is what samples that were lost just before leave unknown of each sensor's angle [rad].
     """
     if params.exact:
-        _follow_set(params, state, estimate, lost)
+        _follow_set(params, state, observer, lost)
         return
     if state.used > 0:
         for i in range(2):
             state.extent[i] += row_dot(params.unknown.to_angle, i, lost[0], lost[1])
-    _follow_static(params, state, estimate)
+    _follow_static(params, state, observer)
 
 
 @njit
-def _follow_set(params: np.record, state: np.record, estimate: np.record, lost: np.ndarray) -> None:
+def _follow_set(params: np.record, state: np.record, observer: np.record, lost: np.ndarray) -> None:
     motion, size = state.motion, state.torque
     if state.used == 0:
         state.columns[0, 0], state.columns[1, 1] = params.start[0], params.start[1]
         state.used = 2
         for i in range(2):
             size[i] = params.start[i] + params.angle_noise[i]
-        start_interval(state.interval, estimate, size)
+        start_interval(state.interval, observer, size)
     else:
         for i in range(2):
             size[i] = row_dot(params.unknown.to_angle, i, lost[0], lost[1])
@@ -177,14 +177,14 @@ def _follow_set(params: np.record, state: np.record, estimate: np.record, lost: 
                 state.columns[i, state.used] = size[i]
                 state.used += 1
                 _make_room(state)
-        _read_motion(params, state, estimate)
-        _sample_motion(params, state, estimate, size)
-        move_interval(state.interval, estimate, motion.rate_error, size)
-        if not estimate.bridged:
-            _advance(params, state, estimate)
+        _read_motion(params, state, observer)
+        _sample_motion(params, state, observer, size)
+        move_interval(state.interval, observer, motion.rate_error, size)
+        if not observer.bridged:
+            _advance(params, state, observer)
     extent(state.columns, state.used, state.extent)
     _cut(params, state)
-    _update_held_time(params, state, estimate)
+    _update_held_time(params, state, observer)
     error_1, error_2 = _angle_error(params, state, 0), _angle_error(params, state, 1)
     for i in range(2):
         state.bound[i] = row_dot(params.spread, i, error_1, error_2) + params.noise[i]
@@ -227,22 +227,22 @@ def _cut(params: np.record, state: np.record) -> None:
 
 
 @njit
-def _read_motion(params: np.record, state: np.record, estimate: np.record) -> None:
+def _read_motion(params: np.record, state: np.record, observer: np.record) -> None:
     """Known signals at the estimate, and how wrong angles and rates may be."""
     motion, arm = state.motion, params.unknown.arm
     for i in range(2):
-        motion.theta[i] = estimate.absolute_position[i]
-        motion.rate[i] = estimate.absolute_velocity[i]
-        motion.innovation[i] = estimate.innovation[i]
+        motion.theta[i] = observer.x[i]
+        motion.rate[i] = observer.v_new[i]
+        motion.innovation[i] = observer.innovation[i]
         motion.mu[i] = params.mu[i]
         motion.margin[i] = min(state.extent[i] + params.angle_noise[i], math.pi)
         state.shear[i] = 0.0
-        if not estimate.held[i]:
+        if not observer.held[i]:
             state.shear[i] = params.kappa[i] * arm.inertia[i] / params.mu[i]
     bound_rate_errors(params.unknown, motion)
     # theta^'' = acceleration - Xi^-1 (mu Xi + Xi'(v)) r of the observer.
     r = motion.innovation[0], motion.innovation[1]
-    acc = estimate.absolute_acceleration
+    acc = observer.acceleration
     carry_load(params.unknown, motion, acc)
     _, _, k_1, k_2 = injection(motion.theta, motion.rate, r, params.mu, arm)
     for i in range(2):
@@ -252,7 +252,7 @@ def _read_motion(params: np.record, state: np.record, estimate: np.record) -> No
 
 @njit
 def _sample_motion(
-    params: np.record, state: np.record, estimate: np.record, jump: np.ndarray
+    params: np.record, state: np.record, observer: np.record, jump: np.ndarray
 ) -> None:
     """What sampling leaves out: errors of the Heun rule by the change of theta'' within a sample.
 
@@ -260,24 +260,24 @@ def _sample_motion(
     """
     arm, motion, bend = params.unknown.arm, state.motion, state.bend
     for i in range(2):
-        bend[i] = max(estimate.bend[i], _FADING * bend[i])
-        jump[i] += estimate.interval * estimate.interval / 12.0 * bend[i]
+        bend[i] = max(observer.bend[i], _FADING * bend[i])
+        jump[i] += observer.interval * observer.interval / 12.0 * bend[i]
     off = abs(coupling(motion.theta, arm))
     state.turned[0] = arm.inertia[0] * bend[0] + off * bend[1]
     state.turned[1] = off * bend[0] + arm.inertia[1] * bend[1]
 
 
 @njit
-def _advance(params: np.record, state: np.record, estimate: np.record) -> None:
+def _advance(params: np.record, state: np.record, observer: np.record) -> None:
     unknown_torque(params.unknown, state.motion, state.torque)
     for i in range(2):
         # The rate at the end of a step is predicted without it, in the injection; and the rule's
         # own error, dt^2/12 of the second derivative.
-        part = 0.25 * params.mu[i] * estimate.interval + 1.0 / 12.0
+        part = 0.25 * params.mu[i] * observer.interval + 1.0 / 12.0
         state.torque[i] += part * state.turned[i]
     error_matrix(params, state)
-    _collect_inputs(params, state, estimate.interval)
-    interval = min(estimate.interval, _LONGEST)
+    _collect_inputs(params, state, observer.interval)
+    interval = min(observer.interval, _LONGEST)
     steps = max(1, math.ceil(interval * params.fastest / 0.5))
     dt = interval / steps
     for _ in range(steps):
@@ -376,24 +376,24 @@ def advance_set(state: np.record, dt: float) -> None:
 
 
 @njit
-def _update_held_time(params: np.record, state: np.record, estimate: np.record) -> None:
+def _update_held_time(params: np.record, state: np.record, observer: np.record) -> None:
     """Time of noise integrated while a link was held; it decays as the observer recovers."""
-    fall = math.exp(-estimate.interval * params.slowest_recovery)
+    fall = math.exp(-observer.interval * params.slowest_recovery)
     for i in range(2):
-        if estimate.held[i]:
-            state.held_for[i] += estimate.interval
+        if observer.held[i]:
+            state.held_for[i] += observer.interval
         else:
             state.held_for[i] *= fall
 
 
 @njit
-def _follow_static(params: np.record, state: np.record, estimate: np.record) -> None:
+def _follow_static(params: np.record, state: np.record, observer: np.record) -> None:
     motion = state.motion
     for i in range(2):
-        motion.theta[i] = estimate.absolute_position[i]
+        motion.theta[i] = observer.x[i]
     carry_load(params.unknown, motion, (0.0, 0.0))
     unknown_torque(params.unknown, motion, state.torque)
-    fall = math.exp(-params.decay * estimate.interval)
+    fall = math.exp(-params.decay * observer.interval)
     for i in range(2):
         cosine = max(abs(math.cos(motion.theta[i])), params.cos_min[i])
         target = state.torque[i] / (params.unknown.arm.gravity[i] * cosine)

@@ -8,19 +8,14 @@ import numpy as np
 
 from lpv.core.serial_arm.diagnosis.sampler import LATE
 from lpv.core.support.jit import njit_in_place as njit
-from lpv.core.support.records import new_record, record_type
-from lpv.core.uio.model.arm import ArmParameters
-from lpv.core.uio.model.joints import JointMap, row_dot
+from lpv.core.support.records import record_type
+from lpv.core.uio.model.joints import row_dot
 
 _RESERVE = 4.0
 """What may be between two samples, over what is known of the accelerations at both."""
 _SMOOTHING = 0.05
 """Time constant of the average of roughness [s]."""
 
-LOSS_CONSTANTS = record_type(
-    ('sensor_matrix', 'f8', (2, 2)),  # S
-    ('longest', 'f8'),  # longest interval without lost samples [s]
-)
 LOSS_STATE = record_type(
     # Per sensor:
     ('started', '?'),
@@ -31,20 +26,11 @@ LOSS_STATE = record_type(
 )
 
 
-def loss_constants(arm: ArmParameters) -> np.record:
-    """Constants of `note_lost_samples` for one arm, of type `LOSS_CONSTANTS`."""
-    return new_record(
-        LOSS_CONSTANTS,
-        sensor_matrix=np.asarray(JointMap(arm).sensor_matrix),
-        longest=LATE * arm.sample_time,
-    )
-
-
 @njit
-def note_lost_samples(params: np.record, state: np.record, estimate: np.record) -> None:
-    """Follow one estimate; fills ``lost`` of the state."""
-    matrix, interval = params.sensor_matrix, estimate.interval
-    known, speed = estimate.absolute_acceleration, estimate.absolute_velocity
+def note_lost_samples(params: np.record, state: np.record, observer: np.record) -> None:
+    """Follow one estimate of an observer with such constants; fills ``lost`` of the state."""
+    matrix, interval = params.joints.sensor, observer.interval
+    known, speed = observer.acceleration, observer.v_new
     for i in range(2):
         rate = row_dot(matrix, i, speed[0], speed[1])
         acceleration = row_dot(matrix, i, known[0], known[1])
@@ -52,11 +38,11 @@ def note_lost_samples(params: np.record, state: np.record, estimate: np.record) 
         state.lost[i] = 0.0
         if not state.started:
             state.roughness[i] = 0.0
-        elif not estimate.bridged and interval > params.longest:
+        elif not observer.bridged and interval > LATE * params.sample_time:
             between = abs(before) + abs(acceleration) + change / interval
             state.lost[i] = _RESERVE * interval * interval / 12.0 * between
             state.lost[i] += interval * state.roughness[i]
-        elif not estimate.bridged:
+        elif not observer.bridged:
             # Noise of the two rates at a gap's ends counts as it is, which may be more than stated.
             rough = abs(rate - state.rate[i] - interval * before)
             state.roughness[i] += min(1.0, interval / _SMOOTHING) * (rough - state.roughness[i])

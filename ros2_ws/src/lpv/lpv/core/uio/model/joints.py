@@ -30,7 +30,8 @@ JOINT_MAP = record_type(
     ('zero', 'f8'),  # zero angle [rad]
     ('sensor', 'f8', (2, 2)),  # S
     ('angle', 'f8', (2, 2)),  # S^-1
-    ('from_joint', 'f8', (2, 2)),  # S J^-1
+    ('from_joint', 'f8', (2, 2)),  # S J^-1: joints to sensors
+    ('to_joint', 'f8', (2, 2)),  # J S^-1
     ('j', 'f8', (2, 2)),  # J
 )
 """Matrices of a `JointMap` for compiled functions."""
@@ -71,14 +72,11 @@ class JointMap:
 
     def record(self) -> np.record:
         """The matrices for compiled functions, of type `JOINT_MAP`."""
+        s, inverse = self.sensor_matrix, np.linalg.inv(self.sensor_matrix)
         return new_record(
-            JOINT_MAP,
-            zero=self._zero[0],
-            sensor=self.sensor_matrix,
-            angle=np.linalg.inv(self.sensor_matrix),
-            from_joint=self.sensor_matrix @ J_INVERSE,
-            j=J,
-        )
+            JOINT_MAP, zero=self._zero[0], sensor=s, angle=inverse, from_joint=s @ J_INVERSE,
+            to_joint=J @ inverse, j=J,
+        )  # fmt: skip
 
     def absolute_position(self, joint: ArrayLike) -> np.ndarray:
         """Absolute angles from joint positions."""

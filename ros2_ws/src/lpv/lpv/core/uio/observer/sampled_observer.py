@@ -66,9 +66,10 @@ OBSERVER_CONSTANTS = record_type(
 )
 OBSERVER_STATE = record_type(
     ('x', 'f8', (6,)),  # x^ = (theta^, theta^', f^): absolute angles, physical sensors [rad]
-    ('held', 'u1', (2,)),  # links whose angle is not corrected
-    ('bend', 'f8', (2,)),  # change of theta'' within a step, of method exact [rad/s2]
-    ('v_old', 'f8', (2,)),  # absolute rates at the start of the interval [rad/s]
+    ('held', 'u1', (2,)),  # links without gravity information: dead reckoning
+    # largest change of theta'' within a step of the interval, of method exact [rad/s2]
+    ('bend', 'f8', (2,)),
+    ('v_old', 'f8', (2,)),  # measured theta' at the start of the interval [rad/s]
     ('v_new', 'f8', (2,)),  # and at its end [rad/s]
     ('paper', PAPER_STATE),  # of method paper
     ('stamp', 'i8'),  # of the last sample [ns]
@@ -81,20 +82,13 @@ OBSERVER_STATE = record_type(
     ('before', 'f8', (4,)),  # at the start of a part of the interval
     ('after', 'f8', (4,)),  # and at its end
     ('torque', 'f8', (2,)),  # generalised torques Q over the interval [N m]
-)
-ESTIMATE = record_type(
+    # What is said of this sample, beside x, v_new, held and bend:
     ('interval', 'f8'),  # since the previous estimate [s]
     ('mode', 'u1'),  # of `Mode`
     ('position', 'f8', (2,)),  # estimated, ROS joint coordinates [rad]
     ('velocity', 'f8', (2,)),  # the same [rad/s]
-    ('fault', 'f8', (2,)),  # f^ of the physical position sensors [rad]
-    # Absolute coordinates, by link:
-    ('absolute_position', 'f8', (2,)),  # theta^ [rad]
-    ('absolute_velocity', 'f8', (2,)),  # measured theta' [rad/s]
-    ('absolute_acceleration', 'f8', (2,)),  # theta'' of the model at the estimate [rad/s2]
+    ('acceleration', 'f8', (2,)),  # theta'' of the model at the estimate [rad/s2]
     ('innovation', 'f8', (2,)),  # estimated minus measured theta' [rad/s]
-    ('bend', 'f8', (2,)),  # largest change of theta'' within a step of the interval [rad/s2]
-    ('held', 'u1', (2,)),  # the configuration carries no gravity information: dead reckoning
     ('bridged', '?'),  # the interval was too long: angles went on by the encoders' increments
 )
 
@@ -155,13 +149,12 @@ def reset_observer(state: np.record) -> None:
 def observe(
     params: np.record,
     state: np.record,
-    estimate: np.record,
     stamp: int,
     position: np.ndarray,
     velocity: np.ndarray,
     effort: np.ndarray,
 ) -> bool:
-    """Sampled unknown-input observer, eqs. (38)-(53): one measurement into ``estimate``.
+    """Sampled unknown-input observer, eqs. (38)-(53): the estimate at one measurement.
 
     An interval above ``max_gap`` re-anchors the estimate; an arm at rest whose measured torques do
     not hold it against gravity is held by something else: nothing is learnt from them; an arm that
@@ -169,8 +162,8 @@ def observe(
 
     Parameters
     ----------
-    params, state, estimate : numpy.record
-        `observer_constants`, state (`OBSERVER_STATE`) and estimate (`ESTIMATE`).
+    params, state : numpy.record
+        `observer_constants`, and the estimate with its state, of type `OBSERVER_STATE`.
     stamp : int
         Time of measurement [ns].
     position, velocity : ndarray, shape (2,)
@@ -182,8 +175,7 @@ def observe(
     Returns
     -------
     bool
-        False if the estimate would not be finite; it then stays as it was, and the observer
-        restarts.
+        False if there is no finite estimate; the observer then restarts.
     """
     interval = 0.0 if state.stamp == NEVER else (stamp - state.stamp) / NANOSECONDS
     _read(params, state, position, velocity)
@@ -215,8 +207,8 @@ def observe(
     state.stamp = stamp
     copy_vector(state.y_new, state.y)
     state.started += 1
-    estimate.interval, estimate.bridged = interval, interval > params.max_gap
-    _fill(params, state, estimate)
+    state.interval, state.bridged = interval, interval > params.max_gap
+    _fill(params, state)
     return True
 
 
@@ -383,20 +375,17 @@ def _advance(params: np.record, state: np.record, interval: float) -> None:
 
 
 @njit
-def _fill(params: np.record, state: np.record, estimate: np.record) -> None:
-    x, y, joints, torque = state.x, state.y_new, params.joints, state.torque
+def _fill(params: np.record, state: np.record) -> None:
+    x, y, joints, rate = state.x, state.y_new, params.joints, state.v_new
     if state.started <= params.initial_samples:
-        estimate.mode = _INITIALISING
+        state.mode = _INITIALISING
     else:
-        estimate.mode = _HOLDING if state.held[0] or state.held[1] else _OBSERVING
-    rate = estimate.absolute_velocity
+        state.mode = _HOLDING if state.held[0] or state.held[1] else _OBSERVING
     for i in range(2):
-        estimate.position[i] = row_dot(joints.j, i, x[0], x[1])
-        estimate.velocity[i] = row_dot(joints.j, i, x[2], x[3])
-        estimate.fault[i], estimate.absolute_position[i] = x[4 + i], x[i]
-        estimate.bend[i] = state.bend[i]
-        estimate.held[i], rate[i] = state.held[i], row_dot(joints.angle, i, y[2], y[3])
-        estimate.innovation[i] = x[2 + i] - rate[i]
-    estimate.position[0] -= joints.zero
-    acc_1, acc_2 = acceleration(x, rate, torque, params.arm)
-    estimate.absolute_acceleration[0], estimate.absolute_acceleration[1] = acc_1, acc_2
+        state.position[i] = row_dot(joints.j, i, x[0], x[1])
+        state.velocity[i] = row_dot(joints.j, i, x[2], x[3])
+        rate[i] = row_dot(joints.angle, i, y[2], y[3])
+        state.innovation[i] = x[2 + i] - rate[i]
+    state.position[0] -= joints.zero
+    acc = acceleration(x, rate, state.torque, params.arm)
+    state.acceleration[0], state.acceleration[1] = acc
