@@ -24,14 +24,14 @@ from rich.table import Table
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.support.inequalities import largest_eigenvalue
 from lpv.core.support.resources import bringup_file
-from lpv.core.uio.certificate.conditions import controller_loop
+from lpv.core.uio.certificate.conditions import controller_loop, decay_margin, observer_margin
 from lpv.core.uio.certificate.error_system import link_errors
 from lpv.core.uio.certificate.lmi import covariance, disc
 from lpv.core.uio.planar import planar_model
-from lpv_design.controller import check_loop, solve_loop
+from lpv_design.controller import solve_loop
 from lpv_design.exact_observer import solve_link
-from lpv_design.paper_observer import check_paper, paper_problem, solve_paper
-from lpv_design.requirement import PaperRequirement, load_requirement
+from lpv_design.paper_observer import PaperRequirement, solve_paper
+from lpv_design.requirement import load_requirement
 
 SOLVERS = ('CLARABEL', 'SCS', 'CVXOPT', 'SDPA')
 ROUNDS = 5
@@ -98,24 +98,23 @@ def exact_link(link, requirement):
 
 def paper_55(arm, gamma):
     """LMI (55) on the shipped box, for a given gamma or (None) the least one."""
-    wanted = PaperRequirement()
-    problem = paper_problem(arm, wanted.sinc_min, wanted.q, wanted.r)
-    k, p, gamma, status = solve_paper(problem, '55', gamma)
-    margin = np.nan if k is None else check_paper(problem, k, p, gamma, '55')
-    return status, margin, np.nan
+    wanted = PaperRequirement(gamma=gamma or 1.0)
+    found, status = solve_paper(arm, wanted, minimise=gamma is None)
+    return status, np.nan if found is None else observer_margin(arm, found), np.nan
 
 
 def controller_67(arm, requirement):
-    """Controller: status, margin of LMI (67), margin of cost and poles; all balanced by Q."""
+    """Controller: status, margin of LMI (67), margin of cost and poles; all balanced by P."""
     loop = controller_loop(arm, 'exact')
-    m, q, status = solve_loop(arm, loop, requirement)
+    m, p, status = solve_loop(arm, loop, requirement)
     if m is None:
         return status, np.nan, np.nan
-    certified, others = [check_loop(loop, m, q, requirement.alpha)], []
-    if largest_eigenvalue(-q) >= 0.0:
-        return status, max(certified), np.nan
+    certified = max(largest_eigenvalue(-p), decay_margin(loop, m, p, requirement.alpha))
+    if largest_eigenvalue(-p) >= 0.0:
+        return status, certified, np.nan
+    q = np.linalg.inv(p)
     factor = np.linalg.inv(np.linalg.cholesky(q))
-    root = np.diag(np.sqrt(np.repeat(requirement.state_weight, 2)))
+    others, root = [], np.diag(np.sqrt(np.repeat(requirement.state_weight, 2)))
     x = np.sqrt(requirement.torque_weight) * m / arm.constants().gravity[:, None] @ q
     center, radius = (0.5 * (requirement.fastest + s * requirement.alpha) for s in (1.0, -1.0))
     for a, b in zip(*loop):
@@ -124,7 +123,7 @@ def controller_67(arm, requirement):
         balanced = factor @ closed @ factor.T
         others.append(largest_eigenvalue(factor @ cost @ factor.T))
         others.append(largest_eigenvalue(disc(np.eye(6), balanced, center, radius)))
-    return status, max(certified), max(others)
+    return status, certified, max(others)
 
 
 def problems(arm):

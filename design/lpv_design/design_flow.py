@@ -2,29 +2,21 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import clarabel
 import cvxpy
 import numpy as np
 
 from lpv.core.support.inequalities import Check
-from lpv.core.uio.certificate.conditions import controller_loop, verify
-from lpv.core.uio.certificate.gains import (
-    ControllerGains,
-    ExactObserverGains,
-    Gains,
-    PaperObserverGains,
-)
-from lpv.core.uio.certificate.noise import exact_fault_sigma, paper_fault_sigma
+from lpv.core.uio.certificate.conditions import verify
+from lpv.core.uio.certificate.gains import ExactObserverGains, Gains, PaperObserverGains
 from lpv.core.uio.model.arm import ArmParameters
-from lpv_design.controller import ControllerRequirement, check_loop, solve_loop
-from lpv_design.exact_observer import ExactRequirement, solve_exact, torque_gains
+from lpv_design.controller import design_controller
+from lpv_design.exact_observer import ExactRequirement, design_exact, torque_gains
 from lpv_design.guarantee import Guarantee, guarantee
-from lpv_design.motion import certify_motion
-from lpv_design.paper_observer import check_paper, paper_problem, solve_paper, undetectable_point
-from lpv_design.requirement import PaperRequirement, Requirement
-from lpv_design.solve import SOLVER, InfeasibleError, check_lines
+from lpv_design.paper_observer import design_paper
+from lpv_design.requirement import Requirement
+from lpv_design.solve import SOLVER, InfeasibleError, NotDetectableError, check_lines
 
 SAMPLED_POLE_LIMIT = 0.5
 """Largest abs(pole) Ts that a sampled loop with one sample of delay is asked to carry: half of that
@@ -34,10 +26,6 @@ _POLE_SHARE = 0.9
 _SLOWER_LOOPS = ((_POLE_SHARE * SAMPLED_POLE_LIMIT, 1.0), (0.8, 2.0), (0.8, 4.0))
 """What is tried for the controller where the sample time limits it: fastest pole times sample time,
 and the divisor of alpha.  The certificate's sampled loop with delay decides."""
-
-
-class NotDetectableError(InfeasibleError):
-    """A fault cannot be told from the state somewhere in the requested region."""
 
 
 @dataclass
@@ -92,10 +80,10 @@ def _design_once(
     """Gains for a requirement as it is, their checks, and the solver's words."""
     observer: ExactObserverGains | PaperObserverGains
     if isinstance(requirement.observer, ExactRequirement):
-        observer, status = _exact_observer(arm, requirement.observer)
+        observer, status = design_exact(arm, requirement.observer)
     else:
-        observer, status = _paper_observer(arm, requirement.observer)
-    controller, controller_status = _controller(arm, requirement.controller)
+        observer, status = design_paper(arm, requirement.observer)
+    controller, controller_status = design_controller(arm, requirement.controller)
     gains = Gains(arm.name, arm.sha256(), observer, controller)
     checks = verify(arm, gains)
     for check in checks:
@@ -188,96 +176,3 @@ def _bound_lines(arm: ArmParameters, gains: Gains, found: Guarantee) -> list[str
         f'  at rest, lasting faults of both sensors are detected in {finite:.0%} of the region, '
         'elsewhere only changes: gravity tells too little there',
     ]
-
-
-def _exact_observer(
-    arm: ArmParameters, requirement: ExactRequirement
-) -> tuple[ExactObserverGains, str]:
-    gain = max(torque_gains(arm))
-    if gain > requirement.torque_gain:
-        raise InfeasibleError(
-            f'observer: the H-infinity norm from an unknown torque to an angle error is {gain:.3g} '
-            f'rad/(N m), 1/(G cos_min), not {requirement.torque_gain:g}; no observer changes '
-            'that: ask for a smaller region'
-        )
-    kappa, mu, p, statuses = solve_exact(arm, requirement)
-    if kappa is None:
-        raise InfeasibleError(
-            f'observer: no gains with decay {requirement.decay}/s and poles up to '
-            f'{requirement.fastest}/s down to abs(cos theta) = {min(arm.cos_min)} '
-            f'(solver: {", ".join(statuses)}); ask for a slower decay, a larger fastest pole or a '
-            'smaller region'
-        )
-    return ExactObserverGains(
-        kappa, mu, p, requirement.decay, requirement.fastest, exact_fault_sigma(arm, p)
-    ), ', '.join(statuses)
-
-
-def _paper_observer(
-    arm: ArmParameters, requirement: PaperRequirement
-) -> tuple[PaperObserverGains, str]:
-    problem = paper_problem(arm, requirement.sinc_min, requirement.q, requirement.r)
-    lost = undetectable_point(problem)
-    if lost is not None:
-        phi, eigenvalue, vector = lost
-        shown = np.round(np.real(vector / vector[np.argmax(np.abs(vector))]), 6) + 0.0
-        raise NotDetectableError(
-            f'observer: at phi = {np.round(phi, 3).tolist()}, inside the box, the mode '
-            f'{eigenvalue.real:+.2g} with vector {shown.tolist()} is not observable: without '
-            'gravity torque a joint angle and a bias of its sensor cannot be told apart. '
-            + _largest_box(arm, requirement)
-        )
-    k, p, _, status = solve_paper(problem, requirement.lmi, requirement.gamma)
-    margin = np.inf if k is None else check_paper(problem, k, p, requirement.gamma, requirement.lmi)
-    if not margin < 0.0:
-        raise InfeasibleError(
-            f'observer: LMI ({requirement.lmi}) with gamma = {requirement.gamma:g} has no '
-            f'solution for phi2, phi3 in [{requirement.sinc_min:g}, 1] (solver: {status}, '
-            f'largest eigenvalue {margin:.3g})'
-        )
-    observer = PaperObserverGains(
-        problem.box, problem.t1, problem.t2, k, p, requirement.lmi, requirement.gamma,
-        requirement.q, requirement.r, np.zeros(2),
-    )  # fmt: skip
-    return replace(observer, fault_sigma=paper_fault_sigma(arm, observer)), status
-
-
-def _largest_box(arm: ArmParameters, requirement: PaperRequirement) -> str:
-    """By bisection: on which box the same figures are feasible."""
-    low, high = 0.5, 0.9999
-    while high - low > 1e-3:
-        middle = 0.5 * (low + high)
-        problem = paper_problem(arm, middle, requirement.q, requirement.r)
-        k, p, _, _ = solve_paper(problem, requirement.lmi, requirement.gamma)
-        if k is not None and check_paper(problem, k, p, requirement.gamma, requirement.lmi) < 0.0:
-            high = middle
-        else:
-            low = middle
-    if high > 0.9998:
-        return 'No box down to phi = 0.9999 is feasible with these figures'
-    return (
-        f'The largest box on which gamma = {requirement.gamma:g}, q = {requirement.q:g}, '
-        f'r = {requirement.r:g} are feasible is phi2, phi3 in [{high:.3f}, 1]'
-    )
-
-
-@lru_cache(maxsize=4)
-def _controller(arm: ArmParameters, wanted: ControllerRequirement) -> tuple[ControllerGains, str]:
-    """Kept: a search for observers asks for the same controller again and again."""
-    method, sinc_min = wanted.method, wanted.sinc_min
-    loop = controller_loop(arm, method, sinc_min)
-    m, q, status = solve_loop(arm, loop, wanted)
-    margin = np.inf if m is None else check_loop(loop, m, q, wanted.alpha)
-    if not margin < 0.0:
-        away = max(float(np.linalg.eigvals(a).real.max()) for a in loop[0])
-        raise InfeasibleError(
-            f'controller: LMI (67) with alpha = {wanted.alpha:g}/s and poles up to '
-            f'{wanted.fastest:g}/s has no solution (solver: {status}, largest eigenvalue '
-            f'{margin:.3g}); without torques the arm leaves a pose by up to {away:.2g}/s: ask for '
-            'a smaller alpha, a larger fastest pole or a smaller region'
-        )
-    p = np.linalg.inv(q)
-    motion = certify_motion(arm, loop, m, wanted.alpha) if method == 'exact' else None
-    return ControllerGains(
-        method, m[:, :4], m[:, 4:], 0.5 * (p + p.T), wanted.alpha, sinc_min, motion
-    ), status

@@ -9,7 +9,6 @@ P^-1 bounds the covariance of the error; its trace is minimised.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -20,10 +19,11 @@ import numpy as np
 from lpv.core.support.entries import entry, positive
 from lpv.core.support.limits import LARGEST
 from lpv.core.uio.certificate.error_system import LinkError, link_errors
+from lpv.core.uio.certificate.gains import ExactObserverGains
 from lpv.core.uio.certificate.lmi import covariance, disc
-from lpv.core.uio.certificate.noise import stated_acceleration_noise
+from lpv.core.uio.certificate.noise import exact_fault_sigma, stated_acceleration_noise
 from lpv.core.uio.model.arm import ArmParameters
-from lpv_design.solve import RESERVE, run, symmetric_below
+from lpv_design.solve import RESERVE, InfeasibleError, run, symmetric_below
 
 
 @dataclass(frozen=True)
@@ -44,70 +44,52 @@ class ExactRequirement:
     torque_gain: float = entry('number', default=LARGEST, above=0.0, high=LARGEST)
 
 
-class LinkProblem:
-    """The inequalities of one link with a requirement's figures and some white inputs, compiled
-    once; slopes and noise are parameters."""
-
-    def __init__(self, inputs: int, decay: float, fastest: float, velocity_weight: float) -> None:
-        self._p = cp.Variable((2, 2), symmetric=True)
-        self._y = cp.Variable((2, 1))
-        w = cp.Variable((2, 2), symmetric=True)
-        # An optimum lies on the border of what is asked; ask for more than is to be certified.
-        slowest, fastest = (1.0 + RESERVE) * decay, (1.0 - RESERVE) * fastest
-        q, r = 0.5 * (fastest + slowest), 0.5 * (fastest - slowest)
-        self._slopes = [cp.Parameter(nonneg=True) for _ in range(2)]
-        self._noises = [(cp.Parameter((2, inputs)), cp.Parameter((1, inputs))) for _ in range(2)]
-        constraints = []
-        for slope in self._slopes:
-            # P A + Y C for A = [[0, 0], [slope, 0]], C = [0, 1].
-            pn = cp.hstack([slope * self._p[:, 1:2], self._y])
-            constraints.append(symmetric_below(disc(self._p, pn, q, r, cp.bmat), 1e-7))
-            for direct, measured in self._noises:
-                pb = self._p @ direct + self._y @ measured
-                constraints.append(symmetric_below(covariance(pn, pb, cp.bmat), 1e-7))
-        weight = np.diag([1.0, velocity_weight])
-        constraints.append(cp.bmat([[w, weight], [weight, self._p]]) >> 0)
-        self._problem = cp.Problem(cp.Minimize(cp.trace(w)), constraints)
-
-    def solve(
-        self, slopes: Sequence[float], noises: Sequence[tuple[np.ndarray, np.ndarray]]
-    ) -> tuple[Any, ...]:
-        """Injection -L and P, None without a solution, and the solver's word."""
-        for parameter, slope in zip(self._slopes, slopes):
-            parameter.value = slope
-        for (direct, measured), values in zip(self._noises, noises):
-            direct.value, measured.value = values
-        status = run(self._problem)
-        if self._p.value is None or self._y.value is None:
-            return None, None, status
-        return -np.linalg.solve(self._p.value, self._y.value)[:, 0], self._p.value, status
+@lru_cache(maxsize=16)
+def _link_problem(inputs: int, decay: float, fastest: float, weight: float) -> tuple[Any, ...]:
+    """The inequalities of one link with a requirement's figures and so many white inputs, compiled
+    once.  Returns the problem, parameters of slopes and of noises, P and Y."""
+    p, y = cp.Variable((2, 2), symmetric=True), cp.Variable((2, 1))
+    w = cp.Variable((2, 2), symmetric=True)
+    # An optimum lies on the border of what is asked; ask for more than is to be certified.
+    slowest, fastest = (1.0 + RESERVE) * decay, (1.0 - RESERVE) * fastest
+    q, r = 0.5 * (fastest + slowest), 0.5 * (fastest - slowest)
+    slopes = [cp.Parameter(nonneg=True) for _ in range(2)]
+    noises = [(cp.Parameter((2, inputs)), cp.Parameter((1, inputs))) for _ in range(2)]
+    constraints = []
+    for slope in slopes:
+        # P A + Y C for A = [[0, 0], [slope, 0]], C = [0, 1].
+        pn = cp.hstack([slope * p[:, 1:2], y])
+        constraints.append(symmetric_below(disc(p, pn, q, r, cp.bmat), 1e-7))
+        for direct, measured in noises:
+            pb = p @ direct + y @ measured
+            constraints.append(symmetric_below(covariance(pn, pb, cp.bmat), 1e-7))
+    weights = np.diag([1.0, weight])
+    constraints.append(cp.bmat([[w, weights], [weights, p]]) >> 0)
+    return cp.Problem(cp.Minimize(cp.trace(w)), constraints), slopes, noises, p, y
 
 
-_compiled = lru_cache(maxsize=16)(LinkProblem)
-
-
-def solve_link(link: LinkError, requirement: ExactRequirement) -> tuple[Any, ...]:
+def solve_link(link: LinkError, wanted: ExactRequirement) -> tuple[Any, ...]:
     """Gains of one link, found in units of time, 1/rate, and angle with numbers around one."""
     rate = math.sqrt(link.slopes[1] / link.inertia)
     root, time = math.sqrt(rate), np.array([[1.0], [rate]])
-    noises = link.noises(requirement.acceleration_noise, requirement.rate_noise)
+    noises = link.noises(wanted.acceleration_noise, wanted.rate_noise)
     inputs = [(noise.direct / time / root, noise.measured / root) for noise in noises]
     size = max(float(np.linalg.norm(part, axis=1).max()) for pair in inputs for part in pair)
-    problem = _compiled(
-        inputs[0][0].shape[1],
-        requirement.decay / rate,
-        requirement.fastest / rate,
-        requirement.velocity_weight * rate,
-    )
-    gain, p, status = problem.solve(
-        [slope / link.inertia / rate**2 for slope in link.slopes],
-        [(direct / size, measured / size) for direct, measured in inputs],
-    )
-    if p is None:
+    problem, slopes, parameters, p, y = _link_problem(
+        inputs[0][0].shape[1], wanted.decay / rate, wanted.fastest / rate,
+        wanted.velocity_weight * rate,
+    )  # fmt: skip
+    for slope, value in zip(slopes, link.slopes):
+        slope.value = value / link.inertia / rate**2
+    for (direct, measured), values in zip(parameters, inputs):
+        direct.value, measured.value = values[0] / size, values[1] / size
+    status = run(problem)
+    if p.value is None or y.value is None:
         return None, None, None, status
+    gain = -np.linalg.solve(p.value, y.value)[:, 0]
     scale = np.diag([1.0, 1.0 / rate]) * link.unit / size
     # The second state is m/Xi_ii.
-    return float(gain[0] / link.inertia), float(gain[1] * rate), scale @ p @ scale, status
+    return float(gain[0] / link.inertia), float(gain[1] * rate), scale @ p.value @ scale, status
 
 
 def torque_gains(arm: ArmParameters) -> list[float]:
@@ -120,14 +102,28 @@ def torque_gains(arm: ArmParameters) -> list[float]:
     return [1.0 / link.slopes[0] for link in link_errors(arm)]
 
 
-def solve_exact(arm: ArmParameters, requirement: ExactRequirement) -> tuple[Any, ...]:
-    """Gains of both links."""
+def design_exact(arm: ArmParameters, wanted: ExactRequirement) -> tuple[ExactObserverGains, str]:
+    """Observer that fulfils a requirement, and the solver's words; InfeasibleError without one."""
+    gain = max(torque_gains(arm))
+    if gain > wanted.torque_gain:
+        raise InfeasibleError(
+            f'observer: the H-infinity norm from an unknown torque to an angle error is {gain:.3g} '
+            f'rad/(N m), 1/(G cos_min), not {wanted.torque_gain:g}; no observer changes '
+            'that: ask for a smaller region'
+        )
     # What the arm file states is certified, whatever less the requirement says.
-    noise = np.maximum(requirement.acceleration_noise, stated_acceleration_noise(arm))
-    requirement = replace(requirement, acceleration_noise=tuple(noise))
-    found = [solve_link(link, requirement) for link in link_errors(arm)]
-    statuses = tuple(f[3] for f in found)
-    if any(f[0] is None for f in found):
-        return None, None, None, statuses
-    kappa, mu, p = (np.array(column) for column in list(zip(*found))[:3])
-    return kappa, mu, p, statuses
+    noise = np.maximum(wanted.acceleration_noise, stated_acceleration_noise(arm))
+    wanted = replace(wanted, acceleration_noise=tuple(noise))
+    *found, statuses = zip(*(solve_link(link, wanted) for link in link_errors(arm)))
+    if None in found[0]:
+        raise InfeasibleError(
+            f'observer: no gains with decay {wanted.decay}/s and poles up to '
+            f'{wanted.fastest}/s down to abs(cos theta) = {min(arm.cos_min)} '
+            f'(solver: {", ".join(statuses)}); ask for a slower decay, a larger fastest pole or a '
+            'smaller region'
+        )
+    kappa, mu, p = map(np.array, found)
+    sigma = exact_fault_sigma(arm, p)
+    return ExactObserverGains(kappa, mu, p, wanted.decay, wanted.fastest, sigma), ', '.join(
+        statuses
+    )

@@ -12,10 +12,10 @@ from lpv.core.support.errors import ConfigError
 from lpv.core.uio.certificate.conditions import prove
 from lpv.core.uio.certificate.gains import save_gains
 from lpv.core.uio.planar import planar_model
-from lpv_design.design_flow import NotDetectableError, design
+from lpv_design.design_flow import design
 from lpv_design.requirement import load_requirement
 from lpv_design.serial_loop import LoopRequest, certify_loop
-from lpv_design.solve import InfeasibleError
+from lpv_design.solve import InfeasibleError, NotDetectableError
 
 EXIT_INFEASIBLE, EXIT_NOT_DETECTABLE = 1, 3
 """Exit codes."""

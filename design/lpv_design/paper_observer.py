@@ -1,42 +1,84 @@
 """Method ``paper``: the observer LMIs (54) and (55) on the box of phi1, phi2, phi3."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
 import cvxpy as cp
 import numpy as np
 
-from lpv.core.support.inequalities import largest_eigenvalue
+from lpv.core.support.entries import entry
+from lpv.core.support.limits import LARGEST
+from lpv.core.uio.certificate.conditions import observer_margin
+from lpv.core.uio.certificate.gains import PaperObserverGains
 from lpv.core.uio.certificate.lmi import paper_inequalities
+from lpv.core.uio.certificate.noise import paper_fault_sigma
 from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.model.polytope import paper_weights, sinc_box
-from lpv.core.uio.model.state_space import Descriptor, paper_descriptor
+from lpv.core.uio.model.state_space import paper_descriptor
 from lpv.core.uio.observer.paper_observer import decoupling
-from lpv_design.solve import solve, symmetric_below
+from lpv_design.solve import InfeasibleError, NotDetectableError, solve, symmetric_below
 
 
 @dataclass(frozen=True)
-class PaperProblem:
-    """The data of LMIs (54), (55) for one box: eqs. (36), (37) and (49)."""
+class PaperRequirement:
+    """Requirements of the literal observer design."""
 
-    descriptor: Descriptor  # augmented vertices, eqs. (36), (37)
-    t1: np.ndarray  # T1 from the pseudo-inverse
-    t2: np.ndarray  # T2 from the same
-    q: float  # disc [1/s]
-    r: float  # disc [1/s]
-    box: np.ndarray  # ranges of phi1, phi2, phi3, shape (3, 2)
+    # '55', literally, or '54+disc': (54) and the disc as separate inequalities
+    lmi: str = entry('text', default='55', choices=('55', '54+disc'))
+    # lower end of the box of phi2 and phi3
+    sinc_min: float = entry('number', default=0.96, low=-0.3, high=0.999)
+    gamma: float = entry('number', default=1.0, above=0.0, high=LARGEST)  # attenuation level
+    q: float = entry('number', default=20.0, above=0.0, high=LARGEST)  # disc [1/s]
+    r: float = entry('number', default=15.0, above=0.0, high=LARGEST)  # disc [1/s]
 
 
-def paper_problem(
-    arm: ArmParameters, s_min: float, q: float = 20.0, r: float = 15.0
-) -> PaperProblem:
-    """Set up the LMIs for phi2, phi3 in [s_min, 1]."""
-    box = sinc_box(s_min)
-    descriptor = paper_descriptor(arm, box)
-    t1, t2 = decoupling(descriptor.e, descriptor.c)
-    return PaperProblem(descriptor, t1, t2, q, r, box)
+def design_paper(arm: ArmParameters, wanted: PaperRequirement) -> tuple[PaperObserverGains, str]:
+    """Observer that fulfils a requirement, and the solver's word.
+
+    Raises
+    ------
+    NotDetectableError
+        If the box holds a point where faults cannot be told from states.
+    InfeasibleError
+        If the rebuilt inequalities do not hold.
+    """
+    lost = undetectable_point(arm, wanted.sinc_min)
+    if lost is not None:
+        phi, eigenvalue, vector = lost
+        shown = np.round(np.real(vector / vector[np.argmax(np.abs(vector))]), 6) + 0.0
+        raise NotDetectableError(
+            f'observer: at phi = {np.round(phi, 3).tolist()}, inside the box, the mode '
+            f'{eigenvalue.real:+.2g} with vector {shown.tolist()} is not observable: without '
+            'gravity torque a joint angle and a bias of its sensor cannot be told apart. '
+            + _largest_box(arm, wanted)
+        )
+    observer, status = solve_paper(arm, wanted)
+    margin = np.inf if observer is None else observer_margin(arm, observer)
+    if observer is None or not margin < 0.0:
+        raise InfeasibleError(
+            f'observer: LMI ({wanted.lmi}) with gamma = {wanted.gamma:g} has no '
+            f'solution for phi2, phi3 in [{wanted.sinc_min:g}, 1] (solver: {status}, '
+            f'largest eigenvalue {margin:.3g})'
+        )
+    return replace(observer, fault_sigma=paper_fault_sigma(arm, observer)), status
+
+
+def _largest_box(arm: ArmParameters, wanted: PaperRequirement) -> str:
+    """By bisection: on which box the same figures are feasible."""
+    low, high = 0.5, 0.9999
+    while high - low > 1e-3:
+        middle = 0.5 * (low + high)
+        observer, _ = solve_paper(arm, replace(wanted, sinc_min=middle))
+        feasible = observer is not None and observer_margin(arm, observer) < 0.0
+        low, high = (low, middle) if feasible else (middle, high)
+    if high > 0.9998:
+        return 'No box down to phi = 0.9999 is feasible with these figures'
+    return (
+        f'The largest box on which gamma = {wanted.gamma:g}, q = {wanted.q:g}, '
+        f'r = {wanted.r:g} are feasible is phi2, phi3 in [{high:.3f}, 1]'
+    )
 
 
 def lost_mode(a: np.ndarray, c: np.ndarray, tolerance: float = 1e-9) -> tuple[Any, ...] | None:
@@ -51,56 +93,49 @@ def lost_mode(a: np.ndarray, c: np.ndarray, tolerance: float = 1e-9) -> tuple[An
     return None
 
 
-def undetectable_point(problem: PaperProblem) -> tuple[Any, ...] | None:
-    """Search a box of phi1, phi2, phi3 for a point where faults cannot be told from states.
+def undetectable_point(arm: ArmParameters, sinc_min: float) -> tuple[Any, ...] | None:
+    """Search a box for a point phi where faults cannot be told from states; its lost mode.
 
     Gravity enters through phi2 and phi3 alone; a point is lost exactly where one of them is zero,
     so that zero, where the box contains it, is tried besides the corners.
     """
-    (low_1, high_1), *others = problem.box
-    slopes = [sorted({low, high, min(max(0.0, low), high)}) for low, high in others]
+    box = sinc_box(sinc_min)
+    d, (low_1, high_1) = paper_descriptor(arm, box), box[0]
+    t1, _ = decoupling(d.e, d.c)
+    slopes = [sorted({low, high, min(max(0.0, low), high)}) for low, high in box[1:]]
     for s_2, s_3, phi_1 in product(*slopes, (low_1, 0.0, high_1)):
         rho = np.zeros(8)
-        paper_weights(phi_1, s_2, s_3, problem.box, rho)
-        a = np.tensordot(rho, problem.descriptor.a, 1)
-        mode = lost_mode(problem.t1 @ a, problem.descriptor.c)
+        paper_weights(phi_1, s_2, s_3, box, rho)
+        mode = lost_mode(t1 @ np.tensordot(rho, d.a, 1), d.c)
         if mode is not None:
             return (np.array([phi_1, s_2, s_3]), *mode)
     return None
 
 
 def solve_paper(
-    problem: PaperProblem, lmi: str = '55', gamma: float | None = None
-) -> tuple[Any, ...]:
-    """Solve LMI (55), or LMI (54) with the disc apart, for P and K_i; ``gamma`` is minimised
-    unless given.
+    arm: ArmParameters, wanted: PaperRequirement, minimise: bool = False
+) -> tuple[PaperObserverGains | None, str]:
+    """P and K_i by LMI (55), or by LMI (54) with the disc apart, T1 and T2 by eq. (49).
 
-    Returns
-    -------
-    tuple
-        ``(k, p, gamma, status)``: K_i (8, 6, 4) or None if no point was found, P (6, 6),
-        gamma, and the solver's status.
+    Gamma is as wanted or as small as can be.  Returns gains without their ``fault_sigma``, None if
+    no point was found, and the solver's word.
     """
+    box = sinc_box(wanted.sinc_min)
+    d = paper_descriptor(arm, box)
+    t1, t2 = decoupling(d.e, d.c)
     p = cp.Variable((6, 6), symmetric=True)
-    y = [cp.Variable((6, 4)) for _ in problem.descriptor.a]
-    gamma_squared = cp.Variable(nonneg=True) if gamma is None else cp.Constant(gamma**2)
-    d, pt = problem.descriptor, p @ problem.t1
-    matrices = paper_inequalities(d, p, pt, y, gamma_squared, problem.q, problem.r, lmi, cp.bmat)
+    y = [cp.Variable((6, 4)) for _ in d.a]
+    level = cp.Variable(nonneg=True) if minimise else cp.Constant(wanted.gamma**2)
+    matrices = paper_inequalities(d, p, p @ t1, y, level, wanted.q, wanted.r, wanted.lmi, cp.bmat)
     constraints = [p >> 1e-6 * np.eye(6), *(symmetric_below(m, 1e-8) for m in matrices)]
-    status = solve(gamma_squared if gamma is None else 0, constraints)
-    if p.value is None or gamma_squared.value is None:
-        return None, None, np.inf, status
+    status = solve(level if minimise else 0, constraints)
+    if p.value is None or level.value is None:
+        return None, status
     try:
         k = np.array([np.linalg.solve(p.value, np.asarray(y_i.value)) for y_i in y])
     except np.linalg.LinAlgError:
-        return None, None, np.inf, status
-    return k, p.value, math.sqrt(max(float(gamma_squared.value), 0.0)), status
-
-
-def check_paper(
-    problem: PaperProblem, k: np.ndarray, p: np.ndarray, gamma: float, lmi: str = '55'
-) -> float:
-    """Largest eigenvalue over all inequalities, rebuilt in NumPy from gains and P."""
-    d, pt = problem.descriptor, p @ problem.t1
-    matrices = paper_inequalities(d, p, pt, p @ k, gamma**2, problem.q, problem.r, lmi)
-    return max(map(largest_eigenvalue, [-p, *matrices]))
+        return None, status
+    gamma = math.sqrt(max(float(level.value), 0.0)) if minimise else wanted.gamma
+    return PaperObserverGains(
+        box, t1, t2, k, p.value, wanted.lmi, gamma, wanted.q, wanted.r, np.zeros(2)
+    ), status

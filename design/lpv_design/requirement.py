@@ -5,27 +5,14 @@ from pathlib import Path
 from typing import Any
 
 from lpv.core.support.config import Section, names_all_errors, read_yaml
-from lpv.core.support.entries import entry, read_entries
+from lpv.core.support.entries import read_entries
 from lpv.core.support.errors import ConfigError
-from lpv.core.support.limits import LARGEST
 from lpv.core.uio.certificate.gains import METHODS
 from lpv_design.controller import ControllerRequirement
 from lpv_design.exact_observer import ExactRequirement
+from lpv_design.paper_observer import PaperRequirement
 
 SHIPPED = Path(__file__).parent / 'requirements'
-
-
-@dataclass(frozen=True)
-class PaperRequirement:
-    """Requirements of the literal observer design."""
-
-    # '55', literally, or '54+disc': (54) and the disc as separate inequalities
-    lmi: str = entry('text', default='55', choices=('55', '54+disc'))
-    # lower end of the box of phi2 and phi3
-    sinc_min: float = entry('number', default=0.96, low=-0.3, high=0.999)
-    gamma: float = entry('number', default=1.0, above=0.0, high=LARGEST)  # attenuation level
-    q: float = entry('number', default=20.0, above=0.0, high=LARGEST)  # disc [1/s]
-    r: float = entry('number', default=15.0, above=0.0, high=LARGEST)  # disc [1/s]
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,10 @@ class InfeasibleError(RuntimeError):
     """No gains satisfy the inequalities, as rebuilt in NumPy."""
 
 
+class NotDetectableError(InfeasibleError):
+    """A fault cannot be told from the state somewhere in the requested region."""
+
+
 def check_lines(checks: list[Check]) -> list[str]:
     """What the designer reads of checks that hold."""
     return [f'holds ({check.margin:.3g} < 0): {check.name}' for check in checks]

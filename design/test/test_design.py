@@ -14,13 +14,14 @@ from lpv.core.serial_arm.certificate.conditions import require_loop
 from lpv.core.serial_arm.description import Uncertainty
 from lpv.core.support import inequalities, resources
 from lpv.core.uio.certificate import conditions, error_system, lmi
-from lpv.core.uio.certificate.conditions import prove
-from lpv.core.uio.certificate.gains import ExactObserverGains, load_gains
+from lpv.core.uio.certificate.conditions import observer_margin, prove
+from lpv.core.uio.certificate.gains import load_gains
 from lpv.core.uio.model.polytope import sinc_box, vertex_matrices
+from lpv.core.uio.model.state_space import paper_descriptor
 from lpv.core.uio.planar import planar_model
 from lpv_design import controller, design_flow, exact_observer, serial_loop
-from lpv_design.paper_observer import check_paper, paper_problem, solve_paper, undetectable_point
-from lpv_design.requirement import PaperRequirement, load_requirement
+from lpv_design.paper_observer import PaperRequirement, solve_paper, undetectable_point
+from lpv_design.requirement import load_requirement
 from lpv_design.solve import InfeasibleError, solve, symmetric_below
 
 PUBLISHED = np.array([
@@ -55,10 +56,9 @@ def common_lyapunov(loop, m, alpha):
 
 def test_given_boxes_when_searched_then_those_with_zero_hold_an_undetectable_point(paper_model):
     for s_min in (-0.2, 0.0, 1e-3, 0.5, 0.96):
-        assert (undetectable_point(paper_problem(paper_model, s_min)) is None) == (s_min > 0.0)
-    problem = paper_problem(paper_model, -0.2)
-    phi, eigenvalue, vector = undetectable_point(problem)
-    assert np.all(problem.box[:, 0] <= phi) and np.all(phi <= problem.box[:, 1])
+        assert (undetectable_point(paper_model, s_min) is None) == (s_min > 0.0)
+    box, (phi, eigenvalue, vector) = sinc_box(-0.2), undetectable_point(paper_model, -0.2)
+    assert np.all(box[:, 0] <= phi) and np.all(phi <= box[:, 1])
     assert 0.0 in phi[1:] and abs(eigenvalue) < 1e-7
     vector = np.real(vector / vector[np.argmax(np.abs(vector))])
     sensor = int(np.argmax(np.abs(vector[:2])))
@@ -73,9 +73,9 @@ def test_given_boxes_when_searched_then_those_with_zero_hold_an_undetectable_poi
     ('55', 0.95, 0.98), ('55', 0.5, 100.0), ('54+disc', 0.8, 0.26),
 ])  # fmt: skip
 def test_given_no_solution_when_solved_then_nothing_passes(paper_model, lmi_name, s_min, gamma):
-    problem = paper_problem(paper_model, s_min)
-    k, p, found, status = solve_paper(problem, lmi_name, gamma)
-    assert k is None or check_paper(problem, k, p, gamma or found, lmi_name) >= 0.0
+    wanted = PaperRequirement(lmi_name, s_min, gamma or 1.0)
+    found, status = solve_paper(paper_model, wanted, minimise=gamma is None)
+    assert found is None or observer_margin(paper_model, found) >= 0.0
     assert s_min > 0.0 or status != 'optimal'
 
 
@@ -85,30 +85,33 @@ def test_given_no_solution_when_solved_then_nothing_passes(paper_model, lmi_name
     *[('54+disc', s, g) for s, g in ((1.0, 0.165), (0.9, 0.20), (0.8, 0.28))],
 ])  # fmt: skip
 def test_given_a_smaller_box_then_gamma_is_as_known(paper_model, lmi_name, s_min, expected):
-    problem = paper_problem(paper_model, s_min)
-    k, p, gamma, _ = solve_paper(problem, lmi_name)
-    assert gamma == pytest.approx(expected, rel=0.02)
+    found, _ = solve_paper(paper_model, PaperRequirement(lmi_name, s_min), minimise=True)
+    assert found.gamma == pytest.approx(expected, rel=0.02)
     # The figure stands on the rebuilt inequalities, and they are sharp.
-    assert check_paper(problem, k, p, 1.001 * gamma, lmi_name) < 0.0
-    assert check_paper(problem, k, p, 0.97 * gamma, lmi_name) > 0.0
+    assert observer_margin(paper_model, replace(found, gamma=1.001 * found.gamma)) < 0.0
+    assert observer_margin(paper_model, replace(found, gamma=0.97 * found.gamma)) > 0.0
 
 
 def test_given_no_lyapunov_matrix_or_wrong_poles_when_checked_then_they_are_refused(paper_model):
-    problem = paper_problem(paper_model, 0.96)
-    k, p, _, _ = solve_paper(problem, '55', 1.2)  # room to spare: gamma 1.2 on the box of 0.97
-    c, names = problem.descriptor.c, ('55', '54+disc')
-    assert check_paper(problem, k, p, 1.2, '55') < 0.0
-    for a_i, k_i in zip(problem.descriptor.a, k):
-        poles = np.linalg.eigvals(problem.t1 @ a_i + k_i @ c)
+    # Room to spare: gamma 1.2 on the box of 0.97.
+    found, _ = solve_paper(paper_model, PaperRequirement('55', 0.96, 1.2))
+    d, names = paper_descriptor(paper_model, found.box), ('55', '54+disc')
+
+    def margin(lmi_name, **spoilt):
+        return observer_margin(paper_model, replace(found, lmi=lmi_name, **spoilt))
+
+    assert margin('55') < 0.0
+    for a_i, k_i in zip(d.a, found.k):
+        poles = np.linalg.eigvals(found.t1 @ a_i + k_i @ d.c)
         assert np.abs(poles + 20.0).max() < 15.0
     for shift in (-40.0, 40.0):  # N + shift*I on one vertex: faster than 35/s, or unstable
-        bad = k.copy()
-        bad[3] += shift * np.linalg.pinv(c)
-        poles = np.linalg.eigvals(problem.t1 @ problem.descriptor.a[3] + bad[3] @ c)
+        bad = found.k.copy()
+        bad[3] += shift * np.linalg.pinv(d.c)
+        poles = np.linalg.eigvals(found.t1 @ d.a[3] + bad[3] @ d.c)
         assert np.abs(poles + 20.0).max() > 15.0
-        assert all(check_paper(problem, bad, p, 1.2, name) > 0.0 for name in names)
-    assert all(check_paper(problem, k, -p, 1.2, name) > 0.0 for name in names)
-    assert all(check_paper(problem, k, 0.0 * p, 1.2, name) >= 0.0 for name in names)
+        assert all(margin(name, k=bad) > 0.0 for name in names)
+    assert all(margin(name, lyapunov=-found.lyapunov) > 0.0 for name in names)
+    assert all(margin(name, lyapunov=0.0 * found.lyapunov) >= 0.0 for name in names)
 
 
 def schur_system():
@@ -154,14 +157,14 @@ def test_given_both_loops_when_designed_then_67_holds_and_not_if_spoilt(planar, 
     wanted = load_requirement(planar.name).controller
     loop = conditions.controller_loop(planar, method)
     assert len(loop[0]) == len(loop[1]) == vertices
-    m, q, _ = controller.solve_loop(planar, loop, wanted)
-    assert controller.check_loop(loop, m, q, wanted.alpha) < 0.0
+    m, p, _ = controller.solve_loop(planar, loop, wanted)
+    assert conditions.decay_margin(loop, m, p, wanted.alpha) < 0.0
     for a, b in zip(*loop):
         poles = np.linalg.eigvals(a + b @ m)
         assert poles.real.max() < -wanted.alpha and np.abs(poles).max() < wanted.fastest
     backwards = m * [[1, 1, 1, 1, -1, -1]]  # the integrator the wrong way
-    for spoilt in ((-m, q), (backwards, q), (0.0 * m, q), (m, -q), (m, np.eye(6))):
-        assert controller.check_loop(loop, *spoilt, wanted.alpha) > 0.0
+    for spoilt in ((-m, p), (backwards, p), (0.0 * m, p), (m, -p), (m, np.eye(6))):
+        assert conditions.decay_margin(loop, *spoilt, wanted.alpha) > 0.0
 
 
 def test_given_the_published_loop_when_augmented_then_eqs_64_and_67_hold(paper_model):
@@ -172,9 +175,10 @@ def test_given_the_published_loop_when_augmented_then_eqs_64_and_67_hold(paper_m
         np.testing.assert_array_equal(a_c[i], whole)
         np.testing.assert_array_equal(b_c[i], np.vstack([b[i], np.zeros((2, 2))]))
     loop = conditions.controller_loop(paper_model, 'paper')
-    q = common_lyapunov(loop, PUBLISHED, 2.0)
-    assert controller.check_loop(loop, PUBLISHED, q, 2.0) < 0.0
-    assert controller.check_loop(loop, PUBLISHED, q, 20.0) > 0.0
+    p = np.linalg.inv(common_lyapunov(loop, PUBLISHED, 2.0))
+    assert inequalities.largest_eigenvalue(-p) < 0.0
+    assert conditions.decay_margin(loop, PUBLISHED, p, 2.0) < 0.0
+    assert conditions.decay_margin(loop, PUBLISHED, p, 20.0) > 0.0
 
 
 def assert_same_gains(found, wanted):
@@ -195,11 +199,9 @@ def test_given_requirements_when_designed_then_gains_are_the_shipped_ones(planar
 def test_given_a_large_region_when_designed_at_decay_2_then_it_is_certified(paper_model, cos_min):
     arm = replace(paper_model, cos_min=(cos_min, cos_min))
     wanted = replace(load_requirement('paper').observer, decay=2.0, fastest=60.0 * 0.3 / cos_min)
-    kappa, mu, p, _ = exact_observer.solve_exact(arm, wanted)
+    observer, _ = exact_observer.design_exact(arm, wanted)
     sampled = replace(arm, sample_time=min(0.002, 0.2 / wanted.fastest))
-    observer = ExactObserverGains(kappa, mu, p, 2.0, wanted.fastest, np.ones(2))
-    claims = conditions.observer_inequalities(sampled, observer)
-    assert all(inequalities.largest_eigenvalue(one) < 0.0 for _, some in claims for one in some)
+    assert observer_margin(sampled, observer) < 0.0
 
 
 def test_given_any_slope_when_tried_then_poles_and_deviation_are_as_certified(planar):

@@ -153,6 +153,12 @@ def observer_inequalities(
         yield f'{name}: real poles at every slope', [np.array([[damping - 1]])]
 
 
+def observer_margin(arm: ArmParameters, observer: ExactObserverGains | PaperObserverGains) -> float:
+    """Largest eigenvalue of all `observer_inequalities`; negative if they hold."""
+    claims = observer_inequalities(arm, observer)
+    return max(largest_eigenvalue(matrix) for _, matrices in claims for matrix in matrices)
+
+
 def heun(n: np.ndarray, dt: Any) -> np.ndarray:
     """Matrix of one Heun step of x' = N x."""
     return np.eye(len(n), dtype=int) + dt * n + dt**2 / 2 * (n @ n)
@@ -199,6 +205,15 @@ def _decays(loop: tuple[np.ndarray, ...], m: np.ndarray, p: np.ndarray, alpha: A
     return [p @ n + n.T @ p + 2 * alpha * p for n in (a + b @ m for a, b in zip(*loop))]
 
 
+def decay_margin(loop: tuple[np.ndarray, ...], m: np.ndarray, p: np.ndarray, alpha: float) -> float:
+    """Largest eigenvalue of LMI (67) at the vertices of a loop, for gains M and P = Q^-1 > 0."""
+    # P spans many decades; a congruence with its own factor makes margins comparable.
+    positive = largest_eigenvalue(-p) < 0.0
+    factor = np.linalg.inv(np.linalg.cholesky(p)) if positive else np.eye(6)
+    matrices = _decays(loop, m, p, alpha)
+    return max(largest_eigenvalue(factor @ matrix @ factor.T) for matrix in matrices)
+
+
 def _sampled_radius(arm: ArmParameters, loop: tuple[np.ndarray, ...], m: np.ndarray) -> float:
     """Largest spectral radius of the sampled loop with one sample of delay, of all vertices."""
     return max(delayed_radius(*discretised(a, b, arm.sample_time), m) for a, b in zip(*loop))
@@ -207,17 +222,10 @@ def _sampled_radius(arm: ArmParameters, loop: tuple[np.ndarray, ...], m: np.ndar
 def controller_checks(arm: ArmParameters, controller: ControllerGains) -> Iterator[Check]:
     """Checks of the tracking loop: LMI (67), and poles that the sample time can carry."""
     m, p = _feedback(controller), _lyapunov(controller.lyapunov, float)
-    (name, matrices), (decays, decaying) = controller_inequalities(arm, controller)
-    positive = Check(name, max(map(largest_eigenvalue, matrices)))
-    # P spans many decades; a congruence with its own factor makes margins comparable.
-    factor = np.linalg.inv(np.linalg.cholesky(p)) if positive.holds else np.eye(6)
-
-    def worst(matrices: list[Any]) -> float:
-        return max(largest_eigenvalue(factor @ matrix @ factor.T) for matrix in matrices)
-
-    yield positive
-    yield Check(decays, worst(decaying))
     loop = controller_loop(arm, controller.method, controller.sinc_min)
+    (name, matrices), (decays, _) = controller_inequalities(arm, controller)
+    yield Check(name, max(map(largest_eigenvalue, matrices)))
+    yield Check(decays, decay_margin(loop, m, p, controller.decay))
     radius = _sampled_radius(arm, loop, m)
     yield Check('controller: sampled loop with one sample of delay', radius - 1.0)
     yield from motion_checks(arm, controller)
@@ -227,7 +235,7 @@ def controller_checks(arm: ArmParameters, controller: ControllerGains) -> Iterat
         alpha = 0.5 * controller.decay
         loops = [controller_loop(other, 'exact') for other in corner_arms(arm)]
         text = f'controller: {len(loops)} arms at the corners of model error and payload'
-        margin = max(worst(_decays(loop, m, p, alpha)) for loop in loops)
+        margin = max(decay_margin(loop, m, p, alpha) for loop in loops)
         yield Check(f'{text}, alpha {alpha:g}/s', margin)
         radius = max(_sampled_radius(arm, loop, m) for loop in loops)
         yield Check(f'{text}, sampled with delay', radius - 1.0)

@@ -110,9 +110,3 @@ def covariance(pn: Any, pb: Any, block: Callable[..., Any] = np.block) -> Any:
     """H2 inequality: sym(P N) + P B B^T P < 0, so that P^-1 bounds the error covariance."""
     m = pb.shape[1]
     return block([[pn + pn.T, pb], [pb.T, -_eye(m)]])
-
-
-def integral_feedback(q: Any, x: Any, a: Any, b: Any, alpha: Any) -> Any:
-    """LMI (67): sym(A_c Q + B_c X) + 2 alpha Q."""
-    closed = a @ q + b @ x
-    return closed + closed.T + 2.0 * alpha * q
