@@ -18,10 +18,9 @@ import numpy as np
 
 from lpv.core.support.entries import entry, positive
 from lpv.core.support.limits import LARGEST
-from lpv.core.uio.certificate.error_system import LinkError, link_errors
+from lpv.core.uio.certificate.error_system import LinkError, exact_fault_sigma, link_errors
 from lpv.core.uio.certificate.gains import ExactObserverGains
 from lpv.core.uio.certificate.lmi import covariance, disc
-from lpv.core.uio.certificate.noise import exact_fault_sigma, stated_acceleration_noise
 from lpv.core.uio.model.arm import ArmParameters
 from lpv_design.solve import RESERVE, InfeasibleError, run, symmetric_below
 
@@ -112,9 +111,11 @@ def design_exact(arm: ArmParameters, wanted: ExactRequirement) -> tuple[ExactObs
             'that: ask for a smaller region'
         )
     # What the arm file states is certified, whatever less the requirement says.
-    noise = np.maximum(wanted.acceleration_noise, stated_acceleration_noise(arm))
+    links = link_errors(arm)
+    stated = math.sqrt(links[0].variance * links[0].period) * np.abs(links[0].direction)
+    noise = np.maximum(wanted.acceleration_noise, stated)
     wanted = replace(wanted, acceleration_noise=tuple(noise))
-    *found, statuses = zip(*(solve_link(link, wanted) for link in link_errors(arm)))
+    *found, statuses = zip(*(solve_link(link, wanted) for link in links))
     if None in found[0]:
         raise InfeasibleError(
             f'observer: no gains with decay {wanted.decay}/s and poles up to '

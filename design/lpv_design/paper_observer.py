@@ -11,9 +11,9 @@ import numpy as np
 from lpv.core.support.entries import entry
 from lpv.core.support.limits import LARGEST
 from lpv.core.uio.certificate.conditions import observer_margin
+from lpv.core.uio.certificate.error_system import paper_fault_sigma
 from lpv.core.uio.certificate.gains import PaperObserverGains
 from lpv.core.uio.certificate.lmi import paper_inequalities
-from lpv.core.uio.certificate.noise import paper_fault_sigma
 from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.model.polytope import paper_weights, sinc_box
 from lpv.core.uio.model.state_space import paper_descriptor

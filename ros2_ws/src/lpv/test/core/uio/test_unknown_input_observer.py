@@ -23,8 +23,7 @@ from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.support.records import new_record
 from lpv.core.uio.bound.error_bound import error_bound
 from lpv.core.uio.bound.unknown_torque import MOTION, healthy_arm, unknown_torque
-from lpv.core.uio.certificate.error_system import link_errors
-from lpv.core.uio.certificate.noise import exact_fault_sigma
+from lpv.core.uio.certificate.error_system import exact_fault_sigma, link_errors
 from lpv.core.uio.model.dynamics import friction
 from lpv.core.uio.model.joints import JointMap
 from lpv.core.uio.planar import planar_model

@@ -20,7 +20,7 @@ from lpv.core.support.inequalities import (
     largest_eigenvalue,
     require_all,
 )
-from lpv.core.uio.certificate.error_system import link_errors
+from lpv.core.uio.certificate.error_system import exact_fault_sigma, link_errors, paper_fault_sigma
 from lpv.core.uio.certificate.gains import (
     ControllerGains,
     ExactObserverGains,
@@ -28,19 +28,11 @@ from lpv.core.uio.certificate.gains import (
     PaperObserverGains,
     gains_checksum,
 )
-from lpv.core.uio.certificate.lmi import disc, paper_inequalities
-from lpv.core.uio.certificate.noise import (
-    covariance_margin,
-    exact_fault_sigma,
-    paper_fault_sigma,
-    prove_covariance,
-)
+from lpv.core.uio.certificate.lmi import covariance, disc, paper_inequalities
 from lpv.core.uio.certificate.sampled_motion import sampled_loop
 from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.model.polytope import exact_vertices, sinc_box, state_spaces, vertex_matrices
 from lpv.core.uio.model.state_space import paper_descriptor
-
-_COVARIANCE = 'observer, link {}: covariance under the noise of the arm file'
 
 
 def verify(arm: ArmParameters, gains: Gains) -> list[Check]:
@@ -60,15 +52,11 @@ def prove(arm: ArmParameters, gains: Gains) -> dict[str, bool]:
     quadratic inequalities are polynomials in them.  The sampled controller's spectral radius is not
     a definiteness and stays a matter of floats.
     """
-    observer = gains.observer
-    claims = observer_inequalities(arm, observer, Fraction)
-    results = {name: all(map(is_negative, matrices)) for name, matrices in claims}
-    if isinstance(observer, ExactObserverGains):
-        for i, matrix in enumerate(observer.lyapunov):
-            p = _lyapunov(matrix, Fraction)
-            results[_COVARIANCE.format(i + 1)] = prove_covariance(arm, observer, i, p)
-    claims = controller_inequalities(arm, gains.controller, Fraction)
-    return results | {name: all(map(is_negative, matrices)) for name, matrices in claims}
+    claims = (
+        *observer_inequalities(arm, gains.observer, Fraction),
+        *controller_inequalities(arm, gains.controller, Fraction),
+    )
+    return {name: all(map(is_negative, matrices)) for name, matrices in claims}
 
 
 def _checks(arm: ArmParameters, gains: Gains) -> Iterator[Check]:
@@ -80,23 +68,14 @@ def _checks(arm: ArmParameters, gains: Gains) -> Iterator[Check]:
         yield Check('gains file: numbers are those of the design', -1.0 if same else 1.0)
     for name, matrices in observer_inequalities(arm, observer):
         yield Check(name, max(map(largest_eigenvalue, matrices)))
-    yield from _noise_checks(arm, observer)
-    yield from controller_checks(arm, gains.controller)
-    yield from _together(arm, gains)
-
-
-def _noise_checks(
-    arm: ArmParameters, observer: ExactObserverGains | PaperObserverGains
-) -> Iterator[Check]:
-    """The standard deviation that thresholds rest on, recomputed."""
     if isinstance(observer, ExactObserverGains):
-        for i in range(2):
-            yield Check(_COVARIANCE.format(i + 1), covariance_margin(arm, observer, i))
         sigma = exact_fault_sigma(arm, observer.lyapunov)
     else:
         sigma = paper_fault_sigma(arm, observer)
     away = float(np.abs(observer.fault_sigma / sigma - 1.0).max())
     yield Check('observer: standard deviation of f^ as recomputed', away - SAME)
+    yield from controller_checks(arm, gains.controller)
+    yield from _together(arm, gains)
 
 
 def _lyapunov(p: np.ndarray, number: Callable[[Any], Any]) -> np.ndarray:
@@ -120,9 +99,10 @@ def observer_inequalities(
 
     Method ``paper``: LMI (54) or (55) at the eight vertices, and constraint (41).  Method
     ``exact``, link by link: disc for the error's poles, a common quadratic function for the sampled
-    Heun recursion, and real poles, which the comparison system of the error bound needs.  These are
-    affine in the slope, so that its two ends prove them for every slope in between, constant or
-    changing.
+    Heun recursion, real poles, which the comparison system of the error bound needs, and P^-1 as a
+    bound of the error's covariance under the noise that the arm file states.  These are affine in
+    the slope, and the last one convex in Xi12, so that the ends of both prove them for every slope
+    in between, constant or changing.
     """
     if isinstance(observer, PaperObserverGains):
         array, d = array_of(number), paper_descriptor(arm, observer.box, number)
@@ -139,6 +119,7 @@ def observer_inequalities(
         return
     decay, fastest, dt = (number(v) for v in (observer.decay, observer.fastest, arm.sample_time))
     q, r = (fastest + decay) / 2, (fastest - decay) / 2
+    of_noise = []
     for link in link_errors(arm, number):
         i, name = link.index, f'observer, link {link.index + 1}'
         kappa, mu = number(observer.kappa[i]), number(observer.mu[i])
@@ -151,6 +132,18 @@ def observer_inequalities(
         yield f'{name}: sampled recursion contracts', [a.T @ p @ a - p for a in sampled]
         damping = 4 * kappa * link.slopes[1] / mu**2
         yield f'{name}: real poles at every slope', [np.array([[damping - 1]])]
+        inputs = [link.input_covariance(row, kappa, mu) for row in link.rows]
+        matrices = [_covariance(p, n, spread) for n in closed for spread in inputs]
+        of_noise.append((f'{name}: covariance under the noise of the arm file', matrices))
+    yield from of_noise
+
+
+def _covariance(p: np.ndarray, n: np.ndarray, spread: np.ndarray) -> np.ndarray:
+    """H2 inequality for B B^T; in fractions, which have no roots, its Schur complement."""
+    if spread.dtype == object:
+        return 2 * p @ n + p @ spread @ p
+    values, vectors = np.linalg.eigh(spread)
+    return covariance(p @ n, p @ vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def observer_margin(arm: ArmParameters, observer: ExactObserverGains | PaperObserverGains) -> float:
@@ -270,46 +263,26 @@ def corner_arms(arm: ArmParameters) -> list[ArmParameters]:
     return arms
 
 
-def _together(arm: ArmParameters, gains: Gains) -> list[Check]:
-    """Sampled loop of arm, controller and observer, closed on estimates and on measurements."""
+def _together(arm: ArmParameters, gains: Gains) -> Iterator[Check]:
+    """Sampled loop of arm, controller and observer, closed on estimates and on measurements.
+
+    The error of the observer does not depend on the loop: poles of both together are those of each.
+    """
     observer = gains.observer
     if not isinstance(observer, ExactObserverGains) or gains.controller.method != 'exact':
-        return []
-    m, links, checks = _feedback(gains.controller), link_errors(arm), []
-    for compensated, name in ((1.0, 'with'), (0.0, 'without')):
-        radius = 0.0
-        for (a, b), vertex in zip(zip(*controller_loop(arm, 'exact')), exact_vertices(arm)):
-            slopes = np.abs(vertex[2:])
-            error = np.zeros((4, 4))
-            for link, slope in zip(links, slopes):
-                i = link.index
-                error[np.ix_([i, 2 + i], [i, 2 + i])] = link.closed(
-                    link.gravity * slope, observer.kappa[i], observer.mu[i]
-                )
-            # Rates are fed back as estimated: e' = Xi^-1 diag(Xi_ii) r, and B holds Xi^-1.
-            rates = b[2:4] @ np.diag([link.inertia for link in links]) * arm.sign
-            seen = np.block(
-                [
-                    [compensated * np.eye(2), np.zeros((2, 2))],
-                    [np.zeros((2, 2)), rates],
-                    [np.zeros((2, 4))],
-                ]
-            )
-            whole = np.block([[a, np.zeros((6, 4))], [np.zeros((4, 6)), error]])
-            whole[4:6, 6:8] = -compensated * np.eye(2)
-            inputs = np.vstack([b, np.zeros((4, 2))])
-            sampled, feedback = (
-                discretised(whole, inputs, arm.sample_time),
-                np.hstack([m, m @ seen]),
-            )
-            radius = max(radius, delayed_radius(*sampled, feedback))
-        checks.append(
-            Check(
-                f'observer and controller together, {name} compensation, sampled with delay',
-                radius - 1.0,
-            )
+        return
+    poles = [
+        np.linalg.eigvals(link.closed(slope, observer.kappa[link.index], observer.mu[link.index]))
+        for link in link_errors(arm)
+        for slope in link.slopes
+    ]
+    error = np.exp(np.real(poles).max() * arm.sample_time)
+    loop = _sampled_radius(arm, controller_loop(arm, 'exact'), _feedback(gains.controller))
+    for name in ('with', 'without'):
+        yield Check(
+            f'observer and controller together, {name} compensation, sampled with delay',
+            max(loop, error) - 1.0,
         )
-    return checks
 
 
 def discretised(a: np.ndarray, b: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:

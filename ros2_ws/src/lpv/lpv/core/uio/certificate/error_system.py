@@ -1,22 +1,25 @@
-"""The error system of method ``exact``, link by link, with its noise: data of LMIs and checks."""
+"""The error system of method ``exact``, link by link, and the noise of both methods' estimates."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.linalg import solve_continuous_lyapunov
 
+from lpv.core.support.inequalities import array_of
 from lpv.core.support.limits import SMALL
+from lpv.core.uio.certificate.gains import PaperObserverGains
 from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.model.joints import JointMap
+from lpv.core.uio.model.state_space import paper_descriptor
 
 
-@dataclass(frozen=True)
-class Noise:
-    """White inputs of one link's error."""
+class Noise(NamedTuple):
+    """White inputs of unit intensity of one link's error."""
 
-    # columns of unit-intensity inputs that enter the error as they are, shape (2, n)
-    direct: np.ndarray
+    direct: np.ndarray  # columns that enter the error as they are, shape (2, n)
     measured: np.ndarray  # those that enter through the output injection L, shape (1, n)
 
 
@@ -31,8 +34,11 @@ class LinkError:
     # row i of Xi at both ends of Xi12, times s = +1 (upright) or -1 (hanging): for a hanging arm
     # the momentum error is counted with the other sign, which makes both cases one, shape (2, 2)
     rows: np.ndarray
-    # square root of the covariance of the measured absolute rates, per root of time, shape (2, 2)
-    rate_noise: np.ndarray
+    rates: np.ndarray  # S^-1: absolute rates from those of the sensors, shape (2, 2)
+    rate_noise: Any  # standard deviation of a rate sensor's white noise [rad/s]
+    direction: np.ndarray  # of the stated disturbance, per axis [rad/s2], shape (2,)
+    variance: Any  # of disturbances of both axes apart that bounds the stated one's
+    period: Any  # Ts [s]
     unit: float = SMALL  # size of errors [rad], for scaling
 
     def closed(self, slope: Any, kappa: Any, mu: Any) -> np.ndarray:
@@ -40,30 +46,70 @@ class LinkError:
         return np.array([[0 * mu, -kappa * self.inertia], [slope / self.inertia, -mu]])
 
     def noises(self, acceleration_noise: Sequence[float], rate_noise: float) -> list[Noise]:
-        """Noise at both ends of Xi12; everything between them is a convex combination."""
-        own = np.eye(2)[[self.index]] @ self.rate_noise
+        """Noise at both ends of Xi12, of rate sensors and as given [rad/s2/sqrt(Hz)],
+        [rad/s/sqrt(Hz)]; everything between them is a convex combination."""
+        rates = self.rates * self.rate_noise * math.sqrt(self.period)
         found = []
         for row in self.rows:
             push = np.abs(row * np.asarray(acceleration_noise)) / self.inertia
-            momentum = row[None] @ self.rate_noise / self.inertia
             # e' takes the rates' noise as it is, and both rows through the injection.
-            direct = np.block(
-                [[own, np.array([[rate_noise, 0.0, 0.0]])], [np.zeros((1, 3)), push[None]]]
-            )
-            measured = np.hstack([-momentum, np.zeros((1, 3))])
-            found.append(Noise(direct, measured))
+            direct = np.zeros((2, 5))
+            direct[0, :3], direct[1, 3:] = [*rates[self.index], rate_noise], push
+            found.append(Noise(direct, np.append(-row @ rates / self.inertia, np.zeros(3))[None]))
         return found
+
+    def input_covariance(self, row: np.ndarray, kappa: Any, mu: Any) -> np.ndarray:
+        """B B^T of the white inputs that the arm file states, in `unit`, at one end of Xi12."""
+        seen = row @ self.rates / self.inertia
+        b = np.array([self.rates[self.index] + kappa * self.inertia * seen, mu * seen])
+        push = row * self.direction / self.inertia
+        total = self.rate_noise**2 * (b @ b.T)
+        total[1, 1] += self.variance * (push @ push)
+        return total * self.period / type(self.period)(self.unit) ** 2
 
 
 def link_errors(arm: ArmParameters, number: Callable[[Any], Any] = float) -> list[LinkError]:
-    """Error systems of both links, in floats, or in exact fractions but for ``rate_noise``."""
-    c, sign = arm.numbers(number), number(arm.sign)
-    rate_noise = np.linalg.inv(JointMap(arm).sensor_matrix) * arm.velocity_noise
-    rate_noise = rate_noise * np.sqrt(arm.sample_time)
+    """Error systems of both links, in floats or in exact fractions."""
+    c, sign, array = arm.numbers(number), number(arm.sign), array_of(number)
+    noise = {
+        'rates': array(np.linalg.inv(JointMap(arm).sensor_matrix)),
+        'rate_noise': number(arm.velocity_noise),
+        'direction': array(arm.disturbance_direction),
+        # One d drives both axes: (a d_1 + b d_2)^2 <= 2 (a^2 d_1^2 + b^2 d_2^2).
+        'variance': int(np.count_nonzero(arm.disturbance_direction))
+        * number(arm.disturbance_variance),
+        'period': number(arm.sample_time),
+    }
     ends = (c.rotor_coupling - c.coupling, c.rotor_coupling + c.coupling)
     links = []
     for i, (inertia, gravity) in enumerate(zip(c.inertia, c.gravity)):
         rows = sign * np.array([[inertia, end] if i == 0 else [end, inertia] for end in ends])
         slopes = (gravity * number(arm.cos_min[i]), gravity)
-        links.append(LinkError(i, inertia, gravity, slopes, rows, rate_noise))
+        links.append(LinkError(i, inertia, gravity, slopes, rows, **noise))
     return links
+
+
+def exact_fault_sigma(arm: ArmParameters, lyapunov: np.ndarray) -> np.ndarray:
+    """Bound on the standard deviation of f^ of method ``exact``, per sensor [rad].
+
+    P^-1 bounds the covariance of each link's error; sensors add those of their links.
+    """
+    with np.errstate(invalid='ignore'):  # of a P that is not positive: NaN fails every check
+        angle = LinkError.unit * np.sqrt([np.linalg.inv(p)[0, 0] for p in lyapunov])
+    spread = np.abs(JointMap(arm).sensor_matrix) @ angle
+    return np.hypot(spread, arm.position_noise)
+
+
+def paper_fault_sigma(arm: ArmParameters, observer: PaperObserverGains) -> np.ndarray:
+    """Largest standard deviation of f^ of method ``paper`` over the vertices, per sensor [rad]."""
+    d = paper_descriptor(arm, observer.box)
+    root = math.sqrt(arm.sample_time)
+    noise = np.diag([arm.position_noise] * 2 + [arm.velocity_noise] * 2)
+    t1, t2, sigma = observer.t1, observer.t2, np.zeros(2)
+    for a_i, k_i in zip(d.a, observer.k):
+        n = t1 @ a_i + k_i @ d.c
+        disturbance = t1 @ d.bd * math.sqrt(arm.disturbance_variance)
+        inputs = root * np.hstack([disturbance, (n @ t2 - k_i) @ noise])
+        spread = solve_continuous_lyapunov(n, -inputs @ inputs.T) + t2 @ noise @ noise @ t2.T
+        sigma = np.maximum(sigma, np.sqrt(np.diag(spread)[4:]))
+    return sigma
