@@ -6,10 +6,9 @@ import numpy as np
 
 from lpv.core.serial_arm.chain import FloatArray
 from lpv.core.serial_arm.description import SerialArm
-from lpv.core.uio.model.dynamics import acceleration, runge_kutta_step
+from lpv.core.uio.model.dynamics import acceleration
 from lpv.core.uio.model.joints import JointMap
-from lpv.core.uio.model.polytope import sinc_box, vertex_matrices
-from lpv.core.uio.model.state_space import lpv_acceleration
+from lpv.core.uio.model.polytope import paper_scheduling, paper_weights, sinc_box, vertex_matrices
 from lpv.core.uio.planar import planar_links
 
 
@@ -33,10 +32,11 @@ class PaperPlant:
         planar = planar_links(arm)
         planar = planar.with_payload(scenario.payload) if scenario.payload else planar
         self._joints, self._constants = JointMap(planar), planar.constants(False)
-        self._vertices: tuple[FloatArray, ...] | None = None
+        self._box, self._weights = sinc_box(scenario.sinc_min), np.zeros(8)
+        self._lower: FloatArray | None = None  # rows of A_i and B_i that give theta''
         if scenario.plant == 'lpv':
-            box = sinc_box(scenario.sinc_min)
-            self._vertices = (*vertex_matrices(box, self._constants), box)
+            lower = np.dstack(vertex_matrices(self._box, self._constants))[:, 2:]
+            self._lower = lower.reshape(8, -1)
 
     def advance(
         self, motion: FloatArray, torque: FloatArray, push: FloatArray, interval: float, steps: int
@@ -51,14 +51,18 @@ class PaperPlant:
             rates[2:] += self._acceleration(x, forces)
             return rates
 
+        dt = interval / steps
         for _ in range(steps):
-            now = runge_kutta_step(slope, now, interval / steps)
+            k_1 = slope(now)
+            k_2 = slope(now + 0.5 * dt * k_1)
+            k_3 = slope(now + 0.5 * dt * k_2)
+            k_4 = slope(now + dt * k_3)
+            now = now + dt / 6.0 * (k_1 + 2.0 * k_2 + 2.0 * k_3 + k_4)
         motion[0], motion[1] = joints.joint_position(now[:2]), joints.joint_velocity(now[2:])
 
     def _acceleration(self, x: FloatArray, torque: FloatArray) -> FloatArray:
-        """theta'' without disturbance [rad/s2]."""
-        if self._vertices is None:
+        """theta'' without disturbance, of the LPV plant by eq. (25) [rad/s2]."""
+        if self._lower is None:
             return np.array(acceleration(x, x[2:], torque, self._constants))
-        result = np.empty(2)
-        lpv_acceleration(x, torque, self._vertices, result)
-        return result
+        paper_weights(*paper_scheduling(x[0], x[1]), self._box, self._weights)
+        return (self._weights @ self._lower).reshape(2, 6) @ np.append(x, torque)

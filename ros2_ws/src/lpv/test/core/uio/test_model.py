@@ -15,11 +15,12 @@ from lpv.core.serial_arm.two_links import two_link_arm
 from lpv.core.simulation.paper_plant import PaperPlant
 from lpv.core.simulation.scenario import Scenario
 from lpv.core.support.errors import ConfigError, UnreachableError
-from lpv.core.uio.model import polytope, state_space
+from lpv.core.uio.model import polytope
 from lpv.core.uio.model.dynamics import inverse_dynamics
 from lpv.core.uio.model.joints import JointMap
 from lpv.core.uio.model.kinematics import forward, inverse, joint_motion
 from lpv.core.uio.model.polytope import sinc_box, vertex_matrices
+from lpv.core.uio.model.state_space import paper_descriptor
 from lpv.core.uio.planar import is_planar, planar_links, planar_model, plane_of
 
 ANGLE, RATE, TORQUE = st.floats(-6.0, 6.0), st.floats(-8.0, 8.0), st.floats(-100.0, 100.0)
@@ -90,15 +91,14 @@ def test_given_both_arms_then_zeros_torques_and_eqs_29_to_31_are_right(paper_mod
     np.testing.assert_allclose(upright.absolute_position([0.0, 0.0]), -math.pi / 2)
     expected = [math.pi + 0.2, math.pi + 0.5]
     np.testing.assert_allclose(hanging.absolute_position([0.2, 0.3]), expected)
-    c, df = state_space.output_matrices(paper_model)
-    np.testing.assert_array_equal(np.hstack([c, df]), np.eye(4)[:, [0, 1, 2, 3, 0, 1]])
-    c, df = state_space.output_matrices(real_model)
+    paper, real = (paper_descriptor(arm, sinc_box(-0.2)) for arm in (paper_model, real_model))
+    np.testing.assert_array_equal(paper.c, np.eye(4)[:, [0, 1, 2, 3, 0, 1]])
+    c, df = real.c[:, :4], real.c[:, 4:]
     np.testing.assert_array_equal(c, np.kron(np.eye(2), [[1.0, 0.0], [-1.0, 1.0]]))
     # In absolute coordinates a fault of encoder 1 shifts both angles: Df = [[1, 0], [1, 1], ...].
     np.testing.assert_allclose(np.linalg.inv(c) @ df, [[1, 0], [1, 1], [0, 0], [0, 0]])
-    for model, push in ((paper_model, 0.7), (real_model, 1.0)):
-        found = state_space.disturbance_matrix(model)
-        np.testing.assert_array_equal(found, [[0], [0], [push], [0]])
+    for d, push in ((paper, 0.7), (real, 1.0)):
+        np.testing.assert_array_equal(d.bd, [[0], [0], [push], [0], [0], [0]])
 
 
 def test_given_a_batch_when_converted_or_solved_then_every_row_alone_and_a_bad_one_is_named(planar):
@@ -144,11 +144,10 @@ def weights_of(phi, box):
 @given(ANYWHERE, ANYWHERE, ANYWHERE, st.floats(-0.2, 0.9))
 def test_given_a_point_anywhere_then_eqs_11_and_12_form_the_nearest_one(a, b, c, s_min):
     box = sinc_box(s_min) * [[1.0], [1.0], [0.9]]
-    rho, vertices = weights_of((a, b, c), box), polytope.paper_vertices(box)
+    rho, vertices = weights_of((a, b, c), box), np.array(list(product(*box)))
     assert rho.min() >= 0.0 and rho.sum() == pytest.approx(1.0, abs=1e-14)
     np.testing.assert_allclose(rho, weights((a, b, c), box), rtol=1e-14, atol=1e-15)
     np.testing.assert_allclose(rho @ vertices, np.clip((a, b, c), *box.T), atol=1e-14)
-    np.testing.assert_array_equal(vertices, list(product(*box)))
 
 
 @given(st.floats(-20.0, 20.0) | st.sampled_from([0.0, 1e-300, 0.99999e-4, 1e-4, 1.00001e-4]), ANGLE)
@@ -210,8 +209,8 @@ def test_given_a_configuration_in_the_region_when_combined_then_16_vertices_are_
         share = (np.cos(theta) - low) / (high - low)
         rho = np.einsum('i,j,k->ijk', corner, *([1.0 - v, v] for v in share)).ravel()
         assert rho.min() >= -1e-12
-        pairs = [polytope.exact_state_space(v, c) for v in polytope.exact_vertices(arm)]
-        a, b = (np.tensordot(rho, [pair[i] for pair in pairs], 1) for i in range(2))
+        vertices = polytope.state_spaces(polytope.exact_vertices(arm), c)
+        a, b = (np.tensordot(rho, matrices, 1) for matrices in vertices)
         inverse_xi = np.linalg.inv(xi)
         slope = inverse_xi @ np.diag(c.gravity * np.cos(theta))
         np.testing.assert_allclose(a[2:, :2], slope, atol=1e-6 * np.abs(slope).max())
@@ -248,10 +247,10 @@ def lpv_right_side(x, u, push=(0.0, 0.0)):
 
 @given(STATE, EFFORT)
 def test_given_any_state_then_the_lpv_plant_is_eq_25(paper_model, state, effort):
-    x, u, box, got = np.array(state), np.array(effort), sinc_box(-0.2), np.empty(2)
-    plant = *vertex_matrices(box, paper_model.constants(False)), box
-    state_space.lpv_acceleration(x, u, plant, got)
-    np.testing.assert_allclose(got, lpv_right_side(x, u)[2:], rtol=1e-11, atol=1e-11)
+    x, u, rho = np.array(state), np.array(effort), weights_of(scheduling(state), sinc_box(-0.2))
+    a, b = vertex_matrices(sinc_box(-0.2), paper_model.constants(False))
+    got = np.tensordot(rho, a @ x + b @ u, 1)
+    np.testing.assert_allclose(got, lpv_right_side(x, u), rtol=1e-11, atol=1e-11)
 
 
 def test_given_a_push_when_the_lpv_plant_steps_then_it_is_runge_kutta(paper_arm, paper_model):
@@ -270,12 +269,12 @@ def test_given_a_push_when_the_lpv_plant_steps_then_it_is_runge_kutta(paper_arm,
 
 def test_given_vertices_when_augmented_then_eqs_35_to_37_hold_and_47_has_a_solution(planar):
     a, b = vertex_matrices(sinc_box(-0.2), planar.constants(coriolis=False))
-    d, (c, df) = state_space.Descriptor(a, b, planar), state_space.output_matrices(planar)
+    d, s = paper_descriptor(planar, sinc_box(-0.2)), JointMap(planar).sensor_matrix
     np.testing.assert_array_equal(d.e, np.diag([1, 1, 1, 1, 0, 0]))
-    np.testing.assert_array_equal(d.c, np.hstack([c, df]))
+    df = np.eye(4)[:, :2]
+    np.testing.assert_array_equal(d.c, np.hstack([np.kron(np.eye(2), s), df]))
     np.testing.assert_array_equal(d.bf, [[0, 0]] * 4 + [[1, 0], [0, 1]])
-    push = state_space.disturbance_matrix(planar)
-    np.testing.assert_array_equal(d.bd, np.vstack([push, np.zeros((2, 1))]))
+    np.testing.assert_array_equal(d.bd.ravel(), [0, 0, *planar.disturbance_direction, 0, 0])
     # Eq. (36) row by row: x' = A x + B u + Bd d, and 0 = -f + f.
     x, f, u = np.split(np.random.default_rng(5).normal(size=8), [4, 6])
     for i in range(8):

@@ -11,9 +11,10 @@ from planar_formulas import inertia, scheduling, weights
 
 from lpv.core.serial_arm.diagnosis.alarms import Mode
 from lpv.core.support import records, timestamps
-from lpv.core.uio.model import dynamics, state_space
+from lpv.core.uio.model import dynamics
 from lpv.core.uio.model.joints import JointMap
-from lpv.core.uio.model.polytope import sinc_box, vertex_matrices
+from lpv.core.uio.model.polytope import sinc_box
+from lpv.core.uio.model.state_space import paper_descriptor
 from lpv.core.uio.observer import paper_observer, sampled_observer
 from lpv.core.uio.unknown_input_observer import UnknownInputObserver, uio_step
 
@@ -98,7 +99,7 @@ def exact(planar, gains):
 
 def test_given_the_paper_observer_then_eq_41_is_solved_and_steps_are_the_heun_rule_of_38(planar):
     dt, box, rng = 0.003, sinc_box(0.5), np.random.default_rng(7)
-    d = state_space.Descriptor(*vertex_matrices(box, planar.constants(coriolis=False)), planar)
+    d = paper_descriptor(planar, box)
     t1, t2 = paper_observer.decoupling(d.e, d.c)
     sigma = np.vstack([d.e, d.c])
     # Smallest: every row lies in the column space of sigma.

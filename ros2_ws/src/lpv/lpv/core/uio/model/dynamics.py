@@ -7,7 +7,6 @@ All functions take the record of `lpv.core.uio.model.arm.ArmParameters.constants
 """
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -97,14 +96,3 @@ def inverse_dynamics(theta: Pair, rate: Pair, acc: Pair, params: np.record) -> t
     torque = rigid_torque(theta, rate, acc, params)
     friction_1, friction_2 = friction(rate, torque, True, params)
     return torque[0] + friction_1, torque[1] + friction_2
-
-
-def runge_kutta_step(
-    slope: Callable[[np.ndarray], np.ndarray], x: np.ndarray, dt: float
-) -> np.ndarray:
-    """State after ``dt`` [s] by the classical Runge-Kutta rule; ``slope`` gives x'."""
-    k_1 = slope(x)
-    k_2 = slope(x + 0.5 * dt * k_1)
-    k_3 = slope(x + 0.5 * dt * k_2)
-    k_4 = slope(x + dt * k_3)
-    return x + dt / 6.0 * (k_1 + 2.0 * k_2 + 2.0 * k_3 + k_4)

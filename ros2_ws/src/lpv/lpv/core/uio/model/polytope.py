@@ -15,7 +15,7 @@ Vertices and their matrices come in floats, or in exact fractions for proofs.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from itertools import product
 from typing import Any
 
@@ -57,15 +57,6 @@ def paper_weights(
         first = a1 if i < 4 else 1.0 - a1
         second = a2 if i % 4 < 2 else 1.0 - a2
         out[i] = first * second * (a3 if i % 2 == 0 else 1.0 - a3)
-
-
-def paper_vertices(box: np.ndarray) -> np.ndarray:
-    """Vertices omega_i of eq. (10), shape (8, 3), in the order of the weights (11).
-
-    The paper lists the gravity matrices (17)-(20) with phi2 and phi3 exchanged in vertices 2, 3,
-    6, 7; the order here is the one that the weights (11) imply.
-    """
-    return np.array(list(product(*np.asarray(box))))
 
 
 def sinc_box(s_min: float) -> np.ndarray:
@@ -117,13 +108,13 @@ def exact_vertices(arm: ArmParameters, number: Callable[[Any], Any] = float) -> 
     )
 
 
-def exact_state_space(vertex: Sequence[Any], params: Any) -> tuple[np.ndarray, ...]:
-    """State matrices at one vertex of a polytope, eqs. (5), (8) and (22)-(24), (27), (28).
+def state_spaces(vertices: np.ndarray, params: Any) -> tuple[np.ndarray, np.ndarray]:
+    """State matrices at vertices of a polytope, eqs. (5), (8) and (22)-(24), (27), (28).
 
     Parameters
     ----------
-    vertex : sequence of four numbers
-        1/det Xi, Xi12/det Xi, and the slopes of both gravity torques: cos xi_i of the exact
+    vertices : ndarray, shape (h, 4)
+        Rows of 1/det Xi, Xi12/det Xi, and the slopes of both gravity torques: cos xi_i of the exact
         polytope, phi2 and phi3 of the paper's, eq. (8).
     params : numpy.record or ArmNumbers
         Constants of the arm.
@@ -131,25 +122,23 @@ def exact_state_space(vertex: Sequence[Any], params: Any) -> tuple[np.ndarray, .
     Returns
     -------
     tuple of ndarray
-        A = [[0, I], [-Xi^-1 G^g, 0]], shape (4, 4), and B = [0; Xi^-1], shape (4, 2).
+        A = [[0, I], [-Xi^-1 G^g, 0]], shape (h, 4, 4), and B = [0; Xi^-1], shape (h, 4, 2).
     """
-    x, y, slope_1, slope_2 = vertex
+    x, y, *slopes = vertices.T
     inverse = np.array([[params.inertia[1] * x, -y], [-y, params.inertia[0] * x]])
-    a, b = np.zeros((4, 4), inverse.dtype), np.zeros((4, 2), inverse.dtype)
-    a[:2, 2:] = np.eye(2, dtype=int)
-    a[2:, :2] = inverse * np.array([params.gravity[0] * slope_1, params.gravity[1] * slope_2])
-    b[2:] = inverse
+    gravity = np.array([torque * slope for torque, slope in zip(params.gravity, slopes)])
+    a, b = (np.zeros((len(x), 4, n), inverse.dtype) for n in (4, 2))
+    a[:, :2, 2:] = np.eye(2, dtype=int)
+    a[:, 2:, :2], b[:, 2:] = (inverse * gravity).T.swapaxes(1, 2), inverse.T
     return a, b
-
-
-def state_spaces(vertices: np.ndarray, params: Any) -> tuple[np.ndarray, np.ndarray]:
-    """`exact_state_space` of all vertices: A, shape (h, 4, 4), and B, shape (h, 4, 2)."""
-    a, b = zip(*(exact_state_space(vertex, params) for vertex in vertices))
-    return np.array(a), np.array(b)
 
 
 def vertex_matrices(box: np.ndarray, params: Any) -> tuple[np.ndarray, np.ndarray]:
     """A_i and B_i of eqs. (13)-(24), (27), (28) at the eight vertices of the paper's box.
+
+    Vertices omega_i of eq. (10) are in the order of the weights (11).  The paper lists the gravity
+    matrices (17)-(20) with phi2 and phi3 exchanged in vertices 2, 3, 6, 7; the order here is the
+    one that the weights imply.
 
     Parameters
     ----------
@@ -161,10 +150,10 @@ def vertex_matrices(box: np.ndarray, params: Any) -> tuple[np.ndarray, np.ndarra
     Returns
     -------
     tuple of ndarray
-        A, shape (8, 4, 4), and B, shape (8, 4, 2).
+        As of `state_spaces`.
     """
     vertices = []
-    for phi_1, phi_2, phi_3 in paper_vertices(box):
+    for phi_1, phi_2, phi_3 in product(*box):
         off = params.rotor_coupling + params.coupling * phi_1
         det = params.inertia[0] * params.inertia[1] - off * off
         vertices.append((1 / det, off / det, phi_2, phi_3))

@@ -1,63 +1,29 @@
-"""The paper's LPV plant, eqs. (21), (25), (26), (29)-(31), and its descriptor form, (35)-(37)."""
+"""The paper's descriptor form of its LPV plant, eqs. (26), (35)-(37)."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from lpv.core.support.inequalities import array_of
-from lpv.core.support.jit import njit
 from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.model.joints import JointMap
-from lpv.core.uio.model.polytope import paper_scheduling, paper_weights, vertex_matrices
+from lpv.core.uio.model.polytope import vertex_matrices
 
 
-def output_matrices(arm: ArmParameters) -> tuple[np.ndarray, ...]:
-    """C, shape (4, 4), and Df, shape (4, 2), of eqs. (29), (30) for the arm's sensors.
+class Descriptor(NamedTuple):
+    """Augmented singular system (36) with x~ = [x; f], eqs. (35)-(37), at h vertices.
 
     Outputs are the two physical position sensors and the matching rates,
     y = [S theta + f; S theta'].  For sensors of absolute angles S = I and these are the paper's.
     """
-    c = np.zeros((4, 4))
-    c[:2, :2] = c[2:, 2:] = JointMap(arm).sensor_matrix
-    return c, np.vstack([np.eye(2), np.zeros((2, 2))])
 
-
-def disturbance_matrix(arm: ArmParameters) -> np.ndarray:
-    """Bd of eq. (31), shape (4, 1)."""
-    return np.array([[0.0], [0.0], *[[v] for v in arm.disturbance_direction]])
-
-
-class Descriptor:
-    """Augmented singular system (36) with x~ = [x; f], eqs. (35)-(37).
-
-    Parameters
-    ----------
-    a : ndarray, shape (h, 4, 4)
-        A_i at the vertices.
-    b : ndarray, shape (h, 4, 2)
-        B_i at the vertices.
-    arm : ArmParameters
-        Supplies C, Df and Bd.
-
-    Attributes
-    ----------
-    e, a, b, bd, bf, c : ndarray
-        E (6, 6), A~ (h, 6, 6), B~ (h, 6, 2), Bd~ (6, 1), Bf~ (6, 2) and C~ (4, 6).  The paper
-        prints Bf~ = [0; I_n]; its identity has the size of f.
-    """
-
-    def __init__(self, a: np.ndarray, b: np.ndarray, arm: ArmParameters) -> None:
-        h = len(a)
-        self.e = np.diag([1.0, 1.0, 1.0, 1.0, 0.0, 0.0])
-        self.a = np.zeros((h, 6, 6), a.dtype)
-        self.a[:, :4, :4] = a
-        self.a[:, 4:, 4:] = -np.eye(2, dtype=int)
-        self.b = np.zeros((h, 6, 2), b.dtype)
-        self.b[:, :4] = b
-        self.bd = np.vstack([disturbance_matrix(arm), np.zeros((2, 1))])
-        self.bf = np.vstack([np.zeros((4, 2)), np.eye(2)])
-        self.c = np.hstack(output_matrices(arm))
+    e: np.ndarray  # E, shape (6, 6)
+    a: np.ndarray  # A~_i, shape (h, 6, 6)
+    b: np.ndarray  # B~_i, shape (h, 6, 2)
+    bd: np.ndarray  # Bd~, with Bd of eq. (31), shape (6, 1)
+    bf: np.ndarray  # Bf~, shape (6, 2); the paper prints [0; I_n], its identity has the size of f
+    c: np.ndarray  # C~ = [C Df] of eqs. (29), (30), shape (4, 6)
 
 
 def paper_descriptor(
@@ -65,37 +31,11 @@ def paper_descriptor(
 ) -> Descriptor:
     """`Descriptor` at the vertices of the paper's box, in floats or in exact fractions."""
     array = array_of(number)
-    descriptor = Descriptor(*vertex_matrices(array(box), arm.numbers(number)), arm)
-    for name in ('e', 'bd', 'bf', 'c'):
-        setattr(descriptor, name, array(getattr(descriptor, name)))
-    return descriptor
-
-
-@njit
-def lpv_acceleration(
-    x: np.ndarray, torque: np.ndarray, vertices: tuple[np.ndarray, ...], out: np.ndarray
-) -> None:
-    """theta'' of the paper's own LPV plant, eq. (25) without disturbance.
-
-    Parameters
-    ----------
-    x : ndarray, shape (4,)
-        State, eq. (21) [rad], [rad/s].
-    torque : ndarray, shape (2,)
-        Input u [N m], absolute coordinates.
-    vertices : tuple of ndarray
-        A_i and B_i of `vertex_matrices`, and the box, to which phi is clipped.
-    out : ndarray, shape (2,)
-        Receives theta'' [rad/s2]; the upper rows of (25) are theta' itself.
-    """
-    a, b, box = vertices
-    rho = np.empty(8)
-    phi_1, phi_2, phi_3 = paper_scheduling(x[0], x[1])
-    paper_weights(phi_1, phi_2, phi_3, box, rho)
-    for k in range(2):
-        total = 0.0
-        for i in range(8):
-            row, inputs = a[i, 2 + k], b[i, 2 + k]
-            driven = row[0] * x[0] + row[1] * x[1] + inputs[0] * torque[0] + inputs[1] * torque[1]
-            total += rho[i] * driven
-        out[k] = total
+    a_i, b_i = vertex_matrices(array(box), arm.numbers(number))
+    a, b = np.zeros((len(a_i), 6, 6), a_i.dtype), np.zeros((len(b_i), 6, 2), b_i.dtype)
+    a[:, :4, :4], a[:, 4:, 4:], b[:, :4] = a_i, -np.eye(2, dtype=int), b_i
+    e, bf = np.diag([1.0, 1.0, 1.0, 1.0, 0.0, 0.0]), np.eye(6)[:, 4:]
+    bd = np.array([0.0, 0.0, *arm.disturbance_direction, 0.0, 0.0])[:, None]
+    c = np.eye(4)[:, [0, 1, 2, 3, 0, 1]]
+    c[:2, :2] = c[2:, 2:4] = JointMap(arm).sensor_matrix
+    return Descriptor(array(e), a, b, array(bd), array(bf), array(c))
