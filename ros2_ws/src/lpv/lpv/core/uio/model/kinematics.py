@@ -21,15 +21,8 @@ def forward(q: np.ndarray, lengths: tuple[float, ...]) -> np.ndarray:
 
     Joint positions q [rad] have shape (..., 2); ``lengths`` are (L1, L2) [m].
     """
-    q = np.asarray(q, float)
-    first, both = q[..., 0], q[..., 0] + q[..., 1]
-    return np.stack(
-        [
-            lengths[0] * np.cos(first) + lengths[1] * np.cos(both),
-            lengths[0] * np.sin(first) + lengths[1] * np.sin(both),
-        ],
-        axis=-1,
-    )
+    tip = lengths[0] * np.exp(1j * q[..., 0]) + lengths[1] * np.exp(1j * (q[..., 0] + q[..., 1]))
+    return np.stack([tip.real, tip.imag], axis=-1)
 
 
 def inverse(point: np.ndarray, lengths: tuple[float, ...], elbow: str = 'positive') -> np.ndarray:
@@ -63,17 +56,6 @@ def inverse(point: np.ndarray, lengths: tuple[float, ...], elbow: str = 'positiv
     return np.stack([q_1, q_2], axis=-1)
 
 
-def jacobian(q: np.ndarray, lengths: tuple[float, ...]) -> np.ndarray:
-    """Derivative d(x, y)/dq of `forward` [m], shape (..., 2, 2)."""
-    q = np.asarray(q, float)
-    first, both = q[..., 0], q[..., 0] + q[..., 1]
-    s_1, c_1 = lengths[0] * np.sin(first), lengths[0] * np.cos(first)
-    s_2, c_2 = lengths[1] * np.sin(both), lengths[1] * np.cos(both)
-    return np.stack(
-        [np.stack([-s_1 - s_2, -s_2], axis=-1), np.stack([c_1 + c_2, c_2], axis=-1)], axis=-2
-    )
-
-
 def joint_motion(
     q: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray, lengths: tuple[float, ...]
 ) -> tuple[np.ndarray, ...]:
@@ -84,23 +66,22 @@ def joint_motion(
     UnreachableError
         If the arm is stretched or folded: there the tip cannot follow.
     """
-    q = np.asarray(q, float)
-    if np.any(np.abs(np.sin(q[..., 1])) < SINGULAR_SINE):
+    sine = np.sin(q[..., 1])
+    if np.any(np.abs(sine) < SINGULAR_SINE):
         raise UnreachableError(
             'the path meets a singularity: the arm is stretched or folded '
             f'(abs(sin q2) < {SINGULAR_SINE})'
         )
-    matrix = jacobian(q, lengths)
-    rate = np.linalg.solve(matrix, velocity[..., None])[..., 0]
-    first, both = rate[..., 0], rate[..., 0] + rate[..., 1]
-    a, b = q[..., 0], q[..., 0] + q[..., 1]
-    # J' q': centripetal part of the tip's acceleration.
-    centripetal = np.stack(
-        [
-            -lengths[0] * np.cos(a) * first**2 - lengths[1] * np.cos(b) * both**2,
-            -lengths[0] * np.sin(a) * first**2 - lengths[1] * np.sin(b) * both**2,
-        ],
-        axis=-1,
-    )
-    acceleration = np.linalg.solve(matrix, (acceleration - centripetal)[..., None])[..., 0]
-    return rate, acceleration
+    # With directions d_1, d_2 of the links as complex numbers the tip moves by
+    # i (L1 d_1 a' + L2 d_2 b'), and each of both turns by what is across the other one.
+    links = np.exp(1j * np.cumsum(q, axis=-1)) * lengths
+
+    def turning(way: np.ndarray) -> np.ndarray:
+        across = ((way[..., 0] + 1j * way[..., 1])[..., None] * links.conj()).real
+        return across[..., ::-1] * [1.0, -1.0] / (lengths[0] * lengths[1] * sine)[..., None]
+
+    absolute = turning(velocity)
+    swing = (links * absolute**2).sum(axis=-1)  # less the centripetal acceleration
+    swing = np.stack([swing.real, swing.imag], axis=-1)
+    rates = absolute, turning(acceleration + swing)
+    return tuple(np.stack([rate[..., 0], rate[..., 1] - rate[..., 0]], axis=-1) for rate in rates)
