@@ -175,13 +175,14 @@ BAD = {
     'gains': {
         'format': [1, '1'], 'observer.method': ['magic'], 'arm_name': [''],
         'observer.method > observer.box': ['paper'],
-        'observer.kappa': [[0.1] * 3, 'none'], 'observer.mu[0] > observer.mu': [0.0],
-        'observer.kappa[0] > observer.kappa': [-1.0], 'observer.fault_sigma': [[0.1]],
+        'observer.kappa': [[0.1] * 3, 'none'], 'observer.mu[0]': [0.0],
+        'observer.kappa[0]': [-1.0], 'observer.fault_sigma': [[0.1]],
         'observer.decay': [0.0, -1.0], 'controller.m1': [[0.0] * 4], 'certificate': [5],
     },
     'literal gains': {
         'observer.r': [20.0],  # a disc that reaches zero
-        'observer.fault_sigma': [[-0.01, 0.01]],  # a negative bound alarms on everything
+        # A negative bound alarms on everything.
+        'observer.fault_sigma > observer.fault_sigma[0]': [[-0.01, 0.01]],
         # Upside down, and without the width that weights divide by.
         'observer.box': [[1.0, -1.0, 1.0, 0.9, 1.0, 0.9], [0.0] * 6],
     },

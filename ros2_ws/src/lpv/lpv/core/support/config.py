@@ -423,8 +423,10 @@ class Section:
         ]
         return [row.vector(f'{key}[{i}]', width) for i, row in enumerate(rows)]
 
-    @_or(lambda self, key, shape: np.zeros(np.abs(shape)))
-    def matrix(self, key: str, shape: tuple[int, ...]) -> np.ndarray:
+    @_or(lambda self, key, shape, *a, **k: np.full(np.abs(shape), _inside(*a, **k)))
+    def matrix(
+        self, key: str, shape: tuple[int, ...], low: float = -math.inf, above: float | None = None
+    ) -> np.ndarray:
         """Return an array of the given shape from a flat list (row-major).
 
         A first size of -1 stands for one row or more.
@@ -435,9 +437,7 @@ class Section:
             len(value) == size or (shape[0] < 0 < len(value) and len(value) % size == 0)
         ):
             raise self.error(key, f'must be a flat list of {size} numbers for shape {shape}')
-        flat = [
-            self._number(f'{key}[{i}]', v, -math.inf, math.inf, None) for i, v in enumerate(value)
-        ]
+        flat = [self._number(f'{key}[{i}]', v, low, math.inf, above) for i, v in enumerate(value)]
         return np.array(flat, dtype=float).reshape(shape)
 
     @_or(lambda self, key, size=None, default=None: tuple(f'name{i}' for i in range(size or 1)))

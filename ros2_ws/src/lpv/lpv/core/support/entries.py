@@ -20,9 +20,9 @@ def entry(how: str, *details: Any, default: Any = MISSING, **limits: Any) -> Any
     return field(default=default, metadata={'entry': (how, details, limits)})
 
 
-def array(*shape: int) -> Any:
+def array(*shape: int, **limits: float) -> Any:
     """A field that is an array, row by row; see `Section.matrix`."""
-    return entry('matrix', shape)
+    return entry('matrix', shape, **limits)
 
 
 def positive(high: float = np.inf) -> Any:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lpv.core.serial_arm.chain import FloatArray, IntArray
-from lpv.core.serial_arm.description import SIGMAS, SerialArm
+from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.jit import njit_in_place as njit
 from lpv.core.support.limits import MAX_GAP
 from lpv.core.support.records import memory, new_record, plain, record_type
@@ -219,13 +219,14 @@ class UnknownInputObserver:
     ) -> None:
         planar = planar_model(arm)
         self.method = gains.observer.method
-        self._sigmas, self._planar, self._gains = SIGMAS, planar, gains
-        self._constants = new_record(
+        self._planar, self._gains = planar, gains
+        constants = new_record(
             UIO_CONSTANTS,
             observer=observer_constants(planar, gains, initial_samples, max_gap),
             bound=error_bound(planar, gains),
         )
-        self._state = new_record(UIO_STATE)
+        state = new_record(UIO_STATE)
+        self.parts = UioParts(memory(constants), memory(state))
         # A fault of a sensor whose rate is derived from it is in the rate, too, and method paper
         # leaves model errors out: no bound is guaranteed then.
         independent = all(joint.sensors.rates == 'independent' for joint in arm.joints)
@@ -234,31 +235,25 @@ class UnknownInputObserver:
             joint.effort_delay or any(joint.torque_tolerance.torque) for joint in arm.joints
         )
         self.certifies = independent and exact and self.method == 'exact'
-        found = plain(self._state)
+        found = plain(state)
         # Faults of the sensors and their bounds, shape (2,) [rad]; whether there are any
-        self.level = (
-            found['observer']['x'][4:], found['bound']['bound'], memory(self._state)['valid']
-        )  # fmt: skip
-        self._choice, self._published = CHOICES.index(choice), -1
+        self.level = found['observer']['x'][4:], found['bound']['bound'], memory(state)['valid']
+        self._choice = CHOICES.index(choice)
         self.rely(True)
-        self.parts = UioParts(memory(self._constants), memory(self._state))
         self.reset()
 
     def retune(self, sigmas: float) -> None:
         """Change the standard deviations of noise in the bound."""
-        if sigmas != self._sigmas:
-            self._sigmas = sigmas
-            self._constants.bound = error_bound(self._planar, self._gains, sigmas)
+        self.parts.constants['bound'] = error_bound(self._planar, self._gains, sigmas)
 
     def rely(self, rates_are_right: bool) -> None:
         """Publish the tighter estimate only while nothing speaks against the rates."""
         choice = self._choice
         if choice == _TIGHTEST and not (self.certifies and rates_are_right):
             choice = _HORIZON
-        if choice != self._published:
-            self._published = self._constants.choice = choice
+        self.parts.constants['choice'] = choice
 
     def reset(self) -> None:
         """Forget everything; the next sample is a first one."""
-        reset_observer(self._state.observer)
-        _start_again(self._state)
+        reset_observer(self.parts.state[0].observer)
+        _start_again(self.parts.state[0])
