@@ -35,35 +35,27 @@ PAPER_CONSTANTS = record_type(
     ('c', 'f8', (4, 6)),  # C~
     ('box', 'f8', (3, 2)),  # ranges of phi1, phi2, phi3
     ('k', 'f8', (8, 6, 4)),  # K_i
-    ('a', 'f8', (8, 6, 6)),  # A~_i
-    ('b', 'f8', (8, 6, 2)),  # B~_i
+    ('ab', 'f8', (8, 6, 8)),  # [A~_i B~_i]
 )
 PAPER_STATE = record_type(
-    ('z', 'f8', (6,)),  # state of eq. (38)
     ('rho', 'f8', (8,)),  # weights of the vertices
     ('k', 'f8', (6, 4)),  # K(rho)
-    ('a', 'f8', (6, 6)),  # A~(rho)
-    ('b', 'f8', (6, 2)),  # B~(rho)
-    ('start', 'f8', (6,)),  # z at the start of the interval
+    ('ab', 'f8', (6, 8)),  # [A~(rho) B~(rho)]
+    ('xu', 'f8', (8,)),  # x^ and u
     ('r', 'f8', (4,)),  # C~ x^ - y
     ('drift', 'f8', (6,)),  # A~ x^ + B~ u
+    ('start', 'f8', (6,)),  # z of eq. (38) at the start of the interval
     ('rate', 'f8', (2, 6)),  # z' at both ends of the interval
 )
 
 
 def paper_constants(arm: ArmParameters, gains: PaperObserverGains) -> np.record:
     """Constants of `paper_step`, of type `PAPER_CONSTANTS`."""
-    descriptor = paper_descriptor(arm, gains.box)
+    d = paper_descriptor(arm, gains.box)
     return new_record(
-        PAPER_CONSTANTS,
-        t1=gains.t1,
-        t2=gains.t2,
-        c=descriptor.c,
-        box=gains.box,
-        k=gains.k,
-        a=descriptor.a,
-        b=descriptor.b,
-    )
+        PAPER_CONSTANTS, t1=gains.t1, t2=gains.t2, c=d.c, box=gains.box, k=gains.k,
+        ab=np.dstack([d.a, d.b]),
+    )  # fmt: skip
 
 
 @njit
@@ -78,45 +70,25 @@ def blend(rho: np.ndarray, stack: np.ndarray, out: np.ndarray) -> None:
 
 
 @njit
-def add_product(out: np.ndarray, matrix: np.ndarray, vector: np.ndarray) -> None:
-    """out += matrix @ vector, in one fixed order of additions."""
+def _add_product(out: np.ndarray, matrix: np.ndarray, vector: np.ndarray, sign: float) -> None:
+    """out += sign matrix @ vector, in one fixed order of additions."""
     for i in range(matrix.shape[0]):
         for j in range(matrix.shape[1]):
-            out[i] += matrix[i, j] * vector[j]
+            out[i] += sign * matrix[i, j] * vector[j]
 
 
 @njit
-def _estimate(params: np.record, z: np.ndarray, y: np.ndarray, x: np.ndarray) -> None:
-    """x^ = z + T2 y, eq. (38)."""
-    copy_vector(z, x)
-    add_product(x, params.t2, y)
-
-
-@njit
-def _schedule(params: np.record, state: np.record, x: np.ndarray) -> None:
-    """A~, B~ and K at the estimated angles, eqs. (6), (9), (11), (12) and (25)."""
-    phi_1, phi_2, phi_3 = paper_scheduling(x[0], x[1])
-    paper_weights(phi_1, phi_2, phi_3, params.box, state.rho)
-    blend(state.rho, params.a, state.a)
-    blend(state.rho, params.b, state.b)
-    blend(state.rho, params.k, state.k)
-
-
-@njit
-def _rate(
-    params: np.record, state: np.record, x: np.ndarray, y: np.ndarray, u: np.ndarray, end: int
-) -> None:
+def _rate(params: np.record, state: np.record, y: np.ndarray, end: int) -> None:
     """z' = T1 (A~ x^ + B~ u) + K (C~ x^ - y), eq. (38) with (50)-(53)."""
     r, drift, rate = state.r, state.drift, state.rate[end]
     for i in range(4):
         r[i] = -y[i]
-    add_product(r, params.c, x)  # C~ x^ - y
+    _add_product(r, params.c, state.xu, 1.0)
     drift[:] = 0.0
-    add_product(drift, state.b, u)
-    add_product(drift, state.a, x)  # A~ x^ + B~ u
+    _add_product(drift, state.ab, state.xu, 1.0)
     rate[:] = 0.0
-    add_product(rate, params.t1, drift)
-    add_product(rate, state.k, r)
+    _add_product(rate, params.t1, drift, 1.0)
+    _add_product(rate, state.k, r, 1.0)
 
 
 @njit
@@ -131,20 +103,26 @@ def paper_step(
 ) -> None:
     """Advance the paper's observer (38) over one sample interval by the Heun rule.
 
-    The weights come from the estimated angles: theta is not measured without the fault.
+    The weights come from the estimated angles, eqs. (6), (9), (11), (12) and (25): theta is not
+    measured without the fault.
 
-    ``z`` of the state is advanced, and ``x`` receives the estimate at the end of the interval, from
-    the outputs at both ends and the input u held over it [N m], absolute coordinates.
+    The estimate ``x`` = z + T2 y is advanced from the outputs at both ends of the interval and the
+    input u held over it [N m], absolute coordinates.
     """
-    z, start, rate = state.z, state.start, state.rate
-    copy_vector(z, start)
-    _estimate(params, z, y_old, x)
-    _schedule(params, state, x)
-    _rate(params, state, x, y_old, torque, 0)
+    start, rate, xu = state.start, state.rate, state.xu
+    copy_vector(x, start)
+    _add_product(start, params.t2, y_old, -1.0)
+    phi_1, phi_2, phi_3 = paper_scheduling(x[0], x[1])
+    paper_weights(phi_1, phi_2, phi_3, params.box, state.rho)
+    blend(state.rho, params.ab, state.ab)
+    blend(state.rho, params.k, state.k)
+    copy_vector(x, xu)
+    xu[6], xu[7] = torque[0], torque[1]
+    _rate(params, state, y_old, 0)
     for i in range(6):
-        z[i] = start[i] + dt * rate[0, i]
-    _estimate(params, z, y_new, x)
-    _rate(params, state, x, y_new, torque, 1)
+        xu[i] = start[i] + dt * rate[0, i]
+    _add_product(xu, params.t2, y_new, 1.0)
+    _rate(params, state, y_new, 1)
     for i in range(6):
-        z[i] = start[i] + 0.5 * dt * (rate[0, i] + rate[1, i])
-    _estimate(params, z, y_new, x)
+        x[i] = start[i] + 0.5 * dt * (rate[0, i] + rate[1, i])
+    _add_product(x, params.t2, y_new, 1.0)

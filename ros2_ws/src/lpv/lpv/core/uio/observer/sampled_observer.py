@@ -21,7 +21,6 @@ from lpv.core.uio.observer.exact_observer import EXACT_CONSTANTS, exact_constant
 from lpv.core.uio.observer.paper_observer import (
     PAPER_CONSTANTS,
     PAPER_STATE,
-    add_product,
     paper_constants,
     paper_step,
 )
@@ -230,7 +229,6 @@ def _average_start(params: np.record, state: np.record) -> None:
         x[i] += row_dot(params.joints.angle, i, share_1, share_2)
     x[4] -= share_1
     x[5] -= share_2
-    _set_state(params, state)
 
 
 @njit
@@ -240,7 +238,6 @@ def _anchor(params: np.record, state: np.record) -> None:
     for i in range(2):
         x[i] = row_dot(angle, i, y[0] - x[4], y[1] - x[5])
         x[2 + i] = row_dot(angle, i, y[2], y[3])
-    _set_state(params, state)
 
 
 @njit
@@ -248,17 +245,6 @@ def _see_faults(params: np.record, state: np.record, y: np.ndarray) -> None:
     """f^ = y_p - S theta^."""
     for i in range(2):
         state.x[4 + i] = y[i] - row_dot(params.joints.sensor, i, state.x[0], state.x[1])
-
-
-@njit
-def _set_state(params: np.record, state: np.record) -> None:
-    """Use ``x`` as it was changed: z = x^ - T2 y, eq. (38); in method exact x is the state."""
-    if not params.is_exact:
-        z = state.paper.z
-        z[:] = 0.0
-        add_product(z, params.paper.t2, state.y_new)
-        for i in range(6):
-            z[i] = state.x[i] - z[i]
 
 
 @njit
@@ -332,7 +318,6 @@ def _hold(params: np.record, state: np.record, interval: float) -> None:
         state.x[i] += 0.5 * interval * (row_dot(angle, i, y[2], y[3]) + rate)
         state.x[2 + i], state.held[i] = rate, True
     _see_faults(params, state, y_new)
-    _set_state(params, state)
 
 
 @njit
