@@ -105,16 +105,14 @@ def within_sampling(
     limit = _POLE_SHARE * SAMPLED_POLE_LIMIT / arm.sample_time
     controller, observer = requirement.controller, requirement.observer
     if isinstance(observer, ExactRequirement) and observer.fastest > limit:
-        _check_slowest('observer', 'decay', observer.decay, limit, arm)
-        notes.append(_limited('observer', observer.fastest, limit, arm))
+        notes.append(_limited('observer', 'decay', observer.decay, observer.fastest, limit, arm))
         requirement = replace(requirement, observer=replace(observer, fastest=limit))
     if controller.fastest <= limit:
         return [(requirement, notes)]
-    _check_slowest('controller', 'alpha', controller.alpha, limit, arm)
-    options = []
+    options, asked = [], controller.fastest
     for share, slower in _SLOWER_LOOPS:
-        fastest, alpha = min(share / arm.sample_time, controller.fastest), controller.alpha / slower
-        lines = [*notes, _limited('controller', controller.fastest, fastest, arm)]
+        fastest, alpha = min(share / arm.sample_time, asked), controller.alpha / slower
+        lines = [*notes, _limited('controller', 'alpha', alpha, asked, fastest, arm)]
         if slower > 1.0:
             lines.append(f'controller: alpha {alpha:g}/s instead of {controller.alpha:g}/s')
         limited = replace(controller, fastest=fastest, alpha=alpha)
@@ -122,15 +120,15 @@ def within_sampling(
     return options
 
 
-def _check_slowest(part: str, name: str, slowest: float, limit: float, arm: ArmParameters) -> None:
+def _limited(
+    part: str, name: str, slowest: float, asked: float, limit: float, arm: ArmParameters
+) -> str:
+    """What is said of a limited pole; InfeasibleError if the slowest one is faster."""
     if slowest >= limit:
         raise InfeasibleError(
             f'{part}: {name} = {slowest:g}/s is faster than the sample time {arm.sample_time:g} s '
             f'can carry, {limit:.3g}/s'
         )
-
-
-def _limited(part: str, asked: float, limit: float, arm: ArmParameters) -> str:
     return (
         f'{part}: poles up to {limit:.3g}/s instead of {asked:g}/s, '
         f'which the sample time {arm.sample_time:g} s cannot carry'

@@ -131,7 +131,7 @@ def test_given_a_system_when_54_is_solved_by_its_riccati_equation_then_gamma_is_
     # sym(P N) + P B B^T P / gamma^2 + 1.0001 I = 0
     p = solve_continuous_are(n, b, 1.0001 * np.eye(6), -(gamma**2) * np.eye(3))
     for bound, holds in ((gamma, True), (0.9 * norm, False)):
-        block = lmi.bounded_real(p @ n, p @ b_d, p @ b_f, bound**2)
+        block = lmi.bounded_real(p @ n, p @ b, bound**2)
         assert (inequalities.largest_eigenvalue(block) < 0.0) == holds
 
 

@@ -19,45 +19,31 @@ def _eye(n: int) -> np.ndarray:
     return np.eye(n, dtype=int)
 
 
-def _zeros(shape: tuple[int, int]) -> np.ndarray:
-    return np.zeros(shape, dtype=int)
+def _zeros(rows: int, columns: int) -> np.ndarray:
+    return np.zeros((rows, columns), dtype=int)
 
 
-def bounded_real(
-    pn: Any, pbd: Any, pbf: Any, gamma_squared: Any, block: Callable[..., Any] = np.block
-) -> Any:
-    """LMI (54): stability and attenuation of d and f in the estimation error."""
+def bounded_real(pn: Any, pb: Any, gamma_squared: Any, block: Callable[..., Any] = np.block) -> Any:
+    """LMI (54): stability and attenuation of B = [Bd Bf] in the estimation error."""
     eye, z = _eye(6), _zeros
     return block(
-        [
-            [pn + pn.T, pbd, pbf, eye],
-            [pbd.T, -gamma_squared * _eye(1), z((1, 2)), z((1, 6))],
-            [pbf.T, z((2, 1)), -gamma_squared * _eye(2), z((2, 6))],
-            [eye, z((6, 1)), z((6, 2)), -eye],
-        ]
+        [[pn + pn.T, pb, eye], [pb.T, -gamma_squared * _eye(3), z(3, 6)], [eye, z(6, 3), -eye]]
     )
 
 
 def bounded_real_disc(
-    p: Any,
-    pn: Any,
-    pbd: Any,
-    pbf: Any,
-    gamma_squared: Any,
-    q: Any,
-    r: Any,
+    p: Any, pn: Any, pb: Any, gamma_squared: Any, q: Any, r: Any,
     block: Callable[..., Any] = np.block,
-) -> Any:
+) -> Any:  # fmt: skip
     """LMI (55): as (54) with the poles in the disc of centre -q and radius r, in one matrix."""
     eye, z = _eye(6), _zeros
     sigma = q * p + pn
     return block(
         [
-            [-r * p, sigma, pbd, pbf, z((6, 6))],
-            [sigma.T, -r * p, z((6, 1)), z((6, 2)), eye],
-            [pbd.T, z((1, 6)), -gamma_squared * _eye(1), z((1, 2)), z((1, 6))],
-            [pbf.T, z((2, 6)), z((2, 1)), -gamma_squared * _eye(2), z((2, 6))],
-            [z((6, 6)), eye, z((6, 1)), z((6, 2)), -eye],
+            [-r * p, sigma, pb, z(6, 6)],
+            [sigma.T, -r * p, z(6, 3), eye],
+            [pb.T, z(3, 6), -gamma_squared * _eye(3), z(3, 6)],
+            [z(6, 6), eye, z(6, 3), -eye],
         ]
     )
 
@@ -95,13 +81,13 @@ def paper_inequalities(
         LMI (55), or LMI (54) and the disc as inequalities of their own.
     """
     d, matrices = descriptor, []
-    pbd, pbf = pt @ d.bd, pt @ d.bf
+    pb = pt @ np.hstack([d.bd, d.bf])
     for a_i, y_i in zip(d.a, y):
         pn = pt @ a_i + y_i @ d.c
         if lmi == '55':
-            matrices.append(bounded_real_disc(p, pn, pbd, pbf, gamma_squared, q, r, block))
+            matrices.append(bounded_real_disc(p, pn, pb, gamma_squared, q, r, block))
         else:
-            matrices.append(bounded_real(pn, pbd, pbf, gamma_squared, block))
+            matrices.append(bounded_real(pn, pb, gamma_squared, block))
             matrices.append(disc(p, pn, q, r, block))
     return matrices
 
