@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lpv.core.control.tracking import TrackingController, TrackingParts, track
+from lpv.core.control.tracking import TrackingController, track
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.description import SerialArm
@@ -86,7 +86,7 @@ class Loop:
         one.state.motion[0] = self.pose = pose
         self._plant = (one.chain, one.constants, one.state, one.injector.records, one.noise,
                        one.push, one.injector.generator, one.scratch, one.matrix)  # fmt: skip
-        self._tracker: TrackingParts = TrackingController(arm, gains).parts
+        self._tracker = TrackingController(arm, gains).parts
         self._monitor = SerialSensorMonitor('loop', arm, gains=gains, observer='uio')
         self._simulator, self._period = one, arm.sample_time
         self.counts, self.thresholds = Counts(), np.full(2, np.inf)

@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from planar_formulas import inverse_dynamics
 
 from lpv.core.simulation import arm_simulator, scenario
 from lpv.core.simulation.faults import Fault, FaultInjector
 from lpv.core.support.errors import ConfigError
-from lpv.core.uio.model.dynamics import inverse_dynamics
 
 pytestmark = pytest.mark.slow
 QUIET = {'noise': False, 'disturbance': False}

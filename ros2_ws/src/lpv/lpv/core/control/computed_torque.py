@@ -8,13 +8,11 @@ kp = 3 w^2, ki = w^3.  For a wrong model see
 `lpv.core.serial_arm.certificate`.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from lpv.core.control.latency import loop_latency
-from lpv.core.control.tracking_law import TrackingLaw, apply_limits
-from lpv.core.serial_arm.chain import Chain, FloatArray, compile_chain, workspace
+from lpv.core.control.tracking_law import LawParts, TrackingLaw, apply_limits
+from lpv.core.serial_arm.chain import FloatArray, compile_chain, workspace
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.dynamics.friction import friction_torque
 from lpv.core.serial_arm.dynamics.newton_euler import inverse_dynamics
@@ -42,17 +40,9 @@ def computed_torque_type(joints: int) -> np.dtype:
     )
 
 
-class ComputedTorqueParts(NamedTuple):
-    """What `computed_torque` is made of."""
-
-    chain: Chain  # the arm's model
-    state: np.ndarray  # memory of a record of `computed_torque_type`
-    work: FloatArray  # from `workspace`
-
-
 @njit
 def computed_torque(
-    parts: ComputedTorqueParts,
+    parts: LawParts,
     reference: FloatArray,
     position: FloatArray,
     velocity: FloatArray,
@@ -115,7 +105,7 @@ class ComputedTorqueController(TrackingLaw):
             limit=arm.torque_limit,
         )
         chain = compile_chain(arm)
-        parts = ComputedTorqueParts(chain, memory(state), workspace(chain))
+        parts = LawParts(chain, memory(state), workspace(chain))
         super().__init__(computed_torque, parts)
 
 

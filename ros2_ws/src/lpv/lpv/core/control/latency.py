@@ -20,8 +20,8 @@ def tolerated_latency(arm: ArmParameters, gains: Gains) -> float:
     that moves between them.
     """
     controller = gains.controller
-    m = np.hstack([controller.m1, controller.m2])
-    return _tolerated(arm, controller.method, controller.sinc_min, m.tobytes())
+    feedback = controller.feedback.tobytes()
+    return _tolerated(arm, controller.method, controller.sinc_min, feedback)
 
 
 @lru_cache(maxsize=16)

@@ -1,19 +1,18 @@
 """Tracking with integral action, eqs. (57)-(66), with reference feed-forward."""
 
-from typing import NamedTuple
-
 import numpy as np
 
 from lpv.core.control.computed_torque import BANDWIDTH, ComputedTorqueController
 from lpv.core.control.latency import tolerated_latency
-from lpv.core.control.tracking_law import TrackingLaw, apply_limits
+from lpv.core.control.tracking_law import LawParts, TrackingLaw, apply_limits
+from lpv.core.serial_arm.chain import FloatArray, compile_chain, workspace
 from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.dynamics.friction import friction_torque
+from lpv.core.serial_arm.dynamics.newton_euler import inverse_dynamics
 from lpv.core.support.jit import njit_in_place as njit
 from lpv.core.support.records import memory, new_record, record_type
 from lpv.core.uio.certificate.gains import Gains
-from lpv.core.uio.model.arm import ARM_CONSTANTS, ArmParameters
-from lpv.core.uio.model.dynamics import inverse_dynamics
-from lpv.core.uio.model.joints import JOINT_MAP, JointMap
+from lpv.core.uio.model.joints import J_INVERSE, JointMap
 from lpv.core.uio.planar import planar_model
 
 FEEDBACK_FIELDS = {
@@ -25,93 +24,53 @@ FEEDBACK_FIELDS = {
 removed, or as estimated."""
 COMPENSATION = tuple(FEEDBACK_FIELDS)
 
-TRACKING_CONSTANTS = record_type(
-    ('joints', JOINT_MAP),
-    ('arm', ARM_CONSTANTS),  # constants of the arm's model
-    ('limit', 'f8', (2,)),  # of the joint torques [N m]
-    ('m1', 'f8', (2, 4)),  # M1 [N m/rad], [N m s/rad]
-    ('m2', 'f8', (2, 2)),  # M2 [N m/(rad s)]
-    ('feed_forward', '?'),  # method exact
-)
-TRACKING_STATE = record_type(
-    ('integral', 'f8', (2,)),  # eps of eq. (59) [rad s]
-    ('torque', 'f8', (2,)),  # joint torques of the last command [N m]
-    ('saturated', '?'),  # whether they met a limit
-    ('x', 'f8', (4,)),  # work space: deviation of the absolute state
-    ('w', 'f8', (2,)),  # work space: absolute reference [rad]
-    ('step', 'f8', (2,)),  # work space: step of eps [rad s]
-)
 
-
-def tracking_constants(arm: ArmParameters, gains: Gains) -> np.record:
-    """Constants of `track`, of type `TRACKING_CONSTANTS`; ConfigError for another arm's gains."""
-    gains.check_arm(arm)
-    controller = gains.controller
-    return new_record(
-        TRACKING_CONSTANTS,
-        joints=JointMap(arm).record(),
-        arm=arm.constants(),
-        limit=arm.torque_limit,
-        m1=controller.m1,
-        m2=controller.m2,
-        feed_forward=controller.method == 'exact',
+def tracking_type(joints: int) -> np.dtype:
+    """Record type of the designed law: gains and state."""
+    return record_type(
+        ('gains', 'f8', (joints, 3 * joints)),  # M1, M2 of eq. (65) for the joints
+        ('limit', 'f8', (joints,)),  # of the joint torques [N m]
+        ('feed_forward', '?'),  # method exact
+        ('zero', 'f8', (joints,)),  # joint positions where theta of the design is 0 [rad]
+        ('integral', 'f8', (joints,)),  # eps of eq. (59) [rad s]
+        ('torque', 'f8', (joints,)),  # of the last command [N m]
+        ('saturated', '?'),  # whether they met a limit
+        ('x', 'f8', (3 * joints,)),  # work space: what the gains multiply
+        ('friction', 'f8', (joints,)),  # work space [N m]
+        ('step', 'f8', (joints,)),  # work space: step of eps [rad s]
     )
-
-
-class TrackingParts(NamedTuple):
-    """Memory of constants and state of a `TrackingController`, shape (1,)."""
-
-    constants: np.ndarray
-    state: np.ndarray
-
-
-@njit
-def _absolute(position: np.ndarray) -> tuple[float, float]:
-    """Absolute angles without the zero angle, or their rates: J^-1 q."""
-    return position[0], position[0] + position[1]
 
 
 @njit
 def track(
-    parts: TrackingParts,
-    reference: np.ndarray,
-    position: np.ndarray,
-    velocity: np.ndarray,
-    integrated: np.ndarray,
+    parts: LawParts,
+    reference: FloatArray,
+    position: FloatArray,
+    velocity: FloatArray,
+    integrated: FloatArray,
     interval: float,
 ) -> None:
-    """One torque command, see `TrackingController`; it is in the state's ``torque``.
+    """One torque command, see `TrackingController`; into ``parts.state``.
 
     Arguments are as of `TrackingLaw.answer`; ``integrated`` is y of eq. (59).
     """
-    params, state = parts.constants[0], parts.state[0]
-    x, zero, rate = state.x, params.joints.zero, _absolute(reference[1])
-    wanted, angle = _absolute(reference[0]), _absolute(integrated)
-    measured, speed = _absolute(position), _absolute(velocity)
-    for i in range(2):
-        state.w[i] = wanted[i] + zero
-        state.step[i] = interval * (state.w[i] - (angle[i] + zero))
-        x[i], x[2 + i] = measured[i] + zero, speed[i]
-    forward = 0.0, 0.0
-    if params.feed_forward:
-        forward = inverse_dynamics(state.w, rate, _absolute(reference[2]), params.arm)
-        for i in range(2):
-            x[i], x[2 + i] = x[i] - state.w[i], x[2 + i] - rate[i]
-    q_1 = forward[0] + _feedback(params, state, 0)
-    q_2 = forward[1] + _feedback(params, state, 1)
-    state.torque[0], state.torque[1] = q_1 + q_2, q_2  # tau = J^-T Q
-    apply_limits(state, params.limit)
-
-
-@njit
-def _feedback(params: np.record, state: np.record, i: int) -> float:
-    """Row i of M1 x + M2 eps, eq. (65)."""
-    total = 0.0
-    for j in range(4):
-        total += params.m1[i, j] * state.x[j]
-    for j in range(2):
-        total += params.m2[i, j] * (state.integral[j] + state.step[j])
-    return total
+    chain, state, n = parts.chain, parts.state[0], position.shape[0]
+    torque, x = state.torque, state.x
+    torque[:] = 0.0
+    if state.feed_forward:
+        inverse_dynamics(chain, reference[0], reference[1], reference[2], parts.work, torque)
+        friction_torque(chain, reference[1], torque, state.friction)
+    for i in range(n):
+        state.step[i] = interval * (reference[0, i] - integrated[i])
+        x[i], x[n + i] = position[i] - state.zero[i], velocity[i]
+        x[2 * n + i] = state.integral[i] + state.step[i]
+        if state.feed_forward:
+            torque[i] += state.friction[i]
+            x[i], x[n + i] = position[i] - reference[0, i], velocity[i] - reference[1, i]
+    for i in range(n):
+        for j in range(3 * n):
+            torque[i] += state.gains[i, j] * x[j]
+    apply_limits(state, state.limit)
 
 
 class TrackingController(TrackingLaw):
@@ -119,7 +78,8 @@ class TrackingController(TrackingLaw):
 
     Method ``exact`` closes the loop on the deviation from the reference and adds the torque that
     the arm needs along it (inverse dynamics with Coriolis terms and friction):
-    u = u_ref(w, w', w'') + M1 (x - x_ref) + M2 eps.  Method ``paper`` is (65) literally.
+    u = u_ref(w, w', w'') + M1 (x - x_ref) + M2 eps.  Method ``paper`` is (65) literally.  Gains
+    are turned into those of the joints once.
 
     Parameters
     ----------
@@ -142,11 +102,21 @@ class TrackingController(TrackingLaw):
     """
 
     def __init__(self, arm: SerialArm, gains: Gains) -> None:
-        planar = planar_model(arm)
+        planar, designed = planar_model(arm), gains.controller
+        gains.check_arm(planar)
         self.tolerated_latency = tolerated_latency(planar, gains)
-        self.integrates_measurement = gains.controller.method == 'paper'
-        constants = memory(tracking_constants(planar, gains))
-        super().__init__(track, TrackingParts(constants, memory(new_record(TRACKING_STATE))))
+        self.integrates_measurement = designed.method == 'paper'
+        # Of absolute angles, theta = J^-1 q, to their torques Q = J^T tau.
+        to_absolute = np.kron(np.eye(3), J_INVERSE)
+        state = new_record(
+            tracking_type(len(arm.joints)),
+            gains=J_INVERSE.T @ designed.feedback @ to_absolute,
+            limit=arm.torque_limit,
+            feed_forward=designed.method == 'exact',
+            zero=JointMap(planar).joint_position(np.zeros(2)),
+        )
+        chain = compile_chain(arm)
+        super().__init__(track, LawParts(chain, memory(state), workspace(chain)))
 
 
 def make_controller(

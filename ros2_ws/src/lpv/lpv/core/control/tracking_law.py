@@ -1,10 +1,11 @@
 """What the tracking controllers of all arms share: one call a sample, limits, integral action."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
+from lpv.core.serial_arm.chain import Chain, FloatArray
 from lpv.core.support.jit import njit_in_place as njit
 
 
@@ -27,6 +28,14 @@ def apply_limits(state: np.record, limit: np.ndarray) -> None:
             state.integral[i] += state.step[i]
 
 
+class LawParts(NamedTuple):
+    """What a law is made of."""
+
+    chain: Chain  # the arm's model
+    state: np.ndarray  # memory of its record, with ``integral``, ``torque``, ``saturated``
+    work: FloatArray  # from `lpv.core.serial_arm.chain.workspace`
+
+
 class TrackingLaw:
     """A tracking controller with integral action.
 
@@ -34,9 +43,8 @@ class TrackingLaw:
     ----------
     law : callable
         Compiled; takes ``parts`` and what `answer` does.
-    parts : NamedTuple
-        Its constants and its ``state``, memory of a record with ``integral``, ``torque``,
-        ``saturated``.
+    parts : LawParts
+        Its model and state.
 
     Attributes
     ----------
@@ -44,7 +52,7 @@ class TrackingLaw:
         Joint torques of the last command [N m].
     """
 
-    def __init__(self, law: Callable[..., None], parts: Any) -> None:
+    def __init__(self, law: Callable[..., None], parts: LawParts) -> None:
         self._law, self.parts = law, parts
         self.state = parts.state.view(np.recarray)[0]
         self.torque: np.ndarray = parts.state['torque'][0]

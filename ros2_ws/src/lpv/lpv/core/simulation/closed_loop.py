@@ -13,21 +13,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lpv.core.control.computed_torque import (
-    BANDWIDTH,
-    ComputedTorqueController,
-    ComputedTorqueParts,
-    computed_torque,
-)
+from lpv.core.control.computed_torque import BANDWIDTH, ComputedTorqueController, computed_torque
 from lpv.core.control.estimate_check import CorrectionLimit, limit_correction
 from lpv.core.control.path_follower import PathReferences, approach_speeds
-from lpv.core.control.tracking import (
-    COMPENSATION,
-    TrackingController,
-    TrackingParts,
-    make_controller,
-    track,
-)
+from lpv.core.control.tracking import COMPENSATION, TrackingController, make_controller, track
+from lpv.core.control.tracking_law import LawParts
 from lpv.core.control.watchdog import (
     DriveLimits,
     DriveWatchdog,
@@ -170,8 +160,8 @@ class _Tracker(NamedTuple):
     """Arguments of the tracking law, computed torque or designed; references of all samples; both
     watchdogs."""
 
-    computed: ComputedTorqueParts | None
-    designed: TrackingParts | None
+    computed: LawParts | None
+    designed: LawParts | None
     torque: FloatArray  # of the last command [N m]
     integral: FloatArray  # eps of the law
     references: FloatArray
@@ -352,13 +342,13 @@ def _command(loop: np.record, observer: _Observer, tracker: _Tracker, k: int) ->
 
 
 @njit
-def _computed_torque(parts: ComputedTorqueParts | None, *sample: Any) -> None:
+def _computed_torque(parts: LawParts | None, *sample: Any) -> None:
     if parts is not None:
         computed_torque(parts, *sample)
 
 
 @njit
-def _designed_torque(parts: TrackingParts | None, *sample: Any) -> None:
+def _designed_torque(parts: LawParts | None, *sample: Any) -> None:
     if parts is not None:
         track(parts, *sample)
 

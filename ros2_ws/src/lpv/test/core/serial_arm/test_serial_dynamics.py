@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from places import BRINGUP
+from planar_formulas import inverse_dynamics as two_link_inverse_dynamics
 from serial_arms import middle, mixed_arm, scara, ur10_on_rail
 
 from lpv import ConfigError, LpvError, SampleError, load_arm
@@ -25,7 +26,6 @@ from lpv.core.serial_arm.simulation import integration_step, plant_scratch, plan
 from lpv.core.serial_arm.two_links import two_link_arm
 from lpv.core.simulation.mujoco_chain import MujocoChain
 from lpv.core.uio.model.arm import ArmParameters, Link
-from lpv.core.uio.model.dynamics import inverse_dynamics as two_link_inverse_dynamics
 from lpv.core.uio.model.joints import JointMap
 
 CASES = given(st.integers(0, 2**31), st.integers(2, 9))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from planar_formulas import inertia, scheduling, weights
+from planar_formulas import inertia, inverse_dynamics, scheduling, weights
 from scipy.optimize import nnls
 
 from lpv.core.serial_arm.two_links import two_link_arm
@@ -16,7 +16,6 @@ from lpv.core.simulation.paper_plant import PaperPlant
 from lpv.core.simulation.scenario import Scenario
 from lpv.core.support.errors import ConfigError, UnreachableError
 from lpv.core.uio.model import polytope
-from lpv.core.uio.model.dynamics import inverse_dynamics
 from lpv.core.uio.model.joints import JointMap
 from lpv.core.uio.model.kinematics import forward, inverse, joint_motion
 from lpv.core.uio.model.polytope import sinc_box, vertex_matrices

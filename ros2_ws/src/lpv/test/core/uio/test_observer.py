@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from planar_formulas import inertia, scheduling, weights
+from planar_formulas import inertia, inverse_dynamics, scheduling, weights
 
 from lpv.core.serial_arm.diagnosis.alarms import Mode
 from lpv.core.support import records, timestamps
-from lpv.core.uio.model import dynamics
 from lpv.core.uio.model.joints import JointMap
 from lpv.core.uio.model.polytope import sinc_box
 from lpv.core.uio.model.state_space import paper_descriptor
@@ -37,7 +36,7 @@ class Swing:
 
     def torque(self, t):
         """Of both links, such that the arm moves as it does."""
-        return np.array(dynamics.inverse_dynamics(*self.absolute(t), self.c))
+        return inverse_dynamics(*self.absolute(t), self.c)
 
     def outputs(self, t, fault=(0.0, 0.0)):
         """Readings and rates of both sensors."""
@@ -190,7 +189,7 @@ def test_given_a_link_outside_the_region_then_it_is_held_on_the_measured_rate(pl
     theta, dt, other = np.full(2, exact.motion.rest), exact.dt, 1 - link
     theta[link] += math.acos(planar.cos_min[link]) + 0.1
     true_rate = np.array([0.4, -0.3])
-    torque = dynamics.inverse_dynamics(theta, true_rate, np.zeros(2), exact.constants)
+    torque = inverse_dynamics(theta, true_rate, np.zeros(2), exact.constants)
     y_old = np.concatenate([exact.s @ (theta - 0.2), exact.s @ true_rate])
     y_new = y_old + [*dt * exact.s @ true_rate, 0.0, 0.0]
     # The rate estimate is wrong on purpose: a held angle must follow the measurement instead.

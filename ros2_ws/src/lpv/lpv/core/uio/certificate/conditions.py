@@ -181,16 +181,11 @@ def controller_inequalities(
     arm: ArmParameters, controller: ControllerGains, number: Callable[[Any], Any] = float
 ) -> Iterator[tuple[str, list[Any]]]:
     """Names, and matrices of floats or fractions that must be negative definite: LMI (67)."""
-    p, m = _lyapunov(controller.lyapunov, number), array_of(number)(_feedback(controller))
+    p, m = _lyapunov(controller.lyapunov, number), array_of(number)(controller.feedback)
     loop = controller_loop(arm, controller.method, controller.sinc_min, number)
     yield 'controller: P > 0 and symmetric', [-p]
     name = f'controller: LMI (67), alpha {controller.decay:g}/s, {len(loop[0])} vertices'
     yield name, _decays(loop, m, p, number(controller.decay))
-
-
-def _feedback(controller: ControllerGains) -> np.ndarray:
-    """(M1, M2) of eq. (65)."""
-    return np.hstack([controller.m1, controller.m2])
 
 
 def _decays(loop: tuple[np.ndarray, ...], m: np.ndarray, p: np.ndarray, alpha: Any) -> list[Any]:
@@ -214,7 +209,7 @@ def _sampled_radius(arm: ArmParameters, loop: tuple[np.ndarray, ...], m: np.ndar
 
 def controller_checks(arm: ArmParameters, controller: ControllerGains) -> Iterator[Check]:
     """Checks of the tracking loop: LMI (67), and poles that the sample time can carry."""
-    m, p = _feedback(controller), _lyapunov(controller.lyapunov, float)
+    m, p = controller.feedback, _lyapunov(controller.lyapunov, float)
     loop = controller_loop(arm, controller.method, controller.sinc_min)
     (name, matrices), (decays, _) = controller_inequalities(arm, controller)
     yield Check(name, max(map(largest_eigenvalue, matrices)))
@@ -240,7 +235,7 @@ def motion_checks(arm: ArmParameters, controller: ControllerGains) -> list[Check
     if motion is None:
         return []
     loop = controller_loop(arm, controller.method, controller.sinc_min)
-    sampled = sampled_loop(arm, loop, _feedback(controller), motion.rate)
+    sampled = sampled_loop(arm, loop, controller.feedback, motion.rate)
     contraction = sampled.contraction(_lyapunov(motion.lyapunov, float))
     return [
         Check(
@@ -277,7 +272,7 @@ def _together(arm: ArmParameters, gains: Gains) -> Iterator[Check]:
         for slope in link.slopes
     ]
     error = np.exp(np.real(poles).max() * arm.sample_time)
-    loop = _sampled_radius(arm, controller_loop(arm, 'exact'), _feedback(gains.controller))
+    loop = _sampled_radius(arm, controller_loop(arm, 'exact'), gains.controller.feedback)
     for name in ('with', 'without'):
         yield Check(
             f'observer and controller together, {name} compensation, sampled with delay',

@@ -79,6 +79,11 @@ class ControllerGains:
     # of the sampled loop in motion (method ``exact``), where there is one
     motion: MotionCertificate | None = part(MotionCertificate, default=None)
 
+    @property
+    def feedback(self) -> np.ndarray:
+        """(M1, M2) of eq. (65), shape (2, 6)."""
+        return np.hstack([self.m1, self.m2])
+
 
 @dataclass(frozen=True)
 class Gains(DesignedForArm):

@@ -36,26 +36,25 @@ def solve_inertia(off: float, first: float, second: float, params: np.record) ->
 
 
 @njit
-def _joint_friction(i: int, rate: float, torque: float, carried: bool, params: np.record) -> float:
-    """Friction of a joint at the torque that its gear carries, or that its drive gives."""
+def _joint_friction(i: int, rate: float, torque: float, params: np.record) -> float:
+    """Friction of a joint whose drive gives a torque."""
     slip = _TWO_OVER_PI * math.atan(params.coulomb_slope[i] * rate)
     free = params.offset[i] + params.viscous[i] * rate + params.coulomb[i] * slip
     loaded = params.load[i] * slip
     if loaded == 0.0:
         return free
-    if not carried:
-        # Of the drive's torque x = c + loaded abs(c) the gear carries c.
-        torque -= free
-        torque /= max(1.0 + math.copysign(loaded, loaded * torque), SAME)
+    # Of the drive's torque x = c + loaded abs(c) the gear carries c.
+    torque -= free
+    torque /= max(1.0 + math.copysign(loaded, loaded * torque), SAME)
     return free + loaded * abs(torque)
 
 
 @njit
-def friction(rate: Pair, torque: Pair, carried: bool, params: np.record) -> tuple[float, ...]:
+def friction(rate: Pair, torque: Pair, params: np.record) -> tuple[float, ...]:
     """Joint friction J^T tau_f [N m] at absolute rates theta' [rad/s] and generalised torques Q
-    that the gears carry, or that the drives give [N m]."""
-    tau_1 = _joint_friction(0, rate[0], torque[0] + torque[1], carried, params)
-    tau_2 = _joint_friction(1, rate[1] - rate[0], torque[1], carried, params)
+    that the drives give [N m]."""
+    tau_1 = _joint_friction(0, rate[0], torque[0] + torque[1], params)
+    tau_2 = _joint_friction(1, rate[1] - rate[0], torque[1], params)
     return tau_1 - tau_2, tau_2
 
 
@@ -65,7 +64,7 @@ def acceleration(theta: Pair, rate: Pair, torque: Pair, params: np.record) -> tu
 
     Absolute angles and rates are in rad and rad/s, generalised torques Q in N m.
     """
-    friction_1, friction_2 = friction(rate, torque, False, params)
+    friction_1, friction_2 = friction(rate, torque, params)
     swirl = params.coriolis * params.coupling * math.sin(theta[0] - theta[1])
     gravity_1 = params.gravity[0] * math.sin(theta[0])
     gravity_2 = params.gravity[1] * math.sin(theta[1])
@@ -76,7 +75,10 @@ def acceleration(theta: Pair, rate: Pair, torque: Pair, params: np.record) -> tu
 
 @njit
 def rigid_torque(theta: Pair, rate: Pair, acc: Pair, params: np.record) -> tuple[float, ...]:
-    """Generalised torques Q [N m] of a motion without friction; arguments of `inverse_dynamics`."""
+    """Generalised torques Q [N m] of a motion without friction, eq. (1).
+
+    Absolute angles, rates and accelerations are in rad, rad/s and rad/s2.
+    """
     off = coupling(theta, params)
     swirl = params.coriolis * params.coupling * math.sin(theta[0] - theta[1])
     gravity_1 = params.gravity[0] * math.sin(theta[0])
@@ -85,14 +87,3 @@ def rigid_torque(theta: Pair, rate: Pair, acc: Pair, params: np.record) -> tuple
         params.inertia[0] * acc[0] + off * acc[1] + swirl * rate[1] * rate[1] - gravity_1,
         off * acc[0] + params.inertia[1] * acc[1] - swirl * rate[0] * rate[0] - gravity_2,
     )
-
-
-@njit
-def inverse_dynamics(theta: Pair, rate: Pair, acc: Pair, params: np.record) -> tuple[float, ...]:
-    """Generalised torques Q [N m] that produce a motion (feed-forward), eq. (1).
-
-    Absolute angles, rates and accelerations are in rad, rad/s and rad/s2.
-    """
-    torque = rigid_torque(theta, rate, acc, params)
-    friction_1, friction_2 = friction(rate, torque, True, params)
-    return torque[0] + friction_1, torque[1] + friction_2
