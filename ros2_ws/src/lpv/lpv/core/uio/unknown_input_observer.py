@@ -109,21 +109,10 @@ def uio_answers(
 ) -> None:
     """Advance over samples in a row, and let the tighter estimate of each fault be the answer.
 
-    Parameters
-    ----------
-    parts : UioParts
-        Of the observer; those of `no_observer` do nothing.
-    rows : lpv.core.monitoring.compensation.AnswerRows
-        Answers of the horizon to these samples; estimates, bounds and positions are changed where
-        the observer's bound is smaller.
-    first : int
-        Row of the first one of ``samples``.
-    part : tuple
-        First sample, and the first one after the last.
-    stamps : ndarray of int64, shape (N,)
-        [ns].
-    samples : ndarray, shape (N, 3, 2)
-        The last ones of each are joint torques [N m].
+    ``rows`` (`lpv.core.monitoring.compensation.AnswerRows`) are the horizon's answers; estimates,
+    bounds and positions are changed where the observer's bound is smaller.  ``first`` is the row of
+    the first one of the samples, ``part`` the first sample and the first one after the last.  The
+    last ones of ``samples``, shape (N, 3, 2), are joint torques [N m]; stamps are in [ns].
     """
     params, state, measured = parts.constants[0], parts.state[0], parts.state[0].measured
     if params.choice == _NO_OBSERVER:

@@ -51,8 +51,6 @@ from lpv.core.uio.observer.exact_observer import injection
 
 _LARGEST = 10.0
 """A larger set says nothing more [rad]."""
-_LONGEST = 60.0
-"""After so long a gap the set has come to rest, with a slowest pole of 0.25/s to exp(-15) [s]."""
 _FAR = 2.0
 """A set so many times beyond dead reckoning starts again."""
 _FADING = 0.95
@@ -277,9 +275,8 @@ def _advance(params: np.record, state: np.record, observer: np.record) -> None:
         state.torque[i] += part * state.turned[i]
     error_matrix(params, state)
     _collect_inputs(params, state, observer.interval)
-    interval = min(observer.interval, _LONGEST)
-    steps = max(1, math.ceil(interval * params.fastest / 0.5))
-    dt = interval / steps
+    steps = max(1, math.ceil(observer.interval * params.fastest / 0.5))
+    dt = observer.interval / steps
     for _ in range(steps):
         advance_set(state, dt)
 

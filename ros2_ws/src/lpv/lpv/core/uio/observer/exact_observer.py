@@ -30,27 +30,19 @@ from lpv.core.support.records import new_record, record_type
 from lpv.core.uio.certificate.gains import ExactObserverGains
 from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.model.dynamics import Pair, acceleration, coupling, solve_inertia
-from lpv.core.uio.model.polytope import slope_range
 
 EXACT_CONSTANTS = record_type(
-    ('kappa', 'f8', (2,)),  # s kappa_i: the sign of the region is in it [1/(kg m2)]
+    ('sign', 'f8'),  # s: +1 upright, -1 hanging
+    ('kappa', 'f8', (2,)),  # s kappa_i [1/(kg m2)]
     ('mu', 'f8', (2,)),  # [1/s]
-    ('low', 'f8', (2,)),  # certified range of cos(theta_i)
-    ('high', 'f8', (2,)),
+    ('cos_min', 'f8', (2,)),  # smallest s cos(theta_i) of the certified region
 )
 
 
 def exact_constants(arm: ArmParameters, gains: ExactObserverGains) -> np.record:
     """Constants of `exact_step`, of type `EXACT_CONSTANTS`."""
-    low, high = slope_range(arm)
-    return new_record(
-        EXACT_CONSTANTS,
-        kappa=arm.sign * np.asarray(gains.kappa),
-        mu=gains.mu,
-        # The region ends at |cos| = 1; no rounding of the cosine may leave it.
-        low=np.where(low <= -1.0, -1.0 - 1e-9, low),
-        high=np.where(high >= 1.0, 1.0 + 1e-9, high),
-    )
+    kappa = arm.sign * np.asarray(gains.kappa)
+    return new_record(EXACT_CONSTANTS, sign=arm.sign, kappa=kappa, mu=gains.mu, cos_min=arm.cos_min)
 
 
 @njit
@@ -98,8 +90,7 @@ def exact_step(
     """
     x = state.x
     for link in range(2):
-        cosine = math.cos(x[link])
-        state.held[link] = cosine < params.low[link] or cosine > params.high[link]
+        state.held[link] = params.sign * math.cos(x[link]) < params.cos_min[link]
     kappa = (0.0 if state.held[0] else params.kappa[0], 0.0 if state.held[1] else params.kappa[1])
     a = _rates(params, arm, (x[0], x[1], x[2], x[3]), state.v_old, torque, kappa)
     end = (x[0] + dt * a[0], x[1] + dt * a[1], x[2] + dt * a[2], x[3] + dt * a[3])

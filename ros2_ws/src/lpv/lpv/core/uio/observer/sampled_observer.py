@@ -95,25 +95,11 @@ OBSERVER_STATE = record_type(
 def observer_constants(
     arm: ArmParameters, gains: Gains, initial_samples: int = 1, max_gap: float = MAX_GAP
 ) -> np.record:
-    """Constants of `observe`, of type `OBSERVER_CONSTANTS`.
+    """Constants of `observe`, of type `OBSERVER_CONSTANTS`; ConfigError for another arm's gains.
 
-    Parameters
-    ----------
-    arm : ArmParameters
-        The arm; its hash must match the gains.
-    gains : Gains
-        Designed gains.
-    initial_samples : int, optional
-        Samples over which the start value is averaged.  The observer takes their mean for free of
-        faults: a constant bias at the start is only found at the certified decay rate.
-    max_gap : float, optional
-        Longest interval that is integrated [s]; longer ones re-anchor the estimate on the
-        encoder's increment and hold the fault estimate.
-
-    Raises
-    ------
-    ConfigError
-        If the gains belong to another arm.
+    The mean of ``initial_samples`` is taken for free of faults: a constant bias at the start is
+    only found at the certified decay rate.  Intervals longer than ``max_gap`` [s] re-anchor the
+    estimate on the encoder's increment and hold the fault estimate.
     """
     gains.check_arm(arm)
     params = new_record(
