@@ -63,7 +63,10 @@ def design(arm: ArmParameters, requirement: Requirement) -> DesignResult:
         note='information: nothing is computed from what is below certificate',
         arm_json=arm.to_json(),
         margins={check.name: float(check.margin) for check in checks},
-        guarantee=found.to_dict(),
+        guarantee={
+            'deviation': found.deviation.tolist(),
+            **{f'threshold_{i + 1}': found.threshold[:, :, i].ravel().tolist() for i in range(2)},
+        },
         solver=SOLVER,
         observer_status=statuses[0],
         controller_status=statuses[1],

@@ -30,14 +30,6 @@ class Guarantee:
         """Smallest lasting fault whose estimate exceeds the threshold whatever its error [rad]."""
         return self.threshold + self.bound
 
-    def to_dict(self) -> dict[str, list[float]]:
-        """Plain data for the gains file."""
-        return {
-            'deviation': self.deviation.tolist(),
-            'threshold_1': self.threshold[:, :, 0].ravel().tolist(),
-            'threshold_2': self.threshold[:, :, 1].ravel().tolist(),
-        }
-
 
 def guarantee(arm: ArmParameters, gains: Gains, points: int = POINTS) -> Guarantee:
     """The bound of the diagnosis' usual tuning over the region, at so many angles of each link."""

@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from lpv.core.serial_arm.description import RATE_BIAS, SIGMAS
+from lpv.core.serial_arm.description import SIGMAS
 from lpv.core.support.jit import njit_in_place as njit
 from lpv.core.support.records import new_record, record_type
 from lpv.core.uio.bound.dead_reckoning_interval import (
@@ -64,7 +64,6 @@ BOUND_CONSTANTS = record_type(
     ('sign', 'f8'),  # s: +1 upright, -1 hanging
     ('kappa', 'f8', (2,)),  # [1/(kg m2)]
     ('mu', 'f8', (2,)),  # [1/s]
-    ('fastest', 'f8'),  # largest mu [1/s]
     ('slowest_recovery', 'f8'),  # slowest pole of the angle errors [1/s]
     ('decay', 'f8'),  # certified decay rate of method paper [1/s]
     ('spread', 'f8', (2, 2)),  # abs(S): angles to sensors
@@ -72,7 +71,6 @@ BOUND_CONSTANTS = record_type(
     ('angle_noise', 'f8', (2,)),  # the same per angle [rad]
     ('start', 'f8', (2,)),  # error at the start, per angle [rad]
     ('drift', 'f8', (2,)),  # growth by noise of the rates, per angle [rad/sqrt(s)]
-    ('bias', 'f8', (2,)),  # bias of the rates, per angle [rad/s]
     ('cos_min', 'f8', (2,)),  # region
     ('unknown', UNKNOWN_TORQUE),  # what a healthy arm may do
 )
@@ -117,14 +115,13 @@ def error_bound(arm: ArmParameters, gains: Gains, sigmas: float = SIGMAS) -> np.
         angle_noise=np.linalg.solve(spread, of_angles),
         start=sigmas * arm.position_noise * to_angle.sum(axis=1),
         drift=(sigmas * arm.velocity_noise * math.sqrt(arm.sample_time) * np.hypot(*to_angle.T)),
-        bias=RATE_BIAS * arm.velocity_noise * to_angle.sum(axis=1),
         cos_min=arm.cos_min,
         decay=observer.decay,
         unknown=healthy_arm(arm, sigmas),
     )
     if isinstance(observer, ExactObserverGains):
         kappa, mu = np.asarray(observer.kappa), np.asarray(observer.mu)
-        params.exact, params.kappa, params.mu, params.fastest = True, kappa, mu, mu.max()
+        params.exact, params.kappa, params.mu = True, kappa, mu
         params.slowest_recovery = np.min(
             kappa * np.asarray(arm.numbers().gravity) * np.asarray(arm.cos_min) / mu
         )
@@ -275,7 +272,7 @@ def _advance(params: np.record, state: np.record, observer: np.record) -> None:
         state.torque[i] += part * state.turned[i]
     error_matrix(params, state)
     _collect_inputs(params, state, observer.interval)
-    steps = max(1, math.ceil(observer.interval * params.fastest / 0.5))
+    steps = max(1, math.ceil(observer.interval * max(params.mu[0], params.mu[1]) / 0.5))
     dt = observer.interval / steps
     for _ in range(steps):
         advance_set(state, dt)
@@ -418,7 +415,8 @@ def static_bound(params: np.record, theta: np.ndarray) -> np.ndarray:
         slope = gravity * np.maximum(np.abs(np.cos(theta)), params.cos_min)
         return params.spread @ (torque / slope) + params.noise
     # A bias of the rates is held up by a momentum, and that by a torque.
-    torque = torque + params.bias * params.mu / params.kappa
+    bias = params.unknown.bias * params.unknown.to_angle.sum(axis=1)
+    torque = torque + bias * params.mu / params.kappa
     # Distance from the vertical; the secant of gravity over the error falls with it.
     away = np.arccos(np.clip(params.sign * np.cos(theta), -1.0, 1.0))
     error = np.zeros(2)
