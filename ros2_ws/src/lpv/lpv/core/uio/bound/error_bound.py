@@ -36,7 +36,6 @@ from lpv.core.uio.bound.unknown_torque import (
 )
 from lpv.core.uio.bound.zonotope import (
     COLUMNS,
-    KEPT,
     SIZE,
     extent,
     map_columns,
@@ -92,8 +91,7 @@ BOUND_STATE = record_type(
     ('map', 'f8', (SIZE, SIZE)),  # work space: exp(N dt)
     ('inputs', 'f8', (SIZE, _INPUTS)),  # largest inputs, one a column
     ('sizes', 'f8', (COLUMNS,)),  # work space of `reduce_columns`
-    ('order', 'i8', (COLUMNS,)),
-    ('kept', 'f8', (SIZE, KEPT)),
+    ('box', 'f8', (SIZE,)),
 )
 """Reachable set of the errors; r_i = s m_i/Xi_ii is the momentum error in units of a rate."""
 
@@ -197,7 +195,7 @@ def _make_room(state: np.record) -> None:
     """Merge small columns in the coordinates (e_i - shear_i r_i, r_i) of slow and fast errors."""
     if state.used + _INPUTS > COLUMNS:
         shear_columns(state.columns, state.used, -state.shear[0], -state.shear[1])
-        state.used = reduce_columns(state.columns, state.used, state.sizes, state.order, state.kept)
+        state.used = reduce_columns(state.columns, state.used, state.sizes, state.box)
         shear_columns(state.columns, state.used, state.shear[0], state.shear[1])
 
 

@@ -42,36 +42,30 @@ def shear_columns(columns: np.ndarray, count: int, first: float, second: float) 
 
 
 @njit
-def reduce_columns(
-    columns: np.ndarray, count: int, size: np.ndarray, order: np.ndarray, kept: np.ndarray
-) -> int:
+def reduce_columns(columns: np.ndarray, count: int, size: np.ndarray, box: np.ndarray) -> int:
     """Put all but the largest columns into one box around their sum.
 
-    Small columns lose their signs, which costs least; the set only grows.  The last three are
-    scratch, shapes (`COLUMNS`,), the same of integers, (`SIZE`, `KEPT`).
+    Small columns lose their signs, which costs least; the set only grows.  The last two are
+    scratch, shapes (`COLUMNS`,), (`SIZE`,).
     """
     for j in range(count):
         size[j] = 0.0
         for r in range(SIZE):
             size[j] += abs(columns[r, j])
-        # A stable order, by insertion: a sort of NumPy's takes longer to compile than all the rest.
-        k = j
-        while k > 0 and size[order[k - 1]] > size[j]:
-            order[k] = order[k - 1]
-            k -= 1
-        order[k] = j
+    box[:] = 0.0
+    while count > KEPT:  # a sort of NumPy's takes longer to compile than all the rest
+        count -= 1
+        j = 0
+        for k in range(1, count + 1):
+            if size[k] < size[j]:
+                j = k
+        for r in range(SIZE):
+            box[r] += abs(columns[r, j])
+            columns[r, j] = columns[r, count]
+        size[j] = size[count]
     for r in range(SIZE):
-        box = 0.0
-        for k in range(count - KEPT):
-            box += abs(columns[r, order[k]])
-        for k in range(KEPT):
-            kept[r, k] = columns[r, order[count - KEPT + k]]
-        size[r] = box
-    for r in range(SIZE):
-        for k in range(KEPT):
-            columns[r, k] = kept[r, k]
         columns[r, KEPT : KEPT + SIZE] = 0.0
-        columns[r, KEPT + r] = size[r]
+        columns[r, KEPT + r] = box[r]
     return KEPT + SIZE
 
 
