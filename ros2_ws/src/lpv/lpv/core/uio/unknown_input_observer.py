@@ -14,6 +14,7 @@ from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.jit import njit_in_place as njit
 from lpv.core.support.limits import MAX_GAP
 from lpv.core.support.records import memory, new_record, plain, record_type
+from lpv.core.uio.bound.dead_reckoning import LOSS_STATE, note_lost_samples
 from lpv.core.uio.bound.error_bound import (
     BOUND_CONSTANTS,
     BOUND_STATE,
@@ -21,7 +22,6 @@ from lpv.core.uio.bound.error_bound import (
     reset_bound,
     update_bound,
 )
-from lpv.core.uio.bound.lost_samples import LOSS_STATE, note_lost_samples
 from lpv.core.uio.certificate.gains import Gains
 from lpv.core.uio.observer.sampled_observer import (
     OBSERVER_CONSTANTS,

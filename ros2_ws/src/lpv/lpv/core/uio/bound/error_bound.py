@@ -7,7 +7,7 @@ For method ``exact`` the bound is a reachable set plus a multiple of noise: all 
 unknown torques and wrong rates of a healthy arm (model error, payload, friction, mean disturbance,
 bias and relative error of the rates) can have caused since the start, whatever their time profile.
 At every step the set is cut with what dead reckoning allows
-(`lpv.core.uio.bound.dead_reckoning_interval`), so that it comes back from wherever gravity could
+(`lpv.core.uio.bound.dead_reckoning`), so that it comes back from wherever gravity could
 not bound it.  The model errors of method ``paper`` have no exact form; its bound is the static
 error of the configuration, which rises at once and falls at the certified decay rate.
 """
@@ -19,7 +19,7 @@ import numpy as np
 from lpv.core.serial_arm.description import SIGMAS
 from lpv.core.support.jit import njit_in_place as njit
 from lpv.core.support.records import new_record, record_type
-from lpv.core.uio.bound.dead_reckoning_interval import (
+from lpv.core.uio.bound.dead_reckoning import (
     INTERVAL_STATE,
     cut_interval,
     move_interval,
