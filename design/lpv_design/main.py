@@ -2,6 +2,7 @@
 
 import argparse
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 from lpv.cli import main as cli
@@ -39,53 +40,49 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _design(arguments: argparse.Namespace) -> int:
-    described = arguments.arm
-    if described.lpv is None:
-        if arguments.map is not None:
-            raise ConfigError('--map', 'is for arms with an lpv region')
-        return _certify_loop(described, arguments)
-    arm = planar_model(described)
+    arm = arguments.arm
+    if arm.lpv is None:
+        loop = certify_loop(arm, _loop_request(arm, arguments))
+        comment = [f'Tracking of arm {arm.name!r} and its certificate, written by lpv design.']
+        save_loop_gains(loop.gains, arguments.out, '\n'.join([*comment, *loop.lines]))
+        return _report(arguments, loop.lines, lambda: prove_loop(arm, loop.gains))
+    planar = planar_model(arm)
     requirement = load_requirement(arguments.requirement or arm.name)
-    result = design(arm, requirement)
-    comment = '\n'.join(
-        [
-            f'Gains for arm {arm.name!r}, written by lpv design.',
-            f'Requirement: {Path(requirement.source).name}',
-            *result.lines,
-        ]
-    )
-    save_gains(result.gains, arguments.out, comment)
-    print('\n'.join(result.lines))
-    if arguments.proof and not _print_proof(prove(arm, result.gains)):
-        return EXIT_INFEASIBLE
-    if arguments.map is not None:
+    found = design(planar, requirement)
+    comment = [
+        f'Gains for arm {arm.name!r}, written by lpv design.',
+        f'Requirement: {Path(requirement.source).name}',
+    ]
+    save_gains(found.gains, arguments.out, '\n'.join([*comment, *found.lines]))
+    code = _report(arguments, found.lines, lambda: prove(planar, found.gains))
+    if arguments.map is not None and code == 0:
         from lpv.report.figures import draw_region  # a design without a picture does not wait
 
-        draw_region(result.guarantee, arm, arguments.map)
+        draw_region(found.guarantee, planar, arguments.map)
         print(f'map written to {arguments.map}')
-    print(f'gains written to {arguments.out}')
-    return 0
+    return code
 
 
-def _certify_loop(arm: SerialArm, arguments: argparse.Namespace) -> int:
-    """Certificate of the computed-torque loop."""
-    if arguments.requirement:
-        raise ConfigError('--requirement', 'is for arms with an lpv region; see lpv design --help')
+def _loop_request(arm: SerialArm, arguments: argparse.Namespace) -> LoopRequest:
+    """What to certify of computed torque."""
+    for option, value in (('--map', arguments.map), ('--requirement', arguments.requirement)):
+        if value:
+            raise ConfigError(option, 'is for arms with an lpv region; see lpv design --help')
     error = arguments.model_error
     if error is None:
         error = arm.uncertainty.model_error or LoopRequest.model_error
-    request = LoopRequest(arguments.bandwidth, error, arguments.rate_share)
-    found = certify_loop(arm, request)
-    comment = [f'Tracking of arm {arm.name!r} and its certificate, written by lpv design.']
-    save_loop_gains(found.gains, arguments.out, '\n'.join([*comment, *found.lines]))
-    print('\n'.join(found.lines))
-    if arguments.proof and not _print_proof(prove_loop(arm, found.gains)):
+    return LoopRequest(arguments.bandwidth, error, arguments.rate_share)
+
+
+def _report(
+    arguments: argparse.Namespace, lines: list[str], prove: Callable[[], dict[str, bool]]
+) -> int:
+    """Say what was found and, if asked for, what is proved."""
+    print('\n'.join(lines))
+    results = prove() if arguments.proof else {}
+    for name, holds in results.items():
+        print(f'{"proved" if holds else "REFUTED"}: {name}')
+    if not all(results.values()):
         return EXIT_INFEASIBLE
     print(f'gains written to {arguments.out}')
     return 0
-
-
-def _print_proof(results: dict[str, bool]) -> bool:
-    for name, holds in results.items():
-        print(f'{"proved" if holds else "REFUTED"}: {name}')
-    return all(results.values())

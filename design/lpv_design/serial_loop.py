@@ -38,7 +38,7 @@ from lpv.core.serial_arm.certificate.model_bounds import (
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.inequalities import largest_eigenvalue
-from lpv_design.solve import InfeasibleError, check_lines, solve
+from lpv_design.solve import InfeasibleError, check_lines, solve, symmetric_below
 
 _SLACKS = (1.005, 1.01, 1.02, 1.05)
 """A bound over the best one, tried in turn: inequalities at the optimum have no margin.  Each is
@@ -164,7 +164,7 @@ def _best_value(numbers: ChainNumbers, bound: str) -> Any:
         typical = np.array([float(form[2, 2]) for form in numbers.inertia]) + numbers.rotor
         objective = cp.sum(cp.multiply(typical, cp.inv_pos(value)))
     matrices = bound_inequalities(numbers, bound, value, invariant, unit, cp.bmat)
-    status = solve(objective, [_positive(matrix) for matrix in matrices])
+    status = solve(objective, [symmetric_below(-matrix) for matrix in matrices])
     if value.value is None:
         raise InfeasibleError(f'no bound of {bound} (solver: {status}): is the arm physical?')
     return unit * value.value
@@ -175,7 +175,8 @@ def _forms(numbers: ChainNumbers, bound: str, value: Any) -> np.ndarray | None:
     rows, invariant = _variables(len(numbers.rotor), twists_of(bound))
     margin = cp.Variable()
     constraints = [
-        _positive(matrix, margin) for matrix in bound_inequalities(numbers, bound, value, invariant)
+        symmetric_below(-matrix, margin)
+        for matrix in bound_inequalities(numbers, bound, value, invariant)
     ]
     solve(-margin, [*constraints, margin <= 1.0])
     if margin.value is None:
@@ -186,11 +187,6 @@ def _forms(numbers: ChainNumbers, bound: str, value: Any) -> np.ndarray | None:
     return found if holds else None
 
 
-def _positive(matrix: Any, margin: Any = 0.0) -> Any:
-    """Constraint matrix >= margin I, of a matrix that is symmetric by construction."""
-    return 0.5 * (matrix + matrix.T) >> margin * np.eye(matrix.shape[0])
-
-
 def _proof(
     matrix: Callable[..., Any], size: int, numbers: LoopNumbers, decay: float, bandwidth: float
 ) -> LoopProof | None:
@@ -199,8 +195,8 @@ def _proof(
     margin = cp.Variable()
     constraints = [
         cp.trace(p) == 1.0,
-        _positive(p, margin),
-        _positive(-matrix(p, multipliers, numbers, decay), margin),
+        symmetric_below(-p, margin),
+        symmetric_below(matrix(p, multipliers, numbers, decay), margin),
     ]
     solve(-margin, constraints)
     if margin.value is None or margin.value < _MARGIN:
@@ -287,7 +283,7 @@ def _error_proof(numbers: LoopNumbers, decay: float) -> tuple[float, np.ndarray,
     p, multipliers = cp.Variable((3, 3), symmetric=True), cp.Variable(2, nonneg=True)
     level, middle = cp.Variable(nonneg=True), np.diag([0.0, 1.0, 0.0])
     matrix = motion_matrix(p, multipliers, numbers, decay, level)
-    constraints = [_positive(p - middle, _MARGIN), _positive(-matrix, _MARGIN)]
+    constraints = [symmetric_below(middle - p, _MARGIN), symmetric_below(matrix, _MARGIN)]
     solve(level, constraints)
     if level.value is None:
         return None

@@ -49,6 +49,6 @@ def run(problem: Any) -> str:
     return problem.status
 
 
-def symmetric_below(matrix: Any, margin: float = 0.0) -> Any:
+def symmetric_below(matrix: Any, margin: Any = 0.0) -> Any:
     """Constraint M <= -margin I for an expression that is symmetric by construction."""
     return 0.5 * (matrix + matrix.T) << -margin * np.eye(matrix.shape[0])
