@@ -14,7 +14,6 @@ from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.jit import njit_in_place as njit
 from lpv.core.support.limits import MAX_GAP
 from lpv.core.support.records import memory, new_record, plain, record_type
-from lpv.core.uio.bound.dead_reckoning import LOSS_STATE, note_lost_samples
 from lpv.core.uio.bound.error_bound import (
     BOUND_CONSTANTS,
     BOUND_STATE,
@@ -43,7 +42,6 @@ UIO_CONSTANTS = record_type(
 )
 UIO_STATE = record_type(
     ('observer', OBSERVER_STATE),
-    ('losses', LOSS_STATE),
     ('bound', BOUND_STATE),
     ('valid', '?'),  # whether there is an estimate
     # Of faults that were there at the start: the largest that the horizon leaves possible [rad],
@@ -86,15 +84,14 @@ def uio_step(
     state.valid = True
     if not (observer.held[0] or observer.held[1]):
         state.left *= math.exp(-params.bound.decay * observer.interval)
-    note_lost_samples(params.observer, state.losses, observer)
-    update_bound(params.bound, state.bound, observer, state.losses.lost)
+    update_bound(params.bound, state.bound, observer)
 
 
 @njit
 def _start_again(state: np.record) -> None:
     """Without an estimate; the next one takes the readings for right."""
     reset_bound(state.bound)
-    state.losses.started = state.valid = state.alarmed = False
+    state.valid = state.alarmed = False
     state.initial[:], state.left = np.inf, 1.0
 
 

@@ -13,7 +13,6 @@ import math
 
 import numpy as np
 
-from lpv.core.serial_arm.diagnosis.sampler import LATE
 from lpv.core.support.jit import njit_in_place as njit
 from lpv.core.support.records import record_type
 from lpv.core.uio.model.joints import row_dot
@@ -81,9 +80,11 @@ def cut_interval(state: np.record, i: int, limit: float, noise: float) -> float:
 
 
 @njit
-def note_lost_samples(params: np.record, state: np.record, observer: np.record) -> None:
-    """Follow one estimate of an observer with such constants; fills ``lost`` of the state."""
-    matrix, interval = params.joints.sensor, observer.interval
+def note_lost_samples(
+    joints: np.record, longest: float, state: np.record, observer: np.record
+) -> None:
+    """Follow one estimate; fills ``lost`` of the state where an interval is longer [s]."""
+    matrix, interval = joints.sensor, observer.interval
     known, speed = observer.acceleration, observer.v_new
     for i in range(2):
         rate = row_dot(matrix, i, speed[0], speed[1])
@@ -92,7 +93,7 @@ def note_lost_samples(params: np.record, state: np.record, observer: np.record) 
         state.lost[i] = 0.0
         if not state.started:
             state.roughness[i] = 0.0
-        elif not observer.bridged and interval > LATE * params.sample_time:
+        elif not observer.bridged and interval > longest:
             between = abs(before) + abs(acceleration) + change / interval
             state.lost[i] = _RESERVE * interval * interval / 12.0 * between
             state.lost[i] += interval * state.roughness[i]

@@ -17,12 +17,15 @@ import math
 import numpy as np
 
 from lpv.core.serial_arm.description import SIGMAS
+from lpv.core.serial_arm.diagnosis.sampler import LATE
 from lpv.core.support.jit import njit_in_place as njit
 from lpv.core.support.records import new_record, record_type
 from lpv.core.uio.bound.dead_reckoning import (
     INTERVAL_STATE,
+    LOSS_STATE,
     cut_interval,
     move_interval,
+    note_lost_samples,
     start_interval,
 )
 from lpv.core.uio.bound.unknown_torque import (
@@ -45,7 +48,7 @@ from lpv.core.uio.bound.zonotope import (
 from lpv.core.uio.certificate.gains import ExactObserverGains, Gains
 from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.model.dynamics import coupling
-from lpv.core.uio.model.joints import JointMap, row_dot
+from lpv.core.uio.model.joints import row_size
 from lpv.core.uio.observer.exact_observer import injection
 
 _LARGEST = 10.0
@@ -65,12 +68,12 @@ BOUND_CONSTANTS = record_type(
     ('mu', 'f8', (2,)),  # [1/s]
     ('slowest_recovery', 'f8'),  # slowest pole of the angle errors [1/s]
     ('decay', 'f8'),  # certified decay rate of method paper [1/s]
-    ('spread', 'f8', (2, 2)),  # abs(S): angles to sensors
     ('noise', 'f8', (2,)),  # noise in the bound, per sensor [rad]
     ('angle_noise', 'f8', (2,)),  # the same per angle [rad]
     ('start', 'f8', (2,)),  # error at the start, per angle [rad]
     ('drift', 'f8', (2,)),  # growth by noise of the rates, per angle [rad/sqrt(s)]
     ('cos_min', 'f8', (2,)),  # region
+    ('longest', 'f8'),  # longest interval without lost samples [s]
     ('unknown', UNKNOWN_TORQUE),  # what a healthy arm may do
 )
 """Constants of `update_bound` for one arm."""
@@ -81,6 +84,7 @@ BOUND_STATE = record_type(
     ('extent', 'f8', (SIZE,)),  # its extents; of method paper the bounds on e alone
     ('held_for', 'f8', (2,)),  # how long links were held, less what has decayed [s]
     ('bound', 'f8', (2,)),  # result: bound on the error of each sensor's fault estimate [rad]
+    ('losses', LOSS_STATE),  # what lost samples leave unknown
     ('interval', INTERVAL_STATE),  # the errors by dead reckoning
     ('motion', MOTION),  # signals of the present step
     ('bend', 'f8', (2,)),  # largest change of theta'' within a sample, fading [rad/s2]
@@ -99,23 +103,21 @@ BOUND_STATE = record_type(
 def error_bound(arm: ArmParameters, gains: Gains, sigmas: float = SIGMAS) -> np.record:
     """Constants of the bound, of type `BOUND_CONSTANTS`, with ``sigmas`` standard deviations of
     noise."""
-    observer = gains.observer
-    sensor_matrix = JointMap(arm).sensor_matrix
-    spread, noise = np.abs(sensor_matrix), sigmas * np.asarray(observer.fault_sigma)
-    to_angle = np.abs(np.linalg.inv(sensor_matrix))
+    observer, unknown = gains.observer, healthy_arm(arm, sigmas)
+    noise, to_angle = sigmas * np.asarray(observer.fault_sigma), np.abs(unknown.joints.angle)
     # Of f^ less that of the reading: `exact_fault_sigma` adds squares, not deviations.
     of_angles = np.sqrt(np.maximum(noise**2 - (sigmas * arm.position_noise) ** 2, 0.0))
     params = new_record(
         BOUND_CONSTANTS,
         sign=arm.sign,
-        spread=spread,
         noise=noise,
-        angle_noise=np.linalg.solve(spread, of_angles),
+        angle_noise=np.linalg.solve(np.abs(unknown.joints.sensor), of_angles),
         start=sigmas * arm.position_noise * to_angle.sum(axis=1),
         drift=(sigmas * arm.velocity_noise * math.sqrt(arm.sample_time) * np.hypot(*to_angle.T)),
         cos_min=arm.cos_min,
         decay=observer.decay,
-        unknown=healthy_arm(arm, sigmas),
+        longest=LATE * arm.sample_time,
+        unknown=unknown,
     )
     if isinstance(observer, ExactObserverGains):
         kappa, mu = np.asarray(observer.kappa), np.asarray(observer.mu)
@@ -133,23 +135,20 @@ def reset_bound(state: np.record) -> None:
     state.extent[:] = 0.0
     state.held_for[:] = 0.0
     state.bend[:] = 0.0
-    state.used = 0
+    state.used, state.losses.started = 0, False
 
 
 @njit
-def update_bound(
-    params: np.record, state: np.record, observer: np.record, lost: np.ndarray
-) -> None:
-    """Follow one estimate; fills ``bound`` of the state.
-
-    ``lost`` is what samples that were lost just before leave unknown of each sensor's angle [rad].
-    """
+def update_bound(params: np.record, state: np.record, observer: np.record) -> None:
+    """Follow one estimate; fills ``bound`` of the state."""
+    joints, lost = params.unknown.joints, state.losses.lost
+    note_lost_samples(joints, params.longest, state.losses, observer)
     if params.exact:
         _follow_set(params, state, observer, lost)
         return
     if state.used > 0:
         for i in range(2):
-            state.extent[i] += row_dot(params.unknown.to_angle, i, lost[0], lost[1])
+            state.extent[i] += row_size(joints.angle, i, lost[0], lost[1])
     _follow_static(params, state, observer)
 
 
@@ -164,7 +163,7 @@ def _follow_set(params: np.record, state: np.record, observer: np.record, lost: 
         start_interval(state.interval, observer, size)
     else:
         for i in range(2):
-            size[i] = row_dot(params.unknown.to_angle, i, lost[0], lost[1])
+            size[i] = row_size(params.unknown.joints.angle, i, lost[0], lost[1])
             if size[i] > 0.0:  # one more column
                 state.columns[:, state.used] = 0.0
                 state.columns[i, state.used] = size[i]
@@ -180,7 +179,9 @@ def _follow_set(params: np.record, state: np.record, observer: np.record, lost: 
     _update_held_time(params, state, observer)
     error_1, error_2 = _angle_error(params, state, 0), _angle_error(params, state, 1)
     for i in range(2):
-        state.bound[i] = row_dot(params.spread, i, error_1, error_2) + params.noise[i]
+        state.bound[i] = (
+            row_size(params.unknown.joints.sensor, i, error_1, error_2) + params.noise[i]
+        )
 
 
 @njit
@@ -393,7 +394,7 @@ def _follow_static(params: np.record, state: np.record, observer: np.record) -> 
         state.extent[i] = target + max(0.0, fall * left)
     state.used = 1
     for i in range(2):
-        state.bound[i] = row_dot(params.spread, i, state.extent[0], state.extent[1])
+        state.bound[i] = row_size(params.unknown.joints.sensor, i, state.extent[0], state.extent[1])
         state.bound[i] += params.noise[i]
 
 
@@ -405,15 +406,15 @@ def static_bound(params: np.record, theta: np.ndarray) -> np.ndarray:
     region.
     """
     theta, torque = np.asarray(theta, float), np.zeros(2)
-    gravity = params.unknown.arm.gravity
+    gravity, spread = params.unknown.arm.gravity, np.abs(params.unknown.joints.sensor)
     motion = new_record(MOTION, theta=theta)
     carry_load(params.unknown, motion, (0.0, 0.0))
     unknown_torque(params.unknown, motion, torque)
     if not params.exact:
         slope = gravity * np.maximum(np.abs(np.cos(theta)), params.cos_min)
-        return params.spread @ (torque / slope) + params.noise
+        return spread @ (torque / slope) + params.noise
     # A bias of the rates is held up by a momentum, and that by a torque.
-    bias = params.unknown.bias * params.unknown.to_angle.sum(axis=1)
+    bias = params.unknown.bias * np.abs(params.unknown.joints.angle).sum(axis=1)
     torque = torque + bias * params.mu / params.kappa
     # Distance from the vertical; the secant of gravity over the error falls with it.
     away = np.arccos(np.clip(params.sign * np.cos(theta), -1.0, 1.0))
@@ -426,5 +427,5 @@ def static_bound(params: np.record, theta: np.ndarray) -> np.ndarray:
         error = np.minimum(error, math.pi)
     error[error >= math.pi] = math.inf
     # Not 0*inf: a sensor that does not see a link does not see its error.
-    seen = [sum(w * e for w, e in zip(row, error) if w) for row in params.spread]
+    seen = [sum(w * e for w, e in zip(row, error) if w) for row in spread]
     return np.array(seen) + params.noise

@@ -24,7 +24,7 @@ from lpv.core.support.jit import njit_in_place as njit
 from lpv.core.support.records import new_record, record_type
 from lpv.core.uio.model.arm import ARM_CONSTANTS, ArmParameters
 from lpv.core.uio.model.dynamics import Pair, rigid_torque
-from lpv.core.uio.model.joints import J, JointMap, row_dot
+from lpv.core.uio.model.joints import JOINT_MAP, JointMap, row_dot, row_size
 
 UNKNOWN_TORQUE = record_type(
     ('arm', ARM_CONSTANTS),
@@ -38,9 +38,7 @@ UNKNOWN_TORQUE = record_type(
     ('friction', 'f8'),  # relative uncertainty of friction
     ('push', 'f8', (2,)),  # mean disturbance Bd2 abs(d) [rad/s2]
     # Stated errors of the measured rates:
-    ('sensor', 'f8', (2, 2)),  # S
-    ('to_angle', 'f8', (2, 2)),  # abs(S^-1): sensors to angles
-    ('to_joint', 'f8', (2, 2)),  # abs(J S^-1): sensors to joints
+    ('joints', JOINT_MAP),
     ('bias', 'f8'),  # of a rate sensor [rad/s]
     ('scale', 'f8'),  # relative error of a rate
     ('joint_noise', 'f8', (2,)),  # noise that a joint rate may show [rad/s]
@@ -63,10 +61,7 @@ MOTION = record_type(
 
 def healthy_arm(arm: ArmParameters, sigmas: float = SIGMAS) -> np.record:
     """What a healthy arm may do that its model does not say, of type `UNKNOWN_TORQUE`."""
-    sensor = JointMap(arm).sensor_matrix
-    inverse = np.linalg.inv(sensor)
-    to_joint = J @ inverse
-    constants, (length_1, length_2) = arm.constants(), arm.lengths
+    joints, constants, (length_1, length_2) = JointMap(arm).record(), arm.constants(), arm.lengths
     # As of `lpv.core.serial_arm.diagnosis.parameter_set.parameter_set`: links as a whole, and apart
     # from that places of their masses and inertias by half as much.
     error, half = arm.model_error, 0.5 * arm.model_error
@@ -88,24 +83,22 @@ def healthy_arm(arm: ArmParameters, sigmas: float = SIGMAS) -> np.record:
         lean=arm.gravity * (moment + [0.0, beside]),
         friction=arm.friction_error,
         push=np.abs(arm.disturbance_mean * np.asarray(arm.disturbance_direction)),
-        sensor=sensor,
-        to_angle=np.abs(inverse),
-        to_joint=np.abs(to_joint),
+        joints=joints,
         bias=RATE_BIAS * arm.velocity_noise,
         scale=arm.velocity_error,
-        joint_noise=sigmas * arm.velocity_noise * np.hypot(*to_joint.T),
+        joint_noise=sigmas * arm.velocity_noise * np.hypot(*joints.to_joint.T),
     )
 
 
 @njit
 def bound_rate_errors(params: np.record, motion: np.record) -> None:
     """Fill ``rate_error`` and ``joint_error`` of a motion: bias and relative error."""
-    s, v = params.sensor, motion.rate
+    s, v = params.joints.sensor, motion.rate
     error_1 = params.bias + params.scale * abs(row_dot(s, 0, v[0], v[1]))
     error_2 = params.bias + params.scale * abs(row_dot(s, 1, v[0], v[1]))
     for i in range(2):
-        motion.rate_error[i] = row_dot(params.to_angle, i, error_1, error_2)
-        motion.joint_error[i] = row_dot(params.to_joint, i, error_1, error_2)
+        motion.rate_error[i] = row_size(params.joints.angle, i, error_1, error_2)
+        motion.joint_error[i] = row_size(params.joints.to_joint, i, error_1, error_2)
 
 
 @njit

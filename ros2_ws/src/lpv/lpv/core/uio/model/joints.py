@@ -50,6 +50,12 @@ def row_dot(matrix: np.ndarray, row: int, first: float, second: float) -> float:
     return matrix[row, 0] * first + matrix[row, 1] * second
 
 
+@njit
+def row_size(matrix: np.ndarray, row: int, first: float, second: float) -> float:
+    """Largest absolute value of that row for numbers of at most these sizes."""
+    return abs(matrix[row, 0]) * first + abs(matrix[row, 1]) * second
+
+
 class JointMap:
     """Conversions for one arm; every method takes and returns arrays of shape (..., 2).
 

@@ -71,17 +71,8 @@ def inverse_inertia_quadrangle(params: Any) -> np.ndarray:
     """Quadrangle that contains (1/det Xi, Xi12/det Xi) for every configuration.
 
     With p = Xi11 Xi22 the arc lies on the conic p x^2 - x = y^2, whose tangents at Xi12 = s and r
-    meet in (1, (s + r)/2) / (p - s r).
-
-    Parameters
-    ----------
-    params : numpy.record or ArmNumbers
-        Constants of the arm.
-
-    Returns
-    -------
-    ndarray, shape (4, 2)
-        Corners in circular order: end of the arc, two tangent intersections, other end.
+    meet in (1, (s + r)/2) / (p - s r).  Corners, shape (4, 2), are in circular order: end of the
+    arc, two tangent intersections, other end.  ``params`` are as of `state_spaces`.
     """
     low, high = params.rotor_coupling - params.coupling, params.rotor_coupling + params.coupling
     middle, corners = (low + high) / 2, []
@@ -138,19 +129,8 @@ def vertex_matrices(box: np.ndarray, params: Any) -> tuple[np.ndarray, np.ndarra
 
     Vertices omega_i of eq. (10) are in the order of the weights (11).  The paper lists the gravity
     matrices (17)-(20) with phi2 and phi3 exchanged in vertices 2, 3, 6, 7; the order here is the
-    one that the weights imply.
-
-    Parameters
-    ----------
-    box : array_like, shape (3, 2)
-        Ranges of phi1, phi2, phi3.
-    params : numpy.record or ArmNumbers
-        Constants of the arm.
-
-    Returns
-    -------
-    tuple of ndarray
-        As of `state_spaces`.
+    one that the weights imply.  ``box``, shape (3, 2), has the ranges of phi1, phi2, phi3; the rest
+    is as of `state_spaces`.
     """
     vertices = []
     for phi_1, phi_2, phi_3 in product(*box):
