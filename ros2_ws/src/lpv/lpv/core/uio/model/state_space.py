@@ -14,7 +14,7 @@ from lpv.core.uio.model.polytope import vertex_matrices
 class Descriptor(NamedTuple):
     """Augmented singular system (36) with x~ = [x; f], eqs. (35)-(37), at h vertices.
 
-    Outputs are the two physical position sensors and the matching rates,
+    Outputs are the two physical position sensors and the matching rates, eqs. (29), (30),
     y = [S theta + f; S theta'].  For sensors of absolute angles S = I and these are the paper's.
     """
 
