@@ -16,7 +16,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lpv.core.control.tracking import TrackingController, track
+from lpv.core.control.tracking import TrackingController
+from lpv.core.control.tracking_law import track
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.description import SerialArm

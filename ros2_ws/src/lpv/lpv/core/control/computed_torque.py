@@ -11,60 +11,12 @@ kp = 3 w^2, ki = w^3.  For a wrong model see
 import numpy as np
 
 from lpv.core.control.latency import loop_latency
-from lpv.core.control.tracking_law import LawParts, TrackingLaw, apply_limits
-from lpv.core.serial_arm.chain import FloatArray, compile_chain, workspace
+from lpv.core.control.tracking_law import AT_STATE, TrackingLaw
 from lpv.core.serial_arm.description import SerialArm
-from lpv.core.serial_arm.dynamics.friction import friction_torque
-from lpv.core.serial_arm.dynamics.newton_euler import inverse_dynamics
 from lpv.core.support.errors import ConfigError
-from lpv.core.support.jit import njit_in_place as njit
-from lpv.core.support.records import memory, new_record, record_type
 
 BANDWIDTH = 10.0
 """Default [rad/s]."""
-
-
-def computed_torque_type(joints: int) -> np.dtype:
-    """Record type of the controller: gains and state."""
-    return record_type(
-        ('kp', 'f8'),  # [1/s2]
-        ('kd', 'f8'),  # [1/s]
-        ('ki', 'f8'),  # [1/s3]
-        ('limit', 'f8', (joints,)),  # of the joint torques [N m]
-        ('integral', 'f8', (joints,)),  # eps [rad s]
-        ('torque', 'f8', (joints,)),  # of the last command [N m]
-        ('saturated', '?'),  # whether they met a limit
-        ('acceleration', 'f8', (joints,)),  # work space: a [rad/s2]
-        ('friction', 'f8', (joints,)),  # work space [N m]
-        ('step', 'f8', (joints,)),  # work space: step of eps [rad s]
-    )
-
-
-@njit
-def computed_torque(
-    parts: LawParts,
-    reference: FloatArray,
-    position: FloatArray,
-    velocity: FloatArray,
-    integrated: FloatArray,
-    interval: float,
-) -> None:
-    """One torque command, into ``parts.state``; the rest is as of `TrackingLaw.answer`."""
-    chain, state, n = parts.chain, parts.state[0], position.shape[0]
-    for i in range(n):
-        state.step[i] = interval * (reference[0, i] - integrated[i])
-        state.acceleration[i] = (
-            reference[2, i]
-            + state.kd * (reference[1, i] - velocity[i])
-            + state.kp * (reference[0, i] - position[i])
-            + state.ki * (state.integral[i] + state.step[i])
-        )
-    inverse_dynamics(chain, position, velocity, state.acceleration, parts.work, state.torque)
-    # Friction along the reference: noise of rates around zero would make it chatter.
-    friction_torque(chain, reference[1], state.torque, state.friction)
-    for i in range(n):
-        state.torque[i] += state.friction[i]
-    apply_limits(state, state.limit)
 
 
 class ComputedTorqueController(TrackingLaw):
@@ -97,16 +49,7 @@ class ComputedTorqueController(TrackingLaw):
             raise ConfigError(
                 'bandwidth', f'{bandwidth:g} rad/s is unstable at {arm.sample_time:g} s a sample'
             )
-        state = new_record(
-            computed_torque_type(len(arm.joints)),
-            ki=gains[0],
-            kp=gains[1],
-            kd=gains[2],
-            limit=arm.torque_limit,
-        )
-        chain = compile_chain(arm)
-        parts = LawParts(chain, memory(state), workspace(chain))
-        super().__init__(computed_torque, parts)
+        super().__init__(arm, model=AT_STATE, ki=gains[0], kp=gains[1], kd=gains[2])
 
 
 def serial_loop_latency(bandwidth: float, sample_time: float) -> float:

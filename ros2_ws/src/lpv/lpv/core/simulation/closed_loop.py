@@ -9,15 +9,15 @@ first one, one after a gap, with missing values, or after such) goes through the
 """
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from lpv.core.control.computed_torque import BANDWIDTH, ComputedTorqueController, computed_torque
+from lpv.core.control.computed_torque import BANDWIDTH
 from lpv.core.control.estimate_check import CorrectionLimit, limit_correction
 from lpv.core.control.path_follower import PathReferences, approach_speeds
-from lpv.core.control.tracking import COMPENSATION, TrackingController, make_controller, track
-from lpv.core.control.tracking_law import LawParts
+from lpv.core.control.tracking import COMPENSATION, make_controller
+from lpv.core.control.tracking_law import LawParts, track
 from lpv.core.control.watchdog import (
     DriveLimits,
     DriveWatchdog,
@@ -157,11 +157,9 @@ class _Observer(NamedTuple):
 
 
 class _Tracker(NamedTuple):
-    """Arguments of the tracking law, computed torque or designed; references of all samples; both
-    watchdogs."""
+    """Arguments of the tracking law; references of all samples; both watchdogs."""
 
-    computed: LawParts | None
-    designed: LawParts | None
+    law: LawParts
     torque: FloatArray  # of the last command [N m]
     integral: FloatArray  # eps of the law
     references: FloatArray
@@ -336,21 +334,8 @@ def _command(loop: np.record, observer: _Observer, tracker: _Tracker, k: int) ->
     # Eq. (59) literally integrates the faulty measurement.
     integrated = measured if loop.literal else feedback
     interval = (now - observer.stamps[loop.previous]) / NANOSECONDS
-    _computed_torque(tracker.computed, reference, feedback, rate, integrated, interval)
-    _designed_torque(tracker.designed, reference, feedback, rate, integrated, interval)
+    track(tracker.law, reference, feedback, rate, integrated, interval)
     loop.stop, loop.previous, loop.reason, loop.phase = False, k, _NONE, _ACT
-
-
-@njit
-def _computed_torque(parts: LawParts | None, *sample: Any) -> None:
-    if parts is not None:
-        computed_torque(parts, *sample)
-
-
-@njit
-def _designed_torque(parts: LawParts | None, *sample: Any) -> None:
-    if parts is not None:
-        track(parts, *sample)
 
 
 @njit
@@ -514,8 +499,7 @@ def run_closed_loop(
     stepped, parts = monitor.parts.monitor, _new_observer(arm, monitor.parts, answers, feedback)
     latency = latency_limits(controller.tolerated_latency)
     tracker = _Tracker(
-        controller.parts if isinstance(controller, ComputedTorqueController) else None,
-        controller.parts if isinstance(controller, TrackingController) else None,
+        controller.parts,
         controller.torque,
         controller.integral,
         references.motion,
