@@ -54,10 +54,8 @@ def _advance(plant, tracker, references, samples):  # type: ignore[no-untyped-de
         sample = samples[k]
         sample[0, :], sample[1, :] = state.measured_position, state.measured_velocity
         sample[2, :] = state.torque
-        law = tracker.state[0]
-        track(tracker.constants[0], law, references[k], sample[0], sample[1], sample[0],
-              constants.sample_time)  # fmt: skip
-        set_torque(constants, state, law.torque, push)
+        track(tracker, references[k], sample[0], sample[1], sample[0], constants.sample_time)
+        set_torque(constants, state, tracker.state[0].torque, push)
         integrate(chain, constants, state, scratch, matrix)
 
 
