@@ -53,25 +53,12 @@ class ComputedTorqueController(TrackingLaw):
 
 
 def serial_loop_latency(bandwidth: float, sample_time: float) -> float:
-    """`joint_loop_latency` of a `ComputedTorqueController` [s]."""
-    return joint_loop_latency(_triple_pole(bandwidth), sample_time)
+    """Longest constant latency with which the loop of a joint is stable, with a true model [s]."""
+    a = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])  # of eps, q, v
+    b = np.array([[0.0], [0.0], [1.0]])
+    return loop_latency([(a, b)], -_triple_pole(bandwidth)[None], sample_time)
 
 
 def _triple_pole(bandwidth: float) -> np.ndarray:
     """ki, kp, kd."""
     return bandwidth**3 * np.array([1.0, 3.0 / bandwidth, 3.0 / bandwidth**2])
-
-
-def joint_loop_latency(gains: np.ndarray, sample_time: float) -> float:
-    """Longest constant latency with which the loop of one joint is stable, with a true model [s].
-
-    Parameters
-    ----------
-    gains : ndarray, shape (3,)
-        ki, kp, kd.
-    sample_time : float
-        [s].
-    """
-    a = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])  # of eps, q, v
-    b = np.array([[0.0], [0.0], [1.0]])
-    return loop_latency([(a, b)], -gains[None], sample_time)
