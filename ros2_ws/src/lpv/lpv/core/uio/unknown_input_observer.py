@@ -38,7 +38,7 @@ _NO_OBSERVER, _TIGHTEST, _UIO, _HORIZON = range(-1, len(CHOICES))
 UIO_CONSTANTS = record_type(
     ('observer', OBSERVER_CONSTANTS),
     ('bound', BOUND_CONSTANTS),
-    ('choice', 'i8'),  # index in `CHOICES`, or that there is no observer
+    ('choice', 'i8'),  # index in `CHOICES`, or that no observer is asked
 )
 UIO_STATE = record_type(
     ('observer', OBSERVER_STATE),
@@ -235,7 +235,9 @@ class UnknownInputObserver:
     def rely(self, rates_are_right: bool) -> None:
         """Publish the tighter estimate only while nothing speaks against the rates."""
         choice = self._choice
-        if choice == _TIGHTEST and not (self.certifies and rates_are_right):
+        if choice != _UIO and not self.certifies:
+            choice = _NO_OBSERVER  # nothing would be made of it
+        elif choice == _TIGHTEST and not rates_are_right:
             choice = _HORIZON
         self.parts.constants['choice'] = choice
 
