@@ -37,7 +37,7 @@ class LinkError:
     rates: np.ndarray  # S^-1: absolute rates from those of the sensors, shape (2, 2)
     rate_noise: Any  # standard deviation of a rate sensor's white noise [rad/s]
     direction: np.ndarray  # of the stated disturbance, per axis [rad/s2], shape (2,)
-    variance: Any  # of disturbances of both axes apart that bounds the stated one's
+    variance: Any  # of independent disturbances of both axes that cover the stated one
     period: Any  # Ts [s]
     unit: float = SMALL  # size of errors [rad], for scaling
 
