@@ -169,8 +169,8 @@ class Bank:
     def _hypotheses(self) -> None:
         """Kinds with their columns as sums of the seven, priors, and the sensors they apply to.
 
-        Columns of drifts and scale errors are zero at the start of their windows, which `gather`
-        adds: by what a reading jumped is taken out already.
+        Columns of drifts and scale errors are zero where these begin, which `gather` adds: by what
+        a reading jumped is taken out already.
         """
         n, derived, everywhere = (
             self.estimator.joints,
@@ -189,12 +189,16 @@ class Bank:
             ('drift', {DRIFT: 1.0, JUMP: 1.0}, derived),
         ]
         # It may be older than its window.
-        double = [('drift', {DRIFT: 1.0}, derived)]
-        self._names = tuple(kind for kind, *_ in (*single, *double))
-        applies = np.array([where for *_, where in (*single, *double)], float)
-        basis = np.zeros((len(self._names), COLUMNS))
-        for row, (_, parts, _) in zip(basis, (*single, *double)):
+        every = [*single, ('drift', {DRIFT: 1.0}, derived)]
+        self._names = tuple(kind for kind, *_ in every)
+        applies = np.array([where for *_, where in every], float)
+        basis = np.zeros((len(every), COLUMNS))
+        for row, (_, parts, _) in zip(basis, every):
             row[list(parts)] = list(parts.values())
+        # Of all times in the horizon before the window, the middle.
+        self._older = np.zeros((len(every), len(self._lengths)))
+        plan = self.estimator.plan
+        self._older[-1] = 0.5 * plan.interval * (plan.capacity - self._lengths)
         prior = np.array([
             self._push if kind == 'torque_offset' else np.full(n, SIZE[kind])
             for kind in self._names
@@ -203,7 +207,7 @@ class Bank:
         windows = np.array([
             len(recent) if kind in growing else np.count_nonzero(recent) for kind in self._names
         ])  # fmt: skip
-        self._kinds = Kinds(basis, prior, applies, windows, len(single), SIZE['slip'])
+        self._kinds = Kinds(basis, prior, applies, windows, self._older)
         loads = len(self.estimator.window.loads) > 0
         self._log_weight = float(-np.log(1 + applies.sum() + n + derived.sum() + loads))
 
@@ -263,8 +267,9 @@ class Bank:
         begin, starts = one.begin[:count].tolist(), self._starts[:count].tolist()
         at = np.nonzero(one.gain[..., :count] > -np.inf)
         values = (part[at].tolist() for part in (one.gain, one.size, one.sigma))
+        older = self._older.tolist()
         found = [
-            Hypothesis(self._names[k], i, gain, size, sigma, begin[w], starts[w])
+            Hypothesis(self._names[k], i, gain, size, sigma, begin[w] - older[k][w], starts[w])
             for k, i, w, gain, size, sigma in zip(*(part.tolist() for part in at), *values)
         ]
         contact = zip(one.contact[:count].tolist(), begin, starts)

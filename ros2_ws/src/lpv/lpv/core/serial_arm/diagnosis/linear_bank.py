@@ -45,8 +45,7 @@ class Kinds(NamedTuple):
     prior: FloatArray  # (K, n) standard deviations of sizes
     applies: FloatArray  # (K, n) 1 where a sensor can have the fault
     windows: IntArray  # (K,) in which each is compared, the shortest ones
-    singles: int  # kinds from here on are free in the offset, too
-    offset: float  # standard deviation of that offset [rad]
+    older: FloatArray  # (K, W) by how much a fault is older than its window [s]
 
 
 class Evidence(NamedTuple):
@@ -176,7 +175,7 @@ def explain(
     k, i, w = at
     n, m, moved = null.noise.shape[0], null.mean.shape[0], window.along
     first, basis = window.rows.shape[2] - m, kinds.basis[k]
-    zero = _zero(evidence, basis, (i, w), epoch)
+    zero = _zero(evidence, kinds, at, epoch)
     moved[:] = 0.0
     for back in range(evidence.lengths[w] - ONSET):
         here = slot(window, back)
@@ -198,10 +197,10 @@ def explain(
 
 
 @njit_in_place
-def _zero(evidence: Evidence, basis: FloatArray, place: tuple[int, int], epoch: float) -> float:
-    """What columns of drifts and scale errors have at the start of their window, in offsets."""
-    i, w = place
-    since = evidence.begin[w] - epoch
+def _zero(evidence: Evidence, kinds: Kinds, place: tuple[int, int, int], epoch: float) -> float:
+    """What columns of drifts and scale errors have where these begin, in offsets."""
+    k, i, w = place
+    basis, since = kinds.basis[k], evidence.begin[w] - kinds.older[k, w] - epoch
     return float(since * basis[DRIFT] + evidence.pose[w, i] * basis[SCALE])
 
 
@@ -329,14 +328,14 @@ def _compare(
 ) -> None:
     """Logarithm of a Bayes factor, with size and standard deviation.
 
-    Columns of drifts and scale errors are zero at the start of their window.
+    Columns of drifts and scale errors are zero where these begin.
     """
     k, i, w = place
     evidence.gain[k, i, w] = -np.inf
     if kinds.applies[k, i] == 0.0 or w >= kinds.windows[k]:
         return
     basis, score, information = kinds.basis[k], evidence.score[w, i], evidence.information[w, i]
-    zero = _zero(evidence, basis, (i, w), epoch)
+    zero = _zero(evidence, kinds, place, epoch)
     z, own, across = -zero * score[OFFSET], 0.0, -zero * information[OFFSET, OFFSET]
     for g in range(COLUMNS):
         if basis[g] == 0.0:
@@ -360,18 +359,8 @@ def _compare(
     share = min(largest / prior, 1.0)
     prior *= share
     first, right = max(prior * prior * own, 0.0) + 1.0, prior * z
-    if k < kinds.singles:
-        mean, spread = right / first, 1.0 / np.sqrt(first)
-        gain = 0.5 * (right * mean - np.log(first)) + np.log(share)
-    else:
-        other = kinds.offset * score[OFFSET]
-        second = max(kinds.offset * kinds.offset * information[OFFSET, OFFSET], 0.0) + 1.0
-        both = prior * kinds.offset * across
-        determinant = max(first * second - both * both, 1.0)
-        mean = (second * right - both * other) / determinant
-        beside = (first * other - both * right) / determinant
-        spread = np.sqrt(second / determinant)
-        gain = 0.5 * (right * mean + other * beside - np.log(determinant))
+    mean, spread = right / first, 1.0 / np.sqrt(first)
+    gain = 0.5 * (right * mean - np.log(first)) + np.log(share)
     if np.isfinite(gain):
         evidence.gain[k, i, w] = gain
         evidence.size[k, i, w], evidence.sigma[k, i, w] = prior * mean, prior * spread
