@@ -342,10 +342,16 @@ def test_given_errors_that_change_with_speed_when_fitted_then_the_bounds_do():
     for k, drawn in enumerate(rng.normal(size=count) * np.sqrt(1 - keep**2)):
         error[k] = keep * error[k - 1] + drawn
     residual = np.hypot(0.5, 0.8 * rate) * error + 0.1 * rng.normal(size=count)
-    found = torque_error([rate[:, None]], [residual[:, None]], [np.ones((count, 1), bool)], step)
+    signals, usual = [[x[:, None]] for x in (rate, residual, rate < 9.0)], np.array([0.4])
+    found = torque_error(*signals, step, usual)
     assert found.slow == pytest.approx([0.5], rel=0.15)
     assert found.growth == pytest.approx([0.8], rel=0.15)
     assert found.time == pytest.approx(0.2, rel=0.4)
+    # Of a joint that does not move what is usual is stated; of one that hardly does, some of it.
+    error = 0.1 * np.sign(np.arange(count) % 20 - 9.5)
+    for samples, least, most in ((0, 0.39, 0.41), (20, 0.15, 0.35)):
+        signals = [[x[:, None]] for x in (0.0 * rate, error, np.arange(count) < samples)]
+        assert least < torque_error(*signals, step, usual).slow < most
 
 
 @pytest.mark.slow
@@ -366,13 +372,13 @@ def test_given_a_short_recording_when_calibrated_then_the_model_stays(arm, simul
     assert load_arm(tmp_path / 'arm.yaml') == found.arm
 
 
-def test_given_rests_when_looked_for_then_reversals_and_joints_that_never_move_are_none():
+def test_given_rests_when_looked_for_then_reversals_are_none_and_a_joint_that_never_moves_is_one():
     time = 0.01 * np.arange(1000)
     pauses = np.where(time % 2.0 < 1.0, 0.3 * np.sin(np.pi * time), 0.0)
     rates = np.stack([pauses, 0.3 * np.sin(time), 0.0 * time], axis=1)
     found = moving(rates, 0.01, np.ones(3))
     assert found[:, 0].mean() == pytest.approx(0.5, abs=0.05)
-    assert found[:, 1:].all()
+    assert found[:, 1].all() and not found[:, 2].any()
 
 
 def test_given_an_arm_that_pauses_when_calibrated_then_friction_at_rest_is_no_torque_error():

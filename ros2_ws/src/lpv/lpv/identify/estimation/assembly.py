@@ -16,7 +16,7 @@ from lpv.identify.estimation.robust import roots
 from lpv.identify.model.base_parameters import BaseParameters
 from lpv.identify.model.consistency import nearest_consistent
 from lpv.identify.model.friction import TERMS, least_viscous
-from lpv.identify.model.prior import LOAD_WIDTH, structural_prior
+from lpv.identify.model.prior import friction_prior, structural_prior
 from lpv.identify.model.rigid_body import STANDARD
 
 
@@ -35,13 +35,11 @@ def parameter_map(base: BaseParameters, joints: int) -> np.ndarray:
     return result
 
 
-def prior_of_all(arm: SerialArm, fit: Fit) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and width of all parameters of an arm; friction is as good as free."""
-    mean, sigma = structural_prior(arm)
-    size = np.maximum(np.abs(fit.friction), 10.0 * np.maximum(fit.scale, 1e-6)[:, None])
-    width = 10.0 * size
-    width[:, TERMS.index('load')] = LOAD_WIDTH
-    return np.append(mean, np.zeros(width.size)), np.append(sigma, width.T)
+def prior_of_all(arm: SerialArm) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and deviation of all parameters of an arm before the data."""
+    pairs = zip(structural_prior(arm), friction_prior(arm))
+    mean, sigma = (np.append(links, friction.T) for links, friction in pairs)
+    return mean, sigma
 
 
 def consistent_parameters(
@@ -49,7 +47,7 @@ def consistent_parameters(
 ) -> np.ndarray:
     """Physically consistent `SerialArm.parameter_vector` that fits best, shape (15 n,)."""
     n = len(arm.joints)
-    mean, sigma = prior_of_all(arm, fit)
+    mean, sigma = prior_of_all(arm)
     lower, upper = np.full(len(mean), -np.inf), np.full(len(mean), np.inf)
     lower[N_INERTIAL * n :] = 0.0  # rotors and friction
     lower[_columns('offset', n)] = -np.inf
@@ -57,10 +55,12 @@ def consistent_parameters(
     passive = np.eye(len(mean))
     limits = np.array([joint.limits.velocity for joint in arm.joints])
     passive[_columns('viscous', n), _columns('coulomb', n)] = least_viscous(fit.slope, limits)
-    root, inverse = roots(fit.normal / strength)
+    root, inverse = roots(fit.normal)
     root = root @ parameter_map(base, n) @ passive
-    target = inverse @ fit.right / strength
-    return passive @ nearest_consistent(root, target, mean, sigma, n, (lower, upper))
+    target = inverse @ fit.right
+    mean = np.linalg.solve(passive, mean)
+    held = sigma / np.sqrt(strength)
+    return passive @ nearest_consistent(root, target, mean, held, n, (lower, upper))
 
 
 def with_parameters(arm: SerialArm, values: np.ndarray, slope: np.ndarray) -> SerialArm:
@@ -80,19 +80,16 @@ def with_parameters(arm: SerialArm, values: np.ndarray, slope: np.ndarray) -> Se
 def covariance_of_all(
     arm: SerialArm, base: BaseParameters, fit: Fit, determined: int
 ) -> ParameterCovariance:
-    """Covariance (T^T Sigma^-1 T + Sigma_0^-1)^-1 of all parameters, of fit and prior."""
-    n = len(arm.joints)
-    _, sigma = prior_of_all(arm, fit)
-    known = np.flatnonzero(np.diag(fit.covariance) > 0.0)
-    scale = np.sqrt(np.diag(fit.covariance)[known])
-    values, vectors = np.linalg.eigh(fit.covariance[np.ix_(known, known)] / np.outer(scale, scale))
-    values = np.maximum(values, 1e-9 * values[-1])
-    transform = (parameter_map(base, n) * sigma)[known] / scale[:, None]
-    root = (vectors / np.sqrt(values)).T @ transform
-    # Not by a Cholesky factor of the sum: squares of what fits far too well hide the prior.
-    upper = np.asarray(np.linalg.qr(np.vstack([root, np.eye(len(sigma))]), mode='r'))
-    factor = np.linalg.solve(upper.T, np.diag(sigma))
-    factor[:, _columns('load', n)[~fit.used_load]] = 0.0
+    """Covariance of all parameters: what the fit says of its own ones, and the prior beside."""
+    _, sigma = prior_of_all(arm)
+    size = len(fit.parameters)
+    turn, upper = np.linalg.qr((parameter_map(base, len(arm.joints)) * sigma).T, mode='complete')
+    fitted, others = turn[:, :size], turn[:, size:]  # directions in units of sigma
+    spread = np.sqrt(np.diag(fit.covariance)) + 1e-300
+    values, vectors = np.linalg.eigh(fit.covariance / np.outer(spread, spread))
+    root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T * spread
+    inverse = np.linalg.solve(upper[:size], fitted.T)
+    factor = sigma * np.vstack([root @ inverse, others.T])
     rounded = (tuple(float(f'{v:.6g}') for v in row) for row in factor)
     return ParameterCovariance(tuple(rounded), determined)
 

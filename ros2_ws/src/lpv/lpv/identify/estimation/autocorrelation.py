@@ -27,23 +27,34 @@ def score_covariance(
 
 
 def residual_autocovariances(
-    rows: np.ndarray, residual: np.ndarray, inverse: np.ndarray, lengths: Sequence[int]
+    rows: np.ndarray,
+    residual: np.ndarray,
+    inverse: np.ndarray,
+    lengths: Sequence[int],
+    counts: np.ndarray,  # which residuals do, shape (rows, n); the others are 0
 ) -> list[np.ndarray]:
     """Autocovariance of each joint's errors from lag 0 on, from the residuals of a fit."""
     # A fit takes out of the residuals what regressors can explain: how much is found by drawing
     # errors with the present autocovariance and fitting them.
     count, n = residual.shape
     most = max(2, int(0.15 * max(lengths)))
-    found = [_ended(autocovariance(_stretches(r, lengths), most), count) for r in residual.T]
+    pairs = [autocovariance(_stretches(c.astype(float), lengths), most) for c in counts.T]
+
+    def found_of(errors: np.ndarray, joint: int, lags: int) -> np.ndarray:
+        found = autocovariance(_stretches(errors, lengths), lags)
+        return found / np.maximum(pairs[joint][:lags], 1.0 / count)
+
+    found = [_ended(found_of(r, j, most), count) for j, r in enumerate(residual.T)]
     errors, rng = found, np.random.default_rng(3)
     flat = rows.reshape(count * n, -1)
     for _ in range(_ROUNDS):
         left = [np.zeros(len(gamma)) for gamma in found]
         for _ in range(_DRAWS):
             drawn = np.stack([_draw(_windowed(gamma), count, rng) for gamma in errors], axis=1)
+            drawn *= counts
             rest = drawn - rows @ (inverse @ (flat.T @ drawn.ravel()))
-            for lost, before, after in zip(left, drawn.T, rest.T):
-                both = [autocovariance(_stretches(e, lengths), len(lost)) for e in (before, after)]
+            for j, (lost, before, after) in enumerate(zip(left, drawn.T, rest.T)):
+                both = [found_of(e, j, len(lost)) for e in (before, after)]
                 lost += (both[0] - both[1]) / _DRAWS
         errors = [gamma + lost for gamma, lost in zip(found, left)]
     return [_windowed(gamma) for gamma in errors]

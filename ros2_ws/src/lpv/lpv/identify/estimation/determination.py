@@ -49,7 +49,7 @@ def determine(base: BaseParameters, fit: Fit, arm: SerialArm) -> Determination:
     friction = np.abs(fit.friction)
     size = np.maximum(friction[:, [0, 1, 2, 1]], fit.scale[:, None] * 0.5)
     size[:, TERMS.index('load')] = np.maximum(size[:, TERMS.index('load')], 0.05)
-    limit = 0.5 * np.concatenate([prior, 2.0 * size.ravel()])
+    limit = np.concatenate([prior / np.sqrt(5.0), size.ravel()])
     active = np.ones(len(names), bool)
     active[base.size + TERMS.index('load') :: len(TERMS)] = fit.used_load
     determined = (sigma > 0.0) & (sigma < limit) & used

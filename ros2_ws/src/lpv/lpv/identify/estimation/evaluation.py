@@ -12,7 +12,7 @@ from lpv.identify.recordings.motion import Motion
 
 @dataclass(frozen=True)
 class Figures:
-    """Figures of each joint, all of shape (n,)."""
+    """Figures of each joint where it moves, all of shape (n,)."""
 
     rms: np.ndarray  # of effort minus prediction, the effort as it was recorded [N m]
     rms_band: np.ndarray  # after a causal low-pass at the analysis bandwidth [N m]
@@ -31,6 +31,7 @@ class Prediction:
     residual_band: np.ndarray  # after the causal low-pass [N m]
     position: np.ndarray  # [rad]
     velocity: np.ndarray  # [rad/s]
+    counts: np.ndarray  # where joints move: at rest friction may be anything
 
     @property
     def residual(self) -> np.ndarray:
@@ -42,22 +43,28 @@ def predict(rows: Rows, fit: Fit, filters: Filters, motion: Motion) -> Predictio
     """Prediction over the counted samples of a segment's rows and motion."""
     predicted = low_pass(model_torque(rows, fit), filters.effort, rows.step)
     band = causal_low_pass(rows.effort - predicted, filters.test, rows.step)
-    signals = motion.time, rows.effort, predicted, band, motion.position, rows.velocity
+    signals = motion.time, rows.effort, predicted, band, motion.position, rows.velocity, rows.counts
     return Prediction(*(signal[rows.part] for signal in signals))
 
 
 def figures(predictions: Sequence[Prediction], filters: Filters, step: float) -> Figures:
     """Figures over several stretches of some sample time [s]."""
-    measured = np.concatenate([p.measured for p in predictions])
-    square = np.mean(np.concatenate([p.residual for p in predictions]) ** 2, axis=0)
-    band = np.concatenate([p.residual_band for p in predictions])
+    names = 'measured', 'residual', 'residual_band', 'counts'
+    measured, missed, band, counts = (
+        np.concatenate([getattr(p, name) for p in predictions]) for name in names
+    )
+
+    def mean(values: np.ndarray, which: np.ndarray = counts) -> np.ndarray:
+        return np.sum(values * which, axis=0) / np.maximum(np.sum(which, axis=0), 1)
+
+    square = mean(missed**2)
     lag = max(1, int(round(0.5 / (min(filters.test, 0.5 / step) * step))))
-    centred = band - band.mean(axis=0)
-    products = centred[lag:] * centred[:-lag] if len(centred) > lag else 0.0 * centred
+    centred = band - mean(band)
+    products = mean(centred[lag:] * centred[:-lag], counts[lag:] & counts[:-lag])
     return Figures(
         np.sqrt(square),
-        np.sqrt(np.mean(band**2, axis=0)),
+        np.sqrt(mean(band**2)),
         np.sqrt(square) / np.maximum(np.ptp(measured, axis=0), 1e-12),
-        1.0 - square / np.maximum(np.var(measured, axis=0), 1e-24),
-        np.mean(products, axis=0) / np.maximum(np.mean(centred**2, axis=0), 1e-24),
+        1.0 - square / np.maximum(mean((measured - mean(measured)) ** 2), 1e-24),
+        products / np.maximum(mean(centred**2), 1e-24),
     )

@@ -12,7 +12,6 @@ from lpv.identify.estimation.regression import Filters, Problem, Rows, fit_param
 from lpv.identify.estimation.robust import invert_normal, normal_equations
 from lpv.identify.model.friction import TERMS
 from lpv.identify.model.prior import Prior
-from lpv.identify.recordings.motion import moving
 
 _ROUNDS = 12  # most: (1 + _STEP)^12 = 57 times a gain
 _STEP = 0.4  # largest relative change of a gain in a round
@@ -21,19 +20,12 @@ _WIDTH = 0.5  # of the logarithm of a gain about that at which the masses given 
 _HELD = 0.01  # the same of a joint whose links' torques do not show
 
 
-def estimate_gains(
-    rows: Sequence[Rows], filters: Filters, prior: Prior, scales: np.ndarray
-) -> np.ndarray:
-    """Factors k that turn efforts into torques, of either sign, shape (n,) [N m per unit].
-
-    Efforts of joints that rest do not count: friction may hold any torque there.  ``scales``, shape
-    (n,), are those of `moving`.
-    """
+def estimate_gains(rows: Sequence[Rows], filters: Filters, prior: Prior) -> np.ndarray:
+    """Factors k that turn efforts into torques, of either sign, shape (n,) [N m per unit]."""
     # Links couple the joints, which fixes ratios: Gauss-Newton on i = (1/k) tau(phi), errors being
     # those of currents.  The common scale is not in the data: it is that at which torques of links
     # are as large as those of the masses given; a prior alone would shrink it down to nothing.
     n = rows[0].effort.shape[1]
-    rows = [replace(one, moves=moving(one.velocity, one.step, scales)) for one in rows]
     start, seen = _start(rows, prior)
     gains, held = start, np.where(seen, _WIDTH, _HELD) ** -2
     expected = _sizes(rows, prior.mean)

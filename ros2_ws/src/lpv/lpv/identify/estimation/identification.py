@@ -12,8 +12,7 @@ from lpv.identify.estimation.evaluation import Figures, Prediction, figures, pre
 from lpv.identify.estimation.health import unhealthy
 from lpv.identify.estimation.mistakes import Mistake, find_mistakes
 from lpv.identify.estimation.regression import Filters, Fit
-from lpv.identify.estimation.selection import WeightEvidence
-from lpv.identify.estimation.torque_error import torque_error, torque_tolerance
+from lpv.identify.estimation.torque_error import torque_error, torque_tolerance, usual_error
 from lpv.identify.estimation.workshop import Workshop
 from lpv.identify.recordings.motion import moving
 from lpv.identify.recordings.recording import Recording
@@ -42,10 +41,9 @@ class Identification:
     predictions: list[Prediction]  # on data held back
     sensing: Sensing
     determination: Determination
-    fit: Fit  # to the training data, without a prior
+    fit: Fit  # to the training data
     filters: Filters
     used_rates: bool  # measured rates were used
-    weight: WeightEvidence  # whether the efforts contain the arm's weight
     mistakes: tuple[Mistake, ...]  # what is likely wrong in the set-up; part of the warnings, too
     warnings: tuple[str, ...]
 
@@ -65,12 +63,14 @@ def identify(
     workshop.estimate_gains(share)
     report('looking for mistakes of the set-up')
     # Weight and load it finds by itself.
-    mistakes = [
-        m for m in find_mistakes(workshop.arm, recordings) if m.kind not in ('weight', 'load')
-    ]
+    # A load it finds by itself.
+    mistakes = [m for m in find_mistakes(workshop.arm, recordings) if m.kind != 'load']
     workshop.warnings += [m.text for m in mistakes]
     # With gravity from elsewhere, or other joints' efforts, the weight cannot be judged.
-    weight = workshop.check_weight(share, not (options.weight_is_known or mistakes))
+    if [m.kind for m in mistakes] == ['weight'] and not options.weight_is_known:
+        workshop.change_weight()
+        mistakes.clear()
+        workshop.warnings[-1] += '; taken so'
     arm = workshop.arm
     workshop.choose(share, report)
     report('fitting the parameters')
@@ -88,10 +88,9 @@ def identify(
         fit, _ = workshop.fit(1.0)
         found = workshop.arm_of(fit, strength)
     report('measuring what is uncertain')
-    free = workshop.free_fit(1.0 if options.refit else share, fit.slope)
-    determination = determine(workshop.base, free, arm)
+    determination = determine(workshop.base, fit, arm)
     sensing = workshop.sensing()
-    found = _finish(found, workshop, sensing, predictions, determination, free)
+    found = _finish(found, workshop, sensing, predictions, determination, fit)
     report('looking for faults in the recordings')
     workshop.warnings += unhealthy(found, [*recordings, *tests])
     step = workshop.step
@@ -102,10 +101,9 @@ def identify(
         predictions,
         sensing,
         determination,
-        free,
+        fit,
         workshop.filters,
         workshop.use_rates,
-        weight,
         tuple(mistakes),
         tuple(workshop.warnings),
     )
@@ -129,7 +127,7 @@ def _finish(
         delay = float(workshop.effort_delay[j])
         joints.append(replace(joint, effort_delay=delay, torque_tolerance=tolerance))
     determined = int(determination.determined.sum())
-    error = torque_error(rates, residuals, counts, workshop.step)
+    error = torque_error(rates, residuals, counts, workshop.step, usual_error(workshop.arm))
     return replace(
         error.on(sensing.on(replace(arm, joints=tuple(joints)))),
         covariance=covariance_of_all(workshop.arm, workshop.base, fit, determined),

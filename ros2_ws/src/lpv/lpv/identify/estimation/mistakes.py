@@ -271,7 +271,7 @@ class _Judge:
         """Kinds of mistakes, and what tries each: the most evident one of it counts."""
         kinds: tuple[tuple[str, Callable[[_Setup], _Tried]], ...] = (
             ('gravity', self._gravities),
-            ('weight', self._weightless),
+            ('weight', self._weight),
             ('load', self._loaded),
             ('change', self._load_changes),
             ('sign', self._signs),
@@ -340,10 +340,13 @@ class _Judge:
                 found,
             )
 
-    def _weightless(self, setup: _Setup) -> _Tried:
+    def _weight(self, setup: _Setup) -> _Tried:
         if setup.gravity.any():
             text = 'efforts do not contain the torque that holds the weight (--without-gravity)'
             yield text, replace(setup, gravity=np.zeros(3))
+        else:
+            text = 'efforts contain the torque that holds the weight (--with-gravity)'
+            yield text, replace(setup, gravity=self._arm.gravity_vector())
 
     def _loaded(self, setup: _Setup) -> _Tried:
         if self._arm.uncertainty.payload is None:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.optimize import nnls
 
 from lpv.core.serial_arm.description import coulomb_direction
@@ -31,7 +32,7 @@ from lpv.identify.model.friction import (
 from lpv.identify.model.prior import Prior
 from lpv.identify.model.rigid_body import RigidBody
 from lpv.identify.recordings.filters import derivative, low_pass
-from lpv.identify.recordings.motion import Motion
+from lpv.identify.recordings.motion import Motion, moving
 
 _SWEEPS = 6  # most, of weights and slopes in turn
 _REFINEMENTS = 3  # steps of the last slopes, from the nearest ones of the grid
@@ -46,9 +47,9 @@ class Rows:
     base: np.ndarray  # of the base parameters, shape (samples, n, base)
     velocity: np.ndarray  # shape (samples, n) [rad/s]
     effort: np.ndarray  # shape (samples, n) [N m]
+    counts: np.ndarray  # where efforts do: not at rest, as friction is unknown, (samples, n)
     speed_limit: np.ndarray  # of the joints, shape (n,) [rad/s]
     part: slice = field(default_factory=lambda: slice(None))  # samples that count
-    moves: np.ndarray | None = None  # where efforts count, if not everywhere, (samples, n)
     cache: dict[tuple[float, float], np.ndarray] = field(  # filtered regressors of base parameters
         default_factory=dict, compare=False, repr=False
     )
@@ -102,13 +103,15 @@ def make_rows(
     model: RigidBody,
     base: BaseParameters,
     motion: Motion,
+    scale: np.ndarray,  # of the joints, that of `moving`, shape (n,)
     speed_limit: np.ndarray,  # up to which friction must not drive, shape (n,) [rad/s]
     with_gravity: bool = True,  # whether efforts contain it
 ) -> Rows:
     """Regressor of torques along a smoothed motion with efforts [N m]."""
     rate, gravity = motion.velocity, None if with_gravity else np.zeros(3)
     columns = model.regressor(motion.position, rate, derivative(rate, motion.step), gravity)
-    return Rows(motion.step, columns[:, :, base.columns], rate, motion.effort, speed_limit)
+    counts = moving(rate, motion.step, scale)
+    return Rows(motion.step, columns[:, :, base.columns], rate, motion.effort, counts, speed_limit)
 
 
 def model_torque(rows: Rows, fit: Fit) -> np.ndarray:
@@ -133,8 +136,7 @@ class Problem:
         self.effort = np.concatenate(
             [self._keep(low_pass(r.effort, filters.analysis, r.step), r) for r in rows]
         )
-        counts = [np.ones(r.effort.shape, bool) if r.moves is None else r.moves for r in rows]
-        self.counts = np.concatenate([self._keep(c, r) for c, r in zip(counts, rows)])
+        self.counts = np.concatenate([self._keep(r.counts, r) for r in rows])
         self.lengths = [len(self._keep(r.effort, r)) for r in rows]
         self._rates = np.concatenate([self._reduce(r.velocity, r) for r in rows])
 
@@ -195,39 +197,35 @@ def fit_parameters(
     rows: Sequence[Rows],
     filters: Filters,
     use_load: np.ndarray,  # joints with load-dependent friction, shape (n,)
-    prior: Prior | None = None,
+    prior: Prior,
     slope: np.ndarray | None = None,  # shape (n,); searched if not given
-    signed: bool = True,  # leave out terms of friction that would drive a joint
     sweeps: int = _SWEEPS,  # of slopes, load and linear parameters in turn
     with_covariance: bool = False,
 ) -> Fit:
     """Fit base parameters, friction and slopes: Huber's estimate with one scale for each joint."""
     problem = Problem(rows, filters, use_load)
     n, size, search = problem.n, problem.size, slope is None
-    slope = np.full(n, 50.0) if slope is None else slope.copy()
+    slope = prior.slope * np.ones(n) if slope is None else slope.copy()
     parameters = np.zeros(size + len(TERMS) * n)
     scale, weight = np.ones(n), problem.counts.astype(float)
-    for sweep in range(sweeps if search else min(sweeps, 3)):
+    for sweep in range(sweeps + _REFINEMENTS if search else min(sweeps, 3)):
         loads = problem.loads(parameters[:size]) if sweep else None
-        if search and sweep:
-            slope = _search_slopes(problem, parameters, loads, slope, weight, sweep)
+        if search and sweep >= sweeps:
+            slope = _refine(problem, slope, parameters, weight / scale**2, prior)
+        elif search and sweep:
+            tried = problem, parameters, loads, slope, weight / scale**2, sweep, prior
+            slope = _search_slopes(*tried)
         design = problem.design(slope, loads)
         for _ in range(2):
             equations = normal_equations(design, problem.effort, weight / scale**2, prior)
-            parameters, active = _solve(problem, slope, *equations, signed)
+            parameters = _solve(problem, slope, *equations)
             residual = problem.effort - design @ parameters
             scale, weight = _weigh(problem, residual)
-    for _ in range(_REFINEMENTS if search else 0):
-        weights = weight / scale**2
-        slope, parameters, residual = _refine(problem, slope, parameters, weights, active, prior)
-        scale, weight = _weigh(problem, residual)
-    if search:
-        design = problem.design(slope, problem.loads(parameters[:size]))
     weights = weight / scale**2
     covariance, freedom = np.zeros((len(parameters), len(parameters))), 1.0
     if with_covariance:
         full = problem.with_slopes(design, slope, parameters)
-        covariance, freedom = _uncertainty(problem, full, residual, weights, active, prior)
+        covariance, freedom = _uncertainty(problem, full, residual, weights, prior)
     normal, right = normal_equations(design, problem.effort, weights)
     return Fit(parameters, slope, scale, size, normal, right, covariance, freedom, use_load)
 
@@ -240,42 +238,34 @@ def _weigh(problem: Problem, residual: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def _solve(
-    problem: Problem, slope: np.ndarray, matrix: np.ndarray, right: np.ndarray, signed: bool
-) -> tuple[np.ndarray, np.ndarray]:
-    """Solution, and which parameters it has; friction that would drive is left out."""
+    problem: Problem, slope: np.ndarray, matrix: np.ndarray, right: np.ndarray
+) -> np.ndarray:
+    """Solution without the terms of friction that would drive a joint."""
     active, passive, positive = problem.constraints(slope)
     matrix, right = passive.T @ matrix @ passive, passive.T @ right
     while True:
         result = np.zeros(len(active))
         result[active] = invert_normal(matrix[np.ix_(active, active)]) @ right[active]
         negative = positive & (result < 0.0)
-        if not (signed and negative.any()):
-            return passive @ result, active
+        if not negative.any():
+            return passive @ result
         active &= ~negative
 
 
 def _refine(
-    problem: Problem,
-    slope: np.ndarray,
-    parameters: np.ndarray,
-    weight: np.ndarray,
-    active: np.ndarray,
-    prior: Prior | None,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    problem: Problem, slope: np.ndarray, parameters: np.ndarray, weight: np.ndarray, prior: Prior
+) -> np.ndarray:
     """Gauss-Newton step in the logarithms of the slopes, together with all parameters."""
-    n, count = problem.n, len(active)
+    # Also with those that would drive: at another slope they may not, and hold it where it is.
+    n, count = problem.n, len(parameters)
     design = problem.design(slope, problem.loads(parameters[: problem.size]))
     full = problem.with_slopes(design, slope, parameters)
     matrix, right = normal_equations(full, problem.effort, weight, prior)
     matrix[count:, count:] += _SLOPE_HELD * np.eye(n)
-    # What is left out stays where it is: at zero, or at the limit of dissipation.
-    kept = np.append(active, np.ones(n, bool))
-    solution = np.append(np.where(active, 0.0, parameters), np.zeros(n))
-    right -= matrix @ solution
-    solution[kept] += invert_normal(matrix[np.ix_(kept, kept)]) @ right[kept]
-    solution[count:] = np.clip(solution[count:], -0.3, 0.3)
-    slope = np.clip(slope * np.exp(solution[count:]), SLOPES[0], SLOPES[-1])
-    return slope, solution[:count], problem.effort - full @ solution
+    right[count:] += _SLOPE_HELD * np.log(prior.slope / slope)
+    used = np.append(problem.constraints(slope)[0], np.ones(n, bool))
+    change = (invert_normal(matrix[np.ix_(used, used)]) @ right[used])[-n:]
+    return np.clip(slope * np.exp(np.clip(change, -0.3, 0.3)), SLOPES[0], SLOPES[-1])
 
 
 def _search_slopes(
@@ -285,6 +275,7 @@ def _search_slopes(
     slope: np.ndarray,
     weight: np.ndarray,
     sweep: int,
+    prior: Prior,
 ) -> np.ndarray:
     """Best slope of each joint on a grid, the rigid-body part being held."""
     n, root = problem.n, np.sqrt(weight)
@@ -298,6 +289,7 @@ def _search_slopes(
         for j in range(n):
             used = [True, True, bool(problem.use_load[j]), True]
             cost[j] = _cost(columns[:, j][:, used], rest[:, j])
+        cost += _SLOPE_HELD * np.log(candidate / prior.slope) ** 2
     chosen = np.array(candidates)[np.argmin(costs, axis=0), np.arange(n)]
     return np.clip(chosen, SLOPES[0], SLOPES[-1])
 
@@ -309,26 +301,22 @@ def _cost(columns: np.ndarray, target: np.ndarray) -> float:
 
 
 def _uncertainty(
-    problem: Problem,
-    full: np.ndarray,
-    residual: np.ndarray,
-    weight: np.ndarray,
-    active: np.ndarray,
-    prior: Prior | None,
+    problem: Problem, full: np.ndarray, residual: np.ndarray, weight: np.ndarray, prior: Prior
 ) -> tuple[np.ndarray, float]:
     """Covariance and its degrees of freedom; slopes are estimated, too."""
-    n, size = problem.n, len(active)
-    known = np.append(active, np.ones(n, bool))
-    matrix = normal_matrix(full, weight)
-    # A slope that the rows do not show is held within a factor of e.
-    matrix[size:, size:] += _SLOPE_HELD * np.eye(n)
-    if prior is not None:
-        matrix[:size, :size] += prior.information
+    # The estimate's error is inverse @ (score of the data + score of the prior).
+    n, size = problem.n, len(prior.mean)
+    known = np.append(problem.constraints(np.ones(n))[0], np.ones(n, bool))
+    slopes = _SLOPE_HELD * np.eye(n)
+    matrix = normal_matrix(full, weight) + block_diag(prior.information, slopes)
     inverse = np.zeros_like(matrix)
     inverse[np.ix_(known, known)] = invert_normal(matrix[np.ix_(known, known)])
     root = np.sqrt(weight)
     rows = full * root[:, :, None]
-    gammas = residual_autocovariances(rows, residual * root, inverse, problem.lengths)
-    covariance = inverse @ score_covariance(rows, gammas, problem.lengths) @ inverse
-    independent = sum(residual.shape[0] * g[0] / max(g[0], 2.0 * g.sum() - g[0]) for g in gammas)
+    counts = problem.counts
+    gammas = residual_autocovariances(rows, residual * root, inverse, problem.lengths, counts)
+    scores = score_covariance(rows, gammas, problem.lengths) + block_diag(prior.score, slopes)
+    covariance = inverse @ scores @ inverse
+    shares = [g[0] / max(g[0], 2.0 * g.sum() - g[0], 1e-300) for g in gammas]
+    independent = counts.sum(axis=0) @ shares
     return covariance[:size, :size], max(1.0, float(independent) - float(known.sum()))

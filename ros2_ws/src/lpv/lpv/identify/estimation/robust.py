@@ -17,7 +17,8 @@ def robust_scale(
     if counts is None:
         median = np.median(np.abs(residual), axis=0)
     else:
-        median = np.array([np.median(np.abs(r[one])) for r, one in zip(residual.T, counts.T)])
+        pairs = zip(np.abs(residual.T), counts.T)
+        median = np.array([np.median(r[one]) if one.any() else 0.0 for r, one in pairs])
     return np.maximum(median / 0.6745, least)
 
 
@@ -26,10 +27,10 @@ def huber(ratio: np.ndarray, bound: float = HUBER) -> np.ndarray:
     return bound / np.maximum(np.abs(ratio), bound)
 
 
-def bounded_mean_square(error: np.ndarray) -> np.ndarray:
-    """Mean square of each column in which a contact does not decide."""
-    bound = 4.0 * robust_scale(error)
-    return np.mean(np.clip(error, -bound, bound) ** 2, axis=0)
+def bounded_squares(error: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """Sum over the samples that count of each column's squares, in which no contact decides."""
+    bound = 4.0 * robust_scale(error, counts=counts)
+    return np.sum(np.clip(error, -bound, bound) ** 2 * counts, axis=0)
 
 
 def normal_matrix(design: np.ndarray, weight: np.ndarray) -> np.ndarray:

@@ -1,13 +1,12 @@
 """Choice of the model by prediction of data that were held back."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from lpv.identify.estimation.regression import Filters, Fit, Rows, fit_parameters, model_torque
-from lpv.identify.estimation.robust import bounded_mean_square
-from lpv.identify.model.friction import SLOPE
+from lpv.identify.estimation.robust import bounded_squares
 from lpv.identify.model.prior import Prior
 from lpv.identify.recordings.filters import causal_low_pass, low_pass
 
@@ -22,7 +21,6 @@ _GAIN = 0.9  # ratio of mean squares below which the richer model is taken
 _NOTHING = 1e-5  # share of an effort's power that counts for nothing
 EQUAL = 0.02
 """Difference of the logarithms of mean squares that counts for nothing."""
-_SURE = 2.0  # ratio of errors above which efforts with the weight, or without it, are preferred
 
 
 def divide(rows: Rows, share: float) -> tuple[Rows, Rows]:
@@ -39,8 +37,11 @@ def residuals(rows: Rows, fit: Fit, filters: Filters, causal_cutoff: float = np.
 
 
 def validation_error(rows: Sequence[Rows], filters: Filters, estimate: Estimator) -> np.ndarray:
-    """Mean square error of each joint on blocks of training data, shape (n,) [(N m)^2]."""
-    total, count = np.zeros(rows[0].effort.shape[1]), 0
+    """Mean square error of each joint on blocks of training data, shape (n,) [(N m)^2].
+
+    That of a joint of which nothing counts is 1, whatever the estimate.
+    """
+    total, count = np.zeros((2, rows[0].effort.shape[1]))
     parts = [one.part.indices(len(one.effort))[:2] for one in rows]
     edges = [np.linspace(*part, BLOCKS + 1).astype(int) for part in parts]
     for block in range(BLOCKS):
@@ -51,14 +52,14 @@ def validation_error(rows: Sequence[Rows], filters: Filters, estimate: Estimator
             valid.append(replace(one, part=slice(edge[block], edge[block + 1])))
         fit = estimate(train)
         for one in valid:
-            error = residuals(one, fit, filters, filters.test)
-            total += len(error) * bounded_mean_square(error)
-            count += len(error)
-    return total / max(count, 1)
+            counts = one.counts[one.part]
+            total += bounded_squares(residuals(one, fit, filters, filters.test), counts)
+            count += counts.sum(axis=0)
+    return np.divide(total, count, out=np.ones_like(total), where=total > 0.0)
 
 
 def choose_effort_band(
-    rows: Sequence[Rows], filters: Filters, use_load: np.ndarray, prior: Prior | None
+    rows: Sequence[Rows], filters: Filters, use_load: np.ndarray, prior: Prior
 ) -> float:
     """Bandwidth of the effort sensor, inf if none is seen: drivers filter their torques."""
     errors: dict[float, float] = {}  # mean logarithms
@@ -67,7 +68,8 @@ def choose_effort_band(
         trial = replace(filters, effort=band)
         fit = fit_parameters(rows, trial, use_load, prior, sweeps=3)
         error = np.concatenate([residuals(one, fit, trial) for one in rows])
-        errors[band] = float(np.mean(np.log(bounded_mean_square(error))))
+        squares = bounded_squares(error, np.concatenate([one.counts[one.part] for one in rows]))
+        errors[band] = float(np.mean(np.log(squares, where=squares > 0.0, out=0.0 * squares)))
         tried = list(errors.values())
         if len(tried) > 4 and min(tried[-3:]) > min(tried):
             break
@@ -95,32 +97,3 @@ def choose_prior(
     found = [validation_error(rows, filters, estimator_of(strength)) for strength in STRENGTHS]
     errors = np.mean(np.log(found), axis=1)
     return STRENGTHS[int(np.flatnonzero(errors < errors.min() + EQUAL)[-1])]
-
-
-@dataclass(frozen=True)
-class WeightEvidence:
-    """How well efforts are predicted with the weight, and without it as some drivers do."""
-
-    with_weight: np.ndarray  # RMS error of each joint on data held back, shape (n,) [N m]
-    without_weight: np.ndarray  # the same if efforts do not contain the weight
-
-    @property
-    def ratio(self) -> float:
-        """Error without the weight by that with it, at the joint where they differ most."""
-        ratios = np.log(self.without_weight / self.with_weight)
-        return float(np.exp(ratios[np.argmax(np.abs(ratios))]))
-
-    @property
-    def contains_weight(self) -> bool | None:
-        """What the data say; None if they do not tell."""
-        return None if 1.0 / _SURE < self.ratio < _SURE else self.ratio > 1.0
-
-
-def error_of(rows: Sequence[Rows], filters: Filters, prior: Prior) -> np.ndarray:
-    """RMS error of each joint on data held back of the training data, shape (n,) [N m]."""
-    n = rows[0].effort.shape[1]
-    slope, no_load = np.full(n, SLOPE), np.zeros(n, bool)
-    squares = validation_error(
-        rows, filters, lambda part: fit_parameters(part, filters, no_load, prior, slope)
-    )
-    return np.sqrt(np.maximum(squares, 1e-24))

@@ -6,7 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import nnls
 
+from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import SerialArm, TorqueTolerance
+from lpv.core.serial_arm.diagnosis.parameter_error import model_error, typical_torque
+from lpv.core.serial_arm.diagnosis.priors import LASTING, USUAL_RATE
 from lpv.core.support.limits import SMALL
 from lpv.identify.errors import IdentificationError
 from lpv.identify.estimation.autocorrelation import autocovariance
@@ -58,28 +61,40 @@ def torque_error(
     residuals: Sequence[np.ndarray],
     counts: Sequence[np.ndarray],  # where joints move: friction at rest is no error of the model
     step: float,
+    usual: np.ndarray,  # what models miss, before any data, shape (n,) [N m]
 ) -> TorqueError:
-    """Fit the size of what a model misses by least squares of the squares of data held back."""
+    """Fit the size of what a model misses by least squares of the squares of data held back.
+
+    What is usual, at rest and at usual rates, counts as one independent sample.
+    """
     noise = noise_deviation(residuals)
+    n, every = len(usual), np.concatenate(counts)
     speed, size = np.concatenate(rates) ** 2, np.concatenate(residuals) ** 2
-    n, every = size.shape[1], np.concatenate(counts)
-    slow, growth, times = np.zeros((3, n))
-    for j in range(n):
-        squares, fast = size[every[:, j], j], speed[every[:, j], j]
-        least = max(1e-4 * float(np.mean(squares)), 1e-18)
-        target = np.maximum(squares - noise[j] ** 2, 0.0)
-        rows = np.column_stack([np.ones(len(target)), fast, target])
+    slow, growth, lengths = np.zeros((3, n))
+    for j in np.arange(n):
+        used = [one[:, j].astype(float) for one in counts]
+        parts = [r[:, j] * one for one, r in zip(used, residuals)]
+        lengths[j] = _correlation_length(parts, used, float(noise[j]))
+        fast = np.append(speed[every[:, j], j], [0.0, USUAL_RATE**2])
+        squares = np.maximum(size[every[:, j], j] - noise[j] ** 2, 0.0)
+        target, often = np.append(squares, 2 * [usual[j] ** 2]), np.ones(len(fast))
+        often[-2:] = lengths[j]
+        least = max(1e-4 * float(np.mean(target)), 1e-18)
+        rows = np.sqrt(often)[:, None] * np.column_stack([np.ones(len(target)), fast, target])
         variance = np.full(len(target), 1.0)
         for _ in range(3):  # twice weighted by what the squares say
             upper = np.asarray(np.linalg.qr(rows / variance[:, None], mode='r'))
-            (constant, slope), _ = nnls(upper[:, :2], upper[:, 2])
+            (constant, slope), _ = nnls(upper[:, :2], upper[:, -1])
             variance = np.maximum(constant + slope * fast, least)
             variance = variance / variance.mean()
         slow[j], growth[j] = np.sqrt(max(constant, least)), np.sqrt(slope)
-        parts = [np.where(used[:, j], r[:, j], 0.0) for used, r in zip(counts, residuals)]
-        used = [one[:, j].astype(float) for one in counts]
-        times[j] = step * _correlation_length(parts, used, float(noise[j]))
-    return TorqueError(slow, growth, float(np.median(times)))
+    seen = every.any(axis=0)
+    return TorqueError(slow, growth, step * float(np.median(lengths[seen if seen.any() else ...])))
+
+
+def usual_error(arm: SerialArm) -> np.ndarray:
+    """Torque that models miss for as long as a pose lasts, shape (n,) [N m]."""
+    return LASTING * model_error(arm) * typical_torque(compile_chain(arm))
 
 
 def _correlation_length(
@@ -128,7 +143,7 @@ def calibrate(arm: SerialArm, recordings: Sequence[Recording]) -> Calibration:
     delay = np.array([joint.effort_delay for joint in arm.joints])
     sensing = sense(recordings, segments, 0.0 * delay, delay)
     counts = [moving(rate, one.step, arm.scales()) for rate, one in zip(rates, segments)]
-    error = torque_error(rates, residuals, counts, step)
+    error = torque_error(rates, residuals, counts, step, usual_error(arm))
     warnings = [text for one in recordings for text in one.warnings]
     fastest = np.max(np.abs(np.concatenate(rates)), axis=0)
     warnings += [
@@ -146,7 +161,7 @@ def calibrate(arm: SerialArm, recordings: Sequence[Recording]) -> Calibration:
 def torque_tolerance(speed: np.ndarray, residual: np.ndarray) -> TorqueTolerance:
     """Envelope of 99 % of a joint's residuals [N m], in bins of its speed [rad/s]."""
     speed, size = np.abs(speed), np.abs(residual)
-    edges = np.quantile(speed, np.linspace(0.0, 1.0, _BINS + 1) ** 1.5)
+    edges = np.quantile(speed, np.linspace(0.0, 1.0, _BINS + 1) ** 1.5) if len(speed) else speed
     points: list[tuple[float, float]] = []
     for low, high in zip(edges[:-1], edges[1:]):
         inside = (speed >= low) & (speed <= high)

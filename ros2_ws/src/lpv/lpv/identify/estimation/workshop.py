@@ -13,15 +13,13 @@ from lpv.identify.estimation.gains import estimate_gains
 from lpv.identify.estimation.regression import Filters, Fit, Rows, fit_parameters, make_rows
 from lpv.identify.estimation.selection import (
     EQUAL,
-    WeightEvidence,
     choose_effort_band,
     choose_prior,
     divide,
-    error_of,
     validation_error,
 )
 from lpv.identify.model.base_parameters import find_base_parameters
-from lpv.identify.model.prior import Prior, base_prior
+from lpv.identify.model.prior import base_prior
 from lpv.identify.model.rigid_body import RigidBody
 from lpv.identify.recordings.motion import (
     Motion,
@@ -37,7 +35,7 @@ from lpv.identify.sensors.sensing import Sensing, noise_deviation, sense
 WEAK = 1e-3
 """Strength of the prior while the model is chosen."""
 _PASSIVE = 0.08  # share of the acting torques below which a joint is not driven
-HELD = 1e4
+HELD = 1e3
 """Strength of the prior where the data leave the scale open."""
 _BETTER = 0.95  # ratio of mean squares below which the other rates are taken
 
@@ -86,9 +84,7 @@ class Workshop:
         """Gains of the efforts, if those are currents and no gains are given."""
         if self.arm.effort_unit == 'N m' or np.any(self.gain != 1.0):
             return
-        self.gain = estimate_gains(
-            self.train_rows(share), self.filters, self.prior, self.arm.scales()
-        )
+        self.gain = estimate_gains(self.train_rows(share), self.filters, self.prior)
         pairs = zip(self.arm.joints, self.gain.tolist())
         joints = tuple(replace(joint, torque_gain=gain) for joint, gain in pairs)
         self.arm = replace(self.arm, joints=joints)
@@ -98,28 +94,10 @@ class Workshop:
         )
         self._prepare()
 
-    def check_weight(self, share: float, may_change: bool) -> WeightEvidence:
-        """Whether the efforts contain the weight, by prediction within the training data."""
-        given = self.arm.effort_includes_gravity
-        other = [self._rows(motion, True) for motion in self.motions]
-        weak = self.prior.times(WEAK)
-        errors = [
-            error_of([divide(one, share)[0] for one in rows], self.filters, weak)
-            for rows in (self.rows, other)
-        ]
-        evidence = WeightEvidence(*(errors if given else errors[::-1]))
-        found = evidence.contains_weight
-        if found is not None and found != given:
-            factor = max(evidence.ratio, 1.0 / evidence.ratio)
-            text = (
-                f'efforts seem {"" if found else "not "}to contain the weight: predicted so, a '
-                f'joint misses {factor:.1f} times less'
-            )
-            self.warnings.append(f'{text}; taken so' if may_change else text)
-            if may_change:
-                self.arm = replace(self.arm, effort_includes_gravity=found)
-                self.rows = other
-        return evidence
+    def change_weight(self) -> None:
+        """Efforts contain the weight, or do not, against what the arm's file says."""
+        self.arm = replace(self.arm, effort_includes_gravity=not self.arm.effort_includes_gravity)
+        self._prepare()
 
     def _prepare(self) -> None:
         self.motions = [self._motion(segment) for segment in self.segments]
@@ -129,10 +107,10 @@ class Workshop:
         scaled = replace(segment, effort=segment.effort * self.gain)
         return smooth(scaled, self.bands, self.use_rates, self.rate_delay, self.effort_delay)
 
-    def _rows(self, motion: Motion, other_weight: bool = False) -> Rows:
+    def _rows(self, motion: Motion) -> Rows:
         limit = 1.1 * np.array([joint.limits.velocity for joint in self.arm.joints])
-        weight = self.arm.effort_includes_gravity != other_weight
-        rows = make_rows(self.model, self.base, motion, limit, weight)
+        weight = self.arm.effort_includes_gravity
+        rows = make_rows(self.model, self.base, motion, self.arm.scales(), limit, weight)
         margin = min(int(np.ceil(0.5 / (self.bands.test * self.step))), len(motion.time) // 10)
         return replace(rows, part=slice(margin, len(motion.time) - margin))
 
@@ -224,23 +202,19 @@ class Workshop:
             )
             strength = HELD
         prior = self.prior.times(strength)
-        return fit_parameters(rows, self.filters, self.use_load, prior), strength
+        fit = fit_parameters(rows, self.filters, self.use_load, prior, with_covariance=True)
+        return fit, strength
 
     def _passive_joints(self, rows: Sequence[Rows]) -> list[str]:
         """Joints that swing freely: their balance holds for parameters of any scale."""
         beta = np.abs(self.prior.mean[: self.base.size])
-        acting = np.mean(np.concatenate([np.abs(r.base[r.part]) @ beta for r in rows]), axis=0)
-        driven = np.mean(np.concatenate([np.abs(r.effort[r.part]) for r in rows]), axis=0)
+        pairs = [
+            ((np.abs(r.base) @ beta)[r.part], r.effort[r.part], r.counts[r.part]) for r in rows
+        ]
+        acting, effort, counts = (np.concatenate(part) for part in zip(*pairs))
+        driven = np.sum(np.abs(effort) * counts, axis=0)
+        acting = np.sum(acting * counts, axis=0)
         return [name for name, few in zip(self.arm.joint_names, driven < _PASSIVE * acting) if few]
-
-    def free_fit(self, share: float, slope: np.ndarray | None) -> Fit:
-        """Fit whose inertial parameters have no prior: its covariance is that of the data."""
-        information = self.prior.information.copy()
-        information[: self.base.size, : self.base.size] = 0.0
-        free, rows = Prior(self.prior.mean, information), self.train_rows(share)
-        return fit_parameters(
-            rows, self.filters, self.use_load, free, slope, signed=False, with_covariance=True
-        )
 
     def arm_of(self, fit: Fit, strength: float) -> SerialArm:
         """The arm with the parameters of a fit, physically consistent."""

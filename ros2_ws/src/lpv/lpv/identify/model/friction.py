@@ -7,7 +7,7 @@ from lpv.core.serial_arm.description import coulomb_direction
 TERMS = ('viscous', 'coulomb', 'load', 'offset')
 """Friction parameters of a joint, in the order of their columns."""
 SLOPE = 50.0
-"""Slope of the Coulomb term where it does not matter much [s/rad]: about the middle of `SLOPES`."""
+"""Slope of the Coulomb term where none is stated [s/rad]: about the middle of `SLOPES`."""
 SLOPES = np.geomspace(3.0, 1000.0, 16)
 """Slopes of the Coulomb term that are tried [s/rad]."""
 

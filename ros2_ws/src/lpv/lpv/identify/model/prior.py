@@ -1,20 +1,24 @@
 """What is known of an arm's parameters before the recording: its URDF, with wide tolerances."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from lpv.core.serial_arm.chain import compile_chain
-from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.description import UNSTATED_FRICTION, JointLimits, SerialArm
+from lpv.core.serial_arm.diagnosis.parameter_error import typical_torque
+from lpv.core.serial_arm.diagnosis.priors import USUAL_RATE
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.identify.model.base_parameters import BaseParameters
-from lpv.identify.model.friction import TERMS
+from lpv.identify.model.friction import SLOPE
 
 _RELATIVE = 0.3  # of masses; of the lengths that first moments and inertias go with
 _SHARE = 0.02  # of the arm's mass: the least that a link is taken to weigh
 LOAD_WIDTH = 0.1
 """Standard deviation of load-dependent friction [N m per N m]."""
 _LENGTH = 0.1  # least size of a link [m]
+_LOST = 0.1  # share of a drive's largest torque that its gears may take
 
 
 @dataclass(frozen=True)
@@ -23,10 +27,18 @@ class Prior:
 
     mean: np.ndarray  # shape (parameters,)
     information: np.ndarray  # inverse covariance, shape (parameters, parameters)
+    slope: np.ndarray | float = SLOPE  # of the Coulomb term, expected, shape (n,) [s/rad]
+    strength: float = 1.0  # how often it counts, as if it had been seen so many times
 
     def times(self, strength: float) -> 'Prior':
         """The same distribution, as if it had been seen so many times."""
-        return Prior(self.mean, strength * self.information)
+        information = strength * self.information
+        return replace(self, information=information, strength=strength * self.strength)
+
+    @property
+    def score(self) -> np.ndarray:
+        """Covariance of information @ (mean - truth): what is known does not change."""
+        return self.strength * self.information
 
 
 def structural_prior(arm: SerialArm) -> tuple[np.ndarray, np.ndarray]:
@@ -52,13 +64,30 @@ def _joint_inertias(arm: SerialArm) -> np.ndarray:
     return np.maximum(np.max([np.diag(model.mass_matrix(q)) for q in poses], axis=0), 0.0)
 
 
+def friction_prior(arm: SerialArm) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and deviation of each joint's friction in the order of `TERMS`, each (n, 4)."""
+    friction = [joint.friction for joint in arm.joints]
+    mean = np.array([(f.viscous, f.coulomb, f.load, f.offset) for f in friction])
+    stated = mean[:, 1] + np.abs(mean[:, 0]) * USUAL_RATE
+    # As large as the torques that move the joint, or the share of its largest one that is usual;
+    # as stated within its own size, or the share of that by which friction may change.
+    typical = typical_torque(compile_chain(arm))
+    limit = np.array([joint.limits.torque for joint in arm.joints])
+    lost = np.where(limit < JointLimits.torque, _LOST * limit, typical.max())
+    size = np.maximum(typical, lost)
+    size = np.where(stated > 0.0, np.maximum(stated, UNSTATED_FRICTION * size), size)
+    load = np.full_like(size, LOAD_WIDTH)
+    # An offset is what friction takes more one way than the other.
+    width = size / USUAL_RATE, size, load, UNSTATED_FRICTION * size
+    return mean, np.stack(width, axis=1)
+
+
 def base_prior(arm: SerialArm, base: BaseParameters) -> Prior:
-    """Prior of the base parameters, then of each joint's friction, of which little is known."""
+    """Prior of the base parameters, then of each joint's friction."""
     mean, sigma = structural_prior(arm)
-    covariance = (base.combination * sigma**2) @ base.combination.T
-    size = base.size + len(TERMS) * len(arm.joints)
-    information = np.zeros((size, size))
-    information[: base.size, : base.size] = np.linalg.inv(covariance)
-    load = base.size + TERMS.index('load') + len(TERMS) * np.arange(len(arm.joints))
-    information[load, load] = LOAD_WIDTH**-2
-    return Prior(np.concatenate([base.combination @ mean, np.zeros(size - base.size)]), information)
+    friction, width = friction_prior(arm)
+    inertial = np.linalg.inv((base.combination * sigma**2) @ base.combination.T)
+    information = block_diag(inertial, np.diag(width.ravel() ** -2))
+    stated = [joint.friction for joint in arm.joints]
+    slope = np.array([f.coulomb_slope if f.coulomb > 0.0 else SLOPE for f in stated])
+    return Prior(np.append(base.combination @ mean, friction), information, slope)

@@ -20,8 +20,8 @@ _MIN_SEGMENT = 2.0  # time without a gap that is used [s]
 _FIT_BAND = 6.0  # bandwidth of the fit, over that of the motion
 _STILL = 0.01  # rate below which a joint may rest [rad/s]
 _REST = 0.2  # time for which it does so in a rest, not where it reverses [s]
-_FEW = 100  # samples of a joint that moves
 _ORDER = 4  # of the filters of positions and rates: motion passes unchanged
+_SLOWEST = 1.0  # least bandwidth of motion [Hz]
 
 
 @dataclass(frozen=True)
@@ -127,14 +127,13 @@ def check_motion(segments: list[Segment], names: tuple[str, ...]) -> list[str]:
 
 
 def moving(velocity: np.ndarray, step: float, scale: np.ndarray) -> np.ndarray:
-    """Where joints do not rest, or everywhere if they hardly ever move; booleans (samples, n).
+    """Where joints do not rest; booleans, shape (samples, n).
 
     Friction of a joint that rests may be anything up to Coulomb's.  ``scale``, shape (n,), is that
     of `SerialJoint.scale`.
     """
     still = np.abs(velocity) < _STILL * scale
-    rests = binary_opening(still, np.ones((max(1, round(_REST / step)), 1), bool))
-    return ~rests | (np.count_nonzero(~rests, axis=0) < _FEW)
+    return ~binary_opening(still, np.ones((max(1, round(_REST / step)), 1), bool))
 
 
 def find_bandwidths(segments: list[Segment]) -> Bandwidths:
@@ -142,11 +141,11 @@ def find_bandwidths(segments: list[Segment]) -> Bandwidths:
     longest = max(segments, key=lambda s: len(s.time))
     step = longest.step
     highest = 0.4 * 0.5 / step
-    position = _clip(1.5 * _noise_corner(longest.position, step), 3.0, highest)
+    position = _clip(1.5 * _noise_corner(longest.position, step), _SLOWEST, highest)
     rates = derivative(low_pass(longest.position, position, step, order=_ORDER), step)
     velocity = position
     if longest.velocity is not None:
-        velocity = _clip(1.5 * _noise_corner(longest.velocity, step), 3.0, highest)
+        velocity = _clip(1.5 * _noise_corner(longest.velocity, step), _SLOWEST, highest)
         rates = low_pass(longest.velocity, velocity, step, order=_ORDER)
     content = _content(rates, step)
     analysis = _clip(_FIT_BAND * content, 4.0, highest)

@@ -103,18 +103,8 @@ def remarks(result: Identification) -> list[str]:
             f'Efforts carry nothing above {band:g} Hz: the driver filters them, and the '
             'model does the same.'
         )
-    lines.append(_weight(result))
+    weight = 'with' if result.arm.effort_includes_gravity else 'without'
+    lines.append(f"Efforts are taken {weight} the arm's weight.")
     if not result.used_rates and result.sensing.rates[0] != 'none':
         lines.append('Rates are computed from positions: measured ones predict no better.')
     return lines + determination.advice(result.arm.joint_names)
-
-
-def _weight(result: Identification) -> str:
-    """What the data say on gravity in the efforts."""
-    evidence, taken = result.weight, result.arm.effort_includes_gravity
-    text = f"Efforts are taken {'with' if taken else 'without'} the arm's weight"
-    if evidence.contains_weight is None:
-        return f'{text}; the data do not tell.'
-    factor = max(evidence.ratio, 1.0 / evidence.ratio)
-    verb = 'otherwise' if evidence.contains_weight == taken else 'so'
-    return f'{text}; {verb}, a joint misses {factor:.1f} times as much.'
