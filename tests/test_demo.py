@@ -7,7 +7,7 @@ import shutil
 import sys
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
-from signal import SIGHUP, SIGINT, SIGKILL
+from signal import SIGHUP, SIGINT, SIGKILL, default_int_handler, signal
 
 import numpy as np
 import pytest
@@ -69,9 +69,9 @@ def test_given_the_demo_when_run_then_it_beats_the_papers_table_and_all_files_ar
     streams = 'ground_truth', 'state_estimate', 'reference'
     truth, estimate, reference = (place(record.get(one, 'position')) for one in streams)
     fault = record.get('ground_truth', 'fault') - record.get('fault_estimate', 'estimate')
-    for signal, error in {'x': truth - estimate, 'f': fault, 'e_t': truth - reference}.items():
+    for row, error in {'x': truth - estimate, 'f': fault, 'e_t': truth - reference}.items():
         for k, value in enumerate(np.mean(error**2, axis=0), 1):
-            assert re.search(rf'^ *{signal}{k} .* {value:.2g} ', text, re.MULTILINE), signal
+            assert re.search(rf'^ *{row}{k} .* {value:.2g} ', text, re.MULTILINE), row
     assert {record.counts[f'/lpv/{topic}'] for topic in ALL - {'fault_alarm'}} == {10001}
     raised = [a.sensor for a in record.alarms if a.event == AlarmEvent.RAISED]
     assert raised == ['link1_angle', 'link2_angle']
@@ -114,7 +114,9 @@ def test_given_a_signal_when_the_graph_runs_then_no_node_outlives_the_command(
     shutil.copy(demo[0] / 'gains.yaml', out)
     words = 'demo', '--scenario', scenario, '--seed', 2, '--out', out
     environment = {**os.environ, 'ROS_DOMAIN_ID': str(ros.next_domain())}
+    before = signal(number, default_int_handler)  # under nohup it would be ignored
     with Running(*words, program=[LPV], env=environment) as command:
+        signal(number, before)
         command.until('ALARM')
         assert len(nodes_of(tmp_path)) >= 3
         command.process.send_signal(number)
