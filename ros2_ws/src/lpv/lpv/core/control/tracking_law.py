@@ -83,13 +83,13 @@ def track(
         for i in range(n):
             for j in range(3 * n):
                 torque[i] += state.gains[i, j] * x[j]
-    _apply_limits(state, state.limit)
+    _apply_limits(state)
 
 
 @njit
-def _apply_limits(state: np.record, limit: np.ndarray) -> None:
+def _apply_limits(state: np.record) -> None:
     """Clip torques to their limits [N m], and integrate eps where none is met."""
-    state.saturated = False
+    state.saturated, limit = False, state.limit
     for i in range(limit.shape[0]):
         wanted = state.torque[i]
         state.torque[i] = min(max(wanted, -limit[i]), limit[i])

@@ -196,9 +196,8 @@ class Bank:
         for row, (_, parts, _) in zip(basis, every):
             row[list(parts)] = list(parts.values())
         # Of all times in the horizon before the window, the middle.
-        self._older = np.zeros((len(every), len(self._lengths)))
-        plan = self.estimator.plan
-        self._older[-1] = 0.5 * plan.interval * (plan.capacity - self._lengths)
+        older, plan = np.zeros((len(every), len(self._lengths))), self.estimator.plan
+        older[-1] = 0.5 * plan.interval * (plan.capacity - self._lengths)
         prior = np.array([
             self._push if kind == 'torque_offset' else np.full(n, SIZE[kind])
             for kind in self._names
@@ -207,7 +206,7 @@ class Bank:
         windows = np.array([
             len(recent) if kind in growing else np.count_nonzero(recent) for kind in self._names
         ])  # fmt: skip
-        self._kinds = Kinds(basis, prior, applies, windows, self._older)
+        self._kinds = Kinds(basis, prior, applies, windows, older)
         loads = len(self.estimator.window.loads) > 0
         self._log_weight = float(-np.log(1 + applies.sum() + n + derived.sum() + loads))
 
@@ -267,7 +266,7 @@ class Bank:
         begin, starts = one.begin[:count].tolist(), self._starts[:count].tolist()
         at = np.nonzero(one.gain[..., :count] > -np.inf)
         values = (part[at].tolist() for part in (one.gain, one.size, one.sigma))
-        older = self._older.tolist()
+        older = self._kinds.older.tolist()
         found = [
             Hypothesis(self._names[k], i, gain, size, sigma, begin[w] - older[k][w], starts[w])
             for k, i, w, gain, size, sigma in zip(*(part.tolist() for part in at), *values)

@@ -42,7 +42,7 @@ class Window(NamedTuple):
     loads: FloatArray  # (L, m) unit changes of the load, by the unknowns
     changed: FloatArray  # (capacity,) 1 where the load was another one until this balance
     carried: FloatArray  # (capacity, L) change of the load since, as estimated and taken out
-    explained: FloatArray  # (capacity, n) what the likeliest cause adds to residuals [N m s]
+    explained: FloatArray  # (capacity, n) what the likeliest fault adds to residuals [N m s]
     along: FloatArray  # (m,) scratch
     counters: IntArray  # (2,)
 
