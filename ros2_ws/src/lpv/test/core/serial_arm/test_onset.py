@@ -18,6 +18,7 @@ from lpv.core.serial_arm.diagnosis import (
     sampler,
     stuck,
 )
+from lpv.core.serial_arm.diagnosis.estimator import set_residuals
 from lpv.core.serial_arm.diagnosis.information import recent
 from lpv.core.serial_arm.diagnosis.monitor import SerialMonitor
 from lpv.core.serial_arm.diagnosis.settings import MonitorSettings
@@ -109,6 +110,7 @@ def test_given_a_drift_that_is_tried_then_it_changes_balances_as_blocks_without_
     )
     one, null, n = estimator.balance, estimator.posterior, estimator.joints
     own = drift_trial.balance_of_trials(one, one.chain.friction)
+    estimator.call(set_residuals, estimator.window, null, LAST)
     trials = drift_trial.new_trials(estimator.window, null, blocks, per, n)
     onsets = np.array([[onset.Onset(0.0, RATE, 0.1, BEGIN, LAST - 1)]])
     found = drift_trial.new_found(onsets)
