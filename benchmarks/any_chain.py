@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from fault_injection import BY_NAME, LEAD, Cell, Kind, Stream, Subject, draw, run
 from fault_matrix import summary, tables
-from limits import LESS_NOISE, difference, needed, offset_shows
+from limits import LESS_NOISE, Changed, needed, offset_shows
 from rich.console import Console
 from ur10e_twin import PAYLOAD, PERIOD, drive, healthy, recording, twin, ur10e
 
@@ -250,7 +250,7 @@ def _drift_shows(arm: SerialArm, k: int, load: float | None) -> list[float]:
     """The same of a drift after 4 s, against none."""
     stream = healthy(50 + k, load, duration=LEAD + 1.0)
     since = np.maximum(PERIOD * np.arange(len(stream.stamps)) - LEAD, 0.0)
-    return difference(arm, drive(stream), drive(_faulty(stream, k, 0.3 * since)[1]))
+    return Changed(arm, drive(stream), drive(_faulty(stream, k, 0.3 * since)[1])).powers()
 
 
 def _scale_shows(arm: SerialArm, k: int, load: float | None) -> list[float]:
@@ -263,7 +263,7 @@ def _scale_shows(arm: SerialArm, k: int, load: float | None) -> list[float]:
     stamps, scaled = window.stream.stamps[:end], window.stream.samples[:end]
     steady = scaled.copy()
     steady[begin:, 0] -= window.truth[begin:end] - window.truth[begin]
-    return difference(arm, drive(Stream(stamps, steady)), drive(Stream(stamps, scaled)))
+    return Changed(arm, drive(Stream(stamps, steady)), drive(Stream(stamps, scaled))).powers()
 
 
 LINES: dict[str, Callable[[int], str]] = {

@@ -14,7 +14,7 @@ and `both` = the second fault found in time, after the end of the first one and 
 `crash` = runs in which the monitor raised an exception.
 
 `--bound` runs no diagnosis: it prints the shares of offsets from the start and of drifts, rates
-derived, that the data show in time, as of `limits`.
+derived, that the data show in time, and of drifts that they tell from a push, too, as of `limits`.
 
 Constants of the diagnosis may be chosen on the tuned part of the recordings.  The untouched part is
 run with `--untouched` alone, to report, not to choose.
@@ -201,11 +201,14 @@ def measure(
 
 def bound(cell: Cell, count: int, seed: int) -> str:
     """What the data of a cell allow, in one line."""
-    powers = np.array([shown(cell, k, seed) for k in range(count)])
-    least = [needed(cell.subjects[k % len(cell.subjects)].arm) for k in range(count)]
-    shares = zip(LESS_NOISE, (powers > np.array(least)[:, None]).mean(0))
+    runs = [shown(cell, k, seed) for k in range(count)]
+    least = np.array([needed(cell.subjects[k % len(cell.subjects)].arm) for k in range(count)])
+    beyond = np.array([powers for powers, _ in runs]) > least[:, None]
+    shares = zip(LESS_NOISE, beyond.mean(0))
     text = ', '.join(f'/ {factor:g} {share:.0%}' for factor, share in shares)
-    return f'{cell.arm} {cell.part} {cell.kind.name}, {count} runs: noise variance {text}'
+    named = np.mean([is_named for _, is_named in runs])
+    drift = '' if cell.kind.from_start else f'; named by what was measured {named:.0%}'
+    return f'{cell.arm} {cell.part} {cell.kind.name}, {count} runs: noise variance {text}{drift}'
 
 
 _SHARED: dict[str, Any] = {}

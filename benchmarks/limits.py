@@ -1,9 +1,10 @@
-"""What the data allow: faults that differ from none, or from another one, by what a name needs.
+"""What the data allow: faults that differ from none, from another one, or from a push, enough.
 
 Known are the faulty sensor, the kind and the onset of the fault; noise is what the diagnosis learns
 of the healthy run.  Rates are differences of the readings: of others, kinematic rows tell more.
 """
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -11,9 +12,11 @@ from fault_injection import Cell, Stream, draw, first_limit
 
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.diagnosis.bank import Hypothesis
 from lpv.core.serial_arm.diagnosis.estimator import HorizonPlan
 from lpv.core.serial_arm.diagnosis.information import Window, recent
 from lpv.core.serial_arm.diagnosis.monitor import SerialMonitor
+from lpv.core.serial_arm.diagnosis.priors import SIZE
 from lpv.core.serial_arm.diagnosis.settings import MonitorSettings
 
 LESS_NOISE = (1.0, 10.0, 100.0)
@@ -28,19 +31,23 @@ def needed(arm: SerialArm) -> float:
     return 2.0 * MonitorSettings().threshold(interval)
 
 
-def shown(cell: Cell, k: int, seed: int) -> list[float]:
-    """Square of the fault of a run over its variance, in time, for each share of `LESS_NOISE`.
+def shown(cell: Cell, k: int, seed: int) -> tuple[list[float], bool]:
+    """What the data of a run show in time of its fault, an offset from the start, or a drift.
 
-    An offset from the start, or a drift.
+    The square of the fault over its variance, for each share of `LESS_NOISE`, chance left out, and
+    whether balances as measured name it, which is asked of drifts alone.
     """
     subject, window, _ = draw(cell, k, seed)
     fault = window.faults[0]
-    end = window.stream.index(fault.onset + first_limit(cell.kind, subject.arm))
+    limit = first_limit(cell.kind, subject.arm)
+    end = window.stream.index(fault.onset + limit)
     faulty = _first(window.stream, end)
     if cell.kind.from_start:
-        return offset_shows(subject.arm, faulty, fault.sensor, cell.kind.size)
+        powers = offset_shows(subject.arm, faulty, fault.sensor, cell.kind.size)
+        return powers, False
     none = replace(cell, kind=replace(cell.kind, size=0.0))  # all else is drawn as before
-    return difference(subject.arm, _first(draw(none, k, seed)[1].stream, end), faulty)
+    changed = Changed(subject.arm, _first(draw(none, k, seed)[1].stream, end), faulty)
+    return changed.powers(), changed.names(fault.sign * cell.kind.size, limit)
 
 
 def offset_shows(arm: SerialArm, stream: Stream, joint: int, size: float) -> list[float]:
@@ -54,20 +61,51 @@ def offset_shows(arm: SerialArm, stream: Stream, joint: int, size: float) -> lis
     ]
 
 
-def difference(arm: SerialArm, stream: Stream, other: Stream) -> list[float]:
-    """Power of the difference of two streams' balances, less what is unknown of the arm."""
-    one, changed = _watched(arm, stream), _watched(arm, other).readings.all_blocks()
-    estimator, blocks = one.estimator, one.readings.all_blocks()
-    window, null, last = estimator.window, estimator.posterior, len(estimator)
-    at, m = recent(window, last)[::-1], len(null.mean)
-    change = (estimator.rows_of(changed) - estimator.rows_of(blocks))[:, :, 0]
-    weighed, unknowns = window.weights[at] * change, window.rows[at][:, :, -m:]
-    information, least = _information(window, m, at), np.diag(null.least)
-    across, own = np.einsum('kia,ki->a', unknowns, weighed), float((weighed * change).sum())
-    return [
-        factor * own - factor**2 * across @ np.linalg.solve(factor * information + least, across)
-        for factor in LESS_NOISE
-    ]
+class Changed:
+    """Balances of a stream, and by how much those of another stream differ from them."""
+
+    def __init__(self, arm: SerialArm, stream: Stream, other: Stream) -> None:
+        self._monitor = _watched(arm, stream)
+        estimator, changed = self._monitor.estimator, _watched(arm, other).readings.all_blocks()
+        window, null = estimator.window, estimator.posterior
+        self._at, m = recent(window, len(estimator))[::-1], len(null.mean)
+        rows = estimator.rows_of(changed) - estimator.rows_of(self._monitor.readings.all_blocks())
+        self._change = rows[:, :, 0]
+        self._unknowns, self._weights = window.rows[self._at][:, :, -m:], window.weights[self._at]
+        self._information, self._least = _information(window, m, self._at), np.diag(null.least)
+
+    def powers(self) -> list[float]:
+        """Power of the difference less what is unknown of the arm, for `LESS_NOISE`."""
+        return [self._product(self._change, self._change, factor) for factor in LESS_NOISE]
+
+    def _estimate(self, balances: FloatArray, factor: float = 1.0) -> FloatArray:
+        """Unknowns of the arm that explain most of balances, if noise were so much less."""
+        pulled = np.einsum('kia,ki->a', self._unknowns, self._weights * balances)
+        return -factor * np.linalg.solve(factor * self._information + self._least, pulled)
+
+    def _product(self, one: FloatArray, other: FloatArray, factor: float = 1.0) -> float:
+        """Of two courses of balances, less what is unknown of the arm."""
+        left = other + self._unknowns @ self._estimate(other, factor)
+        return factor * float((self._weights * one * left).sum())
+
+    def names(self, drift: float, age: float) -> bool:
+        """Whether balances as measured tell the other stream's drift from none and from a push.
+
+        ``drift`` is its size [rad/s], which is unknown to them, and ``age`` the time since its
+        onset [s].  Afterwards the monitor has these balances.
+        """
+        monitor, column = self._monitor, self._change / drift
+        estimator = monitor.estimator
+        measured = estimator.window.rows[self._at, :, 0] + self._change
+        found, own = self._product(column, measured), self._product(column, column)
+        wide = SIZE['drift'] ** 2
+        gain = 0.5 * (found**2 / (own + 1.0 / wide) - math.log1p(own * wide))
+        estimator.window.rows[self._at, :, 0] = measured
+        estimator.posterior.mean[:] = self._estimate(measured)
+        begin = float(estimator.times(1)[0]) + estimator.plan.interval - age
+        fault = Hypothesis('drift', 0, gain, drift, 0.0, begin)
+        beyond = 2.0 * gain > needed(monitor.arm)
+        return beyond and monitor.bank.excludes_contact(fault, monitor.margin('drift'))
 
 
 def _first(stream: Stream, count: int) -> Stream:

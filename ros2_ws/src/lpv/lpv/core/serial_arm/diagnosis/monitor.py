@@ -638,7 +638,7 @@ class SerialMonitor:
         best = next(shown, None)
         return best if best is not None and best.gain > self._sure else None
 
-    def _margin(self, kind: str) -> float:
+    def margin(self, kind: str) -> float:
         """By how much a fault must be more likely than torques from outside."""
         ratio = OCCURRENCE[CONTACT] * self.joints / OCCURRENCE[kind]
         return math.log(ratio / self.settings.probability_of_wrong_name)
@@ -692,7 +692,7 @@ class SerialMonitor:
             if one.gain - self._rival > self._sure and not rated:
                 self._change_load(one.begin, one.change)
         elif one.is_encoder:
-            if self.bank.excludes_contact(one, self._margin(one.kind)):
+            if self.bank.excludes_contact(one, self.margin(one.kind)):
                 self._blame(one, share, now)
             else:
                 self._suspects = tuple(dict.fromkeys((*self._suspects, CONTACT)))
