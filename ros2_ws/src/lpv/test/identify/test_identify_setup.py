@@ -258,6 +258,7 @@ class Swing:
         return np.sin(angle), np.cos(angle), -np.sin(angle)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('stated', 'said'), [(0.0, ['load']), (None, []), (5.0, [])])
 def test_given_a_load_when_looked_at_then_it_is_a_mistake_where_the_file_says_that_there_is_none(
     stated, said
@@ -272,6 +273,7 @@ def test_given_a_proper_setup_when_looked_at_then_there_are_no_mistakes(rough_ar
     assert mistakes.find_mistakes(rough_arm, [recording]) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('seed', 'duration'), [(0, 60.0), (5, 60.0), (1, 6.0), (5, 6.0)])
 def test_given_an_arm_that_pauses_when_looked_at_then_friction_at_rest_is_no_mistake(
     seed, duration
@@ -322,6 +324,7 @@ def test_given_readings_that_are_off_all_the_time_when_looked_at_then_their_join
     assert first.kind == 'reading' and re.search(text, first.text)
 
 
+@pytest.mark.slow
 def test_given_a_load_that_is_taken_when_looked_at_then_no_encoder_is_blamed():
     before, after = recording_of_twin(10**6, robot=1), recording_of_twin(10**6, 3.0, robot=1)
     late = np.where(before.time[:, None] > 25.0, after.effort, before.effort)

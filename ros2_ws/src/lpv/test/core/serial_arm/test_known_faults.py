@@ -176,6 +176,7 @@ COURSES = {
 """Faults of the second encoder, by readings and the time since their onset [s]."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('name', COURSES)
 def test_given_a_fault_that_no_hypothesis_describes_then_its_bound_holds_or_it_is_not_trusted(name):
     arm, outside = shoulder_arm(), []

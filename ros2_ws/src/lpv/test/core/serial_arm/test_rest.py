@@ -188,6 +188,7 @@ def test_given_friction_that_holds_joints_for_long_when_healthy_then_bounds_hold
     assert [(a.sensor, a.kind) for a in monitor.alarms if a.sensor] == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('seed', [4, 13])
 def test_given_friction_beyond_the_files_when_joints_rest_then_no_encoder_is_blamed(seed):
     arm = arm_named('ur10', 0.01, 'derived')
@@ -214,6 +215,7 @@ def stopped(arm, seed, step, moment=10.0, rest=10.0):
     return derived(fault_injection.Stream(run.stamps, samples))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('seed', 'step'), [(1, 2.0 * np.pi / 2**16), (5, 0.0)])
 def test_given_brakes_that_stop_the_arm_when_drives_are_off_then_no_encoder_is_blamed(seed, step):
     """Readings lose their noise, and efforts do not hold the weight for as long as the horizon."""
