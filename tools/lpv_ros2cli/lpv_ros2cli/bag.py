@@ -9,21 +9,14 @@ from typing import Any
 
 from lpv.core.support.resources import executable
 from lpv_ros2cli import graph
-from lpv_ros2cli.command_line import CliError, add_verb
+from lpv_ros2cli.command_line import CliError, takes
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the verbs."""
-    verbs = parser.add_subparsers(metavar='VERB')
-    verb = add_verb(verbs, run_record, 'record topics into a bag')
-    verb.add_argument('topics', nargs='*', metavar='topic', help='topics')
-    verb.add_argument('-a', '--all', action='store_true', help='all topics')
-    verb.add_argument('-o', '--output', help='folder to create (rosbag2_<date>-<time>)')
-    add_verb(verbs, run_info, 'print information about a bag', 'bag_path')
-
-
+@takes('topics', nargs='*', metavar='topic', help='topics')
+@takes('-a', '--all', action='store_true', help='all topics')
+@takes('-o', '--output', help='folder to create (rosbag2_<date>-<time>)')
 def run_record(arguments: argparse.Namespace) -> None:
-    """Become the recorder, which ends at SIGINT or SIGTERM with a complete bag."""
+    """Record topics into a bag, which is complete after SIGINT or SIGTERM."""
     if not arguments.topics and not arguments.all:
         raise CliError('what is to be recorded? Name topics, or give --all')
     output = arguments.output or time.strftime('rosbag2_%Y_%m_%d-%H_%M_%S')
@@ -39,6 +32,7 @@ def run_record(arguments: argparse.Namespace) -> None:
     os.execv(program, words)
 
 
+@takes('bag_path')
 def run_info(arguments: argparse.Namespace) -> None:
     """Print files, times and topics of a bag."""
     from rosbags.rosbag2 import Reader

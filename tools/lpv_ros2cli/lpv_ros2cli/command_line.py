@@ -2,19 +2,24 @@
 
 import argparse
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
+
+_Run = TypeVar('_Run', bound=Callable[[argparse.Namespace], int | None])
 
 
 class CliError(Exception):
     """What was asked cannot be done; the message is one line for the user."""
 
 
-def add_verb(
-    verbs: Any, run: Callable[[argparse.Namespace], int | None], text: str, *names: str
-) -> argparse.ArgumentParser:
-    """Declare a verb that is called as its function without ``run_``, with its operands."""
-    verb: argparse.ArgumentParser = verbs.add_parser(run.__name__[4:], help=text, description=text)
-    for name in names:
-        verb.add_argument(name)
-    verb.set_defaults(run=run)
-    return verb
+def takes(*names: str, **options: Any) -> Callable[[_Run], _Run]:
+    """Declare operands of a verb, or one argument of it as `argparse` has it.
+
+    A verb is called as its function without ``run_``, and its help is the docstring.
+    """
+
+    def declare(run: _Run) -> _Run:
+        own = [(names, options)] if options else [((name,), {}) for name in names]
+        vars(run)['arguments'] = [*own, *vars(run).get('arguments', [])]
+        return run
+
+    return declare

@@ -13,7 +13,7 @@ from typing import Any
 
 from lpv.core.support.limits import MAX_DEPTH
 from lpv.core.support.resources import executable, prefix_of
-from lpv_ros2cli.command_line import CliError
+from lpv_ros2cli.command_line import CliError, takes
 from lpv_ros2cli.messages import parse_yaml
 from lpv_ros2cli.processes import Processes, Program
 
@@ -35,14 +35,9 @@ _SHOW_ARGS = ('-s', '--show-args')
 _SUBSTITUTION = re.compile(r'\$\(([a-z-]+)')
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments."""
-    parser.add_argument(*_SHOW_ARGS, action='store_true', help='show what the file takes')
-    parser.add_argument('package_or_file', help='package, or path of a launch file')
-    parser.add_argument('words', nargs='...', metavar='[file] name:=value')
-    parser.set_defaults(run=run)
-
-
+@takes(*_SHOW_ARGS, action='store_true', help='show what the file takes')
+@takes('package_or_file', help='package, or path of a launch file')
+@takes('words', nargs='...', metavar='[file] name:=value')
 def run(arguments: argparse.Namespace) -> int:
     """Run a launch file; 1 if a process ended with an error before everything was stopped."""
     path = Path(arguments.package_or_file)

@@ -4,18 +4,12 @@ import argparse
 import math
 
 from lpv_ros2cli import graph
-from lpv_ros2cli.command_line import CliError, add_verb
+from lpv_ros2cli.command_line import CliError, takes
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the verbs."""
-    verbs = parser.add_subparsers(metavar='VERB')
-    add_verb(verbs, run_get, 'get the lifecycle state of a node', 'node_name')
-    add_verb(verbs, run_set, 'trigger a lifecycle transition', 'node_name', 'transition')
-
-
+@takes('node_name')
 def run_get(arguments: argparse.Namespace) -> None:
-    """Print the state of a node."""
+    """Print the lifecycle state of a node."""
     from lifecycle_msgs.srv import GetState
 
     with graph.command_node() as node:
@@ -24,8 +18,9 @@ def run_get(arguments: argparse.Namespace) -> None:
     print(f'{state.label} [{state.id}]')
 
 
+@takes('node_name', 'transition')
 def run_set(arguments: argparse.Namespace) -> None:
-    """Trigger a transition by its name or number."""
+    """Trigger a lifecycle transition by its name or number."""
     from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions
 
     with graph.command_node() as node:

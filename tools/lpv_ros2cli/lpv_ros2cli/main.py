@@ -27,7 +27,14 @@ def build_parser() -> argparse.ArgumentParser:
         text = (module.__doc__ or '').partition(': ')[2].rstrip('.\n')
         command = commands.add_parser(module.__name__.split('.')[-1], help=text, description=text)
         command.set_defaults(parser=command)
-        module.add_arguments(command)
+        verbs = None if hasattr(module, 'run') else command.add_subparsers(metavar='VERB')
+        for run_verb in [f for name, f in vars(module).items() if name.startswith('run')]:
+            verb, text = command, (run_verb.__doc__ or '').partition('.')[0]
+            if verbs is not None:
+                verb = verbs.add_parser(run_verb.__name__[4:], help=text, description=text)
+            for names, options in run_verb.arguments:
+                verb.add_argument(*names, **options)
+            verb.set_defaults(run=run_verb)
     return parser
 
 

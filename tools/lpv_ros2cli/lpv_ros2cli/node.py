@@ -3,16 +3,10 @@
 import argparse
 
 from lpv_ros2cli import graph
-from lpv_ros2cli.command_line import add_verb
+from lpv_ros2cli.command_line import takes
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the verbs."""
-    verbs = parser.add_subparsers(metavar='VERB')
-    verb = add_verb(verbs, run_list, 'list the nodes that are available')
-    verb.add_argument('-a', '--all', action='store_true', help='also hidden nodes')
-
-
+@takes('-a', '--all', action='store_true', help='also hidden nodes')
 def run_list(arguments: argparse.Namespace) -> None:
     """Print the nodes of the graph."""
     with graph.command_node() as node:

@@ -6,20 +6,13 @@ import sys
 from typing import Any
 
 from lpv_ros2cli import graph, messages
-from lpv_ros2cli.command_line import CliError, add_verb
+from lpv_ros2cli.command_line import CliError, takes
 
 _KINDS = ('Boolean', 'Integer', 'Double', 'String')
 """Of values by rcl_interfaces/ParameterType from 1; byte arrays are 5, arrays of these follow."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the verbs."""
-    verbs = parser.add_subparsers(metavar='VERB')
-    add_verb(verbs, run_list, 'list the parameters of a node', 'node_name')
-    add_verb(verbs, run_get, 'get a parameter', 'node_name', 'parameter_name')
-    add_verb(verbs, run_set, 'set a parameter', 'node_name', 'parameter_name', 'value')
-
-
+@takes('node_name')
 def run_list(arguments: argparse.Namespace) -> None:
     """Print the parameters of a node."""
     from rcl_interfaces.srv import ListParameters
@@ -31,6 +24,7 @@ def run_list(arguments: argparse.Namespace) -> None:
         print(f'  {parameter}')
 
 
+@takes('node_name', 'parameter_name')
 def run_get(arguments: argparse.Namespace) -> None:
     """Print the value of a parameter."""
     from rclpy.parameter import parameter_value_to_python
@@ -46,8 +40,9 @@ def run_get(arguments: argparse.Namespace) -> None:
     print(kind, 'values are:' if found.type > len(_KINDS) else 'value is:', value)
 
 
+@takes('node_name', 'parameter_name', 'value')
 def run_set(arguments: argparse.Namespace) -> None:
-    """Set a parameter; a node that refuses is no error of the command, as in ros2cli."""
+    """Set a parameter."""
     from rcl_interfaces.msg import Parameter, ParameterType
     from rcl_interfaces.srv import SetParameters
     from rclpy.parameter import get_parameter_value
@@ -64,7 +59,7 @@ def run_set(arguments: argparse.Namespace) -> None:
         wanted = Parameter(name=arguments.parameter_name, value=value)
         request = SetParameters.Request(parameters=[wanted])
         answer = graph.call(node, SetParameters, f'{name}/set_parameters', request)
-    for result in answer.results:
+    for result in answer.results:  # a node that refuses is no error here, as in ros2cli
         text = 'Set parameter successful' if result.successful else 'Setting parameter failed'
         reason = f': {result.reason}' if result.reason else ''
         print(f'{text}{reason}', file=sys.stdout if result.successful else sys.stderr)

@@ -4,17 +4,12 @@ import argparse
 import os
 
 from lpv.core.support.resources import executable
-from lpv_ros2cli.command_line import CliError
+from lpv_ros2cli.command_line import CliError, takes
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments."""
-    parser.add_argument('package', help='package')
-    parser.add_argument('executable', help='its program')
-    parser.add_argument('argv', nargs=argparse.REMAINDER, metavar='...', help='passed on')
-    parser.set_defaults(run=run)
-
-
+@takes('package', help='package')
+@takes('executable', help='its program')
+@takes('argv', nargs=argparse.REMAINDER, metavar='...', help='passed on')
 def run(arguments: argparse.Namespace) -> None:
     """Become the program, which then gets signals and returns its exit code itself."""
     program = str(executable(arguments.package, arguments.executable))

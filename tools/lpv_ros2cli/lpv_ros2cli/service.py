@@ -4,18 +4,10 @@ import argparse
 import math
 
 from lpv_ros2cli import graph, messages
-from lpv_ros2cli.command_line import CliError, add_verb
+from lpv_ros2cli.command_line import CliError, takes
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the verbs."""
-    verbs = parser.add_subparsers(metavar='VERB')
-    verb = add_verb(verbs, run_list, 'list the services that are available')
-    verb.add_argument('-t', '--show-types', action='store_true', help='show the types')
-    verb = add_verb(verbs, run_call, 'call a service', 'service_name', 'service_type')
-    verb.add_argument('values', nargs='?', default='{}', help='fields of the request in YAML')
-
-
+@takes('-t', '--show-types', action='store_true', help='show the types')
 def run_list(arguments: argparse.Namespace) -> None:
     """Print the services of the graph."""
     with graph.command_node() as node:
@@ -23,6 +15,8 @@ def run_list(arguments: argparse.Namespace) -> None:
         graph.print_names(node.get_service_names_and_types(), arguments.show_types)
 
 
+@takes('service_name', 'service_type')
+@takes('values', nargs='?', default='{}', help='fields of the request in YAML')
 def run_call(arguments: argparse.Namespace) -> None:
     """Call a service, waiting until it is there, and print its response."""
     service = messages.load(arguments.service_type, 'srv')

@@ -8,23 +8,13 @@ from collections.abc import Callable
 from typing import Any
 
 from lpv_ros2cli import graph, messages
-from lpv_ros2cli.command_line import add_verb
+from lpv_ros2cli.command_line import takes
 
 _WINDOW = 10000
 """Messages over which a rate is averaged, as in ros2cli."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the verbs."""
-    verbs = parser.add_subparsers(metavar='VERB')
-    verb = add_verb(verbs, run_list, 'list the topics that are available')
-    verb.add_argument('-t', '--show-types', action='store_true', help='show the types')
-    verb = add_verb(verbs, run_echo, 'print the messages of a topic', 'topic_name')
-    verb.add_argument('--once', action='store_true', help='leave after the first message')
-    add_verb(verbs, run_hz, 'print the rate of a topic', 'topic_name')
-    add_verb(verbs, run_info, 'print information about a topic', 'topic_name')
-
-
+@takes('-t', '--show-types', action='store_true', help='show the types')
 def run_list(arguments: argparse.Namespace) -> None:
     """Print the topics of the graph."""
     with graph.command_node() as node:
@@ -32,6 +22,7 @@ def run_list(arguments: argparse.Namespace) -> None:
         graph.print_names(node.get_topic_names_and_types(), arguments.show_types)
 
 
+@takes('topic_name')
 def run_info(arguments: argparse.Namespace) -> None:
     """Print type, publishers and subscriptions of a topic."""
     with graph.command_node() as node:
@@ -41,8 +32,10 @@ def run_info(arguments: argparse.Namespace) -> None:
         print(f'Subscription count: {node.count_subscribers(name)}')
 
 
+@takes('topic_name')
+@takes('--once', action='store_true', help='leave after the first message')
 def run_echo(arguments: argparse.Namespace) -> None:
-    """Print messages until interrupted."""
+    """Print the messages of a topic until interrupted."""
     shown = 0
 
     def show(message: Any) -> None:
@@ -61,8 +54,9 @@ def run_echo(arguments: argparse.Namespace) -> None:
         _receive(node, lambda: bool(arguments.once and shown))
 
 
+@takes('topic_name')
 def run_hz(arguments: argparse.Namespace) -> None:
-    """Print the rate of the last messages once a second until interrupted."""
+    """Print the rate of a topic's last messages once a second until interrupted."""
     times: deque[float] = deque(maxlen=_WINDOW + 1)
     last = 0.0
 
