@@ -11,8 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from lpv.bag.errors import BagError
-from lpv.bag.run.record import load_run
-from lpv.bag.run.streams import RunRecord
+from lpv.bag.run.record import RunRecord, load_run
 from lpv.core.monitoring.parameters import DiagnosisParameters
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import SensorState

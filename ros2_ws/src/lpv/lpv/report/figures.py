@@ -10,10 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, LogNorm
 from matplotlib.figure import Figure
 
-from lpv.bag.run.streams import RunRecord
+from lpv.bag.run.record import RunRecord
 from lpv.core.serial_arm.diagnosis.alarms import SensorState
 from lpv.report import history
-from lpv.report.history import spans, starting, tip_positions, true_faults
+from lpv.report.history import Run, spans, starting, tip_positions, true_faults
 from lpv.report.style import (
     BAND,
     HATCHED,
@@ -31,7 +31,6 @@ from lpv.report.style import (
 
 if TYPE_CHECKING:
     from lpv.core.uio.model.arm import ArmParameters
-    from lpv.report.load import Run
     from lpv_design.guarantee import Guarantee
 
 ALARM = '#c8102e'
@@ -56,7 +55,7 @@ _WIDTH, _HALF = 8.6, 0.32
 """Width of a figure [inch]; half the height of a bar, whose rows are 1 apart."""
 
 
-def draw_all(run: 'Run') -> Iterator[tuple[str, bytes]]:
+def draw_all(run: Run) -> Iterator[tuple[str, bytes]]:
     """Pictures of everything that a run has to show, by name."""
     for make in (timeline, path, faults, measured, states, torques):
         if data := picture(make, run):
@@ -117,7 +116,7 @@ def _legend(figure: Figure, axes: Any) -> None:
     figure.legend(handles, labels, loc='outside upper right', ncols=len(found), **SPARSE)
 
 
-def timeline(run: 'Run') -> Figure | None:
+def timeline(run: Run) -> Figure | None:
     """States of the sensors over time, stops and contradictions, as bars."""
     record, names = run.record, run.arm.sensor_names
     state = record.get('fault_estimate', 'state')
@@ -149,7 +148,7 @@ def timeline(run: 'Run') -> Figure | None:
     return figure
 
 
-def path(run: 'Run') -> Figure:
+def path(run: Run) -> Figure:
     """Fig. 4: the tip's path, seen from the side, and from above if it leaves the plane."""
     record, other = run.record, 'state_estimate'
     actual = 'ground_truth' if 'ground_truth' in record.streams else other
@@ -184,7 +183,7 @@ def path(run: 'Run') -> Figure:
     return figure
 
 
-def _tips(run: 'Run', stream: str) -> np.ndarray | None:
+def _tips(run: Run, stream: str) -> np.ndarray | None:
     position = run.record.aligned(stream, 'position')
     tips = None if position is None else tip_positions(run.arm, position)[0]
     return None if tips is None or not len(tips) else tips
@@ -203,7 +202,7 @@ def _mark_ends(axis: Axes, ends: np.ndarray) -> None:
         axis.annotate(text, point, **offset)
 
 
-def faults(run: 'Run') -> Figure | None:
+def faults(run: Run) -> Figure | None:
     """Fig. 5: sensor faults and their estimates with bounds, thresholds and alarms."""
     record, names = run.record, run.arm.sensor_names
     if 'fault_estimate' not in record.streams:
@@ -244,7 +243,7 @@ def faults(run: 'Run') -> Figure | None:
 
 
 def _of_joints(
-    run: 'Run', columns: tuple[tuple[str, str, tuple[tuple[Any, ...], ...]], ...], height: float
+    run: Run, columns: tuple[tuple[str, str, tuple[tuple[Any, ...], ...]], ...], height: float
 ) -> Figure | None:
     """A row a joint: for each column the field's name, its unit, and curves of it.
 
@@ -265,7 +264,7 @@ def _of_joints(
     return None
 
 
-def measured(run: 'Run') -> Figure | None:
+def measured(run: Run) -> Figure | None:
     """Fig. 6: measured joint positions, with faults, and their references."""
 
     def dashed(color: str, label: str) -> dict[str, Any]:
@@ -279,7 +278,7 @@ def measured(run: 'Run') -> Figure | None:
     return _of_joints(run, (('position', '{0}', curves),), 2.4)
 
 
-def states(run: 'Run') -> Figure | None:
+def states(run: Run) -> Figure | None:
     """Fig. 7: joint positions and rates with their estimates."""
     record = run.record
     if 'state_estimate' not in record.streams:
@@ -294,7 +293,7 @@ def states(run: 'Run') -> Figure | None:
     return _of_joints(run, columns, 2.0)
 
 
-def torques(run: 'Run') -> Figure | None:
+def torques(run: Run) -> Figure | None:
     """Fig. 8: torques of all joints."""
     curves = (
         ('joint_states', 'effort', _wide, PALE, 'measured effort'),

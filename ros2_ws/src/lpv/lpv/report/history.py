@@ -3,12 +3,14 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from lpv.bag.run.node_reports import NodeReport
-from lpv.bag.run.streams import RecordedAlarm, RunRecord
+from lpv.bag.rosbag.output_folder import GAINS_NAME, SCENARIO_NAME
+from lpv.bag.run.record import NodeReport, RecordedAlarm, RunRecord, load_run, node_reports
+from lpv.core.control.path import TimedPath
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import (
     RATE_BIAS,
@@ -18,7 +20,11 @@ from lpv.core.serial_arm.diagnosis.alarms import (
     size_unit,
     subject,
 )
+from lpv.core.simulation.scenario import load_scenario
+from lpv.core.support.errors import LpvError
 from lpv.core.support.limits import MAX_GAP
+from lpv.report.certificate import Certificate, beside_bag, examine
+from lpv.report.table import make_table
 
 INCONSISTENT, SAFE_STOP, UNSAFE = 'inconsistent', 'safe stop', 'not trustworthy'
 NOT_DIAGNOSABLE, NO_DATA = 'not diagnosable', 'no data'
@@ -386,3 +392,55 @@ def tip_positions(arm: SerialArm, *positions: np.ndarray) -> list[np.ndarray]:
     rows, chain = rows[:: max(1, len(rows) // _MOST_TIPS)], compile_chain(arm)
     tips = ([forward_kinematics(chain, q)[1] for q in position[rows]] for position in positions)
     return [np.reshape(one, (-1, 3)) for one in tips]
+
+
+# ------------------------------------------------------------------ all of it
+
+
+@dataclass
+class Run:
+    """A recorded run, and what follows from it: alarms, misses, phases, motion, table."""
+
+    record: RunRecord
+    arm: SerialArm
+    reports: Mapping[str, Sequence[NodeReport]]  # of the nodes, as of `node_reports`
+    certificate: Certificate  # of the gains
+    title: str = 'Run'  # heading of its page
+    path: TimedPath | None = None  # reference, with the obstacle
+
+    def __post_init__(self) -> None:
+        self.alarms = episodes(self.record)
+        self.missed = missed_faults(self.record, self.alarms)
+        self.phases = phases(self.record, self.arm, self.reports)
+        self.motion = motion(self.record, self.arm)
+        self.table = make_table(self.record, self.arm)
+
+
+def load(
+    bag: str | Path,
+    arm: SerialArm,
+    path: TimedPath | None = None,
+    title: str = 'Run',
+    gains: str | Path | None = None,
+    source: str = '',
+    topic: str | None = None,  # of the measurements, in a bag of several arms
+) -> Run:
+    """Read all that a report needs; path and gains are those of the bag if not given."""
+    record = load_run(bag, topic, arm.joint_names)
+    streams = ('fault_estimate', 'state_estimate', 'torque_command')
+    known = next((record.topics[name] for name in streams if name in record.topics), None)
+    reports = {} if known is None else node_reports(bag, known.rpartition('/')[0])
+    if gains is None and (gains := beside_bag(bag, GAINS_NAME)) is not None:
+        source = f'{gains.name} of the bag'
+    scenario = beside_bag(bag, SCENARIO_NAME)
+    if path is None and scenario is not None:
+        path = planned_path(scenario, arm)
+    return Run(record, arm, reports, examine(gains, arm, source), title, path)
+
+
+def planned_path(scenario: str | Path, arm: SerialArm) -> TimedPath | None:
+    """Path of a scenario; None where it is damaged."""
+    try:
+        return load_scenario(scenario).path(arm)
+    except LpvError:  # a damaged copy must not stand in the way of a report
+        return None

@@ -1,21 +1,19 @@
-"""The page of a recorded run: what was loaded is drawn and written."""
+"""The page of a recorded run."""
 
 import math
 import platform
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from lpv.bag.run.streams import RunRecord
+from lpv.bag.run.record import RunRecord
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import SensorState, blamed
 from lpv.core.support.formatting import bound, decimals
 from lpv.core.support.resources import installed_version
 from lpv.core.support.timestamps import NANOSECONDS
-from lpv.report.certificate import Certificate
 from lpv.report.figures import draw_all
 from lpv.report.history import (
     BRAKED,
@@ -24,12 +22,11 @@ from lpv.report.history import (
     TOO_FAST,
     UNSAFE,
     Episode,
+    Run,
     listed,
     starting,
 )
-from lpv.report.load import Run
 from lpv.report.page import Tile, embedded, environment
-from lpv.report.table import Row
 
 _CALENDAR = 946684800 * NANOSECONDS
 """Stamps after the year 2000 are dates, others count from the start of something [ns]."""
@@ -45,31 +42,20 @@ _CAPTIONS = {
 }
 
 
-@dataclass(frozen=True)
-class ReportResult:
-    """What was written."""
-
-    html: Path  # the page
-    pictures: list[Path]  # PNG files
-    table: list[Row]  # its table
-    certificate: Certificate  # of the gains
-
-
-def write(run: Run, out: str | Path) -> ReportResult:
-    """Write page and pictures of a run into a folder."""
+def write(run: Run, out: str | Path) -> Path:
+    """Write page and pictures of a run into a folder; the page."""
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
-    pictures, figures = [], {}
+    figures = {}
     for name, data in draw_all(run):
-        pictures.append(out / f'{name}.png')
-        pictures[-1].write_bytes(data)
+        (out / f'{name}.png').write_bytes(data)
         figures[name] = {'caption': _CAPTIONS[name], 'data': embedded(data)}
     templates = environment(Path(__file__).parent)
     templates.filters.update(number=_number, size=_size, bound=bound)
     page = templates.get_template('report.html').render(**content(run), figures=figures)
     html = out / 'report.html'
     html.write_text(page.lstrip(), encoding='utf-8')
-    return ReportResult(html, pictures, run.table, run.certificate)
+    return html
 
 
 def _number(value: float | None, form: str) -> str:

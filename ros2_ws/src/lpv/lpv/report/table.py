@@ -7,7 +7,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from lpv.bag.run.streams import RunRecord
+from lpv.bag.run.record import RunRecord
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.simulation.metrics import mise
 from lpv.core.support.errors import ConfigError

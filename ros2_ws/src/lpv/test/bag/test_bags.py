@@ -27,8 +27,7 @@ from lpv.bag.rosbag.metadata import RECORD_NAME
 from lpv.bag.rosbag.reading import BagReader, open_bag
 from lpv.bag.rosbag.writing import BagWriter
 from lpv.bag.run import decoder
-from lpv.bag.run.record import ALARM_TYPE, load_run
-from lpv.bag.run.streams import SCALARS, STREAMS
+from lpv.bag.run.record import ALARM_TYPE, SCALARS, STREAMS, load_run
 from lpv.core.monitoring.message_fields import alarm_fields
 from lpv.core.serial_arm.diagnosis.alarms import Mode
 

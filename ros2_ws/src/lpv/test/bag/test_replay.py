@@ -24,8 +24,8 @@ from lpv.bag.replay.replay import Replay, ReplayResult
 from lpv.bag.rosbag import reading, writing
 from lpv.bag.rosbag.messages import BagMessages
 from lpv.bag.rosbag.reading import open_bag
-from lpv.bag.run import decoder, streams
-from lpv.bag.run.record import load_run
+from lpv.bag.run import decoder
+from lpv.bag.run.record import STREAMS, RecordedAlarm, load_run
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.diagnosis.alarms import Mode
 from lpv.core.simulation.closed_loop import run_closed_loop
@@ -167,7 +167,7 @@ def test_given_answers_when_replayed_then_only_ours_are_replaced(loop, replayed,
     result, out = replayed
     again, twice = replay(out, out='twice')
     assert raw(twice) == raw(out) and again.events == result.events
-    vectors = dict.fromkeys(streams.STREAMS['state_estimate'][1], [9.0, 9.0])
+    vectors = dict.fromkeys(STREAMS['state_estimate'][1], [9.0, 9.0])
     nines = {**vectors, 'mode': 0, 'trustworthy': True}
     msgtype, entries = 'lpv_msgs/msg/StateEstimate', list(entries_of(loop))
     entries += [(STATE, stamp, MESSAGES.make(msgtype, stamp, nines)) for stamp, *_ in loop[::10]]
@@ -413,7 +413,7 @@ def test_given_faults_when_replayed_by_blocks_then_as_one_by_one(troubled_bag, r
 def event(time, sensor='a', kind=AlarmEvent.RAISED, size=0.28, name='bias', began=None):
     stamp, place = START + round(time * 1e9), ('a', 'b').index(sensor)
     onset = stamp if began is None else START + round(began * 1e9)
-    return streams.RecordedAlarm(kind, place, sensor, onset, stamp, size, 0.05, name, 1.0, stamp)
+    return RecordedAlarm(kind, place, sensor, onset, stamp, size, 0.05, name, 1.0, stamp)
 
 
 ONE, OTHER, SHORT = (Fault(sensor, 'bias', 1.0, duration, 0.3)

@@ -13,14 +13,13 @@ from rich.console import Console
 from runs import rows, text
 
 from lpv import load_arm
-from lpv.bag.run.node_reports import NodeReport
-from lpv.bag.run.streams import RecordedAlarm, RunRecord
+from lpv.bag.run.record import NodeReport, RecordedAlarm, RunRecord
 from lpv.cli.commands import compare
 from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent, SensorState
-from lpv.report import certificate, figures, history, load
+from lpv.report import certificate, figures, history
 from lpv.report.comparison import compare_runs
 from lpv.report.figures import STATES, timeline
-from lpv.report.history import Phase, episodes, listed, missed_faults, phases
+from lpv.report.history import Phase, Run, episodes, listed, missed_faults, phases, planned_path
 from lpv.report.run import content, write
 from lpv.report.style import thin
 from lpv.report.table import PAPER, Row, is_paper_arm, make_table, print_table
@@ -56,7 +55,7 @@ def run(rates=None, **streams):
 
 
 def analysed(record, arm, reports=None):
-    return load.analyse(record, arm, reports or {}, certificate.Certificate(problem='no gains'))
+    return Run(record, arm, reports or {}, certificate.Certificate(problem='no gains'))
 
 
 def tile(values, name):
@@ -112,7 +111,7 @@ def shown(paper_arm, tmp_path, monkeypatch):
     monkeypatch.setattr('lpv.report.run.draw_all', lambda *_: [])
 
     def html(record, reports=None):
-        return write(analysed(record, paper_arm, reports), tmp_path).html.read_text()
+        return write(analysed(record, paper_arm, reports), tmp_path).read_text()
 
     return html
 
@@ -365,7 +364,7 @@ def test_given_a_scenario_of_six_joints_when_drawn_then_its_path_is_there_withou
     arm, record = load_arm('ur10'), run()
     record.streams['joint_states'] = {name: np.zeros((COUNT, 6)) for name in JOINTS}
     record.joint_names = arm.joint_names
-    planned = load.planned_path(BRINGUP / 'scenarios' / 'ur10.yaml', arm)
+    planned = planned_path(BRINGUP / 'scenarios' / 'ur10.yaml', arm)
     figure = figures.path(replace(analysed(record, arm), path=planned))
     assert 'reference path' in [words.get_text() for words in figure.legends[0].get_texts()]
 

@@ -25,12 +25,11 @@ from serial_bags import crane, crane_run, record_crane
 
 from lpv import Fault, load_arm, save_gains
 from lpv.bag.replay.replay import Replay
-from lpv.bag.run.node_reports import node_reports
-from lpv.bag.run.record import load_run
+from lpv.bag.run.record import load_run, node_reports
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.report.certificate import beside_bag, examine
 from lpv.report.figures import draw_region
-from lpv.report.load import load
+from lpv.report.history import load
 from lpv.report.page import css_string
 from lpv.report.run import write as write_report
 from lpv_design.guarantee import guarantee
@@ -70,15 +69,24 @@ def gains_file(paper_gains, tmp_path_factory):
 
 
 @pytest.fixture(scope='module')
-def report(run, gains_file, paper_arm, two_faults, tmp_path_factory):
-    """The report with pictures."""
-    out = tmp_path_factory.mktemp('report') / 'new' / 'folder'
-    return write_report(load(run, paper_arm, two_faults.path(paper_arm), 'A run', gains_file), out)
+def loaded(run, gains_file, paper_arm, two_faults):
+    return load(run, paper_arm, two_faults.path(paper_arm), 'A run', gains_file)
+
+
+@pytest.fixture(scope='module')
+def report(loaded, tmp_path_factory):
+    """The page of the report with pictures."""
+    return write_report(loaded, tmp_path_factory.mktemp('report') / 'new' / 'folder')
 
 
 @pytest.fixture(scope='module')
 def page(report):
-    return report.html.read_text(encoding='utf-8')
+    return report.read_text(encoding='utf-8')
+
+
+def pictures(report):
+    """Names of the pictures beside a page."""
+    return {path.stem for path in report.parent.glob('*.png')}
 
 
 @pytest.fixture
@@ -92,8 +100,8 @@ def page_of(plain, paper_arm, tmp_path):
     """Page of a bag, without pictures."""
 
     def write(bag, *given, **options):
-        result = write_report(load(bag, paper_arm, *given, **options), tmp_path / 'report')
-        return result.html.read_text(encoding='utf-8')
+        page = write_report(load(bag, paper_arm, *given, **options), tmp_path / 'report')
+        return page.read_text(encoding='utf-8')
 
     return write
 
@@ -104,7 +112,7 @@ def part_of(bag, out, streams, name=b'paper\0'):
     return copied(bag, out, kept.__contains__, lambda _, data: data.replace(b'paper\0', name))
 
 
-def test_given_a_simulated_run_when_reported_then_the_table_is_that_of_the_paper(report, page, run):
+def test_given_a_simulated_run_when_reported_then_the_table_is_that_of_the_paper(loaded, page, run):
     recorded, figures = load_run(run), []  # of absolute angles, of sensors, of the tracking
     for stream, field, other, of_other in (
         ('ground_truth', 'position', 'state_estimate', 'position'),
@@ -117,9 +125,9 @@ def test_given_a_simulated_run_when_reported_then_the_table_is_that_of_the_paper
         error = error if field == 'fault' else np.cumsum(error, axis=1)
         figures += np.nanmean(error**2, axis=0).tolist()
     expected = dict(zip(PAPER, figures))
-    assert {row.signal: row.paper for row in report.table} == PAPER
+    assert {row.signal: row.paper for row in loaded.table} == PAPER
     found = {cells[0]: cells for cells in rows(page) if cells[0] in PAPER}
-    for row in report.table:
+    for row in loaded.table:
         assert row.value == pytest.approx(expected[row.signal], rel=1e-9)
         assert found[row.signal][3] == f'{row.value:.2g}'
     assert not re.search('(?i)[+-]?nan|inf', ' '.join(sum(rows(page), []))), 'a dropout has none'
@@ -134,15 +142,17 @@ def test_given_a_report_when_written_then_it_stands_alone_and_can_be_printed(rep
         assert rule in printed
     for rule in ('@page { size: A4;', '@top-left { content: "A\\000020run"', 'counter(page)'):
         assert rule in style
-    names = [p.stem for p in report.pictures]
-    assert names == ['timeline', 'path', 'faults', 'measured', 'states', 'torques']
+    names = ['timeline', 'path', 'faults', 'measured', 'states', 'torques']
     inside = [base64.b64decode(data) for data in re.findall(r'base64,([^"]*)"', page)]
-    assert inside == [p.read_bytes() for p in report.pictures]
+    assert inside == [(report.parent / f'{name}.png').read_bytes() for name in names]
     for name, data in zip(names, inside):
         pixels = matplotlib.image.imread(io.BytesIO(data), format='png')
         assert min(pixels.shape[:2]) > (400 if name != 'timeline' else 200)
         assert pixels[..., :3].std() > 0.01  # not an empty sheet
-    assert {*report.html.parent.iterdir()} == {report.html, *report.pictures}
+    assert {p.name for p in report.parent.iterdir()} == {
+        'report.html',
+        *(f'{n}.png' for n in names),
+    }
 
 
 def test_given_a_fault_that_is_found_when_reported_then_onset_alarm_and_delay_are_listed(page, run):
@@ -218,10 +228,11 @@ def test_given_a_run_without_some_topics_when_reported_then_what_is_there_is_sho
 ):
     monkeypatch.setattr(Figure, 'savefig', lambda _, file, **options: file.write(b'drawn'))
     part = part_of(run, tmp_path / 'part', streams)
-    found = write_report(load(part, paper_arm), tmp_path / 'report')
-    assert {p.stem for p in found.pictures} == {p.stem for p in report.pictures} - missing
-    page = found.html.read_text(encoding='utf-8')
-    assert page.count('<figure>') == len(found.pictures)
+    found = load(part, paper_arm)
+    written = write_report(found, tmp_path / 'report')
+    assert pictures(written) == pictures(report) - missing
+    page = written.read_text(encoding='utf-8')
+    assert page.count('<figure>') == len(pictures(written))
     if streams == ALL - {'reference'}:
         assert [row.signal for row in found.table] == list(PAPER)[:6], 'no tracking'
     if streams == {'joint_states'}:
@@ -231,9 +242,9 @@ def test_given_a_run_without_some_topics_when_reported_then_what_is_there_is_sho
 
 
 def test_given_gains_when_reported_then_arm_region_margins_and_versions_are_told(
-    report, page, gains_file, paper_arm, paper_gains
+    loaded, page, gains_file, paper_arm, paper_gains
 ):
-    assert report.certificate.holds
+    assert loaded.certificate.holds
     facts = dict(cells for cells in rows(page) if len(cells) == 2)
     known = {
         'gains file': 'my_gains.yaml', 'designed for arm': 'paper',
@@ -315,9 +326,9 @@ def test_given_a_run_of_three_joints_when_reported_then_its_alarm_is_listed(tmp_
     measured = record_crane(tmp_path / 'measured', run)
     Replay(SerialSensorMonitor('/uio', crane())).run(measured, tmp_path / 'bag')
     monkeypatch.setattr(Figure, 'savefig', lambda _, file, **options: file.write(b'drawn'))
-    result = write_report(load(tmp_path / 'bag', crane()), tmp_path / 'report')
-    page = result.html.read_text()
-    assert len(result.pictures) == 6 and ['encoder2', 'bias'] in [row[:2] for row in rows(page)]
+    written = write_report(load(tmp_path / 'bag', crane()), tmp_path / 'report')
+    page = written.read_text()
+    assert len(pictures(written)) == 6 and ['encoder2', 'bias'] in [row[:2] for row in rows(page)]
     for said in ('1 alarm, of encoder2', 'bounds and thresholds are statistical',
                  'joint1, joint2, joint3', 'the bag carries no gains, and none'):  # fmt: skip
         assert said in text(page)
@@ -334,7 +345,7 @@ def test_given_a_browser_when_the_report_is_printed_then_all_is_there_in_black_o
         page = browser.new_page(viewport={'width': 1100, 'height': 900}, color_scheme='dark')
         page.on('request', lambda request: asked.append(request.url))
         page.on('console', lambda message: complaints.append(message.text))
-        page.goto(report.html.as_uri())
+        page.goto(report.as_uri())
         widths = page.evaluate('[...document.images].map(i => i.naturalWidth)')
         page.emulate_media(media='print')
         look = page.evaluate("""() => {
@@ -345,7 +356,7 @@ def test_given_a_browser_when_the_report_is_printed_then_all_is_there_in_black_o
         pdf = page.pdf(prefer_css_page_size=True)
         browser.close()
     assert len(widths) == 6 and min(widths) > 1000
-    assert [url for url in asked if not url.startswith('data:')] == [report.html.as_uri()]
+    assert [url for url in asked if not url.startswith('data:')] == [report.as_uri()]
     assert complaints == [] and look == ['rgb(0, 0, 0)', 'rgb(255, 255, 255)', 'none', True]
     boxes = re.findall(rb'/MediaBox\s*\[([^\]]*)\]', pdf)
     assert 4 <= len(boxes) <= 8

@@ -18,10 +18,11 @@ from rosgraph_msgs.msg import Clock
 
 from lpv.bag.blocks.message_blocks import ahead
 from lpv.bag.errors import BagError
-from lpv.bag.replay.writer import DIAGNOSTICS, OUTPUTS
+from lpv.bag.replay.writer import OUTPUTS
 from lpv.bag.rosbag.live import DEEPEST, message_class, ros_qos
 from lpv.bag.rosbag.metadata import offered_qos
 from lpv.bag.rosbag.reading import BagReader, open_bag
+from lpv.bag.run.record import DIAGNOSTICS
 from lpv.core.support.limits import AT_ONCE, PATIENCE, QUIET
 from lpv.core.support.timestamps import NANOSECONDS
 

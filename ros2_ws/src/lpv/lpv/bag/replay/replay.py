@@ -16,8 +16,7 @@ from lpv.bag.replay.injection import BlockInjector
 from lpv.bag.replay.writer import Batch, ReplayWriter
 from lpv.bag.rosbag.reading import BagReader, open_bag
 from lpv.bag.run.measurements import EFFORT_TYPES, MEASUREMENT_TYPE, EffortReader, MeasurementReader
-from lpv.bag.run.record import arm_namespace, find_connections, find_topic
-from lpv.bag.run.streams import STREAMS, RecordedAlarm
+from lpv.bag.run.record import STREAMS, RecordedAlarm, arm_namespace, find_connections, find_topic
 from lpv.core.monitoring.answers import Answers
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.simulation.faults import FaultInjector

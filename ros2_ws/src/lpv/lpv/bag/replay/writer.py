@@ -16,7 +16,7 @@ from lpv.bag.rosbag.metadata import qos_profile
 from lpv.bag.rosbag.reading import BagReader
 from lpv.bag.rosbag.writing import BagWriter
 from lpv.bag.run.measurements import MEASUREMENT_TYPE, Measurements
-from lpv.bag.run.record import CORRECTED
+from lpv.bag.run.record import CORRECTED, DIAGNOSTICS, DIAGNOSTICS_TYPE
 from lpv.core.monitoring.answers import Answers
 from lpv.core.monitoring.message_fields import alarm_fields
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
@@ -30,7 +30,6 @@ OUTPUTS = {
     'fault_alarm': 'lpv_msgs/msg/FaultAlarm',
 }
 """Last parts and types of the topics of answers."""
-DIAGNOSTICS, _DIAGNOSTICS_TYPE = '/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray'
 MARK = 'lpv_replay'
 """Key of the bag's custom data by which results of replays are known."""
 
@@ -63,7 +62,7 @@ class ReplayWriter:
         for connection in copied:
             if connection.topic in self.copied:
                 self.bag.copy_topic(connection)
-        for topic, msgtype in (*own.items(), (DIAGNOSTICS, _DIAGNOSTICS_TYPE)):
+        for topic, msgtype in (*own.items(), (DIAGNOSTICS, DIAGNOSTICS_TYPE)):
             if topic not in self.copied:
                 latched = topic.endswith('/fault_alarm')
                 self.bag.add_topic(topic, msgtype, [qos_profile(True, latched, 50)])
@@ -132,7 +131,7 @@ class ReplayWriter:
             texts += record(self._channels['fault_alarm'], int(time[row]), data)
         for row, status in answers.reports:
             message = self._messages.diagnostics(int(stamp[row]), status)
-            data = padded_cdr(self.bag.typestore, message, _DIAGNOSTICS_TYPE)
+            data = padded_cdr(self.bag.typestore, message, DIAGNOSTICS_TYPE)
             texts += record(self.bag.channel(DIAGNOSTICS), int(time[row]), data)
         self.bag.write_chunk(*copies, *found, _block(texts))
 

@@ -1,7 +1,9 @@
 """A recorded run as NumPy arrays, from any rosbag2 bag."""
 
 import logging
+from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -12,14 +14,34 @@ from rosbags.interfaces import Connection
 from lpv.bag.errors import BagError
 from lpv.bag.rosbag.reading import BagReader, open_bag
 from lpv.bag.run.decoder import Columns, Decoder, Table
-from lpv.bag.run.streams import SCALARS, STREAMS, RecordedAlarm, RunRecord
-from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent, Mode, subject
+from lpv.core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent, Mode, subject
 from lpv.core.support.errors import SampleError
-from lpv.core.support.timestamps import to_nanoseconds
+from lpv.core.support.timestamps import NANOSECONDS, to_nanoseconds
 
+# Stream: (message type, array fields); the name is the last part of the topic's usual name.
+STREAMS: dict[str, tuple[str, tuple[str, ...]]] = {
+    name: (msgtype, tuple(fields.split()))
+    for name, msgtype, fields in (
+        ('joint_states', 'sensor_msgs/msg/JointState', 'position velocity effort'),
+        ('torque_command', 'lpv_msgs/msg/TorqueCommand', 'torque safe_stop'),
+        (
+            'state_estimate',
+            'lpv_msgs/msg/StateEstimate',
+            'position velocity compensated_position measured_position measured_velocity mode',
+        ),
+        ('fault_estimate', 'lpv_msgs/msg/FaultEstimate', 'estimate bound threshold state alarm'),
+        ('reference', 'lpv_msgs/msg/JointReference', 'position velocity acceleration tip_position'),
+        ('ground_truth', 'lpv_msgs/msg/GroundTruth', 'position velocity torque fault disturbance'),
+    )
+}
+"""Streams of arrays; ground_truth and reference are absent in recordings of a real arm."""
+
+SCALARS = ('safe_stop', 'mode', 'disturbance')
+"""Fields with one value a message; the others have one for each joint or sensor."""
 CORRECTED = 'joint_states_corrected'
 """Name of a topic of measurements without confirmed faults: an answer, no measurements."""
 ALARMS, ALARM_TYPE = 'fault_alarm', 'lpv_msgs/msg/FaultAlarm'
+DIAGNOSTICS, DIAGNOSTICS_TYPE = '/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray'
 _ENOUGH = 20
 """Messages that tell what a topic carries, where several nodes publish on it."""
 _LOG = logging.getLogger(__name__)
@@ -28,6 +50,55 @@ _NEEDED['sensor_msgs/msg/JointState'] += ('name',)
 _NEEDED['lpv_msgs/msg/FaultEstimate'] += ('sensor_names',)
 _ALARM = 'header event sensor_index sensor onset detected size bound kind confidence'
 _NEEDED[ALARM_TYPE] = tuple(_ALARM.split())
+
+
+@dataclass(frozen=True)
+class RecordedAlarm(Alarm):
+    """An alarm event with the stamp of the measurement that decided."""
+
+    stamp: int = 0  # [ns]
+
+
+@dataclass
+class RunRecord:
+    """One run; streams are in the order of stamps, of which the last message counts."""
+
+    # header stamps by stream name of `STREAMS`, increasing; absent streams are missing [ns]
+    stamps: dict[str, np.ndarray] = field(default_factory=dict)
+    # fields by stream name, one row per stamp; units as in the message definitions
+    streams: dict[str, dict[str, np.ndarray]] = field(default_factory=dict)
+    alarms: list[RecordedAlarm] = field(default_factory=list)  # in the order of their stamps
+    counts: Counter[str] = field(default_factory=Counter)  # messages in the bag by topic, of all
+    topics: dict[str, str] = field(default_factory=dict)  # topic by stream name
+    joint_names: tuple[str, ...] = ()  # joints of the columns of joint_states
+    sensor_names: tuple[str, ...] = ()  # columns of fault_estimate; empty without that stream
+    warnings: list[str] = field(default_factory=list)  # tolerated defects of bag and messages
+
+    def get(self, stream: str, name: str) -> np.ndarray | None:
+        """Field of a stream on the stream's own stamps; None if the stream is absent."""
+        return self.streams[stream][name] if stream in self.streams else None
+
+    def aligned(self, stream: str, name: str) -> np.ndarray | None:
+        """Field of a stream on the stamps of joint_states, else NaN; None without the stream."""
+        values = self.get(stream, name)
+        if values is None:
+            return None
+        base, stamps = self.stamps['joint_states'], self.stamps[stream]
+        nearest = np.minimum(np.searchsorted(stamps, base), len(stamps) - 1)
+        match = stamps[nearest] == base
+        result = np.full((len(base), *values.shape[1:]), np.nan)
+        result[match] = values[nearest[match]]
+        return result
+
+    @property
+    def time(self) -> np.ndarray:
+        """Time of each measurement since the first one [s], shape (n,)."""
+        return self.seconds(self.stamps['joint_states'])
+
+    def seconds(self, stamps: int | np.ndarray) -> Any:
+        """Time of stamps [ns] since the first measurement [s]."""
+        # The difference of integers is exact; epoch seconds as floats would lose 100 ns.
+        return (stamps - self.stamps['joint_states'][0]) / NANOSECONDS
 
 
 def find_topic(
@@ -268,3 +339,27 @@ def _alarm(message: Any) -> RecordedAlarm:
         float(message.confidence),
         to_nanoseconds(message.header.stamp),
     )
+
+
+@dataclass(frozen=True)
+class NodeReport:
+    """One status of a node."""
+
+    stamp: int  # [ns]
+    message: str  # its text
+
+
+def node_reports(path: str | Path, namespace: str) -> dict[str, list[NodeReport]]:
+    """Reports of one namespace's nodes by stamp, of ``observer``, ``tracking`` and ``drives``."""
+    found: dict[str, list[NodeReport]] = {}
+    with open_bag(path) as reader:
+        connections = [c for c in reader.connections if c.msgtype == DIAGNOSTICS_TYPE]
+        for connection, _, data in reader.messages(connections) if connections else ():
+            message = reader.deserialize(data, connection.msgtype)
+            stamp = to_nanoseconds(message.header.stamp)
+            for status in message.status:
+                parent, _, name = status.name.rpartition('/')
+                _, colon, part = name.partition(': ')
+                if parent == namespace.rstrip('/') and colon:
+                    found.setdefault(part, []).append(NodeReport(stamp, status.message))
+    return {part: sorted(reports, key=lambda r: r.stamp) for part, reports in found.items()}

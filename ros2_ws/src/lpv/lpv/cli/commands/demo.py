@@ -66,15 +66,16 @@ def run(arguments: argparse.Namespace) -> int:
         console.print(f'lpv demo: {problem}', style='red', markup=False)
         return 1
     console.print('writing the report ...')
-    from lpv.report.load import load, planned_path
+    from lpv.report.history import load, planned_path
     from lpv.report.run import write
     from lpv.report.table import print_table
 
     path = planned_path(files['scenario'], arm)
     title = f'Scenario {scenario.name}, arm “{arm.name}”'
-    result = write(load(out / 'bag', arm, path, title, gains), out / 'report')
-    print_table(result.table, console)
-    console.print(f'bag     {out / "bag"}\nreport  {result.html}')
+    found = load(out / 'bag', arm, path, title, gains)
+    page = write(found, out / 'report')
+    print_table(found.table, console)
+    console.print(f'bag     {out / "bag"}\nreport  {page}')
     return 0
 
 

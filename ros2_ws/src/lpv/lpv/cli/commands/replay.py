@@ -14,7 +14,7 @@ from lpv.bag.replay.replay import Replay, ReplayResult
 from lpv.bag.replay.writer import MARK
 from lpv.bag.rosbag.metadata import read_metadata
 from lpv.bag.rosbag.output_folder import GAINS_NAME
-from lpv.bag.run.streams import RecordedAlarm
+from lpv.bag.run.record import RecordedAlarm
 from lpv.cli.needs import require_ros
 from lpv.cli.observing import arm_and_gains, diagnosis_parameters, reading_options
 from lpv.core.monitoring.alarm_text import count_texts, describe
@@ -158,7 +158,7 @@ def _summary(
 def _report(
     arguments: argparse.Namespace, arm: SerialArm, out: Path, topic: str, console: Console
 ) -> None:
-    from lpv.report.load import load
+    from lpv.report.history import load
     from lpv.report.run import write
     from lpv.report.table import print_table
 
@@ -166,6 +166,7 @@ def _report(
     if folder == out:
         raise ConfigError('--report', 'must be another folder than the bag')
     title = f'Replay of {Path(arguments.bag).name}, arm “{arm.name}”'
-    report = write(load(out, arm, title=title, topic=topic), folder)
-    print_table(report.table, console)
-    console.print(f'report  {report.html}')
+    found = load(out, arm, title=title, topic=topic)
+    page = write(found, folder)
+    print_table(found.table, console)
+    console.print(f'report  {page}')

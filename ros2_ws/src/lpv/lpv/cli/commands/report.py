@@ -9,7 +9,7 @@ from lpv.core.simulation.scenario import load_scenario
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.resources import bringup_file
 from lpv.report.certificate import find_arm_and_gains
-from lpv.report.load import load, planned_path
+from lpv.report.history import load, planned_path
 from lpv.report.run import write
 from lpv.report.table import print_table
 
@@ -27,12 +27,12 @@ def run(arguments: argparse.Namespace) -> int:
     proof = found.certificate
     if arguments.gains and proof.problem:
         raise ConfigError('--gains', proof.problem)
-    result = write(found, arguments.out)
-    print_table(result.table)
+    page = write(found, arguments.out)
+    print_table(found.table)
     if proof.problem:
         said = f'certificate not known: {proof.problem}'
     else:
         said = 'holds' if proof.holds else f'does NOT hold: {"; ".join(proof.failed)}'
         said = f'{source}: the certificate {said}'
-    Console(soft_wrap=True, highlight=False).print(f'gains   {said}\nreport  {result.html}')
+    Console(soft_wrap=True, highlight=False).print(f'gains   {said}\nreport  {page}')
     return 0
