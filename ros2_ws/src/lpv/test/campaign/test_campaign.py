@@ -85,7 +85,7 @@ def small():
 @pytest.fixture(scope='module')
 def serial(small):
     """Rows of all its runs, one after the other in this process."""
-    return [run_one(small, number) for number in small.tasks]
+    return [run_one(small, number) for number in range(small.spec.runs)]
 
 
 @pytest.mark.parametrize('base, field, change', MISFITS)
@@ -105,7 +105,7 @@ def test_given_a_plan_when_sampled_then_each_combination_or_stratum_comes_once_a
     factors = """{fault.kind: [none, bias], noise: {low: 0.5, high: 2.0, levels: 3},
                   payload: [0.0, 0.5], friction: 1.0}"""
     factorial = resolved(factors, plan={'method': 'factorial', 'repeats': 2})
-    values = [factorial.values(number) for number in factorial.tasks]
+    values = [factorial.values(number) for number in range(factorial.spec.runs)]
     assert list(Counter(map(str, values)).values()) == [2] * 12
     assert {v['noise'] for v in values} == {0.5, 1.25, 2.0}
     # A latin hypercube hits every stratum of every factor once.
@@ -228,7 +228,7 @@ def test_given_two_faults_when_an_alarm_comes_before_its_own_then_that_was_not_f
     )  # fmt: skip
     arm = SimpleNamespace(sensor_names=('a', 'b'), sample_time=0.1)
     scenario = SimpleNamespace(faults=faults, seed=1)
-    row = figures(SimpleNamespace(arm=arm, scenario=scenario), run)
+    row = figures(arm, scenario, run)
     assert row['detected'] == row['isolated'] == (delay is not None)
     assert row['wrong_alarms'] == (delay is None) and row['false_alarms'] == 0
     assert row['detection_delay'] == pytest.approx(delay or np.nan, nan_ok=True)
@@ -246,7 +246,7 @@ def test_given_another_requirement_below_the_same_name_then_the_campaign_is_anot
 
 def test_given_steps_of_a_serial_arms_encoders_when_run_then_all_and_only_these_are_named():
     campaign = resolve(UR10, 'steps', '.')
-    rows = [run_one(campaign, number) for number in campaign.tasks]
+    rows = [run_one(campaign, number) for number in range(campaign.spec.runs)]
     for row in rows:
         assert row['stable'] and np.isfinite([row[f'error_rms_{i}'] for i in range(1, 7)]).all()
         if row['kind'] == 'none':

@@ -247,7 +247,8 @@ def test_given_an_archive_when_searched_then_bags_and_whose_they_are_is_found(ar
 def test_given_an_archive_when_replayed_then_rows_have_figures_or_say_why(tried, runs):
     _, rows = tried
     for bag in GOOD[:3]:
-        expected = run_metrics.figures(*runs[bag[2:]])
+        plan, run = runs[bag[2:]]
+        expected = run_metrics.figures(plan.arm, plan.scenario, run)
         assert set(expected) <= set(rows[bag]) and differences(rows[bag], expected) == []
     mine, other = rows['b/bias'], rows['foreign']
     assert mine['detected'] and not rows['a/healthy']['detected']
@@ -295,7 +296,8 @@ def test_given_no_scenario_or_a_long_bag_when_replayed_then_the_truth_is_shown_o
     for name in ('bias', 'dropout'):
         shutil.copytree(archive / 'b' / name, tmp_path / name)
         (tmp_path / name / 'scenario.yaml').unlink()
-        row, expected = settings.row(str(tmp_path / name)), run_metrics.figures(*runs[name])
+        row, (plan, run) = settings.row(str(tmp_path / name)), runs[name]
+        expected = run_metrics.figures(plan.arm, plan.scenario, run)
         for figure in ('sensor', 'detected', 'isolated', 'false_alarms', 'wrong_alarms'):
             assert row[figure] == expected[figure], (name, figure)
         assert row['detection_delay'] == pytest.approx(expected['detection_delay'])

@@ -146,21 +146,20 @@ class BagFigures:
             replace(event, onset=event.onset - start, detected=event.detected - start)
             for event in events
         ]
-        faults, seed = self._faults(run, bag / 'scenario.yaml')
-        what = SimpleNamespace(faults=faults, seed=seed)
+        scenario = self._scenario(run, bag / 'scenario.yaml')
         with np.errstate(invalid='ignore', divide='ignore'):
-            found = figures(SimpleNamespace(arm=self._arm, scenario=what), run)
+            found = figures(self._arm, scenario, run)
         if 'reference' not in held:
             found['stable'] = None
         return found
 
-    def _faults(self, run: Any, scenario: Path) -> tuple[Sequence[Fault], int]:
-        """Faults and seed of the scenario in the bag, or faults ``unknown`` by the truth."""
+    def _scenario(self, run: Any, file: Path) -> Any:
+        """The scenario in the bag, or one of faults ``unknown`` by the truth."""
         names = self._arm.sensor_names
         try:
-            stored = load_scenario(scenario)
+            stored = load_scenario(file)
             if {fault.sensor for fault in stored.faults} <= set(names):
-                return stored.faults, stored.seed
+                return stored
         except (LpvError, OSError):
             pass
         faults = []
@@ -171,7 +170,7 @@ class BagFigures:
                 length = 0.0 if last else float(run.time[rows[-1] + 1]) - onset
                 size = float(np.nan_to_num(np.abs(run.fault[rows, i])).max())
                 faults.append(Fault(sensor, 'unknown', onset, length, size))
-        return faults, -1
+        return SimpleNamespace(faults=faults, seed=-1)
 
 
 def _held(

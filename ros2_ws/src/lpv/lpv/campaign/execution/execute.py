@@ -56,8 +56,8 @@ def run_chunk(text: str, name: str, tasks: list[Any]) -> tuple[str, list[dict[st
 
 def chunks_of(campaign: Campaign, size: int = CHUNK) -> dict[str, list[int]]:
     """Runs of a campaign by the name of their chunk."""
-    tasks = campaign.tasks
-    return {f'{k:08d}': tasks[k : k + size] for k in range(0, len(tasks), size)}
+    tasks = range(campaign.spec.runs)
+    return {f'{k:08d}': [*tasks[k : k + size]] for k in range(0, len(tasks), size)}
 
 
 @contextmanager

@@ -9,6 +9,7 @@ import numpy as np
 from lpv.campaign.plan.spec import BOTH, NO_FAULT
 from lpv.core.control.path_follower import APPROACH
 from lpv.core.control.watchdog import TrackerLimits
+from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent
 from lpv.core.simulation.faults import Fault
 
@@ -18,15 +19,15 @@ _EARLY = 0.1
 """An onset estimate may be so much earlier than the fault [s]."""
 
 
-def figures(plan: Any, run: Any, twin: Any = None) -> dict[str, Any]:
+def figures(arm: SerialArm, scenario: Any, run: Any, twin: Any = None) -> dict[str, Any]:
     """Figures of a run and its healthy twin, see docs/scenario-file.md; NaN: none to measure."""
-    scheduled = plan.scenario.faults
-    begin, end = _interval(plan.scenario)
+    scheduled = scenario.faults
+    begin, end = _interval(scheduled)
     before, during = run.time < begin, (run.time >= begin) & (run.time < end)
-    names, period = plan.arm.sensor_names, plan.arm.sample_time
+    names, period = arm.sensor_names, arm.sample_time
     sizes = {abs(f.rate if f.kind == 'drift' else f.size) for f in scheduled}
     result = {
-        'seed': plan.scenario.seed,
+        'seed': scenario.seed,
         'kind': scheduled[0].kind if scheduled else NO_FAULT,
         'sensor': _named({f.sensor for f in scheduled}, names),
         'fault_size': sizes.pop() or math.nan if len(sizes) == 1 else math.nan,
@@ -36,18 +37,14 @@ def figures(plan: Any, run: Any, twin: Any = None) -> dict[str, Any]:
     }
     result.update(_alarm_figures(run, scheduled, names, begin, end))
     result.update(_estimate_figures(run, before, during))
-    result.update(_tracking_figures(plan, run, twin, during))
+    result.update(_tracking_figures(run, twin, during, period))
     return result
 
 
-def _interval(scenario: Any) -> tuple[float, float]:
+def _interval(faults: Sequence[Fault]) -> tuple[float, float]:
     """From the first onset to the last end of all faults [s]."""
-    begin = min((f.onset for f in scenario.faults), default=math.inf)
-    end = max(
-        (f.onset + f.duration if f.duration > 0.0 else math.inf for f in scenario.faults),
-        default=math.inf,
-    )
-    return begin, end
+    ends = (f.onset + f.duration if f.duration > 0.0 else math.inf for f in faults)
+    return min((f.onset for f in faults), default=math.inf), max(ends, default=math.inf)
 
 
 def _onset(fault: Fault | None) -> float:
@@ -123,11 +120,11 @@ def _estimate_figures(run: Any, before: np.ndarray, during: np.ndarray) -> dict[
     return result
 
 
-def _tracking_figures(plan: Any, run: Any, twin: Any, during: np.ndarray) -> dict[str, Any]:
+def _tracking_figures(run: Any, twin: Any, during: np.ndarray, period: float) -> dict[str, Any]:
     error = run.position - run.reference
     largest = float(np.abs(error).max())
     finite = bool(np.isfinite(run.position).all() and np.isfinite(run.torque).all())
-    braked, period = run.braked, plan.arm.sample_time
+    braked = run.braked
     result = {
         'tracking_rms': _rms(error[run.time >= APPROACH]),
         'tracking_rms_during': _rms(error[during]),

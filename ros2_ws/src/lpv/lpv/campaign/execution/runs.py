@@ -146,4 +146,5 @@ def repeat(campaign: Campaign, number: int) -> tuple[RunPlan, Run, dict[str, Any
     plan = plan_run(campaign, number)
     run = plan.simulate()
     twin = plan.simulate(faults=False) if campaign.spec.twin and plan.scenario.faults else None
-    return plan, run, {'number': number, **plan.values, **figures(plan, run, twin)}
+    found = figures(plan.arm, plan.scenario, run, twin)
+    return plan, run, {'number': number, **plan.values, **found}

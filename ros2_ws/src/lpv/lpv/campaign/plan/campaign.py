@@ -10,8 +10,16 @@ from typing import Any
 import lpv.bag
 import lpv.campaign
 import lpv.core
-from lpv.campaign.plan.factors import ByKind, Choice
-from lpv.campaign.plan.spec import BOTH, DEFAULTS, PATHS, CampaignSpec, Plan, parse_spec
+from lpv.campaign.plan.spec import (
+    BOTH,
+    DEFAULTS,
+    PATHS,
+    ByKind,
+    CampaignSpec,
+    Choice,
+    Plan,
+    parse_spec,
+)
 from lpv.core.serial_arm.arm_file import load_arm, parse_arm, to_mapping
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.simulation.scenario import PAPER_PLANTS, PLANTS, parse_scenario
@@ -119,11 +127,6 @@ class Campaign:
         names = 'spec', 'arm', 'scenarios', 'designs'
         fixed = {name: self.content.get(name, {}) for name in names}
         return sha256_of({**fixed, 'gains': sorted(self.content['gains'])})
-
-    @property
-    def tasks(self) -> list[int]:
-        """Numbers of all runs."""
-        return list(range(self.spec.runs))
 
     def gains(self, design: str | None, sample_time: float) -> Gains | None:
         """Gains of a design at a sample time [s]; None for an arm that has none."""

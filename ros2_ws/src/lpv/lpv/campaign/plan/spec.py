@@ -1,19 +1,22 @@
 """The campaign file: what is run, what varies, how often."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 
-from lpv.campaign.plan.factors import ByKind, Choice, Range, parse_factor
 from lpv.core.control.tracking import COMPENSATION
 from lpv.core.monitoring.parameters import DiagnosisParameters
 from lpv.core.simulation.faults import KINDS
 from lpv.core.simulation.scenario import PLANTS
-from lpv.core.support.config import Section
-from lpv.core.support.limits import MOST_SAMPLES
+from lpv.core.support.config import Section, as_number
+from lpv.core.support.entries import entry, read_entries
+from lpv.core.support.errors import ConfigError
+from lpv.core.support.limits import MOST_ENTRIES, MOST_SAMPLES
 
+_KEYS = {'low', 'high', 'spacing', 'levels'}
 METHODS = ('factorial', 'random', 'latin_hypercube')
 NO_FAULT, BOTH = 'none', 'both'
 PATHS = ('scenario', 'random')
@@ -60,21 +63,73 @@ TUNING = {
 
 
 @dataclass(frozen=True)
+class Choice:
+    """One of several values; a fixed value is a choice of one."""
+
+    values: tuple  # Numbers or texts
+
+    def value(self, unit: float) -> Any:
+        """Value for a number of [0, 1)."""
+        return self.values[min(int(unit * len(self.values)), len(self.values) - 1)]
+
+    @property
+    def units(self) -> tuple[float, ...]:
+        """Numbers of [0, 1) that give each value once, for a factorial plan."""
+        return tuple((k + 0.5) / len(self.values) for k in range(len(self.values)))
+
+
+@dataclass(frozen=True)
+class Range:
+    """A number between two ends, uniform in its value or in its logarithm."""
+
+    low: float  # Lower end
+    high: float  # Upper end
+    logarithmic: bool = False  # Whether the logarithm is uniform
+    levels: int = 2  # Values in a factorial plan, both ends among them
+
+    def value(self, unit: float) -> float:
+        """Value for a number of [0, 1]."""
+        if self.logarithmic:
+            return self.low * (self.high / self.low) ** unit
+        return self.low + unit * (self.high - self.low)
+
+    @property
+    def units(self) -> tuple[float, ...]:
+        """Numbers of [0, 1] that give the levels of a factorial plan."""
+        return tuple(k / (self.levels - 1) for k in range(self.levels))
+
+
+@dataclass(frozen=True)
+class ByKind:
+    """Another choice or range for each kind of fault."""
+
+    kinds: dict  # Kinds that are left out give 0
+
+    def of(self, kind: str) -> Choice | Range:
+        """Choice or range of a kind."""
+        return self.kinds.get(kind, Choice((0.0,)))
+
+
+@dataclass(frozen=True)
 class CampaignSpec:
     """A campaign file."""
 
-    name: str  # Name
-    seed: int  # Seed of the plan and, with the number of a run, of the run
     method: str  # One of `METHODS`
     runs: int  # Number of runs
-    arm: str  # Arm file, or name of a shipped arm
-    scenario: str  # Base scenario: a file, or name of a shipped one
-    duration: float | None  # Length of a run [s]; None: the scenario's
-    designs: tuple  # Requirement or gains files, or names of shipped requirements
     factors: dict  # What varies, and what is fixed to another value than the default
-    substeps: int = 2  # Runge-Kutta steps of the plant per sample
+    name: str = entry('text')  # Name
+    # Seed of the plan and, with the number of a run, of the run
+    seed: int = entry('integer', default=1, low=0)
+    arm: str = entry('text', default='paper')  # Arm file, or name of a shipped arm
+    # Base scenario: a file, or name of a shipped one
+    scenario: str = entry('text', default='two_faults')
+    # Length of a run [s]; None: the scenario's
+    duration: float | None = entry('number', default=None, above=0.0, high=1e4)
+    # Requirement or gains files, or names of shipped requirements
+    designs: tuple = entry('names', default=('paper',))
+    substeps: int = entry('integer', default=2, low=1)  # Runge-Kutta steps of the plant per sample
     # Whether each run with a fault is repeated without it, for the ratio of tracking errors
-    twin: bool = False
+    twin: bool = entry('flag', default=False)
 
 
 def parse_spec(data: dict[str, Any], source: str = 'campaign') -> CampaignSpec:
@@ -93,22 +148,8 @@ def parse_spec(data: dict[str, Any], source: str = 'campaign') -> CampaignSpec:
         runs = plan.integer('runs', low=1)
     if runs > MOST_SAMPLES:
         raise plan.error('runs', f'would be {runs}; at most {MOST_SAMPLES} can be asked for')
-    spec = CampaignSpec(
-        name=top.text('name'),
-        seed=top.integer('seed', 1, low=0),
-        method=method,
-        runs=runs,
-        arm=top.text('arm', 'paper'),
-        scenario=top.text('scenario', 'two_faults'),
-        duration=top.number('duration', above=0.0, high=1e4) if 'duration' in top else None,
-        designs=designs,
-        factors=factors,
-        substeps=top.integer('substeps', 2, low=1),
-        twin=top.flag('twin', False),
-    )
     plan.finish()
-    top.finish()
-    return spec
+    return read_entries(CampaignSpec, top, method=method, runs=runs, factors=factors)
 
 
 def flat_factors(factors: dict[str, Choice | Range | ByKind]) -> dict[str, Choice | Range]:
@@ -129,12 +170,66 @@ def _factors(data: dict[str, Any], source: str) -> dict[str, Choice | Range | By
                 name, 'is not a factor; there are ' + ', '.join([*DEFAULTS, *sorted(TUNING)])
             )
         kinds = KINDS if name in _BY_KIND else None
-        factors[name] = factor = parse_factor(
+        factors[name] = factor = _parse_factor(
             value, f'factors.{name}', source, kinds, name not in TEXTS
         )
         for part in factor.kinds.values() if isinstance(factor, ByKind) else (factor,):
             _check(part, name, section)
     return factors
+
+
+def _parse_factor(
+    data: object, name: str, source: str, kinds: Sequence[str] | None = None, numeric: bool = True
+) -> Choice | Range | ByKind:
+    """Read a factor: a value, a list of values, ``{low, high, ...}``, or one of these by kind."""
+    if not isinstance(data, dict):
+        return _choice(data, name, source, numeric)
+    if kinds is not None and data and not _KEYS & set(data):
+        unknown = sorted(set(map(str, data)) - set(kinds))
+        if unknown:
+            raise ConfigError(
+                name, f'has no kind of fault {unknown[0]!r}; known are ' + ', '.join(kinds), source
+            )
+        return ByKind(
+            {kind: _parse_factor(value, f'{name}.{kind}', source) for kind, value in data.items()}
+        )
+    return _range(data, name, source)
+
+
+def _choice(data: Any, name: str, source: str, numeric: bool) -> Choice:
+    values = tuple(data) if isinstance(data, list) else (data,)
+    values = tuple(map(as_number, values)) if numeric else values
+    reason = ''
+    if not 1 <= len(values) <= MOST_ENTRIES:
+        reason = f'must list 1 to {MOST_ENTRIES} values'
+    elif not all(isinstance(v, str) or _is_number(v) for v in values):
+        reason = 'must be finite numbers or texts'
+    elif len({isinstance(v, str) for v in values}) > 1:
+        reason = 'must not mix numbers and texts'
+    elif len(set(values)) < len(values):
+        reason = 'lists a value twice'
+    if reason:
+        raise ConfigError(name, reason, source)
+    return Choice(tuple(v if isinstance(v, str) else float(v) for v in values))
+
+
+def _is_number(value: object) -> bool:
+    return type(value) in (int, float) and math.isfinite(value)  # type: ignore[arg-type]
+
+
+def _range(data: dict[str, Any], name: str, source: str) -> Range:
+    section = Section(data, source, name)
+    low, high = section.number('low'), section.number('high')
+    logarithmic = section.text('spacing', 'linear', ('linear', 'log')) == 'log'
+    levels = section.integer('levels', 2, low=2)
+    section.finish()
+    if not low < high:
+        raise ConfigError(name, 'must have a low below a high', source)
+    if logarithmic and low <= 0.0:
+        raise section.error('low', 'must be positive for logarithmic spacing')
+    if levels > MOST_ENTRIES:
+        raise section.error('levels', f'must be at most {MOST_ENTRIES}')
+    return Range(low, high, logarithmic, levels)
 
 
 def _check(factor: Choice | Range, name: str, section: Section) -> None:

@@ -6,7 +6,7 @@ import shlex
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -16,8 +16,7 @@ from rich.console import Console
 from rich.table import Table
 
 from lpv.campaign.plan.campaign import Campaign
-from lpv.campaign.plan.factors import Choice
-from lpv.campaign.plan.spec import BOTH, NO_FAULT
+from lpv.campaign.plan.spec import BOTH, NO_FAULT, Choice
 from lpv.campaign.report.figures import draw_all
 from lpv.campaign.report.statistics import (
     DOSES,
@@ -42,27 +41,18 @@ _MOST_BAGS = 500
 """Rows of a table of bags; all are in the Parquet file."""
 
 
-class CampaignReport(NamedTuple):
-    """What was written."""
-
-    html: Path  # the report
-    json: Path  # its numbers
-    numbers: dict[str, Any]  # content of that file
-
-
 def write_report(
-    work: Any, table: pa.Table, folder: str | Path, planned: int, healthy: bool = False
-) -> CampaignReport:
-    """Write ``report.html`` and ``report.json``; ``healthy``: alarms of bags are false."""
-    folder = Path(folder)
+    work: Any, table: pa.Table, folder: Path, planned: int, healthy: bool = False
+) -> dict[str, Any]:
+    """Write ``report.html`` and ``report.json``; its numbers. ``healthy``: all alarms are false."""
     numbers = report_numbers(work, table, folder, planned, healthy)
     figures = {name: embedded(data) for name, data in draw_all(numbers).items()}
     template = environment(Path(__file__).parent).get_template('report.html')
     page = template.render(**numbers, title=numbers['head']['name'], figures=figures, text=_TEXT)
-    html, data = folder / 'report.html', folder / 'report.json'
-    for path, content in ((html, page), (data, json.dumps(numbers, allow_nan=False, indent=1))):
-        write_whole(path, content)  # someone may look at it
-    return CampaignReport(html, data, numbers)
+    data = json.dumps(numbers, allow_nan=False, indent=1)
+    for name, content in (('report.html', page), ('report.json', data)):
+        write_whole(folder / name, content)  # someone may look at it
+    return numbers
 
 
 def report_numbers(

@@ -42,9 +42,9 @@ def run(arguments: argparse.Namespace) -> int:
         # Only here: runs must not wait for plotting.
         from lpv.campaign.report.write import print_summary, write_report
 
-        report = write_report(campaign, table, folder.path, campaign.spec.runs)
-        print_summary(report.numbers, console)
-        console.print(f'report: {report.html}')
+        numbers = write_report(campaign, table, folder.path, campaign.spec.runs)
+        print_summary(numbers, console)
+        console.print(f'report: {folder.path / "report.html"}')
     return 0
 
 

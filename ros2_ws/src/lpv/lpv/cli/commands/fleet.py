@@ -37,7 +37,7 @@ def run(arguments: argparse.Namespace) -> int:
     # Only here: bags must not wait for plotting.
     from lpv.campaign.report.write import print_summary, write_report
 
-    report = write_report(archive, table, folder.path, len(chunks), arguments.healthy)
-    print_summary(report.numbers, console)
-    console.print(f'rows    {folder.file}\nreport  {report.html}')
+    numbers = write_report(archive, table, folder.path, len(chunks), arguments.healthy)
+    print_summary(numbers, console)
+    console.print(f'rows    {folder.file}\nreport  {folder.path / "report.html"}')
     return FAILED if failed else 0
