@@ -126,6 +126,8 @@ def _chunk(k, templates, truth, bias, arm, generator):
             },
         ),
         templates[1].fill(
-            late + generator.integers(100_000, 400_000, len(k)), stamp, {'torque': torque}
+            late + generator.integers(100_000, 400_000, len(k)),
+            stamp,
+            {'torque': torque, 'safe_stop': np.zeros(len(k))},
         ),
     )

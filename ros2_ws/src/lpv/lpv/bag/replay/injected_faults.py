@@ -44,7 +44,6 @@ def judge(faults: Sequence[Fault], result: ReplayResult) -> list[InjectedFault]:
     events = [((event.stamp - start) / NANOSECONDS, event) for event in result.events]
     end = math.inf if result.last_stamp is None else (result.last_stamp - start) / NANOSECONDS
     for fault in faults:
-        over = fault.onset + fault.duration if fault.duration > 0.0 else math.inf
         during = [(at, event) for at, event in events if _acts(fault, at)]
         raised = [(at, event.sensor) for at, event in during if event.event == AlarmEvent.RAISED]
         wrong = {sensor for at, sensor in raised
@@ -54,12 +53,12 @@ def judge(faults: Sequence[Fault], result: ReplayResult) -> list[InjectedFault]:
             (at, event)
             for at, event in during
             if event.sensor == fault.sensor and event.event != AlarmEvent.CLEARED
-            if (event.onset - start) / NANOSECONDS < over
+            if (event.onset - start) / NANOSECONDS < fault.end
         ]
         delays = [at - fault.onset for at, event in own if event.event == AlarmEvent.RAISED]
         told: tuple[float, str, float, float, float | None] | tuple[()] = ()
         if delays:
-            at, last = ([pair for pair in own if pair[0] <= over] or own)[-1]
+            at, last = ([pair for pair in own if pair[0] <= fault.end] or own)[-1]
             true = true_size(fault, at)
             error = None
             if true is not None and (last.kind == RATE_BIAS) == (fault.kind == RATE_BIAS):
@@ -71,16 +70,13 @@ def judge(faults: Sequence[Fault], result: ReplayResult) -> list[InjectedFault]:
 
 
 def _acts(fault: Fault, time: float) -> bool:
-    end = fault.onset + fault.duration + _GRACE
-    return fault.onset <= time and (fault.duration <= 0.0 or time <= end)
+    return fault.onset <= time <= fault.end + _GRACE
 
 
 def true_size(fault: Fault, time: float) -> float | None:
     """Error of a reading [rad], or of a rate, at a time; None where it depends on the reading."""
-    if fault.duration > 0.0:
-        time = min(time, fault.onset + fault.duration)
     if fault.kind == 'drift':
-        grown = fault.rate * (time - fault.onset)
+        grown = fault.rate * (min(time, fault.end) - fault.onset)
         # The sign of the limit does not count, as in `lpv.core.simulation.faults.apply_faults`.
         return grown if fault.size == 0.0 else min(max(grown, -abs(fault.size)), abs(fault.size))
     return fault.size if fault.kind in ('bias', RATE_BIAS) else None

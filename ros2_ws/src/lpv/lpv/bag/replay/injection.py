@@ -34,8 +34,7 @@ class BlockInjector:
         times = (measured.stamp - self._start) / NANOSECONDS
         active = np.zeros(len(times), bool)
         for fault in self._injector.faults:
-            end = fault.onset + fault.duration if fault.duration > 0.0 else np.inf
-            active |= (times >= fault.onset) & (times < end)
+            active |= (times >= fault.onset) & (times < fault.end)
         # One sample after a fault, too: a stuck sensor is released, and a rate that is a
         # difference of positions shows the end of a fault.
         after = active | np.concatenate([[self._active], active[:-1]])

@@ -15,7 +15,7 @@ from lpv.bag.errors import BagError
 from lpv.bag.replay.injection import BlockInjector
 from lpv.bag.replay.writer import Batch, ReplayWriter
 from lpv.bag.rosbag.reading import BagReader, open_bag
-from lpv.bag.run.measurements import EFFORT_TYPES, MEASUREMENT_TYPE, EffortReader, MeasurementReader
+from lpv.bag.run.measurements import EFFORT_TYPES, EffortReader, MeasurementReader
 from lpv.bag.run.record import STREAMS, RecordedAlarm, arm_namespace, find_connections, find_topic
 from lpv.core.monitoring.answers import Answers
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
@@ -85,15 +85,13 @@ class Replay:
             writer = ReplayWriter(out, self._monitor, options.preset, copied)
             with writer.bag, ThreadPoolExecutor(1) as pool:
                 wanted = _wanted(reader, result, effort, writer.copied)
-                written: Future[None] | None = None
+                written: Future[Any] = pool.submit(int)
                 for batch in ahead(self._batches(reader, wanted, effort, result)):
                     copies = writer.copies(reader, wanted, batch)
                     answers = self._answer(batch, result)
-                    if written is not None:
-                        written.result()
-                    written = pool.submit(writer.write, batch, copies, answers)
-                if written is not None:
                     written.result()
+                    written = pool.submit(writer.write, batch, copies, answers)
+                written.result()
                 _check(bag, result)
                 if not result.answered and result.rejected:
                     (reason, count), *_ = result.rejected.most_common(1)
@@ -109,8 +107,8 @@ class Replay:
             result, effort = self._begin(reader)
             result.streams = {
                 name
-                for name, (msgtype, _) in STREAMS.items()
-                if find_connections(reader, msgtype, name, None, result.namespace)
+                for name in STREAMS
+                if find_connections(reader, name, namespace=result.namespace)
             }
             wanted = _wanted(reader, result, effort)
             for batch in ahead(self._batches(reader, wanted, effort, result)):
@@ -124,13 +122,14 @@ class Replay:
         """A result that names the topic of the measurements; where the torques come from."""
         options, effort = self._options, None
         joints = self._monitor.arm.joint_names
-        measured = find_topic(reader, MEASUREMENT_TYPE, 'joint_states', options.topic, joints).topic
+        measured = find_topic(reader, 'joint_states', options.topic, joints)
         prefix = arm_namespace(reader, measured)
         self._monitor.name = f'{prefix}/uio'
         if options.effort_topic:
             effort = _effort_connection(reader, options.effort_topic)
         elif options.torque_from_command:
-            effort = find_topic(reader, STREAMS[_COMMAND][0], _COMMAND, f'{prefix}/{_COMMAND}')
+            topic = find_topic(reader, _COMMAND, f'{prefix}/{_COMMAND}')
+            effort = _effort_connection(reader, topic)
         return ReplayResult(topic=measured, namespace=prefix), effort
 
     def _batches(

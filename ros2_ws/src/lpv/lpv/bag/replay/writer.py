@@ -111,17 +111,14 @@ class ReplayWriter:
         """Write copies and answers of one block."""
         state, found = answers.state, list[np.ndarray]()
         stamp, time = batch.measured.stamp, batch.block.time[batch.measured.places]
-        corrected: Any = {'position': state.compensated_position, 'velocity': state.velocity}
+        corrected = {'position': state.compensated_position, 'velocity': state.velocity}
         for template, chosen, values in zip(
             self._templates,
             (answers.answered, answers.has_fault, answers.answered & (state.mode < Mode.STALE)),
             (state, answers.fault, corrected),
         ):
             some = slice(None) if chosen.all() else chosen
-            picked = (
-                {n: a[some] for n, a in values.items()} if values is corrected else values[some]
-            )
-            found.append(template.fill(time[some], stamp[some], picked))
+            found.append(template.fill(time[some], stamp[some], values, some))
         texts = b''
         for row, event in answers.events:
             message = self._messages.make(
@@ -160,9 +157,9 @@ class RecordTemplate:
         self._records = np.empty(0, self._dtype)
 
     def fill(
-        self, time: np.ndarray, stamp: np.ndarray, values: dict[str, np.ndarray] | np.ndarray
+        self, time: np.ndarray, stamp: np.ndarray, values: Any, chosen: Any = slice(None)
     ) -> np.ndarray:
-        """Records of messages, from log times, header stamps and fields by name."""
+        """Records of messages, from log times, header stamps, and chosen rows of fields by name."""
         if len(self._records) < len(time):
             one = np.frombuffer(self._record, f'V{len(self._record)}')  # what is no number, too
             self._records = np.repeat(one, len(time)).view(self._dtype)
@@ -171,8 +168,9 @@ class RecordTemplate:
         seconds = stamp // NANOSECONDS
         self._set(records, 'header.stamp.sec', seconds)
         self._set(records, 'header.stamp.nanosec', stamp - seconds * NANOSECONDS)
-        for name in values if isinstance(values, dict) else values.dtype.names or ():
-            self._set(records, name, values[name])
+        for name in self._fields:
+            if not name.startswith('header.'):
+                self._set(records, name, values[name][chosen])
         return records
 
     def _set(self, records: np.ndarray, name: str, array: np.ndarray) -> None:

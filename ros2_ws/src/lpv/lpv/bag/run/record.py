@@ -45,6 +45,7 @@ DIAGNOSTICS, DIAGNOSTICS_TYPE = '/diagnostics', 'diagnostic_msgs/msg/DiagnosticA
 _ENOUGH = 20
 """Messages that tell what a topic carries, where several nodes publish on it."""
 _LOG = logging.getLogger(__name__)
+_TYPES = {**{name: msgtype for name, (msgtype, _) in STREAMS.items()}, ALARMS: ALARM_TYPE}
 _NEEDED = {msgtype: ('header', *fields) for msgtype, fields in STREAMS.values()}
 _NEEDED['sensor_msgs/msg/JointState'] += ('name',)
 _NEEDED['lpv_msgs/msg/FaultEstimate'] += ('sensor_names',)
@@ -102,32 +103,28 @@ class RunRecord:
 
 
 def find_topic(
-    reader: BagReader,
-    msgtype: str,
-    name: str,
-    wanted: str | None = None,
-    joints: Sequence[str] | None = None,
-) -> Connection:
-    """The one connection that carries a stream, as `find_connections`; BagError without it."""
-    found = find_connections(reader, msgtype, name, wanted, joints=joints)
+    reader: BagReader, name: str, wanted: str | None = None, joints: Sequence[str] | None = None
+) -> str:
+    """The topic that carries a stream, as of `find_connections`; BagError without it."""
+    found = find_connections(reader, name, wanted, joints=joints)
     if found:
-        return found[0]
+        return found[0].topic
     there = ', '.join(sorted({f'{c.topic} ({c.msgtype})' for c in reader.connections}))
     raise BagError(
         f'{reader.path}: the bag has no topic {wanted or name!r} of type '
-        f'{msgtype}; it has {there or "no topic at all"}'
+        f'{_TYPES[name]}; it has {there or "no topic at all"}'
     )
 
 
 def find_connections(
     reader: BagReader,
-    msgtype: str,
-    name: str,  # end of the topic that is preferred
+    name: str,  # of the stream, and end of the topic that is preferred
     wanted: str | None = None,  # topic that the user gives
     namespace: str | None = None,  # directly below which topics are
     joints: Sequence[str] | None = None,  # of the arm; topics of others, a gripper's, do not count
 ) -> list[Connection]:
     """All connections of the one topic that carries a stream; BagError if several topics do."""
+    msgtype = _TYPES[name]
     found = [c for c in reader.connections if c.msgtype == msgtype]
     if namespace is not None:
         parent = '/' + namespace.strip('/')
@@ -142,7 +139,7 @@ def find_connections(
         found = [c for c in found if c.topic.rsplit('/', 1)[-1] == name] or found
         if len(topics := sorted({c.topic for c in found})) > 1:
             raise _ambiguous(reader, msgtype, {topic: carried[topic] for topic in topics})
-    if found and msgtype in _NEEDED:
+    if found:
         reader.check_definition(msgtype, _NEEDED[msgtype])
     return found
 
@@ -187,18 +184,13 @@ def load_run(
 ) -> RunRecord:
     """Read a run; BagError if it lacks measurements or a joint, or holds several arms."""
     with open_bag(path) as reader:
-        msgtype, name = STREAMS['joint_states'][0], 'joint_states'
-        measured = topic
+        name, measured = 'joint_states', topic
         if not answers_only:
-            measured = find_topic(reader, msgtype, name, topic, joint_names).topic
+            measured = find_topic(reader, name, topic, joint_names)
         namespace = None if topic is None else arm_namespace(reader, topic)
-        types = {**{name: msgtype for name, (msgtype, _) in STREAMS.items()}, ALARMS: ALARM_TYPE}
-        found = {name: find_connections(reader, msgtype, name, measured, joints=joint_names)}
-        found |= {
-            other: find_connections(reader, kind, other, namespace=namespace)
-            for other, kind in types.items()
-            if other != name
-        }
+        found = {name: find_connections(reader, name, measured, joints=joint_names)}
+        for other in [one for one in _TYPES if one != name]:
+            found[other] = find_connections(reader, other, namespace=namespace)
         chosen = {name: connections for name, connections in found.items() if connections}
         record = RunRecord(topics={name: c[0].topic for name, c in chosen.items()})
         for connection in reader.connections:

@@ -22,7 +22,8 @@ _EARLY = 0.1
 def figures(arm: SerialArm, scenario: Any, run: Any, twin: Any = None) -> dict[str, Any]:
     """Figures of a run and its healthy twin, see docs/scenario-file.md; NaN: none to measure."""
     scheduled = scenario.faults
-    begin, end = _interval(scheduled)
+    begin = min((f.onset for f in scheduled), default=math.inf)  # of the first one to the last end
+    end = max((f.end for f in scheduled), default=math.inf)
     before, during = run.time < begin, (run.time >= begin) & (run.time < end)
     names, period = arm.sensor_names, arm.sample_time
     sizes = {abs(f.rate if f.kind == 'drift' else f.size) for f in scheduled}
@@ -39,12 +40,6 @@ def figures(arm: SerialArm, scenario: Any, run: Any, twin: Any = None) -> dict[s
     result.update(_estimate_figures(run, before, during))
     result.update(_tracking_figures(run, twin, during, period))
     return result
-
-
-def _interval(faults: Sequence[Fault]) -> tuple[float, float]:
-    """From the first onset to the last end of all faults [s]."""
-    ends = (f.onset + f.duration if f.duration > 0.0 else math.inf for f in faults)
-    return min((f.onset for f in faults), default=math.inf), max(ends, default=math.inf)
 
 
 def _onset(fault: Fault | None) -> float:

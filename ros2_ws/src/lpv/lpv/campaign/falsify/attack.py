@@ -188,18 +188,6 @@ class Attacker:
         nothing = np.zeros(self.samples.shape[2])
         return Finding(nothing, nothing, nothing, False, attack)
 
-    def from_dict(self, data: dict[str, Any]) -> Attack:
-        """Attack from plain numbers; ValueError, TypeError if they are of another arm."""
-        attack = Attack(**data)
-        shape = RATE_SCALE + 1, self.samples.shape[2]
-        if np.shape(attack.joints) != shape or len(attack.shares) != self.range.count:
-            raise ValueError(f'joints must have shape {shape}, shares {self.range.count} numbers')
-        if not np.isfinite(
-            [*np.ravel(attack.joints), *attack.shares, attack.rest, attack.disturbance]
-        ).all():
-            raise ValueError('must be finite numbers')
-        return attack
-
 
 def _geometric(share: FloatArray, low: float, high: float) -> FloatArray:
     return np.asarray(low * (high / low) ** (0.5 * (share + 1.0)))

@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from itertools import cycle
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import yaml
@@ -12,7 +11,8 @@ from cmaes import CMA
 
 from lpv.bag.rosbag.messages import write_joint_states
 from lpv.bag.rosbag.writing import BagWriter
-from lpv.campaign.falsify.attack import Attacker, Finding, stamps_of
+from lpv.campaign.falsify.attack import Attack, Attacker, Finding, stamps_of
+from lpv.campaign.falsify.healthy_run import RATE_SCALE
 from lpv.core.serial_arm.chain import FloatArray
 from lpv.core.support.config import read_yaml
 from lpv.core.support.errors import ConfigError
@@ -90,26 +90,24 @@ def write_worst(attacker: Attacker, worst: Finding, folder: str | Path) -> None:
         write_joint_states(writer, '/lpv/joint_states', arm.joint_names, samples)
 
 
-def read_attack(path: str | Path) -> tuple[dict[str, Any], float]:
+def read_attack(path: str | Path) -> tuple[Attack, float]:
     """Attack and duration [s] of a file that `write_worst` wrote; ConfigError if it is none."""
     data = read_yaml(path)
     try:
-        duration = float(data['duration'])
-        if not isinstance(data['attack'], dict) or not 0.0 < duration <= LONGEST:
-            raise ValueError(f'no attack of at most {LONGEST:g} s')
-        return data['attack'], duration
+        attack, duration = Attack(**data['attack']), float(data['duration'])
+        numbers = [*np.ravel(attack.joints), *attack.shares, attack.rest, attack.disturbance]
+        if not (np.isfinite(numbers).all() and 0.0 < duration <= LONGEST):
+            raise ValueError(f'no finite numbers of at most {LONGEST:g} s')
     except (KeyError, TypeError, ValueError) as error:
-        raise _no_attack(error, path) from None
+        reason = f'is not that of lpv falsify ({error})'
+        raise ConfigError('attack', reason, str(path)) from None
+    return attack, duration
 
 
-def repeat(attacker: Attacker, data: dict[str, Any], path: str | Path) -> Finding:
-    """Run the attack of a file again; errors as of `read_attack`."""
-    try:
-        attack = attacker.from_dict(data)
-    except (KeyError, TypeError, ValueError) as error:
-        raise _no_attack(error, path) from None
+def repeat(attacker: Attacker, attack: Attack, path: str | Path) -> Finding:
+    """Run the attack of a file again; ConfigError if it is of another arm."""
+    shape, count = (RATE_SCALE + 1, attacker.samples.shape[2]), attacker.range.count
+    if np.shape(attack.joints) != shape or len(attack.shares) != count:
+        reason = f'is of another arm: joints must have shape {shape}, shares {count} numbers'
+        raise ConfigError('attack', reason, str(path))
     return attacker.run(attack)
-
-
-def _no_attack(error: Exception, path: str | Path) -> ConfigError:
-    return ConfigError('attack', f'is not that of lpv falsify ({error})', str(path))

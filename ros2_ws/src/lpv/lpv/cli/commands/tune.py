@@ -68,8 +68,12 @@ class _Bench:
         near = path.parent / self.campaign.spec.designs[0]
         self._requirement = load_requirement(near if near.is_file() else near.name)
         self._data = read_yaml(self._requirement.source)
+        self._parts = {'observer': self._requirement.observer,
+                       'controller': self._requirement.controller,
+                       'diagnosis': DiagnosisParameters()}  # fmt: skip
         self.ranges = dict(self._range(text) for text in arguments.search)
-        self.base = {name: self._value(name) for name in self.ranges}
+        fields_of = {name: self._field(name) for name in self.ranges}
+        self.base = {name: v[k[0]] if k else v for name, (_, _, v, k) in fields_of.items()}
         for name, (low, high) in self.ranges.items():
             if not low <= self.base[name] <= high:
                 reason = f'must hold {self.base[name]:g}, as it is now'
@@ -87,36 +91,33 @@ class _Bench:
             raise ConfigError(f'--search {name}', f'must have ends from {least:g} on, low < high')
         return name, (low, high)
 
-    def _value(self, name: str) -> float:
+    def _field(self, name: str) -> tuple[str, str, Any, list[int]]:
+        """Part, field and value of a number, and its places where the value has several."""
         match = _FIELD.fullmatch(name)
         if match:
             part, field, index = match.groups()
-            owner = DiagnosisParameters() if part == 'diagnosis' else getattr(
-                self._requirement, part)  # fmt: skip
-            value = getattr(owner, field, None)
-            if isinstance(value, tuple) and index and int(index) < len(value):
-                return float(value[int(index)])
-            if isinstance(value, tuple) and not index and len(set(value)) == 1:
-                return float(value[0])  # one for all
+            value = getattr(self._parts[part], field, None)
             if isinstance(value, float) and not index:
-                return value
-        parts = {'observer': self._requirement.observer, 'controller': self._requirement.controller,
-                 'diagnosis': DiagnosisParameters}  # fmt: skip
-        known = ', '.join(f'{kind}.{field.name}' for kind in parts for field in fields(parts[kind]))
+                return part, field, value, []
+            if isinstance(value, tuple):
+                places = [k for k in range(len(value)) if index in (None, str(k))]
+                if len({value[k] for k in places}) == 1:  # one for all
+                    return part, field, value, places
+        known = ', '.join(
+            f'{part}.{f.name}' for part, of in self._parts.items() for f in fields(of)
+        )
         raise ConfigError(f'--search {name}', f'is no number of {known}')
 
     def content(self, values: dict[str, float]) -> dict[str, Any]:
         """Content of the requirement file with given values."""
         data = copy.deepcopy(self._data)
         for name, value in values.items():
-            part, field, index = _FIELD.fullmatch(name).groups()  # type: ignore[union-attr]
-            old = None if part == 'diagnosis' else getattr(getattr(self._requirement, part), field)
-            if isinstance(old, tuple):
-                now = data[part].get(field, old)
-                now = list(now) if isinstance(now, (list, tuple)) else list(old)
-                chosen = range(len(now)) if index is None else (int(index),)
-                data[part][field] = [value if k in chosen else now[k] for k in range(len(now))]
-            elif old is not None:
+            part, field, old, places = self._field(name)
+            if places:
+                now = data[part].get(field)
+                now = now if isinstance(now, list) else old  # one number stands for all
+                data[part][field] = [value if k in places else v for k, v in enumerate(now)]
+            elif part != 'diagnosis':
                 data[part][field] = value
         return data
 

@@ -62,6 +62,11 @@ class Fault:
     size: float = entry('number', default=0.0, low=-1e3, high=1e3)  # see kind
     rate: float = entry('number', default=0.0, low=-1e3, high=1e3)  # see kind
 
+    @property
+    def end(self) -> float:
+        """When it stops to act [s]; infinite if only when it is cleared."""
+        return self.onset + self.duration if self.duration > 0.0 else math.inf
+
 
 @njit
 def _acts(f: np.record, time: float) -> bool:

@@ -10,7 +10,7 @@ from scipy.ndimage import median_filter
 
 from lpv.bag.rosbag.reading import open_bag
 from lpv.bag.run.csv_import import ColumnMap
-from lpv.bag.run.measurements import MEASUREMENT_TYPE, MeasurementReader
+from lpv.bag.run.measurements import MeasurementReader
 from lpv.bag.run.record import find_topic
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.turns import Turns
@@ -215,7 +215,7 @@ def _read_bag(path: Path, joints: Sequence[str], topic: str | None) -> tuple[Any
     """Stamps, positions, rates (or None) and efforts."""
     parts, count = list[tuple[np.ndarray, ...]](), 0
     with open_bag(path) as bag:
-        measured = find_topic(bag, MEASUREMENT_TYPE, 'joint_states', topic, joints).topic
+        measured = find_topic(bag, 'joint_states', topic, joints)
         reader = MeasurementReader(bag, joints, needs_rates=False)
         for block in bag.blocks([c for c in bag.connections if c.topic == measured]):
             found = reader.read(block, np.arange(len(block)))
