@@ -108,6 +108,21 @@ def test_given_joints_when_findings_are_told_then_each_has_its_unit_if_it_has_a_
     assert told.endswith('reached 0.700 of its threshold, 0.1000 m, at 1.00 s\n')
 
 
+def test_given_an_empty_domain_when_the_demo_runs_then_it_has_one_of_its_own(tmp_path, monkeypatch):
+    started = {}
+
+    def start(line, **options):
+        started.update(options)
+        raise FileNotFoundError(line[0])
+
+    monkeypatch.setenv('ROS_DOMAIN_ID', '')
+    monkeypatch.setattr(demo.subprocess, 'Popen', start)
+    arguments = SimpleNamespace(domain_id=None, mode='lockstep', seed=-1, compensation='off')
+    with pytest.raises(FileNotFoundError):
+        demo._run_graph(arguments, {}, tmp_path, load_scenario('ur10'), Console(quiet=True))
+    assert 1 <= int(started['env']['ROS_DOMAIN_ID']) <= 100
+
+
 @pytest.mark.parametrize('name', ['cell/left', '/cell/left/', '/cell/left'])
 def test_given_a_namespace_when_viewed_then_slashes_at_its_ends_do_not_count(monkeypatch, name):
     lines = []

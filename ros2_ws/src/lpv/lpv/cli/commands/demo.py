@@ -145,8 +145,8 @@ def _run_graph(
 ) -> str:
     """Run the launch file of the whole pipeline; what went wrong, or ''."""
     domain = arguments.domain_id
-    if domain is None:
-        domain = int(os.environ.get('ROS_DOMAIN_ID', 1 + os.getpid() % 100))
+    if domain is None:  # an empty one counts as none, as for rcl
+        domain = os.environ.get('ROS_DOMAIN_ID') or 1 + os.getpid() % 100
     what = f'{scenario.name!r} ({scenario.duration:g} s, {arguments.mode})'
     console.print(f'running {what} with ROS_DOMAIN_ID {domain} ...')
     values = {'seed': arguments.seed, 'compensation': arguments.compensation}

@@ -39,6 +39,8 @@ def run(arguments: argparse.Namespace) -> int:
         return _publish(arguments, console)
     out = Path(arguments.out).resolve()
     _check_out(out, Path(arguments.bag).resolve())
+    if arguments.report and Path(arguments.report).resolve() == out:
+        raise ConfigError('--report', 'must be another folder than the bag')
     arm, gains = arm_and_gains(arguments, console)
     diagnosis, others = diagnosis_parameters(arguments.parameters)
     monitor = SerialSensorMonitor('/uio', arm, diagnosis, gains, **others)
@@ -162,11 +164,8 @@ def _report(
     from lpv.report.run import write
     from lpv.report.table import print_table
 
-    folder = Path(arguments.report).resolve()
-    if folder == out:
-        raise ConfigError('--report', 'must be another folder than the bag')
     title = f'Replay of {Path(arguments.bag).name}, arm “{arm.name}”'
     found = load(out, arm, title=title, topic=topic)
-    page = write(found, folder)
+    page = write(found, Path(arguments.report).resolve())
     print_table(found.table, console)
     console.print(f'report  {page}')
