@@ -22,15 +22,11 @@ from lpv.report.certificate import beside_bag, named_arm, shipped_arm
 
 def reading_options(arguments: argparse.Namespace, **others: Any) -> ReplayOptions:
     """What of a bag is read, as the replay takes it."""
-    given = vars(arguments)
-    return ReplayOptions(
-        topic=given['topic'],
-        effort_topic=given['effort_topic'],
-        start=given['from'],
-        end=given['to'],
-        torque_from_command=given['torque_source'] == 'command',
-        **others,
+    topics, ends = (
+        (arguments.topic, arguments.effort_topic),
+        (vars(arguments)['from'], arguments.to),
     )
+    return ReplayOptions(*topics, *ends, arguments.torque_source == 'command', **others)
 
 
 def arm_and_gains(

@@ -1,8 +1,11 @@
 """Arm and gains of a run, and what the certificate of these gains proves of this arm."""
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,7 +23,7 @@ from lpv.core.support.resources import bringup_file, shipped_files
 from lpv.core.uio.certificate.claims import CLAIMS
 from lpv.core.uio.certificate.conditions import prove, verify
 from lpv.core.uio.certificate.gains import Gains, load_gains
-from lpv.core.uio.model.arm import arm_from_json
+from lpv.core.uio.model.arm import ArmParameters, arm_from_json
 from lpv.core.uio.planar import planar_model
 
 _ANSWERS = tuple(
@@ -53,40 +56,17 @@ class Certificate:
         return self.holds and self.what == 'gains'
 
 
-@dataclass(frozen=True)
-class Certified:
-    """Gains of either kind, and how their certificate is verified."""
+class Certified(NamedTuple):
+    """Gains of either kind, and how their certificate is verified, by the arm."""
 
     gains: Gains | LoopGains
     what: str  # as `Certificate.what`
     claims: tuple[Claim, ...]  # what holds where the certificate does
-
-    def facts(self, arm: SerialArm) -> list[str]:
-        """The region of the certificate, and what is certified, for the reader."""
-        if isinstance(self.gains, LoopGains):
-            return region_lines(arm, self.gains)
-        planar = planar_model(arm)
-        way = 'upwards' if planar.sign > 0 else 'downwards'
-        degrees = ', '.join(f'{np.degrees(np.arccos(low)):.1f}°' for low in planar.cos_min)
-        return [
-            f'method: observer {self.gains.observer.method}, controller '
-            f'{self.gains.controller.method}',
-            f'certified region: links within {degrees} of the vertical {way}',
-            f'decay: estimation error {self.gains.observer.decay:g} /s, tracking error '
-            f'{self.gains.controller.decay:g} /s',
-        ]
-
-    def checks(self, arm: SerialArm) -> list[Check]:
-        """Every inequality, rebuilt; ConfigError for another arm than that of the gains."""
-        if isinstance(self.gains, LoopGains):
-            return verify_loop(arm, self.gains)
-        return verify(planar_model(arm), self.gains)
-
-    def prove(self, arm: SerialArm) -> dict[str, bool]:
-        """Inequalities by name, and whether exact rational arithmetic proves them."""
-        if isinstance(self.gains, LoopGains):
-            return prove_loop(arm, self.gains)
-        return prove(planar_model(arm), self.gains)
+    # every inequality, rebuilt; ConfigError for another arm than that of the gains
+    checks: Callable[[SerialArm], list[Check]]
+    # inequalities by name, and whether exact rational arithmetic proves them
+    prove: Callable[[SerialArm], dict[str, bool]]
+    facts: Callable[[SerialArm], list[str]]  # the region, and what is certified, for the reader
 
     def arm(self) -> SerialArm | None:
         """The arm that the gains describe or that is shipped under their name, if it is theirs."""
@@ -100,8 +80,27 @@ class Certified:
 def load_certified(path: str | Path) -> Certified:
     """Read a gains file of either kind; ConfigError if it is none."""
     if serial_parameters(path) is not None:
-        return Certified(load_loop_gains(path), 'tracking loop', SERIAL_CLAIMS)
-    return Certified(load_gains(path), 'gains', CLAIMS)
+        loop = load_loop_gains(path)
+        of_loop: Any = (partial(f, gains=loop) for f in (verify_loop, prove_loop, region_lines))
+        return Certified(loop, 'tracking loop', SERIAL_CLAIMS, *of_loop)
+    gains = load_gains(path)
+    of_gains = (partial(_planar, f, gains) for f in (verify, prove, _facts))
+    return Certified(gains, 'gains', CLAIMS, *of_gains)
+
+
+def _planar(ask: Callable[..., Any], gains: Gains, arm: SerialArm) -> Any:
+    return ask(planar_model(arm), gains)
+
+
+def _facts(arm: ArmParameters, gains: Gains) -> list[str]:
+    way = 'upwards' if arm.sign > 0 else 'downwards'
+    degrees = ', '.join(f'{np.degrees(np.arccos(low)):.1f}°' for low in arm.cos_min)
+    observer, controller = gains.observer, gains.controller
+    return [
+        f'method: observer {observer.method}, controller {controller.method}',
+        f'certified region: links within {degrees} of the vertical {way}',
+        f'decay: estimation error {observer.decay:g} /s, tracking error {controller.decay:g} /s',
+    ]
 
 
 def examine(path: str | Path | None, arm: SerialArm, source: str = '') -> Certificate:

@@ -33,9 +33,9 @@ class ReplayOptions:
     topic: str | None = None  # of the measurements, where the bag has several JointState topics
     # torques to use in place of the measured efforts; of a type in measurements.EFFORT_TYPES
     effort_topic: str | None = None
-    torque_from_command: bool = False  # take torques from the recorded commands
     start: float | None = None  # first message, counted from the first one of the bag [s]
     end: float | None = None  # end of the interval, counted likewise [s]
+    torque_from_command: bool = False  # take torques from the recorded commands
     estimates_only: bool = False  # write the answers alone; otherwise all topics are copied, too
     preset: str = 'none'  # compression of the new bag, key of `lpv.bag.rosbag.writing.PRESETS`
 

@@ -14,14 +14,7 @@ from lpv.core.support.resources import SOURCES, prefixes
 
 _PADDING = 4
 """Bytes that some publishers leave for the alignment of an empty sequence of doubles at the end."""
-_OWN = (
-    'FaultAlarm',
-    'FaultEstimate',
-    'GroundTruth',
-    'JointReference',
-    'StateEstimate',
-    'TorqueCommand',
-)
+_OWN = 'FaultAlarm FaultEstimate GroundTruth JointReference StateEstimate TorqueCommand'
 
 
 def message_text(msgtype: str) -> str:
@@ -75,6 +68,6 @@ def _nested(kind: Any) -> Iterator[str]:
 def make_typestore() -> Typestore:
     """Typestore with the standard types of ROS 2 Jazzy and those of lpv_msgs."""
     typestore = get_typestore(Stores.ROS2_JAZZY)
-    for name in _OWN:
+    for name in _OWN.split():
         add_type(typestore, f'lpv_msgs/msg/{name}')
     return typestore
