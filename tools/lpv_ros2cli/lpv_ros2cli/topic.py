@@ -49,8 +49,7 @@ def run_echo(arguments: argparse.Namespace) -> None:
         name, kind = graph.find_topic(node, arguments.topic_name)
         # A topic may be known by its subscriptions; publishers decide what is latched.
         graph.find(node, lambda: node.get_publishers_info_by_topic(name))
-        profile = _matching(node, name)
-        node.create_subscription(messages.load(kind, 'msg'), name, show, profile)
+        node.create_subscription(messages.load(kind, 'msg'), name, show, _matching(10))
         _receive(node, lambda: bool(arguments.once and shown))
 
 
@@ -80,24 +79,19 @@ def run_hz(arguments: argparse.Namespace) -> None:
             messages.load(kind, 'msg'),
             name,
             lambda _: times.append(time.monotonic()),
-            _matching(node, name, 1000),
+            _matching(1000),
             raw=True,
         )
         node.create_timer(1.0, report)
         _receive(node, lambda: False)
 
 
-def _matching(node: Any, topic: str, depth: int = 10) -> Any:
-    """Profile that is compatible with every publisher of a topic."""
+def _matching(depth: int) -> Any:
+    """Profile that is compatible with every publisher that a topic has now."""
     from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-    offered = [info.qos_profile for info in node.get_publishers_info_by_topic(topic)]
-    profile = QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT)
-    if offered and all(q.reliability == ReliabilityPolicy.RELIABLE for q in offered):
-        profile.reliability = ReliabilityPolicy.RELIABLE
-    if offered and all(q.durability == DurabilityPolicy.TRANSIENT_LOCAL for q in offered):
-        profile.durability = DurabilityPolicy.TRANSIENT_LOCAL
-    return profile
+    best = ReliabilityPolicy.BEST_AVAILABLE, DurabilityPolicy.BEST_AVAILABLE
+    return QoSProfile(depth=depth, reliability=best[0], durability=best[1])
 
 
 def _receive(node: Any, done: Callable[[], bool]) -> None:

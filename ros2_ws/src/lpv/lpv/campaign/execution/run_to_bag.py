@@ -16,6 +16,7 @@ from lpv.campaign.execution.runs import RunPlan
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.simulation.closed_loop import Run
+from lpv.core.support.config import write_parameters
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.timestamps import NANOSECONDS
 from lpv.core.uio.certificate.gains import save_gains
@@ -58,8 +59,8 @@ def write_run_files(plan: RunPlan, folder: str | Path) -> None:
         'compensation': plan.compensation,
         'substeps': plan.substeps,
     }
-    content = {**plan.files, 'parameters': {'/**': {'ros__parameters': own}}}
-    for name, data in content.items():
+    write_parameters(folder / 'parameters.yaml', own)
+    for name, data in plan.files.items():
         text = yaml.safe_dump(data, sort_keys=False)
         (folder / f'{name}.yaml').write_text(text, encoding='utf-8')
     if plan.gains is not None:

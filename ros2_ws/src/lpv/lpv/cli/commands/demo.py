@@ -16,7 +16,6 @@ from pathlib import Path
 from threading import Timer
 from typing import Any
 
-import yaml
 from rich.console import Console
 
 import lpv_design as design_package
@@ -24,6 +23,7 @@ from lpv.cli.needs import require_ros
 from lpv.cli.progress import bar
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.simulation.scenario import Scenario, load_scenario
+from lpv.core.support.config import write_parameters
 from lpv.core.support.errors import LpvError
 from lpv.core.support.resources import bringup_file, prefixes, shipped_files
 from lpv.core.support.signals import STOPS, exit_by_signal, handled_signals
@@ -150,10 +150,9 @@ def _run_graph(
     what = f'{scenario.name!r} ({scenario.duration:g} s, {arguments.mode})'
     console.print(f'running {what} with ROS_DOMAIN_ID {domain} ...')
     values = {'seed': arguments.seed, 'compensation': arguments.compensation}
-    parameters = {'/**': {'ros__parameters': {**values, 'shutdown_at_end': True}}}
     file, bag = out / 'parameters.yaml', out / 'bag'
     given = {**files, 'params_file': file, 'bag': bag, 'record': 'true'}
-    file.write_text(yaml.safe_dump(parameters), encoding='utf-8')
+    write_parameters(file, {**values, 'shutdown_at_end': True})
     # That of this environment, else of the ROS 2 that is sourced.
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get('PATH', '')])
     line = [shutil.which('ros2', path=path) or 'ros2', 'launch', 'lpv_bringup']

@@ -23,7 +23,7 @@ from lpv.campaign.execution.execute import chunks_of, worker_pool
 from lpv.campaign.plan.campaign import Campaign, resolve
 from lpv.campaign.plan.spec import NO_FAULT
 from lpv.core.monitoring.parameters import DiagnosisParameters
-from lpv.core.support.config import read_yaml, sha256_of
+from lpv.core.support.config import read_yaml, sha256_of, write_parameters
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.resources import bringup_file
 from lpv.core.uio.certificate.conditions import require
@@ -311,17 +311,16 @@ def _validate(bench: _Bench, values: dict[str, float], seed: int) -> dict[str, A
 
 def _write(bench: _Bench, values: dict[str, float], folder: Path) -> None:
     """Requirement and gains, verified as the nodes will; parameters if the diagnosis was tuned."""
-    content = {'requirement': bench.content(values)}
+    requirement = folder / 'requirement.yaml'
+    content = yaml.safe_dump(bench.content(values), sort_keys=False)
+    requirement.write_text(f'# Found by lpv tune.\n{content}', encoding='utf-8')
     tuned: dict[str, Any] = {
         name[10:]: value for name, value in values.items() if name.startswith('diagnosis.')
     }
     if tuned:
-        parameters = vars(replace(DiagnosisParameters(), **tuned))
-        content['diagnosis'] = {'/**': {'ros__parameters': {'diagnosis': parameters}}}
-    for name, data in content.items():
-        text = '# Found by lpv tune.\n' + yaml.safe_dump(data, sort_keys=False)
-        (folder / f'{name}.yaml').write_text(text, encoding='utf-8')
-    found = design(bench.planar, load_requirement(folder / 'requirement.yaml'))
+        parameters = {'diagnosis': vars(replace(DiagnosisParameters(), **tuned))}
+        write_parameters(folder / 'diagnosis.yaml', parameters, 'Found by lpv tune.')
+    found = design(bench.planar, load_requirement(requirement))
     lines = [f'Gains for arm {bench.arm.name!r}, found by lpv tune.', *found.lines]
     save_gains(found.gains, folder / 'gains.yaml', '\n'.join(lines))
     require(bench.planar, load_gains(folder / 'gains.yaml'), 'gains.yaml')

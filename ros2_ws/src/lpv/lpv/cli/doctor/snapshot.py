@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 
 import rclpy
 from lifecycle_msgs.srv import GetState
-from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import GetParameters
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import parameter_value_to_python
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
@@ -98,7 +98,9 @@ def _look(node: Any, executor: Any, seconds: float) -> Snapshot:
         if not parameter:
             shot.states[name] = None if answer is None else answer.current_state.label
         elif answer is not None and answer.values:
-            shot.parameters.setdefault(name, {})[parameter] = _plain(answer.values[0])
+            shot.parameters.setdefault(name, {})[parameter] = parameter_value_to_python(
+                answer.values[0]
+            )
     return shot
 
 
@@ -141,13 +143,6 @@ def _questions(node: Any, name: str) -> list[tuple[str, str, Any, Any]]:
         (name, '', state, GetState.Request()),
         *((name, p, values, GetParameters.Request(names=[p])) for p in _PARAMETERS),
     ]
-
-
-def _plain(value: Any) -> Any:
-    """Value of a parameter that is true or false, or a text."""
-    if value.type == ParameterType.PARAMETER_BOOL:
-        return value.bool_value
-    return value.string_value if value.type == ParameterType.PARAMETER_STRING else None
 
 
 def _endpoints(infos: list[Any]) -> list[Endpoint]:
