@@ -14,6 +14,7 @@ from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.config import as_number, read_yaml
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.resources import bringup_file
+from lpv.core.uio.certificate.conditions import require
 from lpv.core.uio.certificate.gains import Gains, load_gains
 from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.planar import planar_model
@@ -32,7 +33,7 @@ def reading_options(arguments: argparse.Namespace, **others: Any) -> ReplayOptio
 def arm_and_gains(
     arguments: argparse.Namespace, console: Console
 ) -> tuple[SerialArm, Gains | None]:
-    """Arm and gains as arguments say, or as the bag says; gains only of an arm with a region."""
+    """Arm and gains as arguments or bag say; gains only of an arm with a region, and certified."""
     gains = load_gains(bringup_file('gains', arguments.gains)) if arguments.gains else None
     arm, bag, kept = arguments.arm, getattr(arguments, 'bag', None), None
     if bag and not gains and not arguments.requirement:
@@ -49,7 +50,10 @@ def arm_and_gains(
         gains = kept
     elif kept and not arguments.arm:
         kept.check_arm(planar, f'{bag}: {GAINS_NAME}')  # another arm of this name: say so
-    return arm, gains or _gains_of(arguments, planar, console)
+    gains = gains or _gains_of(arguments, planar, console)
+    if gains is not None:  # as nodes do
+        require(planar, gains, arguments.gains or GAINS_NAME)
+    return arm, gains
 
 
 def _kept_gains(bag: Path) -> Gains | None:

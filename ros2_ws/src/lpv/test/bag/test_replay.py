@@ -526,6 +526,9 @@ def test_given_a_command_when_run_again_then_the_last_holds(bag, replayed, tmp_p
     assert (report / 'path.png').read_bytes().startswith(b'\x89PNG')
     assert (report / 'report.html').is_file() and raw(tmp_path / 'result') == raw(answers)
     assert refused("'x' is neither a file nor", *again, '--arm', 'real_arm', '--gains', 'x')
+    forged = tmp_path / 'forged.yaml'
+    forged.write_text(Path(PAPER_GAINS).read_text().replace('kappa: [', 'kappa: [1'))
+    assert refused('numbers are those of the design', *again, '--gains', forged)
     both = tmp_path / 'both'
     assert refused('--report: must be another', *line(bag, both, report=both)) and not both.exists()
     call(*again, '--gains', 'paper')

@@ -10,8 +10,6 @@ from lpv.campaign.execution.execute import ResultsFolder
 from lpv.cli.commands.campaign import execute
 from lpv.cli.observing import arm_and_gains, diagnosis_parameters, reading_options
 from lpv.core.support.errors import ConfigError
-from lpv.core.uio.certificate.conditions import require
-from lpv.core.uio.planar import planar_model
 
 FAILED = 3
 """Exit code where a bag could not be read."""
@@ -26,8 +24,6 @@ def run(arguments: argparse.Namespace) -> int:
     if not chunks:
         raise ConfigError('DIR', 'holds no rosbag2 bag', str(root))
     arm, gains = arm_and_gains(arguments, console)
-    if gains is not None:
-        require(planar_model(arm), gains, arguments.gains or 'gains')
     diagnosis, sampling = diagnosis_parameters(arguments.parameters)
     options = reading_options(arguments)
     archive = Archive(archive_text(root, arm, gains, diagnosis, options, **sampling))
