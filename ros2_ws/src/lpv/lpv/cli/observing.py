@@ -1,7 +1,6 @@
 """What observes, and what of a bag is read: of several commands."""
 
 import argparse
-from pathlib import Path
 from typing import Any
 
 from rich.console import Console
@@ -37,7 +36,9 @@ def arm_and_gains(
     gains = load_gains(bringup_file('gains', arguments.gains)) if arguments.gains else None
     arm, bag, kept = arguments.arm, getattr(arguments, 'bag', None), None
     if bag and not gains and not arguments.requirement:
-        kept = _kept_gains(Path(bag))
+        file = beside_bag(bag, GAINS_NAME)
+        if file is not None and serial_parameters(file) is None:  # of an observer
+            kept = load_gains(file)
     if arm is None:
         named = gains or kept
         arm = shipped_arm(named.arm_name if named else named_arm(bag) if bag else '')
@@ -54,12 +55,6 @@ def arm_and_gains(
     if gains is not None:  # as nodes do
         require(planar, gains, arguments.gains or GAINS_NAME)
     return arm, gains
-
-
-def _kept_gains(bag: Path) -> Gains | None:
-    """Gains of an observer that were kept in a bag."""
-    file = beside_bag(bag, GAINS_NAME)
-    return None if file is None or serial_parameters(file) is not None else load_gains(file)
 
 
 def _gains_of(arguments: argparse.Namespace, arm: ArmParameters, console: Console) -> Gains | None:

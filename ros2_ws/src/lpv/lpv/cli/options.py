@@ -280,11 +280,11 @@ other            second bag, of the same measurements; what one bag does not hol
 --topic TOPIC    topic of the measurements, where there are several
 --out FOLDER     folder for comparison.json and pictures
 --json           print JSON in place of tables
---mise=0.05      tolerated relative change of mean squared errors
---delay=0.02     tolerated change of the time of an alarm [s]
---signal=0.001   tolerated difference of estimates [rad], [rad/s]
---flags=0.002    tolerated share of samples with another mode, state or alarm
---missing=0.0    tolerated share of answers that only one bag has
+--mise=0.05[0:1e9]  tolerated relative change of mean squared errors
+--delay=0.02[0:1e9]  tolerated change of the time of an alarm [s]
+--signal=0.001[0:1e9]  tolerated difference of estimates [rad], [rad/s]
+--flags=0.002[0:1e9]  tolerated share of samples with another mode, state or alarm
+--missing=0.0[0:1e9]  tolerated share of answers that only one bag has
 --exact          tolerate nothing: every bit of every answer must agree
 """,
     ),

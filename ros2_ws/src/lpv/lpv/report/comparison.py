@@ -48,11 +48,6 @@ class Tolerances:
     flags: float = 0.002  # share of samples whose mode, state or alarm differs
     missing: float = 0.0  # share of answers that only one of the runs has
 
-    def __post_init__(self) -> None:
-        for name, value in asdict(self).items():
-            if not 0.0 <= value < math.inf:
-                raise LpvError(f'tolerance of {name}: must be a number from 0, got {value}')
-
 
 @dataclass(frozen=True)
 class Figure:

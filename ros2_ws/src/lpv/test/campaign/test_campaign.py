@@ -129,7 +129,7 @@ def test_given_random_paths_when_made_then_they_keep_inside_the_certified_region
         cosine = planar.sign * np.cos(JointMap(planar).absolute_position(path.position))
         assert cosine.min() > max(planar.cos_min) and np.abs(path.velocity).max() < 2.1
     with pytest.raises(ConfigError, match='more than 1 s'):
-        random_paths.random_planar_path(arm, np.random.default_rng(1), 0.5)
+        random_paths.random_path(arm, np.random.default_rng(1), 0.5)
 
 
 @pytest.mark.parametrize('name', ['ur10', 'panda'])

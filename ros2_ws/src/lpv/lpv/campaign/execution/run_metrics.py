@@ -42,11 +42,6 @@ def figures(arm: SerialArm, scenario: Any, run: Any, twin: Any = None) -> dict[s
     return result
 
 
-def _onset(fault: Fault | None) -> float:
-    """Begin of a sensor's first fault [s]; infinite if it has none."""
-    return math.inf if fault is None else fault.onset
-
-
 def _named(sensors: Collection[str], names: Sequence[str]) -> str:
     """Sensors as one text: a name, both of two, names joined by +."""
     if len(sensors) == len(names) == 2:
@@ -69,7 +64,8 @@ def _alarm_figures(
         if onset <= detected < end and alarm.onset / 1e9 >= onset - _EARLY:
             own.setdefault(alarm.sensor, []).append(alarm)
     inside = [a for a in raised if begin <= a.detected / 1e9 < end]
-    wrong = [a for a in inside if faulty and a.detected / 1e9 < _onset(faulty.get(a.sensor))]
+    onsets = {sensor: fault.onset for sensor, fault in faulty.items()}
+    wrong = [a for a in inside if faulty and a.detected / 1e9 < onsets.get(a.sensor, math.inf)]
     said, nan = {a.sensor for a in inside}, math.nan
     found = bool(own) and set(own) == set(faulty)
     pairs = [(own[sensor][0], f) for sensor, f in faulty.items()] if found else []

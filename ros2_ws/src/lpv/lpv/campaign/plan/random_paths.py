@@ -19,6 +19,8 @@ _MARGIN = 1.5
 """Least abs(cos) of a path of two links, over that of the certified region."""
 _LEFT, _RIGHT, _LEAST, _MOST = 0.725, 0.453, 0.25, 0.8
 """Angles of link 1, over the largest one; bend of link 2 [rad]: neither stretched nor folded."""
+_FASTEST = 2.0
+"""Largest joint rate of a path of two links [rad/s]."""
 _SEGMENT = (1.5, 3.0)
 """Time between waypoints of an arm [s]."""
 _POSITION_SHARE, _RATE_SHARE, _TORQUE_SHARE = 0.7, 0.6, 0.7
@@ -27,6 +29,8 @@ _POSITION_SHARE, _RATE_SHARE, _TORQUE_SHARE = 0.7, 0.6, 0.7
 
 def random_path(arm: SerialArm, rng: np.random.Generator, duration: float) -> dict[str, Any]:
     """``path`` of a scenario: a random motion, in the region if any; ConfigError without."""
+    if duration <= 1.0:
+        raise ConfigError('duration', f'a random path needs more than 1 s, got {duration:g}')
     if arm.lpv is not None:
         times, points = random_planar_path(arm, rng, duration)
         return {'waypoints': [{'t': t, 'x': x, 'y': y} for t, (x, y) in zip(times, points)]}
@@ -35,10 +39,9 @@ def random_path(arm: SerialArm, rng: np.random.Generator, duration: float) -> di
 
 
 def random_planar_path(
-    arm: SerialArm, rng: np.random.Generator, duration: float, fastest: float = 2.0
+    arm: SerialArm, rng: np.random.Generator, duration: float
 ) -> tuple[Any, ...]:
     """Times [s] and points (x, y) [m] of a path in an arm's region; ConfigError without."""
-    _check_duration(duration)
     planar = planar_model(arm)
     joints, least = JointMap(planar), _MARGIN * max(planar.cos_min)
     largest, turn = np.arccos(min(least, 1.0)), 0.0 if planar.sign > 0.0 else np.pi
@@ -57,11 +60,11 @@ def random_planar_path(
         except LpvError:
             continue
         cosines = planar.sign * np.cos(joints.absolute_position(path.position))
-        if cosines.min() > least and np.abs(path.velocity).max() < fastest:
+        if cosines.min() > least and np.abs(path.velocity).max() < _FASTEST:
             return tuple(times.tolist()), tuple(map(tuple, points.tolist()))
     raise ConfigError(
         'path',
-        f'no random path of {duration:g} s below {fastest:g} rad/s found in '
+        f'no random path of {duration:g} s below {_FASTEST:g} rad/s found in '
         f'the region of arm {arm.name!r}',
     )
 
@@ -70,7 +73,6 @@ def random_joint_path(
     arm: SerialArm, rng: np.random.Generator, duration: float
 ) -> tuple[tuple[float, ...], tuple[tuple[float, ...], ...]]:
     """Times [s] and joint positions [rad] within an arm's limits; ConfigError without room."""
-    _check_duration(duration)
     careful, low, high = _with_margins(arm)
     steps = max(1, round((duration - 1.0) / float(rng.uniform(*_SEGMENT))))
     times = np.linspace(0.5, duration - 0.5, steps + 1)
@@ -88,11 +90,6 @@ def random_joint_path(
             continue
         return tuple(times.tolist()), tuple(tuple(point.tolist()) for point in points)
     raise ConfigError('path', f'no random path of {duration:g} s found for {arm.name}')
-
-
-def _check_duration(duration: float) -> None:
-    if duration <= 1.0:
-        raise ConfigError('duration', f'a random path needs more than 1 s, got {duration:g}')
 
 
 def _with_margins(arm: SerialArm) -> tuple[SerialArm, np.ndarray, np.ndarray]:

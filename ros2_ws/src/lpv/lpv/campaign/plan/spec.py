@@ -202,7 +202,7 @@ def _choice(data: Any, name: str, source: str, numeric: bool) -> Choice:
     reason = ''
     if not 1 <= len(values) <= MOST_ENTRIES:
         reason = f'must list 1 to {MOST_ENTRIES} values'
-    elif not all(isinstance(v, str) or _is_number(v) for v in values):
+    elif not all(type(v) is str or (type(v) in (int, float) and math.isfinite(v)) for v in values):
         reason = 'must be finite numbers or texts'
     elif len({isinstance(v, str) for v in values}) > 1:
         reason = 'must not mix numbers and texts'
@@ -211,10 +211,6 @@ def _choice(data: Any, name: str, source: str, numeric: bool) -> Choice:
     if reason:
         raise ConfigError(name, reason, source)
     return Choice(tuple(v if isinstance(v, str) else float(v) for v in values))
-
-
-def _is_number(value: object) -> bool:
-    return type(value) in (int, float) and math.isfinite(value)  # type: ignore[arg-type]
 
 
 def _range(data: dict[str, Any], name: str, source: str) -> Range:
