@@ -531,6 +531,10 @@ def test_given_a_command_when_run_again_then_the_last_holds(bag, replayed, tmp_p
     assert refused('numbers are those of the design', *again, '--gains', forged)
     both = tmp_path / 'both'
     assert refused('--report: must be another', *line(bag, both, report=both)) and not both.exists()
+    for wrong in (('--from', 5, '--to', 2), ('--topic', '/nowhere')):  # the last result stays
+        assert refused('', *again, *wrong) and raw(tmp_path / 'result') == raw(answers)
+    assert refused('no such bag', 'replay', tmp_path / 'typo', *line(bag, tmp_path / 'result')[2:])
+    assert sorted(p.name for p in tmp_path.iterdir() if p.name[0] == '.') == []
     call(*again, '--gains', 'paper')
 
 

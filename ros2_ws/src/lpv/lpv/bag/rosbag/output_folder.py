@@ -1,6 +1,10 @@
 """Output folder of a recorder, and the files that accompany the recording."""
 
+import contextlib
 import os
+import shutil
+import tempfile
+from collections.abc import Iterator
 from itertools import count
 from pathlib import Path
 
@@ -20,6 +24,21 @@ def free_path(path: str | Path) -> Path:
     path, whole = Path(path), Path(os.path.abspath(path))
     others = (whole.with_name(f'{path.resolve().name}_{number}') for number in count(1))
     return path if not os.path.lexists(path) else next(p for p in others if not os.path.lexists(p))
+
+
+@contextlib.contextmanager
+def replaced(out: Path) -> Iterator[Path]:
+    """Where to write a folder, which takes the place of ``out`` once all has gone well."""
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        folder = tempfile.TemporaryDirectory(prefix='.', dir=out.parent)
+    except OSError as error:
+        raise ConfigError('bag', f'cannot be written: {error}', str(out)) from error
+    with folder as name:
+        new = Path(name) / out.name
+        yield new
+        shutil.rmtree(out, ignore_errors=True)
+        shutil.move(new, out)
 
 
 def read_run_file(path: str | Path, name: str) -> bytes:

@@ -1,6 +1,5 @@
 """One run of a campaign as a bag, as the graph would have recorded it, and files to repeat it."""
 
-import shutil
 import tempfile
 from dataclasses import asdict
 from pathlib import Path
@@ -11,6 +10,7 @@ import yaml
 
 from lpv.bag.replay.replay import Replay
 from lpv.bag.rosbag.messages import BagMessages
+from lpv.bag.rosbag.output_folder import replaced
 from lpv.bag.rosbag.writing import BagWriter
 from lpv.campaign.execution.runs import RunPlan
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
@@ -36,18 +36,12 @@ def write_run_bag(plan: RunPlan, run: Run, out: str | Path) -> None:
     out = Path(out)
     if out.exists():
         raise ConfigError('--bag', 'exists already: name a new folder', str(out))
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        folder = tempfile.TemporaryDirectory(prefix='.', dir=out.parent)
-    except OSError as error:
-        raise ConfigError('--bag', f'cannot be written: {error}', str(out)) from error
-    with folder as name:
-        measured, whole = Path(name) / 'measured', Path(name) / out.name
+    with replaced(out) as whole, tempfile.TemporaryDirectory(dir=whole.parent) as folder:
+        measured = Path(folder) / 'measured'
         write_signals(plan.arm, run, measured)
         monitor = SerialSensorMonitor(f'{NAMESPACE}/uio', plan.arm, plan.parameters, plan.gains)
         Replay(monitor, preset='zstd_fast').run(measured, whole)
         write_run_files(plan, whole)
-        shutil.move(whole, out)
 
 
 def write_run_files(plan: RunPlan, folder: str | Path) -> None:

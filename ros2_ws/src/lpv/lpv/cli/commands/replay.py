@@ -1,7 +1,6 @@
 """``lpv replay``: observer and diagnosis offline on a bag, or the bag into a live graph."""
 
 import argparse
-import shutil
 import time
 from pathlib import Path
 
@@ -13,7 +12,7 @@ from lpv.bag.replay.injected_faults import InjectedFault, judge
 from lpv.bag.replay.replay import Replay, ReplayResult
 from lpv.bag.replay.writer import MARK
 from lpv.bag.rosbag.metadata import read_metadata
-from lpv.bag.rosbag.output_folder import GAINS_NAME
+from lpv.bag.rosbag.output_folder import GAINS_NAME, replaced
 from lpv.bag.run.record import RecordedAlarm
 from lpv.cli.needs import require_ros
 from lpv.cli.observing import arm_and_gains, diagnosis_parameters, reading_options
@@ -48,16 +47,17 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.inject is not None:
         faults = _faults(arguments.inject)
         injector = FaultInjector(arm.sensor_names, faults, np.random.default_rng(0))
-    shutil.rmtree(out, ignore_errors=True)
     begin = time.perf_counter()
     options = reading_options(
         arguments, preset=arguments.preset, estimates_only=arguments.estimates_only
     )
-    result = Replay(
+    replay = Replay(
         monitor, options, injector, lambda event, time: console.print(_alarm_line(event, time))
-    ).run(arguments.bag, out)
-    if gains is not None:
-        save_gains(gains, out / GAINS_NAME, 'Gains that this bag was replayed with.')
+    )
+    with replaced(out) as new:
+        result = replay.run(arguments.bag, new)
+        if gains is not None:
+            save_gains(gains, new / GAINS_NAME, 'Gains that this bag was replayed with.')
     _summary(result, monitor, time.perf_counter() - begin, console)
     if faults is not None:
         show_injected(judge(faults, result), arm, console)
