@@ -41,25 +41,19 @@ def write_run_bag(plan: RunPlan, run: Run, out: str | Path) -> None:
         write_signals(plan.arm, run, measured)
         monitor = SerialSensorMonitor(f'{NAMESPACE}/uio', plan.arm, plan.parameters, plan.gains)
         Replay(monitor, preset='zstd_fast').run(measured, whole)
-        write_run_files(plan, whole)
-
-
-def write_run_files(plan: RunPlan, folder: str | Path) -> None:
-    """Write the files with which the graph repeats a run."""
-    folder = Path(folder)
-    own = {
-        'lockstep': True,
-        'diagnosis': asdict(plan.parameters),
-        'compensation': plan.compensation,
-        'substeps': plan.substeps,
-    }
-    write_parameters(folder / 'parameters.yaml', own)
-    for name, data in plan.files.items():
-        text = yaml.safe_dump(data, sort_keys=False)
-        (folder / f'{name}.yaml').write_text(text, encoding='utf-8')
-    if plan.gains is not None:
-        text = f'Gains of run {plan.number} ({plan.scenario.name}).'
-        save_gains(plan.gains, folder / 'gains.yaml', text)
+        own = {
+            'lockstep': True,
+            'diagnosis': asdict(plan.parameters),
+            'compensation': plan.compensation,
+            'substeps': plan.substeps,
+        }
+        write_parameters(whole / 'parameters.yaml', own)
+        for name, data in plan.files.items():
+            text = yaml.safe_dump(data, sort_keys=False)
+            (whole / f'{name}.yaml').write_text(text, encoding='utf-8')
+        if plan.gains is not None:
+            text = f'Gains of run {plan.number} ({plan.scenario.name}).'
+            save_gains(plan.gains, whole / 'gains.yaml', text)
 
 
 def differences(stored: dict[str, Any], found: dict[str, Any]) -> list[str]:
