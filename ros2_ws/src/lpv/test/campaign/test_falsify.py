@@ -112,7 +112,7 @@ def test_given_fast_motion_between_few_samples_then_the_bound_covers_what_sampli
 
 @pytest.mark.parametrize('serial', [False, True])
 def test_given_a_worst_run_when_written_then_the_command_repeats_it_bit_by_bit(
-    serial, ur10, paper_arm, paper_gains, tmp_path, call, refused
+    serial, ur10, paper_arm, paper_gains, tmp_path, call, refused, monkeypatch
 ):
     arm, gains = (ur10, None) if serial else (paper_arm, paper_gains)
     attacker = Attacker(arm, 0.6, gains)
@@ -128,6 +128,8 @@ def test_given_a_worst_run_when_written_then_the_command_repeats_it_bit_by_bit(
     assert f'reached {worst.ratio:.3f} of its threshold' in said
     # Another search would be lost in the end.
     assert refused('worst run of another search', 'falsify', *options, '--out', tmp_path)
+    monkeypatch.setattr('lpv.cli.commands.falsify.search', None)
+    assert refused('File exists', 'falsify', *options, '--out', tmp_path / 'arm.yaml')
 
 
 def test_given_no_attack_or_guarantee_when_attacked_then_it_is_refused(

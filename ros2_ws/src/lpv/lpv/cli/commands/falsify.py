@@ -25,7 +25,8 @@ def run(arguments: argparse.Namespace) -> int:
         attacker = _attacker(arm, arguments.gains, duration)
         return _conclude(attacker, [repeat(attacker, attack, arguments.repeat)])
     attacker, folder = _attacker(arm, arguments.gains, arguments.duration), Path(arguments.out)
-    if (folder / BAG).exists():  # said before hours of searching
+    folder.mkdir(parents=True, exist_ok=True)  # what fails is said before hours of searching
+    if (folder / BAG).exists():
         raise ConfigError('--out', f'{folder} holds the worst run of another search')
     found = search(attacker, arguments.evaluations, arguments.seed, _show)
     write_worst(attacker, found[0], folder)
