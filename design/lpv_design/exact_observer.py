@@ -34,7 +34,7 @@ class ExactRequirement:
     fastest: float = positive(LARGEST)
     # intensity of white acceleration on both absolute axes [rad/s2/sqrt(Hz)]: disturbance and the
     # part of the model error that varies fast
-    acceleration_noise: tuple = entry('pair', above=0.0, high=LARGEST)
+    acceleration_noise: tuple = entry('vector', 2, above=0.0, high=LARGEST)
     # intensity of white noise on theta' (integration of imperfect rates) [rad/s/sqrt(Hz)]
     rate_noise: float = positive(LARGEST)
     # weight of the rate error against the angle error in the H2 criterion [s]

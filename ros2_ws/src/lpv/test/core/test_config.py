@@ -164,7 +164,8 @@ BAD = {
     'scenario': {
         'duration': [0.0, -1.0, 2e6], 'seed': [-1, 1.5, 'x', True], 'noise': [1, 'yes', None],
         'plant > plant.model': ['gazebo'], 'plant': [3], 'plant.model': ['linear'],
-        'plant.sinc_min': [1.0], 'plant.mass_factors': [[1.0, 0.0]],
+        'plant.sinc_min': [1.0],
+        'plant.mass_factors > plant.mass_factors[1]': [[1.0, 0.0]],
         'plant.parameter_error': [0.9], 'plant.friction': [1], 'disturbance': [3],
         'path.elbow': ['up'], 'path.waypoints': ['all', []], 'path.waypoints[0].t': [-0.5],
         'path.waypoints[1].t > path.waypoints': [0.1], 'path.waypoints[1]': [[0, 0]],

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lpv.core.serial_arm.arm_file import FAR
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.entries import entry, positive
 from lpv.core.support.errors import ConfigError
+from lpv.core.support.limits import FAR
 from lpv.core.uio.model.kinematics import ELBOWS, forward, inverse, joint_motion
 from lpv.core.uio.planar import planar_links, plane_of
 
@@ -35,7 +35,7 @@ class Reference:
 class Obstacle:
     """A round obstacle in the plane of the arm."""
 
-    center: tuple[float, float] = entry('pair', low=-FAR, high=FAR)  # x, y [m]
+    center: tuple[float, float] = entry('vector', 2, low=-FAR, high=FAR)  # x, y [m]
     radius: float = positive(FAR)  # [m]
 
 

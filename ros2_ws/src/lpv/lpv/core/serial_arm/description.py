@@ -10,6 +10,7 @@ import numpy as np
 
 from lpv.core.support.config import sha256_of
 from lpv.core.support.entries import entry, part
+from lpv.core.support.limits import FAR, LARGEST
 
 N_INERTIAL = 10
 """Inertial parameters of a link: mass, 3 first moments, 6 entries of its inertia."""
@@ -35,7 +36,7 @@ class LinkInertia:
     All refer to the URDF frame of the joint that moves the link (origin on its axis).
     """
 
-    mass: float  # m [kg]
+    mass: float = entry('number', low=0.0, high=1e5)  # m [kg]
     # m times the centre of mass, (x, y, z) [kg m]
     first_moment: tuple[float, float, float] = (0.0, 0.0, 0.0)
     # (Ixx, Ixy, Iyy, Ixz, Iyz, Izz) about the joint frame's origin [kg m2], the order that
@@ -124,10 +125,10 @@ class JointFriction:
 class JointLimits:
     """What the joint may do."""
 
-    lower: float = -math.inf  # [rad]
-    upper: float = math.inf  # [rad]
-    velocity: float = 100.0  # [rad/s]
-    torque: float = 1e9  # [N m]
+    lower: float = entry('number', default=-math.inf, low=-LARGEST, high=LARGEST)  # [rad]
+    upper: float = entry('number', default=math.inf, low=-LARGEST, high=LARGEST)  # [rad]
+    velocity: float = entry('number', default=100.0, above=0.0, high=1e4)  # [rad/s]
+    torque: float = entry('number', default=1e9, above=0.0, high=1e9)  # [N m]
 
 
 @dataclass(frozen=True)
@@ -181,17 +182,20 @@ class SerialJoint:
     orientation: tuple[float, float, float]  # roll, pitch, yaw, as in URDF [rad]
     axis: tuple[float, float, float]  # unit vector in the joint's frame
     link: LinkInertia
-    friction: JointFriction = JointFriction()
-    rotor_inertia: float = 0.0  # reflected to the joint [kg m2]
+    friction: JointFriction = part(JointFriction, default=JointFriction())
+    # reflected to the joint [kg m2]
+    rotor_inertia: float = entry('number', default=0.0, low=0.0, high=1e5)
     # of the rotor, if the link before carries it: -rotor_inertia/gear_ratio where the axes of both
     # joints are parallel; couples the joint with the one before it [kg m2]
-    rotor_coupling: float = 0.0
-    torque_gain: float = 1.0  # joint torque per unit of the reported effort [N m/unit]
-    effort_delay: float = 0.0  # of reported efforts behind the motion [s]
+    rotor_coupling: float = entry('number', default=0.0, low=-1e5, high=1e5)
+    # joint torque per unit of the reported effort [N m/unit]
+    torque_gain: float = entry('number', default=1.0, low=-1e6, high=1e6)
+    # of reported efforts behind the motion [s]
+    effort_delay: float = entry('number', default=0.0, low=-1.0, high=1.0)
     limits: JointLimits = JointLimits()
     torque_tolerance: TorqueTolerance = TorqueTolerance()
     sensors: JointSensors = JointSensors('encoder')
-    type: str = 'revolute'  # one of JOINT_TYPES
+    type: str = entry('text', default='revolute', choices=JOINT_TYPES)
 
     @property
     def is_prismatic(self) -> bool:
@@ -286,13 +290,23 @@ class LpvRegion:
     Angles theta are those of the links from the upper vertical (paper, Fig. 1).
     """
 
-    orientation: str  # of both links: cos(theta) > 0 ('upright') or cos(theta) < 0 ('hanging')
-    cos_min: tuple[float, float]  # smallest abs(cos(theta_i)) in which gains are certified
+    # of both links: cos(theta) > 0 ('upright') or cos(theta) < 0 ('hanging')
+    orientation: str = entry('text', choices=('upright', 'hanging'))
+    # smallest abs(cos(theta_i)) in which gains are certified
+    cos_min: tuple[float, float] = entry('vector', 2, low=0.01, high=0.999)
     # last two rows of Bd, eq. (31): accelerations of theta per unit of the disturbance d
-    disturbance_direction: tuple[float, float] = (0.7, 0.0)
-    disturbance_mean: float = 0.2  # of the white disturbance d that the design must live with
-    disturbance_variance: float = 0.9  # the same
-    velocity_error: float = 0.0  # relative error of the rates (scale, delay)
+    disturbance_direction: tuple[float, float] = entry(
+        'vector', 2, default=(0.0, 0.0), low=-1e3, high=1e3, at='disturbance.direction'
+    )
+    # of the white disturbance d that the design must live with
+    disturbance_mean: float = entry(
+        'number', default=0.0, low=-1e4, high=1e4, at='disturbance.mean'
+    )
+    disturbance_variance: float = entry(
+        'number', default=0.0, low=0.0, high=1e8, at='disturbance.variance'
+    )
+    # relative error of the rates (scale, delay)
+    velocity_error: float = entry('number', default=0.0, low=0.0, high=0.5)
 
 
 @dataclass(frozen=True)
@@ -301,25 +315,33 @@ class SerialArm:
 
     name: str  # name of the arm
     joints: tuple[SerialJoint, ...]  # from the base to the tip
-    # roll, pitch, yaw of the base in a frame whose z-axis points up [rad]
-    base_orientation: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    gravity: float = 9.81  # g [m/s2]
-    # reference point of a payload in the last joint's frame [m]
-    tip: tuple[float, float, float] = (0.0, 0.0, 0.0)
     urdf: str = ''  # path of the URDF that kinematics came from, or ''
     # joints of the URDF that are held at an angle [rad] (a gripper's)
     locked: tuple[tuple[str, float], ...] = ()
+    # roll, pitch, yaw of the base in a frame whose z-axis points up [rad]
+    base_orientation: tuple[float, float, float] = entry(
+        'vector', 3, default=(0.0, 0.0, 0.0), low=-2.0 * math.pi, high=2.0 * math.pi
+    )
+    gravity: float = entry('number', default=9.81, low=0.0, high=100.0)  # g [m/s2]
+    # reference point of a payload in the last joint's frame [m]
+    tip: tuple[float, float, float] = entry(
+        'vector', 3, default=(0.0, 0.0, 0.0), low=-FAR, high=FAR
+    )
+    sample_time: float = entry('number', default=0.002, low=1e-5, high=1.0)  # Ts [s]
+    # unit of the reported efforts, ``torque_gain`` leads from it to N m
+    effort_unit: str = entry('text', default='N m', at='effort.unit')
     # whether the reported efforts contain the torque that holds the arm's weight
-    effort_includes_gravity: bool = True
-    effort_unit: str = 'N m'  # unit of the reported efforts, ``torque_gain`` leads from it to N m
+    effort_includes_gravity: bool = entry('flag', default=True, at='effort.includes_gravity')
     # above this frequency the reported efforts carry nothing [Hz]; inf if none is known
-    effort_bandwidth: float = math.inf
+    effort_bandwidth: float = entry(
+        'number', default=math.inf, above=0.0, high=1e6, at='effort.bandwidth'
+    )
     uncertainty: Uncertainty = Uncertainty()  # what may vary
-    covariance: ParameterCovariance | None = None  # of the identified parameters
-    sample_time: float = 0.002  # Ts [s]
     # S of y = S q + f, rows by sensor: None where each joint has its own sensor (S = 1)
     sensor_matrix: tuple[tuple[float, ...], ...] | None = None
-    lpv: LpvRegion | None = None  # of a planar two-link arm with designed gains
+    # of a planar two-link arm with designed gains
+    lpv: LpvRegion | None = part(LpvRegion, default=None)
+    covariance: ParameterCovariance | None = None  # of the identified parameters
 
     @property
     def joint_names(self) -> tuple[str, ...]:

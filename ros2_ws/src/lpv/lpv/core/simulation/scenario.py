@@ -10,15 +10,14 @@ import numpy as np
 
 from lpv.core.control.path import CartesianPath, Obstacle, PlanarWaypoints
 from lpv.core.control.serial_path import PoseWaypoints, SerialPath
-from lpv.core.serial_arm.arm_file import FAR
 from lpv.core.serial_arm.chain import MAX_JOINTS, Chain, body_parameters, compile_chain
 from lpv.core.serial_arm.description import LinkInertia, SerialArm, SerialJoint
 from lpv.core.serial_arm.dynamics.payload import with_payload
 from lpv.core.simulation.faults import Fault
 from lpv.core.support.config import Section, names_all_errors, read_yaml
-from lpv.core.support.entries import read_entries
+from lpv.core.support.entries import entry, read_entries
 from lpv.core.support.errors import ConfigError
-from lpv.core.support.limits import MOST_ENTRIES
+from lpv.core.support.limits import FAR, MOST_ENTRIES
 from lpv.core.uio.model.kinematics import ELBOWS
 
 PAPER_PLANTS = ('nonlinear_without_coriolis', 'lpv')
@@ -28,6 +27,15 @@ PLANTS = ('nonlinear', *PAPER_PLANTS, 'mujoco')
 
 Waypoints = tuple[tuple[float, ...], ...] | PoseWaypoints | PlanarWaypoints
 """Joint positions [rad], poses of the tip, or points in the plane of a planar arm."""
+
+
+def _plant(name: str, default: float, low: float, high: float) -> Any:
+    """A field that is a number of the section of the plant."""
+    return entry('number', default=default, low=low, high=high, at=f'plant.{name}')
+
+
+def _factors(name: str) -> Any:
+    return entry('numbers', MAX_JOINTS, default=(), above=0.0, high=100.0, at=f'plant.{name}')
 
 
 @dataclass(frozen=True)
@@ -40,17 +48,25 @@ class Scenario:
     times: tuple[float, ...]  # of the waypoints [s]
     waypoints: Waypoints
     faults: tuple[Fault, ...] = ()
-    plant: str = PLANTS[0]  # one of `PLANTS`
-    sinc_min: float = -0.2  # lower end of the box of phi2, phi3 of the LPV plant
-    parameter_error: float = 0.0  # largest relative error of each link's mass and inertia, drawn
-    mass_factors: tuple[float, ...] = ()  # true over nominal, per link; none: 1
-    inertia_factors: tuple[float, ...] = ()  # about the centre of mass, true over nominal
-    payload: float = 0.0  # point mass at the tip beside the model's, may be negative [kg]
-    friction_factor: float = 1.0  # true over nominal
-    noise: bool = True  # whether the sensors are noisy
-    noise_factor: float = 1.0  # true over stated standard deviation of the sensors' noise
-    disturbance: bool = True  # whether the disturbance d of the arm's ``lpv`` region acts
-    disturbance_factor: float = 1.0  # true over stated d
+    # one of `PLANTS`
+    plant: str = entry('text', default=PLANTS[0], choices=PLANTS, at='plant.model')
+    # lower end of the box of phi2, phi3 of the LPV plant
+    sinc_min: float = _plant('sinc_min', -0.2, -0.3, 0.99)
+    # largest relative error of each link's mass and inertia, drawn
+    parameter_error: float = _plant('parameter_error', 0.0, 0.0, 0.5)
+    # true over nominal, per link; none: 1
+    mass_factors: tuple[float, ...] = _factors('mass_factors')
+    # about the centre of mass, true over nominal
+    inertia_factors: tuple[float, ...] = _factors('inertia_factors')
+    # point mass at the tip beside the model's, may be negative [kg]
+    payload: float = _plant('payload', 0.0, -1e4, 1e4)
+    friction_factor: float = _plant('friction_factor', 1.0, 0.0, 100.0)  # true over nominal
+    noise: bool = entry('flag', default=True)  # whether the sensors are noisy
+    # true over stated standard deviation of the sensors' noise
+    noise_factor: float = _plant('noise_factor', 1.0, 0.0, 1e3)
+    # whether the disturbance d of the arm's ``lpv`` region acts
+    disturbance: bool = entry('flag', default=True)
+    disturbance_factor: float = _plant('disturbance_factor', 1.0, 0.0, 1e3)  # true over stated d
 
     def path(self, arm: SerialArm) -> CartesianPath | SerialPath:
         """The path for an arm; ConfigError or UnreachableError where the arm cannot do it."""
@@ -146,29 +162,16 @@ def parse_scenario(data: dict[str, Any], source: str = 'scenario') -> Scenario:
     """Build a scenario from the mapping of a scenario file, as `load_scenario`."""
     top = Section(_expanded(data), source)
     times, waypoints = _waypoints(top.section('path'))
-    plant = top.section('plant', required=False)
-    scenario = Scenario(
+    return read_entries(
+        Scenario,
+        top,
         name=top.text('name'),
         duration=top.number('duration', above=0.0, high=1e6),
         seed=top.integer('seed', 1, low=0),
         times=times,
         waypoints=waypoints,
         faults=parse_faults(top),
-        plant=plant.text('model', PLANTS[0], PLANTS),
-        sinc_min=plant.number('sinc_min', -0.2, -0.3, 0.99),
-        parameter_error=plant.number('parameter_error', 0.0, 0.0, 0.5),
-        mass_factors=_factors(plant, 'mass_factors'),
-        inertia_factors=_factors(plant, 'inertia_factors'),
-        payload=plant.number('payload', 0.0, -1e4, 1e4),
-        friction_factor=plant.number('friction_factor', 1.0, 0.0, 100.0),
-        noise=top.flag('noise', True),
-        noise_factor=plant.number('noise_factor', 1.0, 0.0, 1e3),
-        disturbance=top.flag('disturbance', True),
-        disturbance_factor=plant.number('disturbance_factor', 1.0, 0.0, 1e3),
     )
-    plant.finish()
-    top.finish()
-    return scenario
 
 
 def _expanded(data: Any) -> Any:
@@ -176,15 +179,6 @@ def _expanded(data: Any) -> Any:
     if isinstance(data, dict) and isinstance(data.get('plant'), str):
         return {**data, 'plant': {'model': data['plant']}}
     return data
-
-
-def _factors(plant: Section, key: str) -> tuple[float, ...]:
-    if key not in plant:
-        return ()
-    factors = plant.numbers(key, MAX_JOINTS, 0.0, 100.0)
-    if min(factors) <= 0.0:
-        raise plant.error(key, 'must be greater than 0')
-    return tuple(factors)
 
 
 def _waypoints(path: Section) -> tuple[tuple[float, ...], Waypoints]:

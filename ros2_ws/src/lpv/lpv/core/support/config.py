@@ -324,9 +324,9 @@ class Section:
         return value
 
     @_or(lambda *_, **__: False)
-    def flag(self, key: str, default: bool) -> bool:
+    def flag(self, key: str, default: bool | None = None) -> bool:
         """Return a boolean."""
-        value = self._get(key, default)
+        value = self._get(key, _REQUIRED if default is None else default)
         if not isinstance(value, bool):
             raise self.error(key, f'must be true or false, got {_short(value)}')
         return value
@@ -343,18 +343,20 @@ class Section:
 
     @_or(lambda self, key, default=None, *a, **k: _inside(*a, **k))
     def number(
+        self, key: str, default: float | None = None, *limits: float, **others: float
+    ) -> float:
+        """Return a finite float within the limits ``low`` and ``high``, and ``above`` another."""
+        value = self._get(key, _REQUIRED if default is None else default)
+        return self._number(key, value, *limits, **others)
+
+    def _number(
         self,
         key: str,
-        default: float | None = None,
+        value: Any,
         low: float = -math.inf,
         high: float = math.inf,
         above: float | None = None,
     ) -> float:
-        """Return a finite float within [low, high] (and > ``above`` if given)."""
-        value = self._get(key, _REQUIRED if default is None else default)
-        return self._number(key, value, low, high, above)
-
-    def _number(self, key: str, value: Any, low: float, high: float, above: float | None) -> float:
         value = as_number(value)
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise self.error(key, f'must be a number, got {_short(value)}')
@@ -371,46 +373,28 @@ class Section:
             raise self.error(key, f'must lie within [{low}, {high}], got {value}')
         return value
 
-    @_or(lambda self, key, default=None, *a, **k: (_inside(*a, **k),) * 2)
-    def pair(
-        self,
-        key: str,
-        default: Any = None,
-        low: float = -math.inf,
-        high: float = math.inf,
-        above: float | None = None,
-    ) -> tuple[float, float]:
-        """Return two finite floats; one number stands for both."""
-        first, second = self.vector(key, 2, default, low, high, above)
-        return first, second
+    def _numbers(self, key: str, values: Any, *limits: float, **others: float) -> list[float]:
+        return [self._number(f'{key}[{i}]', v, *limits, **others) for i, v in enumerate(values)]
 
     @_or(lambda self, key, size, default=None, *a, **k: [_inside(*a, **k)] * size)
     def vector(
-        self,
-        key: str,
-        size: int,
-        default: Any = None,
-        low: float = -math.inf,
-        high: float = math.inf,
-        above: float | None = None,
+        self, key: str, size: int, default: Any = None, *limits: float, **others: float
     ) -> list[float]:
-        """Return ``size`` finite floats; one number stands for all of them."""
+        """Return ``size`` floats as of `number`; one number stands for all of them."""
         value = self._get(key, _REQUIRED if default is None else default)
         if not isinstance(value, (list, tuple)):
             value = [value] * size
         if len(value) != size:
             raise self.error(key, f'must have {size} numbers, got {len(value)}')
-        return [self._number(f'{key}[{i}]', v, low, high, above) for i, v in enumerate(value)]
+        return self._numbers(key, value, *limits, **others)
 
     @_or(lambda self, key, most, *a, **k: [_inside(*a, **k)])
-    def numbers(
-        self, key: str, most: int, low: float = -math.inf, high: float = math.inf
-    ) -> list[float]:
-        """Return 1 to ``most`` finite floats."""
+    def numbers(self, key: str, most: int, *limits: float, **others: float) -> list[float]:
+        """Return 1 to ``most`` floats as of `number`."""
         value = self._get(key, _REQUIRED)
         if not isinstance(value, list) or not 1 <= len(value) <= most:
             raise self.error(key, f'must be a list of 1 to {most} numbers')
-        return [self._number(f'{key}[{i}]', v, low, high, None) for i, v in enumerate(value)]
+        return self._numbers(key, value, *limits, **others)
 
     @_or(lambda self, key, width, most: [[1.0] * width])
     def rows(self, key: str, width: int, most: int) -> list[list[float]]:
@@ -425,9 +409,9 @@ class Section:
 
     @_or(lambda self, key, shape, *a, **k: np.full(np.abs(shape), _inside(*a, **k)))
     def matrix(
-        self, key: str, shape: tuple[int, ...], low: float = -math.inf, above: float | None = None
+        self, key: str, shape: tuple[int, ...], *limits: float, **others: float
     ) -> np.ndarray:
-        """Return an array of the given shape from a flat list (row-major).
+        """Return an array of the given shape from a flat list (row-major), numbers as of `number`.
 
         A first size of -1 stands for one row or more.
         """
@@ -437,8 +421,7 @@ class Section:
             len(value) == size or (shape[0] < 0 < len(value) and len(value) % size == 0)
         ):
             raise self.error(key, f'must be a flat list of {size} numbers for shape {shape}')
-        flat = [self._number(f'{key}[{i}]', v, low, math.inf, above) for i, v in enumerate(value)]
-        return np.array(flat, dtype=float).reshape(shape)
+        return np.array(self._numbers(key, value, *limits, **others)).reshape(shape)
 
     @_or(lambda self, key, size=None, default=None: tuple(f'name{i}' for i in range(size or 1)))
     def names(self, key: str, size: int | None = None, default: Any = None) -> tuple[str, ...]:

@@ -1,6 +1,7 @@
-"""Dataclasses that are sections of a file: each field says how its entry is read."""
+"""Dataclasses that are sections of a file: each field says how its entry is read and written."""
 
-from dataclasses import MISSING, field, fields
+import math
+from dataclasses import MISSING, Field, field, fields
 from typing import Any, TypeVar
 
 import numpy as np
@@ -10,17 +11,17 @@ from lpv.core.support.config import Section
 _Kind = TypeVar('_Kind')
 
 
-def entry(how: str, *details: Any, default: Any = MISSING, **limits: Any) -> Any:
+def entry(how: str, *details: Any, default: Any = MISSING, at: str = '', **limits: Any) -> Any:
     """A field that the method ``how`` of `Section` reads, with its arguments.
 
-    One whose default is None may be missing.
+    One with a default may be missing.  ``at`` is its place in the file where that is not the
+    field's name: ``section.key``.
     """
-    if default is not MISSING and default is not None:
-        limits['default'] = default
-    return field(default=default, metadata={'entry': (how, details, limits)})
+    place = {'at': at} if at else {}
+    return field(default=default, metadata={'entry': (how, details, limits), **place})
 
 
-def array(*shape: int, **limits: float) -> Any:
+def array(*shape: int, **limits: Any) -> Any:
     """A field that is an array, row by row; see `Section.matrix`."""
     return entry('matrix', shape, **limits)
 
@@ -35,32 +36,60 @@ def part(kind: Any, default: Any = MISSING) -> Any:
     return field(default=default, metadata={'part': kind})
 
 
-def read_entries(kind: type[_Kind], section: Section, **given: Any) -> _Kind:
-    """What a section says, without the fields that are given.
+def _place(one: Field[Any]) -> tuple[str, str]:
+    """Section and key of a field; no section where it is in that of its dataclass."""
+    section, _, key = one.metadata.get('at', one.name).rpartition('.')
+    return section, key
+
+
+def read_entries(
+    kind: type[_Kind], section: Section, base: _Kind | None = None, **given: Any
+) -> _Kind:
+    """What a section says, without the fields that are given; ``base`` has what it does not say.
 
     ConfigError if anything is missing, unknown, of the wrong size or out of range.
     """
-    values = dict(given)
+    places = {'': section}
     for one in fields(kind):  # type: ignore[arg-type]
-        name = one.name
-        if name in given or (one.default is None and name not in section):
+        inner, key = _place(one)
+        if one.name in given:
             continue
-        if 'entry' in one.metadata:
-            how, details, limits = one.metadata['entry']
-            value = getattr(section, how)(name, *details, **limits)
-            values[name] = tuple(value) if isinstance(value, list) else value
+        optional = base is not None or one.default is not MISSING
+        if inner not in places:
+            places[inner] = section.section(inner, required=not optional)
+        if not one.metadata or (optional and key not in places[inner]):
+            if base is not None:
+                given[one.name] = getattr(base, one.name)
         elif 'part' in one.metadata:
-            values[name] = read_entries(one.metadata['part'], section.section(name))
-    section.finish()
-    return kind(**values)
+            given[one.name] = read_entries(one.metadata['part'], places[inner].section(key))
+        else:
+            how, details, limits = one.metadata['entry']
+            given[one.name] = getattr(places[inner], how)(key, *details, **limits)
+    for place in places.values():
+        place.finish()
+    return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in given.items()})
+
+
+def _says_nothing(value: Any) -> bool:
+    if isinstance(value, float):
+        return math.isinf(value)
+    return value is None or (isinstance(value, (str, tuple)) and not value)
 
 
 def plain_entries(data: Any) -> Any:
-    """The mapping that `read_entries` reads: plain data, arrays row by row; no fields of None."""
+    """The mapping that `read_entries` reads: plain data, arrays row by row.
+
+    Fields that are None, empty or infinite are left out: they say nothing.
+    """
     if isinstance(data, np.ndarray):
         return [float(value) for value in data.ravel()]
-    if isinstance(data, (str, dict)):
-        return data
+    if isinstance(data, tuple):
+        return [plain_entries(value) for value in data]
     if not hasattr(data, '__dataclass_fields__'):
-        return float(data)
-    return {name: plain_entries(v) for name, v in vars(data).items() if v is not None}
+        return float(data) if isinstance(data, float) else data  # also of NumPy's floats
+    result: dict[str, Any] = {}
+    for one in fields(data):
+        (inner, key), value = _place(one), getattr(data, one.name)
+        if not _says_nothing(value):
+            (result.setdefault(inner, {}) if inner else result)[key] = plain_entries(value)
+    return result

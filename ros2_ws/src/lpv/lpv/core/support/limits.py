@@ -10,6 +10,8 @@ MAX_DELAY = 64
 """Samples after which a command is not waited for any more: each is a state of the sampled loop."""
 SMALL = 0.05
 """Default of diagnosis.minimum_threshold: below are no faults, and no motions [rad]."""
+FAR = 1e3
+"""Range of coordinates, angles and gears in files [m], [rad], [1]."""
 LARGEST = 1e9
 """Largest magnitude of a number from elsewhere [SI units]: larger floats are further apart than
 steps of an encoder of 24 bits."""

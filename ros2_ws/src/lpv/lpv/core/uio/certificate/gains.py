@@ -136,8 +136,8 @@ def parse_gains(data: dict[str, Any], source: str = 'gains') -> Gains:
         raise section.error('box', 'must have lower ends below upper ends')
     if method == 'paper' and not observer.r < observer.q:
         raise section.error('r', 'must be below q')
-    rest = {'certificate': top.plain('certificate'), 'checksum': top.text('checksum')}
-    return read_entries(Gains, top, observer=observer, **rest)
+    information, checksum = top.plain('certificate'), top.text('checksum')
+    return read_entries(Gains, top, observer=observer, certificate=information, checksum=checksum)
 
 
 def save_gains(gains: Gains, path: str | Path, comment: str = '') -> None:
