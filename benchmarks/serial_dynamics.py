@@ -12,9 +12,8 @@ from functools import partial
 import numpy as np
 import pinocchio
 
-from lpv.core.serial_arm.chain import body_parameters, make_chain, workspace
+from lpv.core.serial_arm.chain import Chain, body_parameters, workspace
 from lpv.core.serial_arm.description import rotation_from_rpy
-from lpv.core.serial_arm.dynamics.gravity_gradient import gravity_gradient
 from lpv.core.serial_arm.dynamics.momentum import forward_dynamics, mass_matrix, momentum_balance
 from lpv.core.serial_arm.dynamics.newton_euler import inverse_dynamics
 from lpv.core.support.jit import njit
@@ -30,7 +29,11 @@ def random_arm(joints, rng):
         body_parameters(rng.uniform(1, 10), rng.uniform(-0.2, 0.2, 3), 0.1 * np.eye(3))
         for _ in range(joints)
     ]
-    chain = make_chain(rotation, rng.uniform(-0.5, 0.5, (joints, 3)), bodies)
+    chain = Chain(
+        np.array(rotation), rng.uniform(-0.5, 0.5, (joints, 3)), np.array(bodies),
+        np.zeros((joints, joints)), np.zeros((joints, 5)), np.array([0.0, 0.0, -9.81]), np.eye(3),
+        np.zeros(3), np.zeros(joints, bool),
+    )  # fmt: skip
     model = pinocchio.Model()
     for i in range(joints):
         place = pinocchio.SE3(chain.rotation[i], chain.translation[i])
@@ -56,12 +59,6 @@ def loop_momentum_balance(chain, motion, work, vector, matrix):
 def loop_mass_matrix(chain, motion, work, vector, matrix):
     for k in range(motion.shape[0]):
         mass_matrix(chain, motion[k, 0], work, matrix)
-
-
-@njit
-def loop_gravity_gradient(chain, motion, work, vector, matrix):
-    for k in range(motion.shape[0]):
-        gravity_gradient(chain, motion[k, 0], work, matrix)
 
 
 @njit
@@ -105,10 +102,6 @@ def measure(joints: int, rng: np.random.Generator) -> None:
             ),
         ),
         'mass matrix': (loop_mass_matrix, lambda q, v, a: pinocchio.crba(model, data, q)),
-        'gravity gradient': (
-            loop_gravity_gradient,
-            lambda q, v, a: pinocchio.computeGeneralizedGravityDerivatives(model, data, q),
-        ),
         'forward dynamics': (
             loop_forward_dynamics,
             lambda q, v, a: pinocchio.aba(model, data, q, v, a),

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lpv.core.serial_arm.description import N_INERTIAL, SerialArm, rotation_from_rpy
+from lpv.core.serial_arm.description import SerialArm, rotation_from_rpy
 from lpv.core.support.errors import ConfigError
 
 FloatArray = npt.NDArray[np.float64]
@@ -23,7 +23,6 @@ MASS, MX, MY, MZ, IXX, IXY, IYY, IXZ, IYZ, IZZ = range(10)
 """Columns of `Chain.inertial`."""
 VISCOUS, COULOMB, LOAD, OFFSET, SLOPE = range(5)
 """Columns of `Chain.friction`."""
-N_FRICTION = SLOPE + 1
 WORK_COLUMNS = 43
 """Columns of the scratch array of `workspace`."""
 PLACE = 40
@@ -48,94 +47,6 @@ class Chain(NamedTuple):
     tip_rotation: FloatArray  # orientation of the tip in the last joint frame, shape (3, 3)
     tip_translation: FloatArray  # origin of the tip in the last joint frame, shape (3,) [m]
     prismatic: BoolArray  # which joints move along z instead of turning about it, shape (n,)
-
-
-def make_chain(
-    rotation: npt.ArrayLike,
-    translation: npt.ArrayLike,
-    inertial: npt.ArrayLike,
-    motor: npt.ArrayLike | None = None,
-    friction: npt.ArrayLike | None = None,
-    gravity: npt.ArrayLike = (0.0, 0.0, -9.81),
-    tip: tuple[npt.ArrayLike, npt.ArrayLike] | None = None,
-    prismatic: npt.ArrayLike | None = None,
-) -> Chain:
-    """Chain from inline parameters.
-
-    Parameters
-    ----------
-    rotation, translation, inertial : array_like
-        As the attributes of `Chain`.
-    motor : array_like, shape (n,) or (n, n), optional
-        Reflected inertias of the rotors, or the matrix with their couplings [kg m2].
-    friction : array_like, shape (n, 5), optional
-        As `Chain.friction`; none by default.
-    gravity : array_like, shape (3,), optional
-        In the base frame [m/s2].
-    tip : tuple of array_like, optional
-        Orientation (3, 3) and origin (3,) of the tip in the last joint frame.
-    prismatic : array_like of bool, shape (n,), optional
-        As `Chain.prismatic`; all joints are revolute by default.
-
-    Returns
-    -------
-    Chain
-        Of checked, contiguous copies.
-
-    Raises
-    ------
-    ConfigError
-        If a shape, a value or a rotation is invalid; it names the field.
-    """
-    count = np.shape(translation)[0] if np.ndim(translation) == 2 else 0
-    if not 1 <= count <= MAX_JOINTS:
-        raise ConfigError('translation', f'must have 1 to {MAX_JOINTS} rows of 3 numbers')
-    motor = np.zeros((count, count)) if motor is None else np.asarray(motor, float)
-    tip_rotation, tip_translation = (np.eye(3), np.zeros(3)) if tip is None else tip
-    if friction is None:
-        friction = np.tile([0.0, 0.0, 0.0, 0.0, 100.0], (count, 1))
-    chain = Chain(
-        _array('rotation', rotation, (count, 3, 3)),
-        _array('translation', translation, (count, 3)),
-        _array('inertial', inertial, (count, N_INERTIAL)),
-        _array('motor', np.diag(motor) if motor.ndim == 1 else motor, (count, count)),
-        _array('friction', friction, (count, N_FRICTION)),
-        _array('gravity', gravity, (3,)),
-        _array('tip_rotation', tip_rotation, (3, 3)),
-        _array('tip_translation', tip_translation, (3,)),
-        _array('prismatic', [0.0] * count if prismatic is None else prismatic, (count,)) != 0.0,
-    )
-    for name, matrices in (
-        ('rotation', chain.rotation),
-        ('tip_rotation', chain.tip_rotation[None]),
-    ):
-        for i, matrix in enumerate(matrices):
-            if not is_rotation(matrix):
-                raise ConfigError(f'{name}[{i}]', 'must be a rotation matrix')
-    if not np.allclose(chain.motor, chain.motor.T, rtol=1e-9, atol=1e-12):
-        raise ConfigError('motor', 'must be symmetric')
-    return chain
-
-
-def _array(name: str, values: npt.ArrayLike, shape: tuple[int, ...]) -> FloatArray:
-    """A checked copy."""
-    try:
-        array = np.array(values, dtype=float, order='C')
-    except (TypeError, ValueError) as error:
-        raise ConfigError(name, f'must hold numbers ({error})') from error
-    if array.shape != shape:
-        raise ConfigError(name, f'must have shape {shape}, got {array.shape}')
-    if not np.isfinite(array).all():
-        raise ConfigError(name, 'must be finite')
-    return array
-
-
-def is_rotation(matrix: FloatArray) -> bool:
-    """Whether a matrix is orthogonal with determinant 1, within 1e-6."""
-    return bool(
-        np.allclose(matrix @ matrix.T, np.eye(3), rtol=0.0, atol=1e-6)
-        and np.linalg.det(matrix) > 0.0
-    )
 
 
 def joint_count(chain: Chain) -> int:
@@ -166,6 +77,8 @@ def compile_chain(arm: SerialArm) -> Chain:
     ConfigError
         If a value is not finite or an axis has no direction.
     """
+    if not 1 <= len(arm.joints) <= MAX_JOINTS:
+        raise ConfigError('joints', f'must be 1 to {MAX_JOINTS}', arm.name)
     rotations, translations, bodies = [], [], []
     before = np.eye(3)
     for joint in arm.joints:
@@ -181,17 +94,13 @@ def compile_chain(arm: SerialArm) -> Chain:
     motor = np.diag([joint.rotor_inertia for joint in arm.joints])
     for i, joint in enumerate(arm.joints[1:], 1):
         motor[i, i - 1] = motor[i - 1, i] = joint.rotor_coupling
-    tip = before.T, before.T @ np.array(arm.tip)
-    return make_chain(
-        rotations,
-        translations,
-        bodies,
-        motor,
-        friction,
-        arm.gravity_vector(),
-        tip,
-        [joint.is_prismatic for joint in arm.joints],
-    )
+    parts = (rotations, translations, bodies, motor, friction, arm.gravity_vector(), before.T,
+             before.T @ np.array(arm.tip))  # fmt: skip
+    arrays = [np.array(part, dtype=float, order='C') for part in parts]
+    for name, array in zip(Chain._fields, arrays):
+        if not np.isfinite(array).all():
+            raise ConfigError(name, 'must be finite', arm.name)
+    return Chain(*arrays, np.array([joint.is_prismatic for joint in arm.joints]))
 
 
 def axis_frame(axis: FloatArray) -> FloatArray:

@@ -94,21 +94,24 @@ def fill_jacobian(
             jacobian[3, i], jacobian[4, i], jacobian[5, i] = 0.0, 0.0, 0.0
 
 
-def forward_kinematics(chain: Chain, q: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Orientation, shape (3, 3), and position, shape (3,) [m], of the tip in the base frame."""
+def _frames(chain: Chain, q: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """What `joint_frames` writes."""
     n = joint_count(chain)
     rotations, origins = np.empty((n + 1, 3, 3)), np.empty((n + 1, 3))
     joint_frames(chain, np.ascontiguousarray(q, dtype=float), rotations, origins)
-    return rotations[n].copy(), origins[n].copy()
+    return rotations, origins
+
+
+def forward_kinematics(chain: Chain, q: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Orientation, shape (3, 3), and position, shape (3,) [m], of the tip in the base frame."""
+    rotations, origins = _frames(chain, q)
+    return rotations[-1].copy(), origins[-1].copy()
 
 
 def jacobian(chain: Chain, q: npt.ArrayLike) -> FloatArray:
     """Jacobian of the tip, shape (6, n): linear rows first, in the base frame."""
-    n = joint_count(chain)
-    rotations, origins = np.empty((n + 1, 3, 3)), np.empty((n + 1, 3))
-    joint_frames(chain, np.ascontiguousarray(q, dtype=float), rotations, origins)
-    matrix = np.empty((6, n))
-    fill_jacobian(chain, rotations, origins, matrix)
+    matrix = np.empty((6, joint_count(chain)))
+    fill_jacobian(chain, *_frames(chain, q), matrix)
     return matrix
 
 

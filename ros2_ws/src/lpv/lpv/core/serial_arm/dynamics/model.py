@@ -5,7 +5,6 @@ import numpy.typing as npt
 
 from lpv.core.serial_arm.chain import Chain, FloatArray, joint_count, workspace
 from lpv.core.serial_arm.dynamics.friction import friction_torque
-from lpv.core.serial_arm.dynamics.gravity_gradient import gravity_gradient
 from lpv.core.serial_arm.dynamics.momentum import forward_dynamics, mass_matrix, momentum_balance
 from lpv.core.serial_arm.dynamics.newton_euler import inverse_dynamics
 from lpv.core.serial_arm.dynamics.regressor import momentum_regressor, regressor
@@ -59,12 +58,6 @@ class SerialModel:
         matrix = np.empty((self.joints, self.joints))
         mass_matrix(self.chain, self._vector('q', q), self._work, matrix)
         return matrix
-
-    def gravity_gradient(self, q: npt.ArrayLike) -> FloatArray:
-        """K(q) = dg/dq [N m/rad]."""
-        gradient = np.empty((self.joints, self.joints))
-        gravity_gradient(self.chain, self._vector('q', q), self._work, gradient)
-        return gradient
 
     def momentum_balance(self, q: npt.ArrayLike, v: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
         """p = M v [N m s] and C^T v - g [N m]."""
