@@ -49,14 +49,7 @@ from lpv.core.simulation.arm_simulator import (
     set_torque,
 )
 from lpv.core.simulation.scenario import Scenario
-from lpv.core.simulation.transport import (
-    DIRECT,
-    MAX_DELAY,
-    NO_COMMAND,
-    NO_ESTIMATE,
-    NO_MEASUREMENT,
-    Transport,
-)
+from lpv.core.simulation.transport import DIRECT, NO_COMMAND, NO_ESTIMATE, NO_MEASUREMENT, Transport
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.jit import entry
 from lpv.core.support.jit import njit_in_place as njit
@@ -88,13 +81,8 @@ def _loop_type(joints: int) -> np.dtype:
         ('delay', 'i8'),  # samples between a command and its effect
         ('loss', 'f8'),  # probability that a measurement is lost
         ('answered', 'i8'),  # sample that the last command answers
-        ('acting', 'i8'),  # sample that the command answers which acts
-        ('queue', 'f8', (MAX_DELAY, joints)),  # torques on their way [N m]
+        ('acting', 'i8'),  # sample of the command that acts, or NEVER
         ('literal', '?'),  # whether eq. (59) integrates the measurement
-        ('stops', 'u1', (MAX_DELAY,)),  # whether the commands on their way are safe stops
-        ('stamps', 'i8', (MAX_DELAY,)),  # samples that the commands on their way answer
-        ('torque', 'f8', (joints,)),  # of the command that acts [N m]
-        ('braking', '?'),  # whether the command that acts is a safe stop
         ('feedback', 'f8', (joints,)),  # position that the loop is closed on [rad]
         ('rate', 'f8', (joints,)),  # rates that the loop is closed on [rad/s]
     )
@@ -114,6 +102,7 @@ def _row_type(joints: int) -> np.dtype:
         ('torque', 'f8', (joints,)),
         ('command', 'f8', (joints,)),
         ('safe_stop', '?'),
+        ('answered', 'i8'),  # sample that the command answers
         ('disturbance', 'f8'),
         ('place', 'i8'),
         ('stop_reason', 'u1'),
@@ -201,7 +190,7 @@ def _run(
             return k
         if loop.phase == _COMMAND:
             _command(loop, observer, tracker, k)
-        _act(loop, plant, streams.push, observer, tracker, rows[k], blocked[k], k)
+        _act(loop, plant, streams.push, observer, tracker, rows, blocked[k], k)
         if loop.phase == _ADVANCE:
             return k + 1
     return len(rows)
@@ -345,28 +334,25 @@ def _act(
     push: np.random.Generator,
     observer: _Observer,
     tracker: _Tracker,
-    row: np.record,
+    rows: np.recarray,
     blocked: int,
     k: int,
 ) -> None:
-    """Queue the command, let the one that has arrived act over one sample, and log the sample."""
-    state, n, now, slot = plant.state[0], len(loop.feedback), observer.stamps[k], k % MAX_DELAY
+    """Log the sample with its command, and let the one that has arrived act over the sample."""
+    row, state, n, now = rows[k], plant.state[0], len(loop.feedback), observer.stamps[k]
     if loop.stop and loop.started and not loop.ran:
         loop.offset += 1  # the clock of the path stands still
     place = min(max(k - loop.offset, 0), len(tracker.references) - 1)
     for i in range(n):
-        loop.queue[slot, i] = tracker.torque[i]
-    row.safe_stop = loop.stop
-    loop.stops[slot], loop.stamps[slot] = loop.stop, loop.answered
-    arrived = (k - loop.delay) % MAX_DELAY
+        row.command[i] = tracker.torque[i]
+    row.safe_stop, row.answered = loop.stop, loop.answered
     if k >= loop.delay and blocked & NO_COMMAND == 0:
-        for i in range(n):
-            loop.torque[i] = loop.queue[arrived, i]
-        loop.braking, loop.acting = loop.stops[arrived] != 0, loop.stamps[arrived]
+        loop.acting = k - loop.delay
     row.place = place
     row.time, row.stop_reason = k * loop.period, loop.reason
-    age = now - observer.stamps[loop.acting]
-    row.brake_reason = check_drive(tracker.drives, now, age, loop.braking, state.velocity)
+    acts = rows[max(loop.acting, 0)]
+    age, braking = now - observer.stamps[acts.answered], loop.acting == NEVER or acts.safe_stop
+    row.brake_reason = check_drive(tracker.drives, now, age, braking, state.velocity)
     for i in range(n):
         row.position[i], row.velocity[i] = state.position[i], state.velocity[i]
         row.measured[i], row.fault[i] = state.measured_position[i], state.fault[i]
@@ -375,12 +361,12 @@ def _act(
     if row.brake_reason != 0:
         brake(plant.chain, state, plant.scratch[:n])
     else:
-        set_torque(plant.constants[0], state, loop.torque, push)
+        set_torque(plant.constants[0], state, acts.command, push)
         if not loop.external:
             integrate(plant.chain, plant.constants[0], state, plant.scratch, plant.matrix)
     loop.phase = _ADVANCE if loop.external and row.brake_reason == 0 else _SENSE
     for i in range(n):
-        row.torque[i], row.command[i] = state.torque[i], tracker.torque[i]
+        row.torque[i] = state.torque[i]
 
 
 @dataclass
@@ -513,7 +499,7 @@ def run_closed_loop(
         previous=NEVER,
         usable=NEVER,
         stop=True,
-        braking=True,
+        acting=NEVER,
         delay=transport.delay,
         loss=transport.loss,
         external=simulator.engine is not None,
@@ -544,7 +530,7 @@ def run_closed_loop(
             simulator.advance()
             now['phase'] = _SENSE
     return Run(
-        **{name: rows[name] for name in rows.dtype.names},
+        **{name: rows[name] for name in rows.dtype.names if name != 'answered'},
         compensated=answers.compensated,
         estimate=answers.position,
         estimated_velocity=answers.velocity,
