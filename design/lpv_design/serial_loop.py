@@ -36,7 +36,8 @@ from lpv.core.serial_arm.certificate.model_bounds import (
     twists_of,
 )
 from lpv.core.serial_arm.description import SerialArm
-from lpv.core.support.errors import ConfigError
+from lpv.core.support.config import Section
+from lpv.core.support.entries import entry, read_entries
 from lpv.core.support.inequalities import largest_eigenvalue
 from lpv_design.solve import InfeasibleError, check_lines, solve, symmetric_below
 
@@ -57,10 +58,13 @@ _ERROR_SHARE = 0.1
 class LoopRequest:
     """What to certify."""
 
-    bandwidth: float = 10.0  # w [rad/s]
-    model_error: float = 0.05  # d [-]
-    rate_share: float = 0.0  # of the velocity limits; 0: as large as possible [-]
-    acceleration: float = 1.0  # of the reference, for the bound of the error [rad/s2]
+    # w, as of the tracker's parameter [rad/s]
+    bandwidth: float = entry('number', default=10.0, low=0.1, high=100.0)
+    model_error: float = entry('number', default=0.05, low=0.0, high=0.5)  # d [-]
+    # of the velocity limits; 0: as large as possible [-]
+    rate_share: float = entry('number', default=0.0, low=0.0, high=1.0)
+    # of the reference, for the bound of the error [rad/s2]
+    acceleration: float = entry('number', default=1.0, low=0.0, high=1e3)
 
 
 @dataclass(frozen=True)
@@ -110,15 +114,7 @@ def certify_loop(arm: SerialArm, request: LoopRequest) -> LoopDesign:
 
 
 def _check_request(arm: SerialArm, request: LoopRequest) -> None:
-    ranges = {
-        'bandwidth': (0.1, 100.0),  # as of the tracker's parameter
-        'model_error': (0.0, 0.5),
-        'rate_share': (0.0, 1.0),
-        'acceleration': (0.0, 1e3),
-    }
-    for name, (low, high) in ranges.items():
-        if not low <= getattr(request, name) <= high:
-            raise ConfigError(name, f'must be {low:g} to {high:g}')
+    read_entries(LoopRequest, Section(vars(request), ''))
     if len(arm.joints) < 2:
         raise InfeasibleError('the certificate is for arms of 2 joints or more')
     if serial_loop_latency(request.bandwidth, arm.sample_time) < arm.sample_time:

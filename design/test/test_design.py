@@ -323,12 +323,12 @@ def test_given_an_arm_when_designed_then_what_is_certified_follows_payload_and_r
 
 @pytest.mark.parametrize(('asked', 'payload', 'told'), [
     ({'bandwidth': 3.0, 'rate_share': 1.0}, None, 'cannot be certified, .* can'),
-    ({}, 500.0, 'payload 500 kg'), ({'bandwidth': float('nan')}, None, 'must be'),
-    ({'model_error': 0.9}, None, 'must be'),
+    ({}, 500.0, 'payload 500 kg'), ({'bandwidth': float('nan')}, None, 'must be finite'),
+    ({'model_error': 0.9}, None, 'must lie within'),
 ])  # fmt: skip
 def test_given_what_cannot_be_certified_when_designed_then_it_is_told(short, asked, payload, told):
     arm = replace(short, uncertainty=Uncertainty(payload=payload)) if payload else short
-    with pytest.raises(ConfigError if told == 'must be' else InfeasibleError, match=told):
+    with pytest.raises(ConfigError if told.startswith('must') else InfeasibleError, match=told):
         serial_loop.certify_loop(arm, serial_loop.LoopRequest(**asked))
 
 

@@ -5,6 +5,7 @@ where nesting exhausts the stack.
 """
 
 import math
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree
@@ -144,15 +145,10 @@ def _check_tree(joints: list[ElementTree.Element], path: Path) -> None:
         if child in parents:
             raise _error(path, f'link {child[:100]!r} is the child of two joints')
         parents[child] = parent
-    rooted: set[str] = set()
-    for link in parents:
-        way: list[str] = []
-        while link in parents and link not in rooted:
-            if link in way[-1:] or len(way) > len(parents):
-                raise _error(path, f'link {link[:100]!r} is in a loop of joints')
-            way.append(link)
-            link = parents[link]
-        rooted.update(way)
+    try:
+        TopologicalSorter({child: [parent] for child, parent in parents.items()}).prepare()
+    except CycleError as error:
+        raise _error(path, f'link {error.args[1][0][:100]!r} is in a loop of joints') from None
 
 
 def _link_of(joint: ElementTree.Element, end: str) -> str:

@@ -18,15 +18,8 @@ KINDS = ('bias', 'drift', 'scale', 'stuck', 'noise', 'spike', 'dropout', 'rate_b
 _BIAS, _DRIFT, _SCALE, _STUCK, _NOISE, _SPIKE, _DROPOUT, _RATE_BIAS = range(len(KINDS))
 
 _RANDOM = ('noise', 'spike')
-_NEEDED = {
-    'bias': 'size',
-    'scale': 'size',
-    'noise': 'size',
-    'spike': 'size',
-    'drift': 'rate',
-    'rate_bias': 'size',
-}
-"""Field of `Fault` that must not be zero, by kind."""
+_NEEDED = {'drift': 'rate', 'stuck': '', 'dropout': ''}
+"""Field of `Fault` that must not be zero, by kind; of others ``size``."""
 
 MAX_FAULTS = len(KINDS) * MAX_JOINTS
 """Most faults at a time: every kind on every sensor."""
@@ -170,7 +163,7 @@ def check_fault(fault: Fault, sensor_names: Sequence[str]) -> None:
     for name in not_negative.get(fault.kind, ('duration',)):
         if getattr(fault, name) < 0.0:
             raise ConfigError(f'fault.{name}', 'must not be negative')
-    needed = _NEEDED.get(fault.kind)
+    needed = _NEEDED.get(fault.kind, 'size')
     if needed and getattr(fault, needed) == 0.0:
         raise ConfigError(f'fault.{needed}', f'must not be 0 for a {fault.kind} fault')
 

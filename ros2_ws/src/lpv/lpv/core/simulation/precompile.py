@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from typing import Any
 
 import numpy as np
 
@@ -27,25 +28,6 @@ from lpv.core.uio.certificate.gains import Gains, load_gains
 
 _SCENARIOS = {'paper': 'two_faults'}
 """Shipped scenarios of arms that have none of their name."""
-
-
-def parts_of(arm: SerialArm, name: str) -> Iterator[str]:
-    """Run what the nodes of an arm compile, and name each part before it.
-
-    Parameters
-    ----------
-    arm : SerialArm
-        The arm; some functions are compiled per number of joints.
-    name : str
-        Its name among the shipped ones, or its file.
-    """
-    yield 'plant, tracking, observers and diagnosis'
-    gains = _shipped_gains(arm, name)
-    monitor = SerialSensorMonitor('precompile', arm, gains=gains)
-    monitor.warm_up()
-    _run_loop(arm, name, gains)
-    yield 'diagnosis of a fault'  # the first one must not wait for this in a node
-    monitor.warm_up(suspicious=True)
 
 
 def _run_loop(arm: SerialArm, name: str, gains: Gains | None) -> None:
@@ -68,25 +50,13 @@ def _run_loop(arm: SerialArm, name: str, gains: Gains | None) -> None:
     DriveWatchdog(arm, DriveLimits()).check(1, 0, True, still)
 
 
-class _Helper:
-    """A second process that compiles what comes last here, if there is a processor for it.
+def _helper(arm: SerialArm, name: str) -> Any:
+    """A second process, to be started, that compiles what comes last here.
 
     Whatever one of the two compiles the other one waits for, and loads.
     """
-
-    def __init__(self, arm: SerialArm, name: str) -> None:
-        new = multiprocessing.get_context('spawn')
-        self._process = new.Process(target=_help, args=(arm, name), daemon=True)
-
-    def start(self) -> None:
-        """Start, unless it has been."""
-        if self._process.pid is None and len(os.sched_getaffinity(0)) > 1:
-            self._process.start()
-
-    def join(self) -> None:
-        """Wait for what it has begun."""
-        if self._process.pid is not None:
-            self._process.join()
+    new = multiprocessing.get_context('spawn')
+    return new.Process(target=_help, args=(arm, name), daemon=True)
 
 
 def _help(arm: SerialArm, name: str) -> None:
@@ -107,14 +77,18 @@ def _shipped_gains(arm: SerialArm, name: str) -> Gains | None:
 
 
 @contextmanager
-def _progress(text: str, helper: _Helper) -> Iterator[None]:
-    """Show what is being compiled: on a terminal each function, elsewhere nothing more."""
+def _progress(text: str, helper: Any) -> Iterator[None]:
+    """Show what is being compiled: on a terminal each function, elsewhere nothing more.
+
+    The helper starts with the first function, if there is a processor for it.
+    """
     begin, count, shown = time.monotonic(), 0, 0.0
 
     def show(name: str) -> None:
         nonlocal count, shown
         count += 1
-        helper.start()
+        if helper.pid is None and len(os.sched_getaffinity(0)) > 1:
+            helper.start()
         if sys.stdout.isatty() and time.monotonic() - shown > 0.2:
             shown = time.monotonic()
             line = f'{text}: {name} ({count} functions, {shown - begin:.0f} s)'
@@ -136,13 +110,16 @@ def precompile(name: str) -> None:
         Shipped arm, or arm file.
     """
     arm = load_arm(bringup_file('arms', name))
-    parts = parts_of(arm, name)
-    part = next(parts, None)
-    helper = _Helper(arm, name)
-    while part is not None:
-        with _progress(f'compiling for arm {name!r}: {part}', helper):
-            part = next(parts, None)
-    helper.join()
+    gains, helper = _shipped_gains(arm, name), _helper(arm, name)
+    what = f'compiling for arm {name!r}'
+    with _progress(f'{what}: plant, tracking, observers and diagnosis', helper):
+        monitor = SerialSensorMonitor('precompile', arm, gains=gains)
+        monitor.warm_up()
+        _run_loop(arm, name, gains)
+    with _progress(f'{what}: diagnosis of a fault', helper):
+        monitor.warm_up(suspicious=True)  # the first one must not wait for this in a node
+    if helper.pid is not None:
+        helper.join()
 
 
 def main() -> None:

@@ -20,17 +20,10 @@ SIZE = 4
 @njit
 def map_columns(columns: np.ndarray, count: int, m: np.ndarray) -> None:
     """Replace every column g by m @ g."""
-    # Locals: the compiler cannot know that the map does not change with the columns.
-    m_00, m_01, m_02, m_03 = m[0, 0], m[0, 1], m[0, 2], m[0, 3]
-    m_10, m_11, m_12, m_13 = m[1, 0], m[1, 1], m[1, 2], m[1, 3]
-    m_20, m_21, m_22, m_23 = m[2, 0], m[2, 1], m[2, 2], m[2, 3]
-    m_30, m_31, m_32, m_33 = m[3, 0], m[3, 1], m[3, 2], m[3, 3]
     for j in range(count):
         a, b, c, d = columns[0, j], columns[1, j], columns[2, j], columns[3, j]
-        columns[0, j] = m_00 * a + m_01 * b + m_02 * c + m_03 * d
-        columns[1, j] = m_10 * a + m_11 * b + m_12 * c + m_13 * d
-        columns[2, j] = m_20 * a + m_21 * b + m_22 * c + m_23 * d
-        columns[3, j] = m_30 * a + m_31 * b + m_32 * c + m_33 * d
+        for r in range(SIZE):
+            columns[r, j] = m[r, 0] * a + m[r, 1] * b + m[r, 2] * c + m[r, 3] * d
 
 
 @njit
