@@ -138,37 +138,3 @@ class PathFollower:
             pace * pace * on_path.acceleration + change * on_path.velocity,
             on_path.tip,
         )
-
-
-class PathReferences:
-    """References of all samples; rows count the samples in which the clock of the path runs.
-
-    ``motion``, shape (m, 3, n), has positions, rates and accelerations of the joints [rad],
-    [rad/s], [rad/s2]; ``tip`` has shape (m, 2) or (m, 3) [m].  ``speed`` and ``scale``
-    are as of `PathFollower`.
-    """
-
-    def __init__(
-        self,
-        path: TimedPath,
-        sample_time: float,
-        count: int,
-        speed: ArrayLike = APPROACH_SPEED,
-        scale: ArrayLike = 1.0,
-    ) -> None:
-        self._follower = PathFollower(path, speed, scale)
-        # Times as the graph has them, in whole nanoseconds: products k*Ts are some last bits off.
-        times = np.rint(np.arange(count) * sample_time * NANOSECONDS)
-        self._stamps = times.astype(np.int64)
-        self._period = sample_time
-        start = path.sample(0.0)
-        self.motion = np.empty((count, 3, len(start.position)))
-        self.tip = np.empty((count, len(start.tip)))
-        start.write(self.motion, self.tip)
-
-    def restart(self, first: int, position: np.ndarray) -> None:
-        """From row ``first`` on, references of a loop that starts, or goes on after a stop."""
-        if self._follower.running:
-            self._follower.stop(round((first - 1) * self._period * NANOSECONDS))
-        self._follower.reference(int(self._stamps[first]), position)
-        self._follower.ahead(self._stamps[first:]).write(self.motion[first:], self.tip[first:])

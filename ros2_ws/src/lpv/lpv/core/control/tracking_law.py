@@ -125,11 +125,6 @@ class TrackingLaw:
         self.parts, self.state = LawParts(chain, memory(state), workspace(chain)), state
         self.torque: np.ndarray = self.parts.state['torque'][0]
 
-    @property
-    def integral(self) -> np.ndarray:
-        """State eps of the integral action, shape (n,) [rad s]."""
-        return self.state.integral
-
     def reset(self) -> None:
         """Empty the integrator."""
         self.state.integral[:] = 0.0

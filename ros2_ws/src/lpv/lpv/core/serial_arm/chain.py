@@ -96,11 +96,13 @@ def compile_chain(arm: SerialArm) -> Chain:
         motor[i, i - 1] = motor[i - 1, i] = joint.rotor_coupling
     parts = (rotations, translations, bodies, motor, friction, arm.gravity_vector(), before.T,
              before.T @ np.array(arm.tip))  # fmt: skip
-    arrays = [np.array(part, dtype=float, order='C') for part in parts]
-    for name, array in zip(Chain._fields, arrays):
+    arrays = {
+        name: np.array(part, dtype=float, order='C') for name, part in zip(Chain._fields, parts)
+    }
+    for name, array in arrays.items():
         if not np.isfinite(array).all():
             raise ConfigError(name, 'must be finite', arm.name)
-    return Chain(*arrays, np.array([joint.is_prismatic for joint in arm.joints]))
+    return Chain(**arrays, prismatic=np.array([joint.is_prismatic for joint in arm.joints]))
 
 
 def axis_frame(axis: FloatArray) -> FloatArray:

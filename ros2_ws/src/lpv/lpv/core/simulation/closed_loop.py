@@ -15,7 +15,7 @@ import numpy as np
 
 from lpv.core.control.computed_torque import BANDWIDTH
 from lpv.core.control.estimate_check import CorrectionLimit, limit_correction
-from lpv.core.control.path_follower import PathReferences, approach_speeds
+from lpv.core.control.path_follower import PathFollower, approach_speeds
 from lpv.core.control.tracking import COMPENSATION, make_controller
 from lpv.core.control.tracking_law import LawParts, track
 from lpv.core.control.watchdog import (
@@ -119,11 +119,6 @@ class _Plant(NamedTuple):
     faults: np.ndarray
     scratch: FloatArray
     matrix: FloatArray
-
-
-class _Streams(NamedTuple):
-    """Generators, apart from records: see `lpv.core.support.records`."""
-
     noise: np.random.Generator
     push: np.random.Generator
     chance: np.random.Generator
@@ -149,8 +144,6 @@ class _Tracker(NamedTuple):
     """Arguments of the tracking law; references of all samples; both watchdogs."""
 
     law: LawParts
-    torque: FloatArray  # of the last command [N m]
-    integral: FloatArray  # eps of the law
     references: FloatArray
     correction: np.ndarray  # memory of a record of `limit_correction`
     watchdog: np.ndarray  # memory of a record, as the next one
@@ -161,7 +154,6 @@ class _Tracker(NamedTuple):
 def _run(
     shared: np.ndarray,
     plant: _Plant,
-    streams: _Streams,
     observer: _Observer,
     tracker: _Tracker,
     rows: np.recarray,
@@ -175,7 +167,7 @@ def _run(
     loop = shared[0]
     for k in range(first, len(rows)):
         if loop.phase == _SENSE:
-            _sense(loop, plant, streams, observer, tracker, rows[k], blocked[k], k)
+            _sense(loop, plant, observer, tracker, rows[k], blocked[k], k)
         if loop.phase == _MONITOR:
             return k
         if loop.phase == _TAKE:
@@ -190,7 +182,7 @@ def _run(
             return k
         if loop.phase == _COMMAND:
             _command(loop, observer, tracker, k)
-        _act(loop, plant, streams.push, observer, tracker, rows, blocked[k], k)
+        _act(loop, plant, observer, tracker, rows, blocked[k], k)
         if loop.phase == _ADVANCE:
             return k + 1
     return len(rows)
@@ -200,7 +192,6 @@ def _run(
 def _sense(
     loop: np.record,
     plant: _Plant,
-    streams: _Streams,
     observer: _Observer,
     tracker: _Tracker,
     row: np.record,
@@ -209,7 +200,7 @@ def _sense(
 ) -> None:
     """Read the sensors, and choose the way of the measurement unless it is lost."""
     state, sample, loop.ran = plant.state[0], observer.samples[k], False
-    read_sensors(plant.constants[0], state, plant.faults, streams.noise, streams.chance)
+    read_sensors(plant.constants[0], state, plant.faults, plant.noise, plant.chance)
     row.disturbance = state.disturbance
     map_vector(observer.to_sensors, state.measured_position, sample[0])
     map_vector(observer.to_sensors, state.measured_velocity, sample[1])
@@ -219,7 +210,7 @@ def _sense(
         sample[2, i] = row.effort[i] * observer.gains[i]
         if not (abs(sample[0, i]) < np.inf and abs(sample[1, i]) < np.inf):
             missing = True
-    row.lost = loop.loss > 0.0 and streams.losses.random() < loop.loss
+    row.lost = loop.loss > 0.0 and plant.losses.random() < loop.loss
     row.lost = row.lost or blocked & NO_MEASUREMENT != 0
     waited = 0 if loop.previous == NEVER else observer.stamps[k] - observer.stamps[loop.previous]
     if waited > tracker.watchdog[0].silence:
@@ -302,8 +293,9 @@ def _estimate(
 @njit
 def _stop(loop: np.record, tracker: _Tracker, reason: int) -> None:
     loop.stop, loop.previous, loop.reason, loop.phase = True, NEVER, reason, _ACT
-    tracker.integral[:] = 0.0
-    tracker.torque[:] = 0.0
+    law = tracker.law.state[0]
+    law.integral[:] = 0.0
+    law.torque[:] = 0.0
     tracker.correction[0].stamp = NEVER
     tracker.watchdog[0].started = False  # the next reference is a start
 
@@ -331,7 +323,6 @@ def _command(loop: np.record, observer: _Observer, tracker: _Tracker, k: int) ->
 def _act(
     loop: np.record,
     plant: _Plant,
-    push: np.random.Generator,
     observer: _Observer,
     tracker: _Tracker,
     rows: np.recarray,
@@ -344,7 +335,7 @@ def _act(
         loop.offset += 1  # the clock of the path stands still
     place = min(max(k - loop.offset, 0), len(tracker.references) - 1)
     for i in range(n):
-        row.command[i] = tracker.torque[i]
+        row.command[i] = tracker.law.state[0].torque[i]
     row.safe_stop, row.answered = loop.stop, loop.answered
     if k >= loop.delay and blocked & NO_COMMAND == 0:
         loop.acting = k - loop.delay
@@ -361,7 +352,7 @@ def _act(
     if row.brake_reason != 0:
         brake(plant.chain, state, plant.scratch[:n])
     else:
-        set_torque(plant.constants[0], state, acts.command, push)
+        set_torque(plant.constants[0], state, acts.command, plant.push)
         if not loop.external:
             integrate(plant.chain, plant.constants[0], state, plant.scratch, plant.matrix)
     loop.phase = _ADVANCE if loop.external and row.brake_reason == 0 else _SENSE
@@ -466,7 +457,10 @@ def run_closed_loop(
     monitor = SerialSensorMonitor('loop', arm, parameters, gains, observer)
     controller = make_controller(arm, gains, bandwidth)
     speeds, scales = approach_speeds(arm, TrackerLimits.speed), arm.scales()
-    references = PathReferences(scenario.path(arm), arm.sample_time, count, speeds, scales)
+    path = scenario.path(arm)
+    follower, start = PathFollower(path, speeds, scales), path.sample(0.0)
+    references, tip = np.empty((count, 3, len(arm.joints))), np.empty((count, len(start.tip)))
+    start.write(references, tip)
     plant = _Plant(
         simulator.chain,
         memory(simulator.constants),
@@ -474,10 +468,12 @@ def run_closed_loop(
         simulator.injector.records,
         simulator.scratch,
         simulator.matrix,
+        simulator.noise,
+        simulator.push,
+        simulator.injector.generator,
+        # A stream of its own: losses must not change noise and faults.
+        np.random.default_rng([scenario.seed, 2]),
     )
-    # A stream of its own: losses must not change noise and faults.
-    losses = np.random.default_rng([scenario.seed, 2])
-    streams = _Streams(simulator.noise, simulator.push, simulator.injector.generator, losses)
     records = np.zeros(count, answer_type(len(arm.joints)))
     answers = answer_rows(records)
     fed_back = (answers.measured, answers.compensated, answers.position)
@@ -486,9 +482,7 @@ def run_closed_loop(
     latency = latency_limits(controller.tolerated_latency)
     tracker = _Tracker(
         controller.parts,
-        controller.torque,
-        controller.integral,
-        references.motion,
+        references,
         CorrectionLimit(arm, compensation != 'off').memory,
         TrackerWatchdog(arm, TrackerLimits(latency.single, latency)).memory,
         DriveWatchdog(arm, DriveLimits(latency)).memory,
@@ -509,10 +503,10 @@ def run_closed_loop(
     blocked = transport.blocked(count, arm.sample_time)
     alarms: list[Alarm] = []
     shared, now, failed = memory(loop), plain(loop), memory(simulator.state)['failed']
-    run = entry(_run, shared, plant, streams, parts, tracker, rows, blocked, 0)
+    run = entry(_run, shared, plant, parts, tracker, rows, blocked, 0)
     k = 0
     while k < count:
-        k = run(shared, plant, streams, parts, tracker, rows, blocked, k)
+        k = run(shared, plant, parts, tracker, rows, blocked, k)
         if failed[0]:
             raise ConfigError('plant', 'has a mass matrix that is not positive definite')
         phase = now['phase']
@@ -524,7 +518,11 @@ def run_closed_loop(
             parts = parts._replace(parts=stepped.parts)
             now['phase'] = _ANSWER
         elif phase == _START:
-            references.restart(k - int(loop.offset), loop.feedback.copy())
+            first = k - int(loop.offset)  # row of the references: samples in which the path ran
+            if follower.running:
+                follower.stop(int(parts.stamps[first - 1]))
+            follower.reference(int(parts.stamps[first]), loop.feedback.copy())
+            follower.ahead(parts.stamps[first:]).write(references[first:], tip[first:])
             loop.previous, loop.started, loop.phase = k, True, _COMMAND
         elif phase == _ADVANCE:
             simulator.advance()
@@ -540,8 +538,8 @@ def run_closed_loop(
         alarm=answers.alarm,
         inconsistent=answers.inconsistent,
         alarms=alarms,
-        path=np.moveaxis(references.motion, 1, 0),
-        tip=references.tip,
+        path=np.moveaxis(references, 1, 0),
+        tip=tip,
     )
 
 

@@ -288,23 +288,22 @@ class Section:
         self._seen.add(key)  # what is asked for is a known field, whether the file has it or not
         return key in self._data
 
-    def _get(self, key: str, default: Any) -> Any:
+    def _get(self, key: str, default: Any = None) -> Any:
+        """The value of a field, which must be there if it has no default."""
         self._seen.add(key)
-        if key in self._data:
-            return self._data[key]
-        if default is _REQUIRED:
+        if key not in self._data and default is None:
             raise self.error(key, 'is missing')
-        return default
+        return self._data.get(key, default)
 
     @_or(lambda self, key, *_, **__: self._absent(key))
     def section(self, key: str, required: bool = True) -> 'Section':
         """Return the mapping below ``key`` (an empty one if absent and not required)."""
-        return Section(self._get(key, _REQUIRED if required else {}), self._source, self._name(key))
+        return Section(self._get(key, None if required else {}), self._source, self._name(key))
 
     @_or(lambda *_, **__: [])
     def sections(self, key: str, default: list[Any] | None = None) -> 'list[Section]':
         """Return the list of mappings below ``key``."""
-        items = self._get(key, _REQUIRED if default is None else default)
+        items = self._get(key, default)
         if not isinstance(items, list):
             raise self.error(key, 'must be a list')
         return [
@@ -316,7 +315,7 @@ class Section:
         self, key: str, default: str | None = None, choices: Iterable[str] | None = None
     ) -> str:
         """Return a string, optionally one of ``choices``."""
-        value = self._get(key, _REQUIRED if default is None else default)
+        value = self._get(key, default)
         if not isinstance(value, str) or not value:
             raise self.error(key, f'must be a non-empty string, got {_short(value)}')
         if choices is not None and value not in choices:
@@ -326,7 +325,7 @@ class Section:
     @_or(lambda *_, **__: False)
     def flag(self, key: str, default: bool | None = None) -> bool:
         """Return a boolean."""
-        value = self._get(key, _REQUIRED if default is None else default)
+        value = self._get(key, default)
         if not isinstance(value, bool):
             raise self.error(key, f'must be true or false, got {_short(value)}')
         return value
@@ -334,7 +333,7 @@ class Section:
     @_or(lambda self, key, default=None, low=None: low or 0)
     def integer(self, key: str, default: int | None = None, low: int | None = None) -> int:
         """Return an integer, not below ``low``."""
-        value = self._get(key, _REQUIRED if default is None else default)
+        value = self._get(key, default)
         if isinstance(value, bool) or not isinstance(value, int):
             raise self.error(key, f'must be an integer, got {_short(value)}')
         if low is not None and value < low:
@@ -346,7 +345,7 @@ class Section:
         self, key: str, default: float | None = None, *limits: float, **others: float
     ) -> float:
         """Return a finite float within the limits ``low`` and ``high``, and ``above`` another."""
-        value = self._get(key, _REQUIRED if default is None else default)
+        value = self._get(key, default)
         return self._number(key, value, *limits, **others)
 
     def _number(
@@ -381,7 +380,7 @@ class Section:
         self, key: str, size: int, default: Any = None, *limits: float, **others: float
     ) -> list[float]:
         """Return ``size`` floats as of `number`; one number stands for all of them."""
-        value = self._get(key, _REQUIRED if default is None else default)
+        value = self._get(key, default)
         if not isinstance(value, (list, tuple)):
             value = [value] * size
         if len(value) != size:
@@ -391,7 +390,7 @@ class Section:
     @_or(lambda self, key, most, *a, **k: [_inside(*a, **k)])
     def numbers(self, key: str, most: int, *limits: float, **others: float) -> list[float]:
         """Return 1 to ``most`` floats as of `number`."""
-        value = self._get(key, _REQUIRED)
+        value = self._get(key)
         if not isinstance(value, list) or not 1 <= len(value) <= most:
             raise self.error(key, f'must be a list of 1 to {most} numbers')
         return self._numbers(key, value, *limits, **others)
@@ -399,7 +398,7 @@ class Section:
     @_or(lambda self, key, width, most: [[1.0] * width])
     def rows(self, key: str, width: int, most: int) -> list[list[float]]:
         """Return 1 to ``most`` lists of ``width`` finite floats each."""
-        value = self._get(key, _REQUIRED)
+        value = self._get(key)
         if not isinstance(value, list) or not 1 <= len(value) <= most:
             raise self.error(key, f'must be a list of 1 to {most} rows')
         rows = [
@@ -415,7 +414,7 @@ class Section:
 
         A first size of -1 stands for one row or more.
         """
-        value = self._get(key, _REQUIRED)
+        value = self._get(key)
         size = abs(int(np.prod(shape)))
         if not isinstance(value, (list, tuple)) or not (
             len(value) == size or (shape[0] < 0 < len(value) and len(value) % size == 0)
@@ -426,7 +425,7 @@ class Section:
     @_or(lambda self, key, size=None, default=None: tuple(f'name{i}' for i in range(size or 1)))
     def names(self, key: str, size: int | None = None, default: Any = None) -> tuple[str, ...]:
         """Return distinct non-empty strings, ``size`` of them or at least one."""
-        value = self._get(key, _REQUIRED if default is None else default)
+        value = self._get(key, default)
         if (
             not isinstance(value, (list, tuple))
             or not 0 < len(value) == (size or len(value))
@@ -450,6 +449,3 @@ class Section:
             known = ', '.join(sorted(self._seen))
             name = _short(unknown[0]).strip("'")
             raise self.error(name, f'is not a known field; known here: {known}')
-
-
-_REQUIRED = object()
