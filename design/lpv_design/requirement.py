@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from lpv.core.support.config import Section, names_all_errors, read_yaml
-from lpv.core.support.entries import read_entries
+from lpv.core.support.entries import part, read_entries
 from lpv.core.support.errors import ConfigError
 from lpv.core.uio.certificate.gains import METHODS
 from lpv_design.controller import ControllerRequirement
@@ -20,8 +20,8 @@ class Requirement:
     """A whole requirement file."""
 
     observer: ExactRequirement | PaperRequirement  # its type tells the method
-    controller: ControllerRequirement
-    source: str  # file name
+    controller: ControllerRequirement = part(ControllerRequirement)
+    source: str = ''  # file name
 
 
 def shipped_requirements() -> list[str]:
@@ -51,12 +51,10 @@ def load_requirement(name: str | Path) -> Requirement:
 def parse_requirement(data: dict[str, Any], source: str) -> Requirement:
     """Build a requirement from the mapping of a requirement file."""
     top = Section(data, source)
-    observer, controller = top.section('observer'), top.section('controller')
-    requirement = Requirement(
-        _observer(observer), read_entries(ControllerRequirement, controller), source
+    requirement = read_entries(
+        Requirement, top, observer=_observer(top.section('observer')), source=source
     )
-    _check_fastest(controller, requirement.controller.alpha, 'alpha')
-    top.finish()
+    _check_fastest(top.section('controller'), requirement.controller.alpha, 'alpha')
     return requirement
 
 

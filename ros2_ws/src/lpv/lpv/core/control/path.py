@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lpv.core.serial_arm.description import SerialArm
-from lpv.core.support.entries import entry, positive
+from lpv.core.support.entries import entry, part, positive
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.limits import FAR
 from lpv.core.uio.model.kinematics import ELBOWS, forward, inverse, joint_motion
@@ -125,9 +125,10 @@ class PlanarWaypoints:
     """Points in the vertical plane of a planar arm that its tip goes through."""
 
     points: tuple[tuple[float, float], ...]  # x forward, y up, from joint 1 [m]
-    elbow: str = 'positive'  # branch of the inverse kinematics
+    # branch of the inverse kinematics
+    elbow: str = entry('text', default='positive', choices=tuple(ELBOWS))
     # for pictures, and for the check that the path keeps clear of it
-    obstacle: Obstacle | None = None
+    obstacle: Obstacle | None = part(Obstacle, default=None)
 
 
 class CartesianPath(TimedPath):

@@ -28,9 +28,9 @@ _MOST_POSES = 2001
 class PoseWaypoints:
     """Poses of the tip that a path goes through."""
 
-    positions: tuple[tuple[float, float, float], ...]  # x, y, z in the base frame [m]
+    positions: tuple[tuple[float, ...], ...]  # x, y, z in the base frame [m]
     start: tuple[float, ...]  # joint positions near the first pose: they choose the posture [rad]
-    orientations: tuple[tuple[float, float, float], ...] = ()  # roll, pitch, yaw [rad]; none: any
+    orientations: tuple[tuple[float, ...], ...] = ()  # roll, pitch, yaw [rad]; none: any
 
 
 class SerialPath(TimedPath):

@@ -279,9 +279,8 @@ def _tolerance(section: Section) -> TorqueTolerance:
     speed = part.numbers('speed', 64, 0.0, 1e4)
     if any(b <= a for a, b in zip(speed, speed[1:])):
         raise part.error('speed', 'must increase')
-    result = TorqueTolerance(tuple(speed), tuple(part.vector('torque', len(speed), None, 0.0, 1e9)))
-    part.finish()
-    return result
+    torque = part.vector('torque', len(speed), None, 0.0, 1e9)
+    return read_entries(TorqueTolerance, part, speed=speed, torque=torque)
 
 
 def _covariance(top: Section, size: int) -> ParameterCovariance | None:
@@ -289,9 +288,7 @@ def _covariance(top: Section, size: int) -> ParameterCovariance | None:
         return None
     part = top.section('covariance')
     factor = tuple(tuple(row) for row in part.rows('factor', size, size))
-    result = ParameterCovariance(factor, part.integer('determined', low=0))
-    part.finish()
-    return result
+    return read_entries(ParameterCovariance, part, factor=factor)
 
 
 if __name__ == '__main__':

@@ -252,7 +252,8 @@ class ParameterCovariance:
     """
 
     factor: tuple[tuple[float, ...], ...]  # rows F: the covariance is F^T F
-    determined: int  # number of base and drive parameters that the data determine
+    # number of base and drive parameters that the data determine
+    determined: int = entry('integer', low=0)
 
     def matrix(self) -> np.ndarray:
         """Covariance, shape (15 n, 15 n)."""

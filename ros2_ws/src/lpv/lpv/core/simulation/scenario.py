@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lpv.core.control.path import CartesianPath, Obstacle, PlanarWaypoints
+from lpv.core.control.path import CartesianPath, PlanarWaypoints
 from lpv.core.control.serial_path import PoseWaypoints, SerialPath
 from lpv.core.serial_arm.chain import MAX_JOINTS, Chain, body_parameters, compile_chain
 from lpv.core.serial_arm.description import LinkInertia, SerialArm, SerialJoint
@@ -18,7 +18,6 @@ from lpv.core.support.config import Section, names_all_errors, read_yaml
 from lpv.core.support.entries import entry, read_entries
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.limits import FAR, MOST_ENTRIES
-from lpv.core.uio.model.kinematics import ELBOWS
 
 PAPER_PLANTS = ('nonlinear_without_coriolis', 'lpv')
 """The arm of eq. (4) and the LPV plant (25), for planar arms."""
@@ -194,37 +193,24 @@ def _waypoints(path: Section) -> tuple[tuple[float, ...], Waypoints]:
         raise sections[0].error('joints', 'or position, or x and y, must be given, one of them')
     waypoints: Waypoints
     if kinds == ['x']:
-        waypoints = _planar(path, sections)
+        limits = None, -FAR, FAR
+        points = tuple((p.number('x', *limits), p.number('y', *limits)) for p in sections)
+        waypoints = read_entries(PlanarWaypoints, path, points=points)
     elif kinds == ['joints']:
         waypoints = tuple(
             tuple(point.numbers('joints', MAX_JOINTS, -FAR, FAR)) for point in sections
         )
     else:
         waypoints = PoseWaypoints(
-            tuple(_triple(point, 'position') for point in sections),
+            tuple(tuple(point.vector('position', 3, None, -FAR, FAR)) for point in sections),
             tuple(path.numbers('start', MAX_JOINTS, -FAR, FAR)),
-            tuple(_triple(point, 'rpy') for point in sections if 'rpy' in point),
+            tuple(tuple(p.vector('rpy', 3, None, -FAR, FAR)) for p in sections if 'rpy' in p),
         )
         if 0 < len(waypoints.orientations) < len(sections):
             raise path.error('waypoints', 'must have rpy all, or none of them')
     for section in (*sections, path):
         section.finish()
     return times, waypoints
-
-
-def _planar(path: Section, sections: list[Section]) -> PlanarWaypoints:
-    points = tuple(
-        (p.number('x', None, -FAR, FAR), p.number('y', None, -FAR, FAR)) for p in sections
-    )
-    obstacle = None
-    if 'obstacle' in path:
-        obstacle = read_entries(Obstacle, path.section('obstacle'))
-    return PlanarWaypoints(points, path.text('elbow', 'positive', tuple(ELBOWS)), obstacle)
-
-
-def _triple(section: Section, key: str) -> tuple[float, float, float]:
-    x, y, z = section.vector(key, 3, low=-FAR, high=FAR)
-    return x, y, z
 
 
 def parse_faults(top: Section) -> tuple[Fault, ...]:

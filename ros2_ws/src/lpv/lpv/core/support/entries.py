@@ -9,6 +9,8 @@ import numpy as np
 from lpv.core.support.config import Section
 
 _Kind = TypeVar('_Kind')
+_NOTHING = (None, '', (), math.inf, -math.inf)
+"""Defaults that say nothing: not known, none, no limit."""
 
 
 def entry(how: str, *details: Any, default: Any = MISSING, at: str = '', **limits: Any) -> Any:
@@ -70,16 +72,10 @@ def read_entries(
     return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in given.items()})
 
 
-def _says_nothing(value: Any) -> bool:
-    if isinstance(value, float):
-        return math.isinf(value)
-    return value is None or (isinstance(value, (str, tuple)) and not value)
-
-
 def plain_entries(data: Any) -> Any:
     """The mapping that `read_entries` reads: plain data, arrays row by row.
 
-    Fields that are None, empty or infinite are left out: they say nothing.
+    Fields that say nothing are left out: the default is `_NOTHING`, and they have it.
     """
     if isinstance(data, np.ndarray):
         return [float(value) for value in data.ravel()]
@@ -90,6 +86,6 @@ def plain_entries(data: Any) -> Any:
     result: dict[str, Any] = {}
     for one in fields(data):
         (inner, key), value = _place(one), getattr(data, one.name)
-        if not _says_nothing(value):
+        if not (one.default in _NOTHING and value == one.default):
             (result.setdefault(inner, {}) if inner else result)[key] = plain_entries(value)
     return result
