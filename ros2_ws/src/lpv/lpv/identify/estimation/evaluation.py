@@ -7,7 +7,6 @@ import numpy as np
 
 from lpv.identify.estimation.regression import Filters, Fit, Rows, model_torque
 from lpv.identify.recordings.filters import causal_low_pass, low_pass
-from lpv.identify.recordings.motion import Motion
 
 
 @dataclass(frozen=True)
@@ -39,11 +38,11 @@ class Prediction:
         return self.measured - self.predicted
 
 
-def predict(rows: Rows, fit: Fit, filters: Filters, motion: Motion) -> Prediction:
-    """Prediction over the counted samples of a segment's rows and motion."""
+def predict(rows: Rows, fit: Fit, filters: Filters) -> Prediction:
+    """Prediction over the counted samples of a segment."""
     predicted = low_pass(model_torque(rows, fit), filters.effort, rows.step)
     band = causal_low_pass(rows.effort - predicted, filters.test, rows.step)
-    signals = motion.time, rows.effort, predicted, band, motion.position, rows.velocity, rows.counts
+    signals = rows.time, rows.effort, predicted, band, rows.position, rows.velocity, rows.counts
     return Prediction(*(signal[rows.part] for signal in signals))
 
 

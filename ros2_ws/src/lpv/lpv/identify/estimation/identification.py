@@ -14,7 +14,6 @@ from lpv.identify.estimation.mistakes import Mistake, find_mistakes
 from lpv.identify.estimation.regression import Filters, Fit
 from lpv.identify.estimation.torque_error import torque_error, torque_tolerance, usual_error
 from lpv.identify.estimation.workshop import Workshop
-from lpv.identify.recordings.motion import moving
 from lpv.identify.recordings.recording import Recording
 from lpv.identify.sensors.sensing import Sensing
 
@@ -78,10 +77,7 @@ def identify(
     found = workshop.arm_of(fit, strength)
     held_back = workshop.test_rows(share, tests)
     predictions, before = (
-        [
-            predict(rows, fit_of(one, workshop.base, fit), workshop.filters, motion)
-            for rows, motion in held_back
-        ]
+        [predict(rows, fit_of(one, workshop.base, fit), workshop.filters) for rows in held_back]
         for one in (found, arm)
     )
     if options.refit:
@@ -119,7 +115,7 @@ def _finish(
 ) -> SerialArm:
     """The arm with sensors, tolerances, delays and covariance."""
     rates, residuals = [p.velocity for p in predictions], [p.residual for p in predictions]
-    counts = [moving(rate, workshop.step, arm.scales()) for rate in rates]
+    counts = [p.counts for p in predictions]
     speed, missed, used = map(np.concatenate, (rates, residuals, counts))
     joints = []
     for j, joint in enumerate(arm.joints):

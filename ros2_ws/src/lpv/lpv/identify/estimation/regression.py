@@ -20,7 +20,6 @@ from lpv.identify.estimation.robust import (
     normal_matrix,
     robust_scale,
 )
-from lpv.identify.model.base_parameters import BaseParameters
 from lpv.identify.model.friction import (
     SLOPES,
     TERMS,
@@ -30,9 +29,8 @@ from lpv.identify.model.friction import (
     least_viscous,
 )
 from lpv.identify.model.prior import Prior
-from lpv.identify.model.rigid_body import RigidBody
-from lpv.identify.recordings.filters import derivative, low_pass
-from lpv.identify.recordings.motion import Motion, moving
+from lpv.identify.recordings.filters import low_pass
+from lpv.identify.recordings.motion import Motion
 
 _SWEEPS = 6  # most, of weights and slopes in turn
 _REFINEMENTS = 3  # steps of the last slopes, from the nearest ones of the grid
@@ -40,15 +38,12 @@ _SLOPE_HELD = 1.0  # information on a slope's logarithm: known within a factor o
 
 
 @dataclass(frozen=True)
-class Rows:
-    """Regressor of a segment at full rate, before filters."""
+class Rows(Motion):
+    """Motion of a segment with efforts [N m], and its regressor at full rate, before filters."""
 
-    step: float  # [s]
     base: np.ndarray  # of the base parameters, shape (samples, n, base)
-    velocity: np.ndarray  # shape (samples, n) [rad/s]
-    effort: np.ndarray  # shape (samples, n) [N m]
     counts: np.ndarray  # where efforts do: not at rest, as friction is unknown, (samples, n)
-    speed_limit: np.ndarray  # of the joints, shape (n,) [rad/s]
+    speed_limit: np.ndarray  # up to which friction must not drive, shape (n,) [rad/s]
     part: slice = field(default_factory=lambda: slice(None))  # samples that count
     cache: dict[tuple[float, float], np.ndarray] = field(  # filtered regressors of base parameters
         default_factory=dict, compare=False, repr=False
@@ -97,21 +92,6 @@ class Fit:
     def friction(self) -> np.ndarray:
         """Friction parameters in the order of `TERMS`, shape (n, 4)."""
         return self.parameters[self.base_size :].reshape(-1, len(TERMS))
-
-
-def make_rows(
-    model: RigidBody,
-    base: BaseParameters,
-    motion: Motion,
-    scale: np.ndarray,  # of the joints, that of `moving`, shape (n,)
-    speed_limit: np.ndarray,  # up to which friction must not drive, shape (n,) [rad/s]
-    with_gravity: bool = True,  # whether efforts contain it
-) -> Rows:
-    """Regressor of torques along a smoothed motion with efforts [N m]."""
-    rate, gravity = motion.velocity, None if with_gravity else np.zeros(3)
-    columns = model.regressor(motion.position, rate, derivative(rate, motion.step), gravity)
-    counts = moving(rate, motion.step, scale)
-    return Rows(motion.step, columns[:, :, base.columns], rate, motion.effort, counts, speed_limit)
 
 
 def model_torque(rows: Rows, fit: Fit) -> np.ndarray:

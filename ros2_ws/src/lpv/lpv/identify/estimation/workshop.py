@@ -10,7 +10,7 @@ from lpv.core.support.limits import MAX_GAP
 from lpv.identify.estimation.assembly import consistent_parameters, fit_of, with_parameters
 from lpv.identify.estimation.delays import effort_delays, rate_delays
 from lpv.identify.estimation.gains import estimate_gains
-from lpv.identify.estimation.regression import Filters, Fit, Rows, fit_parameters, make_rows
+from lpv.identify.estimation.regression import Filters, Fit, Rows, fit_parameters
 from lpv.identify.estimation.selection import (
     EQUAL,
     choose_effort_band,
@@ -21,11 +21,12 @@ from lpv.identify.estimation.selection import (
 from lpv.identify.model.base_parameters import find_base_parameters
 from lpv.identify.model.prior import base_prior
 from lpv.identify.model.rigid_body import RigidBody
+from lpv.identify.recordings.filters import derivative
 from lpv.identify.recordings.motion import (
-    Motion,
     Segment,
     check_motion,
     find_bandwidths,
+    moving,
     smooth,
     split,
 )
@@ -62,7 +63,6 @@ class Workshop:
         thinning = max(1, int(1.0 / (8.0 * self.bands.analysis * self.step)))
         self.filters = Filters(np.inf, self.bands.analysis, thinning, self.bands.test)
         self.strength = 1.0
-        self.motions: list[Motion] = []
         self.rows: list[Rows] = []
         self._prepare()
 
@@ -100,31 +100,31 @@ class Workshop:
         self._prepare()
 
     def _prepare(self) -> None:
-        self.motions = [self._motion(segment) for segment in self.segments]
-        self.rows = [self._rows(motion) for motion in self.motions]
+        self.rows = [self._rows(segment) for segment in self.segments]
 
-    def _motion(self, segment: Segment) -> Motion:
+    def _rows(self, segment: Segment) -> Rows:
         scaled = replace(segment, effort=segment.effort * self.gain)
-        return smooth(scaled, self.bands, self.use_rates, self.rate_delay, self.effort_delay)
-
-    def _rows(self, motion: Motion) -> Rows:
-        limit = 1.1 * np.array([joint.limits.velocity for joint in self.arm.joints])
-        weight = self.arm.effort_includes_gravity
-        rows = make_rows(self.model, self.base, motion, self.arm.scales(), limit, weight)
+        motion = smooth(scaled, self.bands, self.use_rates, self.rate_delay, self.effort_delay)
+        signals = motion.position, motion.velocity, derivative(motion.velocity, motion.step)
+        gravity = None if self.arm.effort_includes_gravity else np.zeros(3)
         margin = min(int(np.ceil(0.5 / (self.bands.test * self.step))), len(motion.time) // 10)
-        return replace(rows, part=slice(margin, len(motion.time) - margin))
+        return Rows(
+            **vars(motion),
+            base=self.model.regressor(*signals, gravity)[:, :, self.base.columns],
+            counts=moving(motion.velocity, motion.step, self.arm.scales()),
+            speed_limit=1.1 * np.array([joint.limits.velocity for joint in self.arm.joints]),
+            part=slice(margin, len(motion.time) - margin),
+        )
 
     def train_rows(self, share: float) -> list[Rows]:
         """Rows of the first share of each segment."""
         return [divide(rows, share)[0] for rows in self.rows]
 
-    def test_rows(self, share: float, tests: Sequence[Recording]) -> list[tuple[Rows, Motion]]:
-        """Rows and motion of other recordings, or of the rest of each segment."""
+    def test_rows(self, share: float, tests: Sequence[Recording]) -> list[Rows]:
+        """Rows of other recordings, or of the rest of each segment."""
         if not tests:
-            pairs = zip(self.rows, self.motions)
-            return [(divide(rows, share)[1], motion) for rows, motion in pairs]
-        motions = [self._motion(segment) for one in tests for segment in split(one)]
-        return [(self._rows(motion), motion) for motion in motions]
+            return [divide(rows, share)[1] for rows in self.rows]
+        return [self._rows(segment) for one in tests for segment in split(one)]
 
     def choose(self, share: float, report: Callable[[str], None]) -> None:
         """Rates, bandwidth of the efforts, load, prior, delay: by prediction of training data."""
@@ -160,12 +160,11 @@ class Workshop:
 
     def _choose_rates(self, share: float) -> None:
         """Measured rates or derivatives of positions: the other one if that predicts better."""
-        before, kept = self._error(share), (self.motions, self.rows)
+        before, kept = self._error(share), self.rows
         self.use_rates = not self.use_rates
         self._prepare()
         if self._error(share) > before + np.log(_BETTER):
-            self.use_rates = not self.use_rates
-            self.motions, self.rows = kept
+            self.use_rates, self.rows = not self.use_rates, kept
 
     def _choose_strength(self, share: float) -> None:
         """Strength of the prior that predicts best."""
@@ -179,7 +178,7 @@ class Workshop:
         """Delays of the efforts, if predictions gain from them."""
         # A drive that follows late looks like a negative inertia, which no body has; a prior that
         # is too weak hides this, as masses take the delay's place.
-        before, kept = self._error(share), (self.motions, self.rows)
+        before, kept = self._error(share), self.rows
         for _ in range(2):
             rows = self.train_rows(share)
             found = self.consistent_fit(rows, self.strength)
@@ -188,8 +187,7 @@ class Workshop:
             self._prepare()
         self.joint_delays = self.effort_delay
         if self._error(share) > before - EQUAL:
-            self.effort_delay = np.zeros(self.n)
-            self.motions, self.rows = kept
+            self.effort_delay, self.rows = np.zeros(self.n), kept
 
     def fit(self, share: float) -> tuple[Fit, float]:
         """Fit with the prior, and its strength."""
