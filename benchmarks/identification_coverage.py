@@ -46,14 +46,11 @@ def main(path: str, runs: int) -> None:
         sigma = np.sqrt(np.diag(fit.covariance))
         used = sigma > 0.0
         error = fit.parameters - truth
-        factor = float(stats.t.ppf(0.5 + 0.5 * LEVEL, fit.freedom))
+        factor = float(stats.norm.ppf(0.5 + 0.5 * LEVEL))
         inside.append(np.abs(error[used]) < factor * sigma[used])
         covariance = fit.covariance[np.ix_(used, used)]
         distance = error[used] @ np.linalg.solve(covariance, error[used])
-        # The joint region of Hotelling's T^2.
-        size = int(used.sum())
-        rest = max(1.0, fit.freedom - size + 1.0)
-        regions.append(distance < size * fit.freedom / rest * stats.f.ppf(LEVEL, size, rest))
+        regions.append(distance < stats.chi2.ppf(LEVEL, int(used.sum())))
     size = inside[0].size
     share = np.mean(inside, axis=0)
     print(

@@ -117,7 +117,7 @@ def test_given_many_noises_when_fitted_then_intervals_hold_the_truth(arm, simula
         fit, _ = workshop.fit(1.0)
         truth = assembly.parameter_map(workshop.base, 3) @ arm.parameter_vector()
         used = np.diag(fit.covariance) > 0.0
-        width = stats.t.ppf(0.975, fit.freedom) * np.sqrt(np.diag(fit.covariance)[used])
+        width = stats.norm.ppf(0.975) * np.sqrt(np.diag(fit.covariance)[used])
         inside.append(np.abs(fit.parameters - truth)[used] < width)
     assert 0.90 < np.mean(inside) < 0.99
 

@@ -31,7 +31,7 @@ def estimate_gains(rows: Sequence[Rows], filters: Filters, prior: Prior) -> np.n
     expected = _sizes(rows, prior.mean)
     for _ in range(_ROUNDS):
         scaled = [replace(one, effort=one.effort * gains) for one in rows]
-        fit = fit_parameters(scaled, filters, np.zeros(n, bool), prior, sweeps=3)
+        fit = fit_parameters(scaled, filters, np.zeros(n, bool), prior, sweeps=6)
         found = _sizes(rows, fit.parameters)
         common = float(np.linalg.norm(expected) / max(float(np.linalg.norm(found)), 1e-12))
         problem = Problem(scaled, filters, np.zeros(n, bool))

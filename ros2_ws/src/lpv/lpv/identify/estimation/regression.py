@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.linalg import block_diag
-from scipy.optimize import nnls
 
 from lpv.core.serial_arm.description import coulomb_direction
 from lpv.identify.estimation.autocorrelation import residual_autocovariances, score_covariance
@@ -32,8 +31,8 @@ from lpv.identify.model.prior import Prior
 from lpv.identify.recordings.filters import low_pass
 from lpv.identify.recordings.motion import Motion
 
-_SWEEPS = 6  # most, of weights and slopes in turn
-_REFINEMENTS = 3  # steps of the last slopes, from the nearest ones of the grid
+_SWEEPS = 9  # of weights and slopes in turn
+_STEP = 0.5  # largest change of a slope's logarithm in a sweep
 _SLOPE_HELD = 1.0  # information on a slope's logarithm: known within a factor of e
 
 
@@ -76,22 +75,20 @@ class Fit:
     parameters: np.ndarray  # shape (base + 4 n,)
     slope: np.ndarray  # of the Coulomb term, shape (n,) [s/rad]
     scale: np.ndarray  # robust scale of the filtered residuals, shape (n,) [N m]
-    base_size: int
     normal: np.ndarray  # normal matrix of the weighted rows, without the prior
     right: np.ndarray  # its right-hand side: normal @ parameters = right without a prior
     covariance: np.ndarray  # of the parameters, with correlated residuals accounted for
-    freedom: float  # degrees of freedom of the covariance
     used_load: np.ndarray  # joints with load-dependent friction, shape (n,)
 
     @property
     def base(self) -> np.ndarray:
         """Base parameters."""
-        return self.parameters[: self.base_size]
+        return self.parameters[: -len(TERMS) * len(self.slope)]
 
     @property
     def friction(self) -> np.ndarray:
         """Friction parameters in the order of `TERMS`, shape (n, 4)."""
-        return self.parameters[self.base_size :].reshape(-1, len(TERMS))
+        return self.parameters[-len(TERMS) * len(self.slope) :].reshape(-1, len(TERMS))
 
 
 def model_torque(rows: Rows, fit: Fit) -> np.ndarray:
@@ -188,13 +185,10 @@ def fit_parameters(
     slope = prior.slope * np.ones(n) if slope is None else slope.copy()
     parameters = np.zeros(size + len(TERMS) * n)
     scale, weight = np.ones(n), problem.counts.astype(float)
-    for sweep in range(sweeps + _REFINEMENTS if search else min(sweeps, 3)):
+    for sweep in range(sweeps if search else 3):
         loads = problem.loads(parameters[:size]) if sweep else None
-        if search and sweep >= sweeps:
-            slope = _refine(problem, slope, parameters, weight / scale**2, prior)
-        elif search and sweep:
-            tried = problem, parameters, loads, slope, weight / scale**2, sweep, prior
-            slope = _search_slopes(*tried)
+        if search and sweep:
+            slope = _next_slopes(problem, slope, parameters, weight / scale**2, prior)
         design = problem.design(slope, loads)
         for _ in range(2):
             equations = normal_equations(design, problem.effort, weight / scale**2, prior)
@@ -202,12 +196,12 @@ def fit_parameters(
             residual = problem.effort - design @ parameters
             scale, weight = _weigh(problem, residual)
     weights = weight / scale**2
-    covariance, freedom = np.zeros((len(parameters), len(parameters))), 1.0
+    covariance = np.zeros((len(parameters), len(parameters)))
     if with_covariance:
         full = problem.with_slopes(design, slope, parameters)
-        covariance, freedom = _uncertainty(problem, full, residual, weights, prior)
+        covariance = _uncertainty(problem, full, residual, weights, prior)
     normal, right = normal_equations(design, problem.effort, weights)
-    return Fit(parameters, slope, scale, size, normal, right, covariance, freedom, use_load)
+    return Fit(parameters, slope, scale, normal, right, covariance, use_load)
 
 
 def _weigh(problem: Problem, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -232,7 +226,7 @@ def _solve(
         active &= ~negative
 
 
-def _refine(
+def _next_slopes(
     problem: Problem, slope: np.ndarray, parameters: np.ndarray, weight: np.ndarray, prior: Prior
 ) -> np.ndarray:
     """Gauss-Newton step in the logarithms of the slopes, together with all parameters."""
@@ -245,45 +239,13 @@ def _refine(
     right[count:] += _SLOPE_HELD * np.log(prior.slope / slope)
     used = np.append(problem.constraints(slope)[0], np.ones(n, bool))
     change = (invert_normal(matrix[np.ix_(used, used)]) @ right[used])[-n:]
-    return np.clip(slope * np.exp(np.clip(change, -0.3, 0.3)), SLOPES[0], SLOPES[-1])
-
-
-def _search_slopes(
-    problem: Problem,
-    parameters: np.ndarray,
-    loads: Loads | None,
-    slope: np.ndarray,
-    weight: np.ndarray,
-    sweep: int,
-    prior: Prior,
-) -> np.ndarray:
-    """Best slope of each joint on a grid, the rigid-body part being held."""
-    n, root = problem.n, np.sqrt(weight)
-    rest = (problem.effort - problem.base @ parameters[: problem.size]) * root
-    near = [slope * f for f in (0.5, 0.71, 1.0, 1.41, 2.0)]
-    candidates = [np.full(n, k) for k in SLOPES] if sweep == 1 else near
-    costs = np.empty((len(candidates), n))
-    for cost, candidate in zip(costs, candidates):
-        columns = problem.friction(candidate, loads) * root[:, :, None]
-        columns[:, :, 1] += columns[:, :, 0] * least_viscous(candidate, problem.speed_limit)
-        for j in range(n):
-            used = [True, True, bool(problem.use_load[j]), True]
-            cost[j] = _cost(columns[:, j][:, used], rest[:, j])
-        cost += _SLOPE_HELD * np.log(candidate / prior.slope) ** 2
-    chosen = np.array(candidates)[np.argmin(costs, axis=0), np.arange(n)]
-    return np.clip(chosen, SLOPES[0], SLOPES[-1])
-
-
-def _cost(columns: np.ndarray, target: np.ndarray) -> float:
-    upper = np.asarray(np.linalg.qr(np.column_stack([columns, target]), mode='r'))
-    # The offset may have either sign; the others are friction.
-    return float(nnls(np.column_stack([upper[:, :-1], -upper[:, -2]]), upper[:, -1])[1] ** 2)
+    return np.clip(slope * np.exp(np.clip(change, -_STEP, _STEP)), *SLOPES)
 
 
 def _uncertainty(
     problem: Problem, full: np.ndarray, residual: np.ndarray, weight: np.ndarray, prior: Prior
-) -> tuple[np.ndarray, float]:
-    """Covariance and its degrees of freedom; slopes are estimated, too."""
+) -> np.ndarray:
+    """Covariance of the parameters; slopes are estimated, too."""
     # The estimate's error is inverse @ (score of the data + score of the prior).
     n, size = problem.n, len(prior.mean)
     known = np.append(problem.constraints(np.ones(n))[0], np.ones(n, bool))
@@ -296,7 +258,4 @@ def _uncertainty(
     counts = problem.counts
     gammas = residual_autocovariances(rows, residual * root, inverse, problem.lengths, counts)
     scores = score_covariance(rows, gammas, problem.lengths) + block_diag(prior.score, slopes)
-    covariance = inverse @ scores @ inverse
-    shares = [g[0] / max(g[0], 2.0 * g.sum() - g[0], 1e-300) for g in gammas]
-    independent = counts.sum(axis=0) @ shares
-    return covariance[:size, :size], max(1.0, float(independent) - float(known.sum()))
+    return (inverse @ scores @ inverse)[:size, :size]

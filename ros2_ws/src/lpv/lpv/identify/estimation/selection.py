@@ -10,7 +10,6 @@ from lpv.identify.estimation.robust import bounded_squares
 from lpv.identify.model.prior import Prior
 from lpv.identify.recordings.filters import causal_low_pass, low_pass
 
-Estimator = Callable[[Sequence[Rows]], Fit]
 BLOCKS = 4
 """Blocks of the training data, each of which is predicted from the others."""
 STRENGTHS = (1e-2, 1e-1, 1.0, 1e1, 1e2)
@@ -36,10 +35,12 @@ def residuals(rows: Rows, fit: Fit, filters: Filters, causal_cutoff: float = np.
     return causal_low_pass(rows.effort - predicted, causal_cutoff, rows.step)[rows.part]
 
 
-def validation_error(rows: Sequence[Rows], filters: Filters, estimate: Estimator) -> np.ndarray:
-    """Mean square error of each joint on blocks of training data, shape (n,) [(N m)^2].
+def validation_error(
+    rows: Sequence[Rows], filters: Filters, estimate: Callable[[Sequence[Rows]], Fit]
+) -> float:
+    """Mean logarithm of the joints' mean square errors on blocks of training data [(N m)^2].
 
-    That of a joint of which nothing counts is 1, whatever the estimate.
+    The error of a joint of which nothing counts is 1, whatever the estimate.
     """
     total, count = np.zeros((2, rows[0].effort.shape[1]))
     parts = [one.part.indices(len(one.effort))[:2] for one in rows]
@@ -55,7 +56,8 @@ def validation_error(rows: Sequence[Rows], filters: Filters, estimate: Estimator
             counts = one.counts[one.part]
             total += bounded_squares(residuals(one, fit, filters, filters.test), counts)
             count += counts.sum(axis=0)
-    return np.divide(total, count, out=np.ones_like(total), where=total > 0.0)
+    errors = np.divide(total, count, out=np.ones_like(total), where=total > 0.0)
+    return float(np.mean(np.log(errors)))
 
 
 def choose_effort_band(
@@ -66,7 +68,7 @@ def choose_effort_band(
     bands = [b for b in EFFORT_BANDS[::-1] if b < 0.15 / rows[0].step and _ends(rows, b)]
     for band in (np.inf, *bands):
         trial = replace(filters, effort=band)
-        fit = fit_parameters(rows, trial, use_load, prior, sweeps=3)
+        fit = fit_parameters(rows, trial, use_load, prior, sweeps=6)
         error = np.concatenate([residuals(one, fit, trial) for one in rows])
         squares = bounded_squares(error, np.concatenate([one.counts[one.part] for one in rows]))
         errors[band] = float(np.mean(np.log(squares, where=squares > 0.0, out=0.0 * squares)))
@@ -88,12 +90,3 @@ def _ends(rows: Sequence[Rows], band: float) -> bool:
         high = np.fft.rfftfreq(len(effort), one.step) > 3.0 * band
         beyond += float(power[high].sum(axis=0).max())
     return beyond < _NOTHING * len(rows)
-
-
-def choose_prior(
-    rows: Sequence[Rows], filters: Filters, estimator_of: Callable[[float], Estimator]
-) -> float:
-    """Strength of the prior that predicts best; the largest of those that do equally well."""
-    found = [validation_error(rows, filters, estimator_of(strength)) for strength in STRENGTHS]
-    errors = np.mean(np.log(found), axis=1)
-    return STRENGTHS[int(np.flatnonzero(errors < errors.min() + EQUAL)[-1])]

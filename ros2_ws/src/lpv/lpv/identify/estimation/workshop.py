@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -13,8 +14,8 @@ from lpv.identify.estimation.gains import estimate_gains
 from lpv.identify.estimation.regression import Filters, Fit, Rows, fit_parameters
 from lpv.identify.estimation.selection import (
     EQUAL,
+    STRENGTHS,
     choose_effort_band,
-    choose_prior,
     divide,
     validation_error,
 )
@@ -149,36 +150,32 @@ class Workshop:
         fit = fit_parameters(rows, self.filters, self.use_load, prior, slope)
         return fit_of(self.arm_of(fit, strength), self.base, fit)
 
-    def _error(self, share: float) -> float:
-        """Mean logarithm of the mean square errors on blocks held back of the training data."""
+    def _errors(self, share: float, strengths: Sequence[float]) -> np.ndarray:
+        """Errors on blocks held back of the training data, with priors of some strengths."""
         rows = self.train_rows(share)
         slope = self.consistent_fit(rows, self.strength).slope
-        errors = validation_error(
-            rows, self.filters, lambda part: self.consistent_fit(part, self.strength, slope)
-        )
-        return float(np.mean(np.log(errors)))
+        fits = [partial(self.consistent_fit, strength=s, slope=slope) for s in strengths]
+        return np.array([validation_error(rows, self.filters, fit) for fit in fits])
 
     def _choose_rates(self, share: float) -> None:
         """Measured rates or derivatives of positions: the other one if that predicts better."""
-        before, kept = self._error(share), self.rows
+        before, kept = self._errors(share, [self.strength]), self.rows
         self.use_rates = not self.use_rates
         self._prepare()
-        if self._error(share) > before + np.log(_BETTER):
+        if self._errors(share, [self.strength]) > before + np.log(_BETTER):
             self.use_rates, self.rows = not self.use_rates, kept
 
     def _choose_strength(self, share: float) -> None:
         """Strength of the prior that predicts best."""
-        rows = self.train_rows(share)
-        slope = self.consistent_fit(rows, 1.0).slope
-        self.strength = choose_prior(
-            rows, self.filters, lambda tried: lambda part: self.consistent_fit(part, tried, slope)
-        )
+        errors = self._errors(share, STRENGTHS)
+        # The largest of those that do equally well.
+        self.strength = STRENGTHS[int(np.flatnonzero(errors < errors.min() + EQUAL)[-1])]
 
     def _choose_delay(self, share: float) -> None:
         """Delays of the efforts, if predictions gain from them."""
         # A drive that follows late looks like a negative inertia, which no body has; a prior that
         # is too weak hides this, as masses take the delay's place.
-        before, kept = self._error(share), self.rows
+        before, kept = self._errors(share, [self.strength]), self.rows
         for _ in range(2):
             rows = self.train_rows(share)
             found = self.consistent_fit(rows, self.strength)
@@ -186,7 +183,7 @@ class Workshop:
             self.effort_delay = np.clip(late, -MAX_GAP, MAX_GAP)
             self._prepare()
         self.joint_delays = self.effort_delay
-        if self._error(share) > before - EQUAL:
+        if self._errors(share, [self.strength]) > before - EQUAL:
             self.effort_delay, self.rows = np.zeros(self.n), kept
 
     def fit(self, share: float) -> tuple[Fit, float]:

@@ -8,8 +8,8 @@ TERMS = ('viscous', 'coulomb', 'load', 'offset')
 """Friction parameters of a joint, in the order of their columns."""
 SLOPE = 50.0
 """Slope of the Coulomb term where none is stated [s/rad]: about the middle of `SLOPES`."""
-SLOPES = np.geomspace(3.0, 1000.0, 16)
-"""Slopes of the Coulomb term that are tried [s/rad]."""
+SLOPES = 3.0, 1000.0
+"""Least and largest slope of the Coulomb term [s/rad]."""
 
 
 def least_viscous(slope: np.ndarray, speed: np.ndarray) -> np.ndarray:
