@@ -21,12 +21,14 @@ from lpv.core.control.watchdog import (
 )
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.simulation.arm_simulator import ArmSimulator
+from lpv.core.simulation.faults import Fault
 from lpv.core.simulation.scenario import load_scenario
+from lpv.core.support.errors import LpvError
 from lpv.core.support.limits import PATIENCE
 from lpv.core.support.timestamps import NANOSECONDS, to_nanoseconds
 from lpv.core.uio.planar import planar_model
-from lpv_arm_sim.services import FaultServices
 from lpv_msgs.msg import GroundTruth, TorqueCommand
+from lpv_msgs.srv import ClearFaults, InjectFault
 from lpv_node.input_check import Refusals, all_finite, all_sized
 from lpv_node.managed import ManagedNode
 from lpv_node.parameters import (
@@ -117,7 +119,8 @@ class SimulatorNode(ManagedNode):
         if self.lockstep:
             self._clock_out = self.create_publisher(ClockMessage, '/clock', qos)
         self._status = StatusReporter(self, 'drives', self._arm.name)
-        self._faults = FaultServices(self, self._plant)
+        self.create_service(InjectFault, '~/inject_fault', self._on_inject)
+        self.create_service(ClearFaults, '~/clear_faults', self._on_clear)
         self.create_service(Trigger, '~/release_brakes', self._on_release)
         self._make_messages()
 
@@ -301,6 +304,33 @@ class SimulatorNode(ManagedNode):
     def _age(self) -> int:
         """Age of the measurement that was answered last [ns]: late answers are as bad as none."""
         return self._stamp - self._answered
+
+    def _on_inject(
+        self, request: InjectFault.Request, response: InjectFault.Response
+    ) -> InjectFault.Response:
+        """Start a fault now, or say why not."""
+        now, asked = self._plant.time, request
+        fault = Fault(asked.sensor, asked.kind, now, asked.duration, asked.size, asked.rate)
+        try:
+            self._plant.injector.add(fault)
+            response.success = True
+            response.message = f'{fault.kind} on {fault.sensor} from {now:.3f} s on'
+            self.get_logger().info(f'injected {response.message}')
+        except LpvError as error:
+            response.message = str(error)
+        return response
+
+    def _on_clear(
+        self, request: ClearFaults.Request, response: ClearFaults.Response
+    ) -> ClearFaults.Response:
+        """Remove faults of one sensor or of all."""
+        try:
+            response.cleared, response.success = self._plant.injector.clear(request.sensor), True
+            response.message = f'{response.cleared} faults cleared'
+            self.get_logger().info(response.message)
+        except LpvError as error:
+            response.message = str(error)
+        return response
 
     def _on_release(
         self, _request: Trigger.Request, response: Trigger.Response

@@ -57,10 +57,10 @@ class Drives:
 
     def inject(self, **fields):
         request = InjectFault.Request(**{**FAULT, **fields})
-        return self.node._faults.inject(request, InjectFault.Response())
+        return self.node._on_inject(request, InjectFault.Response())
 
     def clear(self, sensor):
-        return self.node._faults.clear(ClearFaults.Request(sensor=sensor), ClearFaults.Response())
+        return self.node._on_clear(ClearFaults.Request(sensor=sensor), ClearFaults.Response())
 
 
 @pytest.fixture
@@ -112,13 +112,13 @@ def test_given_hostile_input_when_obeyed_then_measurements_are_finite_and_it_rec
 
 @pytest.mark.fuzz
 def test_given_forged_requests_when_faults_are_injected_then_measurements_are_finite(drives):
-    services = drives.node._faults
+    node = drives.node
 
     def case(rng):
         if rng.random() < 0.9:
-            text = request(services.inject, InjectFault, rng, FAULT)
+            text = request(node._on_inject, InjectFault, rng, FAULT)
         else:
-            text = request(services.clear, ClearFaults, rng, {})
+            text = request(node._on_clear, ClearFaults, rng, {})
         found, *truth = drives.send(drives.good())
         # Readings that are missing are NaN, as in any JointState.
         return text, truth, [] if 'dropout' in str(drives.node._plant.injector.faults) else found
