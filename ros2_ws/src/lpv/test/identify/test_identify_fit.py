@@ -29,6 +29,7 @@ from lpv.identify.estimation.torque_error import calibrate
 from lpv.identify.estimation.workshop import Workshop
 from lpv.identify.model.rigid_body import joint_torques
 from lpv.identify.motions.excitation import plan_excitation
+from lpv.identify.motions.trajectory import random_trajectory
 from lpv.identify.recordings.filters import low_pass
 from lpv.identify.recordings.motion import split
 from lpv.identify.recordings.recording import clean, read_recording
@@ -219,6 +220,24 @@ def test_given_a_tool_when_its_payload_is_identified_then_mass_and_centre_fit(ar
     assert found.mass == pytest.approx(0.8, abs=4 * found.mass_sigma)
     assert found.center[0] == pytest.approx(0.25, abs=0.02)
     assert found.rms_after < 0.5 * found.rms_before
+
+
+def test_given_friction_of_another_day_when_tools_are_identified_then_errors_are_as_stated(
+    arm, simulated
+):
+    tool = payload.Payload(0.8, (0.25, 0.0, 0.05), 0.0, (0.0, 0.0, 0.0), 0.0, 0.0)
+    errors = []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        warmth = rng.uniform(0.8, 1.2, len(arm.joints))
+        friction = [JointFriction(0.2, 1.0 * w, 1.5 * w, 40.0) for w in warmth]
+        warm = payload.with_payload(with_joints(arm, friction=friction), tool)
+        reach, speed = np.full(3, 1.5), np.full(3, 1.8)
+        motion = random_trajectory(rng, np.zeros(3), reach, speed, 20.0)
+        found = payload.identify_payload(arm, [simulated(warm, seed, motion=motion)])
+        sigma = np.array([found.mass_sigma, *found.center_sigma])
+        errors.append((np.array([found.mass, *found.center]) - [0.8, 0.25, 0.0, 0.05]) / sigma)
+    assert np.mean(np.abs(errors) < 2.0) > 0.88
 
 
 def test_given_filtered_efforts_when_identified_then_their_bandwidth_is_found(arm, simulated):

@@ -10,7 +10,20 @@ _ROUNDS = 2  # of drawing errors with what the round before found
 _RUN = 5  # autocovariances in a row that are noise: here they end
 
 
-def score_covariance(
+def estimate_covariance(
+    rows: np.ndarray,  # weighted regressor, shape (rows, n, parameters)
+    residual: np.ndarray,  # weighted, shape (rows, n)
+    inverse: np.ndarray,  # of the normal matrix, that of a prior included
+    lengths: Sequence[int],  # of the stretches, in rows
+    counts: np.ndarray,  # which residuals do, shape (rows, n); the others are 0
+    known: np.ndarray | float = 0.0,  # covariance of the prior's score
+) -> np.ndarray:
+    """Covariance of an estimate whose error is inverse @ (score of the data + of the prior)."""
+    gammas = _residual_autocovariances(rows, residual, inverse, lengths, counts)
+    return inverse @ (_score_covariance(rows, gammas, lengths) + known) @ inverse
+
+
+def _score_covariance(
     rows: np.ndarray, gammas: Sequence[np.ndarray], lengths: Sequence[int]
 ) -> np.ndarray:
     """Covariance of the scores sum_k z_k e_k of stretches: sum_kl z_k gamma(k - l) z_l^T."""
@@ -26,12 +39,12 @@ def score_covariance(
     return total
 
 
-def residual_autocovariances(
+def _residual_autocovariances(
     rows: np.ndarray,
     residual: np.ndarray,
     inverse: np.ndarray,
     lengths: Sequence[int],
-    counts: np.ndarray,  # which residuals do, shape (rows, n); the others are 0
+    counts: np.ndarray,
 ) -> list[np.ndarray]:
     """Autocovariance of each joint's errors from lag 0 on, from the residuals of a fit."""
     # A fit takes out of the residuals what regressors can explain: how much is found by drawing

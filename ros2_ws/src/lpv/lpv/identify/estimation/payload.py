@@ -8,7 +8,8 @@ import numpy as np
 from lpv.core.serial_arm.chain import body_parameters
 from lpv.core.serial_arm.description import N_INERTIAL, LinkInertia, SerialArm
 from lpv.identify.errors import IdentificationError
-from lpv.identify.estimation.robust import huber, robust_fit
+from lpv.identify.estimation.autocorrelation import estimate_covariance
+from lpv.identify.estimation.robust import huber, invert_normal, normal_matrix, robust_fit
 from lpv.identify.estimation.torque_error import model_residual
 from lpv.identify.model.rigid_body import RigidBody
 from lpv.identify.recordings.filters import derivative, low_pass
@@ -16,7 +17,6 @@ from lpv.identify.recordings.motion import Segment, find_bandwidths, split
 from lpv.identify.recordings.recording import Recording
 
 _HUBER = 2.0  # scales beyond which residuals weigh less
-_BLOCKS = 20  # of time: their scatter, right within 16 %, is that of the fit, as errors last
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,12 @@ def identify_payload(arm: SerialArm, recordings: Sequence[Recording]) -> Payload
         point = body_parameters(mass, solution[1:4] / mass, np.zeros((3, 3)))
         turning = design[:, :, 4:N_INERTIAL] @ point[4:]
     mass, center = float(solution[0]), solution[1:4] / solution[0]
-    sigma = _deviations(linear, residual, last)
+    weight = huber(residual / last, _HUBER) / last**2
+    root, inverse = np.sqrt(weight), invert_normal(normal_matrix(linear, weight))
+    data = linear * root[:, :, None], residual * root, inverse
+    lengths, counts = [len(one) for _, one in parts], np.ones(residual.shape, bool)
+    variances = np.diag(estimate_covariance(*data, lengths, counts))
+    sigma = np.sqrt(np.maximum(variances, np.diag(inverse)))  # that of white errors, at least
     if not mass > 2.0 * sigma[0]:
         raise IdentificationError(
             f'the recording shows no tool: mass {mass:.3f} kg within '
@@ -77,18 +82,6 @@ def _balance(arm: SerialArm, segment: Segment) -> tuple[np.ndarray, np.ndarray]:
     offsets = np.broadcast_to(np.eye(n), (len(filtered), n, n))
     design = np.concatenate([filtered, offsets], axis=2)
     return design, low_pass(residual, cutoff, motion.step)[cut]
-
-
-def _deviations(design: np.ndarray, residual: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """Standard deviations of a robust fit, clustered over blocks of time."""
-    weight = huber(residual / scale, _HUBER) / scale**2
-    flat = (design * np.sqrt(weight)[:, :, None]).reshape(-1, design.shape[2])
-    inverse = np.linalg.pinv(flat.T @ flat)
-    scores = np.einsum('ijk,ij->ik', design, weight * residual)
-    blocks = np.array_split(scores, min(_BLOCKS, len(scores)))
-    sums = np.array([block.sum(axis=0) for block in blocks])
-    meat = sums.T @ sums * len(blocks) / max(1, len(blocks) - 1)
-    return np.sqrt(np.diag(inverse @ meat @ inverse))
 
 
 def with_payload(arm: SerialArm, payload: Payload) -> SerialArm:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from lpv.core.serial_arm.description import coulomb_direction
-from lpv.identify.estimation.autocorrelation import residual_autocovariances, score_covariance
+from lpv.identify.estimation.autocorrelation import estimate_covariance
 from lpv.identify.estimation.robust import (
     huber,
     invert_normal,
@@ -246,7 +246,6 @@ def _uncertainty(
     problem: Problem, full: np.ndarray, residual: np.ndarray, weight: np.ndarray, prior: Prior
 ) -> np.ndarray:
     """Covariance of the parameters; slopes are estimated, too."""
-    # The estimate's error is inverse @ (score of the data + score of the prior).
     n, size = problem.n, len(prior.mean)
     known = np.append(problem.constraints(np.ones(n))[0], np.ones(n, bool))
     slopes = _SLOPE_HELD * np.eye(n)
@@ -254,8 +253,5 @@ def _uncertainty(
     inverse = np.zeros_like(matrix)
     inverse[np.ix_(known, known)] = invert_normal(matrix[np.ix_(known, known)])
     root = np.sqrt(weight)
-    rows = full * root[:, :, None]
-    counts = problem.counts
-    gammas = residual_autocovariances(rows, residual * root, inverse, problem.lengths, counts)
-    scores = score_covariance(rows, gammas, problem.lengths) + block_diag(prior.score, slopes)
-    return (inverse @ scores @ inverse)[:size, :size]
+    data = full * root[:, :, None], residual * root, inverse, problem.lengths, problem.counts
+    return estimate_covariance(*data, block_diag(prior.score, slopes))[:size, :size]
