@@ -14,8 +14,8 @@ from ur10e_twin import recording as recording_of_twin
 from ur10e_twin import ur10e
 
 from lpv.core.serial_arm.arm_file import load_arm, save_arm
-from lpv.core.serial_arm.chain import compile_chain
-from lpv.core.serial_arm.description import JointFriction, LpvRegion, Uncertainty
+from lpv.core.serial_arm.chain import body_parameters, compile_chain
+from lpv.core.serial_arm.description import JointFriction, LinkInertia, LpvRegion, Uncertainty
 from lpv.core.serial_arm.dynamics.kinematics import forward_kinematics
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.support.errors import ConfigError, LpvError
@@ -245,6 +245,24 @@ def test_given_mistakes_when_looked_for_then_the_most_evident_one_is_named(
     arm = rough_arm if base is None else replace(rough_arm, base_orientation=base)
     (first,) = mistakes.find_mistakes(arm, [change(recording)])
     assert first.kind == kind and re.search(text, first.text)
+
+
+@pytest.mark.parametrize(
+    ('load', 'offset', 'said'),
+    [(0.0, 0.0, None), (1.0, 0.0, r'by about \+1(\.\d)? kg in b'), (0.0, 0.06, r'two .* rad in b')],
+)
+def test_given_several_recordings_when_one_contradicts_the_others_then_it_is_named(
+    rough_arm, arm, simulated, load, offset, said
+):
+    *others, last = arm.joints
+    tool = body_parameters(load, (0.3, 0.0, 0.0), np.zeros((3, 3)))
+    link = LinkInertia.from_vector(last.link.to_vector() + tool)
+    loaded = replace(arm, joints=(*others, replace(last, link=link)))
+    one, odd, third = simulated(arm, 1), simulated(loaded, 2), simulated(arm, 3)
+    odd = replace(odd, position=odd.position + [0.0, offset, 0.0])
+    recordings = [replace(r, source=name) for name, r in zip('abc', (one, odd, third))]
+    found = mistakes.find_mistakes(rough_arm, recordings)
+    assert [bool(re.search(said or '', m.text)) for m in found] == [True] * (said is not None)
 
 
 class Swing:

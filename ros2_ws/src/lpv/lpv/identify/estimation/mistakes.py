@@ -25,7 +25,7 @@ from lpv.identify.recordings.motion import Segment, find_bandwidths, moving, spl
 from lpv.identify.recordings.recording import Recording
 
 _SURE = 10.0  # logarithm of a Bayes factor from which a mistake is named, against none or others
-_COST = 2.0  # logarithm of how much less likely a mistake is than none, of one joint
+_COST = 2.0  # logarithm of how much less likely a mistake is than none, of a joint in a recording
 _MISSED = 0.01  # share of the torques that models of healthy arms miss, at least
 _FREE = 1e-6  # information on friction before the data
 _LATE = 0.01  # usual delay of efforts, at least that of a sample [s]
@@ -69,11 +69,14 @@ def find_mistakes(arm: SerialArm, recordings: Sequence[Recording]) -> list[Mista
     """What is most evidently wrong in a set-up by healthy motion; none if it fits.
 
     After efforts without the weight, which an identification finds by itself, another mistake.
+    Where there are several recordings, one alone may have another load or other readings.
     """
     if text := other_unit(arm, np.concatenate([one.position for one in recordings])):
         return [Mistake('angle', text, np.inf)]  # all else would follow from it
-    slow = _slow(arm, [s for one in recordings for s in split(one)])
-    judge = _Judge(arm, slow)
+    parts = [split(one) for one in recordings]
+    slow = _slow(arm, [segment for part in parts for segment in part])
+    sources = [one.source for one, part in zip(recordings, parts) for _ in part]
+    judge = _Judge(arm, slow, np.repeat(sources, [len(s.time) for s in slow]))
     gravity = arm.gravity_vector() if arm.effort_includes_gravity else np.zeros(3)
     setup = judge.setup(slow, gravity)
     found: list[Mistake] = []
@@ -156,8 +159,11 @@ class _Evidence:
 class _Judge:
     """Evidence of set-ups of one arm."""
 
-    def __init__(self, arm: SerialArm, segments: Sequence[Segment]):
+    def __init__(self, arm: SerialArm, segments: Sequence[Segment], sources: np.ndarray):
         self._arm, self._model = arm, RigidBody(arm)
+        # Samples of each recording; of each that may differ from the others.
+        self._parts = {name: sources == name for name in np.unique(sources)}
+        self._of_one = self._parts if len(self._parts) > 1 else {}
         self._base = find_base_parameters(self._model)
         self._size = size = self._base.size
         prior = base_prior(arm, self._base)
@@ -173,13 +179,11 @@ class _Judge:
         self._band = find_bandwidths(list(segments)).test
         samples = 2.0 * self._band * duration
         self._share = samples / sum(len(s.time) for s in segments)  # that is independent
-        self._of_drive = np.array(
-            [_FREE, _FREE, _FREE, model_error(arm) ** -2, max(_LATE, arm.sample_time) ** -2]
-        )
+        self._of_drive = _FREE, model_error(arm) ** -2, max(_LATE, arm.sample_time) ** -2
         self._fastest = np.array([joint.limits.velocity for joint in arm.joints])
         # What a model misses lasts as long as a pose: half a period of the fastest motion.
         self._stretches = max(3, int(self._band * duration))
-        self.cost = _COST + np.log(len(arm.joints))
+        self.cost = _COST + np.log(len(arm.joints) * len(self._parts))
 
     def _with_load(self, sigma: float) -> np.ndarray:
         """Information on the base parameters where a mass at the tip is known within sigma [kg]."""
@@ -234,8 +238,9 @@ class _Judge:
     ) -> tuple[np.ndarray, Prior, np.ndarray]:
         """Columns with those of all drives, their prior, and which may not be negative.
 
-        Drives have friction, which dissipates at all rates, an offset, and a gain and delay that
-        are about as the file says; ``torque``, shape (samples, n), is what it expects.
+        Drives have friction, which dissipates at all rates, of each recording, as temperatures
+        differ; an offset; a gain and delay that are about as the file says; ``torque``, shape
+        (samples, n), is what it expects.
         """
         rates = np.concatenate([s.velocity for s in setup.segments])
         _, n, size = columns.shape
@@ -243,11 +248,15 @@ class _Judge:
         friction = friction_columns(rates, slope, np.zeros_like(rates))[:, :, [0, 1, 3]]
         friction[:, :, 1] += friction[:, :, 0] * least_viscous(slope, self._fastest)
         drives = np.stack([torque, _each(setup, derivative, torque)], axis=2)
-        terms = np.concatenate([self._filtered(setup, friction), drives], axis=2)
-        information = np.diag(np.append(np.zeros(size), np.tile(self._of_drive, n)))
+        friction = self._filtered(setup, friction)
+        own = [friction[:, :, :2] * part[:, None, None] for part in self._parts.values()]
+        terms = np.concatenate([*own, friction[:, :, 2:], drives], axis=2)
+        known = np.append(np.full(2 * len(own), _FREE), self._of_drive)
+        information = np.diag(np.append(np.zeros(size), np.tile(known, n)))
         information[: self._size, : self._size] = self._information[setup.loaded]
         mean = np.append(self._mean, np.zeros(len(information) - self._size))
-        passive = np.append(np.zeros(size, bool), np.tile([True, True, False, False, False], n))
+        signs = [True, True] * len(own) + [False, False, False]
+        passive = np.append(np.zeros(size, bool), np.tile(signs, n))
         return join_columns(columns, terms), Prior(mean, information), passive
 
     def _fit(
@@ -288,25 +297,28 @@ class _Judge:
         elapsed = _elapsed(setup)
         position = np.concatenate([s.position[:, j] for s in setup.segments])
         length = joint.units[0]
-        for course, text in (
-            (np.ones(len(position)), f'{{:+.2g}} {length} all the time: is its zero right?'),
-            (position, '{:+.1%} of what they are: is its ratio right?'),
-            (elapsed, f'{{:+.2g}} {length}/s more and more: its encoder drifts or slips'),
-        ):
+        courses = [
+            (np.ones(len(position)), f'{{:+.2g}} {length} all the time: is its zero right?', ''),
+            (position, '{:+.1%} of what they are: is its ratio right?', ''),
+            (elapsed, f'{{:+.2g}} {length}/s more and more: its encoder drifts or slips', ''),
+        ]
+        for name, part in self._of_one.items():
+            courses.append((part.astype(float), f'{{:+.2g}} {length} in {{}} alone', name))
+        for course, text, where in courses:
             usual = joint.scale / max(float(np.max(np.abs(course))), 1e-9)
             size, left, other = 0.0, np.inf, setup
             for _ in range(_STEPS):
                 before = self.evidence(other)
                 ahead = self._moved(setup, (-size - 1e-3 * usual) * np.outer(course, unit))
                 change = (self._regressor(ahead) - self._regressor(other)) @ before.beta / 1e-3
-                found = self.evidence(other, _halves(change, elapsed))
+                found = self.evidence(other, _halves(change, elapsed, course != 0.0))
                 left = usual * float(np.max(np.abs(found.extra)))
                 if found.over(before) - self.cost < (0.0 if size else _SURE):
                     break
                 size += float(np.clip(found.extra.mean(), -_FARTHEST, _FARTHEST)) * usual
                 other = self._moved(setup, -size * np.outer(course, unit))
             if abs(size) > max(left, _LEAST_ANGLE * usual):
-                yield f'readings of {joint.name} are off by about {text.format(size)}', other
+                yield f'readings of {joint.name} are off by about {text.format(size, where)}', other
 
     def _moved(self, setup: _Setup, change: np.ndarray) -> _Setup:
         """The set-up with other positions by a change of shape (samples, n)."""
@@ -364,16 +376,18 @@ class _Judge:
     def _load_changes(self, setup: _Setup) -> _Tried:
         elapsed = _elapsed(setup)
         pull, effort = self._regressor(setup) @ self._load, _efforts(setup)
-        for moment in _CHANGES * elapsed.max():
-            later = pull * (elapsed > moment)[:, None]
-            halves = self.evidence(setup, _halves(later, np.maximum(elapsed, moment))).extra
+        parts = [(elapsed > m, f'after {m:.0f} s') for m in _CHANGES * elapsed.max()]
+        parts += [(part, f'in {name}') for name, part in self._of_one.items()]
+        for part, when in parts:
+            other = pull * part[:, None]
+            halves = self.evidence(setup, _halves(other, elapsed, part)).extra
             mass = float(halves.mean())
             if abs(mass) < max(float(np.ptp(halves)), _LEAST_LOAD * self._loads[0]):
                 continue
             yield (
-                f'the load at the tip changes by about {mass:+.2g} kg after {moment:.0f} s: '
-                'identify from a recording with one load',
-                self._changed(setup, np.split(effort - mass * later, _ends(setup))),
+                f'the load at the tip changes by about {mass:+.2g} kg {when}: '
+                'identify from recordings with one load',
+                self._changed(setup, np.split(effort - mass * other, _ends(setup))),
             )
 
     def _turned(self, setup: _Setup) -> _Setup:
@@ -442,9 +456,10 @@ class _Judge:
         )
 
 
-def _halves(columns: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Columns for each half of a time: what is off for long is so in both, shape (..., 2)."""
-    early = (time < 0.5 * (time.min() + time.max()))[:, None]
+def _halves(columns: np.ndarray, time: np.ndarray, part: np.ndarray) -> np.ndarray:
+    """Columns for each half of a part: what is off for long is so in both, shape (..., 2)."""
+    inside = time[part] if part.any() else time
+    early = (time < 0.5 * (inside.min() + inside.max()))[:, None]
     return np.stack([columns * early, columns * ~early], axis=2)
 
 
