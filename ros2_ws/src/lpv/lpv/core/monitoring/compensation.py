@@ -5,17 +5,30 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from lpv.core.monitoring.carried_motion import (
+    CarriedMotion,
+    accelerate,
+    begin,
+    carry,
+    correct,
+    new_motion,
+)
 from lpv.core.serial_arm.chain import FloatArray, IntArray
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.diagnosis.alarms import Mode
 from lpv.core.serial_arm.diagnosis.monitor import LONGEST_STEP
-from lpv.core.serial_arm.diagnosis.sampler import DELAY
+from lpv.core.serial_arm.diagnosis.sampler import DELAY, JUMP_SCALE
 from lpv.core.serial_arm.sensor_map import map_vector
 from lpv.core.support.jit import njit_in_place
 from lpv.core.support.records import record_type
 from lpv.core.support.timestamps import NANOSECONDS, NEVER
 
 BRIDGED = DELAY + 1
-"""Samples over which a reading that jumps is carried on by its rate: by then the jump is known, or
-has entered the balance."""
+"""Samples over which a reading that jumps is carried on: by then the jump is known, or has entered
+the balance."""
+_NOISY = BRIDGED + 1
+"""The same of a reading that is noisy."""
+_HOLDING = int(Mode.HOLDING)
 
 
 class Compensation(NamedTuple):
@@ -28,6 +41,7 @@ class Compensation(NamedTuple):
     estimate: FloatArray  # of the sample, less the estimated fault [rad]
     bridged: IntArray  # samples for which a reading has been carried on
     stamp: IntArray  # of the sample before [ns], shape (1,)
+    motion: CarriedMotion
 
 
 class Known(NamedTuple):
@@ -41,6 +55,9 @@ class Known(NamedTuple):
     bound: FloatArray  # of the error of fault [rad]
     threshold: FloatArray  # [rad]
     limit: FloatArray  # change of a reading that may be a jump [rad]
+    noise: FloatArray  # variance of a reading that is noisy, else 0 [rad2]
+    predicted: FloatArray  # share of an acceleration that torques predict
+    missed: FloatArray  # variance of what they do not predict [rad2/s4]
     state: npt.NDArray[np.uint8]
     is_error: npt.NDArray[np.bool_]  # confirmed
     is_derived: npt.NDArray[np.bool_]  # the rate is derived from the reading
@@ -91,11 +108,13 @@ def answer_rows(records: npt.NDArray[np.void]) -> AnswerRows:
     )
 
 
-def new_compensation(joints: int) -> Compensation:
+def new_compensation(arm: SerialArm) -> Compensation:
     """Nothing is removed yet."""
-    applied, position, velocity, change, estimate = np.zeros((5, joints))
-    bridged, stamp = np.zeros(joints, np.int64), np.array([NEVER])
-    return Compensation(applied, position, velocity, change, estimate, bridged, stamp)
+    applied, position, velocity, change, estimate = np.zeros((5, len(arm.joints)))
+    bridged, stamp = np.zeros(len(arm.joints), np.int64), np.array([NEVER])
+    return Compensation(
+        applied, position, velocity, change, estimate, bridged, stamp, new_motion(arm)
+    )
 
 
 @njit_in_place
@@ -121,6 +140,8 @@ def fill_answers(
         row = first + k
         elapsed = (stamps[k] - flags.stamp) / NANOSECONDS
         step = _step(work, stamps[k], flags.fading, flags.sample_time)
+        if step[1]:
+            _accelerate(work, samples[k, 2], step[0], flags.mode != _HOLDING)
         for i in range(known.fault.shape[0]):
             fault, confirmed = known.fault[i] + elapsed * known.rate[i], 0.0
             drift, growth = 0.0, 0.0
@@ -130,7 +151,7 @@ def fill_answers(
                 drift = growth if known.is_derived[i] else 0.0
             drift += known.rate_error[i]
             measured = samples[k, 0, i], samples[k, 1, i]
-            _correct(work, i, measured, (confirmed, drift, growth), known.limit[i], step)
+            _correct(work, i, measured, (confirmed, drift, growth), known, step)
             work.estimate[i] = work.position[i] + work.applied[i] - fault
             rows.estimate[row, i], rows.bound[row, i] = fault, known.bound[i]
             rows.threshold[row, i], rows.state[row, i] = known.threshold[i], known.state[i]
@@ -175,15 +196,23 @@ def _step(
 
 
 @njit_in_place
+def _accelerate(work: Compensation, torque: FloatArray, interval: float, uses: bool) -> None:
+    """Predict what is carried on by torques, where these hold the weight."""
+    work.motion.acceleration[:] = 0.0
+    if uses and work.bridged.any():
+        accelerate(work.motion, work.position, work.velocity, torque, interval)
+
+
+@njit_in_place
 def _correct(
     work: Compensation,
     i: int,
     measured: tuple[float, float],
     fault: tuple[float, float, float],
-    limit: float,
+    known: Known,
     step: tuple[float, bool, float],
 ) -> None:
-    """Reading and rate of a sensor without the fault; a jump is carried on by the rate.
+    """Reading and rate of a sensor without the fault; one that jumps or is noisy is carried on.
 
     ``fault``: of the reading [rad], of the rate, and at which the first one grows [rad/s]; of a
     rate that says nothing NaN.
@@ -194,17 +223,46 @@ def _correct(
     position, velocity = measured[0] - work.applied[i], measured[1] - fault[1]
     if np.isnan(fault[1]):
         velocity = (position - work.position[i]) / interval if follows else work.velocity[i]
-    largest = limit + 2.0 * interval * abs(work.change[i])
-    carried = work.position[i] + interval * work.velocity[i]
+    noisy = follows and known.noise[i] > 0.0
+    carried, rate = work.position[i] + interval * work.velocity[i], work.velocity[i]
+    if noisy or work.bridged[i] > 0:
+        acceleration = _carry(work, i, known, interval)
+        carried += 0.5 * interval**2 * acceleration
+        rate += interval * acceleration
+    largest = known.limit[i] + 2.0 * interval * abs(work.change[i])
     is_near = abs(position - carried) <= largest
     may_differ = work.bridged[i] > 0 if is_near else follows and work.bridged[i] < BRIDGED
-    # The difference of two readings of which one is carried on, or was, is no rate.
-    if may_differ and abs(velocity - work.velocity[i]) * interval > largest:
-        velocity = work.velocity[i]
-    if is_near:
-        work.bridged[i] = 0
-    elif may_differ:
-        position = carried
-        work.bridged[i] += 1
+    if noisy:
+        work.bridged[i] = _NOISY
+        # Between spikes readings are right.
+        noise = min(known.noise[i], largest**2) if is_near else known.noise[i]
+        shift, change = correct(work.motion, i, 0, position - carried, noise)
+        carried, rate = carried + shift, rate + change
+        if not (known.is_derived[i] or np.isnan(fault[1])):
+            shift, change = correct(work.motion, i, 1, velocity - rate, work.motion.rate_noise[i])
+            carried, rate = carried + shift, rate + change
+        position, velocity = carried, rate
+    else:
+        # The difference of two readings of which one is carried on, or was, is no rate.
+        if may_differ and abs(velocity - rate) * interval > largest:
+            velocity = rate
+        if is_near:
+            work.bridged[i] = 0
+        elif may_differ:
+            if work.bridged[i] == 0:
+                _carry(work, i, known, interval)
+            position = carried
+            work.bridged[i] += 1
     work.change[i] = velocity - work.velocity[i] if follows else 0.0
     work.position[i], work.velocity[i] = position, velocity
+
+
+@njit_in_place
+def _carry(work: Compensation, i: int, known: Known, interval: float) -> float:
+    """Carry on a sensor; its acceleration [rad/s2]."""
+    if work.bridged[i] in (0, BRIDGED):  # the last reading counted as it was
+        usual = (known.limit[i] / JUMP_SCALE) ** 2
+        error = max(usual, known.noise[i]) if work.bridged[i] == BRIDGED else usual
+        rate = 2.0 * error / interval**2 if known.is_derived[i] else work.motion.rate_noise[i]
+        begin(work.motion, i, error, rate, known.missed[i])
+    return carry(work.motion, i, known.predicted[i], known.missed[i], interval)

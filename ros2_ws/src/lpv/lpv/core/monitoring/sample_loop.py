@@ -175,7 +175,7 @@ def _know_nothing_wrong(parts: Parts, one: Answering, stamp: int) -> None:
         known.rate_error[i] = 0.0
         known.bound[i] = sigmas * sigma
         known.threshold[i] = max(sigmas * sigma, smallest * parts.scales[i])
-        known.limit[i] = smallest_jump(parts.sampler, i)
+        known.limit[i], known.noise[i] = smallest_jump(parts.sampler, i), 0.0
         known.is_error[i] = False
         known.state[i] = NOT_DIAGNOSABLE if sigma > widest * parts.scales[i] else OK
     flags.stamp, flags.trustworthy, flags.inconsistent = stamp, True, False

@@ -230,12 +230,12 @@ class SerialSensorMonitor:
         self._reading = np.zeros(self._joints)  # of that sample [rad]
         self._repeats: Any = new_record(repeats_type(self._joints), grain=np.inf, recent=np.nan)
         self._older = 0  # measurements in a row that were older than the last one
-        n, self._noted = self._joints, 0  # stamp from which on the snapshot holds [ns]
+        self._noted = 0  # stamp from which on the snapshot holds [ns]
         flags = new_record(FLAGS, sample_time=self.arm.sample_time)
         progress = new_record(PROGRESS, next_report=NEVER)
         uio = no_observer() if self._uio is None else self._uio.parts
         self._answering = Answering(
-            new_compensation(n), self._nothing_known(), memory(flags), memory(progress), uio
+            new_compensation(self.arm), self._nothing_known(), memory(flags), memory(progress), uio
         )
         self._flags, self._progress = plain(flags), plain(progress)
         self._balances, self._balanced = -1, NEVER  # at the last complete balance
@@ -248,11 +248,12 @@ class SerialSensorMonitor:
 
     def _nothing_known(self) -> Known:
         fault, rate, confirmed, growth, error, bound, threshold, limit = np.zeros((8, self._joints))
+        noise, predicted, missed = np.zeros((3, self._joints))
         state = np.zeros(self._joints, np.uint8)
         is_error, is_derived = np.zeros((2, self._joints), bool)
         return Known(
-            fault, rate, confirmed, growth, error, bound, threshold, limit, state, is_error,
-            is_derived, self._to_joints)  # fmt: skip
+            fault, rate, confirmed, growth, error, bound, threshold, limit, noise,
+            predicted, missed, state, is_error, is_derived, self._to_joints)  # fmt: skip
 
     def warm_up(self, suspicious: bool = False) -> None:
         """Compile with a made-up motion, and forget it: the first real samples must not wait.
@@ -605,6 +606,8 @@ class SerialSensorMonitor:
         known.rate_error[:] = snapshot.rate_error
         known.bound[:], known.threshold[:] = tuning.sigmas * snapshot.sigma, snapshot.threshold
         known.limit[:], known.state[:] = snapshot.jump_limit, snapshot.state
+        known.noise[:], known.missed[:] = snapshot.noise, snapshot.missed
+        known.predicted[:] = snapshot.predicted
         known.is_error[:] = is_error
         known.is_derived[:] = self._monitor.sampler.derived == 1.0
         unwatched = self._balanced + UNWATCHED

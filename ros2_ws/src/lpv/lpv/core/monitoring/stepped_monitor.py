@@ -11,9 +11,11 @@ from lpv.core.monitoring.sample_loop import DECIDE, JUMP, KNOW, REPORT, SAMPLE, 
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import SensorState
-from lpv.core.serial_arm.diagnosis.decision import Parts
+from lpv.core.serial_arm.diagnosis.decision import Parts, reading_noise
 from lpv.core.serial_arm.diagnosis.healthy_set import Guarantee
+from lpv.core.serial_arm.diagnosis.information import slot
 from lpv.core.serial_arm.diagnosis.monitor import WIDEST_LEVEL, SerialAlarm, SerialMonitor
+from lpv.core.serial_arm.diagnosis.priors import ACCELERATIONS, USUAL_ACCELERATION
 from lpv.core.serial_arm.diagnosis.sampler import JUMP_SCALE, REPLACED
 from lpv.core.support.records import plain
 
@@ -33,6 +35,9 @@ class Snapshot(NamedTuple):
     jump: FloatArray  # by which readings were found to have jumped at this sample [rad]
     threshold: FloatArray  # beyond which an offset is a fault [rad]
     jump_limit: FloatArray  # change of a reading that may be a jump [rad]
+    noise: FloatArray  # variances of readings that are noisy, 0 of others [rad2]
+    predicted: FloatArray  # shares of accelerations that torques predict
+    missed: FloatArray  # variances of those that they do not predict [rad2/s4]
     state: npt.NDArray[np.uint8]  # of `SensorState`
     is_level: npt.NDArray[np.bool_]  # whether all of fault is confirmed, not only what is removed
     unseen: npt.NDArray[np.bool_]  # confirmed before the clock was set, not seen since
@@ -171,9 +176,31 @@ class SteppedMonitor(SerialMonitor):
             np.where(sampler.contrast[REPLACED] > 0.0, np.nan, sampler.rate_error),
             np.sqrt(self._removed_variance + changing**2), jump,
             np.maximum(settings.sigmas * sigma, settings.minimum_threshold * scales),
-            np.maximum(JUMP_SCALE * sampler.usual, sampler.smallest), state,
+            np.maximum(JUMP_SCALE * sampler.usual, sampler.smallest),
+            np.array([sampler.noisy[i] and reading_noise(sampler, i) for i in range(self.joints)]),
+            *self._accelerations(), state,
             np.array([one.level and one.active for one in sensors]),
             np.array([one.unseen for one in sensors]),
             self._suspects, self.in_contact, self.balances, alarms, self.guarantee,
             self.healthy is not None, self.estimator.misfit(), self.contradicts,
         )  # fmt: skip
+
+    def _accelerations(self) -> tuple[FloatArray, FloatArray]:
+        """Shares of the readings' accelerations that torques predict, and variances of the rest.
+
+        A loop that is closed on a noisy reading drives its joint as one that froze does.  What
+        torques miss may be more than that, as of wrists with friction and hardly any inertia.
+        """
+        usual = USUAL_ACCELERATION * self.scales
+        if not (self.uses_balances and len(self.estimator)):
+            return np.zeros(self.joints), usual**2
+        if self.sampler.noisy.any():  # then it counts
+            usual = np.array([self.readings.acceleration(i) for i in range(self.joints)])
+        driven = (ACCELERATIONS[-1] * usual) ** 2
+        null, window = self.estimator.posterior, self.estimator.window
+        mass = self.bank.parts.mass[slot(window, 0)]
+        tiny = np.finfo(float).eps * np.abs(mass).max()  # of joints without inertia
+        per_torque = np.linalg.inv(mass + tiny * np.eye(self.joints))
+        torque = null.noise**2 * null.inflation / self.plan.interval**2
+        predicted: FloatArray = driven / (driven + per_torque**2 @ torque)
+        return predicted, (1.0 - predicted) * driven

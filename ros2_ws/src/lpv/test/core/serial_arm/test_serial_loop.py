@@ -68,6 +68,21 @@ def test_given_spikes_when_rates_are_differences_then_the_arm_stays_on_its_path(
     assert np.abs(run.estimated_velocity - run.velocity).max() < 0.5  # of differences: 150 rad/s
 
 
+@pytest.mark.parametrize(('size', 'duration'), [(0.04, 0.5), (0.075, 2.0), (0.04, 0.014)])
+@pytest.mark.parametrize('rates', ['derived', 'independent'])
+def test_given_a_noisy_reading_when_in_the_loop_then_the_arm_stays_on_its_path(
+    rates, size, duration
+):
+    noise = Fault('encoder2', 'noise', 1.0, duration=duration, size=size)
+    run = simulate(noise, rates=rates)
+    assert np.abs(run.position - run.reference).max() < 0.1
+    burst = (run.time >= 1.0) & (run.time < 1.0 + duration)
+    error, raw = (
+        part[burst, 1] - run.position[burst, 1] for part in (run.compensated, run.measured)
+    )
+    assert np.sqrt((error**2).mean()) < 0.5 * np.sqrt((raw**2).mean())
+
+
 def test_given_no_readings_for_less_than_50_ms_when_the_arm_moves_then_it_is_not_stopped():
     faults = (Fault(f'encoder{i}', 'dropout', 1.0, duration=0.04) for i in (1, 2, 3))
     run = simulate(*faults, duration=2.0)
