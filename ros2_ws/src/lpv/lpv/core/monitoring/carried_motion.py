@@ -122,11 +122,11 @@ def correct(
     """Corrections of reading and rate by a reading (row 0) or a rate (row 1), with its variance."""
     own = motion.covariance[i]
     first, second, third = own[0, row], own[1, row], own[2, row]
-    share = innovation / (own[row, row] + noise)
+    variance = own[row, row] + noise
+    share = innovation / variance
     motion.missed[i] += third * share
-    weight = 1.0 / (own[row, row] + noise)
     for j in range(3):
-        other = own[j, row] * weight
+        other = own[j, row] / variance
         own[j, 0] -= other * first
         own[j, 1] -= other * second
         own[j, 2] -= other * third

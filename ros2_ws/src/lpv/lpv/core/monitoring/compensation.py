@@ -236,12 +236,10 @@ def _correct(
         work.bridged[i] = _NOISY
         # Between spikes readings are right.
         noise = min(known.noise[i], largest**2) if is_near else known.noise[i]
-        shift, change = correct(work.motion, i, 0, position - carried, noise)
-        carried, rate = carried + shift, rate + change
-        if not (known.is_derived[i] or np.isnan(fault[1])):
-            shift, change = correct(work.motion, i, 1, velocity - rate, work.motion.rate_noise[i])
-            carried, rate = carried + shift, rate + change
-        position, velocity = carried, rate
+        says_more = not (known.is_derived[i] or np.isnan(fault[1]))
+        position, velocity = _filter(
+            work.motion, i, (carried, rate), (position, velocity), noise, says_more
+        )
     else:
         # The difference of two readings of which one is carried on, or was, is no rate.
         if may_differ and abs(velocity - rate) * interval > largest:
@@ -255,6 +253,27 @@ def _correct(
             work.bridged[i] += 1
     work.change[i] = velocity - work.velocity[i] if follows else 0.0
     work.position[i], work.velocity[i] = position, velocity
+
+
+@njit_in_place
+def _filter(
+    motion: CarriedMotion,
+    i: int,
+    carried: tuple[float, float],
+    measured: tuple[float, float],
+    noise: float,
+    says_more: bool,
+) -> tuple[float, float]:
+    """Reading and rate as carried on, corrected by measured ones; ``noise`` is the reading's.
+
+    ``says_more`` is whether the rate says what the reading does not.
+    """
+    shift, change = correct(motion, i, 0, measured[0] - carried[0], noise)
+    position, velocity = carried[0] + shift, carried[1] + change
+    if says_more:
+        shift, change = correct(motion, i, 1, measured[1] - velocity, motion.rate_noise[i])
+        position, velocity = position + shift, velocity + change
+    return position, velocity
 
 
 @njit_in_place
