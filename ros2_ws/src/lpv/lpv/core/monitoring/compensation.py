@@ -61,7 +61,6 @@ class Known(NamedTuple):
     state: npt.NDArray[np.uint8]
     is_error: npt.NDArray[np.bool_]  # confirmed
     is_derived: npt.NDArray[np.bool_]  # the rate is derived from the reading
-    to_joints: FloatArray  # S^-1 of y = S q + f, shape (n, n)
 
 
 FLAGS = record_type(
@@ -156,11 +155,11 @@ def fill_answers(
             rows.estimate[row, i], rows.bound[row, i] = fault, known.bound[i]
             rows.threshold[row, i], rows.state[row, i] = known.threshold[i], known.state[i]
             rows.alarm[row, i] = known.is_error[i]
-        map_vector(known.to_joints, work.position, rows.compensated[row])
-        map_vector(known.to_joints, work.velocity, rows.velocity[row])
-        map_vector(known.to_joints, work.estimate, rows.position[row])
-        map_vector(known.to_joints, samples[k, 0], rows.measured[row])
-        map_vector(known.to_joints, samples[k, 1], rows.measured_velocity[row])
+        map_vector(work.motion.to_joints, work.position, rows.compensated[row])
+        map_vector(work.motion.to_joints, work.velocity, rows.velocity[row])
+        map_vector(work.motion.to_joints, work.estimate, rows.position[row])
+        map_vector(work.motion.to_joints, samples[k, 0], rows.measured[row])
+        map_vector(work.motion.to_joints, samples[k, 1], rows.measured_velocity[row])
         rows.answered[row], rows.has_fault[row] = True, True
         rows.inconsistent[row], rows.mode[row] = flags.inconsistent, flags.mode
         rows.trustworthy[row] = flags.trustworthy and stamps[k] <= flags.until

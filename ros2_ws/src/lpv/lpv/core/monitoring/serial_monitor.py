@@ -253,7 +253,7 @@ class SerialSensorMonitor:
         is_error, is_derived = np.zeros((2, self._joints), bool)
         return Known(
             fault, rate, confirmed, growth, error, bound, threshold, limit, noise,
-            predicted, missed, state, is_error, is_derived, self._to_joints)  # fmt: skip
+            predicted, missed, state, is_error, is_derived)  # fmt: skip
 
     def warm_up(self, suspicious: bool = False) -> None:
         """Compile with a made-up motion, and forget it: the first real samples must not wait.
