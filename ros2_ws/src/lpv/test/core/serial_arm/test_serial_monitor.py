@@ -14,6 +14,8 @@ from lpv.core.serial_arm.description import Uncertainty
 from lpv.core.serial_arm.diagnosis.estimator import DISTRUST
 from lpv.core.serial_arm.diagnosis.monitor import CONTACT_TIME, SensorState, SerialMonitor
 from lpv.core.serial_arm.diagnosis.published_rates import rate_lag
+from lpv.core.serial_arm.diagnosis.sampler import NOISY, SPIKE, STEP, new_sampler
+from lpv.core.serial_arm.diagnosis.sampling import push_sample
 from lpv.core.serial_arm.diagnosis.settings import MonitorSettings
 from lpv.core.serial_arm.dynamics.kinematics import jacobian
 from lpv.core.serial_arm.dynamics.payload import with_payload
@@ -121,6 +123,43 @@ def test_given_filtered_differences_of_rounded_readings_then_no_rate_is_named():
         samples = run.samples.copy()
         samples[:, 0] = np.round(samples[:, 0] / step) * step
         assert watch(shoulder_arm(), filtered(run._replace(samples=samples), share)).alarms == []
+
+
+def sampled(time, readings, period, smallest):
+    """A sampler after readings whose rates are their differences, and what it found."""
+    n = readings.shape[1]
+    sampler = new_sampler(np.ones(n), np.full(n, 1e-4), np.full(n, smallest), 40, 50)
+    rates = np.diff(readings, axis=0, prepend=readings[:1]) / period
+    found = []
+    for stamp, reading, rate in zip(time, readings, rates, strict=True):
+        push_sample(sampler, stamp, reading, rate, np.zeros(n))
+        found.append(sampler.found.copy())
+    return sampler, np.array(found)
+
+
+@pytest.mark.parametrize('size', [1.0, 2.5])
+def test_given_noise_when_its_jumps_are_about_the_smallest_then_they_are_no_wrong_stamps(size):
+    smallest, period = 0.02, 0.002
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        readings = 1e-5 * rng.standard_normal((120, 2))
+        readings[60:, 0] += size * smallest * rng.standard_normal(60)
+        sampler, found = sampled(period * np.arange(1, 121), readings, period, smallest)
+        assert list(sampler.noisy) == [1, 0] and (found[60:, 0] == NOISY).sum() == 1
+
+
+def test_given_wrong_stamps_when_readings_move_then_these_do_not_jump():
+    period, count = 0.002, 3000
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        time = period * np.arange(1, count + 1)
+        readings = 0.5 * np.sin(6.0 * time[:, None] + rng.uniform(0.0, 6.0, 2))
+        readings += 1e-5 * rng.standard_normal(readings.shape)
+        stamps = np.maximum.accumulate(time + 0.2 * period * rng.standard_normal(count))
+        stamps += 1e-9 * np.arange(count)
+        steps = np.maximum(np.diff(stamps, prepend=stamps[0] - period), 1e-4)
+        _, found = sampled(stamps, readings, steps[:, None], 1e-3)
+        assert not np.isin(found, (STEP, SPIKE, NOISY)).any()
 
 
 def test_two_steps_at_once_are_both_named():

@@ -25,6 +25,7 @@ from lpv.core.serial_arm.diagnosis.sampler import (
     NONE,
     PENDING,
     QUIET,
+    QUIET_COUNT,
     ROUNDING,
     SEEN,
     SPIKE,
@@ -56,8 +57,6 @@ from lpv.core.support.jit import njit_in_place
 _NOISE_COUNT = 4.5
 """Jumps among those that are noise: a spike in a reading and in the rate that is derived from it
 makes four."""
-_QUIET_COUNT = 0.5
-"""... and from which on the noise is over."""
 
 
 @njit_in_place
@@ -179,7 +178,7 @@ def _watch_noise(sampler: Sampler, i: int, beyond: bool) -> None:
     """Count jumps of a reading; many are noise, and no steps."""
     count, square, before = sampler.noise[:, i]
     jump = sampler.jumps[HISTORY - 2, i]
-    if sampler.noisy[i] == 0 and count < _QUIET_COUNT:
+    if sampler.noisy[i] == 0 and count < QUIET_COUNT:
         square, before = 0.0, sampler.correction[i]
     count += 1.0 if beyond and sampler.doubtful[HISTORY - 2, i] == 0 else 0.0
     count -= count / NOISE_MEMORY
@@ -193,7 +192,7 @@ def _watch_noise(sampler: Sampler, i: int, beyond: bool) -> None:
         sampler.correction[i] = before
         for k in range(HISTORY):
             sampler.samples[k, 0, i] += wrong
-    elif sampler.noisy[i] == 1 and count < _QUIET_COUNT:
+    elif sampler.noisy[i] == 1 and count < QUIET_COUNT:
         sampler.noisy[i] = 0
         sampler.found[i] = QUIET
     sampler.noise[0, i], sampler.noise[1, i], sampler.noise[2, i] = count, square, before

@@ -54,6 +54,8 @@ LIVELY = 0.02
 """Share of changes that go back and forth from which on a reading has noise, and never rests."""
 NOISE_MEMORY = 32.0
 """Samples over which jumps of a reading are counted."""
+QUIET_COUNT = 0.5
+"""Jumps among those from which on no noise is left."""
 
 
 class Sampler(NamedTuple):
@@ -223,10 +225,20 @@ def usual_rate(sampler: Sampler, i: int) -> float:
 
 @njit_in_place
 def rate_before(sampler: Sampler, i: int) -> float:
-    """Mean rate of a reading over the samples before those that the last e holds [rad/s]."""
-    last, first = HISTORY - 5, max(HISTORY - sampler.counters[COUNT], 0)
+    """Mean rate of a reading over the samples before those that the last e holds [rad/s].
+
+    Of a reading that jumped lately it is the part that e does not explain: noise is no motion.
+    """
+    last, first, largest = HISTORY - 5, max(HISTORY - sampler.counters[COUNT], 0), 0.0
+    if last <= first:
+        return 0.0
+    if sampler.noise[0, i] > QUIET_COUNT:
+        for k in range(first + 1, last + 1):
+            if sampler.doubtful[k, i] == 0:
+                largest = max(largest, abs(sampler.jumps[k, i]))
     way = sampler.samples[last, 0, i] - sampler.samples[first, 0, i]
-    return float(way / (sampler.time[last] - sampler.time[first])) if last > first else 0.0
+    rate = max(abs(way) - largest, 0.0) / (sampler.time[last] - sampler.time[first])
+    return float(np.copysign(rate, way))
 
 
 @njit_in_place
