@@ -14,8 +14,8 @@ from lpv.core.serial_arm.diagnosis.alarms import SensorState
 from lpv.core.serial_arm.diagnosis.decision import Parts, reading_noise
 from lpv.core.serial_arm.diagnosis.healthy_set import Guarantee
 from lpv.core.serial_arm.diagnosis.information import slot
-from lpv.core.serial_arm.diagnosis.monitor import WIDEST_LEVEL, SerialAlarm, SerialMonitor
-from lpv.core.serial_arm.diagnosis.priors import ACCELERATIONS, USUAL_ACCELERATION
+from lpv.core.serial_arm.diagnosis.monitor import SerialAlarm, SerialMonitor
+from lpv.core.serial_arm.diagnosis.priors import ACCELERATIONS, USUAL_ACCELERATION, WIDEST_LEVEL
 from lpv.core.serial_arm.diagnosis.sampler import JUMP_SCALE, REPLACED
 from lpv.core.support.records import plain
 

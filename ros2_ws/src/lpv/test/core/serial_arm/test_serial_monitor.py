@@ -11,8 +11,9 @@ from simulated_runs import Push, Run, simulated_run
 
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import Uncertainty
+from lpv.core.serial_arm.diagnosis.bank import CONTACT_TIME
 from lpv.core.serial_arm.diagnosis.estimator import DISTRUST
-from lpv.core.serial_arm.diagnosis.monitor import CONTACT_TIME, SensorState, SerialMonitor
+from lpv.core.serial_arm.diagnosis.monitor import SensorState, SerialMonitor
 from lpv.core.serial_arm.diagnosis.published_rates import rate_lag
 from lpv.core.serial_arm.diagnosis.sampler import NOISY, SPIKE, STEP, new_sampler
 from lpv.core.serial_arm.diagnosis.sampling import push_sample

@@ -96,8 +96,10 @@ QUIET_EVERY = 4
 NOT_EXCLUDED = 0.5
 """Share of the evidence for free torques that a fault of free course has to have: one encoder's
 explained up to 0.2 of pushes, and mostly 0.6 and more where it was wrong."""
-FREE_FOR = 1.0
-"""Longest time over which faults of free course are looked for [s]: one unknown a balance."""
+CONTACT_TIME = 1.0
+"""For which torques from outside must be the cause before they are reported [s]: a fault that
+begins shows as free torques first, until its time profile is seen.  Until then faults of free
+course are looked for, too.  As long around a contact nothing is learned."""
 
 
 BANK_STATE = record_type(
@@ -337,11 +339,9 @@ class Bank:
         logarithm of its Bayes factor, and the largest fault within so many ``sigmas`` [rad].
         """
         end, interval = float(self.estimator.times(1)[0]), self.estimator.plan.interval
-        contact = max(
-            (one for one in found if one.kind == CONTACT and one.begin > end - FREE_FOR - interval),
-            key=lambda one: one.gain,
-            default=None,
-        )
+        since = end - interval - CONTACT_TIME
+        pushes = (one for one in found if one.kind == CONTACT and one.begin > since)
+        contact = max(pushes, key=lambda one: one.gain, default=None)
         if contact is None or contact.gain <= 0.0:
             return {}
         last = round((end - contact.begin) / interval)

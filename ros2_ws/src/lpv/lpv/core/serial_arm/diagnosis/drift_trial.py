@@ -38,10 +38,9 @@ gain there, to second order."""
 _DIVERGED = 100.0
 """Standard deviations of drifts beyond which the search for a size has diverged: they alone cost
 more than balances give."""
-_STEPS = 2
-"""Newton steps for the size of a drift, from each of the trials that are refined."""
 _REFINED = 2
-"""Trials that are refined: as many as start from one onset."""
+"""Trials that are refined, as many as start from one onset, and Newton steps for the size of a
+drift from each of them."""
 
 
 class Trials(NamedTuple):
@@ -88,7 +87,7 @@ def balance_of_trials(balance: Balance, friction: FloatArray) -> Balance:
 def new_found(onsets: FloatArray) -> FloatArray:
     """Room for what `compare_drifts` finds for these onsets."""
     joints, count, _ = onsets.shape
-    return np.empty((joints, 2 * count + _REFINED * _STEPS, PROMISE + 1))
+    return np.empty((joints, 2 * count + _REFINED * _REFINED, PROMISE + 1))
 
 
 @njit_in_place
@@ -266,7 +265,7 @@ def compare_drifts(
                     size = _apparent_rate(trials.blocks, joint, start[BEGIN])
                 goes_on = start[GAIN] > -np.inf
             else:  # Newton steps
-                at = _most_promising(every[:first]) if (t - first) % _STEPS == 0 else t - 1
+                at = _most_promising(every[:first]) if (t - first) % _REFINED == 0 else t - 1
                 start = every[at]
                 size = start[NEXT]
                 goes_on = at >= 0 and abs(size) < _DIVERGED * prior

@@ -18,10 +18,10 @@ from lpv.core.serial_arm.diagnosis.estimator import STRAIGHT, OffsetEstimator
 from lpv.core.serial_arm.diagnosis.information import ROBUST, whiten
 from lpv.core.serial_arm.diagnosis.priors import (
     OFFSET_PRIOR,
-    OFFSET_SIGMA,
     SCALE_STEADY,
     STEADY,
     STEADY_FOR,
+    WIDEST_LEVEL,
 )
 from lpv.core.serial_arm.diagnosis.readings import Readings
 from lpv.core.serial_arm.diagnosis.sampler import HISTORY, Sampler, block_end, put_back, take_out
@@ -174,7 +174,7 @@ def begin_filter(
         one.covariance[0, 0] += (size * spread) ** 2
     elif kind == 'scale':
         one.mean[:2] = size, -size * origin
-        one.covariance = np.diag([sigma**2, OFFSET_SIGMA**2, 0.0])
+        one.covariance = np.diag([sigma**2, WIDEST_LEVEL**2, 0.0])
     elif kind == 'stuck':  # the reading is behind the joint: its fault is minus the way
         one.mean[:2] = -size, -size / past
         one.covariance = np.diag([sigma**2, (2.0 * sigma / past) ** 2, acceleration**2])

@@ -17,7 +17,7 @@ from lpv.core.serial_arm.certificate.jump_bound import jump_bound
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import SensorState
-from lpv.core.serial_arm.diagnosis.bank import Bank, Hypothesis
+from lpv.core.serial_arm.diagnosis.bank import CONTACT_TIME, Bank, Hypothesis
 from lpv.core.serial_arm.diagnosis.decision import (
     DECISION,
     STILL_TIME,
@@ -46,7 +46,14 @@ from lpv.core.serial_arm.diagnosis.information import ROBUST
 from lpv.core.serial_arm.diagnosis.learning import Learned, learned_of
 from lpv.core.serial_arm.diagnosis.linear_bank import STARTS
 from lpv.core.serial_arm.diagnosis.parameter_set import is_stated
-from lpv.core.serial_arm.diagnosis.priors import CONTACT, FAULT_AT_START, LOAD, OCCURRENCE, PUSH
+from lpv.core.serial_arm.diagnosis.priors import (
+    CONTACT,
+    FAULT_AT_START,
+    LOAD,
+    OCCURRENCE,
+    PUSH,
+    WIDEST_LEVEL,
+)
 from lpv.core.serial_arm.diagnosis.published_rates import CONTRADICTIONS
 from lpv.core.serial_arm.diagnosis.rate_sources import RateSources
 from lpv.core.serial_arm.diagnosis.readings import Readings
@@ -84,12 +91,6 @@ LONGEST_STEP = 10.0
 """Sample times after which the next sample begins anew."""
 OUTSIDE = (CONTACT, 'torque_offset')
 """Causes that are torques from outside, as far as can be told."""
-CONTACT_TIME = 1.0
-"""For which torques from outside must be the cause before they are reported [s]: a fault that
-begins shows as free torques first, until its time profile is seen.  As long around a contact
-nothing is learned."""
-WIDEST_LEVEL = 0.1
-"""Standard deviation of an offset that says nothing [rad], times `SerialJoint.scale`."""
 
 
 @dataclass(frozen=True)

@@ -25,8 +25,9 @@ FAULT_AT_START = 1e-3
 """Probability of an offset at the first sample."""
 OFFSET_PRIOR = 0.5
 """Standard deviation of an offset of which nothing is known [rad]."""
-OFFSET_SIGMA = 0.05
-"""Standard deviation of the offset beside a scale error that has just been named [rad]."""
+WIDEST_LEVEL = 0.1
+"""The same of one that cannot be diagnosed, and of that beside a scale error that has just been
+named [rad], times `SerialJoint.scale`."""
 STEADY = 0.1
 """Change of the rate of a drift in a second, standard deviation [rad/s]."""
 SCALE_STEADY = 0.01
@@ -53,21 +54,15 @@ USUAL_ACCELERATION = 2.0
 """The same [rad/s2]."""
 FAST = 3.0
 """Usual rate of a joint whose limit is higher [rad/s]."""
-LEAST_ACCELERATION = 1.0
-"""Usual acceleration of a joint that has hardly been seen to move [rad/s2]."""
 ACCELERATIONS = (1.0, 4.0, 16.0)
 """Accelerations of a joint whose reading froze that are tried, over the usual one: a loop that is
 closed on the reading drives its joint away."""
 STEADY_FOR = 0.2
-"""Time over which a joint's acceleration is correlated [s]."""
+"""Time over which a joint's acceleration is correlated, and rough torques are [s]."""
 
 PUSH = 2.0
 """Largest plausible torque from outside, over that which moves the arm."""
 AMPLITUDES = (1.0, 0.3, 0.1, 0.03)
 """Amplitudes of torques from outside that are tried, in the largest plausible one."""
-ROUGH_TIME = 0.3
-"""Over which rough torques are correlated [s]."""
 SMOOTH_TIMES = (1e3, 1.0, 0.5)
 """Correlation times of the smooth courses [s]; the first one is constant."""
-HORIZON_TIME = 2.0
-"""The same for a torque over the whole horizon [s]."""
