@@ -86,11 +86,9 @@ STUCK_FOR = (0.2, 0.4, 1.0)
 """Times for which a joint may have moved while its reading rests [s]."""
 ENCODER_KINDS = ('drift', 'scale', 'slip', 'stuck')
 """Faults of a position sensor (with the rate that is derived from it)."""
-LOUD = 0.5
-"""Share of the evidence that an alarm needs, from which on hypotheses that take more time are
-compared, too."""
-QUIET = 0.5 * LOUD
-"""The same below which the bank has found nothing."""
+QUIET = 0.25
+"""Share of the evidence that an alarm needs, below which the bank has found nothing; from it on
+hypotheses that take more time are compared, too."""
 QUIET_EVERY = 4
 """Balances after which the bank is asked while it has found nothing, and readings agree."""
 NOT_EXCLUDED = 0.5
@@ -534,11 +532,12 @@ def ask_bank(
         bank.to_sensors, (balance.clock[EPOCH], bank.interval), bank.unseen, bank.noise,
         state.windows)  # fmt: skip
     state.statistic = np.logaddexp(every, pushed) + bank.log_weight
-    if state.statistic < quiet:
+    found = not state.statistic < quiet
+    if found:
+        explain(bank.evidence, bank.kinds, window, null, rows, balance.clock[EPOCH], state.windows)
+    else:
         window.explained[:] = 0.0
         if own.held[0] > 1:
             learn_rows(own, bank.interval)
-    else:
-        explain(bank.evidence, bank.kinds, window, null, rows, balance.clock[EPOCH], state.windows)
-    state.waited = 0 if state.statistic < quiet else QUIET_EVERY
-    return rests or not state.statistic < LOUD * threshold
+    state.waited = QUIET_EVERY if found else 0
+    return rests or found
