@@ -119,12 +119,12 @@ def real_gains():
 
 
 @pytest.fixture(scope='session')
-def literal_gains(paper_model):
+def literal_gains(paper_arm):
     """Gains of the shipped requirement ``paper_literal``: LMI (55) as published."""
     from lpv_design.design_flow import design
     from lpv_design.requirement import load_requirement
 
-    return design(paper_model, load_requirement('paper_literal')).gains
+    return design(paper_arm, load_requirement('paper_literal')).gains
 
 
 @pytest.fixture(scope='session')

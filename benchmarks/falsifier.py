@@ -93,7 +93,7 @@ def attack(name: str, rate: int, options: argparse.Namespace) -> dict[str, objec
     """
     make, requirement = ARMS[name]
     arm = two_link_arm(replace(make(), sample_time=1.0 / rate))
-    gains = design(planar_model(arm), load_requirement(requirement)).gains
+    gains = design(arm, load_requirement(requirement)).gains
     attacker = Attacker(arm, options.duration, gains)
     start = time.process_time()
     found = search(attacker, options.evaluations, options.seed)

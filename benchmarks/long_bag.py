@@ -10,7 +10,7 @@ from lpv.bag.replay.writer import RecordTemplate
 from lpv.bag.rosbag.messages import BagMessages
 from lpv.bag.rosbag.metadata import qos_profile
 from lpv.bag.rosbag.writing import BagWriter
-from lpv.core.control.tracking import make_controller
+from lpv.core.control.tracking import TrackingController
 from lpv.core.serial_arm.sensor_map import map_rows
 from lpv.core.simulation.arm_simulator import ArmSimulator
 from lpv.core.simulation.faults import FaultInjector
@@ -74,7 +74,7 @@ def _round(arm, gains):
     """True positions, rates and torques of one round, and the faults of its sensors."""
     scenario = load_scenario(bringup_file('scenarios', 'two_faults'))
     plant = ArmSimulator(arm, replace(scenario, faults=(), noise=False))
-    controller, path = make_controller(arm, gains), scenario.path(arm)
+    controller, path = TrackingController(arm, gains), scenario.path(arm)
     rows, bias = [], []
     injector = FaultInjector(arm.sensor_names, scenario.faults, np.random.default_rng(0))
     for _ in range(round(scenario.duration / arm.sample_time)):

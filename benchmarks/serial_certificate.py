@@ -14,15 +14,15 @@ import numpy as np
 from scipy.linalg import eigh
 from scipy.optimize import minimize
 
-from lpv.core.control.computed_torque import ComputedTorqueController
+from lpv.core.control.tracking import TrackingController
 from lpv.core.serial_arm.arm_file import load_arm
-from lpv.core.serial_arm.certificate.conditions import error_bound
-from lpv.core.serial_arm.certificate.loop_gains import LoopGains, load_loop_gains
+from lpv.core.serial_arm.certificate.loop_gains import LoopGains
 from lpv.core.serial_arm.chain import Chain, FloatArray, compile_chain
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.dynamics.payload import with_payload
 from lpv.core.serial_arm.simulation import integration_step, plant_scratch, plant_step
+from lpv.core.uio.certificate.gains import load_certified
 
 FILES = Path(__file__).resolve().parents[1] / 'ros2_ws' / 'src' / 'lpv_bringup'
 
@@ -81,7 +81,8 @@ def tracking_error(
 ) -> FloatArray:
     """Largest error of each joint on a random path in the region of the bound [rad]."""
     n, period = len(arm.joints), arm.sample_time
-    chain, controller = corner_arm(arm, gains, rng), ComputedTorqueController(arm, gains.bandwidth)
+    chain = corner_arm(arm, gains, rng)
+    controller = TrackingController(arm, bandwidth=gains.bandwidth)
     # A tenth of the rates is left to the error.
     rates, most = (
         0.9 * gains.error.rate_share * np.array(arm.velocity_limit),
@@ -123,13 +124,13 @@ def main() -> None:
     arguments = parser.parse_args()
     for name in ('ur10', 'panda'):
         arm = load_arm(FILES / 'arms' / f'{name}.yaml')
-        gains, rng = load_loop_gains(FILES / 'gains' / f'{name}.yaml'), np.random.default_rng(0)
+        gains, rng = load_certified(FILES / 'gains' / f'{name}.yaml'), np.random.default_rng(0)
         slowest = slowest_decay(arm, gains, arguments.tries, rng)
         errors = [
             tracking_error(arm, gains, arguments.duration, rng) for _ in range(arguments.runs)
         ]
         largest = np.max(errors, axis=0)
-        total = np.sum(list(error_bound(arm, gains).values()), axis=0)
+        total = np.sum(list(gains.error_bound(arm).values()), axis=0)
         print(f'{name}: slowest decay found {slowest:.3f}/s, certified {gains.motion.decay:.3f}/s')
         share = np.round(largest / total, 3)
         print(f'  largest errors {np.round(largest, 4)} rad, over bound {share}')

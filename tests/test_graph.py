@@ -16,7 +16,6 @@ from lpv import AlarmEvent
 from lpv.bag.run.record import load_run
 from lpv.campaign.execution import run_to_bag, runs
 from lpv.campaign.plan.campaign import resolve
-from lpv.core.uio.certificate.gains import save_gains
 from lpv_arm_sim.node import SimulatorNode
 from lpv_msgs import msg, srv
 from lpv_node import managed, qos
@@ -98,7 +97,7 @@ def test_given_a_node_that_cannot_start_when_run_then_it_says_why_and_ends_with_
 ):
     monkeypatch.chdir(tmp_path)
     wrong = replace(paper_gains.observer, kappa=3.0 * paper_gains.observer.kappa)
-    save_gains(replace(paper_gains, observer=wrong), 'wrong.yaml')
+    replace(paper_gains, observer=wrong).save('wrong.yaml')
     given = ['--ros-args', *words.split()]
     if kind in (UioNode, TrackerNode) and '--params-file' not in words:
         given += ['--params-file', str(PAPER['gains'])]
@@ -123,7 +122,7 @@ SPEC = {
 
 
 def test_given_a_run_of_a_campaign_when_the_graph_runs_it_then_it_is_that(paper_gains, tmp_path):
-    save_gains(paper_gains, tmp_path / 'gains.yaml')
+    paper_gains.save(tmp_path / 'gains.yaml')
     plan = runs.plan_run(resolve(SPEC, 'spec', tmp_path), 2)
     run, files = plan.simulate(), tmp_path / 'run'
     assert run.safe_stop.any()

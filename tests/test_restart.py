@@ -22,8 +22,6 @@ from std_srvs.srv import Trigger
 
 from lpv.core.serial_arm.arm_file import load_arm, save_arm
 from lpv.core.support.timestamps import to_nanoseconds
-from lpv.core.uio.certificate.gains import save_gains
-from lpv.core.uio.planar import planar_model
 from lpv_design.design_flow import design
 from lpv_design.requirement import load_requirement
 from lpv_msgs.msg import GroundTruth, JointReference
@@ -160,7 +158,7 @@ def slow_arm(folder, **friction):
     arm = replace(arm, sample_time=STEP * 1e-9, joints=tuple(joints))
     found = {'arm': folder / 'arm.yaml', 'gains': folder / 'gains.yaml'}
     save_arm(arm, found['arm'])
-    save_gains(design(planar_model(arm), load_requirement('paper')).gains, found['gains'])
+    design(arm, load_requirement('paper')).gains.save(found['gains'])
     return found
 
 

@@ -10,8 +10,12 @@ import numpy as np
 
 from lpv.core.support.entries import entry, positive
 from lpv.core.support.limits import LARGEST
-from lpv.core.uio.certificate.conditions import controller_loop, decay_margin
-from lpv.core.uio.certificate.gains import METHODS, ControllerGains
+from lpv.core.uio.certificate.conditions import (
+    METHODS,
+    ControllerGains,
+    controller_loop,
+    decay_margin,
+)
 from lpv.core.uio.model.arm import ArmParameters
 from lpv_design.motion import certify_motion
 from lpv_design.solve import RESERVE, InfeasibleError, run, symmetric_below

@@ -7,10 +7,13 @@ import clarabel
 import cvxpy
 import numpy as np
 
+from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.inequalities import Check
-from lpv.core.uio.certificate.conditions import verify
-from lpv.core.uio.certificate.gains import ExactObserverGains, Gains, PaperObserverGains
+from lpv.core.uio.certificate.gains import Gains
 from lpv.core.uio.model.arm import ArmParameters
+from lpv.core.uio.observer.exact_observer import ExactObserverGains
+from lpv.core.uio.observer.paper_observer import PaperObserverGains
+from lpv.core.uio.planar import planar_model
 from lpv_design.controller import design_controller
 from lpv_design.exact_observer import ExactRequirement, design_exact, torque_gains
 from lpv_design.guarantee import Guarantee, guarantee
@@ -37,7 +40,7 @@ class DesignResult:
     guarantee: Guarantee  # thresholds over the region
 
 
-def design(arm: ArmParameters, requirement: Requirement) -> DesignResult:
+def design(arm: SerialArm, requirement: Requirement) -> DesignResult:
     """Design observer and controller, and check both in NumPy.
 
     Raises
@@ -46,8 +49,11 @@ def design(arm: ArmParameters, requirement: Requirement) -> DesignResult:
         If the region holds a configuration where a fault cannot be diagnosed.
     InfeasibleError
         If the rebuilt inequalities do not hold.
+    ConfigError
+        If the arm is not planar, or states no region.
     """
-    options = within_sampling(arm, requirement)
+    planar = planar_model(arm)
+    options = within_sampling(planar, requirement)
     for number, (option, limited) in enumerate(options):
         notes = limited
         try:
@@ -58,10 +64,10 @@ def design(arm: ArmParameters, requirement: Requirement) -> DesignResult:
         except InfeasibleError as error:
             if number + 1 == len(options):
                 raise InfeasibleError('; '.join([str(error), *limited])) from None
-    found = guarantee(arm, gains)
+    found = guarantee(planar, gains)
     gains.certificate.update(
         note='information: nothing is computed from what is below certificate',
-        arm_json=arm.to_json(),
+        arm_json=planar.to_json(),
         margins={check.name: float(check.margin) for check in checks},
         guarantee={
             'deviation': found.deviation.tolist(),
@@ -73,22 +79,23 @@ def design(arm: ArmParameters, requirement: Requirement) -> DesignResult:
         **{f'{one.__name__}_version': one.__version__ for one in (clarabel, cvxpy, np)},
     )
     return DesignResult(
-        gains, [*notes, *check_lines(checks), *_bound_lines(arm, gains, found)], found
+        gains, [*notes, *check_lines(checks), *_bound_lines(planar, gains, found)], found
     )
 
 
 def _design_once(
-    arm: ArmParameters, requirement: Requirement
+    arm: SerialArm, requirement: Requirement
 ) -> tuple[Gains, list[Check], tuple[str, str]]:
     """Gains for a requirement as it is, their checks, and the solver's words."""
+    planar = planar_model(arm)
     observer: ExactObserverGains | PaperObserverGains
     if isinstance(requirement.observer, ExactRequirement):
-        observer, status = design_exact(arm, requirement.observer)
+        observer, status = design_exact(planar, requirement.observer)
     else:
-        observer, status = design_paper(arm, requirement.observer)
-    controller, controller_status = design_controller(arm, requirement.controller)
-    gains = Gains(arm.name, arm.sha256(), observer, controller)
-    checks = verify(arm, gains)
+        observer, status = design_paper(planar, requirement.observer)
+    controller, controller_status = design_controller(planar, requirement.controller)
+    gains = Gains(arm.name, planar.sha256(), observer, controller)
+    checks = gains.verify(arm)
     for check in checks:
         if not check.holds:
             raise InfeasibleError(_reason(check, status, controller_status))

@@ -19,9 +19,9 @@ import numpy as np
 from lpv.core.support.entries import entry, positive
 from lpv.core.support.limits import LARGEST
 from lpv.core.uio.certificate.error_system import LinkError, exact_fault_sigma, link_errors
-from lpv.core.uio.certificate.gains import ExactObserverGains
 from lpv.core.uio.certificate.lmi import covariance, disc
 from lpv.core.uio.model.arm import ArmParameters
+from lpv.core.uio.observer.exact_observer import ExactObserverGains
 from lpv_design.solve import RESERVE, InfeasibleError, run, symmetric_below
 
 
@@ -125,6 +125,5 @@ def design_exact(arm: ArmParameters, wanted: ExactRequirement) -> tuple[ExactObs
         )
     kappa, mu, p = map(np.array, found)
     sigma = exact_fault_sigma(arm, p)
-    return ExactObserverGains(kappa, mu, p, wanted.decay, wanted.fastest, sigma), ', '.join(
-        statuses
-    )
+    gains = ExactObserverGains('exact', kappa, mu, p, wanted.decay, wanted.fastest, sigma)
+    return gains, ', '.join(statuses)

@@ -37,6 +37,6 @@ def guarantee(arm: ArmParameters, gains: Gains, points: int = POINTS) -> Guarant
     deviation = np.linspace(-limit, limit, points)
     theta = deviation + (0.0 if arm.sign > 0 else np.pi)  # upright, hanging: absolute angles
     tuning = DiagnosisParameters()
-    constants = error_bound(arm, gains, tuning.sigmas)
+    constants = error_bound(arm, gains.observer, tuning.sigmas)
     bound = np.array([[static_bound(constants, np.array([a, b])) for b in theta] for a in theta])
     return Guarantee(deviation, bound, np.maximum(bound, tuning.minimum_threshold))

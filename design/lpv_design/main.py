@@ -2,16 +2,12 @@
 
 import argparse
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 from lpv.cli import main as cli
-from lpv.core.serial_arm.certificate.conditions import prove_loop
-from lpv.core.serial_arm.certificate.loop_gains import save_loop_gains
+from lpv.core.serial_arm.certificate.certified import CertifiedGains
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.errors import ConfigError
-from lpv.core.uio.certificate.conditions import prove
-from lpv.core.uio.certificate.gains import save_gains
 from lpv.core.uio.planar import planar_model
 from lpv_design.design_flow import design
 from lpv_design.requirement import load_requirement
@@ -44,21 +40,18 @@ def _design(arguments: argparse.Namespace) -> int:
     if arm.lpv is None:
         loop = certify_loop(arm, _loop_request(arm, arguments))
         comment = [f'Tracking of arm {arm.name!r} and its certificate, written by lpv design.']
-        save_loop_gains(loop.gains, arguments.out, '\n'.join([*comment, *loop.lines]))
-        return _report(arguments, loop.lines, lambda: prove_loop(arm, loop.gains))
-    planar = planar_model(arm)
+        return _finish(arguments, loop.gains, comment, loop.lines)
     requirement = load_requirement(arguments.requirement or arm.name)
-    found = design(planar, requirement)
+    found = design(arm, requirement)
     comment = [
         f'Gains for arm {arm.name!r}, written by lpv design.',
         f'Requirement: {Path(requirement.source).name}',
     ]
-    save_gains(found.gains, arguments.out, '\n'.join([*comment, *found.lines]))
-    code = _report(arguments, found.lines, lambda: prove(planar, found.gains))
+    code = _finish(arguments, found.gains, comment, found.lines)
     if arguments.map is not None and code == 0:
         from lpv.report.figures import draw_region  # a design without a picture does not wait
 
-        draw_region(found.guarantee, planar, arguments.map)
+        draw_region(found.guarantee, planar_model(arm), arguments.map)
         print(f'map written to {arguments.map}')
     return code
 
@@ -74,12 +67,13 @@ def _loop_request(arm: SerialArm, arguments: argparse.Namespace) -> LoopRequest:
     return LoopRequest(arguments.bandwidth, error, arguments.rate_share)
 
 
-def _report(
-    arguments: argparse.Namespace, lines: list[str], prove: Callable[[], dict[str, bool]]
+def _finish(
+    arguments: argparse.Namespace, gains: CertifiedGains, comment: list[str], lines: list[str]
 ) -> int:
-    """Say what was found and, if asked for, what is proved."""
+    """Write gains, say what was found and, if asked for, what is proved."""
+    gains.save(arguments.out, '\n'.join([*comment, *lines]))
     print('\n'.join(lines))
-    results = prove() if arguments.proof else {}
+    results = gains.prove(arguments.arm) if arguments.proof else {}
     for name, holds in results.items():
         print(f'{"proved" if holds else "REFUTED"}: {name}')
     if not all(results.values()):

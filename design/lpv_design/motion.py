@@ -5,8 +5,12 @@ import math
 import cvxpy as cp
 import numpy as np
 
-from lpv.core.uio.certificate.gains import MotionCertificate
-from lpv.core.uio.certificate.sampled_motion import SIZE, SampledLoop, sampled_loop
+from lpv.core.uio.certificate.sampled_motion import (
+    SIZE,
+    MotionCertificate,
+    SampledLoop,
+    sampled_loop,
+)
 from lpv.core.uio.model.arm import ArmParameters
 from lpv_design.solve import solve, symmetric_below
 

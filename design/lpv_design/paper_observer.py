@@ -12,12 +12,11 @@ from lpv.core.support.entries import entry
 from lpv.core.support.limits import LARGEST
 from lpv.core.uio.certificate.conditions import observer_margin
 from lpv.core.uio.certificate.error_system import paper_fault_sigma
-from lpv.core.uio.certificate.gains import PaperObserverGains
 from lpv.core.uio.certificate.lmi import paper_inequalities
 from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.model.polytope import paper_weights, sinc_box
 from lpv.core.uio.model.state_space import paper_descriptor
-from lpv.core.uio.observer.paper_observer import decoupling
+from lpv.core.uio.observer.paper_observer import PaperObserverGains, decoupling
 from lpv_design.solve import InfeasibleError, NotDetectableError, solve, symmetric_below
 
 
@@ -137,5 +136,5 @@ def solve_paper(
         return None, status
     gamma = math.sqrt(max(float(level.value), 0.0)) if minimise else wanted.gamma
     return PaperObserverGains(
-        box, t1, t2, k, p.value, wanted.lmi, gamma, wanted.q, wanted.r, np.zeros(2)
+        'paper', box, t1, t2, k, p.value, wanted.lmi, gamma, wanted.q, wanted.r, np.zeros(2)
     ), status

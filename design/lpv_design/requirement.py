@@ -7,7 +7,7 @@ from typing import Any
 from lpv.core.support.config import Section, names_all_errors, read_yaml
 from lpv.core.support.entries import part, read_entries
 from lpv.core.support.errors import ConfigError
-from lpv.core.uio.certificate.gains import METHODS
+from lpv.core.uio.certificate.conditions import METHODS
 from lpv_design.controller import ControllerRequirement
 from lpv_design.exact_observer import ExactRequirement
 from lpv_design.paper_observer import PaperRequirement

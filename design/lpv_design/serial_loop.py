@@ -10,13 +10,7 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 
-from lpv.core.control.computed_torque import serial_loop_latency
-from lpv.core.serial_arm.certificate.conditions import (
-    error_bound,
-    loop_numbers,
-    region_lines,
-    verify_loop,
-)
+from lpv.core.control.tracking import loop_latency
 from lpv.core.serial_arm.certificate.link_forms import invariant_basis
 from lpv.core.serial_arm.certificate.loop_gains import ErrorProof, LoopGains, LoopProof
 from lpv.core.serial_arm.certificate.loop_inequality import (
@@ -105,11 +99,11 @@ def certify_loop(arm: SerialArm, request: LoopRequest) -> LoopDesign:
         )
     gains = _with_motion(arm, gains, largest, request.rate_share)
     gains = _with_error(arm, gains)
-    checks = verify_loop(arm, gains)
+    checks = gains.verify(arm)
     for check in checks:
         if not check.holds:
             raise InfeasibleError(f'{check.name}: {check.margin:.3g} is not negative')
-    lines = [*check_lines(checks), *region_lines(arm, gains), *_limit_lines(arm, gains, largest)]
+    lines = [*check_lines(checks), *gains.facts(arm), *_limit_lines(arm, gains, largest)]
     return LoopDesign(gains, lines)
 
 
@@ -117,7 +111,7 @@ def _check_request(arm: SerialArm, request: LoopRequest) -> None:
     read_entries(LoopRequest, Section(vars(request), ''))
     if len(arm.joints) < 2:
         raise InfeasibleError('the certificate is for arms of 2 joints or more')
-    if serial_loop_latency(request.bandwidth, arm.sample_time) < arm.sample_time:
+    if loop_latency(arm, bandwidth=request.bandwidth) < arm.sample_time:
         raise InfeasibleError(
             f'bandwidth: {request.bandwidth:g} rad/s is unstable at {arm.sample_time:g} s a sample'
         )
@@ -215,7 +209,7 @@ def largest_share(arm: SerialArm, gains: LoopGains) -> float:
     """Largest share of the velocity limits at which the loop, sampled too, is certified [-]."""
 
     def works(share: float) -> bool:
-        numbers = loop_numbers(arm, gains, share)
+        numbers = gains.numbers(arm, share)
         motion = _proof(motion_matrix, 3, numbers, 0.0, gains.bandwidth)
         if motion is None or 2.0 * numbers.step * numbers.growth >= 1.0:
             return False
@@ -233,7 +227,7 @@ def _with_motion(arm: SerialArm, gains: LoopGains, largest: float, asked: float)
         )
     shares = [share * largest for share in ((1.0,) if largest == 1.0 else _SHARES)]
     for share in [asked] if asked else shares:
-        numbers = loop_numbers(arm, gains, share)
+        numbers = gains.numbers(arm, share)
         motion = _fast_proof(motion_matrix, 3, numbers, gains.bandwidth)
         sampled = _fast_proof(sampled_matrix, 4, numbers, gains.bandwidth)
         if motion is not None and sampled is not None:
@@ -256,7 +250,7 @@ def _fast_proof(
 def _with_error(arm: SerialArm, gains: LoopGains) -> LoopGains:
     """Bound of the tracking error, on a part of the region."""
     share = min(_ERROR_SHARE, 0.5 * gains.rate_share)
-    numbers = loop_numbers(arm, gains, share)
+    numbers = gains.numbers(arm, share)
     best = None
     for decay in np.geomspace(0.02, 0.8, 12):
         found = _error_proof(numbers, float(decay))
@@ -270,7 +264,7 @@ def _with_error(arm: SerialArm, gains: LoopGains) -> LoopGains:
         np.zeros(len(arm.joints)),
     )  # fmt: skip
     gains = replace(gains, error=proof)
-    bound = np.sum(list(error_bound(arm, gains).values()), axis=0)
+    bound = np.sum(list(gains.error_bound(arm).values()), axis=0)
     return replace(gains, error=replace(proof, bound=bound))
 
 

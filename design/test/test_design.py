@@ -10,15 +10,14 @@ import pytest
 from scipy.linalg import solve_continuous_are, solve_continuous_lyapunov, solve_discrete_lyapunov
 
 from lpv import ConfigError, load_arm
-from lpv.core.serial_arm.certificate.conditions import require_loop
 from lpv.core.serial_arm.description import Uncertainty
+from lpv.core.serial_arm.two_links import two_link_arm
 from lpv.core.support import inequalities, resources
 from lpv.core.uio.certificate import conditions, error_system, lmi
-from lpv.core.uio.certificate.conditions import observer_margin, prove
+from lpv.core.uio.certificate.conditions import observer_margin
 from lpv.core.uio.certificate.gains import load_gains
 from lpv.core.uio.model.polytope import sinc_box, vertex_matrices
 from lpv.core.uio.model.state_space import paper_descriptor
-from lpv.core.uio.planar import planar_model
 from lpv_design import controller, design_flow, exact_observer, serial_loop
 from lpv_design.paper_observer import PaperRequirement, solve_paper, undetectable_point
 from lpv_design.requirement import load_requirement
@@ -34,7 +33,7 @@ PUBLISHED = np.array([
 @cache
 def designed(name):
     """Gains of a shipped requirement; tests of other packages take the shipped ones."""
-    return design_flow.design(planar_model(load_arm(name)), load_requirement(name)).gains
+    return design_flow.design(load_arm(name), load_requirement(name)).gains
 
 
 def common_lyapunov(loop, m, alpha):
@@ -186,13 +185,13 @@ def assert_same_gains(found, wanted):
     np.testing.assert_allclose(found, wanted, rtol=0.0, atol=1e-3 * np.abs(wanted).max())
 
 
-def test_given_requirements_when_designed_then_gains_are_the_shipped_ones(planar):
-    found, shipped = designed(planar.name), load_gains(resources.bringup_file('gains', planar.name))
+def test_given_requirements_when_designed_then_gains_are_the_shipped_ones(arm):
+    found, shipped = designed(arm.name), load_gains(resources.bringup_file('gains', arm.name))
     for part, names in (('observer', ('kappa', 'mu')), ('controller', ('m1', 'm2'))):
         for name in names:
             wanted = getattr(getattr(shipped, part), name)
             assert_same_gains(getattr(getattr(found, part), name), wanted)
-    conditions.require(planar, found)
+    found.require(arm)
 
 
 @pytest.mark.parametrize('cos_min', [0.3, 0.15, 0.05])
@@ -222,12 +221,12 @@ def test_given_any_slope_when_tried_then_poles_and_deviation_are_as_certified(pl
 
 
 @pytest.mark.slow
-def test_given_too_large_a_sample_time_when_designed_then_the_loop_is_limited(paper_model):
+def test_given_too_large_a_sample_time_when_designed_then_the_loop_is_limited(paper_arm):
     requirement = load_requirement('paper')
-    slow = replace(paper_model, sample_time=0.02)
+    slow = replace(paper_arm, sample_time=0.02)
     result = design_flow.design(slow, requirement)
     assert 'instead of 60/s, which the sample time 0.02 s cannot carry' in result.lines[0]
-    assert all(check.holds for check in conditions.verify(slow, result.gains))
+    assert all(check.holds for check in result.gains.verify(slow))
     eager = replace(requirement.controller, alpha=30.0)
     with pytest.raises(InfeasibleError, match='alpha = 30/s is faster than the sample time'):
         design_flow.design(slow, replace(requirement, controller=eager))
@@ -235,7 +234,7 @@ def test_given_too_large_a_sample_time_when_designed_then_the_loop_is_limited(pa
         r'leaves a pose by up to 6.4/s: .*; controller: poles .* sample time 0.05 s cannot carry'
     )
     with pytest.raises(InfeasibleError, match=cause):
-        design_flow.design(replace(paper_model, sample_time=0.05), requirement)
+        design_flow.design(replace(paper_arm, sample_time=0.05), requirement)
 
 
 @pytest.mark.slow
@@ -248,7 +247,8 @@ def test_given_all_noise_scaled_then_only_deviations_scale(paper_model, factor):
     wanted = requirement.observer
     noise = tuple(factor * v for v in wanted.acceleration_noise)
     asked = replace(wanted, acceleration_noise=noise, rate_noise=factor * wanted.rate_noise)
-    found = design_flow.design(quiet, replace(requirement, observer=asked)).gains.observer
+    asked = replace(requirement, observer=asked)
+    found = design_flow.design(two_link_arm(quiet), asked).gains.observer
     shipped = designed('paper').observer
     assert_same_gains(found.kappa, shipped.kappa)
     assert_same_gains(found.fault_sigma, factor * shipped.fault_sigma)
@@ -261,8 +261,9 @@ def test_given_one_disturbance_of_both_axes_then_its_deviation_is_as_certified(
 ):
     quiet = {'velocity_noise': 1e-3, 'position_noise': 1e-5, 'disturbance_variance': 30.0}
     arm = replace(paper_model, disturbance_direction=direction, **quiet)
-    gains = design_flow.design(arm, load_requirement('paper')).gains
-    proved = prove(arm, gains)
+    described = two_link_arm(arm)
+    gains = design_flow.design(described, load_requirement('paper')).gains
+    proved = gains.prove(described)
     push = np.array(direction) * np.sqrt(arm.disturbance_variance * arm.sample_time)
     for link in error_system.link_errors(arm):
         i = link.index
@@ -279,14 +280,14 @@ def test_given_one_disturbance_of_both_axes_then_its_deviation_is_as_certified(
 def test_given_all_masses_scaled_when_designed_then_so_are_gains(paper_model, factor):
     shipped = designed('paper')
     heavy = paper_model.scaled((factor, factor), (factor, factor))
-    found = design_flow.design(heavy, load_requirement('paper')).gains
+    found = design_flow.design(two_link_arm(heavy), load_requirement('paper')).gains
     assert_same_gains(factor * found.observer.kappa, shipped.observer.kappa)
     expected, limit = factor * shipped.controller.m1, np.abs(shipped.controller.m1).max()
     np.testing.assert_allclose(found.controller.m1, expected, rtol=1e-2, atol=1e-3 * factor * limit)
 
 
-def test_given_the_literal_requirement_then_it_is_the_papers_and_sharp(paper_model, literal_gains):
-    conditions.require(paper_model, literal_gains)
+def test_given_the_literal_requirement_then_it_is_the_papers_and_sharp(paper_arm, literal_gains):
+    literal_gains.require(paper_arm)
     requirement = load_requirement('paper_literal')
     assert (requirement.observer.lmi, requirement.observer.gamma) == ('55', 1.0)
     assert (requirement.observer.q, requirement.observer.r) == (20.0, 15.0)
@@ -296,7 +297,7 @@ def test_given_the_literal_requirement_then_it_is_the_papers_and_sharp(paper_mod
         load_requirement('nothing')
     wanted = replace(load_requirement('paper_literal'), observer=PaperRequirement(sinc_min=0.9))
     with pytest.raises(InfeasibleError, match=r'LMI \(55\) with gamma = 1 has no solution'):
-        design_flow.design(paper_model, wanted)
+        design_flow.design(paper_arm, wanted)
 
 
 @pytest.fixture(scope='module')
@@ -312,7 +313,7 @@ def found(short):
 
 
 def test_given_an_arm_when_designed_then_what_is_certified_follows_payload_and_region(short, found):
-    require_loop(short, found.gains)
+    found.gains.require(short)
     assert any('what limits it' in line for line in found.lines)
     lighter = replace(short, uncertainty=replace(short.uncertainty, payload=1.0))
     ratio = serial_loop.model_bounds(lighter).payload / found.gains.model.payload

@@ -4,7 +4,6 @@ from pathlib import Path
 
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.uio.certificate.gains import Gains
-from lpv.core.uio.planar import planar_model
 
 
 def design(arm: SerialArm, requirement: str | Path | None = None) -> Gains:
@@ -36,4 +35,4 @@ def design(arm: SerialArm, requirement: str | Path | None = None) -> Gains:
     from lpv_design.design_flow import design
     from lpv_design.requirement import load_requirement
 
-    return design(planar_model(arm), load_requirement(requirement or arm.name)).gains
+    return design(arm, load_requirement(requirement or arm.name)).gains

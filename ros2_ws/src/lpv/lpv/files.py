@@ -66,7 +66,7 @@ def save_gains(gains: Gains, path: str | Path, comment: str = 'Designed in Pytho
     comment : str, optional
         First lines of the file.
     """
-    lpv.core.uio.certificate.gains.save_gains(gains, path, comment)
+    gains.save(path, comment)
 
 
 def load_scenario(name: str | Path) -> Scenario:

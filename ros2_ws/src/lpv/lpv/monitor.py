@@ -11,9 +11,7 @@ from lpv.core.monitoring.parameters import DiagnosisParameters
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import Alarm, SensorState
-from lpv.core.uio.certificate.conditions import require
 from lpv.core.uio.certificate.gains import Gains
-from lpv.core.uio.planar import planar_model
 from lpv.recordings import recorded
 
 _NAME = '/uio'
@@ -134,7 +132,7 @@ def _verified_monitor(
 ) -> SerialSensorMonitor:
     """A monitor whose gains, if there are any, have a certificate that holds."""
     if gains is not None:
-        require(planar_model(arm), gains, 'gains')
+        gains.require(arm)
     return SerialSensorMonitor(_NAME, arm, parameters, gains)
 
 

@@ -9,9 +9,7 @@ from lpv.core.serial_arm.description import SerialArm
 from lpv.core.simulation.closed_loop import Run, run_closed_loop
 from lpv.core.simulation.faults import Fault
 from lpv.core.simulation.scenario import Scenario
-from lpv.core.uio.certificate.conditions import require
 from lpv.core.uio.certificate.gains import Gains
-from lpv.core.uio.planar import planar_model
 from lpv.files import load_scenario
 
 
@@ -53,7 +51,7 @@ def simulate(
         the scenario is wrong.
     """
     if gains is not None:
-        require(planar_model(arm), gains, 'gains')
+        gains.require(arm)
     chosen = load_scenario(scenario) if isinstance(scenario, (str, Path)) else scenario
     if faults is not None:
         chosen = replace(chosen, faults=tuple(faults))

@@ -9,8 +9,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
-from lpv.core.control.computed_torque import BANDWIDTH, serial_loop_latency
-from lpv.core.control.latency import tolerated_latency
+from lpv.core.control.tracking import BANDWIDTH, loop_latency
 from lpv.core.control.watchdog import (
     UNKNOWN_LOOP,
     BrakeReason,
@@ -26,7 +25,7 @@ from lpv.core.simulation.scenario import load_scenario
 from lpv.core.support.errors import LpvError
 from lpv.core.support.limits import PATIENCE
 from lpv.core.support.timestamps import NANOSECONDS, to_nanoseconds
-from lpv.core.uio.planar import planar_model
+from lpv.core.uio.certificate.gains import Gains
 from lpv_msgs.msg import GroundTruth, TorqueCommand
 from lpv_msgs.srv import ClearFaults, InjectFault
 from lpv_node.input_check import Refusals, all_finite, all_sized
@@ -143,13 +142,10 @@ class SimulatorNode(ManagedNode):
 
     def _latency_limits(self) -> LatencyLimits:
         """As the gains of the loop allow, if they are known, or as parameters say."""
-        if gains := read_gains(self, self._arm):
-            certified = latency_limits(tolerated_latency(planar_model(self._arm), gains))
-        elif self._arm.lpv is not None:
-            certified = UNKNOWN_LOOP
-        else:
+        gains, certified = read_gains(self, self._arm, Gains), UNKNOWN_LOOP
+        if gains is not None or self._arm.lpv is None:
             bandwidth = self.get_parameter('bandwidth').value
-            certified = latency_limits(serial_loop_latency(bandwidth, self._arm.sample_time))
+            certified = latency_limits(loop_latency(self._arm, gains, bandwidth))
         return LatencyLimits(
             chosen_limit(self, 'command_timeout', certified.single),
             chosen_limit(self, 'max_mean_latency', certified.mean),

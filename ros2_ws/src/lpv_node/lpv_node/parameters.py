@@ -4,7 +4,7 @@ import array
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 from rcl_interfaces.msg import (
     FloatingPointRange,
@@ -16,15 +16,13 @@ from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValu
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from lpv.core.serial_arm.certificate.conditions import require_loop
-from lpv.core.serial_arm.certificate.loop_gains import LoopGains, parse_loop
+from lpv.core.serial_arm.certificate.certified import CertifiedGains
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.options import entries as table_entries
 from lpv.core.support.resources import bringup_file
-from lpv.core.uio.certificate.conditions import require
-from lpv.core.uio.certificate.gains import Gains, parse_gains
-from lpv.core.uio.planar import planar_model
+
+_Kind = TypeVar('_Kind', bound=CertifiedGains)
 
 
 @dataclass(frozen=True)
@@ -145,23 +143,16 @@ def _given(node: Node, file: str) -> dict[str, Any]:
     }
 
 
-def read_gains(node: Node, arm: SerialArm) -> Gains | None:
-    """Verified gains that the node was started with; None without a file."""
-    nested = _nested(node, 'gains')
+def read_gains(node: Node, arm: SerialArm, kind: type[_Kind], **others: Any) -> _Kind | None:
+    """Verified gains of a kind that the node was started with; None without a file.
+
+    ``others`` are what parameters of their own say.
+    """
+    nested = _nested(node, kind.section)
     if not nested:
         return None
-    gains = parse_gains(nested, node.get_name())
-    require(planar_model(arm), gains, node.get_name())
-    return gains
-
-
-def read_loop(node: Node, arm: SerialArm, bandwidth: float) -> LoopGains | None:
-    """Verified certificate of a serial arm's loop; None if no file has one."""
-    nested = _nested(node, 'loop')
-    if not nested:
-        return None
-    gains = parse_loop({**nested, 'bandwidth': bandwidth}, node.get_name())
-    require_loop(arm, gains, node.get_name())
+    gains = kind.parse({**nested, **others}, node.get_name())
+    gains.require(arm, node.get_name())
     return gains
 
 

@@ -16,6 +16,7 @@ from rclpy.parameter import Parameter
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.resources import bringup_file
 from lpv.core.support.timestamps import set_stamp, to_nanoseconds
+from lpv.core.uio.certificate.gains import Gains
 from lpv_node import input_check, managed, parameter_service, parameters
 
 MODULES = ('lpv_arm_sim.node', 'lpv_uio.node', 'lpv_tracker.node', 'lpv_node.recorder.node',
@@ -73,7 +74,7 @@ def test_given_gains_or_none_when_declared_then_each_that_a_file_sets_is_fixed(
     assert Parameter.Type.NOT_SET not in [p.type_ for p in node.get_parameters(names)]
     assert ('gains.observer.kappa' in names and len(names) >= 20) is given
     assert not any('certificate' in name for name in names), 'nothing is computed from it'
-    gains = parameters.read_gains(node, paper_arm)
+    gains = parameters.read_gains(node, paper_arm, Gains)
     if given:
         assert gains.observer.method == 'exact'
         changed = node.set_parameters([Parameter('gains.arm_name', value='other')])
@@ -92,7 +93,7 @@ def test_given_gains_that_are_misspelt_or_not_whole_when_read_then_it_says_so(
 ):
     parameters.declare_given(node, 'gains')
     with pytest.raises(ConfigError, match=told):
-        parameters.read_gains(node, paper_arm)
+        parameters.read_gains(node, paper_arm, Gains)
 
 
 def test_given_senseless_parameters_when_set_then_each_is_refused(node):

@@ -7,10 +7,9 @@ from rclpy.publisher import Publisher
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
-from lpv.core.control.computed_torque import BANDWIDTH
 from lpv.core.control.estimate_check import ROWS, CorrectionLimit, ValueFault, check_values
 from lpv.core.control.path_follower import APPROACH_SPEED, PathFollower, approach_speeds
-from lpv.core.control.tracking import COMPENSATION, FEEDBACK_FIELDS, make_controller
+from lpv.core.control.tracking import BANDWIDTH, COMPENSATION, FEEDBACK_FIELDS, TrackingController
 from lpv.core.control.watchdog import (
     LatencyLimits,
     StopReason,
@@ -21,10 +20,11 @@ from lpv.core.control.watchdog import (
 )
 from lpv.core.monitoring.stamp_gate import StampGate
 from lpv.core.serial_arm.arm_file import load_arm
-from lpv.core.serial_arm.certificate.conditions import NO_CERTIFICATE, certified_region
+from lpv.core.serial_arm.certificate.loop_gains import NO_CERTIFICATE, LoopGains
 from lpv.core.simulation.scenario import load_scenario
 from lpv.core.support.limits import PATIENCE, SMALL
 from lpv.core.support.timestamps import NANOSECONDS, to_nanoseconds
+from lpv.core.uio.certificate.gains import Gains
 from lpv_msgs.msg import JointReference, StateEstimate, TorqueCommand
 from lpv_node.input_check import Refusals, all_finite, all_sized
 from lpv_node.managed import ManagedNode
@@ -35,7 +35,6 @@ from lpv_node.parameters import (
     declare_given,
     named_file,
     read_gains,
-    read_loop,
     table,
 )
 from lpv_node.qos import stream
@@ -185,14 +184,14 @@ class TrackerNode(ManagedNode):
     def _make_controller(self) -> None:
         """The designed law where there are gains, else computed torque."""
         bandwidth = self.get_parameter('bandwidth').value
-        gains = read_gains(self, self._arm)
-        self._controller = make_controller(self._arm, gains, bandwidth)
+        gains = read_gains(self, self._arm, Gains)
+        self._controller = TrackingController(self._arm, gains, bandwidth)
         self._tolerated = self._controller.tolerated_latency
         if gains is not None:
             self._certificate = 'holds'
         else:
-            loop = read_loop(self, self._arm, bandwidth)
-            self._certificate = NO_CERTIFICATE if loop is None else certified_region(loop)
+            loop = read_gains(self, self._arm, LoopGains, bandwidth=bandwidth)
+            self._certificate = NO_CERTIFICATE if loop is None else loop.certified_region()
 
     def _compile(self) -> None:
         """Compile before the first estimate, not on it."""

@@ -10,7 +10,7 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
 from lpv.core.control.watchdog import StopReason
-from lpv.core.serial_arm.certificate.conditions import NO_CERTIFICATE
+from lpv.core.serial_arm.certificate.loop_gains import NO_CERTIFICATE
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.resources import bringup_file
 from lpv.core.support.timestamps import set_stamp

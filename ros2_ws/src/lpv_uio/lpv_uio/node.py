@@ -25,6 +25,7 @@ from lpv.core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent, Mode
 from lpv.core.support.errors import SampleError
 from lpv.core.support.limits import MAX_DELAY, MAX_GAP, PATIENCE
 from lpv.core.support.timestamps import NANOSECONDS, to_nanoseconds
+from lpv.core.uio.certificate.gains import Gains
 from lpv.core.uio.unknown_input_observer import CHOICES
 from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate, TorqueCommand
 from lpv_node.input_check import OneSender, Refusals, all_finite, all_sized
@@ -128,7 +129,7 @@ class UioNode(ManagedNode):
 
     def _make_monitor(self) -> SerialSensorMonitor:
         """Observers and diagnosis of the arm."""
-        gains = read_gains(self, self._arm)
+        gains = read_gains(self, self._arm, Gains)
         if gains is None and self._arm.lpv is not None:
             self.get_logger().warning('no gains file is given: the moving horizon observes alone')
         return SerialSensorMonitor(

@@ -8,15 +8,11 @@ from rich.console import Console
 from lpv.bag.replay.replay import ReplayOptions
 from lpv.bag.rosbag.output_folder import GAINS_NAME
 from lpv.core.monitoring.parameters import DiagnosisParameters, check_names
-from lpv.core.serial_arm.certificate.loop_gains import serial_parameters
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.config import as_number, read_yaml
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.resources import bringup_file
-from lpv.core.uio.certificate.conditions import require
-from lpv.core.uio.certificate.gains import Gains, load_gains
-from lpv.core.uio.model.arm import ArmParameters
-from lpv.core.uio.planar import planar_model
+from lpv.core.uio.certificate.gains import Gains, gains_in, load_gains
 from lpv.report.certificate import beside_bag, named_arm, shipped_arm
 
 
@@ -37,8 +33,8 @@ def arm_and_gains(
     arm, bag, kept = arguments.arm, getattr(arguments, 'bag', None), None
     if bag and not gains and not arguments.requirement:
         file = beside_bag(bag, GAINS_NAME)
-        if file is not None and serial_parameters(file) is None:  # of an observer
-            kept = load_gains(file)
+        found = gains_in(file) if file is not None else None
+        kept = found if isinstance(found, Gains) else None  # of an observer
     if arm is None:
         named = gains or kept
         arm = shipped_arm(named.arm_name if named else named_arm(bag) if bag else '')
@@ -46,18 +42,17 @@ def arm_and_gains(
             console.print(f'arm {arm.name!r}{" and gains" if kept else ""} as in the bag')
     if arm.lpv is None and not (gains or arguments.requirement):
         return arm, None
-    planar = planar_model(arm)
-    if kept and kept.arm_sha256 == planar.sha256():
+    if kept and kept.fits(arm):
         gains = kept
     elif kept and not arguments.arm:
-        kept.check_arm(planar, f'{bag}: {GAINS_NAME}')  # another arm of this name: say so
-    gains = gains or _gains_of(arguments, planar, console)
+        kept.check_arm(arm, f'{bag}: {GAINS_NAME}')  # another arm of this name: say so
+    gains = gains or _gains_of(arguments, arm, console)
     if gains is not None:  # as nodes do
-        require(planar, gains, arguments.gains or GAINS_NAME)
+        gains.require(arm, arguments.gains or GAINS_NAME)
     return arm, gains
 
 
-def _gains_of(arguments: argparse.Namespace, arm: ArmParameters, console: Console) -> Gains | None:
+def _gains_of(arguments: argparse.Namespace, arm: SerialArm, console: Console) -> Gains | None:
     """Gains that are designed for the requirement, if one is given or shipped."""
     # The solver is imported only where it is needed.
     from lpv_design.design_flow import design

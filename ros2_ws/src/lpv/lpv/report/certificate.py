@@ -1,30 +1,22 @@
 """Arm and gains of a run, and what the certificate of these gains proves of this arm."""
 
 import hashlib
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
 
 from lpv.bag.errors import BagError
 from lpv.bag.rosbag.output_folder import GAINS_NAME
 from lpv.core.serial_arm.arm_file import load_arm
-from lpv.core.serial_arm.certificate.claims import SERIAL_CLAIMS, Claim
-from lpv.core.serial_arm.certificate.conditions import prove_loop, region_lines, verify_loop
-from lpv.core.serial_arm.certificate.loop_gains import LoopGains, load_loop_gains, serial_parameters
+from lpv.core.serial_arm.certificate.certified import CertifiedGains
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.two_links import two_link_arm
 from lpv.core.support.errors import ConfigError, LpvError
 from lpv.core.support.inequalities import Check
 from lpv.core.support.resources import bringup_file, shipped_files
-from lpv.core.uio.certificate.claims import CLAIMS
-from lpv.core.uio.certificate.conditions import prove, verify
-from lpv.core.uio.certificate.gains import Gains, load_gains
-from lpv.core.uio.model.arm import ArmParameters, arm_from_json
-from lpv.core.uio.planar import planar_model
+from lpv.core.uio.certificate.gains import load_certified
+from lpv.core.uio.model.arm import arm_from_json
 
 _ANSWERS = tuple(
     f'lpv_msgs/msg/{name}' for name in ('FaultEstimate', 'StateEstimate', 'FaultAlarm')
@@ -56,51 +48,13 @@ class Certificate:
         return self.holds and self.what == 'gains'
 
 
-class Certified(NamedTuple):
-    """Gains of either kind, and how their certificate is verified, by the arm."""
-
-    gains: Gains | LoopGains
-    what: str  # as `Certificate.what`
-    claims: tuple[Claim, ...]  # what holds where the certificate does
-    # every inequality, rebuilt; ConfigError for another arm than that of the gains
-    checks: Callable[[SerialArm], list[Check]]
-    # inequalities by name, and whether exact rational arithmetic proves them
-    prove: Callable[[SerialArm], dict[str, bool]]
-    facts: Callable[[SerialArm], list[str]]  # the region, and what is certified, for the reader
-
-    def arm(self) -> SerialArm | None:
-        """The arm that the gains describe or that is shipped under their name, if it is theirs."""
-        text = getattr(self.gains, 'certificate', {}).get('arm_json')
-        if isinstance(text, str):
-            return two_link_arm(arm_from_json(text))
-        file = shipped_files('arms').get(self.gains.arm_name)
-        return load_arm(file) if file is not None else None
-
-
-def load_certified(path: str | Path) -> Certified:
-    """Read a gains file of either kind; ConfigError if it is none."""
-    if serial_parameters(path) is not None:
-        loop = load_loop_gains(path)
-        of_loop: Any = (partial(f, gains=loop) for f in (verify_loop, prove_loop, region_lines))
-        return Certified(loop, 'tracking loop', SERIAL_CLAIMS, *of_loop)
-    gains = load_gains(path)
-    of_gains = (partial(_planar, f, gains) for f in (verify, prove, _facts))
-    return Certified(gains, 'gains', CLAIMS, *of_gains)
-
-
-def _planar(ask: Callable[..., Any], gains: Gains, arm: SerialArm) -> Any:
-    return ask(planar_model(arm), gains)
-
-
-def _facts(arm: ArmParameters, gains: Gains) -> list[str]:
-    way = 'upwards' if arm.sign > 0 else 'downwards'
-    degrees = ', '.join(f'{np.degrees(np.arccos(low)):.1f}°' for low in arm.cos_min)
-    observer, controller = gains.observer, gains.controller
-    return [
-        f'method: observer {observer.method}, controller {controller.method}',
-        f'certified region: links within {degrees} of the vertical {way}',
-        f'decay: estimation error {observer.decay:g} /s, tracking error {controller.decay:g} /s',
-    ]
+def described_arm(gains: CertifiedGains) -> SerialArm | None:
+    """The arm that gains describe or that is shipped under their name, if it is theirs."""
+    text = getattr(gains, 'certificate', {}).get('arm_json')
+    if isinstance(text, str):
+        return two_link_arm(arm_from_json(text))
+    file = shipped_files('arms').get(gains.arm_name)
+    return load_arm(file) if file is not None else None
 
 
 def examine(path: str | Path | None, arm: SerialArm, source: str = '') -> Certificate:
@@ -112,9 +66,9 @@ def examine(path: str | Path | None, arm: SerialArm, source: str = '') -> Certif
         facts = [
             ('gains file', source or Path(path).name),
             ('SHA-256 of the file', hashlib.sha256(Path(path).read_bytes()).hexdigest()),
-            ('designed for arm', found.gains.arm_name),
+            ('designed for arm', found.arm_name),
         ]
-        checks = found.checks(arm)
+        checks = found.verify(arm)
         facts += [('certified', line.strip()) for line in found.facts(arm)]
         return Certificate(found.what, tuple(facts), tuple(checks))
     except (LpvError, OSError, ArithmeticError, np.linalg.LinAlgError) as error:
@@ -140,7 +94,7 @@ def find_arm_and_gains(
     if arm:
         return arm, file, source
     try:
-        described = load_certified(file).arm() if file else None
+        described = described_arm(load_certified(file)) if file else None
     except ConfigError:
         if gains:
             raise

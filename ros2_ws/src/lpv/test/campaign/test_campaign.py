@@ -162,7 +162,7 @@ def test_given_factors_when_a_run_is_planned_then_each_arrives_where_it_acts():
     assert (plan.delay, plan.loss, plan.compensation) == (2, 0.1, 'always')
     faults = [Fault(name, 'drift', 1.0, 0.5, rate=-0.2) for name in plan.arm.sensor_names]
     assert list(scenario.faults) == faults
-    plan.gains.check_arm(planar_model(plan.arm))
+    plan.gains.check_arm(plan.arm)
     assert len(plan.simulate().time) == 751
 
 

@@ -10,7 +10,6 @@ from campaign_files import spec, written
 from lpv import ConfigError, load_gains
 from lpv.cli.commands.tune import healthy
 from lpv.core.support.config import read_yaml
-from lpv.core.uio.certificate.conditions import require
 from lpv_design.requirement import load_requirement
 
 pytestmark = pytest.mark.slow
@@ -39,7 +38,7 @@ def study_in(out):
     return optuna.load_study(study_name=None, storage=f'sqlite:///{out / "study.db"}')
 
 
-def test_given_a_design_when_tuned_then_only_better_gains_hold(file, paper_model, call, refused):
+def test_given_a_design_when_tuned_then_only_better_gains_hold(file, paper_arm, call, refused):
     out = file.parent / 'out'
     assert refused("'beauty' is no number", *command(file, 2, '--cost', 'beauty=1'))
     text = call(*command(file, 2)).out + call(*command(file, 3)).out
@@ -53,7 +52,7 @@ def test_given_a_design_when_tuned_then_only_better_gains_hold(file, paper_model
     better = result['interval'][1] < -0.02 * result['first'] and result['healthy_score'] <= 1.0
     assert (result['reason'] == '') == better == (out / 'gains.yaml').exists()
     if better:
-        require(paper_model, load_gains(out / 'gains.yaml'), 'gains')
+        load_gains(out / 'gains.yaml').require(paper_arm)
     for name in ('front', 'history', 'slices'):
         assert (out / f'{name}.png').stat().st_size > 1000
     # The same search in one go ends with the same trials.

@@ -70,7 +70,7 @@ def test_given_gains_of_an_earlier_demo_when_all_is_as_it_was_then_no_solver_is_
 ):
     monkeypatch.setitem(sys.modules, 'lpv_design.design_flow', None)
     file, console = tmp_path / 'gains.yaml', Console(file=io.StringIO())
-    save_gains(paper_gains, file, demo._design_key(paper_model, 'paper') + '\nholds: all')
+    save_gains(paper_gains, file, demo._design_key(paper_arm, 'paper') + '\nholds: all')
     assert demo._designed(paper_arm, 'paper', tmp_path, console) == file
     assert 'all 1 checks' in console.file.getvalue()
     changed = re.sub('kappa: .*[0-9]', 'kappa: [1.0, 1.0', file.read_text(), count=1)

@@ -128,7 +128,7 @@ def test_given_no_compiler_then_no_bit_differs(tmp_path, paper_gains, literal_ga
 
 
 def torque(controller, *sample):
-    """Of one command; positions and rates as of `TrackingLaw.answer`."""
+    """Of one command; positions and rates as of `TrackingController.answer`."""
     controller.answer(*sample)
     return controller.torque.copy()
 

@@ -21,7 +21,7 @@ from lpv.core.simulation.scenario import load_scenario, parse_scenario
 from lpv.core.support import config
 from lpv.core.support.config import MAX_DEPTH, MAX_VALUES, Section, read_yaml, sha256_of
 from lpv.core.support.errors import ConfigError, LpvError
-from lpv.core.uio.certificate.gains import gains_to_dict, load_gains, parse_gains, save_gains
+from lpv.core.uio.certificate.gains import Gains, load_gains
 from lpv.core.uio.model.arm import Link
 from lpv.core.uio.planar import planar_model
 from lpv_design.requirement import load_requirement, parse_requirement
@@ -63,7 +63,7 @@ NEEDED = {
     'sensors.position_noise sensors.velocity_noise disturbance disturbance.direction '
     'disturbance.mean disturbance.variance region region.orientation region.cos_min',
 }
-PARSERS = {'arm': parse_arm, 'scenario': parse_scenario, 'gains': parse_gains}
+PARSERS = {'arm': parse_arm, 'scenario': parse_scenario, 'gains': Gains.parse}
 PARSERS |= {'requirement': parse_requirement, 'old arm': parse_arm}
 pytestmark = pytest.mark.filterwarnings('ignore:some.yaml is of the form of two-link arms')
 
@@ -90,7 +90,7 @@ class Kind:
 @pytest.fixture(scope='module')
 def kinds(paper_gains, literal_gains):
     good = {'arm': ARM, 'scenario': SCENARIO, 'requirement': REQUIREMENT, 'old arm': OLD_ARM}
-    good |= {'gains': gains_to_dict(paper_gains), 'literal gains': gains_to_dict(literal_gains)}
+    good |= {'gains': paper_gains.mapping(), 'literal gains': literal_gains.mapping()}
     return {name: Kind(name.removeprefix('literal '), data) for name, data in good.items()}
 
 
@@ -253,7 +253,7 @@ def test_given_an_older_file_when_read_then_it_is_the_same_arm(paper_arm, paper_
         arm = parse_arm(OLD_ARM, 'some.yaml')
         turned = parse_arm({**OLD_ARM, 'rotor': {'inertia': 1e-4, 'gear_ratio': 6.0}}, 'some.yaml')
     assert planar_model(arm) == planar_model(paper_arm)
-    paper_gains.check_arm(planar_model(arm))
+    paper_gains.check_arm(arm)
     save_arm(arm, tmp_path / 'new.yaml')
     assert load_arm(tmp_path / 'new.yaml') == arm
     # Rotors are those of the motors.
@@ -336,7 +336,7 @@ def test_given_large_values_or_files_then_they_are_kept_or_not(tmp_path, monkeyp
     (tmp_path / 'a.yaml').write_text(text)
     expected = [2**63 - 1, -(2**63) + 1, 1e308, float('-inf'), None, True, '']
     assert read_yaml(tmp_path / 'a.yaml')['a'] == expected
-    save_gains(paper_gains, tmp_path / 'g.yaml')
+    paper_gains.save(tmp_path / 'g.yaml')
     assert 10 * (tmp_path / 'g.yaml').stat().st_size < config.MAX_BYTES < 1 << 24
     path = tmp_path / 'large.yaml'
     path.write_text('name: x\n' + '#' * 100)
@@ -411,7 +411,7 @@ def test_given_gains_when_saved_and_loaded_then_no_bit_differs(tmp_path, gains_o
     spoilt = replace(literal_gains, observer=replace(literal_gains.observer, k=odd))
     path = tmp_path / 'deep' / 'er' / 'gains.yaml'
     for gains in (*gains_of.values(), spoilt):
-        save_gains(gains, path, 'two\nlines')
+        gains.save(path, 'two\nlines')
         back = load_gains(path)
         assert (back.arm_name, back.arm_sha256) == (gains.arm_name, gains.arm_sha256)
         for part in ('observer', 'controller'):
@@ -422,7 +422,7 @@ def test_given_gains_when_saved_and_loaded_then_no_bit_differs(tmp_path, gains_o
     assert back.observer.k.tobytes() == odd.tobytes()
 
 
-def test_given_other_yaml_or_arm_then_gains_refuse(tmp_path, paper_model, real_model, paper_gains):
+def test_given_other_yaml_or_arm_then_gains_refuse(tmp_path, paper_arm, real_arm, paper_gains):
     path, empty = tmp_path / 'other.yaml', '/**: {ros__parameters: {}}'
     for text in ('a: 1', '/**: 5', empty, empty.replace('{}', '{gains: 5}')):
         path.write_text(text)
@@ -430,10 +430,10 @@ def test_given_other_yaml_or_arm_then_gains_refuse(tmp_path, paper_model, real_m
             load_gains(path)
     with pytest.raises(ConfigError, match='certifies a tracking loop'):
         load_gains(BRINGUP / 'gains' / 'ur10.yaml')
-    paper_gains.check_arm(paper_model)
-    hashes = '.*'.join(model.sha256()[:12] for model in (paper_model, real_model))
+    paper_gains.check_arm(paper_arm)
+    hashes = '.*'.join(planar_model(arm).sha256()[:12] for arm in (paper_arm, real_arm))
     with pytest.raises(ConfigError, match=rf'^g.yaml: gains.arm_sha256: .*{hashes}'):
-        paper_gains.check_arm(real_model, 'g.yaml')
+        paper_gains.check_arm(real_arm, 'g.yaml')
 
 
 MUTATED = {

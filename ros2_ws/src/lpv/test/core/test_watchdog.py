@@ -7,7 +7,7 @@ import pytest
 
 from lpv.core.control import watchdog
 from lpv.core.control.estimate_check import ROWS, ValueFault, check_values
-from lpv.core.control.latency import tolerated_latency
+from lpv.core.control.tracking import loop_latency
 from lpv.core.control.watchdog import (
     BrakeReason,
     DriveLimits,
@@ -157,14 +157,14 @@ def test_given_what_is_late_on_average_then_both_sides_stop_for_a_while(tracker,
     assert 0.2 <= back.index(StopReason.NONE) * 0.002 < 0.3
 
 
-def test_given_any_rate_then_limits_are_below_the_latency(paper_model, real_model, gains_of):
-    for arm in (paper_model, real_model):
-        tolerated = tolerated_latency(arm, gains_of[arm.name])
+def test_given_any_rate_then_limits_are_below_the_latency(paper_arm, real_arm, gains_of):
+    for arm in (paper_arm, real_arm):
+        tolerated = loop_latency(arm, gains_of[arm.name])
         assert DriveLimits().latency.mean < tolerated < 0.1
         assert watchdog.latency_limits(tolerated).mean < tolerated
     for rate in (50, 2000):
-        arm = replace(paper_model, sample_time=1.0 / rate)
-        tolerated = tolerated_latency(arm, design(arm, load_requirement('paper')).gains)
+        arm = replace(paper_arm, sample_time=1.0 / rate)
+        tolerated = loop_latency(arm, design(arm, load_requirement('paper')).gains)
         limits = watchdog.latency_limits(tolerated)
         assert 0.5 / rate < limits.mean < tolerated
         assert watchdog.mean_limit(limits.single) == pytest.approx(limits.mean)

@@ -8,10 +8,9 @@ from collections.abc import Iterator
 from itertools import count
 from pathlib import Path
 
-from lpv.core.serial_arm.certificate.loop_gains import load_loop_gains, serial_parameters
 from lpv.core.simulation.scenario import load_scenario
 from lpv.core.support.errors import ConfigError
-from lpv.core.uio.certificate.gains import load_gains
+from lpv.core.uio.certificate.gains import gains_in
 
 GAINS_NAME = 'gains.yaml'
 """Of the copy of the gains that a run was answered with."""
@@ -45,10 +44,8 @@ def read_run_file(path: str | Path, name: str) -> bytes:
     """Bytes of a valid gains or scenario file, by the name of its copy; for `copy_file`."""
     if name == SCENARIO_NAME:
         load_scenario(path)
-    elif (parameters := serial_parameters(path)) is None:
-        load_gains(path)
-    elif 'loop' in parameters:
-        load_loop_gains(path)
+    else:
+        gains_in(path)
     try:
         return Path(path).read_bytes()
     except OSError as error:

@@ -21,7 +21,7 @@ from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.config import sha256_of
 from lpv.core.support.errors import ConfigError, LpvError
 from lpv.core.support.limits import MAX_GAP, MOST_TEXT
-from lpv.core.uio.certificate.gains import Gains, gains_to_dict, parse_gains
+from lpv.core.uio.certificate.gains import Gains
 
 _STORAGE = ('.mcap', '.db3')
 _UNIT = ('serial', 'unit')
@@ -40,7 +40,7 @@ def archive_text(
     content = {
         'root': str(Path(root).resolve()),
         'arm': to_mapping(arm),
-        'gains': gains and gains_to_dict(gains),
+        'gains': gains and gains.mapping(),
         'diagnosis': asdict(diagnosis or DiagnosisParameters()),
         'options': asdict(options or ReplayOptions()),
         'sampling': sampling,
@@ -56,7 +56,7 @@ class Archive:
         self.text, data = text, json.loads(text)
         self.root, self.arm = Path(data['root']), parse_arm(data['arm'])
         self.software: str = data.get('software', 'unknown')
-        self._gains = data['gains'] and parse_gains(data['gains'])
+        self._gains = data['gains'] and Gains.parse(data['gains'])
         self._diagnosis = DiagnosisParameters(**data['diagnosis'])
         self._options, self._sampling = ReplayOptions(**data['options']), data['sampling']
 

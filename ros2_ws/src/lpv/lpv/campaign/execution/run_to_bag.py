@@ -19,7 +19,6 @@ from lpv.core.simulation.closed_loop import Run
 from lpv.core.support.config import write_parameters
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.timestamps import NANOSECONDS
-from lpv.core.uio.certificate.gains import save_gains
 
 NAMESPACE = '/lpv'
 START = NANOSECONDS
@@ -53,7 +52,7 @@ def write_run_bag(plan: RunPlan, run: Run, out: str | Path) -> None:
             (whole / f'{name}.yaml').write_text(text, encoding='utf-8')
         if plan.gains is not None:
             text = f'Gains of run {plan.number} ({plan.scenario.name}).'
-            save_gains(plan.gains, whole / 'gains.yaml', text)
+            plan.gains.save(whole / 'gains.yaml', text)
 
 
 def differences(stored: dict[str, Any], found: dict[str, Any]) -> list[str]:

@@ -27,9 +27,8 @@ from lpv.core.support.config import read_yaml, sha256_of
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.jit import source_digest
 from lpv.core.support.resources import bringup_file
-from lpv.core.uio.certificate.conditions import require
-from lpv.core.uio.certificate.gains import Gains, gains_to_dict, load_gains, parse_gains
-from lpv.core.uio.planar import is_planar, planar_model
+from lpv.core.uio.certificate.gains import Gains, load_gains
+from lpv.core.uio.planar import is_planar
 
 _OF_GAINS = ('design', 'disturbance')
 """Factors of arms with a region for which gains are designed."""
@@ -67,7 +66,7 @@ def resolve(
             at = replace(arm, sample_time=time or arm.sample_time)
             for design in spec.designs:
                 gains = find_gains(design, at, folder)
-                content['gains'][f'{design}@{at.sample_time!r}'] = gains_to_dict(gains)
+                content['gains'][f'{design}@{at.sample_time!r}'] = gains.mapping()
         content['designs'] = {name: sha256_of(_design_data(name, folder)) for name in spec.designs}
     campaign = Campaign(json.dumps(content, sort_keys=True))
     campaign.check()
@@ -94,16 +93,16 @@ def _design_data(name: str, folder: str | Path) -> Any:
 
 def find_gains(name: str, arm: SerialArm, folder: str | Path = '.') -> Gains:
     """Gains of a gains file, checked, or designed for a requirement, a file or a shipped one."""
-    path, planar = Path(folder) / name, planar_model(arm)
+    path = Path(folder) / name
     if path.is_file() and 'ros__parameters' in path.read_text(encoding='utf-8', errors='ignore'):
         gains = load_gains(path)
-        require(planar, gains, name)
+        gains.require(arm, name)
         return gains
     # Only here: workers never design, and need no solver.
     from lpv_design.design_flow import design
     from lpv_design.requirement import load_requirement
 
-    return design(planar, load_requirement(path if path.is_file() else name)).gains
+    return design(arm, load_requirement(path if path.is_file() else name)).gains
 
 
 class Campaign:
@@ -117,7 +116,7 @@ class Campaign:
         self.arm: SerialArm = parse_arm(self.content['arm'])
         self.designed = self.arm.lpv is not None
         gains = self.content['gains']
-        self._gains = {name: parse_gains(gains[name], name) for name in gains}
+        self._gains = {name: Gains.parse(gains[name], name) for name in gains}
         self._plan = Plan(self.spec)
 
     @property
@@ -134,7 +133,7 @@ class Campaign:
 
     def with_gains(self, gains: Gains, **changes: Any) -> Campaign:
         """The same campaign with other gains, and with other fields of its file."""
-        content, data = json.loads(self.text), gains_to_dict(gains)
+        content, data = json.loads(self.text), gains.mapping()
         content['spec'].update(changes)
         content['gains'] = {f'{self.spec.designs[0]}@{self.arm.sample_time!r}': data}
         return Campaign(json.dumps(content, sort_keys=True))

@@ -27,10 +27,7 @@ from lpv.core.support.config import write_parameters
 from lpv.core.support.errors import LpvError
 from lpv.core.support.resources import bringup_file, prefixes, shipped_files
 from lpv.core.support.signals import STOPS, exit_by_signal, handled_signals
-from lpv.core.uio.certificate.conditions import require
-from lpv.core.uio.certificate.gains import load_gains, save_gains
-from lpv.core.uio.model.arm import ArmParameters
-from lpv.core.uio.planar import planar_model
+from lpv.core.uio.certificate.gains import load_gains
 
 _PROGRESS = re.compile(r'scenario time ([0-9.]+) of')
 _SILENCE = 900.0
@@ -94,13 +91,12 @@ def _shipped(arm: SerialArm, console: Console) -> Path | None:
 
 def _designed(arm: SerialArm, requirement: str, out: Path, console: Console) -> Path | None:
     """Gains designed for a requirement, or kept from an earlier run; None if infeasible."""
-    planar, file = planar_model(arm), out / 'gains.yaml'
-    key = _design_key(planar, requirement)
+    file, key = out / 'gains.yaml', _design_key(arm, requirement)
     with contextlib.suppress(LpvError, OSError):
         lines = file.read_text(encoding='utf-8').splitlines()
         head = [line[2:] for line in lines if line.startswith('#')]
         if head[:1] == [key]:
-            require(planar, load_gains(file), str(file))
+            load_gains(file).require(arm, str(file))
             console.print(f'gains for arm {arm.name!r} are kept from the run before')
             _show_design(head[1:], console)
             return file
@@ -111,16 +107,16 @@ def _designed(arm: SerialArm, requirement: str, out: Path, console: Console) -> 
 
     console.print(f'designing gains for arm {arm.name!r} ...')
     try:
-        result = design(planar, load_requirement(requirement))
+        result = design(arm, load_requirement(requirement))
     except InfeasibleError as error:
         console.print(f'[red]lpv demo: {error}')
         return None
-    save_gains(result.gains, file, '\n'.join([key, *result.lines]))
+    result.gains.save(file, '\n'.join([key, *result.lines]))
     _show_design(result.lines, console)
     return file
 
 
-def _design_key(arm: ArmParameters, requirement: str) -> str:
+def _design_key(arm: SerialArm, requirement: str) -> str:
     """Words that tell a design from all others: arm, requirement, and state of the design."""
     folder, file = Path(design_package.__file__).parent, Path(requirement)
     if file.suffix not in ('.yaml', '.yml'):

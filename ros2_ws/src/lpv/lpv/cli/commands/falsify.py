@@ -9,9 +9,7 @@ from lpv.campaign.falsify.search import BAG, SCENARIO, read_attack, repeat, sear
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.resources import bringup_file
-from lpv.core.uio.certificate.conditions import require
 from lpv.core.uio.certificate.gains import load_gains
-from lpv.core.uio.planar import planar_model
 
 EXIT_CROSSED = 1
 """Exit code where a healthy arm crossed a threshold."""
@@ -38,7 +36,7 @@ def _attacker(arm: SerialArm, gains_file: str | None, duration: float) -> Attack
     if not gains_file:
         return Attacker(arm, duration)
     gains = load_gains(bringup_file('gains', gains_file))
-    require(planar_model(arm), gains, gains_file)
+    gains.require(arm, gains_file)
     if gains.observer.method != 'exact':
         raise ConfigError('gains', "must be of method 'exact': 'paper' has no guaranteed bound")
     return Attacker(arm, duration, gains)

@@ -28,7 +28,6 @@ from lpv.core.support.errors import ConfigError
 from lpv.core.support.formatting import bound, decimals
 from lpv.core.support.resources import bringup_file
 from lpv.core.support.timestamps import NANOSECONDS
-from lpv.core.uio.certificate.gains import save_gains
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -57,7 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
     with replaced(out) as new:
         result = replay.run(arguments.bag, new)
         if gains is not None:
-            save_gains(gains, new / GAINS_NAME, 'Gains that this bag was replayed with.')
+            gains.save(new / GAINS_NAME, 'Gains that this bag was replayed with.')
     _summary(result, monitor, time.perf_counter() - begin, console)
     if faults is not None:
         show_injected(judge(faults, result), arm, console)

@@ -26,9 +26,7 @@ from lpv.core.monitoring.parameters import DiagnosisParameters
 from lpv.core.support.config import read_yaml, sha256_of, write_parameters
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.resources import bringup_file
-from lpv.core.uio.certificate.conditions import require
-from lpv.core.uio.certificate.gains import Gains, load_gains, save_gains
-from lpv.core.uio.planar import planar_model
+from lpv.core.uio.certificate.gains import Gains, load_gains
 from lpv_design.design_flow import design
 from lpv_design.requirement import load_requirement, parse_requirement
 from lpv_design.solve import InfeasibleError
@@ -62,7 +60,6 @@ class _Bench:
         self.arm = self.campaign.arm
         if not self.campaign.designed:
             raise ConfigError('arm', f'{self.arm.name} has no lpv region: no design to tune')
-        self.planar = planar_model(self.arm)
         if len(self.campaign.spec.designs) > 1 or 'sample_time' in self.campaign.spec.factors:
             raise ConfigError('designs', 'must be one, at one sample time')
         near = path.parent / self.campaign.spec.designs[0]
@@ -125,8 +122,8 @@ class _Bench:
         """Certified gains; InfeasibleError or ConfigError where there are none."""
         key = tuple(values.items())
         if key not in self._designed:
-            gains = design(self.planar, parse_requirement(self.content(values), self.name)).gains
-            require(self.planar, gains, self.name)
+            gains = design(self.arm, parse_requirement(self.content(values), self.name)).gains
+            gains.require(self.arm, self.name)
             self._designed[key] = gains
         return self._designed[key]
 
@@ -320,10 +317,10 @@ def _write(bench: _Bench, values: dict[str, float], folder: Path) -> None:
     if tuned:
         parameters = {'diagnosis': vars(replace(DiagnosisParameters(), **tuned))}
         write_parameters(folder / 'diagnosis.yaml', parameters, 'Found by lpv tune.')
-    found = design(bench.planar, load_requirement(requirement))
+    found = design(bench.arm, load_requirement(requirement))
     lines = [f'Gains for arm {bench.arm.name!r}, found by lpv tune.', *found.lines]
-    save_gains(found.gains, folder / 'gains.yaml', '\n'.join(lines))
-    require(bench.planar, load_gains(folder / 'gains.yaml'), 'gains.yaml')
+    found.gains.save(folder / 'gains.yaml', '\n'.join(lines))
+    load_gains(folder / 'gains.yaml').require(bench.arm, 'gains.yaml')
 
 
 def _draw(study: optuna.Study, folder: Path) -> None:

@@ -3,16 +3,17 @@
 import argparse
 
 from lpv.core.support.errors import ConfigError
-from lpv.report.certificate import load_certified
+from lpv.core.uio.certificate.gains import load_certified
+from lpv.report.certificate import described_arm
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Rebuild and judge every inequality; 1 if one does not hold."""
     found = load_certified(arguments.gains)
-    arm = arguments.arm or found.arm()
+    arm = arguments.arm or described_arm(found)
     if arm is None:
         raise ConfigError('--arm', 'is needed: the gains do not describe theirs', arguments.gains)
-    checks, proved = found.checks(arm), found.prove(arm) if arguments.proof else {}
+    checks, proved = found.verify(arm), found.prove(arm) if arguments.proof else {}
     holds = all(check.holds for check in checks) and all(proved.values())
     print(f'{found.what} of arm {arm.name!r}', *found.facts(arm), sep='\n')
     print('largest eigenvalue of each inequality, which holds where that is negative:')

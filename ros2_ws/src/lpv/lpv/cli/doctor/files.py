@@ -43,11 +43,12 @@ def check_arm(name: str) -> tuple[SerialArm | None, Finding]:
 
 def check_gains(name: str, arm: SerialArm | None, arm_name: str | None = 'ARM') -> Finding:
     """Whether gains can be read, belong to the arm, and have a certificate that holds."""
-    from lpv.report.certificate import examine, load_certified
+    from lpv.core.uio.certificate.gains import load_certified
+    from lpv.report.certificate import examine
 
     again = f'lpv design --arm {arm_name or "ARM"} --out {name}'
     try:
-        text = load_certified(name).gains.arm_name
+        text = load_certified(name).arm_name
     except (LpvError, OSError) as problem:
         return error('gains', str(problem), again)
     if arm is None:

@@ -8,16 +8,15 @@ x = (q - q_r, v - v_r, eps), with the model along the reference and kp = kd = ki
 state itself without a model, as eq. (65) does literally.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from lpv.core.serial_arm.chain import Chain, FloatArray, compile_chain, workspace
-from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.chain import Chain, FloatArray
 from lpv.core.serial_arm.dynamics.friction import friction_torque
 from lpv.core.serial_arm.dynamics.newton_euler import inverse_dynamics
 from lpv.core.support.jit import njit_in_place as njit
-from lpv.core.support.records import memory, new_record, record_type
+from lpv.core.support.records import record_type
 
 NO_MODEL, AT_STATE, AT_REFERENCE = range(3)
 """Where the model of the arm is taken."""
@@ -60,7 +59,21 @@ def track(
     integrated: FloatArray,
     interval: float,
 ) -> None:
-    """One torque command, into ``parts.state``; the rest is as of `TrackingLaw.answer`."""
+    """Write one command, the torques [N m], into ``parts.state``.
+
+    Parameters
+    ----------
+    parts : LawParts
+        The law.
+    reference : ndarray, shape (3, n)
+        Positions, rates and accelerations [rad], [rad/s], [rad/s2].
+    position, velocity : ndarray, shape (n,)
+        State to feed back, joint coordinates, contiguous [rad], [rad/s].
+    integrated : ndarray, shape (n,)
+        Position that eps integrates, contiguous [rad].
+    interval : float
+        Time since the previous command [s]; 0 at the first.
+    """
     chain, state, n = parts.chain, parts.state[0], position.shape[0]
     torque, x, a = state.torque, state.x, state.acceleration
     for i in range(n):
@@ -99,55 +112,3 @@ def _apply_limits(state: np.record) -> None:
         # Conditional integration: no wind-up at the limit.
         for i in range(limit.shape[0]):
             state.integral[i] += state.step[i]
-
-
-class TrackingLaw:
-    """A tracking controller with integral action.
-
-    Parameters
-    ----------
-    arm : SerialArm
-        The arm.
-    **gains
-        Of `law_type`.
-
-    Attributes
-    ----------
-    torque : ndarray, shape (n,)
-        Joint torques of the last command [N m].
-    parts : LawParts
-        Of `track`.
-    """
-
-    def __init__(self, arm: SerialArm, **gains: Any) -> None:
-        state = new_record(law_type(len(arm.joints)), limit=arm.torque_limit, **gains)
-        chain = compile_chain(arm)
-        self.parts, self.state = LawParts(chain, memory(state), workspace(chain)), state
-        self.torque: np.ndarray = self.parts.state['torque'][0]
-
-    def reset(self) -> None:
-        """Empty the integrator."""
-        self.state.integral[:] = 0.0
-
-    def answer(
-        self,
-        reference: np.ndarray,
-        position: np.ndarray,
-        velocity: np.ndarray,
-        integrated: np.ndarray,
-        interval: float,
-    ) -> None:
-        """Write the command for the present sample into ``torque``.
-
-        Parameters
-        ----------
-        reference : ndarray, shape (3, n)
-            Positions, rates and accelerations [rad], [rad/s], [rad/s2].
-        position, velocity : ndarray, shape (n,)
-            State to feed back, joint coordinates, contiguous [rad], [rad/s].
-        integrated : ndarray, shape (n,)
-            Position that eps integrates, contiguous [rad].
-        interval : float
-            Time since the previous command [s]; 0 at the first.
-        """
-        track(self.parts, reference, position, velocity, integrated, interval)

@@ -90,7 +90,7 @@ class LatencyLimits:
 def latency_limits(tolerated: float) -> LatencyLimits:
     """Limits for a loop that is stable with constant latencies up to ``tolerated`` [s].
 
-    See `lpv.core.control.latency.tolerated_latency`.
+    See `lpv.core.control.tracking.loop_latency`.
     """
     single = min(_SINGLE_SHARE * tolerated, MAX_GAP)
     return LatencyLimits(single, min(_MEAN_SHARE * tolerated, single))

@@ -13,10 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lpv.core.control.computed_torque import BANDWIDTH
 from lpv.core.control.estimate_check import CorrectionLimit, limit_correction
 from lpv.core.control.path_follower import PathFollower, approach_speeds
-from lpv.core.control.tracking import COMPENSATION, make_controller
+from lpv.core.control.tracking import BANDWIDTH, COMPENSATION, TrackingController
 from lpv.core.control.tracking_law import LawParts, track
 from lpv.core.control.watchdog import (
     DriveLimits,
@@ -455,7 +454,7 @@ def run_closed_loop(
     count = round(samples) + 1
     simulator = ArmSimulator(arm, scenario, substeps)
     monitor = SerialSensorMonitor('loop', arm, parameters, gains, observer)
-    controller = make_controller(arm, gains, bandwidth)
+    controller = TrackingController(arm, gains, bandwidth)
     speeds, scales = approach_speeds(arm, TrackerLimits.speed), arm.scales()
     path = scenario.path(arm)
     follower, start = PathFollower(path, speeds, scales), path.sample(0.0)

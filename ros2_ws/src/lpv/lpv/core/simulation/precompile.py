@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from lpv.core.control.tracking import make_controller
+from lpv.core.control.tracking import TrackingController
 from lpv.core.control.watchdog import DriveLimits, DriveWatchdog, TrackerLimits, TrackerWatchdog
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.arm_file import load_arm
@@ -41,7 +41,7 @@ def _run_loop(arm: SerialArm, name: str, gains: Gains | None) -> None:
     plant.step(np.zeros(len(arm.joints)))
     plant.hold()
     still = np.zeros(len(arm.joints))
-    make_controller(arm, gains).answer(
+    TrackingController(arm, gains).answer(
         np.zeros((3, len(still))), still + 0.1, still, still + 0.1, 0.0
     )
     watchdog = TrackerWatchdog(arm, TrackerLimits())

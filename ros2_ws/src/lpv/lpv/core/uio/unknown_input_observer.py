@@ -203,13 +203,14 @@ class UnknownInputObserver:
         initial_samples: int = 1,
         max_gap: float = MAX_GAP,
     ) -> None:
-        planar = planar_model(arm)
-        self.method = gains.observer.method
-        self._planar, self._gains = planar, gains
+        gains.check_arm(arm)
+        planar, observer = planar_model(arm), gains.observer
+        self.method = observer.method
+        self._planar, self._observer = planar, observer
         constants = new_record(
             UIO_CONSTANTS,
-            observer=observer_constants(planar, gains, initial_samples, max_gap),
-            bound=error_bound(planar, gains),
+            observer=observer_constants(planar, observer, initial_samples, max_gap),
+            bound=error_bound(planar, observer),
         )
         state = new_record(UIO_STATE)
         self.parts = UioParts(memory(constants), memory(state))
@@ -230,7 +231,7 @@ class UnknownInputObserver:
 
     def retune(self, sigmas: float) -> None:
         """Change the standard deviations of noise in the bound."""
-        self.parts.constants['bound'] = error_bound(self._planar, self._gains, sigmas)
+        self.parts.constants['bound'] = error_bound(self._planar, self._observer, sigmas)
 
     def rely(self, rates_are_right: bool) -> None:
         """Publish the tighter estimate only while nothing speaks against the rates."""

@@ -9,21 +9,16 @@ from scipy.linalg import eigh
 from serial_certificate import corner_arm, decay
 
 from lpv import ConfigError, load_arm
-from lpv.core.serial_arm.certificate import loop_gains as files
-from lpv.core.serial_arm.certificate.conditions import (
-    error_bound,
-    prove_loop,
-    require_loop,
-    verify_loop,
-)
 from lpv.core.serial_arm.certificate.disturbance import MotionRange, missed_torque
+from lpv.core.serial_arm.certificate.loop_gains import LoopGains
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.dynamics.payload import with_payload
 from lpv.core.support.resources import bringup_file
+from lpv.core.uio.certificate.gains import load_certified
 
 NAMES = ('ur10', 'panda')
-FILES = {n: (load_arm(n), files.load_loop_gains(bringup_file('gains', n))) for n in NAMES}
+FILES = {n: (load_arm(n), load_certified(bringup_file('gains', n))) for n in NAMES}
 EACH = pytest.mark.parametrize(('arm', 'gains'), FILES.values(), ids=FILES)
 
 
@@ -75,9 +70,9 @@ def test_given_true_arms_at_corners_then_energy_decays_and_missed_torques_are_bo
 
 @EACH
 def test_given_the_shipped_files_when_verified_or_proved_then_all_inequalities_hold(arm, gains):
-    assert all(check.holds for check in verify_loop(arm, gains))
-    assert sum(error_bound(arm, gains).values()) == pytest.approx(gains.error.bound, rel=1e-9)
-    assert arm.name == 'panda' or all(prove_loop(arm, gains).values())
+    assert all(check.holds for check in gains.verify(arm))
+    assert sum(gains.error_bound(arm).values()) == pytest.approx(gains.error.bound, rel=1e-9)
+    assert arm.name == 'panda' or all(gains.prove(arm).values())
 
 
 @EACH
@@ -106,7 +101,7 @@ def test_given_rotors_that_couple_joints_when_verified_then_false_bounds_are_fou
     arm = replace(plain, joints=tuple(joints))
     mass = SerialModel(compile_chain(arm)).mass_matrix(np.zeros(6))
     assert 0.0 < np.linalg.eigvalsh(mass)[0] < 0.5 * gains.model.inertia.min()
-    checks = verify_loop(arm, replace(gains, arm_sha256=arm.sha256(), checksum=''))
+    checks = replace(gains, arm_sha256=arm.sha256(), checksum='').verify(arm)
     failed = [check.name for check in checks if not check.holds]
     assert any('M(q) >= diag(c)' in name for name in failed)
     assert any('viscous friction' in name for name in failed)
@@ -125,26 +120,26 @@ def test_given_forged_numbers_and_checksums_when_verified_then_it_is_told(by, na
         return np.eye(3).ravel().tolist() if by == 'none' else (by * np.array(value)).tolist()
 
     arm, gains = FILES['ur10']
-    other = files.parse_loop(changed(files.loop_to_dict(gains), name, forged))
+    other = LoopGains.parse(changed(gains.mapping(), name, forged))
     with pytest.raises(ConfigError, match='the certificate does not hold'):
-        require_loop(arm, replace(other, checksum=files.loop_checksum(other)))
+        replace(other, checksum=other.mapping()['checksum']).require(arm)
 
 
 def test_given_any_changed_number_when_verified_then_the_checksum_tells(tmp_path):
     arm, gains = FILES['ur10']
     other = replace(gains, rate_share=0.9 * gains.rate_share)  # a weaker claim, true as well
     with pytest.raises(ConfigError, match='numbers are those of the design'):
-        require_loop(arm, other)
-    files.save_loop_gains(other, tmp_path / 'gains.yaml')
-    assert files.load_loop_gains(tmp_path / 'gains.yaml').rate_share == other.rate_share
+        other.require(arm)
+    other.save(tmp_path / 'gains.yaml')
+    assert load_certified(tmp_path / 'gains.yaml').rate_share == other.rate_share
 
 
 @pytest.mark.parametrize('change', [{'lyapunov': [1.0]}, {'decay': -1.0}, {'more': 1.0}])
 def test_given_a_damaged_proof_or_none_when_read_then_the_field_is_named(tmp_path, change):
-    data = files.loop_to_dict(FILES['ur10'][1])
+    data = FILES['ur10'][1].mapping()
     with pytest.raises(ConfigError, match=next(iter(change))):
-        files.parse_loop({**data, 'motion': {**data['motion'], **change}})
+        LoopGains.parse({**data, 'motion': {**data['motion'], **change}})
     path = tmp_path / 'gains.yaml'
     path.write_text('/**: {ros__parameters: {bandwidth: 10.0}}\n', encoding='utf-8')
     with pytest.raises(ConfigError, match='no certificate'):
-        files.load_loop_gains(path)
+        load_certified(path)

@@ -8,9 +8,9 @@ import pytest
 from serial_arms import middle, mixed_arm, scara, shoulder_arm, ur10_on_rail
 
 from lpv import AlarmEvent, ConfigError, Fault, Scenario, load_arm, load_scenario
-from lpv.core.control.computed_torque import ComputedTorqueController
 from lpv.core.control.estimate_check import FADING, CorrectionLimit
 from lpv.core.control.path_follower import PathFollower
+from lpv.core.control.tracking import TrackingController
 from lpv.core.control.watchdog import BrakeReason, StopReason, TrackerLimits, TrackerWatchdog
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.diagnosis.alarms import Mode
@@ -148,9 +148,9 @@ def test_given_a_derived_rate_when_its_encoder_jumps_then_it_jumps_too(rates, ju
 
 def test_given_a_bandwidth_when_the_samples_are_too_few_for_it_then_it_is_refused():
     arm = shoulder_arm('independent')
-    assert ComputedTorqueController(arm, 10.0).tolerated_latency > 0.02
+    assert TrackingController(arm, bandwidth=10.0).tolerated_latency > 0.02
     with pytest.raises(ConfigError, match='bandwidth: 900 rad/s is unstable'):
-        ComputedTorqueController(arm, 900.0)
+        TrackingController(arm, bandwidth=900.0)
 
 
 def sliding(arm, *faults, duration):
@@ -196,7 +196,7 @@ class Loop:
         self.arm, scenario = load_arm('ur10'), load_scenario('ur10')
         self.simulator = ArmSimulator(self.arm, scenario)
         self.follower = PathFollower(scenario.path(self.arm))
-        self.law, self.limit = ComputedTorqueController(self.arm), CorrectionLimit(self.arm)
+        self.law, self.limit = TrackingController(self.arm), CorrectionLimit(self.arm)
         self.watchdog = TrackerWatchdog(self.arm, TrackerLimits())
         self.correction, self.corrects_rates = correction, corrects_rates
         self.reason, self.speeds, self.torques, self.errors = StopReason.NONE, [], [], []

@@ -19,12 +19,12 @@ from scipy.linalg import expm
 from lpv import ConfigError, DiagnosisParameters
 from lpv.cli.main import main
 from lpv.core.serial_arm.certificate.claims import SERIAL_CLAIMS
+from lpv.core.serial_arm.two_links import two_link_arm
 from lpv.core.support.inequalities import is_positive_definite
 from lpv.core.uio.certificate import conditions, error_system, sampled_motion
-from lpv.core.uio.certificate import gains as files
 from lpv.core.uio.certificate.claims import CLAIMS
-from lpv.core.uio.certificate.conditions import prove
 from lpv.core.uio.certificate.error_system import exact_fault_sigma
+from lpv.core.uio.certificate.gains import Gains, load_gains
 from lpv.core.uio.model.arm import arm_from_json
 from lpv.core.uio.model.polytope import sinc_box
 from lpv_design.exact_observer import torque_gains
@@ -54,9 +54,11 @@ def test_given_a_violation_below_rounding_when_tested_then_exact_arithmetic_sees
     assert not is_positive_definite([[Fraction(1, 3), Fraction(1, 3)]] * 2)
 
 
-def test_given_shipped_designs_when_proved_then_all_is(arms, gains_of, paper_model, literal_gains):
-    designs = zip((*arms, paper_model), (*gains_of.values(), literal_gains))
-    for proved in (prove(arm, gains) for arm, gains in designs):
+def test_given_shipped_designs_when_proved_then_all_is(
+    paper_arm, real_arm, gains_of, literal_gains
+):
+    designs = zip((paper_arm, real_arm, paper_arm), (*gains_of.values(), literal_gains))
+    for proved in (gains.prove(arm) for arm, gains in designs):
         assert len(proved) >= 4 and all(proved.values()), proved
 
 
@@ -99,20 +101,20 @@ FLOATS_ALONE = ('one sample of delay',)
 
 
 def failing(arm, gains):
-    return [check.name for check in conditions.verify(arm, gains) if not check.holds]
+    return [check.name for check in gains.verify(arm) if not check.holds]
 
 
 @pytest.mark.parametrize('case', [(*key, *row) for key in SPOILT for row in SPOILT[key]])
-def test_given_a_spoilt_part_then_what_fails_is_named(request, paper_model, case):
+def test_given_a_spoilt_part_then_what_fails_is_named(request, paper_arm, case):
     design, part, spoil, named = case
     gains = request.getfixturevalue(f'{design}_gains')
     gains = spoilt(gains, part, **spoil(getattr(gains, part)))
-    failed = failing(paper_model, gains)
+    failed = failing(paper_arm, gains)
     assert any(re.search(named, name) for name in failed), failed
     with pytest.raises(ConfigError, match='certificate does not hold'):
-        conditions.require(paper_model, gains)
+        gains.require(paper_arm)
     if named not in FLOATS_ALONE:
-        refuted = [name for name, holds in prove(paper_model, gains).items() if not holds]
+        refuted = [name for name, holds in gains.prove(paper_arm).items() if not holds]
         assert any(re.search(named, name) for name in refuted), refuted
 
 
@@ -120,8 +122,8 @@ def test_given_a_spoilt_part_then_what_fails_is_named(request, paper_model, case
 def test_given_more_noise_then_proof_and_floats_refute_the_covariance(planar, gains, noise):
     noisy = replace(planar, **{noise: 3000.0 * getattr(planar, noise)})
     gains = replace(gains, arm_sha256=noisy.sha256())
-    proved, names = prove(noisy, gains), 'covariance under the noise of the arm file'
-    checks = [check for check in conditions.verify(noisy, gains) if names in check.name]
+    arm, names = two_link_arm(noisy), 'covariance under the noise of the arm file'
+    proved, checks = gains.prove(arm), [check for check in gains.verify(arm) if names in check.name]
     assert [proved[check.name] for check in checks] == [check.holds for check in checks]
     assert len(checks) == 2 and not all(check.holds for check in checks)
 
@@ -178,7 +180,7 @@ def test_given_a_design_when_mapped_then_thresholds_grow_with_errors(paper_model
 
 
 def test_given_a_gains_file_when_verified_then_no_solver_is_loaded(paper_model):
-    certificate = files.load_gains(GAINS).certificate
+    certificate = load_gains(GAINS).certificate
     assert arm_from_json(certificate['arm_json']) == paper_model
     assert max(certificate['margins'].values()) < 0.0
     assert certificate['solver'] == 'CLARABEL'
@@ -224,7 +226,7 @@ def test_given_a_design_when_asked_for_then_it_is_made_or_code_and_reason_told(t
     said = capsys.readouterr().out
     assert 'REFUTED' not in said and said.count('proved') == 12
     assert 'lasting faults are detected from' in said
-    assert files.load_gains(out).arm_name == 'paper' and picture.exists()
+    assert load_gains(out).arm_name == 'paper' and picture.exists()
     out = tmp_path / 'none.yaml'
     assert design(asked(tmp_path, 'decay: 0.25', 'decay: 55.0'), out) == 1
     assert 'slower decay' in capsys.readouterr().err
@@ -242,7 +244,7 @@ def test_given_a_torque_gain_that_gravity_exceeds_then_it_is_said(paper_model, t
         assert design(asked(tmp_path, '  rate_noise', bound), tmp_path / 'g') == code
     assert 'ask for a smaller region' in capsys.readouterr().err
     # The norm is that of the designed error system, at any slope.
-    gains, frequencies = files.load_gains(tmp_path / 'g').observer, np.logspace(-4, 3, 200)
+    gains, frequencies = load_gains(tmp_path / 'g').observer, np.logspace(-4, 3, 200)
     for link, limit in zip(error_system.link_errors(paper_model), torque_gains(paper_model)):
         for slope in np.linspace(*link.slopes, 5):
             n = link.closed(slope, gains.kappa[link.index], gains.mu[link.index])
@@ -253,8 +255,8 @@ def test_given_a_torque_gain_that_gravity_exceeds_then_it_is_said(paper_model, t
 
 @pytest.mark.parametrize('design', ['paper', 'real', 'literal'])
 def test_given_any_number_that_is_used_when_forged_then_the_loader_refuses_it(request, design):
-    arm = request.getfixturevalue('real_model' if design == 'real' else 'paper_model')
-    data = files.gains_to_dict(request.getfixturevalue(f'{design}_gains'))
+    arm = request.getfixturevalue('real_arm' if design == 'real' else 'paper_arm')
+    data = request.getfixturevalue(f'{design}_gains').mapping()
     used = [place for place in numbers(data) if not place.startswith('certificate')]
     assert len(used) > 60
     values = dict(places(data))
@@ -263,28 +265,30 @@ def test_given_any_number_that_is_used_when_forged_then_the_loader_refuses_it(re
         others = x * 1.001 + 1e-9, x * 0.999 - 1e-9, -x - 1e-9, 0.0 if x else 1.0, 1e6 * x + 1.0
         for other in others:
             with pytest.raises(ConfigError, match='gains'):
-                conditions.require(arm, files.parse_gains(changed(data, place, other)))
+                Gains.parse(changed(data, place, other)).require(arm)
     # Numbers for information do not count.
-    gains = files.parse_gains({**data, 'certificate': {'margins': {'any': 1.0}}})
-    assert files.gains_checksum(gains) == data['checksum']
+    gains = Gains.parse({**data, 'certificate': {'margins': {'any': 1.0}}})
+    assert gains.mapping()['checksum'] == data['checksum']
 
 
-def test_given_forged_hashes_or_noise_then_inequalities_refuse_them(paper_model, paper_gains):
-    heavier = paper_model.scaled(mass_factors=(1.0, 1.5))
+def test_given_forged_hashes_or_noise_then_inequalities_refuse_them(
+    paper_arm, paper_model, paper_gains
+):
+    heavier = two_link_arm(paper_model.scaled(mass_factors=(1.0, 1.5)))
     with pytest.raises(ConfigError, match='designed for another arm'):
-        conditions.verify(heavier, paper_gains)
-    forged = replace(paper_gains, arm_sha256=heavier.sha256())
+        paper_gains.verify(heavier)
+    forged = replace(paper_gains, arm_sha256=paper_gains.hash_of(heavier))
     assert any('poles between' in name for name in failing(heavier, forged))
     observer = paper_gains.observer
     for factor in (1e-6, 0.999, 1.001):
         gains = spoilt(paper_gains, 'observer', fault_sigma=factor * observer.fault_sigma)
         with pytest.raises(ConfigError, match='standard deviation'):
-            conditions.require(paper_model, gains)
+            gains.require(paper_arm)
     # A matrix that claims less noise, with its own deviation.
     lyapunov = 1e4 * observer.lyapunov
     sigma = exact_fault_sigma(paper_model, lyapunov)
     quiet = spoilt(paper_gains, 'observer', lyapunov=lyapunov, fault_sigma=sigma)
-    failed = failing(paper_model, quiet)
+    failed = failing(paper_arm, quiet)
     assert len(failed) == 2 and all('covariance' in name for name in failed)
 
 
@@ -350,10 +354,10 @@ def test_given_claims_that_do_not_hold_or_none_when_verified_then_they_are_not_m
         assert [check.holds for check in conditions.motion_checks(planar, other)] == [False]
     assert [check.holds for check in conditions.motion_checks(planar, gains.controller)] == [True]
     without = replace(gains, controller=replace(gains.controller, motion=None))
-    again = files.parse_gains(files.gains_to_dict(without))
+    again = Gains.parse(without.mapping())
     assert again.controller.motion is None
     assert conditions.motion_checks(planar, again.controller) == []
-    again = files.parse_gains(files.gains_to_dict(gains))
+    again = Gains.parse(gains.mapping())
     assert np.array_equal(again.controller.motion.lyapunov, gains.controller.motion.lyapunov)
 
 

@@ -61,7 +61,10 @@ class Exact:
     def __init__(self, arm, gains):
         self.gains, self.s, self.dt = gains.observer, JointMap(arm).sensor_matrix, arm.sample_time
         self.kappa, self.constants = arm.sign * gains.observer.kappa, arm.constants()
-        self.recursion, self.motion = sampled_observer.observer_constants(arm, gains), Swing(arm)
+        self.recursion, self.motion = (
+            sampled_observer.observer_constants(arm, gains.observer),
+            Swing(arm),
+        )
         self.state = records.new_record(sampled_observer.OBSERVER_STATE)
 
     def step(self, y_old, y_new, torque, dt=None):

@@ -163,8 +163,8 @@ def test_given_noisy_encoders_then_angles_have_the_noise_of_their_own(paper_mode
     for noise in (1e-4, 0.05):
         arm = replace(paper_model, position_noise=noise, arrangement='relative')
         sigma = exact_fault_sigma(arm, lyapunov)
-        gains = replace(paper_gains, observer=replace(paper_gains.observer, fault_sigma=sigma))
-        assert error_bound(arm, gains, 4.0).angle_noise == pytest.approx(4.0 * np.array(angle))
+        observer = replace(paper_gains.observer, fault_sigma=sigma)
+        assert error_bound(arm, observer, 4.0).angle_noise == pytest.approx(4.0 * np.array(angle))
 
 
 @pytest.mark.parametrize('sensor', [0, 1])

@@ -1,37 +1,41 @@
-"""Parameter file of a serial arm's tracker: bandwidth, and the certificate of the loop."""
+"""Computed torque of a serial arm: bandwidth, and the certificate of the loop."""
 
+import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
-from lpv.core.serial_arm.certificate.model_bounds import ModelBounds
+import numpy as np
+
+from lpv.core.serial_arm.certificate.certified import CertifiedGains, Inequalities
+from lpv.core.serial_arm.certificate.claims import SERIAL_CLAIMS
+from lpv.core.serial_arm.certificate.disturbance import MotionRange, missed_torque
+from lpv.core.serial_arm.certificate.loop_inequality import (
+    LoopNumbers,
+    motion_matrix,
+    sampled_matrix,
+)
+from lpv.core.serial_arm.certificate.model_bounds import (
+    ModelBounds,
+    bound_inequalities,
+    chain_numbers,
+    invariant_forms,
+)
 from lpv.core.serial_arm.chain import FloatArray
-from lpv.core.support.config import Section, read_yaml, sha256_of, write_parameters
-from lpv.core.support.entries import array, entry, part, plain_entries, positive, read_entries
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.support.config import Section
+from lpv.core.support.entries import array, entry, part, positive
 from lpv.core.support.errors import ConfigError
+from lpv.core.support.inequalities import SAME, Check, array_of, largest_eigenvalue
 
-FORMAT = 1
-"""Of the file; others are not read."""
-
-
-@dataclass(frozen=True)
-class DesignedForArm:
-    """Gains of one arm; ``section`` is where they stand in their file."""
-
-    arm_name: str = entry('text')
-    arm_sha256: str = entry('text')  # hash of its parameters
-    section: ClassVar[str]
-
-    def check_arm(self, arm: Any, source: str = 'gains') -> None:
-        """Refuse gains of another arm: ConfigError if the hash of its parameters differs."""
-        if self.arm_sha256 != arm.sha256():
-            raise ConfigError(
-                f'{self.section}.arm_sha256',
-                f'these gains were designed for another arm ({self.arm_name!r}, '
-                f'{self.arm_sha256[:12]}) than the one in use ({arm.name!r}, '
-                f'{arm.sha256()[:12]}); run lpv design for it',
-                source,
-            )
+NO_CERTIFICATE = 'none (lpv design writes one)'
+"""Of a loop whose parameter file has a bandwidth only, for the reader."""
+_MODEL_TEXT = {
+    'payload': 'payload M_p(q) <= {:.4g} M(q) at every q',
+    'damping': 'viscous friction F_v <= {:.4g}/s M(q) at every q',
+    'growth': "abs(M') <= {:.4g}/s M(q) at the velocity limits, every q",
+    'inertia': 'M(q) >= diag(c) at every q, smallest c {:.4g} kg m2',
+}
 
 
 @dataclass(frozen=True)
@@ -41,6 +45,12 @@ class LoopProof:
     decay: float = positive()  # alpha: sqrt(V) falls with exp(-alpha t) [1/s]
     lyapunov: FloatArray = array(3, 3)  # P
     multipliers: FloatArray = array(2)  # of the sectors of Gamma and Phi
+
+    def numbers(self, bandwidth: float, number: Callable[[Any], Any]) -> tuple[Any, ...]:
+        """P, multipliers and decay over the bandwidth, as floats or fractions."""
+        p = array_of(number)(self.lyapunov)
+        decay = number(self.decay) / number(bandwidth)
+        return (p + p.T) / 2, array_of(number)(self.multipliers), decay
 
 
 @dataclass(frozen=True)
@@ -62,7 +72,7 @@ class ErrorProof(LoopProof):
 
 
 @dataclass(frozen=True)
-class LoopGains(DesignedForArm):
+class LoopGains(CertifiedGains):
     """Tracking of a serial arm, with its certificate."""
 
     bandwidth: float = entry('number', low=0.1, high=100.0)  # w [rad/s]
@@ -74,101 +84,133 @@ class LoopGains(DesignedForArm):
     sampled: LoopProof = part(SampledProof)  # at rate_share
     error: ErrorProof = part(ErrorProof)  # at its own, smaller one
     model: ModelBounds = part(ModelBounds)
-    checksum: str = ''  # of the numbers as they were written; '' if not read from a file
+    format = 1
     section = 'loop'
+    unused = ()
+    what = 'tracking loop'
+    claims = SERIAL_CLAIMS
 
+    def parameters(self) -> dict[str, Any]:
+        """As of `CertifiedGains`; ``bandwidth`` is a parameter of its own."""
+        loop = self.mapping()
+        return {'bandwidth': loop.pop('bandwidth'), self.section: loop}
 
-def loop_checksum(gains: LoopGains) -> str:
-    """Hash of every number."""
-    data = loop_to_dict(gains)
-    return sha256_of({name: value for name, value in data.items() if name != 'checksum'})
+    @classmethod
+    def _read(cls, top: Section, checksum: str) -> 'LoopGains':
+        gains = super()._read(top, checksum)
+        n, forms = len(gains.model.inertia), vars(gains.model.forms).values()
+        if len(gains.error.bound) != n or any(len(rows) != n - 1 for rows in forms):
+            raise top.error('model', f'must have forms and bounds of {n} joints')
+        return gains
 
+    def numbers(
+        self, arm: SerialArm, share: float, number: Callable[[Any], Any] = float
+    ) -> LoopNumbers:
+        """Intervals of the loop's eigenvalues where joints move at a share of their limits.
 
-def loop_to_dict(gains: LoopGains) -> dict[str, Any]:
-    """The mapping below ``loop`` in the parameter file, and ``bandwidth``; arrays row by row."""
-    return {'format': FORMAT, **plain_entries(gains)}
-
-
-def parse_loop(data: dict[str, Any], source: str = 'gains') -> LoopGains:
-    """Rebuild from nested data.
-
-    Parameters
-    ----------
-    data : dict
-        As of `loop_to_dict`.
-    source : str, optional
-        Name for error messages.
-
-    Returns
-    -------
-    LoopGains
-        Of checked sizes and finite numbers.
-
-    Raises
-    ------
-    ConfigError
-        If anything is missing, unknown, of the wrong size or not finite.
-    """
-    top = Section(data, source, 'loop')
-    if top.integer('format') != FORMAT:
-        raise top.error('format', f'must be {FORMAT}; design again')
-    gains = read_entries(LoopGains, top, checksum=top.text('checksum'))
-    n, forms = len(gains.model.inertia), vars(gains.model.forms).values()
-    if len(gains.error.bound) != n or any(len(rows) != n - 1 for rows in forms):
-        raise top.error('model', f'must have forms and bounds of {n} joints')
-    return gains
-
-
-def save_loop_gains(gains: LoopGains, path: str | Path, comment: str = '') -> None:
-    """Write the parameter file (``/**: ros__parameters: bandwidth, loop``), with its checksum.
-
-    Parameters
-    ----------
-    gains : LoopGains
-        What to write.
-    path : str or pathlib.Path
-        File to write; parent directories are made.
-    comment : str, optional
-        Text for the head of the file.
-    """
-    loop = loop_to_dict(gains)
-    loop['checksum'] = loop_checksum(gains)
-    bandwidth = loop.pop('bandwidth')
-    write_parameters(path, {'bandwidth': bandwidth, 'loop': loop}, comment)
-
-
-def serial_parameters(path: str | Path) -> dict[str, Any] | None:
-    """Parameters of a file that tunes the tracker of a serial arm; None of any other file."""
-    nodes = read_yaml(path).get('/**')
-    values = nodes.get('ros__parameters') if isinstance(nodes, dict) else None
-    if not isinstance(values, dict) or 'bandwidth' not in values:
-        return None
-    return values if set(values) <= {'bandwidth', 'loop'} else None
-
-
-def load_loop_gains(path: str | Path) -> LoopGains:
-    """Read a parameter file with a certificate.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        As written by `save_loop_gains`.
-
-    Returns
-    -------
-    LoopGains
-        Validated, but not verified.
-
-    Raises
-    ------
-    ConfigError
-        If the file is none, or has a bandwidth and no certificate.
-    """
-    values = serial_parameters(path)
-    if values is None or not isinstance(values.get('loop'), dict):
-        raise ConfigError(
-            '/**.ros__parameters.loop',
-            'is missing: no certificate; lpv design writes one for a serial arm',
-            str(path),
+        ``number`` makes floats or fractions.
+        """
+        model, w, d = self.model, number(self.bandwidth), number(self.model_error)
+        friction = 1 + number(arm.uncertainty.friction)
+        return LoopNumbers(
+            growth=number(model.growth) * number(share) / w,
+            damping=number(model.damping) * friction / w,
+            low=1 / (1 + d + number(model.payload)),
+            high=1 / (1 - d),
+            step=number(arm.sample_time) * w,
         )
-    return parse_loop({**values['loop'], 'bandwidth': values['bandwidth']}, str(path))
+
+    def error_bound(self, arm: SerialArm) -> dict[str, FloatArray]:
+        """Bounds of the tracking error of each joint by cause, in time; they add up [rad].
+
+        V ends below mu abs(omega)^2, P >= e_2 e_2^T, and omega = M^^(-1/2) delta / w.
+        """
+        proof, w = self.error, self.bandwidth
+        motion = MotionRange(proof.rate_share * np.array(arm.velocity_limit), proof.acceleration)
+        causes = missed_torque(arm, self.model, self.model_error, motion)
+        each = math.sqrt(proof.level) / (w * w * np.sqrt(self.model.inertia))
+        return {name: size * each for name, size in causes.items()}
+
+    def certified_region(self) -> str:
+        """One line on what a certificate that holds is about."""
+        return (
+            f'holds for joint rates to {self.rate_share:.3g} of their limits, model error '
+            f'{self.model_error:g}'
+        )
+
+    def facts(self, arm: SerialArm) -> list[str]:
+        """As of `CertifiedGains`, with bounds of the tracking error."""
+        rates, error = np.array(arm.velocity_limit), self.error
+        rows = [
+            ('total', error.bound),
+            *sorted(self.error_bound(arm).items(), key=lambda item: -float(item[1].max())),
+        ]
+        return [
+            f'region: every position, joint rates to {_listed(self.rate_share * rates)} rad/s, all '
+            'at once',
+            f'model error {self.model_error:g} of every link, payload to '
+            f'{arm.uncertainty.largest_payload:g} kg, friction {arm.uncertainty.friction:g} off; '
+            f'bandwidth {self.bandwidth:g} rad/s',
+            'bound of the tracking error of each joint [rad], rates to '
+            f'{_listed(error.rate_share * rates)} rad/s, accelerations of the path to '
+            f'{error.acceleration:g} rad/s2:',
+            *(f'  {name}: {_listed(values)}' for name, values in rows),
+        ]
+
+    def inequalities(self, arm: SerialArm, number: Callable[[Any], Any] = float) -> Inequalities:
+        """As of `CertifiedGains`: bounds of the mass matrix, then the loop's."""
+        yield from self._model_inequalities(arm, number)
+        yield from self._loop_inequalities(arm, number)
+
+    def _model_inequalities(self, arm: SerialArm, number: Callable[[Any], Any]) -> Inequalities:
+        numbers, array = chain_numbers(arm, number), array_of(number)
+        for bound, text in _MODEL_TEXT.items():
+            stored = getattr(self.model, bound)
+            value = array(stored) if np.ndim(stored) else number(stored)
+            invariant = invariant_forms(array(getattr(self.model.forms, bound)), bound)
+            matrices = bound_inequalities(numbers, bound, value, invariant)
+            yield f'model: {text.format(np.min(stored))}', [-matrix for matrix in matrices]
+
+    def _loop_inequalities(self, arm: SerialArm, number: Callable[[Any], Any]) -> Inequalities:
+        """What each Lyapunov matrix must satisfy."""
+        motion, sampled, error = self.motion, self.sampled, self.error
+        numbers = self.numbers(arm, self.rate_share, number)
+        share = f'rates to {self.rate_share:.3g} of the limits'
+        p, multipliers, decay = motion.numbers(self.bandwidth, number)
+        yield 'motion: P > 0', [-p]
+        name = f'motion: V decays, alpha {motion.decay:.3g}/s, {share}'
+        yield name, [motion_matrix(p, multipliers, numbers, decay)]
+        p, multipliers, decay = sampled.numbers(self.bandwidth, number)
+        yield 'sampled: P > 0', [-p]
+        name = f'sampled with one sample of delay: V decays, alpha {sampled.decay:.3g}/s, {share}'
+        yield name, [sampled_matrix(p, multipliers, numbers, decay)]
+        numbers = self.numbers(arm, error.rate_share, number)
+        p, multipliers, decay = error.numbers(self.bandwidth, number)
+        yield 'error: P > 0 and bounds the position', [np.diag([0, 1, 0]) - p]
+        name = f'error: V ends below its level, rates to {error.rate_share:.3g} of the limits'
+        yield name, [motion_matrix(p, multipliers, numbers, decay, number(error.level))]
+
+    def checks(self, arm: SerialArm) -> Iterator[Check]:
+        """As of `CertifiedGains`."""
+        if len(self.model.inertia) != len(arm.joints):
+            raise ConfigError('loop.model.inertia', f'must have {len(arm.joints)} numbers')
+        for name, matrices in self._model_inequalities(arm, float):
+            yield Check(name, max(map(largest_eigenvalue, matrices)))
+        sectors = (self.motion, self.sampled, self.error)
+        lowest = min(float(part.multipliers.min()) for part in sectors)
+        yield Check('multipliers are positive', -lowest)
+        yield Check('inertia: c > 0', -float(self.model.inertia.min()))
+        change = 2.0 * arm.sample_time * self.model.growth * self.rate_share
+        followed = Check('sampling: M^ changes little within a sample and its delay', change - 1.0)
+        yield followed
+        if not followed.holds:
+            return  # the sampled inequality would divide by zero
+        for name, matrices in self._loop_inequalities(arm, float):
+            yield Check(name, max(map(largest_eigenvalue, matrices)))
+        total = sum(self.error_bound(arm).values())
+        away = np.abs(self.error.bound / total - 1.0).max()
+        yield Check('error: bound of each joint as recomputed', float(away) - SAME)
+
+
+def _listed(values: FloatArray) -> str:
+    return ', '.join(f'{value:.3g}' for value in values)

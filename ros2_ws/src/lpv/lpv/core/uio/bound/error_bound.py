@@ -45,11 +45,11 @@ from lpv.core.uio.bound.zonotope import (
     reduce_columns,
     shear_columns,
 )
-from lpv.core.uio.certificate.gains import ExactObserverGains, Gains
 from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.model.dynamics import coupling
 from lpv.core.uio.model.joints import row_size
-from lpv.core.uio.observer.exact_observer import injection
+from lpv.core.uio.observer.exact_observer import ExactObserverGains, injection
+from lpv.core.uio.observer.paper_observer import PaperObserverGains
 
 _LARGEST = 10.0
 """A larger set says nothing more [rad]."""
@@ -100,10 +100,12 @@ BOUND_STATE = record_type(
 """Reachable set of the errors; r_i = s m_i/Xi_ii is the momentum error in units of a rate."""
 
 
-def error_bound(arm: ArmParameters, gains: Gains, sigmas: float = SIGMAS) -> np.record:
+def error_bound(
+    arm: ArmParameters, observer: ExactObserverGains | PaperObserverGains, sigmas: float = SIGMAS
+) -> np.record:
     """Constants of the bound, of type `BOUND_CONSTANTS`, with ``sigmas`` standard deviations of
     noise."""
-    observer, unknown = gains.observer, healthy_arm(arm, sigmas)
+    unknown = healthy_arm(arm, sigmas)
     noise, to_angle = sigmas * np.asarray(observer.fault_sigma), np.abs(unknown.joints.angle)
     # Of f^ less that of the reading: `exact_fault_sigma` adds squares, not deviations.
     of_angles = np.sqrt(np.maximum(noise**2 - (sigmas * arm.position_noise) ** 2, 0.0))

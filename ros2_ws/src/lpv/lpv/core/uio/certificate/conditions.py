@@ -5,77 +5,50 @@ refuse gains that do not verify.
 """
 
 from collections.abc import Callable, Iterator
-from fractions import Fraction
+from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
 import numpy as np
 from scipy.linalg import expm
 
-from lpv.core.support.inequalities import (
-    SAME,
-    Check,
-    array_of,
-    is_negative,
-    largest_eigenvalue,
-    require_all,
-)
+from lpv.core.serial_arm.certificate.certified import Inequalities
+from lpv.core.support.entries import array, entry, part, positive
+from lpv.core.support.inequalities import SAME, Check, array_of, largest_eigenvalue
 from lpv.core.uio.certificate.error_system import exact_fault_sigma, link_errors, paper_fault_sigma
-from lpv.core.uio.certificate.gains import (
-    ControllerGains,
-    ExactObserverGains,
-    Gains,
-    PaperObserverGains,
-    gains_checksum,
-)
 from lpv.core.uio.certificate.lmi import covariance, disc, paper_inequalities
-from lpv.core.uio.certificate.sampled_motion import sampled_loop
+from lpv.core.uio.certificate.sampled_motion import MotionCertificate, sampled_loop
 from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.model.polytope import exact_vertices, sinc_box, state_spaces, vertex_matrices
 from lpv.core.uio.model.state_space import paper_descriptor
+from lpv.core.uio.observer.exact_observer import ExactObserverGains
+from lpv.core.uio.observer.paper_observer import PaperObserverGains
+
+METHODS = ('paper', 'exact')
+"""Of observers and controllers."""
 
 
-def verify(arm: ArmParameters, gains: Gains) -> list[Check]:
-    """Rebuild every inequality that gains claim to satisfy; ConfigError for another arm's gains."""
-    return list(_checks(arm, gains))
+@dataclass(frozen=True)
+class ControllerGains:
+    """State feedback with integral action, eq. (65), and its certificate, eqs. (67) and (68).
 
-
-def require(arm: ArmParameters, gains: Gains, source: str = 'gains') -> None:
-    """Refuse gains whose certificate does not hold: ConfigError names the inequality that fails."""
-    require_all(_checks(arm, gains), 'gains', 'design the gains again', source)
-
-
-def prove(arm: ArmParameters, gains: Gains) -> dict[str, bool]:
-    """What exact rational arithmetic proves or refutes: rounding cannot hide a violation.
-
-    Every number of an arm file and of a gains file is a float and therefore a fraction; the
-    quadratic inequalities are polynomials in them.  The sampled controller's spectral radius is not
-    a definiteness and stays a matter of floats.
+    Method ``paper`` is u = M1 x + M2 eps; ``exact`` adds reference feed-forward.
     """
-    claims = (
-        *observer_inequalities(arm, gains.observer, Fraction),
-        *controller_inequalities(arm, gains.controller, Fraction),
-    )
-    return {name: all(map(is_negative, matrices)) for name, matrices in claims}
 
+    method: str = entry('text', choices=METHODS)
+    m1: np.ndarray = array(2, 4)  # M1, absolute coordinates, row by row [N m/rad], [N m s/rad]
+    m2: np.ndarray = array(2, 2)  # M2, absolute coordinates, row by row [N m/(rad s)]
+    lyapunov: np.ndarray = array(6, 6)  # P = Q^-1 of the certificate, eq. (68), row by row
+    decay: float = positive()  # certified alpha of eq. (67) [1/s]
+    # lower end of the box of method paper [1]
+    sinc_min: float = entry('number', default=-0.2, low=-0.3, high=0.99)
+    # of the sampled loop in motion (method ``exact``), where there is one
+    motion: MotionCertificate | None = part(MotionCertificate, default=None)
 
-def _checks(arm: ArmParameters, gains: Gains) -> Iterator[Check]:
-    """All checks, those first that cost least."""
-    gains.check_arm(arm)
-    observer = gains.observer
-    if gains.checksum:
-        same = gains.checksum == gains_checksum(gains)
-        yield Check('gains file: numbers are those of the design', -1.0 if same else 1.0)
-    for name, matrices in observer_inequalities(arm, observer):
-        yield Check(name, max(map(largest_eigenvalue, matrices)))
-    if isinstance(observer, ExactObserverGains):
-        sigma = exact_fault_sigma(arm, observer.lyapunov)
-    else:
-        sigma = paper_fault_sigma(arm, observer)
-    away = float(np.abs(observer.fault_sigma / sigma - 1.0).max())
-    yield Check('observer: standard deviation of f^ as recomputed', away - SAME)
-    yield from controller_checks(arm, gains.controller)
-    yield from _together(arm, gains)
+    @property
+    def feedback(self) -> np.ndarray:
+        """(M1, M2) of eq. (65), shape (2, 6)."""
+        return np.hstack([self.m1, self.m2])
 
 
 def _lyapunov(p: np.ndarray, number: Callable[[Any], Any]) -> np.ndarray:
@@ -94,7 +67,7 @@ def observer_inequalities(
     arm: ArmParameters,
     observer: ExactObserverGains | PaperObserverGains,
     number: Callable[[Any], Any] = float,
-) -> Iterator[tuple[str, list[Any]]]:
+) -> Inequalities:
     """Names, and matrices of floats or fractions that must be negative definite.
 
     Method ``paper``: LMI (54) or (55) at the eight vertices, and constraint (41).  Method
@@ -152,6 +125,20 @@ def observer_margin(arm: ArmParameters, observer: ExactObserverGains | PaperObse
     return max(largest_eigenvalue(matrix) for _, matrices in claims for matrix in matrices)
 
 
+def observer_checks(
+    arm: ArmParameters, observer: ExactObserverGains | PaperObserverGains
+) -> Iterator[Check]:
+    """Checks of the observer: its inequalities, and the deviation of its estimates."""
+    for name, matrices in observer_inequalities(arm, observer):
+        yield Check(name, max(map(largest_eigenvalue, matrices)))
+    if isinstance(observer, ExactObserverGains):
+        sigma = exact_fault_sigma(arm, observer.lyapunov)
+    else:
+        sigma = paper_fault_sigma(arm, observer)
+    away = float(np.abs(observer.fault_sigma / sigma - 1.0).max())
+    yield Check('observer: standard deviation of f^ as recomputed', away - SAME)
+
+
 def heun(n: np.ndarray, dt: Any) -> np.ndarray:
     """Matrix of one Heun step of x' = N x."""
     return np.eye(len(n), dtype=int) + dt * n + dt**2 / 2 * (n @ n)
@@ -179,7 +166,7 @@ def augment(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, ...]:
 
 def controller_inequalities(
     arm: ArmParameters, controller: ControllerGains, number: Callable[[Any], Any] = float
-) -> Iterator[tuple[str, list[Any]]]:
+) -> Inequalities:
     """Names, and matrices of floats or fractions that must be negative definite: LMI (67)."""
     p, m = _lyapunov(controller.lyapunov, number), array_of(number)(controller.feedback)
     loop = controller_loop(arm, controller.method, controller.sinc_min, number)
@@ -258,13 +245,16 @@ def corner_arms(arm: ArmParameters) -> list[ArmParameters]:
     return arms
 
 
-def _together(arm: ArmParameters, gains: Gains) -> Iterator[Check]:
+def together_checks(
+    arm: ArmParameters,
+    observer: ExactObserverGains | PaperObserverGains,
+    controller: ControllerGains,
+) -> Iterator[Check]:
     """Sampled loop of arm, controller and observer, closed on estimates and on measurements.
 
     The error of the observer does not depend on the loop: poles of both together are those of each.
     """
-    observer = gains.observer
-    if not isinstance(observer, ExactObserverGains) or gains.controller.method != 'exact':
+    if not isinstance(observer, ExactObserverGains) or controller.method != 'exact':
         return
     poles = [
         np.linalg.eigvals(link.closed(slope, observer.kappa[link.index], observer.mu[link.index]))
@@ -272,7 +262,7 @@ def _together(arm: ArmParameters, gains: Gains) -> Iterator[Check]:
         for slope in link.slopes
     ]
     error = np.exp(np.real(poles).max() * arm.sample_time)
-    loop = _sampled_radius(arm, controller_loop(arm, 'exact'), gains.controller.feedback)
+    loop = _sampled_radius(arm, controller_loop(arm, 'exact'), controller.feedback)
     for name in ('with', 'without'):
         yield Check(
             f'observer and controller together, {name} compensation, sampled with delay',

@@ -10,10 +10,10 @@ from scipy.linalg import solve_continuous_lyapunov
 
 from lpv.core.support.inequalities import array_of
 from lpv.core.support.limits import SMALL
-from lpv.core.uio.certificate.gains import PaperObserverGains
 from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.model.joints import JointMap
 from lpv.core.uio.model.state_space import paper_descriptor
+from lpv.core.uio.observer.paper_observer import PaperObserverGains
 
 
 class Noise(NamedTuple):

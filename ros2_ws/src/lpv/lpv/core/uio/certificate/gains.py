@@ -1,92 +1,36 @@
-"""Gains of observer and controller, and the YAML parameter file that carries them."""
+"""Gains of observer and controller of a planar arm, and files with gains of either kind."""
 
+from collections.abc import Callable, Iterator
 from dataclasses import MISSING, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from lpv.core.serial_arm.certificate.loop_gains import DesignedForArm, serial_parameters
-from lpv.core.support.config import Section, read_yaml, sha256_of, write_parameters
-from lpv.core.support.entries import array, entry, part, plain_entries, positive, read_entries
+from lpv.core.serial_arm.certificate.certified import CertifiedGains, Inequalities
+from lpv.core.serial_arm.certificate.loop_gains import LoopGains
+from lpv.core.serial_arm.description import SerialArm
+from lpv.core.support.config import Section, read_yaml
+from lpv.core.support.entries import part, read_entries
 from lpv.core.support.errors import ConfigError
-
-FORMAT = 3
-"""Of the file; others are not read."""
-METHODS = ('paper', 'exact')
-
-
-@dataclass(frozen=True)
-class PaperObserverGains:
-    """Observer of method ``paper``, eqs. (41) and (56), with what its certificate claims."""
-
-    box: np.ndarray = array(3, 2)  # ranges of phi1, phi2, phi3
-    t1: np.ndarray = array(6, 6)  # decoupling matrix T1, eq. (41), row by row
-    t2: np.ndarray = array(6, 4)  # decoupling matrix T2, eq. (41), row by row
-    k: np.ndarray = array(8, 6, 4)  # K of all vertices, eq. (56), row by row
-    lyapunov: np.ndarray = array(6, 6)  # Lyapunov matrix P, row by row
-    lmi: str = entry('text', choices=('55', '54+disc'))  # inequalities that hold
-    gamma: float = positive()  # attenuation level [1]
-    q: float = positive()  # distance of the centre of the poles' disc [1/s]
-    r: float = positive()  # radius of that disc [1/s]
-    # standard deviations of the fault estimates [rad]
-    fault_sigma: np.ndarray = array(2, low=0.0)
-    method = 'paper'
-
-    @property
-    def decay(self) -> float:
-        """Certified decay rate [1/s]."""
-        return self.q - self.r
+from lpv.core.support.inequalities import Check
+from lpv.core.uio.certificate.claims import CLAIMS
+from lpv.core.uio.certificate.conditions import (
+    METHODS,
+    ControllerGains,
+    controller_checks,
+    controller_inequalities,
+    observer_checks,
+    observer_inequalities,
+    together_checks,
+)
+from lpv.core.uio.observer.exact_observer import ExactObserverGains
+from lpv.core.uio.observer.paper_observer import PaperObserverGains
+from lpv.core.uio.planar import planar_model
 
 
 @dataclass(frozen=True)
-class ExactObserverGains:
-    """Observer of method ``exact``: one second-order error system for each link."""
-
-    kappa: np.ndarray = array(2, above=0.0)  # kappa of both links [1/(kg m2)]
-    mu: np.ndarray = array(2, above=0.0)  # mu of both links [1/s]
-    lyapunov: np.ndarray = array(2, 2, 2)  # P of each link for (e_i, m_i / Xi_ii), row by row
-    decay: float = positive()  # certified slowest pole of the error [1/s]
-    fastest: float = positive()  # certified fastest pole of the error [1/s]
-    # standard deviations of the fault estimates [rad]
-    fault_sigma: np.ndarray = array(2, low=0.0)
-    method = 'exact'
-
-
-@dataclass(frozen=True)
-class MotionCertificate:
-    """What `sampled_motion.SampledLoop` proves of the sampled loop in motion."""
-
-    lyapunov: np.ndarray = array(8, 8)  # P for (theta, theta rates, eps, u), row by row
-    rate: float = entry('number', low=0.0)  # fastest link that it holds for [rad/s]
-    decay: float = positive()  # certified decay rate of the sampled loop in motion [1/s]
-
-
-@dataclass(frozen=True)
-class ControllerGains:
-    """State feedback with integral action, eq. (65), and its certificate, eqs. (67) and (68).
-
-    Method ``paper`` is u = M1 x + M2 eps; ``exact`` adds reference feed-forward.
-    """
-
-    method: str = entry('text', choices=METHODS)
-    m1: np.ndarray = array(2, 4)  # M1, absolute coordinates, row by row [N m/rad], [N m s/rad]
-    m2: np.ndarray = array(2, 2)  # M2, absolute coordinates, row by row [N m/(rad s)]
-    lyapunov: np.ndarray = array(6, 6)  # P = Q^-1 of the certificate, eq. (68), row by row
-    decay: float = positive()  # certified alpha of eq. (67) [1/s]
-    # lower end of the box of method paper [1]
-    sinc_min: float = entry('number', default=-0.2, low=-0.3, high=0.99)
-    # of the sampled loop in motion (method ``exact``), where there is one
-    motion: MotionCertificate | None = part(MotionCertificate, default=None)
-
-    @property
-    def feedback(self) -> np.ndarray:
-        """(M1, M2) of eq. (65), shape (2, 6)."""
-        return np.hstack([self.m1, self.m2])
-
-
-@dataclass(frozen=True)
-class Gains(DesignedForArm):
+class Gains(CertifiedGains):
     """Everything that a design hands to the nodes."""
 
     # which of both its method says
@@ -94,68 +38,95 @@ class Gains(DesignedForArm):
     controller: ControllerGains = part(ControllerGains)
     # margins, solver and versions, as text and numbers: information, nothing is computed from it
     certificate: dict = field(default_factory=dict)
-    # of the numbers as they were written; empty for gains that were not read from a file
-    checksum: str = ''
+    format = 3
     section = 'gains'
+    unused = ('format', 'arm_name', 'certificate')
+    what = 'gains'
+    claims = CLAIMS
+
+    def hash_of(self, arm: SerialArm) -> str:
+        """As of `CertifiedGains`: of the planar arm."""
+        return planar_model(arm).sha256()
+
+    def mapping(self) -> dict[str, Any]:
+        """As of `CertifiedGains`; information comes last."""
+        data = super().mapping()
+        data['certificate'] = data.pop('certificate')
+        return data
+
+    @classmethod
+    def _read(cls, top: Section, checksum: str) -> 'Gains':
+        section = top.section('observer')
+        method = section.text('method', choices=METHODS)
+        kind: Any = ExactObserverGains if method == 'exact' else PaperObserverGains
+        observer = read_entries(kind, section)
+        if method == 'paper' and np.any(observer.box[:, 0] >= observer.box[:, 1]):
+            raise section.error('box', 'must have lower ends below upper ends')
+        if method == 'paper' and not observer.r < observer.q:
+            raise section.error('r', 'must be below q')
+        certificate = top.plain('certificate')
+        return read_entries(cls, top, observer=observer, certificate=certificate, checksum=checksum)
+
+    def inequalities(self, arm: SerialArm, number: Callable[[Any], Any] = float) -> Inequalities:
+        """As of `CertifiedGains`.
+
+        The sampled controller's spectral radius is not a definiteness and stays a matter of floats.
+        """
+        planar = planar_model(arm)
+        yield from observer_inequalities(planar, self.observer, number)
+        yield from controller_inequalities(planar, self.controller, number)
+
+    def checks(self, arm: SerialArm) -> Iterator[Check]:
+        """As of `CertifiedGains`."""
+        planar = planar_model(arm)
+        yield from observer_checks(planar, self.observer)
+        yield from controller_checks(planar, self.controller)
+        yield from together_checks(planar, self.observer, self.controller)
+
+    def facts(self, arm: SerialArm) -> list[str]:
+        """As of `CertifiedGains`."""
+        planar, observer, controller = planar_model(arm), self.observer, self.controller
+        way = 'upwards' if planar.sign > 0 else 'downwards'
+        degrees = ', '.join(f'{np.degrees(np.arccos(low)):.1f}°' for low in planar.cos_min)
+        return [
+            f'method: observer {observer.method}, controller {controller.method}',
+            f'certified region: links within {degrees} of the vertical {way}',
+            f'decay: estimation error {observer.decay:g} /s, tracking error {controller.decay:g} '
+            '/s',
+        ]
 
 
-def gains_checksum(gains: Gains) -> str:
-    """Hash of every number that observer, bound, decision and controller use."""
-    return str(gains_to_dict(gains)['checksum'])
+def gains_in(path: str | Path) -> Gains | LoopGains | None:
+    """Gains of either kind in a file; None where it has the bandwidth of a loop alone.
 
-
-def gains_to_dict(gains: Gains) -> dict[str, Any]:
-    """The mapping below ``gains`` in the parameter file: plain data, arrays row by row."""
-    used = {
-        'arm_sha256': gains.arm_sha256,
-        'observer': {'method': gains.observer.method, **plain_entries(gains.observer)},
-        'controller': plain_entries(gains.controller),
-    }
-    return {
-        'format': FORMAT, 'arm_name': gains.arm_name, **used, 'checksum': sha256_of(used),
-        'certificate': dict(gains.certificate),
-    }  # fmt: skip
-
-
-def parse_gains(data: dict[str, Any], source: str = 'gains') -> Gains:
-    """Gains from the mapping below ``gains``.
-
-    Raises
-    ------
-    ConfigError
-        If anything is missing, of the wrong size, or not finite; ``source`` names the file.
+    ConfigError if it is no gains file, or a wrong one.
     """
-    top = Section(data, source, 'gains')
-    if top.integer('format') != FORMAT:
-        raise top.error('format', f'must be {FORMAT}; design the gains again')
-    section = top.section('observer')
-    method = section.text('method', choices=METHODS)
-    kind: Any = ExactObserverGains if method == 'exact' else PaperObserverGains
-    observer = read_entries(kind, section)
-    if method == 'paper' and np.any(observer.box[:, 0] >= observer.box[:, 1]):
-        raise section.error('box', 'must have lower ends below upper ends')
-    if method == 'paper' and not observer.r < observer.q:
-        raise section.error('r', 'must be below q')
-    information, checksum = top.plain('certificate'), top.text('checksum')
-    return read_entries(Gains, top, observer=observer, certificate=information, checksum=checksum)
+    nodes, where = read_yaml(path).get('/**'), '/**.ros__parameters'
+    values = nodes.get('ros__parameters') if isinstance(nodes, dict) else None
+    if isinstance(values, dict) and 'gains' in values:
+        return Gains.parse(values['gains'], str(path))
+    if not isinstance(values, dict) or not {'bandwidth'} <= set(values) <= {'bandwidth', 'loop'}:
+        raise ConfigError(f'{where}.gains', 'is missing: not a gains file', str(path))
+    if 'loop' not in values:
+        return None
+    if not isinstance(values['loop'], dict):
+        raise ConfigError(f'{where}.loop', 'must be a mapping', str(path))
+    return LoopGains.parse({**values['loop'], 'bandwidth': values['bandwidth']}, str(path))
 
 
-def save_gains(gains: Gains, path: str | Path, comment: str = '') -> None:
-    """Write gains as a ROS 2 parameter file (``/**: ros__parameters: gains: ...``).
-
-    ``comment`` is text for the head of the file; parent directories are made.
-    """
-    write_parameters(path, {'gains': gains_to_dict(gains)}, comment)
+def load_certified(path: str | Path) -> Gains | LoopGains:
+    """Gains of either kind from a file; ConfigError if it has none."""
+    found = gains_in(path)
+    if found is None:
+        reason = 'is missing: no certificate; lpv design writes one for a serial arm'
+        raise ConfigError('/**.ros__parameters.loop', reason, str(path))
+    return found
 
 
 def load_gains(path: str | Path) -> Gains:
-    """Gains from a file as written by `save_gains`; ConfigError if it is none."""
-    data = read_yaml(path)
-    try:
-        nested = data['/**']['ros__parameters']['gains']
-    except (KeyError, TypeError):
-        reason = 'is missing: not a gains file'
-        if serial_parameters(path) is not None:
-            reason = 'is missing: it certifies a tracking loop; this arm has no observer with gains'
-        raise ConfigError('/**.ros__parameters.gains', reason, str(path)) from None
-    return parse_gains(nested, str(path))
+    """Gains of an observer from a file; ConfigError if it has none."""
+    found = gains_in(path)
+    if not isinstance(found, Gains):
+        reason = 'is missing: it certifies a tracking loop; this arm has no observer with gains'
+        raise ConfigError('/**.ros__parameters.gains', reason, str(path))
+    return found

@@ -20,6 +20,7 @@ from itertools import product
 import numpy as np
 from scipy.linalg import cholesky, expm, solve_triangular
 
+from lpv.core.support.entries import array, entry, positive
 from lpv.core.uio.model.arm import ArmParameters
 
 SIZE = 8
@@ -27,6 +28,15 @@ SIZE = 8
 _LONGEST = 10.0
 """Norm of F Ts beyond which nothing is claimed: the terms from the third order on, which count as
 error, may then be as large as exp(10), far more than any loop contracts."""
+
+
+@dataclass(frozen=True)
+class MotionCertificate:
+    """What `SampledLoop` proves of the sampled loop in motion."""
+
+    lyapunov: np.ndarray = array(8, 8)  # P for (theta, theta rates, eps, u), row by row
+    rate: float = entry('number', low=0.0)  # fastest link that it holds for [rad/s]
+    decay: float = positive()  # certified decay rate of the sampled loop in motion [1/s]
 
 
 @dataclass(frozen=True)

@@ -22,14 +22,30 @@ its shape, reaches the state estimate.
 """
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
+from lpv.core.support.entries import array, entry, positive
 from lpv.core.support.jit import njit_in_place as njit
 from lpv.core.support.records import new_record, record_type
-from lpv.core.uio.certificate.gains import ExactObserverGains
 from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.model.dynamics import Pair, acceleration, coupling, solve_inertia
+
+
+@dataclass(frozen=True)
+class ExactObserverGains:
+    """Observer of method ``exact``: one second-order error system for each link."""
+
+    method: str = entry('text', choices=('exact',))
+    kappa: np.ndarray = array(2, above=0.0)  # kappa of both links [1/(kg m2)]
+    mu: np.ndarray = array(2, above=0.0)  # mu of both links [1/s]
+    lyapunov: np.ndarray = array(2, 2, 2)  # P of each link for (e_i, m_i / Xi_ii), row by row
+    decay: float = positive()  # certified slowest pole of the error [1/s]
+    fastest: float = positive()  # certified fastest pole of the error [1/s]
+    # standard deviations of the fault estimates [rad]
+    fault_sigma: np.ndarray = array(2, low=0.0)
+
 
 EXACT_CONSTANTS = record_type(
     ('sign', 'f8'),  # s: +1 upright, -1 hanging

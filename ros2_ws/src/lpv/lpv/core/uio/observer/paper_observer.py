@@ -9,15 +9,40 @@ which method ``paper`` integrates literally, by the Heun rule with the torque he
 of both ends of the step.  Method ``exact`` is in :mod:`lpv.core.uio.observer.exact_observer`.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
+from lpv.core.support.entries import array, entry, positive
 from lpv.core.support.jit import njit_in_place as njit
 from lpv.core.support.records import new_record, record_type
-from lpv.core.uio.certificate.gains import PaperObserverGains
 from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.model.joints import copy_vector
 from lpv.core.uio.model.polytope import paper_scheduling, paper_weights
 from lpv.core.uio.model.state_space import paper_descriptor
+
+
+@dataclass(frozen=True)
+class PaperObserverGains:
+    """Observer of method ``paper``, eqs. (41) and (56), with what its certificate claims."""
+
+    method: str = entry('text', choices=('paper',))
+    box: np.ndarray = array(3, 2)  # ranges of phi1, phi2, phi3
+    t1: np.ndarray = array(6, 6)  # decoupling matrix T1, eq. (41), row by row
+    t2: np.ndarray = array(6, 4)  # decoupling matrix T2, eq. (41), row by row
+    k: np.ndarray = array(8, 6, 4)  # K of all vertices, eq. (56), row by row
+    lyapunov: np.ndarray = array(6, 6)  # Lyapunov matrix P, row by row
+    lmi: str = entry('text', choices=('55', '54+disc'))  # inequalities that hold
+    gamma: float = positive()  # attenuation level [1]
+    q: float = positive()  # distance of the centre of the poles' disc [1/s]
+    r: float = positive()  # radius of that disc [1/s]
+    # standard deviations of the fault estimates [rad]
+    fault_sigma: np.ndarray = array(2, low=0.0)
+
+    @property
+    def decay(self) -> float:
+        """Certified decay rate [1/s]."""
+        return self.q - self.r
 
 
 def decoupling(e: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -13,14 +13,19 @@ from lpv.core.support.jit import njit_in_place as njit
 from lpv.core.support.limits import MAX_GAP, SMALL
 from lpv.core.support.records import new_record, record_type
 from lpv.core.support.timestamps import NANOSECONDS, NEVER
-from lpv.core.uio.certificate.gains import ExactObserverGains, Gains
 from lpv.core.uio.model.arm import ARM_CONSTANTS, ArmParameters
 from lpv.core.uio.model.dynamics import acceleration
 from lpv.core.uio.model.joints import JOINT_MAP, JointMap, copy_vector, row_dot
-from lpv.core.uio.observer.exact_observer import EXACT_CONSTANTS, exact_constants, exact_step
+from lpv.core.uio.observer.exact_observer import (
+    EXACT_CONSTANTS,
+    ExactObserverGains,
+    exact_constants,
+    exact_step,
+)
 from lpv.core.uio.observer.paper_observer import (
     PAPER_CONSTANTS,
     PAPER_STATE,
+    PaperObserverGains,
     paper_constants,
     paper_step,
 )
@@ -93,15 +98,17 @@ OBSERVER_STATE = record_type(
 
 
 def observer_constants(
-    arm: ArmParameters, gains: Gains, initial_samples: int = 1, max_gap: float = MAX_GAP
+    arm: ArmParameters,
+    gains: ExactObserverGains | PaperObserverGains,
+    initial_samples: int = 1,
+    max_gap: float = MAX_GAP,
 ) -> np.record:
-    """Constants of `observe`, of type `OBSERVER_CONSTANTS`; ConfigError for another arm's gains.
+    """Constants of `observe`, of type `OBSERVER_CONSTANTS`.
 
     The mean of ``initial_samples`` is taken for free of faults: a constant bias at the start is
     only found at the certified decay rate.  Intervals longer than ``max_gap`` [s] re-anchor the
     estimate on the encoder's increment and hold the fault estimate.
     """
-    gains.check_arm(arm)
     params = new_record(
         OBSERVER_CONSTANTS,
         joints=JointMap(arm).record(),
@@ -114,10 +121,10 @@ def observer_constants(
         torque_tolerance=np.asarray(arm.torque_tolerance) + sum(arm.coulomb),
         still=_STILL * arm.position_noise,
     )
-    if isinstance(gains.observer, ExactObserverGains):
-        params.is_exact, params.exact = True, exact_constants(arm, gains.observer)
+    if isinstance(gains, ExactObserverGains):
+        params.is_exact, params.exact = True, exact_constants(arm, gains)
     else:
-        params.paper = paper_constants(arm, gains.observer)
+        params.paper = paper_constants(arm, gains)
     return params
 
 
