@@ -8,9 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lpv.core.serial_arm.chain import Chain, FloatArray, compile_chain, workspace
 from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.dynamics.friction import friction_torque
+from lpv.core.serial_arm.dynamics.newton_euler import inverse_dynamics
 from lpv.core.support.entries import entry, part, positive
 from lpv.core.support.errors import ConfigError
+from lpv.core.support.jit import njit
 from lpv.core.support.limits import FAR
 from lpv.core.uio.model.kinematics import ELBOWS, forward, inverse, joint_motion
 from lpv.core.uio.planar import planar_links, plane_of
@@ -62,11 +66,35 @@ def rest_to_rest(knots: np.ndarray, points: np.ndarray) -> Any:
     return make_interp_spline(knots, points, k=5, bc_type=(rest, rest))
 
 
+@njit
+def _fill_torques(
+    chain: Chain,
+    position: FloatArray,
+    rate: FloatArray,
+    bend: FloatArray,
+    work: FloatArray,
+    torque: FloatArray,
+) -> None:
+    """Joint torques of motions, friction included, one row each."""
+    friction = np.empty(position.shape[1])
+    for k in range(len(position)):
+        inverse_dynamics(chain, position[k], rate[k], bend[k], work, torque[k])
+        friction_torque(chain, rate[k], torque[k], friction)
+        for i in range(len(friction)):
+            torque[k, i] += friction[i]
+
+
+def _beyond(reason: str, limit: str) -> ConfigError:
+    return ConfigError('path', f'{reason}, whose limit is {limit}')
+
+
 class TimedPath(ABC):
     """Quintic spline through timed points, at rest at both ends, and before and after.
 
     Parameters
     ----------
+    arm : SerialArm
+        The arm.
     times : sequence of float
         Strictly increasing [s].
     points : array_like, shape (m, n)
@@ -92,12 +120,15 @@ class TimedPath(ABC):
 
     obstacle: Obstacle | None = None
 
-    def __init__(self, times: Sequence[float], points: ArrayLike, size: int, what: str) -> None:
+    def __init__(
+        self, arm: SerialArm, times: Sequence[float], points: ArrayLike, size: int, what: str
+    ) -> None:
         knots, values = checked_times(times), np.asarray(points, float)
         if values.shape != (len(knots), size):
             raise ConfigError('path.waypoints', f'must give {size} {what} each')
         if not np.isfinite(values).all():
             raise ConfigError('path.waypoints', 'must be finite')
+        self._chain = compile_chain(arm)
         self.start, self.end = float(knots[0]), float(knots[-1])
         self._spline = rest_to_rest(knots, values)
         self._rate, self._bend = self._spline.derivative(1), self._spline.derivative(2)
@@ -105,6 +136,26 @@ class TimedPath(ABC):
     def _clock(self, times: ArrayLike) -> np.ndarray:
         """Times within the motion."""
         return np.clip(np.asarray(times, float), self.start, self.end)
+
+    def _check_limits(self, arm: SerialArm, times: np.ndarray) -> None:
+        """ConfigError if a limit of a joint is exceeded at one of many times."""
+        motion = self.sample(times)
+        torque = np.empty_like(motion.position)
+        rows = motion.position, motion.velocity, motion.acceleration
+        _fill_torques(self._chain, *rows, workspace(self._chain), torque)
+        rate, torque = np.abs(motion.velocity), np.abs(torque)
+        for i, joint in enumerate(arm.joints):
+            limits, (unit, torque_unit) = joint.limits, joint.units
+            low, high = motion.position[:, i].min(), motion.position[:, i].max()
+            if low < limits.lower or high > limits.upper:
+                reason = f'takes {joint.name} to {low:.3g} .. {high:.3g} {unit}'
+                raise _beyond(reason, f'{limits.lower:g} .. {limits.upper:g}')
+            if rate[:, i].max() > limits.velocity:
+                reason = f'needs {rate[:, i].max():.3g} {unit}/s of {joint.name}'
+                raise _beyond(reason, f'{limits.velocity:g}')
+            if torque[:, i].max() > limits.torque:
+                reason = f'needs {torque[:, i].max():.3g} {torque_unit} of {joint.name}'
+                raise _beyond(reason, f'{limits.torque:g}')
 
     @abstractmethod
     def sample(self, times: ArrayLike) -> Reference:
@@ -147,13 +198,13 @@ class CartesianPath(TimedPath):
     ------
     ConfigError
         If times do not increase, there are fewer than two points, the tip hits the obstacle, or a
-        joint would be faster than its velocity limit.
+        limit of a joint (position, rate, or torque according to the model) is exceeded.
     UnreachableError
         If any part of the path is out of reach or singular.
     """
 
     def __init__(self, arm: SerialArm, times: Sequence[float], waypoints: PlanarWaypoints) -> None:
-        super().__init__(times, waypoints.points, 2, 'coordinates x and y')
+        super().__init__(arm, times, waypoints.points, 2, 'coordinates x and y')
         if waypoints.elbow not in ELBOWS:
             raise ConfigError('path.elbow', f'must be one of {", ".join(ELBOWS)}')
         self._arm, self._elbow = planar_links(arm), waypoints.elbow
@@ -163,9 +214,8 @@ class CartesianPath(TimedPath):
         self._offset = np.array([-np.pi / 2 - self._arm.zero_angle, 0.0])
         self._grid = np.linspace(self.start, self.end, 1001)
         self._turning = self._first_joint(self._grid)
-        motion = self.sample(self._grid)  # reachable everywhere
         self._check_clearance()
-        self._check_rates(arm, motion)
+        self._check_limits(arm, self._grid)  # reachable everywhere
 
     def _first_joint(self, times: np.ndarray) -> np.ndarray:
         """Continuous q1 along the path, started within (-pi, pi]."""
@@ -180,14 +230,6 @@ class CartesianPath(TimedPath):
             if distance.min() < self.obstacle.radius:
                 raise ConfigError(
                     'path', f'the tip hits the obstacle ({distance.min():.3f} m from its centre)'
-                )
-
-    def _check_rates(self, arm: SerialArm, motion: Reference) -> None:
-        fastest = np.abs(motion.velocity).max(axis=0)
-        for name, rate, limit in zip(arm.joint_names, fastest, arm.velocity_limit):
-            if rate > limit:
-                raise ConfigError(
-                    'path', f'needs {rate:.3g} rad/s of {name}, whose velocity_limit is {limit:g}'
                 )
 
     def sample(self, times: ArrayLike) -> Reference:

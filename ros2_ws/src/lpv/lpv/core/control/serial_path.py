@@ -7,11 +7,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lpv.core.control.path import Reference, TimedPath, checked_times, rest_to_rest
-from lpv.core.serial_arm.chain import Chain, FloatArray, compile_chain, workspace
+from lpv.core.serial_arm.chain import Chain, FloatArray, compile_chain
 from lpv.core.serial_arm.description import SerialArm
-from lpv.core.serial_arm.dynamics.friction import friction_torque
 from lpv.core.serial_arm.dynamics.kinematics import inverse_kinematics, joint_frames
-from lpv.core.serial_arm.dynamics.newton_euler import inverse_dynamics
 from lpv.core.support.errors import ConfigError, UnreachableError
 from lpv.core.support.jit import njit
 
@@ -43,9 +41,8 @@ class SerialPath(TimedPath):
     """
 
     def __init__(self, arm: SerialArm, times: Sequence[float], positions: ArrayLike) -> None:
-        super().__init__(times, positions, len(arm.joints), 'joint positions')
-        self._chain = compile_chain(arm)
-        self._check_limits(arm)
+        super().__init__(arm, times, positions, len(arm.joints), 'joint positions')
+        self._check_limits(arm, np.linspace(self.start, self.end, _MOST_POSES))
 
     @classmethod
     def through_poses(
@@ -82,25 +79,6 @@ class SerialPath(TimedPath):
         _fill_tips(self._chain, rows, tips)
         return tips.reshape(*position.shape[:-1], 3)
 
-    def _check_limits(self, arm: SerialArm) -> None:
-        times = np.linspace(self.start, self.end, _MOST_POSES)
-        position, rate, bend = self._spline(times), self._rate(times), self._bend(times)
-        torque = np.empty_like(position)
-        _fill_torques(self._chain, position, rate, bend, workspace(self._chain), torque)
-        rate, torque = np.abs(rate), np.abs(torque)
-        for i, joint in enumerate(arm.joints):
-            limits, (unit, torque_unit) = joint.limits, joint.units
-            low, high = position[:, i].min(), position[:, i].max()
-            if low < limits.lower or high > limits.upper:
-                reason = f'takes {joint.name} to {low:.3g} .. {high:.3g} {unit}'
-                raise _beyond(reason, f'{limits.lower:g} .. {limits.upper:g}')
-            if rate[:, i].max() > limits.velocity:
-                reason = f'needs {rate[:, i].max():.3g} {unit}/s of {joint.name}'
-                raise _beyond(reason, f'{limits.velocity:g}')
-            if torque[:, i].max() > limits.torque:
-                reason = f'needs {torque[:, i].max():.3g} {torque_unit} of {joint.name}'
-                raise _beyond(reason, f'{limits.torque:g}')
-
 
 @njit
 def _fill_tips(chain: Chain, positions: FloatArray, tips: FloatArray) -> None:
@@ -109,28 +87,6 @@ def _fill_tips(chain: Chain, positions: FloatArray, tips: FloatArray) -> None:
     for k in range(len(positions)):
         joint_frames(chain, positions[k], rotations, origins)
         tips[k, :] = origins[n]
-
-
-@njit
-def _fill_torques(
-    chain: Chain,
-    position: FloatArray,
-    rate: FloatArray,
-    bend: FloatArray,
-    work: FloatArray,
-    torque: FloatArray,
-) -> None:
-    """Joint torques of motions, friction included, one row each."""
-    friction = np.empty(position.shape[1])
-    for k in range(len(position)):
-        inverse_dynamics(chain, position[k], rate[k], bend[k], work, torque[k])
-        friction_torque(chain, rate[k], torque[k], friction)
-        for i in range(len(friction)):
-            torque[k, i] += friction[i]
-
-
-def _beyond(reason: str, limit: str) -> ConfigError:
-    return ConfigError('path', f'{reason}, whose limit is {limit}')
 
 
 def _solve_poses(

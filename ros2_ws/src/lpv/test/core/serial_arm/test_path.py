@@ -205,9 +205,14 @@ def test_given_either_elbow_then_q1_is_continuous_and_the_tip_one(paper_arm, pap
 
 
 def test_given_bad_waypoints_or_a_path_for_no_arm_then_it_is_refused(paper_arm, two_faults):
-    joints = tuple(replace(j, limits=replace(j.limits, velocity=0.2)) for j in paper_arm.joints)
-    with pytest.raises(ConfigError, match='needs 0.2.* rad/s of joint1, whose velocity_limit'):
-        two_faults.path(replace(paper_arm, joints=joints))
+    for limit, told in (
+        ({'velocity': 0.2}, 'needs 0.2.* rad/s of joint1, whose limit is 0.2'),
+        ({'upper': 1.5}, r'takes joint1 to .* rad, whose limit is -inf \.\. 1.5'),
+        ({'torque': 30.0}, 'needs .* N m of joint1, whose limit is 30'),
+    ):
+        joints = tuple(replace(j, limits=replace(j.limits, **limit)) for j in paper_arm.joints)
+        with pytest.raises(ConfigError, match=told):
+            two_faults.path(replace(paper_arm, joints=joints))
     planar(paper_arm, obstacle=Obstacle((0.0, 1.9), 0.2))
     with pytest.raises(ConfigError, match='hits the obstacle'):
         planar(paper_arm, obstacle=Obstacle((0.0, 1.7), 0.2))
