@@ -271,6 +271,20 @@ def test_given_any_number_that_is_used_when_forged_then_the_loader_refuses_it(re
     assert gains.mapping()['checksum'] == data['checksum']
 
 
+@pytest.mark.parametrize(('design', 'place', 'value'), [
+    ('paper', 'observer.mu[0]', 1e300), ('paper', 'observer.mu[1]', 1e-300),
+    ('literal', 'observer.k[3]', 1e300), ('literal', 'observer.gamma', 1e160),
+    ('literal', 'observer.box[1]', 1e300),
+])  # fmt: skip
+def test_given_numbers_beyond_arithmetic_when_verified_then_they_are_refused(
+    request, paper_arm, design, place, value
+):
+    data = request.getfixturevalue(f'{design}_gains').mapping()
+    gains = replace(Gains.parse(changed(data, place, value)), checksum='')
+    with np.errstate(all='ignore'), pytest.raises(ConfigError, match='gains: .* does not hold'):
+        gains.require(paper_arm)
+
+
 def test_given_forged_hashes_or_noise_then_inequalities_refuse_them(
     paper_arm, paper_model, paper_gains
 ):

@@ -4,6 +4,7 @@ No solver is needed, and none is trusted: every inequality is rebuilt from the n
 and of the arm alone.
 """
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
@@ -14,7 +15,7 @@ from lpv.core.serial_arm.certificate.claims import Claim
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.config import Section, sha256_of, write_parameters
 from lpv.core.support.entries import entry, plain_entries, read_entries
-from lpv.core.support.errors import ConfigError
+from lpv.core.support.errors import ConfigError, LpvError
 from lpv.core.support.inequalities import Check, is_negative, require_all
 
 _Kind = TypeVar('_Kind', bound='CertifiedGains')
@@ -89,7 +90,12 @@ class CertifiedGains:
         if self.checksum:
             same = self.checksum == self.mapping()['checksum']
             yield Check('gains file: numbers are those of the design', -1.0 if same else 1.0)
-        yield from self.checks(arm)
+        try:
+            yield from self.checks(arm)
+        except LpvError:
+            raise
+        except (ArithmeticError, ValueError) as error:
+            yield Check(f'numbers of the gains can be computed with ({error})', math.nan)
 
     def mapping(self) -> dict[str, Any]:
         """What stands in their section of a file, with the checksum of the numbers as they are."""

@@ -66,7 +66,7 @@ class ErrorProof(LoopProof):
 
     # of the velocity limits, of all joints at once [-]
     rate_share: float = positive(high=1.0)
-    acceleration: float = entry('number', low=0.0)  # largest of the reference [rad/s2]
+    acceleration: float = entry('number', low=0.0, high=1e3)  # largest of the reference [rad/s2]
     level: float = positive()  # mu: V ends below mu abs(omega)^2 [-]
     bound: FloatArray = array(-1)  # of the tracking error of each joint, shape (n,) [rad]
 
