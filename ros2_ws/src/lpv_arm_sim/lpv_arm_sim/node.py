@@ -13,7 +13,6 @@ from lpv.core.control.tracking import BANDWIDTH, loop_latency
 from lpv.core.control.watchdog import (
     UNKNOWN_LOOP,
     BrakeReason,
-    DriveLimits,
     DriveWatchdog,
     LatencyLimits,
     latency_limits,
@@ -98,7 +97,7 @@ class SimulatorNode(ManagedNode):
         self._scenario = scenario
         substeps = self.get_parameter('substeps').value
         self._plant = ArmSimulator(self._arm, scenario, substeps)
-        limits = DriveLimits(self._latency_limits())
+        limits = self._latency_limits()
         self._watchdog = DriveWatchdog(self._arm, limits)
         # Compile before the first step, not on it.
         trial = ArmSimulator(self._arm, scenario, substeps)

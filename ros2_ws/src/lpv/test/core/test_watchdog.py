@@ -10,7 +10,6 @@ from lpv.core.control.estimate_check import ROWS, ValueFault, check_values
 from lpv.core.control.tracking import loop_latency
 from lpv.core.control.watchdog import (
     BrakeReason,
-    DriveLimits,
     DriveWatchdog,
     StopReason,
     TrackerLimits,
@@ -36,7 +35,7 @@ def tracker(paper_arm):
 
 @pytest.fixture
 def drives(paper_arm):
-    return DriveWatchdog(paper_arm, DriveLimits())
+    return DriveWatchdog(paper_arm)
 
 
 def estimates(tracker, steps, latency=0, mode=OBSERVING, trustworthy=True, velocity=STILL):
@@ -160,7 +159,7 @@ def test_given_what_is_late_on_average_then_both_sides_stop_for_a_while(tracker,
 def test_given_any_rate_then_limits_are_below_the_latency(paper_arm, real_arm, gains_of):
     for arm in (paper_arm, real_arm):
         tolerated = loop_latency(arm, gains_of[arm.name])
-        assert DriveLimits().latency.mean < tolerated < 0.1
+        assert watchdog.UNKNOWN_LOOP.mean < tolerated < 0.1
         assert watchdog.latency_limits(tolerated).mean < tolerated
     for rate in (50, 2000):
         arm = replace(paper_arm, sample_time=1.0 / rate)

@@ -118,14 +118,6 @@ class TrackerLimits:
     error_time: float = unusable  # with a larger one [s]
 
 
-@dataclass(frozen=True)
-class DriveLimits:
-    """What the drives tolerate."""
-
-    latency: LatencyLimits = UNKNOWN_LOOP  # from a measurement to the end of its command's effect
-    overspeed: float = TrackerLimits.overspeed  # above the velocity limit [s]
-
-
 _SHORTEST_STOP = round(2.0 * MAX_GAP * NANOSECONDS)
 """How long latencies must be in time before tracker and drives go on by themselves, two time
 constants of the mean [ns]."""
@@ -172,7 +164,7 @@ def tracker_watchdog_type(joints: int) -> np.dtype:
 def drive_watchdog_type(joints: int) -> np.dtype:
     """Record type of the drives' watchdog."""
     return record_type(
-        ('command_age', 'i8'),  # limits, see `DriveLimits` [ns]
+        ('command_age', 'i8'),  # limits, see `DriveWatchdog` [ns]
         ('overspeed', 'i8'),
         ('mean_latency', 'f8'),  # [ns]
         ('velocity_limit', 'f8', (joints,)),  # of the arm file [rad/s]
@@ -408,22 +400,23 @@ class TrackerWatchdog(_Watchdog):
 class DriveWatchdog(_Watchdog):
     """The drives' watchdog, sample by sample.
 
-    ``command_age`` is the greatest age of the measurement that was answered last [ns].
+    ``latency`` is tolerated from a measurement to the end of its command's effect; ``command_age``
+    is the greatest age of the measurement that was answered last [ns].
     """
 
-    def __init__(self, arm: SerialArm, limits: DriveLimits) -> None:
+    def __init__(self, arm: SerialArm, latency: LatencyLimits = UNKNOWN_LOOP) -> None:
         record = new_record(
             drive_watchdog_type(len(arm.joint_names)),
-            command_age=_nanoseconds(limits.latency.single),
-            overspeed=_nanoseconds(limits.overspeed),
-            mean_latency=_nanoseconds(limits.latency.mean),
+            command_age=_nanoseconds(latency.single),
+            overspeed=_nanoseconds(TrackerLimits.overspeed),
+            mean_latency=_nanoseconds(latency.mean),
             velocity_limit=arm.velocity_limit,
             share=_share(arm),
             in_speed=NEVER,
             braked=NEVER,
         )
         super().__init__(record)
-        self.command_age = _nanoseconds(limits.latency.single)
+        self.command_age = _nanoseconds(latency.single)
 
     def check(self, now: int, age: int, safe_stop: bool, velocity: np.ndarray) -> BrakeReason:
         """As the function `check_drive`."""

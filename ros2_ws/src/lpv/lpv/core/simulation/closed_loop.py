@@ -18,7 +18,6 @@ from lpv.core.control.path_follower import PathFollower, approach_speeds
 from lpv.core.control.tracking import BANDWIDTH, COMPENSATION, TrackingController
 from lpv.core.control.tracking_law import LawParts, track
 from lpv.core.control.watchdog import (
-    DriveLimits,
     DriveWatchdog,
     StopReason,
     TrackerLimits,
@@ -484,7 +483,7 @@ def run_closed_loop(
         references,
         CorrectionLimit(arm, compensation != 'off').memory,
         TrackerWatchdog(arm, TrackerLimits(latency.single, latency)).memory,
-        DriveWatchdog(arm, DriveLimits(latency)).memory,
+        DriveWatchdog(arm, latency).memory,
     )
     loop = new_record(
         _loop_type(len(arm.joints)),

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from lpv.core.control.tracking import TrackingController
-from lpv.core.control.watchdog import DriveLimits, DriveWatchdog, TrackerLimits, TrackerWatchdog
+from lpv.core.control.watchdog import DriveWatchdog, TrackerLimits, TrackerWatchdog
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.description import SerialArm
@@ -47,7 +47,7 @@ def _run_loop(arm: SerialArm, name: str, gains: Gains | None) -> None:
     watchdog = TrackerWatchdog(arm, TrackerLimits())
     watchdog.check_estimate(1, 0, 0, True, still, still)
     watchdog.check_motion(1, still, still, still)
-    DriveWatchdog(arm, DriveLimits()).check(1, 0, True, still)
+    DriveWatchdog(arm).check(1, 0, True, still)
 
 
 def _helper(arm: SerialArm, name: str) -> Any:

@@ -9,7 +9,7 @@ from scipy.linalg import eigh
 from serial_certificate import corner_arm, decay
 
 from lpv import ConfigError, load_arm
-from lpv.core.serial_arm.certificate.disturbance import MotionRange, missed_torque
+from lpv.core.serial_arm.certificate.disturbance import missed_torque
 from lpv.core.serial_arm.certificate.loop_gains import LoopGains
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.dynamics.model import SerialModel
@@ -60,7 +60,7 @@ def test_given_true_arms_at_corners_then_energy_decays_and_missed_torques_are_bo
     decays = [decay(model, gains, *one) for one in corners(arm, gains, 1, 300)]
     assert min(decays) > gains.motion.decay
     model, rates = SerialModel(compile_chain(arm)), gains.rate_share * np.array(arm.velocity_limit)
-    parts = missed_torque(arm, gains.model, gains.model_error, MotionRange(rates, 2.0))
+    parts = missed_torque(arm, gains.model, gains.model_error, rates, 2.0)
     for chain, q, v in corners(arm, gains, 2, 300):
         a = 2.0 * np.sign(v * q)
         missed = SerialModel(chain).inverse_dynamics(q, v, a) - model.inverse_dynamics(q, v, a)

@@ -6,7 +6,6 @@ mass (Cauchy-Schwarz), acc the acceleration of each point less free fall.
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -26,16 +25,8 @@ from lpv.core.serial_arm.chain import (
 from lpv.core.serial_arm.description import SerialArm
 
 
-@dataclass(frozen=True)
-class MotionRange:
-    """Region of motion."""
-
-    rates: FloatArray  # largest of each joint [rad/s]
-    acceleration: float  # largest of every joint's reference [rad/s2]
-
-
 def missed_torque(
-    arm: SerialArm, bounds: ModelBounds, model_error: float, motion: MotionRange
+    arm: SerialArm, bounds: ModelBounds, model_error: float, rates: FloatArray, acceleration: float
 ) -> dict[str, float]:
     """Bounds D of all that the model misses, by cause [kg^(1/2) m/s2].
 
@@ -47,18 +38,20 @@ def missed_torque(
         Of its mass matrix.
     model_error : float
         d: relative error of each link's pseudo-inertia, in the matrix order.
-    motion : MotionRange
-        Rates of the arm and of its reference, accelerations of the reference.
+    rates : ndarray, shape (n,)
+        Largest of each joint of the arm, and of its reference [rad/s].
+    acceleration : float
+        Largest of every joint's reference [rad/s2].
     """
-    chain = compile_chain(arm)
+    chain, turning = compile_chain(arm), _turning(rates, acceleration)
     free_fall = math.sqrt(float(chain.gravity @ chain.gravity))
-    mass, moving = float(chain.inertial[:, MASS].sum()), _moving_mass(chain, motion)
+    mass, moving = float(chain.inertial[:, MASS].sum()), _moving_mass(chain, turning)
     load = math.sqrt(bounds.payload * arm.uncertainty.largest_payload)
-    tip = float(_turning(motion) @ _distances(chain, len(chain.translation)))
-    speed, change, friction = motion.rates, arm.uncertainty.friction, chain.friction
+    tip = float(turning @ _distances(chain, len(chain.translation)))
+    change, friction = arm.uncertainty.friction, chain.friction
     viscous, torque = friction[:, VISCOUS], np.array(arm.torque_limit)
     # Negative viscous friction is no damping: all of it counts, besides its error.
-    missed = (change * np.abs(viscous) + 2.0 * np.maximum(-viscous, 0.0)) * speed
+    missed = (change * np.abs(viscous) + 2.0 * np.maximum(-viscous, 0.0)) * rates
     dry = (2.0 + change) * friction[:, COULOMB]
     # Of friction that grows with load, torques of the model and of the arm are below the limit.
     loaded = np.where(friction[:, LOAD] > 0.0, (2.0 + change) * friction[:, LOAD] * torque, 0.0)
@@ -75,14 +68,14 @@ def _norm(torque: FloatArray, bounds: ModelBounds) -> float:
     return float(np.sqrt((torque**2 / bounds.inertia).sum()))
 
 
-def _turning(motion: MotionRange) -> FloatArray:
+def _turning(rates: FloatArray, acceleration: float) -> FloatArray:
     """Acceleration at distance 1 from axis k, by joint k with those before it [1/s2].
 
     abs(acc) <= sum_k d_k (abs(q_k'') + v_k^2 + 2 sum_(j<k) abs(v_j v_k)), d_k the distance
     from axis k.
     """
-    before = np.concatenate([[0.0], np.cumsum(motion.rates)[:-1]])
-    return motion.acceleration + motion.rates * (motion.rates + 2.0 * before)
+    before = np.concatenate([[0.0], np.cumsum(rates)[:-1]])
+    return acceleration + rates * (rates + 2.0 * before)
 
 
 def _distances(chain: Chain, link: int) -> FloatArray:
@@ -100,9 +93,9 @@ def _distances(chain: Chain, link: int) -> FloatArray:
     return result
 
 
-def _moving_mass(chain: Chain, motion: MotionRange) -> float:
+def _moving_mass(chain: Chain, turning: FloatArray) -> float:
     """Bound of sqrt(int abs(acc)^2 dm) without gravity (Minkowski's inequality) [kg^(1/2) m/s2]."""
-    total, turning = 0.0, _turning(motion)
+    total = 0.0
     for i, body in enumerate(chain.inertial):
         spread = math.sqrt(max(0.5 * (body[IXX] + body[IYY] + body[IZZ]), 0.0))
         root = math.sqrt(max(body[MASS], 0.0))

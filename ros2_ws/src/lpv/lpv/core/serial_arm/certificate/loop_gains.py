@@ -9,7 +9,7 @@ import numpy as np
 
 from lpv.core.serial_arm.certificate.certified import CertifiedGains, Inequalities
 from lpv.core.serial_arm.certificate.claims import SERIAL_CLAIMS
-from lpv.core.serial_arm.certificate.disturbance import MotionRange, missed_torque
+from lpv.core.serial_arm.certificate.disturbance import missed_torque
 from lpv.core.serial_arm.certificate.loop_inequality import (
     LoopNumbers,
     motion_matrix,
@@ -126,8 +126,8 @@ class LoopGains(CertifiedGains):
         V ends below mu abs(omega)^2, P >= e_2 e_2^T, and omega = M^^(-1/2) delta / w.
         """
         proof, w = self.error, self.bandwidth
-        motion = MotionRange(proof.rate_share * np.array(arm.velocity_limit), proof.acceleration)
-        causes = missed_torque(arm, self.model, self.model_error, motion)
+        rates = proof.rate_share * np.array(arm.velocity_limit)
+        causes = missed_torque(arm, self.model, self.model_error, rates, proof.acceleration)
         each = math.sqrt(proof.level) / (w * w * np.sqrt(self.model.inertia))
         return {name: size * each for name, size in causes.items()}
 
