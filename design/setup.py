@@ -10,7 +10,6 @@ setup(
         ('share/ament_index/resource_index/packages', ['resource/' + PACKAGE]),
         ('share/' + PACKAGE, ['package.xml']),
     ],
-    package_data={PACKAGE: ['requirements/*.yaml']},
     install_requires=['setuptools'],
     extras_require={'test': ['pytest']},
     zip_safe=False,

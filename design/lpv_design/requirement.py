@@ -6,13 +6,11 @@ from typing import Any
 
 from lpv.core.support.config import Section, names_all_errors, read_yaml
 from lpv.core.support.entries import part, read_entries
-from lpv.core.support.errors import ConfigError
+from lpv.core.support.resources import bringup_file
 from lpv.core.uio.certificate.conditions import METHODS
 from lpv_design.controller import ControllerRequirement
 from lpv_design.exact_observer import ExactRequirement
 from lpv_design.paper_observer import PaperRequirement
-
-SHIPPED = Path(__file__).parent / 'requirements'
 
 
 @dataclass(frozen=True)
@@ -24,26 +22,12 @@ class Requirement:
     source: str = ''  # file name
 
 
-def shipped_requirements() -> list[str]:
-    """Names of the shipped requirements."""
-    return sorted(path.stem for path in SHIPPED.glob('*.yaml'))
-
-
-def requirement_file(name: str | Path) -> Path:
-    """File of a path, or of the bare name of a shipped requirement, else ConfigError."""
-    path = Path(name)
-    if path.suffix not in ('.yaml', '.yml'):
-        path = SHIPPED / f'{name}.yaml'
-        if not path.exists():
-            known = ', '.join(shipped_requirements())
-            raise ConfigError('requirement', f'{name!r} is not shipped; there are {known}')
-    return path
-
-
 def load_requirement(name: str | Path) -> Requirement:
     """Requirement of a path, or of the bare name of a shipped one; ConfigError names a wrong
     field."""
-    path = requirement_file(name)
+    path = Path(name)
+    if path.suffix not in ('.yaml', '.yml'):
+        path = bringup_file('requirements', str(name))
     return parse_requirement(read_yaml(path), str(path))
 
 

@@ -17,6 +17,7 @@ setup(
         (f'share/{PACKAGE}/config', glob('config/*')),
         (f'share/{PACKAGE}/gains', glob('gains/*')),
         (f'share/{PACKAGE}/launch', glob('launch/*')),
+        (f'share/{PACKAGE}/requirements', glob('requirements/*')),
         (f'share/{PACKAGE}/scenarios', glob('scenarios/*')),
         (f'share/{PACKAGE}/urdf', glob('urdf/*')),
     ],

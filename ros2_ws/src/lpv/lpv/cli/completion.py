@@ -52,10 +52,6 @@ def _shipped(kind: str) -> Callable[..., Any]:
 
 
 def _shipped_names(kind: str) -> list[str]:
-    if kind == 'requirements':
-        from lpv_design.requirement import shipped_requirements
-
-        return shipped_requirements()
     try:
         return list(shipped_files(kind))
     except LpvError:  # not installed

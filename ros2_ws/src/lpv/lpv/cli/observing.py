@@ -11,7 +11,7 @@ from lpv.core.monitoring.parameters import DiagnosisParameters, check_names
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.config import as_number, read_yaml
 from lpv.core.support.errors import ConfigError
-from lpv.core.support.resources import bringup_file
+from lpv.core.support.resources import bringup_file, shipped_files
 from lpv.core.uio.certificate.gains import Gains, gains_in, load_gains
 from lpv.report.certificate import beside_bag, named_arm, shipped_arm
 
@@ -56,10 +56,10 @@ def _gains_of(arguments: argparse.Namespace, arm: SerialArm, console: Console) -
     """Gains that are designed for the requirement, if one is given or shipped."""
     # The solver is imported only where it is needed.
     from lpv_design.design_flow import design
-    from lpv_design.requirement import load_requirement, shipped_requirements
+    from lpv_design.requirement import load_requirement
 
     name = arguments.requirement or arm.name
-    if not arguments.requirement and name not in shipped_requirements():
+    if not arguments.requirement and name not in shipped_files('requirements'):
         console.print(f'no gains of arm {arm.name!r}: the moving horizon observes alone')
         return None
     requirement = load_requirement(name)

@@ -31,7 +31,6 @@ from lpv.core.simulation.closed_loop import run_closed_loop
 from lpv.core.support import config, resources
 from lpv.core.uio.model.joints import JointMap
 from lpv.core.uio.planar import planar_model
-from lpv_design.requirement import SHIPPED
 
 pytestmark = pytest.mark.slow
 
@@ -235,7 +234,7 @@ def test_given_two_faults_when_an_alarm_comes_before_its_own_then_that_was_not_f
 
 
 def test_given_another_requirement_below_the_same_name_then_the_campaign_is_another_one(tmp_path):
-    requirement = config.read_yaml(SHIPPED / 'paper.yaml')
+    requirement = config.read_yaml(resources.bringup_file('requirements', 'paper'))
     keys = set()
     for fastest in (60.0, 60.0, 30.0):
         requirement['observer']['fastest'] = fastest

@@ -10,7 +10,7 @@ import pytest
 import yaml
 from fuzzing import fuzz, mutate_text
 from nested import Missing, changed, numbers, places
-from places import BRINGUP, ROOT
+from places import BRINGUP
 
 from lpv.bag.run.csv_import import load_column_map
 from lpv.campaign.plan.spec import parse_spec
@@ -29,7 +29,7 @@ from lpv_design.requirement import load_requirement, parse_requirement
 ARM = read_yaml(BRINGUP / 'arms' / 'paper.yaml')
 SCENARIO = read_yaml(BRINGUP / 'scenarios' / 'two_faults.yaml')
 CAMPAIGN = read_yaml(BRINGUP / 'campaigns' / 'smoke.yaml')
-REQUIREMENT = read_yaml(ROOT / 'design/lpv_design/requirements/paper.yaml')
+REQUIREMENT = read_yaml(BRINGUP / 'requirements' / 'paper.yaml')
 OLD_ARM = yaml.safe_load("""
 name: paper
 inertia_reference: center_of_mass
@@ -438,7 +438,7 @@ def test_given_other_yaml_or_arm_then_gains_refuse(tmp_path, paper_arm, real_arm
 
 MUTATED = {
     'arm': (load_arm, BRINGUP / 'arms' / 'real_arm.yaml'),
-    'requirement': (load_requirement, ROOT / 'design/lpv_design/requirements/real_arm.yaml'),
+    'requirement': (load_requirement, BRINGUP / 'requirements' / 'real_arm.yaml'),
     'scenario': (load_scenario, BRINGUP / 'scenarios' / 'two_faults.yaml'),
     'columns': (load_column_map, BRINGUP / 'columns' / 'real_arm.yaml'),
     'campaign': (lambda p: parse_spec(read_yaml(p)), BRINGUP / 'campaigns' / 'thresholds.yaml'),

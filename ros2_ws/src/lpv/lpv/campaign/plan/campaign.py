@@ -85,10 +85,8 @@ def _values(spec: CampaignSpec, name: str) -> tuple[Any, ...]:
 
 def _design_data(name: str, folder: str | Path) -> Any:
     """Content of a gains or requirement file, or of a shipped requirement."""
-    from lpv_design.requirement import requirement_file
-
     path = Path(folder) / name
-    return read_yaml(path if path.is_file() else requirement_file(name))
+    return read_yaml(path if path.is_file() else bringup_file('requirements', name))
 
 
 def find_gains(name: str, arm: SerialArm, folder: str | Path = '.') -> Gains:

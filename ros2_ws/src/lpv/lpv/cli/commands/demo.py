@@ -118,10 +118,8 @@ def _designed(arm: SerialArm, requirement: str, out: Path, console: Console) -> 
 
 def _design_key(arm: SerialArm, requirement: str) -> str:
     """Words that tell a design from all others: arm, requirement, and state of the design."""
-    folder, file = Path(design_package.__file__).parent, Path(requirement)
-    if file.suffix not in ('.yaml', '.yml'):
-        file = folder / 'requirements' / f'{requirement}.yaml'
-    files = [*sorted(folder.glob('*.py')), *([file] if file.is_file() else ())]
+    folder = Path(design_package.__file__).parent
+    files = [*sorted(folder.glob('*.py')), bringup_file('requirements', requirement)]
     found = hashlib.sha256(arm.sha256().encode() + b''.join(one.read_bytes() for one in files))
     return f'Designed by lpv demo, {found.hexdigest()}'
 

@@ -60,7 +60,7 @@ def shipped_files(kind: str) -> dict[str, Path]:
 def bringup_file(kind: str, name: str) -> Path:
     """An arm, scenario, column or campaign file: a path, or the bare name of a shipped one.
 
-    ``kind`` is a folder of lpv_bringup: arms, campaigns, columns or scenarios.  A bare name goes
+    ``kind`` is a folder of lpv_bringup, e.g. arms.  A bare name goes
     with or without ``.yaml``.  ConfigError, which names the shipped files, if there is no such
     file.
     """

@@ -30,7 +30,7 @@ from lpv.core.uio.model.polytope import sinc_box
 from lpv_design.exact_observer import torque_gains
 from lpv_design.guarantee import guarantee
 
-REQUIREMENTS = ROOT / 'design' / 'lpv_design' / 'requirements'
+REQUIREMENTS = BRINGUP / 'requirements'
 GAINS = BRINGUP / 'gains' / 'paper.yaml'
 
 
