@@ -13,6 +13,7 @@ setup(
     package_data={
         'lpv.campaign.report': ['*.html'],
         'lpv.cli': ['templates/*.yaml'],
+        'lpv.core.serial_arm.certificate': ['claims_*.md'],
         'lpv.identify.results': ['*.html'],
         'lpv.report': ['*.css', '*.html'],
     },

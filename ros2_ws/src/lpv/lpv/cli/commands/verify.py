@@ -22,7 +22,7 @@ def run(arguments: argparse.Namespace) -> int:
     for name, is_proved in proved.items():
         print(f'  {"proved" if is_proved else "REFUTED"}  {name}')
     print('what is claimed, where, and by which evidence:')
-    for claim in found.claims:
-        print(f'  {claim.text}\n    where: {claim.region}\n    evidence: {claim.evidence}')
+    for claim, region, evidence in found.claims():
+        print(f'  {claim}\n    where: {region}\n    evidence: {evidence}')
     print('the certificate holds' if holds else 'the certificate does NOT hold')
     return 0 if holds else 1

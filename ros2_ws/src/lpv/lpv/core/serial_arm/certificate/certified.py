@@ -11,7 +11,6 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
-from lpv.core.serial_arm.certificate.claims import Claim
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.config import Section, sha256_of, write_parameters
 from lpv.core.support.entries import entry, plain_entries, read_entries
@@ -35,11 +34,16 @@ class CertifiedGains:
     section: ClassVar[str]  # where they stand in their file
     unused: ClassVar[tuple[str, ...]]  # entries of it that the checksum leaves out
     what: ClassVar[str]  # what is certified, for the reader
-    claims: ClassVar[tuple[Claim, ...]]  # what holds where the certificate does
 
     def hash_of(self, arm: SerialArm) -> str:
         """Hash of the parameters of an arm that a design depends on."""
         return arm.sha256()
+
+    def claims(self) -> list[list[str]]:
+        """What holds where the certificate does: claims, each with its region and evidence."""
+        table = Path(__file__).parent / f'claims_{self.section}.md'
+        rows = table.read_text(encoding='utf-8').splitlines()[2:]
+        return [row.strip('| ').split(' | ') for row in rows]
 
     def inequalities(self, arm: SerialArm, number: Callable[[Any], Any] = float) -> Inequalities:
         """Matrix inequalities of the certificate, in floats or in exact fractions."""

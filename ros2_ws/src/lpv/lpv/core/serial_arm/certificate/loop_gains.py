@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from lpv.core.serial_arm.certificate.certified import CertifiedGains, Inequalities
-from lpv.core.serial_arm.certificate.claims import SERIAL_CLAIMS
 from lpv.core.serial_arm.certificate.disturbance import missed_torque
 from lpv.core.serial_arm.certificate.loop_inequality import (
     LoopNumbers,
@@ -88,7 +87,6 @@ class LoopGains(CertifiedGains):
     section = 'loop'
     unused = ()
     what = 'tracking loop'
-    claims = SERIAL_CLAIMS
 
     def parameters(self) -> dict[str, Any]:
         """As of `CertifiedGains`; ``bandwidth`` is a parameter of its own."""

@@ -14,7 +14,6 @@ from lpv.core.support.config import Section, read_yaml
 from lpv.core.support.entries import part, read_entries
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.inequalities import Check
-from lpv.core.uio.certificate.claims import CLAIMS
 from lpv.core.uio.certificate.conditions import (
     METHODS,
     ControllerGains,
@@ -42,7 +41,6 @@ class Gains(CertifiedGains):
     section = 'gains'
     unused = ('format', 'arm_name', 'certificate')
     what = 'gains'
-    claims = CLAIMS
 
     def hash_of(self, arm: SerialArm) -> str:
         """As of `CertifiedGains`: of the planar arm."""
