@@ -125,22 +125,15 @@ def chosen_limit(node: Node, name: str, certified: float) -> float:
 
 
 def declare_given(node: Node, *files: str) -> None:
-    """Declare what gains files set below ``gains`` or ``loop``, read-only."""
-    for file in files:
-        for name, given in _given(node, file).items():
+    """Declare what gains files set below ``gains`` or ``loop``, read-only; but for the
+    certificate's, from which nothing is computed."""
+    for name, given in node._parameter_overrides.items():
+        file, _, rest = name.partition('.')
+        if file in files and not rest.startswith('certificate.'):
             text = 'of the gains file written by lpv design'
             # The reader of the file checks types, and says what is wrong.
             own = ParameterDescriptor(description=text, read_only=True, dynamic_typing=True)
-            node.declare_parameter(name, given, own)
-
-
-def _given(node: Node, file: str) -> dict[str, Any]:
-    """Values by full name, but for the certificate's, from which nothing is computed."""
-    return {
-        name: given.value
-        for name, given in node._parameter_overrides.items()
-        if name.startswith(f'{file}.') and not name.startswith(f'{file}.certificate.')
-    }
+            node.declare_parameter(name, given.value, own)
 
 
 def read_gains(node: Node, arm: SerialArm, kind: type[_Kind], **others: Any) -> _Kind | None:
@@ -148,21 +141,16 @@ def read_gains(node: Node, arm: SerialArm, kind: type[_Kind], **others: Any) -> 
 
     ``others`` are what parameters of their own say.
     """
-    nested = _nested(node, kind.section)
-    if not nested:
-        return None
-    gains = kind.parse({**nested, **others}, node.get_name())
-    gains.require(arm, node.get_name())
-    return gains
-
-
-def _nested(node: Node, file: str) -> dict[str, Any]:
-    """What a file sets, as the nested mapping that the names of its parameters spell."""
-    nested: dict[str, Any] = {}
-    for name, value in _given(node, file).items():
-        _, *parents, leaf = name.split('.')
-        level = nested
+    nested = dict(others)
+    given = node.get_parameters_by_prefix(kind.section)
+    for name, parameter in given.items():
+        *parents, leaf = name.split('.')
+        level, value = nested, parameter.value
         for parent in parents:
             level = level.setdefault(parent, {})
         level[leaf] = list(value) if isinstance(value, array.array) else value
-    return nested
+    if not given:
+        return None
+    gains = kind.parse(nested, node.get_name())
+    gains.require(arm, node.get_name())
+    return gains
