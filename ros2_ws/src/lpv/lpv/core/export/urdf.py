@@ -6,11 +6,11 @@ them, ``tip`` is the reference point of a payload.
 
 import math
 from collections.abc import Sequence
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 
-from lpv.core.export.elements import add_element
 from lpv.core.serial_arm.chain import FloatArray
 from lpv.core.serial_arm.description import SerialArm, SerialJoint
 from lpv.core.support.errors import ConfigError
@@ -47,12 +47,12 @@ def arm_urdf(arm: SerialArm, inertial: bool = True) -> str:
     """
     robot, names = ElementTree.Element('robot', name=arm.name), link_names(arm)
     for i, colour in enumerate(_COLOURS):
-        material = add_element(robot, 'material', name=f'colour{i + 1}')
-        add_element(material, 'color', rgba=colour)
+        material = _add_element(robot, 'material', name=f'colour{i + 1}')
+        _add_element(material, 'color', rgba=colour)
     ends = [np.array(joint.position) for joint in arm.joints] + [np.array(arm.tip)]
     radius = _THICKNESS * float(np.mean([np.linalg.norm(end) for end in ends]) or 1.0)
     for i, name in enumerate(names[:-1]):
-        link = add_element(robot, 'link', name=name)
+        link = _add_element(robot, 'link', name=name)
         if i > 0 and inertial:
             _inertial(link, arm, i - 1)
         colour = f'colour{1 + i % len(_COLOURS)}'
@@ -60,10 +60,10 @@ def arm_urdf(arm: SerialArm, inertial: bool = True) -> str:
         _cylinder(link, colour, 1.4 * radius, 0.0 * axis, 2.6 * radius * axis)
         if np.linalg.norm(ends[i]) > 0.0:
             _cylinder(link, colour, radius, 0.5 * ends[i], ends[i])
-    add_element(robot, 'link', name=TIP)
+    _add_element(robot, 'link', name=TIP)
     for i, joint in enumerate(arm.joints):
         _joint(robot, joint, names[i], names[i + 1])
-    fixed = add_element(robot, 'joint', name='tip_joint', type='fixed')
+    fixed = _add_element(robot, 'joint', name='tip_joint', type='fixed')
     _ends(fixed, names[-2], TIP)
     _origin(fixed, arm.tip)
     ElementTree.indent(robot)
@@ -83,11 +83,11 @@ def _inertial(link: ElementTree.Element, arm: SerialArm, index: int) -> None:
             arm.name,
         )
     inertia = axes @ np.diag(np.maximum(values, _SLENDER * values[2])) @ axes.T
-    element = add_element(link, 'inertial')
+    element = _add_element(link, 'inertial')
     _origin(element, described.center())
-    add_element(element, 'mass', value=described.mass)
+    _add_element(element, 'mass', value=described.mass)
     (ixx, ixy, ixz), (_, iyy, iyz), (_, _, izz) = inertia
-    add_element(element, 'inertia', ixx=ixx, iyy=iyy, izz=izz, ixy=ixy, ixz=ixz, iyz=iyz)
+    _add_element(element, 'inertia', ixx=ixx, iyy=iyy, izz=izz, ixy=ixy, ixz=ixz, iyz=iyz)
 
 
 def _cylinder(
@@ -96,32 +96,32 @@ def _cylinder(
     """A visual around a middle, along a vector of its length."""
     length = float(np.linalg.norm(along))
     yaw, pitch = math.atan2(along[1], along[0]), math.acos(along[2] / length)
-    visual = add_element(link, 'visual')
+    visual = _add_element(link, 'visual')
     _origin(visual, middle, (0.0, pitch, yaw))
-    geometry = add_element(visual, 'geometry')
-    add_element(geometry, 'cylinder', radius=radius, length=length)
-    add_element(visual, 'material', name=material)
+    geometry = _add_element(visual, 'geometry')
+    _add_element(geometry, 'cylinder', radius=radius, length=length)
+    _add_element(visual, 'material', name=material)
 
 
 def _joint(robot: ElementTree.Element, joint: SerialJoint, parent: str, child: str) -> None:
     limits = joint.limits
     kind = 'continuous' if joint.is_endless else joint.type
-    element = add_element(robot, 'joint', name=joint.name, type=kind)
+    element = _add_element(robot, 'joint', name=joint.name, type=kind)
     _ends(element, parent, child)
     _origin(element, joint.position, joint.orientation)
-    add_element(element, 'axis', xyz=joint.axis)
+    _add_element(element, 'axis', xyz=joint.axis)
     values = {'effort': min(limits.torque, LARGEST), 'velocity': limits.velocity}
     if not joint.is_endless:  # what is left out is 0 to readers
         values |= {'lower': max(limits.lower, -LARGEST), 'upper': min(limits.upper, LARGEST)}
     if not joint.is_endless or limits.torque < LARGEST:
-        add_element(element, 'limit', **values)
+        _add_element(element, 'limit', **values)
     friction = joint.friction
-    add_element(element, 'dynamics', damping=friction.viscous, friction=friction.coulomb)
+    _add_element(element, 'dynamics', damping=friction.viscous, friction=friction.coulomb)
 
 
 def _ends(joint: ElementTree.Element, parent: str, child: str) -> None:
-    add_element(joint, 'parent', link=parent)
-    add_element(joint, 'child', link=child)
+    _add_element(joint, 'parent', link=parent)
+    _add_element(joint, 'child', link=child)
 
 
 def _origin(
@@ -129,4 +129,18 @@ def _origin(
     xyz: Sequence[float] | FloatArray,
     rpy: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> None:
-    add_element(element, 'origin', xyz=xyz, rpy=rpy)
+    _add_element(element, 'origin', xyz=xyz, rpy=rpy)
+
+
+def _add_element(parent: ElementTree.Element, tag: str, **attributes: Any) -> ElementTree.Element:
+    """A child element; numbers and sequences of numbers keep every digit."""
+    texts = {name: _text(value) for name, value in attributes.items()}
+    return ElementTree.SubElement(parent, tag, texts)
+
+
+def _text(value: Any) -> str:
+    return value if isinstance(value, str) else ' '.join(map(_digits, np.atleast_1d(value)))
+
+
+def _digits(value: float) -> str:
+    return repr(float(value)) if value else '0'

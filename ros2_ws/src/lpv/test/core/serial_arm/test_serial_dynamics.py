@@ -16,7 +16,7 @@ from serial_arms import middle, mixed_arm, scara, ur10_on_rail
 
 from lpv import ConfigError, LpvError, SampleError, load_arm
 from lpv.cli.main import main
-from lpv.core.export import mjcf, urdf
+from lpv.core.export import urdf
 from lpv.core.serial_arm import arm_file, description, urdf_chain
 from lpv.core.serial_arm.certificate.model_bounds import chain_numbers
 from lpv.core.serial_arm.chain import Chain, body_parameters, compile_chain
@@ -24,7 +24,7 @@ from lpv.core.serial_arm.dynamics import kinematics, payload
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.simulation import integration_step, plant_scratch, plant_step
 from lpv.core.serial_arm.two_links import two_link_arm
-from lpv.core.simulation.mujoco_chain import MujocoChain
+from lpv.core.simulation.mujoco_chain import MujocoChain, chain_model
 from lpv.core.uio.model.arm import ArmParameters, Link
 from lpv.core.uio.model.joints import JointMap
 
@@ -288,13 +288,13 @@ def test_given_an_exported_urdf_when_read_by_pinocchio_then_torques_are_ours(cho
         close(ours.inverse_dynamics(q, v, a) - ours.chain.motor @ a, torque)
 
 
-def test_given_an_exported_mjcf_when_mujoco_takes_it_then_motions_are_ours(mujoco, chosen):
+def test_given_a_model_when_mujoco_takes_it_then_motions_are_ours(mujoco, chosen):
     chain = compile_chain(chosen)
     if chosen.name == 'panda':  # identified: its inertias are those of no rigid bodies
         with pytest.raises(LpvError, match='MuJoCo does not take the arm: .*inertia'):
             MujocoChain(chain)
         return
-    model = mujoco.MjModel.from_xml_string(mjcf.chain_mjcf(chain))
+    model = chain_model(mujoco, chain)
     data, ours, n = mujoco.MjData(model), SerialModel(chain), len(chosen.joints)
     for q, v, torque in states(n):
         data.qpos[:], data.qvel[:], data.qfrc_applied[:] = q, v, torque
@@ -316,11 +316,11 @@ def test_given_an_exported_mjcf_when_mujoco_takes_it_then_motions_are_ours(mujoc
         np.testing.assert_allclose(state, theirs, rtol=0.0, atol=1e-8)
 
 
-def test_given_a_coupled_rotor_without_inertia_when_written_as_mjcf_then_it_is_refused():
+def test_given_a_coupled_rotor_without_inertia_when_mujoco_shall_take_it_then_it_is_refused(mujoco):
     first, last, *others = scara().joints
     joints = first, replace(last, rotor_inertia=0.0, rotor_coupling=-0.1), *others
     with pytest.raises(ConfigError, match=r'motor\[1\]: must have the inertia'):
-        mjcf.chain_mjcf(compile_chain(replace(scara(), joints=joints)))
+        chain_model(mujoco, compile_chain(replace(scara(), joints=joints)))
 
 
 def test_given_a_foreign_callback_when_the_plant_has_stepped_then_it_is_back(mujoco, real_arm):
