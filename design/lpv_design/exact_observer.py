@@ -72,7 +72,7 @@ def solve_link(link: LinkError, wanted: ExactRequirement) -> tuple[Any, ...]:
     rate = math.sqrt(link.slopes[1] / link.inertia)
     root, time = math.sqrt(rate), np.array([[1.0], [rate]])
     noises = link.noises(wanted.acceleration_noise, wanted.rate_noise)
-    inputs = [(noise.direct / time / root, noise.measured / root) for noise in noises]
+    inputs = [(direct / time / root, measured / root) for direct, measured in noises]
     size = max(float(np.linalg.norm(part, axis=1).max()) for pair in inputs for part in pair)
     problem, slopes, parameters, p, y = _link_problem(
         inputs[0][0].shape[1], wanted.decay / rate, wanted.fastest / rate,

@@ -38,9 +38,9 @@ def run(arguments: argparse.Namespace) -> int:
 def _design(arguments: argparse.Namespace) -> int:
     arm = arguments.arm
     if arm.lpv is None:
-        loop = certify_loop(arm, _loop_request(arm, arguments))
+        loop, lines = certify_loop(arm, _loop_request(arm, arguments))
         comment = [f'Tracking of arm {arm.name!r} and its certificate, written by lpv design.']
-        return _finish(arguments, loop.gains, comment, loop.lines)
+        return _finish(arguments, loop, comment, lines)
     requirement = load_requirement(arguments.requirement or arm.name)
     found = design(arm, requirement)
     comment = [

@@ -14,8 +14,7 @@ from lpv.core.uio.certificate.conditions import observer_margin
 from lpv.core.uio.certificate.error_system import paper_fault_sigma
 from lpv.core.uio.certificate.lmi import paper_inequalities
 from lpv.core.uio.model.arm import ArmParameters
-from lpv.core.uio.model.polytope import paper_weights, sinc_box
-from lpv.core.uio.model.state_space import paper_descriptor
+from lpv.core.uio.model.polytope import paper_descriptor, paper_weights, sinc_box
 from lpv.core.uio.observer.paper_observer import PaperObserverGains, decoupling
 from lpv_design.solve import InfeasibleError, NotDetectableError, solve, symmetric_below
 

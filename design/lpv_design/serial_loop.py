@@ -61,16 +61,9 @@ class LoopRequest:
     acceleration: float = entry('number', default=1.0, low=0.0, high=1e3)
 
 
-@dataclass(frozen=True)
-class LoopDesign:
-    """A certificate that was checked, and what the designer should read."""
-
-    gains: LoopGains
-    lines: list[str]
-
-
-def certify_loop(arm: SerialArm, request: LoopRequest) -> LoopDesign:
-    """Find a certificate of the loop, with a region of rates, and check it.
+def certify_loop(arm: SerialArm, request: LoopRequest) -> tuple[LoopGains, list[str]]:
+    """Find a certificate of the loop, with a region of rates, and check it; the lines are for the
+    designer.
 
     Raises
     ------
@@ -103,8 +96,7 @@ def certify_loop(arm: SerialArm, request: LoopRequest) -> LoopDesign:
     for check in checks:
         if not check.holds:
             raise InfeasibleError(f'{check.name}: {check.margin:.3g} is not negative')
-    lines = [*check_lines(checks), *gains.facts(arm), *_limit_lines(arm, gains, largest)]
-    return LoopDesign(gains, lines)
+    return gains, [*check_lines(checks), *gains.facts(arm), *_limit_lines(arm, gains, largest)]
 
 
 def _check_request(arm: SerialArm, request: LoopRequest) -> None:

@@ -16,8 +16,7 @@ from lpv.core.support import inequalities, resources
 from lpv.core.uio.certificate import conditions, error_system, lmi
 from lpv.core.uio.certificate.conditions import observer_margin
 from lpv.core.uio.certificate.gains import load_gains
-from lpv.core.uio.model.polytope import sinc_box, vertex_matrices
-from lpv.core.uio.model.state_space import paper_descriptor
+from lpv.core.uio.model.polytope import paper_descriptor, sinc_box, vertex_matrices
 from lpv_design import controller, design_flow, exact_observer, serial_loop
 from lpv_design.paper_observer import PaperRequirement, solve_paper, undetectable_point
 from lpv_design.requirement import load_requirement
@@ -214,8 +213,8 @@ def test_given_any_slope_when_tried_then_poles_and_deviation_are_as_certified(pl
             poles = np.linalg.eigvals(closed)
             assert np.abs(poles.imag).max() == 0.0
             assert -poles.real.max() > observer.decay and np.abs(poles).max() < observer.fastest
-            for noise in link.noises(wanted.acceleration_noise, wanted.rate_noise):
-                inputs = noise.direct + gain @ noise.measured
+            for direct, measured in link.noises(wanted.acceleration_noise, wanted.rate_noise):
+                inputs = direct + gain @ measured
                 worst = max(worst, solve_continuous_lyapunov(closed, -inputs @ inputs.T)[0, 0])
         assert 0.1 * bound < worst <= bound
 
@@ -313,13 +312,14 @@ def found(short):
 
 
 def test_given_an_arm_when_designed_then_what_is_certified_follows_payload_and_region(short, found):
-    found.gains.require(short)
-    assert any('what limits it' in line for line in found.lines)
+    gains, lines = found
+    gains.require(short)
+    assert any('what limits it' in line for line in lines)
     lighter = replace(short, uncertainty=replace(short.uncertainty, payload=1.0))
-    ratio = serial_loop.model_bounds(lighter).payload / found.gains.model.payload
+    ratio = serial_loop.model_bounds(lighter).payload / gains.model.payload
     assert ratio == pytest.approx(0.5, rel=0.01)
-    slow = serial_loop.certify_loop(short, serial_loop.LoopRequest(rate_share=0.2)).gains
-    assert slow.rate_share == 0.2 and slow.motion.decay > found.gains.motion.decay
+    slow = serial_loop.certify_loop(short, serial_loop.LoopRequest(rate_share=0.2))[0]
+    assert slow.rate_share == 0.2 and slow.motion.decay > gains.motion.decay
 
 
 @pytest.mark.parametrize(('asked', 'payload', 'told'), [

@@ -18,8 +18,7 @@ from lpv.core.support.errors import ConfigError, UnreachableError
 from lpv.core.uio.model import polytope
 from lpv.core.uio.model.joints import JointMap
 from lpv.core.uio.model.kinematics import forward, inverse, joint_motion
-from lpv.core.uio.model.polytope import sinc_box, vertex_matrices
-from lpv.core.uio.model.state_space import paper_descriptor
+from lpv.core.uio.model.polytope import paper_descriptor, sinc_box, vertex_matrices
 from lpv.core.uio.planar import is_planar, planar_links, planar_model, plane_of
 
 ANGLE, RATE, TORQUE = st.floats(-6.0, 6.0), st.floats(-8.0, 8.0), st.floats(-100.0, 100.0)

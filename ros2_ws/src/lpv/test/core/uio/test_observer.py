@@ -12,8 +12,7 @@ from planar_formulas import inertia, inverse_dynamics, scheduling, weights
 from lpv.core.serial_arm.diagnosis.alarms import Mode
 from lpv.core.support import records, timestamps
 from lpv.core.uio.model.joints import JointMap
-from lpv.core.uio.model.polytope import sinc_box
-from lpv.core.uio.model.state_space import paper_descriptor
+from lpv.core.uio.model.polytope import paper_descriptor, sinc_box
 from lpv.core.uio.observer import paper_observer, sampled_observer
 from lpv.core.uio.unknown_input_observer import UnknownInputObserver, uio_step
 

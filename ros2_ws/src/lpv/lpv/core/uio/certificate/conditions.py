@@ -19,8 +19,13 @@ from lpv.core.uio.certificate.error_system import exact_fault_sigma, link_errors
 from lpv.core.uio.certificate.lmi import covariance, disc, paper_inequalities
 from lpv.core.uio.certificate.sampled_motion import MotionCertificate, sampled_loop
 from lpv.core.uio.model.arm import ArmParameters
-from lpv.core.uio.model.polytope import exact_vertices, sinc_box, state_spaces, vertex_matrices
-from lpv.core.uio.model.state_space import paper_descriptor
+from lpv.core.uio.model.polytope import (
+    exact_vertices,
+    paper_descriptor,
+    sinc_box,
+    state_spaces,
+    vertex_matrices,
+)
 from lpv.core.uio.observer.exact_observer import ExactObserverGains
 from lpv.core.uio.observer.paper_observer import PaperObserverGains
 

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
@@ -12,15 +12,8 @@ from lpv.core.support.inequalities import array_of
 from lpv.core.support.limits import SMALL
 from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.model.joints import JointMap
-from lpv.core.uio.model.state_space import paper_descriptor
+from lpv.core.uio.model.polytope import paper_descriptor
 from lpv.core.uio.observer.paper_observer import PaperObserverGains
-
-
-class Noise(NamedTuple):
-    """White inputs of unit intensity of one link's error."""
-
-    direct: np.ndarray  # columns that enter the error as they are, shape (2, n)
-    measured: np.ndarray  # those that enter through the output injection L, shape (1, n)
 
 
 @dataclass(frozen=True)
@@ -45,9 +38,13 @@ class LinkError:
         """N of the error e' = -kappa m, m' = Gamma e - mu m, for one slope."""
         return np.array([[0 * mu, -kappa * self.inertia], [slope / self.inertia, -mu]])
 
-    def noises(self, acceleration_noise: Sequence[float], rate_noise: float) -> list[Noise]:
+    def noises(self, acceleration_noise: Sequence[float], rate_noise: float) -> list[tuple]:
         """Noise at both ends of Xi12, of rate sensors and as given [rad/s2/sqrt(Hz)],
-        [rad/s/sqrt(Hz)]; everything between them is a convex combination."""
+        [rad/s/sqrt(Hz)]; everything between them is a convex combination.
+
+        White inputs of unit intensity: columns that enter the error as they are, shape (2, n), and
+        those that enter through the output injection L, shape (1, n).
+        """
         rates = self.rates * self.rate_noise * math.sqrt(self.period)
         found = []
         for row in self.rows:
@@ -55,7 +52,7 @@ class LinkError:
             # e' takes the rates' noise as it is, and both rows through the injection.
             direct = np.zeros((2, 5))
             direct[0, :3], direct[1, 3:] = [*rates[self.index], rate_noise], push
-            found.append(Noise(direct, np.append(-row @ rates / self.inertia, np.zeros(3))[None]))
+            found.append((direct, np.append(-row @ rates / self.inertia, np.zeros(3))[None]))
         return found
 
     def input_covariance(self, row: np.ndarray, kappa: Any, mu: Any) -> np.ndarray:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from lpv.core.uio.model.state_space import Descriptor
+from lpv.core.uio.model.polytope import Descriptor
 
 
 def _eye(n: int) -> np.ndarray:

@@ -18,8 +18,7 @@ from lpv.core.support.jit import njit_in_place as njit
 from lpv.core.support.records import new_record, record_type
 from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.model.joints import copy_vector
-from lpv.core.uio.model.polytope import paper_scheduling, paper_weights
-from lpv.core.uio.model.state_space import paper_descriptor
+from lpv.core.uio.model.polytope import paper_descriptor, paper_scheduling, paper_weights
 
 
 @dataclass(frozen=True)
