@@ -87,3 +87,53 @@ def test_given_functions_that_only_compiled_code_calls_then_errors_in_them_arriv
     for output, compiled in zip(outputs, ('compiled: entry', 'compiled:')):
         lines = output.splitlines()
         assert (lines.pop(1), lines) == (compiled, expected)
+
+
+DRAWN = """
+import os
+import numba
+import numpy as np
+from lpv.core.support.jit import compile_ahead, njit
+
+@njit
+def normal(generator):
+    return generator.standard_normal()
+
+{shares}
+for k, function in enumerate((normal, {names})):
+    child = os.fork()
+    if not child:
+        for _ in range(k):  # functions are numbered in the order in which they are compiled
+            numba.njit(lambda: 0)()
+        compile_ahead(function, np.random.default_rng(0))
+        os._exit(0)
+    os.waitpid(child, 0)
+for both in ({boths}):
+    print(both(np.random.default_rng(0)))
+expected = np.random.default_rng(0)
+expected.standard_normal()
+print(expected.random())
+"""
+_SHARE = """
+@njit
+def share_{k}(generator):
+    return generator.random()
+
+@njit
+def both_{k}(generator):
+    normal(generator)
+    return share_{k}(generator)
+"""
+
+
+@pytest.mark.skipif(not jit.COMPILED, reason='without Numba nothing is linked')
+def test_given_functions_kept_by_several_processes_when_linked_then_each_draws_its_own(tmp_path):
+    names, boths = (', '.join(f'{name}_{k}' for k in range(3)) for name in ('share', 'both'))
+    shares = ''.join(_SHARE.format(k=k) for k in range(3))
+    (tmp_path / 'lpv_drawn.py').write_text(DRAWN.format(shares=shares, names=names, boths=boths))
+    python_path = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
+    environment = {**os.environ, 'XDG_CACHE_HOME': str(tmp_path), 'PYTHONPATH': python_path}
+    command = [sys.executable, '-c', 'import lpv_drawn']
+    found = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    drawn = found.stdout.splitlines()
+    assert len(drawn) == 4 and len(set(drawn)) == 1, drawn

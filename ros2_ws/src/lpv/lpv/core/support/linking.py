@@ -5,12 +5,14 @@ deep is optimised and made six times.  While `linked_only` holds, libraries are 
 their intermediate code and leave both to the function that is called from Python.
 """
 
+import os
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 from typing import Any
 
+from numba.core.bytecode import FunctionIdentity
 from numba.core.codegen import JITCodeLibrary, JITCPUCodegen
 from numba.core.environment import lookup_environment
 from numba.core.registry import cpu_target
@@ -94,6 +96,10 @@ class _Codegen(JITCPUCodegen):
 
 def install() -> None:
     """Let Numba make the libraries of this file, where its own are as expected."""
+    # Numba's own functions are told apart by numbers that every process counts from 1.  Code that
+    # processes kept is linked by names: of two functions of one number, one would stand for both.
+    drawn = iter(lambda: int.from_bytes(os.urandom(6), 'big'), None)
+    FunctionIdentity._unique_ids = drawn  # type: ignore[assignment]
     codegen = cpu_target.target_context.codegen()
     as_expected = type(codegen) is JITCPUCodegen and all(
         hasattr(JITCodeLibrary, name) for name in _OVERRIDDEN
