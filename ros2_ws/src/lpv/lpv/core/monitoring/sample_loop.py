@@ -87,8 +87,8 @@ def advance(
     stamps: IntArray,
     times: FloatArray,
     samples: FloatArray,
-) -> None:
-    """Go on with samples until Python has to do something, or all are answered.
+) -> bool:
+    """Go on with samples until Python has to do something (true), or all are answered.
 
     What is decided at a sample counts from this sample on; the designed observer has used all
     samples before it then.
@@ -109,7 +109,7 @@ def advance(
                     jumped = jumped or found != NONE
                 state.now, progress.stamp = times[taken - 1], stamps[taken - 1]
             elif progress.answered == taken:
-                return
+                return False
             answered = taken - 1 if complete or jumped else taken
             answer(parts, one, rows, first, (progress.answered, answered), stamps, samples)
             progress.complete, progress.jumped, progress.touched = complete, jumped, False
@@ -118,47 +118,22 @@ def advance(
         if progress.phase == REPORT:
             last = progress.answered - 1
             if progress.reported <= last and stamps[last] >= progress.next_report:
-                return
+                return True
             progress.reported, progress.phase = progress.answered, JUMP
-        if not _go_on(parts, one):
-            return
-
-
-@njit_in_place
-def settle(parts: Parts, one: Answering, stamp: int, time: float, complete: bool) -> bool:
-    """Decide on what `take_samples` has found at a sample, for loops that call it.
-
-    ``stamp`` [ns] and ``time`` [s] are the sample's.  False if Python has to go on.
-    """
-    progress, state = one.progress[0], parts.state[0]
-    progress.taken = progress.answered = progress.reported = 0
-    progress.stamp, progress.complete, progress.jumped = stamp, complete, False
-    for found in parts.sampler.found:
-        progress.jumped = progress.jumped or found != NONE
-    state.now, state.stage = time, _BEGIN if complete else _DONE
-    progress.touched, progress.phase = False, JUMP
-    return _go_on(parts, one)
-
-
-@njit_in_place
-def _go_on(parts: Parts, one: Answering) -> bool:
-    """Go on from what was found at a sample to what is known then; false if Python has to."""
-    progress, state = one.progress[0], parts.state[0]
-    if progress.phase == JUMP:
-        if progress.jumped:
-            return False
-        progress.phase = DECIDE
-    if progress.phase == DECIDE:
-        decide(parts)
-        if state.stage != _DONE:
-            return False
-        progress.phase = KNOW
-    if progress.complete or progress.jumped:
-        if progress.touched or progress.jumped or not state.usual:
-            return False
-        _know_nothing_wrong(parts, one, progress.stamp)
-    progress.phase = SAMPLE
-    return True
+        if progress.phase == JUMP:
+            if progress.jumped:
+                return True
+            progress.phase = DECIDE
+        if progress.phase == DECIDE:
+            decide(parts)
+            if state.stage != _DONE:
+                return True
+            progress.phase = KNOW
+        if progress.complete or progress.jumped:
+            if progress.touched or progress.jumped or not state.usual:
+                return True
+            _know_nothing_wrong(parts, one, progress.stamp)
+        progress.phase = SAMPLE
 
 
 @njit_in_place

@@ -8,14 +8,14 @@ not depend on how measurements are divided.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from lpv.core.monitoring import message_fields
 from lpv.core.monitoring.answers import LONGEST_STALE, Answer, Answers, answer_type
 from lpv.core.monitoring.batch import Batch, new_batch
-from lpv.core.monitoring.compensation import FLAGS, Known, new_compensation
+from lpv.core.monitoring.compensation import FLAGS, AnswerRows, Known, new_compensation
 from lpv.core.monitoring.idle_efforts import without_efforts
 from lpv.core.monitoring.joint_order import JointOrder
 from lpv.core.monitoring.parameters import DiagnosisParameters
@@ -88,13 +88,6 @@ class SerialCounters:
     unread: int = 0  # without readings, as of a driver that has not read its hardware yet
     without_effort: int = 0  # efforts were missing that had been there before
     repeated: int = 0  # by a driver that had nothing new of an arm in motion
-
-
-class MonitorParts(NamedTuple):
-    """What a compiled loop calls the monitor's functions with."""
-
-    monitor: SteppedMonitor
-    answering: Answering
 
 
 class SerialSensorMonitor:
@@ -525,19 +518,19 @@ class SerialSensorMonitor:
         self._know(known, int(self._flags['stamp']))
 
     @property
-    def parts(self) -> MonitorParts:
-        """Arguments of the compiled functions, until `note`; for closed-loop simulations."""
-        return MonitorParts(self._monitor, self._answering)
+    def parts(self) -> tuple[SteppedMonitor, Answering]:
+        """What loops call `advance` with, until `go_on`."""
+        return self._monitor, self._answering
 
-    def decide(self) -> list[Alarm]:
-        """Go on with a decision that `sample_loop.settle` has begun with `parts`; alarm events."""
+    def go_on(self, answering: Answering, rows: AnswerRows, row: int, *taken: Any) -> list[Alarm]:
+        """As `SteppedMonitor.go_on`, for those who call `advance` with `parts`; alarm events."""
         events: list[Alarm] = []
 
         def known(snapshot: Snapshot, _: int, stamp: int) -> None:
             events.extend(self.note(snapshot, stamp))
 
         told = Told(lambda first, until: None, known)
-        self._monitor.settle(self._answering, self._one.rows, told)
+        self._monitor.go_on(answering, rows, row, told, *taken)
         return events
 
     @property

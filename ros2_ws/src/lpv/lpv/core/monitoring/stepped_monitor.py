@@ -1,7 +1,7 @@
 """A serial arm's monitor that says after which samples it knows more, and what."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -113,10 +113,12 @@ class SteppedMonitor(SerialMonitor):
         self._out, self._row, self._stamps = (answering, rows, told), first, stamps
         self.take_readings(stamps, samples)
 
-    def settle(self, answering: Answering, rows: AnswerRows, told: Told) -> None:
-        """Go on where `sample_loop.settle` needs Python."""
-        self._out, self._row = (answering, rows, told), 0
-        self._go_on(np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 3, self.joints)))
+    def go_on(
+        self, answering: Answering, rows: AnswerRows, row: int, told: Told, *taken: Any
+    ) -> None:
+        """Go on where `advance` needs Python, with stamps, times and samples that it has taken."""
+        self._out, self._row = (answering, rows, told), row
+        self._go_on(*taken)
 
     def went_on(self, stamp: int) -> None:
         """Samples up to a stamp [ns] were taken by compiled functions."""

@@ -30,14 +30,14 @@ from lpv.core.control.watchdog import (
 from lpv.core.monitoring.answers import answer_type
 from lpv.core.monitoring.compensation import AnswerRows, answer_rows, copy_answer
 from lpv.core.monitoring.parameters import DiagnosisParameters
-from lpv.core.monitoring.sample_loop import Answering, answer, settle
-from lpv.core.monitoring.serial_monitor import MonitorParts, SerialSensorMonitor
+from lpv.core.monitoring.sample_loop import PROGRESS, Answering, advance
+from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv.core.monitoring.stepped_monitor import SteppedMonitor
 from lpv.core.serial_arm.chain import Chain, FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import Alarm
 from lpv.core.serial_arm.diagnosis.decision import Parts
 from lpv.core.serial_arm.diagnosis.monitor import LONGEST_STEP
-from lpv.core.serial_arm.diagnosis.sampling import take_samples
 from lpv.core.serial_arm.sensor_map import map_vector
 from lpv.core.simulation.arm_simulator import (
     ArmSimulator,
@@ -59,7 +59,8 @@ from lpv.core.uio.certificate.gains import Gains
 # Where in a sample the loop goes on.  Outside, in Python: the monitor itself takes the sample, the
 # diagnosis needs Python to decide, a path that starts or goes on needs references, the plant is
 # integrated by an engine of its own.
-_SENSE, _MONITOR, _TAKE, _DECIDE, _ANSWER, _ESTIMATE, _START, _COMMAND, _ACT, _ADVANCE = range(10)
+_SENSE, _MONITOR, _TAKE, _DECIDE, _ESTIMATE, _START, _COMMAND, _ACT, _ADVANCE = range(9)
+_NO_REPORT = np.iinfo(int).max
 _NONE, _SILENCE = int(StopReason.NONE), int(StopReason.SILENCE)
 
 
@@ -124,7 +125,7 @@ class _Plant(NamedTuple):
 
 
 class _Observer(NamedTuple):
-    """Arguments of `take_samples` and `answer`, for all samples of the run."""
+    """Arguments of `advance`, for all samples of the run."""
 
     parts: Parts
     plan: tuple[int, int]
@@ -172,8 +173,6 @@ def _run(
             _take(loop, observer, k)
         if loop.phase == _DECIDE:
             return k
-        if loop.phase == _ANSWER:
-            _answer(loop, observer, k)
         if loop.phase == _ESTIMATE:
             _estimate(loop, observer, tracker, blocked[k], k)
         if loop.phase == _START:
@@ -227,38 +226,20 @@ def _sense(
 
 @njit
 def _take(loop: np.record, observer: _Observer, k: int) -> None:
-    """Hand the sample to the diagnosis, and let it decide."""
-    parts, found = observer.parts, False
-    _, complete = take_samples(
-        parts.sampler,
-        parts.balance,
-        observer.times[: k + 1],
-        observer.samples[: k + 1],
-        k,
-        observer.plan,
-    )
-    for one in parts.sampler.found:
-        found = found or one != 0
-    loop.phase = _ANSWER
-    if complete or found:
-        stamp, time = observer.stamps[k], observer.times[k]
-        known = settle(parts, observer.answering, stamp, time, complete)
-        loop.phase = _ANSWER if known else _DECIDE
-
-
-@njit
-def _answer(loop: np.record, observer: _Observer, k: int) -> None:
-    """What the node answers: readings without confirmed faults."""
-    answer(
+    """Hand the sample to the diagnosis, which decides and answers as far as it needs no Python."""
+    progress = observer.answering.progress[0]
+    progress.taken = progress.answered = progress.reported = 0
+    waits = advance(
         observer.parts,
+        observer.plan,
         observer.answering,
         observer.answers,
-        0,
-        (k, k + 1),
-        observer.stamps,
-        observer.samples,
+        k,
+        observer.stamps[k : k + 1],
+        observer.times[k : k + 1],
+        observer.samples[k : k + 1],
     )
-    loop.phase = _ESTIMATE
+    loop.phase = _DECIDE if waits else _ESTIMATE
 
 
 @njit
@@ -476,7 +457,8 @@ def run_closed_loop(
     answers = answer_rows(records)
     fed_back = (answers.measured, answers.compensated, answers.position)
     feedback = fed_back[COMPENSATION.index(compensation)]
-    stepped, parts = monitor.parts.monitor, _new_observer(arm, monitor.parts, answers, feedback)
+    stepped, answering = monitor.parts
+    parts = _new_observer(arm, stepped, answering, answers, feedback)
     latency = latency_limits(controller.tolerated_latency)
     tracker = _Tracker(
         controller.parts,
@@ -512,9 +494,10 @@ def run_closed_loop(
             alarms += _hand_over(monitor, parts, records, loop, simulator.state, k)
             parts.times[:] = (parts.stamps - stepped.stamp_of(0.0)) / NANOSECONDS
         elif phase == _DECIDE:
-            alarms += monitor.decide()
+            taken = (one[k : k + 1] for one in (parts.stamps, parts.times, parts.samples))
+            alarms += monitor.go_on(parts.answering, answers, k, *taken)
             parts = parts._replace(parts=stepped.parts)
-            now['phase'] = _ANSWER
+            now['phase'] = _ESTIMATE
         elif phase == _START:
             first = k - int(loop.offset)  # row of the references: samples in which the path ran
             if follower.running:
@@ -565,17 +548,21 @@ def _hand_over(
 
 
 def _new_observer(
-    arm: SerialArm, parts: MonitorParts, answers: AnswerRows, feedback: FloatArray
+    arm: SerialArm,
+    stepped: SteppedMonitor,
+    answering: Answering,
+    answers: AnswerRows,
+    feedback: FloatArray,
 ) -> _Observer:
     count, n = feedback.shape
     stamps = np.rint(arm.sample_time * NANOSECONDS * np.arange(count)).astype(np.int64)
     return _Observer(
-        parts.monitor.parts,
-        (parts.monitor.plan.per_block, parts.monitor.plan.blocks),
+        stepped.parts,
+        (stepped.plan.per_block, stepped.plan.blocks),
         stamps,
         stamps / NANOSECONDS,
         np.empty((count, 3, n)),
-        parts.answering,
+        answering._replace(progress=memory(new_record(PROGRESS, next_report=_NO_REPORT))),
         answers,
         feedback,
         np.array([joint.torque_gain for joint in arm.joints]),
