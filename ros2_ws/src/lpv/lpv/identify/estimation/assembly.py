@@ -51,7 +51,7 @@ def consistent_parameters(
     lower, upper = np.full(len(mean), -np.inf), np.full(len(mean), np.inf)
     lower[N_INERTIAL * n :] = 0.0  # rotors and friction
     lower[_columns('offset', n)] = -np.inf
-    upper[_columns('load', n)] = np.where(fit.used_load, 1.0, 0.0)
+    upper[_columns('load', n)] = float(fit.with_load)
     passive = np.eye(len(mean))
     limits = np.array([joint.limits.velocity for joint in arm.joints])
     passive[_columns('viscous', n), _columns('coulomb', n)] = least_viscous(fit.slope, limits)

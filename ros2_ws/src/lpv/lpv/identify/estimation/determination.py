@@ -50,13 +50,8 @@ def determine(base: BaseParameters, fit: Fit, arm: SerialArm) -> Determination:
     size = np.maximum(friction[:, [0, 1, 2, 1]], fit.scale[:, None] * 0.5)
     size[:, TERMS.index('load')] = np.maximum(size[:, TERMS.index('load')], 0.05)
     limit = np.concatenate([prior / np.sqrt(5.0), size.ravel()])
-    active = np.ones(len(names), bool)
-    active[base.size + TERMS.index('load') :: len(TERMS)] = fit.used_load
     determined = (sigma > 0.0) & (sigma < limit) & used
-    keep = np.flatnonzero(active)
-    return Determination(
-        [names[k] for k in keep], fit.parameters[keep], sigma[keep], determined[keep]
-    )
+    return Determination(names, fit.parameters, sigma, determined)
 
 
 def parameter_names(base: BaseParameters, joints: tuple[str, ...]) -> list[str]:

@@ -31,11 +31,11 @@ def estimate_gains(rows: Sequence[Rows], filters: Filters, prior: Prior) -> np.n
     expected = _sizes(rows, prior.mean)
     for _ in range(_ROUNDS):
         scaled = [replace(one, effort=one.effort * gains) for one in rows]
-        fit = fit_parameters(scaled, filters, np.zeros(n, bool), prior, sweeps=6)
+        fit = fit_parameters(scaled, filters, prior, sweeps=6, with_load=False)
         found = _sizes(rows, fit.parameters)
         common = float(np.linalg.norm(expected) / max(float(np.linalg.norm(found)), 1e-12))
-        problem = Problem(scaled, filters, np.zeros(n, bool))
-        design = problem.design(fit.slope, None)
+        problem = Problem(scaled, filters, with_load=False)
+        design = problem.design(fit.slope, fit.parameters)
         full = np.concatenate([design, (design @ fit.parameters)[:, :, None] * np.eye(n)], axis=2)
         weight = problem.counts / fit.scale**2
         matrix, right = normal_equations(full, problem.effort, weight, prior)

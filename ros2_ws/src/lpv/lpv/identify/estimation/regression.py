@@ -78,7 +78,7 @@ class Fit:
     normal: np.ndarray  # normal matrix of the weighted rows, without the prior
     right: np.ndarray  # its right-hand side: normal @ parameters = right without a prior
     covariance: np.ndarray  # of the parameters, with correlated residuals accounted for
-    used_load: np.ndarray  # joints with load-dependent friction, shape (n,)
+    with_load: bool  # whether friction may depend on the load
 
     @property
     def base(self) -> np.ndarray:
@@ -98,16 +98,14 @@ def model_torque(rows: Rows, fit: Fit) -> np.ndarray:
     return rigid + np.einsum('ijk,jk->ij', columns, fit.friction)
 
 
-Loads = Sequence[np.ndarray | None]
-"""Magnitudes of rigid-body torques, a segment each; None if no friction depends on them."""
-
-
 class Problem:
     """Filtered rows of all segments; the columns of friction change with slopes and load."""
 
-    def __init__(self, rows: Sequence[Rows], filters: Filters, use_load: np.ndarray):
-        self._rows, self._filters, self.use_load = rows, filters, use_load
+    def __init__(self, rows: Sequence[Rows], filters: Filters, with_load: bool):
+        self._rows, self._filters, self._with_load = rows, filters, with_load
         self.n, self.size = rows[0].effort.shape[1], rows[0].base.shape[2]
+        terms = [with_load or term != 'load' for term in TERMS]
+        self.used = np.append(np.ones(self.size, bool), np.tile(terms, self.n))
         self.speed_limit = rows[0].speed_limit
         self.base = np.concatenate([self._keep(r.filtered_base(filters), r) for r in rows])
         self.effort = np.concatenate(
@@ -125,71 +123,63 @@ class Problem:
         filters = self._filters
         return self._keep(low_pass(signal, filters.effort, rows.step, filters.analysis), rows)
 
-    def loads(self, beta: np.ndarray) -> Loads:
+    def _loads(self, parameters: np.ndarray) -> list[np.ndarray]:
         """Magnitude of the rigid-body torque of each joint, for each segment."""
-        used = self.use_load.any()
-        return [np.abs(rows.base @ beta) if used else None for rows in self._rows]
+        beta = parameters[: self.size] * self._with_load
+        return [np.abs(rows.base @ beta) for rows in self._rows]
 
-    def friction(self, slope: np.ndarray, loads: Loads | None) -> np.ndarray:
-        """Filtered friction columns of each joint, shape (rows, n, 4)."""
+    def design(self, slope: np.ndarray, parameters: np.ndarray) -> np.ndarray:
+        """Regressor of all parameters, shape (rows, n, base + 4 n), with the load of known ones."""
         columns = []
-        for rows, load in zip(self._rows, loads or [None] * len(self._rows)):
+        for rows, load in zip(self._rows, self._loads(parameters)):
             way = coulomb_direction(rows.velocity, slope)
-            parts = way if load is None else np.hstack([way, load * way])
-            reduced = self._reduce(parts, rows)
-            columns.append(np.hstack([reduced, np.zeros_like(reduced)])[:, : 2 * self.n])
+            columns.append(self._reduce(np.hstack([way, load * way]), rows))
         way, loaded = np.hsplit(np.concatenate(columns), 2)
-        return np.stack([self._rates, way, loaded, np.ones_like(way)], axis=2)
-
-    def design(self, slope: np.ndarray, loads: Loads | None) -> np.ndarray:
-        """Regressor of all parameters, shape (rows, n, base + 4 n)."""
-        return join_columns(self.base, self.friction(slope, loads))
+        friction = np.stack([self._rates, way, loaded, np.ones_like(way)], axis=2)
+        return join_columns(self.base, friction)
 
     def with_slopes(
         self, design: np.ndarray, slope: np.ndarray, parameters: np.ndarray
     ) -> np.ndarray:
         """Regressor with derivatives of the torque with respect to each log(k), too."""
         friction, parts = parameters[self.size :].reshape(self.n, len(TERMS)), []
-        for rows, load in zip(self._rows, self.loads(parameters[: self.size])):
-            amplitude = friction[:, 1] + friction[:, 2] * (0.0 if load is None else load)
+        for rows, load in zip(self._rows, self._loads(parameters)):
+            amplitude = friction[:, 1] + friction[:, 2] * load
             column = amplitude * direction_slope(rows.velocity, slope)
             parts.append(self._reduce(column, rows))
         column = np.concatenate(parts)
         return np.concatenate([design, column[:, :, None] * np.eye(self.n)], axis=2)
 
-    def constraints(self, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Parameters that may be used; map P from others z, parameters = P z; which z >= 0."""
+    def constraints(self, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Map P from other parameters z, parameters = P z; which z >= 0."""
         # Friction never drives up to the limit w if coulomb >= 0 and it does not at w.
-        used, signed = np.ones((2, self.n, len(TERMS)), bool)
-        used[:, TERMS.index('load')] = self.use_load
+        signed = np.ones((self.n, len(TERMS)), bool)
         signed[:, TERMS.index('offset')] = False
-        free = np.ones(self.size, bool)
-        passive = np.eye(self.size + used.size)
+        passive = np.eye(self.size + signed.size)
         first = self.size + len(TERMS) * np.arange(self.n)
         passive[first, first + 1] = least_viscous(slope, self.speed_limit)
-        return np.append(free, used), passive, np.append(~free, signed)
+        return passive, np.append(np.zeros(self.size, bool), signed)
 
 
 def fit_parameters(
     rows: Sequence[Rows],
     filters: Filters,
-    use_load: np.ndarray,  # joints with load-dependent friction, shape (n,)
     prior: Prior,
     slope: np.ndarray | None = None,  # shape (n,); searched if not given
     sweeps: int = _SWEEPS,  # of slopes, load and linear parameters in turn
+    with_load: bool = True,  # whether friction may depend on it
     with_covariance: bool = False,
 ) -> Fit:
     """Fit base parameters, friction and slopes: Huber's estimate with one scale for each joint."""
-    problem = Problem(rows, filters, use_load)
-    n, size, search = problem.n, problem.size, slope is None
+    problem = Problem(rows, filters, with_load)
+    n, search = problem.n, slope is None
     slope = prior.slope * np.ones(n) if slope is None else slope.copy()
-    parameters = np.zeros(size + len(TERMS) * n)
+    parameters = np.zeros(problem.size + len(TERMS) * n)
     scale, weight = np.ones(n), problem.counts.astype(float)
     for sweep in range(sweeps if search else 3):
-        loads = problem.loads(parameters[:size]) if sweep else None
         if search and sweep:
             slope = _next_slopes(problem, slope, parameters, weight / scale**2, prior)
-        design = problem.design(slope, loads)
+        design = problem.design(slope, parameters)
         for _ in range(2):
             equations = normal_equations(design, problem.effort, weight / scale**2, prior)
             parameters = _solve(problem, slope, *equations)
@@ -201,7 +191,7 @@ def fit_parameters(
         full = problem.with_slopes(design, slope, parameters)
         covariance = _uncertainty(problem, full, residual, weights, prior)
     normal, right = normal_equations(design, problem.effort, weights)
-    return Fit(parameters, slope, scale, normal, right, covariance, use_load)
+    return Fit(parameters, slope, scale, normal, right, covariance, with_load)
 
 
 def _weigh(problem: Problem, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -215,7 +205,8 @@ def _solve(
     problem: Problem, slope: np.ndarray, matrix: np.ndarray, right: np.ndarray
 ) -> np.ndarray:
     """Solution without the terms of friction that would drive a joint."""
-    active, passive, positive = problem.constraints(slope)
+    passive, positive = problem.constraints(slope)
+    active = problem.used.copy()
     matrix, right = passive.T @ matrix @ passive, passive.T @ right
     while True:
         result = np.zeros(len(active))
@@ -230,14 +221,14 @@ def _next_slopes(
     problem: Problem, slope: np.ndarray, parameters: np.ndarray, weight: np.ndarray, prior: Prior
 ) -> np.ndarray:
     """Gauss-Newton step in the logarithms of the slopes, together with all parameters."""
-    # Also with those that would drive: at another slope they may not, and hold it where it is.
+    # Also with terms that would drive: at another slope they may not, and hold it where it is.
     n, count = problem.n, len(parameters)
-    design = problem.design(slope, problem.loads(parameters[: problem.size]))
+    design = problem.design(slope, parameters)
     full = problem.with_slopes(design, slope, parameters)
     matrix, right = normal_equations(full, problem.effort, weight, prior)
     matrix[count:, count:] += _SLOPE_HELD * np.eye(n)
     right[count:] += _SLOPE_HELD * np.log(prior.slope / slope)
-    used = np.append(problem.constraints(slope)[0], np.ones(n, bool))
+    used = np.append(problem.used, np.ones(n, bool))
     change = (invert_normal(matrix[np.ix_(used, used)]) @ right[used])[-n:]
     return np.clip(slope * np.exp(np.clip(change, -_STEP, _STEP)), *SLOPES)
 
@@ -247,11 +238,8 @@ def _uncertainty(
 ) -> np.ndarray:
     """Covariance of the parameters; slopes are estimated, too."""
     n, size = problem.n, len(prior.mean)
-    known = np.append(problem.constraints(np.ones(n))[0], np.ones(n, bool))
     slopes = _SLOPE_HELD * np.eye(n)
-    matrix = normal_matrix(full, weight) + block_diag(prior.information, slopes)
-    inverse = np.zeros_like(matrix)
-    inverse[np.ix_(known, known)] = invert_normal(matrix[np.ix_(known, known)])
+    inverse = invert_normal(normal_matrix(full, weight) + block_diag(prior.information, slopes))
     root = np.sqrt(weight)
     data = full * root[:, :, None], residual * root, inverse, problem.lengths, problem.counts
     return estimate_covariance(*data, block_diag(prior.score, slopes))[:size, :size]

@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from lpv.identify.estimation.regression import Filters, Fit, Rows, fit_parameters, model_torque
+from lpv.identify.estimation.evaluation import predict
+from lpv.identify.estimation.regression import Filters, Fit, Rows, fit_parameters
 from lpv.identify.estimation.robust import bounded_squares
 from lpv.identify.model.prior import Prior
-from lpv.identify.recordings.filters import causal_low_pass, low_pass
 
 BLOCKS = 4
 """Blocks of the training data, each of which is predicted from the others."""
@@ -29,12 +29,6 @@ def divide(rows: Rows, share: float) -> tuple[Rows, Rows]:
     return replace(rows, part=slice(start, middle)), replace(rows, part=slice(middle, stop))
 
 
-def residuals(rows: Rows, fit: Fit, filters: Filters, causal_cutoff: float = np.inf) -> np.ndarray:
-    """Effort, as it is or through a causal filter, minus prediction, shape (samples, n) [N m]."""
-    predicted = low_pass(model_torque(rows, fit), filters.effort, rows.step)
-    return causal_low_pass(rows.effort - predicted, causal_cutoff, rows.step)[rows.part]
-
-
 def validation_error(
     rows: Sequence[Rows], filters: Filters, estimate: Callable[[Sequence[Rows]], Fit]
 ) -> float:
@@ -53,24 +47,25 @@ def validation_error(
             valid.append(replace(one, part=slice(edge[block], edge[block + 1])))
         fit = estimate(train)
         for one in valid:
-            counts = one.counts[one.part]
-            total += bounded_squares(residuals(one, fit, filters, filters.test), counts)
-            count += counts.sum(axis=0)
+            found = predict(one, fit, filters)
+            total += bounded_squares(found.residual_band, found.counts)
+            count += found.counts.sum(axis=0)
     errors = np.divide(total, count, out=np.ones_like(total), where=total > 0.0)
     return float(np.mean(np.log(errors)))
 
 
-def choose_effort_band(
-    rows: Sequence[Rows], filters: Filters, use_load: np.ndarray, prior: Prior
-) -> float:
+def choose_effort_band(rows: Sequence[Rows], filters: Filters, prior: Prior) -> float:
     """Bandwidth of the effort sensor, inf if none is seen: drivers filter their torques."""
     errors: dict[float, float] = {}  # mean logarithms
     bands = [b for b in EFFORT_BANDS[::-1] if b < 0.15 / rows[0].step and _ends(rows, b)]
     for band in (np.inf, *bands):
         trial = replace(filters, effort=band)
-        fit = fit_parameters(rows, trial, use_load, prior, sweeps=6)
-        error = np.concatenate([residuals(one, fit, trial) for one in rows])
-        squares = bounded_squares(error, np.concatenate([one.counts[one.part] for one in rows]))
+        fit = fit_parameters(rows, trial, prior, sweeps=6, with_load=False)
+        found = [predict(one, fit, trial) for one in rows]
+        error, counts = (
+            np.concatenate([getattr(p, x) for p in found]) for x in ('residual', 'counts')
+        )
+        squares = bounded_squares(error, counts)
         errors[band] = float(np.mean(np.log(squares, where=squares > 0.0, out=0.0 * squares)))
         tried = list(errors.values())
         if len(tried) > 4 and min(tried[-3:]) > min(tried):

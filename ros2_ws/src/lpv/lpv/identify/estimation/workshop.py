@@ -60,7 +60,7 @@ class Workshop:
         self.rate_delay, self.effort_delay, self.joint_delays = np.zeros((3, self.n))
         if self.has_rates:
             self.rate_delay = rate_delays(self.segments, self.bands)
-        self.use_load = np.zeros(self.n, bool)
+        self.with_load = False
         thinning = max(1, int(1.0 / (8.0 * self.bands.analysis * self.step)))
         self.filters = Filters(np.inf, self.bands.analysis, thinning, self.bands.test)
         self.strength = 1.0
@@ -128,15 +128,15 @@ class Workshop:
         return [self._rows(segment) for one in tests for segment in split(one)]
 
     def choose(self, share: float, report: Callable[[str], None]) -> None:
-        """Rates, bandwidth of the efforts, load, prior, delay: by prediction of training data."""
+        """Rates, bandwidth of the efforts, prior, delay: by prediction of training data."""
         report('choosing measured or computed rates')
         if self.has_rates:
             self._choose_rates(share)
         report('choosing the bandwidth of the efforts')
         weak = self.prior.times(WEAK)
-        band = choose_effort_band(self.train_rows(share), self.filters, self.use_load, weak)
+        band = choose_effort_band(self.train_rows(share), self.filters, weak)
         self.filters = replace(self.filters, effort=band)
-        self.use_load = np.ones(self.n, bool)
+        self.with_load = True
         report('choosing the weight of the parameters given')
         self._choose_strength(share)
         report('choosing the delays of the efforts')
@@ -147,7 +147,7 @@ class Workshop:
     ) -> Fit:
         """Fit whose parameters belong to bodies of positive mass."""
         prior = self.prior.times(strength)
-        fit = fit_parameters(rows, self.filters, self.use_load, prior, slope)
+        fit = fit_parameters(rows, self.filters, prior, slope, with_load=self.with_load)
         return fit_of(self.arm_of(fit, strength), self.base, fit)
 
     def _errors(self, share: float, strengths: Sequence[float]) -> np.ndarray:
@@ -197,8 +197,7 @@ class Workshop:
             )
             strength = HELD
         prior = self.prior.times(strength)
-        fit = fit_parameters(rows, self.filters, self.use_load, prior, with_covariance=True)
-        return fit, strength
+        return fit_parameters(rows, self.filters, prior, with_covariance=True), strength
 
     def _passive_joints(self, rows: Sequence[Rows]) -> list[str]:
         """Joints that swing freely: their balance holds for parameters of any scale."""
