@@ -48,8 +48,8 @@ def alarm(event, t, onset=1.0, sensor=SENSORS[0], **fields):
     return message(t, event=event, sensor=sensor, **times, **values)
 
 
-def joint_states(t, name, position):
-    return message(t, name=name, position=position, velocity=[0.0] * len(name), effort=[])
+def joint_states(t, name, position, velocity=()):
+    return message(t, name=name, position=position, velocity=velocity, effort=[])
 
 
 def report(model, now, name='tracking', level=b'\2', message='m', values=(), arm='paper'):
@@ -85,9 +85,10 @@ def test_given_no_messages_or_those_of_other_arms_when_framed_then_nothing_is_kn
     assert frame['sample']['fault'] == [None, 0.1] and frame['sample']['estimate'] == [None, -0.2]
 
 
-def test_given_joints_in_another_order_when_framed_then_the_measured_arm_is_the_same(model):
+@pytest.mark.parametrize('rates', [(), (0.0, 0.0, 0.0)])
+def test_given_joints_in_another_order_when_framed_then_the_measured_arm_is_the_same(model, rates):
     names = ['gripper', 'joint2', 'joint1']
-    model.take('joint_states', joint_states(1.0, names, [9.0, 0.5, 1.0]), 0.0)
+    model.take('joint_states', joint_states(1.0, names, [9.0, 0.5, 1.0], rates), 0.0)
     # The paper's q1 counts from the x axis; joint 1 is at the base.
     elbow = np.array([np.cos(1.0), np.sin(1.0)])
     corners = [[0.0, 0.0], [0.0, 0.0], elbow, elbow + [np.cos(1.5), np.sin(1.5)]]

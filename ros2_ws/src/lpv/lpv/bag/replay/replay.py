@@ -141,7 +141,7 @@ class Replay:
     ) -> Iterator[Batch]:
         """Blocks of the bag with the measurements in them, decoded."""
         arm = self._monitor.arm
-        measurements = MeasurementReader(reader, arm.joint_names, self._monitor.needs_rates)
+        measurements = MeasurementReader(reader, arm.joint_names)
         efforts = effort and EffortReader(reader, effort.msgtype, arm.joint_names)
         # Commands are in N m; the monitor wants the unit of efforts.
         commanded = effort is not None and effort.msgtype == STREAMS[_COMMAND][0]

@@ -36,10 +36,8 @@ class Measurements(NamedTuple):
 class MeasurementReader:
     """Reads measurements of one arm; those without use are counted in ``rejected``."""
 
-    def __init__(
-        self, reader: BagReader, joint_names: Sequence[str], needs_rates: bool = True
-    ) -> None:
-        self._count, self._order = len(joint_names), JointOrder(joint_names, needs_rates)
+    def __init__(self, reader: BagReader, joint_names: Sequence[str]) -> None:
+        self._count, self._order = len(joint_names), JointOrder(joint_names)
         fields = ('position', 'velocity', 'effort')
         self._decoder = Decoder(reader, MEASUREMENT_TYPE, fields, self._columns)
         self.rejected = self._decoder.rejected

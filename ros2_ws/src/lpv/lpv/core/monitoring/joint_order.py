@@ -14,7 +14,7 @@ class JointOrder:
     ``needs_rates`` refuses messages without rates.
     """
 
-    def __init__(self, joint_names: Sequence[str], needs_rates: bool = True) -> None:
+    def __init__(self, joint_names: Sequence[str], needs_rates: bool = False) -> None:
         self._wanted, self._needs_rates = tuple(joint_names), needs_rates
         self._names: tuple[str, ...] = ()
         self._index: tuple[int, ...] = ()

@@ -133,8 +133,6 @@ class SerialSensorMonitor:
         If the arm cannot be monitored.
     """
 
-    needs_rates = False
-
     def __init__(
         self,
         name: str,
@@ -152,7 +150,7 @@ class SerialSensorMonitor:
         self._call = Entries()
         self._one = new_batch(self.answer_type, 1, self._joints)  # of `take`
         self._bytes = self._one.plain.view('u1')
-        self._order = JointOrder(arm.joint_names, self.needs_rates)
+        self._order = JointOrder(arm.joint_names)
         rates = [joint.sensors.rates for joint in arm.joints]
         self._independent = np.array([rate == 'independent' for rate in rates])
         self._to_sensors, self._to_joints = mixing(arm.joints_to_sensors()), arm.sensors_to_joints()

@@ -216,7 +216,7 @@ def _read_bag(path: Path, joints: Sequence[str], topic: str | None) -> tuple[Any
     parts, count = list[tuple[np.ndarray, ...]](), 0
     with open_bag(path) as bag:
         measured = find_topic(bag, 'joint_states', topic, joints)
-        reader = MeasurementReader(bag, joints, needs_rates=False)
+        reader = MeasurementReader(bag, joints)
         for block in bag.blocks([c for c in bag.connections if c.topic == measured]):
             found = reader.read(block, np.arange(len(block)))
             parts.append((found.stamp, block.time[found.places], *found[2:]))
