@@ -21,10 +21,11 @@ from rclpy.timer import Timer
 
 from lpv.core.support.errors import LpvError
 from lpv.core.support.limits import PATIENCE
+from lpv.core.support.options import Entry
 from lpv.core.support.signals import StopRequest
 from lpv_node.arguments import initialise, refused
 from lpv_node.parameter_service import CheckedParameterService
-from lpv_node.parameters import Spec, declare, table
+from lpv_node.parameters import declare, table
 
 VIEWER = 'view'
 """Name of the live view's node: the graph does not wait for it, nor start because of it."""
@@ -47,16 +48,17 @@ class ManagedNode(LifecycleNode):
     Publishers, subscriptions, services and timers are destroyed without being named: those of
     ``setup`` when the node is cleaned up, those of ``listen`` and ``begin`` when it is deactivated.
 
-    ``specs`` are parameters beside the common ones.  After it was told to stop, the node goes on
-    until nothing has come for ``drain_time`` [s].
+    ``specs`` are parameters beside the common ones, ``tunable`` may be set while the node runs.
+    After it was told to stop, it goes on until nothing has come for ``drain_time`` [s].
     """
 
     drain_time = 0.0
 
-    def __init__(self, name: str, specs: Iterable[Spec]) -> None:
+    def __init__(self, name: str, specs: Iterable[Entry], tunable: Iterable[Entry] = ()) -> None:
         super().__init__(name, start_parameter_services=False)
         self._checked_parameters = CheckedParameterService(self)
         declare(self, (*COMMON, *specs))
+        declare(self, tunable, read_only=False)
         self.lockstep = self.get_parameter('lockstep').value
         self.exit_code = 0
         self.finished = False

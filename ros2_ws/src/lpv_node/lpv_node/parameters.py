@@ -2,8 +2,6 @@
 
 import array
 from collections.abc import Iterable
-from dataclasses import dataclass
-from functools import partial
 from typing import Any, TypeVar
 
 from rcl_interfaces.msg import (
@@ -19,71 +17,50 @@ from rclpy.parameter import Parameter
 from lpv.core.serial_arm.certificate.certified import CertifiedGains
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.errors import ConfigError
-from lpv.core.support.options import entries as table_entries
+from lpv.core.support.options import Entry, entries
 from lpv.core.support.resources import bringup_file
 
 _Kind = TypeVar('_Kind', bound=CertifiedGains)
 
 
-@dataclass(frozen=True)
-class Spec:
-    """Declaration of one parameter."""
-
-    name: str
-    default: Any  # its type is the parameter's type
-    description: str  # meaning, with the unit
-    low: float | None = None  # allowed range
-    high: float | None = None
-    choices: tuple[str, ...] = ()  # allowed strings
-    read_only: bool = False  # fixed once the node runs
-
-    def descriptor(self) -> ParameterDescriptor:
-        """The ROS descriptor of this parameter."""
-        result = ParameterDescriptor(description=self.description, read_only=self.read_only)
-        if self.choices:
-            result.additional_constraints = 'one of ' + ', '.join(self.choices)
-        if self.low is None or self.high is None:
-            return result
-        if isinstance(self.default, float):
-            result.floating_point_range = [
-                FloatingPointRange(from_value=float(self.low), to_value=float(self.high))
-            ]
-        else:
-            result.integer_range = [IntegerRange(from_value=int(self.low), to_value=int(self.high))]
-        return result
-
-
-fixed = partial(Spec, read_only=True)
-"""Declaration of a parameter that is fixed once the node runs."""
-
-
-def table(text: str, read_only: bool = True) -> tuple[Spec, ...]:
+def table(text: str) -> tuple[Entry, ...]:
     """Declarations of a table as of `lpv.core.support.options`; switches are off by default."""
-    found = []
-    for one in table_entries(text):
-        default = one.default
-        if default is None:
-            default = '' if one.shown else False
-        low, high = one.limits or (None, None)
-        found.append(Spec(one.name, default, one.text, low, high, one.choices, read_only))
-    return tuple(found)
+    return tuple(
+        one if one.default is not None else one._replace(default='' if one.shown else False)
+        for one in entries(text)
+    )
 
 
-def declare(node: Node, specs: Iterable[Spec]) -> None:
-    """Declare parameters and refuse, now (ConfigError) and later, strings outside their choices."""
-    specs = tuple(specs)
-    choices = {spec.name: spec.choices for spec in specs if spec.choices}
-    for spec in specs:
+def _descriptor(entry: Entry, read_only: bool) -> ParameterDescriptor:
+    result = ParameterDescriptor(description=entry.text, read_only=read_only)
+    if entry.choices:
+        result.additional_constraints = 'one of ' + ', '.join(entry.choices)
+    if entry.limits is None:
+        return result
+    low, high = entry.limits
+    if isinstance(entry.default, float):
+        result.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+    else:
+        result.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
+    return result
+
+
+def declare(node: Node, declared: Iterable[Entry], read_only: bool = True) -> None:
+    """Declare parameters, of the type of their defaults.
+
+    Strings outside their choices are refused, now (ConfigError) and later.
+    """
+    choices = {}
+    for one in declared:
+        choices[one.name] = one.choices
         try:
-            value = node.declare_parameter(spec.name, spec.default, spec.descriptor()).value
+            descriptor = _descriptor(one, read_only)
+            value = node.declare_parameter(one.name, one.default, descriptor).value
         except (InvalidParameterTypeException, InvalidParameterValueException) as error:
-            raise ConfigError(spec.name, str(error), node.get_name()) from error
-        if spec.choices and value not in spec.choices:
-            raise ConfigError(
-                spec.name,
-                f'must be one of {", ".join(spec.choices)}, got {value!r}',
-                node.get_name(),
-            )
+            raise ConfigError(one.name, str(error), node.get_name()) from error
+        if one.choices and value not in one.choices:
+            reason = f'must be one of {", ".join(one.choices)}, got {value!r}'
+            raise ConfigError(one.name, reason, node.get_name())
 
     def check(parameters: list[Parameter]) -> SetParametersResult:
         for parameter in parameters:

@@ -21,32 +21,33 @@ from lpv_node import input_check, managed, parameter_service, parameters
 
 MODULES = ('lpv_arm_sim.node', 'lpv_uio.node', 'lpv_tracker.node', 'lpv_node.recorder.node',
            'lpv_node.view.node')  # fmt: skip
-SPECS = {f'common/{spec.name}': spec for spec in managed.COMMON} | {
-    f'{name}/{spec.name}': spec for name in MODULES for spec in importlib.import_module(name).SPECS
-}
-"""Every declaration of every node, by where it is."""
+SPECS = {f'common/{spec.name}': (spec, True) for spec in managed.COMMON} | {
+    f'{name}/{spec.name}': (spec, part == 'SPECS') for name in MODULES
+    for part in ('SPECS', 'TUNABLE') for spec in getattr(importlib.import_module(name), part, ())
+}  # fmt: skip
+"""Every declaration of every node, and whether it is fixed, by where it is."""
 
 
 @pytest.mark.parametrize('place', sorted(SPECS))
 def test_given_a_parameter_when_declared_then_it_says_what_it_is_and_what_is_allowed(place, node):
-    spec = SPECS[place]
-    parameters.declare(node, [spec])
+    spec, read_only = SPECS[place]
+    parameters.declare(node, [spec], read_only)
     (descriptor,) = node.describe_parameters([spec.name])
     ranges = [*descriptor.floating_point_range, *descriptor.integer_range]
     assert len(descriptor.description) > 10
     if isinstance(spec.default, bool) or not isinstance(spec.default, (int, float)):
-        assert (spec.low, spec.high, ranges) == (None, None, [])
+        assert (spec.limits, ranges) == (None, [])
     else:
-        (limits,) = ranges
-        assert spec.low <= spec.default <= spec.high and spec.low < spec.high
-        assert math.isfinite(spec.low) and math.isfinite(spec.high)
-        assert (limits.from_value, limits.to_value) == (spec.low, spec.high)
+        (limits,), (low, high) = ranges, spec.limits
+        assert low <= spec.default <= high and low < high
+        assert math.isfinite(low) and math.isfinite(high)
+        assert (limits.from_value, limits.to_value) == (low, high)
     if spec.choices:
         assert spec.default in spec.choices
         assert descriptor.additional_constraints == 'one of ' + ', '.join(spec.choices)
     if isinstance(spec.default, float):
-        assert re.search(r'\[[^\]]+\]', spec.description), 'no unit; [1] is that of a ratio'
-    assert descriptor.read_only == spec.read_only
+        assert re.search(r'\[[^\]]+\]', spec.text), 'no unit; [1] is that of a ratio'
+    assert descriptor.read_only == read_only
 
 
 @pytest.fixture

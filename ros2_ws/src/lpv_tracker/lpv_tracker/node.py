@@ -23,6 +23,7 @@ from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.certificate.loop_gains import NO_CERTIFICATE, LoopGains
 from lpv.core.simulation.scenario import load_scenario
 from lpv.core.support.limits import PATIENCE, SMALL
+from lpv.core.support.options import Entry
 from lpv.core.support.timestamps import NANOSECONDS, to_nanoseconds
 from lpv.core.uio.certificate.gains import Gains
 from lpv_msgs.msg import JointReference, StateEstimate, TorqueCommand
@@ -30,7 +31,6 @@ from lpv_node.input_check import Refusals, all_finite, all_sized
 from lpv_node.managed import ManagedNode
 from lpv_node.parameters import (
     FROM_GAINS,
-    Spec,
     chosen_limit,
     declare_given,
     named_file,
@@ -60,10 +60,10 @@ approach_speed={APPROACH_SPEED}[0.01:10]  fastest joint rate on the way to the p
                         starts or goes on elsewhere; below what max_speed allows [rad/s]
 bandwidth={BANDWIDTH}[0.1:100]  serial arms only: distance from zero of the three poles of every
                         joint [rad/s]; the gains of a two-link arm are in its gains file
-""") + (
-    Spec('compensation', 'confirmed',
-         'position in the loop: as measured (off), with confirmed faults removed, or as estimated '
-         '(always)', choices=COMPENSATION),
+""")
+TUNABLE = (
+    Entry('compensation', 'position in the loop: as measured (off), with confirmed faults removed, '
+          'or as estimated (always)', 'confirmed', choices=COMPENSATION),
 )  # fmt: skip
 _REFUSALS = {
     ValueFault.NOT_FINITE: 'estimate with values that are not finite',
@@ -87,7 +87,7 @@ class TrackerNode(ManagedNode):
     """
 
     def __init__(self) -> None:
-        super().__init__('tracker', SPECS)
+        super().__init__('tracker', SPECS, TUNABLE)
         declare_given(self, 'gains', 'loop')
         self._reason: StopReason | None = StopReason.SILENCE  # None: following the path
         self._last: int | None = None  # stamp of the last estimate [ns]

@@ -4,7 +4,6 @@ import math
 import threading
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -36,7 +35,7 @@ from lpv_node.status import ERROR, OK, WARN, StatusReporter, diagnostics
 from lpv_uio.messages import OutputMessages
 from lpv_uio.open_alarms import OpenAlarms, alarm_file
 
-_TUNABLE = table("""
+_NAMES = table("""
 hours_between_false_alarms[0.01:1e6]  mean time between false alarms of a healthy arm [h]
 probability_of_wrong_name[1e-6:0.5]  probability that a named cause is another one [1]
 minimum_threshold[0:10]  smaller lasting offsets are no faults [rad]
@@ -47,13 +46,13 @@ sigmas[1:10]             standard deviations in a bound [1]
 compensation_rate[0.01:100]  how fast a compensation without a known step is faded in and out
                          [rad/s]
 safe_stop_bound[0.01:100]  a confirmed fault that is removed with a wider bound stops the arm [rad]
-""", read_only=False)  # fmt: skip
+""")
 """Fields of `DiagnosisParameters`, which has their defaults."""
-DIAGNOSIS_SPECS = tuple(
-    replace(spec, name=f'diagnosis.{spec.name}', default=getattr(DiagnosisParameters, spec.name))
-    for spec in _TUNABLE
+TUNABLE = tuple(
+    one._replace(name=f'diagnosis.{one.name}', default=getattr(DiagnosisParameters, one.name))
+    for one in _NAMES
 )
-SPECS = DIAGNOSIS_SPECS + table(f"""
+SPECS = table(f"""
 arm_file FILE            arm file (YAML), or name of a shipped arm
 torque_source {{effort,command}}  where torques come from: the effort of joint_states, or the latest
                          torque_command
@@ -82,7 +81,7 @@ class UioNode(ManagedNode):
     """
 
     def __init__(self) -> None:
-        super().__init__('uio', SPECS)
+        super().__init__('uio', SPECS, TUNABLE)
         # Nobody else has such parameters: a misspelt one would be left out in silence.
         parts = (name.partition('.') for name in self._parameter_overrides)
         check_names([name for place, _, name in parts if place == 'diagnosis'], self.get_name())
@@ -330,7 +329,7 @@ class UioNode(ManagedNode):
 
     def _diagnosis_parameters(self, changed: dict[str, Any]) -> DiagnosisParameters:
         values = {}
-        for spec in DIAGNOSIS_SPECS:
+        for spec in TUNABLE:
             value = changed.get(spec.name, self.get_parameter(spec.name).value)
             values[spec.name.split('.')[1]] = value
         return DiagnosisParameters(**values)

@@ -21,9 +21,10 @@ from lpv.bag.rosbag.output_folder import (
 from lpv.bag.rosbag.writing import PRESETS, BagWriter
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.limits import AT_ONCE
+from lpv.core.support.options import Entry
 from lpv.core.support.timestamps import NANOSECONDS
 from lpv_node.managed import ManagedNode
-from lpv_node.parameters import fixed, named_file, required_text, table
+from lpv_node.parameters import named_file, required_text, table
 from lpv_node.recorder.input import MOST, Heard, RecorderInput, Selection
 from lpv_node.recorder.stamp_sorter import WINDOW, StampSorter
 from lpv_node.status import ERROR, OK, WARN, diagnostics
@@ -45,11 +46,11 @@ fsync                wait after each chunk until it is on the disk: a power fail
 gains_file FILE      gains file of this run, copied into the bag as gains.yaml; may be empty
 scenario_file FILE   scenario file of this run, copied into the bag as scenario.yaml; may be empty
 """) + (
-    fixed('topics', _TOPICS,
-          "topics to record; relative names are resolved in the node's namespace"),
-    fixed('preset', 'zstd_fast', 'compression', choices=tuple(PRESETS)),
-    fixed('exclude', ['/rosout', '/parameter_events'],
-          'patterns of topics that "all" leaves out, as of a shell, against full names'),
+    Entry('topics', "topics to record; relative names are resolved in the node's namespace",
+          _TOPICS),
+    Entry('preset', 'compression', 'zstd_fast', choices=tuple(PRESETS)),
+    Entry('exclude', 'patterns of topics that "all" leaves out, as of a shell, against full names',
+          ['/rosout', '/parameter_events']),
 )  # fmt: skip
 _POLL = 0.1 * AT_ONCE
 """Between two looks at what has come, ten in what seems immediate [s]."""

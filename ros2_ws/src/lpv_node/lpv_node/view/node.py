@@ -14,10 +14,11 @@ from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.simulation.scenario import load_scenario
 from lpv.core.support.limits import AT_ONCE
+from lpv.core.support.options import Entry
 from lpv.core.support.timestamps import NANOSECONDS, leading_stamp
 from lpv_node.input_check import Refusals
 from lpv_node.managed import VIEWER, ManagedNode
-from lpv_node.parameters import fixed, named_file, table
+from lpv_node.parameters import named_file, table
 from lpv_node.status import OK, WARN, StatusReporter
 from lpv_node.view.access import Access
 from lpv_node.view.foxglove_bridge import BAND, FoxgloveBridge, gate, sdk_is_installed
@@ -37,9 +38,9 @@ foxglove_port=8765[0:65535]  port of the Foxglove WebSocket protocol; 0: off
 foxglove_rate=100.0[1:1000]  most messages of a fast topic sent to Foxglove [1/s]
 rate=25.0[1:60]     frames and markers [1/s]
 """) + (
-    fixed('foxglove_origins', ['https://app.foxglove.dev', 'file://'],
-          'web origins that may connect to the Foxglove port'),
-    fixed('hosts', [''], 'further names of this machine under which the page is called'),
+    Entry('foxglove_origins', 'web origins that may connect to the Foxglove port',
+          ['https://app.foxglove.dev', 'file://']),
+    Entry('hosts', 'further names of this machine under which the page is called', ['']),
 )  # fmt: skip
 MARKERS = 'arm_markers'
 _TOKEN_VARIABLE = 'LPV_VIEW_TOKEN'
