@@ -151,6 +151,15 @@ def test_given_a_joint_that_slides_when_reported_then_its_figures_are_in_metres(
     assert 'tracking RMS [rad or m]' in (tmp_path / 'report.html').read_text()
 
 
+def test_given_faults_that_are_never_found_when_reported_then_there_is_no_delay_to_draw(
+    campaign, row, tmp_path
+):
+    faults = [{'fault_size': 0.01 * k, 'detection_delay': math.nan} for k in range(1, 20)]
+    rows = [row(k, kind='bias', sensor=SENSORS[0], **fault) for k, fault in enumerate(faults)]
+    (found,) = write_report(campaign, table(rows), tmp_path, len(rows))['detection']
+    assert len(found['classes']) > 1 and found['delay']['count'] == 0
+
+
 def test_given_an_encoder_that_ages_when_trends_are_asked_for_then_its_arm_is_the_first():
     def trends_of(bags):
         same = {'kind': None, 'sensor': None, 'fault_mean_2': 0.0}

@@ -31,6 +31,8 @@ def _detection(numbers: dict[str, Any]) -> Figure | None:
         return None
     names = list(dict.fromkeys(entry['sensor'] for entry in entries))
     colours = dict(zip(names, SENSOR))
+    late = any(delay is not None for entry in entries for delay in entry['delays'])
+    scale = 'log' if late else 'linear'  # an axis without data has no logarithms
     figure, axes = plt.subplots(
         *(2, len(kinds)),
         figsize=(max(2.1 * len(kinds) + 0.8, 4.5), 5.0),
@@ -47,7 +49,7 @@ def _detection(numbers: dict[str, Any]) -> Figure | None:
         top.set(title=kind, ylim=(-0.02, 1.02))
         top.yaxis.set_major_formatter(PercentFormatter(1.0))
         label = mine[0]['dose'] + (f' [{unit}]' if unit != '1' else '')
-        bottom.set(xscale='log', yscale='log', xlabel=label)
+        bottom.set(xscale='log', yscale=scale, xlabel=label)
         bottom.xaxis.set_minor_locator(LogLocator(subs=(3.0,)))  # more labels would overlap
     axes[0, 0].set_ylabel('detected')
     axes[1, 0].set_ylabel('delay [s]')
