@@ -20,6 +20,7 @@ from lpv.core.serial_arm.diagnosis.alarms import (
     size_unit,
     subject,
 )
+from lpv.core.simulation.faults import tells_of
 from lpv.core.simulation.scenario import load_scenario
 from lpv.core.support.errors import LpvError
 from lpv.core.support.limits import MAX_GAP
@@ -40,10 +41,6 @@ _MEANING = {
     NOT_DIAGNOSABLE: 'the level of the fault estimate says nothing in this configuration',
     NO_DATA: 'no usable reading',
 }
-_LATE = 0.1
-"""An alarm so long after a spike, or after the end of a fault, is still of it [s]."""
-_GRACE = 1.0
-"""Likewise of a fault that acted when the alarm began [s]."""
 _MOST = 8
 """Intervals of one kind that are listed individually."""
 _MOST_TIPS = 5000
@@ -155,17 +152,11 @@ def episodes(record: RunRecord) -> list[Episode]:
 
 def _start(record: RunRecord, event: RecordedAlarm, faults: list[FaultSpan] | None) -> Episode:
     onset, raised = record.seconds(event.onset), record.seconds(event.detected)
-    mine, just_over = [], False
-    for fault in faults or ():
-        if fault.sensor_index != event.sensor_index or raised < fault.start:
-            continue
-        if raised < fault.end + (_GRACE if onset < fault.end else _late(event.kind)):
-            mine.append(fault.start)
-        elif onset <= fault.end + _LATE and raised < fault.end + _GRACE:
-            just_over = True
-    # A reading that jumps back at the end of its fault is no false alarm, but the fault not found.
+    own = [fault for fault in faults or () if fault.sensor_index == event.sensor_index]
+    told = [tells_of(fault.start, fault.end, onset, raised, event.kind) for fault in own]
+    mine = [fault.start for fault, is_told in zip(own, told) if is_told]
     # The truth has faults of positions alone.
-    unknown = faults is None or (not mine and (just_over or event.kind == RATE_BIAS))
+    unknown = faults is None or (not mine and (None in told or event.kind == RATE_BIAS))
     true_onset = None if unknown else mine[-1] if mine else math.nan
     return Episode(
         event.sensor, event.sensor_index, onset, raised, None, event.size,
@@ -193,18 +184,14 @@ def _with_estimates(record: RunRecord, episode: Episode) -> Episode:
     return replace(episode, size=float(values[-1]), bound=float(bound[rows[-1], i]))
 
 
-def _late(kind: str) -> float:
-    """How long after the end of a fault its alarm may be raised [s]: a spike is over by then."""
-    return _LATE if kind == 'spike' else 0.0
-
-
 def missed_faults(record: RunRecord, found: list[Episode]) -> list[FaultSpan]:
     """True faults during which no alarm was raised or active; none without ground truth."""
     return [
         fault for fault in true_faults(record) or []
-        if not any(e.sensor_index == fault.sensor_index and (e.true_onset == fault.start or (
-                   e.raised < fault.end + _late(e.kind)
-                   and (e.cleared is None or e.cleared > fault.start))) for e in found)
+        if not any(e.sensor_index == fault.sensor_index and (
+                   tells_of(fault.start, fault.end, e.onset, e.raised, e.kind) or (
+                   e.raised < fault.end and (e.cleared is None or e.cleared > fault.start)))
+                   for e in found)
     ]  # fmt: skip
 
 

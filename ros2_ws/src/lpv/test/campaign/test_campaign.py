@@ -211,14 +211,13 @@ def test_given_a_wrong_rate_when_it_is_named_then_it_is_found_and_no_alarm_is_fa
     assert row['false_alarms'] == row['wrong_alarms'] == 0 and row['detection_delay'] < 0.3
 
 
-@pytest.mark.parametrize(('at', 'delay'), [(2.0, None), (5.5, 0.5)])
-def test_given_two_faults_when_an_alarm_comes_before_its_own_then_that_was_not_found(at, delay):
+def figures_of(faults, *alarms):
+    """Figures of 8 s of two sensors from faults and alarms: index, onset and confirmation [s]."""
     alarms = [
-        Alarm(AlarmEvent.RAISED, i, 'ab'[i], round(1e9 * (t - 0.01)), round(1e9 * t), 0.1, 0.1,
-              'bias', 1.0)
-        for i, t in enumerate((1.1, at))
+        Alarm(AlarmEvent.RAISED, i, 'ab'[i], round(1e9 * onset), round(1e9 * t), 0.1, 0.1, 'bias',
+              1.0)
+        for i, onset, t in alarms
     ]  # fmt: skip
-    faults = Fault('a', 'bias', 1.0, size=0.1), Fault('b', 'bias', 5.0, size=0.1)
     time, zeros = np.arange(0.0, 8.0, 0.1), np.zeros((80, 2))
     signals = 'position', 'reference', 'torque', 'fault', 'fault_estimate', 'estimate'
     run = SimpleNamespace(
@@ -226,11 +225,28 @@ def test_given_two_faults_when_an_alarm_comes_before_its_own_then_that_was_not_f
         inconsistent=time < 0.0, **dict.fromkeys(signals, zeros),
     )  # fmt: skip
     arm = SimpleNamespace(sensor_names=('a', 'b'), sample_time=0.1)
-    scenario = SimpleNamespace(faults=faults, seed=1)
-    row = figures(arm, scenario, run)
+    return figures(arm, SimpleNamespace(faults=faults, seed=1), run)
+
+
+@pytest.mark.parametrize(('at', 'delay'), [(2.0, None), (5.5, 0.5)])
+def test_given_two_faults_when_an_alarm_comes_before_its_own_then_that_was_not_found(at, delay):
+    faults = Fault('a', 'bias', 1.0, size=0.1), Fault('b', 'bias', 5.0, size=0.1)
+    row = figures_of(faults, (0, 1.09, 1.1), (1, at - 0.01, at))
     assert row['detected'] == row['isolated'] == (delay is not None)
     assert row['wrong_alarms'] == (delay is None) and row['false_alarms'] == 0
     assert row['detection_delay'] == pytest.approx(delay or np.nan, nan_ok=True)
+
+
+@pytest.mark.parametrize(('onset', 'at', 'found', 'false'), [
+    (1.1, 1.3, True, 0), (1.3, 1.3, False, 0), (1.3, 2.5, False, 1), (2.0, 2.0, False, 1),
+])  # fmt: skip
+def test_given_a_fault_that_is_over_when_its_alarm_comes_then_it_counts_as_in_a_report(
+    onset, at, found, false
+):
+    faults = [Fault('a', 'bias', 1.0, 0.2, size=0.1)]
+    row = figures_of(faults, (0, onset, at))
+    assert (row['detected'], row['isolated'], row['false_alarms']) == (found, found, false)
+    assert figures_of(faults, (1, onset, at))['false_alarms'] == 1 - (at < 1.2)
 
 
 def test_given_another_requirement_below_the_same_name_then_the_campaign_is_another_one(tmp_path):

@@ -5,12 +5,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from lpv.bag.replay.replay import ReplayResult
+from lpv.bag.run.record import RecordedAlarm
 from lpv.core.serial_arm.diagnosis.alarms import RATE_BIAS, AlarmEvent
-from lpv.core.simulation.faults import Fault
+from lpv.core.simulation.faults import GRACE, Fault, tells_of
 from lpv.core.support.timestamps import NANOSECONDS
-
-_GRACE = 1.0
-"""An alarm that is confirmed within this time after the end of a fault belongs to it [s]."""
 
 
 @dataclass(frozen=True)
@@ -42,18 +40,25 @@ def judge(faults: Sequence[Fault], result: ReplayResult) -> list[InjectedFault]:
     """What alarms say of faults whose onsets count from the first measurement, in their order."""
     start, found = result.first_stamp or 0, []
     events = [((event.stamp - start) / NANOSECONDS, event) for event in result.events]
+
+    def tells(fault: Fault, at: float, event: RecordedAlarm) -> bool | None:
+        onset = (event.onset - start) / NANOSECONDS
+        is_own = event.sensor == fault.sensor
+        return is_own and tells_of(fault.onset, fault.end, onset, at, event.kind)
+
     end = math.inf if result.last_stamp is None else (result.last_stamp - start) / NANOSECONDS
     for fault in faults:
-        during = [(at, event) for at, event in events if _acts(fault, at)]
-        raised = [(at, event.sensor) for at, event in during if event.event == AlarmEvent.RAISED]
-        wrong = {sensor for at, sensor in raised
-                 if not any(f.sensor == sensor and _acts(f, at) for f in faults)}  # fmt: skip
-        # A reading that jumps back when its fault ends is alarmed, too.
+        wrong = {
+            event.sensor
+            for at, event in events
+            if event.event == AlarmEvent.RAISED and event.sensor != fault.sensor
+            if fault.onset <= at <= fault.end + GRACE
+            if all(tells(f, at, event) is False for f in faults)
+        }
         own = [
             (at, event)
-            for at, event in during
-            if event.sensor == fault.sensor and event.event != AlarmEvent.CLEARED
-            if (event.onset - start) / NANOSECONDS < fault.end
+            for at, event in events
+            if event.event != AlarmEvent.CLEARED and tells(fault, at, event)
         ]
         delays = [at - fault.onset for at, event in own if event.event == AlarmEvent.RAISED]
         told: tuple[float, str, float, float, float | None] | tuple[()] = ()
@@ -67,10 +72,6 @@ def judge(faults: Sequence[Fault], result: ReplayResult) -> list[InjectedFault]:
         one = InjectedFault(fault, bool(delays), tuple(sorted(wrong)), *told)
         found.append(replace(one, acted=fault.onset <= end))
     return found
-
-
-def _acts(fault: Fault, time: float) -> bool:
-    return fault.onset <= time <= fault.end + _GRACE
 
 
 def true_size(fault: Fault, time: float) -> float | None:

@@ -11,7 +11,7 @@ from lpv.core.control.path_follower import APPROACH
 from lpv.core.control.watchdog import TrackerLimits
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent
-from lpv.core.simulation.faults import Fault
+from lpv.core.simulation.faults import Fault, tells_of
 
 DIVERGED = 2.0 * TrackerLimits.tracking_error
 """True tracking error that counts as lost control: the tracker should have stopped [rad]."""
@@ -56,15 +56,22 @@ def _alarm_figures(
     raised = [a for a in run.alarms if a.event == AlarmEvent.RAISED]
     # The first one of each sensor: an alarm before it is none of it.
     faulty = {f.sensor: f for f in sorted(faults, key=lambda f: -f.onset)}
+    onsets = {sensor: fault.onset for sensor, fault in faulty.items()}
+
+    def told(alarm: Any) -> bool | None:
+        if alarm.sensor not in onsets:
+            return False
+        times = alarm.onset / 1e9, alarm.detected / 1e9
+        return tells_of(onsets[alarm.sensor], end, *times, alarm.kind)
+
     own: dict[str, list[Any]] = {}  # alarms that count for each faulty sensor
     for alarm in run.alarms:
-        if alarm.event == AlarmEvent.CLEARED or alarm.sensor not in faulty:
+        if alarm.event == AlarmEvent.CLEARED or not told(alarm):
             continue
-        onset, detected = faulty[alarm.sensor].onset, alarm.detected / 1e9
-        if onset <= detected < end and alarm.onset / 1e9 >= onset - _EARLY:
+        if alarm.onset / 1e9 >= onsets[alarm.sensor] - _EARLY:
             own.setdefault(alarm.sensor, []).append(alarm)
-    inside = [a for a in raised if begin <= a.detected / 1e9 < end]
-    onsets = {sensor: fault.onset for sensor, fault in faulty.items()}
+    inside = [a for a in raised if begin <= a.detected / 1e9 < end or told(a)]
+    outside = [a for a in raised if a not in inside and told(a) is not None]
     wrong = [a for a in inside if faulty and a.detected / 1e9 < onsets.get(a.sensor, math.inf)]
     said, nan = {a.sensor for a in inside}, math.nan
     found = bool(own) and set(own) == set(faulty)
@@ -78,7 +85,7 @@ def _alarm_figures(
     return {
         **each,
         'alarms': len(raised),
-        'false_alarms': len(raised) - len(inside) + (0 if faulty else len(inside)),
+        'false_alarms': len(outside) + (0 if faulty else len(inside)),
         'wrong_alarms': len(wrong),
         'detected': found,
         'isolated': found and said == set(faulty) and not wrong,

@@ -17,6 +17,11 @@ from lpv.core.support.records import record_type
 KINDS = ('bias', 'drift', 'scale', 'stuck', 'noise', 'spike', 'dropout', 'rate_bias')
 _BIAS, _DRIFT, _SCALE, _STUCK, _NOISE, _SPIKE, _DROPOUT, _RATE_BIAS = range(len(KINDS))
 
+GRACE = 1.0
+"""Within this time after the end of a fault an alarm that began before is confirmed [s]."""
+_LATE = 0.1
+"""An alarm that begins so long after a spike, or after the end of a fault, is still of it [s]."""
+
 _RANDOM = ('noise', 'spike')
 _NEEDED = {'drift': 'rate', 'stuck': '', 'dropout': ''}
 """Field of `Fault` that must not be zero, by kind; of others ``size``."""
@@ -59,6 +64,18 @@ class Fault:
     def end(self) -> float:
         """When it stops to act [s]; infinite if only when it is cleared."""
         return self.onset + self.duration if self.duration > 0.0 else math.inf
+
+
+def tells_of(start: float, end: float, onset: float, detected: float, kind: str) -> bool | None:
+    """Whether an alarm tells of a fault of its sensor between two times; None: of its end alone.
+
+    A reading that jumps back when its fault ends is alarmed, too: that finds no fault, and is not
+    false. All times in [s]; ``kind`` is that of the alarm.
+    """
+    late = _LATE if kind == 'spike' else 0.0  # it is over by then
+    if start <= detected < end + (GRACE if onset < end else late):
+        return True
+    return None if start <= detected < end + GRACE and onset <= end + _LATE else False
 
 
 @njit
