@@ -7,7 +7,7 @@ from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 
-from lpv.bag.rosbag.messages import BagMessages, write_joint_states
+from lpv.bag.rosbag.messages import BagMessages
 from lpv.bag.rosbag.metadata import qos_profile
 from lpv.bag.rosbag.reading import open_bag
 from lpv.bag.rosbag.writing import BagWriter
@@ -49,7 +49,7 @@ def write_measurements(path, names, time, position, velocity, effort, topic=JOIN
     stamps = np.round(1e9 * np.asarray(time)).astype(int).tolist()
     vectors = ([[]] * len(stamps) if v is None else v for v in (position, velocity, effort))
     with BagWriter(path, 'none') as writer:
-        write_joint_states(writer, topic, names, zip(stamps, *vectors))
+        writer.write_joint_states(topic, names, zip(stamps, *vectors))
     return path
 
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from lpv.core.control.tracking import BANDWIDTH, loop_latency
@@ -17,13 +16,14 @@ from lpv.core.control.watchdog import (
     LatencyLimits,
     latency_limits,
 )
+from lpv.core.monitoring.message_fields import ERROR, OK, WARN
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.simulation.arm_simulator import ArmSimulator
 from lpv.core.simulation.faults import Fault
 from lpv.core.simulation.scenario import load_scenario
 from lpv.core.support.errors import LpvError
 from lpv.core.support.limits import PATIENCE
-from lpv.core.support.timestamps import NANOSECONDS, to_nanoseconds
+from lpv.core.support.timestamps import NANOSECONDS, set_stamp, to_nanoseconds
 from lpv.core.uio.certificate.gains import Gains
 from lpv_msgs.msg import GroundTruth, TorqueCommand
 from lpv_msgs.srv import ClearFaults, InjectFault
@@ -39,7 +39,7 @@ from lpv_node.parameters import (
 )
 from lpv_node.qos import stream
 from lpv_node.serialized import SerializedMessage
-from lpv_node.status import ERROR, OK, WARN, StatusReporter
+from lpv_node.status import StatusReporter
 
 SPECS = table(f"""
 arm_file FILE           arm file (YAML), or name of a shipped arm
@@ -125,19 +125,18 @@ class SimulatorNode(ManagedNode):
     def _make_messages(self) -> None:
         """Messages that are made of the simulator's own memory."""
         now = self._plant.signals
-        self._clock_message = SerializedMessage(ClockMessage(), {}, 'clock')
+        self._clock_message = ClockMessage()
+        measured = {
+            'position': now['measured_position'],
+            'velocity': now['measured_velocity'],
+            'effort': now['effort'],
+        }
         self._state_message = SerializedMessage(
-            JointState(header=Header(frame_id='base_link'), name=list(self._arm.joint_names)),
-            {
-                'position': now['measured_position'],
-                'velocity': now['measured_velocity'],
-                'effort': now['effort'],
-            },
+            'sensor_msgs/msg/JointState', 'base_link', measured, name=list(self._arm.joint_names)
         )
         truth = {name: now[name] for name in ('position', 'velocity', 'fault', 'disturbance')}
-        self._truth_message = SerializedMessage(
-            GroundTruth(header=Header(frame_id=self._arm.name)), {**truth, 'torque': now['effort']}
-        )
+        truth['torque'] = now['effort']
+        self._truth_message = SerializedMessage('lpv_msgs/msg/GroundTruth', self._arm.name, truth)
 
     def _latency_limits(self) -> LatencyLimits:
         """As the gains of the loop allow, if they are known, or as parameters say."""
@@ -341,7 +340,8 @@ class SimulatorNode(ManagedNode):
         stamp = self._stamp
         self._waiting = stamp
         if self._clock_out is not None:
-            self._clock_out.publish(self._clock_message.at(stamp))
+            set_stamp(self._clock_message.clock, stamp)
+            self._clock_out.publish(self._clock_message)
         self._joint_states_out.publish(self._state_message.at(stamp))
         self._sent = time.monotonic()
         # Nobody waits for the truth, and meanwhile the observer is at work.

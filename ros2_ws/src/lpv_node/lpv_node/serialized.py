@@ -10,11 +10,11 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from rclpy.serialization import serialize_message
+from rosbags.interfaces import Nodetype
 
 from lpv.bag.blocks.cdr_layout import Layout
-from lpv.bag.rosbag.interfaces import decode, make_typestore, padded_cdr
-from lpv.bag.rosbag.live import type_name
+from lpv.bag.rosbag.interfaces import standard_types
+from lpv.bag.rosbag.messages import BagMessages
 from lpv.core.support.timestamps import LAST_STAMP, NANOSECONDS
 
 _TIME = struct.Struct('<iI')
@@ -24,19 +24,15 @@ class SerializedMessage:
     """A message of which only the stamp and some ``numbers``, by contiguous memory, change."""
 
     def __init__(
-        self, message: Any, numbers: Mapping[str, np.ndarray], stamp: str = 'header.stamp'
+        self, msgtype: str, frame_id: str, numbers: Mapping[str, np.ndarray], **others: Any
     ) -> None:
+        types = standard_types()
+        kinds, fields = dict(types.fielddefs[msgtype][1]), others
         for name, values in numbers.items():
-            zeros = np.zeros_like(values).tolist()
-            setattr(
-                message, name, zeros if hasattr(getattr(message, name), '__len__') else zeros[0]
-            )
-        kind, types = type_name(type(message)), make_typestore()
-        # The middleware leaves old memory between fields.
-        whole = decode(types.deserialize_cdr, serialize_message(message), kind)
-        data = padded_cdr(types, whole, kind)
-        places, self._data = Layout(data, kind, types).fields, bytearray(data)
-        self._stamp, self._pieces = places[f'{stamp}.sec'].offset, []
+            fields[name] = values[0] if kinds[name][0] == Nodetype.BASE else values
+        data = BagMessages(types, frame_id).cdr(msgtype, 0, fields)
+        places, self._data = Layout(data, msgtype, types).fields, bytearray(data)
+        self._stamp, self._pieces = places['header.stamp.sec'].offset, []
         for name, values in numbers.items():
             start, size = places[name].offset, places[name].size
             if size != values.nbytes:

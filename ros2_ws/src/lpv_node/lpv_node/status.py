@@ -3,23 +3,18 @@
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
-from lpv.core.support.timestamps import NANOSECONDS, set_stamp
+from lpv.bag.rosbag.interfaces import padded_cdr, standard_types
+from lpv.bag.rosbag.messages import BagMessages
+from lpv.core.support.timestamps import NANOSECONDS
 
-OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
-
-def diagnostics(stamp: int, found: Iterable[Mapping[str, Any]]) -> DiagnosticArray:
-    """DiagnosticArray with a stamp [ns] of the fields of each status, its values by key."""
-    array = DiagnosticArray()
-    for fields in found:
-        pairs = [KeyValue(key=key, value=str(value)) for key, value in fields['values'].items()]
-        level = fields['level'] if isinstance(fields['level'], bytes) else bytes([fields['level']])
-        array.status.append(DiagnosticStatus(**{**fields, 'level': level, 'values': pairs}))
-    set_stamp(array.header.stamp, max(0, stamp))
-    return array
+def diagnostics(stamp: int, status: Iterable[Mapping[str, Any]]) -> bytes:
+    """DiagnosticArray with a stamp [ns] of statuses as of `BagMessages`, for a publisher."""
+    message = BagMessages(standard_types(), '').diagnostics(max(0, stamp), status)
+    return padded_cdr(standard_types(), message, 'diagnostic_msgs/msg/DiagnosticArray')
 
 
 class StatusReporter:
@@ -28,11 +23,11 @@ class StatusReporter:
     def __init__(self, node: Node, part: str, hardware_id: str) -> None:
         self.publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._name, self._arm = f'{node.get_fully_qualified_name()}: {part}', hardware_id
-        self._last: tuple[bytes, str] | None = None
+        self._last: tuple[int, str] | None = None
         self._due = 0
 
     def report(
-        self, stamp: int, level: bytes, message: str, values: Callable[[], Mapping[str, object]]
+        self, stamp: int, level: int, message: str, values: Callable[[], Mapping[str, object]]
     ) -> None:
         """Report a status as of a stamp [ns]; ``values`` are asked for if it is published."""
         if self._last == (level, message) and self._due - NANOSECONDS <= stamp < self._due:

@@ -4,7 +4,6 @@ from operator import attrgetter
 
 import numpy as np
 from rclpy.publisher import Publisher
-from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from lpv.core.control.estimate_check import ROWS, CorrectionLimit, ValueFault, check_values
@@ -18,6 +17,7 @@ from lpv.core.control.watchdog import (
     latency_limits,
     mean_limit,
 )
+from lpv.core.monitoring.message_fields import ERROR, OK, WARN
 from lpv.core.monitoring.stamp_gate import StampGate
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.certificate.loop_gains import NO_CERTIFICATE, LoopGains
@@ -39,7 +39,7 @@ from lpv_node.parameters import (
 )
 from lpv_node.qos import stream
 from lpv_node.serialized import SerializedMessage
-from lpv_node.status import ERROR, OK, WARN, StatusReporter
+from lpv_node.status import StatusReporter
 from lpv_tracker.upcoming import UpcomingReferences
 
 SPECS = table(f"""
@@ -159,12 +159,12 @@ class TrackerNode(ManagedNode):
     def _make_messages(self) -> None:
         """Messages that are made of references and commands where these are."""
         self._torque, self._safe_stop = np.zeros(len(self._arm.joint_names)), np.zeros(1, bool)
-        header, reference = Header(frame_id=self._arm.name), self._follower.reference
-        self._command = SerializedMessage(
-            TorqueCommand(header=header), {'torque': self._torque, 'safe_stop': self._safe_stop}
-        )
+        name, reference = self._arm.name, self._follower.reference
+        command = {'torque': self._torque, 'safe_stop': self._safe_stop}
+        self._command = SerializedMessage('lpv_msgs/msg/TorqueCommand', name, command)
         self._reference = SerializedMessage(
-            JointReference(header=header),
+            'lpv_msgs/msg/JointReference',
+            name,
             {
                 'position': reference.position,
                 'velocity': reference.velocity,

@@ -4,13 +4,11 @@ import math
 from typing import Any
 
 import numpy as np
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Header
 
+from lpv.bag.rosbag.interfaces import standard_types
+from lpv.bag.rosbag.messages import BagMessages
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import Mode, SensorState
-from lpv.core.support.timestamps import set_stamp
-from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate
 from lpv_node.serialized import SerializedMessage
 
 Fields = dict[str, Any]
@@ -26,20 +24,21 @@ class OutputMessages:
     """
 
     def __init__(self, arm: SerialArm, answer_type: np.dtype) -> None:
-        self._frame_id, self.record = arm.name, np.zeros(1, answer_type)
+        self._alarms = BagMessages(standard_types(), arm.name)
+        self.record = np.zeros(1, answer_type)
         self._bytes = self.record.view(f'V{answer_type.itemsize}')
         self._words, self._last = self.record.view('f8'), np.zeros(1, answer_type)
         self._numbers = _number_places(answer_type)
         state, fault = _views(self.record['state']), _views(self.record['fault'])
         fault['alarm'] = fault['alarm'].view(bool)
         joints, sensors = list(arm.joint_names), list(arm.sensor_names)
-        self.state = SerializedMessage(StateEstimate(header=self._header()), state)
+        self.state = SerializedMessage('lpv_msgs/msg/StateEstimate', arm.name, state)
         self.fault = SerializedMessage(
-            FaultEstimate(header=self._header(), sensor_names=sensors), fault
+            'lpv_msgs/msg/FaultEstimate', arm.name, fault, sensor_names=sensors
         )
+        moving = {'position': state['compensated_position'], 'velocity': state['velocity']}
         self.corrected = SerializedMessage(
-            JointState(header=self._header(), name=joints),
-            {'position': state['compensated_position'], 'velocity': state['velocity']},
+            'sensor_msgs/msg/JointState', arm.name, moving, name=joints, effort=[]
         )
 
     def fill(self, record: np.void) -> bool:
@@ -74,20 +73,13 @@ class OutputMessages:
             state['trustworthy'] = False
         return not wrong
 
-    def _header(self) -> Header:
-        return Header(frame_id=self._frame_id)
-
-    def alarm(self, stamp: int, fields: Fields) -> FaultAlarm:
-        """A new lpv_msgs/FaultAlarm with a stamp [ns] and fields."""
-        message = FaultAlarm(header=self._header())
-        set_stamp(message.header.stamp, stamp)
-        for name, value in fields.items():
-            if name in ('onset', 'detected'):
-                set_stamp(getattr(message, name), value)
-            else:
-                missing = isinstance(value, float) and math.isnan(value)
-                setattr(message, name, _WITHOUT_NUMBER[name] if missing else value)
-        return message
+    def alarm(self, stamp: int, fields: Fields) -> bytes:
+        """lpv_msgs/FaultAlarm with a stamp [ns] and fields, for a publisher."""
+        known = {
+            name: _WITHOUT_NUMBER[name] if isinstance(value, float) and math.isnan(value) else value
+            for name, value in fields.items()
+        }
+        return self._alarms.cdr('lpv_msgs/msg/FaultAlarm', stamp, known)
 
 
 def _views(record: np.ndarray) -> Fields:

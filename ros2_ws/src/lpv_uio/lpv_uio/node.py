@@ -16,7 +16,7 @@ from std_srvs.srv import Trigger
 
 from lpv.core.monitoring.alarm_text import count_texts, describe
 from lpv.core.monitoring.answers import Answer
-from lpv.core.monitoring.message_fields import alarm_fields
+from lpv.core.monitoring.message_fields import ERROR, OK, WARN, alarm_fields
 from lpv.core.monitoring.parameters import DiagnosisParameters, check_names
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.arm_file import load_arm
@@ -31,7 +31,7 @@ from lpv_node.input_check import OneSender, Refusals, all_finite, all_sized
 from lpv_node.managed import ManagedNode
 from lpv_node.parameters import declare_given, named_file, read_gains, table
 from lpv_node.qos import latched, stream
-from lpv_node.status import ERROR, OK, WARN, StatusReporter, diagnostics
+from lpv_node.status import StatusReporter, diagnostics
 from lpv_uio.messages import OutputMessages
 from lpv_uio.open_alarms import OpenAlarms, alarm_file
 

@@ -20,12 +20,12 @@ from lpv import Alarm, AlarmEvent, ConfigError, Fault, load_arm, load_scenario
 from lpv.bag.replay.replay import Replay
 from lpv.bag.rosbag.reading import open_bag
 from lpv.core.monitoring import answers, serial_monitor
+from lpv.core.monitoring.message_fields import OK, WARN
 from lpv.core.serial_arm.diagnosis.alarms import Mode
 from lpv.core.simulation.arm_simulator import ArmSimulator
 from lpv.core.support.resources import bringup_file
 from lpv.core.support.timestamps import set_stamp, to_nanoseconds
 from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate, TorqueCommand
-from lpv_node.status import OK, WARN
 from lpv_uio.messages import OutputMessages
 from lpv_uio.node import UioNode
 from lpv_uio.open_alarms import OpenAlarms
@@ -351,6 +351,9 @@ def test_given_numbers_that_are_nan_when_put_into_messages_then_they_are_not_tru
     assert (list(sent.position), sent.mode) == ([1.0] * 3, StateEstimate.STALE)
     messages = messages_of(2)
     unknown = {'kind': 'drift', 'size': np.nan, 'bound': np.nan}
-    first, second = (messages.alarm(STAMP, {**ALARM, **change}) for change in ({}, unknown))
+    first, second = (
+        deserialize_message(messages.alarm(STAMP, {**ALARM, **change}), FaultAlarm)
+        for change in ({}, unknown)
+    )
     assert (first.kind, first.size, first.bound) == ('bias', 0.3, 0.01)
     assert (second.kind, second.size, second.bound) == ('drift', 0.0, np.inf)

@@ -19,6 +19,7 @@ from lpv.bag.rosbag.output_folder import (
     read_run_file,
 )
 from lpv.bag.rosbag.writing import PRESETS, BagWriter
+from lpv.core.monitoring.message_fields import ERROR, OK, WARN
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.limits import AT_ONCE
 from lpv.core.support.options import Entry
@@ -27,7 +28,7 @@ from lpv_node.managed import ManagedNode
 from lpv_node.parameters import named_file, required_text, table
 from lpv_node.recorder.input import MOST, Heard, RecorderInput, Selection
 from lpv_node.recorder.stamp_sorter import WINDOW, StampSorter
-from lpv_node.status import ERROR, OK, WARN, diagnostics
+from lpv_node.status import diagnostics
 
 _TOPICS = [
     *('joint_states', 'torque_command', 'state_estimate', 'fault_estimate'),
@@ -268,5 +269,5 @@ class RecorderNode(ManagedNode):
         for topic, count in sorted(self._counts.items()):
             values |= {f'{topic} {name}': value for name, value in count.known().items()}
         now = self.get_clock().now().nanoseconds
-        status = {'level': level, 'name': self._label, 'message': text, 'values': values}
-        self._diagnostics.publish(diagnostics(now, [status]))
+        status = {'level': level, 'name': self._label, 'message': text, 'hardware_id': ''}
+        self._diagnostics.publish(diagnostics(now, [{**status, 'values': values}]))

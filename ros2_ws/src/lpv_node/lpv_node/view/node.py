@@ -10,6 +10,7 @@ from rclpy.serialization import serialize_message
 from visualization_msgs.msg import MarkerArray
 
 from lpv.bag.rosbag.live import type_name
+from lpv.core.monitoring.message_fields import OK, WARN
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.simulation.scenario import load_scenario
@@ -19,7 +20,7 @@ from lpv.core.support.timestamps import NANOSECONDS, leading_stamp
 from lpv_node.input_check import Refusals
 from lpv_node.managed import VIEWER, ManagedNode
 from lpv_node.parameters import named_file, table
-from lpv_node.status import OK, WARN, StatusReporter
+from lpv_node.status import StatusReporter
 from lpv_node.view.access import Access
 from lpv_node.view.foxglove_bridge import BAND, FoxgloveBridge, gate, sdk_is_installed
 from lpv_node.view.model import LiveModel

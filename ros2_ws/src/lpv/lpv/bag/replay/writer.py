@@ -121,10 +121,8 @@ class ReplayWriter:
             found.append(template.fill(time[some], stamp[some], values, some))
         texts = b''
         for row, event in answers.events:
-            message = self._messages.make(
-                OUTPUTS['fault_alarm'], int(stamp[row]), alarm_fields(event)
-            )
-            data = padded_cdr(self.bag.typestore, message, OUTPUTS['fault_alarm'])
+            fields = alarm_fields(event)
+            data = self._messages.cdr(OUTPUTS['fault_alarm'], int(stamp[row]), fields)
             texts += record(self._channels['fault_alarm'], int(time[row]), data)
         for row, status in answers.reports:
             message = self._messages.diagnostics(int(stamp[row]), status)

@@ -1,5 +1,6 @@
 """Message definitions for reading and writing bags without ROS."""
 
+import functools
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -71,3 +72,9 @@ def make_typestore() -> Typestore:
     for name in _OWN.split():
         add_type(typestore, f'lpv_msgs/msg/{name}')
     return typestore
+
+
+@functools.lru_cache(maxsize=1)
+def standard_types() -> Typestore:
+    """Types of nodes, and of bags without definitions; shared."""
+    return make_typestore()

@@ -1,14 +1,13 @@
-"""Puts the fields of lpv.core.monitoring.message_fields into messages of a bag's typestore."""
+"""Makes messages, of nodes as of bags, from fields as of lpv.core.monitoring.message_fields."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from rosbags.typesys.store import Typestore
 
-from lpv.bag.rosbag.metadata import qos_profile
-from lpv.bag.rosbag.writing import BagWriter
-from lpv.core.support.timestamps import NANOSECONDS
+from lpv.bag.rosbag.interfaces import padded_cdr
+from lpv.core.support.timestamps import LAST_STAMP, NANOSECONDS
 
 _DTYPES = {'state': np.uint8, 'alarm': np.bool_}
 
@@ -17,18 +16,23 @@ class BagMessages:
     """Message factory of one typestore."""
 
     def __init__(self, typestore: Typestore, frame_id: str) -> None:
-        self._types, self._frame_id = typestore.types, frame_id
+        self._typestore, self._types, self._frame_id = typestore, typestore.types, frame_id
 
     def time(self, nanoseconds: int) -> Any:
-        """builtin_interfaces/Time of a stamp [ns]."""
-        return self._types['builtin_interfaces/msg/Time'](*divmod(nanoseconds, NANOSECONDS))
+        """builtin_interfaces/Time of a stamp [ns], the last one of its type if it is later."""
+        parts = divmod(min(nanoseconds, LAST_STAMP), NANOSECONDS)
+        return self._types['builtin_interfaces/msg/Time'](*parts)
 
     def header(self, stamp: int, frame_id: str | None = None) -> Any:
         """std_msgs/Header of a stamp [ns]."""
         frame_id = self._frame_id if frame_id is None else frame_id
         return self._types['std_msgs/msg/Header'](self.time(stamp), frame_id)
 
-    def make(self, msgtype: str, stamp: int, fields: dict[str, Any]) -> object:
+    def cdr(self, msgtype: str, stamp: int, fields: Mapping[str, Any]) -> bytes:
+        """CDR of a message with a header."""
+        return padded_cdr(self._typestore, self.make(msgtype, stamp, fields), msgtype)
+
+    def make(self, msgtype: str, stamp: int, fields: Mapping[str, Any]) -> object:
         """A message with a header."""
         values = {}
         for name, value in fields.items():
@@ -39,19 +43,16 @@ class BagMessages:
             values[name] = value
         return self._types[msgtype](header=self.header(stamp), **values)
 
-    def diagnostics(self, stamp: int, status: list[dict[str, Any]]) -> Any:
+    def diagnostics(self, stamp: int, status: Iterable[Mapping[str, Any]]) -> Any:
         """DiagnosticArray of statuses as of `lpv.core.monitoring.message_fields`."""
         status_type = self._types['diagnostic_msgs/msg/DiagnosticStatus']
         pair = self._types['diagnostic_msgs/msg/KeyValue']
-        return self._types['diagnostic_msgs/msg/DiagnosticArray'](
-            self.header(stamp, ''),
-            [
-                status_type(
-                    **{**fields, 'values': [pair(k, v) for k, v in fields['values'].items()]}
-                )
-                for fields in status
-            ],
-        )
+        found = []
+        for fields in status:
+            values = [pair(key, str(value)) for key, value in fields['values'].items()]
+            found.append(status_type(**{**fields, 'values': values}))
+        kind = self._types['diagnostic_msgs/msg/DiagnosticArray']
+        return kind(self.header(stamp, ''), found)
 
     def joint_state(
         self,
@@ -64,15 +65,3 @@ class BagMessages:
         """sensor_msgs/JointState."""
         values = {'position': position, 'velocity': velocity, 'effort': effort}
         return self.make('sensor_msgs/msg/JointState', stamp, {'name': list(names), **values})
-
-
-def write_joint_states(
-    writer: BagWriter, topic: str, names: Iterable[str], samples: Iterable[tuple[Any, ...]]
-) -> int:
-    """Write stamps [ns], positions, rates and efforts on a new topic; how many messages."""
-    writer.add_topic(topic, 'sensor_msgs/msg/JointState', [qos_profile(True, False, 10)])
-    messages, joints, count = BagMessages(writer.typestore, 'base_link'), list(names), 0
-    for stamp, *values in samples:
-        writer.write(topic, stamp, messages.joint_state(stamp, joints, *values))
-        count += 1
-    return count

@@ -24,7 +24,7 @@ from rosbags.typesys.store import Typestore
 
 from lpv.bag.blocks.message_blocks import BLOCK_SIZE, Block, joined, record, split
 from lpv.bag.errors import BagError, DamageError
-from lpv.bag.rosbag.interfaces import decode, make_typestore
+from lpv.bag.rosbag.interfaces import decode, make_typestore, standard_types
 from lpv.bag.rosbag.mcap_file import McapFile, error_text
 from lpv.bag.rosbag.metadata import FILE_NAME, BagMetadata, Known, offered_qos, read_metadata
 from lpv.core.support.errors import LpvError
@@ -357,9 +357,3 @@ def _types_of(connections: Sequence[Connection]) -> Typestore:
         if connection.digest and types.hash_rihs01(connection.msgtype) != connection.digest:
             raise DamageError(f'the hash of {connection.msgtype} is not that of its definition')
     return types
-
-
-@functools.lru_cache(maxsize=1)
-def standard_types() -> Typestore:
-    """Types of bags without definitions; shared."""
-    return make_typestore()

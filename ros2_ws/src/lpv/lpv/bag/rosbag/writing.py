@@ -6,7 +6,7 @@ import os
 import resource
 import shutil
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,7 +25,16 @@ from rosbags.interfaces import (
 
 from lpv.bag.blocks.message_blocks import RECORD, Block, from_rows
 from lpv.bag.rosbag.interfaces import add_type, decode, make_typestore, padded_cdr
-from lpv.bag.rosbag.metadata import FILE_NAME, RECORD_NAME, Known, bag_information, dump, qos_text
+from lpv.bag.rosbag.messages import BagMessages
+from lpv.bag.rosbag.metadata import (
+    FILE_NAME,
+    RECORD_NAME,
+    Known,
+    bag_information,
+    dump,
+    qos_profile,
+    qos_text,
+)
 from lpv.core.support.config import write_whole
 from lpv.core.support.errors import ConfigError
 
@@ -251,6 +260,17 @@ class BagWriter:
         """Serialise and write a message of this bag's typestore, as of `write_raw`."""
         data = padded_cdr(self.typestore, message, self._topics[topic].msgtype)
         self.write_raw(topic, timestamp, data)
+
+    def write_joint_states(
+        self, topic: str, names: Iterable[str], samples: Iterable[tuple[Any, ...]]
+    ) -> int:
+        """Write stamps [ns], positions, rates and efforts on a new topic; how many messages."""
+        self.add_topic(topic, 'sensor_msgs/msg/JointState', [qos_profile(True, False, 10)])
+        messages, joints, count = BagMessages(self.typestore, 'base_link'), list(names), 0
+        for stamp, *values in samples:
+            self.write(topic, stamp, messages.joint_state(stamp, joints, *values))
+            count += 1
+        return count
 
     def write_raw(
         self, topic: str, timestamp: int, data: bytes, publish_time: int | None = None

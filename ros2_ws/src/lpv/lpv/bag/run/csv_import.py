@@ -9,7 +9,6 @@ from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from lpv.bag.rosbag.messages import write_joint_states
 from lpv.bag.rosbag.writing import BagWriter
 from lpv.core.support.config import Section, read_yaml
 from lpv.core.support.errors import LpvError
@@ -91,7 +90,7 @@ def import_csv(
         if first is None:
             raise CsvError(f'{source}: holds no sample')
         with BagWriter(out) as writer:
-            count = write_joint_states(writer, topic, columns.joints, chain([first], samples))
+            count = writer.write_joint_states(topic, columns.joints, chain([first], samples))
     except (OSError, UnicodeDecodeError, csv.Error, TypeError) as error:
         raise CsvError(f'{source}: cannot be read ({error})') from error
     return count, warnings

@@ -9,7 +9,6 @@ import numpy as np
 import yaml
 from cmaes import CMA
 
-from lpv.bag.rosbag.messages import write_joint_states
 from lpv.bag.rosbag.writing import BagWriter
 from lpv.campaign.falsify.attack import Attack, Attacker, Finding, stamps_of
 from lpv.campaign.falsify.healthy_run import RATE_SCALE
@@ -87,7 +86,7 @@ def write_worst(attacker: Attacker, worst: Finding, folder: str | Path) -> None:
     with BagWriter(folder / BAG, 'zstd_small') as writer:
         stamps = stamps_of(attacker.samples, arm.sample_time).tolist()
         samples = zip(stamps, *attacker.samples.swapaxes(0, 1).tolist())
-        write_joint_states(writer, '/lpv/joint_states', arm.joint_names, samples)
+        writer.write_joint_states('/lpv/joint_states', arm.joint_names, samples)
 
 
 def read_attack(path: str | Path) -> tuple[Attack, float]:

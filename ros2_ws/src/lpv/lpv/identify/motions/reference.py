@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import yaml
 
-from lpv.bag.rosbag.messages import write_joint_states
 from lpv.bag.rosbag.writing import BagWriter
 from lpv.core.serial_arm.description import SerialArm
 from lpv.identify.model.rigid_body import joint_torques
@@ -32,7 +31,7 @@ def write_reference(
     np.savetxt(files[0], table, '%.9g', ',', header=header, comments='')
     with BagWriter(files[2]) as writer:
         stamps = (round((1.0 + t) * 1e9) for t in time)
-        write_joint_states(writer, TOPIC, names, zip(stamps, *signals))
+        writer.write_joint_states(TOPIC, names, zip(stamps, *signals))
     for file, content in zip(files[1::2], (_message(names, trajectory), _scenario(trajectory))):
         file.write_text(yaml.safe_dump(content, sort_keys=False, width=110))
     return files
