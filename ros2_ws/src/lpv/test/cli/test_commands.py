@@ -15,6 +15,7 @@ from rich.console import Console
 
 from lpv import Fault, load_arm, load_scenario, save_gains
 from lpv.bag.replay.injected_faults import InjectedFault
+from lpv.bag.run.record import RecordedAlarm
 from lpv.campaign.falsify.attack import Finding
 from lpv.cli import needs, progress
 from lpv.cli.commands import demo, falsify, replay, view
@@ -94,7 +95,10 @@ def test_given_joints_when_findings_are_told_then_each_has_its_unit_if_it_has_a_
     arm = replace(paper_arm, joints=(first, replace(second, type='prismatic')))
     fault = Fault('link2_angle', 'bias', 1.0, size=0.1)
     kinds = (('bias', 0.02), ('rate_bias', None), ('dropout', None))
-    found = [InjectedFault(fault, True, ('x',), 0.1, kind, 0.12, 0.03, off) for kind, off in kinds]
+    said = {
+        kind: RecordedAlarm(0, 1, 'link2_angle', 0, 0, 0.12, 0.03, kind, 1.0) for kind, _ in kinds
+    }
+    found = [InjectedFault(fault, True, ('x',), 0.1, said[kind], off) for kind, off in kinds]
     replay.show_injected(found, arm, Console(width=200))
     told = capsys.readouterr().out
     others = '; wrongly alarmed, too: x\n'

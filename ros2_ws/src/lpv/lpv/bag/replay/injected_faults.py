@@ -16,21 +16,18 @@ class InjectedFault:
     """One injected fault and the alarm that found it."""
 
     fault: Fault
-    found: bool  # an alarm of its sensor was confirmed while it acted
+    acted: bool  # the recording was not over before
     wrong_sensors: tuple[str, ...] = ()  # healthy sensors that were alarmed meanwhile
-    delay: float | None = None  # from its onset to the confirmed alarm [s]
-    kind: str = ''  # latest classification while it acted
-    size: float | None = None  # latest estimate while it acted [rad]; [rad/s] of a rate
-    bound: float | None = None  # stated bound of the estimate's error [rad]
-    error: float | None = None  # estimate minus injected size; None where no size is defined [rad]
-    acted: bool = True  # the recording was not over before
+    delay: float | None = None  # from its onset to the confirmed alarm of its sensor, if any [s]
+    last: RecordedAlarm | None = None  # what that alarm said last while the fault acted
+    error: float | None = None  # its size minus the injected one, where that is defined [rad]
 
     @property
     def verdict(self) -> str:
         """One phrase for the user."""
         if not self.acted:
             return 'not injected, the recording ends before'
-        if self.found:
+        if self.last is not None:
             return 'found'
         wrong = ', '.join(self.wrong_sensors)
         return f'wrong sensor: {wrong}' if wrong else 'not found'
@@ -61,16 +58,14 @@ def judge(faults: Sequence[Fault], result: ReplayResult) -> list[InjectedFault]:
             if event.event != AlarmEvent.CLEARED and tells(fault, at, event)
         ]
         delays = [at - fault.onset for at, event in own if event.event == AlarmEvent.RAISED]
-        told: tuple[float, str, float, float, float | None] | tuple[()] = ()
+        one = InjectedFault(fault, fault.onset <= end, tuple(sorted(wrong)))
         if delays:
             at, last = ([pair for pair in own if pair[0] <= fault.end] or own)[-1]
-            true = true_size(fault, at)
-            error = None
+            true, error = true_size(fault, at), None
             if true is not None and (last.kind == RATE_BIAS) == (fault.kind == RATE_BIAS):
                 error = last.size - true
-            told = (delays[0], last.kind, last.size, last.bound, error)
-        one = InjectedFault(fault, bool(delays), tuple(sorted(wrong)), *told)
-        found.append(replace(one, acted=fault.onset <= end))
+            one = replace(one, delay=delays[0], last=last, error=error)
+        found.append(one)
     return found
 
 

@@ -122,24 +122,24 @@ def _alarm_line(event: RecordedAlarm, time: float) -> str:
 
 def show_injected(found: list[InjectedFault], arm: SerialArm, console: Console) -> None:
     """Show what was found of the injected faults."""
-    right = sum(one.found for one in found)
+    right = sum(one.last is not None for one in found)
     acted = sum(one.acted for one in found)
     console.print(f'{right} of {acted} injected faults found on the right sensor')
     for one in found:
-        fault = one.fault
-        unit = arm.position_units[arm.sensor_names.index(fault.sensor)]
-        unit, digits = size_unit(one.kind, unit), decimals(unit)
+        fault, last = one.fault, one.last
         text = f'  {fault.sensor}, {fault.kind} from {fault.onset:.3f} s on: {one.verdict}'
-        if one.found:
-            text += f' after {one.delay:.3f} s as {one.kind}'
-        if one.found and one.kind != 'dropout':  # which has no size
-            text += f', {one.size:+.{digits}f} {unit}'
-            most = bound(one.bound or 0.0, unit)
-            text += '' if most == '-' else f' within {most} {unit}'
-        if one.error is not None:
-            text += f', size error {one.error:+.{digits}f} {unit}'
-        if one.found and one.wrong_sensors:
-            text += f'; wrongly alarmed, too: {", ".join(one.wrong_sensors)}'
+        if last is not None:
+            unit = arm.position_units[arm.sensor_names.index(fault.sensor)]
+            unit, digits = size_unit(last.kind, unit), decimals(unit)
+            text += f' after {one.delay:.3f} s as {last.kind}'
+            if last.kind != 'dropout':  # which has no size
+                most = bound(last.bound, unit)
+                text += f', {last.size:+.{digits}f} {unit}'
+                text += '' if most == '-' else f' within {most} {unit}'
+            if one.error is not None:
+                text += f', size error {one.error:+.{digits}f} {unit}'
+            if one.wrong_sensors:
+                text += f'; wrongly alarmed, too: {", ".join(one.wrong_sensors)}'
         console.print(text)
 
 
