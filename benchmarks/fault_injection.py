@@ -284,11 +284,11 @@ def simulate(
     path, chain = sines(*motion, rng), wrong_chain(arm, rng)
     path = with_rests(path, rng.uniform(1.0, 5.0)) if rests else path
     q, v, a = moves_and_rests(motion, rng, time) if pauses else path(time)
-    models, taken = [SerialModel(chain)], np.inf
+    torque = SerialModel(chain).torque(q, v, a)
     if payload > 0.0:
-        models.append(SerialModel(with_payload(chain, payload * rng.uniform(0.3, 1.0))))
-        taken = rng.uniform(3.0, 15.0)
-    torque = np.array([models[int(t > taken)].torque(*row) for t, *row in zip(time, q, v, a)])
+        loaded = SerialModel(with_payload(chain, payload * rng.uniform(0.3, 1.0)))
+        later = time > rng.uniform(3.0, 15.0)
+        torque[later] = loaded.torque(q[later], v[later], a[later])
     samples = np.stack([q, v, torque], axis=1)
     noise = np.array([[j.sensors.position_noise, j.sensors.velocity_noise] for j in arm.joints]).T
     samples[:, :2] += noise * rng.normal(size=(len(time), 2, n))

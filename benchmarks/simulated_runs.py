@@ -6,12 +6,15 @@ from typing import NamedTuple
 import numpy as np
 from fault_injection import motion_range, sines
 
-from lpv.core.serial_arm.chain import Chain, compile_chain
+from lpv.core.serial_arm.chain import Chain, FloatArray, compile_chain, workspace
 from lpv.core.serial_arm.description import SerialArm
-from lpv.core.serial_arm.dynamics.model import SerialModel
-from lpv.core.simulation.arm_simulator import ArmSimulator
+from lpv.core.serial_arm.dynamics.friction import friction_torque
+from lpv.core.serial_arm.dynamics.newton_euler import inverse_dynamics
+from lpv.core.simulation.arm_simulator import ArmSimulator, integrate, read_sensors, set_torque
 from lpv.core.simulation.faults import Fault
 from lpv.core.simulation.scenario import Scenario
+from lpv.core.support.jit import njit_in_place as njit
+from lpv.core.support.records import memory
 
 
 class Push(NamedTuple):
@@ -30,6 +33,48 @@ class Run(NamedTuple):
     position: np.ndarray  # true joint positions [rad], shape (N, n)
 
 
+class _Loop(NamedTuple):
+    """The true arm, as the functions of `arm_simulator` take it, and its controller's model."""
+
+    plant: Chain
+    constants: np.ndarray  # memory of a record, as the next one
+    state: np.ndarray
+    faults: np.ndarray
+    noise: np.random.Generator
+    push: np.random.Generator
+    chance: np.random.Generator
+    scratch: FloatArray
+    matrix: FloatArray
+    model: Chain
+    limit: FloatArray  # of the commanded torques [N m]
+    work: FloatArray
+    vectors: FloatArray  # scratch, shape (3, n)
+
+
+@njit
+def _close(
+    loop: _Loop, path: FloatArray, outside: FloatArray, samples: FloatArray, position: FloatArray
+) -> None:
+    """Follow a path, shape (3, N, n), against torques from outside."""
+    params, state = loop.constants[0], loop.state[0]
+    wanted, load, torque = loop.vectors
+    for k in range(len(samples)):
+        read_sensors(params, state, loop.faults, loop.noise, loop.chance)
+        sample, q, v = samples[k], path[0, k], path[1, k]
+        for i in range(len(q)):
+            sample[0, i], sample[1, i] = state.measured_position[i], state.measured_velocity[i]
+            sample[2, i], position[k, i] = torque[i], state.position[i]
+            error = 100.0 * (q[i] - sample[0, i]) + 20.0 * (v[i] - sample[1, i])
+            wanted[i] = path[2, k, i] + error
+        inverse_dynamics(loop.model, q, v, wanted, loop.work, load)
+        friction_torque(loop.model, v, load, torque)
+        for i in range(len(q)):
+            torque[i] = min(max(load[i] + torque[i], -loop.limit[i]), loop.limit[i])
+            load[i] = torque[i] + outside[k, i]
+        set_torque(params, state, load, loop.push)
+        integrate(loop.plant, params, state, loop.scratch, loop.matrix)
+
+
 def simulated_run(
     arm: SerialArm,
     duration: float,
@@ -39,28 +84,37 @@ def simulated_run(
     seed: int = 1,
     noise: bool = True,
 ) -> Run:
-    """A run whose controller knows the arm, and not the true ``plant``."""
+    """A run whose controller knows the arm, and not the true ``plant``; its readings are finite."""
     count, n = round(duration / arm.sample_time), len(arm.joints)
     time = arm.sample_time * np.arange(count)
-    q, v, a = sines(*motion_range(arm, 0.5), np.random.default_rng(seed))(time)
-    rests = tuple(q[0].tolist())
+    path = np.array(sines(*motion_range(arm, 0.5), np.random.default_rng(seed))(time))
+    rests = tuple(path[0, 0].tolist())
     scenario = Scenario(
         'test', duration, seed, (0.0, duration), (rests, rests), faults, noise=noise,
         disturbance=False)  # fmt: skip
-    simulator, model = ArmSimulator(_unlimited(arm), scenario), SerialModel(compile_chain(arm))
-    simulator.chain = simulator.chain if plant is None else plant
-    simulator.state.motion[1] = v[0]
-    samples, position = np.zeros((count, 3, n)), np.zeros((count, n))
-    torque, limit = np.zeros(n), np.array(arm.torque_limit)
-    for k in range(count):
-        sensed = simulator.sense()
-        reading, rate = sensed['measured_position'], sensed['measured_velocity']
-        samples[k] = reading, rate, torque
-        position[k] = sensed['position']
-        error = 100.0 * (q[k] - reading) + 20.0 * (v[k] - rate)
-        torque = np.clip(model.torque(q[k], v[k], a[k] + error), -limit, limit)
-        outside = [push.torque for push in pushes if push.begin <= time[k] < push.end]
-        simulator.step(torque + sum(map(np.array, outside)))
+    simulator, model = ArmSimulator(_unlimited(arm), scenario), compile_chain(arm)
+    simulator.state.motion[1] = path[1, 0]
+    loop = _Loop(
+        simulator.chain if plant is None else plant,
+        memory(simulator.constants),
+        memory(simulator.state),
+        simulator.injector.records,
+        simulator.noise,
+        simulator.push,
+        simulator.injector.generator,
+        simulator.scratch,
+        simulator.matrix,
+        model,
+        np.array(arm.torque_limit),
+        workspace(model),
+        np.zeros((3, n)),
+    )
+    samples, position, outside = np.zeros((count, 3, n)), np.zeros((count, n)), np.zeros((count, n))
+    for push in pushes:
+        outside[(push.begin <= time) & (time < push.end)] += push.torque
+    _close(loop, path, outside, samples, position)
+    if simulator.state.failed or not np.isfinite(samples).all():
+        raise ValueError('the simulated run has no numbers')
     return Run(np.round(1e9 * time).astype(np.int64), samples, position)
 
 

@@ -91,7 +91,7 @@ def healthy(
         friction[:, :2] *= rng.uniform(0.9, 1.1, (n, 2))
     load = rng.uniform(0.0, PAYLOAD) if load is None else load
     model = SerialModel(with_payload(chain._replace(friction=friction), load))
-    torque = np.array([model.torque(*row) for row in zip(q, v, a)])
+    torque = model.torque(q, v, a)
     torque += held(v, friction[:, 1], rng)
     torque += 0.01 * torque.std(0) * rng.normal(size=torque.shape)
     current = torque / (np.array(GAINS) * own.choice([0.95, 1.05], n))

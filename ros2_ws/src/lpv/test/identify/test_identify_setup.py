@@ -65,7 +65,7 @@ def test_given_a_rotor_that_a_link_carries_then_torques_are_those_of_the_dynamic
     first, second = (replace(joint, friction=JointFriction()) for joint in arm.joints)
     arm = replace(arm, joints=(first, replace(second, rotor_coupling=-0.01)))
     motion = np.random.default_rng(2).normal(size=(3, 20, 2))
-    expected = [SerialModel(compile_chain(arm)).torque(*sample) for sample in zip(*motion)]
+    expected = SerialModel(compile_chain(arm)).torque(*motion)
     assert rigid_body.joint_torques(arm, *motion) == pytest.approx(np.array(expected), abs=1e-12)
 
 

@@ -222,11 +222,10 @@ def _against_gravity(
         return None
     model = SerialModel(compile_chain(arm))
     torque = effort[known] * [joint.torque_gain for joint in arm.joints]
-    gravity = np.abs([model.gravity(q) for q in position[known]]).max()
+    gravity = np.abs(model.gravity(position[known])).max()
 
     def residual(q: np.ndarray) -> float:
-        held = np.array([model.gravity(one) for one in q])
-        return float(np.sqrt(np.mean((torque - held) ** 2)))
+        return float(np.sqrt(np.mean((torque - model.gravity(q)) ** 2)))
 
     as_said, in_degrees = residual(position[known]), residual(position[known] / _DEGREES)
     if as_said < 0.2 * float(gravity) or in_degrees > _BETTER * as_said:

@@ -105,7 +105,7 @@ def integration_step(chain: Chain, period: float) -> tuple[float, int]:
     n, model = len(chain.translation), SerialModel(chain)
     postures = np.random.default_rng(0).uniform(-3, 3, (20, n))
     inertia = np.min([1.0 / np.diag(np.linalg.inv(model.mass_matrix(q))) for q in postures], axis=0)
-    carried = np.max([np.abs(model.gravity(q)) for q in postures], axis=0)
+    carried = np.abs(model.gravity(postures)).max(axis=0)
     dry = chain.friction[:, COULOMB] + chain.friction[:, LOAD] * carried
     slope = chain.friction[:, VISCOUS]
     slope = slope + 2.0 / np.pi * dry * np.maximum(chain.friction[:, SLOPE], 1.0)

@@ -38,7 +38,7 @@ def recording(rng, arm, count):
     phase, size = pace * t + rng.uniform(-3.0, 3.0, n), rng.uniform(0.0, 1.0, n)
     q, v, a = size * np.sin(phase), size * pace * np.cos(phase), -size * pace**2 * np.sin(phase)
     model = SerialModel(chain.compile_chain(arm))
-    samples = np.stack([q, v, [model.torque(*one) for one in zip(q, v, a)]], 1)
+    samples = np.stack([q, v, model.torque(q, v, a)], 1)
     samples[:, 0] += rng.choice([0.0, 1e-4]) * rng.normal(size=q.shape)
     return np.round(1e9 * period * np.arange(count)).astype(np.int64) + 10**15, samples
 

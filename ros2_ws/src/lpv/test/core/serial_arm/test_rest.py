@@ -74,7 +74,7 @@ def rounded_samples(arm, seed, step, frozen=None, resting=None, error=0.0):
         q[:, resting], v[:, resting] = np.cos(x) / 3.0, -np.pi / 9.0 * np.sin(x)
         a[:, resting] = -(np.pi**2) / 27.0 * np.cos(x) * (times < 3.0)
     model = SerialModel(wrong_chain(arm, np.random.default_rng(seed)))
-    effort = np.array([model.torque(*one) for one in zip(q, v, a)])
+    effort = model.torque(q, v, a)
     reading = q + (seed % 2) * 1e-4 * rng.normal(size=q.shape)
     if frozen is not None:
         reading[times > 6.4, frozen] = reading[np.argmax(times > 6.4), frozen]
@@ -164,7 +164,7 @@ def held_by_friction(arm, seed, rest=12.0, most=1.0, moves=2):
         way = rng.uniform(-1.0, 1.0, n) - place
         q, v, a = place + way * share, way / 3.0 * rate, way / 9.0 * bend
         held = most * rng.uniform(-1.0, 1.0, n) * chain.friction[:, 1] * (x == 1.0)
-        effort.append(np.array([model.torque(*one) for one in zip(q, v, a)]) + held)
+        effort.append(model.torque(q, v, a) + held)
         motion.append(np.stack([q, v], 1))
         place = q[-1]
     samples = np.concatenate([np.concatenate(motion), np.concatenate(effort)[:, None] / gains], 1)

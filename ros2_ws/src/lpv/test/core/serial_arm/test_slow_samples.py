@@ -76,7 +76,7 @@ def exact(arm, rate):
     time = np.arange(round(6.0 * rate)) / rate
     motion = sines(*motion_range(arm, 0.5), np.random.default_rng(1))(time)
     model = SerialModel(compile_chain(arm))
-    torque = np.array([model.torque(*row) for row in zip(*motion)])
+    torque = model.torque(*motion)
     samples = np.stack([*motion[:2], torque], axis=1)
     return derived(Stream(np.round(1e9 * time).astype(np.int64), samples))
 

@@ -79,7 +79,7 @@ def typical_torque(chain: Chain) -> FloatArray:
     of the joint and its friction.
     """
     model, poses = SerialModel(chain), _poses(np.random.default_rng(0), chain)
-    gravity = np.mean([model.gravity(q) ** 2 for q in poses], axis=0)
+    gravity = np.mean(model.gravity(poses) ** 2, axis=0)
     inertia = np.mean([np.diag(model.mass_matrix(q)) for q in poses], axis=0)
     friction = np.abs(chain.friction[:, VISCOUS]) * USUAL_RATE + np.abs(chain.friction[:, DRY])
     return np.sqrt(gravity + (USUAL_ACCELERATION * inertia) ** 2 + friction**2)
