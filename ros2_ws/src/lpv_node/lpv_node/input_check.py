@@ -83,7 +83,8 @@ class OneSender:
         self._stamp, self._heard = stamp, now
         found = np.where(np.isfinite(found), found, self._position)
         if 0.0 < step <= MAX_GAP:
-            self._rate = np.clip((found - self._position) / step, -self._limit, self._limit)
+            most = self._limit * step  # a rate over a tiny step may be no number
+            self._rate = np.clip(found - self._position, -most, most) / step
         self._position = found
         return True
 

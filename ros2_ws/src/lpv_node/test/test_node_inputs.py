@@ -123,6 +123,16 @@ def stream_of(sender, stamps, position, several=True, names=('joint1', 'joint2')
     return [sender.accept(round(s * 1e9), names, position, 1 + several, s) for s in stamps]
 
 
+def test_given_huge_readings_when_they_come_at_once_then_rates_stay_numbers(paper_arm):
+    sender, stamps = input_check.OneSender(paper_arm), [0.0, 1e-9, 2e-9, 0.002]
+    with np.errstate(all='raise'):
+        for sign, stamp in enumerate(stamps):
+            huge = [1e300 * (-1.0) ** sign, 0.0]
+            assert all(stream_of(sender, [stamp], huge, False))
+        assert all(stream_of(sender, [0.0021, 0.0022], [1.0, 0.5], False))
+    assert (np.abs(sender._rate) <= sender._limit).all()
+
+
 @pytest.mark.parametrize('later', [0.0, 0.001, -0.001, -0.5, 10.0])
 def test_given_two_senders_when_they_alternate_then_only_the_first_is_used(paper_arm, later):
     sender = input_check.OneSender(paper_arm)

@@ -4,11 +4,11 @@ import asyncio
 import json
 import re
 import socket
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import pytest
 from places import PACKAGES
-from test_view_server import aiohttp, connected, get, send
+from test_view_server import GUARD, aiohttp, connected, get, send
 
 pytest.importorskip('foxglove', reason='foxglove-sdk is not installed')
 pytest.importorskip('rclpy', reason='no ROS 2: neither wheels nor a sourced one')
@@ -57,17 +57,17 @@ class Viewer:
         self.ws, self.channels = ws, {}
 
     async def start(self, count=4):  # TOPICS and the band
-        info = await self.ws.receive_json(timeout=10.0)
+        info = await self.ws.receive_json(timeout=GUARD)
         assert info['op'] == 'serverInfo'
         while len(self.channels) < count:
-            message = await self.ws.receive_json(timeout=10.0)
+            message = await self.ws.receive_json(timeout=GUARD)
             assert message['op'] == 'advertise'
             self.channels.update({c['id']: c for c in message['channels']})
         wanted = [{'id': 100 + i, 'channelId': i} for i in self.channels]
         await self.ws.send_json({'op': 'subscribe', 'subscriptions': wanted})
         return info
 
-    async def next(self, timeout=10.0):
+    async def next(self, timeout=GUARD):
         """Topic, time [ns] and bytes of the next message."""
         message = await self.ws.receive(timeout=timeout)
         assert message.type == aiohttp.WSMsgType.BINARY and message.data[0] == 1, message
@@ -96,20 +96,23 @@ def test_given_a_client_when_it_subscribes_then_it_can_read_messages_by_the_sche
             viewer = Viewer(ws)
             info = await viewer.start()
             assert info['capabilities'] == [], 'clients can only look'
-            await asyncio.sleep(0.2)
-            data = serialize_message(scene.markers(arms, stamp))
-            running.send('/lpv/arm_markers', data, stamp)
+            data, messages = serialize_message(scene.markers(arms, stamp)), {}
             band = {'estimate': [0.1, 0.2], 'bound': [0.3, 0.3], 'threshold': [0.4, 0.5]}
-            running.send_band(band, stamp)
-            return viewer.channels, [await viewer.next() for _ in range(2)]
+            for _ in range(300):  # until the server has heard of the subscriptions
+                running.send('/lpv/arm_markers', data, stamp)
+                running.send_band(band, stamp)
+                with suppress(asyncio.TimeoutError):
+                    topic, *messages[topic] = await viewer.next(timeout=0.2)
+                if len(messages) == 2:
+                    break
+            return viewer.channels, messages
 
     with bridge(paper_arm) as (running, port):
-        channels, received = asyncio.run(session(running, port))
+        channels, messages = asyncio.run(session(running, port))
     by_topic = {c['topic']: c for c in channels.values()}
     for topic, (msgtype, _) in TOPICS.items():
         told = {'schemaName': msgtype, 'encoding': 'cdr', 'schemaEncoding': 'ros2msg'}
         assert told.items() <= by_topic[topic].items()
-    messages = {topic: (time, data) for topic, time, data in received}
     assert {time for time, _ in messages.values()} == {stamp}
     markers = decode(by_topic['/lpv/arm_markers'], messages['/lpv/arm_markers'][1]).markers
     assert {m.ns for m in markers} == {'true', 'estimated'}
