@@ -28,8 +28,7 @@ with contextlib.suppress(ImportError):  # an older one draws none
 settings.register_profile('lpv', deadline=None, derandomize=True, database=None, max_examples=200)
 settings.load_profile('lpv')
 
-from lpv import load_arm, load_gains, load_scenario  # noqa: E402
-from lpv.core.uio.planar import planar_model  # noqa: E402
+import lpv  # noqa: E402  # its functions are loaded when asked for: not where nothing is run
 
 _ROS = importlib.util.find_spec('rclpy') is not None
 _OF_ROS = re.compile(r'^(import|from) (rclpy|hostile|lpv_node import|\w+_msgs)\b', re.MULTILINE)
@@ -69,24 +68,30 @@ def signals_as_before():
 @pytest.fixture(scope='session')
 def paper_arm():
     """Arm of the paper's Table 1."""
-    return load_arm('paper')
+    return lpv.load_arm('paper')
 
 
 @pytest.fixture(scope='session')
 def real_arm():
     """Arm of the recordings: relative encoders, hanging, with rotors and friction."""
-    return load_arm('real_arm')
+    return lpv.load_arm('real_arm')
+
+
+def in_plane(arm):
+    from lpv.core.uio.planar import planar_model
+
+    return planar_model(arm)
 
 
 @pytest.fixture(scope='session')
 def paper_model(paper_arm):
     """The same in the paper's symbols, as designs take it."""
-    return planar_model(paper_arm)
+    return in_plane(paper_arm)
 
 
 @pytest.fixture(scope='session')
 def real_model(real_arm):
-    return planar_model(real_arm)
+    return in_plane(real_arm)
 
 
 @pytest.fixture(params=['paper_arm', 'real_arm'])
@@ -98,24 +103,24 @@ def arm(request):
 @pytest.fixture
 def planar(arm):
     """The same in the paper's symbols."""
-    return planar_model(arm)
+    return in_plane(arm)
 
 
 @pytest.fixture(scope='session')
 def two_faults():
     """Shipped scenario with an abrupt and an incipient fault."""
-    return load_scenario('two_faults')
+    return lpv.load_scenario('two_faults')
 
 
 @pytest.fixture(scope='session')
 def paper_gains():
     """Shipped gains as a design returns them: tests change what a checksum of a file would tell."""
-    return replace(load_gains('paper'), checksum='')
+    return replace(lpv.load_gains('paper'), checksum='')
 
 
 @pytest.fixture(scope='session')
 def real_gains():
-    return replace(load_gains('real_arm'), checksum='')
+    return replace(lpv.load_gains('real_arm'), checksum='')
 
 
 @pytest.fixture(scope='session')
