@@ -28,6 +28,13 @@ from lpv.files import load_arm
 DURATION, PERIOD = 8.0, 0.02  # [s]
 
 
+def seeds(count, fast):
+    """Seeds of runs; those after the first few are left to the whole suite."""
+    return [
+        seed if seed < fast else pytest.param(seed, marks=pytest.mark.slow) for seed in range(count)
+    ]
+
+
 def arm_named(name, sample_time, rates):
     """An arm that is shipped, or of two or three joints, with such rates."""
     arm = load_arm(name) if name in {'ur10', 'panda'} else shoulder_arm()
@@ -93,7 +100,7 @@ def alarms(arm, run):
     return [(one.sensor, one.kind) for one in watch(arm, run).alarms]
 
 
-@pytest.mark.parametrize('seed', [0, 1])
+@pytest.mark.parametrize('seed', seeds(2, fast=1))
 @pytest.mark.parametrize('step', [1e-4, 1e-3])
 @pytest.mark.parametrize('sample_time', [0.01, 0.002])
 @pytest.mark.parametrize('rates', ['derived', 'independent'])
@@ -125,7 +132,7 @@ def followed(seed, step, error):
 
 
 @pytest.mark.parametrize('step', [1e-4, 1e-3])
-@pytest.mark.parametrize('seed', range(4))
+@pytest.mark.parametrize('seed', seeds(4, fast=1))
 def test_given_noise_that_ends_while_its_joint_rests_when_named_then_nothing_is_frozen(seed, step):
     noise = 0.02 * np.random.default_rng(seed).normal(size=round(DURATION / 0.01))
     sensor, found, faults = followed(seed, step, lambda t: noise * ((t > 3.5) & (t < 6.0)))
@@ -146,7 +153,7 @@ def test_given_a_noisy_reading_when_its_rate_is_derived_then_balances_take_calm_
 
 
 @pytest.mark.parametrize('size', [0.02, 0.1])
-@pytest.mark.parametrize('seed', range(4))
+@pytest.mark.parametrize('seed', seeds(4, fast=2))
 def test_given_a_reading_at_rest_when_it_jumps_then_it_is_biased_and_did_not_freeze(seed, size):
     sensor, found, faults = followed(seed, 1e-4, lambda t: size * (t > 5.0))
     assert found == {(sensor, 'bias')}
@@ -176,7 +183,7 @@ def held_by_friction(arm, seed, rest=12.0, most=1.0, moves=2):
 
 
 @pytest.mark.parametrize('rates', ['derived', 'independent'])
-@pytest.mark.parametrize('seed', range(2))
+@pytest.mark.parametrize('seed', seeds(2, fast=1))
 def test_given_friction_that_holds_joints_for_long_when_healthy_then_bounds_hold(seed, rates):
     arm = arm_named('ur10', 0.01, rates)
     run, monitor = held_by_friction(arm, seed), SerialMonitor(arm)
@@ -274,7 +281,7 @@ def test_given_stamps_that_scatter_when_the_arm_moves_then_their_error_is_learne
     assert np.median(learned) == pytest.approx(jitter, abs=0.05)
 
 
-@pytest.mark.parametrize('seed', range(10))
+@pytest.mark.parametrize('seed', seeds(10, fast=4))
 def test_given_stamps_that_scatter_when_encoders_are_healthy_then_none_is_blamed(seed):
     assert [(a.sensor, a.kind) for a in monitored(seed, 0.2).alarms if a.sensor] == []
 
