@@ -67,6 +67,7 @@ def _source(module: str, above: Path) -> Path | None:
     return None
 
 
+@cache
 def module_digest(source: Path, module: str) -> str:
     """Hash of a module and of all modules of this project that it imports, directly or not.
 
