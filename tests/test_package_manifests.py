@@ -10,7 +10,6 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-import setuptools
 from import_graph import imports
 from places import PACKAGES, ROOT
 
@@ -50,7 +49,7 @@ def missing_dependencies(package, declared, remarks):
 def options_of(package, monkeypatch):
     options = {}
     monkeypatch.chdir(package)
-    monkeypatch.setattr(setuptools, 'setup', options.update)
+    monkeypatch.setattr('setuptools.setup', options.update)
     runpy.run_path(str(package / 'setup.py'))
     return options
 

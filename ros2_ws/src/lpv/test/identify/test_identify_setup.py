@@ -237,7 +237,13 @@ MISTAKES = {
 }
 
 
-@pytest.mark.parametrize('name', MISTAKES)
+ALIKE = {'mounted on a wall', 'tilt and a sign', 'other signs', 'currents'}
+"""Mistakes whose like is among the fast tests: the whole suite looks for them."""
+
+
+@pytest.mark.parametrize(
+    'name', [pytest.param(n, marks=[pytest.mark.slow] * (n in ALIKE)) for n in MISTAKES]
+)
 def test_given_mistakes_when_looked_for_then_the_most_evident_one_is_named(
     rough_arm, recording, name
 ):
