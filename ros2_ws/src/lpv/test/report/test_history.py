@@ -180,22 +180,6 @@ def test_given_a_reading_that_jumps_back_when_reported_then_its_fault_is_missed_
     assert found.delay == pytest.approx(0.23)
 
 
-def test_given_a_wrong_rate_beside_a_drift_when_gathered_then_each_has_its_own_end_and_unit(
-    paper_arm, capsys
-):
-    rate, drift = {'kind': 'rate_bias', 'size': -0.05}, {'kind': 'drift'}
-    alarms = [event(210, **rate), event(300, **drift), event(400, 300, **drift | CLEARED)]
-    record = made_up([], [*alarms, event(500, 210, **rate | CLEARED)])
-    first, second = episodes(record)
-    assert (first.kind, first.raised, first.cleared) == ('rate_bias', 0.21, 0.5)
-    assert (first.size, first.unit(paper_arm), math.isnan(first.largest)) == (-0.05, 'rad/s', True)
-    assert (second.kind, second.raised, second.cleared) == ('drift', 0.3, 0.4)
-    record.alarms = record.alarms[:2]
-    assert [(e.cleared, e.size) for e in episodes(record)] == [(None, -0.05), (None, 0.998)]
-    compare.show(compare_runs(record, record, paper_arm), Console(width=80))
-    assert '-0.050 rad/s' in capsys.readouterr().out
-
-
 def test_given_a_prismatic_joint_when_reported_then_its_figures_are_in_metres(paper_arm, capsys):
     first, second = paper_arm.joints
     arm = replace(paper_arm, joints=(first, replace(second, type='prismatic')))
@@ -299,10 +283,10 @@ def test_given_many_stretches_when_listed_then_the_longest_are_shown_and_all_are
     assert sum(kept) + rest['duration'] == pytest.approx(sum(p.duration for p in many))
 
 
-def test_given_a_rate_that_is_off_beside_a_bias_when_gathered_then_each_has_its_end_and_unit(
-    paper_arm,
+def test_given_a_wrong_rate_beside_offsets_when_gathered_then_each_has_its_own_end_and_unit(
+    paper_arm, capsys
 ):
-    rate, times = {'kind': 'rate_bias', 'size': 0.05}, (100, 120)
+    rate, times, drift = {'kind': 'rate_bias', 'size': -0.05}, (100, 120), {'kind': 'drift'}
     alarms = [
         event(120, *times, kind='bias'),
         event(200, **rate),
@@ -310,18 +294,29 @@ def test_given_a_rate_that_is_off_beside_a_bias_when_gathered_then_each_has_its_
         event(300, 200, 200, **rate, **CLEARED),
         event(400, *times, kind='bias', **CLEARED),
         event(500, **rate),
+        event(510, **drift),
+        event(550, 510, **drift, **CLEARED),
         event(600, kind='noise', size=0.02, **RIGHT),
+        event(700, 510, **rate, **CLEARED),
+        event(800, **rate),
+        event(810, **drift),
     ]
-    found = [
-        (e.kind, e.raised, e.cleared, e.size, e.unit(paper_arm))
-        for e in episodes(made_up(alarms=alarms))
-    ]
-    assert found == [
+    record = made_up([], alarms)
+    found = episodes(record)
+    told = [(e.kind, e.raised, e.cleared, e.size, e.unit(paper_arm)) for e in found]
+    assert told == [
         ('bias', 0.12, 0.4, 0.3, 'rad'),
-        ('rate_bias', 0.2, 0.3, 0.05, 'rad/s'),
-        ('rate_bias', 0.5, None, 0.05, 'rad/s'),
+        ('rate_bias', 0.2, 0.3, -0.05, 'rad/s'),
+        ('rate_bias', 0.5, 0.7, -0.05, 'rad/s'),
+        ('drift', 0.51, 0.55, 0.3, 'rad'),
         ('noise', 0.6, None, 0.02, 'rad'),
+        ('rate_bias', 0.8, None, -0.05, 'rad/s'),
+        ('drift', 0.81, None, 0.998, 'rad'),
     ]
+    unknown = [math.isnan(e.largest) for e in found]
+    assert unknown == [kind in ('rate_bias', 'noise') for kind, *_ in told]
+    compare.show(compare_runs(record, record, paper_arm), Console(width=80))
+    assert '-0.050 rad/s' in capsys.readouterr().out
 
 
 def test_given_a_run_that_ran_away_when_shown_then_its_colours_are_those_of_the_theme(shown):
