@@ -25,7 +25,7 @@ from lpv.core.serial_arm.diagnosis.information import (
 )
 from lpv.core.serial_arm.diagnosis.onset import whitened
 from lpv.core.serial_arm.diagnosis.parameter_error import NEGLIGIBLE
-from lpv.core.serial_arm.diagnosis.priors import AMPLITUDES, SMOOTH_TIMES, STEADY_FOR
+from lpv.core.serial_arm.diagnosis.priors import AMPLITUDES, HORIZON_TIME, SMOOTH_TIMES, STEADY_FOR
 from lpv.core.serial_arm.dynamics.kinematics import fill_jacobian, joint_frames
 from lpv.core.support.jit import njit, njit_in_place
 
@@ -65,7 +65,8 @@ def new_contact(lengths: list[int], torque: FloatArray, interval: float, capacit
     for w, length in enumerate(lengths):
         values[w, :length], vectors[w, :length, :length] = _rough(length, interval)
     smooth = tuple(_courses(longest, interval, one) for one in SMOOTH_TIMES)
-    constant, changing = (_courses(capacity, interval, one) for one in SMOOTH_TIMES[:2])
+    changing = _courses(capacity, interval, HORIZON_TIME)
+    constant = _courses(capacity, interval, SMOOTH_TIMES[0])
     shares = len(AMPLITUDES)
     return Contact(
         np.array(lengths), torque, np.zeros(n), np.zeros(count, np.int64),

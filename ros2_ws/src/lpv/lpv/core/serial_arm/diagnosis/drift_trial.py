@@ -35,9 +35,6 @@ from lpv.core.support.jit import njit_in_place
 GAIN, SIZE, SIGMA, BEGIN, BACK, NEXT, PROMISE = range(7)
 """Columns of trials: those of `onset.Onset`, the size to which a Newton step leads [rad/s], and the
 gain there, to second order."""
-_DIVERGED = 100.0
-"""Standard deviations of drifts beyond which the search for a size has diverged: they alone cost
-more than balances give."""
 _REFINED = 2
 """Trials that are refined, as many as start from one onset, and Newton steps for the size of a
 drift from each of them."""
@@ -268,7 +265,7 @@ def compare_drifts(
                 at = _most_promising(every[:first]) if (t - first) % _REFINED == 0 else t - 1
                 start = every[at]
                 size = start[NEXT]
-                goes_on = at >= 0 and abs(size) < _DIVERGED * prior
+                goes_on = at >= 0 and math.isfinite(size)
             if goes_on:
                 trial, older = every[t], count - 1 - int(start[BACK])
                 step = math.copysign(0.1 * max(abs(size), SLOW_RATE), size)

@@ -54,6 +54,8 @@ USUAL_ACCELERATION = 2.0
 """The same [rad/s2]."""
 FAST = 3.0
 """Usual rate of a joint whose limit is higher [rad/s]."""
+LEAST_ACCELERATION = 1.0
+"""Usual acceleration of a joint that has hardly been seen to move [rad/s2]."""
 ACCELERATIONS = (1.0, 4.0, 16.0)
 """Accelerations of a joint whose reading froze that are tried, over the usual one: a loop that is
 closed on the reading drives its joint away."""
@@ -66,3 +68,5 @@ AMPLITUDES = (1.0, 0.3, 0.1, 0.03)
 """Amplitudes of torques from outside that are tried, in the largest plausible one."""
 SMOOTH_TIMES = (1e3, 1.0, 0.5)
 """Correlation times of the smooth courses [s]; the first one is constant."""
+HORIZON_TIME = 2.0
+"""The same for a torque over the whole horizon [s]."""

@@ -14,14 +14,12 @@ from scipy.special import expit
 from lpv.core.serial_arm.diagnosis.balance import OFFSET, SCALE
 from lpv.core.serial_arm.diagnosis.bank import Bank
 from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator
-from lpv.core.serial_arm.diagnosis.fault_filter import FaultFilter
+from lpv.core.serial_arm.diagnosis.fault_filter import LARGEST_SCALE, FaultFilter
 from lpv.core.serial_arm.diagnosis.information import recent
 from lpv.core.serial_arm.diagnosis.onset import weigh_errors
 from lpv.core.serial_arm.diagnosis.priors import POSE_TIME
 from lpv.core.serial_arm.diagnosis.readings import Readings
 
-LARGEST_SCALE = 0.5
-"""Largest scale error that is looked for in jumps [-]."""
 KIND_ODDS = 2.0
 """A hypothesis is the likelier one when it is so many times as likely.  Which sensor is to blame is
 known; until the kind is sure, bounds hold both."""

@@ -16,6 +16,7 @@ from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator, Posterior, 
 from lpv.core.serial_arm.diagnosis.information import ROBUST, factorise, recent, whiten
 from lpv.core.serial_arm.diagnosis.priors import (
     ACCELERATIONS,
+    LEAST_ACCELERATION,
     OFFSET_PRIOR,
     SLOW_RATE,
     USUAL_ACCELERATION,
@@ -53,9 +54,9 @@ def usual_acceleration(blocks: FloatArray, joint: int, joints: int, per_interval
     time, rate = blocks[len(blocks) - whole :, [3 * joints, joints + joint]].T
     time, rate = time.reshape(-1, per_interval).mean(1), rate.reshape(-1, per_interval).mean(1)
     if len(rate) < 2:
-        return USUAL_ACCELERATION
+        return LEAST_ACCELERATION
     change = np.diff(rate) / np.diff(time)
-    return max(float(np.sqrt((change**2).mean())), USUAL_ACCELERATION)
+    return max(float(np.sqrt((change**2).mean())), LEAST_ACCELERATION)
 
 
 def course_of_frozen(
