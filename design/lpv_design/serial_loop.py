@@ -1,6 +1,6 @@
 """Certificate of a serial arm's computed-torque loop: the solver's part.
 
-What is found is rebuilt and judged by `lpv.core.serial_arm.certificate.conditions`.
+What is found is rebuilt and judged by `LoopGains.verify`.
 """
 
 from collections.abc import Callable

@@ -60,9 +60,8 @@ def shipped_files(kind: str) -> dict[str, Path]:
 def bringup_file(kind: str, name: str) -> Path:
     """An arm, scenario, column or campaign file: a path, or the bare name of a shipped one.
 
-    ``kind`` is a folder of lpv_bringup, e.g. arms.  A bare name goes
-    with or without ``.yaml``.  ConfigError, which names the shipped files, if there is no such
-    file.
+    ``kind`` is a folder of lpv_bringup, e.g. arms.  A bare name goes with or without ``.yaml``.
+    ConfigError, which names the shipped files, if there is no such file.
     """
     path = Path(name)
     if path.suffix in ('.yaml', '.yml') and path.is_file():
