@@ -8,13 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lpv.core.serial_arm.chain import Chain, FloatArray, compile_chain, workspace
+from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import SerialArm
-from lpv.core.serial_arm.dynamics.friction import friction_torque
-from lpv.core.serial_arm.dynamics.newton_euler import inverse_dynamics
+from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.support.entries import entry, part, positive
 from lpv.core.support.errors import ConfigError
-from lpv.core.support.jit import njit
 from lpv.core.support.limits import FAR
 from lpv.core.uio.model.kinematics import ELBOWS, forward, inverse, joint_motion
 from lpv.core.uio.planar import planar_links, plane_of
@@ -64,24 +62,6 @@ def rest_to_rest(knots: np.ndarray, points: np.ndarray) -> Any:
     still = np.zeros(points.shape[1])
     rest = [(1, still), (2, still)]
     return make_interp_spline(knots, points, k=5, bc_type=(rest, rest))
-
-
-@njit
-def _fill_torques(
-    chain: Chain,
-    position: FloatArray,
-    rate: FloatArray,
-    bend: FloatArray,
-    work: FloatArray,
-    torque: FloatArray,
-) -> None:
-    """Joint torques of motions, friction included, one row each."""
-    friction = np.empty(position.shape[1])
-    for k in range(len(position)):
-        inverse_dynamics(chain, position[k], rate[k], bend[k], work, torque[k])
-        friction_torque(chain, rate[k], torque[k], friction)
-        for i in range(len(friction)):
-            torque[k, i] += friction[i]
 
 
 def _beyond(reason: str, limit: str) -> ConfigError:
@@ -140,10 +120,8 @@ class TimedPath(ABC):
     def _check_limits(self, arm: SerialArm, times: np.ndarray) -> None:
         """ConfigError if a limit of a joint is exceeded at one of many times."""
         motion = self.sample(times)
-        torque = np.empty_like(motion.position)
         rows = motion.position, motion.velocity, motion.acceleration
-        _fill_torques(self._chain, *rows, workspace(self._chain), torque)
-        rate, torque = np.abs(motion.velocity), np.abs(torque)
+        rate, torque = np.abs(motion.velocity), np.abs(SerialModel(self._chain).torque(*rows))
         for i, joint in enumerate(arm.joints):
             limits, (unit, torque_unit) = joint.limits, joint.units
             low, high = motion.position[:, i].min(), motion.position[:, i].max()

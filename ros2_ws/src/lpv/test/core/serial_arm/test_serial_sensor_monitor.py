@@ -144,7 +144,7 @@ def test_given_no_efforts_or_none_of_the_weight_then_no_offsets_are_diagnosable(
     else:
         arm, said = replace(ARM, effort_includes_gravity=False), 'leave out the weight'
         model = SerialModel(compile_chain(arm))
-        samples[:, 2] -= [model.gravity(q) for q in position]
+        samples[:, 2] -= model.gravity(position)
     _, answers = observe(stamps, samples, SerialSensorMonitor('/uio', arm))
     assert told(answers) == RAISED  # jumps are found
     assert np.abs(answers.fault.estimate[:400]).max() < 0.01

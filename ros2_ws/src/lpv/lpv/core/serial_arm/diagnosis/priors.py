@@ -26,8 +26,8 @@ FAULT_AT_START = 1e-3
 OFFSET_PRIOR = 0.5
 """Standard deviation of an offset of which nothing is known [rad]."""
 WIDEST_LEVEL = 0.1
-"""The same of one that cannot be diagnosed, and of that beside a scale error that has just been
-named [rad], times `SerialJoint.scale`."""
+"""The same of one that cannot be diagnosed, times `SerialJoint.scale`, and of that beside a scale
+error that has just been named [rad]."""
 STEADY = 0.1
 """Change of the rate of a drift in a second, standard deviation [rad/s]."""
 SCALE_STEADY = 0.01
