@@ -8,6 +8,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from places import BRINGUP
 
+from lpv.bag.rosbag import writing
 from lpv.bag.rosbag.reading import open_bag
 from lpv.bag.run.csv_import import ANGLE_UNITS, TIME_UNITS, CsvError, import_csv, load_column_map
 from lpv.core.support.errors import ConfigError
@@ -150,6 +151,19 @@ def test_given_no_file_or_an_existing_bag_when_imported_then_it_is_an_error(conv
         with pytest.raises(CsvError, match=file.name if delimiter == ',' else ''):
             import_csv(file, columns, tmp_path / 'bag', delimiter=delimiter)
     assert not (tmp_path / 'bag').exists()
+
+
+def test_given_a_disk_that_is_full_when_imported_then_it_is_the_bag_that_is_not_written(
+    convert, monkeypatch
+):
+    def refuse(*_):
+        raise OSError(28, 'No space left on device')
+
+    monkeypatch.setattr(writing._File, 'add_message', refuse)
+    # It was called an error of the recording.
+    with pytest.raises(ConfigError, match=r'bag: bag: cannot be written.*No space left on device'):
+        convert(HEADER + LINES)
+    assert not (convert.folder / 'bag').exists()
 
 
 def test_given_a_map_when_loaded_then_the_shipped_one_fits_and_mistakes_are_named(tmp_path):

@@ -185,11 +185,11 @@ class BagWriter:
     def __enter__(self) -> 'BagWriter':
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, _: object) -> None:
         missing = self.close()
-        if kind is not None:  # half a bag looks like a whole one, and would block the next try
+        if error is not None:  # half a bag looks like a whole one, and would block the next try
             shutil.rmtree(self.path, ignore_errors=True)
-        elif missing:
+        if missing and error in (None, self._failure):
             raise ConfigError('bag', f'cannot be written as a whole: {missing}', str(self.path))
 
     @property

@@ -3,6 +3,7 @@
 import csv
 import math
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from decimal import Decimal
 from itertools import chain
@@ -84,16 +85,23 @@ def import_csv(
     """Write a bag of JointState from a CSV file, else CsvError; messages, and warnings."""
     # Empty cells become NaN: the observer has modes for missing values.
     warnings = list[str]()
+    samples = read_samples(source, columns, delimiter, warnings)
+    first = next(samples, None)
+    if first is None:
+        raise CsvError(f'{source}: holds no sample')
+    with BagWriter(out) as writer:
+        count = writer.write_joint_states(topic, columns.joints, chain([first], samples))
+    return count, warnings
+
+
+@contextmanager
+def opened(source: str | Path, delimiter: str = ',') -> Iterator[Any]:
+    """The `csv.reader` of a file; CsvError, from whatever uses it inside, if it cannot be read."""
     try:
-        samples = read_samples(source, columns, delimiter, warnings)
-        first = next(samples, None)
-        if first is None:
-            raise CsvError(f'{source}: holds no sample')
-        with BagWriter(out) as writer:
-            count = writer.write_joint_states(topic, columns.joints, chain([first], samples))
+        with open(source, newline='', encoding='utf-8-sig') as file:
+            yield csv.reader(file, delimiter=delimiter)
     except (OSError, UnicodeDecodeError, csv.Error, TypeError) as error:
         raise CsvError(f'{source}: cannot be read ({error})') from error
-    return count, warnings
 
 
 def read_samples(
@@ -102,8 +110,7 @@ def read_samples(
     """Stamps, positions, rates and efforts, one by one: a long recording is never in memory."""
     unit, scales = TIME_UNITS[columns.time_unit], [UNITS[columns.unit(j)] for j in columns.joints]
     vectors = tuple(zip(zip(*columns.joints.values()), (scales, scales, [1.0] * len(scales))))
-    with open(source, newline='', encoding='utf-8-sig') as file:
-        reader = csv.reader(file, delimiter=delimiter)
+    with opened(source, delimiter) as reader:
         header = [name.strip() for name in next(reader, [])]
         for name in columns.columns:
             if header.count(name) != 1:

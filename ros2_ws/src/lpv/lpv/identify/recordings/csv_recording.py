@@ -1,6 +1,5 @@
 """CSV recordings: columns by a column map, or guessed from the names in the header."""
 
-import csv
 import re
 from array import array
 from collections.abc import Sequence
@@ -9,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lpv.bag.run.csv_import import ColumnMap, CsvError, read_samples
+from lpv.bag.run.csv_import import ColumnMap, opened, read_samples
 from lpv.core.serial_arm.chain import MAX_JOINTS
 from lpv.core.support.limits import MOST_SAMPLES
 from lpv.identify.errors import IdentificationError
@@ -34,17 +33,14 @@ def read_csv(
     """
     notes, count = list[str](), len(joints) + len(others)
     stamps, *parts = array('q'), array('d'), array('d'), array('d')
-    try:
-        columns = columns or guess_columns(path, _header(path), joints)
-        chosen = _chosen(path, columns, joints, others)
-        for stamp, *vectors in read_samples(path, chosen, ',', notes):
-            stamps.append(stamp)
-            for part, vector in zip(parts, vectors):
-                part.extend(vector)
-            if len(stamps) > MOST_SAMPLES:
-                raise IdentificationError(f'{path}: has more than {MOST_SAMPLES} samples')
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise CsvError(f'{path}: cannot be read ({error})') from error
+    columns = columns or guess_columns(path, _header(path), joints)
+    chosen = _chosen(path, columns, joints, others)
+    for stamp, *vectors in read_samples(path, chosen, ',', notes):
+        stamps.append(stamp)
+        for part, vector in zip(parts, vectors):
+            part.extend(vector)
+        if len(stamps) > MOST_SAMPLES:
+            raise IdentificationError(f'{path}: has more than {MOST_SAMPLES} samples')
     time = np.array(stamps)
     position, velocity, effort = (
         np.array(part).reshape(-1, count) if part else np.full((len(time), count), np.nan)
@@ -55,8 +51,8 @@ def read_csv(
 
 
 def _header(path: Path) -> list[str]:
-    with open(path, newline='', encoding='utf-8-sig') as file:
-        return [name.strip() for name in next(csv.reader(file), [])]
+    with opened(path) as reader:
+        return [name.strip() for name in next(reader, [])]
 
 
 def _chosen(
