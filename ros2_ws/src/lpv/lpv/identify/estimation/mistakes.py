@@ -8,6 +8,7 @@ the file says for that.
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -54,15 +55,27 @@ class Mistake:
 
 @dataclass(frozen=True)
 class _Setup:
-    """Slow signals of all segments, and the gravity that is assumed."""
+    """Slow signals of all segments, one after the other, and the gravity that is assumed."""
 
-    segments: tuple[Segment, ...]
+    ends: np.ndarray  # rows at which one segment ends and the next one begins
+    steps: Sequence[float]  # sample time of each segment [s]
+    time: np.ndarray  # since the start of the segment, shape (samples,) [s]
+    position: np.ndarray  # shape (samples, n) [rad]
+    velocity: np.ndarray  # shape (samples, n) [rad/s]
+    effort: np.ndarray  # shape (samples, n)
     gravity: np.ndarray  # in the base's frame [m/s2]
     rigid: tuple[np.ndarray, ...]  # regressors without gravity, then per unit of it along x, y, z
     moves: np.ndarray  # where joints do, as friction at rest is unknown, shape (samples, n)
     # torques of the segments per unit of the recorded efforts, shape (n,)
     gain: float | np.ndarray = 1.0
     loaded: bool = False  # whether any load may be at the tip, whatever the file says
+
+    def each(
+        self, change: Callable[[np.ndarray, float], np.ndarray], signal: np.ndarray
+    ) -> np.ndarray:
+        """A signal of all segments, changed in each of them."""
+        parts = zip(np.split(signal, self.ends), self.steps)
+        return np.concatenate([change(part, step) for part, step in parts])
 
 
 def find_mistakes(arm: SerialArm, recordings: Sequence[Recording]) -> list[Mistake]:
@@ -190,24 +203,37 @@ class _Judge:
         pull = self._known @ self._load
         return self._known - sigma**2 * np.outer(pull, pull) / (1.0 + sigma**2 * pull @ self._load)
 
-    def setup(self, segments: tuple[Segment, ...], gravity: np.ndarray) -> _Setup:
+    def setup(self, segments: Sequence[Segment], gravity: np.ndarray) -> _Setup:
         """A set-up with its regressors."""
+        parts = [(s.time - s.time[0], s.position, s.velocity, s.effort) for s in segments]
+        time, position, velocity, effort = (np.concatenate(part) for part in zip(*parts))
+        ends = np.cumsum([len(s.time) for s in segments])[:-1]
+        motion = self._motion(ends, [s.step for s in segments], position, velocity)
+        return _Setup(time=time, effort=effort, gravity=gravity, **motion)
+
+    def _motion(
+        self, ends: np.ndarray, steps: Sequence[float], position: np.ndarray, velocity: np.ndarray
+    ) -> dict[str, Any]:
+        """What a set-up holds of a motion."""
         parts, moves = [], []
-        for one in segments:
-            assert one.velocity is not None  # segments are those of a filtered recording
-            moves.append(moving(one.velocity, one.step, self._arm.scales()))
-            still = np.zeros_like(one.position)
-            motion = one.velocity, derivative(one.velocity, one.step)
-            full = [self._model.regressor(one.position, *motion, np.zeros(3))]
-            full += [self._model.regressor(one.position, still, still, axis) for axis in np.eye(3)]
+        for q, v, step in zip(np.split(position, ends), np.split(velocity, ends), steps):
+            moves.append(moving(v, step, self._arm.scales()))
+            still = np.zeros_like(q)
+            full = [self._model.regressor(q, v, derivative(v, step), np.zeros(3))]
+            full += [self._model.regressor(q, still, still, axis) for axis in np.eye(3)]
             base = (part[:, :, self._base.columns] for part in full)
-            parts.append([low_pass(part, self._band, one.step) for part in base])
+            parts.append([low_pass(part, self._band, step) for part in base])
         rigid = tuple(np.concatenate(part) for part in zip(*parts))
-        return _Setup(segments, gravity, rigid, np.concatenate(moves))
+        found = {'ends': ends, 'steps': steps, 'position': position, 'velocity': velocity}
+        return {**found, 'rigid': rigid, 'moves': np.concatenate(moves)}
+
+    def _moved(self, setup: _Setup, position: np.ndarray, velocity: np.ndarray) -> _Setup:
+        """The set-up with another motion."""
+        return replace(setup, **self._motion(setup.ends, setup.steps, position, velocity))
 
     def _filtered(self, setup: _Setup, signal: np.ndarray) -> np.ndarray:
         """What the motion excites of a signal of all segments."""
-        return _each(setup, lambda part, step: low_pass(part, self._band, step), signal)
+        return setup.each(lambda part, step: low_pass(part, self._band, step), signal)
 
     def _regressor(self, setup: _Setup) -> np.ndarray:
         return setup.rigid[0] + sum(g * part for g, part in zip(setup.gravity, setup.rigid[1:]))
@@ -242,12 +268,11 @@ class _Judge:
         differ; an offset; a gain and delay that are about as the file says; ``torque``, shape
         (samples, n), is what it expects.
         """
-        rates = np.concatenate([s.velocity for s in setup.segments])
-        _, n, size = columns.shape
+        rates, (_, n, size) = setup.velocity, columns.shape
         slope = np.full(n, SLOPE)
         friction = friction_columns(rates, slope, np.zeros_like(rates))[:, :, [0, 1, 3]]
         friction[:, :, 1] += friction[:, :, 0] * least_viscous(slope, self._fastest)
-        drives = np.stack([torque, _each(setup, derivative, torque)], axis=2)
+        drives = np.stack([torque, setup.each(derivative, torque)], axis=2)
         friction = self._filtered(setup, friction)
         own = [friction[:, :, :2] * part[:, None, None] for part in self._parts.values()]
         terms = np.concatenate([*own, friction[:, :, 2:], drives], axis=2)
@@ -263,7 +288,7 @@ class _Judge:
         self, setup: _Setup, design: np.ndarray, prior: Prior, passive: np.ndarray
     ) -> tuple[np.ndarray, ...]:
         """Huber's estimate of all parameters with the prior; residuals, scale of each joint."""
-        effort = self._filtered(setup, _efforts(setup))
+        effort = self._filtered(setup, setup.effort)
         spread = np.std(effort, axis=0)
         least = _MISSED * spread + 1e-9
         while True:
@@ -294,9 +319,7 @@ class _Judge:
     def _readings(self, j: int, setup: _Setup) -> _Tried:
         """Readings of a joint that are off in proportion to something."""
         joint, unit = self._arm.joints[j], np.eye(len(self._arm.joints))[j]
-        elapsed = _elapsed(setup)
-        position = np.concatenate([s.position[:, j] for s in setup.segments])
-        length = joint.units[0]
+        elapsed, position, length = setup.time, setup.position[:, j], joint.units[0]
         courses = [
             (np.ones(len(position)), f'{{:+.2g}} {length} all the time: is its zero right?', ''),
             (position, '{:+.1%} of what they are: is its ratio right?', ''),
@@ -309,25 +332,21 @@ class _Judge:
             size, left, other = 0.0, np.inf, setup
             for _ in range(_STEPS):
                 before = self.evidence(other)
-                ahead = self._moved(setup, (-size - 1e-3 * usual) * np.outer(course, unit))
+                ahead = self._shifted(setup, (-size - 1e-3 * usual) * np.outer(course, unit))
                 change = (self._regressor(ahead) - self._regressor(other)) @ before.beta / 1e-3
                 found = self.evidence(other, _halves(change, elapsed, course != 0.0))
                 left = usual * float(np.max(np.abs(found.extra)))
                 if found.over(before) - self.cost < (0.0 if size else _SURE):
                     break
                 size += float(np.clip(found.extra.mean(), -_FARTHEST, _FARTHEST)) * usual
-                other = self._moved(setup, -size * np.outer(course, unit))
+                other = self._shifted(setup, -size * np.outer(course, unit))
             if abs(size) > max(left, _LEAST_ANGLE * usual):
                 yield f'readings of {joint.name} are off by about {text.format(size, where)}', other
 
-    def _moved(self, setup: _Setup, change: np.ndarray) -> _Setup:
+    def _shifted(self, setup: _Setup, change: np.ndarray) -> _Setup:
         """The set-up with other positions by a change of shape (samples, n)."""
-        segments = []
-        for one, part in zip(setup.segments, np.split(change, _ends(setup))):
-            assert one.velocity is not None
-            velocity = one.velocity + derivative(part, one.step)
-            segments.append(replace(one, position=one.position + part, velocity=velocity))
-        return replace(self.setup(tuple(segments), setup.gravity), gain=setup.gain)
+        velocity = setup.velocity + setup.each(derivative, change)
+        return self._moved(setup, setup.position + change, velocity)
 
     def _gravities(self, setup: _Setup) -> _Tried:
         size = self._arm.gravity
@@ -374,8 +393,7 @@ class _Judge:
         )
 
     def _load_changes(self, setup: _Setup) -> _Tried:
-        elapsed = _elapsed(setup)
-        pull, effort = self._regressor(setup) @ self._load, _efforts(setup)
+        elapsed, pull = setup.time, self._regressor(setup) @ self._load
         parts = [(elapsed > m, f'after {m:.0f} s') for m in _CHANGES * elapsed.max()]
         parts += [(part, f'in {name}') for name, part in self._of_one.items()]
         for part, when in parts:
@@ -387,7 +405,7 @@ class _Judge:
             yield (
                 f'the load at the tip changes by about {mass:+.2g} kg {when}: '
                 'identify from recordings with one load',
-                self._changed(setup, np.split(effort - mass * other, _ends(setup))),
+                replace(setup, effort=setup.effort - mass * other),
             )
 
     def _turned(self, setup: _Setup) -> _Setup:
@@ -405,10 +423,6 @@ class _Judge:
                 break
         return setup
 
-    def _changed(self, setup: _Setup, efforts: Sequence[np.ndarray]) -> _Setup:
-        pairs = zip(setup.segments, efforts)
-        return replace(setup, segments=tuple(replace(s, effort=e) for s, e in pairs))
-
     def _signs(self, setup: _Setup) -> _Tried:
         names = self._arm.joint_names
         for j, name in enumerate((*names, None)):
@@ -416,7 +430,7 @@ class _Judge:
             who = f'of {name}' if name else 'of all joints'
             yield (
                 f'efforts {who} count against the motion: their sign is wrong (--gain)',
-                self._changed(setup, [sign * s.effort for s in setup.segments]),
+                replace(setup, effort=sign * setup.effort),
             )
 
     def _swaps(self, setup: _Setup) -> _Tried:
@@ -424,21 +438,19 @@ class _Judge:
         for j in range(len(names) - 1):
             order = np.arange(len(names))
             order[[j, j + 1]] = j + 1, j
-            swapped = tuple(s.with_joints(order) for s in setup.segments)
+            motion = setup.position[:, order], setup.velocity[:, order]
             text = f'signals of {names[j]} and {names[j + 1]} are swapped: their names are wrong'
-            yield text, replace(self.setup(swapped, setup.gravity), gain=setup.gain)
+            yield text, replace(self._moved(setup, *motion), effort=setup.effort[:, order])
 
     def _delays(self, setup: _Setup) -> _Tried:
         for delay in _DELAYS:
             how = 'late' if delay > 0.0 else 'early'
-            yield (
-                f'efforts come about {1e3 * abs(delay):.0f} ms too {how} against the motion',
-                self._changed(setup, [shifted(s.effort, -delay, s.step) for s in setup.segments]),
-            )
+            text = f'efforts come about {1e3 * abs(delay):.0f} ms too {how} against the motion'
+            yield text, replace(setup, effort=setup.each(partial(_earlier, delay), setup.effort))
 
     def _units(self, setup: _Setup) -> _Tried:
         expected = np.std(self._regressor(setup) @ self._mean, axis=0)
-        measured = np.std(_efforts(setup), axis=0)
+        measured = np.std(setup.effort, axis=0)
         carries = expected > 0.1 * expected.max()
         gain = expected / np.maximum(measured, 1e-12)
         least = min(gain[carries], key=lambda g: abs(np.log(g)))
@@ -449,11 +461,12 @@ class _Judge:
             'efforts are no torques in N m: currents? About '
             + ', '.join(f'{g:.3g}' for g in gain)
             + ' N m a unit would fit (--effort-unit A finds gains)',
-            replace(
-                self._changed(setup, [s.effort * gain for s in setup.segments]),
-                gain=setup.gain * gain,
-            ),
+            replace(setup, effort=setup.effort * gain, gain=setup.gain * gain),
         )
+
+
+def _earlier(delay: float, signal: np.ndarray, step: float) -> np.ndarray:
+    return shifted(signal, -delay, step)
 
 
 def _halves(columns: np.ndarray, time: np.ndarray, part: np.ndarray) -> np.ndarray:
@@ -461,29 +474,6 @@ def _halves(columns: np.ndarray, time: np.ndarray, part: np.ndarray) -> np.ndarr
     inside = time[part] if part.any() else time
     early = (time < 0.5 * (inside.min() + inside.max()))[:, None]
     return np.stack([columns * early, columns * ~early], axis=2)
-
-
-def _elapsed(setup: _Setup) -> np.ndarray:
-    """Time since the start of each segment, shape (samples,) [s]."""
-    return np.concatenate([s.time - s.time[0] for s in setup.segments])
-
-
-def _efforts(setup: _Setup) -> np.ndarray:
-    """Those of all segments, shape (samples, n)."""
-    return np.concatenate([s.effort for s in setup.segments])
-
-
-def _each(
-    setup: _Setup, change: Callable[[np.ndarray, float], np.ndarray], signal: np.ndarray
-) -> np.ndarray:
-    """A signal of all segments, changed in each of them."""
-    pairs = zip(np.split(signal, _ends(setup)), setup.segments)
-    return np.concatenate([change(part, one.step) for part, one in pairs])
-
-
-def _ends(setup: _Setup) -> np.ndarray:
-    """Rows at which one segment ends and the next one begins."""
-    return np.cumsum([len(s.time) for s in setup.segments])[:-1]
 
 
 def _turn(direction: np.ndarray, angle: float) -> str:

@@ -34,12 +34,6 @@ class Segment:
     velocity: np.ndarray | None  # raw, shape (samples, n) [rad/s]
     effort: np.ndarray  # raw, shape (samples, n) [unit of the driver]
 
-    def with_joints(self, order: np.ndarray) -> 'Segment':
-        """The segment with its joints in another order."""
-        velocity = None if self.velocity is None else self.velocity[:, order]
-        position, effort = self.position[:, order], self.effort[:, order]
-        return Segment(self.step, self.time, position, velocity, effort)
-
 
 @dataclass(frozen=True)
 class Bandwidths:
