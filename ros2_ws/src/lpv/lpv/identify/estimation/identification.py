@@ -61,7 +61,6 @@ def identify(
     share = 1.0 if tests else options.train_share
     workshop.estimate_gains(share)
     report('looking for mistakes of the set-up')
-    # Weight and load it finds by itself.
     # A load it finds by itself.
     mistakes = [m for m in find_mistakes(workshop.arm, recordings) if m.kind != 'load']
     workshop.warnings += [m.text for m in mistakes]

@@ -1,8 +1,7 @@
 """Recordings of an arm, and the choices on the way to its parameters."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
@@ -10,17 +9,12 @@ from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.limits import MAX_GAP
 from lpv.identify.estimation.assembly import consistent_parameters, fit_of, with_parameters
 from lpv.identify.estimation.delays import effort_delays, rate_delays
+from lpv.identify.estimation.evaluation import predict
 from lpv.identify.estimation.gains import estimate_gains
 from lpv.identify.estimation.regression import Filters, Fit, Rows, fit_parameters
-from lpv.identify.estimation.selection import (
-    EQUAL,
-    STRENGTHS,
-    choose_effort_band,
-    divide,
-    validation_error,
-)
+from lpv.identify.estimation.robust import bounded_squares
 from lpv.identify.model.base_parameters import find_base_parameters
-from lpv.identify.model.prior import base_prior
+from lpv.identify.model.prior import Prior, base_prior
 from lpv.identify.model.rigid_body import RigidBody
 from lpv.identify.recordings.filters import derivative
 from lpv.identify.recordings.motion import (
@@ -39,6 +33,13 @@ WEAK = 1e-3
 _PASSIVE = 0.08  # share of the acting torques below which a joint is not driven
 HELD = 1e3
 """Strength of the prior where the data leave the scale open."""
+_BLOCKS = 4  # of the training data, each of which is predicted from the others
+_STRENGTHS = (1e-2, 1e-1, 1.0, 1e1, 1e2)  # of the prior, that are tried
+# Bandwidths of the effort sensor that are tried [Hz].
+_EFFORT_BANDS = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 7.0, 10.0, 15.0, 20.0, 30.0)
+_GAIN = 0.9  # ratio of mean squares below which the richer model is taken
+_NOTHING = 1e-5  # share of an effort's power that counts for nothing
+_EQUAL = 0.02  # difference of the logarithms of mean squares that counts for nothing
 _BETTER = 0.95  # ratio of mean squares below which the other rates are taken
 
 
@@ -119,12 +120,12 @@ class Workshop:
 
     def train_rows(self, share: float) -> list[Rows]:
         """Rows of the first share of each segment."""
-        return [divide(rows, share)[0] for rows in self.rows]
+        return [_divided(rows, share)[0] for rows in self.rows]
 
     def test_rows(self, share: float, tests: Sequence[Recording]) -> list[Rows]:
         """Rows of other recordings, or of the rest of each segment."""
         if not tests:
-            return [divide(rows, share)[1] for rows in self.rows]
+            return [_divided(rows, share)[1] for rows in self.rows]
         return [self._rows(segment) for one in tests for segment in split(one)]
 
     def choose(self, share: float, report: Callable[[str], None]) -> None:
@@ -134,7 +135,7 @@ class Workshop:
             self._choose_rates(share)
         report('choosing the bandwidth of the efforts')
         weak = self.prior.times(WEAK)
-        band = choose_effort_band(self.train_rows(share), self.filters, weak)
+        band = _effort_band(self.train_rows(share), self.filters, weak)
         self.filters = replace(self.filters, effort=band)
         self.with_load = True
         report('choosing the weight of the parameters given')
@@ -151,11 +152,23 @@ class Workshop:
         return fit_of(self.arm_of(fit, strength), self.base, fit)
 
     def _errors(self, share: float, strengths: Sequence[float]) -> np.ndarray:
-        """Errors on blocks held back of the training data, with priors of some strengths."""
-        rows = self.train_rows(share)
+        """Mean logarithms of the joints' mean square errors [(N m)^2], by strength of the prior.
+
+        Of blocks of the training data that are predicted from the others; the error of a joint of
+        which nothing counts is 1, whatever the estimate.
+        """
+        rows, errors = self.train_rows(share), []
         slope = self.consistent_fit(rows, self.strength).slope
-        fits = [partial(self.consistent_fit, strength=s, slope=slope) for s in strengths]
-        return np.array([validation_error(rows, self.filters, fit) for fit in fits])
+        for strength in strengths:
+            total, count = np.zeros((2, self.n))
+            for train, valid in _blocks(rows):
+                fit = self.consistent_fit(train, strength, slope)
+                for found in (predict(one, fit, self.filters) for one in valid):
+                    total += bounded_squares(found.residual_band, found.counts)
+                    count += found.counts.sum(axis=0)
+            squares = np.divide(total, count, out=np.ones_like(total), where=total > 0.0)
+            errors.append(float(np.mean(np.log(squares))))
+        return np.array(errors)
 
     def _choose_rates(self, share: float) -> None:
         """Measured rates or derivatives of positions: the other one if that predicts better."""
@@ -167,9 +180,9 @@ class Workshop:
 
     def _choose_strength(self, share: float) -> None:
         """Strength of the prior that predicts best."""
-        errors = self._errors(share, STRENGTHS)
+        errors = self._errors(share, _STRENGTHS)
         # The largest of those that do equally well.
-        self.strength = STRENGTHS[int(np.flatnonzero(errors < errors.min() + EQUAL)[-1])]
+        self.strength = _STRENGTHS[int(np.flatnonzero(errors < errors.min() + _EQUAL)[-1])]
 
     def _choose_delay(self, share: float) -> None:
         """Delays of the efforts, if predictions gain from them."""
@@ -183,7 +196,7 @@ class Workshop:
             self.effort_delay = np.clip(late, -MAX_GAP, MAX_GAP)
             self._prepare()
         self.joint_delays = self.effort_delay
-        if self._errors(share, [self.strength]) > before - EQUAL:
+        if self._errors(share, [self.strength]) > before - _EQUAL:
             self.effort_delay, self.rows = np.zeros(self.n), kept
 
     def fit(self, share: float) -> tuple[Fit, float]:
@@ -218,3 +231,56 @@ class Workshop:
     def sensing(self) -> Sensing:
         """Noise, quantization, source of rates, delays."""
         return sense(self.recordings, self.segments, self.rate_delay, self.joint_delays)
+
+
+def _divided(rows: Rows, share: float) -> tuple[Rows, Rows]:
+    """First ``share`` of the counted samples, and the rest."""
+    start, stop, _ = rows.part.indices(len(rows.effort))
+    middle = start + int(round(share * (stop - start)))
+    return replace(rows, part=slice(start, middle)), replace(rows, part=slice(middle, stop))
+
+
+def _blocks(rows: Sequence[Rows]) -> Iterator[tuple[list[Rows], list[Rows]]]:
+    """All but a block of each segment's counted samples, and that block."""
+    parts = [one.part.indices(len(one.effort))[:2] for one in rows]
+    edges = [np.linspace(*part, _BLOCKS + 1).astype(int) for part in parts]
+    for block in range(_BLOCKS):
+        train, valid = [], []
+        for one, (start, stop), edge in zip(rows, parts, edges):
+            rest = slice(start, edge[block]), slice(edge[block + 1], stop)
+            train += [replace(one, part=p) for p in rest if p.stop - p.start > 10]
+            valid.append(replace(one, part=slice(edge[block], edge[block + 1])))
+        yield train, valid
+
+
+def _effort_band(rows: Sequence[Rows], filters: Filters, prior: Prior) -> float:
+    """Bandwidth of the effort sensor, inf if none is seen: drivers filter their torques."""
+    errors: dict[float, float] = {}  # mean logarithms
+    bands = [b for b in _EFFORT_BANDS[::-1] if b < 0.15 / rows[0].step and _ends(rows, b)]
+    for band in (np.inf, *bands):
+        trial = replace(filters, effort=band)
+        fit = fit_parameters(rows, trial, prior, sweeps=6, with_load=False)
+        found = [predict(one, fit, trial) for one in rows]
+        error, counts = (
+            np.concatenate([getattr(p, x) for p in found]) for x in ('residual', 'counts')
+        )
+        squares = bounded_squares(error, counts)
+        errors[band] = float(np.mean(np.log(squares, where=squares > 0.0, out=0.0 * squares)))
+        tried = list(errors.values())
+        if len(tried) > 4 and min(tried[-3:]) > min(tried):
+            break
+    best = min(errors, key=lambda band: errors[band])
+    return best if errors[best] - errors[np.inf] < np.log(_GAIN) else np.inf
+
+
+def _ends(rows: Sequence[Rows], band: float) -> bool:
+    """Whether efforts carry next to nothing beyond three times a bandwidth."""
+    beyond = 0.0
+    for one in rows:
+        effort = one.effort[one.part]
+        window = np.hanning(len(effort))[:, None]
+        power = np.abs(np.fft.rfft((effort - effort.mean(axis=0)) * window, axis=0)) ** 2
+        power = power / np.maximum(power.sum(axis=0), 1e-300)
+        high = np.fft.rfftfreq(len(effort), one.step) > 3.0 * band
+        beyond += float(power[high].sum(axis=0).max())
+    return beyond < _NOTHING * len(rows)
