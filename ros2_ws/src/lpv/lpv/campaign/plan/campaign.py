@@ -10,16 +10,7 @@ from typing import Any
 import lpv.bag
 import lpv.campaign
 import lpv.core
-from lpv.campaign.plan.spec import (
-    BOTH,
-    DEFAULTS,
-    PATHS,
-    ByKind,
-    CampaignSpec,
-    Choice,
-    Plan,
-    parse_spec,
-)
+from lpv.campaign.plan.spec import BOTH, DEFAULTS, PATHS, CampaignSpec, Choice, Plan, parse_spec
 from lpv.core.serial_arm.arm_file import load_arm, parse_arm, to_mapping
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.simulation.scenario import PAPER_PLANTS, PLANTS, parse_scenario
@@ -144,10 +135,7 @@ class Campaign:
             values['design'] = self.spec.designs[0]
         kind_first = sorted(units, key=lambda name: name != 'fault.kind')
         for name in kind_first:
-            factor = self.spec.factors[name]
-            if isinstance(factor, ByKind):
-                factor = factor.of(values['fault.kind'])
-            values[name] = factor.value(units[name])
+            values[name] = self.spec.factors[name].value(units[name], values['fault.kind'])
         return values
 
     def check(self) -> None:

@@ -68,7 +68,7 @@ class Choice:
 
     values: tuple  # Numbers or texts
 
-    def value(self, unit: float) -> Any:
+    def value(self, unit: float, _kind: str) -> Any:
         """Value for a number of [0, 1)."""
         return self.values[min(int(unit * len(self.values)), len(self.values) - 1)]
 
@@ -87,7 +87,7 @@ class Range:
     logarithmic: bool = False  # Whether the logarithm is uniform
     levels: int = 2  # Values in a factorial plan, both ends among them
 
-    def value(self, unit: float) -> float:
+    def value(self, unit: float, _kind: str) -> float:
         """Value for a number of [0, 1]."""
         if self.logarithmic:
             return self.low * (self.high / self.low) ** unit
@@ -101,13 +101,21 @@ class Range:
 
 @dataclass(frozen=True)
 class ByKind:
-    """Another choice or range for each kind of fault."""
+    """Another choice or range for each kind of fault; one number of the plan stands for all."""
 
     kinds: dict  # Kinds that are left out give 0
 
-    def of(self, kind: str) -> Choice | Range:
-        """Choice or range of a kind."""
-        return self.kinds.get(kind, Choice((0.0,)))
+    def value(self, unit: float, kind: str) -> Any:
+        """Value of a kind for a number of [0, 1]."""
+        return self.kinds[kind].value(unit, kind) if kind in self.kinds else 0.0
+
+    @property
+    def units(self) -> tuple[float, ...]:
+        """Numbers of [0, 1] that give the levels of the kind with most of them."""
+        return max((factor.units for factor in self.kinds.values()), key=len)
+
+
+Factor = Choice | Range | ByKind
 
 
 @dataclass(frozen=True)
@@ -142,7 +150,7 @@ def parse_spec(data: dict[str, Any], source: str = 'campaign') -> CampaignSpec:
     if len(designs) > 1:
         factors.setdefault('design', Choice(designs))
     if method == 'factorial':
-        levels = (len(factor.units) for factor in flat_factors(factors).values())
+        levels = (len(factor.units) for factor in factors.values())
         runs = plan.integer('repeats', 1, low=1) * math.prod(levels)
     else:
         runs = plan.integer('runs', low=1)
@@ -152,18 +160,8 @@ def parse_spec(data: dict[str, Any], source: str = 'campaign') -> CampaignSpec:
     return read_entries(CampaignSpec, top, method=method, runs=runs, factors=factors)
 
 
-def flat_factors(factors: dict[str, Choice | Range | ByKind]) -> dict[str, Choice | Range]:
-    """Factors as coordinates of a plan: one that goes by kind counts as one continuous number."""
-    return {
-        name: max(factor.kinds.values(), key=lambda kind: len(kind.units))
-        if isinstance(factor, ByKind)
-        else factor
-        for name, factor in factors.items()
-    }
-
-
-def _factors(data: dict[str, Any], source: str) -> dict[str, Choice | Range | ByKind]:
-    factors, section = {}, Section(data, source, 'factors')
+def _factors(data: dict[str, Any], source: str) -> dict[str, Factor]:
+    factors, section = dict[str, Factor](), Section(data, source, 'factors')
     for name, value in data.items():
         if name not in DEFAULTS and name not in TUNING:
             raise section.error(
@@ -180,7 +178,7 @@ def _factors(data: dict[str, Any], source: str) -> dict[str, Choice | Range | By
 
 def _parse_factor(
     data: object, name: str, source: str, kinds: Sequence[str] | None = None, numeric: bool = True
-) -> Choice | Range | ByKind:
+) -> Factor:
     """Read a factor: a value, a list of values, ``{low, high, ...}``, or one of these by kind."""
     if not isinstance(data, dict):
         return _choice(data, name, source, numeric)
@@ -253,11 +251,10 @@ class Plan:
     """Points of the unit cube, one a run; each follows from seed and number alone."""
 
     def __init__(self, spec: CampaignSpec) -> None:
-        factors = flat_factors(spec.factors).values()
-        self._spec, self._levels = spec, [factor.units for factor in factors]
+        self._spec, self._levels = spec, [factor.units for factor in spec.factors.values()]
         if spec.method == 'latin_hypercube':
             rng = np.random.default_rng([spec.seed, 0])
-            strata = [rng.permutation(spec.runs) for _ in factors]
+            strata = [rng.permutation(spec.runs) for _ in self._levels]
             self._strata = np.array(strata, int).reshape(len(strata), spec.runs).T
 
     def point(self, number: int) -> np.ndarray:
