@@ -22,11 +22,13 @@ SEARCH = ['--search', 'observer.acceleration_noise=0.02:20.0']
 
 @pytest.fixture
 def file(tmp_path):
-    """A campaign whose requirement believes in far too much noise of the accelerations."""
+    """A link to a campaign whose requirement, beside it, believes in far too much noise."""
     data = read_yaml(load_requirement('paper').source)
     data['observer']['acceleration_noise'] = 10.0
-    written(tmp_path / 'poor.yaml', data)
-    return written(tmp_path / 'tune.yaml', CAMPAIGN)
+    (tmp_path / 'files').mkdir()
+    written(tmp_path / 'files' / 'poor.yaml', data)
+    (tmp_path / 'tune.yaml').symlink_to(written(tmp_path / 'files' / 'campaign.yaml', CAMPAIGN))
+    return tmp_path / 'tune.yaml'
 
 
 def command(file, trials, *more):

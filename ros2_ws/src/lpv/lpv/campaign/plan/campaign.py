@@ -31,6 +31,14 @@ def software() -> str:
     return '-'.join(source_digest(Path(module).parent) for module in modules)
 
 
+def load_campaign(name: str, designed: bool = True) -> tuple[Path, Campaign]:
+    """A campaign file, or a shipped one by its name, as of `resolve`, and where it is."""
+    path = Path(name)
+    if not path.is_file():
+        path = bringup_file('campaigns', name)
+    return path, resolve(read_yaml(path), str(path), path.resolve().parent, designed)
+
+
 def resolve(
     data: dict[str, Any], source: str, folder: str | Path, designed: bool = True
 ) -> Campaign:

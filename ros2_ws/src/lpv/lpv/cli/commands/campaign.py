@@ -9,11 +9,9 @@ from rich.table import Table
 
 from lpv.campaign.execution.execute import ResultsFolder, chunks_of, worker_pool
 from lpv.campaign.execution.runs import repeat
-from lpv.campaign.plan.campaign import Campaign, resolve
+from lpv.campaign.plan.campaign import Campaign, load_campaign
 from lpv.cli.progress import bar
-from lpv.core.support.config import read_yaml
 from lpv.core.support.errors import ConfigError, LpvError
-from lpv.core.support.resources import bringup_file
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -57,9 +55,7 @@ def _open(arguments: argparse.Namespace) -> tuple[Campaign, ResultsFolder]:
         if not isinstance(begun, Campaign):
             raise ConfigError('spec', 'holds no results of a campaign', str(path))
         return begun, folder
-    if not path.is_file():
-        path = bringup_file('campaigns', arguments.campaign)
-    campaign = resolve(read_yaml(path), str(path), path.resolve().parent)
+    path, campaign = load_campaign(arguments.campaign)
     folder = ResultsFolder(arguments.out or Path('out') / 'campaign' / path.stem)
     begun = folder.load()
     same = isinstance(begun, Campaign) and begun.key == campaign.key

@@ -20,12 +20,11 @@ from rich.table import Table
 from scipy import stats
 
 from lpv.campaign.execution.execute import chunks_of, worker_pool
-from lpv.campaign.plan.campaign import Campaign, resolve
+from lpv.campaign.plan.campaign import load_campaign
 from lpv.campaign.plan.spec import NO_FAULT
 from lpv.core.monitoring.parameters import DiagnosisParameters
 from lpv.core.support.config import read_yaml, sha256_of, write_parameters
 from lpv.core.support.errors import ConfigError
-from lpv.core.support.resources import bringup_file
 from lpv.core.uio.certificate.gains import Gains, load_gains
 from lpv_design.design_flow import design
 from lpv_design.requirement import load_requirement, parse_requirement
@@ -51,18 +50,14 @@ class _Bench:
     """Designs by given values, and runs them on the campaign."""
 
     def __init__(self, arguments: argparse.Namespace, execute: Callable[..., Any]) -> None:
-        path = Path(arguments.campaign)
-        if not path.is_file():
-            path = bringup_file('campaigns', arguments.campaign)
-        self.name, self._execute = path.stem, execute
+        path, self.campaign = load_campaign(arguments.campaign, designed=False)
+        self.name, self._execute, self.arm = path.stem, execute, self.campaign.arm
         self._designed: dict[tuple[Any, ...], Gains] = {}
-        self.campaign: Campaign = resolve(read_yaml(path), str(path), path.parent, designed=False)
-        self.arm = self.campaign.arm
         if not self.campaign.designed:
             raise ConfigError('arm', f'{self.arm.name} has no lpv region: no design to tune')
         if len(self.campaign.spec.designs) > 1 or 'sample_time' in self.campaign.spec.factors:
             raise ConfigError('designs', 'must be one, at one sample time')
-        near = path.parent / self.campaign.spec.designs[0]
+        near = path.resolve().parent / self.campaign.spec.designs[0]
         self._requirement = load_requirement(near if near.is_file() else near.name)
         self._data = read_yaml(self._requirement.source)
         self._parts = {'observer': self._requirement.observer,
