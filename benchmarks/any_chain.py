@@ -31,7 +31,7 @@ from lpv.identify.estimation.identification import identify
 from lpv.identify.estimation.mistakes import find_mistakes
 from lpv.identify.recordings.filters import shifted
 from lpv.identify.recordings.recording import Recording
-from lpv.identify.sensors.sensing import quantization_step, rate_sources
+from lpv.identify.sensors import quantization_step, rate_sources
 
 LIMITS = {'offset 0.2': 6.0, 'drift 0.3': 1.0, 'stuck': 0.3, 'scale 20 %': 2.0,
           'step 0.02': 0.02, 'noise 0.02': 0.3, 'healthy': 0.0}  # fmt: skip

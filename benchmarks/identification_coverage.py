@@ -16,7 +16,7 @@ from lpv.core.serial_arm.description import JointFriction, SerialArm
 from lpv.core.serial_arm.urdf_chain import read_urdf_chain
 from lpv.identify.estimation.assembly import parameter_map
 from lpv.identify.estimation.workshop import Workshop
-from lpv.identify.motions.excitation import plan_excitation
+from lpv.identify.motions import plan_excitation
 
 DURATION, RATE = 30.0, 125.0
 LEVEL = 0.95

@@ -6,7 +6,7 @@ import numpy as np
 
 from lpv.core.serial_arm.description import LinkInertia, SerialArm
 from lpv.identify.model.rigid_body import joint_torques
-from lpv.identify.motions.trajectory import Trajectory
+from lpv.identify.motions import Trajectory
 from lpv.identify.recordings.recording import Recording
 
 

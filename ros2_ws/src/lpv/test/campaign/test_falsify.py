@@ -12,7 +12,7 @@ from lpv.campaign.falsify.search import BAG, SCENARIO, read_attack, repeat, sear
 from lpv.core.serial_arm.arm_file import save_arm
 from lpv.core.serial_arm.description import Uncertainty
 from lpv.core.uio.planar import planar_model
-from lpv.identify.sensors.sensing import noise_deviation
+from lpv.identify.sensors import noise_deviation
 
 pytestmark = pytest.mark.slow
 

@@ -8,7 +8,7 @@ from simulated_recordings import SensorNoise, simulate
 
 from lpv.core.serial_arm import description as model
 from lpv.identify.estimation.identification import identify
-from lpv.identify.motions.trajectory import random_trajectory
+from lpv.identify.motions import random_trajectory
 
 
 def joint(name, position, axis, mass, center):

@@ -28,8 +28,7 @@ from lpv.identify.estimation.mistakes import find_mistakes
 from lpv.identify.estimation.torque_error import calibrate
 from lpv.identify.estimation.workshop import Workshop
 from lpv.identify.model.rigid_body import joint_torques
-from lpv.identify.motions.excitation import plan_excitation
-from lpv.identify.motions.trajectory import random_trajectory
+from lpv.identify.motions import plan_excitation, random_trajectory
 from lpv.identify.recordings.filters import low_pass
 from lpv.identify.recordings.motion import split
 from lpv.identify.recordings.recording import clean, read_recording

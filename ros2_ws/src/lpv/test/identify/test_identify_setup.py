@@ -24,13 +24,18 @@ from lpv.identify.errors import IdentificationError
 from lpv.identify.estimation import delays, mistakes
 from lpv.identify.estimation.torque_error import calibrate, torque_error, torque_tolerance
 from lpv.identify.model import base_parameters, rigid_body
-from lpv.identify.motions.excitation import Bounds, plan_excitation
-from lpv.identify.motions.reference import write_reference
+from lpv.identify.motions import Bounds, plan_excitation, write_reference
 from lpv.identify.recordings.filters import shifted
 from lpv.identify.recordings.motion import Segment, find_bandwidths, moving
 from lpv.identify.recordings.recording import Recording, read_recording
-from lpv.identify.sensors.second_encoder import describe, find_second_encoders, with_second_encoders
-from lpv.identify.sensors.sensing import noise_deviation, quantization_step, sense
+from lpv.identify.sensors import (
+    describe,
+    find_second_encoders,
+    noise_deviation,
+    quantization_step,
+    sense,
+    with_second_encoders,
+)
 
 STEP = 0.004
 

@@ -8,8 +8,7 @@ import numpy as np
 
 from lpv.cli.arm_choice import chosen_arm
 from lpv.core.support.errors import ConfigError
-from lpv.identify.motions.excitation import Bounds, plan_excitation
-from lpv.identify.motions.reference import write_reference
+from lpv.identify.motions import Bounds, plan_excitation, write_reference
 
 
 def run(arguments: argparse.Namespace) -> int:

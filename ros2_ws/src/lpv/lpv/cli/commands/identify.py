@@ -22,7 +22,7 @@ from lpv.identify.estimation.payload import identify_payload, with_payload
 from lpv.identify.estimation.torque_error import calibrate
 from lpv.identify.recordings.recording import Recording, continued, read_recording
 from lpv.identify.results.summary import calibration_table, table
-from lpv.identify.sensors.second_encoder import describe, find_second_encoders, with_second_encoders
+from lpv.identify.sensors import describe, find_second_encoders, with_second_encoders
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -15,7 +15,7 @@ from lpv.identify.estimation.regression import Filters, Fit
 from lpv.identify.estimation.torque_error import torque_error, torque_tolerance, usual_error
 from lpv.identify.estimation.workshop import Workshop
 from lpv.identify.recordings.recording import Recording
-from lpv.identify.sensors.sensing import Sensing
+from lpv.identify.sensors import Sensing
 
 STEPS = 9
 """Steps of an identification that are reported."""

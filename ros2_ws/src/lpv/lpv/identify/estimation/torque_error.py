@@ -18,7 +18,7 @@ from lpv.identify.model.rigid_body import joint_torques
 from lpv.identify.recordings.filters import derivative, low_pass
 from lpv.identify.recordings.motion import Motion, Segment, find_bandwidths, moving, smooth, split
 from lpv.identify.recordings.recording import Recording
-from lpv.identify.sensors.sensing import Sensing, noise_deviation, sense
+from lpv.identify.sensors import Sensing, noise_deviation, sense
 
 _QUANTILE = 0.99  # of residuals that an envelope holds
 _BINS = 8  # of speed

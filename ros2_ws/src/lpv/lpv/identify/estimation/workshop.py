@@ -26,7 +26,7 @@ from lpv.identify.recordings.motion import (
     split,
 )
 from lpv.identify.recordings.recording import Recording
-from lpv.identify.sensors.sensing import Sensing, noise_deviation, sense
+from lpv.identify.sensors import Sensing, noise_deviation, sense
 
 WEAK = 1e-3
 """Strength of the prior while the model is chosen."""

@@ -1,18 +1,87 @@
-"""Trajectories that identify an arm well, within its limits."""
+"""Motions that identify an arm well, within its limits: planned, and written to be played."""
 
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+import yaml
 
+from lpv.bag.rosbag.writing import BagWriter
 from lpv.core.serial_arm.description import N_INERTIAL, SerialArm
 from lpv.core.serial_arm.dynamics.kinematics import joint_frames
 from lpv.identify.errors import IdentificationError
 from lpv.identify.model.base_parameters import find_base_parameters
 from lpv.identify.model.friction import SLOPE, friction_columns, join_columns
-from lpv.identify.model.rigid_body import RigidBody
-from lpv.identify.motions.trajectory import STEP, Trajectory, fit_to_limits, random_trajectory
+from lpv.identify.model.rigid_body import RigidBody, joint_torques
 
+HARMONICS = 5
+"""Of a joint's Fourier series, as in Swevers et al. (1997)."""
+STEP = 10.0 / HARMONICS / 20.0
+"""Between points of the motion, 20 in a period of the last harmonic: the first one has 10 s [s]."""
+RAMP = 1.5
+"""Time in which the motion fades in and out [s]."""
 _CHECK_STEP = STEP / 5.0  # between samples whose limits are checked [s]
+TOPIC = '/lpv/excitation'
+"""Topic of the reference in the bag, sensor_msgs/JointState."""
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """q(t) = centre + e(t) sum_k (a_k sin(k w t) + b_k cos(k w t)), with an envelope e."""
+
+    duration: float  # [s]
+    center: np.ndarray  # shape (n,) [rad]
+    sine: np.ndarray  # a, shape (harmonics, n) [rad]
+    cosine: np.ndarray  # b, shape (harmonics, n) [rad]
+    period: float  # 2 pi / w [s]
+
+    def sample(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Positions, rates and accelerations, each of shape (samples, n)."""
+        omega = 2.0 * np.pi * np.arange(1, len(self.sine) + 1) / self.period
+        s, c = np.sin(np.outer(time, omega)), np.cos(np.outer(time, omega))
+        wave = s @ self.sine + c @ self.cosine
+        rate = (c * omega) @ self.sine - (s * omega) @ self.cosine
+        bend = -(s * omega**2) @ self.sine - (c * omega**2) @ self.cosine
+        e, de, dde = (x[:, None] for x in self._envelope(time))
+        position = self.center + e * wave
+        return position, de * wave + e * rate, dde * wave + 2.0 * de * rate + e * bend
+
+    def scaled(self, factor: np.ndarray | float) -> 'Trajectory':
+        """The motion with other amplitudes."""
+        return replace(self, sine=self.sine * factor, cosine=self.cosine * factor)
+
+    def _envelope(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        ramp = min(RAMP, 0.25 * self.duration)
+        up, down = np.clip(time / ramp, 0, 1), np.clip((self.duration - time) / ramp, 0, 1)
+        x = np.minimum(up, down)
+        sign = np.where(up <= down, 1.0, -1.0)
+        value = x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
+        slope = 30.0 * x**2 * (1.0 - x) ** 2 * sign / ramp
+        curve = 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / ramp**2
+        return value, slope, curve
+
+
+def random_trajectory(
+    rng: np.random.Generator,
+    center: np.ndarray,
+    reach: np.ndarray,
+    speed: np.ndarray,
+    duration: float,
+) -> Trajectory:
+    """Random trajectory, at its limit of reach [rad] or speed [rad/s] in each joint."""
+    k = np.arange(1, HARMONICS + 1)[:, None]
+    period = duration / max(1, round(duration / 10.0))
+    sine, cosine = rng.normal(size=(2, HARMONICS, len(center))) / k
+    return fit_to_limits(Trajectory(duration, center, sine, cosine, period), reach, speed)
+
+
+def fit_to_limits(trajectory: Trajectory, reach: np.ndarray, speed: np.ndarray) -> Trajectory:
+    """Scale each joint's motion so that it reaches a limit of position or speed."""
+    position, rate, _ = trajectory.sample(np.arange(0.0, trajectory.duration, 0.02))
+    way = np.maximum(np.max(np.abs(position - trajectory.center), axis=0), 1e-9)
+    fastest = np.maximum(np.max(np.abs(rate), axis=0), 1e-9)
+    return trajectory.scaled(np.minimum(reach / way, speed / fastest))
 
 
 @dataclass(frozen=True)
@@ -147,3 +216,54 @@ class _Search:
     def condition(self, trajectory: Trajectory) -> float:
         rows = self._regressor(trajectory)
         return float(np.linalg.cond(rows / np.maximum(np.linalg.norm(rows, axis=0), 1e-12)))
+
+
+def write_reference(
+    arm: SerialArm, trajectory: Trajectory, rate: float, folder: Path
+) -> list[Path]:
+    """Write a motion into a new folder: table, trajectory message, bag, scenario."""
+    folder.mkdir(parents=True)
+    time = np.arange(0.0, trajectory.duration + 0.5 / rate, 1.0 / rate)
+    motion = trajectory.sample(time)
+    written = 'trajectory.csv', 'trajectory.yaml', 'reference', 'scenario.yaml'
+    files = [folder / name for name in written]
+    names, signals = arm.joint_names, (*motion[:2], joint_torques(arm, *motion))
+    kinds = ('position', 'velocity', 'effort')
+    header = ','.join(['time', *(f'{name}_{kind}' for kind in kinds for name in names)])
+    table = np.column_stack([time, *signals])
+    np.savetxt(files[0], table, '%.9g', ',', header=header, comments='')
+    with BagWriter(files[2]) as writer:
+        stamps = (round((1.0 + t) * 1e9) for t in time)
+        writer.write_joint_states(TOPIC, names, zip(stamps, *signals))
+    for file, content in zip(files[1::2], (_message(names, trajectory), _scenario(trajectory))):
+        file.write_text(yaml.safe_dump(content, sort_keys=False, width=110))
+    return files
+
+
+def _scenario(trajectory: Trajectory) -> dict[str, Any]:
+    """Scenario whose spline goes through the motion, which begins and ends at rest, too."""
+    time = _message_times(trajectory)
+    position, *_ = trajectory.sample(time)
+    waypoints = [{'t': round(float(t), 9), 'joints': q.tolist()} for t, q in zip(time, position)]
+    return {
+        'name': 'excitation',
+        'duration': float(trajectory.duration),
+        'path': {'waypoints': waypoints},
+    }
+
+
+def _message_times(trajectory: Trajectory) -> np.ndarray:
+    """Times of the points from the begin to the end [s]."""
+    count = int(np.ceil(trajectory.duration / STEP - 1e-9))
+    return np.append(STEP * np.arange(count), trajectory.duration)
+
+
+def _message(names: tuple[str, ...], trajectory: Trajectory) -> dict[str, Any]:
+    time = _message_times(trajectory)
+    keys, points = ('positions', 'velocities', 'accelerations'), []
+    for t, *motion in zip(time, *trajectory.sample(time)):
+        seconds, nanoseconds = divmod(round(t * 1e9), 10**9)
+        point: dict[str, Any] = {key: values.tolist() for key, values in zip(keys, motion)}
+        point['time_from_start'] = {'sec': seconds, 'nanosec': nanoseconds}
+        points.append(point)
+    return {'joint_names': list(names), 'points': points}

@@ -1,1 +1,0 @@
-"""Motions that identify an arm."""

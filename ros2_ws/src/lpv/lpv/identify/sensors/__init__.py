@@ -1,1 +1,0 @@
-"""What a recording says of the sensors."""
