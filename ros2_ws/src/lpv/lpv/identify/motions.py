@@ -11,9 +11,8 @@ from lpv.bag.rosbag.writing import BagWriter
 from lpv.core.serial_arm.description import N_INERTIAL, SerialArm
 from lpv.core.serial_arm.dynamics.kinematics import joint_frames
 from lpv.identify.errors import IdentificationError
-from lpv.identify.model.base_parameters import find_base_parameters
 from lpv.identify.model.friction import SLOPE, friction_columns, join_columns
-from lpv.identify.model.rigid_body import RigidBody, joint_torques
+from lpv.identify.model.rigid_body import RigidBody, find_base_parameters, joint_torques
 
 HARMONICS = 5
 """Of a joint's Fourier series, as in Swevers et al. (1997)."""

@@ -23,7 +23,7 @@ from lpv.core.support.resources import bringup_file
 from lpv.identify.errors import IdentificationError
 from lpv.identify.estimation import delays, mistakes
 from lpv.identify.estimation.torque_error import calibrate, torque_error, torque_tolerance
-from lpv.identify.model import base_parameters, rigid_body
+from lpv.identify.model import rigid_body
 from lpv.identify.motions import Bounds, plan_excitation, write_reference
 from lpv.identify.recordings.filters import shifted
 from lpv.identify.recordings.motion import Segment, find_bandwidths, moving
@@ -59,7 +59,7 @@ def test_given_an_arm_when_computing_torques_then_regressor_and_rnea_agree(arm, 
 
 def test_given_any_parameters_when_reduced_to_base_ones_then_torques_stay(arm, samples):
     model = rigid_body.RigidBody(arm)
-    base, full = base_parameters.find_base_parameters(model), model.regressor(*samples)
+    base, full = rigid_body.find_base_parameters(model), model.regressor(*samples)
     x = np.random.default_rng(1).normal(size=33)
     assert full[:, :, base.columns] @ (base.combination @ x) == pytest.approx(full @ x, abs=1e-9)
     assert np.linalg.matrix_rank(full[:, :, base.columns].reshape(-1, base.size)) == base.size

@@ -7,8 +7,14 @@ import numpy as np
 
 from lpv.core.serial_arm.description import SerialArm
 from lpv.identify.estimation.assembly import covariance_of_all, fit_of
-from lpv.identify.estimation.determination import Determination, determine
-from lpv.identify.estimation.evaluation import Figures, Prediction, figures, predict
+from lpv.identify.estimation.evaluation import (
+    Determination,
+    Figures,
+    Prediction,
+    determine,
+    figures,
+    predict,
+)
 from lpv.identify.estimation.health import unhealthy
 from lpv.identify.estimation.mistakes import Mistake, find_mistakes
 from lpv.identify.estimation.regression import Filters, Fit

@@ -17,10 +17,9 @@ from lpv.core.serial_arm.description import N_INERTIAL, SerialArm
 from lpv.core.serial_arm.diagnosis.parameter_error import model_error, usual_load
 from lpv.core.serial_arm.dynamics.payload import payload_parameters
 from lpv.identify.estimation.robust import HUBER, robust_fit
-from lpv.identify.model.base_parameters import find_base_parameters
 from lpv.identify.model.friction import SLOPE, friction_columns, join_columns, least_viscous
 from lpv.identify.model.prior import Prior, base_prior
-from lpv.identify.model.rigid_body import RigidBody
+from lpv.identify.model.rigid_body import RigidBody, find_base_parameters
 from lpv.identify.recordings.filters import derivative, low_pass, shifted
 from lpv.identify.recordings.motion import Segment, find_bandwidths, moving, split
 from lpv.identify.recordings.recording import Recording

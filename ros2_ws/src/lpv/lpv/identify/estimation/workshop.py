@@ -13,9 +13,8 @@ from lpv.identify.estimation.evaluation import predict
 from lpv.identify.estimation.gains import estimate_gains
 from lpv.identify.estimation.regression import Filters, Fit, Rows, fit_parameters
 from lpv.identify.estimation.robust import bounded_squares
-from lpv.identify.model.base_parameters import find_base_parameters
 from lpv.identify.model.prior import Prior, base_prior
-from lpv.identify.model.rigid_body import RigidBody
+from lpv.identify.model.rigid_body import RigidBody, find_base_parameters
 from lpv.identify.recordings.filters import derivative
 from lpv.identify.recordings.motion import (
     Segment,

@@ -10,8 +10,8 @@ from lpv.core.serial_arm.description import UNSTATED_FRICTION, JointLimits, Seri
 from lpv.core.serial_arm.diagnosis.parameter_error import typical_torque
 from lpv.core.serial_arm.diagnosis.priors import USUAL_RATE
 from lpv.core.serial_arm.dynamics.model import SerialModel
-from lpv.identify.model.base_parameters import BaseParameters
 from lpv.identify.model.friction import SLOPE
+from lpv.identify.model.rigid_body import BaseParameters
 
 _RELATIVE = 0.3  # of masses; of the lengths that first moments and inertias go with
 _SHARE = 0.02  # of the arm's mass: the least that a link is taken to weigh

@@ -1,7 +1,9 @@
-"""Rigid-body regressors of a serial arm, in the frames of its joints."""
+"""Rigid-body regressors of a serial arm, and the parameters that its motion can determine."""
+
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import block_diag
+from scipy.linalg import block_diag, qr, solve_triangular
 
 from lpv.core.serial_arm.chain import Chain, axis_frame, compile_chain, moved_body, workspace
 from lpv.core.serial_arm.description import N_INERTIAL, SerialArm
@@ -10,6 +12,8 @@ from lpv.core.support.jit import njit
 
 STANDARD = N_INERTIAL + 1
 """Structural parameters of a joint: those of its link, and its rotor."""
+_SAMPLES = 300  # random states; each has n rows, so that ten parameters a link are overdetermined
+_TOLERANCE = 1e-8  # relative size of a column that depends on others: rounding is 1e-16
 
 
 class RigidBody:
@@ -62,3 +66,50 @@ def joint_torques(
     rigid = matrix[:, :, : N_INERTIAL * len(arm.joints)] @ arm.inertial_parameters()
     friction = [j.friction.torque(velocity[:, k], rigid[:, k]) for k, j in enumerate(arm.joints)]
     return rigid + acceleration @ model.chain.motor + np.stack(friction, axis=1)
+
+
+@dataclass(frozen=True)
+class BaseParameters:
+    """Base parameters beta = combination @ x of 10 n inertial parameters and n rotor inertias x."""
+
+    columns: np.ndarray  # indices into x, shape (base,)
+    combination: np.ndarray  # shape (base, 11 n)
+
+    @property
+    def size(self) -> int:
+        """Number of base parameters."""
+        return len(self.columns)
+
+
+def find_base_parameters(model: RigidBody) -> BaseParameters:
+    """Base parameters of an arm with rotors, by QR of a random regressor."""
+    # Gautier 1991, "Numerical calculation of the base inertial parameters of robots".  A column is
+    # taken where it does not depend on those before it, from the tip to the base.
+    rng, n = np.random.default_rng(20211), model.n
+    position = rng.uniform(-np.pi, np.pi, (_SAMPLES, n))
+    regressor = model.regressor(position, *rng.normal(size=(2, _SAMPLES, n)))
+    regressor = regressor.reshape(-1, STANDARD * n)
+    # Rotors last, so that they stand for themselves only where links do not explain them.
+    links = N_INERTIAL * n
+    order = np.concatenate([np.arange(links)[::-1], np.arange(links, STANDARD * n)])
+    columns = np.sort(order[_independent(qr(regressor[:, order], mode='r')[0])])
+    orthogonal, triangle = np.linalg.qr(regressor[:, columns])
+    combination = solve_triangular(triangle, orthogonal.T @ regressor)
+    combination[np.abs(combination) < 1e-9] = 0.0
+    return BaseParameters(columns, combination)
+
+
+def _independent(upper: np.ndarray) -> list[int]:
+    """Columns of an upper triangular matrix that do not depend on those before them."""
+    kept: list[int] = []
+    upper = upper[: upper.shape[1]]
+    scale = np.linalg.norm(upper, axis=0)
+    basis = np.zeros((len(upper), 0))
+    for k in range(upper.shape[1]):
+        rest = upper[:, k] - basis @ (basis.T @ upper[:, k])
+        rest -= basis @ (basis.T @ rest)
+        size = np.linalg.norm(rest)
+        if size > _TOLERANCE * max(scale[k], 1e-3 * scale.max()):
+            kept.append(k)
+            basis = np.column_stack([basis, rest / size])
+    return kept
