@@ -336,6 +336,7 @@ def test_given_what_cannot_be_certified_when_designed_then_it_is_told(short, ask
 def test_given_a_serial_arm_when_verified_or_designed_then_all_is_told(call, refused, tmp_path):
     gains = resources.bringup_file('gains', 'ur10')
     out = call('verify', gains).out
+    assert call('verify', 'ur10').out == out
     assert 'the certificate holds' in out and 'region: every position, joint rates to' in out
     for other in ('panda', 'paper'):
         assert refused('', 'verify', gains, '--arm', other)

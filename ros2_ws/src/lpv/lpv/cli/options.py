@@ -66,7 +66,7 @@ COMMANDS = {
     'verify': Command(
         'check the certificate of a gains file',
         """
-gains      gains file as written by lpv design
+gains      gains file as written by lpv design, or name of shipped ones
 --arm ARM  arm that the gains are to be used with: file or name of a shipped one; without, the arm
            that the file itself describes
 --proof    also prove the inequalities in exact rational arithmetic
@@ -102,7 +102,7 @@ gains      gains file as written by lpv design
         'find the usual mistakes in files, environment and graph',
         """
 --arm ARM            arm file, or name of a shipped arm; without, that of the running observer
---gains GAINS        gains file that should fit the arm
+--gains GAINS        gains file that should fit the arm, or name of shipped ones
 --scenario SCENARIO  scenario file, or name of a shipped one
 --offline            leave the running graph alone
 --seconds=3.0[0.5:600]        how long to watch the graph

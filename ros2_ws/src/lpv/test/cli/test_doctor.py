@@ -71,6 +71,7 @@ def files(paper_gains, tmp_path_factory):
 
 CHECKS = [
     ('', 'paper', GAINS, 'two_faults', "arm 'paper' holds"),
+    ('', 'ur10', 'ur10', None, "loop of arm 'ur10' holds"),
     ('', 'paper', None, None, 'observes alone; lpv design designs them'),
     ('', './crane.yaml', None, None, 'the moving horizon observes alone'),
     ('', 'ur10', UR10_GAINS, None, "loop of arm 'ur10' holds"),
@@ -82,6 +83,7 @@ CHECKS = [
       for bad in ('none', 'cut', 'empty', 'hollow')),
     ('gains', './crane.yaml', GAINS, None, 'lpv: is missing'),
     ('gains', 'ur10', PANDA_GAINS, None, 'for another arm'),
+    ('gains', 'ur10', 'panda', None, 'another arm.*--arm ur10 --out panda.yaml'),
     ('gains', 'ur10', './bare.yaml', None, 'no certificate'),
     ('scenario', 'paper', None, './far.yaml', 'out of reach'),
     ('scenario', 'paper', None, './elbow.yaml', 'sensor'),

@@ -215,6 +215,18 @@ def test_given_degrees_of_a_prismatic_joint_when_identified_then_its_unit_is_ask
     assert 'columns.yaml: joints.one.unit: must be m' in said
 
 
+def test_given_no_place_for_the_arm_when_identified_then_it_is_said_before_the_fit(
+    arm, tmp_path, call
+):
+    file, missing = tmp_path / 'arm.yaml', tmp_path / 'nothing.csv'
+    save_arm(arm, file)
+    assert (
+        'File exists' in call('identify', missing, '--arm', file, '--out', file / 'a', code=2).err
+    )
+    call('identify', missing, '--arm', file, '--out', tmp_path / 'new' / 'a.yaml', code=2)
+    assert (tmp_path / 'new').is_dir()
+
+
 def swapped(recording):
     parts = ('position', 'velocity', 'effort')
     return replace(recording, **{name: getattr(recording, name)[:, [0, 2, 1]] for name in parts})

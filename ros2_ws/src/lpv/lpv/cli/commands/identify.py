@@ -28,6 +28,8 @@ from lpv.identify.sensors import describe, find_second_encoders, with_second_enc
 def run(arguments: argparse.Namespace) -> int:
     """Identify, show, write."""
     console = Console(stderr=True)
+    if arguments.out:  # what fails is said before minutes of fitting
+        Path(arguments.out).parent.mkdir(parents=True, exist_ok=True)
     files = [*arguments.recordings, *arguments.test]
     console.print(f'reading {len(files)} recording{"s" if len(files) > 1 else ""}: {files[0]} ...')
     arm, columns = _arm(arguments), None

@@ -1,5 +1,7 @@
 """Checks of arm, gains and scenario files; no graph is needed."""
 
+from pathlib import Path
+
 from lpv.cli.doctor.finding import Finding, error, ok, warn
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.arm_file import load_arm
@@ -44,16 +46,18 @@ def check_arm(name: str) -> tuple[SerialArm | None, Finding]:
 def check_gains(name: str, arm: SerialArm | None, arm_name: str | None = 'ARM') -> Finding:
     """Whether gains can be read, belong to the arm, and have a certificate that holds."""
     from lpv.core.uio.certificate.gains import load_certified
-    from lpv.report.certificate import examine
+    from lpv.report.certificate import examine, gains_file
 
-    again = f'lpv design --arm {arm_name or "ARM"} --out {name}'
+    out = name if Path(name).suffix else f'{name}.yaml'
+    again = f'lpv design --arm {arm_name or "ARM"} --out {out}'
     try:
-        text = load_certified(name).arm_name
+        file = gains_file(name)
+        text = load_certified(file).arm_name
     except (LpvError, OSError) as problem:
         return error('gains', str(problem), again)
     if arm is None:
         return ok('gains', f'for arm {text!r}; give --arm to verify them')
-    found = examine(name, arm)
+    found = examine(file, arm)
     if found.problem:
         return error('gains', found.problem, f'{again}, or give the arm file that they are for')
     if not found.holds:
