@@ -2,16 +2,19 @@
 
 import argparse
 import math
+from typing import Any
 
-from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.urdf_chain import read_urdf_chain
 from lpv.core.support.errors import ConfigError
 
 
-def chosen_arm(arguments: argparse.Namespace) -> SerialArm:
-    """Arm of the arguments."""
+def chosen_arm(arguments: argparse.Namespace) -> Any:
+    """`SerialArm` of the arguments; None where they name none, as they need not for init."""
     if not arguments.urdf:
-        return arguments.arm
+        for option in ('joints', 'lock', 'tip'):
+            if getattr(arguments, option):
+                raise ConfigError(f'--{option}', 'is for joints of a URDF: give --urdf')
+        return getattr(arguments, 'arm', None)
     locked = dict(_locked(text) for text in arguments.lock)
     joints = [name for text in arguments.joints or () for name in text.split(',') if name]
     if arguments.tip is not None and joints:

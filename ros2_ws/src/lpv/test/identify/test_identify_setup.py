@@ -227,6 +227,34 @@ def test_given_no_place_for_the_arm_when_identified_then_it_is_said_before_the_f
     assert (tmp_path / 'new').is_dir()
 
 
+@pytest.mark.parametrize('options', [
+    '--calibrate --report folder', '--payload --test other.csv', '--calibrate --refit',
+    '--calibrate --known-mass 2', '--known-mass 2', '--lock one', '--joints one', '--tip link',
+])  # fmt: skip
+def test_given_an_option_without_effect_when_identified_then_it_is_refused(
+    arm, tmp_path, call, options
+):
+    save_arm(arm, tmp_path / 'arm.yaml')
+    said = call('identify', 'x.csv', '--arm', tmp_path / 'arm.yaml', *options.split(), code=2).err
+    refused = options.split()[1 if options.startswith(('--calibrate', '--payload')) else 0]
+    assert f'lpv identify: {refused}: ' in said
+
+
+def test_given_a_known_arm_when_calibrated_then_its_second_encoder_is_kept(
+    arm, recording, tmp_path, call
+):
+    file, out, csv = (tmp_path / name for name in ('arm.yaml', 'out.yaml', 'run.csv'))
+    save_arm(arm, file)
+    kinds = [f'{name}_{kind}' for kind in ('pos', 'vel', 'torque') for name in arm.joint_names]
+    table = np.column_stack(
+        [recording.time, recording.position, recording.velocity, recording.effort]
+    )
+    np.savetxt(csv, table, '%.9g', ',', header=','.join(['time', *kinds]), comments='')
+    call(*('identify', csv, '--arm', file, '--calibrate', '--second-encoder', 'one=one_pos'),
+         '--out', out)  # fmt: skip
+    assert load_arm(out).joints[0].sensors.second_encoder.name == 'one_pos'
+
+
 def swapped(recording):
     parts = ('position', 'velocity', 'effort')
     return replace(recording, **{name: getattr(recording, name)[:, [0, 2, 1]] for name in parts})

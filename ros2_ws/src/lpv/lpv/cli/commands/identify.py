@@ -2,6 +2,7 @@
 
 import argparse
 import sys
+from collections.abc import Iterable
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
@@ -28,6 +29,7 @@ from lpv.identify.sensors import describe, find_second_encoders, with_second_enc
 def run(arguments: argparse.Namespace) -> int:
     """Identify, show, write."""
     console = Console(stderr=True)
+    _check_options(arguments)
     if arguments.out:  # what fails is said before minutes of fitting
         Path(arguments.out).parent.mkdir(parents=True, exist_ok=True)
     files = [*arguments.recordings, *arguments.test]
@@ -40,12 +42,41 @@ def run(arguments: argparse.Namespace) -> int:
     def read(path: str) -> Recording:
         return continued(arm, read_recording(path, arm.joint_names, arguments.topic, columns))
 
-    recordings = [read(path) for path in arguments.recordings]
+    recordings, what, result = [read(path) for path in arguments.recordings], 'arm file', None
     if arguments.payload:
-        return _payload(arguments, arm, recordings)
-    if arguments.calibrate:
-        return _calibrate(arguments, arm, recordings)
-    tests = [read(path) for path in arguments.test]
+        arm, what = _payload(arm, recordings, arguments.known_mass)
+    elif arguments.calibrate:
+        arm = _calibrate(arm, recordings)
+    else:
+        tests = [read(path) for path in arguments.test]
+        result = _identify(arguments, arm, recordings, tests, console)
+        arm = result.arm
+    arm = _with_second_encoders(arguments, arm, columns)
+    _save(arm, arguments, what)
+    if result is not None and arguments.report:
+        from lpv.identify.results.report import write_report  # only here: it loads Matplotlib
+
+        print(f'report: {write_report(replace(result, arm=arm), Path(arguments.report))}')
+    return 0
+
+
+def _check_options(arguments: argparse.Namespace) -> None:
+    """Refuse what would be left out in silence."""
+    for name in ('report', 'test', 'refit'):
+        if getattr(arguments, name) and (arguments.payload or arguments.calibrate):
+            reason = 'has no effect on --calibrate and --payload: parameters are not fitted'
+            raise ConfigError(f'--{name}', reason)
+    if arguments.known_mass is not None and not arguments.payload:
+        raise ConfigError('--known-mass', 'is that of a tool: give --payload')
+
+
+def _identify(
+    arguments: argparse.Namespace,
+    arm: SerialArm,
+    recordings: list[Recording],
+    tests: list[Recording],
+    console: Console,
+) -> Identification:
     options = Options(
         arguments.train_share, arguments.refit, arguments.without_gravity or arguments.with_gravity
     )
@@ -60,15 +91,8 @@ def run(arguments: argparse.Namespace) -> int:
 
         result = identify(arm, recordings, options, tests, step)
     print(table(result))
-    for text in result.warnings:
-        print(f'warning: {text}', file=sys.stderr)
-    result = _with_second_encoders(arguments, result, columns)
-    _save(result.arm, arguments)
-    if arguments.report:
-        from lpv.identify.results.report import write_report  # only here: it loads Matplotlib
-
-        print(f'report: {write_report(result, Path(arguments.report))}')
-    return 0
+    _warn(result.warnings)
+    return result
 
 
 def _check_units(arm: SerialArm, columns: ColumnMap, source: str) -> None:
@@ -78,16 +102,16 @@ def _check_units(arm: SerialArm, columns: ColumnMap, source: str) -> None:
 
 
 def _with_second_encoders(
-    arguments: argparse.Namespace, result: Identification, columns: ColumnMap | None
-) -> Identification:
-    """The result with the second encoders that were named; says what they are."""
+    arguments: argparse.Namespace, arm: SerialArm, columns: ColumnMap | None
+) -> SerialArm:
+    """The arm with the second encoders that were named; says what they are."""
     pairs = dict(_pair(text) for text in arguments.second_encoder)
     if not pairs:
-        return result
+        return arm
     found = find_second_encoders(arguments.recordings[0], pairs, arguments.topic, columns)
     for reading in found:
         print(describe(reading))
-    return replace(result, arm=with_second_encoders(result.arm, found))
+    return with_second_encoders(arm, found)
 
 
 def _pair(text: str) -> tuple[str, str]:
@@ -116,7 +140,9 @@ def _arm(arguments: argparse.Namespace) -> SerialArm:
     return replace(arm, **changes)
 
 
-def _payload(arguments: argparse.Namespace, arm: SerialArm, recordings: list[Recording]) -> int:
+def _payload(
+    arm: SerialArm, recordings: list[Recording], known_mass: float | None
+) -> tuple[SerialArm, str]:
     found = identify_payload(arm, recordings)
     x, y, z = found.center
     spread = ' '.join(f'{2 * s:.4f}' for s in found.center_sigma)
@@ -125,23 +151,23 @@ def _payload(arguments: argparse.Namespace, arm: SerialArm, recordings: list[Rec
         f'centre  {x:8.4f} {y:.4f} {z:.4f} m +- {spread}    in the frame of {arm.joint_names[-1]}'
     )
     print(f'torque residual {found.rms_before:.3f} -> {found.rms_after:.3f} N m RMS')
-    for text in found.warnings:
-        print(f'warning: {text}', file=sys.stderr)
-    result, what = with_payload(arm, found), 'arm with its tool'
-    if arguments.known_mass is not None:
-        factor = arguments.known_mass / found.mass
-        result, what = rescaled(arm, factor), f'arm with its scale corrected by {factor:.4f}'
-    _save(result, arguments, what)
-    return 0
+    _warn(found.warnings)
+    if known_mass is None:
+        return with_payload(arm, found), 'arm with its tool'
+    factor = known_mass / found.mass
+    return rescaled(arm, factor), f'arm with its scale corrected by {factor:.4f}'
 
 
-def _calibrate(arguments: argparse.Namespace, arm: SerialArm, recordings: list[Recording]) -> int:
+def _calibrate(arm: SerialArm, recordings: list[Recording]) -> SerialArm:
     found = calibrate(arm, recordings)
     print(calibration_table(found))
-    for text in (*found.warnings, *(m.text for m in find_mistakes(arm, recordings))):
+    _warn((*found.warnings, *(m.text for m in find_mistakes(arm, recordings))))
+    return found.arm
+
+
+def _warn(texts: Iterable[str]) -> None:
+    for text in texts:
         print(f'warning: {text}', file=sys.stderr)
-    _save(found.arm, arguments)
-    return 0
 
 
 def _save(arm: SerialArm, arguments: argparse.Namespace, what: str = 'arm file') -> None:

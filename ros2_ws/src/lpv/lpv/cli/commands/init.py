@@ -38,12 +38,9 @@ def run(arguments: argparse.Namespace) -> int:
             raise ConfigError('folder', f'{path} exists already: nothing was written')
     if name and not re.fullmatch(r'[A-Za-z_]\w*', name):
         raise ConfigError('--name', f'must be letters, digits and underscores, got {name!r}')
-    if not arguments.urdf:
-        for option in ('joints', 'lock', 'tip'):
-            if getattr(arguments, option):
-                raise ConfigError(f'--{option}', 'is for joints of a URDF: give --urdf')
-        return _write(folder, replace(_example(), name=name or 'my_arm'), 'arm')
     arm = chosen_arm(arguments)
+    if arm is None:
+        return _write(folder, replace(_example(), name=name or 'my_arm'), 'arm')
     arm = _with_region(replace(arm, name=name or re.sub(r'\W', '_', arm.name)))
     urdf = os.path.relpath(Path(arguments.urdf).resolve(), folder.resolve())
     return _write(folder, replace(arm, urdf=urdf), arguments.urdf)
