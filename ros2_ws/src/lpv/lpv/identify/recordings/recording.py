@@ -1,5 +1,7 @@
 """Recordings of an arm: positions, rates and efforts of its joints over time."""
 
+import re
+from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,9 +11,10 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from lpv.bag.rosbag.reading import open_bag
-from lpv.bag.run.csv_import import ColumnMap
+from lpv.bag.run.csv_import import ColumnMap, opened, read_samples
 from lpv.bag.run.measurements import MeasurementReader
 from lpv.bag.run.record import find_topic
+from lpv.core.serial_arm.chain import MAX_JOINTS
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.turns import Turns
 from lpv.core.support.limits import MAX_GAP, MOST_SAMPLES, SMALL
@@ -24,6 +27,15 @@ MIN_SHARE_VALID = 0.7
 """Smallest share of samples that must be complete."""
 _CUT = 5.0 * MAX_GAP  # ends a segment at any rate that is used [s]
 _SHORTEST = 1e-6  # floats of the seconds since 1970 resolve not much less [s]
+_START = 2.0**30  # middle of the range of stamps: a clock may be set either way [s]
+_PATTERNS = {
+    'position': '{}_position {}_pos position_{} q_{} pos_meas{} motor_position{} position{} q{}',
+    'velocity': '{}_velocity {}_vel velocity_{} v_{} vel_meas{} motor_velocity{} velocity{} dq{} '
+    'v{}',
+    'effort': '{}_effort {}_torque effort_{} tau_{} tau_meas{} motor_torque{} effort{} torque{} '
+    'tau{} current{}',
+}
+"""Names of columns by the joint's name, or by its number."""
 
 
 @dataclass(frozen=True)
@@ -68,9 +80,7 @@ def read_recording(
     """Complete samples of a bag or CSV file; IdentificationError if signals are missing."""
     path = Path(path)
     if path.suffix.lower() == '.csv':
-        from lpv.identify.recordings.csv_recording import read_csv
-
-        stamps, position, velocity, effort, notes = read_csv(path, joints, columns)
+        stamps, position, velocity, effort, notes = _read_csv(path, joints, columns)
         recording = clean(str(path), stamps, position, velocity, effort)
         return replace(recording, warnings=(*notes, *recording.warnings))
     return clean(str(path), *_read_bag(path, joints, topic))
@@ -86,9 +96,7 @@ def read_pairs(
     """Positions of joints and of their second encoders in the same samples, (n, joints) each."""
     path = Path(path)
     if path.suffix.lower() == '.csv':
-        from lpv.identify.recordings.csv_recording import read_csv
-
-        _, position, *_ = read_csv(path, first, columns, second)
+        _, position, *_ = _read_csv(path, first, columns, second)
     else:
         _, position, *_ = _read_bag(path, (*first, *second), topic)
     return position[:, : len(first)], position[:, len(first) :]
@@ -229,3 +237,89 @@ def _read_bag(path: Path, joints: Sequence[str], topic: str | None) -> tuple[Any
     header, log, position, rates, effort = (np.concatenate(part) for part in zip(*parts))
     velocity = rates if np.isfinite(rates).any() else None
     return [1e-9 * (stamps - stamps[0]) for stamps in (header, log)], position, velocity, effort
+
+
+def _read_csv(
+    path: Path, joints: Sequence[str], columns: ColumnMap | None, others: Sequence[str] = ()
+) -> tuple[list[np.ndarray], np.ndarray, np.ndarray | None, np.ndarray, list[str]]:
+    """Stamps, positions, rates (or None), efforts, remarks of a CSV file with a header line.
+
+    Columns of ``others`` are positions of the same joints, too.
+    """
+    notes, count = list[str](), len(joints) + len(others)
+    stamps, *parts = array('q'), array('d'), array('d'), array('d')
+    columns = columns or _guess_columns(path, _header(path), joints)
+    chosen = _chosen(path, columns, joints, others)
+    for stamp, *vectors in read_samples(path, chosen, ',', notes):
+        stamps.append(stamp)
+        for part, vector in zip(parts, vectors):
+            part.extend(vector)
+        if len(stamps) > MOST_SAMPLES:
+            raise IdentificationError(f'{path}: has more than {MOST_SAMPLES} samples')
+    time = np.array(stamps)
+    position, velocity, effort = (
+        np.array(part).reshape(-1, count) if part else np.full((len(time), count), np.nan)
+        for part in parts
+    )
+    rates = velocity if np.isfinite(velocity).any() else None
+    return [1e-9 * (time - time[:1])], position, rates, effort, notes
+
+
+def _header(path: Path) -> list[str]:
+    with opened(path) as reader:
+        return [name.strip() for name in next(reader, [])]
+
+
+def _chosen(
+    path: Path, columns: ColumnMap, joints: Sequence[str], others: Sequence[str]
+) -> ColumnMap:
+    """Columns of some joints, in their order, and of other positions of theirs."""
+    for joint in joints:
+        if joint not in columns.joints:
+            known = ', '.join(columns.joints)
+            raise IdentificationError(
+                f'{path}: the column map has no joint {joint!r}; it has {known}'
+            )
+    found = {name: columns.joints[name] for name in joints}
+    found |= {f'column {name}': (name, '', '') for name in others}
+    units = {f'column {name}': columns.unit(joint) for name, joint in zip(others, joints)}
+    return replace(columns, start=_START, joints=found, units=columns.units | units)
+
+
+def _guess_columns(path: Path, header: list[str], joints: Sequence[str]) -> ColumnMap:
+    """Column map from a header that names columns after joints or their numbers."""
+    time = next((name for name in header if re.fullmatch(r'(time|t|stamp)(_s)?', name, re.I)), None)
+    if time is None:
+        raise IdentificationError(f'{path}: has no column "time"; give a column map (--columns)')
+    found, labels = {}, _labels(path, header, joints)
+    for label, joint in zip(labels, joints):
+        names = []
+        for kind, patterns in _PATTERNS.items():
+            wanted = [pattern.format(label) for pattern in patterns.split()]
+            match = next((name for name in wanted if name in header), None)
+            if match is None and kind != 'velocity':
+                raise IdentificationError(
+                    f'{path}: no column looks like the {kind} of '
+                    f'{joint!r}; give a column map (--columns)'
+                )
+            names.append(match or '')
+        found[joint] = tuple(names)
+    return ColumnMap(time, 's', 0.0, 'rad', found)
+
+
+def _labels(path: Path, header: list[str], joints: Sequence[str]) -> Sequence[str]:
+    """What the columns of the joints' positions are named after: joints, or numbers."""
+
+    def among(labels: Sequence[str]) -> list[str]:
+        return [x for x in labels if any(p.format(x) in header for p in patterns)]
+
+    patterns = _PATTERNS['position'].split()
+    numbers = among([str(k) for k in range(MAX_JOINTS + 1)])
+    if among(joints) or not numbers:
+        return joints
+    if len(numbers) != len(joints):
+        raise IdentificationError(
+            f'{path}: positions are numbered {", ".join(numbers)}, but the arm has '
+            f'{len(joints)} joints; give a column map (--columns)'
+        )
+    return numbers
