@@ -19,8 +19,7 @@ from serial_bags import crane_file, crane_run, record_crane
 
 from lpv import AlarmEvent, ConfigError, Fault
 from lpv.bag.errors import BagError
-from lpv.bag.replay.injected_faults import judge, true_size
-from lpv.bag.replay.replay import Replay, ReplayResult
+from lpv.bag.replay.replay import Replay, ReplayResult, judge, true_size
 from lpv.bag.rosbag import reading, writing
 from lpv.bag.rosbag.messages import BagMessages
 from lpv.bag.rosbag.reading import open_bag

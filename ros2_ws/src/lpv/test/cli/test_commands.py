@@ -14,7 +14,7 @@ from places import BRINGUP, DATA, ROOT
 from rich.console import Console
 
 from lpv import Fault, load_arm, load_scenario, save_gains
-from lpv.bag.replay.injected_faults import InjectedFault
+from lpv.bag.replay.replay import InjectedFault
 from lpv.bag.run.record import RecordedAlarm
 from lpv.campaign.falsify.attack import Finding
 from lpv.cli import needs, progress

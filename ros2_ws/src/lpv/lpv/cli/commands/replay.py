@@ -8,8 +8,7 @@ import numpy as np
 from rich.console import Console
 
 from lpv.bag.errors import BagError
-from lpv.bag.replay.injected_faults import InjectedFault, judge
-from lpv.bag.replay.replay import Replay, ReplayResult
+from lpv.bag.replay.replay import InjectedFault, Replay, ReplayResult, judge
 from lpv.bag.replay.writer import MARK
 from lpv.bag.rosbag.metadata import read_metadata
 from lpv.bag.rosbag.output_folder import GAINS_NAME, replaced
