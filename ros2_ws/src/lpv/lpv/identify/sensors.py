@@ -153,7 +153,7 @@ def find_second_encoders(
         if not abs(abs(scale) - 1.0) < _SAME_SCALE:
             raise IdentificationError(
                 f'{path}: {name} turns {scale:.3g} times as far as {joint}, so that it is no '
-                'second encoder of this joint in rad at the joint'
+                'second encoder of this joint in rad, or m, at the joint'
             )
         rest = second[:, j] - scale * first[:, j] - offset
         encoder = SecondEncoder(name, max(float(noise[j]), 1e-9), float(step[j]))
@@ -174,12 +174,12 @@ def with_second_encoders(arm: SerialArm, found: Sequence[SecondReading]) -> Seri
     return replace(arm, joints=tuple(joints))
 
 
-def describe(reading: SecondReading) -> str:
-    """One line on a second encoder."""
+def describe(reading: SecondReading, unit: str) -> str:
+    """One line on a second encoder; unit of the joint's position."""
     encoder = reading.encoder
     return (
         f'second encoder of {reading.joint}, {encoder.name}: noise '
-        f'{encoder.position_noise:.2g} rad, step {encoder.quantization:.2g} rad, scale '
-        f'{reading.scale:.4f}, offset {reading.offset:.4f} rad, differs by '
-        f'{1e3 * reading.difference:.3f} mrad RMS'
+        f'{encoder.position_noise:.2g} {unit}, step {encoder.quantization:.2g} {unit}, scale '
+        f'{reading.scale:.4f}, offset {reading.offset:.4f} {unit}, differs by '
+        f'{1e3 * reading.difference:.3f} m{unit} RMS'
     )

@@ -185,7 +185,9 @@ def test_given_second_encoders_when_compared_then_they_fit_or_not(recording, arm
     (found,) = find_second_encoders(bag, {'two': 'two_link'})
     assert found.encoder.position_noise == pytest.approx(5e-4, rel=0.1)
     assert (found.scale, found.offset) == pytest.approx((-1.0, 0.1), abs=1e-3)
-    assert found.difference == pytest.approx(5e-4, rel=0.1) and 'two_link' in describe(found)
+    assert found.difference == pytest.approx(5e-4, rel=0.1) and 'two_link' in describe(found, 'rad')
+    said = describe(found, 'm')  # of a joint that slides
+    assert ' m, scale' in said and said.endswith(' mm RMS') and 'rad' not in said
     sensors = with_second_encoders(arm, [found]).joints[1].sensors
     assert sensors.second_encoder == found.encoder
     reasons = {'three': 'no second encoder of this joint', 'nothing': 'occurs 0 times'}

@@ -109,9 +109,10 @@ def _with_second_encoders(
     if not pairs:
         return arm
     found = find_second_encoders(arguments.recordings[0], pairs, arguments.topic, columns)
+    arm, units = with_second_encoders(arm, found), dict(zip(arm.joint_names, arm.position_units))
     for reading in found:
-        print(describe(reading))
-    return with_second_encoders(arm, found)
+        print(describe(reading, units[reading.joint]))
+    return arm
 
 
 def _pair(text: str) -> tuple[str, str]:
