@@ -17,12 +17,12 @@ from std_srvs.srv import Trigger
 from lpv.core.monitoring.alarm_text import count_texts, describe
 from lpv.core.monitoring.answers import Answer
 from lpv.core.monitoring.message_fields import ERROR, OK, WARN, alarm_fields
-from lpv.core.monitoring.parameters import DiagnosisParameters, check_names
+from lpv.core.monitoring.parameters import DIAGNOSIS, SAMPLING, DiagnosisParameters, check_names
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent, Mode
 from lpv.core.support.errors import SampleError
-from lpv.core.support.limits import MAX_DELAY, MAX_GAP, PATIENCE
+from lpv.core.support.limits import MAX_DELAY, PATIENCE
 from lpv.core.support.timestamps import NANOSECONDS, to_nanoseconds
 from lpv.core.uio.certificate.gains import Gains
 from lpv.core.uio.unknown_input_observer import CHOICES
@@ -35,34 +35,18 @@ from lpv_node.status import StatusReporter, diagnostics
 from lpv_uio.messages import OutputMessages
 from lpv_uio.open_alarms import OpenAlarms, alarm_file
 
-_NAMES = table("""
-hours_between_false_alarms[0.01:1e6]  mean time between false alarms of a healthy arm [h]
-probability_of_wrong_name[1e-6:0.5]  probability that a named cause is another one [1]
-minimum_threshold[0:10]  smaller lasting offsets are no faults [rad]
-smallest_step[0:10]      smaller jumps of a reading are no faults [rad]
-clear_dwell[0:100]       for which a fault must be over before its alarm ends [s]
-latch                    alarms stay until ~/reset, even if the fault is over
-sigmas[1:10]             standard deviations in a bound [1]
-compensation_rate[0.01:100]  how fast a compensation without a known step is faded in and out
-                         [rad/s]
-safe_stop_bound[0.01:100]  a confirmed fault that is removed with a wider bound stops the arm [rad]
-""")
-"""Fields of `DiagnosisParameters`, which has their defaults."""
-TUNABLE = tuple(
-    one._replace(name=f'diagnosis.{one.name}', default=getattr(DiagnosisParameters, one.name))
-    for one in _NAMES
-)
-SPECS = table(f"""
+TUNABLE = tuple(one._replace(name=f'diagnosis.{one.name}') for one in DIAGNOSIS)
+SPECS = (
+    *table(f"""
 arm_file FILE            arm file (YAML), or name of a shipped arm
 torque_source {{effort,command}}  where torques come from: the effort of joint_states, or the latest
                          torque_command
 stale_after=0.5[0.01:60]  real time only: silence after which the diagnosis is stale [s]
 observer {{{','.join(CHOICES)}}}  whose estimate of the faults is published, where gains are given:
                          that of the smaller bound, or one of the observers alone
-initial_samples=1[1:100000]  samples over which the start value is averaged
-max_gap={MAX_GAP}[0.001:10]  longest interval that is integrated [s]; after a longer one the
-                         estimate is re-anchored on the encoders
-""")
+"""),
+    *SAMPLING,
+)
 _COMPILING = 'compiling the observer: the first start after an installation takes up to a minute'
 _NOT_ESTIMATED = int(Mode.STALE)
 """From this mode on there is nothing to correct."""

@@ -7,10 +7,15 @@ from rich.console import Console
 
 from lpv.bag.replay.replay import ReplayOptions
 from lpv.bag.rosbag.output_folder import GAINS_NAME
-from lpv.core.monitoring.parameters import DiagnosisParameters, check_names
+from lpv.core.monitoring.parameters import (
+    DIAGNOSIS,
+    SAMPLING,
+    DiagnosisParameters,
+    check_names,
+    given_values,
+)
 from lpv.core.serial_arm.description import SerialArm
-from lpv.core.support.config import as_number, read_yaml
-from lpv.core.support.errors import ConfigError
+from lpv.core.support.config import Section, read_yaml
 from lpv.core.support.resources import bringup_file, shipped_files
 from lpv.core.uio.certificate.gains import Gains, gains_in, load_gains
 from lpv.report.certificate import beside_bag, named_arm, shipped_arm
@@ -71,18 +76,8 @@ def diagnosis_parameters(path: str | None) -> tuple[DiagnosisParameters, dict[st
     """Tuning in a parameter file of the node; its ``max_gap``, ``initial_samples`` if given."""
     if not path:
         return DiagnosisParameters(), {}
-    try:
-        values = dict(read_yaml(path)['/**']['ros__parameters'])
-        tuning = dict(values.get('diagnosis') or {})
-        check_names(tuning, path)
-        diagnosis = DiagnosisParameters(**{k: as_number(v) for k, v in tuning.items()})
-    except (KeyError, TypeError, ValueError) as error:
-        raise ConfigError(
-            '/**.ros__parameters', f'is not a set of parameters ({error})', path
-        ) from error
-    names = ('max_gap', 'initial_samples')
-    chosen = {name: as_number(values[name]) for name in names if name in values}
-    for name, value in (*vars(diagnosis).items(), *chosen.items()):
-        if not isinstance(value, (int, float)) or not 0.0 <= value < 1e9:
-            raise ConfigError(name, f'must be a number from 0, got {value!r}', path)
-    return diagnosis, chosen
+    values = Section(read_yaml(path), path).section('/**').section('ros__parameters')
+    tuning = values.plain('diagnosis')
+    check_names(tuning, path)
+    diagnosis = given_values(Section(tuning, path, 'diagnosis'), DIAGNOSIS)
+    return DiagnosisParameters(**diagnosis), given_values(values, SAMPLING)

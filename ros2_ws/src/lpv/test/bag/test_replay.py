@@ -570,6 +570,12 @@ def test_given_bad_input_when_run_then_it_is_said(bag, tmp_path, monkeypatch, ca
     Path('faults.yaml').write_text(f'faults: [{fault}]\n')
     Path('misspelt.yaml').write_text('/**: {ros__parameters: {diagnosis: {sigma: 5.0}}}')
     Path('tuned.yaml').write_text('/**: {ros__parameters: {diagnosis: {clear_dwell: soon}}}')
+    wrong = {'hours_between_false_alarms': 0, 'probability_of_wrong_name': 5.0, 'latch': 7}
+    for name, value in wrong.items():
+        text = f'/**: {{ros__parameters: {{diagnosis: {{{name}: {value}}}}}}}'
+        Path(f'{name}.yaml').write_text(text)
+    for name, value in (others := {'max_gap': 0, 'initial_samples': 2.7}).items():
+        Path(f'{name}.yaml').write_text(f'/**: {{ros__parameters: {{{name}: {value}}}}}')
     precious.parent.mkdir()
     precious.write_text('mine')
     for named, *mistakes in (
@@ -587,6 +593,7 @@ def test_given_bad_input_when_run_then_it_is_said(bag, tmp_path, monkeypatch, ca
         ('--to', {'from': 2, 'to': 1}, {'to': 'inf'}),
         ('clear_dwell', {'parameters': 'tuned.yaml'}),
         ('diagnosis.sigma: is not a known parameter', {'parameters': 'misspelt.yaml'}),
+        *((f'{name}: must', {'parameters': f'{name}.yaml'}) for name in (*wrong, *others)),
         ('somewhere exists already', {'out': 'somewhere'}),
         ('exists already', {'out': 'tuned.yaml'}),
         ('would overwrite', {'bag': 'somewhere/bag', 'out': 'somewhere'}),

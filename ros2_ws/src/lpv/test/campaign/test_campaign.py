@@ -67,6 +67,10 @@ MISFITS = [
     (SMALL, 'scenario', {'factors': {'path': ['random', 'nowhere']}}),
     (SMALL, 'gains.arm_sha256', OF_REAL_ARM),
     (SMALL, 'gains.arm_sha256', {'designs': ['gains.yaml'], 'factors': {'sample_time': 0.004}}),
+    *(
+        (SMALL, f'factors.diagnosis.{name}', {'factors': {f'diagnosis.{name}': value}})
+        for name, value in (('hours_between_false_alarms', 0.0), ('sigmas', [3.0, 11.0]))
+    ),
     (UR10, 'designs', {'designs': ['paper']}),
     (UR10, 'path.waypoints', {'scenario': 'two_faults', 'factors': {}}),
     (UR10, 'factors.disturbance', {'factors': {'disturbance': 1.0}}),

@@ -87,7 +87,7 @@ def plan_run(campaign: Campaign, number: int) -> RunPlan:
             plant[f'{name}_factors'] = [given.get(i, before) for i, before in enumerate(links)]
     if 'fault.kind' in spec.factors:
         content['faults'] = _faults(arm.sensor_names, values, rng)
-    tuning = {field: values[name] for name, field in TUNING.items() if name in values}
+    tuning = {name.partition('.')[2]: values[name] for name in TUNING if name in values}
     return RunPlan(
         number,
         values,

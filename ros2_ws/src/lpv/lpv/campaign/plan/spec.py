@@ -2,13 +2,13 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from lpv.core.control.tracking import COMPENSATION
-from lpv.core.monitoring.parameters import DiagnosisParameters
+from lpv.core.monitoring.parameters import DIAGNOSIS
 from lpv.core.simulation.faults import KINDS
 from lpv.core.simulation.scenario import PLANTS
 from lpv.core.support.config import Section, as_number
@@ -54,12 +54,8 @@ DEFAULTS: dict[str, Any] = {
     'sample_loss': 0.0,
 }
 """Where the file is silent; None: as scenario or arm file, the first one, a sign by chance."""
-TUNING = {
-    f'diagnosis.{field.name}': field.name
-    for field in fields(DiagnosisParameters)
-    if field.type in (float, 'float')
-}
-"""Factors that are numbers of the diagnosis, and the names that it gives them."""
+TUNING = {f'diagnosis.{one.name}': one.limits for one in DIAGNOSIS if one.limits}
+"""Factors that are numbers of the diagnosis, and their ranges."""
 
 
 @dataclass(frozen=True)
@@ -233,7 +229,7 @@ def _check(factor: Choice | Range, name: str, section: Section) -> None:
     if isinstance(values[0], str) == numeric:
         raise section.error(name, 'must be a number' if numeric else 'must be a text')
     if numeric:
-        low, high = NUMBERS.get(name, (0.0, _INF))
+        low, high = {**NUMBERS, **TUNING}[name]
         if min(values) < low or max(values) > high:
             raise section.error(name, f'must lie within {low:g} and {high:g}')
         if name == 'sample_time' and not isinstance(factor, Choice):

@@ -439,7 +439,8 @@ class Section:
 
     def plain(self, key: str) -> dict[str, Any]:
         """Return an optional mapping as it is, for data that is only passed on."""
-        return dict(self.section(key, required=False)._data)
+        is_given = key in self and self._data[key] is not None  # its lines may be commented out
+        return dict(self.section(key)._data) if is_given else {}
 
     @_or(lambda *_: None)
     def finish(self) -> None:
