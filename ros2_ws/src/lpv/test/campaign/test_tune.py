@@ -78,6 +78,7 @@ def test_given_what_makes_no_sense_when_tuned_then_one_line_says_so(file, refuse
     for option, told in (
         ('--search observer.decay', 'FIELD=LOW:HIGH'),
         ('--search observer.decay=1:0.1', 'low < high'),
+        ('--search diagnosis.sigmas=3:11', 'from 3 to 10'),
         ('--search observer.speed=0.1:1', 'is no number of'),
         ('--search observer.decay=0.5:1', 'must hold 0.25'),
         *((f'--cost missed{weight}', 'COLUMN=WEIGHT') for weight in ('', '=-1')),

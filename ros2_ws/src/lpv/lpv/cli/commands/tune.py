@@ -21,10 +21,11 @@ from scipy import stats
 
 from lpv.campaign.execution.execute import chunks_of, worker_pool
 from lpv.campaign.plan.campaign import load_campaign
-from lpv.campaign.plan.spec import NO_FAULT
+from lpv.campaign.plan.spec import NO_FAULT, TUNING
 from lpv.core.monitoring.parameters import DiagnosisParameters
 from lpv.core.support.config import read_yaml, sha256_of, write_parameters
 from lpv.core.support.errors import ConfigError
+from lpv.core.support.limits import LARGEST
 from lpv.core.uio.certificate.gains import Gains, load_gains
 from lpv_design.design_flow import design
 from lpv_design.requirement import load_requirement, parse_requirement
@@ -41,7 +42,7 @@ _RATES, _LEAST_RATE = ('missed', 'unstable', 'wrong_alarms', 'false_alarms'), 0.
 """Figures that may be zero before the search, and what they count over then."""
 _TOLERANCE, _RESAMPLES = 0.02, 2000
 """Share of the cost that a change has to gain; resamples, 50 of which are beyond an end of 95 %."""
-_DIAGNOSIS = {'sigmas': 3.0, 'hours_between_false_alarms': 1.0, 'probability_of_wrong_name': 1e-6}
+_DIAGNOSIS = {'diagnosis.sigmas': 3.0, 'diagnosis.hours_between_false_alarms': 1.0}
 """Least values: below its bound a threshold means nothing, whatever a campaign says."""
 _FIELD = re.compile(r'(observer|controller|diagnosis)\.(\w+)(?:\[(\d)\])?')
 
@@ -78,9 +79,11 @@ class _Bench:
             low, high = (float(end) for end in ends.split(':'))
         except ValueError:
             raise ConfigError('--search', f'must be FIELD=LOW:HIGH, got {text!r}') from None
-        least = _DIAGNOSIS.get(name.removeprefix('diagnosis.'), 0.0)
-        if not (least <= low < high < math.inf and low > 0.0):
-            raise ConfigError(f'--search {name}', f'must have ends from {least:g} on, low < high')
+        least, most = TUNING.get(name, (0.0, LARGEST))
+        least = max(least, _DIAGNOSIS.get(name, 0.0))
+        if not (least <= low < high <= most and low > 0.0):
+            reason = f'must have ends from {least:g} to {most:g}, low < high'
+            raise ConfigError(f'--search {name}', reason)
         return name, (low, high)
 
     def _field(self, name: str) -> tuple[str, str, Any, list[int]]:
