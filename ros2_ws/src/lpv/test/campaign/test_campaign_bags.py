@@ -17,8 +17,15 @@ from campaign_files import GAINS, UR10, command, rows_of, spec, written
 from lpv import AlarmEvent, ConfigError, load_arm, load_gains, load_scenario
 from lpv.bag.rosbag.messages import BagMessages
 from lpv.bag.run.record import load_run
-from lpv.campaign.execution import bag_figures, run_metrics
-from lpv.campaign.execution.archive import Archive, archive_text, find_bags, unit_of
+from lpv.campaign.execution import run_metrics
+from lpv.campaign.execution.archive import (
+    STATES,
+    Archive,
+    alarm_rows,
+    archive_text,
+    find_bags,
+    unit_of,
+)
 from lpv.campaign.execution.run_to_bag import START, differences, stamps_of, write_run_bag
 from lpv.campaign.execution.runs import plan_run
 from lpv.campaign.plan.campaign import resolve
@@ -270,7 +277,7 @@ def test_given_answers_when_summed_up_then_they_are_those_recorded(tried, archiv
         interval = np.append(np.diff(stamps) / 1e9, paper_arm.sample_time)
         for i, (state, estimate, threshold) in enumerate(zip(*columns), 1):
             here, used = state <= 2, state != 3
-            for k, word in enumerate(bag_figures.STATES):
+            for k, word in enumerate(STATES):
                 expected = interval[state == k].sum()
                 assert row[f'time_{word}_{i}'] == pytest.approx(expected, abs=1e-9), (name, word)
             assert row[f'fault_mean_{i}'] == pytest.approx(estimate[here].mean())
@@ -302,7 +309,7 @@ def test_given_no_scenario_or_a_long_bag_when_replayed_then_the_truth_is_shown_o
             assert row[figure] == expected[figure], (name, figure)
         assert row['detection_delay'] == pytest.approx(expected['detection_delay'])
         assert row['kind'] == 'unknown'
-    monkeypatch.setattr('lpv.campaign.execution.bag_figures.MOST_SAMPLES', 1000)
+    monkeypatch.setattr('lpv.campaign.execution.archive.MOST_SAMPLES', 1000)
     row = settings.row('b/bias')
     assert (row['alarms'], row['error']) == (1, '') and 'false_alarms' not in row
     assert 'too long' in row['warnings']
@@ -369,7 +376,7 @@ def test_given_alarms_when_listed_then_those_of_one_sensor_and_kind_are_one_line
     told += [(raised, 'one', 'drift', 5 * 10**9), (raised, 'two', 'drift', 6 * 10**9)]
     told.insert(1, (raised, 'one', 'rate_bias', 2 * 10**9))  # an alarm of its own
     alarms = [Alarm(e, 0, s, onset, onset + 9, 0.1, 0.01, k, 1.0) for e, s, k, onset in told]
-    rows = bag_figures.alarm_rows(alarms, 0)
+    rows = alarm_rows(alarms, 0)
     found = [(row['sensor'], row['kind'], row['count'], row['onset']) for row in rows]
     drifts = [('one', 'drift', 2, 1.0), ('two', 'drift', 1, 6.0)]
     assert sorted(found) == [drifts[0], ('one', 'rate_bias', 1, 2.0), drifts[1]]
