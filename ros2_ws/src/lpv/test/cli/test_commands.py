@@ -2,6 +2,7 @@
 
 import io
 import re
+import signal
 import subprocess
 import sys
 import time
@@ -21,6 +22,7 @@ from lpv.cli import needs, progress
 from lpv.cli.commands import demo, falsify, replay, view
 from lpv.core.export.urdf import arm_urdf
 from lpv.core.serial_arm.two_links import two_link_arm
+from lpv.core.support.signals import STOPS
 from lpv.core.uio.planar import planar_model
 
 HEAVY = ('numpy', 'numba', 'scipy', 'matplotlib', 'cvxpy', 'rosbags', 'pinocchio', 'rclpy', 'rich')
@@ -112,19 +114,66 @@ def test_given_joints_when_findings_are_told_then_each_has_its_unit_if_it_has_a_
     assert told.endswith('reached 0.700 of its threshold, 0.1000 m, at 1.00 s\n')
 
 
-def test_given_an_empty_domain_when_the_demo_runs_then_it_has_one_of_its_own(tmp_path, monkeypatch):
-    started = {}
+@pytest.fixture
+def launch(tmp_path, monkeypatch):
+    """Runs the demo's graph with a script in the place of the launch."""
+    program, scenario = tmp_path / 'ros2', load_scenario('ur10')
+    monkeypatch.setattr(demo.shutil, 'which', lambda *_, **__: str(program))
 
-    def start(line, **options):
-        started.update(options)
-        raise FileNotFoundError(line[0])
+    def run(script='', console=None):
+        program.write_text(f'#!/bin/sh\n{script}\n')
+        program.chmod(0o755)
+        given = SimpleNamespace(domain_id=None, mode='lockstep', seed=-1, compensation='off')
+        return demo._run_graph(given, {}, tmp_path, scenario, console or Console(quiet=True))
 
+    return run
+
+
+def test_given_an_empty_domain_when_the_demo_runs_then_it_has_one_of_its_own(
+    tmp_path, monkeypatch, launch
+):
     monkeypatch.setenv('ROS_DOMAIN_ID', '')
-    monkeypatch.setattr(demo.subprocess, 'Popen', start)
-    arguments = SimpleNamespace(domain_id=None, mode='lockstep', seed=-1, compensation='off')
-    with pytest.raises(FileNotFoundError):
-        demo._run_graph(arguments, {}, tmp_path, load_scenario('ur10'), Console(quiet=True))
-    assert 1 <= int(started['env']['ROS_DOMAIN_ID']) <= 100
+    launch('echo $ROS_DOMAIN_ID')
+    assert 1 <= int((tmp_path / 'launch.log').read_text()) <= 100
+
+
+@pytest.mark.usefixtures('signals_as_before')
+@pytest.mark.parametrize('number', STOPS)
+def test_given_a_signal_when_the_demo_runs_then_the_launch_has_ended_before_it(
+    tmp_path, monkeypatch, launch, number
+):
+    console, script = Console(quiet=True), f"trap 'echo > {tmp_path}/ended; exit' INT; echo ALARM"
+
+    def tell(text='', **_):
+        if 'ALARM' in str(text):
+            signal.raise_signal(number)
+
+    monkeypatch.setattr(console, 'print', tell)
+    with pytest.raises((KeyboardInterrupt, SystemExit)) as stopped:
+        launch(f'{script}; while :; do sleep 0.02; done', console)
+    assert number == signal.SIGINT or stopped.value.code == 128 + number
+    assert (tmp_path / 'ended').exists()
+
+
+def test_given_a_node_that_dies_when_the_demo_runs_then_it_says_so(tmp_path, launch):
+    died, over = '[ERROR] [uio-3]: process has died [pid 7]', 'echo the scenario is over'
+    for script in (f'echo "{died}"; {over}', f'{over}; exit 1', 'true'):
+        assert launch(script).startswith('a node has died, or hangs; ')
+        assert ('died' in (tmp_path / 'launch.log').read_text()) == (died in script)
+    assert launch(over) == ''
+
+
+@pytest.mark.parametrize(('arm', 'scenario'), [('paper', 'two_faults'), ('ur10', 'ur10')])
+def test_given_no_scenario_when_the_demo_runs_then_it_is_that_of_the_arm(
+    tmp_path, monkeypatch, call, arm, scenario
+):
+    run = []
+    monkeypatch.setattr(demo, 'require_ros', lambda: None)
+    monkeypatch.setattr(demo, '_designed', lambda *_: tmp_path)
+    monkeypatch.setattr('lpv.core.simulation.precompile.precompile', lambda _: None)
+    monkeypatch.setattr(demo, '_run_graph', lambda _, files, *others: run.append(files) or 'no')
+    call('demo', '--arm', arm, '--out', tmp_path, code=1)
+    assert [files['scenario'].stem for files in run] == [scenario]
 
 
 @pytest.mark.parametrize('name', ['cell/left', '/cell/left/', '/cell/left'])
