@@ -39,12 +39,15 @@ def pytest_report_header():
 
 
 def pytest_ignore_collect(collection_path, config):
-    """Tests of nodes need ROS 2; where one marker is asked for, others are not even imported."""
+    """Tests of nodes need ROS 2; files without a test of the markers asked for are not imported."""
     if not collection_path.name.startswith('test_'):
         return None
     text, marker = collection_path.read_text(encoding='utf-8'), config.option.markexpr
     unmarked = marker.isidentifier() and f'mark.{marker}' not in text
-    return unmarked or (not _ROS and bool(_OF_ROS.search(text))) or None
+    left_out = [] if ' or ' in marker else re.findall(r'\bnot (\w+)', marker)
+    whole = (rf'^pytestmark = .*mark\.{one}\b' for one in left_out)  # all tests of the file
+    marked = any(re.search(one, text, re.MULTILINE) for one in whole)
+    return unmarked or marked or (not _ROS and bool(_OF_ROS.search(text))) or None
 
 
 def pytest_configure():

@@ -91,8 +91,7 @@ def is_number(value):
 
 def silent_constants(path):
     """Numeric constants of a module that neither a string below nor a comment explains."""
-    text = path.read_text(encoding='utf-8')
-    lines, body = text.splitlines(), ast.parse(text).body
+    lines, (body, _) = path.read_text(encoding='utf-8').splitlines(), import_graph.parsed(path)
     for one, following in zip(body, [*body[1:], None]):
         if not isinstance(one, (ast.Assign, ast.AnnAssign)) or not is_number(one.value):
             continue

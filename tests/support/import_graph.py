@@ -26,12 +26,20 @@ def module_files():
     return {'.'.join(name.parts).removesuffix('.__init__'): file for name, file in files}
 
 
+@cache
+def parsed(file):
+    """Statements of a module, and its imports, lazy ones included."""
+    tree = ast.parse(file.read_text(encoding='utf-8'))
+    nodes = ast.walk(tree)
+    return tree.body, [one for one in nodes if isinstance(one, (ast.Import, ast.ImportFrom))]
+
+
 def imports(file, known=()):
-    """Modules that a file imports, lazy imports included; of those known also what is in them."""
-    for node in ast.walk(ast.parse(file.read_text(encoding='utf-8'))):
+    """Modules that a file imports; of those known also what is in them."""
+    for node in parsed(file)[1]:
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and not node.level:
+        elif not node.level:
             for alias in node.names:
                 inner = f'{node.module}.{alias.name}'
                 yield inner if inner in known else node.module

@@ -29,16 +29,17 @@ def test_given_stamps_when_ahead_then_as_one_by_one(paper_arm, two_faults, stamp
     path = two_faults.path(paper_arm)
     alone = PathFollower(path)
     ahead = UpcomingReferences(PathFollower(path), STEP, 2, 3)
-    position = path.sample(0.0).position + away
+    position, found, wanted = path.sample(0.0).position + away, [], []
     for k, stamp in enumerate(stamps):
         if k in stops:
             alone.stop()
             ahead.stop()
         expected = alone.reference(stamp, position)
         ahead.advance(stamp, position)
-        for found, wanted in zip(astuple(ahead.reference), astuple(expected)):
-            np.testing.assert_array_equal(found, wanted)
+        found.append(np.hstack(astuple(ahead.reference)))
+        wanted.append(np.hstack(astuple(expected)))
         position = expected.position + away * (k in stops)
+    np.testing.assert_array_equal(found, wanted)
     ahead.reset()
     ahead.advance(stamps[0], path.sample(0.0).position)
     np.testing.assert_array_equal(ahead.reference.position, path.sample(0.0).position)

@@ -5,6 +5,7 @@ import re
 import sys
 import threading
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -359,9 +360,12 @@ def test_given_two_simulators_alone_when_the_command_runs_then_all_is_found(monk
     assert '/lpv/joint_states is silent' in texts['measurements']
 
 
+moving = cache(simulated_run)
+
+
 def recorded(arm, duration=1.2, scale=1.0, rate_scale=1.0, sign=1.0, rates=True):
     """What the driver of a moving arm sends."""
-    run, messages = simulated_run(arm, duration), []
+    run, messages = moving(arm, duration), []
     for stamp, (q, v, tau) in zip(run.stamps.tolist(), run.samples):
         velocity = rate_scale * v if rates else ()
         messages.append(message(NOW + stamp, arm.joint_names, sign * tau, velocity, scale * q))

@@ -130,7 +130,6 @@ def test_given_a_contact_parts_or_no_rates_when_fitted_then_all_counts(arm, reco
         assert after.friction.coulomb == pytest.approx(before.friction.coulomb, rel=0.1)
     assert np.all(touched.figures.rms < 1.1 * result.figures.rms)
     halves = [recording.rows(part) for part in (slice(1000), slice(1000, None))]
-    assert len(identify(arm, halves).predictions) == 2
     # Rates come from positions where there are none.
     found = identify(arm, [replace(half, velocity=None) for half in halves])
     assert not found.used_rates and len(found.predictions) == 2
@@ -150,7 +149,7 @@ def test_given_a_fault_in_the_recording_then_the_diagnosis_names_it(arm, recordi
 
 
 def test_given_efforts_without_gravity_when_identified_then_it_is_found(arm, simulated):
-    lifted, free = (simulated(replace(arm, gravity=g), 2, rate=60.0) for g in (9.81, 0.0))
+    lifted, free = (simulated(replace(arm, gravity=g), 2, rate=30.0) for g in (9.81, 0.0))
     without = replace(arm, effort_includes_gravity=False)
     for given, recording, text in ((arm, free, 'do not contain'), (without, lifted, 'contain')):
         found = identify(given, [recording])
@@ -161,7 +160,7 @@ def test_given_efforts_without_gravity_when_identified_then_it_is_found(arm, sim
         kept = identify(given, [recording], Options(weight_is_known=True))
         assert kept.arm.effort_includes_gravity == given.effort_includes_gravity
     planar = replace(arm, gravity=1e-3)
-    assert not identify(planar, [simulated(planar, 2, rate=60.0)]).warnings
+    assert not identify(planar, [simulated(planar, 2, rate=30.0)]).warnings
 
 
 def test_given_currents_when_identified_then_gains_and_their_signs_are_found(arm, simulated):

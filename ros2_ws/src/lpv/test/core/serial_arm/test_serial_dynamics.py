@@ -29,6 +29,8 @@ from lpv.core.uio.model.arm import ArmParameters, Link
 from lpv.core.uio.model.joints import JointMap
 
 CASES = given(st.integers(0, 2**31), st.integers(2, 9))
+PANDA = load_arm('panda')
+LIMITS = np.array([(joint.limits.lower, joint.limits.upper) for joint in PANDA.joints]).T
 PRISMATIC = {'scara': scara, 'ur10_on_rail': ur10_on_rail, 'mixed': mixed_arm}
 
 
@@ -180,10 +182,9 @@ def test_energy_is_kept_without_friction_and_torque():
 
 
 def test_given_friction_by_load_when_it_holds_an_arm_then_steps_are_short_enough():
-    arm = load_arm('panda')
-    chain, n, period = compile_chain(arm), len(arm.joints), 0.002
+    chain, n, period = compile_chain(PANDA), len(PANDA.joints), 0.002
     chain.friction[:] = 0.0, 0.0, 0.3, 0.0, 300.0
-    q = middle(arm) + 0.1
+    q = middle(PANDA) + 0.1
     step, count = integration_step(chain, period)
     torque, ends = 1.02 * SerialModel(chain).gravity(q) + 0.01, []
     scratch, matrix = plant_scratch(chain), np.empty((n, n))
@@ -207,9 +208,8 @@ def test_nearby_pose_is_reached(seed, joints):
 
 @given(st.integers(0, 2**31))
 def test_given_joints_at_their_limits_when_a_pose_needs_them_there_then_it_is_reached(seed):
-    arm, rng = load_arm('panda'), np.random.default_rng(seed)
-    low, high = np.array([(joint.limits.lower, joint.limits.upper) for joint in arm.joints]).T
-    q, chain, at_limit = rng.uniform(low, high), compile_chain(arm), rng.integers(7)
+    rng, (low, high) = np.random.default_rng(seed), LIMITS
+    q, chain, at_limit = rng.uniform(low, high), compile_chain(PANDA), rng.integers(7)
     q[at_limit] = (low, high)[rng.integers(2)][at_limit]
     rotation, position = kinematics.forward_kinematics(chain, q)
     start = np.clip(q + rng.uniform(-0.05, 0.05, 7), low, high)
