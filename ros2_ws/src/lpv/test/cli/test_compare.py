@@ -42,6 +42,7 @@ def test_given_the_reference_when_replayed_then_the_diagnosis_answers_as_it_did(
     assert [p.first.kind for p in found.alarms] == ['bias', 'drift', 'dropout']
 
 
+@pytest.mark.slow
 def test_given_another_behaviour_when_compared_then_it_is_noticed(tmp_path):
     changes = {'smallest_step': 0.5, 'sigmas': 4.01, 'clear_dwell': 0.6, 'compensation_rate': 0.4}
     for name, value in changes.items():

@@ -4,8 +4,9 @@ import fault_injection
 import numpy as np
 import pytest
 
-CASES = [('real_arm', 'derived', 0, 0.3), ('real_arm', 'independent', 0, 0.6),
-         ('paper', 'independent', 0, -0.3), ('paper', 'derived', 1, -0.3)]  # fmt: skip
+CASES = [('real_arm', 'derived', 0, 0.3), ('paper', 'independent', 0, -0.3)]
+ALIKE = [('real_arm', 'independent', 0, 0.6), ('paper', 'derived', 1, -0.3)]
+CASES += [pytest.param(case, marks=pytest.mark.slow) for case in ALIKE]
 
 
 def answered(name, rates, joint, share):

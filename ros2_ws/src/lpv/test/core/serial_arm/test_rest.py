@@ -102,7 +102,7 @@ def alarms(arm, run):
 
 @pytest.mark.parametrize('seed', seeds(2, fast=1))
 @pytest.mark.parametrize('step', [1e-4, 1e-3])
-@pytest.mark.parametrize('sample_time', [0.01, 0.002])
+@pytest.mark.parametrize('sample_time', [0.01, pytest.param(0.002, marks=pytest.mark.slow)])
 @pytest.mark.parametrize('rates', ['derived', 'independent'])
 @pytest.mark.parametrize('name', ['ur10', 'panda', 'three', 'two'])
 def test_given_rounded_readings_when_at_rest_then_all_is_well(name, rates, sample_time, step, seed):

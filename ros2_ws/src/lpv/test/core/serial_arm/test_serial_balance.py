@@ -224,6 +224,7 @@ def learned(error=0.0, lag=0.0, missing=0.0, seed=1):
         position_noise=1e-5, quantization=0.0, velocity_noise=1e-4)  # fmt: skip
 
 
+@pytest.mark.slow
 def test_given_stamps_and_rates_that_are_off_when_rows_are_learned_then_so_is_how_much():
     for error in (0.0, 5e-4):
         found = [float(learned(error=error, seed=k).stamps[0]) ** 0.5 for k in range(4)]

@@ -256,7 +256,9 @@ def test_given_a_torque_gain_that_gravity_exceeds_then_it_is_said(paper_model, t
             assert np.abs(response).max() <= limit * (1.0 + 1e-9)
 
 
-@pytest.mark.parametrize('design', ['paper', 'real', 'literal'])
+@pytest.mark.parametrize(
+    'design', ['paper', 'real', pytest.param('literal', marks=pytest.mark.slow)]
+)
 def test_given_any_number_that_is_used_when_forged_then_the_loader_refuses_it(request, design):
     arm = request.getfixturevalue('real_arm' if design == 'real' else 'paper_arm')
     data = request.getfixturevalue(f'{design}_gains').mapping()
