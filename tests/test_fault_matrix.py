@@ -159,12 +159,19 @@ def test_given_a_jump_below_the_smallest_step_when_it_lasts_then_nothing_is_rais
         assert (np.abs(found) < answers.fault.bound[-1]).all()
 
 
-@pytest.mark.parametrize(('arm', 'least'), [('real_arm', 4), ('chain3', 5), ('ur10', 6)])
-def test_given_a_reading_that_never_changed_when_its_joint_moves_then_it_is_named(arm, least):
-    """A sensor frozen from the first sample; a joint that rests reads the same."""
+@pytest.mark.parametrize(
+    ('arm', 'least', 'begin'), [('real_arm', 4, 0), ('chain3', 5, 1), ('ur10', 6, 3)]
+)
+def test_given_a_reading_that_never_changed_when_its_joint_moves_then_it_is_named(
+    arm, least, begin
+):
+    """A sensor frozen from the first sample; a joint that rests reads the same.
+
+    Of eight runs no more are made than it takes: those that are not named take longest.
+    """
     kind = replace(BY_NAME['stuck'], from_start=True, limit=15.0, duration=15.5)
     (cell,) = cells([arm], [False], ['derived'], [kind])
-    found = (k for k in range(8) if run(cell, k).kind == 'stuck')
+    found = (k for k in range(8) if run(cell, (begin + k) % 8).kind == 'stuck')
     assert len(list(islice(found, least))) == least
 
 

@@ -108,7 +108,7 @@ def test_given_a_node_that_cannot_start_when_run_then_it_says_why_and_ends_with_
 
 
 SPEC = {
-    'name': 'graph', 'seed': 2, 'plan': {'method': 'random', 'runs': 4}, 'duration': 4.0,
+    'name': 'graph', 'seed': 2, 'plan': {'method': 'random', 'runs': 4}, 'duration': 3.0,
     'designs': ['gains.yaml'], 'substeps': 3,
     'factors': {
         'path': 'random',
