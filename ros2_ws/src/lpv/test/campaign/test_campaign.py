@@ -315,26 +315,21 @@ def dask(name, folder, *words):
     return Running(*words, '--host', '127.0.0.1', '--no-dashboard', program=program, cwd=folder)
 
 
-@pytest.fixture(scope='module')
-def scheduler(tmp_path_factory):
-    """Address of a scheduler."""
-    with dask('scheduler', tmp_path_factory.mktemp('scheduler'), '--port', '0') as running:
-        yield re.search(r'tcp://127\.0\.0\.1:\d+', running.until('tcp://127'))[0]
-
-
 @pytest.fixture
-def workers(scheduler, tmp_path):
-    """Starts so many workers that the scheduler knows, each a process of its own."""
+def cluster(tmp_path):
+    """Address of a scheduler, and what starts workers that it knows, each a process of its own."""
     options = ['--nworkers', '1', '--nthreads', '1', '--no-nanny', '--local-directory', tmp_path]
     with contextlib.ExitStack() as stack:
+        running = stack.enter_context(dask('scheduler', tmp_path, '--port', '0'))
+        address = re.search(r'tcp://127\.0\.0\.1:\d+', running.until('tcp://127'))[0]
 
         def start(count):
-            started = [dask('worker', tmp_path, scheduler, *options) for _ in range(count)]
+            started = [dask('worker', tmp_path, address, *options) for _ in range(count)]
             for one in map(stack.enter_context, started):
                 one.until('Registered to:')
             return [one.process for one in started]
 
-        yield start
+        yield address, start
 
 
 def chunks(campaign, workers=None, scheduler=None, size=8):
@@ -344,10 +339,11 @@ def chunks(campaign, workers=None, scheduler=None, size=8):
             yield rows
 
 
-def test_given_two_workers_when_one_dies_then_nothing_is_lost(
-    scheduler, workers, small, serial, tmp_path, call
+def test_given_two_workers_when_one_dies_then_nothing_is_lost_and_without_any_it_ends(
+    cluster, small, serial, tmp_path, call, monkeypatch
 ):
-    (first, _), rows = workers(2), []
+    scheduler, workers = cluster
+    (first, second), rows = workers(2), []
     for part in chunks(small, scheduler=scheduler, size=2):
         rows += part
         if len(rows) == 2:
@@ -358,23 +354,21 @@ def test_given_two_workers_when_one_dies_then_nothing_is_lost(
     file, out = written(tmp_path / 'few.yaml', few), tmp_path / 'out'
     call('campaign', file, '--out', out, '--scheduler', scheduler, '--no-report')
     assert_same(rows_of(out), serial[:10])
-    # Without a cluster, processes of its own do the same.
-    rows = sum(chunks(small, workers=2, size=6), [])
-    assert_same(sorted(rows, key=lambda row: row['number']), serial)
-
-
-def test_given_wrong_or_no_workers_when_run_then_it_ends(scheduler, workers, small, monkeypatch):
-    (worker,) = workers(1)
     other = Campaign(small.text.replace(small.software, 'another'))
     with pytest.raises(WorkerError, match='another version'):
         list(chunks(other, scheduler=scheduler))
     monkeypatch.setattr(execute, '_NO_WORKER_TIMEOUT', 2.0)
     found = chunks(small, scheduler=scheduler, size=2)
     next(found)
-    kill(worker)
+    kill(second)
     with pytest.raises(WorkerError, match='no worker has been left'):
         list(found)
     with pytest.raises(WorkerError, match='has no workers'):
         next(chunks(small, scheduler=scheduler))
     workers(1)
     assert len(next(chunks(small, scheduler=scheduler))) == 8
+
+
+def test_given_no_cluster_when_run_then_processes_of_its_own_do_the_same(small, serial):
+    rows = sum(chunks(small, workers=2, size=6), [])
+    assert_same(sorted(rows, key=lambda row: row['number']), serial)
