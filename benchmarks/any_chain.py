@@ -86,7 +86,7 @@ def hostile(count: int) -> str:
             part[:] = rng.choice([np.nan, 0.0, part[0]])
         samples[: 100 * (k % 4), :] = samples[0]
         try:
-            answers = twin().monitor().take_many(stream.stamps, *np.moveaxis(samples, 1, 0))
+            answers = twin().answers(replace(stream, samples=samples))
             bad += not np.isfinite(answers.fault.estimate).all()
         except Exception:  # what is counted
             crashes += 1
@@ -98,8 +98,7 @@ def noise(count: int) -> str:
     kind, worst, events = BY_NAME['noise 0.02'], 0.0, 0
     for k in range(count):
         subject, window, _ = draw(Cell('ur10e', (twin(),), kind, 'derived'), k, 1)
-        rows = np.moveaxis(window.stream.samples, 1, 0)
-        answers = subject.monitor().take_many(window.stream.stamps, *rows)
+        answers = subject.answers(window.stream)
         true = window.stream.samples[:, 0] - window.truth
         off = np.abs(answers.state.compensated_position - true).max(1)
         worst = max(worst, float(off[answers.state.trustworthy].max()))
@@ -151,8 +150,7 @@ def limits(count: int) -> str:
               for j in arm.joints)  # fmt: skip
     other, stream, ends = replace(arm, joints=tuple(joints)), drive(healthy(0, duration=15.0)), []
     for one in (arm, other):
-        answers = twin(one).monitor().take_many(stream.stamps, *np.moveaxis(stream.samples, 1, 0))
-        ends.append(answers.fault.threshold[-1])
+        ends.append(twin(one).answers(stream).fault.threshold[-1])
     ratio = ends[1] / ends[0]
     return f'thresholds over those before: {ratio.min():.4f} to {ratio.max():.4f}'
 

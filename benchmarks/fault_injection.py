@@ -170,6 +170,10 @@ class Subject:
         """A fresh monitor."""
         return SerialSensorMonitor('matrix', self.arm, gains=self.gains)
 
+    def answers(self, stream: Stream) -> Answers:
+        """Of a fresh monitor to all samples of a stream."""
+        return self.monitor().take_many(stream.stamps, *np.moveaxis(stream.samples, 1, 0))
+
 
 # --- healthy streams --------------------------------------------------------------------------
 
@@ -789,9 +793,8 @@ def run(cell: Cell, k: int, seed: int = 1) -> Verdict:
     """One run: draw, watch, judge."""
     subject, window, together = draw(cell, k, seed)
     stream, names = window.stream, subject.arm.sensor_names
-    rows = np.moveaxis(stream.samples, 1, 0)
     try:
-        answers = subject.monitor().take_many(stream.stamps, *rows)
+        answers = subject.answers(stream)
     except Exception as error:  # a monitor may never raise, whatever the rows: this is counted
         return Verdict(not window.faults, seconds=stream.duration, crash=repr(error))
     start = int(stream.stamps[0])

@@ -180,7 +180,7 @@ def test_given_a_rate_bias_that_its_noise_hides_for_long_then_its_alarm_stays():
     for k in range(4):
         subject, window, _ = draw(cell, k, 3)
         stream, (fault, *_) = window.stream, window.faults
-        answers = subject.monitor().take_many(stream.stamps, *stream.samples.swapaxes(0, 1))
+        answers = subject.answers(stream)
         name, end = subject.arm.sensor_names[fault.sensor], stream.stamps[0] + fault.end * 1e9
         own = [one for _, one in answers.events if one.sensor == name and one.detected < end]
         assert [(one.kind, one.event.name) for one in own] == [('rate_bias', 'RAISED')]
@@ -195,7 +195,7 @@ def test_given_a_frozen_reading_when_its_link_turns_back_then_the_other_side_is_
     for k in range(4):
         subject, window, _ = draw(cell, k, 1)
         stream, (fault, *_) = window.stream, window.faults
-        answers = subject.monitor().take_many(stream.stamps, *stream.samples.swapaxes(0, 1))
         span = (fault.onset + 1.0, fault.end)
-        outside.append(outside_bounds(answers, stream.stamps, window.truth, span))
+        found = outside_bounds(subject.answers(stream), stream.stamps, window.truth, span)
+        outside.append(found)
     assert np.mean(outside) < 0.05, outside

@@ -37,12 +37,7 @@ def test_given_sources_when_changed_or_moved_then_digests_follow(tmp_path, files
     assert tuple(one == other for one, other in zip(before, after)) == same
 
 
-def linked(test):
-    """Compiles in processes of its own."""
-    reason = 'without Numba nothing is linked'
-    return pytest.mark.slow(pytest.mark.skipif(not jit.COMPILED, reason=reason)(test))
-
-
+linked = pytest.mark.skipif(not jit.COMPILED, reason='without Numba nothing is linked')
 LINKED = """
 import numpy as np
 from lpv.core.support.jit import compile_ahead, njit, on_compile
@@ -76,6 +71,7 @@ print(inner(np.ones(2), np.ones(2)))  # called by Python, too
 
 
 @linked
+@pytest.mark.slow
 def test_given_functions_that_only_compiled_code_calls_then_errors_in_them_arrive(tmp_path):
     (tmp_path / 'lpv_linked.py').write_text(LINKED)
     command = [sys.executable, '-c', 'import lpv_linked']
@@ -133,6 +129,7 @@ def both_{k}(generator):
 
 
 @linked
+@pytest.mark.slow
 def test_given_functions_kept_by_several_processes_when_linked_then_each_draws_its_own(tmp_path):
     names, boths = (', '.join(f'{name}_{k}' for k in range(3)) for name in ('share', 'both'))
     shares = ''.join(_SHARE.format(k=k) for k in range(3))

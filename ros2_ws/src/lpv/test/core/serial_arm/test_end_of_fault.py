@@ -172,7 +172,7 @@ def test_given_a_reading_that_stays_frozen_when_its_joint_goes_on_then_it_is_fol
     for k in range(6):
         subject, window, _ = draw(cell, k, 11)
         fault, stream = window.faults[0], window.stream
-        answers = subject.monitor().take_many(stream.stamps, *np.moveaxis(stream.samples, 1, 0))
+        answers = subject.answers(stream)
         # From the time at which it is named in any case.
         acts = slice(stream.index(fault.onset + 0.3), stream.index(fault.onset + 2.0))
         error = np.abs(answers.fault.estimate - window.truth)[acts, fault.sensor]
@@ -191,10 +191,8 @@ def test_given_two_readings_that_freeze_one_after_the_other_then_both_are_within
     for k in range(3):
         part = derived(subject.streams(k)).part(2.0, 2.0 + ONSET + 2.0)
         window = inject(part, BY_NAME['stuck'], faults, True, np.eye(3), None)
-        stream = window.stream
-        answers = subject.monitor().take_many(stream.stamps, *np.moveaxis(stream.samples, 1, 0))
-        span = ONSET + 0.4, ONSET + 2.0
-        wrong.append(outside_bounds(answers, stream.stamps, window.truth, span))
+        answers, span = subject.answers(window.stream), (ONSET + 0.4, ONSET + 2.0)
+        wrong.append(outside_bounds(answers, window.stream.stamps, window.truth, span))
     assert np.mean(wrong) < 0.05
 
 
@@ -207,7 +205,7 @@ def test_given_readings_that_freeze_together_then_all_are_named_and_no_bound_is_
         part = derived(subject.streams(k)).part(2.0, 2.0 + ONSET + 2.0)
         window = inject(part, BY_NAME['stuck'], faults, True, np.eye(len(names)), None)
         stream = window.stream
-        answers = subject.monitor().take_many(stream.stamps, *np.moveaxis(stream.samples, 1, 0))
+        answers = subject.answers(stream)
         raised = {
             one.sensor for _, one in answers.events
             if one.kind == 'stuck' and (one.detected - stream.stamps[0]) * 1e-9 < ONSET + 0.3
@@ -227,7 +225,7 @@ def test_given_a_reading_that_drops_to_zero_and_stays_there_then_no_rate_is_blam
         truth[dead:, joint] = -stream.samples[dead:, 0, joint]
         samples = stream.samples.copy()
         samples[:, 0] += truth
-        answers = subject.monitor().take_many(stream.stamps, *np.moveaxis(samples, 1, 0))
+        answers = subject.answers(replace(stream, samples=samples))
         assert {one.kind for _, one in answers.events} <= {'bias', 'stuck'}
         span = ONSET + SETTLED, ONSET + 2.0
         assert outside_bounds(answers, stream.stamps, truth, span) < 0.02
@@ -249,7 +247,7 @@ def test_given_a_rate_that_freezes_with_its_reading_then_it_is_not_believed(arm,
         rates = samples[:, 1] @ matrix.T
         rates[frozen, joint] = kept * rates[frozen.start - 1, joint]
         samples[:, 1] = rates @ np.linalg.inv(matrix).T
-        answers = subject.monitor().take_many(stream.stamps, *np.moveaxis(samples, 1, 0))
+        answers = subject.answers(replace(stream, samples=samples))
         assert {one.kind for _, one in answers.events} == {'stuck'}
         span = ONSET + SETTLED, ONSET + 2.0
         wrong.append(outside_bounds(answers, stream.stamps, window.truth, span))
@@ -272,10 +270,7 @@ def test_given_a_loop_closed_on_a_frozen_reading_then_its_joint_is_followed_all_
 def test_given_a_frozen_reading_when_it_jumps_back_then_no_drift_begins_there(run):
     """Until then, its rate was only estimated: that of the reading seems to jump."""
     subject, window, _ = draw(Cell('ur10e', (twin(),), BY_NAME['stuck'], 'derived'), run, 31)
-    answers = subject.monitor().take_many(
-        window.stream.stamps, *np.moveaxis(window.stream.samples, 1, 0)
-    )
-    assert {event.kind for _, event in answers.events} == {'stuck'}
+    assert {event.kind for _, event in subject.answers(window.stream).events} == {'stuck'}
 
 
 @pytest.mark.parametrize(
@@ -295,7 +290,7 @@ def test_given_a_reading_that_freezes_again_and_again_then_bounds_hold(arm, seed
     held[acts, joint] = right[read, joint]
     samples[:, 0] = held @ np.linalg.inv(matrix).T
     stream = derived(replace(healthy, samples=samples))
-    answers = subject.monitor().take_many(stream.stamps, *np.moveaxis(stream.samples, 1, 0))
+    answers = subject.answers(stream)
     assert outside_bounds(answers, stream.stamps, held - right, (5.0 + SETTLED, 14.0)) < 0.05
     names = [(event.event.name, event.sensor) for _, event in answers.events]
     assert names.count(('RAISED', subject.arm.sensor_names[joint])) == 1
