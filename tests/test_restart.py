@@ -7,6 +7,7 @@ import time
 from bisect import bisect_right
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -151,14 +152,20 @@ class Rig:
         return max(np.abs(m.velocity).max() for m in self.heard[topic])
 
 
-def slow_arm(folder, **friction):
-    """Files of the paper's arm and its gains at 200 Hz."""
+@cache  # for the tests of other files, too
+def designed(**friction):
+    """The paper's arm at 200 Hz, and its gains."""
     arm = load_arm(BRINGUP / 'arms' / 'paper.yaml')
     joints = [replace(one, friction=replace(one.friction, **friction)) for one in arm.joints]
     arm = replace(arm, sample_time=STEP * 1e-9, joints=tuple(joints))
-    found = {'arm': folder / 'arm.yaml', 'gains': folder / 'gains.yaml'}
+    return arm, design(arm, load_requirement('paper')).gains
+
+
+def slow_arm(folder, **friction):
+    """Files of such an arm."""
+    found, (arm, gains) = {n: folder / f'{n}.yaml' for n in ('arm', 'gains')}, designed(**friction)
     save_arm(arm, found['arm'])
-    design(arm, load_requirement('paper')).gains.save(found['gains'])
+    gains.save(found['gains'])
     return found
 
 
