@@ -1,5 +1,6 @@
 """Whatever drivers deliver: every sample is answered with numbers, one by one as in any parts."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,6 +12,7 @@ from serial_arms import mixed_arm, with_rates
 
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm import arm_file, chain
+from lpv.core.serial_arm.description import JointLimits
 from lpv.core.serial_arm.diagnosis.alarms import Mode
 from lpv.core.serial_arm.dynamics.model import SerialModel
 
@@ -18,6 +20,7 @@ RATES = ('derived', 'independent', 'none')
 SPOILS = (
     'rests', 'constant', 'rounded 0.1 mrad', 'rounded 1 mrad', 'repeated', 'missing', 'no rates',
     'no efforts', 'duplicates', 'steps of the clock', 'odd stamps', 'gap', 'huge', 'jump', 'frozen',
+    'wraps', 'differences', 'unread',
 )  # fmt: skip
 SPOILT = some.lists(some.sampled_from(SPOILS), max_size=5, unique=True)
 FREQUENCIES = some.sampled_from([30.0, 100.0, 250.0, 500.0, 1000.0])
@@ -28,7 +31,10 @@ def arm_of(rng, joints, sample_time):
     arm = mixed_arm(int(rng.integers(2**31)), joints)
     if joints == 6 or (joints == 7 and rng.random() < 0.5):
         arm = arm_file.load_arm(BRINGUP / 'arms' / ('ur10.yaml' if joints == 6 else 'panda.yaml'))
-    return with_rates(arm, rng.choice(RATES), sample_time=sample_time)
+    first, *others = with_rates(arm, rng.choice(RATES), sample_time=sample_time).joints
+    if first.type == 'revolute' and rng.random() < 0.5:  # without limits, its reading may wrap
+        first = replace(first, limits=JointLimits(velocity=first.limits.velocity))
+    return replace(arm, joints=(first, *others), sample_time=sample_time)
 
 
 def recording(rng, arm, count):
@@ -77,6 +83,13 @@ def spoil(rng, kind, stamps, samples):
         samples[begin, rng.integers(0, 3), of] = rng.choice([np.inf, -1e300, 1e5, 1e12])
     elif kind == 'jump':
         samples[begin:, 0, of] += rng.uniform(-1.0, 1.0)
+    elif kind == 'unread':
+        samples[part] = 0.0
+    elif kind == 'wraps':
+        samples[:, 0, 0] += np.pi - samples[begin, 0, 0]
+        samples[:, 0, 0] = (samples[:, 0, 0] + np.pi) % (2.0 * np.pi) - np.pi
+    elif kind == 'differences':  # whatever the file calls its rates
+        samples[1:, 1] = 1e9 * np.diff(samples[:, 0], axis=0) / np.diff(stamps).clip(1)[:, None]
     elif kind == 'frozen':
         samples[np.ix_(np.arange(begin, count), [0, 1], of)] = samples[begin, :2][:, of]
 
