@@ -9,13 +9,13 @@ from dataclasses import replace
 
 import numpy as np
 from fault_injection import Cell, Stream, draw, first_limit
+from watched import Watched
 
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.bank import Hypothesis
 from lpv.core.serial_arm.diagnosis.estimator import HorizonPlan
 from lpv.core.serial_arm.diagnosis.information import Window, recent
-from lpv.core.serial_arm.diagnosis.monitor import SerialMonitor
 from lpv.core.serial_arm.diagnosis.priors import SIZE
 from lpv.core.serial_arm.diagnosis.settings import MonitorSettings
 
@@ -112,10 +112,10 @@ def _first(stream: Stream, count: int) -> Stream:
     return Stream(stream.stamps[:count], stream.samples[:count])
 
 
-def _watched(arm: SerialArm, stream: Stream) -> SerialMonitor:
+def _watched(arm: SerialArm, stream: Stream) -> Watched:
     """A monitor that has seen a stream, and names nothing."""
-    monitor = SerialMonitor(arm, MonitorSettings(NEVER_ALARM))
-    monitor.update_many(stream.stamps, stream.samples)
+    monitor = Watched(arm, hours_between_false_alarms=NEVER_ALARM)
+    monitor.take(stream.stamps, stream.samples)
     return monitor
 
 

@@ -1,20 +1,22 @@
 """Cost of the diagnosis of a serial arm, against Newton-Euler passes in the same run.
 
 A simulated arm of n joints, rates independent, model wrong by some per cent, is watched by
-`SerialMonitor`: many samples at once, as a replay does, and one by one, as a node does.  The unit
-of the ratios are three compiled passes of the inverse dynamics of the same arm; all times are
+`SerialSensorMonitor`: many samples at once, as a replay does, and one by one, as a node does.  The
+unit of the ratios are three compiled passes of the inverse dynamics of the same arm; all times are
 processor time, so that other load on the machine matters less.
 """
 
 import argparse
 import time
 from collections.abc import Callable
+from types import SimpleNamespace
 
 import numpy as np
 from fault_injection import Stream, motion_range, simulate
 from rich.console import Console
 from rich.table import Table
 
+from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.chain import Chain, FloatArray, body_parameters, compile_chain, workspace
 from lpv.core.serial_arm.description import (
     JointFriction,
@@ -25,7 +27,6 @@ from lpv.core.serial_arm.description import (
     SerialJoint,
     Uncertainty,
 )
-from lpv.core.serial_arm.diagnosis.monitor import SerialMonitor
 from lpv.core.serial_arm.dynamics.newton_euler import inverse_dynamics
 from lpv.core.support.jit import njit
 
@@ -67,17 +68,20 @@ def seconds(function: Callable[[], object]) -> float:
     return min(times)
 
 
-def warm_monitor(arm: SerialArm, run: Stream) -> SerialMonitor:
+def warm_monitor(arm: SerialArm, run: Stream) -> SerialSensorMonitor:
     """A monitor whose horizon is full."""
-    monitor = SerialMonitor(arm)
-    monitor.update_many(run.stamps[:WARM], run.samples[:WARM])
+    monitor = SerialSensorMonitor('bench', arm)
+    monitor.take_many(run.stamps[:WARM], *run.samples[:WARM].swapaxes(0, 1))
     return monitor
 
 
-def one_by_one(monitor: SerialMonitor, run: Stream) -> None:
+def one_by_one(monitor: SerialSensorMonitor, run: Stream) -> None:
     """The samples behind the warm ones, each for itself."""
-    for stamp, sample in zip(run.stamps[WARM:], run.samples[WARM:]):
-        monitor.update(int(stamp), sample[0], sample[1], sample[2])
+    for stamp, (position, velocity, effort) in zip(run.stamps[WARM:], run.samples[WARM:]):
+        message = SimpleNamespace(
+            name=monitor.arm.joint_names, position=position, velocity=velocity, effort=effort
+        )
+        monitor.take(int(stamp), message)
 
 
 def measure(joints: int, duration: float, table: Table) -> None:
@@ -89,14 +93,14 @@ def measure(joints: int, duration: float, table: Table) -> None:
     motion, work = rng.uniform(-2.0, 2.0, (2000, 3, joints)), workspace(chain)
     loop_newton_euler(chain, motion, work, np.empty(joints))
     unit = seconds(lambda: loop_newton_euler(chain, motion, work, np.empty(joints))) / 2000
-    rest = run.stamps[WARM:], run.samples[WARM:]
+    rest = run.stamps[WARM:], *run.samples[WARM:].swapaxes(0, 1)
     many, single, alarms = [], [], 0
     for _ in range(ROUNDS):
         monitor = warm_monitor(arm, run)
         start = time.process_time()
-        monitor.update_many(*rest)
+        answers = monitor.take_many(*rest)
         many.append((time.process_time() - start) / count)
-        alarms = len(monitor.alarms)
+        alarms = len(answers.events)
         monitor = warm_monitor(arm, run)
         start = time.process_time()
         one_by_one(monitor, run)

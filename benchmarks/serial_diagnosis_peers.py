@@ -29,11 +29,11 @@ from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, Unscen
 from rich.console import Console
 from rich.table import Table
 from simulated_runs import simulated_run
+from watched import Watched
 
 from lpv.core.serial_arm.chain import COULOMB, OFFSET, VISCOUS, Chain, FloatArray, compile_chain
 from lpv.core.serial_arm.description import LinkInertia, SerialArm
 from lpv.core.serial_arm.diagnosis.estimator import HorizonPlan, OffsetEstimator
-from lpv.core.serial_arm.diagnosis.monitor import SerialMonitor
 from lpv.core.serial_arm.simulation import integration_step, plant_step
 from lpv.core.support.jit import njit
 
@@ -246,11 +246,11 @@ def bound(known: Knowledge, run: Healthy, course: FloatArray) -> FloatArray:
 
 def ours(run: Healthy) -> Offsets:
     """What our monitor finds."""
-    monitor, found, done = SerialMonitor(run.arm), [], 0
+    monitor, found, done = Watched(run.arm), [], 0
     begin = time.process_time()
     for end in _ends(run):
-        monitor.update_many(run.stamps[done:end], run.samples[done:end])
-        estimate, done = monitor.estimate(0), end
+        monitor.take(run.stamps[done:end], run.samples[done:end])
+        estimate, done = monitor.estimate(), end
         found.append((estimate.fault, estimate.sigma))
     cost = (time.process_time() - begin) / done
     estimates, sigmas = np.moveaxis(np.array(found), 1, 0)
@@ -364,8 +364,8 @@ def report_recorded(console: Console, runs: int, rng: np.random.Generator) -> No
     """The recorded two-link arm; strength of d as our monitor has learned it."""
     found = {key: Errors() for key in ('ours', *PEERS)}
     for k, run in enumerate(two_link_runs(runs, rng)):
-        monitor = SerialMonitor(run.arm)
-        monitor.update_many(run.stamps, run.samples)
+        monitor = Watched(run.arm)
+        monitor.take(run.stamps, run.samples)
         plan, learned = monitor.plan, monitor.estimator.posterior
         resting = monitor.estimator.window.rest[: len(monitor.estimator)]
         size = learned.noise * (1.0 + (learned.rest - 1.0) * resting)

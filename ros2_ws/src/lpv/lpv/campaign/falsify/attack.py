@@ -29,10 +29,9 @@ from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.chain import Chain, FloatArray, compile_chain, workspace
 from lpv.core.serial_arm.description import RATE_BIAS as RATE_BIAS_FACTOR
 from lpv.core.serial_arm.description import SerialArm
-from lpv.core.serial_arm.diagnosis.alarms import SensorState
+from lpv.core.serial_arm.diagnosis.alarms import GUARANTEED, Alarm, SensorState
 from lpv.core.serial_arm.diagnosis.healthy_balance import generator_count
 from lpv.core.serial_arm.diagnosis.healthy_set import LEAST_RESPONSE
-from lpv.core.serial_arm.diagnosis.monitor import SerialMonitor
 from lpv.core.serial_arm.diagnosis.parameter_set import (
     ParameterSet,
     is_stated,
@@ -47,6 +46,7 @@ from lpv.core.simulation.scenario import Scenario
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.limits import LARGEST
 from lpv.core.support.records import memory, new_record
+from lpv.core.support.timestamps import NANOSECONDS
 from lpv.core.uio.certificate.gains import Gains
 from lpv.core.uio.model.joints import J, JointMap
 from lpv.core.uio.planar import planar_model
@@ -289,11 +289,12 @@ class _StatedRange:
             joint = min(int(0.5 * (aim + 1.0) * n), n - 1)
             count = max(int(max(0.1, 0.5 * (late + 1.0)) * len(attacker.samples)), 100)
             if attacker.simulate(attack, count):
-                samples, monitor = attacker.samples[:count], SerialMonitor(self._told)
-                monitor.update_many(stamps_of(samples, self.arm.sample_time), samples)
-                if monitor.healthy is not None:
-                    effects = monitor.healthy.evaluate().effects
-                    shares = np.where(effects[joint] * sign >= 0.0, 1.0, -1.0)
+                samples, monitor = attacker.samples[:count], SerialSensorMonitor('', self._told)
+                stamps = stamps_of(samples, self.arm.sample_time)
+                monitor.take_many(stamps, *samples.swapaxes(0, 1))
+                found = monitor.guarantee()
+                if found is not None:
+                    shares = np.where(found.effects[joint] * sign >= 0.0, 1.0, -1.0)
         _load(shares, self._sizes, self.arm.uncertainty.largest_payload)
         return shares
 
@@ -310,22 +311,23 @@ class _StatedRange:
     def judge(self, samples: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, bool]:
         n, stamps = samples.shape[2], stamps_of(samples, self.arm.sample_time)
         ratios, thresholds, times = np.zeros(n), np.full(n, np.nan), np.zeros(n)
-        monitor = SerialMonitor(self._told)
+        monitor, alarms = SerialSensorMonitor('', self._told), list[Alarm]()
         chunk = max(1, round(_LOOK_EVERY / self.arm.sample_time))
         for begin in range(0, len(stamps), chunk):
             end = min(begin + chunk, len(stamps))
-            monitor.update_many(stamps[begin:end], samples[begin:end])
-            if monitor.healthy is None or len(monitor.estimator) == 0:
+            answers = monitor.take_many(stamps[begin:end], *samples[begin:end].swapaxes(0, 1))
+            alarms += [event for _, event in answers.events]
+            found = monitor.guarantee()
+            if found is None:
                 continue
-            found = monitor.healthy.evaluate()
             judged = (found.response > LEAST_RESPONSE) & (found.threshold < _WIDEST)
             ratio = np.abs(found.estimate) / np.maximum(found.threshold, 1e-12)
             worse = np.where(judged, ratio, 0.0) > ratios
             ratios = np.where(worse, ratio, ratios)
             thresholds = np.where(worse, found.threshold, thresholds)
             times = np.where(worse, end * self.arm.sample_time, times)
-        for alarm in monitor.alarms:
-            if alarm.guaranteed:
-                i = self.arm.sensor_names.index(alarm.sensor)
-                ratios[i], times[i] = max(float(ratios[i]), 1.0), alarm.detected
-        return ratios, thresholds, times, any(alarm.sensor for alarm in monitor.alarms)
+        for alarm in alarms:
+            if alarm.basis == GUARANTEED:
+                i, seconds = alarm.sensor_index, (alarm.detected - stamps[0]) / NANOSECONDS
+                ratios[i], times[i] = max(float(ratios[i]), 1.0), seconds
+        return ratios, thresholds, times, bool(alarms)

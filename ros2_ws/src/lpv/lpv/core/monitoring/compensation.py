@@ -63,6 +63,12 @@ class Known(NamedTuple):
     is_derived: npt.NDArray[np.bool_]  # the rate is derived from the reading
 
 
+def new_known(joints: int) -> Known:
+    """No sample has been seen."""
+    kinds = {'state': np.uint8, 'is_error': np.bool_, 'is_derived': np.bool_}
+    return Known(**{name: np.zeros(joints, kinds.get(name, float)) for name in Known._fields})
+
+
 FLAGS = record_type(
     ('stamp', 'i8'),  # of the decision [ns]
     ('mode', 'u1'),

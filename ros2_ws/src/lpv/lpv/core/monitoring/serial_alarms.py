@@ -1,11 +1,11 @@
 """Alarms of a serial arm in the form of the messages."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 
-from lpv.core.monitoring.stepped_monitor import Snapshot
 from lpv.core.serial_arm.chain import IntArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import (
@@ -33,14 +33,16 @@ class AlarmConverter:
         self._raised = np.zeros(len(self._names), bool)
         self._missing = np.zeros(len(self._names), bool)
 
-    def convert(self, known: Snapshot, onset: list[int], stamp: int, sigmas: float) -> list[Alarm]:
-        """Events of a snapshot's alarms that name a sensor, in the order in which they were found.
+    def convert(
+        self, alarms: Sequence[SerialAlarm], onset: list[int], stamp: int, sigmas: float
+    ) -> list[Alarm]:
+        """Events of alarms that name a sensor, in the order in which they were found.
 
         ``onset`` is that of each alarm, ``stamp`` that of the sample [ns]; a bound has ``sigmas``
         standard deviations.
         """
         events = []
-        for alarm, begin in zip(known.alarms, onset):
+        for alarm, begin in zip(alarms, onset):
             if not alarm.sensor:
                 continue
             basis = GUARANTEED if alarm.guaranteed else STATISTICAL

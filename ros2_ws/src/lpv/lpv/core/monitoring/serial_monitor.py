@@ -15,7 +15,7 @@ import numpy as np
 from lpv.core.monitoring import message_fields
 from lpv.core.monitoring.answers import LONGEST_STALE, Answer, Answers, answer_type
 from lpv.core.monitoring.batch import Batch, new_batch
-from lpv.core.monitoring.compensation import FLAGS, AnswerRows, Known, new_compensation
+from lpv.core.monitoring.compensation import AnswerRows
 from lpv.core.monitoring.idle_efforts import without_efforts
 from lpv.core.monitoring.joint_order import JointOrder
 from lpv.core.monitoring.parameters import DiagnosisParameters
@@ -27,14 +27,15 @@ from lpv.core.monitoring.plausibility import (
     is_plausible,
     repeats_type,
 )
-from lpv.core.monitoring.sample_loop import PROGRESS, UNWATCHED, Answering
+from lpv.core.monitoring.sample_loop import Answering
 from lpv.core.monitoring.serial_alarms import AlarmConverter
 from lpv.core.monitoring.stamp_gate import StampGate
-from lpv.core.monitoring.stepped_monitor import Snapshot, SteppedMonitor, Told
+from lpv.core.monitoring.stepped_monitor import SteppedMonitor, Told
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import Alarm, Mode, SensorState
 from lpv.core.serial_arm.diagnosis.decision import decide
+from lpv.core.serial_arm.diagnosis.healthy_set import Guarantee
 from lpv.core.serial_arm.diagnosis.information import ROBUST
 from lpv.core.serial_arm.diagnosis.monitor import LONGEST_STEP
 from lpv.core.serial_arm.sensor_map import map_rows, mixing
@@ -42,15 +43,10 @@ from lpv.core.serial_arm.turns import Turns
 from lpv.core.support.errors import SampleError
 from lpv.core.support.jit import Entries, compile_ahead
 from lpv.core.support.limits import MAX_GAP, SMALL
-from lpv.core.support.records import memory, new_record, plain
+from lpv.core.support.records import memory, new_record
 from lpv.core.support.timestamps import NANOSECONDS, NEVER
 from lpv.core.uio.certificate.gains import Gains
-from lpv.core.uio.unknown_input_observer import (
-    CHOICES,
-    UnknownInputObserver,
-    no_observer,
-    uio_answers,
-)
+from lpv.core.uio.unknown_input_observer import CHOICES, UnknownInputObserver, uio_answers
 
 METHOD = 'moving horizon'
 _ERROR = int(SensorState.ERROR)
@@ -158,7 +154,6 @@ class SerialSensorMonitor:
         self._torque_gain = np.array([joint.torque_gain for joint in arm.joints])
         endless = np.array([joint.is_endless for joint in arm.joints])
         self._endless = np.abs(arm.joints_to_sensors()) @ endless > 0.0
-        self._monitor = SteppedMonitor(arm)
         self._gains = gains
         self._uio: UnknownInputObserver | None = None
         if gains is not None:
@@ -166,15 +161,13 @@ class SerialSensorMonitor:
                 arm, gains, observer, initial_samples=initial_samples, max_gap=max_gap
             )
             self.method = f'{METHOD}, unknown-input observer ({self._uio.method})'
-            if self._uio.certifies:
-                self._monitor.certify(self._uio.level)
+        self._monitor = SteppedMonitor(arm, parameters, self._uio)
         self._gap = round(LONGEST_STEP * arm.sample_time * NANOSECONDS)
         self._has_efforts = False  # whether any was other than 0
         self._first: FloatArray | None = None  # positions of the first measurement [rad]
         self._has_moved = False  # from there, before efforts came
         self._read: Any = new_record(driver_type(self._joints), position=np.nan)
         self._small = SMALL * arm.scales()
-        self.retune(parameters or DiagnosisParameters())
         self._begin()
 
     @property
@@ -187,18 +180,20 @@ class SerialSensorMonitor:
         """Decisions so far."""
         return self._monitor.balances
 
+    def guarantee(self) -> Guarantee | None:
+        """Guaranteed thresholds of the offsets now; None where nothing is guaranteed."""
+        monitor = self._monitor
+        if monitor.healthy is None or len(monitor.estimator) == 0:
+            return None
+        return monitor.healthy.evaluate()
+
     def restart_statistic(self) -> None:
         """Let causes begin from now on only; what was learned stays."""
         self._monitor.bank.restart_statistic()
 
     def retune(self, parameters: DiagnosisParameters) -> None:
         """Change the tuning while running; alarms stay as they are."""
-        self._parameters = self._monitor.settings = parameters
-        self._monitor.apply_settings()
-        if self._uio is not None:
-            self._uio.retune(parameters.sigmas)
-        if hasattr(self, '_answering'):
-            self._know(self._snapshot, int(self._flags['stamp']))
+        self._monitor.retune(parameters)
 
     def reset(self) -> None:
         """Forget estimates and alarms; counters stay."""
@@ -221,37 +216,18 @@ class SerialSensorMonitor:
         self._reading = np.zeros(self._joints)  # of that sample [rad]
         self._repeats: Any = new_record(repeats_type(self._joints), grain=np.inf, recent=np.nan)
         self._older = 0  # measurements in a row that were older than the last one
-        self._noted = 0  # stamp from which on the snapshot holds [ns]
-        flags = new_record(FLAGS, sample_time=self.arm.sample_time)
-        progress = new_record(PROGRESS, next_report=NEVER)
-        uio = no_observer() if self._uio is None else self._uio.parts
-        self._answering = Answering(
-            new_compensation(self.arm), self._nothing_known(), memory(flags), memory(progress), uio
-        )
-        self._flags, self._progress = plain(flags), plain(progress)
-        self._balances, self._balanced = -1, NEVER  # at the last complete balance
-        self._know(self._monitor.snapshot(), 0)
         self._alarms = AlarmConverter(self.arm)
         self._missing_since = np.full(self._joints, NEVER)  # readings, stamps [ns]
         self._is_missing = False
         self._newest = np.zeros(1, self.answer_type)  # row with the last estimate
         self._warned: set[str] = set()
 
-    def _nothing_known(self) -> Known:
-        fault, rate, confirmed, growth, error, bound, threshold, limit = np.zeros((8, self._joints))
-        noise, predicted, missed = np.zeros((3, self._joints))
-        state = np.zeros(self._joints, np.uint8)
-        is_error, is_derived = np.zeros((2, self._joints), bool)
-        return Known(
-            fault, rate, confirmed, growth, error, bound, threshold, limit, noise,
-            predicted, missed, state, is_error, is_derived)  # fmt: skip
-
     def warm_up(self, suspicious: bool = False) -> None:
         """Compile with a made-up motion, and forget it: the first real samples must not wait.
 
         ``suspicious`` compiles what only a suspected fault needs, too.
         """
-        other = SerialSensorMonitor(self.name, self.arm, self._parameters, self._gains)
+        other = SerialSensorMonitor(self.name, self.arm, self._monitor.settings, self._gains)
         step = round(self.arm.sample_time * NANOSECONDS)
         stamps = 1 + step * np.arange(max(20, round(_WARM_UP[suspicious] / self.arm.sample_time)))
         t = (stamps / NANOSECONDS)[:, None] + np.arange(self._joints)
@@ -262,7 +238,7 @@ class SerialSensorMonitor:
 
     def compile_ahead(self) -> None:
         """Compile decisions and the designed observer, beside a process that warms up."""
-        one, rows = self._answering, self._one.rows
+        one, rows = self._monitor.answering, self._one.rows
         compile_ahead(decide, self._monitor.parts)
         samples, stamps = np.zeros((1, 3, self._joints)), np.zeros(1, np.int64)
         compile_ahead(uio_answers, one.uio, rows, 0, (0, 0), stamps, samples)
@@ -407,15 +383,13 @@ class SerialSensorMonitor:
 
     def _set_clock(self, shift: int) -> None:
         """Move all stamps to a clock that is ahead by ``shift`` [ns]; faults may have ended."""
-        for moments in (self._missing_since, self._answering.work.stamp):
+        for moments in (self._missing_since, self._monitor.answering.work.stamp):
             moments[moments != NEVER] += shift
-        self._progress['next_report'] = NEVER
+        self._monitor.progress['next_report'] = NEVER
         if self._stamp == NEVER:
             return
         self._stamp += shift
-        self._monitor.doubt(shift)
-        self._balanced += shift
-        self._know(self._monitor.snapshot(), self._stamp)
+        self._monitor.doubt(shift, self._stamp)
 
     def _prepare(self, stamp: int, sample: FloatArray, unread: np.bool_, row: np.recarray) -> bool:
         """Get ready for a sample that does not simply follow; False if it is used up so.
@@ -448,7 +422,7 @@ class SerialSensorMonitor:
         if blind is not self._blind:
             self._blind = self._monitor.blind = blind
             self._monitor.begin_again()
-            self._watch_from(stamp)
+            self._monitor.watch_from(stamp)
         was_back = self._older > LONGEST_STEP  # the clock, and samples are missing since
         if was_back:
             self._monitor.begin_again()
@@ -474,7 +448,7 @@ class SerialSensorMonitor:
         self._missing_since[~missing] = NEVER
         self._is_missing = bool(missing.any())
         if events:
-            self._progress['next_report'] = NEVER
+            self._monitor.progress['next_report'] = NEVER
 
     def _is_new(self, stamp: int) -> bool:
         """Whether a stamp is later than that of the last sample."""
@@ -491,7 +465,7 @@ class SerialSensorMonitor:
         stamps, samples = batch.stamps[begin:end], batch.samples[begin:end]
         self._add_rates(stamps, samples)
         if self._stamp == NEVER:
-            self._watch_from(int(stamps[0]))
+            self._monitor.watch_from(int(stamps[0]))
         self._stamp, self._reading = int(stamps[-1]), samples[-1, 0].copy()
         self._gate.follow(self._stamp)
         self._older = 0
@@ -501,42 +475,30 @@ class SerialSensorMonitor:
         def report(first: int, until: int) -> None:
             self._report_due(batch.stamps[first:until], answers, first)
 
-        def known(snapshot: Snapshot, row: int, stamp: int) -> None:
-            events = self.note(snapshot, stamp)
+        def known(row: int, stamp: int) -> None:
+            events = self._note(stamp)
             answers.events += [(row, event) for event in events]
             if events:
-                self._progress['next_report'] = NEVER
+                self._monitor.progress['next_report'] = NEVER
 
-        self._monitor.run(stamps, samples, self._answering, batch.rows, begin, Told(report, known))
+        self._monitor.run(stamps, samples, batch.rows, begin, Told(report, known))
         self._newest = batch.plain[end - 1 : end].copy()
-
-    def _watch_from(self, stamp: int) -> None:
-        """Balances are due from a stamp [ns] on."""
-        known, self._balanced = self._snapshot, stamp
-        self._know(known, int(self._flags['stamp']))
 
     @property
     def parts(self) -> tuple[SteppedMonitor, Answering]:
         """What loops call `advance` with, until `go_on`."""
-        return self._monitor, self._answering
+        return self._monitor, self._monitor.answering
 
     def go_on(self, answering: Answering, rows: AnswerRows, row: int, *taken: Any) -> list[Alarm]:
         """As `SteppedMonitor.go_on`, for those who call `advance` with `parts`; alarm events."""
         events: list[Alarm] = []
 
-        def known(snapshot: Snapshot, _: int, stamp: int) -> None:
-            events.extend(self.note(snapshot, stamp))
+        def known(_: int, stamp: int) -> None:
+            events.extend(self._note(stamp))
 
         told = Told(lambda first, until: None, known)
         self._monitor.go_on(answering, rows, row, told, *taken)
         return events
-
-    @property
-    def _snapshot(self) -> Snapshot:
-        """What has been known since the last decision."""
-        if self._flags['stamp'] != self._noted:  # compiled functions have decided since
-            self._noted, self._seen = int(self._flags['stamp']), self._monitor.snapshot()
-        return self._seen
 
     @property
     def _last(self) -> np.recarray:
@@ -557,15 +519,13 @@ class SerialSensorMonitor:
         self._gate.follow(stamp)
         self._monitor.went_on(stamp)
 
-    def note(self, snapshot: Snapshot, stamp: int) -> list[Alarm]:
+    def _note(self, stamp: int) -> list[Alarm]:
         """Take note of what has been decided at a sample [ns]; its alarm events."""
-        events = []
-        if snapshot.alarms:
-            onsets = [self._monitor.stamp_of(alarm.onset) for alarm in snapshot.alarms]
-            events = self._alarms.convert(snapshot, onsets, stamp, self._parameters.sigmas)
-        self._answering.work.applied[:] += snapshot.jump
-        self._know(snapshot, stamp)
-        return events
+        monitor = self._monitor
+        monitor.know(stamp)
+        found, monitor.alarms = monitor.alarms, []
+        onsets = [monitor.stamp_of(alarm.onset) for alarm in found]
+        return self._alarms.convert(found, onsets, stamp, monitor.settings.sigmas)
 
     def _add_rates(self, stamps: IntArray, samples: FloatArray) -> None:
         """Rates that are missing are differences of the readings."""
@@ -575,54 +535,6 @@ class SerialSensorMonitor:
             interval = np.diff(stamps, prepend=self._stamp) / NANOSECONDS
             rates = (samples[:, 0] - before) / interval[:, None]
             samples[:, 1] = np.where(missing, rates, samples[:, 1])
-
-    def _know(self, snapshot: Snapshot, stamp: int) -> None:
-        """What holds from a sample on, in the form of compiled functions."""
-        if snapshot.balances != self._balances:
-            self._balances, self._balanced = snapshot.balances, stamp
-        tuning, is_error, flags = self._parameters, snapshot.is_error, self._flags
-        self._seen, self._noted, flags['stamp'] = snapshot, stamp, stamp
-        confirmed, growth = snapshot.removed, snapshot.rate  # count where there is an error
-        if True in is_error.tolist():
-            confirmed = np.where(snapshot.is_level, snapshot.fault, confirmed)
-            growth = np.where(snapshot.is_level, growth, snapshot.share * growth)
-        if self._uio is not None:
-            # An offset from the start is not in the set: its estimate is on its way.
-            offset = True in snapshot.is_level.tolist()
-            doubtful = offset or snapshot.suspects
-            self._uio.rely(self._monitor.rates_are_right and not doubtful)
-        known = self._answering.known
-        known.fault[:], known.rate[:] = snapshot.fault, snapshot.rate
-        known.confirmed[:], known.growth[:] = confirmed, growth
-        known.rate_error[:] = snapshot.rate_error
-        known.bound[:], known.threshold[:] = tuning.sigmas * snapshot.sigma, snapshot.threshold
-        known.limit[:], known.state[:] = snapshot.jump_limit, snapshot.state
-        known.noise[:], known.missed[:] = snapshot.noise, snapshot.missed
-        known.predicted[:] = snapshot.predicted
-        known.is_error[:] = is_error
-        known.is_derived[:] = self._monitor.sampler.derived == 1.0
-        unwatched = self._balanced + UNWATCHED
-        flags['mode'], flags['trustworthy'] = self._mode(), self._is_trustworthy()
-        flags['inconsistent'] = bool(snapshot.suspects)
-        flags['until'] = unwatched if self._monitor.uses_balances else np.iinfo(int).max
-        flags['fading'] = tuning.compensation_rate
-
-    def _mode(self) -> Mode:
-        if not self._monitor.uses_balances:
-            return Mode.HOLDING
-        return Mode.OBSERVING if self._snapshot.balances else Mode.INITIALISING
-
-    def _is_trustworthy(self) -> bool:
-        """Whether what is removed of confirmed faults is known well enough to go on."""
-        known = self._snapshot
-        if _ERROR not in known.state.tolist():
-            return True
-        if known.contradicts:  # a confirmed fault is not, or not only, what it was taken for
-            return False
-        sigma = np.where(known.is_level, known.sigma, known.removed_sigma)
-        bound = self._parameters.safe_stop_bound * self._monitor.scales
-        uncertain = self._parameters.sigmas * sigma > bound
-        return not (known.is_error & (uncertain | known.unseen)).any()
 
     def _answer_stale(self, stamp: int, row: np.recarray) -> None:
         """Answer an unusable sample with the last estimate; never with silence."""
@@ -635,18 +547,18 @@ class SerialSensorMonitor:
             row.state.trustworthy = False
 
     def _is_due(self, stamp: int) -> bool:
-        return bool(stamp >= self._progress['next_report'])
+        return bool(stamp >= self._monitor.progress['next_report'])
 
     def _report_due(self, stamps: IntArray, answers: Answers, first: int) -> None:
         """Diagnostics reports of samples between two decisions."""
         k = 0
         while k < len(stamps) and self._is_due(int(stamps[-1])):
-            k += int(np.searchsorted(stamps[k:], self._progress['next_report']))
+            k += int(np.searchsorted(stamps[k:], self._monitor.progress['next_report']))
             if k < len(stamps):
                 self._report(int(stamps[k]), first + k, answers)
 
     def _report(self, stamp: int, row: int, answers: Answers) -> None:
-        self._progress['next_report'] = stamp + _REPORT_INTERVAL
+        self._monitor.progress['next_report'] = stamp + _REPORT_INTERVAL
         answer = answers.state[row], answers.fault[row] if answers.has_fault[row] else None
         answers.reports.append((row, self._status(*answer)))
         answers.warnings += [(row, text) for text in self._new_warnings()]
@@ -672,37 +584,38 @@ class SerialSensorMonitor:
             **vars(self.counters),
             'rejected messages': self.rejected,
             'method': self.method,
-            'bounds': f'statistical, {self._parameters.sigmas:g} standard deviations',
-            'guarantee': message_fields.guarantee_text(self.arm, self._snapshot.is_guaranteed),
+            'bounds': f'statistical, {self._monitor.settings.sigmas:g} standard deviations',
+            'guarantee': message_fields.guarantee_text(self.arm, self._monitor.healthy is not None),
         }
-        known = self._snapshot.guarantee
+        known = self._monitor.guarantee
         details: tuple[dict[str, str], ...] = ()
         if known is not None:
             values['guaranteed payload [kg]'] = '{:.3f} to {:.3f}'.format(*known.payload)
-            largest = self._parameters.safe_stop_bound
+            largest = self._monitor.settings.safe_stop_bound
             details = message_fields.guaranteed_fields(self.arm, known, largest)
         return message_fields.diagnostic_fields(
-            self.name, self.arm, state, fault, values, self._note(), details
+            self.name, self.arm, state, fault, values, self._remark(), details
         )
 
-    def _note(self) -> str:
+    def _remark(self) -> str:
         """What else is to be said of the diagnosis as a whole."""
-        if not self._monitor.uses_balances:
+        monitor = self._monitor
+        if not monitor.uses_balances:
             return _NO_EFFORT if self._blind else _NO_WEIGHT
-        if not self._snapshot.balances and self.counters.gaps > LONGEST_STEP:
+        if not monitor.balances and self.counters.gaps > LONGEST_STEP:
             return _TOO_RARE
-        if self._snapshot.contact:
+        if monitor.in_contact:
             return CONTACT
-        if self._snapshot.suspects:
-            return 'inconsistent; what explains it: ' + ', '.join(self._snapshot.suspects)
-        if self._snapshot.misfit > ROBUST:
+        if monitor.suspects:
+            return 'inconsistent; what explains it: ' + ', '.join(monitor.suspects)
+        if monitor.estimator.misfit() > ROBUST:
             return MISFIT
-        wrong = ', '.join(self._monitor.misnamed)
+        wrong = ', '.join(monitor.misnamed)
         return _MISNAMED.format(wrong) if wrong else ''
 
     def _new_warnings(self) -> list[str]:
         """What was not warned of before, whatever its details."""
-        note = self._note()
+        note = self._remark()
         subject = note.partition(';')[0]
         new = [note] if note and subject not in self._warned else []
         self._warned.add(subject)

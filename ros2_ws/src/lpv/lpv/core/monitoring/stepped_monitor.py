@@ -1,84 +1,108 @@
-"""A serial arm's monitor that says after which samples it knows more, and what."""
+"""The monitor of an arm for samples by the thousand, each of which is answered."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from lpv.core.monitoring.compensation import AnswerRows
-from lpv.core.monitoring.sample_loop import DECIDE, JUMP, KNOW, REPORT, SAMPLE, Answering, advance
+from lpv.core.monitoring.compensation import FLAGS, AnswerRows, new_compensation, new_known
+from lpv.core.monitoring.parameters import DiagnosisParameters
+from lpv.core.monitoring.sample_loop import (
+    DECIDE,
+    JUMP,
+    KNOW,
+    PROGRESS,
+    REPORT,
+    SAMPLE,
+    UNWATCHED,
+    Answering,
+    advance,
+)
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
-from lpv.core.serial_arm.diagnosis.alarms import SensorState
+from lpv.core.serial_arm.diagnosis.alarms import Mode, SensorState
 from lpv.core.serial_arm.diagnosis.decision import Parts, reading_noise
-from lpv.core.serial_arm.diagnosis.healthy_set import Guarantee
 from lpv.core.serial_arm.diagnosis.information import slot
-from lpv.core.serial_arm.diagnosis.monitor import SerialAlarm, SerialMonitor
+from lpv.core.serial_arm.diagnosis.monitor import LONGEST_STEP, SerialMonitor
 from lpv.core.serial_arm.diagnosis.priors import ACCELERATIONS, USUAL_ACCELERATION, WIDEST_LEVEL
 from lpv.core.serial_arm.diagnosis.sampler import JUMP_SCALE, REPLACED
-from lpv.core.support.records import plain
+from lpv.core.support.jit import Entries
+from lpv.core.support.records import memory, new_record, plain
+from lpv.core.support.timestamps import NANOSECONDS, NEVER
+from lpv.core.uio.unknown_input_observer import UnknownInputObserver, no_observer
 
 _OK, _ERROR, _NOT_DIAGNOSABLE = SensorState.OK, SensorState.ERROR, SensorState.NOT_DIAGNOSABLE
-
-
-class Snapshot(NamedTuple):
-    """What is known from a sample on, until the next decision; arrays of shape (n,)."""
-
-    fault: FloatArray  # estimated faults of the sensors [rad]
-    sigma: FloatArray  # their standard deviations [rad]
-    removed: FloatArray  # jumps and drifts that are beyond doubt: part of fault [rad]
-    share: FloatArray  # of a fault that changes, which is beyond doubt
-    rate: FloatArray  # at which faults go on to change [rad/s]
-    rate_error: FloatArray  # of rate sensors; NaN where readings are differenced [rad/s]
-    removed_sigma: FloatArray  # standard deviations of what is removed [rad]
-    jump: FloatArray  # by which readings were found to have jumped at this sample [rad]
-    threshold: FloatArray  # beyond which an offset is a fault [rad]
-    jump_limit: FloatArray  # change of a reading that may be a jump [rad]
-    noise: FloatArray  # variances of readings that are noisy, 0 of others [rad2]
-    predicted: FloatArray  # shares of accelerations that torques predict
-    missed: FloatArray  # variances of those that they do not predict [rad2/s4]
-    state: npt.NDArray[np.uint8]  # of `SensorState`
-    is_level: npt.NDArray[np.bool_]  # whether all of fault is confirmed, not only what is removed
-    unseen: npt.NDArray[np.bool_]  # confirmed before the clock was set, not seen since
-    suspects: tuple[str, ...]  # what explains a contradiction
-    contact: bool  # whether torques act from outside
-    balances: int  # that were used so far
-    alarms: tuple[SerialAlarm, ...]  # found at this sample
-    guarantee: Guarantee | None = None  # of the offsets, evaluated last
-    is_guaranteed: bool = True  # whether guaranteed thresholds can be evaluated
-    misfit: float = 0.0  # standard deviations by which the arm differs from its file
-    contradicts: bool = False  # whether readings, corrected, go on to contradict the model
-
-    @property
-    def is_error(self) -> npt.NDArray[np.bool_]:
-        """Whether each sensor has a confirmed fault."""
-        return self.state == _ERROR
 
 
 class Told(NamedTuple):
     """Who is told between two samples."""
 
     report: Callable[[int, int], None]  # rows that have been answered, and reports may be due
-    known: Callable[[Snapshot, int, int], None]  # what holds from a row and its stamp [ns] on
+    known: Callable[[int, int], None]  # row and stamp [ns] from which on more is known
 
 
 class SteppedMonitor(SerialMonitor):
-    """`SerialMonitor` for samples by the thousand, each of which is answered.
+    """`SerialMonitor` with its samples and their answers.
 
     It is ``blind`` where efforts are missing: only jumps of readings are looked for then.
+
+    Parameters
+    ----------
+    arm : SerialArm
+        Arm and sensors.
+    parameters : DiagnosisParameters, optional
+        Tuning.
+    uio : UnknownInputObserver, optional
+        The designed observer that runs beside it.
+
+    Attributes
+    ----------
+    answering : Answering
+        What samples are answered with, until the next decision.
     """
 
-    def __init__(self, arm: SerialArm) -> None:
-        self.blind = False
-        super().__init__(arm)
+    settings: DiagnosisParameters
+
+    def __init__(
+        self,
+        arm: SerialArm,
+        parameters: DiagnosisParameters | None = None,
+        uio: UnknownInputObserver | None = None,
+    ) -> None:
+        self.blind, self._uio = False, uio
+        self._call = Entries()
+        self._efforts = np.array([joint.torque_gain for joint in arm.joints])
+        super().__init__(arm, parameters or DiagnosisParameters())
+        if uio is not None:
+            uio.retune(self.settings.sigmas)
+            if uio.certifies:
+                self.certify(uio.level)
 
     def reset(self) -> None:
         """Forget samples, estimates, faults and the time of the first sample."""
         super().reset()
-        self._first = None
+        self._first: int | None = None
+        self._last_time = -np.inf
         self.alarms = []
         self._removed_variance = np.zeros(self.joints)
+        flags = new_record(FLAGS, sample_time=self.arm.sample_time)
+        progress = new_record(PROGRESS, next_report=NEVER)
+        uio = no_observer() if self._uio is None else self._uio.parts
+        self.answering = Answering(
+            new_compensation(self.arm), new_known(self.joints), memory(flags), memory(progress), uio
+        )
+        self.flags, self.progress = plain(flags), plain(progress)
+        self._balances = self._balanced = 0  # balances at hand, stamp of the last one [ns]
+        self.know(0)
+
+    def retune(self, parameters: DiagnosisParameters) -> None:
+        """Change the tuning; alarms stay as they are."""
+        self.settings = parameters
+        self.apply_settings()
+        if self._uio is not None:
+            self._uio.retune(parameters.sigmas)
+        self.know(int(self.flags['stamp']))
 
     @property
     def balances(self) -> int:
@@ -101,48 +125,50 @@ class SteppedMonitor(SerialMonitor):
         return super().uses_balances and not self.blind
 
     def run(
+        self, stamps: IntArray, samples: FloatArray, rows: AnswerRows, first: int, told: Told
+    ) -> None:
+        """Take samples, all of them in order, and answer them.
+
+        Parameters
+        ----------
+        stamps : ndarray of int64, shape (N,)
+            [ns], increasing; at least one.
+        samples : ndarray, shape (N, 3, n)
+            Readings of the position sensors, their rates, efforts; all finite.
+        rows : AnswerRows
+            What receives the answers, from row ``first`` on.
+        told : Told
+            Who is told.
+        """
+        if self._first is None:
+            self._first = int(stamps[0])
+        times, values = (stamps - self._first) / NANOSECONDS, samples.copy()
+        values[:, 2] *= self._efforts
+        steps = times.copy()
+        steps[1:] -= times[:-1]
+        steps[0] -= self._last_time
+        after_gap = steps > LONGEST_STEP * self.arm.sample_time
+        begins = sorted({0, *after_gap.nonzero()[0].tolist()})
+        for begin, end in zip(begins, [*begins[1:], len(times)]):
+            if after_gap[begin]:
+                self.begin_again()
+            self.progress['taken'] = self.progress['answered'] = self.progress['reported'] = 0
+            part = slice(begin, end)
+            taken = stamps[part], times[part], values[part]
+            self.go_on(self.answering, rows, first + begin, told, *taken)
+        self._last_time = float(times[-1])
+
+    def go_on(
         self,
-        stamps: IntArray,
-        samples: FloatArray,
         answering: Answering,
         rows: AnswerRows,
         first: int,
         told: Told,
+        stamps: IntArray,
+        times: FloatArray,
+        samples: FloatArray,
     ) -> None:
-        """Take samples as `take_readings`, and answer them from row ``first`` on."""
-        self._out, self._row, self._stamps = (answering, rows, told), first, stamps
-        self.take_readings(stamps, samples)
-
-    def go_on(
-        self, answering: Answering, rows: AnswerRows, row: int, told: Told, *taken: Any
-    ) -> None:
-        """Go on where `advance` needs Python, with stamps, times and samples that it has taken."""
-        self._out, self._row = (answering, rows, told), row
-        self._go_on(*taken)
-
-    def went_on(self, stamp: int) -> None:
-        """Samples up to a stamp [ns] were taken by compiled functions."""
-        self._last_time = (stamp - (self._first or 0)) / 1e9
-
-    def doubt(self, shift: int) -> None:
-        """The clock was set ahead by ``shift`` [ns]: faults may have ended since."""
-        self._first = (self._first or 0) + shift
-        for sensor in self.sensors:
-            sensor.doubt()
-
-    def stamp_of(self, seconds: float) -> int:
-        """Stamp [ns] of a time since the first sample [s]."""
-        return (self._first or 0) + round(seconds * 1e9)
-
-    def _take(self, times: FloatArray, samples: FloatArray) -> None:
-        count, progress = len(times), self._out[0].progress[0]
-        progress['taken'] = progress['answered'] = progress['reported'] = 0
-        self._go_on(self._stamps[:count], times, samples)
-        self._row, self._stamps = self._row + count, self._stamps[count:]
-
-    def _go_on(self, stamps: IntArray, times: FloatArray, samples: FloatArray) -> None:
-        """Take samples, decide on them and answer them."""
-        (answering, rows, told), first = self._out, self._row
+        """Take samples, decide on them and answer them, from where `advance` left."""
         progress, plan = plain(answering.progress[0]), (self.plan.per_block, self.plan.blocks)
         fixed = plan, answering, rows, first, stamps, times, samples
         while self._call(advance, self._parts, *fixed) or progress['phase'] != SAMPLE:
@@ -151,7 +177,7 @@ class SteppedMonitor(SerialMonitor):
                 told.report(first + int(progress['reported']), first + int(progress['answered']))
                 progress['reported'] = progress['answered']
             elif progress['phase'] == KNOW:
-                told.known(self.snapshot(), row, int(progress['stamp']))
+                told.known(row, int(progress['stamp']))
                 progress['phase'] = SAMPLE
             else:
                 if progress['phase'] == JUMP:
@@ -162,30 +188,84 @@ class SteppedMonitor(SerialMonitor):
                     self._do_stage(now)
                 progress['touched'] = True
 
-    def snapshot(self) -> Snapshot:
-        """What has been known since the last decision."""
+    def went_on(self, stamp: int) -> None:
+        """Samples up to a stamp [ns] were taken by compiled functions."""
+        self._last_time = (stamp - (self._first or 0)) / NANOSECONDS
+
+    def doubt(self, shift: int, stamp: int) -> None:
+        """The clock was set ahead by ``shift`` [ns], to ``stamp``: faults may have ended since."""
+        self._first = (self._first or 0) + shift
+        self._balanced += shift
+        for sensor in self.sensors:
+            sensor.doubt()
+        self.know(stamp)
+
+    def stamp_of(self, seconds: float) -> int:
+        """Stamp [ns] of a time since the first sample [s]."""
+        return (self._first or 0) + round(seconds * NANOSECONDS)
+
+    def watch_from(self, stamp: int) -> None:
+        """Balances are due from a stamp on [ns]."""
+        self._balances, self._balanced = self.balances, stamp
+        self.know(int(self.flags['stamp']))
+
+    def know(self, stamp: int) -> None:
+        """Write what holds from a sample [ns] on, until the next decision."""
         settings, sensors, sampler, scales = self.settings, self.sensors, self.sampler, self.scales
+        if self.balances != self._balances:
+            self._balances, self._balanced = self.balances, stamp
         state = np.array([one.state for one in sensors], np.uint8)
+        is_error = state == _ERROR
+        is_level = np.array([one.level and one.active for one in sensors])
         doubts = self.doubts()
         (fault, sigma), changing = self.published(doubts), sum(doubts)
+        removed, share = self.followed.certain(settings.sigmas)
+        rate = sampler.drift + sampler.share / (1.0 - sampler.share) * sampler.samples[-1, 1]
         jump, variance = self.followed.take_jumps()
-        self._removed_variance = np.where(state == _ERROR, self._removed_variance + variance, 0.0)
+        self._removed_variance = np.where(is_error, self._removed_variance + variance, 0.0)
         state[(state == _OK) & (sigma > WIDEST_LEVEL * scales)] = _NOT_DIAGNOSABLE
-        alarms, self.alarms = tuple(self.alarms), []
-        return Snapshot(
-            fault, sigma, *self.followed.certain(settings.sigmas),
-            sampler.drift + sampler.share / (1.0 - sampler.share) * sampler.samples[-1, 1],
-            np.where(sampler.contrast[REPLACED] > 0.0, np.nan, sampler.rate_error),
-            np.sqrt(self._removed_variance + changing**2), jump,
-            np.maximum(settings.sigmas * sigma, settings.minimum_threshold * scales),
-            np.maximum(JUMP_SCALE * sampler.usual, sampler.smallest),
-            np.array([sampler.noisy[i] and reading_noise(sampler, i) for i in range(self.joints)]),
-            *self._accelerations(), state,
-            np.array([one.level and one.active for one in sensors]),
-            np.array([one.unseen for one in sensors]),
-            self._suspects, self.in_contact, self.balances, alarms, self.guarantee,
-            self.healthy is not None, self.estimator.misfit(), self.contradicts,
-        )  # fmt: skip
+        self.answering.work.applied[:] += jump
+        known, flags = self.answering.known, self.flags
+        known.fault[:], known.rate[:] = fault, rate
+        # What is beyond doubt: all of a confirmed offset, of others what is removed.
+        known.confirmed[:] = np.where(is_level, fault, removed)
+        known.growth[:] = np.where(is_level, rate, share * rate)
+        known.rate_error[:] = np.where(sampler.contrast[REPLACED] > 0.0, np.nan, sampler.rate_error)
+        known.bound[:] = settings.sigmas * sigma
+        known.threshold[:] = np.maximum(known.bound, settings.minimum_threshold * scales)
+        known.limit[:] = np.maximum(JUMP_SCALE * sampler.usual, sampler.smallest)
+        noise = [sampler.noisy[i] and reading_noise(sampler, i) for i in range(self.joints)]
+        known.noise[:], known.state[:], known.is_error[:] = noise, state, is_error
+        known.predicted[:], known.missed[:] = self._accelerations()
+        known.is_derived[:] = sampler.derived == 1.0
+        left = np.where(is_level, sigma, np.sqrt(self._removed_variance + changing**2))
+        flags['stamp'], flags['mode'] = stamp, self._mode()
+        flags['trustworthy'] = self._can_be_compensated(is_error, left)
+        flags['inconsistent'] = bool(self.suspects)
+        flags['until'] = self._balanced + UNWATCHED if self.uses_balances else np.iinfo(int).max
+        flags['fading'] = settings.compensation_rate
+        if self._uio is not None:
+            # An offset from the start is not in the set: its estimate is on its way.
+            doubtful = is_level.any() or self.suspects
+            self._uio.rely(self.rates_are_right and not doubtful)
+
+    def _mode(self) -> Mode:
+        if not self.uses_balances:
+            return Mode.HOLDING
+        return Mode.OBSERVING if self.balances else Mode.INITIALISING
+
+    def _can_be_compensated(self, is_error: npt.NDArray[np.bool_], sigma: FloatArray) -> bool:
+        """Whether what is removed of confirmed faults is known well enough to go on.
+
+        ``sigma``, shape (n,), is the standard deviation of what is left of each [rad].
+        """
+        if not is_error.any():
+            return True
+        if self.contradicts:  # a confirmed fault is not, or not only, what it was taken for
+            return False
+        unseen = np.array([one.unseen for one in self.sensors])
+        uncertain = self.settings.sigmas * sigma > self.settings.safe_stop_bound * self.scales
+        return not (is_error & (uncertain | unseen)).any()
 
     def _accelerations(self) -> tuple[FloatArray, FloatArray]:
         """Shares of the readings' accelerations that torques predict, and variances of the rest.

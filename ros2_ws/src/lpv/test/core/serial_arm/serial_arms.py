@@ -6,11 +6,11 @@ import fault_injection
 import numpy as np
 from fault_injection import wrong_chain
 from simulated_runs import Run, simulated_run
+from watched import Watched
 
 from lpv import load_arm
 from lpv.core.serial_arm import description as parts
 from lpv.core.serial_arm.description import SerialArm, Uncertainty
-from lpv.core.serial_arm.diagnosis.monitor import SerialMonitor
 
 URDF = """<robot name="small"><link name="base"/><link name="tool"/>
 <link name="one"><inertial><origin xyz="0.1 0.02 0" rpy="0.3 0 0.2"/><mass value="3"/>
@@ -52,10 +52,10 @@ def simulated(arm, *faults, pushes=(), seed=1, duration=8.0, plant=None) -> Run:
     return simulated_run(arm, duration, *faults, plant=plant, pushes=pushes, seed=seed)
 
 
-def watch(arm, run) -> SerialMonitor:
+def watch(arm, run) -> Watched:
     """The monitor of an arm after a run."""
-    monitor = SerialMonitor(arm)
-    monitor.update_many(run.stamps, run.samples)
+    monitor = Watched(arm)
+    monitor.take(run.stamps, run.samples)
     return monitor
 
 

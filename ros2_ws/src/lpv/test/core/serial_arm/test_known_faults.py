@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 from serial_arms import shoulder_arm, simulated, watch, without
 from simulated_runs import Push
+from watched import Watched
 
 from lpv.core.monitoring.parameters import DiagnosisParameters
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.certificate.jump_bound import jump_bound
 from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent, SensorState
 from lpv.core.serial_arm.diagnosis.fault_filter import FaultFilter
-from lpv.core.serial_arm.diagnosis.monitor import SerialMonitor
-from lpv.core.serial_arm.diagnosis.settings import MonitorSettings
 from lpv.core.simulation.faults import Fault
 
 
@@ -72,7 +71,7 @@ def test_given_a_step_when_its_reading_is_noisy_for_a_while_then_the_step_remain
     assert [(alarm.kind, alarm.event) for alarm in own] == [
         ('bias', 'raised'), ('noise', 'updated'), ('bias', 'updated'),
     ]  # fmt: skip
-    known = monitor.estimate(0)
+    known = monitor.estimate()
     assert known.state[0] is SensorState.ERROR and known.fault[0] == pytest.approx(0.3, abs=0.02)
 
 
@@ -126,8 +125,8 @@ def test_given_an_uncertain_scale_error_then_sigma_is_that_of_draws(size):
 def test_given_alarms_that_clear_at_once_when_a_frozen_reading_jumps_then_it_is_judged():
     faults = Fault('encoder2', 'stuck', 4.0, 1.015), Fault('encoder2', 'bias', 5.035, size=0.2)
     run = simulated(shoulder_arm(), *faults, duration=5.5)
-    monitor = SerialMonitor(shoulder_arm(), MonitorSettings(clear_dwell=0.0))
-    monitor.update_many(run.stamps, run.samples)
+    monitor = Watched(shoulder_arm(), clear_dwell=0.0)
+    monitor.take(run.stamps, run.samples)
     assert any(alarm.kind == 'stuck' for alarm in monitor.alarms)
 
 

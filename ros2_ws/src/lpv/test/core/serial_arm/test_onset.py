@@ -8,6 +8,7 @@ from fault_injection import BY_NAME, Cell, draw
 from serial_arms import shoulder_arm
 from simulated_runs import simulated_run
 from ur10e_twin import twin
+from watched import Watched
 
 from lpv.core.serial_arm.diagnosis import (
     balance,
@@ -20,8 +21,6 @@ from lpv.core.serial_arm.diagnosis import (
 )
 from lpv.core.serial_arm.diagnosis.estimator import set_residuals
 from lpv.core.serial_arm.diagnosis.information import recent
-from lpv.core.serial_arm.diagnosis.monitor import SerialMonitor
-from lpv.core.serial_arm.diagnosis.settings import MonitorSettings
 from lpv.core.simulation.faults import Fault
 
 JOINT, BEGIN, RATE, PRIOR, LAST = 1, 3.022, 0.2, 0.3, 14
@@ -38,10 +37,10 @@ def monitor():
 
 def watch_to_decision(arm, run, first):
     """The monitor at the first decision from a sample on; nothing is named."""
-    monitor = SerialMonitor(arm, MonitorSettings(hours_between_false_alarms=np.inf))
-    monitor.update_many(run.stamps[:first], run.samples[:first])
+    monitor = Watched(arm, hours_between_false_alarms=np.inf)
+    monitor.take(run.stamps[:first], run.samples[:first])
     for stamp, sample in zip(run.stamps[first:], run.samples[first:]):
-        monitor.update_many([stamp], sample[None])
+        monitor.take([stamp], sample[None])
         if monitor.estimator.window.times.max() == pytest.approx(monitor.readings.last()):
             return monitor
 
@@ -78,10 +77,10 @@ def dense_onsets(monitor, end):
 def test_given_an_alarm_when_it_is_raised_then_no_drift_is_sought_long_before_it():
     arm = shoulder_arm()
     run = simulated_run(arm, 7.0, Fault(arm.sensor_names[JOINT], 'bias', 6.0, size=0.2))
-    monitor, before = SerialMonitor(arm), int(np.searchsorted(run.stamps, 5_900_000_000))
+    monitor, before = Watched(arm), int(np.searchsorted(run.stamps, 5_900_000_000))
     longest = []
     for part in (slice(before), slice(before, None)):
-        monitor.update_many(run.stamps[part], run.samples[part])
+        monitor.take(run.stamps[part], run.samples[part])
         windows = monitor.bank.parts.state[0].windows
         longest.append(monitor.bank.parts.evidence.lengths[windows - 1] * monitor.plan.interval)
     assert [one.event for one in monitor.alarms] == ['raised']

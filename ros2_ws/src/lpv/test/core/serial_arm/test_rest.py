@@ -18,8 +18,8 @@ from fault_injection import (
 )
 from serial_arms import shoulder_arm, simulated, watch, with_rates
 from simulated_runs import Run
+from watched import Watched
 
-from lpv.core.serial_arm.diagnosis.monitor import SerialMonitor
 from lpv.core.serial_arm.diagnosis.sampler import JITTER
 from lpv.core.serial_arm.diagnosis.stuck import Frozen
 from lpv.core.serial_arm.dynamics.model import SerialModel
@@ -186,9 +186,9 @@ def held_by_friction(arm, seed, rest=12.0, most=1.0, moves=2):
 @pytest.mark.parametrize('seed', seeds(2, fast=1))
 def test_given_friction_that_holds_joints_for_long_when_healthy_then_bounds_hold(seed, rates):
     arm = arm_named('ur10', 0.01, rates)
-    run, monitor = held_by_friction(arm, seed), SerialMonitor(arm)
+    run, monitor = held_by_friction(arm, seed), Watched(arm)
     for part in range(0, len(run.stamps), 100):
-        monitor.update_many(run.stamps[part : part + 100], run.samples[part : part + 100])
+        monitor.take(run.stamps[part : part + 100], run.samples[part : part + 100])
         fault, sigma = monitor.faults()
         assert (np.abs(fault) < 4.0 * sigma).all()
         assert monitor.guarantee is None or not monitor.guarantee.exceeded.any()
@@ -257,9 +257,9 @@ def test_statistic_of_a_healthy_arm_stays_below_what_its_mean_allows(rates, spoi
     arm = shoulder_arm(rates)
     run = simulated(arm, seed=3, duration=12.0)
     stamps, samples = spoil(run.stamps, run.samples, np.random.default_rng(3))
-    monitor, largest, decisions = SerialMonitor(arm), -np.inf, 0
+    monitor, largest, decisions = Watched(arm), -np.inf, 0
     for part in range(0, len(stamps), 25):
-        monitor.update_many(stamps[part : part + 25], samples[part : part + 25])
+        monitor.take(stamps[part : part + 25], samples[part : part + 25])
         largest, decisions = max(largest, monitor.statistic), decisions + 1
     assert largest < np.log(1000.0 * decisions)
 
@@ -290,8 +290,8 @@ def test_given_a_joint_that_rests_when_another_drifts_then_its_motion_explains_n
     """The evidence of a reading that is frozen is at most what the balances leave at all."""
     (cell,) = cells(['pausing'], [False], ['derived'], [BY_NAME['drift 0.1']])
     subject, window, _ = draw(cell, 2, 1)
-    monitor, stream = SerialMonitor(subject.arm), window.stream.part(0.0, 6.6)
-    monitor.update_many(stream.stamps, stream.samples)
+    monitor, stream = Watched(subject.arm), window.stream.part(0.0, 6.6)
+    monitor.take(stream.stamps, stream.samples)
     (rests,) = np.flatnonzero(np.ptp(stream.samples[:, 0], axis=0) < 1e-3)
     frozen = Frozen(0.0, 0.0, 1.0, alive=False, seen=False)
     found = monitor.bank.stuck({int(rests): frozen}, monitor.readings.blocks)

@@ -8,20 +8,19 @@ import pytest
 from fault_injection import motion_range, simulate
 from serial_arms import shoulder_arm, simulated, watch, without
 from simulated_runs import Push, Run, simulated_run
+from watched import Watched
 
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import Uncertainty
+from lpv.core.serial_arm.diagnosis.alarms import SensorState
 from lpv.core.serial_arm.diagnosis.bank import CONTACT_TIME
 from lpv.core.serial_arm.diagnosis.estimator import DISTRUST
-from lpv.core.serial_arm.diagnosis.monitor import SensorState, SerialMonitor
 from lpv.core.serial_arm.diagnosis.published_rates import rate_lag
 from lpv.core.serial_arm.diagnosis.sampler import NOISY, SPIKE, STEP, new_sampler
 from lpv.core.serial_arm.diagnosis.sampling import push_sample
-from lpv.core.serial_arm.diagnosis.settings import MonitorSettings
 from lpv.core.serial_arm.dynamics.kinematics import jacobian
 from lpv.core.serial_arm.dynamics.payload import with_payload
 from lpv.core.simulation.faults import Fault
-from lpv.core.support.errors import SampleError
 from lpv.files import load_arm
 
 UNLOADED = Uncertainty(payload=0.0, friction=0.3)
@@ -40,7 +39,7 @@ def named(monitor):
 @pytest.mark.parametrize('seed', [1, 2])
 def test_healthy_arm_of_unknown_parameters_raises_nothing_and_its_axis_has_no_level(rates, seed):
     monitor = watched(shoulder_arm(rates), seed=seed)
-    estimate = monitor.estimate(0)
+    estimate = monitor.estimate()
     assert monitor.alarms == [] and np.abs(estimate.fault[1:]).max() < 0.03
     if rates == 'derived' and seed == 1:
         assert estimate.state[0] is SensorState.NOT_DIAGNOSABLE and estimate.sigma[0] > 0.4
@@ -55,7 +54,7 @@ def test_offset_from_the_start_is_named_and_measured_also_after_a_gap(joint):
         monitor = watch(arm, one)
         assert [(a.sensor, a.kind) for a in monitor.alarms] == [(sensor, 'bias')]
         assert monitor.alarms[0].detected < 5.0 and 0.99 < monitor.alarms[0].confidence <= 1.0
-        assert monitor.estimate(0).fault[joint] == pytest.approx(0.5, abs=0.05)
+        assert monitor.estimate().fault[joint] == pytest.approx(0.5, abs=0.05)
 
 
 @RATES
@@ -83,7 +82,7 @@ def test_given_filtered_rates_when_a_reading_jumps_then_it_is_a_step_and_no_nois
         monitor = watch(shoulder_arm(), filtered(run, share))
         assert (rate_lag(monitor.sampler) > 0.0) == (share < 1.0)
         assert [(alarm.sensor, alarm.kind) for alarm in monitor.alarms] == [('encoder2', 'bias')]
-        assert monitor.estimate(0).fault[1] == pytest.approx(0.02, abs=0.02)
+        assert monitor.estimate().fault[1] == pytest.approx(0.02, abs=0.02)
 
 
 @pytest.mark.parametrize('wrong', ['wraps', 'wrong sign'])
@@ -96,7 +95,7 @@ def test_given_a_derived_rate_when_it_contradicts_its_reading_then_it_alone_is_n
     assert {(alarm.sensor, alarm.kind) for alarm in blamed} == {('encoder2', 'rate_bias')}
     assert blamed[0].detected < 2.5
     assert not any(rate.active for rate in monitor.rates)  # 2 s after the end
-    assert np.abs(monitor.estimate(0).fault).max() < 0.03
+    assert np.abs(monitor.estimate().fault).max() < 0.03
 
 
 def test_given_filtered_rates_when_samples_are_missing_then_no_difference_bridges_the_gap():
@@ -184,7 +183,7 @@ def test_given_a_load_that_is_picked_up_then_the_arm_is_another_one_and_bounds_h
     arm = shoulder_arm('independent', Uncertainty(payload=stated, friction=0.3))
     run = simulate(arm, motion_range(arm, 0.5), seed, pauses=True, payload=2.0)
     monitor = watch(arm, run)
-    estimate = monitor.estimate(0)
+    estimate = monitor.estimate()
     assert {alarm.kind for alarm in monitor.alarms} == {'load'} and not monitor.in_contact
     assert (np.abs(estimate.fault) < 4.0 * estimate.sigma).all()
 
@@ -215,18 +214,6 @@ def test_slow_push_or_force_on_the_tip_is_no_fault_of_an_encoder(shape, seed):
     torque = np.array([jacobian(chain, q)[:3].T @ force for q in run.position])
     run.samples[:, 2] -= SHAPES[shape](place)[:, None] * torque
     assert named(watch(arm, run)) <= {''}
-
-
-def test_bad_samples_are_refused_and_change_nothing():
-    monitor, good = SerialMonitor(shoulder_arm()), np.zeros(3)
-    monitor.update(1_000_000, good, good, good)
-    with pytest.raises(SampleError, match='finite'):
-        monitor.update(2_000_000, [0.0, np.nan, 0.0], good, good)
-    with pytest.raises(SampleError, match='increase'):
-        monitor.update(1_000_000, good, good, good)
-    with pytest.raises(SampleError, match='shape'):
-        monitor.update_many([3_000_000], np.zeros((1, 3, 2)))
-    assert monitor.update(2_000_000, good, good, good).stamp == 2_000_000
 
 
 @RATES
@@ -263,11 +250,11 @@ def test_spike_is_no_lasting_fault():
     arm = shoulder_arm('independent')
     run = simulated_run(arm, 3.0, seed=3)
     run.samples[1000, 0, 1] += 0.3
-    monitor, unaware = watch(arm, run), SerialMonitor(arm, MonitorSettings(smallest_step=0.5))
+    monitor, unaware = watch(arm, run), Watched(arm, smallest_step=0.5)
     events = [(alarm.sensor, alarm.kind, alarm.event) for alarm in monitor.alarms]
     assert events == [('encoder2', 'spike', 'raised'), ('encoder2', 'spike', 'cleared')]
-    assert abs(monitor.estimate(0).fault[1]) < 0.1
-    unaware.update_many(run.stamps, run.samples)
+    assert abs(monitor.estimate().fault[1]) < 0.1
+    unaware.take(run.stamps, run.samples)
     assert unaware.alarms == []  # it is smaller than what is a fault
     run.samples[800:, 0, 1] += 0.2
     assert {alarm.kind for alarm in watch(arm, run).alarms} == {'bias'}  # it is known to be faulty
@@ -287,7 +274,7 @@ def test_efforts_are_scaled_in_a_copy():
     halved = run._replace(samples=run.samples * [[1.0], [1.0], [0.5]])
     before, one, other = halved.samples.copy(), watch(arm, run), watch(louder, halved)
     assert np.array_equal(halved.samples, before)
-    assert one.estimate(0).fault.tobytes() == other.estimate(0).fault.tobytes()
+    assert one.estimate().fault.tobytes() == other.estimate().fault.tobytes()
 
 
 @pytest.mark.parametrize('load', [0.3, 4.0])
@@ -310,6 +297,6 @@ def test_payload_and_viscous_friction_that_nobody_stated_are_learned_without_an_
 def test_slow_ramp_is_no_arm_that_is_learned(rate):
     fault, arm = Fault('encoder2', 'drift', 0.0, rate=rate), shoulder_arm('derived', UNLOADED)
     monitor = watched(arm, fault, seed=2, duration=30.0)
-    estimate = monitor.estimate(0)
+    estimate = monitor.estimate()
     assert named(monitor) == {'encoder2'}
     assert abs(estimate.fault[1] - rate * 30.0) < max(0.03, 4.0 * estimate.sigma[1])

@@ -18,9 +18,9 @@ from fault_injection import (
 )
 from serial_arms import shoulder_arm, watch, with_rates
 from serial_diagnosis import random_arm
+from watched import Watched
 
 from lpv.core.serial_arm.chain import compile_chain
-from lpv.core.serial_arm.diagnosis.monitor import SerialMonitor
 from lpv.core.serial_arm.dynamics.model import SerialModel
 
 RATES = pytest.mark.parametrize('rates', ['derived', 'independent'])
@@ -94,11 +94,11 @@ def test_given_differences_as_rates_when_an_arm_moves_then_balances_hold_its_tru
 
 def alarms_of_poses(arm, motion, seed):
     """Alarms of a healthy arm from pose to pose, and the largest statistic over its threshold."""
-    run, monitor = derived(simulate(arm, motion, seed, pauses=True)), SerialMonitor(arm)
+    run, monitor = derived(simulate(arm, motion, seed, pauses=True)), Watched(arm)
     largest, threshold = -np.inf, monitor.settings.threshold(monitor.plan.interval)
     for part in range(0, len(run.stamps), 25):
         rows = slice(part, part + 25)
-        monitor.update_many(1 + run.stamps[rows], run.samples[rows])
+        monitor.take(1 + run.stamps[rows], run.samples[rows])
         largest = max(largest, monitor.statistic)
     return named(monitor), largest / threshold
 

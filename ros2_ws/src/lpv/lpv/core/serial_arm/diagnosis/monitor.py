@@ -14,18 +14,11 @@ import numpy as np
 import numpy.typing as npt
 
 from lpv.core.serial_arm.certificate.jump_bound import jump_bound
-from lpv.core.serial_arm.chain import FloatArray, IntArray
+from lpv.core.serial_arm.chain import FloatArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import SensorState
 from lpv.core.serial_arm.diagnosis.bank import CONTACT_TIME, Bank, Hypothesis
-from lpv.core.serial_arm.diagnosis.decision import (
-    DECISION,
-    STILL_TIME,
-    Certified,
-    Parts,
-    Stage,
-    decide,
-)
+from lpv.core.serial_arm.diagnosis.decision import DECISION, STILL_TIME, Certified, Parts, Stage
 from lpv.core.serial_arm.diagnosis.end_of_fault import EndOfFault
 from lpv.core.serial_arm.diagnosis.estimator import (
     HORIZON,
@@ -74,16 +67,12 @@ from lpv.core.serial_arm.diagnosis.sampler import (
     Sampler,
     new_sampler,
 )
-from lpv.core.serial_arm.diagnosis.sampling import restart, take_samples
+from lpv.core.serial_arm.diagnosis.sampling import restart
 from lpv.core.serial_arm.diagnosis.sensor_state import SensorRecord
 from lpv.core.serial_arm.diagnosis.settings import MonitorSettings
 from lpv.core.serial_arm.diagnosis.stuck import Frozen
 from lpv.core.serial_arm.diagnosis.undecided_jumps import UndecidedJumps
-from lpv.core.serial_arm.sensor_map import map_rows, mixing
-from lpv.core.support.errors import SampleError
-from lpv.core.support.jit import Entries
 from lpv.core.support.records import memory, new_record, plain
-from lpv.core.support.timestamps import NANOSECONDS
 
 BoolArray = npt.NDArray[np.bool_]
 
@@ -107,17 +96,6 @@ class SerialAlarm:
     event: str = 'raised'  # raised, updated or cleared
     confidence: float = 1.0  # probability that this sensor is to blame
     rate: float = 0.0  # at which the fault grows [rad/s]
-
-
-@dataclass(frozen=True)
-class SerialEstimate:
-    """What is known after a sample."""
-
-    stamp: int  # of the sample [ns]
-    fault: FloatArray  # estimated faults f of the sensors, y = S q + f, shape (n,) [rad]
-    sigma: FloatArray  # their standard deviations, shape (n,) [rad]
-    state: tuple[SensorState, ...]  # of each sensor
-    suspects: tuple[str, ...]  # what explains a contradiction, best first; empty if there is none
 
 
 @dataclass
@@ -146,6 +124,8 @@ class SerialMonitor:
         Events so far; the caller may empty it.
     statistic : float
         Logarithm of the statistic of detection at the last balance.
+    suspects : tuple of str
+        What explains a contradiction, the best explanation first; empty if there is none.
     misnamed : tuple of str
         Joints whose rates the file calls independent, and that are derived from their readings.
     """
@@ -156,10 +136,6 @@ class SerialMonitor:
         self.joints = len(arm.joints)
         self.alarms: list[SerialAlarm] = []
         self.scales, self._names = arm.scales(), arm.sensor_names
-        self._efforts = np.array([joint.torque_gain for joint in arm.joints])
-        self._to_sensors = mixing(arm.joints_to_sensors())
-        self._first: int | None = None
-        self._call = Entries()
         self._steps = {
             Stage.FOLLOW: self._follow,
             Stage.LINEARISE: self._linearise,
@@ -230,10 +206,9 @@ class SerialMonitor:
         self._known = np.zeros(n)  # for how long each offset has been diagnosable [s]
         self._contact = _Contact()
         self._rival = -np.inf  # largest evidence of an encoder's fault while something is suspected
-        self._suspects: tuple[str, ...] = ()
+        self.suspects: tuple[str, ...] = ()
         self._suspected = np.zeros(n)  # sizes of the faults among these [rad]
         self._stuck: list[Hypothesis] = []
-        self._last_time = -np.inf
         self._memory = new_record(DECISION, sample_time=arm.sample_time)
         self._state, self._beyond = plain(self._memory), np.zeros((2, n))
         self._recent = np.zeros((2 * self.plan.blocks, 3 * n + 4))
@@ -253,94 +228,6 @@ class SerialMonitor:
         """Logarithm of the statistic of detection at the last balance."""
         return self.bank.statistic
 
-    def update(
-        self, stamp: int, q: npt.ArrayLike, v: npt.ArrayLike, torque: npt.ArrayLike
-    ) -> SerialEstimate:
-        """Take a sample.
-
-        Parameters
-        ----------
-        stamp : int
-            [ns]; later than that of the sample before.
-        q, v, torque : array_like, shape (n,)
-            Joint positions and rates by the readings, S^-1 y, and efforts [rad], [rad/s].
-
-        Returns
-        -------
-        SerialEstimate
-            What is known now; `alarms` has grown where a fault was found.
-
-        Raises
-        ------
-        SampleError
-            If a value is missing or not finite, or the stamp is not later.
-        """
-        try:
-            values = np.array([[q, v, torque]], dtype=float)
-        except ValueError as error:
-            raise SampleError('positions, rates and efforts differ in number') from error
-        self.update_many(np.array([stamp]), values)
-        return self.estimate(stamp)
-
-    def update_many(self, stamps: npt.ArrayLike, samples: npt.ArrayLike) -> None:
-        """Take many samples; the same as `update` one by one.
-
-        Parameters
-        ----------
-        stamps : array_like of int, shape (N,)
-            [ns], increasing.
-        samples : array_like, shape (N, 3, n)
-            Joint positions by the readings, their rates, efforts.
-
-        Raises
-        ------
-        SampleError
-            As `update`.
-        """
-        values = np.array(samples, dtype=float, order='C')
-        moments = np.ascontiguousarray(stamps, np.int64)
-        if values.shape != (len(moments), 3, self.joints):
-            raise SampleError(
-                f'samples must have shape ({len(moments)}, 3, {self.joints}), got {values.shape}'
-            )
-        if not np.isfinite(values).all():
-            raise SampleError('samples must be finite')
-        if len(moments) == 0:
-            return
-        if (np.diff(moments) <= 0).any() or not self._is_later(int(moments[0])):
-            raise SampleError('stamps must increase')
-        values[:, :2] = map_rows(self._to_sensors, values[:, :2])
-        self.take_readings(moments, values)
-
-    def _is_later(self, stamp: int) -> bool:
-        first = stamp if self._first is None else self._first
-        return (stamp - first) / NANOSECONDS > self._last_time
-
-    def take_readings(self, stamps: IntArray, samples: FloatArray) -> None:
-        """Take samples as `update_many`, but readings y and their rates, all of them in order.
-
-        Parameters
-        ----------
-        stamps : ndarray of int64, shape (N,)
-            [ns], increasing; at least one.
-        samples : ndarray, shape (N, 3, n)
-            Readings of the position sensors, their rates, efforts; all finite.
-        """
-        if self._first is None:
-            self._first = int(stamps[0])
-        times, values = (stamps - self._first) / NANOSECONDS, samples.copy()
-        values[:, 2] *= self._efforts
-        steps = times.copy()
-        steps[1:] -= times[:-1]
-        steps[0] -= self._last_time
-        after_gap = steps > LONGEST_STEP * self.arm.sample_time
-        begins = sorted({0, *after_gap.nonzero()[0].tolist()})
-        for begin, end in zip(begins, [*begins[1:], len(times)]):
-            if after_gap[begin]:
-                self.begin_again()
-            self._take(times[begin:end], values[begin:end])
-        self._last_time = float(times[-1])
-
     def begin_again(self) -> None:
         """Begin new balances, as after a gap in the samples."""
         for i, sensor in enumerate(self.sensors):
@@ -358,30 +245,10 @@ class SerialMonitor:
         self._mark_suspects()
         self._tell()
 
-    def _take(self, times: FloatArray, samples: FloatArray) -> None:
-        """Take samples without a gap between them."""
-        k, plan = 0, (self.plan.per_block, self.plan.blocks)
-        fixed = self.sampler, self.estimator.balance, times, samples
-        while k < len(times):
-            k, complete = self._call(take_samples, *fixed, k, plan)
-            if complete or self.sampler.found.any():
-                self._decide(float(times[k - 1]), complete)
-
     @property
     def uses_balances(self) -> bool:
         """Whether momentum balances say anything: the efforts have to hold the weight."""
         return self.arm.effort_includes_gravity
-
-    def _decide(self, now: float, complete: bool) -> None:
-        """Decide on what `take_samples` has found."""
-        if self.sampler.found.any():
-            self._report_samples(now)
-        if not complete:
-            return
-        self._state['now'], self._state['stage'] = now, Stage.BEGIN
-        self._tell()
-        while self._call(decide, self._parts) or self._state['stage'] != Stage.DONE:
-            self._do_stage(now)
 
     def _do_stage(self, now: float) -> None:
         """Do the stage of a decision at which `decide` left."""
@@ -390,7 +257,7 @@ class SerialMonitor:
 
     def _tell(self) -> None:
         """Say what decisions have to know."""
-        state, suspects = self._state, bool(self._suspects)
+        state, suspects = self._state, bool(self.suspects)
         state['uses_balances'] = self.uses_balances
         state['learns'] = not (suspects or self.followed.known)
         state['follows'] = len(self.followed) > 0
@@ -400,17 +267,6 @@ class SerialMonitor:
         alarm = self._has_alarm()
         state['active'] = alarm
         state['usual'] = state['learns'] and not (self._jumps.ends or state['pushed'] or alarm)
-
-    def estimate(self, stamp: int) -> SerialEstimate:
-        """What is known after the last sample."""
-        fault, sigma = self.published()
-        state = tuple(
-            SensorState.NOT_DIAGNOSABLE
-            if one.state is SensorState.OK and sigma[i] > WIDEST_LEVEL * self.scales[i]
-            else one.state
-            for i, one in enumerate(self.sensors)
-        )
-        return SerialEstimate(stamp, fault, sigma, state, self._suspects)
 
     def faults(
         self, doubts: tuple[FloatArray, FloatArray] | None = None
@@ -662,7 +518,7 @@ class SerialMonitor:
         shares = self.bank.shares(found)
         named = {one: share for one, share in shares.items() if share > wrong}
         best = {cause: next(one for one in found if one.cause == cause) for cause in named}
-        self._suspects = tuple(self._label(one) for one in best.values())
+        self.suspects = tuple(self._label(one) for one in best.values())
         for one in best.values():
             if one.is_encoder:
                 i = one.joint
@@ -696,7 +552,7 @@ class SerialMonitor:
             if self.bank.excludes_contact(one, self.margin(one.kind)):
                 self._blame(one, share, now)
             else:
-                self._suspects = tuple(dict.fromkeys((*self._suspects, CONTACT)))
+                self.suspects = tuple(dict.fromkeys((*self.suspects, CONTACT)))
         elif one.kind == 'rate_bias':
             self._blame_rate(one, share)
 
@@ -708,7 +564,7 @@ class SerialMonitor:
     def _frozen(self) -> dict[int, Frozen]:
         """Readings that may be frozen."""
         smallest = self.settings.smallest_step * self.scales
-        return frozen_readings(self.readings, self.sensors, smallest, bool(self._suspects))
+        return frozen_readings(self.readings, self.sensors, smallest, bool(self.suspects))
 
     def _report_contact(self, now: float) -> None:
         """Something pushes the arm: no sensor is to blame, and nothing is learned from it."""
@@ -736,7 +592,7 @@ class SerialMonitor:
     def contradicts(self) -> bool:
         """Whether readings, corrected as they are, go on to contradict the model."""
         recently = max(round(CONTACT_TIME / self.plan.interval), 1)
-        return bool(self._suspects) and self.estimator.contradiction(recently) > ROBUST
+        return bool(self.suspects) and self.estimator.contradiction(recently) > ROBUST
 
     def _label(self, one: Hypothesis) -> str:
         """Name of a hypothesis for people."""
@@ -840,7 +696,7 @@ class SerialMonitor:
                 self._contact.leant, odds = now, -math.inf
             if odds < self._sure:
                 label = f'{self.arm.sensor_names[i]}:bias'
-                self._suspects = tuple(dict.fromkeys((*self._suspects, label, CONTACT)))
+                self.suspects = tuple(dict.fromkeys((*self.suspects, label, CONTACT)))
                 continue
             sensor.level = True
             fault, deviation = (float(part[i]) for part in self.faults())
@@ -922,14 +778,14 @@ class SerialMonitor:
 
     def _derive_rates(self, joints: list[int], now: float) -> None:
         """Rates are derived, whatever the file says: the arm is another one from now on."""
-        changed, last = list(self.arm.joints), self._last_time
+        changed = list(self.arm.joints)
         for i in joints:
             changed[i] = replace(changed[i], sensors=replace(changed[i].sensors, rates='derived'))
         self.arm = replace(self.arm, joints=tuple(changed))
         self.misnamed += tuple(self.arm.joint_names[i] for i in joints)
         self._certify_nothing()
         self._start()
-        self._last_time, self._state['now'] = last, now
+        self._state['now'] = now
 
     def _rests(self, i: int) -> bool:
         """Whether the joint of a reading that rests does so, too, as balances say."""
@@ -970,7 +826,7 @@ class SerialMonitor:
 
     def _suspect_nothing(self) -> None:
         """What was suspected is known, or over."""
-        self._suspects = ()
+        self.suspects = ()
         self._suspected[:] = 0.0
 
     def _see_nothing_wrong(self) -> None:
@@ -981,7 +837,7 @@ class SerialMonitor:
 
     def _mark_suspects(self) -> None:
         """Sensors whose fault may explain a contradiction."""
-        suspected = {one.partition(':')[0] for one in self._suspects}
+        suspected = {one.partition(':')[0] for one in self.suspects}
         for name, sensor in zip(self._names, self.sensors):
             sensor.suspect(name in suspected)
 
