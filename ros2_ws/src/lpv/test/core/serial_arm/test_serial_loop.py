@@ -5,9 +5,10 @@ from functools import cache
 
 import numpy as np
 import pytest
-from serial_arms import middle, mixed_arm, scara, shoulder_arm, ur10_on_rail
+from serial_arms import middle, mixed_arm, scara, shoulder_arm, ur10_on_rail, with_rates
 
 from lpv import AlarmEvent, ConfigError, Fault, Scenario, load_arm, load_scenario
+from lpv.campaign.plan.random_paths import random_path
 from lpv.core.control.estimate_check import FADING, CorrectionLimit
 from lpv.core.control.path_follower import PathFollower
 from lpv.core.control.tracking import TrackingController
@@ -16,6 +17,7 @@ from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.diagnosis.alarms import Mode
 from lpv.core.simulation.arm_simulator import ArmSimulator
 from lpv.core.simulation.closed_loop import run_closed_loop
+from lpv.core.simulation.scenario import parse_scenario
 from lpv.core.simulation.transport import Stall, Transport
 
 pytestmark = pytest.mark.slow
@@ -88,6 +90,17 @@ def test_given_no_readings_for_less_than_50_ms_when_the_arm_moves_then_it_is_not
     run = simulate(*faults, duration=2.0)
     assert np.isnan(run.measured).all(1).sum() == 20
     assert not run.stop_reason.any() and np.abs(run.position - run.reference).max() < 0.02
+
+
+@pytest.mark.parametrize('seed', [6, 11])
+def test_given_drives_that_brake_in_motion_when_healthy_then_no_encoder_is_blamed(seed):
+    arm = with_rates(scara(), 'derived')
+    path = random_path(arm, np.random.default_rng(seed), 6.0)
+    scenario = {'name': 'test', 'duration': 6.0, 'seed': seed, 'path': path, 'disturbance': False}
+    scenario = parse_scenario({**scenario, 'plant': {'parameter_error': 0.05}})
+    stall = Transport(stalls=(Stall('commands', 4.5, 0.3),))
+    run = run_closed_loop(arm, scenario, transport=stall)
+    assert run.braked[2300:2390].all() and run.alarms == []
 
 
 FAULTS = {

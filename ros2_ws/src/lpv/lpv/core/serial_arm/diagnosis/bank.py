@@ -46,6 +46,7 @@ from lpv.core.serial_arm.diagnosis.contact import (
     onset_gains,
     rough_contact,
     smooth_contact,
+    stop_gain,
     weigh_residuals,
 )
 from lpv.core.serial_arm.diagnosis.estimator import ONSET, OffsetEstimator, Posterior, set_residuals
@@ -72,7 +73,15 @@ from lpv.core.serial_arm.diagnosis.linear_bank import (
     new_rows,
 )
 from lpv.core.serial_arm.diagnosis.onset import sudden_drifts
-from lpv.core.serial_arm.diagnosis.priors import CONTACT, FAULT_AT_START, LOAD, OCCURRENCE, SIZE
+from lpv.core.serial_arm.diagnosis.priors import (
+    CONTACT,
+    FAULT_AT_START,
+    LOAD,
+    OCCURRENCE,
+    SIZE,
+    SLOW_RATE,
+    STEADY_FOR,
+)
 from lpv.core.serial_arm.diagnosis.published_rates import rate_noise
 from lpv.core.serial_arm.diagnosis.sampler import Sampler, smallest_jump
 from lpv.core.serial_arm.diagnosis.stuck import Course, Frozen, course_of_frozen, free_course
@@ -142,7 +151,7 @@ class Bank:
 
     def __init__(self, arm: SerialArm, estimator: OffsetEstimator, push: FloatArray) -> None:
         self.estimator, plan, n = estimator, estimator.plan, estimator.joints
-        self._push = push
+        self._push, self._scales = push, arm.scales()
         starts = np.array([*STARTS, *DRIFT_STARTS])
         lengths = sorted({max(1, round(one)) for one in (starts / plan.interval).tolist()})
         self._recent = round(STARTS[-1] / plan.interval)  # balances
@@ -208,7 +217,7 @@ class Bank:
         ])  # fmt: skip
         self._kinds = Kinds(basis, prior, applies, windows, older)
         loads = len(self.estimator.window.loads) > 0
-        self._log_weight = float(-np.log(1 + applies.sum() + n + derived.sum() + loads))
+        self._log_weight = float(-np.log(2 + applies.sum() + n + derived.sum() + loads))
 
     @property
     def statistic(self) -> float:
@@ -229,15 +238,20 @@ class Bank:
         self._state['unchanged'] = 0
 
     def compare(
-        self, blocks: Callable[[int], FloatArray], stuck: list[Hypothesis]
+        self, blocks: Callable[[int], FloatArray], stuck: list[Hypothesis], known: set[int]
     ) -> list[Hypothesis]:
         """Compare all hypotheses one by one, after `ask_bank`; `statistic` is written.
 
         The best comes first.  ``blocks`` gives the blocks of so many last intervals, oldest first;
-        ``stuck`` comes from the method of that name.
+        ``stuck`` comes from the method of that name; faults of sensors ``known`` are followed.
         """
         count = int(self._state['windows'])
-        found = stuck + self._named(count) + self._load_changes(count)
+        found = (
+            stuck
+            + self._named(count)
+            + self._load_changes(count)
+            + self._stops(blocks, count, known)
+        )
         if self._derived.any():
             found += self._sudden(blocks, count)
         # Rows that are near zero throughout, as of a constant reading, say nothing.
@@ -294,6 +308,35 @@ class Bank:
             free = estimator.call(rough_contact, self._outside, null, onset, last + ONSET)
             evidence, begin = float(gain[last - 1]) + free, float(begins[last + ONSET - 1])
             found.append(Hypothesis(LOAD, -1, evidence, 0.0, 0.0, begin, change=change[last - 1]))
+        return found
+
+    def _stops(
+        self, blocks: Callable[[int], FloatArray], windows: int, known: set[int]
+    ) -> list[Hypothesis]:
+        """An arm that came to rest was stopped by torques that no effort tells, as by its brakes.
+
+        What they take from the momentum is what that changes by in the balances of the stop.  The
+        joints of all sensors without a ``known`` fault rest then: a fault shows in one.
+        """
+        estimator, plan, n = self.estimator, self.estimator.plan, self.estimator.joints
+        last = min(int(self._lengths[windows - 1]), self._recent, len(estimator) - 1)
+        held = blocks(last + 1)
+        if len(held) < (last + 1) * plan.blocks:
+            return []
+        rates = held[-(last + 1) * plan.blocks :, n : 2 * n].reshape(last + 1, -1, n)
+        rate = rates.mean(1)[::-1]  # of intervals, newest first
+        sensors = [i for i in range(n) if i not in known]
+        rests = (np.abs(rate) < SLOW_RATE * self._scales)[:, sensors].all(1)
+        at = recent(estimator.window, last)
+        change = np.einsum('bij,bj->bi', self._mass[at], rate[:-1] - rate[1:])
+        estimator.call(set_residuals, estimator.window, estimator.posterior, last)
+        found = []
+        for stop in np.flatnonzero(rests[:-1] & ~rests[1:]).tolist():
+            for count in (ONSET, round(STEADY_FOR / plan.interval) + 1):  # dead, or within a time
+                part = slice(stop, min(stop + count, last))
+                gain = stop_gain(estimator.window, estimator.posterior, change[part], part)
+                begin = float(estimator.window.times[at[part]][-1]) - plan.interval
+                found.append(Hypothesis(CONTACT, -1, gain, 0.0, 0.0, begin, 0.5))
         return found
 
     def stuck(

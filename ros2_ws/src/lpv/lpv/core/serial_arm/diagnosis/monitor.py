@@ -441,7 +441,7 @@ class SerialMonitor:
         """Compare hypotheses, name a cause."""
         found, stuck = list[Hypothesis](), self._stuck if self._state['rests'] else []
         if self._state['asked']:
-            found = self.bank.compare(self.readings.blocks, stuck)
+            found = self.bank.compare(self.readings.blocks, stuck, self.followed.known)
         seen = self._seen(found)
         self._suspected[:] = 0.0
         if seen is not None:
