@@ -213,9 +213,17 @@ def test_given_an_empty_folder_when_initialised_then_a_design_holds(tmp_path, in
     call('verify', gains, '--arm', file)
 
 
-@pytest.mark.parametrize(('name', 'joints'), [('ur10', 6), ('panda', 7)])
-def test_given_a_serial_urdf_when_initialised_then_it_fits(tmp_path, init, name, joints):
-    arm, said = init('--urdf', BRINGUP / 'urdf' / f'{name}.urdf', '--name', 'bench')
+@pytest.mark.parametrize(('name', 'joints', 'effort'), [
+    ('ur10', 6, '330.0'), ('panda', 7, ''), ('ur10', 6, '90.0'),
+])  # fmt: skip
+def test_given_a_serial_urdf_when_initialised_then_it_fits(tmp_path, init, name, joints, effort):
+    # At the last effort drives do not hold the arm in the middle of its ranges.
+    text = (
+        (BRINGUP / 'urdf' / f'{name}.urdf')
+        .read_text()
+        .replace('effort="330.0"', f'effort="{effort}"')
+    )
+    arm, said = init('--name', 'bench', urdf=text)
     assert (arm.name, len(arm.joint_names)) == ('bench', joints) and 'lpv demo --arm' in said
     path = load_scenario(tmp_path / 'new' / 'scenario.yaml').path(arm)
     assert np.ptp(path.sample(np.linspace(0.0, 12.0, 50)).position, axis=0).min() > 0.1

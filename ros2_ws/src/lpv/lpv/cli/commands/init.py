@@ -6,6 +6,7 @@ import math
 import os
 import re
 import sys
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from string import Template
@@ -14,8 +15,11 @@ import numpy as np
 import yaml
 
 from lpv.cli.arm_choice import chosen_arm
+from lpv.core.control.serial_path import SerialPath
 from lpv.core.serial_arm.arm_file import load_arm, parse_arm, save_arm, to_mapping
+from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import LpvRegion, SerialArm, Uncertainty
+from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.simulation.scenario import parse_scenario
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.resources import bringup_file
@@ -24,8 +28,11 @@ from lpv.core.uio.planar import is_planar, planar_model
 
 FILES = ('arm.yaml', 'requirement.yaml', 'scenario.yaml')
 _TEMPLATES = Path(__file__).resolve().parents[1] / 'templates'
-_LARGEST_TURN = 0.4
-"""Of a joint from the middle of its range to the waypoints [rad]."""
+_TURNS = (0.4, 0.2, 0.1)
+"""Turns of a joint to the waypoints that are tried, the largest that drives can hold [rad]."""
+_HEAVY = 0.5
+"""Share of a torque limit that the weight may need in the middle of the ranges; else there are
+lighter poses to move about."""
 _MODEL_ERROR = 0.02
 """Of the file of a planar arm, until its user knows better."""
 
@@ -103,14 +110,29 @@ def _write(folder: Path, arm: SerialArm, source: str) -> int:
 
 
 def _joint_waypoints(arm: SerialArm) -> str:
-    """There and back about the middle of the joints' ranges, as lines of YAML."""
-    lines = []
+    """There and back about a pose that the drives hold, as lines of YAML."""
     low, high = np.array([joint.range for joint in arm.joints]).T
-    turn = np.minimum(0.2 * (high - low), _LARGEST_TURN)
-    for time, side in ((0.5, 0.0), (4.0, 1.0), (8.0, -1.0), (11.5, 0.0)):
-        places = ', '.join(f'{place:.4f}' for place in 0.5 * (low + high) + side * turn)
-        lines.append(f'    - {{t: {time}, joints: [{places}]}}')
-    return '\n'.join(lines)
+    middle, sides = _light_pose(arm, low, high), np.array([0.0, 1.0, -1.0, 0.0])[:, None]
+    times = (0.5, 4.0, 8.0, 11.5)
+    for largest in _TURNS:
+        places = middle + sides * np.minimum(0.2 * (high - low), largest)
+        with suppress(ConfigError):
+            SerialPath(arm, times, places)
+            break
+    return '\n'.join(
+        f'    - {{t: {time}, joints: [{", ".join(f"{place:.4f}" for place in row)}]}}'
+        for time, row in zip(times, places)
+    )
+
+
+def _light_pose(arm: SerialArm, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """The middle of the joints' ranges, or a pose nearby that asks for less of the drives."""
+    middle = 0.5 * (low + high)
+    nearby = np.random.default_rng(0).uniform(-0.2, 0.2, (200, len(middle))) * (high - low)
+    poses = middle + np.vstack([0.0 * middle, nearby])
+    weight = np.abs(SerialModel(compile_chain(arm)).gravity(poses)) / arm.torque_limit
+    shares = weight.max(axis=1)
+    return np.asarray(poses[0 if shares[0] < _HEAVY else int(shares.argmin())])
 
 
 def _filled(name: str, values: dict[str, str]) -> str:
