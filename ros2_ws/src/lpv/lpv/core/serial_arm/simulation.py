@@ -6,10 +6,13 @@ from lpv.core.serial_arm.chain import COULOMB, LOAD, SLOPE, VISCOUS, Chain, Floa
 from lpv.core.serial_arm.dynamics.friction import friction_torque
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.dynamics.momentum import forward_dynamics
+from lpv.core.support.errors import ConfigError
 from lpv.core.support.jit import njit_in_place as njit
 
 MAX_SUBSTEPS = 64
 """Runge-Kutta steps of a sample: files that ask for more would stop the simulator."""
+_STABLE = 2.78
+"""Largest rate of decay, over that of the steps, with which classical Runge-Kutta is stable."""
 
 
 @njit
@@ -101,6 +104,11 @@ def integration_step(chain: Chain, period: float) -> tuple[float, int]:
     -------
     tuple
         Length of a Runge-Kutta step [s], and their number, 2 to `MAX_SUBSTEPS`.
+
+    Raises
+    ------
+    ConfigError
+        If viscous friction is too large for the inertia of a joint, as without its rotor.
     """
     n, model = len(chain.translation), SerialModel(chain)
     postures = np.random.default_rng(0).uniform(-3, 3, (20, n))
@@ -108,6 +116,12 @@ def integration_step(chain: Chain, period: float) -> tuple[float, int]:
     carried = np.abs(model.gravity(postures)).max(axis=0)
     dry = chain.friction[:, COULOMB] + chain.friction[:, LOAD] * carried
     slope = chain.friction[:, VISCOUS]
+    missing = slope * period / (_STABLE * MAX_SUBSTEPS) - inertia
+    if (missing > 0.0).any():
+        i = int(missing.argmax())
+        least = chain.motor[i, i] + float(missing[i])
+        reason = f'is too small for the viscous friction: at least {least:.2g} can be simulated'
+        raise ConfigError(f'joints[{i}].rotor_inertia', reason)
     slope = slope + 2.0 / np.pi * dry * np.maximum(chain.friction[:, SLOPE], 1.0)
     needed = int(np.ceil(period * float((slope / inertia).max()) / 1.5))
     count = min(max(needed, 2), MAX_SUBSTEPS)

@@ -185,7 +185,7 @@ def _joint(model: 'pinocchio.Model', index: int, urdf: Urdf, source: str) -> Ser
     jacobian = pinocchio.getJointJacobian(model, data, index, pinocchio.LOCAL)
     kind = 'prismatic' if urdf.kinds[name] == 'prismatic' else 'revolute'
     rows = slice(0, 3) if kind == 'prismatic' else slice(3, 6)
-    axis = np.reshape(jacobian, (6, -1))[rows, index - 1]
+    axis = np.round(np.reshape(jacobian, (6, -1))[rows, index - 1], 12)  # turns leave 1e-16
     if not abs(np.linalg.norm(axis) - 1.0) < 1e-6:
         raise ConfigError('urdf', f'joint {name!r} has an axis without a direction', source)
     return SerialJoint(

@@ -195,6 +195,16 @@ def test_given_friction_by_load_when_it_holds_an_arm_then_steps_are_short_enough
     np.testing.assert_allclose(*ends, rtol=0.0, atol=1e-8)
 
 
+def test_given_viscous_friction_when_a_rotor_is_missing_then_its_joint_is_named():
+    chain = compile_chain(load_arm('ur10'))
+    chain.friction[5] = 1.0, 0.0, 0.0, 0.0, 0.0
+    chain.motor[5, 5], chain.inertial[5, :] = 0.0, 1e-3 * chain.inertial[5]
+    with pytest.raises(ConfigError, match=r'joints\[5\]\.rotor_inertia: .* at least') as refused:
+        integration_step(chain, 0.002)
+    chain.motor[5, 5] = 1.01 * float(refused.value.reason.split('at least ')[1].split()[0])
+    integration_step(chain, 0.002)
+
+
 @given(st.integers(0, 2**31), st.integers(6, 9))
 def test_nearby_pose_is_reached(seed, joints):
     chain, rng = random_chain(seed, joints), np.random.default_rng(seed)
