@@ -112,15 +112,15 @@ def test_given_the_paper_observer_then_eq_41_is_solved_and_steps_are_the_heun_ru
     feedback = t1 @ d.a + gains @ d.c
     matrices = feedback, feedback @ t2 - gains, t1 @ d.b  # N, L and G of eqs. (51)-(53)
     other = rng.normal(scale=0.3, size=6)
-    ab = np.dstack([d.a, d.b])
-    fields = {'t1': t1, 't2': t2, 'c': d.c, 'box': box, 'k': gains, 'ab': ab}
-    constants = records.new_record(paper_observer.PAPER_CONSTANTS, **fields)
-    state = records.new_record(paper_observer.PAPER_STATE)
+    fields = {'t1': t1, 't2': t2, 'a': d.a, 'b': d.b, 'c': d.c, 'box': box, 'k': gains}
+    constants = records.new_record(sampled_observer.OBSERVER_CONSTANTS, **fields)
+    state = records.new_record(sampled_observer.OBSERVER_STATE)
     y_old = rng.normal(scale=0.3, size=4)
-    x = other + t2 @ y_old
+    x = state.x
+    x[:] = other + t2 @ y_old
     for _ in range(20):
         y_new, u = y_old + rng.normal(scale=0.05, size=4), rng.normal(scale=20.0, size=2)
-        paper_observer.paper_step(constants, state, x, y_old, y_new, u, dt)
+        sampled_observer.advance(constants, state, y_old, y_new, u, dt)
         guess = other + t2 @ y_old
         rho = weights(scheduling(guess), box)
         n, ell, g = (np.tensordot(rho, stack, 1) for stack in matrices)

@@ -28,9 +28,8 @@ import numpy as np
 
 from lpv.core.support.entries import array, entry, positive
 from lpv.core.support.jit import njit_in_place as njit
-from lpv.core.support.records import new_record, record_type
-from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.model.dynamics import Pair, acceleration, coupling, solve_inertia
+from lpv.core.uio.model.joints import row_dot
 
 
 @dataclass(frozen=True)
@@ -47,20 +46,6 @@ class ExactObserverGains:
     fault_sigma: np.ndarray = array(2, low=0.0)
 
 
-EXACT_CONSTANTS = record_type(
-    ('sign', 'f8'),  # s: +1 upright, -1 hanging
-    ('kappa', 'f8', (2,)),  # s kappa_i [1/(kg m2)]
-    ('mu', 'f8', (2,)),  # [1/s]
-    ('cos_min', 'f8', (2,)),  # smallest s cos(theta_i) of the certified region
-)
-
-
-def exact_constants(arm: ArmParameters, gains: ExactObserverGains) -> np.record:
-    """Constants of `exact_step`, of type `EXACT_CONSTANTS`."""
-    kappa = arm.sign * np.asarray(gains.kappa)
-    return new_record(EXACT_CONSTANTS, sign=arm.sign, kappa=kappa, mu=gains.mu, cos_min=arm.cos_min)
-
-
 @njit
 def injection(
     theta: Pair, v: Pair, r: Pair, mu: np.ndarray, arm: np.record
@@ -75,43 +60,26 @@ def injection(
 
 
 @njit
-def _rates(
-    params: np.record,
-    arm: np.record,
-    x: tuple[float, float, float, float],
-    v: np.ndarray,
-    torque: np.ndarray,
-    kappa: tuple[float, float],
-) -> tuple[float, float, float, float, float, float]:
-    """d theta^/dt and d theta^'/dt as in the module's docstring, and theta''."""
-    p_1, p_2, k_1, k_2 = injection(x, v, (x[2] - v[0], x[3] - v[1]), params.mu, arm)
-    # Measured rates feed friction and Coriolis terms: no fault in them.
-    a_1, a_2 = acceleration(x, v, torque, arm)
-    return v[0] - kappa[0] * p_1, v[1] - kappa[1] * p_2, a_1 - k_1, a_2 - k_2, a_1, a_2
+def hold_links(params: np.record, state: np.record) -> None:
+    """Suspend the correction of a link's angle (``held``) where its estimate leaves the region of
+    certified gravity slopes: the configuration carries no information there."""
+    for link in range(2):
+        state.held[link] = params.sign * math.cos(state.x[link]) < params.cos_min[link]
 
 
 @njit
-def exact_step(
-    params: np.record, arm: np.record, state: np.record, torque: np.ndarray, dt: float
+def exact_rate(
+    params: np.record, state: np.record, y: np.ndarray, torque: np.ndarray, end: int
 ) -> None:
-    """Advance the observer over one sample interval by the Heun rule.
+    """d theta^/dt and d theta^'/dt as in the module's docstring, and theta'', at one end of a step.
 
-    Where the estimate leaves the region of certified gravity slopes, the correction of that
-    link's angle is suspended (``held``): the configuration carries no information there.
-
-    Of ``state``, theta^ and theta^' in ``x`` are advanced with the measured rates ``v_old`` and
-    ``v_new`` of both ends of the interval [s]; ``held`` receives which links are held,
-    and ``bend`` at least how much theta'' has changed.  The generalised torques Q are held over it
-    [N m].
+    f^ follows from the angles once these are known.
     """
-    x = state.x
-    for link in range(2):
-        state.held[link] = params.sign * math.cos(x[link]) < params.cos_min[link]
-    kappa = (0.0 if state.held[0] else params.kappa[0], 0.0 if state.held[1] else params.kappa[1])
-    a = _rates(params, arm, (x[0], x[1], x[2], x[3]), state.v_old, torque, kappa)
-    end = (x[0] + dt * a[0], x[1] + dt * a[1], x[2] + dt * a[2], x[3] + dt * a[3])
-    b = _rates(params, arm, end, state.v_new, torque, kappa)
-    for i in range(4):
-        x[i] += 0.5 * dt * (a[i] + b[i])
-    for i in range(2):
-        state.bend[i] = max(state.bend[i], abs(b[4 + i] - a[4 + i]))
+    x, rate, model, angle = state.x, state.rate[end], state.model[end], params.joints.angle
+    v = row_dot(angle, 0, y[2], y[3]), row_dot(angle, 1, y[2], y[3])
+    p_1, p_2, k_1, k_2 = injection(x, v, (x[2] - v[0], x[3] - v[1]), params.mu, params.arm)
+    # Measured rates feed friction and Coriolis terms: no fault in them.
+    model[0], model[1] = acceleration(x, v, torque, params.arm)
+    rate[0] = v[0] - (0.0 if state.held[0] else params.kappa[0]) * p_1
+    rate[1] = v[1] - (0.0 if state.held[1] else params.kappa[1]) * p_2
+    rate[2], rate[3] = model[0] - k_1, model[1] - k_2

@@ -5,8 +5,8 @@ eqs. (51)-(53), the observer (38) written in its estimate x^ = z + T2 y is
 
     z' = T1 (A~(rho) x^ + B~(rho) u) + K(rho) (C~ x^ - y),
 
-which method ``paper`` integrates literally, by the Heun rule with the torque held and the outputs
-of both ends of the step.  Method ``exact`` is in :mod:`lpv.core.uio.observer.exact_observer`.
+which method ``paper`` takes literally; method ``exact`` is in
+:mod:`lpv.core.uio.observer.exact_observer`.
 """
 
 from dataclasses import dataclass
@@ -15,10 +15,7 @@ import numpy as np
 
 from lpv.core.support.entries import array, entry, positive
 from lpv.core.support.jit import njit_in_place as njit
-from lpv.core.support.records import new_record, record_type
-from lpv.core.uio.model.arm import ArmParameters
-from lpv.core.uio.model.joints import copy_vector
-from lpv.core.uio.model.polytope import paper_descriptor, paper_scheduling, paper_weights
+from lpv.core.uio.model.polytope import paper_scheduling, paper_weights
 
 
 @dataclass(frozen=True)
@@ -53,35 +50,6 @@ def decoupling(e: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return delta[:, :6], delta[:, 6:]
 
 
-PAPER_CONSTANTS = record_type(
-    ('t1', 'f8', (6, 6)),  # T1
-    ('t2', 'f8', (6, 4)),  # T2
-    ('c', 'f8', (4, 6)),  # C~
-    ('box', 'f8', (3, 2)),  # ranges of phi1, phi2, phi3
-    ('k', 'f8', (8, 6, 4)),  # K_i
-    ('ab', 'f8', (8, 6, 8)),  # [A~_i B~_i]
-)
-PAPER_STATE = record_type(
-    ('rho', 'f8', (8,)),  # weights of the vertices
-    ('k', 'f8', (6, 4)),  # K(rho)
-    ('ab', 'f8', (6, 8)),  # [A~(rho) B~(rho)]
-    ('xu', 'f8', (8,)),  # x^ and u
-    ('r', 'f8', (4,)),  # C~ x^ - y
-    ('drift', 'f8', (6,)),  # A~ x^ + B~ u
-    ('start', 'f8', (6,)),  # z of eq. (38) at the start of the interval
-    ('rate', 'f8', (2, 6)),  # z' at both ends of the interval
-)
-
-
-def paper_constants(arm: ArmParameters, gains: PaperObserverGains) -> np.record:
-    """Constants of `paper_step`, of type `PAPER_CONSTANTS`."""
-    d = paper_descriptor(arm, gains.box)
-    return new_record(
-        PAPER_CONSTANTS, t1=gains.t1, t2=gains.t2, c=d.c, box=gains.box, k=gains.k,
-        ab=np.dstack([d.a, d.b]),
-    )  # fmt: skip
-
-
 @njit
 def blend(rho: np.ndarray, stack: np.ndarray, out: np.ndarray) -> None:
     """out = sum_i rho_i stack_i, the interpolation of eq. (25); shapes (h,), (h, r, q), (r, q)."""
@@ -94,7 +62,7 @@ def blend(rho: np.ndarray, stack: np.ndarray, out: np.ndarray) -> None:
 
 
 @njit
-def _add_product(out: np.ndarray, matrix: np.ndarray, vector: np.ndarray, sign: float) -> None:
+def add_product(out: np.ndarray, matrix: np.ndarray, vector: np.ndarray, sign: float) -> None:
     """out += sign matrix @ vector, in one fixed order of additions."""
     for i in range(matrix.shape[0]):
         for j in range(matrix.shape[1]):
@@ -102,51 +70,28 @@ def _add_product(out: np.ndarray, matrix: np.ndarray, vector: np.ndarray, sign: 
 
 
 @njit
-def _rate(params: np.record, state: np.record, y: np.ndarray, end: int) -> None:
-    """z' = T1 (A~ x^ + B~ u) + K (C~ x^ - y), eq. (38) with (50)-(53)."""
-    r, drift, rate = state.r, state.drift, state.rate[end]
-    for i in range(4):
-        r[i] = -y[i]
-    _add_product(r, params.c, state.xu, 1.0)
-    drift[:] = 0.0
-    _add_product(drift, state.ab, state.xu, 1.0)
-    rate[:] = 0.0
-    _add_product(rate, params.t1, drift, 1.0)
-    _add_product(rate, state.k, r, 1.0)
+def schedule(params: np.record, state: np.record) -> None:
+    """A~, B~ and K of the estimated angles, eqs. (6), (9), (11), (12) and (25): theta is not
+    measured without the fault."""
+    phi_1, phi_2, phi_3 = paper_scheduling(state.x[0], state.x[1])
+    paper_weights(phi_1, phi_2, phi_3, params.box, state.rho)
+    blend(state.rho, params.a, state.a)
+    blend(state.rho, params.b, state.b)
+    blend(state.rho, params.k, state.k)
 
 
 @njit
-def paper_step(
-    params: np.record,
-    state: np.record,
-    x: np.ndarray,
-    y_old: np.ndarray,
-    y_new: np.ndarray,
-    torque: np.ndarray,
-    dt: float,
+def paper_rate(
+    params: np.record, state: np.record, y: np.ndarray, torque: np.ndarray, end: int
 ) -> None:
-    """Advance the paper's observer (38) over one sample interval by the Heun rule.
-
-    The weights come from the estimated angles, eqs. (6), (9), (11), (12) and (25): theta is not
-    measured without the fault.
-
-    The estimate ``x`` = z + T2 y is advanced from the outputs at both ends of the interval and the
-    input u held over it [N m], absolute coordinates.
-    """
-    start, rate, xu = state.start, state.rate, state.xu
-    copy_vector(x, start)
-    _add_product(start, params.t2, y_old, -1.0)
-    phi_1, phi_2, phi_3 = paper_scheduling(x[0], x[1])
-    paper_weights(phi_1, phi_2, phi_3, params.box, state.rho)
-    blend(state.rho, params.ab, state.ab)
-    blend(state.rho, params.k, state.k)
-    copy_vector(x, xu)
-    xu[6], xu[7] = torque[0], torque[1]
-    _rate(params, state, y_old, 0)
-    for i in range(6):
-        xu[i] = start[i] + dt * rate[0, i]
-    _add_product(xu, params.t2, y_new, 1.0)
-    _rate(params, state, y_new, 1)
-    for i in range(6):
-        x[i] = start[i] + 0.5 * dt * (rate[0, i] + rate[1, i])
-    _add_product(x, params.t2, y_new, 1.0)
+    """z' = T1 (A~ x^ + B~ u) + K (C~ x^ - y), eq. (38) with (50)-(53), at one end of a step."""
+    r, drift, rate = state.r, state.drift, state.rate[end]
+    for i in range(4):
+        r[i] = -y[i]
+    add_product(r, params.c, state.x, 1.0)
+    drift[:] = 0.0
+    add_product(drift, state.a, state.x, 1.0)
+    add_product(drift, state.b, torque, 1.0)
+    rate[:] = 0.0
+    add_product(rate, params.t1, drift, 1.0)
+    add_product(rate, state.k, r, 1.0)

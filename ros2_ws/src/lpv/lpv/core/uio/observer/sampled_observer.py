@@ -16,18 +16,13 @@ from lpv.core.support.timestamps import NANOSECONDS, NEVER
 from lpv.core.uio.model.arm import ARM_CONSTANTS, ArmParameters
 from lpv.core.uio.model.dynamics import acceleration
 from lpv.core.uio.model.joints import JOINT_MAP, JointMap, copy_vector, row_dot
-from lpv.core.uio.observer.exact_observer import (
-    EXACT_CONSTANTS,
-    ExactObserverGains,
-    exact_constants,
-    exact_step,
-)
+from lpv.core.uio.model.polytope import paper_descriptor
+from lpv.core.uio.observer.exact_observer import ExactObserverGains, exact_rate, hold_links
 from lpv.core.uio.observer.paper_observer import (
-    PAPER_CONSTANTS,
-    PAPER_STATE,
     PaperObserverGains,
-    paper_constants,
-    paper_step,
+    add_product,
+    paper_rate,
+    schedule,
 )
 
 _AT_REST = 5.0
@@ -58,8 +53,19 @@ OBSERVER_CONSTANTS = record_type(
     ('is_exact', '?'),  # the method
     ('joints', JOINT_MAP),
     ('arm', ARM_CONSTANTS),
-    ('exact', EXACT_CONSTANTS),  # of method exact
-    ('paper', PAPER_CONSTANTS),  # of method paper
+    ('t2', 'f8', (6, 4)),  # T2
+    # Of method exact:
+    ('sign', 'f8'),  # s: +1 upright, -1 hanging
+    ('kappa', 'f8', (2,)),  # s kappa_i [1/(kg m2)]
+    ('mu', 'f8', (2,)),  # [1/s]
+    ('cos_min', 'f8', (2,)),  # smallest s cos(theta_i) of the certified region
+    # Of method paper:
+    ('t1', 'f8', (6, 6)),  # T1
+    ('box', 'f8', (3, 2)),  # ranges of phi1, phi2, phi3
+    ('a', 'f8', (8, 6, 6)),  # A~_i
+    ('b', 'f8', (8, 6, 2)),  # B~_i
+    ('c', 'f8', (4, 6)),  # C~
+    ('k', 'f8', (8, 6, 4)),  # K_i
     ('sample_time', 'f8'),  # [s]
     ('max_gap', 'f8'),  # longest interval that is integrated [s]
     ('initial_samples', 'i8'),  # samples that the start value is averaged over
@@ -73,9 +79,18 @@ OBSERVER_STATE = record_type(
     ('held', 'u1', (2,)),  # links without gravity information: dead reckoning
     # largest change of theta'' within a step of the interval, of method exact [rad/s2]
     ('bend', 'f8', (2,)),
-    ('v_old', 'f8', (2,)),  # measured theta' at the start of the interval [rad/s]
-    ('v_new', 'f8', (2,)),  # and at its end [rad/s]
-    ('paper', PAPER_STATE),  # of method paper
+    ('v_new', 'f8', (2,)),  # measured theta' at the end of the interval [rad/s]
+    # Of a step, with its rates at both ends:
+    ('start', 'f8', (6,)),  # z of eq. (38) at its start
+    ('rate', 'f8', (2, 6)),  # z'
+    ('model', 'f8', (2, 2)),  # theta'' of the model, of method exact [rad/s2]
+    # the rest of method paper
+    ('rho', 'f8', (8,)),  # weights of the vertices
+    ('a', 'f8', (6, 6)),  # A~(rho)
+    ('b', 'f8', (6, 2)),  # B~(rho)
+    ('k', 'f8', (6, 4)),  # K(rho)
+    ('r', 'f8', (4,)),  # C~ x^ - y
+    ('drift', 'f8', (6,)),  # A~ x^ + B~ u
     ('stamp', 'i8'),  # of the last sample [ns]
     ('started', 'i8'),  # samples since the start
     ('unsupported', 'i8'),  # samples at rest without the torque that gravity needs
@@ -122,9 +137,13 @@ def observer_constants(
         still=_STILL * arm.position_noise,
     )
     if isinstance(gains, ExactObserverGains):
-        params.is_exact, params.exact = True, exact_constants(arm, gains)
+        params.is_exact, params.sign, params.cos_min = True, arm.sign, arm.cos_min
+        params.kappa, params.mu = arm.sign * gains.kappa, gains.mu
+        params.t2[4:, :2] = np.eye(2)
     else:
-        params.paper = paper_constants(arm, gains)
+        d = paper_descriptor(arm, gains.box)
+        params.a, params.b, params.c, params.box = d.a, d.b, d.c, gains.box
+        params.t1, params.t2, params.k = gains.t1, gains.t2, gains.k
     return params
 
 
@@ -322,16 +341,39 @@ def advance(
     torque: np.ndarray,
     dt: float,
 ) -> None:
-    """Advance x^ over one interval [s] from the outputs at both ends, in sensor coordinates, and
-    the generalised torques Q over it [N m]."""
-    if not params.is_exact:
-        paper_step(params.paper, state.paper, state.x, y_old, y_new, torque, dt)
-        return
-    for i in range(2):
-        state.v_old[i] = row_dot(params.joints.angle, i, y_old[2], y_old[3])
-        state.v_new[i] = row_dot(params.joints.angle, i, y_new[2], y_new[3])
-    exact_step(params.exact, params.arm, state, torque, dt)
-    _see_faults(params, state, y_new)
+    """Advance x^ = z + T2 y of eq. (38) over one step [s] by the Heun rule.
+
+    Outputs are those of both ends, in sensor coordinates; the generalised torques Q are held over
+    the step [N m].  ``bend`` receives at least how much theta'' has changed.
+    """
+    x, start, rate = state.x, state.start, state.rate
+    copy_vector(x, start)
+    add_product(start, params.t2, y_old, -1.0)
+    if params.is_exact:
+        hold_links(params, state)
+    else:
+        schedule(params, state)
+    _rate(params, state, y_old, torque, 0)
+    for i in range(6):
+        x[i] = start[i] + dt * rate[0, i]
+    add_product(x, params.t2, y_new, 1.0)
+    _rate(params, state, y_new, torque, 1)
+    for i in range(6):
+        x[i] = start[i] + 0.5 * dt * (rate[0, i] + rate[1, i])
+    add_product(x, params.t2, y_new, 1.0)
+    if params.is_exact:
+        for i in range(2):
+            state.bend[i] = max(state.bend[i], abs(state.model[1, i] - state.model[0, i]))
+        _see_faults(params, state, y_new)
+
+
+@njit
+def _rate(params: np.record, state: np.record, y: np.ndarray, torque: np.ndarray, end: int) -> None:
+    """z' at one end of a step."""
+    if params.is_exact:
+        exact_rate(params, state, y, torque, end)
+    else:
+        paper_rate(params, state, y, torque, end)
 
 
 @njit
