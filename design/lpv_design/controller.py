@@ -16,6 +16,7 @@ from lpv.core.uio.certificate.conditions import (
     controller_loop,
     decay_margin,
 )
+from lpv.core.uio.certificate.lmi import disc
 from lpv.core.uio.model.arm import ArmParameters
 from lpv_design.motion import certify_motion
 from lpv_design.solve import RESERVE, InfeasibleError, run, symmetric_below
@@ -90,9 +91,8 @@ def _loop_problem(vertices: int, wanted: ControllerRequirement, rate: float) -> 
                 [effort * x, np.zeros((2, 6)), -np.eye(2)],
             ]
         )
-        shifted = center * q + closed
-        disc = cp.bmat([[-radius * q, shifted], [shifted.T, -radius * q]])
-        constraints += [symmetric_below(cost, 1e-7), symmetric_below(disc, 1e-7)]
+        poles = disc(q, closed, center, radius, cp.bmat)
+        constraints += [symmetric_below(cost, 1e-7), symmetric_below(poles, 1e-7)]
     scale = np.diag(_scale(rate))
     constraints.append(cp.bmat([[w, scale], [scale, q]]) >> 0)
     return cp.Problem(cp.Minimize(cp.trace(w)), constraints), parameters, q, x

@@ -169,12 +169,11 @@ def test_given_both_loops_when_designed_then_67_holds_and_not_if_spoilt(planar, 
 
 def test_given_the_published_loop_when_augmented_then_eqs_64_and_67_hold(paper_model):
     a, b = vertex_matrices(sinc_box(-0.2), paper_model.constants(coriolis=False))
-    a_c, b_c = conditions.augment(a, b)
+    loop = a_c, b_c = conditions.controller_loop(paper_model, 'paper')
     for i in range(8):
         whole = np.block([[a[i], np.zeros((4, 2))], [-np.eye(2, 4), np.zeros((2, 2))]])
         np.testing.assert_array_equal(a_c[i], whole)
         np.testing.assert_array_equal(b_c[i], np.vstack([b[i], np.zeros((2, 2))]))
-    loop = conditions.controller_loop(paper_model, 'paper')
     p = np.linalg.inv(common_lyapunov(loop, PUBLISHED, 2.0))
     assert inequalities.largest_eigenvalue(-p) < 0.0
     assert conditions.decay_margin(loop, PUBLISHED, p, 2.0) < 0.0

@@ -18,6 +18,7 @@ import math
 import numpy as np
 
 from lpv.core.serial_arm.description import RATE_BIAS, SIGMAS
+from lpv.core.serial_arm.dynamics.friction import smooth_sign
 from lpv.core.serial_arm.dynamics.payload import PAYLOAD_PLACE
 from lpv.core.support.inequalities import SAME
 from lpv.core.support.jit import njit_in_place as njit
@@ -166,22 +167,16 @@ def _friction_error(params: np.record, motion: np.record, i: int, rate: float) -
     """Bound on true less modelled friction of a joint, with the noise of the rate averaged out."""
     # Coulomb friction of a joint that may stand still is set-valued: anything within its limits.
     arm, share, error = params.arm, params.friction, motion.joint_error[i]
-    dry = arm.coulomb[i] + arm.load[i] * motion.load[i]
+    dry, slope = arm.coulomb[i] + arm.load[i] * motion.load[i], arm.coulomb_slope[i]
     total = abs(arm.viscous[i]) * (share * abs(rate) + (1.0 + share) * error)
     total += share * abs(arm.offset[i])
     most = (1.0 + share) * dry
     slowest = abs(rate) - error - params.joint_noise[i]
     if slowest <= 0.0:
-        total += most + dry * _slip(arm, i, error)
+        total += most + dry * smooth_sign(error, slope)
     else:
-        modelled = dry * _slip(arm, i, rate)
-        least = (1.0 - share) * dry * _slip(arm, i, slowest)
+        modelled = dry * smooth_sign(abs(rate), slope)
+        least = (1.0 - share) * dry * smooth_sign(slowest, slope)
         total += max(most - modelled, modelled - least)
     # The gear carries what friction leaves of the drive's torque, and is wrong by the same error.
     return total / max(1.0 - (1.0 + share) * arm.load[i], SAME)
-
-
-@njit
-def _slip(arm: np.record, i: int, rate: float) -> float:
-    """Share of the Coulomb friction of a joint at a rate, 0 to 1."""
-    return math.atan(arm.coulomb_slope[i] * abs(rate)) * 2.0 / math.pi

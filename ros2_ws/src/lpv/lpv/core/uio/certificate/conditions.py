@@ -152,20 +152,15 @@ def heun(n: np.ndarray, dt: Any) -> np.ndarray:
 def controller_loop(
     arm: ArmParameters, method: str, sinc_min: float = -0.2, number: Callable[[Any], Any] = float
 ) -> tuple[np.ndarray, ...]:
-    """Augmented vertices A_c, B_c of eq. (64), in floats or in exact fractions."""
+    """Augmented vertices A_c, B_c of eq. (64) with eps' = w - theta, in floats or in exact
+    fractions."""
+    numbers = arm.numbers(number)
     if method == 'paper':
-        box = [[number(value) for value in row] for row in sinc_box(sinc_min)]
-        return augment(*vertex_matrices(np.array(box), arm.numbers(number)))
-    return augment(*state_spaces(exact_vertices(arm, number), arm.numbers(number)))
-
-
-def augment(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Augmented vertices of eq. (64) with eps' = w - theta."""
-    h = len(a)
-    a_c, b_c = np.zeros((h, 6, 6), a.dtype), np.zeros((h, 6, 2), b.dtype)
-    a_c[:, :4, :4] = a
-    a_c[:, 4:, :2] = -np.eye(2, dtype=int)
-    b_c[:, :4] = b
+        a, b = vertex_matrices(array_of(number)(sinc_box(sinc_min)), numbers)
+    else:
+        a, b = state_spaces(exact_vertices(arm, number), numbers)
+    a_c, b_c = (np.zeros((len(a), 6, columns), a.dtype) for columns in (6, 2))
+    a_c[:, :4, :4], a_c[:, 4:, :2], b_c[:, :4] = a, -np.eye(2, dtype=int), b
     return a_c, b_c
 
 

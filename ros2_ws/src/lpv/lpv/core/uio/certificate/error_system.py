@@ -22,7 +22,6 @@ class LinkError:
 
     index: int  # 0 or 1
     inertia: float  # Xi_ii [kg m2]
-    gravity: float  # G_i [N m/rad]
     slopes: tuple  # smallest and largest slope Gamma_i in the region [N m/rad]
     # row i of Xi at both ends of Xi12, times s = +1 (upright) or -1 (hanging): for a hanging arm
     # the momentum error is counted with the other sign, which makes both cases one, shape (2, 2)
@@ -82,7 +81,7 @@ def link_errors(arm: ArmParameters, number: Callable[[Any], Any] = float) -> lis
     for i, (inertia, gravity) in enumerate(zip(c.inertia, c.gravity)):
         rows = sign * np.array([[inertia, end] if i == 0 else [end, inertia] for end in ends])
         slopes = (gravity * number(arm.cos_min[i]), gravity)
-        links.append(LinkError(i, inertia, gravity, slopes, rows, **noise))
+        links.append(LinkError(i, inertia, slopes, rows, **noise))
     return links
 
 

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from lpv.core.serial_arm.dynamics.friction import smooth_sign
 from lpv.core.support.inequalities import SAME
 from lpv.core.support.jit import njit_in_place as njit
 
 Pair = Any
 """Values of both links: an array or a tuple, of which the first two count."""
-_TWO_OVER_PI = 2.0 / math.pi  # atan ends at pi/2, friction at its Coulomb torque
 
 
 @njit
@@ -38,7 +38,7 @@ def solve_inertia(off: float, first: float, second: float, params: np.record) ->
 @njit
 def _joint_friction(i: int, rate: float, torque: float, params: np.record) -> float:
     """Friction of a joint whose drive gives a torque."""
-    slip = _TWO_OVER_PI * math.atan(params.coulomb_slope[i] * rate)
+    slip = smooth_sign(rate, params.coulomb_slope[i])
     free = params.offset[i] + params.viscous[i] * rate + params.coulomb[i] * slip
     loaded = params.load[i] * slip
     if loaded == 0.0:

@@ -225,11 +225,13 @@ def observe(
 
 @njit
 def _read(params: np.record, state: np.record, position: np.ndarray, velocity: np.ndarray) -> None:
-    """Readings and rates of the sensors into ``y_new``."""
+    """Readings and rates of the sensors into ``y_new``, theta' of these rates into ``v_new``."""
     y, joints = state.y_new, params.joints
     for i in range(2):
         y[i] = row_dot(joints.from_joint, i, position[0] + joints.zero, position[1])
         y[2 + i] = row_dot(joints.from_joint, i, velocity[0], velocity[1])
+    for i in range(2):
+        state.v_new[i] = row_dot(joints.angle, i, y[2], y[3])
 
 
 @njit
@@ -249,7 +251,7 @@ def _anchor(params: np.record, state: np.record) -> None:
     x, y, angle = state.x, state.y_new, params.joints.angle
     for i in range(2):
         x[i] = row_dot(angle, i, y[0] - x[4], y[1] - x[5])
-        x[2 + i] = row_dot(angle, i, y[2], y[3])
+        x[2 + i] = state.v_new[i]
 
 
 @njit
@@ -296,8 +298,7 @@ def _note_stop(params: np.record, state: np.record, interval: float) -> None:
     elif stopping.kind == _MOVING:
         stopping.rate = stopping.lasted = 0.0
         for i in range(2):
-            rate = row_dot(params.joints.angle, i, y[2], y[3])
-            stopping.rate = max(stopping.rate, abs(x[2 + i] - rate))
+            stopping.rate = max(stopping.rate, abs(x[2 + i] - state.v_new[i]))
             stopping.angle[i], stopping.reading[i] = x[i], y[i]
         stopping.kind = _SUDDEN if stopping.rate > params.rest_rate else _RESTING
     elif stopping.kind == _SUDDEN:
@@ -314,22 +315,20 @@ def _note_stop(params: np.record, state: np.record, interval: float) -> None:
 @njit
 def _take_stop(params: np.record, state: np.record) -> None:
     """The arm is where it was stopped: undo what was learnt from the missing momentum."""
-    y = state.y_new
     for i in range(2):
-        state.x[i] = state.stopping.angle[i]
-        state.x[2 + i] = row_dot(params.joints.angle, i, y[2], y[3])
-    _see_faults(params, state, y)
+        state.x[i], state.x[2 + i] = state.stopping.angle[i], state.v_new[i]
+    _see_faults(params, state, state.y_new)
 
 
 @njit
 def _hold(params: np.record, state: np.record, interval: float) -> None:
     """Dead reckoning of both links: angles go on by the measured rates."""
-    angle, y, y_new = params.joints.angle, state.y, state.y_new
+    y = state.y
     for i in range(2):
-        rate = row_dot(angle, i, y_new[2], y_new[3])
-        state.x[i] += 0.5 * interval * (row_dot(angle, i, y[2], y[3]) + rate)
+        before, rate = row_dot(params.joints.angle, i, y[2], y[3]), state.v_new[i]
+        state.x[i] += 0.5 * interval * (before + rate)
         state.x[2 + i], state.held[i] = rate, True
-    _see_faults(params, state, y_new)
+    _see_faults(params, state, state.y_new)
 
 
 @njit
@@ -396,7 +395,7 @@ def _advance(params: np.record, state: np.record, interval: float) -> None:
 
 @njit
 def _fill(params: np.record, state: np.record) -> None:
-    x, y, joints, rate = state.x, state.y_new, params.joints, state.v_new
+    x, joints, rate = state.x, params.joints, state.v_new
     if state.started <= params.initial_samples:
         state.mode = _INITIALISING
     else:
@@ -404,7 +403,6 @@ def _fill(params: np.record, state: np.record) -> None:
     for i in range(2):
         state.position[i] = row_dot(joints.j, i, x[0], x[1])
         state.velocity[i] = row_dot(joints.j, i, x[2], x[3])
-        rate[i] = row_dot(joints.angle, i, y[2], y[3])
         state.innovation[i] = x[2 + i] - rate[i]
     state.position[0] -= joints.zero
     acc = acceleration(x, rate, state.torque, params.arm)
