@@ -17,9 +17,9 @@ from pathlib import Path
 from lpv.campaign.falsify.attack import Attacker
 from lpv.campaign.falsify.search import search, write_worst
 from lpv.core.serial_arm.arm_file import load_arm
-from lpv.core.serial_arm.two_links import two_link_arm
+from lpv.core.serial_arm.two_links import Link, two_link_arm
 from lpv.core.support.resources import bringup_file
-from lpv.core.uio.model.arm import ArmParameters, Link
+from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.planar import planar_model
 from lpv_design.design_flow import design
 from lpv_design.requirement import load_requirement

@@ -32,9 +32,8 @@ from lpv.core.serial_arm.description import (
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.dynamics.payload import with_payload
 from lpv.core.serial_arm.sensor_map import map_rows
-from lpv.core.serial_arm.two_links import two_link_arm
+from lpv.core.serial_arm.two_links import Link, two_link_arm
 from lpv.core.uio.certificate.gains import Gains, load_gains
-from lpv.core.uio.model.arm import Link
 from lpv.core.uio.planar import planar_model
 from lpv.identify.recordings.recording import read_recording
 

@@ -16,13 +16,13 @@ from lpv.bag.run.csv_import import load_column_map
 from lpv.campaign.plan.spec import parse_spec
 from lpv.cli.observing import diagnosis_parameters
 from lpv.core.serial_arm.arm_file import load_arm, parse_arm, save_arm, to_mapping
+from lpv.core.serial_arm.two_links import Link
 from lpv.core.simulation.faults import KINDS, Fault, FaultInjector
 from lpv.core.simulation.scenario import load_scenario, parse_scenario
 from lpv.core.support import config
 from lpv.core.support.config import MAX_DEPTH, MAX_VALUES, Section, read_yaml, sha256_of
 from lpv.core.support.errors import ConfigError, LpvError
 from lpv.core.uio.certificate.gains import Gains, load_gains
-from lpv.core.uio.model.arm import Link
 from lpv.core.uio.planar import planar_model
 from lpv_design.requirement import load_requirement, parse_requirement
 

@@ -1,9 +1,12 @@
 """Arms of two links in a vertical plane from the numbers that describe one in the plane."""
 
 import math
+from dataclasses import dataclass
 from typing import Any
 
 from lpv.core.serial_arm.description import (
+    RATE_SOURCES,
+    UNSTATED_FRICTION,
     JointFriction,
     JointLimits,
     JointSensors,
@@ -14,21 +17,94 @@ from lpv.core.serial_arm.description import (
     TorqueTolerance,
     Uncertainty,
 )
+from lpv.core.support.entries import entry, positive
 
 
-def two_link_arm(arm: Any) -> SerialArm:
-    """A planar arm as an arm file states it; the base has x forward and z up, axes point along -y.
+def _pair(low: float, high: float, **details: Any) -> Any:
+    """A field of two numbers."""
+    return entry('vector', 2, low=low, high=high, **details)
 
-    Parameters
-    ----------
-    arm : object
-        With the fields of `lpv.core.uio.model.arm.ArmParameters`.
 
-    Returns
-    -------
-    SerialArm
-        With the region of the design.
+def _number(low: float, high: float, **details: Any) -> Any:
+    return entry('number', low=low, high=high, **details)
+
+
+@dataclass(frozen=True)
+class Link:
+    """One link."""
+
+    mass: float = positive(1e5)  # m_i [kg]
+    length: float = positive(100.0)  # L_i, joint to joint (or to the tip) [m]
+    center_of_mass: float = positive(100.0)  # L_ci, joint to centre of mass [m]
+    inertia: float = _number(0.0, 1e7)  # I_i, about the joint [kg m2]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TwoLinks:
+    """A planar two-link arm in a vertical plane, its sensors and its operating region.
+
+    Angles are ABSOLUTE link angles from the upper vertical (paper, Fig. 1).  Entries are those of
+    arm files of the form before there was one kind of arm.
     """
+
+    name: str = entry('text')  # name of the arm
+    links: tuple[Link, ...]  # two
+    gravity: float = entry('number', default=9.81, above=0.0, high=100.0)  # g [m/s2]
+    # rotors: inertia reflected to joint 1, coupling of both joints, inertia reflected to joint 2,
+    # in joint coordinates [kg m2]
+    rotor: tuple = (0.0, 0.0, 0.0)
+    offset: tuple = (0.0, 0.0)  # constant part of the joint friction [N m]
+    # joint friction, see `lpv.core.serial_arm.description.JointFriction` [N m s]
+    viscous: tuple = _pair(0.0, 1e6, default=(0.0, 0.0), at='friction.viscous')
+    # see viscous [N m]
+    coulomb: tuple = _pair(0.0, 1e6, default=(0.0, 0.0), at='friction.coulomb')
+    coulomb_slope: tuple = (100.0, 100.0)  # see viscous [s/rad]
+    load: tuple = (0.0, 0.0)  # see viscous [N m per N m]
+    # largest joint torques [N m]
+    torque_limit: tuple = entry('vector', 2, default=(1e9, 1e9), above=0.0, high=1e9)
+    joint_names: tuple = entry('names', 2, at='joints.names')  # in ``sensor_msgs/JointState``
+    # absolute angle of link 1 at joint position q1 = 0 [rad]
+    zero_angle: float = _number(-math.pi, math.pi, at='joints.zero_angle')
+    # largest plausible joint rates [rad/s]; a sample with a larger one is not used
+    velocity_limit: tuple = entry(
+        'vector', 2, default=(100.0, 100.0), above=0.0, high=1e4, at='joints.velocity_limit'
+    )
+    # names of the two physical position sensors; faults are reported under them
+    sensor_names: tuple = entry('names', 2, at='sensors.names')
+    # whether a position sensor measures a link's 'absolute' angle or a joint's 'relative' one
+    arrangement: str = entry('text', choices=('absolute', 'relative'), at='sensors.arrangement')
+    # standard deviation of white sensor noise [rad]
+    position_noise: float = entry('number', above=0.0, high=10.0, at='sensors.position_noise')
+    # the same of rates [rad/s]
+    velocity_noise: float = entry('number', above=0.0, high=1e3, at='sensors.velocity_noise')
+    # relative error of the rates (scale, delay); limits of changes grow with it
+    velocity_error: float = _number(0.0, 0.5, default=0.0, at='sensors.velocity_error')
+    # whether rates have sensors of their own ('independent'), are computed from the positions
+    # ('derived'), or are missing ('none'); see `lpv.core.serial_arm.rate_independence`
+    rates: str = entry('text', default='independent', choices=RATE_SOURCES, at='sensors.rates')
+    # last two rows of Bd, eq. (31): accelerations of the absolute angles per unit of d
+    disturbance_direction: tuple = _pair(-1e3, 1e3, at='disturbance.direction')
+    # of the white disturbance d that the design must live with
+    disturbance_mean: float = _number(-1e4, 1e4, at='disturbance.mean')
+    disturbance_variance: float = _number(0.0, 1e8, at='disturbance.variance')  # the same
+    # operating region of both links: cos(theta) > 0 ('upright') or cos(theta) < 0 ('hanging')
+    orientation: str = entry('text', choices=('upright', 'hanging'), at='region.orientation')
+    # smallest abs(cos(theta_i)) of the region in which gains are certified
+    cos_min: tuple = _pair(0.01, 0.999, at='region.cos_min')
+    # relative error of masses and inertias that thresholds must tolerate
+    model_error: float = _number(0.0, 0.5, default=0.0)
+    friction_error: float = UNSTATED_FRICTION  # relative error of Coulomb friction in bounds
+    # largest unknown point mass at the tip that thresholds must tolerate [kg]
+    payload: float = _number(0.0, 1e4, default=0.0)
+    # generalised torques that the model may miss for moments (transmission, ripple) [N m]; only the
+    # test of consistency needs them, what lasts belongs to the entries above
+    torque_tolerance: tuple = _pair(0.0, 1e9, default=(0.0, 0.0))
+    sample_time: float = _number(1e-5, 0.1, default=0.002)  # Ts [s]
+
+
+def two_link_arm(arm: TwoLinks) -> SerialArm:
+    """A planar arm as an arm file states it, with the region of the design; the base has x forward
+    and z up, axes point along -y."""
     joints = []
     upright = arm.zero_angle + math.pi / 2
     first, coupling, second = arm.rotor

@@ -17,9 +17,10 @@ from lpv.core.serial_arm.description import (
     SerialArm,
     rotation_from_rpy,
 )
+from lpv.core.serial_arm.two_links import Link
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.inequalities import SAME
-from lpv.core.uio.model.arm import ArmParameters, Link
+from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.model.joints import J_INVERSE
 
 

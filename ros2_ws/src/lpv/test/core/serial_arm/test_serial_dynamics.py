@@ -23,9 +23,8 @@ from lpv.core.serial_arm.chain import Chain, body_parameters, compile_chain
 from lpv.core.serial_arm.dynamics import kinematics, payload
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.simulation import integration_step, plant_scratch, plant_step
-from lpv.core.serial_arm.two_links import two_link_arm
+from lpv.core.serial_arm.two_links import Link, two_link_arm
 from lpv.core.simulation.mujoco_chain import MujocoChain, chain_model
-from lpv.core.uio.model.arm import ArmParameters, Link
 from lpv.core.uio.model.joints import JointMap
 
 CASES = given(st.integers(0, 2**31), st.integers(2, 9))
@@ -121,15 +120,17 @@ def test_given_any_chain_when_moved_then_regressors_and_inversion_fit_its_torque
 
 
 @given(st.integers(0, 2**31))
-def test_given_any_planar_arm_when_moved_then_its_chain_equals_the_two_link_formulas(seed):
+def test_given_any_planar_arm_when_moved_then_its_chain_equals_the_two_link_formulas(
+    paper_model, seed
+):
     rng = np.random.default_rng(seed)
     sizes = rng.uniform([0.1, 0.1, 0.05, 0.1], [20.0, 2.0, 1.0, 2.0], (2, 4))
     inertia, ratio = rng.uniform(0.0, 0.01), rng.uniform(1.0, 50.0)
     # The rotor of motor 2 turns at q1' - r q2'; that of motor 1 at r q1'.
     rotor = inertia * (ratio**2 + 1.0), -inertia * ratio, inertia * ratio**2
-    arm = ArmParameters(
-        'random', tuple(Link(*map(float, size)) for size in sizes), gravity=rng.uniform(1.0, 20.0),
-        rotor=rotor, viscous=(0.3, 0.2), coulomb=(0.5, 0.4),
+    arm = replace(
+        paper_model, links=tuple(Link(*map(float, size)) for size in sizes),
+        gravity=rng.uniform(1.0, 20.0), rotor=rotor, viscous=(0.3, 0.2), coulomb=(0.5, 0.4),
         zero_angle=rng.uniform(-math.pi, math.pi))  # fmt: skip
     (q, v, a), joints = random_motion(seed, 2), JointMap(arm)
     rates = joints.absolute_velocity(v), joints.absolute_velocity(a)

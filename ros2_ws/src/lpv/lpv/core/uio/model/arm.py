@@ -1,4 +1,4 @@
-"""Description of a two-link arm: what its file says, and the constants that follow."""
+"""A two-link arm of the paper: the constants that follow from its numbers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lpv.core.serial_arm.description import UNSTATED_FRICTION
+from lpv.core.serial_arm.two_links import Link, TwoLinks
 from lpv.core.support.config import sha256_of
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.records import new_record, record_type
@@ -39,68 +39,13 @@ class ArmNumbers(NamedTuple):
     gravity: tuple[Any, Any]
 
 
-@dataclass(frozen=True)
-class Link:
-    """One link."""
+@dataclass(frozen=True, kw_only=True)
+class ArmParameters(TwoLinks):
+    """A planar two-link arm in the paper's symbols.
 
-    mass: float  # m_i [kg]
-    length: float  # L_i, joint to joint (or to the tip) [m]
-    center_of_mass: float  # L_ci, joint to centre of mass [m]
-    inertia: float  # I_i, about the joint [kg m2]
-
-
-@dataclass(frozen=True)
-class ArmParameters:
-    """A planar two-link arm in a vertical plane, its sensors and its operating region.
-
-    Angles of the model are ABSOLUTE link angles from the upper vertical (paper, Fig. 1);
-    ``lpv.core.uio.model.joints`` holds the only conversion to ROS joint coordinates.
-    The disturbance enters as in eq. (31).
+    Angles of the model are absolute; ``lpv.core.uio.model.joints`` holds the only conversion to ROS
+    joint coordinates.
     """
-
-    name: str  # name of the arm
-    links: tuple  # two, of type Link
-    gravity: float = 9.81  # g [m/s2]
-    # rotors: inertia reflected to joint 1, coupling of both joints, inertia reflected to joint 2,
-    # in joint coordinates [kg m2]
-    rotor: tuple = (0.0, 0.0, 0.0)
-    offset: tuple = (0.0, 0.0)  # constant part of the joint friction [N m]
-    # joint friction, see `lpv.core.serial_arm.description.JointFriction` [N m s]
-    viscous: tuple = (0.0, 0.0)
-    coulomb: tuple = (0.0, 0.0)  # see viscous [N m]
-    coulomb_slope: tuple = (100.0, 100.0)  # see viscous [s/rad]
-    load: tuple = (0.0, 0.0)  # see viscous [N m per N m]
-    joint_names: tuple = ('joint1', 'joint2')  # names in ``sensor_msgs/JointState``
-    zero_angle: float = -math.pi / 2  # absolute angle of link 1 at joint position q1 = 0 [rad]
-    # names of the two physical position sensors; faults are reported under them
-    sensor_names: tuple = ('joint1_encoder', 'joint2_encoder')
-    # whether a position sensor measures a link's 'absolute' angle or a joint's 'relative' one
-    arrangement: str = 'relative'
-    position_noise: float = 1e-3  # standard deviation of white sensor noise [rad]
-    velocity_noise: float = 1e-2  # the same of rates [rad/s]
-    # relative error of the rates (scale, delay); limits of changes grow with it
-    velocity_error: float = 0.0
-    # whether rates have sensors of their own ('independent'), are computed from the positions
-    # ('derived'), or are missing ('none'); see `lpv.core.serial_arm.rate_independence`
-    rates: str = 'independent'
-    # last two rows of Bd: accelerations of the absolute angles per unit of d
-    disturbance_direction: tuple = (0.7, 0.0)
-    disturbance_mean: float = 0.2  # of the white disturbance d that the design must live with
-    disturbance_variance: float = 0.9  # the same
-    model_error: float = 0.0  # relative error of masses and inertias that thresholds must tolerate
-    friction_error: float = UNSTATED_FRICTION  # relative error of Coulomb friction in bounds
-    payload: float = 0.0  # largest unknown point mass at the tip that thresholds must tolerate [kg]
-    # generalised torques that the model may miss for moments (transmission, ripple) [N m]; only the
-    # test of consistency needs them, what lasts belongs to the entries above
-    torque_tolerance: tuple = (0.0, 0.0)
-    torque_limit: tuple = (1e9, 1e9)  # largest joint torques [N m]
-    # largest plausible joint rates [rad/s]; a sample with a larger one is not used
-    velocity_limit: tuple = (100.0, 100.0)
-    # operating region of both links: cos(theta) > 0 ('upright') or cos(theta) < 0 ('hanging')
-    orientation: str = 'upright'
-    # smallest abs(cos(theta_i)) of the region in which gains are certified
-    cos_min: tuple = (0.3, 0.3)
-    sample_time: float = 0.002  # Ts [s]
 
     @property
     def lengths(self) -> tuple[float, float]:
