@@ -47,6 +47,7 @@ from lpv.core.serial_arm.diagnosis.contact import (
     rough_contact,
     smooth_contact,
     stop_gain,
+    tip_jacobians,
     weigh_residuals,
 )
 from lpv.core.serial_arm.diagnosis.estimator import ONSET, OffsetEstimator, Posterior, set_residuals
@@ -443,8 +444,8 @@ class Bank:
     def _levers(self, last: int) -> tuple[FloatArray, FloatArray]:
         """Of torques on single joints, and of a force on the tip."""
         one = self.estimator
-        about = one.balance.chain, self._push, one.window, last
-        return joint_levers(self._push, last), one.call(force_levers, *about)
+        tips = one.call(tip_jacobians, one.balance.chain, one.window, last)
+        return joint_levers(self._push, last), force_levers(tips, self._push)
 
     def warm_up(self, blocks: FloatArray) -> None:
         """Compile what is called for suspected faults only; ``blocks`` are those of the horizon."""

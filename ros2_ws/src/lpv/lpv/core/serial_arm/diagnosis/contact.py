@@ -172,28 +172,33 @@ def joint_levers(torque: FloatArray, last: int) -> FloatArray:
 
 
 @njit
-def force_levers(chain: Chain, torque: FloatArray, window: Window, last: int) -> FloatArray:
-    """Torques by the largest plausible force on the tip along x, y and z of the base.
+def tip_jacobians(chain: Chain, window: Window, last: int) -> FloatArray:
+    """Torques by a unit force on the tip along x, y and z of the base, newest balance first.
 
-    ``torque``, shape (n,), has the largest plausible torques of the joints [N m].  Levers have
-    shape (last, 3, n), newest balance first [N m].
+    Shape (last, 3, n) [N m/N].
     """
-    n = torque.shape[0]
-    levers, jacobian = np.zeros((last, 3, n)), np.zeros((6, n))
+    n = window.poses.shape[1]
+    tips, jacobian = np.zeros((last, 3, n)), np.zeros((6, n))
     rotations, origins = np.zeros((n + 1, 3, 3)), np.zeros((n + 1, 3))
-    largest = 1e-9  # a force on a tip that no joint moves does not matter
     for back in range(last):
         joint_frames(chain, window.poses[slot(window, back)], rotations, origins)
         fill_jacobian(chain, rotations, origins, jacobian)
-        for i in range(n):
-            for k in range(3):
-                levers[back, k, i] = jacobian[k, i]
-                largest = max(largest, abs(jacobian[k, i]) / torque[i])
-    for back in range(last):
-        for i in range(n):
-            for k in range(3):
-                levers[back, k, i] /= largest
-    return levers
+        tips[back] = jacobian[:3]
+    return tips
+
+
+def force_levers(tips: FloatArray, torque: FloatArray) -> FloatArray:
+    """Torques by the largest plausible force on the tip along each of three axes.
+
+    ``tips`` are those of `tip_jacobians`; ``torque``, shape (n,), has the largest plausible torques
+    of the joints [N m].  The axes are those of the forces' effects: a choice of the base's frame
+    must not matter.  Levers have the shape of ``tips`` [N m].
+    """
+    effects = tips / torque
+    axes = np.linalg.eigh((effects @ effects.swapaxes(1, 2)).sum(0))[1]
+    # A force on a tip that no joint moves does not matter.
+    largest = max(float((effects**2).sum(1).max()) ** 0.5, 1e-9)
+    return np.asarray(axes.T @ tips / largest)
 
 
 def smooth_contact(

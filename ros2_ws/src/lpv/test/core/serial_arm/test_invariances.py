@@ -1,0 +1,209 @@
+"""Answers do not depend on how the same arm, its units and its clock are described."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from serial_arms import scara, simulated, with_rates
+
+from lpv import load_arm
+from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv.core.serial_arm.description import LinkInertia, rotation_from_rpy
+from lpv.core.simulation.faults import Fault
+
+MIRROR = np.diag([-1.0, 1.0, 1.0])
+
+
+@cache
+def recorded(name):
+    """An arm with a faulty sensor, and what its driver delivers."""
+    if name == 'paper':
+        arm = with_rates(load_arm('paper'), 'derived')
+        run = simulated(arm, Fault('link2_angle', 'bias', 0.0, size=0.5), seed=2, duration=4.0)
+    else:
+        arm = scara()
+        arm = replace(arm, uncertainty=replace(arm.uncertainty, payload=0.0))
+        run = simulated(arm, Fault('lift_encoder', 'drift', 4.0, rate=0.01), duration=6.0)
+    return arm, run.stamps, run.samples
+
+
+@cache
+def answered(name):
+    return answers_to(*recorded(name))
+
+
+def answers_to(arm, stamps, samples):
+    return SerialSensorMonitor('/uio', arm).take_many(stamps, *samples.transpose(1, 0, 2))
+
+
+def floats(values):
+    return tuple(float(value) for value in values)
+
+
+def rpy(matrix):
+    return floats(Rotation.from_matrix(matrix).as_euler('xyz'))
+
+
+def link_of(link, turn, mass=1.0, length=1.0):
+    """A link in a turned frame, its mass and its lengths times factors."""
+    inertia = mass * length**2 * turn @ link.rotational_inertia() @ turn.T
+    moment = mass * length * turn @ np.array(link.first_moment)
+    entries = inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
+    return LinkInertia.from_vector(np.array([mass * link.mass, *moment, *entries]))
+
+
+def each(arm, change):
+    return replace(arm, joints=tuple(change(joint) for joint in arm.joints))
+
+
+def in_units(joint, position, torque):
+    """A joint whose positions and torques are so many times as large."""
+    friction, limits, sensors = joint.friction, joint.limits, joint.sensors
+    return replace(
+        joint,
+        friction=replace(
+            friction,
+            offset=torque * friction.offset,
+            viscous=torque / position * friction.viscous,
+            coulomb=torque * friction.coulomb,
+            coulomb_slope=friction.coulomb_slope / position,
+        ),
+        rotor_inertia=torque / position * joint.rotor_inertia,
+        limits=replace(
+            limits,
+            lower=position * limits.lower,
+            upper=position * limits.upper,
+            velocity=position * limits.velocity,
+            torque=torque * limits.torque,
+        ),
+        sensors=replace(
+            sensors,
+            position_noise=position * sensors.position_noise,
+            velocity_noise=position * sensors.velocity_noise,
+        ),
+    )
+
+
+def turned(arm, stamps, samples):
+    """The base's frame is another one."""
+    turn, first = Rotation.from_euler('xyz', [0.4, -1.1, 2.0]).as_matrix(), arm.joints[0]
+    first = replace(
+        first,
+        position=floats(turn.T @ np.array(first.position) + 3.0),
+        orientation=rpy(turn.T @ rotation_from_rpy(first.orientation)),
+    )
+    base = rpy(rotation_from_rpy(arm.base_orientation) @ turn)
+    return replace(arm, base_orientation=base, joints=(first, *arm.joints[1:])), stamps, samples
+
+
+def mirrored(arm, stamps, samples):
+    """Left is right: axes of turns are pseudovectors."""
+
+    def change(joint):
+        way = 1.0 if joint.is_prismatic else -1.0
+        return replace(
+            joint,
+            position=floats(MIRROR @ np.array(joint.position)),
+            orientation=rpy(MIRROR @ rotation_from_rpy(joint.orientation) @ MIRROR),
+            axis=floats(way * MIRROR @ np.array(joint.axis)),
+            link=link_of(joint.link, MIRROR),
+        )
+
+    base = rpy(MIRROR @ rotation_from_rpy(arm.base_orientation) @ MIRROR)
+    other = replace(each(arm, change), base_orientation=base, tip=floats(MIRROR @ arm.tip))
+    return other, stamps, samples
+
+
+def heavy(factor):
+    """All masses, friction and torques times a factor."""
+
+    def change(arm, stamps, samples):
+        def heavier(joint):
+            return replace(
+                in_units(joint, 1.0, factor), link=link_of(joint.link, np.eye(3), factor)
+            )
+
+        return each(arm, heavier), stamps, samples * np.array([1.0, 1.0, factor])[:, None]
+
+    return change
+
+
+def long(factor):
+    """All lengths and gravity times a factor, as by another unit of length for all but masses."""
+
+    def change(arm, stamps, samples):
+        def longer(joint):
+            position, torque = (factor, factor) if joint.is_prismatic else (1.0, factor**2)
+            place = floats(factor * np.array(joint.position))
+            link = link_of(joint.link, np.eye(3), 1.0, factor)
+            return replace(in_units(joint, position, torque), position=place, link=link)
+
+        scale = np.array([factor if joint.is_prismatic else 1.0 for joint in arm.joints])
+        torque = np.where(scale == factor, factor, factor**2)
+        other = replace(
+            each(arm, longer), gravity=factor * arm.gravity, tip=floats(factor * np.array(arm.tip))
+        )
+        return other, stamps, samples * np.stack([scale, scale, torque])
+
+    return change
+
+
+def other_efforts(arm, stamps, samples):
+    """Efforts in another unit."""
+    other = each(arm, lambda joint: replace(joint, torque_gain=0.037))
+    return other, stamps, samples / np.array([1.0, 1.0, 0.037])[:, None]
+
+
+def strong(arm, stamps, samples):
+    """Drives that could give more."""
+
+    def change(joint):
+        return replace(joint, limits=replace(joint.limits, torque=10.0 * joint.limits.torque))
+
+    return each(arm, change), stamps, samples
+
+
+def later(arm, stamps, samples):
+    return arm, stamps + 1_700_000_000 * 10**9, samples
+
+
+def renamed(arm, stamps, samples):
+    def change(joint):
+        sensors = replace(joint.sensors, name=joint.sensors.name[::-1])
+        return replace(joint, name=joint.name[::-1], sensors=sensors)
+
+    return replace(each(arm, change), name='other'), stamps, samples
+
+
+DESCRIPTIONS = {
+    'turned': turned, 'mirrored': mirrored, 'heavy': heavy(4.0), 'light': heavy(0.01),
+    'long': long(3.0), 'short': long(0.1), 'other efforts': other_efforts, 'strong': strong,
+    'later': later, 'renamed': renamed,
+}  # fmt: skip
+
+
+def events(answers, begin):
+    return [(row, one.event, one.sensor_index, one.kind, one.onset - begin, one.basis)
+            for row, one in answers.events]  # fmt: skip
+
+
+@pytest.mark.parametrize('name', ['paper'])
+@pytest.mark.parametrize('description', DESCRIPTIONS)
+def test_given_another_description_of_the_same_when_observed_then_answers_are_the_same(
+    description, name
+):
+    arm, stamps, samples = recorded(name)
+    other, *delivered = DESCRIPTIONS[description](arm, stamps, samples)
+    expected, found = answered(name), answers_to(other, *delivered)
+    assert events(expected, stamps[0])
+    assert events(found, delivered[0][0]) == events(expected, stamps[0])
+    np.testing.assert_array_equal(found.fault.state, expected.fault.state)
+    np.testing.assert_array_equal(found.state.trustworthy, expected.state.trustworthy)
+    scale = other.scales() / arm.scales()
+    about = {'rtol': 1e-5, 'atol': 1e-7}
+    for field in ('estimate', 'bound', 'threshold'):
+        np.testing.assert_allclose(found.fault[field] / scale, expected.fault[field], **about)
+    for field in ('position', 'velocity', 'compensated_position'):
+        np.testing.assert_allclose(found.state[field] / scale, expected.state[field], **about)
