@@ -42,6 +42,7 @@ class Compensation(NamedTuple):
     bridged: IntArray  # samples for which a reading has been carried on
     stamp: IntArray  # of the sample before [ns], shape (1,)
     motion: CarriedMotion
+    scale: FloatArray  # what counts as 1 rad in the rate of fading, see `SerialJoint.scale` [rad]
 
 
 class Known(NamedTuple):
@@ -118,7 +119,7 @@ def new_compensation(arm: SerialArm) -> Compensation:
     applied, position, velocity, change, estimate = np.zeros((5, len(arm.joints)))
     bridged, stamp = np.zeros(len(arm.joints), np.int64), np.array([NEVER])
     return Compensation(
-        applied, position, velocity, change, estimate, bridged, stamp, new_motion(arm)
+        applied, position, velocity, change, estimate, bridged, stamp, new_motion(arm), arm.scales()
     )
 
 
@@ -223,7 +224,7 @@ def _correct(
     rate that says nothing NaN.
     """
     interval, follows, fading = step
-    most = (fading + abs(fault[2])) * interval
+    most = (fading * work.scale[i] + abs(fault[2])) * interval
     work.applied[i] += min(max(fault[0] - work.applied[i], -most), most)
     position, velocity = measured[0] - work.applied[i], measured[1] - fault[1]
     if np.isnan(fault[1]):

@@ -149,10 +149,10 @@ def _know_nothing_wrong(parts: Parts, one: Answering, stamp: int) -> None:
         known.rate[i] = known.growth[i] = parts.sampler.drift[i]
         known.rate_error[i] = 0.0
         known.bound[i] = sigmas * sigma
-        known.threshold[i] = max(sigmas * sigma, smallest * parts.scales[i])
+        known.threshold[i] = max(sigmas * sigma, smallest * parts.balance.scale[i])
         known.limit[i], known.noise[i] = smallest_jump(parts.sampler, i), 0.0
         known.is_error[i] = False
-        known.state[i] = NOT_DIAGNOSABLE if sigma > widest * parts.scales[i] else OK
+        known.state[i] = NOT_DIAGNOSABLE if sigma > widest * parts.balance.scale[i] else OK
     flags.stamp, flags.trustworthy, flags.inconsistent = stamp, True, False
     if state.uses_balances:
         flags.mode, flags.until = _OBSERVING, stamp + UNWATCHED

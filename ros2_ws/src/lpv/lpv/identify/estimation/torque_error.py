@@ -94,7 +94,7 @@ def torque_error(
 
 def usual_error(arm: SerialArm) -> np.ndarray:
     """Torque that models miss for as long as a pose lasts, shape (n,) [N m]."""
-    return LASTING * model_error(arm) * typical_torque(compile_chain(arm))
+    return LASTING * model_error(arm) * typical_torque(compile_chain(arm), arm.scales())
 
 
 def _correlation_length(

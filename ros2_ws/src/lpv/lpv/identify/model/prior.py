@@ -71,7 +71,7 @@ def friction_prior(arm: SerialArm) -> tuple[np.ndarray, np.ndarray]:
     stated = mean[:, 1] + np.abs(mean[:, 0]) * USUAL_RATE
     # As large as the torques that move the joint, or the share of its largest one that is usual;
     # as stated within its own size, or the share of that by which friction may change.
-    typical = typical_torque(compile_chain(arm))
+    typical = typical_torque(compile_chain(arm), arm.scales())
     limit = np.array([joint.limits.torque for joint in arm.joints])
     lost = np.where(limit < JointLimits.torque, _LOST * limit, typical.max())
     size = np.maximum(typical, lost)

@@ -189,7 +189,7 @@ def events(answers, begin):
             for row, one in answers.events]  # fmt: skip
 
 
-@pytest.mark.parametrize('name', ['paper'])
+@pytest.mark.parametrize('name', ['paper', 'scara'])
 @pytest.mark.parametrize('description', DESCRIPTIONS)
 def test_given_another_description_of_the_same_when_observed_then_answers_are_the_same(
     description, name

@@ -91,13 +91,13 @@ def test_given_a_drift_when_its_onset_is_sought_then_it_is_the_dense_best_and_tr
     mass, blocks = monitor.bank._mass, monitor.readings.blocks(LAST + 1)
     about = monitor.estimator, np.array([0, JOINT]), sampler.block_end(blocks[-1])
     best = max(dense_onsets(monitor, about[2]), key=lambda one: one.gain)
-    likely = onset.likely_onsets(*about, PRIOR, LAST, mass)
+    likely = onset.likely_onsets(*about, np.full(2, PRIOR), LAST, mass)
     np.testing.assert_allclose(likely[1][0], best, rtol=1e-6)
-    _, found = onset.sudden_drifts(*about[:2], PRIOR, LAST, blocks, mass)
+    _, found = onset.sudden_drifts(*about[:2], LAST, blocks, mass)
     assert found.begin == pytest.approx(BEGIN, abs=0.16 * monitor.plan.interval)
     assert found.size == pytest.approx(RATE, rel=0.06)
     assert found.sigma < 0.15 * RATE
-    short = onset.sudden_drifts(*about[:2], PRIOR, onset.ONSET, blocks, mass)
+    short = onset.sudden_drifts(*about[:2], onset.ONSET, blocks, mass)
     assert [one.gain for one in short] == [-np.inf, -np.inf]
 
 
@@ -113,7 +113,8 @@ def test_given_a_drift_that_is_tried_then_it_changes_balances_as_blocks_without_
     trials = drift_trial.new_trials(estimator.window, null, blocks, per, n)
     onsets = np.array([[onset.Onset(0.0, RATE, 0.1, BEGIN, LAST - 1)]])
     found = drift_trial.new_found(onsets)
-    drift_trial.compare_drifts(own, trials, null.factor, np.array([JOINT]), PRIOR, onsets, found)
+    joint, prior = np.array([JOINT]), np.array([PRIOR])
+    drift_trial.compare_drifts(own, trials, null.factor, joint, prior, onsets, found)
     size, freed, rows = found[0, -1, drift_trial.SIZE], blocks.copy(), []
     drift_trial.free_of_drift(blocks, JOINT, 1.0, BEGIN, size, freed)
     for some in (blocks, freed):
@@ -138,9 +139,9 @@ def test_given_friction_that_turns_over_when_a_drift_is_looked_for_then_its_onse
     )
     joint, interval = np.array([fault.sensor]), monitor.plan.interval
     end = sampler.block_end(blocks[-1])
-    ((first, *_),) = onset.likely_onsets(estimator, joint, end, PRIOR, last, mass)
+    ((first, *_),) = onset.likely_onsets(estimator, joint, end, np.array([PRIOR]), last, mass)
     assert abs(first.begin - begin) > interval
-    (found,) = onset.sudden_drifts(estimator, joint, PRIOR, last, blocks, mass)
+    (found,) = onset.sudden_drifts(estimator, joint, last, blocks, mass)
     assert found.begin == pytest.approx(begin, abs=0.3 * interval)
     assert abs(found.size) == pytest.approx(0.3, rel=0.1)
 

@@ -58,7 +58,8 @@ def test_balance_of_the_true_arm_is_zero_and_its_columns_are_derivatives(blocks)
         np.testing.assert_allclose(found, expected, atol=1e-3)
     factor = np.random.default_rng(0).normal(size=(5, 45))
     factor[:, 36:39] = 0.0  # friction by load would multiply gains
-    directions, drives, _ = parameter_error.parameter_directions(CHAIN, factor, np.full(3, 2.0))
+    usual = np.full(3, 2.0), np.ones(3)
+    directions, drives, _ = parameter_error.parameter_directions(CHAIN, factor, *usual)
     rows = rows_of(CHAIN, blocks, directions, drives=drives)
     friction, louder = CHAIN.friction.copy(), blocks.copy()
     friction[:, :4] += 0.5 * drives[0, :, :4]
@@ -87,7 +88,8 @@ def test_given_masses_and_friction_identified_together_then_they_are_wrong_toget
     arm = replace(shoulder_arm(), covariance=covariance, uncertainty=Uncertainty(payload=0.0))
     chain = compile_chain(arm)
     factor = parameter_error.parameter_factor(arm, chain)
-    directions, drives, _ = parameter_error.parameter_directions(chain, factor, np.full(3, 2.0))
+    usual = np.full(3, 2.0), np.ones(3)
+    directions, drives, _ = parameter_error.parameter_directions(chain, factor, *usual)
     assert len(directions) == 1
     assert drives[0, 2, 3] / directions[0, 2, 1] == pytest.approx(-20.0)
 

@@ -34,8 +34,8 @@ LENGTH, EPOCH = range(2)
 _STEEPEST = JointFriction.coulomb_slope
 """Slope of the sign of a rate, at most: files that state none have it [s/rad]."""
 _STEP = 1e-5
-"""Step of the differences by which columns of angles and rates are found [rad], [rad/s]: these are
-wrong by 1e-5 of themselves, and by rounding, 1e-16 / 1e-5, by less."""
+"""Step of the differences by which columns of angles and rates are found [rad], [rad/s], times
+`Balance.scale`: these are wrong by 1e-5 of themselves, and by rounding, 1e-16 / 1e-5, by less."""
 
 
 class Balance(NamedTuple):
@@ -76,6 +76,8 @@ class Balance(NamedTuple):
         relative gain.
     to_joints : ndarray, shape (n, n)
         S^-1 of y = S q + f: faults are those of sensors, rows those of joints.
+    scale : ndarray, shape (n,)
+        What counts as much as 1 rad, see `SerialJoint.scale` [rad].
     """
 
     chain: Chain
@@ -94,6 +96,7 @@ class Balance(NamedTuple):
     vectors: FloatArray
     drives: FloatArray
     to_joints: FloatArray
+    scale: FloatArray
 
 
 def column_count(joints: int, directions: int) -> int:
@@ -107,11 +110,12 @@ def new_balance(
     derived: FloatArray,
     drives: FloatArray | None = None,
     to_joints: FloatArray | None = None,
+    scale: FloatArray | None = None,
 ) -> Balance:
     """Empty balances, linearised at no fault; arguments are as in `Balance`.
 
-    By default, parameters of drives have no errors (``drives``), and each encoder reads its own
-    joint (``to_joints``).
+    By default, parameters of drives have no errors (``drives``), each encoder reads its own joint
+    (``to_joints``), and all joints turn (``scale``).
     """
     n = joint_count(chain)
     size = (n, column_count(n, len(directions)))
@@ -121,7 +125,8 @@ def new_balance(
         np.ascontiguousarray(derived, dtype=float), np.zeros((2, *size)), np.zeros((2, *size)),
         np.zeros((2, *size)), np.zeros(size), np.zeros(2), np.zeros((2, n)), _no_rates(n),
         np.zeros((n, n)), workspace(chain), np.zeros((10, n)), along,
-        np.eye(n) if to_joints is None else np.ascontiguousarray(to_joints))  # fmt: skip
+        np.eye(n) if to_joints is None else np.ascontiguousarray(to_joints),
+        np.ones(n) if scale is None else scale)  # fmt: skip
 
 
 def _no_rates(n: int) -> FloatArray:
@@ -227,20 +232,20 @@ def _add_fault_columns(
     p, force = balance.vectors[2], balance.vectors[3]
     p_angle, force_angle = balance.vectors[4], balance.vectors[5]
     p_rate, force_rate = balance.vectors[7], balance.vectors[8]
-    moved, share = balance.vectors[9], balance.to_joints[:, i]
+    moved, share, step = balance.vectors[9], balance.to_joints[:, i], _STEP * balance.scale[i]
     for j in range(n):
-        moved[j] = angle[j] - _STEP * share[j]
+        moved[j] = angle[j] - step * share[j]
     momentum_balance(chain, moved, rate, balance.work, p_angle, force_angle)
     for j in range(n):
-        moved[j] = rate[j] - _STEP * share[j]
+        moved[j] = rate[j] - step * share[j]
     momentum_balance(chain, angle, moved, balance.work, p_rate, force_rate)
     derived = balance.derived[i]
     for j in range(n):
-        p_f, force_f = (p_angle[j] - p[j]) / _STEP, (force_angle[j] - force[j]) / _STEP
-        p_v, force_v = (p_rate[j] - p[j]) / _STEP, (force_rate[j] - force[j]) / _STEP
+        p_f, force_f = (p_angle[j] - p[j]) / step, (force_angle[j] - force[j]) / step
+        p_v, force_v = (p_rate[j] - p[j]) / step, (force_rate[j] - force[j]) / step
         if share[j] != 0.0:
             row = chain.friction[j]
-            slip = min(row[SLOPE], _STEEPEST)
+            slip = min(row[SLOPE], _STEEPEST / balance.scale[j])
             dry = row[1] + row[2] * abs(torque[j])
             bend = (
                 smooth_sign(rate[j] + 0.5 / slip, slip) - smooth_sign(rate[j] - 0.5 / slip, slip)
@@ -296,7 +301,8 @@ def rests(balance: Balance, joint: int) -> bool:
     """Whether a joint rests or reverses within the last hat."""
     low = min(balance.rates[0, 0, joint], balance.rates[1, 0, joint])
     high = max(balance.rates[0, 1, joint], balance.rates[1, 1, joint])
-    return bool(low < SLOW_RATE and high > -SLOW_RATE)
+    slow = SLOW_RATE * balance.scale[joint]
+    return bool(low < slow and high > -slow)
 
 
 @njit_in_place

@@ -79,6 +79,7 @@ from lpv.core.serial_arm.diagnosis.priors import (
     FAULT_AT_START,
     LOAD,
     OCCURRENCE,
+    RELATIVE,
     SIZE,
     SLOW_RATE,
     STEADY_FOR,
@@ -208,8 +209,10 @@ class Bank:
         # Of all times in the horizon before the window, the middle.
         older, plan = np.zeros((len(every), len(self._lengths))), self.estimator.plan
         older[-1] = 0.5 * plan.interval * (plan.capacity - self._lengths)
+        scale = self.estimator.balance.scale
         prior = np.array([
-            self._push if kind == 'torque_offset' else np.full(n, SIZE[kind])
+            self._push if kind == 'torque_offset'
+            else SIZE[kind] * (np.ones(n) if kind in RELATIVE else scale)
             for kind in self._names
         ])  # fmt: skip
         growing, recent = ('drift', 'torque_gain', 'torque_offset'), self._lengths <= self._recent
@@ -402,7 +405,7 @@ class Bank:
         last = min(int(self._lengths[windows - 1]), self._recent, len(estimator) - 1) + 1
         held = blocks(last + 1)
         joints = np.flatnonzero(self._derived)
-        onsets = sudden_drifts(estimator, joints, SIZE['drift'], last, held, self._mass)
+        onsets = sudden_drifts(estimator, joints, last, held, self._mass)
         return [
             Hypothesis('drift', i, one.gain, one.size, one.sigma, one.begin)
             for i, one in zip(joints.tolist(), onsets)
@@ -452,7 +455,7 @@ class Bank:
         estimator = self.estimator
         last = min(self._recent + 1, len(estimator))
         joints = np.arange(estimator.joints)
-        found = sudden_drifts(estimator, joints, SIZE['drift'], last, blocks, self._mass)
+        found = sudden_drifts(estimator, joints, last, blocks, self._mass)
         self.excludes_contact(Hypothesis('drift', 0, 0.0, 0.0, 1.0, found[0].begin), 0.0)
 
     def offset_against_contact(self, joint: int) -> float:

@@ -96,7 +96,6 @@ class Parts(NamedTuple):
     prior: FloatArray  # as of `find_levels`, as those that follow
     known: FloatArray
     certified: Certified
-    scales: FloatArray
     beyond: FloatArray
     recent: FloatArray  # (2 B, 3 n + 4) the B blocks of each of the last two intervals
 
@@ -243,8 +242,8 @@ def decide(parts: Parts) -> None:
         state.stage = _LEVELS if quiet and not state.asked else _NAME
     if state.stage == _LEVELS:
         some = find_levels(
-            parts.level, parts.prior, parts.known, parts.certified, parts.scales, state.limits,
-            parts.beyond)  # fmt: skip
+            parts.level, parts.prior, parts.known, parts.certified, parts.balance.scale,
+            state.limits, parts.beyond)  # fmt: skip
         state.stage = _RAISE if some else _END
     if state.stage == _END and not state.active:
         state.stage = _RATES

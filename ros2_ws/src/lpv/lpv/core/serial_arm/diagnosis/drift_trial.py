@@ -232,7 +232,7 @@ def _most_promising(trials: FloatArray) -> int:
 
 @njit_in_place
 def compare_drifts(
-    own: Balance, trials: Trials, factor: FloatArray, joints: IntArray, prior: float,
+    own: Balance, trials: Trials, factor: FloatArray, joints: IntArray, prior: FloatArray,
     onsets: FloatArray, found: FloatArray,
 ) -> None:  # fmt: skip
     """Compare drifts of some joints.
@@ -268,9 +268,9 @@ def compare_drifts(
                 goes_on = at >= 0 and math.isfinite(size)
             if goes_on:
                 trial, older = every[t], count - 1 - int(start[BACK])
-                step = math.copysign(0.1 * max(abs(size), SLOW_RATE), size)
+                step = math.copysign(0.1 * max(abs(size), SLOW_RATE * own.scale[joint]), size)
                 trial[BEGIN], trial[BACK] = start[BEGIN], start[BACK]
                 for k in range(2):
                     _set_changes(own, trials, joint, (start[BEGIN], older), size + k * step, k)
-                about = size, step, prior
+                about = size, step, prior[j]
                 _compare(trials, factor, own.to_joints[:, joint], older, about, trial)

@@ -102,7 +102,7 @@ class EndOfFault:
     def _gains(self, estimator: OffsetEstimator) -> FloatArray:
         """Logarithm of the Bayes factor of each onset; the size is known."""
         (window, null), last, n = estimator.of_levels, len(estimator), estimator.joints
-        if last == 0 or abs(self.jump) > LINEAR:
+        if last == 0 or abs(self.jump) > LINEAR * estimator.balance.scale[self.joint]:
             return np.zeros(len(self.ages))
         at, every = recent(window, last), estimator.window.rows
         offset = every[at, :, 1 + OFFSET * n + self.joint]
@@ -131,13 +131,13 @@ def end_of_fault(
     healthy.
     """
     sampler, estimator, _ = readings
-    interval = estimator.plan.interval
+    interval, scale = estimator.plan.interval, float(estimator.balance.scale[joint])
     longest = max(len(estimator), 2) * interval
     ages = np.geomspace(interval, longest, ONSETS)
     # Uniform over the horizon, and as the sizes of drifts are: their rates grow with the jump.
     edges = np.sqrt(ages[1:] * ages[:-1])
     prior = np.log(np.diff(np.concatenate([[0.0], edges, [longest]])) / longest)
-    prior += _normal(jump / ages, SIZE['drift']) - np.log(ages) - _slip(jump)
+    prior += _normal(jump / scale / ages, SIZE['drift']) - np.log(ages) - _slip(jump / scale)
     for k, age in enumerate(ages):
         way = bank.kinematics.way(joint, round(age / interval))
         if way is not None:
@@ -150,14 +150,14 @@ def end_of_fault(
     frozen = _frozen(estimator, blocks, joint)
     if frozen is not None:
         # Where it was frozen before, balances begin with a rate that was not measured.
-        says = abs(jump) < LINEAR and again == 0.0
+        says = abs(jump) < LINEAR * scale and again == 0.0
         course = bank.course(joint, frozen, 0, blocks) if says else None
-        gain, went, sigma = 0.0, 0.0, LINEAR
+        gain, went, sigma = 0.0, 0.0, LINEAR * scale
         if course is not None:
-            one = begin_frozen(joint, course, readings.acceleration(joint))
+            one = begin_frozen(joint, course, readings.acceleration(joint), scale)
             fault, _, sigma = one.fault(0.0, readings.last())
             gain, went, sigma = course.gain, -fault, max(sigma, float(sampler.usual[joint]))
-        gain += float(_normal(jump - went, sigma) - _slip(jump)) + again
+        gain += float(_normal((jump - went) / scale, sigma / scale) - _slip(jump / scale)) + again
         age = blocks[-1, 3 * estimator.joints] - frozen.time
         prior, ages, ramps = np.append(prior, gain), np.append(ages, age), np.append(ramps, 0.0)
     end = EndOfFault(joint, jump, readings.last(), prior, ages, ramps)
@@ -172,7 +172,8 @@ def _frozen(estimator: OffsetEstimator, blocks: FloatArray, joint: int) -> Froze
     if len(changes) == 0 or len(blocks) - 1 - changes[-1] < estimator.plan.blocks:
         return None
     last = max(int(changes[-1]), 1)
-    return Frozen(block_end(blocks[last]), float(blocks[last - 1, n + joint]), SIZE['drift'], False)
+    sigma = SIZE['drift'] * float(estimator.balance.scale[joint])
+    return Frozen(block_end(blocks[last]), float(blocks[last - 1, n + joint]), sigma, False)
 
 
 def _slip(jump: float) -> float:

@@ -467,7 +467,7 @@ def has_moved(window: Window, level: Posterior, balance: Balance, since: IntArra
     for i in range(balance.reference.shape[0]):
         step = abs(level.mean[i] - balance.reference[i])
         if step > ROBUST * level.sigma[i]:
-            largest = max(largest, step)
+            largest = max(largest, step / balance.scale[i])
     # All balances are evaluated anew: not before a tenth of them are new ones.
     return since[0] * _FEW >= window.counters[COUNT] and largest > SMALL
 
@@ -490,8 +490,8 @@ class OffsetEstimator:
         derived = np.array([float(joint.sensors.rates != 'independent') for joint in arm.joints])
         known = about.prior, about.noise, about.rest, about.dry
         self.balance: Balance = new_balance(
-            about.chain, about.directions, derived, about.drives, arm.sensors_to_joints()
-        )
+            about.chain, about.directions, derived, about.drives, arm.sensors_to_joints(),
+            arm.scales())  # fmt: skip
         self.window: Window = new_window(n, OFFSET * n, len(self.prior), plan.capacity, about.loads)
         systematic = about.systematic
         self.posterior = _prior_posterior(*known, 0.0 * systematic, plan.capacity)
@@ -574,7 +574,8 @@ class OffsetEstimator:
 
         ``blocks``, shape (N, 3 n + 4), are as in `Sampler.blocks`, oldest first; whole intervals.
         """
-        self.balance.reference[:] += np.clip(self._step(), -STRAIGHT, STRAIGHT)
+        largest = STRAIGHT * self.balance.scale
+        self.balance.reference[:] += np.clip(self._step(), -largest, largest)
         self.replace_last(blocks)
         self._solve()
         self.since_linearised[:] = 0
@@ -695,11 +696,13 @@ class _About(NamedTuple):
 @lru_cache(maxsize=4)
 def _about(arm: SerialArm, plan: HorizonPlan) -> _About:
     """Kept: a campaign watches one arm again and again."""
-    chain = compile_chain(arm)
-    speed = np.array([min(joint.limits.velocity, FAST) for joint in arm.joints])
-    typical = typical_torque(chain)
+    chain, scale = compile_chain(arm), arm.scales()
+    speed = np.minimum(arm.velocity_limit, FAST * scale)
+    typical = typical_torque(chain, scale)
     missed = model_error(arm) * typical
-    directions, drives, rows = parameter_directions(chain, parameter_factor(arm, chain), speed)
+    directions, drives, rows = parameter_directions(
+        chain, parameter_factor(arm, chain), speed, scale
+    )
     loads = rows[-LOAD_ROWS:] if usual_load(arm) > 0.0 else rows[:0]
     loads = np.hstack([np.zeros((len(loads), 4 * len(arm.joints))), loads])
     prior = np.concatenate([*_priors(arm, chain.friction, missed), np.ones(len(directions))])
@@ -727,10 +730,11 @@ def _prior_posterior(
 def _priors(arm: SerialArm, friction: FloatArray, missed: FloatArray) -> list[FloatArray]:
     """Standard deviations of offsets, torque offsets, viscous and Coulomb friction."""
     share, absent = max(arm.uncertainty.friction, UNSTATED_FRICTION), STATIC * missed
+    scale = arm.scales()
     return [
-        np.full(len(arm.joints), OFFSET_PRIOR),
+        OFFSET_PRIOR * scale,
         absent,
-        share * np.abs(friction[:, WET]) + absent / FAST,
+        share * np.abs(friction[:, WET]) + absent / (FAST * scale),
         share * friction[:, DRY] + absent,
     ]
 

@@ -51,11 +51,17 @@ class FaultFilter:
     covariance: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
     updated: float = 0.0  # moment of the state: the end of the newest balance [s]
     acceleration: float = 0.0  # usual one of the fault [rad/s2]
+    scale: float = 1.0  # what counts as much as 1 rad, see `SerialJoint.scale` [rad]
 
     @property
     def is_scale(self) -> bool:
         """Whether the state is a scale error."""
         return self.kind == 'scale'
+
+    @property
+    def unit(self) -> float:
+        """Of the first state: scale errors are ratios."""
+        return 1.0 if self.is_scale else self.scale
 
     def fault(self, reading: float, now: float) -> tuple[float, float, float]:
         """Fault, its rate and the standard deviation of the fault [rad], [rad/s], [rad]."""
@@ -103,7 +109,7 @@ class FaultFilter:
     def _growth(self, interval: float) -> tuple[float, float, float]:
         """What is kept of the acceleration, and by what its variance and the rate's grow."""
         if self.kind != 'stuck':
-            return 1.0, 0.0, STEADY**2 * interval
+            return 1.0, 0.0, (STEADY * self.scale) ** 2 * interval
         kept, size = math.exp(-interval / STEADY_FOR), abs(float(self.mean[2]))
         if size > 2.0 * self.acceleration:  # a loop that is closed on the reading drives it away
             return 1.0, size**2 * (1.0 - kept**2), 0.0
@@ -157,40 +163,42 @@ def begin_filter(
     origin: float,
     spread: float = 0.0,
     acceleration: float = 0.0,
+    scale: float = 1.0,
 ) -> FaultFilter:
     """Filter of a fault that has just been named, at the end of the newest balance.
 
     ``span`` holds when it began to change and that end [s].  ``size`` and its standard
     deviation are in the unit of the kind.  ``origin`` is the reading when the fault began to
     change, as corrected so far [rad], and ``spread`` the standard deviation of that moment [s].
-    ``acceleration`` is the usual one of a joint whose reading rests [rad/s2].
+    ``acceleration`` is the usual one of a joint whose reading rests [rad/s2], ``scale`` that of
+    `SerialJoint`.
     """
     begin, now = span
     past = max(now - begin, _JUST_NOW)
-    one = FaultFilter(joint, kind, begin, updated=now, acceleration=acceleration)
+    one = FaultFilter(joint, kind, begin, updated=now, acceleration=acceleration, scale=scale)
     if kind == 'drift':
         one.mean[:2] = size * np.array([past, 1.0])
         one.covariance[:2, :2] = sigma**2 * np.array([[past**2, past], [past, 1.0]])
         one.covariance[0, 0] += (size * spread) ** 2
     elif kind == 'scale':
         one.mean[:2] = size, -size * origin
-        one.covariance = np.diag([sigma**2, WIDEST_LEVEL**2, 0.0])
+        one.covariance = np.diag([sigma**2, (WIDEST_LEVEL * scale) ** 2, 0.0])
     elif kind == 'stuck':  # the reading is behind the joint: its fault is minus the way
         one.mean[:2] = -size, -size / past
         one.covariance = np.diag([sigma**2, (2.0 * sigma / past) ** 2, acceleration**2])
     else:
         one.mean[0] = size
-        one.covariance = np.diag([sigma**2, STEADY**2, 0.0])
+        one.covariance = np.diag([sigma**2, (STEADY * scale) ** 2, 0.0])
     return one
 
 
-def begin_frozen(joint: int, course: Course, acceleration: float) -> FaultFilter:
+def begin_frozen(joint: int, course: Course, acceleration: float, scale: float) -> FaultFilter:
     """Filter of a reading that rests, whose joint's way and rate are known.
 
-    ``acceleration`` is the usual one [rad/s2].
+    ``acceleration`` is the usual one [rad/s2], ``scale`` that of `SerialJoint`.
     """
     state = -course.mean, course.covariance
-    return FaultFilter(joint, 'stuck', course.begin, *state, course.end, acceleration)
+    return FaultFilter(joint, 'stuck', course.begin, *state, course.end, acceleration, scale)
 
 
 def correct_since(one: FaultFilter, readings: Readings, momenta: FloatArray) -> None:
@@ -284,7 +292,7 @@ def _follow(
     sampler, estimator, _ = readings
     window, null, interval = estimator.window, estimator.posterior, estimator.plan.interval
     sigma = one.fault(float(sampler.raw[one.joint]), float(sampler.time[-1]))[2]
-    if sigma > OFFSET_PRIOR:  # nothing is known of it
+    if sigma > OFFSET_PRIOR * one.scale:  # nothing is known of it
         _lose(one, sampler)
         return
     at = estimator.place(0)
@@ -302,7 +310,8 @@ def _follow(
     residual = rows[:, 0] + unknowns @ null.mean
     root = _root(one.covariance)
     slope, bend = columns @ root, np.zeros(columns.shape)
-    if 3.0 * root[0, 0] > STRAIGHT:  # else tangents do, and keep friction of joints that rest
+    # Else tangents do, and keep friction of joints that rest.
+    if 3.0 * root[0, 0] > STRAIGHT * one.unit:
         slope, bend = _secants(one, root, readings, residual)
     residual = residual + 0.5 * bend.sum(1)
     variance += 0.5 * bend @ bend.T
@@ -313,8 +322,8 @@ def _follow(
     innovation = spread + variance * factor[:, None] * factor
     gain = common @ np.linalg.inv(innovation)
     change = -gain @ residual
-    if not abs(change[0]) < LINEAR:
-        one.covariance[0, 0] += 4.0 * LINEAR**2  # more than what is lost
+    if not abs(change[0]) < LINEAR * one.unit:
+        one.covariance[0, 0] += 4.0 * (LINEAR * one.unit) ** 2  # more than what is lost
         _lose(one, sampler)
         return
     one.covariance = one.covariance - gain @ common.T

@@ -146,15 +146,16 @@ class FollowedFaults:
         """Filter of a reading that froze [s], by the rate that its joint has, or had."""
         readings = self._readings
         acceleration = readings.acceleration(i)
+        scale = float(readings.estimator.balance.scale[i])
         if readings.rate_is_held(i):
             self._do_without_rate(i, begin)
         course = self.course_by_rate(i, begin)
         if course is not None:
-            return begin_frozen(i, course, acceleration)
+            return begin_frozen(i, course, acceleration, scale)
         time, sigma = readings.rests_since(i), readings.stop_sigma(i, acceleration)
         mean = np.array([0.0, float(readings.sampler.stop[i]), 0.0])
         covariance = np.diag([0.0, sigma, acceleration]) ** 2
-        fault = begin_frozen(i, Course(0.0, time, time, mean, covariance), acceleration)
+        fault = begin_frozen(i, Course(0.0, time, time, mean, covariance), acceleration, scale)
         fault.predict(readings.ended())
         return fault
 

@@ -38,10 +38,11 @@ def frozen_readings(
         least = max(float(smallest[i]), sampler.grain[i])
         alive, speed = bool(lively[i]), abs(rate) - rounding
         time = readings.rests_since(i)
+        usual = USUAL_RATE * float(readings.estimator.balance.scale[i])
         if sensors[i].kind == 'stuck':  # while its alarm is up, any rest may be a freeze
-            found[i] = Frozen(time, 0.0, USUAL_RATE, alive)
+            found[i] = Frozen(time, 0.0, usual, alive)
         if is_wrong and math.isinf(sampler.grain[i]):
-            found[i] = Frozen(time, 0.0, USUAL_RATE, alive=False, seen=False)
+            found[i] = Frozen(time, 0.0, usual, alive=False, seen=False)
         if not alive and speed * STILL_TIME <= least:
             continue  # joints that rest are many, and usual accelerations take time
         acceleration = readings.acceleration(i)

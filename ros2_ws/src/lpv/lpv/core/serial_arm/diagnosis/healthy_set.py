@@ -216,7 +216,9 @@ class HealthySet:
         slack += np.sqrt(size * self.ring.past[SLACK])
         share = gain[:, :n] * null.least[:n]
         # Offsets of the other sensors, as far as the map is linear.
-        slack += LINEAR * (np.abs(share).sum(1) - np.append(np.abs(np.diag(share)), 0.0))
+        scale = self._estimator.balance.scale
+        own = np.append(np.abs(np.diag(share)) * scale, 0.0)
+        slack += LINEAR * (np.abs(share) @ scale - own)
         noise = SIGMAS * np.sqrt(self._noise(map_, places) + self.ring.past[NOISE] * size)
         estimate = wanted @ null.mean
         effects, rest = response[:, 1:], np.abs(estimate - response[:, 0])

@@ -221,7 +221,7 @@ class SerialMonitor:
         self._parts = Parts(
             memory(self._memory), self.sampler, one.balance, *one.parts, one.since_linearised,
             self._healthy.ring, self.bank.parts, one.prior, self._known, self._certified,
-            self.scales, self._beyond, self._recent)  # fmt: skip
+            self._beyond, self._recent)  # fmt: skip
 
     @property
     def statistic(self) -> float:
@@ -617,7 +617,7 @@ class SerialMonitor:
                 return
             course = self.followed.course_by_rate(i, one.begin) or course
         if course is not None:
-            fault = begin_frozen(i, course, self.readings.acceleration(i))
+            fault = begin_frozen(i, course, self.readings.acceleration(i), float(self.scales[i]))
         else:
             fault = self._begin(one, kind)
         self._begin_following(fault, share)
@@ -635,17 +635,18 @@ class SerialMonitor:
     def _begin(self, one: Hypothesis, kind: str) -> FaultFilter:
         """Filter of a fault of a kind."""
         size, sigma, now = one.size, one.sigma, self.readings.ended()
+        scale = float(self.scales[one.joint])
         if kind == 'stuck' and one.kind != 'stuck':  # the rate of the joint that its reading hides
             rate, since = -one.size if one.kind == 'drift' else 0.0, now - one.begin
-            widest = WIDEST_LEVEL * float(self.scales[one.joint])
-            size, sigma = rate * since, max(widest, one.sigma * since)
+            size, sigma = rate * since, max(WIDEST_LEVEL * scale, one.sigma * since)
         blocks = self.readings.all_blocks()
         origin = float(np.interp(one.begin, blocks[:, 3 * self.joints], blocks[:, one.joint]))
         # Uniform over the starts that the named one stands for.
         spread = one.starts * self.plan.interval / math.sqrt(12.0)
         span = one.begin, now
         acceleration = self.readings.acceleration(one.joint)
-        return begin_filter(one.joint, kind, span, size, sigma, origin, spread, acceleration)
+        about = origin, spread, acceleration, scale
+        return begin_filter(one.joint, kind, span, size, sigma, *about)
 
     def _blame_rate(self, one: Hypothesis, share: float) -> None:
         """A rate sensor contradicts its encoder, and balances say that it is the one to blame."""

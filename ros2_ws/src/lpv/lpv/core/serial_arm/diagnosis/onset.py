@@ -31,6 +31,7 @@ from lpv.core.serial_arm.diagnosis.drift_trial import (
 )
 from lpv.core.serial_arm.diagnosis.estimator import ONSET, OffsetEstimator, Posterior, set_residuals
 from lpv.core.serial_arm.diagnosis.information import Window, recent, whiten
+from lpv.core.serial_arm.diagnosis.priors import SIZE
 from lpv.core.serial_arm.diagnosis.sampler import block_end
 
 PLACES = (np.arange(5) + 0.5) / 5
@@ -53,21 +54,17 @@ NO_ONSET = Onset(-np.inf, 0.0, 0.0, 0.0, 0)
 
 
 def sudden_drifts(
-    estimator: OffsetEstimator,
-    joints: IntArray,
-    prior: float,
-    last: int,
-    blocks: FloatArray,
-    mass: FloatArray,
+    estimator: OffsetEstimator, joints: IntArray, last: int, blocks: FloatArray, mass: FloatArray
 ) -> list[Onset]:
     """The best onset of a drift of each of some encoders whose rates are derived from them.
 
-    ``prior`` is the standard deviation of drifts [rad/s]; so many ``last`` balances are looked at.
-    ``blocks``, shape (N, 3 n + 4), are those of the balances at hand and of the interval before,
-    oldest first; ``mass``, shape (capacity, n, n), is M S^-1 of each balance, in the ring of the
-    horizon.  The gain is -inf while there are too few balances.
+    So many ``last`` balances are looked at.  ``blocks``, shape (N, 3 n + 4), are those of the
+    balances at hand and of the interval before, oldest first; ``mass``, shape (capacity, n, n), is
+    M S^-1 of each balance, in the ring of the horizon.  The gain is -inf while there are too few
+    balances.
     """
     per_interval, missing = estimator.plan.blocks, 1 + _JUMPS
+    prior = SIZE['drift'] * estimator.balance.scale[joints]
     likely = likely_onsets(estimator, joints, block_end(blocks[-1]), prior, last, mass)
     whole = len(blocks) // per_interval - 2
     likely = [[one for one in every if one.back <= whole] for every in likely]
@@ -91,7 +88,7 @@ def likely_onsets(
     estimator: OffsetEstimator,
     joints: IntArray,
     end: float,
-    prior: float,
+    prior: FloatArray,
     last: int,
     mass: FloatArray,
 ) -> list[list[Onset]]:
@@ -101,7 +98,8 @@ def likely_onsets(
     that seems to move turns over, onsets follow at which the momentum jumps most like it.
 
     All onsets count as equally likely; what that costs belongs to the margin of a decision.
-    ``end`` is that of the last balance [s]; else as in `sudden_drifts`.
+    ``end`` is that of the last balance [s], ``prior``, shape (J,), the standard deviation of drifts
+    [rad/s]; else as in `sudden_drifts`.
     """
     window, null = estimator.window, estimator.posterior
     n, interval = estimator.joints, estimator.plan.interval
@@ -152,7 +150,7 @@ def likely_onsets(
 
 def _best_onsets(
     score: tuple[FloatArray, FloatArray],
-    prior: float,
+    prior: FloatArray,
     when: tuple[FloatArray, IntArray],
     least: float,
     most: int,

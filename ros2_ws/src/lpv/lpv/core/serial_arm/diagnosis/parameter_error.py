@@ -72,17 +72,19 @@ def usual_load(arm: SerialArm) -> float:
     return UNSTATED_LOAD * sum(joint.link.mass for joint in arm.joints)
 
 
-def typical_torque(chain: Chain) -> FloatArray:
+def typical_torque(chain: Chain, scale: FloatArray) -> FloatArray:
     """Torques that move the arm, whatever its drives could give, shape (n,) [N m].
 
     They are the root mean square over poses of gravity's torque, with that of a usual acceleration
-    of the joint and its friction.
+    of the joint and its friction.  ``scale``, shape (n,), is that of the joints.
     """
-    model, poses = SerialModel(chain), _poses(np.random.default_rng(0), chain)
+    model, poses = SerialModel(chain), _poses(np.random.default_rng(0), scale)
     gravity = np.mean(model.gravity(poses) ** 2, axis=0)
     inertia = np.mean([np.diag(model.mass_matrix(q)) for q in poses], axis=0)
-    friction = np.abs(chain.friction[:, VISCOUS]) * USUAL_RATE + np.abs(chain.friction[:, DRY])
-    return np.sqrt(gravity + (USUAL_ACCELERATION * inertia) ** 2 + friction**2)
+    friction = np.abs(chain.friction[:, VISCOUS]) * USUAL_RATE * scale + np.abs(
+        chain.friction[:, DRY]
+    )
+    return np.sqrt(gravity + (USUAL_ACCELERATION * scale * inertia) ** 2 + friction**2)
 
 
 def momentum_noise(arm: SerialArm, chain: Chain, interval: float) -> FloatArray:
@@ -92,7 +94,7 @@ def momentum_noise(arm: SerialArm, chain: Chain, interval: float) -> FloatArray:
     reading between two intervals counts twice.  Standard deviations, shape (n,), are root mean
     squares over poses [N m s]; momenta are averaged over ``interval`` [s].
     """
-    model, poses = SerialModel(chain), _poses(np.random.default_rng(0), chain)
+    model, poses = SerialModel(chain), _poses(np.random.default_rng(0), arm.scales())
     samples = interval / arm.sample_time
     rate = np.array([
         np.sqrt(2.0 / samples) * one.velocity_noise if one.rates == 'independent'
@@ -137,19 +139,19 @@ def _inertia(body: FloatArray) -> FloatArray:
 
 
 def parameter_directions(
-    chain: Chain, factor: FloatArray, speed: FloatArray, limit: int = 16
+    chain: Chain, factor: FloatArray, speed: FloatArray, scale: FloatArray, limit: int = 16
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """The directions that matter most, at most ``limit``: independent, of standard deviation one.
 
-    ``factor`` is F of `parameter_factor`; ``speed``, shape (n,), has usual rates [rad/s].  Returned
-    are the directions' inertial parameters, shape (k, n, 10), and their friction (columns of
-    `Chain.friction`) with relative gains, shape (k, n, 5); and each row of ``factor`` by the
-    directions, shape (rows, k).
+    ``factor`` is F of `parameter_factor`; ``speed`` and ``scale``, shape (n,), are usual rates of
+    the joints and their `SerialJoint.scale` [rad/s], [rad].  Returned are the directions' inertial
+    parameters, shape (k, n, 10), and their friction (columns of `Chain.friction`) with relative
+    gains, shape (k, n, 5); and each row of ``factor`` by the directions, shape (rows, k).
     """
     n = joint_count(chain)
     model, rng = SerialModel(chain), np.random.default_rng(0)
     forces, frictions = [], []
-    for q in _poses(rng, chain):
+    for q in _poses(rng, scale):
         rate = speed * rng.uniform(-1.0, 1.0, n)
         force = model.momentum_regressor(q, rate)[1]
         forces.append(force)
@@ -158,7 +160,7 @@ def parameter_directions(
         drives = rate, sign, np.abs(load) * sign, 1.0 + 0.0 * rate, load
         frictions.append(-np.hstack([np.diag(one) for one in drives]))
     usual = np.sqrt(np.mean([(force @ chain.inertial.ravel()) ** 2 for force in forces], axis=0))
-    usual = np.maximum(usual, 0.01 * usual.max() + 1e-9)
+    usual = np.maximum(usual, (0.01 * (usual * scale).max() + 1e-9) / scale)
     effects = np.array([
         (np.hstack(both) / usual[:, None]) @ factor.T for both in zip(forces, frictions)
     ])  # fmt: skip
@@ -173,7 +175,6 @@ def parameter_directions(
     )  # fmt: skip
 
 
-def _poses(rng: np.random.Generator, chain: Chain) -> FloatArray:
-    """All angles, and prismatic joints within half a metre to each side."""
-    turned = np.where(chain.prismatic, 0.5 / np.pi, 1.0)
-    return turned * rng.uniform(-np.pi, np.pi, (_SAMPLES, joint_count(chain)))
+def _poses(rng: np.random.Generator, scale: FloatArray) -> FloatArray:
+    """All angles, and as long a way of prismatic joints as their range, about zero."""
+    return scale * rng.uniform(-np.pi, np.pi, (_SAMPLES, len(scale)))

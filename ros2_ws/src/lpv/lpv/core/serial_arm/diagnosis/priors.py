@@ -1,4 +1,4 @@
-"""What is expected of arms, faults and pushes before any data.
+"""What is expected of arms, faults and pushes before any data; in rad, times `SerialJoint.scale`.
 
 These numbers are no thresholds: they say how likely what is, and data outweigh them.
 docs/diagnosis.md has them in one table, benchmarks/README.md what half and twice of them change.
@@ -21,13 +21,15 @@ OCCURRENCE = {
 ratios count.  Torque sensors fail as often as encoders do."""
 SIZE = {'drift': 0.3, 'slip': 0.2, 'scale': 0.2, 'rate_bias': 0.3, 'torque_gain': 0.5}
 """Standard deviations of faults' sizes [rad/s], [rad], [-], [rad/s], [-]."""
+RELATIVE = ('scale', 'torque_gain')
+"""Kinds whose sizes are ratios."""
 FAULT_AT_START = 1e-3
 """Probability of an offset at the first sample."""
 OFFSET_PRIOR = 0.5
 """Standard deviation of an offset of which nothing is known [rad]."""
 WIDEST_LEVEL = 0.1
-"""The same of one that cannot be diagnosed, times `SerialJoint.scale`, and of that beside a scale
-error that has just been named [rad]."""
+"""The same of one that cannot be diagnosed, and of that beside a scale error that has just been
+named [rad]."""
 STEADY = 0.1
 """Change of the rate of a drift in a second, standard deviation [rad/s]."""
 SCALE_STEADY = 0.01

@@ -67,14 +67,14 @@ class Readings(NamedTuple):
 
     def acceleration(self, i: int) -> float:
         """Usual acceleration of a joint [rad/s2]."""
-        estimator = self.estimator
-        return usual_acceleration(self.all_blocks(), i, estimator.joints, estimator.plan.blocks)
+        return usual_acceleration(self.estimator, self.all_blocks(), i)
 
     def stop_sigma(self, i: int, acceleration: float) -> float:
         """Standard deviation of the rate that a reading had before it came to rest [rad/s]."""
         measured, grain = BEFORE_STOP * self.sample_time, float(self.sampler.grain[i])
         rounding = grain / measured if math.isfinite(grain) else 0.0
-        return math.hypot(rounding, 0.5 * measured * acceleration, SLOW_RATE)
+        slow = SLOW_RATE * float(self.estimator.balance.scale[i])
+        return math.hypot(rounding, 0.5 * measured * acceleration, slow)
 
     def rate_is_held(self, i: int) -> bool:
         """Whether a rate with a sensor of its own has not changed since its reading froze."""

@@ -48,15 +48,17 @@ class Course(NamedTuple):
     covariance: FloatArray  # of these, shape (3, 3)
 
 
-def usual_acceleration(blocks: FloatArray, joint: int, joints: int, per_interval: int) -> float:
+def usual_acceleration(estimator: OffsetEstimator, blocks: FloatArray, joint: int) -> float:
     """Root mean square of a reading's acceleration from interval to interval [rad/s2]."""
+    joints, per_interval = estimator.joints, estimator.plan.blocks
+    least = LEAST_ACCELERATION * float(estimator.balance.scale[joint])
     whole = len(blocks) // per_interval * per_interval
     time, rate = blocks[len(blocks) - whole :, [3 * joints, joints + joint]].T
     time, rate = time.reshape(-1, per_interval).mean(1), rate.reshape(-1, per_interval).mean(1)
     if len(rate) < 2:
-        return LEAST_ACCELERATION
+        return least
     change = np.diff(rate) / np.diff(time)
-    return max(float(np.sqrt((change**2).mean())), LEAST_ACCELERATION)
+    return max(float(np.sqrt((change**2).mean())), least)
 
 
 def course_of_frozen(
@@ -75,14 +77,15 @@ def course_of_frozen(
     deviations of torques that may hold the joints, shape (n,) [N m].  None while no balance holds
     the time since.
     """
-    n, plan, null = estimator.joints, estimator.plan, estimator.posterior
+    plan, null = estimator.plan, estimator.posterior
     end = block_end(blocks[-1])
     since = balances * plan.interval if balances else end - frozen.time
     begin, first = end - since, 0.0 if balances else frozen.rate
     count = min(int(np.ceil(since / plan.interval - 1e-6)), len(estimator))
     if count < 1 or len(blocks) < (count + 1) * plan.blocks:
         return None
-    step = usual_acceleration(blocks, joint, n, plan.blocks) * plan.interval
+    step = usual_acceleration(estimator, blocks, joint) * plan.interval
+    scale = float(estimator.balance.scale[joint])
     blocks = blocks[-(count + 1) * plan.blocks :]
     momenta, push = about
     at = recent(estimator.window, count)[::-1]
@@ -121,7 +124,8 @@ def course_of_frozen(
     if not np.isfinite(information).all():  # a fault that is followed ran away
         return None
     # A joint begins to move slowly while its reading rests.
-    spread, pull = SLOW_RATE if balances else frozen.sigma, score[1:] - information[1:, 0]
+    spread = SLOW_RATE * scale if balances else frozen.sigma
+    pull = score[1:] - information[1:, 0]
     tried = [
         _likely(information[1:, 1:], pull, _walk_root(count, size * step, spread))
         for size in ACCELERATIONS
@@ -142,7 +146,7 @@ def course_of_frozen(
     ends = np.eye(count)[-1] + 0.5 * bend
     sums = np.stack([plan.interval * np.ones(count), ends, bend / plan.interval])
     change = sums @ rates
-    if not abs(change[0]) < LINEAR:
+    if not abs(change[0]) < LINEAR * scale:
         return None
     way = np.array([first * since, first, 0.0]) - change
     return Course(float(gain), begin, end, way, sums @ covariance @ sums.T)
@@ -159,6 +163,7 @@ def free_course(
     factor, and the fault now with its standard deviation [rad].
     """
     n, step, null = estimator.joints, estimator.plan.interval, estimator.posterior
+    scale = float(estimator.balance.scale[joint])
     at = recent(estimator.window, last)[::-1]
     rows, derived = estimator.window.rows[at], estimator.balance.derived[joint]
     left, size = (part[::-1] for part in estimator.left_over(last))
@@ -173,9 +178,10 @@ def free_course(
     ways, found = np.append(1.0, np.full(last, step)), []
     for larger in ACCELERATIONS if moves else (0.0,):
         root = np.zeros((1 + last, 1 + last))
-        root[0, 0] = OFFSET_PRIOR
+        root[0, 0] = OFFSET_PRIOR * scale
         if moves:
-            root[1:, 1:] = _walk_root(last, larger * USUAL_ACCELERATION * step, SLOW_RATE)
+            walk = _walk_root(last, larger * USUAL_ACCELERATION * step, SLOW_RATE)
+            root[1:, 1:] = scale * walk
         gain, mean, covariance = _likely(information, pull, root)
         sigma = math.sqrt(max(ways @ covariance @ ways, 0.0))
         found.append((gain - math.log(max(larger, 1.0)), float(ways @ mean), sigma))
