@@ -10,7 +10,9 @@ from serial_arms import scara, simulated, with_rates
 
 from lpv import load_arm
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
+from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import LinkInertia, rotation_from_rpy
+from lpv.core.serial_arm.diagnosis.parameter_error import typical_torque
 from lpv.core.simulation.faults import Fault
 
 MIRROR = np.diag([-1.0, 1.0, 1.0])
@@ -207,3 +209,11 @@ def test_given_another_description_of_the_same_when_observed_then_answers_are_th
         np.testing.assert_allclose(found.fault[field] / scale, expected.fault[field], **about)
     for field in ('position', 'velocity', 'compensated_position'):
         np.testing.assert_allclose(found.state[field] / scale, expected.state[field], **about)
+
+
+@pytest.mark.parametrize('name', ['real_arm', 'ur10', 'panda'])
+def test_given_joints_that_count_the_other_way_then_usual_torques_are_the_same(name):
+    arm = load_arm(name)
+    other = each(arm, lambda joint: replace(joint, axis=floats(-np.array(joint.axis))))
+    one, two = (typical_torque(compile_chain(each), each.scales()) for each in (arm, other))
+    np.testing.assert_allclose(two, one, rtol=0.03)
