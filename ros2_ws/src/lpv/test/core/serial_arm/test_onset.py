@@ -94,7 +94,7 @@ def test_given_a_drift_when_its_onset_is_sought_then_it_is_the_dense_best_and_tr
     likely = onset.likely_onsets(*about, np.full(2, PRIOR), LAST, mass)
     np.testing.assert_allclose(likely[1][0], best, rtol=1e-6)
     _, found = onset.sudden_drifts(*about[:2], LAST, blocks, mass)
-    assert found.begin == pytest.approx(BEGIN, abs=0.16 * monitor.plan.interval)
+    assert found.begin == pytest.approx(BEGIN, abs=0.05 * monitor.plan.interval)
     assert found.size == pytest.approx(RATE, rel=0.06)
     assert found.sigma < 0.15 * RATE
     short = onset.sudden_drifts(*about[:2], onset.ONSET, blocks, mass)
