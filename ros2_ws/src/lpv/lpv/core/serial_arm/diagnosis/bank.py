@@ -153,7 +153,7 @@ class Bank:
 
     def __init__(self, arm: SerialArm, estimator: OffsetEstimator, push: FloatArray) -> None:
         self.estimator, plan, n = estimator, estimator.plan, estimator.joints
-        self._push, self._scales = push, arm.scales()
+        self._push = push
         starts = np.array([*STARTS, *DRIFT_STARTS])
         lengths = sorted({max(1, round(one)) for one in (starts / plan.interval).tolist()})
         self._recent = round(STARTS[-1] / plan.interval)  # balances
@@ -330,7 +330,7 @@ class Bank:
         rates = held[-(last + 1) * plan.blocks :, n : 2 * n].reshape(last + 1, -1, n)
         rate = rates.mean(1)[::-1]  # of intervals, newest first
         sensors = [i for i in range(n) if i not in known]
-        rests = (np.abs(rate) < SLOW_RATE * self._scales)[:, sensors].all(1)
+        rests = (np.abs(rate) < SLOW_RATE * estimator.balance.scale)[:, sensors].all(1)
         at = recent(estimator.window, last)
         change = np.einsum('bij,bj->bi', self._mass[at], rate[:-1] - rate[1:])
         estimator.call(set_residuals, estimator.window, estimator.posterior, last)
