@@ -67,7 +67,7 @@ LOST = {
     'real_arm derived drift 0.05': ('ends', BESIDE),
     'real_arm derived drift 0.3': ('ends', SLOW),
     'recorded real_arm derived drift 0.3': ('named', SLOW),
-    'recorded real_arm derived drift 0.1': ('named kind size', PUSHED),
+    'recorded real_arm derived drift 0.1': ('named size', PUSHED),
     'ur10 derived drift 0.02': ('ends', BESIDE),
     'real_arm derived stuck': ('size ends', HARDLY),
     'chain3 derived stuck': ('size', WAY),

@@ -36,6 +36,7 @@ class CarriedMotion(NamedTuple):
     missed: FloatArray  # acceleration that the model misses, shape (n,) [rad/s2]
     covariance: FloatArray  # of reading, rate and missed acceleration, shape (n, 3, 3)
     rate_noise: FloatArray  # variances of rates with a sensor of their own, shape (n,) [rad2/s2]
+    limit: FloatArray  # rates that no joint exceeds, shape (n,) [rad/s]
     chain: Chain
     to_sensors: FloatArray  # S of y = S q + f, shape (n, n)
     to_joints: FloatArray  # S^-1
@@ -50,8 +51,9 @@ def new_motion(arm: SerialArm) -> CarriedMotion:
     noise = np.array([joint.sensors.velocity_noise for joint in arm.joints])
     acceleration, missed = np.zeros((2, n))
     return CarriedMotion(
-        acceleration, missed, np.zeros((n, 3, 3)), noise**2, chain, arm.joints_to_sensors(),
-        arm.sensors_to_joints(), np.zeros((5, n)), workspace(chain), np.zeros((n, n)),
+        acceleration, missed, np.zeros((n, 3, 3)), noise**2, np.array(arm.velocity_limit), chain,
+        arm.joints_to_sensors(), arm.sensors_to_joints(), np.zeros((5, n)), workspace(chain),
+        np.zeros((n, n)),
     )  # fmt: skip
 
 
@@ -71,6 +73,8 @@ def accelerate(
     chain, n = motion.chain, torque.shape[0]
     map_vector(motion.to_joints, position, q)
     map_vector(motion.to_joints, velocity, v)
+    for i in range(v.shape[0]):  # the torques of larger rates would let them grow without end
+        v[i] = min(max(v[i], -motion.limit[i]), motion.limit[i])
     a[:] = 0.0
     inverse_dynamics(chain, q, v, a, motion.work, load)
     friction_torque(chain, v, load, friction)

@@ -20,7 +20,7 @@ RATES = ('derived', 'independent', 'none')
 SPOILS = (
     'rests', 'constant', 'rounded 0.1 mrad', 'rounded 1 mrad', 'repeated', 'missing', 'no rates',
     'no efforts', 'duplicates', 'steps of the clock', 'odd stamps', 'gap', 'huge', 'jump', 'frozen',
-    'wraps', 'differences', 'unread',
+    'wraps', 'differences', 'unread', 'jumps at every sample',
 )  # fmt: skip
 SPOILT = some.lists(some.sampled_from(SPOILS), max_size=5, unique=True)
 FREQUENCIES = some.sampled_from([30.0, 100.0, 250.0, 500.0, 1000.0])
@@ -83,6 +83,9 @@ def spoil(rng, kind, stamps, samples):
         samples[begin, rng.integers(0, 3), of] = rng.choice([np.inf, -1e300, 1e5, 1e12])
     elif kind == 'jump':
         samples[begin:, 0, of] += rng.uniform(-1.0, 1.0)
+    elif kind == 'jumps at every sample':
+        rows = np.arange(begin, end + 1)
+        samples[np.ix_(rows, [0], of)] += (rows - begin)[:, None, None]
     elif kind == 'unread':
         samples[part] = 0.0
     elif kind == 'wraps':
