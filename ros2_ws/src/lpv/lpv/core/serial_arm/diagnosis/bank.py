@@ -79,7 +79,6 @@ from lpv.core.serial_arm.diagnosis.priors import (
     FAULT_AT_START,
     LOAD,
     OCCURRENCE,
-    RELATIVE,
     SIZE,
     SLOW_RATE,
     STEADY_FOR,
@@ -93,6 +92,8 @@ from lpv.core.support.jit import njit_in_place
 from lpv.core.support.records import memory, new_record, plain, record_type
 
 BoolArray = npt.NDArray[np.bool_]
+_RELATIVE = ('scale', 'torque_gain')
+"""Kinds whose sizes are ratios."""
 STUCK_FOR = (0.2, 0.4, 1.0)
 """Times for which a joint may have moved while its reading rests [s]."""
 ENCODER_KINDS = ('drift', 'scale', 'slip', 'stuck')
@@ -212,7 +213,7 @@ class Bank:
         scale = self.estimator.balance.scale
         prior = np.array([
             self._push if kind == 'torque_offset'
-            else SIZE[kind] * (np.ones(n) if kind in RELATIVE else scale)
+            else SIZE[kind] * (np.ones(n) if kind in _RELATIVE else scale)
             for kind in self._names
         ])  # fmt: skip
         growing, recent = ('drift', 'torque_gain', 'torque_offset'), self._lengths <= self._recent

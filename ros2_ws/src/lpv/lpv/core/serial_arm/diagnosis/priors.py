@@ -21,8 +21,6 @@ OCCURRENCE = {
 ratios count.  Torque sensors fail as often as encoders do."""
 SIZE = {'drift': 0.3, 'slip': 0.2, 'scale': 0.2, 'rate_bias': 0.3, 'torque_gain': 0.5}
 """Standard deviations of faults' sizes [rad/s], [rad], [-], [rad/s], [-]."""
-RELATIVE = ('scale', 'torque_gain')
-"""Kinds whose sizes are ratios."""
 FAULT_AT_START = 1e-3
 """Probability of an offset at the first sample."""
 OFFSET_PRIOR = 0.5
