@@ -46,7 +46,6 @@ from lpv.core.serial_arm.diagnosis.contact import (
     onset_gains,
     rough_contact,
     smooth_contact,
-    stop_gain,
     tip_jacobians,
     weigh_residuals,
 )
@@ -328,20 +327,21 @@ class Bank:
         held = blocks(last + 1)
         if len(held) < (last + 1) * plan.blocks:
             return []
-        rates = held[-(last + 1) * plan.blocks :, n : 2 * n].reshape(last + 1, -1, n)
-        rate = rates.mean(1)[::-1]  # of intervals, newest first
+        rates = held[:, n : 2 * n].reshape(last + 1, -1, n).mean(1)[::-1]  # newest first
         sensors = [i for i in range(n) if i not in known]
-        rests = (np.abs(rate) < SLOW_RATE * estimator.balance.scale)[:, sensors].all(1)
+        rests = (np.abs(rates) < SLOW_RATE * estimator.balance.scale)[:, sensors].all(1)
         at = recent(estimator.window, last)
-        change = np.einsum('bij,bj->bi', self._mass[at], rate[:-1] - rate[1:])
+        change = np.einsum('bij,bj->bi', self._mass[at], rates[:-1] - rates[1:])
         estimator.call(set_residuals, estimator.window, estimator.posterior, last)
         found = []
         for stop in np.flatnonzero(rests[:-1] & ~rests[1:]).tolist():
             for count in (ONSET, round(STEADY_FOR / plan.interval) + 1):  # dead, or within a time
-                part = slice(stop, min(stop + count, last))
-                gain = stop_gain(estimator.window, estimator.posterior, change[part], part)
-                begin = float(estimator.window.times[at[part]][-1]) - plan.interval
-                found.append(Hypothesis(CONTACT, -1, gain, 0.0, 0.0, begin, 0.5))
+                stopped = np.arange(stop, min(stop + count, last))  # each with a size of its own
+                columns = np.zeros((stopped[-1] + 1, n, len(stopped)))
+                columns[stopped, :, np.arange(len(stopped))] = change[stopped]
+                gain = onset_gains(estimator.window, estimator.posterior, columns)[0][-1]
+                begin = float(estimator.window.times[at[stopped[-1]]]) - plan.interval
+                found.append(Hypothesis(CONTACT, -1, float(gain), 0.0, 0.0, begin, 0.5))
         return found
 
     def stuck(

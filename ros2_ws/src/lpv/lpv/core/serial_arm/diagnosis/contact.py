@@ -257,21 +257,6 @@ def onset_gains(
     return 0.5 * ((score * change).sum(1) - np.linalg.slogdet(matrix)[1]), change
 
 
-def stop_gain(window: Window, null: Posterior, columns: FloatArray, part: slice) -> float:
-    """Log ratio of marginal likelihoods of impulses of unit deviation, one in each balance.
-
-    ``columns``, shape (K, n), are the impulses in balances ``part``, newest first.  The unknowns of
-    ``null``, which must hold the residuals, are free.
-    """
-    at = recent(window, part.stop)[part]
-    pulled = columns * window.weights[at]
-    score = -(pulled * null.residual[part]).sum(1)
-    rows = window.rows[at][:, :, -len(null.mean) :]
-    known = whitened(null, (pulled[:, None] @ rows)[:, 0])
-    matrix = np.eye(len(at)) + np.diag((pulled * columns).sum(1)) - known @ known.T
-    return 0.5 * float(score @ np.linalg.solve(matrix, score) - np.linalg.slogdet(matrix)[1])
-
-
 def _contact_columns(
     courses: FloatArray, levers: FloatArray, window: Window, null: Posterior, last: int
 ) -> tuple[FloatArray, FloatArray]:
