@@ -49,7 +49,6 @@ from lpv.core.uio.certificate.gains import Gains
 from lpv.core.uio.unknown_input_observer import CHOICES, UnknownInputObserver, uio_answers
 
 METHOD = 'moving horizon'
-_ERROR = int(SensorState.ERROR)
 _REPORT_INTERVAL = NANOSECONDS
 """A diagnostics report is due after each such time of the data [ns], and at every alarm event."""
 _WARM_UP = (0.3, 1.0)
@@ -155,13 +154,13 @@ class SerialSensorMonitor:
         endless = np.array([joint.is_endless for joint in arm.joints])
         self._endless = np.abs(arm.joints_to_sensors()) @ endless > 0.0
         self._gains = gains
-        self._uio: UnknownInputObserver | None = None
+        uio: UnknownInputObserver | None = None
         if gains is not None:
-            self._uio = UnknownInputObserver(
+            uio = UnknownInputObserver(
                 arm, gains, observer, initial_samples=initial_samples, max_gap=max_gap
             )
-            self.method = f'{METHOD}, unknown-input observer ({self._uio.method})'
-        self._monitor = SteppedMonitor(arm, parameters, self._uio)
+            self.method = f'{METHOD}, unknown-input observer ({uio.method})'
+        self._monitor = SteppedMonitor(arm, parameters, uio)
         self._gap = round(LONGEST_STEP * arm.sample_time * NANOSECONDS)
         self._has_efforts = False  # whether any was other than 0
         self._first: FloatArray | None = None  # positions of the first measurement [rad]
@@ -203,8 +202,6 @@ class SerialSensorMonitor:
     def _start_again(self) -> None:
         """Forget estimates and alarms, but not what the driver has read."""
         self._monitor.reset()
-        if self._uio is not None:
-            self._uio.reset()
         self._begin()
 
     def _begin(self) -> None:

@@ -88,6 +88,8 @@ class SteppedMonitor(SerialMonitor):
         self._removed_variance = np.zeros(self.joints)
         flags = new_record(FLAGS, sample_time=self.arm.sample_time)
         progress = new_record(PROGRESS, next_report=NEVER)
+        if self._uio is not None:
+            self._uio.reset()
         uio = no_observer() if self._uio is None else self._uio.parts
         self.answering = Answering(
             new_compensation(self.arm), new_known(self.joints), memory(flags), memory(progress), uio
