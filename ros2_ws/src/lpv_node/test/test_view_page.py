@@ -12,15 +12,8 @@ import pytest
 
 pytest.importorskip('lpv_node.view', reason='the workspace is not built')
 
-from test_view_model import (  # noqa: E402
-    RAISED,
-    alarm,
-    fault_estimate,
-    joint_states,
-    message,
-    report,
-    state_estimate,
-)
+import test_view_model as made  # noqa: E402
+from test_view_model import RAISED, message, report, state_estimate  # noqa: E402
 
 from lpv_node.view.model import LiveModel  # noqa: E402
 
@@ -57,7 +50,7 @@ def model(paper_arm):
 
 
 def seen(model, t=1.0, now=0.0, **fields):
-    model.take('fault_estimate', fault_estimate(t, **fields), now)
+    model.take('fault_estimate', made.fault_estimate(t, **fields), now)
     model.take('state_estimate', state_estimate(t), now)
     return model
 
@@ -97,7 +90,7 @@ def test_given_alarms_when_shown_then_they_say_what_is_wrong_by_how_much_how_sur
         (first, {'kind': 'dropout', 'size': 0.0, 'bound': 0.0, 'confidence': 1.0}),
         ('elsewhere', {'kind': 'noise', 'bound': math.inf, 'confidence': 0.99999}),
     ):
-        model.take('fault_alarm', alarm(RAISED, 1.01, sensor=sensor, **values), 0.0)
+        model.take('fault_alarm', made.alarm(RAISED, 1.01, sensor=sensor, **values), 0.0)
     head, text, table = show(*take(model), HEAD, TEXT, ('show', 'alarms'))
     assert head == f'{second} and {second} (rate) and {first} and elsewhere are faulty'
     assert text.split('; ') == [
@@ -148,7 +141,7 @@ def test_given_states_and_errors_without_an_alarm_when_shown_then_the_verdict_na
 def test_given_a_wild_reading_when_the_arm_is_drawn_then_the_picture_does_not_shrink(show, model):
     frames = []
     for length in (0.1, 1e6, 0.1):
-        model.take('joint_states', joint_states(2.0, ['joint1', 'joint2'], [1.0, length]), 0.0)
+        model.take('joint_states', made.joint_states(2.0, ['joint1', 'joint2'], [1.0, length]), 0.0)
         frames.append(('take', model.frame(0.0)))
     calls = show(*take(model), *frames, ('show', 'arm', 'calls'))[0]
     last = [call for call in calls[-60:] if call[0] in ('moveTo', 'lineTo')]

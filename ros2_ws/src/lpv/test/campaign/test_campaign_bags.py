@@ -17,15 +17,9 @@ from campaign_files import GAINS, UR10, command, rows_of, spec, written
 from lpv import AlarmEvent, ConfigError, load_arm, load_gains, load_scenario
 from lpv.bag.rosbag.messages import BagMessages
 from lpv.bag.run.record import load_run
+from lpv.campaign.execution import archive as archives
 from lpv.campaign.execution import run_metrics
-from lpv.campaign.execution.archive import (
-    STATES,
-    Archive,
-    alarm_rows,
-    archive_text,
-    find_bags,
-    unit_of,
-)
+from lpv.campaign.execution.archive import Archive, find_bags, unit_of
 from lpv.campaign.execution.run_to_bag import START, differences, stamps_of, write_run_bag
 from lpv.campaign.execution.runs import plan_run
 from lpv.campaign.plan.campaign import resolve
@@ -277,7 +271,7 @@ def test_given_answers_when_summed_up_then_they_are_those_recorded(tried, archiv
         interval = np.append(np.diff(stamps) / 1e9, paper_arm.sample_time)
         for i, (state, estimate, threshold) in enumerate(zip(*columns), 1):
             here, used = state <= 2, state != 3
-            for k, word in enumerate(STATES):
+            for k, word in enumerate(archives.STATES):
                 expected = interval[state == k].sum()
                 assert row[f'time_{word}_{i}'] == pytest.approx(expected, abs=1e-9), (name, word)
             assert row[f'fault_mean_{i}'] == pytest.approx(estimate[here].mean())
@@ -299,7 +293,7 @@ def test_given_answers_when_summed_up_then_they_are_those_recorded(tried, archiv
 def test_given_no_scenario_or_a_long_bag_when_replayed_then_the_truth_is_shown_or_left_out(
     archive, runs, paper_arm, paper_gains, tmp_path, monkeypatch
 ):
-    settings = Archive(archive_text(archive, paper_arm, paper_gains))
+    settings = Archive(archives.archive_text(archive, paper_arm, paper_gains))
     for name in ('bias', 'dropout'):
         shutil.copytree(archive / 'b' / name, tmp_path / name)
         (tmp_path / name / 'scenario.yaml').unlink()
@@ -376,7 +370,7 @@ def test_given_alarms_when_listed_then_those_of_one_sensor_and_kind_are_one_line
     told += [(raised, 'one', 'drift', 5 * 10**9), (raised, 'two', 'drift', 6 * 10**9)]
     told.insert(1, (raised, 'one', 'rate_bias', 2 * 10**9))  # an alarm of its own
     alarms = [Alarm(e, 0, s, onset, onset + 9, 0.1, 0.01, k, 1.0) for e, s, k, onset in told]
-    rows = alarm_rows(alarms, 0)
+    rows = archives.alarm_rows(alarms, 0)
     found = [(row['sensor'], row['kind'], row['count'], row['onset']) for row in rows]
     drifts = [('one', 'drift', 2, 1.0), ('two', 'drift', 1, 6.0)]
     assert sorted(found) == [drifts[0], ('one', 'rate_bias', 1, 2.0), drifts[1]]

@@ -17,15 +17,9 @@ from scipy.stats import chi2
 
 from lpv.campaign.execution.runs import run_one
 from lpv.campaign.plan.campaign import resolve
+from lpv.campaign.report import write
 from lpv.campaign.report.statistics import Results, found_from, poisson_rate, spread, trends
-from lpv.campaign.report.write import (
-    command,
-    confusion,
-    print_summary,
-    report_numbers,
-    suspicion,
-    write_report,
-)
+from lpv.campaign.report.write import command, confusion, report_numbers, write_report
 
 pytestmark = pytest.mark.slow
 
@@ -186,7 +180,7 @@ def test_given_bags_when_ranked_then_alarms_come_first_then_contradictions_then_
     calm = {'bag': 'a', 'alarms': 0, 'observed': 3600.0, 'inconsistent_time': 0.0, 'score': 0.5}
     near, odd = {**calm, 'score': 0.9}, {**calm, 'inconsistent_time': 100.0}
     rows = [{**calm, 'alarms': 1, 'score': 0.2}, odd, near, calm]
-    assert sorted(reversed(rows), key=suspicion, reverse=True) == rows
+    assert sorted(reversed(rows), key=write.suspicion, reverse=True) == rows
 
 
 def check_page(path):
@@ -211,7 +205,7 @@ def test_given_a_long_text_when_summed_up_then_it_is_wrapped_and_not_cut(campaig
     alarms = ', '.join(f'{number} stuck of link2_angle' for number in range(1, 6))
     bag = {'bag': 'monday', 'unit': '', 'alarm_text': alarms, 'score': 1.0}
     console = Console(soft_wrap=True, width=80, file=io.StringIO())
-    print_summary({**numbers, 'bags': [bag]}, console)
+    write.print_summary({**numbers, 'bags': [bag]}, console)
     said = console.file.getvalue()
     assert said.count('link2_angle') >= 5 and '\u2026' not in said
 

@@ -94,12 +94,9 @@ def test_given_fast_motion_between_few_samples_then_the_bound_covers_what_sampli
         replace(one, sensors=replace(one.sensors, position_noise=1e-6, velocity_noise=1e-5))
         for one in paper_arm.joints
     ]
-    arm = replace(paper_arm, joints=tuple(joints), sample_time=0.01)
-    arm = replace(
-        arm,
-        uncertainty=Uncertainty(model_error=0.0),
-        lpv=replace(arm.lpv, disturbance_mean=0.0, disturbance_variance=0.0),
-    )
+    lpv = replace(paper_arm.lpv, disturbance_mean=0.0, disturbance_variance=0.0)
+    arm = replace(paper_arm, joints=tuple(joints), sample_time=0.01, lpv=lpv)
+    arm = replace(arm, uncertainty=Uncertainty(model_error=0.0))
     quiet = replace(paper_gains.observer, fault_sigma=np.full(2, 1e-6))
     gains = replace(paper_gains, arm_sha256=planar_model(arm).sha256(), observer=quiet)
     attacker = Attacker(arm, 3.0, gains)

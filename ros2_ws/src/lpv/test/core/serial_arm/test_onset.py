@@ -10,17 +10,12 @@ from simulated_runs import simulated_run
 from ur10e_twin import twin
 from watched import Watched
 
-from lpv.core.serial_arm.diagnosis import (
-    balance,
-    bank,
-    drift_trial,
-    fault_filter,
-    onset,
-    sampler,
-    stuck,
-)
+from lpv.core.serial_arm.diagnosis import balance, bank, drift_trial, onset
 from lpv.core.serial_arm.diagnosis.estimator import set_residuals
+from lpv.core.serial_arm.diagnosis.fault_filter import begin_filter
 from lpv.core.serial_arm.diagnosis.information import recent
+from lpv.core.serial_arm.diagnosis.sampler import block_end
+from lpv.core.serial_arm.diagnosis.stuck import Frozen
 from lpv.core.simulation.faults import Fault
 
 JOINT, BEGIN, RATE, PRIOR, LAST = 1, 3.022, 0.2, 0.3, 14
@@ -89,7 +84,7 @@ def test_given_an_alarm_when_it_is_raised_then_no_drift_is_sought_long_before_it
 
 def test_given_a_drift_when_its_onset_is_sought_then_it_is_the_dense_best_and_true(monitor):
     mass, blocks = monitor.bank._mass, monitor.readings.blocks(LAST + 1)
-    about = monitor.estimator, np.array([0, JOINT]), sampler.block_end(blocks[-1])
+    about = monitor.estimator, np.array([0, JOINT]), block_end(blocks[-1])
     best = max(dense_onsets(monitor, about[2]), key=lambda one: one.gain)
     likely = onset.likely_onsets(*about, np.full(2, PRIOR), LAST, mass)
     np.testing.assert_allclose(likely[1][0], best, rtol=1e-6)
@@ -102,11 +97,8 @@ def test_given_a_drift_when_its_onset_is_sought_then_it_is_the_dense_best_and_tr
 
 
 def test_given_a_drift_that_is_tried_then_it_changes_balances_as_blocks_without_it_do(monitor):
-    estimator, blocks, per = (
-        monitor.estimator,
-        monitor.readings.blocks(LAST + 1),
-        monitor.plan.blocks,
-    )
+    blocks, per = monitor.readings.blocks(LAST + 1), monitor.plan.blocks
+    estimator = monitor.estimator
     one, null, n = estimator.balance, estimator.posterior, estimator.joints
     own = drift_trial.balance_of_trials(one, one.chain.friction)
     estimator.call(set_residuals, estimator.window, null, LAST)
@@ -132,13 +124,10 @@ def test_given_friction_that_turns_over_when_a_drift_is_looked_for_then_its_onse
     stream, fault = window.stream, window.faults[0]
     begin = fault.onset
     monitor = watch_to_decision(subject.arm, stream, stream.index(begin + 0.5))
-    estimator, mass, blocks = (
-        monitor.estimator,
-        monitor.bank._mass,
-        monitor.readings.blocks(last + 1),
-    )
+    estimator, mass = monitor.estimator, monitor.bank._mass
+    blocks = monitor.readings.blocks(last + 1)
     joint, interval = np.array([fault.sensor]), monitor.plan.interval
-    end = sampler.block_end(blocks[-1])
+    end = block_end(blocks[-1])
     ((first, *_),) = onset.likely_onsets(estimator, joint, end, np.array([PRIOR]), last, mass)
     assert abs(first.begin - begin) > interval
     (found,) = onset.sudden_drifts(estimator, joint, last, blocks, mass)
@@ -148,7 +137,7 @@ def test_given_friction_that_turns_over_when_a_drift_is_looked_for_then_its_onse
 
 def test_given_a_reading_that_rests_when_explained_then_it_froze_when_its_rest_began(monitor):
     rested, end = 0.25, monitor.estimator.window.times.max()
-    frozen = stuck.Frozen(end - rested, 1.0, 0.1, alive=False)
+    frozen = Frozen(end - rested, 1.0, 0.1, alive=False)
     found = monitor.bank.stuck({JOINT: frozen}, monitor.readings.blocks)
     assert {(one.kind, one.joint) for one in found} == {('stuck', JOINT)}
     assert found[0].begin == frozen.time
@@ -156,7 +145,7 @@ def test_given_a_reading_that_rests_when_explained_then_it_froze_when_its_rest_b
 
 
 def drift(size, sigma, spread=0.0, kind='drift'):
-    return fault_filter.begin_filter(0, kind, (0.0, 0.2), size, sigma, 0.0, spread)
+    return begin_filter(0, kind, (0.0, 0.2), size, sigma, 0.0, spread)
 
 
 def test_given_a_filter_when_corrected_then_what_is_beyond_its_bound_or_rests_is_removed():
