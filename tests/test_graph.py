@@ -28,6 +28,7 @@ pytestmark = pytest.mark.ros
 PAPER = {'arm': BRINGUP / 'arms' / 'paper.yaml', 'gains': BRINGUP / 'gains' / 'paper.yaml'}
 ARM = f'-p arm_file:={PAPER["arm"]}'
 SCENARIO = f'{ARM} -p scenario_file:='
+UR10 = f'-p arm_file:=ur10 --params-file {BRINGUP}/gains/panda.yaml'
 CALM = """
 name: calm
 duration: 600.0
@@ -83,6 +84,7 @@ def test_given_a_graph_when_a_fault_is_injected_then_the_alarm_is_on_topic_and_i
     (UioNode, '--params-file /nowhere/gains.yaml', f'{NOWHERE}are written by: lpv design'),
     (UioNode, f'{ARM} {WRONG}', 'the certificate does not hold: observer, link 1'),
     (TrackerNode, f'{SCENARIO}two_faults {WRONG}', 'does not hold: observer, link 1'),
+    (TrackerNode, f'{UR10} -p scenario_file:=ur10', 'designed for another arm'),
     (TrackerNode, f'{SCENARIO}/nowhere.yaml', 'nowhere.yaml'),
     (SimulatorNode, ARM, 'scenario_file: must be set'),
     (RecorderNode, '-p output:=/proc/nothing/bag', 'cannot be written'),

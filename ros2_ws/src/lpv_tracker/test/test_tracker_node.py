@@ -164,20 +164,6 @@ def test_given_a_path_faster_than_max_speed_when_configured_then_it_is_told(capf
     assert ('the path needs' in capfd.readouterr().err) == (share == 0.1)
 
 
-@pytest.mark.parametrize(('name', 'old', 'new', 'reason'), [
-    ('ur10', 'bandwidth: 10.0', 'bandwidth: 8.0', 'does not hold'),
-    ('ur10', 'model_error: 0.05', 'model_error: 0.04', 'numbers are those of the design'),
-    ('ur10', '      model_error: 0.05\n', '', 'loop.model_error: is missing'),
-    ('panda', '/**', '/**', 'designed for another arm'),
-])  # fmt: skip
-def test_given_a_false_certificate_when_read_then_it_is_refused(tmp_path, name, old, new, reason):
-    text, path = bringup_file('gains', name).read_text(encoding='utf-8'), tmp_path / 'gains.yaml'
-    assert old in text
-    path.write_text(text.replace(old, new), encoding='utf-8')
-    with pytest.raises(ConfigError, match=reason), tracker(path):
-        pass
-
-
 class Driver:
     """Feeds a tracker; good estimates continue one stream, whatever else comes."""
 

@@ -19,7 +19,7 @@ from serial_bags import crane_file, crane_run, record_crane
 
 from lpv import AlarmEvent, ConfigError, Fault
 from lpv.bag.errors import BagError
-from lpv.bag.replay.replay import Replay, ReplayResult, judge, true_size
+from lpv.bag.replay.replay import Replay, ReplayResult, judge
 from lpv.bag.rosbag import reading, writing
 from lpv.bag.rosbag.messages import BagMessages
 from lpv.bag.rosbag.reading import open_bag
@@ -42,7 +42,8 @@ STATE, FAULT, ALARM = '/lpv/state_estimate', '/lpv/fault_estimate', '/lpv/fault_
 COMMAND = 'lpv_msgs/msg/TorqueCommand'
 ARRAY, TRAJECTORY = 'std_msgs/msg/Float64MultiArray', 'trajectory_msgs/msg/JointTrajectory'
 POINT = f'{TRAJECTORY}Point'
-SOURCES = [*((32, kind) for kind in (COMMAND, JOINT_STATE, ARRAY, TRAJECTORY, POINT)), (0, COMMAND)]
+SOURCES = [(32, kind, 1.0) for kind in (COMMAND, JOINT_STATE, ARRAY, TRAJECTORY, POINT)]
+SOURCES.append((0, COMMAND, -16.0))
 TYPES = {MEASURED: JOINT_STATE, TORQUE: COMMAND, CHATTER: STRING,
          DIAGNOSTICS: 'diagnostic_msgs/msg/DiagnosticArray'}  # fmt: skip
 
@@ -308,16 +309,21 @@ def message_of(msgtype, stamp, torque):
     return types[TRAJECTORY](MESSAGES.header(stamp), names[1:], points)
 
 
-@pytest.mark.parametrize('attempts, msgtype', SOURCES)
+@pytest.mark.parametrize('attempts, msgtype, gain', SOURCES)
 def test_given_torques_of_any_type_when_replayed_then_the_one_before_each_sample_is_used(
-    loop, new_monitor, replay, tmp_path, monkeypatch, msgtype, attempts
+    loop, paper_arm, paper_gains, replay, tmp_path, monkeypatch, msgtype, attempts, gain
 ):
+    """Commands are in newton metres, torques on other topics in the unit of efforts."""
     monkeypatch.setattr(reading, 'BLOCK_SIZE', 20_000)
     monkeypatch.setattr(decoder, '_MOST_ATTEMPTS', attempts)
-    twin, entries, expected, latest = new_monitor(), [], [], [math.nan] * 2
+    joints = tuple(replace(joint, torque_gain=gain) for joint in paper_arm.joints)
+    arms = paper_arm, *[replace(paper_arm, joints=joints)] * 2
+    twin, other, monitor = (SerialSensorMonitor('', arm, gains=paper_gains) for arm in arms)
+    entries, expected, latest = [], [], [math.nan] * 2
     topic = TORQUE if msgtype == COMMAND else '/torques'
     for k, (stamp, measurement, torque) in enumerate(loop[:600]):
         expected.append(twin.take(stamp, measurement, latest))
+        assert other.take(stamp, measurement, latest).record == expected[-1].record
         entries.append((MEASURED, stamp, measurement))
         if k % 5 != 4:  # now and then one is lost or of no use, and the last one goes on
             latest = list(torque)
@@ -327,32 +333,13 @@ def test_given_torques_of_any_type_when_replayed_then_the_one_before_each_sample
             entries.append((topic, stamp + 1, cdr(message_of(ARRAY, stamp, [1.0]), ARRAY)))
     bag = write(tmp_path / 'bag', entries, {MEASURED: JOINT_STATE, topic: msgtype})
     chosen = {'torque_from_command': True} if msgtype == COMMAND else {'effort_topic': topic}
-    result, out = replay(bag, topic=MEASURED, **chosen)
+    result, out = replay(bag, monitor=monitor, topic=MEASURED, **chosen)
     useless = {f'{ARRAY} has 1 torques for 2 joints': 120} if msgtype == ARRAY else {}
     assert result.rejected == useless
     fault = [a.record['fault']['estimate'] for a in expected if a.record['has_fault']]
     assert len(fault) > 590 and np.array_equal([m.estimate for m in read(out, FAULT)], fault)
     assert [m.mode for m in read(out, STATE)] == [a.record['state']['mode'] for a in expected]
     assert expected[0].record['state']['mode'] == Mode.HOLDING
-
-
-def test_given_commands_when_efforts_have_another_unit_then_a_replay_takes_newton_metres(
-    loop, paper_arm, replay, tmp_path
-):
-    joints = tuple(replace(j, torque_gain=-20.0) for j in paper_arm.joints)
-    entries, expected, latest = [], [], [math.nan] * 2
-    twin = SerialSensorMonitor('', paper_arm)
-    for stamp, measurement, torque in loop[:400]:
-        expected.append(twin.take(stamp, measurement, latest))
-        latest = list(torque)
-        entries.append((MEASURED, stamp, measurement))
-        entries.append((TORQUE, stamp + 1, cdr(message_of(COMMAND, stamp, latest), COMMAND)))
-    bag = write(tmp_path / 'bag', entries, {MEASURED: JOINT_STATE, TORQUE: COMMAND})
-    monitor = SerialSensorMonitor('', replace(paper_arm, joints=joints))
-    _, out = replay(bag, monitor=monitor, topic=MEASURED, torque_from_command=True)
-    fault = [a.record['fault']['estimate'] for a in expected if a.record['has_fault']]
-    assert len(fault) > 390
-    np.testing.assert_allclose([m.estimate for m in read(out, FAULT)], fault, atol=1e-9)
 
 
 DRIFT = Fault('link2_angle', 'drift', 0.2, 0.2, rate=0.4)
@@ -422,6 +409,8 @@ CLEARED = event(2.5, kind=AlarmEvent.CLEARED, size=0.0)
 BOTH = [event(1.2), event(1.5, 'b')]
 BACK = event(2.01, size=-0.3)  # the reading is right again
 RATE = Fault('a', 'rate_bias', 1.0, size=0.3)
+LONG = [event(2.3, size=-0.2, name='drift', began=1.0)]
+GROWN = (0.0, 0.0, -0.07), (0.0, 0.1, -0.1), (0.0, -0.1, -0.1), (1.0, 0.0, -0.1)
 VERDICTS = [
     ([ONE], [event(1.25), LATER], ['found'], ('drift', 0.25, 0.01)),
     ([ONE], [], ['not found'], ('', None, None)),
@@ -436,7 +425,10 @@ VERDICTS = [
     ([RATE], [event(1.5, name='rate_bias')], ['found'], ('rate_bias', 0.5, -0.02)),
     ([ONE], [event(1.5, name='rate_bias')], ['found'], ('rate_bias', 0.5, None)),
     ([SHORT], [event(1.2), CLEARED], ['found'], ('bias', 0.2, -0.02)),
-]
+    ([replace(ONE, kind='stuck')], LONG, ['found'], ('drift', 1.3, None)),
+    *(([replace(ONE, kind='drift', rate=-0.1, duration=duration, size=size)], LONG, ['found'],
+       ('drift', 1.3, error)) for duration, size, error in GROWN),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize('faults, events, verdicts, known', VERDICTS)
@@ -447,17 +439,6 @@ def test_given_alarms_when_judged_then_each_fault_has_its_verdict(faults, events
     assert found[0].wrong_sensors == (('b',) if alone else ())
     kind = found[0].last.kind if found[0].last else ''
     assert (kind, found[0].delay, found[0].error) == pytest.approx(known)
-
-
-def test_given_a_fault_when_its_true_size_is_asked_for_then_it_is_that_of_the_time():
-    drift = Fault('a', 'drift', 1.0, rate=-0.1)
-    changes = {}, {'size': 0.15}, {'size': -0.15}, {'duration': 1.0}
-    sizes = [true_size(replace(drift, **change), 3.0) for change in changes]
-    assert sizes == pytest.approx([-0.2, -0.15, -0.15, -0.1])
-    for change, size in zip(changes[:3], sizes):  # as it is injected
-        injector = FaultInjector(('a',), [replace(drift, **change)], np.random.default_rng(1))
-        assert injector.apply(3.0, np.zeros(1), 0.01) == pytest.approx([size])
-    assert true_size(replace(drift, kind='stuck'), 3.0) is None
 
 
 def test_given_topics_when_replayed_then_the_right_one_or_nothing_is_left(loop, replay, tmp_path):

@@ -37,7 +37,10 @@ def answered(name):
 
 
 def answers_to(arm, stamps, samples):
-    return SerialSensorMonitor('/uio', arm).take_many(stamps, *samples.transpose(1, 0, 2))
+    before = samples.copy()
+    answers = SerialSensorMonitor('/uio', arm).take_many(stamps, *samples.transpose(1, 0, 2))
+    np.testing.assert_array_equal(samples, before)  # efforts are scaled in a copy
+    return answers
 
 
 def floats(values):
@@ -60,42 +63,27 @@ def each(arm, change):
     return replace(arm, joints=tuple(change(joint) for joint in arm.joints))
 
 
+def times(part, **factors):
+    """A part of a description with some of its numbers times factors."""
+    return replace(part, **{name: by * getattr(part, name) for name, by in factors.items()})
+
+
 def in_units(joint, position, torque):
     """A joint whose positions and torques are so many times as large."""
-    friction, limits, sensors = joint.friction, joint.limits, joint.sensors
-    return replace(
-        joint,
-        friction=replace(
-            friction,
-            offset=torque * friction.offset,
-            viscous=torque / position * friction.viscous,
-            coulomb=torque * friction.coulomb,
-            coulomb_slope=friction.coulomb_slope / position,
-        ),
-        rotor_inertia=torque / position * joint.rotor_inertia,
-        limits=replace(
-            limits,
-            lower=position * limits.lower,
-            upper=position * limits.upper,
-            velocity=position * limits.velocity,
-            torque=torque * limits.torque,
-        ),
-        sensors=replace(
-            sensors,
-            position_noise=position * sensors.position_noise,
-            velocity_noise=position * sensors.velocity_noise,
-        ),
-    )
+    by, inertia = position, torque / position
+    friction = {'offset': torque, 'viscous': inertia, 'coulomb': torque, 'coulomb_slope': 1.0 / by}
+    limits = times(joint.limits, lower=by, upper=by, velocity=by, torque=torque)
+    sensors = times(joint.sensors, position_noise=by, velocity_noise=by)
+    joint = replace(joint, friction=times(joint.friction, **friction), sensors=sensors)
+    return times(replace(joint, limits=limits), rotor_inertia=inertia)
 
 
 def turned(arm, stamps, samples):
     """The base's frame is another one."""
     turn, first = Rotation.from_euler('xyz', [0.4, -1.1, 2.0]).as_matrix(), arm.joints[0]
-    first = replace(
-        first,
-        position=floats(turn.T @ np.array(first.position) + 3.0),
-        orientation=rpy(turn.T @ rotation_from_rpy(first.orientation)),
-    )
+    place = floats(turn.T @ np.array(first.position) + 3.0)
+    orientation = rpy(turn.T @ rotation_from_rpy(first.orientation))
+    first = replace(first, position=place, orientation=orientation)
     base = rpy(rotation_from_rpy(arm.base_orientation) @ turn)
     return replace(arm, base_orientation=base, joints=(first, *arm.joints[1:])), stamps, samples
 
@@ -104,14 +92,11 @@ def mirrored(arm, stamps, samples):
     """Left is right: axes of turns are pseudovectors."""
 
     def change(joint):
-        way = 1.0 if joint.is_prismatic else -1.0
-        return replace(
-            joint,
-            position=floats(MIRROR @ np.array(joint.position)),
-            orientation=rpy(MIRROR @ rotation_from_rpy(joint.orientation) @ MIRROR),
-            axis=floats(way * MIRROR @ np.array(joint.axis)),
-            link=link_of(joint.link, MIRROR),
-        )
+        axis = floats((1.0 if joint.is_prismatic else -1.0) * MIRROR @ np.array(joint.axis))
+        place = floats(MIRROR @ np.array(joint.position))
+        orientation = rpy(MIRROR @ rotation_from_rpy(joint.orientation) @ MIRROR)
+        joint = replace(joint, position=place, orientation=orientation, axis=axis)
+        return replace(joint, link=link_of(joint.link, MIRROR))
 
     base = rpy(MIRROR @ rotation_from_rpy(arm.base_orientation) @ MIRROR)
     other = replace(each(arm, change), base_orientation=base, tip=floats(MIRROR @ arm.tip))
@@ -123,9 +108,8 @@ def heavy(factor):
 
     def change(arm, stamps, samples):
         def heavier(joint):
-            return replace(
-                in_units(joint, 1.0, factor), link=link_of(joint.link, np.eye(3), factor)
-            )
+            link = link_of(joint.link, np.eye(3), factor)
+            return replace(in_units(joint, 1.0, factor), link=link)
 
         return each(arm, heavier), stamps, samples * np.array([1.0, 1.0, factor])[:, None]
 
@@ -144,9 +128,8 @@ def long(factor):
 
         scale = np.array([factor if joint.is_prismatic else 1.0 for joint in arm.joints])
         torque = np.where(scale == factor, factor, factor**2)
-        other = replace(
-            each(arm, longer), gravity=factor * arm.gravity, tip=floats(factor * np.array(arm.tip))
-        )
+        tip = floats(factor * np.array(arm.tip))
+        other = times(replace(each(arm, longer), tip=tip), gravity=factor)
         return other, stamps, samples * np.stack([scale, scale, torque])
 
     return change
@@ -161,10 +144,8 @@ def other_efforts(arm, stamps, samples):
 def strong(arm, stamps, samples):
     """Drives that could give more."""
 
-    def change(joint):
-        return replace(joint, limits=replace(joint.limits, torque=10.0 * joint.limits.torque))
-
-    return each(arm, change), stamps, samples
+    stronger = each(arm, lambda joint: replace(joint, limits=times(joint.limits, torque=10.0)))
+    return stronger, stamps, samples
 
 
 def later(arm, stamps, samples):

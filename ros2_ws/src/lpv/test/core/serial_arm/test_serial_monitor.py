@@ -267,16 +267,6 @@ def test_given_a_drift_that_just_ended_when_another_begins_then_the_rate_tells_a
     assert one.detected - 2.0 < 0.2 and other.detected - 3.1 < 0.2
 
 
-def test_efforts_are_scaled_in_a_copy():
-    arm = shoulder_arm()
-    louder = replace(arm, joints=tuple(replace(j, torque_gain=2.0) for j in arm.joints))
-    run = simulated_run(arm, 2.0)
-    halved = run._replace(samples=run.samples * [[1.0], [1.0], [0.5]])
-    before, one, other = halved.samples.copy(), watch(arm, run), watch(louder, halved)
-    assert np.array_equal(halved.samples, before)
-    assert one.estimate().fault.tobytes() == other.estimate().fault.tobytes()
-
-
 @pytest.mark.parametrize('load', [0.3, 4.0])
 def test_payload_and_viscous_friction_that_nobody_stated_are_learned_without_an_alarm(load):
     arm = shoulder_arm('derived', Uncertainty(friction=0.3))

@@ -11,13 +11,12 @@ from serial_arms import shoulder_arm, simulated, without
 
 from lpv.core.monitoring.parameters import DiagnosisParameters
 from lpv.core.monitoring.serial_monitor import _MISNAMED, SerialSensorMonitor
-from lpv.core.monitoring.stamp_gate import CONFIRMATIONS, JUMP, StampGate
+from lpv.core.monitoring.stamp_gate import JUMP, StampGate
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import JointLimits
 from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent, Mode, SensorState
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.rate_independence import SAMPLES
-from lpv.core.serial_arm.turns import Turns
 from lpv.core.simulation.faults import Fault
 from lpv.core.support.errors import ConfigError, SampleError
 
@@ -287,29 +286,33 @@ def test_given_a_drift_with_its_derived_rate_when_followed_then_onset_size_and_r
     assert answers.state.velocity[last, 1].mean() == pytest.approx(true, abs=0.1)
 
 
-@pytest.mark.parametrize('odd', [0, FUTURE])
-def test_given_one_stamp_of_another_clock_then_its_sample_alone_is_stale(odd):
+@pytest.mark.parametrize('odd', [0, -1, FUTURE - 50 * JUMP])
+@pytest.mark.parametrize(('rows', 'step'), [
+    ((800,), 0), (range(700, 710), 0), (range(700, 710), 5 * JUMP), (range(700, 900, 2), STEP),
+])  # fmt: skip
+def test_given_stamps_of_other_clocks_then_their_samples_alone_are_stale(odd, rows, step):
     stamps, samples = recorded()[0].copy(), recorded()[1]
-    stamps[800] = odd
+    stamps[list(rows)] = odd + step * np.arange(len(rows))
     monitor, answers = observe(stamps, samples)
-    assert (answers.state.mode[799:802] == [Mode.OBSERVING, Mode.STALE, Mode.OBSERVING]).all()
-    assert not answers.state.trustworthy[800] and answers.state.trustworthy[801:].all()
+    modes = np.where(np.isin(np.arange(len(stamps)), rows), Mode.STALE, Mode.OBSERVING)
+    assert (answers.state.mode[699:] == modes[699:]).all()
+    assert (answers.state.trustworthy[699:] == (modes[699:] == Mode.OBSERVING)).all()
     assert np.isfinite(answers.state.position).all() and not answers.restarted.any()
     assert (answers.fault.alarm[600:] == [0, 1, 0]).all()
     assert told(answers) == RAISED
-    assert monitor.counters.refused_stamps == 1 and monitor.counters.restarts == 0
+    assert monitor.counters.refused_stamps == len(rows) and monitor.counters.restarts == 0
 
 
-@pytest.mark.parametrize('shift', [HOUR, -HOUR])
-def test_given_a_fault_when_the_clock_is_set_then_trust_waits_for_it(shift):
+@pytest.mark.parametrize('start', [3 * HOUR, HOUR, 10**9, FUTURE - 2 * HOUR])
+def test_given_a_fault_when_the_clock_is_set_then_trust_waits_for_it(start):
     stamps, samples, position = recorded(LARGE.size, 6.0)
-    stamps = stamps + np.where(np.arange(len(stamps)) < 1000, 2 * HOUR, 2 * HOUR + shift)
+    stamps = stamps + np.where(np.arange(len(stamps)) < 1000, 2 * HOUR, start)
     _, answers = observe(stamps, samples)
     assert told(answers) == RAISED
     assert (answers.fault.alarm[600:] == [0, 1, 0]).all()
     error = answers.state.compensated_position - position
     assert np.abs(error[600:1000]).max() < 5e-3 and np.abs(error[1002:]).max() < 5e-3
-    assert list(np.nonzero(answers.restarted)[0]) == [1002]
+    assert list(np.nonzero(answers.restarted)[0]) == [1002]  # the third
     trusted = answers.state.trustworthy
     assert trusted[999] and not trusted[1000:1050].any() and trusted[-1]
     assert np.isfinite(answers.state.position).all() and np.isfinite(answers.fault.bound).all()
@@ -347,30 +350,10 @@ def test_given_samples_too_sparse_for_a_balance_when_taken_then_trust_ends_until
     assert trusted[time > 3.8].all() and not answers.fault.alarm.any()
 
 
-@pytest.mark.parametrize('odd', [0, -1, FUTURE])
-def test_given_odd_stamps_in_a_stream_when_asked_then_they_alone_are_refused(odd):
-    gate = StampGate()
-    for k in range(200):
-        assert gate.accept(START + k * STEP) and gate.shift == 0
-        assert not gate.accept(odd + (k % 2) * 5 * JUMP)
-
-
-@pytest.mark.parametrize('new', [10**9, START + 2 * JUMP, FUTURE])
-def test_given_a_clock_that_is_set_when_asked_then_the_third_stamp_is_believed(new):
-    gate = StampGate()
-    assert gate.accept(START)
-    found = [(gate.accept(new + k * STEP), gate.shift) for k in range(5)]
-    assert [one for one, _ in found] == [k + 1 >= CONFIRMATIONS for k in range(5)]
-    assert [shift for _, shift in found] == [0, 0, new + 2 * STEP - START, 0, 0]
-
-
-def test_given_repeated_and_late_stamps_when_asked_then_the_newest_counts_and_an_odd_one_never():
+def test_given_repeated_and_late_stamps_when_asked_then_the_newest_counts():
     gate = StampGate()
     assert all(gate.accept(stamp) for stamp in (START, START, START - JUMP, START + JUMP))
     assert gate.last == START + JUMP and not gate.accept(START - JUMP)
-    gate = StampGate()
-    gate.accept(START)
-    assert not any(gate.accept(FUTURE) for _ in range(10))
 
 
 @pytest.mark.parametrize('share', [1.0, 0.4])
@@ -417,10 +400,10 @@ def test_given_a_joint_without_limits_when_its_reading_wraps_then_it_goes_on(rat
     endless = replace(arm.joints[0], limits=JointLimits(velocity=2.5))  # about the vertical
     arm = replace(arm, joints=(endless, *arm.joints[1:]))
     stamps, samples, whole = wrapped(arm, 0, rates)
-    samples[1500:1600, 0] = np.nan  # also where readings are missing
-    whole[1500:1600, 0] = np.nan
-    jumps = np.abs(np.diff(samples[:, 0, 0])) > np.pi
-    assert jumps.sum() >= 2
+    first, *others = np.flatnonzero(np.abs(np.diff(samples[:, 0, 0])) > np.pi)
+    assert others
+    for readings in (samples, whole):  # it may turn over while it is not read
+        readings[first - 50 : first + 50, 0] = np.nan
     _, answers = observe(stamps, samples, SerialSensorMonitor('/uio', arm))
     _, right = observe(stamps, whole, SerialSensorMonitor('/uio', arm))
     assert told(answers) == told(right)
@@ -429,20 +412,6 @@ def test_given_a_joint_without_limits_when_its_reading_wraps_then_it_goes_on(rat
     limited = replace(arm, joints=(shoulder_arm().joints[0], *arm.joints[1:]))
     _, answers = observe(stamps, samples, SerialSensorMonitor('/uio', limited))
     assert any(event.sensor == 'encoder1' for _, event in answers.events)
-
-
-def test_given_a_joint_without_limits_when_it_turns_over_while_it_is_not_read_then_it_goes_on():
-    endless = replace(ARM.joints[0], limits=JointLimits(velocity=2.5))
-    arm = replace(ARM, joints=(endless, *ARM.joints[1:]))
-    stamps, way = START + 2_000_000 * np.arange(500), np.linspace(2.9, 3.7, 500)
-    truth = np.stack([way, 0.0 * way, 0.0 * way], axis=1)
-    readings = (truth + np.pi) % (2.0 * np.pi) - np.pi
-    readings[100:200, 0] = np.nan  # turned over meanwhile
-    for size in (500, 1):
-        turns = Turns(arm)
-        parts = [slice(k, k + size) for k in range(0, 500, size)]
-        found = [turns.continued(stamps[p], readings[p], 0.0 * truth[p])[0] for p in parts]
-        np.testing.assert_allclose(np.concatenate(found)[200:], truth[200:], atol=1e-12)
 
 
 def test_given_a_joint_that_turns_for_an_hour_when_observed_then_its_readings_stay_plausible():
@@ -461,17 +430,3 @@ def test_given_a_joint_that_turns_for_an_hour_when_observed_then_its_readings_st
         later = stamps[part] + (joint + 1) * HOUR
         monitor.take_many(later, readings[part], rates[part], np.zeros((10, 3)))
         assert monitor.counters.implausible == 8 * (joint + 1)  # of a stream from the third on
-
-
-def test_given_torques_of_commands_when_efforts_have_another_unit_then_they_are_in_newton_metres():
-    stamps, samples, _ = recorded()
-    geared = (replace(j, torque_gain=-20.0) for j in ARM.joints)
-    plain = SerialSensorMonitor('/uio', ARM)
-    monitor = SerialSensorMonitor('/uio', replace(ARM, joints=tuple(geared)))
-    for k in range(600):
-        position, velocity, torque = samples[k]
-        one = message(position=position, velocity=velocity, effort=[0.0] * 3)
-        found, expected = (
-            m.take(int(stamps[k]), one, torque).record['fault'] for m in (monitor, plain)
-        )
-        np.testing.assert_allclose(found['estimate'], expected['estimate'], atol=1e-9)

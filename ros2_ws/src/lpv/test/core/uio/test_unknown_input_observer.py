@@ -85,20 +85,6 @@ def test_given_efforts_that_the_file_calls_inexact_then_the_observer_certifies_n
     assert UnknownInputObserver(arm, gains).certifies == (arm == paper_arm)
 
 
-@pytest.mark.parametrize('rate', [-2.0, 5.0])
-def test_given_friction_that_falls_with_speed_then_its_error_is_bounded(paper_model, rate):
-    arm = replace(paper_model, viscous=(-2.0, 0.0), coulomb=(20.0, 0.0), friction_error=0.3)
-    viscous = arm.viscous[0] * rate
-    dry = arm.coulomb[0] * 2.0 / np.pi * np.arctan(arm.coulomb_slope[0] * rate)
-    motion = new_record(MOTION, rate=np.array([rate, rate]), margin=np.zeros(2))
-    both = []
-    for one in (arm, replace(arm, viscous=(0.0, 0.0), coulomb=(0.0, 0.0))):
-        torque = np.zeros(2)
-        unknown_torque(healthy_arm(one), motion, torque)
-        both.append(torque[0])
-    assert both[0] - both[1] >= 0.3 * (abs(viscous) + abs(dry))
-
-
 def test_given_links_rotors_and_payload_of_the_file_then_the_error_of_their_torques_is_bounded(
     paper_arm,
 ):
@@ -129,13 +115,16 @@ def test_given_links_rotors_and_payload_of_the_file_then_the_error_of_their_torq
 
 
 @pytest.mark.parametrize('share', [-0.3, 0.3])
+@pytest.mark.parametrize('viscous', [(0.0, 0.0), (-4.0, 1.0)])  # it may fall with speed
 def test_given_slopes_and_load_of_each_joint_then_the_error_of_friction_is_bounded(
-    paper_model, share
+    paper_model, share, viscous
 ):
-    dry = {'coulomb': (5.0, 2.0), 'load': (0.2, 0.5)}
-    arm = replace(paper_model, coulomb_slope=(10.0, 1000.0), velocity_noise=0.0, **dry)
-    true = replace(arm, **{n: tuple((1.0 + share) * v for v in dry[n]) for n in dry})
-    frictionless = replace(arm, coulomb=(0.0, 0.0), load=(0.0, 0.0))
+    errors = {'coulomb': (5.0, 2.0), 'load': (0.2, 0.5), 'viscous': viscous}
+    none = dict.fromkeys(errors, (0.0, 0.0))
+    arm = replace(paper_model, coulomb_slope=(10.0, 1000.0), velocity_noise=0.0, **errors)
+    by = {'coulomb': 1.0 + share, 'load': 1.0 + share, 'viscous': 1.0 - share}
+    true = replace(arm, **{n: tuple(by[n] * v for v in errors[n]) for n in errors})
+    frictionless = replace(arm, **none)
     rng, largest = np.random.default_rng(4), 0.0
     for rate, torque in zip(rng.uniform(-1.0, 1.0, (200, 2)), rng.uniform(-50.0, 50.0, (200, 2))):
         known, other = (np.array(friction(rate, torque, a.constants())) for a in (arm, true))
@@ -168,28 +157,22 @@ def test_given_noisy_encoders_then_angles_have_the_noise_of_their_own(paper_mode
 
 
 @pytest.mark.parametrize('sensor', [0, 1])
-@pytest.mark.parametrize('size', [0.6, -0.6])
-def test_given_an_early_offset_then_it_is_certain(paper_arm, paper_gains, run_paper, sensor, size):
-    fault = Fault(paper_arm.sensor_names[sensor], 'bias', 0.0, size=size)
-    run = run_paper(faults=(fault,), duration=5.0)
-    raised = [a for a in run.alarms if a.event != AlarmEvent.CLEARED]
-    assert {a.sensor_index for a in raised} == {sensor}
-    assert any(a.basis == 'guaranteed' for a in raised)
-    error = run.fault_estimate[-1] - size * (np.arange(2) == sensor)
-    (published,) = answers(run, paper_arm, paper_gains, 'tightest')
-    assert np.all(np.abs(error) < np.minimum(published.fault.bound[-1], 0.1))
-
-
-@pytest.mark.parametrize('sensor', [0, 1])
-@pytest.mark.parametrize('size', [0.05, -0.5])
-def test_given_an_offset_from_the_start_then_the_published_bound_holds_it(
+@pytest.mark.parametrize('size', [0.05, -0.5, 0.6, -0.6])
+def test_given_an_offset_from_the_start_then_its_bound_holds_it_and_a_large_one_is_certain(
     paper_arm, paper_gains, run_paper, sensor, size
 ):
-    fault = Fault(paper_arm.sensor_names[sensor], 'bias', 0.0, size=size)
-    run = run_paper(faults=(fault,), duration=4.0, options={'compensation': 'off'})
+    fault, large = Fault(paper_arm.sensor_names[sensor], 'bias', 0.0, size=size), abs(size) > 0.5
+    options = {} if large else {'compensation': 'off'}
+    run = run_paper(faults=(fault,), duration=5.0 if large else 4.0, options=options)
     (found,) = answers(run, paper_arm, paper_gains, 'tightest')
     error = np.abs(found.fault.estimate - size * (np.arange(2) == sensor))
     assert np.all(error < found.fault.bound)
+    if large:
+        raised = [a for a in run.alarms if a.event != AlarmEvent.CLEARED]
+        assert {a.sensor_index for a in raised} == {sensor}
+        assert any(a.basis == 'guaranteed' for a in raised)
+        np.testing.assert_array_equal(found.fault.estimate[-1], run.fault_estimate[-1])
+        assert np.all(error[-1] < 0.1)
 
 
 def test_given_the_tighter_observer_or_parts_then_bounds_agree(paper_arm, paper_gains, run_paper):
