@@ -218,11 +218,8 @@ def test_given_an_empty_folder_when_initialised_then_a_design_holds(tmp_path, in
 ])  # fmt: skip
 def test_given_a_serial_urdf_when_initialised_then_it_fits(tmp_path, init, name, joints, effort):
     # At the last effort drives do not hold the arm in the middle of its ranges.
-    text = (
-        (BRINGUP / 'urdf' / f'{name}.urdf')
-        .read_text()
-        .replace('effort="330.0"', f'effort="{effort}"')
-    )
+    text = (BRINGUP / 'urdf' / f'{name}.urdf').read_text()
+    text = text.replace('effort="330.0"', f'effort="{effort}"')
     arm, said = init('--name', 'bench', urdf=text)
     assert (arm.name, len(arm.joint_names)) == ('bench', joints) and 'lpv demo --arm' in said
     path = load_scenario(tmp_path / 'new' / 'scenario.yaml').path(arm)

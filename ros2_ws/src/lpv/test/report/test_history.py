@@ -333,10 +333,8 @@ def test_given_a_run_that_ran_away_when_shown_then_its_colours_are_those_of_the_
 def test_given_an_alarm_that_is_no_offset_when_it_lasts_then_the_verdict_says_so(
     page, fields, said
 ):
-    assert (
-        f'error at the end of the run: {said};'
-        in page(made_up([], [event(400, **fields)]))['verdict']
-    )
+    verdict = page(made_up([], [event(400, **fields)]))['verdict']
+    assert f'error at the end of the run: {said};' in verdict
 
 
 def test_given_a_band_of_many_samples_when_thinned_then_its_sides_keep_their_extremes():

@@ -155,10 +155,8 @@ def test_given_friction_by_load_or_a_wrong_sample_then_it_grows_with_torque_or_i
 
 
 def test_given_many_samples_when_asked_at_once_then_torques_are_those_of_each(real_arm):
-    model, motion = (
-        SerialModel(compile_chain(real_arm)),
-        np.random.default_rng(2).normal(size=(3, 9, 2)),
-    )
+    model, rng = SerialModel(compile_chain(real_arm)), np.random.default_rng(2)
+    motion = rng.normal(size=(3, 9, 2))
     for ask, rows in ((model.torque, motion), (model.gravity, motion[:1])):
         np.testing.assert_array_equal(ask(*rows), [ask(*one) for one in zip(*rows)])
     for wrong in (motion[2, :8], motion[2, 0]):
