@@ -290,12 +290,7 @@ def test_given_a_joint_of_any_name_when_initialised_then_its_sensor_fails(tmp_pa
 def test_given_what_cannot_be_used_when_initialised_then_it_is_named(tmp_path, refused):
     urdf, new = tmp_path / 'arm.urdf', tmp_path / 'new'
     for old, bad, options, said in (
-        (
-            '',
-            '',
-            [],
-            "'right_finger' branches off 'wrist' beside left_finger: the arm is not a chain; lock",
-        ),
+        ('', '', [], "off 'wrist' beside left_finger: the arm is not a chain; lock"),
         ('', '', ['--tip', 'nose'], "no link 'nose'; it has base, one, two, hand"),
         ('', '', ['--lock', 'left_finger=open'], "'open' is not a number"),
         ('', '', ['--lock', 'left_finger=nan'], "'nan' is not a number"),

@@ -324,7 +324,7 @@ def test_given_a_load_when_looked_at_then_it_is_a_mistake_where_the_file_says_th
     stated, said
 ):
     arm = replace(ur10e(), uncertainty=Uncertainty(payload=stated))
-    found = mistakes.find_mistakes(arm, [recording_of_twin(1000, 2.6, 30.0)])
+    found = mistakes.find_mistakes(arm, [recording_of_twin(1000, 2.6, 15.0)])
     assert [one.kind for one in found] == said
     assert all(re.search('about 2.. kg more than the file says', one.text) for one in found)
 
