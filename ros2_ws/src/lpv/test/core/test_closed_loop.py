@@ -88,14 +88,12 @@ def test_given_the_papers_plant_and_gains_then_they_work_there(paper_arm, litera
 
 
 SHORT_RUN = """
-import sys
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
 import lpv
 import numpy as np
 from lpv.core.support.jit import COMPILED
-*files, out = sys.argv[1:]
 scenario, runs = lpv.load_scenario('two_faults'), {}
 faults = [replace(fault, onset=at) for fault, at in zip(scenario.faults, (0.1, 0.15))]
 for file, plant in product(files, ('nonlinear', 'lpv')):
@@ -109,17 +107,16 @@ np.savez(out, compiled=COMPILED, **runs)
 
 @pytest.mark.skipif(not COMPILED, reason='Numba is missing: there is nothing to compare')
 def test_given_no_compiler_then_no_bit_differs(tmp_path, paper_gains, literal_gains):
-    files, results = (tmp_path / 'exact.yaml', tmp_path / 'paper.yaml'), []
+    files, outs = ([str(tmp_path / f'{name}.{kind}') for name in ('exact', 'paper')]
+                   for kind in ('yaml', 'npz'))  # fmt: skip
     for gains, file in zip((paper_gains, literal_gains), files):
         save_gains(gains, file)
-    for no_jit in ('0', '1'):
-        out, folder = tmp_path / f'run{no_jit}.npz', Path(lpv.core.__file__).parents[3]
-        environment = {**os.environ, 'LPV_NO_JIT': no_jit, 'PYTHONPATH': str(folder)}
-        words = sys.executable, '-c', SHORT_RUN, *files, out
-        subprocess.run([*map(str, words)], check=True, env=environment)
-        with np.load(out) as data:
-            results.append(dict(data))
-    compiled, plain = results
+    exec(SHORT_RUN, {'files': files, 'out': outs[0]})
+    folder = Path(lpv.core.__file__).parents[3]
+    environment = {**os.environ, 'LPV_NO_JIT': '1', 'PYTHONPATH': str(folder)}
+    script = f'files, out = {files}, {outs[1]!r}\n{SHORT_RUN}'
+    subprocess.run([sys.executable, '-c', script], check=True, env=environment)
+    compiled, plain = (dict(np.load(out)) for out in outs)
     assert compiled.pop('compiled') and not plain.pop('compiled')
     assert compiled.keys() == plain.keys()
     for name, values in compiled.items():
