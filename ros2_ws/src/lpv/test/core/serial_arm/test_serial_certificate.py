@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from nested import changed
+from nested import Missing, changed
 from scipy.linalg import eigh
 from serial_certificate import corner_arm, decay
 
@@ -139,6 +139,8 @@ def test_given_a_damaged_proof_or_none_when_read_then_the_field_is_named(tmp_pat
     data = FILES['ur10'][1].mapping()
     with pytest.raises(ConfigError, match=next(iter(change))):
         LoopGains.parse({**data, 'motion': {**data['motion'], **change}})
+    with pytest.raises(ConfigError, match='loop.model_error: is missing'):
+        LoopGains.parse(changed(data, 'model_error', Missing))
     path = tmp_path / 'gains.yaml'
     path.write_text('/**: {ros__parameters: {bandwidth: 10.0}}\n', encoding='utf-8')
     with pytest.raises(ConfigError, match='no certificate'):
