@@ -1,6 +1,10 @@
 """The commands of ``lpv`` and their options; no command's module is imported for its help."""
 
+from argparse import Namespace
+from collections.abc import Iterable
 from typing import NamedTuple
+
+from lpv.core.support.errors import ConfigError
 
 
 class Command(NamedTuple):
@@ -221,12 +225,13 @@ bag                rosbag2 directory, MCAP or sqlite3 file
 --preset {_PRESETS}  compression of the new bag
 --publish          play the bag into the live graph, with /clock, and run nothing offline; needs
                    ROS 2
---rate=1.0[1e-3:1e3]  with --publish: speed
+--rate RATE:float[1e-3:1e3]  with --publish: speed (1.0)
 --loop             with --publish: again and again
---clock-rate=100.0[0:1e4]  with --publish: messages on /clock per second of the bag, 0 for none
+--clock-rate CLOCK_RATE:float[0:1e4]  with --publish: messages on /clock per second of the bag, 0
+                   for none (100.0)
 --topics TOPIC+    with --publish: topics to play; all but the answers of the diagnosis if not given
---wait=5.0[0:1e6]  with --publish: longest time to wait for a subscriber before the first message
-                   [s]
+--wait WAIT:float[0:1e6]  with --publish: longest time to wait for a subscriber before the first
+                   message [s] (5.0)
 """
         + _OBSERVER,
     ),
@@ -310,3 +315,11 @@ def module_of(command: str) -> str:
     Of all but the doctor, ``arm`` is the arm itself, where one is named, and ``arm_file`` its file.
     """
     return _ELSEWHERE.get(command, f'lpv.cli.commands.{command.replace("-", "_")}')
+
+
+def refuse(arguments: Namespace, names: Iterable[str], reason: str) -> None:
+    """ConfigError for the first of some options that is given and would be left out in silence."""
+    for name in names:
+        value = getattr(arguments, name)
+        if not (value is None or value is False or value == []):
+            raise ConfigError(f'--{name.replace("_", "-")}', reason)

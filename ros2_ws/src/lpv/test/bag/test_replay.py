@@ -514,6 +514,7 @@ def test_given_a_command_when_run_again_then_the_last_holds(bag, replayed, tmp_p
     assert refused('--report: must be another', *line(bag, both, report=both)) and not both.exists()
     for wrong in (('--from', 5, '--to', 2), ('--topic', '/nowhere')):  # the last result stays
         assert refused('', *again, *wrong) and raw(tmp_path / 'result') == raw(answers)
+    assert refused('--loop: is for a bag that is played', *again, '--loop')
     assert refused('no such bag', 'replay', tmp_path / 'typo', *line(bag, tmp_path / 'result')[2:])
     assert sorted(p.name for p in tmp_path.iterdir() if p.name[0] == '.') == []
     call(*again, '--gains', 'paper')
@@ -570,6 +571,7 @@ def test_given_bad_input_when_run_then_it_is_said(bag, tmp_path, monkeypatch, ca
         ('nose', {'inject': 'faults.yaml'}),
         ('/lpv/torque_command', {'effort-topic': '/nowhere'}),
         ('std_msgs/msg/String', {'effort-topic': '/chatter'}),
+        ('give --publish', {'rate': 2}, {'topics': '/x'}, {'clock-rate': 0}, {'wait': 0}),
         ('--from', {'from': -1}, {'from': 'nan'}),
         ('--to', {'from': 2, 'to': 1}, {'to': 'inf'}),
         ('clear_dwell', {'parameters': 'tuned.yaml'}),

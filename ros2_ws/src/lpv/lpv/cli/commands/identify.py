@@ -12,12 +12,13 @@ from rich.console import Console
 
 from lpv.bag.run.csv_import import ColumnMap, load_column_map
 from lpv.cli.arm_choice import chosen_arm
+from lpv.cli.options import refuse
 from lpv.core.serial_arm.arm_file import save_arm
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.resources import bringup_file
 from lpv.identify.estimation.gains import rescaled
-from lpv.identify.estimation.identification import STEPS, Identification, Options, identify
+from lpv.identify.estimation.identification import STEPS, Options, identify
 from lpv.identify.estimation.mistakes import find_mistakes
 from lpv.identify.estimation.payload import identify_payload, with_payload
 from lpv.identify.estimation.torque_error import calibrate
@@ -29,7 +30,11 @@ from lpv.identify.sensors import describe, find_second_encoders, with_second_enc
 def run(arguments: argparse.Namespace) -> int:
     """Identify, show, write."""
     console = Console(stderr=True)
-    _check_options(arguments)
+    if arguments.payload or arguments.calibrate:
+        reason = 'has no effect on --calibrate and --payload: parameters are not fitted'
+        refuse(arguments, ('report', 'test', 'refit'), reason)
+    if not arguments.payload:
+        refuse(arguments, ['known_mass'], 'is that of a tool: give --payload')
     if arguments.out:  # what fails is said before minutes of fitting
         Path(arguments.out).parent.mkdir(parents=True, exist_ok=True)
     files = [*arguments.recordings, *arguments.test]
@@ -37,7 +42,10 @@ def run(arguments: argparse.Namespace) -> int:
     arm, columns = _arm(arguments), None
     if arguments.columns:
         columns = load_column_map(bringup_file('columns', arguments.columns))
-        _check_units(arm, columns, arguments.columns)
+        for joint in arm.joints:
+            if joint.is_prismatic and columns.unit(joint.name) == 'deg':
+                field = f'joints.{joint.name}.unit'
+                raise ConfigError(field, 'must be m: it is prismatic', arguments.columns)
 
     def read(path: str) -> Recording:
         return continued(arm, read_recording(path, arm.joint_names, arguments.topic, columns))
@@ -46,10 +54,26 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.payload:
         arm, what = _payload(arm, recordings, arguments.known_mass)
     elif arguments.calibrate:
-        arm = _calibrate(arm, recordings)
+        found = calibrate(arm, recordings)
+        print(calibration_table(found))
+        _warn((*found.warnings, *(m.text for m in find_mistakes(arm, recordings))))
+        arm = found.arm
     else:
         tests = [read(path) for path in arguments.test]
-        result = _identify(arguments, arm, recordings, tests, console)
+        weight_is_known = arguments.without_gravity or arguments.with_gravity
+        options = Options(arguments.train_share, arguments.refit, weight_is_known)
+        with console.status('identifying') as status:
+            number = count(1)
+
+            def step(text: str) -> None:
+                said = f'identifying, {next(number)} of {STEPS}: {text}'
+                status.update(said)
+                if not console.is_terminal:
+                    console.print(said)
+
+            result = identify(arm, recordings, options, tests, step)
+        print(table(result))
+        _warn(result.warnings)
         arm = result.arm
     arm = _with_second_encoders(arguments, arm, columns)
     _save(arm, arguments, what)
@@ -60,52 +84,16 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _check_options(arguments: argparse.Namespace) -> None:
-    """Refuse what would be left out in silence."""
-    for name in ('report', 'test', 'refit'):
-        if getattr(arguments, name) and (arguments.payload or arguments.calibrate):
-            reason = 'has no effect on --calibrate and --payload: parameters are not fitted'
-            raise ConfigError(f'--{name}', reason)
-    if arguments.known_mass is not None and not arguments.payload:
-        raise ConfigError('--known-mass', 'is that of a tool: give --payload')
-
-
-def _identify(
-    arguments: argparse.Namespace,
-    arm: SerialArm,
-    recordings: list[Recording],
-    tests: list[Recording],
-    console: Console,
-) -> Identification:
-    options = Options(
-        arguments.train_share, arguments.refit, arguments.without_gravity or arguments.with_gravity
-    )
-    with console.status('identifying') as status:
-        number = count(1)
-
-        def step(text: str) -> None:
-            said = f'identifying, {next(number)} of {STEPS}: {text}'
-            status.update(said)
-            if not console.is_terminal:
-                console.print(said)
-
-        result = identify(arm, recordings, options, tests, step)
-    print(table(result))
-    _warn(result.warnings)
-    return result
-
-
-def _check_units(arm: SerialArm, columns: ColumnMap, source: str) -> None:
-    for joint in arm.joints:
-        if joint.is_prismatic and columns.unit(joint.name) == 'deg':
-            raise ConfigError(f'joints.{joint.name}.unit', 'must be m: it is prismatic', source)
-
-
 def _with_second_encoders(
     arguments: argparse.Namespace, arm: SerialArm, columns: ColumnMap | None
 ) -> SerialArm:
     """The arm with the second encoders that were named; says what they are."""
-    pairs = dict(_pair(text) for text in arguments.second_encoder)
+    pairs = {}
+    for text in arguments.second_encoder:
+        joint, _, name = text.partition('=')
+        if not joint or not name:
+            raise ConfigError('--second-encoder', f'{text!r} is not JOINT=NAME')
+        pairs[joint] = name
     if not pairs:
         return arm
     found = find_second_encoders(arguments.recordings[0], pairs, arguments.topic, columns)
@@ -113,13 +101,6 @@ def _with_second_encoders(
     for reading in found:
         print(describe(reading, units[reading.joint]))
     return arm
-
-
-def _pair(text: str) -> tuple[str, str]:
-    joint, _, name = text.partition('=')
-    if not joint or not name:
-        raise ConfigError('--second-encoder', f'{text!r} is not JOINT=NAME')
-    return joint, name
 
 
 def _arm(arguments: argparse.Namespace) -> SerialArm:
@@ -157,13 +138,6 @@ def _payload(
         return with_payload(arm, found), 'arm with its tool'
     factor = known_mass / found.mass
     return rescaled(arm, factor), f'arm with its scale corrected by {factor:.4f}'
-
-
-def _calibrate(arm: SerialArm, recordings: list[Recording]) -> SerialArm:
-    found = calibrate(arm, recordings)
-    print(calibration_table(found))
-    _warn((*found.warnings, *(m.text for m in find_mistakes(arm, recordings))))
-    return found.arm
 
 
 def _warn(texts: Iterable[str]) -> None:

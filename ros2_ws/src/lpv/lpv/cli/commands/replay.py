@@ -8,13 +8,14 @@ import numpy as np
 from rich.console import Console
 
 from lpv.bag.errors import BagError
-from lpv.bag.replay.replay import InjectedFault, Replay, ReplayResult, judge
+from lpv.bag.replay.replay import InjectedFault, Replay, judge
 from lpv.bag.replay.writer import MARK
 from lpv.bag.rosbag.metadata import read_metadata
 from lpv.bag.rosbag.output_folder import GAINS_NAME, replaced
 from lpv.bag.run.record import RecordedAlarm
 from lpv.cli.needs import require_ros
 from lpv.cli.observing import arm_and_gains, diagnosis_parameters, reading_options
+from lpv.cli.options import refuse
 from lpv.core.monitoring.alarm_text import count_texts, describe
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.description import SerialArm
@@ -28,12 +29,18 @@ from lpv.core.support.formatting import bound, decimals
 from lpv.core.support.resources import bringup_file
 from lpv.core.support.timestamps import NANOSECONDS
 
+_PLAYED = ('topics', 'rate', 'loop', 'clock_rate', 'wait')
+"""Options of a `lpv.bag.replay.player.Player`, which has their defaults."""
+
 
 def run(arguments: argparse.Namespace) -> int:
     """Replay, report, show what was found; 1 if the design is infeasible."""
     console = Console(soft_wrap=True, highlight=False)
     if arguments.publish:
+        reason = 'has no effect on --publish, which plays the bag as it is'
+        refuse(arguments, ('inject', 'report', 'topic', 'effort_topic'), reason)
         return _publish(arguments, console)
+    refuse(arguments, _PLAYED, 'is for a bag that is played: give --publish')
     out = Path(arguments.out).resolve()
     _check_out(out, Path(arguments.bag).resolve())
     if arguments.report and Path(arguments.report).resolve() == out:
@@ -56,30 +63,40 @@ def run(arguments: argparse.Namespace) -> int:
         result = replay.run(arguments.bag, new)
         if gains is not None:
             gains.save(new / GAINS_NAME, 'Gains that this bag was replayed with.')
-    _summary(result, monitor, time.perf_counter() - begin, console)
+    counts = f'{result.measurements} measurements, {len(result.events)} alarm events'
+    console.print(f'{counts}, {time.perf_counter() - begin:.2f} s')
+    for text in count_texts(monitor.counters):
+        console.print(f'  {text}')
+    for text, count in result.rejected.items():
+        console.print(f'  {count} messages not used: {text}')
+    for at, text in result.notes:
+        console.print(f'  warning at {at:.3f} s: {text}')
     if faults is not None:
         show_injected(judge(faults, result), arm, console)
     console.print(f'bag     {out}')
     if arguments.report:
-        _report(arguments, arm, out, result.topic, console)
+        # Only here: drawing is not asked for always.
+        from lpv.report.history import load
+        from lpv.report.run import write
+        from lpv.report.table import print_table
+
+        title = f'Replay of {Path(arguments.bag).name}, arm “{arm.name}”'
+        found = load(out, arm, title=title, topic=result.topic)
+        page = write(found, Path(arguments.report).resolve())
+        print_table(found.table, console)
+        console.print(f'report  {page}')
     return 0
 
 
 def _publish(arguments: argparse.Namespace, console: Console) -> int:
     """The bag into the live graph."""
-    for name in ('inject', 'report', 'topic', 'effort_topic'):
-        if getattr(arguments, name) is not None:
-            option = f'--{name.replace("_", "-")}'
-            raise ConfigError(option, 'has no effect on --publish, which plays the bag as it is')
     stay_local()
     require_ros()
     from lpv.bag.replay.player import Player
 
     given = vars(arguments)
-    player = Player(
-        given['bag'], given['topics'], given['rate'], given['loop'],
-        given['clock_rate'], given['wait'], (given['from'], given['to']),
-    )  # fmt: skip
+    options = {name: given[name] for name in _PLAYED if given[name] is not None}
+    player = Player(given['bag'], interval=(given['from'], given['to']), **options)
     console.print(f'{player.run(console.print)} messages published')
     return 0
 
@@ -140,30 +157,3 @@ def show_injected(found: list[InjectedFault], arm: SerialArm, console: Console) 
             if one.wrong_sensors:
                 text += f'; wrongly alarmed, too: {", ".join(one.wrong_sensors)}'
         console.print(text)
-
-
-def _summary(
-    result: ReplayResult, monitor: SerialSensorMonitor, seconds: float, console: Console
-) -> None:
-    counts = f'{result.measurements} measurements, {len(result.events)} alarm events'
-    console.print(f'{counts}, {seconds:.2f} s')
-    for text in count_texts(monitor.counters):
-        console.print(f'  {text}')
-    for text, count in result.rejected.items():
-        console.print(f'  {count} messages not used: {text}')
-    for at, text in result.notes:
-        console.print(f'  warning at {at:.3f} s: {text}')
-
-
-def _report(
-    arguments: argparse.Namespace, arm: SerialArm, out: Path, topic: str, console: Console
-) -> None:
-    from lpv.report.history import load
-    from lpv.report.run import write
-    from lpv.report.table import print_table
-
-    title = f'Replay of {Path(arguments.bag).name}, arm “{arm.name}”'
-    found = load(out, arm, title=title, topic=topic)
-    page = write(found, Path(arguments.report).resolve())
-    print_table(found.table, console)
-    console.print(f'report  {page}')
