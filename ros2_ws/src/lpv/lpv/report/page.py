@@ -2,6 +2,7 @@
 
 import base64
 import math
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -45,6 +46,25 @@ def finite(data: Any) -> Any:
     if isinstance(data, (list, tuple)):
         return [finite(value) for value in data]
     return None if isinstance(data, float) and not math.isfinite(data) else data
+
+
+def write_page(
+    page: Path,
+    templates: Path,
+    pictures: Iterable[tuple[str, str, bytes]],
+    filters: Mapping[str, Any],
+    content: Mapping[str, Any],
+) -> Path:
+    """Write a page by ``report.html`` of a folder, and its pictures: names, captions, PNGs."""
+    page.parent.mkdir(parents=True, exist_ok=True)
+    figures, found = {}, environment(templates)
+    for name, caption, data in pictures:
+        page.with_name(f'{name}.png').write_bytes(data)
+        figures[name] = {'caption': caption, 'data': embedded(data)}
+    found.filters.update(filters)
+    text = found.get_template('report.html').render(**content, figures=figures)
+    page.write_text(text.lstrip(), encoding='utf-8')
+    return page
 
 
 def embedded(picture: bytes) -> str:

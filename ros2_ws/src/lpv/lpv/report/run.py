@@ -14,19 +14,10 @@ from lpv.core.serial_arm.diagnosis.alarms import SensorState, blamed
 from lpv.core.support.formatting import bound, decimals
 from lpv.core.support.resources import installed_version
 from lpv.core.support.timestamps import NANOSECONDS
+from lpv.report import history
 from lpv.report.figures import draw_all
-from lpv.report.history import (
-    BRAKED,
-    INCONSISTENT,
-    SAFE_STOP,
-    TOO_FAST,
-    UNSAFE,
-    Episode,
-    Run,
-    listed,
-    starting,
-)
-from lpv.report.page import Tile, embedded, environment
+from lpv.report.history import Episode, Run, listed, starting
+from lpv.report.page import Tile, write_page
 
 _CALENDAR = 946684800 * NANOSECONDS
 """Stamps after the year 2000 are dates, others count from the start of something [ns]."""
@@ -44,18 +35,11 @@ _CAPTIONS = {
 
 def write(run: Run, out: str | Path) -> Path:
     """Write page and pictures of a run into a folder; the page."""
-    out = Path(out)
-    out.mkdir(parents=True, exist_ok=True)
-    figures = {}
-    for name, data in draw_all(run):
-        (out / f'{name}.png').write_bytes(data)
-        figures[name] = {'caption': _CAPTIONS[name], 'data': embedded(data)}
-    templates = environment(Path(__file__).parent)
-    templates.filters.update(number=_number, size=_size, bound=bound)
-    page = templates.get_template('report.html').render(**content(run), figures=figures)
-    html = out / 'report.html'
-    html.write_text(page.lstrip(), encoding='utf-8')
-    return html
+    pictures = ((name, _CAPTIONS[name], data) for name, data in draw_all(run))
+    filters = {'number': _number, 'size': _size, 'bound': bound}
+    return write_page(
+        Path(out, 'report.html'), Path(__file__).parent, pictures, filters, content(run)
+    )
 
 
 def _number(value: float | None, form: str) -> str:
@@ -74,34 +58,28 @@ def content(run: Run) -> dict[str, Any]:
     stamps = record.stamps['joint_states']
     begin = time.gmtime(int(stamps[0]) // NANOSECONDS) if stamps[0] >= _CALENDAR else None
     return {
+        'run': run,
         'title': run.title,
-        'duration': record.time[-1],
-        'samples': len(record.time),
+        'record': record,
         'period': f'{np.median(np.diff(stamps)) / 1e6:.3g}' if len(stamps) > 1 else '',
         'begin': time.strftime('%Y-%m-%d %H:%M:%S', begin) if begin else '',
-        'warnings': record.warnings,
         'verdict': _verdict(run),
         'ran_away': run.motion.fastest > 1.0,
         'tiles': _tiles(run),
-        'arm': arm,
-        'episodes': run.alarms,
         'missed': [(names[m.sensor_index], m) for m in run.missed],
         'have_truth': 'ground_truth' in record.streams,
         'phases': shown,
         'rests': rests,
-        'from_reports': (INCONSISTENT, UNSAFE),
+        'from_reports': (history.INCONSISTENT, history.UNSAFE),
         'have_diagnostics': any(t.endswith('/diagnostics') for t in record.counts),
-        'table': run.table,
         'compare': any(row.paper is not None for row in run.table),
         'errors': any(row.is_error for row in run.table),
         'detectable': _detectable(record, arm),
-        'certificate': run.certificate,
         'versions': [
             (name, installed_version(name, 'not installed as a package'))
             for name in ('lpv', *_PACKAGES)
         ]
         + [('Python', platform.python_version())],
-        'counts': sorted(record.counts.items()),
         'arm_facts': [
             ('name', arm.name),
             ('SHA-256', arm.sha256()),
@@ -159,15 +137,17 @@ def _verdict(run: Run) -> str:
     lasting = (a for a in run.alarms if a.cleared is None)
     if now := [_error(alarm, arm) for alarm in lasting]:
         parts.append(f'error at the end of the run: {", ".join(now)}')
-    if brakes := [phase for phase in run.phases if phase.what == BRAKED]:
+    if brakes := [phase for phase in run.phases if phase.what == history.BRAKED]:
         reasons = ', '.join(dict.fromkeys(phase.note for phase in brakes))
         parts.append(f'the drives braked {_count(len(brakes), "time")} ({reasons})')
-    stops = _count(sum(phase.what == SAFE_STOP for phase in run.phases), 'safe stop')
-    odd = _count(sum(phase.what == INCONSISTENT for phase in run.phases), 'inconsistent phase')
+    stops = _count(sum(phase.what == history.SAFE_STOP for phase in run.phases), 'safe stop')
+    odd = _count(
+        sum(phase.what == history.INCONSISTENT for phase in run.phases), 'inconsistent phase'
+    )
     words = '; '.join([*parts, f'{stops}, {odd}.'])
     if move.fastest <= 1.0:
         return words
-    lasted = sum(phase.duration for phase in run.phases if phase.what == TOO_FAST)
+    lasted = sum(phase.duration for phase in run.phases if phase.what == history.TOO_FAST)
     return (
         f'The arm exceeded its speed limit for {lasted:.3f} s ({move.joint}: '
         f'{move.speed:.3g} {move.unit} {move.source}, limit {move.limit:g} {move.unit}). {words}'
@@ -187,7 +167,7 @@ def _tiles(run: Run) -> list[Tile]:
         if delays := [alarm.delay for alarm in alarms if alarm.delay is not None]:
             tiles.append(Tile('slowest alarm', f'{max(delays):.3f} s', 'after the fault'))
     if 'torque_command' in record.streams:
-        stopped = sum(p.duration for p in run.phases if p.what == SAFE_STOP)
+        stopped = sum(p.duration for p in run.phases if p.what == history.SAFE_STOP)
         tiles.append(Tile('stopped', f'{stopped:.1f} s', look='warn' if stopped else ''))
     limit = f'limit {move.limit:g}, {move.joint}, {move.source}'
     look = 'bad' if move.fastest > 1.0 else ''

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -29,6 +30,7 @@ from lpv.identify.motions import Bounds, plan_excitation, write_reference
 from lpv.identify.recordings.filters import shifted
 from lpv.identify.recordings.motion import Segment, find_bandwidths, moving
 from lpv.identify.recordings.recording import Recording, read_recording
+from lpv.identify.results.report import residual_figure
 from lpv.identify.sensors import find_second_encoders, noise_deviation, quantization_step
 
 STEP = 0.004
@@ -48,6 +50,14 @@ def test_given_an_arm_when_computing_torques_then_they_are_those_of_the_dynamics
     motion = np.random.default_rng(2).normal(size=(3, 20, n))
     expected = SerialModel(compile_chain(arm)).torque(*motion)
     assert rigid_body.joint_torques(arm, *motion) == pytest.approx(expected, abs=1e-12)
+
+
+def test_given_a_joint_that_slides_when_residuals_are_drawn_then_its_units_are_there(arm):
+    arm = replace(arm, joints=(arm.joints[0], replace(arm.joints[1], type='prismatic')))
+    part = SimpleNamespace(**dict.fromkeys(('velocity', 'position', 'residual'), np.ones((5, 2))))
+    figure = residual_figure(SimpleNamespace(arm=arm, predictions=[part]))
+    labels = [axis.get_xlabel() for axis in figure.axes]
+    assert labels == ['rate [rad/s]', 'position [rad]', 'rate [m/s]', 'position [m]']
 
 
 def test_given_any_parameters_when_reduced_to_base_ones_then_torques_stay(arm):

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from lpv.identify.estimation.identification import Identification
 from lpv.identify.results.summary import DRIVES, FIGURES, SENSORS, cells, remarks
-from lpv.report.page import Tile, embedded, environment
+from lpv.report.page import Tile, write_page
 from lpv.report.style import INK, SENSOR, SOFT, picture, thin
 
 _MOST_POINTS = 4000  # of a scatter plot; more hide each other
@@ -44,18 +44,17 @@ def residual_figure(result: Identification) -> Figure:
         for name in ('velocity', 'position', 'residual')
     )
     every = slice(None, None, max(1, len(residual) // _MOST_POINTS))
-    figure, axes = plt.subplots(n, 2, figsize=(9.0, 1.5 * n + 0.5), squeeze=False)
+    figure, axes = plt.subplots(n, 2, figsize=(9.0, 1.7 * n + 0.5), squeeze=False)
     for j, joint in enumerate(result.arm.joints):
-        for axis, x in zip(axes[j], (speed, position)):
+        unit, torque = joint.units
+        for axis, x, label in zip(axes[j], (speed, position), ('rate [{}/s]', 'position [{}]')):
             axis.plot(x[every, j], residual[every, j], '.', ms=1.5, color=SENSOR[0])
+            axis.set_xlabel(label.format(unit))
         tolerance = joint.torque_tolerance
         knots, level = np.array(tolerance.speed), np.array(tolerance.torque)
         for side, sign in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
             axes[j, 0].plot(side * knots, sign * level, color=SENSOR[1], lw=1.0)
-        axes[j, 0].set_title(joint.name)
-        axes[j, 0].set_ylabel(joint.units[1])
-    axes[-1, 0].set_xlabel('rate [rad/s]')
-    axes[-1, 1].set_xlabel('position [rad]')
+        axes[j, 0].set(title=joint.name, ylabel=torque)
     return figure
 
 
@@ -71,17 +70,9 @@ _CAPTIONS = (
 
 def write_report(result: Identification, folder: Path) -> Path:
     """Write ``identification.html`` and its pictures into a folder; the page."""
-    folder.mkdir(parents=True, exist_ok=True)
-    pictures = []
-    for name, draw, caption in _CAPTIONS:
-        data = picture(draw, result)
-        (folder / f'{name}.png').write_bytes(data)
-        pictures.append({'data': embedded(data), 'caption': caption})
-    template = environment(Path(__file__).parent).get_template('report.html')
-    page = folder / 'identification.html'
-    text = template.render(figures=pictures, **_content(result))
-    page.write_text(text.lstrip(), encoding='utf-8')
-    return page
+    pictures = ((name, caption, picture(draw, result)) for name, draw, caption in _CAPTIONS)
+    page, templates = folder / 'identification.html', Path(__file__).parent
+    return write_page(page, templates, pictures, {}, _content(result))
 
 
 def _content(result: Identification) -> dict[str, Any]:
