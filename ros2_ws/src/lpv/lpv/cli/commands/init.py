@@ -6,7 +6,7 @@ import math
 import os
 import re
 import sys
-from contextlib import suppress
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from string import Template
@@ -15,7 +15,6 @@ import numpy as np
 import yaml
 
 from lpv.cli.arm_choice import chosen_arm
-from lpv.core.control.serial_path import SerialPath
 from lpv.core.serial_arm.arm_file import load_arm, parse_arm, save_arm, to_mapping
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import LpvRegion, SerialArm, Uncertainty
@@ -47,20 +46,16 @@ def run(arguments: argparse.Namespace) -> int:
         raise ConfigError('--name', f'must be letters, digits and underscores, got {name!r}')
     arm = chosen_arm(arguments)
     if arm is None:
-        return _write(folder, replace(_example(), name=name or 'my_arm'), 'arm')
+        arm = load_arm(bringup_file('arms', 'paper'))  # with encoders at the joints
+        joints = [
+            replace(joint, sensors=replace(joint.sensors, name=f'{joint.name}_encoder'))
+            for joint in arm.joints
+        ]
+        example = replace(arm, name=name or 'my_arm', joints=tuple(joints), sensor_matrix=None)
+        return _write(folder, example, 'arm')
     arm = _with_region(replace(arm, name=name or re.sub(r'\W', '_', arm.name)))
     urdf = os.path.relpath(Path(arguments.urdf).resolve(), folder.resolve())
     return _write(folder, replace(arm, urdf=urdf), arguments.urdf)
-
-
-def _example() -> SerialArm:
-    """The paper's arm with encoders at the joints."""
-    arm = load_arm(bringup_file('arms', 'paper'))
-    joints = tuple(
-        replace(joint, sensors=replace(joint.sensors, name=f'{joint.name}_encoder'))
-        for joint in arm.joints
-    )
-    return replace(arm, joints=joints, sensor_matrix=None)
 
 
 def _with_region(arm: SerialArm) -> SerialArm:
@@ -78,16 +73,10 @@ def _with_region(arm: SerialArm) -> SerialArm:
 def _write(folder: Path, arm: SerialArm, source: str) -> int:
     """Check what the files say, write them, and say what comes next."""
     file, requirement, scenario = (folder / name for name in FILES)
-    # JSON's quotes are YAML's: names may hold any character.
-    sensor = json.dumps(arm.sensor_names[0], ensure_ascii=False)
-    values = {'name': arm.name, 'sensor': sensor}
-    values['waypoints'] = _joint_waypoints(arm) if arm.lpv is None else _planar_waypoints(arm)
-    texts = {
-        path: _filled(path.name, values)
-        for path in ([scenario] if arm.lpv is None else [scenario, requirement])
-    }
     # Before the first file is there: half of them would block the next try.
-    parse_scenario(yaml.safe_load(texts[scenario])).path(parse_arm(to_mapping(arm), source))
+    texts = {scenario: _scenario(arm, source)}
+    if arm.lpv is not None:
+        texts[requirement] = _filled(requirement.name, name=arm.name)
     folder.mkdir(parents=True, exist_ok=True)
     save_arm(arm, file)
     for path, text in texts.items():
@@ -109,43 +98,49 @@ def _write(folder: Path, arm: SerialArm, source: str) -> int:
     return 0
 
 
-def _joint_waypoints(arm: SerialArm) -> str:
-    """There and back about a pose that the drives hold, as lines of YAML."""
-    low, high = np.array([joint.range for joint in arm.joints]).T
-    middle, sides = _light_pose(arm, low, high), np.array([0.0, 1.0, -1.0, 0.0])[:, None]
-    times = (0.5, 4.0, 8.0, 11.5)
-    for largest in _TURNS:
-        places = middle + sides * np.minimum(0.2 * (high - low), largest)
-        with suppress(ConfigError):
-            SerialPath(arm, times, places)
+def _scenario(arm: SerialArm, source: str) -> str:
+    """A scenario as it is written, whose path the arm of the file can follow; ConfigError."""
+    # JSON's quotes are YAML's: names may hold any character.
+    sensor, written = json.dumps(arm.sensor_names[0], ensure_ascii=False), to_mapping(arm)
+    own, tried = parse_arm(written, source), [*_waypoints(arm)]
+    for lines in tried:
+        text = _filled('scenario.yaml', name=arm.name, sensor=sensor, waypoints=lines)
+        try:
+            parse_scenario(yaml.safe_load(text)).path(own)
             break
-    return '\n'.join(
-        f'    - {{t: {time}, joints: [{", ".join(f"{place:.4f}" for place in row)}]}}'
-        for time, row in zip(times, places)
-    )
+        except ConfigError:
+            if lines is tried[-1]:
+                raise
+    return text
 
 
-def _light_pose(arm: SerialArm, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """The middle of the joints' ranges, or a pose nearby that asks for less of the drives."""
-    middle = 0.5 * (low + high)
+def _waypoints(arm: SerialArm) -> Iterator[str]:
+    """There and back as lines of YAML: in the region, or about a pose, ever less far."""
+    if arm.lpv is not None:
+        planar = planar_model(arm)
+        # Kinematics counts q1 from the x-axis, angles of the links count from the upper vertical.
+        up = math.pi / 2 if planar.sign > 0 else -math.pi / 2
+        ends = np.array([[up + side, 0.6] for side in (-0.7, 0.1, -0.7)])
+        yield '\n'.join(
+            f'    - {{t: {time}, x: {x:.4f}, y: {y:.4f}}}'
+            for time, (x, y) in zip((0.5, 6.0, 11.5), forward(ends, planar.lengths).tolist())
+        )
+        return
+    low, high = np.array([joint.range for joint in arm.joints]).T
+    middle, sides = 0.5 * (low + high), np.array([0.0, 1.0, -1.0, 0.0])[:, None]
+    # The middle of the ranges, or a pose nearby that asks for less of the drives.
     nearby = np.random.default_rng(0).uniform(-0.2, 0.2, (200, len(middle))) * (high - low)
-    poses = middle + np.vstack([0.0 * middle, nearby])
+    poses, times = middle + np.vstack([0.0 * middle, nearby]), (0.5, 4.0, 8.0, 11.5)
     weight = np.abs(SerialModel(compile_chain(arm)).gravity(poses)) / arm.torque_limit
     shares = weight.max(axis=1)
-    return np.asarray(poses[0 if shares[0] < _HEAVY else int(shares.argmin())])
+    pose = poses[0 if shares[0] < _HEAVY else int(shares.argmin())]
+    for largest in _TURNS:
+        places = pose + sides * np.minimum(0.2 * (high - low), largest)
+        yield '\n'.join(
+            f'    - {{t: {time}, joints: [{", ".join(f"{place:.4f}" for place in row)}]}}'
+            for time, row in zip(times, places)
+        )
 
 
-def _filled(name: str, values: dict[str, str]) -> str:
-    return Template((_TEMPLATES / name).read_text(encoding='utf-8')).substitute(values)
-
-
-def _planar_waypoints(arm: SerialArm) -> str:
-    """There and back within the region, as lines of YAML."""
-    planar = planar_model(arm)
-    # Kinematics counts q1 from the x-axis, angles of the links count from the upper vertical.
-    middle = math.pi / 2 if planar.sign > 0 else -math.pi / 2
-    ends = np.array([[middle + side, 0.6] for side in (-0.7, 0.1, -0.7)])
-    return '\n'.join(
-        f'    - {{t: {time}, x: {x:.4f}, y: {y:.4f}}}'
-        for time, (x, y) in zip((0.5, 6.0, 11.5), forward(ends, planar.lengths).tolist())
-    )
+def _filled(template: str, **values: str) -> str:
+    return Template((_TEMPLATES / template).read_text(encoding='utf-8')).substitute(values)
