@@ -99,18 +99,22 @@ class Layout:
             for name, part in self._typestore.fielddefs[what][1]:
                 self._node(f'{path}.{name}' if path else name, part)
         elif kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
-            self._elements(path, what[0], what[1] if kind == Nodetype.ARRAY else self._length())
-        elif what[0] == 'string':
-            self._string()
-        else:
-            self._numbers(path, what[0], 1)
-
-    def _elements(self, path: str, node: Any, count: int) -> None:
-        if node[0] == Nodetype.BASE and node[1][0] != 'string':
-            self._numbers(path, node[1][0], count)
-        else:
+            (node, size), (form, base) = what, what[0]
+            count = size if kind == Nodetype.ARRAY else self._length()
+            if form == Nodetype.BASE and base[0] != 'string':
+                self._numbers(path, base[0], count)
+                return
             for i in range(count):
                 self._node(f'{path}.{i}', node)
+        elif what[0] == 'string':
+            length = self._length()
+            start = self._advance(length)
+            if length == 0 or self._data[start + length - 1] != 0:
+                raise _NoLayout
+            # Joined with its length: fewer and longer pieces are compared faster.
+            self._fixed[-1] = (start - 4, start + length)
+        else:
+            self._numbers(path, what[0], 1)
 
     def _align(self, size: int) -> None:
         self._position += -(self._position - _HEADER) % size
@@ -126,14 +130,6 @@ class Layout:
         start = self._advance(4)
         self._fixed.append((start, start + 4))
         return struct.unpack_from('<I', self._data, start)[0]
-
-    def _string(self) -> None:
-        length = self._length()
-        start = self._advance(length)
-        if length == 0 or self._data[start + length - 1] != 0:
-            raise _NoLayout
-        # Joined with its length: fewer and longer pieces are compared faster.
-        self._fixed[-1] = (start - 4, start + length)
 
     def _numbers(self, path: str, kind: str, count: int) -> None:
         if kind not in _SIZES:

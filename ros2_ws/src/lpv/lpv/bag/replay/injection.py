@@ -44,7 +44,14 @@ class BlockInjector:
             if active[row] or self._derived.any():
                 measured.position[row], measured.velocity[row] = faulty
                 place = int(measured.places[row])
-                changed[place] = self._rewritten(block.message(place), faulty)
+                message = self._reader.deserialize(block.message(place), MEASUREMENT_TYPE)
+                columns = [list(message.name).index(name) for name in self._arm.joint_names]
+                for name, values in zip(('position', 'velocity'), faulty):
+                    if len(getattr(message, name)):
+                        whole = getattr(message, name).copy()  # what is read is read-only
+                        whole[columns] = values
+                        setattr(message, name, whole)
+                changed[place] = message
         return changed
 
     def _faulty(
@@ -70,14 +77,3 @@ class BlockInjector:
         if not 0.0 < interval < MAX_GAP + self._arm.sample_time:
             interval, last = self._arm.sample_time, np.zeros_like(fault)
         return np.array([derived_rate_error(*pair, interval) for pair in zip(fault, last)])
-
-    def _rewritten(self, data: bytes, faulty: tuple[np.ndarray, np.ndarray]) -> Any:
-        """The message with other values."""
-        message = self._reader.deserialize(data, MEASUREMENT_TYPE)
-        columns = [list(message.name).index(name) for name in self._arm.joint_names]
-        for name, values in zip(('position', 'velocity'), faulty):
-            if len(getattr(message, name)):
-                whole = getattr(message, name).copy()  # what is read from a bag is read-only
-                whole[columns] = values
-                setattr(message, name, whole)
-        return message

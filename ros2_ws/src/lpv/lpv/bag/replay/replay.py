@@ -86,11 +86,9 @@ class Replay:
                 copied = [c for c in copied if not c.msgtype.endswith('/GroundTruth')]
             writer = ReplayWriter(out, self._monitor, options.preset, copied)
             with writer.bag, ThreadPoolExecutor(1) as pool:
-                wanted = _wanted(reader, result, effort, writer.copied)
                 written: Future[Any] = pool.submit(int)
-                for batch in ahead(self._batches(reader, wanted, effort, result)):
-                    copies = writer.copies(reader, wanted, batch)
-                    answers = self._answer(batch, result)
+                for batch in ahead(self._batches(reader, effort, result, writer.copied)):
+                    copies, answers = writer.copies(reader, batch), self._answer(batch, result)
                     written.result()
                     written = pool.submit(writer.write, batch, copies, answers)
                 written.result()
@@ -112,8 +110,7 @@ class Replay:
                 for name in STREAMS
                 if find_connections(reader, name, namespace=result.namespace)
             }
-            wanted = _wanted(reader, result, effort)
-            for batch in ahead(self._batches(reader, wanted, effort, result)):
+            for batch in ahead(self._batches(reader, effort, result)):
                 take(batch.measured, self._answer(batch, result))
             result.warnings = list(reader.warnings)
             result.lost = int(reader.known.get(result.topic, {}).get('lost', 0))
@@ -137,19 +134,23 @@ class Replay:
     def _batches(
         self,
         reader: BagReader,
-        wanted: Sequence[Connection],
         effort: Connection | None,
         result: ReplayResult,
+        others: frozenset[str] = frozenset(),
     ) -> Iterator[Batch]:
-        """Blocks of the bag with the measurements in them, decoded."""
-        arm = self._monitor.arm
+        """Blocks of what is measured, and of other topics, with the measurements decoded."""
+        arm, options = self._monitor.arm, self._options
+        if options.start is not None and options.end is not None and options.end <= options.start:
+            raise ConfigError('--to', 'must be after --from')
+        needed = others | {result.topic} | ({effort.topic} if effort else set())
+        wanted = [c for c in reader.connections if c.topic in needed]
         measurements = MeasurementReader(reader, arm.joint_names)
         efforts = effort and EffortReader(reader, effort.msgtype, arm.joint_names)
         # Commands are in N m; the monitor wants the unit of efforts.
         commanded = effort is not None and effort.msgtype == STREAMS[_COMMAND][0]
         gain = np.array([joint.torque_gain if commanded else 1.0 for joint in arm.joints])
         injector = self._injector and BlockInjector(self._injector, arm, reader)
-        for block in reader.blocks(wanted, *_limits(reader, self._options)):
+        for block in reader.blocks(wanted, *map(reader.log_time, (options.start, options.end))):
             positions = _of(block, wanted, result.topic)
             measured = measurements.read(block, positions)
             result.measurements += len(positions)
@@ -159,7 +160,7 @@ class Replay:
                 measured = measured._replace(effort=torque)
             rejected = np.setdiff1d(positions, measured.places, assume_unique=True)
             changed = injector.apply(block, measured) if injector else {}
-            yield Batch(block, measured, rejected, changed)
+            yield Batch(wanted, block, measured, rejected, changed)
         result.rejected = measurements.rejected + (efforts.rejected if efforts else Counter())
 
     def _answer(self, batch: Batch, result: ReplayResult) -> Answers:
@@ -183,16 +184,6 @@ class Replay:
         for row, text in answers.warnings:
             result.notes.append(((int(stamp[row]) - start) / NANOSECONDS, text))
         return answers
-
-
-def _wanted(
-    reader: BagReader,
-    result: ReplayResult,
-    effort: Connection | None,
-    others: frozenset[str] = frozenset(),
-) -> list[Connection]:
-    needed = others | {result.topic} | ({effort.topic} if effort else set())
-    return [c for c in reader.connections if c.topic in needed]
 
 
 def _of(block: Block, connections: Sequence[Connection], topic: str) -> np.ndarray:
@@ -222,13 +213,6 @@ def _effort_connection(reader: BagReader, topic: str) -> Connection:
         text = f'{topic} is of type {found.msgtype}; torques can be read from '
         text += ', '.join(EFFORT_TYPES)
     raise BagError(f'{reader.path}: {text}')
-
-
-def _limits(reader: BagReader, options: ReplayOptions) -> tuple[int | None, int | None]:
-    """First log time, and first one after the end [ns]; None without limits."""
-    if options.start is not None and options.end is not None and options.end <= options.start:
-        raise ConfigError('--to', 'must be after --from')
-    return reader.log_time(options.start), reader.log_time(options.end)
 
 
 @dataclass(frozen=True)

@@ -37,6 +37,7 @@ MARK = 'lpv_replay'
 class Batch(NamedTuple):
     """A block of messages, and the measurements in it."""
 
+    connections: Sequence[Connection]  # that the block counts
     block: Block
     measured: Measurements
     rejected: np.ndarray  # places of those without use
@@ -82,11 +83,9 @@ class ReplayWriter:
             for name, message in zip(OUTPUTS, examples)
         ]
 
-    def copies(
-        self, reader: BagReader, connections: Sequence[Connection], batch: Batch
-    ) -> list[Block]:
+    def copies(self, reader: BagReader, batch: Batch) -> list[Block]:
         """Messages of a block that are copied: all but earlier answers of the same monitor."""
-        block, own = batch.block, f'{self._name}: '.encode()
+        (connections, block), own = batch[:2], f'{self._name}: '.encode()
         channels = np.array(
             [self.bag.channel(c.topic) if c.topic in self.copied else -1 for c in connections]
         )[block.connection]

@@ -1,7 +1,7 @@
 """Message definitions for reading and writing bags without ROS."""
 
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 from rosbags.highlevel import AnyReaderError
@@ -53,17 +53,13 @@ def add_type(typestore: Typestore, msgtype: str) -> None:
     if msgtype not in typestore.fielddefs:
         found = get_types_from_msg(message_text(msgtype), msgtype)
         typestore.register(found)
-        for _, kind in found[msgtype][1]:
-            for used in _nested(kind):
+        fields: Any = found[msgtype][1]
+        for _, kind in fields:
+            # Elements of arrays are one level below.
+            is_array = kind[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE)
+            what, used = kind[1][0] if is_array else kind
+            if what == Nodetype.NAME:
                 add_type(typestore, used)
-
-
-def _nested(kind: Any) -> Iterator[str]:
-    """Message types of a field; elements of arrays are one level below."""
-    if kind[0] == Nodetype.NAME:
-        yield kind[1]
-    elif kind[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE):
-        yield from _nested(kind[1][0])
 
 
 def make_typestore() -> Typestore:

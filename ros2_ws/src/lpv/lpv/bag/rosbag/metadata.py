@@ -2,10 +2,11 @@
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import yaml
 from rosbags.interfaces import (
@@ -112,13 +113,19 @@ def dump(data: object) -> str:
     return yaml.dump(data, Dumper=_DUMPER, sort_keys=False, width=1000, allow_unicode=True)
 
 
+class Content(NamedTuple):
+    """Content of a file."""
+
+    entry: tuple[str, int, int, int]  # name, first and last log time [ns], messages
+    counts: Counter[str]  # messages by topic
+    size: int  # [bytes]
+
+
 def bag_information(
-    files: Sequence[tuple[str, int, int, int]],
-    topics: Sequence[Connection],
-    counts: Mapping[str, int],
-    custom: dict[str, str],
+    contents: Sequence[Content], topics: Collection[Connection], custom: dict[str, str]
 ) -> dict[str, Any]:
-    """Content of metadata.yaml; of files name, first and last log time [ns], and messages."""
+    """Content of metadata.yaml of some files."""
+    files = [one.entry for one in contents]
     start = min((first for _, first, _, count in files if count), default=0)
     end = max((last for _, _, last, count in files if count), default=0)
     described = [
@@ -144,7 +151,7 @@ def bag_information(
         'storage_identifier': 'mcap',
         **span(start, end, sum(count for *_, count in files)),
         'topics_with_message_count': [
-            {'topic_metadata': topic, 'message_count': counts[c.topic]}
+            {'topic_metadata': topic, 'message_count': sum(one.counts[c.topic] for one in contents)}
             for c, topic in zip(topics, described)
         ],
         'compression_format': '',

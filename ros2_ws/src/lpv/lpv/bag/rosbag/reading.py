@@ -267,13 +267,7 @@ def _opened(path: Path, stack: ExitStack) -> BagReader:
         reader.finished = paths[-1] in whole
     for text in damages:
         reader.warn(text)
-    _compare_counts(reader, metadata)
-    return reader
-
-
-def _compare_counts(reader: BagReader, metadata: BagMetadata | None) -> None:
-    """Messages that there should be, by files and metadata; warn where these differ."""
-    for connection in reader.connections:
+    for connection in connections:
         reader.said[connection.topic] += connection.msgcount
     if metadata is not None:
         reader.known, there = metadata.known, reader.said
@@ -282,6 +276,7 @@ def _compare_counts(reader: BagReader, metadata: BagMetadata | None) -> None:
                 said = f'{FILE_NAME} says {count} messages, the files hold {there[topic]}'
                 reader.warn(f'{topic}: {said}')
         reader.said = there | Counter(metadata.counts)
+    return reader
 
 
 def _files(path: Path, metadata: BagMetadata | None, damages: list[str]) -> list[Path]:

@@ -8,7 +8,7 @@ import shutil
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from mcap.data_stream import RecordBuilder
@@ -24,17 +24,9 @@ from rosbags.interfaces import (
 )
 
 from lpv.bag.blocks.message_blocks import RECORD, Block, from_rows
+from lpv.bag.rosbag import metadata
 from lpv.bag.rosbag.interfaces import add_type, decode, make_typestore, padded_cdr
 from lpv.bag.rosbag.messages import BagMessages
-from lpv.bag.rosbag.metadata import (
-    FILE_NAME,
-    RECORD_NAME,
-    Known,
-    bag_information,
-    dump,
-    qos_profile,
-    qos_text,
-)
 from lpv.core.support.config import write_whole
 from lpv.core.support.errors import ConfigError
 
@@ -84,14 +76,6 @@ class _Index(MessageIndex):
         stream.finish_record()
 
 
-class _Content(NamedTuple):
-    """Content of a file."""
-
-    entry: tuple[str, int, int, int]  # name, first and last log time [ns], messages
-    counts: Counter[str]  # messages by topic
-    size: int  # [bytes]
-
-
 class _File(Writer):
     """One file by mcap's writer, which takes whole chunks, too: a call a message is far slower."""
 
@@ -107,12 +91,14 @@ class _File(Writer):
         self.start('ros2', 'lpv.bag')
 
     @property
-    def content(self) -> _Content:
+    def content(self) -> metadata.Content:
         """What has been written so far."""
         found = self.statistics
         counts = {t: found.channel_message_counts.get(n, 0) for t, n in self.channels.items()}
         times = found.message_start_time, found.message_end_time
-        return _Content((self.name, *times, found.message_count), Counter(counts), self.output.size)
+        return metadata.Content(
+            (self.name, *times, found.message_count), Counter(counts), self.output.size
+        )
 
     def define(self, topic: Connection) -> None:
         """Add a topic."""
@@ -121,7 +107,7 @@ class _File(Writer):
         schema = (topic.msgtype, encoding, text.encode())
         if schema not in self._schemas:
             self._schemas[schema] = self.register_schema(*schema)
-        about = {'offered_qos_profiles': qos_text(topic), 'topic_type_hash': topic.digest}
+        about = {'offered_qos_profiles': metadata.qos_text(topic), 'topic_type_hash': topic.digest}
         number = self.register_channel(topic.topic, 'cdr', self._schemas[schema], about)
         self.channels[topic.topic] = number
 
@@ -171,7 +157,7 @@ class BagWriter:
         self._chunk_time, self._custom = chunk_time, dict(custom_data or {})
         self._slot: int | None = None
         self._topics: dict[str, Connection] = {}
-        self._done: list[_Content] = []  # no files: these hold the index of every chunk
+        self._done: list[metadata.Content] = []  # no files: these hold the index of every chunk
         self._closed = False
         self._failure: OSError | None = None  # the first one
         try:
@@ -197,7 +183,7 @@ class BagWriter:
         """Number of files so far."""
         return len(self._contents())
 
-    def _contents(self) -> list[_Content]:
+    def _contents(self) -> list[metadata.Content]:
         is_done = self._file.output.file.closed
         return self._done if is_done else [*self._done, self._file.content]
 
@@ -265,7 +251,7 @@ class BagWriter:
         self, topic: str, names: Iterable[str], samples: Iterable[tuple[Any, ...]]
     ) -> int:
         """Write stamps [ns], positions, rates and efforts on a new topic; how many messages."""
-        self.add_topic(topic, 'sensor_msgs/msg/JointState', [qos_profile(True, False, 10)])
+        self.add_topic(topic, 'sensor_msgs/msg/JointState', [metadata.qos_profile(True, False, 10)])
         messages, joints, count = BagMessages(self.typestore, 'base_link'), list(names), 0
         for stamp, *values in samples:
             self.write(topic, stamp, messages.joint_state(stamp, joints, *values))
@@ -353,32 +339,32 @@ class BagWriter:
         with contextlib.suppress(OSError), self._noting():
             if not self._failure:
                 file.flush()
-                text = dump(self._information([file.content])).strip()
-                file.add_metadata('rosbag2', {'serialized_metadata': text})
+                about = metadata.bag_information(
+                    [file.content], self._topics.values(), self._custom
+                )
+                file.add_metadata('rosbag2', {'serialized_metadata': metadata.dump(about).strip()})
                 file.finish()
                 self._sync()
         with contextlib.suppress(OSError), self._noting():
             file.output.file.close()
         self._done.append(file.content)
 
-    def _information(self, contents: Sequence[_Content]) -> dict[str, Any]:
-        counts = sum((one.counts for one in contents), Counter[str]())
-        entries = [one.entry for one in contents]
-        return bag_information(entries, list(self._topics.values()), counts, self._custom)
-
-    def close(self, known: Known | None = None) -> str:
+    def close(self, known: metadata.Known | None = None) -> str:
         """Finish files and metadata; '', or what could not be written; may be called again."""
         if self._closed:
             return ''
         if known:
-            self._custom[RECORD_NAME] = json.dumps(known, sort_keys=True, separators=(',', ':'))
+            self._custom[metadata.RECORD_NAME] = json.dumps(
+                known, sort_keys=True, separators=(',', ':')
+            )
         self._finish_file()
         self._closed = True
         if self._failure:
             return f'its last messages or its end ({self._failure.strerror or self._failure})'
-        text = dump({'rosbag2_bagfile_information': self._information(self._done)})
+        about = metadata.bag_information(self._done, self._topics.values(), self._custom)
+        text = metadata.dump({'rosbag2_bagfile_information': about})
         try:
-            write_whole(self.path / FILE_NAME, text, self._fsync)
+            write_whole(self.path / metadata.FILE_NAME, text, self._fsync)
         except OSError as error:
-            return f'{FILE_NAME} ({error.strerror})'
+            return f'{metadata.FILE_NAME} ({error.strerror})'
         return ''

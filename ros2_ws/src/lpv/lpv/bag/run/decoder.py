@@ -67,7 +67,10 @@ class Decoder:
             if isinstance(columns, str):
                 self.rejected[columns] += 1
             else:
-                yield self._single(left[:1], message, columns)
+                stamp = to_nanoseconds(message.header.stamp) if hasattr(message, 'header') else 0
+                read = {path: np.atleast_1d(value_at(message, path))[None] for path in self._paths}
+                picked = {path: _picked(values, *columns) for path, values in read.items()}
+                yield left[:1], np.array([stamp]), picked
             left = left[1:]
 
     def _part(
@@ -82,12 +85,6 @@ class Decoder:
                 stamps = layout.stamps(block.data, starts)
             read = {path: layout.read(block.data, starts, path) for path in self._paths}
             yield places, stamps, {path: _picked(v, *columns) for path, v in read.items()}
-
-    def _single(self, places: np.ndarray, message: Any, columns: Columns) -> Table:
-        stamp = to_nanoseconds(message.header.stamp) if hasattr(message, 'header') else 0
-        read = {path: np.atleast_1d(value_at(message, path))[None] for path in self._paths}
-        picked = {path: _picked(values, *columns) for path, values in read.items()}
-        return places, np.array([stamp]), picked
 
     def _layout(self, data: bytes, message: Any) -> Layout | None:
         """Layout of a message, if the general reader gives the same numbers."""

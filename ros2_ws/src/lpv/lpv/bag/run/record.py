@@ -2,7 +2,7 @@
 
 import logging
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
@@ -58,6 +58,23 @@ class RecordedAlarm(Alarm):
     """An alarm event with the stamp of the measurement that decided."""
 
     stamp: int = 0  # [ns]
+
+
+def alarms_of(events: Iterable[Any]) -> list[list[Any]]:
+    """Events of each alarm, `Alarm` of any kind, in the order in which the alarms began."""
+    found: list[list[Any]] = []
+    running: dict[tuple[int, str], list[Any]] = {}  # of each sensor and subject
+    for event in events:
+        if event.kind == 'dropout' and event.event == AlarmEvent.UPDATED:
+            continue  # beside another alarm: no event tells its end
+        key = event.sensor_index, subject(event.kind)
+        own = running.pop(key, None)
+        if own is None or event.event == AlarmEvent.RAISED:
+            found.append(own := [])
+        own.append(event)
+        if event.event != AlarmEvent.CLEARED:
+            running[key] = own
+    return found
 
 
 @dataclass
@@ -195,11 +212,7 @@ def load_run(
         record = RunRecord(topics={name: c[0].topic for name, c in chosen.items()})
         for connection in reader.connections:
             record.counts[connection.topic] += connection.msgcount
-        try:
-            _read_streams(reader, chosen, record, joint_names)
-        except BagError as error:
-            text = str(error)
-            raise BagError(text if text.startswith(str(path)) else f'{path}: {text}') from None
+        _read_streams(reader, chosen, record, joint_names)
         for warning in record.warnings:
             _LOG.warning('%s: %s', path, warning)
         record.warnings = [*reader.warnings, *record.warnings]
@@ -245,36 +258,27 @@ class _Stream:
 
     def fill(self, record: RunRecord) -> None:
         """Rows by stamp into a record; of one stamp the last message counts."""
-        name, topic = self._name, record.topics[self._name]
+        name, topic, warn = self._name, record.topics[self._name], record.warnings.append
         if self.parts:
             stamps = np.concatenate([part[1] for part in self.parts])
             table = {f: np.concatenate([p[2][f] for p in self.parts]) for f in self.fields}
             if name == 'state_estimate':  # without an estimate its values mean nothing
                 known = table['mode'][:, 0] != Mode.NO_ESTIMATE
                 stamps, table = stamps[known], {f: v[known] for f, v in table.items()}
-            if len(stamps):
-                # np.unique gives the first of equal ones: reversed, that is the last message.
-                record.stamps[name], last = np.unique(stamps[::-1], return_index=True)
+            # np.unique gives the first of equal ones: reversed, that is the last message.
+            kept, last = np.unique(stamps[::-1], return_index=True)
+            if len(kept):
                 rows = len(stamps) - 1 - last
-                record.streams[name] = {
-                    f: v[rows, 0] if f in SCALARS else v[rows] for f, v in table.items()
-                }
-                backwards = int(np.sum(stamps[1:] < np.maximum.accumulate(stamps)[:-1]))
-                if backwards:
-                    record.warnings.append(
-                        f'{topic}: time goes backwards {backwards} times, messages are sorted by '
-                        'their stamps'
-                    )
-                if len(stamps) > len(last):
-                    record.warnings.append(
-                        f'{topic}: {len(stamps) - len(last)} messages have the stamp of another '
-                        'one, the last one of each stamp counts'
-                    )
-        misfits = sum(self.decoder.rejected.values())
-        if misfits and name != 'joint_states':
-            record.warnings.append(
-                f'{topic}: {misfits} messages whose number of joints does not fit are left out'
-            )
+                values = {f: v[rows, 0] if f in SCALARS else v[rows] for f, v in table.items()}
+                record.stamps[name], record.streams[name] = kept, values
+            if count := int(np.sum(stamps[1:] < np.maximum.accumulate(stamps)[:-1])):
+                text = f'time goes backwards {count} times, messages are sorted by their stamps'
+                warn(f'{topic}: {text}')
+            if count := len(stamps) - len(kept):
+                text = 'messages have the stamp of another one, the last one of each stamp counts'
+                warn(f'{topic}: {count} {text}')
+        if (count := sum(self.decoder.rejected.values())) and name != 'joint_states':
+            warn(f'{topic}: {count} messages whose number of joints does not fit are left out')
 
 
 def _read_streams(
@@ -295,7 +299,7 @@ def _read_streams(
                 rows = streams[name].decoder.read(block, positions)
                 streams[name].parts += [rows] if rows is not None else []
             for k in positions.tolist() if name == ALARMS else ():
-                alarm = _alarm(reader.deserialize(block.message(k), ALARM_TYPE))
+                alarm = _alarm(reader, block.message(k))
                 # Latched events are delivered again to late subscribers.
                 key = alarm.stamp, alarm.sensor_index, alarm.event, subject(alarm.kind)
                 alarms[key] = alarm
@@ -309,18 +313,18 @@ def _read_streams(
         count, topic = len(record.stamps.get('joint_states', ())), record.topics['joint_states']
         if count == 0:
             missing = next(iter(streams['joint_states'].decoder.rejected), '')
-            raise BagError(missing or f'{topic} holds no message')
+            raise BagError(f'{reader.path}: ' + (missing or f'{topic} holds no message'))
         if count == 1:
-            raise BagError(f'all messages of {topic} have the same stamp, or there is one only')
+            text = f'all messages of {topic} have the same stamp, or there is one only'
+            raise BagError(f'{reader.path}: {text}')
 
 
-def _alarm(message: Any) -> RecordedAlarm:
-    try:
-        event = AlarmEvent(message.event)
-    except ValueError as error:
-        raise BagError(f'fault_alarm: unknown event {message.event}') from error
+def _alarm(reader: BagReader, data: bytes) -> RecordedAlarm:
+    message = reader.deserialize(data, ALARM_TYPE)
+    if message.event not in list(AlarmEvent):
+        raise BagError(f'{reader.path}: fault_alarm: unknown event {message.event}')
     return RecordedAlarm(
-        event,
+        AlarmEvent(message.event),
         int(message.sensor_index),
         message.sensor,
         to_nanoseconds(message.onset),
