@@ -74,11 +74,6 @@ class AlarmPair:
         """Name of the sensor."""
         return next(episode.sensor for episode in (self.first, self.second) if episode)
 
-    def as_dict(self) -> dict[str, Any]:
-        """Plain data."""
-        both = (e and {**asdict(e), 'delay': e.delay} for e in (self.first, self.second))
-        return {**dict(zip(('first', 'second'), both)), 'same': self.same, 'unit': self.unit}
-
 
 @dataclass
 class Comparison:
@@ -109,12 +104,19 @@ class Comparison:
     def as_dict(self) -> dict[str, Any]:
         """Plain data for JSON; what is not a number is None."""
         names = ('common', 'only_first', 'only_second', 'complete')
+
+        def plain(alarm: Episode | None) -> dict[str, Any] | None:
+            return {**asdict(alarm), 'delay': alarm.delay} if alarm else None
+
         found = {
             'same': self.same,
             'answers': {name: getattr(self, name) for name in names},
             'figures': [vars(figure) for figure in self.figures],
             'differences': [vars(figure) for figure in self.differences],
-            'alarms': [pair.as_dict() for pair in self.alarms],
+            'alarms': [
+                {**vars(pair), 'first': plain(pair.first), 'second': plain(pair.second)}
+                for pair in self.alarms
+            ],
         }
         return finite(found)
 
@@ -239,9 +241,13 @@ def _pairs(
             and other.raised + shift <= _end(alarm) + DiagnosisParameters.clear_dwell
         ]  # fmt: skip
         other = min(near, key=lambda o: abs(o.raised + shift - alarm.raised), default=None)
+        same = other is not None and alarm.kind == other.kind
         if other is not None:
             left.remove(other)
-        same = _same_alarm(alarm, other, shift, tolerance)
+            times = ((alarm.raised, other.raised), (_end(alarm), _end(other)))
+            # Differences of seconds as floats have nanoseconds of rounding.
+            gaps = (0.0 if a == b + shift else abs(a - (b + shift)) for a, b in times)
+            same &= max(gaps) <= tolerance + 1e-9
         pairs.append(AlarmPair(alarm, other, same, alarm.unit(arm)))
     pairs += [AlarmPair(None, other, False, other.unit(arm)) for other in left]
     return sorted(pairs, key=lambda pair: (pair.first or pair.second).raised)  # type: ignore[union-attr]
@@ -249,14 +255,6 @@ def _pairs(
 
 def _end(episode: Episode) -> float:
     return math.inf if episode.cleared is None else episode.cleared
-
-
-def _same_alarm(one: Episode, other: Episode | None, shift: float, tolerance: float) -> bool:
-    if other is None or one.kind != other.kind:
-        return False
-    times = ((one.raised, other.raised + shift), (_end(one), _end(other) + shift))
-    # Differences of seconds as floats have nanoseconds of rounding.
-    return all(a == b or abs(a - b) <= tolerance + 1e-9 for a, b in times)
 
 
 def draw_comparison(first: RunRecord, second: RunRecord, arm: SerialArm, out: Path) -> None:

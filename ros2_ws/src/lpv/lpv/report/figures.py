@@ -167,11 +167,18 @@ def path(run: Run) -> Figure:
     for axis, (label, row) in zip(axes[0], views):
         for stream, text, color, width in curves:
             if (points := tips[stream]) is not None:
-                shown = _spread(points[:, [0, row]])
+                # Without those that are closer than a line's width, 0.5 mm, to the one before.
+                shown = points[:, [0, row]]
+                way = np.append(0.0, np.cumsum(np.hypot(*np.diff(shown, axis=0).T)))
+                shown = shown[np.unique(np.floor(way / 0.5e-3), return_index=True)[1]]
                 axis.plot(*shown.T, label=text, color=color, linewidth=width)
         marked = tips[actual] if tips[actual] is not None else tips['joint_states']
         if marked is not None:
-            _mark_ends(axis, marked[[0, -1]][:, [0, row]])
+            for name, end, sign, below in (('start', 0, 'o', 7), ('end', -1, 's', -13)):
+                point = marked[end, [0, row]]
+                axis.plot(*point, sign, color=INK, markersize=4.5, zorder=5)
+                offset: Any = {'textcoords': 'offset points', 'xytext': (8, below)}
+                axis.annotate(name, point, color=INK, **offset)
         obstacle = planned.obstacle if planned is not None else None
         if obstacle is not None:
             look = {'facecolor': 'none', 'edgecolor': SOFT, 'hatch': '////', 'label': 'obstacle'}
@@ -187,19 +194,6 @@ def _tips(run: Run, stream: str) -> np.ndarray | None:
     position = run.record.aligned(stream, 'position')
     tips = None if position is None else tip_positions(run.arm, position)[0]
     return None if tips is None or not len(tips) else tips
-
-
-def _spread(points: np.ndarray, step: float = 0.5e-3) -> np.ndarray:
-    """Points without those that are closer than a line's width to the one before [m]."""
-    travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
-    return points[np.unique(np.floor(travelled / step), return_index=True)[1]]
-
-
-def _mark_ends(axis: Axes, ends: np.ndarray) -> None:
-    for point, marker, text, below in zip(ends, 'os', ('start', 'end'), (7, -13)):
-        axis.plot(*point, marker, color=INK, markersize=4.5, zorder=5)
-        offset: dict[str, Any] = {'textcoords': 'offset points', 'xytext': (8, below), 'color': INK}
-        axis.annotate(text, point, **offset)
 
 
 def faults(run: Run) -> Figure | None:

@@ -9,17 +9,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lpv.bag.rosbag.output_folder import GAINS_NAME, SCENARIO_NAME
-from lpv.bag.run.record import NodeReport, RecordedAlarm, RunRecord, load_run, node_reports
+from lpv.bag.run.record import (
+    NodeReport,
+    RecordedAlarm,
+    RunRecord,
+    alarms_of,
+    load_run,
+    node_reports,
+)
 from lpv.core.control.path import TimedPath
 from lpv.core.serial_arm.description import SerialArm
-from lpv.core.serial_arm.diagnosis.alarms import (
-    RATE_BIAS,
-    AlarmEvent,
-    Mode,
-    SensorState,
-    size_unit,
-    subject,
-)
+from lpv.core.serial_arm.diagnosis import alarms
 from lpv.core.simulation.faults import tells_of
 from lpv.core.simulation.scenario import load_scenario
 from lpv.core.support.errors import LpvError
@@ -30,7 +30,7 @@ from lpv.report.table import make_table
 INCONSISTENT, SAFE_STOP, UNSAFE = 'inconsistent', 'safe stop', 'not trustworthy'
 NOT_DIAGNOSABLE, NO_DATA = 'not diagnosable', 'no data'
 TOO_FAST, NO_COMMAND, BRAKED = 'above speed limit', 'no command', 'drives braked'
-_STATES = {SensorState.NOT_DIAGNOSABLE: NOT_DIAGNOSABLE, SensorState.STALE: NO_DATA}
+_STATES = {alarms.SensorState.NOT_DIAGNOSABLE: NOT_DIAGNOSABLE, alarms.SensorState.STALE: NO_DATA}
 _MEANING = {
     INCONSISTENT: 'rates, torques and model contradict each other; cause unknown',
     SAFE_STOP: 'the tracker commanded the drives to brake',
@@ -92,12 +92,12 @@ class Episode:
     def unit(self, arm: SerialArm) -> str:
         """Unit of its sizes; '' if a damaged message names a sensor that the arm has not."""
         units = arm.position_units[self.sensor_index :][:1]
-        return ''.join(size_unit(self.kind, unit) for unit in units)
+        return ''.join(alarms.size_unit(self.kind, unit) for unit in units)
 
     @property
     def about(self) -> tuple[int, str]:
         """Its sensor, and what of it; one alarm at a time is about it."""
-        return self.sensor_index, subject(self.kind)
+        return self.sensor_index, alarms.subject(self.kind)
 
     @property
     def false_alarm(self) -> bool:
@@ -130,58 +130,45 @@ def true_faults(record: RunRecord) -> list[FaultSpan] | None:
 def episodes(record: RunRecord) -> list[Episode]:
     """Alarms of a run, in the order in which they were raised."""
     faults = true_faults(record)
-    found: list[Episode] = []
-    running: dict[tuple[int, str], int] = {}  # place of the episode of each sensor and subject
-    for event in record.alarms:
-        if event.kind == 'dropout' and event.event == AlarmEvent.UPDATED:
-            continue  # beside another alarm: no event tells its end
-        key = event.sensor_index, subject(event.kind)
-        place = running.pop(key, None)
-        if place is None or event.event == AlarmEvent.RAISED:
-            place = len(found)
-            found.append(_start(record, event, faults))
-        if event.event == AlarmEvent.CLEARED:
-            changes: dict[str, Any] = {'cleared': record.seconds(event.stamp)}
-        else:
-            running[key] = place
-            changes = {n: getattr(event, n) for n in ('kind', 'confidence', 'size', 'bound')}
-        found[place] = replace(found[place], **changes)
-    found = [_with_estimates(record, episode) for episode in found]
+    found = [_episode(record, events, faults) for events in alarms_of(record.alarms)]
     return sorted(found, key=lambda e: (e.raised, e.sensor_index))
 
 
-def _start(record: RunRecord, event: RecordedAlarm, faults: list[FaultSpan] | None) -> Episode:
-    onset, raised = record.seconds(event.onset), record.seconds(event.detected)
-    own = [fault for fault in faults or () if fault.sensor_index == event.sensor_index]
-    told = [tells_of(fault.start, fault.end, onset, raised, event.kind) for fault in own]
+def _episode(
+    record: RunRecord, events: list[RecordedAlarm], faults: list[FaultSpan] | None
+) -> Episode:
+    first, end, i = events[0], events[-1], events[0].sensor_index
+    last = next((e for e in reversed(events) if e.event != alarms.AlarmEvent.CLEARED), first)
+    cleared = record.seconds(end.stamp) if end.event == alarms.AlarmEvent.CLEARED else None
+    onset, raised = record.seconds(first.onset), record.seconds(first.detected)
+    own = [fault for fault in faults or () if fault.sensor_index == i]
+    told = [tells_of(fault.start, fault.end, onset, raised, first.kind) for fault in own]
     mine = [fault.start for fault, is_told in zip(own, told) if is_told]
     # The truth has faults of positions alone.
-    unknown = faults is None or (not mine and (None in told or event.kind == RATE_BIAS))
+    unknown = faults is None or (not mine and (None in told or first.kind == alarms.RATE_BIAS))
     true_onset = None if unknown else mine[-1] if mine else math.nan
+    size, bound, largest = last.size, last.bound, math.nan
+    estimate, bounds = (record.get('fault_estimate', name) for name in ('estimate', 'bound'))
+    if last.kind == 'dropout':
+        size = bound = math.nan
+    elif (
+        estimate is not None
+        and bounds is not None
+        and 0 <= i < estimate.shape[1]
+        and (last.kind not in ('noise', alarms.RATE_BIAS))
+    ):
+        time, known = record.seconds(record.stamps['fault_estimate']), np.isfinite(estimate[:, i])
+        until = math.inf if cleared is None else cleared
+        rows = np.flatnonzero((time >= raised) & (time <= until) & known)
+        if rows.size:
+            values = estimate[rows, i]
+            largest = float(values[np.argmax(np.abs(values))])
+            if cleared is None:
+                size, bound = float(values[-1]), float(bounds[rows[-1], i])
     return Episode(
-        event.sensor, event.sensor_index, onset, raised, None, event.size,
-        event.bound, math.nan, event.kind, event.confidence, true_onset,
+        first.sensor, i, onset, raised, cleared, size,
+        bound, largest, last.kind, last.confidence, true_onset,
     )  # fmt: skip
-
-
-def _with_estimates(record: RunRecord, episode: Episode) -> Episode:
-    """With the largest estimate of the alarm and, of an active one, the present estimate."""
-    estimate, bound = (record.get('fault_estimate', name) for name in ('estimate', 'bound'))
-    if episode.kind == 'dropout':
-        return replace(episode, size=math.nan, bound=math.nan)
-    i, other = episode.sensor_index, episode.kind in ('noise', RATE_BIAS)
-    if other or estimate is None or bound is None or not 0 <= i < estimate.shape[1]:
-        return episode
-    time = record.seconds(record.stamps['fault_estimate'])
-    end = math.inf if episode.cleared is None else episode.cleared
-    rows = np.flatnonzero((time >= episode.raised) & (time <= end) & np.isfinite(estimate[:, i]))
-    if not rows.size:
-        return episode
-    values = estimate[rows, i]
-    episode = replace(episode, largest=float(values[np.argmax(np.abs(values))]))
-    if episode.cleared is not None:
-        return episode
-    return replace(episode, size=float(values[-1]), bound=float(bound[rows[-1], i]))
 
 
 def missed_faults(record: RunRecord, found: list[Episode]) -> list[FaultSpan]:
@@ -225,10 +212,14 @@ def phases(
     """All such intervals by beginning, as exact as the nodes' ``reports`` where these say it."""
     observer = reports.get('observer', ())
     _, time, rates = _rates(record)
+    commands = record.stamps.get('torque_command', np.zeros(0, np.int64))
+    last = max([*commands[-1:], record.stamps['joint_states'][-1]])
+    times = record.seconds(np.append(commands, last)).tolist()
+    silent = [pair for pair in zip(times, times[1:]) if pair[1] - pair[0] > MAX_GAP]
     of_arm = {
         INCONSISTENT: _while(record, observer, INCONSISTENT),
         UNSAFE: _while(record, observer, 'a confirmed fault cannot be compensated'),
-        NO_COMMAND: _without_commands(record),
+        NO_COMMAND: silent,
         TOO_FAST: spans((np.abs(rates) > arm.velocity_limit).any(axis=1), time),
     }
     found = [Phase(what, '', *span) for what, some in of_arm.items() for span in some]
@@ -252,7 +243,7 @@ def starting(record: RunRecord, stamps: np.ndarray) -> np.ndarray:
     mode = record.get('state_estimate', 'mode')
     if mode is None:
         return np.zeros(len(stamps), bool)
-    return np.isin(stamps, record.stamps['state_estimate'][mode == Mode.INITIALISING])
+    return np.isin(stamps, record.stamps['state_estimate'][mode == alarms.Mode.INITIALISING])
 
 
 def _while(record: RunRecord, reports: Sequence[NodeReport], begin: str) -> list[Span]:
@@ -296,16 +287,6 @@ def _safe_stops(record: RunRecord, reports: Sequence[NodeReport]) -> list[Phase]
     return found
 
 
-def _without_commands(record: RunRecord) -> list[Span]:
-    stamps = record.stamps.get('torque_command')
-    if stamps is None:
-        return []
-    end = max(stamps[-1], record.stamps['joint_states'][-1])
-    times = np.asarray(record.seconds(np.append(stamps, end)))
-    silent = np.flatnonzero(np.diff(times) > MAX_GAP)
-    return [(float(times[k]), float(times[k + 1])) for k in silent]
-
-
 def listed(found: Sequence[Phase]) -> tuple[list[Phase], list[dict[str, Any]]]:
     """The longest intervals of each kind, and the sums of the others."""
     kept: list[Phase] = []
@@ -342,6 +323,11 @@ def motion(record: RunRecord, arm: SerialArm) -> Motion:
     # A missing rate (NaN) is a matter of the sensor, an infinite one is not.
     shares = np.where(np.isnan(rates), 0.0, np.abs(rates)) / limits
     row, joint = np.unravel_index(int(np.argmax(shares)), shares.shape)
+    truth, reference = (record.aligned(s, 'position') for s in ('ground_truth', 'reference'))
+    path_error = None
+    if truth is not None and reference is not None:
+        one, two = tip_positions(arm, truth, reference)
+        path_error = float(np.linalg.norm(one - two, axis=1).max()) if len(one) else None
     return Motion(
         source,
         float(shares[row, joint]),
@@ -349,7 +335,7 @@ def motion(record: RunRecord, arm: SerialArm) -> Motion:
         float(limits[joint]),
         f'{arm.position_units[joint]}/s',
         arm.joint_names[joint],
-        _path_error(record, arm),
+        path_error,
     )
 
 
@@ -359,14 +345,6 @@ def _rates(record: RunRecord) -> tuple[str, np.ndarray, np.ndarray]:
     source = 'true' if stream == 'ground_truth' else 'measured'
     time = np.asarray(record.seconds(record.stamps[stream]))
     return source, time, record.streams[stream]['velocity']
-
-
-def _path_error(record: RunRecord, arm: SerialArm) -> float | None:
-    truth, reference = (record.aligned(s, 'position') for s in ('ground_truth', 'reference'))
-    if truth is None or reference is None:
-        return None
-    one, two = tip_positions(arm, truth, reference)
-    return float(np.linalg.norm(one - two, axis=1).max()) if len(one) else None
 
 
 def tip_positions(arm: SerialArm, *positions: np.ndarray) -> list[np.ndarray]:

@@ -140,10 +140,9 @@ def _verdict(run: Run) -> str:
     if brakes := [phase for phase in run.phases if phase.what == history.BRAKED]:
         reasons = ', '.join(dict.fromkeys(phase.note for phase in brakes))
         parts.append(f'the drives braked {_count(len(brakes), "time")} ({reasons})')
-    stops = _count(sum(phase.what == history.SAFE_STOP for phase in run.phases), 'safe stop')
-    odd = _count(
-        sum(phase.what == history.INCONSISTENT for phase in run.phases), 'inconsistent phase'
-    )
+    kinds = [phase.what for phase in run.phases]
+    stops = _count(kinds.count(history.SAFE_STOP), 'safe stop')
+    odd = _count(kinds.count(history.INCONSISTENT), 'inconsistent phase')
     words = '; '.join([*parts, f'{stops}, {odd}.'])
     if move.fastest <= 1.0:
         return words

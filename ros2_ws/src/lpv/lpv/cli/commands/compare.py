@@ -13,25 +13,18 @@ from rich.table import Table
 
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.formatting import decimals, number
+from lpv.report import comparison
 from lpv.report.certificate import find_arm_and_gains
-from lpv.report.comparison import (
-    AlarmPair,
-    Comparison,
-    Tolerances,
-    compare_runs,
-    draw_comparison,
-    load_pair,
-)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Compare, show, write; 3 if the runs differ."""
-    names = [field.name for field in fields(Tolerances)]
+    names = [field.name for field in fields(comparison.Tolerances)]
     chosen = {name: 0.0 if arguments.exact else getattr(arguments, name) for name in names}
-    tolerances = Tolerances(**chosen)
+    tolerances = comparison.Tolerances(**chosen)
     arm, _, _ = find_arm_and_gains(arguments.bag, arguments.arm, None)
-    pair = load_pair(arguments.bag, arguments.other, arm, arguments.topic)
-    result = compare_runs(*pair, arm, tolerances)
+    pair = comparison.load_pair(arguments.bag, arguments.other, arm, arguments.topic)
+    result = comparison.compare_runs(*pair, arm, tolerances)
     text = json.dumps(result.as_dict(), indent=1, allow_nan=False)
     if arguments.json:
         print(text)
@@ -43,11 +36,11 @@ def run(arguments: argparse.Namespace) -> int:
             raise ConfigError('--out', f'{out} is not a folder')
         out.mkdir(parents=True, exist_ok=True)
         (out / 'comparison.json').write_text(text + '\n', encoding='utf-8')
-        draw_comparison(*pair, arm, out)
+        comparison.draw_comparison(*pair, arm, out)
     return 0 if result.same else 3
 
 
-def show(result: Comparison, console: Console) -> None:
+def show(result: comparison.Comparison, console: Console) -> None:
     """Show a comparison as tables."""
     console.print(
         f'{result.common} answers in both bags, {result.only_first} in the first alone, '
@@ -89,7 +82,7 @@ def _mark(same: bool) -> str:
     return '' if same else '<- differs'
 
 
-def _both(pair: AlarmPair, name: str, unit: str = '') -> str:
+def _both(pair: comparison.AlarmPair, name: str, unit: str = '') -> str:
     """Attribute of both alarms, one above the other; once if it reads the same."""
     texts = []
     for episode in (pair.first, pair.second):
