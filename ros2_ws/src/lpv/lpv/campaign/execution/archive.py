@@ -15,14 +15,14 @@ import numpy as np
 
 from lpv.bag.replay.replay import Replay, ReplayOptions, ReplayResult
 from lpv.bag.rosbag.metadata import FILE_NAME, read_metadata
-from lpv.bag.run.record import load_run
+from lpv.bag.run.record import alarms_of, load_run
 from lpv.campaign.execution.run_metrics import figures
 from lpv.campaign.plan.campaign import software
 from lpv.core.monitoring.parameters import DiagnosisParameters
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.arm_file import parse_arm, to_mapping
 from lpv.core.serial_arm.description import SerialArm
-from lpv.core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent, SensorState, subject
+from lpv.core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent, SensorState
 from lpv.core.simulation.faults import Fault
 from lpv.core.simulation.scenario import load_scenario
 from lpv.core.support.config import sha256_of
@@ -147,7 +147,16 @@ class BagFigures:
         rows = np.flatnonzero(answers.answered & answers.has_fault)
         fault, state = answers.fault[rows], answers.state[rows]
         if len(rows):
-            self._add_faults(fault.estimate, fault.threshold, fault.state)
+            known = (fault.state != _STALE) & (fault.threshold > 0.0)
+            score = np.zeros_like(fault.estimate)
+            np.divide(np.abs(fault.estimate), fault.threshold, out=score, where=known)
+            self._score = np.maximum(self._score, score.max(axis=0))
+            diagnosed = np.isin(fault.state, _DIAGNOSED)
+            sure, threshold = (
+                np.where(diagnosed, x, 0.0) for x in (fault.estimate, fault.threshold)
+            )
+            self._largest = np.maximum(self._largest, np.abs(sure).max(axis=0))
+            self._sums += [part.sum(axis=0) for part in (diagnosed, sure, sure**2, threshold)]
         self._samples += len(rows)
         if self._samples > MOST_SAMPLES:
             self._answers.clear()
@@ -164,16 +173,6 @@ class BagFigures:
         self._doubtful += time @ table[:, 1:3]
         for i, states in enumerate(table.T[3:]):
             self._state_time[:, i] += np.bincount(states, time, len(STATES))
-
-    def _add_faults(self, estimate: np.ndarray, threshold: np.ndarray, state: np.ndarray) -> None:
-        known = (state != _STALE) & (threshold > 0.0)
-        score = np.divide(np.abs(estimate), threshold, out=np.zeros_like(estimate), where=known)
-        self._score = np.maximum(self._score, score.max(axis=0))
-        diagnosed = np.isin(state, _DIAGNOSED)
-        sure = np.where(diagnosed, estimate, 0.0)
-        self._largest = np.maximum(self._largest, np.abs(sure).max(axis=0))
-        parts = (diagnosed, sure, sure**2, np.where(diagnosed, threshold, 0.0))
-        self._sums += [part.sum(axis=0) for part in parts]
 
     def row(self, bag: Path, result: ReplayResult) -> dict[str, Any]:
         """Figures of the bag, by column; None where there is nothing to be measured."""
@@ -222,17 +221,14 @@ class BagFigures:
         # Of several answers with one stamp the last one counts.
         known, last = np.unique(answers.pop('stamp')[::-1], return_index=True)
         answers = {name: values[::-1][last] for name, values in answers.items()}
-        run = SimpleNamespace(
-            time=(stamps - stamps[0]) / NANOSECONDS, **truth, **_held(known, answers, stamps)
-        )
-        held = {
-            name: _held(record.stamps[name], record.streams[name], stamps)
-            for name in {'reference', 'torque_command'} & set(record.streams)
-        }
-        unknown = {'position': np.full_like(run.position, np.nan)}
-        run.reference = held.get('reference', unknown)['position']
-        stop = held.get('torque_command', {}).get('safe_stop', np.zeros(len(stamps)))
-        run.braked = stop.astype(bool)
+        held = {name: _held(known, values, stamps, 0) for name, values in answers.items()}
+        run = SimpleNamespace(time=(stamps - stamps[0]) / NANOSECONDS, **truth, **held)
+        run.braked, run.reference = np.zeros(len(stamps), bool), np.full_like(run.position, np.nan)
+        if (stop := record.get('torque_command', 'safe_stop')) is not None:
+            # Before the first command the drives brake.
+            run.braked = _held(record.stamps['torque_command'], stop, stamps, 1) != 0
+        if (reference := record.get('reference', 'position')) is not None:
+            run.reference = _held(record.stamps['reference'], reference, stamps)
         start = int(stamps[0])
         run.alarms = [
             replace(event, onset=event.onset - start, detected=event.detected - start)
@@ -241,7 +237,7 @@ class BagFigures:
         scenario = self._scenario(run, bag / 'scenario.yaml')
         with np.errstate(invalid='ignore', divide='ignore'):
             found = figures(self._arm, scenario, run)
-        if 'reference' not in held:
+        if reference is None:
             found['stable'] = None
         return found
 
@@ -266,36 +262,25 @@ class BagFigures:
 
 
 def _held(
-    known: np.ndarray, table: dict[str, np.ndarray], stamps: np.ndarray
-) -> dict[str, np.ndarray]:
-    """Values held at other stamps; before the first, the drives brake, all else is zero."""
+    known: np.ndarray, values: np.ndarray, stamps: np.ndarray, before: int | None = None
+) -> np.ndarray:
+    """Values held at other stamps; what is ``before`` the first one, itself if not given."""
     last = np.searchsorted(known, stamps, side='right') - 1
-    held = {name: array[np.maximum(last, 0)] for name, array in table.items()}
-    for name, values in held.items():
-        if name == 'safe_stop' or 'threshold' in held:
-            values[last < 0] = name == 'safe_stop'
+    held = values[np.maximum(last, 0)]
+    if before is not None:
+        held[last < 0] = before
     return held
 
 
 def alarm_rows(events: Sequence[Alarm], start: int) -> list[dict[str, Any]]:
     """Alarms by sensor and last said kind: number, and onset [s], size [rad] of the first."""
-    raised: list[tuple[Alarm, str]] = []
-    for event in events:
-        if event.event == AlarmEvent.RAISED:
-            raised.append((event, event.kind))
-            continue
-        same = event.sensor, subject(event.kind)
-        own = [k for k, (one, kind) in enumerate(raised) if (one.sensor, subject(kind)) == same]
-        if own:
-            raised[own[-1]] = raised[own[-1]][0], event.kind
     rows: dict[tuple[str, str], dict[str, Any]] = {}
-    for first, kind in raised:
-        found = {
-            name: (getattr(first, name) - start) / NANOSECONDS for name in ('onset', 'detected')
-        }
-        new = {**found, 'size': float(first.size), 'bound': float(first.bound), 'count': 0}
-        rows.setdefault((first.sensor, kind), {'sensor': first.sensor, 'kind': kind, **new})
-        rows[first.sensor, kind]['count'] += 1
+    for first, *others in alarms_of(events):
+        if first.event == AlarmEvent.RAISED:
+            key = {'sensor': first.sensor, 'kind': (others or [first])[-1].kind}
+            times = {n: (getattr(first, n) - start) / NANOSECONDS for n in ('onset', 'detected')}
+            new = {**times, 'size': float(first.size), 'bound': float(first.bound), 'count': 0}
+            rows.setdefault(tuple(key.values()), {**key, **new})['count'] += 1
     return list(rows.values())
 
 
@@ -339,7 +324,11 @@ def _bags_in(folder: Path, files: list[str]) -> list[tuple[Path, list[Path]]]:
     """Bags of one folder, each with the files that make it."""
     # An unfinished recording leaves MCAP files with the folder's name, and no metadata.
     storage = [folder / name for name in files if Path(name).suffix in _STORAGE]
-    if FILE_NAME in files and (storage or _is_metadata(folder)):
+    named = FILE_NAME in files and bool(storage)
+    if FILE_NAME in files and not storage:  # that of a bag, whose files are then missing?
+        with contextlib.suppress(OSError), open(folder / FILE_NAME, 'rb') as file:
+            named = b'rosbag2_bagfile_information' in file.read(4096)
+    if named:
         return [(folder, [folder / FILE_NAME, *storage])]
     own = [
         path
@@ -348,13 +337,6 @@ def _bags_in(folder: Path, files: list[str]) -> list[tuple[Path, list[Path]]]:
         and folder.name in (path.stem, path.stem.rstrip('0123456789').rstrip('_'))
     ]
     return [(folder, own)] * bool(own) + [(path, [path]) for path in storage if path not in own]
-
-
-def _is_metadata(folder: Path) -> bool:
-    """Whether a metadata.yaml without bag files is that of a bag, whose files are then missing."""
-    with contextlib.suppress(OSError), open(folder / FILE_NAME, 'rb') as file:
-        return b'rosbag2_bagfile_information' in file.read(4096)
-    return False
 
 
 def _fingerprint(name: str, paths: Iterable[Path]) -> str:

@@ -66,18 +66,13 @@ def worker_pool(
 ) -> Iterator[Callable[[Work, dict[str, list[Any]]], Iterator[tuple[str, list[dict[str, Any]]]]]]:
     """Workers here (0: this process) or of Dask, as a function from chunks to their rows."""
     if scheduler is None and workers == 0:
-        yield _here
+        yield lambda work, chunks: (run_chunk(work.text, *chunk) for chunk in chunks.items())
         return
     with ExitStack() as stack:
         client = stack.enter_context(
             _local(workers, stack) if scheduler is None else _remote(scheduler)
         )
         yield lambda work, chunks: _mapped(client, work, chunks)
-
-
-def _here(work: Work, chunks: dict[str, list[Any]]) -> Iterator[tuple[str, list[dict[str, Any]]]]:
-    for name, tasks in chunks.items():
-        yield run_chunk(work.text, name, tasks)
 
 
 def _local(workers: int | None, stack: ExitStack) -> Any:

@@ -57,13 +57,13 @@ def write_run_bag(plan: RunPlan, run: Run, out: str | Path) -> None:
 
 def differences(stored: dict[str, Any], found: dict[str, Any]) -> list[str]:
     """Figures that are not what the results of the campaign say."""
-    return [name for name in found if name in stored and not _same(stored[name], found[name])]
-
-
-def _same(one: Any, two: Any) -> bool:
-    if isinstance(one, float) and isinstance(two, float):
-        return bool(np.isclose(one, two, 1e-9, 1e-12, equal_nan=True))
-    return one == two
+    both = {name: (stored[name], found[name]) for name in found if name in stored}
+    return [
+        name
+        for name, (one, two) in both.items()
+        if one != two
+        if not (float is type(one) is type(two) and np.isclose(one, two, 1e-9, 1e-12, True))
+    ]
 
 
 def write_signals(arm: SerialArm, run: Run, path: str | Path) -> None:

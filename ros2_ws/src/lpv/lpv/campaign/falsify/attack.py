@@ -13,22 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from lpv.campaign.falsify.healthy_run import (
-    CENTRE,
-    PHASE,
-    PUSH,
-    RATE_BIAS,
-    RATE_SCALE,
-    SPEED,
-    SWING,
-    Course,
-    simulate,
-)
+from lpv.campaign.falsify import healthy_run
 from lpv.core.monitoring.parameters import DiagnosisParameters
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.chain import Chain, FloatArray, compile_chain, workspace
-from lpv.core.serial_arm.description import RATE_BIAS as RATE_BIAS_FACTOR
-from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.description import RATE_BIAS, SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import GUARANTEED, Alarm, SensorState
 from lpv.core.serial_arm.diagnosis.healthy_balance import generator_count
 from lpv.core.serial_arm.diagnosis.healthy_set import LEAST_RESPONSE
@@ -149,9 +138,10 @@ class Attacker:
             numbers[_MOTION * n :][:_SHARED],
         )
         own = numbers[_MOTION * n + _SHARED :]
-        joints = np.zeros((RATE_SCALE + 1, n))
-        joints[[CENTRE, SWING, SPEED]] = self.range.motion(motion)
-        joints[PHASE] = np.pi * motion[3]
+        joints = np.zeros((healthy_run.RATE_SCALE + 1, n))
+        moves = [healthy_run.CENTRE, healthy_run.SWING, healthy_run.SPEED]
+        joints[moves] = self.range.motion(motion)
+        joints[healthy_run.PHASE] = np.pi * motion[3]
         rest, switch, phase, rates = shared
         attack = Attack(
             joints.tolist(),
@@ -172,10 +162,10 @@ class Attacker:
     def simulate(self, attack: Attack, count: int | None = None) -> bool:
         """Fill the first samples; False if the simulation diverged."""
         samples, shares = self.samples[:count], np.array(attack.shares)
-        course = Course(
+        course = healthy_run.Course(
             self.range.to_joint, np.array(attack.joints), attack.disturbance, attack.rest,
             attack.switch_speed, attack.switch_phase, attack.rate_switch)  # fmt: skip
-        good = bool(simulate(
+        good = bool(healthy_run.simulate(
             self.range.member(shares), course, *self._plant, self._faults,
             np.random.default_rng(attack.seed), self._scratch, samples,
         ))  # fmt: skip
@@ -239,8 +229,8 @@ class _DesignedRange:
 
     def disturb(self, joints: FloatArray, own: FloatArray, shares: FloatArray) -> float:
         """Write what disturbs a motion into its rows; the mean of d."""
-        joints[RATE_SCALE] = self.arm.velocity_error * shares[1:_APART]
-        joints[RATE_BIAS] = RATE_BIAS_FACTOR * self.arm.velocity_noise * shares[-2:]
+        joints[healthy_run.RATE_SCALE] = self.arm.velocity_error * shares[1:_APART]
+        joints[healthy_run.RATE_BIAS] = RATE_BIAS * self.arm.velocity_noise * shares[-2:]
         return float(abs(self.arm.disturbance_mean) * shares[0])
 
     def member(self, shares: FloatArray) -> Chain:
@@ -301,8 +291,8 @@ class _StatedRange:
     def disturb(self, joints: FloatArray, own: FloatArray, shares: FloatArray) -> float:
         # Torques that the model misses are what it may miss at any speed.
         missed = np.array([min(joint.torque_tolerance.torque) for joint in self.arm.joints])
-        joints[PUSH] = np.clip(2.0 * own[:-4], -1.0, 1.0) * missed
-        joints[RATE_BIAS] = shares[-len(missed) :] * self._sizes.rate_bias
+        joints[healthy_run.PUSH] = np.clip(2.0 * own[:-4], -1.0, 1.0) * missed
+        joints[healthy_run.RATE_BIAS] = shares[-len(missed) :] * self._sizes.rate_bias
         return 0.0
 
     def member(self, shares: FloatArray) -> Chain:

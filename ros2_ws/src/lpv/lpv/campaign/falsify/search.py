@@ -1,6 +1,6 @@
 """Search for the healthy run that comes nearest to its threshold: random, structured, CMA-ES."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import asdict
 from itertools import cycle
 from pathlib import Path
@@ -48,9 +48,10 @@ def search(
     rest = max(0, min(round(_RANDOM * evaluations), evaluations) - len(structured))
     first = [*structured, *rng.uniform(-1.0, 1.0, (rest, attacker.numbers))]
     best = sorted(((ratio(candidate), k) for k, candidate in enumerate(first)), reverse=True)
-    optimisers = _optimisers([first[k] for _, k in best[:8]], rng)
+    bounds, means = np.tile([-1.0, 1.0], (attacker.numbers, 1)), cycle(k for _, k in best[:8])
     while left():
-        optimiser = next(optimisers)
+        mean, seed = 0.95 * first[next(means)], int(rng.integers(2**31))
+        optimiser = CMA(mean=mean, sigma=0.3, bounds=bounds, seed=seed)
         for _ in range(_PATIENCE):
             answers = []
             for _ in range(optimiser.population_size):
@@ -60,13 +61,6 @@ def search(
             if optimiser.should_stop() or not left():
                 break
     return sorted(found, key=lambda finding: -finding.ratio)
-
-
-def _optimisers(means: list[FloatArray], rng: np.random.Generator) -> Iterator[CMA]:
-    bounds = np.tile([-1.0, 1.0], (len(means[0]), 1))
-    for mean in cycle(means):
-        seed = int(rng.integers(2**31))
-        yield CMA(mean=0.95 * mean, sigma=0.3, bounds=bounds, seed=seed)
 
 
 def write_worst(attacker: Attacker, worst: Finding, folder: str | Path) -> None:

@@ -66,7 +66,10 @@ def resolve(
             for design in spec.designs:
                 gains = find_gains(design, at, folder)
                 content['gains'][f'{design}@{at.sample_time!r}'] = gains.mapping()
-        content['designs'] = {name: sha256_of(_design_data(name, folder)) for name in spec.designs}
+        # Of gains and requirement files, or of shipped requirements.
+        files = {name: Path(folder) / name for name in spec.designs}
+        files = {n: f if f.is_file() else bringup_file('requirements', n) for n, f in files.items()}
+        content['designs'] = {name: sha256_of(read_yaml(file)) for name, file in files.items()}
     campaign = Campaign(json.dumps(content, sort_keys=True))
     campaign.check()
     return campaign
@@ -80,12 +83,6 @@ def _file(kind: str, name: str, folder: str | Path) -> Path:
 def _values(spec: CampaignSpec, name: str) -> tuple[Any, ...]:
     factor = spec.factors.get(name)
     return factor.values if isinstance(factor, Choice) else (DEFAULTS[name],)
-
-
-def _design_data(name: str, folder: str | Path) -> Any:
-    """Content of a gains or requirement file, or of a shipped requirement."""
-    path = Path(folder) / name
-    return read_yaml(path if path.is_file() else bringup_file('requirements', name))
 
 
 def find_gains(name: str, arm: SerialArm, folder: str | Path = '.') -> Gains:

@@ -43,9 +43,15 @@ def _detection(numbers: dict[str, Any]) -> Figure | None:
     for (top, bottom), kind in zip(axes.T, kinds):
         mine = [entry for entry in entries if entry['kind'] == kind]
         for entry in mine:
-            _probability(top, entry, colours[entry['sensor']])
+            middle = [c['middle'] for c in entry['classes']]
+            rate, low, high = (
+                np.array([c['detected'][k] for c in entry['classes']])
+                for k in ('rate', 'low', 'high')
+            )
+            error, colour = np.maximum([rate - low, high - rate], 0.0), colours[entry['sensor']]
+            top.errorbar(middle, rate, error, fmt='o', color=colour, markersize=3.5, elinewidth=0.9)
             _delay(bottom, entry, colours[entry['sensor']])
-        unit = _units(mine)
+        unit = ' or '.join(dict.fromkeys(entry['unit'] for entry in mine))
         top.set(title=kind, ylim=(-0.02, 1.02))
         top.yaxis.set_major_formatter(PercentFormatter(1.0))
         label = mine[0]['dose'] + (f' [{unit}]' if unit != '1' else '')
@@ -56,18 +62,6 @@ def _detection(numbers: dict[str, Any]) -> Figure | None:
     handles = [plt.Line2D([], [], color=colours[name], label=name) for name in names]
     figure.legend(handles=handles, loc='outside upper center', ncols=min(len(names), 4))
     return figure
-
-
-def _units(entries: list[dict[str, Any]]) -> str:
-    return ' or '.join(dict.fromkeys(entry['unit'] for entry in entries))
-
-
-def _probability(axis: Axes, entry: dict[str, Any], colour: str) -> None:
-    middle = [c['middle'] for c in entry['classes']]
-    parts = ([c['detected'][k] for c in entry['classes']] for k in ('rate', 'low', 'high'))
-    rate, low, high = (np.array(part) for part in parts)
-    error = np.maximum([rate - low, high - rate], 0.0)
-    axis.errorbar(middle, rate, error, fmt='o', color=colour, markersize=3.5, elinewidth=0.9)
 
 
 def _delay(axis: Axes, entry: dict[str, Any], colour: str) -> None:

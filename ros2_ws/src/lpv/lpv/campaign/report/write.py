@@ -66,12 +66,20 @@ def report_numbers(
     failures = [row for row, bad in zip(table.to_pylist(), failed) if bad]
     if failures:
         results = Results(table.filter(pa.array(~failed)), units)
+    faulty, kinds = results.faulty, (*KINDS, NO_FAULT)
+    sensors = (*results.sensors, BOTH, NO_FAULT)
+    said = [results.text(f'said_{name}', NO_FAULT)[faulty] for name in ('kind', 'sensor')]
+    isolation = {  # of kinds and sensors in runs with a fault; alarms in runs without one
+        'kind': confusion(results.kind[faulty], said[0], kinds),
+        'sensor': confusion(results.sensor[faulty], said[1], sensors),
+        'healthy': share(results.number('false_alarms') > 0.0, results.kind == NO_FAULT),
+    }
     numbers: dict[str, Any] = {
         'head': _head(work, results, planned, len(failures)),
         'overall': _overall(results),
         'alarms': _alarms(results, bags, healthy),
         'detection': _detection(results),
-        'isolation': _isolation(results),
+        'isolation': isolation,
         'estimates': _estimates(results),
         'groups': _groups(work, results),
         'worst': [] if bags else _worst(results, folder),
@@ -156,7 +164,12 @@ def _detection(results: Results) -> list[dict[str, Any]]:
                 continue
             known = np.flatnonzero(chosen & (size > 0.0) & (kind in DOSES))
             dose, unit = (part.format(results.unit(sensor)) for part in DOSES.get(kind, ('', '')))
-            parts = _classes(size, known)
+            # Classes of about equal numbers, or one a level where there are few levels.
+            levels = np.unique(size[known])
+            parts = [known[size[known] == level] for level in levels]
+            if len(levels) > _LEVELS:
+                order = known[np.argsort(size[known], kind='stable')]
+                parts = np.array_split(order, min(_CLASSES, len(order)))
             classes = [(np.median(size[p]), share(found[p]), spread(delay[p])) for p in parts]
             entries.append(
                 {
@@ -174,28 +187,6 @@ def _detection(results: Results) -> list[dict[str, Any]]:
                 }
             )
     return entries
-
-
-def _classes(values: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
-    """Classes of about equal numbers, or one a level where there are few levels."""
-    levels = np.unique(values[rows])
-    if len(levels) <= _LEVELS:
-        return [rows[values[rows] == level] for level in levels]
-    order = rows[np.argsort(values[rows], kind='stable')]
-    return np.array_split(order, min(_CLASSES, len(order)))
-
-
-def _isolation(results: Results) -> dict[str, Any]:
-    """Confusion of kinds and of sensors in runs with a fault; alarms in runs without one."""
-    faulty, well = results.faulty, results.kind == NO_FAULT
-    said = {name: results.text(f'said_{name}', NO_FAULT)[faulty] for name in ('kind', 'sensor')}
-    return {
-        'kind': confusion(results.kind[faulty], said['kind'], (*KINDS, NO_FAULT)),
-        'sensor': confusion(
-            results.sensor[faulty], said['sensor'], (*results.sensors, BOTH, NO_FAULT)
-        ),
-        'healthy': share(results.number('false_alarms') > 0.0, well),
-    }
 
 
 def confusion(truth: np.ndarray, said: np.ndarray, order: Sequence[str]) -> dict[str, Any]:
@@ -353,30 +344,13 @@ def percent(share: dict[str, Any]) -> str:
     return '-' if share['rate'] is None else f'{100.0 * share["rate"]:.1f}%'
 
 
-def _interval(share: dict[str, Any]) -> str:
-    if share['rate'] is None:
-        return ''
-    return f'{100.0 * share["low"]:.1f} to {100.0 * share["high"]:.1f}%'
-
-
-def _middle(values: dict[str, Any]) -> str:
-    return f'{number(values["low"], 2)} to {number(values["high"], 2)}' if values['count'] else ''
-
-
 def _size(entry: dict[str, Any]) -> str:
     """Smallest size from which on 95 % are detected."""
     unit = '' if entry['unit'] in ('', '1') else f' {entry["unit"]}'
     return '-' if entry['found_from'] is None else f'{entry["found_from"]:.3g}{unit}'
 
 
-_TEXT = {
-    'number': number,
-    'seconds': seconds,
-    'percent': percent,
-    'interval': _interval,
-    'middle': _middle,
-    'size': _size,
-}
+_TEXT = {'number': number, 'percent': percent, 'size': _size}
 
 
 def print_summary(numbers: dict[str, Any], console: Console) -> None:
