@@ -42,23 +42,19 @@ class Trajectory:
         wave = s @ self.sine + c @ self.cosine
         rate = (c * omega) @ self.sine - (s * omega) @ self.cosine
         bend = -(s * omega**2) @ self.sine - (c * omega**2) @ self.cosine
-        e, de, dde = (x[:, None] for x in self._envelope(time))
+        # An envelope, whose slope and curve are 0 at its ends.
+        ramp = min(RAMP, 0.25 * self.duration)
+        up, down = np.clip(time / ramp, 0, 1), np.clip((self.duration - time) / ramp, 0, 1)
+        x, sign = np.minimum(up, down)[:, None], np.where(up <= down, 1.0, -1.0)[:, None]
+        e = x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
+        de = 30.0 * x**2 * (1.0 - x) ** 2 * sign / ramp
+        dde = 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / ramp**2
         position = self.center + e * wave
         return position, de * wave + e * rate, dde * wave + 2.0 * de * rate + e * bend
 
     def scaled(self, factor: np.ndarray | float) -> 'Trajectory':
         """The motion with other amplitudes."""
         return replace(self, sine=self.sine * factor, cosine=self.cosine * factor)
-
-    def _envelope(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        ramp = min(RAMP, 0.25 * self.duration)
-        up, down = np.clip(time / ramp, 0, 1), np.clip((self.duration - time) / ramp, 0, 1)
-        x = np.minimum(up, down)
-        sign = np.where(up <= down, 1.0, -1.0)
-        value = x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
-        slope = 30.0 * x**2 * (1.0 - x) ** 2 * sign / ramp
-        curve = 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / ramp**2
-        return value, slope, curve
 
 
 def random_trajectory(

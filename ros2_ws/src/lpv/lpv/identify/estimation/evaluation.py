@@ -103,7 +103,11 @@ class Determination:
 
 def determine(base: BaseParameters, fit: Fit, arm: SerialArm) -> Determination:
     """Deviations of a fit's parameters, and which are determined by half of the prior's."""
-    names = parameter_names(base, arm.joint_names)
+    # A base parameter has the name of the column that stands for it.
+    links = [f'{joint}: {part}' for joint in arm.joint_names for part in _LINK]
+    links += [f'{joint}: rotor' for joint in arm.joint_names]
+    names = [links[column] for column in base.columns]
+    names += [f'{joint}: {term}' for joint in arm.joint_names for term in TERMS]
     used = np.diag(fit.normal) > 0.0
     sigma = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
     _, width = structural_prior(arm)
@@ -114,11 +118,3 @@ def determine(base: BaseParameters, fit: Fit, arm: SerialArm) -> Determination:
     limit = np.concatenate([prior / np.sqrt(5.0), size.ravel()])
     determined = (sigma > 0.0) & (sigma < limit) & used
     return Determination(names, fit.parameters, sigma, determined)
-
-
-def parameter_names(base: BaseParameters, joints: tuple[str, ...]) -> list[str]:
-    """Names of a fit's parameters; a base parameter has that of the column that stands for it."""
-    structural = [f'{joint}: {part}' for joint in joints for part in _LINK]
-    structural += [f'{joint}: rotor' for joint in joints]
-    friction = [f'{joint}: {term}' for joint in joints for term in TERMS]
-    return [structural[column] for column in base.columns] + friction

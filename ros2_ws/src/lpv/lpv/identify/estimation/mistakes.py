@@ -242,7 +242,19 @@ class _Judge:
         regressor = self._regressor(setup)
         columns = regressor if more is None else np.concatenate([regressor, more], axis=2)
         design, prior, passive = self._design(setup, columns, regressor @ self._mean)
-        solution, residual, scale = self._fit(setup, design, prior, passive)
+        # Huber's estimate of all parameters with the prior; residuals, scale of each joint.
+        effort = self._filtered(setup, setup.effort)
+        spread = np.std(effort, axis=0)
+        least, negative = _MISSED * spread + 1e-9, np.zeros(len(passive), bool)
+        while True:
+            design[:, :, negative], passive = 0.0, passive & ~negative
+            solution, residual, scale = robust_fit(
+                design, effort, np.maximum(spread, least), prior,
+                rounds=4, share=self._share, least=least, counts=setup.moves,
+            )  # fmt: skip
+            negative = passive & (solution < 0.0)
+            if not negative.any():
+                break
         beta, off = solution[: self._size], solution - prior.mean
         # Single parameters may be far off, hardly the torques of the whole arm.
         sizes = [float(np.linalg.norm(regressor @ b)) + 1e-9 for b in (beta, self._mean)]
@@ -282,23 +294,6 @@ class _Judge:
         signs = [True, True] * len(own) + [False, False, False]
         passive = np.append(np.zeros(size, bool), np.tile(signs, n))
         return join_columns(columns, terms), Prior(mean, information), passive
-
-    def _fit(
-        self, setup: _Setup, design: np.ndarray, prior: Prior, passive: np.ndarray
-    ) -> tuple[np.ndarray, ...]:
-        """Huber's estimate of all parameters with the prior; residuals, scale of each joint."""
-        effort = self._filtered(setup, setup.effort)
-        spread = np.std(effort, axis=0)
-        least = _MISSED * spread + 1e-9
-        while True:
-            found = robust_fit(
-                design, effort, np.maximum(spread, least), prior,
-                rounds=4, share=self._share, least=least, counts=setup.moves,
-            )  # fmt: skip
-            negative = passive & (found[0] < 0.0)
-            if not negative.any():
-                return found
-            design[:, :, negative], passive = 0.0, passive & ~negative
 
     def hypotheses(self, without: set[str]) -> Iterator[tuple[str, Callable[[_Setup], _Tried]]]:
         """Kinds of mistakes, and what tries each: the most evident one of it counts."""

@@ -56,7 +56,12 @@ class Workshop:
         self.model = RigidBody(arm)
         self.base = find_base_parameters(self.model)
         self.prior = base_prior(arm, self.base)
-        self.use_rates = self._are_rates_better()
+        # Measured rates, if they have less noise in the band than derivatives of positions.
+        rates = [s.velocity for s in self.segments if s.velocity is not None]
+        turning = 2.0 * np.pi * self.bands.analysis / np.sqrt(3.0)
+        derived = turning * noise_deviation([s.position for s in self.segments])
+        shares = noise_deviation(rates) / np.maximum(derived, 1e-15) if rates else np.inf
+        self.use_rates = bool(np.median(shares) < 1.0)
         self.rate_delay, self.effort_delay, self.joint_delays = np.zeros((3, self.n))
         if self.has_rates:
             self.rate_delay = rate_delays(self.segments, self.bands)
@@ -71,15 +76,6 @@ class Workshop:
     def has_rates(self) -> bool:
         """Whether rates are recorded."""
         return self.segments[0].velocity is not None
-
-    def _are_rates_better(self) -> bool:
-        """Whether measured rates have less noise in the band than derivatives of positions."""
-        rates = [s.velocity for s in self.segments if s.velocity is not None]
-        if not rates:
-            return False
-        turning = 2.0 * np.pi * self.bands.analysis / np.sqrt(3.0)
-        derived = turning * noise_deviation([s.position for s in self.segments])
-        return bool(np.median(noise_deviation(rates) / np.maximum(derived, 1e-15)) < 1.0)
 
     def estimate_gains(self, share: float) -> None:
         """Gains of the efforts, if those are currents and no gains are given."""
@@ -138,7 +134,9 @@ class Workshop:
         self.filters = replace(self.filters, effort=band)
         self.with_load = True
         report('choosing the weight of the parameters given')
-        self._choose_strength(share)
+        errors = self._errors(share, _STRENGTHS)
+        # The largest of those that do equally well.
+        self.strength = _STRENGTHS[int(np.flatnonzero(errors < errors.min() + _EQUAL)[-1])]
         report('choosing the delays of the efforts')
         self._choose_delay(share)
 
@@ -177,12 +175,6 @@ class Workshop:
         if self._errors(share, [self.strength]) > before + np.log(_BETTER):
             self.use_rates, self.rows = not self.use_rates, kept
 
-    def _choose_strength(self, share: float) -> None:
-        """Strength of the prior that predicts best."""
-        errors = self._errors(share, _STRENGTHS)
-        # The largest of those that do equally well.
-        self.strength = _STRENGTHS[int(np.flatnonzero(errors < errors.min() + _EQUAL)[-1])]
-
     def _choose_delay(self, share: float) -> None:
         """Delays of the efforts, if predictions gain from them."""
         # A drive that follows late looks like a negative inertia, which no body has; a prior that
@@ -201,8 +193,14 @@ class Workshop:
     def fit(self, share: float) -> tuple[Fit, float]:
         """Fit with the prior, and its strength."""
         rows, strength = self.train_rows(share), self.strength
-        passive = self._passive_joints(rows)
-        if passive:
+        # Joints that swing freely: their balance holds for parameters of any scale.
+        beta = np.abs(self.prior.mean[: self.base.size])
+        pairs = [
+            ((np.abs(r.base) @ beta)[r.part], r.effort[r.part], r.counts[r.part]) for r in rows
+        ]
+        acting, effort, counts = (np.concatenate(part) for part in zip(*pairs))
+        few = np.sum(np.abs(effort) * counts, axis=0) < _PASSIVE * np.sum(acting * counts, axis=0)
+        if passive := [name for name, is_few in zip(self.arm.joint_names, few) if is_few]:
             self.warnings.append(
                 f'{", ".join(passive)}: hardly driven, so all parameters might as well be smaller; '
                 'the masses given are kept'
@@ -210,17 +208,6 @@ class Workshop:
             strength = HELD
         prior = self.prior.times(strength)
         return fit_parameters(rows, self.filters, prior, with_covariance=True), strength
-
-    def _passive_joints(self, rows: Sequence[Rows]) -> list[str]:
-        """Joints that swing freely: their balance holds for parameters of any scale."""
-        beta = np.abs(self.prior.mean[: self.base.size])
-        pairs = [
-            ((np.abs(r.base) @ beta)[r.part], r.effort[r.part], r.counts[r.part]) for r in rows
-        ]
-        acting, effort, counts = (np.concatenate(part) for part in zip(*pairs))
-        driven = np.sum(np.abs(effort) * counts, axis=0)
-        acting = np.sum(acting * counts, axis=0)
-        return [name for name, few in zip(self.arm.joint_names, driven < _PASSIVE * acting) if few]
 
     def arm_of(self, fit: Fit, strength: float) -> SerialArm:
         """The arm with the parameters of a fit, physically consistent."""

@@ -53,15 +53,12 @@ def structural_prior(arm: SerialArm) -> tuple[np.ndarray, np.ndarray]:
         length = max(_LENGTH, float(center), float(np.linalg.norm(following)))
         sigma += [mass] + [mass * length] * 3 + [mass * length**2] * 6
     mean = np.concatenate([arm.inertial_parameters(), [j.rotor_inertia for j in arm.joints]])
-    return mean, np.concatenate([_RELATIVE * np.array(sigma), _joint_inertias(arm) + 0.01])
-
-
-def _joint_inertias(arm: SerialArm) -> np.ndarray:
-    """Largest inertia that each joint may see [kg m2]: all masses behind it, arm stretched."""
+    # A rotor as large as the inertia that its joint may see: of all masses behind it, stretched.
     chain = compile_chain(arm)
     model = SerialModel(chain._replace(motor=0.0 * chain.motor))
     poses = np.random.default_rng(5).uniform(-3, 3, (50, len(arm.joints)))
-    return np.maximum(np.max([np.diag(model.mass_matrix(q)) for q in poses], axis=0), 0.0)
+    seen = np.maximum(np.max([np.diag(model.mass_matrix(q)) for q in poses], axis=0), 0.0)
+    return mean, np.concatenate([_RELATIVE * np.array(sigma), seen + 0.01])
 
 
 def friction_prior(arm: SerialArm) -> tuple[np.ndarray, np.ndarray]:

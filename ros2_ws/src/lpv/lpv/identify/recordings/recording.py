@@ -78,12 +78,9 @@ def read_recording(
     columns: ColumnMap | None = None,
 ) -> Recording:
     """Complete samples of a bag or CSV file; IdentificationError if signals are missing."""
-    path = Path(path)
-    if path.suffix.lower() == '.csv':
-        stamps, position, velocity, effort, notes = _read_csv(path, joints, columns)
-        recording = clean(str(path), stamps, position, velocity, effort)
-        return replace(recording, warnings=(*notes, *recording.warnings))
-    return clean(str(path), *_read_bag(path, joints, topic))
+    *signals, notes = _read(Path(path), joints, topic, columns)
+    recording = clean(str(path), *signals)
+    return replace(recording, warnings=(*notes, *recording.warnings))
 
 
 def read_pairs(
@@ -94,12 +91,21 @@ def read_pairs(
     columns: ColumnMap | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Positions of joints and of their second encoders in the same samples, (n, joints) each."""
-    path = Path(path)
-    if path.suffix.lower() == '.csv':
-        _, position, *_ = _read_csv(path, first, columns, second)
-    else:
-        _, position, *_ = _read_bag(path, (*first, *second), topic)
+    _, position, *_ = _read(Path(path), first, topic, columns, second)
     return position[:, : len(first)], position[:, len(first) :]
+
+
+def _read(
+    path: Path,
+    joints: Sequence[str],
+    topic: str | None,
+    columns: ColumnMap | None,
+    others: Sequence[str] = (),
+) -> tuple[Any, ...]:
+    """Stamps, positions, rates (or None), efforts, remarks; of ``others`` positions at least."""
+    if path.suffix.lower() == '.csv':
+        return _read_csv(path, joints, columns, others)
+    return *_read_bag(path, (*joints, *others), topic), []
 
 
 def clean(
@@ -134,16 +140,20 @@ def clean(
     time, notes = _choose_stamps(source, stamps, position)
     warnings += notes
     valid &= np.isfinite(time)
-    time[valid], count = _after_sets(time[valid])
-    if count:
+    # Times go on after a gap where a clock was set back; one stamp that is off sets none.
+    steps = np.diff(median_filter(time[valid], 3, mode='nearest'))
+    back = np.where(steps < -MAX_GAP, _CUT - steps, 0.0)
+    time[valid] = time[valid] + np.concatenate([[0.0], np.cumsum(back)])
+    if count := np.count_nonzero(back):
         warnings.append(f'the clock was set back ({count} times): the recording is cut there')
     index = np.flatnonzero(valid)
     index = index[np.argsort(time[index], kind='stable')]
     index = index[np.concatenate([[True], np.diff(time[index]) > _SHORTEST])]
     time, position, effort = time[index], position[index], effort[index]
     if velocity is not None:
-        velocity = velocity[index]
-        if _stands_still(time, position, velocity):
+        velocity, way = velocity[index], np.ptp(position, axis=0)
+        reach = np.mean(np.abs(velocity), axis=0) * (time[-1] - time[0])
+        if np.any((way > SMALL) & (reach < 0.1 * way)):
             warnings.append('rates stand still while positions move, they are not used')
             velocity = None
     return Recording(source, time, position, velocity, effort, tuple(warnings))
@@ -158,13 +168,6 @@ def continued(arm: SerialArm, one: Recording) -> Recording:
 def _usable(values: np.ndarray) -> np.ndarray:
     """Which samples are numbers that a sensor may give, for all joints; shape (n,)."""
     return (np.abs(values) <= LARGEST).all(1)
-
-
-def _stands_still(time: np.ndarray, position: np.ndarray, velocity: np.ndarray) -> bool:
-    """Whether the rates of a joint that moves are far too small for its way."""
-    way = np.ptp(position, axis=0)
-    reach = np.mean(np.abs(velocity), axis=0) * (time[-1] - time[0])
-    return bool(np.any((way > SMALL) & (reach < 0.1 * way)))
 
 
 def _choose_stamps(
@@ -189,13 +192,6 @@ def _choose_stamps(
         name = min(usable, key=lambda one: usable[one])
     notes = [f'{first} jitter or stand still, times are taken from {name}']
     return named[name], notes if name != first else []
-
-
-def _after_sets(time: np.ndarray) -> tuple[np.ndarray, int]:
-    """Times that go on after a gap where a clock was set back, and how often it was."""
-    steps = np.diff(median_filter(time, 3, mode='nearest'))  # one stamp that is off sets no clock
-    back = np.where(steps < -MAX_GAP, _CUT - steps, 0.0)
-    return time + np.concatenate([[0.0], np.cumsum(back)]), int(np.count_nonzero(back))
 
 
 def _counted(time: np.ndarray) -> np.ndarray | None:
@@ -248,8 +244,16 @@ def _read_csv(
     """
     notes, count = list[str](), len(joints) + len(others)
     stamps, *parts = array('q'), array('d'), array('d'), array('d')
-    columns = columns or _guess_columns(path, _header(path), joints)
-    chosen = _chosen(path, columns, joints, others)
+    columns = columns or _guess_columns(path, joints)
+    for joint in joints:
+        if joint not in columns.joints:
+            known = ', '.join(columns.joints)
+            text = f'the column map has no joint {joint!r}; it has {known}'
+            raise IdentificationError(f'{path}: {text}')
+    found = {name: columns.joints[name] for name in joints}
+    found |= {f'column {name}': (name, '', '') for name in others}
+    units = {f'column {name}': columns.unit(joint) for name, joint in zip(others, joints)}
+    chosen = replace(columns, start=_START, joints=found, units=columns.units | units)
     for stamp, *vectors in read_samples(path, chosen, ',', notes):
         stamps.append(stamp)
         for part, vector in zip(parts, vectors):
@@ -265,29 +269,10 @@ def _read_csv(
     return [1e-9 * (time - time[:1])], position, rates, effort, notes
 
 
-def _header(path: Path) -> list[str]:
-    with opened(path) as reader:
-        return [name.strip() for name in next(reader, [])]
-
-
-def _chosen(
-    path: Path, columns: ColumnMap, joints: Sequence[str], others: Sequence[str]
-) -> ColumnMap:
-    """Columns of some joints, in their order, and of other positions of theirs."""
-    for joint in joints:
-        if joint not in columns.joints:
-            known = ', '.join(columns.joints)
-            raise IdentificationError(
-                f'{path}: the column map has no joint {joint!r}; it has {known}'
-            )
-    found = {name: columns.joints[name] for name in joints}
-    found |= {f'column {name}': (name, '', '') for name in others}
-    units = {f'column {name}': columns.unit(joint) for name, joint in zip(others, joints)}
-    return replace(columns, start=_START, joints=found, units=columns.units | units)
-
-
-def _guess_columns(path: Path, header: list[str], joints: Sequence[str]) -> ColumnMap:
+def _guess_columns(path: Path, joints: Sequence[str]) -> ColumnMap:
     """Column map from a header that names columns after joints or their numbers."""
+    with opened(path) as reader:
+        header = [name.strip() for name in next(reader, [])]
     time = next((name for name in header if re.fullmatch(r'(time|t|stamp)(_s)?', name, re.I)), None)
     if time is None:
         raise IdentificationError(f'{path}: has no column "time"; give a column map (--columns)')
