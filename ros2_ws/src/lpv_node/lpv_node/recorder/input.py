@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import fnmatch
+import operator
 import os
 import socket
 import stat
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from operator import itemgetter
 from typing import Any, NamedTuple
 
 import rclpy
@@ -84,16 +84,10 @@ class _Topic:
     def unheard(self, publisher: TopicEndpointInfo) -> _Offer | None:
         """What a publisher offers if no subscription hears it; the best one that does owns it."""
         offer = _offer(publisher)
-        heard = [asked for asked in self.subscriptions if not _exceeds(asked, offer)]
+        heard = [asked for asked in self.subscriptions if all(map(operator.le, asked, offer))]
         # Who was heard from before stays where it is: nothing is taken twice, nothing missed.
         self.owners.setdefault(bytes(publisher.endpoint_gid), max(heard, default=offer))
         return None if heard else offer
-
-    def is_taken(self, asked: _Offer, publisher: bytes | None) -> bool:
-        """Whether messages of a publisher are taken from this subscription."""
-        if len(self.subscriptions) == 1 or publisher is None:
-            return True
-        return self.owners.setdefault(publisher, asked) == asked
 
 
 class RecorderInput:
@@ -235,7 +229,7 @@ class RecorderInput:
         for name, topic in self._topics.items():
             for asked, subscription in topic.subscriptions.items():
                 self._take(name, topic, asked, subscription, found)
-        found.sort(key=itemgetter(0))
+        found.sort(key=operator.itemgetter(0))
         return [heard for _, heard in found]
 
     @staticmethod
@@ -251,10 +245,11 @@ class RecorderInput:
                 if taken is None:
                     break
                 data, info = taken
-                gid = info.get('publisher_gid')
+                gid: Any = info.get('publisher_gid')
                 gid = gid.get('data') if isinstance(gid, dict) else gid
-                if not topic.is_taken(asked, gid):
-                    continue
+                alone = gid is None or len(topic.subscriptions) == 1
+                if not (alone or topic.owners.setdefault(gid, asked) == asked):
+                    continue  # a publisher is taken from one subscription
                 received, sent = info['received_timestamp'], info['source_timestamp']
                 number = info.get('publication_sequence_number')
                 stamp = leading_stamp(data) if topic.stamped else None
@@ -272,18 +267,9 @@ def enlarge_sockets() -> None:
         with contextlib.suppress(OSError):  # of one that is closed meanwhile
             if stat.S_ISSOCK(os.fstat(number).st_mode):
                 with socket.socket(fileno=os.dup(number)) as one:
-                    _enlarge(one)
-
-
-def _enlarge(one: socket.socket) -> None:
-    size = one.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
-    if one.type == socket.SOCK_DGRAM and size < _SOCKET_SIZE:
-        one.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _SOCKET_SIZE)
-
-
-def _exceeds(asked: _Offer, offered: _Offer) -> bool:
-    """Whether a subscription asks for more than a publisher offers, and does not hear it."""
-    return any(a > o for a, o in zip(asked, offered))
+                    size = one.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
+                    if one.type == socket.SOCK_DGRAM and size < _SOCKET_SIZE:
+                        one.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _SOCKET_SIZE)
 
 
 def _offer(publisher: TopicEndpointInfo) -> _Offer:

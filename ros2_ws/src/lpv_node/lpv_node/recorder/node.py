@@ -98,12 +98,9 @@ class RecorderNode(ManagedNode):
             raise ConfigError('topics', 'names no topic, and "all" is not set', self.get_name())
         self._selection = Selection(frozenset() if value['all'] else names, tuple(value['exclude']))
         self._flush_period = value['flush_period']
-        files = {}
-        if value['gains_file']:
-            files[GAINS_NAME] = read_run_file(value['gains_file'], GAINS_NAME)
-        if value['scenario_file']:
-            scenario = named_file(self, 'scenario_file', 'scenarios')
-            files[SCENARIO_NAME] = read_run_file(scenario, SCENARIO_NAME)
+        scenario = value['scenario_file'] and named_file(self, 'scenario_file', 'scenarios')
+        run_files = {GAINS_NAME: value['gains_file'], SCENARIO_NAME: scenario}
+        files = {name: read_run_file(file, name) for name, file in run_files.items() if file}
         output = required_text(self, 'output')
         path = free_path(output)
         if str(path) != str(Path(output)):

@@ -1,10 +1,12 @@
 """Who may see the page, and who may press its buttons."""
 
+import contextlib
 import hmac
 import ipaddress
 import secrets
 import socket
 from collections.abc import Iterable, Mapping
+from typing import Any
 
 from lpv.core.support.errors import ConfigError
 
@@ -24,15 +26,11 @@ class Access:
     def __init__(
         self, address: str, token: str = '', hosts: Iterable[str] = (), origins: Iterable[str] = ()
     ) -> None:
-        loopback = address == 'localhost'
-        try:
-            loopback = loopback or ipaddress.ip_address(address).is_loopback
-        except ValueError:
-            raise ConfigError(
-                'address',
-                f'{address!r} must be localhost or an IP address; 0.0.0.0 '
-                'stands for all of this machine',
-            ) from None
+        known = _address('127.0.0.1' if address == 'localhost' else address)
+        if known is None:
+            reason = 'must be localhost or an IP address; 0.0.0.0 stands for all of this machine'
+            raise ConfigError('address', f'{address!r} {reason}')
+        loopback = known.is_loopback
         if token and len(token) < _SHORTEST_TOKEN:
             raise ConfigError('token', f'must have at least {_SHORTEST_TOKEN} characters')
         self.token = token or ('' if loopback else secrets.token_urlsafe(18))
@@ -48,7 +46,7 @@ class Access:
         name = host[1:].split(']', 1)[0] if host.startswith('[') else host
         if host.count(':') == 1:
             name = host.rsplit(':', 1)[0]
-        if not (_is_address(name) or name in self._hosts):
+        if not (_address(name) or name in self._hosts):
             return f'Host {name[:100]!r} is not a name of this server'
         origin = headers.get('Origin', '').lower().rstrip('/')
         if origin and origin not in {f'http://{host}', f'https://{host}', *self._origins}:
@@ -65,9 +63,7 @@ class Access:
         return not self.token or hmac.compare_digest(given, self.token.encode())
 
 
-def _is_address(name: str) -> bool:
-    try:
-        ipaddress.ip_address(name)
-    except ValueError:
-        return False
-    return True
+def _address(name: str) -> Any:
+    """IP address; None for another name."""
+    with contextlib.suppress(ValueError):
+        return ipaddress.ip_address(name)

@@ -35,7 +35,11 @@ class AlarmList:
         key = sensor, subject(event.kind)
         if event.event == RAISED and key in self._open:
             self._end(key, _time(event.onset))
-        row = self._open.get(key) or self._ended_row(event) or self._new_row(key)
+        row = self._open.get(key)
+        if row is None and event.event == CLEARED:  # `follow` may have ended it already
+            row = next((r for r in reversed(self._rows) if _key(r) == key), None)
+            row = row if row and row['onset'] == _time(event.onset) else None
+        row = row or self._new_row(key)
         row.update(
             kind=event.kind[:MOST_TEXT],
             onset=_time(event.onset),
@@ -48,14 +52,6 @@ class AlarmList:
         else:
             row.update(size=_finite(event.size), bound=_finite(event.bound))
         self.changed = True
-
-    def _ended_row(self, event: Any) -> Row | None:
-        """The row that `follow` ended before the event that says so came."""
-        same = event.sensor, subject(event.kind)
-        last = next((r for r in reversed(self._rows) if _key(r) == same), None)
-        if last is None or event.event != CLEARED or last['onset'] != _time(event.onset):
-            return None
-        return last
 
     def follow(self, faults: Any) -> None:
         """End alarms that a lpv_msgs/FaultEstimate no longer has, e.g. after a reset."""

@@ -73,7 +73,11 @@ class LiveModel:
         elif source == 'diagnostics':
             for status in message.status:
                 self._take_status(status, now)
-        elif not self._fits(source, message):
+        elif (
+            (source == 'reference' and len(message.tip_position) != 3)
+            or (source == 'fault_estimate' and (*message.sensor_names,) != self._arm.sensor_names)
+            or any(len(getattr(message, field)) != self._joints for field in _ARRAYS[source])
+        ):
             return False
         else:
             self._latest[source], self._received[source] = message, now
@@ -82,14 +86,6 @@ class LiveModel:
             elif source == 'state_estimate' and message.mode == Mode.INITIALISING:
                 self.alarms.restart(_stamp(message))
         return True
-
-    def _fits(self, source: str, message: Any) -> bool:
-        """Whether a message is for as many joints as the arm has, and for its sensors."""
-        if source == 'reference' and len(message.tip_position) != 3:
-            return False
-        if source == 'fault_estimate' and tuple(message.sensor_names) != self._arm.sensor_names:
-            return False
-        return all(len(getattr(message, field)) == self._joints for field in _ARRAYS[source])
 
     def _take_status(self, status: Any, now: float) -> None:
         name, known = status.name[:MOST_TEXT], self._statuses
@@ -210,8 +206,7 @@ class LiveModel:
 
     def _sample(self, now: float) -> dict[str, Any]:
         """One point of the charts; enters the history when time has gone on."""
-        live = self._live(now)
-        stamp = self.stamp()
+        live, stamp = self._live(now), self.stamp()
         sample: dict[str, Any] = {'t': None if stamp is None else seconds(stamp)}
         for name, (source, field) in _CHARTS.items():
             sample[name] = self._field(source, field, live) or [None] * self._joints

@@ -96,9 +96,14 @@ class ViewNode(ManagedNode):
         if value['foxglove_port'] and not sdk_is_installed():
             self.get_logger().info('Foxglove: off, as foxglove-sdk is not installed')
         elif value['foxglove_port']:
-            self._foxglove = FoxgloveBridge(
-                f'lpv {self.get_namespace()}', self._forwarded(), self.resolve_topic_name(BAND)
-            )
+            # Of each topic its type and the number of messages kept for late clients.
+            kinds = {one.name: one.kind for one in TOPICS} | {MARKERS: MarkerArray}
+            topics = {
+                self.resolve_topic_name(name): (type_name(kind), 50 if name == 'fault_alarm' else 0)
+                for name, kind in kinds.items()
+            }
+            band = self.resolve_topic_name(BAND)
+            self._foxglove = FoxgloveBridge(f'lpv {self.get_namespace()}', topics, band)
             origins = Access(address, '', value['hosts'], value['foxglove_origins'])
             door = gate(origins, self._foxglove.address, self._foxglove.port)
             sites.append((door, address, value['foxglove_port']))
@@ -115,14 +120,6 @@ class ViewNode(ManagedNode):
             )
         if len(ports) > 1:
             self.get_logger().info(f'Foxglove: ws://{shown}:{ports[1]}')
-
-    def _forwarded(self) -> dict[str, tuple[str, int]]:
-        """Topics for Foxglove: type and number of messages kept for late clients."""
-        types = {topic.name: topic.msgtype for topic in TOPICS} | {MARKERS: type_name(MarkerArray)}
-        return {
-            self.resolve_topic_name(name): (msgtype, 50 if name == 'fault_alarm' else 0)
-            for name, msgtype in types.items()
-        }
 
     def _forwarder(self, bridge: FoxgloveBridge, topic: Topic) -> Callable[[bytes], None]:
         name = self.resolve_topic_name(topic.name)

@@ -42,7 +42,15 @@ class Requests:
     def work(self) -> None:
         """Send queued commands, pass on answers; called regularly in the node's thread."""
         while len(self._pending) < MOST_CLIENTS and not self._incoming.empty():
-            self._send(*self._incoming.get_nowait())
+            command, reply = self._incoming.get_nowait()
+            client = self._clients[command.name]
+            if not client.service_is_ready():
+                reply(False, f'{client.srv_name} is not there')
+                continue
+            asked = f'{command.name} {command.fields or ""}, asked for by a page'
+            self._node.get_logger().info(asked)
+            future = client.call_async(client.srv_type.Request(**command.fields))
+            self._pending.append((client, future, reply, time.monotonic() + PATIENCE))
         waiting = []
         for client, future, reply, deadline in self._pending:
             if future.done():
@@ -57,15 +65,6 @@ class Requests:
             else:
                 waiting.append((client, future, reply, deadline))
         self._pending = waiting
-
-    def _send(self, command: Command, reply: Reply) -> None:
-        client = self._clients[command.name]
-        if not client.service_is_ready():
-            reply(False, f'{client.srv_name} is not there')
-            return
-        self._node.get_logger().info(f'{command.name} {command.fields or ""}, asked for by a page')
-        future = client.call_async(client.srv_type.Request(**command.fields))
-        self._pending.append((client, future, reply, time.monotonic() + PATIENCE))
 
     def close(self) -> None:
         """Destroy the clients."""

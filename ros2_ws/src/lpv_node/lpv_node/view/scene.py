@@ -43,20 +43,16 @@ class Scene:
                 marker.id, marker.lifetime.sec = int(kind == Marker.SPHERE_LIST), round(QUIET)
                 found.append(marker)
         if with_path and self._path is not None:
-            found += self._surroundings(self._path, stamp)
+            path, grey, red = self._path, (0.5, 0.5, 0.5, 0.8), (0.8, 0.2, 0.2, 0.5)
+            tips = path.sample(np.linspace(path.start, path.end, 151)).tip
+            found.append(_marker('path', Marker.LINE_STRIP, grey, stamp, 0.2 * self._width, tips))
+            if (obstacle := path.obstacle) is not None:
+                marker = _marker('obstacle', Marker.CYLINDER, red, stamp, 2.0 * obstacle.radius)
+                marker.pose.position = _point(path.in_base(np.array(obstacle.center)))
+                marker.pose.orientation.x = marker.pose.orientation.w = 0.5**0.5
+                marker.scale.z = 2.0 * self._width
+                found.append(marker)
         return MarkerArray(markers=found)
-
-    def _surroundings(self, path: TimedPath, stamp: int) -> list[Marker]:
-        tips = path.sample(np.linspace(path.start, path.end, 151)).tip
-        grey, red = (0.5, 0.5, 0.5, 0.8), (0.8, 0.2, 0.2, 0.5)
-        result = [_marker('path', Marker.LINE_STRIP, grey, stamp, 0.2 * self._width, tips)]
-        if (obstacle := path.obstacle) is not None:
-            marker = _marker('obstacle', Marker.CYLINDER, red, stamp, 2.0 * obstacle.radius)
-            marker.pose.position = _point(path.in_base(np.array(obstacle.center)))
-            marker.pose.orientation.x = marker.pose.orientation.w = 0.5**0.5
-            marker.scale.z = 2.0 * self._width
-            result.append(marker)
-        return result
 
 
 def _marker(

@@ -159,7 +159,12 @@ class ViewServer:
     async def _open(self, application: web.Application, address: str, port: int) -> int:
         options: dict[str, Any] = {'access_log': None, 'handle_signals': False}
         options |= {'shutdown_timeout': 1.0, 'keepalive_timeout': self._patience}
-        runner = web.AppRunner(application, logger=_logger(), **options)
+        # What is sent here that is no HTTP, aiohttp would log with a traceback.
+        logger = logging.getLogger('lpv_node.view.requests')
+        logger.filters = [
+            lambda one: not (one.exc_info and isinstance(one.exc_info[1], HttpProcessingError))
+        ]
+        runner = web.AppRunner(application, logger=logger, **options)
         await runner.setup()
         self._runners.append(runner)
 
@@ -336,12 +341,3 @@ def guard(access: Access) -> Middleware:
         return response
 
     return middleware
-
-
-def _logger() -> logging.Logger:
-    """A logger without what is sent here that is no HTTP, which aiohttp logs with a traceback."""
-    logger = logging.getLogger('lpv_node.view.requests')
-    logger.filters = [
-        lambda record: not (record.exc_info and isinstance(record.exc_info[1], HttpProcessingError))
-    ]
-    return logger

@@ -10,7 +10,6 @@ from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
-from lpv.bag.rosbag.live import type_name
 from lpv_msgs import msg
 from lpv_node.qos import latched
 
@@ -31,11 +30,6 @@ class Topic:
     def source(self) -> str:
         """Name by which `LiveModel` knows it."""
         return self.name.lstrip('/')
-
-    @property
-    def msgtype(self) -> str:
-        """ROS name of the message type."""
-        return type_name(self.kind)
 
 
 TOPICS = (
