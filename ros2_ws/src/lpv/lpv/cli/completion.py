@@ -1,6 +1,7 @@
 """Tab completion of ``lpv``, by argcomplete."""
 
 import argparse
+import contextlib
 import os
 from collections.abc import Callable, Collection
 from typing import Any
@@ -45,17 +46,12 @@ def _shipped(kind: str) -> Callable[..., Any]:
     def names(prefix: str, **_: object) -> list[str]:
         import argcomplete
 
-        here = argcomplete.completers.FilesCompleter(('yaml', 'yml'))(prefix)
-        return [*_shipped_names(kind), *here]
+        here: list[str] = argcomplete.completers.FilesCompleter(('yaml', 'yml'))(prefix)
+        with contextlib.suppress(LpvError):  # not installed
+            return [*shipped_files(kind), *here]
+        return here
 
     return names
-
-
-def _shipped_names(kind: str) -> list[str]:
-    try:
-        return list(shipped_files(kind))
-    except LpvError:  # not installed
-        return []
 
 
 def _programs(parsed_args: argparse.Namespace, **_: object) -> list[str]:

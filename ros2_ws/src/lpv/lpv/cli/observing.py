@@ -7,13 +7,7 @@ from rich.console import Console
 
 from lpv.bag.replay.replay import ReplayOptions
 from lpv.bag.rosbag.output_folder import GAINS_NAME
-from lpv.core.monitoring.parameters import (
-    DIAGNOSIS,
-    SAMPLING,
-    DiagnosisParameters,
-    check_names,
-    given_values,
-)
+from lpv.core.monitoring import parameters
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.config import Section, read_yaml
 from lpv.core.support.resources import bringup_file, shipped_files
@@ -72,12 +66,13 @@ def _gains_of(arguments: argparse.Namespace, arm: SerialArm, console: Console) -
     return design(arm, requirement).gains
 
 
-def diagnosis_parameters(path: str | None) -> tuple[DiagnosisParameters, dict[str, Any]]:
+def diagnosis_parameters(path: str | None) -> tuple[parameters.DiagnosisParameters, dict[str, Any]]:
     """Tuning in a parameter file of the node; its ``max_gap``, ``initial_samples`` if given."""
     if not path:
-        return DiagnosisParameters(), {}
+        return parameters.DiagnosisParameters(), {}
     values = Section(read_yaml(path), path).section('/**').section('ros__parameters')
     tuning = values.plain('diagnosis')
-    check_names(tuning, path)
-    diagnosis = given_values(Section(tuning, path, 'diagnosis'), DIAGNOSIS)
-    return DiagnosisParameters(**diagnosis), given_values(values, SAMPLING)
+    parameters.check_names(tuning, path)
+    section, given = Section(tuning, path, 'diagnosis'), parameters.given_values
+    diagnosis = parameters.DiagnosisParameters(**given(section, parameters.DIAGNOSIS))
+    return diagnosis, given(values, parameters.SAMPLING)

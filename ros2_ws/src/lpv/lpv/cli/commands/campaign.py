@@ -133,13 +133,10 @@ def _run_to_bag(
 
 def _stored_row(campaign: Campaign, folder: ResultsFolder, number: int) -> dict[str, Any] | None:
     begun = folder.load()
-    if begun is None or begun.key != campaign.key:
-        return None
     chunk = {name: runs for name, runs in chunks_of(campaign).items() if number in runs}
-    if folder.missing(chunk):
+    if begun is None or begun.key != campaign.key or folder.missing(chunk):
         return None
-    table = folder.rows(chunk)
-    return table.slice(table['number'].index(number).as_py(), 1).to_pylist()[0]
+    return next(row for row in folder.rows(chunk).to_pylist() if row['number'] == number)
 
 
 def _text(value: Any) -> str:

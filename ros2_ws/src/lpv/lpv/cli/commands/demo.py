@@ -174,12 +174,6 @@ def _run_graph(
     return f'a node has died, or hangs; {log} ends with\n' + ''.join(lines)
 
 
-def _load_report() -> None:
-    """What the first picture of a process loads takes as long as drawing all of a report."""
-    importlib.import_module('lpv.report.run')
-    importlib.import_module('lpv.report.figures').warm_up()
-
-
 def _follow(
     process: 'subprocess.Popen[str]', log: Path, duration: float, last: deque[str], console: Console
 ) -> bool:
@@ -197,7 +191,9 @@ def _follow(
             last.append(line)
             if found := _PROGRESS.search(line):
                 if not done:  # nodes step one after the other; before, they use all cores
-                    loader.submit(_load_report)
+                    # What the first picture loads takes as long as drawing all of a report.
+                    loader.submit(importlib.import_module, 'lpv.report.run')
+                    loader.submit(lambda: importlib.import_module('lpv.report.figures').warm_up())
                 done = float(found.group(1))
                 guard.cancel()
                 guard = _give_up_later(process)

@@ -2,6 +2,7 @@
 
 import argparse
 import json
+from dataclasses import asdict
 from importlib.util import find_spec
 
 from lpv.cli.doctor.environment import check_environment
@@ -26,7 +27,8 @@ def run(arguments: argparse.Namespace) -> int:
         findings += check_graph(watch(arguments.seconds), arm, alone=not of_files)
     is_ok = all(f.level == Level.OK for f in findings)
     if arguments.json:
-        print(json.dumps({'ok': is_ok, 'findings': [f.as_dict() for f in findings]}, indent=2))
+        found = [{**asdict(f), 'level': f.level.name} for f in findings]
+        print(json.dumps({'ok': is_ok, 'findings': found}, indent=2))
     else:
         show(findings)
     return 0 if is_ok else FOUND

@@ -1,9 +1,8 @@
 """What a check says, and how it is shown."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from enum import Enum
 from functools import partial
-from typing import Any
 
 
 class Level(Enum):
@@ -22,10 +21,6 @@ class Finding:
     check: str  # what was checked, a word or two
     text: str  # what was found
     remedy: str = ''  # what to do; empty where nothing is to be done
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain data."""
-        return {**asdict(self), 'level': self.level.name}
 
 
 ok, warn, error = (partial(Finding, level) for level in Level)

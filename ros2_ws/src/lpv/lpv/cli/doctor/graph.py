@@ -7,7 +7,7 @@ from rclpy.qos import QoSCompatibility, qos_check_compatible
 
 from lpv.cli.doctor.finding import Finding, error, ok, warn
 from lpv.cli.doctor.signals import check_measurements
-from lpv.cli.doctor.snapshot import JOINT_STATE, Endpoint, Snapshot
+from lpv.cli.doctor.snapshot import JOINT_STATE, Snapshot
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.errors import LpvError
@@ -149,14 +149,10 @@ def _qos(shot: Snapshot) -> Iterator[Finding]:
     for topic, publishers in sorted(shot.publishers.items()):
         for source in publishers:
             for sink in shot.subscriptions.get(topic, ()):
-                reason = _mismatch(source, sink)
+                fits, why = qos_check_compatible(source.qos, sink.qos)
+                reason = ' '.join(why.split()).rstrip(';') if fits == QoSCompatibility.ERROR else ''
+                if source.msgtype != sink.msgtype:
+                    reason = f'types {source.msgtype} and {sink.msgtype}'
                 if reason and {source.node, sink.node} & set(shot.ours()):
                     text = f'{topic}: {sink.node} receives nothing from {source.node}: {reason}'
                     yield error('qos', text, remedy)
-
-
-def _mismatch(source: Endpoint, sink: Endpoint) -> str:
-    if source.msgtype != sink.msgtype:
-        return f'types {source.msgtype} and {sink.msgtype}'
-    compatible, reason = qos_check_compatible(source.qos, sink.qos)
-    return '' if compatible != QoSCompatibility.ERROR else ' '.join(reason.split()).rstrip(';')

@@ -209,16 +209,9 @@ def check_units(seen: Heard, arm: SerialArm) -> Finding | None:
             if 0.7 < ratio / factor < 1.4:
                 text = f'{topic}: {name} moves {ratio:.3g} times as far as its rate says: '
                 return error('units', f'{text}{what} in degrees?', _IN_RADIANS)
-    return _against_gravity(topic, position, effort, arm)
-
-
-def _against_gravity(
-    topic: str, position: np.ndarray, effort: np.ndarray, arm: SerialArm
-) -> Finding | None:
-    """Torques that hold the arm fit gravity at its angles, in rad."""
+    # Torques that hold the arm fit gravity at its angles, in rad.
     known = np.isfinite(position).all(axis=1) & np.isfinite(effort).all(axis=1)
-    turns = not any(joint.is_prismatic for joint in arm.joints)
-    if not (turns and arm.effort_includes_gravity and known.any()) or not effort[known].any():
+    if not (turns.all() and arm.effort_includes_gravity and known.any()) or not effort[known].any():
         return None
     model = SerialModel(compile_chain(arm))
     torque = effort[known] * [joint.torque_gain for joint in arm.joints]

@@ -77,7 +77,13 @@ def watch(seconds: float) -> Snapshot:
 
 
 def _look(node: Any, executor: Any, seconds: float) -> Snapshot:
-    _find_all(node, executor)
+    # Wait until everybody has been found.
+    end, quiet_since, known = time.monotonic() + _LONGEST_SEARCH, time.monotonic(), None
+    while time.monotonic() < min(end, quiet_since + _QUIET):
+        executor.spin_once(timeout_sec=0.1)
+        found = sorted(node.get_node_names_and_namespaces()), node.get_topic_names_and_types()
+        if found != known:
+            known, quiet_since = found, time.monotonic()
     shot = Snapshot(node.context.get_domain_id(), seconds)
     names = [f'{ns.rstrip("/")}/{name}' for name, ns in node.get_node_names_and_namespaces()]
     shot.nodes = sorted(n for n in names if not n.startswith('/lpv_doctor_'))
@@ -85,7 +91,13 @@ def _look(node: Any, executor: Any, seconds: float) -> Snapshot:
         shot.publishers[topic] = _endpoints(node.get_publishers_info_by_topic(topic))
         shot.subscriptions[topic] = _endpoints(node.get_subscriptions_info_by_topic(topic))
     _listen(node, shot)
-    questions = [question for name in shot.ours() for question in _questions(node, name)]
+    questions: list[tuple[str, str, Any, Any]] = []  # node, parameter, client and request
+    for name in shot.ours():
+        state = node.create_client(GetState, f'{name}/get_state')
+        values = node.create_client(GetParameters, f'{name}/get_parameters')
+        questions.append((name, '', state, GetState.Request()))
+        # One by one: a name that a node does not know spoils the answer to the others.
+        questions += [(name, p, values, GetParameters.Request(names=[p])) for p in _PARAMETERS]
     futures: dict[int, Any] = {}  # of requests that were sent, once their service was found
     end = time.monotonic() + seconds
     while time.monotonic() < end:
@@ -102,16 +114,6 @@ def _look(node: Any, executor: Any, seconds: float) -> Snapshot:
                 answer.values[0]
             )
     return shot
-
-
-def _find_all(node: Any, executor: Any) -> None:
-    """Wait until everybody has been found."""
-    end, quiet_since, known = time.monotonic() + _LONGEST_SEARCH, time.monotonic(), None
-    while time.monotonic() < min(end, quiet_since + _QUIET):
-        executor.spin_once(timeout_sec=0.1)
-        found = sorted(node.get_node_names_and_namespaces()), node.get_topic_names_and_types()
-        if found != known:
-            known, quiet_since = found, time.monotonic()
 
 
 def _listen(node: Any, shot: Snapshot) -> None:
@@ -132,17 +134,6 @@ def _listen(node: Any, shot: Snapshot) -> None:
         shot.clock.append((time.time_ns(), to_nanoseconds(message.clock)))
 
     node.create_subscription(Clock, '/clock', tick, qos_profile_sensor_data)
-
-
-def _questions(node: Any, name: str) -> list[tuple[str, str, Any, Any]]:
-    """Node, parameter ('' for its state), client and request."""
-    state = node.create_client(GetState, f'{name}/get_state')
-    values = node.create_client(GetParameters, f'{name}/get_parameters')
-    # One by one: a name that a node does not know spoils the answer to the others.
-    return [
-        (name, '', state, GetState.Request()),
-        *((name, p, values, GetParameters.Request(names=[p])) for p in _PARAMETERS),
-    ]
 
 
 def _endpoints(infos: list[Any]) -> list[Endpoint]:
