@@ -1,7 +1,8 @@
 """Positions of joints that turn without end, which drivers give within one turn.
 
-A reading that leaves its range at one end comes back at the other: no joint has moved by a turn.
-Joints with limits do not wrap; theirs that jump by a turn are faults.
+A reading that leaves its range at one end comes back at the other: no joint has moved by a turn,
+whatever else its reading does there.  Joints with limits do not wrap; theirs that jump by a turn
+are faults.
 """
 
 import math
@@ -10,8 +11,6 @@ import numpy as np
 
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
-from lpv.core.serial_arm.diagnosis.sampler import LATE
-from lpv.core.support.limits import SMALL
 from lpv.core.support.timestamps import NANOSECONDS
 
 TURN = 2.0 * math.pi
@@ -24,7 +23,6 @@ class Turns:
 
     def __init__(self, arm: SerialArm) -> None:
         self._endless = np.array([joint.is_endless for joint in arm.joints])
-        self._speed = np.array([joint.limits.velocity for joint in arm.joints])
         self._period = arm.sample_time
         self._last = np.full(len(self._endless), math.nan)  # as it came [rad]
         self._turns = np.zeros(len(self._endless))
@@ -45,7 +43,7 @@ class Turns:
         Returns
         -------
         position, velocity : ndarray, shape (m, n)
-            A jump by a turn that the largest rate does not explain is taken out.
+            Of jumps by half a turn to one and a half, a turn is taken out.
         """
         if len(stamps) == 0 or not self._endless.any():
             return position, velocity
@@ -60,13 +58,11 @@ class Turns:
         jump = np.diff(seen, axis=0)
         self._last, self._stamps = seen[-1], at[-1]
         with np.errstate(invalid='ignore'):
-            wraps = (np.abs(jump) > math.pi) & self._endless
+            wraps = (np.abs(jump) > 0.5 * TURN) & (np.abs(jump) < 1.5 * TURN) & self._endless
         if not (wraps.any() or self._turns.any()):
             return position, velocity
         time = np.maximum((stamps[:, None] - at[:-1]) / NANOSECONDS, self._period)
-        whole = np.where(wraps, np.round(np.where(wraps, jump, 0.0) / TURN), 0.0)
-        explained = LATE * self._speed * time + SMALL  # by noise and rounding at most
-        whole[~((np.abs(jump - TURN * whole) < explained) & (np.abs(whole) == 1.0))] = 0.0
+        whole = np.where(wraps, np.sign(jump), 0.0)
         turns = self._turns + np.cumsum(whole, axis=0)
         self._turns = turns[-1]
         # A rate that is nearer to the jump than to the way is a difference that holds it.

@@ -17,6 +17,7 @@ from lpv.core.serial_arm.description import JointLimits
 from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent, Mode, SensorState
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.rate_independence import SAMPLES
+from lpv.core.serial_arm.turns import Turns
 from lpv.core.simulation.faults import Fault
 from lpv.core.support.errors import ConfigError, SampleError
 
@@ -412,6 +413,18 @@ def test_given_a_joint_without_limits_when_its_reading_wraps_then_it_goes_on(rat
     limited = replace(arm, joints=(shoulder_arm().joints[0], *arm.joints[1:]))
     _, answers = observe(stamps, samples, SerialSensorMonitor('/uio', limited))
     assert any(event.sensor == 'encoder1' for _, event in answers.events)
+
+
+def test_given_a_reading_that_fails_where_it_wraps_then_it_is_continued_as_one_without_wraps():
+    arm = replace(ARM, joints=(replace(ARM.joints[0], limits=JointLimits(velocity=2.5)),))
+    stamps, way = START + 2_000_000 * np.arange(500), np.linspace(2.9, 3.7, 500)[:, None]
+    noisy = way + np.random.default_rng(1).normal(0.0, 0.3, way.shape)
+    jumped, frozen = way + 1.0 * (way > np.pi), np.where(abs(way - np.pi) < 0.1, np.pi - 0.1, way)
+    for faulty in (noisy, jumped, frozen):
+        readings = (faulty + np.pi) % (2.0 * np.pi) - np.pi
+        found, _ = Turns(arm).continued(stamps, readings, 0.0 * readings)
+        np.testing.assert_allclose(np.exp(1j * found), np.exp(1j * readings), atol=1e-9)
+        np.testing.assert_allclose(found - found[0], faulty - faulty[0], atol=1e-9)
 
 
 def test_given_a_joint_that_turns_for_an_hour_when_observed_then_its_readings_stay_plausible():
