@@ -195,8 +195,9 @@ class SerialMonitor:
         # Before any e was seen, jumps count from twice the smallest one.
         usual = np.maximum(2.0 * noise, 2.0 * smallest / JUMP_SCALE)
         self._rate_sources = RateSources(arm)
+        probe = self._rate_sources.probe
         self.sampler: Sampler = new_sampler(
-            self.estimator.balance.derived, usual, smallest, capacity, self._rate_sources.probe
+            self.estimator.balance.derived, usual, smallest, capacity, probe, self.scales
         )
         self.readings = Readings(self.sampler, self.estimator, arm.sample_time)
         self.sensors = [SensorRecord() for _ in range(n)]

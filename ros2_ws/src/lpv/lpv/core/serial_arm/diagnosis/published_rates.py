@@ -130,7 +130,8 @@ def _late_rates(sampler: Sampler) -> float:
     """Periods by which published rates are late, if most of what they differ by shows it."""
     late, power, whole = 0.0, 0.0, 0.0
     for i in range(sampler.derived.shape[0]):
-        late += sampler.published[1, i]
-        power += sampler.published[2, i]
-        whole += sampler.published[3, i]
+        one = sampler.unit[i] ** 2
+        late += sampler.published[1, i] / one
+        power += sampler.published[2, i] / one
+        whole += sampler.published[3, i] / one
     return late / power if late * late > 0.5 * power * whole else 0.0

@@ -68,6 +68,7 @@ class Sampler(NamedTuple):
     usual: FloatArray  # (n,) that of the last e, by the errors of stamps, too [rad]
     calm: FloatArray  # (n,) square of scale where it was small, over the blocks kept [rad2]
     smallest: FloatArray  # smallest jump that is looked for, shape (n,) [rad]
+    unit: FloatArray  # (n,) what counts as much as 1 rad, see `SerialJoint.scale` [rad]
     correction: FloatArray  # (n,) jumps that are removed from the reading [rad]
     followed: FloatArray  # (n,) fault that changes, and is removed, too [rad]
     drift: FloatArray  # (n,) its rate [rad/s]
@@ -101,20 +102,27 @@ class Sampler(NamedTuple):
 
 
 def new_sampler(
-    derived: FloatArray, scale: FloatArray, smallest: FloatArray, capacity: int, probe: int
+    derived: FloatArray,
+    scale: FloatArray,
+    smallest: FloatArray,
+    capacity: int,
+    probe: int,
+    unit: FloatArray | None = None,
 ) -> Sampler:
     """A sampler without samples, for ``capacity`` blocks, and a probe of so many samples.
 
     ``derived``, shape (n,), is 1 where a rate is derived from its reading.  ``scale`` is the usual
-    size of e to begin with, ``smallest`` the smallest jump, shape (n,) [rad].
+    size of e to begin with, ``smallest`` the smallest jump, ``unit`` what counts as much as 1 rad
+    (by default that), shape (n,) [rad].
     """
     n = len(derived)
     counters = np.zeros(6, np.int64)
     counters[PENDING] = -1
     return Sampler(
         np.zeros(HISTORY), np.zeros((HISTORY, 3, n)), np.zeros((HISTORY, n)), scale.copy(),
-        scale.copy(), scale * scale, smallest.copy(), np.zeros(n), np.zeros(n), np.zeros(n),
-        np.zeros(n), np.zeros(n), np.zeros(n),
+        scale.copy(), scale * scale, smallest.copy(),
+        np.ones(n) if unit is None else unit.copy(),
+        np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n),
         derived.copy(), np.zeros((3, n)), np.zeros((capacity, 3 * n + 4)), np.zeros(n, np.int64),
         np.zeros(n), np.zeros(n, np.int64),
         np.zeros(n), np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n), np.zeros(n),

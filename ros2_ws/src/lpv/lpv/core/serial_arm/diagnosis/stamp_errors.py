@@ -90,9 +90,9 @@ def wrong_stamp(sampler: Sampler, period: float) -> float:
     """
     jumps, n, late, best = sampler.jumps[HISTORY - 2], sampler.scale.shape[0], 0.0, 1
     for c in range(n):
-        rate = steady_rate(sampler, c)
+        rate, slow = steady_rate(sampler, c), SLOW_RATE * sampler.unit[c]
         # Noisy readings jump by themselves, and repeated ones where they go on.
-        if sampler.noisy[c] == 1 or sampler.filled[c] > 0 or abs(rate) < SLOW_RATE:
+        if sampler.noisy[c] == 1 or sampler.filled[c] > 0 or abs(rate) < slow:
             continue
         if abs(jumps[c]) > largest_by_stamps(sampler, c, period) * abs(rate):
             continue
@@ -105,7 +105,8 @@ def wrong_stamp(sampler: Sampler, period: float) -> float:
             if max(abs(way), abs(jumps[i])) <= usual:
                 continue
             if abs(jumps[i] - way) < max(0.5 * abs(way), usual):
-                gained, common, weight = gained + 1, common + jumps[i] * own, weight + own * own
+                gained, share = gained + 1, own / sampler.unit[i] ** 2
+                common, weight = common + jumps[i] * share, weight + own * share
             else:
                 gained -= abs(jumps[i]) <= usual
         if gained > best:
