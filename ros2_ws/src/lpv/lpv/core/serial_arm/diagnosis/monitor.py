@@ -574,7 +574,8 @@ class SerialMonitor:
         self._contact.until = now + CONTACT_TIME
         self.healthy = self.guarantee = None  # the load may be another one from now on
         acted = max(now - self._contact.begin, CONTACT_TIME)
-        self.estimator.distrust(math.ceil(acted / self.plan.interval))
+        # Beginnings are ends of balances, but for rounding.
+        self.estimator.distrust(round(acted / self.plan.interval))
 
     def _change_load(self, begin: float, change: FloatArray) -> None:
         """The arm has taken a load, or put it down: it is another arm from now on."""
