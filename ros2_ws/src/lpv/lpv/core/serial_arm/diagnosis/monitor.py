@@ -17,7 +17,7 @@ from lpv.core.serial_arm.certificate.jump_bound import jump_bound
 from lpv.core.serial_arm.chain import FloatArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import SensorState
-from lpv.core.serial_arm.diagnosis.bank import CONTACT_TIME, Bank, Hypothesis
+from lpv.core.serial_arm.diagnosis.bank import CONTACT_TIME, ENCODER_KINDS, Bank, Hypothesis
 from lpv.core.serial_arm.diagnosis.decision import DECISION, STILL_TIME, Certified, Parts, Stage
 from lpv.core.serial_arm.diagnosis.end_of_fault import EndOfFault
 from lpv.core.serial_arm.diagnosis.estimator import (
@@ -135,7 +135,8 @@ class SerialMonitor:
         self.settings = settings or MonitorSettings()
         self.joints = len(arm.joints)
         self.alarms: list[SerialAlarm] = []
-        self.scales, self._names = arm.scales(), arm.sensor_names
+        self.scales, kinds = arm.scales(), (*ENCODER_KINDS, 'bias', 'rate_bias')
+        self._labels = [{f'{name}:{kind}' for kind in kinds} for name in arm.sensor_names]
         self._steps = {
             Stage.FOLLOW: self._follow,
             Stage.LINEARISE: self._linearise,
@@ -598,7 +599,11 @@ class SerialMonitor:
 
     def _label(self, one: Hypothesis) -> str:
         """Name of a hypothesis for people."""
-        return one.kind if one.joint < 0 else f'{self.arm.sensor_names[one.joint]}:{one.kind}'
+        if one.joint < 0:
+            return one.kind
+        is_position = one.is_encoder or one.kind == 'rate_bias'
+        names = self.arm.sensor_names if is_position else self.arm.joint_names
+        return f'{names[one.joint]}:{one.kind}'
 
     def _blame(self, one: Hypothesis, share: float, now: float) -> None:
         """A position sensor explains what nothing else does: its fault is followed from now on."""
@@ -840,9 +845,8 @@ class SerialMonitor:
 
     def _mark_suspects(self) -> None:
         """Sensors whose fault may explain a contradiction."""
-        suspected = {one.partition(':')[0] for one in self.suspects}
-        for name, sensor in zip(self._names, self.sensors):
-            sensor.suspect(name in suspected)
+        for labels, sensor in zip(self._labels, self.sensors):
+            sensor.suspect(not labels.isdisjoint(self.suspects))
 
     def _renew_guarantee(self, _: float) -> Stage:
         self._evaluate_guarantee()
