@@ -262,6 +262,31 @@ def test_given_a_loop_closed_on_a_frozen_reading_then_its_joint_is_followed_all_
     assert np.mean(wrong) < 0.15
 
 
+@pytest.mark.parametrize('sign', [1.0, -1.0])
+def test_given_a_fast_drift_of_a_joint_that_bears_the_arm_then_it_is_named(sign):
+    """Free torques explain the balance of its onset as well, and nothing after it."""
+    subject = _subject('ur10').with_rates('derived')
+    stream = derived(subject.streams(0)).part(1.0, 9.0)
+    kind = replace(BY_NAME['drift 0.3'], size=0.8)
+    window = inject(stream, kind, [Injected(1, ONSET, 9.0, sign)], True, np.eye(6), None)
+    answers = subject.answers(window.stream)
+    (_, event), *others = answers.events
+    delay = (event.detected - window.stream.stamps[0]) * 1e-9 - ONSET
+    assert (event.kind, others) == ('drift', []) and delay < 0.8
+    span = ONSET + 0.8, 8.0
+    assert outside_bounds(answers, window.stream.stamps, window.truth, span) < 0.02
+
+
+def test_given_noise_that_begins_in_a_balance_then_its_size_is_told_and_no_other_is_blamed():
+    cell = next(cells(['panda'], [False], ['derived'], [BY_NAME['noise 0.02']]))
+    subject, window, _ = draw(cell, 3, 1)
+    events = [event for _, event in subject.answers(window.stream).events]
+    faulty = {subject.arm.sensor_names[fault.sensor] for fault in window.faults}
+    assert {event.sensor for event in events} == faulty
+    sizes = [event.size for event in events if event.kind == 'noise']
+    assert sizes == pytest.approx([0.02, 0.02], rel=0.5)
+
+
 @pytest.mark.parametrize('run', [1008, 1032])
 def test_given_a_frozen_reading_when_it_jumps_back_then_no_drift_begins_there(run):
     """Until then, its rate was only estimated: that of the reading seems to jump."""

@@ -273,3 +273,21 @@ def test_given_a_joint_that_rests_when_another_drifts_then_its_motion_explains_n
     left, size = estimator.left_over(len(estimator))
     everything = 0.5 * (left**2 / (size**2 * null.inflation)).sum()
     assert max(one.gain for one in found) < everything
+
+
+@pytest.mark.parametrize('seed', [1, 3])
+def test_given_an_arm_that_rests_upright_when_one_reading_is_off_then_no_other_one_is_blamed(seed):
+    """A drift that moves nothing and changes no torque may be of any size: rows are not linear."""
+    (subject,) = fault_injection.subjects('paper', False)
+    subject, rng = subject.with_rates('derived'), np.random.default_rng(seed)
+    arm, count = subject.arm, round(6.0 / subject.arm.sample_time)
+    rests = np.zeros((1, 2))
+    torque = SerialModel(fault_injection.wrong_chain(arm, rng)).torque(rests, rests, rests)
+    samples = np.zeros((count, 3, 2))
+    samples[:, 0] = [joint.sensors.position_noise for joint in arm.joints]
+    samples[:, 0] *= rng.normal(size=(count, 2))
+    samples[:, 0] += np.linalg.inv(arm.joints_to_sensors()) @ [0.0, 0.3]
+    samples[:, 2] = torque + 0.01 * rng.normal(size=(count, 2))
+    stamps = 1 + np.round(1e9 * arm.sample_time * np.arange(count)).astype(np.int64)
+    stream = derived(Stream(stamps, samples))
+    assert not subject.answers(stream).events

@@ -84,7 +84,13 @@ from lpv.core.serial_arm.diagnosis.priors import (
 )
 from lpv.core.serial_arm.diagnosis.published_rates import rate_noise
 from lpv.core.serial_arm.diagnosis.sampler import Sampler, smallest_jump
-from lpv.core.serial_arm.diagnosis.stuck import Course, Frozen, course_of_frozen, free_course
+from lpv.core.serial_arm.diagnosis.stuck import (
+    LINEAR,
+    Course,
+    Frozen,
+    course_of_frozen,
+    free_course,
+)
 from lpv.core.serial_arm.dynamics.momentum import mass_matrix
 from lpv.core.serial_arm.sensor_map import map_vector
 from lpv.core.support.jit import njit_in_place
@@ -289,6 +295,13 @@ class Bank:
             Hypothesis(self._names[k], i, gain, size, sigma, begin[w] - older[k][w], starts[w])
             for k, i, w, gain, size, sigma in zip(*(part.tolist() for part in at), *values)
         ]
+        # Rows are linear in small errors alone.
+        end, scales = float(self.estimator.times(1)[0]), self.estimator.balance.scale.tolist()
+        found = [
+            drift for drift in found
+            if drift.kind != 'drift'
+            or abs(drift.size) * (end - drift.begin) < LINEAR * scales[drift.joint]
+        ]  # fmt: skip
         contact = zip(one.contact[:count].tolist(), begin, starts)
         return found + [Hypothesis(CONTACT, -1, gain, 0.0, 0.0, *rest) for gain, *rest in contact]
 

@@ -109,12 +109,14 @@ def watch_noise(contact: Contact, null: Posterior) -> None:
 def weigh_residuals(window: Window, null: Posterior, last: int) -> None:
     """Scale residuals as the weights of least squares do: joints at rest, outliers (soft L1).
 
-    A torque from outside must not gain from them what the faults' columns do not.
+    A torque from outside must not gain from them what the faults' columns do not, but for stamps
+    that were wrong: these are inferred from readings, and a torque may be what they seem to be.
     """
     for back in range(last):
         for i in range(null.noise.shape[0]):
             size = usual_size(window, null, back, i)
             ratio = null.residual[back, i] / (ROBUST * size)
+            size = np.sqrt(size * size + window.extra[slot(window, back), i])
             null.residual[back, i] *= null.noise[i] / (size * (1.0 + ratio * ratio) ** 0.25)
 
 

@@ -123,7 +123,7 @@ def add_noise(
     """
     n, at, less = sampler.scale.shape[0], slot(window, 0), False
     for i in range(n):
-        rounded, noisy = 0.0, 0.0
+        rounded, noisy, late = 0.0, 0.0, 0.0
         for j in range(n):
             rates = READINGS_AT_EDGES * sampler.derived[j] * (momenta[i, j] / interval[0]) ** 2
             if np.isfinite(sampler.grain[j]):
@@ -131,18 +131,20 @@ def add_noise(
             # Readings may be louder in motion than at rest.
             louder = sampler.scale[j] * sampler.scale[j] - sampler.calm[j]
             noisy += rates * max(louder, 0.0) / readings_in_jump(sampler, j)
-            wrong = 0.0
+            fastest, wrong = 0.0, 0.0
             for block in blocks:
-                late = sampler.clock[JITTER] + block[3 * n + 3] ** 2
-                wrong = max(wrong, late * block[n + j] ** 2)
-            noisy += rates * wrong
+                fastest = max(fastest, abs(block[n + j]))
+                wrong = max(wrong, abs(block[3 * n + 3] * block[n + j]))
+            noisy += rates * sampler.clock[JITTER] * fastest * fastest
+            late += rates * wrong * wrong
             if sampler.noisy[j] == 1:
                 mean = window.rows[at, i, 1 + OFFSET * n + j] ** 2 / interval[1]
                 noisy += reading_noise(sampler, j) * (mean + rates)
         # As learned, most of what is left may be rounding.
         extra = max(rounded - null.noise[i] * null.noise[i], 0.0) + noisy
         window.extra[at, i] += extra
-        less = less or extra > 0.0
+        window.late[at, i] = late
+        less = less or extra + late > 0.0
     return less
 
 

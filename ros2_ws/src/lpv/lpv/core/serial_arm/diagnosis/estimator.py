@@ -20,6 +20,7 @@ from lpv.core.serial_arm.diagnosis.balance import (
     DRIFT,
     EPOCH,
     OFFSET,
+    READINGS_AT_EDGES,
     Balance,
     fill_balances,
     move_epoch,
@@ -171,8 +172,9 @@ def weigh(window: Window, null: Posterior, last: int) -> None:
             at, size, moving = slot(window, back), usual_size(window, null, back, i), null.noise[i]
             ratio = null.residual[back, i] / (ROBUST * size)
             lasting = max(null.inflation[i], window.lasting[at, i])
-            variance = moving * moving * null.inflation[i] + window.extra[at, i]
+            variance = moving * moving * null.inflation[i]
             variance += (size * size - moving * moving) * lasting
+            variance += window.extra[at, i] + window.late[at, i]
             null.weights[back, i] = 1.0 / (variance * np.sqrt(1.0 + ratio * ratio))
         add_products(window, back, null.weights[back])
 
@@ -326,6 +328,7 @@ def copy_unknowns(source: Window, window: Window, last: int) -> None:
             for c in range(1, into.shape[0]):
                 into[c] = row[faults + c]
             window.rest[at, i], window.extra[at, i] = source.rest[at, i], source.extra[at, i]
+            window.late[at, i] = source.late[at, i]
         window.changed[at] = source.changed[at]
 
 
@@ -559,7 +562,8 @@ class OffsetEstimator:
         """
         last = min(last, len(self))
         left, size = self.left_over(last)
-        power = left**2 / (size**2 + self.window.extra[recent(self.window, last)])
+        at = recent(self.window, last)
+        power = left**2 / (size**2 + self.window.extra[at] + self.window.late[at])
         return float(np.sqrt(power.mean(axis=0).max())) if last else 0.0
 
     def _step(self) -> FloatArray:
@@ -666,6 +670,19 @@ class OffsetEstimator:
         offset = self.window.rows[at, :, 1 + OFFSET * self.joints + joint]
         self.window.extra[at] += np.count_nonzero(error) * (error[:, None] * offset) ** 2
         self.weigh_again(len(error))
+        self._solve()
+
+    def doubt_rates(self, joint: int, noise: float, momenta: FloatArray, since: float) -> None:
+        """Let balances that ended since a moment [s] say less: readings of one sensor were noisy.
+
+        ``noise`` is their standard deviation [rad]; rates are derived from them.  ``momenta``,
+        shape (capacity, n), are those by unit rates, in the ring of the horizon.
+        """
+        count = int(np.count_nonzero(self.times(len(self)) > since))
+        at = recent(self.window, count)
+        edges = noise * momenta[at] / self.plan.interval
+        self.window.extra[at] += self.balance.derived[joint] * READINGS_AT_EDGES * edges**2
+        self.weigh_again(count)
         self._solve()
 
     def distrust(self, last: int) -> None:

@@ -304,7 +304,7 @@ def _follow(
     noise = estimator.usual_sizes(at)
     # Neighbouring balances share an interval: each counts half.
     variance = 2.0 * np.diag(noise**2 * null.inflation) + known.T @ known
-    variance += np.diag(window.extra[at]) + others
+    variance += np.diag(window.extra[at] + window.late[at]) + others
     # In a balance the acceleration is not that of its end: half the change of an interval.
     variance += 0.25 * one._growth(interval)[1] * np.outer(columns[:, 2], columns[:, 2])
     residual = rows[:, 0] + unknowns @ null.mean

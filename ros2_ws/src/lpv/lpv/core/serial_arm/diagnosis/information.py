@@ -32,8 +32,9 @@ class Window(NamedTuple):
     rest: FloatArray  # (capacity, n) 1 where the joint rests or reverses
     lasting: FloatArray  # (capacity, n) balances for which its friction there stays as it is
     rested: IntArray  # (n,) balances for which the joint has rested so far
-    # (capacity, n) variance by errors of readings whose faults are followed [N2 m2 s2]
+    # (capacity, n) variance by noise, and by errors of readings that are followed [N2 m2 s2]
     extra: FloatArray
+    late: FloatArray  # (capacity, n) variance by stamps that were wrong there [N2 m2 s2]
     # (capacity + 1, 1 + m, 1 + h + m) sum of A^T W A before each balance, rows of the constant part
     # and of the unknowns
     sums: FloatArray
@@ -60,6 +61,7 @@ def new_window(
         np.zeros((capacity, joints, size)), np.zeros(capacity), np.ones(capacity),
         np.zeros((capacity, joints)), np.zeros((capacity, joints)), np.zeros((capacity, joints)),
         np.zeros((capacity, joints)), np.zeros(joints, np.int64), np.zeros((capacity, joints)),
+        np.zeros((capacity, joints)),
         np.zeros((capacity + 1, 1 + unknowns, size)), np.zeros((1 + unknowns, size)), loads,
         np.zeros(capacity), np.zeros((capacity, len(loads))), np.zeros((capacity, joints)),
         np.zeros(unknowns), np.zeros(2, np.int64))  # fmt: skip
@@ -106,6 +108,7 @@ def join(window: Window, time: float, rows: FloatArray, past: float) -> None:
     window.times[at] = time
     window.trust[at] = 1.0
     window.extra[at] = 0.0
+    window.late[at] = 0.0
     window.lasting[at] = 0.0
     window.changed[at] = 0.0
     window.carried[at] = 0.0

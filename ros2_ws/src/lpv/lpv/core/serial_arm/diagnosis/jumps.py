@@ -176,14 +176,15 @@ def find_jumps(sampler: Sampler) -> None:
 @njit_in_place
 def _watch_noise(sampler: Sampler, i: int, beyond: bool) -> None:
     """Count jumps of a reading; many are noise, and no steps."""
-    count, square, before = sampler.noise[:, i]
+    count, square, before, seen = sampler.noise[:, i]
     jump = sampler.jumps[HISTORY - 2, i]
     if sampler.noisy[i] == 0 and count < QUIET_COUNT:
-        square, before = 0.0, sampler.correction[i]
+        square, before, seen = 0.0, sampler.correction[i], 0.0
     count += 1.0 if beyond and sampler.doubtful[HISTORY - 2, i] == 0 else 0.0
     count -= count / NOISE_MEMORY
     if sampler.noisy[i] == 1 or beyond:
-        square += (jump * jump - square) / NOISE_MEMORY
+        seen = min(seen + 1.0, NOISE_MEMORY)
+        square += (jump * jump - square) / seen
     if sampler.noisy[i] == 0 and count > _NOISE_COUNT:
         sampler.noisy[i] = 1
         sampler.found[i] = NOISY
@@ -195,7 +196,8 @@ def _watch_noise(sampler: Sampler, i: int, beyond: bool) -> None:
     elif sampler.noisy[i] == 1 and count < QUIET_COUNT:
         sampler.noisy[i] = 0
         sampler.found[i] = QUIET
-    sampler.noise[0, i], sampler.noise[1, i], sampler.noise[2, i] = count, square, before
+    sampler.noise[0, i], sampler.noise[1, i] = count, square
+    sampler.noise[2, i], sampler.noise[3, i] = before, seen
 
 
 @njit_in_place

@@ -17,7 +17,13 @@ from lpv.core.serial_arm.certificate.jump_bound import jump_bound
 from lpv.core.serial_arm.chain import FloatArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import SensorState
-from lpv.core.serial_arm.diagnosis.bank import CONTACT_TIME, ENCODER_KINDS, Bank, Hypothesis
+from lpv.core.serial_arm.diagnosis.bank import (
+    CONTACT_TIME,
+    ENCODER_KINDS,
+    STUCK_FOR,
+    Bank,
+    Hypothesis,
+)
 from lpv.core.serial_arm.diagnosis.decision import DECISION, STILL_TIME, Certified, Parts, Stage
 from lpv.core.serial_arm.diagnosis.end_of_fault import EndOfFault
 from lpv.core.serial_arm.diagnosis.estimator import (
@@ -45,6 +51,7 @@ from lpv.core.serial_arm.diagnosis.priors import (
     LOAD,
     OCCURRENCE,
     PUSH,
+    USUAL_RATE,
     WIDEST_LEVEL,
 )
 from lpv.core.serial_arm.diagnosis.published_rates import CONTRADICTIONS
@@ -59,6 +66,7 @@ from lpv.core.serial_arm.diagnosis.sampler import (
     JUMP_SCALE,
     LEFT,
     MOST,
+    NOISE_MEMORY,
     NOISY,
     PENDING,
     REPLACED,
@@ -301,10 +309,17 @@ class SerialMonitor:
         """What is not decided adds to standard deviations, shape (n,) [rad].
 
         While a jump may have been the end of a fault, or a scale error's, bounds hold that as well,
-        and so they do of a fault that is suspected.
+        and so they do of a fault that is suspected, and the way of a joint whose reading rests
+        again while the alarm that it was frozen is up.
         """
-        open_jumps = self._jumps.errors(self.settings.probability_of_wrong_name)
-        return np.maximum(self._suspected, open_jumps) / self.settings.sigmas
+        error = self._jumps.errors(self.settings.probability_of_wrong_name)
+        for i, sensor in enumerate(self.sensors):
+            if sensor.active and sensor.kind == 'stuck' and i not in self.followed.filters:
+                # Balances of less than that time were made of readings before it.
+                rested = self.readings.rested(i)
+                if rested < STUCK_FOR[0] or not self._rests(i):
+                    error[i] = max(error[i], USUAL_RATE * float(self.scales[i]) * rested)
+        return np.maximum(self._suspected, error) / self.settings.sigmas
 
     def learned(self) -> Learned:
         """What has been learned of the arm: payload, friction, torque offsets, noise."""
@@ -335,7 +350,9 @@ class SerialMonitor:
                     self._forget(i)
                 self._jumps.forget(i)
                 self.followed.trust_rate(i)
-                self._raise(i, 'noise', now, self.readings.noise(i), 0.0)
+                noise, since = self.readings.noise(i), now - NOISE_MEMORY * self.arm.sample_time
+                self.estimator.doubt_rates(i, noise, self.bank.momenta_of(i), since)
+                self._raise(i, 'noise', now, noise, 0.0)
         self.followed.note_correction()
 
     def _jumped(self, i: int, size: float, now: float) -> None:

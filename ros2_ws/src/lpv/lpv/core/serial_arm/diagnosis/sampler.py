@@ -88,7 +88,9 @@ class Sampler(NamedTuple):
     lively: FloatArray  # (n,) share of changes that go back and forth by more than rounding
     stop: FloatArray  # rate of the reading before it came to rest, shape (n,) [rad/s]
     grain: FloatArray  # (n,) smallest change of the reading, at least its rounding step [rad]
-    noise: FloatArray  # (3, n) jumps lately, usual e^2 while noisy [rad2], correction before [rad]
+    # (4, n) jumps lately, usual e^2 while noisy [rad2], correction before [rad], how many e^2 it is
+    # the mean of
+    noise: FloatArray
     noisy: IntArray  # (n,) 1 while a reading is noisy
     doubtful: IntArray  # (HISTORY, n) 1: a wrong stamp explains e; 2: of several joints; 3: a gap
     filled: IntArray  # (n,) samples that e will still hold a reading that was filled in
@@ -127,7 +129,7 @@ def new_sampler(
         np.zeros(n), np.zeros(n, np.int64),
         np.zeros(n), np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n), np.zeros(n),
         np.full(n, np.inf),
-        np.zeros((3, n)),
+        np.zeros((4, n)),
         np.zeros(n, np.int64), np.zeros((HISTORY, n), np.int64), np.zeros(n, np.int64),
         np.zeros((4, n)), np.zeros((8, n)), np.zeros((probe, 2 * n + 1)), counters,
         np.zeros(10))  # fmt: skip

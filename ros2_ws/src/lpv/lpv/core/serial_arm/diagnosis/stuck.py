@@ -167,7 +167,7 @@ def free_course(
     at = recent(estimator.window, last)[::-1]
     rows, derived = estimator.window.rows[at], estimator.balance.derived[joint]
     left, size = (part[::-1] for part in estimator.left_over(last))
-    weights = _weights(left, size, null.inflation).reshape(-1, 1)
+    weights = _weights(left, size, null.inflation, estimator.window.extra[at]).reshape(-1, 1)
     before = rows[:, :, 1 + OFFSET * n + joint, None]
     steps = _rate_steps(rows, joint, momenta[at], step, derived)
     columns = np.concatenate([before, steps], axis=2).reshape(-1, 1 + last)
@@ -210,9 +210,11 @@ def _likely(
     return 0.5 * float(pull @ mean - np.log(powers).sum()), mean, covariance
 
 
-def _weights(residual: FloatArray, size: FloatArray, inflation: FloatArray) -> FloatArray:
+def _weights(
+    residual: FloatArray, size: FloatArray, inflation: FloatArray, extra: FloatArray | float = 0.0
+) -> FloatArray:
     """Inverse variances of balances, outliers with less weight; shape (last, n)."""
-    variance = size**2 * inflation
+    variance = size**2 * inflation + extra
     return np.asarray(1.0 / (variance * np.sqrt(1.0 + (residual / (ROBUST * size)) ** 2)))
 
 
