@@ -48,8 +48,7 @@ def prior_of_all(arm: SerialArm) -> tuple[np.ndarray, np.ndarray]:
 def consistent_parameters(
     arm: SerialArm, base: BaseParameters, fit: Fit, strength: float
 ) -> np.ndarray:
-    """`SerialArm.parameter_vector` of bodies of positive mass that fits best, shape (15 n,);
-    IdentificationError without."""
+    """Physically consistent `SerialArm.parameter_vector` that fits best, shape (15 n,)."""
     n = len(arm.joints)
     mean, sigma = prior_of_all(arm)
     lower, upper = np.full(len(mean), -np.inf), np.full(len(mean), np.inf)
@@ -60,30 +59,43 @@ def consistent_parameters(
     limits = np.array([joint.limits.velocity for joint in arm.joints])
     passive[_columns('viscous', n), _columns('coulomb', n)] = least_viscous(fit.slope, limits)
     root, inverse = roots(fit.normal)
-    root, target = root @ parameter_map(base, n) @ passive, inverse @ fit.right
-    mean, sigma = np.linalg.solve(passive, mean), sigma / np.sqrt(strength)
+    root = root @ parameter_map(base, n) @ passive
+    target = inverse @ fit.right
+    mean = np.linalg.solve(passive, mean)
+    held = sigma / np.sqrt(strength)
+    return passive @ _nearest_consistent(root, target, mean, held, n, (lower, upper))
+
+
+def _nearest_consistent(
+    root: np.ndarray,
+    target: np.ndarray,
+    mean: np.ndarray,
+    sigma: np.ndarray,
+    joints: int,
+    bounds: tuple[np.ndarray, np.ndarray],
+) -> np.ndarray:
+    """Parameters x of bodies of positive mass whose root @ x is nearest to a target, with a prior;
+    IdentificationError without."""
     # Each link's pseudo-inertia is positive semidefinite (Wensing, Kim, Slotine 2018, equation 12).
     size = max(1.0, float(np.linalg.norm(root * sigma)))  # solvers like costs of moderate size
     rows, count = root.shape[0], len(mean)
     # Variables are x in units of the prior, and the residuals of the data.
     cost = sparse.diags(np.append(np.full(count, 2.0 / size**2), np.full(rows, 2.0)))
-    least, most = ((bound - mean) / sigma for bound in (lower, upper))
-    above, below, eye = np.isfinite(least), np.isfinite(most), np.eye(count)
-    matrices, rights = [-eye[above], eye[below]], [-least[above], most[below]]
-    for part in np.split(np.arange(N_INERTIAL * n), n):
-        # M x + b of a link less a margin, in the solver's form, scaled to 1.
-        length = sigma[part[1]] / sigma[part[0]]
-        unit = sigma[part[0]] * np.array([1.0] + [length] * 3 + [length**2] * 6)
-        matrices.append(-(_PSEUDO @ np.diag(sigma[part] / unit)) @ eye[part])
-        rights.append(_PSEUDO @ (mean[part] / unit) - _MARGIN * _UNIT)
+    lower, upper = ((b - mean) / sigma for b in bounds)
+    above, below, eye = np.isfinite(lower), np.isfinite(upper), np.eye(count)
+    matrices, rights = [-eye[above], eye[below]], [-lower[above], upper[below]]
+    for part in np.split(np.arange(N_INERTIAL * joints), joints):
+        matrix, right = _pseudo_inertia(mean[part], sigma[part])
+        matrices.append(-matrix @ eye[part])
+        rights.append(right)
     bounded = np.vstack(matrices)
-    data = np.hstack([root * sigma / size, -np.eye(rows)])
-    left = np.vstack([data, np.hstack([bounded, np.zeros((len(bounded), rows))])])
+    fit = np.hstack([root * sigma / size, -np.eye(rows)])
+    left = np.vstack([fit, np.hstack([bounded, np.zeros((len(bounded), rows))])])
     right = np.concatenate([(target - root @ mean) / size, *rights])
     cones = [
         clarabel.ZeroConeT(rows),
         clarabel.NonnegativeConeT(int(above.sum() + below.sum())),
-        *(clarabel.PSDTriangleConeT(4) for _ in range(n)),
+        *(clarabel.PSDTriangleConeT(4) for _ in range(joints)),
     ]
     settings = clarabel.DefaultSettings()
     settings.verbose = False
@@ -93,7 +105,14 @@ def consistent_parameters(
         raise IdentificationError(
             f'no physically consistent inertias were found ({solution.status})'
         )
-    return passive @ np.clip(mean + sigma * np.array(solution.x[:count]), lower, upper)
+    return np.clip(mean + sigma * np.array(solution.x[:count]), *bounds)
+
+
+def _pseudo_inertia(mean: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pseudo-inertia M x + b of a link less a margin, in the solver's form, scaled to 1."""
+    length_unit = sigma[1] / sigma[0]
+    unit = sigma[0] * np.array([1.0] + [length_unit] * 3 + [length_unit**2] * 6)
+    return _PSEUDO @ np.diag(sigma / unit), _PSEUDO @ (mean / unit) - _MARGIN * _UNIT
 
 
 def _triangle(matrix: np.ndarray) -> np.ndarray:

@@ -19,9 +19,37 @@ def estimate_covariance(
     known: np.ndarray | float = 0.0,  # covariance of the prior's score
 ) -> np.ndarray:
     """Covariance of an estimate whose error is inverse @ (score of the data + of the prior)."""
+    gammas = _residual_autocovariances(rows, residual, inverse, lengths, counts)
+    return inverse @ (_score_covariance(rows, gammas, lengths) + known) @ inverse
+
+
+def _score_covariance(
+    rows: np.ndarray, gammas: Sequence[np.ndarray], lengths: Sequence[int]
+) -> np.ndarray:
+    """Covariance of the scores sum_k z_k e_k of stretches: sum_kl z_k gamma(k - l) z_l^T."""
+    total = np.zeros((rows.shape[2], rows.shape[2]))
+    for j, gamma in enumerate(gammas):
+        used = np.flatnonzero(np.any(rows[:, j] != 0.0, axis=0))
+        part = np.zeros((len(used), len(used)))
+        for block in _stretches(rows[:, j][:, used], lengths):
+            for lag in range(min(len(gamma), len(block))):
+                product = gamma[lag] * (block[lag:].T @ block[: len(block) - lag])
+                part += product if lag == 0 else product + product.T
+        total[np.ix_(used, used)] += part
+    return total
+
+
+def _residual_autocovariances(
+    rows: np.ndarray,
+    residual: np.ndarray,
+    inverse: np.ndarray,
+    lengths: Sequence[int],
+    counts: np.ndarray,
+) -> list[np.ndarray]:
+    """Autocovariance of each joint's errors from lag 0 on, from the residuals of a fit."""
     # A fit takes out of the residuals what regressors can explain: how much is found by drawing
     # errors with the present autocovariance and fitting them.
-    count, size = len(residual), rows.shape[2]
+    count, n = residual.shape
     most = max(2, int(0.15 * max(lengths)))
     pairs = [autocovariance(_stretches(c.astype(float), lengths), most) for c in counts.T]
 
@@ -31,7 +59,7 @@ def estimate_covariance(
 
     found = [_ended(found_of(r, j, most), count) for j, r in enumerate(residual.T)]
     errors, rng = found, np.random.default_rng(3)
-    flat = rows.reshape(-1, size)
+    flat = rows.reshape(count * n, -1)
     for _ in range(_ROUNDS):
         left = [np.zeros(len(gamma)) for gamma in found]
         for _ in range(_DRAWS):
@@ -42,17 +70,7 @@ def estimate_covariance(
                 both = [found_of(e, j, len(lost)) for e in (before, after)]
                 lost += (both[0] - both[1]) / _DRAWS
         errors = [gamma + lost for gamma, lost in zip(found, left)]
-    # Of the scores sum_k z_k e_k of stretches: sum_kl z_k gamma(k - l) z_l^T.
-    total = np.zeros((size, size))
-    for j, gamma in enumerate(map(_windowed, errors)):
-        used = np.flatnonzero(np.any(rows[:, j] != 0.0, axis=0))
-        part = np.zeros((len(used), len(used)))
-        for block in _stretches(rows[:, j][:, used], lengths):
-            for lag in range(min(len(gamma), len(block))):
-                product = gamma[lag] * (block[lag:].T @ block[: len(block) - lag])
-                part += product if lag == 0 else product + product.T
-        total[np.ix_(used, used)] += part
-    return inverse @ (total + known) @ inverse
+    return [_windowed(gamma) for gamma in errors]
 
 
 def autocovariance(stretches: Sequence[np.ndarray], most: int) -> np.ndarray:

@@ -26,22 +26,7 @@ def estimate_gains(rows: Sequence[Rows], filters: Filters, prior: Prior) -> np.n
     # those of currents.  The common scale is not in the data: it is that at which torques of links
     # are as large as those of the masses given; a prior alone would shrink it down to nothing.
     n = rows[0].effort.shape[1]
-    # It begins where the prior's torques, beside friction, fit the efforts in which they show.
-    model = _link_torques(rows, prior.mean)
-    effort = np.concatenate([one.effort[one.part] for one in rows])
-    rates = np.concatenate([one.velocity[one.part] for one in rows])
-    for j in range(n):  # what is left beside friction
-        friction = np.column_stack([np.ones(len(rates)), rates[:, j], np.sign(rates[:, j])])
-        both = np.column_stack([model[:, j], effort[:, j]])
-        rest = both - friction @ np.linalg.lstsq(friction, both, rcond=1e-9)[0]
-        model[:, j], effort[:, j] = rest.T
-    product, power = np.sum(model * effort, axis=0), np.sum(effort**2, axis=0)
-    strength = np.sqrt(np.sum(model**2, axis=0) / np.maximum(power, 1e-12))
-    correlation = product / np.sqrt(np.maximum(power * np.sum(model**2, axis=0), 1e-24))
-    seen = np.abs(correlation) > _SEEN
-    if seen.any():  # other drives are the best guess
-        strength = np.where(seen, strength, np.median(strength[seen]))
-    start = np.where(correlation < -_SEEN, -1.0, 1.0) * np.maximum(strength, 1e-6)
+    start, seen = _start(rows, prior)
     gains, held = start, np.where(seen, _WIDTH, _HELD) ** -2
     expected = _sizes(rows, prior.mean)
     for _ in range(_ROUNDS):
@@ -76,6 +61,25 @@ def _link_torques(rows: Sequence[Rows], parameters: np.ndarray) -> np.ndarray:
 def _sizes(rows: Sequence[Rows], parameters: np.ndarray) -> np.ndarray:
     """RMS of the links' torques of each joint, shape (n,) [N m]."""
     return np.sqrt(np.mean(_link_torques(rows, parameters) ** 2, axis=0))
+
+
+def _start(rows: Sequence[Rows], prior: Prior) -> tuple[np.ndarray, np.ndarray]:
+    """Gains with which the prior's torques fit the efforts, and whether those torques show."""
+    model = _link_torques(rows, prior.mean)
+    effort = np.concatenate([one.effort[one.part] for one in rows])
+    rates = np.concatenate([one.velocity[one.part] for one in rows])
+    for j in range(effort.shape[1]):  # what is left beside friction
+        friction = np.column_stack([np.ones(len(rates)), rates[:, j], np.sign(rates[:, j])])
+        both = np.column_stack([model[:, j], effort[:, j]])
+        rest = both - friction @ np.linalg.lstsq(friction, both, rcond=1e-9)[0]
+        model[:, j], effort[:, j] = rest.T
+    product, power = np.sum(model * effort, axis=0), np.sum(effort**2, axis=0)
+    strength = np.sqrt(np.sum(model**2, axis=0) / np.maximum(power, 1e-12))
+    correlation = product / np.sqrt(np.maximum(power * np.sum(model**2, axis=0), 1e-24))
+    seen = np.abs(correlation) > _SEEN
+    if seen.any():  # other drives are the best guess
+        strength = np.where(seen, strength, np.median(strength[seen]))
+    return np.where(correlation < -_SEEN, -1.0, 1.0) * np.maximum(strength, 1e-6), seen
 
 
 def rescaled(arm: SerialArm, factor: float) -> SerialArm:

@@ -6,8 +6,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lpv.core.serial_arm.description import SerialArm
-from lpv.identify.estimation import evaluation
 from lpv.identify.estimation.assembly import covariance_of_all, fit_of
+from lpv.identify.estimation.evaluation import (
+    Determination,
+    Figures,
+    Prediction,
+    determine,
+    figures,
+    predict,
+)
 from lpv.identify.estimation.health import unhealthy
 from lpv.identify.estimation.mistakes import Mistake, find_mistakes
 from lpv.identify.estimation.regression import Filters, Fit
@@ -34,11 +41,11 @@ class Identification:
     """Identified arm, and how well it does on data that were held back."""
 
     arm: SerialArm
-    figures: evaluation.Figures  # of the arm, on data held back
-    prior_figures: evaluation.Figures  # of the arm as it was given, on the same data
-    predictions: list[evaluation.Prediction]  # on data held back
+    figures: Figures  # of the arm, on data held back
+    prior_figures: Figures  # of the arm as it was given, on the same data
+    predictions: list[Prediction]  # on data held back
     sensing: Sensing
-    determination: evaluation.Determination
+    determination: Determination
     fit: Fit  # to the training data
     filters: Filters
     used_rates: bool  # measured rates were used
@@ -73,45 +80,58 @@ def identify(
     report('fitting the parameters')
     fit, strength = workshop.fit(share)
     found = workshop.arm_of(fit, strength)
-    held_back, filters = workshop.test_rows(share, tests), workshop.filters
+    held_back = workshop.test_rows(share, tests)
     predictions, before = (
-        [evaluation.predict(rows, fit_of(one, workshop.base, fit), filters) for rows in held_back]
+        [predict(rows, fit_of(one, workshop.base, fit), workshop.filters) for rows in held_back]
         for one in (found, arm)
     )
     if options.refit:
         fit, _ = workshop.fit(1.0)
         found = workshop.arm_of(fit, strength)
     report('measuring what is uncertain')
-    determination = evaluation.determine(workshop.base, fit, arm)
+    determination = determine(workshop.base, fit, arm)
     sensing = workshop.sensing()
-    rates, residuals = [p.velocity for p in predictions], [p.residual for p in predictions]
-    counts = [p.counts for p in predictions]
-    speed, missed, used = map(np.concatenate, (rates, residuals, counts))
-    joints = []
-    for j, joint in enumerate(found.joints):
-        tolerance = torque_tolerance(speed[used[:, j], j], missed[used[:, j], j])
-        delay = float(workshop.effort_delay[j])
-        joints.append(replace(joint, effort_delay=delay, torque_tolerance=tolerance))
-    determined = int(determination.determined.sum())
-    error = torque_error(rates, residuals, counts, workshop.step, usual_error(arm))
-    found = replace(
-        error.on(sensing.on(replace(found, joints=tuple(joints)))),
-        covariance=covariance_of_all(arm, workshop.base, fit, determined),
-        sample_time=workshop.step,
-        effort_bandwidth=filters.effort,
-    )
+    found = _finish(found, workshop, sensing, predictions, determination, fit)
     report('looking for faults in the recordings')
     workshop.warnings += unhealthy(found, [*recordings, *tests])
+    step = workshop.step
     return Identification(
         found,
-        evaluation.figures(predictions, filters, workshop.step),
-        evaluation.figures(before, filters, workshop.step),
+        figures(predictions, workshop.filters, step),
+        figures(before, workshop.filters, step),
         predictions,
         sensing,
         determination,
         fit,
-        filters,
+        workshop.filters,
         workshop.use_rates,
         tuple(mistakes),
         tuple(workshop.warnings),
+    )
+
+
+def _finish(
+    arm: SerialArm,
+    workshop: Workshop,
+    sensing: Sensing,
+    predictions: Sequence[Prediction],
+    determination: Determination,
+    fit: Fit,
+) -> SerialArm:
+    """The arm with sensors, tolerances, delays and covariance."""
+    rates, residuals = [p.velocity for p in predictions], [p.residual for p in predictions]
+    counts = [p.counts for p in predictions]
+    speed, missed, used = map(np.concatenate, (rates, residuals, counts))
+    joints = []
+    for j, joint in enumerate(arm.joints):
+        tolerance = torque_tolerance(speed[used[:, j], j], missed[used[:, j], j])
+        delay = float(workshop.effort_delay[j])
+        joints.append(replace(joint, effort_delay=delay, torque_tolerance=tolerance))
+    determined = int(determination.determined.sum())
+    error = torque_error(rates, residuals, counts, workshop.step, usual_error(workshop.arm))
+    return replace(
+        error.on(sensing.on(replace(arm, joints=tuple(joints)))),
+        covariance=covariance_of_all(workshop.arm, workshop.base, fit, determined),
+        sample_time=workshop.step,
+        effort_bandwidth=workshop.filters.effort,
     )

@@ -178,34 +178,27 @@ def fit_parameters(
     scale, weight = np.ones(n), problem.counts.astype(float)
     for sweep in range(sweeps if search else 3):
         if search and sweep:
-            # Gauss-Newton in the logarithms of the slopes, together with all parameters; also with
-            # terms that would drive: at another slope they may not, and hold it where it is.
-            full = problem.with_slopes(problem.design(slope, parameters), slope, parameters)
-            matrix, right = normal_equations(full, problem.effort, weight / scale**2, prior)
-            matrix[-n:, -n:] += _SLOPE_HELD * np.eye(n)
-            right[-n:] += _SLOPE_HELD * np.log(prior.slope / slope)
-            used = np.append(problem.used, np.ones(n, bool))
-            change = (invert_normal(matrix[np.ix_(used, used)]) @ right[used])[-n:]
-            slope = np.clip(slope * np.exp(np.clip(change, -_STEP, _STEP)), *SLOPES)
+            slope = _next_slopes(problem, slope, parameters, weight / scale**2, prior)
         design = problem.design(slope, parameters)
         for _ in range(2):
             equations = normal_equations(design, problem.effort, weight / scale**2, prior)
             parameters = _solve(problem, slope, *equations)
             residual = problem.effort - design @ parameters
-            scale = robust_scale(residual, counts=problem.counts)
-            scale = np.maximum(scale, 1e-9 + 1e-6 * np.max(scale))
-            weight = problem.counts * huber(residual / scale)
+            scale, weight = _weigh(problem, residual)
     weights = weight / scale**2
     covariance = np.zeros((len(parameters), len(parameters)))
-    if with_covariance:  # slopes are estimated, too
-        full, slopes = problem.with_slopes(design, slope, parameters), _SLOPE_HELD * np.eye(n)
-        information = normal_matrix(full, weights) + block_diag(prior.information, slopes)
-        root, inverse = np.sqrt(weights), invert_normal(information)
-        data = full * root[:, :, None], residual * root, inverse, problem.lengths, problem.counts
-        every = estimate_covariance(*data, block_diag(prior.score, slopes))
-        covariance = every[: len(parameters), : len(parameters)]
+    if with_covariance:
+        full = problem.with_slopes(design, slope, parameters)
+        covariance = _uncertainty(problem, full, residual, weights, prior)
     normal, right = normal_equations(design, problem.effort, weights)
     return Fit(parameters, slope, scale, normal, right, covariance, with_load)
+
+
+def _weigh(problem: Problem, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Robust scale of each joint, and weights."""
+    scale = robust_scale(residual, counts=problem.counts)
+    scale = np.maximum(scale, 1e-9 + 1e-6 * np.max(scale))
+    return scale, problem.counts * huber(residual / scale)
 
 
 def _solve(
@@ -222,3 +215,31 @@ def _solve(
         if not negative.any():
             return passive @ result
         active &= ~negative
+
+
+def _next_slopes(
+    problem: Problem, slope: np.ndarray, parameters: np.ndarray, weight: np.ndarray, prior: Prior
+) -> np.ndarray:
+    """Gauss-Newton step in the logarithms of the slopes, together with all parameters."""
+    # Also with terms that would drive: at another slope they may not, and hold it where it is.
+    n, count = problem.n, len(parameters)
+    design = problem.design(slope, parameters)
+    full = problem.with_slopes(design, slope, parameters)
+    matrix, right = normal_equations(full, problem.effort, weight, prior)
+    matrix[count:, count:] += _SLOPE_HELD * np.eye(n)
+    right[count:] += _SLOPE_HELD * np.log(prior.slope / slope)
+    used = np.append(problem.used, np.ones(n, bool))
+    change = (invert_normal(matrix[np.ix_(used, used)]) @ right[used])[-n:]
+    return np.clip(slope * np.exp(np.clip(change, -_STEP, _STEP)), *SLOPES)
+
+
+def _uncertainty(
+    problem: Problem, full: np.ndarray, residual: np.ndarray, weight: np.ndarray, prior: Prior
+) -> np.ndarray:
+    """Covariance of the parameters; slopes are estimated, too."""
+    n, size = problem.n, len(prior.mean)
+    slopes = _SLOPE_HELD * np.eye(n)
+    inverse = invert_normal(normal_matrix(full, weight) + block_diag(prior.information, slopes))
+    root = np.sqrt(weight)
+    data = full * root[:, :, None], residual * root, inverse, problem.lengths, problem.counts
+    return estimate_covariance(*data, block_diag(prior.score, slopes))[:size, :size]

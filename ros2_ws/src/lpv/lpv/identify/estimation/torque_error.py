@@ -74,16 +74,7 @@ def torque_error(
     for j in np.arange(n):
         used = [one[:, j].astype(float) for one in counts]
         parts = [r[:, j] * one for one, r in zip(used, residuals)]
-        # Samples in which the correlation of what is not white falls to 1/e.
-        longest = max(2, max(map(len, parts)) // 4)
-        gamma = autocovariance(parts, longest)
-        gamma = gamma / np.maximum(autocovariance(used, longest), 1e-9)
-        value = gamma / max(gamma[0] - noise[j] ** 2, 1e-18)
-        value[0], lengths[j] = 1.0, longest
-        if len(below := np.flatnonzero(value < np.exp(-1.0))):
-            lag = int(below[0])
-            fall = max(value[lag - 1] - value[lag], 1e-9)
-            lengths[j] = lag - 1 + (value[lag - 1] - np.exp(-1.0)) / fall
+        lengths[j] = _correlation_length(parts, used, float(noise[j]))
         fast = np.append(speed[every[:, j], j], [0.0, USUAL_RATE**2])
         squares = np.maximum(size[every[:, j], j] - noise[j] ** 2, 0.0)
         target, often = np.append(squares, 2 * [usual[j] ** 2]), np.ones(len(fast))
@@ -104,6 +95,25 @@ def torque_error(
 def usual_error(arm: SerialArm) -> np.ndarray:
     """Torque that models miss for as long as a pose lasts, shape (n,) [N m]."""
     return LASTING * model_error(arm) * typical_torque(compile_chain(arm), arm.scales())
+
+
+def _correlation_length(
+    residuals: Sequence[np.ndarray], counts: Sequence[np.ndarray], noise: float
+) -> float:
+    """Samples in which the correlation of what is not white falls to 1/e.
+
+    Residuals that do not count are 0.
+    """
+    longest = max(2, max(len(r) for r in residuals) // 4)
+    gamma = autocovariance(residuals, longest)
+    pairs = np.maximum(autocovariance(counts, longest), 1e-9)
+    value = gamma / pairs / max(gamma[0] / pairs[0] - noise**2, 1e-18)
+    value[0] = 1.0
+    below = np.flatnonzero(value < np.exp(-1.0))
+    if not len(below):
+        return longest
+    lag = int(below[0])
+    return lag - 1 + (value[lag - 1] - np.exp(-1.0)) / max(value[lag - 1] - value[lag], 1e-9)
 
 
 def model_residual(arm: SerialArm, segment: Segment) -> tuple[Motion, np.ndarray]:
