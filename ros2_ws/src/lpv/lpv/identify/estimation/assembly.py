@@ -46,11 +46,17 @@ def prior_of_all(arm: SerialArm) -> tuple[np.ndarray, np.ndarray]:
 
 
 def consistent_parameters(
-    arm: SerialArm, base: BaseParameters, fit: Fit, strength: float
+    arm: SerialArm,
+    known: tuple[np.ndarray, np.ndarray],
+    base: BaseParameters,
+    fit: Fit,
+    strength: float,
 ) -> np.ndarray:
-    """Physically consistent `SerialArm.parameter_vector` that fits best, shape (15 n,)."""
-    n = len(arm.joints)
-    mean, sigma = prior_of_all(arm)
+    """Physically consistent `SerialArm.parameter_vector` that fits best, shape (15 n,).
+
+    ``known`` is `prior_of_all` of the arm.
+    """
+    n, (mean, sigma) = len(arm.joints), known
     lower, upper = np.full(len(mean), -np.inf), np.full(len(mean), np.inf)
     lower[N_INERTIAL * n :] = 0.0  # rotors and friction
     lower[_columns('offset', n)] = -np.inf

@@ -9,7 +9,7 @@ import numpy as np
 from lpv.core.serial_arm.description import N_INERTIAL, SerialArm
 from lpv.identify.estimation.assembly import with_parameters
 from lpv.identify.estimation.regression import Filters, Problem, Rows, fit_parameters
-from lpv.identify.estimation.robust import invert_normal, normal_equations
+from lpv.identify.estimation.robust import invert_normal, normal_equations, predicted
 from lpv.identify.model.friction import TERMS
 from lpv.identify.model.prior import Prior
 
@@ -55,7 +55,7 @@ def estimate_gains(rows: Sequence[Rows], filters: Filters, prior: Prior) -> np.n
 def _link_torques(rows: Sequence[Rows], parameters: np.ndarray) -> np.ndarray:
     """Torques of the links, shape (samples, n) [N m]."""
     size = rows[0].base.shape[2]
-    return np.concatenate([(one.base @ parameters[:size])[one.part] for one in rows])
+    return np.concatenate([predicted(one.base, parameters[:size])[one.part] for one in rows])
 
 
 def _sizes(rows: Sequence[Rows], parameters: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import N_INERTIAL, SerialArm
 from lpv.core.serial_arm.diagnosis.parameter_error import model_error, usual_load
 from lpv.core.serial_arm.dynamics.payload import payload_parameters
-from lpv.identify.estimation.robust import HUBER, robust_fit
+from lpv.identify.estimation.robust import HUBER, predicted, robust_fit
 from lpv.identify.model.friction import SLOPE, friction_columns, join_columns, least_viscous
 from lpv.identify.model.prior import Prior, base_prior
 from lpv.identify.model.rigid_body import RigidBody, find_base_parameters
@@ -220,7 +220,7 @@ class _Judge:
             still = np.zeros_like(q)
             full = [self._model.regressor(q, v, derivative(v, step), np.zeros(3))]
             full += [self._model.regressor(q, still, still, axis) for axis in np.eye(3)]
-            base = (part[:, :, self._base.columns] for part in full)
+            base = (np.take(part, self._base.columns, axis=2) for part in full)
             parts.append([low_pass(part, self._band, step) for part in base])
         rigid = tuple(np.concatenate(part) for part in zip(*parts))
         found = {'ends': ends, 'steps': steps, 'position': position, 'velocity': velocity}
@@ -241,7 +241,7 @@ class _Judge:
         """Of a set-up, whose torques may have ``more`` columns, shape (samples, n, parameters)."""
         regressor = self._regressor(setup)
         columns = regressor if more is None else np.concatenate([regressor, more], axis=2)
-        design, prior, passive = self._design(setup, columns, regressor @ self._mean)
+        design, prior, passive = self._design(setup, columns, predicted(regressor, self._mean))
         # Huber's estimate of all parameters with the prior; residuals, scale of each joint.
         effort = self._filtered(setup, setup.effort)
         spread = np.std(effort, axis=0)
@@ -257,7 +257,7 @@ class _Judge:
                 break
         beta, off = solution[: self._size], solution - prior.mean
         # Single parameters may be far off, hardly the torques of the whole arm.
-        sizes = [float(np.linalg.norm(regressor @ b)) + 1e-9 for b in (beta, self._mean)]
+        sizes = [float(np.linalg.norm(predicted(regressor, b))) + 1e-9 for b in (beta, self._mean)]
         common = float(np.log(sizes[0] / sizes[1])) / _SCALE
         loss = 0.5 * np.minimum(np.abs(residual / scale), HUBER) ** 2  # contacts decide nothing
         logs = np.sum((-np.log(scale / setup.gain) - loss) * setup.moves, axis=1)
@@ -409,7 +409,7 @@ class _Judge:
             beta = self.evidence(setup).beta
             down = setup.gravity / size
             across = np.linalg.svd(down[None])[2][1:]  # two directions that turn it
-            pulls = np.stack([part @ beta for part in setup.rigid[1:]], axis=2)
+            pulls = np.stack([predicted(part, beta) for part in setup.rigid[1:]], axis=2)
             found = self.evidence(setup, size * pulls @ across.T).extra
             turn = np.clip(found, -_FARTHEST, _FARTHEST) @ across
             setup = replace(setup, gravity=size * (down + turn) / np.linalg.norm(down + turn))
@@ -443,7 +443,7 @@ class _Judge:
             yield text, replace(setup, effort=setup.each(partial(_earlier, delay), setup.effort))
 
     def _units(self, setup: _Setup) -> _Tried:
-        expected = np.std(self._regressor(setup) @ self._mean, axis=0)
+        expected = np.std(predicted(self._regressor(setup), self._mean), axis=0)
         measured = np.std(setup.effort, axis=0)
         carries = expected > 0.1 * expected.max()
         gain = expected / np.maximum(measured, 1e-12)

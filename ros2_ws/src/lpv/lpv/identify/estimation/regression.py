@@ -17,6 +17,7 @@ from lpv.identify.estimation.robust import (
     invert_normal,
     normal_equations,
     normal_matrix,
+    predicted,
     robust_scale,
 )
 from lpv.identify.model.friction import (
@@ -93,7 +94,7 @@ class Fit:
 
 def model_torque(rows: Rows, fit: Fit) -> np.ndarray:
     """Joint torque that a fit predicts, before any filter, shape (samples, n) [N m]."""
-    rigid = rows.base @ fit.base
+    rigid = predicted(rows.base, fit.base)
     columns = friction_columns(rows.velocity, fit.slope, rigid)
     return rigid + np.einsum('ijk,jk->ij', columns, fit.friction)
 
@@ -126,7 +127,7 @@ class Problem:
     def _loads(self, parameters: np.ndarray) -> list[np.ndarray]:
         """Magnitude of the rigid-body torque of each joint, for each segment."""
         beta = parameters[: self.size] * self._with_load
-        return [np.abs(rows.base @ beta) for rows in self._rows]
+        return [np.abs(predicted(rows.base, beta)) for rows in self._rows]
 
     def design(self, slope: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """Regressor of all parameters, shape (rows, n, base + 4 n), with the load of known ones."""
@@ -183,7 +184,7 @@ def fit_parameters(
         for _ in range(2):
             equations = normal_equations(design, problem.effort, weight / scale**2, prior)
             parameters = _solve(problem, slope, *equations)
-            residual = problem.effort - design @ parameters
+            residual = problem.effort - predicted(design, parameters)
             scale, weight = _weigh(problem, residual)
     weights = weight / scale**2
     covariance = np.zeros((len(parameters), len(parameters)))

@@ -33,6 +33,12 @@ def bounded_squares(error: np.ndarray, counts: np.ndarray) -> np.ndarray:
     return np.sum(np.clip(error, -bound, bound) ** 2 * counts, axis=0)
 
 
+def predicted(design: np.ndarray, parameters: np.ndarray) -> np.ndarray:
+    """A design, shape (rows, n, parameters), times parameters, shape (rows, n)."""
+    # In one product: NumPy would make one for every row.
+    return (design.reshape(-1, len(parameters)) @ parameters).reshape(design.shape[:2])
+
+
 def normal_matrix(design: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """Normal matrix of a design, shape (rows, n, parameters), with weights, shape (rows, n)."""
     flat = (design * np.sqrt(weight)[:, :, None]).reshape(-1, design.shape[2])
@@ -84,7 +90,7 @@ def robust_fit(
     for _ in range(rounds):
         matrix, right = normal_equations(design, target, share * weight / scale**2, prior)
         solution = invert_normal(matrix) @ right
-        residual = target - design @ solution
+        residual = target - predicted(design, solution)
         scale = robust_scale(residual, least, used)
         weight = used * huber(residual / scale, bound)
     return solution, residual, scale

@@ -7,12 +7,17 @@ import numpy as np
 
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.limits import MAX_GAP
-from lpv.identify.estimation.assembly import consistent_parameters, fit_of, with_parameters
+from lpv.identify.estimation.assembly import (
+    consistent_parameters,
+    fit_of,
+    prior_of_all,
+    with_parameters,
+)
 from lpv.identify.estimation.delays import effort_delays, rate_delays
 from lpv.identify.estimation.evaluation import predict
 from lpv.identify.estimation.gains import estimate_gains
 from lpv.identify.estimation.regression import Filters, Fit, Rows, fit_parameters
-from lpv.identify.estimation.robust import bounded_squares
+from lpv.identify.estimation.robust import bounded_squares, predicted
 from lpv.identify.model.prior import Prior, base_prior
 from lpv.identify.model.rigid_body import RigidBody, find_base_parameters
 from lpv.identify.recordings.filters import derivative
@@ -55,7 +60,7 @@ class Workshop:
         self.bands = find_bandwidths(self.segments)
         self.model = RigidBody(arm)
         self.base = find_base_parameters(self.model)
-        self.prior = base_prior(arm, self.base)
+        self.prior, self._known = base_prior(arm, self.base), prior_of_all(arm)
         # Measured rates, if they have less noise in the band than derivatives of positions.
         rates = [s.velocity for s in self.segments if s.velocity is not None]
         turning = 2.0 * np.pi * self.bands.analysis / np.sqrt(3.0)
@@ -107,7 +112,7 @@ class Workshop:
         margin = min(int(np.ceil(0.5 / (self.bands.test * self.step))), len(motion.time) // 10)
         return Rows(
             **vars(motion),
-            base=self.model.regressor(*signals, gravity)[:, :, self.base.columns],
+            base=np.take(self.model.regressor(*signals, gravity), self.base.columns, axis=2),
             counts=moving(motion.velocity, motion.step, self.arm.scales()),
             speed_limit=1.1 * np.array([joint.limits.velocity for joint in self.arm.joints]),
             part=slice(margin, len(motion.time) - margin),
@@ -196,7 +201,8 @@ class Workshop:
         # Joints that swing freely: their balance holds for parameters of any scale.
         beta = np.abs(self.prior.mean[: self.base.size])
         pairs = [
-            ((np.abs(r.base) @ beta)[r.part], r.effort[r.part], r.counts[r.part]) for r in rows
+            (predicted(np.abs(r.base), beta)[r.part], r.effort[r.part], r.counts[r.part])
+            for r in rows
         ]
         acting, effort, counts = (np.concatenate(part) for part in zip(*pairs))
         few = np.sum(np.abs(effort) * counts, axis=0) < _PASSIVE * np.sum(acting * counts, axis=0)
@@ -211,7 +217,7 @@ class Workshop:
 
     def arm_of(self, fit: Fit, strength: float) -> SerialArm:
         """The arm with the parameters of a fit, physically consistent."""
-        values = consistent_parameters(self.arm, self.base, fit, strength)
+        values = consistent_parameters(self.arm, self._known, self.base, fit, strength)
         return with_parameters(self.arm, values, fit.slope)
 
     def sensing(self) -> Sensing:
