@@ -24,12 +24,12 @@ class Running:
 
     def __exit__(self, *_):
         if self.process.poll() is None:  # a test has failed
-            os.killpg(self.process.pid, signal.SIGKILL)
+            self._stop()
             self.process.communicate()
 
     def until(self, pattern, timeout=300.0):
         """Read lines until one matches; all lines so far as one text."""
-        guard = threading.Timer(timeout, self.process.kill)  # which ends a line that is waited for
+        guard = threading.Timer(timeout, self._stop)  # which ends a line that is waited for
         guard.start()
         try:
             for line in iter(self.process.stdout.readline, ''):
@@ -39,6 +39,17 @@ class Running:
         finally:
             guard.cancel()
         raise AssertionError(f'no {pattern!r} in:\n{"".join(self.lines)}')
+
+    def _stop(self):
+        """End the command, and by it what runs in process groups of its own; at worst itself."""
+        at_worst = threading.Timer(60.0, self._kill)
+        at_worst.daemon = True
+        at_worst.start()
+        self.process.terminate()
+
+    def _kill(self):
+        if self.process.poll() is None:
+            os.killpg(self.process.pid, signal.SIGKILL)
 
     def interrupt(self, timeout=300.0):
         """Send SIGINT to the command alone; its exit code and all it printed."""

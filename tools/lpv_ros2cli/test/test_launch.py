@@ -183,6 +183,9 @@ def test_given_files_when_launched_then_nodes_start_and_come_back_and_end_cleanl
     with Running('launch', FILES['pipeline'], *words, env=environment, cwd=tmp_path) as launch:
         text = launch.until('lpv.uio.*measurements flow')
         uio = re.search(r'\[uio-\d\]: process started with pid \[(\d+)\]', text).group(1)
+        threads = {file.read_text() for file in Path(f'/proc/{uio}/task').glob('*/comm')}
+        assert any(name.startswith('dds.') for name in threads)
+        assert not any(name.startswith('dds.tls') for name in threads), 'waits for types'
         os.kill(int(uio), signal.SIGKILL)
         launch.until(r'\[uio-\d\]: process started')
         launch.until('lpv.uio.*measurements flow')
