@@ -213,10 +213,14 @@ def _compiled(function: Callable[..., Any], **options: bool) -> Callable[..., An
         return function
     called = _dispatcher(function, 'python', **options)
     if not _numba.config.CACHE_DIR:  # a cache that is given has no room for two kinds
-        inner = _dispatcher(function, 'compiled', no_cpython_wrapper=True, **options)
-        called.get_call_template = inner.get_call_template
-        called.get_overload = inner.get_overload
-        called.compile_linked = inner.compile
+
+        @cache
+        def inner() -> Any:  # made once it is asked for: kept code of a caller holds it already
+            return _dispatcher(function, 'compiled', no_cpython_wrapper=True, **options)
+
+        called.get_call_template = lambda *given: inner().get_call_template(*given)
+        called.get_overload = lambda types: inner().get_overload(types)
+        called.compile_linked = lambda types: inner().compile(types)
     return called
 
 

@@ -13,14 +13,13 @@ frozen, with its joint anywhere.  As many faults end as begin: both are as likel
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import expit
 
 from lpv.core.serial_arm.chain import FloatArray
 from lpv.core.serial_arm.diagnosis.balance import DRIFT, EPOCH, OFFSET
 from lpv.core.serial_arm.diagnosis.bank import Bank
 from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator
 from lpv.core.serial_arm.diagnosis.fault_filter import begin_frozen
-from lpv.core.serial_arm.diagnosis.information import recent
+from lpv.core.serial_arm.diagnosis.information import probability, recent
 from lpv.core.serial_arm.diagnosis.linear_bank import STARTS
 from lpv.core.serial_arm.diagnosis.onset import weigh_errors
 from lpv.core.serial_arm.diagnosis.priors import SIZE
@@ -53,7 +52,7 @@ class EndOfFault:
     @property
     def share(self) -> float:
         """Probability of the hypothesis, against a fault that began."""
-        return float(expit(self.odds))
+        return probability(self.odds)
 
     def weigh(self, estimator: OffsetEstimator) -> None:
         """Compare the hypothesis with the null hypothesis on all balances at hand."""

@@ -5,6 +5,7 @@ of two cumulative sums, so that any window costs the same.  Of A^T W A only what
 hypotheses need is kept: the rows of the constant part and of the unknowns.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,13 @@ ROBUST = 3.0
 """Residuals beyond so many standard deviations are outliers: one in 370 of normal ones."""
 NEXT, COUNT = range(2)
 """Entries of `Window.counters`: balances that ever joined the window, balances in it."""
+_NEVER = 700.0
+"""Logarithm of odds beyond which a probability is 0, or 1."""
+
+
+def probability(odds: float) -> float:
+    """Probability of what has the logarithm of its odds."""
+    return 1.0 / (1.0 + math.exp(min(-odds, _NEVER)))
 
 
 class Window(NamedTuple):

@@ -9,13 +9,12 @@ Both are as likely before the data.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import expit
 
 from lpv.core.serial_arm.diagnosis.balance import OFFSET, SCALE
 from lpv.core.serial_arm.diagnosis.bank import Bank
 from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator
 from lpv.core.serial_arm.diagnosis.fault_filter import LARGEST_SCALE, FaultFilter
-from lpv.core.serial_arm.diagnosis.information import recent
+from lpv.core.serial_arm.diagnosis.information import probability, recent
 from lpv.core.serial_arm.diagnosis.onset import weigh_errors
 from lpv.core.serial_arm.diagnosis.priors import POSE_TIME
 from lpv.core.serial_arm.diagnosis.readings import Readings
@@ -42,7 +41,7 @@ class ScaleOfJump:
     @property
     def share(self) -> float:
         """Probability of the hypothesis, against an offset."""
-        return float(expit(self.odds))
+        return probability(self.odds)
 
     def weigh(self, readings: Readings, bank: Bank) -> None:
         """Compare the hypothesis with an offset on all balances since the jump."""

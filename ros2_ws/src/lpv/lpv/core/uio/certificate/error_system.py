@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.linalg import solve_continuous_lyapunov
 
 from lpv.core.support.inequalities import array_of
 from lpv.core.support.limits import SMALL
@@ -98,6 +97,8 @@ def exact_fault_sigma(arm: ArmParameters, lyapunov: np.ndarray) -> np.ndarray:
 
 def paper_fault_sigma(arm: ArmParameters, observer: PaperObserverGains) -> np.ndarray:
     """Largest standard deviation of f^ of method ``paper`` over the vertices, per sensor [rad]."""
+    from scipy.linalg import solve_continuous_lyapunov  # as `discretised` does
+
     d = paper_descriptor(arm, observer.box)
     root = math.sqrt(arm.sample_time)
     noise = np.diag([arm.position_noise] * 2 + [arm.velocity_noise] * 2)

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from scipy.linalg import cholesky, expm, solve_triangular
 
 from lpv.core.support.entries import array, entry, positive
 from lpv.core.uio.model.arm import ArmParameters
@@ -48,6 +47,8 @@ class SampledLoop:
 
     def contraction(self, lyapunov: np.ndarray) -> float:
         """Largest factor by which sqrt(z' P z) changes in a sample; infinite without P > 0."""
+        from scipy.linalg import cholesky, solve_triangular  # as `discretised` does
+
         try:
             factor = cholesky(lyapunov)
             inverse = solve_triangular(factor, np.eye(SIZE))
@@ -67,6 +68,8 @@ def sampled_loop(
     Vertices A_c, B_c of eq. (64) are without Coriolis torques; the torque that the feedback
     (M1, M2) of eq. (65) makes of a measurement acts from the next sample on.
     """
+    from scipy.linalg import expm  # as `discretised` does
+
     step, flows = arm.sample_time, _flows(arm, loop, rate)
     low, high = flows.min(axis=0), flows.max(axis=0)
     center, spread = 0.5 * (low + high), 0.5 * (high - low)
