@@ -295,7 +295,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument('line', nargs='+', choices=('goals', *LINES))
+    parser.add_argument('line', nargs='*', help=f'of: goals (default), {", ".join(LINES)}')
     parser.add_argument('--count', type=int, default=10, help='runs of a line')
     parser.add_argument('--first', type=int, default=0, help='recording of the first run of a goal')
     parser.add_argument('--seed', type=int, default=1, help='of the faults of goals')
@@ -303,7 +303,10 @@ def main() -> None:
     parser.add_argument('--lead', type=float, default=LEAD, help='time before an onset [s]')
     parser.add_argument('--robot', type=int, help='goals of one arm, with a file identified on it')
     options = parser.parse_args()
-    for line in options.line:
+    lines = options.line or ['goals']
+    if unknown := {*lines} - {'goals', *LINES}:
+        parser.error(f'no such line: {", ".join(sorted(unknown))}')
+    for line in lines:
         if line == 'goals':
             chosen = [one for one in options.kinds.split(',') if one]
             subject = twin() if options.robot is None else identified(options.robot)

@@ -1,7 +1,8 @@
 """How often the true parameters of simulated arms lie inside their 95 % regions.
 
-Usage: python benchmarks/identification_coverage.py ARM RUNS, where ARM is an arm file or a URDF.
-Each run has sensor noise of its own along the motion that `lpv excite` plans.
+Usage: python benchmarks/identification_coverage.py [ARM [RUNS]], where ARM is an arm file or a
+URDF; the UR10 and 20 runs otherwise.  Each run has sensor noise of its own along the motion that
+`lpv excite` plans.
 """
 
 import sys
@@ -14,6 +15,7 @@ from simulated_recordings import SensorNoise, simulate
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.description import JointFriction, SerialArm
 from lpv.core.serial_arm.urdf_chain import read_urdf_chain
+from lpv.core.support.resources import bringup_file
 from lpv.identify.estimation.assembly import parameter_map
 from lpv.identify.estimation.workshop import Workshop
 from lpv.identify.motions import plan_excitation
@@ -61,4 +63,5 @@ def main(path: str, runs: int) -> None:
 
 
 if __name__ == '__main__':
-    main(sys.argv[1], int(sys.argv[2]))
+    ur10 = str(bringup_file('arms', 'ur10'))
+    main(*sys.argv[1:2] or [ur10], *map(int, sys.argv[2:3] or [20]))

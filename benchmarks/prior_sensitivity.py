@@ -61,12 +61,15 @@ def shares(count: int) -> dict[str, float]:
 def main() -> None:
     """Entry point."""
     parser = argparse.ArgumentParser(description=__doc__.partition('\n')[0])
-    parser.add_argument('names', nargs='+', help='of `lpv.core.serial_arm.diagnosis.priors`')
+    parser.add_argument(
+        'names', nargs='*', help='of `lpv.core.serial_arm.diagnosis.priors`; all single numbers'
+    )
     parser.add_argument('--count', type=int, default=1, help='runs of a cell')
     options = parser.parse_args()
     usual = shares(options.count)
     print('as they are:', {name: round(value, 1) for name, value in usual.items()})
-    for name in options.names:
+    numbers = (name for name, value in vars(priors).items() if isinstance(value, (int, float)))
+    for name in options.names or [name for name in numbers if name not in COMPILED]:
         for factor in (0.5, 2.0):
             with scaled(name, factor):
                 now = shares(options.count)
