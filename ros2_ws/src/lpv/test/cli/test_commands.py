@@ -270,6 +270,18 @@ def test_given_a_gripper_when_held_then_the_arm_has_the_others_and_their_frictio
         assert arm.tip == (0.0, 0.0, 0.3)
 
 
+def test_given_a_camera_on_the_wrist_when_initialised_then_the_tip_is_the_deepest_link(init):
+    frames = ''.join(
+        f'<link name="{link}"/><joint name="{link}" type="fixed"><parent link="{before}"/>'
+        f'<child link="{link}"/><origin xyz="{x} 0 0"/></joint>'
+        for before, link, x in (('tool', 'mount', 0), ('mount', 'tcp', 0.2), ('hand', 'zz', 1))
+    )
+    urdf = GRIPPER.replace('</robot>', f'{frames}</robot>')
+    arm, said = init('--joints', 'shoulder,elbow,wrist', urdf=urdf)
+    assert 'tip: tcp, where loads sit; --tip names another: ' in said and ' zz' in said
+    assert arm.tip == pytest.approx((0.2, 0.0, 0.3))
+
+
 def test_given_a_urdf_with_friction_when_a_motion_is_planned_then_torques_hold_it(tmp_path, call):
     (tmp_path / 'arm.urdf').write_text(GRIPPER.replace('friction="0.25"', 'friction="300"'))
     options = '--urdf', tmp_path / 'arm.urdf', '--out', tmp_path / 'motion', '--trials', 1
@@ -291,6 +303,7 @@ def test_given_what_cannot_be_used_when_initialised_then_it_is_named(tmp_path, r
     urdf, new = tmp_path / 'arm.urdf', tmp_path / 'new'
     for old, bad, options, said in (
         ('', '', [], "off 'wrist' beside left_finger: the arm is not a chain; lock"),
+        ('parent link="two"', 'parent link="base"', [], 'off the base beside shoulder: the arm'),
         ('', '', ['--tip', 'nose'], "no link 'nose'; it has base, one, two, hand"),
         ('', '', ['--lock', 'left_finger=open'], "'open' is not a number"),
         ('', '', ['--lock', 'left_finger=nan'], "'nan' is not a number"),

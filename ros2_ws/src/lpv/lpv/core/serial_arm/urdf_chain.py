@@ -48,7 +48,7 @@ def read_urdf_chain(
         The joints of the arm; all others are locked at 0 if they are not in ``locked``.
     tip : str, optional
         Link at the arm's end, of several branches; joints that do not lead to it are locked at 0
-        if they are not in ``locked``.
+        if they are not in ``locked``. Without it, the first of `urdf_ends`.
 
     Returns
     -------
@@ -62,7 +62,7 @@ def read_urdf_chain(
         ones.
     """
     urdf = read_urdf_text(Path(path))
-    model, held = _read_model(urdf, str(path), locked, joints, tip)
+    model, held, _, place = _read_model(urdf, str(path), locked, joints, tip)
     if not 1 <= model.njoints - 1 <= MAX_JOINTS:
         raise ConfigError(
             'urdf',
@@ -73,10 +73,32 @@ def read_urdf_chain(
     return SerialArm(
         name=model.name or 'arm',
         joints=described,
-        tip=_tip(model, tip),
+        tip=place,
         urdf=str(path),
         locked=tuple(sorted(held.items())),
     )
+
+
+def urdf_ends(
+    path: str | Path,
+    locked: Mapping[str, float] | None = None,
+    joints: Sequence[str] | None = None,
+    tip: str | None = None,
+) -> tuple[str, ...]:
+    """Links where the arm of a URDF may end: behind its last joint, with no link behind them.
+
+    Parameters
+    ----------
+    path, locked, joints, tip
+        As of `read_urdf_chain`.
+
+    Returns
+    -------
+    tuple of str
+        The tip first; without ``tip`` that with most links before it, of several that with fewest
+        locked joints before it.
+    """
+    return _read_model(read_urdf_text(Path(path)), str(path), locked, joints, tip)[2]
 
 
 def _read_model(
@@ -85,8 +107,8 @@ def _read_model(
     locked: Mapping[str, float] | None,
     joints: Sequence[str] | None,
     tip: str | None,
-) -> 'tuple[pinocchio.Model, dict[str, float]]':
-    """Pinocchio's model of a URDF, with joints locked, and the angles of the locked ones."""
+) -> 'tuple[pinocchio.Model, dict[str, float], tuple[str, ...], tuple[float, float, float]]':
+    """Pinocchio's model of the joints that move, angles of the others, ends, place of the tip."""
     import pinocchio
 
     held = dict(locked or {})
@@ -123,18 +145,53 @@ def _read_model(
         for name, mimic in urdf.mimics.items():
             if name in names and name not in held and mimic.joint in held:
                 held[name] = mimic.multiplier * held[mimic.joint] + mimic.offset
+    reference = pinocchio.neutral(model)
+    for name, angle in held.items():
+        joint = model.joints[model.getJointId(name)]
+        if joint.nq == 1:
+            reference[joint.idx_q] = angle
+        elif angle != 0.0:
+            raise ConfigError('locked', f'{urdf.kinds[name]} joint {name!r} must be at 0')
+    last, ends = _ends(model, held)
+    if tip is not None:
+        ends = (tip, *(end for end in ends if end != tip))
+    place = pinocchio.SE3.Identity()
+    if ends:
+        data = model.createData()
+        end = model.frames[model.getFrameId(ends[0], pinocchio.FrameType.BODY)]
+        pinocchio.forwardKinematics(model, data, reference)
+        place, joint = end.placement, end.parentJoint
+        while joint != last:
+            place, joint = data.liMi[joint] * place, model.parents[joint]
     if held:
-        reference = pinocchio.neutral(model)
-        for name, angle in held.items():
-            joint = model.joints[model.getJointId(name)]
-            if joint.nq == 1:
-                reference[joint.idx_q] = angle
-            elif angle != 0.0:
-                raise ConfigError('locked', f'{urdf.kinds[name]} joint {name!r} must be at 0')
+        # Pinocchio looks parents up by name alone, and joints may be called as links are.
+        for number, frame in enumerate(model.frames):
+            if frame.type != pinocchio.FrameType.JOINT:
+                frame.name = f'{number}'
         model = pinocchio.buildReducedModel(
             model, [model.getJointId(name) for name in held], reference
         )
-    return model, held
+    return model, held, ends, _triple(place.translation)
+
+
+def _ends(model: 'pinocchio.Model', held: Mapping[str, float]) -> tuple[int, tuple[str, ...]]:
+    """The last joint that moves, and the links that no other is behind, as of `urdf_ends`."""
+    import pinocchio
+
+    ways, inner = dict[str, tuple[int, int, int]](), set[str]()
+    for frame in model.frames:
+        links, locks, at = 0, 0, frame
+        while at.parentFrame and (at.type != pinocchio.FrameType.JOINT or at.name in held):
+            links += at.type == pinocchio.FrameType.BODY
+            locks += at.type == pinocchio.FrameType.JOINT
+            at = model.frames[at.parentFrame]
+            if at.type == pinocchio.FrameType.BODY:
+                inner.add(at.name)
+        if frame.type == pinocchio.FrameType.BODY and at.type == pinocchio.FrameType.JOINT:
+            ways[frame.name] = at.parentJoint, -links, locks
+    last = max((joint for joint, *_ in ways.values()), default=0)
+    ends = [name for name, (joint, *_) in ways.items() if joint == last and name not in inner]
+    return last, tuple(sorted(ends, key=ways.__getitem__))
 
 
 @contextlib.contextmanager
@@ -160,8 +217,10 @@ def _joint(model: 'pinocchio.Model', index: int, urdf: Urdf, source: str) -> Ser
         refused = f'is {urdf.kinds[name]}, neither revolute nor prismatic'
     elif model.parents[index] != index - 1:
         parents = list(model.parents)
-        beside = [n for n, p in zip(model.names, parents) if p == parents[index] and n != name]
-        refused = f'branches off {model.names[parents[index]]!r} beside {", ".join(beside)}: '
+        others = list(zip(model.names, parents))[1:]  # the first is the world
+        beside = [n for n, p in others if p == parents[index] and n != name]
+        before = repr(model.names[parents[index]]) if parents[index] else 'the base'
+        refused = f'branches off {before} beside {", ".join(beside)}: '
         refused += 'the arm is not a chain'
     elif not model.lowerPositionLimit[index - 1] < model.upperPositionLimit[index - 1]:
         refused = 'has no lower limit below an upper one'
@@ -209,14 +268,6 @@ def _endless(value: float) -> float:
 
 def _positive(value: Any, default: float) -> float:
     return float(value) if 0.0 < value < math.inf else default
-
-
-def _tip(model: 'pinocchio.Model', name: str | None) -> tuple[float, float, float]:
-    """Named link, or the frame farthest down the chain of fixed frames behind the last joint."""
-    last = model.njoints - 1
-    frames = [frame for frame in model.frames if frame.parentJoint == last]
-    named = [frame for frame in frames if frame.name == name]
-    return _triple((named or frames)[-1].placement.translation) if frames else (0.0, 0.0, 0.0)
 
 
 def _triple(values: Any) -> tuple[float, float, float]:
