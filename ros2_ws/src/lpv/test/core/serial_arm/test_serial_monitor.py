@@ -6,6 +6,7 @@ from itertools import product
 import numpy as np
 import pytest
 from fault_injection import motion_range, simulate
+from scipy.signal import lfilter
 from serial_arms import shoulder_arm, simulated, watch, without
 from simulated_runs import Push, Run, simulated_run
 from watched import Watched
@@ -16,7 +17,7 @@ from lpv.core.serial_arm.diagnosis.alarms import SensorState
 from lpv.core.serial_arm.diagnosis.bank import CONTACT_TIME
 from lpv.core.serial_arm.diagnosis.estimator import DISTRUST
 from lpv.core.serial_arm.diagnosis.published_rates import rate_lag
-from lpv.core.serial_arm.diagnosis.sampler import NOISY, SPIKE, STEP, new_sampler
+from lpv.core.serial_arm.diagnosis.sampler import CONTRARY, NOISY, SPIKE, STEP, new_sampler
 from lpv.core.serial_arm.diagnosis.sampling import push_sample
 from lpv.core.serial_arm.dynamics.kinematics import jacobian
 from lpv.core.serial_arm.dynamics.payload import with_payload
@@ -132,16 +133,28 @@ def test_given_filtered_differences_of_rounded_readings_then_no_rate_is_named():
         assert watch(shoulder_arm(), filtered(run._replace(samples=samples), share)).alarms == []
 
 
-def sampled(time, readings, period, smallest):
-    """A sampler after readings whose rates are their differences, and what it found."""
+def sampled(time, readings, period, smallest, share=1.0):
+    """A sampler after readings whose rates are low-passed differences, and what it found."""
     n = readings.shape[1]
     sampler = new_sampler(np.ones(n), np.full(n, 1e-4), np.full(n, smallest), 40, 50)
     rates = np.diff(readings, axis=0, prepend=readings[:1]) / period
+    rates = lfilter([share], [1.0, share - 1.0], rates, axis=0)
     found = []
     for stamp, reading, rate in zip(time, readings, rates, strict=True):
         push_sample(sampler, stamp, reading, rate, np.zeros(n))
         found.append(sampler.found.copy())
     return sampler, np.array(found)
+
+
+def test_given_filtered_rates_when_stamps_jitter_then_a_joint_that_turns_back_has_no_wrong_rate():
+    period = 0.002
+    time = period * np.arange(1, 4001)
+    turns = 0.3 * np.tanh((time - 4.0) / 0.01) * np.exp(-(((time - 4.0) / 0.5) ** 2))
+    readings = period * np.cumsum(np.stack([np.cos(3.0 * time), turns], axis=1), axis=0)
+    jitter = 0.2 * period * np.abs(np.random.default_rng(0).standard_normal(len(time)))
+    readings = np.round(readings / 5e-5) * 5e-5
+    _, found = sampled(time + jitter, readings, period, 0.005, share=0.1)
+    assert not (found == CONTRARY).any()
 
 
 @pytest.mark.parametrize('size', [1.0, 2.5])

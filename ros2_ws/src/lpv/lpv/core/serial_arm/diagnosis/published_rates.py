@@ -33,6 +33,8 @@ a rate that turns, a filter's is within what fades by 1/e in e = 2.7 lags."""
 LAGGING = 1.0
 """Lag of published rates, in periods, from which on differences of the readings take their place:
 twice that of such differences."""
+_MOST = 0.5
+"""Share of the power of what rates differ by that their lag explains to be most of it."""
 
 
 @njit_in_place
@@ -101,14 +103,21 @@ def rate_lag(sampler: Sampler) -> float:
 
     They are filtered then, all of them by one driver, and say less than the readings do.
     """
-    late = _late_rates(sampler)
+    late = _late_rates(sampler, _MOST)
+    return late if late > LAGGING else 0.0
+
+
+@njit_in_place
+def hidden_lag(sampler: Sampler) -> float:
+    """As `rate_lag`, also where jitter of the stamps makes differences worse than late rates."""
+    late = _late_rates(sampler, 0.0)
     return late if late > LAGGING else 0.0
 
 
 @njit_in_place
 def balance_lag(sampler: Sampler) -> float:
     """Periods by which derived rates of the samples are late: differences, by the half of one."""
-    late = _late_rates(sampler)
+    late = _late_rates(sampler, _MOST)
     return 0.5 if late > LAGGING else max(late, 0.0)
 
 
@@ -126,12 +135,12 @@ def rate_noise(sampler: Sampler, i: int, interval: float) -> float:
 
 
 @njit_in_place
-def _late_rates(sampler: Sampler) -> float:
-    """Periods by which published rates are late, if most of what they differ by shows it."""
+def _late_rates(sampler: Sampler, share: float) -> float:
+    """Periods by which published rates are late, if a share of what they differ by shows it."""
     late, power, whole = 0.0, 0.0, 0.0
     for i in range(sampler.derived.shape[0]):
         one = sampler.unit[i] ** 2
         late += sampler.published[1, i] / one
         power += sampler.published[2, i] / one
         whole += sampler.published[3, i] / one
-    return late / power if late * late > 0.5 * power * whole else 0.0
+    return late / power if late * late > share * power * whole else 0.0

@@ -5,6 +5,7 @@ from lpv.core.serial_arm.diagnosis.balance import Balance, add_block, close_inte
 from lpv.core.serial_arm.diagnosis.jumps import find_jumps, set_jumps
 from lpv.core.serial_arm.diagnosis.published_rates import (
     balance_lag,
+    hidden_lag,
     keep_probe,
     rate_lag,
     watch_contrast,
@@ -64,7 +65,7 @@ def push_sample(
                 sampler.samples[k, part, i] = sampler.samples[k + 1, part, i]
     sampler.time[HISTORY - 1] = time
     follows = sampler.counters[COUNT] > 0  # else the sample before is on the other side of a gap
-    lag = rate_lag(sampler)
+    lag, hidden = rate_lag(sampler), hidden_lag(sampler)
     for i in range(n):
         sampler.found[i] = NONE
         sampler.filled[i] = max(sampler.filled[i] - 1, 0)
@@ -82,7 +83,7 @@ def push_sample(
             if sampler.still[i] == 1:
                 measure_stop(sampler, i)
         watch_lag(sampler, i, way, v[i], period)
-        watch_contrast(sampler, i, way / period, v[i], lag)
+        watch_contrast(sampler, i, way / period, v[i], hidden)
         sampler.raw[i] = y[i]
         sampler.samples[HISTORY - 1, 0, i] = reading
         rate = v[i] - sampler.derived[i] * (sampler.drift[i] + sampler.share[i] * v[i])
