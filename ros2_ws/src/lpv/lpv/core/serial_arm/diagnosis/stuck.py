@@ -91,9 +91,11 @@ def course_of_frozen(
     at = recent(estimator.window, count)[::-1]
     estimator.call(set_residuals, estimator.window, null, count)
     before = null.residual[:count][::-1]
-    gone, derived = np.empty(blocks.shape), estimator.balance.derived[joint]
-    free_of_drift(blocks, joint, derived, begin, -first, gone)
-    rows = estimator.rows_of(gone)
+    old = rows = estimator.window.rows[at]
+    if first != 0.0:
+        gone, derived = np.empty(blocks.shape), estimator.balance.derived[joint]
+        free_of_drift(blocks, joint, derived, begin, -first, gone)
+        rows = estimator.rows_of(gone)
     unknowns = rows[:, :, rows.shape[2] - len(null.mean) :]
     after = rows[:, :, 0] + unknowns @ null.mean
     # Sizes of what is left: of joints that move where the reading lies, else as they rest.
@@ -109,8 +111,7 @@ def course_of_frozen(
     pulled, forced = weights.reshape(-1, 1) * every, weights.reshape(-1, 1) * free
     cross = free.T @ pulled
     # What the unknowns explain: by these balances as evaluated anew, in place of as they were.
-    upper, old = np.triu(null.factor), estimator.window.rows[at].reshape(-1, rows.shape[2])
-    old = old[:, -free.shape[1] :]
+    upper, old = np.triu(null.factor), old.reshape(-1, rows.shape[2])[:, -free.shape[1] :]
     held = estimator.window.weights[at].reshape(-1, 1) * old
     known = upper.T @ upper + forced.T @ free - held.T @ old
     # By these weights they are others than estimated.
@@ -126,13 +127,18 @@ def course_of_frozen(
     # A joint begins to move slowly while its reading rests.
     spread = SLOW_RATE * scale if balances else frozen.sigma
     pull = score[1:] - information[1:, 0]
+    # Rates are those of the middles of intervals; the last one changes as it did since the one
+    # before, or since the beginning.
+    bend = np.eye(count)[-1] - np.eye(count)[-2] if count > 1 else np.array([2.0])
+    ends = np.eye(count)[-1] + 0.5 * bend
+    sums = np.stack([plan.interval * np.ones(count), ends, bend / plan.interval]) @ np.tri(count)
     tried = [
-        _likely(information[1:, 1:], pull, _walk_root(count, size * step, spread))
+        _likely(information[1:, 1:], pull, _walk(count, size * step, spread), sums)
         for size in ACCELERATIONS
     ]
     # The larger an acceleration, the rarer.
     evidence = np.array([one[0] for one in tried]) - np.log(ACCELERATIONS)
-    _, rates, covariance = tried[int(np.argmax(evidence))]
+    _, change, covariance = tried[int(np.argmax(evidence))]
     gain = score[0] - 0.5 * information[0, 0]
     gain += np.logaddexp.reduce(evidence) - np.log(sum(1.0 / size for size in ACCELERATIONS))
     rivals = [resting[:, moved]]
@@ -140,16 +146,10 @@ def course_of_frozen(
         rivals.append(np.hypot(resting, plan.interval * push)[:, moved])
     least = min(_at_rest(before[:, moved], one, weights[:, moved], null, moved) for one in rivals)
     gain += min(least + 0.5 * float((slope**2).sum()), 0.0)
-    # Rates are those of the middles of intervals; the last one changes as it did since the one
-    # before, or since the beginning.
-    bend = np.eye(count)[-1] - np.eye(count)[-2] if count > 1 else np.array([2.0])
-    ends = np.eye(count)[-1] + 0.5 * bend
-    sums = np.stack([plan.interval * np.ones(count), ends, bend / plan.interval])
-    change = sums @ rates
     if not abs(change[0]) < LINEAR * scale:
         return None
     way = np.array([first * since, first, 0.0]) - change
-    return Course(float(gain), begin, end, way, sums @ covariance @ sums.T)
+    return Course(float(gain), begin, end, way, covariance)
 
 
 def free_course(
@@ -175,39 +175,37 @@ def free_course(
     information, pull = columns.T @ pulled, -pulled.T @ left.ravel()
     if not np.isfinite(information).all() or not np.isfinite(pull).all():
         return -math.inf, 0.0, 0.0  # a fault that is followed ran away
-    ways, found = np.append(1.0, np.full(last, step)), []
+    way, found = np.append(1.0, step * np.arange(last, 0.0, -1.0))[None], []
     for larger in ACCELERATIONS if moves else (0.0,):
-        root = np.zeros((1 + last, 1 + last))
-        root[0, 0] = OFFSET_PRIOR * scale
-        if moves:
-            walk = _walk_root(last, larger * USUAL_ACCELERATION * step, SLOW_RATE)
-            root[1:, 1:] = scale * walk
-        gain, mean, covariance = _likely(information, pull, root)
-        sigma = math.sqrt(max(ways @ covariance @ ways, 0.0))
-        found.append((gain - math.log(max(larger, 1.0)), float(ways @ mean), sigma))
+        walk = _walk(last, larger * USUAL_ACCELERATION * step, SLOW_RATE if moves else 0.0)
+        sizes = scale * np.append(OFFSET_PRIOR, walk)
+        gain, fault, variance = _likely(information, pull, sizes, way)
+        found.append((gain - math.log(max(larger, 1.0)), float(fault[0]), variance[0, 0] ** 0.5))
     return max(found)
 
 
-def _walk_root(count: int, step: float, spread: float) -> FloatArray:
-    """Root of the covariance of rates that walk at random, in steps of a size [rad/s].
+def _walk(count: int, step: float, spread: float) -> FloatArray:
+    """Standard deviations of the changes of a rate that walks at random, in steps [rad/s].
 
-    ``spread`` is the standard deviation of the first one [rad/s].
+    ``spread`` is what is unknown of the first rate beside a step [rad/s].
     """
-    place = np.arange(1.0, count + 1.0)
-    return np.linalg.cholesky(step**2 * np.minimum(place, place[:, None]) + spread**2)
+    sizes = np.full(count, step)
+    sizes[0] = math.hypot(step, spread)
+    return sizes
 
 
 def _likely(
-    information: FloatArray, pull: FloatArray, root: FloatArray
+    information: FloatArray, pull: FloatArray, sizes: FloatArray, sums: FloatArray
 ) -> tuple[float, FloatArray, FloatArray]:
-    """Evidence, mean and covariance of unknowns, by a root of their prior covariance."""
-    # Of information that rounding made negative none is used: the covariance stays positive.
-    powers, axes = np.linalg.eigh(root.T @ information @ root)
-    powers = 1.0 + np.maximum(powers, 0.0)
-    axes = root @ axes
-    covariance = (axes / powers) @ axes.T
-    mean = covariance @ pull
-    return 0.5 * float(pull @ mean - np.log(powers).sum()), mean, covariance
+    """Evidence of unknowns with these standard deviations; mean and covariance of sums of them."""
+    right = sizes[:, None] * np.column_stack([pull, sums.T])
+    factor = sizes[:, None] * information * sizes + np.eye(len(sizes))
+    # Pivots below 1 are rounding's: the covariance stays positive.
+    factorise(factor, np.ones(len(sizes)))
+    whiten(factor, right)
+    mean, ways = right[:, 0], right[:, 1:]
+    evidence = 0.5 * float(mean @ mean) - float(np.log(np.diag(factor)).sum())
+    return evidence, mean @ ways, ways.T @ ways
 
 
 def _weights(
@@ -236,19 +234,19 @@ def _at_rest(
 def _rate_steps(
     rows: FloatArray, joint: int, momenta: FloatArray, step: float, derived: float = 1.0
 ) -> FloatArray:
-    """Columns of errors of the rate in the newer interval of each balance.
+    """Columns of changes of the error of the rate, from the newer interval of each balance on.
 
-    An error u is u in its rate and u T in all angles after it.  The momentum changes by M e_i times
-    the difference of the rates of both intervals, the rest takes the mean of both; the angle at
-    their junction is off by the difference of these times T / 6.  Rates that are not ``derived``
-    from the reading are right.  Shape (count, n, count).
+    An error u in an interval is u in its rate and u T in all angles after it.  The momentum changes
+    by M e_i times the difference of the rates of both intervals, the rest takes the mean of both;
+    the angle at their junction is off by the difference of these times T / 6.  Rates that are not
+    ``derived`` from the reading are right.  Shape (count, n, count).
     """
     count, n = rows.shape[:2]
-    own, older = np.eye(count), np.eye(count, k=-1)
-    angle = step * (np.tri(count, k=-1) + (own - older) / 6.0)
+    place, change = np.arange(count), np.eye(count)
+    since = place[:, None] - place  # intervals
+    angle = step * (np.maximum(since, 0.0) + change / 6.0)
     offset, rate = rows[:, :, 1 + OFFSET * n + joint], rows[:, :, 1 + RATE * n + joint]
-    return np.asarray(
-        offset[:, :, None] * angle[:, None, :]
-        + derived * 0.5 * rate[:, :, None] * (own + older)[:, None, :]
-        - derived * momenta[:, :, None] * (own - older)[:, None, :]
-    )
+    columns = offset[:, :, None] * angle[:, None, :]
+    columns += derived * rate[:, :, None] * ((since >= 0) - 0.5 * change)[:, None, :]
+    columns[place, :, place] -= derived * momenta
+    return columns
