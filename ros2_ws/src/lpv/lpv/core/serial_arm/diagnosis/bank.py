@@ -19,7 +19,6 @@ A decisions.  A cause is named by its share of the same sum, weighted by `OCCURR
 """
 
 import math
-from collections import defaultdict
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -44,8 +43,8 @@ from lpv.core.serial_arm.diagnosis.contact import (
     joint_levers,
     new_contact,
     onset_gains,
-    rough_contact,
-    smooth_contact,
+    rough_contacts,
+    smooth_contacts,
     tip_jacobians,
     weigh_residuals,
 )
@@ -103,6 +102,9 @@ STUCK_FOR = (0.2, 0.4, 1.0)
 """Times for which a joint may have moved while its reading rests [s]."""
 ENCODER_KINDS = ('drift', 'scale', 'slip', 'stuck')
 """Faults of a position sensor (with the rate that is derived from it)."""
+_KINDS = tuple(OCCURRENCE)
+_RATES = np.array([*OCCURRENCE.values()])
+_OF_ENCODERS = np.isin(_KINDS, ENCODER_KINDS)
 QUIET = 0.25
 """Share of the evidence that an alarm needs, below which the bank has found nothing; from it on
 hypotheses that take more time are compared, too."""
@@ -145,10 +147,54 @@ class Hypothesis(NamedTuple):
         """Whether a position sensor is to blame."""
         return self.kind in ENCODER_KINDS
 
+
+_COLUMNS = np.dtype([
+    ('kind', 'i8'),  # place in `_KINDS`
+    ('single', 'i8'),  # place among those that know more than columns do, or -1
+    # As in `Hypothesis`:
+    ('joint', 'i8'), ('gain', 'f8'), ('size', 'f8'), ('sigma', 'f8'), ('begin', 'f8'),
+    ('starts', 'f8'),
+])  # fmt: skip
+
+
+class Compared(NamedTuple):
+    """N hypotheses in columns: of a thousand a few are looked at one by one."""
+
+    rows: np.ndarray  # (N,) of `_COLUMNS`
+    single: list[Hypothesis]
+
     @property
-    def cause(self) -> tuple[str, int]:
-        """What is to blame: kinds of one sensor's faults are one cause."""
-        return ('encoder' if self.is_encoder else self.kind, self.joint)
+    def is_encoder(self) -> BoolArray:
+        """Which of them blame a position sensor, shape (N,)."""
+        return _OF_ENCODERS[self.rows['kind']]
+
+    def of_kind(self, kind: str) -> BoolArray:
+        """Which of them are of a kind, shape (N,)."""
+        return np.asarray(self.rows['kind'] == _KINDS.index(kind))
+
+    def where(self, chosen: BoolArray) -> 'Compared':
+        """Those of them that are chosen."""
+        return Compared(self.rows[chosen], self.single)
+
+    def one(self, k: int) -> Hypothesis:
+        """The hypothesis of a row."""
+        kind, single, *values = self.rows[k].item()
+        return self.single[single] if single >= 0 else Hypothesis(_KINDS[kind], *values)
+
+
+def in_columns(single: list[Hypothesis]) -> np.ndarray:
+    """Rows of hypotheses that were compared one by one."""
+    return np.array([(_KINDS.index(one.kind), k, *one[1:7]) for k, one in enumerate(single)],
+                    _COLUMNS)  # fmt: skip
+
+
+def _rows(count: int, **columns: npt.ArrayLike) -> np.ndarray:
+    """Rows of hypotheses of which columns know all."""
+    rows = np.zeros(count, _COLUMNS)
+    rows['single'] = -1
+    for name, values in columns.items():
+        rows[name] = values
+    return rows
 
 
 class Bank:
@@ -207,7 +253,8 @@ class Bank:
         ]
         # It may be older than its window.
         every = [*single, ('drift', {DRIFT: 1.0}, derived)]
-        self._names = tuple(kind for kind, *_ in every)
+        names = [kind for kind, *_ in every]
+        self._places = np.array([_KINDS.index(kind) for kind in names])
         applies = np.array([where for *_, where in every], float)
         basis = np.zeros((len(every), COLUMNS))
         for row, (_, parts, _) in zip(basis, every):
@@ -219,11 +266,11 @@ class Bank:
         prior = np.array([
             self._push if kind == 'torque_offset'
             else SIZE[kind] * (np.ones(n) if kind in _RELATIVE else scale)
-            for kind in self._names
+            for kind in names
         ])  # fmt: skip
         growing, recent = ('drift', 'torque_gain', 'torque_offset'), self._lengths <= self._recent
         windows = np.array([
-            len(recent) if kind in growing else np.count_nonzero(recent) for kind in self._names
+            len(recent) if kind in growing else np.count_nonzero(recent) for kind in names
         ])  # fmt: skip
         self._kinds = Kinds(basis, prior, applies, windows, older)
         loads = len(self.estimator.window.loads) > 0
@@ -249,61 +296,56 @@ class Bank:
 
     def compare(
         self, blocks: Callable[[int], FloatArray], stuck: list[Hypothesis], known: set[int]
-    ) -> list[Hypothesis]:
-        """Compare all hypotheses one by one, after `ask_bank`; `statistic` is written.
+    ) -> Compared:
+        """Compare all hypotheses, after `ask_bank`; `statistic` is written.
 
-        The best comes first.  ``blocks`` gives the blocks of so many last intervals, oldest first;
-        ``stuck`` comes from the method of that name; faults of sensors ``known`` are followed.
+        ``blocks`` gives the blocks of so many last intervals, oldest first; ``stuck`` comes from
+        the method of that name; faults of sensors ``known`` are followed.
         """
-        count = int(self._state['windows'])
-        found = (
-            stuck
-            + self._named(count)
-            + self._load_changes(count)
-            + self._stops(blocks, count, known)
-        )
+        count, evidence = int(self._state['windows']), self._evidence
+        single = stuck + self._load_changes(count) + self._stops(blocks, count, known)
         if self._derived.any():
-            found += self._sudden(blocks, count)
+            single += self._sudden(blocks, count)
+        pushes = _rows(
+            count, kind=_KINDS.index(CONTACT), joint=-1, gain=evidence.contact[:count],
+            begin=evidence.begin[:count], starts=self._starts[:count])  # fmt: skip
+        rows = np.concatenate([in_columns(single), self._linear(count), pushes])
         # Rows that are near zero throughout, as of a constant reading, say nothing.
-        found = [one for one in found if math.isfinite(one.gain)]
-        self._state['statistic'] = self._sum(found)
-        return sorted(found, key=lambda one: -one.gain)
+        rows = rows[np.isfinite(rows['gain'])]
+        total = np.logaddexp.reduce(rows['gain'] + np.log(rows['starts']), initial=-np.inf)
+        self._state['statistic'] = total + self._log_weight
+        return Compared(rows, single)
 
-    def _sum(self, found: list[Hypothesis]) -> float:
-        """Logarithm of the statistic."""
-        gains = np.array([one.gain + math.log(one.starts) for one in found])
-        return float(np.logaddexp.reduce(gains) + self._log_weight) if len(gains) else -np.inf
+    def shares(self, found: Compared) -> list[tuple[Hypothesis, float]]:
+        """Of each cause the best hypothesis and the probability, given that there is one cause.
 
-    def shares(self, found: list[Hypothesis]) -> dict[tuple[str, int], float]:
-        """Probability of each cause, given that there is one; the most probable one first."""
-        logarithms = defaultdict[tuple[str, int], list[float]](list)
-        for one in found:
-            rate = OCCURRENCE[one.kind] / (1.0 if one.joint < 0 else self.estimator.joints)
-            logarithms[one.cause].append(one.gain + math.log(one.starts * rate))
-        values = np.array([np.logaddexp.reduce(every) for every in logarithms.values()])
-        shares = np.exp(values - np.logaddexp.reduce(values)).tolist()
-        return dict(sorted(zip(logarithms, shares), key=lambda item: -item[1]))
+        The most probable one comes first.
+        """
+        rows, n = found.rows, self.estimator.joints
+        likely = rows['gain'] + np.log(rows['starts'] * _RATES[rows['kind']])
+        likely[rows['joint'] >= 0] -= math.log(n)
+        # A number for each cause: kinds of one sensor's faults are one.
+        causes = np.where(found.is_encoder, -1, rows['kind']) * (n + 1) + rows['joint']
+        order = np.argsort(-rows['gain'], kind='stable')
+        _, first, places = np.unique(causes[order], return_index=True, return_inverse=True)
+        total = np.full(len(first), -np.inf)
+        np.logaddexp.at(total, places, likely[order])
+        shares = np.exp(total - np.logaddexp.reduce(total))
+        ranks = np.lexsort((first, -shares)).tolist()
+        return [(found.one(order[first[k]]), float(shares[k])) for k in ranks]
 
-    def _named(self, count: int) -> list[Hypothesis]:
-        """Hypotheses of the evidence, and contact, one by one."""
-        one = self._evidence
-        begin, starts = one.begin[:count].tolist(), self._starts[:count].tolist()
-        at = np.nonzero(one.gain[..., :count] > -np.inf)
-        values = (part[at].tolist() for part in (one.gain, one.size, one.sigma))
-        older = self._kinds.older.tolist()
-        found = [
-            Hypothesis(self._names[k], i, gain, size, sigma, begin[w] - older[k][w], starts[w])
-            for k, i, w, gain, size, sigma in zip(*(part.tolist() for part in at), *values)
-        ]
+    def _linear(self, count: int) -> np.ndarray:
+        """Rows of faults that are linear in their size, of the evidence."""
+        one, kinds = self._evidence, self._kinds
+        k, i, w = at = np.nonzero(one.gain[..., :count] > -np.inf)
+        rows = _rows(
+            len(k), kind=self._places[k], joint=i, gain=one.gain[at], size=one.size[at],
+            sigma=one.sigma[at], begin=one.begin[w] - kinds.older[k, w],
+            starts=self._starts[w])  # fmt: skip
         # Rows are linear in small errors alone.
-        end, scales = float(self.estimator.times(1)[0]), self.estimator.balance.scale.tolist()
-        found = [
-            drift for drift in found
-            if drift.kind != 'drift'
-            or abs(drift.size) * (end - drift.begin) < LINEAR * scales[drift.joint]
-        ]  # fmt: skip
-        contact = zip(one.contact[:count].tolist(), begin, starts)
-        return found + [Hypothesis(CONTACT, -1, gain, 0.0, 0.0, *rest) for gain, *rest in contact]
+        end, scale = float(self.estimator.times(1)[0]), self.estimator.balance.scale
+        small = np.abs(rows['size']) * (end - rows['begin']) < LINEAR * scale[i]
+        return np.asarray(rows[small | (rows['kind'] != _KINDS.index('drift'))])
 
     def _load_changes(self, count: int) -> list[Hypothesis]:
         """Changes of the load, for every balance of the windows from which on it is another one.
@@ -318,14 +360,12 @@ class Bank:
         columns = window.rows[at][:, :, -len(null.mean) :] @ window.loads.T
         estimator.call(set_residuals, window, null, longest + 1)
         gain, change = onset_gains(window, null, columns)
-        estimator.call(weigh_residuals, window, null, longest + 1)
-        begins, onset = window.times[at] - estimator.plan.interval, len(self._lengths)
-        found = []
-        for last in range(1, longest - ONSET + 1):
-            free = estimator.call(rough_contact, self._outside, null, onset, last + ONSET)
-            evidence, begin = float(gain[last - 1]) + free, float(begins[last + ONSET - 1])
-            found.append(Hypothesis(LOAD, -1, evidence, 0.0, 0.0, begin, change=change[last - 1]))
-        return found
+        begins = (window.times[at] - estimator.plan.interval)[ONSET:].tolist()
+        evidence = (gain[: len(begins)] + self._free_onsets(longest)[ONSET + 1 :]).tolist()
+        return [
+            Hypothesis(LOAD, -1, one, 0.0, 0.0, begin, change=moved)
+            for one, begin, moved in zip(evidence, begins, change)
+        ]
 
     def _stops(
         self, blocks: Callable[[int], FloatArray], windows: int, known: set[int]
@@ -388,9 +428,7 @@ class Bank:
         about = self.momenta_of(joint), self._push
         return course_of_frozen(self.estimator, joint, frozen, balances, blocks, about)
 
-    def free_courses(
-        self, found: list[Hypothesis], sigmas: float
-    ) -> dict[int, tuple[float, float]]:
+    def free_courses(self, found: Compared, sigmas: float) -> dict[int, tuple[float, float]]:
         """Encoders whose faults, of any course, are not excluded by torques from outside.
 
         Torques of any course explain whatever such faults do: n of them have n times the freedom.
@@ -399,10 +437,10 @@ class Bank:
         """
         end, interval = float(self.estimator.times(1)[0]), self.estimator.plan.interval
         since = end - interval - CONTACT_TIME
-        pushes = (one for one in found if one.kind == CONTACT and one.begin > since)
-        contact = max(pushes, key=lambda one: one.gain, default=None)
-        if contact is None or contact.gain <= 0.0:
+        pushes = found.where(found.of_kind(CONTACT) & (found.rows['begin'] > since))
+        if not pushes.rows['gain'].max(initial=0.0) > 0.0:
             return {}
+        contact = pushes.one(int(pushes.rows['gain'].argmax()))
         last = round((end - contact.begin) / interval)
         faults = dict[int, tuple[float, float]]()
         for i, trusted in enumerate(self.kinematics.trusted.tolist()):
@@ -431,26 +469,32 @@ class Bank:
         Rough torques are a part of the bank; smooth ones cost most, and are evaluated for a fault
         that would be named.  It must explain more by ``margin``.
         """
-        estimator = self.estimator
+        estimator, null = self.estimator, self.estimator.posterior
         # Torques that began long before the fault would have to have done nothing until then.
         is_recent = fault.begin >= estimator.times(min(self._recent, len(estimator)))[0]
         longest = min(self._recent if is_recent else np.inf, len(estimator) - 1)
         lengths = self._lengths[(self._lengths <= longest) & (self._lengths > ONSET)]
         begins = np.array([estimator.times(int(one))[0] for one in lengths])
-        onset = len(self._lengths)
-        for w in np.argsort(np.abs(begins - fault.begin)):
-            length = int(lengths[w])
-            for function in (set_residuals, weigh_residuals):
-                estimator.call(function, estimator.window, estimator.posterior, length + 1)
-            null = estimator.posterior
-            free = estimator.call(rough_contact, self._outside, null, onset, length)
-            smooth, last = self._outside.smooth, length - ONSET
+        free = self._free_onsets(int(lengths.max(initial=0)))
+        for length in lengths[np.argsort(np.abs(begins - fault.begin))].tolist():
+            last = length - ONSET
             for levers in (*self._levers(last), self._friction_at_rest(last)):
-                for courses in smooth:
-                    gain = free + smooth_contact(courses, levers, estimator.window, null, last)
-                    if gain > fault.gain - margin:
-                        return False
+                every = smooth_contacts(self._outside.smooth, levers, estimator.window, null)
+                if any(free[length] + gain > fault.gain - margin for gain in every):
+                    return False
         return True
+
+    def _free_onsets(self, longest: int) -> FloatArray:
+        """Evidence for free torques in the balances of an onset, by how long ago that began.
+
+        Shape (longest + 1,); from `ONSET` balances on, before the last one.
+        """
+        estimator, gains = self.estimator, np.zeros(longest + 1)
+        parts = estimator.window, estimator.posterior
+        for function in (set_residuals, weigh_residuals):
+            estimator.call(function, *parts, longest + 1)
+        estimator.call(rough_contacts, self._outside, parts[1], len(self._lengths), gains)
+        return gains
 
     def _friction_at_rest(self, last: int) -> FloatArray:
         """Torques by usual friction of each joint while it rests; levers as of `joint_levers`."""
@@ -496,7 +540,7 @@ class Bank:
             begun, prior = self._begun(levers, without)
             begins = [(courses, begun, prior) for courses in self._outside.horizon]
             for courses, count, likely in ((changing, last, math.log(FAULT_AT_START)), *begins):
-                one = smooth_contact(courses, levers[:count], window, without, count)
+                (one,) = smooth_contacts((courses,), levers[:count], window, without)
                 best = max(best, one + likely)
         return float(gain) - best
 

@@ -8,6 +8,7 @@ well is taken off.
 """
 
 import math
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -153,6 +154,16 @@ def rough_contact(contact: Contact, null: Posterior, w: int, oldest: int) -> flo
 
 
 @njit_in_place
+def rough_contacts(contact: Contact, null: Posterior, w: int, gains: FloatArray) -> None:
+    """Write those of windows that begin so many balances before the last one, shape (L,).
+
+    The first ones, of windows that would end later, are not written.
+    """
+    for oldest in range(contact.lengths[w] - 1, gains.shape[0]):
+        gains[oldest] = rough_contact(contact, null, w, oldest)
+
+
+@njit_in_place
 def _set_shares(contact: Contact, w: int) -> None:
     """Write what `rough_contact` needs for a window at the present noise."""
     for i in range(contact.torque.shape[0]):
@@ -203,16 +214,29 @@ def force_levers(tips: FloatArray, torque: FloatArray) -> FloatArray:
     return np.asarray(axes.T @ tips / largest)
 
 
-def smooth_contact(
-    courses: FloatArray, levers: FloatArray, window: Window, null: Posterior, last: int
-) -> float:
-    """Log ratio of marginal likelihoods of smooth torques in the last balances.
+def smooth_contacts(
+    courses: Sequence[FloatArray], levers: FloatArray, window: Window, null: Posterior
+) -> Iterator[float]:
+    """Log ratios of marginal likelihoods of smooth torques in the last balances.
 
-    ``courses``, shape (L, M), have unit variance, as impulses, newest first [s].  ``levers``, shape
-    (last, G, n), are torques of what acts independently: one joint each, or a force along one axis
-    each [N m].  The unknowns of ``null`` are free.  The answer is 0 where no torque is needed.
+    Each of ``courses``, shape (L, M), has unit variance, as impulses, newest first [s].
+    ``levers``, shape (last, G, n), are torques of what acts independently: one joint each, or a
+    force along one axis each [N m].  The unknowns of ``null`` are free.  A ratio is 0 where no
+    torque is needed.
     """
-    score, information = _contact_columns(courses[:last], levers, window, null, last)
+    last = len(levers)
+    at = recent(window, last)
+    pulled, rows = levers * window.weights[at][:, None], window.rows[at][:, :, -len(null.mean) :]
+    left = window.rows[at, :, 0] + rows @ null.mean
+    score = -(pulled @ left[:, :, None])[:, :, 0].T  # (G, last)
+    cross = (pulled @ rows).reshape(last, -1).T  # (G m, last)
+    information = (pulled @ levers.swapaxes(1, 2)).reshape(last, -1).T  # (G G, last)
+    for one in courses:
+        yield _smooth_contact(*_contact_columns(one[:last], score, cross, information, null))
+
+
+def _smooth_contact(score: FloatArray, information: FloatArray) -> float:
+    """Log ratio of one course, by score (G, M) and information (G, M, G, M) of its columns."""
     (groups, modes), shares = score.shape, np.array(AMPLITUDES)
 
     def gain_of(amplitude: FloatArray) -> float:
@@ -260,20 +284,20 @@ def onset_gains(
 
 
 def _contact_columns(
-    courses: FloatArray, levers: FloatArray, window: Window, null: Posterior, last: int
-) -> tuple[FloatArray, FloatArray]:
-    """Score (G, M) and information (G, M, G, M) of courses of unit size, arm's unknowns free."""
-    at, (groups, modes) = recent(window, last), (levers.shape[1], courses.shape[1])
-    pulled, rows = levers * window.weights[at][:, None], window.rows[at][:, :, -len(null.mean) :]
-    left = window.rows[at, :, 0] + rows @ null.mean
-    score = -(pulled @ left[:, :, None])[:, :, 0].T @ courses
-    cross = (pulled @ rows).reshape(last, -1).T @ courses  # (G m, M)
-    cross = cross.reshape(groups, -1, modes).swapaxes(0, 1).reshape(-1, groups * modes)
-    both = (courses[:, :, None] * courses[:, None, :]).reshape(last, -1)
-    information = (pulled @ levers.swapaxes(1, 2)).reshape(last, -1).T @ both
+    courses: FloatArray, score: FloatArray, cross: FloatArray, information: FloatArray,
+    null: Posterior,
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    """Score (G, M) and information (G, M, G, M) of courses of unit size, arm's unknowns free.
+
+    The other arguments are those of single balances, as in `smooth_contacts`.
+    """
+    groups, (last, modes) = len(score), courses.shape
+    cross = (cross @ courses).reshape(groups, -1, modes).swapaxes(0, 1)
+    cross = cross.reshape(-1, groups * modes)
     whiten(null.factor, cross)
-    shape = groups, groups, modes, modes
-    return score, information.reshape(shape).swapaxes(1, 2) - (cross.T @ cross).reshape(
+    both = (courses[:, :, None] * courses[:, None, :]).reshape(last, -1)
+    information, shape = information @ both, (groups, groups, modes, modes)
+    return score @ courses, information.reshape(shape).swapaxes(1, 2) - (cross.T @ cross).reshape(
         groups, modes, groups, modes
     )
 

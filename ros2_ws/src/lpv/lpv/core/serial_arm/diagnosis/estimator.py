@@ -688,9 +688,8 @@ class OffsetEstimator:
     def distrust(self, last: int) -> None:
         """Take most of the weight off the last balances, and estimate anew."""
         last = min(last, len(self))
-        for back in range(last):
-            at = slot(self.window, back)
-            self.window.trust[at] = min(self.window.trust[at], DISTRUST)
+        at = recent(self.window, last)
+        self.window.trust[at] = np.minimum(self.window.trust[at], DISTRUST)
         self.weigh_again(last)
         self._solve()
 

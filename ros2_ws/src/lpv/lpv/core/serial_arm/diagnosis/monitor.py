@@ -22,7 +22,9 @@ from lpv.core.serial_arm.diagnosis.bank import (
     ENCODER_KINDS,
     STUCK_FOR,
     Bank,
+    Compared,
     Hypothesis,
+    in_columns,
 )
 from lpv.core.serial_arm.diagnosis.decision import DECISION, STILL_TIME, Certified, Parts, Stage
 from lpv.core.serial_arm.diagnosis.end_of_fault import EndOfFault
@@ -458,7 +460,7 @@ class SerialMonitor:
 
     def _find_cause(self, now: float) -> Stage:
         """Compare hypotheses, name a cause."""
-        found, stuck = list[Hypothesis](), self._stuck if self._state['rests'] else []
+        found, stuck = Compared(in_columns([]), []), self._stuck if self._state['rests'] else []
         if self._state['asked']:
             found = self.bank.compare(self.readings.blocks, stuck, self.followed.known)
         seen = self._seen(found)
@@ -504,14 +506,15 @@ class SerialMonitor:
         sensor.peak = 0.0  # it never was as large as the other one
         self._raise(i, 'bias', sensor.onset, left, float(self.faults()[1][i]))
 
-    def _seen(self, found: list[Hypothesis]) -> Hypothesis | None:
+    def _seen(self, found: Compared) -> Hypothesis | None:
         """What explains a reading that froze, if balances say that its joint went on.
 
         That it froze, out of motion or without its noise, is evidence of its own: a push or another
         fault would have to come within the same few seconds.
         """
-        shown = (one for one in found if one.seen and one.joint not in self.followed.filters)
-        best = next(shown, None)
+        shown = (one for one in found.single if one.seen and math.isfinite(one.gain))
+        others = (one for one in shown if one.joint not in self.followed.filters)
+        best = max(others, key=lambda one: one.gain, default=None)
         return best if best is not None and best.gain > self._sure else None
 
     def margin(self, kind: str) -> float:
@@ -519,38 +522,33 @@ class SerialMonitor:
         ratio = OCCURRENCE[CONTACT] * self.joints / OCCURRENCE[kind]
         return math.log(ratio / self.settings.probability_of_wrong_name)
 
-    def _name(self, found: list[Hypothesis], now: float) -> None:
+    def _name(self, found: Compared, now: float) -> None:
         """What explains the balances is beyond doubt, or several causes are suspected."""
         known, wrong = self.followed.known, self.settings.probability_of_wrong_name
         if known or self._jumps:
-            found = [
-                one
-                for one in found
-                if one.joint not in known and not self._jumps.explain(one, wrong)
-            ]
-        if not found:
+            is_known = np.isin(found.rows['joint'], list(known))
+            found = found.where(~(is_known | self._jumps.explain(found, wrong)))
+        if not found.rows.size:
             self._suspect_nothing()
             return
-        # The best one comes first.
-        rivals = (one.gain for one in found if one.is_encoder)
-        self._rival = max(self._rival, next(rivals, -math.inf))
+        rival = float(found.rows['gain'][found.is_encoder].max(initial=-math.inf))
+        self._rival = max(self._rival, rival)
         shares = self.bank.shares(found)
-        named = {one: share for one, share in shares.items() if share > wrong}
-        best = {cause: next(one for one in found if one.cause == cause) for cause in named}
-        self.suspects = tuple(self._label(one) for one in best.values())
-        for one in best.values():
+        likely = [one for one, share in shares if share > wrong]
+        self.suspects = tuple(self._label(one) for one in likely)
+        for one in likely:
             if one.is_encoder:
                 i = one.joint
                 self._suspected[i] = max(self._suspected[i], self._size_now(one, now))
-        cause, share = next(iter(shares.items()))
+        one, share = shares[0]
         for i, (gain, largest) in self.bank.free_courses(found, self.settings.sigmas).items():
             self._rival = max(self._rival, gain)
-            if not best[cause].is_encoder:
+            if not one.is_encoder:
                 self._suspected[i] = max(self._suspected[i], largest)
         # An offset of a torque sensor cannot be told from a torque on its joint.
-        begins = (one.begin for one in best.values() if one.kind in OUTSIDE)
+        begins = (other.begin for other in likely if other.kind in OUTSIDE)
         self._contact.begin = min(self._contact.begin, *begins, math.inf)
-        outside = sum(share for (kind, _), share in shares.items() if kind in OUTSIDE)
+        outside = sum(other for cause, other in shares if cause.kind in OUTSIDE)
         if outside >= 1.0 - wrong:
             self._contact.since = min(self._contact.since, now)
             learned = len(self.estimator) * self.plan.interval > NOISE_KNOWN_AFTER
@@ -560,7 +558,6 @@ class SerialMonitor:
         self._contact.since = math.inf
         if not share >= 1.0 - wrong:  # also where no share can be told
             return
-        one = best[cause]
         if one.change is not None:
             # A fault would be forgotten with it; what that explains is not found at every decision.
             # A rate that is right again, and still corrected, looks like a load.

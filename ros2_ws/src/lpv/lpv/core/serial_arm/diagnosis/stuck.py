@@ -107,9 +107,9 @@ def course_of_frozen(
     weights = np.minimum(_weights(before, size, inflation), _weights(after, size, inflation))
     columns = _rate_steps(rows, joint, momenta[at], plan.interval)
     every = np.concatenate([(after - before)[:, :, None], columns], axis=2)
-    every, free = every.reshape(-1, 1 + count), unknowns.reshape(-1, len(null.mean))
-    pulled, forced = weights.reshape(-1, 1) * every, weights.reshape(-1, 1) * free
-    cross = free.T @ pulled
+    root, free = np.sqrt(weights).reshape(-1, 1), unknowns.reshape(-1, len(null.mean))
+    every, forced = root * every.reshape(-1, 1 + count), weights.reshape(-1, 1) * free
+    cross = (root * free).T @ every
     # What the unknowns explain: by these balances as evaluated anew, in place of as they were.
     upper, old = np.triu(null.factor), old.reshape(-1, rows.shape[2])[:, -free.shape[1] :]
     held = estimator.window.weights[at].reshape(-1, 1) * old
@@ -120,8 +120,8 @@ def course_of_frozen(
     whiten(known, cross)
     whiten(known, slope)
     with np.errstate(over='ignore', invalid='ignore'):
-        information = every.T @ pulled - cross.T @ cross
-        score = (cross.T @ slope)[:, 0] - pulled.T @ before.ravel()
+        information = every.T @ every - cross.T @ cross
+        score = (cross.T @ slope)[:, 0] - every.T @ (root[:, 0] * before.ravel())
     if not np.isfinite(information).all():  # a fault that is followed ran away
         return None
     # A joint begins to move slowly while its reading rests.
@@ -167,12 +167,12 @@ def free_course(
     at = recent(estimator.window, last)[::-1]
     rows, derived = estimator.window.rows[at], estimator.balance.derived[joint]
     left, size = (part[::-1] for part in estimator.left_over(last))
-    weights = _weights(left, size, null.inflation, estimator.window.extra[at]).reshape(-1, 1)
+    weights = _weights(left, size, null.inflation, estimator.window.extra[at])
+    root = np.sqrt(weights).reshape(-1, 1)
     before = rows[:, :, 1 + OFFSET * n + joint, None]
     steps = _rate_steps(rows, joint, momenta[at], step, derived)
-    columns = np.concatenate([before, steps], axis=2).reshape(-1, 1 + last)
-    pulled = weights * columns
-    information, pull = columns.T @ pulled, -pulled.T @ left.ravel()
+    columns = root * np.concatenate([before, steps], axis=2).reshape(-1, 1 + last)
+    information, pull = columns.T @ columns, -columns.T @ (root[:, 0] * left.ravel())
     if not np.isfinite(information).all() or not np.isfinite(pull).all():
         return -math.inf, 0.0, 0.0  # a fault that is followed ran away
     way, found = np.append(1.0, step * np.arange(last, 0.0, -1.0))[None], []

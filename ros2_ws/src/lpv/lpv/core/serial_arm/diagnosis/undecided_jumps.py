@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from lpv.core.serial_arm.chain import FloatArray
-from lpv.core.serial_arm.diagnosis.bank import Bank, Hypothesis
+from lpv.core.serial_arm.diagnosis.bank import Bank, BoolArray, Compared
 from lpv.core.serial_arm.diagnosis.end_of_fault import EndOfFault, end_of_fault
 from lpv.core.serial_arm.diagnosis.estimator import HORIZON
 from lpv.core.serial_arm.diagnosis.readings import Readings
@@ -94,18 +94,21 @@ class UndecidedJumps:
                 error[i] = max(error[i], abs(scaled.error(self._readings.newest(i))))
         return error
 
-    def explain(self, one: Hypothesis, wrong: float) -> bool:
-        """Whether a cause is one that a jump of its reading explains, which is weighed on its own.
+    def explain(self, found: Compared, wrong: float) -> BoolArray:
+        """Which causes a jump of their reading explains, which is weighed on its own, shape (N,).
 
         A fault may have ended with it.  Nor is a rate to blame for a reading that has rested since
         its jump: that it froze, the rival, is compared as late.  Nor for one that may have a scale
         error since, which parts it from its rate as well.
         """
-        end, scaled = self.ends.get(one.joint), self.scaled.get(one.joint)
-        is_rate = one.kind == 'rate_bias'
-        if is_rate and scaled is not None and scaled.share > wrong:
-            return True
-        if end is None or one.begin >= end.time + self._two_intervals:
-            return False
-        rested = is_rate and self._readings.rests_since(one.joint) <= end.time
-        return one.is_encoder or rested
+        explained, is_rate = np.zeros(found.rows.shape, bool), found.of_kind('rate_bias')
+        for i, scaled in self.scaled.items():
+            if scaled.share > wrong:
+                explained |= is_rate & (found.rows['joint'] == i)
+        for i, end in self.ends.items():
+            rests = self._readings.rests_since(i) <= end.time
+            early = (found.rows['joint'] == i) & (
+                found.rows['begin'] < end.time + self._two_intervals
+            )
+            explained |= early & (found.is_encoder | (is_rate & rests))
+        return explained
