@@ -383,11 +383,14 @@ class Bank:
         rates = held[:, n : 2 * n].reshape(last + 1, -1, n).mean(1)[::-1]  # newest first
         sensors = [i for i in range(n) if i not in known]
         rests = (np.abs(rates) < SLOW_RATE * estimator.balance.scale)[:, sensors].all(1)
+        stops = np.flatnonzero(rests[:-1] & ~rests[1:]).tolist()
+        if not stops:
+            return []
         at = recent(estimator.window, last)
         change = np.einsum('bij,bj->bi', self._mass[at], rates[:-1] - rates[1:])
         estimator.call(set_residuals, estimator.window, estimator.posterior, last)
         found = []
-        for stop in np.flatnonzero(rests[:-1] & ~rests[1:]).tolist():
+        for stop in stops:
             for count in (ONSET, round(STEADY_FOR / plan.interval) + 1):  # dead, or within a time
                 stopped = np.arange(stop, min(stop + count, last))  # each with a size of its own
                 columns = np.zeros((stopped[-1] + 1, n, len(stopped)))
