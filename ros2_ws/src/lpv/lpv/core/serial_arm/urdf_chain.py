@@ -161,7 +161,7 @@ def _read_model(
         end = model.frames[model.getFrameId(ends[0], pinocchio.FrameType.BODY)]
         pinocchio.forwardKinematics(model, data, reference)
         place, joint = end.placement, end.parentJoint
-        while joint != last:
+        while joint not in (0, last):  # 0 where the arm is refused below
             place, joint = data.liMi[joint] * place, model.parents[joint]
     if held:
         # Pinocchio looks parents up by name alone, and joints may be called as links are.
