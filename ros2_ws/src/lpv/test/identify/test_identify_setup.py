@@ -26,7 +26,7 @@ from lpv.identify.errors import IdentificationError
 from lpv.identify.estimation import delays, mistakes
 from lpv.identify.estimation.torque_error import calibrate, torque_error, torque_tolerance
 from lpv.identify.model import rigid_body
-from lpv.identify.motions import Bounds, plan_excitation, random_trajectory, write_reference
+from lpv.identify.motions import Bounds, plan_excitation, write_reference
 from lpv.identify.recordings.filters import shifted
 from lpv.identify.recordings.motion import Segment, find_bandwidths, moving
 from lpv.identify.recordings.recording import Recording, read_recording
@@ -341,15 +341,6 @@ def test_given_a_load_when_looked_at_then_it_is_a_mistake_where_the_file_says_th
 
 def test_given_a_proper_setup_when_looked_at_then_there_are_no_mistakes(rough_arm, recording):
     assert mistakes.find_mistakes(rough_arm, [recording]) == []
-
-
-def test_given_a_wrist_with_a_geared_rotor_when_looked_at_then_no_ratio_is_doubted(arm, simulated):
-    light = LinkInertia(0.5, (0.025, 0.0, 0.0), (2e-3, 0.0, 3e-3, 0.0, 0.0, 3e-3))
-    geared = [*arm.joints[:2], replace(arm.joints[2], link=light, rotor_inertia=0.15)]
-    bare = [replace(j, friction=JointFriction(), rotor_inertia=0.0) for j in geared]
-    fast = random_trajectory(np.random.default_rng(4), *np.outer((0.0, 1.5, 2.6), np.ones(3)), 30.0)
-    one = simulated(replace(arm, joints=tuple(geared)), motion=fast)
-    assert mistakes.find_mistakes(replace(arm, joints=tuple(bare)), [one]) == []
 
 
 @pytest.mark.slow

@@ -18,7 +18,7 @@ from lpv.core.serial_arm.diagnosis.parameter_error import model_error, usual_loa
 from lpv.core.serial_arm.dynamics.payload import payload_parameters
 from lpv.identify.estimation.robust import HUBER, predicted, robust_fit
 from lpv.identify.model.friction import SLOPE, friction_columns, join_columns, least_viscous
-from lpv.identify.model.prior import Prior, base_prior, geared_rotors
+from lpv.identify.model.prior import Prior, base_prior
 from lpv.identify.model.rigid_body import RigidBody, find_base_parameters
 from lpv.identify.recordings.filters import derivative, low_pass, shifted
 from lpv.identify.recordings.motion import Segment, find_bandwidths, moving, split
@@ -179,17 +179,14 @@ class _Judge:
         self._base = find_base_parameters(self._model)
         self._size = size = self._base.size
         prior = base_prior(arm, self._base)
-        rotors = self._base.combination[:, N_INERTIAL * len(arm.joints) :] * geared_rotors(arm)
-        self._mean = prior.mean[:size]
-        self._known = _widened(prior.information[:size, :size], rotors)
+        self._mean, self._known = prior.mean[:size], prior.information[:size, :size]
         self._load = np.zeros(11 * len(arm.joints))
         last = slice(N_INERTIAL * (len(arm.joints) - 1), N_INERTIAL * len(arm.joints))
         self._load[last] = payload_parameters(compile_chain(arm), 1.0)
         self._load = self._base.combination @ self._load
         # As the file says, and any load that the arm could carry.
         self._loads = usual_load(arm), sum(joint.link.mass for joint in arm.joints)
-        # Information where a mass at the tip is known within these [kg].
-        self._information = [_widened(self._known, s * self._load[:, None]) for s in self._loads]
+        self._information = [self._with_load(sigma) for sigma in self._loads]
         duration = sum(s.time[-1] - s.time[0] for s in segments)
         self._band = find_bandwidths(list(segments)).test
         samples = 2.0 * self._band * duration
@@ -199,6 +196,11 @@ class _Judge:
         # What a model misses lasts as long as a pose: half a period of the fastest motion.
         self._stretches = max(3, int(self._band * duration))
         self.cost = _COST + np.log(len(arm.joints) * len(self._parts))
+
+    def _with_load(self, sigma: float) -> np.ndarray:
+        """Information on the base parameters where a mass at the tip is known within sigma [kg]."""
+        pull = self._known @ self._load
+        return self._known - sigma**2 * np.outer(pull, pull) / (1.0 + sigma**2 * pull @ self._load)
 
     def setup(self, segments: Sequence[Segment], gravity: np.ndarray) -> _Setup:
         """A set-up with its regressors."""
@@ -455,12 +457,6 @@ class _Judge:
             + ' N m a unit would fit (--effort-unit A finds gains)',
             replace(setup, effort=setup.effort * gain, gain=setup.gain * gain),
         )
-
-
-def _widened(information: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Information on parameters that are known less by independent columns of unit variance."""
-    pull = information @ columns
-    return information - pull @ np.linalg.solve(np.eye(columns.shape[1]) + columns.T @ pull, pull.T)
 
 
 def _earlier(delay: float, signal: np.ndarray, step: float) -> np.ndarray:

@@ -8,7 +8,7 @@ from scipy.linalg import block_diag
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import UNSTATED_FRICTION, JointLimits, SerialArm
 from lpv.core.serial_arm.diagnosis.parameter_error import typical_torque
-from lpv.core.serial_arm.diagnosis.priors import USUAL_ACCELERATION, USUAL_RATE
+from lpv.core.serial_arm.diagnosis.priors import USUAL_RATE
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.identify.model.friction import SLOPE
 from lpv.identify.model.rigid_body import BaseParameters
@@ -61,18 +61,6 @@ def structural_prior(arm: SerialArm) -> tuple[np.ndarray, np.ndarray]:
     return mean, np.concatenate([_RELATIVE * np.array(sigma), seen + 0.01])
 
 
-def geared_rotors(arm: SerialArm) -> np.ndarray:
-    """Rotors that take of their drives what gears may, shape (n,); they outweigh the wrists."""
-    return _lost(arm) / (USUAL_ACCELERATION * arm.scales())
-
-
-def _lost(arm: SerialArm) -> np.ndarray:
-    """Torque of each drive that its gears may take; the largest usual one where none is stated."""
-    limit = np.array([joint.limits.torque for joint in arm.joints])
-    usual = typical_torque(compile_chain(arm), arm.scales()).max()
-    return np.where(limit < JointLimits.torque, _LOST * limit, usual)
-
-
 def friction_prior(arm: SerialArm) -> tuple[np.ndarray, np.ndarray]:
     """Mean and deviation of each joint's friction in the order of `TERMS`, each (n, 4)."""
     friction = [joint.friction for joint in arm.joints]
@@ -80,7 +68,10 @@ def friction_prior(arm: SerialArm) -> tuple[np.ndarray, np.ndarray]:
     stated = mean[:, 1] + np.abs(mean[:, 0]) * USUAL_RATE
     # As large as the torques that move the joint, or the share of its largest one that is usual;
     # as stated within its own size, or the share of that by which friction may change.
-    size = np.maximum(typical_torque(compile_chain(arm), arm.scales()), _lost(arm))
+    typical = typical_torque(compile_chain(arm), arm.scales())
+    limit = np.array([joint.limits.torque for joint in arm.joints])
+    lost = np.where(limit < JointLimits.torque, _LOST * limit, typical.max())
+    size = np.maximum(typical, lost)
     size = np.where(stated > 0.0, np.maximum(stated, UNSTATED_FRICTION * size), size)
     load = np.full_like(size, LOAD_WIDTH)
     # An offset is what friction takes more one way than the other.

@@ -205,8 +205,6 @@ def test_given_a_load_that_is_picked_up_then_the_arm_is_another_one_and_bounds_h
     monitor = watch(arm, run)
     estimate = monitor.estimate()
     assert {alarm.kind for alarm in monitor.alarms} == {'load'} and not monitor.in_contact
-    # Until then a drift that begins at rest may look like one, and would be forgotten with it.
-    assert all(alarm.detected - alarm.onset >= CONTACT_TIME for alarm in monitor.alarms)
     assert (np.abs(estimate.fault) < 4.0 * estimate.sigma).all()
 
 

@@ -559,12 +559,10 @@ class SerialMonitor:
         if not share >= 1.0 - wrong:  # also where no share can be told
             return
         if one.change is not None:
-            # A fault would be forgotten with it; what that explains is not found at every decision,
-            # and until its course is seen, it looks like a load as it looks like a push.
+            # A fault would be forgotten with it; what that explains is not found at every decision.
             # A rate that is right again, and still corrected, looks like a load.
-            lasts = now - one.begin >= CONTACT_TIME
             rated = any(record.active for record in self.rates)
-            if lasts and one.gain - self._rival > self._sure and not rated:
+            if one.gain - self._rival > self._sure and not rated:
                 self._change_load(one.begin, one.change)
         elif one.is_encoder:
             if self.bank.excludes_contact(one, self.margin(one.kind)):
