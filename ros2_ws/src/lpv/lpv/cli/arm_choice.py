@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from lpv.cli.options import refuse
-from lpv.core.serial_arm.urdf_chain import read_urdf_chain, urdf_ends
+from lpv.core.serial_arm.urdf_chain import read_urdf_ends
 from lpv.core.support.errors import ConfigError
 
 
@@ -26,8 +26,7 @@ def chosen_arm(arguments: argparse.Namespace) -> Any:
     joints = [name for text in arguments.joints or () for name in text.split(',') if name]
     if arguments.tip is not None and joints:
         raise ConfigError('--tip', 'and --joints say the same: give one of them')
-    chosen = arguments.urdf, locked, joints or None, arguments.tip
-    arm, (end, *others) = read_urdf_chain(*chosen), urdf_ends(*chosen)
+    arm, (end, *others) = read_urdf_ends(arguments.urdf, locked, joints or None, arguments.tip)
     if others and not arguments.tip:
         print(f'tip: {end}, where loads sit; --tip names another: {", ".join(others)}')
     return arm

@@ -48,7 +48,7 @@ def read_urdf_chain(
         The joints of the arm; all others are locked at 0 if they are not in ``locked``.
     tip : str, optional
         Link at the arm's end, of several branches; joints that do not lead to it are locked at 0
-        if they are not in ``locked``. Without it, the first of `urdf_ends`.
+        if they are not in ``locked``. Without it, the first of `read_urdf_ends`.
 
     Returns
     -------
@@ -61,8 +61,22 @@ def read_urdf_chain(
         If the file cannot be read, or the joints that move are no chain of revolute and prismatic
         ones.
     """
+    return read_urdf_ends(path, locked, joints, tip)[0]
+
+
+def read_urdf_ends(
+    path: str | Path,
+    locked: Mapping[str, float] | None = None,
+    joints: Sequence[str] | None = None,
+    tip: str | None = None,
+) -> tuple[SerialArm, tuple[str, ...]]:
+    """The arm of a URDF as of `read_urdf_chain`, and the links where it may end.
+
+    These are behind its last joint, with no link behind them.  The tip is the first; without
+    ``tip`` that with most links before it, of several that with fewest locked joints before it.
+    """
     urdf = read_urdf_text(Path(path))
-    model, held, _, place = _read_model(urdf, str(path), locked, joints, tip)
+    model, held, ends, place = _read_model(urdf, str(path), locked, joints, tip)
     if not 1 <= model.njoints - 1 <= MAX_JOINTS:
         raise ConfigError(
             'urdf',
@@ -70,35 +84,14 @@ def read_urdf_chain(
             str(path),
         )
     described = tuple(_joint(model, i, urdf, str(path)) for i in range(1, model.njoints))
-    return SerialArm(
+    arm = SerialArm(
         name=model.name or 'arm',
         joints=described,
         tip=place,
         urdf=str(path),
         locked=tuple(sorted(held.items())),
     )
-
-
-def urdf_ends(
-    path: str | Path,
-    locked: Mapping[str, float] | None = None,
-    joints: Sequence[str] | None = None,
-    tip: str | None = None,
-) -> tuple[str, ...]:
-    """Links where the arm of a URDF may end: behind its last joint, with no link behind them.
-
-    Parameters
-    ----------
-    path, locked, joints, tip
-        As of `read_urdf_chain`.
-
-    Returns
-    -------
-    tuple of str
-        The tip first; without ``tip`` that with most links before it, of several that with fewest
-        locked joints before it.
-    """
-    return _read_model(read_urdf_text(Path(path)), str(path), locked, joints, tip)[2]
+    return arm, ends
 
 
 def _read_model(
@@ -175,7 +168,7 @@ def _read_model(
 
 
 def _ends(model: 'pinocchio.Model', held: Mapping[str, float]) -> tuple[int, tuple[str, ...]]:
-    """The last joint that moves, and the links that no other is behind, as of `urdf_ends`."""
+    """The last joint that moves, and the links that no other is behind, as of `read_urdf_ends`."""
     import pinocchio
 
     ways, inner = dict[str, tuple[int, int, int]](), set[str]()

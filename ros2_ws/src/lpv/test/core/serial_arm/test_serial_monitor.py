@@ -74,13 +74,16 @@ def test_step_is_named_as_one_more_sample_confirms_it_and_keeps_its_kind(
     assert alarm.size == pytest.approx(size, abs=2e-3 if size < 0.02 else 5e-3)
 
 
+def low_passed(rates, share):
+    """Rates of which each sample takes a share, and the rest of what it was before."""
+    return lfilter([share], [1.0, share - 1.0], rates, axis=0)
+
+
 def filtered(run, share=0.4):
     """What a driver makes of readings that gives low-passed differences for rates."""
-    samples, rate, period = run.samples.copy(), 0.0, 1e-9 * np.diff(run.stamps)[:, None]
-    for k, step in enumerate(np.diff(samples[:, 0], axis=0) / period, start=1):
-        rate = rate + share * (step - rate)
-        samples[k, 1] = rate
+    samples, period = run.samples.copy(), 1e-9 * np.diff(run.stamps)[:, None]
     samples[0, 1] = 0.0
+    samples[1:, 1] = low_passed(np.diff(samples[:, 0], axis=0) / period, share)
     return run._replace(samples=samples)
 
 
@@ -138,7 +141,7 @@ def sampled(time, readings, period, smallest, share=1.0):
     n = readings.shape[1]
     sampler = new_sampler(np.ones(n), np.full(n, 1e-4), np.full(n, smallest), 40, 50)
     rates = np.diff(readings, axis=0, prepend=readings[:1]) / period
-    rates = lfilter([share], [1.0, share - 1.0], rates, axis=0)
+    rates = low_passed(rates, share)
     found = []
     for stamp, reading, rate in zip(time, readings, rates, strict=True):
         push_sample(sampler, stamp, reading, rate, np.zeros(n))

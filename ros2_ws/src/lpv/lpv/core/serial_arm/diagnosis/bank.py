@@ -478,7 +478,9 @@ class Bank:
         longest = min(self._recent if is_recent else np.inf, len(estimator) - 1)
         lengths = self._lengths[(self._lengths <= longest) & (self._lengths > ONSET)]
         begins = np.array([estimator.times(int(one))[0] for one in lengths])
-        free = self._free_onsets(int(lengths.max(initial=0)))
+        most = int(lengths.max(initial=0))
+        estimator.call(set_residuals, estimator.window, null, most + 1)
+        free = self._free_onsets(most)
         for length in lengths[np.argsort(np.abs(begins - fault.begin))].tolist():
             last = length - ONSET
             for levers in (*self._levers(last), self._friction_at_rest(last)):
@@ -490,13 +492,13 @@ class Bank:
     def _free_onsets(self, longest: int) -> FloatArray:
         """Evidence for free torques in the balances of an onset, by how long ago that began.
 
-        Shape (longest + 1,); from `ONSET` balances on, before the last one.
+        Shape (longest + 1,); from `ONSET` balances on, before the last one.  The posterior must
+        hold the residuals, which are weighed.
         """
         estimator, gains = self.estimator, np.zeros(longest + 1)
-        parts = estimator.window, estimator.posterior
-        for function in (set_residuals, weigh_residuals):
-            estimator.call(function, *parts, longest + 1)
-        estimator.call(rough_contacts, self._outside, parts[1], len(self._lengths), gains)
+        null = estimator.posterior
+        estimator.call(weigh_residuals, estimator.window, null, longest + 1)
+        estimator.call(rough_contacts, self._outside, null, len(self._lengths), gains)
         return gains
 
     def _friction_at_rest(self, last: int) -> FloatArray:

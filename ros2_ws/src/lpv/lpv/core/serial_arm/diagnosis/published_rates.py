@@ -98,19 +98,13 @@ def watch_contrast(sampler: Sampler, i: int, difference: float, rate: float, lag
 
 
 @njit_in_place
-def rate_lag(sampler: Sampler) -> float:
+def rate_lag(sampler: Sampler, share: float = _MOST) -> float:
     """Periods by which published rates are late, 0 if not later than the half of a difference.
 
-    They are filtered then, all of them by one driver, and say less than the readings do.
+    They are filtered then, all of them by one driver, and say less than the readings do.  With a
+    smaller ``share`` of what they differ by, also where jitter of the stamps hides it.
     """
-    late = _late_rates(sampler, _MOST)
-    return late if late > LAGGING else 0.0
-
-
-@njit_in_place
-def hidden_lag(sampler: Sampler) -> float:
-    """As `rate_lag`, also where jitter of the stamps makes differences worse than late rates."""
-    late = _late_rates(sampler, 0.0)
+    late = _late_rates(sampler, share)
     return late if late > LAGGING else 0.0
 
 

@@ -5,7 +5,6 @@ from lpv.core.serial_arm.diagnosis.balance import Balance, add_block, close_inte
 from lpv.core.serial_arm.diagnosis.jumps import find_jumps, set_jumps
 from lpv.core.serial_arm.diagnosis.published_rates import (
     balance_lag,
-    hidden_lag,
     keep_probe,
     rate_lag,
     watch_contrast,
@@ -65,7 +64,7 @@ def push_sample(
                 sampler.samples[k, part, i] = sampler.samples[k + 1, part, i]
     sampler.time[HISTORY - 1] = time
     follows = sampler.counters[COUNT] > 0  # else the sample before is on the other side of a gap
-    lag, hidden = rate_lag(sampler), hidden_lag(sampler)
+    lag, hidden = rate_lag(sampler), rate_lag(sampler, 0.0)
     for i in range(n):
         sampler.found[i] = NONE
         sampler.filled[i] = max(sampler.filled[i] - 1, 0)
