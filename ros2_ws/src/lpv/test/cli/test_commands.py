@@ -21,6 +21,7 @@ from lpv.campaign.falsify.attack import Finding
 from lpv.cli import needs, progress
 from lpv.cli.commands import demo, falsify, replay, view
 from lpv.core.export.urdf import arm_urdf
+from lpv.core.serial_arm.diagnosis.priors import MODEL_ERROR
 from lpv.core.serial_arm.two_links import two_link_arm
 from lpv.core.support.signals import STOPS
 from lpv.core.uio.planar import planar_model
@@ -240,6 +241,8 @@ def test_given_a_urdf_when_initialised_then_the_arm_is_that_of_the_urdf(init, pa
         wanted = two_link_arm(model)
     arm, _ = init(urdf=arm_urdf(wanted))
     found = planar_model(arm)
+    assert arm.uncertainty.model_error is None  # nobody has measured it
+    assert found.model_error == MODEL_ERROR
     for one, other in zip(found.links, model.links):
         assert vars(one) == pytest.approx(vars(other))
     assert np.cos(found.zero_angle - model.zero_angle) == pytest.approx(1.0)

@@ -17,7 +17,7 @@ import yaml
 from lpv.cli.arm_choice import chosen_arm
 from lpv.core.serial_arm.arm_file import load_arm, parse_arm, save_arm, to_mapping
 from lpv.core.serial_arm.chain import compile_chain
-from lpv.core.serial_arm.description import LpvRegion, SerialArm, Uncertainty
+from lpv.core.serial_arm.description import LpvRegion, SerialArm
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.simulation.scenario import parse_scenario
 from lpv.core.support.errors import ConfigError
@@ -32,8 +32,6 @@ _TURNS = (0.4, 0.2, 0.1)
 _HEAVY = 0.5
 """Share of a torque limit that the weight may need in the middle of the ranges; else there are
 lighter poses to move about."""
-_MODEL_ERROR = 0.02
-"""Of the file of a planar arm, until its user knows better."""
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -67,7 +65,7 @@ def _with_region(arm: SerialArm) -> SerialArm:
     if not is_planar(arm):
         return arm
     region = LpvRegion('upright', (0.3, 0.3), (0.7, 0.7), 0.0, 0.1)
-    return replace(arm, lpv=region, uncertainty=Uncertainty(friction=0.3, model_error=_MODEL_ERROR))
+    return replace(arm, lpv=region)
 
 
 def _write(folder: Path, arm: SerialArm, source: str) -> int:

@@ -17,6 +17,7 @@ from lpv.core.serial_arm.description import (
     SerialArm,
     rotation_from_rpy,
 )
+from lpv.core.serial_arm.diagnosis.priors import MODEL_ERROR
 from lpv.core.serial_arm.two_links import Link
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.inequalities import SAME
@@ -40,6 +41,7 @@ def planar_model(arm: SerialArm) -> ArmParameters:
     sensors = [joint.sensors for joint in arm.joints]
     friction = [joint.friction for joint in arm.joints]
     one, two = (joint.rotor_inertia for joint in arm.joints)
+    stated = arm.uncertainty.model_error
     return ArmParameters(
         name=arm.name,
         links=links,
@@ -61,7 +63,7 @@ def planar_model(arm: SerialArm) -> ArmParameters:
         disturbance_direction=region.disturbance_direction,
         disturbance_mean=region.disturbance_mean,
         disturbance_variance=region.disturbance_variance,
-        model_error=arm.uncertainty.model_error or 0.0,
+        model_error=MODEL_ERROR if stated is None else stated,
         friction_error=arm.uncertainty.friction or UNSTATED_FRICTION,
         payload=arm.uncertainty.largest_payload,
         torque_tolerance=tuple(max(joint.torque_tolerance.torque) for joint in arm.joints),
