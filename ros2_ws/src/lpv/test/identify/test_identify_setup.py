@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 from bags import write_measurements
-from fault_injection import csv_stream, two_links
+from fault_injection import csv_stream, moves_and_rests, two_links
 from places import RECORDINGS as DATA
 from scipy.interpolate import make_interp_spline
 from ur10e_twin import recording as recording_of_twin
@@ -16,7 +16,13 @@ from ur10e_twin import ur10e
 
 from lpv.core.serial_arm.arm_file import load_arm, save_arm
 from lpv.core.serial_arm.chain import body_parameters, compile_chain
-from lpv.core.serial_arm.description import JointFriction, LinkInertia, LpvRegion, Uncertainty
+from lpv.core.serial_arm.description import (
+    JointFriction,
+    JointLimits,
+    LinkInertia,
+    LpvRegion,
+    Uncertainty,
+)
 from lpv.core.serial_arm.dynamics.kinematics import forward_kinematics
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.support.errors import ConfigError, LpvError
@@ -26,7 +32,7 @@ from lpv.identify.errors import IdentificationError
 from lpv.identify.estimation import delays, mistakes
 from lpv.identify.estimation.torque_error import calibrate, torque_error, torque_tolerance
 from lpv.identify.model import rigid_body
-from lpv.identify.motions import Bounds, plan_excitation, write_reference
+from lpv.identify.motions import Bounds, plan_excitation, random_trajectory, write_reference
 from lpv.identify.recordings.filters import shifted
 from lpv.identify.recordings.motion import Segment, find_bandwidths, moving
 from lpv.identify.recordings.recording import Recording, read_recording
@@ -341,6 +347,40 @@ def test_given_a_load_when_looked_at_then_it_is_a_mistake_where_the_file_says_th
 
 def test_given_a_proper_setup_when_looked_at_then_there_are_no_mistakes(rough_arm, recording):
     assert mistakes.find_mistakes(rough_arm, [recording]) == []
+
+
+def as_in_a_urdf(joints):
+    """Joints of which neither friction nor rotors are stated."""
+    return tuple(replace(j, friction=JointFriction(), rotor_inertia=0.0) for j in joints)
+
+
+def test_given_a_wrist_with_a_geared_rotor_when_looked_at_then_no_ratio_is_doubted(arm, simulated):
+    light = LinkInertia(0.5, (0.025, 0.0, 0.0), (2e-3, 0.0, 3e-3, 0.0, 0.0, 3e-3))
+    joints = (*arm.joints[:2], replace(arm.joints[2], link=light, rotor_inertia=0.15))
+    fast = random_trajectory(np.random.default_rng(4), *np.outer((0.0, 1.5, 2.6), np.ones(3)), 30.0)
+    one = simulated(replace(arm, joints=joints), motion=fast)
+    assert mistakes.find_mistakes(replace(arm, joints=as_in_a_urdf(joints)), [one]) == []
+
+
+class Stops:
+    """From pose to pose with rests between; the second joint slides."""
+
+    duration = 30.0
+
+    def sample(self, time):
+        """Positions, rates, accelerations."""
+        motion = np.zeros(3), np.array([1.0, 0.09, 1.0]), np.array([1.5, 0.3, 1.5])
+        return moves_and_rests(motion, np.random.default_rng(3), time)
+
+
+def test_given_a_joint_that_slides_and_rests_when_looked_at_then_no_names_are_swapped(
+    arm, simulated
+):
+    kind = {'type': 'prismatic', 'axis': (0.0, 0.0, 1.0), 'limits': JointLimits(0, 0.2, 1.0, 150.0)}
+    slide = replace(arm.joints[1], friction=JointFriction(0.0, 1.0, 60.0, 500.0), **kind)
+    joints = arm.joints[0], slide, arm.joints[2]
+    one = simulated(replace(arm, joints=joints), motion=Stops())
+    assert mistakes.find_mistakes(replace(arm, joints=as_in_a_urdf(joints)), [one]) == []
 
 
 @pytest.mark.slow

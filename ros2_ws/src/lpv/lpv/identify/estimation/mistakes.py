@@ -64,7 +64,9 @@ class _Setup:
     effort: np.ndarray  # shape (samples, n)
     gravity: np.ndarray  # in the base's frame [m/s2]
     rigid: tuple[np.ndarray, ...]  # regressors without gravity, then per unit of it along x, y, z
-    moves: np.ndarray  # where joints do, as friction at rest is unknown, shape (samples, n)
+    # Where joints do, as friction at rest is unknown, shape (samples, n): whatever is changed, or
+    # likelihoods would be of different samples.
+    moves: np.ndarray
     # torques of the segments per unit of the recorded efforts, shape (n,)
     gain: float | np.ndarray = 1.0
     loaded: bool = False  # whether any load may be at the tip, whatever the file says
@@ -178,7 +180,7 @@ class _Judge:
         self._of_one = self._parts if len(self._parts) > 1 else {}
         self._base = find_base_parameters(self._model)
         self._size = size = self._base.size
-        prior = base_prior(arm, self._base)
+        prior = base_prior(arm, self._base, geared=True)
         self._mean, self._known = prior.mean[:size], prior.information[:size, :size]
         self._load = np.zeros(11 * len(arm.joints))
         last = slice(N_INERTIAL * (len(arm.joints) - 1), N_INERTIAL * len(arm.joints))
@@ -207,16 +209,18 @@ class _Judge:
         parts = [(s.time - s.time[0], s.position, s.velocity, s.effort) for s in segments]
         time, position, velocity, effort = (np.concatenate(part) for part in zip(*parts))
         ends = np.cumsum([len(s.time) for s in segments])[:-1]
-        motion = self._motion(ends, [s.step for s in segments], position, velocity)
-        return _Setup(time=time, effort=effort, gravity=gravity, **motion)
+        steps = [s.step for s in segments]
+        motion = self._motion(ends, steps, position, velocity)
+        rates = zip(np.split(velocity, ends), steps)
+        moves = np.concatenate([moving(v, step, self._arm.scales()) for v, step in rates])
+        return _Setup(time=time, effort=effort, gravity=gravity, moves=moves, **motion)
 
     def _motion(
         self, ends: np.ndarray, steps: Sequence[float], position: np.ndarray, velocity: np.ndarray
     ) -> dict[str, Any]:
         """What a set-up holds of a motion."""
-        parts, moves = [], []
+        parts = []
         for q, v, step in zip(np.split(position, ends), np.split(velocity, ends), steps):
-            moves.append(moving(v, step, self._arm.scales()))
             still = np.zeros_like(q)
             full = [self._model.regressor(q, v, derivative(v, step), np.zeros(3))]
             full += [self._model.regressor(q, still, still, axis) for axis in np.eye(3)]
@@ -224,7 +228,7 @@ class _Judge:
             parts.append([low_pass(part, self._band, step) for part in base])
         rigid = tuple(np.concatenate(part) for part in zip(*parts))
         found = {'ends': ends, 'steps': steps, 'position': position, 'velocity': velocity}
-        return {**found, 'rigid': rigid, 'moves': np.concatenate(moves)}
+        return {**found, 'rigid': rigid}
 
     def _moved(self, setup: _Setup, position: np.ndarray, velocity: np.ndarray) -> _Setup:
         """The set-up with another motion."""
@@ -434,7 +438,8 @@ class _Judge:
             order[[j, j + 1]] = j + 1, j
             motion = setup.position[:, order], setup.velocity[:, order]
             text = f'signals of {names[j]} and {names[j + 1]} are swapped: their names are wrong'
-            yield text, replace(self._moved(setup, *motion), effort=setup.effort[:, order])
+            effort, moves = setup.effort[:, order], setup.moves[:, order]
+            yield text, replace(self._moved(setup, *motion), effort=effort, moves=moves)
 
     def _delays(self, setup: _Setup) -> _Tried:
         for delay in _DELAYS:

@@ -19,6 +19,7 @@ LOAD_WIDTH = 0.1
 """Standard deviation of load-dependent friction [N m per N m]."""
 _LENGTH = 0.1  # least size of a link [m]
 _LOST = 0.1  # share of a drive's largest torque that its gears may take
+_ROTOR = 0.006  # inertia per unit of it of a geared rotor [s2]: RMS of UR10, Panda and PUMA 560
 
 
 @dataclass(frozen=True)
@@ -41,8 +42,11 @@ class Prior:
         return self.strength * self.information
 
 
-def structural_prior(arm: SerialArm) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and deviation of the links' parameters, then of the rotors', each (11 n,)."""
+def structural_prior(arm: SerialArm, geared: bool = False) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and deviation of the links' parameters, then of the rotors', each (11 n,).
+
+    Rotors that are not stated may be ``geared``: then they outweigh wrists.
+    """
     masses = np.array([joint.link.mass for joint in arm.joints])
     least = max(_SHARE * masses.sum(), 0.1)
     sigma = []
@@ -58,7 +62,15 @@ def structural_prior(arm: SerialArm) -> tuple[np.ndarray, np.ndarray]:
     model = SerialModel(chain._replace(motor=0.0 * chain.motor))
     poses = np.random.default_rng(5).uniform(-3, 3, (50, len(arm.joints)))
     seen = np.maximum(np.max([np.diag(model.mass_matrix(q)) for q in poses], axis=0), 0.0)
-    return mean, np.concatenate([_RELATIVE * np.array(sigma), seen + 0.01])
+    usual = _ROTOR * _largest(arm) / arm.scales() * (geared & (mean[-len(seen) :] == 0.0))
+    return mean, np.concatenate([_RELATIVE * np.array(sigma), np.maximum(seen + 0.01, usual)])
+
+
+def _largest(arm: SerialArm) -> np.ndarray:
+    """Largest torque of each drive; if none is stated, gears take one that moves the arm."""
+    limit = np.array([joint.limits.torque for joint in arm.joints])
+    usual = typical_torque(compile_chain(arm), arm.scales()).max()
+    return np.where(limit < JointLimits.torque, limit, usual / _LOST)
 
 
 def friction_prior(arm: SerialArm) -> tuple[np.ndarray, np.ndarray]:
@@ -68,10 +80,7 @@ def friction_prior(arm: SerialArm) -> tuple[np.ndarray, np.ndarray]:
     stated = mean[:, 1] + np.abs(mean[:, 0]) * USUAL_RATE
     # As large as the torques that move the joint, or the share of its largest one that is usual;
     # as stated within its own size, or the share of that by which friction may change.
-    typical = typical_torque(compile_chain(arm), arm.scales())
-    limit = np.array([joint.limits.torque for joint in arm.joints])
-    lost = np.where(limit < JointLimits.torque, _LOST * limit, typical.max())
-    size = np.maximum(typical, lost)
+    size = np.maximum(typical_torque(compile_chain(arm), arm.scales()), _LOST * _largest(arm))
     size = np.where(stated > 0.0, np.maximum(stated, UNSTATED_FRICTION * size), size)
     load = np.full_like(size, LOAD_WIDTH)
     # An offset is what friction takes more one way than the other.
@@ -79,9 +88,9 @@ def friction_prior(arm: SerialArm) -> tuple[np.ndarray, np.ndarray]:
     return mean, np.stack(width, axis=1)
 
 
-def base_prior(arm: SerialArm, base: BaseParameters) -> Prior:
-    """Prior of the base parameters, then of each joint's friction."""
-    mean, sigma = structural_prior(arm)
+def base_prior(arm: SerialArm, base: BaseParameters, geared: bool = False) -> Prior:
+    """Prior of the base parameters, then of each joint's friction; see `structural_prior`."""
+    mean, sigma = structural_prior(arm, geared)
     friction, width = friction_prior(arm)
     inertial = np.linalg.inv((base.combination * sigma**2) @ base.combination.T)
     information = block_diag(inertial, np.diag(width.ravel() ** -2))
