@@ -13,6 +13,7 @@ Nodes that start together compile each function in one of them only (see `proces
 functions that Python never calls are linked into those that it calls (see `linking`).
 """
 
+import gc
 import hashlib
 import os
 import re
@@ -175,11 +176,22 @@ def _dispatcher(function: Callable[..., Any], kind: str, **options: bool) -> Any
             setattr(_numba.config, name, value)
 
 
+@contextmanager
+def _seldom_collected() -> Iterator[None]:
+    """Look for garbage less often: a compiler makes much, and keeps most of it for long."""
+    before = gc.get_threshold()
+    gc.set_threshold(max(before[0], 200_000), 50, 1000)
+    try:
+        yield
+    finally:
+        gc.set_threshold(*before)
+
+
 def _compile_once(dispatcher: Any, kind: str) -> Callable[..., Any]:
     """Numba's way to compile a function for some types, as this project's processes share it."""
 
     def compile_for(types: Any) -> Any:
-        with _one_thread, _linking.linked_only(kind == 'compiled'):
+        with _one_thread, _seldom_collected(), _linking.linked_only(kind == 'compiled'):
             if _compiling is None or types in dispatcher.overloads:
                 return compile_here(types)
             with _compiling.held(f'{kind} {function} {types}'):
