@@ -113,6 +113,7 @@ def test_given_a_shell_when_its_script_is_sourced_then_lpv_is_found_and_complete
 
 CAMPAIGN = """
 name: small
+designs: [gains.yaml]
 plan: {method: random, runs: 1}
 duration: 0.2
 factors: {fault.kind: bias, fault.size: 0.3, fault.onset: 0.1}

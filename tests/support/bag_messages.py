@@ -1,12 +1,12 @@
 """Topics, types, times and messages of small bags."""
 
-from lpv.bag.rosbag.interfaces import make_typestore
+from lpv.bag.rosbag.interfaces import standard_types
 
 JOINT_STATE, STRING = 'sensor_msgs/msg/JointState', 'std_msgs/msg/String'
 JOINTS, CHATTER = '/joint_states', '/chatter'
 START, STEP = 10**9, 2_000_000
 TOPICS = {JOINTS: JOINT_STATE, CHATTER: STRING}
-TYPESTORE = make_typestore()
+TYPESTORE = standard_types()
 
 
 def cdr(message, msgtype=JOINT_STATE, **order):

@@ -21,7 +21,7 @@ from lpv.bag.blocks import cdr_layout, message_blocks
 from lpv.bag.errors import BagError, DamageError
 from lpv.bag.replay.writer import RecordTemplate
 from lpv.bag.rosbag import message_loss, reading
-from lpv.bag.rosbag.interfaces import message_text, padded_cdr
+from lpv.bag.rosbag.interfaces import message_text, padded_cdr, standard_types
 from lpv.bag.rosbag.messages import BagMessages
 from lpv.bag.rosbag.metadata import RECORD_NAME
 from lpv.bag.rosbag.reading import BagReader, open_bag
@@ -493,6 +493,7 @@ def test_given_arrays_of_fixed_length_when_loaded_then_it_is_as_ever(tmp_path, m
         return re.sub(r'^(\w+)\[\] ', r'\1[2] ', text, flags=re.M) if 'lpv' in msgtype else text
 
     monkeypatch.setattr('lpv.bag.rosbag.interfaces.message_text', as_before)
+    monkeypatch.setattr('lpv.bag.rosbag.writing.standard_types', standard_types.__wrapped__)
     entries = [(measure(k, ZERO), ('/fault_estimate', k, {'estimate': [k, 0.5]})) for k in range(3)]
     bag = write(tmp_path / 'bag', chain(*entries))
     monkeypatch.undo()

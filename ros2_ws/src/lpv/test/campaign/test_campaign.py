@@ -33,6 +33,7 @@ from lpv.core.uio.planar import planar_model
 
 pytestmark = pytest.mark.slow
 
+FEW = {**SMALL, 'plan': {'method': 'random', 'runs': 8}}
 RANGE = {'low': 0.0, 'high': 1.0}
 WRONG = {
     'plan.method': [{'plan': {'method': 'grid'}}],
@@ -82,6 +83,12 @@ MISFITS = [
 @pytest.fixture(scope='module')
 def small():
     return resolve(SMALL, 'small', '.')
+
+
+@pytest.fixture(scope='module')
+def few():
+    """The first of its runs."""
+    return resolve(FEW, 'few', '.')
 
 
 @pytest.fixture(scope='module')
@@ -291,22 +298,20 @@ main(sys.argv[1:])"""
 """The command, killed in its second chunk."""
 
 
-def test_given_kill_9_when_run_again_then_all_is_as_of_one_go(serial, tmp_path, monkeypatch, call):
-    data = {**SMALL, 'plan': {'method': 'random', 'runs': 40}}
-    file, out = written(tmp_path / 'many.yaml', data), tmp_path / 'out'
+def test_given_kill_9_when_run_again_then_all_is_as_of_one_go(
+    small, serial, tmp_path, monkeypatch, call
+):
+    file, out = written(tmp_path / 'small.yaml', SMALL), tmp_path / 'out'
     killed = subprocess.run([sys.executable, '-c', KILLED, *command(file, out)])
     assert killed.returncode == -signal.SIGKILL
-    whole = resolve(data, 'many', '.')
-    left = execute.ResultsFolder(out).missing(execute.chunks_of(whole))
+    left = execute.ResultsFolder(out).missing(execute.chunks_of(small))
     assert len(left) == 1
     done, true = [], execute.run_one
     monkeypatch.setattr(execute, 'run_one', lambda c, n: done.append(n) or true(c, n))
     for _ in range(2):  # the second time nothing is left to be done
         call(*command(file, out))
         assert done == sum(left.values(), [])
-    rows = rows_of(out)
-    assert [row['number'] for row in rows] == list(range(40))
-    assert_same([*rows[:24], rows[39]], [*serial, true(whole, 39)])
+    assert_same(rows_of(out), serial)
     names = {file.name for file in (out / 'chunks').iterdir()}
     assert names == {f'000000{first}0.parquet' for first in (0, 2)}
 
@@ -347,20 +352,23 @@ def chunks(campaign, workers=None, scheduler=None, size=8):
 
 
 def test_given_two_workers_when_one_dies_then_nothing_is_lost_and_without_any_it_ends(
-    cluster, small, serial, tmp_path, call, monkeypatch
+    cluster, small, few, serial, tmp_path, call, monkeypatch
 ):
     scheduler, workers = cluster
+    with pytest.raises(WorkerError, match='has no workers'):
+        next(chunks(small, scheduler=scheduler))
+    # Those that come later do the next command.
     (first, second), rows = workers(2), []
-    for part in chunks(small, scheduler=scheduler, size=2):
+    for part in chunks(few, scheduler=scheduler, size=2):
         rows += part
         if len(rows) == 2:
             kill(first)
-    assert_same(sorted(rows, key=lambda row: row['number']), serial)
+    assert_same(sorted(rows, key=lambda row: row['number']), serial[: len(rows)])
+    assert len(rows) == few.spec.runs
     # The other one did what the dead one had in hand, and is there for the next command.
-    few = {**SMALL, 'plan': {'method': 'random', 'runs': 4}}
-    file, out = written(tmp_path / 'few.yaml', few), tmp_path / 'out'
+    file, out = written(tmp_path / 'few.yaml', FEW), tmp_path / 'out'
     call('campaign', file, '--out', out, '--scheduler', scheduler, '--no-report')
-    assert_same(rows_of(out), serial[:4])
+    assert_same(rows_of(out), serial[: len(rows)])
     other = Campaign(small.text.replace(small.software, 'another'))
     with pytest.raises(WorkerError, match='another version'):
         list(chunks(other, scheduler=scheduler))
@@ -370,13 +378,8 @@ def test_given_two_workers_when_one_dies_then_nothing_is_lost_and_without_any_it
     kill(second)
     with pytest.raises(WorkerError, match='no worker has been left'):
         list(found)
-    with pytest.raises(WorkerError, match='has no workers'):
-        next(chunks(small, scheduler=scheduler))
-    workers(1)
-    assert len(next(chunks(small, scheduler=scheduler))) == 8
 
 
-def test_given_no_cluster_when_run_then_processes_of_its_own_do_the_same(serial):
-    few = resolve({**SMALL, 'plan': {'method': 'random', 'runs': 8}}, 'few', '.')
+def test_given_no_cluster_when_run_then_processes_of_its_own_do_the_same(few, serial):
     rows = sum(chunks(few, workers=2, size=2), [])
-    assert_same(sorted(rows, key=lambda row: row['number']), serial[:8])
+    assert_same(sorted(rows, key=lambda row: row['number']), serial[: few.spec.runs])

@@ -17,7 +17,7 @@ from typing import Any
 import aiohttp
 from aiohttp import WSMsgType, web
 
-from lpv.bag.rosbag.interfaces import add_type, make_typestore
+from lpv.bag.rosbag.interfaces import add_type, standard_types
 from lpv.core.support.config import MAX_BYTES
 from lpv.core.support.errors import ConfigError
 from lpv_node.view.access import MOST_CLIENTS, Access
@@ -43,7 +43,7 @@ class FoxgloveBridge:
 
         foxglove.set_log_level(logging.ERROR)
         self._context = foxglove.Context()
-        typestore = make_typestore()
+        typestore = standard_types()
         self._channels: dict[str, Any] = {}
         self._kept: dict[str, deque[tuple[bytes, int]]] = {}
         self._newest = 0

@@ -62,15 +62,14 @@ def add_type(typestore: Typestore, msgtype: str) -> None:
                 add_type(typestore, used)
 
 
-def make_typestore() -> Typestore:
-    """Typestore with the standard types of ROS 2 Jazzy and those of lpv_msgs."""
+@functools.lru_cache(maxsize=1)
+def standard_types() -> Typestore:
+    """Types of ROS 2 Jazzy and lpv_msgs, of what is written, and of bags without definitions.
+
+    It is shared, with installed types that somebody added: to parse and generate takes longer than
+    to read a small bag.
+    """
     typestore = get_typestore(Stores.ROS2_JAZZY)
     for name in _OWN.split():
         add_type(typestore, f'lpv_msgs/msg/{name}')
     return typestore
-
-
-@functools.lru_cache(maxsize=1)
-def standard_types() -> Typestore:
-    """Types of nodes, and of bags without definitions; shared."""
-    return make_typestore()

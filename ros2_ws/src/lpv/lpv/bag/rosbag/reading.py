@@ -17,6 +17,7 @@ from rosbags.interfaces import (
     MessageDefinition,
     MessageDefinitionFormat,
     Nodetype,
+    Qos,
 )
 from rosbags.rosbag2.metadata import parse_qos
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
@@ -24,7 +25,7 @@ from rosbags.typesys.store import Typestore
 
 from lpv.bag.blocks.message_blocks import BLOCK_SIZE, Block, joined, record, split
 from lpv.bag.errors import BagError, DamageError
-from lpv.bag.rosbag.interfaces import decode, make_typestore, standard_types
+from lpv.bag.rosbag.interfaces import decode, standard_types
 from lpv.bag.rosbag.mcap_file import McapFile, error_text
 from lpv.bag.rosbag.metadata import FILE_NAME, BagMetadata, Known, offered_qos, read_metadata
 from lpv.core.support.errors import LpvError
@@ -310,6 +311,15 @@ def _connections_of(files: Iterable[McapFile], hashes: dict[str, str]) -> list[C
     return list(found.values())
 
 
+@functools.lru_cache(maxsize=64)
+def _profiles(text: str) -> tuple[Qos, ...]:
+    """QoS profiles of a channel."""
+    try:
+        return tuple(parse_qos(text))
+    except Exception:  # many kinds; no result depends on it
+        return ()
+
+
 def _connection(file: McapFile, number: int, hashes: dict[str, str]) -> Connection:
     channel = file.channels[number]
     schema = file.schemas.get(channel.schema_id)
@@ -319,10 +329,7 @@ def _connection(file: McapFile, number: int, hashes: dict[str, str]) -> Connecti
         if schema.encoding in _FORMATS:
             text = schema.data.decode(errors='replace')
             definition = MessageDefinition(_FORMATS[schema.encoding], text)
-    try:
-        profiles = parse_qos(channel.metadata.get('offered_qos_profiles', ''))
-    except Exception:  # many kinds; no result depends on it
-        profiles = []
+    profiles = list(_profiles(channel.metadata.get('offered_qos_profiles', '')))
     digest = channel.metadata.get('topic_type_hash') or hashes.get(name, '')
     ext = ConnectionExtRosbag2(channel.message_encoding, profiles)
     count = file.counts.get(number, 0)
@@ -331,24 +338,29 @@ def _connection(file: McapFile, number: int, hashes: dict[str, str]) -> Connecti
 
 def _types_of(connections: Sequence[Connection]) -> Typestore:
     """Types as a bag defines them; the standard ones and lpv_msgs where it defines none."""
-    defined = [c for c in connections if c.msgdef.format != MessageDefinitionFormat.NONE]
-    if not defined:
-        return make_typestore()
+    there = ((c.msgtype, c.msgdef, c.digest) for c in connections)
+    defined = tuple(dict.fromkeys(one for one in there if one[1].format != _NONE.format))
+    return _types_by(defined) if defined else standard_types()
+
+
+@functools.lru_cache(maxsize=4)  # a command opens few kinds of bags, each several times
+def _types_by(defined: tuple[tuple[str, MessageDefinition, str], ...]) -> Typestore:
+    """Types by their names, definitions and hashes."""
     types = get_typestore(Stores.EMPTY)
     found = {}
-    for connection in defined:
-        text = connection.msgdef.data
-        if connection.msgdef.format == MessageDefinitionFormat.MSG:
-            found.update(get_types_from_msg(text, connection.msgtype))
+    for name, definition, _ in defined:
+        text = definition.data
+        if definition.format == MessageDefinitionFormat.MSG:
+            found.update(get_types_from_msg(text, name))
             continue
         parts = [part.split('\n', 1)[1] for part in text.split(_IDL)[1:]] or [text]
         for part in parts:
             found.update(get_types_from_idl(part))
     types.register(found)
-    texts = {(c.msgtype, c.msgdef.data) for c in defined}
-    for connection in defined:
-        if len([1 for name, _ in texts if name == connection.msgtype]) > 1:
-            raise DamageError(f'topics of type {connection.msgtype} define it differently')
-        if connection.digest and types.hash_rihs01(connection.msgtype) != connection.digest:
-            raise DamageError(f'the hash of {connection.msgtype} is not that of its definition')
+    texts = Counter(name for name, _ in {(name, one.data) for name, one, _ in defined})
+    for name, _, digest in defined:
+        if texts[name] > 1:
+            raise DamageError(f'topics of type {name} define it differently')
+        if digest and types.hash_rihs01(name) != digest:
+            raise DamageError(f'the hash of {name} is not that of its definition')
     return types

@@ -25,7 +25,7 @@ from rosbags.interfaces import (
 
 from lpv.bag.blocks.message_blocks import RECORD, Block, from_rows
 from lpv.bag.rosbag import metadata
-from lpv.bag.rosbag.interfaces import add_type, decode, make_typestore, padded_cdr
+from lpv.bag.rosbag.interfaces import add_type, decode, padded_cdr, standard_types
 from lpv.bag.rosbag.messages import BagMessages
 from lpv.core.support.config import write_whole
 from lpv.core.support.errors import ConfigError
@@ -152,7 +152,7 @@ class BagWriter:
         custom_data: dict[str, str] | None = None,
     ) -> None:
         self.path, self._preset, self._fsync = Path(path), preset, fsync
-        self.typestore = make_typestore()
+        self.typestore = standard_types()
         self._split_size, self._split_time = split_size, split_time
         self._chunk_time, self._custom = chunk_time, dict(custom_data or {})
         self._slot: int | None = None

@@ -422,11 +422,13 @@ def static_bound(params: np.record, theta: np.ndarray) -> np.ndarray:
     away = np.arccos(np.clip(params.sign * np.cos(theta), -1.0, 1.0))
     error = np.zeros(2)
     for _ in range(100):
-        half = 0.5 * (error + params.angle_noise)
+        before, half = error, 0.5 * (error + params.angle_noise)
         slope = gravity * np.cos(np.minimum(away + half, math.pi))
         slope *= np.sinc(half / math.pi)
         error = np.where(slope > 0.0, torque / np.maximum(slope, 1e-12), math.pi)
         error = np.minimum(error, math.pi)
+        if np.array_equal(error, before):
+            break
     error[error >= math.pi] = math.inf
     # Not 0*inf: a sensor that does not see a link does not see its error.
     seen = [sum(w * e for w, e in zip(row, error) if w) for row in spread]
