@@ -363,14 +363,16 @@ def test_given_a_wrist_with_a_geared_rotor_when_looked_at_then_no_ratio_is_doubt
 
 
 class Stops:
-    """From pose to pose with rests between; the second joint slides."""
+    """From pose to pose with rests between."""
 
     duration = 30.0
 
+    def __init__(self, reach, rate, seed):
+        self.motion, self.seed = (np.zeros(3), np.array(reach), np.array(rate)), seed
+
     def sample(self, time):
         """Positions, rates, accelerations."""
-        motion = np.zeros(3), np.array([1.0, 0.09, 1.0]), np.array([1.5, 0.3, 1.5])
-        return moves_and_rests(motion, np.random.default_rng(3), time)
+        return moves_and_rests(self.motion, np.random.default_rng(self.seed), time)
 
 
 def test_given_a_joint_that_slides_and_rests_when_looked_at_then_no_names_are_swapped(
@@ -379,8 +381,23 @@ def test_given_a_joint_that_slides_and_rests_when_looked_at_then_no_names_are_sw
     kind = {'type': 'prismatic', 'axis': (0.0, 0.0, 1.0), 'limits': JointLimits(0, 0.2, 1.0, 150.0)}
     slide = replace(arm.joints[1], friction=JointFriction(0.0, 1.0, 60.0, 500.0), **kind)
     joints = arm.joints[0], slide, arm.joints[2]
-    one = simulated(replace(arm, joints=joints), motion=Stops())
+    one = simulated(replace(arm, joints=joints), motion=Stops((1.0, 0.09, 1.0), (1.5, 0.3, 1.5), 3))
     assert mistakes.find_mistakes(replace(arm, joints=as_in_a_urdf(joints)), [one]) == []
+
+
+def test_given_friction_at_rest_as_in_the_next_motion_when_looked_at_then_a_delay_is_found(
+    arm, simulated
+):
+    joints = [replace(j, friction=JointFriction(0.0, 1.0, 3.0, 500.0)) for j in arm.joints]
+    one = simulated(replace(arm, joints=tuple(joints)), motion=Stops([1.0] * 3, [1.5] * 3, 1))
+    moves = moving(one.velocity, 0.01, np.ones(3))
+    ahead = np.sign(one.velocity) * moves
+    for row in reversed(range(len(ahead) - 1)):
+        ahead[row] = np.where(moves[row], ahead[row], ahead[row + 1])
+    late = shifted(one.effort + 3.0 * ahead * ~moves, 0.05, 0.01)
+    bare = replace(arm, joints=as_in_a_urdf(arm.joints))
+    (first,) = mistakes.find_mistakes(bare, [replace(one, effort=late)])
+    assert first.kind == 'delay' and re.search('[56]0 ms too late', first.text)
 
 
 @pytest.mark.slow

@@ -213,7 +213,10 @@ class _Judge:
         motion = self._motion(ends, steps, position, velocity)
         rates = zip(np.split(velocity, ends), steps)
         moves = np.concatenate([moving(v, step, self._arm.scales()) for v, step in rates])
-        return _Setup(time=time, effort=effort, gravity=gravity, moves=moves, **motion)
+        setup = _Setup(time=time, effort=effort, gravity=gravity, moves=moves, **motion)
+        # Filters bring friction at rest to where joints move.
+        seen = self._filtered(setup, moves.astype(float)) > 1.0 - _MISSED
+        return replace(setup, moves=moves & seen)
 
     def _motion(
         self, ends: np.ndarray, steps: Sequence[float], position: np.ndarray, velocity: np.ndarray
