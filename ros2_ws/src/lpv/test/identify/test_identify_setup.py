@@ -263,6 +263,11 @@ def swapped(recording):
     return replace(recording, **{name: getattr(recording, name)[:, [0, 2, 1]] for name in parts})
 
 
+def turned(recording):
+    parts = ('position', 'velocity', 'effort')
+    return replace(recording, **{name: getattr(recording, name) * [1, -1, 1] for name in parts})
+
+
 def efforts(change):
     return lambda recording: replace(recording, effort=change(recording.effort))
 
@@ -279,6 +284,7 @@ MISTAKES = {
     'other sign': ('sign', 'efforts of two count', efforts(lambda u: u * [1, -1, 1]), None),
     'tilt and a sign': ('gravity', 'by -5', efforts(lambda u: u * [1, -1, 1]), (0.0, 0.1, 0.0)),
     'other signs': ('sign', 'of all joints', efforts(np.negative), None),
+    'turned axis': ('reading', 'and efforts of two count the other way round: is', turned, None),
     'swapped names': ('names', 'two and three are swapped', swapped, None),
     'currents': ('unit', 'currents', efforts(lambda u: u / [13, 12, 9]), None),
     'late efforts': ('delay', '50 ms too late', efforts(lambda u: shifted(u, 0.05, 0.01)), None),
@@ -436,6 +442,11 @@ ERRORS = {
     'zero': (lambda q, t: 0.4 + 0.0 * q, r'two are off by about \+0\.(4[0-4]?|3[6-9]) rad all'),
     'ratio': (lambda q, t: 0.1 * q, r'two are off by about \+(9|10)\..% of what they are'),
     'drift': (lambda q, t: 0.01 * t, r'two are off by about \+0\.0(1|09\d) rad/s more and more'),
+    'turned': (lambda q, t: -2.0 * q, 'readings of two count the other way round: is'),
+    'turned, zero': (
+        lambda q, t: 0.7 - 2.0 * q,
+        r'other way round and are off by about \+0\.(7|6[89])',
+    ),
 }
 
 

@@ -33,7 +33,7 @@ _LEAST_ANGLE = np.radians(1.5)  # of a base's tilt, or of a reading's error, tha
 _LEAST_LOAD = 0.1  # share of the usual load that is a change of it
 _CHANGES = np.linspace(0.1, 0.9, 17)  # moments at which the load may change, of the duration
 _FARTHEST = 0.5  # that gravity turns, or a reading is off, in a step of a search [rad]
-_STEPS = 3  # of the search for a reading's error: what is left is its cube
+_STEPS = 10  # of the search for a reading's error: half a turn, what is then left is its cube
 _SCALE = 0.2  # standard deviation of the logarithm of the arm's torques, as the file gives them
 _FACTOR = 2.0  # within which efforts may be N m
 _DELAYS = (-0.05, *np.arange(0.03, 0.11, 0.01))  # what filters of drivers do is no mistake [s]
@@ -98,8 +98,10 @@ def find_mistakes(arm: SerialArm, recordings: Sequence[Recording]) -> list[Mista
     # No other ones: a mistake may be named for want of a better one, and the next one undo it.
     while not found or found[-1].kind == 'weight':
         tried: list[tuple[Mistake, _Setup]] = []
-        for kind, hypotheses in judge.hypotheses({m.kind for m in found}):
-            values = [(judge.evidence(other), text, other) for text, other in hypotheses(setup)]
+        for kind, hypotheses in judge.hypotheses(setup, before):
+            if kind in {m.kind for m in found}:
+                continue
+            values = [(judge.evidence(other), text, other) for text, other in hypotheses]
             if values:
                 likeliest, text, other = max(values, key=lambda one: one[0].total)
                 value = likeliest.over(before) - judge.cost
@@ -302,24 +304,22 @@ class _Judge:
         passive = np.append(np.zeros(size, bool), np.tile(signs, n))
         return join_columns(columns, terms), Prior(mean, information), passive
 
-    def hypotheses(self, without: set[str]) -> Iterator[tuple[str, Callable[[_Setup], _Tried]]]:
-        """Kinds of mistakes, and what tries each: the most evident one of it counts."""
-        kinds: tuple[tuple[str, Callable[[_Setup], _Tried]], ...] = (
-            ('gravity', self._gravities),
-            ('weight', self._weight),
-            ('load', self._loaded),
-            ('change', self._load_changes),
-            ('sign', self._signs),
-            ('names', self._swaps),
-            ('delay', self._delays),
-            ('unit', self._units),
-            *(('reading', partial(self._readings, j)) for j in range(len(self._arm.joints))),
-        )
-        yield from (one for one in kinds if one[0] not in without)
+    def hypotheses(self, setup: _Setup, now: _Evidence) -> Iterator[tuple[str, _Tried]]:
+        """Kinds of mistakes, and what is tried of each: the most evident one of it counts."""
+        yield 'gravity', self._gravities(setup, now)
+        yield 'weight', self._weight(setup)
+        yield 'load', self._loaded(setup)
+        yield 'change', self._load_changes(setup)
+        yield 'sign', self._signs(setup)
+        yield 'names', self._swaps(setup)
+        yield 'delay', self._delays(setup)
+        yield 'unit', self._units(setup)
+        for j in range(len(self._arm.joints)):
+            yield 'reading', self._readings(j, setup, now)
 
-    def _readings(self, j: int, setup: _Setup) -> _Tried:
-        """Readings of a joint that are off in proportion to something."""
-        joint, unit = self._arm.joints[j], np.eye(len(self._arm.joints))[j]
+    def _readings(self, j: int, setup: _Setup, now: _Evidence) -> _Tried:
+        """Readings of a joint that are off in proportion to something, or turned round."""
+        joint = self._arm.joints[j]
         elapsed, position, length = setup.time, setup.position[:, j], joint.units[0]
         courses = [
             (np.ones(len(position)), f'{{:+.2g}} {length} all the time: is its zero right?', ''),
@@ -329,33 +329,53 @@ class _Judge:
         for name, part in self._of_one.items():
             courses.append((part.astype(float), f'{{:+.2g}} {length} in {{}} alone', name))
         for course, text, where in courses:
-            usual = joint.scale / max(float(np.max(np.abs(course))), 1e-9)
-            size, left, other = 0.0, np.inf, setup
-            for _ in range(_STEPS):
-                before = self.evidence(other)
-                ahead = self._shifted(setup, (-size - 1e-3 * usual) * np.outer(course, unit))
-                change = (self._regressor(ahead) - self._regressor(other)) @ before.beta / 1e-3
-                found = self.evidence(other, _halves(change, elapsed, course != 0.0))
-                left = usual * float(np.max(np.abs(found.extra)))
-                if found.over(before) - self.cost < (0.0 if size else _SURE):
-                    break
-                size += float(np.clip(found.extra.mean(), -_FARTHEST, _FARTHEST)) * usual
-                other = self._shifted(setup, -size * np.outer(course, unit))
-            if abs(size) > max(left, _LEAST_ANGLE * usual):
+            size, least, other = self._sought(j, setup, now, course)
+            if least < abs(size) and not (course is position and size > 1.0):  # it turns them round
                 yield f'readings of {joint.name} are off by about {text.format(size, where)}', other
+        sign = np.where(np.arange(len(self._arm.joints)) == j, -1.0, 1.0)
+        turned = self._moved(setup, sign * setup.position, sign * setup.velocity)
+        axis = replace(turned, effort=sign * setup.effort)
+        # Friction tells whether efforts are turned as well, whatever the zero is.
+        ways = [
+            (self.evidence(turned), 'readings', 'encoder', turned),
+            (self.evidence(axis), 'readings and efforts', 'axis', axis),
+        ]
+        before, what, part, other = max(ways, key=lambda one: one[0].total)
+        size, least, other = self._sought(j, other, before, courses[0][0])
+        zero = f' and are off by about {-size:+.2g} {length}' if abs(size) > least else ''
+        way = f'{what} of {joint.name} count the other way round{zero}'
+        yield f'{way}: is the direction of its {part} right?', other
+
+    def _sought(
+        self, j: int, setup: _Setup, before: _Evidence, course: np.ndarray
+    ) -> tuple[float, float, _Setup]:
+        """Size of an error of readings along a course, the least that is one, and without it."""
+        usual = self._arm.joints[j].scale / max(float(np.max(np.abs(course))), 1e-9)
+        unit = np.outer(course, np.eye(len(self._arm.joints))[j])
+        size, left, other = 0.0, np.inf, setup
+        for _ in range(_STEPS):
+            ahead = self._shifted(setup, (-size - 1e-3 * usual) * unit)
+            change = (self._regressor(ahead) - self._regressor(other)) @ before.beta / 1e-3
+            found = self.evidence(other, _halves(change, setup.time, course != 0.0))
+            left = usual * float(np.max(np.abs(found.extra)))
+            if found.over(before) - self.cost < (0.0 if size else _SURE):
+                break
+            size += float(np.clip(found.extra.mean(), -_FARTHEST, _FARTHEST)) * usual
+            other = self._shifted(setup, -size * unit)
+            before = self.evidence(other)
+        return size, max(left, _LEAST_ANGLE * usual), other
 
     def _shifted(self, setup: _Setup, change: np.ndarray) -> _Setup:
         """The set-up with other positions by a change of shape (samples, n)."""
         velocity = setup.velocity + setup.each(derivative, change)
         return self._moved(setup, setup.position + change, velocity)
 
-    def _gravities(self, setup: _Setup) -> _Tried:
+    def _gravities(self, setup: _Setup, now: _Evidence) -> _Tried:
         size = self._arm.gravity
         if not size > 0.0:
             return
         starts = [setup.gravity] if setup.gravity.any() else []
         axes = [sign * size * axis for axis in np.eye(3) for sign in (1.0, -1.0)]
-        now = self.evidence(setup)
         best = max(axes, key=lambda g: self.evidence(replace(setup, gravity=g)).over(now))
         said = self._arm.gravity_vector()
         for start in (*starts, best):
