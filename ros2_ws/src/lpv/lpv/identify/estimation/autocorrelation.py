@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft
+from scipy.signal import correlate
 
 _DRAWS = 20  # errors that are drawn: their mean is right within a quarter of its size
 _ROUNDS = 2  # of drawing errors with what the round before found
@@ -77,11 +77,8 @@ def autocovariance(stretches: Sequence[np.ndarray], most: int) -> np.ndarray:
     """Mean products of what is some samples apart, from lag 0 on, shape (most,)."""
     sums = np.zeros(most)
     for part in stretches:
-        count = len(part)
-        # As `scipy.signal.correlate`, without what it looks at before, as long as the rest.
-        lags, size = min(most, count), next_fast_len(2 * count - 1, real=True)
-        full = irfft(rfft(part, size) * rfft(part[::-1], size), size)
-        sums[:lags] += full[count - 1 :][:lags]
+        lags = min(most, len(part))
+        sums[:lags] += correlate(part, part, method='fft')[len(part) - 1 :][:lags]
     return sums / max(sum(len(part) for part in stretches), 1)
 
 

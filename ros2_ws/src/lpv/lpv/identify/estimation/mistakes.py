@@ -97,22 +97,23 @@ def find_mistakes(arm: SerialArm, recordings: Sequence[Recording]) -> list[Mista
     before = judge.evidence(setup)
     # No other ones: a mistake may be named for want of a better one, and the next one undo it.
     while not found or found[-1].kind == 'weight':
-        tried: list[tuple[Mistake, _Setup]] = []
+        tried: list[tuple[Mistake, _Evidence, _Setup]] = []
+        known = {m.kind for m in found}
         for kind, hypotheses in judge.hypotheses(setup, before):
-            if kind in {m.kind for m in found}:
+            if kind in known:
                 continue
             values = [(judge.evidence(other), text, other) for text, other in hypotheses]
             if values:
                 likeliest, text, other = max(values, key=lambda one: one[0].total)
                 value = likeliest.over(before) - judge.cost
-                tried.append((Mistake(kind, text, value), other))
-        best, other = max(tried, key=lambda one: one[0].evidence)
+                tried.append((Mistake(kind, text, value), likeliest, other))
+        best, likeliest, other = max(tried, key=lambda one: one[0].evidence)
         if best.evidence < _SURE:
             break
-        alike = [m.text for m, _ in tried if m.evidence > best.evidence - _SURE]
+        alike = [m.text for m, *_ in tried if m.evidence > best.evidence - _SURE]
         alike.remove(best.text)
         found.append(replace(best, text='; or: '.join([best.text, *alike])))
-        setup, before = other, judge.evidence(other)
+        setup, before = other, likeliest
     return found
 
 
