@@ -38,9 +38,8 @@ WRONG = '--params-file wrong.yaml'
 NOWHERE = 'there is no file /nowhere/gains.yaml; gains of an arm '
 
 
-@pytest.mark.realtime
 def test_given_a_graph_when_a_fault_is_injected_then_the_alarm_is_on_topic_and_in_bag(tmp_path):
-    with rig_on(tmp_path, PAPER, scenario=CALM) as rig:
+    with rig_on(tmp_path, PAPER, lockstep=True, scenario=CALM) as rig:
         rig.start('recorder')
         rig.start('uio', 'tracker', 'simulator', parameters=['await_recorders:=1'])
         client = rig.client
