@@ -51,8 +51,8 @@ from lpv.core.uio.unknown_input_observer import CHOICES, UnknownInputObserver, u
 METHOD = 'moving horizon'
 _REPORT_INTERVAL = NANOSECONDS
 """A diagnostics report is due after each such time of the data [ns], and at every alarm event."""
-_WARM_UP = (0.3, 1.0)
-"""Motion that makes every compiled function run, without and with those of suspected faults [s]."""
+_WARM_UP = 0.3
+"""Motion that makes every compiled function run that samples of no fault need [s]."""
 CONTACT = 'torques from outside: something pushes or holds the arm, or its load has changed'
 _JUMPS_ALONE = 'jumps of readings are found, offsets and drifts are not diagnosable'
 MISFIT = (
@@ -219,26 +219,30 @@ class SerialSensorMonitor:
         self._newest = np.zeros(1, self.answer_type)  # row with the last estimate
         self._warned: set[str] = set()
 
-    def warm_up(self, suspicious: bool = False) -> None:
-        """Compile with a made-up motion, and forget it: the first real samples must not wait.
-
-        ``suspicious`` compiles what only a suspected fault needs, too.
-        """
-        other = SerialSensorMonitor(self.name, self.arm, self._monitor.settings, self._gains)
+    def warm_up(self) -> None:
+        """Compile with a made-up motion, and forget it: the first real samples must not wait."""
+        other = self._unused()
         step = round(self.arm.sample_time * NANOSECONDS)
-        stamps = 1 + step * np.arange(max(20, round(_WARM_UP[suspicious] / self.arm.sample_time)))
+        stamps = 1 + step * np.arange(max(20, round(_WARM_UP / self.arm.sample_time)))
         t = (stamps / NANOSECONDS)[:, None] + np.arange(self._joints)
         other.take_many(stamps, np.sin(t), np.cos(t), np.ones_like(t))
         other._monitor.estimator.linearise(other._monitor.readings.blocks(2))  # noqa: SLF001
-        if suspicious:
-            other._monitor.warm_up()
+
+    def warm_up_faults(self) -> None:
+        """Compile what only a suspected fault needs."""
+        self._unused()._monitor.warm_up()  # noqa: SLF001
 
     def compile_ahead(self) -> None:
         """Compile decisions and the designed observer, beside a process that warms up."""
         one, rows = self._monitor.answering, self._one.rows
         compile_ahead(decide, self._monitor.parts)
+        self.warm_up_faults()
         samples, stamps = np.zeros((1, 3, self._joints)), np.zeros(1, np.int64)
         compile_ahead(uio_answers, one.uio, rows, 0, (0, 0), stamps, samples)
+
+    def _unused(self) -> 'SerialSensorMonitor':
+        """Another monitor like this one, as new."""
+        return SerialSensorMonitor(self.name, self.arm, self._monitor.settings, self._gains)
 
     def take(
         self, stamp: int, message: Any, torque: Sequence[float] | None = None

@@ -117,7 +117,7 @@ def precompile(name: str) -> None:
         monitor.warm_up()
         _run_loop(arm, name, gains)
     with _progress(f'{what}: diagnosis of a fault', helper):
-        monitor.warm_up(suspicious=True)  # the first one must not wait for this in a node
+        monitor.warm_up_faults()  # the first one must not wait for this in a node
     if helper.pid is not None:
         helper.join()
 

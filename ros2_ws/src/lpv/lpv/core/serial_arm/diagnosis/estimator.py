@@ -510,6 +510,12 @@ class OffsetEstimator:
         """Balances in the horizon."""
         return int(self.window.counters[COUNT])
 
+    def pretend(self, balances: int) -> None:
+        """Let a new horizon have so many balances, of nothing: to compile what uses them."""
+        for window in (self.window, self._slow):
+            if window is not None:
+                window.counters[:] = balances
+
     def place(self, back: int) -> int:
         """Index in the ring of the balance ``back`` before the last one."""
         return int(self.window.counters[NEXT] - 1 - back) % self.plan.capacity

@@ -90,6 +90,8 @@ LONGEST_STEP = 10.0
 """Sample times after which the next sample begins anew."""
 OUTSIDE = (CONTACT, 'torque_offset')
 """Causes that are torques from outside, as far as can be told."""
+_MADE_UP = 20
+"""Balances on which is compiled what only a fault needs."""
 
 
 @dataclass(frozen=True)
@@ -328,9 +330,13 @@ class SerialMonitor:
         return learned_of(self.arm, self.estimator)
 
     def warm_up(self) -> None:
-        """Compile what only a fault needs; nothing is decided."""
-        self.bank.offset_against_contact(0)
-        self.bank.warm_up(self.readings.all_blocks())
+        """Compile what only a fault needs, on made-up balances: no sample may have been taken."""
+        blocks = np.zeros((_MADE_UP + 1, *self.readings.all_blocks().shape[1:]))
+        self.estimator.pretend(_MADE_UP)
+        with np.errstate(all='ignore'):
+            self.estimator.linearise(blocks)
+            self.bank.offset_against_contact(0)
+            self.bank.warm_up(blocks)
 
     def _report_samples(self, now: float) -> None:
         """Events of what was found at a sample."""
