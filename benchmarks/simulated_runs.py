@@ -10,11 +10,17 @@ from lpv.core.serial_arm.chain import Chain, FloatArray, compile_chain, workspac
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.dynamics.friction import friction_torque
 from lpv.core.serial_arm.dynamics.newton_euler import inverse_dynamics
-from lpv.core.simulation.arm_simulator import ArmSimulator, integrate, read_sensors, set_torque
+from lpv.core.simulation.arm_simulator import (
+    ArmSimulator,
+    PlantConstants,
+    PlantState,
+    integrate,
+    read_sensors,
+    set_torque,
+)
 from lpv.core.simulation.faults import Fault
 from lpv.core.simulation.scenario import Scenario
 from lpv.core.support.jit import njit_in_place as njit
-from lpv.core.support.records import memory
 
 
 class Push(NamedTuple):
@@ -37,8 +43,8 @@ class _Loop(NamedTuple):
     """The true arm, as the functions of `arm_simulator` take it, and its controller's model."""
 
     plant: Chain
-    constants: np.ndarray  # memory of a record, as the next one
-    state: np.ndarray
+    constants: PlantConstants
+    state: PlantState
     faults: np.ndarray
     noise: np.random.Generator
     push: np.random.Generator
@@ -56,7 +62,7 @@ def _close(
     loop: _Loop, path: FloatArray, outside: FloatArray, samples: FloatArray, position: FloatArray
 ) -> None:
     """Follow a path, shape (3, N, n), against torques from outside."""
-    params, state = loop.constants[0], loop.state[0]
+    params, state = loop.constants, loop.state
     wanted, load, torque = loop.vectors
     for k in range(len(samples)):
         read_sensors(params, state, loop.faults, loop.noise, loop.chance)
@@ -96,8 +102,8 @@ def simulated_run(
     simulator.state.motion[1] = path[1, 0]
     loop = _Loop(
         simulator.chain if plant is None else plant,
-        memory(simulator.constants),
-        memory(simulator.state),
+        simulator.constants,
+        simulator.state,
         simulator.injector.records,
         simulator.noise,
         simulator.push,
@@ -113,7 +119,7 @@ def simulated_run(
     for push in pushes:
         outside[(push.begin <= time) & (time < push.end)] += push.torque
     _close(loop, path, outside, samples, position)
-    if simulator.state.failed or not np.isfinite(samples).all():
+    if simulator.state.own['failed'][0] or not np.isfinite(samples).all():
         raise ValueError('the simulated run has no numbers')
     return Run(np.round(1e9 * time).astype(np.int64), samples, position)
 

@@ -29,12 +29,11 @@ from lpv.core.serial_arm.diagnosis.parameter_set import (
     payload_generator,
 )
 from lpv.core.serial_arm.simulation import integration_step, plant_scratch
-from lpv.core.simulation.arm_simulator import plant_constants, state_type
+from lpv.core.simulation.arm_simulator import plant_constants, plant_state
 from lpv.core.simulation.faults import Fault, FaultInjector
 from lpv.core.simulation.scenario import Scenario
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.limits import LARGEST
-from lpv.core.support.records import memory, new_record
 from lpv.core.support.timestamps import NANOSECONDS
 from lpv.core.uio.certificate.gains import Gains
 from lpv.core.uio.model.joints import J, JointMap
@@ -110,7 +109,7 @@ class Attacker:
         if gains is not None:  # they are of rates with sensors of their own
             constants.derived[:] = 0
         faults = (Fault(name, 'rate_bias', 0.0, size=1.0) for name in arm.sensor_names)
-        self._plant = memory(constants), memory(new_record(state_type(n)))
+        self._plant = constants, plant_state(n)
         self._faults = FaultInjector(arm.sensor_names, faults, np.random.default_rng(0)).records
         self._scratch = plant_scratch(chain), np.empty((n, n)), workspace(chain)
 

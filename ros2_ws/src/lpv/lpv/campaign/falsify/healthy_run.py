@@ -12,7 +12,7 @@ from lpv.core.serial_arm.chain import Chain, FloatArray
 from lpv.core.serial_arm.dynamics.friction import friction_torque
 from lpv.core.serial_arm.dynamics.newton_euler import inverse_dynamics
 from lpv.core.serial_arm.simulation import plant_step
-from lpv.core.simulation.arm_simulator import read_sensors, set_torque
+from lpv.core.simulation.arm_simulator import PlantConstants, PlantState, read_sensors, set_torque
 from lpv.core.support.jit import njit
 
 _ROWS = range(7)
@@ -62,19 +62,19 @@ def _follow(course: Course, time: float, goal: FloatArray) -> None:
 def simulate(
     true_arm: Chain,
     course: Course,
-    constants: np.ndarray,  # of the plant and its state, as records of one element
-    plant: np.ndarray,
+    params: PlantConstants,
+    state: PlantState,
     faults: np.ndarray,  # an error of each sensor's rate
     noise: np.random.Generator,  # of sensors and disturbance
     scratch: tuple[FloatArray, FloatArray, FloatArray],  # two of `plant_step`, and a workspace
     samples: FloatArray,  # joint positions, rates and efforts as measured
 ) -> bool:
     """Fill samples (N, 3, n) of a run; False if the mass matrix is not positive definite."""
-    params, state, n = constants[0], plant[0], samples.shape[2]
+    own, n = state.own[0], samples.shape[2]
     goal, wanted, friction = np.zeros((3, n)), np.zeros(n), np.zeros(n)
     torque, gain = np.zeros(n), min(20.0, 0.1 / params.sample_time)
     _follow(course, 0.0, goal)
-    state.motion[:], state.torque[:], state.reading[:], state.step_count = goal[:2], 0.0, 0.0, 0
+    state.motion[:], state.torque[:], state.reading[:], own.step_count = goal[:2], 0.0, 0.0, 0
     for k in range(samples.shape[0]):
         time, sign = k * params.sample_time, 1.0
         if course.switch_speed > 0.0:
@@ -95,7 +95,7 @@ def simulate(
         friction_torque(true_arm, state.motion[1], torque, friction)
         for i in range(n):
             torque[i] += friction[i]
-        params.push_mean = sign * course.disturbance
+        own.push_mean = sign * course.disturbance
         set_torque(params, state, torque, noise)
         for i in range(n):
             torque[i] = state.torque[i] + sign * course.joints[PUSH, i]
@@ -104,5 +104,5 @@ def simulate(
             state.push,
         ):  # fmt: skip
             return False
-        state.step_count += 1
+        own.step_count += 1
     return True

@@ -1,12 +1,13 @@
 """A simulated arm with its sensors: plant, disturbance, noise and faults, step by step.
 
-All compiled functions take constants (`plant_type`) and state (`state_type`).
+All compiled functions take `PlantConstants` and `PlantState`.
 """
 
 import math
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
+import numpy.typing as npt
 from numpy.typing import ArrayLike
 
 from lpv.core.serial_arm.chain import OFFSET, Chain, FloatArray, workspace
@@ -25,50 +26,54 @@ from lpv.core.simulation.mujoco_chain import MujocoChain
 from lpv.core.simulation.paper_plant import PaperPlant
 from lpv.core.simulation.scenario import PAPER_PLANTS, PLANTS, Scenario, disturbance_of
 from lpv.core.support.errors import ConfigError
+from lpv.core.support.jit import Entries
 from lpv.core.support.jit import njit_in_place as njit
 from lpv.core.support.records import memory, new_record, record_type
 
 
-def plant_type(joints: int) -> np.dtype:
-    """Record type of the constants."""
-    return record_type(
-        ('sample_time', 'f8'),  # [s]
-        ('step', 'f8'),  # of integration [s]
-        ('substeps', 'i8'),  # steps per sample
-        ('torque_limit', 'f8', (joints,)),  # [N m]
-        ('effort_gain', 'f8', (joints,)),  # joint torque per unit of effort [N m/unit]
-        ('position_noise', 'f8', (joints,)),  # standard deviation, 0 without noise [rad]
-        ('velocity_noise', 'f8', (joints,)),  # of independent rates [rad/s]
-        ('quantization', 'f8', (joints,)),  # step of the readings, 0: none [rad]
-        ('derived', 'u1', (joints,)),  # 1: the rate is the difference of the readings
-        ('sensor', 'f8', (joints, joints)),  # S of y = S q + f
-        ('to_joint', 'f8', (joints, joints)),  # S^-1
-        ('direction', 'f8', (joints,)),  # accelerations per unit of the disturbance d [rad/s2]
-        ('push_mean', 'f8'),  # of d
-        ('push_deviation', 'f8'),  # standard deviation of d
-    )
+class PlantConstants(NamedTuple):
+    """Constants of plant and sensors."""
+
+    sample_time: float  # [s]
+    step: float  # of integration [s]
+    substeps: int  # steps per sample
+    push_deviation: float  # standard deviation of the disturbance d
+    torque_limit: FloatArray  # (n,) [N m]
+    effort_gain: FloatArray  # (n,) joint torque per unit of effort [N m/unit]
+    position_noise: FloatArray  # (n,) standard deviation, 0 without noise [rad]
+    velocity_noise: FloatArray  # (n,) of independent rates [rad/s]
+    quantization: FloatArray  # (n,) step of the readings, 0: none [rad]
+    derived: npt.NDArray[np.bool_]  # (n,) whether the rate is the difference of the readings
+    sensor: FloatArray  # (n, n) S of y = S q + f
+    to_joint: FloatArray  # (n, n) S^-1
+    direction: FloatArray  # (n,) accelerations per unit of d [rad/s2]
 
 
-def state_type(joints: int) -> np.dtype:
-    """Record type of the state."""
-    return record_type(
-        ('motion', 'f8', (2, joints)),  # true joint positions and rates [rad], [rad/s]
-        ('step_count', 'i8'),  # number of the present sample
-        ('torque', 'f8', (joints,)),  # joint torque over the step before [N m]
-        ('position', 'f8', (joints,)),  # true, at the last reading [rad]
-        ('velocity', 'f8', (joints,)),  # true, at the last reading [rad/s]
-        ('measured_position', 'f8', (joints,)),  # [rad]
-        ('measured_velocity', 'f8', (joints,)),  # [rad/s]
-        ('fault', 'f8', (joints,)),  # of the sensors, NaN in a dropout [rad]
-        ('reading', 'f8', (joints,)),  # of the sensors [rad]
-        ('rate', 'f8', (joints,)),  # of the sensors [rad/s]
-        ('before', 'f8', (joints,)),  # readings of the sample before [rad]
-        ('disturbance', 'f8'),  # d over the step before
-        ('push', 'f8', (joints,)),  # accelerations by d over the step before [rad/s2]
-        ('effort', 'f8', (joints,)),  # measured, in its own unit
-        ('draw', 'f8', (joints, 2)),  # standard normal numbers for the noise of readings and rates
-        ('failed', '?'),  # the mass matrix was not positive definite
-    )
+PLANT_STATE = record_type(
+    ('step_count', 'i8'),  # number of the present sample
+    ('push_mean', 'f8'),  # of the disturbance d
+    ('disturbance', 'f8'),  # d over the step before
+    ('failed', '?'),  # the mass matrix was not positive definite
+)
+
+
+class PlantState(NamedTuple):
+    """State of plant and sensors."""
+
+    own: np.ndarray  # memory of a record of `PLANT_STATE`
+    motion: FloatArray  # (2, n) true joint positions and rates [rad], [rad/s]
+    draw: FloatArray  # (n, 2) standard normal numbers for the noise of readings and rates
+    torque: FloatArray  # (n,) joint torque over the step before [N m], as all that follow
+    position: FloatArray  # true, at the last reading [rad]
+    velocity: FloatArray  # true, at the last reading [rad/s]
+    measured_position: FloatArray  # [rad]
+    measured_velocity: FloatArray  # [rad/s]
+    fault: FloatArray  # of the sensors, NaN in a dropout [rad]
+    reading: FloatArray  # of the sensors [rad]
+    rate: FloatArray  # of the sensors [rad/s]
+    before: FloatArray  # readings of the sample before [rad]
+    push: FloatArray  # accelerations by d over the step before [rad/s2]
+    effort: FloatArray  # measured, in its own unit
 
 
 class Engine(Protocol):
@@ -86,31 +91,32 @@ class Engine(Protocol):
 
 @njit
 def set_torque(
-    params: np.record, state: np.record, torque: FloatArray, generator: np.random.Generator
+    params: PlantConstants, state: PlantState, torque: FloatArray, generator: np.random.Generator
 ) -> None:
     """Set joint torques [N m] for the coming step, within limits, and draw the disturbance."""
     draw = generator.standard_normal() if params.push_deviation > 0.0 else 0.0
-    state.disturbance = params.push_mean + params.push_deviation * draw
+    own = state.own[0]
+    own.disturbance = own.push_mean + params.push_deviation * draw
     for i in range(torque.shape[0]):
         limit = params.torque_limit[i]
         state.torque[i] = min(max(torque[i], -limit), limit)
-        state.push[i] = params.direction[i] * state.disturbance
+        state.push[i] = params.direction[i] * own.disturbance
 
 
 @njit
 def integrate(
-    chain: Chain, params: np.record, state: np.record, scratch: FloatArray, matrix: FloatArray
+    chain: Chain, params: PlantConstants, state: PlantState, scratch: FloatArray, matrix: FloatArray
 ) -> None:
     """Advance the plant by one sample time; scratch memory as of `plant_step`."""
     if not plant_step(
         chain, state.motion, state.torque, params.step, params.substeps, scratch, matrix, state.push
     ):
-        state.failed = True
-    state.step_count += 1
+        state.own[0].failed = True
+    state.own[0].step_count += 1
 
 
 @njit
-def brake(chain: Chain, state: np.record, work: FloatArray) -> None:
+def brake(chain: Chain, state: PlantState, work: FloatArray) -> None:
     """Let one sample time pass with the brakes engaged; efforts then read what holds the arm."""
     n = state.torque.shape[0]
     for i in range(n):
@@ -118,14 +124,14 @@ def brake(chain: Chain, state: np.record, work: FloatArray) -> None:
     gravity_torque(chain, state.motion[0], work, state.torque)
     for i in range(n):
         state.torque[i] += chain.friction[i, OFFSET]
-    state.disturbance = 0.0
-    state.step_count += 1
+    state.own[0].disturbance = 0.0
+    state.own[0].step_count += 1
 
 
 @njit
 def read_sensors(
-    params: np.record,
-    state: np.record,
+    params: PlantConstants,
+    state: PlantState,
     faults: np.ndarray,
     noise: np.random.Generator,
     chance: np.random.Generator,
@@ -134,15 +140,15 @@ def read_sensors(
     # Drawn with or without noise, so that both runs share the later numbers.
     for i in range(state.draw.shape[0]):
         state.draw[i, 0], state.draw[i, 1] = noise.standard_normal(), noise.standard_normal()
-    draw_chances(faults, state.step_count * params.sample_time, chance)
+    draw_chances(faults, state.own[0].step_count * params.sample_time, chance)
     _take_readings(params, state, faults)
 
 
 @njit
-def _take_readings(params: np.record, state: np.record, faults: np.ndarray) -> None:
+def _take_readings(params: PlantConstants, state: PlantState, faults: np.ndarray) -> None:
     """Read the sensors with the random numbers that have been drawn."""
-    time, reading = state.step_count * params.sample_time, state.reading
-    n = reading.shape[0]
+    step, reading, n = state.own[0].step_count, state.reading, state.reading.shape[0]
+    time = step * params.sample_time
     for i in range(n):
         state.position[i], state.velocity[i] = state.motion[0, i], state.motion[1, i]
         state.before[i] = reading[i]
@@ -162,19 +168,13 @@ def _take_readings(params: np.record, state: np.record, faults: np.ndarray) -> N
         rate = state.rate[i] + rate_bias(faults, i, time)
         if not params.derived[i]:
             rate += params.velocity_noise[i] * state.draw[i, 1]
-        elif state.step_count > 0 and not math.isnan(state.before[i]):
+        elif step > 0 and not math.isnan(state.before[i]):
             rate += (reading[i] - state.before[i]) / params.sample_time - state.rate[i]
         elif math.isnan(reading[i]):
             rate = math.nan
         state.rate[i] = rate
     map_vector(params.to_joint, reading, state.measured_position)
     map_vector(params.to_joint, state.rate, state.measured_velocity)
-
-
-@njit
-def _sense(params: np.ndarray, state: np.ndarray, faults: np.ndarray) -> None:
-    """For Python: with the memory of records."""
-    _take_readings(params[0], state[0], faults)
 
 
 SIGNALS = ('position', 'velocity', 'fault', 'measured_position', 'measured_velocity', 'effort')
@@ -198,8 +198,10 @@ class ArmSimulator:
         Faults, scheduled and injected while running.
     chain : Chain
         The true arm.
-    constants, state : numpy.record
-        Of `plant_type` and `state_type`.
+    constants : PlantConstants
+        Of plant and sensors.
+    state : PlantState
+        Of plant and sensors.
     noise : numpy.random.Generator
         Of the sensors' noise.
     push : numpy.random.Generator
@@ -210,7 +212,7 @@ class ArmSimulator:
         Scratch memory of `integrate`.
     signals : dict
         Arrays of shape (n,), the disturbance's of (1,), that `read` writes, with the fields of
-        `state_type`: true ``position``, ``velocity``, ``fault`` and ``disturbance``;
+        `state`: true ``position``, ``velocity``, ``fault`` and ``disturbance``;
         ``measured_position``, ``measured_velocity`` and ``effort``.
     """
 
@@ -224,20 +226,20 @@ class ArmSimulator:
         self.injector = FaultInjector(arm.sensor_names, scenario.faults, chance)
         n = len(arm.joints)
         self.constants = plant_constants(arm, scenario, self.chain, substeps)
-        self.state = new_record(state_type(n))
+        self.state = plant_state(n, disturbance_of(arm, scenario)[1])
         self.state.motion[0] = scenario.path(arm).sample(0.0).position
         self.engine = _engine(arm, scenario, self.chain)
         self.scratch, self.matrix = plant_scratch(self.chain), np.empty((n, n))
         self._work = workspace(self.chain)
-        self._memory = memory(self.constants), memory(self.state)
-        self.signals = {name: memory(self.state)[name][0] for name in SIGNALS}
-        self.signals['disturbance'] = self._memory[1]['disturbance']
-        self._sensed = False
+        self._own = self.state.own
+        self.signals = {name: getattr(self.state, name) for name in SIGNALS}
+        self.signals['disturbance'] = self._own['disturbance']
+        self._sensed, self._call = False, Entries()
 
     @property
     def step_count(self) -> int:
         """Number of the present sample."""
-        return int(self._memory[1]['step_count'][0])
+        return int(self._own['step_count'][0])
 
     @property
     def time(self) -> float:
@@ -264,7 +266,7 @@ class ArmSimulator:
             raise ValueError(
                 f'torque must be {len(self.state.torque)} finite numbers, got {joint_torque!r}'
             )
-        set_torque(self.constants, self.state, torque, self.push)
+        self._call(set_torque, self.constants, self.state, torque, self.push)
         self.advance()
         self._sensed = False
 
@@ -278,22 +280,18 @@ class ArmSimulator:
         """
         params, state = self.constants, self.state
         if self.engine is None:
-            integrate(self.chain, params, state, self.scratch, self.matrix)
+            self._call(integrate, self.chain, params, state, self.scratch, self.matrix)
         else:
             self.engine.advance(
-                state.motion,
-                state.torque,
-                state.push,
-                float(params.sample_time),
-                int(params.substeps),
+                state.motion, state.torque, state.push, params.sample_time, params.substeps
             )
-            state.step_count += 1
-        if state.failed:
+            self._own['step_count'] += 1
+        if self._own['failed'][0]:
             raise ConfigError('plant', 'has a mass matrix that is not positive definite')
 
     def hold(self) -> None:
         """Let one sample time pass with the brakes engaged, see `brake`."""
-        brake(self.chain, self.state, self._work)
+        self._call(brake, self.chain, self.state, self._work)
         self._sensed = False
 
     def sense(self) -> dict[str, np.ndarray]:
@@ -304,9 +302,9 @@ class ArmSimulator:
     def read(self) -> None:
         """Read the sensors into `signals`, if that was not done at the present sample."""
         if not self._sensed:
-            self.noise.standard_normal(out=self._memory[1]['draw'][0])
+            self.noise.standard_normal(out=self.state.draw)
             self.injector.draw(self.time)
-            _sense(*self._memory, self.injector.records)
+            self._call(_take_readings, self.constants, self.state, self.injector.records)
             self._sensed = True
 
 
@@ -323,26 +321,30 @@ def _engine(arm: SerialArm, scenario: Scenario, chain: Chain) -> Engine | None:
 
 def plant_constants(
     arm: SerialArm, scenario: Scenario, chain: Chain, substeps: int = 1
-) -> np.record:
-    """Constants of `plant_type` for a true arm; ``substeps`` as of `ArmSimulator`."""
-    joints = arm.joints
+) -> PlantConstants:
+    """Constants for a true arm; ``substeps`` as of `ArmSimulator`."""
     _, needed = integration_step(chain, arm.sample_time)
     count, noise = max(substeps, needed), scenario.noise_factor if scenario.noise else 0.0
-    direction, mean, deviation = disturbance_of(arm, scenario)
-    return new_record(
-        plant_type(len(joints)),
-        sample_time=arm.sample_time,
-        step=arm.sample_time / count,
-        substeps=count,
-        torque_limit=arm.torque_limit,
-        effort_gain=[joint.torque_gain for joint in joints],
-        position_noise=[noise * joint.sensors.position_noise for joint in joints],
-        velocity_noise=[noise * joint.sensors.velocity_noise for joint in joints],
-        quantization=[joint.sensors.quantization for joint in joints],
-        derived=[joint.sensors.rates != 'independent' for joint in joints],
+    direction, _, deviation = disturbance_of(arm, scenario)
+    sensors = [joint.sensors for joint in arm.joints]
+    return PlantConstants(
+        sample_time=float(arm.sample_time),
+        step=float(arm.sample_time / count),
+        substeps=int(count),
+        push_deviation=float(deviation),
+        torque_limit=np.array(arm.torque_limit, float),
+        effort_gain=np.array([joint.torque_gain for joint in arm.joints], float),
+        position_noise=np.array([noise * one.position_noise for one in sensors], float),
+        velocity_noise=np.array([noise * one.velocity_noise for one in sensors], float),
+        quantization=np.array([one.quantization for one in sensors], float),
+        derived=np.array([one.rates != 'independent' for one in sensors]),
         sensor=arm.joints_to_sensors(),
         to_joint=arm.sensors_to_joints(),
-        direction=direction,
-        push_mean=mean,
-        push_deviation=deviation,
+        direction=np.array(direction, float),
     )
+
+
+def plant_state(joints: int, push_mean: float = 0.0) -> PlantState:
+    """State of so many joints, all zero but for the mean of the disturbance."""
+    own = memory(new_record(PLANT_STATE, push_mean=push_mean))
+    return PlantState(own, np.zeros((2, joints)), np.zeros((joints, 2)), *np.zeros((11, joints)))

@@ -41,6 +41,8 @@ from lpv.core.serial_arm.diagnosis.monitor import LONGEST_STEP
 from lpv.core.serial_arm.sensor_map import map_vector
 from lpv.core.simulation.arm_simulator import (
     ArmSimulator,
+    PlantConstants,
+    PlantState,
     brake,
     integrate,
     read_sensors,
@@ -113,8 +115,8 @@ class _Plant(NamedTuple):
     """Arguments of the functions of `lpv.core.simulation.arm_simulator`."""
 
     chain: Chain
-    constants: np.ndarray  # memory of a record, as the next one: see `lpv.core.support.records`
-    state: np.ndarray
+    constants: PlantConstants
+    state: PlantState
     faults: np.ndarray
     scratch: FloatArray
     matrix: FloatArray
@@ -196,14 +198,14 @@ def _sense(
     k: int,
 ) -> None:
     """Read the sensors, and choose the way of the measurement unless it is lost."""
-    state, sample, loop.ran = plant.state[0], observer.samples[k], False
-    read_sensors(plant.constants[0], state, plant.faults, plant.noise, plant.chance)
-    row.disturbance = state.disturbance
+    state, sample, loop.ran = plant.state, observer.samples[k], False
+    read_sensors(plant.constants, state, plant.faults, plant.noise, plant.chance)
+    row.disturbance = state.own[0].disturbance
     map_vector(observer.to_sensors, state.measured_position, sample[0])
     map_vector(observer.to_sensors, state.measured_velocity, sample[1])
     missing = False
     for i in range(sample.shape[1]):
-        row.effort[i] = state.torque[i] / plant.constants[0].effort_gain[i]
+        row.effort[i] = state.torque[i] / plant.constants.effort_gain[i]
         sample[2, i] = row.effort[i] * observer.gains[i]
         if not (abs(sample[0, i]) < np.inf and abs(sample[1, i]) < np.inf):
             missing = True
@@ -309,7 +311,7 @@ def _act(
     k: int,
 ) -> None:
     """Log the sample with its command, and let the one that has arrived act over the sample."""
-    row, state, n, now = rows[k], plant.state[0], len(loop.feedback), observer.stamps[k]
+    row, state, n, now = rows[k], plant.state, len(loop.feedback), observer.stamps[k]
     if loop.stop and loop.started and not loop.ran:
         loop.offset += 1  # the clock of the path stands still
     place = min(max(k - loop.offset, 0), len(tracker.references) - 1)
@@ -331,9 +333,9 @@ def _act(
     if row.brake_reason != 0:
         brake(plant.chain, state, plant.scratch[:n])
     else:
-        set_torque(plant.constants[0], state, acts.command, plant.push)
+        set_torque(plant.constants, state, acts.command, plant.push)
         if not loop.external:
-            integrate(plant.chain, plant.constants[0], state, plant.scratch, plant.matrix)
+            integrate(plant.chain, plant.constants, state, plant.scratch, plant.matrix)
     loop.phase = _ADVANCE if loop.external and row.brake_reason == 0 else _SENSE
     for i in range(n):
         row.torque[i] = state.torque[i]
@@ -442,8 +444,8 @@ def run_closed_loop(
     start.write(references, tip)
     plant = _Plant(
         simulator.chain,
-        memory(simulator.constants),
-        memory(simulator.state),
+        simulator.constants,
+        simulator.state,
         simulator.injector.records,
         simulator.scratch,
         simulator.matrix,
@@ -482,7 +484,7 @@ def run_closed_loop(
     rows = np.zeros(count, _row_type(len(arm.joints))).view(np.recarray)
     blocked = transport.blocked(count, arm.sample_time)
     alarms: list[Alarm] = []
-    shared, now, failed = memory(loop), plain(loop), memory(simulator.state)['failed']
+    shared, now, failed = memory(loop), plain(loop), simulator.state.own['failed']
     run = entry(_run, shared, plant, parts, tracker, rows, blocked, 0)
     k = 0
     while k < count:
@@ -529,7 +531,7 @@ def _hand_over(
     observer: _Observer,
     records: np.ndarray,
     loop: np.record,
-    state: np.record,
+    state: PlantState,
     k: int,
 ) -> list[Alarm]:
     """Let the monitor itself take a sample, as the node does; returns alarm events."""
