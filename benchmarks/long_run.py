@@ -55,7 +55,7 @@ def _advance(plant, tracker, references, samples):  # type: ignore[no-untyped-de
         sample[0, :], sample[1, :] = state.measured_position, state.measured_velocity
         sample[2, :] = state.torque
         track(tracker, references[k], sample[0], sample[1], sample[0], constants.sample_time)
-        set_torque(constants, state, tracker.state[0].torque, push)
+        set_torque(constants, state, tracker.torque, push)
         integrate(chain, constants, state, scratch, matrix)
 
 

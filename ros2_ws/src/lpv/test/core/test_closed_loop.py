@@ -142,8 +142,8 @@ def test_given_the_arm_on_its_reference_when_controlled_then_only_its_model_acts
     constants = planar_model(arm).constants()
     wanted = np.array(inverse_dynamics(joints.absolute_position(q), *rates, constants))
     np.testing.assert_allclose(answer, joints.joint_torque(wanted), rtol=1e-10)
-    assert not controller.state.saturated
-    np.testing.assert_array_equal(controller.state.integral, 0.0)
+    assert not controller.parts.saturated[0]
+    np.testing.assert_array_equal(controller.parts.integral, 0.0)
 
 
 def test_given_both_methods_then_eq_65_acts(paper_arm, paper_gains, literal_gains, joints):
@@ -156,10 +156,10 @@ def test_given_both_methods_then_eq_65_acts(paper_arm, paper_gains, literal_gain
     found = joints.absolute_torque(answer - base)
     np.testing.assert_allclose(found, gains.m1 @ x + gains.m2 @ epsilon, rtol=1e-9)
     np.testing.assert_allclose(
-        joints.absolute_velocity(controller.state.integral), epsilon, rtol=1e-12
+        joints.absolute_velocity(controller.parts.integral), epsilon, rtol=1e-12
     )
     controller.reset()
-    np.testing.assert_array_equal(controller.state.integral, 0.0)
+    np.testing.assert_array_equal(controller.parts.integral, 0.0)
     # The literal method has no feed-forward.
     controller, gains = TrackingController(paper_arm, literal_gains), literal_gains.controller
     measured, reference = q + [0.01, 0.02], np.array([q + [-0.1, 0.1], *np.ones((2, 2))])
@@ -171,9 +171,9 @@ def test_given_both_methods_then_eq_65_acts(paper_arm, paper_gains, literal_gain
     # Saturation that lasts does not wind the integral up.
     for _ in range(100):
         answer = torque(controller, rest_at(q), q + 1.5, np.zeros(2), q + 1.5, 0.01)
-        assert controller.state.saturated
+        assert controller.parts.saturated[0]
         assert np.all(np.abs(answer) <= paper_arm.torque_limit)
-    np.testing.assert_array_equal(controller.state.integral, 0.0)
+    np.testing.assert_array_equal(controller.parts.integral, 0.0)
 
 
 def test_given_an_error_signal_when_its_mise_is_taken_then_it_is_the_mean_square():

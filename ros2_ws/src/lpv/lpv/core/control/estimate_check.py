@@ -7,13 +7,15 @@ faded in.
 
 import math
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 
+from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
+from lpv.core.support.jit import Entries
 from lpv.core.support.jit import njit_in_place as njit
 from lpv.core.support.limits import MAX_GAP
-from lpv.core.support.records import memory, new_record, record_type
 from lpv.core.support.timestamps import NANOSECONDS, NEVER
 
 ROWS = ('position', 'compensated_position', 'measured_position', 'velocity', 'measured_velocity')
@@ -60,18 +62,16 @@ _SIGMAS = 6.0 * math.sqrt(2.0)
 """Change of a reading by noise: six deviations of a difference, once in six days at 1 kHz."""
 
 
-def correction_type(joints: int) -> np.dtype:
-    """Record type of `limit_correction`; positions and rates are the rows of each field."""
-    rows = (2, joints)
-    return record_type(
-        ('noise', 'f8', rows),  # change by noise and quantization, at most [rad], [rad/s]
-        ('change', 'f8', rows),  # limit of unexplained changes, by time [rad/s], [rad/s2]
-        ('fading', 'f8', rows),  # [rad/s], [rad/s2]
-        ('stamp', 'i8'),  # of the sample before [ns], or NEVER
-        ('before', 'f8', rows),  # the sample before, as estimated
-        ('surplus', 'f8', rows),  # what is not fed back yet
-        ('feedback', 'f8', rows),  # what is to be fed back
-    )
+class Correction(NamedTuple):
+    """What `limit_correction` works on; positions and rates are the rows of arrays (2, n)."""
+
+    noise: FloatArray  # change by noise and quantization, at most [rad], [rad/s]
+    change: FloatArray  # limit of unexplained changes, by time [rad/s], [rad/s2]
+    fading: FloatArray  # [rad/s], [rad/s2]
+    stamp: IntArray  # of the sample before [ns], or NEVER, shape (1,)
+    before: FloatArray  # the sample before, as estimated
+    surplus: FloatArray  # what is not fed back yet
+    feedback: FloatArray  # what is to be fed back
 
 
 def position_noise(arm: SerialArm) -> np.ndarray:
@@ -84,19 +84,17 @@ def position_noise(arm: SerialArm) -> np.ndarray:
 
 @njit
 def limit_correction(
-    shared: np.ndarray, stamp: int, position: np.ndarray, velocity: np.ndarray
+    record: Correction, stamp: int, position: np.ndarray, velocity: np.ndarray
 ) -> None:
     """Position and rate to feed back, the rows of ``record.feedback``.
 
     A joint moves as its rate says, and its rate changes smoothly.  What else a position or a rate
     changes, by more than noise and ``record.change``, is a change of its correction: the loop gets
     it faded in, so that torques do not jump.  A start, with ``record.stamp`` NEVER, takes both as
-    they are.  ``shared`` is the memory of a `CorrectionLimit`, ``record``; positions and rates are
-    in [rad] and [rad/s], ``stamp`` in [ns].
+    they are.  Positions and rates are in [rad] and [rad/s], ``stamp`` in [ns].
     """
-    record = shared[0]
-    starts = record.stamp == NEVER
-    interval = 0.0 if starts else (stamp - record.stamp) / NANOSECONDS
+    starts = record.stamp[0] == NEVER
+    interval = 0.0 if starts else (stamp - record.stamp[0]) / NANOSECONDS
     for i in range(position.shape[0]):
         moved = 0.5 * interval * (velocity[i] + record.before[1, i])
         for row in range(2):
@@ -110,7 +108,7 @@ def limit_correction(
                 surplus -= min(max(surplus, -fading), fading)
             record.before[row, i], record.surplus[row, i] = value, surplus
             record.feedback[row, i] = value - surplus
-    record.stamp = stamp
+    record.stamp[0] = stamp
 
 
 class CorrectionLimit:
@@ -128,31 +126,27 @@ class CorrectionLimit:
         rate, scale = np.maximum(rate, position / arm.sample_time), arm.scales()
         rate = np.maximum(rate, REST_SHARE * limit)
         change = np.array([CHANGE_SHARE * limit, _RATE_FADING * limit])
-        record = new_record(
-            correction_type(len(limit)),
-            noise=np.array([position + 0.0 * limit, rate]),
-            change=change if limited else np.inf,
-            fading=np.array([np.minimum(change[0], FADING * scale), change[1]]),
-            stamp=NEVER,
-        )
-        self.memory = memory(record)
-        self._change = self.memory['change'][0].copy()
-        self.position, self.velocity = self.memory['feedback'][0]
+        fading = np.array([np.minimum(change[0], FADING * scale), change[1]])
+        if not limited:
+            change[:] = np.inf
+        noise, rest = np.array([position + 0.0 * limit, rate]), np.zeros((3, 2, len(limit)))
+        self.parts = Correction(noise, change, fading, np.array([NEVER]), *rest)
+        self._change, self._call = change.copy(), Entries()
+        self.position, self.velocity = self.parts.feedback
 
     def take(self, stamp: int, position: np.ndarray, velocity: np.ndarray) -> None:
         """As the function `limit_correction`."""
-        limit_correction(self.memory, stamp, position, velocity)
+        self._call(limit_correction, self.parts, stamp, position, velocity)
 
     def turn_to(self, position: np.ndarray, limited: bool) -> None:
         """Feed another position back, fading to it from the last one; it is ``position`` now.
 
         Not ``limited``, there is no correction: the position is fed back as measured.
         """
-        record = self.memory[0]
-        record['change'] = self._change if limited else np.inf
-        record['before'][0] = position
-        record['surplus'][0] = position - self.position
+        self.parts.change[:] = self._change if limited else np.inf
+        self.parts.before[0] = position
+        self.parts.surplus[0] = position - self.position
 
     def restart(self) -> None:
         """The next sample is a start."""
-        self.memory['stamp'] = NEVER
+        self.parts.stamp[0] = NEVER

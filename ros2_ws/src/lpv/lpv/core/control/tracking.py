@@ -14,19 +14,12 @@ from functools import lru_cache
 
 import numpy as np
 
-from lpv.core.control.tracking_law import (
-    AT_REFERENCE,
-    AT_STATE,
-    NO_MODEL,
-    LawParts,
-    law_type,
-    track,
-)
+from lpv.core.control.tracking_law import AT_REFERENCE, AT_STATE, NO_MODEL, LawParts, track
 from lpv.core.serial_arm.chain import compile_chain, workspace
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.errors import ConfigError
+from lpv.core.support.jit import Entries
 from lpv.core.support.limits import MAX_DELAY
-from lpv.core.support.records import memory, new_record
 from lpv.core.uio.certificate.conditions import controller_loop, delayed_radius, discretised
 from lpv.core.uio.certificate.gains import Gains
 from lpv.core.uio.model.arm import ArmParameters
@@ -87,25 +80,31 @@ class TrackingController:
             gains.check_arm(arm)
         self.tolerated_latency = loop_latency(arm, gains, bandwidth)
         self.integrates_measurement = gains is not None and gains.controller.method == 'paper'
-        state = new_record(law_type(len(arm.joints)), limit=arm.torque_limit)
+        n, chain = len(arm.joints), compile_chain(arm)
+        feedback, zero, pole = np.zeros((n, 3 * n)), np.zeros(n), np.zeros(3)
         if gains is None:
             if self.tolerated_latency < arm.sample_time:
                 reason = f'{bandwidth:g} rad/s is unstable at {arm.sample_time:g} s a sample'
                 raise ConfigError('bandwidth', reason)
-            state.model, (state.ki, state.kp, state.kd) = AT_STATE, _triple_pole(bandwidth)
+            model, pole = AT_STATE, _triple_pole(bandwidth)
         else:
-            state.model = NO_MODEL if self.integrates_measurement else AT_REFERENCE
+            model = NO_MODEL if self.integrates_measurement else AT_REFERENCE
             # Of absolute angles, theta = J^-1 q, to their torques Q = J^T tau.
             to_absolute = np.kron(np.eye(3), J_INVERSE)
-            state.gains = J_INVERSE.T @ gains.controller.feedback @ to_absolute
-            state.zero = JointMap(planar_model(arm)).joint_position(np.zeros(2))
-        chain = compile_chain(arm)
-        self.parts, self.state = LawParts(chain, memory(state), workspace(chain)), state
-        self.torque: np.ndarray = self.parts.state['torque'][0]
+            feedback[:] = J_INVERSE.T @ gains.controller.feedback @ to_absolute
+            zero[:] = JointMap(planar_model(arm)).joint_position(np.zeros(2))
+        ki, kp, kd = pole.tolist()
+        self.parts = LawParts(
+            chain, workspace(chain), model, ki, kp, kd, feedback, zero,
+            np.array(arm.torque_limit, float), np.zeros(1, bool), np.zeros(3 * n),
+            *np.zeros((5, n)),
+        )  # fmt: skip
+        self.torque: np.ndarray = self.parts.torque
+        self._call = Entries()
 
     def reset(self) -> None:
         """Empty the integrator."""
-        self.state.integral[:] = 0.0
+        self.parts.integral[:] = 0.0
 
     def answer(
         self,
@@ -116,7 +115,7 @@ class TrackingController:
         interval: float,
     ) -> None:
         """Write the command for the present sample into ``torque``; arguments are as of `track`."""
-        track(self.parts, reference, position, velocity, integrated, interval)
+        self._call(track, self.parts, reference, position, velocity, integrated, interval)
 
 
 def loop_latency(arm: SerialArm, gains: Gains | None = None, bandwidth: float = BANDWIDTH) -> float:

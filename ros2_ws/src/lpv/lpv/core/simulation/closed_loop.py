@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lpv.core.control.estimate_check import CorrectionLimit, limit_correction
+from lpv.core.control.estimate_check import Correction, CorrectionLimit, limit_correction
 from lpv.core.control.path_follower import PathFollower, approach_speeds
 from lpv.core.control.tracking import BANDWIDTH, COMPENSATION, TrackingController
 from lpv.core.control.tracking_law import LawParts, track
@@ -146,7 +146,7 @@ class _Tracker(NamedTuple):
 
     law: LawParts
     references: FloatArray
-    correction: np.ndarray  # memory of a record of `limit_correction`
+    correction: Correction
     watchdog: np.ndarray  # memory of a record, as the next one
     drives: np.ndarray
 
@@ -274,10 +274,9 @@ def _estimate(
 @njit
 def _stop(loop: np.record, tracker: _Tracker, reason: int) -> None:
     loop.stop, loop.previous, loop.reason, loop.phase = True, NEVER, reason, _ACT
-    law = tracker.law.state[0]
-    law.integral[:] = 0.0
-    law.torque[:] = 0.0
-    tracker.correction[0].stamp = NEVER
+    tracker.law.integral[:] = 0.0
+    tracker.law.torque[:] = 0.0
+    tracker.correction.stamp[0] = NEVER
     tracker.watchdog[0].started = False  # the next reference is a start
 
 
@@ -292,7 +291,7 @@ def _command(loop: np.record, observer: _Observer, tracker: _Tracker, k: int) ->
         _stop(loop, tracker, reason)
         return
     limit_correction(tracker.correction, now, loop.feedback, loop.rate)
-    feedback, rate = tracker.correction[0].feedback[0], tracker.correction[0].feedback[1]
+    feedback, rate = tracker.correction.feedback[0], tracker.correction.feedback[1]
     # Eq. (59) literally integrates the faulty measurement.
     integrated = measured if loop.literal else feedback
     interval = (now - observer.stamps[loop.previous]) / NANOSECONDS
@@ -316,7 +315,7 @@ def _act(
         loop.offset += 1  # the clock of the path stands still
     place = min(max(k - loop.offset, 0), len(tracker.references) - 1)
     for i in range(n):
-        row.command[i] = tracker.law.state[0].torque[i]
+        row.command[i] = tracker.law.torque[i]
     row.safe_stop, row.answered = loop.stop, loop.answered
     if k >= loop.delay and blocked & NO_COMMAND == 0:
         loop.acting = k - loop.delay
@@ -465,7 +464,7 @@ def run_closed_loop(
     tracker = _Tracker(
         controller.parts,
         references,
-        CorrectionLimit(arm, compensation != 'off').memory,
+        CorrectionLimit(arm, compensation != 'off').parts,
         TrackerWatchdog(arm, TrackerLimits(latency.single, latency)).memory,
         DriveWatchdog(arm, latency).memory,
     )
