@@ -7,13 +7,15 @@ The nodes and the closed-loop simulation run the same functions.
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from lpv.core.control.estimate_check import REST_SHARE, position_noise
+from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import Mode
+from lpv.core.support.jit import Entries
 from lpv.core.support.jit import njit_in_place as njit
 from lpv.core.support.limits import MAX_GAP
 from lpv.core.support.records import memory, new_record, record_type
@@ -129,51 +131,59 @@ before its first motion after a start, and later, when friction and faults may h
 that is released from brakes leaps by as much, and the more the further its reference went."""
 
 
-def tracker_watchdog_type(joints: int) -> np.dtype:
-    """Record type of the tracker's watchdog."""
-    return record_type(
-        ('silence', 'i8'),  # limits, see `TrackerLimits` [ns]
-        ('latency', 'i8'),
-        ('unusable', 'i8'),
-        ('overspeed', 'i8'),
-        ('error_time', 'i8'),
-        ('mean_latency', 'f8'),  # [ns]
-        ('tracking_error', 'f8'),  # [rad]
-        ('speed_limit', 'f8', (joints,)),  # share of the arm file's velocity limit [rad/s]
-        ('rest', 'f8', (joints,)),  # rate below which a joint rests [rad/s]
-        ('scale', 'f8', (joints,)),  # what counts as 1 rad, see `SerialJoint.scale` [rad], [m]
-        ('share', 'f8'),  # of the newest latency in the mean
-        ('mean_age', 'f8'),  # [ns]
-        ('late', 'i8'),  # stamp of the last estimate that was late on average, or NEVER
-        ('usable', 'i8'),  # stamp of the last usable measurement, or NEVER
-        # stamp at which each joint was last not too fast, backwards and forwards, or NEVER
-        ('in_speed', 'i8', (2, joints)),
-        ('in_reach', 'i8'),  # stamp of the last tracking error within its limit, or NEVER
-        ('latched', 'i8'),  # reason that lasts until reset
-        ('started', '?'),  # whether there was a reference since the last stop
-        ('moved', '?'),  # whether the arm has moved since the last stop
-        ('is_read', '?'),  # whether the last estimate is of a usable measurement
-        ('step', 'f8', (joints,)),  # smallest motion that is one [rad], [m]
-        ('arm', 'f8', (joints,)),  # what the arm's sensors read when it last moved [rad]
-        ('fed_back', 'f8', (joints,)),  # position that was fed back then [rad]
-        ('travel', 'f8', (joints,)),  # since then, by the rates that are fed back [rad]
-        ('reference', 'f8', (joints,)),  # where its reference was then [rad]
-    )
+TRACKER_WATCHDOG = record_type(
+    ('silence', 'i8'),  # limits, see `TrackerLimits` [ns]
+    ('latency', 'i8'),
+    ('unusable', 'i8'),
+    ('overspeed', 'i8'),
+    ('error_time', 'i8'),
+    ('mean_latency', 'f8'),  # [ns]
+    ('tracking_error', 'f8'),  # [rad]
+    ('share', 'f8'),  # of the newest latency in the mean
+    ('mean_age', 'f8'),  # [ns]
+    ('late', 'i8'),  # stamp of the last estimate that was late on average, or NEVER
+    ('usable', 'i8'),  # stamp of the last usable measurement, or NEVER
+    ('in_reach', 'i8'),  # stamp of the last tracking error within its limit, or NEVER
+    ('latched', 'i8'),  # reason that lasts until reset
+    ('started', '?'),  # whether there was a reference since the last stop
+    ('moved', '?'),  # whether the arm has moved since the last stop
+    ('is_read', '?'),  # whether the last estimate is of a usable measurement
+)
 
 
-def drive_watchdog_type(joints: int) -> np.dtype:
-    """Record type of the drives' watchdog."""
-    return record_type(
-        ('command_age', 'i8'),  # limits, see `DriveWatchdog` [ns]
-        ('overspeed', 'i8'),
-        ('mean_latency', 'f8'),  # [ns]
-        ('velocity_limit', 'f8', (joints,)),  # of the arm file [rad/s]
-        ('share', 'f8'),  # of the newest age in the mean
-        ('mean_age', 'f8'),  # [ns]
-        ('braked', 'i8'),  # time of the last command that was too late, or NEVER
-        ('in_speed', 'i8'),  # time at which the joints were last within the speed limits, or NEVER
-        ('latched', 'i8'),  # reason that lasts until reset
-    )
+class TrackerDog(NamedTuple):
+    """What the tracker's watchdog works on."""
+
+    own: np.ndarray  # memory of a record of `TRACKER_WATCHDOG`
+    # (2, n) stamp at which each joint was last not too fast, backwards and forwards, or NEVER
+    in_speed: IntArray
+    speed_limit: FloatArray  # (n,) share of the arm file's velocity limit [rad/s]
+    rest: FloatArray  # (n,) rate below which a joint rests [rad/s]
+    scale: FloatArray  # (n,) what counts as 1 rad, see `SerialJoint.scale` [rad], [m]
+    step: FloatArray  # (n,) smallest motion that is one [rad], [m]
+    arm: FloatArray  # (n,) what the arm's sensors read when it last moved [rad]
+    fed_back: FloatArray  # (n,) position that was fed back then [rad]
+    travel: FloatArray  # (n,) since then, by the rates that are fed back [rad]
+    reference: FloatArray  # (n,) where its reference was then [rad]
+
+
+DRIVE_WATCHDOG = record_type(
+    ('command_age', 'i8'),  # limits, see `DriveWatchdog` [ns]
+    ('overspeed', 'i8'),
+    ('mean_latency', 'f8'),  # [ns]
+    ('share', 'f8'),  # of the newest age in the mean
+    ('mean_age', 'f8'),  # [ns]
+    ('braked', 'i8'),  # time of the last command that was too late, or NEVER
+    ('in_speed', 'i8'),  # time at which the joints were last within the speed limits, or NEVER
+    ('latched', 'i8'),  # reason that lasts until reset
+)
+
+
+class DriveDog(NamedTuple):
+    """What the drives' watchdog works on."""
+
+    own: np.ndarray  # memory of a record of `DRIVE_WATCHDOG`
+    velocity_limit: FloatArray  # (n,) of the arm file [rad/s]
 
 
 def _share(arm: SerialArm) -> float:
@@ -186,7 +196,7 @@ def _nanoseconds(seconds: float) -> int:
 
 @njit
 def check_estimate(
-    shared: np.ndarray,
+    dog: TrackerDog,
     stamp: int,
     latency: int,
     mode: int,
@@ -196,35 +206,34 @@ def check_estimate(
 ) -> int:
     """Judge an estimate before it is answered; returns a `StopReason`.
 
-    ``shared`` is the memory of a `TrackerWatchdog`; ``latency`` is the time from the measurement
-    until now, 0 where it is not known [ns].  ``mode`` and what follows are fields of
-    lpv_msgs/StateEstimate.
+    ``latency`` is the time from the measurement until now, 0 where it is not known [ns].  ``mode``
+    and what follows are fields of lpv_msgs/StateEstimate.
     """
-    dog = shared[0]
-    dog.is_read = mode != _STALE and mode != _NO_ESTIMATE
-    if dog.is_read:
-        if dog.usable != NEVER:
+    own = dog.own[0]
+    own.is_read = mode != _STALE and mode != _NO_ESTIMATE
+    if own.is_read:
+        if own.usable != NEVER:
             for i in range(velocity.shape[0]):
-                dog.travel[i] += velocity[i] * (stamp - dog.usable) / NANOSECONDS
-        dog.usable = stamp
+                dog.travel[i] += velocity[i] * (stamp - own.usable) / NANOSECONDS
+        own.usable = stamp
         _check_speed(dog, stamp, velocity, measured_velocity)
-    if dog.latched != _NONE:
-        return dog.latched
+    if own.latched != _NONE:
+        return own.latched
     if not trustworthy:
         return _NOT_TRUSTWORTHY
-    if dog.usable == NEVER or stamp - dog.usable > dog.unusable:
+    if own.usable == NEVER or stamp - own.usable > own.unusable:
         return _UNUSABLE
-    if _is_late(dog, stamp, latency):
+    if _is_late(own, stamp, latency):
         return _LATENCY
     for i in range(velocity.shape[0]):
-        if not (dog.started or abs(measured_velocity[i]) <= dog.rest[i]):
+        if not (own.started or abs(measured_velocity[i]) <= dog.rest[i]):
             return _MOVING
     return _NONE
 
 
 @njit
 def _check_speed(
-    dog: np.record, stamp: int, velocity: np.ndarray, measured_velocity: np.ndarray
+    dog: TrackerDog, stamp: int, velocity: np.ndarray, measured_velocity: np.ndarray
 ) -> None:
     """Latch overspeed of a joint, estimated or measured, that lasts in one direction.
 
@@ -238,31 +247,27 @@ def _check_speed(
         if velocity[i] >= -limit and measured_velocity[i] >= -limit:
             since[0, i] = stamp
         oldest = min(since[0, i], since[1, i])
-        if oldest == NEVER or stamp - oldest > dog.overspeed:
-            dog.latched = _OVERSPEED
+        if oldest == NEVER or stamp - oldest > dog.own[0].overspeed:
+            dog.own[0].latched = _OVERSPEED
 
 
 @njit
-def _is_late(dog: np.record, stamp: int, latency: int) -> bool:
+def _is_late(own: np.record, stamp: int, latency: int) -> bool:
     """Whether this latency is too long, or the mean is or was shortly before."""
     # As for the drives: an outage ends with the first estimate that is in time.
     # A clock that is ahead makes latencies negative; none may hide later ones.
-    dog.mean_age += dog.share * (min(max(latency, 0), dog.latency) - dog.mean_age)
-    if dog.mean_age > dog.mean_latency:
-        dog.late = stamp
-    if dog.late != NEVER and stamp - dog.late < _SHORTEST_STOP:
+    own.mean_age += own.share * (min(max(latency, 0), own.latency) - own.mean_age)
+    if own.mean_age > own.mean_latency:
+        own.late = stamp
+    if own.late != NEVER and stamp - own.late < _SHORTEST_STOP:
         return True
-    dog.late = NEVER
-    return latency > dog.latency
+    own.late = NEVER
+    return latency > own.latency
 
 
 @njit
 def check_motion(
-    shared: np.ndarray,
-    stamp: int,
-    reference: np.ndarray,
-    position: np.ndarray,
-    measured: np.ndarray,
+    dog: TrackerDog, stamp: int, reference: np.ndarray, position: np.ndarray, measured: np.ndarray
 ) -> int:
     """Judge the tracking error before a command is given; returns a `StopReason`.
 
@@ -270,9 +275,9 @@ def check_motion(
     the one, and no arm.  A joint whose frozen reading is corrected moves by position and rate that
     are fed back; of an arm that is not read nothing is known.
     """
-    dog, error, moved, led = shared[0], 0.0, 0.0, 0.0
-    if not dog.started:
-        dog.started, dog.moved, dog.in_reach = True, False, stamp
+    own, error, moved, led = dog.own[0], 0.0, 0.0, 0.0
+    if not own.started:
+        own.started, own.moved, own.in_reach = True, False, stamp
         _set_place(dog, reference, position, measured)
     for i in range(position.shape[0]):
         error = max(error, abs(reference[i] - position[i]) / dog.scale[i])
@@ -280,22 +285,22 @@ def check_motion(
         way = max(abs(measured[i] - dog.arm[i]), corrected)
         moved = max(moved, way / dog.step[i])
         led = max(led, abs(reference[i] - dog.reference[i]) / dog.step[i])
-    if error <= dog.tracking_error:
-        dog.in_reach = stamp
-    elif stamp - dog.in_reach > dog.error_time:
-        dog.latched = _ERROR
+    if error <= own.tracking_error:
+        own.in_reach = stamp
+    elif stamp - own.in_reach > own.error_time:
+        own.latched = _ERROR
         return _ERROR
     if moved > 1.0:
-        dog.moved = True
+        own.moved = True
         _set_place(dog, reference, position, measured)
-    elif dog.is_read and led > _REFERENCE_MOVED[1 if dog.moved else 0]:
+    elif own.is_read and led > _REFERENCE_MOVED[1 if own.moved else 0]:
         return _NOT_FOLLOWING
     return _NONE
 
 
 @njit
 def _set_place(
-    dog: np.record, reference: np.ndarray, position: np.ndarray, measured: np.ndarray
+    dog: TrackerDog, reference: np.ndarray, position: np.ndarray, measured: np.ndarray
 ) -> None:
     for i in range(measured.shape[0]):
         dog.arm[i], dog.reference[i] = measured[i], reference[i]
@@ -303,33 +308,31 @@ def _set_place(
 
 
 @njit
-def check_drive(
-    shared: np.ndarray, now: int, age: int, safe_stop: bool, velocity: np.ndarray
-) -> int:
+def check_drive(dog: DriveDog, now: int, age: int, safe_stop: bool, velocity: np.ndarray) -> int:
     """Judge a command before it acts over a sample; returns a `BrakeReason`.
 
-    ``shared`` is the memory of a `DriveWatchdog`; ``age`` is that of the measurement that the
-    command answers, 0 in lockstep [ns].  ``safe_stop`` is whether the command asks for the brakes,
-    ``velocity`` the joint rates as the motors' own sensors read them [rad/s].
+    ``age`` is that of the measurement that the command answers, 0 in lockstep [ns].  ``safe_stop``
+    is whether the command asks for the brakes, ``velocity`` the joint rates as the motors' own
+    sensors read them [rad/s].
     """
-    dog = shared[0]
+    own = dog.own[0]
     # An outage counts as its limit only: it ends with the first fresh command.
-    dog.mean_age += dog.share * (min(age, dog.command_age) - dog.mean_age)
+    own.mean_age += own.share * (min(age, own.command_age) - own.mean_age)
     if not _is_too_fast(velocity, dog.velocity_limit):
-        dog.in_speed = now
-    elif dog.in_speed == NEVER or now - dog.in_speed > dog.overspeed:
-        dog.latched = _BRAKE_OVERSPEED
-    if dog.latched != _NONE:
-        return dog.latched
+        own.in_speed = now
+    elif own.in_speed == NEVER or now - own.in_speed > own.overspeed:
+        own.latched = _BRAKE_OVERSPEED
+    if own.latched != _NONE:
+        return own.latched
     if safe_stop:
-        dog.braked = NEVER  # the tracker knows, and starts again from where the arm stands
+        own.braked = NEVER  # the tracker knows, and starts again from where the arm stands
         return _BRAKE_SAFE_STOP
-    if age > dog.command_age or dog.mean_age > dog.mean_latency:
-        dog.braked = now
-        return _BRAKE_LATE if age > dog.command_age else _BRAKE_LATENCY
-    if dog.braked != NEVER and now - dog.braked < _SHORTEST_STOP:
+    if age > own.command_age or own.mean_age > own.mean_latency:
+        own.braked = now
+        return _BRAKE_LATE if age > own.command_age else _BRAKE_LATENCY
+    if own.braked != NEVER and now - own.braked < _SHORTEST_STOP:
         return _BRAKE_LATENCY
-    dog.braked = NEVER
+    own.braked = NEVER
     return _NONE
 
 
@@ -342,27 +345,27 @@ def _is_too_fast(velocity: np.ndarray, limit: np.ndarray) -> bool:
 
 
 class _Watchdog:
-    """What both watchdogs have: the memory of a record for compiled functions, what is latched."""
+    """What both watchdogs have: a record for compiled functions, with what is latched."""
 
-    def __init__(self, record: np.record) -> None:
-        self.memory = memory(record)
+    def __init__(self, own: np.ndarray) -> None:
+        self._own, self._call = own, Entries()
 
     @property
     def latched(self) -> int:
         """Reason that lasts until it is set to 0."""
-        return int(self.memory['latched'][0])
+        return int(self._own['latched'][0])
 
     @latched.setter
     def latched(self, reason: int) -> None:
-        self.memory['latched'] = reason
+        self._own['latched'] = reason
 
 
 class TrackerWatchdog(_Watchdog):
     """The tracker's watchdog; ``silence`` is the longest interval between estimates [ns]."""
 
     def __init__(self, arm: SerialArm, limits: TrackerLimits) -> None:
-        record = new_record(
-            tracker_watchdog_type(len(arm.joint_names)),
+        own = new_record(
+            TRACKER_WATCHDOG,
             silence=_nanoseconds(limits.silence),
             latency=_nanoseconds(limits.latency.single),
             mean_latency=_nanoseconds(limits.latency.mean),
@@ -370,31 +373,36 @@ class TrackerWatchdog(_Watchdog):
             overspeed=_nanoseconds(limits.overspeed),
             error_time=_nanoseconds(limits.error_time),
             tracking_error=limits.tracking_error,
-            speed_limit=limits.speed * np.array(arm.velocity_limit),
-            rest=REST_SHARE * np.array(arm.velocity_limit),
-            scale=arm.scales(),
-            step=np.clip(2.0 * position_noise(arm), *np.outer(_ARM_MOVED, arm.scales())),
             is_read=True,
             share=_share(arm),
             late=NEVER,
             usable=NEVER,
-            in_speed=NEVER,
             in_reach=NEVER,
         )
-        super().__init__(record)
+        limit, scale = np.array(arm.velocity_limit, float), arm.scales()
+        self.parts = TrackerDog(
+            memory(own),
+            np.full((2, len(limit)), NEVER),
+            limits.speed * limit,
+            REST_SHARE * limit,
+            scale,
+            np.clip(2.0 * position_noise(arm), *np.outer(_ARM_MOVED, scale)),
+            *np.zeros((4, len(limit))),
+        )
+        super().__init__(self.parts.own)
         self.silence = _nanoseconds(limits.silence)
 
     def check_estimate(self, *estimate: Any) -> StopReason:
         """As the function `check_estimate`."""
-        return _STOP_REASONS[check_estimate(self.memory, *estimate)]
+        return _STOP_REASONS[self._call(check_estimate, self.parts, *estimate)]
 
     def check_motion(self, *motion: Any) -> StopReason:
         """As the function `check_motion`."""
-        return _STOP_REASONS[check_motion(self.memory, *motion)]
+        return _STOP_REASONS[self._call(check_motion, self.parts, *motion)]
 
     def note_stop(self) -> None:
         """The tracker has stopped the arm: the next reference is a start."""
-        self.memory['started'] = False
+        self._own['started'] = False
 
 
 class DriveWatchdog(_Watchdog):
@@ -405,22 +413,23 @@ class DriveWatchdog(_Watchdog):
     """
 
     def __init__(self, arm: SerialArm, latency: LatencyLimits = UNKNOWN_LOOP) -> None:
-        record = new_record(
-            drive_watchdog_type(len(arm.joint_names)),
+        own = new_record(
+            DRIVE_WATCHDOG,
             command_age=_nanoseconds(latency.single),
             overspeed=_nanoseconds(TrackerLimits.overspeed),
             mean_latency=_nanoseconds(latency.mean),
-            velocity_limit=arm.velocity_limit,
             share=_share(arm),
             in_speed=NEVER,
             braked=NEVER,
         )
-        super().__init__(record)
+        self.parts = DriveDog(memory(own), np.array(arm.velocity_limit, float))
+        super().__init__(self.parts.own)
         self.command_age = _nanoseconds(latency.single)
 
     def check(self, now: int, age: int, safe_stop: bool, velocity: np.ndarray) -> BrakeReason:
         """As the function `check_drive`."""
-        return _BRAKE_REASONS[check_drive(self.memory, now, age, safe_stop, velocity)]
+        found = self._call(check_drive, self.parts, now, age, safe_stop, velocity)
+        return _BRAKE_REASONS[found]
 
 
 _STOP_REASONS, _BRAKE_REASONS = tuple(StopReason), tuple(BrakeReason)

@@ -18,8 +18,10 @@ from lpv.core.control.path_follower import PathFollower, approach_speeds
 from lpv.core.control.tracking import BANDWIDTH, COMPENSATION, TrackingController
 from lpv.core.control.tracking_law import LawParts, track
 from lpv.core.control.watchdog import (
+    DriveDog,
     DriveWatchdog,
     StopReason,
+    TrackerDog,
     TrackerLimits,
     TrackerWatchdog,
     check_drive,
@@ -147,8 +149,8 @@ class _Tracker(NamedTuple):
     law: LawParts
     references: FloatArray
     correction: Correction
-    watchdog: np.ndarray  # memory of a record, as the next one
-    drives: np.ndarray
+    watchdog: TrackerDog
+    drives: DriveDog
 
 
 @njit
@@ -212,7 +214,7 @@ def _sense(
     row.lost = loop.loss > 0.0 and plant.losses.random() < loop.loss
     row.lost = row.lost or blocked & NO_MEASUREMENT != 0
     waited = 0 if loop.previous == NEVER else observer.stamps[k] - observer.stamps[loop.previous]
-    if waited > tracker.watchdog[0].silence:
+    if waited > tracker.watchdog.own[0].silence:
         _stop(loop, tracker, _SILENCE)
     if row.lost:
         if k > 0:
@@ -277,7 +279,7 @@ def _stop(loop: np.record, tracker: _Tracker, reason: int) -> None:
     tracker.law.integral[:] = 0.0
     tracker.law.torque[:] = 0.0
     tracker.correction.stamp[0] = NEVER
-    tracker.watchdog[0].started = False  # the next reference is a start
+    tracker.watchdog.own[0].started = False  # the next reference is a start
 
 
 @njit
@@ -465,8 +467,8 @@ def run_closed_loop(
         controller.parts,
         references,
         CorrectionLimit(arm, compensation != 'off').parts,
-        TrackerWatchdog(arm, TrackerLimits(latency.single, latency)).memory,
-        DriveWatchdog(arm, latency).memory,
+        TrackerWatchdog(arm, TrackerLimits(latency.single, latency)).parts,
+        DriveWatchdog(arm, latency).parts,
     )
     loop = new_record(
         _loop_type(len(arm.joints)),
