@@ -1,6 +1,6 @@
 """Which measurements of a driver are those of an arm: stamps, values, repetitions.
 
-All functions are compiled; what they remember is in records.
+All functions are compiled; what they remember is in arrays and records.
 """
 
 import math
@@ -16,7 +16,7 @@ from lpv.core.serial_arm.diagnosis.sampler import BEFORE_STOP, DELAY
 from lpv.core.serial_arm.turns import FARTHEST
 from lpv.core.support.jit import njit_in_place
 from lpv.core.support.limits import LARGEST
-from lpv.core.support.records import record_type
+from lpv.core.support.records import memory, new_record, record_type
 from lpv.core.support.timestamps import NANOSECONDS
 
 _LARGEST = (FARTHEST, 1e4, LARGEST)
@@ -24,12 +24,11 @@ _LARGEST = (FARTHEST, 1e4, LARGEST)
 joints that turn without end count from the last one."""
 
 
-def driver_type(joints: int) -> np.dtype:
-    """Record type of what a driver has read."""
-    return record_type(
-        ('position', 'f8', joints),  # the last one of each joint, NaN before any [rad]
-        ('stamp', 'i8'),  # of the last measurement [ns]
-    )
+class Driver(NamedTuple):
+    """What a driver has read."""
+
+    position: FloatArray  # (n,) the last one of each joint, NaN before any [rad]
+    stamp: IntArray  # (1,) of the last measurement [ns]
 
 
 @njit_in_place
@@ -37,7 +36,7 @@ def find_unread(
     stamps: IntArray,
     samples: FloatArray,
     small: FloatArray,
-    read: np.ndarray,
+    read: Driver,
     unread: npt.NDArray[np.bool_],
 ) -> None:
     """Find measurements of a driver that has not read its hardware; their readings become NaN.
@@ -45,18 +44,17 @@ def find_unread(
     Until it has, and when it connects again, positions of all joints are NaN or exactly 0.  At
     its start such zeros are the arm's if anything else is other than 0, and later if at most one
     joint was farther than ``small`` from there: a single sensor that fails may read 0, too.
-    ``read`` is memory of a record of `driver_type`.
     """
-    one, joints = read[0], samples.shape[2]
+    joints = samples.shape[2]
     for k in range(len(stamps)):
-        if abs(stamps[k] - one.stamp) > JUMP:
-            one.position[:] = np.nan  # the driver has started
-        one.stamp = stamps[k]
+        if abs(stamps[k] - read.stamp[0]) > JUMP:
+            read.position[:] = np.nan  # the driver has started
+        read.stamp[0] = stamps[k]
         known = others = False
         away = zero = missing = 0
         for i in range(joints):
-            known = known or not np.isnan(one.position[i])
-            away += abs(one.position[i]) > small[i]
+            known = known or not np.isnan(read.position[i])
+            away += abs(read.position[i]) > small[i]
             zero += samples[k, 0, i] == 0.0
             missing += np.isnan(samples[k, 0, i])
             others = others or abs(samples[k, 1, i]) > 0.0 or abs(samples[k, 2, i]) > 0.0
@@ -68,21 +66,32 @@ def find_unread(
             if unread[k]:
                 samples[k, 0, i] = np.nan
             elif not np.isnan(samples[k, 0, i]):
-                one.position[i] = samples[k, 0, i]
+                read.position[i] = samples[k, 0, i]
 
 
-def repeats_type(joints: int) -> np.dtype:
-    """Record type of what tells a driver that repeats itself."""
-    return record_type(
-        ('measured', 'f8', (3, joints)),  # the last measurement, as it came
-        ('grain', 'f8', (2, joints)),  # smallest changes of readings, efforts; infinite before any
-        ('recent', 'f8', (2 * BEFORE_STOP + 1, 2, joints)),  # the last readings and efforts
-        ('since', 'i8'),  # stamp from which on readings and rates have been these [ns]
-        ('times', 'i8'),  # that its readings and rates came again
-        ('idle', 'i8'),  # that efforts did
-        ('stamp', 'i8'),  # of the last time [ns]
-        ('stalled', '?'),  # so often that it is none
-    )
+REPEATS = record_type(
+    ('since', 'i8'),  # stamp from which on readings and rates have been these [ns]
+    ('times', 'i8'),  # that its readings and rates came again
+    ('idle', 'i8'),  # that efforts did
+    ('stamp', 'i8'),  # of the last time [ns]
+    ('stalled', '?'),  # so often that it is none
+)
+
+
+class Repeats(NamedTuple):
+    """What tells a driver that repeats itself."""
+
+    own: np.ndarray  # memory of a record of `REPEATS`
+    measured: FloatArray  # (3, n) the last measurement, as it came
+    grain: FloatArray  # (2, n) smallest changes of readings, efforts; infinite before any
+    recent: FloatArray  # (2 BEFORE_STOP + 1, 2, n) the last readings and efforts
+
+
+def new_repeats(joints: int) -> Repeats:
+    """No measurement has come."""
+    recent = np.full((2 * BEFORE_STOP + 1, 2, joints), np.nan)
+    grain = np.full((2, joints), np.inf)
+    return Repeats(memory(new_record(REPEATS)), np.zeros((3, joints)), grain, recent)
 
 
 class Stream(NamedTuple):
@@ -95,7 +104,7 @@ class Stream(NamedTuple):
     independent: npt.NDArray[np.bool_]  # rates of a sensor of their own
     endless: npt.NDArray[np.bool_]  # readings of joints that turn without end
     reading: FloatArray  # of the last usable sample [rad]
-    repeats: np.ndarray  # memory of a record of `repeats_type`
+    repeats: Repeats
 
 
 @njit_in_place
@@ -160,21 +169,21 @@ def _is_repeated(stream: Stream, stamp: int, sample: FloatArray) -> bool:
     have gone farther at its rate than its reading is rounded, or efforts have stopped with it in
     one sample.  A few are `sampling`'s.
     """
-    one, same, idle, fresh = stream.repeats[0], True, True, False
+    last, one, same, idle, fresh = stream.repeats, stream.repeats.own[0], True, True, False
     if one.stamp == stamp:
         return bool(one.stalled)
     one.stamp = stamp
     for part in range(3):
         for i in range(sample.shape[1]):
-            change = abs(sample[part, i] - one.measured[part, i])
+            change = abs(sample[part, i] - last.measured[part, i])
             equal = change == 0.0 or (part == 1 and np.isnan(change))  # no rate is none
             same, idle = same and (equal or part == 2), idle and (equal or part != 2)
             if part != 1 and change > 0.0:
-                one.grain[part // 2, i] = min(one.grain[part // 2, i], change)
+                last.grain[part // 2, i] = min(last.grain[part // 2, i], change)
                 fresh = True
-            one.measured[part, i] = sample[part, i]
+            last.measured[part, i] = sample[part, i]
     if fresh:
-        _keep(one.recent, sample)
+        _keep(last.recent, sample)
     one.idle = one.idle + 1 if idle else 0
     one.stalled = one.stalled and same and idle
     if not same:
@@ -182,10 +191,10 @@ def _is_repeated(stream: Stream, stamp: int, sample: FloatArray) -> bool:
         return False
     one.times += 1
     if min(one.times, one.idle) == DELAY + 1:
-        one.stalled = _stopped_dead(one.recent, one.grain)
+        one.stalled = _stopped_dead(last.recent, last.grain)
     for i in range(sample.shape[1]):
         way = abs(sample[1, i]) * (stamp - one.since) / NANOSECONDS
-        one.stalled = one.stalled or (one.times > DELAY and way > ROBUST * one.grain[0, i])
+        one.stalled = one.stalled or (one.times > DELAY and way > ROBUST * last.grain[0, i])
     return bool(one.stalled)
 
 

@@ -20,12 +20,12 @@ from lpv.core.monitoring.idle_efforts import without_efforts
 from lpv.core.monitoring.joint_order import JointOrder
 from lpv.core.monitoring.parameters import DiagnosisParameters
 from lpv.core.monitoring.plausibility import (
+    Driver,
     Stream,
     count_regular,
-    driver_type,
     find_unread,
     is_plausible,
-    repeats_type,
+    new_repeats,
 )
 from lpv.core.monitoring.sample_loop import Answering
 from lpv.core.monitoring.serial_alarms import AlarmConverter
@@ -43,7 +43,6 @@ from lpv.core.serial_arm.turns import Turns
 from lpv.core.support.errors import SampleError
 from lpv.core.support.jit import Entries, compile_ahead
 from lpv.core.support.limits import MAX_GAP, SMALL
-from lpv.core.support.records import memory, new_record
 from lpv.core.support.timestamps import NANOSECONDS, NEVER
 from lpv.core.uio.certificate.gains import Gains
 from lpv.core.uio.unknown_input_observer import CHOICES, UnknownInputObserver, uio_answers
@@ -165,7 +164,7 @@ class SerialSensorMonitor:
         self._has_efforts = False  # whether any was other than 0
         self._first: FloatArray | None = None  # positions of the first measurement [rad]
         self._has_moved = False  # from there, before efforts came
-        self._read: Any = new_record(driver_type(self._joints), position=np.nan)
+        self._read = Driver(np.full(self._joints, np.nan), np.zeros(1, np.int64))
         self._small = SMALL * arm.scales()
         self._begin()
 
@@ -211,7 +210,7 @@ class SerialSensorMonitor:
         self._blind: bool | None = None  # whether efforts are missing
         self._stamp = NEVER  # of the last usable sample [ns]
         self._reading = np.zeros(self._joints)  # of that sample [rad]
-        self._repeats: Any = new_record(repeats_type(self._joints), grain=np.inf, recent=np.nan)
+        self._repeats = new_repeats(self._joints)
         self._older = 0  # measurements in a row that were older than the last one
         self._alarms = AlarmConverter(self.arm)
         self._missing_since = np.full(self._joints, NEVER)  # readings, stamps [ns]
@@ -313,7 +312,7 @@ class SerialSensorMonitor:
         stamps, samples, records, _, rows, answers = batch
         samples[:, 0], samples[:, 1], samples[:, 2] = position, velocity, effort
         unread = np.empty(len(stamps), bool)
-        self._call(find_unread, stamps, samples, self._small, memory(self._read), unread)
+        self._call(find_unread, stamps, samples, self._small, self._read, unread)
         position, velocity = self._turns.continued(stamps, samples[:, 0], samples[:, 1])
         idle = self._leave_out_idle(position, samples[:, 2])
         samples[:, 0] = map_rows(self._to_sensors, position)
@@ -358,7 +357,7 @@ class SerialSensorMonitor:
             return 0
         stream = Stream(
             self._stamp, self._gate.last, self._gap, self._blind, self._independent,
-            self._endless, self._reading, memory(self._repeats),
+            self._endless, self._reading, self._repeats,
         )  # fmt: skip
         return int(self._call(count_regular, stream, batch.stamps, batch.samples, begin))
 
@@ -399,7 +398,7 @@ class SerialSensorMonitor:
         """
         if not self._is_new(stamp):
             return False
-        if self._repeats.stalled:
+        if self._repeats.own['stalled'][0]:
             self.counters.repeated += 1
             self._answer_stale(stamp, row)
             return False
@@ -516,7 +515,7 @@ class SerialSensorMonitor:
         if stamp <= self._stamp:
             return  # the gate has seen later stamps, of samples without use
         self._stamp, self._reading, self._newest = stamp, reading.copy(), record.copy()
-        self._read.stamp, self._read.position = stamp, self._to_joints @ reading
+        self._read.stamp[0], self._read.position[:] = stamp, self._to_joints @ reading
         self._gate.follow(stamp)
         self._monitor.went_on(stamp)
 
