@@ -68,49 +68,51 @@ _NO_REPORT = np.iinfo(int).max
 _NONE, _SILENCE = int(StopReason.NONE), int(StopReason.SILENCE)
 
 
-def _loop_type(joints: int) -> np.dtype:
-    return record_type(
-        ('phase', 'i8'),  # where in a sample the loop goes on
-        ('external', '?'),  # whether the plant is integrated outside
-        ('period', 'f8'),  # sample time [s]
-        ('previous', 'i8'),  # sample of the last command, or NEVER
-        ('started', '?'),  # whether a command was ever given
-        ('offset', 'i8'),  # samples by which the path is late
-        ('ran', '?'),  # whether the clock of the path ran at the sample
-        ('stop', '?'),  # whether the last command is a safe stop
-        ('reason', 'i8'),  # `StopReason` of the tracker
-        ('usable', 'i8'),  # the last usable sample, or NEVER
-        ('missing', '?'),  # values of the last sample were missing
-        ('delay', 'i8'),  # samples between a command and its effect
-        ('loss', 'f8'),  # probability that a measurement is lost
-        ('answered', 'i8'),  # sample that the last command answers
-        ('acting', 'i8'),  # sample of the command that acts, or NEVER
-        ('literal', '?'),  # whether eq. (59) integrates the measurement
-        ('feedback', 'f8', (joints,)),  # position that the loop is closed on [rad]
-        ('rate', 'f8', (joints,)),  # rates that the loop is closed on [rad/s]
-    )
+_LOOP = record_type(
+    ('phase', 'i8'),  # where in a sample the loop goes on
+    ('external', '?'),  # whether the plant is integrated outside
+    ('period', 'f8'),  # sample time [s]
+    ('previous', 'i8'),  # sample of the last command, or NEVER
+    ('started', '?'),  # whether a command was ever given
+    ('offset', 'i8'),  # samples by which the path is late
+    ('ran', '?'),  # whether the clock of the path ran at the sample
+    ('stop', '?'),  # whether the last command is a safe stop
+    ('reason', 'i8'),  # `StopReason` of the tracker
+    ('usable', 'i8'),  # the last usable sample, or NEVER
+    ('missing', '?'),  # values of the last sample were missing
+    ('delay', 'i8'),  # samples between a command and its effect
+    ('loss', 'f8'),  # probability that a measurement is lost
+    ('answered', 'i8'),  # sample that the last command answers
+    ('acting', 'i8'),  # sample of the command that acts, or NEVER
+    ('literal', '?'),  # whether eq. (59) integrates the measurement
+)
 
 
-def _row_type(joints: int) -> np.dtype:
-    return record_type(
-        ('time', 'f8'),
-        ('position', 'f8', (joints,)),
-        ('velocity', 'f8', (joints,)),
-        ('measured', 'f8', (joints,)),
-        ('measured_velocity', 'f8', (joints,)),
-        ('effort', 'f8', (joints,)),
-        ('lost', '?'),
-        ('reference', 'f8', (joints,)),
-        ('fault', 'f8', (joints,)),
-        ('torque', 'f8', (joints,)),
-        ('command', 'f8', (joints,)),
-        ('safe_stop', '?'),
-        ('answered', 'i8'),  # sample that the command answers
-        ('disturbance', 'f8'),
-        ('place', 'i8'),
-        ('stop_reason', 'u1'),
-        ('brake_reason', 'u1'),
-    )
+_ROW = record_type(
+    ('time', 'f8'),
+    ('lost', '?'),
+    ('safe_stop', '?'),
+    ('answered', 'i8'),  # sample that the command answers
+    ('disturbance', 'f8'),
+    ('place', 'i8'),
+    ('stop_reason', 'u1'),
+    ('brake_reason', 'u1'),
+)
+
+
+class _Signals(NamedTuple):
+    """Signals of `Run` that the loop writes, one row per sample."""
+
+    rows: np.recarray  # (m,) of `_ROW`
+    position: FloatArray  # (m, n), as all that follow
+    velocity: FloatArray
+    measured: FloatArray
+    measured_velocity: FloatArray
+    effort: FloatArray
+    reference: FloatArray
+    fault: FloatArray
+    torque: FloatArray
+    command: FloatArray
 
 
 class _Plant(NamedTuple):
@@ -151,6 +153,8 @@ class _Tracker(NamedTuple):
     correction: Correction
     watchdog: TrackerDog
     drives: DriveDog
+    feedback: FloatArray  # (n,) position that the loop is closed on [rad]
+    rate: FloatArray  # (n,) rates that the loop is closed on [rad/s]
 
 
 @njit
@@ -159,7 +163,7 @@ def _run(
     plant: _Plant,
     observer: _Observer,
     tracker: _Tracker,
-    rows: np.recarray,
+    signals: _Signals,
     blocked: np.ndarray,
     first: int,
 ) -> int:
@@ -168,9 +172,9 @@ def _run(
     ``shared`` is the memory of the loop's record.
     """
     loop = shared[0]
-    for k in range(first, len(rows)):
+    for k in range(first, len(blocked)):
         if loop.phase == _SENSE:
-            _sense(loop, plant, observer, tracker, rows[k], blocked[k], k)
+            _sense(loop, plant, observer, tracker, signals, blocked[k], k)
         if loop.phase == _MONITOR:
             return k
         if loop.phase == _TAKE:
@@ -183,10 +187,10 @@ def _run(
             return k
         if loop.phase == _COMMAND:
             _command(loop, observer, tracker, k)
-        _act(loop, plant, observer, tracker, rows, blocked[k], k)
+        _act(loop, plant, observer, tracker, signals, blocked[k], k)
         if loop.phase == _ADVANCE:
             return k + 1
-    return len(rows)
+    return len(blocked)
 
 
 @njit
@@ -195,20 +199,21 @@ def _sense(
     plant: _Plant,
     observer: _Observer,
     tracker: _Tracker,
-    row: np.record,
+    signals: _Signals,
     blocked: int,
     k: int,
 ) -> None:
     """Read the sensors, and choose the way of the measurement unless it is lost."""
-    state, sample, loop.ran = plant.state, observer.samples[k], False
+    row, state, sample = signals.rows[k], plant.state, observer.samples[k]
+    loop.ran = False
     read_sensors(plant.constants, state, plant.faults, plant.noise, plant.chance)
     row.disturbance = state.own[0].disturbance
     map_vector(observer.to_sensors, state.measured_position, sample[0])
     map_vector(observer.to_sensors, state.measured_velocity, sample[1])
     missing = False
     for i in range(sample.shape[1]):
-        row.effort[i] = state.torque[i] / plant.constants.effort_gain[i]
-        sample[2, i] = row.effort[i] * observer.gains[i]
+        signals.effort[k, i] = state.torque[i] / plant.constants.effort_gain[i]
+        sample[2, i] = signals.effort[k, i] * observer.gains[i]
         if not (abs(sample[0, i]) < np.inf and abs(sample[1, i]) < np.inf):
             missing = True
     row.lost = loop.loss > 0.0 and plant.losses.random() < loop.loss
@@ -255,15 +260,15 @@ def _estimate(
         loop.phase = _ACT
         return
     answers = observer.answers
-    for i in range(len(loop.feedback)):
-        loop.feedback[i], loop.rate[i] = observer.feedback[k, i], answers.velocity[k, i]
+    for i in range(len(tracker.feedback)):
+        tracker.feedback[i], tracker.rate[i] = observer.feedback[k, i], answers.velocity[k, i]
     reason = check_estimate(
         tracker.watchdog,
         observer.stamps[k],
         0,
         answers.mode[k],
         answers.trustworthy[k],
-        loop.rate,
+        tracker.rate,
         answers.measured_velocity[k],
     )
     loop.answered = k
@@ -288,11 +293,11 @@ def _command(loop: np.record, observer: _Observer, tracker: _Tracker, k: int) ->
     now, loop.ran = observer.stamps[k], True
     reference = tracker.references[k - loop.offset]
     measured = observer.answers.measured[k]
-    reason = check_motion(tracker.watchdog, now, reference[0], loop.feedback, measured)
+    reason = check_motion(tracker.watchdog, now, reference[0], tracker.feedback, measured)
     if reason != _NONE:
         _stop(loop, tracker, reason)
         return
-    limit_correction(tracker.correction, now, loop.feedback, loop.rate)
+    limit_correction(tracker.correction, now, tracker.feedback, tracker.rate)
     feedback, rate = tracker.correction.feedback[0], tracker.correction.feedback[1]
     # Eq. (59) literally integrates the faulty measurement.
     integrated = measured if loop.literal else feedback
@@ -307,39 +312,40 @@ def _act(
     plant: _Plant,
     observer: _Observer,
     tracker: _Tracker,
-    rows: np.recarray,
+    signals: _Signals,
     blocked: int,
     k: int,
 ) -> None:
     """Log the sample with its command, and let the one that has arrived act over the sample."""
-    row, state, n, now = rows[k], plant.state, len(loop.feedback), observer.stamps[k]
+    row, state, now, n = signals.rows[k], plant.state, observer.stamps[k], len(tracker.feedback)
     if loop.stop and loop.started and not loop.ran:
         loop.offset += 1  # the clock of the path stands still
     place = min(max(k - loop.offset, 0), len(tracker.references) - 1)
     for i in range(n):
-        row.command[i] = tracker.law.torque[i]
+        signals.command[k, i] = tracker.law.torque[i]
     row.safe_stop, row.answered = loop.stop, loop.answered
     if k >= loop.delay and blocked & NO_COMMAND == 0:
         loop.acting = k - loop.delay
     row.place = place
     row.time, row.stop_reason = k * loop.period, loop.reason
-    acts = rows[max(loop.acting, 0)]
+    last = max(loop.acting, 0)
+    acts = signals.rows[last]
     age, braking = now - observer.stamps[acts.answered], loop.acting == NEVER or acts.safe_stop
     row.brake_reason = check_drive(tracker.drives, now, age, braking, state.velocity)
     for i in range(n):
-        row.position[i], row.velocity[i] = state.position[i], state.velocity[i]
-        row.measured[i], row.fault[i] = state.measured_position[i], state.fault[i]
-        row.measured_velocity[i] = state.measured_velocity[i]
-        row.reference[i] = tracker.references[place, 0, i]
+        signals.position[k, i], signals.velocity[k, i] = state.position[i], state.velocity[i]
+        signals.measured[k, i], signals.fault[k, i] = state.measured_position[i], state.fault[i]
+        signals.measured_velocity[k, i] = state.measured_velocity[i]
+        signals.reference[k, i] = tracker.references[place, 0, i]
     if row.brake_reason != 0:
         brake(plant.chain, state, plant.scratch[:n])
     else:
-        set_torque(plant.constants, state, acts.command, plant.push)
+        set_torque(plant.constants, state, signals.command[last], plant.push)
         if not loop.external:
             integrate(plant.chain, plant.constants, state, plant.scratch, plant.matrix)
     loop.phase = _ADVANCE if loop.external and row.brake_reason == 0 else _SENSE
     for i in range(n):
-        row.torque[i] = state.torque[i]
+        signals.torque[k, i] = state.torque[i]
 
 
 @dataclass
@@ -469,9 +475,10 @@ def run_closed_loop(
         CorrectionLimit(arm, compensation != 'off').parts,
         TrackerWatchdog(arm, TrackerLimits(latency.single, latency)).parts,
         DriveWatchdog(arm, latency).parts,
+        *np.zeros((2, len(arm.joints))),
     )
     loop = new_record(
-        _loop_type(len(arm.joints)),
+        _LOOP,
         period=arm.sample_time,
         previous=NEVER,
         usable=NEVER,
@@ -482,14 +489,15 @@ def run_closed_loop(
         external=simulator.engine is not None,
         literal=controller.integrates_measurement,
     )
-    rows = np.zeros(count, _row_type(len(arm.joints))).view(np.recarray)
+    rows = np.zeros(count, _ROW).view(np.recarray)
+    signals = _Signals(rows, *np.zeros((9, count, len(arm.joints))))
     blocked = transport.blocked(count, arm.sample_time)
     alarms: list[Alarm] = []
     shared, now, failed = memory(loop), plain(loop), simulator.state.own['failed']
-    run = entry(_run, shared, plant, parts, tracker, rows, blocked, 0)
+    run = entry(_run, shared, plant, parts, tracker, signals, blocked, 0)
     k = 0
     while k < count:
-        k = run(shared, plant, parts, tracker, rows, blocked, k)
+        k = run(shared, plant, parts, tracker, signals, blocked, k)
         if failed[0]:
             raise ConfigError('plant', 'has a mass matrix that is not positive definite')
         phase = now['phase']
@@ -505,7 +513,7 @@ def run_closed_loop(
             first = k - int(loop.offset)  # row of the references: samples in which the path ran
             if follower.running:
                 follower.stop(int(parts.stamps[first - 1]))
-            follower.reference(int(parts.stamps[first]), loop.feedback.copy())
+            follower.reference(int(parts.stamps[first]), tracker.feedback.copy())
             follower.ahead(parts.stamps[first:]).write(references[first:], tip[first:])
             loop.previous, loop.started, loop.phase = k, True, _COMMAND
         elif phase == _ADVANCE:
@@ -513,6 +521,7 @@ def run_closed_loop(
             now['phase'] = _SENSE
     return Run(
         **{name: rows[name] for name in rows.dtype.names if name != 'answered'},
+        **dict(zip(_Signals._fields[1:], signals[1:])),
         compensated=answers.compensated,
         estimate=answers.position,
         estimated_velocity=answers.velocity,
