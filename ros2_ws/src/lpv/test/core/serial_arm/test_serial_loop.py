@@ -15,10 +15,12 @@ from lpv.core.control.tracking import TrackingController
 from lpv.core.control.watchdog import BrakeReason, StopReason, TrackerLimits, TrackerWatchdog
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.diagnosis.alarms import Mode
+from lpv.core.simulation import closed_loop
 from lpv.core.simulation.arm_simulator import ArmSimulator
 from lpv.core.simulation.closed_loop import run_closed_loop
 from lpv.core.simulation.scenario import parse_scenario
 from lpv.core.simulation.transport import Stall, Transport
+from lpv.core.support import jit
 
 pytestmark = pytest.mark.slow
 SCENARIO = Scenario(
@@ -186,6 +188,25 @@ def test_given_an_arm_with_slides_when_nothing_fails_then_it_follows_and_nothing
     run = run_closed_loop(arm, sliding(arm, duration=6.0))
     assert run.alarms == [] and not run.stop_reason.any() and not run.brake_reason.any()
     assert np.abs(run.position - run.reference).max() < 0.03
+
+
+@pytest.mark.skipif(not jit.COMPILED, reason='without Numba nothing has a type')
+def test_given_another_number_of_joints_when_run_then_the_same_compiled_code_runs(monkeypatch):
+    entry, called = jit.entry, {1: {}, 3: {}, 4: {}}
+
+    def noted(function, *arguments):
+        called[joints][function.py_func] = [*map(function.typeof_pyval, arguments)]
+        return entry(function, *arguments)
+
+    for module in (jit, closed_loop):
+        monkeypatch.setattr(module, 'entry', noted)
+    for joints in called:
+        arm = mixed_arm(joints=joints)
+        run_closed_loop(arm, sliding(arm, duration=0.1))
+        simulator = ArmSimulator(arm, sliding(arm, duration=0.1))
+        simulator.read()
+        simulator.step(np.zeros(joints))
+    assert called[1] == called[3] == called[4] and len(called[1]) > 5
 
 
 @pytest.mark.parametrize('fault', [
