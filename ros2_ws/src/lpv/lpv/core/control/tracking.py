@@ -114,7 +114,10 @@ class TrackingController:
         integrated: np.ndarray,
         interval: float,
     ) -> None:
-        """Write the command for the present sample into ``torque``; arguments are as of `track`."""
+        """Write the command for the present sample into ``torque``.
+
+        Arguments are as of `track`, arrays contiguous and of floats.
+        """
         self._call(track, self.parts, reference, position, velocity, integrated, interval)
 
 

@@ -151,7 +151,7 @@ TRACKER_WATCHDOG = record_type(
 )
 
 
-class TrackerDog(NamedTuple):
+class TrackerWatchdogParts(NamedTuple):
     """What the tracker's watchdog works on."""
 
     own: np.ndarray  # memory of a record of `TRACKER_WATCHDOG`
@@ -179,7 +179,7 @@ DRIVE_WATCHDOG = record_type(
 )
 
 
-class DriveDog(NamedTuple):
+class DriveWatchdogParts(NamedTuple):
     """What the drives' watchdog works on."""
 
     own: np.ndarray  # memory of a record of `DRIVE_WATCHDOG`
@@ -196,7 +196,7 @@ def _nanoseconds(seconds: float) -> int:
 
 @njit
 def check_estimate(
-    dog: TrackerDog,
+    dog: TrackerWatchdogParts,
     stamp: int,
     latency: int,
     mode: int,
@@ -233,7 +233,7 @@ def check_estimate(
 
 @njit
 def _check_speed(
-    dog: TrackerDog, stamp: int, velocity: np.ndarray, measured_velocity: np.ndarray
+    dog: TrackerWatchdogParts, stamp: int, velocity: np.ndarray, measured_velocity: np.ndarray
 ) -> None:
     """Latch overspeed of a joint, estimated or measured, that lasts in one direction.
 
@@ -267,7 +267,11 @@ def _is_late(own: np.record, stamp: int, latency: int) -> bool:
 
 @njit
 def check_motion(
-    dog: TrackerDog, stamp: int, reference: np.ndarray, position: np.ndarray, measured: np.ndarray
+    dog: TrackerWatchdogParts,
+    stamp: int,
+    reference: np.ndarray,
+    position: np.ndarray,
+    measured: np.ndarray,
 ) -> int:
     """Judge the tracking error before a command is given; returns a `StopReason`.
 
@@ -300,7 +304,7 @@ def check_motion(
 
 @njit
 def _set_place(
-    dog: TrackerDog, reference: np.ndarray, position: np.ndarray, measured: np.ndarray
+    dog: TrackerWatchdogParts, reference: np.ndarray, position: np.ndarray, measured: np.ndarray
 ) -> None:
     for i in range(measured.shape[0]):
         dog.arm[i], dog.reference[i] = measured[i], reference[i]
@@ -308,7 +312,9 @@ def _set_place(
 
 
 @njit
-def check_drive(dog: DriveDog, now: int, age: int, safe_stop: bool, velocity: np.ndarray) -> int:
+def check_drive(
+    dog: DriveWatchdogParts, now: int, age: int, safe_stop: bool, velocity: np.ndarray
+) -> int:
     """Judge a command before it acts over a sample; returns a `BrakeReason`.
 
     ``age`` is that of the measurement that the command answers, 0 in lockstep [ns].  ``safe_stop``
@@ -380,7 +386,7 @@ class TrackerWatchdog(_Watchdog):
             in_reach=NEVER,
         )
         limit, scale = np.array(arm.velocity_limit, float), arm.scales()
-        self.parts = TrackerDog(
+        self.parts = TrackerWatchdogParts(
             memory(own),
             np.full((2, len(limit)), NEVER),
             limits.speed * limit,
@@ -422,7 +428,7 @@ class DriveWatchdog(_Watchdog):
             in_speed=NEVER,
             braked=NEVER,
         )
-        self.parts = DriveDog(memory(own), np.array(arm.velocity_limit, float))
+        self.parts = DriveWatchdogParts(memory(own), np.array(arm.velocity_limit, float))
         super().__init__(self.parts.own)
         self.command_age = _nanoseconds(latency.single)
 

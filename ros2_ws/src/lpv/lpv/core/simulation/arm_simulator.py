@@ -261,7 +261,7 @@ class ArmSimulator:
         ConfigError
             If the true arm is not physical.
         """
-        torque = np.asarray(joint_torque, float)
+        torque = np.ascontiguousarray(joint_torque, float)
         if torque.shape != self.state.torque.shape or not np.isfinite(torque).all():
             raise ValueError(
                 f'torque must be {len(self.state.torque)} finite numbers, got {joint_torque!r}'

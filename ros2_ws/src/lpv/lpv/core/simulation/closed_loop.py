@@ -18,12 +18,12 @@ from lpv.core.control.path_follower import PathFollower, approach_speeds
 from lpv.core.control.tracking import BANDWIDTH, COMPENSATION, TrackingController
 from lpv.core.control.tracking_law import LawParts, track
 from lpv.core.control.watchdog import (
-    DriveDog,
     DriveWatchdog,
+    DriveWatchdogParts,
     StopReason,
-    TrackerDog,
     TrackerLimits,
     TrackerWatchdog,
+    TrackerWatchdogParts,
     check_drive,
     check_estimate,
     check_motion,
@@ -151,8 +151,8 @@ class _Tracker(NamedTuple):
     law: LawParts
     references: FloatArray
     correction: Correction
-    watchdog: TrackerDog
-    drives: DriveDog
+    watchdog: TrackerWatchdogParts
+    drives: DriveWatchdogParts
     feedback: FloatArray  # (n,) position that the loop is closed on [rad]
     rate: FloatArray  # (n,) rates that the loop is closed on [rad/s]
 

@@ -331,7 +331,10 @@ class SerialMonitor:
 
     def warm_up(self) -> None:
         """Compile what only a fault needs, on made-up balances: no sample may have been taken."""
-        blocks = np.zeros((_MADE_UP + 1, *self.readings.all_blocks().shape[1:]))
+        plan = self.estimator.plan
+        count, length = (_MADE_UP + 1) * plan.blocks, plan.interval / plan.blocks
+        blocks = np.zeros((count, *self.readings.all_blocks().shape[1:]))
+        blocks[:, -4], blocks[:, -3] = length * np.arange(count), length  # times, lengths [s]
         self.estimator.pretend(_MADE_UP)
         with np.errstate(all='ignore'):
             self.estimator.linearise(blocks)
