@@ -232,7 +232,7 @@ class SerialSensorMonitor:
         self._unused()._monitor.warm_up()  # noqa: SLF001
 
     def compile_ahead(self) -> None:
-        """Compile decisions and the designed observer, beside a process that warms up."""
+        """Compile decisions, what faults need and the designed observer, beside `warm_up`."""
         one, rows = self._monitor.answering, self._one.rows
         compile_ahead(decide, self._monitor.parts)
         self.warm_up_faults()

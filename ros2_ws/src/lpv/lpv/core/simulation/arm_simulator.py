@@ -231,15 +231,14 @@ class ArmSimulator:
         self.engine = _engine(arm, scenario, self.chain)
         self.scratch, self.matrix = plant_scratch(self.chain), np.empty((n, n))
         self._work = workspace(self.chain)
-        self._own = self.state.own
         self.signals = {name: getattr(self.state, name) for name in SIGNALS}
-        self.signals['disturbance'] = self._own['disturbance']
+        self.signals['disturbance'] = self.state.own['disturbance']
         self._sensed, self._call = False, Entries()
 
     @property
     def step_count(self) -> int:
         """Number of the present sample."""
-        return int(self._own['step_count'][0])
+        return int(self.state.own['step_count'][0])
 
     @property
     def time(self) -> float:
@@ -285,8 +284,8 @@ class ArmSimulator:
             self.engine.advance(
                 state.motion, state.torque, state.push, params.sample_time, params.substeps
             )
-            self._own['step_count'] += 1
-        if self._own['failed'][0]:
+            state.own['step_count'] += 1
+        if state.own['failed'][0]:
             raise ConfigError('plant', 'has a mass matrix that is not positive definite')
 
     def hold(self) -> None:

@@ -196,9 +196,9 @@ def tip_jacobians(chain: Chain, window: Window, last: int) -> FloatArray:
     for back in range(last):
         joint_frames(chain, window.poses[slot(window, back)], rotations, origins)
         fill_jacobian(chain, rotations, origins, jacobian)
-        for i in range(n):
-            tips[back, 0, i], tips[back, 1, i] = jacobian[0, i], jacobian[1, i]
-            tips[back, 2, i] = jacobian[2, i]
+        for row in range(3):  # a slice as a whole takes Numba seconds to compile
+            for i in range(n):
+                tips[back, row, i] = jacobian[row, i]
     return tips
 
 
