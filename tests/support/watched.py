@@ -32,7 +32,7 @@ class Watched(SteppedMonitor):
         readings[:, :2] = map_rows(mixing(self.arm.joints_to_sensors()), readings[:, :2])
         rows = answer_rows(np.zeros(len(stamps) + 1, answer_type(n)))
         told = Told(lambda *_: None, lambda _, stamp: self.know(stamp))
-        self.run(np.asarray(stamps, np.int64), readings, rows, 0, told)
+        self.run(np.ascontiguousarray(stamps, np.int64), readings, rows, 0, told)
 
     def estimate(self) -> Known:
         """What is known now."""

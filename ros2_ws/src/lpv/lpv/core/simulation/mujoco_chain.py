@@ -4,7 +4,6 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from lpv.core.serial_arm.chain import Chain, FloatArray
 from lpv.core.serial_arm.description import LinkInertia
@@ -94,10 +93,12 @@ def chain_model(mujoco: ModuleType, chain: Chain) -> Any:
             raise ConfigError(f'inertial[{i}]', 'must have a mass for MuJoCo')
         about = link.about_center()
         about += max(_THINNEST * np.trace(about) - np.linalg.eigvalsh(about)[0], 0.0) * np.eye(3)
+        turn = np.empty(4)
+        mujoco.mju_mat2Quat(turn, chain.rotation[i].ravel())
         body = body.add_body(
             name=f'link{i + 1}',
             pos=place,
-            quat=np.roll(Rotation.from_matrix(chain.rotation[i]).as_quat(), 1),
+            quat=turn,
             explicitinertial=True,
             ipos=link.center(),
             mass=link.mass,

@@ -21,7 +21,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import cache
+from functools import cache, update_wrapper
 from pathlib import Path
 from typing import Any
 
@@ -169,11 +169,33 @@ def _dispatcher(function: Callable[..., Any], kind: str, **options: bool) -> Any
             no_cfunc_wrapper=True,
             **options,
         )(function)
+        if kept:
+            _read_kept(dispatcher._cache)
+        else:
+            _linking.prepare_compiler()
         dispatcher.compile = _compile_once(dispatcher, kind)
         return dispatcher
     finally:
         for name, value in before.items():
             setattr(_numba.config, name, value)
+
+
+def _read_kept(functions: Any) -> None:
+    """Let functions be read from a cache of Numba before Numba gets ready to compile.
+
+    That takes longer than to read them, and few programs compile.
+    """
+
+    def load(types: Any, context: Any) -> Any:
+        _linking.prepare_calls()
+        with functions._guard_against_spurious_io_errors():
+            kept = functions._load_overload(types, context)
+            if kept is not None:
+                return kept
+        _linking.prepare_compiler()
+        return None
+
+    functions.load_overload = load
 
 
 @contextmanager
@@ -223,17 +245,49 @@ def njit_in_place(function: Callable[..., Any]) -> Callable[..., Any]:
 def _compiled(function: Callable[..., Any], **options: bool) -> Callable[..., Any]:
     if _numba is None:
         return function
-    called = _dispatcher(function, 'python', **options)
-    if not _numba.config.CACHE_DIR:  # a cache that is given has no room for two kinds
+    compiled: Callable[..., Any] = update_wrapper(_Compiled(function, options), function)
+    return compiled
 
-        @cache
-        def inner() -> Any:  # made once it is asked for: kept code of a caller holds it already
-            return _dispatcher(function, 'compiled', no_cpython_wrapper=True, **options)
 
-        called.get_call_template = lambda *given: inner().get_call_template(*given)
-        called.get_overload = lambda types: inner().get_overload(types)
-        called.compile_linked = lambda types: inner().compile(types)
-    return called
+class _Compiled:
+    """A function whose dispatchers are made once it is called, or compiled for another one.
+
+    To make all of them takes a third of a node's imports, and a node calls forty of hundreds.
+    """
+
+    def __init__(self, function: Callable[..., Any], options: dict[str, bool]) -> None:
+        self._function, self._options = function, options
+        self._made: Any = None
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self._called()(*arguments)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._called(), name)
+
+    def __reduce__(self) -> str:
+        return self._function.__qualname__
+
+    def _called(self) -> Any:
+        """Dispatcher of calls from Python; those from compiled code have another one."""
+        if self._made is None:
+            with _one_thread:  # settings are those of the process
+                self._made = self._made or self._make()
+        return self._made
+
+    def _make(self) -> Any:
+        function, options = self._function, self._options
+        called = _dispatcher(function, 'python', **options)
+        if not _numba.config.CACHE_DIR:  # a cache that is given has no room for two kinds
+
+            @cache
+            def inner() -> Any:  # kept code of a caller holds it already
+                return _dispatcher(function, 'compiled', no_cpython_wrapper=True, **options)
+
+            called.get_call_template = lambda *given: inner().get_call_template(*given)
+            called.get_overload = lambda types: inner().get_overload(types)
+            called.compile_linked = lambda types: inner().compile(types)
+        return called
 
 
 def compile_ahead(function: Any, *arguments: Any) -> None:

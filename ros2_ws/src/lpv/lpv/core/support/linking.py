@@ -9,13 +9,16 @@ import os
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import cache
+from functools import cache, wraps
+from importlib import import_module
 from typing import Any
 
+from numba.core import environment
 from numba.core.bytecode import FunctionIdentity
 from numba.core.codegen import JITCodeLibrary, JITCPUCodegen
-from numba.core.environment import lookup_environment
+from numba.core.environment import Environment, lookup_environment
 from numba.core.registry import cpu_target
+from numba.core.runtime import rtsys
 
 _OVERRIDDEN = (
     '_optimize_final_module',
@@ -94,8 +97,23 @@ class _Codegen(JITCPUCodegen):
             super().set_env(env_name, env)
 
 
+_rebuild_env = environment._rebuild_env
+
+
+@wraps(_rebuild_env, assigned=('__module__', '__name__', '__qualname__'))  # by these it is kept
+def _constants(module: str, values: list[Any], name: str) -> Any:
+    """Constants of kept code; that of Numba's own reads nothing else of the modules it is from."""
+    if lookup_environment(name) is not None or not module.startswith('numba.'):
+        return _rebuild_env(module, values, name)
+    constants = Environment({'__name__': module})
+    constants.consts[:], constants.env_name = values, name
+    Environment._memo[name] = constants
+    return constants
+
+
 def install() -> None:
     """Let Numba make the libraries of this file, where its own are as expected."""
+    environment._rebuild_env = _constants
     # Numba's own functions are told apart by numbers that every process counts from 1.  Code that
     # processes kept is linked by names: of two functions of one number, one would stand for both.
     drawn = iter(lambda: int.from_bytes(os.urandom(6), 'big'), None)
@@ -109,15 +127,23 @@ def install() -> None:
 
 
 @cache
-def _prepare() -> None:
-    """Let Numba compile what it needs itself, which C code calls."""
-    cpu_target.target_context.refresh()
+def prepare_calls() -> None:
+    """Let kept code find what it calls of Numba: memory of arrays, and secrets of hashes."""
+    with linked_only(False):
+        rtsys.initialize(cpu_target.target_context)
+        import_module('numba.cpython.hashing')
+
+
+@cache
+def prepare_compiler() -> None:
+    """Let Numba get ready to compile, with what it compiles for itself, which C code calls."""
+    with linked_only(False):
+        cpu_target.target_context.refresh()
 
 
 @contextmanager
 def linked_only(linked: bool) -> Iterator[None]:
     """Functions compiled meanwhile are, or are not, called by compiled code alone."""
-    _prepare()
     before, _state.linked = _state.linked, linked
     try:
         yield
