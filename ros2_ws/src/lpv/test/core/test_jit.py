@@ -39,6 +39,7 @@ def test_given_sources_when_changed_or_moved_then_digests_follow(tmp_path, files
 
 linked = pytest.mark.skipif(not jit.COMPILED, reason='without Numba nothing is linked')
 LINKED = """
+import sys
 import numpy as np
 from lpv.core.support.jit import compile_ahead, njit, on_compile
 
@@ -56,6 +57,10 @@ def inner(x, y):
 def entry(x, y):
     return 1.0 + inner(x, y)
 
+@njit
+def made(size, name):
+    return np.arange(size), hash(name)
+
 compile_ahead(inner, np.ones(2), np.ones(2))
 compiled = []
 with on_compile(lambda name: compiled.append(name.rpartition('.')[2])):
@@ -67,6 +72,9 @@ for x in -np.ones(2), np.ones(3):
     except ValueError as error:
         print(type(error).__name__, *error.args)
 print(inner(np.ones(2), np.ones(2)))  # called by Python, too
+array, number = made(3, 'name')
+print(array, number == hash('name'))
+print('numba.np.arraymath' in sys.modules)
 """
 
 
@@ -83,12 +91,13 @@ def test_given_functions_that_only_compiled_code_calls_then_errors_in_them_arriv
     ]
     expected = [
         '5.0', 'ValueError negative -1.0', 'ValueError incompatible array sizes for np.dot(a, b)'
-        ' (vector * vector)', '4.0',
+        ' (vector * vector)', '4.0', '[0 1 2] True',
     ]  # fmt: skip
-    # What was compiled ahead is not compiled again.
-    for output, compiled in zip(outputs, ('compiled: entry', 'compiled:')):
+    # What was compiled ahead is not compiled again, and what is kept does without the compiler.
+    told = ('compiled: entry', 'True'), ('compiled:', 'False')
+    for output, (compiled, has_compiler) in zip(outputs, told):
         lines = output.splitlines()
-        assert (lines.pop(1), lines) == (compiled, expected)
+        assert (lines.pop(), lines.pop(1), lines) == (has_compiler, compiled, expected)
 
 
 DRAWN = """
