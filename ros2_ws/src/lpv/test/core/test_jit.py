@@ -37,6 +37,17 @@ def test_given_sources_when_changed_or_moved_then_digests_follow(tmp_path, files
     assert tuple(one == other for one, other in zip(before, after)) == same
 
 
+@pytest.mark.parametrize('name', ['LPV_NO_JIT', 'NUMBA_DISABLE_JIT'])
+def test_given_no_compiler_is_wanted_when_a_function_is_called_then_it_is_plain_python(name):
+    code = 'from lpv.core.support.jit import njit; print(njit(float)("2"), njit(float) is float)'
+    python_path = os.pathsep.join(filter(None, sys.path))
+    done = subprocess.run(
+        [sys.executable, '-c', code], env={**os.environ, name: '1', 'PYTHONPATH': python_path},
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert done.stdout == '2.0 True\n'
+
+
 linked = pytest.mark.skipif(not jit.COMPILED, reason='without Numba nothing is linked')
 LINKED = """
 import sys

@@ -84,7 +84,7 @@ def check_compiler() -> Finding:
     if COMPILED:
         return ok('compiler', 'the numerical code is compiled')
     text = 'the numerical code runs as plain Python, too slowly for real time'
-    return warn('compiler', text, 'unset LPV_NO_JIT, and install numba')
+    return warn('compiler', text, 'unset LPV_NO_JIT and NUMBA_DISABLE_JIT, and install numba')
 
 
 def probe_ros() -> RosProbe:

@@ -2,8 +2,9 @@
 
 The recursions of plant, observer and tracker are written in the subset of Python that Numba
 compiles.  The nodes, the offline replay and the design tools all call the same compiled functions,
-so that their results agree bit for bit.  Where Numba is missing, or ``LPV_NO_JIT=1`` is set, the
-very same functions run as plain Python: slower, same arithmetic.
+so that their results agree bit for bit.  Where Numba is missing or told to do nothing by
+``NUMBA_DISABLE_JIT=1``, or ``LPV_NO_JIT=1`` is set, the very same functions run as plain Python:
+slower, same arithmetic.
 
 Compiled code is kept between runs.  Numba's cache notices a change of the file that holds a
 function, but not of the files that hold what it calls: each function is kept in a folder named by
@@ -108,6 +109,9 @@ def _load_numba() -> Any:
     try:
         import numba
     except ImportError:  # a machine without Numba runs the plain functions
+        return None
+    settings: Any = numba.config
+    if settings.DISABLE_JIT:
         return None
     import lpv.core.support.references  # noqa: F401
 
