@@ -37,15 +37,19 @@ def test_given_sources_when_changed_or_moved_then_digests_follow(tmp_path, files
     assert tuple(one == other for one, other in zip(before, after)) == same
 
 
+def printed(code, *folders, **environment):
+    """What a new process prints that runs some code, with folders to import from."""
+    python_path = os.pathsep.join([*map(str, folders), *filter(None, sys.path)])
+    environment = {**os.environ, 'PYTHONPATH': python_path, **environment}
+    command = [sys.executable, '-c', code]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    return done.stdout
+
+
 @pytest.mark.parametrize('name', ['LPV_NO_JIT', 'NUMBA_DISABLE_JIT'])
 def test_given_no_compiler_is_wanted_when_a_function_is_called_then_it_is_plain_python(name):
     code = 'from lpv.core.support.jit import njit; print(njit(float)("2"), njit(float) is float)'
-    python_path = os.pathsep.join(filter(None, sys.path))
-    done = subprocess.run(
-        [sys.executable, '-c', code], env={**os.environ, name: '1', 'PYTHONPATH': python_path},
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    assert done.stdout == '2.0 True\n'
+    assert printed(code, **{name: '1'}) == '2.0 True\n'
 
 
 linked = pytest.mark.skipif(not jit.COMPILED, reason='without Numba nothing is linked')
@@ -93,11 +97,8 @@ print('numba.np.arraymath' in sys.modules)
 @pytest.mark.slow
 def test_given_functions_that_only_compiled_code_calls_then_errors_in_them_arrive(tmp_path):
     (tmp_path / 'lpv_linked.py').write_text(LINKED)
-    command = [sys.executable, '-c', 'import lpv_linked']
-    python_path = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
-    environment = {**os.environ, 'XDG_CACHE_HOME': str(tmp_path), 'PYTHONPATH': python_path}
     outputs = [
-        subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
+        printed('import lpv_linked', tmp_path, XDG_CACHE_HOME=str(tmp_path))
         for _ in range(2)  # compiled, then from what is kept
     ]
     expected = [
@@ -154,9 +155,5 @@ def test_given_functions_kept_by_several_processes_when_linked_then_each_draws_i
     names, boths = (', '.join(f'{name}_{k}' for k in range(3)) for name in ('share', 'both'))
     shares = ''.join(_SHARE.format(k=k) for k in range(3))
     (tmp_path / 'lpv_drawn.py').write_text(DRAWN.format(shares=shares, names=names, boths=boths))
-    python_path = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
-    environment = {**os.environ, 'XDG_CACHE_HOME': str(tmp_path), 'PYTHONPATH': python_path}
-    command = [sys.executable, '-c', 'import lpv_drawn']
-    found = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-    drawn = found.stdout.splitlines()
+    drawn = printed('import lpv_drawn', tmp_path, XDG_CACHE_HOME=str(tmp_path)).splitlines()
     assert len(drawn) == 4 and len(set(drawn)) == 1, drawn

@@ -192,12 +192,12 @@ def _read_kept(functions: Any) -> None:
 
     def load(types: Any, context: Any) -> Any:
         _linking.prepare_calls()
+        kept = None
         with functions._guard_against_spurious_io_errors():
             kept = functions._load_overload(types, context)
-            if kept is not None:
-                return kept
-        _linking.prepare_compiler()
-        return None
+        if kept is None:
+            _linking.prepare_compiler()
+        return kept
 
     functions.load_overload = load
 
@@ -249,11 +249,11 @@ def njit_in_place(function: Callable[..., Any]) -> Callable[..., Any]:
 def _compiled(function: Callable[..., Any], **options: bool) -> Callable[..., Any]:
     if _numba is None:
         return function
-    compiled: Callable[..., Any] = update_wrapper(_Compiled(function, options), function)
+    compiled: Callable[..., Any] = update_wrapper(_LazyDispatcher(function, options), function)
     return compiled
 
 
-class _Compiled:
+class _LazyDispatcher:
     """A function whose dispatchers are made once it is called, or compiled for another one.
 
     To make all of them takes a third of a node's imports, and a node calls forty of hundreds.

@@ -112,7 +112,7 @@ def _constants(module: str, values: list[Any], name: str) -> Any:
 
 
 def install() -> None:
-    """Let Numba make the libraries of this file, where its own are as expected."""
+    """Let Numba read constants this way, and make the libraries of this file, if as expected."""
     environment._rebuild_env = _constants
     # Numba's own functions are told apart by numbers that every process counts from 1.  Code that
     # processes kept is linked by names: of two functions of one number, one would stand for both.
