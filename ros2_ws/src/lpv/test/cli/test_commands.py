@@ -227,6 +227,15 @@ def test_given_a_serial_urdf_when_initialised_then_it_fits(tmp_path, init, name,
     assert np.ptp(path.sample(np.linspace(0.0, 12.0, 50)).position, axis=0).min() > 0.1
 
 
+def test_given_a_slow_lift_when_initialised_then_its_path_is_as_slow(tmp_path, init):
+    lift = '<limit lower="0" upper="0.4" velocity="0.013" effort="9000"/>'
+    urdf = re.sub('<limit [^>]*>', lift, GRIPPER.replace('"revolute"', '"prismatic"', 1), count=1)
+    arm, _ = init(*HELD, urdf=urdf)
+    assert (arm.joints[0].type, arm.velocity_limit[0]) == ('prismatic', 0.013)
+    path = load_scenario(tmp_path / 'new' / 'scenario.yaml').path(arm)
+    assert np.ptp(path.sample(np.linspace(0.0, 12.0, 50)).position, axis=0).min() > 0.01
+
+
 def test_given_a_link_that_no_body_is_when_initialised_then_it_is_named(tmp_path, call):
     (tmp_path / 'arm.urdf').write_text(GRIPPER.replace('ixx="0.1"', 'ixx="0.9"', 2))
     err = call('init', tmp_path / 'new', '--urdf', tmp_path / 'arm.urdf', *HELD).err
@@ -302,6 +311,14 @@ def test_given_a_joint_of_any_name_when_initialised_then_its_sensor_fails(tmp_pa
     assert scenario.faults[0].sensor == arm.sensor_names[0] == f'{name}_encoder'
 
 
+MORE = ''.join(
+    f'<link name="more{k}"/><joint name="more{k}" type="continuous"><parent link="{before}"/>'
+    f'<child link="more{k}"/></joint>'
+    for k, before in enumerate(['tool', *(f'more{k}' for k in range(39))])
+)
+"""Forty more joints behind the tool."""
+
+
 def test_given_what_cannot_be_used_when_initialised_then_it_is_named(tmp_path, refused):
     urdf, new = tmp_path / 'arm.urdf', tmp_path / 'new'
     for old, bad, options, said in (
@@ -320,6 +337,7 @@ def test_given_what_cannot_be_used_when_initialised_then_it_is_named(tmp_path, r
         ('effort="500"', 'effort="0.1"', HELD, 'N m of shoulder, whose limit is 0.1'),
         ('<robot', '<!DOCTYPE x [<!ENTITY y "z">]><robot', HELD, 'document type'),
         ('</robot>', '', HELD, 'no element found'),
+        ('</robot>', MORE + '</robot>', ['--tip', 'more39'], 'more than 32; lock what is not of'),
         ('damping="0.5"', 'damping="-1"', HELD, "'shoulder': damping must not be negative"),
     ):
         assert old in GRIPPER

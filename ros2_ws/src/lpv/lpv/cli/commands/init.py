@@ -132,8 +132,10 @@ def _waypoints(arm: SerialArm) -> Iterator[str]:
     weight = np.abs(SerialModel(compile_chain(arm)).gravity(poses)) / arm.torque_limit
     shares = weight.max(axis=1)
     pose = poses[0 if shares[0] < _HEAVY else int(shares.argmin())]
+    # Slow joints, as lifts are, move no farther than they get in a second.
+    ways = np.minimum(0.2 * (high - low), arm.velocity_limit)
     for largest in _TURNS:
-        places = pose + sides * np.minimum(0.2 * (high - low), largest)
+        places = pose + sides * np.minimum(ways, largest)
         yield '\n'.join(
             f'    - {{t: {time}, joints: [{", ".join(f"{place:.4f}" for place in row)}]}}'
             for time, row in zip(times, places)

@@ -13,6 +13,8 @@ MAX_SUBSTEPS = 64
 """Runge-Kutta steps of a sample: files that ask for more would stop the simulator."""
 _STABLE = 2.78
 """Largest rate of decay, over that of the steps, with which classical Runge-Kutta is stable."""
+_FOUND = 0.6
+"""Share of the largest decay in any posture that is surely found (60 chains of 2 to 9 joints)."""
 
 
 @njit
@@ -110,19 +112,42 @@ def integration_step(chain: Chain, period: float) -> tuple[float, int]:
     ConfigError
         If viscous friction is too large for the inertia of a joint, as without its rotor.
     """
-    n, model = len(chain.translation), SerialModel(chain)
-    postures = np.random.default_rng(0).uniform(-3, 3, (20, n))
-    inertia = np.min([1.0 / np.diag(np.linalg.inv(model.mass_matrix(q))) for q in postures], axis=0)
+    model = SerialModel(chain)
+    postures = np.random.default_rng(0).uniform(-3, 3, (20, len(chain.translation)))
     carried = np.abs(model.gravity(postures)).max(axis=0)
     dry = chain.friction[:, COULOMB] + chain.friction[:, LOAD] * carried
-    slope = chain.friction[:, VISCOUS]
-    missing = slope * period / (_STABLE * MAX_SUBSTEPS) - inertia
-    if (missing > 0.0).any():
-        i = int(missing.argmax())
-        least = chain.motor[i, i] + float(missing[i])
-        reason = f'is too small for the viscous friction: at least {least:.2g} can be simulated'
-        raise ConfigError(f'joints[{i}].rotor_inertia', reason)
-    slope = slope + 2.0 / np.pi * dry * np.maximum(chain.friction[:, SLOPE], 1.0)
-    needed = int(np.ceil(period * float((slope / inertia).max()) / 1.5))
-    count = min(max(needed, 2), MAX_SUBSTEPS)
+    viscous = chain.friction[:, VISCOUS]
+    slope = viscous + 2.0 / np.pi * dry * np.maximum(chain.friction[:, SLOPE], 1.0)
+    decay = _fastest_decay(model, slope, period)[0]
+    if decay > _STABLE * MAX_SUBSTEPS:  # dry friction alone chatters
+        fastest, i = _fastest_decay(model, viscous, period)
+        if fastest > _STABLE * MAX_SUBSTEPS:
+            # Whatever the posture and the other joints do, so much is enough.
+            least = float(viscous[i]) * period / (_STABLE * MAX_SUBSTEPS)
+            reason = f'is too small for the viscous friction: at least {least:.2g} can be simulated'
+            raise ConfigError(f'joints[{i}].rotor_inertia', reason)
+    count = min(max(int(np.ceil(decay / (_FOUND * _STABLE))), 2), MAX_SUBSTEPS)
     return period / count, count
+
+
+def _fastest_decay(model: SerialModel, slope: FloatArray, period: float) -> tuple[float, int]:
+    """Largest decay by friction in a sample time, and the joint that moves most in it.
+
+    Light joints that move each other are stopped much faster in some postures than in most: where
+    decay matters, those are searched for.  ``slope``, shape (n,), is of friction, ``period`` the
+    sample time [s].
+    """
+    rng, root = np.random.default_rng(0), np.sqrt(np.maximum(slope, 0.0))
+    postures, largest = rng.uniform(-3, 3, (40, len(root))), np.zeros(40)
+    joints = np.zeros(40, int)
+    for spread in np.append(0.0, 0.7 ** np.arange(12.0)):
+        tried = postures + spread * rng.normal(size=postures.shape)
+        inverse = np.linalg.inv([model.mass_matrix(q) for q in tried])
+        decays, modes = np.linalg.eigh(period * root[:, None] * inverse * root)
+        better = decays[:, -1] > largest
+        largest[better], postures[better] = decays[better, -1], tried[better]
+        joints[better] = np.abs(modes[better, :, -1]).argmax(axis=1)
+        if largest.max() < 1.0:
+            break  # of two steps a sample, the least, none is near its limit
+    worst = int(largest.argmax())
+    return float(largest[worst]), int(joints[worst])

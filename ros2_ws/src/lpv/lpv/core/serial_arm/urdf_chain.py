@@ -27,6 +27,12 @@ from lpv.core.support.limits import LARGEST
 if TYPE_CHECKING:
     import pinocchio
 
+_CHOOSE = (
+    'lock what is not of the arm, name the joints of the arm, or name the link at its tip '
+    '(--lock, --joints, --tip)'
+)
+"""What to do about a URDF that holds more than an arm."""
+
 
 def read_urdf_chain(
     path: str | Path,
@@ -77,12 +83,11 @@ def read_urdf_ends(
     """
     urdf = read_urdf_text(Path(path))
     model, held, ends, place = _read_model(urdf, str(path), locked, joints, tip)
-    if not 1 <= model.njoints - 1 <= MAX_JOINTS:
-        raise ConfigError(
-            'urdf',
-            f'must have 1 to {MAX_JOINTS} joints that move, has {model.njoints - 1}',
-            str(path),
-        )
+    if model.njoints == 1:
+        raise ConfigError('urdf', 'has no joint that moves', str(path))
+    if model.njoints - 1 > MAX_JOINTS:
+        count = f'has {model.njoints - 1} joints that move, more than {MAX_JOINTS}'
+        raise ConfigError('urdf', f'{count}; {_CHOOSE}', str(path))
     described = tuple(_joint(model, i, urdf, str(path)) for i in range(1, model.njoints))
     arm = SerialArm(
         name=model.name or 'arm',
@@ -218,12 +223,7 @@ def _joint(model: 'pinocchio.Model', index: int, urdf: Urdf, source: str) -> Ser
     elif not model.lowerPositionLimit[index - 1] < model.upperPositionLimit[index - 1]:
         refused = 'has no lower limit below an upper one'
     if refused:
-        raise ConfigError(
-            'urdf',
-            f'joint {name!r} {refused}; lock what is not of the arm, name the joints of the arm, '
-            'or name the link at its tip (--lock, --joints, --tip)',
-            source,
-        )
+        raise ConfigError('urdf', f'joint {name!r} {refused}; {_CHOOSE}', source)
     placement = model.jointPlacements[index]
     inertia = model.inertias[index].toDynamicParameters()
     limits = JointLimits(

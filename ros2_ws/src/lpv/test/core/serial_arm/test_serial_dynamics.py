@@ -19,7 +19,7 @@ from lpv.cli.main import main
 from lpv.core.export import urdf
 from lpv.core.serial_arm import arm_file, description, urdf_chain
 from lpv.core.serial_arm.certificate.model_bounds import chain_numbers
-from lpv.core.serial_arm.chain import Chain, body_parameters, compile_chain
+from lpv.core.serial_arm.chain import VISCOUS, Chain, body_parameters, compile_chain
 from lpv.core.serial_arm.dynamics import kinematics, payload
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.simulation import integration_step, plant_scratch, plant_step
@@ -192,6 +192,23 @@ def test_given_friction_by_load_when_it_holds_an_arm_then_steps_are_short_enough
         assert plant_step(chain, state, torque, step / finer, 50 * finer * count, scratch, matrix)
         ends.append(state)
     np.testing.assert_allclose(*ends, rtol=0.0, atol=1e-8)
+
+
+@CASES
+def test_given_light_joints_that_move_each_other_when_friction_stops_them_then_steps_are_stable(
+    seed, n
+):
+    chain, rng, period = random_chain(seed, n), np.random.default_rng(seed), 0.002
+    chain.motor[:], chain.gravity[:], chain.prismatic[:] = 0.0, 0.0, False
+    model, postures = SerialModel(chain), rng.uniform(-3.0, 3.0, (300, n))
+    least = [np.linalg.eigvalsh(model.mass_matrix(q))[0] for q in postures]
+    chain.friction[:, VISCOUS] = 50.0 / period * np.min(least)
+    step, count = integration_step(chain, period)
+    q, matrix = postures[np.argmin(least)], np.empty((n, n))
+    state, scratch = np.array([q, rng.normal(size=n)]), plant_scratch(chain)
+    before = state[1] @ model.mass_matrix(q) @ state[1]
+    assert plant_step(chain, state, np.zeros(n), step, 5 * count, scratch, matrix)
+    assert state[1] @ model.mass_matrix(state[0]) @ state[1] < before
 
 
 def test_given_viscous_friction_when_a_rotor_is_missing_then_its_joint_is_named():
