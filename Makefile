@@ -70,7 +70,7 @@ format: setup-test ## apply the formatter
 	@$(IN_ENV) ruff check --fix --select I -q . && ruff format .
 
 types: setup-test ## check types
-	@$(IN_ENV) mypy
+	@$(IN_ENV) MYPY_NUM_WORKERS=$$(nproc) mypy
 
 docs: setup-docs ## build the documentation as a site in docs/_build
 	@$(IN_ENV) python -m sphinx -q -W --keep-going -b html docs docs/_build
