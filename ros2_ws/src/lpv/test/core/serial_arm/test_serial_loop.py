@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from places import BRINGUP
 from serial_arms import middle, mixed_arm, scara, shoulder_arm, ur10_on_rail, with_rates
 
 from lpv import AlarmEvent, ConfigError, Fault, Scenario, load_arm, load_scenario
@@ -15,6 +16,7 @@ from lpv.core.control.tracking import TrackingController
 from lpv.core.control.watchdog import BrakeReason, StopReason, TrackerLimits, TrackerWatchdog
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.diagnosis.alarms import Mode
+from lpv.core.serial_arm.urdf_chain import read_urdf_chain
 from lpv.core.simulation import closed_loop
 from lpv.core.simulation.arm_simulator import ArmSimulator
 from lpv.core.simulation.closed_loop import run_closed_loop
@@ -116,6 +118,26 @@ FAULTS = {
 STALLS = Stall('observer', 0.6, 0.1), Stall('tracker', 1.0, 0.02)
 WAYS = {'direct': ('derived', Transport()), 'late and lossy': ('independent', Transport(1, 0.1))}
 WAYS['stalled'] = 'derived', Transport(stalls=STALLS)
+
+
+@pytest.mark.parametrize(('name', 'joint', 'onset', 'seed'), [
+    ('panda', 5, 5.6, 5), ('ur10', 1, 6.0, 7),
+])  # fmt: skip
+def test_given_a_frozen_reading_when_drives_brake_in_motion_then_no_other_encoder_is_blamed(
+    name, joint, onset, seed
+):
+    """How fast the joint was that was driven away is not known: arms without rotors are, soon."""
+    arm = read_urdf_chain(BRINGUP / 'urdf' / f'{name}.urdf')
+    low, high = np.array([one.range for one in arm.joints]).T
+    way = np.minimum(0.2 * (high - low), 0.4)
+    places = [0.5 * (low + high) + side * way for side in (0.0, 1.0, -1.0)]
+    sensor = arm.sensor_names[joint]
+    scenario = replace(
+        SCENARIO, duration=10.0, seed=seed, payload=0.0, friction_factor=1.0, times=(0.5, 4.0, 8.0),
+        waypoints=tuple(map(tuple, places)), faults=(Fault(sensor, 'stuck', onset),))  # fmt: skip
+    run = run_closed_loop(arm, scenario)
+    assert run.brake_reason.any()
+    assert {one.sensor for one in run.alarms} == {sensor}
 
 
 @pytest.mark.parametrize('faults', FAULTS)

@@ -80,6 +80,7 @@ from lpv.core.serial_arm.diagnosis.priors import (
     SIZE,
     SLOW_RATE,
     STEADY_FOR,
+    USUAL_RATE,
 )
 from lpv.core.serial_arm.diagnosis.published_rates import rate_noise
 from lpv.core.serial_arm.diagnosis.sampler import Sampler, smallest_jump
@@ -373,7 +374,8 @@ class Bank:
         """An arm that came to rest was stopped by torques that no effort tells, as by its brakes.
 
         What they take from the momentum is what that changes by in the balances of the stop.  The
-        joints of all sensors without a ``known`` fault rest then: a fault shows in one.
+        joints of all sensors without a ``known`` fault rest then: a fault shows in one.  How fast
+        the others were is not known.
         """
         estimator, plan, n = self.estimator, self.estimator.plan, self.estimator.joints
         last = min(int(self._lengths[windows - 1]), self._recent, len(estimator) - 1)
@@ -387,14 +389,18 @@ class Bank:
         if not stops:
             return []
         at = recent(estimator.window, last)
-        change = np.einsum('bij,bj->bi', self._mass[at], rates[:-1] - rates[1:])
+        change = np.einsum('bij,bj->bi', self._mass[at], rates[:-1] - rates[1:])[:, :, None]
+        faulty = sorted(known)
+        unknown = self._mass[at][:, :, faulty] * USUAL_RATE * estimator.balance.scale[faulty]
+        change = np.concatenate([change, unknown], axis=2)
         estimator.call(set_residuals, estimator.window, estimator.posterior, last)
         found = []
         for stop in stops:
             for count in (ONSET, round(STEADY_FOR / plan.interval) + 1):  # dead, or within a time
                 stopped = np.arange(stop, min(stop + count, last))  # each with a size of its own
-                columns = np.zeros((stopped[-1] + 1, n, len(stopped)))
+                columns = np.zeros((stopped[-1] + 1, n, len(stopped), change.shape[2]))
                 columns[stopped, :, np.arange(len(stopped))] = change[stopped]
+                columns = columns.reshape(len(columns), n, -1)
                 gain = onset_gains(estimator.window, estimator.posterior, columns)[0][-1]
                 begin = float(estimator.window.times[at[stopped[-1]]]) - plan.interval
                 found.append(Hypothesis(CONTACT, -1, float(gain), 0.0, 0.0, begin, 0.5))
