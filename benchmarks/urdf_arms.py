@@ -1,0 +1,99 @@
+"""Arms of others' URDFs, as `lpv init` takes them, in closed loops: healthy, and with one fault.
+
+    python benchmarks/urdf_arms.py --count 4 --jobs 2
+
+The URDFs are those of the package example-robot-data.  They state neither rotors nor sensors:
+joints are light, rates are differences of noisy readings, and a frozen reading soon makes drives
+brake.  The true arms are 5 % off their files.
+"""
+
+import argparse
+import tempfile
+from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import replace
+from functools import cache
+from importlib.metadata import PackageNotFoundError, files
+from io import StringIO
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+
+from lpv import AlarmEvent, Fault, Scenario, SerialArm, load_arm, load_scenario
+from lpv.cli.main import main as lpv
+from lpv.core.simulation.closed_loop import run_closed_loop
+
+PACKAGE = 'example-robot-data'
+ARMS = {
+    'TwoDofs': '', 'borinot_flying_arm_2': '', 'double_pendulum_continuous': '', 'so100': '',
+    'hextilt_flying_arm_5': '', 'so101': '', 'talos_left_arm': '', 'ur3_robot': '',
+    'ur10_robot': '', 'ur5_gripper': '', 'xarm7': '', 'z1': '', 'b1-z1': 'gripperStator',
+    'baxter': 'left_wrist', 'centauro': 'arm1_8', 'g1_29dof_rev_1_0': 'left_rubber_hand',
+    'go2': 'FL_foot',
+    'human': 'left_hand', 'icub': 'l_hand', 'kinova': 'j2s6s200_end_effector',
+    'panda': 'panda_hand', 'pr2': 'r_wrist_roll_link', 'romeo': 'l_wrist', 'solo12': 'FL_FOOT',
+    'talos_reduced': 'arm_left_7_link', 'tiago': 'arm_tool_link', 'tiago_pro': 'arm_left_tool_link',
+    'tiago_dual': 'arm_left_tool_link',
+}  # fmt: skip
+"""Names of the files, and the link at the tip of the arm."""
+KINDS = ('healthy', 'bias', 'drift', 'scale', 'stuck')
+SIZE = 0.2
+"""Of offsets [rad], drifts [rad/s] and scale errors."""
+
+
+@cache
+def described(name: str) -> tuple[SerialArm, Scenario]:
+    """The arm and the first run that the command writes for a URDF."""
+    urdf = next(one.locate() for one in files(PACKAGE) or () if one.name == f'{name}.urdf')
+    tip = ['--tip', ARMS[name]] if ARMS[name] else []
+    with tempfile.TemporaryDirectory() as folder, redirect_stdout(StringIO()) as said:
+        with redirect_stderr(said):
+            code = lpv(['init', folder, '--urdf', str(urdf), *tip])
+        if code:
+            raise SystemExit(f'{name}: {said.getvalue()}')
+        return load_arm(Path(folder) / 'arm.yaml'), load_scenario(Path(folder) / 'scenario.yaml')
+
+
+def one_run(case: tuple[str, str, int]) -> tuple[str, bool, str]:
+    """Kind of the fault, whether it was named, and what others were blamed with."""
+    name, kind, seed = case
+    (arm, scenario), rng = described(name), np.random.default_rng(seed)
+    joint, onset = int(rng.integers(len(arm.joints))), float(rng.uniform(4.5, 8.0))
+    size = SIZE * float(rng.choice([-1, 1])) * (1.0 if kind == 'scale' else arm.joints[joint].scale)
+    given = {'drift': {'rate': size}, 'stuck': {}}.get(kind, {'size': size})
+    sensor = arm.sensor_names[joint]
+    faults = () if kind == 'healthy' else (Fault(sensor, kind, onset, **given),)
+    run = run_closed_loop(arm, replace(scenario, faults=faults, seed=seed, parameter_error=0.05))
+    raised = [one for one in run.alarms if one.event == AlarmEvent.RAISED]
+    others = [f'{a.sensor} {a.kind}' for a in raised if not faults or a.sensor != sensor]
+    text = f'{name}, seed {seed}, {kind} of {sensor}: {", ".join(others)}' if others else ''
+    return kind, any(one.sensor == sensor for one in raised), text
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument('--count', type=int, default=1, help='runs of each kind and arm')
+    parser.add_argument('--jobs', type=int, default=1, help='processes')
+    given = parser.parse_args()
+    try:
+        files(PACKAGE)
+    except PackageNotFoundError:
+        print(f'{PACKAGE} is not installed: nothing is run')
+        return
+    cases = product(ARMS, KINDS, range(1, given.count + 1))
+    runs, named, blamed = Counter[str](), Counter[str](), Counter[str]()
+    with ProcessPoolExecutor(given.jobs) as pool:
+        for kind, was_named, others in pool.map(one_run, cases, chunksize=given.count * len(KINDS)):
+            runs[kind] += 1
+            named[kind] += was_named
+            blamed[kind] += bool(others)
+            if others:
+                print(others, flush=True)
+    for kind in KINDS:
+        print(f'{kind}: {runs[kind]} runs, {named[kind]} named, {blamed[kind]} blame others')
+
+
+if __name__ == '__main__':
+    main()
