@@ -14,7 +14,8 @@ MAX_SUBSTEPS = 64
 _STABLE = 2.78
 """Largest rate of decay, over that of the steps, with which classical Runge-Kutta is stable."""
 _FOUND = 0.6
-"""Share of the largest decay in any posture that is surely found (60 chains of 2 to 9 joints)."""
+"""Share of the largest decay that the search for it is taken to find: 0.59 to 1 of that in 3000
+postures, of 120 random chains of 2 to 9 joints."""
 
 
 @njit
@@ -138,8 +139,7 @@ def _fastest_decay(model: SerialModel, slope: FloatArray, period: float) -> tupl
     sample time [s].
     """
     rng, root = np.random.default_rng(0), np.sqrt(np.maximum(slope, 0.0))
-    postures, largest = rng.uniform(-3, 3, (40, len(root))), np.zeros(40)
-    joints = np.zeros(40, int)
+    postures, largest, joints = rng.uniform(-3, 3, (40, len(root))), np.zeros(40), np.zeros(40, int)
     for spread in np.append(0.0, 0.7 ** np.arange(12.0)):
         tried = postures + spread * rng.normal(size=postures.shape)
         inverse = np.linalg.inv([model.mass_matrix(q) for q in tried])
