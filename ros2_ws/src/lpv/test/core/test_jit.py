@@ -55,6 +55,7 @@ def test_given_no_compiler_is_wanted_when_a_function_is_called_then_it_is_plain_
 linked = pytest.mark.skipif(not jit.COMPILED, reason='without Numba nothing is linked')
 LINKED = """
 import sys
+import numba
 import numpy as np
 from lpv.core.support.jit import compile_ahead, njit, on_compile
 
@@ -89,7 +90,9 @@ for x in -np.ones(2), np.ones(3):
 print(inner(np.ones(2), np.ones(2)))  # called by Python, too
 array, number = made(3, 'name')
 print(array, number == hash('name'))
-print('numba.np.arraymath' in sys.modules)
+has_compiler = 'numba.np.arraymath' in sys.modules
+print(numba.njit(lambda x: inner(x, x) + 1.0)(np.ones(2)))  # links what may have been kept
+print(has_compiler)
 """
 
 
@@ -103,7 +106,7 @@ def test_given_functions_that_only_compiled_code_calls_then_errors_in_them_arriv
     ]
     expected = [
         '5.0', 'ValueError negative -1.0', 'ValueError incompatible array sizes for np.dot(a, b)'
-        ' (vector * vector)', '4.0', '[0 1 2] True',
+        ' (vector * vector)', '4.0', '[0 1 2] True', '5.0',
     ]  # fmt: skip
     # What was compiled ahead is not compiled again, and what is kept does without the compiler.
     told = ('compiled: entry', 'True'), ('compiled:', 'False')

@@ -217,12 +217,14 @@ def _compile_once(dispatcher: Any, kind: str) -> Callable[..., Any]:
     """Numba's way to compile a function for some types, as this project's processes share it."""
 
     def compile_for(types: Any) -> Any:
-        with _one_thread, _seldom_collected(), _linking.linked_only(kind == 'compiled'):
+        with _one_thread, _seldom_collected(), _linking.libraries(library):
             if _compiling is None or types in dispatcher.overloads:
                 return compile_here(types)
             with _compiling.held(f'{kind} {function} {types}'):
                 return compile_here(types)
 
+    called = _linking.EntryLibrary if _home is None else _linking.KeptLibrary
+    library = _linking.LinkedLibrary if kind == 'compiled' else called
     compile_here = dispatcher.compile
     function = f'{dispatcher.py_func.__module__}.{dispatcher.py_func.__qualname__}'
     return compile_for

@@ -1,8 +1,8 @@
 """Functions that only compiled code calls are linked into it, and made into machine code there.
 
 Numba makes machine code of every function together with all that it calls, so what lies six calls
-deep is optimised and made six times.  While `linked_only` holds, libraries are made that keep
-their intermediate code and leave both to the function that is called from Python.
+deep is optimised and made six times.  A `LinkedLibrary` keeps its intermediate code and leaves both
+to the function that is called from Python.
 """
 
 import os
@@ -28,6 +28,7 @@ _OVERRIDDEN = (
     '_verify_declare_only_symbols',
     'serialize_using_object_code',
     'serialize_using_bitcode',
+    '_unserialize',
     'get_pointer_to_function',
 )
 """What this file takes for granted of Numba's libraries."""
@@ -69,15 +70,33 @@ class EntryLibrary(JITCodeLibrary):
                     self._codegen.set_env(variable.name, constants)
 
 
+class KeptLibrary(EntryLibrary):
+    """As that; as nothing else links it, its intermediate code is not kept.
+
+    To read that takes three times as long as to read the machine code.
+    """
+
+    def serialize_using_object_code(self) -> Any:
+        """Machine code, and the names of what is in it."""
+        names = {function.name for function in self.get_defined_functions()}
+        return self.name, 'object', (self._get_compiled_object(), names)
+
+    @classmethod
+    def _unserialize(cls, codegen: Any, state: Any) -> Any:
+        name, _, (machine_code, names) = state
+        library = cls(codegen, name)
+        library.enable_object_caching()
+        library._set_compiled_object(machine_code)
+        library._finalize_final_module()
+        codegen._engine._defined_symbols |= names
+        return library
+
+
 class _State(threading.local):
-    linked = False
+    library: Any = EntryLibrary
 
 
 _state = _State()
-
-
-def _library_class() -> Any:
-    return LinkedLibrary if _state.linked else EntryLibrary
 
 
 class _Codegen(JITCPUCodegen):
@@ -85,11 +104,11 @@ class _Codegen(JITCPUCodegen):
 
     def create_library(self, name: str, **options: Any) -> Any:
         """An empty library."""
-        return _library_class()(self, name, **options)
+        return _state.library(self, name, **options)
 
     def unserialize_library(self, serialized: Any) -> Any:
         """A library that was kept."""
-        return _library_class()._unserialize(self, serialized)
+        return _state.library._unserialize(self, serialized)
 
     def set_env(self, env_name: str, env: Any) -> None:
         """Set the constants of a function, if there is machine code that reads them."""
@@ -129,7 +148,7 @@ def install() -> None:
 @cache
 def prepare_calls() -> None:
     """Let kept code find what it calls of Numba: memory of arrays, and secrets of hashes."""
-    with linked_only(False):
+    with libraries(EntryLibrary):
         rtsys.initialize(cpu_target.target_context)
         import_module('numba.cpython.hashing')
 
@@ -137,15 +156,15 @@ def prepare_calls() -> None:
 @cache
 def prepare_compiler() -> None:
     """Let Numba get ready to compile, with what it compiles for itself, which C code calls."""
-    with linked_only(False):
+    with libraries(EntryLibrary):
         cpu_target.target_context.refresh()
 
 
 @contextmanager
-def linked_only(linked: bool) -> Iterator[None]:
-    """Functions compiled meanwhile are, or are not, called by compiled code alone."""
-    before, _state.linked = _state.linked, linked
+def libraries(kind: type[JITCodeLibrary]) -> Iterator[None]:
+    """Functions compiled or read meanwhile are libraries of this kind."""
+    before, _state.library = _state.library, kind
     try:
         yield
     finally:
-        _state.linked = before
+        _state.library = before
