@@ -28,7 +28,7 @@ from lpv.core.serial_arm.diagnosis.parameter_set import (
     parameter_set,
     payload_generator,
 )
-from lpv.core.serial_arm.simulation import integration_step, plant_scratch
+from lpv.core.serial_arm.simulation import plant_scratch
 from lpv.core.simulation.arm_simulator import plant_constants, plant_state
 from lpv.core.simulation.faults import Fault, FaultInjector
 from lpv.core.simulation.scenario import Scenario
@@ -104,8 +104,7 @@ class Attacker:
         self.samples = np.zeros((max(2, round(duration / arm.sample_time)), 3, n))
         chain = self.range.chain
         scenario = Scenario('attack', duration, 0, (), (), disturbance=gains is not None)
-        _, count = integration_step(chain, arm.sample_time)
-        constants = plant_constants(arm, scenario, chain, 2 * count)  # corners are stiffer
+        constants = plant_constants(arm, scenario, chain, margin=2)  # corners are stiffer
         if gains is not None:  # they are of rates with sensors of their own
             constants.derived[:] = 0
         faults = (Fault(name, 'rate_bias', 0.0, size=1.0) for name in arm.sensor_names)

@@ -353,21 +353,23 @@ def _is_too_fast(velocity: np.ndarray, limit: np.ndarray) -> bool:
 class _Watchdog:
     """What both watchdogs have: a record for compiled functions, with what is latched."""
 
-    def __init__(self, own: np.ndarray) -> None:
-        self._own, self._call = own, Entries()
+    def __init__(self, parts: Any) -> None:
+        self.parts, self._call = parts, Entries()
 
     @property
     def latched(self) -> int:
         """Reason that lasts until it is set to 0."""
-        return int(self._own['latched'][0])
+        return int(self.parts.own['latched'][0])
 
     @latched.setter
     def latched(self, reason: int) -> None:
-        self._own['latched'] = reason
+        self.parts.own['latched'] = reason
 
 
 class TrackerWatchdog(_Watchdog):
     """The tracker's watchdog; ``silence`` is the longest interval between estimates [ns]."""
+
+    parts: TrackerWatchdogParts
 
     def __init__(self, arm: SerialArm, limits: TrackerLimits) -> None:
         own = new_record(
@@ -386,7 +388,7 @@ class TrackerWatchdog(_Watchdog):
             in_reach=NEVER,
         )
         limit, scale = np.array(arm.velocity_limit, float), arm.scales()
-        self.parts = TrackerWatchdogParts(
+        parts = TrackerWatchdogParts(
             memory(own),
             np.full((2, len(limit)), NEVER),
             limits.speed * limit,
@@ -395,7 +397,7 @@ class TrackerWatchdog(_Watchdog):
             np.clip(2.0 * position_noise(arm), *np.outer(_ARM_MOVED, scale)),
             *np.zeros((4, len(limit))),
         )
-        super().__init__(self.parts.own)
+        super().__init__(parts)
         self.silence = _nanoseconds(limits.silence)
 
     def check_estimate(self, *estimate: Any) -> StopReason:
@@ -408,7 +410,7 @@ class TrackerWatchdog(_Watchdog):
 
     def note_stop(self) -> None:
         """The tracker has stopped the arm: the next reference is a start."""
-        self._own['started'] = False
+        self.parts.own['started'] = False
 
 
 class DriveWatchdog(_Watchdog):
@@ -417,6 +419,8 @@ class DriveWatchdog(_Watchdog):
     ``latency`` is tolerated from a measurement to the end of its command's effect; ``command_age``
     is the greatest age of the measurement that was answered last [ns].
     """
+
+    parts: DriveWatchdogParts
 
     def __init__(self, arm: SerialArm, latency: LatencyLimits = UNKNOWN_LOOP) -> None:
         own = new_record(
@@ -428,8 +432,8 @@ class DriveWatchdog(_Watchdog):
             in_speed=NEVER,
             braked=NEVER,
         )
-        self.parts = DriveWatchdogParts(memory(own), np.array(arm.velocity_limit, float))
-        super().__init__(self.parts.own)
+        parts = DriveWatchdogParts(memory(own), np.array(arm.velocity_limit, float))
+        super().__init__(parts)
         self.command_age = _nanoseconds(latency.single)
 
     def check(self, now: int, age: int, safe_stop: bool, velocity: np.ndarray) -> BrakeReason:

@@ -319,10 +319,13 @@ def _engine(arm: SerialArm, scenario: Scenario, chain: Chain) -> Engine | None:
 
 
 def plant_constants(
-    arm: SerialArm, scenario: Scenario, chain: Chain, substeps: int = 1
+    arm: SerialArm, scenario: Scenario, chain: Chain, substeps: int = 1, margin: int = 1
 ) -> PlantConstants:
-    """Constants for a true arm; ``substeps`` as of `ArmSimulator`."""
-    _, needed = integration_step(chain, arm.sample_time)
+    """Constants for a true arm; ``substeps`` as of `ArmSimulator`.
+
+    ``margin`` times the steps that this arm needs are made: others may be simulated by them.
+    """
+    needed = margin * integration_step(chain, arm.sample_time)[1]
     count, noise = max(substeps, needed), scenario.noise_factor if scenario.noise else 0.0
     direction, _, deviation = disturbance_of(arm, scenario)
     sensors = [joint.sensors for joint in arm.joints]

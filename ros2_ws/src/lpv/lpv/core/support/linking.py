@@ -73,7 +73,7 @@ class EntryLibrary(JITCodeLibrary):
 class KeptLibrary(EntryLibrary):
     """As that; as nothing else links it, its intermediate code is not kept.
 
-    To read that takes three times as long as to read the machine code.
+    To read that takes longer than to read all the rest.
     """
 
     def serialize_using_object_code(self) -> Any:
