@@ -20,7 +20,7 @@ from numba.core.environment import Environment, lookup_environment
 from numba.core.registry import cpu_target
 from numba.core.runtime import rtsys
 
-_OVERRIDDEN = (
+_EXPECTED = (
     '_optimize_final_module',
     '_finalize_final_module',
     '_finalize_specific',
@@ -29,6 +29,7 @@ _OVERRIDDEN = (
     'serialize_using_object_code',
     'serialize_using_bitcode',
     '_unserialize',
+    '_set_compiled_object',
     'get_pointer_to_function',
 )
 """What this file takes for granted of Numba's libraries."""
@@ -138,8 +139,10 @@ def install() -> None:
     drawn = iter(lambda: int.from_bytes(os.urandom(6), 'big'), None)
     FunctionIdentity._unique_ids = drawn  # type: ignore[assignment]
     codegen = cpu_target.target_context.codegen()
-    as_expected = type(codegen) is JITCPUCodegen and all(
-        hasattr(JITCodeLibrary, name) for name in _OVERRIDDEN
+    as_expected = (
+        type(codegen) is JITCPUCodegen
+        and hasattr(codegen._engine, '_defined_symbols')
+        and all(hasattr(JITCodeLibrary, name) for name in _EXPECTED)
     )
     if as_expected:
         codegen.__class__ = _Codegen
