@@ -389,9 +389,9 @@ class Bank:
         if not stops:
             return []
         at = recent(estimator.window, last)
-        change = np.einsum('bij,bj->bi', self._mass[at], rates[:-1] - rates[1:])[:, :, None]
-        faulty = sorted(known)
-        unknown = self._mass[at][:, :, faulty] * USUAL_RATE * estimator.balance.scale[faulty]
+        mass, faulty = self._mass[at], sorted(known)
+        change = np.einsum('bij,bj->bi', mass, rates[:-1] - rates[1:])[:, :, None]
+        unknown = mass[:, :, faulty] * USUAL_RATE * estimator.balance.scale[faulty]
         change = np.concatenate([change, unknown], axis=2)
         estimator.call(set_residuals, estimator.window, estimator.posterior, last)
         found = []
