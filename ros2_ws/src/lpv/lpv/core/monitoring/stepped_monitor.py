@@ -144,6 +144,7 @@ class SteppedMonitor(SerialMonitor):
         """
         if self._first is None:
             self._first = int(stamps[0])
+        stamps = np.ascontiguousarray(stamps)  # for arrays of another layout all is compiled again
         times, values = (stamps - self._first) / NANOSECONDS, samples.copy()
         values[:, 2] *= self._efforts
         steps = times.copy()
