@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from node_processes import Graph
+from preloaded import Forked
 
 from lpv.core.support.resources import executable
 
@@ -102,6 +103,13 @@ def end(running):
     assert codes and set(codes.values()) == {0}, codes
 
 
+class _Graph(Graph):
+    def _process(self, words, environment):
+        if Path(words[0]).is_absolute():  # a node, and no shell that starts one
+            return Forked(words, environment)
+        return super()._process(words, environment)
+
+
 def graph(log_dir, domain=None):
     """A graph of nodes that ends with the test."""
-    return Graph(log_dir, next_domain() if domain is None else domain)
+    return _Graph(log_dir, next_domain() if domain is None else domain)

@@ -1,0 +1,74 @@
+"""Nodes as processes that are forked from one that has read their modules.
+
+To read a thousand modules takes a node longer than all else until it runs.
+"""
+
+import multiprocessing
+import os
+import runpy
+import subprocess
+import sys
+from multiprocessing.reduction import DupFd
+
+_forks = multiprocessing.get_context('forkserver')
+_forks.set_forkserver_preload([
+    'lpv_arm_sim.node', 'lpv_node.recorder.node', 'lpv_tracker.node', 'lpv_uio.node',
+    'scipy.interpolate',
+])  # fmt: skip
+
+
+class Forked:
+    """What `subprocess.Popen` is of a Python program that leads a session, its output in a pipe."""
+
+    def __init__(self, words, environment):
+        read, write = os.pipe()
+        self.stdout = open(read, encoding='utf-8', errors='replace')  # noqa: SIM115
+        given = words, environment, os.getcwd()
+        self._process = _forks.Process(target=_run, args=(_Descriptor(write), *given))
+        self._process.start()
+        os.close(write)
+        self.pid = self._process.pid
+
+    def poll(self):
+        """Exit code, None while it runs."""
+        return self._process.exitcode
+
+    def send_signal(self, number):
+        """Send a signal to a process that still runs."""
+        if self.poll() is None:
+            os.kill(self.pid, number)
+
+    def wait(self, timeout=None):
+        """Exit code, once there is one."""
+        self._process.join(timeout)
+        if self.poll() is None:
+            raise subprocess.TimeoutExpired(str(self.pid), timeout)
+        return self.poll()
+
+
+class _Descriptor:
+    """Of a file, which the process that starts has under another number."""
+
+    def __init__(self, number):
+        self._number = number
+
+    def __getstate__(self):
+        return DupFd(self._number)
+
+    def __setstate__(self, state):
+        self._number = state.detach()
+
+    def become_output(self):
+        for number in (1, 2):
+            os.dup2(self._number, number)
+        os.close(self._number)
+
+
+def _run(output, words, environment, folder):
+    os.setsid()
+    output.become_output()
+    os.chdir(folder)
+    os.environ.clear()
+    os.environ.update(environment)
+    sys.argv = words
+    runpy.run_path(words[0], run_name='__main__')
