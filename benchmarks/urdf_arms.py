@@ -23,7 +23,7 @@ import numpy as np
 
 from lpv import AlarmEvent, Fault, Scenario, SerialArm, load_arm, load_scenario
 from lpv.cli.main import main as lpv
-from lpv.core.simulation.closed_loop import run_closed_loop
+from lpv.core.simulation.closed_loop import Run, run_closed_loop
 
 PACKAGE = 'example-robot-data'
 ARMS = {
@@ -55,8 +55,8 @@ def described(name: str) -> tuple[SerialArm, Scenario]:
         return load_arm(Path(folder) / 'arm.yaml'), load_scenario(Path(folder) / 'scenario.yaml')
 
 
-def one_run(case: tuple[str, str, int]) -> tuple[str, bool, str]:
-    """Kind of the fault, whether it was named, and what others were blamed with."""
+def one_run(case: tuple[str, str, int]) -> tuple[str, bool, str, tuple[float, float] | None]:
+    """Kind of the fault, whether it was named, what others were blamed with, `after_brakes`."""
     name, kind, seed = case
     (arm, scenario), rng = described(name), np.random.default_rng(seed)
     joint, onset = int(rng.integers(len(arm.joints))), float(rng.uniform(4.5, 8.0))
@@ -68,7 +68,19 @@ def one_run(case: tuple[str, str, int]) -> tuple[str, bool, str]:
     raised = [one for one in run.alarms if one.event == AlarmEvent.RAISED]
     others = [f'{a.sensor} {a.kind}' for a in raised if not faults or a.sensor != sensor]
     text = f'{name}, seed {seed}, {kind} of {sensor}: {", ".join(others)}' if others else ''
-    return kind, any(one.sensor == sensor for one in raised), text
+    named = any(one.sensor == sensor for one in raised)
+    return kind, named, text, after_brakes(run, joint, onset) if kind == 'stuck' else None
+
+
+def after_brakes(run: Run, joint: int, onset: float) -> tuple[float, float] | None:
+    """Of samples from 0.2 s after drives braked: shares out of the bounds, and trusted then."""
+    braked = run.braked & (run.time > onset)
+    later = braked & (run.time > run.time[braked.argmax()] + 0.2)
+    if not later.any():
+        return None
+    outside = (np.abs(run.fault_estimate - run.fault) > run.threshold)[later, joint]
+    trusted = outside & run.trustworthy[later]
+    return float(outside.mean()), float(trusted.mean())
 
 
 def main() -> None:
@@ -83,15 +95,22 @@ def main() -> None:
         return
     cases = product(ARMS, KINDS, range(1, given.count + 1))
     runs, named, blamed = Counter[str](), Counter[str](), Counter[str]()
+    held = []
     with ProcessPoolExecutor(given.jobs) as pool:
-        for kind, was_named, others in pool.map(one_run, cases, chunksize=given.count * len(KINDS)):
+        done = pool.map(one_run, cases, chunksize=given.count * len(KINDS))
+        for kind, was_named, others, outside in done:
             runs[kind] += 1
             named[kind] += was_named
             blamed[kind] += bool(others)
             if others:
                 print(others, flush=True)
+            if outside is not None:
+                held.append(outside)
     for kind in KINDS:
         print(f'{kind}: {runs[kind]} runs, {named[kind]} named, {blamed[kind]} blame others')
+    if held:
+        outside, trusted = np.mean(held, axis=0)
+        print(f'after brakes, {len(held)} runs: outside {outside:.1%}, trusted so {trusted:.1%}')
 
 
 if __name__ == '__main__':

@@ -21,6 +21,7 @@ from lpv.core.serial_arm.diagnosis.priors import (
     SCALE_STEADY,
     STEADY,
     STEADY_FOR,
+    USUAL_RATE,
     WIDEST_LEVEL,
 )
 from lpv.core.serial_arm.diagnosis.readings import Readings
@@ -52,6 +53,8 @@ class FaultFilter:
     updated: float = 0.0  # moment of the state: the end of the newest balance [s]
     acceleration: float = 0.0  # usual one of the fault [rad/s2]
     scale: float = 1.0  # what counts as much as 1 rad, see `SerialJoint.scale` [rad]
+    stopped: float | None = None  # when brakes stopped the joint, which rests since then [s]
+    before: 'FaultFilter | None' = None  # at the end of the balance before
 
     @property
     def is_scale(self) -> bool:
@@ -108,12 +111,20 @@ class FaultFilter:
 
     def _growth(self, interval: float) -> tuple[float, float, float]:
         """What is kept of the acceleration, and by what its variance and the rate's grow."""
+        if self.stopped is not None:
+            return 1.0, 0.0, 0.0
         if self.kind != 'stuck':
             return 1.0, 0.0, (STEADY * self.scale) ** 2 * interval
         kept, size = math.exp(-interval / STEADY_FOR), abs(float(self.mean[2]))
         if size > 2.0 * self.acceleration:  # a loop that is closed on the reading drives it away
             return 1.0, size**2 * (1.0 - kept**2), 0.0
         return kept, self.acceleration**2 * (1.0 - kept**2), 0.0
+
+    def go_on(self, acceleration: float) -> None:
+        """Move again, with a usual acceleration [rad/s2], at a rate that is not known."""
+        self.stopped, self.acceleration = None, acceleration
+        self.covariance[1, 1] = (USUAL_RATE * self.scale) ** 2
+        self.covariance[2, 2] = acceleration**2
 
     def columns(
         self,
@@ -240,24 +251,40 @@ def follow_all(
     readings: Readings,
     kinematic: Sequence[tuple[float, float] | None],
     momenta: Sequence[FloatArray],
+    stopped: float | None,
 ) -> None:
     """Update faults by the newest balance, and the correction of the readings.
 
     The variance of the balance is raised by what is left unknown of them.  ``kinematic`` and
-    ``momenta`` hold those of each, as of `_follow`.
+    ``momenta`` hold those of each, as of `_follow`.  ``stopped`` is as of `Readings.stopped`.
     """
     estimator, end = readings.estimator, readings.ended()
-    for one in filters:
+    for one, way in zip(filters, kinematic):
+        last, before = replace(one, before=None), one.before
+        one.before = last
         one.predict(end)
+        # A rate of its own would tell.
+        if stopped is not None and one.kind == 'stuck' and one.stopped is None and way is None:
+            clean = before if before is not None and stopped < last.updated else last
+            _stop(one, clean, stopped, readings)
     spreads = [_spread(one, estimator, each) for one, each in zip(filters, momenta)]
     for k, one in enumerate(filters):
         # Errors that last count as often as noise that is as large, and new in each balance.
         lasting = 2.0 * STEADY_FOR / estimator.plan.interval
         others = lasting * sum(spreads[:k] + spreads[k + 1 :], np.zeros_like(spreads[k]))
-        _follow(one, others, readings, kinematic[k], momenta[k])
+        # What stopped the arm is in its balances, and no effort tells it.
+        if one.stopped is None or one.stopped < end - 2.0 * estimator.plan.interval:
+            _follow(one, others, readings, kinematic[k], momenta[k])
         spreads[k] = _spread(one, estimator, momenta[k])
     estimator.window.extra[estimator.place(0)] += np.diag(sum(spreads))
     estimator.weigh_again(1)
+
+
+def _stop(one: FaultFilter, before: FaultFilter, moment: float, readings: Readings) -> None:
+    """Let a joint rest where it was at a moment [s], by its state ``before``."""
+    mean, covariance = before._after(moment - before.updated)
+    one.stopped, one.covariance = moment, np.diag([covariance[0, 0], 0.0, 0.0])
+    _change(one, np.array([mean[0], 0.0, 0.0]) - one.mean, readings, moment)
 
 
 def _columns(one: FaultFilter, estimator: OffsetEstimator, momenta: FloatArray) -> FloatArray:
@@ -412,15 +439,20 @@ def _lose(one: FaultFilter, sampler: Sampler) -> None:
     _note(one, sampler)
 
 
-def _change(one: FaultFilter, change: FloatArray, readings: Readings) -> None:
-    """Add a change to the state and take it out of the last readings."""
+def _change(
+    one: FaultFilter, change: FloatArray, readings: Readings, since: float = -math.inf
+) -> None:
+    """Add a change to the state and take it out of the last readings since a moment [s]."""
     sampler, estimator, _ = readings
     n, i, places = estimator.joints, one.joint, readings.places(2)
     blocks = sampler.blocks[places]
     if one.is_scale:
         scale = min(max(one.mean[0] + change[0], -LARGEST_SCALE), LARGEST_SCALE)
         change = np.array([scale - one.mean[0], *change[1:]])
-    _correct(one, change, blocks[:, 3 * n], (blocks[:, i], blocks[:, n + i]), sampler.derived[i])
+    after = blocks[:, 3 * n] > since
+    part = blocks[after, i], blocks[after, n + i]
+    _correct(one, change, blocks[after, 3 * n], part, sampler.derived[i])
+    blocks[after, i], blocks[after, n + i] = part
     sampler.blocks[places] = blocks
     put_back(sampler, i, HISTORY)
     one.mean = one.mean + change

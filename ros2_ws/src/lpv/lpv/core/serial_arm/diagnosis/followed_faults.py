@@ -135,7 +135,14 @@ class FollowedFaults:
         ]
         momenta = [bank.momenta_of(i) for i in self.filters]
         if self.filters:
-            follow_all([*self.filters.values()], readings, kinematic, momenta)
+            known = self.known
+            others = [i for i in range(len(self._sensors)) if i not in known]
+            for i, one in self.filters.items():
+                if one.stopped is not None and not readings.rest(others):
+                    one.go_on(readings.acceleration(i))
+            frozen = any(one.kind == 'stuck' for one in self.filters.values())
+            stopped = readings.stopped(others) if frozen else None
+            follow_all([*self.filters.values()], readings, kinematic, momenta, stopped)
 
     def trust_rate(self, i: int) -> None:
         """Use the kinematic rows of a joint while no fault of its sensors is known."""

@@ -1,6 +1,7 @@
 """What the last readings of an arm say, and the blocks of them that balances are made of."""
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -8,7 +9,7 @@ import numpy as np
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.diagnosis.decision import reading_noise
 from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator
-from lpv.core.serial_arm.diagnosis.priors import SLOW_RATE
+from lpv.core.serial_arm.diagnosis.priors import ACCELERATIONS, SLOW_RATE
 from lpv.core.serial_arm.diagnosis.sampler import BEFORE_STOP, BLOCKS, ROUNDING, Sampler, block_end
 from lpv.core.serial_arm.diagnosis.stuck import usual_acceleration
 
@@ -68,6 +69,34 @@ class Readings(NamedTuple):
     def acceleration(self, i: int) -> float:
         """Usual acceleration of a joint [rad/s2]."""
         return usual_acceleration(self.estimator, self.all_blocks(), i)
+
+    def stopped(self, sensors: Sequence[int]) -> float | None:
+        """When the joints of some sensors were stopped dead, as brakes do, and rest since then [s].
+
+        None if they move, came to rest as they usually do, or did so before the newest balance.
+        """
+        n, count, held = self.estimator.joints, self.estimator.plan.blocks, self.blocks(3)
+        speeds, length = np.abs(held[:, n : 2 * n][:, sensors]), float(held[-1, 3 * n + 1])
+        blocks = range(max(1, len(held) - 2 * count), len(held) - 2)  # which it may have been
+        if not (sensors and blocks):
+            return None
+        # Seldom does a joint lose so much of its rate in two blocks, or seem to by noise.
+        usual = 2.0 * length * np.array([self.acceleration(i) for i in sensors])
+        most = ACCELERATIONS[1] * np.maximum(usual, self.sampler.usual[sensors] / length)
+        for k in blocks:
+            before, after = speeds[k - 1], speeds[k + 1 :].max(0)
+            fast = before > most
+            if fast.any() and (after < 0.5 * most)[fast].all():
+                fastest = int((before / most).argmax())
+                moved = min(float(speeds[k, fastest] / before[fastest]), 1.0)
+                return float(held[k, 3 * n]) + (moved - 0.5) * length
+        return None
+
+    def rest(self, sensors: Sequence[int]) -> bool:
+        """Whether there are sensors whose joints all rest in the newest interval."""
+        n, slow = self.estimator.joints, SLOW_RATE * self.estimator.balance.scale
+        rates = self.blocks(1)[:, n : 2 * n].mean(0)
+        return len(sensors) > 0 and bool((np.abs(rates) < slow)[sensors].all())
 
     def stop_sigma(self, i: int, acceleration: float) -> float:
         """Standard deviation of the rate that a reading had before it came to rest [rad/s]."""
