@@ -52,19 +52,19 @@ class Graph:
         """Start a node."""
         words, path = [str(part) for part in command], self._log_dir / f'{name}.log'
         log = open(path, 'w', encoding='utf-8', buffering=1)  # noqa: SIM115
-        process = self._process(words, self._environment)
+        process = self._process(words)
         is_recorder = any(Path(word).name == 'recorder' for word in words)  # by a shell, too
         node = NodeProcess(name, process, path, is_recorder)
         threading.Thread(target=self._pump, args=(node, log), daemon=True).start()
         self.nodes.append(node)
         return node
 
-    def _process(self, words: list[str], environment: dict[str, str]) -> subprocess.Popen:
+    def _process(self, words: list[str]) -> subprocess.Popen:
         return subprocess.Popen(
             words,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
-            env=environment,
+            env=self._environment,
             text=True,
             errors='replace',
             start_new_session=True,

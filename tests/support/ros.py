@@ -104,10 +104,10 @@ def end(running):
 
 
 class _Graph(Graph):
-    def _process(self, words, environment):
+    def _process(self, words):
         if Path(words[0]).is_absolute():  # a node, and no shell that starts one
-            return Forked(words, environment)
-        return super()._process(words, environment)
+            return Forked(words, self._environment)
+        return super()._process(words)
 
 
 def graph(log_dir, domain=None):

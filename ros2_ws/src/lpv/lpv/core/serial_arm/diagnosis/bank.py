@@ -78,7 +78,6 @@ from lpv.core.serial_arm.diagnosis.priors import (
     LOAD,
     OCCURRENCE,
     SIZE,
-    SLOW_RATE,
     STEADY_FOR,
     USUAL_RATE,
 )
@@ -88,6 +87,7 @@ from lpv.core.serial_arm.diagnosis.stuck import (
     LINEAR,
     Course,
     Frozen,
+    at_rest,
     course_of_frozen,
     free_course,
 )
@@ -384,7 +384,7 @@ class Bank:
             return []
         rates = held[:, n : 2 * n].reshape(last + 1, -1, n).mean(1)[::-1]  # newest first
         sensors = [i for i in range(n) if i not in known]
-        rests = (np.abs(rates) < SLOW_RATE * estimator.balance.scale)[:, sensors].all(1)
+        rests = at_rest(rates, estimator.balance.scale, sensors)
         stops = np.flatnonzero(rests[:-1] & ~rests[1:]).tolist()
         if not stops:
             return []

@@ -62,6 +62,11 @@ class FaultFilter:
         return self.kind == 'scale'
 
     @property
+    def may_stop(self) -> bool:
+        """Whether the joint of a frozen reading moves, as far as is known."""
+        return self.kind == 'stuck' and self.stopped is None
+
+    @property
     def unit(self) -> float:
         """Of the first state: scale errors are ratios."""
         return 1.0 if self.is_scale else self.scale
@@ -264,7 +269,7 @@ def follow_all(
         one.before = last
         one.predict(end)
         # A rate of its own would tell.
-        if stopped is not None and one.kind == 'stuck' and one.stopped is None and way is None:
+        if stopped is not None and one.may_stop and way is None:
             clean = before if before is not None and stopped < last.updated else last
             _stop(one, clean, stopped, readings)
     spreads = [_spread(one, estimator, each) for one, each in zip(filters, momenta)]

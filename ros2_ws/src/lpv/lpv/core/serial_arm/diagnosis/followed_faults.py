@@ -140,8 +140,8 @@ class FollowedFaults:
             for i, one in self.filters.items():
                 if one.stopped is not None and not readings.rest(others):
                     one.go_on(readings.acceleration(i))
-            frozen = any(one.kind == 'stuck' for one in self.filters.values())
-            stopped = readings.stopped(others) if frozen else None
+            may_stop = any(one.may_stop for one in self.filters.values())
+            stopped = readings.stopped(others) if may_stop else None
             follow_all([*self.filters.values()], readings, kinematic, momenta, stopped)
 
     def trust_rate(self, i: int) -> None:

@@ -11,7 +11,7 @@ from lpv.core.serial_arm.diagnosis.decision import reading_noise
 from lpv.core.serial_arm.diagnosis.estimator import OffsetEstimator
 from lpv.core.serial_arm.diagnosis.priors import ACCELERATIONS, SLOW_RATE
 from lpv.core.serial_arm.diagnosis.sampler import BEFORE_STOP, BLOCKS, ROUNDING, Sampler, block_end
-from lpv.core.serial_arm.diagnosis.stuck import usual_acceleration
+from lpv.core.serial_arm.diagnosis.stuck import at_rest, usual_acceleration
 
 
 class Readings(NamedTuple):
@@ -94,9 +94,9 @@ class Readings(NamedTuple):
 
     def rest(self, sensors: Sequence[int]) -> bool:
         """Whether there are sensors whose joints all rest in the newest interval."""
-        n, slow = self.estimator.joints, SLOW_RATE * self.estimator.balance.scale
+        n = self.estimator.joints
         rates = self.blocks(1)[:, n : 2 * n].mean(0)
-        return len(sensors) > 0 and bool((np.abs(rates) < slow)[sensors].all())
+        return len(sensors) > 0 and bool(at_rest(rates, self.estimator.balance.scale, sensors))
 
     def stop_sigma(self, i: int, acceleration: float) -> float:
         """Standard deviation of the rate that a reading had before it came to rest [rad/s]."""

@@ -5,9 +5,11 @@ would have gone at the rate that it had; they hold the momentum that the frozen 
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.diagnosis.balance import OFFSET, RATE
@@ -46,6 +48,11 @@ class Course(NamedTuple):
     end: float  # of the last balance [s]
     mean: FloatArray  # way, rate and acceleration, shape (3,) [rad], [rad/s], [rad/s2]
     covariance: FloatArray  # of these, shape (3, 3)
+
+
+def at_rest(rates: FloatArray, scale: FloatArray, sensors: Sequence[int]) -> npt.NDArray[np.bool_]:
+    """Whether all joints of some sensors rest, by mean rates of intervals, (..., n) [rad/s]."""
+    return np.asarray((np.abs(rates) < SLOW_RATE * scale)[..., sensors].all(-1))
 
 
 def usual_acceleration(estimator: OffsetEstimator, blocks: FloatArray, joint: int) -> float:
