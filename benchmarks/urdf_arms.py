@@ -24,6 +24,7 @@ import numpy as np
 from lpv import AlarmEvent, Fault, Scenario, SerialArm, load_arm, load_scenario
 from lpv.cli.main import main as lpv
 from lpv.core.simulation.closed_loop import Run, run_closed_loop
+from lpv.core.support.errors import ConfigError
 
 PACKAGE = 'example-robot-data'
 ARMS = {
@@ -64,7 +65,11 @@ def one_run(case: tuple[str, str, int]) -> tuple[str, bool, str, tuple[float, fl
     given = {'drift': {'rate': size}, 'stuck': {}}.get(kind, {'size': size})
     sensor = arm.sensor_names[joint]
     faults = () if kind == 'healthy' else (Fault(sensor, kind, onset, **given),)
-    run = run_closed_loop(arm, replace(scenario, faults=faults, seed=seed, parameter_error=0.05))
+    scenario = replace(scenario, faults=faults, seed=seed, parameter_error=0.05)
+    try:
+        run = run_closed_loop(arm, scenario)
+    except ConfigError as error:
+        return 'not simulated', False, f'{name}, seed {seed}, {kind}: {error}', None
     raised = [one for one in run.alarms if one.event == AlarmEvent.RAISED]
     others = [f'{a.sensor} {a.kind}' for a in raised if not faults or a.sensor != sensor]
     text = f'{name}, seed {seed}, {kind} of {sensor}: {", ".join(others)}' if others else ''
@@ -86,6 +91,7 @@ def after_brakes(run: Run, joint: int, onset: float) -> tuple[float, float] | No
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument('--count', type=int, default=1, help='runs of each kind and arm')
+    parser.add_argument('--first', type=int, default=1, help='seed of the first run')
     parser.add_argument('--jobs', type=int, default=1, help='processes')
     given = parser.parse_args()
     try:
@@ -93,7 +99,7 @@ def main() -> None:
     except PackageNotFoundError:
         print(f'{PACKAGE} is not installed: nothing is run')
         return
-    cases = product(ARMS, KINDS, range(1, given.count + 1))
+    cases = product(ARMS, KINDS, range(given.first, given.first + given.count))
     runs, named, blamed = Counter[str](), Counter[str](), Counter[str]()
     held = []
     with ProcessPoolExecutor(given.jobs) as pool:
@@ -106,7 +112,7 @@ def main() -> None:
                 print(others, flush=True)
             if outside is not None:
                 held.append(outside)
-    for kind in KINDS:
+    for kind in runs:
         print(f'{kind}: {runs[kind]} runs, {named[kind]} named, {blamed[kind]} blame others')
     if held:
         outside, trusted = np.mean(held, axis=0)

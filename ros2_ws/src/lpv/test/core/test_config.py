@@ -3,6 +3,7 @@
 import functools
 import math
 import re
+from copy import copy
 from dataclasses import asdict, fields, replace
 
 import numpy as np
@@ -230,6 +231,8 @@ def test_given_several_wrong_fields_when_read_then_one_error_names_each(tmp_path
     told = "sample_time: must be a number, got 'long'", 'colour: is not a known field'
     for begin in (*told, 'lpv.orientation: must be one of upright, hanging'):
         assert f') {begin}' in said and '\n' not in said
+    copied = copy(caught.value)  # made as one from a worker's process
+    assert (str(copied), vars(copied)) == (said, vars(caught.value))
     wrong = {'faults[0].kind': 'sabotage', 'faults[1].onset': math.inf, 'path.waypoints[2].x': 1e9}
     data = SCENARIO
     for field, value in wrong.items():

@@ -40,6 +40,9 @@ def test_given_too_much_torque_or_brakes_then_effort_shows_what_acted(
         with pytest.raises(ValueError, match='2 finite numbers'):
             plant.step(torque)
     assert plant.step_count == 1
+    plant.state.motion[1] = 1e200  # as of joints much too light for the steps
+    with pytest.raises(ConfigError, match='fastest of which is at .* give rotor inertias'):
+        plant.step((0.0, 0.0))
     plant = simulate(noise=False)
     before = plant.sense()
     for _ in range(10):

@@ -285,8 +285,7 @@ class ArmSimulator:
                 state.motion, state.torque, state.push, params.sample_time, params.substeps
             )
             state.own['step_count'] += 1
-        if state.own['failed'][0]:
-            raise ConfigError('plant', 'has a mass matrix that is not positive definite')
+        refuse_failure(state)
 
     def hold(self) -> None:
         """Let one sample time pass with the brakes engaged, see `brake`."""
@@ -305,6 +304,18 @@ class ArmSimulator:
             self.injector.draw(self.time)
             self._call(_take_readings, self.constants, self.state, self.injector.records)
             self._sensed = True
+
+
+def refuse_failure(state: PlantState) -> None:
+    """Raise `ConfigError` if the true arm could not be moved on."""
+    if not state.own['failed'][0]:
+        return
+    fastest = f'{np.abs(state.motion[1]).max():.3g}'
+    raise ConfigError(
+        'plant',
+        'has a mass matrix that is not positive definite, or its joints, the fastest of which is at'
+        f' {fastest} rad/s (m/s), are too light for steps of that length: give rotor inertias',
+    )
 
 
 def _engine(arm: SerialArm, scenario: Scenario, chain: Chain) -> Engine | None:

@@ -48,6 +48,7 @@ from lpv.core.simulation.arm_simulator import (
     brake,
     integrate,
     read_sensors,
+    refuse_failure,
     set_torque,
 )
 from lpv.core.simulation.scenario import Scenario
@@ -493,13 +494,12 @@ def run_closed_loop(
     signals = _Signals(rows, *np.zeros((9, count, len(arm.joints))))
     blocked = transport.blocked(count, arm.sample_time)
     alarms: list[Alarm] = []
-    shared, now, failed = memory(loop), plain(loop), simulator.state.own['failed']
+    shared, now = memory(loop), plain(loop)
     run = entry(_run, shared, plant, parts, tracker, signals, blocked, 0)
     k = 0
     while k < count:
         k = run(shared, plant, parts, tracker, signals, blocked, k)
-        if failed[0]:
-            raise ConfigError('plant', 'has a mass matrix that is not positive definite')
+        refuse_failure(simulator.state)
         phase = now['phase']
         if phase == _MONITOR:
             alarms += _hand_over(monitor, parts, records, loop, simulator.state, k)

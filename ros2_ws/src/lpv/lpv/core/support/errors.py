@@ -1,5 +1,8 @@
 """Errors that name what is wrong and where."""
 
+import copyreg
+from typing import Any
+
 
 class LpvError(ValueError):
     """Base of every error that this software raises on bad input."""
@@ -24,6 +27,10 @@ class ConfigError(LpvError):
         self.source = source
         where = f'{source}: ' if source else ''
         super().__init__(f'{where}{field}: {reason}')
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """What makes a copy in another process: the text is there, and not made again."""
+        return copyreg.__newobj__, (type(self), *self.args), vars(self)  # type: ignore[attr-defined]
 
 
 class UnreachableError(LpvError):

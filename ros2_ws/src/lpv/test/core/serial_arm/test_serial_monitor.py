@@ -17,7 +17,7 @@ from lpv.core.serial_arm.diagnosis.alarms import SensorState
 from lpv.core.serial_arm.diagnosis.bank import CONTACT_TIME
 from lpv.core.serial_arm.diagnosis.estimator import DISTRUST
 from lpv.core.serial_arm.diagnosis.published_rates import rate_lag
-from lpv.core.serial_arm.diagnosis.sampler import CONTRARY, NOISY, SPIKE, STEP, new_sampler
+from lpv.core.serial_arm.diagnosis.sampler import CONTRARY, HIDDEN, NOISY, SPIKE, STEP, new_sampler
 from lpv.core.serial_arm.diagnosis.sampling import push_sample
 from lpv.core.serial_arm.dynamics.kinematics import jacobian
 from lpv.core.serial_arm.dynamics.payload import with_payload
@@ -136,12 +136,13 @@ def test_given_filtered_differences_of_rounded_readings_then_no_rate_is_named():
         assert watch(shoulder_arm(), filtered(run._replace(samples=samples), share)).alarms == []
 
 
-def sampled(time, readings, period, smallest, share=1.0):
+def sampled(time, readings, period, smallest, share=1.0, own=None):
     """A sampler after readings whose rates are low-passed differences, and what it found."""
     n = readings.shape[1]
-    sampler = new_sampler(np.ones(n), np.full(n, 1e-4), np.full(n, smallest), 40, 50)
+    derived = np.full(n, 1.0 if own is None else 0.0)
+    sampler = new_sampler(derived, np.full(n, 1e-4), np.full(n, smallest), 40, 50)
     rates = np.diff(readings, axis=0, prepend=readings[:1]) / period
-    rates = low_passed(rates, share)
+    rates = low_passed(rates, share) if own is None else own
     found = []
     for stamp, reading, rate in zip(time, readings, rates, strict=True):
         push_sample(sampler, stamp, reading, rate, np.zeros(n))
@@ -183,6 +184,21 @@ def test_given_wrong_stamps_when_readings_move_then_these_do_not_jump():
         steps = np.maximum(np.diff(stamps, prepend=stamps[0] - period), 1e-4)
         _, found = sampled(stamps, readings, steps[:, None], 1e-3)
         assert not np.isin(found, (STEP, SPIKE, NOISY)).any()
+
+
+@RATES
+@pytest.mark.parametrize('part', [0.0, 0.125, 0.5, 0.875, 1.0])
+def test_given_a_joint_that_stops_dead_then_its_reading_does_not_jump_but_by_more(rates, part):
+    period, speed, stop = 0.002, 8.0, 60
+    time, noise = period * np.arange(1, 121), np.random.default_rng(0).standard_normal((120, 2))
+    way = speed * np.minimum(time, time[stop - 1] + part * period)
+    own = np.stack([speed * (time <= time[stop - 1]), 0.0 * time], axis=1)
+    for step in (0.0, 3.0 * speed * period):
+        readings = np.stack([way + step * (time >= time[stop]), 0.0 * time], axis=1) + 1e-5 * noise
+        given = own if rates == 'independent' else None
+        _, found = sampled(time, readings, period, 1e-3, own=given)
+        assert (found == STEP).any() == (step > 0.0)
+        assert not np.isin(found, (SPIKE, HIDDEN, NOISY)).any()
 
 
 def test_two_steps_at_once_are_both_named():

@@ -228,7 +228,7 @@ def _name_jump(sampler: Sampler, i: int) -> None:
     while abs(sampler.jumps[peak, i]) < MOST * largest:
         peak += 1
     size, after = sampler.jumps[peak, i], sampler.jumps[peak + 1, i]
-    if abs(size) <= smallest_jump(sampler, i):
+    if abs(size) <= smallest_jump(sampler, i) or _is_stop(sampler, i, peak):
         return
     doubt = sampler.doubtful[peak, i]
     if abs(after + size) < LEFT * abs(size):
@@ -255,6 +255,20 @@ def _name_jump(sampler: Sampler, i: int) -> None:
         _remove_step(sampler, i, peak)
     elif doubt == 3:
         sampler.found[i], sampler.size[i] = HIDDEN, size
+
+
+@njit_in_place
+def _is_stop(sampler: Sampler, i: int, peak: int) -> bool:
+    """Whether a joint that stopped dead, or was hit, would make such an e.
+
+    A rate that changes by dv at once, anywhere between two samples, makes e of up to T dv / 2, and
+    until then the joint may have gone on with its acceleration.  Steps of a reading leave the rates
+    before them as they are, and those from the second one after them on.
+    """
+    rates, period = sampler.samples[:, 1, i], sampler.time[peak] - sampler.time[peak - 1]
+    before, last, after = rates[peak - 2], rates[peak - 1], rates[peak + 2]
+    change = 0.5 * max(abs(after - before), abs(after - last)) + abs(last - before)
+    return bool(MOST * abs(sampler.jumps[peak, i]) <= period * change + sampler.usual[i])
 
 
 @njit_in_place
