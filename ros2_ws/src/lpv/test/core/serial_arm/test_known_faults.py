@@ -111,6 +111,27 @@ def test_given_a_known_scale_error_then_published_rates_are_without_it(size):
     assert np.abs(error[2500:, 1]).max() < 0.03
 
 
+@pytest.mark.parametrize('kind', ['drift', 'scale', 'stuck'])
+@pytest.mark.parametrize('apart', [0.04, -0.04])
+def test_given_a_fault_when_another_moment_is_asked_for_then_less_is_known_of_it(kind, apart):
+    one = FaultFilter(0, kind, 0.0, acceleration=1.0)
+    one.mean, one.updated = np.array([0.2, 3.0, 400.0]), 1.0
+    one.predict(1.0 + apart)
+    assert np.linalg.eigvalsh(one.covariance).min() > -1e-12 and one.covariance[0, 0] > 0.0
+
+
+def test_given_a_frozen_reading_when_all_others_come_to_rest_then_its_joint_may_do_so_too():
+    one = FaultFilter(0, 'stuck', 0.0)
+    one.mean[:2] = 0.2, 3.0
+    for rests, way in ((False, 0.0), (True, 1.5), (True, 1.5), (False, 0.0)):
+        one.watch_rest(rests)
+        assert one.since_rest(0.5) == pytest.approx(way)
+    one.watch_rest(True)
+    one.stopped = 0.0
+    one.watch_rest(True)
+    assert one.since_rest(0.5) == 0.0  # brakes were seen
+
+
 @pytest.mark.parametrize('size', [0.3, -0.5])
 def test_given_an_uncertain_scale_error_then_sigma_is_that_of_draws(size):
     one, rng = FaultFilter(0, 'scale', 0.0), np.random.default_rng(1)

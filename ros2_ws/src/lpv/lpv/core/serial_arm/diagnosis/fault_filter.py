@@ -54,6 +54,7 @@ class FaultFilter:
     acceleration: float = 0.0  # usual one of the fault [rad/s2]
     scale: float = 1.0  # what counts as much as 1 rad, see `SerialJoint.scale` [rad]
     stopped: float | None = None  # when brakes stopped the joint, which rests since then [s]
+    rested: float | None = None  # fault when all right readings came to rest, if they do [rad]
     before: 'FaultFilter | None' = None  # at the end of the balance before
 
     @property
@@ -102,11 +103,12 @@ class FaultFilter:
         self.updated = now
 
     def _after(self, interval: float) -> tuple[FloatArray, FloatArray]:
-        """State and its covariance after a time [s]."""
+        """State and its covariance after a time, or before it where that is negative [s]."""
+        apart = abs(interval)  # either way less is known
         if self.is_scale:
-            return self.mean, self.covariance + np.diag([SCALE_STEADY**2 * interval, 0.0, 0.0])
+            return self.mean, self.covariance + np.diag([SCALE_STEADY**2 * apart, 0.0, 0.0])
         move, covariance = _motion(interval), self.covariance.copy()
-        move[2, 2], bend, change = self._growth(interval)
+        move[2, 2], bend, change = self._growth(apart)
         covariance[2, 2] += bend
         covariance = move @ covariance @ move.T
         covariance[:2, :2] += change * np.array([
@@ -124,6 +126,20 @@ class FaultFilter:
         if size > 2.0 * self.acceleration:  # a loop that is closed on the reading drives it away
             return 1.0, size**2 * (1.0 - kept**2), 0.0
         return kept, self.acceleration**2 * (1.0 - kept**2), 0.0
+
+    def watch_rest(self, rests: bool) -> None:
+        """Note whether all right readings rest in the newest balance, where none tells of it."""
+        if not (rests and self.may_stop):
+            self.rested = None
+        elif self.rested is None:
+            self.rested = float((self.before or self).mean[0])
+
+    def since_rest(self, now: float) -> float:
+        """How far the joint of a frozen reading went while all others rested [rad].
+
+        It may be at rest as well: brakes that stop slow joints are not told from their own stop.
+        """
+        return 0.0 if self.rested is None else abs(self.fault(0.0, now)[0] - self.rested)
 
     def go_on(self, acceleration: float) -> None:
         """Move again, with a usual acceleration [rad/s2], at a rate that is not known."""

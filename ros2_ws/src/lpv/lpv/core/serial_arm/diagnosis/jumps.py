@@ -259,14 +259,17 @@ def _name_jump(sampler: Sampler, i: int) -> None:
 
 @njit_in_place
 def _is_stop(sampler: Sampler, i: int, peak: int) -> bool:
-    """Whether a joint that stopped dead, or was hit, would make such an e.
+    """Whether a joint that stopped dead would make such an e.
 
     A rate that changes by dv at once, anywhere between two samples, makes e of up to T dv / 2, and
     until then the joint may have gone on with its acceleration.  Steps of a reading leave the rates
-    before them as they are, and those from the second one after them on.
+    before them as they are, and those from the second one after them on; one that slips within a
+    few samples gets faster first, which no joint does at once.
     """
     rates, period = sampler.samples[:, 1, i], sampler.time[peak] - sampler.time[peak - 1]
     before, last, after = rates[peak - 2], rates[peak - 1], rates[peak + 2]
+    if abs(after) >= max(abs(before), abs(last)):
+        return False
     change = 0.5 * max(abs(after - before), abs(after - last)) + abs(last - before)
     return bool(MOST * abs(sampler.jumps[peak, i]) <= period * change + sampler.usual[i])
 

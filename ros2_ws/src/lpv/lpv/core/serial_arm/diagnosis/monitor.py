@@ -313,10 +313,11 @@ class SerialMonitor:
         """What is not decided adds to standard deviations, shape (n,) [rad].
 
         While a jump may have been the end of a fault, or a scale error's, bounds hold that as well,
-        and so they do of a fault that is suspected, and the way of a joint whose reading rests
-        again while the alarm that it was frozen is up.
+        and so they do of a fault that is suspected, and the ways of a joint whose reading is frozen
+        while all others rest, or rests again while the alarm that it was frozen is up.
         """
         error = self._jumps.errors(self.settings.probability_of_wrong_name)
+        error = np.maximum(error, self.followed.since_rest())
         for i, sensor in enumerate(self.sensors):
             if sensor.active and sensor.kind == 'stuck' and i not in self.followed.filters:
                 # Balances of less than that time were made of readings before it.
