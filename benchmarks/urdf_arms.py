@@ -107,7 +107,7 @@ def main() -> None:
         for kind, was_named, others, outside in done:
             runs[kind] += 1
             named[kind] += was_named
-            blamed[kind] += bool(others)
+            blamed[kind] += bool(others) and kind in KINDS
             if others:
                 print(others, flush=True)
             if outside is not None:
