@@ -310,11 +310,11 @@ def refuse_failure(state: PlantState) -> None:
     """Raise `ConfigError` if the true arm could not be moved on."""
     if not state.own['failed'][0]:
         return
-    fastest = f'{np.abs(state.motion[1]).max():.3g}'
+    fastest = np.abs(state.motion[1]).max()
     raise ConfigError(
         'plant',
         'has a mass matrix that is not positive definite, or its joints, the fastest of which is at'
-        f' {fastest} rad/s (m/s), are too light for steps of that length: give rotor inertias',
+        f' {fastest:.3g} rad/s (m/s), are too light for steps of that length: give rotor inertias',
     )
 
 

@@ -104,11 +104,11 @@ class FaultFilter:
 
     def _after(self, interval: float) -> tuple[FloatArray, FloatArray]:
         """State and its covariance after a time, or before it where that is negative [s]."""
-        apart = abs(interval)  # either way less is known
         if self.is_scale:
-            return self.mean, self.covariance + np.diag([SCALE_STEADY**2 * apart, 0.0, 0.0])
+            grown = SCALE_STEADY**2 * abs(interval)
+            return self.mean, self.covariance + np.diag([grown, 0.0, 0.0])
         move, covariance = _motion(interval), self.covariance.copy()
-        move[2, 2], bend, change = self._growth(apart)
+        move[2, 2], bend, change = self._growth(interval)
         covariance[2, 2] += bend
         covariance = move @ covariance @ move.T
         covariance[:2, :2] += change * np.array([
@@ -117,7 +117,11 @@ class FaultFilter:
         return move @ self.mean, covariance
 
     def _growth(self, interval: float) -> tuple[float, float, float]:
-        """What is kept of the acceleration, and by what its variance and the rate's grow."""
+        """What is kept of the acceleration, and by what its variance and the rate's grow.
+
+        Less is known of what comes and of what was.
+        """
+        interval = abs(interval)
         if self.stopped is not None:
             return 1.0, 0.0, 0.0
         if self.kind != 'stuck':

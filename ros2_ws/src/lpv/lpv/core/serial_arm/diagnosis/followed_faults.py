@@ -80,13 +80,6 @@ class FollowedFaults:
             sigma[noisy] = math.hypot(sigma[noisy], readings.noise(noisy))
         return sigma
 
-    def since_rest(self) -> FloatArray:
-        """How far joints of frozen readings went while all others rested, shape (n,) [rad]."""
-        ways, now = np.zeros(len(self._sensors)), self._readings.last()
-        for i, one in self.filters.items():
-            ways[i] = one.since_rest(now)
-        return ways
-
     def largest(self, i: int) -> float:
         """What is taken out of a reading; of a scale error, where that was farthest from zero."""
         one = self.filters.get(i)
@@ -149,7 +142,8 @@ class FollowedFaults:
                 one.watch_rest(rests and way is None)  # a rate of its own tells
                 if one.stopped is not None and not rests:
                     one.go_on(readings.acceleration(i))
-            may_stop = any(one.may_stop for one in self.filters.values())
+            faults = zip(self.filters.values(), kinematic)
+            may_stop = any(one.may_stop and way is None for one, way in faults)
             stopped = readings.stopped(others) if may_stop else None
             follow_all([*self.filters.values()], readings, kinematic, momenta, stopped)
 

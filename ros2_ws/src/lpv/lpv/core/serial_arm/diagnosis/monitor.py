@@ -317,9 +317,11 @@ class SerialMonitor:
         while all others rest, or rests again while the alarm that it was frozen is up.
         """
         error = self._jumps.errors(self.settings.probability_of_wrong_name)
-        error = np.maximum(error, self.followed.since_rest())
+        filters, now = self.followed.filters, self.readings.last()
         for i, sensor in enumerate(self.sensors):
-            if sensor.active and sensor.kind == 'stuck' and i not in self.followed.filters:
+            if i in filters:
+                error[i] = max(error[i], filters[i].since_rest(now))
+            elif sensor.active and sensor.kind == 'stuck':
                 # Balances of less than that time were made of readings before it.
                 rested = self.readings.rested(i)
                 if rested < STUCK_FOR[0] or not self._rests(i):
