@@ -16,6 +16,7 @@ from lpv.core.monitoring.carried_motion import (
 from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import Mode
+from lpv.core.serial_arm.diagnosis.information import median, median_distance
 from lpv.core.serial_arm.diagnosis.monitor import LONGEST_STEP
 from lpv.core.serial_arm.diagnosis.sampler import DELAY, JUMP_SCALE
 from lpv.core.serial_arm.sensor_map import map_vector
@@ -25,9 +26,12 @@ from lpv.core.support.timestamps import NANOSECONDS, NEVER
 
 BRIDGED = DELAY + 1
 """Samples over which a reading that jumps is carried on: by then the jump is known, or has entered
-the balance."""
-_NOISY = BRIDGED + 1
-"""The same of a reading that is noisy."""
+the balance.  For as many more, one that goes on to jump is, which will be noise."""
+_COUNTS, _NOISY = 2 * BRIDGED, 2 * BRIDGED + 1
+"""In place of their number: the reading counts as it is again; it is noisy."""
+RATES = 5
+"""Samples of whose rates a reading that begins to be carried on has the median: noise that was too
+small for a jump, in the last reading or two, is many times as large in differences."""
 _HOLDING = int(Mode.HOLDING)
 
 
@@ -37,8 +41,9 @@ class Compensation(NamedTuple):
     applied: FloatArray  # fault that is being removed [rad]
     position: FloatArray  # of the sample before, corrected [rad]
     velocity: FloatArray  # of the sample before, corrected [rad/s]
-    change: FloatArray  # of that velocity over the last interval [rad/s]
+    rates: FloatArray  # that velocity and those before, newest first, shape (n, RATES) [rad/s]
     estimate: FloatArray  # of the sample, less the estimated fault [rad]
+    reading: FloatArray  # of the sample before, as it was [rad]
     bridged: IntArray  # samples for which a reading has been carried on
     stamp: IntArray  # of the sample before [ns], shape (1,)
     motion: CarriedMotion
@@ -116,11 +121,12 @@ def answer_rows(records: npt.NDArray[np.void]) -> AnswerRows:
 
 def new_compensation(arm: SerialArm) -> Compensation:
     """Nothing is removed yet."""
-    applied, position, velocity, change, estimate = np.zeros((5, len(arm.joints)))
-    bridged, stamp = np.zeros(len(arm.joints), np.int64), np.array([NEVER])
+    n = len(arm.joints)
+    applied, position, velocity, estimate, reading = np.zeros((5, n))
     return Compensation(
-        applied, position, velocity, change, estimate, bridged, stamp, new_motion(arm), arm.scales()
-    )
+        applied, position, velocity, np.zeros((n, RATES)), estimate, reading, np.zeros(n, np.int64),
+        np.array([NEVER]), new_motion(arm), arm.scales(),
+    )  # fmt: skip
 
 
 @njit_in_place
@@ -230,14 +236,22 @@ def _correct(
     if np.isnan(fault[1]):
         velocity = (position - work.position[i]) / interval if follows else work.velocity[i]
     noisy = follows and known.noise[i] > 0.0
-    carried, rate = work.position[i] + interval * work.velocity[i], work.velocity[i]
+    rate = _rate_before(work, i, known) if noisy and _counted(work, i) else work.velocity[i]
+    carried = work.position[i] + interval * rate
     if noisy or work.bridged[i] > 0:
         acceleration = _carry(work, i, known, interval)
         carried += 0.5 * interval**2 * acceleration
         rate += interval * acceleration
-    largest = known.limit[i] + 2.0 * interval * abs(work.change[i])
+    rates = work.rates[i]
+    change = min(abs(rates[0] - rates[1]), abs(rates[1] - rates[2]))
+    largest = known.limit[i] + 2.0 * interval * change
     is_near = abs(position - carried) <= largest
-    may_differ = work.bridged[i] > 0 if is_near else follows and work.bridged[i] < BRIDGED
+    if follows and not (is_near or noisy) and work.bridged[i] == 0:
+        rate = _rate_before(work, i, known)
+        carried = work.position[i] + interval * rate
+    goes_on = abs(measured[0] - work.reading[i] - interval * rate) <= largest
+    last = BRIDGED if goes_on else _COUNTS
+    may_differ = work.bridged[i] > 0 if is_near else follows and work.bridged[i] < last
     if noisy:
         work.bridged[i] = _NOISY
         # Between spikes readings are right.
@@ -250,15 +264,32 @@ def _correct(
         # The difference of two readings of which one is carried on, or was, is no rate.
         if may_differ and abs(velocity - rate) * interval > largest:
             velocity = rate
-        if is_near:
+        if is_near or not follows:
             work.bridged[i] = 0
         elif may_differ:
             if work.bridged[i] == 0:
                 _carry(work, i, known, interval)
             position = carried
             work.bridged[i] += 1
-    work.change[i] = velocity - work.velocity[i] if follows else 0.0
+        else:
+            work.bridged[i] = _COUNTS
+    work.reading[i] = measured[0]
     work.position[i], work.velocity[i] = position, velocity
+    for k in range(RATES - 1, 0, -1):
+        work.rates[i, k] = work.rates[i, k - 1] if follows else velocity
+    work.rates[i, 0] = velocity
+
+
+@njit_in_place
+def _counted(work: Compensation, i: int) -> bool:
+    """Whether the last reading counted as it was."""
+    return bool(work.bridged[i] == 0 or work.bridged[i] == _COUNTS)
+
+
+@njit_in_place
+def _rate_before(work: Compensation, i: int, known: Known) -> float:
+    """Rate at which a reading goes on that is not believed any more [rad/s]."""
+    return median(work.rates[i]) if known.is_derived[i] else float(work.velocity[i])
 
 
 @njit_in_place
@@ -285,9 +316,12 @@ def _filter(
 @njit_in_place
 def _carry(work: Compensation, i: int, known: Known, interval: float) -> float:
     """Carry on a sensor; its acceleration [rad/s2]."""
-    if work.bridged[i] in (0, BRIDGED):  # the last reading counted as it was
+    if _counted(work, i):
         usual = (known.limit[i] / JUMP_SCALE) ** 2
-        error = max(usual, known.noise[i]) if work.bridged[i] == BRIDGED else usual
-        rate = 2.0 * error / interval**2 if known.is_derived[i] else work.motion.rate_noise[i]
+        error = max(usual, known.noise[i]) if work.bridged[i] == _COUNTS else usual
+        rate = work.motion.rate_noise[i]
+        if known.is_derived[i]:
+            apart = median_distance(work.rates[i], median(work.rates[i]))
+            rate = max(2.0 * usual / interval**2, apart * apart)
         begin(work.motion, i, error, rate, known.missed[i])
     return carry(work.motion, i, known.predicted[i], known.missed[i], interval)

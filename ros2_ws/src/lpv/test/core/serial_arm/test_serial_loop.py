@@ -89,6 +89,24 @@ def test_given_a_noisy_reading_when_in_the_loop_then_the_arm_stays_on_its_path(
     assert np.sqrt((error**2).mean()) < 0.5 * np.sqrt((raw**2).mean())
 
 
+@pytest.mark.parametrize(('seed', 'onset', 'size', 'duration'), [
+    (46, 4.7703, 0.04, 0.014), (46, 4.7703, 0.04, 0.5), (43, 4.6532, 0.2, 0.5),
+])  # fmt: skip
+def test_given_noise_that_begins_below_a_jump_when_the_arm_is_light_then_it_is_not_thrown(
+    seed, onset, size, duration
+):
+    """The first difference of readings would be a rate of 15 rad/s, at which it is carried on."""
+    scenario = load_scenario(BRINGUP / 'scenarios' / 'real_arm.yaml')
+    noise = Fault('joint2_encoder', 'noise', onset, duration, size)
+    scenario = replace(
+        scenario, duration=6.0, seed=seed, parameter_error=0.05, faults=(noise,)
+    )  # fmt: skip
+    run = run_closed_loop(load_arm(BRINGUP / 'arms' / 'real_arm.yaml'), scenario)
+    assert np.abs(run.compensated - run.position).max() < 0.3
+    assert np.abs(run.position - run.reference).max() < 0.35
+    assert not run.stop_reason[run.time > 1.0].any()
+
+
 def test_given_no_readings_for_less_than_50_ms_when_the_arm_moves_then_it_is_not_stopped():
     faults = (Fault(f'encoder{i}', 'dropout', 1.0, duration=0.04) for i in (1, 2, 3))
     run = simulate(*faults, duration=2.0)

@@ -291,3 +291,29 @@ def sort(values: FloatArray) -> None:
                 at -= gap
             values[at] = value
         gap //= 2
+
+
+@njit_in_place
+def median(values: FloatArray) -> float:
+    """Median of an odd number of values, few of them; 0 where some are no numbers."""
+    for one in values:
+        smaller, equal = 0, 0
+        for other in values:
+            smaller += other < one
+            equal += other == one
+        if smaller <= len(values) // 2 < smaller + equal:
+            return float(one)
+    return 0.0
+
+
+@njit_in_place
+def median_distance(values: FloatArray, centre: float) -> float:
+    """Median distance of values, as of `median`, from one of them."""
+    for one in values:
+        distance, smaller, equal = abs(one - centre), 0, 0
+        for other in values:
+            smaller += abs(other - centre) < distance
+            equal += abs(other - centre) == distance
+        if smaller <= len(values) // 2 < smaller + equal:
+            return float(distance)
+    return 0.0

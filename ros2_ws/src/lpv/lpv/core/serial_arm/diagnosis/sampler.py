@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lpv.core.serial_arm.chain import FloatArray, IntArray
-from lpv.core.serial_arm.diagnosis.information import ROBUST
+from lpv.core.serial_arm.diagnosis.information import ROBUST, median
 from lpv.core.support.jit import njit_in_place
 
 DELAY = 5
@@ -222,15 +222,7 @@ def steady_rate(sampler: Sampler, i: int) -> float:
 @njit_in_place
 def usual_rate(sampler: Sampler, i: int) -> float:
     """Median rate of a joint over the last samples but the first [rad/s]: jumps do not count."""
-    rates = sampler.samples[1:, 1, i]
-    for one in rates:
-        smaller, equal = 0, 0
-        for other in rates:
-            smaller += other < one
-            equal += other == one
-        if smaller <= len(rates) // 2 < smaller + equal:
-            return float(one)
-    return 0.0
+    return median(sampler.samples[1:, 1, i])
 
 
 @njit_in_place
