@@ -1,6 +1,5 @@
 """Figures of a run, most of them counterparts of the paper's figures 4 to 8."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -53,13 +52,6 @@ _LINES = {
 }
 _WIDTH, _HALF = 8.6, 0.32
 """Width of a figure [inch]; half the height of a bar, whose rows are 1 apart."""
-
-
-def draw_all(run: Run) -> Iterator[tuple[str, bytes]]:
-    """Pictures of everything that a run has to show, by name."""
-    for make in (timeline, path, faults, measured, states, torques):
-        if data := picture(make, run):
-            yield make.__name__, data
 
 
 def warm_up() -> None:

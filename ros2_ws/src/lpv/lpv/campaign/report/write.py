@@ -17,7 +17,7 @@ from rich.table import Table
 
 from lpv.campaign.plan.campaign import Campaign
 from lpv.campaign.plan.spec import BOTH, NO_FAULT, Choice
-from lpv.campaign.report.figures import draw_all
+from lpv.campaign.report import figures
 from lpv.campaign.report.statistics import (
     DOSES,
     Results,
@@ -31,8 +31,13 @@ from lpv.campaign.report.statistics import (
 from lpv.core.simulation.faults import KINDS
 from lpv.core.support.config import write_whole
 from lpv.core.support.formatting import number, seconds
-from lpv.report.page import Tile, embedded, environment, finite
+from lpv.report.page import Tile, finite, write_page
 
+_CAPTIONS = {
+    figures.detection: 'Above: how often a fault of a size is detected, with 95% intervals. Below: '
+    'delay from onset to alarm, with 5 to 95%.',
+    figures.trends: 'Mean fault estimates of the arms that change clearly.',
+}
 _CLASSES, _LEVELS = 8, 12
 """Classes of sizes, and values of a factor, that a table or figure has room for."""
 _MOST = 10
@@ -46,12 +51,9 @@ def write_report(
 ) -> dict[str, Any]:
     """Write ``report.html`` and ``report.json``; its numbers. ``healthy``: all alarms are false."""
     numbers = report_numbers(work, table, folder, planned, healthy)
-    figures = {name: embedded(data) for name, data in draw_all(numbers).items()}
-    template = environment(Path(__file__).parent).get_template('report.html')
-    page = template.render(**numbers, title=numbers['head']['name'], figures=figures, text=_TEXT)
-    data = json.dumps(numbers, allow_nan=False, indent=1)
-    for name, content in (('report.html', page), ('report.json', data)):
-        write_whole(folder / name, content)  # someone may look at it
+    content = {**numbers, 'title': numbers['head']['name'], 'text': _TEXT}
+    write_page(folder / 'report.html', Path(__file__).parent, _CAPTIONS, numbers, content)
+    write_whole(folder / 'report.json', json.dumps(numbers, allow_nan=False, indent=1))
     return numbers
 
 
