@@ -173,8 +173,8 @@ def path(run: Run) -> Figure:
                 axis.annotate(name, point, color=INK, **offset)
         obstacle = planned.obstacle if planned is not None else None
         if obstacle is not None:
-            look = {'facecolor': 'none', 'edgecolor': SOFT, 'hatch': '////', 'label': 'obstacle'}
-            axis.add_patch(plt.Circle(obstacle.center, obstacle.radius, **look))
+            circle = plt.Circle(obstacle.center, obstacle.radius, label='obstacle', **HATCHED)
+            axis.add_patch(circle)
         axis.set(xlabel='x [m]', ylabel=label)
         axis.set_aspect('equal', adjustable='datalim')
         axis.margins(0.05)
