@@ -1,6 +1,5 @@
 """Figures of a run, most of them counterparts of the paper's figures 4 to 8."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -53,13 +52,6 @@ _LINES = {
 }
 _WIDTH, _HALF = 8.6, 0.32
 """Width of a figure [inch]; half the height of a bar, whose rows are 1 apart."""
-
-
-def draw_all(run: Run) -> Iterator[tuple[str, bytes]]:
-    """Pictures of everything that a run has to show, by name."""
-    for make in (timeline, path, faults, measured, states, torques):
-        if data := picture(make, run):
-            yield make.__name__, data
 
 
 def warm_up() -> None:
@@ -181,8 +173,8 @@ def path(run: Run) -> Figure:
                 axis.annotate(name, point, color=INK, **offset)
         obstacle = planned.obstacle if planned is not None else None
         if obstacle is not None:
-            look = {'facecolor': 'none', 'edgecolor': SOFT, 'hatch': '////', 'label': 'obstacle'}
-            axis.add_patch(plt.Circle(obstacle.center, obstacle.radius, **look))
+            circle = plt.Circle(obstacle.center, obstacle.radius, label='obstacle', **HATCHED)
+            axis.add_patch(circle)
         axis.set(xlabel='x [m]', ylabel=label)
         axis.set_aspect('equal', adjustable='datalim')
         axis.margins(0.05)

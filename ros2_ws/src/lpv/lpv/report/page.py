@@ -2,12 +2,15 @@
 
 import base64
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import jinja2
 import numpy as np
+
+from lpv.core.support.config import write_whole
+from lpv.report.style import picture
 
 
 class Tile(NamedTuple):
@@ -51,22 +54,20 @@ def finite(data: Any) -> Any:
 def write_page(
     page: Path,
     templates: Path,
-    pictures: Iterable[tuple[str, str, bytes]],
-    filters: Mapping[str, Any],
+    captions: Mapping[Any, str],  # of functions that draw a figure of the subject, or none
+    subject: Any,
     content: Mapping[str, Any],
+    **filters: Any,
 ) -> Path:
-    """Write a page by ``report.html`` of a folder, and its pictures: names, captions, PNGs."""
+    """Write a page by ``report.html`` of a folder, and its pictures, named as what draws them."""
     page.parent.mkdir(parents=True, exist_ok=True)
-    figures, found = {}, environment(templates)
-    for name, caption, data in pictures:
-        page.with_name(f'{name}.png').write_bytes(data)
-        figures[name] = {'caption': caption, 'data': embedded(data)}
+    pictures, found = {}, environment(templates)
+    for draw, caption in captions.items():
+        if data := picture(draw, subject):
+            write_whole(page.with_name(f'{draw.__name__}.png'), data)
+            url = f'data:image/png;base64,{base64.b64encode(data).decode()}'
+            pictures[draw.__name__] = {'caption': caption, 'data': url}
     found.filters.update(filters)
-    text = found.get_template('report.html').render(**content, figures=figures)
-    page.write_text(text.lstrip(), encoding='utf-8')
+    text = found.get_template('report.html').render(**content, figures=pictures)
+    write_whole(page, text.lstrip())  # someone may look at it
     return page
-
-
-def embedded(picture: bytes) -> str:
-    """A PNG as a data URL."""
-    return 'data:image/png;base64,' + base64.b64encode(picture).decode()

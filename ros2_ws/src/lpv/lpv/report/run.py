@@ -14,8 +14,7 @@ from lpv.core.serial_arm.diagnosis.alarms import SensorState, blamed
 from lpv.core.support.formatting import bound, decimals
 from lpv.core.support.resources import installed_version
 from lpv.core.support.timestamps import NANOSECONDS
-from lpv.report import history
-from lpv.report.figures import draw_all
+from lpv.report import figures, history
 from lpv.report.history import Episode, Run, listed, starting
 from lpv.report.page import Tile, write_page
 
@@ -23,23 +22,23 @@ _CALENDAR = 946684800 * NANOSECONDS
 """Stamps after the year 2000 are dates, others count from the start of something [ns]."""
 _PACKAGES = ('numpy', 'numba', 'matplotlib', 'rosbags', 'mcap')
 _CAPTIONS = {
-    'timeline': 'What the diagnosis said of each sensor, and when.',
-    'path': 'Path of the tip (cf. Fig. 4 of the paper).',
-    'faults': 'Faults of the physical position sensors and their estimates (cf. Fig. 5). Grey: a '
-    'healthy arm stays inside. Red: confirmed alarm. Hatched: not diagnosable.',
-    'measured': 'Joint positions as measured, with faults, and their references (cf. Fig. 6).',
-    'states': 'Joint positions and rates with their estimates (cf. Fig. 7).',
-    'torques': 'Joint torques (cf. Fig. 8).',
+    figures.timeline: 'What the diagnosis said of each sensor, and when.',
+    figures.path: 'Path of the tip (cf. Fig. 4 of the paper).',
+    figures.faults: 'Faults of the physical position sensors and their estimates (cf. Fig. 5). '
+    'Grey: a healthy arm stays inside. Red: confirmed alarm. Hatched: not diagnosable.',
+    figures.measured: 'Joint positions as measured, with faults, and their references '
+    '(cf. Fig. 6).',
+    figures.states: 'Joint positions and rates with their estimates (cf. Fig. 7).',
+    figures.torques: 'Joint torques (cf. Fig. 8).',
 }
 
 
 def write(run: Run, out: str | Path) -> Path:
     """Write page and pictures of a run into a folder; the page."""
-    pictures = ((name, _CAPTIONS[name], data) for name, data in draw_all(run))
-    filters = {'number': _number, 'size': _size, 'bound': bound}
     return write_page(
-        Path(out, 'report.html'), Path(__file__).parent, pictures, filters, content(run)
-    )
+        Path(out, 'report.html'), Path(__file__).parent, _CAPTIONS, run, content(run),
+        number=_number, size=_size, bound=bound,
+    )  # fmt: skip
 
 
 def _number(value: float | None, form: str) -> str:

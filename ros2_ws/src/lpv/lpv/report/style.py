@@ -81,7 +81,7 @@ def shade(axis: Axes, spans: Iterable[tuple[float, float]], label: str, **look: 
 
 
 HATCHED = {'facecolor': 'none', 'edgecolor': SOFT, 'hatch': '////'}
-"""Look of intervals in which a sensor is not diagnosable."""
+"""Look of obstacles, and of where a sensor is not diagnosable."""
 
 
 def picture(draw: Callable[..., Figure | None], *subject: Any) -> bytes:

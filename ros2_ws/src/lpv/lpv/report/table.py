@@ -1,6 +1,8 @@
 """Figures of a run: mean squared errors, beside Table 2 of the paper where its arm ran."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from rich import box
@@ -102,21 +104,35 @@ def _sizes(record: RunRecord, arm: SerialArm) -> list[Row]:
 
 def print_table(rows: list[Row], console: Console | None = None) -> None:
     """Show a table on the terminal, if it has rows."""
-    if not rows:
-        return
-    with_paper = any(row.paper is not None for row in rows)
     title = 'mean squared errors over the run (MISE, eq. (70)): smaller is better'
-    table = Table(title=title if any(r.is_error for r in rows) else None, box=box.SIMPLE_HEAD)
-    # In a narrow terminal the words wrap, and no figure is cut off.
-    for name in ('signal', 'meaning', 'unit'):
-        table.add_column(name, no_wrap=name != 'meaning')
-    for name in ('this run', 'paper', 'better by')[: 3 if with_paper else 1]:
-        table.add_column(name, justify='right', no_wrap=True)
-    for row in rows:
-        cells = [row.signal, row.meaning, row.unit, f'{row.value:.2g}']
-        if with_paper:
+    heads = ['signal', 'meaning', 'unit', '>this run']
+    lines = [[row.signal, row.meaning, row.unit, f'{row.value:.2g}'] for row in rows]
+    if any(row.paper is not None for row in rows):
+        heads += ['>paper', '>better by']
+        for row, cells in zip(rows, lines):
             ratio = row.paper / row.value if row.paper is not None and row.value > 0.0 else 0.0
             times = f'{ratio:.0f} x' if ratio >= 10.0 else f'{ratio:.1f} x'
             cells += [f'{row.paper:g}', times if ratio else '-']
-        table.add_row(*cells)
-    (console or Console()).print(table)
+    is_error = any(row.is_error for row in rows)
+    print_grid(console or Console(), heads, lines, title if is_error else '')
+
+
+def print_grid(
+    console: Console, heads: Sequence[str], rows: Sequence[Sequence[str]], title: str = ''
+) -> None:
+    """Show rows on the terminal, if there are any; heads of columns of figures begin with ">".
+
+    In a narrow terminal the words wrap, and no figure is cut off.
+    """
+    if not rows:
+        return
+    look: Any = {'box': box.SIMPLE_HEAD, 'pad_edge': False, 'padding': (0, 1, 0, 0)}
+    table = Table(title=title or None, title_justify='left', **look)
+    for head in heads:
+        if head.startswith('>'):
+            table.add_column(head[1:], justify='right', no_wrap=True)
+        else:
+            table.add_column(head, overflow='fold')
+    for row in rows:
+        table.add_row(*row)
+    console.print(table, markup=False, soft_wrap=False)

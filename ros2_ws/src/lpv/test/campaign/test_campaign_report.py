@@ -195,7 +195,8 @@ def check_page(path):
 def test_given_results_when_reported_then_all_is_there(campaign, row, tmp_path, count, pictures):
     numbers = write_report(campaign, table(made_up(row, count)), tmp_path, 120)
     text = check_page(tmp_path / 'report.html')
-    assert text.count('<img') == pictures and 'made &lt;up&gt;' in text
+    assert text.count('<img') == len([*tmp_path.glob('*.png')]) == pictures
+    assert 'made &lt;up&gt;' in text
     assert ('are missing' in text) == (count < 120)
     assert json.loads((tmp_path / 'report.json').read_text()) == json.loads(json.dumps(numbers))
 

@@ -180,9 +180,9 @@ def test_given_no_scenario_when_the_demo_runs_then_it_is_that_of_the_arm(
 @pytest.mark.parametrize('name', ['cell/left', '/cell/left/', '/cell/left'])
 def test_given_a_namespace_when_viewed_then_slashes_at_its_ends_do_not_count(monkeypatch, name):
     lines = []
-    monkeypatch.setattr(view, 'require_ros', lambda: None)
-    monkeypatch.setattr(view, 'executable', lambda *names: '/bin/view')
-    monkeypatch.setattr(view, 'stay_local', lambda: None)
+    monkeypatch.setattr(view.start, 'require_ros', lambda: None)
+    monkeypatch.setattr(view.start, 'executable', lambda *names: '/bin/view')
+    monkeypatch.setattr(view.start, 'stay_local', lambda: None)
     monkeypatch.setattr('os.execv', lambda _, line: lines.append(line))
     given = {'arm_file': 'paper.yaml', 'scenario': None, 'namespace': name, 'domain_id': None}
     view.run(SimpleNamespace(**given, address='127.0.0.1', port=8090, foxglove_port=8765))

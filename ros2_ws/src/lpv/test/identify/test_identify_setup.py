@@ -36,7 +36,7 @@ from lpv.identify.motions import Bounds, plan_excitation, random_trajectory, wri
 from lpv.identify.recordings.filters import shifted
 from lpv.identify.recordings.motion import Segment, find_bandwidths, moving
 from lpv.identify.recordings.recording import Recording, read_recording
-from lpv.identify.results.report import residual_figure
+from lpv.identify.results.report import residuals
 from lpv.identify.sensors import find_second_encoders, noise_deviation, quantization_step
 
 STEP = 0.004
@@ -61,7 +61,7 @@ def test_given_an_arm_when_computing_torques_then_they_are_those_of_the_dynamics
 def test_given_a_joint_that_slides_when_residuals_are_drawn_then_its_units_are_there(arm):
     arm = replace(arm, joints=(arm.joints[0], replace(arm.joints[1], type='prismatic')))
     part = SimpleNamespace(**dict.fromkeys(('velocity', 'position', 'residual'), np.ones((5, 2))))
-    figure = residual_figure(SimpleNamespace(arm=arm, predictions=[part]))
+    figure = residuals(SimpleNamespace(arm=arm, predictions=[part]))
     labels = [axis.get_xlabel() for axis in figure.axes]
     assert labels == ['rate [rad/s]', 'position [rad]', 'rate [m/s]', 'position [m]']
 

@@ -108,7 +108,7 @@ def page(paper_arm):
 @pytest.fixture
 def shown(paper_arm, tmp_path, monkeypatch):
     """Page of a record, without pictures."""
-    monkeypatch.setattr('lpv.report.run.draw_all', lambda *_: [])
+    monkeypatch.setattr('lpv.report.page.picture', lambda *_: b'')
 
     def html(record, reports=None):
         return write(analysed(record, paper_arm, reports), tmp_path).read_text()

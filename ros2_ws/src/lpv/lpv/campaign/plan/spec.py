@@ -1,8 +1,7 @@
 """The campaign file: what is run, what varies, how often."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -13,10 +12,8 @@ from lpv.core.simulation.faults import KINDS
 from lpv.core.simulation.scenario import PLANTS
 from lpv.core.support.config import Section, as_number
 from lpv.core.support.entries import entry, read_entries
-from lpv.core.support.errors import ConfigError
 from lpv.core.support.limits import MOST_ENTRIES, MOST_SAMPLES
 
-_KEYS = {'low', 'high', 'spacing', 'levels'}
 METHODS = ('factorial', 'random', 'latin_hypercube')
 NO_FAULT, BOTH = 'none', 'both'
 PATHS = ('scenario', 'random')
@@ -78,14 +75,16 @@ class Choice:
 class Range:
     """A number between two ends, uniform in its value or in its logarithm."""
 
-    low: float  # Lower end
-    high: float  # Upper end
-    logarithmic: bool = False  # Whether the logarithm is uniform
-    levels: int = 2  # Values in a factorial plan, both ends among them
+    low: float = entry('number')  # Lower end
+    high: float = entry('number')  # Upper end
+    # Whether its value or its logarithm is uniform
+    spacing: str = entry('text', default='linear', choices=('linear', 'log'))
+    # Values in a factorial plan, both ends among them
+    levels: int = entry('integer', default=2, low=2)
 
     def value(self, unit: float, _kind: str) -> float:
         """Value for a number of [0, 1]."""
-        if self.logarithmic:
+        if self.spacing == 'log':
             return self.low * (self.high / self.low) ** unit
         return self.low + unit * (self.high - self.low)
 
@@ -160,37 +159,47 @@ def _factors(data: dict[str, Any], source: str) -> dict[str, Factor]:
     factors, section = dict[str, Factor](), Section(data, source, 'factors')
     for name, value in data.items():
         if name not in DEFAULTS and name not in TUNING:
-            raise section.error(
-                name, 'is not a factor; there are ' + ', '.join([*DEFAULTS, *sorted(TUNING)])
-            )
-        kinds = KINDS if name in _BY_KIND else None
-        factors[name] = factor = _parse_factor(
-            value, f'factors.{name}', source, kinds, name not in TEXTS
-        )
-        for part in factor.kinds.values() if isinstance(factor, ByKind) else (factor,):
-            _check(part, name, section)
+            known = ', '.join([*DEFAULTS, *sorted(TUNING)])
+            raise section.error(name, f'is not a factor; there are {known}')
+        factors[name] = _factor(section, name, value)
     return factors
 
 
-def _parse_factor(
-    data: object, name: str, source: str, kinds: Sequence[str] | None = None, numeric: bool = True
-) -> Factor:
+def _factor(section: Section, name: str, data: Any) -> Factor:
     """Read a factor: a value, a list of values, ``{low, high, ...}``, or one of these by kind."""
-    if not isinstance(data, dict):
-        return _choice(data, name, source, numeric)
-    if kinds is not None and data and not _KEYS & set(data):
-        unknown = sorted(set(map(str, data)) - set(kinds))
-        if unknown:
-            raise ConfigError(
-                name, f'has no kind of fault {unknown[0]!r}; known are ' + ', '.join(kinds), source
-            )
-        return ByKind(
-            {kind: _parse_factor(value, f'{name}.{kind}', source) for kind, value in data.items()}
-        )
-    return _range(data, name, source)
+    keys = set(map(str, data)) if isinstance(data, dict) else set()
+    if name not in _BY_KIND or not keys or keys & {one.name for one in fields(Range)}:
+        return _any_kind(section, name, data, name)
+    if unknown := sorted(keys - set(KINDS)):
+        known = ', '.join(KINDS)
+        raise section.error(name, f'has no kind of fault {unknown[0]!r}; known are {known}')
+    kinds = section.section(name)
+    return ByKind({kind: _any_kind(kinds, kind, value, name) for kind, value in data.items()})
 
 
-def _choice(data: Any, name: str, source: str, numeric: bool) -> Choice:
+def _any_kind(section: Section, key: str, data: Any, name: str) -> Choice | Range:
+    """What a field says of a factor for any kind of fault; type and range are checked."""
+    is_range, numeric = isinstance(data, dict), name not in TEXTS
+    factor = _range(section, key) if is_range else _choice(section, key, data, numeric)
+    values = factor.values if isinstance(factor, Choice) else (factor.low, factor.high)
+    if isinstance(values[0], str) == numeric:
+        raise section.error(key, 'must be a number' if numeric else 'must be a text')
+    if numeric:
+        low, high = {**NUMBERS, **TUNING}[name]
+        if min(values) < low or max(values) > high:
+            raise section.error(key, f'must lie within {low:g} and {high:g}')
+        if name == 'sample_time' and is_range:
+            raise section.error(key, 'must be values: each one has gains of its own')
+        if name == 'command_delay' and not is_range and any(v % 1.0 for v in values):
+            raise section.error(key, 'counts samples: whole numbers')
+    known = {'fault.kind': (NO_FAULT, *KINDS), 'plant': PLANTS, 'compensation': COMPENSATION}
+    for value in values:
+        if name in known and value not in known[name]:
+            raise section.error(key, f'{value!r} is none of ' + ', '.join(known[name]))
+    return factor
+
+
+def _choice(section: Section, key: str, data: Any, numeric: bool) -> Choice:
     values = tuple(data) if isinstance(data, list) else (data,)
     values = tuple(map(as_number, values)) if numeric else values
     reason = ''
@@ -203,44 +212,20 @@ def _choice(data: Any, name: str, source: str, numeric: bool) -> Choice:
     elif len(set(values)) < len(values):
         reason = 'lists a value twice'
     if reason:
-        raise ConfigError(name, reason, source)
+        raise section.error(key, reason)
     return Choice(tuple(v if isinstance(v, str) else float(v) for v in values))
 
 
-def _range(data: dict[str, Any], name: str, source: str) -> Range:
-    section = Section(data, source, name)
-    low, high = section.number('low'), section.number('high')
-    logarithmic = section.text('spacing', 'linear', ('linear', 'log')) == 'log'
-    levels = section.integer('levels', 2, low=2)
-    section.finish()
-    if not low < high:
-        raise ConfigError(name, 'must have a low below a high', source)
-    if logarithmic and low <= 0.0:
-        raise section.error('low', 'must be positive for logarithmic spacing')
-    if levels > MOST_ENTRIES:
-        raise section.error('levels', f'must be at most {MOST_ENTRIES}')
-    return Range(low, high, logarithmic, levels)
-
-
-def _check(factor: Choice | Range, name: str, section: Section) -> None:
-    """Type and range of a factor's values."""
-    values = factor.values if isinstance(factor, Choice) else (factor.low, factor.high)
-    numeric = name not in TEXTS
-    if isinstance(values[0], str) == numeric:
-        raise section.error(name, 'must be a number' if numeric else 'must be a text')
-    if numeric:
-        low, high = {**NUMBERS, **TUNING}[name]
-        if min(values) < low or max(values) > high:
-            raise section.error(name, f'must lie within {low:g} and {high:g}')
-        if name == 'sample_time' and not isinstance(factor, Choice):
-            raise section.error(name, 'must be values: each one has gains of its own')
-        if name == 'command_delay' and isinstance(factor, Choice) and any(v % 1.0 for v in values):
-            raise section.error(name, 'counts samples: whole numbers')
-        return
-    known = {'fault.kind': (NO_FAULT, *KINDS), 'plant': PLANTS, 'compensation': COMPENSATION}
-    for value in values:
-        if name in known and value not in known[name]:
-            raise section.error(name, f'{value!r} is none of ' + ', '.join(known[name]))
+def _range(section: Section, key: str) -> Range:
+    inside = section.section(key)
+    found = read_entries(Range, inside)
+    if not found.low < found.high:
+        raise section.error(key, 'must have a low below a high')
+    if found.spacing == 'log' and found.low <= 0.0:
+        raise inside.error('low', 'must be positive for logarithmic spacing')
+    if found.levels > MOST_ENTRIES:
+        raise inside.error('levels', f'must be at most {MOST_ENTRIES}')
+    return found
 
 
 class Plan:

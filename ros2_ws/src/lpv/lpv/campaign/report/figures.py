@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, PercentFormatter
 
-from lpv.report.style import SENSOR, picture
+from lpv.report.style import SENSOR
 
 _LEAST_DELAY = 1e-3
 """Least number on logarithmic axes, which have no zero."""
@@ -16,14 +16,7 @@ _MOST_TRENDS = 6
 """Trends that are drawn, clearest first."""
 
 
-def draw_all(numbers: dict[str, Any]) -> dict[str, bytes]:
-    """Pictures by name; those without data are left out."""
-    draws = {'detection': _detection, 'trends': _trends}
-    found = {name: picture(draw, numbers) for name, draw in draws.items()}
-    return {name: data for name, data in found.items() if data}
-
-
-def _detection(numbers: dict[str, Any]) -> Figure | None:
+def detection(numbers: dict[str, Any]) -> Figure | None:
     """Probability of detection above delay, one column per kind of fault that has a size."""
     entries = [entry for entry in numbers['detection'] if len(entry['classes']) > 1]
     kinds = list(dict.fromkeys(entry['kind'] for entry in entries))[:6]
@@ -78,7 +71,7 @@ def _delay(axis: Axes, entry: dict[str, Any], colour: str) -> None:
     axis.plot(middle, median, color=colour, marker='o', markersize=2.5)
 
 
-def _trends(numbers: dict[str, Any]) -> Figure | None:
+def trends(numbers: dict[str, Any]) -> Figure | None:
     """Mean fault estimates of the arms that change most clearly, over time."""
     chosen = [trend for trend in numbers['trends'] if trend['clear']][:_MOST_TRENDS]
     if not chosen:

@@ -11,13 +11,11 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import yaml
-from rich import box
 from rich.console import Console
-from rich.table import Table
 
 from lpv.campaign.plan.campaign import Campaign
 from lpv.campaign.plan.spec import BOTH, NO_FAULT, Choice
-from lpv.campaign.report.figures import draw_all
+from lpv.campaign.report import figures
 from lpv.campaign.report.statistics import (
     DOSES,
     Results,
@@ -31,8 +29,14 @@ from lpv.campaign.report.statistics import (
 from lpv.core.simulation.faults import KINDS
 from lpv.core.support.config import write_whole
 from lpv.core.support.formatting import number, seconds
-from lpv.report.page import Tile, embedded, environment, finite
+from lpv.report.page import Tile, finite, write_page
+from lpv.report.table import print_grid
 
+_CAPTIONS = {
+    figures.detection: 'Above: how often a fault of a size is detected, with 95% intervals. Below: '
+    'delay from onset to alarm, with 5 to 95%.',
+    figures.trends: 'Mean fault estimates of the arms that change clearly.',
+}
 _CLASSES, _LEVELS = 8, 12
 """Classes of sizes, and values of a factor, that a table or figure has room for."""
 _MOST = 10
@@ -46,12 +50,9 @@ def write_report(
 ) -> dict[str, Any]:
     """Write ``report.html`` and ``report.json``; its numbers. ``healthy``: all alarms are false."""
     numbers = report_numbers(work, table, folder, planned, healthy)
-    figures = {name: embedded(data) for name, data in draw_all(numbers).items()}
-    template = environment(Path(__file__).parent).get_template('report.html')
-    page = template.render(**numbers, title=numbers['head']['name'], figures=figures, text=_TEXT)
-    data = json.dumps(numbers, allow_nan=False, indent=1)
-    for name, content in (('report.html', page), ('report.json', data)):
-        write_whole(folder / name, content)  # someone may look at it
+    content = {**numbers, 'title': numbers['head']['name'], 'text': _TEXT}
+    write_page(folder / 'report.html', Path(__file__).parent, _CAPTIONS, numbers, content)
+    write_whole(folder / 'report.json', json.dumps(numbers, allow_nan=False, indent=1))
     return numbers
 
 
@@ -360,14 +361,14 @@ def print_summary(numbers: dict[str, Any], console: Console) -> None:
         f'{head["name"]}: {head["count"]} {head["what"]}, {head["hours"]:.3g} h', markup=False
     )
     if numbers['detection']:
-        columns = ('fault', 'sensor', 'cases', 'found', 'isolated', 'delay', '(95%)', '95% from')
-        _show(console, columns, [
+        of_faults = ('>cases', '>found', '>isolated', '>delay', '>(95%)', '>95% from')
+        print_grid(console, ('fault', 'sensor', *of_faults), [
             (e['kind'], e['sensor'], str(e['detected']['cases']), percent(e['detected']),
              percent(e['isolated']), seconds(e['delay']['median']), seconds(e['delay']['high']),
              _size(e))
             for e in numbers['detection']
         ])  # fmt: skip
-    _show(console, ('alarms', 'number', 'hours', 'per hour', '95% interval'), [
+    print_grid(console, ('alarms', '>number', '>hours', '>per hour', '>95% interval'), [
         (rate['name'], str(rate['events']), number(rate['hours']), number(rate['rate']),
          f'{number(rate["low"])} to {number(rate["high"])}')
         for rate in numbers['alarms'] if rate['hours']
@@ -378,7 +379,7 @@ def print_summary(numbers: dict[str, Any], console: Console) -> None:
             f'{overall["stopped"]} runs'
         )
     if numbers['bags']:
-        _show(console, ('most suspicious', 'arm', 'alarms', 'estimate / threshold'), [
+        print_grid(console, ('most suspicious', 'arm', 'alarms', '>estimate / threshold'), [
             (row['bag'], row['unit'] or '-', row['alarm_text'] or 'none', number(row['score']))
             for row in numbers['bags'][:_MOST]
         ])  # fmt: skip
@@ -392,12 +393,3 @@ def print_summary(numbers: dict[str, Any], console: Console) -> None:
             )
     for row in numbers['failures'][:_MOST]:
         console.print(f'failed  {row["bag"]}: {row["error"]}', markup=False)
-
-
-def _show(console: Console, columns: Sequence[str], rows: list[tuple[str, ...]]) -> None:
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
-    for k, name in enumerate(columns):
-        table.add_column(name, justify='right' if k > 1 else 'left')
-    for row in rows:
-        table.add_row(*row)
-    console.print(table, markup=False, soft_wrap=False)  # cells are wrapped, not cut

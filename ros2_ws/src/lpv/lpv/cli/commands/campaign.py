@@ -5,13 +5,13 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.table import Table
 
 from lpv.campaign.execution.execute import ResultsFolder, chunks_of, worker_pool
 from lpv.campaign.execution.runs import repeat
 from lpv.campaign.plan.campaign import Campaign, load_campaign
 from lpv.cli.progress import bar
 from lpv.core.support.errors import ConfigError, LpvError
+from lpv.report.table import print_grid
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -108,10 +108,8 @@ def _run_to_bag(
         raise ConfigError('--run', f'must lie within 0 and {runs - 1}, got {number}')
     plan, run, found = repeat(campaign, number)
     stored = _stored_row(campaign, folder, number)
-    table = Table('figure', 'results', 'now', title=f'run {number}', title_justify='left')
-    for name, value in found.items():
-        table.add_row(name, '-' if stored is None else _text(stored.get(name)), _text(value))
-    console.print(table)
+    rows = [(name, _text((stored or {}).get(name)), _text(value)) for name, value in found.items()]
+    print_grid(console, ('figure', 'results', 'now'), rows, f'run {number}')
     wrong = [] if stored is None else differences(stored, found)
     if wrong:
         raise LpvError(

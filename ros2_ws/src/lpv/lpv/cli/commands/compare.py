@@ -2,19 +2,16 @@
 
 import argparse
 import json
-from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
 
-from rich import box
 from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.formatting import decimals, number
 from lpv.report import comparison
 from lpv.report.certificate import find_arm_and_gains
+from lpv.report.table import print_grid
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -48,34 +45,19 @@ def show(result: comparison.Comparison, console: Console) -> None:
     )
     rows: list[tuple[str, ...]]
     for title, columns, figures in (
-        ('figures', ('first', 'second'), result.figures),
-        ('largest differences', ('tolerated', 'found'), result.differences),
+        ('figures', ('>first', '>second'), result.figures),
+        ('largest differences', ('>tolerated', '>found'), result.differences),
     ):
         rows = [(f.name, f.unit, number(f.first), number(f.second), _mark(f.same)) for f in figures]
-        _table(console, title, ('', 'unit', *columns, ''), rows)
+        print_grid(console, ('', 'unit', *columns, '>'), rows, title)
     names = ('kind', 'raised', 'delay', 'cleared')
-    heads = ('kind', 'raised\n[s]', 'delay\n[s]', 'cleared\n[s]', 'size')
+    heads = ('sensor', 'kind', '>raised\n[s]', '>delay\n[s]', '>cleared\n[s]', '>size', '>')
     rows = [
         (p.sensor, *(_both(p, n) for n in names), _both(p, 'size', p.unit), _mark(p.same))
         for p in result.alarms
     ]
-    _table(console, 'alarms, first run above second', ('sensor', *heads, ''), rows)
+    print_grid(console, heads, rows, 'alarms, first run above second')
     console.print('same' if result.same else 'DIFFERENT beyond the tolerances')
-
-
-def _table(
-    console: Console, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]
-) -> None:
-    if not rows:
-        return
-    table = Table(title=title, box=box.SIMPLE_HEAD, title_justify='left')
-    # Names may wrap in a narrow terminal, figures must not.
-    for place, column in enumerate(columns):
-        width = None if place else min(12, max(len(row[0]) for row in rows))
-        table.add_column(escape(column), no_wrap=place > 0, overflow='fold', min_width=width)
-    for row in rows:
-        table.add_row(*map(escape, row))
-    console.print(table)
 
 
 def _mark(same: bool) -> str:

@@ -16,7 +16,6 @@ import numpy as np
 import optuna
 import yaml
 from rich.console import Console
-from rich.table import Table
 from scipy import stats
 
 from lpv.campaign.execution.execute import chunks_of, worker_pool
@@ -27,6 +26,7 @@ from lpv.core.support.config import read_yaml, sha256_of, write_parameters
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.limits import LARGEST
 from lpv.core.uio.certificate.gains import Gains, load_gains
+from lpv.report.table import print_grid
 from lpv_design.design_flow import design
 from lpv_design.requirement import load_requirement, parse_requirement
 from lpv_design.solve import InfeasibleError
@@ -209,10 +209,9 @@ def run(arguments: argparse.Namespace) -> int:
         result = _validate(bench, picked.params, arguments.seed)
     result['trial'] = picked.number
     (folder / 'study.json').write_text(json.dumps(result, indent=1, allow_nan=False) + '\n')
-    table = Table('field', 'before', 'picked', title=f'trial {picked.number} of {arguments.trials}')
-    for name, value in picked.params.items():
-        table.add_row(name, f'{bench.base[name]:g}', f'{value:g}')
-    console.print(table)
+    rows = [(name, f'{bench.base[name]:g}', f'{v:g}') for name, v in picked.params.items()]
+    title = f'trial {picked.number} of {arguments.trials}'
+    print_grid(console, ('field', '>before', '>picked'), rows, title)
     accepted = not result['reason']
     interval = '{:+.3g} to {:+.3g}'.format(*result['interval'])
     console.print(f'cost {result["first"]:.4g} before, {result["picked"]:.4g} picked: {interval}')

@@ -10,12 +10,12 @@ from matplotlib.figure import Figure
 from lpv.identify.estimation.identification import Identification
 from lpv.identify.results.summary import DRIVES, FIGURES, SENSORS, cells, remarks
 from lpv.report.page import Tile, write_page
-from lpv.report.style import INK, SENSOR, SOFT, picture, thin
+from lpv.report.style import INK, SENSOR, SOFT, thin
 
 _MOST_POINTS = 4000  # of a scatter plot; more hide each other
 
 
-def torque_figure(result: Identification) -> Figure:
+def torques(result: Identification) -> Figure:
     """Measured and predicted torque of each joint over time, on data held back."""
     n = len(result.arm.joints)
     figure, axes = plt.subplots(n, 1, figsize=(9.0, 1.5 * n + 0.6), sharex=True, squeeze=False)
@@ -36,7 +36,7 @@ def torque_figure(result: Identification) -> Figure:
     return figure
 
 
-def residual_figure(result: Identification) -> Figure:
+def residuals(result: Identification) -> Figure:
     """Residuals against speed with the tolerance, and against position."""
     n = len(result.arm.joints)
     speed, position, residual = (
@@ -58,21 +58,17 @@ def residual_figure(result: Identification) -> Figure:
     return figure
 
 
-_CAPTIONS = (
-    ('torques', torque_figure, 'Measured and predicted torque on data held back.'),
-    (
-        'residuals',
-        residual_figure,
-        'Residual against rate, with the torque tolerance of the arm file, and against angle.',
-    ),
-)
+_CAPTIONS = {
+    torques: 'Measured and predicted torque on data held back.',
+    residuals: 'Residual against rate, with the torque tolerance of the arm file, and against '
+    'angle.',
+}
 
 
 def write_report(result: Identification, folder: Path) -> Path:
     """Write ``identification.html`` and its pictures into a folder; the page."""
-    pictures = ((name, caption, picture(draw, result)) for name, draw, caption in _CAPTIONS)
     page, templates = folder / 'identification.html', Path(__file__).parent
-    return write_page(page, templates, pictures, {}, _content(result))
+    return write_page(page, templates, _CAPTIONS, result, _content(result))
 
 
 def _content(result: Identification) -> dict[str, Any]:
