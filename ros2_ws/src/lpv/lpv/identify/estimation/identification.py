@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lpv.core.serial_arm.description import SerialArm
-from lpv.identify.estimation.assembly import covariance_of_all, fit_of
+from lpv.identify.estimation.assembly import covariance_of_all, fit_of, with_joints
 from lpv.identify.estimation.evaluation import (
     Determination,
     Figures,
@@ -122,15 +122,13 @@ def _finish(
     rates, residuals = [p.velocity for p in predictions], [p.residual for p in predictions]
     counts = [p.counts for p in predictions]
     speed, missed, used = map(np.concatenate, (rates, residuals, counts))
-    joints = []
-    for j, joint in enumerate(arm.joints):
-        tolerance = torque_tolerance(speed[used[:, j], j], missed[used[:, j], j])
-        delay = float(workshop.effort_delay[j])
-        joints.append(replace(joint, effort_delay=delay, torque_tolerance=tolerance))
+    tolerances = [torque_tolerance(speed[one, j], missed[one, j]) for j, one in enumerate(used.T)]
+    delays = workshop.effort_delay.tolist()
+    arm = with_joints(arm, effort_delay=delays, torque_tolerance=tolerances)
     determined = int(determination.determined.sum())
     error = torque_error(rates, residuals, counts, workshop.step, usual_error(workshop.arm))
     return replace(
-        error.on(sensing.on(replace(arm, joints=tuple(joints)))),
+        error.on(sensing.on(arm)),
         covariance=covariance_of_all(workshop.arm, workshop.base, fit, determined),
         sample_time=workshop.step,
         effort_bandwidth=workshop.filters.effort,

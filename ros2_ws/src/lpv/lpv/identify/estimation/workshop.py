@@ -11,6 +11,7 @@ from lpv.identify.estimation.assembly import (
     consistent_parameters,
     fit_of,
     prior_of_all,
+    with_joints,
     with_parameters,
 )
 from lpv.identify.estimation.delays import effort_delays, rate_delays
@@ -87,9 +88,7 @@ class Workshop:
         if self.arm.effort_unit == 'N m' or np.any(self.gain != 1.0):
             return
         self.gain = estimate_gains(self.train_rows(share), self.filters, self.prior)
-        pairs = zip(self.arm.joints, self.gain.tolist())
-        joints = tuple(replace(joint, torque_gain=gain) for joint, gain in pairs)
-        self.arm = replace(self.arm, joints=joints)
+        self.arm = with_joints(self.arm, torque_gain=self.gain.tolist())
         self.warnings.append(
             'the scale of gains and masses is that of the masses given; a tool of known mass '
             'corrects it (--payload --known-mass)'
@@ -114,7 +113,7 @@ class Workshop:
             **vars(motion),
             base=np.take(self.model.regressor(*signals, gravity), self.base.columns, axis=2),
             counts=moving(motion.velocity, motion.step, self.arm.scales()),
-            speed_limit=1.1 * np.array([joint.limits.velocity for joint in self.arm.joints]),
+            speed_limit=1.1 * np.array(self.arm.velocity_limit),
             part=slice(margin, len(motion.time) - margin),
         )
 
