@@ -124,8 +124,7 @@ class ReplayWriter:
             data = self._messages.cdr(OUTPUTS['fault_alarm'], int(stamp[row]), fields)
             texts += record(self._channels['fault_alarm'], int(time[row]), data)
         for row, status in answers.reports:
-            message = self._messages.diagnostics(int(stamp[row]), status)
-            data = padded_cdr(self.bag.typestore, message, DIAGNOSTICS_TYPE)
+            data = self._messages.diagnostics(int(stamp[row]), status)
             texts += record(self.bag.channel(DIAGNOSTICS), int(time[row]), data)
         self.bag.write_chunk(*copies, *found, split(texts)[0])
 
