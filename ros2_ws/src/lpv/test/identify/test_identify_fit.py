@@ -96,7 +96,7 @@ def test_given_friction_that_falls_too_far_when_fitted_then_the_arm_can_be_read(
     falling = [JointFriction(0.0, -2.8, 3.0, 3.0)] * 3
     slow = with_joints(arm, friction=falling, limits=[JointLimits(-2.5, 2.5, 1.0, 100.0)] * 3)
     workshop = Workshop(slow, [simulated(slow, rate=60.0)])
-    found = workshop.arm_of(*workshop.fit(1.0))
+    found = workshop.arm_of(*workshop.fit())
     assert all(joint.friction.viscous < 0.0 for joint in found.joints)
     assert parse_arm(to_mapping(found)) == found
     # What nobody could read is not written.
@@ -110,7 +110,7 @@ def test_given_many_noises_when_fitted_then_intervals_hold_the_truth(arm, simula
     inside = []
     for seed in range(12):
         workshop = Workshop(arm, [simulated(arm, seed, rate=60.0)])
-        fit, _ = workshop.fit(1.0)
+        fit, _ = workshop.fit()
         truth = assembly.parameter_map(workshop.base, 3) @ arm.parameter_vector()
         used = np.diag(fit.covariance) > 0.0
         width = stats.norm.ppf(0.975) * np.sqrt(np.diag(fit.covariance)[used])
@@ -202,8 +202,8 @@ def test_given_an_arm_that_pauses_in_a_short_recording_then_its_file_is_as_wrong
 def test_given_currents_of_an_arm_that_pauses_when_looked_at_then_rests_do_not_decide_gains(seed):
     true = np.array([joint.torque_gain for joint in ur10e().joints])
     blank = with_joints(ur10e(), torque_gain=[1.0] * len(true))
-    workshop = Workshop(blank, [recording_of_twin(seed)])
-    workshop.estimate_gains(0.7)
+    workshop = Workshop(blank, [recording_of_twin(seed)], 0.7)
+    workshop.estimate_gains()
     ratio = workshop.gain / true
     assert ratio == pytest.approx(np.full(len(true), ratio.mean()), rel=0.25)
 

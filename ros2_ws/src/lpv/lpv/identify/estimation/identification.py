@@ -63,9 +63,8 @@ def identify(
     """Identify an arm, with rough inertias, from recordings; IdentificationError."""
     options = options or Options()
     report('preparing the motion')
-    workshop = Workshop(arm, recordings)
-    share = 1.0 if tests else options.train_share
-    workshop.estimate_gains(share)
+    workshop = Workshop(arm, recordings, 1.0 if tests else options.train_share)
+    workshop.estimate_gains()
     report('looking for mistakes of the set-up')
     # A load it finds by itself.
     mistakes = [m for m in find_mistakes(workshop.arm, recordings) if m.kind != 'load']
@@ -76,17 +75,18 @@ def identify(
         mistakes.clear()
         workshop.warnings[-1] += '; taken so'
     arm = workshop.arm
-    workshop.choose(share, report)
+    workshop.choose(report)
     report('fitting the parameters')
-    fit, strength = workshop.fit(share)
+    fit, strength = workshop.fit()
     found = workshop.arm_of(fit, strength)
-    held_back = workshop.test_rows(share, tests)
+    held_back = workshop.test_rows(tests)
     predictions, before = (
         [predict(rows, fit_of(one, workshop.base, fit), workshop.filters) for rows in held_back]
         for one in (found, arm)
     )
     if options.refit:
-        fit, _ = workshop.fit(1.0)
+        workshop.share = 1.0
+        fit, _ = workshop.fit()
         found = workshop.arm_of(fit, strength)
     report('measuring what is uncertain')
     determination = determine(workshop.base, fit, arm)
