@@ -61,7 +61,7 @@ class ManagedNode(LifecycleNode):
         declare(self, tunable, read_only=False)
         self.lockstep = self.get_parameter('lockstep').value
         self.exit_code = 0
-        self.finished = False
+        self.finished = False  # set where the main loop is to stop
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._gate: Timer | None = None
         self._taking_part = False
@@ -211,10 +211,6 @@ class ManagedNode(LifecycleNode):
                 callback(*arguments)
 
         return guarded
-
-    def finish(self, code: int = 0) -> None:
-        """Ask the main loop to stop, with an exit code for the process."""
-        self.exit_code, self.finished = code, True
 
     def setup(self) -> None:
         """Read files and parameters, create publishers; may raise LpvError."""
