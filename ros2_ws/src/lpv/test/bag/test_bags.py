@@ -62,9 +62,8 @@ def information(bag):
     return yaml.safe_load((bag / 'metadata.yaml').read_text())['rosbag2_bagfile_information']
 
 
-def measurement(stamp, names=('joint1', 'joint2'), values=None, frame='base_link'):
-    values = [[0.1, 0.2], [0.3, math.nan], []] if values is None else values
-    return BagMessages(TYPESTORE, frame).joint_state(stamp, names, *values)
+def measurement(stamp, names=PAIR, values=([0.1, 0.2], [0.3, math.nan], [])):
+    return BagMessages(TYPESTORE, 'base_link').joint_state(stamp, names, *values)
 
 
 def test_given_a_bag_when_written_then_the_file_is_in_the_profile_of_ros2(tmp_path):
