@@ -43,7 +43,7 @@ def main(path: str, runs: int) -> None:
     for _ in range(runs):
         recording = simulate(arm, trajectory, RATE, SensorNoise(), rng)
         workshop = Workshop(arm, [recording])
-        fit, _ = workshop.fit(1.0)
+        fit, _ = workshop.fit()
         truth = parameter_map(workshop.base, workshop.n) @ arm.parameter_vector()
         sigma = np.sqrt(np.diag(fit.covariance))
         used = sigma > 0.0

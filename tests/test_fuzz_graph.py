@@ -48,7 +48,7 @@ def hostile_senders(node, rng):
         def send():
             for _ in range(5):  # what fits its type and is wrong, and bytes that do not
                 whole = rng.random() < 0.3
-                out.publish(fill(rng, kind()) if whole else forge(rng, sized(kind(), 2)))
+                out.publish(fill(rng, kind()) if whole else forge(rng, sized(kind())))
                 out.publish(damaged_bytes(rng, kind()))
 
         return send

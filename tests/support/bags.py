@@ -4,6 +4,7 @@ import numpy as np
 from bag_messages import CHATTER, JOINT_STATE, JOINTS, START, STEP, TOPICS, TYPESTORE, text
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
+from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 
@@ -85,6 +86,13 @@ def contents(path):
     with open_bag(path) as reader:
         found = [(c.topic, time, bytes(data)) for c, time, data in reader.messages()]
         return found, list(reader.warnings)
+
+
+def decoded(path, topic, **limits):
+    """Messages of one topic of a bag, read by rosbags."""
+    with AnyReader([path]) as reader:
+        found = reader.messages(reader.topics[topic].connections, **limits)
+        return [reader.deserialize(data, c.msgtype) for c, _, data in found]
 
 
 def storage(bag):

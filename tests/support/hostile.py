@@ -40,12 +40,12 @@ def leaves(message):
             yield message, name, kind
 
 
-def sized(message, joints):
-    """A message whose numbers are there for so many joints."""
+def sized(message):
+    """A message whose numbers are there for two joints."""
     values = {'sequence<double>': 0.1, 'sequence<uint8>': 0, 'sequence<boolean>': False}
     for owner, name, kind in leaves(message):
         if kind in values:
-            setattr(owner, name, [values[kind]] * joints)
+            setattr(owner, name, [values[kind]] * 2)
     return message
 
 

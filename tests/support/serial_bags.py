@@ -27,9 +27,8 @@ def crane_run(duration=1.2, faults=()):
     return simulated_run(crane(), duration, *faults)
 
 
-def record_crane(path, run, without=()):
-    """Bag of a run; its messages lack the fields ``without``, and their joints are in disorder."""
+def record_crane(path, run):
+    """Bag of a run, whose messages have the joints in disorder."""
     order, names = [2, 0, 1], crane().joint_names
-    columns = dict(zip(('position', 'velocity', 'effort'), np.moveaxis(run.samples, 1, 0)))
-    vectors = (None if kind in without else rows[:, order] for kind, rows in columns.items())
+    vectors = np.moveaxis(run.samples[:, :, order], 1, 0)
     return write_measurements(path, [names[i] for i in order], run.stamps / 1e9, *vectors, TOPIC)

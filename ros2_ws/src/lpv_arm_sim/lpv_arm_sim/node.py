@@ -361,4 +361,4 @@ class SimulatorNode(ManagedNode):
         if step == self._last:
             self.get_logger().info('the scenario is over')
         if step == self._last and self.get_parameter('shutdown_at_end').value:
-            self.finish()
+            self.finished = True

@@ -61,9 +61,8 @@ class ManagedNode(LifecycleNode):
         declare(self, tunable, read_only=False)
         self.lockstep = self.get_parameter('lockstep').value
         self.exit_code = 0
-        self.finished = False
+        self.finished = False  # set where the main loop is to stop
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._gate: Timer | None = None
         self._taking_part = False
         self._of_setup: set[Any] = set()
         self._of_activity: set[Any] = set()
@@ -88,7 +87,7 @@ class ManagedNode(LifecycleNode):
         self._taking_part = True
         with self._noting(self._of_activity):
             self.listen()
-        self._gate = self.steady_timer(0.02, self._try_begin)
+            self._gate = self.steady_timer(0.02, self._try_begin)
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -116,9 +115,6 @@ class ManagedNode(LifecycleNode):
 
     def _leave(self) -> None:
         self._taking_part = False
-        if self._gate is not None:
-            self.destroy_timer(self._gate)
-            self._gate = None
         self._destroy(self._of_activity)
         self.end()
 
@@ -162,9 +158,7 @@ class ManagedNode(LifecycleNode):
                 skip_first=True,
             )
             return
-        if self._gate is not None:
-            self.destroy_timer(self._gate)
-        self._gate = None
+        self.destroy_timer(self._gate)
         with self._noting(self._of_activity):
             self.begin()
 
@@ -211,10 +205,6 @@ class ManagedNode(LifecycleNode):
                 callback(*arguments)
 
         return guarded
-
-    def finish(self, code: int = 0) -> None:
-        """Ask the main loop to stop, with an exit code for the process."""
-        self.exit_code, self.finished = code, True
 
     def setup(self) -> None:
         """Read files and parameters, create publishers; may raise LpvError."""

@@ -6,15 +6,14 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
-from lpv.bag.rosbag.interfaces import padded_cdr, standard_types
+from lpv.bag.rosbag.interfaces import standard_types
 from lpv.bag.rosbag.messages import BagMessages
 from lpv.core.support.timestamps import NANOSECONDS
 
 
 def diagnostics(stamp: int, status: Iterable[Mapping[str, Any]]) -> bytes:
     """DiagnosticArray with a stamp [ns] of statuses as of `BagMessages`, for a publisher."""
-    message = BagMessages(standard_types(), '').diagnostics(max(0, stamp), status)
-    return padded_cdr(standard_types(), message, 'diagnostic_msgs/msg/DiagnosticArray')
+    return BagMessages(standard_types(), '').diagnostics(max(0, stamp), status)
 
 
 class StatusReporter:

@@ -86,7 +86,7 @@ class View:
         node._inboxes = [topics.Inbox(*pair, 0.0, node._refusals.add) for pair in pairs]
 
     def good(self, kind):
-        message = sized(kind(), 2)
+        message = sized(kind())
         if hasattr(message, 'tip_position'):
             message.tip_position = [0.0] * 3
         self._stamp += 2_000_000

@@ -55,9 +55,8 @@ def test_given_an_empty_sequence_or_another_type_when_serialised_then_it_fits_or
         SerializedMessage('lpv_msgs/msg/TorqueCommand', '', narrow, safe_stop=False)
 
 
-@pytest.mark.parametrize(('stamp', 'expected'), [(STAMP, (3, 7)), (2**70, (2**31 - 1, 999999999))])
-def test_given_a_stamp_when_serialised_then_it_is_the_time_or_the_last_one(stamp, expected):
+def test_given_a_stamp_beyond_the_last_one_when_serialised_then_it_is_the_last_one():
     command = {'torque': np.zeros(2), 'safe_stop': np.zeros(1, bool)}
-    data = SerializedMessage('lpv_msgs/msg/TorqueCommand', '', command).at(stamp)
+    data = SerializedMessage('lpv_msgs/msg/TorqueCommand', '', command).at(2**70)
     found = deserialize_message(data, TorqueCommand).header.stamp
-    assert (found.sec, found.nanosec) == expected
+    assert (found.sec, found.nanosec) == (2**31 - 1, 999999999)

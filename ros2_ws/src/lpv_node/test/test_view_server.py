@@ -68,7 +68,7 @@ class Served:
         self.server.frame({'type': 'frame'})  # not for those that are new
         self.server.welcome(self.model.hello())
 
-    def talk(self, messages, headers=None, replies=None):
+    def talk(self, messages, headers=None):
         """Send messages (text or dict), collect as many replies; a close code is the last one."""
 
         async def conversation():
@@ -76,7 +76,7 @@ class Served:
             async with connected(f'{self.url}/ws', headers=headers) as ws:
                 for message in messages:
                     await send(ws, json.dumps(message) if isinstance(message, dict) else message)
-                while len(received) < (replies or len(messages)):
+                while len(received) < len(messages):
                     message = await ws.receive(timeout=GUARD)
                     if message.type != aiohttp.WSMsgType.TEXT:
                         return [*received, ws.close_code]

@@ -90,7 +90,6 @@ class TrackerNode(ManagedNode):
         super().__init__('tracker', SPECS, TUNABLE)
         declare_given(self, 'gains', 'loop')
         self._reason: StopReason | None = StopReason.SILENCE  # None: following the path
-        self._last: int | None = None  # stamp of the last estimate [ns]
         self.add_post_set_parameters_callback(self._choose_feedback)
 
     def setup(self) -> None:
@@ -132,7 +131,7 @@ class TrackerNode(ManagedNode):
         self._watchdog = TrackerWatchdog(self._arm, self._limits)
         self._stamps, self._refusals, self._stops = StampGate(), Refusals(self), 0
         self._last_stop = ''
-        self._last = None
+        self._last: int | None = None  # stamp of the last estimate [ns]
         self._used = np.zeros(joints)  # correction of the last estimate that was trusted [rad]
         self._previous: int | None = None  # stamp of the last estimate that was followed [ns]
         self._received = 0  # steady time at which the last estimate came [ns]

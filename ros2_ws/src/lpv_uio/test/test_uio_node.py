@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import rclpy
 from bag_messages import JOINT_STATE
-from bags import write_bag
+from bags import contents, write_bag
 from diagnostic_msgs.msg import DiagnosticArray
 from hostile import RECOVERY, Output, Refused, forge, node_of, run_cases, set_parameters
 from rclpy.serialization import deserialize_message, serialize_message
@@ -50,8 +50,7 @@ def with_outputs(node):
 
 def troubled(bag, out):
     """The measurements of a bag as of a bad transport: some lost, doubled or overtaken."""
-    with open_bag(bag) as reader:
-        data = [bytes(data) for _, _, data in reader.messages()]
+    data = [data for *_, data in contents(bag)[0]]
     rng, count = np.random.default_rng(4), len(data)
     order = np.argsort(np.arange(count) + 2.5 * (rng.random(count) < 0.03))
     order = np.repeat(order, rng.choice(3, count, p=[0.03, 0.95, 0.02]))
@@ -63,9 +62,9 @@ def test_given_a_bad_transport_when_observed_then_the_node_publishes_what_a_repl
     run = crane_run(faults=[Fault('encoder2', 'bias', 0.6, size=0.05)])
     file, whole = crane_file(tmp_path), record_crane(tmp_path / 'whole', run)
     bag = troubled(whole, tmp_path / 'bag')
-    with node_of(UioNode, 'uio', arm_file=file) as node, open_bag(bag) as reader:
+    with node_of(UioNode, 'uio', arm_file=file) as node:
         outputs = with_outputs(node)
-        for _, _, data in reader.messages():
+        for *_, data in contents(bag)[0]:
             node._on_measurement(deserialize_message(data, JointState))
         # Those of another arm are refused.
         zeros, names = [0.0, 0.0], ['joint1', 'joint2']

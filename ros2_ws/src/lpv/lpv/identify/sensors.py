@@ -12,6 +12,7 @@ from lpv.core.serial_arm.rate_independence import rate_source
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.limits import SMALL
 from lpv.identify.errors import IdentificationError
+from lpv.identify.estimation.assembly import with_joints
 from lpv.identify.estimation.robust import robust_scale
 from lpv.identify.recordings.motion import Segment
 from lpv.identify.recordings.recording import LARGEST, Recording, read_pairs
@@ -37,17 +38,17 @@ class Sensing:
 
     def on(self, arm: SerialArm) -> SerialArm:
         """The arm with these sensors; their names stay."""
-        joints = []
-        for j, joint in enumerate(arm.joints):
-            sensors = replace(
+        sensors = [
+            replace(
                 joint.sensors,
                 position_noise=max(float(self.position_noise[j]), 1e-9),
                 quantization=float(self.quantization[j]),
                 rates=self.rates[j],
                 velocity_noise=max(float(self.velocity_noise[j]), 1e-9),
             )
-            joints.append(replace(joint, sensors=sensors))
-        return replace(arm, joints=tuple(joints))
+            for j, joint in enumerate(arm.joints)
+        ]
+        return with_joints(arm, sensors=sensors)
 
 
 def sense(
@@ -167,11 +168,9 @@ def with_second_encoders(arm: SerialArm, found: Sequence[SecondReading]) -> Seri
     unknown = [name for name in encoders if name not in arm.joint_names]
     if unknown:
         raise ConfigError('--second-encoder', f'{arm.name} has no joint {unknown[0]!r}')
-    joints = []
-    for joint in arm.joints:
-        second = encoders.get(joint.name, joint.sensors.second_encoder)
-        joints.append(replace(joint, sensors=replace(joint.sensors, second_encoder=second)))
-    return replace(arm, joints=tuple(joints))
+    known = {joint.name: joint.sensors.second_encoder for joint in arm.joints} | encoders
+    sensors = [replace(j.sensors, second_encoder=known[j.name]) for j in arm.joints]
+    return with_joints(arm, sensors=sensors)
 
 
 def describe(reading: SecondReading, unit: str) -> str:

@@ -62,9 +62,8 @@ def information(bag):
     return yaml.safe_load((bag / 'metadata.yaml').read_text())['rosbag2_bagfile_information']
 
 
-def measurement(stamp, names=('joint1', 'joint2'), values=None, frame='base_link'):
-    values = [[0.1, 0.2], [0.3, math.nan], []] if values is None else values
-    return BagMessages(TYPESTORE, frame).joint_state(stamp, names, *values)
+def measurement(stamp, names=PAIR, values=([0.1, 0.2], [0.3, math.nan], [])):
+    return BagMessages(TYPESTORE, 'base_link').joint_state(stamp, names, *values)
 
 
 def test_given_a_bag_when_written_then_the_file_is_in_the_profile_of_ros2(tmp_path):
@@ -221,10 +220,10 @@ def test_given_chunks_that_overlap_when_read_then_times_are_sorted(tmp_path, mon
 
 def test_given_bytes_that_are_no_records_when_split_then_it_is_damage():
     good, short = (b'\x05' + bytes([size]) + bytes(29) for size in (22, 21))
-    assert len(message_blocks.split(np.frombuffer(good, np.uint8))[0]) == 1
+    assert len(message_blocks.split(good)[0]) == 1
     for bad in (good[:-1], good[:5], good + good[:20], short[:-1]):
         with pytest.raises(DamageError):
-            message_blocks.split(np.frombuffer(bad, np.uint8))
+            message_blocks.split(bad)
 
 
 @pytest.mark.parametrize('preset', ['none', 'zstd_fast', 'zstd_small'])

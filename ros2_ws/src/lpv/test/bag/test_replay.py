@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bag_messages import CHATTER, JOINT_STATE, STEP, STRING, TYPESTORE, cdr, text
-from bags import contents, storage, write_bag, write_by_rosbags
+from bags import contents, decoded, storage, write_bag, write_by_rosbags
 from places import BRINGUP
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin
@@ -91,12 +91,6 @@ def raw(bag, *topics):
     return [entry for entry in contents(bag)[0] if not topics or entry[0] in topics]
 
 
-def read(bag, topic):
-    with AnyReader([bag]) as reader:
-        messages = reader.messages(reader.topics[topic].connections)
-        return [reader.deserialize(data, c.msgtype) for c, _, data in messages]
-
-
 @pytest.fixture(scope='module')
 def bag(loop, tmp_path_factory):
     return write(tmp_path_factory.mktemp('recorded') / 'bag', entries_of(loop), TYPES)
@@ -140,7 +134,7 @@ def test_given_topics_of_others_when_replayed_then_they_are_copied_byte_for_byte
         profiles = [after.topics[t].connections[0].ext.offered_qos_profiles for t in (ALARM, FAULT)]
     assert [p[0].durability.name for p in profiles] == ['TRANSIENT_LOCAL', 'VOLATILE']
     assert [e for e in raw(out, DIAGNOSTICS) if b'/motor: ' in e[2]] == raw(bag, DIAGNOSTICS)
-    ours = [m for m in read(out, DIAGNOSTICS) if not m.status[0].name.startswith('/motor: ')]
+    ours = [m for m in decoded(out, DIAGNOSTICS) if not m.status[0].name.startswith('/motor: ')]
     assert len(ours) >= 2
     parts = ['/lpv/uio: observer', '/lpv/uio: link1_angle', '/lpv/uio: link2_angle']
     assert all([s.name for s in entry.status] == parts for entry in ours)
@@ -156,11 +150,11 @@ def test_given_an_unknown_type_when_replayed_then_its_definition_is_copied(loop,
         for stamp, sample, _ in loop[:20]:
             writer.write('/joint_states', stamp, sample)
     _, out = replay(tmp_path / 'bag')
-    assert [(note.text, note.number) for note in read(out, '/note')] == [('hello', 7)]
+    assert [(note.text, note.number) for note in decoded(out, '/note')] == [('hello', 7)]
     once = {'/joint_states_corrected': 20, '/fault_alarm': 0, '/diagnostics': 1, '/note': 1}
     often = ('/joint_states', '/state_estimate', '/fault_estimate')
     assert load_run(out).counts == {**dict.fromkeys(often, 20), **once}
-    assert read(out, DIAGNOSTICS)[0].status[0].name == '/uio: observer'
+    assert decoded(out, DIAGNOSTICS)[0].status[0].name == '/uio: observer'
 
 
 def test_given_answers_when_replayed_then_only_ours_are_replaced(loop, replayed, replay, tmp_path):
@@ -271,7 +265,8 @@ def test_given_a_troubled_recording_when_replayed_then_every_byte_is_that_of_sin
     few = counters.duplicates, counters.out_of_order, counters.not_finite, counters.without_effort
     assert min(few) > 0
     for topic, *vectors in ((FAULT, 'estimate', 'bound'), (STATE, 'position', 'velocity')):
-        assert np.isfinite([[getattr(m, name) for name in vectors] for m in read(out, topic)]).all()
+        messages = decoded(out, topic)
+        assert np.isfinite([[getattr(m, name) for name in vectors] for m in messages]).all()
 
 
 def test_given_other_storage_or_an_interval_when_replayed_then_answers_are_the_same_or_in_it(
@@ -337,8 +332,8 @@ def test_given_torques_of_any_type_when_replayed_then_the_one_before_each_sample
     useless = {f'{ARRAY} has 1 torques for 2 joints': 120} if msgtype == ARRAY else {}
     assert result.rejected == useless
     fault = [a.record['fault']['estimate'] for a in expected if a.record['has_fault']]
-    assert len(fault) > 590 and np.array_equal([m.estimate for m in read(out, FAULT)], fault)
-    assert [m.mode for m in read(out, STATE)] == [a.record['state']['mode'] for a in expected]
+    assert len(fault) > 590 and np.array_equal([m.estimate for m in decoded(out, FAULT)], fault)
+    assert [m.mode for m in decoded(out, STATE)] == [a.record['state']['mode'] for a in expected]
     assert expected[0].record['state']['mode'] == Mode.HOLDING
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import ros
 from bag_messages import JOINT_STATE, TYPESTORE
-from bags import write_bag
+from bags import decoded, write_bag
 from places import BRINGUP
 from rclpy.qos import qos_profile_sensor_data
 from ros2_commands import ROS2, Running
@@ -51,10 +51,7 @@ def played(paper_arm, paper_gains, two_faults, tmp_path_factory):
 
 def measurements(bag, **limits):
     """Stamps and contents of a bag's measurements."""
-    with AnyReader([bag]) as reader:
-        found = reader.messages(reader.topics[MEASURED].connections, **limits)
-        messages = [reader.deserialize(data, JOINT_STATE) for *_, data in found]
-    return {to_nanoseconds(m.header.stamp): m for m in messages}
+    return {to_nanoseconds(m.header.stamp): m for m in decoded(bag, MEASURED, **limits)}
 
 
 def player_of(bag, domain, *options):

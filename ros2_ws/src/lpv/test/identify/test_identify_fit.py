@@ -22,6 +22,7 @@ from lpv.core.support.errors import ConfigError
 from lpv.core.support.resources import bringup_file
 from lpv.identify.errors import IdentificationError
 from lpv.identify.estimation import assembly, payload
+from lpv.identify.estimation.assembly import with_joints
 from lpv.identify.estimation.gains import rescaled
 from lpv.identify.estimation.identification import Options, identify
 from lpv.identify.estimation.mistakes import find_mistakes
@@ -38,12 +39,7 @@ from lpv.identify.results.summary import DRIVES, FIGURES, SENSORS, cells, remark
 pytestmark = pytest.mark.slow
 of_real_arms = pytest.mark.skipif(not DATA.is_dir(), reason='no recordings of real arms')
 NAMES = ('one', 'two', 'three')
-
-
-def with_joints(arm, **changes):
-    """The arm with one value for each joint of some fields."""
-    values = [dict(zip(changes, each)) for each in zip(*changes.values())]
-    return replace(arm, joints=tuple(replace(j, **v) for j, v in zip(arm.joints, values)))
+TOOL = payload.Payload(0.8, (0.25, 0.0, 0.05), 0.0, (0.0, 0.0, 0.0), 0.0, 0.0)
 
 
 def test_given_noise_when_identified_then_links_are_physical(arm, result, recording, tmp_path):
@@ -100,7 +96,7 @@ def test_given_friction_that_falls_too_far_when_fitted_then_the_arm_can_be_read(
     falling = [JointFriction(0.0, -2.8, 3.0, 3.0)] * 3
     slow = with_joints(arm, friction=falling, limits=[JointLimits(-2.5, 2.5, 1.0, 100.0)] * 3)
     workshop = Workshop(slow, [simulated(slow, rate=60.0)])
-    found = workshop.arm_of(*workshop.fit(1.0))
+    found = workshop.arm_of(*workshop.fit())
     assert all(joint.friction.viscous < 0.0 for joint in found.joints)
     assert parse_arm(to_mapping(found)) == found
     # What nobody could read is not written.
@@ -114,7 +110,7 @@ def test_given_many_noises_when_fitted_then_intervals_hold_the_truth(arm, simula
     inside = []
     for seed in range(12):
         workshop = Workshop(arm, [simulated(arm, seed, rate=60.0)])
-        fit, _ = workshop.fit(1.0)
+        fit, _ = workshop.fit()
         truth = assembly.parameter_map(workshop.base, 3) @ arm.parameter_vector()
         used = np.diag(fit.covariance) > 0.0
         width = stats.norm.ppf(0.975) * np.sqrt(np.diag(fit.covariance)[used])
@@ -206,15 +202,14 @@ def test_given_an_arm_that_pauses_in_a_short_recording_then_its_file_is_as_wrong
 def test_given_currents_of_an_arm_that_pauses_when_looked_at_then_rests_do_not_decide_gains(seed):
     true = np.array([joint.torque_gain for joint in ur10e().joints])
     blank = with_joints(ur10e(), torque_gain=[1.0] * len(true))
-    workshop = Workshop(blank, [recording_of_twin(seed)])
-    workshop.estimate_gains(0.7)
+    workshop = Workshop(blank, [recording_of_twin(seed)], 0.7)
+    workshop.estimate_gains()
     ratio = workshop.gain / true
     assert ratio == pytest.approx(np.full(len(true), ratio.mean()), rel=0.25)
 
 
 def test_given_a_tool_when_its_payload_is_identified_then_mass_and_centre_fit(arm, simulated):
-    tool = payload.Payload(0.8, (0.25, 0.0, 0.05), 0.0, (0.0, 0.0, 0.0), 0.0, 0.0)
-    found = payload.identify_payload(arm, [simulated(payload.with_payload(arm, tool), 4)])
+    found = payload.identify_payload(arm, [simulated(payload.with_payload(arm, TOOL), 4)])
     assert found.mass == pytest.approx(0.8, abs=4 * found.mass_sigma)
     assert found.center[0] == pytest.approx(0.25, abs=0.02)
     assert found.rms_after < 0.5 * found.rms_before
@@ -223,13 +218,12 @@ def test_given_a_tool_when_its_payload_is_identified_then_mass_and_centre_fit(ar
 def test_given_friction_of_another_day_when_tools_are_identified_then_errors_are_as_stated(
     arm, simulated
 ):
-    tool = payload.Payload(0.8, (0.25, 0.0, 0.05), 0.0, (0.0, 0.0, 0.0), 0.0, 0.0)
     errors = []
     for seed in range(40):
         rng = np.random.default_rng(seed)
         warmth = rng.uniform(0.8, 1.2, len(arm.joints))
         friction = [JointFriction(0.2, 1.0 * w, 1.5 * w, 40.0) for w in warmth]
-        warm = payload.with_payload(with_joints(arm, friction=friction), tool)
+        warm = payload.with_payload(with_joints(arm, friction=friction), TOOL)
         reach, speed = np.full(3, 1.5), np.full(3, 1.8)
         motion = random_trajectory(rng, np.zeros(3), reach, speed, 20.0)
         found = payload.identify_payload(arm, [simulated(warm, seed, motion=motion)])

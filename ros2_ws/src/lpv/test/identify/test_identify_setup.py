@@ -15,7 +15,7 @@ from ur10e_twin import recording as recording_of_twin
 from ur10e_twin import ur10e
 
 from lpv.core.serial_arm.arm_file import load_arm, save_arm
-from lpv.core.serial_arm.chain import body_parameters, compile_chain
+from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import (
     JointFriction,
     JointLimits,
@@ -29,7 +29,8 @@ from lpv.core.support.errors import ConfigError, LpvError
 from lpv.core.support.resources import bringup_file
 from lpv.identify import sensors as of_sensors
 from lpv.identify.errors import IdentificationError
-from lpv.identify.estimation import delays, mistakes
+from lpv.identify.estimation import delays, mistakes, payload
+from lpv.identify.estimation.assembly import with_joints
 from lpv.identify.estimation.torque_error import calibrate, torque_error, torque_tolerance
 from lpv.identify.model import rigid_body
 from lpv.identify.motions import Bounds, plan_excitation, random_trajectory, write_reference
@@ -91,13 +92,10 @@ def test_given_limits_when_planned_then_the_motion_keeps_them_and_rests_at_its_e
 
 
 def test_given_heavy_rotors_and_friction_when_planned_then_torques_keep_their_limits(arm):
-    friction = JointFriction(2.0, 0.1, 1.0, 50.0, 0.1)
+    drives = {'rotor_inertia': [8.0] * 3, 'friction': [JointFriction(2.0, 0.1, 1.0, 50.0, 0.1)] * 3}
     limits = [max(3.0 * torque, 20.0) for torque in plan_excitation(arm, 12.0, trials=3).torque]
-    joints = [
-        replace(one, rotor_inertia=8.0, friction=friction, limits=replace(one.limits, torque=most))
-        for one, most in zip(arm.joints, limits)
-    ]
-    heavy = replace(arm, joints=tuple(joints))
+    most = [replace(one.limits, torque=torque) for one, torque in zip(arm.joints, limits)]
+    heavy = with_joints(arm, limits=most, **drives)
     plan = plan_excitation(heavy, 12.0, trials=10)
     motion = plan.trajectory.sample(np.arange(0.0, 12.0, 0.02))
     largest = np.abs(rigid_body.joint_torques(heavy, *motion)).max(axis=0)
@@ -318,10 +316,8 @@ def test_given_mistakes_when_looked_for_then_the_most_evident_one_is_named(
 def test_given_several_recordings_when_one_contradicts_the_others_then_it_is_named(
     rough_arm, arm, simulated, load, offset, said
 ):
-    *others, last = arm.joints
-    tool = body_parameters(load, (0.3, 0.0, 0.0), np.zeros((3, 3)))
-    link = LinkInertia.from_vector(last.link.to_vector() + tool)
-    loaded = replace(arm, joints=(*others, replace(last, link=link)))
+    tool = payload.Payload(load, (0.3, 0.0, 0.0), 0.0, (0.0, 0.0, 0.0), 0.0, 0.0)
+    loaded = payload.with_payload(arm, tool)
     one, odd, third = simulated(arm, 1), simulated(loaded, 2), simulated(arm, 3)
     odd = replace(odd, position=odd.position + [0.0, offset, 0.0])
     recordings = [replace(r, source=name) for name, r in zip('abc', (one, odd, third))]
@@ -355,17 +351,18 @@ def test_given_a_proper_setup_when_looked_at_then_there_are_no_mistakes(rough_ar
     assert mistakes.find_mistakes(rough_arm, [recording]) == []
 
 
-def as_in_a_urdf(joints):
-    """Joints of which neither friction nor rotors are stated."""
-    return tuple(replace(j, friction=JointFriction(), rotor_inertia=0.0) for j in joints)
+def as_in_a_urdf(arm):
+    """The arm without statements of its friction and rotors."""
+    return with_joints(arm, friction=[JointFriction()] * 3, rotor_inertia=[0.0] * 3)
 
 
 def test_given_a_wrist_with_a_geared_rotor_when_looked_at_then_no_ratio_is_doubted(arm, simulated):
     light = LinkInertia(0.5, (0.025, 0.0, 0.0), (2e-3, 0.0, 3e-3, 0.0, 0.0, 3e-3))
-    joints = (*arm.joints[:2], replace(arm.joints[2], link=light, rotor_inertia=0.15))
+    geared = replace(arm.joints[2], link=light, rotor_inertia=0.15)
+    arm = replace(arm, joints=(*arm.joints[:2], geared))
     fast = random_trajectory(np.random.default_rng(4), *np.outer((0.0, 1.5, 2.6), np.ones(3)), 30.0)
-    one = simulated(replace(arm, joints=joints), motion=fast)
-    assert mistakes.find_mistakes(replace(arm, joints=as_in_a_urdf(joints)), [one]) == []
+    one = simulated(arm, motion=fast)
+    assert mistakes.find_mistakes(as_in_a_urdf(arm), [one]) == []
 
 
 class Stops:
@@ -386,23 +383,22 @@ def test_given_a_joint_that_slides_and_rests_when_looked_at_then_no_names_are_sw
 ):
     kind = {'type': 'prismatic', 'axis': (0.0, 0.0, 1.0), 'limits': JointLimits(0, 0.2, 1.0, 150.0)}
     slide = replace(arm.joints[1], friction=JointFriction(0.0, 1.0, 60.0, 500.0), **kind)
-    joints = arm.joints[0], slide, arm.joints[2]
-    one = simulated(replace(arm, joints=joints), motion=Stops((1.0, 0.09, 1.0), (1.5, 0.3, 1.5), 3))
-    assert mistakes.find_mistakes(replace(arm, joints=as_in_a_urdf(joints)), [one]) == []
+    arm = replace(arm, joints=(arm.joints[0], slide, arm.joints[2]))
+    one = simulated(arm, motion=Stops((1.0, 0.09, 1.0), (1.5, 0.3, 1.5), 3))
+    assert mistakes.find_mistakes(as_in_a_urdf(arm), [one]) == []
 
 
 def test_given_friction_at_rest_as_in_the_next_motion_when_looked_at_then_a_delay_is_found(
     arm, simulated
 ):
-    joints = [replace(j, friction=JointFriction(0.0, 1.0, 3.0, 500.0)) for j in arm.joints]
-    one = simulated(replace(arm, joints=tuple(joints)), motion=Stops([1.0] * 3, [1.5] * 3, 1))
+    sticky = with_joints(arm, friction=[JointFriction(0.0, 1.0, 3.0, 500.0)] * 3)
+    one = simulated(sticky, motion=Stops([1.0] * 3, [1.5] * 3, 1))
     moves = moving(one.velocity, 0.01, np.ones(3))
     ahead = np.sign(one.velocity) * moves
     for row in reversed(range(len(ahead) - 1)):
         ahead[row] = np.where(moves[row], ahead[row], ahead[row + 1])
     late = shifted(one.effort + 3.0 * ahead * ~moves, 0.05, 0.01)
-    bare = replace(arm, joints=as_in_a_urdf(arm.joints))
-    (first,) = mistakes.find_mistakes(bare, [replace(one, effort=late)])
+    (first,) = mistakes.find_mistakes(as_in_a_urdf(arm), [replace(one, effort=late)])
     assert first.kind == 'delay' and re.search('[56]0 ms too late', first.text)
 
 

@@ -81,8 +81,9 @@ def from_rows(records: np.ndarray) -> Block:
     )
 
 
-def split(content: np.ndarray) -> tuple[Block, list[bytes]]:
+def split(records: bytes | bytearray) -> tuple[Block, list[bytes]]:
     """Messages of a chunk's content, by the file's channel numbers; its other records as bytes."""
+    content = np.frombuffer(records, np.uint8)
     if len(content) < 9:
         if len(content):
             raise DamageError('a chunk ends within a record')

@@ -104,7 +104,7 @@ class ReplayWriter:
                 changed += record(int(channels[k]), int(block.time[k]), data)
                 channels[k] = -1
         kept = channels >= 0
-        return [block.chosen(kept).copied(channels[kept]), _block(changed)]
+        return [block.chosen(kept).copied(channels[kept]), split(changed)[0]]
 
     def write(self, batch: Batch, copies: list[Block], answers: Answers) -> None:
         """Write copies and answers of one block."""
@@ -124,14 +124,9 @@ class ReplayWriter:
             data = self._messages.cdr(OUTPUTS['fault_alarm'], int(stamp[row]), fields)
             texts += record(self._channels['fault_alarm'], int(time[row]), data)
         for row, status in answers.reports:
-            message = self._messages.diagnostics(int(stamp[row]), status)
-            data = padded_cdr(self.bag.typestore, message, DIAGNOSTICS_TYPE)
+            data = self._messages.diagnostics(int(stamp[row]), status)
             texts += record(self.bag.channel(DIAGNOSTICS), int(time[row]), data)
-        self.bag.write_chunk(*copies, *found, _block(texts))
-
-
-def _block(records: bytes) -> Block:
-    return split(np.frombuffer(records, np.uint8))[0]
+        self.bag.write_chunk(*copies, *found, split(texts)[0])
 
 
 class RecordTemplate:

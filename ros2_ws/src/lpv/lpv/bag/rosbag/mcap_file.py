@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import lz4.frame
-import numpy as np
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
@@ -155,7 +154,7 @@ class McapFile:
         """Messages of a chunk; DamageError if they are not what was recorded."""
         if place.length:
             data = self._data[place.offset : place.offset + place.length]
-            return split(np.frombuffer(data, np.uint8))[0]
+            return split(data)[0]
         try:
             self._data.seek(place.offset)
             head = ReadDataStream(self._data)
@@ -176,7 +175,7 @@ class McapFile:
         return block
 
 
-def _content(chunk: Chunk) -> np.ndarray:
+def _content(chunk: Chunk) -> bytes:
     """Content of a chunk, checked, in bounded memory."""
     size = chunk.uncompressed_size
     if size > MOST_BYTES:
@@ -191,7 +190,7 @@ def _content(chunk: Chunk) -> np.ndarray:
     stream, length = get_chunk_data_stream(chunk, validate_crc=True)
     if length != size:
         raise DamageError('it does not have the size that it claims')
-    return np.frombuffer(stream.read(length), np.uint8)
+    return stream.read(length)
 
 
 def error_text(error: BaseException) -> str:

@@ -43,16 +43,17 @@ class BagMessages:
             values[name] = value
         return self._types[msgtype](header=self.header(stamp), **values)
 
-    def diagnostics(self, stamp: int, status: Iterable[Mapping[str, Any]]) -> Any:
-        """DiagnosticArray of statuses as of `lpv.core.monitoring.message_fields`."""
+    def diagnostics(self, stamp: int, status: Iterable[Mapping[str, Any]]) -> bytes:
+        """CDR of a DiagnosticArray of statuses as of `lpv.core.monitoring.message_fields`."""
         status_type = self._types['diagnostic_msgs/msg/DiagnosticStatus']
         pair = self._types['diagnostic_msgs/msg/KeyValue']
         found = []
         for fields in status:
             values = [pair(key, str(value)) for key, value in fields['values'].items()]
             found.append(status_type(**{**fields, 'values': values}))
-        kind = self._types['diagnostic_msgs/msg/DiagnosticArray']
-        return kind(self.header(stamp, ''), found)
+        kind = 'diagnostic_msgs/msg/DiagnosticArray'
+        message = self._types[kind](self.header(stamp, ''), found)
+        return padded_cdr(self._typestore, message, kind)
 
     def joint_state(
         self,

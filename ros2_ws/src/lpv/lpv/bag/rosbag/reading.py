@@ -196,10 +196,10 @@ def _collect(
     for connection, time, content in messages:
         data += record(numbers[connection.topic, connection.id], max(0, time), content)
         if len(data) >= BLOCK_SIZE:
-            yield split(np.frombuffer(data, np.uint8))[0]
+            yield split(data)[0]
             data = bytearray()
     if data:
-        yield split(np.frombuffer(data, np.uint8))[0]
+        yield split(data)[0]
 
 
 @contextlib.contextmanager

@@ -49,8 +49,8 @@ _TYPES = {**{name: msgtype for name, (msgtype, _) in STREAMS.items()}, ALARMS: A
 _NEEDED = {msgtype: ('header', *fields) for msgtype, fields in STREAMS.values()}
 _NEEDED['sensor_msgs/msg/JointState'] += ('name',)
 _NEEDED['lpv_msgs/msg/FaultEstimate'] += ('sensor_names',)
-_ALARM = 'header event sensor_index sensor onset detected size bound kind confidence'
-_NEEDED[ALARM_TYPE] = tuple(_ALARM.split())
+_ALARM = 'event sensor_index sensor onset detected size bound kind confidence'
+_NEEDED[ALARM_TYPE] = ('header', *_ALARM.split())
 
 
 @dataclass(frozen=True)
@@ -323,18 +323,10 @@ def _alarm(reader: BagReader, data: bytes) -> RecordedAlarm:
     message = reader.deserialize(data, ALARM_TYPE)
     if message.event not in list(AlarmEvent):
         raise BagError(f'{reader.path}: fault_alarm: unknown event {message.event}')
-    return RecordedAlarm(
-        AlarmEvent(message.event),
-        int(message.sensor_index),
-        message.sensor,
-        to_nanoseconds(message.onset),
-        to_nanoseconds(message.detected),
-        float(message.size),
-        float(message.bound),
-        message.kind,
-        float(message.confidence),
-        to_nanoseconds(message.header.stamp),
-    )
+    fields = {name: getattr(message, name) for name in _ALARM.split()}
+    fields |= {name: to_nanoseconds(fields[name]) for name in ('onset', 'detected')}
+    fields['event'] = AlarmEvent(message.event)
+    return RecordedAlarm(**fields, stamp=to_nanoseconds(message.header.stamp))
 
 
 @dataclass(frozen=True)

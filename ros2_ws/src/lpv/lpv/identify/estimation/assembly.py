@@ -1,6 +1,8 @@
 """From fitted base parameters to the parameters of an arm's links and drives."""
 
+from collections.abc import Iterable
 from dataclasses import replace
+from typing import Any
 
 import clarabel
 import numpy as np
@@ -62,7 +64,7 @@ def consistent_parameters(
     lower[_columns('offset', n)] = -np.inf
     upper[_columns('load', n)] = float(fit.with_load)
     passive = np.eye(len(mean))
-    limits = np.array([joint.limits.velocity for joint in arm.joints])
+    limits = np.array(arm.velocity_limit)
     passive[_columns('viscous', n), _columns('coulomb', n)] = least_viscous(fit.slope, limits)
     root, inverse = roots(fit.normal)
     root = root @ parameter_map(base, n) @ passive
@@ -138,14 +140,21 @@ def with_parameters(arm: SerialArm, values: np.ndarray, slope: np.ndarray) -> Se
     """Arm with other parameters; ``values`` as `SerialArm.parameter_vector` gives them."""
     n = len(arm.joints)
     links = values[: N_INERTIAL * n].reshape(n, N_INERTIAL)
-    drives = values[N_INERTIAL * n :].reshape(-1, n).T.tolist()
-    joints = []
-    for joint, link, drive, bend in zip(arm.joints, links, drives, slope.tolist()):
-        rotor, viscous, coulomb, load, offset = drive
-        friction = JointFriction(offset, viscous, coulomb, bend, load)
-        body = LinkInertia.from_vector(link)
-        joints.append(replace(joint, link=body, friction=friction, rotor_inertia=rotor))
-    return replace(arm, joints=tuple(joints))
+    rotors, viscous, coulomb, load, offset = values[N_INERTIAL * n :].reshape(-1, n).tolist()
+    terms = zip(offset, viscous, coulomb, slope.tolist(), load)
+    return with_joints(
+        arm,
+        link=[LinkInertia.from_vector(link) for link in links],
+        friction=[JointFriction(*one) for one in terms],
+        rotor_inertia=rotors,
+    )
+
+
+def with_joints(arm: SerialArm, **values: Iterable[Any]) -> SerialArm:
+    """Arm with other values of some fields of `SerialJoint`, one for each joint."""
+    changes = [dict(zip(values, row)) for row in zip(*values.values(), strict=True)]
+    joints = zip(arm.joints, changes, strict=True)
+    return replace(arm, joints=tuple(replace(joint, **change) for joint, change in joints))
 
 
 def covariance_of_all(

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from lpv.core.serial_arm.description import N_INERTIAL, SerialArm
-from lpv.identify.estimation.assembly import with_parameters
+from lpv.identify.estimation.assembly import with_joints, with_parameters
 from lpv.identify.estimation.regression import Filters, Problem, Rows, fit_parameters
 from lpv.identify.estimation.robust import invert_normal, normal_equations, predicted
 from lpv.identify.model.friction import TERMS
@@ -88,14 +88,15 @@ def rescaled(arm: SerialArm, factor: float) -> SerialArm:
     factors[N_INERTIAL + 1 + TERMS.index('load')] = 1.0  # has no unit
     slope = np.array([joint.friction.coulomb_slope for joint in arm.joints])
     scaled = with_parameters(arm, factors.ravel() * arm.parameter_vector(), slope)
-    joints = []
-    for joint in scaled.joints:
-        tolerance = joint.torque_tolerance
-        tolerance = replace(tolerance, torque=tuple(factor * t for t in tolerance.torque))
-        gain, coupling = factor * joint.torque_gain, factor * joint.rotor_coupling
-        joints.append(replace(
-            joint, torque_gain=gain, rotor_coupling=coupling, torque_tolerance=tolerance,
-        ))  # fmt: skip
+    tolerances = [joint.torque_tolerance for joint in arm.joints]
+    scaled = with_joints(
+        scaled,
+        torque_gain=[factor * joint.torque_gain for joint in arm.joints],
+        rotor_coupling=[factor * joint.rotor_coupling for joint in arm.joints],
+        torque_tolerance=[
+            replace(t, torque=tuple(factor * u for u in t.torque)) for t in tolerances
+        ],
+    )
     covariance = arm.covariance
     if covariance is not None:
         rows = np.array(covariance.factor) * factors.ravel()
@@ -106,4 +107,4 @@ def rescaled(arm: SerialArm, factor: float) -> SerialArm:
         if getattr(arm.uncertainty, name) is not None
     }
     uncertainty = replace(arm.uncertainty, **errors)
-    return replace(scaled, joints=tuple(joints), covariance=covariance, uncertainty=uncertainty)
+    return replace(scaled, covariance=covariance, uncertainty=uncertainty)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lpv.core.serial_arm.description import SerialArm
-from lpv.identify.estimation.assembly import covariance_of_all, fit_of
+from lpv.identify.estimation.assembly import covariance_of_all, fit_of, with_joints
 from lpv.identify.estimation.evaluation import (
     Determination,
     Figures,
@@ -63,9 +63,8 @@ def identify(
     """Identify an arm, with rough inertias, from recordings; IdentificationError."""
     options = options or Options()
     report('preparing the motion')
-    workshop = Workshop(arm, recordings)
-    share = 1.0 if tests else options.train_share
-    workshop.estimate_gains(share)
+    workshop = Workshop(arm, recordings, 1.0 if tests else options.train_share)
+    workshop.estimate_gains()
     report('looking for mistakes of the set-up')
     # A load it finds by itself.
     mistakes = [m for m in find_mistakes(workshop.arm, recordings) if m.kind != 'load']
@@ -76,17 +75,18 @@ def identify(
         mistakes.clear()
         workshop.warnings[-1] += '; taken so'
     arm = workshop.arm
-    workshop.choose(share, report)
+    workshop.choose(report)
     report('fitting the parameters')
-    fit, strength = workshop.fit(share)
+    fit, strength = workshop.fit()
     found = workshop.arm_of(fit, strength)
-    held_back = workshop.test_rows(share, tests)
+    held_back = workshop.test_rows(tests)
     predictions, before = (
         [predict(rows, fit_of(one, workshop.base, fit), workshop.filters) for rows in held_back]
         for one in (found, arm)
     )
     if options.refit:
-        fit, _ = workshop.fit(1.0)
+        workshop.share = 1.0
+        fit, _ = workshop.fit()
         found = workshop.arm_of(fit, strength)
     report('measuring what is uncertain')
     determination = determine(workshop.base, fit, arm)
@@ -122,15 +122,13 @@ def _finish(
     rates, residuals = [p.velocity for p in predictions], [p.residual for p in predictions]
     counts = [p.counts for p in predictions]
     speed, missed, used = map(np.concatenate, (rates, residuals, counts))
-    joints = []
-    for j, joint in enumerate(arm.joints):
-        tolerance = torque_tolerance(speed[used[:, j], j], missed[used[:, j], j])
-        delay = float(workshop.effort_delay[j])
-        joints.append(replace(joint, effort_delay=delay, torque_tolerance=tolerance))
+    tolerances = [torque_tolerance(speed[one, j], missed[one, j]) for j, one in enumerate(used.T)]
+    delays = workshop.effort_delay.tolist()
+    arm = with_joints(arm, effort_delay=delays, torque_tolerance=tolerances)
     determined = int(determination.determined.sum())
     error = torque_error(rates, residuals, counts, workshop.step, usual_error(workshop.arm))
     return replace(
-        error.on(sensing.on(replace(arm, joints=tuple(joints)))),
+        error.on(sensing.on(arm)),
         covariance=covariance_of_all(workshop.arm, workshop.base, fit, determined),
         sample_time=workshop.step,
         effort_bandwidth=workshop.filters.effort,

@@ -197,7 +197,7 @@ class _Judge:
         samples = 2.0 * self._band * duration
         self._share = samples / sum(len(s.time) for s in segments)  # that is independent
         self._of_drive = _FREE, model_error(arm) ** -2, max(_LATE, arm.sample_time) ** -2
-        self._fastest = np.array([joint.limits.velocity for joint in arm.joints])
+        self._fastest = np.array(arm.velocity_limit)
         # What a model misses lasts as long as a pose: half a period of the fastest motion.
         self._stretches = max(3, int(self._band * duration))
         self.cost = _COST + np.log(len(arm.joints) * len(self._parts))

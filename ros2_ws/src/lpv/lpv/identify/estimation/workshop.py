@@ -11,6 +11,7 @@ from lpv.identify.estimation.assembly import (
     consistent_parameters,
     fit_of,
     prior_of_all,
+    with_joints,
     with_parameters,
 )
 from lpv.identify.estimation.delays import effort_delays, rate_delays
@@ -50,8 +51,9 @@ _BETTER = 0.95  # ratio of mean squares below which the other rates are taken
 class Workshop:
     """Recordings, and the choices that are made on the way."""
 
-    def __init__(self, arm: SerialArm, recordings: Sequence[Recording]):
+    def __init__(self, arm: SerialArm, recordings: Sequence[Recording], share: float = 1.0):
         self.arm, self.recordings, self.n = arm, recordings, len(arm.joints)
+        self.share = share  # of each segment that is fitted, its first part
         self.gain = np.array([joint.torque_gain for joint in arm.joints])
         self.segments = [segment for one in recordings for segment in split(one)]
         self.warnings = [text for one in recordings for text in one.warnings]
@@ -82,14 +84,12 @@ class Workshop:
         """Whether rates are recorded."""
         return self.segments[0].velocity is not None
 
-    def estimate_gains(self, share: float) -> None:
+    def estimate_gains(self) -> None:
         """Gains of the efforts, if those are currents and no gains are given."""
         if self.arm.effort_unit == 'N m' or np.any(self.gain != 1.0):
             return
-        self.gain = estimate_gains(self.train_rows(share), self.filters, self.prior)
-        pairs = zip(self.arm.joints, self.gain.tolist())
-        joints = tuple(replace(joint, torque_gain=gain) for joint, gain in pairs)
-        self.arm = replace(self.arm, joints=joints)
+        self.gain = estimate_gains(self.train_rows(), self.filters, self.prior)
+        self.arm = with_joints(self.arm, torque_gain=self.gain.tolist())
         self.warnings.append(
             'the scale of gains and masses is that of the masses given; a tool of known mass '
             'corrects it (--payload --known-mass)'
@@ -114,36 +114,36 @@ class Workshop:
             **vars(motion),
             base=np.take(self.model.regressor(*signals, gravity), self.base.columns, axis=2),
             counts=moving(motion.velocity, motion.step, self.arm.scales()),
-            speed_limit=1.1 * np.array([joint.limits.velocity for joint in self.arm.joints]),
+            speed_limit=1.1 * np.array(self.arm.velocity_limit),
             part=slice(margin, len(motion.time) - margin),
         )
 
-    def train_rows(self, share: float) -> list[Rows]:
-        """Rows of the first share of each segment."""
-        return [_divided(rows, share)[0] for rows in self.rows]
+    def train_rows(self) -> list[Rows]:
+        """Rows that are fitted."""
+        return [_divided(rows, self.share)[0] for rows in self.rows]
 
-    def test_rows(self, share: float, tests: Sequence[Recording]) -> list[Rows]:
+    def test_rows(self, tests: Sequence[Recording]) -> list[Rows]:
         """Rows of other recordings, or of the rest of each segment."""
         if not tests:
-            return [_divided(rows, share)[1] for rows in self.rows]
+            return [_divided(rows, self.share)[1] for rows in self.rows]
         return [self._rows(segment) for one in tests for segment in split(one)]
 
-    def choose(self, share: float, report: Callable[[str], None]) -> None:
+    def choose(self, report: Callable[[str], None]) -> None:
         """Rates, bandwidth of the efforts, prior, delay: by prediction of training data."""
         report('choosing measured or computed rates')
         if self.has_rates:
-            self._choose_rates(share)
+            self._choose_rates()
         report('choosing the bandwidth of the efforts')
         weak = self.prior.times(WEAK)
-        band = _effort_band(self.train_rows(share), self.filters, weak)
+        band = _effort_band(self.train_rows(), self.filters, weak)
         self.filters = replace(self.filters, effort=band)
         self.with_load = True
         report('choosing the weight of the parameters given')
-        errors = self._errors(share, _STRENGTHS)
+        errors = self._errors(_STRENGTHS)
         # The largest of those that do equally well.
         self.strength = _STRENGTHS[int(np.flatnonzero(errors < errors.min() + _EQUAL)[-1])]
         report('choosing the delays of the efforts')
-        self._choose_delay(share)
+        self._choose_delay()
 
     def consistent_fit(
         self, rows: Sequence[Rows], strength: float, slope: np.ndarray | None = None
@@ -153,13 +153,13 @@ class Workshop:
         fit = fit_parameters(rows, self.filters, prior, slope, with_load=self.with_load)
         return fit_of(self.arm_of(fit, strength), self.base, fit)
 
-    def _errors(self, share: float, strengths: Sequence[float]) -> np.ndarray:
+    def _errors(self, strengths: Sequence[float]) -> np.ndarray:
         """Mean logarithms of the joints' mean square errors [(N m)^2], by strength of the prior.
 
         Of blocks of the training data that are predicted from the others; the error of a joint of
         which nothing counts is 1, whatever the estimate.
         """
-        rows, errors = self.train_rows(share), []
+        rows, errors = self.train_rows(), []
         slope = self.consistent_fit(rows, self.strength).slope
         for strength in strengths:
             total, count = np.zeros((2, self.n))
@@ -172,32 +172,32 @@ class Workshop:
             errors.append(float(np.mean(np.log(squares))))
         return np.array(errors)
 
-    def _choose_rates(self, share: float) -> None:
+    def _choose_rates(self) -> None:
         """Measured rates or derivatives of positions: the other one if that predicts better."""
-        before, kept = self._errors(share, [self.strength]), self.rows
+        before, kept = self._errors([self.strength]), self.rows
         self.use_rates = not self.use_rates
         self._prepare()
-        if self._errors(share, [self.strength]) > before + np.log(_BETTER):
+        if self._errors([self.strength]) > before + np.log(_BETTER):
             self.use_rates, self.rows = not self.use_rates, kept
 
-    def _choose_delay(self, share: float) -> None:
+    def _choose_delay(self) -> None:
         """Delays of the efforts, if predictions gain from them."""
         # A drive that follows late looks like a negative inertia, which no body has; a prior that
         # is too weak hides this, as masses take the delay's place.
-        before, kept = self._errors(share, [self.strength]), self.rows
+        before, kept = self._errors([self.strength]), self.rows
         for _ in range(2):
-            rows = self.train_rows(share)
+            rows = self.train_rows()
             found = self.consistent_fit(rows, self.strength)
             late = self.effort_delay + effort_delays(rows, found, self.filters)
             self.effort_delay = np.clip(late, -MAX_GAP, MAX_GAP)
             self._prepare()
         self.joint_delays = self.effort_delay
-        if self._errors(share, [self.strength]) > before - _EQUAL:
+        if self._errors([self.strength]) > before - _EQUAL:
             self.effort_delay, self.rows = np.zeros(self.n), kept
 
-    def fit(self, share: float) -> tuple[Fit, float]:
+    def fit(self) -> tuple[Fit, float]:
         """Fit with the prior, and its strength."""
-        rows, strength = self.train_rows(share), self.strength
+        rows, strength = self.train_rows(), self.strength
         # Joints that swing freely: their balance holds for parameters of any scale.
         beta = np.abs(self.prior.mean[: self.base.size])
         pairs = [
