@@ -174,24 +174,6 @@ def fill_answers(
 
 
 @njit_in_place
-def copy_answer(rows: AnswerRows, row: int, last: int) -> None:
-    """The answer to a sample again, for one that was lost."""
-    for i in range(rows.state.shape[1]):
-        rows.position[row, i], rows.velocity[row, i] = (
-            rows.position[last, i],
-            rows.velocity[last, i],
-        )
-        rows.compensated[row, i] = rows.compensated[last, i]
-        rows.measured[row, i] = rows.measured[last, i]
-        rows.measured_velocity[row, i] = rows.measured_velocity[last, i]
-        rows.estimate[row, i], rows.bound[row, i] = rows.estimate[last, i], rows.bound[last, i]
-        rows.threshold[row, i], rows.alarm[row, i] = rows.threshold[last, i], rows.alarm[last, i]
-        rows.state[row, i] = rows.state[last, i]
-    rows.has_fault[row], rows.inconsistent[row] = rows.has_fault[last], rows.inconsistent[last]
-    rows.mode[row], rows.trustworthy[row] = rows.mode[last], rows.trustworthy[last]
-
-
-@njit_in_place
 def _step(
     work: Compensation, stamp: int, fading: float, sample_time: float
 ) -> tuple[float, bool, float]:

@@ -30,7 +30,7 @@ from lpv.core.control.watchdog import (
     latency_limits,
 )
 from lpv.core.monitoring.answers import answer_type
-from lpv.core.monitoring.compensation import AnswerRows, answer_rows, copy_answer
+from lpv.core.monitoring.compensation import AnswerRows, answer_rows
 from lpv.core.monitoring.parameters import DiagnosisParameters
 from lpv.core.monitoring.sample_loop import PROGRESS, Answering, advance
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
@@ -223,8 +223,6 @@ def _sense(
     if waited > tracker.watchdog.own[0].silence:
         _stop(loop, tracker, _SILENCE)
     if row.lost:
-        if k > 0:
-            copy_answer(observer.answers, k, k - 1)
         loop.phase = _ACT
         return
     follows = loop.usable != NEVER and k - loop.usable <= LONGEST_STEP
@@ -519,6 +517,9 @@ def run_closed_loop(
         elif phase == _ADVANCE:
             simulator.advance()
             now['phase'] = _SENSE
+    # Where a measurement was lost, the answer before stands.
+    last = np.maximum.accumulate(np.where(rows.lost, 0, np.arange(count)))
+    records[rows.lost] = records[last[rows.lost]]
     return Run(
         **{name: rows[name] for name in rows.dtype.names if name != 'answered'},
         **dict(zip(_Signals._fields[1:], signals[1:])),
