@@ -1,14 +1,12 @@
 """Whether matrix inequalities hold: by eigenvalues, and in exact rational arithmetic."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-
-from lpv.core.support.errors import ConfigError
 
 SAME = 1e-6
 """Relative difference up to which a recomputed number is the stored one."""
@@ -25,14 +23,6 @@ class Check:
     def holds(self) -> bool:
         """Whether it is satisfied; NaN is not."""
         return self.margin < 0.0
-
-
-def require_all(checks: Iterable[Check], field: str, remedy: str, source: str) -> None:
-    """Refuse a certificate that does not hold: ConfigError names the inequality that fails."""
-    for check in checks:
-        if not check.holds:
-            reason = f'{check.name}, {check.margin:.3g} is not negative; {remedy}'
-            raise ConfigError(field, f'the certificate does not hold: {reason}', source)
 
 
 def largest_eigenvalue(matrix: np.ndarray) -> float:
