@@ -106,7 +106,7 @@ def error_bound(
     """Constants of the bound, of type `BOUND_CONSTANTS`, with ``sigmas`` standard deviations of
     noise."""
     unknown = healthy_arm(arm, sigmas)
-    noise, to_angle = sigmas * np.asarray(observer.fault_sigma), np.abs(unknown.joints.angle)
+    noise, to_angle = sigmas * observer.fault_sigma, np.abs(unknown.joints.angle)
     # Of f^ less that of the reading: `exact_fault_sigma` adds squares, not deviations.
     of_angles = np.sqrt(np.maximum(noise**2 - (sigmas * arm.position_noise) ** 2, 0.0))
     params = new_record(
@@ -122,11 +122,9 @@ def error_bound(
         unknown=unknown,
     )
     if isinstance(observer, ExactObserverGains):
-        kappa, mu = np.asarray(observer.kappa), np.asarray(observer.mu)
-        params.exact, params.kappa, params.mu = True, kappa, mu
-        params.slowest_recovery = np.min(
-            kappa * np.asarray(arm.numbers().gravity) * np.asarray(arm.cos_min) / mu
-        )
+        params.exact, params.kappa, params.mu = True, observer.kappa, observer.mu
+        gravity = np.array(arm.numbers().gravity)
+        params.slowest_recovery = np.min(observer.kappa * gravity * arm.cos_min / observer.mu)
     return params
 
 
