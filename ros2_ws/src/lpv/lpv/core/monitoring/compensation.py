@@ -145,9 +145,14 @@ def fill_answers(
     for k in range(part[0], part[1]):
         row = first + k
         elapsed = (stamps[k] - flags.stamp) / NANOSECONDS
-        step = _step(work, stamps[k], flags.fading, flags.sample_time)
-        if step[1]:
-            _accelerate(work, samples[k, 2], step[0], flags.mode != _HOLDING)
+        interval, follows = 0.0, False  # since the sample before; whether that is near
+        if work.stamp[0] != NEVER:
+            interval = (stamps[k] - work.stamp[0]) / NANOSECONDS
+            follows = interval < LONGEST_STEP * flags.sample_time
+        if follows:
+            work.motion.acceleration[:] = 0.0
+            if flags.mode != _HOLDING and work.bridged.any():  # torques hold the weight
+                accelerate(work.motion, work.position, work.velocity, samples[k, 2], interval)
         for i in range(known.fault.shape[0]):
             fault, confirmed = known.fault[i] + elapsed * known.rate[i], 0.0
             drift, growth = 0.0, 0.0
@@ -157,6 +162,7 @@ def fill_answers(
                 drift = growth if known.is_derived[i] else 0.0
             drift += known.rate_error[i]
             measured = samples[k, 0, i], samples[k, 1, i]
+            step = interval, follows, flags.fading
             _correct(work, i, measured, (confirmed, drift, growth), known, step)
             work.estimate[i] = work.position[i] + work.applied[i] - fault
             rows.estimate[row, i], rows.bound[row, i] = fault, known.bound[i]
@@ -174,24 +180,6 @@ def fill_answers(
 
 
 @njit_in_place
-def _step(
-    work: Compensation, stamp: int, fading: float, sample_time: float
-) -> tuple[float, bool, float]:
-    """Time since the sample before, whether it is near, and the rate of fading."""
-    follows = work.stamp[0] != NEVER
-    interval = (stamp - work.stamp[0]) / NANOSECONDS if follows else 0.0
-    return interval, follows and interval < LONGEST_STEP * sample_time, fading
-
-
-@njit_in_place
-def _accelerate(work: Compensation, torque: FloatArray, interval: float, uses: bool) -> None:
-    """Predict what is carried on by torques, where these hold the weight."""
-    work.motion.acceleration[:] = 0.0
-    if uses and work.bridged.any():
-        accelerate(work.motion, work.position, work.velocity, torque, interval)
-
-
-@njit_in_place
 def _correct(
     work: Compensation,
     i: int,
@@ -203,7 +191,8 @@ def _correct(
     """Reading and rate of a sensor without the fault; one that jumps or is noisy is carried on.
 
     ``fault``: of the reading [rad], of the rate, and at which the first one grows [rad/s]; of a
-    rate that says nothing NaN.
+    rate that says nothing NaN.  ``step``: time since the sample before [s], whether that is near,
+    rate of fading.
     """
     interval, follows, fading = step
     most = (fading * work.scale[i] + abs(fault[2])) * interval
@@ -224,10 +213,13 @@ def _correct(
         work.bridged[i] = _NOISY
         # Between spikes readings are right.
         noise = min(known.noise[i], largest**2) if is_near else known.noise[i]
-        says_more = not (known.is_derived[i] or np.isnan(fault[1]))
-        position, velocity = _filter(
-            work.motion, i, (carried, rate), (position, velocity), noise, says_more
-        )
+        shift, change = correct(work.motion, i, 0, position - carried, noise)
+        position, rate = carried + shift, rate + change
+        if not (known.is_derived[i] or np.isnan(fault[1])):  # it says what the reading does not
+            noise = work.motion.rate_noise[i]
+            shift, change = correct(work.motion, i, 1, velocity - rate, noise)
+            position, rate = position + shift, rate + change
+        velocity = rate
     else:
         # The difference of two readings of which one is carried on, or was, is no rate.
         if may_differ and abs(velocity - rate) * interval > largest:
@@ -241,27 +233,6 @@ def _correct(
             work.bridged[i] += 1
     work.change[i] = velocity - work.velocity[i] if follows else 0.0
     work.position[i], work.velocity[i] = position, velocity
-
-
-@njit_in_place
-def _filter(
-    motion: CarriedMotion,
-    i: int,
-    carried: tuple[float, float],
-    measured: tuple[float, float],
-    noise: float,
-    says_more: bool,
-) -> tuple[float, float]:
-    """Reading and rate as carried on, corrected by measured ones; ``noise`` is the reading's.
-
-    ``says_more`` is whether the rate says what the reading does not.
-    """
-    shift, change = correct(motion, i, 0, measured[0] - carried[0], noise)
-    position, velocity = carried[0] + shift, carried[1] + change
-    if says_more:
-        shift, change = correct(motion, i, 1, measured[1] - velocity, motion.rate_noise[i])
-        position, velocity = position + shift, velocity + change
-    return position, velocity
 
 
 @njit_in_place
