@@ -380,9 +380,6 @@ def _advance(params: np.record, state: np.record, interval: float) -> None:
     """Advance in steps of a sample time; outputs are interpolated."""
     state.held[:] = False
     steps = max(1, math.ceil(interval / (1.5 * params.sample_time)))
-    if steps == 1:
-        advance(params, state, state.y, state.y_new, state.torque, interval)
-        return
     copy_vector(state.y, state.before)
     for k in range(1, steps + 1):
         for i in range(4):
