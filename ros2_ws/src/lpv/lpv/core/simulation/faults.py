@@ -191,11 +191,11 @@ def _records(rows: np.ndarray) -> np.ndarray:
 
 
 class FaultInjector:
-    """Applies all active faults to the readings of two sensors.
+    """Applies all active faults to the readings of an arm's sensors.
 
     Parameters
     ----------
-    sensor_names : sequence of two str
+    sensor_names : sequence of str, n
         The physical sensors.
     faults : iterable of Fault
         Scheduled faults.
@@ -267,14 +267,14 @@ class FaultInjector:
         ----------
         time : float
             [s].
-        reading : ndarray, shape (2,)
+        reading : ndarray, shape (n,)
             Fault-free readings S theta [rad].
         sample_time : float
             For the rate of spikes [s].
 
         Returns
         -------
-        ndarray, shape (2,)
+        ndarray, shape (n,)
             Readings with faults, NaN for a dropout.
         """
         faulty, time = np.array(reading, float), float(time)
