@@ -1,7 +1,6 @@
 """Arms of two links in a vertical plane from the numbers that describe one in the plane."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -19,6 +18,7 @@ from lpv.core.serial_arm.description import (
     Uncertainty,
 )
 from lpv.core.support.entries import entry, positive
+from lpv.core.support.inequalities import NumberType
 
 
 def _pair(low: float, high: float, **details: Any) -> Any:
@@ -111,7 +111,7 @@ class TwoLinks:
     torque_tolerance: tuple = _pair(0.0, 1e9, default=(0.0, 0.0))
     sample_time: float = _number(1e-5, 0.1, default=0.002)  # Ts [s]
 
-    def numbers(self, number: Callable[[Any], Any] = float) -> ArmNumbers:
+    def numbers(self, number: NumberType = float) -> ArmNumbers:
         """Constants of eqs. (2), (3) as floats, or as exact ``fractions.Fraction``.
 
         The printed eqs. (5), (14), (15) have m2*Lc1^2 in the (1, 1) inertia; the physics, and

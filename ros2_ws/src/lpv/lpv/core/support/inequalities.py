@@ -11,6 +11,9 @@ from numpy.typing import ArrayLike
 SAME = 1e-6
 """Relative difference up to which a recomputed number is the stored one."""
 
+NumberType = Callable[[Any], Any]
+"""Makes numbers of one type: floats, or exact ``fractions.Fraction``."""
+
 
 @dataclass(frozen=True)
 class Check:
@@ -38,7 +41,7 @@ def exact(values: ArrayLike) -> np.ndarray:
     return np.vectorize(Fraction, otypes=[object])(np.asarray(values))
 
 
-def array_of(number: Callable[[Any], Any]) -> Callable[[ArrayLike], np.ndarray]:
+def array_of(number: NumberType) -> Callable[[ArrayLike], np.ndarray]:
     """What makes arrays of a kind of number, floats or fractions."""
     return exact if number is Fraction else np.asarray
 

@@ -49,7 +49,7 @@ from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.model.dynamics import coupling
 from lpv.core.uio.model.joints import row_size
 from lpv.core.uio.observer.exact_observer import ExactObserverGains, injection
-from lpv.core.uio.observer.paper_observer import PaperObserverGains
+from lpv.core.uio.observer.sampled_observer import ObserverGains
 
 _LARGEST = 10.0
 """A larger set says nothing more [rad]."""
@@ -100,9 +100,7 @@ BOUND_STATE = record_type(
 """Reachable set of the errors; r_i = s m_i/Xi_ii is the momentum error in units of a rate."""
 
 
-def error_bound(
-    arm: ArmParameters, observer: ExactObserverGains | PaperObserverGains, sigmas: float = SIGMAS
-) -> np.record:
+def error_bound(arm: ArmParameters, observer: ObserverGains, sigmas: float = SIGMAS) -> np.record:
     """Constants of the bound, of type `BOUND_CONSTANTS`, with ``sigmas`` standard deviations of
     noise."""
     unknown = healthy_arm(arm, sigmas)

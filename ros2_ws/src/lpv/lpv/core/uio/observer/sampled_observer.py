@@ -25,6 +25,8 @@ from lpv.core.uio.observer.paper_observer import (
     schedule,
 )
 
+ObserverGains = ExactObserverGains | PaperObserverGains
+"""Of either method."""
 _AT_REST = 5.0
 """Rates below so many standard deviations of their noise are those of an arm at rest: one in two
 million is larger."""
@@ -113,10 +115,7 @@ OBSERVER_STATE = record_type(
 
 
 def observer_constants(
-    arm: ArmParameters,
-    gains: ExactObserverGains | PaperObserverGains,
-    initial_samples: int = 1,
-    max_gap: float = MAX_GAP,
+    arm: ArmParameters, gains: ObserverGains, initial_samples: int = 1, max_gap: float = MAX_GAP
 ) -> np.record:
     """Constants of `observe`, of type `OBSERVER_CONSTANTS`.
 
