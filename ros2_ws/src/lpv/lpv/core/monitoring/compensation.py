@@ -13,7 +13,7 @@ from lpv.core.monitoring.carried_motion import (
     correct,
     new_motion,
 )
-from lpv.core.serial_arm.chain import FloatArray, IntArray
+from lpv.core.serial_arm.chain import BoolArray, FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import Mode
 from lpv.core.serial_arm.diagnosis.monitor import LONGEST_STEP
@@ -60,8 +60,8 @@ class Known(NamedTuple):
     predicted: FloatArray  # share of an acceleration that torques predict
     missed: FloatArray  # variance of what they do not predict [rad2/s4]
     state: npt.NDArray[np.uint8]
-    is_error: npt.NDArray[np.bool_]  # confirmed
-    is_derived: npt.NDArray[np.bool_]  # the rate is derived from the reading
+    is_error: BoolArray  # confirmed
+    is_derived: BoolArray  # the rate is derived from the reading
 
 
 def new_known(joints: int) -> Known:
@@ -85,16 +85,16 @@ FLAGS = record_type(
 class AnswerRows(NamedTuple):
     """Fields of the records of `lpv.core.monitoring.answers.answer_type`, one row a sample."""
 
-    answered: npt.NDArray[np.bool_]
-    has_fault: npt.NDArray[np.bool_]
-    inconsistent: npt.NDArray[np.bool_]
+    answered: BoolArray
+    has_fault: BoolArray
+    inconsistent: BoolArray
     position: FloatArray
     velocity: FloatArray
     compensated: FloatArray
     measured: FloatArray
     measured_velocity: FloatArray
     mode: npt.NDArray[np.uint8]
-    trustworthy: npt.NDArray[np.bool_]
+    trustworthy: BoolArray
     estimate: FloatArray
     bound: FloatArray
     threshold: FloatArray

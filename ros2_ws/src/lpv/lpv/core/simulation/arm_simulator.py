@@ -7,10 +7,9 @@ import math
 from typing import NamedTuple, Protocol
 
 import numpy as np
-import numpy.typing as npt
 from numpy.typing import ArrayLike
 
-from lpv.core.serial_arm.chain import OFFSET, Chain, FloatArray, workspace
+from lpv.core.serial_arm.chain import OFFSET, BoolArray, Chain, FloatArray, workspace
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.dynamics.newton_euler import gravity_torque
 from lpv.core.serial_arm.sensor_map import map_vector
@@ -43,7 +42,7 @@ class PlantConstants(NamedTuple):
     position_noise: FloatArray  # (n,) standard deviation, 0 without noise [rad]
     velocity_noise: FloatArray  # (n,) of independent rates [rad/s]
     quantization: FloatArray  # (n,) step of the readings, 0: none [rad]
-    derived: npt.NDArray[np.bool_]  # (n,) whether the rate is the difference of the readings
+    derived: BoolArray  # (n,) whether the rate is the difference of the readings
     sensor: FloatArray  # (n, n) S of y = S q + f
     to_joint: FloatArray  # (n, n) S^-1
     direction: FloatArray  # (n,) accelerations per unit of d [rad/s2]
