@@ -11,8 +11,7 @@ from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.inequalities import Check
 from lpv.core.uio.certificate.gains import Gains
 from lpv.core.uio.model.arm import ArmParameters
-from lpv.core.uio.observer.exact_observer import ExactObserverGains
-from lpv.core.uio.observer.paper_observer import PaperObserverGains
+from lpv.core.uio.observer.sampled_observer import ObserverGains
 from lpv.core.uio.planar import planar_model
 from lpv_design.controller import design_controller
 from lpv_design.exact_observer import ExactRequirement, design_exact, torque_gains
@@ -88,7 +87,7 @@ def _design_once(
 ) -> tuple[Gains, list[Check], tuple[str, str]]:
     """Gains for a requirement as it is, their checks, and the solver's words."""
     planar = planar_model(arm)
-    observer: ExactObserverGains | PaperObserverGains
+    observer: ObserverGains
     if isinstance(requirement.observer, ExactRequirement):
         observer, status = design_exact(planar, requirement.observer)
     else:

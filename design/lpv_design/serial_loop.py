@@ -243,14 +243,11 @@ def _with_error(arm: SerialArm, gains: LoopGains) -> LoopGains:
     """Bound of the tracking error, on a part of the region."""
     share = min(_ERROR_SHARE, 0.5 * gains.rate_share)
     numbers = gains.numbers(arm, share)
-    best = None
-    for decay in np.geomspace(0.02, 0.8, 12):
-        found = _error_proof(numbers, float(decay))
-        if found is not None and (best is None or found[0] < best[0]):
-            best = (*found, float(decay))
-    if best is None:
+    tried = (_error_proof(numbers, float(decay)) for decay in np.geomspace(0.02, 0.8, 12))
+    found = [one for one in tried if one is not None]
+    if not found:
         raise InfeasibleError('no bound of the tracking error')
-    level, p, multipliers, decay = best
+    level, p, multipliers, decay = min(found, key=lambda one: one[0])
     proof = ErrorProof(
         decay * gains.bandwidth, p, multipliers, share, gains.error.acceleration, level,
         np.zeros(len(arm.joints)),
@@ -260,8 +257,10 @@ def _with_error(arm: SerialArm, gains: LoopGains) -> LoopGains:
     return replace(gains, error=replace(proof, bound=bound))
 
 
-def _error_proof(numbers: LoopNumbers, decay: float) -> tuple[float, np.ndarray, np.ndarray] | None:
-    """Least level mu for a decay, widened a little, with P and multipliers."""
+def _error_proof(
+    numbers: LoopNumbers, decay: float
+) -> tuple[float, np.ndarray, np.ndarray, float] | None:
+    """Least level mu for a decay, widened a little, with P, multipliers and the decay."""
     p, multipliers = cp.Variable((3, 3), symmetric=True), cp.Variable(2, nonneg=True)
     level, middle = cp.Variable(nonneg=True), np.diag([0.0, 1.0, 0.0])
     matrix = motion_matrix(p, multipliers, numbers, decay, level)
@@ -269,7 +268,7 @@ def _error_proof(numbers: LoopNumbers, decay: float) -> tuple[float, np.ndarray,
     solve(level, constraints)
     if level.value is None:
         return None
-    return float(level.value), np.array(p.value), np.array(multipliers.value)
+    return float(level.value), np.array(p.value), np.array(multipliers.value), decay
 
 
 def _limit_lines(arm: SerialArm, gains: LoopGains, largest: float) -> list[str]:

@@ -10,10 +10,7 @@ state itself without a model, as eq. (65) does literally.
 
 from typing import NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
-from lpv.core.serial_arm.chain import Chain, FloatArray
+from lpv.core.serial_arm.chain import BoolArray, Chain, FloatArray
 from lpv.core.serial_arm.dynamics.friction import friction_torque
 from lpv.core.serial_arm.dynamics.newton_euler import inverse_dynamics
 from lpv.core.support.jit import njit_in_place as njit
@@ -34,7 +31,7 @@ class LawParts(NamedTuple):
     gains: FloatArray  # (n, 3 n) K [N m/rad], [N m s/rad], [N m/(rad s)]
     zero: FloatArray  # (n,) joint positions that are 0 for K without a model [rad]
     limit: FloatArray  # (n,) of the joint torques [N m]
-    saturated: npt.NDArray[np.bool_]  # (1,) whether the last command met a limit
+    saturated: BoolArray  # (1,) whether the last command met a limit
     x: FloatArray  # (3 n,) work space
     integral: FloatArray  # (n,) eps [rad s]
     torque: FloatArray  # (n,) of the last command [N m]

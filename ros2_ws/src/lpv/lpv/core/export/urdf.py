@@ -31,11 +31,6 @@ def link_names(arm: SerialArm) -> list[str]:
     return [BASE, *(f'link{i + 1}' for i in range(len(arm.joints))), TIP]
 
 
-def _axis(joint: SerialJoint) -> FloatArray:
-    axis = np.array(joint.axis, float)
-    return np.asarray(axis / np.linalg.norm(axis))
-
-
 def arm_urdf(arm: SerialArm, inertial: bool = True) -> str:
     """URDF of an arm; links are drawn as cylinders from joint to joint.
 
@@ -56,7 +51,7 @@ def arm_urdf(arm: SerialArm, inertial: bool = True) -> str:
         if i > 0 and inertial:
             _inertial(link, arm, i - 1)
         colour = f'colour{1 + i % len(_COLOURS)}'
-        axis = _axis(arm.joints[i - 1]) if i > 0 else _axis(arm.joints[0])
+        axis = np.array(arm.joints[max(i - 1, 0)].axis)
         _cylinder(link, colour, 1.4 * radius, 0.0 * axis, 2.6 * radius * axis)
         if np.linalg.norm(ends[i]) > 0.0:
             _cylinder(link, colour, radius, 0.5 * ends[i], ends[i])

@@ -60,28 +60,16 @@ class Answer(NamedTuple):
 
 @dataclass
 class Answers:
-    """What many measurements lead to, one row per measurement.
+    """What many measurements lead to, one row per measurement."""
 
-    Attributes
-    ----------
-    answered, has_fault, restarted, inconsistent : ndarray of bool, shape (n,)
-        As in `answer_type`.
-    state, fault : numpy.recarray, shape (n,)
-        Fields of lpv_msgs/StateEstimate and lpv_msgs/FaultEstimate as attributes, one row each.
-    events : list of tuple
-        Row and `Alarm` of each alarm event.
-    reports : list of tuple
-        Row and diagnostic_msgs/DiagnosticArray's statuses of each report that is due.
-    warnings : list of tuple
-        Row and text of what contradicts the arm file and was not said before.
-    """
-
-    answered: np.ndarray
+    answered: np.ndarray  # (n,) of bool, as in `answer_type`; so are the next three
     has_fault: np.ndarray
     restarted: np.ndarray
     inconsistent: np.ndarray
-    state: np.recarray
-    fault: np.recarray
-    events: list[tuple[int, Alarm]]
+    state: np.recarray  # (n,) fields of lpv_msgs/StateEstimate as attributes
+    fault: np.recarray  # (n,) fields of lpv_msgs/FaultEstimate as attributes
+    events: list[tuple[int, Alarm]]  # row and alarm event
+    # row and diagnostic_msgs/DiagnosticArray's statuses of each report that is due
     reports: list[tuple[int, list[dict[str, Any]]]]
+    # row and text of what contradicts the arm file and was not said before
     warnings: list[tuple[int, str]]

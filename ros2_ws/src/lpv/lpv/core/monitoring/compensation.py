@@ -13,7 +13,7 @@ from lpv.core.monitoring.carried_motion import (
     correct,
     new_motion,
 )
-from lpv.core.serial_arm.chain import FloatArray, IntArray
+from lpv.core.serial_arm.chain import BoolArray, FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import Mode
 from lpv.core.serial_arm.diagnosis.information import median, median_distance
@@ -65,8 +65,8 @@ class Known(NamedTuple):
     predicted: FloatArray  # share of an acceleration that torques predict
     missed: FloatArray  # variance of what they do not predict [rad2/s4]
     state: npt.NDArray[np.uint8]
-    is_error: npt.NDArray[np.bool_]  # confirmed
-    is_derived: npt.NDArray[np.bool_]  # the rate is derived from the reading
+    is_error: BoolArray  # confirmed
+    is_derived: BoolArray  # the rate is derived from the reading
 
 
 def new_known(joints: int) -> Known:
@@ -90,16 +90,16 @@ FLAGS = record_type(
 class AnswerRows(NamedTuple):
     """Fields of the records of `lpv.core.monitoring.answers.answer_type`, one row a sample."""
 
-    answered: npt.NDArray[np.bool_]
-    has_fault: npt.NDArray[np.bool_]
-    inconsistent: npt.NDArray[np.bool_]
+    answered: BoolArray
+    has_fault: BoolArray
+    inconsistent: BoolArray
     position: FloatArray
     velocity: FloatArray
     compensated: FloatArray
     measured: FloatArray
     measured_velocity: FloatArray
     mode: npt.NDArray[np.uint8]
-    trustworthy: npt.NDArray[np.bool_]
+    trustworthy: BoolArray
     estimate: FloatArray
     bound: FloatArray
     threshold: FloatArray
@@ -151,9 +151,14 @@ def fill_answers(
     for k in range(part[0], part[1]):
         row = first + k
         elapsed = (stamps[k] - flags.stamp) / NANOSECONDS
-        step = _step(work, stamps[k], flags.fading, flags.sample_time)
-        if step[1]:
-            _accelerate(work, samples[k, 2], step[0], flags.mode != _HOLDING)
+        interval, follows = 0.0, False  # since the sample before; whether that is near
+        if work.stamp[0] != NEVER:
+            interval = (stamps[k] - work.stamp[0]) / NANOSECONDS
+            follows = interval < LONGEST_STEP * flags.sample_time
+        if follows:
+            work.motion.acceleration[:] = 0.0
+            if flags.mode != _HOLDING and work.bridged.any():  # torques hold the weight
+                accelerate(work.motion, work.position, work.velocity, samples[k, 2], interval)
         for i in range(known.fault.shape[0]):
             fault, confirmed = known.fault[i] + elapsed * known.rate[i], 0.0
             drift, growth = 0.0, 0.0
@@ -163,6 +168,7 @@ def fill_answers(
                 drift = growth if known.is_derived[i] else 0.0
             drift += known.rate_error[i]
             measured = samples[k, 0, i], samples[k, 1, i]
+            step = interval, follows, flags.fading
             _correct(work, i, measured, (confirmed, drift, growth), known, step)
             work.estimate[i] = work.position[i] + work.applied[i] - fault
             rows.estimate[row, i], rows.bound[row, i] = fault, known.bound[i]
@@ -180,42 +186,6 @@ def fill_answers(
 
 
 @njit_in_place
-def copy_answer(rows: AnswerRows, row: int, last: int) -> None:
-    """The answer to a sample again, for one that was lost."""
-    for i in range(rows.state.shape[1]):
-        rows.position[row, i], rows.velocity[row, i] = (
-            rows.position[last, i],
-            rows.velocity[last, i],
-        )
-        rows.compensated[row, i] = rows.compensated[last, i]
-        rows.measured[row, i] = rows.measured[last, i]
-        rows.measured_velocity[row, i] = rows.measured_velocity[last, i]
-        rows.estimate[row, i], rows.bound[row, i] = rows.estimate[last, i], rows.bound[last, i]
-        rows.threshold[row, i], rows.alarm[row, i] = rows.threshold[last, i], rows.alarm[last, i]
-        rows.state[row, i] = rows.state[last, i]
-    rows.has_fault[row], rows.inconsistent[row] = rows.has_fault[last], rows.inconsistent[last]
-    rows.mode[row], rows.trustworthy[row] = rows.mode[last], rows.trustworthy[last]
-
-
-@njit_in_place
-def _step(
-    work: Compensation, stamp: int, fading: float, sample_time: float
-) -> tuple[float, bool, float]:
-    """Time since the sample before, whether it is near, and the rate of fading."""
-    follows = work.stamp[0] != NEVER
-    interval = (stamp - work.stamp[0]) / NANOSECONDS if follows else 0.0
-    return interval, follows and interval < LONGEST_STEP * sample_time, fading
-
-
-@njit_in_place
-def _accelerate(work: Compensation, torque: FloatArray, interval: float, uses: bool) -> None:
-    """Predict what is carried on by torques, where these hold the weight."""
-    work.motion.acceleration[:] = 0.0
-    if uses and work.bridged.any():
-        accelerate(work.motion, work.position, work.velocity, torque, interval)
-
-
-@njit_in_place
 def _correct(
     work: Compensation,
     i: int,
@@ -227,7 +197,8 @@ def _correct(
     """Reading and rate of a sensor without the fault; one that jumps or is noisy is carried on.
 
     ``fault``: of the reading [rad], of the rate, and at which the first one grows [rad/s]; of a
-    rate that says nothing NaN.
+    rate that says nothing NaN.  ``step``: time since the sample before [s], whether that is near,
+    rate of fading.
     """
     interval, follows, fading = step
     most = (fading * work.scale[i] + abs(fault[2])) * interval
@@ -256,10 +227,13 @@ def _correct(
         work.bridged[i] = _NOISY
         # Between spikes readings are right.
         noise = min(known.noise[i], largest**2) if is_near else known.noise[i]
-        says_more = not (known.is_derived[i] or np.isnan(fault[1]))
-        position, velocity = _filter(
-            work.motion, i, (carried, rate), (position, velocity), noise, says_more
-        )
+        shift, change = correct(work.motion, i, 0, position - carried, noise)
+        position, rate = carried + shift, rate + change
+        if not (known.is_derived[i] or np.isnan(fault[1])):  # it says what the reading does not
+            noise = work.motion.rate_noise[i]
+            shift, change = correct(work.motion, i, 1, velocity - rate, noise)
+            position, rate = position + shift, rate + change
+        velocity = rate
     else:
         # The difference of two readings of which one is carried on, or was, is no rate.
         if may_differ and abs(velocity - rate) * interval > largest:
@@ -290,27 +264,6 @@ def _counted(work: Compensation, i: int) -> bool:
 def _rate_before(work: Compensation, i: int, known: Known) -> float:
     """Rate at which a reading goes on that is not believed any more [rad/s]."""
     return median(work.rates[i]) if known.is_derived[i] else float(work.velocity[i])
-
-
-@njit_in_place
-def _filter(
-    motion: CarriedMotion,
-    i: int,
-    carried: tuple[float, float],
-    measured: tuple[float, float],
-    noise: float,
-    says_more: bool,
-) -> tuple[float, float]:
-    """Reading and rate as carried on, corrected by measured ones; ``noise`` is the reading's.
-
-    ``says_more`` is whether the rate says what the reading does not.
-    """
-    shift, change = correct(motion, i, 0, measured[0] - carried[0], noise)
-    position, velocity = carried[0] + shift, carried[1] + change
-    if says_more:
-        shift, change = correct(motion, i, 1, measured[1] - velocity, motion.rate_noise[i])
-        position, velocity = position + shift, velocity + change
-    return position, velocity
 
 
 @njit_in_place

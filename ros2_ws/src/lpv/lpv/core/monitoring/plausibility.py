@@ -7,10 +7,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from lpv.core.monitoring.stamp_gate import JUMP
-from lpv.core.serial_arm.chain import FloatArray, IntArray
+from lpv.core.serial_arm.chain import BoolArray, FloatArray, IntArray
 from lpv.core.serial_arm.diagnosis.information import ROBUST
 from lpv.core.serial_arm.diagnosis.sampler import BEFORE_STOP, DELAY
 from lpv.core.serial_arm.turns import FARTHEST
@@ -33,11 +32,7 @@ class Driver(NamedTuple):
 
 @njit_in_place
 def find_unread(
-    stamps: IntArray,
-    samples: FloatArray,
-    small: FloatArray,
-    read: Driver,
-    unread: npt.NDArray[np.bool_],
+    stamps: IntArray, samples: FloatArray, small: FloatArray, read: Driver, unread: BoolArray
 ) -> None:
     """Find measurements of a driver that has not read its hardware; their readings become NaN.
 
@@ -101,18 +96,15 @@ class Stream(NamedTuple):
     newest: int  # of all samples [ns]
     gap: int  # longest interval [ns]
     blind: bool  # efforts are missing
-    independent: npt.NDArray[np.bool_]  # rates of a sensor of their own
-    endless: npt.NDArray[np.bool_]  # readings of joints that turn without end
+    independent: BoolArray  # rates of a sensor of their own
+    endless: BoolArray  # readings of joints that turn without end
     reading: FloatArray  # of the last usable sample [rad]
     repeats: Repeats
 
 
 @njit_in_place
 def is_plausible(
-    sample: FloatArray,
-    independent: npt.NDArray[np.bool_],
-    endless: npt.NDArray[np.bool_],
-    last: FloatArray,
+    sample: FloatArray, independent: BoolArray, endless: BoolArray, last: FloatArray
 ) -> bool:
     """Whether readings, and rates of sensors of their own, are finite and of an arm."""
     for i in range(sample.shape[1]):

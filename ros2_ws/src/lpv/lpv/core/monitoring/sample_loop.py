@@ -62,22 +62,6 @@ class Answering(NamedTuple):
 
 
 @njit_in_place
-def answer(
-    parts: Parts,
-    one: Answering,
-    rows: AnswerRows,
-    first: int,
-    part: tuple[int, int],
-    stamps: IntArray,
-    samples: FloatArray,
-) -> None:
-    """Answer samples between two decisions; parameters as of `fill_answers`."""
-    fill_answers(one.work, rows, first, part, stamps, samples, one.known, one.flags[0])
-    if parts.state[0].uses_balances:  # the designed observer needs efforts that hold the weight
-        uio_answers(one.uio, rows, first, part, stamps, samples)
-
-
-@njit_in_place
 def advance(
     parts: Parts,
     plan: tuple[int, int],
@@ -111,7 +95,10 @@ def advance(
             elif progress.answered == taken:
                 return False
             answered = taken - 1 if complete or jumped else taken
-            answer(parts, one, rows, first, (progress.answered, answered), stamps, samples)
+            part = progress.answered, answered
+            fill_answers(one.work, rows, first, part, stamps, samples, one.known, one.flags[0])
+            if state.uses_balances:  # the designed observer needs efforts that hold the weight
+                uio_answers(one.uio, rows, first, part, stamps, samples)
             progress.complete, progress.jumped, progress.touched = complete, jumped, False
             progress.taken, progress.answered, progress.phase = taken, answered, REPORT
             state.stage = _BEGIN if complete else _DONE

@@ -4,9 +4,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
-from lpv.core.serial_arm.chain import IntArray
+from lpv.core.serial_arm.chain import BoolArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import (
     GUARANTEED,
@@ -16,8 +15,6 @@ from lpv.core.serial_arm.diagnosis.alarms import (
     AlarmEvent,
 )
 from lpv.core.serial_arm.diagnosis.monitor import SerialAlarm
-
-BoolArray = npt.NDArray[np.bool_]
 
 _STATISTICAL = math.nextafter(1.0, 0.0)
 """Largest confidence that is not a guarantee."""

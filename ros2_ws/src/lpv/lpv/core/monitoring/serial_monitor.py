@@ -361,10 +361,9 @@ class SerialSensorMonitor:
         )  # fmt: skip
         return int(self._call(count_regular, stream, batch.stamps, batch.samples, begin))
 
-    def _derives(self, samples: FloatArray) -> np.ndarray:
-        """Whether rates have to be made of the readings."""
-        missing = ~np.isfinite(samples[:, 1]) | self._without_rates
-        return missing.any(1)
+    def _lacks_rates(self, rates: FloatArray) -> np.ndarray:
+        """Which rates, shape (..., n), have to be made of the readings."""
+        return ~np.isfinite(rates) | self._without_rates
 
     def _is_of_stream(self, stamp: int, row: np.recarray) -> bool:
         """Whether a stamp is of the stream, which goes on where it was if its clock was set.
@@ -428,7 +427,7 @@ class SerialSensorMonitor:
             self._monitor.begin_again()
         gap = self._stamp == NEVER or stamp - self._stamp > self._gap or was_back
         self.counters.gaps += self._stamp != NEVER and gap
-        if gap and self._derives(sample[None])[0]:
+        if gap and self._lacks_rates(sample[1]).any():
             # The first difference needs two readings.
             self._monitor.begin_again()
             self._answer_stale(stamp, row)
@@ -529,7 +528,7 @@ class SerialSensorMonitor:
 
     def _add_rates(self, stamps: IntArray, samples: FloatArray) -> None:
         """Rates that are missing are differences of the readings."""
-        missing = ~np.isfinite(samples[:, 1]) | self._without_rates
+        missing = self._lacks_rates(samples[:, 1])
         if missing.any():
             before = np.concatenate([self._reading[None], samples[:-1, 0]])
             interval = np.diff(stamps, prepend=self._stamp) / NANOSECONDS

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from lpv.core.monitoring.compensation import FLAGS, AnswerRows, new_compensation, new_known
 from lpv.core.monitoring.parameters import DiagnosisParameters
@@ -19,7 +18,7 @@ from lpv.core.monitoring.sample_loop import (
     Answering,
     advance,
 )
-from lpv.core.serial_arm.chain import FloatArray, IntArray
+from lpv.core.serial_arm.chain import BoolArray, FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import Mode, SensorState
 from lpv.core.serial_arm.diagnosis.decision import Parts, reading_noise
@@ -257,7 +256,7 @@ class SteppedMonitor(SerialMonitor):
             return Mode.HOLDING
         return Mode.OBSERVING if self.balances else Mode.INITIALISING
 
-    def _can_be_compensated(self, is_error: npt.NDArray[np.bool_], sigma: FloatArray) -> bool:
+    def _can_be_compensated(self, is_error: BoolArray, sigma: FloatArray) -> bool:
         """Whether what is removed of confirmed faults is known well enough to go on.
 
         ``sigma``, shape (n,), is the standard deviation of what is left of each [rad].

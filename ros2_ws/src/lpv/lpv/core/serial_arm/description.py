@@ -416,12 +416,11 @@ class SerialArm:
         for joint in content['joints']:
             if joint['rotor_coupling'] == 0.0:
                 del joint['rotor_coupling']
+            if joint['type'] == 'revolute':
+                del joint['type']
         for name in ('sensor_matrix', 'lpv'):
             if content[name] is None:
                 del content[name]
-        for joint in content['joints']:
-            if joint['type'] == 'revolute':
-                del joint['type']
         return sha256_of(content)
 
 

@@ -45,22 +45,13 @@ def parse_two_links(data: dict[str, Any], source: str = 'arm') -> SerialArm:
     inertia, ratio = file.rotor_inertia, file.gear_ratio
     rotor = inertia * (ratio**2 + 1.0), -inertia * ratio, inertia * ratio**2
     arm = replace(file, rotor=rotor, coulomb_slope=(file.slope, file.slope))
-    _check_inertia(arm, top)
-    return two_link_arm(arm)
-
-
-def _check_inertia(arm: TwoLinks, top: Section) -> None:
-    """The mass matrix must be positive definite where the links are in line, and so everywhere."""
-    one, two = arm.links
-    first, across, second = arm.rotor
-    inertia_1 = one.inertia + two.mass * one.length**2 + first - 2.0 * across + second
-    coupling = abs(across - second) + two.mass * one.length * two.center_of_mass
-    if not inertia_1 * (two.inertia + second) > coupling**2:
+    if not arm.is_physical():
         raise top.error(
             'links',
             'give an inertia matrix that is not positive definite in every '
             'configuration (check inertia and inertia_reference)',
         )
+    return two_link_arm(arm)
 
 
 def _links(top: Section) -> tuple[Link, ...]:

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from lpv.core.serial_arm.description import (
     RATE_SOURCES,
@@ -18,6 +18,7 @@ from lpv.core.serial_arm.description import (
     Uncertainty,
 )
 from lpv.core.support.entries import entry, positive
+from lpv.core.support.inequalities import NumberType
 
 
 def _pair(low: float, high: float, **details: Any) -> Any:
@@ -37,6 +38,15 @@ class Link:
     length: float = positive(100.0)  # L_i, joint to joint (or to the tip) [m]
     center_of_mass: float = positive(100.0)  # L_ci, joint to centre of mass [m]
     inertia: float = _number(0.0, 1e7)  # I_i, about the joint [kg m2]
+
+
+class ArmNumbers(NamedTuple):
+    """Constants of eqs. (1)-(3) that links and rotors make, in numbers of any kind."""
+
+    inertia: tuple[Any, Any]  # Xi_11 and Xi_22 of eq. (5) [kg m2]
+    coupling: Any  # m2 L1 Lc2, the part of Xi_12 that cos(theta1 - theta2) scales [kg m2]
+    rotor_coupling: Any  # the constant part of Xi_12 [kg m2]
+    gravity: tuple[Any, Any]  # G_i: largest gravity torque of each angle [N m]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,6 +110,30 @@ class TwoLinks:
     # test of consistency needs them, what lasts belongs to the entries above
     torque_tolerance: tuple = _pair(0.0, 1e9, default=(0.0, 0.0))
     sample_time: float = _number(1e-5, 0.1, default=0.002)  # Ts [s]
+
+    def numbers(self, number: NumberType = float) -> ArmNumbers:
+        """Constants of eqs. (2), (3) as floats, or as exact ``fractions.Fraction``.
+
+        The printed eqs. (5), (14), (15) have m2*Lc1^2 in the (1, 1) inertia; the physics, and
+        eq. (2), is m2*L1^2, which is used here.  Rotors are those of motors on the joint axes.
+        """
+        rows = [(link.mass, link.length, link.center_of_mass, link.inertia) for link in self.links]
+        (m_1, l_1, c_1, i_1), (m_2, _, c_2, i_2) = ([number(v) for v in row] for row in rows)
+        # J^T R J for R = [[first, across], [across, second]] in joint coordinates, q' = J theta'.
+        first, across, second = (number(value) for value in self.rotor)
+        g = number(self.gravity)
+        return ArmNumbers(
+            (i_1 + m_2 * l_1**2 + (first - 2 * across + second), i_2 + second),
+            m_2 * l_1 * c_2,
+            across - second,
+            ((m_1 * c_1 + m_2 * l_1) * g, m_2 * c_2 * g),
+        )
+
+    def is_physical(self) -> bool:
+        """Whether Xi is positive definite in every configuration; identified links need not be."""
+        values = self.numbers()
+        coupling = abs(values.rotor_coupling) + values.coupling
+        return bool(values.inertia[0] * values.inertia[1] > coupling**2)
 
 
 def two_link_arm(arm: TwoLinks) -> SerialArm:

@@ -7,10 +7,9 @@ import math
 from typing import NamedTuple, Protocol
 
 import numpy as np
-import numpy.typing as npt
 from numpy.typing import ArrayLike
 
-from lpv.core.serial_arm.chain import OFFSET, Chain, FloatArray, workspace
+from lpv.core.serial_arm.chain import OFFSET, BoolArray, Chain, FloatArray, workspace
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.dynamics.newton_euler import gravity_torque
 from lpv.core.serial_arm.sensor_map import map_vector
@@ -43,7 +42,7 @@ class PlantConstants(NamedTuple):
     position_noise: FloatArray  # (n,) standard deviation, 0 without noise [rad]
     velocity_noise: FloatArray  # (n,) of independent rates [rad/s]
     quantization: FloatArray  # (n,) step of the readings, 0: none [rad]
-    derived: npt.NDArray[np.bool_]  # (n,) whether the rate is the difference of the readings
+    derived: BoolArray  # (n,) whether the rate is the difference of the readings
     sensor: FloatArray  # (n, n) S of y = S q + f
     to_joint: FloatArray  # (n, n) S^-1
     direction: FloatArray  # (n,) accelerations per unit of d [rad/s2]
@@ -140,15 +139,9 @@ def read_sensors(
     # Drawn with or without noise, so that both runs share the later numbers.
     for i in range(state.draw.shape[0]):
         state.draw[i, 0], state.draw[i, 1] = noise.standard_normal(), noise.standard_normal()
-    draw_chances(faults, state.own[0].step_count * params.sample_time, chance)
-    _take_readings(params, state, faults)
-
-
-@njit
-def _take_readings(params: PlantConstants, state: PlantState, faults: np.ndarray) -> None:
-    """Read the sensors with the random numbers that have been drawn."""
     step, reading, n = state.own[0].step_count, state.reading, state.reading.shape[0]
     time = step * params.sample_time
+    draw_chances(faults, time, chance)
     for i in range(n):
         state.position[i], state.velocity[i] = state.motion[0, i], state.motion[1, i]
         state.before[i] = reading[i]
@@ -300,9 +293,8 @@ class ArmSimulator:
     def read(self) -> None:
         """Read the sensors into `signals`, if that was not done at the present sample."""
         if not self._sensed:
-            self.noise.standard_normal(out=self.state.draw)
-            self.injector.draw(self.time)
-            self._call(_take_readings, self.constants, self.state, self.injector.records)
+            faults, chance = self.injector.records, self.injector.generator
+            self._call(read_sensors, self.constants, self.state, faults, self.noise, chance)
             self._sensed = True
 
 

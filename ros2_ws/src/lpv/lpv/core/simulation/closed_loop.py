@@ -30,7 +30,7 @@ from lpv.core.control.watchdog import (
     latency_limits,
 )
 from lpv.core.monitoring.answers import answer_type
-from lpv.core.monitoring.compensation import AnswerRows, answer_rows, copy_answer
+from lpv.core.monitoring.compensation import AnswerRows, answer_rows
 from lpv.core.monitoring.parameters import DiagnosisParameters
 from lpv.core.monitoring.sample_loop import PROGRESS, Answering, advance
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
@@ -142,8 +142,6 @@ class _Observer(NamedTuple):
     answering: Answering
     answers: AnswerRows
     feedback: FloatArray  # those positions of the answers that the loop is closed on
-    gains: FloatArray
-    to_sensors: FloatArray  # S of y = S q + f
 
 
 class _Tracker(NamedTuple):
@@ -209,12 +207,12 @@ def _sense(
     loop.ran = False
     read_sensors(plant.constants, state, plant.faults, plant.noise, plant.chance)
     row.disturbance = state.own[0].disturbance
-    map_vector(observer.to_sensors, state.measured_position, sample[0])
-    map_vector(observer.to_sensors, state.measured_velocity, sample[1])
+    map_vector(plant.constants.sensor, state.measured_position, sample[0])
+    map_vector(plant.constants.sensor, state.measured_velocity, sample[1])
     missing = False
     for i in range(sample.shape[1]):
-        signals.effort[k, i] = state.torque[i] / plant.constants.effort_gain[i]
-        sample[2, i] = signals.effort[k, i] * observer.gains[i]
+        signals.effort[k, i] = state.effort[i]
+        sample[2, i] = state.effort[i] * plant.constants.effort_gain[i]
         if not (abs(sample[0, i]) < np.inf and abs(sample[1, i]) < np.inf):
             missing = True
     row.lost = loop.loss > 0.0 and plant.losses.random() < loop.loss
@@ -223,8 +221,6 @@ def _sense(
     if waited > tracker.watchdog.own[0].silence:
         _stop(loop, tracker, _SILENCE)
     if row.lost:
-        if k > 0:
-            copy_answer(observer.answers, k, k - 1)
         loop.phase = _ACT
         return
     follows = loop.usable != NEVER and k - loop.usable <= LONGEST_STEP
@@ -519,6 +515,9 @@ def run_closed_loop(
         elif phase == _ADVANCE:
             simulator.advance()
             now['phase'] = _SENSE
+    # Where a measurement was lost, the answer before stands.
+    last = np.maximum.accumulate(np.where(rows.lost, 0, np.arange(count)))
+    records[rows.lost] = records[last[rows.lost]]
     return Run(
         **{name: rows[name] for name in rows.dtype.names if name != 'answered'},
         **dict(zip(_Signals._fields[1:], signals[1:])),
@@ -577,6 +576,4 @@ def _new_observer(
         answering._replace(progress=memory(new_record(PROGRESS, next_report=_NO_REPORT))),
         answers,
         feedback,
-        np.array([joint.torque_gain for joint in arm.joints]),
-        arm.joints_to_sensors(),
     )

@@ -191,11 +191,11 @@ def _records(rows: np.ndarray) -> np.ndarray:
 
 
 class FaultInjector:
-    """Applies all active faults to the readings of two sensors.
+    """Applies all active faults to the readings of an arm's sensors.
 
     Parameters
     ----------
-    sensor_names : sequence of two str
+    sensor_names : sequence of str, n
         The physical sensors.
     faults : iterable of Fault
         Scheduled faults.
@@ -260,11 +260,6 @@ class FaultInjector:
         self.records = self.records[np.array(kept, dtype=bool)]
         return removed
 
-    def draw(self, time: float) -> None:
-        """Draw what random faults need at a time [s]."""
-        if any(fault.kind in _RANDOM for fault in self.faults):
-            draw_chances(self.records, time, self.generator)
-
     def apply(self, time: float, reading: np.ndarray, sample_time: float) -> np.ndarray:
         """Faulty readings at one time.
 
@@ -272,17 +267,18 @@ class FaultInjector:
         ----------
         time : float
             [s].
-        reading : ndarray, shape (2,)
+        reading : ndarray, shape (n,)
             Fault-free readings S theta [rad].
         sample_time : float
             For the rate of spikes [s].
 
         Returns
         -------
-        ndarray, shape (2,)
+        ndarray, shape (n,)
             Readings with faults, NaN for a dropout.
         """
-        faulty = np.array(reading, float)
-        self.draw(float(time))
-        apply_faults(self.records, float(time), faulty, sample_time)
+        faulty, time = np.array(reading, float), float(time)
+        if any(fault.kind in _RANDOM for fault in self.faults):
+            draw_chances(self.records, time, self.generator)
+        apply_faults(self.records, time, faulty, sample_time)
         return faulty

@@ -16,8 +16,5 @@ def mise(error: np.ndarray) -> float | np.ndarray:
     float or ndarray, shape (k,)
         Mean of the square; NaN without any finite sample.
     """
-    square = np.square(np.asarray(error, float))
-    finite = np.isfinite(square)
-    count = finite.sum(axis=0)
-    total = np.where(finite, square, 0.0).sum(axis=0)
-    return np.divide(total, count, out=np.full_like(total, np.nan, dtype=float), where=count > 0)
+    square = np.ma.masked_invalid(np.square(np.asarray(error, float)))
+    return np.ma.filled(square.mean(axis=0), np.nan)

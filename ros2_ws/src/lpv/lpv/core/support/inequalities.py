@@ -1,6 +1,6 @@
 """Whether matrix inequalities hold: by eigenvalues, and in exact rational arithmetic."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lpv.core.support.errors import ConfigError
-
 SAME = 1e-6
 """Relative difference up to which a recomputed number is the stored one."""
+
+NumberType = Callable[[Any], Any]
+"""Makes numbers of one type: floats, or exact ``fractions.Fraction``."""
 
 
 @dataclass(frozen=True)
@@ -27,14 +28,6 @@ class Check:
         return self.margin < 0.0
 
 
-def require_all(checks: Iterable[Check], field: str, remedy: str, source: str) -> None:
-    """Refuse a certificate that does not hold: ConfigError names the inequality that fails."""
-    for check in checks:
-        if not check.holds:
-            reason = f'{check.name}, {check.margin:.3g} is not negative; {remedy}'
-            raise ConfigError(field, f'the certificate does not hold: {reason}', source)
-
-
 def largest_eigenvalue(matrix: np.ndarray) -> float:
     """Largest eigenvalue of a symmetric matrix; negative if M < 0 holds, NaN if M is not finite."""
     if not np.isfinite(matrix).all():
@@ -48,7 +41,7 @@ def exact(values: ArrayLike) -> np.ndarray:
     return np.vectorize(Fraction, otypes=[object])(np.asarray(values))
 
 
-def array_of(number: Callable[[Any], Any]) -> Callable[[ArrayLike], np.ndarray]:
+def array_of(number: NumberType) -> Callable[[ArrayLike], np.ndarray]:
     """What makes arrays of a kind of number, floats or fractions."""
     return exact if number is Fraction else np.asarray
 

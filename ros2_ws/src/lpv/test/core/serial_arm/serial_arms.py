@@ -10,6 +10,7 @@ from watched import Watched
 
 from lpv import load_arm
 from lpv.core.serial_arm import description as parts
+from lpv.core.serial_arm.chain import body_parameters
 from lpv.core.serial_arm.description import SerialArm, Uncertainty
 
 URDF = """<robot name="small"><link name="base"/><link name="tool"/>
@@ -78,19 +79,18 @@ SCARA = (
 
 
 def _joint(name, place, rpy, axis, mass, center, span, rate, torque, kind='revolute'):
-    center, size = np.array(center), 0.02 * mass * np.diag([1.0, 0.8, 0.6])
-    about = size + mass * (center @ center * np.eye(3) - np.outer(center, center))
-    inertia = about[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
+    body = body_parameters(mass, center, 0.02 * mass * np.diag([1.0, 0.8, 0.6]))
     turns, slides = (0.5, 0.5, 0.05, 5e-5), (20.0, 15.0, 5.0, 2e-5)
     viscous, coulomb, rotor, noise = slides if kind == 'prismatic' else turns
     return parts.SerialJoint(
-        name, place, rpy, axis, parts.LinkInertia.from_vector([mass, *(mass * center), *inertia]),
+        name, place, rpy, axis, parts.LinkInertia.from_vector(body),
         parts.JointFriction(0.0, viscous, coulomb), rotor_inertia=rotor,
         limits=parts.JointLimits(*span, rate, torque), type=kind,
         sensors=parts.JointSensors(f'{name}_encoder', noise, 0.0, 'derived'))  # fmt: skip
 
 
-def _floats(values):
+def floats(values):
+    """Numbers of a description."""
     return tuple(float(value) for value in values)
 
 
@@ -117,12 +117,12 @@ def mixed_arm(seed: int = 9, joints: int = 9) -> SerialArm:
     """Joints of both types in any direction."""
     rng, rows = np.random.default_rng(seed), []
     for i in range(joints):
-        axis, turn = rng.normal(size=3), _floats(rng.uniform(-3.0, 3.0, 3))
+        axis, turn = rng.normal(size=3), floats(rng.uniform(-3.0, 3.0, 3))
         kind = ('revolute', 'prismatic')[i % 3 == 1]
         span = (-0.5, 0.6) if kind == 'prismatic' else (-2.0, 2.0)
-        rows.append((f'joint{i + 1}', _floats(rng.uniform(-0.4, 0.4, 3)),
-                     turn, _floats(axis / np.linalg.norm(axis)),
-                     float(rng.uniform(0.5, 8.0)), _floats(rng.uniform(-0.2, 0.2, 3)), span, 2.0,
+        rows.append((f'joint{i + 1}', floats(rng.uniform(-0.4, 0.4, 3)),
+                     turn, floats(axis / np.linalg.norm(axis)),
+                     float(rng.uniform(0.5, 8.0)), floats(rng.uniform(-0.2, 0.2, 3)), span, 2.0,
                      500.0, kind))  # fmt: skip
     return arm_of('mixed', tuple(rows), (0.1, 0.0, 0.2))
 

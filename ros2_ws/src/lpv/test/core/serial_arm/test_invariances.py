@@ -6,12 +6,12 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from serial_arms import scara, shoulder_arm, simulated, with_rates
+from serial_arms import floats, scara, shoulder_arm, simulated, with_rates
 from simulated_runs import Push
 
 from lpv import load_arm
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
-from lpv.core.serial_arm.chain import compile_chain
+from lpv.core.serial_arm.chain import compile_chain, moved_body
 from lpv.core.serial_arm.description import LinkInertia, Uncertainty, rotation_from_rpy
 from lpv.core.serial_arm.diagnosis.parameter_error import typical_torque
 from lpv.core.simulation.faults import Fault
@@ -51,20 +51,14 @@ def answers_to(arm, stamps, samples):
     return answers
 
 
-def floats(values):
-    return tuple(float(value) for value in values)
-
-
 def rpy(matrix):
     return floats(Rotation.from_matrix(matrix).as_euler('xyz'))
 
 
 def link_of(link, turn, mass=1.0, length=1.0):
     """A link in a turned frame, its mass and its lengths times factors."""
-    inertia = mass * length**2 * turn @ link.rotational_inertia() @ turn.T
-    moment = mass * length * turn @ np.array(link.first_moment)
-    entries = inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
-    return LinkInertia.from_vector(np.array([mass * link.mass, *moment, *entries]))
+    factors = mass * np.repeat([1.0, length, length**2], [1, 3, 6])
+    return LinkInertia.from_vector(factors * moved_body(link.to_vector(), turn, np.zeros(3)))
 
 
 def each(arm, change):

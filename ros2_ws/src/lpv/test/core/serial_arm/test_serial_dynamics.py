@@ -19,9 +19,11 @@ from lpv.cli.main import main
 from lpv.core.export import urdf
 from lpv.core.serial_arm import arm_file, description, urdf_chain
 from lpv.core.serial_arm.certificate.model_bounds import chain_numbers
-from lpv.core.serial_arm.chain import VISCOUS, Chain, body_parameters, compile_chain
+from lpv.core.serial_arm.chain import VISCOUS, Chain, body_parameters, compile_chain, workspace
 from lpv.core.serial_arm.dynamics import kinematics, payload
 from lpv.core.serial_arm.dynamics.model import SerialModel
+from lpv.core.serial_arm.dynamics.momentum import forward_dynamics, momentum_balance
+from lpv.core.serial_arm.dynamics.regressor import regressor
 from lpv.core.serial_arm.simulation import integration_step, plant_scratch, plant_step
 from lpv.core.serial_arm.two_links import Link, two_link_arm
 from lpv.core.simulation.mujoco_chain import MujocoChain, chain_model
@@ -73,6 +75,13 @@ def random_motion(seed, joints):
     return scale * np.random.default_rng(seed).uniform(-1.0, 1.0, (3, joints))
 
 
+def written(function, chain, motion, *shapes):
+    """What a compiled function of the dynamics writes."""
+    arrays = [np.empty(shape) for shape in shapes]
+    function(chain, *motion, workspace(chain), *arrays)
+    return arrays
+
+
 def close(found, expected, within=1e-10):
     scale = max(1.0, np.abs(expected).max())
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=within * scale)
@@ -90,7 +99,7 @@ def test_given_any_chain_when_moved_then_dynamics_and_poses_are_those_of_pinocch
     mass = np.triu(mass) + np.triu(mass, 1).T
     coriolis = pin.computeCoriolisMatrix(model, data, q, v)
     gravity = pin.computeGeneralizedGravity(model, data, q)
-    momentum, force = ours.momentum_balance(q, v)
+    momentum, force = written(momentum_balance, chain, (q, v), joints, joints)
     close(ours.mass_matrix(q), mass)
     close(momentum, mass @ v)
     close(force, coriolis.T @ v - gravity)
@@ -107,16 +116,18 @@ def test_given_any_chain_when_moved_then_dynamics_and_poses_are_those_of_pinocch
 def test_given_any_chain_when_moved_then_regressors_and_inversion_fit_its_torques(seed, joints):
     chain, (q, v, a) = random_chain(seed, joints), random_motion(seed, joints)
     ours, phi = SerialModel(chain), chain.inertial.ravel()
-    torque, (momentum, force) = ours.inverse_dynamics(q, v, a), ours.momentum_balance(q, v)
-    matrix, (momentum_matrix, force_matrix) = ours.regressor(q, v, a), ours.momentum_regressor(q, v)
+    torque = ours.inverse_dynamics(q, v, a)
+    momentum_matrix, force_matrix = ours.momentum_regressor(q, v)
+    momentum, force = written(momentum_balance, chain, (q, v), joints, joints)
+    (matrix,) = written(regressor, chain, (q, v, a), momentum_matrix.shape)
     close(matrix @ phi + chain.motor @ a, torque)
     close(momentum_matrix @ phi + chain.motor @ v, momentum)
     close(force_matrix @ phi, force)
-    load = 1.5, (0.1, -0.2, 0.05), np.diag([0.02, 0.03, 0.04])
-    loaded = SerialModel(payload.with_payload(chain, *load)).inverse_dynamics(q, v, a)
-    close(loaded, torque + matrix[:, -10:] @ payload.payload_parameters(chain, *load))
+    loaded = SerialModel(payload.with_payload(chain, 1.5)).inverse_dynamics(q, v, a)
+    close(loaded, torque + matrix[:, -10:] @ payload.payload_parameters(chain, 1.5))
     scale = np.linalg.cond(ours.mass_matrix(q)) * max(1.0, np.abs(a).max())
-    assert np.abs(ours.acceleration(q, v, torque) - a).max() < 1e-12 * scale
+    _, found = written(forward_dynamics, chain, (q, v, torque), (joints, joints), joints)
+    assert np.abs(found - a).max() < 1e-12 * scale
 
 
 @given(st.integers(0, 2**31))

@@ -5,7 +5,7 @@ and of the arm alone.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
@@ -15,7 +15,7 @@ from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.config import Section, sha256_of, write_parameters
 from lpv.core.support.entries import entry, plain_entries, read_entries
 from lpv.core.support.errors import ConfigError, LpvError
-from lpv.core.support.inequalities import Check, is_negative, require_all
+from lpv.core.support.inequalities import Check, NumberType, is_negative
 
 _Kind = TypeVar('_Kind', bound='CertifiedGains')
 Inequalities = Iterator[tuple[str, list[Any]]]
@@ -45,7 +45,7 @@ class CertifiedGains:
         rows = table.read_text(encoding='utf-8').splitlines()[2:]
         return [row.strip('| ').split(' | ') for row in rows]
 
-    def inequalities(self, arm: SerialArm, number: Callable[[Any], Any] = float) -> Inequalities:
+    def inequalities(self, arm: SerialArm, number: NumberType = float) -> Inequalities:
         """Matrix inequalities of the certificate, in floats or in exact fractions."""
         raise NotImplementedError
 
@@ -78,7 +78,10 @@ class CertifiedGains:
 
     def require(self, arm: SerialArm, source: str = 'gains') -> None:
         """Refuse a certificate that does not hold: ConfigError names the inequality that fails."""
-        require_all(self._all_checks(arm), self.section, 'design the gains again', source)
+        for check in self._all_checks(arm):
+            if not check.holds:
+                reason = f'{check.name}, {check.margin:.3g} is not negative; design the gains again'
+                raise ConfigError(self.section, f'the certificate does not hold: {reason}', source)
 
     def prove(self, arm: SerialArm) -> dict[str, bool]:
         """What exact rational arithmetic proves or refutes: rounding cannot hide a violation.

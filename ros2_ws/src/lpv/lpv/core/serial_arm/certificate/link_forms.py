@@ -170,7 +170,6 @@ def chain_inequalities(
         One for each joint and end of its rate; of shape (1, 1) for the first joint.
     """
     size = np.shape(joint_steps[0][0])[0]
-    outer = np.kron(np.eye(size // 6, dtype=int), np.eye(6, dtype=int))
     keep = np.eye(size, size + 1, dtype=int)
     last = np.zeros((size + 1, size + 1), dtype=int)
     last[size, size] = 1
@@ -180,8 +179,8 @@ def chain_inequalities(
             moved = np.kron(np.eye(size // 6, dtype=int), placement[i + 1])
             total = total + moved.T @ invariant[i] @ moved
         if i == 0:
-            first = outer[:, 2:3]
-            yield first.T @ total @ first + scalars[0] * np.eye(1, dtype=int)
+            axis = np.eye(size, 1, -2, dtype=int)
+            yield axis.T @ total @ axis + scalars[0] * np.eye(1, dtype=int)
             return
         below = keep.T @ invariant[i - 1] @ keep
         for step in joint_steps[i if len(joint_steps) > 1 else 0]:

@@ -1,7 +1,7 @@
 """Computed torque of a serial arm: bandwidth, and the certificate of the loop."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,7 +25,7 @@ from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.config import Section
 from lpv.core.support.entries import array, entry, part, positive
 from lpv.core.support.errors import ConfigError
-from lpv.core.support.inequalities import SAME, Check, array_of, largest_eigenvalue
+from lpv.core.support.inequalities import SAME, Check, NumberType, array_of, largest_eigenvalue
 
 NO_CERTIFICATE = 'none (lpv design writes one)'
 """Of a loop whose parameter file has a bandwidth only, for the reader."""
@@ -45,7 +45,7 @@ class LoopProof:
     lyapunov: FloatArray = array(3, 3)  # P
     multipliers: FloatArray = array(2)  # of the sectors of Gamma and Phi
 
-    def numbers(self, bandwidth: float, number: Callable[[Any], Any]) -> tuple[Any, ...]:
+    def numbers(self, bandwidth: float, number: NumberType) -> tuple[Any, ...]:
         """P, multipliers and decay over the bandwidth, as floats or fractions."""
         p = array_of(number)(self.lyapunov)
         decay = number(self.decay) / number(bandwidth)
@@ -101,9 +101,7 @@ class LoopGains(CertifiedGains):
             raise top.error('model', f'must have forms and bounds of {n} joints')
         return gains
 
-    def numbers(
-        self, arm: SerialArm, share: float, number: Callable[[Any], Any] = float
-    ) -> LoopNumbers:
+    def numbers(self, arm: SerialArm, share: float, number: NumberType = float) -> LoopNumbers:
         """Intervals of the loop's eigenvalues where joints move at a share of their limits.
 
         ``number`` makes floats or fractions.
@@ -155,12 +153,12 @@ class LoopGains(CertifiedGains):
             *(f'  {name}: {_listed(values)}' for name, values in rows),
         ]
 
-    def inequalities(self, arm: SerialArm, number: Callable[[Any], Any] = float) -> Inequalities:
+    def inequalities(self, arm: SerialArm, number: NumberType = float) -> Inequalities:
         """As of `CertifiedGains`: bounds of the mass matrix, then the loop's."""
         yield from self._model_inequalities(arm, number)
         yield from self._loop_inequalities(arm, number)
 
-    def _model_inequalities(self, arm: SerialArm, number: Callable[[Any], Any]) -> Inequalities:
+    def _model_inequalities(self, arm: SerialArm, number: NumberType) -> Inequalities:
         numbers, array = chain_numbers(arm, number), array_of(number)
         for bound, text in _MODEL_TEXT.items():
             stored = getattr(self.model, bound)
@@ -169,7 +167,7 @@ class LoopGains(CertifiedGains):
             matrices = bound_inequalities(numbers, bound, value, invariant)
             yield f'model: {text.format(np.min(stored))}', [-matrix for matrix in matrices]
 
-    def _loop_inequalities(self, arm: SerialArm, number: Callable[[Any], Any]) -> Inequalities:
+    def _loop_inequalities(self, arm: SerialArm, number: NumberType) -> Inequalities:
         """What each Lyapunov matrix must satisfy."""
         motion, sampled, error = self.motion, self.sampled, self.error
         numbers = self.numbers(arm, self.rate_share, number)

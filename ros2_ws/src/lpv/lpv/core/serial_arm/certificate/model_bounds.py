@@ -28,7 +28,7 @@ from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.dynamics.payload import payload_parameters
 from lpv.core.support.entries import array, entry, part, positive
 from lpv.core.support.errors import ConfigError
-from lpv.core.support.inequalities import array_of
+from lpv.core.support.inequalities import NumberType, array_of
 
 BOUNDS = ('payload', 'damping', 'growth', 'inertia')
 
@@ -69,7 +69,7 @@ class ModelBounds:
     forms: BoundForms = part(BoundForms)
 
 
-def chain_numbers(arm: SerialArm, number: Callable[[Any], Any] = float) -> ChainNumbers:
+def chain_numbers(arm: SerialArm, number: NumberType = float) -> ChainNumbers:
     """Numbers of an arm's model, floats or fractions; ConfigError for prismatic joints."""
     for joint in arm.joints:
         if joint.is_prismatic:

@@ -144,21 +144,9 @@ def _pose_error(
 
 def rotation_vector(rotation: FloatArray) -> FloatArray:
     """Axis times angle of a rotation matrix, shape (3,) [rad]; angles up to pi."""
-    skew = 0.5 * np.array([
-        rotation[2, 1] - rotation[1, 2],
-        rotation[0, 2] - rotation[2, 0],
-        rotation[1, 0] - rotation[0, 1],
-    ])  # fmt: skip
-    sine, cosine = float(np.linalg.norm(skew)), 0.5 * (float(np.trace(rotation)) - 1.0)
-    angle = float(np.arctan2(sine, cosine))
-    if sine > 1e-6:
-        return skew * (angle / sine)
-    if cosine > 0.0:
-        return skew
-    # Half a turn: the axis is the dominant column of R + I.
-    columns = rotation + np.eye(3)
-    axis = columns[:, int(np.argmax(np.diag(columns)))]
-    return axis * (angle / float(np.linalg.norm(axis)))
+    from scipy.spatial.transform import Rotation  # here: few paths have orientations
+
+    return np.asarray(Rotation.from_matrix(rotation).as_rotvec())
 
 
 def inverse_kinematics(

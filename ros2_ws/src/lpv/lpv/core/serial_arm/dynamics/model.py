@@ -5,9 +5,9 @@ import numpy.typing as npt
 
 from lpv.core.serial_arm.chain import Chain, FloatArray, joint_count, workspace
 from lpv.core.serial_arm.dynamics.friction import friction_torque
-from lpv.core.serial_arm.dynamics.momentum import forward_dynamics, mass_matrix, momentum_balance
+from lpv.core.serial_arm.dynamics.momentum import mass_matrix
 from lpv.core.serial_arm.dynamics.newton_euler import inverse_dynamics
-from lpv.core.serial_arm.dynamics.regressor import momentum_regressor, regressor
+from lpv.core.serial_arm.dynamics.regressor import momentum_regressor
 from lpv.core.support.errors import SampleError
 from lpv.core.support.jit import njit_in_place as njit
 
@@ -77,35 +77,6 @@ class SerialModel:
         """M(q), rotors included [kg m2]."""
         matrix = np.empty((self.joints, self.joints))
         mass_matrix(self.chain, self._vector('q', q), self._work, matrix)
-        return matrix
-
-    def momentum_balance(self, q: npt.ArrayLike, v: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """p = M v [N m s] and C^T v - g [N m]."""
-        momentum, force = np.empty(self.joints), np.empty(self.joints)
-        motion = self._vector('q', q), self._vector('v', v)
-        momentum_balance(self.chain, *motion, self._work, momentum, force)
-        return momentum, force
-
-    def acceleration(self, q: npt.ArrayLike, v: npt.ArrayLike, torque: npt.ArrayLike) -> FloatArray:
-        """Accelerations that torques less friction cause [rad/s2].
-
-        Raises
-        ------
-        SampleError
-            If M(q) is not positive definite.
-        """
-        result = np.empty(self.joints)
-        matrix = np.empty((self.joints, self.joints))
-        motion = self._vector('q', q), self._vector('v', v), self._vector('torque', torque)
-        if not forward_dynamics(self.chain, *motion, self._work, matrix, result):
-            raise SampleError('the mass matrix is not positive definite')
-        return result
-
-    def regressor(self, q: npt.ArrayLike, v: npt.ArrayLike, a: npt.ArrayLike) -> FloatArray:
-        """Y(q, v, a), shape (n, 10 n)."""
-        matrix = np.empty((self.joints, 10 * self.joints))
-        motion = [self._vector(name, values) for name, values in zip('qva', (q, v, a))]
-        regressor(self.chain, *motion, self._work, matrix)
         return matrix
 
     def momentum_regressor(

@@ -49,7 +49,7 @@ from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.model.dynamics import coupling
 from lpv.core.uio.model.joints import row_size
 from lpv.core.uio.observer.exact_observer import ExactObserverGains, injection
-from lpv.core.uio.observer.paper_observer import PaperObserverGains
+from lpv.core.uio.observer.sampled_observer import ObserverGains
 
 _LARGEST = 10.0
 """A larger set says nothing more [rad]."""
@@ -100,13 +100,11 @@ BOUND_STATE = record_type(
 """Reachable set of the errors; r_i = s m_i/Xi_ii is the momentum error in units of a rate."""
 
 
-def error_bound(
-    arm: ArmParameters, observer: ExactObserverGains | PaperObserverGains, sigmas: float = SIGMAS
-) -> np.record:
+def error_bound(arm: ArmParameters, observer: ObserverGains, sigmas: float = SIGMAS) -> np.record:
     """Constants of the bound, of type `BOUND_CONSTANTS`, with ``sigmas`` standard deviations of
     noise."""
     unknown = healthy_arm(arm, sigmas)
-    noise, to_angle = sigmas * np.asarray(observer.fault_sigma), np.abs(unknown.joints.angle)
+    noise, to_angle = sigmas * observer.fault_sigma, np.abs(unknown.joints.angle)
     # Of f^ less that of the reading: `exact_fault_sigma` adds squares, not deviations.
     of_angles = np.sqrt(np.maximum(noise**2 - (sigmas * arm.position_noise) ** 2, 0.0))
     params = new_record(
@@ -122,11 +120,9 @@ def error_bound(
         unknown=unknown,
     )
     if isinstance(observer, ExactObserverGains):
-        kappa, mu = np.asarray(observer.kappa), np.asarray(observer.mu)
-        params.exact, params.kappa, params.mu = True, kappa, mu
-        params.slowest_recovery = np.min(
-            kappa * np.asarray(arm.numbers().gravity) * np.asarray(arm.cos_min) / mu
-        )
+        params.exact, params.kappa, params.mu = True, observer.kappa, observer.mu
+        gravity = np.array(arm.numbers().gravity)
+        params.slowest_recovery = np.min(observer.kappa * gravity * arm.cos_min / observer.mu)
     return params
 
 

@@ -4,7 +4,7 @@ No solver is needed, and none is trusted: what counts are the numbers in the gai
 refuse gains that do not verify.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 from typing import Any
@@ -13,7 +13,7 @@ import numpy as np
 
 from lpv.core.serial_arm.certificate.certified import Inequalities
 from lpv.core.support.entries import array, entry, part, positive
-from lpv.core.support.inequalities import SAME, Check, array_of, largest_eigenvalue
+from lpv.core.support.inequalities import SAME, Check, NumberType, array_of, largest_eigenvalue
 from lpv.core.uio.certificate.error_system import exact_fault_sigma, link_errors, paper_fault_sigma
 from lpv.core.uio.certificate.lmi import covariance, disc, paper_inequalities
 from lpv.core.uio.certificate.sampled_motion import MotionCertificate, sampled_loop
@@ -27,6 +27,7 @@ from lpv.core.uio.model.polytope import (
 )
 from lpv.core.uio.observer.exact_observer import ExactObserverGains
 from lpv.core.uio.observer.paper_observer import PaperObserverGains
+from lpv.core.uio.observer.sampled_observer import ObserverGains
 
 METHODS = ('paper', 'exact')
 """Of observers and controllers."""
@@ -55,7 +56,7 @@ class ControllerGains:
         return np.hstack([self.m1, self.m2])
 
 
-def _lyapunov(p: np.ndarray, number: Callable[[Any], Any]) -> np.ndarray:
+def _lyapunov(p: np.ndarray, number: NumberType) -> np.ndarray:
     """A Lyapunov matrix, in fractions symmetric to the last bit.
 
     One that is not symmetric, or not finite, proves nothing: it is as good as a negative one.
@@ -68,9 +69,7 @@ def _lyapunov(p: np.ndarray, number: Callable[[Any], Any]) -> np.ndarray:
 
 
 def observer_inequalities(
-    arm: ArmParameters,
-    observer: ExactObserverGains | PaperObserverGains,
-    number: Callable[[Any], Any] = float,
+    arm: ArmParameters, observer: ObserverGains, number: NumberType = float
 ) -> Inequalities:
     """Names, and matrices of floats or fractions that must be negative definite.
 
@@ -123,15 +122,13 @@ def _covariance(p: np.ndarray, n: np.ndarray, spread: np.ndarray) -> np.ndarray:
     return covariance(p @ n, p @ vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
-def observer_margin(arm: ArmParameters, observer: ExactObserverGains | PaperObserverGains) -> float:
+def observer_margin(arm: ArmParameters, observer: ObserverGains) -> float:
     """Largest eigenvalue of all `observer_inequalities`; negative if they hold."""
     claims = observer_inequalities(arm, observer)
     return max(largest_eigenvalue(matrix) for _, matrices in claims for matrix in matrices)
 
 
-def observer_checks(
-    arm: ArmParameters, observer: ExactObserverGains | PaperObserverGains
-) -> Iterator[Check]:
+def observer_checks(arm: ArmParameters, observer: ObserverGains) -> Iterator[Check]:
     """Checks of the observer: its inequalities, and the deviation of its estimates."""
     for name, matrices in observer_inequalities(arm, observer):
         yield Check(name, max(map(largest_eigenvalue, matrices)))
@@ -149,7 +146,7 @@ def heun(n: np.ndarray, dt: Any) -> np.ndarray:
 
 
 def controller_loop(
-    arm: ArmParameters, method: str, sinc_min: float = -0.2, number: Callable[[Any], Any] = float
+    arm: ArmParameters, method: str, sinc_min: float = -0.2, number: NumberType = float
 ) -> tuple[np.ndarray, ...]:
     """Augmented vertices A_c, B_c of eq. (64) with eps' = w - theta, in floats or in exact
     fractions."""
@@ -164,7 +161,7 @@ def controller_loop(
 
 
 def controller_inequalities(
-    arm: ArmParameters, controller: ControllerGains, number: Callable[[Any], Any] = float
+    arm: ArmParameters, controller: ControllerGains, number: NumberType = float
 ) -> Inequalities:
     """Names, and matrices of floats or fractions that must be negative definite: LMI (67)."""
     p, m = _lyapunov(controller.lyapunov, number), array_of(number)(controller.feedback)
@@ -245,9 +242,7 @@ def corner_arms(arm: ArmParameters) -> list[ArmParameters]:
 
 
 def together_checks(
-    arm: ArmParameters,
-    observer: ExactObserverGains | PaperObserverGains,
-    controller: ControllerGains,
+    arm: ArmParameters, observer: ObserverGains, controller: ControllerGains
 ) -> Iterator[Check]:
     """Sampled loop of arm, controller and observer, closed on estimates and on measurements.
 

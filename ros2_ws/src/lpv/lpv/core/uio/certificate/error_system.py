@@ -1,13 +1,13 @@
 """The error system of method ``exact``, link by link, and the noise of both methods' estimates."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from lpv.core.support.inequalities import array_of
+from lpv.core.support.inequalities import NumberType, array_of
 from lpv.core.support.limits import SMALL
 from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.model.joints import JointMap
@@ -63,7 +63,7 @@ class LinkError:
         return total * self.period / type(self.period)(self.unit) ** 2
 
 
-def link_errors(arm: ArmParameters, number: Callable[[Any], Any] = float) -> list[LinkError]:
+def link_errors(arm: ArmParameters, number: NumberType = float) -> list[LinkError]:
     """Error systems of both links, in floats or in exact fractions."""
     c, sign, array = arm.numbers(number), number(arm.sign), array_of(number)
     noise = {

@@ -1,6 +1,6 @@
 """Gains of observer and controller of a planar arm, and files with gains of either kind."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import MISSING, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.config import Section, read_yaml
 from lpv.core.support.entries import part, read_entries
 from lpv.core.support.errors import ConfigError
-from lpv.core.support.inequalities import Check
+from lpv.core.support.inequalities import Check, NumberType
 from lpv.core.uio.certificate.conditions import (
     METHODS,
     ControllerGains,
@@ -25,6 +25,7 @@ from lpv.core.uio.certificate.conditions import (
 )
 from lpv.core.uio.observer.exact_observer import ExactObserverGains
 from lpv.core.uio.observer.paper_observer import PaperObserverGains
+from lpv.core.uio.observer.sampled_observer import ObserverGains
 from lpv.core.uio.planar import planar_model
 
 
@@ -33,7 +34,7 @@ class Gains(CertifiedGains):
     """Everything that a design hands to the nodes."""
 
     # which of both its method says
-    observer: ExactObserverGains | PaperObserverGains = field(default=MISSING)  # type: ignore[assignment]
+    observer: ObserverGains = field(default=MISSING)  # type: ignore[assignment]
     controller: ControllerGains = part(ControllerGains)
     # margins, solver and versions, as text and numbers: information, nothing is computed from it
     certificate: dict = field(default_factory=dict)
@@ -65,7 +66,7 @@ class Gains(CertifiedGains):
         certificate = top.plain('certificate')
         return read_entries(cls, top, observer=observer, certificate=certificate, checksum=checksum)
 
-    def inequalities(self, arm: SerialArm, number: Callable[[Any], Any] = float) -> Inequalities:
+    def inequalities(self, arm: SerialArm, number: NumberType = float) -> Inequalities:
         """As of `CertifiedGains`.
 
         The sampled controller's spectral radius is not a definiteness and stays a matter of floats.

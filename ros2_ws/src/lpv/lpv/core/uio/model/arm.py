@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -16,10 +16,11 @@ from lpv.core.support.errors import ConfigError
 from lpv.core.support.records import new_record, record_type
 
 ARM_CONSTANTS = record_type(
-    ('inertia', 'f8', (2,)),  # Xi_11 and Xi_22 of eq. (5) [kg m2]
-    ('coupling', 'f8'),  # m2 L1 Lc2, the part of Xi_12 that cos(theta1 - theta2) scales [kg m2]
-    ('rotor_coupling', 'f8'),  # the constant part of Xi_12 [kg m2]
-    ('gravity', 'f8', (2,)),  # G_i: largest gravity torque of each angle [N m]
+    # Of links and rotors, see `lpv.core.serial_arm.two_links.ArmNumbers`:
+    ('inertia', 'f8', (2,)),
+    ('coupling', 'f8'),
+    ('rotor_coupling', 'f8'),
+    ('gravity', 'f8', (2,)),
     ('offset', 'f8', (2,)),  # joint friction [N m]
     ('viscous', 'f8', (2,)),  # joint friction [N m s/rad]
     ('coulomb', 'f8', (2,)),  # joint friction [N m]
@@ -28,15 +29,6 @@ ARM_CONSTANTS = record_type(
     ('coriolis', 'f8'),  # 1, or 0 without the quadratic term O(theta, theta')
 )
 """Constants of eqs. (1)-(3) for compiled functions."""
-
-
-class ArmNumbers(NamedTuple):
-    """What `ARM_CONSTANTS` holds of inertia and gravity, in numbers of any kind."""
-
-    inertia: tuple[Any, Any]
-    coupling: Any
-    rotor_coupling: Any
-    gravity: tuple[Any, Any]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,24 +48,6 @@ class ArmParameters(TwoLinks):
     def sign(self) -> float:
         """+1 for an upright region, -1 for a hanging one (sign of cos(theta))."""
         return 1.0 if self.orientation == 'upright' else -1.0
-
-    def numbers(self, number: Callable[[Any], Any] = float) -> ArmNumbers:
-        """Constants of eqs. (2), (3) as floats, or as exact ``fractions.Fraction``.
-
-        The printed eqs. (5), (14), (15) have m2*Lc1^2 in the (1, 1) inertia; the physics, and
-        eq. (2), is m2*L1^2, which is used here.  Rotors are those of motors on the joint axes.
-        """
-        rows = [(link.mass, link.length, link.center_of_mass, link.inertia) for link in self.links]
-        (m_1, l_1, c_1, i_1), (m_2, _, c_2, i_2) = ([number(v) for v in row] for row in rows)
-        # J^T R J for R = [[first, across], [across, second]] in joint coordinates, q' = J theta'.
-        first, across, second = (number(value) for value in self.rotor)
-        g = number(self.gravity)
-        return ArmNumbers(
-            (i_1 + m_2 * l_1**2 + (first - 2 * across + second), i_2 + second),
-            m_2 * l_1 * c_2,
-            across - second,
-            ((m_1 * c_1 + m_2 * l_1) * g, m_2 * c_2 * g),
-        )
 
     def constants(self, coriolis: bool = True) -> np.record:
         """Constants of eqs. (1)-(3) for compiled functions, of type `ARM_CONSTANTS`.
@@ -113,12 +87,6 @@ class ArmParameters(TwoLinks):
             for link, m, i in zip(self.links, mass_factors, inertia_factors)
         )
         return replace(self, links=links)
-
-    def is_physical(self) -> bool:
-        """Whether Xi is positive definite in every configuration; identified links need not be."""
-        values = self.numbers()
-        coupling = abs(values.rotor_coupling) + values.coupling
-        return bool(values.inertia[0] * values.inertia[1] > coupling**2)
 
     def to_json(self) -> str:
         """All parameters as one line of JSON; `arm_from_json` reads it back exactly."""

@@ -16,13 +16,12 @@ descriptor form of its LPV plant, eqs. (26), (35)-(37).
 """
 
 import math
-from collections.abc import Callable
 from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from lpv.core.support.inequalities import array_of
+from lpv.core.support.inequalities import NumberType, array_of
 from lpv.core.support.jit import njit_in_place as njit
 from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.model.joints import JointMap
@@ -93,7 +92,7 @@ def slope_range(arm: ArmParameters) -> tuple[np.ndarray, ...]:
     return -np.ones(2), -near
 
 
-def exact_vertices(arm: ArmParameters, number: Callable[[Any], Any] = float) -> np.ndarray:
+def exact_vertices(arm: ArmParameters, number: NumberType = float) -> np.ndarray:
     """Vertices of the exact polytope, rows (x, y, cos1, cos2), shape (16, 4)."""
     first, second = ([number(value) for value in pair] for pair in zip(*slope_range(arm)))
     corners = inverse_inertia_quadrangle(arm.numbers(number))
@@ -158,9 +157,7 @@ class Descriptor(NamedTuple):
     c: np.ndarray  # C~ = [C Df] of eqs. (29), (30), shape (4, 6)
 
 
-def paper_descriptor(
-    arm: ArmParameters, box: np.ndarray, number: Callable[[Any], Any] = float
-) -> Descriptor:
+def paper_descriptor(arm: ArmParameters, box: np.ndarray, number: NumberType = float) -> Descriptor:
     """`Descriptor` at the vertices of the paper's box, in floats or in exact fractions."""
     array = array_of(number)
     a_i, b_i = vertex_matrices(array(box), arm.numbers(number))

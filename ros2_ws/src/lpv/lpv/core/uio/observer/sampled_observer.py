@@ -25,6 +25,8 @@ from lpv.core.uio.observer.paper_observer import (
     schedule,
 )
 
+ObserverGains = ExactObserverGains | PaperObserverGains
+"""Of either method."""
 _AT_REST = 5.0
 """Rates below so many standard deviations of their noise are those of an arm at rest: one in two
 million is larger."""
@@ -113,10 +115,7 @@ OBSERVER_STATE = record_type(
 
 
 def observer_constants(
-    arm: ArmParameters,
-    gains: ExactObserverGains | PaperObserverGains,
-    initial_samples: int = 1,
-    max_gap: float = MAX_GAP,
+    arm: ArmParameters, gains: ObserverGains, initial_samples: int = 1, max_gap: float = MAX_GAP
 ) -> np.record:
     """Constants of `observe`, of type `OBSERVER_CONSTANTS`.
 
@@ -380,9 +379,6 @@ def _advance(params: np.record, state: np.record, interval: float) -> None:
     """Advance in steps of a sample time; outputs are interpolated."""
     state.held[:] = False
     steps = max(1, math.ceil(interval / (1.5 * params.sample_time)))
-    if steps == 1:
-        advance(params, state, state.y, state.y_new, state.torque, interval)
-        return
     copy_vector(state.y, state.before)
     for k in range(1, steps + 1):
         for i in range(4):
