@@ -116,6 +116,11 @@ def model_bounds(arm: SerialArm) -> ModelBounds:
     forms: dict[str, np.ndarray] = {}
     for bound in BOUNDS:
         best = _best_value(numbers, bound)
+        if bound == 'inertia' and np.min(best) <= 0.0:
+            name = arm.joints[int(np.argmin(best))].name
+            raise InfeasibleError(
+                f'no inertia is sure to be left at every pose for {name}: state its rotor_inertia'
+            )
         for slack in _SLACKS:
             value = best / slack if bound == 'inertia' else max(slack * float(best), 1e-3)
             proof = _forms(numbers, bound, value)
@@ -137,6 +142,9 @@ def _variables(joints: int, twists: int) -> tuple[list[Any], list[Any]]:
 
 def _best_value(numbers: ChainNumbers, bound: str) -> Any:
     """Smallest k, phi or nu; the largest c, joint by joint about as much of its inertia."""
+    opposed = {'payload': numbers.payload, 'damping': numbers.viscous}
+    if bound in opposed and not np.any(opposed[bound]):
+        return 0.0  # without an interior around it, a solver may fail
     n = len(numbers.rotor)
     _, invariant = _variables(n, twists_of(bound))
     value = cp.Variable(n) if bound == 'inertia' else cp.Variable()

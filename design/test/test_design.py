@@ -10,7 +10,7 @@ import pytest
 from scipy.linalg import solve_continuous_are, solve_continuous_lyapunov, solve_discrete_lyapunov
 
 from lpv import ConfigError, load_arm
-from lpv.core.serial_arm.description import Uncertainty
+from lpv.core.serial_arm.description import LinkInertia, Uncertainty
 from lpv.core.serial_arm.two_links import two_link_arm
 from lpv.core.support import inequalities, resources
 from lpv.core.uio.certificate import conditions, error_system, lmi
@@ -330,6 +330,42 @@ def test_given_what_cannot_be_certified_when_designed_then_it_is_told(short, ask
     arm = replace(short, uncertainty=Uncertainty(payload=payload)) if payload else short
     with pytest.raises(ConfigError if told.startswith('must') else InfeasibleError, match=told):
         serial_loop.certify_loop(arm, serial_loop.LoopRequest(**asked))
+
+
+def unloaded(arm, scale, rotor_inertia):
+    """An arm of lighter links, without payload and viscous friction."""
+    joints = [
+        replace(
+            joint,
+            link=LinkInertia.from_vector(scale * joint.link.to_vector()),
+            friction=replace(joint.friction, viscous=0.0),
+            rotor_inertia=rotor_inertia,
+        )
+        for joint in arm.joints
+    ]
+    return replace(arm, joints=tuple(joints), uncertainty=Uncertainty())
+
+
+def test_given_no_payload_and_viscous_friction_when_bounded_then_no_solver_is_asked(monkeypatch):
+    arm, asked = unloaded(load_arm('ur10'), 1e-3, 1e-2), []
+    best = serial_loop._best_value
+    monkeypatch.setattr(serial_loop, 'solve', lambda *_: asked.append(1) or 'solver_error')
+    assert [best(serial_loop.chain_numbers(arm), one) for one in ('payload', 'damping')] == [0, 0]
+    assert not asked
+    monkeypatch.undo()
+    found = serial_loop.model_bounds(arm)  # a solver fails at an optimum of zero
+    assert found.payload == found.damping == 1e-3 and found.inertia.min() > 0.0
+
+
+def test_given_no_inertia_left_when_bounded_then_the_joint_is_named(short, monkeypatch):
+    best = serial_loop._best_value
+    # As the solver says of a light wrist without a rotor.
+    left = np.array([0.07, 0.5, -1e-5])
+    monkeypatch.setattr(
+        serial_loop, '_best_value', lambda *of: left if of[1] == 'inertia' else best(*of)
+    )
+    with pytest.raises(InfeasibleError, match='for elbow_joint: state its rotor_inertia'):
+        serial_loop.model_bounds(short)
 
 
 def test_given_a_serial_arm_when_verified_or_designed_then_all_is_told(call, refused, tmp_path):

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from lpv.core.monitoring.parameters import DiagnosisParameters
+from lpv.core.monitoring.parameters import DiagnosisParameters, check_parameters
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import Alarm, SensorState
@@ -58,7 +58,8 @@ class Monitor:
     Raises
     ------
     ConfigError
-        If gains and arm do not belong together, or the certificate of the gains does not hold.
+        If gains and arm do not belong together, the certificate of the gains does not hold, or a
+        parameter is out of range.
 
     Examples
     --------
@@ -131,6 +132,7 @@ def _verified_monitor(
     arm: SerialArm, gains: Gains | None, parameters: DiagnosisParameters | None
 ) -> SerialSensorMonitor:
     """A monitor whose gains, if there are any, have a certificate that holds."""
+    check_parameters(parameters)
     if gains is not None:
         gains.require(arm)
     return SerialSensorMonitor(_NAME, arm, parameters, gains)
@@ -163,7 +165,8 @@ def diagnose(
     Raises
     ------
     LpvError
-        If the bag cannot be read, or arm and gains do not belong together.
+        If the bag cannot be read, arm and gains do not belong together, or a parameter is out of
+        range.
     """
     monitor = _verified_monitor(arm, gains, parameters)
     stamps, position, velocity, effort = recorded(bag, arm)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from lpv.core.monitoring.parameters import DiagnosisParameters
+from lpv.core.monitoring.parameters import DiagnosisParameters, check_parameters
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.simulation.closed_loop import Run, run_closed_loop
 from lpv.core.simulation.faults import Fault
@@ -47,9 +47,10 @@ def simulate(
     Raises
     ------
     ConfigError
-        If gains and arm do not belong together, the certificate of the gains does not hold, or
-        the scenario is wrong.
+        If gains and arm do not belong together, the certificate of the gains does not hold,
+        the scenario is wrong, or a parameter is out of range.
     """
+    check_parameters(parameters)
     if gains is not None:
         gains.require(arm)
     chosen = load_scenario(scenario) if isinstance(scenario, (str, Path)) else scenario

@@ -43,6 +43,21 @@ def test_given_what_cannot_be_simulated_then_it_is_named(field, change):
         )
 
 
+@pytest.mark.parametrize(('field', 'value', 'told'), [
+    ('sigmas', np.nan, 'must be finite'), ('hours_between_false_alarms', 0, 'must lie within'),
+    ('safe_stop_bound', -1.0, 'must lie within'), ('latch', 3, 'must be true or false'),
+])  # fmt: skip
+def test_given_parameters_that_no_file_may_hold_then_they_are_named(field, value, told):
+    arm, parameters = lpv.load_arm('paper'), lpv.DiagnosisParameters(**{field: value})
+    for use in (
+        lambda: lpv.Monitor(arm, parameters=parameters),
+        lambda: lpv.simulate(arm, parameters=parameters),
+        lambda: lpv.diagnose(arm, None, 'bag', parameters),
+    ):
+        with pytest.raises(lpv.ConfigError, match=f'^diagnosis.{field}: {told}'):
+            use()
+
+
 def test_given_measurements_when_monitored_then_estimates_are_those_of_the_loop(page):
     monitor, run = lpv.Monitor(page['arm'], page['gains']), page['run']
     with pytest.raises(lpv.SampleError, match='position'):

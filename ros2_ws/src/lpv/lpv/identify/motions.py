@@ -171,10 +171,10 @@ class _Search:
         motion = trajectory.sample(np.arange(0.0, trajectory.duration, 5 * _CHECK_STEP))
         full = self._model.regressor(*motion)
         rigid = full[:, :, : N_INERTIAL * self._model.n] @ self._arm.inertial_parameters()
-        largest, friction = np.abs(rigid).max(axis=0), [j.friction for j in self._arm.joints]
+        largest, fastest = np.abs(rigid).max(axis=0), np.abs(motion[1]).max(axis=0)
         most = [
-            abs(f.offset) + f.coulomb + f.load * load + abs(f.viscous) * s
-            for f, load, s in zip(friction, largest, self.speed)
+            abs(f.offset) + f.coulomb + f.load * load + abs(f.viscous) * speed
+            for f, load, speed in zip((j.friction for j in self._arm.joints), largest, fastest)
         ]
         return np.abs(rigid + motion[2] @ self._model.chain.motor).max(axis=0) + most
 

@@ -233,7 +233,17 @@ def test_given_a_slow_lift_when_initialised_then_its_path_is_as_slow(tmp_path, i
     arm, _ = init(*HELD, urdf=urdf)
     assert (arm.joints[0].type, arm.velocity_limit[0]) == ('prismatic', 0.013)
     path = load_scenario(tmp_path / 'new' / 'scenario.yaml').path(arm)
-    assert np.ptp(path.sample(np.linspace(0.0, 12.0, 50)).position, axis=0).min() > 0.01
+    motion = path.sample(np.linspace(0.0, 12.0, 500))
+    assert np.ptp(motion.position, axis=0).min() > 0.01
+    # The tracker would stop at 0.7.
+    assert np.abs(motion.velocity).max(axis=0)[0] < 0.65 * arm.velocity_limit[0]
+
+
+def test_given_friction_without_rotors_when_initialised_then_what_to_state_is_told(tmp_path, call):
+    damped = GRIPPER.replace('damping="0.5"', 'damping="5e4"').replace('"500"', '"1e6"')
+    (tmp_path / 'arm.urdf').write_text(damped)
+    err = call('init', tmp_path / 'new', '--urdf', tmp_path / 'arm.urdf', *HELD).err
+    assert re.search(r'warning: before it is simulated: joints\[.*rotor_inertia: is too small', err)
 
 
 def test_given_a_link_that_no_body_is_when_initialised_then_it_is_named(tmp_path, call):

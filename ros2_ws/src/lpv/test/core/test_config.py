@@ -5,6 +5,7 @@ import math
 import re
 from copy import copy
 from dataclasses import asdict, fields, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from places import BRINGUP
 from lpv.bag.run.csv_import import load_column_map
 from lpv.campaign.plan.spec import parse_spec
 from lpv.cli.observing import diagnosis_parameters
+from lpv.core.serial_arm import urdf_text
 from lpv.core.serial_arm.arm_file import load_arm, parse_arm, save_arm, to_mapping
 from lpv.core.serial_arm.two_links import Link
 from lpv.core.simulation.faults import KINDS, Fault, FaultInjector
@@ -347,6 +349,10 @@ def test_given_large_values_or_files_then_they_are_kept_or_not(tmp_path, monkeyp
     monkeypatch.setattr(config, 'MAX_BYTES', 100)
     with pytest.raises(ConfigError, match='large.yaml: file: is larger than 100 bytes'):
         read_yaml(path)
+    monkeypatch.setattr(urdf_text, 'MAX_BYTES', 100)
+    for read in read_yaml, urdf_text.read_urdf_text:  # a device does not say how large it is
+        with pytest.raises(ConfigError, match='zero: .* is larger than 100 bytes'):
+            read(Path('/dev/zero'))
 
 
 def test_given_exponents_without_a_dot_when_read_then_numbers_are_numbers_and_names_names(tmp_path):

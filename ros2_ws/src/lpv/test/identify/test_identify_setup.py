@@ -102,6 +102,20 @@ def test_given_heavy_rotors_and_friction_when_planned_then_torques_keep_their_li
     assert np.all(largest <= 1.001 * plan.torque) and np.all(plan.torque < limits)
 
 
+def test_given_much_viscous_friction_when_planned_then_a_slower_motion_counts_as_slower(arm):
+    joints = [replace(one, friction=JointFriction(0.0, 100.0)) for one in arm.joints]
+    limits = [0.5 * 100.0 * 0.6 * one.limits.velocity + 60.0 for one in arm.joints]
+    joints = [
+        replace(one, limits=replace(one.limits, torque=most / 0.8))
+        for one, most in zip(joints, limits)
+    ]
+    viscous = replace(arm, joints=tuple(joints))
+    plan = plan_excitation(viscous, 12.0, trials=3)  # no motion at full speed keeps the limits
+    motion = plan.trajectory.sample(np.arange(0.0, 12.0, 0.02))
+    largest = np.abs(rigid_body.joint_torques(viscous, *motion)).max(axis=0)
+    assert np.all(largest <= 1.001 * plan.torque) and np.all(plan.torque <= largest + 60.0)
+
+
 def test_given_a_floor_when_planned_then_the_tip_stays_above_or_it_is_said_that_none_does(arm):
     center, chain = np.array([0.0, -0.6, 0.3]), compile_chain(arm)
     plan = plan_excitation(arm, 12.0, Bounds(lowest=0.05), center=center, trials=20)

@@ -19,6 +19,7 @@ from lpv.core.serial_arm.arm_file import load_arm, parse_arm, save_arm, to_mappi
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import LpvRegion, SerialArm
 from lpv.core.serial_arm.dynamics.model import SerialModel
+from lpv.core.serial_arm.simulation import integration_step
 from lpv.core.simulation.scenario import parse_scenario
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.resources import bringup_file
@@ -29,6 +30,8 @@ FILES = ('arm.yaml', 'requirement.yaml', 'scenario.yaml')
 _TEMPLATES = Path(__file__).resolve().parents[1] / 'templates'
 _TURNS = (0.4, 0.2, 0.1)
 """Turns of a joint to the waypoints that are tried, the largest that drives can hold [rad]."""
+_SLOW = 0.8
+"""Way to the waypoints of a joint that is slow, in what its limit lets it go in a second [s]."""
 _HEAVY = 0.5
 """Share of a torque limit that the weight may need in the middle of the ranges; else there are
 lighter poses to move about."""
@@ -84,6 +87,10 @@ def _write(folder: Path, arm: SerialArm, source: str) -> int:
     for joint in arm.joints:
         if not joint.link.is_physical:
             print(f'warning: no body has the inertia of the link of {joint.name}', file=sys.stderr)
+    try:
+        integration_step(compile_chain(arm), arm.sample_time)
+    except ConfigError as error:
+        print(f'warning: before it is simulated: {error}', file=sys.stderr)
     if arm.locked:
         print('held: ' + ', '.join(f'{joint} at {value:g}' for joint, value in arm.locked))
     print('next: a URDF knows no rotors and sensors; identify them from a recording')
@@ -132,8 +139,8 @@ def _waypoints(arm: SerialArm) -> Iterator[str]:
     weight = np.abs(SerialModel(compile_chain(arm)).gravity(poses)) / arm.torque_limit
     shares = weight.max(axis=1)
     pose = poses[0 if shares[0] < _HEAVY else int(shares.argmin())]
-    # Slow joints, as lifts are, move no farther than they get in a second.
-    ways = np.minimum(0.2 * (high - low), arm.velocity_limit)
+    # Slow joints, as lifts are, move no farther than the tracker's `max_speed` lets them.
+    ways = np.minimum(0.2 * (high - low), _SLOW * np.array(arm.velocity_limit))
     for largest in _TURNS:
         places = pose + sides * np.minimum(ways, largest)
         yield '\n'.join(

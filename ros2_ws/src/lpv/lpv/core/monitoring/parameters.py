@@ -63,6 +63,11 @@ def given_values(section: Section, table: Iterable[Entry]) -> dict[str, Any]:
     return found
 
 
+def check_parameters(parameters: DiagnosisParameters | None) -> None:
+    """ConfigError for the first value outside its limits, which files and nodes refuse, too."""
+    given_values(Section(vars(parameters or DiagnosisParameters()), '', 'diagnosis'), DIAGNOSIS)
+
+
 def check_names(names: Iterable[str], where: str) -> None:
     """ConfigError for the first name, below ``diagnosis``, that is no parameter."""
     known = [field.name for field in fields(DiagnosisParameters)]

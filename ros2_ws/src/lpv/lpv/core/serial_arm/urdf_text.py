@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree
 
-from lpv.core.support.config import MAX_BYTES
+from lpv.core.support.config import MAX_BYTES, read_at_most
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.limits import LARGEST, MAX_DEPTH
 
@@ -113,11 +113,11 @@ def _mimic(element: ElementTree.Element, name: str, path: Path) -> Mimic:
 
 def _parse(path: Path) -> ElementTree.Element:
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise _error(path, f'is larger than {MAX_BYTES} bytes')
-        data = path.read_bytes()
+        data = read_at_most(path, MAX_BYTES + 1)
     except OSError as error:
         raise _error(path, f'cannot be read ({error.strerror})') from error
+    if len(data) > MAX_BYTES:
+        raise _error(path, f'is larger than {MAX_BYTES} bytes')
     try:
         root = ElementTree.fromstring(data, ElementTree.XMLParser(target=_Builder()))
     except (ElementTree.ParseError, ValueError, LookupError) as error:

@@ -50,6 +50,12 @@ def _short(value: object) -> str:
         return f'a huge {type(value).__name__}'
 
 
+def read_at_most(path: str | Path, limit: int) -> bytes:
+    """First bytes of a file; devices and pipes do not say how large they are."""
+    with open(path, 'rb') as file:
+        return file.read(limit)
+
+
 def load_yaml(path: str | Path, max_bytes: int | None = None) -> Any:
     """Load a YAML file of other software through the safe loader, whatever its values are.
 
@@ -58,10 +64,11 @@ def load_yaml(path: str | Path, max_bytes: int | None = None) -> Any:
     """
     path, limit = Path(path), MAX_BYTES if max_bytes is None else max_bytes
     try:
-        if path.stat().st_size > limit:
+        content = read_at_most(path, limit + 1)
+        if len(content) > limit:
             raise ConfigError('file', f'is larger than {limit} bytes', str(path))
         # A safe loader with one check more.
-        data = yaml.load(path.read_text(encoding='utf-8'), Loader=_Loader)  # noqa: S506
+        data = yaml.load(content.decode(), Loader=_Loader)  # noqa: S506
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError('file', f'cannot be read ({error})', str(path)) from error
     except ConfigError:
