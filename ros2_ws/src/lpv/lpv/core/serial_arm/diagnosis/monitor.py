@@ -365,6 +365,7 @@ class SerialMonitor:
                     self._forget(i)
                 self._jumps.forget(i)
                 self.followed.trust_rate(i)
+                self.healthy = self.guarantee = None  # its noise is not that of the file
                 noise, since = self.readings.noise(i), now - NOISE_MEMORY * self.arm.sample_time
                 self.estimator.doubt_rates(i, noise, self.bank.momenta_of(i), since)
                 self._raise(i, 'noise', now, noise, 0.0)
