@@ -115,6 +115,13 @@ def test_given_an_offset_when_alarmed_then_its_basis_is_said(uncertainty, size, 
     assert (events[-1].confidence == 1.0) == (basis == GUARANTEED)
 
 
+@RATES
+def test_given_a_noisy_reading_then_nothing_is_guaranteed_of_any_sensor(rates):
+    """Noise beyond the file's is in the balances of all joints."""
+    noise = Fault('encoder2', 'noise', 3.0, size=0.02)
+    assert watched(shoulder_arm(rates, STATED), None, noise, duration=4.0) is None
+
+
 def test_given_no_payload_in_the_file_when_told_then_guarantees_hold_without_a_load():
     observer = answers(uncertainty=replace(STATED, payload=None), duration=2.5)[1][0]
     assert 'payload up to 0 kg' in observer['values']['guarantee']

@@ -114,15 +114,28 @@ def test_given_no_readings_for_less_than_50_ms_when_the_arm_moves_then_it_is_not
     assert not run.stop_reason.any() and np.abs(run.position - run.reference).max() < 0.02
 
 
-@pytest.mark.parametrize('seed', [6, 11])
-def test_given_drives_that_brake_in_motion_when_healthy_then_no_encoder_is_blamed(seed):
-    arm = with_rates(scara(), 'derived')
+def braked_in_motion(arm, seed):
+    """A healthy run whose drives get no commands from 4.5 s on, for a while."""
     path = random_path(arm, np.random.default_rng(seed), 6.0)
     scenario = {'name': 'test', 'duration': 6.0, 'seed': seed, 'path': path, 'disturbance': False}
     scenario = parse_scenario({**scenario, 'plant': {'parameter_error': 0.05}})
-    stall = Transport(stalls=(Stall('commands', 4.5, 0.3),))
-    run = run_closed_loop(arm, scenario, transport=stall)
-    assert run.braked[2300:2390].all() and run.alarms == []
+    run = run_closed_loop(arm, scenario, transport=Transport(stalls=(Stall('commands', 4.5, 0.3),)))
+    assert run.braked[2300:2390].all()
+    return run
+
+
+@pytest.mark.parametrize('seed', [6, 11])
+def test_given_drives_that_brake_in_motion_when_healthy_then_no_encoder_is_blamed(seed):
+    assert braked_in_motion(with_rates(scara(), 'derived'), seed).alarms == []
+
+
+@pytest.mark.parametrize('rates', ['derived', 'independent'])
+@pytest.mark.parametrize('seed', [3, 6])
+def test_given_rounded_readings_when_drives_brake_in_motion_then_none_is_called_frozen(seed, rates):
+    """Readings of all joints stop at once, as if each of them froze."""
+    arm = shoulder_arm(rates)
+    joints = (replace(j, sensors=replace(j.sensors, quantization=1e-3)) for j in arm.joints)
+    assert braked_in_motion(replace(arm, joints=tuple(joints)), seed).alarms == []
 
 
 @pytest.mark.parametrize(('name', 'joint', 'onset', 'seed'), [

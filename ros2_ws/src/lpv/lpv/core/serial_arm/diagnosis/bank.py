@@ -385,6 +385,8 @@ class Bank:
         rates = held[:, n : 2 * n].reshape(last + 1, -1, n).mean(1)[::-1]  # newest first
         sensors = [i for i in range(n) if i not in known]
         rests = at_rest(rates, estimator.balance.scale, sensors)
+        # Joints that stopped in the newest interval rest at its end.
+        rests[0] |= at_rest(held[-1, n : 2 * n], estimator.balance.scale, sensors)
         stops = np.flatnonzero(rests[:-1] & ~rests[1:]).tolist()
         if not stops:
             return []

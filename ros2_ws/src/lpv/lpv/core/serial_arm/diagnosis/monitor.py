@@ -53,6 +53,7 @@ from lpv.core.serial_arm.diagnosis.priors import (
     LOAD,
     OCCURRENCE,
     PUSH,
+    STEADY_FOR,
     USUAL_RATE,
     WIDEST_LEVEL,
 )
@@ -364,6 +365,7 @@ class SerialMonitor:
                     self._forget(i)
                 self._jumps.forget(i)
                 self.followed.trust_rate(i)
+                self.healthy = self.guarantee = None  # its noise is not that of the file
                 noise, since = self.readings.noise(i), now - NOISE_MEMORY * self.arm.sample_time
                 self.estimator.doubt_rates(i, noise, self.bank.momenta_of(i), since)
                 self._raise(i, 'noise', now, noise, 0.0)
@@ -522,12 +524,24 @@ class SerialMonitor:
         """What explains a reading that froze, if balances say that its joint went on.
 
         That it froze, out of motion or without its noise, is evidence of its own: a push or another
-        fault would have to come within the same few seconds.
+        fault would have to come within the same few seconds.  Brakes stop readings as well: where
+        all joints came to rest with this one, they must be less likely than that all readings which
+        stopped in the same sample froze.
         """
-        shown = (one for one in found.single if one.seen and math.isfinite(one.gain))
-        others = (one for one in shown if one.joint not in self.followed.filters)
-        best = max(others, key=lambda one: one.gain, default=None)
-        return best if best is not None and best.gain > self._sure else None
+        finite = [one for one in found.single if math.isfinite(one.gain)]
+        shown = [one for one in finite if one.seen and one.joint not in self.followed.filters]
+        best = max(shown, key=lambda one: one.gain, default=None)
+        if best is None or best.gain <= self._sure:
+            return None
+        rested, interval = self.readings.rests_since(best.joint), self.plan.interval
+        first = rested - STEADY_FOR - 2.0 * interval  # brakes take a time
+        stops = (one for one in finite if one.kind == CONTACT)
+        brakes = [one.gain for one in stops if first < one.begin < rested + interval]
+        still, together = self.sampler.still, dict[int, float]()
+        for one in shown:
+            if still[one.joint] == still[best.joint]:
+                together[one.joint] = max(one.gain, together.get(one.joint, 0.0))
+        return best if sum(together.values()) - max(brakes, default=0.0) > self._sure else None
 
     def margin(self, kind: str) -> float:
         """By how much a fault must be more likely than torques from outside."""
