@@ -219,6 +219,15 @@ def test_given_a_gripper_on_the_topic_when_observed_then_it_is_no_error(arm, mon
     ]
 
 
+def test_given_a_driver_that_names_no_joints_at_first_when_it_does_then_they_are_observed():
+    with node_of(UioNode, 'uio', arm_file='paper') as node:
+        arm = Arm(node)
+        for _ in range(2):  # before any good measurement
+            node._on_measurement(JointState())
+        assert node._refusals.counts == {'measurement that does not fit the arm': 2}
+        assert arm.recover() <= RECOVERY and arm.state.last.mode < int(Mode.STALE)
+
+
 def test_given_a_driver_that_publishes_many_at_once_then_each_measurement_is_answered(arm):
     arm.node.begin()
     publisher = arm.node.create_publisher(JointState, 'joint_states', 50)

@@ -477,6 +477,17 @@ def test_given_topics_when_replayed_then_the_right_one_or_nothing_is_left(loop, 
     assert list((tmp_path / 'empty').iterdir()) == []
 
 
+def test_given_a_driver_that_names_no_joints_at_first_when_replayed_then_the_rest_is_used(
+    loop, replay, tmp_path
+):
+    empty = np.zeros(0)
+    nothing = measured(loop[:3], name=[], position=empty, velocity=empty, effort=empty)
+    bag = write(tmp_path / 'bag', [*nothing, *measured(loop[3:50])])
+    result, *_ = replay(bag)
+    assert result.measurements == 50 and sum(result.rejected.values()) == 3
+    assert len(raw(tmp_path / 'out', STATE)) == 47
+
+
 def line(bag, out, **changes):
     """Arguments of a replay that needs nothing installed."""
     options = {'arm': PAPER_ARM, 'gains': PAPER_GAINS, 'out': out, **changes}.items()

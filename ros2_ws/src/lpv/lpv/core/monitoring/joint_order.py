@@ -16,7 +16,7 @@ class JointOrder:
 
     def __init__(self, joint_names: Sequence[str], needs_rates: bool = False) -> None:
         self._wanted, self._needs_rates = tuple(joint_names), needs_rates
-        self._names: tuple[str, ...] = ()
+        self._names: tuple[str, ...] | None = None  # before any; a message may name none
         self._index: tuple[int, ...] = ()
 
     def indices(self, names: Sequence[str]) -> tuple[int, ...]:

@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from lpv.core.monitoring.sample_loop import UNWATCHED
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import Alarm, Mode, SensorState
 from lpv.core.serial_arm.diagnosis.healthy_set import Guarantee
+from lpv.core.support.timestamps import NANOSECONDS
 
 # Levels of diagnostic_msgs/DiagnosticStatus.
 OK, WARN, ERROR, STALE = range(4)
@@ -29,6 +31,11 @@ _MODES = {
     Mode.STALE: (STALE, 'no usable measurements'),
     Mode.NO_ESTIMATE: (STALE, 'no usable measurement yet'),
 }
+_UNSAFE = 'a confirmed fault cannot be compensated safely: stop'
+_UNWATCHED = (
+    f'no motion could be compared with torques for {UNWATCHED / NANOSECONDS:g} s: the estimate is '
+    'not trustworthy'
+)
 _INCONSISTENT = 'inconsistent, cause unknown: rates, torques and model contradict each other'
 
 
@@ -59,7 +66,9 @@ def diagnostic_fields(
     level, message = _MODES[state['mode']]
     if fault is not None and level < STALE:
         if not state['trustworthy']:
-            level, message = ERROR, 'a confirmed fault cannot be compensated safely: stop'
+            is_confirmed = (fault['state'] == SensorState.ERROR).any()
+            level, message = ERROR, _UNSAFE if is_confirmed else _UNWATCHED
+            message += '' if is_confirmed or not note else f'; {note}'
         elif note:
             level, message = WARN, note
         corrected = np.flatnonzero(state['compensated_position'] != state['measured_position'])

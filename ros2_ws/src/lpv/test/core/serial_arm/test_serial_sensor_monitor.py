@@ -64,6 +64,15 @@ def test_given_samples_too_rare_for_the_sample_time_then_it_is_told():
     assert not any('ten sample times' in text for _, text in answers.warnings)
 
 
+def test_given_no_fault_when_balances_stay_away_then_none_is_said_to_be_confirmed():
+    run = simulated(ARM, duration=4.0)
+    _, answers = observe(run.stamps[::12] + 5, run.samples[::12])
+    assert not answers.state.trustworthy[-1] and told(answers) == []
+    messages = [statuses[0]['message'] for _, statuses in answers.reports]
+    assert messages[-1].startswith('no motion could be compared with torques for 2.5 s')
+    assert 'ten sample times' in messages[-1]
+
+
 def test_given_samples_that_are_lost_repeated_or_no_numbers_then_each_is_counted():
     """Their answers do not depend on the parts they come in: `test_any_data`."""
     stamps, samples, _ = (one.copy() for one in recorded())
