@@ -45,6 +45,10 @@ def _descriptor(entry: Entry, read_only: bool) -> ParameterDescriptor:
     return result
 
 
+QUOTE_WORDS = 'in YAML on, off, yes and no are truth values unless quoted, in a shell as \'"off"\''
+"""What to do where a truth value came for a text."""
+
+
 def declare(node: Node, declared: Iterable[Entry], read_only: bool = True) -> None:
     """Declare parameters, of the type of their defaults.
 
@@ -57,7 +61,10 @@ def declare(node: Node, declared: Iterable[Entry], read_only: bool = True) -> No
             descriptor = _descriptor(one, read_only)
             value = node.declare_parameter(one.name, one.default, descriptor).value
         except (InvalidParameterTypeException, InvalidParameterValueException) as error:
-            raise ConfigError(one.name, str(error), node.get_name()) from error
+            given = node._parameter_overrides.get(one.name)
+            is_word = isinstance(one.default, str) and given and isinstance(given.value, bool)
+            reason = f'{error}; {QUOTE_WORDS}' if is_word else str(error)
+            raise ConfigError(one.name, reason, node.get_name()) from error
         if one.choices and value not in one.choices:
             reason = f'must be one of {", ".join(one.choices)}, got {value!r}'
             raise ConfigError(one.name, reason, node.get_name())

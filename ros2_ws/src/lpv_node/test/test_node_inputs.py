@@ -14,6 +14,7 @@ from rcl_interfaces.msg import ParameterType, ParameterValue
 from rclpy.parameter import Parameter
 
 from lpv.core.support.errors import ConfigError
+from lpv.core.support.options import Entry
 from lpv.core.support.resources import bringup_file
 from lpv.core.support.timestamps import set_stamp, to_nanoseconds
 from lpv.core.uio.certificate.gains import Gains
@@ -110,6 +111,28 @@ def test_given_senseless_parameters_when_set_then_each_is_refused(node):
             (result,) = answers_to(service, hostile, together)
             assert not result.successful and reason in result.reason
     assert node.get_parameter('wait').value == 1.0
+
+
+def test_given_an_unknown_parameter_or_another_type_when_set_then_the_reason_names_both(node):
+    node.declare_parameter('wait', 1.0)
+    node.declare_parameter('choice', 'confirmed')
+    service = parameter_service.CheckedParameterService(node)
+    for name, kind, reason in (
+        ('wiat', ParameterType.PARAMETER_DOUBLE, 'probe has no parameter wiat'),
+        ('wait', ParameterType.PARAMETER_STRING, 'wait is of type DOUBLE, not STRING'),
+        ('choice', ParameterType.PARAMETER_BOOL, 'choice is of type STRING, not BOOL; in YAML'),
+    ):
+        wanted = [ParameterMessage(name=name, value=ParameterValue(type=kind))]
+        for together in (True, False):
+            (result,) = answers_to(service, wanted, together)
+            assert not result.successful and result.reason.startswith(reason)
+
+
+@pytest.mark.parametrize('node', [['--ros-args', '-p', 'choice:=off']], indirect=True)
+def test_given_a_word_that_yaml_takes_for_false_when_declared_then_it_says_to_quote_it(node):
+    choice = Entry('choice', 'of two', 'confirmed', choices=('off', 'confirmed'))
+    with pytest.raises(ConfigError, match="'False' of type 'BOOL'.*off, yes and no are truth"):
+        parameters.declare(node, [choice])
 
 
 def test_given_nanoseconds_beyond_a_second_when_written_back_then_it_is_a_stamp():

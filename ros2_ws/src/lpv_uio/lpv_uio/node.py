@@ -265,6 +265,7 @@ class UioNode(ManagedNode):
         if self._received is None or self._stale:
             self._warn_of_silence(elapsed)
             return
+        self._received = min(self._received, elapsed)  # /clock may have been set back
         if elapsed - self._received > self.get_parameter('stale_after').value * NANOSECONDS:
             self._stale = True
             self.get_logger().warning('no measurements: diagnosis is stale')

@@ -283,6 +283,18 @@ def test_given_a_driver_whose_clock_stands_when_it_goes_on_then_the_diagnosis_is
     assert said and 'measurements with the stamp of the one before' in said[-1]
 
 
+def test_given_a_clock_that_is_set_back_when_no_measurement_comes_then_it_is_stale(
+    arm, monkeypatch
+):
+    monkeypatch.setattr(arm.node, 'elapsed', lambda: 1000 * 10**9)
+    arm.recover()
+    arm.node._check_silence()
+    for seconds, is_stale in ((0, False), (1, True)):
+        monkeypatch.setattr(arm.node, 'elapsed', lambda now=seconds: now * 10**9)
+        arm.node._check_silence()
+        assert arm.node._stale == is_stale
+
+
 def test_given_a_misspelt_tuning_when_started_then_it_is_refused_by_name():
     with (
         pytest.raises(ConfigError, match='diagnosis.sigma: is not a known parameter.*sigmas'),
