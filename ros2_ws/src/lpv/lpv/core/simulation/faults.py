@@ -260,6 +260,11 @@ class FaultInjector:
         self.records = self.records[np.array(kept, dtype=bool)]
         return removed
 
+    def draw(self, time: float) -> None:
+        """Draw what random faults need at a time [s]."""
+        if any(fault.kind in _RANDOM for fault in self.faults):
+            draw_chances(self.records, time, self.generator)
+
     def apply(self, time: float, reading: np.ndarray, sample_time: float) -> np.ndarray:
         """Faulty readings at one time.
 
@@ -277,8 +282,7 @@ class FaultInjector:
         ndarray, shape (n,)
             Readings with faults, NaN for a dropout.
         """
-        faulty, time = np.array(reading, float), float(time)
-        if any(fault.kind in _RANDOM for fault in self.faults):
-            draw_chances(self.records, time, self.generator)
-        apply_faults(self.records, time, faulty, sample_time)
+        faulty = np.array(reading, float)
+        self.draw(float(time))
+        apply_faults(self.records, float(time), faulty, sample_time)
         return faulty
