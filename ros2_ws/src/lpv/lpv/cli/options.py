@@ -195,8 +195,8 @@ recordings BAG|CSV+    recordings of the moving arm: rosbag2 folder, .mcap, .db3
 --reach=1.5[0.05:3.2]  largest way of a joint from the middle [rad]
 --speed-share=0.6[0.01:1]  share of the velocity limits that is used
 --torque-share=0.8[0.01:1]  share of the torque limits that is used
---lowest Z:float    height above the base that joints and tip keep [m]
---radius R:float    distance from the base's vertical axis that they keep within [m]
+--lowest Z:float[-1e3:1e3]  height above the base that joints and tip keep [m]
+--radius R:float[0:1e3]  distance from the base's vertical axis that they keep within [m]
 --trials=300[1:100000]  motions that are tried
 --seed=1            of the search
 """

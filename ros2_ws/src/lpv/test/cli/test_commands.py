@@ -309,6 +309,10 @@ def test_given_a_urdf_with_friction_when_a_motion_is_planned_then_torques_hold_i
     options = '--urdf', tmp_path / 'arm.urdf', '--out', tmp_path / 'motion', '--trials', 1
     said = call('excite', *options, *HELD).out
     assert float(re.search(r'shoulder: largest torque (\S+) N m', said)[1]) > 300.0
+    # A floor of no height would be none.
+    again = *options[:3], tmp_path / 'other', '--lowest', 'nan'
+    assert '--lowest: must lie within' in call('excite', *again, *HELD, code=2).err
+    assert not (tmp_path / 'other').exists()
 
 
 NAMES = ('left: j1', 'left, j1', 'left #1', '{left}_j1', '*j1', '${prefix}j1', "it's", '1e5')

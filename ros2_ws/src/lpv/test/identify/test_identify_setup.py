@@ -255,6 +255,13 @@ def test_given_an_option_without_effect_when_identified_then_it_is_refused(
     assert f'lpv identify: {refused}: ' in said
 
 
+@pytest.mark.parametrize('gain', ['nan', 'inf', '1e308', '0'])
+def test_given_no_gain_when_identified_then_it_is_refused(arm, tmp_path, call, gain):
+    save_arm(arm, tmp_path / 'arm.yaml')
+    said = call('identify', 'x.csv', '--arm', tmp_path / 'arm.yaml', '--gain', gain, code=2).err
+    assert 'lpv identify: --gain: needs 1 or ' in said
+
+
 def test_given_a_known_arm_when_calibrated_then_its_second_encoder_is_kept(
     arm, recording, tmp_path, call
 ):

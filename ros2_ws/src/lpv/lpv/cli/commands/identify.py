@@ -26,6 +26,9 @@ from lpv.identify.recordings.recording import Recording, continued, read_recordi
 from lpv.identify.results.summary import calibration_table, table
 from lpv.identify.sensors import describe, find_second_encoders, with_second_encoders
 
+_LARGEST_GAIN = 1e6
+"""Joint torque per unit of effort that an arm file may have [N m per unit]."""
+
 
 def run(arguments: argparse.Namespace) -> int:
     """Identify, show, write."""
@@ -115,8 +118,9 @@ def _arm(arguments: argparse.Namespace) -> SerialArm:
         changes['effort_unit'] = 'A'
     if gains:
         count = len(arm.joints)
-        if len(gains) not in (1, count) or 0.0 in gains:
-            raise ConfigError('--gain', f'needs 1 or {count} numbers other than 0')
+        if len(gains) not in (1, count) or not all(0.0 < abs(k) <= _LARGEST_GAIN for k in gains):
+            reason = f'needs 1 or {count} numbers other than 0, to {_LARGEST_GAIN:g} in magnitude'
+            raise ConfigError('--gain', reason)
         gains = gains * count if len(gains) == 1 else gains
         changes['joints'] = tuple(replace(j, torque_gain=k) for j, k in zip(arm.joints, gains))
     return replace(arm, **changes)
