@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from serial_arms import shoulder_arm, simulated, watch, without
+from serial_arms import shoulder_arm, simulated, watch, with_rates, without
 from simulated_runs import Push
 from watched import Watched
 
+from lpv import load_arm
 from lpv.core.monitoring.parameters import DiagnosisParameters
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.certificate.jump_bound import jump_bound
@@ -86,6 +87,46 @@ def test_given_a_rate_bias_when_it_ends_then_nothing_else_is_found_and_rates_wer
         ]  # fmt: skip
         error = answers.state.velocity - true_rates(arm, run)
         assert abs(error[2250:3500, joint].mean()) < 0.05
+
+
+@pytest.mark.parametrize('size', [0.6, -1.0, 2.0])
+@pytest.mark.parametrize('arm', ['shoulder', 'ur10'])
+def test_given_a_rate_bias_beyond_the_smallest_step_in_a_sample_then_no_reading_is_blamed(
+    arm, size
+):
+    arm = shoulder_arm() if arm == 'shoulder' else load_arm(arm)
+    arm = with_rates(arm, 'independent', sample_time=0.01)
+    for joint in (1, 2):
+        sensor = arm.sensor_names[joint]
+        run = simulated(arm, Fault(sensor, 'rate_bias', 4.0, size=size))
+        answers = answered(arm, run)
+        assert [(event.sensor, event.kind) for _, event in answers.events] == [
+            (sensor, 'rate_bias')
+        ]
+        assert answers.events[0][1].detected < run.stamps[400] + 250_000_000
+        assert (np.abs(answers.fault.estimate) <= answers.fault.bound + 1e-3).all()
+
+
+@pytest.mark.parametrize('count', [3, 5, 8])
+def test_given_independent_rates_when_a_reading_slips_within_samples_then_its_bound_holds(count):
+    arm = shoulder_arm('independent')
+    run = simulated(arm, seed=2)
+    error = 0.2 * np.clip((np.arange(len(run.stamps)) - 2000.0) / count, 0.0, 1.0)
+    run.samples[:, 0, 1] += error
+    answers = answered(arm, run)
+    assert {event.sensor for _, event in answers.events} == {'encoder2'}
+    apart = np.abs(answers.fault.estimate[:, 1] - error) > answers.fault.bound[:, 1] + 1e-3
+    assert (apart & answers.state.trustworthy).mean() < 0.03
+    assert answers.fault.estimate[-1, 1] == pytest.approx(0.2, abs=0.03)
+
+
+def test_given_a_rate_that_reads_0_then_its_reading_is_not_blamed():
+    arm = replace(shoulder_arm('independent'), sample_time=0.01)
+    run = simulated(arm)
+    run.samples[400:, 1, 1] = 0.0
+    assert {(alarm.sensor, alarm.kind) for alarm in watch(arm, run).alarms} == {
+        ('encoder2', 'rate_bias')
+    }
 
 
 def test_given_a_derived_rate_that_wraps_then_differences_are_published():

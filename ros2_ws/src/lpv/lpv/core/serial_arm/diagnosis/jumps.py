@@ -5,14 +5,16 @@ A reading that jumps shows in
     e_k = y_k - y_(k-1) - T (v_(k-1) + v_(k+1)) / 2,
 
 which leaves out v_k: where rates are differences of the same reading, v_k jumps with it.  Rates
-that are independent may leave out another one.  A wrong stamp shows as e = v dt in all joints: a
-repeated sample is late by a period.  Where only one joint moves, a step is told from a wrong stamp
-by the samples that follow.  A reading that jumps again and again is noisy.
+that are independent may leave out another one; where they are wrong, e repeats itself.  A wrong
+stamp shows as e = v dt in all joints: a repeated sample is late by a period.  Where only one joint
+moves, a step is told from a wrong stamp by the samples that follow.  A reading that jumps again and
+again is noisy.
 """
 
 import numpy as np
 
 from lpv.core.serial_arm.diagnosis.sampler import (
+    COUNT,
     HIDDEN,
     HISTORY,
     JITTER,
@@ -31,6 +33,7 @@ from lpv.core.serial_arm.diagnosis.sampler import (
     SPIKE,
     STAMPS,
     STEP,
+    WRONG_RATE,
     Sampler,
     last_way,
     learn_scale,
@@ -105,8 +108,28 @@ def set_jumps(sampler: Sampler) -> None:
         if abs(sampler.jumps[k, i]) < explained:
             sampler.doubtful[k, i] = 3 if gap > 0.0 else 2
             doubt_stamps(sampler, LATE * period)
+        elif _is_wrong_rate(sampler, i):
+            sampler.doubtful[k - 2 : k + 1, i] = WRONG_RATE
         elif may_be_stamp(sampler, i, period):
             sampler.doubtful[k, i] = 1
+
+
+@njit_in_place
+def _is_wrong_rate(sampler: Sampler, i: int) -> bool:
+    """Whether e repeats itself, as it does where a rate of its own is wrong: a step shows once."""
+    k = HISTORY - 2
+    if sampler.derived[i] == 1.0 or sampler.counters[COUNT] < 5:
+        return False
+    first, before, own = _apart(sampler, i, k - 2), _apart(sampler, i, k - 1), _apart(sampler, i, k)
+    if sampler.doubtful[k - 1, i] == WRONG_RATE:  # where it ends, e is half as large
+        return abs(own - before) <= abs(before)
+    return max(abs(own - before), abs(before - first)) < LEFT * abs(before)
+
+
+@njit_in_place
+def _apart(sampler: Sampler, i: int, k: int) -> float:
+    """By how much a reading is faster than its rate, if that is what e says [rad/s]."""
+    return float(sampler.jumps[k, i] / (sampler.time[k] - sampler.time[k - 1]))
 
 
 @njit_in_place

@@ -22,6 +22,8 @@ NONE, STEP, SPIKE, NOISY, QUIET, HIDDEN, CONTRARY = range(7)
 """What was found at a reading: `NOISY` and `QUIET` say that it began, or ceased, to be noisy,
 `HIDDEN` that it may have jumped where samples are missing, or over several samples, `CONTRARY` that
 its rate, said to be derived from it, contradicts it."""
+WRONG_RATE = 4
+"""Value of `Sampler.doubtful` where a rate of its own, that is wrong, explains e."""
 LARGEST, SMALLEST, USUAL, APART, WRONG, TIMES_WRONG, CONTRARY_AT, REPLACED = range(8)
 """Rows of `Sampler.contrast`: the largest and the smallest difference of the reading lately; by how
 much its published rate differs from them usually, and now [rad/s]; 1 where it contradicts them, how
@@ -92,7 +94,8 @@ class Sampler(NamedTuple):
     # the mean of
     noise: FloatArray
     noisy: IntArray  # (n,) 1 while a reading is noisy
-    doubtful: IntArray  # (HISTORY, n) 1: a wrong stamp explains e; 2: of several joints; 3: a gap
+    # (HISTORY, n) 1: a wrong stamp explains e; 2: of several joints; 3: a gap; `WRONG_RATE`
+    doubtful: IntArray
     filled: IntArray  # (n,) samples that e will still hold a reading that was filled in
     # (4, n) published rates of the last sample [rad/s]; products of what the readings' differences
     # are more than the rates around them with the changes of these, and squares of both [rad2/s2]

@@ -18,6 +18,7 @@ from lpv.core.serial_arm.diagnosis.sampler import (
     SEEN,
     STAMPS,
     USUAL_JUMP,
+    WRONG_RATE,
     Sampler,
     last_way,
     rate_before,
@@ -91,8 +92,7 @@ def wrong_stamp(sampler: Sampler, period: float) -> float:
     jumps, n, late, best = sampler.jumps[HISTORY - 2], sampler.scale.shape[0], 0.0, 1
     for c in range(n):
         rate, slow = steady_rate(sampler, c), SLOW_RATE * sampler.unit[c]
-        # Noisy readings jump by themselves, and repeated ones where they go on.
-        if sampler.noisy[c] == 1 or sampler.filled[c] > 0 or abs(rate) < slow:
+        if _tells_no_stamp(sampler, c) or abs(rate) < slow:
             continue
         if abs(jumps[c]) > largest_by_stamps(sampler, c, period) * abs(rate):
             continue
@@ -100,7 +100,7 @@ def wrong_stamp(sampler: Sampler, period: float) -> float:
         for i in range(n):
             own = steady_rate(sampler, i)
             way, usual = jumps[c] / rate * own, USUAL_JUMP * sampler.usual[i]
-            if sampler.noisy[i] == 1 or sampler.filled[i] > 0:
+            if _tells_no_stamp(sampler, i):
                 continue
             if max(abs(way), abs(jumps[i])) <= usual:
                 continue
@@ -112,6 +112,16 @@ def wrong_stamp(sampler: Sampler, period: float) -> float:
         if gained > best:
             best, late = gained, common / weight
     return late
+
+
+@njit_in_place
+def _tells_no_stamp(sampler: Sampler, i: int) -> bool:
+    """Whether e of a joint says nothing of stamps.
+
+    Noisy readings jump by themselves, repeated ones where they go on, and e of a wrong rate is its.
+    """
+    wrong = sampler.doubtful[HISTORY - 3, i] == WRONG_RATE
+    return bool(sampler.noisy[i] == 1 or sampler.filled[i] > 0 or wrong)
 
 
 @njit_in_place
