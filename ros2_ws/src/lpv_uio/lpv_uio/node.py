@@ -297,6 +297,7 @@ class UioNode(ManagedNode):
         """Say every few seconds that no measurement comes, and whether anybody publishes any."""
         if self._silent_since is None:
             self._silent_since = now
+        self._silent_since = min(self._silent_since, now)  # /clock may have been set back
         if now - self._silent_since < PATIENCE * NANOSECONDS:
             return
         self._silent_since = now

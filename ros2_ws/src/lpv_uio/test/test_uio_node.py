@@ -293,6 +293,12 @@ def test_given_a_clock_that_is_set_back_when_no_measurement_comes_then_it_is_sta
         monkeypatch.setattr(arm.node, 'elapsed', lambda now=seconds: now * 10**9)
         arm.node._check_silence()
         assert arm.node._stale == is_stale
+    said = []
+    monkeypatch.setattr(arm.node.get_logger(), 'warning', said.append)
+    for seconds in (0, 100, 0, 6):
+        monkeypatch.setattr(arm.node, 'elapsed', lambda now=seconds: now * 10**9)
+        arm.node._check_silence()
+    assert ['no new measurement' in text for text in said] == [True, True]
 
 
 def test_given_a_misspelt_tuning_when_started_then_it_is_refused_by_name():
