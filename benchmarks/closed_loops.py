@@ -17,7 +17,7 @@ of a position that the loop is closed on.
 
 import argparse
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
@@ -26,7 +26,7 @@ from importlib.metadata import PackageNotFoundError, files
 from io import StringIO
 from itertools import product
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from fault_injection import BRINGUP, shoulder_arm
@@ -75,6 +75,8 @@ KINDS = {
 """By name, with sizes of joints that turn."""
 LASTING = tuple(KINDS)[:5]
 """Kinds that are run on others' arms if none are chosen."""
+HEADINGS = ('', 'runs', 'named', 'others', 'outside [%]', 'error [rad]', 'path [rad]', 'stops',
+            'position [rad]', 'braked: runs, outside, trusted so [%]')  # fmt: skip
 JUDGED = (0.0, 0.3, 1.0, 2.0)
 """Times after the onset between which answers are judged [s]."""
 Shares = tuple[float, ...]
@@ -172,8 +174,7 @@ def _mean(values: np.ndarray) -> float:
 def table(outcomes: Sequence[Outcome], by: Sequence[str]) -> Table:
     """One line for each label of the outcomes."""
     made = Table()
-    for heading in ('', 'runs', 'named', 'others', 'outside [%]', 'error [rad]', 'path [rad]',
-                    'stops', 'position [rad]', 'braked: runs, outside, trusted so [%]'):  # fmt: skip
+    for heading in HEADINGS:
         made.add_column(heading)
     for label in dict.fromkeys(by):
         every = [one for one, own in zip(outcomes, by) if own == label]
@@ -192,11 +193,10 @@ def table(outcomes: Sequence[Outcome], by: Sequence[str]) -> Table:
     return made
 
 
-def _known(rows, of=np.mean) -> list[float]:
+def _known(rows: Iterable[Shares], of: Callable[[np.ndarray], Any] = np.mean) -> list[float]:
     """Mean, or another figure, of each column, of what is known of it."""
-    columns = np.array([*rows]).T
-    return [float(of(column[np.isfinite(column)])) if np.isfinite(column).any() else np.nan
-            for column in columns]  # fmt: skip
+    columns = (column[np.isfinite(column)] for column in np.array([*rows]).T)
+    return [float(of(column)) if column.size else np.nan for column in columns]
 
 
 def main() -> None:

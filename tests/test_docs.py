@@ -15,6 +15,7 @@ from places import ROOT
 from lpv import AlarmEvent
 from lpv.cli.main import build_parser, main
 from lpv.core.control.watchdog import BrakeReason, StopReason
+from lpv.core.monitoring.alarm_text import UNUSABLE
 from lpv.core.serial_arm.diagnosis.alarms import KINDS, SensorState
 
 DOCS = ROOT / 'docs'
@@ -90,6 +91,7 @@ def test_given_equations_pages_and_alarms_when_looked_up_then_the_site_has_each(
     assert [p.stem for p in DOCS.glob('*.md') if p.stem not in contents] == ['index']
     stops = [reason.text.split(':')[0] for reason in (*StopReason, *BrakeReason)]
     rows = [f'`{kind}`' for kind in KINDS] + [state.name for state in SensorState] + stops
+    rows.append(UNUSABLE)
     assert [row for row in rows if row and f'| {row}' not in PAGES['alarms.md']] == []
 
 

@@ -341,6 +341,7 @@ class TrackerNode(ManagedNode):
     def _check_silence(self) -> None:
         """Stop safely when the observer is silent: the drives then brake."""
         now = self.elapsed()
+        self._received = min(self._received, now)  # /clock may have been set back
         if self._reason is None and self._is_silence(now - self._received):
             self._stop(StopReason.SILENCE)
         elif self._last is not None:

@@ -147,6 +147,18 @@ def test_given_a_clock_that_is_set_back_when_estimates_end_then_the_arm_is_stopp
     assert node.sent.last.safe_stop
 
 
+@IN_REAL_TIME
+def test_given_simulated_time_that_is_set_back_when_estimates_end_then_the_arm_is_stopped(
+    node, monkeypatch
+):
+    monkeypatch.setattr(node, 'elapsed', lambda: 1000 * 10**9)
+    assert not answers(node, range(1, 10))[-1]
+    for seconds, is_stopped in ((0, False), (1, True)):
+        monkeypatch.setattr(node, 'elapsed', lambda now=seconds: now * 10**9)
+        node._check_silence()
+        assert node.sent.last.safe_stop == is_stopped
+
+
 def test_given_gains_or_another_arms_scenario_when_configured_then_it_is_told():
     with tracker(bringup_file('gains', 'ur10')) as node:
         assert 'holds for joint rates to 0.6' in node._certificate

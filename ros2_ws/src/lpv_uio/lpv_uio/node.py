@@ -14,7 +14,7 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from lpv.core.monitoring.alarm_text import count_texts, describe
+from lpv.core.monitoring.alarm_text import count_texts, describe, unusable_text
 from lpv.core.monitoring.answers import Answer
 from lpv.core.monitoring.message_fields import ERROR, OK, WARN, alarm_fields
 from lpv.core.monitoring.parameters import DIAGNOSIS, SAMPLING, DiagnosisParameters, check_names
@@ -41,7 +41,8 @@ SPECS = (
 arm_file FILE            arm file (YAML), or name of a shipped arm
 torque_source {{effort,command}}  where torques come from: the effort of joint_states, or the latest
                          torque_command
-stale_after=0.5[0.01:60]  real time only: silence after which the diagnosis is stale [s]
+stale_after=0.5[0.01:60]  real time only: time without a measurement that can be used after which
+                         the diagnosis is stale [s]
 observer {{{','.join(CHOICES)}}}  whose estimate of the faults is published, where gains are given:
                          that of the smaller bound, or one of the observers alone
 """),
@@ -90,8 +91,10 @@ class UioNode(ManagedNode):
         self._torque = self._unknown
         self._commanded: int | None = None  # stamp that the last command answers [ns]
         # Steady times, see `elapsed`.
-        self._received: int | None = None  # about when the last measurement came that fits [ns]
+        self._received: int | None = None  # about when the last measurement came that was used [ns]
         self._is_new = False  # whether one came since the last look for silence
+        self._used: int | None = None  # its stamp; the first that is answered counts, too [ns]
+        self._unused = 0  # measurements since then
         self._ahead = 0  # the node's clock of the driver's, about [ns]
         self._answered: int | None = None  # stamp of the last answer [ns]
         self._silent_since: int | None = None  # time of the last warning, or of the silence [ns]
@@ -184,9 +187,19 @@ class UioNode(ManagedNode):
                 self.get_logger().error(str(error), throttle_duration_sec=5.0)
                 self._refusals.add('measurement that does not fit the arm')
             return
+        self._note_use(answer)
         if answer is not None:
-            self._is_new = True
             self._publish(answer)
+
+    def _note_use(self, answer: Answer | None) -> None:
+        """Take note of whether a measurement was used."""
+        is_used = answer is not None and answer.record['state']['mode'] < _NOT_ESTIMATED
+        if answer is None or not (is_used or self._used is None):
+            self._unused += 1
+            return
+        if self._used is None or self._stale:
+            self.get_logger().info('measurements flow')
+        self._is_new, self._stale, self._used, self._unused = True, False, answer.stamp, 0
 
     def _known_torque(self) -> Sequence[float] | None:
         """Torques of the last command, NaN where it is old; None: those of the measurement."""
@@ -211,9 +224,6 @@ class UioNode(ManagedNode):
         )
 
     def _publish(self, answer: Answer) -> None:
-        if self._answered is None or self._stale:
-            self.get_logger().info('measurements flow')
-        self._stale = False
         self._answered = stamp = answer.stamp
         messages = self._messages
         if answer.restarted:
@@ -261,22 +271,34 @@ class UioNode(ManagedNode):
         elapsed = self.elapsed()
         if self._is_new:
             self._received, self._silent_since, self._is_new = elapsed, None, False
-            self._ahead = now - (self._answered or 0)
+            self._ahead = now - (self._used or 0)
         if self._received is None or self._stale:
-            self._warn_of_silence(elapsed)
+            self._warn_of_silence(now, elapsed)
             return
         self._received = min(self._received, elapsed)  # /clock may have been set back
         if elapsed - self._received > self.get_parameter('stale_after').value * NANOSECONDS:
             self._stale = True
-            self.get_logger().warning('no measurements: diagnosis is stale')
-            # By the driver's clock, which may be another one.
-            stamp = max(now - self._ahead, (self._answered or 0) + 1)
-            self._diagnostics_out.publish(diagnostics(stamp, self._monitor.status(Mode.STALE)))
+            self.get_logger().warning(
+                f'diagnosis is stale: {self._unusable_text() or "no measurements"}'
+            )
+            stamp = self._publish_stale(now)
             fault = self._monitor.stale_fault()
             if fault is not None:
                 self._messages.record['fault'] = fault
                 self._messages.degrade()
                 self._fault_out.publish(self._messages.fault.at(stamp))
+
+    def _unusable_text(self) -> str:
+        """What is wrong with the measurements; empty where none comes."""
+        return unusable_text(self._monitor.counters) if self._unused else ''
+
+    def _publish_stale(self, now: int) -> int:
+        """Say on /diagnostics that the diagnosis is stale; the stamp that this has [ns]."""
+        # By the driver's clock, which may be another one.
+        stamp = max(now - self._ahead, (self._used or 0) + 1)
+        status = self._monitor.status(Mode.STALE, self._unusable_text())
+        self._diagnostics_out.publish(diagnostics(stamp, status))
+        return stamp
 
     def _report(self, now: int) -> None:
         """Say on /diagnostics who publishes measurements, and what was known before this start."""
@@ -293,13 +315,16 @@ class UioNode(ManagedNode):
             level, text = WARN, 'messages are refused'
         self._status.report(now, level, text, lambda: self._refusals.counts)
 
-    def _warn_of_silence(self, now: int) -> None:
+    def _warn_of_silence(self, now: int, elapsed: int) -> None:
         """Say every few seconds that no measurement comes, and whether anybody publishes any."""
         if self._silent_since is None:
-            self._silent_since = now
-        if now - self._silent_since < PATIENCE * NANOSECONDS:
+            self._silent_since = elapsed
+        self._silent_since = min(self._silent_since, elapsed)  # /clock may have been set back
+        if elapsed - self._silent_since < PATIENCE * NANOSECONDS:
             return
-        self._silent_since = now
+        self._silent_since = elapsed
+        if self._stale:
+            self._publish_stale(now)
         topic = self.resolve_topic_name('joint_states')
         text = f'no new measurement that fits the arm on {topic}, publishers: '
         text += str(self.count_publishers('joint_states'))

@@ -20,7 +20,8 @@ from lpv import Alarm, AlarmEvent, ConfigError, Fault, load_arm, load_scenario
 from lpv.bag.replay.replay import Replay
 from lpv.bag.rosbag.reading import open_bag
 from lpv.core.monitoring import answers, serial_monitor
-from lpv.core.monitoring.message_fields import OK, WARN
+from lpv.core.monitoring.alarm_text import UNUSABLE
+from lpv.core.monitoring.message_fields import OK, STALE, WARN
 from lpv.core.serial_arm.diagnosis.alarms import Mode
 from lpv.core.simulation.arm_simulator import ArmSimulator
 from lpv.core.support.resources import bringup_file
@@ -283,6 +284,37 @@ def test_given_a_driver_whose_clock_stands_when_it_goes_on_then_the_diagnosis_is
     assert said and 'measurements with the stamp of the one before' in said[-1]
 
 
+@pytest.mark.parametrize(
+    ('step', 'interval'), [(-3 * 10**9, 10 * STEP), (-10 * STEP, 10 * STEP), (2 * 10**9, 2 * 10**9)]
+)
+def test_given_stamps_that_fit_no_stream_when_observed_then_it_is_said_why(
+    monkeypatch, step, interval
+):
+    """Stamps that run backwards, and those of a driver that is too slow."""
+    with node_of(UioNode, 'uio', arm_file='paper') as node:
+        said, now = [], 0
+        logger = SimpleNamespace(warning=said.append, info=print, error=print)
+        monkeypatch.setattr(node, 'get_logger', lambda: logger)
+        monkeypatch.setattr(node, 'elapsed', lambda: now)
+        arm = Arm(node)
+        arm.stamp = 3000 * 10**9
+        for _ in range(600):
+            arm.stamp += step - STEP  # `good` adds one
+            node._on_measurement(arm.good())
+            now += interval
+            if now % 10**8 == 0:
+                node._check_silence()
+        assert node._monitor.counters.refused_stamps > 100 and node._stale
+        found = [array.status[0] for array in arm.outputs['diagnostics'].sent]
+        level, text = found[-1].level, found[-1].message
+        assert level == bytes([STALE]) and text.startswith(f'{UNUSABLE}: ')
+        assert 'measurements whose stamp fits no stream' in text
+        stale = [text for text in said if text.startswith('diagnosis is stale: ')]
+        assert len(stale) == 1 and UNUSABLE in stale[0]
+        # A driver whose stamps are those of a stream is observed again.
+        assert arm.recover() <= RECOVERY and not node._stale
+
+
 def test_given_a_clock_that_is_set_back_when_no_measurement_comes_then_it_is_stale(
     arm, monkeypatch
 ):
@@ -293,6 +325,12 @@ def test_given_a_clock_that_is_set_back_when_no_measurement_comes_then_it_is_sta
         monkeypatch.setattr(arm.node, 'elapsed', lambda now=seconds: now * 10**9)
         arm.node._check_silence()
         assert arm.node._stale == is_stale
+    said = []
+    monkeypatch.setattr(arm.node.get_logger(), 'warning', said.append)
+    for seconds in (0, 100, 0, 6):
+        monkeypatch.setattr(arm.node, 'elapsed', lambda now=seconds: now * 10**9)
+        arm.node._check_silence()
+    assert ['no new measurement' in text for text in said] == [True, True]
 
 
 def test_given_a_misspelt_tuning_when_started_then_it_is_refused_by_name():

@@ -343,9 +343,10 @@ def test_given_few_samples_or_no_motion_then_it_is_said(arm, recording, motion, 
     ):
         with pytest.raises(IdentificationError, match=reason):
             identify(arm, [bad])
-    # Efforts that are next to nothing say nothing of the masses.
-    found = identify(arm, [replace(recording.rows(slice(0, 1200, 3)), effort=1e-12 * effort)])
-    assert 'hardly driven' in ' '.join(found.warnings)
+    # Efforts that are next to nothing say nothing of the masses; that is said once.
+    weak = replace(recording.rows(slice(0, 1200, 3)), effort=1e-12 * effort)
+    found = identify(arm, [weak], Options(refit=True))
+    assert ' '.join(found.warnings).count('hardly driven') == 1
     assert np.isfinite(found.arm.covariance.matrix()).all()
     # A warning names one joint at rest.
     moves = np.array([0.0, 1.0, 1.0])

@@ -37,11 +37,18 @@ COUNTER_TEXT = {
     'without_effort': 'measurements without efforts that had been there before',
 }
 """Fields of `lpv.core.monitoring.serial_monitor.SerialCounters`, what they count."""
+UNUSABLE = 'no measurement can be used'
 
 
 def count_texts(counters: object) -> list[str]:
     """What was wrong with samples, and how often."""
     return [f'{count} {COUNTER_TEXT[name]}' for name, count in vars(counters).items() if count]
+
+
+def unusable_text(counters: object) -> str:
+    """That no measurement can be used, and what was wrong with samples; empty without counts."""
+    counts = '; '.join(count_texts(counters))
+    return f'{UNUSABLE}: {counts}' if counts else ''
 
 
 def describe(event: Alarm) -> str:

@@ -59,12 +59,14 @@ def diagnostic_fields(
 
     ``name`` is the fully qualified node name, ``fault`` is None without an estimate, and ``values``
     are the key-value pairs of the observer's status; its message is the ``note``, if there is one,
-    where it would say that all is well.  ``details`` are further key-value pairs of each sensor, or
-    empty.  Each entry has the fields of diagnostic_msgs/DiagnosticStatus; its ``values`` is a dict
-    of strings.
+    where it would say that all is well, or that no measurement is usable.  ``details`` are further
+    key-value pairs of each sensor, or empty.  Each entry has the fields of
+    diagnostic_msgs/DiagnosticStatus; its ``values`` is a dict of strings.
     """
     level, message = _MODES[state['mode']]
-    if fault is not None and level < STALE:
+    if level == STALE:
+        message = note or message
+    elif fault is not None:
         if not state['trustworthy']:
             is_confirmed = (fault['state'] == SensorState.ERROR).any()
             level, message = ERROR, _UNSAFE if is_confirmed else _UNWATCHED

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from lpv.core.monitoring import message_fields
+from lpv.core.monitoring.alarm_text import unusable_text
 from lpv.core.monitoring.answers import LONGEST_STALE, Answer, Answers, answer_type
 from lpv.core.monitoring.batch import Batch, new_batch
 from lpv.core.monitoring.compensation import AnswerRows
@@ -570,15 +571,20 @@ class SerialSensorMonitor:
         last.fault.state = SensorState.STALE
         return last.fault[0]
 
-    def status(self, mode: Mode) -> list[dict[str, Any]]:
-        """Statuses for /diagnostics; of the last answer, with a mode."""
+    def status(self, mode: Mode, note: str | None = None) -> list[dict[str, Any]]:
+        """Statuses for /diagnostics; of the last answer, with a mode and, if given, a note."""
         last = self._last.copy()
         last.state.mode = mode
         if mode == Mode.STALE:
             last.fault.state = SensorState.STALE
-        return self._status(last.state[0], last.fault[0] if last.has_fault[0] else None)
+        return self._status(last.state[0], last.fault[0] if last.has_fault[0] else None, note)
 
-    def _status(self, state: np.record, fault: np.record | None) -> list[dict[str, Any]]:
+    def _status(
+        self, state: np.record, fault: np.record | None, note: str | None = None
+    ) -> list[dict[str, Any]]:
+        if note is None:
+            is_used = state.mode < Mode.STALE
+            note = self._remark() if is_used else unusable_text(self.counters)
         values = {
             **vars(self.counters),
             'rejected messages': self.rejected,
@@ -593,7 +599,7 @@ class SerialSensorMonitor:
             largest = self._monitor.settings.safe_stop_bound
             details = message_fields.guaranteed_fields(self.arm, known, largest)
         return message_fields.diagnostic_fields(
-            self.name, self.arm, state, fault, values, self._remark(), details
+            self.name, self.arm, state, fault, values, note, details
         )
 
     def _remark(self) -> str:

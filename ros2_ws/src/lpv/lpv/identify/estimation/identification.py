@@ -86,7 +86,7 @@ def identify(
     )
     if options.refit:
         workshop.share = 1.0
-        fit, _ = workshop.fit()
+        fit, _ = workshop.fit(strength)
         found = workshop.arm_of(fit, strength)
     report('measuring what is uncertain')
     determination = determine(workshop.base, fit, arm)

@@ -195,9 +195,16 @@ class Workshop:
         if self._errors([self.strength]) > before - _EQUAL:
             self.effort_delay, self.rows = np.zeros(self.n), kept
 
-    def fit(self) -> tuple[Fit, float]:
-        """Fit with the prior, and its strength."""
-        rows, strength = self.train_rows(), self.strength
+    def fit(self, strength: float | None = None) -> tuple[Fit, float]:
+        """Fit with the prior, and its strength, which is that of an earlier fit if given."""
+        rows = self.train_rows()
+        if strength is None:
+            strength = self._strength(rows)
+        prior = self.prior.times(strength)
+        return fit_parameters(rows, self.filters, prior, with_covariance=True), strength
+
+    def _strength(self, rows: Sequence[Rows]) -> float:
+        """Strength of the prior, which is strong where a joint is hardly driven; that is said."""
         # Joints that swing freely: their balance holds for parameters of any scale.
         beta = np.abs(self.prior.mean[: self.base.size])
         pairs = [
@@ -211,9 +218,8 @@ class Workshop:
                 f'{", ".join(passive)}: hardly driven, so all parameters might as well be smaller; '
                 'the masses given are kept'
             )
-            strength = HELD
-        prior = self.prior.times(strength)
-        return fit_parameters(rows, self.filters, prior, with_covariance=True), strength
+            return HELD
+        return self.strength
 
     def arm_of(self, fit: Fit, strength: float) -> SerialArm:
         """The arm with the parameters of a fit, physically consistent."""

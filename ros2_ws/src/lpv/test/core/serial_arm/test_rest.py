@@ -291,3 +291,21 @@ def test_given_an_arm_that_rests_upright_when_one_reading_is_off_then_no_other_o
     stamps = 1 + np.round(1e9 * arm.sample_time * np.arange(count)).astype(np.int64)
     stream = derived(Stream(stamps, samples))
     assert not subject.answers(stream).events
+
+
+@pytest.mark.parametrize(('name', 'pose'), [
+    ('paper', (0.3, -0.2)), ('paper', (1.0, -0.7)), ('real_arm', (1.0, -0.7)),
+])  # fmt: skip
+@pytest.mark.parametrize('noise', [0.0, 0.1])
+def test_given_brakes_that_hold_the_arm_from_the_start_then_no_encoder_is_blamed(name, pose, noise):
+    """Drives that are off report no effort, or noise, until the arm moves."""
+    arm, rng = with_rates(load_arm(name), 'derived'), np.random.default_rng(1)
+    run = simulate(arm, np.array([pose, (0.3, 0.3), (0.8, 0.8)]), 1, pauses=True)
+    count, scatter = round(5.0 / arm.sample_time), [j.sensors.position_noise for j in arm.joints]
+    held = np.zeros((count, *run.samples.shape[1:]))
+    held[:, 0] = run.samples[0, 0] + scatter * rng.normal(size=held[:, 0].shape)
+    held[:, 2] = noise * rng.normal(size=held[:, 2].shape)
+    samples = np.concatenate([held, run.samples[: 2 * count]])
+    stamps = 1 + np.round(1e9 * arm.sample_time * np.arange(len(samples))).astype(np.int64)
+    found = alarms(arm, derived(Stream(stamps, samples)))
+    assert [one for one in found if one[0]] == []

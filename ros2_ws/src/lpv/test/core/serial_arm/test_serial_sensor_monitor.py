@@ -1,5 +1,6 @@
 """A serial arm's diagnosis behind the interface that node and replay use; the gate for stamps."""
 
+import re
 from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
@@ -9,6 +10,7 @@ import pytest
 from scipy.signal import lfilter
 from serial_arms import shoulder_arm, simulated, without
 
+from lpv.core.monitoring.alarm_text import UNUSABLE
 from lpv.core.monitoring.parameters import DiagnosisParameters
 from lpv.core.monitoring.serial_monitor import _MISNAMED, SerialSensorMonitor
 from lpv.core.monitoring.stamp_gate import JUMP, StampGate
@@ -88,6 +90,16 @@ def test_given_samples_that_are_lost_repeated_or_no_numbers_then_each_is_counted
         monitor, answers = observe(*data)
         assert np.isfinite(answers.state.position).all() and np.isfinite(answers.fault.bound).all()
         assert {name for name, count in vars(monitor.counters).items() if count} == expected
+
+
+def test_given_readings_that_end_when_reported_then_it_is_said_why_none_can_be_used():
+    stamps, samples, _ = recorded()
+    samples = samples.copy()
+    samples[500:, 0] = np.nan
+    _, answers = observe(stamps, samples)
+    row, (status, *_) = answers.reports[-1]
+    assert row > 500
+    assert re.fullmatch(rf'{UNUSABLE}: \d+ measurements with NaN .*', status['message'])
 
 
 @pytest.mark.parametrize(

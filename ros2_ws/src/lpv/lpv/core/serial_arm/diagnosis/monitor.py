@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lpv.core.serial_arm.certificate.jump_bound import jump_bound
-from lpv.core.serial_arm.chain import FloatArray
+from lpv.core.serial_arm.chain import COULOMB, FloatArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import SensorState
 from lpv.core.serial_arm.diagnosis.bank import (
@@ -43,7 +43,7 @@ from lpv.core.serial_arm.diagnosis.fault_filter import (
 from lpv.core.serial_arm.diagnosis.followed_faults import FollowedFaults
 from lpv.core.serial_arm.diagnosis.frozen_readings import frozen_readings, frozen_with
 from lpv.core.serial_arm.diagnosis.healthy_set import Guarantee, HealthySet
-from lpv.core.serial_arm.diagnosis.information import ROBUST
+from lpv.core.serial_arm.diagnosis.information import ROBUST, recent
 from lpv.core.serial_arm.diagnosis.learning import Learned, learned_of
 from lpv.core.serial_arm.diagnosis.linear_bank import STARTS
 from lpv.core.serial_arm.diagnosis.parameter_set import is_stated
@@ -51,6 +51,7 @@ from lpv.core.serial_arm.diagnosis.priors import (
     CONTACT,
     FAULT_AT_START,
     LOAD,
+    MODEL_ERROR,
     OCCURRENCE,
     PUSH,
     STEADY_FOR,
@@ -729,6 +730,9 @@ class SerialMonitor:
 
     def _raise_levels(self, now: float) -> Stage:
         """Offsets that gravity and motion show."""
+        if self._is_held():
+            self._report_contact(now)
+            return Stage.END
         gain, excluded = self._beyond
         for i in np.flatnonzero((gain > 0.0) | (excluded > 0.0)).tolist():
             sensor = self.sensors[i]
@@ -759,6 +763,18 @@ class SerialMonitor:
             self._raise(i, 'bias', 0.0, fault, deviation, guaranteed, share)
         self._mark_suspects()
         return Stage.END
+
+    def _is_held(self) -> bool:
+        """Whether brakes may hold the arm: nothing has moved, efforts are those of friction at most.
+
+        Drives that are off report none, and what they report may be noise.
+        """
+        one, n = self.estimator, self.joints
+        if not one.window.rest[recent(one.window, len(one))].all():
+            return False
+        efforts = np.abs(self.readings.all_blocks()[:, 2 * n : 3 * n]).mean(0)
+        friction = one.balance.chain.friction[:, COULOMB]
+        return bool((efforts <= friction + MODEL_ERROR * one.typical).all())
 
     @property
     def _sure(self) -> float:
