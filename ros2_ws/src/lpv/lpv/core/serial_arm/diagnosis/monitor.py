@@ -765,9 +765,9 @@ class SerialMonitor:
         return Stage.END
 
     def _is_held(self) -> bool:
-        """Whether brakes may hold the arm: nothing has moved, efforts are those of friction at most.
+        """Whether brakes may hold the arm: nothing has moved, and efforts are friction at most.
 
-        Drives that are off report none, and what they report may be noise.
+        Drives that are off report none, or noise.
         """
         one, n = self.estimator, self.joints
         if not one.window.rest[recent(one.window, len(one))].all():
