@@ -82,7 +82,7 @@ from lpv.core.serial_arm.diagnosis.sampler import (
 from lpv.core.serial_arm.diagnosis.sampling import restart
 from lpv.core.serial_arm.diagnosis.sensor_state import SensorRecord
 from lpv.core.serial_arm.diagnosis.settings import MonitorSettings
-from lpv.core.serial_arm.diagnosis.stuck import Frozen
+from lpv.core.serial_arm.diagnosis.stuck import Frozen, at_rest
 from lpv.core.serial_arm.diagnosis.undecided_jumps import UndecidedJumps
 from lpv.core.support.records import memory, new_record, plain
 
@@ -538,11 +538,20 @@ class SerialMonitor:
         first = rested - STEADY_FOR - 2.0 * interval  # brakes take a time
         stops = (one for one in finite if one.kind == CONTACT)
         brakes = [one.gain for one in stops if first < one.begin < rested + interval]
+        if not self._others_moved(best.joint, first, rested):
+            brakes.clear()
         still, together = self.sampler.still, dict[int, float]()
         for one in shown:
             if still[one.joint] == still[best.joint]:
                 together[one.joint] = max(one.gain, together.get(one.joint, 0.0))
         return best if sum(together.values()) - max(brakes, default=0.0) > self._sure else None
+
+    def _others_moved(self, i: int, first: float, last: float) -> bool:
+        """Whether joints of other readings moved between two moments [s]."""
+        n, blocks = self.joints, self.readings.all_blocks()
+        between = (blocks[:, 3 * n] > first) & (blocks[:, 3 * n] < last)
+        others = [j for j in range(n) if j != i]
+        return not at_rest(blocks[between, n : 2 * n], self.scales, others).all()
 
     def margin(self, kind: str) -> float:
         """By how much a fault must be more likely than torques from outside."""
