@@ -43,7 +43,7 @@ from lpv.core.serial_arm.diagnosis.fault_filter import (
 from lpv.core.serial_arm.diagnosis.followed_faults import FollowedFaults
 from lpv.core.serial_arm.diagnosis.frozen_readings import frozen_readings, frozen_with
 from lpv.core.serial_arm.diagnosis.healthy_set import Guarantee, HealthySet
-from lpv.core.serial_arm.diagnosis.information import ROBUST, recent
+from lpv.core.serial_arm.diagnosis.information import ROBUST
 from lpv.core.serial_arm.diagnosis.learning import Learned, learned_of
 from lpv.core.serial_arm.diagnosis.linear_bank import STARTS
 from lpv.core.serial_arm.diagnosis.parameter_set import is_stated
@@ -534,24 +534,24 @@ class SerialMonitor:
         best = max(shown, key=lambda one: one.gain, default=None)
         if best is None or best.gain <= self._sure:
             return None
-        rested, interval = self.readings.rests_since(best.joint), self.plan.interval
-        first = rested - STEADY_FOR - 2.0 * interval  # brakes take a time
-        stops = (one for one in finite if one.kind == CONTACT)
-        brakes = [one.gain for one in stops if first < one.begin < rested + interval]
-        if not self._others_moved(best.joint, first, rested):
-            brakes.clear()
         still, together = self.sampler.still, dict[int, float]()
         for one in shown:
             if still[one.joint] == still[best.joint]:
                 together[one.joint] = max(one.gain, together.get(one.joint, 0.0))
-        return best if sum(together.values()) - max(brakes, default=0.0) > self._sure else None
+        brakes = self._brakes(best.joint, finite)
+        return best if sum(together.values()) - brakes > self._sure else None
 
-    def _others_moved(self, i: int, first: float, last: float) -> bool:
-        """Whether joints of other readings moved between two moments [s]."""
-        n, blocks = self.joints, self.readings.all_blocks()
-        between = (blocks[:, 3 * n] > first) & (blocks[:, 3 * n] < last)
+    def _brakes(self, i: int, found: list[Hypothesis]) -> float:
+        """What brakes explain that stopped the joint of reading i; 0 where no other one moved."""
+        n, blocks, rested = self.joints, self.readings.all_blocks(), self.readings.rests_since(i)
+        first = rested - STEADY_FOR - 2.0 * self.plan.interval  # brakes take a time
+        between = (blocks[:, 3 * n] > first) & (blocks[:, 3 * n] < rested)
         others = [j for j in range(n) if j != i]
-        return not at_rest(blocks[between, n : 2 * n], self.scales, others).all()
+        if at_rest(blocks[between, n : 2 * n], self.scales, others).all():
+            return 0.0
+        last = rested + self.plan.interval
+        stops = (one for one in found if one.kind == CONTACT and first < one.begin < last)
+        return max((one.gain for one in stops), default=0.0)
 
     def margin(self, kind: str) -> float:
         """By how much a fault must be more likely than torques from outside."""
@@ -779,7 +779,7 @@ class SerialMonitor:
         Drives that are off report none, or noise.
         """
         one, n = self.estimator, self.joints
-        if not one.window.rest[recent(one.window, len(one))].all():
+        if one.window.rested.min() < len(one):
             return False
         efforts = np.abs(self.readings.all_blocks()[:, 2 * n : 3 * n]).mean(0)
         friction = one.balance.chain.friction[:, COULOMB]
