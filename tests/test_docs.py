@@ -85,7 +85,7 @@ def test_given_a_page_then_the_code_links_and_commands_in_it_are_there(page):
 def test_given_equations_pages_and_alarms_when_looked_up_then_the_site_has_each():
     tool = ROOT / 'tools' / 'equation_index.py'
     subprocess.run([sys.executable, str(tool), '--check'], check=True)
-    listed = re.findall(r'^\| \((\d+)\) \|', PAGES['equations.md'], re.MULTILINE)
+    listed = re.findall(r'^\| \((\d+)\) \|', PAGES['paper-notes.md'], re.MULTILINE)
     assert set(range(1, 71)) - {int(number) for number in listed} == WITHOUT_CODE
     contents = PAGES['index.md'].split()
     assert [p.stem for p in DOCS.glob('*.md') if p.stem not in contents] == ['index']

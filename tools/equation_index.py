@@ -1,4 +1,4 @@
-"""Index from the paper's equations to the functions that implement them: ``docs/equations.md``.
+"""Index from the paper's equations to functions that implement them, in ``docs/paper-notes.md``.
 
 Equation numbers are read from docstrings ("eq. (38)", "eqs. (13)-(20)", "LMI (67)"); a function,
 class or module that states one is listed.  ``--check`` fails where the page is not what the
@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGE = ROOT / 'docs' / 'equations.md'
+PAGE = ROOT / 'docs' / 'paper-notes.md'
 FOLDERS = ('ros2_ws/src/lpv/lpv', 'design/lpv_design')
 LAST = 70
 """Number of the paper's last equation."""
@@ -22,14 +22,8 @@ _NUMBERS = re.compile(r'\((\d{1,2})\)(?:\s*-\s*\((\d{1,2})\))?')
 _STATED = re.compile(
     r'(?:\b[Ee]qs?\.|\bLMIs?)\s*((?:\(\d{1,2}\)(?:\s*-\s*\(\d{1,2}\))?(?:,\s*|\s+and\s+)?)+)'
 )
-_HEAD = """# Index of equations
-
-Where each equation of the paper is implemented; made by `tools/equation_index.py` from the
-docstrings, which state the numbers. Equations that two methods share name both.
-
-| equation | code |
-| --- | --- |
-"""
+_HEAD = '| equation | code |\n| --- | --- |\n'
+"""Beginning of the index, which ends the page."""
 
 
 def stated_equations(text: str) -> set[int]:
@@ -74,10 +68,10 @@ def find_equations() -> dict[int, list[str]]:
 
 
 def page() -> str:
-    """The page's text."""
+    """The page's text, with a new index."""
     index = find_equations()
     rows = [f'| ({number}) | {", ".join(index[number])} |' for number in sorted(index)]
-    return _HEAD + '\n'.join(rows) + '\n'
+    return PAGE.read_text(encoding='utf-8').partition(_HEAD)[0] + _HEAD + '\n'.join(rows) + '\n'
 
 
 def main() -> int:
@@ -86,8 +80,8 @@ def main() -> int:
     parser.add_argument('--check', action='store_true', help='fail if the page is not up to date')
     text = page()
     if parser.parse_args().check:
-        if not PAGE.exists() or PAGE.read_text(encoding='utf-8') != text:
-            print('docs/equations.md is out of date: run python tools/equation_index.py')
+        if PAGE.read_text(encoding='utf-8') != text:
+            print('docs/paper-notes.md is out of date: run python tools/equation_index.py')
             return 1
         return 0
     PAGE.write_text(text, encoding='utf-8')
