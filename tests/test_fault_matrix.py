@@ -2,7 +2,7 @@
 
 A cell is a fault (kind and size) of an arm whose rates come from somewhere.  Runs are drawn from
 seeds, so that a cell says the same each time.  What a cell does not keep is in `LOST`, with the
-reason that docs/guarantees.md gives.
+reason that benchmarks/README.md gives.
 """
 
 import json
