@@ -10,6 +10,7 @@ import ast
 import re
 import sys
 from collections.abc import Iterator
+from itertools import groupby
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -68,9 +69,12 @@ def find_equations() -> dict[int, list[str]]:
 
 
 def page() -> str:
-    """The page's text, with a new index."""
+    """The page's text, with a new index; neighbours that name the same code share a row."""
     index = find_equations()
-    rows = [f'| ({number}) | {", ".join(index[number])} |' for number in sorted(index)]
+    rows = [
+        f'| {", ".join(f"({number})" for number in numbers)} | {", ".join(links)} |'
+        for links, numbers in groupby(sorted(index), key=index.__getitem__)
+    ]
     return PAGE.read_text(encoding='utf-8').partition(_HEAD)[0] + _HEAD + '\n'.join(rows) + '\n'
 
 
