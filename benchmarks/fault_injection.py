@@ -42,6 +42,7 @@ BRINGUP = ROOT / 'ros2_ws' / 'src' / 'lpv_bringup'
 FILES = Path(__file__).resolve().parent / 'arms'
 """Arms of the recordings of UR10 and Panda, identified on their first halves; gains of A0, C0."""
 DATA = Path(os.environ.get('LPV_RECORDINGS', ROOT.parent / 'shared' / 'data'))
+"""Recordings of real arms, for benchmarks and tests; not part of the repository."""
 LEAD = 4.0
 """Healthy time before an onset; less where a recording is too short [s]."""
 SHORTEST_LEAD = 2.0

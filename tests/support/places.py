@@ -6,5 +6,3 @@ ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ROOT / 'ros2_ws' / 'src'
 BRINGUP = PACKAGES / 'lpv_bringup'
 DATA = ROOT / 'tests' / 'data'
-RECORDINGS = ROOT.parent / 'shared' / 'data'
-"""Recordings of real arms; not part of the repository."""

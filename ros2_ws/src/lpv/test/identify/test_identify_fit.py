@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bags import write_measurements
-from places import RECORDINGS as DATA
+from fault_injection import DATA
 from scipy import stats
 from simulated_recordings import is_physical
 from ur10e_twin import recording as recording_of_twin

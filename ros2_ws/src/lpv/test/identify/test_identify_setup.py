@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 import yaml
 from bags import write_measurements
-from fault_injection import csv_stream, moves_and_rests, two_links
-from places import RECORDINGS as DATA
+from fault_injection import DATA, csv_stream, moves_and_rests, two_links
 from scipy.interpolate import make_interp_spline
 from ur10e_twin import recording as recording_of_twin
 from ur10e_twin import ur10e
