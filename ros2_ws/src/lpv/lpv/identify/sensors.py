@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from lpv.bag.run.csv_import import ColumnMap
 from lpv.core.serial_arm.description import JointSensors, SecondEncoder, SerialArm
@@ -14,11 +15,10 @@ from lpv.core.support.limits import SMALL
 from lpv.identify.errors import IdentificationError
 from lpv.identify.estimation.assembly import with_joints
 from lpv.identify.estimation.robust import robust_scale
-from lpv.identify.recordings.motion import Segment
 from lpv.identify.recordings.recording import LARGEST, Recording, read_pairs
 
 _ORDER = 3  # of the differences that show noise: motion up to a constant acceleration has none
-_GAIN = np.sqrt(20.0)  # of white noise through third differences
+_NEAR = 1.5  # times the median: samples that are further apart have a gap between them
 _FEW = 20  # gaps between levels, fewer of which show no step
 _SAME_SCALE = 0.1  # deviation of the scale from 1 beyond which it measures something else
 
@@ -53,24 +53,23 @@ class Sensing:
 
 def sense(
     recordings: Sequence[Recording],
-    segments: Sequence[Segment],
     rate_delay: np.ndarray,  # shape (n,) [s]
     effort_delay: np.ndarray,  # shape (n,) [s]
 ) -> Sensing:
-    """What recordings, and their segments on a uniform grid, say of the sensors."""
+    """What recordings say of the sensors."""
     n = recordings[0].position.shape[1]
     step = quantization_step([one.position for one in recordings])
-    noise = noise_deviation([segment.position for segment in segments])
+    noise = noise_deviation(*zip(*((one.position, one.time) for one in recordings)))
     # What rounding does not explain; of a rounded signal at rest little is known.
     noise = np.sqrt(np.maximum(noise**2 - step**2 / 12.0, (0.05 * step) ** 2))
-    on_grid = [s.velocity for s in segments if s.velocity is not None]
+    rates = [(one.velocity, one.time) for one in recordings if one.velocity is not None]
     sources, evidence = rate_sources(recordings)
     intervals = np.concatenate([np.diff(one.time) for one in recordings])
     near = intervals[intervals < 2.0 * np.median(intervals)]
     return Sensing(
         noise,
         step,
-        noise_deviation(on_grid) if on_grid else np.full(n, JointSensors.velocity_noise),
+        noise_deviation(*zip(*rates)) if rates else np.full(n, JointSensors.velocity_noise),
         sources,
         evidence,
         float(np.std(near)),
@@ -91,13 +90,31 @@ def rate_sources(recordings: Sequence[Recording]) -> tuple[list[str], np.ndarray
     return sources, np.array([f.explained for f in found])
 
 
-def noise_deviation(signals: Sequence[np.ndarray]) -> np.ndarray:
-    """Deviation of white noise by third differences of each column, shape (n,)."""
-    changes = np.concatenate([np.diff(s, _ORDER, axis=0) for s in signals])
+def noise_deviation(signals: Sequence[np.ndarray], times: Sequence[np.ndarray] = ()) -> np.ndarray:
+    """Deviation of white noise by third differences of each column, shape (n,).
+
+    Samples are evenly spaced unless their ``times`` are given: what was interpolated has less noise
+    than what was measured.
+    """
+    times = times or [np.arange(len(signal)) for signal in signals]
+    changes = np.concatenate([_differences(*pair) for pair in zip(signals, times)])
     # A quantized signal at rest does not change; the median would be 0 there.
     robust, usual = robust_scale(changes), np.quantile(changes, (0.02, 0.98), axis=0)
     spread = np.sqrt(np.mean(np.clip(changes, *usual) ** 2, axis=0))
-    return np.where(robust > 0.0, robust, spread) / _GAIN
+    return np.where(robust > 0.0, robust, spread)
+
+
+def _differences(signal: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Divided differences that are as large as the noise, of samples without a gap."""
+    places = sliding_window_view(time, _ORDER + 1)
+    length = places[:, -1] - places[:, 0]
+    near = length <= _NEAR * np.median(length)
+    for k in range(_ORDER):
+        signal = np.diff(signal, axis=0) / (time[k + 1 :] - time[: -k - 1])[:, None]
+    squares = 0.0
+    for i in range(_ORDER + 1):
+        squares += np.prod(places[:, [i]] - np.delete(places, i, axis=1), axis=1) ** -2.0
+    return np.asarray(signal / np.sqrt(squares)[:, None])[near]
 
 
 def quantization_step(signals: Sequence[np.ndarray]) -> np.ndarray:

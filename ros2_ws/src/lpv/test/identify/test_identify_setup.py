@@ -149,12 +149,11 @@ def segment(noise=1e-5, delay=0.0):
     return Segment(STEP, time, position, velocity, 0.0 * position)
 
 
-def found(position, velocity):
+def found(position, velocity, kept=slice(None)):
     """What is found of sensors whose samples are given."""
     time = STEP * np.arange(len(position))
-    one = Segment(STEP, time, position, velocity, np.round(position, 2))
-    recording = Recording('r', time, position, velocity, one.effort)
-    return of_sensors.sense([recording], [one], np.zeros(1), np.zeros(1))
+    recording = Recording('r', time, position, velocity, np.round(position, 2)).rows(kept)
+    return of_sensors.sense([recording], np.zeros(1), np.zeros(1))
 
 
 @pytest.mark.parametrize('step', [2 * np.pi / 4096, 1e-4, 1e-3])
@@ -178,6 +177,15 @@ def test_given_signals_when_sensed_then_each_has_its_step_and_its_noise_without_
     # Rates of which nothing is proved are called derived.
     time = STEP * np.arange(5000)[:, None]
     assert found(np.sin(time), np.cos(time)).rates == ['derived']
+
+
+@pytest.mark.parametrize('share', [0.1, 0.5])
+def test_given_missing_samples_when_sensed_then_noise_is_that_of_the_others(share):
+    one = segment(noise=3e-4)
+    kept = np.random.default_rng(1).random(len(one.time)) > share
+    sensed = found(one.position, one.velocity, kept)
+    assert sensed.position_noise == pytest.approx([3e-4], rel=0.05)
+    assert sensed.velocity_noise == pytest.approx([1e-3], rel=0.05)
 
 
 def test_given_white_noise_or_late_rates_when_measured_then_deviation_and_delay_are_found():

@@ -141,7 +141,7 @@ def calibrate(arm: SerialArm, recordings: Sequence[Recording]) -> Calibration:
         raise IdentificationError('torques of the model are not finite')
     step = max(segment.step for segment in segments)
     delay = np.array([joint.effort_delay for joint in arm.joints])
-    sensing = sense(recordings, segments, 0.0 * delay, delay)
+    sensing = sense(recordings, 0.0 * delay, delay)
     counts = [moving(rate, one.step, arm.scales()) for rate, one in zip(rates, segments)]
     error = torque_error(rates, residuals, counts, step, usual_error(arm))
     warnings = [text for one in recordings for text in one.warnings]

@@ -228,7 +228,7 @@ class Workshop:
 
     def sensing(self) -> Sensing:
         """Noise, quantization, source of rates, delays."""
-        return sense(self.recordings, self.segments, self.rate_delay, self.joint_delays)
+        return sense(self.recordings, self.rate_delay, self.joint_delays)
 
 
 def _divided(rows: Rows, share: float) -> tuple[Rows, Rows]:
