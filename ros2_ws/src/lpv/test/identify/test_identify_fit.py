@@ -332,6 +332,28 @@ def cleaned(recording, **changes):
     return clean('test', [one.time], one.position, one.velocity, one.effort)
 
 
+def test_given_readings_that_never_change_when_calibrated_then_it_is_said_which(arm, recording):
+    frozen = recording.position.copy()
+    frozen[:, 1] = frozen[0, 1]
+    with pytest.raises(IdentificationError, match='readings of two never change'):
+        calibrate(arm, [replace(recording, position=frozen)])
+
+
+@pytest.mark.parametrize('order', ['in turn', 'behind each other'])
+def test_given_each_message_twice_when_cleaned_then_it_counts_once(recording, order):
+    rows = np.arange(len(recording.time))
+    twice = np.repeat(rows, 2) if order == 'in turn' else np.tile(rows, 2)
+    signals = (x[twice] for x in (recording.position, recording.velocity, recording.effort))
+    once = clean('r', [recording.time[twice], 1e-3 * np.arange(2.0 * len(rows))], *signals)
+    assert once.warnings == (f'{len(rows)} samples that are there again are left out',)
+    assert np.array_equal(once.time, recording.time)
+    assert np.array_equal(once.position, recording.position)
+    # Stamps that stand still: nothing is taken for a copy.
+    signals = (x[twice] for x in (recording.position, recording.velocity, recording.effort))
+    log = 0.005 * np.arange(2.0 * len(rows))
+    assert len(clean('r', [np.zeros(len(twice)), log], *signals).time) == len(twice)
+
+
 def test_given_few_samples_or_no_motion_then_it_is_said(arm, recording, motion, simulated):
     still = replace(recording, position=0.0 * recording.position, velocity=0.0 * recording.velocity)
     effort = recording.effort[:1200:3]

@@ -552,6 +552,8 @@ def test_given_an_arm_that_pauses_when_calibrated_then_friction_at_rest_is_no_to
 
 def test_given_an_arm_at_rest_when_calibrated_then_unseen_errors_are_named(arm, recording):
     first = recording.rows(np.zeros(len(recording.time), int))
-    found = calibrate(arm, [replace(first, time=recording.time, velocity=0.0 * first.velocity)])
+    noisy = first.position + 2e-5 * np.random.default_rng(2).normal(size=first.position.shape)
+    still = replace(first, time=recording.time, position=noisy, velocity=0.0 * first.velocity)
+    found = calibrate(arm, [still])
     assert len(found.warnings) == 3 and np.isfinite(found.arm.uncertainty.torque_error).all()
     assert {joint.sensors.rates for joint in found.arm.joints} == {'derived'}

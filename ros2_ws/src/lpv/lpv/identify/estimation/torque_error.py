@@ -132,6 +132,12 @@ def model_residual(arm: SerialArm, segment: Segment) -> tuple[Motion, np.ndarray
 def calibrate(arm: SerialArm, recordings: Sequence[Recording]) -> Calibration:
     """Sensors and errors of a given model from some 10 s of healthy motion."""
     segments = [segment for one in recordings for segment in split(one)]
+    spans = np.ptp(np.concatenate([one.position for one in recordings]), axis=0)
+    if frozen := [name for name, span in zip(arm.joint_names, spans) if not span]:
+        raise IdentificationError(
+            f'readings of {", ".join(frozen)} never change: their noise cannot be measured; record '
+            'a motion of all joints'
+        )
     parts = [model_residual(arm, segment) for segment in segments]
     # The ends, where filters have no motion to both sides, do not count.
     cuts = [slice(len(r) // 20, len(r) - len(r) // 20) for _, r in parts]

@@ -25,6 +25,7 @@ LARGEST = 1e6
 """Positions [rad], rates [rad/s] and efforts beyond are no measurements."""
 MIN_SHARE_VALID = 0.7
 """Smallest share of samples that must be complete."""
+_STEADY = 0.98  # least share of stamps that move on
 _CUT = 5.0 * MAX_GAP  # ends a segment at any rate that is used [s]
 _SHORTEST = 1e-6  # floats of the seconds since 1970 resolve not much less [s]
 _START = 2.0**30  # middle of the range of stamps: a clock may be set either way [s]
@@ -137,7 +138,11 @@ def clean(
     if not valid.all():
         text = f'samples with values that are not finite or beyond {LARGEST:g} are left out'
         warnings.append(f'{np.sum(~valid)} {text}')
-    time, notes = _choose_stamps(source, stamps, position)
+    kept = _once(stamps[0], *recorded)
+    if not kept.all():
+        warnings.append(f'{np.sum(~kept)} samples that are there again are left out')
+    time = np.full(len(position), np.nan)
+    time[kept], notes = _choose_stamps(source, [s[kept] for s in stamps], position[kept])
     warnings += notes
     valid &= np.isfinite(time)
     # Times go on after a gap where a clock was set back; one stamp that is off sets none.
@@ -170,6 +175,16 @@ def _usable(values: np.ndarray) -> np.ndarray:
     return (np.abs(values) <= LARGEST).all(1)
 
 
+def _once(stamps: np.ndarray, *signals: np.ndarray) -> np.ndarray:
+    """Which samples to keep so that each is there once, as of a topic that was recorded twice."""
+    order = np.argsort(stamps, kind='stable')
+    values = np.nan_to_num(np.column_stack([stamps, *signals])[order])
+    kept = np.ones(len(stamps), bool)
+    kept[order[1:]] = (values[1:] != values[:-1]).any(axis=1)
+    # Where stamps stand still, an arm at rest may give the same sample again.
+    return kept if len(np.unique(stamps)) > _STEADY * kept.sum() else np.ones_like(kept)
+
+
 def _choose_stamps(
     source: str, stamps: Sequence[np.ndarray], position: np.ndarray
 ) -> tuple[np.ndarray, list[str]]:
@@ -181,7 +196,7 @@ def _choose_stamps(
     usable = {
         name: _roughness(time, position)
         for name, time in named.items()
-        if np.mean(np.diff(time) > 0.0) > 0.98
+        if np.mean(np.diff(time) > 0.0) > _STEADY
     }
     if not usable:
         raise IdentificationError(
