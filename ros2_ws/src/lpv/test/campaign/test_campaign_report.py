@@ -4,6 +4,7 @@ import io
 import json
 import math
 import re
+import warnings
 from copy import copy
 from dataclasses import replace
 
@@ -20,6 +21,7 @@ from lpv.campaign.plan.campaign import resolve
 from lpv.campaign.report import write
 from lpv.campaign.report.statistics import Results, found_from, poisson_rate, spread, trends
 from lpv.campaign.report.write import command, confusion, report_numbers, write_report
+from lpv.core.control.watchdog import StopReason
 
 pytestmark = pytest.mark.slow
 
@@ -129,6 +131,37 @@ def test_given_runs_when_the_worst_are_listed_then_each_has_its_command(campaign
     assert missed['runs'][0]['command'] == command(tmp_path, 5)
     told = "lpv campaign 'my results' --run 7 --bag 'my results/bags/run_7'"
     assert command('my results', 7) == told
+
+
+def test_given_safe_stops_when_reported_then_each_reason_names_its_runs(campaign, row, tmp_path):
+    late, far = 'estimates come too late', 'a joint is too far'
+    reasons = {0: late, 2: f'{far}; {late}', 5: late}
+    rows = [row(k, safe_stops=1, stop_reasons=reasons.get(k, '')) for k in range(7)]
+    said, console = io.StringIO(), Console(soft_wrap=True)
+    console.file = said
+    found = write_report(campaign, table(rows), tmp_path, 120)
+    known = [{'reason': late, 'runs': 3, 'numbers': [0, 2, 5]}]
+    assert found['stops'] == [*known, {'reason': far, 'runs': 1, 'numbers': [2]}]
+    assert late in (tmp_path / 'report.html').read_text()
+    write.print_summary(found, console)
+    assert '0, 2, 5' in said.getvalue()
+
+
+@pytest.mark.parametrize(
+    ('fault', 'reason'), [('dropout', StopReason.NOT_TRUSTWORTHY), ('bias', StopReason.OVERSPEED)]
+)
+def test_given_a_run_that_stops_when_measured_then_its_row_says_why(fault, reason):
+    of_fault = 'fault.sensor: both, fault.size: 3.0, fault.onset: 1.0'
+    factors = f"{{fault.kind: {fault}, {of_fault}, compensation: 'off'}}"
+    row = run_one(resolved(factors, duration=1.5), 0)
+    assert row['safe_stops'] == 1 and row['stop_reasons'] == reason.text
+
+
+def test_given_a_run_shorter_than_its_approach_when_measured_then_nothing_is_warned_of():
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        row = run_one(resolved('{fault.kind: none}', duration=0.5), 0)
+    assert math.isnan(row['mean_threshold_1']) and row['stop_reasons'] == ''
 
 
 def test_given_a_joint_that_slides_when_reported_then_its_figures_are_in_metres(

@@ -113,7 +113,7 @@ def _estimate_figures(run: Any, before: np.ndarray, during: np.ndarray) -> dict[
         number = i + 1
         result[f'score_before_{number}'] = _largest(score[before, i])
         result[f'score_during_{number}'] = _largest(score[during, i])
-        result[f'mean_threshold_{number}'] = float(run.threshold[settled, i].mean())
+        result[f'mean_threshold_{number}'] = _mean(run.threshold[settled, i])
         result[f'error_rms_{number}'] = _rms(error[settled, i])
     return result
 
@@ -139,9 +139,12 @@ def _tracking_figures(run: Any, twin: Any, during: np.ndarray, period: float) ->
     return result
 
 
+def _mean(values: np.ndarray) -> float:
+    return float(values.mean()) if values.size else math.nan
+
+
 def _rms(values: np.ndarray) -> float:
-    values = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(values**2))) if values.size else math.nan
+    return math.sqrt(_mean(values[np.isfinite(values)] ** 2))
 
 
 def _largest(values: np.ndarray) -> float:

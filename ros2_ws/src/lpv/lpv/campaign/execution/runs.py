@@ -147,4 +147,5 @@ def repeat(campaign: Campaign, number: int) -> tuple[RunPlan, Run, dict[str, Any
     run = plan.simulate()
     twin = plan.simulate(faults=False) if campaign.spec.twin and plan.scenario.faults else None
     found = figures(plan.arm, plan.scenario, run, twin)
-    return plan, run, {'number': number, **plan.values, **found}
+    reasons = '; '.join(dict.fromkeys(run.stops))
+    return plan, run, {'number': number, **plan.values, **found, 'stop_reasons': reasons}

@@ -83,6 +83,7 @@ def report_numbers(
         'isolation': isolation,
         'estimates': _estimates(results),
         'groups': _groups(work, results),
+        'stops': _stops(results),
         'worst': [] if bags else _worst(results, folder),
         'bags': _ranking(results)[:_MOST_BAGS] if bags else [],
         'failures': [{name: row[name] for name in ('bag', 'error')} for row in failures],
@@ -125,6 +126,16 @@ def _overall(results: Results) -> dict[str, Any]:
         'safe_stops': int(np.nansum(results.number('safe_stops'))),
         'stopped': int(np.count_nonzero(results.number('safe_stops') > 0.0)),
     }
+
+
+def _stops(results: Results) -> list[dict[str, Any]]:
+    """Runs with safe stops by their reasons, the most frequent one first."""
+    found: dict[str, list[int]] = {}
+    for run, reasons in zip(results.number('number'), results.text('stop_reasons')):
+        for reason in reasons.split('; ') if reasons else ():
+            found.setdefault(reason, []).append(int(run))
+    pairs = sorted(found.items(), key=lambda pair: -len(pair[1]))
+    return [{'reason': one, 'runs': len(runs), 'numbers': runs[:_MOST]} for one, runs in pairs]
 
 
 def _alarms(results: Results, bags: bool, healthy: bool) -> list[dict[str, Any]]:
@@ -378,6 +389,11 @@ def print_summary(numbers: dict[str, Any], console: Console) -> None:
             f'stable: {percent(overall["stable"])}, safe stops {overall["safe_stops"]} in '
             f'{overall["stopped"]} runs'
         )
+    if numbers['stops']:
+        print_grid(console, ('reason of safe stops', '>runs', 'first of them'), [
+            (row['reason'], str(row['runs']), ', '.join(map(str, row['numbers'])))
+            for row in numbers['stops']
+        ])  # fmt: skip
     if numbers['bags']:
         print_grid(console, ('most suspicious', 'arm', 'alarms', '>estimate / threshold'), [
             (row['bag'], row['unit'] or '-', row['alarm_text'] or 'none', number(row['score']))

@@ -18,6 +18,7 @@ from lpv.core.control.path_follower import PathFollower, approach_speeds
 from lpv.core.control.tracking import BANDWIDTH, COMPENSATION, TrackingController
 from lpv.core.control.tracking_law import LawParts, track
 from lpv.core.control.watchdog import (
+    BrakeReason,
     DriveWatchdog,
     DriveWatchdogParts,
     StopReason,
@@ -382,6 +383,18 @@ class Run:
     def braked(self) -> np.ndarray:
         """Whether the brakes held the arm over the step after each sample, shape (m,)."""
         return self.brake_reason != 0
+
+    @property
+    def stops(self) -> list[str]:
+        """Why the brakes engaged, each time after the first release: drives, or the tracker."""
+        asked, own, reasons = tuple(StopReason), tuple(BrakeReason), []
+        for k in np.flatnonzero(self.braked[1:] & ~self.braked[:-1]) + 1:
+            reason = own[self.brake_reason[k]].text
+            if self.brake_reason[k] == BrakeReason.SAFE_STOP:
+                begin = np.flatnonzero(self.safe_stop[1 : k + 1] & ~self.safe_stop[:k])[-1] + 1
+                reason = asked[self.stop_reason[begin]].text
+            reasons.append(reason)
+        return reasons
 
 
 def run_closed_loop(
