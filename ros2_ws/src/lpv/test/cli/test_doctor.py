@@ -26,7 +26,7 @@ from lpv.cli.doctor.files import check_files
 from lpv.cli.doctor.finding import Level
 from lpv.cli.doctor.snapshot import JOINT_STATE, Endpoint, Snapshot
 from lpv.core.serial_arm.arm_file import save_arm
-from lpv.core.serial_arm.description import JointLimits
+from lpv.core.serial_arm.description import JointFriction, JointLimits
 from lpv.core.uio.model.joints import JointMap
 from lpv_node.qos import stream
 
@@ -109,6 +109,15 @@ def test_given_files_when_checked_then_all_fits_or_it_is_said_why_not(
         assert model.name in arm and bad(findings) == []
         assert [f.check for f in findings] == ['arm', 'gains', 'scenario'][: 2 + bool(scenario)]
     assert re.search(said, f'{finding.text} {finding.remedy}', re.DOTALL)
+
+
+def test_given_friction_that_cannot_be_simulated_when_checked_then_the_arm_is_named(tmp_path):
+    arm = load_arm(BRINGUP / 'arms' / 'ur10.yaml')
+    wrist = replace(arm.joints[5], rotor_inertia=0.0, friction=JointFriction(viscous=500.0))
+    save_arm(replace(arm, joints=(*arm.joints[:5], wrist)), tmp_path / 'arm.yaml')
+    (finding,) = bad(check_files(str(tmp_path / 'arm.yaml'), None, 'ur10')[1])
+    assert (finding.check, finding.level) == ('arm', Level.ERROR)
+    assert 'joints[5].rotor_inertia' in finding.text and 'arm-file' in finding.remedy
 
 
 def test_given_an_inertia_about_the_centre_of_mass_when_checked_then_its_link_is_named(tmp_path):

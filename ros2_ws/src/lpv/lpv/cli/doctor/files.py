@@ -8,8 +8,10 @@ from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.simulation.arm_simulator import ArmSimulator
 from lpv.core.simulation.scenario import load_scenario
-from lpv.core.support.errors import LpvError
+from lpv.core.support.errors import ConfigError, LpvError
 from lpv.core.support.resources import bringup_file
+
+_CORRECT = 'correct the field; docs/{}-file.md describes all'
 
 
 def check_files(
@@ -36,7 +38,7 @@ def check_arm(name: str) -> tuple[SerialArm | None, Finding]:
         arm = load_arm(bringup_file('arms', name))
         SerialSensorMonitor('doctor', arm)
     except LpvError as problem:
-        return None, error('arm', str(problem), 'correct the field; docs/arm-file.md describes all')
+        return None, error('arm', str(problem), _CORRECT.format('arm'))
     if odd := [joint.name for joint in arm.joints if not joint.link.is_physical]:
         text = f'{arm.name!r}: no body has the inertia of the link of {", ".join(odd)}'
         return arm, warn('arm', text, 'give first moments and inertia about the joint frame')
@@ -73,6 +75,8 @@ def check_scenario(name: str, arm: SerialArm | None) -> Finding:
         if arm is not None:
             ArmSimulator(arm, scenario)
     except LpvError as problem:
-        remedy = 'correct the field; docs/scenario-file.md describes all'
-        return error('scenario', str(problem), remedy)
+        # What cannot be simulated may be the arm itself.
+        of_arm = isinstance(problem, ConfigError) and problem.field.startswith('joints[')
+        file = 'arm' if of_arm else 'scenario'
+        return error(file, str(problem), _CORRECT.format(file))
     return ok('scenario', f'{scenario.name!r}, {scenario.duration:g} s')
