@@ -220,7 +220,8 @@ bag                rosbag2 directory, MCAP or sqlite3 file
 --out=out/replay   bag to write; an earlier result of this command is replaced
 --report FOLDER    folder for a report of the new bag
 --inject FAULTS    YAML file whose list of faults is added to the measurements, or scenario: shows
-                   what would be found
+                   what would be found; onsets, and all times that are printed, count from the
+                   first measurement that is replayed, which is that after --from
 --estimates-only   write estimates, alarms and diagnostics alone; otherwise all topics are copied
 --preset {_PRESETS}  compression of the new bag
 --publish          play the bag into the live graph, with /clock, and run nothing offline; needs

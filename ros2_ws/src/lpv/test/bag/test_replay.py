@@ -539,6 +539,11 @@ def test_given_a_file_of_faults_when_run_then_they_are_added(loop, tmp_path, cal
     assert 'ALARM, link2_angle: error -0.' in said and 'size error' in said
     assert '1 of 1 injected faults found on the right sensor' in said
     assert re.search(r'link2_angle, bias from 0.500 s on: found after 0.\d+ s as \w+, -0.\d+', said)
+    # Of a part of the bag onsets count from its beginning.
+    call(*line(source, tmp_path / 'part', inject=faults, **{'from': 0.2}))
+    before, after = (raw(bag, '/lpv/joint_states') for bag in (source, tmp_path / 'part'))
+    changed = next(stamp for _, stamp, data in after if data not in [d for *_, d in before])
+    assert changed - before[0][1] == pytest.approx(0.7 * NANOSECONDS, abs=1e7)
     late = '  - {sensor: link1_angle, kind: bias, onset: 5.0, size: 0.3}\n'
     faults.write_text(f'{faults.read_text()}{late}')
     said = call(*line(source, tmp_path / 'late', inject=faults)).out
