@@ -1,9 +1,12 @@
 """Diagnosis of a stream of measurements, and of a whole bag: the very code of the node."""
 
+import operator
+import reprlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
@@ -11,6 +14,7 @@ from lpv.core.monitoring.parameters import DiagnosisParameters, check_parameters
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import Alarm, SensorState
+from lpv.core.support.errors import SampleError
 from lpv.core.uio.certificate.gains import Gains
 from lpv.recordings import recorded
 
@@ -103,12 +107,15 @@ class Monitor:
         Raises
         ------
         SampleError
-            If sizes are wrong.
+            If sizes or types are wrong.
         """
         message = SimpleNamespace(
             name=list(self._names), position=position, velocity=velocity, effort=effort
         )
-        answer = self._monitor.take(stamp, message)
+        try:
+            answer = self._monitor.take(stamp, message)
+        except (TypeError, ValueError, OverflowError, LookupError) as error:
+            raise self._refusal(stamp, message) or error from None
         if answer is None or not answer.record['has_fault']:
             return None
         state, fault = answer.record['state'], answer.record['fault']
@@ -122,6 +129,24 @@ class Monitor:
             tuple(SensorState(one) for one in fault['state'].tolist()),
             tuple(answer.events),
         )
+
+    def _refusal(self, stamp: Any, message: Any) -> SampleError | None:
+        """What is wrong with a measurement that could not be used."""
+        try:
+            np.int64(operator.index(stamp))
+        except (TypeError, OverflowError):
+            return SampleError(f'stamp must be a whole number of nanoseconds, got {stamp!r}')
+        count = len(self._names)
+        for name in ('position', 'velocity', 'effort'):
+            value = getattr(message, name)
+            try:
+                fits = np.shape(np.asarray(value, float)) == (count,)
+            except (TypeError, ValueError):
+                fits = False
+            if not fits:
+                told = f'must be {count} numbers, one a joint, got {reprlib.repr(value)}'
+                return SampleError(f'{name} {told}')
+        return None
 
     def reset(self) -> None:
         """Forget estimates and alarms, as after a restart of the arm."""

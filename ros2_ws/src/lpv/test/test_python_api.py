@@ -70,6 +70,21 @@ def test_given_measurements_when_monitored_then_estimates_are_those_of_the_loop(
     assert [(e.sensor, e.kind) for e in events] == [(e.sensor, e.kind) for e in run.alarms]
 
 
+@pytest.mark.parametrize('place', [1, 2, 3])
+@pytest.mark.parametrize(
+    'wrong', ['ab', None, 0.5, ['a', 'b'], {'a': 0.1, 'b': 0.2}, [[0.1], [0.2]], np.zeros((2, 2))]
+)
+def test_given_wrong_types_when_monitored_then_it_is_said_which(page, place, wrong):
+    monitor, sample = lpv.Monitor(page['arm']), [10**9, *3 * [[0.1, 0.2]]]
+    name = ('position', 'velocity', 'effort')[place - 1]
+    with pytest.raises(lpv.SampleError, match=f'^{name} must be 2 numbers, one a joint, got '):
+        monitor.update(*sample[:place], wrong, *sample[place + 1 :])
+    for stamp in ('x', None, 10**30):
+        with pytest.raises(lpv.SampleError, match='^stamp must be a whole number of nanoseconds'):
+            monitor.update(stamp, *sample[1:])
+    assert monitor.update(*sample) is not None, 'it goes on'
+
+
 def test_given_a_bag_when_diagnosed_then_estimates_are_those_that_were_recorded(page, tmp_path):
     scenario = replace(lpv.load_scenario('two_faults'), duration=7.0)
     bag = runs.record(tmp_path / 'my_bag', page['arm'], page['gains'], scenario)
