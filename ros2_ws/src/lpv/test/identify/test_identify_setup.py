@@ -514,6 +514,11 @@ def test_given_errors_that_change_with_speed_when_fitted_then_the_bounds_do():
     for samples, least, most in ((0, 0.39, 0.41), (20, 0.15, 0.35)):
         signals = [[x[:, None]] for x in (0.0 * rate, error, np.arange(count) < samples)]
         assert least < torque_error(*signals, step, usual).slow < most
+    # Where efforts are off by their noise alone, errors last for no less than part of a sample.
+    for seed in range(8):
+        noise = 0.1 * np.random.default_rng(seed).normal(size=count)
+        signals = [[x[:, None]] for x in (rate, noise, rate < 9.0)]
+        assert 0.1 * step < torque_error(*signals, step, usual).time < 10.0 * step
 
 
 def test_given_a_short_recording_when_calibrated_then_the_model_stays(arm, simulated, tmp_path):

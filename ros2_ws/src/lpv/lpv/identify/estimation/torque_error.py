@@ -107,7 +107,8 @@ def _correlation_length(
     longest = max(2, max(len(r) for r in residuals) // 4)
     gamma = autocovariance(residuals, longest)
     pairs = np.maximum(autocovariance(counts, longest), 1e-9)
-    value = gamma / pairs / max(gamma[0] / pairs[0] - noise**2, 1e-18)
+    # Where all is noise, next to nothing is left to compare with.
+    value = np.clip(gamma / pairs / max(gamma[0] / pairs[0] - noise**2, 1e-18), -1.0, 1.0)
     value[0] = 1.0
     below = np.flatnonzero(value < np.exp(-1.0))
     if not len(below):
