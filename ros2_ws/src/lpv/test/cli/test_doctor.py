@@ -53,6 +53,10 @@ def files(paper_gains, tmp_path_factory):
     """A folder with a serial arm, and with files that cannot be used."""
     folder = tmp_path_factory.mktemp('files')
     crane_file(folder)
+    ur10 = load_arm(BRINGUP / 'arms' / 'ur10.yaml')
+    wrist = replace(ur10.joints[5], type='prismatic')
+    joints = (*ur10.joints[:5], wrist)
+    save_arm(replace(ur10, name='sliding', joints=joints), folder / 'sliding.yaml')
     observer = replace(paper_gains.observer, kappa=3.0 * paper_gains.observer.kappa)
     save_gains(replace(paper_gains, observer=observer), folder / 'changed.yaml')
     scenario = (BRINGUP / 'scenarios' / 'two_faults.yaml').read_text()
@@ -75,6 +79,7 @@ CHECKS = [
     ('', 'ur10', 'ur10', None, "loop of arm 'ur10' holds"),
     ('', 'paper', None, None, 'observes alone; lpv design designs them'),
     ('', './crane.yaml', None, None, 'the moving horizon observes alone'),
+    ('', './sliding.yaml', None, None, 'slide have no certificate'),
     ('', 'ur10', UR10_GAINS, None, "loop of arm 'ur10' holds"),
     ('', 'panda', PANDA_GAINS, None, "loop of arm 'panda' holds"),
     ('arm', './light.yaml', None, None, r'joints\[0\].link.mass'),

@@ -93,7 +93,8 @@ def _write(folder: Path, arm: SerialArm, source: str) -> int:
         print(f'warning: before it is simulated: {error}', file=sys.stderr)
     if arm.locked:
         print('held: ' + ', '.join(f'{joint} at {value:g}' for joint, value in arm.locked))
-    print('next: a URDF knows no rotors and sensors; identify them from a recording')
+    print('next: a URDF knows no rotors and sensors; identify them from a recording of a motion')
+    print(f'  lpv excite --arm {file} --out {folder / "motion"}')
     print(f'  lpv identify recording_bag --arm {file} --out {file}')
     design = ''
     if arm.lpv is not None:
