@@ -59,17 +59,19 @@ def sense(
     """What recordings say of the sensors."""
     n = recordings[0].position.shape[1]
     step = quantization_step([one.position for one in recordings])
-    noise = noise_deviation(*zip(*((one.position, one.time) for one in recordings)))
+    times = [one.time for one in recordings]
+    noise = noise_deviation([one.position for one in recordings], times)
     # What rounding does not explain; of a rounded signal at rest little is known.
     noise = np.sqrt(np.maximum(noise**2 - step**2 / 12.0, (0.05 * step) ** 2))
-    rates = [(one.velocity, one.time) for one in recordings if one.velocity is not None]
+    rated = [one for one in recordings if one.velocity is not None]
+    rates, rate_times = [one.rates for one in rated], [one.time for one in rated]
     sources, evidence = rate_sources(recordings)
-    intervals = np.concatenate([np.diff(one.time) for one in recordings])
+    intervals = np.concatenate([np.diff(time) for time in times])
     near = intervals[intervals < 2.0 * np.median(intervals)]
     return Sensing(
         noise,
         step,
-        noise_deviation(*zip(*rates)) if rates else np.full(n, JointSensors.velocity_noise),
+        noise_deviation(rates, rate_times) if rates else np.full(n, JointSensors.velocity_noise),
         sources,
         evidence,
         float(np.std(near)),
