@@ -41,10 +41,11 @@ await_recorders=0[0:100]  wait until each output has this many recorders before 
 class ManagedNode(LifecycleNode):
     """Base of the graph's nodes.
 
-    Subclasses implement ``setup`` (may raise LpvError: the message is logged and the transition
-    fails), ``outputs`` (publishers and how many nodes of the graph consume each: in lockstep these
-    must be matched first), ``begin`` and ``end``.  A loop of nodes that all wait for their outputs
-    would never start: the one that makes the first step subscribes earlier, in ``listen``.
+    Subclasses implement ``setup`` (may raise LpvError, as may ``listen``: the message is logged and
+    the transition fails), ``outputs`` (publishers and how many nodes of the graph consume each: in
+    lockstep these must be matched first), ``begin`` and ``end``.  A loop of nodes that all wait for
+    their outputs would never start: the one that makes the first step subscribes earlier, in
+    ``listen``.
     Publishers, subscriptions, services and timers are destroyed without being named: those of
     ``setup`` when the node is cleaned up, those of ``listen`` and ``begin`` when it is deactivated.
 
@@ -69,26 +70,34 @@ class ManagedNode(LifecycleNode):
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Lifecycle: read files and parameters."""
-        try:
-            with self._noting(self._of_setup):
-                self.setup()
-        except LpvError as error:
-            self.get_logger().error(str(error))
+        if not self._made(self.setup, self._of_setup):
             self._take_down()
             return TransitionCallbackReturn.FAILURE
-        except Exception as error:
-            # rclpy turns it into a state and forgets the reason.
-            self.get_logger().fatal(f'{type(error).__name__}: {error}')
-            raise
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Lifecycle: take part in the graph as soon as the outputs are matched."""
         self._taking_part = True
-        with self._noting(self._of_activity):
-            self.listen()
-            self._gate = self.steady_timer(0.02, self._try_begin)
+        if not self._made(self.listen, self._of_activity):
+            self._leave()
+            return TransitionCallbackReturn.FAILURE
+        self._gate = self.steady_timer(0.02, self._try_begin)
+        self._of_activity.add(self._gate)
         return super().on_activate(state)
+
+    def _made(self, make: Callable[[], None], created: set[Any]) -> bool:
+        """Make a part of the node, noting what is created; False if it cannot be, and is logged."""
+        try:
+            with self._noting(created):
+                make()
+        except LpvError as error:
+            self.get_logger().error(str(error))
+            return False
+        except Exception as error:
+            # rclpy turns it into a state and forgets the reason.
+            self.get_logger().fatal(f'{type(error).__name__}: {error}')
+            raise
+        return True
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Lifecycle: stop taking part."""
@@ -221,7 +230,7 @@ class ManagedNode(LifecycleNode):
         return {}
 
     def listen(self) -> None:
-        """Create subscriptions that must exist before the outputs are matched."""
+        """Create what must exist before the outputs are matched; may raise LpvError."""
 
     def begin(self) -> None:
         """Create subscriptions and timers."""

@@ -196,6 +196,38 @@ def test_given_a_disk_that_gets_full_when_recording_then_what_is_there_is_kept(s
     assert said.count('/lpv/ground_truth, /lpv/joint_states_corrected, /lpv/reference') == 4
 
 
+def test_given_a_recorder_that_was_deactivated_when_active_again_then_another_bag_has_the_rest(
+    session, tmp_path
+):
+    folder = tmp_path / 'bags'
+    recorder = session(f'output:={folder / "bag"}')
+
+    def change(transition):
+        request = Transition(id=transition)
+        return recorder.client.call(ChangeState, 'recorder/change_state', transition=request)
+
+    def record(count):
+        first = len(recorder.sent)
+        assert recorder.client.wait(lambda: recorder._publisher.get_subscription_count() == 1)
+        for _ in range(count):
+            recorder.publish()
+        return list(range(first, first + count))
+
+    numbers = [record(50)]
+    for _ in range(2):
+        assert change(Transition.TRANSITION_DEACTIVATE).success
+        folder.rename(tmp_path / 'elsewhere')  # no bag can be written where a file is
+        folder.write_text('')
+        assert not change(Transition.TRANSITION_ACTIVATE).success
+        folder.unlink()
+        (tmp_path / 'elsewhere').rename(folder)
+        assert change(Transition.TRANSITION_ACTIVATE).success
+        numbers.append(record(50))
+    assert recorder.stop() == 0
+    assert [recorded(folder / name) for name in ('bag', 'bag_1', 'bag_2')] == numbers
+    assert 'cannot be written' in (tmp_path / 'log' / 'recorder.log').read_text()
+
+
 def test_given_all_topics_when_told_to_stop_then_the_next_free_bag_is_whole(session, tmp_path):
     taken = [tmp_path / name for name in ('bag', 'bag_1', 'bag_3')]
     for folder in taken:

@@ -113,12 +113,14 @@ class RecorderNode(ManagedNode):
         for name, content in files.items():
             copy_file(content, path, name)
 
+    def listen(self) -> None:
+        """Open another bag if that of `setup` is closed: the node was active before."""
+        if self._writer is None:
+            self.setup()
+
     def begin(self) -> None:
         """Listen to the wanted topics."""
         if self._writer is None:
-            self._failure = self._failure or 'the bag is closed; configure the node anew'
-            self.get_logger().error(f'nothing is recorded: {self._failure}')
-            self.steady_timer(1.0, self._report)
             return
         self._input = RecorderInput(self, self._selection, partial(self._writer.describe, ''))
         for period, callback in (
