@@ -97,10 +97,12 @@ class Refusals:
         self._logged: dict[str, float] = {}
         self._last = -math.inf
         self.counts: dict[str, int] = {}
+        self.last = ''  # the newest reason
 
     def add(self, reason: str) -> None:
         """Count one message."""
         self._last = now = time.monotonic()
+        self.last = reason
         self.counts[reason] = self.counts.get(reason, 0) + 1
         if now - self._logged.get(reason, -math.inf) > PATIENCE:
             self._logged[reason] = now

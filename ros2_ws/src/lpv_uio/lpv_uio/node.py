@@ -49,6 +49,8 @@ observer {{{','.join(CHOICES)}}}  whose estimate of the faults is published, whe
     *SAMPLING,
 )
 _COMPILING = 'compiling the observer: the first start after an installation takes up to a minute'
+_MISFIT = 'measurement that does not fit the arm'
+_PARTIAL = 'measurement without all joints of the arm'
 _NOT_ESTIMATED = int(Mode.STALE)
 """From this mode on there is nothing to correct."""
 
@@ -182,10 +184,12 @@ class UioNode(ManagedNode):
         try:
             answer = self._monitor.take(stamp, message, self._known_torque())
         except SampleError as error:
-            # A gripper may share the topic.
-            if self._answered is None or not {*self._arm.joint_names}.isdisjoint(message.name):
-                self.get_logger().error(str(error), throttle_duration_sec=5.0)
-                self._refusals.add('measurement that does not fit the arm')
+            there = len({*self._arm.joint_names}.intersection(message.name))
+            if self._answered is None or there:  # a gripper may share the topic
+                topic = self.resolve_topic_name('joint_states')
+                self.get_logger().error(f'{topic}: {error}', throttle_duration_sec=5.0)
+                is_part = 0 < there < len(self._arm.joint_names)
+                self._refusals.add(_PARTIAL if is_part else _MISFIT)
             return
         self._note_use(answer)
         if answer is not None:
@@ -312,7 +316,7 @@ class UioNode(ManagedNode):
             names = sorted(f'{s.node_namespace.rstrip("/")}/{s.node_name}' for s in senders)
             level, text = WARN, f'{len(senders)} publishers of joint_states: {", ".join(names)}'
         elif self._refusals.is_recent:
-            level, text = WARN, 'messages are refused'
+            level, text = WARN, f'messages are refused: {self._refusals.last}'
         self._status.report(now, level, text, lambda: self._refusals.counts)
 
     def _warn_of_silence(self, now: int, elapsed: int) -> None:

@@ -201,6 +201,7 @@ def test_given_a_gripper_on_the_topic_when_observed_then_it_is_no_error(arm, mon
     for names, count in ((['finger'], 0), ([first, 'finger'], 1)):
         arm.node._on_measurement(JointState(name=names, position=[0.0] * len(names)))
         assert len(said) == count == arm.refused()
+    assert said[0].startswith("/lpv/joint_states: joint 'joint2' occurs 0 times")
     monkeypatch.setattr(arm.node, '_measurement_in', SimpleNamespace(get_publisher_count=lambda: 2))
     for _ in range(50):  # a fault is none of the second publisher
         jumped = arm.good()
@@ -208,8 +209,11 @@ def test_given_a_gripper_on_the_topic_when_observed_then_it_is_no_error(arm, mon
         arm.node._on_measurement(jumped)
     assert [event.sensor for event in arm.outputs['alarm'].sent] == ['link2_angle']
     told = []
-    monkeypatch.setattr(arm.node._refusals, '_last', -np.inf)  # long ago
     monkeypatch.setattr(arm.node._status, 'report', lambda *found: told.append(found[1:3]))
+    arm.node._report(arm.stamp)
+    refused = 'messages are refused: measurement without all joints of the arm'
+    assert told.pop() == (WARN, refused)
+    monkeypatch.setattr(arm.node._refusals, '_last', -np.inf)  # long ago
     for count in (2, 1):
         there = [None] * count
         monkeypatch.setattr(arm.node, 'get_publishers_info_by_topic', lambda _, one=there: one)
