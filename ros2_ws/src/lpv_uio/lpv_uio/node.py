@@ -22,7 +22,7 @@ from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent, Mode
 from lpv.core.support.errors import SampleError
-from lpv.core.support.limits import MAX_DELAY, PATIENCE
+from lpv.core.support.limits import MAX_DELAY, PATIENCE, STALE_AFTER
 from lpv.core.support.timestamps import NANOSECONDS, to_nanoseconds
 from lpv.core.uio.certificate.gains import Gains
 from lpv.core.uio.unknown_input_observer import CHOICES
@@ -41,8 +41,8 @@ SPECS = (
 arm_file FILE            arm file (YAML), or name of a shipped arm
 torque_source {{effort,command}}  where torques come from: the effort of joint_states, or the latest
                          torque_command
-stale_after=0.5[0.01:60]  real time only: time without a measurement that can be used after which
-                         the diagnosis is stale [s]
+stale_after={STALE_AFTER}[0.01:60]  real time only: time without a measurement that can be
+                         used after which the diagnosis is stale [s]
 observer {{{','.join(CHOICES)}}}  whose estimate of the faults is published, where gains are given:
                          that of the smaller bound, or one of the observers alone
 """),

@@ -292,9 +292,10 @@ def test_given_a_driver_whose_clock_stands_when_it_goes_on_then_the_diagnosis_is
     ('step', 'interval'), [(-3 * 10**9, 10 * STEP), (-10 * STEP, 10 * STEP), (2 * 10**9, 2 * 10**9)]
 )
 def test_given_stamps_that_fit_no_stream_when_observed_then_it_is_said_why(
-    monkeypatch, step, interval
+    monkeypatch, tmp_path, step, interval
 ):
-    """Stamps that run backwards, and those of a driver that is too slow."""
+    """Stamps that run backwards, and those of a driver that is too slow; a replay says the same."""
+    entries = []
     with node_of(UioNode, 'uio', arm_file='paper') as node:
         said, now = [], 0
         logger = SimpleNamespace(warning=said.append, info=print, error=print)
@@ -304,7 +305,9 @@ def test_given_stamps_that_fit_no_stream_when_observed_then_it_is_said_why(
         arm.stamp = 3000 * 10**9
         for _ in range(600):
             arm.stamp += step - STEP  # `good` adds one
-            node._on_measurement(arm.good())
+            message = arm.good()
+            node._on_measurement(message)
+            entries.append((TOPIC, now, serialize_message(message)))
             now += interval
             if now % 10**8 == 0:
                 node._check_silence()
@@ -315,6 +318,15 @@ def test_given_stamps_that_fit_no_stream_when_observed_then_it_is_said_why(
         assert 'measurements whose stamp fits no stream' in text
         stale = [text for text in said if text.startswith('diagnosis is stale: ')]
         assert len(stale) == 1 and UNUSABLE in stale[0]
+        bag = write_bag(tmp_path / 'bag', entries, {TOPIC: JOINT_STATE})
+        monitor = serial_monitor.SerialSensorMonitor('/lpv/uio', node._arm)
+        Replay(monitor, estimates_only=True).run(bag, tmp_path / 'out')
+        with open_bag(tmp_path / 'out') as reader:
+            [topic] = [c for c in reader.connections if c.topic == TOPICS['diagnostics'][0]]
+            messages = [data for *_, data in reader.messages([topic])]
+        replayed = [deserialize_message(data, DiagnosticArray).status[0] for data in messages]
+        told, again = ([(s.level, s.message.split(':')[0]) for s in x] for x in (found, replayed))
+        assert told == again and len(told) > 1
         # A driver whose stamps are those of a stream is observed again.
         assert arm.recover() <= RECOVERY and not node._stale
 

@@ -165,7 +165,8 @@ class Replay:
 
     def _answer(self, batch: Batch, result: ReplayResult) -> Answers:
         """Run the monitor over a block's measurements."""
-        answers, stamp = self._monitor.take_many(*batch.measured[1:]), batch.measured.stamp
+        stamp, arrived = batch.measured.stamp, batch.block.time[batch.measured.places]
+        answers = self._monitor.take_many(*batch.measured[1:], arrived)
         result.answered += int(answers.answered.sum())
         if result.first_stamp is None and len(stamp):
             result.first_stamp = int(stamp[0])

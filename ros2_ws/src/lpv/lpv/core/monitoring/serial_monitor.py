@@ -43,7 +43,7 @@ from lpv.core.serial_arm.sensor_map import map_rows, mixing
 from lpv.core.serial_arm.turns import Turns
 from lpv.core.support.errors import SampleError
 from lpv.core.support.jit import Entries, compile_ahead
-from lpv.core.support.limits import MAX_GAP, SMALL
+from lpv.core.support.limits import MAX_GAP, PATIENCE, SMALL, STALE_AFTER
 from lpv.core.support.timestamps import NANOSECONDS, NEVER
 from lpv.core.uio.certificate.gains import Gains
 from lpv.core.uio.unknown_input_observer import CHOICES, UnknownInputObserver, uio_answers
@@ -51,6 +51,8 @@ from lpv.core.uio.unknown_input_observer import CHOICES, UnknownInputObserver, u
 METHOD = 'moving horizon'
 _REPORT_INTERVAL = NANOSECONDS
 """A diagnostics report is due after each such time of the data [ns], and at every alarm event."""
+_STALE_AFTER, _REPEATED_AFTER = round(STALE_AFTER * NANOSECONDS), round(PATIENCE * NANOSECONDS)
+"""Time without use until it is reported, and until it is reported again [ns]."""
 _WARM_UP = 0.3
 """Motion that makes every compiled function run that samples of no fault need [s]."""
 CONTACT = 'torques from outside: something pushes or holds the arm, or its load has changed'
@@ -167,6 +169,7 @@ class SerialSensorMonitor:
         self._has_moved = False  # from there, before efforts came
         self._read = Driver(np.full(self._joints, np.nan), np.zeros(1, np.int64))
         self._small = SMALL * arm.scales()
+        self._patience = NEVER  # since the last use; when it ends [ns]
         self._begin()
 
     @property
@@ -286,7 +289,12 @@ class SerialSensorMonitor:
         )
 
     def take_many(
-        self, stamps: IntArray, position: FloatArray, velocity: FloatArray, effort: FloatArray
+        self,
+        stamps: IntArray,
+        position: FloatArray,
+        velocity: FloatArray,
+        effort: FloatArray,
+        arrived: IntArray | None = None,
     ) -> Answers:
         """Use many measurements; the same as `take` one by one.
 
@@ -296,6 +304,9 @@ class SerialSensorMonitor:
             [ns].
         position, velocity, effort : ndarray, shape (m, n)
             Of the joints, in the order of the arm file; NaN where missing [rad], [rad/s], [unit].
+        arrived : ndarray of int64, shape (m,), optional
+            Times at which they came [ns]; where none could be used for a while, it is reported as
+            by a node that hears them then.
 
         Returns
         -------
@@ -304,10 +315,15 @@ class SerialSensorMonitor:
         """
         batch = new_batch(self.answer_type, len(stamps), self._joints)
         batch.stamps[:] = stamps
-        return self._take(batch, position, velocity, effort)
+        return self._take(batch, position, velocity, effort, arrived)
 
     def _take(
-        self, batch: Batch, position: FloatArray, velocity: FloatArray, effort: FloatArray
+        self,
+        batch: Batch,
+        position: FloatArray,
+        velocity: FloatArray,
+        effort: FloatArray,
+        arrived: IntArray | None = None,
     ) -> Answers:
         """Use the measurements of a batch, which has their stamps."""
         stamps, samples, records, _, rows, answers = batch
@@ -326,17 +342,34 @@ class SerialSensorMonitor:
             if not regular:
                 row: Any = records[begin : begin + 1]
                 if not self._is_of_stream(int(stamps[begin]), row):
+                    self._report_silence(arrived, begin, answers)
                     begin += 1
                     continue
                 usable = self._prepare(int(stamps[begin]), samples[begin], unread[begin], row)
             if (self._is_missing or not regular) and not unread[begin]:
                 self._watch_dropouts(int(stamps[begin]), samples[begin], begin, answers)
+            end = begin + max(1, regular)
             if regular or usable:
-                self._run(batch, begin, begin + max(1, regular), answers)
+                self._run(batch, begin, end, answers)
+                self._patience = NEVER
             elif rows.answered[begin] and self._is_due(int(stamps[begin])):
                 self._report(int(stamps[begin]), begin, answers)
-            begin += max(1, regular)
+            else:
+                self._report_silence(arrived, begin, answers)
+            begin = end
         return answers
+
+    def _report_silence(self, arrived: IntArray | None, row: int, answers: Answers) -> None:
+        """Report that no measurement could be used for a while, if it is known when they came."""
+        if arrived is None:
+            return
+        now = int(arrived[row])
+        if self._patience == NEVER:
+            self._patience = now + _STALE_AFTER
+        elif now > self._patience:
+            self._patience = now + _REPEATED_AFTER
+            note = unusable_text(self.counters)
+            answers.reports.append((row, self.status(Mode.STALE, note)))
 
     def _leave_out_idle(self, position: FloatArray, effort: FloatArray) -> int:
         """Make efforts NaN that are not measured but 0; the first such one of all, or -1."""

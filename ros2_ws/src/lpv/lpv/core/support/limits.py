@@ -6,6 +6,8 @@ PATIENCE = 5.0
 """Time that a process has for an answer, as for its end in launch files of ROS [s]."""
 MAX_GAP = 0.1
 """Default of parameter max_gap: what lasts longer without a sample starts anew [s]."""
+STALE_AFTER = 0.5
+"""Default of parameter stale_after: time without a usable measurement, then stale [s]."""
 MAX_DELAY = 64
 """Samples after which a command is not waited for any more: each is a state of the sampled loop."""
 SMALL = 0.05
