@@ -273,3 +273,15 @@ def test_given_more_connections_than_there_is_room_when_they_say_nothing_then_th
             with suppress(ConnectionResetError):
                 assert one.recv(1) == b''
         assert get(served.url)[0] == 200
+
+
+def test_given_idle_connections_in_all_places_when_others_ask_then_they_are_served(paper_arm):
+    with serve(paper_arm, patience=GUARD) as served, ExitStack() as idle:
+        idle.enter_context(served.silent_socket())  # a page that is open stays so
+        place = '127.0.0.1', served.port
+        for _ in range(3 * MOST_CONNECTIONS):
+            idle.enter_context(socket.create_connection(place))
+        assert get(served.url)[0] == 200
+        assert served.talk([INJECT])[0]['ok']
+        wait(lambda: len(served.server.clients) == 1)
+        assert [client.lost for client in served.server.clients] == [False]

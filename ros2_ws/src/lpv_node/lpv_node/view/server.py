@@ -38,7 +38,7 @@ _FILES = {
     },
 }
 MOST_CONNECTIONS = 8 * MOST_CLIENTS
-"""Connections of a port, of browsers that load the page as of others."""
+"""Connections of a port, of browsers that load the page as of others; then idle ones are closed."""
 MOST_WAITING = 64
 """A client with more messages waiting than this is dropped; frames do not count."""
 HEADERS = {
@@ -164,6 +164,17 @@ class ViewServer:
         logger.filters = [
             lambda one: not (one.exc_info and isinstance(one.exc_info[1], HttpProcessingError))
         ]
+        busy = set[asyncio.BaseProtocol]()
+
+        @web.middleware
+        async def note(request: web.Request, handler: Handler) -> web.StreamResponse:
+            busy.add(request.protocol)
+            try:
+                return await handler(request)
+            finally:
+                busy.discard(request.protocol)
+
+        application.middlewares.insert(0, note)
         runner = web.AppRunner(application, logger=logger, **options)
         await runner.setup()
         self._runners.append(runner)
@@ -171,9 +182,14 @@ class ViewServer:
         def admit() -> asyncio.Protocol:
             # Without a limit, whoever connects and says nothing takes all files of the process.
             served = runner.server
-            if served is None or len(served.connections) >= MOST_CONNECTIONS:
-                return _Refusal()
-            return served()
+            there = [one for one in served.connections if one.transport] if served else []
+            if len(there) >= MOST_CONNECTIONS:
+                # The oldest that asks for nothing makes room: others must get in.
+                idle = next((one for one in there if one not in busy), None)
+                if idle is None:
+                    return _Refusal()
+                idle.force_close()
+            return served() if served else _Refusal()
 
         try:
             host = '127.0.0.1' if address == 'localhost' else address
