@@ -16,13 +16,13 @@ from sensor_msgs.msg import JointState
 from serial_bags import TOPIC, crane_file, crane_run, record_crane
 from std_srvs.srv import Trigger
 
-from lpv import Alarm, AlarmEvent, ConfigError, Fault, load_arm, load_scenario
+from lpv import Alarm, AlarmEvent, ConfigError, Fault, Monitor, load_arm, load_gains, load_scenario
 from lpv.bag.replay.replay import Replay
 from lpv.bag.rosbag.reading import open_bag
 from lpv.core.monitoring import answers, serial_monitor
 from lpv.core.monitoring.alarm_text import UNUSABLE
 from lpv.core.monitoring.message_fields import OK, STALE, WARN
-from lpv.core.serial_arm.diagnosis.alarms import Mode
+from lpv.core.serial_arm.diagnosis.alarms import Mode, SensorState
 from lpv.core.simulation.arm_simulator import ArmSimulator
 from lpv.core.support.resources import bringup_file
 from lpv.core.support.timestamps import set_stamp, to_nanoseconds
@@ -329,6 +329,25 @@ def test_given_stamps_that_fit_no_stream_when_observed_then_it_is_said_why(
         assert told == again and len(told) > 1
         # A driver whose stamps are those of a stream is observed again.
         assert arm.recover() <= RECOVERY and not node._stale
+
+
+def test_given_gaps_when_observed_then_the_python_api_answers_the_same():
+    with node_of(UioNode, 'uio', bringup_file('gains', 'paper'), arm_file='paper') as node:
+        arm, monitor = Arm(node), Monitor(node._arm, load_gains('paper'))
+        updates = []
+        for k in range(1200):
+            arm.stamp += {300: 600_000_000, 600: 1_100_000_000, 900: 3_000_000_000}.get(k, 0)
+            message = arm.good()
+            node._on_measurement(message)
+            fields = message.position, message.velocity, message.effort
+            updates.append(monitor.update(arm.stamp, *fields))
+        known = [update for update in updates if update is not None]
+        assert [update.states for update in known].count(2 * (SensorState.STALE,)) == 4
+        sent = arm.outputs['fault'].sent
+        assert [to_nanoseconds(one.header.stamp) for one in sent] == [u.stamp for u in known]
+        for told, update in zip(sent, known):
+            assert [*told.estimate, *told.bound] == [*update.fault, *update.bound]
+            assert [*told.state] == [int(one) for one in update.states]
 
 
 def test_given_a_clock_that_is_set_back_when_no_measurement_comes_then_it_is_stale(
