@@ -216,6 +216,7 @@ class SerialSensorMonitor:
         self._reading = np.zeros(self._joints)  # of that sample [rad]
         self._repeats = new_repeats(self._joints)
         self._older = 0  # measurements in a row that were older than the last one
+        self._gaps_before = self.counters.gaps
         self._alarms = AlarmConverter(self.arm)
         self._missing_since = np.full(self._joints, NEVER)  # readings, stamps [ns]
         self._is_missing = False
@@ -640,7 +641,8 @@ class SerialSensorMonitor:
         monitor = self._monitor
         if not monitor.uses_balances:
             return _NO_EFFORT if self._blind else _NO_WEIGHT
-        if not monitor.balances and self.counters.gaps > LONGEST_STEP:
+        gaps = self.counters.gaps - self._gaps_before
+        if not monitor.balances and gaps > LONGEST_STEP:
             return _TOO_RARE
         if monitor.in_contact:
             return CONTACT

@@ -66,6 +66,16 @@ def test_given_samples_too_rare_for_the_sample_time_then_it_is_told():
     assert not any('ten sample times' in text for _, text in answers.warnings)
 
 
+def test_given_gaps_when_reset_then_they_are_not_told_again():
+    stamps, samples, _ = recorded(duration=4.0)
+    monitor, _ = observe(stamps[::12], samples[::12])
+    monitor.reset()
+    _, answers = observe(stamps[-1] + stamps, samples, monitor)
+    assert answers.warnings == [] and len(answers.reports) > 2
+    notes = [statuses[0]['message'] for _, statuses in answers.reports]
+    assert not any('ten sample times' in note for note in notes)
+
+
 def test_given_no_fault_when_balances_stay_away_then_none_is_said_to_be_confirmed():
     run = simulated(ARM, duration=4.0)
     _, answers = observe(run.stamps[::12] + 5, run.samples[::12])
