@@ -368,6 +368,16 @@ def test_given_a_clock_that_is_set_back_when_no_measurement_comes_then_it_is_sta
     assert ['no new measurement' in text for text in said] == [True, True]
 
 
+def test_given_simulated_time_that_nobody_tells_when_measurements_end_then_it_is_stale(monkeypatch):
+    with node_of(UioNode, 'uio', arm_file='paper', use_sim_time='true') as node:
+        Arm(node).recover()
+        for now in (10**9, 2 * 10**9):
+            time_now = SimpleNamespace(nanoseconds=now)
+            monkeypatch.setattr(node, '_steady', SimpleNamespace(now=lambda one=time_now: one))
+            node._check_silence()
+            assert node._stale == (now > 10**9)
+
+
 def test_given_a_misspelt_tuning_when_started_then_it_is_refused_by_name():
     with (
         pytest.raises(ConfigError, match='diagnosis.sigma: is not a known parameter.*sigmas'),
