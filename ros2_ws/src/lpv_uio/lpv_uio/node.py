@@ -310,13 +310,13 @@ class UioNode(ManagedNode):
         own = len(senders) - others
         level, text = (OK, 'one publisher') if own > 0 else (WARN, 'no publisher')
         text += f', and {others} of other joints' if others else ''
-        if self._alarms is not None and self._alarms.before:
-            level, text = ERROR, self._untrusted_text()
-        elif own > 1:
+        if own > 1:
             names = sorted(f'{s.node_namespace.rstrip("/")}/{s.node_name}' for s in senders)
             level, text = WARN, f'{len(senders)} publishers of joint_states: {", ".join(names)}'
-        elif self._refusals.is_recent:
-            level, text = WARN, f'messages are refused: {self._refusals.last}'
+        if self._refusals.is_recent:
+            level, text = WARN, f'{text}; messages are refused: {self._refusals.last}'
+        if self._alarms is not None and self._alarms.before:
+            level, text = ERROR, self._untrusted_text()
         self._status.report(now, level, text, lambda: self._refusals.counts)
 
     def _warn_of_silence(self, now: int, elapsed: int) -> None:

@@ -210,9 +210,11 @@ def test_given_a_gripper_on_the_topic_when_observed_then_it_is_no_error(arm, mon
     assert [event.sensor for event in arm.outputs['alarm'].sent] == ['link2_angle']
     told = []
     monkeypatch.setattr(arm.node._status, 'report', lambda *found: told.append(found[1:3]))
+    drivers = [SimpleNamespace(node_namespace='/', node_name=name) for name in ('a', 'b', 'finger')]
+    monkeypatch.setattr(arm.node, 'get_publishers_info_by_topic', lambda _: drivers)
     arm.node._report(arm.stamp)
     refused = 'messages are refused: measurement without all joints of the arm'
-    assert told.pop() == (WARN, refused)
+    assert told.pop() == (WARN, f'3 publishers of joint_states: /a, /b, /finger; {refused}')
     monkeypatch.setattr(arm.node._refusals, '_last', -np.inf)  # long ago
     for count in (2, 1):
         there = [None] * count
