@@ -5,7 +5,17 @@ from functools import cache
 
 import numpy as np
 import pytest
-from fault_injection import BY_NAME, Cell, Injected, cells, derived, draw, inject, outside_bounds
+from fault_injection import (
+    BY_NAME,
+    Cell,
+    Injected,
+    cells,
+    derived,
+    draw,
+    inject,
+    outside_bounds,
+    simulate,
+)
 from fault_injection import subjects as arms
 from serial_arms import shoulder_arm, simulated
 from ur10e_twin import twin
@@ -285,6 +295,29 @@ def test_given_noise_that_begins_in_a_balance_then_its_size_is_told_and_no_other
     assert {event.sensor for event in events} == faulty
     sizes = [event.size for event in events if event.kind == 'noise']
     assert sizes == pytest.approx([0.02, 0.02], rel=0.5)
+
+
+@pytest.mark.parametrize('seed', [6, 12])
+def test_given_a_reading_frozen_where_its_joint_turns_when_it_jumps_back_then_bounds_hold_it(seed):
+    """Friction holds the joint, says a file that states five times as much as there is."""
+    stated, true = (_with_friction(shoulder_arm(), share) for share in (1.0, 0.2))
+    stream = derived(simulate(true, (np.zeros(3), np.full(3, 0.8), np.ones(3)), seed))
+    samples, time = stream.samples.copy(), (stream.stamps - stream.stamps[0]) * 1e-9
+    rate = np.convolve(samples[:, 1, 2], np.ones(11) / 11.0, 'same')
+    turn = np.flatnonzero((rate[:-1] * rate[1:] < 0.0) & (time[:-1] > 8.0))[0]
+    frozen = (time >= time[turn]) & (time < time[turn] + 2.0)
+    samples[frozen, 0, 2], samples[frozen, 1, 2] = samples[turn, 0, 2], 0.0
+    monitor = SerialSensorMonitor('', stated)
+    answers = monitor.take_many(stream.stamps, *np.moveaxis(samples, 1, 0))
+    truth = samples[:, 0] - stream.samples[:, 0]
+    assert abs(truth).max() > 0.2
+    span = time[turn] + 2.0 + SETTLED, time[-1]
+    assert outside_bounds(answers, stream.stamps, truth, span) == 0.0
+
+
+def _with_friction(arm, share):
+    friction = replace(arm.joints[0].friction, viscous=8.0 * share, coulomb=share)
+    return replace(arm, joints=tuple(replace(joint, friction=friction) for joint in arm.joints))
 
 
 @pytest.mark.parametrize('run', [1008, 1032])

@@ -28,6 +28,9 @@ from lpv.core.serial_arm.diagnosis.sampler import block_end
 LINEAR = 1.0
 """Errors beyond are not linear in the balances, which say nothing of them then [rad]: sin(1) is
 16 % less."""
+_REACH = math.sqrt(math.pi / 2.0)
+"""Standard deviations of a normal variable between which the secant of its sign is the best line
+through it: E abs(x) = sigma / 1.25."""
 
 
 class Frozen(NamedTuple):
@@ -99,10 +102,10 @@ def course_of_frozen(
     estimator.call(set_residuals, estimator.window, null, count)
     before = null.residual[:count][::-1]
     old = rows = estimator.window.rows[at]
-    if first != 0.0:
-        gone, derived = np.empty(blocks.shape), estimator.balance.derived[joint]
-        free_of_drift(blocks, joint, derived, begin, -first, gone)
-        rows = estimator.rows_of(gone)
+    if not balances:
+        # Of a rate that walks at random, root mean square over the time.
+        spread = math.hypot(frozen.sigma, math.sqrt(0.5 * count) * step)
+        rows = _rows_along(estimator, joint, blocks, (begin, first), spread)
     unknowns = rows[:, :, rows.shape[2] - len(null.mean) :]
     after = rows[:, :, 0] + unknowns @ null.mean
     # Sizes of what is left: of joints that move where the reading lies, else as they rest.
@@ -157,6 +160,33 @@ def course_of_frozen(
         return None
     way = np.array([first * since, first, 0.0]) - change
     return Course(float(gain), begin, end, way, covariance)
+
+
+def _rows_along(
+    estimator: OffsetEstimator,
+    joint: int,
+    blocks: FloatArray,
+    way: tuple[float, float],
+    spread: float,
+) -> FloatArray:
+    """Rows of balances whose joint went on at a rate from a moment on, while its reading rested.
+
+    The rate is known within a standard deviation ``spread`` [rad/s].  The columns of errors of the
+    rate are secants over that, with friction as estimated: its sign may turn over, where a tangent
+    would hold the joint.
+    """
+    (begin, rate), null, n = way, estimator.posterior, estimator.joints
+    gone, derived = np.empty(blocks.shape), estimator.balance.derived[joint]
+    free_of_drift(blocks, joint, derived, begin, -rate, gone)
+    after, reach, ends = gone[:, 3 * n] > begin, _REACH * spread, []
+    for side in (-reach, reach):
+        moved = gone.copy()
+        moved[after, n + joint] += side
+        ends.append(estimator.rows_of(moved))
+    rows, change = 0.5 * (ends[0] + ends[1]), ends[1] - ends[0]
+    change = change[:, :, 0] + change[:, :, rows.shape[2] - len(null.mean) :] @ null.mean
+    rows[:, :, 1 + RATE * n + joint] = -change / (2.0 * reach)
+    return rows
 
 
 def free_course(
