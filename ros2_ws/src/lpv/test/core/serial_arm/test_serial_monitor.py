@@ -109,6 +109,19 @@ def test_given_a_derived_rate_when_it_contradicts_its_reading_then_it_alone_is_n
     assert np.abs(monitor.estimate().fault).max() < 0.03
 
 
+@pytest.mark.parametrize(('share', 'times'), [(0.025, 1), (0.06, 2)])  # 2 Hz, 5 Hz twice
+def test_given_independent_rates_when_a_driver_filters_them_then_encoders_are_right_or_named(
+    share, times
+):
+    arm, drift = shoulder_arm('independent'), Fault('encoder2', 'drift', 4.0, rate=0.2)
+    for faults, named in ((), []), ((drift,), [('encoder2', 'drift')]):
+        run = simulated(arm, *faults, duration=6.0)
+        for _ in range(times):
+            run.samples[:, 1] = low_passed(run.samples[:, 1], share)
+        blamed = [one for one in watch(arm, run).alarms if one.sensor]
+        assert [(one.sensor, one.kind) for one in blamed] == named
+
+
 def test_given_filtered_rates_when_samples_are_missing_then_no_difference_bridges_the_gap():
     run = without(filtered(simulated(shoulder_arm(), duration=4.0)), slice(-201, -1))
     monitor = watch(shoulder_arm(), run)

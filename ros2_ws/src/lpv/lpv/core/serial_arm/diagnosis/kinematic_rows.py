@@ -10,7 +10,7 @@ from lpv.core.serial_arm.description import RATE_BIAS, SerialArm
 from lpv.core.serial_arm.diagnosis.estimator import HorizonPlan
 from lpv.core.serial_arm.diagnosis.information import ROBUST, factorise, whiten
 from lpv.core.serial_arm.diagnosis.linear_bank import DRIFT_STARTS, Rows
-from lpv.core.serial_arm.diagnosis.priors import POSE_TIME, WRONG_STAMPS
+from lpv.core.serial_arm.diagnosis.priors import POSE_TIME, RATE_LAG, WRONG_STAMPS
 from lpv.core.serial_arm.diagnosis.sampler import DELAY, LATE, NOISE_MEMORY
 from lpv.core.support.jit import njit_in_place
 
@@ -36,8 +36,8 @@ class Kinematics(NamedTuple):
     walk: FloatArray  # (n,) of int v dt, per second [rad2/s]
     bias: FloatArray  # (n,) standard deviation of the rate's bias [rad/s]
     inflation: FloatArray  # (n,) factor of the variance, as seen
-    lag: FloatArray  # (n,) of rates behind readings, as differences and filtered ones do [s]
-    lag_known: FloatArray  # (n,) its information [1/s2]
+    lag: FloatArray  # (1,) of rates behind readings, as differences and filtered ones do [s]
+    lag_known: FloatArray  # (1,) its information [1/s2]
     stamps: FloatArray  # (1,) usual variance of a block's time [s2]
     late: FloatArray  # (most + 1,) more of it where stamps are known to be wrong [s2]
     latest: float  # the largest of these that is plausible [s2]
@@ -47,7 +47,7 @@ class Kinematics(NamedTuple):
 @njit_in_place
 def take_row(own: Kinematics, blocks: FloatArray, interval: float) -> None:
     """Add the row of the last interval; ``blocks`` are those of two intervals, oldest first."""
-    n, last, first = own.lag.shape[0], blocks.shape[0] - 1, blocks.shape[0] // 2 - 1
+    n, last, first = own.ends.shape[0], blocks.shape[0] - 1, blocks.shape[0] // 2 - 1
     usual = interval / (last - first)
     most = own.rows.shape[0]
     if own.held[0] == 0:
@@ -72,31 +72,34 @@ def take_row(own: Kinematics, blocks: FloatArray, interval: float) -> None:
             gap = max(blocks[k + 1, 3 * n + 1] - usual, 0.0)
             missing += (0.5 * gap * blocks[k + 1, n + i]) ** 2
         change = own.edges[most, i] - own.edges[most - 1, i]
-        own.rows[most - 1, i] = row - own.lag[i] * change
+        own.rows[most - 1, i] = row - own.lag[0] * change
         own.variances[most - 1, i] = own.jumps[0, i] + missing
         for k in range(own.jumps.shape[0]):
             own.jumps[k, i] = own.jumps[k + 1, i] if k + 1 < own.jumps.shape[0] else 0.0
-        if own.trusted[i]:
-            _learn_lag(own, i, interval)
+    _learn_lag(own, interval)
 
 
 @njit_in_place
-def _learn_lag(own: Kinematics, i: int, interval: float) -> None:
-    """Learn by how much a rate lags behind its reading, and take it out of all rows.
+def _learn_lag(own: Kinematics, interval: float) -> None:
+    """Learn by how much rates lag behind their readings, and take it out of all rows.
 
-    A lag d moves a row by d times the change of its rate, which no fault does: it is learned
-    from all rows, outliers bounded.
+    A lag d moves a row by d times the change of its rate, which no fault does.  A driver filters
+    all rates alike: it is learned from the rows of all joints, outliers bounded.
     """
-    most = own.rows.shape[0]
-    variance = own.inflation[i] * (own.ends[i] + own.walk[i] * interval)
-    variance = max(variance + own.variances[most - 1, i], _BEFORE)
-    change = own.edges[most, i] - own.edges[most - 1, i]
-    bound = ROBUST * np.sqrt(variance + change * change / own.lag_known[i])
-    own.lag_known[i] += change * change / variance
-    step = min(max(own.rows[most - 1, i], -bound), bound) * change / variance / own.lag_known[i]
-    own.lag[i] += step
+    n, most, found, before = own.ends.shape[0], own.rows.shape[0], 0.0, own.lag_known[0]
+    for i in range(n):
+        if own.trusted[i]:
+            variance = own.inflation[i] * (own.ends[i] + own.walk[i] * interval)
+            variance = max(variance + own.variances[most - 1, i], _BEFORE)
+            change = own.edges[most, i] - own.edges[most - 1, i]
+            bound = ROBUST * np.sqrt(variance + change * change / before)
+            own.lag_known[0] += change * change / variance
+            found += min(max(own.rows[most - 1, i], -bound), bound) * change / variance
+    step = found / own.lag_known[0]
+    own.lag[0] += step
     for k in range(most - own.held[0], most):
-        own.rows[k, i] -= step * (own.edges[k + 1, i] - own.edges[k, i])
+        for i in range(n):
+            own.rows[k, i] -= step * (own.edges[k + 1, i] - own.edges[k, i])
 
 
 @njit_in_place
@@ -120,7 +123,7 @@ def loudest_window(own: Kinematics, interval: float) -> float:
 @njit_in_place
 def sum_rows(own: Kinematics, interval: float, lengths: IntArray, rows: Rows) -> None:
     """Write the sums of the rows of windows; see `KinematicRows.sums`."""
-    n, most, held = own.lag.shape[0], own.rows.shape[0], own.held[0]
+    n, most, held = own.ends.shape[0], own.rows.shape[0], own.held[0]
     for w in range(lengths.shape[0]):
         count = min(lengths[w], held)
         if count == 0:
@@ -135,7 +138,11 @@ def sum_rows(own: Kinematics, interval: float, lengths: IntArray, rows: Rows) ->
                 variance = own.inflation[i] * (own.ends[i] + own.walk[i] * rows.span[w])
                 variance = max(variance + (own.bias[i] * rows.span[w]) ** 2 + jumps, _BEFORE)
                 turned = own.edges[most, i] - own.edges[most - count, i]
-                rows.weight[w, i] = 1.0 / (variance + turned * turned / own.lag_known[i])
+                # All but filters of first order add d^2 / 2 times the change of the acceleration.
+                bent = own.edges[most, i] - own.edges[most - 1, i]
+                bent -= own.edges[most - count + 1, i] - own.edges[most - count, i]
+                variance += (0.5 * own.lag[0] * own.lag[0] / interval * bent) ** 2
+                rows.weight[w, i] = 1.0 / (variance + turned * turned / own.lag_known[0])
         _doubt_stamps(own, count, rows.weight[w], rows.found[w])
 
 
@@ -174,7 +181,7 @@ def _doubt_stamps(own: Kinematics, count: int, weight: FloatArray, found: FloatA
 @njit_in_place
 def learn_rows(own: Kinematics, interval: float) -> None:
     """Learn how much rows scatter; constant errors of rates do not count as scatter."""
-    n, most, power, late = own.lag.shape[0], own.rows.shape[0], 0.0, 0.0
+    n, most, power, late = own.ends.shape[0], own.rows.shape[0], 0.0, 0.0
     for i in range(n):
         expected = max(3.0 * own.ends[i] + 2.0 * own.walk[i] * interval, _BEFORE)
         change = own.rows[most - 1, i] - own.rows[most - 2, i]
@@ -212,8 +219,8 @@ class KinematicRows:
             np.zeros(1, np.int64), np.zeros((2 + DELAY // (plan.per_block * plan.blocks), n)),
             independent, independent.copy(),
             2.0 * reading / plan.per_block + least**2, rate**2 * arm.sample_time,
-            np.maximum(RATE_BIAS * rate, 4.0 * least), np.ones(n), np.zeros(n),
-            np.full(n, 1.0 / arm.sample_time**2), np.array([WRONG_STAMPS * latest]),
+            np.maximum(RATE_BIAS * rate, 4.0 * least), np.ones(n), np.zeros(1),
+            np.array([1.0 / RATE_LAG**2]), np.array([WRONG_STAMPS * latest]),
             np.zeros(most + 1),
             latest, np.zeros((2, n, n)))  # fmt: skip
         self._independent, self.trusted = self.parts.independent, self.parts.trusted

@@ -34,6 +34,8 @@ SCALE_STEADY = 0.01
 """The same of a scale error [-]."""
 WRONG_STAMPS = 0.01
 """Share of stamps that are wrong, before any were seen."""
+RATE_LAG = 0.05
+"""Lag of independent rates behind their readings, standard deviation: a filter of 3 Hz [s]."""
 
 MODEL_ERROR = 0.05
 """Relative standard deviation of masses and inertias that were not identified."""
