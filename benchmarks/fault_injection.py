@@ -259,7 +259,8 @@ def with_rests(path: Any, start: float) -> Any:
         speed = up**2 * (3.0 - 2.0 * up) - down**2 * (3.0 - 2.0 * down)
         change = 12.0 * (up * (1.0 - up) - down * (1.0 - down))
         step = np.diff(time, prepend=time[0])
-        return start + np.cumsum(speed * step), speed[:, None], change[:, None]
+        s = start + np.cumsum(speed * step) - 0.5 * speed * step
+        return s, speed[:, None], change[:, None]
 
     def rested(time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         s, speed, change = place(time)
