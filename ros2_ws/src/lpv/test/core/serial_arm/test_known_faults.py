@@ -140,7 +140,7 @@ def test_given_a_derived_rate_that_wraps_then_differences_are_published():
 @pytest.mark.parametrize('size', [0.25, -0.45])
 def test_given_a_known_scale_error_then_published_rates_are_without_it(size):
     arm = shoulder_arm()
-    run = simulated(arm, Fault('encoder2', 'scale', 3.0, size=size), duration=8.0)
+    run = simulated(arm, Fault('encoder2', 'scale', 3.0, size=size), duration=8.0, seed=3)
     true = true_rates(arm, run)[2500:, 1]
     answers = answered(arm, run)
     read, found = (

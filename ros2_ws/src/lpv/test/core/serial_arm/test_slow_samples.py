@@ -3,10 +3,21 @@
 Rates that are differences are those of half a sample before, and of a joint that rests, noise.
 """
 
+from dataclasses import replace
+
 import fault_injection
 import numpy as np
 import pytest
-from fault_injection import BY_NAME, Injected, derived, inject, motion_range, simulate
+from fault_injection import (
+    BY_NAME,
+    Injected,
+    derived,
+    inject,
+    motion_range,
+    simulate,
+    sines,
+    wrong_chain,
+)
 from serial_arms import shoulder_arm, watch, with_rates
 from serial_diagnosis import random_arm
 from watched import Watched
@@ -62,7 +73,7 @@ def test_given_a_noisy_reading_when_another_one_becomes_so_then_it_is_named_too(
 def exact(arm, rate):
     """Six seconds of an arm as its file has it, without noise; rates are differences."""
     time = np.arange(round(6.0 * rate)) / rate
-    motion = fault_injection.sines(*motion_range(arm, 0.5), np.random.default_rng(1))(time)
+    motion = sines(*motion_range(arm, 0.5), np.random.default_rng(1))(time)
     model = SerialModel(compile_chain(arm))
     torque = model.torque(*motion)
     samples = np.stack([*motion[:2], torque], axis=1)
@@ -105,3 +116,26 @@ def test_given_a_long_chain_when_a_joint_rests_then_the_noise_of_its_rate_is_no_
     alarms, share = alarms_of_poses(arm, motion_range(arm, 0.5), seed)
     assert alarms == set()
     assert share < 1.0
+
+
+@RATES
+@pytest.mark.parametrize('taken', [-1.0, 0.0])
+def test_given_efforts_that_are_means_or_commands_then_no_encoder_is_blamed(rates, taken):
+    """Efforts are means over a sample that begins so many periods after their stamp."""
+    arm, quiet = random_arm(4), {'position_noise': 1e-6, 'velocity_noise': 1e-4, 'rates': rates}
+    joints = (replace(j, sensors=replace(j.sensors, **quiet)) for j in arm.joints)
+    arm, rng = replace(arm, joints=tuple(joints), sample_time=0.01), np.random.default_rng(1)
+    path = sines(*motion_range(arm, 0.5)[:2], np.full(4, 12.0), rng)  # up to 30 rad/s2
+    model, time = SerialModel(wrong_chain(arm, rng)), arm.sample_time * np.arange(1000)
+    moments = arm.sample_time * (taken + np.arange(0.05, 1.0, 0.1))
+    effort = np.mean([model.torque(*path(time + moment)) for moment in moments], axis=0)
+    samples = np.stack([*path(time)[:2], effort], axis=1)
+    samples[:, 0] += 1e-6 * rng.normal(size=effort.shape)
+    samples[:, 1] += 1e-4 * rng.normal(size=effort.shape)
+    run = fault_injection.Stream(np.round(1e9 * (1.0 + time)).astype(np.int64), samples)
+    monitor = watch(arm, derived(run) if rates == 'derived' else run)
+    assert named(monitor) == set()
+    fault, sigma = monitor.faults()
+    assert np.all(np.abs(fault) < 4.0 * sigma)
+    delay = monitor.estimator.posterior.mean[-1]  # in half samples
+    assert delay == pytest.approx(-1.0 - 2.0 * taken, abs=0.1)

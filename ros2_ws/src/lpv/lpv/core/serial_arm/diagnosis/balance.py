@@ -27,8 +27,8 @@ GROUPS = ('drift', 'scale', 'rate', 'gain', 'offset', 'torque', 'viscous', 'coul
 """Groups of n columns each, in this order; those of the inertial directions follow.  The unknowns
 of a healthy arm are the columns from `OFFSET` on."""
 DRIFT, SCALE, RATE, GAIN, OFFSET, TORQUE, VISCOUS, COULOMB = range(8)
-VISCOUS_PART, COULOMB_PART, LOAD_PART, OFFSET_PART, GAIN_PART = range(5)
-"""Columns of `Balance.drives`: those of `Chain.friction`, and the gain."""
+VISCOUS_PART, COULOMB_PART, LOAD_PART, OFFSET_PART, GAIN_PART, DELAY_PART = range(6)
+"""Columns of `Balance.drives`: those of `Chain.friction`, the gain, and the efforts' delay."""
 LENGTH, EPOCH = range(2)
 """Entries of `Balance.clock`."""
 _STEEPEST = JointFriction.coulomb_slope
@@ -71,9 +71,9 @@ class Balance(NamedTuple):
         Zero: directions of the inertial parameters have no rotors.
     work, vectors : ndarray
         Scratch.
-    drives : ndarray, shape (k, n, 5)
-        What belongs to ``directions`` of viscous, Coulomb, load-dependent friction, offset and
-        relative gain.
+    drives : ndarray, shape (k, n, 6)
+        What belongs to ``directions`` of viscous, Coulomb, load-dependent friction, offset,
+        relative gain and delay of the efforts.
     to_joints : ndarray, shape (n, n)
         S^-1 of y = S q + f: faults are those of sensors, rows those of joints.
     scale : ndarray, shape (n,)
@@ -119,7 +119,7 @@ def new_balance(
     """
     n = joint_count(chain)
     size = (n, column_count(n, len(directions)))
-    along = np.zeros((len(directions), n, 5)) if drives is None else drives
+    along = np.zeros((len(directions), n, 6)) if drives is None else drives
     return Balance(
         chain, np.ascontiguousarray(directions, dtype=float), np.zeros(n),
         np.ascontiguousarray(derived, dtype=float), np.zeros((2, *size)), np.zeros((2, *size)),
@@ -211,7 +211,8 @@ def add_block(
             lost -= part[GAIN_PART] * torque[j]
             if dry != 0.0:
                 lost += dry * smooth_sign(rate[j], chain.friction[j, SLOPE])
-            put(balance, column, j, (p_by[j], force_by[j] - lost), weight)
+            late = part[DELAY_PART] * torque[j]
+            put(balance, column, j, (p_by[j] - late, force_by[j] - lost), weight)
 
 
 @njit_in_place

@@ -17,6 +17,7 @@ from lpv.core.serial_arm.chain import VISCOUS as WET
 from lpv.core.serial_arm.chain import Chain, FloatArray, IntArray, compile_chain
 from lpv.core.serial_arm.description import SIGMAS, UNSTATED_FRICTION, SerialArm
 from lpv.core.serial_arm.diagnosis.balance import (
+    DELAY_PART,
     DRIFT,
     EPOCH,
     OFFSET,
@@ -725,6 +726,7 @@ def _about(arm: SerialArm, plan: HorizonPlan) -> _About:
     directions, drives, rows = parameter_directions(
         chain, parameter_factor(arm, chain), speed, scale
     )
+    directions, drives, rows = _with_delay(arm, directions, drives, rows)
     loads = rows[-LOAD_ROWS:] if usual_load(arm) > 0.0 else rows[:0]
     loads = np.hstack([np.zeros((len(loads), 4 * len(arm.joints))), loads])
     prior = np.concatenate([*_priors(arm, chain.friction, missed), np.ones(len(directions))])
@@ -734,6 +736,16 @@ def _about(arm: SerialArm, plan: HorizonPlan) -> _About:
     rest = np.hypot(1.0, dry / noise)
     systematic = _systematic_error(arm, LASTING * missed, plan)
     return _About(chain, typical, directions, drives, loads, prior, noise, rest, dry, systematic)
+
+
+def _with_delay(
+    arm: SerialArm, directions: FloatArray, drives: FloatArray, rows: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Directions with one more: efforts that are commands or means are half a sample off."""
+    late = np.zeros((1, *drives.shape[1:]))
+    late[:, :, DELAY_PART] = 0.5 * arm.sample_time
+    directions = np.concatenate([directions, np.zeros((1, *directions.shape[1:]))])
+    return directions, np.concatenate([drives, late]), np.pad(rows, ((0, 0), (0, 1)))
 
 
 def _prior_posterior(

@@ -11,7 +11,7 @@ import numpy as np
 from lpv.core.serial_arm.chain import COULOMB as DRY
 from lpv.core.serial_arm.chain import MASS, MX, SLOPE, VISCOUS, Chain, FloatArray, joint_count
 from lpv.core.serial_arm.description import SerialArm
-from lpv.core.serial_arm.diagnosis.balance import READINGS_AT_EDGES
+from lpv.core.serial_arm.diagnosis.balance import DELAY_PART, READINGS_AT_EDGES
 from lpv.core.serial_arm.diagnosis.priors import (
     MODEL_ERROR,
     UNSTATED_LOAD,
@@ -145,8 +145,8 @@ def parameter_directions(
 
     ``factor`` is F of `parameter_factor`; ``speed`` and ``scale``, shape (n,), are usual rates of
     the joints and their `SerialJoint.scale` [rad/s], [rad].  Returned are the directions' inertial
-    parameters, shape (k, n, 10), and their friction (columns of `Chain.friction`) with relative
-    gains, shape (k, n, 5); and each row of ``factor`` by the directions, shape (rows, k).
+    parameters, shape (k, n, 10), and what belongs to them as of `Balance.drives`, shape (k, n, 6),
+    without delays; and each row of ``factor`` by the directions, shape (rows, k).
     """
     n = joint_count(chain)
     model, motions = SerialModel(chain), _spread(2 * n)
@@ -167,11 +167,9 @@ def parameter_directions(
     sizes = np.sqrt(((effects @ right.T) ** 2).mean(0)).max(0)
     kept = right[:limit][sizes[:limit] > NEGLIGIBLE]
     found = kept @ factor
-    friction = found[:, 10 * n :].reshape(-1, 5, n).transpose(0, 2, 1)
-    return (
-        np.ascontiguousarray(found[:, : 10 * n].reshape(-1, n, 10)), np.ascontiguousarray(friction),
-        kept.T,
-    )  # fmt: skip
+    along = np.zeros((len(found), n, 6))
+    along[:, :, :DELAY_PART] = found[:, 10 * n :].reshape(-1, 5, n).transpose(0, 2, 1)
+    return np.ascontiguousarray(found[:, : 10 * n].reshape(-1, n, 10)), along, kept.T
 
 
 def _spread(dimensions: int) -> FloatArray:
