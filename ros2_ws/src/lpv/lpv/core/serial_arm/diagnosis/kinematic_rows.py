@@ -87,11 +87,13 @@ def _learn_lag(own: Kinematics, interval: float) -> None:
     all rates alike: it is learned from the rows of all joints, outliers bounded.
     """
     n, most, found, before = own.ends.shape[0], own.rows.shape[0], 0.0, own.lag_known[0]
+    late, old = own.stamps[0] + own.late[most], own.stamps[0] + own.late[most - 1]
     for i in range(n):
         if own.trusted[i]:
+            now, then = own.edges[most, i], own.edges[most - 1, i]
             variance = own.inflation[i] * (own.ends[i] + own.walk[i] * interval)
-            variance = max(variance + own.variances[most - 1, i], _BEFORE)
-            change = own.edges[most, i] - own.edges[most - 1, i]
+            variance += own.variances[most - 1, i] + late * now * now + old * then * then
+            variance, change = max(variance, _BEFORE), now - then
             bound = ROBUST * np.sqrt(variance + change * change / before)
             own.lag_known[0] += change * change / variance
             found += min(max(own.rows[most - 1, i], -bound), bound) * change / variance
