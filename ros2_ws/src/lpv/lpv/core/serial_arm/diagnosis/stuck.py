@@ -102,10 +102,8 @@ def course_of_frozen(
     estimator.call(set_residuals, estimator.window, null, count)
     before = null.residual[:count][::-1]
     old = rows = estimator.window.rows[at]
-    if not balances:
-        # Of a rate that walks at random, root mean square over the time.
-        spread = math.hypot(frozen.sigma, math.sqrt(0.5 * count) * step)
-        rows = _rows_along(estimator, joint, blocks, (begin, first), spread)
+    if first != 0.0:
+        rows = _rows_along(estimator, joint, blocks, begin, frozen)
     unknowns = rows[:, :, rows.shape[2] - len(null.mean) :]
     after = rows[:, :, 0] + unknowns @ null.mean
     # Sizes of what is left: of joints that move where the reading lies, else as they rest.
@@ -163,22 +161,19 @@ def course_of_frozen(
 
 
 def _rows_along(
-    estimator: OffsetEstimator,
-    joint: int,
-    blocks: FloatArray,
-    way: tuple[float, float],
-    spread: float,
+    estimator: OffsetEstimator, joint: int, blocks: FloatArray, begin: float, frozen: Frozen
 ) -> FloatArray:
-    """Rows of balances whose joint went on at a rate from a moment on, while its reading rested.
+    """Rows of balances whose joint went on from a moment on, at the rate that its reading had.
 
-    The rate is known within a standard deviation ``spread`` [rad/s].  The columns of errors of the
-    rate are secants over that, with friction as estimated: its sign may turn over, where a tangent
-    would hold the joint.
+    Where the joint may have been turning round, columns of errors of the rate are secants over what
+    is unknown of it, with friction as estimated: a tangent to its sign would hold the joint.
     """
-    (begin, rate), null, n = way, estimator.posterior, estimator.joints
+    n, null, reach = estimator.joints, estimator.posterior, _REACH * frozen.sigma
     gone, derived = np.empty(blocks.shape), estimator.balance.derived[joint]
-    free_of_drift(blocks, joint, derived, begin, -rate, gone)
-    after, reach, ends = gone[:, 3 * n] > begin, _REACH * spread, []
+    free_of_drift(blocks, joint, derived, begin, -frozen.rate, gone)
+    if abs(frozen.rate) > frozen.sigma:
+        return estimator.rows_of(gone)
+    after, ends = gone[:, 3 * n] > begin, []
     for side in (-reach, reach):
         moved = gone.copy()
         moved[after, n + joint] += side
