@@ -120,8 +120,7 @@ class RecorderNode(ManagedNode):
 
     def begin(self) -> None:
         """Listen to the wanted topics."""
-        if self._writer is None:
-            return
+        assert self._writer is not None  # `listen` has opened one, or activation has failed
         self._input = RecorderInput(self, self._selection, partial(self._writer.describe, ''))
         for period, callback in (
             (0.05, self._search),
