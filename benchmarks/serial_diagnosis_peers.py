@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from fault_injection import DATA, csv_stream, shoulder_arm, two_links
+from fault_injection import DATA, Stream, csv_stream, shoulder_arm, two_links
 from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 from rich.console import Console
 from rich.table import Table
@@ -43,18 +43,11 @@ OFFSET_RANGE = (0.2, 0.5)
 """Of the faulty encoder [rad]."""
 
 
-@dataclass
-class Healthy:
+@dataclass(frozen=True)
+class Healthy(Stream):
     """A recording without faults, and the arm that the monitor believes to see."""
 
     arm: SerialArm
-    stamps: np.ndarray  # [ns], shape (N,)
-    samples: np.ndarray  # shape (N, 3, n)
-
-    @property
-    def duration(self) -> float:
-        """[s]."""
-        return float(self.stamps[-1] - self.stamps[0]) * 1e-9
 
 
 def two_link_runs(count: int, rng: np.random.Generator) -> list[Healthy]:
@@ -70,7 +63,7 @@ def two_link_runs(count: int, rng: np.random.Generator) -> list[Healthy]:
                 replace(joint, link=link, friction=replace(joint.friction, coulomb=coulomb))
             )
         stream = streams[k % len(streams)]
-        runs.append(Healthy(replace(known, joints=tuple(joints)), stream.stamps, stream.samples))
+        runs.append(Healthy(stream.stamps, stream.samples, replace(known, joints=tuple(joints))))
     return runs
 
 
@@ -97,7 +90,7 @@ def advance(model: Model, x: FloatArray, effort: FloatArray, out: FloatArray) ->
         inertial += x[7 * n + k] * model.directions[k]
     arm = Chain(
         chain.rotation, chain.translation, inertial, chain.motor, friction, chain.gravity,
-        chain.tip_rotation, chain.tip_translation)  # fmt: skip
+        chain.tip_rotation, chain.tip_translation, chain.prismatic)  # fmt: skip
     state, scratch = x[: 2 * n].copy().reshape((2, n)), np.zeros((11 * n, 40))
     if not plant_step(
         arm, state, effort - x[2 * n : 3 * n], model.step, model.substeps, scratch, np.empty((n, n))
@@ -292,7 +285,7 @@ def simulated(
     joint, size = seed % n, rng.choice([-1.0, 1.0]) * rng.uniform(*OFFSET_RANGE)
     run.samples[:, 0, joint] += size
     course[:, 3 * n + joint] = size
-    return Healthy(arm, run.stamps, run.samples), course
+    return Healthy(run.stamps, run.samples, arm), course
 
 
 class Errors:

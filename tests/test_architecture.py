@@ -62,6 +62,15 @@ def test_given_the_library_when_imported_then_no_other_package_is_and_its_mathem
             assert all(other.startswith('lpv.core') for other in others), name
 
 
+def test_given_the_benchmarks_when_run_alone_then_they_need_nothing_of_the_tests():
+    scripts = {path.stem: path for path in (ROOT / 'benchmarks').glob('*.py')}
+    tests = {path.stem for path in (ROOT / 'tests' / 'support').glob('*.py')}
+    wrong = {name: tests & {*import_graph.imports(path)} for name, path in scripts.items()}
+    assert {name: found for name, found in wrong.items() if found} == {}
+    page = (ROOT / 'benchmarks' / 'README.md').read_text(encoding='utf-8')
+    assert {*re.findall(r'python benchmarks/(\w+)\.py', page)} <= scripts.keys()
+
+
 READS_OLD_FILES = ('serial_arm/old_arm_file.py', 'serial_arm/arm_file.py')
 """There is one kind of arm; only these see files of older versions."""
 QUESTIONS = {
