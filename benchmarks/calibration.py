@@ -7,21 +7,19 @@ every a; a model that is too sure of itself lies above the line 1/a.
 
     python benchmarks/calibration.py --arm real_arm --recorded --plot calibration.png
 
-A monitor takes part that has `log_statistic`, the logarithm of M after the last decision (None
-before the first one), `decisions`, their number, and `restart_statistic()`, which begins the sum
-anew and keeps what was learned.  `--example` shows a detector whose likelihoods are exact, and the
-same with noise that is 1.3 times what it believes.
+`--example` shows a detector whose likelihoods are exact, and the same with noise that is 1.3 times
+what it believes.
 """
 
 import argparse
-import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from fault_injection import ARMS, BY_NAME, Cell, cells, draw
+from fault_injection import BY_NAME, Cell, draw
+from fault_matrix import add_cell_options, chosen_cells
 from rich.console import Console
 from rich.table import Table
 from scipy.stats import poisson
@@ -57,20 +55,7 @@ class Frequency:
 
 
 def count_stops(run: Callable[[], Any], level: float) -> tuple[int, int]:
-    """Decisions and stops of one pass over healthy data.
-
-    Parameters
-    ----------
-    run : callable
-        Makes a fresh generator of `Statistics`.
-    level : float
-        a.
-
-    Returns
-    -------
-    tuple of int
-        Decisions, stops.
-    """
+    """Decisions and stops at a level a of one pass over healthy data, a fresh generator."""
     statistics, limit, decisions, stops = run(), np.log(level), 0, 0
     try:
         value = next(statistics)
@@ -167,28 +152,14 @@ def table_of(curves: dict[str, list[Frequency]]) -> Table:
     return table
 
 
-def _curves(chosen: Iterable[Cell], count: int, seed: int) -> Iterator[tuple[str, Any]]:
-    for cell in chosen:
-        name = f'{cell.arm} {cell.part} {cell.rates} {cell.kind.name}'
-        monitor = cell.subjects[0].monitor()
-        if not hasattr(monitor, 'log_statistic'):
-            print(f'{name}: the monitor has no log_statistic, left out', file=sys.stderr)
-            continue
-        yield name, frequencies(healthy_runs(cell, count, seed))
-
-
 def main() -> None:
     """Entry point."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument('--arm', action='append', choices=ARMS, help='all if not given')
-    parser.add_argument('--recorded', action='store_true', help='recordings alone')
-    parser.add_argument('--simulated', action='store_true', help='simulations alone')
-    parser.add_argument('--untouched', action='store_true', help='the part not tuned to')
+    add_cell_options(parser)
     parser.add_argument('--kinds', default='healthy,stamps off,gaps,rest 0.1 mrad')
     parser.add_argument('--count', type=int, default=6, help='healthy runs of each arm')
-    parser.add_argument('--seed', type=int, default=1)
     parser.add_argument('--plot', type=Path, help='picture to write')
     parser.add_argument('--example', action='store_true', help='a detector with known likelihoods')
     options = parser.parse_args()
@@ -199,14 +170,15 @@ def main() -> None:
         }
         curves = {name: frequencies(one) for name, one in runs.items()}  # type: ignore[arg-type]
     else:
-        recorded = [True] * options.recorded + [False] * options.simulated or [False, True]
         kinds = [BY_NAME[name] for name in options.kinds.split(',')]
-        chosen = cells(
-            options.arm or ARMS, [True] if options.untouched else recorded,
-            ('independent', 'derived'), kinds, options.untouched)  # fmt: skip
-        curves = dict(_curves(chosen, options.count, options.seed))
+        curves = {
+            f'{cell.arm} {cell.part} {cell.rates} {cell.kind.name}': frequencies(
+                healthy_runs(cell, options.count, options.seed)
+            )
+            for cell in chosen_cells(options, kinds)
+        }
     if not curves:
-        raise SystemExit('no monitor has a statistic')
+        raise SystemExit('there are no such cells')
     Console(width=140).print(table_of(curves))
     if options.plot:
         plot(curves, options.plot)

@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from fault_injection import BRINGUP, shoulder_arm
+from fault_injection import shoulder_arm, with_sensors
 from rich.console import Console
 from rich.table import Table
 
@@ -104,10 +104,8 @@ def described(name: str) -> tuple[SerialArm, Scenario]:
         about = {'name': name, 'duration': DURATION, 'path': {'waypoints': lines}}
         return shoulder_arm(), parse_scenario(about)
     if name in SHIPPED:
-        arm = load_arm(BRINGUP / 'arms' / f'{name}.yaml')
-        joints = [replace(j, sensors=replace(j.sensors, rates='derived')) for j in arm.joints]
-        scenario = load_scenario(BRINGUP / 'scenarios' / f'{name}.yaml')
-        return replace(arm, joints=tuple(joints)), replace(scenario, duration=DURATION)
+        arm = with_sensors(load_arm(name), rates='derived')
+        return arm, replace(load_scenario(name), duration=DURATION)
     name = name.removeprefix('urdf ')
     urdf = next(one.locate() for one in files(PACKAGE) or () if one.name == f'{name}.urdf')
     tip = ['--tip', OTHERS[name]] if OTHERS[name] else []
@@ -173,9 +171,7 @@ def _mean(values: np.ndarray) -> float:
 
 def table(outcomes: Sequence[Outcome], by: Sequence[str]) -> Table:
     """One line for each label of the outcomes."""
-    made = Table()
-    for heading in HEADINGS:
-        made.add_column(heading)
+    made = Table(*HEADINGS)
     for label in dict.fromkeys(by):
         every = [one for one, own in zip(outcomes, by) if own == label]
         braked = [one.after_brakes for one in every if np.isfinite(one.after_brakes[0])]

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 import yaml
 
+from lpv import Gains, load_arm, load_gains
 from lpv.core.monitoring.answers import Answers
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
-from lpv.core.serial_arm.arm_file import load_arm
-from lpv.core.serial_arm.chain import Chain, compile_chain
+from lpv.core.serial_arm.chain import Chain, body_parameters, compile_chain
 from lpv.core.serial_arm.description import (
     JointFriction,
     JointLimits,
@@ -33,12 +33,10 @@ from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.dynamics.payload import with_payload
 from lpv.core.serial_arm.sensor_map import map_rows
 from lpv.core.serial_arm.two_links import Link, two_link_arm
-from lpv.core.uio.certificate.gains import Gains, load_gains
 from lpv.core.uio.planar import planar_model
 from lpv.identify.recordings.recording import read_recording
 
 ROOT = Path(__file__).resolve().parents[1]
-BRINGUP = ROOT / 'ros2_ws' / 'src' / 'lpv_bringup'
 FILES = Path(__file__).resolve().parent / 'arms'
 """Arms of the recordings of UR10 and Panda, identified on their first halves; gains of A0, C0."""
 DATA = Path(os.environ.get('LPV_RECORDINGS', ROOT.parent / 'shared' / 'data'))
@@ -161,10 +159,7 @@ class Subject:
 
     def with_rates(self, rates: str) -> 'Subject':
         """The same arm with rates from another source."""
-        joints = tuple(
-            replace(joint, sensors=replace(joint.sensors, rates=rates)) for joint in self.arm.joints
-        )
-        return replace(self, arm=replace(self.arm, joints=joints))
+        return replace(self, arm=with_sensors(self.arm, rates=rates))
 
     def monitor(self) -> SerialSensorMonitor:
         """A fresh monitor."""
@@ -326,6 +321,12 @@ def derived(stream: Stream) -> Stream:
 # --- subjects ---------------------------------------------------------------------------------
 
 
+def with_sensors(arm: SerialArm, **changes: Any) -> SerialArm:
+    """The arm with other sensors."""
+    joints = (replace(j, sensors=replace(j.sensors, **changes)) for j in arm.joints)
+    return replace(arm, joints=tuple(joints))
+
+
 def shoulder_arm(position_noise: float = 1e-4, quantization: float = 0.0) -> SerialArm:
     """Three joints: the base turns about the vertical, shoulder and elbow lift."""
     length, turned = 0.4, (np.pi / 2, 0.0, 0.0)
@@ -347,14 +348,27 @@ def shoulder_arm(position_noise: float = 1e-4, quantization: float = 0.0) -> Ser
     )
 
 
+def random_arm(joints: int) -> SerialArm:
+    """An arm like an industrial one: axes that alternate, links that get lighter."""
+    parts = []
+    for i in range(joints):
+        mass, length = 12.0 * 0.75**i, 0.35
+        body = body_parameters(mass, (0.5 * length, 0.0, 0.0), 0.02 * mass * np.eye(3))
+        limit = 20.0 * mass
+        parts.append(SerialJoint(
+            f'joint{i + 1}', (length if i else 0.0, 0.0, 0.0), (np.pi / 2 * (i % 2), 0.0, 0.0),
+            (0.0, 0.0, 1.0), LinkInertia.from_vector(body),
+            JointFriction(0.0, 0.01 * limit, 0.01 * limit, 50.0), rotor_inertia=0.002 * limit,
+            limits=JointLimits(-2.5, 2.5, 3.0, limit),
+            sensors=JointSensors(f'encoder{i + 1}', 1e-4, 0.0, 'independent', 1e-2)))  # fmt: skip
+    return SerialArm('bench', tuple(parts), uncertainty=Uncertainty(1.0, 0.3), sample_time=0.002)
+
+
 def two_links(build: str) -> tuple[SerialArm, Gains | None]:
     """A two-link arm, shipped or a build of the recordings, and its gains."""
-    shipped = build in ('paper', 'real_arm')
-    arm = load_arm(BRINGUP / 'arms' / f'{build if shipped else "real_arm"}.yaml')
-    if not shipped:
-        arm = _build(arm, build)
-    file = BRINGUP / 'gains' / f'{build}.yaml' if shipped else FILES / f'{build}_gains.yaml'
-    return arm, load_gains(file)
+    if build in ('paper', 'real_arm'):
+        return load_arm(build), load_gains(build)
+    return _build(load_arm('real_arm'), build), load_gains(FILES / f'{build}_gains.yaml')
 
 
 def _build(arm: SerialArm, name: str) -> SerialArm:
@@ -380,23 +394,15 @@ def _simulated(
     n = len(arm.joints)
     motion = [np.broadcast_to(np.asarray(one, float), n) for one in (centre, reach, rate)]
 
-    @lru_cache(maxsize=8)
-    def streams(k: int) -> Stream:
-        return simulate(arm, motion, k, pauses=pauses)
-
-    @lru_cache(maxsize=8)
-    def rest(k: int) -> Stream:
-        return simulate(arm, motion, k, rests=True)
-
-    @lru_cache(maxsize=8)
-    def loaded(k: int) -> Stream:
-        most = arm.uncertainty.payload or 0.3 * arm.joints[-1].link.mass
-        return simulate(arm, motion, k, payload=most)
+    @lru_cache(maxsize=24)
+    def streams(k: int, **options: Any) -> Stream:
+        return simulate(arm, motion, k, pauses=pauses, **options)
 
     if pauses:
         driver = partial(rounded, step=arm.joints[0].sensors.quantization)
         return Subject(name, 'simulated', arm, streams, level, gains, driver=driver)
-    others = {'rest': rest, 'payload': loaded}
+    most = arm.uncertainty.payload or 0.3 * arm.joints[-1].link.mass
+    others = {'rest': partial(streams, rests=True), 'payload': partial(streams, payload=most)}
     return Subject(name, 'simulated', arm, streams, level, gains, others)
 
 
@@ -486,6 +492,11 @@ def subjects(name: str, recorded: bool, untouched: bool = False) -> list[Subject
 
 @cache
 def _simulated_subject(name: str) -> Subject:
+    if name.startswith('ur10e'):
+        import ur10e_twin  # which needs this module
+
+        robot = name.removeprefix('ur10e').removeprefix('_')
+        return ur10e_twin.identified(int(robot)) if robot else ur10e_twin.twin()
     if name == 'paper':  # stays near the upright, inside the region of its gains
         arm, gains = two_links('paper')
         return _simulated('paper', arm, (np.pi / 2, 0.0), (0.5, 0.6), 0.8, (0, 1), gains)
@@ -504,7 +515,7 @@ def _simulated_subject(name: str) -> Subject:
         step, period = (STEP, 0.002) if name == 'pausing' else (1e-3, 0.01)
         arm = replace(shoulder_arm(position_noise=1e-5, quantization=step), sample_time=period)
         return _simulated(name, arm, *motion_range(arm, 0.5), (1, 2), pauses=True)
-    arm = load_arm(BRINGUP / 'arms' / f'{name}.yaml')
+    arm = load_arm(name)
     return _simulated(name, arm, *motion_range(arm, 0.5), (1, 2) if name == 'ur10' else (1, 3))
 
 

@@ -22,10 +22,11 @@ run with `--untouched` alone, to report, not to choose.
 
 import argparse
 import json
+import re
 import sys
 import time
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, replace
 from multiprocessing import Pool
 from pathlib import Path
 from typing import Any
@@ -39,6 +40,7 @@ from rich.table import Table
 Row = dict[str, Any]
 BAR = Path(__file__).with_name('fault_matrix_bar.json')
 """The better of the two engines that the one engine replaced, cell by cell."""
+RATES = ('independent', 'derived')
 KEY = ('part', 'arm', 'rates', 'kind')
 SHARES = (
     'first',
@@ -120,9 +122,8 @@ def compared(row: Row, other: Row) -> dict[str, tuple[float, float]]:
 def comparison(rows: Iterable[Row], bar: Iterable[Row]) -> Table:
     """Cells that are worse or better than the bar, share by share."""
     known = {tuple(row[name] for name in KEY): row for row in bar}
-    table = Table(title='per cent, and the better of the two engines before', title_justify='left')
-    for heading in ('cell', 'n', 'worse', 'better'):
-        table.add_column(heading)
+    title = 'per cent, and the better of the two engines before'
+    table = Table('cell', 'n', 'worse', 'better', title=title, title_justify='left')
     for row in rows:
         other = known.get(tuple(row[name] for name in KEY))
         found = compared(row, other) if other else {}
@@ -160,9 +161,8 @@ def tables(rows: Sequence[Row]) -> list[Table]:
         groups.setdefault((row['part'], row['arm'], row['rates']), []).append(row)
     result = []
     for (part, arm, rates), members in groups.items():
-        table = Table(title=f'{arm}, {part}, rates {rates}', title_justify='left')
-        for heading in HEADINGS.values():
-            table.add_column(heading)
+        title = f'{arm}, {part}, rates {rates}'
+        table = Table(*HEADINGS.values(), title=title, title_justify='left')
         for row in members:
             table.add_row(*(_text(name, row.get(name)) for name in HEADINGS))
         result.append(table)
@@ -181,17 +181,49 @@ def _kinds(text: str) -> list[Kind]:
     return chosen
 
 
+def _changed(kind: Kind, limit: float | None, lead: float | None) -> Kind:
+    """A kind with another limit, which its faults outlast, and another time before the onset."""
+    if limit is not None:
+        kind = replace(kind, limit=limit, duration=max(kind.duration, limit + 0.5))
+    return kind if lead is None else replace(kind, lead=lead)
+
+
+def add_cell_options(parser: argparse.ArgumentParser) -> None:
+    """Options of scripts that run cells."""
+    arms = f'{", ".join(ARMS)} (all if none are given), ur10e, or ur10e_N, robot N, identified'
+    parser.add_argument('--arm', action='append', type=_arm, help=arms)
+    parser.add_argument('--recorded', action='store_true', help='recordings alone')
+    parser.add_argument('--simulated', action='store_true', help='simulations alone')
+    parser.add_argument('--untouched', action='store_true', help='the part not tuned to')
+    parser.add_argument('--seed', type=int, default=1)
+
+
+def _arm(name: str) -> str:
+    if name not in ARMS and not re.fullmatch(r'ur10e(_\d+)?', name):
+        raise argparse.ArgumentTypeError(f'there is no arm {name}')
+    return name
+
+
+def chosen_cells(
+    options: argparse.Namespace, kinds: Sequence[Kind], rates: Sequence[str] = RATES
+) -> Iterator[Cell]:
+    """Cells of the options."""
+    recorded = [True] * options.recorded + [False] * options.simulated or [False, True]
+    parts = [True] if options.untouched else recorded
+    return cells(options.arm or ARMS, parts, rates, kinds, options.untouched)
+
+
 def measure(
-    chosen: Sequence[Cell], count: int, seed: int, say: Any, jobs: int = 1
+    chosen: Sequence[Cell], runs: Sequence[int], seed: int, say: Any, jobs: int = 1
 ) -> Iterable[Row]:
     """Rows of cells, one by one."""
     pool = Pool(jobs, initializer=_share_cells, initargs=(chosen, seed)) if jobs > 1 else None
     for number, cell in enumerate(chosen):
         begin = time.process_time()
         if pool is None:
-            verdicts = [run(cell, k, seed) for k in range(count)]
+            verdicts = [run(cell, k, seed) for k in runs]
         else:
-            verdicts = pool.starmap(_run_cell, [(number, k) for k in range(count)])
+            verdicts = pool.starmap(_run_cell, [(number, k) for k in runs])
         row = summary(cell, verdicts)
         say(' '.join(f'{name}={_text(name, row[name])}' for name in dict.fromkeys((*KEY, *HEADINGS))
                      if name in row and row[name] is not None)
@@ -199,16 +231,17 @@ def measure(
         yield row
 
 
-def bound(cell: Cell, count: int, seed: int) -> str:
+def bound(cell: Cell, runs: Sequence[int], seed: int) -> str:
     """What the data of a cell allow, in one line."""
-    runs = [shown(cell, k, seed) for k in range(count)]
-    least = np.array([needed(cell.subjects[k % len(cell.subjects)].arm) for k in range(count)])
-    beyond = np.array([powers for powers, _ in runs]) > least[:, None]
+    found = [shown(cell, k, seed) for k in runs]
+    least = np.array([needed(cell.subjects[k % len(cell.subjects)].arm) for k in runs])
+    beyond = np.array([powers for powers, _ in found]) > least[:, None]
     shares = zip(LESS_NOISE, beyond.mean(0))
     text = ', '.join(f'/ {factor:g} {share:.0%}' for factor, share in shares)
-    named = np.mean([is_named for _, is_named in runs])
+    named = np.mean([is_named for _, is_named in found])
     drift = '' if cell.kind.from_start else f'; named by what was measured {named:.0%}'
-    return f'{cell.arm} {cell.part} {cell.kind.name}, {count} runs: noise variance {text}{drift}'
+    place = f'{cell.arm} {cell.part} {cell.kind.name}, {len(runs)} runs'
+    return f'{place}: noise variance {text}{drift}'
 
 
 _SHARED: dict[str, Any] = {}
@@ -227,14 +260,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument('--arm', action='append', choices=ARMS, help='all if not given')
-    parser.add_argument('--recorded', action='store_true', help='recordings alone')
-    parser.add_argument('--simulated', action='store_true', help='simulations alone')
-    parser.add_argument('--untouched', action='store_true', help='the part not tuned to')
-    parser.add_argument('--rates', action='append', choices=('independent', 'derived'))
+    add_cell_options(parser)
+    parser.add_argument('--rates', action='append', choices=RATES)
     parser.add_argument('--kinds', default='', help='beginnings of names, with commas between')
+    parser.add_argument('--limit', type=float, help='in which faults are to be named [s]')
+    parser.add_argument('--lead', type=float, help='healthy time before an onset [s]')
+    parser.add_argument('--first', type=int, default=0, help='number of the first run of a cell')
     parser.add_argument('--count', type=int, default=8, help='runs of a cell')
-    parser.add_argument('--seed', type=int, default=1)
     parser.add_argument('--jobs', type=int, default=1, help='processes')
     parser.add_argument('--json', type=Path, help='file for rows')
     parser.add_argument('--resume', action='store_true', help='leave out cells that the file has')
@@ -243,12 +275,9 @@ def main() -> None:
     parser.add_argument('--bound', action='store_true', help='print what the data allow')
     parser.add_argument('--alarms', action='store_true', help='print every alarm event')
     options = parser.parse_args()
-    recorded = [True] * options.recorded + [False] * options.simulated or [False, True]
-    if options.untouched:
-        recorded = [True]
-    chosen = list(cells(
-        options.arm or ARMS, recorded, options.rates or ('independent', 'derived'),
-        _kinds(options.kinds), options.untouched))  # fmt: skip
+    kinds = [_changed(kind, options.limit, options.lead) for kind in _kinds(options.kinds)]
+    chosen = list(chosen_cells(options, kinds, options.rates or RATES))
+    runs = range(options.first, options.first + options.count)
     if not chosen:
         raise SystemExit('there are no such cells (recordings: see $LPV_RECORDINGS)')
     rows: list[Row] = []
@@ -263,17 +292,16 @@ def main() -> None:
 
     if options.alarms:
         for cell in chosen:
-            for k in range(options.count):
+            for k in runs:
                 verdict = asdict(run(cell, k, options.seed))
                 say(f'{cell.arm} {cell.kind.name} {k}: {verdict}')
         return
     if options.bound:
         for cell in chosen:
             if cell.rates == 'derived' and (cell.kind.from_start or cell.kind.kind == 'drift'):
-                print(bound(cell, options.count, options.seed), flush=True)
+                print(bound(cell, runs, options.seed), flush=True)
         return
-    for row in measure([] if options.show else chosen, options.count, options.seed, say,
-                       options.jobs):  # fmt: skip
+    for row in measure([] if options.show else chosen, runs, options.seed, say, options.jobs):
         rows.append(row)
         if options.json:
             options.json.write_text('[\n' + ',\n'.join(map(json.dumps, rows)) + '\n]\n')

@@ -9,13 +9,14 @@ from dataclasses import replace
 from functools import cache, lru_cache
 
 import numpy as np
-from fault_injection import BRINGUP, Stream, Subject, moves_and_rests
+from fault_injection import Stream, Subject, moves_and_rests
 
-from lpv.core.serial_arm.arm_file import load_arm
+from lpv import SerialArm, load_arm
 from lpv.core.serial_arm.chain import compile_chain
-from lpv.core.serial_arm.description import SerialArm, Uncertainty
+from lpv.core.serial_arm.description import Uncertainty
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.dynamics.payload import with_payload
+from lpv.identify.estimation.identification import identify
 from lpv.identify.recordings.recording import Recording
 
 PERIOD = 0.01
@@ -40,7 +41,7 @@ DURATION = 60.0
 @cache
 def ur10e() -> SerialArm:
     """The arm as its file describes it."""
-    arm = load_arm(BRINGUP / 'arms' / 'ur10.yaml')
+    arm = load_arm('ur10')
     joints = []
     for joint, gain in zip(arm.joints, GAINS):
         sensors = replace(joint.sensors, rates='derived', position_noise=NOISE, quantization=STEP)
@@ -113,3 +114,10 @@ def recording(
     """What `lpv identify` reads."""
     stream = drive(healthy(seed, load, duration, robot))
     return Recording('twin', stream.stamps * 1e-9, *np.moveaxis(stream.samples, 1, 0))
+
+
+def identified(robot: int) -> Subject:
+    """One arm, with the file that `lpv identify` makes of two recordings of it without a load."""
+    arm = identify(ur10e(), [recording(10**6 + k, robot=robot) for k in range(2)]).arm
+    arm = replace(arm, uncertainty=replace(arm.uncertainty, payload=PAYLOAD))
+    return replace(twin(arm), streams=lambda k: healthy(k, robot=robot))

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from bag_messages import CHATTER, JOINT_STATE, STEP, STRING, TYPESTORE, cdr, text
 from bags import contents, decoded, storage, write_bag, write_by_rosbags
+from fault_injection import with_sensors
 from places import BRINGUP
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin
@@ -348,8 +349,7 @@ ADDED = [(DRIFT, 'derived'), *((f, 'independent') for f in (*BIASES, DRIFT, RATE
 def test_given_a_fault_to_add_when_replayed_then_it_acts_as_on_the_arm_and_is_found(
     loop, paper_arm, paper_gains, replay, tmp_path, fault, rates
 ):
-    joints = (replace(j, sensors=replace(j.sensors, rates=rates)) for j in paper_arm.joints)
-    arm, epoch = replace(paper_arm, joints=tuple(joints)), 1_700_000_000 * NANOSECONDS
+    arm, epoch = with_sensors(paper_arm, rates=rates), 1_700_000_000 * NANOSECONDS
     source = write(tmp_path / 'bag', measured(loop[:HEALTHY], shift=epoch))
     result, out = replay(source, [fault], SerialSensorMonitor('', arm, gains=paper_gains))
     before, after = (load_run(place).streams['joint_states'] for place in (source, out))

@@ -13,6 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from campaign_files import FACTORS, SMALL, UR10, assert_same, command, resolved, rows_of, written
+from fault_injection import with_sensors
 from ros2_commands import Running
 
 from lpv import ConfigError, Fault, load_arm, save_gains
@@ -212,8 +213,8 @@ def test_given_a_twin_or_late_commands_when_run_then_errors_are_compared_or_the_
 
 def test_given_a_wrong_rate_when_it_is_named_then_it_is_found_and_no_alarm_is_false(tmp_path):
     arm = load_arm('ur10')
-    joints = [replace(j, sensors=replace(j.sensors, rates='independent')) for j in arm.joints]
-    save_arm(replace(arm, joints=tuple(joints), covariance=None), tmp_path / 'arm.yaml')
+    arm = replace(with_sensors(arm, rates='independent'), covariance=None)
+    save_arm(arm, tmp_path / 'arm.yaml')
     factors = {'fault.kind': 'rate_bias', 'fault.sensor': 'elbow_encoder', 'fault.size': 0.3}
     spec = {**UR10, 'arm': 'arm.yaml', 'duration': 4.0, 'factors': {**factors, 'fault.onset': 3.0}}
     row = run_one(resolve(spec, 'rates', tmp_path), 0)

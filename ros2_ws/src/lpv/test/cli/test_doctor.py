@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import rclpy
 import ros
+from fault_injection import with_sensors
 from places import BRINGUP, ROOT
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.time import Time
@@ -434,8 +435,7 @@ def test_given_moving_arms_when_checked_then_units_and_rates_are_as_their_files_
         assert signals.check_units(seen, arm) is None
         finding = signals.check_rate_source(seen, arm)
         assert finding.level == Level.OK and said in finding.text
-    joints = (replace(j, sensors=replace(j.sensors, rates='derived')) for j in paper_arm.joints)
-    derived = replace(paper_arm, joints=tuple(joints))
+    derived = with_sensors(paper_arm, rates='derived')
     finding = signals.check_rate_source(of(paper_arm, recorded(derived)), paper_arm)
     assert finding.level == Level.WARN and 'joint1 derived' in finding.text
     # An arm that derives them does without.

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import fault_injection
 import numpy as np
-from fault_injection import wrong_chain
+from fault_injection import with_sensors, wrong_chain
 from simulated_runs import Run, simulated_run
 from watched import Watched
 
@@ -43,8 +43,7 @@ def shoulder_arm(rates: str = 'derived', uncertainty: Uncertainty = KNOWN) -> Se
 
 def with_rates(arm: SerialArm, rates: str, **changes) -> SerialArm:
     """An arm whose rates come from elsewhere, and other changes."""
-    joints = (replace(j, sensors=replace(j.sensors, rates=rates)) for j in arm.joints)
-    return replace(arm, joints=tuple(joints), **changes)
+    return replace(with_sensors(arm, rates=rates), **changes)
 
 
 def simulated(arm, *faults, pushes=(), seed=1, duration=8.0, plant=None) -> Run:

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fault_injection import with_sensors
 from serial_arms import shoulder_arm
 from simulated_runs import simulated_run
 
@@ -188,8 +189,7 @@ def test_given_currents_then_gains_of_drives_may_be_wrong_as_masses_may(unit, kn
 
 def kinematic_rows(time, position, rate, missing=0.0, learns=False, **noise):
     """Rows after blocks of such means, which lack samples for ``missing`` [s], and such noise."""
-    joints = (replace(j, sensors=replace(j.sensors, **noise)) for j in ARM.joints)
-    rows = bank.KinematicRows(replace(ARM, joints=tuple(joints)), PLAN)
+    rows = bank.KinematicRows(with_sensors(ARM, **noise), PLAN)
     blocks = np.zeros((len(time), 13))
     blocks[:, :3], blocks[:, 3:6], blocks[:, 9], blocks[:, 10] = position, rate, time, LENGTH
     blocks[:, 10] += missing

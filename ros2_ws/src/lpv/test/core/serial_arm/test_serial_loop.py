@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from fault_injection import with_sensors
 from places import BRINGUP
 from serial_arms import middle, mixed_arm, scara, shoulder_arm, ur10_on_rail, with_rates
 
@@ -133,9 +134,8 @@ def test_given_drives_that_brake_in_motion_when_healthy_then_no_encoder_is_blame
 @pytest.mark.parametrize('seed', [3, 6])
 def test_given_rounded_readings_when_drives_brake_in_motion_then_none_is_called_frozen(seed, rates):
     """Readings of all joints stop at once, as if each of them froze."""
-    arm = shoulder_arm(rates)
-    joints = (replace(j, sensors=replace(j.sensors, quantization=1e-3)) for j in arm.joints)
-    assert braked_in_motion(replace(arm, joints=tuple(joints)), seed).alarms == []
+    arm = with_sensors(shoulder_arm(rates), quantization=1e-3)
+    assert braked_in_motion(arm, seed).alarms == []
 
 
 @pytest.mark.parametrize(('name', 'joint', 'onset', 'seed'), [

@@ -14,12 +14,13 @@ from fault_injection import (
     derived,
     inject,
     motion_range,
+    random_arm,
     simulate,
     sines,
+    with_sensors,
     wrong_chain,
 )
 from serial_arms import shoulder_arm, watch, with_rates
-from serial_diagnosis import random_arm
 from watched import Watched
 
 from lpv.core.serial_arm.chain import compile_chain
@@ -123,8 +124,7 @@ def test_given_a_long_chain_when_a_joint_rests_then_the_noise_of_its_rate_is_no_
 def test_given_efforts_that_are_means_or_commands_then_no_encoder_is_blamed(rates, taken):
     """Efforts are means over a sample that begins so many periods after their stamp."""
     arm, quiet = random_arm(4), {'position_noise': 1e-6, 'velocity_noise': 1e-4, 'rates': rates}
-    joints = (replace(j, sensors=replace(j.sensors, **quiet)) for j in arm.joints)
-    arm, rng = replace(arm, joints=tuple(joints), sample_time=0.01), np.random.default_rng(1)
+    arm, rng = with_sensors(replace(arm, sample_time=0.01), **quiet), np.random.default_rng(1)
     path = sines(*motion_range(arm, 0.5)[:2], np.full(4, 12.0), rng)  # up to 30 rad/s2
     model, time = SerialModel(wrong_chain(arm, rng)), arm.sample_time * np.arange(1000)
     moments = arm.sample_time * (taken + np.arange(0.05, 1.0, 0.1))
