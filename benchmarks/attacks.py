@@ -22,18 +22,14 @@ from typing import Any
 
 import numpy as np
 import psutil
-import rclpy
 import yaml
-from node_processes import Graph
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
+from node_processes import Client, Graph, client
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
+from lpv import SerialArm, load_arm
 from lpv.bag.rosbag.reading import open_bag
 from lpv.bag.run.decoder import Decoder
-from lpv.core.serial_arm.arm_file import load_arm
-from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.errors import SampleError
 from lpv.core.support.resources import bringup_file
 from lpv.core.support.timestamps import set_stamp
@@ -75,21 +71,11 @@ HEAD = (
 class Rig:
     """A running graph, and who attacks it."""
 
-    def __init__(self, arm: SerialArm, graph: Graph, seconds: float) -> None:
+    def __init__(self, arm: SerialArm, graph: Graph, client: Client, seconds: float) -> None:
         self.arm, self.seconds, self.note = arm, seconds, ''
         self.launch, self.rng = graph.nodes[0], np.random.default_rng(1)
-        self._context = Context()
-        rclpy.init(context=self._context, domain_id=DOMAIN)
-        self.node = rclpy.create_node('_attacker', context=self._context, namespace='/lpv')
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self.node)
+        self.node, self._client = client.node, client
         self._last: Any = None
-
-    def close(self) -> None:
-        """Leave the graph."""
-        self._executor.shutdown()
-        self.node.destroy_node()
-        rclpy.shutdown(context=self._context)
 
     def log(self) -> str:
         """What the nodes have said."""
@@ -97,9 +83,7 @@ class Rig:
 
     def wait(self, seconds: float, done: Any = lambda: False) -> None:
         """Take part in the graph for a while, or until something is done."""
-        end = time.monotonic() + seconds
-        while time.monotonic() < end and not done():
-            self._executor.spin_once(timeout_sec=min(0.05, max(0.0, end - time.monotonic())))
+        self._client.wait(done, seconds)
 
     def every(self, seconds: float) -> Iterator[int]:
         """Numbers of turns, until the attack is over."""
@@ -251,7 +235,7 @@ def scenario(folder: Path, name: str, arm: SerialArm, attack: Any, seconds: floa
 
 def attacked(folder: Path, name: str, attack: Any, seconds: float, loops: int) -> str:
     """Run an attack on an arm's graph; its row of the table."""
-    arm = load_arm(bringup_file('arms', name))
+    arm = load_arm(name)
     words = {
         'arm': name, 'scenario': scenario(folder, name, arm, attack, seconds), 'record': 'true',
         'bag': folder / 'bag', 'view': 'true', 'view_port': 0, 'foxglove_port': 0,
@@ -260,15 +244,14 @@ def attacked(folder: Path, name: str, attack: Any, seconds: float, loops: int) -
     line = ['ros2', 'launch', 'lpv_bringup', 'pipeline.launch.xml']
     load = [subprocess.Popen(LOAD) for _ in range(loops)]
     try:
-        with Graph(folder / 'log', DOMAIN) as graph:
+        with Graph(folder / 'log', DOMAIN) as graph, client(DOMAIN, name='_attacker') as own:
             graph.start('launch', line + [f'{key}:={value}' for key, value in words.items()])
-            rig = Rig(arm, graph, seconds)
+            rig = Rig(arm, graph, own, seconds)
             # On a new machine the nodes compile first.
             rig.wait(300.0, lambda: 'brakes released' in rig.log() and 'page: ' in rig.log())
             rig.wait(5.0)
             attack(rig)
             log = rig.log()
-            rig.close()
     finally:
         for one in load:
             one.kill()

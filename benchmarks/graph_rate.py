@@ -25,21 +25,20 @@ from typing import Any
 import numpy as np
 import rclpy
 import yaml
-from node_processes import Graph
+from node_processes import NAMESPACE, Graph, command, words
 from rclpy.executors import Executor
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
 from lpv.core.support.discovery import stay_local
-from lpv.core.support.resources import bringup_file, executable
+from lpv.core.support.resources import bringup_file
 from lpv.core.support.timestamps import set_stamp, to_nanoseconds
 from lpv_msgs.msg import FaultEstimate, GroundTruth, JointReference, StateEstimate, TorqueCommand
 from lpv_node.arguments import use_profiles
 from lpv_node.managed import ManagedNode
 from lpv_node.qos import stream
 
-NAMESPACE = '/lpv'
 ROUNDS = 3
 SAMPLES = 3000
 """Of one lockstep run, after the first second of the scenario."""
@@ -52,13 +51,7 @@ WARM_UP = 4.0
 _LOST = 2.0
 """After so long a first sample without an answer is sent again [s]."""
 DOMAIN = 83
-PROGRAMS = {
-    'arm_sim': ('lpv_arm_sim', 'simulator'),
-    'uio': ('lpv_uio', 'uio'),
-    'tracker': ('lpv_tracker', 'tracker'),
-    'recorder': ('lpv_node', 'recorder'),
-    'view': ('lpv_node', 'view'),
-}
+NODES = ('tracker', 'uio', 'simulator')
 
 
 # ---------------------------------------------------------------- the empty graph
@@ -203,16 +196,9 @@ def run_ours() -> None:
 # ---------------------------------------------------------------- runs
 
 
-def environment() -> dict[str, str]:
-    """Of processes that find each other on this machine only."""
-    values = dict(os.environ, ROS_DOMAIN_ID=str(DOMAIN), PYTHONUNBUFFERED='1')
-    stay_local(values)
-    return values
-
-
-def role(*words: str) -> list[str]:
+def role(*given: str) -> list[str]:
     """Command line of this program in a role."""
-    return [sys.executable, __file__, *words, '--ros-args', '-r', f'__ns:={NAMESPACE}']
+    return [sys.executable, __file__, *given, *words()]
 
 
 def parameters(folder: Path, rate: int, lockstep: bool, recorders: int) -> Path:
@@ -244,20 +230,12 @@ def parameters(folder: Path, rate: int, lockstep: bool, recorders: int) -> Path:
 
 
 @contextmanager
-def processes(commands: dict[str, list[str]]) -> Iterator[Graph]:
+def processes(commands: dict[str, list[Any]]) -> Iterator[Graph]:
     """Nodes as processes."""
     with tempfile.TemporaryDirectory() as folder, Graph(Path(folder), DOMAIN) as graph:
-        for name, command in commands.items():
-            graph.start(name, command)
+        for name, line in commands.items():
+            graph.start(name, line)
         yield graph
-
-
-def program(name: str, file: Path, *settings: str) -> list[str]:
-    """Command line of a real node."""
-    words = [word for setting in settings for word in ('-p', setting)]
-    remap = ['-r', f'__ns:={NAMESPACE}', '-r', f'__node:={name}']
-    path = executable(*PROGRAMS[name])
-    return [str(path), '--ros-args', *remap, '--params-file', str(file), *words]
 
 
 def scenario_rate(lines: list[str]) -> float:
@@ -285,7 +263,7 @@ def our_rate(split: bool, folder: Path) -> tuple[float, float]:
     """Lockstep rate of the real graph [samples/s], and its CPU time [s/sample]."""
     file = parameters(folder, RATE, True, 0)
     if split:
-        commands = {name: program(name, file) for name in ('tracker', 'uio', 'arm_sim')}
+        commands = {name: command(name, files=[file]) for name in NODES}
     else:
         commands = {'graph': [*role('ours'), '--params-file', str(file)]}
     with processes(commands) as graph:
@@ -357,9 +335,9 @@ def real_time(rate: int, extras: bool, folder: Path) -> str:
     commands = {}
     if extras:
         bag = folder / f'bag_{rate}'
-        commands['recorder'] = program('recorder', file, f'output:={bag}')
-        commands['view'] = program('view', file, 'port:=0', 'foxglove_port:=0')
-    commands |= {name: program(name, file) for name in ('tracker', 'uio', 'arm_sim')}
+        commands['recorder'] = command('recorder', f'output:={bag}', files=[file])
+        commands['view'] = command('view', 'port:=0', 'foxglove_port:=0', files=[file])
+    commands |= {name: command(name, files=[file]) for name in NODES}
     with processes(commands) as graph:
         wait_for(graph, 'brakes released')
         listener = Listener()
@@ -394,7 +372,8 @@ def load() -> str:
 
 def measure() -> None:
     """Measure, and print one line for each figure."""
-    os.environ.update(environment())
+    stay_local()
+    os.environ['ROS_DOMAIN_ID'] = str(DOMAIN)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for split, where, goal in ((False, 'one process', 60), (True, 'three processes', 70)):

@@ -1,12 +1,14 @@
-"""Start, watch and stop the nodes of a run as separate processes."""
+"""Start, watch and stop the nodes of a run as separate processes, and take part in their graph."""
 
 import contextlib
+import itertools
 import os
 import queue
 import signal
 import subprocess
 import threading
 import time
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TextIO
@@ -14,7 +16,25 @@ from typing import Any, TextIO
 from lpv.core.support.discovery import stay_local
 from lpv.core.support.errors import LpvError
 from lpv.core.support.limits import PATIENCE
+from lpv.core.support.resources import executable
 from lpv.core.support.signals import STOPS, handled_signals
+
+NAMESPACE = '/lpv'
+PACKAGES = {'recorder': 'lpv_node', 'simulator': 'lpv_arm_sim', 'view': 'lpv_node'}
+"""Of the nodes whose packages are not called after them."""
+
+
+def words(*parameters: str, files: Iterable[Any] = ()) -> list[str]:
+    """Arguments of a node with parameters (``name:=value``) and parameter files."""
+    given = [('-r', f'__ns:={NAMESPACE}'), *(('--params-file', str(file)) for file in files)]
+    given += [('-p', parameter) for parameter in parameters]
+    return ['--ros-args', *itertools.chain(*given)]
+
+
+def command(name: str, *parameters: str, files: Iterable[Any] = ()) -> list[Any]:
+    """Command line of a node."""
+    program = executable(PACKAGES.get(name, f'lpv_{name}'), name)
+    return [program, *words(*parameters, files=files)]
 
 
 class NodeFailure(LpvError):
@@ -50,18 +70,18 @@ class Graph:
 
     def start(self, name: str, command: list[Any]) -> NodeProcess:
         """Start a node."""
-        words, path = [str(part) for part in command], self._log_dir / f'{name}.log'
+        line, path = [str(part) for part in command], self._log_dir / f'{name}.log'
         log = open(path, 'w', encoding='utf-8', buffering=1)  # noqa: SIM115
-        process = self._process(words)
-        is_recorder = any(Path(word).name == 'recorder' for word in words)  # by a shell, too
+        process = self._process(line)
+        is_recorder = any(Path(word).name == 'recorder' for word in line)  # by a shell, too
         node = NodeProcess(name, process, path, is_recorder)
         threading.Thread(target=self._pump, args=(node, log), daemon=True).start()
         self.nodes.append(node)
         return node
 
-    def _process(self, words: list[str]) -> subprocess.Popen:
+    def _process(self, line: list[str]) -> subprocess.Popen:
         return subprocess.Popen(
-            words,
+            line,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             env=self._environment,
@@ -110,3 +130,53 @@ def _stop(nodes: list[NodeProcess], patience: float) -> None:
         for node in running:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 node.process.wait(max(0.0, deadline - time.monotonic()))
+
+
+@contextlib.contextmanager
+def client(domain: int, make: Any = None, name: str = 'client') -> Iterator['Client']:
+    """A node in this process, on the domain of a graph, with what it needs to spin."""
+    import rclpy
+    from rclpy.context import Context
+    from rclpy.executors import SingleThreadedExecutor
+
+    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+    context = Context()
+    rclpy.init(context=context, domain_id=domain)
+    node = (make or rclpy.create_node)(name, context=context, namespace=NAMESPACE)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    try:
+        yield Client(node, executor)
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+
+
+class Client:
+    """Listens, calls and waits."""
+
+    def __init__(self, node: Any, executor: Any) -> None:
+        self.node, self.executor = node, executor
+
+    def listen(self, msgtype: type, topic: str, qos: Any) -> list[Any]:
+        """A list that receives the topic's messages."""
+        received: list[Any] = []
+        self.node.create_subscription(msgtype, topic, received.append, qos)
+        return received
+
+    def wait(self, condition: Callable[[], Any], timeout: float = 300.0) -> bool:
+        """Spin until the condition holds; False after the timeout [s]."""
+        end = time.monotonic() + timeout
+        while not (found := condition()) and (left := end - time.monotonic()) > 0.0:
+            self.executor.spin_once(timeout_sec=min(0.05, left))
+        return bool(found)
+
+    def call(self, srvtype: Any, name: str, **fields: Any) -> Any:
+        """Answer of a service."""
+        service = self.node.create_client(srvtype, name)
+        assert self.wait(service.service_is_ready), f'no service {name}'
+        future = service.call_async(srvtype.Request(**fields))
+        assert self.wait(future.done), f'no answer of {name}'
+        self.node.destroy_client(service)
+        return future.result()
