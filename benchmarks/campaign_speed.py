@@ -14,16 +14,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from lpv import Gains, Scenario, SerialArm, load_arm, load_scenario
 from lpv.campaign.execution.execute import chunks_of, worker_pool
 from lpv.campaign.plan.campaign import Campaign, find_gains, resolve
-from lpv.core.serial_arm.arm_file import load_arm
-from lpv.core.serial_arm.description import SerialArm
 from lpv.core.simulation.arm_simulator import ArmSimulator, integrate, read_sensors
 from lpv.core.simulation.closed_loop import run_closed_loop
-from lpv.core.simulation.scenario import Scenario, load_scenario
 from lpv.core.support.jit import njit
-from lpv.core.support.resources import bringup_file
-from lpv.core.uio.certificate.gains import Gains
 
 ROUNDS = 3
 DURATION = 20.0
@@ -33,20 +29,20 @@ KINDS = ['none', 'bias', 'drift', 'stuck', 'scale', 'noise', 'spike', 'dropout']
 
 
 @njit
-def _plant_alone(chain, constants, state, faults, streams, scratch, count):  # type: ignore[no-untyped-def]
+def _plant_alone(plant, count):
+    constants, state = plant.constants, plant.state
     for _ in range(count):
-        read_sensors(constants, state, faults, streams[0], streams[1])
-        integrate(chain, constants, state, scratch[0], scratch[1])
+        read_sensors(constants, state, plant.faults, plant.noise, plant.chance)
+        integrate(plant.chain, constants, state, plant.scratch, plant.matrix)
 
 
 def plant_time(arm: SerialArm, scenario: Scenario) -> float:
     """Seconds that the plant takes for a run, held by constant torques."""
     one = ArmSimulator(arm, replace(scenario, faults=(), plant='nonlinear'))
     one.hold()  # its torques hold the arm
-    streams, scratch = (one.noise, one.injector.generator), (one.scratch, one.matrix)
     count = round(DURATION / arm.sample_time)
     start = time.process_time()
-    _plant_alone(one.chain, one.constants, one.state, one.injector.records, streams, scratch, count)
+    _plant_alone(one.parts, count)
     return time.process_time() - start
 
 
@@ -69,9 +65,9 @@ def loop_time(arm: SerialArm, scenario: Scenario, gains: Gains | None) -> float:
 
 def show_loops(name: str) -> None:
     """Print what loops cost, healthy and with the scenario's faults."""
-    arm = load_arm(bringup_file('arms', name))
+    arm = load_arm(name)
     gains = find_gains(name, arm) if arm.lpv else None
-    scenario = replace(load_scenario(bringup_file('scenarios', SCENARIOS[name])), duration=DURATION)
+    scenario = replace(load_scenario(SCENARIOS[name]), duration=DURATION)
     cases = {'healthy': replace(scenario, faults=()), 'with faults': scenario}
     for case in cases.values():
         loop_time(arm, case, gains)
@@ -114,7 +110,7 @@ def show_campaign(name: str, runs: int) -> None:
         for _, rows in do(campaign, chunks_of(campaign)):
             done += len(rows)
     wall = time.monotonic() - begin
-    samples = done * DURATION / load_arm(bringup_file('arms', name)).sample_time
+    samples = done * DURATION / load_arm(name).sample_time
     print(
         f'{name}: {done} runs of {DURATION:g} s on all cores in {wall:.1f} s, '
         f'{1e6 * wall / samples:.2f} us a sample'

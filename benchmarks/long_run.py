@@ -16,16 +16,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lpv import Gains, SerialArm, load_arm, load_gains, load_scenario
 from lpv.core.control.tracking import TrackingController
 from lpv.core.control.tracking_law import track
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
-from lpv.core.serial_arm.arm_file import load_arm
-from lpv.core.serial_arm.description import SerialArm
 from lpv.core.simulation.arm_simulator import ArmSimulator, integrate, read_sensors, set_torque
-from lpv.core.simulation.scenario import load_scenario
 from lpv.core.support.jit import njit
-from lpv.core.support.resources import bringup_file
-from lpv.core.uio.certificate.gains import Gains, load_gains
 from lpv.core.uio.planar import planar_model
 
 SETTLED = 10.0
@@ -46,17 +42,17 @@ EDGE, REACH = 0.97, 0.9
 
 
 @njit
-def _advance(plant, tracker, references, samples):  # type: ignore[no-untyped-def]
+def _advance(plant, tracker, references, samples):
     """One sample for each reference; writes readings, their rates and efforts, (N, 3, n)."""
-    chain, constants, state, faults, noise, push, chance, scratch, matrix = plant
+    constants, state = plant.constants, plant.state
     for k in range(len(references)):
-        read_sensors(constants, state, faults, noise, chance)
+        read_sensors(constants, state, plant.faults, plant.noise, plant.chance)
         sample = samples[k]
         sample[0, :], sample[1, :] = state.measured_position, state.measured_velocity
         sample[2, :] = state.torque
         track(tracker, references[k], sample[0], sample[1], sample[0], constants.sample_time)
-        set_torque(constants, state, tracker.torque, push)
-        integrate(chain, constants, state, scratch, matrix)
+        set_torque(constants, state, tracker.torque, plant.push)
+        integrate(plant.chain, constants, state, plant.scratch, plant.matrix)
 
 
 @dataclass
@@ -78,13 +74,12 @@ class Loop:
     def __init__(self, arm: SerialArm, gains: Gains, pose: np.ndarray, seed: int) -> None:
         factor = 1.0 + (arm.uncertainty.model_error or 0.0)
         scenario = replace(
-            load_scenario(bringup_file('scenarios', SCENARIOS[arm.name])),
+            load_scenario(SCENARIOS[arm.name]),
             faults=(), seed=seed, mass_factors=(factor, factor), inertia_factors=(factor, factor),
         )  # fmt: skip
         one = ArmSimulator(arm, scenario)
         one.state.motion[0] = self.pose = pose
-        self._plant = (one.chain, one.constants, one.state, one.injector.records, one.noise,
-                       one.push, one.injector.generator, one.scratch, one.matrix)  # fmt: skip
+        self._plant = one.parts
         self._tracker = TrackingController(arm, gains).parts
         self._monitor = SerialSensorMonitor('loop', arm, gains=gains, observer='uio')
         self._simulator, self._period = one, arm.sample_time
@@ -171,8 +166,8 @@ def main() -> int:
     parser.add_argument('--seed', type=int, default=0)
     parser.add_argument('--fresh', type=float, default=FRESH, help='rest of a fresh start [s]')
     options = parser.parse_args()
-    arm = load_arm(bringup_file('arms', options.arm))
-    gains = load_gains(bringup_file('gains', options.arm))
+    arm = load_arm(options.arm)
+    gains = load_gains(options.arm)
     rng, poses, fresh = np.random.default_rng(options.seed), rest_poses(arm), []
     for pose in poses:
         loop = Loop(arm, gains, pose, options.seed + 1)

@@ -12,8 +12,7 @@ from lpv.core.serial_arm.dynamics.friction import friction_torque
 from lpv.core.serial_arm.dynamics.newton_euler import inverse_dynamics
 from lpv.core.simulation.arm_simulator import (
     ArmSimulator,
-    PlantConstants,
-    PlantState,
+    PlantParts,
     integrate,
     read_sensors,
     set_torque,
@@ -40,17 +39,9 @@ class Run(NamedTuple):
 
 
 class _Loop(NamedTuple):
-    """The true arm, as the functions of `arm_simulator` take it, and its controller's model."""
+    """The true arm, and its controller's model."""
 
-    plant: Chain
-    constants: PlantConstants
-    state: PlantState
-    faults: np.ndarray
-    noise: np.random.Generator
-    push: np.random.Generator
-    chance: np.random.Generator
-    scratch: FloatArray
-    matrix: FloatArray
+    plant: PlantParts
     model: Chain
     limit: FloatArray  # of the commanded torques [N m]
     work: FloatArray
@@ -62,10 +53,10 @@ def _close(
     loop: _Loop, path: FloatArray, outside: FloatArray, samples: FloatArray, position: FloatArray
 ) -> None:
     """Follow a path, shape (3, N, n), against torques from outside."""
-    params, state = loop.constants, loop.state
+    plant, state = loop.plant, loop.plant.state
     wanted, load, torque = loop.vectors
     for k in range(len(samples)):
-        read_sensors(params, state, loop.faults, loop.noise, loop.chance)
+        read_sensors(plant.constants, state, plant.faults, plant.noise, plant.chance)
         sample, q, v = samples[k], path[0, k], path[1, k]
         for i in range(len(q)):
             sample[0, i], sample[1, i] = state.measured_position[i], state.measured_velocity[i]
@@ -77,8 +68,8 @@ def _close(
         for i in range(len(q)):
             torque[i] = min(max(load[i] + torque[i], -loop.limit[i]), loop.limit[i])
             load[i] = torque[i] + outside[k, i]
-        set_torque(params, state, load, loop.push)
-        integrate(loop.plant, params, state, loop.scratch, loop.matrix)
+        set_torque(plant.constants, state, load, plant.push)
+        integrate(plant.chain, plant.constants, state, plant.scratch, plant.matrix)
 
 
 def simulated_run(
@@ -100,21 +91,9 @@ def simulated_run(
         disturbance=False)  # fmt: skip
     simulator, model = ArmSimulator(_unlimited(arm), scenario), compile_chain(arm)
     simulator.state.motion[1] = path[1, 0]
-    loop = _Loop(
-        simulator.chain if plant is None else plant,
-        simulator.constants,
-        simulator.state,
-        simulator.injector.records,
-        simulator.noise,
-        simulator.push,
-        simulator.injector.generator,
-        simulator.scratch,
-        simulator.matrix,
-        model,
-        np.array(arm.torque_limit),
-        workspace(model),
-        np.zeros((3, n)),
-    )
+    parts = simulator.parts if plant is None else simulator.parts._replace(chain=plant)
+    limit = np.array(arm.torque_limit)
+    loop = _Loop(parts, model, limit, workspace(model), np.zeros((3, n)))
     samples, position, outside = np.zeros((count, 3, n)), np.zeros((count, n)), np.zeros((count, n))
     for push in pushes:
         outside[(push.begin <= time) & (time < push.end)] += push.torque

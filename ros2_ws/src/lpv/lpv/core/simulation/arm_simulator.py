@@ -75,6 +75,20 @@ class PlantState(NamedTuple):
     effort: FloatArray  # measured, in its own unit
 
 
+class PlantParts(NamedTuple):
+    """Arguments of the compiled functions."""
+
+    chain: Chain  # the true arm
+    constants: PlantConstants
+    state: PlantState
+    faults: np.ndarray  # records of `FaultInjector`
+    scratch: FloatArray  # of `integrate`, as the next one
+    matrix: FloatArray
+    noise: np.random.Generator  # of the sensors
+    push: np.random.Generator  # of the disturbance
+    chance: np.random.Generator  # of faults
+
+
 class Engine(Protocol):
     """Integrates an arm in place of `integrate`."""
 
@@ -233,6 +247,14 @@ class ArmSimulator:
         self.signals = {name: getattr(self.state, name) for name in SIGNALS}
         self.signals['disturbance'] = self.state.own['disturbance']
         self._sensed, self._call = False, Entries()
+
+    @property
+    def parts(self) -> PlantParts:
+        """For loops that call the compiled functions, until a fault is injected or cleared."""
+        return PlantParts(
+            self.chain, self.constants, self.state, self.injector.records, self.scratch,
+            self.matrix, self.noise, self.push, self.injector.generator,
+        )  # fmt: skip
 
     @property
     def step_count(self) -> int:

@@ -36,7 +36,7 @@ from lpv.core.monitoring.parameters import DiagnosisParameters
 from lpv.core.monitoring.sample_loop import PROGRESS, Answering, advance
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.monitoring.stepped_monitor import SteppedMonitor
-from lpv.core.serial_arm.chain import Chain, FloatArray, IntArray
+from lpv.core.serial_arm.chain import FloatArray, IntArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import Alarm
 from lpv.core.serial_arm.diagnosis.decision import Parts
@@ -44,7 +44,7 @@ from lpv.core.serial_arm.diagnosis.monitor import LONGEST_STEP
 from lpv.core.serial_arm.sensor_map import map_vector
 from lpv.core.simulation.arm_simulator import (
     ArmSimulator,
-    PlantConstants,
+    PlantParts,
     PlantState,
     brake,
     integrate,
@@ -117,21 +117,6 @@ class _Signals(NamedTuple):
     command: FloatArray
 
 
-class _Plant(NamedTuple):
-    """Arguments of the functions of `lpv.core.simulation.arm_simulator`."""
-
-    chain: Chain
-    constants: PlantConstants
-    state: PlantState
-    faults: np.ndarray
-    scratch: FloatArray
-    matrix: FloatArray
-    noise: np.random.Generator
-    push: np.random.Generator
-    chance: np.random.Generator
-    losses: np.random.Generator
-
-
 class _Observer(NamedTuple):
     """Arguments of `advance`, for all samples of the run."""
 
@@ -143,6 +128,7 @@ class _Observer(NamedTuple):
     answering: Answering
     answers: AnswerRows
     feedback: FloatArray  # those positions of the answers that the loop is closed on
+    losses: np.random.Generator  # of measurements
 
 
 class _Tracker(NamedTuple):
@@ -160,7 +146,7 @@ class _Tracker(NamedTuple):
 @njit
 def _run(
     shared: np.ndarray,
-    plant: _Plant,
+    plant: PlantParts,
     observer: _Observer,
     tracker: _Tracker,
     signals: _Signals,
@@ -196,7 +182,7 @@ def _run(
 @njit
 def _sense(
     loop: np.record,
-    plant: _Plant,
+    plant: PlantParts,
     observer: _Observer,
     tracker: _Tracker,
     signals: _Signals,
@@ -216,7 +202,7 @@ def _sense(
         sample[2, i] = state.effort[i] * plant.constants.effort_gain[i]
         if not (abs(sample[0, i]) < np.inf and abs(sample[1, i]) < np.inf):
             missing = True
-    row.lost = loop.loss > 0.0 and plant.losses.random() < loop.loss
+    row.lost = loop.loss > 0.0 and observer.losses.random() < loop.loss
     row.lost = row.lost or blocked & NO_MEASUREMENT != 0
     waited = 0 if loop.previous == NEVER else observer.stamps[k] - observer.stamps[loop.previous]
     if waited > tracker.watchdog.own[0].silence:
@@ -307,7 +293,7 @@ def _command(loop: np.record, observer: _Observer, tracker: _Tracker, k: int) ->
 @njit
 def _act(
     loop: np.record,
-    plant: _Plant,
+    plant: PlantParts,
     observer: _Observer,
     tracker: _Tracker,
     signals: _Signals,
@@ -459,25 +445,15 @@ def run_closed_loop(
     follower, start = PathFollower(path, speeds, scales), path.sample(0.0)
     references, tip = np.empty((count, 3, len(arm.joints))), np.empty((count, len(start.tip)))
     start.write(references, tip)
-    plant = _Plant(
-        simulator.chain,
-        simulator.constants,
-        simulator.state,
-        simulator.injector.records,
-        simulator.scratch,
-        simulator.matrix,
-        simulator.noise,
-        simulator.push,
-        simulator.injector.generator,
-        # A stream of its own: losses must not change noise and faults.
-        np.random.default_rng([scenario.seed, 2]),
-    )
+    plant = simulator.parts
     records = np.zeros(count, answer_type(len(arm.joints)))
     answers = answer_rows(records)
     fed_back = (answers.measured, answers.compensated, answers.position)
     feedback = fed_back[COMPENSATION.index(compensation)]
     stepped, answering = monitor.parts
-    parts = _new_observer(arm, stepped, answering, answers, feedback)
+    # A stream of its own: losses must not change noise and faults.
+    losses = np.random.default_rng([scenario.seed, 2])
+    parts = _new_observer(arm, stepped, answering, answers, feedback, losses)
     latency = latency_limits(controller.tolerated_latency)
     tracker = _Tracker(
         controller.parts,
@@ -577,6 +553,7 @@ def _new_observer(
     answering: Answering,
     answers: AnswerRows,
     feedback: FloatArray,
+    losses: np.random.Generator,
 ) -> _Observer:
     count, n = feedback.shape
     stamps = np.rint(arm.sample_time * NANOSECONDS * np.arange(count)).astype(np.int64)
@@ -589,4 +566,5 @@ def _new_observer(
         answering._replace(progress=memory(new_record(PROGRESS, next_report=_NO_REPORT))),
         answers,
         feedback,
+        losses,
     )
