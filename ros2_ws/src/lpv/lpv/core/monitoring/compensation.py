@@ -40,8 +40,8 @@ class Compensation(NamedTuple):
 
     applied: FloatArray  # fault that is being removed [rad]
     position: FloatArray  # of the sample before, corrected [rad]
-    velocity: FloatArray  # of the sample before, corrected [rad/s]
-    rates: FloatArray  # that velocity and those before, newest first, shape (n, RATES) [rad/s]
+    # of the sample before, corrected, and those before it, newest first, shape (RATES, n) [rad/s]
+    velocity: FloatArray
     estimate: FloatArray  # of the sample, less the estimated fault [rad]
     reading: FloatArray  # of the sample before, as it was [rad]
     bridged: IntArray  # samples for which a reading has been carried on
@@ -122,9 +122,9 @@ def answer_rows(records: npt.NDArray[np.void]) -> AnswerRows:
 def new_compensation(arm: SerialArm) -> Compensation:
     """Nothing is removed yet."""
     n = len(arm.joints)
-    applied, position, velocity, estimate, reading = np.zeros((5, n))
+    applied, position, estimate, reading = np.zeros((4, n))
     return Compensation(
-        applied, position, velocity, np.zeros((n, RATES)), estimate, reading, np.zeros(n, np.int64),
+        applied, position, np.zeros((RATES, n)), estimate, reading, np.zeros(n, np.int64),
         np.array([NEVER]), new_motion(arm), arm.scales(),
     )  # fmt: skip
 
@@ -158,7 +158,7 @@ def fill_answers(
         if follows:
             work.motion.acceleration[:] = 0.0
             if flags.mode != _HOLDING and work.bridged.any():  # torques hold the weight
-                accelerate(work.motion, work.position, work.velocity, samples[k, 2], interval)
+                accelerate(work.motion, work.position, work.velocity[0], samples[k, 2], interval)
         for i in range(known.fault.shape[0]):
             fault, confirmed = known.fault[i] + elapsed * known.rate[i], 0.0
             drift, growth = 0.0, 0.0
@@ -175,7 +175,7 @@ def fill_answers(
             rows.threshold[row, i], rows.state[row, i] = known.threshold[i], known.state[i]
             rows.alarm[row, i] = known.is_error[i]
         map_vector(work.motion.to_joints, work.position, rows.compensated[row])
-        map_vector(work.motion.to_joints, work.velocity, rows.velocity[row])
+        map_vector(work.motion.to_joints, work.velocity[0], rows.velocity[row])
         map_vector(work.motion.to_joints, work.estimate, rows.position[row])
         map_vector(work.motion.to_joints, samples[k, 0], rows.measured[row])
         map_vector(work.motion.to_joints, samples[k, 1], rows.measured_velocity[row])
@@ -205,15 +205,15 @@ def _correct(
     work.applied[i] += min(max(fault[0] - work.applied[i], -most), most)
     position, velocity = measured[0] - work.applied[i], measured[1] - fault[1]
     if np.isnan(fault[1]):
-        velocity = (position - work.position[i]) / interval if follows else work.velocity[i]
+        velocity = (position - work.position[i]) / interval if follows else work.velocity[0, i]
     noisy = follows and known.noise[i] > 0.0
-    rate = _rate_before(work, i, known) if noisy and _counted(work, i) else work.velocity[i]
+    rate = _rate_before(work, i, known) if noisy and _counted(work, i) else work.velocity[0, i]
     carried = work.position[i] + interval * rate
     if noisy or work.bridged[i] > 0:
         acceleration = _carry(work, i, known, interval)
         carried += 0.5 * interval**2 * acceleration
         rate += interval * acceleration
-    rates = work.rates[i]
+    rates = work.velocity[:, i]
     change = min(abs(rates[0] - rates[1]), abs(rates[1] - rates[2]))
     largest = known.limit[i] + 2.0 * interval * change
     is_near = abs(position - carried) <= largest
@@ -248,10 +248,10 @@ def _correct(
         else:
             work.bridged[i] = _COUNTS
     work.reading[i] = measured[0]
-    work.position[i], work.velocity[i] = position, velocity
+    work.position[i] = position
     for k in range(RATES - 1, 0, -1):
-        work.rates[i, k] = work.rates[i, k - 1] if follows else velocity
-    work.rates[i, 0] = velocity
+        rates[k] = rates[k - 1] if follows else velocity
+    rates[0] = velocity
 
 
 @njit_in_place
@@ -263,7 +263,7 @@ def _counted(work: Compensation, i: int) -> bool:
 @njit_in_place
 def _rate_before(work: Compensation, i: int, known: Known) -> float:
     """Rate at which a reading goes on that is not believed any more [rad/s]."""
-    return median(work.rates[i]) if known.is_derived[i] else float(work.velocity[i])
+    return median(work.velocity[:, i]) if known.is_derived[i] else float(work.velocity[0, i])
 
 
 @njit_in_place
@@ -274,7 +274,7 @@ def _carry(work: Compensation, i: int, known: Known, interval: float) -> float:
         error = max(usual, known.noise[i]) if work.bridged[i] == _COUNTS else usual
         rate = work.motion.rate_noise[i]
         if known.is_derived[i]:
-            apart = median_distance(work.rates[i], median(work.rates[i]))
+            apart = median_distance(work.velocity[:, i], median(work.velocity[:, i]))
             rate = max(2.0 * usual / interval**2, apart * apart)
         begin(work.motion, i, error, rate, known.missed[i])
     return carry(work.motion, i, known.predicted[i], known.missed[i], interval)

@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lpv.core.serial_arm.chain import FloatArray
+from lpv.core.serial_arm.chain import BoolArray, FloatArray
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.balance import (
     DRIFT,
@@ -96,7 +96,6 @@ from lpv.core.serial_arm.sensor_map import map_vector
 from lpv.core.support.jit import njit_in_place
 from lpv.core.support.records import memory, new_record, plain, record_type
 
-BoolArray = npt.NDArray[np.bool_]
 _RELATIVE = ('scale', 'torque_gain')
 """Kinds whose sizes are ratios."""
 STUCK_FOR = (0.2, 0.4, 1.0)

@@ -3,9 +3,8 @@
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from lpv.core.serial_arm.chain import FloatArray, IntArray
+from lpv.core.serial_arm.chain import BoolArray, FloatArray, IntArray
 from lpv.core.serial_arm.description import RATE_BIAS, SerialArm
 from lpv.core.serial_arm.diagnosis.estimator import HorizonPlan
 from lpv.core.serial_arm.diagnosis.information import ROBUST, factorise, whiten
@@ -14,7 +13,6 @@ from lpv.core.serial_arm.diagnosis.priors import POSE_TIME, RATE_LAG, WRONG_STAM
 from lpv.core.serial_arm.diagnosis.sampler import DELAY, LATE, NOISE_MEMORY
 from lpv.core.support.jit import njit_in_place
 
-BoolArray = npt.NDArray[np.bool_]
 NEGLIGIBLE = 5e-4
 """Errors of readings, and of rates in a quarter of a second, that are no faults, however little
 noise the file states [rad], times `SerialJoint.scale`."""

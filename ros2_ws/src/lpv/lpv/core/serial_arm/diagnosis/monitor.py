@@ -11,7 +11,6 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from lpv.core.serial_arm.certificate.jump_bound import jump_bound
 from lpv.core.serial_arm.chain import COULOMB, FloatArray
@@ -85,8 +84,6 @@ from lpv.core.serial_arm.diagnosis.settings import MonitorSettings
 from lpv.core.serial_arm.diagnosis.stuck import Frozen, at_rest
 from lpv.core.serial_arm.diagnosis.undecided_jumps import UndecidedJumps
 from lpv.core.support.records import memory, new_record, plain
-
-BoolArray = npt.NDArray[np.bool_]
 
 LONGEST_STEP = 10.0
 """Sample times after which the next sample begins anew."""

@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from lpv.core.serial_arm.chain import FloatArray
-from lpv.core.serial_arm.diagnosis.bank import Bank, BoolArray, Compared
+from lpv.core.serial_arm.chain import BoolArray, FloatArray
+from lpv.core.serial_arm.diagnosis.bank import Bank, Compared
 from lpv.core.serial_arm.diagnosis.end_of_fault import EndOfFault, end_of_fault
 from lpv.core.serial_arm.diagnosis.estimator import HORIZON
 from lpv.core.serial_arm.diagnosis.readings import Readings
