@@ -1,6 +1,5 @@
 """Makes long bags quickly: one simulated round of a closed path, repeated with fresh noise."""
 
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,13 +8,13 @@ import numpy as np
 from lpv.bag.replay.writer import RecordTemplate
 from lpv.bag.rosbag.messages import BagMessages
 from lpv.bag.rosbag.metadata import qos_profile
+from lpv.bag.rosbag.output_folder import replaced
 from lpv.bag.rosbag.writing import BagWriter
 from lpv.core.control.tracking import TrackingController
 from lpv.core.serial_arm.sensor_map import map_rows
 from lpv.core.simulation.arm_simulator import ArmSimulator
 from lpv.core.simulation.faults import FaultInjector
-from lpv.core.simulation.scenario import load_scenario
-from lpv.core.support.resources import bringup_file
+from lpv.files import load_scenario
 
 TOPICS = {
     '/lpv/joint_states': 'sensor_msgs/msg/JointState',
@@ -29,50 +28,25 @@ _FAULTY = 30
 
 
 def long_bag(path, arm, gains, hours):
-    """A bag of measurements and torque commands at the arm's sample rate, zstd.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        Bag; if it is there already, nothing is done.
-    arm : SerialArm
-        The arm.
-    gains : Gains
-        Of its tracking loop.
-    hours : float
-        Length [h].
-
-    Returns
-    -------
-    int
-        Messages on each topic.
-    """
+    """A bag of measurements and torque commands, unless it is there; messages on each topic."""
     path, count = Path(path), round(hours * 3600.0 / arm.sample_time)
     if path.exists():
         return count
-    part = path.with_name(path.name + '_part')
-    shutil.rmtree(part, ignore_errors=True)
-    part.parent.mkdir(parents=True, exist_ok=True)
     truth, bias = _round(arm, gains)
     generator = np.random.default_rng(0)
-    with BagWriter(part, 'zstd_fast') as writer:
+    with replaced(path) as part, BagWriter(part, 'zstd_fast') as writer:
         for topic, msgtype in TOPICS.items():
             writer.add_topic(topic, msgtype, [qos_profile(False, False, 5)])
         templates = _templates(writer, arm)
         for first in range(0, count, _CHUNK):
             k = np.arange(first, min(first + _CHUNK, count))
             writer.write_chunk(*_chunk(k, templates, truth, bias, arm, generator))
-    (storage,) = part.glob('*.mcap')
-    storage.rename(storage.with_name(path.name + '.mcap'))
-    metadata = part / 'metadata.yaml'
-    metadata.write_text(metadata.read_text().replace(part.name, path.name))
-    part.rename(path)
     return count
 
 
 def _round(arm, gains):
     """True positions, rates and torques of one round, and the faults of its sensors."""
-    scenario = load_scenario(bringup_file('scenarios', 'two_faults'))
+    scenario = load_scenario('two_faults')
     plant = ArmSimulator(arm, replace(scenario, faults=(), noise=False))
     controller, path = TrackingController(arm, gains), scenario.path(arm)
     rows, bias = [], []

@@ -8,6 +8,7 @@ bag of the same kind, and the table says so.
 import argparse
 import json
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -18,6 +19,7 @@ from rich.console import Console
 from rich.table import Table
 
 OUT = Path('out')
+REPLAYED = OUT / 'bench_replayed'
 TOPICS = ('/lpv/joint_states', '/lpv/torque_command')
 
 
@@ -25,32 +27,25 @@ TOPICS = ('/lpv/joint_states', '/lpv/torque_command')
 
 
 def _arm_and_gains():
-    from lpv.core.serial_arm.arm_file import load_arm
-    from lpv.core.support.resources import bringup_file
-    from lpv.core.uio.certificate.gains import load_gains
+    from lpv.files import load_arm, load_gains
 
-    return (load_arm(bringup_file('arms', 'paper')), load_gains(bringup_file('gains', 'paper')))
+    return load_arm('paper'), load_gains('paper')
 
 
 def replay(bag):
     """Read, decode, observe, diagnose, write the estimates."""
-    import shutil
-
     from lpv.bag.replay.replay import Replay
     from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 
     arm, gains = _arm_and_gains()
-    out = OUT / 'bench_replayed'
-    shutil.rmtree(out, ignore_errors=True)
+    shutil.rmtree(REPLAYED, ignore_errors=True)
     result = Replay(
         SerialSensorMonitor('', arm, gains=gains),
         torque_from_command=True,
         estimates_only=True,
         preset=os.environ.get('PRESET', 'zstd_fast'),
-    ).run(bag, out)
-    size = sum(file.stat().st_size for file in out.iterdir())
-    shutil.rmtree(out)
-    return {'messages': 2 * result.measurements, 'written': size}
+    ).run(bag, REPLAYED)
+    return 2 * result.measurements
 
 
 def decode(bag):
@@ -73,7 +68,7 @@ def decode(bag):
             found = measurements.read(block, positions)
             efforts.before(block, np.flatnonzero(~mask), found.places)
             count += len(block)
-    return {'messages': count}
+    return count
 
 
 def rosbags(bag):
@@ -85,18 +80,15 @@ def rosbags(bag):
         for connection, _, data in reader.messages():
             reader.deserialize(data, connection.msgtype)
             count += 1
-    return {'messages': count}
+    return count
 
 
 def mcap_ros2_support(bag):
     """mcap-ros2-support, by the authors of the format."""
     from mcap_ros2.reader import read_ros2_messages
 
-    return {
-        'messages': sum(
-            1 for message in read_ros2_messages(str(_file(bag))) if message.ros_msg is not None
-        )
-    }
+    messages = read_ros2_messages(str(_file(bag)))
+    return sum(message.ros_msg is not None for message in messages)
 
 
 def mcap_ros2_support_fast(bag):
@@ -105,13 +97,8 @@ def mcap_ros2_support_fast(bag):
     from small_mcap import read_message_decoded
 
     with open(_file(bag), 'rb') as file:
-        return {
-            'messages': sum(
-                1
-                for message in read_message_decoded(file, decoder_factories=[DecoderFactory()])
-                if message.decoded_message is not None
-            )
-        }
+        messages = read_message_decoded(file, decoder_factories=[DecoderFactory()])
+        return sum(message.decoded_message is not None for message in messages)
 
 
 def pybag(bag):
@@ -119,11 +106,7 @@ def pybag(bag):
     from pybag.mcap_reader import McapFileReader
 
     with McapFileReader.from_file(str(_file(bag))) as reader:
-        return {
-            'messages': sum(
-                1 for message in reader.messages(list(TOPICS)) if message.data is not None
-            )
-        }
+        return sum(message.data is not None for message in reader.messages(list(TOPICS)))
 
 
 def roboto(bag):
@@ -145,7 +128,7 @@ def roboto(bag):
                 timestamp=mcap_codec.TimestampSource('message_log_time'),
             ) as cursor:
                 count += sum(batch.num_rows for batch in cursor)
-    return {'messages': count}
+    return count
 
 
 def _file(bag):
@@ -174,7 +157,7 @@ def child(name, bag):
         return
     wall, cpu = time.perf_counter(), time.process_time()
     try:
-        result = CANDIDATES[name](Path(bag))
+        result = {'messages': CANDIDATES[name](Path(bag))}
     except ImportError as error:
         result = {'missing': str(error)}
     result.update(wall=time.perf_counter() - wall, cpu=time.process_time() - cpu)
@@ -233,8 +216,8 @@ def main():
         f'{size / 1e6:.0f} MB, zstd'
     )
     table = Table(box=box.SIMPLE_HEAD)
+    table.add_column('', no_wrap=True)
     for column in (
-        '',
         'hours',
         'wall [s]',
         'processor [s]',
@@ -242,8 +225,7 @@ def main():
         'us/message',
         'memory [MB]',
     ):
-        table.add_column(column, justify='left' if not column else 'right', no_wrap=True)
-    best = None
+        table.add_column(column, justify='right', no_wrap=True)
     for name in CANDIDATES:
         bag, count = short if name in SLOW else long
         rounds = arguments.rounds if name in OURS else 1
@@ -252,7 +234,6 @@ def main():
             console.print(f'{name} is not installed: {result["missing"]}')
             continue
         assert result['messages'] == 2 * count, (name, result)
-        best = result if name == 'replay' else best
         table.add_row(
             {'replay': 'lpv replay, all', 'decode': 'lpv replay, decoding only'}.get(name, name),
             f'{count / long[1] * arguments.hours:.3g}',
@@ -263,7 +244,9 @@ def main():
             f'{result["memory"] / 1e6:.0f}',
         )
     console.print(table)
-    console.print(f'the estimates take {best["written"] / 1e6:.0f} MB')
+    written = sum(file.stat().st_size for file in REPLAYED.iterdir())
+    console.print(f'the estimates take {written / 1e6:.0f} MB')
+    shutil.rmtree(REPLAYED)
 
 
 if __name__ == '__main__':

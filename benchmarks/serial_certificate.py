@@ -8,23 +8,21 @@ loop, sampled and with one sample of delay, the largest tracking error is compar
 """
 
 import argparse
-from pathlib import Path
 
 import numpy as np
 from scipy.linalg import eigh
 from scipy.optimize import minimize
 
+from lpv import load_arm
 from lpv.core.control.tracking import TrackingController
-from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.serial_arm.certificate.loop_gains import LoopGains
 from lpv.core.serial_arm.chain import Chain, FloatArray, compile_chain
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.serial_arm.dynamics.payload import with_payload
 from lpv.core.serial_arm.simulation import integration_step, plant_scratch, plant_step
+from lpv.core.support.resources import bringup_file
 from lpv.core.uio.certificate.gains import load_certified
-
-FILES = Path(__file__).resolve().parents[1] / 'ros2_ws' / 'src' / 'lpv_bringup'
 
 
 def corner_arm(arm: SerialArm, gains: LoopGains, rng: np.random.Generator) -> Chain:
@@ -123,8 +121,8 @@ def main() -> None:
     parser.add_argument('--duration', type=float, default=10.0)
     arguments = parser.parse_args()
     for name in ('ur10', 'panda'):
-        arm = load_arm(FILES / 'arms' / f'{name}.yaml')
-        gains, rng = load_certified(FILES / 'gains' / f'{name}.yaml'), np.random.default_rng(0)
+        arm, rng = load_arm(name), np.random.default_rng(0)
+        gains = load_certified(bringup_file('gains', name))
         slowest = slowest_decay(arm, gains, arguments.tries, rng)
         errors = [
             tracking_error(arm, gains, arguments.duration, rng) for _ in range(arguments.runs)
