@@ -191,6 +191,11 @@ build_workspace() {
   fi
   say "building the workspace"
   local options=() numerics
+  # At the same time, from the sources: nothing here needs the other.
+  PYTHONPATH="$root/ros2_ws/src/lpv${PYTHONPATH:+:$PYTHONPATH}" \
+    "$venv/bin/python" -m lpv.core.simulation.precompile &
+  numerics=$!
+  trap "kill $numerics 2>/dev/null || true" EXIT  # it does not outlive a set-up that fails
   install_build_tools
   export PATH="$venv/bin:$PATH"
   if [ "$source" = wheels ]; then
@@ -198,10 +203,6 @@ build_workspace() {
     options+=(-G Ninja "-DCMAKE_PROJECT_INCLUDE=$root/tools/wheels_fix.cmake" -DLPV_MSGS_CPP=OFF)
   fi
   mkdir -p "$build"
-  # At the same time, from the sources: neither needs the other.
-  PYTHONPATH="$root/ros2_ws/src/lpv${PYTHONPATH:+:$PYTHONPATH}" \
-    "$venv/bin/python" -m lpv.core.simulation.precompile &
-  numerics=$!
   # Into the environment itself: programs then run with nothing sourced.
   if ! (cd "$root/ros2_ws" && "$venv/bin/python" -m colcon --log-base "$build/log" build \
       --base-paths src "${stand_in[@]}" \
@@ -209,12 +210,12 @@ build_workspace() {
       --event-handlers console_cohesion- console_direct- console_stderr- \
       --cmake-args "${options[@]}" -DBUILD_TESTING=OFF \
       "-DPython3_EXECUTABLE=$venv/bin/python") > "$build/colcon.txt" 2>&1; then
-    kill "$numerics" 2>/dev/null || true
     cat "$build/colcon.txt" >&2
     fail "the workspace did not build; see $build/log"
   fi
   keep_byte_code > "$build/byte_code.txt" 2>&1 || true  # nothing but time is lost
   wait "$numerics" || fail "the numerical code could not be compiled (see above)"
+  trap - EXIT
   mark_done workspace "$id"
 }
 
