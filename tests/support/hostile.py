@@ -134,7 +134,7 @@ class Output:
 
 
 @contextmanager
-def node_of(kind, name, *files, **parameters):
+def node_of(kind, *files, **parameters):
     """A configured node of a class in this process, that takes part without an executor."""
     given = ros.words(*(f'{key}:={value}' for key, value in parameters.items()), files=files)
     rclpy.init(args=given, domain_id=ros.next_domain())

@@ -66,7 +66,7 @@ class Drives:
 @pytest.fixture
 def drives():
     given = {'arm_file': 'paper', 'scenario_file': 'two_faults', 'lockstep': 'true'}
-    with node_of(SimulatorNode, 'arm_sim', **given) as node:
+    with node_of(SimulatorNode, **given) as node:
         yield Drives(node)
 
 

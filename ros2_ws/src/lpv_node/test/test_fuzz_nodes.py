@@ -55,7 +55,7 @@ class Recorder:
 
 @pytest.fixture(params=['false', 'true'], ids=['real time', 'lockstep'])
 def recorder(request, tmp_path):
-    with node_of(RecorderNode, 'recorder', output=tmp_path / 'bag', lockstep=request.param) as node:
+    with node_of(RecorderNode, output=tmp_path / 'bag', lockstep=request.param) as node:
         yield Recorder(node)
 
 
@@ -130,7 +130,7 @@ class Bridge:
 @pytest.fixture
 def view():
     files = {'arm_file': 'paper', 'scenario_file': 'two_faults'}
-    with node_of(ViewNode, 'view', port=0, foxglove_port=0, **files) as node:
+    with node_of(ViewNode, port=0, foxglove_port=0, **files) as node:
         yield View(node)
 
 
@@ -145,7 +145,7 @@ def test_given_hostile_input_when_shown_then_frames_are_json_and_good_messages_a
     assert run_cases(100, lambda rng: set_parameters(view.node, rng)).refused and view.is_live()
 
 
-def test_given_simulated_time_when_shown_then_reports_and_arms_follow_it(view, monkeypatch):
+def test_given_simulated_time_when_shown_then_reports_and_arms_follow_it(view):
     reports = view.node._status.publisher = Output(DiagnosticArray)
     assert view.is_live() and 'view: page' in reports.last.status[0].name
     assert 0 < reports.last.header.stamp.sec < 10, 'not of the wall clock'

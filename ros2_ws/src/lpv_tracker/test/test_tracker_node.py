@@ -27,7 +27,7 @@ PLACES = {'paper': [0.1, 0.2], 'ur10': [0.0, -1.6, 1.5, -1.4, -1.5, 0.0]}
 def tracker(*files, arm='ur10', scenario=None, lockstep='true', **parameters):
     """A configured tracker of a shipped arm."""
     names = {'arm_file': arm, 'scenario_file': scenario or {'paper': 'two_faults'}.get(arm, arm)}
-    return node_of(TrackerNode, 'tracker', *files, lockstep=lockstep, **names, **parameters)
+    return node_of(TrackerNode, *files, lockstep=lockstep, **names, **parameters)
 
 
 @pytest.fixture

@@ -63,7 +63,7 @@ def test_given_a_bad_transport_when_observed_then_the_node_publishes_what_a_repl
     run = crane_run(faults=[Fault('encoder2', 'bias', 0.6, size=0.05)])
     file, whole = crane_file(tmp_path), record_crane(tmp_path / 'whole', run)
     bag = troubled(whole, tmp_path / 'bag')
-    with node_of(UioNode, 'uio', arm_file=file) as node:
+    with node_of(UioNode, arm_file=file) as node:
         outputs = with_outputs(node)
         for *_, data in contents(bag)[0]:
             node._on_measurement(deserialize_message(data, JointState))
@@ -136,7 +136,7 @@ class Arm:
 
 @pytest.fixture
 def arm():
-    with node_of(UioNode, 'uio', bringup_file('gains', 'paper'), arm_file='paper') as node:
+    with node_of(UioNode, bringup_file('gains', 'paper'), arm_file='paper') as node:
         arm = Arm(node)
         arm.recover()  # what compiles takes its time
         yield arm
@@ -227,7 +227,7 @@ def test_given_a_gripper_on_the_topic_when_observed_then_it_is_no_error(arm, mon
 
 
 def test_given_a_driver_that_names_no_joints_at_first_when_it_does_then_they_are_observed():
-    with node_of(UioNode, 'uio', arm_file='paper') as node:
+    with node_of(UioNode, arm_file='paper') as node:
         arm = Arm(node)
         for _ in range(2):  # before any good measurement
             node._on_measurement(JointState())
@@ -298,7 +298,7 @@ def test_given_stamps_that_fit_no_stream_when_observed_then_it_is_said_why(
 ):
     """Stamps that run backwards, and those of a driver that is too slow; a replay says the same."""
     entries = []
-    with node_of(UioNode, 'uio', arm_file='paper') as node:
+    with node_of(UioNode, arm_file='paper') as node:
         said, now = [], 0
         logger = SimpleNamespace(warning=said.append, info=print, error=print)
         monkeypatch.setattr(node, 'get_logger', lambda: logger)
@@ -334,7 +334,7 @@ def test_given_stamps_that_fit_no_stream_when_observed_then_it_is_said_why(
 
 
 def test_given_gaps_when_observed_then_the_python_api_answers_the_same():
-    with node_of(UioNode, 'uio', bringup_file('gains', 'paper'), arm_file='paper') as node:
+    with node_of(UioNode, bringup_file('gains', 'paper'), arm_file='paper') as node:
         arm, monitor = Arm(node), Monitor(node._arm, load_gains('paper'))
         updates = []
         for k in range(1200):
@@ -371,7 +371,7 @@ def test_given_a_clock_that_is_set_back_when_no_measurement_comes_then_it_is_sta
 
 
 def test_given_simulated_time_that_nobody_tells_when_measurements_end_then_it_is_stale(monkeypatch):
-    with node_of(UioNode, 'uio', arm_file='paper', use_sim_time='true') as node:
+    with node_of(UioNode, arm_file='paper', use_sim_time='true') as node:
         Arm(node).recover()
         for now in (10**9, 2 * 10**9):
             time_now = SimpleNamespace(nanoseconds=now)
@@ -383,7 +383,7 @@ def test_given_simulated_time_that_nobody_tells_when_measurements_end_then_it_is
 def test_given_a_misspelt_tuning_when_started_then_it_is_refused_by_name():
     with (
         pytest.raises(ConfigError, match='diagnosis.sigma: is not a known parameter.*sigmas'),
-        node_of(UioNode, 'uio', **{'arm_file': 'paper', 'diagnosis.sigma': 5.0}),
+        node_of(UioNode, **{'arm_file': 'paper', 'diagnosis.sigma': 5.0}),
     ):
         pass
 

@@ -70,7 +70,7 @@ def test_given_work_that_takes_long_when_there_is_no_terminal_then_it_is_said(mo
 
 
 def test_given_gains_of_an_earlier_demo_when_all_is_as_it_was_then_no_solver_is_asked(
-    tmp_path, paper_arm, paper_model, paper_gains, monkeypatch
+    tmp_path, paper_arm, paper_gains, monkeypatch
 ):
     monkeypatch.setitem(sys.modules, 'lpv_design.design_flow', None)
     file, console = tmp_path / 'gains.yaml', Console(file=io.StringIO())
