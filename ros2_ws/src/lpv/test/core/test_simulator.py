@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 from planar_formulas import inverse_dynamics
 
+from lpv import load_arm
 from lpv.core.simulation import arm_simulator, scenario
 from lpv.core.simulation.faults import Fault, FaultInjector
 from lpv.core.support.errors import ConfigError
+from lpv.core.support.resources import bringup_file
 
 pytestmark = pytest.mark.slow
 QUIET = {'noise': False, 'disturbance': False}
@@ -93,6 +95,20 @@ def test_given_noise_when_sampled_then_moments_are_right_and_faults_independent(
     # Nor may both draw the same numbers at different times.
     drawn = np.round(fault / 0.1, 9), np.round(np.array(noise[:2]) / 1e-3, 9)
     assert np.intersect1d(*drawn).size == 0
+
+
+def test_given_derived_rates_when_the_first_reading_is_taken_late_then_it_has_no_rate_from_zero():
+    arm, path = load_arm(bringup_file('arms', 'panda')), bringup_file('scenarios', 'panda')
+    sensors = [replace(joint.sensors, rates='derived') for joint in arm.joints]
+    joints = tuple(replace(joint, sensors=own) for joint, own in zip(arm.joints, sensors))
+    own = replace(arm, joints=joints)
+    plant = arm_simulator.ArmSimulator(own, scenario.load_scenario(path))
+    plant.hold()  # as in real time, where the first sample is published after a step
+    assert np.abs(plant.sense()['measured_velocity']).max() < 0.1
+    plant.hold()
+    before, after = plant.signals['measured_position'].copy(), plant.sense()
+    steps = (after['measured_position'] - before) / arm.sample_time
+    np.testing.assert_allclose(after['measured_velocity'], steps, atol=1e-9)
 
 
 @pytest.mark.parametrize('changes', [{}, {'payload': 0.25, 'mass_factors': (1.03, 0.97)}])

@@ -160,8 +160,8 @@ def read_sensors(
 @njit
 def _take_readings(params: PlantConstants, state: PlantState, faults: np.ndarray) -> None:
     """Read the sensors with the random numbers that have been drawn."""
-    step, reading, n = state.own[0].step_count, state.reading, state.reading.shape[0]
-    time = step * params.sample_time
+    reading, n = state.reading, state.reading.shape[0]
+    time = state.own[0].step_count * params.sample_time
     for i in range(n):
         state.position[i], state.velocity[i] = state.motion[0, i], state.motion[1, i]
         state.before[i] = reading[i]
@@ -181,7 +181,7 @@ def _take_readings(params: PlantConstants, state: PlantState, faults: np.ndarray
         rate = state.rate[i] + rate_bias(faults, i, time)
         if not params.derived[i]:
             rate += params.velocity_noise[i] * state.draw[i, 1]
-        elif step > 0 and not math.isnan(state.before[i]):
+        elif not math.isnan(state.before[i]):
             rate += (reading[i] - state.before[i]) / params.sample_time - state.rate[i]
         elif math.isnan(reading[i]):
             rate = math.nan
@@ -379,6 +379,8 @@ def plant_constants(
 
 
 def plant_state(joints: int, push_mean: float = 0.0) -> PlantState:
-    """State of so many joints, all zero but for the mean of the disturbance."""
+    """State of so many joints at rest at zero, without a reading."""
     own = memory(new_record(PLANT_STATE, push_mean=push_mean))
-    return PlantState(own, np.zeros((2, joints)), np.zeros((joints, 2)), *np.zeros((11, joints)))
+    state = PlantState(own, np.zeros((2, joints)), np.zeros((joints, 2)), *np.zeros((11, joints)))
+    state.reading[:] = math.nan  # none was taken yet
+    return state
