@@ -11,6 +11,7 @@ from bag_messages import CHATTER, JOINTS, START, STEP, STRING, text
 from bags import KINDS, contents, storage, write_by_mcap, write_by_rosbags, write_small
 from fuzzing import fuzz, mutate_bytes, mutate_text
 from places import BRINGUP
+from rosbags.rosbag2 import StoragePlugin
 
 from lpv import ConfigError, save_gains
 from lpv.bag.errors import BagError
@@ -154,6 +155,11 @@ def test_given_a_file_of_another_writer_when_damaged_then_it_is_read_in_parts(tm
         with contextlib.suppress(BagError):
             contents(file)
             recover(file)
+
+
+def test_given_a_file_of_another_tool_without_messages_when_read_then_it_is_not_damaged(tmp_path):
+    bag = write_by_rosbags(tmp_path / 'bag', [], StoragePlugin.MCAP)
+    assert contents(bag) == ([], [])
 
 
 @pytest.mark.parametrize('field', ['size', 'data', 'record'])

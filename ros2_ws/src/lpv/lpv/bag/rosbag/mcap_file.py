@@ -81,7 +81,8 @@ class McapFile:
         counts, places = dict(summary.statistics.channel_message_counts), []
         if any(counts.values()) and not summary.chunk_indexes:
             return False
-        for index in summary.chunk_indexes:
+        # Without messages a chunk has no times, whatever writers put there.
+        for index in summary.chunk_indexes if any(counts.values()) else ():
             if not index.message_start_time <= index.message_end_time < 2**63 - 1:
                 raise DamageError('the times of a chunk are wrong')
             channels = tuple(index.message_index_offsets)
