@@ -320,6 +320,13 @@ def test_given_a_gripper_beside_the_arm_when_checked_then_the_arm_alone_counts(s
     assert found(graph.check_graph(shot)) == []
 
 
+def test_given_two_arms_in_one_graph_when_checked_then_each_is_not_blamed_for_the_other(shot):
+    shot.measured['/right/joint_states'] = heard(names=('shoulder', 'elbow'))
+    findings = graph.check_graph(shot)
+    assert found(findings) == []
+    assert any('not checked' in f.text and '--arm' in f.text for f in findings)
+
+
 def test_given_efforts_of_0_when_the_arm_moves_then_none_are_measured(shot, paper_arm):
     moving = [(stamp, message(stamp, position=[0.01 * k, 1.5])) for k, stamp in enumerate(STAMPS)]
     finding = signals.check_efforts(signals.hear(JOINTS, moving, paper_arm), shot)

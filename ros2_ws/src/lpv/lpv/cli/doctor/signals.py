@@ -68,15 +68,20 @@ def hear(topic: str, messages: list[tuple[int, Any]], arm: SerialArm | None) -> 
 
 def check_measurements(shot: Any, arm: SerialArm | None) -> list[Finding]:
     """Run all checks of the measurements of a `Snapshot`."""
-    findings = []
-    for topic, messages in sorted(shot.measured.items()):
+    findings, measured = [], sorted(shot.measured.items())
+    heard = {topic: hear(topic, messages, arm) for topic, messages in measured if messages}
+    arms = [topic for topic, seen in heard.items() if len(seen.stamps)]
+    for topic, messages in measured:
         if not messages:
             remedy = 'the driver or simulator is not active, or waits (lockstep: for the torque '
             remedy += 'that answers); see its log'
             findings.append(error('measurements', f'{topic} is silent', remedy))
             continue
-        seen = hear(topic, messages, arm)
-        found = [one for one in _problems(seen, shot, arm) if one is not None]
+        if arms and heard[topic].others and not heard[topic].rejected and topic not in arms:
+            text = f'{topic}: not checked, it is of other joints than {", ".join(arms)}'
+            findings.append(ok('joints', f'{text}; --arm names another arm'))
+            continue
+        found = [one for one in _problems(heard[topic], shot, arm) if one is not None]
         if all(p.level == Level.OK for p in found):
             text = f'{topic}: {len(messages)} messages in {shot.seconds:g} s'
             found.insert(0, ok('measurements', text))
