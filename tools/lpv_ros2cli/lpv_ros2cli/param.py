@@ -1,4 +1,4 @@
-"""``ros2 param``: list, get, set."""
+"""``ros2 param``: list, describe, get, set."""
 
 import argparse
 import array
@@ -25,6 +25,29 @@ def run_list(arguments: argparse.Namespace) -> None:
 
 
 @takes('node_name', 'parameter_name')
+def run_describe(arguments: argparse.Namespace) -> None:
+    """Print type, meaning and range of a parameter."""
+    from rcl_interfaces.srv import DescribeParameters
+
+    with graph.command_node() as node:
+        name = graph.find_node(node, arguments.node_name)
+        request = DescribeParameters.Request(names=[arguments.parameter_name])
+        found = graph.call(node, DescribeParameters, f'{name}/describe_parameters', request)
+    # Of an unknown one, nodes answer nothing, or a description without a type.
+    if not found.descriptors or not found.descriptors[0].type:
+        raise CliError(f"Parameter not set: {name} has no '{arguments.parameter_name}'")
+    one = found.descriptors[0]
+    print(f'Parameter name: {one.name}\n  Type: {_kind(one.type).lower()}')
+    print(f'  Description: {one.description}\n  Constraints:')
+    if one.read_only:
+        print('    Read only: true')
+    for limits in (*one.integer_range, *one.floating_point_range):
+        print(f'    Min value: {limits.from_value}\n    Max value: {limits.to_value}')
+    if one.additional_constraints:
+        print(f'    Additional constraints: {one.additional_constraints}')
+
+
+@takes('node_name', 'parameter_name')
 def run_get(arguments: argparse.Namespace) -> None:
     """Print the value of a parameter."""
     from rclpy.parameter import parameter_value_to_python
@@ -36,8 +59,7 @@ def run_get(arguments: argparse.Namespace) -> None:
         raise CliError(f"Parameter not set: {name} has no value of '{arguments.parameter_name}'")
     value: Any = parameter_value_to_python(found)
     value = list(value) if isinstance(value, (tuple, array.array)) else value
-    kind = (*_KINDS, 'Byte', *_KINDS)[found.type - 1]
-    print(kind, 'values are:' if found.type > len(_KINDS) else 'value is:', value)
+    print(_kind(found.type), 'values are:' if found.type > len(_KINDS) else 'value is:', value)
 
 
 @takes('node_name', 'parameter_name', 'value')
@@ -63,6 +85,11 @@ def run_set(arguments: argparse.Namespace) -> None:
         text = 'Set parameter successful' if result.successful else 'Setting parameter failed'
         reason = f': {result.reason}' if result.reason else ''
         print(f'{text}{reason}', file=sys.stdout if result.successful else sys.stderr)
+
+
+def _kind(number: int) -> str:
+    """Name of a rcl_interfaces/ParameterType, of arrays that of their values."""
+    return (*_KINDS, 'Byte', *_KINDS)[number - 1]
 
 
 def _value(node: Any, name: str, parameter: str) -> Any:

@@ -105,6 +105,9 @@ def graph():
         node.create_service(InjectFault, 'inject', inject)
         limits = [FloatingPointRange(from_value=0.0, to_value=10.0)]
         node.declare_parameter('gain', 1.0, ParameterDescriptor(floating_point_range=limits))
+        fixed = {'description': 'of the drives', 'read_only': True}
+        own = ParameterDescriptor(floating_point_range=limits, **fixed)
+        node.declare_parameter('fixed', 1.0, own)
         thread = threading.Thread(target=client.executor.spin)
         thread.start()
         yield
@@ -161,7 +164,11 @@ def test_given_a_node_when_its_parameters_or_state_are_set_then_it_says_what_it_
     errors = ros2('param', 'set', '/lpv/arm', 'gain', '20.0', fails=True)
     assert errors.startswith('Setting parameter failed: ')
     for words in (('/lpv/arm', 'nix'), ('/nix', 'gain')):
-        assert ros2('param', 'get', *words, code=1).count('\n') == 1
+        for verb in ('get', 'describe'):
+            assert ros2('param', verb, *words, code=1).count('\n') == 1
+    text = 'Parameter name: fixed\n  Type: double\n  Description: of the drives\n  Constraints:\n'
+    text += '    Read only: true\n    Min value: 0.0\n    Max value: 10.0\n'
+    assert ros2('param', 'describe', '/lpv/arm', 'fixed') == text
     assert ros2('lifecycle', 'get', '/lpv/arm') == 'unconfigured [1]\n'
     assert ros2('lifecycle', 'set', '/lpv/arm', 'configure') == 'Transitioning successful\n'
     errors = ros2('lifecycle', 'set', '/lpv/arm', 'configure', code=1)
