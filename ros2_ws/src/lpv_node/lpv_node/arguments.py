@@ -30,8 +30,8 @@ def initialise(argv: list[str] | None = None) -> None:
         if option == '--params-file' and not Path(path).is_file():
             raise ConfigError(
                 '--params-file',
-                f'there is no file {path}; gains of an arm are '
-                'written by: lpv design --arm ARM --out GAINS.yaml',
+                f'there is no file {path}; gains of an arm are written by: lpv design --arm ARM '
+                '--out GAINS.yaml; arm:= of a launch file is a shipped arm or a file, NAME.yaml',
             )
     try:
         # rclpy's own handler shuts the context down at once, with messages still in the queues.

@@ -80,17 +80,18 @@ def declare(node: Node, declared: Iterable[Entry], read_only: bool = True) -> No
     node.add_on_set_parameters_callback(check)
 
 
-def required_text(node: Node, name: str) -> str:
-    """Value of a string parameter; ConfigError if it is empty."""
+def required_text(node: Node, name: str, reason: str = 'must be set') -> str:
+    """Value of a string parameter; ConfigError with the reason if it is empty."""
     value = node.get_parameter(name).value
     if not value:
-        raise ConfigError(name, 'must be set', node.get_name())
+        raise ConfigError(name, reason, node.get_name())
     return value
 
 
 def named_file(node: Node, name: str, kind: str) -> str:
     """Path in a parameter, or of the shipped file of a kind that it names; ConfigError without."""
-    return str(bringup_file(kind, required_text(node, name)))
+    reason = f'must be set, for launch files as {name}:=...'
+    return str(bringup_file(kind, required_text(node, name, reason)))
 
 
 FROM_GAINS = '0: as the gains allow'

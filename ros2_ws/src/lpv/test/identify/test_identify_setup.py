@@ -238,6 +238,16 @@ def test_given_degrees_of_a_prismatic_joint_when_identified_then_its_unit_is_ask
     assert 'columns.yaml: joints.one.unit: must be m' in said
 
 
+def test_given_a_csv_file_with_other_separators_when_identified_then_its_columns_are_shown(
+    arm, tmp_path, call
+):
+    file, recording = tmp_path / 'arm.yaml', tmp_path / 'run.csv'
+    save_arm(arm, file)
+    recording.write_text('time;q1;tau1\n0.0;0.1;0.2\n')
+    said = call('identify', recording, '--arm', file, code=2).err
+    assert 'it has time;q1;tau1; give a column map' in said
+
+
 def test_given_no_place_for_the_arm_when_identified_then_it_is_said_before_the_fit(
     arm, tmp_path, call
 ):

@@ -17,7 +17,7 @@ from lpv.bag.run.record import find_topic
 from lpv.core.serial_arm.chain import MAX_JOINTS
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.turns import Turns
-from lpv.core.support.limits import MAX_GAP, MOST_SAMPLES, SMALL
+from lpv.core.support.limits import MAX_GAP, MOST_SAMPLES, MOST_TEXT, SMALL
 from lpv.core.support.timestamps import NANOSECONDS
 from lpv.identify.errors import IdentificationError
 
@@ -290,7 +290,9 @@ def _guess_columns(path: Path, joints: Sequence[str]) -> ColumnMap:
         header = [name.strip() for name in next(reader, [])]
     time = next((name for name in header if re.fullmatch(r'(time|t|stamp)(_s)?', name, re.I)), None)
     if time is None:
-        raise IdentificationError(f'{path}: has no column "time"; give a column map (--columns)')
+        there = ', '.join(header) or 'no columns at all'
+        text = f'has no column "time", "t" or "stamp", it has {there[:MOST_TEXT]}'
+        raise IdentificationError(f'{path}: {text}; give a column map (--columns)')
     found, labels = {}, _labels(path, header, joints)
     for label, joint in zip(labels, joints):
         names = []
