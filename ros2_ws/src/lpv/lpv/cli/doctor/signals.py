@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lpv.cli.doctor.finding import Finding, Level, error, ok, warn
+from lpv.core.monitoring.alarm_text import other_unit
 from lpv.core.monitoring.idle_efforts import without_efforts
 from lpv.core.monitoring.joint_order import JointOrder
 from lpv.core.serial_arm.chain import compile_chain
@@ -193,8 +194,6 @@ def _samples(seen: Heard, arm: SerialArm) -> tuple[np.ndarray, ...]:
 
 def check_units(seen: Heard, arm: SerialArm) -> Finding | None:
     """Whether positions look like degrees or mm: by size, by their rates, or by gravity."""
-    from lpv.identify.estimation.mistakes import other_unit
-
     topic, (stamps, position, velocity, effort) = seen.topic, _samples(seen, arm)
     if len(stamps) < 2:
         return None

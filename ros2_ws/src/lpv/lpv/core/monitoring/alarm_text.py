@@ -2,6 +2,9 @@
 
 import math
 
+import numpy as np
+
+from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import (
     GUARANTEED,
     STATISTICAL,
@@ -38,6 +41,8 @@ COUNTER_TEXT = {
 }
 """Fields of `lpv.core.monitoring.serial_monitor.SerialCounters`, what they count."""
 UNUSABLE = 'no measurement can be used'
+_ALMOST_ALL = (0.01, 0.99)
+"""Quantiles of positions: single readings may be anything."""
 
 
 def count_texts(counters: object) -> list[str]:
@@ -49,6 +54,16 @@ def unusable_text(counters: object) -> str:
     """That no measurement can be used, and what was wrong with samples; empty without counts."""
     counts = '; '.join(count_texts(counters))
     return f'{UNUSABLE}: {counts}' if counts else ''
+
+
+def other_unit(arm: SerialArm, position: np.ndarray) -> str:
+    """Positions, shape (samples, n), that look like degrees or mm, as text; empty if none do."""
+    for joint, (low, high) in zip(arm.joints, np.nanquantile(position, _ALMOST_ALL, axis=0).T):
+        if max(-low, high) > joint.farthest:
+            unit = 'millimetres' if joint.is_prismatic else 'degrees'
+            where = f'{low:.3g} to {high:.3g} {joint.units[0]}, beyond its limits'
+            return f'positions of {joint.name} are {where}: {unit}?'
+    return ''
 
 
 def describe(event: Alarm) -> str:

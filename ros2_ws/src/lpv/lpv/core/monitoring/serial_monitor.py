@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from lpv.core.monitoring import message_fields
-from lpv.core.monitoring.alarm_text import unusable_text
+from lpv.core.monitoring.alarm_text import other_unit, unusable_text
 from lpv.core.monitoring.answers import LONGEST_STALE, Answer, Answers, answer_type
 from lpv.core.monitoring.batch import Batch, new_batch
 from lpv.core.monitoring.compensation import AnswerRows
@@ -67,6 +67,11 @@ _MISNAMED = (
     'independent'
 )
 _TOO_RARE = f'measurements are more than ten sample times of the arm file apart: {_JUMPS_ALONE}'
+_LOST = (
+    'measurements are lost, or come too rarely; more than ten sample times passed {} times within '
+    'a second'
+)
+_UNITS = 'readings are in another unit, or of another arm; {}'
 _NO_EFFORT = f'no efforts: {_JUMPS_ALONE}'
 _NO_WEIGHT = f'efforts leave out the weight: {_JUMPS_ALONE}'
 
@@ -216,7 +221,7 @@ class SerialSensorMonitor:
         self._reading = np.zeros(self._joints)  # of that sample [rad]
         self._repeats = new_repeats(self._joints)
         self._older = 0  # measurements in a row that were older than the last one
-        self._gaps_before = self.counters.gaps
+        self._gaps_before = self._gaps_reported = self.counters.gaps
         self._alarms = AlarmConverter(self.arm)
         self._missing_since = np.full(self._joints, NEVER)  # readings, stamps [ns]
         self._is_missing = False
@@ -595,7 +600,8 @@ class SerialSensorMonitor:
         self._monitor.progress['next_report'] = stamp + _REPORT_INTERVAL
         answer = answers.state[row], answers.fault[row] if answers.has_fault[row] else None
         answers.reports.append((row, self._status(*answer)))
-        answers.warnings += [(row, text) for text in self._new_warnings()]
+        answers.warnings += [(row, text) for text in self._new_warnings(answer[0])]
+        self._gaps_reported = self.counters.gaps
 
     def stale_fault(self) -> np.record | None:
         """The last ``fault`` of an answer, if there is one, marked as such."""
@@ -618,7 +624,7 @@ class SerialSensorMonitor:
     ) -> list[dict[str, Any]]:
         if note is None:
             is_used = state.mode < Mode.STALE
-            note = self._remark() if is_used else unusable_text(self.counters)
+            note = self._remark(state) if is_used else unusable_text(self.counters)
         values = {
             **vars(self.counters),
             'rejected messages': self.rejected,
@@ -636,14 +642,17 @@ class SerialSensorMonitor:
             self.name, self.arm, state, fault, values, note, details
         )
 
-    def _remark(self) -> str:
-        """What else is to be said of the diagnosis as a whole."""
-        monitor = self._monitor
+    def _remark(self, state: np.record) -> str:
+        """What else is to be said of the diagnosis as a whole, with an answer's ``state``."""
+        monitor, gaps = self._monitor, self.counters.gaps
+        if text := other_unit(self.arm, state.compensated_position[None]):
+            return _UNITS.format(text)
         if not monitor.uses_balances:
             return _NO_EFFORT if self._blind else _NO_WEIGHT
-        gaps = self.counters.gaps - self._gaps_before
-        if not monitor.balances and gaps > LONGEST_STEP:
+        if not monitor.balances and gaps - self._gaps_before > LONGEST_STEP:
             return _TOO_RARE
+        if gaps - self._gaps_reported > LONGEST_STEP:
+            return _LOST.format(gaps - self._gaps_reported)
         if monitor.in_contact:
             return CONTACT
         if monitor.suspects:
@@ -653,9 +662,9 @@ class SerialSensorMonitor:
         wrong = ', '.join(monitor.misnamed)
         return _MISNAMED.format(wrong) if wrong else ''
 
-    def _new_warnings(self) -> list[str]:
+    def _new_warnings(self, state: np.record) -> list[str]:
         """What was not warned of before, whatever its details."""
-        note = self._remark()
+        note = self._remark(state)
         subject = note.partition(';')[0]
         new = [note] if note and subject not in self._warned else []
         self._warned.add(subject)

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from lpv.core.monitoring.alarm_text import other_unit
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import N_INERTIAL, SerialArm
 from lpv.core.serial_arm.diagnosis.parameter_error import model_error, usual_load
@@ -37,7 +38,6 @@ _STEPS = 10  # of the search for a reading's error: half a turn, what is then le
 _SCALE = 0.2  # standard deviation of the logarithm of the arm's torques, as the file gives them
 _FACTOR = 2.0  # within which efforts may be N m
 _DELAYS = (-0.05, *np.arange(0.03, 0.11, 0.01))  # what filters of drivers do is no mistake [s]
-_ALMOST_ALL = (0.01, 0.99)  # quantiles of positions: single readings may be anything
 _MOST_SAMPLES = 1500  # that mistakes are tried on: each is a fit of its own
 _Tried = Iterator[tuple[str, '_Setup']]
 
@@ -115,16 +115,6 @@ def find_mistakes(arm: SerialArm, recordings: Sequence[Recording]) -> list[Mista
         found.append(replace(best, text='; or: '.join([best.text, *alike])))
         setup, before = other, likeliest
     return found
-
-
-def other_unit(arm: SerialArm, position: np.ndarray) -> str | None:
-    """Positions, shape (samples, n), that look like degrees or mm, as text; None if none do."""
-    for joint, (low, high) in zip(arm.joints, np.nanquantile(position, _ALMOST_ALL, axis=0).T):
-        if max(-low, high) > joint.farthest:
-            unit = 'millimetres' if joint.is_prismatic else 'degrees'
-            where = f'{low:.3g} to {high:.3g} {joint.units[0]}, beyond its limits'
-            return f'positions of {joint.name} are {where}: {unit}?'
-    return None
 
 
 def _slow(arm: SerialArm, segments: Sequence[Segment]) -> tuple[Segment, ...]:

@@ -66,6 +66,27 @@ def test_given_samples_too_rare_for_the_sample_time_then_it_is_told():
     assert not any('ten sample times' in text for _, text in answers.warnings)
 
 
+def test_given_bursts_with_losses_between_then_that_measurements_are_lost_is_told():
+    """As of a bag that is played faster than a machine can follow."""
+    stamps, samples, _ = recorded(duration=4.0)
+    k = np.arange(len(stamps))
+    kept = (k % 500 < 250) | (k % 13 < 2)
+    _, answers = observe(stamps[kept], samples[kept])
+    assert any(text.startswith('measurements are lost') for _, text in answers.warnings)
+    kept = k % 400 < 380  # now and then, as of any network
+    _, answers = observe(stamps[kept], samples[kept])
+    assert answers.warnings == []
+
+
+def test_given_readings_in_degrees_then_their_unit_is_asked_for():
+    stamps, samples, _ = recorded(duration=4.0)
+    samples = samples.copy()
+    samples[:, :2] = np.degrees(samples[:, :2])
+    _, answers = observe(stamps, samples)
+    told = [text for _, text in answers.warnings if 'another unit' in text]
+    assert len(told) == 1 and told[0].endswith('beyond its limits: degrees?')
+
+
 def test_given_gaps_when_reset_then_they_are_not_told_again():
     stamps, samples, _ = recorded(duration=4.0)
     monitor, _ = observe(stamps[::12], samples[::12])
