@@ -1,4 +1,4 @@
-"""Efforts of drivers that measure none and publish zeros."""
+"""Efforts, or rates, of drivers that measure none and publish zeros."""
 
 import numpy as np
 
@@ -16,3 +16,28 @@ def without_efforts(
     moved = (np.abs(position - start) > least).any(1)
     given = (np.abs(effort) > 0.0).any(1) & np.isfinite(position).any(1)
     return np.logical_or.accumulate(moved), np.logical_or.accumulate(given)
+
+
+class IdleSignal:
+    """Efforts or rates of a driver, as long as all were 0; ``least`` as of `without_efforts`."""
+
+    def __init__(self, least: FloatArray, given: bool = False) -> None:
+        self._least, self._given = least, given  # whether any was other than 0
+        self._first: FloatArray | None = None  # positions of the first measurement
+        self._has_moved = False  # from there, before any other came
+
+    def leave_out(self, position: FloatArray, values: FloatArray) -> int:
+        """Make values NaN that are not measured but 0; the first such sample of all, or -1."""
+        if self._given:
+            return -1
+        read = np.isfinite(position).any(1)
+        if not read.any():
+            return -1
+        if self._first is None:
+            self._first = position[read.argmax()].copy()
+        moved, is_given = without_efforts(position, values, self._first, self._least)
+        had_moved = self._has_moved
+        idle = (moved | had_moved) & ~is_given
+        values[idle] = np.nan
+        self._given, self._has_moved = bool(is_given[-1]), had_moved or bool(idle.any())
+        return int(idle.argmax()) if self._has_moved and not had_moved else -1

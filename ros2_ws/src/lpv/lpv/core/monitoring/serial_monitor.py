@@ -17,7 +17,7 @@ from lpv.core.monitoring.alarm_text import other_unit, unusable_text
 from lpv.core.monitoring.answers import LONGEST_STALE, Answer, Answers, answer_type
 from lpv.core.monitoring.batch import Batch, new_batch
 from lpv.core.monitoring.compensation import AnswerRows
-from lpv.core.monitoring.idle_efforts import without_efforts
+from lpv.core.monitoring.idle_efforts import IdleSignal
 from lpv.core.monitoring.joint_order import JointOrder
 from lpv.core.monitoring.parameters import DiagnosisParameters
 from lpv.core.monitoring.plausibility import (
@@ -169,11 +169,10 @@ class SerialSensorMonitor:
             self.method = f'{METHOD}, unknown-input observer ({uio.method})'
         self._monitor = SteppedMonitor(arm, parameters, uio)
         self._gap = round(LONGEST_STEP * arm.sample_time * NANOSECONDS)
-        self._has_efforts = False  # whether any was other than 0
-        self._first: FloatArray | None = None  # positions of the first measurement [rad]
-        self._has_moved = False  # from there, before efforts came
         self._read = Driver(np.full(self._joints, np.nan), np.zeros(1, np.int64))
         self._small = SMALL * arm.scales()
+        self._efforts = IdleSignal(self._small)
+        self._rates = IdleSignal(self._small, bool(self._independent.any()))
         self._patience = NEVER  # since the last use; when it ends [ns]
         self._begin()
 
@@ -337,7 +336,8 @@ class SerialSensorMonitor:
         unread = np.empty(len(stamps), bool)
         self._call(find_unread, stamps, samples, self._small, self._read, unread)
         position, velocity = self._turns.continued(stamps, samples[:, 0], samples[:, 1])
-        idle = self._leave_out_idle(position, samples[:, 2])
+        self._rates.leave_out(position, velocity)
+        idle = self._efforts.leave_out(position, samples[:, 2])
         samples[:, 0] = map_rows(self._to_sensors, position)
         samples[:, 1] = map_rows(self._to_sensors, velocity)
         begin = 0
@@ -376,20 +376,6 @@ class SerialSensorMonitor:
             self._patience = now + _REPEATED_AFTER
             note = unusable_text(self.counters)
             answers.reports.append((row, self.status(Mode.STALE, note)))
-
-    def _leave_out_idle(self, position: FloatArray, effort: FloatArray) -> int:
-        """Make efforts NaN that are not measured but 0; the first such one of all, or -1."""
-        read = np.isfinite(position).any(1)
-        if self._has_efforts or not read.any():
-            return -1
-        if self._first is None:
-            self._first = position[read.argmax()].copy()
-        moved, is_given = without_efforts(position, effort, self._first, self._small)
-        had_moved = self._has_moved
-        idle = (moved | had_moved) & ~is_given
-        effort[idle] = np.nan
-        self._has_efforts, self._has_moved = bool(is_given[-1]), had_moved or bool(idle.any())
-        return int(idle.argmax()) if self._has_moved and not had_moved else -1
 
     def _regular(self, batch: Batch, begin: int) -> int:
         """Number of samples from ``begin`` on that can be used as they are, after the last one."""

@@ -229,6 +229,22 @@ def test_given_efforts_that_are_always_0_when_the_arm_moves_then_there_are_none(
     assert answers.state.mode[-1] == Mode.OBSERVING and told(answers) == []
 
 
+@pytest.mark.parametrize('part', [1, 10_000])
+def test_given_rates_that_are_always_0_when_the_arm_moves_then_readings_give_them(part):
+    """As of drivers that fill in what they do not measure."""
+    arm = shoulder_arm('derived')
+    run = simulated(arm, Fault('encoder2', 'drift', 2.0, rate=0.1), duration=4.0)
+    found = []
+    for rate in (0.0, np.nan):
+        samples, monitor, alarms = run.samples.copy(), SerialSensorMonitor('/uio', arm), []
+        samples[:, 1] = rate
+        for begin in range(0, len(samples), part):
+            rows = slice(begin, begin + part)
+            alarms += told(observe(run.stamps[rows] + 5, samples[rows], monitor)[1])
+        found.append((alarms, monitor.counters.not_finite))
+    assert found == [(RAISED, 0)] * 2
+
+
 @pytest.mark.parametrize('rates', ['derived', 'independent'])
 @pytest.mark.parametrize(
     ('begin', 'count', 'values'),
