@@ -113,7 +113,7 @@ class Monitor:
             name=list(self._names), position=position, velocity=velocity, effort=effort
         )
         try:
-            answer = self._monitor.take(stamp, message)
+            answer = self._monitor.take(operator.index(stamp), message)
         except (TypeError, ValueError, OverflowError, LookupError) as error:
             raise self._refusal(stamp, message) or error from None
         if answer is None or not answer.record['has_fault']:

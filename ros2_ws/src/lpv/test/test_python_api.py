@@ -79,7 +79,7 @@ def test_given_wrong_types_when_monitored_then_it_is_said_which(page, place, wro
     name = ('position', 'velocity', 'effort')[place - 1]
     with pytest.raises(lpv.SampleError, match=f'^{name} must be 2 numbers, one a joint, got '):
         monitor.update(*sample[:place], wrong, *sample[place + 1 :])
-    for stamp in ('x', None, 10**30):
+    for stamp in ('x', None, 10**30, 1.5, 1e9):
         with pytest.raises(lpv.SampleError, match='^stamp must be a whole number of nanoseconds'):
             monitor.update(stamp, *sample[1:])
     assert monitor.update(*sample) is not None, 'it goes on'
