@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fault_injection import with_sensors
-from serial_arms import shoulder_arm
+from serial_arms import shoulder_arm, watch, without
 from simulated_runs import simulated_run
 
 from lpv.core.serial_arm.chain import compile_chain
@@ -68,6 +68,19 @@ def test_balance_of_the_true_arm_is_zero_and_its_columns_are_derivatives(blocks)
     moved = CHAIN._replace(inertial=CHAIN.inertial + 0.5 * directions[0], friction=friction)
     change = rows_of(moved, louder)[:, :, 0] - rows[:, :, 0]
     np.testing.assert_allclose(change, 0.5 * rows[:, :, 1 + 3 * len(balances.GROUPS)], atol=1e-10)
+
+
+@pytest.mark.parametrize('rates', ['derived', 'independent'])
+def test_given_samples_that_are_missing_when_the_arm_is_the_true_one_then_little_is_left(rates):
+    arm = shoulder_arm(rates)
+    run = simulated_run(arm, 4.0, seed=2, noise=False)
+    run.samples[:-1, 2] = run.samples[1:, 2]  # the effort of a sample acted before it
+    largest = []
+    for lost in (0, 4):  # in a row, every 0.2 s, at another place of the interval each time
+        rows = [99 * k + np.arange(lost, dtype=int) for k in range(1, 20)]
+        window = watch(arm, without(run, np.concatenate(rows))).estimator.window
+        largest.append(np.abs(window.rows[10:60, :, 0]).max(0))
+    assert (largest[1] < 3.0 * largest[0]).all()
 
 
 def test_columns_of_friction_and_of_torque_gains_are_exact(blocks):

@@ -16,7 +16,7 @@ from lpv.core.serial_arm.diagnosis.fault_filter import (
     follow_all,
 )
 from lpv.core.serial_arm.diagnosis.readings import Readings
-from lpv.core.serial_arm.diagnosis.sampler import IN_BLOCK, put_back
+from lpv.core.serial_arm.diagnosis.sampler import BLOCK_LENGTH, put_back
 from lpv.core.serial_arm.diagnosis.sensor_state import SensorRecord
 from lpv.core.serial_arm.diagnosis.stuck import Course
 
@@ -230,7 +230,7 @@ class FollowedFaults:
             return
         sampler.samples[:, 0, i] += out
         sampler.blocks[:, i] += out
-        sampler.sums[0, i] += out * sampler.counters[IN_BLOCK]
+        sampler.sums[0, i] += out * sampler.clock[BLOCK_LENGTH]
         self._readings.estimator.move_reference(i, out)
 
     def _correct_no_more(self, i: int) -> None:

@@ -32,13 +32,11 @@ COUNT, IN_BLOCK, IN_INTERVAL, PENDING, BLOCKS, PROBED = range(6)
 """Entries of `Sampler.counters`: samples since the start, in the block; blocks in the interval;
 sensor-independent age of a jump that waits for its kind, -1 if none; blocks written; samples in the
 probe, or those until one begins, times -1."""
-(
-    INTERVAL_START, BLOCK_START, STAMPS, TIMES, JITTER, SEEN, LATEST, LATE_FROM, LATE_UNTIL,
-    IN_DOUBT,
-) = range(10)  # fmt: skip
-"""Entries of `Sampler.clock` [s]; the third one is 1 once a stamp has been wrong, then comes the
-sum of the block's stamps; the usual variance of stamps [s2], and of how many it was learned; by how
-much stamps were wrong lately, from and until when, and by how much those of the block may be."""
+STAMPS, JITTER, SEEN, LATEST, LATE_FROM, LATE_UNTIL, IN_DOUBT, BLOCK_LENGTH, TIMES = range(9)
+"""Entries of `Sampler.clock` [s]: 1 once a stamp has been wrong; the usual variance of stamps [s2],
+and of how many it was learned; by how much stamps were wrong lately, from and until when, and by
+how much those of the block may be; the length of the block so far, and the integral of time [s2]
+over it."""
 ROUNDING = 1e-12
 """Change of a reading that rounding explains, where it was found from joint positions [rad]."""
 JUMP_SCALE = 10.0
@@ -78,7 +76,7 @@ class Sampler(NamedTuple):
     share: FloatArray  # (n,) of the reading that is removed as a scale error [-]
     rate_error: FloatArray  # (n,) bias of the rate sensor that is removed [rad/s]
     derived: FloatArray  # 1 where the rate is derived from the reading, shape (n,)
-    sums: FloatArray  # of the current block, shape (3, n)
+    sums: FloatArray  # integrals over the current block, shape (3, n)
     # (capacity, 3 n + 4) ring: y, v, tau of blocks; mean time, length, place, error of stamps
     blocks: FloatArray
     found: IntArray  # `NONE` or what else of the last sample, shape (n,)
@@ -103,7 +101,7 @@ class Sampler(NamedTuple):
     contrast: FloatArray  # (8, n) what published rates are compared with, see `LARGEST`
     probe: FloatArray  # (P, 2 n + 1) samples in a row as they came: time, readings, rates
     counters: IntArray  # (6,)
-    clock: FloatArray  # moments, shape (10,) [s]
+    clock: FloatArray  # moments, shape (9,) [s]
 
 
 def new_sampler(
@@ -135,7 +133,7 @@ def new_sampler(
         np.zeros((4, n)),
         np.zeros(n, np.int64), np.zeros((HISTORY, n), np.int64), np.zeros(n, np.int64),
         np.zeros((4, n)), np.zeros((8, n)), np.zeros((probe, 2 * n + 1)), counters,
-        np.zeros(10))  # fmt: skip
+        np.zeros(9))  # fmt: skip
 
 
 @njit_in_place

@@ -12,7 +12,7 @@ from lpv.core.serial_arm.diagnosis.published_rates import (
 )
 from lpv.core.serial_arm.diagnosis.repeated_readings import fill_repeated
 from lpv.core.serial_arm.diagnosis.sampler import (
-    BLOCK_START,
+    BLOCK_LENGTH,
     BLOCKS,
     CONTRARY,
     CONTRARY_AT,
@@ -22,7 +22,6 @@ from lpv.core.serial_arm.diagnosis.sampler import (
     IN_BLOCK,
     IN_DOUBT,
     IN_INTERVAL,
-    INTERVAL_START,
     LATE,
     LATE_FROM,
     LATE_UNTIL,
@@ -119,72 +118,72 @@ def move_to_balance(sampler: Sampler, balance: Balance, per_block: int, blocks: 
     """
     k = HISTORY - 1 - DELAY
     if sampler.counters[COUNT] <= DELAY + 1:
-        if sampler.counters[COUNT] == DELAY + 1:
-            _start_interval(sampler, sampler.time[k])
         return False
     n, now = sampler.scale.shape[0], sampler.time[k]
+    # A sample stands for the time to halfway to its neighbours, where others are missing, too.
+    after = sampler.time[k + 1] - now
+    length = 0.5 * (after + now - sampler.time[k - 1])
     for part in range(3):
         for i in range(n):
-            sampler.sums[part, i] += sampler.samples[k, part, i]
-    lag = balance_lag(sampler)  # a difference is the rate between two samples
+            sampler.sums[part, i] += length * sampler.samples[k, part, i]
+    lag = after * balance_lag(sampler)  # a difference is the rate between two samples
     for i in range(n):
         late = lag * (sampler.samples[k + 1, 1, i] - sampler.samples[k, 1, i])
         sampler.sums[1, i] += sampler.derived[i] * late
-    sampler.clock[TIMES] += now
+    sampler.clock[BLOCK_LENGTH] += length
+    sampler.clock[TIMES] += length * now
     if sampler.clock[LATE_FROM] < now < sampler.clock[LATE_UNTIL]:
         sampler.clock[IN_DOUBT] = sampler.clock[LATEST]
     sampler.counters[IN_BLOCK] += 1
     if sampler.counters[IN_BLOCK] < per_block:
         return False
-    _close_block(sampler, balance, now, blocks)
+    _close_block(sampler, blocks)
     if sampler.counters[IN_INTERVAL] < blocks:
         return False
-    complete = close_interval(balance, now - sampler.clock[INTERVAL_START])
-    sampler.clock[INTERVAL_START] = now
-    sampler.counters[IN_INTERVAL] = 0
-    return complete
+    return _close_interval(sampler, balance, blocks)
 
 
 @njit_in_place
-def _start_interval(sampler: Sampler, now: float) -> None:
-    """Begin block and interval."""
-    sampler.sums[:] = 0.0
-    sampler.clock[TIMES] = 0.0
-    sampler.counters[IN_BLOCK] = 0
+def _close_interval(sampler: Sampler, balance: Balance, blocks: int) -> bool:
+    """Give the last blocks to the balance; true if one is complete."""
+    n, capacity, length = sampler.scale.shape[0], sampler.blocks.shape[0], 0.0
+    first, passed = sampler.counters[BLOCKS] - blocks, 0.0
+    for k in range(first, first + blocks):
+        length += sampler.blocks[k % capacity, 3 * n + 1]
+    for k in range(first, first + blocks):
+        row = sampler.blocks[k % capacity]
+        own = row[3 * n + 1]
+        row[3 * n + 2] = (passed + 0.5 * own) / length
+        passed += own
+        add_block(
+            balance, row[:n], row[n : 2 * n], row[2 * n : 3 * n], row[3 * n], own,
+            row[3 * n + 2])  # fmt: skip
     sampler.counters[IN_INTERVAL] = 0
-    sampler.clock[INTERVAL_START] = now
-    sampler.clock[BLOCK_START] = now
+    return close_interval(balance, length)
 
 
 @njit_in_place
-def _close_block(sampler: Sampler, balance: Balance, now: float, blocks: int) -> None:
-    """Give the means of the block to the balance, and keep them."""
+def _close_block(sampler: Sampler, blocks: int) -> None:
+    """Keep the means of the block."""
     n, count = sampler.scale.shape[0], sampler.counters[IN_BLOCK]
-    capacity = sampler.blocks.shape[0]
+    capacity, length = sampler.blocks.shape[0], sampler.clock[BLOCK_LENGTH]
     row = sampler.blocks[sampler.counters[BLOCKS] % capacity]
     for part in range(3):
         for i in range(n):
-            row[part * n + i] = sampler.sums[part, i] / count
+            row[part * n + i] = sampler.sums[part, i] / length
             sampler.sums[part, i] = 0.0
-    length = now - sampler.clock[BLOCK_START]
-    place = (sampler.counters[IN_INTERVAL] + 0.5) / blocks
-    # Where samples are missing, the mean of the readings is not that of the middle.
-    row[3 * n] = sampler.clock[TIMES] / count
+    row[3 * n] = sampler.clock[TIMES] / length
     if sampler.counters[COUNT] > HISTORY + 2 * blocks * count:
         _calm_rates(sampler, row, sampler.blocks[(sampler.counters[BLOCKS] - blocks) % capacity])
-    sampler.clock[TIMES] = 0.0
     row[3 * n + 1] = length
-    row[3 * n + 2] = place
     row[3 * n + 3] = sampler.clock[IN_DOUBT]
     for i in range(n):  # what is louder than usual shows at once, that it has become usual later
         more = sampler.scale[i] * sampler.scale[i] - sampler.calm[i]
         sampler.calm[i] += more if more < 0.0 else more / capacity
-    sampler.clock[IN_DOUBT] = 0.0
-    add_block(balance, row[:n], row[n : 2 * n], row[2 * n : 3 * n], row[3 * n], length, place)
+    sampler.clock[BLOCK_LENGTH] = sampler.clock[TIMES] = sampler.clock[IN_DOUBT] = 0.0
     sampler.counters[BLOCKS] += 1
     sampler.counters[IN_BLOCK] = 0
     sampler.counters[IN_INTERVAL] += 1
-    sampler.clock[BLOCK_START] = now
 
 
 @njit_in_place
