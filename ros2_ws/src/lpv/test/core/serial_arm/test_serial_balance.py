@@ -255,6 +255,19 @@ def test_given_rounding_or_fast_motion_when_weighted_then_it_is_noise_that_costs
     assert np.all(sums(noise=1e-5, rate=3.0).weight < 0.9 * sums(noise=1e-5).weight)
 
 
+def test_given_a_rate_that_goes_wrong_when_weighted_then_its_jump_is_no_turn_of_the_joint():
+    time, lengths = LENGTH * np.arange(30 * PLAN.blocks), np.array([3, 5, 8])
+    parts, found = kinematic_rows(time, 0.0, 0.0), []
+    for error in (0.0, 0.1):
+        parts.rows[-5:, 1] -= error * PLAN.interval
+        parts.edges[-5:, 1] += error
+        found.append(linear_bank.new_rows(3, 3))
+        bank.sum_rows(parts, PLAN.interval, lengths, found[-1])
+    np.testing.assert_allclose(found[1].weight, found[0].weight, rtol=0.01)
+    ways = -0.1 * PLAN.interval * np.minimum(lengths, 5)
+    np.testing.assert_allclose(found[1].found[:, 1], ways, rtol=0.01)
+
+
 @pytest.mark.parametrize('rate', [0.0, 1.0])
 def test_given_a_reading_that_jumps_when_summed_then_its_own_row_holds_the_jump(rate):
     found = sums(rate=rate, jump=0.05)

@@ -137,7 +137,10 @@ def sum_rows(own: Kinematics, interval: float, lengths: IntArray, rows: Rows) ->
                     jumps += own.variances[k, i]
                 variance = own.inflation[i] * (own.ends[i] + own.walk[i] * rows.span[w])
                 variance = max(variance + (own.bias[i] * rows.span[w]) ** 2 + jumps, _BEFORE)
+                # As the readings turned: a rate that is wrong from some moment on is not late.
                 turned = own.edges[most, i] - own.edges[most - count, i]
+                before = own.rows[most - 1 - count, i] if count < held else 0.0
+                turned += (own.rows[most - 1, i] - before) / interval
                 # All but filters of first order add d^2 / 2 times the change of the acceleration.
                 bent = own.edges[most, i] - own.edges[most - 1, i]
                 bent -= own.edges[most - count + 1, i] - own.edges[most - count, i]
