@@ -30,7 +30,7 @@ class JointOrder:
                 if names.count(joint) != 1:
                     raise SampleError(
                         f'joint {joint!r} occurs {names.count(joint)} times in the message, which '
-                        f'names {there}'
+                        f'names {there}; each must be once in every message'
                     )
             self._index = tuple(names.index(joint) for joint in self._wanted)
             self._names = names
