@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from lpv.core.control.estimate_check import CHANGE_SHARE
 from lpv.core.monitoring.carried_motion import (
     CarriedMotion,
     accelerate,
@@ -48,6 +49,7 @@ class Compensation(NamedTuple):
     stamp: IntArray  # of the sample before [ns], shape (1,)
     motion: CarriedMotion
     scale: FloatArray  # what counts as 1 rad in the rate of fading, see `SerialJoint.scale` [rad]
+    fastest: FloatArray  # fading, by what joints can follow [rad/s]
 
 
 class Known(NamedTuple):
@@ -123,9 +125,11 @@ def new_compensation(arm: SerialArm) -> Compensation:
     """Nothing is removed yet."""
     n = len(arm.joints)
     applied, position, estimate, reading = np.zeros((4, n))
+    with np.errstate(divide='ignore'):  # joints that a sensor does not measure
+        joints = (arm.velocity_limit / np.abs(arm.sensors_to_joints().T)).min(1)
     return Compensation(
         applied, position, np.zeros((RATES, n)), estimate, reading, np.zeros(n, np.int64),
-        np.array([NEVER]), new_motion(arm), arm.scales(),
+        np.array([NEVER]), new_motion(arm), arm.scales(), CHANGE_SHARE * joints,
     )  # fmt: skip
 
 
@@ -201,14 +205,17 @@ def _correct(
     rate of fading.
     """
     interval, follows, fading = step
-    most = (fading * work.scale[i] + abs(fault[2])) * interval
-    work.applied[i] += min(max(fault[0] - work.applied[i], -most), most)
+    grown = interval * fault[2]
+    most = interval * min(fading * work.scale[i], work.fastest[i])
+    faded = min(max(fault[0] - work.applied[i] - grown, -most), most)
+    work.applied[i] += grown + faded
+    before = work.position[i] - faded  # as it would have been corrected
     position, velocity = measured[0] - work.applied[i], measured[1] - fault[1]
     if np.isnan(fault[1]):
-        velocity = (position - work.position[i]) / interval if follows else work.velocity[0, i]
+        velocity = (position - before) / interval if follows else work.velocity[0, i]
     noisy = follows and known.noise[i] > 0.0
     rate = _rate_before(work, i, known) if noisy and _counted(work, i) else work.velocity[0, i]
-    carried = work.position[i] + interval * rate
+    carried = before + interval * rate
     if noisy or work.bridged[i] > 0:
         acceleration = _carry(work, i, known, interval)
         carried += 0.5 * interval**2 * acceleration
@@ -219,7 +226,7 @@ def _correct(
     is_near = abs(position - carried) <= largest
     if follows and not (is_near or noisy) and work.bridged[i] == 0:
         rate = _rate_before(work, i, known)
-        carried = work.position[i] + interval * rate
+        carried = before + interval * rate
     goes_on = abs(measured[0] - work.reading[i] - interval * rate) <= largest
     last = BRIDGED if goes_on else _COUNTS
     may_differ = work.bridged[i] > 0 if is_near else follows and work.bridged[i] < last

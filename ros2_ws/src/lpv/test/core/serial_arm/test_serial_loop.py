@@ -160,6 +160,19 @@ def test_given_a_frozen_reading_when_drives_brake_in_motion_then_no_other_encode
     assert held.sum() > 500 and (error < run.threshold[held, joint]).all()
 
 
+@pytest.mark.parametrize(('name', 'joint'), [('panda', 1), ('panda', 3), ('ur10', 2)])
+def test_given_slow_joints_when_a_drift_is_named_then_they_are_led_back_without_a_stop(name, joint):
+    """Corrections that fade at 0.5 rad/s, and the loop's overshoot, were too fast for them."""
+    arm, scenario = with_sensors(load_arm(name), rates='derived'), load_scenario(name)
+    joints = (replace(one, limits=replace(one.limits, velocity=1.2)) for one in arm.joints)
+    arm = replace(arm, joints=tuple(joints), covariance=None, sample_time=0.01)
+    fault = Fault(arm.sensor_names[joint], 'drift', 5.0, rate=0.15)
+    run = run_closed_loop(arm, replace(scenario, duration=9.0, faults=(fault,)))
+    assert [(one.sensor, one.kind) for one in run.alarms] == [(fault.sensor, 'drift')]
+    error = np.abs(run.position - run.reference)
+    assert not run.stops and error[-50:].max() < 0.2 * error.max()
+
+
 FAULTS = {
     **{'none': (), 'step': (STEP,), 'dropout': (Fault('encoder3', 'dropout', 0.5, duration=0.3),)},
     'dropout from the start': (Fault('encoder1', 'dropout', 0.0, duration=0.2),),
