@@ -205,11 +205,10 @@ def _correct(
     rate of fading.
     """
     interval, follows, fading = step
-    grown = interval * fault[2]
-    most = interval * min(fading * work.scale[i], work.fastest[i])
-    faded = min(max(fault[0] - work.applied[i] - grown, -most), most)
-    work.applied[i] += grown + faded
-    before = work.position[i] - faded  # as it would have been corrected
+    most = interval * (min(fading * work.scale[i], work.fastest[i]) + abs(fault[2]))
+    change = min(max(fault[0] - work.applied[i], -most), most)
+    work.applied[i] += change
+    before = work.position[i] - change + interval * fault[2]  # as it would be corrected now
     position, velocity = measured[0] - work.applied[i], measured[1] - fault[1]
     if np.isnan(fault[1]):
         velocity = (position - before) / interval if follows else work.velocity[0, i]
