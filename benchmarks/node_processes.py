@@ -168,8 +168,9 @@ class Client:
     def wait(self, condition: Callable[[], Any], timeout: float = 300.0) -> bool:
         """Spin until the condition holds; False after the timeout [s]."""
         end = time.monotonic() + timeout
-        while not (found := condition()) and (left := end - time.monotonic()) > 0.0:
-            self.executor.spin_once(timeout_sec=min(0.05, left))
+        while not (found := condition()) and time.monotonic() < end:
+            # Always with the same timeout: with another one rclpy forgets whose turn it is.
+            self.executor.spin_once(timeout_sec=0.05)
         return bool(found)
 
     def call(self, srvtype: Any, name: str, **fields: Any) -> Any:

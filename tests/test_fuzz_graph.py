@@ -17,6 +17,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from fuzzing import cases
 from hostile import damaged_bytes, fill, forge, numbers, parameter, sized
 from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
@@ -89,10 +90,17 @@ def test_given_hostile_input_when_the_graph_runs_then_it_lives_and_recovers(tmp_
                 send()
             rig.spin(0.05)
         rig.spin(1.0)
+        wall = Parameter('use_sim_time', value=False).to_parameter_msg()
+        for name in NODES.values():  # there is no /clock that a node may have been told to follow
+            rig.client.call(SetParameters, f'{name}/set_parameters', parameters=[wall])
         for service in RESUME.values():
             answer = node.create_client(Trigger, service).call_async(Trigger.Request())
             assert rig.client.wait(answer.done, 30.0), f'{service} does not answer'
         assert rig.client.wait(lambda: not rig.is_braked(), 150.0), 'braked for ever'
+        count = len(rig.heard['ground_truth'])
+        assert rig.client.wait(lambda: len(rig.heard['ground_truth']) > count + 100), (
+            'it stands still'
+        )
         grown = {name: size - before[name] for name, size in memory(rig).items()}
         assert max(grown.values()) < MEMORY, grown
         assert is_said(reports), 'what is refused is not said'
