@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lpv.cli.doctor.finding import Finding, Level, error, ok, warn
-from lpv.core.monitoring.alarm_text import other_unit
+from lpv.core.monitoring.alarm_text import ALMOST_ALL, other_unit
 from lpv.core.monitoring.idle_efforts import without_efforts
 from lpv.core.monitoring.joint_order import JointOrder
 from lpv.core.serial_arm.chain import compile_chain
@@ -197,7 +197,7 @@ def check_units(seen: Heard, arm: SerialArm) -> Finding | None:
     topic, (stamps, position, velocity, effort) = seen.topic, _samples(seen, arm)
     if len(stamps) < 2:
         return None
-    if said := other_unit(arm, np.nan_to_num(position)):
+    if said := other_unit(arm, *np.quantile(np.nan_to_num(position), ALMOST_ALL, axis=0)):
         return error('units', f'{topic}: {said}', _IN_RADIANS)
     turns = np.array([not joint.is_prismatic for joint in arm.joints])
     # Between samples the mean rate counts, so that sampling does not matter.

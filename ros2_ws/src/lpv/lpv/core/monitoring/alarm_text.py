@@ -1,8 +1,7 @@
 """Alarm events and counters of samples in the words of an operator."""
 
 import math
-
-import numpy as np
+from collections.abc import Sequence
 
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import (
@@ -41,8 +40,8 @@ COUNTER_TEXT = {
 }
 """Fields of `lpv.core.monitoring.serial_monitor.SerialCounters`, what they count."""
 UNUSABLE = 'no measurement can be used'
-_ALMOST_ALL = (0.01, 0.99)
-"""Quantiles of positions: single readings may be anything."""
+ALMOST_ALL = (0.01, 0.99)
+"""Quantiles of positions for `other_unit`: single readings may be anything."""
 
 
 def count_texts(counters: object) -> list[str]:
@@ -56,9 +55,9 @@ def unusable_text(counters: object) -> str:
     return f'{UNUSABLE}: {counts}' if counts else ''
 
 
-def other_unit(arm: SerialArm, position: np.ndarray) -> str:
-    """Positions, shape (samples, n), that look like degrees or mm, as text; empty if none do."""
-    for joint, (low, high) in zip(arm.joints, np.nanquantile(position, _ALMOST_ALL, axis=0).T):
+def other_unit(arm: SerialArm, lowest: Sequence[float], highest: Sequence[float]) -> str:
+    """Joint positions that look like degrees or mm, as text; empty if none do."""
+    for joint, low, high in zip(arm.joints, lowest, highest):
         if max(-low, high) > joint.farthest:
             unit = 'millimetres' if joint.is_prismatic else 'degrees'
             where = f'{low:.3g} to {high:.3g} {joint.units[0]}, beyond its limits'

@@ -631,7 +631,8 @@ class SerialSensorMonitor:
     def _remark(self, state: np.record) -> str:
         """What else is to be said of the diagnosis as a whole, with an answer's ``state``."""
         monitor, gaps = self._monitor, self.counters.gaps
-        if text := other_unit(self.arm, state.compensated_position[None]):
+        position = state.compensated_position.tolist()
+        if text := other_unit(self.arm, position, position):
             return _UNITS.format(text)
         if not monitor.uses_balances:
             return _NO_EFFORT if self._blind else _NO_WEIGHT

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from lpv.core.monitoring.alarm_text import other_unit
+from lpv.core.monitoring.alarm_text import ALMOST_ALL, other_unit
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import N_INERTIAL, SerialArm
 from lpv.core.serial_arm.diagnosis.parameter_error import model_error, usual_load
@@ -85,7 +85,8 @@ def find_mistakes(arm: SerialArm, recordings: Sequence[Recording]) -> list[Mista
     After efforts without the weight, which an identification finds by itself, another mistake.
     Where there are several recordings, one alone may have another load or other readings.
     """
-    if text := other_unit(arm, np.concatenate([one.position for one in recordings])):
+    positions = np.concatenate([one.position for one in recordings])
+    if text := other_unit(arm, *np.nanquantile(positions, ALMOST_ALL, axis=0)):
         return [Mistake('angle', text, np.inf)]  # all else would follow from it
     parts = [split(one) for one in recordings]
     slow = _slow(arm, [segment for part in parts for segment in part])
