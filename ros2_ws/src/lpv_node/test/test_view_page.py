@@ -13,6 +13,7 @@ import pytest
 pytest.importorskip('lpv_node.view', reason='the workspace is not built')
 
 import test_view_model as made  # noqa: E402
+from serial_bags import crane  # noqa: E402
 from test_view_model import RAISED, message, report, state_estimate  # noqa: E402
 
 from lpv_node.view.model import LiveModel  # noqa: E402
@@ -147,6 +148,21 @@ def test_given_a_wild_reading_when_the_arm_is_drawn_then_the_picture_does_not_sh
     last = [call for call in calls[-60:] if call[0] in ('moveTo', 'lineTo')]
     heights = [y for _, _, y in last[-12:]]
     assert max(heights) - min(heights) > 60.0, heights
+
+
+def test_given_an_arm_in_space_when_drawn_then_its_tip_is_on_the_path_that_it_is_on(show):
+    model = LiveModel(crane())
+    model.take('state_estimate', state_estimate(1.0, (0.3, 0.8, -0.5)), 0.0)
+    *_, tip = model.frame(0.0)['arms']['estimated']
+    hello = {**model.hello(), 'token_needed': False}
+    hello['scene'] = {'path': [[0.0, 0.0, 0.0], tip], 'obstacle': None}
+    calls = show(('open',), ('take', hello), ('take', model.frame(0.0)), ('show', 'arm', 'calls'))[
+        0
+    ]
+    drawn = calls[len(calls) - calls[::-1].index(['clearRect', 0, 0, 400, 300]) :]
+    ends = [place for name, *place in drawn if name == 'lineTo']
+    *_, dot = [place for name, *place in drawn if name == 'arc' and place[2] == 7]
+    assert ends.count(dot[:2]) == 2, 'the arm and the path end there'
 
 
 def test_given_a_page_when_it_is_printed_then_it_is_drawn_for_paper_before(show, model):

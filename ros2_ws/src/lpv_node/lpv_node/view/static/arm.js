@@ -19,7 +19,8 @@ export class ArmDrawing {
     // Fractions of the reach that are shown to the sides, below and above.
     this.box = { side: 0.55, low: 0.2, high: 0.2 };
     const { path, obstacle } = hello.scene;
-    path.forEach((point) => this.include(point));
+    this.path = path.map(flat);
+    this.path.forEach((point) => this.include(point));
     for (const r of obstacle ? [obstacle.radius, -obstacle.radius] : []) {
       this.include(obstacle.center.map((v) => v + r));
     }
@@ -53,7 +54,7 @@ export class ArmDrawing {
       disc(context, at, radius, { fill: 'alarm', alpha: 0.2 });
       disc(context, at, radius, { stroke: 'alarm' });
     }
-    if (scene.path.length) line(context, scene.path.map(place), { stroke: 'soft', width: 1.3 });
+    if (this.path.length) line(context, this.path.map(place), { stroke: 'soft', width: 1.3 });
     if (tip?.[0] != null) {
       const [x, y] = place(flat(tip)), cross = { stroke: 'soft', width: 2 };
       line(context, [[x - 8, y], [x + 8, y]], cross);
