@@ -8,7 +8,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from importlib import resources
+from pathlib import Path
 from typing import Any, cast
 
 from aiohttp import WSMsgType, web
@@ -28,15 +28,7 @@ _MOST_WRONG_TOKENS = 5
 """Wrong tokens after which a client is dropped; each one costs it `QUIET`."""
 _BURST = 30.0
 """Messages of one client at once; then one in the time that seems immediate."""
-_FILES = {
-    '/': ('index.html', 'text/html'),
-    '/view.css': ('view.css', 'text/css'),
-    '/icon.svg': ('icon.svg', 'image/svg+xml'),
-    **{
-        f'/{name}.js': (f'{name}.js', 'text/javascript')
-        for name in ('view', 'arm', 'chart', 'link', 'panels', 'theme')
-    },
-}
+_PAGE = Path(__file__).with_name('static')
 MOST_CONNECTIONS = 8 * MOST_CLIENTS
 """Connections of a port, of browsers that load the page as of others; then idle ones are closed."""
 MOST_WAITING = 64
@@ -78,11 +70,15 @@ class Client:
         self._waiting.append(text)
         self._wake.set()
 
+    def welcome(self, text: str) -> None:
+        """Queue the first message: others are for who got it."""
+        self.put(text)
+        self.welcomed = True
+
     def put_frame(self, text: str) -> None:
         """Put the newest frame in place of one that was not sent yet."""
-        if self.welcomed:
-            self._frame = text
-            self._wake.set()
+        self._frame = text
+        self._wake.set()
 
     def close(self) -> None:
         """Give the client up."""
@@ -135,10 +131,6 @@ class ViewServer:
         self._access, self._sensors, self._submit = access, tuple(sensors), submit
         self._max_clients, self._heartbeat, self._patience = max_clients, heartbeat, patience
         self.clients: set[Client] = set()  # changed in the server's thread
-        folder = resources.files('lpv_node.view') / 'static'
-        self._pages = {
-            path: ((folder / name).read_bytes(), t) for path, (name, t) in _FILES.items()
-        }
         self._loop = asyncio.new_event_loop()
         self._runners: list[web.AppRunner] = []
         self._listeners: list[asyncio.Server] = []
@@ -226,8 +218,8 @@ class ViewServer:
         """The page and its WebSocket, for `start`."""
         application = web.Application(middlewares=[guard(self._access)])
         application.router.add_get('/ws', self._on_socket)
-        for path in self._pages:
-            application.router.add_get(path, self._on_page)
+        application.router.add_get('/', _on_page)
+        application.router.add_static('/', _PAGE)
         return application
 
     @property
@@ -237,14 +229,8 @@ class ViewServer:
 
     def welcome(self, hello: dict[str, Any]) -> None:
         """Send new clients their first message: they get frames from then on."""
-
-        def send(text: str) -> None:
-            for client in self.clients:
-                if not client.welcomed:
-                    client.put(text)
-                    client.welcomed = True
-
-        self._call(send, encode({**hello, 'token_needed': bool(self._access.token)}))
+        hello = {**hello, 'token_needed': bool(self._access.token)}
+        self._send(Client.welcome, hello, to_new=True)
 
     def frame(self, message: dict[str, Any]) -> None:
         """Send a frame to all clients; those that are slow skip some."""
@@ -254,10 +240,12 @@ class ViewServer:
         """Send a message to all clients that none of them may miss."""
         self._send(Client.put, message)
 
-    def _send(self, put: Callable[[Client, str], None], message: dict[str, Any]) -> None:
+    def _send(
+        self, put: Callable[[Client, str], None], message: dict[str, Any], to_new: bool = False
+    ) -> None:
         def send(text: str) -> None:
             for client in self.clients:
-                if client.welcomed:
+                if client.welcomed != to_new:
                     put(client, text)
 
         if self.clients:
@@ -266,10 +254,6 @@ class ViewServer:
     def _call(self, function: Callable[..., None], *arguments: Any) -> None:
         with contextlib.suppress(RuntimeError):  # closed meanwhile
             self._loop.call_soon_threadsafe(function, *arguments)
-
-    async def _on_page(self, request: web.Request) -> web.Response:
-        body, kind = self._pages[request.path]
-        return web.Response(body=body, content_type=kind, charset='utf-8')
 
     async def _on_socket(self, request: web.Request) -> web.WebSocketResponse:
         if len(self.clients) >= self._max_clients:
@@ -337,6 +321,10 @@ class ViewServer:
         elif not self._submit(command, reply):
             reply(False, 'busy with earlier commands: try again')
         return True
+
+
+async def _on_page(_request: web.Request) -> web.FileResponse:
+    return web.FileResponse(_PAGE / 'index.html')
 
 
 def guard(access: Access) -> Middleware:

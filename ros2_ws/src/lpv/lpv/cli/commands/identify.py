@@ -79,7 +79,9 @@ def run(arguments: argparse.Namespace) -> int:
         _warn(result.warnings)
         arm = result.arm
     arm = _with_second_encoders(arguments, arm, columns)
-    _save(arm, arguments, what)
+    if arguments.out:
+        save_arm(arm, arguments.out)
+        print(f'{what} written to {arguments.out}')
     if result is not None and arguments.report:
         from lpv.identify.results.report import write_report  # only here: it loads Matplotlib
 
@@ -147,10 +149,3 @@ def _payload(
 def _warn(texts: Iterable[str]) -> None:
     for text in texts:
         print(f'warning: {text}', file=sys.stderr)
-
-
-def _save(arm: SerialArm, arguments: argparse.Namespace, what: str = 'arm file') -> None:
-    """Write the arm, unless nobody could read it."""
-    if arguments.out:
-        save_arm(arm, arguments.out)
-        print(f'{what} written to {arguments.out}')
