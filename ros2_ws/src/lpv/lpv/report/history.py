@@ -1,5 +1,6 @@
 """What happened in a run: alarms from onset to end, times without an answer, stops, speeds."""
 
+import contextlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -399,13 +400,6 @@ def load(
         source = f'{gains.name} of the bag'
     scenario = beside_bag(bag, SCENARIO_NAME)
     if path is None and scenario is not None:
-        path = planned_path(scenario, arm)
+        with contextlib.suppress(LpvError):  # a damaged copy must not stand in the way of a report
+            path = load_scenario(scenario).path(arm)
     return Run(record, arm, reports, examine(gains, arm, source), title, path)
-
-
-def planned_path(scenario: str | Path, arm: SerialArm) -> TimedPath | None:
-    """Path of a scenario; None where it is damaged."""
-    try:
-        return load_scenario(scenario).path(arm)
-    except LpvError:  # a damaged copy must not stand in the way of a report
-        return None

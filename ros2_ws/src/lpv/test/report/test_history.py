@@ -12,14 +12,14 @@ from places import BRINGUP
 from rich.console import Console
 from runs import rows, text
 
-from lpv import load_arm
+from lpv import load_arm, load_scenario
 from lpv.bag.run.record import NodeReport, RecordedAlarm, RunRecord
 from lpv.cli.commands import compare
 from lpv.core.serial_arm.diagnosis.alarms import AlarmEvent, SensorState
 from lpv.report import certificate, figures, history
 from lpv.report.comparison import compare_runs
 from lpv.report.figures import STATES, timeline
-from lpv.report.history import Phase, Run, episodes, listed, missed_faults, phases, planned_path
+from lpv.report.history import Phase, Run, episodes, listed, missed_faults, phases
 from lpv.report.run import content, write
 from lpv.report.style import thin
 from lpv.report.table import PAPER, Row, is_paper_arm, make_table, print_table
@@ -357,7 +357,7 @@ def test_given_a_scenario_of_six_joints_when_drawn_then_its_path_is_there_withou
     arm, record = load_arm('ur10'), run()
     record.streams['joint_states'] = {name: np.zeros((COUNT, 6)) for name in JOINTS}
     record.joint_names = arm.joint_names
-    planned = planned_path(BRINGUP / 'scenarios' / 'ur10.yaml', arm)
+    planned = load_scenario(BRINGUP / 'scenarios' / 'ur10.yaml').path(arm)
     figure = figures.path(replace(analysed(record, arm), path=planned))
     assert 'reference path' in [words.get_text() for words in figure.legends[0].get_texts()]
 

@@ -392,6 +392,7 @@ def test_given_bad_input_when_run_then_it_is_said(run, gains_file, tmp_path, mon
         (run, f'--arm {SCENARIO}', 'two_faults.yaml'),
         (run, '--arm renamed_joint.yaml', "'elbow' is not in joint_states, which has joint1"),
         (run, '--scenario unknown_scenario', ''),
+        (run, '--scenario ur10', 'waypoints[0]'),
         (run, f'--scenario {ARM_FILE}', 'paper.yaml'),
         (run, '--gains nothing.yaml', 'nothing.yaml'),
         (run, '--gains renamed.yaml', 'designed for another arm'),

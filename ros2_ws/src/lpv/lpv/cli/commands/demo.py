@@ -44,7 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
     default = 'two_faults' if is_designed else arguments.arm_file.stem
     files['scenario'] = bringup_file('scenarios', arguments.scenario or default)
     scenario = load_scenario(files['scenario'])
-    scenario.path(arm)
+    path = scenario.path(arm)
     out = Path(arguments.out).resolve()
     for part in ('bag', 'report'):  # an earlier run's results, and nothing else
         shutil.rmtree(out / part, ignore_errors=True)
@@ -63,11 +63,10 @@ def run(arguments: argparse.Namespace) -> int:
         console.print(f'lpv demo: {problem}', style='red', markup=False)
         return 1
     console.print('writing the report ...')
-    from lpv.report.history import load, planned_path
+    from lpv.report.history import load
     from lpv.report.run import write
     from lpv.report.table import print_table
 
-    path = planned_path(files['scenario'], arm)
     title = f'Scenario {scenario.name}, arm “{arm.name}”'
     found = load(out / 'bag', arm, path, title, gains)
     page = write(found, out / 'report')

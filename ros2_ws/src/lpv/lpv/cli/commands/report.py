@@ -9,7 +9,7 @@ from lpv.core.simulation.scenario import load_scenario
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.resources import bringup_file
 from lpv.report.certificate import find_arm_and_gains
-from lpv.report.history import load, planned_path
+from lpv.report.history import load
 from lpv.report.run import write
 from lpv.report.table import print_table
 
@@ -19,9 +19,7 @@ def run(arguments: argparse.Namespace) -> int:
     arm, gains, source = find_arm_and_gains(arguments.bag, arguments.arm, arguments.gains)
     path = None
     if arguments.scenario:
-        scenario = bringup_file('scenarios', arguments.scenario)
-        load_scenario(scenario)  # one that was given must be right
-        path = planned_path(scenario, arm)
+        path = load_scenario(bringup_file('scenarios', arguments.scenario)).path(arm)
     title = f'{Path(arguments.bag).name}, arm “{arm.name}”'
     found = load(arguments.bag, arm, path, title, gains, source, arguments.topic)
     proof = found.certificate
