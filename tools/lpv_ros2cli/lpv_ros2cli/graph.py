@@ -46,6 +46,13 @@ def command_node() -> Iterator['Node']:
         rclpy.try_shutdown()
 
 
+def spin(node: 'Node') -> None:
+    """Handle what has come, or wait for it: not long, so that SIGINT is seen in between."""
+    import rclpy
+
+    rclpy.spin_once(node, timeout_sec=0.1)
+
+
 def settle(node: 'Node') -> None:
     """Wait until the graph is known."""
     find(node, lambda: None, _QUIET)
@@ -123,8 +130,6 @@ def call(
     node: 'Node', service: Any, name: str, request: Any = None, longest: float = PATIENCE
 ) -> Any:
     """Call a service of the graph that answers within so many seconds; its response."""
-    import rclpy
-
     client: Client = node.create_client(service, name)
     deadline = time.monotonic() + longest
     future = None
@@ -132,7 +137,7 @@ def call(
         if time.monotonic() > deadline:
             raise CliError(f"service '{name}' did not answer within {longest:g} s")
         if future is not None:
-            rclpy.spin_until_future_complete(node, future, timeout_sec=0.1)
+            spin(node)
         elif client.wait_for_service(0.1):  # short: SIGINT is seen in between
             future = client.call_async(service.Request() if request is None else request)
     return future.result()

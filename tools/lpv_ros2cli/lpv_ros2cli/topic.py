@@ -1,10 +1,9 @@
 """``ros2 topic``: list, echo, hz, info."""
 
 import argparse
-import math
+import statistics
 import time
 from collections import deque
-from collections.abc import Callable
 from typing import Any
 
 from lpv_ros2cli import graph, messages
@@ -36,13 +35,11 @@ def run_info(arguments: argparse.Namespace) -> None:
 @takes('--once', action='store_true', help='leave after the first message')
 def run_echo(arguments: argparse.Namespace) -> None:
     """Print the messages of a topic until interrupted."""
-    shown = 0
+    shown = False
 
     def show(message: Any) -> None:
         nonlocal shown
-        if arguments.once and shown:
-            return
-        shown += 1
+        shown = True
         print(messages.to_yaml(message), end='---\n', flush=True)
 
     with graph.command_node() as node:
@@ -50,7 +47,8 @@ def run_echo(arguments: argparse.Namespace) -> None:
         # A topic may be known by its subscriptions; publishers decide what is latched.
         graph.find(node, lambda: node.get_publishers_info_by_topic(name))
         node.create_subscription(messages.load(kind, 'msg'), name, show, _matching(10))
-        _receive(node, lambda: bool(arguments.once and shown))
+        while not (arguments.once and shown):
+            graph.spin(node)
 
 
 @takes('topic_name')
@@ -65,8 +63,7 @@ def run_hz(arguments: argparse.Namespace) -> None:
             return
         last = times[-1]
         gaps = [b - a for a, b in zip(times, list(times)[1:])]
-        mean = sum(gaps) / len(gaps)
-        deviation = math.sqrt(sum((gap - mean) ** 2 for gap in gaps) / len(gaps))
+        mean, deviation = statistics.fmean(gaps), statistics.pstdev(gaps)
         print(
             f'average rate: {1.0 / mean if mean else 0.0:.3f}\n\tmin: {min(gaps):.3f}s '
             f'max: {max(gaps):.3f}s std dev: {deviation:.5f}s window: {len(gaps)}',
@@ -83,7 +80,8 @@ def run_hz(arguments: argparse.Namespace) -> None:
             raw=True,
         )
         node.create_timer(1.0, report)
-        _receive(node, lambda: False)
+        while True:
+            graph.spin(node)
 
 
 def _matching(depth: int) -> Any:
@@ -92,13 +90,3 @@ def _matching(depth: int) -> Any:
 
     best = ReliabilityPolicy.BEST_AVAILABLE, DurabilityPolicy.BEST_AVAILABLE
     return QoSProfile(depth=depth, reliability=best[0], durability=best[1])
-
-
-def _receive(node: Any, done: Callable[[], bool]) -> None:
-    from rclpy.executors import SingleThreadedExecutor
-
-    executor = SingleThreadedExecutor(context=node.context)
-    executor.add_node(node)
-    while not done():
-        executor.spin_once(timeout_sec=0.1)  # short: SIGINT is seen in between
-    executor.shutdown()
