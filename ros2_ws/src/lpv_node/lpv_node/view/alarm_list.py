@@ -22,7 +22,6 @@ class AlarmList:
 
     def __init__(self) -> None:
         self._rows: list[Row] = []
-        self._open: dict[tuple[str, str], Row] = {}
         self.changed = False
 
     def rows(self) -> list[Row]:
@@ -31,23 +30,19 @@ class AlarmList:
 
     def add(self, event: Any) -> None:
         """Add one event, with the fields of lpv_msgs/FaultAlarm."""
-        sensor = event.sensor[:MOST_TEXT]
+        sensor, onset = event.sensor[:MOST_TEXT], _time(event.onset)
         key = sensor, subject(event.kind)
-        if event.event == RAISED and key in self._open:
-            self._end(key, _time(event.onset))
-        row = self._open.get(key)
+        row = self._open(key)
+        if row is not None and event.event == RAISED:
+            row['ended'], row = onset, None
         if row is None and event.event == CLEARED:  # `follow` may have ended it already
             row = next((r for r in reversed(self._rows) if _key(r) == key), None)
-            row = row if row and row['onset'] == _time(event.onset) else None
-        row = row or self._new_row(key)
-        row.update(
-            kind=event.kind[:MOST_TEXT],
-            onset=_time(event.onset),
-            confidence=_finite(event.confidence),
-        )
+            row = row if row and row['onset'] == onset else None
+        row = row or self._new_row(sensor)
+        kind, confidence = event.kind[:MOST_TEXT], _finite(event.confidence)
+        row.update(kind=kind, onset=onset, confidence=confidence)
         row.setdefault('detected', _time(event.detected))  # when it was raised
         if event.event == CLEARED:
-            self._open.pop(key, None)
             row['ended'] = _time(event.header.stamp)
         else:
             row.update(size=_finite(event.size), bound=_finite(event.bound))
@@ -57,13 +52,13 @@ class AlarmList:
         """End alarms that a lpv_msgs/FaultEstimate no longer has, e.g. after a reset."""
         stamp = _time(faults.header.stamp)
         for sensor, alarm, state in zip(faults.sensor_names, faults.alarm, faults.state):
-            self._follow((sensor, ''), not alarm, stamp)
-            self._follow((sensor, 'dropout'), state != SensorState.STALE, stamp)
+            self._end(self._open((sensor, '')), not alarm, stamp)
+            self._end(self._open((sensor, 'dropout')), state != SensorState.STALE, stamp)
 
     def restart(self, stamp: int) -> None:
         """End all alarms: the observer has begun anew at a stamp [ns]."""
-        for key in list(self._open):
-            self._follow(key, True, seconds(stamp))
+        for row in self._rows:
+            self._end(row, row['ended'] is None, seconds(stamp))
 
     def forget_clock(self) -> None:
         """Time has started anew: those that are over have no place on its axis."""
@@ -71,28 +66,23 @@ class AlarmList:
             row['past'] = row['ended'] is not None
         self.changed = True
 
-    def _follow(self, key: tuple[str, str], is_over: bool, stamp: float) -> None:
-        row = self._open.get(key)
+    def _open(self, key: tuple[str, str]) -> Row | None:
+        """The alarm of a sensor and a subject that lasts."""
+        return next((r for r in self._rows if r['ended'] is None and _key(r) == key), None)
+
+    def _end(self, row: Row | None, is_over: bool, stamp: float) -> None:
         # The alarm and the estimate of one sample come on two topics, in any order.
         if row is not None and is_over and abs(stamp - row['detected']) > 0.5:
-            self._end(key, max(stamp, row['detected']))
+            row['ended'], self.changed = max(stamp, row['detected']), True
 
-    def _new_row(self, key: tuple[str, str]) -> Row:
-        row: Row = {'sensor': key[0], 'ended': None, 'size': None, 'bound': None, 'past': False}
-        self._rows.append(row)
-        self._open[key] = row
-        if len(self._rows) > MAX_FAULTS:
+    def _new_row(self, sensor: str) -> Row:
+        if len(self._rows) == MAX_FAULTS:
             # What lasts stays, as long as senders name sensors that there are.
             over = (r for r in self._rows if r['ended'] is not None)
-            oldest = next(over, self._rows[0])
-            self._rows.remove(oldest)
-            if oldest['ended'] is None:
-                del self._open[_key(oldest)]
+            self._rows.remove(next(over, self._rows[0]))
+        row: Row = {'sensor': sensor, 'ended': None, 'size': None, 'bound': None, 'past': False}
+        self._rows.append(row)
         return row
-
-    def _end(self, key: tuple[str, str], stamp: float) -> None:
-        self._open.pop(key)['ended'] = stamp
-        self.changed = True
 
 
 def _key(row: Row) -> tuple[str, str]:
