@@ -55,8 +55,7 @@ class LiveModel:
         self._skeleton = Skeleton(arm)
         self.alarms = AlarmList()
         self.services = {'inject': False, 'clear': False, 'reset': False}
-        self._latest: dict[str, Any] = {}
-        self._received: dict[str, float] = {}  # steady times [s]
+        self._latest: dict[str, tuple[float, Any]] = {}  # messages, with steady times [s]
         self._history: deque[dict[str, Any]] = deque(maxlen=_MOST_SAMPLES)
         self._statuses: dict[str, tuple[float, dict[str, Any]]] = {}  # with steady times [s]
         self._stops: dict[str, Any] = {'count': 0, 'last': ''}  # safe stops of the tracker
@@ -80,7 +79,7 @@ class LiveModel:
         ):
             return False
         else:
-            self._latest[source], self._received[source] = message, now
+            self._latest[source] = now, message
             if source == 'fault_estimate':
                 self.alarms.follow(message)
             elif source == 'state_estimate' and message.mode == Mode.INITIALISING:
@@ -139,10 +138,9 @@ class LiveModel:
 
     def frame(self, now: float) -> dict[str, Any]:
         """The present at a steady time [s], for clients and history; None: not known."""
-        live = self._live(now)
         sources = 'state_estimate', 'fault_estimate', 'torque_command'
-        state, fault, command = (self._latest[s] if live[s] else None for s in sources)
-        newest = max(self._received.values(), default=now)
+        state, fault, command = (self._live(source, now) for source in sources)
+        newest = max((at for at, _ in self._latest.values()), default=None)
         drawn = self._skeleton.drawn
         corners = {
             name: None if q is None else [_numbers(c, 4) for c in drawn(self._skeleton.corners(q))]
@@ -151,9 +149,9 @@ class LiveModel:
         states = [None] * self._joints if fault is None else [_name(STATES, s) for s in fault.state]
         return {
             'type': 'frame',
-            'live': live,
+            'live': {source: self._live(source, now) is not None for source in _ARRAYS},
             'services': dict(self.services),
-            'age': round(max(0.0, now - newest), 1) if self._received else None,
+            'age': None if newest is None else round(max(0.0, now - newest), 1),
             'sample': self._sample(now),
             'arms': corners,
             'diagnostics': [
@@ -169,18 +167,17 @@ class LiveModel:
 
     def arms(self, now: float) -> dict[str, Any]:
         """Joint positions [rad], or None, of the arms to draw at a steady time [s]."""
-        live = self._live(now)
         found = {
-            'true': self._field('ground_truth', 'position', live),
-            'estimated': self._field('state_estimate', 'position', live),
+            'true': self._field('ground_truth', 'position', now),
+            'estimated': self._field('state_estimate', 'position', now),
             'measured': None,
         }
-        state = self._latest.get('state_estimate')
+        state, measured = (self._live(source, now) for source in ('state_estimate', 'joint_states'))
         if state is not None and _name(MODES, state.mode) == 'NO_ESTIMATE':
             found['estimated'] = None
-        if live['joint_states']:
+        if measured is not None:
             with contextlib.suppress(SampleError):
-                found['measured'] = _numbers(self._order.pick(self._latest['joint_states'])[0])
+                found['measured'] = _numbers(self._order.pick(measured)[0])
         return {name: q if q is not None and None not in q else None for name, q in found.items()}
 
     def stamp(self) -> int | None:
@@ -188,28 +185,24 @@ class LiveModel:
         if not self._latest:
             return None
         # What fell silent is left out: its clock may have restarted since.
-        newest = max(self._received.values())
-        return max(
-            _stamp(message)
-            for source, message in self._latest.items()
-            if self._received[source] > newest - QUIET
-        )
+        newest = max(at for at, _ in self._latest.values())
+        return max(_stamp(one) for at, one in self._latest.values() if at > newest - QUIET)
 
-    def _live(self, now: float) -> dict[str, bool]:
-        return {
-            name: name in self._received and now - self._received[name] < QUIET for name in _ARRAYS
-        }
+    def _live(self, source: str, now: float) -> Any:
+        """Latest message of a source; None if it has fallen silent."""
+        at, message = self._latest.get(source, (-math.inf, None))
+        return message if now - at < QUIET else None
 
-    def _field(self, source: str, field: str, live: dict[str, bool]) -> Numbers | None:
-        message = self._latest.get(source) if live[source] else None
+    def _field(self, source: str, field: str, now: float) -> Numbers | None:
+        message = self._live(source, now)
         return None if message is None else _numbers(getattr(message, field))
 
     def _sample(self, now: float) -> dict[str, Any]:
         """One point of the charts; enters the history when time has gone on."""
-        live, stamp = self._live(now), self.stamp()
+        stamp = self.stamp()
         sample: dict[str, Any] = {'t': None if stamp is None else seconds(stamp)}
         for name, (source, field) in _CHARTS.items():
-            sample[name] = self._field(source, field, live) or [None] * self._joints
+            sample[name] = self._field(source, field, now) or [None] * self._joints
         if None not in sample['tip']:
             sample['tip'] = _numbers(self._skeleton.drawn(np.array(sample['tip'])))
         if stamp is not None and stamp != self._stamp:
