@@ -1,6 +1,7 @@
 """Hostile messages and parameters for recorder and live view, which take them and go on."""
 
 import time
+from functools import partial
 
 import pytest
 from bags import contents
@@ -16,6 +17,7 @@ from lpv_msgs.msg import FaultAlarm, StateEstimate
 from lpv_node.recorder.input import Heard
 from lpv_node.recorder.node import RecorderNode
 from lpv_node.view import server, topics
+from lpv_node.view.foxglove_bridge import FoxgloveBridge
 from lpv_node.view.node import ViewNode
 
 pytestmark = [pytest.mark.ros, pytest.mark.fuzz]
@@ -82,8 +84,11 @@ class View:
     def __init__(self, node):
         self.node, self.frames, self._stamp = node, [], 10**9
         node._server.frame = lambda frame: self.frames.append(server.encode(frame))
-        pairs = [(one.topic, node._forwarder(Bridge(), one.topic)) for one in node._inboxes]
-        node._inboxes = [topics.Inbox(*pair, 0.0, node._refusals.add) for pair in pairs]
+        bridge, refuse = Bridge(), node._refusals.add
+        node._inboxes = [
+            topics.Inbox(one, partial(bridge.forward, one.name, one.every), 0.0, refuse)
+            for one in topics.TOPICS
+        ]
 
     def good(self, kind):
         message = sized(kind())
@@ -114,17 +119,20 @@ class View:
         """Whether good messages are shown."""
         for inbox in 2 * self.node._inboxes:  # what is loaded at first takes its time
             self.show(inbox, serialize_message(self.good(inbox.topic.kind)))
-        return all(self.node._model._live(time.monotonic()).values())
+        return all(self.node._model.frame(time.monotonic())['live'].values())
 
 
-class Bridge:
-    """Takes the place of the Foxglove server, whose SDK wants stamps that are not negative."""
+class Bridge(FoxgloveBridge):
+    """Has no Foxglove server, whose SDK wants stamps that are not negative."""
 
-    def send(self, name, data, stamp):
-        assert name and 0 <= stamp < 2**63
+    def __init__(self):
+        self.restart()
+
+    def send(self, topic, data, stamp):
+        assert topic and 0 <= stamp < 2**63
 
     def restart(self):
-        pass
+        self._time = 0
 
 
 @pytest.fixture

@@ -20,6 +20,7 @@ from aiohttp import WSMsgType, web
 from lpv.bag.rosbag.interfaces import add_type, standard_types
 from lpv.core.support.config import MAX_BYTES
 from lpv.core.support.errors import ConfigError
+from lpv.core.support.timestamps import NANOSECONDS, leading_stamp
 from lpv_node.view.access import MOST_CLIENTS, Access
 from lpv_node.view.server import HEARTBEAT, LARGEST_MESSAGE, MOST_WAITING, guard
 
@@ -46,7 +47,7 @@ class FoxgloveBridge:
         typestore = standard_types()
         self._channels: dict[str, Any] = {}
         self._kept: dict[str, deque[tuple[bytes, int]]] = {}
-        self._newest = 0
+        self._newest = self._time = 0  # of all that was sent, and of what came [ns]
         for topic, (msgtype, keep) in topics.items():
             add_type(typestore, msgtype)
             text, _ = typestore.generate_msgdef(msgtype, ros_version=2)
@@ -60,6 +61,20 @@ class FoxgloveBridge:
         self._band = foxglove.Channel(band, schema=_BAND_SCHEMA, context=self._context)
         self._server, self.address = _start(name, self._context, self.on_subscribe)
         self.port: int = self._server.port
+
+    def forward(self, topic: str, every: bool, data: bytes) -> None:
+        """Send a message in the bytes in which it came.
+
+        Time restarts where it is old, but for those of which ``every`` one counts: they are
+        latched, and sent as of now.
+        """
+        stamp = max(0, leading_stamp(data) or 0)
+        if every:
+            stamp = max(stamp, self._time)
+        elif stamp < self._time - NANOSECONDS:
+            self.restart()
+        self._time = max(stamp, self._time)
+        self.send(topic, data, stamp)
 
     def send(self, topic: str, data: bytes, stamp: int) -> None:
         """Forward one message of a topic's full name: CDR with its header, and its time [ns]."""
@@ -88,7 +103,7 @@ class FoxgloveBridge:
         """Time restarted: clients forget what they have."""
         for kept in self._kept.values():
             kept.clear()
-        self._newest = 0
+        self._newest = self._time = 0
         self._server.clear_session()
 
     def on_subscribe(self, client: Any, channel: Any) -> None:

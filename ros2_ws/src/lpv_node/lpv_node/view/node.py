@@ -3,7 +3,7 @@
 import os
 import socket
 import time
-from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from rclpy.serialization import serialize_message
@@ -16,7 +16,6 @@ from lpv.core.serial_arm.description import SerialArm
 from lpv.core.simulation.scenario import load_scenario
 from lpv.core.support.limits import AT_ONCE
 from lpv.core.support.options import Entry
-from lpv.core.support.timestamps import NANOSECONDS, leading_stamp
 from lpv_node.input_check import Refusals
 from lpv_node.managed import VIEWER, ManagedNode
 from lpv_node.parameters import named_file, table
@@ -27,7 +26,7 @@ from lpv_node.view.model import LiveModel
 from lpv_node.view.requests import Requests
 from lpv_node.view.scene import Scene
 from lpv_node.view.server import ViewServer
-from lpv_node.view.topics import TOPICS, Inbox, Topic
+from lpv_node.view.topics import TOPICS, Inbox
 
 SPECS = table("""
 arm_file FILE       arm file (YAML), or name of a shipped arm
@@ -62,7 +61,6 @@ class ViewNode(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__(VIEWER, SPECS)
-        self._inboxes: list[Inbox] = []
 
     def setup(self) -> None:
         """Read the files, open the ports, create publishers."""
@@ -73,17 +71,17 @@ class ViewNode(ManagedNode):
             path = load_scenario(named_file(self, 'scenario_file', 'scenarios')).path(arm)
         self._model = LiveModel(arm, path)
         self._scene = Scene(arm, path)
-        self._ticks, self._alarms_due = 0, 0.0
-        self._stamp: int | None = None
+        self._ticks, self._alarms_due, self._inboxes = 0, 0.0, list[Inbox]()
         self._requests, self._refusals = Requests(self), Refusals(self)
         self._status = StatusReporter(self, 'page', arm.name)
         self._markers_out = self.create_publisher(MarkerArray, MARKERS, 1)
         self._open(arm, self._requests)
         bridge = self._foxglove
         period = 1.0 / self.get_parameter('foxglove_rate').value
-        forward = [self._forwarder(bridge, topic) if bridge else None for topic in TOPICS]
-        refuse = self._refusals.add
-        self._inboxes = [Inbox(*pair, period, refuse) for pair in zip(TOPICS, forward)]
+        for topic in TOPICS:
+            name = self.resolve_topic_name(topic.name)
+            forward = partial(bridge.forward, name, topic.every) if bridge else None
+            self._inboxes.append(Inbox(topic, forward, period, self._refusals.add))
         self.steady_timer(1.0 / self.get_parameter('rate').value, self._tick)
 
     def _open(self, arm: SerialArm, requests: Requests) -> None:
@@ -120,22 +118,6 @@ class ViewNode(ManagedNode):
             )
         if len(ports) > 1:
             self.get_logger().info(f'Foxglove: ws://{shown}:{ports[1]}')
-
-    def _forwarder(self, bridge: FoxgloveBridge, topic: Topic) -> Callable[[bytes], None]:
-        name = self.resolve_topic_name(topic.name)
-
-        def forward(data: bytes) -> None:
-            stamp = max(0, leading_stamp(data) or 0)
-            if self._stamp is None:
-                self._stamp = stamp
-            # Those of which every one counts are latched, and may be old.
-            if stamp < self._stamp - NANOSECONDS and not topic.every:
-                bridge.restart()
-                self._stamp = stamp
-            self._stamp = max(stamp, self._stamp)
-            bridge.send(name, data, self._stamp if topic.every else stamp)
-
-        return forward
 
     def begin(self) -> None:
         """Subscribe."""
