@@ -22,7 +22,7 @@ from lpv.core.support.config import MAX_BYTES
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.timestamps import NANOSECONDS, leading_stamp
 from lpv_node.view.access import MOST_CLIENTS, Access
-from lpv_node.view.server import HEARTBEAT, LARGEST_MESSAGE, MOST_WAITING, guard
+from lpv_node.view.server import HEARTBEAT, LARGEST_MESSAGE, MOST_WAITING, guarded
 
 Socket = web.WebSocketResponse | aiohttp.ClientWebSocketResponse
 PROTOCOL = 'foxglove.sdk.v1'
@@ -169,7 +169,7 @@ def gate(access: Access, address: str, port: int) -> web.Application:
         finally:
             count -= 1
 
-    application = web.Application(middlewares=[guard(access)])
+    application = guarded(access)
     application.router.add_get('/', on_socket)
     return application
 

@@ -13,7 +13,7 @@ from typing import Any, cast
 
 from aiohttp import WSMsgType, web
 from aiohttp.http import HttpProcessingError
-from aiohttp.typedefs import Handler, Middleware
+from aiohttp.typedefs import Handler
 
 from lpv.core.support.errors import ConfigError
 from lpv.core.support.limits import AT_ONCE, PATIENCE, QUIET
@@ -216,7 +216,7 @@ class ViewServer:
 
     def application(self) -> web.Application:
         """The page and its WebSocket, for `start`."""
-        application = web.Application(middlewares=[guard(self._access)])
+        application = guarded(self._access)
         application.router.add_get('/ws', self._on_socket)
         application.router.add_get('/', _on_page)
         application.router.add_static('/', _PAGE)
@@ -327,21 +327,18 @@ async def _on_page(_request: web.Request) -> web.FileResponse:
     return web.FileResponse(_PAGE / 'index.html')
 
 
-def guard(access: Access) -> Middleware:
-    """Middleware that refuses requests from elsewhere and adds security headers."""
+def guarded(access: Access) -> web.Application:
+    """Application that refuses requests from elsewhere and adds security headers."""
 
     @web.middleware
-    async def middleware(request: web.Request, handler: Handler) -> web.StreamResponse:
-        refusal = access.refusal(request.headers)
-        if refusal:
-            return web.Response(status=403, text=f'refused: {refusal}\n', headers=HEADERS)
-        try:
-            response = await handler(request)
-        except web.HTTPException as error:
-            error.headers.update(HEADERS)
-            raise
-        if not response.prepared:
-            response.headers.update(HEADERS)
-        return response
+    async def refuse(request: web.Request, handler: Handler) -> web.StreamResponse:
+        if refusal := access.refusal(request.headers):
+            raise web.HTTPForbidden(text=f'refused: {refusal}\n')
+        return await handler(request)
 
-    return middleware
+    async def add_headers(_request: web.Request, response: web.StreamResponse) -> None:
+        response.headers.update(HEADERS)
+
+    application = web.Application(middlewares=[refuse])
+    application.on_response_prepare.append(add_headers)
+    return application
