@@ -5,7 +5,7 @@ import contextlib
 import os
 import shlex
 import signal
-from asyncio.subprocess import DEVNULL, PIPE, STDOUT, Process
+from asyncio.subprocess import DEVNULL, PIPE, STDOUT
 from dataclasses import dataclass
 from types import FrameType
 
@@ -92,16 +92,18 @@ class Processes:
             start_new_session=True,
             limit=_LONGEST_LINE,
         )
-        pid, name = process.pid, program.name
+        pid, name, code = process.pid, program.name, None
         _note('INFO', name, f'process started with pid [{pid}]')
-        ending = asyncio.ensure_future(self._end(program, process))
+        ending = asyncio.ensure_future(self._end(program, pid))
         try:
+            # Children of it may go on where it has ended.
             while process.stdout and (line := await process.stdout.readline()):
                 _print(f'[{name}] {line.decode(errors="replace").rstrip()}')
             code = await process.wait()
         finally:
             ending.cancel()
-            _send(process, signal.SIGKILL)  # only after an error in here
+            if code is None:  # after an error in here
+                _send(pid, signal.SIGKILL)
         if code == -signal.SIGTERM and self._stop.is_set():
             _note('INFO', name, f'process was stopped before it had started [pid {pid}]')
         elif code == 0:
@@ -111,22 +113,21 @@ class Processes:
             _note('ERROR', name, f'process has died [pid {pid}, {what}].')
         return code
 
-    async def _end(self, program: Program, process: Process) -> None:
+    async def _end(self, program: Program, pid: int) -> None:
         """Once all are to stop, tell a process so, and kill it if it does not end."""
         await self._stop.wait()
         # SIGINT would make a Python program that is still importing print a traceback.
-        _send(process, signal.SIGTERM)
+        _send(pid, signal.SIGTERM)
         await asyncio.sleep(program.grace)
         text = f"failed to terminate '{program.grace:g}' seconds after receiving 'SIGTERM'"
         _note('ERROR', program.name, f"{text}, escalating to 'SIGKILL'")
-        _send(process, signal.SIGKILL)
+        _send(pid, signal.SIGKILL)
 
 
-def _send(process: Process, number: signal.Signals) -> None:
-    """Send a signal to a program and its children, if it runs."""
-    if process.returncode is None:
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(process.pid, number)
+def _send(group: int, number: signal.Signals) -> None:
+    """Send a signal to a program and its children, if they run."""
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(group, number)
 
 
 def _note(level: str, name: str, text: str) -> None:

@@ -170,6 +170,14 @@ def test_given_a_signal_when_run_then_programs_are_told_once_and_killed_if_deaf(
     assert "escalating to 'SIGKILL'" in text
 
 
+def test_given_a_deaf_child_of_a_program_that_has_ended_when_interrupted_then_it_is_killed():
+    child = "trap '' TERM; echo ready; while :; do sleep 0.05; done"
+    with processes((f'sh -c "{child}" &', {'grace': 0.5})) as launch:
+        launch.until('ready')
+        code, text = launch.interrupt()
+    assert code == 0 and "escalating to 'SIGKILL'" in text
+
+
 @pytest.mark.ros
 @pytest.mark.slow
 @pytest.mark.timeout(900)
