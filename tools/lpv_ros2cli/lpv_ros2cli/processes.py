@@ -73,13 +73,13 @@ class Processes:
             if self._stop.is_set():
                 return
             self._failed |= code != 0
+            if program.ends_all and not program.respawn:
+                _note('INFO', 'launch', f'{program.name} has ended: shutting down')
+                self._stop.set()
             if not program.respawn:
-                break
+                return
             with contextlib.suppress(asyncio.TimeoutError):
                 await asyncio.wait_for(self._stop.wait(), program.respawn_delay)
-        if program.ends_all:
-            _note('INFO', 'launch', f'{program.name} has ended: shutting down')
-            self._stop.set()
 
     async def _run_once(self, program: Program) -> int:
         """Run a program and hand on its lines; its exit code."""
