@@ -145,8 +145,9 @@ class ViewNode(ManagedNode):
             return
         self._requests.work()
         for inbox in self._inboxes:
+            source = inbox.topic.name.lstrip('/')
             for received, message in inbox.take():
-                if not self._model.take(inbox.topic.source, message, received):
+                if not self._model.take(source, message, received):
                     self._refusals.add(f'messages on {inbox.topic.name} that are of another arm')
         now = time.monotonic()
         every_second = self._ticks % round(self.get_parameter('rate').value) == 0

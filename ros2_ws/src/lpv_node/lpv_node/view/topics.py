@@ -26,11 +26,6 @@ class Topic:
     qos: QoSProfile = field(default_factory=lambda: qos_profile_sensor_data)  # of the subscription
     every: bool = False  # whether every message counts; of the others the latest one is enough
 
-    @property
-    def source(self) -> str:
-        """Name by which `LiveModel` knows it."""
-        return self.name.lstrip('/')
-
 
 TOPICS = (
     Topic('joint_states', JointState),

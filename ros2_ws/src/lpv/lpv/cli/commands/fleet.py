@@ -11,12 +11,9 @@ from lpv.cli.commands.campaign import execute
 from lpv.cli.observing import arm_and_gains, diagnosis_parameters, reading_options
 from lpv.core.support.errors import ConfigError
 
-FAILED = 3
-"""Exit code where a bag could not be read."""
-
 
 def run(arguments: argparse.Namespace) -> int:
-    """Replay what has not been replayed, show and write the statistics."""
+    """Replay what is left, show and write the statistics; 3 if a bag could not be read."""
     console, root = Console(soft_wrap=True, highlight=False), Path(arguments.archive)
     out = arguments.out or Path('out') / 'fleet' / (root.resolve().name or 'root')
     folder = ResultsFolder(out, 'bags')
@@ -36,4 +33,4 @@ def run(arguments: argparse.Namespace) -> int:
     numbers = write_report(archive, table, folder.path, len(chunks), arguments.healthy)
     print_summary(numbers, console)
     console.print(f'rows    {folder.file}\nreport  {folder.path / "report.html"}')
-    return FAILED if failed else 0
+    return 3 if failed else 0

@@ -12,12 +12,9 @@ from lpv.bag.errors import BagError
 from lpv.bag.rosbag.recovery import Recovery, recover
 from lpv.core.support.timestamps import NANOSECONDS
 
-NOTHING_LOST, UNREADABLE, SOMETHING_LOST = 0, 1, 3
-"""Exit codes."""
-
 
 def run(arguments: argparse.Namespace) -> int:
-    """Recover, and show what was lost."""
+    """Recover, and show what was lost: 3 if anything was, 1 if nothing can be read."""
     logging.getLogger('lpv.bag').setLevel(logging.ERROR)  # all of it is in the result
     bag = Path(arguments.bag)
     out = Path(arguments.out) if arguments.out else None
@@ -30,9 +27,9 @@ def run(arguments: argparse.Namespace) -> int:
             result = recover(bag, out, arguments.preset)
     except BagError as error:
         print(f'lpv recover: {error}', file=sys.stderr)
-        return UNREADABLE
+        return 1
     _show(result, out)
-    return NOTHING_LOST if result.nothing_lost else SOMETHING_LOST
+    return 0 if result.nothing_lost else 3
 
 
 def _show(result: Recovery, out: Path | None) -> None:

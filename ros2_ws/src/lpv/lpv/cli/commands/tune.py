@@ -31,8 +31,6 @@ from lpv_design.design_flow import design
 from lpv_design.requirement import load_requirement, parse_requirement
 from lpv_design.solve import InfeasibleError
 
-EXIT_NOTHING = 1
-"""Exit code where nothing better was found."""
 COSTS = {
     'detection_delay': 2.0, 'missed': 1.0, 'unstable': 1.0, 'fault_rms_before': 0.5,
     'fault_rms_during': 0.5, 'tracking_rms_during': 0.5,
@@ -201,7 +199,7 @@ def run(arguments: argparse.Namespace) -> int:
         good = [trial for trial in good if max(trial.constraints.values()) <= 0.0]
         if not good:
             console.print('nothing is changed: no trial is certified and keeps all limits')
-            return EXIT_NOTHING
+            return 1
         lowest = (1.0 + _TOLERANCE) * min(trial.values[0] for trial in good)
         near = (trial for trial in good if trial.values[0] <= lowest)
         picked = min(near, key=lambda trial: (trial.values[1], trial.number))

@@ -9,12 +9,9 @@ from lpv.cli.doctor.environment import check_environment
 from lpv.cli.doctor.files import check_files
 from lpv.cli.doctor.finding import Level, show
 
-FOUND = 3
-"""Exit code where something was found."""
-
 
 def run(arguments: argparse.Namespace) -> int:
-    """Check environment, files and graph."""
+    """Check environment, files and graph; 3 if something was found."""
     arm, of_files = check_files(arguments.arm, arguments.gains, arguments.scenario)
     findings = check_environment() + of_files
     # Importing rclpy without its middleware would end this process.
@@ -31,4 +28,4 @@ def run(arguments: argparse.Namespace) -> int:
         print(json.dumps({'ok': is_ok, 'findings': found}, indent=2))
     else:
         show(findings)
-    return 0 if is_ok else FOUND
+    return 0 if is_ok else 3
