@@ -15,9 +15,6 @@ class Command(NamedTuple):
     epilog: str = ''
 
 
-_URDF = """
---urdf URDF            URDF of the arm (xacro expanded)
-"""
 _JOINTS = """
 --joints JOINT+        joints of the arm, with spaces or commas; all others of the URDF are locked
 --lock JOINT[=VALUE]*  hold a joint of the URDF, as a gripper's (at 0) [rad], [m]
@@ -254,8 +251,8 @@ bag                rosbag2 directory, MCAP or sqlite3 file
         """
 folder?      where the files are written (this folder)
 --name NAME  name of the arm (the URDF's, or my_arm)
+--urdf URDF  URDF of the arm (xacro expanded)
 """
-        + _URDF
         + _JOINTS,
     ),
     'urdf': Command(
