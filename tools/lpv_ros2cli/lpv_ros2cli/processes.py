@@ -11,8 +11,8 @@ from types import FrameType
 
 from lpv.core.support.limits import PATIENCE
 
-_LONGEST_LINE = 1 << 24
-"""Most bytes of a line that is printed."""
+_LONGEST_LINE = 1 << 20
+"""Bytes of a line beyond which it is not printed."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class Processes:
         ending = asyncio.ensure_future(self._end(program, pid))
         try:
             # Children of it may go on where it has ended.
-            while process.stdout and (line := await process.stdout.readline()):
+            while process.stdout and (line := await _read_line(process.stdout)):
                 _print(f'[{name}] {line.decode(errors="replace").rstrip()}')
             code = await process.wait()
         finally:
@@ -122,6 +122,14 @@ class Processes:
         text = f"failed to terminate '{program.grace:g}' seconds after receiving 'SIGTERM'"
         _note('ERROR', program.name, f"{text}, escalating to 'SIGKILL'")
         _send(pid, signal.SIGKILL)
+
+
+async def _read_line(output: asyncio.StreamReader) -> bytes:
+    """The next line, empty at the end; of one that is too long, that it was."""
+    try:
+        return await output.readline()
+    except ValueError:
+        return f'(more than {_LONGEST_LINE} bytes without an end of line)'.encode()
 
 
 def _send(group: int, number: signal.Signals) -> None:

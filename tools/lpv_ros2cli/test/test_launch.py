@@ -141,6 +141,14 @@ def test_given_programs_that_print_at_once_when_run_then_no_line_is_within_anoth
     assert len(text.splitlines()) == 1500 + 2 * 3  # starts and ends
 
 
+def test_given_a_line_without_end_when_run_then_the_launch_goes_on_without_it():
+    prints = 'head -c 3000000 /dev/zero | tr "\\0" x; echo; echo after'
+    with processes((prints, {})) as launch:
+        code, text = launch.end()
+    assert code == 0 and 'bytes without an end of line)\n' in text
+    assert text.count('[p-0] after\n') == 1 and len(text) < 3_000_000
+
+
 def test_given_processes_when_they_end_then_it_is_told_and_they_start_again_if_asked():
     with processes(('echo one; echo two >&2', {}), ('exit 3', {})) as launch:
         code, text = launch.end()
