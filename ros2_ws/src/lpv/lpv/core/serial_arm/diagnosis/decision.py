@@ -88,7 +88,7 @@ class Parts(NamedTuple):
     balance: Balance
     window: Window
     null: Posterior
-    slow: Window | None
+    slow: Window
     level: Posterior
     since_linearised: IntArray
     healthy: HealthyRing

@@ -232,45 +232,36 @@ def solve(window: Window, null: Posterior) -> None:
 
 
 @njit_in_place
-def take_balance(
-    window: Window, null: Posterior, balance: Balance, time: float, learn: bool
+def take_balances(
+    window: Window,
+    null: Posterior,
+    slow: Window,
+    level: Posterior,
+    balance: Balance,
+    time: float,
+    learn: bool,
 ) -> None:
     """Let the balance that is complete join the horizon, without estimating.
 
     The constant part of its rows belongs to f = 0 afterwards.  The residual and the weight of the
     last balance are written.  What leaves the horizon is remembered if ``learn``.
     """
-    make_absolute(balance.rows, balance.reference)
-    join(window, time, balance.rows, PAST_WEIGHT if learn else -PAST_WEIGHT)
-    at = slot(window, 0)
-    for i in range(null.noise.shape[0]):
-        window.poses[at, i] = balance.poses[0, i]
-        window.rest[at, i] = rests(balance, i)
-        window.rested[i] = window.rested[i] + 1 if window.rest[at, i] == 1.0 else 0
-    weigh(window, null, _lengthen_rests(window, window.rested, 1))
-
-
-@njit_in_place
-def take_balances(
-    window: Window,
-    null: Posterior,
-    slow: Window | None,
-    level: Posterior,
-    balance: Balance,
-    time: float,
-    learn: bool,
-) -> None:
-    """As `take_balance`, for the estimate of levels as well."""
-    n = balance.reference.shape[0]
+    n, past = balance.reference.shape[0], PAST_WEIGHT if learn else -PAST_WEIGHT
     if window.counters[NEXT] % window.times.shape[0] == 0:  # drifts stay small over days
         shift = time - balance.clock[EPOCH]
         move_drifts(window, 1 + DRIFT * n, 1 + OFFSET * n, n, shift)
         move_epoch(balance, time)
-    take_balance(window, null, balance, time, learn)
-    if slow is not None:
-        join(slow, time, slow.rows[0], PAST_WEIGHT if learn else -PAST_WEIGHT)
-        copy_unknowns(window, slow, 1)
-        weigh(slow, level, _lengthen_rests(slow, window.rested, window.times.shape[0]))
+    make_absolute(balance.rows, balance.reference)
+    join(window, time, balance.rows, past)
+    at = slot(window, 0)
+    for i in range(n):
+        window.poses[at, i] = balance.poses[0, i]
+        window.rest[at, i] = rests(balance, i)
+        window.rested[i] = window.rested[i] + 1 if window.rest[at, i] == 1.0 else 0
+    weigh(window, null, _lengthen_rests(window, window.rested, 1))
+    join(slow, time, slow.rows[0], past)
+    copy_unknowns(window, slow, 1)
+    weigh(slow, level, _lengthen_rests(slow, window.rested, window.times.shape[0]))
 
 
 @njit_in_place
@@ -298,22 +289,18 @@ def _lengthen_rests(window: Window, rested: IntArray, longest: int) -> int:
 
 
 @njit_in_place
-def weigh_all(
-    window: Window, null: Posterior, slow: Window | None, level: Posterior, last: int
-) -> None:
+def weigh_all(window: Window, null: Posterior, slow: Window, level: Posterior, last: int) -> None:
     """As `weigh`, for the estimate of levels as well."""
     weigh(window, null, last)
-    if slow is not None:
-        copy_unknowns(window, slow, last)
-        weigh(slow, level, last)
+    copy_unknowns(window, slow, last)
+    weigh(slow, level, last)
 
 
 @njit_in_place
-def solve_all(window: Window, null: Posterior, slow: Window | None, level: Posterior) -> None:
+def solve_all(window: Window, null: Posterior, slow: Window, level: Posterior) -> None:
     """As `solve`, for the estimate of levels as well."""
     solve(window, null)
-    if slow is not None:
-        solve(slow, level)
+    solve(slow, level)
 
 
 @njit_in_place
@@ -337,7 +324,7 @@ def copy_unknowns(source: Window, window: Window, last: int) -> None:
 def estimate_all(
     window: Window,
     null: Posterior,
-    slow: Window | None,
+    slow: Window,
     level: Posterior,
     since: IntArray,
     interval: float,
@@ -353,7 +340,7 @@ def estimate_all(
 
 @njit_in_place
 def _learn_all(
-    window: Window, null: Posterior, slow: Window | None, level: Posterior, lasting: float
+    window: Window, null: Posterior, slow: Window, level: Posterior, lasting: float
 ) -> None:
     """Learn the noise; that of levels from all that the arm's unknowns leave.
 
@@ -362,9 +349,8 @@ def _learn_all(
     """
     count = window.counters[COUNT]
     set_residuals(window, null, count)
-    if slow is not None:
-        learn_noise(window, null)
-        _copy_noise(null, level, lasting)
+    learn_noise(window, null)
+    _copy_noise(null, level, lasting)
     for back in range(count):
         for i in range(null.noise.shape[0]):
             null.residual[back, i] += window.explained[slot(window, back), i]
@@ -485,7 +471,7 @@ class OffsetEstimator:
     ``call`` calls compiled functions that take parts of the estimator.
     """
 
-    parts: tuple[Window, Posterior, Window | None, Posterior]
+    parts: tuple[Window, Posterior, Window, Posterior]
 
     def __init__(self, arm: SerialArm, plan: HorizonPlan) -> None:
         self.plan, about = plan, _about(arm, plan)
@@ -499,11 +485,8 @@ class OffsetEstimator:
         self.window: Window = new_window(n, OFFSET * n, len(self.prior), plan.capacity, about.loads)
         systematic = about.systematic
         self.posterior = _prior_posterior(*known, 0.0 * systematic, plan.capacity)
-        self.level = self.posterior
-        self._slow: Window | None = None
-        if systematic.any():
-            self.level = _prior_posterior(*known, systematic, plan.capacity)
-            self._slow = new_window(n, 0, len(self.prior), plan.capacity, about.loads)
+        self.level = _prior_posterior(*known, systematic, plan.capacity)
+        self._slow: Window = new_window(n, 0, len(self.prior), plan.capacity, about.loads)
         self.since_linearised = np.zeros(1, np.int64)  # balances
         self.call, self.parts = Entries(), (self.window, self.posterior, self._slow, self.level)
 
@@ -514,17 +497,11 @@ class OffsetEstimator:
     def pretend(self, balances: int) -> None:
         """Let a new horizon have so many balances, of nothing: to compile what uses them."""
         for window in (self.window, self._slow):
-            if window is not None:
-                window.counters[:] = balances
+            window.counters[:] = balances
 
     def place(self, back: int) -> int:
         """Index in the ring of the balance ``back`` before the last one."""
         return int(self.window.counters[NEXT] - 1 - back) % self.plan.capacity
-
-    @property
-    def of_levels(self) -> tuple[Window, Posterior]:
-        """Balances as they are weighed for levels, and the estimate of these."""
-        return self.window if self._slow is None else self._slow, self.level
 
     def times(self, last: int) -> FloatArray:
         """Ends of the last balances, oldest first [s]."""
@@ -595,11 +572,10 @@ class OffsetEstimator:
         """Let an offset grow [rad], as the readings do by what is no longer taken out of them."""
         self.balance.reference[joint] += by
         for window, unknown in ((self.window, 1 + OFFSET * self.joints), (self._slow, 1)):
-            if window is not None:
-                column = unknown + joint
-                window.rows[:, :, 0] -= by * window.rows[:, :, column]
-                window.past[0] -= by * window.past[1 + joint]
-                window.past[:, 0] -= by * window.past[:, column]
+            column = unknown + joint
+            window.rows[:, :, 0] -= by * window.rows[:, :, column]
+            window.past[0] -= by * window.past[1 + joint]
+            window.past[:, 0] -= by * window.past[:, column]
         self.weigh_again(len(self))
         self._solve()
 
@@ -607,9 +583,8 @@ class OffsetEstimator:
         """Begin a new horizon after a gap; what the old one said of arm and offsets is kept."""
         last = len(self)
         for window in (self.window, self._slow):
-            if window is not None:
-                add_balances(window, window.past)
-                forget_newest(window, last)
+            add_balances(window, window.past)
+            forget_newest(window, last)
 
     def replace_last(self, blocks: FloatArray) -> None:
         """Evaluate the last balances again, from their blocks; one interval more than balances."""
@@ -659,10 +634,9 @@ class OffsetEstimator:
         self.window.changed[at[last - 1]] = 1.0
         self.window.trust[old[:ONSET]] = DISTRUST
         for window, null in ((self.window, self.posterior), (self._slow, self.level)):
-            if window is not None:
-                window.past[0] -= moved @ window.past[1:]
-                window.past[:, 0] -= window.past[:, -len(moved) :] @ moved
-                null.mean[:] += moved
+            window.past[0] -= moved @ window.past[1:]
+            window.past[:, 0] -= window.past[:, -len(moved) :] @ moved
+            null.mean[:] += moved
         self.weigh_again(len(self))
         self._solve()
 
