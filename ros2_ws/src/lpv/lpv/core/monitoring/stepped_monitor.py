@@ -282,7 +282,7 @@ class SteppedMonitor(SerialMonitor):
             usual = np.array([self.readings.acceleration(i) for i in range(self.joints)])
         driven = (ACCELERATIONS[-1] * usual) ** 2
         null, window = self.estimator.posterior, self.estimator.window
-        mass = self.bank.parts.mass[slot(window, 0)]
+        mass = window.momenta[slot(window, 0)]
         tiny = np.finfo(float).eps * np.abs(mass).max()  # of joints without inertia
         per_torque = np.linalg.inv(mass + tiny * np.eye(self.joints))
         torque = null.noise**2 * null.inflation / self.plan.interval**2

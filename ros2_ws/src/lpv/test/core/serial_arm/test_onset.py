@@ -50,7 +50,7 @@ def dense_onsets(monitor, end):
     weighted = weights[:, None] * unknowns.reshape(-1, m)
     upper = np.triu(null.factor)
     for back in range(onset.ONSET, LAST - 1):
-        momentum = monitor.bank.momenta_of(JOINT)[estimator.place(back)]
+        momentum = window.momenta[estimator.place(back), :, JOINT]
         for place in onset.PLACES:
             begin = end - (back + 1 - place) * interval
             since = begin - estimator.balance.clock[balance.EPOCH]
@@ -83,16 +83,16 @@ def test_given_an_alarm_when_it_is_raised_then_no_drift_is_sought_long_before_it
 
 
 def test_given_a_drift_when_its_onset_is_sought_then_it_is_the_dense_best_and_true(monitor):
-    mass, blocks = monitor.bank._mass, monitor.readings.blocks(LAST + 1)
+    blocks = monitor.readings.blocks(LAST + 1)
     about = monitor.estimator, np.array([0, JOINT]), block_end(blocks[-1])
     best = max(dense_onsets(monitor, about[2]), key=lambda one: one.gain)
-    likely = onset.likely_onsets(*about, np.full(2, PRIOR), LAST, mass)
+    likely = onset.likely_onsets(*about, np.full(2, PRIOR), LAST)
     np.testing.assert_allclose(likely[1][0], best, rtol=1e-6)
-    _, found = onset.sudden_drifts(*about[:2], LAST, blocks, mass)
+    _, found = onset.sudden_drifts(*about[:2], LAST, blocks)
     assert found.begin == pytest.approx(BEGIN, abs=0.05 * monitor.plan.interval)
     assert found.size == pytest.approx(RATE, rel=0.06)
     assert found.sigma < 0.15 * RATE
-    short = onset.sudden_drifts(*about[:2], onset.ONSET, blocks, mass)
+    short = onset.sudden_drifts(*about[:2], onset.ONSET, blocks)
     assert [one.gain for one in short] == [-np.inf, -np.inf]
 
 
@@ -124,13 +124,12 @@ def test_given_friction_that_turns_over_when_a_drift_is_looked_for_then_its_onse
     stream, fault = window.stream, window.faults[0]
     begin = fault.onset
     monitor = watch_to_decision(subject.arm, stream, stream.index(begin + 0.5))
-    estimator, mass = monitor.estimator, monitor.bank._mass
-    blocks = monitor.readings.blocks(last + 1)
+    estimator, blocks = monitor.estimator, monitor.readings.blocks(last + 1)
     joint, interval = np.array([fault.sensor]), monitor.plan.interval
     end = block_end(blocks[-1])
-    ((first, *_),) = onset.likely_onsets(estimator, joint, end, np.array([PRIOR]), last, mass)
+    ((first, *_),) = onset.likely_onsets(estimator, joint, end, np.array([PRIOR]), last)
     assert abs(first.begin - begin) > interval
-    (found,) = onset.sudden_drifts(estimator, joint, last, blocks, mass)
+    (found,) = onset.sudden_drifts(estimator, joint, last, blocks)
     assert found.begin == pytest.approx(begin, abs=0.3 * interval)
     assert abs(found.size) == pytest.approx(0.3, rel=0.1)
 

@@ -77,6 +77,7 @@ from lpv.core.serial_arm.diagnosis.priors import (
     FAULT_AT_START,
     LOAD,
     OCCURRENCE,
+    PUSH,
     SIZE,
     STEADY_FOR,
     USUAL_RATE,
@@ -198,14 +199,11 @@ def _rows(count: int, **columns: npt.ArrayLike) -> np.ndarray:
 
 
 class Bank:
-    """Bank of one arm; the estimator's posterior is the null hypothesis.
+    """Bank of one arm; the estimator's posterior is the null hypothesis."""
 
-    ``push``, shape (n,), has standard deviations of torques that may act from outside [N m].
-    """
-
-    def __init__(self, arm: SerialArm, estimator: OffsetEstimator, push: FloatArray) -> None:
+    def __init__(self, arm: SerialArm, estimator: OffsetEstimator) -> None:
         self.estimator, plan, n = estimator, estimator.plan, estimator.joints
-        self._push = push
+        self._push = push = PUSH * estimator.typical
         starts = np.array([*STARTS, *DRIFT_STARTS])
         lengths = sorted({max(1, round(one)) for one in (starts / plan.interval).tolist()})
         self._recent = round(STARTS[-1] / plan.interval)  # balances
@@ -215,7 +213,6 @@ class Bank:
         self._outside = new_contact([*lengths, ONSET + 1], push, plan.interval, plan.capacity)
         self._derived = estimator.balance.derived == 1.0
         self.kinematics = KinematicRows(arm, plan)
-        self._mass = np.zeros((plan.capacity, n, n))
         self._hypotheses()
         self._evidence = new_evidence(
             self._lengths, self._starts, self._kinds, len(estimator.prior)
@@ -224,7 +221,7 @@ class Bank:
         self._state = plain(state)
         self.parts = BankParts(
             self._kinds, self._evidence, self._outside, self.kinematics.parts,
-            new_rows(len(lengths), n), self._mass, np.zeros((n, n)),
+            new_rows(len(lengths), n), np.zeros((n, n)),
             arm.sensors_to_joints().T.copy(), arm.joints_to_sensors(), np.zeros(n), np.zeros(n),
             memory(state),
             plan.interval, self._log_weight, self._recent)  # fmt: skip
@@ -280,11 +277,6 @@ class Bank:
     def statistic(self) -> float:
         """Logarithm of M of the last decision."""
         return float(self._state['statistic'])
-
-    def momenta_of(self, joint: int) -> FloatArray:
-        """Momenta by a unit rate of one reading, of M S^-1, in the ring of the horizon."""
-        momenta: FloatArray = self._mass[:, :, joint]
-        return momenta
 
     def restart_statistic(self) -> None:
         """Let causes begin from now on only, as after an alarm."""
@@ -390,7 +382,7 @@ class Bank:
         if not stops:
             return []
         at = recent(estimator.window, last)
-        mass, faulty = self._mass[at], sorted(known)
+        mass, faulty = estimator.window.momenta[at], sorted(known)
         change = np.einsum('bij,bj->bi', mass, rates[:-1] - rates[1:])[:, :, None]
         unknown = mass[:, :, faulty] * USUAL_RATE * estimator.balance.scale[faulty]
         change = np.concatenate([change, unknown], axis=2)
@@ -421,7 +413,7 @@ class Bank:
             since = held[-1, 3 * self.estimator.joints] - one.time
             lengths = [round(time / interval) for time in STUCK_FOR if time < since]
             for count in (0, *lengths):
-                course = self.course(i, one, count, held)
+                course = course_of_frozen(self.estimator, i, one, count, held)
                 if course is None:
                     continue
                 rows = count or int(np.ceil(since / interval))
@@ -430,13 +422,6 @@ class Bank:
                 begin = course.begin
                 found.append(Hypothesis('stuck', i, gain, way, sigma, begin, 1.0, one.seen, course))
         return found
-
-    def course(
-        self, joint: int, frozen: Frozen, balances: int, blocks: FloatArray
-    ) -> Course | None:
-        """As of `course_of_frozen`."""
-        about = self.momenta_of(joint), self._push
-        return course_of_frozen(self.estimator, joint, frozen, balances, blocks, about)
 
     def free_courses(self, found: Compared, sigmas: float) -> dict[int, tuple[float, float]]:
         """Encoders whose faults, of any course, are not excluded by torques from outside.
@@ -455,8 +440,7 @@ class Bank:
         faults = dict[int, tuple[float, float]]()
         for i, trusted in enumerate(self.kinematics.trusted.tolist()):
             # A rate of its own would have shown that the fault changes.
-            momenta = self.momenta_of(i)
-            gain, size, sigma = free_course(self.estimator, i, last, momenta, not trusted)
+            gain, size, sigma = free_course(self.estimator, i, last, not trusted)
             if gain > NOT_EXCLUDED * contact.gain:
                 faults[i] = gain, abs(size) + sigmas * sigma
         return faults
@@ -467,7 +451,7 @@ class Bank:
         last = min(int(self._lengths[windows - 1]), self._recent, len(estimator) - 1) + 1
         held = blocks(last + 1)
         joints = np.flatnonzero(self._derived)
-        onsets = sudden_drifts(estimator, joints, last, held, self._mass)
+        onsets = sudden_drifts(estimator, joints, last, held)
         return [
             Hypothesis('drift', i, one.gain, one.size, one.sigma, one.begin)
             for i, one in zip(joints.tolist(), onsets)
@@ -525,7 +509,7 @@ class Bank:
         estimator = self.estimator
         last = min(self._recent + 1, len(estimator))
         joints = np.arange(estimator.joints)
-        found = sudden_drifts(estimator, joints, last, blocks, self._mass)
+        found = sudden_drifts(estimator, joints, last, blocks)
         self.excludes_contact(Hypothesis('drift', 0, 0.0, 0.0, 1.0, found[0].begin), 0.0)
 
     def offset_against_contact(self, joint: int) -> float:
@@ -581,7 +565,6 @@ class BankParts(NamedTuple):
     outside: Contact
     kinematics: Kinematics
     rows: Rows
-    mass: FloatArray  # (capacity, n, n) M S^-1 of each balance
     matrix: FloatArray  # (n, n) scratch
     mixing: FloatArray  # (n, n) S^-T
     to_sensors: FloatArray  # (n, n) S
@@ -605,7 +588,7 @@ def take_rows(bank: BankParts, balance: Balance, window: Window, blocks: FloatAr
         take_row(bank.kinematics, blocks, bank.interval)
     mass_matrix(balance.chain, window.poses[at], balance.work, bank.matrix)
     for i in range(n):
-        map_vector(bank.mixing, bank.matrix[i], bank.mass[at, i])
+        map_vector(bank.mixing, bank.matrix[i], window.momenta[at, i])
 
 
 @njit_in_place
@@ -645,9 +628,8 @@ def ask_bank(
         bank.noise[i] = rate_noise(sampler, i, bank.interval)
     sum_rows(own, bank.interval, lengths[: state.windows], rows)
     every, pushed = gather(
-        bank.evidence, bank.kinds, window, null, bank.outside, rows, bank.mass,
-        bank.to_sensors, (balance.clock[EPOCH], bank.interval), bank.unseen, bank.noise,
-        state.windows)  # fmt: skip
+        bank.evidence, bank.kinds, window, null, bank.outside, rows, bank.to_sensors,
+        (balance.clock[EPOCH], bank.interval), bank.unseen, bank.noise, state.windows)  # fmt: skip
     state.statistic = np.logaddexp(every, pushed) + bank.log_weight
     found = not state.statistic < quiet
     if found:

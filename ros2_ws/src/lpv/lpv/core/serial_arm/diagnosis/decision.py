@@ -111,21 +111,21 @@ def add_noise(
     window: Window,
     null: Posterior,
     sampler: Sampler,
-    momenta: FloatArray,
     interval: tuple[float, int],
     blocks: FloatArray,
 ) -> bool:
     """Balances of readings that are noisy, rounded, or off their stamps say less than others.
 
-    The variance of the last balance is raised; true if it says less.  ``momenta``, shape (n, n),
-    are those by unit rates of the readings at that balance, and ``blocks``, shape (2 B, 3 n + 4),
-    are its blocks.  ``interval`` is the length of an interval [s] with the number of its samples.
+    The variance of the last balance is raised; true if it says less.  ``blocks``, shape
+    (2 B, 3 n + 4), are its blocks.  ``interval`` is the length of an interval [s] with the number
+    of its samples.
     """
     n, at, less = sampler.scale.shape[0], slot(window, 0), False
     for i in range(n):
         rounded, noisy, late = 0.0, 0.0, 0.0
         for j in range(n):
-            rates = READINGS_AT_EDGES * sampler.derived[j] * (momenta[i, j] / interval[0]) ** 2
+            edges = window.momenta[at, i, j] / interval[0]
+            rates = READINGS_AT_EDGES * sampler.derived[j] * edges**2
             if np.isfinite(sampler.grain[j]):
                 rounded += rates * sampler.grain[j] * sampler.grain[j] / 12.0
             # Readings may be louder in motion than at rest.
@@ -216,9 +216,8 @@ def decide(parts: Parts) -> None:
         state.balances += 1
         state.stage = _FOLLOW if state.follows else _ESTIMATE
     if state.stage == _ESTIMATE:
-        momenta, samples = bank.mass[slot(window, 0)], round(interval / state.sample_time)
-        plan = interval, samples
-        if add_noise(window, parts.null, parts.sampler, momenta, plan, parts.recent):
+        plan = interval, round(interval / state.sample_time)
+        if add_noise(window, parts.null, parts.sampler, plan, parts.recent):
             weigh_all(*horizon, 1)
         estimate_all(*horizon, parts.since_linearised, interval, state.learns)
         moved = has_moved(window, parts.level, parts.balance, parts.since_linearised)

@@ -25,7 +25,7 @@ from lpv.core.serial_arm.diagnosis.onset import weigh_errors
 from lpv.core.serial_arm.diagnosis.priors import SIZE
 from lpv.core.serial_arm.diagnosis.readings import Readings
 from lpv.core.serial_arm.diagnosis.sampler import BLOCK_LENGTH, ROUNDING, block_end
-from lpv.core.serial_arm.diagnosis.stuck import LINEAR, Frozen
+from lpv.core.serial_arm.diagnosis.stuck import LINEAR, Frozen, course_of_frozen
 
 ONSETS = len(STARTS)
 """Onsets that are compared, spaced evenly in the logarithm of their age: as many as of others."""
@@ -151,7 +151,7 @@ def end_of_fault(
     if frozen is not None:
         # Where it was frozen before, balances begin with a rate that was not measured.
         says = abs(jump) < LINEAR * scale and again == 0.0
-        course = bank.course(joint, frozen, 0, blocks) if says else None
+        course = course_of_frozen(estimator, joint, frozen, 0, blocks) if says else None
         gain, went, sigma = 0.0, 0.0, LINEAR * scale
         if course is not None:
             one = begin_frozen(joint, course, readings.acceleration(joint), scale)

@@ -653,15 +653,14 @@ class OffsetEstimator:
         self.weigh_again(len(error))
         self._solve()
 
-    def doubt_rates(self, joint: int, noise: float, momenta: FloatArray, since: float) -> None:
+    def doubt_rates(self, joint: int, noise: float, since: float) -> None:
         """Let balances that ended since a moment [s] say less: readings of one sensor were noisy.
 
-        ``noise`` is their standard deviation [rad]; rates are derived from them.  ``momenta``,
-        shape (capacity, n), are those by unit rates, in the ring of the horizon.
+        ``noise`` is their standard deviation [rad]; rates are derived from them.
         """
         count = int(np.count_nonzero(self.times(len(self)) > since))
         at = recent(self.window, count)
-        edges = noise * momenta[at] / self.plan.interval
+        edges = noise * self.window.momenta[at, :, joint] / self.plan.interval
         self.window.extra[at] += self.balance.derived[joint] * READINGS_AT_EDGES * edges**2
         self.weigh_again(count)
         self._solve()

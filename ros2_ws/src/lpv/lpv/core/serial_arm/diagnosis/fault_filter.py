@@ -151,29 +151,20 @@ class FaultFilter:
         self.covariance[1, 1] = (USUAL_RATE * self.scale) ** 2
         self.covariance[2, 2] = acceleration**2
 
-    def columns(
-        self,
-        rows: FloatArray,
-        times: tuple[float, float, float],
-        momentum: FloatArray,
-        about: tuple[float, float],
-    ) -> FloatArray:
+    def columns(self, estimator: OffsetEstimator, at: int, end: float) -> FloatArray:
         """Derivatives of a balance by the state, shape (n, 3).
 
-        ``times`` are the epoch of drifts, the state's moment, and when the balance ended;
-        ``momentum`` is that by a unit rate of the reading, shape (n,); ``about`` are the interval
-        [s] and the offset of the reading at which the balance is linearised [rad].
+        The balance is that at a place of the horizon's ring, and ended at a moment [s].
         """
-        interval, reference = about
-        epoch, now, end = times
-        n, i = len(rows), self.joint
+        balance, interval = estimator.balance, estimator.plan.interval
+        rows, n, i = estimator.window.rows[at], estimator.joints, self.joint
         offset = rows[:, 1 + OFFSET * n + i]
         if self.is_scale:
-            scale = rows[:, 1 + SCALE * n + i] + reference * offset
+            scale = rows[:, 1 + SCALE * n + i] + balance.reference[i] * offset
             return np.stack([scale, offset, 0.0 * offset], axis=1) / (1.0 + self.mean[0])
-        drift = rows[:, 1 + DRIFT * n + i] - (now - epoch) * offset
+        drift = rows[:, 1 + DRIFT * n + i] - (self.updated - balance.clock[EPOCH]) * offset
         # The rate changes by a T from interval to interval, and is on average less than then.
-        ago = now - end + interval
+        ago, momentum = self.updated - end + interval, estimator.window.momenta[at, :, i]
         bend = 0.5 * (ago**2 + interval**2 / 6.0) * offset
         bend -= interval * momentum + ago * rows[:, 1 + RATE * n + i]
         return np.stack([offset, drift, bend], axis=1)
@@ -237,11 +228,8 @@ def begin_frozen(joint: int, course: Course, acceleration: float, scale: float) 
     return FaultFilter(joint, 'stuck', course.begin, *state, course.end, acceleration, scale)
 
 
-def correct_since(one: FaultFilter, readings: Readings, momenta: FloatArray) -> None:
-    """Take a fault that has just been named out of the readings since it began.
-
-    ``momenta`` are those by a unit rate of its reading, in the ring of the horizon.
-    """
+def correct_since(one: FaultFilter, readings: Readings) -> None:
+    """Take a fault that has just been named out of the readings since it began."""
     sampler, estimator, _ = readings
     n, i = estimator.joints, one.joint
     last = int((estimator.times(len(estimator)) > one.begin).sum())
@@ -260,13 +248,10 @@ def correct_since(one: FaultFilter, readings: Readings, momenta: FloatArray) -> 
         one.mean[1] += sampler.correction[i]
         sampler.correction[i] = 0.0
     _note(one, sampler)
-    window, epoch = estimator.window, estimator.balance.clock[EPOCH]
-    about = estimator.plan.interval, float(estimator.balance.reference[i])
+    window = estimator.window
     for back in range(min(last, len(estimator))):
         at = estimator.place(back)
-        end = ended + window.times[at] - estimator.times(1)[0]
-        times = epoch, one.updated, end
-        columns = one.columns(window.rows[at], times, momenta[at], about)
+        columns = one.columns(estimator, at, ended + window.times[at] - estimator.times(1)[0])
         window.extra[at] += ((columns @ one.covariance) * columns).sum(1)
     estimator.replace_last(blocks)
 
@@ -275,13 +260,12 @@ def follow_all(
     filters: Sequence[FaultFilter],
     readings: Readings,
     kinematic: Sequence[tuple[float, float] | None],
-    momenta: Sequence[FloatArray],
     stopped: float | None,
 ) -> None:
     """Update faults by the newest balance, and the correction of the readings.
 
-    The variance of the balance is raised by what is left unknown of them.  ``kinematic`` and
-    ``momenta`` hold those of each, as of `_follow`.  ``stopped`` is as of `Readings.stopped`.
+    The variance of the balance is raised by what is left unknown of them.  ``kinematic`` holds that
+    of each, as of `_follow`.  ``stopped`` is as of `Readings.stopped`.
     """
     estimator, end = readings.estimator, readings.ended()
     for one, way in zip(filters, kinematic):
@@ -292,15 +276,15 @@ def follow_all(
         if stopped is not None and one.may_stop and way is None:
             clean = before if before is not None and stopped < last.updated else last
             _stop(one, clean, stopped, readings)
-    spreads = [_spread(one, estimator, each) for one, each in zip(filters, momenta)]
+    spreads = [_spread(one, estimator) for one in filters]
     for k, one in enumerate(filters):
         # Errors that last count as often as noise that is as large, and new in each balance.
         lasting = 2.0 * STEADY_FOR / estimator.plan.interval
         others = lasting * sum(spreads[:k] + spreads[k + 1 :], np.zeros_like(spreads[k]))
         # What stopped the arm is in its balances, and no effort tells it.
         if one.stopped is None or one.stopped < end - 2.0 * estimator.plan.interval:
-            _follow(one, others, readings, kinematic[k], momenta[k])
-        spreads[k] = _spread(one, estimator, momenta[k])
+            _follow(one, others, readings, kinematic[k])
+        spreads[k] = _spread(one, estimator)
     estimator.window.extra[estimator.place(0)] += np.diag(sum(spreads))
     estimator.weigh_again(1)
 
@@ -312,34 +296,20 @@ def _stop(one: FaultFilter, before: FaultFilter, moment: float, readings: Readin
     _change(one, np.array([mean[0], 0.0, 0.0]) - one.mean, readings, moment)
 
 
-def _columns(one: FaultFilter, estimator: OffsetEstimator, momenta: FloatArray) -> FloatArray:
-    """Derivatives of the newest balance by the state of a fault, which is that at its end."""
-    at, epoch = estimator.place(0), float(estimator.balance.clock[EPOCH])
-    about = estimator.plan.interval, float(estimator.balance.reference[one.joint])
-    times = epoch, one.updated, one.updated
-    return one.columns(estimator.window.rows[at], times, momenta[at], about)
-
-
-def _spread(one: FaultFilter, estimator: OffsetEstimator, momenta: FloatArray) -> FloatArray:
+def _spread(one: FaultFilter, estimator: OffsetEstimator) -> FloatArray:
     """Covariance of the newest balance by what is unknown of a fault, shape (n, n)."""
-    columns = _columns(one, estimator, momenta)
+    columns = one.columns(estimator, estimator.place(0), one.updated)
     return columns @ one.covariance @ columns.T
 
 
 def _follow(
-    one: FaultFilter,
-    others: FloatArray,
-    readings: Readings,
-    kinematic: tuple[float, float] | None,
-    momenta: FloatArray,
+    one: FaultFilter, others: FloatArray, readings: Readings, kinematic: tuple[float, float] | None
 ) -> None:
     """Update a fault by the newest balance, and the correction of the readings.
 
     The sampler's corrections and last blocks are changed.  ``others``, shape (n, n), is the
     covariance of the balance by other faults.  ``kinematic`` is D of the last interval, of readings
     as corrected, and its variance [rad], [rad2], where the rate has a sensor of its own.
-    ``momenta``, shape (capacity, n), are those by a unit rate of the reading, in the ring of the
-    horizon.
     """
     sampler, estimator, _ = readings
     window, null, interval = estimator.window, estimator.posterior, estimator.plan.interval
@@ -349,7 +319,7 @@ def _follow(
         return
     at = estimator.place(0)
     rows, m = window.rows[at], len(null.mean)
-    columns = _columns(one, estimator, momenta)
+    columns = one.columns(estimator, at, one.updated)
     unknowns = rows[:, rows.shape[1] - m :]
     known = np.ascontiguousarray(unknowns.T)
     whiten(null.factor, known)
@@ -442,16 +412,16 @@ def _correct(
         velocity -= derived * rate
 
 
-def doubt_ended(one: FaultFilter, estimator: OffsetEstimator, momenta: FloatArray) -> None:
+def doubt_ended(one: FaultFilter, estimator: OffsetEstimator) -> None:
     """Raise the variance of the newest balance, a part of whose readings had the fault.
 
     The state is that when the fault ended: what the rate of its reading was thought to be until
-    then jumped to what it is, if that is derived.  ``momenta`` is as in `follow`.
+    then jumped to what it is, if that is derived.
     """
     window, i = estimator.window, one.joint
     at = estimator.place(0)
     offset = window.rows[at, :, 1 + OFFSET * estimator.joints + i]
-    momentum = estimator.balance.derived[i] * momenta[at]
+    momentum = estimator.balance.derived[i] * window.momenta[at, :, i]
     window.extra[at] += one.covariance[0, 0] * offset**2 + one.covariance[1, 1] * momentum**2
     estimator.weigh_again(1)
 

@@ -116,9 +116,8 @@ class FollowedFaults:
         """Follow a fault, and take it out of the readings since it began."""
         self.filters[one.joint] = one
         self.trust_rate(one.joint)
-        readings, momenta = self._readings, self._bank.momenta_of(one.joint)
-        correct_since(one, readings, momenta)
-        self._noted[one.joint] = readings.sampler.correction[one.joint]
+        correct_since(one, self._readings)
+        self._noted[one.joint] = self._readings.sampler.correction[one.joint]
 
     def update(self) -> None:
         """Let the newest balance measure the faults."""
@@ -126,14 +125,13 @@ class FollowedFaults:
         end, span = readings.ended(), 2.0 * readings.estimator.plan.interval
         self._ended = [one for one in self._ended if end - one.updated < span]
         for one in self._ended:
-            doubt_ended(one, readings.estimator, bank.momenta_of(one.joint))
+            doubt_ended(one, readings.estimator)
         for i in [*self._held_rates]:
             if readings.sampler.published[0, i] != self._held_rates[i]:
                 self._use_rate(i)
         kinematic = [
             None if i in self._held_rates else bank.kinematics.last(i) for i in self.filters
         ]
-        momenta = [bank.momenta_of(i) for i in self.filters]
         if self.filters:
             known = self.known
             others = [i for i in range(len(self._sensors)) if i not in known]
@@ -145,7 +143,7 @@ class FollowedFaults:
             faults = zip(self.filters.values(), kinematic)
             may_stop = any(one.may_stop and way is None for one, way in faults)
             stopped = readings.stopped(others) if may_stop else None
-            follow_all([*self.filters.values()], readings, kinematic, momenta, stopped)
+            follow_all([*self.filters.values()], readings, kinematic, stopped)
 
     def trust_rate(self, i: int) -> None:
         """Use the kinematic rows of a joint while no fault of its sensors is known."""

@@ -37,6 +37,7 @@ class Window(NamedTuple):
     trust: FloatArray  # (capacity,) factor of weights, small where something acted from outside
     weights: FloatArray  # (capacity, n) with which each counts, trust included
     poses: FloatArray  # (capacity, n) positions in its middle [rad]
+    momenta: FloatArray  # (capacity, n, n) those by unit rates of the readings there, M S^-1
     rest: FloatArray  # (capacity, n) 1 where the joint rests or reverses
     lasting: FloatArray  # (capacity, n) balances for which its friction there stays as it is
     rested: IntArray  # (n,) balances for which the joint has rested so far
@@ -67,7 +68,8 @@ def new_window(
     loads = np.zeros((0, unknowns)) if loads is None else np.ascontiguousarray(loads)
     return Window(
         np.zeros((capacity, joints, size)), np.zeros(capacity), np.ones(capacity),
-        np.zeros((capacity, joints)), np.zeros((capacity, joints)), np.zeros((capacity, joints)),
+        np.zeros((capacity, joints)), np.zeros((capacity, joints)),
+        np.zeros((capacity, joints, joints)), np.zeros((capacity, joints)),
         np.zeros((capacity, joints)), np.zeros(joints, np.int64), np.zeros((capacity, joints)),
         np.zeros((capacity, joints)),
         np.zeros((capacity + 1, 1 + unknowns, size)), np.zeros((1 + unknowns, size)), loads,

@@ -100,7 +100,6 @@ def gather(
     null: Posterior,
     outside: Contact,
     rows: Rows,
-    mass: FloatArray,
     to_sensors: FloatArray,
     times: tuple[float, float],
     unseen: FloatArray,
@@ -109,8 +108,7 @@ def gather(
 ) -> tuple[float, float]:
     """Write the evidence of the first ``count`` windows, which the horizon must hold.
 
-    The residuals of ``null`` are written.  ``mass``, shape (capacity, n, n), is M S^-1 of each
-    balance, in the ring of ``window``, and ``to_sensors`` is S, shape (n, n).  ``times`` are the
+    The residuals of ``null`` are written.  ``to_sensors`` is S, shape (n, n).  ``times`` are the
     moment from which drifts count, and the length of an interval [s].  ``unseen``, shape (n,), are
     the largest jumps of the readings that may not have been seen [rad], and ``noise``, shape (n,),
     are variances of what the readings' noise makes of a balance's change of a derived rate
@@ -126,13 +124,13 @@ def gather(
     for w in range(count):
         length = evidence.lengths[w]
         for back in range(summed, max(length - ONSET, 0)):
-            _add_grams(evidence.grams, window, mass, back)
+            _add_grams(evidence.grams, window, back)
             summed = back + 1
         first = slot(window, length - 1)
         evidence.begin[w] = window.times[first] - times[1]
         map_vector(to_sensors, window.poses[first], evidence.pose[w])
         _sensor_columns(evidence, window, null, noise, w)
-        _jump_columns(evidence, window, null, mass[first], w)
+        _jump_columns(evidence, window, null, w)
         whiten(null.factor, evidence.columns)
         _eliminate(evidence, w)
         _add_rows(evidence, rows, window.times[slot(window, 0)] - times[0], w)
@@ -205,7 +203,7 @@ def _zero(evidence: Evidence, kinds: Kinds, place: tuple[int, int, int], epoch: 
 
 
 @njit_in_place
-def _add_grams(grams: FloatArray, window: Window, mass: FloatArray, back: int) -> None:
+def _add_grams(grams: FloatArray, window: Window, back: int) -> None:
     """Add a balance's products of the columns that no cumulative sums are kept of."""
     at, n = slot(window, back), grams.shape[0]
     for i in range(n):
@@ -218,7 +216,7 @@ def _add_grams(grams: FloatArray, window: Window, mass: FloatArray, back: int) -
             grams[j, 2] += weight * rate * rate
             grams[j, 3] += weight * gain * gain
             grams[j, 4] += weight * drift * rate
-            grams[j, 5] += weight * mass[at, i, j] * mass[at, i, j]
+            grams[j, 5] += weight * window.momenta[at, i, j] * window.momenta[at, i, j]
 
 
 @njit_in_place
@@ -260,9 +258,7 @@ def _sensor_columns(
 
 
 @njit_in_place
-def _jump_columns(
-    evidence: Evidence, window: Window, null: Posterior, mass: FloatArray, w: int
-) -> None:
+def _jump_columns(evidence: Evidence, window: Window, null: Posterior, w: int) -> None:
     """Score, information and cross products of the seventh column.
 
     A jump inside an interval shows in the two balances that hold it: their sum has all of it.  Of
@@ -277,6 +273,7 @@ def _jump_columns(
     if length < ONSET:
         return
     older, newer = slot(window, length - 1), slot(window, length - ONSET)
+    mass = window.momenta[older]
     for i in range(n):
         # Something that acted from outside may have taken all weight.
         both = window.weights[older, i] + window.weights[newer, i]

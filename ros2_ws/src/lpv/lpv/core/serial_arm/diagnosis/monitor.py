@@ -52,7 +52,6 @@ from lpv.core.serial_arm.diagnosis.priors import (
     LOAD,
     MODEL_ERROR,
     OCCURRENCE,
-    PUSH,
     STEADY_FOR,
     USUAL_RATE,
     WIDEST_LEVEL,
@@ -201,8 +200,7 @@ class SerialMonitor:
         self._healthy = HealthySet(arm, self.estimator)
         self.healthy = self._healthy if is_stated(arm) else None
         self.guarantee: Guarantee | None = None
-        self._push = PUSH * self.estimator.typical
-        self.bank = Bank(arm, self.estimator, self._push)
+        self.bank = Bank(arm, self.estimator)
         smallest = settings.smallest_jump * self.scales
         # Before any e was seen, jumps count from twice the smallest one.
         usual = np.maximum(2.0 * noise, 2.0 * smallest / JUMP_SCALE)
@@ -365,7 +363,7 @@ class SerialMonitor:
                 self.followed.trust_rate(i)
                 self.healthy = self.guarantee = None  # its noise is not that of the file
                 noise, since = self.readings.noise(i), now - NOISE_MEMORY * self.arm.sample_time
-                self.estimator.doubt_rates(i, noise, self.bank.momenta_of(i), since)
+                self.estimator.doubt_rates(i, noise, since)
                 self._raise(i, 'noise', now, noise, 0.0)
         self.followed.note_correction()
 

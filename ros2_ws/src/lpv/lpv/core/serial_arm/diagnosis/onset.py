@@ -55,18 +55,17 @@ NO_ONSET = Onset(-np.inf, 0.0, 0.0, 0.0, 0)
 
 
 def sudden_drifts(
-    estimator: OffsetEstimator, joints: IntArray, last: int, blocks: FloatArray, mass: FloatArray
+    estimator: OffsetEstimator, joints: IntArray, last: int, blocks: FloatArray
 ) -> list[Onset]:
     """The best onset of a drift of each of some encoders whose rates are derived from them.
 
     So many ``last`` balances are looked at.  ``blocks``, shape (N, 3 n + 4), are those of the
-    balances at hand and of the interval before, oldest first; ``mass``, shape (capacity, n, n), is
-    M S^-1 of each balance, in the ring of the horizon.  The gain is -inf while there are too few
-    balances.
+    balances at hand and of the interval before, oldest first.  The gain is -inf while there are too
+    few balances.
     """
     per_interval, missing = estimator.plan.blocks, 1 + _JUMPS
     prior = SIZE['drift'] * estimator.balance.scale[joints]
-    likely = likely_onsets(estimator, joints, block_end(blocks[-1]), prior, last, mass)
+    likely = likely_onsets(estimator, joints, block_end(blocks[-1]), prior, last)
     whole = len(blocks) // per_interval - 2
     likely = [[one for one in every if one.back <= whole] for every in likely]
     longest = max((one.back for every in likely for one in every), default=0)
@@ -86,12 +85,7 @@ def sudden_drifts(
 
 
 def likely_onsets(
-    estimator: OffsetEstimator,
-    joints: IntArray,
-    end: float,
-    prior: FloatArray,
-    last: int,
-    mass: FloatArray,
+    estimator: OffsetEstimator, joints: IntArray, end: float, prior: FloatArray, last: int
 ) -> list[list[Onset]]:
     """Likely onsets of drifts of some encoders in the last balances.
 
@@ -112,7 +106,8 @@ def likely_onsets(
     rows, weights = window.rows[at], window.weights[at][:, :, None]
     # Axes: balance, row, joint.  Products with the unknowns' columns are U^-T of them.
     drift, offset = (rows[:, :, 1 + group * n + joints] for group in (DRIFT, OFFSET))
-    mass, unknowns = mass[at[back]][:, :, joints], whitened(null, rows[:, :, -len(null.mean) :])
+    mass = window.momenta[at[back]][:, :, joints]
+    unknowns = whitened(null, rows[:, :, -len(null.mean) :])
     columns = np.stack([drift, offset])
     weighted = weights * columns
     # Sums over the balances behind each onset, for the columns of drift and of offset.

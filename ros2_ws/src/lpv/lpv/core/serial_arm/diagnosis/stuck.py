@@ -20,6 +20,7 @@ from lpv.core.serial_arm.diagnosis.priors import (
     ACCELERATIONS,
     LEAST_ACCELERATION,
     OFFSET_PRIOR,
+    PUSH,
     SLOW_RATE,
     USUAL_ACCELERATION,
 )
@@ -72,20 +73,13 @@ def usual_acceleration(estimator: OffsetEstimator, blocks: FloatArray, joint: in
 
 
 def course_of_frozen(
-    estimator: OffsetEstimator,
-    joint: int,
-    frozen: Frozen,
-    balances: int,
-    blocks: FloatArray,
-    about: tuple[FloatArray, FloatArray],
+    estimator: OffsetEstimator, joint: int, frozen: Frozen, balances: int, blocks: FloatArray
 ) -> Course | None:
     """How likely a joint went on while its reading rests, and where it is then.
 
     The joint may have moved in so many last ``balances``; 0 means ever since the reading froze.
-    ``blocks``, shape (N, 3 n + 4), are those of the horizon, oldest first.  ``about`` holds momenta
-    by a unit rate of the reading, in the ring of the horizon, shape (capacity, n), and standard
-    deviations of torques that may hold the joints, shape (n,) [N m].  None while no balance holds
-    the time since.
+    ``blocks``, shape (N, 3 n + 4), are those of the horizon, oldest first.  None while no balance
+    holds the time since.
     """
     plan, null = estimator.plan, estimator.posterior
     end = block_end(blocks[-1])
@@ -97,7 +91,6 @@ def course_of_frozen(
     step = usual_acceleration(estimator, blocks, joint) * plan.interval
     scale = float(estimator.balance.scale[joint])
     blocks = blocks[-(count + 1) * plan.blocks :]
-    momenta, push = about
     at = recent(estimator.window, count)[::-1]
     estimator.call(set_residuals, estimator.window, null, count)
     before = null.residual[:count][::-1]
@@ -113,7 +106,7 @@ def course_of_frozen(
     size[:, moved] = null.noise[moved]
     inflation = null.inflation
     weights = np.minimum(_weights(before, size, inflation), _weights(after, size, inflation))
-    columns = _rate_steps(rows, joint, momenta[at], plan.interval)
+    columns = _rate_steps(rows, joint, estimator.window.momenta[at], plan.interval)
     every = np.concatenate([(after - before)[:, :, None], columns], axis=2)
     root, free = np.sqrt(weights).reshape(-1, 1), unknowns.reshape(-1, len(null.mean))
     every, forced = root * every.reshape(-1, 1 + count), weights.reshape(-1, 1) * free
@@ -151,7 +144,7 @@ def course_of_frozen(
     gain += np.logaddexp.reduce(evidence) - np.log(sum(1.0 / size for size in ACCELERATIONS))
     rivals = [resting[:, moved]]
     if not frozen.alive:
-        rivals.append(np.hypot(resting, plan.interval * push)[:, moved])
+        rivals.append(np.hypot(resting, plan.interval * PUSH * estimator.typical)[:, moved])
     least = min(_at_rest(before[:, moved], one, weights[:, moved], null, moved) for one in rivals)
     gain += min(least + 0.5 * float((slope**2).sum()), 0.0)
     if not abs(change[0]) < LINEAR * scale:
@@ -185,14 +178,13 @@ def _rows_along(
 
 
 def free_course(
-    estimator: OffsetEstimator, joint: int, last: int, momenta: FloatArray, moves: bool
+    estimator: OffsetEstimator, joint: int, last: int, moves: bool
 ) -> tuple[float, float, float]:
     """How much a fault of one reading explains of the last balances, whatever its course.
 
     It has been there before them, of any size, and goes on at a rate that walks at random if it
-    ``moves``.  The arm's unknowns are held, as for rough torques from outside.  ``momenta``, shape
-    (capacity, n), are those by a unit rate of the reading.  Returns the logarithm of the Bayes
-    factor, and the fault now with its standard deviation [rad].
+    ``moves``.  The arm's unknowns are held, as for rough torques from outside.  Returns the
+    logarithm of the Bayes factor, and the fault now with its standard deviation [rad].
     """
     n, step, null = estimator.joints, estimator.plan.interval, estimator.posterior
     scale = float(estimator.balance.scale[joint])
@@ -202,7 +194,7 @@ def free_course(
     weights = _weights(left, size, null.inflation, estimator.window.extra[at])
     root = np.sqrt(weights).reshape(-1, 1)
     before = rows[:, :, 1 + OFFSET * n + joint, None]
-    steps = _rate_steps(rows, joint, momenta[at], step, derived)
+    steps = _rate_steps(rows, joint, estimator.window.momenta[at], step, derived)
     columns = root * np.concatenate([before, steps], axis=2).reshape(-1, 1 + last)
     information, pull = columns.T @ columns, -columns.T @ (root[:, 0] * left.ravel())
     if not np.isfinite(information).all() or not np.isfinite(pull).all():
@@ -280,5 +272,5 @@ def _rate_steps(
     offset, rate = rows[:, :, 1 + OFFSET * n + joint], rows[:, :, 1 + RATE * n + joint]
     columns = offset[:, :, None] * angle[:, None, :]
     columns += derived * rate[:, :, None] * ((since >= 0) - 0.5 * change)[:, None, :]
-    columns[place, :, place] -= derived * momenta
+    columns[place, :, place] -= derived * momenta[:, :, joint]
     return columns
