@@ -31,7 +31,7 @@ from lpv.core.serial_arm.diagnosis.information import COUNT, NEXT, Window, recen
 from lpv.core.serial_arm.diagnosis.learning import payload_share
 from lpv.core.serial_arm.diagnosis.parameter_set import parameter_set, payload_generator
 from lpv.core.serial_arm.diagnosis.stuck import LINEAR
-from lpv.core.serial_arm.sensor_map import map_rows, map_vector
+from lpv.core.serial_arm.sensor_map import map_rows
 from lpv.core.support.jit import njit_in_place
 
 SLACK, NOISE, LENGTH = range(3)
@@ -73,13 +73,11 @@ class HealthyRing(NamedTuple):
     balance: HealthyBalance
     effects: FloatArray  # (capacity, n, 1 + k) residual, then the effect of each generator
     doubts: FloatArray  # (capacity, 2, n) as of `close_healthy_interval`
-    inertia: FloatArray  # (capacity, n, n) momentum by rates of the readings
     right: FloatArray  # (m, 1 + k) A^T W E of what is remembered
     past: FloatArray  # (3,) see `SLACK`
     block_noise: FloatArray  # (n,) standard deviation of mean joint rates of a block [rad/s]
     mean_reading: FloatArray  # (n,) of mean readings of an interval [rad]
     mean_noise: FloatArray  # (n,) of their mean rates [rad/s]
-    mixing: FloatArray  # (n, n) S^-T
     shared: float  # variance of a balance's noise over that of one mean
 
 
@@ -109,8 +107,6 @@ def take_healthy(
 def _add(ring: HealthyRing, rows: FloatArray, blocks: FloatArray, at: int) -> None:
     """Take one interval; what its balance may leave goes into a place of the rings."""
     current = add_healthy_blocks(ring.balance, blocks, ring.block_noise)
-    for i in range(rows.shape[0]):
-        map_vector(ring.mixing, ring.balance.matrix[i], ring.inertia[at, i])
     lengths = ring.past[LENGTH], current
     close_healthy_interval(
         ring.balance, lengths, rows, ring.mean_reading, ring.effects[at], ring.doubts[at]
@@ -121,7 +117,7 @@ def _add(ring: HealthyRing, rows: FloatArray, blocks: FloatArray, at: int) -> No
 @njit_in_place
 def remember(ring: HealthyRing, window: Window, at: int, learn: bool, factor: float) -> None:
     """A balance leaves the horizon, as in `information.join`."""
-    (m, columns), n = ring.right.shape, ring.inertia.shape[1]
+    (m, columns), n = ring.right.shape, ring.mean_noise.shape[0]
     first, largest = window.rows.shape[2] - m, 0.0
     ring.past[SLACK] *= factor
     for a in range(m):
@@ -140,7 +136,7 @@ def remember(ring: HealthyRing, window: Window, at: int, learn: bool, factor: fl
         for j in range(n):
             noise = 0.0
             for k in range(n):
-                both = ring.inertia[at, i, k] * ring.inertia[at, j, k]
+                both = window.momenta[at, i, k] * window.momenta[at, j, k]
                 noise += both * ring.mean_noise[k] * ring.mean_noise[k]
             total += ring.shared * abs(noise) * np.sqrt(weight * window.weights[at, j])
         largest = max(largest, total)
@@ -175,14 +171,13 @@ class HealthySet:
         by_sensor = np.where(self._derived, difference, rate)
         self.ring = HealthyRing(
             self._balance, np.zeros((plan.capacity, n, columns)), np.zeros((plan.capacity, 2, n)),
-            np.zeros((plan.capacity, n, n)), np.zeros((m, columns)), np.zeros(3),
+            np.zeros((m, columns)), np.zeros(3),
             np.sqrt(map_rows(self._balance.to_joints**2, by_sensor**2)),
             reading / np.sqrt(plan.per_block * plan.blocks),
             np.where(self._derived, reading / plan.interval, rate / np.sqrt(plan.blocks)),
-            arm.sensors_to_joints().T.copy(),
             READINGS_AT_EDGES if self._derived.any() else 2.0)  # fmt: skip
         self._effects, self._doubts = self.ring.effects, self.ring.doubts
-        self._inertia, self._mean_noise = self.ring.inertia, self.ring.mean_noise
+        self._mean_noise = self.ring.mean_noise
 
     def restart(self) -> None:
         """Begin anew after a gap; called before the estimator's own restart."""
@@ -244,7 +239,7 @@ class HealthySet:
     def _noise(self, map_: FloatArray, places: IntArray) -> FloatArray:
         """Variance of the estimates by noise of readings and rates in the horizon."""
         total = np.einsum('fbi,bi->f', map_**2, self._doubts[places, 1])
-        moved = np.einsum('fbi,bij->fbj', map_, self._inertia[places])
+        moved = np.einsum('fbi,bij->fbj', map_, self._estimator.window.momenta[places])
         once = np.diff(moved, axis=1, prepend=0.0, append=0.0)
         twice = np.diff(once, axis=1, prepend=0.0, append=0.0)
         total += ((once * ~self._derived * self._mean_noise) ** 2).sum((1, 2))
