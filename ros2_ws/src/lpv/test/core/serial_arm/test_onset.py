@@ -143,8 +143,8 @@ def test_given_a_reading_that_rests_when_explained_then_it_froze_when_its_rest_b
     assert all(frozen.time <= one.begin < end for one in found)
 
 
-def drift(size, sigma, spread=0.0, kind='drift'):
-    return begin_filter(0, kind, (0.0, 0.2), size, sigma, 0.0, spread)
+def drift(size, sigma, spread=0.0):
+    return begin_filter(0, 'drift', (0.0, 0.2), size, sigma, 0.0, spread)
 
 
 def test_given_a_filter_when_corrected_then_what_is_beyond_its_bound_or_rests_is_removed():
@@ -157,4 +157,4 @@ def test_given_a_filter_when_corrected_then_what_is_beyond_its_bound_or_rests_is
     shares = [drift(0.3, sigma).share(0.0, 0.2, 4.0) for sigma in (0.075, 0.07, 0.03, 1e-3, 0.0)]
     assert shares[0] == pytest.approx(0.0, abs=1e-9) and shares[-1] == 1.0
     assert np.all(np.diff(shares) > 0.0) and shares[-2] > 0.999
-    assert drift(0.3, 0.5, kind='stuck').share(0.0, 0.2, 4.0) == 1.0
+    assert replace(drift(0.3, 0.5), kind='stuck').share(0.0, 0.2, 4.0) == 1.0

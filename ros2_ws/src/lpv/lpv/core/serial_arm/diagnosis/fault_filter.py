@@ -32,8 +32,6 @@ _REACH = math.sqrt(3.0)
 """Standard deviations of the state at which balances are evaluated: cubature of third degree."""
 LARGEST_SCALE = 0.9
 """Largest scale error s that is corrected: y / (1 + s) is at most ten times the reading [-]."""
-_JUST_NOW = 1e-3
-"""Least age of a fault: rates are its size over its age [s]."""
 
 
 @dataclass
@@ -189,7 +187,6 @@ def begin_filter(
     sigma: float,
     origin: float,
     spread: float = 0.0,
-    acceleration: float = 0.0,
     scale: float = 1.0,
 ) -> FaultFilter:
     """Filter of a fault that has just been named, at the end of the newest balance.
@@ -197,22 +194,18 @@ def begin_filter(
     ``span`` holds when it began to change and that end [s].  ``size`` and its standard
     deviation are in the unit of the kind.  ``origin`` is the reading when the fault began to
     change, as corrected so far [rad], and ``spread`` the standard deviation of that moment [s].
-    ``acceleration`` is the usual one of a joint whose reading rests [rad/s2], ``scale`` that of
-    `SerialJoint`.
+    ``scale`` is that of `SerialJoint`.
     """
     begin, now = span
-    past = max(now - begin, _JUST_NOW)
-    one = FaultFilter(joint, kind, begin, updated=now, acceleration=acceleration, scale=scale)
+    one = FaultFilter(joint, kind, begin, updated=now, scale=scale)
     if kind == 'drift':
+        past = now - begin
         one.mean[:2] = size * np.array([past, 1.0])
         one.covariance[:2, :2] = sigma**2 * np.array([[past**2, past], [past, 1.0]])
         one.covariance[0, 0] += (size * spread) ** 2
     elif kind == 'scale':
         one.mean[:2] = size, -size * origin
         one.covariance = np.diag([sigma**2, (WIDEST_LEVEL * scale) ** 2, 0.0])
-    elif kind == 'stuck':  # the reading is behind the joint: its fault is minus the way
-        one.mean[:2] = -size, -size / past
-        one.covariance = np.diag([sigma**2, (2.0 * sigma / past) ** 2, acceleration**2])
     else:
         one.mean[0] = size
         one.covariance = np.diag([sigma**2, (STEADY * scale) ** 2, 0.0])

@@ -150,24 +150,29 @@ class FollowedFaults:
         noisy = bool(self._readings.sampler.noisy[i])
         self._bank.kinematics.leave_out(i, self._rates[i].active or i in self.filters or noisy)
 
-    def frozen(self, i: int, begin: float) -> FaultFilter:
-        """Filter of a reading that froze [s], by the rate that its joint has, or had."""
+    def frozen(self, i: int, begin: float, course: Course | None) -> FaultFilter:
+        """Filter of a reading that froze [s].
+
+        How its joint goes on is told by the rate that it has; else by the ``course`` that balances
+        tell, unless these were made with a rate that froze, too; else by the rate that it had.
+        """
         readings = self._readings
         acceleration = readings.acceleration(i)
         scale = float(readings.estimator.balance.scale[i])
         if readings.rate_is_held(i):
             self._do_without_rate(i, begin)
-        course = self.course_by_rate(i, begin)
-        if course is not None:
-            return begin_frozen(i, course, acceleration, scale)
-        time, sigma = readings.rests_since(i), readings.stop_sigma(i, acceleration)
-        mean = np.array([0.0, float(readings.sampler.stop[i]), 0.0])
-        covariance = np.diag([0.0, sigma, acceleration]) ** 2
-        fault = begin_frozen(i, Course(0.0, time, time, mean, covariance), acceleration, scale)
+            course = None
+        course = self._course_by_rate(i, begin) or course
+        if course is None:
+            time, sigma = readings.rests_since(i), readings.stop_sigma(i, acceleration)
+            mean = np.array([0.0, float(readings.sampler.stop[i]), 0.0])
+            covariance = np.diag([0.0, sigma, acceleration]) ** 2
+            course = Course(0.0, time, time, mean, covariance)
+        fault = begin_frozen(i, course, acceleration, scale)
         fault.predict(readings.ended())
         return fault
 
-    def course_by_rate(self, i: int, begin: float) -> Course | None:
+    def _course_by_rate(self, i: int, begin: float) -> Course | None:
         """How a joint went on while its reading rested, by a rate of its own; None without one."""
         # Rows go from the middle of a block to that of another one.
         readings = self._readings

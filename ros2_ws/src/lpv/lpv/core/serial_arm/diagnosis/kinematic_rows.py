@@ -277,11 +277,8 @@ class KinematicRows:
 
     def explained(self, joint: int, count: int) -> float:
         """What a reading that rests explains of the last rows: all of it."""
-        count = min(count, self.held)
-        if not self.trusted[joint] or count == 0:
-            return 0.0
-        total, variance = self._told(joint, count)
-        return 0.5 * total**2 / variance
+        way = self.way(joint, count)
+        return 0.0 if way is None else 0.5 * (way[0] / way[1]) ** 2
 
     def _told(self, joint: int, count: int) -> tuple[float, float]:
         """Sum of so many last rows of a joint and its variance [rad], [rad2].

@@ -36,7 +36,6 @@ from lpv.core.serial_arm.diagnosis.estimator import (
 from lpv.core.serial_arm.diagnosis.fault_filter import (
     FaultFilter,
     begin_filter,
-    begin_frozen,
     correct_rates_since,
 )
 from lpv.core.serial_arm.diagnosis.followed_faults import FollowedFaults
@@ -655,24 +654,14 @@ class SerialMonitor:
         i = one.joint
         frozen = self._frozen()
         rests = i in frozen or self.readings.rested(i) > max(STILL_TIME, now - one.begin)
-        kind = 'stuck' if rests else one.kind
-        course = one.course
-        if kind == 'stuck':
-            if together := frozen_with(self.readings, frozen, i, self.followed.known):
-                # Balances took what froze with it for known.
-                for j in (*together, i):
-                    begin = one.begin if j == i else self.readings.rests_since(j)
-                    self._begin_following(self.followed.frozen(j, begin), share)
-                return
-            if self.readings.rate_is_held(i):
-                self._begin_following(self.followed.frozen(i, one.begin), share)
-                return
-            course = self.followed.course_by_rate(i, one.begin) or course
-        if course is not None:
-            fault = begin_frozen(i, course, self.readings.acceleration(i), float(self.scales[i]))
-        else:
-            fault = self._begin(one, kind)
-        self._begin_following(fault, share)
+        if not (rests or one.kind == 'stuck'):
+            self._begin_following(self._begin(one), share)
+            return
+        together = frozen_with(self.readings, frozen, i, self.followed.known)
+        course = None if together else one.course  # balances took what froze with it for known
+        for j in (*together, i):
+            begin = one.begin if j == i else self.readings.rests_since(j)
+            self._begin_following(self.followed.frozen(j, begin, course), share)
 
     def _begin_following(self, one: FaultFilter, share: float) -> None:
         """A fault has been named, with some confidence: it is followed from now on."""
@@ -684,21 +673,14 @@ class SerialMonitor:
         name = {'slip': 'bias'}.get(one.kind, one.kind)
         self._raise(i, name, one.begin, float(fault[i]), float(deviation[i]), confidence=share)
 
-    def _begin(self, one: Hypothesis, kind: str) -> FaultFilter:
-        """Filter of a fault of a kind."""
-        size, sigma, now = one.size, one.sigma, self.readings.ended()
-        scale = float(self.scales[one.joint])
-        if kind == 'stuck' and one.kind != 'stuck':  # the rate of the joint that its reading hides
-            rate, since = -one.size if one.kind == 'drift' else 0.0, now - one.begin
-            size, sigma = rate * since, max(WIDEST_LEVEL * scale, one.sigma * since)
+    def _begin(self, one: Hypothesis) -> FaultFilter:
+        """Filter of a fault of a reading that goes on."""
         blocks = self.readings.all_blocks()
         origin = float(np.interp(one.begin, blocks[:, 3 * self.joints], blocks[:, one.joint]))
         # Uniform over the starts that the named one stands for.
         spread = one.starts * self.plan.interval / math.sqrt(12.0)
-        span = one.begin, now
-        acceleration = self.readings.acceleration(one.joint)
-        about = origin, spread, acceleration, scale
-        return begin_filter(one.joint, kind, span, size, sigma, *about)
+        span, scale = (one.begin, self.readings.ended()), float(self.scales[one.joint])
+        return begin_filter(one.joint, one.kind, span, one.size, one.sigma, origin, spread, scale)
 
     def _blame_rate(self, one: Hypothesis, share: float) -> None:
         """A rate sensor contradicts its encoder, and balances say that it is the one to blame."""
