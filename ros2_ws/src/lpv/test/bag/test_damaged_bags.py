@@ -81,6 +81,35 @@ def test_given_a_wrong_byte_when_read_then_all_was_recorded(tmp_path, harm, pres
     assert read > readable * len(places)
 
 
+@pytest.mark.parametrize('left', ['file', 'bag', 'no metadata'])
+def test_given_a_sqlite_bag_that_was_cut_off_when_read_then_what_is_whole_is(tmp_path, left):
+    content = [(JOINTS, START + k * STEP, 24 * bytes([k % 256])) for k in range(1500)]
+    bag = write_by_rosbags(tmp_path / 'bag', content)
+    (file,) = bag.glob('*.db3')
+    data, most, before = file.read_bytes(), 0, sorted(tmp_path.rglob('*'))
+    if left == 'no metadata':
+        (bag / 'metadata.yaml').unlink()
+    read = file if left == 'file' else bag
+    for size in range(len(data) // 10, len(data), 3301):
+        file.write_bytes(data[:size])
+        try:
+            found, warnings = contents(read)
+        except BagError as error:
+            assert size < 40_000 and str(error).startswith(str(read))  # definitions are missing
+            continue
+        assert found == content[: len(found)] and len(found) >= most and warnings
+        most = len(found)
+    assert most > 0.9 * len(content)
+    file.write_bytes(data)
+    found, warnings = contents(read)
+    assert (found, bool(warnings)) == (content, left == 'no metadata')
+    if left != 'no metadata':
+        assert sorted(tmp_path.rglob('*')) == before
+    file.write_bytes(b'SQLite format 3' + bytes(5000))
+    with pytest.raises(BagError, match='damaged or incomplete'):
+        contents(read)
+
+
 @pytest.mark.fuzz
 @pytest.mark.parametrize('kind', ['none', 'zstd_fast', 'metadata', 'sqlite'])
 def test_given_a_mutated_bag_when_used_then_only_bag_errors(real_arm, real_gains, tmp_path, kind):

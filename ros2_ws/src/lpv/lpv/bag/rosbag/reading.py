@@ -1,8 +1,12 @@
-"""Opening of bags by rosbags; of damaged MCAP files, read by chunks, what is whole is found."""
+"""Opening of bags: MCAP files by chunks, others by rosbags; of damaged ones what is whole."""
 
 import contextlib
 import functools
 import logging
+import os
+import shutil
+import sqlite3
+import tempfile
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack
@@ -28,6 +32,7 @@ from lpv.bag.errors import BagError, DamageError
 from lpv.bag.rosbag.interfaces import decode, standard_types
 from lpv.bag.rosbag.mcap_file import McapFile, error_text
 from lpv.bag.rosbag.metadata import FILE_NAME, BagMetadata, Known, offered_qos, read_metadata
+from lpv.core.support.config import read_at_most
 from lpv.core.support.errors import LpvError
 from lpv.core.support.limits import MOST_BYTES
 from lpv.core.support.timestamps import NANOSECONDS
@@ -37,6 +42,7 @@ _LARGEST_GROUP = 4 * MOST_BYTES
 """Chunks whose times overlap are sorted together up to this size [bytes]."""
 _STAMP = (('std_msgs/msg/Header', ('stamp',)), ('builtin_interfaces/msg/Time', ('sec', 'nanosec')))
 
+_UNFINISHED = 'the recording was not finished, its end may be missing ({})'
 _FORMATS = {'ros2msg': MessageDefinitionFormat.MSG, 'ros2idl': MessageDefinitionFormat.IDL}
 _NONE = MessageDefinition(MessageDefinitionFormat.NONE, '')
 _IDL = '=' * 80 + '\n'
@@ -240,9 +246,11 @@ def _opened(path: Path, stack: ExitStack) -> BagReader:
     if path.is_file() and path.suffix not in ('.mcap', '.db3', '.bag'):
         raise BagError(f'{path}: is not a bag: a rosbag2 folder, or an .mcap or .db3 file')
     other = metadata is not None and (metadata.storage != 'mcap' or metadata.compressed)
-    if other or not (path.is_dir() or path.suffix == '.mcap'):
-        source = stack.enter_context(AnyReader([path], default_typestore=standard_types()))
-        return BagReader(path, source.connections, source=source)
+    databases = [path] if path.suffix == '.db3' and path.is_file() else _numbered(path, '.db3')
+    if metadata is not None and metadata.compressed:
+        databases = []  # their messages are no messages yet
+    if other or path.suffix == '.bag' or (databases and not any(path.glob('*.mcap'))):
+        return _by_rosbags(path, databases, damages, stack)
     files, paths = [], _files(path, metadata, damages)
     for one in paths:
         try:
@@ -253,7 +261,7 @@ def _opened(path: Path, stack: ExitStack) -> BagReader:
         file.index()
         for number, text in enumerate(file.damages):
             if number == 0 and not file.complete:
-                text = f'the recording was not finished, its end may be missing ({text})'
+                text = _UNFINISHED.format(text)
             damages.append(f'{file.path.name}: {text}')
     connections = _connections_of(files, metadata.hashes if metadata else {})
     if damages and not any(connection.msgcount for connection in connections):
@@ -280,11 +288,65 @@ def _opened(path: Path, stack: ExitStack) -> BagReader:
     return reader
 
 
+def _by_rosbags(
+    path: Path, databases: Sequence[Path], damages: list[str], stack: ExitStack
+) -> BagReader:
+    """A bag that rosbags reads; of sqlite3 files that are damaged, copies of what is whole."""
+    opened = functools.partial(AnyReader, default_typestore=standard_types())
+    try:
+        if any(one.stat().st_size % _page_size(one) for one in databases):
+            raise DamageError('it ends within a page')
+        source = stack.enter_context(opened(databases if databases and damages else [path]))
+    except Exception as error:  # of many kinds
+        if not databases:
+            raise
+        damages.append(_UNFINISHED.format(error_text(error)))
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        source = stack.enter_context(opened([_whole_part(one, folder) for one in databases]))
+        if not source.message_count:
+            raise
+    reader = BagReader(path, source.connections, source=source)
+    for text in damages:
+        reader.warn(text)
+    return reader
+
+
+def _whole_part(path: Path, folder: Path) -> Path:
+    """Copy of a sqlite3 file as far as it is whole, in the order in which it was written."""
+    cut, whole = folder / 'cut', folder / path.name
+    shutil.copyfile(path, cut)
+    os.truncate(cut, path.stat().st_size // _page_size(path) * _page_size(path))
+    with contextlib.closing(sqlite3.connect(cut)) as old, sqlite3.connect(whole) as new:
+        old.execute('PRAGMA writable_schema = ON')  # or one shorter than it says is refused
+        for table in ('schema', 'topics', 'message_definitions', 'messages'):
+            names = [name for _, name, *_ in old.execute(f'PRAGMA table_info({table})')]
+            if not names:
+                continue
+            columns = ', '.join('"' + name.replace('"', '""') + '"' for name in names)
+            new.execute(f'CREATE TABLE {table} ({columns})')
+            added = f'INSERT INTO {table} VALUES ({", ".join("?" * len(names))})'
+            with contextlib.suppress(sqlite3.DatabaseError):
+                new.executemany(added, old.execute(f'SELECT * FROM {table} ORDER BY rowid'))
+    new.close()
+    return whole
+
+
+def _page_size(database: Path) -> int:
+    """Of a sqlite3 file [bytes]; what is there of a page that was cut would be read with zeros."""
+    size = int.from_bytes(read_at_most(database, 18)[16:], 'big')
+    return size if size > 1 else 65536
+
+
+def _numbered(folder: Path, suffix: str) -> list[Path]:
+    """Files of a bag in the order of their numbers."""
+    return sorted(folder.glob(f'*{suffix}'), key=lambda one: (len(one.name), one.name))
+
+
 def _files(path: Path, metadata: BagMetadata | None, damages: list[str]) -> list[Path]:
     """MCAP files of a bag; what is missing is added to the damages."""
     if not path.is_dir():
         return [path]
-    paths = sorted(path.glob('*.mcap'), key=lambda p: (len(p.name), p.name))
+    paths = _numbered(path, '.mcap')
     if metadata is not None:
         named = [path / name for name in metadata.files]
         paths = [one for one in named if one.is_file()]
