@@ -2,25 +2,20 @@
 
     python benchmarks/any_chain.py B C --count 10
 
-Each letter is a line of the table in README.md, ``bound`` is what the data allow.  How often faults
-of the twin are found is a matter of `fault_matrix --arm ur10e`.
+Each letter is a line of the table in README.md.  How often faults of the twin are found, and what
+its data allow, is a matter of `fault_matrix --arm ur10e`.
 """
 
 import argparse
-import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from fault_injection import BY_NAME, LEAD, Cell, Stream, Subject, draw, run, with_sensors
+from fault_injection import BY_NAME, Cell, Subject, draw, run, with_sensors
 from fault_matrix import Row, summary
-from limits import LESS_NOISE, Changed, needed, offset_shows
-from ur10e_twin import PAYLOAD, PERIOD, drive, healthy, recording, twin, ur10e
+from ur10e_twin import PAYLOAD, drive, healthy, recording, twin, ur10e
 
-from lpv.core.serial_arm.chain import FloatArray
-from lpv.core.serial_arm.description import SerialArm
-from lpv.core.serial_arm.diagnosis.settings import MonitorSettings
 from lpv.identify.estimation.identification import identify
 from lpv.identify.estimation.mistakes import find_mistakes
 from lpv.identify.recordings.filters import shifted
@@ -131,72 +126,9 @@ def setup(count: int) -> str:
     )
 
 
-def bound(count: int) -> str:
-    """Faults that any weighing of the balances could tell from none, or from another one.
-
-    Offsets of 0.2 rad in 6 s and drifts of 0.3 rad/s, whose onset is known, in 1 s: those beyond
-    sqrt(2 ln A) of their own standard deviations, by the horizon's information, if what the model
-    does not explain had so small a share of its variance.  Scale errors of 20 % in 2 s: those whose
-    odds against an offset that begins as large are those that a name needs.
-    """
-    found, sure = needed(ur10e()), -2.0 * math.log(MonitorSettings().probability_of_wrong_name)
-    lines = (
-        ('offsets', _offset_shows, found),
-        ('drifts', _drift_shows, found),
-        ('scale errors', _scale_shows, sure),
-    )
-    texts = []
-    for error in (0.05, 0.01):
-        for most in (PAYLOAD, 0.0):
-            stated = replace(ur10e().uncertainty, payload=most, model_error=error)
-            arm, load = replace(ur10e(), uncertainty=stated), None if most else 0.0
-            for name, shows, least in lines:
-                powers = np.array([shows(arm, k, load) for k in range(count)])
-                shares = zip(LESS_NOISE, (powers > least).mean(0))
-                seen = ', '.join(f'/ {factor:g} {share:.0%}' for factor, share in shares)
-                known = f'masses within {error:.0%}, load up to {most:g} kg'
-                texts.append(f'{known}, {name}: noise variance {seen}')
-    return '\n'.join(texts)
-
-
-def _faulty(stream: Stream, k: int, size: FloatArray) -> tuple[int, Stream]:
-    """One of joints 2 to 4, and a stream whose reading of it is off by sizes, one a sample."""
-    rng, samples = np.random.default_rng(k), stream.samples.copy()
-    joint = int(rng.integers(1, 4))
-    samples[:, 0, joint] += size * rng.choice([-1.0, 1.0])
-    return joint, Stream(stream.stamps, samples)
-
-
-def _offset_shows(arm: SerialArm, k: int, load: float | None) -> list[float]:
-    """Square of an offset from the start over its variance, for each share of `LESS_NOISE`."""
-    healthy_one = healthy(50 + k, load, duration=6.0)
-    joint, stream = _faulty(healthy_one, k, np.full(len(healthy_one.stamps), 0.2))
-    return offset_shows(arm, drive(stream), joint, 0.2)
-
-
-def _drift_shows(arm: SerialArm, k: int, load: float | None) -> list[float]:
-    """The same of a drift after 4 s, against none."""
-    stream = healthy(50 + k, load, duration=LEAD + 1.0)
-    since = np.maximum(PERIOD * np.arange(len(stream.stamps)) - LEAD, 0.0)
-    return Changed(arm, drive(stream), drive(_faulty(stream, k, 0.3 * since)[1])).powers()
-
-
-def _scale_shows(arm: SerialArm, k: int, load: float | None) -> list[float]:
-    """The same of a scale error, against an offset that is as large when it begins."""
-    kind = BY_NAME['scale 20 %']
-    cell = Cell('ur10e', (twin(arm, load=load),), kind, 'derived')
-    _, window, _ = draw(cell, k, 1)
-    time = 1e-9 * (window.stream.stamps - window.stream.stamps[0])
-    begin, end = np.searchsorted(time, window.faults[0].onset + np.array([0.0, kind.limit]))
-    stamps, scaled = window.stream.stamps[:end], window.stream.samples[:end]
-    steady = scaled.copy()
-    steady[begin:, 0] -= window.truth[begin:end] - window.truth[begin]
-    return Changed(arm, drive(Stream(stamps, steady)), drive(Stream(stamps, scaled))).powers()
-
-
 LINES: dict[str, Callable[[int], str]] = {
     'B': noise, 'C': rounded, 'D': sources, 'F': currents, 'G': limits, 'H': load, 'L': misnamed,
-    'M': setup, 'bound': bound,
+    'M': setup,
 }  # fmt: skip
 
 

@@ -6,9 +6,6 @@ the sum anew, go on.  If the likelihoods are right there is at most one stop in 
 every a; a model that is too sure of itself lies above the line 1/a.
 
     python benchmarks/calibration.py --arm real_arm --recorded --plot calibration.png
-
-`--example` shows a detector whose likelihoods are exact, and the same with noise that is 1.3 times
-what it believes.
 """
 
 import argparse
@@ -103,16 +100,6 @@ def healthy_runs(cell: Cell, count: int, seed: int) -> list[Callable[[], Any]]:
     return [lambda k=k: run(k) for k in range(count)]  # type: ignore[misc]
 
 
-def example(believed: float, decisions: int, seed: int) -> Any:
-    """Shiryaev-Roberts statistic of a unit shift of the mean of white noise."""
-    rng, log_m = np.random.default_rng(seed), -np.inf
-    for x in rng.normal(size=decisions):
-        ratio = (x - 0.5) / believed**2
-        log_m = ratio + np.logaddexp(0.0, log_m)
-        if (yield float(log_m)):
-            log_m = -np.inf
-
-
 def plot(curves: dict[str, list[Frequency]], file: Path) -> None:
     """Frequencies of stops against 1/a."""
     from matplotlib.figure import Figure
@@ -161,22 +148,14 @@ def main() -> None:
     parser.add_argument('--kinds', default='healthy,stamps off,gaps,rest 0.1 mrad')
     parser.add_argument('--count', type=int, default=6, help='healthy runs of each arm')
     parser.add_argument('--plot', type=Path, help='picture to write')
-    parser.add_argument('--example', action='store_true', help='a detector with known likelihoods')
     options = parser.parse_args()
-    if options.example:
-        runs = {
-            name: [lambda b=b, k=k: example(b, 20_000, k) for k in range(options.count)]
-            for name, b in (('exact', 1.0), ('noise 1.3 times what it believes', 1.0 / 1.3))
-        }
-        curves = {name: frequencies(one) for name, one in runs.items()}  # type: ignore[arg-type]
-    else:
-        kinds = [BY_NAME[name] for name in options.kinds.split(',')]
-        curves = {
-            f'{cell.arm} {cell.part} {cell.rates} {cell.kind.name}': frequencies(
-                healthy_runs(cell, options.count, options.seed)
-            )
-            for cell in chosen_cells(options, kinds)
-        }
+    kinds = [BY_NAME[name] for name in options.kinds.split(',')]
+    curves = {
+        f'{cell.arm} {cell.part} {cell.rates} {cell.kind.name}': frequencies(
+            healthy_runs(cell, options.count, options.seed)
+        )
+        for cell in chosen_cells(options, kinds)
+    }
     if not curves:
         raise SystemExit('there are no such cells')
     Console(width=140).print(table_of(curves))

@@ -13,8 +13,10 @@ that blame a healthy sensor, `cleared` = no alarm 3 s after the end, of what was
 and `both` = the second fault found in time, after the end of the first one and beside it,
 `crash` = runs in which the monitor raised an exception.
 
-`--bound` runs no diagnosis: it prints the shares of offsets from the start and of drifts, rates
-derived, that the data show in time, and of drifts that they tell from a push, too, as of `limits`.
+`--bound` runs no diagnosis: it prints the shares of offsets from the start, of drifts and of scale
+errors, rates derived, that the data show in time, and of drifts that they tell from a push, too, as
+of `limits`.  `--prior` tells what half and twice of priors of the diagnosis change in the means of
+all cells; they are numbers that Python alone reads, as compiled functions keep theirs.
 
 Constants of the diagnosis may be chosen on the tuned part of the recordings.  The untouched part is
 run with `--untouched` alone, to report, not to choose.
@@ -25,8 +27,12 @@ import json
 import re
 import sys
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, replace
+from functools import partial
+from itertools import product
 from multiprocessing import Pool
 from pathlib import Path
 from typing import Any
@@ -36,6 +42,8 @@ from fault_injection import ARMS, CLOSE, KINDS, Cell, Kind, Verdict, cells, run
 from limits import LESS_NOISE, needed, shown
 from rich.console import Console
 from rich.table import Table
+
+from lpv.core.serial_arm.diagnosis import priors
 
 Row = dict[str, Any]
 BAR = Path(__file__).with_name('fault_matrix_bar.json')
@@ -80,9 +88,6 @@ def summary(cell: Cell, verdicts: Sequence[Verdict]) -> Row:
     delays = [v.delay for v in verdicts if v.delay is not None]
     errors = [v.error for v in verdicts if v.error is not None]
     wrong = [v.error > CLOSE and v.trusted for v in verdicts if v.error is not None]
-    named: dict[str, int] = {}
-    for verdict in verdicts:
-        named[verdict.kind or '-'] = named.get(verdict.kind or '-', 0) + 1
     return row | {
         'first': _share(v.delay is not None for v in verdicts),
         'in_time': _share(v.in_time for v in verdicts),
@@ -95,7 +100,7 @@ def summary(cell: Cell, verdicts: Sequence[Verdict]) -> Row:
         'outside': _share(v.outside for v in verdicts),
         'second': _share(v.second for v in verdicts),
         'both': _share(v.both for v in verdicts),
-        'named': named,
+        'named': dict(Counter(v.kind or '-' for v in verdicts)),
     }
 
 
@@ -233,15 +238,61 @@ def measure(
 
 def bound(cell: Cell, runs: Sequence[int], seed: int) -> str:
     """What the data of a cell allow, in one line."""
-    found = [shown(cell, k, seed) for k in runs]
-    least = np.array([needed(cell.subjects[k % len(cell.subjects)].arm) for k in runs])
+    found, arms = [shown(cell, k, seed) for k in runs], [one.arm for one in cell.subjects]
+    least = np.array([needed(arms[k % len(arms)], cell.kind.kind) for k in runs])
     beyond = np.array([powers for powers, _ in found]) > least[:, None]
     shares = zip(LESS_NOISE, beyond.mean(0))
     text = ', '.join(f'/ {factor:g} {share:.0%}' for factor, share in shares)
     named = np.mean([is_named for _, is_named in found])
-    drift = '' if cell.kind.from_start else f'; named by what was measured {named:.0%}'
+    drift = f'; named by what was measured {named:.0%}' if cell.kind.kind == 'drift' else ''
     place = f'{cell.arm} {cell.part} {cell.kind.name}, {len(runs)} runs'
     return f'{place}: noise variance {text}{drift}'
+
+
+COMPILED = {'SLOW_RATE', 'AMPLITUDES', 'POSE_TIME'}
+"""Priors that compiled functions keep."""
+
+
+@contextmanager
+def scaled_prior(name: str, factor: float) -> Iterator[None]:
+    """A prior times a factor, in all modules that have read it; ``SIZE['drift']`` is an entry."""
+    base, key = (re.findall(r'\w+', name) + [''])[:2]
+    if base in COMPILED or not hasattr(priors, base):
+        raise SystemExit(f'--prior: {base} is compiled, or none')
+    old = getattr(priors, base)
+    modules = (vars(one) for path, one in sys.modules.items() if path.startswith('lpv.core.'))
+    holders, entry = [names for names in modules if names.get(base) is old], base
+    if key:
+        holders, entry = [old], key
+    before = holders[0][entry]
+    now = tuple(factor * one for one in before) if isinstance(before, tuple) else factor * before
+    for holder in holders:
+        holder[entry] = now
+    yield
+    for holder in holders:
+        holder[entry] = before
+
+
+def means(rows: Iterable[Row]) -> dict[str, float]:
+    """Means of shares over cells; those of healthy encoders count as `other` alone."""
+    found: dict[str, list[float]] = {}
+    for row in rows:
+        for name in SHARES:
+            if row.get(name) is not None:
+                found.setdefault(name, []).append(row[name])
+    return {name: round(float(np.mean(values)), 1) for name, values in found.items()}
+
+
+def prior_sensitivity(names: Sequence[str], measured: Callable[[], Iterable[Row]]) -> None:
+    """Print what half and twice of priors change in the means of what is measured."""
+    usual = means(measured())
+    print('as they are:', usual)
+    for name, factor in product(names, (0.5, 2.0)):
+        with scaled_prior(name, factor):
+            now = means(measured())
+        changed = {share: round(now[share] - usual[share], 1) for share in now}
+        differ = {share: change for share, change in changed.items() if change}
+        print(f'{factor:g} {name}: {differ or "the same"}', flush=True)
 
 
 _SHARED: dict[str, Any] = {}
@@ -273,6 +324,7 @@ def main() -> None:
     parser.add_argument('--bar', type=Path, default=BAR, help='rows to compare with')
     parser.add_argument('--show', action='store_true', help='show the rows of --json, run nothing')
     parser.add_argument('--bound', action='store_true', help='print what the data allow')
+    parser.add_argument('--prior', nargs='+', help="of `priors`, STEADY or SIZE['drift']")
     parser.add_argument('--alarms', action='store_true', help='print every alarm event')
     options = parser.parse_args()
     kinds = [_changed(kind, options.limit, options.lead) for kind in _kinds(options.kinds)]
@@ -298,8 +350,13 @@ def main() -> None:
         return
     if options.bound:
         for cell in chosen:
-            if cell.rates == 'derived' and (cell.kind.from_start or cell.kind.kind == 'drift'):
+            judged = cell.kind.from_start or cell.kind.kind in ('drift', 'scale')
+            if cell.rates == 'derived' and judged:
                 print(bound(cell, runs, options.seed), flush=True)
+        return
+    if options.prior:
+        cells = chosen, runs, options.seed, lambda _: None, options.jobs
+        prior_sensitivity(options.prior, partial(measure, *cells))
         return
     for row in measure([] if options.show else chosen, runs, options.seed, say, options.jobs):
         rows.append(row)

@@ -8,7 +8,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from fault_injection import Cell, Stream, draw, first_limit
+from fault_injection import Cell, Stream, derived, draw, first_limit
 from watched import Watched
 
 from lpv.core.serial_arm.chain import FloatArray, IntArray
@@ -18,6 +18,7 @@ from lpv.core.serial_arm.diagnosis.estimator import HorizonPlan
 from lpv.core.serial_arm.diagnosis.information import Window, recent
 from lpv.core.serial_arm.diagnosis.priors import SIZE
 from lpv.core.serial_arm.diagnosis.settings import MonitorSettings
+from lpv.core.serial_arm.sensor_map import map_rows
 
 LESS_NOISE = (1.0, 10.0, 100.0)
 """Factors by which the variance of the noise is smaller than the engine expects."""
@@ -25,17 +26,20 @@ NEVER_ALARM = 1e200
 """Hours between false alarms of a monitor that only watches."""
 
 
-def needed(arm: SerialArm) -> float:
-    """Square of a fault over its variance that an alarm needs."""
-    interval = HorizonPlan.of(arm.sample_time).interval
-    return 2.0 * MonitorSettings().threshold(interval)
+def needed(arm: SerialArm, kind: str = '') -> float:
+    """Square of a fault over its variance that an alarm needs; of a scale error, its name."""
+    settings = MonitorSettings()
+    if kind == 'scale':
+        return -2.0 * math.log(settings.probability_of_wrong_name)
+    return 2.0 * settings.threshold(HorizonPlan.of(arm.sample_time).interval)
 
 
 def shown(cell: Cell, k: int, seed: int) -> tuple[list[float], bool]:
-    """What the data of a run show in time of its fault, an offset from the start, or a drift.
+    """What the data of a run show in time of an offset from the start, a drift, a scale error.
 
-    The square of the fault over its variance, for each share of `LESS_NOISE`, chance left out, and
-    whether balances as measured name it, which is asked of drifts alone.
+    The square of the fault over its variance, for each share of `LESS_NOISE`, chance left out, that
+    of a scale error against an offset as large as it when it begins; and whether balances as
+    measured name it, which is asked of drifts alone.
     """
     subject, window, _ = draw(cell, k, seed)
     fault = window.faults[0]
@@ -45,6 +49,13 @@ def shown(cell: Cell, k: int, seed: int) -> tuple[list[float], bool]:
     if cell.kind.from_start:
         powers = offset_shows(subject.arm, faulty, fault.sensor, cell.kind.size)
         return powers, False
+    if cell.kind.kind == 'scale':
+        begin, readings = window.stream.index(fault.onset), faulty.samples.copy()
+        change = window.truth[begin:end] - window.truth[begin]
+        readings[begin:, 0] -= map_rows(subject.arm.sensors_to_joints(), change)
+        steady = Stream(faulty.stamps, readings)
+        steady = subject.driver(steady, cell.rates) if subject.driver else derived(steady)
+        return Changed(subject.arm, steady, faulty).powers(), False
     none = replace(cell, kind=replace(cell.kind, size=0.0))  # all else is drawn as before
     changed = Changed(subject.arm, _first(draw(none, k, seed)[1].stream, end), faulty)
     return changed.powers(), changed.names(fault.sign * cell.kind.size, limit)

@@ -10,9 +10,8 @@ from lpv.bag.rosbag.messages import BagMessages
 from lpv.bag.rosbag.metadata import qos_profile
 from lpv.bag.rosbag.output_folder import replaced
 from lpv.bag.rosbag.writing import BagWriter
-from lpv.core.control.tracking import TrackingController
 from lpv.core.serial_arm.sensor_map import map_rows
-from lpv.core.simulation.arm_simulator import ArmSimulator
+from lpv.core.simulation.closed_loop import run_closed_loop
 from lpv.core.simulation.faults import FaultInjector
 from lpv.files import load_scenario
 
@@ -47,21 +46,11 @@ def long_bag(path, arm, gains, hours):
 def _round(arm, gains):
     """True positions, rates and torques of one round, and the faults of its sensors."""
     scenario = load_scenario('two_faults')
-    plant = ArmSimulator(arm, replace(scenario, faults=(), noise=False))
-    controller, path = TrackingController(arm, gains), scenario.path(arm)
-    rows, bias = [], []
+    run = run_closed_loop(arm, replace(scenario, faults=(), noise=False), gains)
     injector = FaultInjector(arm.sensor_names, scenario.faults, np.random.default_rng(0))
-    for _ in range(round(scenario.duration / arm.sample_time)):
-        sensed = plant.sense()
-        position, velocity = sensed['position'], sensed['velocity']
-        bias.append(injector.apply(plant.time, np.zeros(2), arm.sample_time))
-        at = path.sample(plant.time)
-        motion = np.array([at.position, at.velocity, at.acceleration])
-        controller.answer(motion, position, velocity, position, arm.sample_time)
-        torque = controller.torque.copy()
-        rows.append((position, velocity, sensed['effort'], torque))
-        plant.step(torque)
-    return [np.array(column) for column in zip(*rows)], np.array(bias)
+    bias = [injector.apply(time, np.zeros(2), arm.sample_time) for time in run.time[:-1]]
+    truth = run.position, run.velocity, run.effort, run.command
+    return [column[:-1] for column in truth], np.array(bias)
 
 
 def _templates(writer, arm):
