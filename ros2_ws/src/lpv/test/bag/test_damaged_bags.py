@@ -90,7 +90,7 @@ def test_given_a_sqlite_bag_that_was_cut_off_when_read_then_what_is_whole_is(tmp
     if left == 'no metadata':
         (bag / 'metadata.yaml').unlink()
     read = file if left == 'file' else bag
-    for size in range(len(data) // 10, len(data), 3301):
+    for size in range(len(data) // 10, len(data) - 4096, 3301):
         file.write_bytes(data[:size])
         try:
             found, warnings = contents(read)
@@ -99,6 +99,11 @@ def test_given_a_sqlite_bag_that_was_cut_off_when_read_then_what_is_whole_is(tmp
             continue
         assert found == content[: len(found)] and len(found) >= most and warnings
         most = len(found)
+    result = recover(read, tmp_path / 'new')
+    assert contents(tmp_path / 'new') == (found, [])
+    assert result.lost == (len(content) - most if left == 'bag' else 0) and result.cut == (
+        [] if left == 'bag' else [file.name])  # fmt: skip
+    shutil.rmtree(tmp_path / 'new')
     assert most > 0.9 * len(content)
     file.write_bytes(data)
     found, warnings = contents(read)

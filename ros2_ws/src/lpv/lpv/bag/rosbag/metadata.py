@@ -45,7 +45,7 @@ def qos_profile(reliable: bool, transient_local: bool, depth: int) -> Qos:
 
 
 def offered_qos(connection: Connection) -> list[Qos]:
-    """QoS profiles with which a topic was offered when it was recorded; none of ROS 1 bags."""
+    """QoS profiles with which a topic was offered when it was recorded."""
     return list(getattr(connection.ext, 'offered_qos_profiles', None) or ())
 
 

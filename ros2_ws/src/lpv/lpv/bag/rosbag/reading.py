@@ -243,35 +243,29 @@ def _opened(path: Path, stack: ExitStack) -> BagReader:
             damages.append(f'it has no {FILE_NAME}, its recording was not finished')
     except DamageError as error:
         damages.append(str(error))
-    if path.is_file() and path.suffix not in ('.mcap', '.db3', '.bag'):
+    if path.is_file() and path.suffix not in ('.mcap', '.db3'):
         raise BagError(f'{path}: is not a bag: a rosbag2 folder, or an .mcap or .db3 file')
-    other = metadata is not None and (metadata.storage != 'mcap' or metadata.compressed)
-    databases = [path] if path.suffix == '.db3' and path.is_file() else _numbered(path, '.db3')
-    if metadata is not None and metadata.compressed:
-        databases = []  # their messages are no messages yet
-    if other or path.suffix == '.bag' or (databases and not any(path.glob('*.mcap'))):
-        return _by_rosbags(path, databases, damages, stack)
-    files, paths = [], _files(path, metadata, damages)
-    for one in paths:
-        try:
-            files.append(stack.enter_context(contextlib.closing(McapFile(one))))
-        except BagError as error:
-            damages.append(str(error))
-    for file in files:
-        file.index()
-        for number, text in enumerate(file.damages):
-            if number == 0 and not file.complete:
-                text = _UNFINISHED.format(text)
-            damages.append(f'{file.path.name}: {text}')
-    connections = _connections_of(files, metadata.hashes if metadata else {})
+    paths = _numbered(path, '.db3') if path.is_dir() else [path] * (path.suffix == '.db3')
+    by_rosbags = bool(paths) and not any(path.glob('*.mcap'))
+    if metadata is not None:
+        by_rosbags = metadata.storage != 'mcap' or metadata.compressed
+        paths = [] if metadata.compressed else paths  # which hold no messages yet
+    files, source, before = list[McapFile](), None, len(damages)
+    if by_rosbags:
+        source = _by_rosbags(path, paths, damages, stack)
+        connections, whole = source.connections, paths if len(damages) == before else []
+    else:
+        paths = _files(path, metadata, damages)
+        files = _mcap_files(paths, damages, stack)
+        connections = _connections_of(files, metadata.hashes if metadata else {})
+        whole = [file.path for file in files if file.complete]
     if damages and not any(connection.msgcount for connection in connections):
         raise BagError(
             f'{path}: cannot be read, the bag is damaged or incomplete: {damages[-1]}, and '
             'nothing in it can be recovered'
         )
-    reader = BagReader(path, connections, files)
+    reader = BagReader(path, connections, files, source)
     if metadata is None:  # nobody knows how many messages there were
-        whole = [file.path for file in files if file.complete]
         reader.cut = [one.name for one in paths if one not in whole]
         reader.finished = paths[-1] in whole
     for text in damages:
@@ -288,27 +282,38 @@ def _opened(path: Path, stack: ExitStack) -> BagReader:
     return reader
 
 
+def _mcap_files(paths: Sequence[Path], damages: list[str], stack: ExitStack) -> list[McapFile]:
+    """Those that can be read, with what is in them."""
+    files = []
+    for path in paths:
+        try:
+            files.append(stack.enter_context(contextlib.closing(McapFile(path))))
+        except BagError as error:
+            damages.append(str(error))
+    for file in files:
+        file.index()
+        for number, text in enumerate(file.damages):
+            if number == 0 and not file.complete:
+                text = _UNFINISHED.format(text)
+            damages.append(f'{file.path.name}: {text}')
+    return files
+
+
 def _by_rosbags(
     path: Path, databases: Sequence[Path], damages: list[str], stack: ExitStack
-) -> BagReader:
+) -> AnyReader:
     """A bag that rosbags reads; of sqlite3 files that are damaged, copies of what is whole."""
     opened = functools.partial(AnyReader, default_typestore=standard_types())
     try:
         if any(one.stat().st_size % _page_size(one) for one in databases):
             raise DamageError('it ends within a page')
-        source = stack.enter_context(opened(databases if databases and damages else [path]))
+        return stack.enter_context(opened(databases if databases and damages else [path]))
     except Exception as error:  # of many kinds
         if not databases:
             raise
         damages.append(_UNFINISHED.format(error_text(error)))
-        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        source = stack.enter_context(opened([_whole_part(one, folder) for one in databases]))
-        if not source.message_count:
-            raise
-    reader = BagReader(path, source.connections, source=source)
-    for text in damages:
-        reader.warn(text)
-    return reader
+    folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+    return stack.enter_context(opened([_whole_part(one, folder) for one in databases]))
 
 
 def _whole_part(path: Path, folder: Path) -> Path:

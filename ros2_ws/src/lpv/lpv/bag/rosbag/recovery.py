@@ -1,4 +1,4 @@
-"""Recovery of MCAP bags: everything that is readable into a new bag, and what was lost."""
+"""Recovery of bags: everything that is readable into a new bag, and what was lost."""
 
 import contextlib
 from collections import Counter
@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lpv.bag.errors import BagError
 from lpv.bag.rosbag.output_folder import copy_run_files
 from lpv.bag.rosbag.reading import open_bag
 from lpv.bag.rosbag.writing import BagWriter
@@ -45,13 +44,11 @@ class Recovery:
 
 
 def recover(path: str | Path, out: str | Path | None = None, preset: str = 'zstd_fast') -> Recovery:
-    """Write what can be read of an MCAP bag into a new one, or examine it only."""
+    """Write what can be read of a bag into a new one, or examine it only."""
     # Of a chunk whose checksum is wrong nobody knows which message is wrong: it is left out.
     path, result, found = Path(path), Recovery(), Counter[str]()
     with contextlib.ExitStack() as stack:
         reader = stack.enter_context(open_bag(path))
-        if not reader.files:
-            raise BagError(f'{path}: only MCAP bags can be recovered')
         writer = None if out is None else stack.enter_context(BagWriter(out, preset))
         topics = [connection.topic for connection in reader.connections]
         for block in reader.blocks(reader.connections):
