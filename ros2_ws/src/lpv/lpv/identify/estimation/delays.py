@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from lpv.core.support.limits import MAX_GAP
-from lpv.identify.estimation.regression import Filters, Fit, Rows, model_torque
+from lpv.identify.estimation.regression import Fit, Rows, model_torque
 from lpv.identify.estimation.robust import robust_fit
 from lpv.identify.recordings.filters import derivative, low_pass
 from lpv.identify.recordings.motion import Bandwidths, Segment
@@ -25,10 +25,10 @@ def rate_delays(segments: Sequence[Segment], bands: Bandwidths) -> np.ndarray:
     return _delays(pairs)
 
 
-def effort_delays(rows: Sequence[Rows], fit: Fit, filters: Filters) -> np.ndarray:
+def effort_delays(rows: Sequence[Rows], fit: Fit, bands: Bandwidths) -> np.ndarray:
     """Delay of recorded efforts behind predicted ones, shape (n,) [s]."""
     pairs: list[_Pair] = []
-    cutoff = min(filters.effort, filters.analysis)
+    cutoff = min(bands.effort, bands.analysis)
     for one in rows:
         early, late = (low_pass(x, cutoff, one.step) for x in (model_torque(one, fit), one.effort))
         pairs.append((early[one.part], late[one.part], one.step))

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from lpv.core.serial_arm.description import SerialArm
-from lpv.identify.estimation.regression import Filters, Fit, Rows, model_torque
+from lpv.identify.estimation.regression import Fit, Rows, model_torque
 from lpv.identify.model.friction import TERMS
 from lpv.identify.model.prior import structural_prior
 from lpv.identify.model.rigid_body import BaseParameters
 from lpv.identify.recordings.filters import causal_low_pass, low_pass
+from lpv.identify.recordings.motion import Bandwidths
 
 _LINK = ('mass', 'mx', 'my', 'mz', 'Ixx', 'Ixy', 'Iyy', 'Ixz', 'Iyz', 'Izz')
 _REMEDIES = (
@@ -49,15 +50,15 @@ class Prediction:
         return self.measured - self.predicted
 
 
-def predict(rows: Rows, fit: Fit, filters: Filters) -> Prediction:
+def predict(rows: Rows, fit: Fit, bands: Bandwidths) -> Prediction:
     """Prediction over the counted samples of a segment."""
-    predicted = low_pass(model_torque(rows, fit), filters.effort, rows.step)
-    band = causal_low_pass(rows.effort - predicted, filters.test, rows.step)
+    predicted = low_pass(model_torque(rows, fit), bands.effort, rows.step)
+    band = causal_low_pass(rows.effort - predicted, bands.test, rows.step)
     signals = rows.time, rows.effort, predicted, band, rows.position, rows.velocity, rows.counts
     return Prediction(*(signal[rows.part] for signal in signals))
 
 
-def figures(predictions: Sequence[Prediction], filters: Filters, step: float) -> Figures:
+def figures(predictions: Sequence[Prediction], bands: Bandwidths, step: float) -> Figures:
     """Figures over several stretches of some sample time [s]."""
     names = 'measured', 'residual', 'residual_band', 'counts'
     measured, missed, band, counts = (
@@ -68,7 +69,7 @@ def figures(predictions: Sequence[Prediction], filters: Filters, step: float) ->
         return np.sum(values * which, axis=0) / np.maximum(np.sum(which, axis=0), 1)
 
     square = mean(missed**2)
-    lag = max(1, int(round(0.5 / (min(filters.test, 0.5 / step) * step))))
+    lag = max(1, int(round(0.5 / (min(bands.test, 0.5 / step) * step))))
     centred = band - mean(band)
     products = mean(centred[lag:] * centred[:-lag], counts[lag:] & counts[:-lag])
     return Figures(

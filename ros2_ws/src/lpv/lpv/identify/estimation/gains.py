@@ -8,10 +8,11 @@ import numpy as np
 
 from lpv.core.serial_arm.description import N_INERTIAL, SerialArm
 from lpv.identify.estimation.assembly import with_joints, with_parameters
-from lpv.identify.estimation.regression import Filters, Problem, Rows, fit_parameters
+from lpv.identify.estimation.regression import Problem, Rows, fit_parameters
 from lpv.identify.estimation.robust import invert_normal, normal_equations, predicted
 from lpv.identify.model.friction import TERMS
 from lpv.identify.model.prior import Prior
+from lpv.identify.recordings.motion import Bandwidths
 
 _ROUNDS = 12  # most: (1 + _STEP)^12 = 57 times a gain
 _STEP = 0.4  # largest relative change of a gain in a round
@@ -20,7 +21,7 @@ _WIDTH = 0.5  # of the logarithm of a gain about that at which the masses given 
 _HELD = 0.01  # the same of a joint whose links' torques do not show
 
 
-def estimate_gains(rows: Sequence[Rows], filters: Filters, prior: Prior) -> np.ndarray:
+def estimate_gains(rows: Sequence[Rows], bands: Bandwidths, prior: Prior) -> np.ndarray:
     """Factors k that turn efforts into torques, of either sign, shape (n,) [N m per unit]."""
     # Links couple the joints, which fixes ratios: Gauss-Newton on i = (1/k) tau(phi), errors being
     # those of currents.  The common scale is not in the data: it is that at which torques of links
@@ -31,10 +32,10 @@ def estimate_gains(rows: Sequence[Rows], filters: Filters, prior: Prior) -> np.n
     expected = _sizes(rows, prior.mean)
     for _ in range(_ROUNDS):
         scaled = [replace(one, effort=one.effort * gains) for one in rows]
-        fit = fit_parameters(scaled, filters, prior, sweeps=6, with_load=False)
+        fit = fit_parameters(scaled, bands, prior, with_load=False)
         found = _sizes(rows, fit.parameters)
         common = float(np.linalg.norm(expected) / max(float(np.linalg.norm(found)), 1e-12))
-        problem = Problem(scaled, filters, with_load=False)
+        problem = Problem(scaled, bands, with_load=False)
         design = problem.design(fit.slope, fit.parameters)
         full = np.concatenate([design, (design @ fit.parameters)[:, :, None] * np.eye(n)], axis=2)
         weight = problem.counts / fit.scale**2

@@ -17,11 +17,12 @@ from lpv.identify.estimation.evaluation import (
 )
 from lpv.identify.estimation.health import unhealthy
 from lpv.identify.estimation.mistakes import Mistake, find_mistakes
-from lpv.identify.estimation.regression import Filters, Fit
+from lpv.identify.estimation.regression import Fit
 from lpv.identify.estimation.torque_error import torque_error, torque_tolerance, usual_error
 from lpv.identify.estimation.workshop import Workshop
+from lpv.identify.recordings.motion import Bandwidths
 from lpv.identify.recordings.recording import Recording
-from lpv.identify.sensors import Sensing
+from lpv.identify.sensors import Sensing, sense
 
 STEPS = 9
 """Steps of an identification that are reported."""
@@ -47,7 +48,7 @@ class Identification:
     sensing: Sensing
     determination: Determination
     fit: Fit  # to the training data
-    filters: Filters
+    bands: Bandwidths
     used_rates: bool  # measured rates were used
     mistakes: tuple[Mistake, ...]  # what is likely wrong in the set-up; part of the warnings, too
     warnings: tuple[str, ...]
@@ -81,7 +82,7 @@ def identify(
     found = workshop.arm_of(fit, strength)
     held_back = workshop.test_rows(tests)
     predictions, before = (
-        [predict(rows, fit_of(one, workshop.base, fit), workshop.filters) for rows in held_back]
+        [predict(rows, fit_of(one, workshop.base, fit), workshop.bands) for rows in held_back]
         for one in (found, arm)
     )
     if options.refit:
@@ -90,20 +91,20 @@ def identify(
         found = workshop.arm_of(fit, strength)
     report('measuring what is uncertain')
     determination = determine(workshop.base, fit, arm)
-    sensing = workshop.sensing()
+    sensing = sense(recordings, workshop.rate_delay, workshop.joint_delays)
     found = _finish(found, workshop, sensing, predictions, determination, fit)
     report('looking for faults in the recordings')
     workshop.warnings += unhealthy(found, [*recordings, *tests])
     step = workshop.step
     return Identification(
         found,
-        figures(predictions, workshop.filters, step),
-        figures(before, workshop.filters, step),
+        figures(predictions, workshop.bands, step),
+        figures(before, workshop.bands, step),
         predictions,
         sensing,
         determination,
         fit,
-        workshop.filters,
+        workshop.bands,
         workshop.use_rates,
         tuple(mistakes),
         tuple(workshop.warnings),
@@ -131,5 +132,5 @@ def _finish(
         error.on(sensing.on(arm)),
         covariance=covariance_of_all(workshop.arm, workshop.base, fit, determined),
         sample_time=workshop.step,
-        effort_bandwidth=workshop.filters.effort,
+        effort_bandwidth=workshop.bands.effort,
     )

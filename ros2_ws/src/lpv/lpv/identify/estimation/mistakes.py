@@ -126,7 +126,7 @@ def _slow(arm: SerialArm, segments: Sequence[Segment]) -> tuple[Segment, ...]:
     total = sum(len(s.time) for s in segments)
     result = []
     for one in segments:
-        every = max(1, int(1.0 / (8.0 * bands.analysis * one.step)), total // _MOST_SAMPLES)
+        every = max(bands.thinning(one.step), total // _MOST_SAMPLES)
         cutoff = min(bands.analysis, 0.25 / (every * one.step))
         torque = shifted(one.effort * gain, -delay, one.step)
         position, effort = (low_pass(x, cutoff, one.step) for x in (one.position, torque))

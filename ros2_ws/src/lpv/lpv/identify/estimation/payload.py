@@ -75,13 +75,12 @@ def _balance(arm: SerialArm, segment: Segment) -> tuple[np.ndarray, np.ndarray]:
     acceleration = derivative(motion.velocity, motion.step)
     regressor = RigidBody(arm).regressor(motion.position, motion.velocity, acceleration)
     tool = regressor[:, :, N_INERTIAL * (n - 1) : N_INERTIAL * n]
-    cutoff = find_bandwidths([segment]).analysis
-    thin = max(1, int(1.0 / (8.0 * cutoff * motion.step)))
-    cut = slice(len(tool) // 20, len(tool) - len(tool) // 20, thin)
-    filtered = low_pass(tool, arm.effort_bandwidth, motion.step, cutoff)[cut]
+    bands = find_bandwidths([segment])
+    cut = slice(len(tool) // 20, len(tool) - len(tool) // 20, bands.thinning(motion.step))
+    filtered = low_pass(tool, arm.effort_bandwidth, motion.step, bands.analysis)[cut]
     offsets = np.broadcast_to(np.eye(n), (len(filtered), n, n))
     design = np.concatenate([filtered, offsets], axis=2)
-    return design, low_pass(residual, cutoff, motion.step)[cut]
+    return design, low_pass(residual, bands.analysis, motion.step)[cut]
 
 
 def with_payload(arm: SerialArm, payload: Payload) -> SerialArm:

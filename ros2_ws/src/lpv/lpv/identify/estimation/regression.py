@@ -30,9 +30,9 @@ from lpv.identify.model.friction import (
 )
 from lpv.identify.model.prior import Prior
 from lpv.identify.recordings.filters import low_pass
-from lpv.identify.recordings.motion import Motion
+from lpv.identify.recordings.motion import Bandwidths, Motion
 
-_SWEEPS = 9  # of weights and slopes in turn
+_SWEEPS = 9  # of slopes, load and linear parameters in turn
 _STEP = 0.5  # largest change of a slope's logarithm in a sweep
 _SLOPE_HELD = 1.0  # information on a slope's logarithm: known within a factor of e
 
@@ -49,24 +49,14 @@ class Rows(Motion):
         default_factory=dict, compare=False, repr=False
     )
 
-    def filtered_base(self, filters: 'Filters') -> np.ndarray:
+    def filtered_base(self, bands: Bandwidths) -> np.ndarray:
         """Regressor of the base parameters through both filters."""
-        key = (filters.effort, filters.analysis)
+        key = (bands.effort, bands.analysis)
         if key not in self.cache:
             if len(self.cache) > 2:  # of the bandwidths that are tried
                 self.cache.clear()
-            self.cache[key] = low_pass(self.base, filters.effort, self.step, filters.analysis)
+            self.cache[key] = low_pass(self.base, bands.effort, self.step, bands.analysis)
         return self.cache[key]
-
-
-@dataclass(frozen=True)
-class Filters:
-    """What lies between the joint torque and a row of the regression."""
-
-    effort: float = np.inf  # bandwidth of the effort sensor, applied to the model only [Hz]
-    analysis: float = np.inf  # applied to both sides [Hz]
-    thinning: int = 1  # every so many samples are kept
-    test: float = np.inf  # of the causal filter through which residuals are rated [Hz]
 
 
 @dataclass(frozen=True)
@@ -102,27 +92,27 @@ def model_torque(rows: Rows, fit: Fit) -> np.ndarray:
 class Problem:
     """Filtered rows of all segments; the columns of friction change with slopes and load."""
 
-    def __init__(self, rows: Sequence[Rows], filters: Filters, with_load: bool):
-        self._rows, self._filters, self._with_load = rows, filters, with_load
+    def __init__(self, rows: Sequence[Rows], bands: Bandwidths, with_load: bool):
+        self._rows, self._bands, self._with_load = rows, bands, with_load
         self.n, self.size = rows[0].effort.shape[1], rows[0].base.shape[2]
         terms = [with_load or term != 'load' for term in TERMS]
         self.used = np.append(np.ones(self.size, bool), np.tile(terms, self.n))
         self.speed_limit = rows[0].speed_limit
-        self.base = np.concatenate([self._keep(r.filtered_base(filters), r) for r in rows])
+        self.base = np.concatenate([self._keep(r.filtered_base(bands), r) for r in rows])
         self.effort = np.concatenate(
-            [self._keep(low_pass(r.effort, filters.analysis, r.step), r) for r in rows]
+            [self._keep(low_pass(r.effort, bands.analysis, r.step), r) for r in rows]
         )
         self.counts = np.concatenate([self._keep(r.counts, r) for r in rows])
         self.lengths = [len(self._keep(r.effort, r)) for r in rows]
         self._rates = np.concatenate([self._reduce(r.velocity, r) for r in rows])
 
     def _keep(self, signal: np.ndarray, rows: Rows) -> np.ndarray:
-        return signal[rows.part][:: self._filters.thinning]
+        return signal[rows.part][:: self._bands.thinning(rows.step)]
 
     def _reduce(self, signal: np.ndarray, rows: Rows) -> np.ndarray:
         """Model torque through both filters, thinned."""
-        filters = self._filters
-        return self._keep(low_pass(signal, filters.effort, rows.step, filters.analysis), rows)
+        bands = self._bands
+        return self._keep(low_pass(signal, bands.effort, rows.step, bands.analysis), rows)
 
     def _loads(self, parameters: np.ndarray) -> list[np.ndarray]:
         """Magnitude of the rigid-body torque of each joint, for each segment."""
@@ -164,20 +154,19 @@ class Problem:
 
 def fit_parameters(
     rows: Sequence[Rows],
-    filters: Filters,
+    bands: Bandwidths,
     prior: Prior,
     slope: np.ndarray | None = None,  # shape (n,); searched if not given
-    sweeps: int = _SWEEPS,  # of slopes, load and linear parameters in turn
     with_load: bool = True,  # whether friction may depend on it
     with_covariance: bool = False,
 ) -> Fit:
     """Fit base parameters, friction and slopes: Huber's estimate with one scale for each joint."""
-    problem = Problem(rows, filters, with_load)
+    problem = Problem(rows, bands, with_load)
     n, search = problem.n, slope is None
     slope = prior.slope * np.ones(n) if slope is None else slope.copy()
     parameters = np.zeros(problem.size + len(TERMS) * n)
     scale, weight = np.ones(n), problem.counts.astype(float)
-    for sweep in range(sweeps if search else 3):
+    for sweep in range(_SWEEPS if search else 3):
         if search and sweep:
             slope = _next_slopes(problem, slope, parameters, weight / scale**2, prior)
         design = problem.design(slope, parameters)
@@ -185,7 +174,9 @@ def fit_parameters(
             equations = normal_equations(design, problem.effort, weight / scale**2, prior)
             parameters = _solve(problem, slope, *equations)
             residual = problem.effort - predicted(design, parameters)
-            scale, weight = _weigh(problem, residual)
+            scale = robust_scale(residual, counts=problem.counts)
+            scale = np.maximum(scale, 1e-9 + 1e-6 * np.max(scale))
+            weight = problem.counts * huber(residual / scale)
     weights = weight / scale**2
     covariance = np.zeros((len(parameters), len(parameters)))
     if with_covariance:
@@ -193,13 +184,6 @@ def fit_parameters(
         covariance = _uncertainty(problem, full, residual, weights, prior)
     normal, right = normal_equations(design, problem.effort, weights)
     return Fit(parameters, slope, scale, normal, right, covariance, with_load)
-
-
-def _weigh(problem: Problem, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Robust scale of each joint, and weights."""
-    scale = robust_scale(residual, counts=problem.counts)
-    scale = np.maximum(scale, 1e-9 + 1e-6 * np.max(scale))
-    return scale, problem.counts * huber(residual / scale)
 
 
 def _solve(

@@ -17,12 +17,13 @@ from lpv.identify.estimation.assembly import (
 from lpv.identify.estimation.delays import effort_delays, rate_delays
 from lpv.identify.estimation.evaluation import predict
 from lpv.identify.estimation.gains import estimate_gains
-from lpv.identify.estimation.regression import Filters, Fit, Rows, fit_parameters
+from lpv.identify.estimation.regression import Fit, Rows, fit_parameters
 from lpv.identify.estimation.robust import bounded_squares, predicted
 from lpv.identify.model.prior import Prior, base_prior
 from lpv.identify.model.rigid_body import RigidBody, find_base_parameters
 from lpv.identify.recordings.filters import derivative
 from lpv.identify.recordings.motion import (
+    Bandwidths,
     Segment,
     check_motion,
     find_bandwidths,
@@ -31,10 +32,8 @@ from lpv.identify.recordings.motion import (
     split,
 )
 from lpv.identify.recordings.recording import Recording
-from lpv.identify.sensors import Sensing, noise_deviation, sense
+from lpv.identify.sensors import noise_deviation
 
-WEAK = 1e-3
-"""Strength of the prior while the model is chosen."""
 _PASSIVE = 0.08  # share of the acting torques below which a joint is not driven
 HELD = 1e3
 """Strength of the prior where the data leave the scale open."""
@@ -52,7 +51,7 @@ class Workshop:
     """Recordings, and the choices that are made on the way."""
 
     def __init__(self, arm: SerialArm, recordings: Sequence[Recording], share: float = 1.0):
-        self.arm, self.recordings, self.n = arm, recordings, len(arm.joints)
+        self.arm, self.n = arm, len(arm.joints)
         self.share = share  # of each segment that is fitted, its first part
         self.gain = np.array([joint.torque_gain for joint in arm.joints])
         self.segments = [segment for one in recordings for segment in split(one)]
@@ -70,25 +69,18 @@ class Workshop:
         shares = noise_deviation(rates) / np.maximum(derived, 1e-15) if rates else np.inf
         self.use_rates = bool(np.median(shares) < 1.0)
         self.rate_delay, self.effort_delay, self.joint_delays = np.zeros((3, self.n))
-        if self.has_rates:
+        if rates:
             self.rate_delay = rate_delays(self.segments, self.bands)
         self.with_load = False
-        thinning = max(1, int(1.0 / (8.0 * self.bands.analysis * self.step)))
-        self.filters = Filters(np.inf, self.bands.analysis, thinning, self.bands.test)
         self.strength = 1.0
         self.rows: list[Rows] = []
         self._prepare()
-
-    @property
-    def has_rates(self) -> bool:
-        """Whether rates are recorded."""
-        return self.segments[0].velocity is not None
 
     def estimate_gains(self) -> None:
         """Gains of the efforts, if those are currents and no gains are given."""
         if self.arm.effort_unit == 'N m' or np.any(self.gain != 1.0):
             return
-        self.gain = estimate_gains(self.train_rows(), self.filters, self.prior)
+        self.gain = estimate_gains(self.train_rows(), self.bands, self.prior)
         self.arm = with_joints(self.arm, torque_gain=self.gain.tolist())
         self.warnings.append(
             'the scale of gains and masses is that of the masses given; a tool of known mass '
@@ -131,12 +123,11 @@ class Workshop:
     def choose(self, report: Callable[[str], None]) -> None:
         """Rates, bandwidth of the efforts, prior, delay: by prediction of training data."""
         report('choosing measured or computed rates')
-        if self.has_rates:
+        if self.segments[0].velocity is not None:
             self._choose_rates()
         report('choosing the bandwidth of the efforts')
-        weak = self.prior.times(WEAK)
-        band = _effort_band(self.train_rows(), self.filters, weak)
-        self.filters = replace(self.filters, effort=band)
+        band = _effort_band(self.train_rows(), self.bands, self.prior)
+        self.bands = replace(self.bands, effort=band)
         self.with_load = True
         report('choosing the weight of the parameters given')
         errors = self._errors(_STRENGTHS)
@@ -150,7 +141,7 @@ class Workshop:
     ) -> Fit:
         """Fit whose parameters belong to bodies of positive mass."""
         prior = self.prior.times(strength)
-        fit = fit_parameters(rows, self.filters, prior, slope, with_load=self.with_load)
+        fit = fit_parameters(rows, self.bands, prior, slope, with_load=self.with_load)
         return fit_of(self.arm_of(fit, strength), self.base, fit)
 
     def _errors(self, strengths: Sequence[float]) -> np.ndarray:
@@ -165,7 +156,7 @@ class Workshop:
             total, count = np.zeros((2, self.n))
             for train, valid in _blocks(rows):
                 fit = self.consistent_fit(train, strength, slope)
-                for found in (predict(one, fit, self.filters) for one in valid):
+                for found in (predict(one, fit, self.bands) for one in valid):
                     total += bounded_squares(found.residual_band, found.counts)
                     count += found.counts.sum(axis=0)
             squares = np.divide(total, count, out=np.ones_like(total), where=total > 0.0)
@@ -188,7 +179,7 @@ class Workshop:
         for _ in range(2):
             rows = self.train_rows()
             found = self.consistent_fit(rows, self.strength)
-            late = self.effort_delay + effort_delays(rows, found, self.filters)
+            late = self.effort_delay + effort_delays(rows, found, self.bands)
             self.effort_delay = np.clip(late, -MAX_GAP, MAX_GAP)
             self._prepare()
         self.joint_delays = self.effort_delay
@@ -201,7 +192,7 @@ class Workshop:
         if strength is None:
             strength = self._strength(rows)
         prior = self.prior.times(strength)
-        return fit_parameters(rows, self.filters, prior, with_covariance=True), strength
+        return fit_parameters(rows, self.bands, prior, with_covariance=True), strength
 
     def _strength(self, rows: Sequence[Rows]) -> float:
         """Strength of the prior, which is strong where a joint is hardly driven; that is said."""
@@ -226,10 +217,6 @@ class Workshop:
         values = consistent_parameters(self.arm, self._known, self.base, fit, strength)
         return with_parameters(self.arm, values, fit.slope)
 
-    def sensing(self) -> Sensing:
-        """Noise, quantization, source of rates, delays."""
-        return sense(self.recordings, self.rate_delay, self.joint_delays)
-
 
 def _divided(rows: Rows, share: float) -> tuple[Rows, Rows]:
     """First ``share`` of the counted samples, and the rest."""
@@ -251,21 +238,21 @@ def _blocks(rows: Sequence[Rows]) -> Iterator[tuple[list[Rows], list[Rows]]]:
         yield train, valid
 
 
-def _effort_band(rows: Sequence[Rows], filters: Filters, prior: Prior) -> float:
+def _effort_band(rows: Sequence[Rows], bands: Bandwidths, prior: Prior) -> float:
     """Bandwidth of the effort sensor, inf if none is seen: drivers filter their torques."""
     errors: dict[float, float] = {}  # mean logarithms
-    bands = [b for b in _EFFORT_BANDS[::-1] if b < 0.15 / rows[0].step and _ends(rows, b)]
-    for band in (np.inf, *bands):
-        trial = replace(filters, effort=band)
-        fit = fit_parameters(rows, trial, prior, sweeps=6, with_load=False)
+    tried = [b for b in _EFFORT_BANDS[::-1] if b < 0.15 / rows[0].step and _ends(rows, b)]
+    for band in (np.inf, *tried):
+        trial = replace(bands, effort=band)
+        fit = fit_parameters(rows, trial, prior, with_load=False)
         found = [predict(one, fit, trial) for one in rows]
         error, counts = (
             np.concatenate([getattr(p, x) for p in found]) for x in ('residual', 'counts')
         )
         squares = bounded_squares(error, counts)
         errors[band] = float(np.mean(np.log(squares, where=squares > 0.0, out=0.0 * squares)))
-        tried = list(errors.values())
-        if len(tried) > 4 and min(tried[-3:]) > min(tried):
+        so_far = list(errors.values())
+        if len(so_far) > 4 and min(so_far[-3:]) > min(so_far):
             break
     best = min(errors, key=lambda band: errors[band])
     return best if errors[best] - errors[np.inf] < np.log(_GAIN) else np.inf

@@ -37,12 +37,17 @@ class Segment:
 
 @dataclass(frozen=True)
 class Bandwidths:
-    """Cutoffs of the zero-phase filters [Hz]."""
+    """Cutoffs of filters, zero-phase but for the last one's [Hz]."""
 
     position: float  # below it positions stand out of their noise
     velocity: float  # the same, of rates
-    analysis: float  # that of the regression: well above what the motion excites
-    test: float  # that of the figures: what the motion excites
+    analysis: float  # of the regression, both sides: well above what the motion excites
+    test: float  # of the figures, causal: what the motion excites
+    effort: float = np.inf  # of the effort sensor, applied to the model only
+
+    def thinning(self, step: float) -> int:
+        """Of so many samples [s] one is kept in the regression."""
+        return max(1, int(1.0 / (8.0 * self.analysis * step)))
 
 
 @dataclass(frozen=True)

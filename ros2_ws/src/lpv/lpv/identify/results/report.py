@@ -87,8 +87,8 @@ def _content(result: Identification) -> dict[str, Any]:
             Tile('parameters determined', determined, 'by the data alone'),
         ),
         'warnings': result.warnings,
-        'band': f'{result.filters.test:.1f}',
-        'lag': f'{0.5 / result.filters.test:.2f}',
+        'band': f'{result.bands.test:.1f}',
+        'lag': f'{0.5 / result.bands.test:.2f}',
         'remarks': remarks(result)[1:],
         'parameters': [
             (name, f'{value:.4g}', f'{1.97 * sigma:.2g}', 'yes' if known else 'no')

@@ -90,10 +90,10 @@ def _slides(result: Any) -> list[str]:
 def remarks(result: Identification) -> list[str]:
     """Sentences on the fit."""
     determination = result.determination
-    band = result.filters.effort
+    band = result.bands.effort
     lines = [
         f'On data held back; "in band": after a causal low-pass at '
-        f'{result.filters.test:.1f} Hz; "before": with the parameters given.',
+        f'{result.bands.test:.1f} Hz; "before": with the parameters given.',
         f'{int(determination.determined.sum())} of {len(determination.names)} parameters are '
         'determined by the data.',
         *_slides(result),
