@@ -112,8 +112,7 @@ def design_exact(arm: ArmParameters, wanted: ExactRequirement) -> tuple[ExactObs
         )
     # What the arm file states is certified, whatever less the requirement says.
     links = link_errors(arm)
-    stated = math.sqrt(links[0].variance * links[0].period) * np.abs(links[0].direction)
-    noise = np.maximum(wanted.acceleration_noise, stated)
+    noise = np.maximum(wanted.acceleration_noise, np.sqrt(links[0].intensity[2:]))
     wanted = replace(wanted, acceleration_noise=tuple(noise))
     *found, statuses = zip(*(solve_link(link, wanted) for link in links))
     if None in found[0]:

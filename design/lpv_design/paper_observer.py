@@ -2,8 +2,6 @@
 
 import math
 from dataclasses import dataclass, replace
-from itertools import product
-from typing import Any
 
 import cvxpy as cp
 import numpy as np
@@ -14,7 +12,8 @@ from lpv.core.uio.certificate.conditions import observer_margin
 from lpv.core.uio.certificate.error_system import paper_fault_sigma
 from lpv.core.uio.certificate.lmi import paper_inequalities
 from lpv.core.uio.model.arm import ArmParameters
-from lpv.core.uio.model.polytope import paper_descriptor, paper_weights, sinc_box
+from lpv.core.uio.model.joints import JointMap
+from lpv.core.uio.model.polytope import paper_descriptor, sinc_box
 from lpv.core.uio.observer.paper_observer import PaperObserverGains, decoupling
 from lpv_design.solve import InfeasibleError, NotDetectableError, solve, symmetric_below
 
@@ -44,13 +43,11 @@ def design_paper(arm: ArmParameters, wanted: PaperRequirement) -> tuple[PaperObs
     """
     lost = undetectable_point(arm, wanted.sinc_min)
     if lost is not None:
-        phi, eigenvalue, vector = lost
-        shown = np.round(np.real(vector / vector[np.argmax(np.abs(vector))]), 6) + 0.0
+        phi, vector = (values.tolist() for values in lost)
         raise NotDetectableError(
-            f'observer: at phi = {np.round(phi, 3).tolist()}, inside the box, the mode '
-            f'{eigenvalue.real:+.2g} with vector {shown.tolist()} is not observable: without '
-            'gravity torque a joint angle and a bias of its sensor cannot be told apart. '
-            + _largest_box(arm, wanted)
+            f'observer: at phi = {phi}, inside the box, the mode 0 with vector {vector} is not '
+            'observable: without gravity torque a joint angle and a bias of its sensor cannot be '
+            'told apart. ' + _largest_box(arm, wanted)
         )
     observer, status = solve_paper(arm, wanted)
     margin = np.inf if observer is None else observer_margin(arm, observer)
@@ -79,35 +76,17 @@ def _largest_box(arm: ArmParameters, wanted: PaperRequirement) -> str:
     )
 
 
-def lost_mode(a: np.ndarray, c: np.ndarray, tolerance: float = 1e-9) -> tuple[Any, ...] | None:
-    """Popov-Belevitch-Hautus test on one augmented model: eigenvalue and vector of a lost mode."""
-    for eigenvalue in np.linalg.eigvals(a):
-        if eigenvalue.real < -tolerance:
-            continue
-        pencil = np.vstack([a - eigenvalue * np.eye(len(a)), c])
-        _, singular, vectors = np.linalg.svd(pencil)
-        if singular[-1] < tolerance * max(1.0, singular[0]):
-            return eigenvalue, vectors[-1].conj()
-    return None
+def undetectable_point(arm: ArmParameters, sinc_min: float) -> tuple[np.ndarray, np.ndarray] | None:
+    """A point phi of a box where a fault cannot be told from states, and the mode that is lost.
 
-
-def undetectable_point(arm: ArmParameters, sinc_min: float) -> tuple[Any, ...] | None:
-    """Search a box for a point phi where faults cannot be told from states; its lost mode.
-
-    Gravity enters through phi2 and phi3 alone; a point is lost exactly where one of them is zero,
-    so that zero, where the box contains it, is tried besides the corners.
+    C~ v = 0 makes v = (theta, 0, -S theta), and (41) then N v = lambda v the same as
+    [lambda theta; Xi^-1 G phi theta] = 0: zero is lost, where phi2 or phi3 is zero, and nothing
+    else ever is.
     """
-    box = sinc_box(sinc_min)
-    d, (low_1, high_1) = paper_descriptor(arm, box), box[0]
-    t1, _ = decoupling(d.e, d.c)
-    slopes = [sorted({low, high, min(max(0.0, low), high)}) for low, high in box[1:]]
-    for s_2, s_3, phi_1 in product(*slopes, (low_1, 0.0, high_1)):
-        rho = np.zeros(8)
-        paper_weights(phi_1, s_2, s_3, box, rho)
-        mode = lost_mode(t1 @ np.tensordot(rho, d.a, 1), d.c)
-        if mode is not None:
-            return (np.array([phi_1, s_2, s_3]), *mode)
-    return None
+    if sinc_min > 0.0:
+        return None
+    first = JointMap(arm).sensor_matrix[:, 0]
+    return np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0, 0.0, *(0.0 - first)])
 
 
 def solve_paper(

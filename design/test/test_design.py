@@ -7,6 +7,7 @@ from itertools import product
 import cvxpy as cp
 import numpy as np
 import pytest
+from planar_formulas import weights
 from scipy.linalg import solve_continuous_are, solve_continuous_lyapunov, solve_discrete_lyapunov
 
 from lpv import ConfigError, load_arm
@@ -17,6 +18,7 @@ from lpv.core.uio.certificate import conditions, error_system, lmi
 from lpv.core.uio.certificate.conditions import observer_margin
 from lpv.core.uio.certificate.gains import load_gains
 from lpv.core.uio.model.polytope import paper_descriptor, sinc_box, vertex_matrices
+from lpv.core.uio.observer.paper_observer import decoupling
 from lpv_design import controller, design_flow, exact_observer, serial_loop
 from lpv_design.paper_observer import PaperRequirement, solve_paper, undetectable_point
 from lpv_design.requirement import load_requirement
@@ -52,17 +54,31 @@ def common_lyapunov(loop, m, alpha):
     return None if q.value is None else basis @ q.value @ basis.T
 
 
-def test_given_boxes_when_searched_then_those_with_zero_hold_an_undetectable_point(paper_model):
-    for s_min in (-0.2, 0.0, 1e-3, 0.5, 0.96):
-        assert (undetectable_point(paper_model, s_min) is None) == (s_min > 0.0)
-    box, (phi, eigenvalue, vector) = sinc_box(-0.2), undetectable_point(paper_model, -0.2)
-    assert np.all(box[:, 0] <= phi) and np.all(phi <= box[:, 1])
-    assert 0.0 in phi[1:] and abs(eigenvalue) < 1e-7
-    vector = np.real(vector / vector[np.argmax(np.abs(vector))])
-    sensor = int(np.argmax(np.abs(vector[:2])))
-    expected = np.zeros(6)
-    expected[[sensor, 4 + sensor]] = vector[sensor], -vector[sensor]
-    np.testing.assert_allclose(vector, expected, atol=1e-9)
+@pytest.mark.parametrize('s_min', [-0.2, 0.0, 1e-3, 0.5, 0.96])
+def test_given_boxes_then_those_with_zero_hold_a_point_that_is_undetectable_and_others_none(
+    planar, s_min
+):
+    """By the test of Popov, Belevitch and Hautus, in which output injection K changes nothing."""
+    lost, box = undetectable_point(planar, s_min), sinc_box(s_min)
+    assert (lost is None) == (s_min > 0.0)
+    d = paper_descriptor(planar, box)
+    t1, _ = decoupling(d.e, d.c)
+
+    def pencil(phi, eigenvalue):
+        model = t1 @ np.tensordot(weights(phi, box), d.a, 1)
+        return np.vstack([model - eigenvalue * np.eye(6), d.c]), np.linalg.eigvals(model)
+
+    if lost is not None:
+        phi, vector = lost
+        assert np.all(box[:, 0] <= phi) and np.all(phi <= box[:, 1])
+        assert 0.0 in phi[1:] and np.abs(vector).max() == 1.0
+        np.testing.assert_allclose(pencil(phi, 0.0)[0] @ vector, 0.0, atol=1e-9)
+    # All else is observable, on the border of the box and inside; zero at the other points, too.
+    inside = np.random.default_rng(2).uniform(*box.T, (50, 3))
+    for phi in (*product(*box), *inside):
+        if np.abs(phi[1:]).min() > 0.0:
+            for eigenvalue in (0.0, *pencil(phi, 0.0)[1]):
+                assert np.linalg.svd(pencil(phi, eigenvalue)[0])[1][-1] > 1e-9
 
 
 @pytest.mark.parametrize(('lmi_name', 's_min', 'gamma'), [
@@ -129,7 +145,7 @@ def test_given_a_system_when_54_is_solved_by_its_riccati_equation_then_gamma_is_
     # sym(P N) + P B B^T P / gamma^2 + 1.0001 I = 0
     p = solve_continuous_are(n, b, 1.0001 * np.eye(6), -(gamma**2) * np.eye(3))
     for bound, holds in ((gamma, True), (0.9 * norm, False)):
-        block = lmi.bounded_real(p @ n, p @ b, bound**2)
+        block = lmi.bounded_real(p @ n + n.T @ p, p @ b, bound**2)
         assert (inequalities.largest_eigenvalue(block) < 0.0) == holds
 
 
@@ -265,9 +281,9 @@ def test_given_one_disturbance_of_both_axes_then_its_deviation_is_as_certified(
         i = link.index
         assert proved[f'observer, link {i + 1}: covariance under the noise of the arm file']
         most = link.unit * np.sqrt(np.linalg.inv(gains.observer.lyapunov[i])[0, 0])
-        for slope, row in product(link.slopes, link.rows):
+        for slope, (direct, _) in product(link.slopes, link.inputs):
             n = link.closed(slope, gains.observer.kappa[i], gains.observer.mu[i])
-            b = np.array([[0.0], [row @ push / link.inertia]])
+            b = direct[:, 2:] @ push[:, None]
             assert np.sqrt(solve_continuous_lyapunov(n, -b @ b.T)[0, 0]) < most
 
 

@@ -11,15 +11,24 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
+import numpy as np
+
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.config import Section, sha256_of, write_parameters
 from lpv.core.support.entries import entry, plain_entries, read_entries
 from lpv.core.support.errors import ConfigError, LpvError
-from lpv.core.support.inequalities import Check, NumberType, is_negative
+from lpv.core.support.inequalities import Check, NumberType, is_negative, largest_eigenvalue
 
 _Kind = TypeVar('_Kind', bound='CertifiedGains')
 Inequalities = Iterator[tuple[str, list[Any]]]
 """Names, and matrices of floats or fractions that must be negative definite."""
+
+
+def judged(claims: Inequalities) -> Iterator[Check]:
+    """Checks of inequalities in floats, by their largest eigenvalue."""
+    for name, matrices in claims:
+        # NaN of one matrix counts: max of Python's would pass it over.
+        yield Check(name, float(np.max([largest_eigenvalue(matrix) for matrix in matrices])))
 
 
 @dataclass(frozen=True)

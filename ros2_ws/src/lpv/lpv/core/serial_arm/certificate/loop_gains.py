@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from lpv.core.serial_arm.certificate.certified import CertifiedGains, Inequalities
+from lpv.core.serial_arm.certificate.certified import CertifiedGains, Inequalities, judged
 from lpv.core.serial_arm.certificate.disturbance import missed_torque
 from lpv.core.serial_arm.certificate.loop_inequality import (
     LoopNumbers,
@@ -25,7 +25,7 @@ from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.config import Section
 from lpv.core.support.entries import array, entry, part, positive
 from lpv.core.support.errors import ConfigError
-from lpv.core.support.inequalities import SAME, Check, NumberType, array_of, largest_eigenvalue
+from lpv.core.support.inequalities import SAME, Check, NumberType, array_of
 
 NO_CERTIFICATE = 'none (lpv design writes one)'
 """Of a loop whose parameter file has a bandwidth only, for the reader."""
@@ -190,8 +190,7 @@ class LoopGains(CertifiedGains):
         """As of `CertifiedGains`."""
         if len(self.model.inertia) != len(arm.joints):
             raise ConfigError('loop.model.inertia', f'must have {len(arm.joints)} numbers')
-        for name, matrices in self._model_inequalities(arm, float):
-            yield Check(name, max(map(largest_eigenvalue, matrices)))
+        yield from judged(self._model_inequalities(arm, float))
         sectors = (self.motion, self.sampled, self.error)
         lowest = min(float(part.multipliers.min()) for part in sectors)
         yield Check('multipliers are positive', -lowest)
@@ -201,8 +200,7 @@ class LoopGains(CertifiedGains):
         yield followed
         if not followed.holds:
             return  # the sampled inequality would divide by zero
-        for name, matrices in self._loop_inequalities(arm, float):
-            yield Check(name, max(map(largest_eigenvalue, matrices)))
+        yield from judged(self._loop_inequalities(arm, float))
         total = sum(self.error_bound(arm).values())
         away = np.abs(self.error.bound / total - 1.0).max()
         yield Check('error: bound of each joint as recomputed', float(away) - SAME)

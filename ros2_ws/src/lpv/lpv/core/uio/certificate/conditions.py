@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from lpv.core.serial_arm.certificate.certified import Inequalities
+from lpv.core.serial_arm.certificate.certified import Inequalities, judged
 from lpv.core.support.entries import array, entry, part, positive
 from lpv.core.support.inequalities import SAME, Check, NumberType, array_of, largest_eigenvalue
 from lpv.core.uio.certificate.error_system import exact_fault_sigma, link_errors, paper_fault_sigma
-from lpv.core.uio.certificate.lmi import covariance, disc, paper_inequalities
+from lpv.core.uio.certificate.lmi import disc, paper_inequalities
 from lpv.core.uio.certificate.sampled_motion import MotionCertificate, sampled_loop
 from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.model.polytope import (
@@ -95,7 +95,6 @@ def observer_inequalities(
         return
     decay, fastest, dt = (number(v) for v in (observer.decay, observer.fastest, arm.sample_time))
     q, r = (fastest + decay) / 2, (fastest - decay) / 2
-    of_noise = []
     for link in link_errors(arm, number):
         i, name = link.index, f'observer, link {link.index + 1}'
         kappa, mu = number(observer.kappa[i]), number(observer.mu[i])
@@ -108,30 +107,21 @@ def observer_inequalities(
         yield f'{name}: sampled recursion contracts', [a.T @ p @ a - p for a in sampled]
         damping = 4 * kappa * link.slopes[1] / mu**2
         yield f'{name}: real poles at every slope', [np.array([[damping - 1]])]
-        inputs = [link.input_covariance(row, kappa, mu) for row in link.rows]
-        matrices = [_covariance(p, n, spread) for n in closed for spread in inputs]
-        of_noise.append((f'{name}: covariance under the noise of the arm file', matrices))
-    yield from of_noise
-
-
-def _covariance(p: np.ndarray, n: np.ndarray, spread: np.ndarray) -> np.ndarray:
-    """H2 inequality for B B^T; in fractions, which have no roots, its Schur complement."""
-    if spread.dtype == object:
-        return 2 * p @ n + p @ spread @ p
-    values, vectors = np.linalg.eigh(spread)
-    return covariance(p @ n, p @ vectors * np.sqrt(np.maximum(values, 0.0)))
+        yield (
+            f'{name}: covariance under the noise of the arm file',
+            # P^-1 bounds it: sym(P N) + P B B^T P < 0.
+            [2 * p @ n + p @ b @ p for n in closed for b in link.input_covariances(kappa, mu)],
+        )
 
 
 def observer_margin(arm: ArmParameters, observer: ObserverGains) -> float:
     """Largest eigenvalue of all `observer_inequalities`; negative if they hold."""
-    claims = observer_inequalities(arm, observer)
-    return max(largest_eigenvalue(matrix) for _, matrices in claims for matrix in matrices)
+    return max(check.margin for check in judged(observer_inequalities(arm, observer)))
 
 
 def observer_checks(arm: ArmParameters, observer: ObserverGains) -> Iterator[Check]:
     """Checks of the observer: its inequalities, and the deviation of its estimates."""
-    for name, matrices in observer_inequalities(arm, observer):
-        yield Check(name, max(map(largest_eigenvalue, matrices)))
+    yield from judged(observer_inequalities(arm, observer))
     if isinstance(observer, ExactObserverGains):
         sigma = exact_fault_sigma(arm, observer.lyapunov)
     else:
@@ -173,16 +163,17 @@ def controller_inequalities(
 
 def _decays(loop: tuple[np.ndarray, ...], m: np.ndarray, p: np.ndarray, alpha: Any) -> list[Any]:
     """LMI (67) at the vertices of a loop, with P = Q^-1."""
-    return [p @ n + n.T @ p + 2 * alpha * p for n in (a + b @ m for a, b in zip(*loop))]
+    matrices = [p @ n + n.T @ p + 2 * alpha * p for n in (a + b @ m for a, b in zip(*loop))]
+    if p.dtype == object or not largest_eigenvalue(-p) < 0.0:
+        return matrices
+    # P spans many decades; a congruence with its own factor makes margins comparable.
+    factor = np.linalg.inv(np.linalg.cholesky(p))
+    return [factor @ matrix @ factor.T for matrix in matrices]
 
 
 def decay_margin(loop: tuple[np.ndarray, ...], m: np.ndarray, p: np.ndarray, alpha: float) -> float:
     """Largest eigenvalue of LMI (67) at the vertices of a loop, for gains M and P = Q^-1 > 0."""
-    # P spans many decades; a congruence with its own factor makes margins comparable.
-    positive = largest_eigenvalue(-p) < 0.0
-    factor = np.linalg.inv(np.linalg.cholesky(p)) if positive else np.eye(6)
-    matrices = _decays(loop, m, p, alpha)
-    return max(largest_eigenvalue(factor @ matrix @ factor.T) for matrix in matrices)
+    return max(map(largest_eigenvalue, _decays(loop, m, p, alpha)))
 
 
 def _sampled_radius(arm: ArmParameters, loop: tuple[np.ndarray, ...], m: np.ndarray) -> float:
@@ -194,12 +185,17 @@ def controller_checks(arm: ArmParameters, controller: ControllerGains) -> Iterat
     """Checks of the tracking loop: LMI (67), and poles that the sample time can carry."""
     m, p = controller.feedback, _lyapunov(controller.lyapunov, float)
     loop = controller_loop(arm, controller.method, controller.sinc_min)
-    (name, matrices), (decays, _) = controller_inequalities(arm, controller)
-    yield Check(name, max(map(largest_eigenvalue, matrices)))
-    yield Check(decays, decay_margin(loop, m, p, controller.decay))
+    yield from judged(controller_inequalities(arm, controller))
     radius = _sampled_radius(arm, loop, m)
     yield Check('controller: sampled loop with one sample of delay', radius - 1.0)
-    yield from motion_checks(arm, controller)
+    if (motion := controller.motion) is not None:
+        sampled = sampled_loop(arm, loop, m, motion.rate)
+        contraction = sampled.contraction(_lyapunov(motion.lyapunov, float))
+        yield Check(
+            f'controller: sampled loop with one sample of delay, in motion up to '
+            f'{motion.rate:g} rad/s, {motion.decay:g}/s',
+            contraction - np.exp(-motion.decay * arm.sample_time),
+        )
     # The same P and half the decay for arms with other masses, inertias and payloads.  Between the
     # corners, which are checked, Xi^-1 is not affine: this is evidence and no proof.
     if controller.method == 'exact' and (arm.model_error or arm.payload):
@@ -212,23 +208,6 @@ def controller_checks(arm: ArmParameters, controller: ControllerGains) -> Iterat
         yield Check(f'{text}, sampled with delay', radius - 1.0)
 
 
-def motion_checks(arm: ArmParameters, controller: ControllerGains) -> list[Check]:
-    """The sampled loop in motion: one P for every motion up to the stated link rate."""
-    motion = controller.motion
-    if motion is None:
-        return []
-    loop = controller_loop(arm, controller.method, controller.sinc_min)
-    sampled = sampled_loop(arm, loop, controller.feedback, motion.rate)
-    contraction = sampled.contraction(_lyapunov(motion.lyapunov, float))
-    return [
-        Check(
-            f'controller: sampled loop with one sample of delay, in motion up to '
-            f'{motion.rate:g} rad/s, {motion.decay:g}/s',
-            contraction - np.exp(-motion.decay * arm.sample_time),
-        )
-    ]
-
-
 def corner_arms(arm: ArmParameters) -> list[ArmParameters]:
     """Arms at the corners of the stated model error and payload."""
     ends = (1.0 - arm.model_error, 1.0 + arm.model_error)
@@ -239,29 +218,6 @@ def corner_arms(arm: ArmParameters) -> list[ArmParameters]:
             if other.is_physical():
                 arms.append(other)
     return arms
-
-
-def together_checks(
-    arm: ArmParameters, observer: ObserverGains, controller: ControllerGains
-) -> Iterator[Check]:
-    """Sampled loop of arm, controller and observer, closed on estimates and on measurements.
-
-    The error of the observer does not depend on the loop: poles of both together are those of each.
-    """
-    if not isinstance(observer, ExactObserverGains) or controller.method != 'exact':
-        return
-    poles = [
-        np.linalg.eigvals(link.closed(slope, observer.kappa[link.index], observer.mu[link.index]))
-        for link in link_errors(arm)
-        for slope in link.slopes
-    ]
-    error = np.exp(np.real(poles).max() * arm.sample_time)
-    loop = _sampled_radius(arm, controller_loop(arm, 'exact'), controller.feedback)
-    for name in ('with', 'without'):
-        yield Check(
-            f'observer and controller together, {name} compensation, sampled with delay',
-            max(loop, error) - 1.0,
-        )
 
 
 def discretised(a: np.ndarray, b: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:

@@ -17,70 +17,60 @@ from lpv.core.uio.observer.paper_observer import PaperObserverGains
 
 @dataclass(frozen=True)
 class LinkError:
-    """Error of one link in the state (e, m/Xi_ii): angle [rad] and weighted rate [rad/s]."""
+    """Error of one link in the state (e, m/Xi_ii): angle [rad] and weighted rate [rad/s].
+
+    White inputs are noise of both rate sensors and accelerations of both axes.  Of a hanging arm
+    the momentum error is counted with the other sign, which makes both orientations one.
+    """
 
     index: int  # 0 or 1
     inertia: float  # Xi_ii [kg m2]
     slopes: tuple  # smallest and largest slope Gamma_i in the region [N m/rad]
-    # row i of Xi at both ends of Xi12, times s = +1 (upright) or -1 (hanging): for a hanging arm
-    # the momentum error is counted with the other sign, which makes both cases one, shape (2, 2)
-    rows: np.ndarray
-    rates: np.ndarray  # S^-1: absolute rates from those of the sensors, shape (2, 2)
-    rate_noise: Any  # standard deviation of a rate sensor's white noise [rad/s]
-    direction: np.ndarray  # of the stated disturbance, per axis [rad/s2], shape (2,)
-    variance: Any  # of independent disturbances of both axes that cover the stated one
-    period: Any  # Ts [s]
-    unit: float = SMALL  # size of errors [rad], for scaling
+    # at both ends of Xi12, between which all is a convex combination: columns of the inputs that
+    # enter the error as they are, shape (2, 4), and through the output injection L, shape (1, 4)
+    inputs: list
+    intensity: np.ndarray  # of the inputs as the arm file states them [rad2/s], [rad2/s3]
+    unit: Any  # size of errors [rad], for scaling
 
     def closed(self, slope: Any, kappa: Any, mu: Any) -> np.ndarray:
         """N of the error e' = -kappa m, m' = Gamma e - mu m, for one slope."""
         return np.array([[0 * mu, -kappa * self.inertia], [slope / self.inertia, -mu]])
 
     def noises(self, acceleration_noise: Sequence[float], rate_noise: float) -> list[tuple]:
-        """Noise at both ends of Xi12, of rate sensors and as given [rad/s2/sqrt(Hz)],
-        [rad/s/sqrt(Hz)]; everything between them is a convex combination.
+        """``inputs`` of unit intensity, one more column than there: accelerations of given noise
+        [rad/s2/sqrt(Hz)], and noise that e' takes beside that of the rates [rad/s/sqrt(Hz)]."""
+        root = np.append(np.sqrt(self.intensity[:2]), acceleration_noise)
+        more = [rate_noise, 0.0]
+        return [
+            (np.insert(direct * root, 2, more, axis=1), np.insert(measured * root, 2, 0.0, axis=1))
+            for direct, measured in self.inputs
+        ]
 
-        White inputs of unit intensity: columns that enter the error as they are, shape (2, n), and
-        those that enter through the output injection L, shape (1, n).
-        """
-        rates = self.rates * self.rate_noise * math.sqrt(self.period)
-        found = []
-        for row in self.rows:
-            push = np.abs(row * np.asarray(acceleration_noise)) / self.inertia
-            # e' takes the rates' noise as it is, and both rows through the injection.
-            direct = np.zeros((2, 5))
-            direct[0, :3], direct[1, 3:] = [*rates[self.index], rate_noise], push
-            found.append((direct, np.append(-row @ rates / self.inertia, np.zeros(3))[None]))
-        return found
-
-    def input_covariance(self, row: np.ndarray, kappa: Any, mu: Any) -> np.ndarray:
-        """B B^T of the white inputs that the arm file states, in `unit`, at one end of Xi12."""
-        seen = row @ self.rates / self.inertia
-        b = np.array([self.rates[self.index] + kappa * self.inertia * seen, mu * seen])
-        push = row * self.direction / self.inertia
-        total = self.rate_noise**2 * (b @ b.T)
-        total[1, 1] += self.variance * (push @ push)
-        return total * self.period / type(self.period)(self.unit) ** 2
+    def input_covariances(self, kappa: Any, mu: Any) -> list[np.ndarray]:
+        """B B^T of the white inputs that the arm file states, in `unit`, at both ends of Xi12."""
+        gain = -np.array([[kappa * self.inertia], [mu]])
+        inputs = [direct + gain @ measured for direct, measured in self.inputs]
+        return [b * (self.intensity / self.unit**2) @ b.T for b in inputs]
 
 
 def link_errors(arm: ArmParameters, number: NumberType = float) -> list[LinkError]:
     """Error systems of both links, in floats or in exact fractions."""
     c, sign, array = arm.numbers(number), number(arm.sign), array_of(number)
-    noise = {
-        'rates': array(np.linalg.inv(JointMap(arm).sensor_matrix)),
-        'rate_noise': number(arm.velocity_noise),
-        'direction': array(arm.disturbance_direction),
-        # One d drives both axes: (a d_1 + b d_2)^2 <= 2 (a^2 d_1^2 + b^2 d_2^2).
-        'variance': int(np.count_nonzero(arm.disturbance_direction))
-        * number(arm.disturbance_variance),
-        'period': number(arm.sample_time),
-    }
-    ends = (c.rotor_coupling - c.coupling, c.rotor_coupling + c.coupling)
+    rates = array(np.linalg.inv(JointMap(arm).sensor_matrix))  # of the links, from the sensors'
+    direction = array(arm.disturbance_direction)
+    # One d drives both axes: (a d_1 + b d_2)^2 <= 2 (a^2 d_1^2 + b^2 d_2^2).
+    variance = int(np.count_nonzero(direction)) * number(arm.disturbance_variance)
+    noise = number(arm.velocity_noise) ** 2
+    intensity = number(arm.sample_time) * np.array([noise, noise, *(variance * direction**2)])
     links = []
     for i, (inertia, gravity) in enumerate(zip(c.inertia, c.gravity)):
-        rows = sign * np.array([[inertia, end] if i == 0 else [end, inertia] for end in ends])
+        inputs = []
+        for end in (c.rotor_coupling - c.coupling, c.rotor_coupling + c.coupling):
+            row = sign * np.array([inertia, end] if i == 0 else [end, inertia]) / inertia
+            direct = np.array([[*rates[i], 0, 0], [0, 0, *row]])
+            inputs.append((direct, np.array([[*(-row @ rates), 0, 0]])))
         slopes = (gravity * number(arm.cos_min[i]), gravity)
-        links.append(LinkError(i, inertia, slopes, rows, **noise))
+        links.append(LinkError(i, inertia, slopes, inputs, intensity, number(SMALL)))
     return links
 
 
@@ -90,7 +80,7 @@ def exact_fault_sigma(arm: ArmParameters, lyapunov: np.ndarray) -> np.ndarray:
     P^-1 bounds the covariance of each link's error; sensors add those of their links.
     """
     with np.errstate(invalid='ignore'):  # of a P that is not positive: NaN fails every check
-        angle = LinkError.unit * np.sqrt([np.linalg.inv(p)[0, 0] for p in lyapunov])
+        angle = SMALL * np.sqrt([np.linalg.inv(p)[0, 0] for p in lyapunov])
     spread = np.abs(JointMap(arm).sensor_matrix) @ angle
     return np.hypot(spread, arm.position_noise)
 

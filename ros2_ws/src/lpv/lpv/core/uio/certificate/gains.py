@@ -21,7 +21,6 @@ from lpv.core.uio.certificate.conditions import (
     controller_inequalities,
     observer_checks,
     observer_inequalities,
-    together_checks,
 )
 from lpv.core.uio.observer.exact_observer import ExactObserverGains
 from lpv.core.uio.observer.paper_observer import PaperObserverGains
@@ -80,7 +79,6 @@ class Gains(CertifiedGains):
         planar = planar_model(arm)
         yield from observer_checks(planar, self.observer)
         yield from controller_checks(planar, self.controller)
-        yield from together_checks(planar, self.observer, self.controller)
 
     def facts(self, arm: SerialArm) -> list[str]:
         """As of `CertifiedGains`."""

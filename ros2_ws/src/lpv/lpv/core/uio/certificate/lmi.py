@@ -19,32 +19,14 @@ def _eye(n: int) -> np.ndarray:
     return np.eye(n, dtype=int)
 
 
-def _zeros(rows: int, columns: int) -> np.ndarray:
-    return np.zeros((rows, columns), dtype=int)
+def bounded_real(inner: Any, pb: Any, gamma_squared: Any, block: Any = np.block) -> Any:
+    """Attenuation from inputs to the estimation error, in LMIs (54) and (55).
 
-
-def bounded_real(pn: Any, pb: Any, gamma_squared: Any, block: Callable[..., Any] = np.block) -> Any:
-    """LMI (54): stability and attenuation of B = [Bd Bf] in the estimation error."""
-    eye, z = _eye(6), _zeros
+    The inner matrix is sym(P N) in (54), and that of `disc` in (55), whose last rows are the error.
+    """
+    error, zeros = _eye(inner.shape[0])[:, -6:], np.zeros((3, 6), dtype=int)
     return block(
-        [[pn + pn.T, pb, eye], [pb.T, -gamma_squared * _eye(3), z(3, 6)], [eye, z(6, 3), -eye]]
-    )
-
-
-def bounded_real_disc(
-    p: Any, pn: Any, pb: Any, gamma_squared: Any, q: Any, r: Any,
-    block: Callable[..., Any] = np.block,
-) -> Any:  # fmt: skip
-    """LMI (55): as (54) with the poles in the disc of centre -q and radius r, in one matrix."""
-    eye, z = _eye(6), _zeros
-    sigma = q * p + pn
-    return block(
-        [
-            [-r * p, sigma, pb, z(6, 6)],
-            [sigma.T, -r * p, z(6, 3), eye],
-            [pb.T, z(3, 6), -gamma_squared * _eye(3), z(3, 6)],
-            [z(6, 6), eye, z(6, 3), -eye],
-        ]
+        [[inner, pb, error], [pb.T, -gamma_squared * _eye(3), zeros], [error.T, zeros.T, -_eye(6)]]
     )
 
 
@@ -84,11 +66,12 @@ def paper_inequalities(
     pb = pt @ np.hstack([d.bd, d.bf])
     for a_i, y_i in zip(d.a, y):
         pn = pt @ a_i + y_i @ d.c
+        poles = disc(p, pn, q, r, block)
         if lmi == '55':
-            matrices.append(bounded_real_disc(p, pn, pb, gamma_squared, q, r, block))
+            inputs = block([[pb], [np.zeros((6, 3), dtype=int)]])
+            matrices.append(bounded_real(poles, inputs, gamma_squared, block))
         else:
-            matrices.append(bounded_real(pn, pb, gamma_squared, block))
-            matrices.append(disc(p, pn, q, r, block))
+            matrices += [bounded_real(pn + pn.T, pb, gamma_squared, block), poles]
     return matrices
 
 
