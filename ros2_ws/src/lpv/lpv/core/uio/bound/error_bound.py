@@ -21,12 +21,11 @@ from lpv.core.serial_arm.diagnosis.sampler import LATE
 from lpv.core.support.jit import njit_in_place as njit
 from lpv.core.support.records import new_record, record_type
 from lpv.core.uio.bound.dead_reckoning import (
-    INTERVAL_STATE,
-    LOSS_STATE,
+    RECKONING_STATE,
     cut_interval,
     move_interval,
     note_lost_samples,
-    start_interval,
+    start_reckoning,
 )
 from lpv.core.uio.bound.unknown_torque import (
     MOTION,
@@ -84,14 +83,14 @@ BOUND_STATE = record_type(
     ('extent', 'f8', (SIZE,)),  # its extents; of method paper the bounds on e alone
     ('held_for', 'f8', (2,)),  # how long links were held, less what has decayed [s]
     ('bound', 'f8', (2,)),  # result: bound on the error of each sensor's fault estimate [rad]
-    ('losses', LOSS_STATE),  # what lost samples leave unknown
-    ('interval', INTERVAL_STATE),  # the errors by dead reckoning
+    ('reckoning', RECKONING_STATE),  # the errors by dead reckoning
     ('motion', MOTION),  # signals of the present step
     ('bend', 'f8', (2,)),  # largest change of theta'' within a sample, fading [rad/s2]
     ('turned', 'f8', (2,)),  # Xi times that [N m]
     ('torque', 'f8', (2,)),  # bound on the unknown torques [N m]
     ('shear', 'f8', (2,)),  # kappa_i Xi_ii/mu_i, 0 for a held link [s]
     ('n', 'f8', (SIZE, SIZE)),  # N of the error
+    ('half', 'f8', (SIZE, SIZE)),  # work space: I + N dt/2
     ('map', 'f8', (SIZE, SIZE)),  # work space: exp(N dt)
     ('inputs', 'f8', (SIZE, _INPUTS)),  # largest inputs, one a column
     ('sizes', 'f8', (COLUMNS,)),  # work space of `reduce_columns`
@@ -133,53 +132,50 @@ def reset_bound(state: np.record) -> None:
     state.extent[:] = 0.0
     state.held_for[:] = 0.0
     state.bend[:] = 0.0
-    state.used, state.losses.started = 0, False
+    state.used = 0
 
 
 @njit
 def update_bound(params: np.record, state: np.record, observer: np.record) -> None:
     """Follow one estimate; fills ``bound`` of the state."""
-    joints, lost = params.unknown.joints, state.losses.lost
-    note_lost_samples(joints, params.longest, state.losses, observer)
+    if state.used == 0:
+        start_reckoning(state.reckoning, observer, params.start, params.angle_noise)
+    else:
+        note_lost_samples(params.longest, state.reckoning, observer)
     if params.exact:
-        _follow_set(params, state, observer, lost)
-        return
-    if state.used > 0:
-        for i in range(2):
-            state.extent[i] += row_size(joints.angle, i, lost[0], lost[1])
-    _follow_static(params, state, observer)
+        _follow_set(params, state, observer)
+    else:
+        _follow_static(params, state, observer)
+    error_1, error_2 = _angle_error(params, state, 0), _angle_error(params, state, 1)
+    for i in range(2):
+        error = row_size(params.unknown.joints.sensor, i, error_1, error_2)
+        state.bound[i] = error + params.noise[i]
 
 
 @njit
-def _follow_set(params: np.record, state: np.record, observer: np.record, lost: np.ndarray) -> None:
-    motion, size = state.motion, state.torque
+def _follow_set(params: np.record, state: np.record, observer: np.record) -> None:
     if state.used == 0:
         state.columns[0, 0], state.columns[1, 1] = params.start[0], params.start[1]
         state.used = 2
-        for i in range(2):
-            size[i] = params.start[i] + params.angle_noise[i]
-        start_interval(state.interval, observer, size)
     else:
         for i in range(2):
-            size[i] = row_size(params.unknown.joints.angle, i, lost[0], lost[1])
-            if size[i] > 0.0:  # one more column
+            if state.reckoning.jump[i] > 0.0:  # one more column
                 state.columns[:, state.used] = 0.0
-                state.columns[i, state.used] = size[i]
+                state.columns[i, state.used] = state.reckoning.jump[i]
                 state.used += 1
                 _make_room(state)
         _read_motion(params, state, observer)
-        _sample_motion(params, state, observer, size)
-        move_interval(state.interval, observer, motion.rate_error, size)
+        move_interval(state.reckoning, observer, state.motion.rate_error)
         if not observer.bridged:
-            _advance(params, state, observer)
+            _advance(params, state, observer.interval)
     extent(state.columns, state.used, state.extent)
     _cut(params, state)
-    _update_held_time(params, state, observer)
-    error_1, error_2 = _angle_error(params, state, 0), _angle_error(params, state, 1)
+    fall = math.exp(-observer.interval * params.slowest_recovery)
     for i in range(2):
-        state.bound[i] = (
-            row_size(params.unknown.joints.sensor, i, error_1, error_2) + params.noise[i]
-        )
+        if observer.held[i]:
+            state.held_for[i] += observer.interval
+        else:
+            state.held_for[i] *= fall
 
 
 @njit
@@ -207,7 +203,7 @@ def _cut(params: np.record, state: np.record) -> None:
     for i in range(2):
         known = params.angle_noise[i] + params.drift[i] * math.sqrt(state.held_for[i])
         reckoned = params.angle_noise[i] + cut_interval(
-            state.interval, i, state.extent[i] + known, params.drift[i]
+            state.reckoning, i, state.extent[i] + known, params.drift[i]
         )
         restart = restart or state.extent[i] > _FAR * reckoned
         state.extent[i] = min(state.extent[i], reckoned)
@@ -220,8 +216,12 @@ def _cut(params: np.record, state: np.record) -> None:
 
 @njit
 def _read_motion(params: np.record, state: np.record, observer: np.record) -> None:
-    """Known signals at the estimate, and how wrong angles and rates may be."""
-    motion, arm = state.motion, params.unknown.arm
+    """Known signals at the estimate, how wrong angles and rates may be, and what sampling leaves
+    out by the change of theta'' within a sample.
+
+    Angles by the trapezoid of the rates miss dt^2/12 of it, more in the reckoning's ``jump``.
+    """
+    motion, arm, bend = state.motion, params.unknown.arm, state.bend
     for i in range(2):
         motion.theta[i] = observer.x[i]
         motion.rate[i] = observer.v_new[i]
@@ -231,6 +231,11 @@ def _read_motion(params: np.record, state: np.record, observer: np.record) -> No
         state.shear[i] = 0.0
         if not observer.held[i]:
             state.shear[i] = params.kappa[i] * arm.inertia[i] / params.mu[i]
+        bend[i] = max(observer.bend[i], _FADING * bend[i])
+        state.reckoning.jump[i] += observer.interval * observer.interval / 12.0 * bend[i]
+    off = abs(coupling(motion.theta, arm))
+    state.turned[0] = arm.inertia[0] * bend[0] + off * bend[1]
+    state.turned[1] = off * bend[0] + arm.inertia[1] * bend[1]
     bound_rate_errors(params.unknown, motion)
     # theta^'' = acceleration - Xi^-1 (mu Xi + Xi'(v)) r of the observer.
     r = motion.innovation[0], motion.innovation[1]
@@ -243,36 +248,17 @@ def _read_motion(params: np.record, state: np.record, observer: np.record) -> No
 
 
 @njit
-def _sample_motion(
-    params: np.record, state: np.record, observer: np.record, jump: np.ndarray
-) -> None:
-    """What sampling leaves out: errors of the Heun rule by the change of theta'' within a sample.
-
-    Angles by the trapezoid of the rates miss dt^2/12 of it, more in ``jump``.
-    """
-    arm, motion, bend = params.unknown.arm, state.motion, state.bend
-    for i in range(2):
-        bend[i] = max(observer.bend[i], _FADING * bend[i])
-        jump[i] += observer.interval * observer.interval / 12.0 * bend[i]
-    off = abs(coupling(motion.theta, arm))
-    state.turned[0] = arm.inertia[0] * bend[0] + off * bend[1]
-    state.turned[1] = off * bend[0] + arm.inertia[1] * bend[1]
-
-
-@njit
-def _advance(params: np.record, state: np.record, observer: np.record) -> None:
+def _advance(params: np.record, state: np.record, interval: float) -> None:
     unknown_torque(params.unknown, state.motion, state.torque)
     for i in range(2):
         # The rate at the end of a step is predicted without it, in the injection; and the rule's
         # own error, dt^2/12 of the second derivative.
-        part = 0.25 * params.mu[i] * observer.interval + 1.0 / 12.0
-        state.torque[i] += part * state.turned[i]
+        state.torque[i] += (0.25 * params.mu[i] * interval + 1.0 / 12.0) * state.turned[i]
     error_matrix(params, state)
-    _collect_inputs(params, state, observer.interval)
-    steps = max(1, math.ceil(observer.interval * max(params.mu[0], params.mu[1]) / 0.5))
-    dt = observer.interval / steps
+    _collect_inputs(params, state, interval)
+    steps = max(1, math.ceil(interval * max(params.mu[0], params.mu[1]) / 0.5))
     for _ in range(steps):
-        advance_set(state, dt)
+        advance_set(state, interval / steps)
 
 
 @njit
@@ -345,55 +331,42 @@ def _collect_inputs(params: np.record, state: np.record, dt: float) -> None:
 @njit
 def advance_set(state: np.record, dt: float) -> None:
     """Map the set by exp(N dt) to second order and add a box of inputs over an interval [s]."""
-    n, step, columns = state.n, state.map, state.columns
-    half = 0.5 * dt * dt
+    n, half, step, columns, used = state.n, state.half, state.map, state.columns, state.used
     for r in range(SIZE):
         for q in range(SIZE):
-            square = 0.0
-            for k in range(SIZE):
-                square += n[r, k] * n[k, q]
-            step[r, q] = dt * n[r, q] + half * square
+            half[r, q] = 0.5 * dt * n[r, q] + (1.0 if r == q else 0.0)
+            step[r, q] = dt * half[r, q]
+    map_columns(step, 0, SIZE, n)
+    for r in range(SIZE):
         step[r, r] += 1.0
-    map_columns(columns, state.used, step)
-    for q in range(_INPUTS):
-        for r in range(SIZE):
-            # Half a step's travel of the input, for its effect within the interval.
-            travel = 0.0
-            for k in range(SIZE):
-                travel += n[r, k] * state.inputs[k, q]
-            columns[r, state.used + q] = dt * state.inputs[r, q] + half * travel
-    state.used = state.used + _INPUTS
+        for q in range(_INPUTS):
+            columns[r, used + q] = dt * state.inputs[r, q]
+    map_columns(columns, 0, used, step)
+    map_columns(columns, used, used + _INPUTS, half)  # half a step's travel of the input
+    state.used = used + _INPUTS
     _make_room(state)
 
 
 @njit
-def _update_held_time(params: np.record, state: np.record, observer: np.record) -> None:
-    """Time of noise integrated while a link was held; it decays as the observer recovers."""
-    fall = math.exp(-observer.interval * params.slowest_recovery)
+def _follow_static(params: np.record, state: np.record, observer: np.record) -> None:
+    _rest(params, observer.x, state.motion, state.torque)
+    fall = math.exp(-params.decay * observer.interval)
     for i in range(2):
-        if observer.held[i]:
-            state.held_for[i] += observer.interval
-        else:
-            state.held_for[i] *= fall
+        cosine = max(abs(math.cos(observer.x[i])), params.cos_min[i])
+        target = state.torque[i] / (params.unknown.arm.gravity[i] * cosine)
+        left = state.extent[i] + state.reckoning.jump[i] - target if state.used else 0.0
+        state.extent[i] = target + max(0.0, fall * left)
+    if state.used > 0:
+        move_interval(state.reckoning, observer, state.motion.rate_error)
+    state.used = 1
 
 
 @njit
-def _follow_static(params: np.record, state: np.record, observer: np.record) -> None:
-    motion = state.motion
-    for i in range(2):
-        motion.theta[i] = observer.x[i]
+def _rest(params: np.record, theta: np.ndarray, motion: np.record, torque: np.ndarray) -> None:
+    """Bounds [N m] on the unknown torques of an arm at rest."""
+    motion.theta[0], motion.theta[1] = theta[0], theta[1]
     carry_load(params.unknown, motion, (0.0, 0.0))
-    unknown_torque(params.unknown, motion, state.torque)
-    fall = math.exp(-params.decay * observer.interval)
-    for i in range(2):
-        cosine = max(abs(math.cos(motion.theta[i])), params.cos_min[i])
-        target = state.torque[i] / (params.unknown.arm.gravity[i] * cosine)
-        left = state.extent[i] - target if state.used else 0.0
-        state.extent[i] = target + max(0.0, fall * left)
-    state.used = 1
-    for i in range(2):
-        state.bound[i] = row_size(params.unknown.joints.sensor, i, state.extent[0], state.extent[1])
-        state.bound[i] += params.noise[i]
+    unknown_torque(params.unknown, motion, torque)
 
 
 def static_bound(params: np.record, theta: np.ndarray) -> np.ndarray:
@@ -405,15 +378,13 @@ def static_bound(params: np.record, theta: np.ndarray) -> np.ndarray:
     """
     theta, torque = np.asarray(theta, float), np.zeros(2)
     gravity, spread = params.unknown.arm.gravity, np.abs(params.unknown.joints.sensor)
-    motion = new_record(MOTION, theta=theta)
-    carry_load(params.unknown, motion, (0.0, 0.0))
-    unknown_torque(params.unknown, motion, torque)
+    _rest(params, theta, new_record(MOTION), torque)
     if not params.exact:
         slope = gravity * np.maximum(np.abs(np.cos(theta)), params.cos_min)
         return spread @ (torque / slope) + params.noise
     # A bias of the rates is held up by a momentum, and that by a torque.
     bias = params.unknown.bias * np.abs(params.unknown.joints.angle).sum(axis=1)
-    torque = torque + bias * params.mu / params.kappa
+    torque += bias * params.mu / params.kappa
     # Distance from the vertical; the secant of gravity over the error falls with it.
     away = np.arccos(np.clip(params.sign * np.cos(theta), -1.0, 1.0))
     error = np.zeros(2)

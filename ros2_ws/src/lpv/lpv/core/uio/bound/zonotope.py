@@ -18,9 +18,9 @@ SIZE = 4
 
 
 @njit
-def map_columns(columns: np.ndarray, count: int, m: np.ndarray) -> None:
-    """Replace every column g by m @ g."""
-    for j in range(count):
+def map_columns(columns: np.ndarray, first: int, end: int, m: np.ndarray) -> None:
+    """Replace every column g from the first one on, before the end, by m @ g."""
+    for j in range(first, end):
         a, b, c, d = columns[0, j], columns[1, j], columns[2, j], columns[3, j]
         for r in range(SIZE):
             columns[r, j] = m[r, 0] * a + m[r, 1] * b + m[r, 2] * c + m[r, 3] * d
