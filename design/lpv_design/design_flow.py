@@ -52,17 +52,16 @@ def design(arm: SerialArm, requirement: Requirement) -> DesignResult:
         If the arm is not planar, or states no region.
     """
     planar = planar_model(arm)
-    options = within_sampling(planar, requirement)
-    for number, (option, limited) in enumerate(options):
-        notes = limited
+    for option, notes in within_sampling(planar, requirement):
         try:
             gains, checks, statuses = _design_once(arm, option)
             break
         except NotDetectableError:
             raise
         except InfeasibleError as error:
-            if number + 1 == len(options):
-                raise InfeasibleError('; '.join([str(error), *limited])) from None
+            reason = '; '.join([str(error), *notes])
+    else:
+        raise InfeasibleError(reason)
     found = guarantee(planar, gains)
     gains.certificate.update(
         note='information: nothing is computed from what is below certificate',

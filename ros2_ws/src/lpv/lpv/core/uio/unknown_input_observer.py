@@ -49,7 +49,6 @@ UIO_STATE = record_type(
     ('initial', 'f8', (2,)),
     ('alarmed', '?'),
     ('left', 'f8'),
-    ('measured', 'f8', (3, 2)),  # work space: positions, rates and efforts of the joints
 )
 
 
@@ -111,16 +110,13 @@ def uio_answers(
     the first one of the samples, ``part`` the first sample and the first one after the last.  The
     last ones of ``samples``, shape (N, 3, 2), are joint torques [N m]; stamps are in [ns].
     """
-    params, state, measured = parts.constants[0], parts.state[0], parts.state[0].measured
+    params, state = parts.constants[0], parts.state[0]
     if params.choice == _NO_OBSERVER:
         return
     for k in range(part[0], part[1]):
         row = first + k
-        for i in range(2):
-            measured[0, i] = rows.measured[row, i]
-            measured[1, i] = rows.measured_velocity[row, i]
-            measured[2, i] = samples[k, 2, i]
-        uio_step(params, state, stamps[k], measured[0], measured[1], measured[2])
+        position, velocity = rows.measured[row], rows.measured_velocity[row]
+        uio_step(params, state, stamps[k], position, velocity, samples[k, 2])
         _limit_initial_faults(state, rows, row)
         if state.valid and params.choice != _HORIZON:
             _tighten(params, state, rows, row)

@@ -112,8 +112,10 @@ def test_given_the_paper_observer_then_eq_41_is_solved_and_steps_are_the_heun_ru
     feedback = t1 @ d.a + gains @ d.c
     matrices = feedback, feedback @ t2 - gains, t1 @ d.b  # N, L and G of eqs. (51)-(53)
     other = rng.normal(scale=0.3, size=6)
-    fields = {'t1': t1, 't2': t2, 'a': d.a, 'b': d.b, 'c': d.c, 'box': box, 'k': gains}
-    constants = records.new_record(sampled_observer.OBSERVER_CONSTANTS, **fields)
+    designed = paper_observer.PaperObserverGains(
+        'paper', box, t1, t2, gains, np.eye(6), '55', 1.0, 20.0, 15.0, np.zeros(2)
+    )
+    constants = sampled_observer.observer_constants(planar, designed)
     state = records.new_record(sampled_observer.OBSERVER_STATE)
     y_old = rng.normal(scale=0.3, size=4)
     x = state.x

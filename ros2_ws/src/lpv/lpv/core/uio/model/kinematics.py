@@ -72,16 +72,12 @@ def joint_motion(
             'the path meets a singularity: the arm is stretched or folded '
             f'(abs(sin q2) < {SINGULAR_SINE})'
         )
-    # With directions d_1, d_2 of the links as complex numbers the tip moves by
-    # i (L1 d_1 a' + L2 d_2 b'), and each of both turns by what is across the other one.
+    # As complex numbers, links L1 d_1 and L2 d_2 that turn by a' and b' move the tip by
+    # i (L1 d_1 a' + L2 d_2 b').
     links = np.exp(1j * np.cumsum(q, axis=-1)) * lengths
-
-    def turning(way: np.ndarray) -> np.ndarray:
-        across = ((way[..., 0] + 1j * way[..., 1])[..., None] * links.conj()).real
-        return across[..., ::-1] * [1.0, -1.0] / (lengths[0] * lengths[1] * sine)[..., None]
-
-    absolute = turning(velocity)
+    jacobian = np.stack([-links.imag, links.real], axis=-2)
+    absolute = np.linalg.solve(jacobian, velocity[..., None])[..., 0]
     swing = (links * absolute**2).sum(axis=-1)  # less the centripetal acceleration
-    swing = np.stack([swing.real, swing.imag], axis=-1)
-    rates = absolute, turning(acceleration + swing)
-    return tuple(np.stack([rate[..., 0], rate[..., 1] - rate[..., 0]], axis=-1) for rate in rates)
+    push = acceleration + np.stack([swing.real, swing.imag], axis=-1)
+    motion = absolute, np.linalg.solve(jacobian, push[..., None])[..., 0]
+    return tuple(np.stack([one[..., 0], one[..., 1] - one[..., 0]], axis=-1) for one in motion)

@@ -28,17 +28,9 @@ from lpv.core.uio.model.joints import JointMap
 
 
 @njit
-def sinc(angle: float) -> float:
-    """sin(angle)/angle with its limit 1 at 0, eq. (9)."""
-    if abs(angle) < 1e-4:
-        return 1.0 - angle * angle / 6.0
-    return math.sin(angle) / angle
-
-
-@njit
 def paper_scheduling(theta_1: float, theta_2: float) -> tuple[float, ...]:
-    """Scheduling variables (phi1, phi2, phi3) of eqs. (6) and (9)."""
-    return math.cos(theta_1 - theta_2), sinc(theta_1), sinc(theta_2)
+    """Scheduling variables (phi1, phi2, phi3) of eqs. (6) and (9); NumPy's sinc is of pi x."""
+    return math.cos(theta_1 - theta_2), np.sinc(theta_1 / math.pi), np.sinc(theta_2 / math.pi)
 
 
 @njit

@@ -3,7 +3,7 @@
 With K_i = N_i T2 - L_i (50), N_i = T1 A~_i + K_i C~, L_i = N_i T2 - K_i and G_i = T1 B~_i of
 eqs. (51)-(53), the observer (38) written in its estimate x^ = z + T2 y is
 
-    z' = T1 (A~(rho) x^ + B~(rho) u) + K(rho) (C~ x^ - y),
+    z' = N(rho) x^ - K(rho) y + G(rho) u,
 
 which method ``paper`` takes literally; method ``exact`` is in
 :mod:`lpv.core.uio.observer.exact_observer`.
@@ -15,7 +15,8 @@ import numpy as np
 
 from lpv.core.support.entries import array, entry, positive
 from lpv.core.support.jit import njit_in_place as njit
-from lpv.core.uio.model.polytope import paper_scheduling, paper_weights
+from lpv.core.uio.model.arm import ArmParameters
+from lpv.core.uio.model.polytope import paper_descriptor, paper_scheduling, paper_weights
 
 
 @dataclass(frozen=True)
@@ -50,48 +51,33 @@ def decoupling(e: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return delta[:, :6], delta[:, 6:]
 
 
-@njit
-def blend(rho: np.ndarray, stack: np.ndarray, out: np.ndarray) -> None:
-    """out = sum_i rho_i stack_i, the interpolation of eq. (25); shapes (h,), (h, r, q), (r, q)."""
-    for r in range(out.shape[0]):
-        for q in range(out.shape[1]):
-            total = 0.0
-            for i in range(rho.shape[0]):
-                total += rho[i] * stack[i, r, q]
-            out[r, q] = total
-
-
-@njit
-def add_product(out: np.ndarray, matrix: np.ndarray, vector: np.ndarray, sign: float) -> None:
-    """out += sign matrix @ vector, in one fixed order of additions."""
-    for i in range(matrix.shape[0]):
-        for j in range(matrix.shape[1]):
-            out[i] += sign * matrix[i, j] * vector[j]
+def observer_matrices(arm: ArmParameters, gains: PaperObserverGains) -> np.ndarray:
+    """N_i, -K_i and G_i of eqs. (50)-(53) side by side, shape (8, 6, 12): z' from x^, y and u."""
+    d = paper_descriptor(arm, gains.box)
+    n = gains.t1 @ d.a + gains.k @ d.c
+    return np.concatenate([n, -gains.k, gains.t1 @ d.b], axis=2)
 
 
 @njit
 def schedule(params: np.record, state: np.record) -> None:
-    """A~, B~ and K of the estimated angles, eqs. (6), (9), (11), (12) and (25): theta is not
-    measured without the fault."""
+    """Matrices of the estimated angles, eqs. (6), (9), (11), (12) and (25): theta is not measured
+    without the fault."""
     phi_1, phi_2, phi_3 = paper_scheduling(state.x[0], state.x[1])
     paper_weights(phi_1, phi_2, phi_3, params.box, state.rho)
-    blend(state.rho, params.a, state.a)
-    blend(state.rho, params.b, state.b)
-    blend(state.rho, params.k, state.k)
+    state.matrix[:] = 0.0
+    for i in range(8):
+        for r in range(6):
+            for q in range(12):
+                state.matrix[r, q] += state.rho[i] * params.matrices[i, r, q]
 
 
 @njit
-def paper_rate(
-    params: np.record, state: np.record, y: np.ndarray, torque: np.ndarray, end: int
-) -> None:
-    """z' = T1 (A~ x^ + B~ u) + K (C~ x^ - y), eq. (38) with (50)-(53), at one end of a step."""
-    r, drift, rate = state.r, state.drift, state.rate[end]
-    for i in range(4):
-        r[i] = -y[i]
-    add_product(r, params.c, state.x, 1.0)
-    drift[:] = 0.0
-    add_product(drift, state.a, state.x, 1.0)
-    add_product(drift, state.b, torque, 1.0)
-    rate[:] = 0.0
-    add_product(rate, params.t1, drift, 1.0)
-    add_product(rate, state.k, r, 1.0)
+def paper_rate(state: np.record, y: np.ndarray, torque: np.ndarray, end: int) -> None:
+    """z' = N x^ - K y + G u, eq. (38) with (50), at one end of a step."""
+    matrix, rate = state.matrix, state.rate[end]
+    for r in range(6):
+        rate[r] = matrix[r, 10] * torque[0] + matrix[r, 11] * torque[1]
+        for q in range(6):
+            rate[r] += matrix[r, q] * state.x[q]
+        for q in range(4):
+            rate[r] += matrix[r, 6 + q] * y[q]

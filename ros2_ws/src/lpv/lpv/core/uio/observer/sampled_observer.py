@@ -16,11 +16,10 @@ from lpv.core.support.timestamps import NANOSECONDS, NEVER
 from lpv.core.uio.model.arm import ARM_CONSTANTS, ArmParameters
 from lpv.core.uio.model.dynamics import acceleration
 from lpv.core.uio.model.joints import JOINT_MAP, JointMap, copy_vector, row_dot
-from lpv.core.uio.model.polytope import paper_descriptor
 from lpv.core.uio.observer.exact_observer import ExactObserverGains, exact_rate, hold_links
 from lpv.core.uio.observer.paper_observer import (
     PaperObserverGains,
-    add_product,
+    observer_matrices,
     paper_rate,
     schedule,
 )
@@ -55,19 +54,15 @@ OBSERVER_CONSTANTS = record_type(
     ('is_exact', '?'),  # the method
     ('joints', JOINT_MAP),
     ('arm', ARM_CONSTANTS),
-    ('t2', 'f8', (6, 4)),  # T2
     # Of method exact:
     ('sign', 'f8'),  # s: +1 upright, -1 hanging
     ('kappa', 'f8', (2,)),  # s kappa_i [1/(kg m2)]
     ('mu', 'f8', (2,)),  # [1/s]
     ('cos_min', 'f8', (2,)),  # smallest s cos(theta_i) of the certified region
     # Of method paper:
-    ('t1', 'f8', (6, 6)),  # T1
+    ('t2', 'f8', (6, 4)),  # T2
     ('box', 'f8', (3, 2)),  # ranges of phi1, phi2, phi3
-    ('a', 'f8', (8, 6, 6)),  # A~_i
-    ('b', 'f8', (8, 6, 2)),  # B~_i
-    ('c', 'f8', (4, 6)),  # C~
-    ('k', 'f8', (8, 6, 4)),  # K_i
+    ('matrices', 'f8', (8, 6, 12)),  # of `observer_matrices`
     ('sample_time', 'f8'),  # [s]
     ('max_gap', 'f8'),  # longest interval that is integrated [s]
     ('initial_samples', 'i8'),  # samples that the start value is averaged over
@@ -83,16 +78,11 @@ OBSERVER_STATE = record_type(
     ('bend', 'f8', (2,)),
     ('v_new', 'f8', (2,)),  # measured theta' at the end of the interval [rad/s]
     # Of a step, with its rates at both ends:
-    ('start', 'f8', (6,)),  # z of eq. (38) at its start
-    ('rate', 'f8', (2, 6)),  # z'
+    ('start', 'f8', (6,)),  # x^ at its start, with the outputs of its end
+    ('rate', 'f8', (2, 6)),  # z' of eq. (38)
     ('model', 'f8', (2, 2)),  # theta'' of the model, of method exact [rad/s2]
-    # the rest of method paper
-    ('rho', 'f8', (8,)),  # weights of the vertices
-    ('a', 'f8', (6, 6)),  # A~(rho)
-    ('b', 'f8', (6, 2)),  # B~(rho)
-    ('k', 'f8', (6, 4)),  # K(rho)
-    ('r', 'f8', (4,)),  # C~ x^ - y
-    ('drift', 'f8', (6,)),  # A~ x^ + B~ u
+    ('rho', 'f8', (8,)),  # weights of the vertices, of method paper
+    ('matrix', 'f8', (6, 12)),  # of the weights, as `matrices`
     ('stamp', 'i8'),  # of the last sample [ns]
     ('started', 'i8'),  # samples since the start
     ('unsupported', 'i8'),  # samples at rest without the torque that gravity needs
@@ -100,8 +90,7 @@ OBSERVER_STATE = record_type(
     # Outputs in sensor coordinates, positions [rad] and rates [rad/s]:
     ('y', 'f8', (4,)),  # of the last sample
     ('y_new', 'f8', (4,)),  # of this sample
-    ('before', 'f8', (4,)),  # at the start of a part of the interval
-    ('after', 'f8', (4,)),  # and at its end
+    ('after', 'f8', (4,)),  # at the end of a part of the interval
     ('torque', 'f8', (2,)),  # generalised torques Q over the interval [N m]
     # What is said of this sample, beside x, v_new, held and bend:
     ('interval', 'f8'),  # since the previous estimate [s]
@@ -138,11 +127,9 @@ def observer_constants(
     if isinstance(gains, ExactObserverGains):
         params.is_exact, params.sign, params.cos_min = True, arm.sign, arm.cos_min
         params.kappa, params.mu = arm.sign * gains.kappa, gains.mu
-        params.t2[4:, :2] = np.eye(2)
     else:
-        d = paper_descriptor(arm, gains.box)
-        params.a, params.b, params.c, params.box = d.a, d.b, d.c, gains.box
-        params.t1, params.t2, params.k = gains.t1, gains.t2, gains.k
+        params.t2, params.box = gains.t2, gains.box
+        params.matrices = observer_matrices(arm, gains)
     return params
 
 
@@ -193,9 +180,6 @@ def observe(
     state.bend[:] = 0.0
     if state.stamp == NEVER:
         state.x[4:] = 0.0
-        _anchor(params, state)
-        copy_vector(state.y_new, state.y)
-        state.started = 0
     elif interval > params.max_gap:
         state.stopping.kind = _MOVING
         _anchor(params, state)
@@ -203,12 +187,17 @@ def observe(
         state.stopping.kind = _RESTING
         _hold(params, state, interval)
     else:
-        _note_stop(params, state, interval)
+        if params.is_exact:
+            _note_stop(params, state, interval)
         _advance(params, state, interval)
-        if state.stopping.kind == _BRAKED:
-            _take_stop(params, state)
-    if state.started < params.initial_samples:
-        _average_start(params, state)
+        if state.stopping.kind == _BRAKED:  # what was learnt from the missing momentum is undone
+            for i in range(2):
+                state.x[i], state.x[2 + i] = state.stopping.angle[i], state.v_new[i]
+            _see_faults(params, state, state.y_new)
+    if state.started < params.initial_samples:  # faults of the samples so far are zero on average
+        for i in range(2):
+            state.x[4 + i] *= state.started / (state.started + 1)
+        _anchor(params, state)
     for i in range(6):
         if not math.isfinite(state.x[i]):
             # Can only follow from absurd input (1e300 rad/s); never let it out.
@@ -231,17 +220,6 @@ def _read(params: np.record, state: np.record, position: np.ndarray, velocity: n
         y[2 + i] = row_dot(joints.from_joint, i, velocity[0], velocity[1])
     for i in range(2):
         state.v_new[i] = row_dot(joints.angle, i, y[2], y[3])
-
-
-@njit
-def _average_start(params: np.record, state: np.record) -> None:
-    """Move the start value to the mean of the samples so far; their mean fault is zero."""
-    x = state.x
-    share_1, share_2 = x[4] / (state.started + 1), x[5] / (state.started + 1)
-    for i in range(2):
-        x[i] += row_dot(params.joints.angle, i, share_1, share_2)
-    x[4] -= share_1
-    x[5] -= share_2
 
 
 @njit
@@ -288,9 +266,7 @@ def _is_at_rest(params: np.record, y: np.ndarray) -> bool:
 def _note_stop(params: np.record, state: np.record, interval: float) -> None:
     """Whether the arm was braked, of method ``exact``: missing momentum is no wrong angle."""
     stopping, x, y = state.stopping, state.x, state.y_new
-    if not params.is_exact:
-        stopping.kind = _MOVING
-    elif not _is_at_rest(params, y):
+    if not _is_at_rest(params, y):
         # It starts from rest: rate sensors that had read nothing for a moment would jump back.
         starts = max(abs(y[2]), abs(y[3])) < 0.5 * stopping.rate
         stopping.kind = _BRAKED if stopping.kind == _SUDDEN and starts else _MOVING
@@ -309,14 +285,6 @@ def _note_stop(params: np.record, state: np.record, interval: float) -> None:
             stopping.kind = _BRAKED
     else:
         stopping.kind = _RESTING
-
-
-@njit
-def _take_stop(params: np.record, state: np.record) -> None:
-    """The arm is where it was stopped: undo what was learnt from the missing momentum."""
-    for i in range(2):
-        state.x[i], state.x[2 + i] = state.stopping.angle[i], state.v_new[i]
-    _see_faults(params, state, state.y_new)
 
 
 @njit
@@ -345,20 +313,24 @@ def advance(
     the step [N m].  ``bend`` receives at least how much theta'' has changed.
     """
     x, start, rate = state.x, state.start, state.rate
-    copy_vector(x, start)
-    add_product(start, params.t2, y_old, -1.0)
+    for i in range(6):
+        start[i] = x[i]
+        for j in range(4):
+            start[i] += params.t2[i, j] * (y_new[j] - y_old[j])
     if params.is_exact:
         hold_links(params, state)
+        exact_rate(params, state, y_old, torque, 0)
     else:
         schedule(params, state)
-    _rate(params, state, y_old, torque, 0)
+        paper_rate(state, y_old, torque, 0)
     for i in range(6):
         x[i] = start[i] + dt * rate[0, i]
-    add_product(x, params.t2, y_new, 1.0)
-    _rate(params, state, y_new, torque, 1)
+    if params.is_exact:
+        exact_rate(params, state, y_new, torque, 1)
+    else:
+        paper_rate(state, y_new, torque, 1)
     for i in range(6):
         x[i] = start[i] + 0.5 * dt * (rate[0, i] + rate[1, i])
-    add_product(x, params.t2, y_new, 1.0)
     if params.is_exact:
         for i in range(2):
             state.bend[i] = max(state.bend[i], abs(state.model[1, i] - state.model[0, i]))
@@ -366,27 +338,16 @@ def advance(
 
 
 @njit
-def _rate(params: np.record, state: np.record, y: np.ndarray, torque: np.ndarray, end: int) -> None:
-    """z' at one end of a step."""
-    if params.is_exact:
-        exact_rate(params, state, y, torque, end)
-    else:
-        paper_rate(params, state, y, torque, end)
-
-
-@njit
 def _advance(params: np.record, state: np.record, interval: float) -> None:
     """Advance in steps of a sample time; outputs are interpolated."""
     state.held[:] = False
     steps = max(1, math.ceil(interval / (1.5 * params.sample_time)))
-    copy_vector(state.y, state.before)
-    for k in range(1, steps + 1):
+    for left in range(steps, 0, -1):
         for i in range(4):
-            share = (state.y_new[i] - state.y[i]) / steps
-            state.after[i] = state.y_new[i] if k == steps else state.before[i] + share
-        part = interval / steps
-        advance(params, state, state.before, state.after, state.torque, part)
-        copy_vector(state.after, state.before)
+            share = (state.y_new[i] - state.y[i]) / left
+            state.after[i] = state.y_new[i] if left == 1 else state.y[i] + share
+        advance(params, state, state.y, state.after, state.torque, interval / steps)
+        copy_vector(state.after, state.y)
 
 
 @njit
