@@ -7,6 +7,7 @@ the upper vertical, counted as the joints count.
 import math
 from dataclasses import replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -39,21 +40,21 @@ def planar_model(arm: SerialArm) -> ArmParameters:
         raise ConfigError('lpv', 'is missing: gains are designed for its region', arm.name)
     across, links, first = _geometry(arm)
     sensors = [joint.sensors for joint in arm.joints]
-    friction = [joint.friction for joint in arm.joints]
+    friction: dict[str, Any] = {
+        name: tuple(getattr(joint.friction, name) for joint in arm.joints)
+        for name in ('offset', 'viscous', 'coulomb', 'coulomb_slope', 'load')
+    }
     one, two = (joint.rotor_inertia for joint in arm.joints)
     stated = arm.uncertainty.model_error
+    zero = math.remainder(first - math.pi / 2, 2 * math.pi)
     return ArmParameters(
         name=arm.name,
         links=links,
         gravity=arm.gravity,
         rotor=(one, arm.joints[1].rotor_coupling, two),
-        offset=tuple(one.offset for one in friction),
-        viscous=tuple(one.viscous for one in friction),
-        coulomb=tuple(one.coulomb for one in friction),
-        coulomb_slope=tuple(one.coulomb_slope for one in friction),
-        load=tuple(one.load for one in friction),
+        **friction,
         joint_names=arm.joint_names,
-        zero_angle=_wrapped(first - math.pi / 2),
+        zero_angle=zero + 2 * math.pi if zero <= -math.pi + SAME else zero,  # within (-pi, pi]
         sensor_names=arm.sensor_names,
         arrangement=_arrangement(arm),
         position_noise=max(math.hypot(s.position_noise, s.quantization / 12**0.5) for s in sensors),
@@ -73,12 +74,6 @@ def planar_model(arm: SerialArm) -> ArmParameters:
         cos_min=region.cos_min,
         sample_time=arm.sample_time,
     )
-
-
-def _wrapped(angle: float) -> float:
-    """An angle within (-pi, pi]."""
-    angle = math.remainder(angle, 2 * math.pi)
-    return angle + 2 * math.pi if angle <= -math.pi + SAME else angle
 
 
 def _arrangement(arm: SerialArm) -> str:
@@ -156,8 +151,5 @@ def is_planar(arm: SerialArm) -> bool:
 def planar_links(arm: SerialArm) -> ArmParameters:
     """Geometry and dynamics of an arm with or without a region, for kinematics and drawing;
     ConfigError if it is not planar."""
-    if arm.lpv is None:
-        arm = replace(arm, lpv=LpvRegion('hanging', (0.5, 0.5)))
-    if arm.sensor_matrix is not None:
-        arm = replace(arm, sensor_matrix=None)
-    return planar_model(arm)
+    region = arm.lpv or LpvRegion('hanging', (0.5, 0.5))
+    return planar_model(replace(arm, lpv=region, sensor_matrix=None))

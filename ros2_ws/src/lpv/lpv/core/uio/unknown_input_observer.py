@@ -117,19 +117,13 @@ def uio_answers(
         row = first + k
         position, velocity = rows.measured[row], rows.measured_velocity[row]
         uio_step(params, state, stamps[k], position, velocity, samples[k, 2])
-        _limit_initial_faults(state, rows, row)
+        # By the horizon, while no alarm says that others have come or gone since the start.
+        state.alarmed |= rows.alarm[row, 0] or rows.alarm[row, 1]
+        for i in range(0 if state.alarmed else 2):
+            most = abs(rows.estimate[row, i]) + rows.bound[row, i]
+            state.initial[i] = min(state.initial[i], most)
         if state.valid and params.choice != _HORIZON:
             _tighten(params, state, rows, row)
-
-
-@njit
-def _limit_initial_faults(state: np.record, rows: Any, k: int) -> None:
-    """By the horizon, while no alarm says that others have come or gone since the start."""
-    state.alarmed |= rows.alarm[k, 0] or rows.alarm[k, 1]
-    if not state.alarmed:
-        for i in range(2):
-            left = abs(rows.estimate[k, i]) + rows.bound[k, i]
-            state.initial[i] = min(state.initial[i], left)
 
 
 @njit

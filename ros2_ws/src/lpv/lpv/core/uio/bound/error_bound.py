@@ -88,7 +88,7 @@ BOUND_STATE = record_type(
     ('bend', 'f8', (2,)),  # largest change of theta'' within a sample, fading [rad/s2]
     ('turned', 'f8', (2,)),  # Xi times that [N m]
     ('torque', 'f8', (2,)),  # bound on the unknown torques [N m]
-    ('shear', 'f8', (2,)),  # kappa_i Xi_ii/mu_i, 0 for a held link [s]
+    ('kappa', 'f8', (2,)),  # of the constants, 0 for a held link [1/(kg m2)]
     ('n', 'f8', (SIZE, SIZE)),  # N of the error
     ('half', 'f8', (SIZE, SIZE)),  # work space: I + N dt/2
     ('map', 'f8', (SIZE, SIZE)),  # work space: exp(N dt)
@@ -163,7 +163,7 @@ def _follow_set(params: np.record, state: np.record, observer: np.record) -> Non
                 state.columns[:, state.used] = 0.0
                 state.columns[i, state.used] = state.reckoning.jump[i]
                 state.used += 1
-                _make_room(state)
+                _make_room(params, state)
         _read_motion(params, state, observer)
         move_interval(state.reckoning, observer, state.motion.rate_error)
         if not observer.bridged:
@@ -186,12 +186,16 @@ def _angle_error(params: np.record, state: np.record, i: int) -> float:
 
 
 @njit
-def _make_room(state: np.record) -> None:
-    """Merge small columns in the coordinates (e_i - shear_i r_i, r_i) of slow and fast errors."""
+def _make_room(params: np.record, state: np.record) -> None:
+    """Merge small columns in the coordinates of slow and fast errors, (e_i - shear_i r_i, r_i) with
+    shear_i = kappa_i Xi_ii/mu_i [s]."""
     if state.used + _INPUTS > COLUMNS:
-        shear_columns(state.columns, state.used, -state.shear[0], -state.shear[1])
+        inertia = params.unknown.arm.inertia
+        first = state.kappa[0] * inertia[0] / params.mu[0]
+        second = state.kappa[1] * inertia[1] / params.mu[1]
+        shear_columns(state.columns, state.used, -first, -second)
         state.used = reduce_columns(state.columns, state.used, state.sizes, state.box)
-        shear_columns(state.columns, state.used, state.shear[0], state.shear[1])
+        shear_columns(state.columns, state.used, first, second)
 
 
 @njit
@@ -228,9 +232,7 @@ def _read_motion(params: np.record, state: np.record, observer: np.record) -> No
         motion.innovation[i] = observer.innovation[i]
         motion.mu[i] = params.mu[i]
         motion.margin[i] = min(state.extent[i] + params.angle_noise[i], math.pi)
-        state.shear[i] = 0.0
-        if not observer.held[i]:
-            state.shear[i] = params.kappa[i] * arm.inertia[i] / params.mu[i]
+        state.kappa[i] = 0.0 if observer.held[i] else params.kappa[i]
         bend[i] = max(observer.bend[i], _FADING * bend[i])
         state.reckoning.jump[i] += observer.interval * observer.interval / 12.0 * bend[i]
     off = abs(coupling(motion.theta, arm))
@@ -254,41 +256,57 @@ def _advance(params: np.record, state: np.record, interval: float) -> None:
         # The rate at the end of a step is predicted without it, in the injection; and the rule's
         # own error, dt^2/12 of the second derivative.
         state.torque[i] += (0.25 * params.mu[i] * interval + 1.0 / 12.0) * state.turned[i]
-    error_matrix(params, state)
-    _collect_inputs(params, state, interval)
+    error_system(params, state, interval)
     steps = max(1, math.ceil(interval * max(params.mu[0], params.mu[1]) / 0.5))
     for _ in range(steps):
-        advance_set(state, interval / steps)
+        _advance_set(params, state, interval / steps)
 
 
 @njit
-def error_matrix(params: np.record, state: np.record) -> None:
-    """N of the errors (e, r), r_i = s m_i/Xi_ii, and what a secant of gravity leaves out.
+def error_system(params: np.record, state: np.record, dt: float) -> None:
+    """N of the errors (e, r), r_i = s m_i/Xi_ii, and their largest inputs: unknown torques, wrong
+    rates, wrong injection, and what a secant of gravity leaves out.
 
     ``sin theta^ - sin(theta^ - e) = e cos(theta^ - e/2) sinc(e/2)``: over all errors within the
     margin the slope is a middle value, in N, and a remainder that counts as an unknown torque.
     """
-    arm, motion, n, sign = params.unknown.arm, state.motion, state.n, params.sign
+    arm, motion, n, inputs = params.unknown.arm, state.motion, state.n, state.inputs
     difference = motion.theta[0] - motion.theta[1]
     cosine, sine = math.cos(difference), math.sin(difference)
-    b, turning = sign * arm.coupling, motion.rate[0] - motion.rate[1]
+    sign, turning = params.sign, motion.rate[0] - motion.rate[1]
+    b = sign * arm.coupling
+    off, (cross, _) = coupling(motion.theta, arm), inertia_errors(params.unknown, motion)
+    away = motion.margin[0] + motion.margin[1]
     n[:] = 0.0
+    inputs[:] = 0.0
     for i in range(2):
-        j = 1 - i
+        j, inertia, kappa = 1 - i, arm.inertia[i], state.kappa[i]
         spin = motion.rate[j] * motion.rate[j] * (-1.0 if i == 0 else 1.0)
         # Coupling of inertia and Coriolis terms through e_1 - e_2.
         couple = b * (sine * motion.driven[i, j] + cosine * (turning * motion.innovation[j] + spin))
         low, high = _secant_slopes(sign, motion.theta[i], motion.margin[i])
-        n[2 + i, i] = 0.5 * (low + high) * arm.gravity[i] / arm.inertia[i]
-        state.torque[i] += 0.5 * (high - low) * arm.gravity[i] * motion.margin[i]
-        n[2 + i, 0] += couple / arm.inertia[i]
-        n[2 + i, 1] -= couple / arm.inertia[i]
+        n[2 + i, i] = 0.5 * (low + high) * arm.gravity[i] / inertia
+        n[2 + i, 0] += couple / inertia
+        n[2 + i, 1] -= couple / inertia
         n[2 + i, 2 + i] = -params.mu[i]
-        if state.shear[i] > 0.0:
-            n[i, 2 + i] = -params.kappa[i] * arm.inertia[i]
-            inject = params.kappa[i] * b * sine * motion.innovation[j]
-            n[i, 0] += inject
-            n[i, 1] -= inject
+        n[i, 2 + i] = -kappa * inertia
+        inject = kappa * b * sine * motion.innovation[j]
+        n[i, 0] += inject
+        n[i, 1] -= inject
+        left_out = 0.5 * (high - low) * arm.gravity[i] * motion.margin[i]
+        inputs[2 + i, i] = (state.torque[i] + left_out) / inertia
+        # e' = (1 + s kappa Xi^) eta - s kappa m, m' = mu Xi^ eta - mu m: signs belong together.
+        inputs[i, 2 + i] = motion.rate_error[i]
+        for k in range(2):
+            through = sign * (inertia if k == i else off) * motion.rate_error[k]
+            inputs[i, 2 + k] += kappa * through
+            inputs[2 + i, 2 + k] = params.mu[i] / inertia * through
+        moved = abs(motion.innovation[i]) + motion.rate_error[i]
+        moved_other = abs(motion.innovation[j]) + motion.rate_error[j]
+        left = params.unknown.own[i] * moved
+        left += (cross + 0.5 * arm.coupling * away * away) * moved_other
+        left += arm.coupling * abs(sine) * away * motion.rate_error[j] + 0.25 * dt * state.turned[i]
+        inputs[i, 4 + i] = kappa * left + dt / 12.0 * state.bend[i]
 
 
 @njit
@@ -302,34 +320,7 @@ def _secant_slopes(sign: float, theta: float, margin: float) -> tuple[float, flo
 
 
 @njit
-def _collect_inputs(params: np.record, state: np.record, dt: float) -> None:
-    """Largest inputs of the errors: unknown torques, wrong rates, wrong injection."""
-    arm, motion, inputs = params.unknown.arm, state.motion, state.inputs
-    cross, _ = inertia_errors(params.unknown, motion)
-    off = coupling(motion.theta, arm)
-    away = motion.margin[0] + motion.margin[1]
-    sine = min(1.0, abs(math.sin(motion.theta[0] - motion.theta[1])))
-    inputs[:] = 0.0
-    for i in range(2):
-        j, own = 1 - i, params.unknown.own[i]
-        inputs[2 + i, i] = state.torque[i] / arm.inertia[i]
-        # e' = (1 + s kappa Xi^) eta - s kappa m, m' = mu Xi^ eta - mu m: signs belong together.
-        inputs[i, 2 + i] = motion.rate_error[i]
-        for k in range(2):
-            row = arm.inertia[i] if k == i else off
-            through = params.sign * row * motion.rate_error[k]
-            inputs[i, 2 + k] += params.mu[i] / arm.inertia[i] * state.shear[i] * through
-            inputs[2 + i, 2 + k] = params.mu[i] / arm.inertia[i] * through
-        moved = abs(motion.innovation[i]) + motion.rate_error[i]
-        moved_other = abs(motion.innovation[j]) + motion.rate_error[j]
-        left = own * moved + (cross + 0.5 * arm.coupling * away * away) * moved_other
-        left += arm.coupling * sine * away * motion.rate_error[j] + 0.25 * dt * state.turned[i]
-        inputs[i, 4 + i] = params.mu[i] / arm.inertia[i] * state.shear[i] * left
-        inputs[i, 4 + i] += dt / 12.0 * state.bend[i]
-
-
-@njit
-def advance_set(state: np.record, dt: float) -> None:
+def _advance_set(params: np.record, state: np.record, dt: float) -> None:
     """Map the set by exp(N dt) to second order and add a box of inputs over an interval [s]."""
     n, half, step, columns, used = state.n, state.half, state.map, state.columns, state.used
     for r in range(SIZE):
@@ -344,7 +335,7 @@ def advance_set(state: np.record, dt: float) -> None:
     map_columns(columns, 0, used, step)
     map_columns(columns, used, used + _INPUTS, half)  # half a step's travel of the input
     state.used = used + _INPUTS
-    _make_room(state)
+    _make_room(params, state)
 
 
 @njit

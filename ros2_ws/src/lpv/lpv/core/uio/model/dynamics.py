@@ -59,21 +59,6 @@ def friction(rate: Pair, torque: Pair, params: np.record) -> tuple[float, ...]:
 
 
 @njit
-def acceleration(theta: Pair, rate: Pair, torque: Pair, params: np.record) -> tuple[float, ...]:
-    """Absolute accelerations theta'' [rad/s2] without disturbance, eq. (1) solved for them.
-
-    Absolute angles and rates are in rad and rad/s, generalised torques Q in N m.
-    """
-    friction_1, friction_2 = friction(rate, torque, params)
-    swirl = params.coriolis * params.coupling * math.sin(theta[0] - theta[1])
-    gravity_1 = params.gravity[0] * math.sin(theta[0])
-    gravity_2 = params.gravity[1] * math.sin(theta[1])
-    force_1 = torque[0] - friction_1 - swirl * rate[1] * rate[1] + gravity_1
-    force_2 = torque[1] - friction_2 + swirl * rate[0] * rate[0] + gravity_2
-    return solve_inertia(coupling(theta, params), force_1, force_2, params)
-
-
-@njit
 def rigid_torque(theta: Pair, rate: Pair, acc: Pair, params: np.record) -> tuple[float, ...]:
     """Generalised torques Q [N m] of a motion without friction, eq. (1).
 
@@ -87,3 +72,15 @@ def rigid_torque(theta: Pair, rate: Pair, acc: Pair, params: np.record) -> tuple
         params.inertia[0] * acc[0] + off * acc[1] + swirl * rate[1] * rate[1] - gravity_1,
         off * acc[0] + params.inertia[1] * acc[1] - swirl * rate[0] * rate[0] - gravity_2,
     )
+
+
+@njit
+def acceleration(theta: Pair, rate: Pair, torque: Pair, params: np.record) -> tuple[float, ...]:
+    """Absolute accelerations theta'' [rad/s2] without disturbance, eq. (1) solved for them.
+
+    Absolute angles and rates are in rad and rad/s, generalised torques Q in N m.
+    """
+    friction_1, friction_2 = friction(rate, torque, params)
+    rest_1, rest_2 = rigid_torque(theta, rate, (0.0, 0.0), params)
+    force_1, force_2 = torque[0] - friction_1 - rest_1, torque[1] - friction_2 - rest_2
+    return solve_inertia(coupling(theta, params), force_1, force_2, params)

@@ -60,22 +60,19 @@ def injection(
 
 
 @njit
-def hold_links(params: np.record, state: np.record) -> None:
-    """Suspend the correction of a link's angle (``held``) where its estimate leaves the region of
-    certified gravity slopes: the configuration carries no information there."""
-    for link in range(2):
-        state.held[link] = params.sign * math.cos(state.x[link]) < params.cos_min[link]
-
-
-@njit
 def exact_rate(
     params: np.record, state: np.record, y: np.ndarray, torque: np.ndarray, end: int
 ) -> None:
     """d theta^/dt and d theta^'/dt as in the module's docstring, and theta'', at one end of a step.
 
-    f^ follows from the angles once these are known.
+    f^ follows from the angles once these are known.  The correction of a link's angle is suspended
+    (``held``) where its estimate leaves the region of certified gravity slopes at the first end:
+    the configuration carries no information there.
     """
     x, rate, model, angle = state.x, state.rate[end], state.model[end], params.joints.angle
+    if end == 0:
+        for link in range(2):
+            state.held[link] = params.sign * math.cos(x[link]) < params.cos_min[link]
     v = row_dot(angle, 0, y[2], y[3]), row_dot(angle, 1, y[2], y[3])
     p_1, p_2, k_1, k_2 = injection(x, v, (x[2] - v[0], x[3] - v[1]), params.mu, params.arm)
     # Measured rates feed friction and Coriolis terms: no fault in them.

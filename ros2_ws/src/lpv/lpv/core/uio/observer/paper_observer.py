@@ -59,22 +59,23 @@ def observer_matrices(arm: ArmParameters, gains: PaperObserverGains) -> np.ndarr
 
 
 @njit
-def schedule(params: np.record, state: np.record) -> None:
-    """Matrices of the estimated angles, eqs. (6), (9), (11), (12) and (25): theta is not measured
-    without the fault."""
-    phi_1, phi_2, phi_3 = paper_scheduling(state.x[0], state.x[1])
-    paper_weights(phi_1, phi_2, phi_3, params.box, state.rho)
-    state.matrix[:] = 0.0
-    for i in range(8):
-        for r in range(6):
-            for q in range(12):
-                state.matrix[r, q] += state.rho[i] * params.matrices[i, r, q]
+def paper_rate(
+    params: np.record, state: np.record, y: np.ndarray, torque: np.ndarray, end: int
+) -> None:
+    """z' = N x^ - K y + G u, eq. (38) with (50), at one end of a step.
 
-
-@njit
-def paper_rate(state: np.record, y: np.ndarray, torque: np.ndarray, end: int) -> None:
-    """z' = N x^ - K y + G u, eq. (38) with (50), at one end of a step."""
-    matrix, rate = state.matrix, state.rate[end]
+    The matrices are those of the angles at the first end, eqs. (6), (9), (11), (12) and (25), as
+    estimated: theta is not measured without the fault.
+    """
+    matrix, rate, rho = state.matrix, state.rate[end], state.rho
+    if end == 0:
+        phi_1, phi_2, phi_3 = paper_scheduling(state.x[0], state.x[1])
+        paper_weights(phi_1, phi_2, phi_3, params.box, rho)
+        matrix[:] = 0.0
+        for i in range(8):
+            for r in range(6):
+                for q in range(12):
+                    matrix[r, q] += rho[i] * params.matrices[i, r, q]
     for r in range(6):
         rate[r] = matrix[r, 10] * torque[0] + matrix[r, 11] * torque[1]
         for q in range(6):

@@ -16,13 +16,8 @@ from lpv.core.support.timestamps import NANOSECONDS, NEVER
 from lpv.core.uio.model.arm import ARM_CONSTANTS, ArmParameters
 from lpv.core.uio.model.dynamics import acceleration
 from lpv.core.uio.model.joints import JOINT_MAP, JointMap, copy_vector, row_dot
-from lpv.core.uio.observer.exact_observer import ExactObserverGains, exact_rate, hold_links
-from lpv.core.uio.observer.paper_observer import (
-    PaperObserverGains,
-    observer_matrices,
-    paper_rate,
-    schedule,
-)
+from lpv.core.uio.observer.exact_observer import ExactObserverGains, exact_rate
+from lpv.core.uio.observer.paper_observer import PaperObserverGains, observer_matrices, paper_rate
 
 ObserverGains = ExactObserverGains | PaperObserverGains
 """Of either method."""
@@ -175,7 +170,12 @@ def observe(
         False if there is no finite estimate; the observer then restarts.
     """
     interval = 0.0 if state.stamp == NEVER else (stamp - state.stamp) / NANOSECONDS
-    _read(params, state, position, velocity)
+    y, joints = state.y_new, params.joints
+    for i in range(2):
+        y[i] = row_dot(joints.from_joint, i, position[0] + joints.zero, position[1])
+        y[2 + i] = row_dot(joints.from_joint, i, velocity[0], velocity[1])
+    for i in range(2):
+        state.v_new[i] = row_dot(joints.angle, i, y[2], y[3])
     state.torque[0], state.torque[1] = effort[0] - effort[1], effort[1]  # Q = J^T tau
     state.bend[:] = 0.0
     if state.stamp == NEVER:
@@ -209,17 +209,6 @@ def observe(
     state.interval, state.bridged = interval, interval > params.max_gap
     _fill(params, state)
     return True
-
-
-@njit
-def _read(params: np.record, state: np.record, position: np.ndarray, velocity: np.ndarray) -> None:
-    """Readings and rates of the sensors into ``y_new``, theta' of these rates into ``v_new``."""
-    y, joints = state.y_new, params.joints
-    for i in range(2):
-        y[i] = row_dot(joints.from_joint, i, position[0] + joints.zero, position[1])
-        y[2 + i] = row_dot(joints.from_joint, i, velocity[0], velocity[1])
-    for i in range(2):
-        state.v_new[i] = row_dot(joints.angle, i, y[2], y[3])
 
 
 @njit
@@ -317,20 +306,14 @@ def advance(
         start[i] = x[i]
         for j in range(4):
             start[i] += params.t2[i, j] * (y_new[j] - y_old[j])
-    if params.is_exact:
-        hold_links(params, state)
-        exact_rate(params, state, y_old, torque, 0)
-    else:
-        schedule(params, state)
-        paper_rate(state, y_old, torque, 0)
-    for i in range(6):
-        x[i] = start[i] + dt * rate[0, i]
-    if params.is_exact:
-        exact_rate(params, state, y_new, torque, 1)
-    else:
-        paper_rate(state, y_new, torque, 1)
-    for i in range(6):
-        x[i] = start[i] + 0.5 * dt * (rate[0, i] + rate[1, i])
+    for end in range(2):
+        y = y_old if end == 0 else y_new
+        if params.is_exact:
+            exact_rate(params, state, y, torque, end)
+        else:
+            paper_rate(params, state, y, torque, end)
+        for i in range(6):
+            x[i] = start[i] + dt * (rate[0, i] if end == 0 else 0.5 * (rate[0, i] + rate[1, i]))
     if params.is_exact:
         for i in range(2):
             state.bend[i] = max(state.bend[i], abs(state.model[1, i] - state.model[0, i]))
