@@ -20,14 +20,19 @@ from lpv_design.paper_observer import design_paper
 from lpv_design.requirement import Requirement
 from lpv_design.solve import SOLVER, InfeasibleError, NotDetectableError, check_lines
 
-SAMPLED_POLE_LIMIT = 0.5
-"""Largest abs(pole) Ts that a sampled loop with one sample of delay is asked to carry: half of that
-at which an integrator in it oscillates."""
-_POLE_SHARE = 0.9
-"""Part of that which requirements are limited to."""
-_SLOWER_LOOPS = ((_POLE_SHARE * SAMPLED_POLE_LIMIT, 1.0), (0.8, 2.0), (0.8, 4.0))
+_POLE_LIMIT = 0.45
+"""Largest abs(pole) Ts that requirements are limited to: nine tenths of half of that at which an
+integrator oscillates in a sampled loop with one sample of delay."""
+_SLOWER_LOOPS = ((_POLE_LIMIT, 1.0), (0.8, 2.0), (0.8, 4.0))
 """What is tried for the controller where the sample time limits it: fastest pole times sample time,
 and the divisor of alpha.  The certificate's sampled loop with delay decides."""
+_HINTS = {
+    'sampled': 'ask for a smaller fastest pole, or sample faster',
+    'arms at the corners': 'the loop does not carry the stated model error and payload; '
+    'ask for a smaller alpha, or state a smaller error',
+    'real poles': 'ask for a slower decay or a larger fastest pole',
+}
+"""What helps where an inequality of such a name fails."""
 
 
 @dataclass
@@ -54,7 +59,7 @@ def design(arm: SerialArm, requirement: Requirement) -> DesignResult:
     planar = planar_model(arm)
     for option, notes in within_sampling(planar, requirement):
         try:
-            gains, checks, statuses = _design_once(arm, option)
+            gains, checks = _design_once(arm, option)
             break
         except NotDetectableError:
             raise
@@ -72,8 +77,6 @@ def design(arm: SerialArm, requirement: Requirement) -> DesignResult:
             **{f'threshold_{i + 1}': found.threshold[:, :, i].ravel().tolist() for i in range(2)},
         },
         solver=SOLVER,
-        observer_status=statuses[0],
-        controller_status=statuses[1],
         **{f'{one.__name__}_version': one.__version__ for one in (clarabel, cvxpy, np)},
     )
     return DesignResult(
@@ -81,10 +84,8 @@ def design(arm: SerialArm, requirement: Requirement) -> DesignResult:
     )
 
 
-def _design_once(
-    arm: SerialArm, requirement: Requirement
-) -> tuple[Gains, list[Check], tuple[str, str]]:
-    """Gains for a requirement as it is, their checks, and the solver's words."""
+def _design_once(arm: SerialArm, requirement: Requirement) -> tuple[Gains, list[Check]]:
+    """Gains for a requirement as it is, with the solver's words, and their checks."""
     planar = planar_model(arm)
     observer: ObserverGains
     if isinstance(requirement.observer, ExactRequirement):
@@ -92,12 +93,13 @@ def _design_once(
     else:
         observer, status = design_paper(planar, requirement.observer)
     controller, controller_status = design_controller(planar, requirement.controller)
-    gains = Gains(arm.name, planar.sha256(), observer, controller)
+    words = {'observer_status': status, 'controller_status': controller_status}
+    gains = Gains(arm.name, planar.sha256(), observer, controller, words)
     checks = gains.verify(arm)
     for check in checks:
         if not check.holds:
             raise InfeasibleError(_reason(check, status, controller_status))
-    return gains, checks, (status, controller_status)
+    return gains, checks
 
 
 def within_sampling(
@@ -110,7 +112,7 @@ def within_sampling(
     is asked for is faster than that.
     """
     notes: list[str] = []
-    limit = _POLE_SHARE * SAMPLED_POLE_LIMIT / arm.sample_time
+    limit = _POLE_LIMIT / arm.sample_time
     controller, observer = requirement.controller, requirement.observer
     if isinstance(observer, ExactRequirement) and observer.fastest > limit:
         notes.append(_limited('observer', 'decay', observer.decay, observer.fastest, limit, arm))
@@ -145,18 +147,11 @@ def _limited(
 
 def _reason(check: Check, observer_status: str, controller_status: str) -> str:
     """Why a rebuilt inequality fails, and what helps."""
-    part = 'observer' if check.name.startswith('observer,') else 'controller'
-    status = observer_status if part == 'observer' else controller_status
+    status = observer_status if check.name.startswith('observer') else controller_status
     text = f'{check.name}: {check.margin:.3g} is not negative'
-    if 'sampled' in check.name:
-        return f'{text}: ask for a smaller fastest pole, or sample faster'
-    if 'arms at the corners' in check.name:
-        return (
-            f'{text}: the loop does not carry the stated model error and payload; '
-            'ask for a smaller alpha, or state a smaller error'
-        )
-    if 'real poles' in check.name:
-        return f'{text}: ask for a slower decay or a larger fastest pole'
+    for name, hint in _HINTS.items():
+        if name in check.name:
+            return f'{text}: {hint}'
     return (
         f'{text} although the solver says {status!r}: its accuracy does not suffice; ask for a '
         'slower decay or alpha, a smaller region or a larger fastest pole'

@@ -15,7 +15,7 @@ from lpv.core.uio.model.arm import ArmParameters
 from lpv.core.uio.model.joints import JointMap
 from lpv.core.uio.model.polytope import paper_descriptor, sinc_box
 from lpv.core.uio.observer.paper_observer import PaperObserverGains, decoupling
-from lpv_design.solve import InfeasibleError, NotDetectableError, solve, symmetric_below
+from lpv_design.solve import InfeasibleError, NotDetectableError, bisect, solve, symmetric_below
 
 
 @dataclass(frozen=True)
@@ -61,18 +61,18 @@ def design_paper(arm: ArmParameters, wanted: PaperRequirement) -> tuple[PaperObs
 
 
 def _largest_box(arm: ArmParameters, wanted: PaperRequirement) -> str:
-    """By bisection: on which box the same figures are feasible."""
-    low, high = 0.5, 0.9999
-    while high - low > 1e-3:
-        middle = 0.5 * (low + high)
-        observer, _ = solve_paper(arm, replace(wanted, sinc_min=middle))
-        feasible = observer is not None and observer_margin(arm, observer) < 0.0
-        low, high = (low, middle) if feasible else (middle, high)
-    if high > 0.9998:
-        return 'No box down to phi = 0.9999 is feasible with these figures'
+    """On which box the same figures are feasible."""
+
+    def works(width: float) -> bool:
+        observer, _ = solve_paper(arm, replace(wanted, sinc_min=1.0 - width))
+        return observer is not None and observer_margin(arm, observer) < 0.0
+
+    width = bisect(works, 0.5, 0.002)
+    if width <= 0.0:
+        return 'No box down to phi = 0.999 is feasible with these figures'
     return (
         f'The largest box on which gamma = {wanted.gamma:g}, q = {wanted.q:g}, '
-        f'r = {wanted.r:g} are feasible is phi2, phi3 in [{high:.3f}, 1]'
+        f'r = {wanted.r:g} are feasible is phi2, phi3 in [{1.0 - width:.3f}, 1]'
     )
 
 

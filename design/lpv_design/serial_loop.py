@@ -33,7 +33,7 @@ from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.config import Section
 from lpv.core.support.entries import entry, read_entries
 from lpv.core.support.inequalities import largest_eigenvalue
-from lpv_design.solve import InfeasibleError, check_lines, solve, symmetric_below
+from lpv_design.solve import InfeasibleError, bisect, check_lines, solve, symmetric_below
 
 _SLACKS = (1.005, 1.01, 1.02, 1.05)
 """A bound over the best one, tried in turn: inequalities at the optimum have no margin.  Each is
@@ -70,7 +70,13 @@ def certify_loop(arm: SerialArm, request: LoopRequest) -> tuple[LoopGains, list[
     InfeasibleError
         If there is none; it says what limits it.
     """
-    _check_request(arm, request)
+    read_entries(LoopRequest, Section(vars(request), ''))
+    if len(arm.joints) < 2:
+        raise InfeasibleError('the certificate is for arms of 2 joints or more')
+    if loop_latency(arm, bandwidth=request.bandwidth) < arm.sample_time:
+        raise InfeasibleError(
+            f'bandwidth: {request.bandwidth:g} rad/s is unstable at {arm.sample_time:g} s a sample'
+        )
     model = model_bounds(arm)
     blank = LoopProof(1.0, np.eye(3), np.ones(2))
     gains = LoopGains(
@@ -97,16 +103,6 @@ def certify_loop(arm: SerialArm, request: LoopRequest) -> tuple[LoopGains, list[
         if not check.holds:
             raise InfeasibleError(f'{check.name}: {check.margin:.3g} is not negative')
     return gains, [*check_lines(checks), *gains.facts(arm), *_limit_lines(arm, gains, largest)]
-
-
-def _check_request(arm: SerialArm, request: LoopRequest) -> None:
-    read_entries(LoopRequest, Section(vars(request), ''))
-    if len(arm.joints) < 2:
-        raise InfeasibleError('the certificate is for arms of 2 joints or more')
-    if loop_latency(arm, bandwidth=request.bandwidth) < arm.sample_time:
-        raise InfeasibleError(
-            f'bandwidth: {request.bandwidth:g} rad/s is unstable at {arm.sample_time:g} s a sample'
-        )
 
 
 def model_bounds(arm: SerialArm) -> ModelBounds:
@@ -194,17 +190,6 @@ def _proof(
     return LoopProof(decay * bandwidth, np.array(p.value), np.array(multipliers.value))
 
 
-def _largest(works: Callable[[float], bool], top: float, accuracy: float) -> float:
-    """Largest number up to ``top`` that works, by bisection; 0 if none does."""
-    if works(top):
-        return top
-    low, high = 0.0, top
-    while high - low > accuracy * top:
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if works(middle) else (low, middle)
-    return low
-
-
 def largest_share(arm: SerialArm, gains: LoopGains) -> float:
     """Largest share of the velocity limits at which the loop, sampled too, is certified [-]."""
 
@@ -215,7 +200,7 @@ def largest_share(arm: SerialArm, gains: LoopGains) -> float:
             return False
         return _proof(sampled_matrix, 4, numbers, 0.0, gains.bandwidth) is not None
 
-    return _largest(works, 1.0, 0.005)
+    return bisect(works, 1.0, 0.005)
 
 
 def _with_motion(arm: SerialArm, gains: LoopGains, largest: float, asked: float) -> LoopGains:
@@ -243,7 +228,7 @@ def _fast_proof(
     def works(decay: float) -> bool:
         return _proof(matrix, size, numbers, decay, bandwidth) is not None
 
-    decay = _DECAY * _largest(works, 1.0, 0.002)
+    decay = _DECAY * bisect(works, 1.0, 0.002)
     return _proof(matrix, size, numbers, decay, bandwidth) if decay > 0.0 else None
 
 

@@ -1,6 +1,7 @@
 """One way to call the SDP solver."""
 
 import warnings
+from collections.abc import Callable
 from typing import Any
 
 import cvxpy as cp
@@ -52,3 +53,14 @@ def run(problem: Any) -> str:
 def symmetric_below(matrix: Any, margin: Any = 0.0) -> Any:
     """Constraint M <= -margin I for an expression that is symmetric by construction."""
     return 0.5 * (matrix + matrix.T) << -margin * np.eye(matrix.shape[0])
+
+
+def bisect(works: Callable[[float], bool], top: float, accuracy: float) -> float:
+    """Largest number up to ``top`` that works, by bisection; 0 if none does."""
+    if works(top):
+        return top
+    low, high = 0.0, top
+    while high - low > accuracy * top:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if works(middle) else (low, middle)
+    return low

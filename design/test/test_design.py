@@ -253,6 +253,13 @@ def test_given_too_large_a_sample_time_when_designed_then_the_loop_is_limited(pa
         design_flow.design(replace(paper_arm, sample_time=0.05), requirement)
 
 
+@pytest.mark.parametrize('part', ['observer, link 1', 'observer', 'controller'])
+def test_given_an_inequality_that_fails_then_the_word_of_its_own_solver_is_told(part):
+    check = inequalities.Check(f'{part}: LMI', 1.0)
+    said = design_flow._reason(check, 'of the observer', 'of the controller')
+    assert f"solver says 'of the {part.partition(',')[0]}'" in said
+
+
 @pytest.mark.parametrize('factor', [0.01, 100.0])
 def test_given_all_noise_scaled_then_only_deviations_scale(paper_model, factor):
     wanted = load_requirement('paper').observer
