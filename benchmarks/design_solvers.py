@@ -98,8 +98,8 @@ def exact_link(link, requirement):
     for slope in link.slopes:
         pn = p @ link.closed(slope, kappa, mu)
         certified.append(largest_eigenvalue(disc(p, pn, q, r)))
-        for direct, measured in link.noises(requirement.acceleration_noise, requirement.rate_noise):
-            pb = p @ (direct + injection @ measured) / link.unit
+        for noise in link.noises(requirement.acceleration_noise, requirement.rate_noise):
+            pb = p @ (noise[:2] + injection @ noise[2:]) / link.unit
             others.append(largest_eigenvalue(covariance(pn, pb)))
     return status, max(certified), max(others)
 

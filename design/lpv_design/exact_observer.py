@@ -44,23 +44,25 @@ class ExactRequirement:
 
 
 @lru_cache(maxsize=16)
-def _link_problem(inputs: int, decay: float, fastest: float, weight: float) -> tuple[Any, ...]:
-    """The inequalities of one link with a requirement's figures and so many white inputs, compiled
-    once.  Returns the problem, parameters of slopes and of noises, P and Y."""
+def _link_problem(decay: float, fastest: float, weight: float) -> tuple[Any, ...]:
+    """The inequalities of one link with a requirement's figures, compiled once.
+
+    Returns the problem, parameters of slopes and of noises, P and Y.
+    """
     p, y = cp.Variable((2, 2), symmetric=True), cp.Variable((2, 1))
     w = cp.Variable((2, 2), symmetric=True)
     # An optimum lies on the border of what is asked; ask for more than is to be certified.
     slowest, fastest = (1.0 + RESERVE) * decay, (1.0 - RESERVE) * fastest
     q, r = 0.5 * (fastest + slowest), 0.5 * (fastest - slowest)
     slopes = [cp.Parameter(nonneg=True) for _ in range(2)]
-    noises = [(cp.Parameter((2, inputs)), cp.Parameter((1, inputs))) for _ in range(2)]
+    noises = [cp.Parameter((3, 5)) for _ in range(2)]  # as of `LinkError.noises`
     constraints = []
     for slope in slopes:
         # P A + Y C for A = [[0, 0], [slope, 0]], C = [0, 1].
         pn = cp.hstack([slope * p[:, 1:2], y])
         constraints.append(symmetric_below(disc(p, pn, q, r, cp.bmat), 1e-7))
-        for direct, measured in noises:
-            pb = p @ direct + y @ measured
+        for noise in noises:
+            pb = cp.hstack([p, y]) @ noise
             constraints.append(symmetric_below(covariance(pn, pb, cp.bmat), 1e-7))
     weights = np.diag([1.0, weight])
     constraints.append(cp.bmat([[w, weights], [weights, p]]) >> 0)
@@ -70,18 +72,16 @@ def _link_problem(inputs: int, decay: float, fastest: float, weight: float) -> t
 def solve_link(link: LinkError, wanted: ExactRequirement) -> tuple[Any, ...]:
     """Gains of one link, found in units of time, 1/rate, and angle with numbers around one."""
     rate = math.sqrt(link.slopes[1] / link.inertia)
-    root, time = math.sqrt(rate), np.array([[1.0], [rate]])
-    noises = link.noises(wanted.acceleration_noise, wanted.rate_noise)
-    inputs = [(direct / time / root, measured / root) for direct, measured in noises]
-    size = max(float(np.linalg.norm(part, axis=1).max()) for pair in inputs for part in pair)
+    noises = np.array(link.noises(wanted.acceleration_noise, wanted.rate_noise))
+    noises = noises / np.array([[1.0], [rate], [1.0]]) / math.sqrt(rate)
+    size = float(np.linalg.norm(noises, axis=2).max())
     problem, slopes, parameters, p, y = _link_problem(
-        inputs[0][0].shape[1], wanted.decay / rate, wanted.fastest / rate,
-        wanted.velocity_weight * rate,
-    )  # fmt: skip
+        wanted.decay / rate, wanted.fastest / rate, wanted.velocity_weight * rate
+    )
     for slope, value in zip(slopes, link.slopes):
         slope.value = value / link.inertia / rate**2
-    for (direct, measured), values in zip(parameters, inputs):
-        direct.value, measured.value = values[0] / size, values[1] / size
+    for parameter, noise in zip(parameters, noises):
+        parameter.value = noise / size
     status = run(problem)
     if p.value is None or y.value is None:
         return None, None, None, status

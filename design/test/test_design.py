@@ -230,8 +230,8 @@ def test_given_any_slope_when_tried_then_poles_and_deviation_are_as_certified(pl
             poles = np.linalg.eigvals(closed)
             assert np.abs(poles.imag).max() == 0.0
             assert -poles.real.max() > observer.decay and np.abs(poles).max() < observer.fastest
-            for direct, measured in link.noises(wanted.acceleration_noise, wanted.rate_noise):
-                inputs = direct + gain @ measured
+            for noise in link.noises(wanted.acceleration_noise, wanted.rate_noise):
+                inputs = noise[:2] + gain @ noise[2:]
                 worst = max(worst, solve_continuous_lyapunov(closed, -inputs @ inputs.T)[0, 0])
         assert 0.1 * bound < worst <= bound
 
@@ -288,9 +288,9 @@ def test_given_one_disturbance_of_both_axes_then_its_deviation_is_as_certified(
         i = link.index
         assert proved[f'observer, link {i + 1}: covariance under the noise of the arm file']
         most = link.unit * np.sqrt(np.linalg.inv(gains.observer.lyapunov[i])[0, 0])
-        for slope, (direct, _) in product(link.slopes, link.inputs):
+        for slope, inputs in product(link.slopes, link.inputs):
             n = link.closed(slope, gains.observer.kappa[i], gains.observer.mu[i])
-            b = direct[:, 2:] @ push[:, None]
+            b = inputs[:2, 2:] @ push[:, None]
             assert np.sqrt(solve_continuous_lyapunov(n, -b @ b.T)[0, 0]) < most
 
 

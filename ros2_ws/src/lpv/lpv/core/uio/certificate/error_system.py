@@ -26,8 +26,8 @@ class LinkError:
     index: int  # 0 or 1
     inertia: float  # Xi_ii [kg m2]
     slopes: tuple  # smallest and largest slope Gamma_i in the region [N m/rad]
-    # at both ends of Xi12, between which all is a convex combination: columns of the inputs that
-    # enter the error as they are, shape (2, 4), and through the output injection L, shape (1, 4)
+    # at both ends of Xi12, between which all is a convex combination: how the inputs enter the
+    # error as they are, two rows, and through the output injection L, the last one, shape (3, 4)
     inputs: list
     intensity: np.ndarray  # of the inputs as the arm file states them [rad2/s], [rad2/s3]
     unit: Any  # size of errors [rad], for scaling
@@ -36,20 +36,16 @@ class LinkError:
         """N of the error e' = -kappa m, m' = Gamma e - mu m, for one slope."""
         return np.array([[0 * mu, -kappa * self.inertia], [slope / self.inertia, -mu]])
 
-    def noises(self, acceleration_noise: Sequence[float], rate_noise: float) -> list[tuple]:
+    def noises(self, acceleration_noise: Sequence[float], rate_noise: float) -> list[np.ndarray]:
         """``inputs`` of unit intensity, one more column than there: accelerations of given noise
         [rad/s2/sqrt(Hz)], and noise that e' takes beside that of the rates [rad/s/sqrt(Hz)]."""
         root = np.append(np.sqrt(self.intensity[:2]), acceleration_noise)
-        more = [rate_noise, 0.0]
-        return [
-            (np.insert(direct * root, 2, more, axis=1), np.insert(measured * root, 2, 0.0, axis=1))
-            for direct, measured in self.inputs
-        ]
+        return [np.insert(w * root, 2, [rate_noise, 0.0, 0.0], axis=1) for w in self.inputs]
 
     def input_covariances(self, kappa: Any, mu: Any) -> list[np.ndarray]:
         """B B^T of the white inputs that the arm file states, in `unit`, at both ends of Xi12."""
         gain = -np.array([[kappa * self.inertia], [mu]])
-        inputs = [direct + gain @ measured for direct, measured in self.inputs]
+        inputs = [w[:2] + gain @ w[2:] for w in self.inputs]
         return [b * (self.intensity / self.unit**2) @ b.T for b in inputs]
 
 
@@ -67,8 +63,7 @@ def link_errors(arm: ArmParameters, number: NumberType = float) -> list[LinkErro
         inputs = []
         for end in (c.rotor_coupling - c.coupling, c.rotor_coupling + c.coupling):
             row = sign * np.array([inertia, end] if i == 0 else [end, inertia]) / inertia
-            direct = np.array([[*rates[i], 0, 0], [0, 0, *row]])
-            inputs.append((direct, np.array([[*(-row @ rates), 0, 0]])))
+            inputs.append(np.array([[*rates[i], 0, 0], [0, 0, *row], [*(-row @ rates), 0, 0]]))
         slopes = (gravity * number(arm.cos_min[i]), gravity)
         links.append(LinkError(i, inertia, slopes, inputs, intensity, number(SMALL)))
     return links
