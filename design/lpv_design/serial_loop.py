@@ -236,24 +236,18 @@ def _with_error(arm: SerialArm, gains: LoopGains) -> LoopGains:
     """Bound of the tracking error, on a part of the region."""
     share = min(_ERROR_SHARE, 0.5 * gains.rate_share)
     numbers = gains.numbers(arm, share)
-    tried = (_error_proof(numbers, float(decay)) for decay in np.geomspace(0.02, 0.8, 12))
+    tried = (_error_proof(gains, numbers, float(decay)) for decay in np.geomspace(0.02, 0.8, 12))
     found = [one for one in tried if one is not None]
     if not found:
         raise InfeasibleError('no bound of the tracking error')
-    level, p, multipliers, decay = min(found, key=lambda one: one[0])
-    proof = ErrorProof(
-        decay * gains.bandwidth, p, multipliers, share, gains.error.acceleration, level,
-        np.zeros(len(arm.joints)),
-    )  # fmt: skip
+    proof = replace(min(found, key=lambda one: one.level), rate_share=share)
     gains = replace(gains, error=proof)
     bound = np.sum(list(gains.error_bound(arm).values()), axis=0)
     return replace(gains, error=replace(proof, bound=bound))
 
 
-def _error_proof(
-    numbers: LoopNumbers, decay: float
-) -> tuple[float, np.ndarray, np.ndarray, float] | None:
-    """Least level mu for a decay, widened a little, with P, multipliers and the decay."""
+def _error_proof(gains: LoopGains, numbers: LoopNumbers, decay: float) -> ErrorProof | None:
+    """Least level mu for a decay, widened a little."""
     p, multipliers = cp.Variable((3, 3), symmetric=True), cp.Variable(2, nonneg=True)
     level, middle = cp.Variable(nonneg=True), np.diag([0.0, 1.0, 0.0])
     matrix = motion_matrix(p, multipliers, numbers, decay, level)
@@ -261,7 +255,13 @@ def _error_proof(
     solve(level, constraints)
     if level.value is None:
         return None
-    return float(level.value), np.array(p.value), np.array(multipliers.value), decay
+    return replace(
+        gains.error,
+        decay=decay * gains.bandwidth,
+        lyapunov=np.array(p.value),
+        multipliers=np.array(multipliers.value),
+        level=float(level.value),
+    )
 
 
 def _limit_lines(arm: SerialArm, gains: LoopGains, largest: float) -> list[str]:
