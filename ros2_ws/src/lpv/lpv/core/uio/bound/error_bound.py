@@ -206,9 +206,8 @@ def _cut(params: np.record, state: np.record) -> None:
     restart = False
     for i in range(2):
         known = params.angle_noise[i] + params.drift[i] * math.sqrt(state.held_for[i])
-        reckoned = params.angle_noise[i] + cut_interval(
-            state.reckoning, i, state.extent[i] + known, params.drift[i]
-        )
+        within = cut_interval(state.reckoning, i, state.extent[i] + known, params.drift[i])
+        reckoned = params.angle_noise[i] + within
         restart = restart or state.extent[i] > _FAR * reckoned
         state.extent[i] = min(state.extent[i], reckoned)
     if restart:
@@ -275,7 +274,7 @@ def error_system(params: np.record, state: np.record, dt: float) -> None:
     cosine, sine = math.cos(difference), math.sin(difference)
     sign, turning = params.sign, motion.rate[0] - motion.rate[1]
     b = sign * arm.coupling
-    off, (cross, _) = coupling(motion.theta, arm), inertia_errors(params.unknown, motion)
+    off, cross = coupling(motion.theta, arm), inertia_errors(params.unknown, motion)[0]
     away = motion.margin[0] + motion.margin[1]
     n[:] = 0.0
     inputs[:] = 0.0

@@ -103,15 +103,16 @@ def bound_rate_errors(params: np.record, motion: np.record) -> None:
 
 
 @njit
-def inertia_errors(params: np.record, motion: np.record) -> tuple[float, float]:
-    """Bounds on the error of Xi_12 at the true angles, and on that of its change with the angle
-    between the links [kg m2]."""
+def inertia_errors(params: np.record, motion: np.record) -> tuple[float, ...]:
+    """Bounds at the true angles on the error of Xi_12, on that of its change with the angle between
+    the links [kg m2], and on sine and cosine of this angle."""
     difference = motion.theta[0] - motion.theta[1]
     away = motion.margin[0] + motion.margin[1]
     sine = min(1.0, abs(math.sin(difference)) + away)
     cosine = min(1.0, abs(math.cos(difference)) + away)
     part, aside = params.part, params.aside
-    return params.constant + part * cosine + aside * sine, part * sine + aside * cosine
+    cross, swirl = params.constant + part * cosine + aside * sine, part * sine + aside * cosine
+    return cross, swirl, sine, cosine
 
 
 @njit
@@ -119,11 +120,8 @@ def unknown_torque(params: np.record, motion: np.record, out: np.ndarray) -> Non
     """Bounds [N m], into ``out``, on the generalised torques of a `MOTION` that neither the model
     nor the linear error explains."""
     arm, b = params.arm, params.arm.coupling
-    cross, swirl = inertia_errors(params, motion)
-    difference = motion.theta[0] - motion.theta[1]
-    away = motion.margin[0] + motion.margin[1]
-    sine, cosine = min(1.0, abs(math.sin(difference)) + away), abs(math.cos(difference))
-    off = abs(arm.rotor_coupling) + b * min(1.0, cosine + away)
+    cross, swirl, sine, cosine = inertia_errors(params, motion)
+    away, off = motion.margin[0] + motion.margin[1], abs(arm.rotor_coupling) + b * cosine
     joint_1 = _friction_error(params, motion, 0, motion.rate[0])
     joint_2 = _friction_error(params, motion, 1, motion.rate[1] - motion.rate[0])
     turning = abs(motion.rate[0] - motion.rate[1])
@@ -141,12 +139,9 @@ def unknown_torque(params: np.record, motion: np.record, out: np.ndarray) -> Non
         total += params.lift[i] * level + params.lean[i] * steep
         total += swirl * ((speed + error) ** 2 + (turning + turning_error) * (slip + error))
         # The same terms of the model at wrong rates.
-        total += (
-            b
-            * sine
-            * (error * (2.0 * speed + error) + turning_error * (slip + error) + turning * error)
-        )
-        total += b * min(1.0, sine) * away * motion.mu[i] * error
+        wrong = error * (2.0 * speed + error) + turning_error * (slip + error) + turning * error
+        total += b * sine * wrong
+        total += b * sine * away * motion.mu[i] * error
         # What is quadratic in the angle errors (Taylor's theorem).
         total += 0.5 * b * away * away * (speed * speed + driven_by_other + turning * slip)
         total += joint_1 + joint_2 if i == 0 else joint_2
