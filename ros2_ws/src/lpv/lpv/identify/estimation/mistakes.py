@@ -6,9 +6,8 @@ the file says for that.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -63,13 +62,14 @@ class _Setup:
     velocity: np.ndarray  # shape (samples, n) [rad/s]
     effort: np.ndarray  # shape (samples, n)
     gravity: np.ndarray  # in the base's frame [m/s2]
-    rigid: tuple[np.ndarray, ...]  # regressors without gravity, then per unit of it along x, y, z
+    rigid: np.ndarray  # regressor of the base parameters
     # Where joints do, as friction at rest is unknown, shape (samples, n): whatever is changed, or
     # likelihoods would be of different samples.
     moves: np.ndarray
     # torques of the segments per unit of the recorded efforts, shape (n,)
     gain: float | np.ndarray = 1.0
     loaded: bool = False  # whether any load may be at the tip, whatever the file says
+    pulls: list[np.ndarray] = field(default_factory=list)  # once they were asked for
 
     def each(
         self, change: Callable[[np.ndarray, float], np.ndarray], signal: np.ndarray
@@ -204,43 +204,49 @@ class _Judge:
         time, position, velocity, effort = (np.concatenate(part) for part in zip(*parts))
         ends = np.cumsum([len(s.time) for s in segments])[:-1]
         steps = [s.step for s in segments]
-        motion = self._motion(ends, steps, position, velocity)
         rates = zip(np.split(velocity, ends), steps)
         moves = np.concatenate([moving(v, step, self._arm.scales()) for v, step in rates])
-        setup = _Setup(time=time, effort=effort, gravity=gravity, moves=moves, **motion)
+        signals = time, position, velocity, effort
+        setup = _Setup(ends, steps, *signals, gravity, rigid=effort, moves=moves)
         # Filters bring friction at rest to where joints move.
         seen = self._filtered(setup, moves.astype(float)) > 1.0 - _MISSED
-        return replace(setup, moves=moves & seen)
-
-    def _motion(
-        self, ends: np.ndarray, steps: Sequence[float], position: np.ndarray, velocity: np.ndarray
-    ) -> dict[str, Any]:
-        """What a set-up holds of a motion."""
-        parts = []
-        for q, v, step in zip(np.split(position, ends), np.split(velocity, ends), steps):
-            still = np.zeros_like(q)
-            full = [self._model.regressor(q, v, derivative(v, step), np.zeros(3))]
-            full += [self._model.regressor(q, still, still, axis) for axis in np.eye(3)]
-            base = (np.take(part, self._base.columns, axis=2) for part in full)
-            parts.append([low_pass(part, self._band, step) for part in base])
-        rigid = tuple(np.concatenate(part) for part in zip(*parts))
-        found = {'ends': ends, 'steps': steps, 'position': position, 'velocity': velocity}
-        return {**found, 'rigid': rigid}
+        return self._moved(replace(setup, moves=moves & seen), position, velocity)
 
     def _moved(self, setup: _Setup, position: np.ndarray, velocity: np.ndarray) -> _Setup:
         """The set-up with another motion."""
-        return replace(setup, **self._motion(setup.ends, setup.steps, position, velocity))
+        other = replace(setup, position=position, velocity=velocity, pulls=[])
+        return replace(other, rigid=self._filtered(other, self._unfiltered(other)))
+
+    def _unfiltered(self, setup: _Setup) -> np.ndarray:
+        """The regressor before filters, of a set-up whose own may be that of another motion."""
+        parts = []
+        motion = np.split(setup.position, setup.ends), np.split(setup.velocity, setup.ends)
+        for q, v, step in zip(*motion, setup.steps):
+            full = self._model.regressor(q, v, derivative(v, step), setup.gravity)
+            parts.append(np.take(full, self._base.columns, axis=2))
+        return np.concatenate(parts)
 
     def _filtered(self, setup: _Setup, signal: np.ndarray) -> np.ndarray:
         """What the motion excites of a signal of all segments."""
         return setup.each(lambda part, step: low_pass(part, self._band, step), signal)
 
-    def _regressor(self, setup: _Setup) -> np.ndarray:
-        return setup.rigid[0] + sum(g * part for g, part in zip(setup.gravity, setup.rigid[1:]))
+    def _pulls(self, setup: _Setup) -> list[np.ndarray]:
+        """What the regressor changes by per unit of gravity along x, y, z."""
+        if not setup.pulls:
+            still = replace(setup, velocity=np.zeros_like(setup.velocity))
+            parts = (self._unfiltered(replace(still, gravity=axis)) for axis in np.eye(3))
+            setup.pulls.extend(self._filtered(setup, part) for part in parts)
+        return setup.pulls
+
+    def _under(self, setup: _Setup, gravity: np.ndarray) -> _Setup:
+        """The set-up with other gravity."""
+        parts = zip(gravity - setup.gravity, self._pulls(setup))
+        rigid = setup.rigid + sum(change * part for change, part in parts)
+        return replace(setup, gravity=gravity, rigid=rigid)
 
     def evidence(self, setup: _Setup, more: np.ndarray | None = None) -> '_Evidence':
         """Of a set-up, whose torques may have ``more`` columns, shape (samples, n, parameters)."""
-        regressor = self._regressor(setup)
+        regressor = setup.rigid
         columns = regressor if more is None else np.concatenate([regressor, more], axis=2)
         design, prior, passive = self._design(setup, columns, predicted(regressor, self._mean))
         # Huber's estimate of all parameters with the prior; residuals, scale of each joint.
@@ -346,21 +352,22 @@ class _Judge:
         unit = np.outer(course, np.eye(len(self._arm.joints))[j])
         size, left, other = 0.0, np.inf, setup
         for _ in range(_STEPS):
-            ahead = self._shifted(setup, (-size - 1e-3 * usual) * unit)
-            change = (self._regressor(ahead) - self._regressor(other)) @ before.beta / 1e-3
+            position, velocity = self._shifted(setup, (-size - 1e-3 * usual) * unit)
+            ahead = replace(setup, position=position, velocity=velocity)
+            torque = self._filtered(setup, predicted(self._unfiltered(ahead), before.beta))
+            change = (torque - predicted(other.rigid, before.beta)) / 1e-3
             found = self.evidence(other, _halves(change, setup.time, course != 0.0))
             left = usual * float(np.max(np.abs(found.extra)))
             if found.over(before) - self.cost < (0.0 if size else _SURE):
                 break
             size += float(np.clip(found.extra.mean(), -_FARTHEST, _FARTHEST)) * usual
-            other = self._shifted(setup, -size * unit)
+            other = self._moved(setup, *self._shifted(setup, -size * unit))
             before = self.evidence(other)
         return size, max(left, _LEAST_ANGLE * usual), other
 
-    def _shifted(self, setup: _Setup, change: np.ndarray) -> _Setup:
-        """The set-up with other positions by a change of shape (samples, n)."""
-        velocity = setup.velocity + setup.each(derivative, change)
-        return self._moved(setup, setup.position + change, velocity)
+    def _shifted(self, setup: _Setup, change: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Positions that are other ones by a change of shape (samples, n), and their rates."""
+        return setup.position + change, setup.velocity + setup.each(derivative, change)
 
     def _gravities(self, setup: _Setup, now: _Evidence) -> _Tried:
         size = self._arm.gravity
@@ -368,10 +375,10 @@ class _Judge:
             return
         starts = [setup.gravity] if setup.gravity.any() else []
         axes = [sign * size * axis for axis in np.eye(3) for sign in (1.0, -1.0)]
-        best = max(axes, key=lambda g: self.evidence(replace(setup, gravity=g)).over(now))
+        best = max(axes, key=lambda g: self.evidence(self._under(setup, g)).over(now))
         said = self._arm.gravity_vector()
         for start in (*starts, best):
-            found = self._turned(replace(setup, gravity=start))
+            found = self._turned(self._under(setup, start))
             cross = np.cross(found.gravity, said) / size**2
             angle = float(np.arctan2(np.linalg.norm(cross), found.gravity @ said / size**2))
             if angle < _LEAST_ANGLE:
@@ -387,10 +394,10 @@ class _Judge:
     def _weight(self, setup: _Setup) -> _Tried:
         if setup.gravity.any():
             text = 'efforts do not contain the torque that holds the weight (--without-gravity)'
-            yield text, replace(setup, gravity=np.zeros(3))
+            yield text, self._under(setup, np.zeros(3))
         else:
             text = 'efforts contain the torque that holds the weight (--with-gravity)'
-            yield text, replace(setup, gravity=self._arm.gravity_vector())
+            yield text, self._under(setup, self._arm.gravity_vector())
 
     def _loaded(self, setup: _Setup) -> _Tried:
         if self._arm.uncertainty.payload is None:
@@ -406,7 +413,7 @@ class _Judge:
         )
 
     def _load_changes(self, setup: _Setup) -> _Tried:
-        elapsed, pull = setup.time, self._regressor(setup) @ self._load
+        elapsed, pull = setup.time, setup.rigid @ self._load
         parts = [(elapsed > m, f'after {m:.0f} s') for m in _CHANGES * elapsed.max()]
         parts += [(part, f'in {name}') for name, part in self._of_one.items()]
         for part, when in parts:
@@ -428,10 +435,10 @@ class _Judge:
             beta = self.evidence(setup).beta
             down = setup.gravity / size
             across = np.linalg.svd(down[None])[2][1:]  # two directions that turn it
-            pulls = np.stack([predicted(part, beta) for part in setup.rigid[1:]], axis=2)
+            pulls = np.stack([predicted(part, beta) for part in self._pulls(setup)], axis=2)
             found = self.evidence(setup, size * pulls @ across.T).extra
             turn = np.clip(found, -_FARTHEST, _FARTHEST) @ across
-            setup = replace(setup, gravity=size * (down + turn) / np.linalg.norm(down + turn))
+            setup = self._under(setup, size * (down + turn) / np.linalg.norm(down + turn))
             if np.linalg.norm(turn) < 1e-4:
                 break
         return setup
@@ -463,7 +470,7 @@ class _Judge:
             yield text, replace(setup, effort=setup.each(partial(_earlier, delay), setup.effort))
 
     def _units(self, setup: _Setup) -> _Tried:
-        expected = np.std(predicted(self._regressor(setup), self._mean), axis=0)
+        expected = np.std(predicted(setup.rigid, self._mean), axis=0)
         measured = np.std(setup.effort, axis=0)
         carries = expected > 0.1 * expected.max()
         gain = expected / np.maximum(measured, 1e-12)
