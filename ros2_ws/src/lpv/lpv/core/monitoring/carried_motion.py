@@ -69,7 +69,8 @@ def accelerate(
 
     ``position`` and ``velocity``, shape (n,), are those of the sensors.
     """
-    q, v, a, load, friction = motion.joints
+    q, v, a = motion.joints[0], motion.joints[1], motion.joints[2]
+    load, friction = motion.joints[3], motion.joints[4]
     chain, n = motion.chain, torque.shape[0]
     map_vector(motion.to_joints, position, q)
     map_vector(motion.to_joints, velocity, v)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from lpv.core.serial_arm.chain import OFFSET, BoolArray, Chain, FloatArray, workspace
 from lpv.core.serial_arm.description import SerialArm
-from lpv.core.serial_arm.dynamics.newton_euler import gravity_torque
+from lpv.core.serial_arm.dynamics.newton_euler import inverse_dynamics
 from lpv.core.serial_arm.sensor_map import map_vector
 from lpv.core.serial_arm.simulation import integration_step, plant_scratch, plant_step
 from lpv.core.simulation.faults import (
@@ -132,9 +132,9 @@ def integrate(
 def brake(chain: Chain, state: PlantState, work: FloatArray) -> None:
     """Let one sample time pass with the brakes engaged; efforts then read what holds the arm."""
     n = state.torque.shape[0]
-    for i in range(n):
-        state.motion[1, i] = 0.0
-    gravity_torque(chain, state.motion[0], work, state.torque)
+    position, still = state.motion[0], state.motion[1]
+    still[:] = 0.0
+    inverse_dynamics(chain, position, still, still, work, state.torque)
     for i in range(n):
         state.torque[i] += chain.friction[i, OFFSET]
     state.own[0].disturbance = 0.0

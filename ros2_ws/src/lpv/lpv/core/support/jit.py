@@ -290,7 +290,13 @@ class _LazyDispatcher:
             def inner() -> Any:  # kept code of a caller holds it already
                 return _dispatcher(function, 'compiled', no_cpython_wrapper=True, **options)
 
-            called.get_call_template = lambda *given: inner().get_call_template(*given)
+            def get_call_template(args: Any, kws: dict[str, Any]) -> Any:
+                # One function for all constants; where it is linked, they are known again.
+                constant = _numba.types.unliteral
+                named = {name: constant(kind) for name, kind in kws.items()}
+                return inner().get_call_template(tuple(map(constant, args)), named)
+
+            called.get_call_template = get_call_template
             called.get_overload = lambda types: inner().get_overload(types)
             called.compile_linked = lambda types: inner().compile(types)
         return called

@@ -31,7 +31,7 @@ from lpv.core.serial_arm.dynamics.newton_euler import inverse_dynamics
 from lpv.core.support.jit import njit_in_place as njit
 
 _LINEAR, _ANGULAR, _RATE, _SPEED, _FALL, _MOMENT, _WEIGHT = 9, 12, 15, 18, 21, 24, 27  # columns
-_COMPOSITE, _STILL = 9, 39
+_COMPOSITE = 9
 """Columns of `workspace` that are used here, behind the orientations."""
 
 
@@ -305,7 +305,7 @@ def forward_dynamics(
     bool
         False if M(q) is not positive definite: the parameters are not those of a physical arm.
     """
-    still = work[:, _STILL]
+    still = matrix[0]
     still[:] = 0.0
     inverse_dynamics(chain, q, v, still, work, acceleration)
     for i in range(q.shape[0]):

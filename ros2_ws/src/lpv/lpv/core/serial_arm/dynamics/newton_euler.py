@@ -108,11 +108,3 @@ def inverse_dynamics(
             torque[i] += chain.motor[i, j] * a[j]
         if i > 0:
             add_wrench_to_parent(i, work, _FORCE, _MOMENT)
-
-
-@njit
-def gravity_torque(chain: Chain, q: FloatArray, work: FloatArray, torque: FloatArray) -> None:
-    """Torques g(q) that hold the arm still; arguments as of `inverse_dynamics`."""
-    still = work[:, 39]
-    still[:] = 0.0
-    inverse_dynamics(chain, q, still, still, work, torque)
