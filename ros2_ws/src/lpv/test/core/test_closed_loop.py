@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from planar_formulas import inverse_dynamics
 
-import lpv.core
+import lpv
 from lpv import AlarmEvent, DiagnosisParameters, Fault, load_scenario, save_gains
 from lpv.core.control.tracking import TrackingController
 from lpv.core.simulation.closed_loop import run_closed_loop
@@ -112,7 +112,7 @@ def test_given_no_compiler_then_no_bit_differs(tmp_path, paper_gains, literal_ga
     for gains, file in zip((paper_gains, literal_gains), files):
         save_gains(gains, file)
     exec(SHORT_RUN, {'files': files, 'out': outs[0]})
-    folder = Path(lpv.core.__file__).parents[3]
+    folder = Path(lpv.__file__).parents[1]
     environment = {**os.environ, 'LPV_NO_JIT': '1', 'PYTHONPATH': str(folder)}
     script = f'files, out = {files}, {outs[1]!r}\n{SHORT_RUN}'
     subprocess.run([sys.executable, '-c', script], check=True, env=environment)

@@ -57,7 +57,7 @@ LINKED = """
 import sys
 import numba
 import numpy as np
-from lpv.core.support.jit import compile_ahead, njit, on_compile
+from lpv.core.support.jit import compile_ahead, njit, njit_in_one_place, on_compile, pointer
 
 @njit
 def innermost(x, y):
@@ -85,6 +85,14 @@ def places(x):
 def made(size, name):
     return np.arange(size), hash(name)
 
+@njit_in_one_place
+def apart(x):
+    return 3.0 * x
+
+@njit
+def through(function, x):
+    return function(x) + function(1.0)
+
 compile_ahead(inner, np.ones(2), np.ones(2))
 compiled = []
 with on_compile(lambda name: compiled.append(name.rpartition('.')[2])):
@@ -98,6 +106,7 @@ for x in -np.ones(2), np.ones(3):
 print(inner(np.ones(2), np.ones(2)))  # called by Python, too
 array, number = made(3, 'name')
 print(array, number == hash('name'))
+print(through(pointer(apart, 1.0), 2.0), pointer(apart, 1.0) is pointer(apart, 2.0))
 has_compiler = 'numba.np.arraymath' in sys.modules
 print(numba.njit(lambda x: inner(x, x) + 1.0)(np.ones(2)))  # links what may have been kept
 print(has_compiler)
@@ -115,7 +124,7 @@ def test_given_functions_that_only_compiled_code_calls_then_errors_in_them_arriv
     expected = [
         '5.0 2.0', 'ValueError negative -1.0',
         'ValueError incompatible array sizes for np.dot(a, b) (vector * vector)', '4.0',
-        '[0 1 2] True', '5.0',
+        '[0 1 2] True', '9.0 True', '5.0',
     ]  # fmt: skip
     # What was compiled ahead is not compiled again, and what is kept does without the compiler.
     # Constants are no types of their own: a function that takes several is compiled once.

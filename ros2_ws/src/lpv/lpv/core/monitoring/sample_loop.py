@@ -16,7 +16,7 @@ from lpv.core.serial_arm.diagnosis.decision import Parts, Stage, decide
 from lpv.core.serial_arm.diagnosis.linear_bank import STARTS
 from lpv.core.serial_arm.diagnosis.sampler import NONE, removed, smallest_jump
 from lpv.core.serial_arm.diagnosis.sampling import take_samples
-from lpv.core.support.jit import njit_in_place
+from lpv.core.support.jit import njit_in_one_place, njit_in_place
 from lpv.core.support.records import record_type
 from lpv.core.support.timestamps import NANOSECONDS
 from lpv.core.uio.unknown_input_observer import UioParts, uio_answers
@@ -61,7 +61,7 @@ class Answering(NamedTuple):
     uio: UioParts  # of the designed observer, or of none
 
 
-@njit_in_place
+@njit_in_one_place
 def advance(
     parts: Parts,
     plan: tuple[int, int],

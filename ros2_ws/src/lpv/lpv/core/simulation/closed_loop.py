@@ -8,6 +8,7 @@ first one, one after a gap, with missing values, or after such) goes through the
 `take_many`, as in the node.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -55,7 +56,7 @@ from lpv.core.simulation.arm_simulator import (
 from lpv.core.simulation.scenario import Scenario
 from lpv.core.simulation.transport import DIRECT, NO_COMMAND, NO_ESTIMATE, NO_MEASUREMENT, Transport
 from lpv.core.support.errors import ConfigError
-from lpv.core.support.jit import entry
+from lpv.core.support.jit import entry, pointer
 from lpv.core.support.jit import njit_in_place as njit
 from lpv.core.support.limits import MOST_SAMPLES
 from lpv.core.support.records import memory, new_record, plain, record_type
@@ -118,8 +119,9 @@ class _Signals(NamedTuple):
 
 
 class _Observer(NamedTuple):
-    """Arguments of `advance`, for all samples of the run."""
+    """`advance` and its arguments, for all samples of the run."""
 
+    advance: Callable[..., bool]
     parts: Parts
     plan: tuple[int, int]
     stamps: IntArray
@@ -222,7 +224,7 @@ def _take(loop: np.record, observer: _Observer, k: int) -> None:
     """Hand the sample to the diagnosis, which decides and answers as far as it needs no Python."""
     progress = observer.answering.progress[0]
     progress.taken = progress.answered = progress.reported = 0
-    waits = advance(
+    waits = observer.advance(
         observer.parts,
         observer.plan,
         observer.answering,
@@ -557,13 +559,18 @@ def _new_observer(
 ) -> _Observer:
     count, n = feedback.shape
     stamps = np.rint(arm.sample_time * NANOSECONDS * np.arange(count)).astype(np.int64)
+    times, samples = stamps / NANOSECONDS, np.empty((count, 3, n))
+    parts, plan = stepped.parts, (stepped.plan.per_block, stepped.plan.blocks)
+    answering = answering._replace(progress=memory(new_record(PROGRESS, next_report=_NO_REPORT)))
+    given = parts, plan, answering, answers, 0, stamps, times, samples
     return _Observer(
-        stepped.parts,
-        (stepped.plan.per_block, stepped.plan.blocks),
+        pointer(advance, *given),
+        parts,
+        plan,
         stamps,
-        stamps / NANOSECONDS,
-        np.empty((count, 3, n)),
-        answering._replace(progress=memory(new_record(PROGRESS, next_report=_NO_REPORT))),
+        times,
+        samples,
+        answering,
         answers,
         feedback,
         losses,

@@ -158,20 +158,15 @@ def _place_cache(function: Callable[..., Any], kind: str) -> None:
 
 def _dispatcher(function: Callable[..., Any], kind: str, **options: bool) -> Any:
     """Function as Numba compiles it, kept apart from those of another kind."""
+    options.setdefault('no_cfunc_wrapper', True)
     before = {name: getattr(_numba.config, name, '') for name in _SETTINGS}
     try:
         _place_cache(function, kind)
         kept = bool(_numba.config.CACHE_DIR)
         # fastmath stays off: results must not depend on how a loop is vectorised.  Without the
-        # interpreter's lock, a replay reads and writes while the recursion runs.  No function is
-        # handed on as a pointer, which a C wrapper is for.
+        # interpreter's lock, a replay reads and writes while the recursion runs.
         dispatcher = _numba.njit(
-            cache=kept,
-            fastmath=False,
-            error_model='numpy',
-            nogil=True,
-            no_cfunc_wrapper=True,
-            **options,
+            cache=kept, fastmath=False, error_model='numpy', nogil=True, **options
         )(function)
         if kept:
             _read_kept(dispatcher._cache)
@@ -246,6 +241,14 @@ def njit_in_place(function: Callable[..., Any]) -> Callable[..., Any]:
     hand large tuples of arrays on.
     """
     return _compiled(function, _nrt=False)
+
+
+def njit_in_one_place(function: Callable[..., Any]) -> Callable[..., Any]:
+    """As `njit_in_place`, for a large function: compiled code calls the machine code by `pointer`.
+
+    Otherwise it is linked, optimised and made again in each function that calls it.
+    """
+    return _compiled(function, _nrt=False, no_cfunc_wrapper=False)
 
 
 def _compiled(function: Callable[..., Any], **options: bool) -> Callable[..., Any]:
@@ -327,6 +330,20 @@ def entry(function: Any, *arguments: Any) -> Callable[..., Any]:
         function.compile(types)
         _entries[key] = function.overloads[types].entry_point
     return _entries[key]
+
+
+_pointers: dict[Callable[..., Any], Any] = {}
+
+
+def pointer(function: Any, *arguments: Any) -> Any:
+    """The `entry` of an `njit_in_one_place` function as an argument of compiled functions."""
+    called = entry(function, *arguments)
+    if COMPILED and called not in _pointers:
+        import numba.experimental.function_type  # noqa: F401  # Numba does before it compiles
+
+        (kept,) = (one for one in function.overloads.values() if one.entry_point is called)
+        _pointers[called] = _numba.types.CompileResultWAP(kept)
+    return _pointers.get(called, called)
 
 
 def _signature(value: Any) -> Any:
