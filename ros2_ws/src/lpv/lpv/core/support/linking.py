@@ -157,8 +157,9 @@ def _equal_flags(one: Any, other: Any) -> bool:
 def install() -> None:
     """Let Numba read constants this way, and make the libraries of this file, if as expected."""
     environment._rebuild_env = _constants
-    TargetConfig.__eq__ = _equal_flags  # type: ignore[method-assign]
-    TargetConfig.__hash__ = _hash_of_flags  # type: ignore[method-assign]
+    if hasattr(TargetConfig, '_values'):
+        TargetConfig.__eq__ = _equal_flags  # type: ignore[method-assign]
+        TargetConfig.__hash__ = _hash_of_flags  # type: ignore[method-assign]
     # Numba's own functions are told apart by numbers that every process counts from 1.  Code that
     # processes kept is linked by names: of two functions of one number, one would stand for both.
     drawn = iter(lambda: int.from_bytes(os.urandom(6), 'big'), None)
