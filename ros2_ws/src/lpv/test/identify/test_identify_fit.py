@@ -389,6 +389,11 @@ def test_given_bad_samples_or_stamps_when_cleaned_then_few_are_mended_many_refus
     jitter = 0.004 * np.random.default_rng(0).uniform(-1, 1, len(recording.time))
     mended = cleaned(recording, time=recording.time + jitter)
     assert 'count of the samples' in mended.warnings[0] and np.ptp(np.diff(mended.time)) < 1e-9
+    kept = np.random.default_rng(1).random(len(recording.time)) > 0.01
+    some = recording.rows(kept)
+    mended = cleaned(some, time=some.time + 0.25 * jitter[kept])
+    assert 'count of the samples' in mended.warnings[0], 'those that were lost, too'
+    assert np.ptp(mended.time - some.time) < 1e-3
     with pytest.raises(IdentificationError, match='stamps stand still'):
         cleaned(recording, time=np.zeros(len(recording.time)))
     with pytest.raises(IdentificationError, match='has no efforts'):

@@ -210,12 +210,14 @@ def _choose_stamps(
 
 
 def _counted(time: np.ndarray) -> np.ndarray | None:
-    """Times of a steady clock that counts the samples; None if samples were lost."""
+    """Times of a steady clock that counts the samples; None if many in a row were lost."""
     steps = np.diff(time)
     step = np.median(steps)
     if not step > 0.0 or np.max(steps) > 5.0 * step:
         return None
-    index = np.arange(len(time), dtype=float)
+    # Where no step is short, long ones are no jitter: samples were lost.
+    ticks = np.rint(steps / step)
+    index = np.append(0.0, np.cumsum(ticks if ticks.min() > 0.0 else np.ones_like(ticks)))
     slope, start = np.polyfit(index, time, 1)
     if np.max(np.abs(time - start - slope * index)) > 20.0 * step:
         return None
