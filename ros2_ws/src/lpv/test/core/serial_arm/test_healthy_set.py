@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from serial_arms import shoulder_arm, watch
 from simulated_runs import Push, simulated_run
+from watched import Watched
 
 from lpv import load_arm
 from lpv.core.monitoring import alarm_text, message_fields, serial_monitor
@@ -189,3 +190,19 @@ def test_given_torques_that_switch_at_their_limits_then_no_jump_is_near_its_boun
     ratio = np.abs(jumps[3:]).max(0) / bound
     assert np.all(ratio < 1.0)
     assert ratio.max() > 0.05  # it holds in every configuration: some are reached by none
+
+
+@pytest.mark.parametrize(('lost', 'guaranteed'), [(0, True), (7, False)])
+def test_given_a_joint_that_moves_while_samples_are_lost_then_its_jump_is_not_guaranteed(
+    lost, guaranteed
+):
+    arm, rng, rows = shoulder_arm('independent'), np.random.default_rng(0), 1000
+    count = np.arange(rows) + lost * (np.arange(rows) >= 800)
+    samples = np.zeros((rows, 3, 3))
+    samples[:, :2] = np.array([[1e-4], [5e-3]]) * rng.normal(size=(rows, 2, 3))
+    # In eight periods a fifth of the largest acceleration, and braking, is enough.
+    samples[800:, 0, 1] += 3.0 * jump_bound(arm)[1]
+    monitor = Watched(arm)
+    monitor.take(10**9 + round(arm.sample_time * 1e9) * count, samples)
+    (alarm,) = monitor.alarms
+    assert (alarm.kind, alarm.guaranteed) == ('bias', guaranteed)

@@ -405,7 +405,18 @@ class SerialMonitor:
         self.bank.kinematics.note_jump(i, sigma**2)
         kind = sensor.kind if back is not None else 'bias'
         value = fault if sensor.state is SensorState.ERROR else size
-        self._raise(i, kind, now, value, sigma, abs(size) > self._jump_bound[i])
+        self._raise(i, kind, now, value, sigma, self._is_no_motion(i, abs(size)))
+
+    def _is_no_motion(self, i: int, jump: float) -> bool:
+        """Whether no healthy arm moves so far between two of the last samples.
+
+        The way of an acceleration grows with the square of a period, and what differences of
+        readings say of a long one with its ratio to a short one.
+        """
+        periods, bound = np.diff(self.sampler.time), float(self._jump_bound[i])
+        longest, shortest = float(periods.max()), float(periods.min())
+        is_far = jump > bound * (longest / self.arm.sample_time) ** 2
+        return is_far and jump * shortest > bound * longest
 
     def _freezes_again(self, i: int) -> float:
         """Logarithm of the odds that a reading froze before it jumped, against another fault.
