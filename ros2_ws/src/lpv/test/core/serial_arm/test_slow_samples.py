@@ -139,3 +139,17 @@ def test_given_efforts_that_are_means_or_commands_then_no_encoder_is_blamed(rate
     assert np.all(np.abs(fault) < 4.0 * sigma)
     delay = monitor.estimator.posterior.mean[-1]  # in half samples
     assert delay == pytest.approx(-1.0 - 2.0 * taken, abs=0.1)
+
+
+def test_given_uneven_samples_when_a_reading_jumps_then_it_is_not_taken_for_the_rate_before():
+    arm, rng, rows = shoulder_arm(), np.random.default_rng(0), 1000
+    periods = np.full(rows, arm.sample_time)
+    periods[799:801] *= 1.2, 0.8  # e of the sample before is 0.75 of the jump
+    samples = np.zeros((rows, 3, 3))
+    samples[:, 0] = 1e-4 * rng.normal(size=(rows, 3))
+    samples[800:, 0, 1] -= 0.3
+    samples[1:, 1] = np.diff(samples[:, 0], axis=0) / periods[1:, None]
+    monitor = Watched(arm)
+    monitor.take(10**9 + np.round(np.cumsum(periods) * 1e9).astype(int), samples)
+    (alarm,) = monitor.alarms
+    assert abs(alarm.size + 0.3) < 1e-3

@@ -248,7 +248,9 @@ def _name_jump(sampler: Sampler, i: int) -> None:
     for k in range(first, last):
         largest = max(largest, abs(sampler.jumps[k, i]))
     peak = first
-    while abs(sampler.jumps[peak, i]) < MOST * largest:
+    while abs(sampler.jumps[peak, i]) < MOST * largest or (
+        peak + 1 < last and _is_before_step(sampler, i, peak)
+    ):
         peak += 1
     size, after = sampler.jumps[peak, i], sampler.jumps[peak + 1, i]
     if abs(size) <= smallest_jump(sampler, i) or _is_stop(sampler, i, peak):
@@ -278,6 +280,15 @@ def _name_jump(sampler: Sampler, i: int) -> None:
         _remove_step(sampler, i, peak)
     elif doubt == 3:
         sampler.found[i], sampler.size[i] = HIDDEN, size
+
+
+@njit_in_place
+def _is_before_step(sampler: Sampler, i: int, k: int) -> bool:
+    """Whether e is that before a step, whose derived rate it holds: half of it at even periods."""
+    own, after = sampler.jumps[k, i], sampler.jumps[k + 1, i]
+    period, following = sampler.time[k] - sampler.time[k - 1], sampler.time[k + 1] - sampler.time[k]
+    share = 0.5 * sampler.derived[i] * period / following
+    return bool(abs(own + share * after) < LEFT * abs(own) and abs(after) > abs(own))
 
 
 @njit_in_place
