@@ -1,7 +1,6 @@
 """Identification of arms that are known, and of real ones; recordings read, mended or refused."""
 
 import re
-from argparse import Namespace
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +13,6 @@ from ur10e_twin import recording as recording_of_twin
 from ur10e_twin import ur10e
 
 from lpv.bag.run.csv_import import CsvError, load_column_map
-from lpv.cli.commands.identify import _save
 from lpv.core.serial_arm.arm_file import load_arm, parse_arm, save_arm, to_mapping
 from lpv.core.serial_arm.description import JointFriction, JointLimits, LinkInertia
 from lpv.core.serial_arm.urdf_chain import read_urdf_chain
@@ -102,7 +100,7 @@ def test_given_friction_that_falls_too_far_when_fitted_then_the_arm_can_be_read(
     # What nobody could read is not written.
     out = tmp_path / 'arm.yaml'
     with pytest.raises(ConfigError, match=r'arm.yaml is not written: joints\[0\].friction'):
-        _save(slow, Namespace(out=out))
+        save_arm(slow, out)
     assert not out.exists()
 
 
