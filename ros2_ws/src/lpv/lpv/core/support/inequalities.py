@@ -28,12 +28,15 @@ class Check:
         return self.margin < 0.0
 
 
-def largest_eigenvalue(matrix: np.ndarray) -> float:
-    """Largest eigenvalue of a symmetric matrix; negative if M < 0 holds, NaN if M is not finite."""
-    if not np.isfinite(matrix).all():
+def largest_eigenvalue(*matrices: np.ndarray) -> float:
+    """Largest eigenvalue of symmetric matrices; negative if M < 0 holds for all of them.
+
+    NaN if any is not finite, which Python's max of their own would pass over.
+    """
+    if not all(np.isfinite(matrix).all() for matrix in matrices):
         return np.nan
-    matrix = np.asarray(matrix)
-    return float(np.linalg.eigvalsh(0.5 * (matrix + matrix.T))[-1])
+    each = map(np.asarray, matrices)
+    return max(float(np.linalg.eigvalsh(0.5 * (m + m.T))[-1]) for m in each)
 
 
 def exact(values: ArrayLike) -> np.ndarray:

@@ -59,6 +59,8 @@ def test_given_a_matrix_that_is_no_number_then_its_inequality_does_not_hold_what
     good, bad = -np.eye(2), np.full((2, 2), np.nan)
     for matrices in ([good, bad], [bad, good]):
         assert [check.holds for check in judged([('any', matrices)])] == [False]
+    loop = np.stack([-np.eye(6), np.full((6, 6), np.nan)]), np.zeros((2, 6, 2))
+    assert np.isnan(conditions.decay_margin(loop, np.zeros((2, 6)), np.eye(6), 0.5))
 
 
 def test_given_shipped_designs_when_proved_then_all_is(

@@ -116,7 +116,8 @@ def observer_inequalities(
 
 def observer_margin(arm: ArmParameters, observer: ObserverGains) -> float:
     """Largest eigenvalue of all `observer_inequalities`; negative if they hold."""
-    return max(check.margin for check in judged(observer_inequalities(arm, observer)))
+    claims = observer_inequalities(arm, observer)
+    return largest_eigenvalue(*(matrix for _, matrices in claims for matrix in matrices))
 
 
 def observer_checks(arm: ArmParameters, observer: ObserverGains) -> Iterator[Check]:
@@ -173,7 +174,7 @@ def _decays(loop: tuple[np.ndarray, ...], m: np.ndarray, p: np.ndarray, alpha: A
 
 def decay_margin(loop: tuple[np.ndarray, ...], m: np.ndarray, p: np.ndarray, alpha: float) -> float:
     """Largest eigenvalue of LMI (67) at the vertices of a loop, for gains M and P = Q^-1 > 0."""
-    return max(map(largest_eigenvalue, _decays(loop, m, p, alpha)))
+    return largest_eigenvalue(*_decays(loop, m, p, alpha))
 
 
 def _sampled_radius(arm: ArmParameters, loop: tuple[np.ndarray, ...], m: np.ndarray) -> float:
@@ -202,8 +203,8 @@ def controller_checks(arm: ArmParameters, controller: ControllerGains) -> Iterat
         alpha = 0.5 * controller.decay
         loops = [controller_loop(other, 'exact') for other in corner_arms(arm)]
         text = f'controller: {len(loops)} arms at the corners of model error and payload'
-        margin = max(decay_margin(loop, m, p, alpha) for loop in loops)
-        yield Check(f'{text}, alpha {alpha:g}/s', margin)
+        decays = (matrix for loop in loops for matrix in _decays(loop, m, p, alpha))
+        yield Check(f'{text}, alpha {alpha:g}/s', largest_eigenvalue(*decays))
         radius = max(_sampled_radius(arm, loop, m) for loop in loops)
         yield Check(f'{text}, sampled with delay', radius - 1.0)
 
