@@ -18,8 +18,9 @@ import numpy as np
 from fault_injection import BY_NAME, Cell, draw
 from fault_matrix import add_cell_options, chosen_cells
 from rich.console import Console
-from rich.table import Table
 from scipy.stats import poisson
+
+from lpv.report.table import print_grid
 
 LEVELS = (1e1, 1e2, 1e3, 1e4, 1e5)
 """Values a at which M stops."""
@@ -125,18 +126,17 @@ def plot(curves: dict[str, list[Frequency]], file: Path) -> None:
     figure.savefig(file)
 
 
-def table_of(curves: dict[str, list[Frequency]]) -> Table:
+def print_curves(curves: dict[str, list[Frequency]]) -> None:
     """Stops times a over decisions: at most 1 where likelihoods are right."""
-    table = Table(title='stops per decision times a')
-    for heading in ('', 'decisions', *(f'a = {level:g}' for level in LEVELS)):
-        table.add_column(heading, justify='right')
+    rows = []
     for name, found in curves.items():
-        values = [
+        values = (
             f'{one.per_decision * one.level:.2f} ({one.stops})' + ' !' * one.is_too_high
             for one in found
-        ]
-        table.add_row(name, str(found[0].decisions), *values)
-    return table
+        )
+        rows.append((name, str(found[0].decisions), *values))
+    heads = ('', '>decisions', *(f'>a = {level:g}' for level in LEVELS))
+    print_grid(Console(width=140), heads, rows, 'stops per decision times a')
 
 
 def main() -> None:
@@ -158,7 +158,7 @@ def main() -> None:
     }
     if not curves:
         raise SystemExit('there are no such cells')
-    Console(width=140).print(table_of(curves))
+    print_curves(curves)
     if options.plot:
         plot(curves, options.plot)
 

@@ -31,13 +31,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from fault_injection import shoulder_arm, with_sensors
 from rich.console import Console
-from rich.table import Table
 
 from lpv import AlarmEvent, Fault, Scenario, SerialArm, load_arm, load_scenario
 from lpv.cli.main import main as lpv
 from lpv.core.simulation.closed_loop import Run, run_closed_loop
 from lpv.core.simulation.scenario import parse_scenario
 from lpv.core.support.errors import ConfigError
+from lpv.report.table import print_grid
 
 SHIPPED = ('real_arm', 'chain3', 'ur10', 'panda')
 PACKAGE = 'example-robot-data'
@@ -169,15 +169,15 @@ def _mean(values: np.ndarray) -> float:
     return float(values.mean()) if values.size else np.nan
 
 
-def table(outcomes: Sequence[Outcome], by: Sequence[str]) -> Table:
+def print_table(outcomes: Sequence[Outcome], by: Sequence[str]) -> None:
     """One line for each label of the outcomes."""
-    made = Table(*HEADINGS)
+    rows = []
     for label in dict.fromkeys(by):
         every = [one for one, own in zip(outcomes, by) if own == label]
         braked = [one.after_brakes for one in every if np.isfinite(one.after_brakes[0])]
         means = 100.0 * np.mean(braked, 0) if braked else ()
         paths = [one.path for one in every]
-        made.add_row(
+        rows.append((
             label, str(len(every)), str(sum(one.named for one in every)),
             str(sum(bool(one.others) for one in every)),
             ', '.join(f'{100.0 * share:.0f}' for share in _known(one.outside for one in every)),
@@ -185,8 +185,8 @@ def table(outcomes: Sequence[Outcome], by: Sequence[str]) -> Table:
             f'{np.median(paths):.3f}, {max(paths):.2f}', str(sum(one.stops for one in every)),
             f'{max(one.position for one in every):.2f}',
             f'{len(braked)}: ' + ', '.join(f'{share:.1f}' for share in means),
-        )  # fmt: skip
-    return made
+        ))  # fmt: skip
+    print_grid(Console(), HEADINGS, rows)
 
 
 def _known(rows: Iterable[Shares], of: Callable[[np.ndarray], Any] = np.mean) -> list[float]:
@@ -218,10 +218,9 @@ def main() -> None:
             if one.others:
                 print(one.others, flush=True)
             done.append(one)
-    console = Console()
-    console.print(table(done, [one.kind for one in done]))
+    print_table(done, [one.kind for one in done])
     if not given.others:
-        console.print(table(done, [f'{arm}, {kind}' for arm, kind, _ in cases]))
+        print_table(done, [f'{arm}, {kind}' for arm, kind, _ in cases])
 
 
 if __name__ == '__main__':

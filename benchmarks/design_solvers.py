@@ -24,7 +24,6 @@ from unittest import mock
 import cvxpy as cp
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 
 from lpv import load_arm
 from lpv.core.serial_arm.two_links import two_link_arm
@@ -33,6 +32,7 @@ from lpv.core.uio.certificate.conditions import controller_loop, decay_margin, o
 from lpv.core.uio.certificate.error_system import link_errors
 from lpv.core.uio.certificate.lmi import covariance, disc
 from lpv.core.uio.planar import planar_model
+from lpv.report.table import print_grid
 from lpv_design.controller import solve_loop
 from lpv_design.design_flow import design
 from lpv_design.exact_observer import solve_link
@@ -174,7 +174,7 @@ def cells(outcome, unit):
     def margin(value):
         if np.isnan(value):
             return '-'
-        return f'{value:.1e}' if value < 0.0 else f'[bold red]{value:+.1e}[/]'
+        return f'{value:.1e}' if value < 0.0 else f'{value:+.1e} !'
 
     if np.isnan(outcome.total):
         return ['-'] * 5
@@ -189,22 +189,15 @@ def cells(outcome, unit):
 
 def show(console, results):
     """One row for each problem and solver."""
-    table = Table(title='times: medians; margins: largest eigenvalue, negative = holds')
-    for name in ('problem', 'solver', 'status'):
-        table.add_column(name)
-    for name in ('call, s', '/ Clarabel', 'solver, s', 'certified', 'others'):
-        table.add_column(name, justify='right')
+    rows = []
     for name, outcomes in results.items():
         unit = outcomes[SOLVERS[0]].total
         for solver, outcome in outcomes.items():
-            table.add_row(
-                name if solver == SOLVERS[0] else '',
-                solver,
-                outcome.status,
-                *cells(outcome, unit),
-                end_section=solver == SOLVERS[-1],
-            )
-    console.print(table)
+            label = name if solver == SOLVERS[0] else ''
+            rows.append((label, solver, outcome.status, *cells(outcome, unit)))
+    heads = '>call, s', '>/ Clarabel', '>solver, s', '>certified', '>others'
+    title = 'times: medians; margins: largest eigenvalue, negative = holds'
+    print_grid(console, ('problem', 'solver', 'status', *heads), rows, title)
 
 
 def variants(arm):

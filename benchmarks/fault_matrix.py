@@ -41,9 +41,9 @@ import numpy as np
 from fault_injection import ARMS, CLOSE, KINDS, Cell, Kind, Verdict, cells, run
 from limits import LESS_NOISE, needed, shown
 from rich.console import Console
-from rich.table import Table
 
 from lpv.core.serial_arm.diagnosis import priors
+from lpv.report.table import print_grid
 
 Row = dict[str, Any]
 BAR = Path(__file__).with_name('fault_matrix_bar.json')
@@ -124,11 +124,9 @@ def compared(row: Row, other: Row) -> dict[str, tuple[float, float]]:
     return found
 
 
-def comparison(rows: Iterable[Row], bar: Iterable[Row]) -> Table:
+def print_comparison(rows: Iterable[Row], bar: Iterable[Row], console: Console) -> None:
     """Cells that are worse or better than the bar, share by share."""
-    known = {tuple(row[name] for name in KEY): row for row in bar}
-    title = 'per cent, and the better of the two engines before'
-    table = Table('cell', 'n', 'worse', 'better', title=title, title_justify='left')
+    known, lines = {tuple(row[name] for name in KEY): row for row in bar}, []
     for row in rows:
         other = known.get(tuple(row[name] for name in KEY))
         found = compared(row, other) if other else {}
@@ -139,8 +137,9 @@ def comparison(rows: Iterable[Row], bar: Iterable[Row]) -> Table:
         }  # fmt: skip
         if found:
             place = ' '.join(row[name] for name in KEY)
-            table.add_row(place, str(row['count']), cells[-1], cells[1])
-    return table
+            lines.append((place, str(row['count']), cells[-1], cells[1]))
+    title = 'per cent, and the better of the two engines before'
+    print_grid(console, ('cell', '>n', 'worse', 'better'), lines, title)
 
 
 HEADINGS = {
@@ -159,19 +158,15 @@ def _text(name: str, value: Any) -> str:
         value, float) else str(value)  # fmt: skip
 
 
-def tables(rows: Sequence[Row]) -> list[Table]:
+def print_rows(rows: Sequence[Row], console: Console) -> None:
     """One table for each arm, part and source of rates."""
-    groups: dict[tuple[str, str, str], list[Row]] = {}
+    groups: dict[str, list[list[str]]] = {}
     for row in rows:
-        groups.setdefault((row['part'], row['arm'], row['rates']), []).append(row)
-    result = []
-    for (part, arm, rates), members in groups.items():
-        title = f'{arm}, {part}, rates {rates}'
-        table = Table(*HEADINGS.values(), title=title, title_justify='left')
-        for row in members:
-            table.add_row(*(_text(name, row.get(name)) for name in HEADINGS))
-        result.append(table)
-    return result
+        title = f'{row["arm"]}, {row["part"]}, rates {row["rates"]}'
+        cells = [_text(name, row.get(name)) for name in HEADINGS]
+        groups.setdefault(title, []).append(cells)
+    for title, members in groups.items():
+        print_grid(console, tuple(HEADINGS.values()), members, title)
 
 
 def _kinds(text: str) -> list[Kind]:
@@ -363,10 +358,9 @@ def main() -> None:
         if options.json:
             options.json.write_text('[\n' + ',\n'.join(map(json.dumps, rows)) + '\n]\n')
     console = Console(width=170)
-    for table in tables(rows):
-        console.print(table)
+    print_rows(rows, console)
     if options.bar.is_file():
-        console.print(comparison(rows, json.loads(options.bar.read_text())))
+        print_comparison(rows, json.loads(options.bar.read_text()), console)
 
 
 if __name__ == '__main__':

@@ -26,7 +26,6 @@ import numpy as np
 import rclpy
 import yaml
 from node_processes import NAMESPACE, Graph, command, words
-from rclpy.executors import Executor
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
@@ -36,7 +35,7 @@ from lpv.core.support.resources import bringup_file
 from lpv.core.support.timestamps import set_stamp, to_nanoseconds
 from lpv_msgs.msg import FaultEstimate, GroundTruth, JointReference, StateEstimate, TorqueCommand
 from lpv_node.arguments import use_profiles
-from lpv_node.managed import ManagedNode
+from lpv_node.managed import ManagedNode, make_executor
 from lpv_node.qos import stream
 
 ROUNDS = 3
@@ -153,15 +152,6 @@ def node_classes() -> dict[str, Callable[[], ManagedNode]]:
     from lpv_uio.node import UioNode
 
     return {'arm_sim': SimulatorNode, 'uio': UioNode, 'tracker': TrackerNode}
-
-
-def make_executor() -> Executor:
-    """The executor of the nodes."""
-    try:
-        from rclpy.experimental import EventsExecutor
-    except ImportError:  # older distributions
-        return rclpy.executors.SingleThreadedExecutor()
-    return EventsExecutor()
 
 
 def run_empty(names: list[str]) -> None:

@@ -14,9 +14,7 @@ import sys
 import time
 from pathlib import Path
 
-from rich import box
 from rich.console import Console
-from rich.table import Table
 
 OUT = Path('out')
 REPLAYED = OUT / 'bench_replayed'
@@ -203,6 +201,8 @@ def main():
     if arguments.child:
         child(*arguments.child)
         return
+    from lpv.report.table import print_grid  # only here: its memory is none of a candidate's
+
     OUT.mkdir(exist_ok=True)
     console = Console(soft_wrap=True, highlight=False, width=120)
     # In a process of its own, too: what this one has taken would count as memory of the others.
@@ -215,17 +215,7 @@ def main():
         f'{long[1]} measurements and {long[1]} torques ({arguments.hours:g} h), '
         f'{size / 1e6:.0f} MB, zstd'
     )
-    table = Table(box=box.SIMPLE_HEAD)
-    table.add_column('', no_wrap=True)
-    for column in (
-        'hours',
-        'wall [s]',
-        'processor [s]',
-        'process [s]',
-        'us/message',
-        'memory [MB]',
-    ):
-        table.add_column(column, justify='right', no_wrap=True)
+    rows = []
     for name in CANDIDATES:
         bag, count = short if name in SLOW else long
         rounds = arguments.rounds if name in OURS else 1
@@ -234,16 +224,21 @@ def main():
             console.print(f'{name} is not installed: {result["missing"]}')
             continue
         assert result['messages'] == 2 * count, (name, result)
-        table.add_row(
-            {'replay': 'lpv replay, all', 'decode': 'lpv replay, decoding only'}.get(name, name),
-            f'{count / long[1] * arguments.hours:.3g}',
-            f'{result["wall"]:.2f}',
-            f'{result["cpu"]:.2f}',
-            f'{result["process"]:.2f}',
-            f'{1e6 * result["wall"] / result["messages"]:.2f}',
-            f'{result["memory"] / 1e6:.0f}',
+        rows.append(
+            (
+                {'replay': 'lpv replay, all', 'decode': 'lpv replay, decoding only'}.get(
+                    name, name
+                ),
+                f'{count / long[1] * arguments.hours:.3g}',
+                f'{result["wall"]:.2f}',
+                f'{result["cpu"]:.2f}',
+                f'{result["process"]:.2f}',
+                f'{1e6 * result["wall"] / result["messages"]:.2f}',
+                f'{result["memory"] / 1e6:.0f}',
+            )
         )
-    console.print(table)
+    heads = '>wall [s]', '>processor [s]', '>process [s]', '>us/message', '>memory [MB]'
+    print_grid(console, ('', '>hours', *heads), rows)
     written = sum(file.stat().st_size for file in REPLAYED.iterdir())
     console.print(f'the estimates take {written / 1e6:.0f} MB')
     shutil.rmtree(REPLAYED)

@@ -27,7 +27,6 @@ import numpy as np
 from fault_injection import DATA, Stream, csv_stream, shoulder_arm, two_links
 from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 from rich.console import Console
-from rich.table import Table
 from simulated_runs import simulated_run
 from watched import Watched
 
@@ -36,6 +35,7 @@ from lpv.core.serial_arm.description import LinkInertia, SerialArm
 from lpv.core.serial_arm.diagnosis.estimator import HorizonPlan, OffsetEstimator
 from lpv.core.serial_arm.simulation import integration_step, plant_step
 from lpv.core.support.jit import njit
+from lpv.report.table import print_grid
 
 MOMENTS = (1.0, 3.0, 10.0)
 """At which errors are taken [s]."""
@@ -320,17 +320,16 @@ def print_table(
     console: Console, title: str, found: dict[str, Errors], limits: FloatArray | None = None
 ) -> None:
     """One row for each moment and estimator."""
-    table = Table(title=title)
-    for name in ('after [s]', '', 'RMS [rad]', 'over bound', 'larger error, 90 % [rad]',
-                 'RMS over own sigma', 'diverged', 'us a sample'):  # fmt: skip
-        table.add_column(name, justify='right')
+    rows = []
     for k, moment in enumerate(MOMENTS):
         if limits is not None:
             rms = np.sqrt(np.mean(limits[:, k] ** 2))
-            table.add_row(f'{moment:g}', 'bound', f'{rms:.4f}', '1')
+            rows.append([f'{moment:g}', 'bound', f'{rms:.4f}', '1'])
         for name, errors in found.items():
-            table.add_row(f'{moment:g}', name, *errors.cells(k, limits))
-    console.print(table)
+            rows.append([f'{moment:g}', name, *errors.cells(k, limits)])
+    heads = ('>after [s]', '', '>RMS [rad]', '>over bound', '>larger error, 90 % [rad]',
+             '>RMS over own sigma', '>diverged', '>us a sample')  # fmt: skip
+    print_grid(console, heads, rows, title)
 
 
 PEERS: dict[str, Callable[[Knowledge], Ekf | Ukf]] = {'EKF': Ekf, 'UKF': Ukf}

@@ -19,7 +19,6 @@ import numpy as np
 import pinocchio
 from fault_injection import Stream, motion_range, random_arm, simulate
 from rich.console import Console
-from rich.table import Table
 
 from lpv.core.monitoring.serial_monitor import SerialSensorMonitor
 from lpv.core.serial_arm.chain import Chain, FloatArray, compile_chain, workspace
@@ -27,6 +26,7 @@ from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.dynamics.momentum import forward_dynamics, mass_matrix, momentum_balance
 from lpv.core.serial_arm.dynamics.newton_euler import inverse_dynamics
 from lpv.core.support.jit import njit
+from lpv.report.table import print_grid
 
 WARM = 6000
 """Samples before the clock starts: the horizon is full."""
@@ -143,8 +143,8 @@ def one_by_one(monitor: SerialSensorMonitor, run: Stream) -> None:
         monitor.take(int(stamp), message)
 
 
-def measure(joints: int, duration: float, table: Table) -> None:
-    """Dynamics, and one row of the table."""
+def measure(joints: int, duration: float) -> list[str]:
+    """Dynamics; one row of the table."""
     arm = random_arm(joints)
     unit = 3.0 * measure_dynamics(compile_chain(arm), np.random.default_rng(joints))
     run = simulate(arm, motion_range(arm, 0.5), joints, duration=duration)
@@ -162,10 +162,10 @@ def measure(joints: int, duration: float, table: Table) -> None:
         one_by_one(monitor, run)
         single.append((time.process_time() - start) / count)
     hour = 3600.0 / arm.sample_time * min(many)
-    table.add_row(
+    return [
         str(joints), f'{1e6 * unit:.2f}', f'{1e6 * min(many):.1f}', f'{min(many) / unit:.1f}',
         f'{hour:.1f}', f'{1e6 * min(single):.1f}', f'{min(single) / unit:.1f}',
-        str(alarms))  # fmt: skip
+        str(alarms)]  # fmt: skip
 
 
 def main() -> None:
@@ -174,13 +174,10 @@ def main() -> None:
     parser.add_argument('--joints', type=int, nargs='+', default=[2, 6, 7])
     parser.add_argument('--duration', type=float, default=40.0, help='simulated time [s]')
     options = parser.parse_args()
-    table = Table(
-        'joints', '3 Newton-Euler passes [us]', 'replay [us]', 'ratio', '1 h at 500 Hz [s]',
-        'one by one [us]', 'ratio', 'alarms', title='Cost of a sample',
-    )  # fmt: skip
-    for joints in options.joints:
-        measure(joints, options.duration, table)
-    Console(width=120).print(table)
+    rows = [measure(joints, options.duration) for joints in options.joints]
+    heads = ('>joints', '>3 Newton-Euler passes [us]', '>replay [us]', '>ratio',
+             '>1 h at 500 Hz [s]', '>one by one [us]', '>ratio', '>alarms')  # fmt: skip
+    print_grid(Console(width=120), heads, rows, 'Cost of a sample')
 
 
 if __name__ == '__main__':

@@ -242,7 +242,8 @@ class ManagedNode(LifecycleNode):
         """Undo `setup` beyond its publishers, services and timers; may be called twice."""
 
 
-def _executor() -> Executor:
+def make_executor() -> Executor:
+    """The executor of all nodes."""
     try:
         from rclpy.experimental import EventsExecutor
     except ImportError:  # older distributions
@@ -282,7 +283,7 @@ def _spin(node: ManagedNode, stop: StopRequest) -> int:
         if not started:
             return 1
     stop.defer()
-    executor = _executor()
+    executor = make_executor()
     executor.add_node(node)
     # A time-out lets Python see signals; without one EventsExecutor ignores them.
     while rclpy.ok() and not (node.finished or stop.is_set):
