@@ -184,7 +184,7 @@ def test_given_a_launch_file_when_read_then_what_it_starts_exists(path):
 
 
 def test_given_the_parameter_files_when_read_then_the_defaults_are_those_of_the_code():
-    choices = re.search(r'--compensation {(.*?)}', COMMANDS['demo'].options)[1]
+    choices = re.search(r'--compensation {(.*?)}', COMMANDS['demo'])[1]
     assert set(choices.split(',')) == set(COMPENSATION)
     files = [BRINGUP / 'config' / f'{name}.yaml' for name in ('diagnosis', 'realtime', 'lockstep')]
     found = [yaml.safe_load(file.read_text())['/**']['ros__parameters'] for file in files]

@@ -22,11 +22,11 @@ def build_parser(chosen: str | None = None) -> argparse.ArgumentParser:
     )
     parser.add_argument('--version', action='version', version=version(), help='show the version')
     commands = parser.add_subparsers(dest='command', metavar='COMMAND', required=True)
-    for name, command in COMMANDS.items():
-        text, epilog = command.help, command.epilog
-        sub = commands.add_parser(name, help=text, description=text, epilog=epilog)
+    for name, table in COMMANDS.items():
+        text, options = table.split('\n', 1)
+        sub = commands.add_parser(name, help=text, description=text)
         if name == chosen:
-            declare(sub, command.options)
+            declare(sub, options)
             complete_by_name(sub)
     return parser
 
@@ -41,9 +41,9 @@ def main(argv: list[str] | None = None) -> int:
         build_parser().print_help()
         return 0
     # A shell waits; who calls from Python does not want more than what the command prints.
-    waiting = announced(f'lpv {chosen}: {COMMANDS[chosen].help}') if is_shell and chosen else None
+    text = f'lpv {chosen}: {COMMANDS[chosen].splitlines()[0]}' if chosen else ''
     try:
-        with waiting or nullcontext():
+        with announced(text) if is_shell and text else nullcontext():
             arguments = build_parser(chosen).parse_args(argv)
             if getattr(arguments, 'arm', None) and chosen != 'doctor':
                 # Before all that takes its time; not for help, which needs no NumPy.

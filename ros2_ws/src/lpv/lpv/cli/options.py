@@ -2,18 +2,8 @@
 
 from argparse import Namespace
 from collections.abc import Iterable
-from typing import NamedTuple
 
 from lpv.core.support.errors import ConfigError
-
-
-class Command(NamedTuple):
-    """One command."""
-
-    help: str
-    options: str  # for `lpv.core.support.options.declare`
-    epilog: str = ''
-
 
 _JOINTS = """
 --joints JOINT+        joints of the arm, with spaces or commas; all others of the URDF are locked
@@ -48,9 +38,7 @@ _EXECUTION = """
 _PRESETS = '{zstd_fast,zstd_small,none}'
 
 COMMANDS = {
-    'design': Command(
-        'design certified gains for an arm',
-        """
+    'design': """design certified gains for an arm
 --map MAP.png              picture to write: smallest fault that is always detected, over the region
 --arm ARM!                 arm file, or name of a shipped arm (paper, real_arm, ur10, panda)
 --requirement REQUIREMENT  requirement file, or name of a shipped one (paper, paper_literal,
@@ -63,19 +51,13 @@ COMMANDS = {
                            states, or 0.05
 --rate-share=0.0           region: share of all velocity limits at once; 0: as large as possible
 """,
-    ),
-    'verify': Command(
-        'check the certificate of a gains file',
-        """
+    'verify': """check the certificate of a gains file
 gains      gains file as written by lpv design, or name of shipped ones
 --arm ARM  arm that the gains are to be used with: file or name of a shipped one; without, the arm
            that the file itself describes
 --proof    also prove the inequalities in exact rational arithmetic
 """,
-    ),
-    'falsify': Command(
-        'search for healthy runs that cross a threshold',
-        """
+    'falsify': """search for healthy runs that cross a threshold
 --arm ARM!              arm file, or name of a shipped arm
 --gains GAINS           gains file, or name of a shipped one; two-link arms only
 --evaluations=20000[1:1000000000]  runs
@@ -84,10 +66,7 @@ gains      gains file as written by lpv design, or name of shipped ones
 --repeat scenario.yaml  only run this attack again
 --out=out/falsify       folder
 """,
-    ),
-    'demo': Command(
-        'design, simulate with the real graph, record, report',
-        """
+    'demo': """design, simulate with the real graph, record, report
 --arm=paper            shipped arm or arm file
 --requirement=paper    shipped requirement or file; arms without an lpv region need none
 --scenario SCENARIO    shipped scenario or scenario file (two_faults, or that of the arm's name)
@@ -98,10 +77,7 @@ gains      gains file as written by lpv design, or name of shipped ones
 --out=out/demo         folder for everything
 --domain-id ID:int     ROS_DOMAIN_ID of the run; otherwise the environment's, or one of its own
 """,
-    ),
-    'doctor': Command(
-        'find the usual mistakes in files, environment and graph',
-        """
+    'doctor': """find the usual mistakes in files, environment and graph
 --arm ARM            arm file, or name of a shipped arm; without, that of the running observer
 --gains GAINS        gains file that should fit the arm, or name of shipped ones
 --scenario SCENARIO  scenario file, or name of a shipped one
@@ -109,30 +85,18 @@ gains      gains file as written by lpv design, or name of shipped ones
 --seconds=3.0[0.5:600]        how long to watch the graph
 --json               findings as JSON
 """,
-    ),
-    'campaign': Command(
-        'run thousands of simulations, and report on them',
-        """
+    'campaign': f"""run thousands of simulations, and report on them
 campaign      campaign file (YAML) or name of a shipped one; or a folder of results: its report is
               written again, or with --run one of its runs as a bag
 --no-report   put the results together, and write no report
 --run N:int   do this run again, and write it as the bag that --bag names
 --bag FOLDER  bag of the run to write
-"""
-        + _EXECUTION,
-    ),
-    'fleet': Command(
-        'replay an archive of bags, and report on all of them',
-        """
+{_EXECUTION}""",
+    'fleet': f"""replay an archive of bags, and report on all of them
 archive DIR  every rosbag2 bag below this folder is replayed; code 3 says that one could not be read
 --healthy    the arms were healthy: all alarms are false
-"""
-        + _EXECUTION
-        + _OBSERVER,
-    ),
-    'tune': Command(
-        'search the weights of a design by campaigns of runs',
-        """
+{_EXECUTION}{_OBSERVER}""",
+    'tune': f"""search the weights of a design by campaigns of runs
 campaign        campaign of an arm with designed gains, file or shipped name; its first design is
                 what the search begins from
 --search FIELD=LOW:HIGH*  number of the requirement (observer.decay, controller.FIELD[0]) or of the
@@ -142,20 +106,13 @@ campaign        campaign of an arm with designed gains, file or shipped name; it
                 fault_rms_during=0.5, tracking_rms_during=0.5)
 --trials=40[1:10000]  designs to try
 --seed=1        of the search
-"""
-        + _EXECUTION,
-    ),
-    'run': Command(
-        'start a node, as ros2 run does',
-        """
+{_EXECUTION}""",
+    'run': """start a node, as ros2 run does
 package  ROS package (lpv_arm_sim, lpv_uio, lpv_tracker, lpv_node)
 program  its program (simulator, uio, tracker, recorder, view)
 rest...  passed on: --ros-args -p name:=value -r from:=to --params-file FILE
 """,
-    ),
-    'identify': Command(
-        'identify an arm from recordings of its motion',
-        """
+    'identify': """identify an arm from recordings of its motion
 recordings BAG|CSV+    recordings of the moving arm: rosbag2 folder, .mcap, .db3 or .csv
 --out ARM.yaml         arm file to write
 --report DIR           folder for the report with pictures
@@ -179,12 +136,9 @@ recordings BAG|CSV+    recordings of the moving arm: rosbag2 folder, .mcap, .db3
 --known-mass KG:float[1e-9:1e9]  with --payload: mass of the tool, by which the scale of the arm
                        is corrected
 """
-        + _ARM
-        + _JOINTS,
-    ),
-    'excite': Command(
-        'plan a motion that identifies an arm well',
-        """
+    + _ARM
+    + _JOINTS,
+    'excite': f"""plan a motion that identifies an arm well
 --out FOLDER!       folder to create: trajectory.csv, trajectory.yaml, reference bag, scenario.yaml
 --duration=30.0[5:600]  in seconds
 --rate=100.0[10:2000]  samples per second
@@ -196,23 +150,15 @@ recordings BAG|CSV+    recordings of the moving arm: rosbag2 folder, .mcap, .db3
 --radius R:float[0:1e3]  distance from the base's vertical axis that they keep within [m]
 --trials=300[1:100000]  motions that are tried
 --seed=1            of the search
-"""
-        + _ARM
-        + _JOINTS,
-    ),
-    'import-csv': Command(
-        'turn a CSV recording of an arm into a bag',
-        """
+{_ARM}{_JOINTS}""",
+    'import-csv': """turn a CSV recording of an arm into a bag
 csv                    file with a header line and one sample a line
 --columns MAP!         column map: a YAML file, or the name of a shipped one (real_arm)
 --out BAG!             bag to create
 --topic=/joint_states  topic
 --delimiter=,          between cells
 """,
-    ),
-    'replay': Command(
-        'run observer and diagnosis offline on a bag',
-        f"""
+    'replay': f"""run observer and diagnosis offline on a bag
 bag                rosbag2 directory, MCAP or sqlite3 file
 --out=out/replay   bag to write; an earlier result of this command is replaced
 --report FOLDER    folder for a report of the new bag
@@ -230,12 +176,8 @@ bag                rosbag2 directory, MCAP or sqlite3 file
 --topics TOPIC+    with --publish: topics to play; all but the answers of the diagnosis if not given
 --wait WAIT:float[0:1e6]  with --publish: longest time to wait for a subscriber before the first
                    message [s] (5.0)
-"""
-        + _OBSERVER,
-    ),
-    'view': Command(
-        'show the running graph: web page, Foxglove, markers',
-        """
+{_OBSERVER}""",
+    'view': """show the running graph: web page, Foxglove, markers
 --arm=paper           shipped arm or arm file
 --scenario SCENARIO   shipped scenario or scenario file whose path and obstacle are drawn
 --namespace=/lpv      namespace of the graph
@@ -245,36 +187,22 @@ bag                rosbag2 directory, MCAP or sqlite3 file
 --foxglove-port=8765  port of the Foxglove WebSocket protocol; 0: off
 --domain-id ID:int    ROS_DOMAIN_ID of the graph; otherwise the environment's
 """,
-    ),
-    'init': Command(
-        'write commented files of an arm to start from',
-        """
+    'init': f"""write commented files of an arm to start from
 folder?      where the files are written (this folder)
 --name NAME  name of the arm (the URDF's, or my_arm)
 --urdf URDF  URDF of the arm (xacro expanded)
-"""
-        + _JOINTS,
-    ),
-    'urdf': Command(
-        'print the URDF of an arm',
-        """
+{_JOINTS}""",
+    'urdf': """print the URDF of an arm
 --arm=paper  shipped arm or arm file
 --out FILE   file to write instead of the terminal
 """,
-    ),
-    'recover': Command(
-        'repair a bag that is cut off or damaged',
-        f"""
-bag        rosbag2 directory with MCAP files, or one MCAP file
+    'recover': f"""repair a bag that is cut off or damaged
+bag        rosbag2 directory with MCAP files, or one MCAP file, which is never changed; exit code 3
+           says that something was lost, 1 that nothing can be read
 --out BAG  bag to create; without, BAG_recovered if BAG is damaged, and nothing if it is not
 --preset {_PRESETS}  compression of the new bag
 """,
-        'Exit codes: 0 every message was recovered, 3 something was lost, 1 nothing can be read, '
-        '2 wrong arguments. BAG itself is never changed.',
-    ),
-    'compare': Command(
-        'compare the answers in two bags of one recording',
-        """
+    'compare': """compare the answers in two bags of one recording
 bag              first bag: recorded, or a result of lpv replay
 other            second bag, of the same measurements; what one bag does not hold (after lpv replay
                  --estimates-only) is taken from the other
@@ -290,10 +218,7 @@ other            second bag, of the same measurements; what one bag does not hol
 --missing=0.0[0:1e9]  tolerated share of answers that only one bag has
 --exact          tolerate nothing: every bit of every answer must agree
 """,
-    ),
-    'report': Command(
-        'write the report of a bag',
-        """
+    'report': """write the report of a bag
 bag                  rosbag2 directory or MCAP file
 --arm ARM            arm file, or name of a shipped arm; if not given, the one that the gains
                      describe, or the shipped one that the recorded messages name
@@ -302,8 +227,8 @@ bag                  rosbag2 directory or MCAP file
 --topic TOPIC        topic of the measurements, where there are several
 --out=out/report     folder for the report
 """,
-    ),
 }
+"""What a command does, and a table of its options as `lpv.core.support.options` has them."""
 _ELSEWHERE = {'design': 'lpv_design.main', 'doctor': 'lpv.cli.doctor'}
 
 
