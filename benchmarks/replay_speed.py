@@ -81,32 +81,6 @@ def rosbags(bag):
     return count
 
 
-def mcap_ros2_support(bag):
-    """mcap-ros2-support, by the authors of the format."""
-    from mcap_ros2.reader import read_ros2_messages
-
-    messages = read_ros2_messages(str(_file(bag)))
-    return sum(message.ros_msg is not None for message in messages)
-
-
-def mcap_ros2_support_fast(bag):
-    """mcap-ros2-support-fast with small-mcap."""
-    from mcap_ros2_support_fast.decoder import DecoderFactory
-    from small_mcap import read_message_decoded
-
-    with open(_file(bag), 'rb') as file:
-        messages = read_message_decoded(file, decoder_factories=[DecoderFactory()])
-        return sum(message.decoded_message is not None for message in messages)
-
-
-def pybag(bag):
-    """pybag-sdk."""
-    from pybag.mcap_reader import McapFileReader
-
-    with McapFileReader.from_file(str(_file(bag))) as reader:
-        return sum(message.data is not None for message in reader.messages(list(TOPICS)))
-
-
 def roboto(bag):
     """roboto-mcap-codec: Rust, into Arrow, a channel at a time."""
     import mcap_codec
@@ -135,14 +109,8 @@ def _file(bag):
 
 
 OURS = {'replay': replay, 'decode': decode}
-QUICK = {'roboto-mcap-codec': roboto}
-SLOW = {
-    'mcap-ros2-support-fast': mcap_ros2_support_fast,
-    'pybag-sdk': pybag,
-    'rosbags AnyReader': rosbags,
-    'mcap-ros2-support': mcap_ros2_support,
-}
-CANDIDATES = {**OURS, **QUICK, **SLOW}
+SLOW = {'rosbags AnyReader': rosbags}
+CANDIDATES = {**OURS, 'roboto-mcap-codec': roboto, **SLOW}
 
 
 # ------------------------------------------------------------------ measuring
