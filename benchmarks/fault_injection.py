@@ -682,7 +682,6 @@ class Cell:
 class Verdict:
     """What one run showed; None where nothing is to be said."""
 
-    healthy: bool
     delay: float | None = None  # of the first alarm, if it names the right sensor [s]
     in_time: bool = False
     kind: str = ''  # of the right sensor's last alarm while the fault acts
@@ -808,14 +807,13 @@ def run(cell: Cell, k: int, seed: int = 1) -> Verdict:
     try:
         answers = subject.answers(stream)
     except Exception as error:  # a monitor may never raise, whatever the rows: this is counted
-        return Verdict(not window.faults, seconds=stream.duration, crash=repr(error))
+        return Verdict(seconds=stream.duration, crash=repr(error))
     start = int(stream.stamps[0])
     alarms = [
         (float(alarm.detected - start) * 1e-9, alarm.event.name, alarm.sensor, alarm.kind,
          float(alarm.size)) for _, alarm in answers.events if alarm.sensor
     ]  # fmt: skip
-    verdict = Verdict(not window.faults, events=len(alarms), seconds=stream.duration)
-    verdict.alarms = alarms
+    verdict = Verdict(events=len(alarms), seconds=stream.duration, alarms=alarms)
     if not window.faults:
         verdict.other = any(event == 'RAISED' for _, event, *_ in alarms)
         return verdict

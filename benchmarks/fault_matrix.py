@@ -34,6 +34,7 @@ from dataclasses import asdict, replace
 from functools import partial
 from itertools import product
 from multiprocessing import Pool
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -50,24 +51,25 @@ BAR = Path(__file__).with_name('fault_matrix_bar.json')
 """The better of the two engines that the one engine replaced, cell by cell."""
 RATES = ('independent', 'derived')
 KEY = ('part', 'arm', 'rates', 'kind')
-SHARES = (
-    'first',
-    'in_time',
-    'kind_right',
-    'size',
-    'trusted',
-    'other',
-    'cleared',
-    'outside',
-    'second',
-    'both',
-    'crash',
-)
+SHARES: dict[str, Callable[[Verdict], float | None]] = {
+    'first': lambda v: v.delay is not None,
+    'in_time': lambda v: v.in_time,
+    'kind_right': lambda v: v.kind_right,
+    'size': lambda v: None if v.error is None else v.error <= CLOSE,
+    'trusted': lambda v: None if v.error is None else v.error > CLOSE and v.trusted,
+    'other': lambda v: v.other,
+    'cleared': lambda v: v.cleared,
+    'outside': lambda v: v.outside,
+    'second': lambda v: v.second,
+    'both': lambda v: v.both,
+    'crash': lambda v: bool(v.crash),
+}
+"""Of a run; None where there is nothing to say."""
+OF_HEALTHY = ('other', 'crash')
 
 
-def _share(values: Iterable[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return round(100.0 * float(np.mean(known)), 1) if known else None
+def _known(of: Callable[[Verdict], float | None], verdicts: Iterable[Verdict]) -> list[float]:
+    return [value for value in map(of, verdicts) if value is not None]
 
 
 def summary(cell: Cell, verdicts: Sequence[Verdict]) -> Row:
@@ -78,30 +80,18 @@ def summary(cell: Cell, verdicts: Sequence[Verdict]) -> Row:
         'rates': cell.rates,
         'kind': cell.kind.name,
         'count': len(verdicts),
-        'other': _share(v.other for v in verdicts),
-        'crash': _share(bool(v.crash) for v in verdicts),
         'events': round(float(np.mean([v.events for v in verdicts])), 2),
         'seconds': round(sum(v.seconds for v in verdicts), 1),
     }
-    if cell.kind.healthy:
-        return row
-    delays = [v.delay for v in verdicts if v.delay is not None]
-    errors = [v.error for v in verdicts if v.error is not None]
-    wrong = [v.error > CLOSE and v.trusted for v in verdicts if v.error is not None]
-    return row | {
-        'first': _share(v.delay is not None for v in verdicts),
-        'in_time': _share(v.in_time for v in verdicts),
-        'kind_right': _share(v.kind_right for v in verdicts),
-        'delay': round(float(np.median(delays)), 4) if delays else None,
-        'size': _share(error <= CLOSE for error in errors),
-        'error': round(min(float(np.median(errors)), 1e3), 4) if errors else None,
-        'trusted': _share(wrong),
-        'cleared': _share(v.cleared for v in verdicts),
-        'outside': _share(v.outside for v in verdicts),
-        'second': _share(v.second for v in verdicts),
-        'both': _share(v.both for v in verdicts),
-        'named': dict(Counter(v.kind or '-' for v in verdicts)),
-    }
+    for name in OF_HEALTHY if cell.kind.healthy else SHARES:
+        known = _known(SHARES[name], verdicts)
+        row[name] = round(100.0 * float(np.mean(known)), 1) if known else None
+    if not cell.kind.healthy:
+        for name, most in (('delay', np.inf), ('error', 1e3)):
+            known = _known(attrgetter(name), verdicts)
+            row[name] = round(min(float(np.median(known)), most), 4) if known else None
+        row['named'] = dict(Counter(v.kind or '-' for v in verdicts))
+    return row
 
 
 COMPARED = {'in_time': 1, 'kind_right': 1, 'cleared': 1, 'second': 1, 'both': 1, 'other': -1,
