@@ -803,7 +803,7 @@ def first_limit(kind: Kind, arm: SerialArm) -> float:
 def run(cell: Cell, k: int, seed: int = 1) -> Verdict:
     """One run: draw, watch, judge."""
     subject, window, together = draw(cell, k, seed)
-    stream, names = window.stream, subject.arm.sensor_names
+    stream = window.stream
     try:
         answers = subject.answers(stream)
     except Exception as error:  # a monitor may never raise, whatever the rows: this is counted
@@ -817,17 +817,26 @@ def run(cell: Cell, k: int, seed: int = 1) -> Verdict:
     if not window.faults:
         verdict.other = any(event == 'RAISED' for _, event, *_ in alarms)
         return verdict
+    _judge(verdict, cell, subject.arm, answers, window, together)
+    return verdict
+
+
+def _judge(
+    verdict: Verdict, cell: Cell, arm: SerialArm, answers: Answers, window: Window, together: bool
+) -> None:
+    """What a run with faults showed: of the first one, of its end, of the second one."""
     first = window.faults[0]
-    name, limit, slack = names[first.sensor], first_limit(cell.kind, subject.arm), 1e-6
-    told = [a for a in alarms if a[1] != 'CLEARED']
+    names, stream, slack = arm.sensor_names, window.stream, 1e-6
+    name, later = names[first.sensor], window.faults[1:]
+    told = [a for a in verdict.alarms if a[1] != 'CLEARED']
     onsets = {names[fault.sensor]: fault.onset for fault in window.faults}
     verdict.other = any(a[0] < onsets.get(a[2], np.inf) - slack for a in told)
     acting = [a for a in told if first.onset - slack <= a[0] < first.end]
-    leading = [a for a in acting if not (len(window.faults) > 1 and together
-               and a[0] >= window.faults[1].onset and a[2] != name)]  # fmt: skip
+    leading = [a for a in acting if not (later and together
+               and a[0] >= later[0].onset and a[2] != name)]  # fmt: skip
     if leading and leading[0][2] == name:
         verdict.delay = leading[0][0] - first.onset
-        verdict.in_time = verdict.delay <= limit + slack
+        verdict.in_time = verdict.delay <= first_limit(cell.kind, arm) + slack
     own = [a for a in acting if a[2] == name]
     if own:
         verdict.kind = own[-1][3]
@@ -841,13 +850,19 @@ def run(cell: Cell, k: int, seed: int = 1) -> Verdict:
         verdict.trusted = bool(answers.state.trustworthy[row])
     if not together:
         # Samples wait for up to 0.1 s until they are used.
-        until = window.faults[1].onset if len(window.faults) > 1 else np.inf
-        span = first.end + 0.1, until
+        span = first.end + 0.1, later[0].onset if later else np.inf
         verdict.outside = outside_bounds(answers, stream.stamps, window.truth, span)
-    _judge_end(
-        verdict, window, names, (told, alarms), (second_limit(cell.kind, subject.arm), together)
-    )
-    return verdict
+        until = first.end + PAUSE + slack
+        if stream.duration >= first.end + PAUSE - slack:
+            state = [a[1] for a in verdict.alarms if a[2] == name and a[0] <= until]
+            verdict.cleared = state[-1] == 'CLEARED' if state else None
+    for second in later:
+        begin, limit = second.onset - slack, second_limit(cell.kind, arm)
+        found = any(
+            a[2] == names[second.sensor] and begin <= a[0] <= second.onset + limit + slack
+            for a in told
+        )
+        verdict.both, verdict.second = (found, None) if together else (None, found)
 
 
 def outside_bounds(
@@ -862,32 +877,6 @@ def outside_bounds(
     error = np.abs(answers.fault.estimate - truth)[rows]
     outside = (error > answers.fault.bound[rows] + ROUNDING).any(axis=1)
     return float((outside & answers.state.trustworthy[rows]).mean()) if rows.any() else None
-
-
-def _judge_end(
-    verdict: Verdict, window: Window, names: Sequence[str], events: tuple[list, list],
-    about: tuple[float, bool],
-) -> None:  # fmt: skip
-    """Whether the alarm was cleared, and a second fault found."""
-    (told, alarms), (limit, together) = events, about
-    first, slack = window.faults[0], 1e-6
-    name = names[first.sensor]
-    if not together:
-        until = first.end + PAUSE
-        if window.stream.duration >= until - slack:
-            state = [a[1] for a in alarms if a[2] == name and a[0] <= until + slack]
-            verdict.cleared = state[-1] == 'CLEARED' if state else None
-    if len(window.faults) > 1:
-        second = window.faults[1]
-        found = any(
-            a[2] == names[second.sensor]
-            and second.onset - slack <= a[0] <= second.onset + limit + slack
-            for a in told
-        )
-        if together:
-            verdict.both = found
-        else:
-            verdict.second = found
 
 
 def cells(
