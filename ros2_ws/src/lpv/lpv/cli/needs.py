@@ -3,7 +3,6 @@
 import importlib.util
 import platform
 
-from lpv.core.support.errors import ConfigError
 from lpv.core.support.resources import installed_version
 
 DISTRIBUTION = 'lpv-arm-fdi'
@@ -23,14 +22,10 @@ _ROS = (
 
 
 def require_ros() -> None:
-    """Refuse to start nodes where there is no ROS 2, or no messages of this software."""
-    for module in ('rclpy', 'lpv_msgs.msg'):
-        try:
-            found = importlib.util.find_spec(module)
-        except ModuleNotFoundError:
-            found = None
-        if found is None:
-            raise ConfigError(module, _ROS)
+    """ModuleNotFoundError where there is no ROS 2, or no messages of this software."""
+    for name in ('rclpy', 'lpv_msgs'):
+        if importlib.util.find_spec(name) is None:
+            raise ModuleNotFoundError(name=name)
 
 
 def remedy(module: str | None) -> str:

@@ -13,7 +13,6 @@ from lpv.bag.replay.writer import MARK
 from lpv.bag.rosbag.metadata import read_metadata
 from lpv.bag.rosbag.output_folder import GAINS_NAME, replaced
 from lpv.bag.run.record import RecordedAlarm
-from lpv.cli.needs import require_ros
 from lpv.cli.observing import arm_and_gains, diagnosis_parameters, reading_options
 from lpv.cli.options import refuse
 from lpv.core.monitoring.alarm_text import count_texts, describe
@@ -91,7 +90,6 @@ def run(arguments: argparse.Namespace) -> int:
 def _publish(arguments: argparse.Namespace, console: Console) -> int:
     """The bag into the live graph."""
     stay_local()
-    require_ros()
     from lpv.bag.replay.player import Player
 
     given = vars(arguments)
