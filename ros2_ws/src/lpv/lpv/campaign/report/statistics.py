@@ -47,17 +47,15 @@ class Results:
 
     def number(self, name: str) -> np.ndarray:
         """A column of numbers, NaN where there is none; shape (count,)."""
-        if name not in self.table.column_names:
-            return np.full(self.count, math.nan)
-        values = self.table[name].to_pylist()
-        return np.array([math.nan if v is None else v for v in values], float)
+        return np.array(self._values(name), float)
 
     def text(self, name: str, empty: str = '') -> np.ndarray:
         """A column of texts, ``empty`` where there is none; shape (count,)."""
-        if name not in self.table.column_names:
-            return np.full(self.count, empty, object)
-        values = [empty if v is None else str(v) for v in self.table[name].to_pylist()]
-        return np.array(values, object)
+        return np.array([empty if v is None else str(v) for v in self._values(name)], object)
+
+    def _values(self, name: str) -> list[Any]:
+        there = name in self.table.column_names
+        return self.table[name].to_pylist() if there else [None] * self.count
 
     def flag(self, name: str) -> np.ndarray:
         """A column of truths, False where there is none; shape (count,)."""
