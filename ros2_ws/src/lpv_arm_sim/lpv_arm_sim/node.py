@@ -21,14 +21,13 @@ from lpv.core.serial_arm.arm_file import load_arm
 from lpv.core.simulation.arm_simulator import ArmSimulator
 from lpv.core.simulation.faults import Fault
 from lpv.core.simulation.scenario import load_scenario
-from lpv.core.support.errors import LpvError
 from lpv.core.support.limits import PATIENCE
 from lpv.core.support.timestamps import NANOSECONDS, set_stamp, to_nanoseconds
 from lpv.core.uio.certificate.gains import Gains
 from lpv_msgs.msg import GroundTruth, TorqueCommand
 from lpv_msgs.srv import ClearFaults, InjectFault
 from lpv_node.input_check import Refusals, all_finite, all_sized
-from lpv_node.managed import ManagedNode
+from lpv_node.managed import ManagedNode, served
 from lpv_node.parameters import (
     FROM_GAINS,
     chosen_limit,
@@ -299,41 +298,24 @@ class SimulatorNode(ManagedNode):
         """Age of the measurement that was answered last [ns]: late answers are as bad as none."""
         return self._stamp - self._answered
 
-    def _on_inject(
-        self, request: InjectFault.Request, response: InjectFault.Response
-    ) -> InjectFault.Response:
-        """Start a fault now, or say why not."""
-        now, asked = self._plant.time, request
+    @served
+    def _on_inject(self, asked: InjectFault.Request, _response: InjectFault.Response) -> str:
+        """Start a fault now."""
+        now = self._plant.time
         fault = Fault(asked.sensor, asked.kind, now, asked.duration, asked.size, asked.rate)
-        try:
-            self._plant.injector.add(fault)
-            response.success = True
-            response.message = f'{fault.kind} on {fault.sensor} from {now:.3f} s on'
-            self.get_logger().info(f'injected {response.message}')
-        except LpvError as error:
-            response.message = str(error)
-        return response
+        self._plant.injector.add(fault)
+        return f'{fault.kind} on {fault.sensor} from {now:.3f} s on'
 
-    def _on_clear(
-        self, request: ClearFaults.Request, response: ClearFaults.Response
-    ) -> ClearFaults.Response:
+    @served
+    def _on_clear(self, request: ClearFaults.Request, response: ClearFaults.Response) -> str:
         """Remove faults of one sensor or of all."""
-        try:
-            response.cleared, response.success = self._plant.injector.clear(request.sensor), True
-            response.message = f'{response.cleared} faults cleared'
-            self.get_logger().info(response.message)
-        except LpvError as error:
-            response.message = str(error)
-        return response
+        response.cleared = self._plant.injector.clear(request.sensor)
+        return f'{response.cleared} faults cleared'
 
-    def _on_release(
-        self, _request: Trigger.Request, response: Trigger.Response
-    ) -> Trigger.Response:
-        response.success = True
-        response.message = 'brakes may be released' if self._watchdog.latched else 'none latched'
-        self._watchdog.latched = 0
-        self.get_logger().info(f'~/release_brakes: {response.message}')
-        return response
+    @served
+    def _on_release(self, _request: Trigger.Request, _response: Trigger.Response) -> str:
+        latched, self._watchdog.latched = self._watchdog.latched, 0
+        return 'brakes may be released' if latched else 'none latched'
 
     def _publish(self) -> None:
         self._plant.read()

@@ -38,6 +38,21 @@ await_recorders=0[0:100]  wait until each output has this many recorders before 
 """)
 
 
+def served(act: Callable[[Any, Any, Any], str]) -> Callable[[Any, Any, Any], Any]:
+    """A service's callback, whose answer is what a method says it did; LpvError: why it did not."""
+
+    @functools.wraps(act)
+    def answer(node: Any, request: Any, response: Any) -> Any:
+        try:
+            response.message, response.success = act(node, request, response), True
+            node.get_logger().info(f'{act.__name__.removeprefix("_on_")}: {response.message}')
+        except LpvError as error:
+            response.message = str(error)
+        return response
+
+    return answer
+
+
 class ManagedNode(LifecycleNode):
     """Base of the graph's nodes.
 

@@ -28,7 +28,7 @@ from lpv.core.support.timestamps import NANOSECONDS, to_nanoseconds
 from lpv.core.uio.certificate.gains import Gains
 from lpv_msgs.msg import JointReference, StateEstimate, TorqueCommand
 from lpv_node.input_check import Refusals, all_finite, all_sized
-from lpv_node.managed import ManagedNode
+from lpv_node.managed import ManagedNode, served
 from lpv_node.parameters import (
     FROM_GAINS,
     chosen_limit,
@@ -385,12 +385,10 @@ class TrackerNode(ManagedNode):
             **self._refusals.counts,
         }
 
-    def _on_resume(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.success = True
-        response.message = 'the arm resumes' if self._watchdog.latched else 'nothing was latched'
-        self._watchdog.latched, self._forgotten = 0, None
-        self.get_logger().info(f'~/resume: {response.message}')
-        return response
+    @served
+    def _on_resume(self, _request: Trigger.Request, _response: Trigger.Response) -> str:
+        latched, self._watchdog.latched, self._forgotten = self._watchdog.latched, 0, None
+        return 'the arm resumes' if latched else 'nothing was latched'
 
 
 _fields = attrgetter(*ROWS)

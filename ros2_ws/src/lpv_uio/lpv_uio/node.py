@@ -28,7 +28,7 @@ from lpv.core.uio.certificate.gains import Gains
 from lpv.core.uio.unknown_input_observer import CHOICES
 from lpv_msgs.msg import FaultAlarm, FaultEstimate, StateEstimate, TorqueCommand
 from lpv_node.input_check import OneSender, Refusals, all_finite, all_sized
-from lpv_node.managed import ManagedNode
+from lpv_node.managed import ManagedNode, served
 from lpv_node.parameters import declare_given, named_file, read_gains, table
 from lpv_node.qos import latched, stream
 from lpv_node.status import StatusReporter, diagnostics
@@ -334,12 +334,12 @@ class UioNode(ManagedNode):
         text += str(self.count_publishers('joint_states'))
         self.get_logger().warning('; '.join([text, *count_texts(self._monitor.counters)]))
 
-    def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    @served
+    def _on_reset(self, _request: Trigger.Request, _response: Trigger.Response) -> str:
         self._monitor.reset()
         if self._alarms is not None:
             self._alarms.forget()
-        response.success, response.message = True, 'observer and alarms restart'
-        return response
+        return 'observer and alarms restart'
 
     def _diagnosis_parameters(self, changed: dict[str, Any]) -> DiagnosisParameters:
         values = {}
