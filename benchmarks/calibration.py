@@ -9,10 +9,8 @@ every a; a model that is too sure of itself lies above the line 1/a.
 """
 
 import argparse
-from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from fault_injection import BY_NAME, Cell, draw
@@ -24,9 +22,6 @@ from lpv.report.table import print_grid
 
 LEVELS = (1e1, 1e2, 1e3, 1e4, 1e5)
 """Values a at which M stops."""
-
-Statistics = Iterator[float]
-"""Logarithms of M, decision by decision; the generator is sent True where M is to begin anew."""
 
 
 @dataclass(frozen=True)
@@ -52,53 +47,31 @@ class Frequency:
         return bool(poisson.sf(self.stops - 1, expected) < 1e-3)
 
 
-def count_stops(run: Callable[[], Any], level: float) -> tuple[int, int]:
-    """Decisions and stops at a level a of one pass over healthy data, a fresh generator."""
-    statistics, limit, decisions, stops = run(), np.log(level), 0, 0
-    try:
-        value = next(statistics)
-        while True:
-            decisions += 1
-            stop = bool(value >= limit)
-            stops += stop
-            value = statistics.send(stop)
-    except StopIteration:
-        return decisions, stops
-
-
-def frequencies(
-    runs: Sequence[Callable[[], Any]], levels: Sequence[float] = LEVELS
-) -> list[Frequency]:
-    """Stops over all healthy runs, at each level."""
-    result = []
-    for level in levels:
-        counted = np.array([count_stops(run, level) for run in runs]).reshape(-1, 2).sum(0)
-        result.append(Frequency(level, int(counted[0]), int(counted[1])))
-    return result
-
-
-def watch(monitor: Any, stamps: np.ndarray, samples: np.ndarray, chunk: int) -> Any:
-    """Statistics of a monitor, as a generator."""
-    known = 0
-    for begin in range(0, len(stamps), chunk):
+def count_stops(cell: Cell, k: int, seed: int, level: float) -> tuple[int, int]:
+    """Decisions and stops at a level a, in a run of the monitor of a cell without faults."""
+    subject, window, _ = draw(cell, k, seed)
+    monitor, stream = subject.monitor(), window.stream
+    decisions = stops = known = 0
+    chunk = max(1, round(0.05 / subject.arm.sample_time))
+    for begin in range(0, len(stream.stamps), chunk):
         part = slice(begin, begin + chunk)
-        monitor.take_many(stamps[part], *np.moveaxis(samples[part], 1, 0))
-        if monitor.log_statistic is not None and monitor.decisions > known:
-            known = monitor.decisions
-            if (yield float(monitor.log_statistic)):
-                monitor.restart_statistic()
+        monitor.take_many(stream.stamps[part], *np.moveaxis(stream.samples[part], 1, 0))
+        if monitor.log_statistic is None or monitor.decisions == known:
+            continue
+        known, decisions = monitor.decisions, decisions + 1
+        if monitor.log_statistic >= np.log(level):
+            stops += 1
+            monitor.restart_statistic()
+    return decisions, stops
 
 
-def healthy_runs(cell: Cell, count: int, seed: int) -> list[Callable[[], Any]]:
-    """Runs of the monitor of a cell without faults."""
-
-    def run(k: int) -> Any:
-        subject, window, _ = draw(cell, k, seed)
-        stream = window.stream
-        chunk = max(1, round(0.05 / subject.arm.sample_time))
-        return watch(subject.monitor(), stream.stamps, stream.samples, chunk)
-
-    return [lambda k=k: run(k) for k in range(count)]  # type: ignore[misc]
+def frequencies(cell: Cell, count: int, seed: int) -> list[Frequency]:
+    """Stops over some healthy runs, at each level."""
+    result = []
+    for level in LEVELS:
+        counted = np.sum([count_stops(cell, k, seed, level) for k in range(count)], axis=0)
+        result.append(Frequency(level, *counted.tolist()))
+    return result
 
 
 def plot(curves: dict[str, list[Frequency]], file: Path) -> None:
@@ -152,7 +125,7 @@ def main() -> None:
     kinds = [BY_NAME[name] for name in options.kinds.split(',')]
     curves = {
         f'{cell.arm} {cell.part} {cell.rates} {cell.kind.name}': frequencies(
-            healthy_runs(cell, options.count, options.seed)
+            cell, options.count, options.seed
         )
         for cell in chosen_cells(options, kinds)
     }
