@@ -79,7 +79,7 @@ class Rig:
 
     def log(self) -> str:
         """What the nodes have said."""
-        return self.launch.log.read_text()
+        return self.launch.text()
 
     def wait(self, seconds: float, done: Any = lambda: False) -> None:
         """Take part in the graph for a while, or until something is done."""

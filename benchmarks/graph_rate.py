@@ -11,7 +11,6 @@ the machine is printed with each figure: ratios of one run are worth more than r
 import argparse
 import math
 import os
-import queue
 import re
 import subprocess
 import sys
@@ -228,13 +227,10 @@ def processes(commands: dict[str, list[Any]]) -> Iterator[Graph]:
         yield graph
 
 
-def scenario_rate(lines: list[str]) -> float:
-    """Samples a second from the simulator's remarks, each after one second of the scenario."""
-    marks = [
-        (float(found[1]), float(found[2]))
-        for line in lines
-        if (found := re.search(r'\[(\d+\.\d+)\].*scenario time (\d+\.\d)', line))
-    ]
+def scenario_rate(text: str) -> float:
+    """Samples a second from the simulator's remarks, from the first second of the scenario on."""
+    found = re.findall(r'\[(\d+\.\d+)\].*scenario time (\d+\.\d)', text)
+    marks = [(float(at), float(time)) for at, time in found if float(time) >= 1.0]
     (first, begin), (last, end) = marks[0], marks[-1]
     return RATE * (end - begin) / (last - first)
 
@@ -257,33 +253,22 @@ def our_rate(split: bool, folder: Path) -> tuple[float, float]:
     else:
         commands = {'graph': [*role('ours'), '--params-file', str(file)]}
     with processes(commands) as graph:
-        lines, before = [], 0.0
-        last = f'scenario time {1 + SAMPLES // RATE}.0 '
-        while not lines or last not in lines[-1]:
-            lines.append(next_line(graph))
-            if 'scenario time 1.0 ' in lines[-1]:
-                before, lines = total_cpu_time(graph), lines[-1:]
-        return scenario_rate(lines), (total_cpu_time(graph) - before) / SAMPLES
+        wait_for(graph, r'scenario time 1\.0 ')
+        before = total_cpu_time(graph)
+        wait_for(graph, rf'scenario time {1 + SAMPLES // RATE}\.0 ')
+        used = total_cpu_time(graph) - before
+        return scenario_rate(graph.text()), used / SAMPLES
 
 
-def next_line(graph: Graph, timeout: float = 300.0) -> str:
-    """Next line that a node prints; an error if one has died."""
+def wait_for(graph: Graph, pattern: str, timeout: float = 600.0) -> re.Match[str]:
+    """The first place that matches in what the nodes print; an error if one has died."""
     deadline = time.monotonic() + timeout
-    while time.monotonic() < deadline:
+    while not (found := re.search(pattern, graph.text())):
         graph.check()
-        try:
-            return graph.lines.get(timeout=0.5)[1]
-        except queue.Empty:
-            continue
-    raise TimeoutError('the nodes say nothing')
-
-
-def wait_for(graph: Graph, pattern: str) -> re.Match[str]:
-    """First line that matches."""
-    while True:
-        found = re.search(pattern, next_line(graph))
-        if found:
-            return found
+        if time.monotonic() > deadline:
+            raise TimeoutError(f'no node says {pattern!r}')
+        time.sleep(0.02)
+    return found
 
 
 def cpu_time(pid: int) -> float:

@@ -3,7 +3,6 @@
 import contextlib
 import itertools
 import os
-import queue
 import signal
 import subprocess
 import threading
@@ -50,6 +49,10 @@ class NodeProcess:
     log: Path  # What it printed
     is_recorder: bool
 
+    def text(self) -> str:
+        """What it has printed so far."""
+        return self.log.read_text(encoding='utf-8', errors='replace')
+
 
 class Graph:
     """A set of nodes that live and end together, each with its log in a folder."""
@@ -60,7 +63,6 @@ class Graph:
         stay_local()
         self._environment = dict(os.environ, ROS_DOMAIN_ID=str(domain_id), PYTHONUNBUFFERED='1')
         self.nodes: list[NodeProcess] = []
-        self.lines: queue.Queue[tuple[str, str]] = queue.Queue()
 
     def __enter__(self) -> 'Graph':
         return self
@@ -72,41 +74,29 @@ class Graph:
         """Start a node."""
         line, path = [str(part) for part in command], self._log_dir / f'{name}.log'
         log = open(path, 'w', encoding='utf-8', buffering=1)  # noqa: SIM115
-        process = self._process(line)
         is_recorder = any(Path(word).name == 'recorder' for word in line)  # by a shell, too
-        node = NodeProcess(name, process, path, is_recorder)
-        threading.Thread(target=self._pump, args=(node, log), daemon=True).start()
+        node = NodeProcess(name, self._process(line), path, is_recorder)
+        # By a pipe: nodes that print end with who started them.
+        threading.Thread(target=_write_log, args=(node.process, log), daemon=True).start()
         self.nodes.append(node)
         return node
 
     def _process(self, line: list[str]) -> subprocess.Popen:
-        return subprocess.Popen(
-            line,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            env=self._environment,
-            text=True,
-            errors='replace',
-            start_new_session=True,
-        )
+        options: dict[str, Any] = {'stdout': subprocess.PIPE, 'stderr': subprocess.STDOUT}
+        options |= {'env': self._environment, 'text': True, 'errors': 'replace'}
+        return subprocess.Popen(line, start_new_session=True, **options)
 
-    def _pump(self, node: NodeProcess, log: TextIO) -> None:
-        """Thread: hand on what a node prints, which would wait for ever if nobody read it."""
-        for line in node.process.stdout or ():
-            with contextlib.suppress(OSError):  # of a disk that is full
-                log.write(line)
-            self.lines.put((node.name, line.rstrip()))
-        with contextlib.suppress(OSError):
-            log.close()
-
-    def check(self, finite: NodeProcess | None = None) -> None:
-        """Raise if a node has ended that should not."""
+    def check(self) -> None:
+        """Raise if a node has ended."""
         for node in self.nodes:
             code = node.process.poll()
-            if code is not None and not (node is finite and code == 0):
-                log = node.log.read_text(encoding='utf-8') if node.log.exists() else '(no log)'
-                end = '\n'.join(log.splitlines()[-15:])
+            if code is not None:
+                end = '\n'.join(node.text().splitlines()[-15:])
                 raise NodeFailure(f'{node.name} ended with code {code}:\n{end}')
+
+    def text(self) -> str:
+        """What all nodes have printed so far."""
+        return '\n'.join(node.text() for node in self.nodes)
 
     def stop(self, patience: float = 3.0 * PATIENCE) -> dict[str, Any]:
         """Stop all nodes: SIGINT, then SIGTERM, then SIGKILL, to whole process groups.
@@ -118,6 +108,14 @@ class Graph:
             for last in (False, True):
                 _stop([n for n in self.nodes if n.is_recorder == last], patience)
         return {node.name: node.process.poll() for node in self.nodes}
+
+
+def _write_log(process: subprocess.Popen, log: TextIO) -> None:
+    """Thread: take what a node prints, which would wait for ever if nobody read it."""
+    with contextlib.suppress(OSError), log:  # of a disk that is full
+        for line in process.stdout or ():
+            with contextlib.suppress(OSError):
+                log.write(line)
 
 
 def _stop(nodes: list[NodeProcess], patience: float) -> None:

@@ -109,8 +109,7 @@ class Rig:
 
     def log(self, name):
         """What the present node of this name has logged."""
-        log = self.nodes[name].log
-        return log.read_text() if log.exists() else ''
+        return self.nodes[name].text()
 
     def logged(self, name, words, moment=0):
         """Time at which a node first said something after a moment; waits for it."""
