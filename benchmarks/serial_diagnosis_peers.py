@@ -198,15 +198,17 @@ class Ukf(UnscentedKalmanFilter):
 
 @dataclass
 class Offsets:
-    """Estimates and standard deviations of all offsets at `MOMENTS`; NaN where a filter failed."""
+    """Errors and standard deviations of all offsets at `MOMENTS`; NaN where a filter failed."""
 
-    estimate: FloatArray  # shape (moments, n) [rad]
+    error: FloatArray  # shape (moments, n) [rad]
     sigma: FloatArray  # shape (moments, n) [rad]
     cost: float  # of a sample [s]
 
 
-def filtered(make: Callable[[Knowledge], Ekf | Ukf], known: Knowledge, run: Healthy) -> Offsets:
-    """What a filter finds."""
+def filtered(
+    make: Callable[[Knowledge], Ekf | Ukf], known: Knowledge, run: Healthy, truth: FloatArray
+) -> Offsets:
+    """What a filter finds of true offsets."""
     n, kalman = run.samples.shape[2], make(known)
     offsets, begin = slice(3 * n, 4 * n), time.process_time()
 
@@ -223,7 +225,7 @@ def filtered(make: Callable[[Knowledge], Ekf | Ukf], known: Knowledge, run: Heal
             found[:, k] = until(ends[k], ends[k + 1])
         except (np.linalg.LinAlgError, ValueError):
             break
-    return Offsets(found[0], found[1], (time.process_time() - begin) / ends[-1])
+    return Offsets(found[0] - truth, found[1], (time.process_time() - begin) / ends[-1])
 
 
 def bound(known: Knowledge, run: Healthy, course: FloatArray) -> FloatArray:
@@ -237,8 +239,8 @@ def bound(known: Knowledge, run: Healthy, course: FloatArray) -> FloatArray:
     return np.array(deviations)
 
 
-def ours(run: Healthy) -> Offsets:
-    """What our monitor finds."""
+def ours(run: Healthy, truth: FloatArray) -> Offsets:
+    """What our monitor finds of true offsets."""
     monitor, found, done = Watched(run.arm), [], 0
     begin = time.process_time()
     for end in _ends(run):
@@ -247,7 +249,7 @@ def ours(run: Healthy) -> Offsets:
         found.append((estimate.fault, estimate.sigma))
     cost = (time.process_time() - begin) / done
     estimates, sigmas = np.moveaxis(np.array(found), 1, 0)
-    return Offsets(estimates, sigmas, cost)
+    return Offsets(estimates - truth, sigmas, cost)
 
 
 def _ends(run: Healthy) -> list[int]:
@@ -288,36 +290,22 @@ def simulated(
     return Healthy(run.stamps, run.samples, arm), course
 
 
-class Errors:
-    """Errors, stated deviations and bounds of one estimator over all runs."""
-
-    def __init__(self) -> None:
-        self.error: list[FloatArray] = []
-        self.sigma: list[FloatArray] = []
-        self.cost: list[float] = []
-
-    def add(self, found: Offsets, truth: FloatArray) -> None:
-        """One run; truth of shape (n,)."""
-        self.error.append(found.estimate - truth)
-        self.sigma.append(found.sigma)
-        self.cost.append(found.cost)
-
-    def cells(self, k: int, limits: FloatArray | None) -> list[str]:
-        """At a moment: RMS, over the bound, 90 %, over the stated deviation, failures, cost."""
-        error, sigma = np.array(self.error)[:, k], np.array(self.sigma)[:, k]
-        failed = ~np.isfinite(error).all(1) | (np.abs(error) > np.pi).any(1)
-        e, s = error[~failed], sigma[~failed]
-        rms, cell = float(np.sqrt(np.mean(e**2))), '-'
-        if limits is not None:
-            cell = f'{rms / np.sqrt(np.mean(limits[~failed, k] ** 2)):.2f}'
-        return [
-            f'{rms:.4f}', cell, f'{np.quantile(np.abs(e).max(1), 0.9):.3f}',
-            f'{np.sqrt(np.mean((e / s) ** 2)):.1f}', str(int(failed.sum())),
-            f'{1e6 * np.mean(self.cost):.0f}']  # fmt: skip
+def cells(runs: list[Offsets], k: int, limits: FloatArray | None) -> list[str]:
+    """At a moment: RMS, over the bound, 90 %, over the stated deviation, failures, cost."""
+    error, sigma = (np.array([getattr(run, n)[k] for run in runs]) for n in ('error', 'sigma'))
+    failed = ~np.isfinite(error).all(1) | (np.abs(error) > np.pi).any(1)
+    e, s = error[~failed], sigma[~failed]
+    rms, cell = float(np.sqrt(np.mean(e**2))), '-'
+    if limits is not None:
+        cell = f'{rms / np.sqrt(np.mean(limits[~failed, k] ** 2)):.2f}'
+    return [
+        f'{rms:.4f}', cell, f'{np.quantile(np.abs(e).max(1), 0.9):.3f}',
+        f'{np.sqrt(np.mean((e / s) ** 2)):.1f}', str(int(failed.sum())),
+        f'{1e6 * np.mean([run.cost for run in runs]):.0f}']  # fmt: skip
 
 
 def print_table(
-    console: Console, title: str, found: dict[str, Errors], limits: FloatArray | None = None
+    console: Console, title: str, found: dict[str, list[Offsets]], limits: FloatArray | None = None
 ) -> None:
     """One row for each moment and estimator."""
     rows = []
@@ -325,8 +313,8 @@ def print_table(
         if limits is not None:
             rms = np.sqrt(np.mean(limits[:, k] ** 2))
             rows.append([f'{moment:g}', 'bound', f'{rms:.4f}', '1'])
-        for name, errors in found.items():
-            rows.append([f'{moment:g}', name, *errors.cells(k, limits)])
+        for name, runs in found.items():
+            rows.append([f'{moment:g}', name, *cells(runs, k, limits)])
     heads = ('>after [s]', '', '>RMS [rad]', '>over bound', '>larger error, 90 % [rad]',
              '>RMS over own sigma', '>diverged', '>us a sample')  # fmt: skip
     print_grid(console, heads, rows, title)
@@ -340,21 +328,21 @@ def report_simulated(
 ) -> None:
     """All estimators and the bound on arms drawn from the priors."""
     n, limits = len(arm.joints), []
-    found = {key: Errors() for key in ('ours', *PEERS)}
+    found = {key: list[Offsets]() for key in ('ours', *PEERS)}
     for seed in range(runs):
         run, course = simulated(arm, torques, seed, MOMENTS[-1] + 0.1)
         known, truth = knowledge(arm, torques, run.samples[0]), course[0, 3 * n : 4 * n]
         limits.append(bound(known, run, course))
-        found['ours'].add(ours(run), truth)
+        found['ours'].append(ours(run, truth))
         for key, make in PEERS.items():
-            found[key].add(filtered(make, known, run), truth)
+            found[key].append(filtered(make, known, run, truth))
     title = f'{name}, simulated, T_d = {torques.correlation:g} s: {runs} runs'
     print_table(console, title, found, np.array(limits))
 
 
 def report_recorded(console: Console, runs: int, rng: np.random.Generator) -> None:
     """The recorded two-link arm; strength of d as our monitor has learned it."""
-    found = {key: Errors() for key in ('ours', *PEERS)}
+    found = {key: list[Offsets]() for key in ('ours', *PEERS)}
     for k, run in enumerate(two_link_runs(runs, rng)):
         monitor = Watched(run.arm)
         monitor.take(run.stamps, run.samples)
@@ -367,10 +355,10 @@ def report_recorded(console: Console, runs: int, rng: np.random.Generator) -> No
         faulty, truth = replace(run, samples=run.samples.copy()), np.zeros(2)
         faulty.samples[:, 0, joint] += size
         truth[joint] = size
-        found['ours'].add(ours(faulty), truth)
+        found['ours'].append(ours(faulty, truth))
         for key, make in PEERS.items():
             known = knowledge(run.arm, torques, faulty.samples[0])
-            found[key].add(filtered(make, known, faulty), truth)
+            found[key].append(filtered(make, known, faulty, truth))
     print_table(console, f'two-link arm, recorded, {runs} runs', found)
 
 
