@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import ros
 import yaml
+from bags import contents
 from places import BRINGUP
 from ros2_commands import Running
 from runs import ALL
@@ -29,6 +30,7 @@ from lpv.core.uio.model.joints import JointMap
 from lpv.core.uio.planar import planar_model
 
 LPV = Path(sys.executable).parent / 'lpv'
+SEED = 2
 
 
 def shortened(folder, name, *onsets, **changes):
@@ -55,7 +57,8 @@ def demo(tmp_path_factory):
     """Output folder, terminal text and recording of the main job, shortened."""
     out = tmp_path_factory.mktemp('demo')
     scenario = shortened(out, 'two_faults', 0.5, 0.8, duration=3.2)
-    return out, ros.lpv('demo', '--scenario', scenario, '--out', out), load_run(out / 'bag')
+    words = 'demo', '--scenario', scenario, '--seed', SEED, '--out', out
+    return out, ros.lpv(*words), load_run(out / 'bag')
 
 
 def assert_as_offline(record, arm, run):
@@ -71,7 +74,8 @@ def test_given_the_demo_when_run_then_it_is_the_loop_without_nodes_and_all_files
     """What that loop does on the whole scenario is held to the paper by `test_closed_loop`."""
     out, text, record = demo
     arm, gains = load_arm('paper'), load_gains(out / 'gains.yaml')
-    offline = run_closed_loop(arm, load_scenario(out / 'scenario.yaml'), gains)
+    scenario = replace(load_scenario(out / 'scenario.yaml'), seed=SEED)
+    offline = run_closed_loop(arm, scenario, gains)
     assert assert_as_offline(record, arm, offline) > 1550
     table = r'^ *(\w+) +(?:estimate|tracking).*?rad²\S* +\S+ +\S+ +\S+ x *$'
     signals = 'x1 x2 x3 x4 f1 f2 y1 y2 e_t1 e_t2'
@@ -97,38 +101,26 @@ def test_given_the_demo_when_run_then_it_is_the_loop_without_nodes_and_all_files
 
 
 @pytest.mark.ros
-def test_given_the_demo_when_run_again_then_gains_are_kept_and_bags_are_equal(demo, tmp_path):
-    shutil.copy(demo[0] / 'gains.yaml', tmp_path)
-    said = ros.lpv('demo', '--scenario', demo[0] / 'scenario.yaml', '--out', tmp_path)
-    assert 'are kept from the run before' in said
-    for name in ('bag.mcap', 'metadata.yaml'):
-        assert len({(run / 'bag' / name).read_bytes() for run in (demo[0], tmp_path)}) == 1, name
-
-
-@pytest.mark.ros
-def test_given_a_signal_when_the_papers_design_and_plant_run_then_no_node_outlives_it(tmp_path):
+def test_given_a_signal_when_the_demo_runs_again_then_its_bag_begins_as_before_and_no_node_is_left(
+    demo, tmp_path
+):
     """That others act alike, and nodes that die, are subjects of `test_commands`."""
-    file, out = shortened(tmp_path, 'paper_lpv', 0.5, duration=300.0), tmp_path / 'out'
-    words = 'demo', '--requirement', 'paper_literal', '--scenario', file, '--seed', 2, '--out', out
+    shutil.copy(demo[0] / 'gains.yaml', tmp_path)
+    file = shortened(tmp_path, 'two_faults', 0.5, 0.8, duration=300.0)
+    words = 'demo', '--scenario', file, '--seed', SEED, '--out', tmp_path
     environment = {**os.environ, 'ROS_DOMAIN_ID': str(ros.next_domain())}
     before = signal(SIGHUP, default_int_handler)  # under nohup it would be ignored
     with Running(*words, program=[LPV], env=environment) as command:
         signal(SIGHUP, before)
-        command.until('ALARM')
+        assert 'are kept from the run before' in command.until('ALARM')
         assert len(nodes_of(tmp_path)) >= 3
         command.process.send_signal(SIGHUP)
         assert command.end(600.0)[0] == 128 + SIGHUP
     assert nodes_of(tmp_path) == []
-    # What was recorded until then is there, and right.
-    record, arm = load_run(out / 'bag'), load_arm('paper')
-    scenario = replace(load_scenario(file), duration=record.time[-1] + 0.1, seed=2)
-    offline = run_closed_loop(arm, scenario, load_gains(out / 'gains.yaml'))
-    assert assert_as_offline(record, arm, offline) > 250
-    error = record.aligned('ground_truth', 'fault') - record.aligned('fault_estimate', 'estimate')
-    assert np.isfinite(error[:-1]).all()  # the last sample may wait for its estimate
-    assert np.all(np.mean(error[:-1] ** 2, axis=0) < 5e-3)  # from a start in which nothing is known
-    assert {a.sensor for a in record.alarms} == {'link1_angle'}
-    assert record.alarms[0].size == pytest.approx(0.3, abs=0.1)
+    first, again = (contents(out / 'bag')[0] for out in (demo[0], tmp_path))
+    end = min(first[-1][1], again[-1][1]) - 100_000_000  # what was under way may be missing
+    first, again = ([entry for entry in bag if entry[1] < end] for bag in (first, again))
+    assert again == first and {topic for topic, *_ in again} >= {f'/lpv/{name}' for name in ALL}
 
 
 @pytest.mark.ros
