@@ -115,8 +115,8 @@ CAMPAIGN = """
 name: small
 designs: [gains.yaml]
 plan: {method: random, runs: 1}
-duration: 0.2
-factors: {fault.kind: bias, fault.size: 0.3, fault.onset: 0.1}
+duration: 0.06
+factors: {fault.kind: bias, fault.size: 0.3, fault.onset: 0.02}
 """
 
 
