@@ -356,6 +356,8 @@ def test_given_two_workers_when_one_dies_then_nothing_is_lost_and_without_any_it
     cluster, small, few, serial, tmp_path, call, monkeypatch
 ):
     scheduler, workers = cluster
+    with pytest.raises(WorkerError, match='has no workers'):
+        next(chunks(small, scheduler=scheduler))
     (first, second), rows = workers(2), []
     for part in chunks(few, scheduler=scheduler, size=2):
         rows += part
@@ -376,10 +378,6 @@ def test_given_two_workers_when_one_dies_then_nothing_is_lost_and_without_any_it
     kill(second)
     with pytest.raises(WorkerError, match='no worker has been left'):
         list(found)
-    with pytest.raises(WorkerError, match='has no workers'):
-        next(chunks(small, scheduler=scheduler))
-    workers(1)
-    assert len(next(chunks(small, scheduler=scheduler))) == 8
 
 
 def test_given_no_cluster_when_run_then_processes_of_its_own_do_the_same(few, serial):
