@@ -82,8 +82,8 @@ def test_given_a_serial_arm_when_attacked_then_only_a_monitor_told_too_little_is
 
 
 def test_given_a_short_search_when_run_then_it_comes_near_and_never_across(arm, gains_of):
-    found = search(Attacker(arm, 3.0, gains_of[arm.name]), 120)
-    assert len(found) == 120 and found == sorted(found, key=lambda one: -one.ratio)
+    found = search(Attacker(arm, 3.0, gains_of[arm.name]), 60)
+    assert len(found) == 60 and found == sorted(found, key=lambda one: -one.ratio)
     assert 0.4 < found[0].ratio < 1.0 and not any(one.blamed for one in found)
 
 

@@ -1,6 +1,7 @@
 """Tuning: a search on Optuna's storage, resumed, validated on other runs, never worse gains."""
 
 import json
+from functools import cache
 
 import numpy as np
 import optuna
@@ -8,7 +9,7 @@ import pytest
 from campaign_files import spec, written
 
 from lpv import ConfigError, load_gains
-from lpv.cli.commands.tune import healthy
+from lpv.cli.commands import tune
 from lpv.core.support.config import read_yaml
 from lpv_design.requirement import load_requirement
 
@@ -40,8 +41,11 @@ def study_in(out):
     return optuna.load_study(study_name=None, storage=f'sqlite:///{out / "study.db"}')
 
 
-def test_given_a_design_when_tuned_then_only_better_gains_hold(file, paper_arm, call, refused):
+def test_given_a_design_when_tuned_then_only_better_gains_hold(
+    file, paper_arm, call, refused, monkeypatch
+):
     out = file.parent / 'out'
+    monkeypatch.setattr(tune, 'design', cache(tune.design))  # each is asked for by every command
     assert refused("'beauty' is no number", *command(file, 2, '--cost', 'beauty=1'))
     text = call(*command(file, 1)).out + call(*command(file, 2)).out
     assert text.count('trial 0: ') == text.count('trial 1: ') == 1  # what was done is kept
@@ -67,11 +71,11 @@ def test_given_a_design_when_tuned_then_only_better_gains_hold(file, paper_arm, 
 def test_given_scores_and_alarms_when_a_trial_is_judged_then_only_parts_without_fault_count():
     nothing = {'score_before_2': np.nan}
     good = {**nothing, 'score_before_1': 0.4, 'score_during_1': 5.0, 'alarms_before_1': 0}
-    assert healthy([good]) == (0.4, 0)
+    assert tune.healthy([good]) == (0.4, 0)
     bad = {'score_before_1': 0.7, 'score_before_2': np.inf, 'alarms_before_1': 2}
-    assert healthy([good, bad]) == (1e6, 2)
+    assert tune.healthy([good, bad]) == (1e6, 2)
     with pytest.raises(ConfigError, match='without fault'):
-        healthy([nothing])
+        tune.healthy([nothing])
 
 
 def test_given_what_makes_no_sense_when_tuned_then_one_line_says_so(file, refused):
