@@ -117,7 +117,7 @@ SPEC = {
         'fault.kind': 'dropout',  # the arm is stopped, and led back to its path
         'fault.sensor': 'both', 'fault.onset': {'low': 1.2, 'high': 1.6}, 'fault.duration': 0.5,
         'parameter_error': 0.05, 'payload': 1.5, 'friction': 1.3, 'noise': 1.5,
-        'compensation': ['confirmed', 'always'], 'diagnosis.clear_dwell': 0.2,
+        'compensation': ['confirmed', 'always'], 'diagnosis.sigmas': 5.0,
     },
 }  # fmt: skip
 
