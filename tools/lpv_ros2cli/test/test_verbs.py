@@ -9,7 +9,7 @@ import threading
 import pytest
 import ros
 import yaml
-from hypothesis import example, given
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from ros2_commands import Running
 
@@ -54,7 +54,7 @@ def test_given_what_is_not_covered_when_asked_for_then_the_code_is_that_of_a_wro
         main(['topic', 'pub', '/x'])
 
 
-@pytest.mark.slow
+@settings(max_examples=50)
 @given(st.lists(st.floats(allow_nan=False), max_size=5), st.text(), st.integers(0, 2**31 - 1))
 @example([], '\x85', 0)
 def test_given_any_values_when_shown_then_they_are_read_back(numbers, text, seconds):
