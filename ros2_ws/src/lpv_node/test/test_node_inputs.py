@@ -98,26 +98,14 @@ def test_given_gains_that_are_misspelt_or_not_whole_when_read_then_it_says_so(
         parameters.read_gains(node, paper_arm, Gains)
 
 
-def test_given_senseless_parameters_when_set_then_each_is_refused(node):
-    node.declare_parameter('wait', 1.0)
-    service = parameter_service.CheckedParameterService(node)
-    for name, kind, reason in (
-        ('x', 11, 'ValueError'),  # there is no such type
-        ('', ParameterType.PARAMETER_DOUBLE, 'needs a name'),
-        ('wait', ParameterType.PARAMETER_NOT_SET, 'cannot be deleted'),
-    ):
-        hostile = [ParameterMessage(name=name, value=ParameterValue(type=kind))]
-        for together in (True, False):
-            (result,) = answers_to(service, hostile, together)
-            assert not result.successful and reason in result.reason
-    assert node.get_parameter('wait').value == 1.0
-
-
-def test_given_an_unknown_parameter_or_another_type_when_set_then_the_reason_names_both(node):
+def test_given_parameters_that_make_no_sense_when_set_then_each_is_refused_with_its_reason(node):
     node.declare_parameter('wait', 1.0)
     node.declare_parameter('choice', 'confirmed')
     service = parameter_service.CheckedParameterService(node)
     for name, kind, reason in (
+        ('x', 11, '.*ValueError'),  # there is no such type
+        ('', ParameterType.PARAMETER_DOUBLE, '.*needs a name'),
+        ('wait', ParameterType.PARAMETER_NOT_SET, '.*cannot be deleted'),
         ('wiat', ParameterType.PARAMETER_DOUBLE, 'probe has no parameter wiat'),
         ('wait', ParameterType.PARAMETER_STRING, 'wait is of type DOUBLE, not STRING'),
         ('choice', ParameterType.PARAMETER_BOOL, 'choice is of type STRING, not BOOL; in YAML'),
@@ -125,7 +113,8 @@ def test_given_an_unknown_parameter_or_another_type_when_set_then_the_reason_nam
         wanted = [ParameterMessage(name=name, value=ParameterValue(type=kind))]
         for together in (True, False):
             (result,) = answers_to(service, wanted, together)
-            assert not result.successful and result.reason.startswith(reason)
+            assert not result.successful and re.match(reason, result.reason), result.reason
+    assert node.get_parameter('wait').value == 1.0
 
 
 @pytest.mark.parametrize('node', [['--ros-args', '-p', 'choice:=off']], indirect=True)
