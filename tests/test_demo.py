@@ -68,10 +68,8 @@ def test_given_the_demo_when_run_then_it_is_the_loop_without_nodes_and_all_files
     out, text, record = demo
     arm, gains = load_arm('paper'), load_gains(out / 'gains.yaml')
     scenario = replace(load_scenario(out / 'scenario.yaml'), seed=SEED)
-    offline, commands = (
-        run_closed_loop(arm, scenario, gains),
-        record.get('torque_command', 'torque'),
-    )
+    offline = run_closed_loop(arm, scenario, gains)
+    commands = record.get('torque_command', 'torque')
     assert 1550 < len(commands) <= len(offline.torque)
     np.testing.assert_array_equal(commands, offline.torque[: len(commands)])
     table = r'^ *(\w+) +(?:estimate|tracking).*?rad²\S* +\S+ +\S+ +\S+ x *$'

@@ -57,7 +57,8 @@ def run(arguments: argparse.Namespace) -> int:
         from lpv.core.simulation.precompile import precompile
 
         gains = _shipped(arm, console)
-        precompile(str(arguments.arm_file))  # kept after the first time
+        # Kept after the first time.
+        precompile(str(arguments.arm_file), str(files['scenario']))
     files |= {'gains_file': gains} if gains else {}
     if problem := _run_graph(arguments, files, out, scenario, console):
         console.print(f'lpv demo: {problem}', style='red', markup=False)

@@ -30,10 +30,10 @@ _SCENARIOS = {'paper': 'two_faults'}
 """Shipped scenarios of arms that have none of their name."""
 
 
-def _run_loop(arm: SerialArm, name: str, gains: Gains | None) -> None:
+def _run_loop(arm: SerialArm, scenario_name: str, gains: Gains | None) -> None:
     """Run what the simulator and the tracker compile."""
     try:
-        scenario = load_scenario(bringup_file('scenarios', _SCENARIOS.get(name, name)))
+        scenario = load_scenario(bringup_file('scenarios', scenario_name))
     except ConfigError:  # an arm of the user's own
         return
     plant = ArmSimulator(arm, scenario)
@@ -50,19 +50,18 @@ def _run_loop(arm: SerialArm, name: str, gains: Gains | None) -> None:
     DriveWatchdog(arm).check(1, 0, True, still)
 
 
-def _helper(arm: SerialArm, name: str) -> Any:
+def _helper(arm: SerialArm, scenario: str, gains: Gains | None) -> Any:
     """A second process, to be started, that compiles what comes last here.
 
     Whatever one of the two compiles the other one waits for, and loads.
     """
     new = multiprocessing.get_context('spawn')
-    return new.Process(target=_help, args=(arm, name), daemon=True)
+    return new.Process(target=_help, args=(arm, scenario, gains), daemon=True)
 
 
-def _help(arm: SerialArm, name: str) -> None:
+def _help(arm: SerialArm, scenario: str, gains: Gains | None) -> None:
     with suppress(KeyboardInterrupt):  # the other process says so
-        gains = _shipped_gains(arm, name)
-        _run_loop(arm, name, gains)
+        _run_loop(arm, scenario, gains)
         SerialSensorMonitor('precompile', arm, gains=gains).compile_ahead()
 
 
@@ -101,21 +100,25 @@ def _progress(text: str, helper: Any) -> Iterator[None]:
         print(f'\r\033[K{line}' if sys.stdout.isatty() else line, flush=True)
 
 
-def precompile(name: str) -> None:
+def precompile(name: str, scenario: str = '') -> None:
     """Compile what ``lpv demo`` runs for an arm, and say what is being compiled.
 
     Parameters
     ----------
     name : str
         Shipped arm, or arm file.
+    scenario : str
+        Shipped scenario, or scenario file; that of the arm's name if not given.
     """
     arm = load_arm(bringup_file('arms', name))
-    gains, helper = _shipped_gains(arm, name), _helper(arm, name)
+    scenario = scenario or _SCENARIOS.get(name, name)
+    gains = _shipped_gains(arm, name)
+    helper = _helper(arm, scenario, gains)
     what = f'compiling for arm {name!r}'
     with _progress(f'{what}: plant, tracking, observers and diagnosis', helper):
         monitor = SerialSensorMonitor('precompile', arm, gains=gains)
         monitor.warm_up()
-        _run_loop(arm, name, gains)
+        _run_loop(arm, scenario, gains)
     with _progress(f'{what}: diagnosis of a fault', helper):
         monitor.warm_up_faults()  # the first one must not wait for this in a node
     if helper.pid is not None:
