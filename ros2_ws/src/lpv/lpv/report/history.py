@@ -18,7 +18,7 @@ from lpv.bag.run.record import (
     load_run,
     node_reports,
 )
-from lpv.core.control.path import TimedPath
+from lpv.core.control.path import SerialPath
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis import alarms
 from lpv.core.simulation.faults import tells_of
@@ -372,7 +372,7 @@ class Run:
     reports: Mapping[str, Sequence[NodeReport]]  # of the nodes, as of `node_reports`
     certificate: Certificate  # of the gains
     title: str = 'Run'  # heading of its page
-    path: TimedPath | None = None  # reference, with the obstacle
+    path: SerialPath | None = None  # reference, with the obstacle
 
     def __post_init__(self) -> None:
         self.alarms = episodes(self.record)
@@ -385,7 +385,7 @@ class Run:
 def load(
     bag: str | Path,
     arm: SerialArm,
-    path: TimedPath | None = None,
+    path: SerialPath | None = None,
     title: str = 'Run',
     gains: str | Path | None = None,
     source: str = '',

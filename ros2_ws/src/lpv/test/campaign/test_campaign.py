@@ -23,8 +23,7 @@ from lpv.campaign.execution.run_metrics import figures
 from lpv.campaign.execution.runs import plan_run, run_one
 from lpv.campaign.plan import random_paths, spec
 from lpv.campaign.plan.campaign import Campaign, resolve
-from lpv.core.control.path import CartesianPath, PlanarWaypoints
-from lpv.core.control.serial_path import SerialPath
+from lpv.core.control.path import CartesianPath, PlanarWaypoints, SerialPath
 from lpv.core.serial_arm.arm_file import save_arm
 from lpv.core.serial_arm.diagnosis.alarms import Alarm, AlarmEvent
 from lpv.core.simulation.closed_loop import run_closed_loop

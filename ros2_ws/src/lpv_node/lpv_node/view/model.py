@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lpv.core.control.path import TimedPath
+from lpv.core.control.path import SerialPath
 from lpv.core.monitoring.joint_order import JointOrder
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.serial_arm.diagnosis.alarms import Mode, SensorState
@@ -49,7 +49,7 @@ _CHARTS = {
 class LiveModel:
     """Latest messages, a short history and the list of alarms, for one thread and without ROS."""
 
-    def __init__(self, arm: SerialArm, path: TimedPath | None = None) -> None:
+    def __init__(self, arm: SerialArm, path: SerialPath | None = None) -> None:
         self._arm, self._path = arm, path
         self._order, self._joints = JointOrder(arm.joint_names), len(arm.joint_names)
         self._skeleton = Skeleton(arm)

@@ -7,7 +7,7 @@ from geometry_msgs.msg import Point
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
-from lpv.core.control.path import TimedPath
+from lpv.core.control.path import SerialPath
 from lpv.core.export.urdf import BASE
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.limits import QUIET
@@ -25,7 +25,7 @@ ARMS = {
 class Scene:
     """Draws the arms, and the path with its obstacle."""
 
-    def __init__(self, arm: SerialArm, path: TimedPath | None = None) -> None:
+    def __init__(self, arm: SerialArm, path: SerialPath | None = None) -> None:
         self._path, self._skeleton = path, Skeleton(arm)
         self._width = 0.025 * self._skeleton.reach
 

@@ -5,8 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from lpv.core.control.path import CartesianPath, PlanarWaypoints
-from lpv.core.control.serial_path import SerialPath
+from lpv.core.control.path import CartesianPath, PlanarWaypoints, SerialPath
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.errors import ConfigError, LpvError
 from lpv.core.uio.model.joints import JointMap

@@ -1,6 +1,5 @@
-"""Splines from rest to rest, Cartesian paths, and the joint references that they are made into."""
+"""Paths from rest to rest: splines of joint positions, through waypoints of joints or the tip."""
 
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -8,14 +7,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lpv.core.serial_arm.chain import compile_chain
+from lpv.core.serial_arm.chain import Chain, FloatArray, compile_chain
 from lpv.core.serial_arm.description import SerialArm
+from lpv.core.serial_arm.dynamics.kinematics import inverse_kinematics, joint_frames
 from lpv.core.serial_arm.dynamics.model import SerialModel
 from lpv.core.support.entries import entry, part, positive
-from lpv.core.support.errors import ConfigError
+from lpv.core.support.errors import ConfigError, UnreachableError
+from lpv.core.support.jit import njit
 from lpv.core.support.limits import FAR
-from lpv.core.uio.model.kinematics import ELBOWS, forward, inverse, joint_motion
+from lpv.core.uio.model.kinematics import ELBOWS, forward, inverse, refuse_singular
 from lpv.core.uio.planar import planar_links, plane_of
+
+SMALLEST_MANIPULABILITY = 0.02
+"""Smallest singular value of the tip's Jacobian along a path of poses: below, the arm is near a
+singularity, where the reduced speed of ISO 10218, 0.25 m/s, needs rates of 12 rad/s [m/rad]."""
+_SPACING = 0.04
+"""Time between the poses that inverse kinematics solves [s]."""
+_MOST_POSES = 2001
+"""Poses that inverse kinematics solves at most; limits are checked at so many points."""
+_POINTS, _LEAST_POINTS = 100, 500
+"""Points in the plane that are solved between two waypoints, and of a path at least: between them
+positions of shipped paths err by 1e-12 rad, accelerations by 1e-8 rad/s2, and rounding by less."""
 
 
 @dataclass(frozen=True)
@@ -41,17 +53,44 @@ class Obstacle:
     radius: float = positive(FAR)  # [m]
 
 
-def checked_times(times: Sequence[float]) -> np.ndarray:
-    """Times of waypoints [s]; ConfigError if they are not two or more that increase."""
-    knots = np.asarray(times, float)
+@dataclass(frozen=True)
+class PlanarWaypoints:
+    """Points in the vertical plane of a planar arm that its tip goes through."""
+
+    points: tuple[tuple[float, float], ...]  # x forward, y up, from joint 1 [m]
+    # branch of the inverse kinematics
+    elbow: str = entry('text', default='positive', choices=tuple(ELBOWS))
+    # for pictures, and for the check that the path keeps clear of it
+    obstacle: Obstacle | None = part(Obstacle, default=None)
+
+
+@dataclass(frozen=True)
+class PoseWaypoints:
+    """Poses of the tip that a path goes through."""
+
+    positions: tuple[tuple[float, ...], ...]  # x, y, z in the base frame [m]
+    start: tuple[float, ...]  # joint positions near the first pose: they choose the posture [rad]
+    orientations: tuple[tuple[float, ...], ...] = ()  # roll, pitch, yaw [rad]; none: any
+
+
+def _checked(
+    times: Sequence[float], points: ArrayLike, size: int, what: str
+) -> tuple[FloatArray, FloatArray]:
+    """Times [s] and points, shape (m, size); ConfigError if times do not increase, there are fewer
+    than two points, or these are of another size, or not finite."""
+    knots, values = np.asarray(times, float), np.asarray(points, float)
     if len(knots) < 2:
         raise ConfigError('path.waypoints', 'must be two or more')
     if not (np.isfinite(knots).all() and np.all(np.diff(knots) > 0)):
         raise ConfigError('path.waypoints', 'times must increase')
-    return knots
+    if values.shape != (len(knots), size):
+        raise ConfigError('path.waypoints', f'must give {size} {what} each')
+    if not np.isfinite(values).all():
+        raise ConfigError('path.waypoints', 'must be finite')
+    return knots, values
 
 
-def rest_to_rest(knots: np.ndarray, points: np.ndarray) -> Any:
+def _rest_to_rest(knots: FloatArray, points: FloatArray) -> Any:
     """Spline through points, shape (m, n), at times, shape (m,) [s].
 
     Rates and accelerations vanish at both ends; the jerk is continuous inside.
@@ -64,12 +103,8 @@ def rest_to_rest(knots: np.ndarray, points: np.ndarray) -> Any:
     return make_interp_spline(knots, points, k=5, bc_type=(rest, rest))
 
 
-def _beyond(reason: str, limit: str) -> ConfigError:
-    return ConfigError('path', f'{reason}, whose limit is {limit}')
-
-
-class TimedPath(ABC):
-    """Quintic spline through timed points, at rest at both ends, and before and after.
+class SerialPath:
+    """Quintic spline of the joint positions, at rest at both ends, and before and after.
 
     Parameters
     ----------
@@ -77,12 +112,8 @@ class TimedPath(ABC):
         The arm.
     times : sequence of float
         Strictly increasing [s].
-    points : array_like, shape (m, n)
-        Points at these times.
-    size : int
-        n.
-    what : str
-        What points are made of, for messages.
+    positions : array_like, shape (m, n)
+        Of the joints at these times [rad].
 
     Attributes
     ----------
@@ -94,32 +125,50 @@ class TimedPath(ABC):
     Raises
     ------
     ConfigError
-        If times do not increase, there are fewer than two points, or these are of another size, or
-        not finite.
+        If times do not increase, a number of joints is wrong, or a limit of a joint (position,
+        rate, or torque according to the model) is exceeded anywhere on the path.
     """
 
     obstacle: Obstacle | None = None
 
-    def __init__(
-        self, arm: SerialArm, times: Sequence[float], points: ArrayLike, size: int, what: str
-    ) -> None:
-        knots, values = checked_times(times), np.asarray(points, float)
-        if values.shape != (len(knots), size):
-            raise ConfigError('path.waypoints', f'must give {size} {what} each')
-        if not np.isfinite(values).all():
-            raise ConfigError('path.waypoints', 'must be finite')
+    def __init__(self, arm: SerialArm, times: Sequence[float], positions: ArrayLike) -> None:
+        knots, values = _checked(times, positions, len(arm.joints), 'joint positions')
         self._chain = compile_chain(arm)
         self.start, self.end = float(knots[0]), float(knots[-1])
-        self._spline = rest_to_rest(knots, values)
+        self._spline = _rest_to_rest(knots, values)
         self._rate, self._bend = self._spline.derivative(1), self._spline.derivative(2)
+        self._check_limits(arm)
 
-    def _clock(self, times: ArrayLike) -> np.ndarray:
-        """Times within the motion."""
-        return np.clip(np.asarray(times, float), self.start, self.end)
+    @classmethod
+    def through_poses(
+        cls, arm: SerialArm, times: Sequence[float], waypoints: PoseWaypoints
+    ) -> 'SerialPath':
+        """Path whose tip moves on a quintic spline through positions, at rest at both ends.
 
-    def _check_limits(self, arm: SerialArm, times: np.ndarray) -> None:
+        Between orientations the tip turns at rest-to-rest speed about one axis.  A joint spline
+        goes through the solutions of the inverse kinematics, one every 40 ms.
+
+        ``waypoints`` has the poses at ``times`` [s], and the posture to begin with.  ConfigError as
+        of the constructor; UnreachableError if a part of the path is out of reach, beyond the
+        limits of a joint, or near a singularity; its message says when.
+        """
+        knots, points = _checked(times, waypoints.positions, 3, 'coordinates x, y and z')
+        if len(waypoints.start) != len(arm.joints):
+            raise ConfigError('path.start', f'must have {len(arm.joints)} joint positions')
+        count = min(1 + max(8, round((knots[-1] - knots[0]) / _SPACING)), _MOST_POSES)
+        grid = np.linspace(knots[0], knots[-1], count)
+        tips, turns = _rest_to_rest(knots, points)(grid), _orientations(knots, waypoints, grid)
+        limits = np.array([(joint.limits.lower, joint.limits.upper) for joint in arm.joints]).T
+        chain, q, solved = compile_chain(arm), np.array(waypoints.start, float), []
+        for k, time in enumerate(grid):
+            pose = tips[k], None if turns is None else turns[k]
+            q = _solve_pose(chain, pose, q, (limits[0], limits[1]), time)
+            solved.append(q)
+        return cls(arm, grid.tolist(), solved)
+
+    def _check_limits(self, arm: SerialArm) -> None:
         """ConfigError if a limit of a joint is exceeded at one of many times."""
-        motion = self.sample(times)
+        motion = self.sample(np.linspace(self.start, self.end, _MOST_POSES))
         rows = motion.position, motion.velocity, motion.acceleration
         rate, torque = np.abs(motion.velocity), np.abs(SerialModel(self._chain).torque(*rows))
         for i, joint in enumerate(arm.joints):
@@ -135,13 +184,25 @@ class TimedPath(ABC):
                 reason = f'needs {torque[:, i].max():.3g} {torque_unit} of {joint.name}'
                 raise _beyond(reason, f'{limits.torque:g}')
 
-    @abstractmethod
     def sample(self, times: ArrayLike) -> Reference:
         """References at times on the path's clock, an array of shape (...) [s]."""
+        clock = np.clip(np.asarray(times, float), self.start, self.end)
+        if np.isnan(clock).any():
+            raise UnreachableError('the path is nowhere at a time that is no number')
+        position = self._spline(clock)
+        tip = self._point(clock, position)
+        return Reference(position, self._rate(clock), self._bend(clock), tip)
 
-    @abstractmethod
+    def _point(self, clock: FloatArray, position: FloatArray) -> FloatArray:
+        """Point of the path at times within it, where these are the joint positions."""
+        return self.tip(position)
+
     def tip(self, position: np.ndarray) -> np.ndarray:
         """Where joint positions, shape (..., n) [rad], bring the tip, shape (..., 3) [m]."""
+        rows = np.ascontiguousarray(position, dtype=float).reshape(-1, position.shape[-1])
+        tips = np.empty((len(rows), 3))
+        _fill_tips(self._chain, rows, tips)
+        return tips.reshape(*position.shape[:-1], 3)
 
     def in_base(self, point: np.ndarray) -> np.ndarray:
         """Points in the plane of a planar arm, shape (..., 2), in the base frame, shape (..., 3)
@@ -149,19 +210,9 @@ class TimedPath(ABC):
         return point
 
 
-@dataclass(frozen=True)
-class PlanarWaypoints:
-    """Points in the vertical plane of a planar arm that its tip goes through."""
-
-    points: tuple[tuple[float, float], ...]  # x forward, y up, from joint 1 [m]
-    # branch of the inverse kinematics
-    elbow: str = entry('text', default='positive', choices=tuple(ELBOWS))
-    # for pictures, and for the check that the path keeps clear of it
-    obstacle: Obstacle | None = part(Obstacle, default=None)
-
-
-class CartesianPath(TimedPath):
-    """Quintic spline through timed points in the plane, at rest at both ends.
+class CartesianPath(SerialPath):
+    """Path whose tip follows a quintic spline through timed points in the plane, at rest at both
+    ends; joints go through the solutions of the inverse kinematics.
 
     Parameters
     ----------
@@ -175,34 +226,31 @@ class CartesianPath(TimedPath):
     Raises
     ------
     ConfigError
-        If times do not increase, there are fewer than two points, the tip hits the obstacle, or a
-        limit of a joint (position, rate, or torque according to the model) is exceeded.
+        As of `SerialPath`, and if the tip hits the obstacle.
     UnreachableError
         If any part of the path is out of reach or singular.
     """
 
     def __init__(self, arm: SerialArm, times: Sequence[float], waypoints: PlanarWaypoints) -> None:
-        super().__init__(arm, times, waypoints.points, 2, 'coordinates x and y')
+        knots, points = _checked(times, waypoints.points, 2, 'coordinates x and y')
         if waypoints.elbow not in ELBOWS:
             raise ConfigError('path.elbow', f'must be one of {", ".join(ELBOWS)}')
-        self._arm, self._elbow = planar_links(arm), waypoints.elbow
-        self.obstacle = waypoints.obstacle
+        self._arm, self.obstacle = planar_links(arm), waypoints.obstacle
         self._origin, self._plane = plane_of(arm)
         # q1 of eqs. (32)-(34) counts from the x-axis, which is -pi/2 from the upper vertical.
         self._offset = np.array([-np.pi / 2 - self._arm.zero_angle, 0.0])
-        self._grid = np.linspace(self.start, self.end, 1001)
-        self._turning = self._first_joint(self._grid)
-        self._check_clearance()
-        self._check_limits(arm, self._grid)  # reachable everywhere
+        self._line = _rest_to_rest(knots, points)
+        count = max(_POINTS, -(-_LEAST_POINTS // (len(knots) - 1)))
+        grid = np.append(np.linspace(knots[:-1], knots[1:], count, endpoint=False).T, knots[-1])
+        tip = self._line(grid)
+        q = inverse(tip, self._arm.lengths, waypoints.elbow) + self._offset
+        refuse_singular(q)
+        self._check_clearance(tip)
+        q[0, 0] = (q[0, 0] + np.pi) % (2.0 * np.pi) - np.pi
+        q[:, 0] = np.unwrap(q[:, 0])  # atan2 jumps on the negative x-axis
+        super().__init__(arm, grid.tolist(), q)
 
-    def _first_joint(self, times: np.ndarray) -> np.ndarray:
-        """Continuous q1 along the path, started within (-pi, pi]."""
-        q_1 = inverse(self._spline(times), self._arm.lengths, self._elbow)[:, 0] + self._offset[0]
-        q_1[0] = (q_1[0] + np.pi) % (2.0 * np.pi) - np.pi
-        return np.unwrap(q_1)
-
-    def _check_clearance(self) -> None:
-        tip = self._spline(self._grid)
+    def _check_clearance(self, tip: FloatArray) -> None:
         if self.obstacle is not None:
             distance = np.hypot(*(tip - np.asarray(self.obstacle.center)).T)
             if distance.min() < self.obstacle.radius:
@@ -210,27 +258,69 @@ class CartesianPath(TimedPath):
                     'path', f'the tip hits the obstacle ({distance.min():.3f} m from its centre)'
                 )
 
-    def sample(self, times: ArrayLike) -> Reference:
-        """As of `TimedPath`; the point of the path is that of the spline."""
-        clock = self._clock(times)
-        tip = self._spline(clock)
-        q = inverse(tip, self._arm.lengths, self._elbow)
-        rate, acceleration = joint_motion(
-            q, self._rate(clock), self._bend(clock), self._arm.lengths
-        )
-        position = self._continuous(q + self._offset, clock)
-        return Reference(position, rate, acceleration, self.in_base(tip))
+    def _point(self, clock: FloatArray, position: FloatArray) -> FloatArray:
+        """That of the tip's own spline."""
+        return self.in_base(self._line(clock))
 
     def tip(self, position: np.ndarray) -> np.ndarray:
-        """As of `TimedPath`."""
+        """As of `SerialPath`."""
         return self.in_base(forward(position - self._offset, self._arm.lengths))
 
     def in_base(self, point: np.ndarray) -> np.ndarray:
-        """As of `TimedPath`."""
+        """As of `SerialPath`."""
         return np.asarray(self._origin + point @ self._plane)
 
-    def _continuous(self, q: np.ndarray, times: np.ndarray) -> np.ndarray:
-        """q with the turn of q1 that the path is in: atan2 jumps on the negative x-axis."""
-        near = np.interp(times, self._grid, self._turning)
-        turns = np.round((near - q[..., 0]) / (2.0 * np.pi))
-        return np.stack([q[..., 0] + 2.0 * np.pi * turns, q[..., 1]], axis=-1)
+
+def _beyond(reason: str, limit: str) -> ConfigError:
+    return ConfigError('path', f'{reason}, whose limit is {limit}')
+
+
+@njit
+def _fill_tips(chain: Chain, positions: FloatArray, tips: FloatArray) -> None:
+    n = positions.shape[1]
+    rotations, origins = np.empty((n + 1, 3, 3)), np.empty((n + 1, 3))
+    for k in range(len(positions)):
+        joint_frames(chain, positions[k], rotations, origins)
+        tips[k, :] = origins[n]
+
+
+def _solve_pose(
+    chain: Chain,
+    pose: tuple[FloatArray, FloatArray | None],
+    near: FloatArray,
+    limits: tuple[FloatArray, FloatArray],
+    time: float,
+) -> FloatArray:
+    answer = inverse_kinematics(chain, *pose, near, limits, tolerance=1e-9)
+    if not answer.reached:
+        at_limit = np.isclose(answer.q, limits[0]) | np.isclose(answer.q, limits[1])
+        cause = 'with a joint at its limit' if at_limit.any() else 'out of reach'
+        raise UnreachableError(
+            f'path: at {time:.2f} s the tip is {cause}: '
+            f'{answer.position_error:.3g} m and {answer.orientation_error:.3g} rad are left'
+        )
+    if answer.manipulability < SMALLEST_MANIPULABILITY:
+        raise UnreachableError(
+            f'path: at {time:.2f} s the arm is near a singularity (smallest singular value '
+            f'{answer.manipulability:.2g} of at least {SMALLEST_MANIPULABILITY:g})'
+        )
+    return answer.q
+
+
+def _orientations(
+    knots: FloatArray, waypoints: PoseWaypoints, grid: FloatArray
+) -> FloatArray | None:
+    """Orientations at the times of the grid, shape (len(grid), 3, 3); None where any will do."""
+    if not waypoints.orientations:
+        return None
+    if len(waypoints.orientations) != len(knots):
+        raise ConfigError('path.waypoints', 'must have an orientation each, or none at all')
+    # Extrinsic xyz: Rz(yaw) Ry(pitch) Rx(roll), as in URDF.
+    from scipy.spatial.transform import Rotation, Slerp  # as `_rest_to_rest` does
+
+    turns = Slerp(knots, Rotation.from_euler('xyz', np.array(waypoints.orientations)))
+    segment = np.clip(np.searchsorted(knots, grid, 'right') - 1, 0, len(knots) - 2)
+    length = np.diff(knots)[segment]
+    share = (grid - knots[segment]) / length
+    eased = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
+    return turns(np.clip(knots[segment] + eased * length, knots[0], knots[-1])).as_matrix()

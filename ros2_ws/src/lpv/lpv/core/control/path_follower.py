@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lpv.core.control.path import Reference, TimedPath
+from lpv.core.control.path import Reference, SerialPath
 from lpv.core.serial_arm.description import SerialArm
 from lpv.core.support.limits import SMALL
 from lpv.core.support.timestamps import NANOSECONDS
@@ -43,7 +43,7 @@ class PathFollower:
     """
 
     def __init__(
-        self, path: TimedPath, speed: ArrayLike = APPROACH_SPEED, scale: ArrayLike = 1.0
+        self, path: SerialPath, speed: ArrayLike = APPROACH_SPEED, scale: ArrayLike = 1.0
     ) -> None:
         self._path, self._speed, self._scale = path, np.asarray(speed), np.asarray(scale)
         self.reset()

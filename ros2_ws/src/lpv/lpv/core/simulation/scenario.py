@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lpv.core.control.path import CartesianPath, PlanarWaypoints
-from lpv.core.control.serial_path import PoseWaypoints, SerialPath
+from lpv.core.control.path import CartesianPath, PlanarWaypoints, PoseWaypoints, SerialPath
 from lpv.core.serial_arm.chain import MAX_JOINTS, Chain, body_parameters, compile_chain
 from lpv.core.serial_arm.description import LinkInertia, SerialArm, SerialJoint
 from lpv.core.serial_arm.dynamics.payload import with_payload
@@ -67,7 +66,7 @@ class Scenario:
     disturbance: bool = entry('flag', default=True)
     disturbance_factor: float = _plant('disturbance_factor', 1.0, 0.0, 1e3)  # true over stated d
 
-    def path(self, arm: SerialArm) -> CartesianPath | SerialPath:
+    def path(self, arm: SerialArm) -> SerialPath:
         """The path for an arm; ConfigError or UnreachableError where the arm cannot do it."""
         return _path(arm, self.name, self.times, self.waypoints)
 
@@ -117,9 +116,7 @@ def _scaled(link: LinkInertia, mass: float, inertia: float) -> LinkInertia:
 
 
 @lru_cache(maxsize=4)
-def _path(
-    arm: SerialArm, name: str, times: tuple[float, ...], waypoints: Waypoints
-) -> CartesianPath | SerialPath:
+def _path(arm: SerialArm, name: str, times: tuple[float, ...], waypoints: Waypoints) -> SerialPath:
     """Kept: the simulator asks for the path of a run, and so does its tracker."""
     if isinstance(waypoints, PlanarWaypoints):
         if len(arm.joints) != 2:

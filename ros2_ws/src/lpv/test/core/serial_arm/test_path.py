@@ -9,9 +9,14 @@ import yaml
 from nested import changed
 from serial_arms import scara, shoulder_arm
 
-from lpv.core.control.path import CartesianPath, Obstacle, PlanarWaypoints
+from lpv.core.control.path import (
+    CartesianPath,
+    Obstacle,
+    PlanarWaypoints,
+    PoseWaypoints,
+    SerialPath,
+)
 from lpv.core.control.path_follower import PathFollower, approach_speeds
-from lpv.core.control.serial_path import PoseWaypoints, SerialPath
 from lpv.core.control.watchdog import StopReason, TrackerLimits, TrackerWatchdog
 from lpv.core.serial_arm.chain import compile_chain
 from lpv.core.serial_arm.description import JointLimits, LinkInertia

@@ -12,7 +12,7 @@ ELBOWS = {'positive': 1.0, 'negative': -1.0}
 """Sign of q2 of the two branches; eq. (33) prints the positive one only."""
 
 SINGULAR_SINE = 1e-3
-"""Smallest abs(sin q2) at which rates are computed; below, the arm is stretched or folded, and
+"""Smallest abs(sin q2) of a path; below, the arm is stretched or folded, and
 joints turn a thousand times as fast as the tip, seen from the shoulder."""
 
 
@@ -56,28 +56,10 @@ def inverse(point: np.ndarray, lengths: tuple[float, ...], elbow: str = 'positiv
     return np.stack([q_1, q_2], axis=-1)
 
 
-def joint_motion(
-    q: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray, lengths: tuple[float, ...]
-) -> tuple[np.ndarray, ...]:
-    """Joint rates and accelerations for velocities and accelerations of the tip, shape (..., 2).
-
-    Raises
-    ------
-    UnreachableError
-        If the arm is stretched or folded: there the tip cannot follow.
-    """
-    sine = np.sin(q[..., 1])
-    if np.any(np.abs(sine) < SINGULAR_SINE):
+def refuse_singular(q: np.ndarray) -> None:
+    """UnreachableError if the arm is stretched or folded anywhere: there the tip cannot follow."""
+    if np.any(np.abs(np.sin(q[..., 1])) < SINGULAR_SINE):
         raise UnreachableError(
             'the path meets a singularity: the arm is stretched or folded '
             f'(abs(sin q2) < {SINGULAR_SINE})'
         )
-    # As complex numbers, links L1 d_1 and L2 d_2 that turn by a' and b' move the tip by
-    # i (L1 d_1 a' + L2 d_2 b').
-    links = np.exp(1j * np.cumsum(q, axis=-1)) * lengths
-    jacobian = np.stack([-links.imag, links.real], axis=-2)
-    absolute = np.linalg.solve(jacobian, velocity[..., None])[..., 0]
-    swing = (links * absolute**2).sum(axis=-1)  # less the centripetal acceleration
-    push = acceleration + np.stack([swing.real, swing.imag], axis=-1)
-    motion = absolute, np.linalg.solve(jacobian, push[..., None])[..., 0]
-    return tuple(np.stack([one[..., 0], one[..., 1] - one[..., 0]], axis=-1) for one in motion)
